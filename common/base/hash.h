@@ -1,0 +1,24 @@
+// SHA-256 (libsodium): the address of every artefact.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+namespace rg {
+
+class Sha256 {
+ public:
+  Sha256();
+  void Update(std::string_view bytes);
+  // 64 lower-case hexadecimal digits. The object is spent afterwards.
+  std::string FinishHex();
+
+ private:
+  alignas(8) std::array<unsigned char, 128> state_;
+};
+
+std::string Sha256Hex(std::string_view bytes);
+
+}  // namespace rg

@@ -1,0 +1,37 @@
+#include "common/base/file.h"
+
+#include <gtest/gtest.h>
+
+#include <filesystem>
+
+#include "common/base/ids.h"
+
+namespace rg {
+namespace {
+
+std::string TempFolder() {
+  const auto folder = std::filesystem::temp_directory_path() / ("rg_file_test_" + RandomHex(6));
+  std::filesystem::create_directories(folder);
+  return folder;
+}
+
+TEST(File, WritesMakeParentsAndReplaceWhole) {
+  const std::string folder = TempFolder();
+  const std::string path = folder + "/a/b.txt";
+  ASSERT_TRUE(WriteFileAtomically(path, "one").ok());
+  ASSERT_TRUE(WriteFileAtomically(path, std::string("two\0three", 9)).ok());
+  EXPECT_EQ(*ReadFile(path), std::string("two\0three", 9));
+  int entries = 0;
+  for ([[maybe_unused]] const auto& e : std::filesystem::directory_iterator(folder + "/a")) ++entries;
+  EXPECT_EQ(entries, 1) << "a temporary file was left behind";
+  std::filesystem::remove_all(folder);
+}
+
+TEST(File, FailuresNameThePath) {
+  EXPECT_EQ(ReadFile("/nowhere/x.csv").status().code(), StatusCode::kNotFound);
+  EXPECT_NE(ReadFile("/nowhere/x.csv").status().message().find("/nowhere/x.csv"), std::string::npos);
+  EXPECT_FALSE(WriteFileAtomically("/proc/rg/x", "y").ok());
+}
+
+}  // namespace
+}  // namespace rg
