@@ -1,0 +1,34 @@
+# Shared by deploy/check and deploy/quickstart: packages and build. Sourced, not run.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+
+say() { printf '\n== %s\n' "$*" >&2; }
+
+as_root() {
+  if [ "$(id -u)" = 0 ]; then "$@"; elif command -v sudo >/dev/null; then sudo "$@"
+  else echo "deploy: needs root or sudo to install packages: $*" >&2; exit 1; fi
+}
+
+# install_packages [with-tests]: installs what is missing of deploy/packages; no network if nothing is.
+install_packages() {
+  local wanted missing=()
+  if [ "${1:-}" = with-tests ]; then wanted=$(sed 's/^test://' deploy/packages)
+  else wanted=$(grep -v '^test:' deploy/packages); fi
+  for package in $(grep -v '^#' <<<"$wanted"); do
+    dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' || missing+=("$package")
+  done
+  [ ${#missing[@]} = 0 ] && return 0
+  say "installing ${#missing[@]} packages: ${missing[*]}"
+  as_root env DEBIAN_FRONTEND=noninteractive apt-get update -qq
+  as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
+}
+
+# build PRESET [cmake options… -- targets…]
+build() {
+  local preset=$1; shift
+  local options=() ; while [ $# -gt 0 ] && [ "$1" != -- ]; do options+=("$1"); shift; done
+  [ "${1:-}" = -- ] && shift
+  say "building ($preset, $(nproc) cores)"
+  cmake --preset "$preset" "${options[@]}" >/dev/null
+  cmake --build "build/$preset" -j "$(nproc)" ${*:+--target "$@"} >&2
+}

@@ -1,0 +1,129 @@
+// Holds the #include lines of the tree to the arrows of docs/architecture.md.
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <set>
+#include <sstream>
+#include <string>
+#include <vector>
+
+namespace rg {
+namespace {
+
+namespace fs = std::filesystem;
+
+// room -> rooms it may include beside itself. A room is the longest prefix listed here.
+const std::map<std::string, std::set<std::string>>& Arrows() {
+  static const std::set<std::string> model = {"common/base", "common/math", "common/model"};
+  static const auto with = [](std::set<std::string> a, const std::set<std::string>& b) {
+    a.insert(b.begin(), b.end());
+    return a;
+  };
+  static const std::set<std::string> dynamics = with(model, {"common/dynamics"});
+  static const std::set<std::string> sim =
+      with(dynamics, {"common/effects", "common/integrators", "common/sim"});
+  static const std::set<std::string> wire = {"common/base", "proto", "common/transport", "common/store"};
+  static const std::set<std::string> algorithms =
+      with(sim, {"common/recordings", "services/trajectories", "services/policy", "services/rollouts",
+                 "services/sysid", "services/diagnosis"});
+  static const std::map<std::string, std::set<std::string>> arrows = {
+      {"common/base", {}},
+      {"common/math", {"common/base"}},
+      {"common/model", {"common/base", "common/math"}},
+      {"common/dynamics", model},
+      {"common/effects", dynamics},
+      {"common/integrators", with(dynamics, {"common/effects"})},
+      {"common/sim", with(dynamics, {"common/effects", "common/integrators"})},
+      {"common/recordings", sim},
+      {"common/transport", {"common/base", "proto"}},
+      {"common/store", {"common/base", "proto"}},
+      {"services/trajectories", sim},
+      {"services/policy", sim},
+      {"services/rollouts", with(sim, {"common/recordings", "services/policy"})},
+      {"services/sysid", with(sim, {"common/recordings"})},
+      {"services/diagnosis", with(sim, {"common/recordings", "services/sysid"})},
+      {"services/report", algorithms},
+      {"services/proof", with(algorithms, {"services/report"})},
+      {"services/jobs", with(with(with(algorithms, wire), {"services/report", "services/proof"}),
+                             {"coordinator/client", "worker", "robot_agent"})},
+      {"services/cli", with(with(with(algorithms, wire), {"services/report", "services/proof"}),
+                            {"coordinator/client", "services/jobs"})},
+      {"coordinator", wire},
+      {"worker", with(wire, {"coordinator/client"})},
+      {"robot_agent", with(with(algorithms, wire), {"worker", "coordinator/client"})},
+  };
+  return arrows;
+}
+
+std::string RoomOf(const std::string& path) {
+  std::string best;
+  for (const auto& [room, allowed] : Arrows()) {
+    if (path.rfind(room + "/", 0) == 0 && room.size() > best.size()) best = room;
+  }
+  return path.rfind("proto/", 0) == 0 || path.rfind("realitygrad/v1/", 0) == 0 ? "proto" : best;
+}
+
+bool Allowed(const std::string& from_room, const std::string& included) {
+  const std::string room = RoomOf(included);
+  if (room.empty() || room == from_room) return true;
+  const auto& allowed = Arrows().at(from_room);
+  if (allowed.count(room)) return true;
+  for (const std::string& a : allowed) {
+    if (included.rfind(a + "/", 0) == 0) return true;
+  }
+  return false;
+}
+
+std::string SourceDir() {
+  const char* dir = std::getenv("RG_SOURCE_DIR");
+  return dir ? dir : ".";
+}
+
+std::vector<std::string> Violations() {
+  std::vector<std::string> found;
+  for (const char* top : {"common", "services", "coordinator", "worker", "robot_agent"}) {
+    if (!fs::exists(SourceDir() + "/" + top)) continue;
+    for (const auto& entry : fs::recursive_directory_iterator(SourceDir() + "/" + top)) {
+      const std::string extension = entry.path().extension();
+      if (extension != ".h" && extension != ".cc") continue;
+      const std::string path = fs::relative(entry.path(), SourceDir());
+      const std::string room = RoomOf(path);
+      if (room.empty()) {
+        found.push_back(path + " is in no room of the table");
+        continue;
+      }
+      std::ifstream in(entry.path());
+      for (std::string line; std::getline(in, line);) {
+        if (line.rfind("#include", 0) != 0) continue;
+        if (room == "coordinator" && line.find("<Eigen") != std::string::npos) {
+          found.push_back(path + " includes Eigen");
+        }
+        const size_t open = line.find('"');
+        if (open == std::string::npos) continue;
+        const std::string included = line.substr(open + 1, line.find('"', open + 1) - open - 1);
+        if (!Allowed(room, included)) found.push_back(path + " may not include " + included);
+      }
+    }
+  }
+  return found;
+}
+
+TEST(Layout, IncludesFollowTheArrows) {
+  std::ostringstream all;
+  const auto found = Violations();
+  for (const auto& v : found) all << v << "\n";
+  EXPECT_TRUE(found.empty()) << all.str();
+}
+
+TEST(Layout, TheTableForbidsWhatItShould) {
+  EXPECT_FALSE(Allowed("common/dynamics", "common/sim/plant.h"));
+  EXPECT_FALSE(Allowed("coordinator", "services/sysid/sysid.h"));
+  EXPECT_FALSE(Allowed("services/sysid", "realitygrad/v1/job.pb.h"));
+  EXPECT_TRUE(Allowed("common/sim", "common/base/status.h"));
+}
+
+}  // namespace
+}  // namespace rg
