@@ -1,0 +1,65 @@
+// A recording set: a folder with manifest.json ("realitygrad.recordings/1"), the robot's URDF and one
+// CSV per recording.
+#pragma once
+
+#include <Eigen/Core>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/base/status.h"
+#include "common/recordings/csv.h"
+#include "common/recordings/recording.h"
+
+namespace rg::recordings {
+
+inline constexpr const char* kSetFormat = "realitygrad.recordings/1";
+
+// What the sensors' data sheet says; what is missing is estimated from the data (noise.h).
+struct NoiseSpec {
+  std::optional<double> position_stddev;      // rad or m
+  std::optional<double> velocity_stddev;      // rad/s or m/s
+  std::optional<double> position_resolution;  // rad or m
+};
+
+enum class CommandHold { kZeroOrder, kLinear };
+
+struct RecordingSet {
+  std::string folder;
+  std::string urdf_path;
+  std::string urdf_text;
+  std::vector<std::string> joints;       // the joints with columns, in model (topological) order
+  std::vector<JointInfo> joint_info;     // of `joints`
+  std::map<std::string, double> locked;  // as in the manifest; movable joints in neither are locked at 0
+  Eigen::Vector3d gravity{0.0, 0.0, -9.81};
+  std::optional<double> sample_rate_hz;
+  std::optional<double> control_rate_hz;
+  CommandHold control_hold = CommandHold::kZeroOrder;
+  NoiseSpec noise;
+  std::optional<EffortKind> drive;  // what the manifest says; each recording's own choice is in it
+  // The drive adds its own gravity compensation to the effort in the file.
+  bool effort_excludes_gravity = false;
+  // The manifest had no holdout split, and LoadSet chose whole recordings for it.
+  bool holdout_was_chosen = false;
+  std::vector<Recording> recordings;  // in the manifest's order, joints in the order of `joints`
+
+  std::vector<const Recording*> Fit() const { return Of(Split::kFit); }
+  std::vector<const Recording*> Holdout() const { return Of(Split::kHoldout); }
+  std::vector<const Recording*> Of(Split split) const;
+};
+
+// Reads and checks everything; the error names file, row, column and value. A set without a holdout
+// split gets one: every fourth recording of the manifest, or the last if there are two or three. A
+// set of one recording has no holdout.
+Result<RecordingSet> LoadSet(const std::string& folder);
+
+// Marks recordings as holdout by the rule above if none is; true if it did.
+bool ChooseHoldout(std::vector<Recording>& recordings);
+
+// Writes manifest.json, the URDF text as robot.urdf, and every recording, into `folder`.
+Status WriteSet(const std::string& folder, const RecordingSet& set);
+// The text of manifest.json for a set whose URDF lies in the folder as `robot_file`.
+std::string FormatManifest(const RecordingSet& set, const std::string& robot_file);
+
+}  // namespace rg::recordings
