@@ -1,0 +1,75 @@
+// A self-contained HTML page: text, cards, tables and interactive plots in one file that opens
+// without a network. All text is escaped; a page is written as it is built, top to bottom.
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace rg::report {
+
+enum class SeriesStyle { kLine, kDashed, kPoints };
+
+struct Series {
+  std::string name;
+  std::vector<double> x;  // ascending for lines; same size as y
+  std::vector<double> y;  // NaN leaves a gap
+  SeriesStyle style = SeriesStyle::kLine;
+  int color = -1;  // index into the palette; -1: the next one
+};
+
+struct Plot {
+  std::string title;
+  std::string x_label;  // with unit: "time [s]"
+  std::string y_label;
+  std::vector<Series> series;  // names within a plot differ
+  std::string caption = {};
+  bool log_y = false;
+  bool tall = false;
+};
+
+struct Table {
+  std::vector<std::string> columns;
+  std::vector<std::vector<std::string>> rows;  // each as long as columns
+  std::string caption = {};
+  std::vector<int> text_columns = {};  // left-aligned, wrapping
+};
+
+struct Card {
+  std::string label;
+  std::string value;
+  std::string note = {};
+};
+
+class Page {
+ public:
+  Page(std::string title, std::string subtitle);
+
+  void Lead(std::string_view text);  // the sentence that a reader with one minute reads
+  void Heading(std::string_view text);
+  void Subheading(std::string_view text);
+  void Paragraph(std::string_view text);
+  void Note(std::string_view text, bool warning = false);
+  void Code(std::string_view text);
+  void Cards(const std::vector<Card>& cards);
+  void AddTable(const Table& table);
+  void AddPlot(const Plot& plot);
+  // Side by side as the width allows, each at least `min_width_px` wide.
+  void AddPlots(const std::vector<Plot>& plots, int min_width_px = 440);
+
+  std::string Html() const;
+
+ private:
+  void AppendFigure(const Plot& plot);
+
+  std::string title_;
+  std::string subtitle_;
+  std::string body_;
+  int plots_ = 0;
+};
+
+std::string EscapeHtml(std::string_view text);
+// Short for people: 3 significant digits unless told, no exponent between 1e-4 and 1e6.
+std::string FormatNumber(double value, int digits = 3);
+
+}  // namespace rg::report

@@ -1,0 +1,62 @@
+#include "services/report/page.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <nlohmann/json.hpp>
+
+namespace rg::report {
+namespace {
+
+nlohmann::json PlotJson(const std::string& html, int index) {
+  const std::string open = "id=\"plot" + std::to_string(index) + "-data\">";
+  const size_t begin = html.find(open) + open.size();
+  return nlohmann::json::parse(html.substr(begin, html.find("</script>", begin) - begin));
+}
+
+TEST(Page, IsSelfContained) {
+  Page page("Title", "sub");
+  page.AddPlot({"a", "t [s]", "q [rad]", {{"measured", {0, 1}, {2, 3}}}});
+  const std::string html = page.Html();
+  EXPECT_EQ(html.find("src=\"http"), std::string::npos);
+  EXPECT_EQ(html.find("href=\"http"), std::string::npos);
+  EXPECT_NE(html.find("Dygraph"), std::string::npos);
+}
+
+TEST(Page, TextCannotBecomeMarkup) {
+  Page page("<b>", "x");
+  page.Paragraph("<script>alert(1)</script>");
+  page.AddPlot({"t", "x", "y", {{"</script><b>", {0}, {1}}}});
+  const std::string html = page.Html();
+  EXPECT_EQ(html.find("<script>alert"), std::string::npos);
+  EXPECT_EQ(html.find("</script><b>"), std::string::npos);
+  EXPECT_EQ(PlotJson(html, 0)["labels"][1], "</script><b>");
+}
+
+TEST(Page, SeriesOnDifferentGridsAreMergedByX) {
+  Page page("t", "s");
+  page.AddPlot({"p", "x", "y", {{"a", {0, 1}, {5, 6}}, {"b", {0.5, 1}, {7, std::nan("")}}}});
+  const auto rows = PlotJson(page.Html(), 0)["rows"];
+  ASSERT_EQ(rows.size(), 3u);
+  EXPECT_EQ(rows[1][0], 0.5);
+  EXPECT_TRUE(rows[1][1].is_null());
+  EXPECT_EQ(rows[1][2], 7);
+  EXPECT_TRUE(rows[2][2].is_null()) << "NaN must be a gap";
+}
+
+TEST(FormatNumber, KeepsSignificantDigits) {
+  EXPECT_EQ(FormatNumber(0.012345), "0.0123");
+  EXPECT_EQ(FormatNumber(123.456), "123");
+  EXPECT_EQ(FormatNumber(12.3456), "12.3");
+  EXPECT_EQ(FormatNumber(0.0), "0.00");
+  EXPECT_EQ(FormatNumber(3.2e-7), "3.20e-07");
+  EXPECT_EQ(FormatNumber(std::nan("")), "–");
+}
+
+TEST(PageDeathTest, ATableRowOfTheWrongLengthIsABug) {
+  Page page("t", "s");
+  EXPECT_DEATH(page.AddTable({{"a", "b"}, {{"1"}}}), "table row");
+}
+
+}  // namespace
+}  // namespace rg::report
