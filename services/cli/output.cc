@@ -1,0 +1,116 @@
+#include "services/cli/output.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <nlohmann/json.hpp>
+
+#include "common/base/check.h"
+
+namespace rg::cli {
+
+ExitCode ExitCodeOf(const Status& status) {
+  switch (status.code()) {
+    case StatusCode::kOk:
+      return kExitOk;
+    case StatusCode::kUnavailable:
+      return kExitUnreachable;
+    case StatusCode::kCancelled:
+      return kExitCancelled;
+    case StatusCode::kDeadlineExceeded:
+      return kExitTimeout;
+    default:
+      return kExitError;
+  }
+}
+
+Result<OutputFormat> ParseOutputFormat(std::string_view text) {
+  if (text == "table") return OutputFormat::kTable;
+  if (text == "json") return OutputFormat::kJson;
+  if (text == "quiet") return OutputFormat::kQuiet;
+  return InvalidError("--output is '" + std::string(text) + "', must be table, json or quiet");
+}
+
+int DisplayWidth(std::string_view text) {
+  return static_cast<int>(std::count_if(text.begin(), text.end(), [](char c) { return (c & 0xC0) != 0x80; }));
+}
+
+TextTable::TextTable(std::vector<std::string> columns) {
+  for (std::string& name : columns) {
+    right_.push_back(name.starts_with('>'));
+    columns_.push_back(right_.back() ? name.substr(1) : name);
+  }
+}
+
+void TextTable::AddRow(std::vector<std::string> cells) {
+  RG_CHECK(cells.size() == columns_.size());
+  rows_.push_back(std::move(cells));
+}
+
+std::string TextTable::ToString() const {
+  std::vector<int> width;
+  for (const auto& name : columns_) width.push_back(DisplayWidth(name));
+  for (const auto& row : rows_) {
+    for (size_t c = 0; c < row.size(); ++c) width[c] = std::max(width[c], DisplayWidth(row[c]));
+  }
+  std::string out;
+  const auto append = [&](const std::vector<std::string>& row) {
+    std::string line;
+    for (size_t c = 0; c < row.size(); ++c) {
+      const std::string pad(static_cast<size_t>(width[c] - DisplayWidth(row[c])), ' ');
+      line += (c ? "  " : "") + (right_[c] ? pad + row[c] : row[c] + pad);
+    }
+    line.erase(line.find_last_not_of(' ') + 1);
+    out += line + "\n";
+  };
+  append(columns_);
+  for (const auto& row : rows_) append(row);
+  return out;
+}
+
+void PrintJson(std::string_view format, nlohmann::json value) {
+  nlohmann::ordered_json out;
+  out["format"] = format;
+  if (value.is_object()) {
+    for (auto& [key, item] : value.items()) out[key] = std::move(item);
+  } else {
+    out["items"] = std::move(value);
+  }
+  Print(out.dump(2));
+}
+
+void Print(std::string_view text) {
+  std::fwrite(text.data(), 1, text.size(), stdout);
+  if (text.empty() || text.back() != '\n') std::fputc('\n', stdout);
+  std::fflush(stdout);
+}
+
+void PrintNote(std::string_view text) {
+  std::fwrite(text.data(), 1, text.size(), stderr);
+  if (text.empty() || text.back() != '\n') std::fputc('\n', stderr);
+}
+
+int Fail(const Status& status) {
+  PrintNote("realitygrad: " + status.ToString());
+  return ExitCodeOf(status);
+}
+
+std::string FormatSeconds(double seconds) {
+  if (!std::isfinite(seconds) || seconds < 0) return "–";
+  char text[48];
+  if (seconds < 9.95) {
+    std::snprintf(text, sizeof text, "%.1f s", seconds);
+    return text;
+  }
+  const long whole = std::lround(seconds);
+  if (whole < 60) {
+    std::snprintf(text, sizeof text, "%ld s", whole);
+  } else if (whole < 3600) {
+    std::snprintf(text, sizeof text, "%ld min %02ld s", whole / 60, whole % 60);
+  } else {
+    std::snprintf(text, sizeof text, "%ld h %02ld min", whole / 3600, whole / 60 % 60);
+  }
+  return text;
+}
+
+}  // namespace rg::cli
