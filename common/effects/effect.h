@@ -1,0 +1,84 @@
+// What an effect is: one piece of physics that a rigid-body model can leave out (coulomb_friction,
+// actuator_lag, payload, …). Each lives in one file of this folder: its law, its catalogue row, its
+// parameters. effect_list.h names them all; nothing else has to be touched to add one.
+//
+//   command --actuator--> drive torque --transmission--> link torque --joint, body, environment-->
+//   motion --sensor--> measured state
+#pragma once
+
+#include <map>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "common/base/status.h"
+
+namespace rg::effects {
+
+enum class Stage { kActuator, kTransmission, kJoint, kBody, kSensor, kEnvironment };
+std::string_view StageName(Stage stage);
+
+// What the parameters belong to.
+enum class Scope {
+  kJoint,      // one set per joint it acts on: "coulomb_friction.joint_2.coulomb"
+  kRobot,      // one set: "payload.*.mass"; `joints` stays empty
+  kJointPair,  // one set, `joints` lists source and target in that order: "joint_coupling.*.coefficient"
+};
+
+// One scalar parameter of an effect, named exactly as in the contract EFFECTS.md.
+struct ParameterInfo {
+  std::string name;            // "coulomb"
+  std::string symbol;          // "c", as it stands in EffectInfo::equation
+  std::string unit;            // for a revolute joint, "N*m"
+  std::string unit_prismatic;  // for a prismatic joint, "N"
+  double lower = 0;            // physical bounds, not a search range; ±infinity where there is none
+  double upper = 0;
+  double default_value = 0;        // where an EffectSpec gives none (see default_is_effort)
+  double prior_stddev = 1;         // typical size on an arm of this class; times the joint's effort limit
+  bool prior_of_effort = false;    // where this is set
+  bool default_is_effort = false;  // the default is the joint's effort limit (torque_saturation)
+  std::string meaning;             // "Coulomb level", for tables and messages
+};
+
+// The catalogue row of an effect.
+struct EffectInfo {
+  std::string id;     // as in EFFECTS.md; stored in files, never renamed
+  std::string title;  // "Coulomb friction"
+  Stage stage = Stage::kJoint;
+  Scope scope = Scope::kJoint;
+  std::string equation;  // "tau_f = -c*sign(dq)"
+  // Plain words with {joint} and {<parameter>} to be filled in, see Sentence().
+  std::string sentence;
+  std::vector<ParameterInfo> parameters;
+  std::string family;  // effects of one family are easily taken for each other: "friction", "timing", …
+  std::vector<std::string> confused_with;  // ids, itself not included
+  std::string reference;                   // literature
+  // Options of EffectSpec::options and their admissible values, the first one is the default.
+  std::map<std::string, std::vector<std::string>> options;
+
+  // Index into `parameters`, or -1.
+  int FindParameter(std::string_view name) const;
+};
+
+// An effect as a plant, a model file or a hypothesis holds it.
+struct EffectSpec {
+  std::string id;
+  std::vector<std::string> joints;  // by Scope: the joints it acts on; empty; source and target
+  // values[<joint> or "*"][<parameter>]; what is missing takes its default.
+  std::map<std::string, std::map<std::string, double>> values;
+  std::map<std::string, std::string> options;  // e.g. {"sensor", "motor"} of joint_elasticity
+};
+
+// "viscous_friction" on one joint with values: a spec in one line.
+EffectSpec MakeSpec(std::string id, std::vector<std::string> joints = {},
+                    std::map<std::string, double> values = {});
+
+// The row's sentence with names and values filled in: "joint_2 loses a constant torque …".
+std::string Sentence(const EffectInfo& info, const std::string& joint, bool prismatic,
+                     const std::map<std::string, double>& values);
+
+// Refuses unknown ids, parameters and options, wrong numbers of joints, joints twice, values that are
+// not finite or outside their bounds; the message names effect, joint, parameter, value and limit.
+Status ValidateSpec(const EffectSpec& spec);
+
+}  // namespace rg::effects
