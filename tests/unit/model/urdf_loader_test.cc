@@ -1,0 +1,287 @@
+#include "common/model/urdf_loader.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+namespace rg::model {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::StartsWith;
+
+const LoadOptions kMicoArm = {.joints = {"joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6"},
+                              .locked = {},
+                              .end_effector = ""};
+
+RobotModel Load(const std::string& name, const LoadOptions& options = {}) {
+  auto model = LoadUrdf("deploy/robots/" + name, options);
+  RG_CHECK(model.ok()) << model.status().ToString();
+  return std::move(model).value();
+}
+
+TEST(UrdfLoader, KeepsAllFourteenLinksOfTheMico) {
+  const RobotModel mico = Load("mico2.urdf", kMicoArm);
+  EXPECT_EQ(mico.num_joints(), 6);
+  EXPECT_EQ(mico.num_links(), 14);
+  EXPECT_NEAR(mico.NominalLinkParameters().row(0).sum(), 4.353954, 1e-12);
+  EXPECT_EQ(mico.link(mico.FindLink("world")).body, -1);
+  EXPECT_EQ(mico.link(mico.FindLink("link_base")).body, -1);
+  EXPECT_EQ(mico.link(mico.FindLink("link_finger_tip_2")).body, 5);
+  EXPECT_FALSE(mico.link(mico.FindLink("end_effector")).has_inertial);
+  EXPECT_EQ(mico.end_effector().name, "end_effector");
+  EXPECT_TRUE(mico.warnings().empty());
+}
+
+TEST(UrdfLoader, ReadsLimitsAndDynamics) {
+  const RobotModel mico = Load("mico2.urdf", kMicoArm);
+  EXPECT_EQ(mico.joint(0).type, JointType::kContinuous);
+  EXPECT_TRUE(std::isinf(mico.UpperLimits()[0]));
+  EXPECT_NEAR(mico.LowerLimits()[1] * 180.0 / M_PI, 50.0, 1e-12);
+  EXPECT_NEAR(mico.UpperLimits()[2] * 180.0 / M_PI, 325.0, 1e-12);
+  EXPECT_EQ(mico.EffortLimits()[1], 80.0);
+  EXPECT_NEAR(mico.VelocityLimits()[5] * 180.0 / M_PI, 48.0, 1e-12);
+  const RobotModel arm = Load("arm2.urdf");
+  EXPECT_EQ(arm.joint(0).damping, 0.1);
+  EXPECT_EQ(arm.joint(1).friction, 0.0);
+}
+
+TEST(UrdfLoader, MovesAllTenJointsOfTheMicoUnlessTold) {
+  const RobotModel mico = Load("mico2.urdf");
+  EXPECT_EQ(mico.num_joints(), 10);
+  EXPECT_EQ(mico.joint(mico.FindJoint("joint_finger_2")).parent, mico.FindJoint("joint_6"));
+  EXPECT_EQ(mico.joint(mico.FindJoint("joint_finger_tip_2")).parent, mico.FindJoint("joint_finger_2"));
+}
+
+TEST(UrdfLoader, BodyFramesHaveTheAxisOnZ) {
+  const RobotModel arm = Load("arm2.urdf");
+  for (const Joint& joint : arm.joints()) {
+    const Link& link = arm.link(joint.child_link);
+    EXPECT_NEAR((link.X_BL.rotation * joint.axis - Eigen::Vector3d::UnitZ()).norm(), 0.0, 1e-15);
+  }
+  const RobotModel mico = Load("mico2.urdf", kMicoArm);
+  for (const Joint& joint : mico.joints()) {
+    EXPECT_TRUE(mico.link(joint.child_link).X_BL.rotation.isIdentity(0.0)) << joint.name;
+  }
+}
+
+TEST(UrdfLoader, LockedJointsStandAtTheirValue) {
+  const RobotModel moved =
+      Load("arm2.urdf", {.joints = {}, .locked = {{"elbow", M_PI / 2}}, .end_effector = ""});
+  EXPECT_EQ(moved.num_joints(), 1);
+  const Frame tool = *moved.FindFrame("tool");
+  EXPECT_EQ(tool.body, 0);
+  // +90° about y turns "down" into -x: shoulder frame, link axes.
+  const Eigen::Vector3d in_link =
+      moved.link(moved.FindLink("upper_arm")).X_BL.rotation.transpose() * tool.X_BF.translation;
+  EXPECT_NEAR((in_link - Eigen::Vector3d(-0.30, 0, -0.35)).norm(), 0.0, 1e-12);
+}
+
+TEST(UrdfLoader, AllShippedRobotsLoad) {
+  for (const char* name : {"mico2.urdf", "arm2.urdf", "pendulum.urdf", "arm7.urdf", "slide.urdf"}) {
+    const RobotModel model = Load(name);
+    EXPECT_TRUE(model.warnings().empty()) << name << ": " << model.warnings()[0];
+    EXPECT_FALSE(model.urdf_text().empty());
+  }
+  EXPECT_EQ(Load("arm7.urdf").num_joints(), 7);
+  EXPECT_EQ(Load("slide.urdf").joint(0).type, JointType::kPrismatic);
+  EXPECT_EQ(Load("arm7.urdf").end_effector().name, "tool");
+}
+
+TEST(UrdfLoader, TurnedInertialOriginIsTakenToLinkAxes) {
+  const auto model = ParseUrdf(R"(<robot name="r"><link name="a"/><link name="b"><inertial>
+      <origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/><mass value="2"/>
+      <inertia ixx="1" iyy="2" izz="2.5" ixy="0" ixz="0" iyz="0"/></inertial></link>
+    <joint name="j" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 0 3"/></joint></robot>)",
+                               "turned.urdf");
+  ASSERT_TRUE(model.ok()) << model.status().ToString();
+  const LinkParameters p = model->link(1).parameters;
+  EXPECT_NEAR(p[4], 2.0, 1e-12);
+  EXPECT_NEAR(p[5], 1.0, 1e-12);
+  EXPECT_EQ(model->joint(0).axis, Eigen::Vector3d::UnitZ());
+}
+
+TEST(UrdfLoader, WarnsOfInertiaThatNoBodyHas) {
+  const auto model = ParseUrdf(R"(<robot name="r"><link name="a"/><link name="b"><inertial><mass value="2"/>
+      <inertia ixx="1" iyy="1" izz="2.5" ixy="0" ixz="0" iyz="0"/></inertial></link>
+    <joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint></robot>)",
+                               "odd.urdf");
+  ASSERT_TRUE(model.ok()) << model.status().ToString();
+  EXPECT_THAT(model->warnings(),
+              ElementsAre("odd.urdf: link 'b': the inertia breaks the triangle inequality (no body has it)"));
+}
+
+// --- Refusals: the message is the contract. -------------------------------------------------------
+
+constexpr const char* kInertial =
+    R"(<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>)";
+
+std::string Robot(const std::string& body) {
+  return R"(<?xml version="1.0"?><robot name="r">)" + body + "</robot>";
+}
+std::string LinkXml(const std::string& name, const std::string& inside = kInertial) {
+  return "<link name=\"" + name + "\">" + inside + "</link>";
+}
+std::string JointXml(const std::string& name, const std::string& type, const std::string& parent,
+                     const std::string& child,
+                     const std::string& inside = R"(<limit lower="-1" upper="1" effort="1" velocity="1"/>)") {
+  return "<joint name=\"" + name + "\" type=\"" + type + "\"><parent link=\"" + parent +
+         "\"/><child link=\"" + child + "\"/>" + inside + "</joint>";
+}
+
+struct Refusal {
+  const char* name;
+  std::string xml;
+  std::string message;
+};
+
+class UrdfRefusal : public testing::TestWithParam<Refusal> {};
+
+TEST_P(UrdfRefusal, NamesSourceElementAndValue) {
+  const auto model = ParseUrdf(GetParam().xml, "bad.urdf");
+  ASSERT_FALSE(model.ok());
+  EXPECT_EQ(model.status().code(), StatusCode::kInvalid);
+  EXPECT_THAT(model.status().message(), StartsWith("bad.urdf: "));
+  EXPECT_THAT(model.status().message(), HasSubstr(GetParam().message));
+  EXPECT_EQ(model.status().message().find('\n'), std::string::npos);
+}
+
+const std::string kTwo = LinkXml("a") + LinkXml("b");
+
+INSTANTIATE_TEST_SUITE_P(
+    Each, UrdfRefusal,
+    testing::ValuesIn(std::vector<Refusal>{
+        {"NotXml", "<robot name='r'><link name='a'>", "not well-formed XML"},
+        {"Empty", "", "not well-formed XML"},
+        {"NotARobot", "<sdf name='r'/>", "the root element is not <robot>"},
+        {"NoLinks", Robot(""), "<robot> has no links"},
+        {"NothingMoves", Robot(LinkXml("a")), "no joint is left to move"},
+        {"Floating", Robot(kTwo + JointXml("j", "floating", "a", "b")),
+         "joint 'j': type 'floating' is not supported (revolute, continuous, prismatic, fixed)"},
+        {"Planar", Robot(kTwo + JointXml("j", "planar", "a", "b")),
+         "joint 'j': type 'planar' is not supported"},
+        {"Mimic",
+         Robot(kTwo + LinkXml("c") + JointXml("j", "continuous", "a", "b") +
+               JointXml("k", "continuous", "b", "c", R"(<mimic joint="j" multiplier="2"/>)")),
+         "joint 'k': mimics joint 'j', which is not supported"},
+        {"TwoParents",
+         Robot(kTwo + LinkXml("c") + JointXml("j", "continuous", "a", "c") +
+               JointXml("k", "continuous", "b", "c")),
+         "joint 'k': link 'c' already has the parent 'a': loops cannot be represented"},
+        {"Ring", Robot(kTwo + JointXml("j", "continuous", "a", "b") + JointXml("k", "continuous", "b", "a")),
+         "no root link: the joints form a loop"},
+        {"DetachedRing",
+         Robot(kTwo + LinkXml("c") + JointXml("j", "continuous", "c", "b") +
+               JointXml("k", "continuous", "b", "c")),
+         "link 'b': is part of a loop of joints"},
+        {"TwoRoots", Robot(kTwo), "links 'a' and 'b' are both roots"},
+        {"LinkTwice", Robot(LinkXml("a") + LinkXml("a")), "link 'a': the name is used twice"},
+        {"JointTwice",
+         Robot(kTwo + LinkXml("c") + JointXml("j", "continuous", "a", "b") +
+               JointXml("j", "continuous", "b", "c")),
+         "joint 'j': the name is used twice"},
+        {"NoSuchLink", Robot(LinkXml("a") + JointXml("j", "fixed", "a", "x")),
+         "joint 'j': child link 'x' does not exist"},
+        {"NaNMass",
+         Robot(
+             LinkXml("a") +
+             LinkXml(
+                 "b",
+                 R"(<inertial><mass value="nan"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>)") +
+             JointXml("j", "continuous", "a", "b")),
+         "link 'b': <mass value>: 'nan' is not finite"},
+        {"NegativeMass",
+         Robot(
+             LinkXml("a") +
+             LinkXml(
+                 "b",
+                 R"(<inertial><mass value="-2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>)") +
+             JointXml("j", "continuous", "a", "b")),
+         "link 'b': <mass value>: '-2' is negative"},
+        {"TextAfterNumber",
+         Robot(
+             LinkXml("a") +
+             LinkXml(
+                 "b",
+                 R"(<inertial><mass value="2kg"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>)") +
+             JointXml("j", "continuous", "a", "b")),
+         "link 'b': <mass value>: '2kg' is not a number"},
+        {"NoInertiaEntry",
+         Robot(
+             LinkXml("a") +
+             LinkXml(
+                 "b",
+                 R"(<inertial><mass value="2"/><inertia ixx="1" iyy="1" ixy="0" ixz="0" iyz="0"/></inertial>)") +
+             JointXml("j", "continuous", "a", "b")),
+         "link 'b': <inertia izz> is missing"},
+        {"MasslessLeaf", Robot(LinkXml("a") + LinkXml("b", "") + JointXml("j", "continuous", "a", "b")),
+         "joint 'j' moves nothing that has mass: link 'b'"},
+        {"PointMassOnAxis",
+         Robot(
+             LinkXml("a") +
+             LinkXml(
+                 "b",
+                 R"(<inertial><mass value="2"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>)") +
+             JointXml("j", "continuous", "a", "b")),
+         "joint 'j' moves link 'b', which has no inertia about its axis"},
+        {"ZeroAxis", Robot(kTwo + JointXml("j", "continuous", "a", "b", R"(<axis xyz="0 0 0"/>)")),
+         "joint 'j': <axis xyz>: '0 0 0' has no direction"},
+        {"ShortAxis", Robot(kTwo + JointXml("j", "continuous", "a", "b", R"(<axis xyz="0 1"/>)")),
+         "joint 'j': <axis xyz>: '0 1' is not 3 numbers"},
+        {"NoLimits", Robot(kTwo + JointXml("j", "revolute", "a", "b", "")),
+         "joint 'j': a revolute joint needs <limit>"},
+        {"LimitsSwapped",
+         Robot(kTwo + JointXml("j", "prismatic", "a", "b",
+                               R"(<limit lower="2" upper="1" effort="1" velocity="1"/>)")),
+         "joint 'j': <limit>: lower 2.000000 is above upper 1.000000"},
+        {"NoEffort",
+         Robot(kTwo + JointXml("j", "revolute", "a", "b", R"(<limit lower="0" upper="1" velocity="1"/>)")),
+         "joint 'j': <limit effort> is missing"},
+        {"NegativeDamping",
+         Robot(kTwo + JointXml("j", "continuous", "a", "b", R"(<dynamics damping="-1"/>)")),
+         "joint 'j': <dynamics damping>: is negative"},
+        {"InfiniteOrigin", Robot(kTwo + JointXml("j", "continuous", "a", "b", R"(<origin xyz="0 inf 0"/>)")),
+         "joint 'j': <origin xyz>: '0 inf 0' is not finite"},
+        {"OriginTwice",
+         Robot(kTwo + JointXml("j", "continuous", "a", "b", R"(<origin xyz="0 0 0"/><origin xyz="0 0 1"/>)")),
+         "joint 'j': <origin> is there twice"},
+    }),
+    [](const auto& info) { return std::string(info.param.name); });
+
+TEST(UrdfLoader, RefusesSeventeenMovingJoints) {
+  std::string body = LinkXml("l0");
+  for (int i = 1; i <= 17; ++i) {
+    body += LinkXml("l" + std::to_string(i)) + JointXml("j" + std::to_string(i), "continuous",
+                                                        "l" + std::to_string(i - 1), "l" + std::to_string(i));
+  }
+  const auto model = ParseUrdf(Robot(body), "long.urdf");
+  ASSERT_FALSE(model.ok());
+  EXPECT_EQ(model.status().message(), "long.urdf: joint 'j17': more than 16 moving joints (lock some)");
+  EXPECT_TRUE(
+      ParseUrdf(Robot(body), "long.urdf", {.joints = {}, .locked = {{"j4", 0.5}}, .end_effector = ""}).ok());
+}
+
+TEST(UrdfLoader, RefusesOptionsThatNameNothing) {
+  const std::string xml = Robot(kTwo + JointXml("j", "continuous", "a", "b"));
+  const auto refuse = [&](const LoadOptions& options) {
+    return ParseUrdf(xml, "r.urdf", options).status().message();
+  };
+  EXPECT_EQ(refuse({.joints = {"k"}, .locked = {}, .end_effector = ""}), "r.urdf: joint 'k' does not exist");
+  EXPECT_EQ(refuse({.joints = {}, .locked = {{"k", 0.0}}, .end_effector = ""}),
+            "r.urdf: locked joint 'k' does not exist");
+  EXPECT_EQ(refuse({.joints = {"j"}, .locked = {{"j", 0.0}}, .end_effector = ""}),
+            "r.urdf: joint 'j' is both moving and locked");
+  EXPECT_EQ(refuse({.joints = {}, .locked = {}, .end_effector = "hand"}),
+            "r.urdf: end effector link 'hand' does not exist");
+}
+
+TEST(UrdfLoader, SaysWhichFileIsMissing) {
+  const auto model = LoadUrdf("no/such/arm.urdf");
+  ASSERT_FALSE(model.ok());
+  EXPECT_THAT(model.status().message(), HasSubstr("no/such/arm.urdf"));
+}
+
+}  // namespace
+}  // namespace rg::model
