@@ -24,7 +24,7 @@ endif()
 # Every unit is built for plain x86-64 with Eigen's alignment pinned, so that objects of units
 # compiled for newer instruction sets (hot kernels only) have the same layout.
 add_compile_definitions(EIGEN_MAX_ALIGN_BYTES=16)
-add_compile_options(-Wall -Wextra -fno-math-errno)
+add_compile_options(-Wall -Wextra -Wno-missing-field-initializers -fno-math-errno)
 if(RG_WERROR)
   add_compile_options(-Werror)
 endif()

@@ -1,0 +1,311 @@
+#include "services/jobs/job_graphs.h"
+
+#include <algorithm>
+#include <cmath>
+#include <nlohmann/json.hpp>
+
+#include "common/base/check.h"
+#include "services/jobs/kinds.h"
+
+namespace rg::jobs {
+namespace {
+
+namespace pb = ::realitygrad::v1;
+using nlohmann::json;
+
+template <class T>
+Status InRange(const char* name, T value, T low, T high) {
+  if (!(value >= low && value <= high)) {
+    return InvalidError(std::string(name) + " is " + json(value).dump() + ", must be between " +
+                        json(low).dump() + " and " + json(high).dump());
+  }
+  return Status::Ok();
+}
+
+pb::InputSpec* AddInput(pb::TaskSpec* task, const std::string& name) {
+  pb::InputSpec* input = task->add_inputs();
+  input->set_name(name);
+  return input;
+}
+
+void AddArtifact(pb::TaskSpec* task, const std::string& name, const std::string& sha256) {
+  AddInput(task, name)->set_artifact(sha256);
+}
+
+void AddStageOutputs(pb::TaskSpec* task, const std::string& name, const std::string& stage,
+                     const std::string& output) {
+  pb::StageOutputsRef* ref = AddInput(task, name)->mutable_stage_outputs();
+  ref->set_stage(stage);
+  ref->set_output(output);
+}
+
+void AddTaskOutput(pb::TaskSpec* task, const std::string& name, const std::string& from,
+                   const std::string& output) {
+  pb::TaskOutputRef* ref = AddInput(task, name)->mutable_task_output();
+  ref->set_task(from);
+  ref->set_output(output);
+}
+
+// Where an input comes from: a stage of this job, or an artefact if there is none.
+void AddFrom(pb::TaskSpec* task, const std::string& name, bool stage_in_job, const std::string& stage,
+             const std::string& output, const std::string& artifact) {
+  if (stage_in_job) {
+    AddStageOutputs(task, name, stage, output);
+  } else {
+    AddArtifact(task, name, artifact);
+  }
+}
+
+pb::TaskSpec* AddTask(pb::JobSpec* job, const std::string& name, const std::string& stage,
+                      const std::string& kind, const google::protobuf::MessageLite& payload) {
+  pb::TaskSpec* task = job->add_tasks();
+  task->set_name(name);
+  task->set_stage(stage);
+  task->set_kind(kind);
+  payload.SerializeToString(task->mutable_payload());
+  return task;
+}
+
+std::string Numbered(const std::string& stem, int number, int width = 3) {
+  std::string digits = std::to_string(number);
+  if (static_cast<int>(digits.size()) < width)
+    digits.insert(0, static_cast<size_t>(width) - digits.size(), '0');
+  return stem + "-" + digits;
+}
+
+void AppendTrajectories(const IterationOptions& options, const IterationInputs& inputs, pb::JobSpec* job) {
+  const TrajectoriesOptions& o = options.trajectories;
+  for (int first = 0; first < o.count; first += o.shard_size) {
+    pb::TrajectoriesPayload payload;
+    payload.set_seed(options.seed);
+    payload.set_first(static_cast<uint64_t>(first));
+    payload.set_count(static_cast<uint32_t>(std::min(o.shard_size, o.count - first)));
+    payload.set_duration_s(o.duration_s);
+    payload.set_reach(o.reach);
+    payload.set_spread(o.spread);
+    pb::TaskSpec* task = AddTask(job, Numbered("trajectories", first / o.shard_size), kStageTrajectories,
+                                 kKindTrajectories, payload);
+    task->set_weight(payload.count());
+    AddArtifact(task, kInputModel, inputs.model);
+  }
+}
+
+void AppendTrain(const IterationOptions& options, const IterationInputs& inputs, pb::JobSpec* job) {
+  pb::TrainPayload payload;
+  payload.set_seed(options.seed);
+  payload.set_epochs(static_cast<uint32_t>(options.train.epochs));
+  payload.set_batch(static_cast<uint32_t>(options.train.batch));
+  payload.set_learning_rate(options.train.learning_rate);
+  for (int width : options.train.hidden) payload.add_hidden(static_cast<uint32_t>(width));
+  pb::TaskSpec* task = AddTask(job, "policy", kStagePolicy, kKindTrain, payload);
+  task->set_weight(0.02 * options.train.epochs * std::max(1, options.trajectories.count) / 45.0);
+  AddArtifact(task, kInputModel, inputs.model);
+  if (inputs.shards.empty()) {
+    AddStageOutputs(task, kInputShard, kStageTrajectories, kOutputShard);
+  } else {
+    for (const std::string& shard : inputs.shards) AddArtifact(task, kInputShard, shard);
+  }
+}
+
+void AppendRollout(const IterationOptions& options, const IterationInputs& inputs, bool trained_here,
+                   pb::JobSpec* job) {
+  const RolloutOptions& o = options.rollout;
+  pb::RolloutPayload payload;
+  payload.set_seed(options.seed);
+  payload.set_robot(options.robot);
+  payload.set_duration_s(o.duration_s);
+  payload.set_rate_hz(o.rate_hz);
+  payload.mutable_goal_q()->Assign(o.goal_q.begin(), o.goal_q.end());
+  payload.mutable_goal_position()->Assign(o.goal_position.begin(), o.goal_position.end());
+  payload.set_reach_s(o.reach_s);
+  payload.set_controller(o.controller);
+  pb::TaskSpec* task = AddTask(job, "rollout", kStageRollout, kKindRollout, payload);
+  task->set_at_most_once(true);
+  task->set_max_attempts(1);
+  task->set_weight(20.0 * o.duration_s);
+  task->add_required_tags("robot:" + options.robot);
+  AddArtifact(task, kInputModel, inputs.model);
+  if (o.controller == "policy")
+    AddFrom(task, kInputPolicy, trained_here, kStagePolicy, kOutputPolicy, inputs.policy);
+}
+
+pb::IdentifyPayload IdentifyPayloadOf(const IterationOptions& options) {
+  const IdentifyOptions& o = options.identify;
+  pb::IdentifyPayload payload;
+  payload.set_seed(options.seed);
+  payload.set_chains(static_cast<uint32_t>(o.chains));
+  payload.set_rounds(static_cast<uint32_t>(o.rounds));
+  payload.set_budget_s(o.budget_s / o.rounds);
+  payload.set_hops(o.hops == 0 ? 0u : static_cast<uint32_t>(std::max(1, (o.hops + o.rounds - 1) / o.rounds)));
+  payload.set_window(o.whole_recording ? pb::IDENTIFY_WINDOW_WHOLE : pb::IDENTIFY_WINDOW_SINGLE);
+  payload.set_solver(o.bounded ? pb::IDENTIFY_SOLVER_LM_BOUNDED : pb::IDENTIFY_SOLVER_LBFGS_UNBOUNDED);
+  payload.set_window_s(o.window_s);
+  payload.set_window_start_s(o.window_start_s);
+  payload.set_alpha(o.alpha);
+  return payload;
+}
+
+std::string ChainTask(int chain, int round) {
+  return Numbered("chain", chain, 2) + "-round-" + std::to_string(round);
+}
+// Rounds are stages of their own, so that a later one can read all chains of the one before.
+std::string RoundStage(const IdentifyOptions& o, int round) {
+  return o.rounds == 1
+             ? kStageIdentify
+             : std::string(kStageIdentify) + " " + std::to_string(round + 1) + "/" + std::to_string(o.rounds);
+}
+
+void AppendIdentify(const IterationOptions& options, const IterationInputs& inputs, bool recorded_here,
+                    pb::JobSpec* job) {
+  const IdentifyOptions& o = options.identify;
+  for (int round = 0; round < o.rounds; ++round) {
+    for (int chain = 0; chain < o.chains; ++chain) {
+      pb::IdentifyPayload payload = IdentifyPayloadOf(options);
+      payload.set_round(static_cast<uint32_t>(round));
+      payload.set_chain(static_cast<uint32_t>(chain));
+      pb::TaskSpec* task =
+          AddTask(job, ChainTask(chain, round), RoundStage(o, round), kKindIdentify, payload);
+      task->set_weight(20.0 * std::max(1.0, payload.budget_s()));
+      AddArtifact(task, kInputModel, inputs.model);
+      AddFrom(task, kInputRecording, recorded_here, kStageRollout, kOutputRecording, inputs.recording);
+      if (round > 0) {
+        AddTaskOutput(task, kInputChain, ChainTask(chain, round - 1), kOutputChain);
+        AddStageOutputs(task, kInputOthers, RoundStage(o, round - 1), kOutputChain);
+      }
+    }
+  }
+}
+
+void AppendConclude(const IterationOptions& options, const IterationInputs& inputs, bool whole_iteration,
+                    pb::JobSpec* job) {
+  pb::ConcludePayload payload;
+  *payload.mutable_identify() = IdentifyPayloadOf(options);
+  payload.set_robot(options.robot);
+  payload.set_iteration(static_cast<uint32_t>(options.iteration));
+  pb::TaskSpec* task = AddTask(job, "conclusion", kStageConclude, kKindConclude, payload);
+  task->set_weight(20.0);
+  AddArtifact(task, kInputModel, inputs.model);
+  AddFrom(task, kInputRecording, whole_iteration, kStageRollout, kOutputRecording, inputs.recording);
+  AddStageOutputs(task, kInputChain, RoundStage(options.identify, options.identify.rounds - 1), kOutputChain);
+  if (whole_iteration) {
+    AddStageOutputs(task, kInputShard, kStageTrajectories, kOutputShard);
+    AddStageOutputs(task, kInputPolicy, kStagePolicy, kOutputPolicy);
+  }
+}
+
+json SpecJson(const IterationOptions& o) {
+  return {{"seed", o.seed},
+          {"robot", o.robot},
+          {"iteration", o.iteration},
+          {"trajectories",
+           {{"count", o.trajectories.count},
+            {"shard_size", o.trajectories.shard_size},
+            {"duration_s", o.trajectories.duration_s},
+            {"reach", o.trajectories.reach}}},
+          {"train",
+           {{"epochs", o.train.epochs},
+            {"batch", o.train.batch},
+            {"hidden", o.train.hidden},
+            {"learning_rate", o.train.learning_rate}}},
+          {"rollout",
+           {{"duration_s", o.rollout.duration_s},
+            {"rate_hz", o.rollout.rate_hz},
+            {"goal_q", o.rollout.goal_q},
+            {"goal_position", o.rollout.goal_position},
+            {"controller", o.rollout.controller}}},
+          {"identify",
+           {{"chains", o.identify.chains},
+            {"rounds", o.identify.rounds},
+            {"budget_s", o.identify.budget_s},
+            {"hops", o.identify.hops},
+            {"window", o.identify.whole_recording ? "whole" : "single"},
+            {"bounded", o.identify.bounded},
+            {"alpha", o.identify.alpha}}}};
+}
+
+pb::JobSpec NewJob(const std::string& kind, const IterationOptions& options) {
+  pb::JobSpec job;
+  job.set_kind(kind);
+  job.set_name(kind == "iteration" ? "iteration " + std::to_string(options.iteration) : kind);
+  job.set_spec_json(SpecJson(options).dump());
+  (*job.mutable_labels())["robot"] = options.robot;
+  return job;
+}
+
+}  // namespace
+
+Status Validate(const IterationOptions& o) {
+  RG_RETURN_IF_ERROR(InRange("trajectories", o.trajectories.count, 1, 1000000));
+  RG_RETURN_IF_ERROR(InRange("shard size", o.trajectories.shard_size, 1, 100000));
+  RG_RETURN_IF_ERROR(InRange("trajectory duration [s]", o.trajectories.duration_s, 0.08, 60.0));
+  RG_RETURN_IF_ERROR(InRange("reach", o.trajectories.reach, 0.01, 1.0));
+  RG_RETURN_IF_ERROR(InRange("epochs", o.train.epochs, 1, 100000));
+  RG_RETURN_IF_ERROR(InRange("batch", o.train.batch, 1, 100000));
+  RG_RETURN_IF_ERROR(InRange("learning rate", o.train.learning_rate, 1e-7, 1.0));
+  if (o.train.hidden.empty()) return InvalidError("hidden layers: none given, at least one is needed");
+  for (int width : o.train.hidden) RG_RETURN_IF_ERROR(InRange("hidden layer width", width, 1, 4096));
+  RG_RETURN_IF_ERROR(InRange("rollout duration [s]", o.rollout.duration_s, 0.2, 600.0));
+  RG_RETURN_IF_ERROR(InRange("rollout rate [Hz]", o.rollout.rate_hz, 5.0, 1000.0));
+  if (o.rollout.controller != "policy" && o.rollout.controller != "mpc") {
+    return InvalidError("controller is '" + o.rollout.controller + "', must be policy or mpc");
+  }
+  if (!o.rollout.goal_position.empty() && o.rollout.goal_position.size() != 3) {
+    return InvalidError("goal position has " + std::to_string(o.rollout.goal_position.size()) +
+                        " numbers, must have 3 (x y z in m)");
+  }
+  RG_RETURN_IF_ERROR(InRange("chains", o.identify.chains, 1, 1000));
+  RG_RETURN_IF_ERROR(InRange("rounds", o.identify.rounds, 1, 1000));
+  RG_RETURN_IF_ERROR(InRange("identification budget [s]", o.identify.budget_s, 0.0, 1e6));
+  RG_RETURN_IF_ERROR(InRange("hops", o.identify.hops, 0, 1000000));
+  if (o.identify.budget_s == 0.0 && o.identify.hops == 0) {
+    return InvalidError("identification has neither a budget in seconds nor a number of hops");
+  }
+  RG_RETURN_IF_ERROR(InRange("identification window [s]", o.identify.window_s, 0.04, 600.0));
+  RG_RETURN_IF_ERROR(InRange("identification window start [s]", o.identify.window_start_s, 0.0, 600.0));
+  RG_RETURN_IF_ERROR(InRange("alpha", o.identify.alpha, 0.0, 1e9));
+  return Status::Ok();
+}
+
+pb::JobSpec CompileIteration(const IterationOptions& options, const IterationInputs& inputs) {
+  pb::JobSpec job = NewJob("iteration", options);
+  AppendTrajectories(options, inputs, &job);
+  AppendTrain(options, inputs, &job);
+  AppendRollout(options, inputs, true, &job);
+  AppendIdentify(options, inputs, true, &job);
+  AppendConclude(options, inputs, true, &job);
+  return job;
+}
+
+pb::JobSpec CompileTrajectories(const IterationOptions& options, const IterationInputs& inputs) {
+  pb::JobSpec job = NewJob("trajectories", options);
+  AppendTrajectories(options, inputs, &job);
+  return job;
+}
+
+pb::JobSpec CompileTrain(const IterationOptions& options, const IterationInputs& inputs) {
+  RG_CHECK(!inputs.shards.empty());
+  pb::JobSpec job = NewJob("train", options);
+  AppendTrain(options, inputs, &job);
+  return job;
+}
+
+pb::JobSpec CompileRollout(const IterationOptions& options, const IterationInputs& inputs) {
+  pb::JobSpec job = NewJob("rollout", options);
+  AppendRollout(options, inputs, false, &job);
+  return job;
+}
+
+pb::JobSpec CompileIdentify(const IterationOptions& options, const IterationInputs& inputs) {
+  pb::JobSpec job = NewJob("identify", options);
+  AppendIdentify(options, inputs, false, &job);
+  AppendConclude(options, inputs, false, &job);
+  return job;
+}
+
+const std::vector<std::string>& IterationStages() {
+  static const std::vector<std::string> stages = {kStageTrajectories, kStagePolicy, kStageRollout,
+                                                  kStageIdentify, kStageConclude};
+  return stages;
+}
+
+}  // namespace rg::jobs

@@ -1,0 +1,83 @@
+// What users ask for, compiled to graphs of tasks. Pure: options in, JobSpec out.
+//
+// A stage's tasks read earlier stages by name, so that a graph needs no hash but those of the
+// artefacts it starts from. Kinds and payloads: payloads.proto, task_kinds.h.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "common/base/status.h"
+#include "realitygrad/v1/job.pb.h"
+#include "realitygrad/v1/payloads.pb.h"
+
+namespace rg::jobs {
+
+struct TrajectoriesOptions {
+  int count = 450;      // PAPER.md: K
+  int shard_size = 15;  // trajectories per task
+  double duration_s = 1.0;
+  double reach = 0.6;   // |Δq| <= reach · v_max · duration
+  double spread = 0.0;  // rad round the home pose; 0: the whole range
+};
+
+struct TrainOptions {
+  int epochs = 100;
+  int batch = 32;
+  double learning_rate = 1e-3;
+  std::vector<int> hidden = {128, 128};
+};
+
+struct RolloutOptions {
+  double duration_s = 6.0;
+  double rate_hz = 25.0;
+  std::vector<double> goal_q;         // empty: drawn
+  std::vector<double> goal_position;  // task space
+  double reach_s = 3.0;
+  std::string controller = "policy";
+};
+
+struct IdentifyOptions {
+  int chains = 2;
+  int rounds = 3;        // chains exchange their best between rounds
+  double budget_s = 30;  // wall time of one chain over all rounds; 0: hops decides
+  int hops = 0;          // of one chain over all rounds
+  bool whole_recording = true;
+  double window_s = 0.2;  // of the single window
+  double window_start_s = 0.0;
+  bool bounded = true;
+  double alpha = 1e-3;
+};
+
+struct IterationOptions {
+  uint64_t seed = 1;
+  std::string robot = "mico2";
+  int iteration = 1;
+  TrajectoriesOptions trajectories;
+  TrainOptions train;
+  RolloutOptions rollout;
+  IdentifyOptions identify;
+};
+
+// Every option inside its range; the line names option, value and limit.
+Status Validate(const IterationOptions& options);
+
+// Artefacts that a graph starts from, by hash.
+struct IterationInputs {
+  std::string model;                // always
+  std::string policy;               // rollout only
+  std::string recording;            // identify only
+  std::vector<std::string> shards;  // train only
+};
+
+realitygrad::v1::JobSpec CompileIteration(const IterationOptions& options, const IterationInputs& inputs);
+realitygrad::v1::JobSpec CompileTrajectories(const IterationOptions& options, const IterationInputs& inputs);
+realitygrad::v1::JobSpec CompileTrain(const IterationOptions& options, const IterationInputs& inputs);
+realitygrad::v1::JobSpec CompileRollout(const IterationOptions& options, const IterationInputs& inputs);
+realitygrad::v1::JobSpec CompileIdentify(const IterationOptions& options, const IterationInputs& inputs);
+
+// The stage names of an iteration in order, as people see them.
+const std::vector<std::string>& IterationStages();
+
+}  // namespace rg::jobs

@@ -1,0 +1,43 @@
+// Names shared by the graphs (job_graphs.h) and the functions that run them (task_kinds.h). They are
+// stored in databases: frozen.
+#pragma once
+
+namespace rg::jobs {
+
+inline constexpr char kKindTrajectories[] = "trajectories";
+inline constexpr char kKindTrain[] = "train";
+inline constexpr char kKindRollout[] = "rollout";
+inline constexpr char kKindIdentify[] = "identify";
+inline constexpr char kKindConclude[] = "conclude";
+
+inline constexpr char kStageTrajectories[] = "trajectories";
+inline constexpr char kStagePolicy[] = "policy";
+inline constexpr char kStageRollout[] = "rollout";
+inline constexpr char kStageIdentify[] = "identification";
+inline constexpr char kStageConclude[] = "conclusion";
+
+inline constexpr char kInputModel[] = "model";
+inline constexpr char kInputShard[] = "shard";
+inline constexpr char kInputPolicy[] = "policy";
+inline constexpr char kInputRecording[] = "recording";
+inline constexpr char kInputChain[] = "chain";
+inline constexpr char kInputOthers[] = "others";
+
+inline constexpr char kOutputShard[] = "shard";
+inline constexpr char kOutputPolicy[] = "policy";
+inline constexpr char kOutputRecording[] = "recording";
+inline constexpr char kOutputChain[] = "chain";
+inline constexpr char kOutputModel[] = "model";
+inline constexpr char kOutputParameters[] = "parameters";
+inline constexpr char kOutputResult[] = "result";
+
+// Kinds of artefacts.
+inline constexpr char kArtifactModel[] = "model";
+inline constexpr char kArtifactShard[] = "trajectories";
+inline constexpr char kArtifactPolicy[] = "policy";
+inline constexpr char kArtifactRecording[] = "recording";
+inline constexpr char kArtifactHopState[] = "hop-state";
+inline constexpr char kArtifactParameters[] = "parameters";
+inline constexpr char kArtifactResult[] = "iteration-result";
+
+}  // namespace rg::jobs

@@ -1,0 +1,111 @@
+#include "services/jobs/job_graphs.h"
+
+#include <gtest/gtest.h>
+
+#include <map>
+#include <set>
+
+#include "services/jobs/kinds.h"
+
+namespace rg::jobs {
+namespace {
+
+namespace pb = ::realitygrad::v1;
+
+IterationInputs Model() { return {.model = std::string(64, 'a')}; }
+
+// Every reference must name a task or stage that stands earlier in the job.
+void ExpectWellFormed(const pb::JobSpec& job) {
+  std::set<std::string> names, stages;
+  for (const pb::TaskSpec& task : job.tasks()) {
+    for (const pb::InputSpec& input : task.inputs()) {
+      EXPECT_TRUE(!input.has_task_output() || names.count(input.task_output().task())) << task.name();
+      EXPECT_TRUE(!input.has_stage_outputs() || stages.count(input.stage_outputs().stage())) << task.name();
+      EXPECT_TRUE(input.source_case() != pb::InputSpec::kArtifact || input.artifact().size() == 64)
+          << task.name();
+    }
+    EXPECT_TRUE(names.insert(task.name()).second) << "two tasks named " << task.name();
+    stages.insert(task.stage());
+  }
+}
+
+TEST(JobGraphs, ShardsCoverEveryTrajectoryOnce) {
+  IterationOptions options;
+  options.trajectories.count = 47;
+  options.trajectories.shard_size = 10;
+  const pb::JobSpec job = CompileTrajectories(options, Model());
+  ASSERT_EQ(job.tasks_size(), 5);
+  uint64_t next = 0;
+  for (const pb::TaskSpec& task : job.tasks()) {
+    pb::TrajectoriesPayload payload;
+    ASSERT_TRUE(payload.ParseFromString(task.payload()));
+    EXPECT_EQ(payload.first(), next);
+    next += payload.count();
+  }
+  EXPECT_EQ(next, 47u);
+}
+
+TEST(JobGraphs, IterationIsWellFormedAndInOrder) {
+  const pb::JobSpec job = CompileIteration({}, Model());
+  ExpectWellFormed(job);
+  EXPECT_EQ(job.tasks(job.tasks_size() - 1).kind(), kKindConclude);
+}
+
+TEST(JobGraphs, RolloutRunsAtMostOnceAndOnlyBesideItsRobot) {
+  IterationOptions options;
+  options.robot = "mico2";
+  const pb::JobSpec job = CompileIteration(options, Model());
+  int rollouts = 0;
+  for (const pb::TaskSpec& task : job.tasks()) {
+    if (task.kind() != kKindRollout) continue;
+    ++rollouts;
+    EXPECT_TRUE(task.at_most_once());
+    EXPECT_EQ(task.max_attempts(), 1u);
+    ASSERT_EQ(task.required_tags_size(), 1);
+    EXPECT_EQ(task.required_tags(0), "robot:mico2");
+  }
+  EXPECT_EQ(rollouts, 1);
+}
+
+TEST(JobGraphs, ChainsReadAllChainsOfTheRoundBefore) {
+  IterationOptions options;
+  options.identify.chains = 3;
+  options.identify.rounds = 2;
+  IterationInputs inputs = Model();
+  inputs.recording = std::string(64, 'b');
+  const pb::JobSpec job = CompileIdentify(options, inputs);
+  ExpectWellFormed(job);
+  ASSERT_EQ(job.tasks_size(), 7);
+  const pb::TaskSpec& second_round = job.tasks(3);
+  std::map<std::string, const pb::InputSpec*> by_name;
+  for (const auto& input : second_round.inputs()) by_name[input.name()] = &input;
+  EXPECT_EQ(by_name.at(kInputChain)->task_output().task(), job.tasks(0).name());
+  EXPECT_EQ(by_name.at(kInputOthers)->stage_outputs().stage(), job.tasks(0).stage());
+}
+
+TEST(JobGraphs, BudgetIsSharedByTheRounds) {
+  IterationOptions options;
+  options.identify.rounds = 4;
+  options.identify.budget_s = 20;
+  IterationInputs inputs = Model();
+  inputs.recording = std::string(64, 'b');
+  pb::IdentifyPayload payload;
+  ASSERT_TRUE(payload.ParseFromString(CompileIdentify(options, inputs).tasks(0).payload()));
+  EXPECT_DOUBLE_EQ(payload.budget_s(), 5.0);
+}
+
+TEST(JobGraphs, OptionsOutOfRangeAreNamed) {
+  IterationOptions options;
+  EXPECT_TRUE(Validate(options).ok());
+  options.trajectories.count = 0;
+  EXPECT_EQ(Validate(options).message(), "trajectories is 0, must be between 1 and 1000000");
+  options = {};
+  options.rollout.goal_position = {1, 2};
+  EXPECT_NE(Validate(options).message().find("must have 3"), std::string::npos);
+  options = {};
+  options.identify.budget_s = 0;
+  EXPECT_FALSE(Validate(options).ok());
+}
+
+}  // namespace
+}  // namespace rg::jobs
