@@ -1,0 +1,181 @@
+#include "services/sysid/basin_hopping.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <nlohmann/json.hpp>
+
+#include "common/base/check.h"
+#include "common/base/rng.h"
+
+namespace rg::sysid {
+namespace {
+
+using Eigen::VectorXd;
+using nlohmann::json;
+constexpr char kFormat[] = "realitygrad.hop_state/1";
+
+VectorXd DrawStart(const LeastSquaresProblem& problem, const HopState& state, Rng* rng) {
+  if (state.hops == 0 && state.current.size() > 0) return state.current;
+  if (state.hops == 0 && state.chain == 0) return problem.initial;
+  const VectorXd range = problem.search_upper - problem.search_lower;
+  VectorXd p(range.size());
+  for (int i = 0; i < p.size(); ++i) {
+    if (state.hops == 0) {
+      p[i] = rng->Uniform(problem.search_lower[i], problem.search_upper[i]);
+    } else {
+      // The current point may lie outside the search range (unbounded solver): only the step is clipped.
+      const double low = std::min(problem.search_lower[i], state.current[i]);
+      const double high = std::max(problem.search_upper[i], state.current[i]);
+      p[i] = std::clamp(state.current[i] + rng->Uniform(-1.0, 1.0) * state.step_size * range[i], low, high);
+    }
+  }
+  return p;
+}
+
+bool Accept(const HopState& state, double cost, double temperature, Rng* rng) {
+  const double draw = rng->Uniform();  // drawn always: the sequence does not depend on the outcome
+  if (state.hops == 0 || cost <= state.current_cost) return true;
+  const double scale = temperature * std::max(state.current_cost, std::numeric_limits<double>::min());
+  return draw < std::exp(-(cost - state.current_cost) / scale);
+}
+
+void KeepBest(const SolveSummary& solved, HopState* state) {
+  if (!std::isfinite(solved.cost)) return;
+  if (state->started() && solved.cost >= state->best_cost) return;
+  state->best = solved.p;
+  state->best_cost = solved.cost;
+}
+
+void AdaptStep(const HopOptions& options, bool accepted, HopState* state) {
+  state->accepted += accepted ? 1 : 0;
+  if (++state->since_adapted < options.adapt_interval) return;
+  const double rate = static_cast<double>(state->accepted) / state->since_adapted;
+  state->step_size *= rate > options.target_acceptance ? 1.0 / options.adapt_factor : options.adapt_factor;
+  state->step_size = std::clamp(state->step_size, options.min_step_size, options.max_step_size);
+  state->accepted = state->since_adapted = 0;
+}
+
+// True when the hop was finished, not cut.
+bool RunOneHop(const LeastSquaresProblem& problem, const HopOptions& options, const StopCondition& stop,
+               HopState* state) {
+  Rng rng =
+      Rng(state->seed).Split(static_cast<uint64_t>(state->chain)).Split(static_cast<uint64_t>(state->hops));
+  const VectorXd start = DrawStart(problem, *state, &rng);
+  const SolveSummary solved = Solve(problem, start, options.solve, stop);
+  KeepBest(solved, state);
+  if (solved.termination == Termination::kStopped) return false;
+
+  const bool finite = std::isfinite(solved.cost);
+  const bool accepted = finite && Accept(*state, solved.cost, options.temperature, &rng);
+  if (accepted || state->hops == 0) {
+    state->current = finite ? solved.p : problem.initial;
+    state->current_cost = finite ? solved.cost : std::numeric_limits<double>::max();
+  }
+  if (!state->started()) {  // not even the first start was finite: fall back on p_init, and say so by cost
+    state->best = problem.initial;
+    state->best_cost = std::numeric_limits<double>::max();
+  }
+  state->history.push_back({state->hops, solved.cost, state->best_cost, state->step_size, accepted});
+  ++state->hops;
+  AdaptStep(options, accepted, state);
+  return true;
+}
+
+json VectorToJson(const VectorXd& v) { return json(std::vector<double>(v.data(), v.data() + v.size())); }
+
+VectorXd VectorFromJson(const json& j) {
+  const auto values = j.get<std::vector<double>>();
+  return Eigen::Map<const VectorXd>(values.data(), static_cast<int>(values.size()));
+}
+
+// JSON has no infinity: a failed hop's cost travels as null.
+json NumberToJson(double x) { return std::isfinite(x) ? json(x) : json(); }
+double NumberFromJson(const json& j) {
+  return j.is_null() ? std::numeric_limits<double>::infinity() : j.get<double>();
+}
+
+}  // namespace
+
+HopState StartChain(uint64_t seed, int chain) {
+  HopState state;
+  state.seed = seed;
+  state.chain = chain;
+  return state;
+}
+
+HopState StartChainAt(uint64_t seed, int chain, const VectorXd& p, double cost) {
+  HopState state = StartChain(seed, chain);
+  state.current = p;
+  state.current_cost = cost;
+  return state;
+}
+
+HopState RunHops(const LeastSquaresProblem& problem, const HopOptions& options, HopState state,
+                 const HopBudget& budget, const Clock& clock, const ProgressFn& progress,
+                 const CancelToken* cancel) {
+  CheckProblem(problem);
+  const StopCondition stop(clock, budget.seconds, cancel);
+  for (int done = 0; done < budget.hops && !stop.ShouldStop(); ++done) {
+    if (!RunOneHop(problem, options, stop, &state)) break;
+    if (progress) {
+      progress({"hops", static_cast<double>(done + 1), static_cast<double>(budget.hops),
+                "best residual " + std::to_string(state.best_cost)});
+    }
+  }
+  return state;
+}
+
+bool Exchange(const VectorXd& best, double best_cost, HopState* state) {
+  if (state->started() && best_cost >= state->best_cost) return false;
+  state->best = state->current = best;
+  state->best_cost = state->current_cost = best_cost;
+  return true;
+}
+
+std::string SerializeHopState(const HopState& state) {
+  json history = json::array();
+  for (const HopRecord& h : state.history) {
+    history.push_back({h.hop, NumberToJson(h.cost), NumberToJson(h.best), h.step_size, h.accepted});
+  }
+  return json{{"format", kFormat},
+              {"seed", state.seed},
+              {"chain", state.chain},
+              {"hops", state.hops},
+              {"step_size", state.step_size},
+              {"accepted", state.accepted},
+              {"since_adapted", state.since_adapted},
+              {"current", VectorToJson(state.current)},
+              {"best", VectorToJson(state.best)},
+              {"current_cost", NumberToJson(state.current_cost)},
+              {"best_cost", NumberToJson(state.best_cost)},
+              {"history", history}}
+      .dump();
+}
+
+Result<HopState> ParseHopState(const std::string& text) {
+  try {
+    const json j = json::parse(text);
+    if (j.at("format") != kFormat) return InvalidError("hop state: format is not " + std::string(kFormat));
+    HopState state;
+    state.seed = j.at("seed").get<uint64_t>();
+    state.chain = j.at("chain").get<int>();
+    state.hops = j.at("hops").get<int>();
+    state.step_size = j.at("step_size").get<double>();
+    state.accepted = j.at("accepted").get<int>();
+    state.since_adapted = j.at("since_adapted").get<int>();
+    state.current = VectorFromJson(j.at("current"));
+    state.best = VectorFromJson(j.at("best"));
+    state.current_cost = NumberFromJson(j.at("current_cost"));
+    state.best_cost = NumberFromJson(j.at("best_cost"));
+    for (const json& h : j.at("history")) {
+      state.history.push_back({h.at(0).get<int>(), NumberFromJson(h.at(1)), NumberFromJson(h.at(2)),
+                               h.at(3).get<double>(), h.at(4).get<bool>()});
+    }
+    return state;
+  } catch (const json::exception& e) {
+    return InvalidError(std::string("hop state: ") + e.what());
+  }
+}
+
+}  // namespace rg::sysid

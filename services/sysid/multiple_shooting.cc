@@ -1,0 +1,326 @@
+#include "services/sysid/multiple_shooting.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+
+#include "common/base/check.h"
+#include "services/sysid/parallel.h"
+
+namespace rg::sysid {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+// Normal equations of one window at (θ, ξ): Hessian blocks and gradients of ½ Σ ρ + ½ |ξ|².
+struct WindowTerms {
+  bool finite = false;
+  double cost = 0.0;
+  MatrixXd H_tt, H_tx, H_xx;
+  VectorXd g_t, g_x;
+  VectorXd r;
+};
+
+// The window's part of the step in θ once ξ is eliminated.
+struct Eliminated {
+  MatrixXd gain;    // H_xx⁻¹ H_xt
+  VectorXd offset;  // H_xx⁻¹ g_x
+};
+
+struct Scratch {
+  RowMatrix J_t, J_x;
+};
+
+double HuberCost(const VectorXd& r, double k) {
+  double cost = 0.0;
+  for (int i = 0; i < r.size(); ++i) {
+    const double a = std::abs(r[i]);
+    cost += a <= k ? a * a : 2.0 * k * a - k * k;
+  }
+  return cost;
+}
+
+// Scales the rows of r and the Jacobians by sqrt(weight), weight = min(1, k/|r|).
+void ApplyHuberWeights(double k, VectorXd* r, Scratch* s) {
+  for (int i = 0; i < r->size(); ++i) {
+    const double a = std::abs((*r)[i]);
+    if (a <= k) continue;
+    const double w = std::sqrt(k / a);
+    (*r)[i] *= w;
+    s->J_t.row(i) *= w;
+    s->J_x.row(i) *= w;
+  }
+}
+
+class Engine {
+ public:
+  Engine(const ShootingProblem& problem, const ShootingOptions& options, const StopCondition& stop)
+      : problem_(problem), model_(*problem.model), options_(options), stop_(stop) {
+    windows_ = model_.num_windows();
+    P_ = model_.num_parameters();
+    terms_.resize(windows_);
+    scratch_.resize(std::max(1, options.threads));
+  }
+
+  // Cost only; +infinity when stopped on the way.
+  double Cost(const VectorXd& theta, const std::vector<VectorXd>& xi) {
+    std::vector<double> costs(windows_, 0.0);
+    ParallelFor(options_.threads, windows_, [&](int worker, int w) {
+      if (stop_.ShouldStop()) return;
+      VectorXd r(model_.window_residuals(w));
+      const bool ok = model_.Evaluate(worker, w, theta, xi[w], &r, nullptr, nullptr) && r.allFinite();
+      costs[w] = 0.5 * (ok ? HuberCost(r, options_.huber) + xi[w].squaredNorm() : FailedCost(w));
+    });
+    if (stop_.ShouldStop()) return std::numeric_limits<double>::infinity();
+    double sum = PriorCost(theta);
+    for (const double c : costs) sum += c;
+    return sum;
+  }
+
+  // Fills terms(); the cost as above.
+  double Linearize(const VectorXd& theta, const std::vector<VectorXd>& xi) {
+    ParallelFor(options_.threads, windows_, [&](int worker, int w) {
+      if (!stop_.ShouldStop()) LinearizeWindow(worker, w, theta, xi[w]);
+    });
+    if (stop_.ShouldStop()) return std::numeric_limits<double>::infinity();
+    double sum = PriorCost(theta);
+    for (const WindowTerms& t : terms_) sum += t.cost;
+    return sum;
+  }
+
+  std::vector<WindowTerms>& terms() { return terms_; }
+  int P() const { return P_; }
+  int windows() const { return windows_; }
+
+ private:
+  double PriorCost(const VectorXd& theta) const {
+    return 0.5 * (problem_.prior_information.array() * (theta - problem_.theta0).array().square()).sum();
+  }
+  double FailedCost(int w) const {
+    return HuberCost(VectorXd::Constant(model_.window_residuals(w), options_.failed_residual),
+                     options_.huber);
+  }
+
+  void LinearizeWindow(int worker, int w, const VectorXd& theta, const VectorXd& xi) {
+    WindowTerms& t = terms_[w];
+    Scratch& s = scratch_[worker];
+    const int m = model_.window_residuals(w), nx = model_.window_unknowns(w);
+    t.r.resize(m);
+    s.J_t.resize(m, P_);
+    s.J_x.resize(m, nx);
+    t.finite = model_.Evaluate(worker, w, theta, xi, &t.r, &s.J_t, &s.J_x) && t.r.allFinite() &&
+               s.J_t.allFinite() && s.J_x.allFinite();
+    if (!t.finite) {
+      t.cost = 0.5 * FailedCost(w);
+      return;
+    }
+    t.cost = 0.5 * (HuberCost(t.r, options_.huber) + xi.squaredNorm());
+    VectorXd r = t.r;
+    ApplyHuberWeights(options_.huber, &r, &s);
+    t.H_tt.setZero(P_, P_);
+    t.H_tt.selfadjointView<Eigen::Lower>().rankUpdate(s.J_t.transpose());
+    t.H_tx.noalias() = s.J_t.transpose() * s.J_x;
+    t.H_xx.noalias() = s.J_x.transpose() * s.J_x;
+    t.H_xx.diagonal().array() += 1.0;
+    t.g_t.noalias() = s.J_t.transpose() * r;
+    t.g_x.noalias() = s.J_x.transpose() * r;
+    t.g_x += xi;
+  }
+
+  const ShootingProblem& problem_;
+  ShootingModel& model_;
+  const ShootingOptions& options_;
+  const StopCondition& stop_;
+  int windows_ = 0, P_ = 0;
+  std::vector<WindowTerms> terms_;
+  std::vector<Scratch> scratch_;
+};
+
+// min ½ δᵀHδ + gᵀδ with low ≤ δ ≤ high by an active set that only grows: coordinates that leave the box
+// are set on its side and the rest is solved again.
+VectorXd BoxedNewtonStep(const MatrixXd& H, const VectorXd& g, const VectorXd& low, const VectorXd& high) {
+  const int P = static_cast<int>(g.size());
+  VectorXd step = VectorXd::Zero(P);
+  std::vector<int> free;
+  for (int i = 0; i < P; ++i) {
+    const bool pushed_out = (high[i] <= 0.0 && g[i] < 0.0) || (low[i] >= 0.0 && g[i] > 0.0);
+    if (!pushed_out && low[i] < high[i]) free.push_back(i);
+  }
+  while (!free.empty()) {
+    const int f = static_cast<int>(free.size());
+    const VectorXd rhs = -(g + H * step);
+    MatrixXd H_ff(f, f);
+    VectorXd b(f);
+    for (int a = 0; a < f; ++a) {
+      b[a] = rhs[free[a]];
+      for (int c = 0; c < f; ++c) H_ff(a, c) = H(free[a], free[c]);
+    }
+    const VectorXd x = H_ff.ldlt().solve(b);
+    std::vector<int> still_free;
+    for (int a = 0; a < f; ++a) {
+      const int i = free[a];
+      if (x[a] < low[i] || x[a] > high[i]) {
+        step[i] = x[a] < low[i] ? low[i] : high[i];
+      } else {
+        still_free.push_back(i);
+      }
+    }
+    if (still_free.size() == free.size()) {
+      for (int a = 0; a < f; ++a) step[free[a]] = x[a];
+      break;
+    }
+    free = std::move(still_free);
+  }
+  return step;
+}
+
+struct Reduced {
+  MatrixXd H;  // Schur complement, full symmetric, no priors, no damping on θ
+  VectorXd g;
+  std::vector<Eliminated> eliminated;
+};
+
+// Eliminates every window's ξ, damped by `damping` on its own block, summing in the windows' order.
+Reduced Eliminate(const std::vector<WindowTerms>& terms, int P, double damping, int threads) {
+  Reduced out{MatrixXd::Zero(P, P), VectorXd::Zero(P), std::vector<Eliminated>(terms.size())};
+  const int windows = static_cast<int>(terms.size());
+  constexpr int kChunk = 16;  // fixed, so that the order of summation is too
+  const int chunks = (windows + kChunk - 1) / kChunk;
+  std::vector<MatrixXd> H(chunks);
+  std::vector<VectorXd> g(chunks);
+  ParallelFor(threads, chunks, [&](int, int c) {
+    H[c].setZero(P, P);
+    g[c].setZero(P);
+    for (int w = c * kChunk; w < std::min(windows, (c + 1) * kChunk); ++w) {
+      const WindowTerms& t = terms[w];
+      if (!t.finite) continue;
+      MatrixXd H_xx = t.H_xx;
+      H_xx.diagonal().array() *= 1.0 + damping;
+      const Eigen::LLT<MatrixXd> llt(H_xx);
+      Eliminated& e = out.eliminated[w];
+      e.gain = llt.solve(t.H_tx.transpose());
+      e.offset = llt.solve(t.g_x);
+      H[c] += t.H_tt;
+      H[c].triangularView<Eigen::Lower>() -= t.H_tx * e.gain;
+      g[c] += t.g_t - t.H_tx * e.offset;
+    }
+  });
+  for (int c = 0; c < chunks; ++c) {
+    out.H += H[c];
+    out.g += g[c];
+  }
+  out.H = MatrixXd(out.H.selfadjointView<Eigen::Lower>());
+  return out;
+}
+
+// Sandwich: variation of the windows' scores against the information, over the determined directions.
+double VarianceInflation(const std::vector<WindowTerms>& terms, const Reduced& reduced,
+                         const VectorXd& scale) {
+  const int P = static_cast<int>(scale.size());
+  const auto D = scale.asDiagonal();
+  MatrixXd M = MatrixXd::Zero(P, P);
+  int used = 0;
+  for (size_t w = 0; w < terms.size(); ++w) {
+    if (!terms[w].finite) continue;
+    const VectorXd score = D * (terms[w].g_t - terms[w].H_tx * reduced.eliminated[w].offset);
+    M.selfadjointView<Eigen::Lower>().rankUpdate(score);
+    ++used;
+  }
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(D * reduced.H * D);
+  double sum = 0.0;
+  int rank = 0;
+  const double floor = std::max(1.0, 1e-10 * eigen.eigenvalues().maxCoeff());
+  for (int k = 0; k < P; ++k) {
+    if (eigen.eigenvalues()[k] <= floor) continue;
+    const VectorXd v = eigen.eigenvectors().col(k);
+    sum += v.dot(M.selfadjointView<Eigen::Lower>() * v) / eigen.eigenvalues()[k];
+    ++rank;
+  }
+  if (rank == 0 || used <= rank) return 1.0;
+  return sum / rank * used / (used - rank);  // scores at the optimum lost `rank` degrees of freedom
+}
+
+}  // namespace
+
+ShootingSolution SolveShooting(const ShootingProblem& problem, const VectorXd& theta,
+                               const std::vector<VectorXd>& xi, const ShootingOptions& options,
+                               const StopCondition& stop, const ShootingProgress& progress) {
+  Engine engine(problem, options, stop);
+  const int P = engine.P(), windows = engine.windows();
+  RG_CHECK(theta.size() == P && problem.theta0.size() == P && problem.scale.size() == P);
+  RG_CHECK(problem.lower.size() == P && problem.upper.size() == P && problem.prior_information.size() == P);
+  ShootingSolution s;
+  s.theta = theta.cwiseMax(problem.lower).cwiseMin(problem.upper);
+  s.xi = xi;
+  if (s.xi.empty()) {
+    for (int w = 0; w < windows; ++w) s.xi.push_back(VectorXd::Zero(problem.model->window_unknowns(w)));
+  }
+  s.information = MatrixXd::Zero(P, P);
+  s.cost = engine.Linearize(s.theta, s.xi);
+  if (!std::isfinite(s.cost)) {
+    s.termination = stop.ShouldStop() ? Termination::kStopped : Termination::kFailed;
+    return s;
+  }
+
+  const VectorXd damping_unit = problem.scale.array().square().inverse();
+  double damping = options.initial_damping, growth = 2.0;
+  int small_steps = 0;
+  s.termination = Termination::kMaxIterations;
+  bool at_linearisation = true;  // terms belong to (θ, ξ)
+  for (; s.iterations < options.max_iterations && !stop.ShouldStop(); ++s.iterations) {
+    const Reduced reduced = Eliminate(engine.terms(), P, damping, options.threads);
+    MatrixXd H = reduced.H;
+    H.diagonal() += problem.prior_information;
+    const VectorXd g = reduced.g + problem.prior_information.cwiseProduct(s.theta - problem.theta0);
+    H.diagonal() += damping * (H.diagonal() + damping_unit);
+    const VectorXd step = BoxedNewtonStep(H, g, problem.lower - s.theta, problem.upper - s.theta);
+
+    const VectorXd trial = (s.theta + step).cwiseMax(problem.lower).cwiseMin(problem.upper);
+    std::vector<VectorXd> trial_xi = s.xi;
+    for (int w = 0; w < windows; ++w) {
+      if (engine.terms()[w].finite) {
+        trial_xi[w] -= reduced.eliminated[w].offset + reduced.eliminated[w].gain * step;
+      }
+    }
+    const double trial_cost = engine.Cost(trial, trial_xi);
+    if (stop.ShouldStop()) break;
+    if (trial_cost < s.cost) {
+      const double gain = (s.cost - trial_cost) / s.cost;
+      s.theta = trial;
+      s.xi = std::move(trial_xi);
+      s.cost = trial_cost;
+      damping = std::max(damping / 5.0, 1e-12);
+      growth = 2.0;
+      small_steps = gain < options.relative_tolerance ? small_steps + 1 : 0;
+      at_linearisation = std::isfinite(engine.Linearize(s.theta, s.xi));
+      if (!at_linearisation) break;
+      if (progress) progress(s.iterations + 1, s.cost);
+    } else {
+      damping *= growth;
+      growth *= 2.0;
+      // A step that no longer changes anything: the optimum to the precision of the arithmetic.
+      if (damping > 1e10 || step.cwiseQuotient(problem.scale).norm() < 1e-12) small_steps = 2;
+    }
+    if (small_steps >= 2) {
+      s.termination = Termination::kConverged;
+      ++s.iterations;
+      break;
+    }
+  }
+  if (stop.ShouldStop()) s.termination = Termination::kStopped;
+  s.residuals.resize(windows);
+  if (at_linearisation) {
+    const Reduced reduced = Eliminate(engine.terms(), P, 0.0, options.threads);
+    s.information = reduced.H;
+    s.variance_inflation = VarianceInflation(engine.terms(), reduced, problem.scale);
+    for (int w = 0; w < windows; ++w) {
+      if (engine.terms()[w].finite) s.residuals[w] = engine.terms()[w].r;
+      s.failed_windows += engine.terms()[w].finite ? 0 : 1;
+    }
+  }
+  return s;
+}
+
+}  // namespace rg::sysid

@@ -1,0 +1,127 @@
+#include "services/sysid/basin_hopping.h"
+
+#include <gtest/gtest.h>
+
+#include "tests/unit/sysid/toy_residuals.h"
+
+namespace rg::sysid {
+namespace {
+
+using Eigen::VectorXd;
+
+struct Toy {
+  testing::LambdaResiduals residuals = testing::Rastrigin(3);
+  LeastSquaresProblem problem = testing::FreeProblem(&residuals, Eigen::Vector3d(3.9, -3.1, 2.9));
+};
+
+TEST(BasinHopping, EscapesALocalMinimumThatLevenbergMarquardtDoesNot) {
+  Toy toy;
+  const SolveSummary local = Solve(toy.problem, toy.problem.initial, {}, {});
+  EXPECT_GT(local.cost, 10.0);
+  HopOptions options;
+  options.temperature = 0.3;
+  const HopState s = RunHops(toy.problem, options, StartChain(1, 0), {.hops = 300}, RealClock());
+  EXPECT_LT(s.best_cost, 1e-6);
+  EXPECT_NEAR(s.history.front().cost, local.cost, 1e-6) << "chain 0 starts at p_init";
+}
+
+TEST(BasinHopping, ResumedFromItsCheckpointIsTheChainThatWasNotCut) {
+  Toy toy;
+  const HopState whole = RunHops(toy.problem, {}, StartChain(7, 2), {.hops = 20}, RealClock());
+  HopState pieces = StartChain(7, 2);
+  for (int k = 0; k < 4; ++k) {
+    pieces = RunHops(toy.problem, {}, pieces, {.hops = 5}, RealClock());
+    const auto parsed = ParseHopState(SerializeHopState(pieces));
+    ASSERT_TRUE(parsed.ok()) << parsed.status().ToString();
+    pieces = *parsed;
+  }
+  EXPECT_EQ(SerializeHopState(pieces), SerializeHopState(whole));
+}
+
+TEST(BasinHopping, AHopCutByCancelIsDoneAgain) {
+  Toy toy;
+  const HopState whole = RunHops(toy.problem, {}, StartChain(7, 2), {.hops = 6}, RealClock());
+  CancelToken cancel;
+  int evaluations = 0;
+  testing::LambdaResiduals cancels(
+      3, 6, [&](const VectorXd& p, const StopCondition& stop, VectorXd* r, RowMatrix* J) {
+        if (++evaluations == 25) cancel.Cancel();
+        return toy.residuals.Evaluate(p, stop, r, J);
+      });
+  LeastSquaresProblem problem = toy.problem;
+  problem.residuals = &cancels;
+  HopState cut = RunHops(problem, {}, StartChain(7, 2), {.hops = 6}, RealClock(), {}, &cancel);
+  EXPECT_LT(cut.hops, 6);
+  cut = RunHops(toy.problem, {}, cut, {.hops = 6 - cut.hops}, RealClock());
+  EXPECT_DOUBLE_EQ(cut.best_cost, whole.best_cost);
+  EXPECT_EQ(cut.history.size(), whole.history.size());
+}
+
+TEST(BasinHopping, KeepsItsTimeBudget) {
+  Toy toy;
+  FakeClock clock;
+  testing::LambdaResiduals slow(3, 6,
+                                [&](const VectorXd& p, const StopCondition& stop, VectorXd* r, RowMatrix* J) {
+                                  clock.Advance(50'000'000);
+                                  return toy.residuals.Evaluate(p, stop, r, J);
+                                });
+  LeastSquaresProblem problem = toy.problem;
+  problem.residuals = &slow;
+  const double start = clock.SteadySeconds();
+  const HopState s = RunHops(problem, {}, StartChain(1, 0), {.seconds = 10.0}, clock);
+  EXPECT_LE(clock.SteadySeconds() - start, 10.05 + 1e-9);
+  EXPECT_GT(s.hops, 2);
+}
+
+TEST(BasinHopping, OtherChainsStartWithinTheSearchRangeAndDiffer) {
+  Toy toy;
+  HopOptions options;
+  options.solve.max_iterations = 0;  // the start itself
+  toy.problem.search_lower.setConstant(1.0);
+  toy.problem.search_upper.setConstant(2.0);
+  const HopState a = RunHops(toy.problem, options, StartChain(1, 1), {.hops = 1}, RealClock());
+  const HopState b = RunHops(toy.problem, options, StartChain(1, 2), {.hops = 1}, RealClock());
+  EXPECT_TRUE((a.current.array() >= 1.0).all() && (a.current.array() <= 2.0).all());
+  EXPECT_GT((a.current - b.current).norm(), 0.01);
+}
+
+TEST(BasinHopping, ExchangeTakesOnlyABetterPoint) {
+  Toy toy;
+  HopState s = RunHops(toy.problem, {}, StartChain(1, 0), {.hops = 1}, RealClock());
+  EXPECT_FALSE(Exchange(VectorXd::Zero(3), s.best_cost + 1.0, &s));
+  EXPECT_TRUE(Exchange(VectorXd::Zero(3), 0.0, &s));
+  EXPECT_EQ(s.current, VectorXd::Zero(3));
+  EXPECT_EQ(s.best_cost, 0.0);
+}
+
+TEST(BasinHopping, StepSizeGrowsWhileEverythingIsAcceptedAndShrinksOtherwise) {
+  Toy toy;
+  auto flat = testing::Linear(Eigen::MatrixXd::Zero(1, 3), VectorXd::Zero(1));
+  LeastSquaresProblem problem = testing::FreeProblem(&flat, VectorXd::Zero(3));
+  const HopState grown = RunHops(problem, {}, StartChain(1, 0), {.hops = 20}, RealClock());
+  EXPECT_GT(grown.step_size, StartChain(1, 0).step_size);
+  HopOptions cold;
+  cold.temperature = 1e-12;
+  cold.solve.max_iterations = 0;
+  problem = toy.problem;
+  problem.initial.setZero();  // the global minimum: every hop is worse
+  const HopState shrunk = RunHops(problem, cold, StartChain(1, 0), {.hops = 20}, RealClock());
+  EXPECT_LT(shrunk.step_size, StartChain(1, 0).step_size);
+}
+
+TEST(BasinHopping, LaterIterationsStartFromTheLastOptimum) {
+  Toy toy;
+  const VectorXd last = Eigen::Vector3d(0.1, 0.0, -0.1);
+  HopOptions options;
+  options.solve.max_iterations = 0;
+  const HopState s = RunHops(toy.problem, options, StartChainAt(3, 1, last, 1.0), {.hops = 1}, RealClock());
+  EXPECT_EQ(s.current, last);
+}
+
+TEST(HopState, RefusesWhatItDoesNotUnderstand) {
+  EXPECT_FALSE(ParseHopState("{").ok());
+  EXPECT_FALSE(ParseHopState(R"({"format": "realitygrad.hop_state/9"})").ok());
+}
+
+}  // namespace
+}  // namespace rg::sysid
