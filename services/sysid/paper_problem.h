@@ -1,0 +1,70 @@
+// The identification problem of Collins et al. as their paper sets it (PAPER.md's figures):
+//
+//   Σ_n Σ_j (q_nj − q̂_nj(p))²  +  Σ_i α_i (p_i − p_init,i)²
+//
+// over one window of a recording, in joint space, the simulated state set to the robot's at its start,
+// on the simulator's step grid with the recorded positions linearly interpolated to it. 71 parameters on
+// the Mico²: gravity 3, masses, damping, force gains P_d, inertias xx, yy, zz of every link.
+//
+// Bounds of the bounded solver: ±20 % on gravity, mass and inertia, 0 ≤ damping ≤ 18, −1.5 ≤ P_d ≤ 1.5.
+// Parameters at zero with relative bounds (gravity x, y; links without inertia) are thereby fixed.
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <vector>
+
+#include "common/base/status.h"
+#include "common/recordings/recording.h"
+#include "common/sim/plant.h"
+#include "common/sim/simulator.h"
+#include "services/sysid/least_squares.h"
+
+namespace rg::sysid {
+
+struct PaperOptions {
+  double window_start_s = 0.0;  // after the recording's first row
+  double window_s = 0.2;        // infinity: to the end
+  // true: residuals on the simulator's step grid (the paper's); false: at the recording's rows only.
+  bool interpolate = true;
+  double relative_bound = 0.2;
+  double damping_upper = 18.0;
+  double gain_bound = 1.5;
+  double alpha = 0.0;  // regulariser of every parameter in units of its scale: α_i = alpha / scale_i²
+  sim::SimulatorOptions simulator;
+};
+
+class PaperProblem {
+ public:
+  // `initial`: values of the plant's whole table at which the search starts (p_init for the 71).
+  // Error: a window that holds fewer than two rows or lies outside the recording.
+  static Result<PaperProblem> Create(const sim::Plant& plant, const Eigen::VectorXd& initial,
+                                     const recordings::Recording& recording,
+                                     const PaperOptions& options = {});
+  ~PaperProblem();
+  PaperProblem(PaperProblem&&) noexcept;
+  PaperProblem& operator=(PaperProblem&&) noexcept;
+
+  // To be given to Solve and RunHops; valid as long as this object. One thread at a time.
+  const LeastSquaresProblem& problem() const;
+  const std::vector<int>& parameters() const;  // indices into the plant's table, the paper's order
+  // The whole table with the 71 replaced.
+  Eigen::VectorXd FullValues(const Eigen::VectorXd& p) const;
+  // Times of the residuals; residual k·n + j is joint j at times()[k].
+  const std::vector<double>& times() const;
+
+ private:
+  struct Impl;
+  explicit PaperProblem(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+// Accumulated Euclidean distance Σ_n |p_robot − p_sim| of the end effector over a whole recording,
+// simulated open loop from its first state with `values` (m); the paper's headline measure. Rows where
+// the simulation is not finite count as `cap` metres. `rms` (or null): of the joint positions, rad.
+double AccumulatedTaskError(const sim::Plant& plant, const Eigen::VectorXd& values,
+                            const recordings::Recording& recording,
+                            const sim::SimulatorOptions& simulator = {}, double cap = 10.0,
+                            double* joint_residual = nullptr);
+
+}  // namespace rg::sysid

@@ -1,0 +1,67 @@
+// Predictions of a recording as RECORDINGS.md defines them.
+//
+// With t0 the time of the first row and W the window, the simulation starts anew at the first row at or
+// after t0 + k·W (half a sample of tolerance) and runs the recorded effort open loop to the window's end.
+// A restart row carries the prediction of the window that ends there; the first row carries the measured
+// state. Nothing after a restart row is used for its state.
+//
+// The state at a restart: measured position and velocity, or better, a causal estimate from the rows up
+// to and including it. The estimate is an extended Kalman filter over the model itself: hidden states
+// (motors behind springs, bristles, lags) then start from what precedes, and a missing velocity is
+// estimated with the model's help. How far the model is trusted against the sensors (the process noise)
+// is chosen by the likelihood of the rows so far, among several levels, so a wrong model falls back on
+// the sensors by itself.
+#pragma once
+
+#include <Eigen/Core>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "common/base/status.h"
+#include "common/recordings/noise.h"
+#include "common/recordings/recording.h"
+#include "common/sim/plant.h"
+#include "common/sim/simulator.h"
+
+namespace rg::sysid {
+
+enum class RestartState {
+  kMeasured,  // the row itself; missing velocities by EstimateStateCausal; hidden states settled
+  kFiltered,  // the causal filter
+};
+
+struct PredictionOptions {
+  double window_s = 1.0;  // infinity: one window
+  RestartState restart = RestartState::kFiltered;
+  sim::SimulatorOptions simulator;
+  // Of the sensors; entries of size 0 are estimated from the recording.
+  recordings::SensorNoise noise;
+  bool effort_excludes_gravity = false;  // the drive adds its own, with `drive_values` of the plant
+  Eigen::VectorXd drive_values;          // empty: the plant's nominal values
+};
+
+struct Prediction {
+  Eigen::VectorXd t;          // K
+  Eigen::MatrixXd q;          // n × K
+  std::vector<int> restarts;  // rows at which a window starts, 0 first
+  // One line per window in which the simulation broke down; there the last finite position is repeated.
+  std::vector<std::string> failures;
+};
+
+// `values`: of the plant's table. The recording's joints are the plant's, in the plant's order.
+Prediction PredictRecording(const sim::Plant& plant, const Eigen::VectorXd& values,
+                            const recordings::Recording& recording, const PredictionOptions& options = {});
+
+struct PredictionError {
+  double rms = 0.0;             // over all rows but the first, all joints
+  double median_window = 0.0;   // of `windows`
+  Eigen::VectorXd joint_rms;    // n
+  std::vector<double> windows;  // RMS of each window
+};
+PredictionError ErrorOf(const Prediction& prediction, const recordings::Recording& recording);
+
+// "time,position.<joint>…", one line per row.
+std::string FormatPredictionCsv(const Prediction& prediction, const std::vector<std::string>& joints);
+
+}  // namespace rg::sysid

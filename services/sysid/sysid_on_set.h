@@ -1,0 +1,87 @@
+// `realitygrad sysid SET`: inertial parameters, damping, friction and rotor inertia of a robot that was
+// never seen, from a folder of recordings, judged on recordings it was not fitted to.
+//
+//   1. noise of the sensors, from the manifest or estimated
+//   2. start: linear regression of the inverse dynamics (initial_regression.h), so that no friction
+//      starts on its bound
+//   3. multiple shooting over the fit recordings, short windows first, then longer ones; the residuals'
+//      scale per joint is re-estimated in between; Huber; priors from the URDF
+//   4. candidates (rigid body only, with viscous, with Coulomb, with rotor inertia, …) compared by their
+//      error on held-out recordings in restarted windows
+//   5. identifiability, covariance, warnings
+#pragma once
+
+#include <Eigen/Core>
+#include <nlohmann/json_fwd.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/base/progress.h"
+#include "common/base/status.h"
+#include "common/recordings/recording_set.h"
+#include "common/sim/plant.h"
+#include "services/sysid/identifiability.h"
+#include "services/sysid/stop_condition.h"
+
+namespace rg::sysid {
+
+struct SysidOptions {
+  double window_s = 1.0;           // of the judgement
+  double fit_window_s = 1.0;       // of the last round of shooting
+  double residual_rate_hz = 25.0;  // rows used as residuals are thinned to about this rate
+  double step_s = 2e-3;            // of the simulator
+  double huber = 3.0;
+  int max_iterations = 12;  // per round of shooting
+  bool fit_inertial = true;
+  bool fit_joints = true;  // viscous and Coulomb friction, rotor inertia
+  int threads = 0;         // 0: all
+};
+
+struct HoldoutScore {
+  std::string recording;
+  double before_rms = 0.0, after_rms = 0.0;
+  double before_median = 0.0, after_median = 0.0;  // of the windows
+  Eigen::VectorXd before_joint_rms, after_joint_rms;
+};
+
+struct CandidateScore {
+  std::string name;  // "inertial", "inertial + viscous + coulomb", …
+  int parameters = 0;
+  double fit_rms = 0.0, holdout_rms = 0.0;
+  double seconds = 0.0;
+};
+
+struct SysidReport {
+  std::string robot;
+  std::vector<std::string> joints;
+  double window_s = 1.0;
+  double before_rms = 0.0, after_rms = 0.0;        // all held-out recordings together
+  double before_median = 0.0, after_median = 0.0;  // medians over windows
+  double fit_before_rms = 0.0, fit_after_rms = 0.0;
+  bool judged_on_fit = false;  // the set has no holdout: the figures are of the fitted recordings
+  std::vector<HoldoutScore> holdout;
+  std::vector<CandidateScore> candidates;
+  std::string chosen;
+  IdentifiabilityReport identifiability;
+  std::vector<std::string> warnings;
+  double seconds = 0.0;
+  bool stopped_early = false;
+
+  std::optional<sim::Plant> plant;  // the model with its effects
+  Eigen::VectorXd values;           // of plant->parameters()
+};
+
+// Errors are of the data (a URDF that does not load, no effort, too few rows); a poor fit is a report.
+Result<SysidReport> SysidOnSet(const recordings::RecordingSet& set, const SysidOptions& options,
+                               const Clock& clock, const ProgressFn& progress = {},
+                               const CancelToken* cancel = nullptr);
+
+// The nominal plant of a set: its URDF, gravity, joints and locked joints, no effects.
+Result<sim::Plant> NominalPlant(const recordings::RecordingSet& set);
+
+std::string FormatSysid(const SysidReport& report);
+// {"holdout": {"before_rms", "after_rms", "window_s", "recordings": […]}, "candidates", "parameters", …}
+nlohmann::json SysidToJson(const SysidReport& report);
+
+}  // namespace rg::sysid
