@@ -32,7 +32,7 @@ struct JointInfo {
 struct CsvOptions {
   // The joints wanted, in the order wanted; empty: those with a position column, in file order.
   std::vector<std::string> joints;
-  // All movable joints of the robot. Empty: joint names and units are not checked.
+  // All joints of the robot. Empty: joint names and units are not checked.
   std::vector<JointInfo> robot;
   bool require_effort = true;
 };

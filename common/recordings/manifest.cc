@@ -1,0 +1,244 @@
+#include "common/recordings/manifest.h"
+
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <set>
+
+namespace rg::recordings {
+namespace {
+
+using Json = nlohmann::json;
+
+std::string Shown(const Json& value) {
+  const std::string text = value.dump(-1, ' ', true, Json::error_handler_t::replace);
+  return text.size() > 60 ? text.substr(0, 57) + "..." : text;
+}
+
+// Reads fields of one JSON object; the first error stays, later reads do nothing.
+class Fields {
+ public:
+  Fields(const Json& object, std::string source, std::string path, Status* status)
+      : object_(object), source_(std::move(source)), path_(std::move(path)), status_(*status) {}
+
+  void Fail(const std::string& field, const std::string& what) {
+    if (status_.ok()) status_ = InvalidError(source_ + ": " + path_ + field + ": " + what);
+  }
+
+  const Json* Find(const std::string& field, bool required) {
+    const auto found = object_.find(field);
+    if (found != object_.end()) return &*found;
+    if (required) Fail(field, "is missing");
+    return nullptr;
+  }
+
+  std::string String(const std::string& field, const std::string& fallback, bool required) {
+    const Json* value = Find(field, required);
+    if (!value) return fallback;
+    if (!value->is_string() || value->get_ref<const std::string&>().empty()) {
+      Fail(field, Shown(*value) + " is not a text");
+      return fallback;
+    }
+    return value->get<std::string>();
+  }
+
+  bool Bool(const std::string& field, bool fallback) {
+    const Json* value = Find(field, false);
+    if (!value) return fallback;
+    if (!value->is_boolean()) Fail(field, Shown(*value) + " is neither true nor false");
+    return value->is_boolean() ? value->get<bool>() : fallback;
+  }
+
+  std::optional<double> Number(const std::string& field, double above, bool or_equal) {
+    const Json* value = Find(field, false);
+    if (!value) return std::nullopt;
+    if (!value->is_number()) {
+      Fail(field, Shown(*value) + " is not a number");
+      return std::nullopt;
+    }
+    const double number = value->get<double>();
+    if (!std::isfinite(number) || number < above || (number == above && !or_equal)) {
+      Fail(field, Shown(*value) + ", must be " + (or_equal ? "at least " : "above ") + std::to_string(above));
+    }
+    return number;
+  }
+
+  const Json* Array(const std::string& field, bool required) {
+    const Json* value = Find(field, required);
+    if (value && !value->is_array()) Fail(field, Shown(*value) + " is not a list");
+    return value && value->is_array() ? value : nullptr;
+  }
+
+  const Json* Object(const std::string& field) {
+    const Json* value = Find(field, false);
+    if (value && !value->is_object()) Fail(field, Shown(*value) + " is not an object");
+    return value && value->is_object() ? value : nullptr;
+  }
+
+  bool ok() const { return status_.ok(); }
+
+ private:
+  const Json& object_;
+  std::string source_, path_;
+  Status& status_;
+};
+
+void ReadJoints(Fields& fields, Manifest* manifest) {
+  const Json* joints = fields.Array("joints", true);
+  if (!joints) return;
+  std::set<std::string> seen;
+  for (size_t i = 0; i < joints->size(); ++i) {
+    const Json& joint = (*joints)[i];
+    const std::string place = "joints[" + std::to_string(i) + "]";
+    if (!joint.is_string() || joint.get<std::string>().empty()) {
+      return fields.Fail(place, Shown(joint) + " is not a joint's name");
+    }
+    manifest->joints.push_back(joint.get<std::string>());
+    if (!seen.insert(manifest->joints.back()).second)
+      return fields.Fail(place, Shown(joint) + " is there twice");
+  }
+  if (manifest->joints.empty()) fields.Fail("joints", "is empty");
+}
+
+void ReadGravity(Fields& fields, RecordingSet* set) {
+  const Json* gravity = fields.Array("gravity", false);
+  if (!gravity) return;
+  if (gravity->size() != 3) return fields.Fail("gravity", Shown(*gravity) + ", must be 3 numbers in m/s^2");
+  for (size_t i = 0; i < 3; ++i) {
+    const Json& g = (*gravity)[i];
+    const std::string place = "gravity[" + std::to_string(i) + "]";
+    if (!g.is_number() || !std::isfinite(g.get<double>()))
+      return fields.Fail(place, Shown(g) + " is not a number");
+    set->gravity[static_cast<Eigen::Index>(i)] = g.get<double>();
+  }
+}
+
+void ReadLocked(Fields& fields, RecordingSet* set) {
+  const Json* locked = fields.Object("locked");
+  if (!locked) return;
+  for (const auto& [joint, q] : locked->items()) {
+    if (!q.is_number() || !std::isfinite(q.get<double>())) {
+      return fields.Fail("locked." + joint, Shown(q) + " is not a position");
+    }
+    set->locked[joint] = q.get<double>();
+  }
+}
+
+void ReadControl(Fields& fields, const std::string& source, Status* status, RecordingSet* set) {
+  const Json* object = fields.Object("control");
+  if (!object) return;
+  Fields control(*object, source, "control.", status);
+  set->control_rate_hz = control.Number("rate_hz", 0.0, false);
+  const std::string hold = control.String("hold", "zero_order", false);
+  if (hold == "linear") {
+    set->control_hold = CommandHold::kLinear;
+  } else if (hold != "zero_order") {
+    control.Fail("hold", "'" + hold + "', must be zero_order or linear");
+  }
+}
+
+void ReadNoise(Fields& fields, const std::string& source, Status* status, RecordingSet* set) {
+  const Json* object = fields.Object("noise");
+  if (!object) return;
+  Fields noise(*object, source, "noise.", status);
+  set->noise.position_stddev = noise.Number("position_stddev", 0.0, true);
+  set->noise.velocity_stddev = noise.Number("velocity_stddev", 0.0, true);
+  set->noise.position_resolution = noise.Number("position_resolution", 0.0, true);
+}
+
+void ReadDrive(Fields& fields, RecordingSet* set) {
+  const std::string drive = fields.String("drive", "", false);
+  if (drive.empty()) return;
+  if (drive == "effort_command") {
+    set->drive = EffortKind::kCommand;
+  } else if (drive == "effort_measured") {
+    set->drive = EffortKind::kMeasured;
+  } else {
+    fields.Fail("drive", "'" + drive + "', must be effort_command or effort_measured");
+  }
+}
+
+void ReadRecordings(Fields& fields, const std::string& source, Status* status, Manifest* manifest) {
+  const Json* list = fields.Array("recordings", true);
+  if (!list) return;
+  if (list->empty()) return fields.Fail("recordings", "is empty");
+  std::set<std::string> seen;
+  for (size_t i = 0; i < list->size() && fields.ok(); ++i) {
+    const std::string place = "recordings[" + std::to_string(i) + "]";
+    if (!(*list)[i].is_object()) return fields.Fail(place, Shown((*list)[i]) + " is not an object");
+    Fields entry((*list)[i], source, place + ".", status);
+    ManifestEntry read;
+    read.file = entry.String("file", "", true);
+    const std::string split = entry.String("split", "fit", false);
+    if (split != "fit" && split != "holdout") entry.Fail("split", "'" + split + "', must be fit or holdout");
+    read.split = split == "holdout" ? Split::kHoldout : Split::kFit;
+    if (!seen.insert(read.file).second) entry.Fail("file", "'" + read.file + "' is there twice");
+    manifest->recordings.push_back(read);
+  }
+}
+
+}  // namespace
+
+Result<Manifest> ParseManifest(std::string_view text, const std::string& source) {
+  if (text.substr(0, 3) == "\xEF\xBB\xBF") text.remove_prefix(3);
+  Json json;
+  try {
+    json = Json::parse(text);
+  } catch (const Json::exception& e) {
+    const std::string what = e.what();
+    return InvalidError(source + ": not JSON: " + what.substr(0, what.find('\n')));
+  }
+  if (!json.is_object()) return InvalidError(source + ": not a JSON object");
+  Status status;
+  Manifest manifest;
+  Fields fields(json, source, "", &status);
+  const std::string format = fields.String("format", "", true);
+  if (status.ok() && format != kSetFormat) {
+    fields.Fail("format", "'" + format + "' is not known, this program reads " + kSetFormat);
+  }
+  manifest.robot = fields.String("robot", "", true);
+  ReadJoints(fields, &manifest);
+  ReadGravity(fields, &manifest.settings);
+  ReadLocked(fields, &manifest.settings);
+  for (const std::string& joint : manifest.joints) {
+    if (manifest.settings.locked.count(joint))
+      fields.Fail("locked." + joint, "is one of joints, cannot be locked");
+  }
+  manifest.settings.sample_rate_hz = fields.Number("sample_rate_hz", 0.0, false);
+  ReadControl(fields, source, &status, &manifest.settings);
+  ReadNoise(fields, source, &status, &manifest.settings);
+  ReadDrive(fields, &manifest.settings);
+  manifest.settings.effort_excludes_gravity = fields.Bool("effort_excludes_gravity", false);
+  ReadRecordings(fields, source, &status, &manifest);
+  if (!status.ok()) return status;
+  return manifest;
+}
+
+std::string FormatManifest(const RecordingSet& set, const std::string& robot_file) {
+  nlohmann::ordered_json json;
+  json["format"] = kSetFormat;
+  json["robot"] = robot_file;
+  json["joints"] = set.joints;
+  json["gravity"] = {set.gravity.x(), set.gravity.y(), set.gravity.z()};
+  if (!set.locked.empty()) json["locked"] = set.locked;
+  if (set.sample_rate_hz) json["sample_rate_hz"] = *set.sample_rate_hz;
+  if (set.control_rate_hz) {
+    json["control"] = {{"rate_hz", *set.control_rate_hz},
+                       {"hold", set.control_hold == CommandHold::kLinear ? "linear" : "zero_order"}};
+  }
+  const auto noise = [&](const char* name, const std::optional<double>& value) {
+    if (value) json["noise"][name] = *value;
+  };
+  noise("position_stddev", set.noise.position_stddev);
+  noise("velocity_stddev", set.noise.velocity_stddev);
+  noise("position_resolution", set.noise.position_resolution);
+  if (set.drive) json["drive"] = *set.drive == EffortKind::kMeasured ? "effort_measured" : "effort_command";
+  if (set.effort_excludes_gravity) json["effort_excludes_gravity"] = true;
+  json["recordings"] = nlohmann::ordered_json::array();
+  for (const Recording& r : set.recordings) {
+    json["recordings"].push_back(
+        {{"file", r.name}, {"split", r.split == Split::kHoldout ? "holdout" : "fit"}});
+  }
+  return json.dump(1) + "\n";
+}
+
+}  // namespace rg::recordings

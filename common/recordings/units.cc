@@ -1,0 +1,158 @@
+// CheckUnits of csv.h.
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <numbers>
+
+#include "common/recordings/csv.h"
+
+namespace rg::recordings {
+namespace {
+
+constexpr double kShareOfRows = 0.05;   // so many rows must be off: a glitch is not a unit
+constexpr double kFarOutside = 3.0;     // times half the range of the limits, from their middle
+constexpr double kInsideMargin = 0.35;  // what a converted value may exceed its limits by
+constexpr double kFastOutside = 12.0;   // times the speed limit: URDFs carry dummy limits of 1
+constexpr double kBlockSeconds = 0.1;   // motion is compared with velocity over such blocks
+constexpr size_t kMinBlocks = 10;
+constexpr double kMinCorrelation = 0.9;
+
+struct Unit {
+  double per_si;  // file value / SI value
+  const char* length;
+  const char* wrong;
+};
+
+Unit SuspectOf(const JointInfo& joint) {
+  if (joint.type == JointInfo::Type::kPrismatic) return {1000.0, "m", "millimetres"};
+  return {180.0 / std::numbers::pi, "rad", "degrees"};
+}
+
+std::string Number(double value) {
+  char buffer[32];
+  std::snprintf(buffer, sizeof buffer, "%.4g", value);
+  return buffer;
+}
+
+// First row at which x leaves [low, high] if at least kShareOfRows of all do, else -1.
+template <class Row>
+int FirstOutside(const Row& x, double low, double high) {
+  int first = -1, outside = 0;
+  for (int k = 0; k < x.size(); ++k) {
+    if (x[k] >= low && x[k] <= high) continue;
+    if (first < 0) first = k;
+    ++outside;
+  }
+  return outside > kShareOfRows * static_cast<double>(x.size()) ? first : -1;
+}
+
+template <class Row>
+Status CheckPositionLimits(const std::string& place, const JointInfo& joint, const Row& q) {
+  if (!std::isfinite(joint.lower) || !std::isfinite(joint.upper) ||
+      joint.type == JointInfo::Type::kContinuous || joint.upper <= joint.lower) {
+    return Status::Ok();
+  }
+  const Unit unit = SuspectOf(joint);
+  const double middle = 0.5 * (joint.lower + joint.upper), half = 0.5 * (joint.upper - joint.lower);
+  const double margin = joint.type == JointInfo::Type::kPrismatic ? 0.1 * half : kInsideMargin;
+  const double reach = kFarOutside * half + (joint.type == JointInfo::Type::kPrismatic ? 0.0 : 1.0);
+  const int row = FirstOutside(q, middle - reach, middle + reach);
+  if (row < 0) return Status::Ok();
+  if (FirstOutside(q / unit.per_si, joint.lower - margin, joint.upper + margin) >= 0) return Status::Ok();
+  return InvalidError(place + "row " + std::to_string(row + 1) + " (line " + std::to_string(row + 2) +
+                      "), column position." + joint.name + ": " + Number(q[row]) + " " + unit.length +
+                      " is far outside the limits " + Number(joint.lower) + " to " + Number(joint.upper) +
+                      ": visibly " + unit.wrong + ", " + unit.length + " is expected");
+}
+
+template <class Row>
+Status CheckSpeedLimit(const std::string& place, const JointInfo& joint, const std::string& column,
+                       const Row& speed) {
+  if (!std::isfinite(joint.velocity) || joint.velocity <= 0.0) return Status::Ok();
+  const Unit unit = SuspectOf(joint);
+  const double far = kFastOutside * joint.velocity;
+  const int row = FirstOutside(speed, -far, far);
+  if (row < 0) return Status::Ok();
+  const double inside = joint.velocity * unit.per_si;
+  if (FirstOutside(speed, -inside, inside) >= 0) return Status::Ok();
+  return InvalidError(place + "row " + std::to_string(row + 1) + " (line " + std::to_string(row + 2) +
+                      "), column " + column + ": a speed of " + Number(std::abs(speed[row])) + " " +
+                      unit.length + "/s is far above the limit " + Number(joint.velocity) + ": visibly " +
+                      unit.wrong + ", " + unit.length + " is expected");
+}
+
+// Motion over blocks, and the integral of the measured velocity over the same blocks.
+struct Motion {
+  std::vector<double> moved, integrated, seconds;
+};
+
+template <class Row>
+Motion MotionOverBlocks(const Eigen::VectorXd& t, const Row& q, const Row* v) {
+  Motion motion;
+  int start = 0;
+  double integral = 0.0;
+  for (int k = 1; k < t.size(); ++k) {
+    if (v) integral += 0.5 * ((*v)[k] + (*v)[k - 1]) * (t[k] - t[k - 1]);
+    if (t[k] - t[start] < kBlockSeconds) continue;
+    motion.moved.push_back(q[k] - q[start]);
+    motion.integrated.push_back(integral);
+    motion.seconds.push_back(t[k] - t[start]);
+    start = k;
+    integral = 0.0;
+  }
+  return motion;
+}
+
+// Ratio of the measured velocity to the rate of the measured position; 1 if they hardly correlate.
+double VelocityToRate(const Motion& motion) {
+  double xx = 0.0, yy = 0.0, xy = 0.0;
+  for (size_t i = 0; i < motion.moved.size(); ++i) {
+    xx += motion.moved[i] * motion.moved[i];
+    yy += motion.integrated[i] * motion.integrated[i];
+    xy += motion.moved[i] * motion.integrated[i];
+  }
+  if (motion.moved.size() < kMinBlocks || xx <= 0.0 || yy <= 0.0 || xy < kMinCorrelation * std::sqrt(xx * yy))
+    return 1.0;
+  return std::sqrt(yy / xx);
+}
+
+Status CheckVelocityAgainstRate(const std::string& place, const JointInfo& joint, const Motion& motion) {
+  const Unit unit = SuspectOf(joint);
+  const double ratio = VelocityToRate(motion);
+  const auto near = [](double a, double b) { return a < 1.5 * b && b < 1.5 * a; };
+  const bool velocity_is_wrong = near(ratio, unit.per_si), position_is_wrong = near(ratio, 1.0 / unit.per_si);
+  if (!velocity_is_wrong && !position_is_wrong) return Status::Ok();
+  return InvalidError(place + "row 1 (line 2), column " + (velocity_is_wrong ? "velocity." : "position.") +
+                      joint.name + ": velocity is " + Number(ratio) +
+                      " times the rate of position: " + (velocity_is_wrong ? "velocity" : "position") +
+                      " is visibly in " + unit.wrong + ", " + unit.length + " is expected");
+}
+
+Status CheckJoint(const std::string& place, const JointInfo& joint, const Recording& r, int i) {
+  const Eigen::ArrayXd q = r.q.row(i).transpose().array();
+  Eigen::ArrayXd v;
+  if (r.has_velocity()) v = r.v.row(i).transpose().array();
+  const Motion motion = MotionOverBlocks(r.t, q, r.has_velocity() ? &v : nullptr);
+  if (r.has_velocity()) RG_RETURN_IF_ERROR(CheckVelocityAgainstRate(place, joint, motion));
+  RG_RETURN_IF_ERROR(CheckPositionLimits(place, joint, q));
+  if (r.has_velocity()) return CheckSpeedLimit(place, joint, "velocity." + joint.name, v);
+  Eigen::ArrayXd rate(static_cast<Eigen::Index>(motion.moved.size()));
+  for (Eigen::Index b = 0; b < rate.size(); ++b) {
+    rate[b] = motion.moved[static_cast<size_t>(b)] / motion.seconds[static_cast<size_t>(b)];
+  }
+  return rate.size() > 0 ? CheckSpeedLimit(place, joint, "position." + joint.name, rate) : Status::Ok();
+}
+
+}  // namespace
+
+Status CheckUnits(const Recording& recording, const std::vector<JointInfo>& robot) {
+  for (int i = 0; i < recording.n(); ++i) {
+    for (const JointInfo& joint : robot) {
+      if (joint.name != recording.joints[static_cast<size_t>(i)]) continue;
+      RG_RETURN_IF_ERROR(CheckJoint(recording.name + ": ", joint, recording, i));
+    }
+  }
+  return Status::Ok();
+}
+
+}  // namespace rg::recordings

@@ -1,0 +1,280 @@
+#include "common/recordings/csv.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <functional>
+#include <numbers>
+
+#include "common/base/rng.h"
+
+namespace rg::recordings {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+
+JointInfo Revolute(const std::string& name, double lower = -3.0, double upper = 3.0, double velocity = 2.0) {
+  return {name, JointInfo::Type::kRevolute, lower, upper, velocity};
+}
+
+JointInfo Continuous(const std::string& name, double velocity = 2.0) {
+  JointInfo info;
+  info.name = name;
+  info.type = JointInfo::Type::kContinuous;
+  info.velocity = velocity;
+  return info;
+}
+
+CsvOptions TwoJoints() {
+  CsvOptions options;
+  options.robot = {Revolute("a"), Revolute("b")};
+  return options;
+}
+
+std::string ErrorOf(const std::string& text, const CsvOptions& options = TwoJoints()) {
+  const auto recording = ParseCsv(text, "rec.csv", options);
+  if (recording.ok()) return "accepted";
+  EXPECT_EQ(recording.status().message().find('\n'), std::string::npos) << "not one line";
+  EXPECT_THAT(recording.status().message(), ::testing::StartsWith("rec.csv: "));
+  return recording.status().message();
+}
+
+constexpr const char* kHeader = "time,position.a,position.b,effort_command.a,effort_command.b\n";
+
+TEST(ParseCsv, ReadsColumnsByNameInTheOrderWanted) {
+  CsvOptions options;
+  options.joints = {"b", "a"};
+  const auto r = ParseCsv(
+      "effort_measured.a,time,position.a,velocity.b,velocity.a,position.b,effort_measured.b,gripper\n"
+      "1,0,2,3,4,5,6,7\n11,0.5,12,13,14,15,16,\n",
+      "rec.csv", options);
+  ASSERT_TRUE(r.ok()) << r.status().ToString();
+  EXPECT_EQ(r->joints, (std::vector<std::string>{"b", "a"}));
+  EXPECT_EQ(r->t, Eigen::Vector2d(0.0, 0.5));
+  EXPECT_EQ(r->q.col(1), Eigen::Vector2d(15, 12));
+  EXPECT_EQ(r->v.col(0), Eigen::Vector2d(3, 4));
+  EXPECT_EQ(r->effort_measured.col(1), Eigen::Vector2d(16, 11));
+  EXPECT_EQ(r->drive, EffortKind::kMeasured);
+  EXPECT_EQ(&r->drive_effort(), &r->effort_measured);
+  EXPECT_EQ(r->other.at("gripper")[0], 7.0);
+  EXPECT_TRUE(std::isnan(r->other.at("gripper")[1]));
+}
+
+TEST(ParseCsv, TakesByteOrderMarkCarriageReturnsBlanksPlusSignsAndAMissingLastNewline) {
+  const auto r = ParseCsv("\xEF\xBB\xBF" + std::string("time, position.a ,effort_command.a\r\n") +
+                              "0,+1e-3, 2\r\n 1 ,-.5,3\r\n2,1,4",
+                          "rec.csv", TwoJoints());
+  ASSERT_TRUE(r.ok()) << r.status().ToString();
+  EXPECT_EQ(r->rows(), 3);
+  EXPECT_DOUBLE_EQ(r->q(0, 0), 1e-3);
+  EXPECT_DOUBLE_EQ(r->effort_command(0, 2), 4.0);
+}
+
+TEST(ParseCsv, AcceptsIrregularSamplingAndMissingRows) {
+  const auto r = ParseCsv(std::string(kHeader) + "0,0,0,0,0\n0.01,0,0,0,0\n0.0133,0,0,0,0\n7,0,0,0,0\n",
+                          "rec.csv", TwoJoints());
+  ASSERT_TRUE(r.ok()) << r.status().ToString();
+  EXPECT_DOUBLE_EQ(r->t[3], 7.0);
+}
+
+TEST(ParseCsv, LeavesOtherColumnsAloneEvenWithText) {
+  const auto r = ParseCsv("time,position.a,effort_command.a,mode,note.zzz\n0,0,0,idle,1\n1,0,0,run,2\n",
+                          "rec.csv", TwoJoints());
+  ASSERT_TRUE(r.ok()) << r.status().ToString();
+  EXPECT_EQ(r->other.count("mode"), 0u);
+  EXPECT_EQ(r->other.at("note.zzz")[1], 2.0);
+}
+
+struct BadFile {
+  std::string name, text;
+  std::vector<std::string> said;  // parts of the message
+};
+
+class RefusedCsv : public ::testing::TestWithParam<BadFile> {};
+
+TEST_P(RefusedCsv, IsOneLineWithFileRowAndColumn) {
+  const std::string error = ErrorOf(GetParam().text);
+  for (const std::string& part : GetParam().said) EXPECT_THAT(error, HasSubstr(part));
+}
+
+const std::string kRows = std::string(kHeader) + "0,0,0,0,0\n0.1,0,0,0,0\n";
+
+INSTANTIATE_TEST_SUITE_P(
+    All, RefusedCsv,
+    ::testing::Values(
+        BadFile{"empty", "", {"empty"}}, BadFile{"blank", "\n \r\n", {"empty"}},
+        BadFile{"no_rows", kHeader, {"no rows"}},
+        BadFile{"one_row", std::string(kHeader) + "0,0,0,0,0\n", {"one row"}},
+        BadFile{"no_time", "position.a,effort_command.a\n0,0\n", {"no column time"}},
+        BadFile{"no_position", "time,effort_command.a\n0,0\n", {"position."}},
+        BadFile{"no_effort", "time,position.a\n0,0\n1,1\n", {"no effort"}},
+        BadFile{"column_twice",
+                "time,position.a,position.a,effort_command.a\n0,0,0,0\n",
+                {"position.a", "twice"}},
+        BadFile{"unnamed", "time,position.a,,effort_command.a\n0,0,0,0\n", {"column 3", "no name"}},
+        BadFile{"unknown_joint",
+                "time,position.a,position.elbow,effort_command.a\n",
+                {"position.elbow", "'elbow'"}},
+        BadFile{"unknown_joint_of_a_sensor",
+                "time,position.a,effort_command.a,torque_sensor.c\n",
+                {"torque_sensor.c"}},
+        BadFile{"effort_of_one_joint",
+                "time,position.a,position.b,effort_command.a\n0,0,0,0\n",
+                {"effort_command.b is missing"}},
+        BadFile{"time_back",
+                kRows + "0.05,0,0,0,0\n",
+                {"row 3 (line 4)", "column time", "goes back", "0.05", "0.1"}},
+        BadFile{"time_repeats", kRows + "0.1,0,0,0,0\n", {"row 3", "column time", "repeats"}},
+        BadFile{"nan", kRows + "0.2,0,nan,0,0\n", {"row 3 (line 4)", "position.b", "NaN"}},
+        BadFile{"upper_case_nan", kRows + "0.2,0,0,0,NaN\n", {"row 3", "effort_command.b", "NaN"}},
+        BadFile{"nan_time", kRows + "nan,0,0,0,0\n", {"row 3", "column time", "NaN"}},
+        BadFile{"infinite", kRows + "0.2,0,-inf,0,0\n", {"row 3", "position.b", "not finite"}},
+        BadFile{"text", kRows + "0.2,0,zero,0,0\n", {"row 3", "position.b", "not a number", "'zero'"}},
+        BadFile{"decimal_comma", kRows + "\"0,2\",0,0,0,0\n", {"row 3", "column time"}},
+        BadFile{"empty_field", kRows + "0.2,0,,0,0\n", {"row 3", "position.b", "empty"}},
+        BadFile{"too_large", kRows + "0.2,1e999,0,0,0\n", {"row 3", "position.a", "range"}},
+        BadFile{"too_many_fields", kRows + "0.2,0,0,0,0,0\n", {"row 3", "6 of 5"}},
+        BadFile{"short_row", kRows + "0.2,0,0\n0.3,0,0,0,0\n", {"row 3", "effort_command.a", "3 of 5"}},
+        BadFile{"truncated_row", kRows + "0.2,0,0", {"row 3", "effort_command.a", "truncated"}},
+        BadFile{"truncated_number", kRows + "0.2,0,0,0,1e-", {"row 3", "effort_command.b", "truncated"}},
+        BadFile{"truncated_before_number", kRows + "0.2,0,0,0,", {"row 3", "effort_command.b", "truncated"}},
+        BadFile{"zeros_at_the_end", kRows + std::string(10, '\0'), {"row 3"}},
+        BadFile{"empty_line_within", kRows + "\n0.2,0,0,0,0\n", {"row 3", "empty"}}),
+    [](const auto& info) { return info.param.name; });
+
+std::string FileOf(int rows, const std::function<double(double)>& position,
+                   const std::function<double(double)>* velocity = nullptr) {
+  std::string text = std::string("time,position.a,") + (velocity ? "velocity.a," : "") + "effort_command.a\n";
+  for (int k = 0; k < rows; ++k) {
+    const double t = 0.01 * k;
+    text += std::to_string(t) + "," + std::to_string(position(t));
+    if (velocity) text += "," + std::to_string((*velocity)(t));
+    text += "," + std::to_string(std::sin(3.0 * t)) + "\n";
+  }
+  return text;
+}
+
+TEST(ParseCsv, SeesAFileThatEndsInsideItsLastNumber) {
+  const std::string whole = FileOf(40, [](double t) { return std::sin(t); });
+  const std::string cut = whole.substr(0, whole.size() - 4);  // three digits and the newline
+  EXPECT_THAT(ErrorOf(cut),
+              AllOf(HasSubstr("row 40 (line 41)"), HasSubstr("effort_command.a"), HasSubstr("truncated")));
+  const std::string no_newline = whole.substr(0, whole.size() - 1);
+  EXPECT_TRUE(ParseCsv(whole, "rec.csv", TwoJoints()).ok());
+  EXPECT_TRUE(ParseCsv(no_newline, "rec.csv", TwoJoints()).ok());
+}
+
+const double kDegrees = 180.0 / std::numbers::pi;
+
+TEST(CheckUnits, RefusesPositionsInDegrees) {
+  const auto error = ErrorOf(FileOf(200, [](double t) { return kDegrees * std::sin(2.0 * t); }));
+  EXPECT_THAT(error, AllOf(HasSubstr("position.a"), HasSubstr("degrees"), HasSubstr("row ")));
+}
+
+TEST(CheckUnits, RefusesVelocitiesInDegreesBesidePositionsInRadians) {
+  const std::function<double(double)> v = [](double t) { return kDegrees * 0.5 * std::cos(t); };
+  const auto error = ErrorOf(FileOf(
+      300, [](double t) { return 0.5 * std::sin(t); }, &v));
+  EXPECT_THAT(error, AllOf(HasSubstr("velocity.a"), HasSubstr("degrees")));
+}
+
+TEST(CheckUnits, RefusesPositionsInDegreesBesideVelocitiesInRadiansOfAContinuousJoint) {
+  CsvOptions options;
+  options.robot = {Continuous("a", std::numeric_limits<double>::infinity())};
+  const std::function<double(double)> v = [](double t) { return 0.5 * std::cos(t); };
+  const auto error = ErrorOf(FileOf(
+                                 300, [](double t) { return kDegrees * 0.5 * std::sin(t); }, &v),
+                             options);
+  EXPECT_THAT(error, AllOf(HasSubstr("position.a"), HasSubstr("degrees")));
+}
+
+TEST(CheckUnits, RefusesFastDegreesOfAContinuousJointBySpeedAlone) {
+  CsvOptions options;
+  options.robot = {Continuous("a")};
+  const auto error = ErrorOf(FileOf(300, [](double t) { return kDegrees * std::sin(t); }), options);
+  EXPECT_THAT(error, AllOf(HasSubstr("position.a"), HasSubstr("degrees")));
+}
+
+TEST(CheckUnits, RefusesMillimetresOfAPrismaticJoint) {
+  CsvOptions options;
+  options.robot = {{"a", JointInfo::Type::kPrismatic, -0.05, 0.3, 0.5}};
+  const auto error = ErrorOf(FileOf(200, [](double t) { return 200.0 * std::sin(t); }), options);
+  EXPECT_THAT(error, AllOf(HasSubstr("position.a"), HasSubstr("millimetres")));
+}
+
+TEST(CheckUnits, AcceptsManyTurnsOfAContinuousJoint) {
+  CsvOptions options;
+  options.robot = {Continuous("a")};
+  const std::function<double(double)> v = [](double) { return 1.8; };
+  EXPECT_TRUE(ParseCsv(FileOf(
+                           20000, [](double t) { return 1.8 * t; }, &v),
+                       "rec.csv", options)
+                  .ok());
+  EXPECT_TRUE(ParseCsv(FileOf(20000, [](double t) { return 1.8 * t; }), "rec.csv", options).ok());
+}
+
+TEST(CheckUnits, AcceptsPositionsSomewhatOutsideTheLimitsAndASingleGlitch) {
+  EXPECT_TRUE(ParseCsv(FileOf(300, [](double t) { return 3.6 * std::sin(t); }), "rec.csv", TwoJoints()).ok());
+  const auto glitch = [](double t) { return t == 1.0 ? 150.0 : std::sin(t); };
+  EXPECT_TRUE(ParseCsv(FileOf(300, glitch), "rec.csv", TwoJoints()).ok());
+}
+
+TEST(CheckUnits, AcceptsMotionAboveADummySpeedLimitOfOne) {
+  CsvOptions options;
+  options.robot = {Continuous("a", 1.0)};
+  const auto swing = [](double t) { return 2.0 * std::sin(4.0 * t); };  // 8 rad/s
+  EXPECT_TRUE(ParseCsv(FileOf(500, swing), "rec.csv", options).ok());
+}
+
+TEST(CheckUnits, AcceptsNoisyVelocitiesAtRest) {
+  Rng rng(1);
+  const std::function<double(double)> v = [&](double) { return 0.5 * rng.Normal(); };
+  EXPECT_TRUE(ParseCsv(FileOf(
+                           500, [&](double) { return 1e-3 * rng.Normal(); }, &v),
+                       "rec.csv", TwoJoints())
+                  .ok());
+}
+
+TEST(FormatCsv, ReadsBackBitForBit) {
+  Rng rng(7);
+  Recording r;
+  r.name = "rec.csv";
+  r.joints = {"a", "b"};
+  r.t = Eigen::VectorXd::LinSpaced(50, 0.0, 1.0 / 3.0);
+  const auto random = [&] {
+    return Eigen::MatrixXd(Eigen::MatrixXd::NullaryExpr(2, 50, [&] { return rng.Normal() * 0.1; }));
+  };
+  r.q = random();
+  r.v = Eigen::MatrixXd::Zero(2, 50);
+  r.effort_command = random();
+  r.effort_measured = random();
+  r.other["temperature.a"] = Eigen::VectorXd::Constant(50, 31.5);
+  r.other["temperature.a"][3] = std::nan("");
+  CsvOptions options = TwoJoints();
+  options.joints = r.joints;
+  const auto back = ParseCsv(FormatCsv(r), "rec.csv", options);
+  ASSERT_TRUE(back.ok()) << back.status().ToString();
+  EXPECT_EQ(back->t, r.t);
+  EXPECT_EQ(back->q, r.q);
+  EXPECT_EQ(back->v, r.v);
+  EXPECT_EQ(back->effort_command, r.effort_command);
+  EXPECT_EQ(back->effort_measured, r.effort_measured);
+  EXPECT_TRUE(std::isnan(back->other.at("temperature.a")[3]));
+}
+
+TEST(Reorder, MovesEveryKindTogetherAndRefusesAJointThatIsNotThere) {
+  const auto r =
+      ParseCsv("time,position.a,position.b,effort_command.a,effort_command.b\n0,1,2,3,4\n1,5,6,7,8\n",
+               "rec.csv", TwoJoints());
+  ASSERT_TRUE(r.ok());
+  const auto turned = Reorder(*r, {"b", "a"});
+  ASSERT_TRUE(turned.ok());
+  EXPECT_EQ(turned->q.col(0), Eigen::Vector2d(2, 1));
+  EXPECT_EQ(turned->effort_command.col(1), Eigen::Vector2d(8, 7));
+  EXPECT_THAT(Reorder(*r, {"c"}).status().message(), HasSubstr("'c'"));
+}
+
+}  // namespace
+}  // namespace rg::recordings
