@@ -1,0 +1,140 @@
+// What may happen to the coordinator, and what it may answer. The shell turns messages into events
+// and actions into rows and messages; nothing else passes between it and the reactor.
+#pragma once
+
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "coordinator/core/types.h"
+
+namespace rg::coordinator {
+
+// --- events --------------------------------------------------------------------------------------
+
+struct Submit {
+  std::string request_id;
+  std::shared_ptr<const JobPlan> plan;  // checked by CompileJob
+  ReplyTo reply_to = 0;
+};
+enum class JobCommand { kCancel, kPause, kResume, kRetry };
+struct CommandJob {
+  JobId job = 0;
+  JobCommand command = JobCommand::kCancel;
+  std::string reason;
+  ReplyTo reply_to = 0;
+};
+struct DrainWorker {
+  std::string worker;
+  ReplyTo reply_to = 0;
+};
+
+// `instance` names the process that speaks, new with every start.
+struct WorkerJoined {
+  std::string name;
+  std::string instance;
+  uint32_t slots = 1;
+  std::vector<std::string> tags;
+  std::vector<std::string> kinds;
+  std::vector<Token> held;
+  bool draining = false;
+  std::string host;
+  int64_t pid = 0;
+  std::string version;
+};
+struct WorkerBeat {
+  std::string instance;
+  std::vector<Token> held;
+  bool draining = false;
+};
+struct WorkerLeft {
+  std::string instance;
+};
+struct StartRequested {
+  std::string instance;
+  Token token = 0;
+};
+struct Progressed {
+  std::string instance;
+  Token token = 0;
+  std::string stage;
+  double done = 0.0;
+  double total = 0.0;
+  std::string note;
+};
+// All outputs are at hand: the shell has checked that.
+struct Finished {
+  std::string instance;
+  TaskId task = 0;
+  Token token = 0;
+};
+struct Failed {
+  std::string instance;
+  TaskId task = 0;
+  Token token = 0;
+  Outcome outcome = Outcome::kFailed;
+  std::string error;
+  bool retryable = true;
+};
+// Time has passed: leases may have expired.
+struct Tick {};
+
+using Event = std::variant<Submit, CommandJob, DrainWorker, WorkerJoined, WorkerBeat, WorkerLeft,
+                           StartRequested, Progressed, Finished, Failed, Tick>;
+
+// --- actions -------------------------------------------------------------------------------------
+
+using Row = std::variant<InsertJob, UpdateJob, UpdateTask, InsertAttempt, GrantAttempt, FinishAttempt,
+                         CommitResult, CloseTasks, ReopenTasks, AppendEvent>;
+
+struct Welcome {
+  std::string instance;
+};
+struct Assign {
+  std::string instance;
+  TaskId task = 0;
+  Token token = 0;
+  uint32_t attempt = 0;
+};
+struct GrantStart {
+  std::string instance;
+  Token token = 0;
+};
+struct Revoke {
+  std::string instance;
+  Token token = 0;
+  std::string reason;
+};
+struct AnswerResult {
+  std::string instance;
+  Token token = 0;
+  bool accepted = false;
+  std::string reason;
+};
+struct AnswerBeat {
+  std::string instance;
+  bool known = true;
+};
+struct TellDrain {
+  std::string instance;
+};
+enum class Verdict { kOk, kNotFound, kFailedPrecondition };
+struct AnswerClient {
+  ReplyTo reply_to = 0;
+  Verdict verdict = Verdict::kOk;
+  std::string error;
+  JobId job = 0;
+  bool already_known = false;
+};
+
+using Message =
+    std::variant<Welcome, Assign, GrantStart, Revoke, AnswerResult, AnswerBeat, TellDrain, AnswerClient>;
+
+// The rows must be durable before any of the messages leaves.
+struct Actions {
+  std::vector<Row> rows;
+  std::vector<Message> messages;
+  void clear() { rows.clear(), messages.clear(); }
+};
+
+}  // namespace rg::coordinator

@@ -1,0 +1,134 @@
+#include "coordinator/core/invariants.h"
+
+namespace rg::coordinator {
+namespace {
+
+class Inspection {
+ public:
+  explicit Inspection(const State& state) : s_(state) {}
+
+  std::vector<std::string> Run() {
+    for (const auto& [id, job] : s_.jobs) CheckJob(job);
+    CheckLeases();
+    CheckWorkers();
+    CheckQueues();
+    return std::move(broken_);
+  }
+
+ private:
+  void Expect(bool holds, const std::string& what) {
+    if (!holds) broken_.push_back(what);
+  }
+
+  void CheckJob(const Job& job) {
+    const std::string where = "job " + std::to_string(job.id);
+    uint32_t open = 0, leased = 0, failed = 0, uncertain = 0;
+    for (uint32_t i = 0; i < job.tasks.size(); ++i) {
+      CheckTask(job, i);
+      const TaskPhase phase = PhaseOf(job.tasks[i].status);
+      leased += phase == TaskPhase::kLeased;
+      failed += phase == TaskPhase::kFailed;
+      uncertain += phase == TaskPhase::kUncertain;
+      open += phase == TaskPhase::kWaiting || phase == TaskPhase::kReady || phase == TaskPhase::kLeased ||
+              phase == TaskPhase::kUncertain;
+    }
+    Expect(!IsFinal(job.record.phase) || open == 0, where + " is over but has open tasks");
+    Expect(IsFinal(job.record.phase) || open > 0, where + " has nothing left to do but is not over");
+    Expect(job.record.phase != JobPhase::kQueued || leased == 0, where + " is queued but runs");
+    Expect(job.leased == leased && job.failed == failed && job.uncertain == uncertain, where + ": counts");
+    Expect(job.settled() + open == job.tasks.size(), where + ": settled count");
+  }
+
+  void CheckTask(const Job& job, uint32_t index) {
+    const Task& task = job.tasks[index];
+    const TaskPlan& plan = job.plan_of(index);
+    const std::string where = "job " + std::to_string(job.id) + " task " + plan.name;
+    const uint32_t open_parents = CountOpenParents(job, index);
+    if (const auto* waiting = std::get_if<TaskWaiting>(&task.status)) {
+      Expect(waiting->parents_left == open_parents, where + ": count of open parents");
+      Expect(open_parents > 0, where + " waits for nothing");
+    }
+    const TaskPhase phase = PhaseOf(task.status);
+    const bool started =
+        phase == TaskPhase::kReady || phase == TaskPhase::kLeased || phase == TaskPhase::kUncertain;
+    Expect(!started || open_parents == 0, where + " started before its parents committed");
+    // A retry may reopen an optional parent that a done task did without, never one that it needed.
+    Expect(phase != TaskPhase::kSucceeded || RequiredParentsSucceeded(job, index),
+           where + " is done but a parent is not");
+    Expect(task.failures <= plan.max_attempts, where + ": more failures than attempts");
+    Expect(task.crashes <= plan.crash_limit, where + ": more crashes than the limit");
+    const bool over_limit = task.failures >= plan.max_attempts || task.crashes >= plan.crash_limit;
+    Expect(!over_limit || phase == TaskPhase::kFailed, where + " goes on past its limit");
+    Expect(phase != TaskPhase::kUncertain || plan.at_most_once, where + " is uncertain but may be repeated");
+    CheckLeaseOf(job, index, where);
+  }
+
+  static bool RequiredParentsSucceeded(const Job& job, uint32_t index) {
+    for (const ParentEdge& edge : job.plan_of(index).parents) {
+      if (!edge.optional && PhaseOf(job.tasks[edge.parent].status) != TaskPhase::kSucceeded) return false;
+    }
+    return true;
+  }
+
+  void CheckLeaseOf(const Job& job, uint32_t index, const std::string& where) {
+    const TaskRecord record = RecordOf(job, index);
+    if (record.phase != TaskPhase::kLeased && record.phase != TaskPhase::kUncertain) return;
+    const auto lease = s_.leases.find(record.token);
+    Expect(lease != s_.leases.end() && lease->second.task == MakeTaskId(job.id, index),
+           where + " has no lease");
+    if (lease == s_.leases.end()) return;
+    Expect(record.phase != TaskPhase::kUncertain || lease->second.granted,
+           where + " is uncertain but never started");
+    Expect(lease->second.attempt == record.attempts, where + " is held under an older attempt");
+  }
+
+  void CheckLeases() {
+    for (const auto& [token, lease] : s_.leases) {
+      const std::string where = "lease " + std::to_string(token);
+      Expect(token <= s_.last_token, where + " is from the future");
+      const Job* job = s_.FindJob(JobOf(lease.task));
+      Expect(job != nullptr && IndexOf(lease.task) < job->tasks.size(), where + " is for no task");
+      if (job == nullptr) continue;
+      Expect(RecordOf(*job, IndexOf(lease.task)).token == token, where + " is not the one its task knows");
+    }
+  }
+
+  void CheckWorkers() {
+    for (const auto& [name, worker] : s_.workers) {
+      Expect(worker.connected || worker.leases.empty(), "worker " + name + " is lost but holds leases");
+      for (const Token token : worker.leases) {
+        const auto lease = s_.leases.find(token);
+        Expect(lease != s_.leases.end() && lease->second.instance == worker.instance,
+               "worker " + name + " holds lease " + std::to_string(token) + ", which is not its own");
+      }
+    }
+  }
+
+  void CheckQueues() {
+    size_t queued = 0;
+    for (const SchedulingClass& cls : s_.classes) {
+      queued += cls.ready.size();
+      for (const auto& entry : cls.ready) {
+        const Job* job = s_.FindJob(JobOf(entry.task));
+        Expect(job != nullptr && std::holds_alternative<TaskReady>(job->tasks[IndexOf(entry.task)].status),
+               "a task is queued but not ready");
+      }
+    }
+    size_t ready = 0;
+    for (const auto& [id, job] : s_.jobs) {
+      if (job.record.phase == JobPhase::kPaused) continue;
+      for (const Task& task : job.tasks) ready += std::holds_alternative<TaskReady>(task.status);
+    }
+    Expect(queued == ready, "a ready task is in no queue");
+    Expect(!s_.dispatch_needed, "dispatch was left undone");
+  }
+
+  const State& s_;
+  std::vector<std::string> broken_;
+};
+
+}  // namespace
+
+std::vector<std::string> BrokenInvariants(const State& state) { return Inspection(state).Run(); }
+
+}  // namespace rg::coordinator

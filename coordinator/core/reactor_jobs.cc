@@ -1,0 +1,204 @@
+#include <vector>
+
+#include "coordinator/core/turn.h"
+
+namespace rg::coordinator {
+namespace {
+
+std::string PhaseName(JobPhase phase) {
+  switch (phase) {
+    case JobPhase::kQueued:
+      return "queued";
+    case JobPhase::kRunning:
+      return "running";
+    case JobPhase::kPaused:
+      return "paused";
+    case JobPhase::kSucceeded:
+      return "succeeded";
+    case JobPhase::kFailed:
+      return "failed";
+    case JobPhase::kCancelled:
+      return "cancelled";
+  }
+  return "?";
+}
+
+std::string AlreadyIs(const Job& job) {
+  return "job " + std::to_string(job.id) + " is " + PhaseName(job.record.phase);
+}
+
+}  // namespace
+
+void Turn::Handle(const Submit& event) {
+  const auto known = s_.job_by_request.find(event.request_id);
+  if (known != s_.job_by_request.end()) {
+    Send(AnswerClient{event.reply_to, Verdict::kOk, "", known->second, true});
+    return;
+  }
+  Job& job = s_.jobs[++s_.last_job];
+  job.id = s_.last_job;
+  job.request_id = event.request_id;
+  job.plan = event.plan;
+  job.record.submitted_ns = now_.wall_ns;
+  IndexJob(s_, job);
+  s_.job_by_request.emplace(event.request_id, job.id);
+  ++s_.counters.jobs_submitted;
+  Store(InsertJob{job.id, event.request_id, now_.wall_ns, event.plan});
+  Note("job.submitted", job.id, "", "", event.plan->submitted_by);
+  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
+    if (event.plan->tasks[i].parents.empty()) Enqueue(s_, job, i);
+  }
+  Send(AnswerClient{event.reply_to, Verdict::kOk, "", job.id, false});
+}
+
+void Turn::Handle(const CommandJob& event) {
+  Job* job = s_.FindJob(event.job);
+  if (job == nullptr) {
+    const std::string error = "there is no job " + std::to_string(event.job);
+    Send(AnswerClient{event.reply_to, Verdict::kNotFound, error, event.job, false});
+    return;
+  }
+  std::string error;
+  Verdict verdict = Verdict::kOk;
+  switch (event.command) {
+    case JobCommand::kCancel:
+      verdict = Cancel(*job, event.reason, &error);
+      break;
+    case JobCommand::kPause:
+      verdict = Pause(*job, &error);
+      break;
+    case JobCommand::kResume:
+      verdict = Resume(*job, &error);
+      break;
+    case JobCommand::kRetry:
+      verdict = Retry(*job, &error);
+      break;
+  }
+  Send(AnswerClient{event.reply_to, verdict, error, event.job, false});
+}
+
+Verdict Turn::Cancel(Job& job, const std::string& reason, std::string* error) {
+  if (job.record.phase == JobPhase::kCancelled) return Verdict::kOk;
+  if (IsFinal(job.record.phase)) {
+    *error = AlreadyIs(job) + ": nothing to cancel";
+    return Verdict::kFailedPrecondition;
+  }
+  CloseJob(job, JobPhase::kCancelled, reason.empty() ? "cancelled" : reason);
+  return Verdict::kOk;
+}
+
+Verdict Turn::Pause(Job& job, std::string* error) {
+  if (job.record.phase == JobPhase::kPaused) return Verdict::kOk;
+  if (IsFinal(job.record.phase)) {
+    *error = AlreadyIs(job) + ": nothing to pause";
+    return Verdict::kFailedPrecondition;
+  }
+  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
+    if (std::holds_alternative<TaskReady>(job.tasks[i].status)) Dequeue(s_, job, i);
+  }
+  SetJobPhase(job, JobPhase::kPaused, "");
+  Note("job.paused", job.id, "", "", "");
+  return Verdict::kOk;
+}
+
+Verdict Turn::Resume(Job& job, std::string* error) {
+  if (job.record.phase == JobPhase::kQueued || job.record.phase == JobPhase::kRunning) return Verdict::kOk;
+  if (job.record.phase != JobPhase::kPaused) {
+    *error = AlreadyIs(job) + ": only a paused job can be resumed";
+    return Verdict::kFailedPrecondition;
+  }
+  SetJobPhase(job, job.record.started_ns > 0 ? JobPhase::kRunning : JobPhase::kQueued, "");
+  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
+    if (std::holds_alternative<TaskReady>(job.tasks[i].status)) Enqueue(s_, job, i);
+  }
+  Note("job.resumed", job.id, "", "", "");
+  return Verdict::kOk;
+}
+
+// A failed job starts again where it failed. In a running one it is the consent that tasks which may
+// have run already are run again.
+Verdict Turn::Retry(Job& job, std::string* error) {
+  if (!IsFinal(job.record.phase) && job.uncertain > 0) {
+    ConsentToUncertain(job);
+    return Verdict::kOk;
+  }
+  if (job.record.phase != JobPhase::kFailed) {
+    *error = AlreadyIs(job) + ": only a failed job can be retried";
+    return Verdict::kFailedPrecondition;
+  }
+  std::vector<uint32_t> reopened;
+  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
+    if (std::holds_alternative<TaskSucceeded>(job.tasks[i].status)) continue;
+    Task& task = job.tasks[i];
+    task.failures = task.crashes = task.losses = 0;
+    SetStatus(s_, job, i, TaskWaiting{});
+    reopened.push_back(i);
+  }
+  job.record.finished_ns = 0;
+  SetJobPhase(job, JobPhase::kRunning, "");
+  Store(ReopenTasks{job.id});
+  Note("job.retried", job.id, "", "", std::to_string(reopened.size()) + " tasks again");
+  for (const uint32_t i : reopened) {
+    const uint32_t open = CountOpenParents(job, i);
+    job.tasks[i].status = TaskWaiting{open};
+  }
+  for (const uint32_t i : reopened) {
+    if (std::get<TaskWaiting>(job.tasks[i].status).parents_left == 0) Enqueue(s_, job, i);
+  }
+  return Verdict::kOk;
+}
+
+void Turn::ConsentToUncertain(Job& job) {
+  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
+    const auto* uncertain = std::get_if<TaskUncertain>(&job.tasks[i].status);
+    if (uncertain == nullptr) continue;
+    const Token token = uncertain->token;
+    RevokeFrom(s_.leases.at(token).instance, token, "another attempt was allowed");
+    EndLease(token, Outcome::kLost, "lost; another attempt was allowed");
+    Enqueue(s_, job, i);
+    PersistTask(job, i, "run again with consent");
+    Note("task.consent", job.id, job.plan_of(i).name, "", "an at-most-once task may run again");
+  }
+}
+
+void Turn::CloseJob(Job& job, JobPhase phase, const std::string& reason) {
+  std::vector<Token> open;
+  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
+    const TaskStatus& status = job.tasks[i].status;
+    const TaskPhase task_phase = PhaseOf(status);
+    if (task_phase == TaskPhase::kSucceeded || task_phase == TaskPhase::kFailed ||
+        task_phase == TaskPhase::kCancelled) {
+      continue;
+    }
+    if (task_phase == TaskPhase::kReady) Dequeue(s_, job, i);
+    if (const auto* leased = std::get_if<TaskLeased>(&status)) open.push_back(leased->token);
+    if (const auto* uncertain = std::get_if<TaskUncertain>(&status)) open.push_back(uncertain->token);
+    SetStatus(s_, job, i, TaskCancelled{});
+  }
+  for (const Token token : open) {
+    RevokeFrom(s_.leases.at(token).instance, token, reason);
+    EndLease(token, Outcome::kCancelled, reason);
+  }
+  Store(CloseTasks{job.id, reason, now_.wall_ns});
+  job.record.finished_ns = now_.wall_ns;
+  SetJobPhase(job, phase, reason);
+  (phase == JobPhase::kCancelled ? s_.counters.jobs_cancelled : s_.counters.jobs_failed)++;
+  Note(phase == JobPhase::kCancelled ? "job.cancelled" : "job.failed", job.id, "", "", reason);
+}
+
+void Turn::CloseJobIfSettled(Job& job) {
+  if (IsFinal(job.record.phase) || job.settled() < job.tasks.size()) return;
+  job.record.finished_ns = now_.wall_ns;
+  SetJobPhase(job, JobPhase::kSucceeded, "");
+  ++s_.counters.jobs_succeeded;
+  Note("job.succeeded", job.id, "", "", "");
+}
+
+void Turn::SetJobPhase(Job& job, JobPhase phase, const std::string& reason) {
+  job.record.phase = phase;
+  job.record.reason = reason;
+  job.revision = ++s_.revision;
+  Store(UpdateJob{job.id, job.record});
+}
+
+}  // namespace rg::coordinator

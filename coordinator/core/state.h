@@ -1,0 +1,186 @@
+// Everything the coordinator knows, as an index in memory: all of it but what is marked volatile
+// comes back from the store after a restart (Restore). Owned by one thread.
+#pragma once
+
+#include <compare>
+#include <deque>
+#include <map>
+#include <set>
+#include <string>
+#include <unordered_map>
+#include <utility>
+#include <variant>
+#include <vector>
+
+#include "coordinator/core/types.h"
+
+namespace rg::coordinator {
+
+// --- a task is in exactly one of these ------------------------------------------------------------
+
+struct TaskWaiting {
+  uint32_t parents_left = 0;
+};
+struct TaskReady {};
+struct TaskLeased {
+  Token token = 0;  // key of State::leases
+};
+struct TaskSucceeded {
+  Token token = 0;
+};
+struct TaskFailed {
+  bool set_aside = false;
+};
+struct TaskCancelled {};
+// At-most-once, and its worker was lost after it was allowed to start: it may have run. Its worker
+// may still return with the lease or the result; until `deadline_ns`, then it counts as failed.
+struct TaskUncertain {
+  Token token = 0;
+};
+using TaskStatus =
+    std::variant<TaskWaiting, TaskReady, TaskLeased, TaskSucceeded, TaskFailed, TaskCancelled, TaskUncertain>;
+
+struct ChildEdge {
+  uint32_t child = 0;
+  bool optional = false;
+};
+
+struct Task {
+  TaskStatus status;
+  uint32_t attempts = 0, failures = 0, crashes = 0, losses = 0;
+  uint32_t scheduling_class = 0;
+  uint32_t stage = 0;  // index in Job::stages
+  uint32_t first_child = 0, child_count = 0;
+  int64_t started_ns = 0, finished_ns = 0;  // volatile, wall time
+};
+
+TaskPhase PhaseOf(const TaskStatus& status);
+
+struct Job {
+  JobId id = 0;
+  std::string request_id;
+  std::shared_ptr<const JobPlan> plan;  // one TaskPlan per task, same index
+  JobRecord record;
+  std::vector<Task> tasks;
+  std::vector<ChildEdge> children;
+  std::vector<std::string> stages;  // in order of first appearance
+  uint32_t succeeded = 0, failed = 0, cancelled = 0, leased = 0, uncertain = 0;  // counts of tasks
+  double weight_total = 0.0, weight_done = 0.0;
+  uint64_t revision = 1;  // volatile, grows with every change
+
+  uint32_t settled() const { return succeeded + failed + cancelled; }
+  const TaskPlan& plan_of(uint32_t index) const { return plan->tasks[index]; }
+};
+
+struct Lease {
+  TaskId task = 0;
+  uint32_t attempt = 0;
+  std::string worker;
+  std::string instance;
+  bool granted = false;  // at-most-once only: it was allowed to start
+  int64_t deadline_ns = 0;
+  bool restored = false;  // from before a restart, not confirmed by its worker yet
+  // Volatile:
+  int64_t started_wall_ns = 0;
+  std::string progress_stage;
+  double progress_done = 0.0;
+  double progress_total = 0.0;
+  std::string progress_note;
+};
+
+// Tasks that any worker able to run one of them can run all of.
+struct SchedulingClass {
+  std::string kind;
+  std::vector<std::string> tags;  // sorted
+  struct Entry {
+    int32_t priority;
+    TaskId task;
+    // Higher priority first, then the older job, then the job's own order.
+    bool operator<(const Entry& o) const {
+      return priority != o.priority ? priority > o.priority : task < o.task;
+    }
+  };
+  std::set<Entry> ready;
+};
+
+// Volatile: workers introduce themselves again after a restart.
+struct Worker {
+  std::string name;
+  std::string instance;
+  std::string host;
+  std::string version;
+  int64_t pid = 0;
+  uint32_t slots = 1;
+  std::set<std::string> tags;
+  std::set<std::string> kinds;
+  bool draining = false;
+  bool connected = true;
+  int64_t last_seen_ns = 0;
+  int64_t since_wall_ns = 0;
+  std::set<Token> leases;
+  std::set<Token> winding_down;  // revoked, still occupying a slot as far as the worker has said
+  uint64_t tasks_done = 0, tasks_failed = 0;
+  std::vector<uint32_t> classes;  // scheduling classes it can run
+
+  uint32_t busy() const { return static_cast<uint32_t>(leases.size() + winding_down.size()); }
+  bool accepts_work() const { return connected && !draining && busy() < slots; }
+};
+
+struct Options {
+  int64_t heartbeat_ns = 2'000'000'000;
+  int64_t lease_ns() const { return 2 * heartbeat_ns; }
+  // After a restart, how long a lease from before waits for its worker to come back.
+  int64_t restart_grace_ns() const { return 2 * lease_ns(); }
+  int64_t uncertain_ns = 30'000'000'000;        // how long an uncertain task waits for its worker
+  int64_t forget_worker_ns = 3600'000'000'000;  // a lost worker leaves the listing after this
+  uint32_t max_losses = 8;                      // lost leases of one task before it is given up
+};
+
+struct Counters {
+  uint64_t jobs_submitted = 0, jobs_succeeded = 0, jobs_failed = 0, jobs_cancelled = 0;
+  uint64_t tasks_committed = 0, tasks_failed = 0, attempts_started = 0, attempts_lost = 0;
+  uint64_t results_refused = 0, workers_lost = 0, executors_crashed = 0;
+};
+
+struct State {
+  Options options;
+  std::map<JobId, Job> jobs;
+  std::unordered_map<std::string, JobId> job_by_request;
+  std::unordered_map<Token, Lease> leases;  // leased and uncertain tasks
+  std::map<std::string, Worker> workers;    // by name
+  std::unordered_map<std::string, std::string> worker_by_instance;
+  std::deque<SchedulingClass> classes;
+  std::map<std::pair<std::string, std::vector<std::string>>, uint32_t> class_index;
+  JobId last_job = 0;
+  Token last_token = 0;
+  uint64_t revision = 0;
+  Counters counters;             // volatile
+  bool dispatch_needed = false;  // within one event
+
+  Job* FindJob(JobId id);
+  const Job* FindJob(JobId id) const;
+  Worker* FindWorkerByInstance(const std::string& instance);
+  // The lease if `token` is valid for that process; else null.
+  Lease* FindLease(Token token, const std::string& instance);
+};
+
+// Builds the job's index from its plan: all tasks waiting, scheduling classes made.
+void IndexJob(State& state, Job& job);
+// Inserts a ready task into, or removes it from, its class. Tasks of paused jobs are in no queue.
+void Enqueue(State& state, Job& job, uint32_t index);
+void Dequeue(State& state, Job& job, uint32_t index);
+// Sets the status and keeps the job's counts and revision.
+void SetStatus(State& state, Job& job, uint32_t index, TaskStatus status);
+// How many parents the task still has to wait for, from their statuses.
+uint32_t CountOpenParents(const Job& job, uint32_t index);
+bool CanRun(const Worker& worker, const SchedulingClass& cls);
+TaskRecord RecordOf(const Job& job, uint32_t index);
+
+// The state a store describes. Leases from before wait Options::restart_grace_ns for their workers.
+State Restore(const StoredState& stored, const Options& options, Now now);
+// What a store would give back for this state, for comparison: Restore is its inverse.
+StoredState Describe(const State& state);
+// One line per difference in what must survive a restart; empty: none.
+std::vector<std::string> Differences(const StoredState& a, const StoredState& b);
+
+}  // namespace rg::coordinator

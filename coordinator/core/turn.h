@@ -1,0 +1,91 @@
+// One turn of the reactor: the state, the time and the list of actions that its steps share.
+// Private to coordinator/core; the steps are grouped by file: jobs, tasks, workers, dispatch.
+#pragma once
+
+#include <string>
+
+#include "coordinator/core/events.h"
+#include "coordinator/core/state.h"
+
+namespace rg::coordinator {
+
+class Turn {
+ public:
+  Turn(State& state, Now now, Actions& actions) : s_(state), now_(now), out_(actions) {}
+
+  // reactor_jobs.cc
+  void Handle(const Submit& event);
+  void Handle(const CommandJob& event);
+  // reactor_workers.cc
+  void Handle(const DrainWorker& event);
+  void Handle(const WorkerJoined& event);
+  void Handle(const WorkerBeat& event);
+  void Handle(const WorkerLeft& event);
+  void Handle(const Tick& event);
+  // reactor_tasks.cc
+  void Handle(const StartRequested& event);
+  void Handle(const Progressed& event);
+  void Handle(const Finished& event);
+  void Handle(const Failed& event);
+  // dispatch.cc
+  void Dispatch();
+
+ private:
+  // --- jobs
+  Verdict Cancel(Job& job, const std::string& reason, std::string* error);
+  Verdict Pause(Job& job, std::string* error);
+  Verdict Resume(Job& job, std::string* error);
+  Verdict Retry(Job& job, std::string* error);
+  void ConsentToUncertain(Job& job);
+  // Ends the job and everything of it that is not settled.
+  void CloseJob(Job& job, JobPhase phase, const std::string& reason);
+  void CloseJobIfSettled(Job& job);
+  void SetJobPhase(Job& job, JobPhase phase, const std::string& reason);
+
+  // --- tasks
+  void PersistTask(const Job& job, uint32_t index, const std::string& reason = {});
+  void CommitTask(Job& job, uint32_t index, Token token);
+  void ReleaseChildren(Job& job, uint32_t index);
+  // Returns whether the job is lost with this task.
+  bool CancelDescendants(Job& job, uint32_t index);
+  // Back to the queue, or given up if the counts say so.
+  void Requeue(Job& job, uint32_t index, const std::string& reason);
+  // Gives the task up for good; the job fails unless every way on from it is optional.
+  void FailTask(Job& job, uint32_t index, const std::string& reason, bool set_aside);
+  void RefuseResult(const std::string& instance, TaskId task, Token token);
+  // Removes the lease and closes its attempt.
+  void EndLease(Token token, Outcome outcome, const std::string& error);
+  // The worker can no longer be trusted to hold this lease.
+  void LoseLease(Token token, const std::string& why);
+  void AfterFailure(Job& job, uint32_t index, const Failed& event, const Lease& lease);
+
+  // --- workers
+  void RemoveWorker(const std::string& name, const std::string& why);
+  void RenewOrRevoke(Worker& worker, const std::vector<Token>& held);
+  void LoseLeasesOf(const std::string& name, const std::string& instance_to_keep,
+                    const std::vector<Token>& held, const std::string& why);
+  void RevokeFrom(const std::string& instance, Token token, const std::string& reason);
+  void FindLostWorkers();
+  void FindExpiredLeases();
+
+  // --- dispatch
+  bool AssignOneTo(Worker& worker);
+  void GiveTo(Worker& worker, Job& job, uint32_t index);
+
+  void Note(const std::string& kind, JobId job, const std::string& task, const std::string& worker,
+            const std::string& detail);
+  template <class M>
+  void Send(M message) {
+    out_.messages.emplace_back(std::move(message));
+  }
+  template <class R>
+  void Store(R row) {
+    out_.rows.emplace_back(std::move(row));
+  }
+
+  State& s_;
+  Now now_;
+  Actions& out_;
+};
+
+}  // namespace rg::coordinator

@@ -1,0 +1,348 @@
+#include "tests/unit/coordinator/simulation.h"
+
+#include <algorithm>
+
+#include "coordinator/core/invariants.h"
+#include "tests/unit/coordinator/plans.h"
+
+namespace rg::coordinator {
+namespace {
+
+constexpr int64_t kStepMs = 50;
+constexpr int64_t kHeartbeatMs = 1000;
+constexpr ReplyTo kCommandBase = 1'000'000;
+
+Options CoreOptions() {
+  Options options;
+  options.heartbeat_ns = kHeartbeatMs * 1'000'000;
+  options.uncertain_ns = 5'000'000'000;
+  return options;
+}
+
+template <class T>
+std::vector<T> TakeDue(std::vector<T>& queue, int64_t now_ms) {
+  std::vector<T> due;
+  std::erase_if(queue, [&](T& item) {
+    if (item.at_ms > now_ms) return false;
+    due.push_back(std::move(item));
+    return true;
+  });
+  std::stable_sort(due.begin(), due.end(), [](const T& a, const T& b) { return a.at_ms < b.at_ms; });
+  return due;
+}
+
+}  // namespace
+
+Simulation::Simulation(uint64_t seed, const SimulationOptions& options) : options_(options), rng_(seed) {
+  state_.options = CoreOptions();
+  for (int i = 0; i < options.workers; ++i) {
+    workers_.emplace_back().name = "w" + std::to_string(i);
+    StartWorker(workers_.back());
+  }
+  for (int i = 0; i < options.jobs; ++i) {
+    Client& client = clients_.emplace_back();
+    client.request_id = "request" + std::to_string(i);
+    client.plan = RandomPlan(rng_);
+  }
+}
+
+std::vector<std::string> Simulation::Run() {
+  while (ms_ < options_.calm_ms && broken_.empty()) {
+    Step();
+    if (!chaos() && up_.empty() && down_.empty() && ms_ > options_.chaos_ms + 20'000 &&
+        std::all_of(state_.jobs.begin(), state_.jobs.end(),
+                    [](const auto& entry) { return IsFinal(entry.second.record.phase); })) {
+      break;
+    }
+  }
+  if (broken_.empty()) CheckAtTheEnd();
+  return broken_;
+}
+
+void Simulation::Step() {
+  ms_ += kStepMs;
+  if (chaos()) MaybeHarm();
+  if (chaos()) MaybeCommand();
+  ResubmitUnacknowledged();
+  for (SimWorker& worker : workers_) StepWorker(worker);
+  DeliverToCoordinator();
+  DeliverToPeers();
+}
+
+// One batch: every event is handled, then the rows are committed, then the messages leave. A kill
+// may come before the commit (nothing happened) or between commit and sending (messages are lost).
+void Simulation::DeliverToCoordinator() {
+  Actions actions;
+  auto due = TakeDue(up_, ms_);
+  due.push_back({ms_, Tick{}});
+  for (ToCoordinator& item : due) {
+    React(item.event, state_, now(), actions);
+    ++facts_.events;
+    CheckNow("after an event");
+  }
+  facts_.refused += state_.counters.results_refused;
+  state_.counters.results_refused = 0;
+  const bool kill = chaos() && rng_.Uniform() < options_.restart;
+  if (kill && rng_.Index(2) == 0) return RestartCoordinator();
+  Commit(actions);
+  if (kill) return RestartCoordinator();
+  for (Message& message : actions.messages) SendDown(std::move(message));
+}
+
+void Simulation::Commit(Actions& actions) {
+  if (actions.rows.empty()) return;
+  store_.Apply(actions.rows);
+  for (const auto& [task, count] : store_.commits) {
+    if (count > 1) Complain("task " + std::to_string(task) + " was committed twice");
+  }
+  for (const Row& row : actions.rows) facts_.commits += std::holds_alternative<CommitResult>(row);
+  for (const std::string& difference :
+       Differences(Describe(state_), Describe(Restore(store_.Load(), state_.options, now())))) {
+    Complain("a restart would change: " + difference);
+  }
+}
+
+void Simulation::RestartCoordinator() {
+  ++facts_.restarts;
+  state_ = Restore(store_.Load(), CoreOptions(), now());
+  CheckNow("after a restart");
+  for (const Client& client : clients_) {
+    if (client.acknowledged && state_.FindJob(client.job) == nullptr)
+      Complain("an acknowledged submit was lost");
+  }
+}
+
+void Simulation::DeliverToPeers() {
+  for (ToPeer& item : TakeDue(down_, ms_)) {
+    std::visit([this](const auto& m) { Receive(m); }, item.message);
+  }
+}
+
+void Simulation::SendUp(Event event) {
+  if (chaos() && rng_.Uniform() < options_.drop) return;
+  const int copies = chaos() && rng_.Uniform() < options_.repeat ? 2 : 1;
+  for (int i = 0; i < copies; ++i) {
+    up_.push_back(
+        {ms_ + static_cast<int64_t>(rng_.Index(static_cast<uint64_t>(options_.delay_max_ms))), event});
+  }
+}
+
+void Simulation::SendDown(Message message) {
+  if (chaos() && rng_.Uniform() < options_.drop) return;
+  const int copies = chaos() && rng_.Uniform() < options_.repeat ? 2 : 1;
+  for (int i = 0; i < copies; ++i) {
+    down_.push_back(
+        {ms_ + static_cast<int64_t>(rng_.Index(static_cast<uint64_t>(options_.delay_max_ms))), message});
+  }
+}
+
+// --- harm ----------------------------------------------------------------------------------------
+
+void Simulation::MaybeHarm() {
+  for (SimWorker& worker : workers_) {
+    if (worker.alive && rng_.Uniform() < options_.worker_death) {
+      worker.alive = false;
+      worker.held.clear();
+      worker.wake_ms = ms_ + 500 + static_cast<int64_t>(rng_.Index(5000));
+      ++facts_.deaths;
+    } else if (worker.alive && ms_ >= worker.wake_ms && rng_.Uniform() < options_.worker_freeze) {
+      worker.wake_ms = ms_ + 500 + static_cast<int64_t>(rng_.Index(8000));
+      ++facts_.freezes;
+    }
+  }
+}
+
+void Simulation::MaybeCommand() {
+  if (rng_.Uniform() >= options_.command) return;
+  const Client& client = clients_[rng_.Index(clients_.size())];
+  if (!client.acknowledged) return;
+  const auto commands = {JobCommand::kPause, JobCommand::kResume, JobCommand::kResume,
+                         JobCommand::kRetry, JobCommand::kRetry,  JobCommand::kCancel};
+  const JobCommand command = *(commands.begin() + static_cast<long>(rng_.Index(commands.size())));
+  if (command == JobCommand::kRetry) ++retries_[client.job];
+  const ReplyTo reply = command == JobCommand::kCancel ? kCommandBase + static_cast<ReplyTo>(client.job) : 0;
+  SendUp(CommandJob{client.job, command, "chaos", reply});
+}
+
+void Simulation::ResubmitUnacknowledged() {
+  for (size_t i = 0; i < clients_.size(); ++i) {
+    const Client& client = clients_[i];
+    const bool due = ms_ % 1000 == 0 && ms_ > static_cast<int64_t>(i) * 3000;
+    if (!client.acknowledged && due) SendUp(Submit{client.request_id, client.plan, i + 1});
+    // What was paused in the chaos is resumed after it.
+    if (client.acknowledged && !chaos() && due) SendUp(CommandJob{client.job, JobCommand::kResume, "", 0});
+  }
+}
+
+// --- workers ---------------------------------------------------------------------------------------
+
+void Simulation::StartWorker(SimWorker& worker) {
+  worker.instance = worker.name + "#" + std::to_string(++instances_);
+  worker.alive = true;
+  worker.joined = false;
+  worker.held.clear();
+  worker.finished_before.clear();
+  worker.wake_ms = worker.next_beat_ms = ms_;
+}
+
+void Simulation::StepWorker(SimWorker& worker) {
+  if (ms_ < worker.wake_ms) return;
+  if (!worker.alive) StartWorker(worker);
+  Progress(worker);
+  if (ms_ < worker.next_beat_ms) return;
+  worker.next_beat_ms = ms_ + kHeartbeatMs / 2;
+  if (!worker.joined) {
+    const bool has_robot = worker.name == "w0";
+    SendUp(WorkerJoined{worker.name,
+                        worker.instance,
+                        2,
+                        has_robot ? std::vector<std::string>{"robot:one"} : std::vector<std::string>{},
+                        {"work", "other"},
+                        HeldTokens(worker),
+                        false,
+                        "host",
+                        1,
+                        "test"});
+  } else {
+    SendUp(WorkerBeat{worker.instance, HeldTokens(worker), false});
+  }
+  for (const auto& [token, held] : worker.held) {  // again, until it is answered
+    if (held.at_most_once && !held.started) SendUp(StartRequested{worker.instance, token});
+    if (held.state == Held::kFinished) SendUp(Finished{worker.instance, held.task, token});
+    if (held.state == Held::kFailed)
+      SendUp(Failed{worker.instance, held.task, token, held.outcome, "chaos", true});
+  }
+}
+
+void Simulation::Progress(SimWorker& worker) {
+  for (auto& [token, held] : worker.held) {
+    if (held.state != Held::kRunning || !held.started || ms_ < held.done_at_ms) continue;
+    const double dice = rng_.Uniform();
+    held.state = dice < options_.task_failure + options_.task_crash ? Held::kFailed : Held::kFinished;
+    held.outcome = dice < options_.task_failure ? Outcome::kFailed : Outcome::kCrashed;
+    if (held.state == Held::kFinished) SendUp(Finished{worker.instance, held.task, token});
+    if (held.state == Held::kFailed)
+      SendUp(Failed{worker.instance, held.task, token, held.outcome, "chaos", true});
+  }
+}
+
+std::vector<Token> Simulation::HeldTokens(const SimWorker& worker) const {
+  std::vector<Token> tokens;
+  for (const auto& [token, held] : worker.held) tokens.push_back(token);
+  return tokens;
+}
+
+Simulation::SimWorker* Simulation::FindInstance(const std::string& instance) {
+  for (SimWorker& worker : workers_) {
+    if (worker.alive && worker.instance == instance && ms_ >= worker.wake_ms) return &worker;
+  }
+  return nullptr;
+}
+
+void Simulation::Begin(SimWorker& worker, Token, Held& held) {
+  held.started = true;
+  held.done_at_ms = ms_ + 100 + static_cast<int64_t>(rng_.Index(3000));
+  (void)worker;
+  if (held.at_most_once && ++starts_[held.task] > 1 + retries_[JobOf(held.task)]) {
+    Complain("at-most-once task " + std::to_string(held.task) + " ran again without consent");
+  }
+}
+
+void Simulation::Receive(const Assign& m) {
+  SimWorker* worker = FindInstance(m.instance);
+  if (worker == nullptr || worker->held.count(m.token) || worker->finished_before.count(m.token)) return;
+  Held& held = worker->held[m.token];
+  held.task = m.task;
+  const Job* job = state_.FindJob(JobOf(m.task));
+  held.at_most_once = job->plan_of(IndexOf(m.task)).at_most_once;
+  if (held.at_most_once) {
+    SendUp(StartRequested{worker->instance, m.token});
+  } else {
+    Begin(*worker, m.token, held);
+  }
+}
+
+void Simulation::Receive(const GrantStart& m) {
+  SimWorker* worker = FindInstance(m.instance);
+  if (worker == nullptr || !worker->held.count(m.token)) return;
+  Held& held = worker->held[m.token];
+  if (!held.started) Begin(*worker, m.token, held);
+}
+
+void Simulation::Receive(const Revoke& m) {
+  SimWorker* worker = FindInstance(m.instance);
+  if (worker == nullptr) return;
+  worker->held.erase(m.token);
+  worker->finished_before.insert(m.token);
+}
+
+void Simulation::Receive(const AnswerResult& m) {
+  SimWorker* worker = FindInstance(m.instance);
+  if (worker == nullptr) return;
+  worker->held.erase(m.token);
+  worker->finished_before.insert(m.token);
+}
+
+void Simulation::Receive(const AnswerBeat& m) {
+  SimWorker* worker = FindInstance(m.instance);
+  if (worker == nullptr || m.known) return;
+  worker->joined = false;
+  worker->next_beat_ms = ms_;
+}
+
+void Simulation::Receive(const Welcome& m) {
+  if (SimWorker* worker = FindInstance(m.instance)) worker->joined = true;
+}
+
+void Simulation::Receive(const AnswerClient& m) {
+  if (m.reply_to >= kCommandBase) {
+    if (m.verdict != Verdict::kOk || !cancelled_.insert(m.job).second) return;
+    for (const auto& [task, count] : store_.commits) {
+      if (JobOf(task) == m.job) commits_at_cancel_[m.job][task] = count;
+    }
+    return;
+  }
+  if (m.reply_to == 0) return;
+  Client& client = clients_[m.reply_to - 1];
+  if (client.acknowledged && client.job != m.job) Complain("a repeated submit made a second job");
+  client.acknowledged = true;
+  client.job = m.job;
+}
+
+// --- promises --------------------------------------------------------------------------------------
+
+void Simulation::CheckNow(const char* when) {
+  for (const std::string& line : BrokenInvariants(state_)) Complain(std::string(when) + ": " + line);
+}
+
+void Simulation::CheckAtTheEnd() {
+  for (const Client& client : clients_) {
+    if (!client.acknowledged) Complain("a submit was never acknowledged");
+  }
+  for (const auto& [id, job] : state_.jobs) {
+    const JobPhase phase = job.record.phase;
+    if (!IsFinal(phase)) Complain("job " + std::to_string(id) + " never ended");
+    if (cancelled_.count(id) && phase != JobPhase::kCancelled) Complain("a cancelled job came back");
+    (phase == JobPhase::kSucceeded ? facts_.succeeded
+     : phase == JobPhase::kFailed  ? facts_.failed
+                                   : facts_.cancelled)++;
+    for (uint32_t i = 0; i < job.tasks.size(); ++i) {
+      const bool succeeded = std::holds_alternative<TaskSucceeded>(job.tasks[i].status);
+      const auto commits = store_.commits.find(MakeTaskId(id, i));
+      if (succeeded != (commits != store_.commits.end())) Complain("success and committed result disagree");
+    }
+    for (const auto& [task, count] : store_.commits) {
+      if (JobOf(task) == id && cancelled_.count(id) && !commits_at_cancel_[id].count(task)) {
+        Complain("a result was committed after the job was cancelled");
+      }
+    }
+  }
+  if (!state_.leases.empty()) Complain("a lease is left over");
+  for (const auto& [kind, count] : store_.notes) facts_.uncertain += kind == "task.found" ? count : 0;
+}
+
+void Simulation::Complain(const std::string& what) {
+  broken_.push_back("t=" + std::to_string(ms_) + " ms: " + what);
+}
+
+}  // namespace rg::coordinator
