@@ -87,9 +87,8 @@ struct VerifyReport {
 };
 
 struct GcOptions {
-  int64_t older_than_ns = 0;  // age; younger artefacts stay
+  int64_t older_than_ns = 0;  // age since the last put of the same bytes; younger artefacts stay
   bool dry_run = false;
-  int limit = 0;  // at most this many in one call; 0: all
 };
 
 struct GcReport {
@@ -117,8 +116,8 @@ class ArtifactWriter {
 
  private:
   friend class ArtifactStore;
-  ArtifactWriter(ArtifactStore* store, int64_t blob) : store_(store), blob_(blob) {}
-  Status WriteChunk(std::string_view bytes);
+  ArtifactWriter(ArtifactStore* store, int64_t id, std::string token)
+      : store_(store), id_(id), token_(std::move(token)) {}
 
   // Moves with the writer: the moved-from one owns nothing.
   struct Owner {
@@ -127,7 +126,8 @@ class ArtifactWriter {
     Owner(Owner&& o) noexcept : store(o.store) { o.store = nullptr; }
   };
   Owner store_;
-  int64_t blob_;
+  int64_t id_;
+  std::string token_;  // tells this upload from a later one that got the same id after a rollback
   int64_t next_chunk_ = 0;
   int64_t size_bytes_ = 0;
   std::string pending_;  // less than a chunk
@@ -144,18 +144,18 @@ class ArtifactReader {
 
  private:
   friend class ArtifactStore;
-  ArtifactReader(ArtifactStore* store, ArtifactInfo info, int64_t blob)
-      : store_(store), info_(std::move(info)), blob_(blob) {}
+  ArtifactReader(ArtifactStore* store, ArtifactInfo info, int64_t id)
+      : store_(store), info_(std::move(info)), id_(id) {}
   ArtifactStore* store_;
   ArtifactInfo info_;
-  int64_t blob_;
+  int64_t id_;
   int64_t next_chunk_ = 0;
   int64_t offset_ = 0;
   Sha256 hash_;
 };
 
 struct ArtifactStoreOptions {
-  int64_t chunk_bytes = 1 << 20;                  // of one row; 1 .. 16 MiB
+  int64_t chunk_bytes = 1 << 20;                  // of one row; 1 .. 64 MiB
   int64_t max_artifact_bytes = int64_t{4} << 30;  // larger ones are refused
 };
 
@@ -163,8 +163,8 @@ class ArtifactStore {
  public:
   // The tables it needs: give it to Database::Open.
   static Module Schema();
-  // Sweeps the remains of uploads that were never committed (not on a read-only database). Both
-  // arguments must outlive the store.
+  // One store per Database. Sweeps the remains of uploads that were never committed (not on a read-only
+  // database). Both arguments must outlive the store.
   static Result<std::unique_ptr<ArtifactStore>> Open(Database* database, const Clock* clock,
                                                      ArtifactStoreOptions options = {});
 
@@ -208,23 +208,33 @@ class ArtifactStore {
   ArtifactStore(Database* database, const Clock* clock, ArtifactStoreOptions options)
       : database_(database), clock_(clock), options_(options) {}
 
-  Status SweepUploads();
-  Result<PutResult> CommitBlob(int64_t blob, int64_t size, const std::string& sha256,
-                               const ArtifactSpec& spec);
-  Result<bool> NoteExisting(const std::string& sha256, const ArtifactSpec& spec);
-  Status AddParents(int64_t artifact, const std::string& sha256, const std::vector<std::string>& parents);
-  Status AddProducer(int64_t artifact, const ArtifactSpec& spec);
-  Status DropBlob(int64_t blob);
-  Result<std::string> ReadChunk(const ArtifactInfo& info, int64_t blob, int64_t chunk);
   struct Row {
     ArtifactInfo info;
     int64_t id = 0;
-    int64_t blob = 0;
+    int64_t chunks = 0;
   };
+
+  // Uploads (artifact_store.cc).
+  Status SweepUploads();
+  Result<ArtifactWriter> Reserve();
+  Status CheckUpload(int64_t id, const std::string& token);
+  Status WriteChunk(int64_t id, int64_t chunk, std::string_view bytes);
+  Status CheckChunks(int64_t id, int64_t chunks, int64_t size);
+  Status DropUpload(int64_t id, const std::string& token);
+  Status DropChunks(int64_t id);
+  Status InsertArtifact(int64_t id, int64_t chunks, int64_t size, const std::string& sha256,
+                        const ArtifactSpec& spec);
+  Result<bool> NoteExisting(const std::string& sha256, const ArtifactSpec& spec);
+  Status AddLinks(int64_t id, const std::string& sha256, const ArtifactSpec& spec);
+  // Rows (artifact_catalog.cc).
   Result<Row> Find(const std::string& sha256);
-  Status FillLists(int64_t id, ArtifactInfo* info);
+  Result<Row> FindById(int64_t id);
+  Status FillLists(Row* row);
+  Result<std::string> ReadChunk(const ArtifactInfo& info, int64_t id, int64_t chunk);
+  Result<std::vector<int64_t>> Neighbours(int64_t id, bool parents);
   Result<std::vector<int64_t>> CollectableIds(const GcOptions& options);
-  Status CheckOne(const Row& row, VerifyReport* report);
+  Status RemoveArtifact(int64_t id);
+  Status VerifyRow(const Row& row, VerifyReport* report);
 
   Database* database_;
   const Clock* clock_;

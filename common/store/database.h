@@ -121,6 +121,7 @@ class Database {
   int64_t last_insert_id() const;
   int changes() const;  // rows changed by the last statement
   bool in_transaction() const;
+  bool read_only() const;
   const std::string& path() const;
   // Installed version of a module; 0: absent.
   Result<int> ModuleVersion(const std::string& module);

@@ -1,0 +1,312 @@
+#include "common/store/artifact_store.h"
+
+#include <sodium.h>
+
+#include <algorithm>
+#include <nlohmann/json.hpp>
+
+#include "common/base/ids.h"
+#include "common/store/artifact_rows.h"
+
+namespace rg::store {
+namespace {
+
+// Frozen. artifact.id is the id its upload was given; chunk k of it is row id * 2^20 + k.
+constexpr std::string_view kVersion1 = R"sql(
+CREATE TABLE artifact_upload (
+  id INTEGER PRIMARY KEY AUTOINCREMENT,
+  token TEXT NOT NULL);
+CREATE TABLE artifact (
+  id INTEGER PRIMARY KEY,
+  sha256 TEXT NOT NULL UNIQUE CHECK (length(sha256) = 64),
+  kind TEXT NOT NULL,
+  version INTEGER NOT NULL CHECK (version >= 1),
+  size_bytes INTEGER NOT NULL CHECK (size_bytes >= 0),
+  chunks INTEGER NOT NULL CHECK (chunks >= 0),
+  created_ns INTEGER NOT NULL,
+  touched_ns INTEGER NOT NULL,
+  metadata_json TEXT NOT NULL,
+  job_id TEXT NOT NULL,
+  task_id TEXT NOT NULL);
+CREATE INDEX artifact_by_kind ON artifact (kind, id);
+CREATE TABLE artifact_chunk (
+  id INTEGER PRIMARY KEY,
+  checksum BLOB NOT NULL CHECK (length(checksum) = 16),
+  bytes BLOB NOT NULL);
+CREATE TABLE artifact_parent (
+  child INTEGER NOT NULL REFERENCES artifact (id),
+  parent INTEGER NOT NULL REFERENCES artifact (id),
+  PRIMARY KEY (child, parent)) WITHOUT ROWID;
+CREATE INDEX artifact_child ON artifact_parent (parent, child);
+CREATE TABLE artifact_producer (
+  artifact INTEGER NOT NULL REFERENCES artifact (id),
+  job_id TEXT NOT NULL,
+  task_id TEXT NOT NULL,
+  produced_ns INTEGER NOT NULL,
+  PRIMARY KEY (artifact, job_id, task_id)) WITHOUT ROWID;
+CREATE INDEX artifact_by_job ON artifact_producer (job_id, artifact);
+CREATE TABLE artifact_pin (
+  artifact INTEGER NOT NULL REFERENCES artifact (id),
+  owner TEXT NOT NULL,
+  PRIMARY KEY (artifact, owner)) WITHOUT ROWID;
+CREATE INDEX artifact_pin_by_owner ON artifact_pin (owner, artifact);
+)sql";
+
+Status CheckKind(const std::string& kind) {
+  const auto allowed = [](char c) {
+    return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '_' || c == '-' || c == '.';
+  };
+  if (!kind.empty() && kind.size() <= 64 && std::all_of(kind.begin(), kind.end(), allowed))
+    return Status::Ok();
+  return InvalidError("artefact kind \"" + kind + "\": must be 1 to 64 of a-z, 0-9, '_', '-', '.'");
+}
+
+Status CheckSpec(const ArtifactSpec& spec) {
+  RG_RETURN_IF_ERROR(CheckKind(spec.kind));
+  if (spec.version < 1)
+    return InvalidError("artefact version " + std::to_string(spec.version) + ": must be >= 1");
+  for (const std::string& parent : spec.parents)
+    RG_RETURN_IF_ERROR(CheckSha256Text(parent).WithPrefix("parent"));
+  if (spec.metadata_json == "{}") return Status::Ok();
+  const auto metadata = nlohmann::json::parse(spec.metadata_json, nullptr, /*allow_exceptions=*/false);
+  return metadata.is_object() ? Status::Ok() : InvalidError("artefact metadata: not a JSON object");
+}
+
+}  // namespace
+
+Status CheckSha256Text(std::string_view text) {
+  const auto hex = [](char c) { return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'f'); };
+  if (text.size() == 64 && std::all_of(text.begin(), text.end(), hex)) return Status::Ok();
+  return InvalidError("\"" + std::string(text.substr(0, 80)) + "\": not a SHA-256 (64 hexadecimal digits)");
+}
+
+std::string ChunkChecksum(std::string_view bytes) {
+  std::string sum(16, '\0');
+  crypto_generichash(reinterpret_cast<unsigned char*>(sum.data()), sum.size(),
+                     reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size(), nullptr, 0);
+  return sum;
+}
+
+Module ArtifactStore::Schema() { return {"artifacts", {{1, kVersion1}}}; }
+
+Result<std::unique_ptr<ArtifactStore>> ArtifactStore::Open(Database* database, const Clock* clock,
+                                                           ArtifactStoreOptions options) {
+  RG_CHECK(options.chunk_bytes >= 1 && options.chunk_bytes <= (64 << 20));
+  RG_CHECK(sodium_init() >= 0);
+  std::unique_ptr<ArtifactStore> store(new ArtifactStore(database, clock, options));
+  if (!database->read_only()) RG_RETURN_IF_ERROR(store->SweepUploads());
+  return store;
+}
+
+Status ArtifactStore::SweepUploads() {
+  std::vector<int64_t> remains;
+  {
+    RG_ASSIGN_OR_RETURN(Statement query, database_->Prepare("SELECT id FROM artifact_upload"));
+    RG_RETURN_IF_ERROR(ForEachRow(&query, [&] { remains.push_back(query.Int(0)); }));
+  }
+  if (remains.empty()) return Status::Ok();
+  return database_->InTransaction([&]() -> Status {
+    for (const int64_t id : remains) RG_RETURN_IF_ERROR(DropChunks(id));
+    return database_->Execute("DELETE FROM artifact_upload");
+  });
+}
+
+// ---- uploads ----
+
+Result<ArtifactWriter> ArtifactStore::Reserve() {
+  std::string token = RandomHex(8);
+  RG_ASSIGN_OR_RETURN(Statement insert, database_->Prepare("INSERT INTO artifact_upload (token) VALUES (?)"));
+  insert.Bind(1, token);
+  RG_RETURN_IF_ERROR(insert.Run());
+  return ArtifactWriter(this, database_->last_insert_id(), std::move(token));
+}
+
+Status ArtifactStore::CheckUpload(int64_t id, const std::string& token) {
+  RG_ASSIGN_OR_RETURN(Statement query,
+                      database_->Prepare("SELECT 1 FROM artifact_upload WHERE id = ? AND token = ?"));
+  query.Bind(1, id).Bind(2, token);
+  RG_ASSIGN_OR_RETURN(const bool row, query.Step());
+  return row ? Status::Ok()
+             : AbortedError("upload " + std::to_string(id) + ": gone with the transaction that began it");
+}
+
+Status ArtifactStore::WriteChunk(int64_t id, int64_t chunk, std::string_view bytes) {
+  if (chunk >= kMaxChunks)
+    return ResourceExhaustedError("artefact of more than " + std::to_string(kMaxChunks) + " chunks");
+  RG_ASSIGN_OR_RETURN(
+      Statement insert,
+      database_->Prepare("INSERT INTO artifact_chunk (id, checksum, bytes) VALUES (?, ?, ?)"));
+  const std::string checksum = ChunkChecksum(bytes);
+  insert.Bind(1, ChunkId(id, chunk)).BindBlob(2, checksum).BindBlob(3, bytes);
+  return insert.Run();
+}
+
+Status ArtifactStore::DropChunks(int64_t id) {
+  RG_ASSIGN_OR_RETURN(Statement drop,
+                      database_->Prepare("DELETE FROM artifact_chunk WHERE id >= ? AND id < ?"));
+  drop.Bind(1, ChunkId(id, 0)).Bind(2, ChunkId(id + 1, 0));
+  return drop.Run();
+}
+
+Status ArtifactStore::DropUpload(int64_t id, const std::string& token) {
+  return database_->InTransaction([&]() -> Status {
+    RG_ASSIGN_OR_RETURN(Statement drop,
+                        database_->Prepare("DELETE FROM artifact_upload WHERE id = ? AND token = ?"));
+    drop.Bind(1, id).Bind(2, token);
+    RG_RETURN_IF_ERROR(drop.Run());
+    return database_->changes() == 1 ? DropChunks(id) : Status::Ok();
+  });
+}
+
+// Pieces appended inside a transaction that was rolled back later are gone: such an upload must not
+// become an artefact.
+Status ArtifactStore::CheckChunks(int64_t id, int64_t chunks, int64_t size) {
+  RG_ASSIGN_OR_RETURN(Statement query,
+                      database_->Prepare("SELECT count(*), coalesce(sum(length(bytes)), 0) FROM artifact_chunk"
+                                         " WHERE id >= ? AND id < ?"));
+  query.Bind(1, ChunkId(id, 0)).Bind(2, ChunkId(id + 1, 0));
+  RG_ASSIGN_OR_RETURN(const bool row, query.Step());
+  if (row && query.Int(0) == chunks && query.Int(1) == size) return Status::Ok();
+  return AbortedError("upload " + std::to_string(id) + ": a part of it was rolled back");
+}
+
+Result<ArtifactWriter> ArtifactStore::BeginPut() { return Reserve(); }
+
+Result<PutResult> ArtifactStore::Put(std::string_view bytes, const ArtifactSpec& spec) {
+  RG_RETURN_IF_ERROR(CheckSpec(spec));
+  if (static_cast<int64_t>(bytes.size()) > options_.max_artifact_bytes)
+    return ResourceExhaustedError("artefact of " + std::to_string(bytes.size()) + " bytes: the limit is " +
+                                  std::to_string(options_.max_artifact_bytes));
+  PutResult result{Sha256Hex(bytes), false};
+  RG_RETURN_IF_ERROR(database_->InTransaction([&]() -> Status {
+    RG_ASSIGN_OR_RETURN(result.existed, NoteExisting(result.sha256, spec));
+    if (result.existed) return Status::Ok();
+    RG_ASSIGN_OR_RETURN(ArtifactWriter upload, Reserve());
+    upload.store_.store = nullptr;  // its rows go with this transaction if anything fails
+    int64_t chunk = 0;
+    for (size_t at = 0; at < bytes.size(); at += options_.chunk_bytes)
+      RG_RETURN_IF_ERROR(WriteChunk(upload.id_, chunk++, bytes.substr(at, options_.chunk_bytes)));
+    return InsertArtifact(upload.id_, chunk, static_cast<int64_t>(bytes.size()), result.sha256, spec);
+  }));
+  return result;
+}
+
+// Turns an upload into an artefact: the only place where an artefact's row is written.
+Status ArtifactStore::InsertArtifact(int64_t id, int64_t chunks, int64_t size, const std::string& sha256,
+                                     const ArtifactSpec& spec) {
+  RG_ASSIGN_OR_RETURN(
+      Statement insert,
+      database_->Prepare("INSERT INTO artifact (id, sha256, kind, version, size_bytes, chunks,"
+                         " created_ns, touched_ns, metadata_json, job_id, task_id)"
+                         " VALUES (?, ?, ?, ?, ?, ?, ?7, ?7, ?, ?, ?)"));
+  insert.Bind(1, id).Bind(2, sha256).Bind(3, spec.kind).Bind(4, spec.version).Bind(5, size).Bind(6, chunks);
+  insert.Bind(7, clock_->WallNanos()).Bind(8, spec.metadata_json).Bind(9, spec.job_id).Bind(10, spec.task_id);
+  RG_RETURN_IF_ERROR(insert.Run());
+  RG_ASSIGN_OR_RETURN(Statement done, database_->Prepare("DELETE FROM artifact_upload WHERE id = ?"));
+  done.Bind(1, id);
+  RG_RETURN_IF_ERROR(done.Run());
+  return AddLinks(id, sha256, spec);
+}
+
+Result<bool> ArtifactStore::NoteExisting(const std::string& sha256, const ArtifactSpec& spec) {
+  int64_t id = 0;
+  {
+    RG_ASSIGN_OR_RETURN(Statement query,
+                        database_->Prepare("SELECT id, kind FROM artifact WHERE sha256 = ?"));
+    query.Bind(1, sha256);
+    RG_ASSIGN_OR_RETURN(const bool found, query.Step());
+    if (!found) return false;
+    id = query.Int(0);
+    if (query.Text(1) != spec.kind)
+      return FailedPreconditionError("artefact " + sha256 + ": these bytes are there already as kind \"" +
+                                     query.Text(1) + "\", not \"" + spec.kind + "\"");
+  }
+  RG_ASSIGN_OR_RETURN(Statement touch, database_->Prepare("UPDATE artifact SET touched_ns = ? WHERE id = ?"));
+  touch.Bind(1, clock_->WallNanos()).Bind(2, id);
+  RG_RETURN_IF_ERROR(touch.Run());
+  RG_RETURN_IF_ERROR(AddLinks(id, sha256, spec));
+  return true;
+}
+
+Status ArtifactStore::AddLinks(int64_t id, const std::string& sha256, const ArtifactSpec& spec) {
+  for (const std::string& parent : spec.parents) {
+    if (parent == sha256) continue;  // a task that returned its input unchanged
+    RG_ASSIGN_OR_RETURN(
+        Statement insert,
+        database_->Prepare("INSERT INTO artifact_parent (child, parent)"
+                           " SELECT ?, id FROM artifact WHERE sha256 = ? ON CONFLICT DO NOTHING"));
+    insert.Bind(1, id).Bind(2, parent);
+    RG_RETURN_IF_ERROR(insert.Run());
+    if (database_->changes() == 0 && !Contains(parent))
+      return NotFoundError("artefact " + sha256 + ": its parent " + parent + " is not in the store");
+  }
+  if (spec.job_id.empty()) return Status::Ok();
+  RG_ASSIGN_OR_RETURN(
+      Statement insert,
+      database_->Prepare("INSERT INTO artifact_producer (artifact, job_id, task_id, produced_ns)"
+                         " VALUES (?, ?, ?, ?) ON CONFLICT DO NOTHING"));
+  insert.Bind(1, id).Bind(2, spec.job_id).Bind(3, spec.task_id).Bind(4, clock_->WallNanos());
+  return insert.Run();
+}
+
+// ---- ArtifactWriter ----
+
+ArtifactWriter::~ArtifactWriter() { Abandon(); }
+
+void ArtifactWriter::Abandon() {
+  if (ArtifactStore* store = std::exchange(store_.store, nullptr)) {
+    // A failure leaves invisible rows, which the next Open sweeps.
+    (void)store->DropUpload(id_, token_);
+  }
+}
+
+Status ArtifactWriter::Append(std::string_view bytes) {
+  if (store_.store == nullptr) return AbortedError("artefact: this upload has ended");
+  ArtifactStore& store = *store_.store;
+  if (size_bytes_ + static_cast<int64_t>(bytes.size()) > store.options_.max_artifact_bytes)
+    return ResourceExhaustedError("artefact of " + std::to_string(size_bytes_ + bytes.size()) +
+                                  " bytes or more: the limit is " +
+                                  std::to_string(store.options_.max_artifact_bytes));
+  hash_.Update(bytes);
+  size_bytes_ += static_cast<int64_t>(bytes.size());
+  pending_.append(bytes);
+  const size_t chunk_bytes = static_cast<size_t>(store.options_.chunk_bytes);
+  if (pending_.size() < chunk_bytes) return Status::Ok();
+  const Status written = store.database_->InTransaction([&]() -> Status {
+    RG_RETURN_IF_ERROR(store.CheckUpload(id_, token_));
+    size_t at = 0;
+    for (; pending_.size() - at >= chunk_bytes; at += chunk_bytes)
+      RG_RETURN_IF_ERROR(
+          store.WriteChunk(id_, next_chunk_++, std::string_view(pending_).substr(at, chunk_bytes)));
+    pending_.erase(0, at);
+    return Status::Ok();
+  });
+  if (!written.ok()) Abandon();
+  return written;
+}
+
+Result<PutResult> ArtifactWriter::Commit(const ArtifactSpec& spec, std::string_view expected_sha256) {
+  if (store_.store == nullptr) return AbortedError("artefact: this upload has ended");
+  ArtifactStore& store = *store_.store;
+  PutResult result{hash_.FinishHex(), false};
+  const Status outcome = store.database_->InTransaction([&]() -> Status {
+    RG_RETURN_IF_ERROR(CheckSpec(spec));
+    if (!expected_sha256.empty() && expected_sha256 != result.sha256)
+      return DataLossError("artefact " + std::string(expected_sha256.substr(0, 64)) + ": the " +
+                           std::to_string(size_bytes_) + " bytes received have hash " + result.sha256);
+    RG_RETURN_IF_ERROR(store.CheckUpload(id_, token_));
+    RG_ASSIGN_OR_RETURN(result.existed, store.NoteExisting(result.sha256, spec));
+    if (result.existed) return store.DropUpload(id_, token_);
+    if (!pending_.empty()) RG_RETURN_IF_ERROR(store.WriteChunk(id_, next_chunk_++, pending_));
+    RG_RETURN_IF_ERROR(store.CheckChunks(id_, next_chunk_, size_bytes_));
+    return store.InsertArtifact(id_, next_chunk_, size_bytes_, result.sha256, spec);
+  });
+  if (!outcome.ok()) {
+    Abandon();
+    return outcome;
+  }
+  store_.store = nullptr;
+  return result;
+}
+
+}  // namespace rg::store

@@ -1,0 +1,21 @@
+// The version table and the migrations: which schema a database file has, and how it gets to the
+// one this program knows. Internal to Database::Open.
+#pragma once
+
+#include <vector>
+
+#include "common/base/status.h"
+#include "common/store/database.h"
+
+namespace rg::store {
+
+// Written into the file's header ("RGdb"). Frozen.
+inline constexpr int kApplicationId = 0x52476462;
+
+// Refuses a file that is no database of this project, a module newer than the program, and a
+// migration that was edited after it was applied; then applies what is missing, all or nothing.
+Status MigrateAll(Database* database, const std::vector<Module>& modules);
+// The checks only, for readers: every module must be there at the version of the program.
+Status CheckSchema(Database* database, const std::vector<Module>& modules);
+
+}  // namespace rg::store
