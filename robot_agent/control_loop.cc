@@ -1,0 +1,192 @@
+#include "robot_agent/control_loop.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace rg::robot_agent {
+namespace {
+
+class Loop {
+ public:
+  Loop(Driver& driver, Controller& controller, ArmModel& arm, const SafetyLimits& limits,
+       const ControlLoopOptions& options, Recorder& recorder, const CancelToken& stop, const Clock& clock)
+      : driver_(driver),
+        controller_(controller),
+        arm_(arm),
+        limits_(limits),
+        options_(options),
+        recorder_(recorder),
+        stop_(stop),
+        clock_(clock),
+        n_(static_cast<int>(driver.info().joints.size())),
+        period_ns_(std::llround(1e9 / options.rate_hz)),
+        last_tick_(std::llround(options.duration_s * options.rate_hz)),
+        monitor_(limits, n_) {
+    result_.jitter.period_s = 1.0 / options.rate_hz;
+    result_.jitter.lock_step = driver.info().lock_step;
+  }
+
+  ControlLoopResult Run() {
+    if (!Enter()) return NotStarted();
+    while (Cycle()) {
+    }
+    result_.held = driver_.Hold().ok();
+    result_.trip = monitor_.trip();
+    result_.saturated_samples = monitor_.saturated_samples();
+    result_.duration_s = 1e-9 * static_cast<double>(result_.trip.at_ns - start_ns_);
+    result_.jitter.ticks = monitor_.ticks();
+    result_.jitter.missed_deadlines = monitor_.missed();
+    return result_;
+  }
+
+ private:
+  // Torque mode with gravity carried, so that nothing moves before the first command.
+  bool Enter() {
+    if (!driver_.ReadState(&seen_.state).ok()) return false;
+    arm_.GravityTorque(seen_.state.q.data(), zero_added_.data());
+    JointArray handed = zero_added_;
+    Hand(zero_added_, zero_added_, &handed);
+    if (!driver_.EnterTorqueMode(handed.data()).ok()) return false;
+    start_ns_ = driver_.NowNanos();
+    return true;
+  }
+
+  ControlLoopResult NotStarted() {
+    result_.held = driver_.Hold().ok();
+    result_.trip.reason = EndReason::kNotStarted;
+    result_.trip.at_ns = start_ns_ = driver_.NowNanos();
+    return result_;
+  }
+
+  // One tick; false when the arm has to be held.
+  bool Cycle() {
+    const bool reached = driver_.SleepUntil(start_ns_ + tick_ * period_ns_).ok();
+    const int64_t woke = clock_.SteadyNanos();
+    seen_.missed = CountMissed();
+    Observe(reached);
+    Action action = monitor_.OnTick(seen_);
+    if (action == Action::kCommand) action = Compute();
+    const bool going = Act(action);
+    result_.jitter.cycle.Add(clock_.SteadyNanos() - woke);
+    Note(action);
+    ++tick_;
+    return going;
+  }
+
+  int CountMissed() {
+    const int64_t late = driver_.NowNanos() - (start_ns_ + tick_ * period_ns_);
+    result_.jitter.lateness.Add(late);
+    if (late * 2 <= period_ns_) return 0;
+    const int64_t left_out = late / period_ns_;
+    tick_ += left_out;
+    return static_cast<int>(1 + left_out);
+  }
+
+  void Observe(bool reached) {
+    seen_.now_ns = driver_.NowNanos();
+    const uint64_t known = seen_.state.sequence;
+    const bool read = driver_.ReadState(&seen_.state).ok();
+    seen_.connected = reached && read;
+    seen_.has_state |= read;
+    new_state_ = read && (tick_ == 0 || seen_.state.sequence != known);
+    seen_.operator_stop = stop_.cancelled();
+    seen_.recorder_ok = recorder_.ok();
+    seen_.time_up = tick_ >= last_tick_;
+    if (!seen_.has_state) return;
+    result_.jitter.state_age.Add(seen_.now_ns - seen_.state.stamp_ns);
+    arm_.Tip(seen_.state.q.data(), tip_);
+    seen_.tip = tip_;
+    arm_.GravityTorque(seen_.state.q.data(), zero_added_.data());
+    if (new_state_) UpdateVelocity();
+  }
+
+  void UpdateVelocity() {
+    const double dt = 1e-9 * static_cast<double>(seen_.state.stamp_ns - previous_stamp_ns_);
+    for (int i = 0; i < n_; ++i) {
+      const bool differenced = options_.velocity_source == VelocitySource::kDifferenced;
+      const double difference = has_previous_ && dt > 0 ? (seen_.state.q[i] - previous_q_[i]) / dt : 0.0;
+      velocity_[i] = differenced ? difference : seen_.state.v[i];
+    }
+    previous_q_ = seen_.state.q;
+    previous_stamp_ns_ = seen_.state.stamp_ns;
+    has_previous_ = true;
+  }
+
+  Action Compute() {
+    const double t = 1e-9 * static_cast<double>(seen_.now_ns - start_ns_);
+    const uint64_t saturated = monitor_.saturated_samples();
+    controller_.Command(t, seen_.state.q.data(), velocity_.data(), command_.data());
+    const Action action = monitor_.LimitCommand(command_.data(), seen_.now_ns);
+    saturated_ = monitor_.saturated_samples() != saturated;
+    return action;
+  }
+
+  // Sends what the action asks for; false: hold.
+  bool Act(Action action) {
+    if (action == Action::kHold) return false;
+    if (action == Action::kZeroAdded) command_ = zero_added_;
+    Hand(command_, zero_added_, &sent_);
+    // A failed send shows as a lost driver at the next tick's SleepUntil or ReadState.
+    (void)driver_.SendTorque(sent_.data()).ok();
+    result_.commands += action == Action::kCommand;
+    sent_ns_ = driver_.NowNanos();
+    return true;
+  }
+
+  void Hand(const JointArray& command, const JointArray& gravity, JointArray* handed) const {
+    *handed = command;
+    if (!driver_.info().adds_gravity_compensation) return;
+    for (int i = 0; i < n_; ++i) (*handed)[i] -= gravity[i];
+  }
+
+  void Note(Action action) {
+    if (!seen_.has_state) return;
+    if (action == Action::kHold) command_ = sent_ = zero_added_, sent_ns_ = seen_.now_ns;
+    sample_.tick = tick_;
+    sample_.time_ns = sent_ns_ - start_ns_;
+    sample_.stamp_ns = seen_.state.stamp_ns - start_ns_;
+    sample_.sequence = seen_.state.sequence;
+    sample_.flags = (new_state_ ? Sample::kNewState : 0) |
+                    (action != Action::kCommand ? Sample::kStopping : 0) |
+                    (action == Action::kCommand && saturated_ ? Sample::kSaturated : 0);
+    sample_.q = seen_.state.q;
+    sample_.v = seen_.state.v;
+    sample_.effort = seen_.state.effort;
+    sample_.command = command_;
+    sample_.sent = sent_;
+    recorder_.Record(sample_);
+  }
+
+  Driver& driver_;
+  Controller& controller_;
+  ArmModel& arm_;
+  const SafetyLimits& limits_;
+  const ControlLoopOptions& options_;
+  Recorder& recorder_;
+  const CancelToken& stop_;
+  const Clock& clock_;
+  const int n_;
+  const int64_t period_ns_;
+  const int64_t last_tick_;
+  SafetyMonitor monitor_;
+  ControlLoopResult result_;
+
+  int64_t start_ns_ = 0, tick_ = 0, sent_ns_ = 0;
+  Observation seen_;
+  bool new_state_ = false, saturated_ = false;
+  bool has_previous_ = false;
+  int64_t previous_stamp_ns_ = 0;
+  double tip_[3] = {};
+  JointArray previous_q_{}, velocity_{}, command_{}, sent_{}, zero_added_{};
+  Sample sample_;
+};
+
+}  // namespace
+
+ControlLoopResult RunControlLoop(Driver& driver, Controller& controller, ArmModel& arm,
+                                 const SafetyLimits& limits, const ControlLoopOptions& options,
+                                 Recorder& recorder, const CancelToken& operator_stop, const Clock& clock) {
+  return Loop(driver, controller, arm, limits, options, recorder, operator_stop, clock).Run();
+}
+
+}  // namespace rg::robot_agent

@@ -1,0 +1,53 @@
+// The control loop: at a fixed rate read, judge, compute, limit, send, record.
+//
+// The cycle allocates nothing and takes no lock; disk and log belong to the recorder's thread. Ticks
+// are at start + k·period in the driver's time. A wake-up later than half a period is a missed
+// deadline; ticks that passed meanwhile are left out, counted, and not caught up.
+//
+// Gravity. The controller asks for whole torques. If the arm's base adds its own gravity compensation
+// (DriverInfo::adds_gravity_compensation) the arm is handed command - g(q) with the believed model's
+// g at the measured q; otherwise the command itself. "Zero added torque", which every stop begins with,
+// is g(q) in the convention of commands, so in the first case the arm is handed exactly zero. Both are in
+// the recording: `command` (effort_command of the set: drives the model as it is) and `sent`.
+#pragma once
+
+#include <atomic>
+
+#include "common/base/clock.h"
+#include "common/base/progress.h"
+#include "robot_agent/controller.h"
+#include "robot_agent/drivers/driver.h"
+#include "robot_agent/jitter.h"
+#include "robot_agent/recorder.h"
+#include "robot_agent/safety/monitor.h"
+
+namespace rg::robot_agent {
+
+enum class VelocitySource {
+  kMeasured,
+  kDifferenced,  // (q - q of the tick before) / time between; zero at the first tick
+};
+
+struct ControlLoopOptions {
+  double rate_hz = 25.0;
+  double duration_s = 6.0;
+  VelocitySource velocity_source = VelocitySource::kMeasured;
+};
+
+struct ControlLoopResult {
+  Trip trip;  // reason is never kNone
+  JitterReport jitter;
+  uint64_t saturated_samples = 0;
+  uint64_t commands = 0;    // of the controller, sent
+  double duration_s = 0.0;  // from the first command to the trip
+  bool held = false;        // the arm confirmed position mode
+};
+
+// The arm is at rest in position mode. Enters torque mode, runs for duration_s or until something trips,
+// and always ends with Hold(). `operator_stop` may be set from any thread or a signal handler.
+// `clock` measures how long cycles take.
+ControlLoopResult RunControlLoop(Driver& driver, Controller& controller, ArmModel& arm,
+                                 const SafetyLimits& limits, const ControlLoopOptions& options,
+                                 Recorder& recorder, const CancelToken& operator_stop, const Clock& clock);
+
+}  // namespace rg::robot_agent

@@ -1,0 +1,102 @@
+// One robot arm as the control loop sees it. A driver hides how the arm is reached (a socket, ROS)
+// and in what units and quirks; everything here is SI, in the joint order of info().joints.
+//
+// Who calls it, from which thread: one thread, the one that runs the rollout. A driver may have
+// threads of its own behind it. NowNanos, SleepUntil, ReadState, SendTorque and Hold are called in
+// the control cycle: they allocate nothing, take no lock that another thread holds for long, and never
+// wait longer than the time-out given at Connect.
+//
+// Torque convention. A command is the *whole* joint torque a controller asks of the drive, gravity
+// included. An arm whose base adds its own gravity compensation to what it receives (Kinova's torque
+// mode, info().adds_gravity_compensation) is handed the difference command - g(q) by the caller, see
+// control_loop.h: drivers pass on what they get and add or subtract nothing.
+//
+// Time. Every stamp and deadline is in the driver's own time base, NowNanos(). A driver on a
+// real arm uses the machine's steady clock; one that runs its robot in lock-step uses the robot's
+// time, and SleepUntil is what lets that time pass.
+//
+// What an implementation for an arm like the Kinova has to provide (docs of the robot):
+//  - mode changes that are refused in silence must be found out by the driver (does the arm accept
+//    and follow the torque?) and reported as kFailedPrecondition by EnterTorqueMode;
+//  - a state whose velocity is unreliable carries what the arm said; the caller chooses
+//    (ControlLoopOptions::velocity_source) whether to use it or to difference positions;
+//  - silence longer than info().silence_timeout_s puts the arm at zero added torque or in position mode;
+//  - degrees, turns and wrapped angles end inside the driver.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "common/base/status.h"
+
+namespace rg::robot_agent {
+
+inline constexpr int kMaxJoints = 16;
+using JointArray = std::array<double, kMaxJoints>;  // the first n entries count
+
+enum class Mode : uint16_t { kPosition = 0, kTorque = 1 };
+
+struct RobotState {
+  int64_t stamp_ns = 0;   // when the positions were measured, driver's time base
+  uint64_t sequence = 0;  // grows by at least one with every measurement
+  Mode mode = Mode::kPosition;
+  bool moving = false;  // a MoveToPose is under way
+  JointArray q{};       // rad (m)
+  JointArray v{};       // rad/s (m/s)
+  JointArray effort{};  // measured, N·m (N)
+};
+
+struct DriverInfo {
+  std::string robot;                // "mico2"
+  std::string driver;               // "simulated", "kinova"
+  std::vector<std::string> joints;  // n names
+  bool adds_gravity_compensation = false;
+  bool lock_step = false;
+  double silence_timeout_s = 0.25;
+  double state_rate_hz = 0.0;
+  // What the data sheet says of the sensors; negative = unknown.
+  double position_stddev = -1.0, velocity_stddev = -1.0, position_resolution = -1.0;
+};
+
+struct DriverHealth {
+  bool connected = false;
+  uint64_t states_received = 0, states_lost = 0;  // lost: gaps in the sequence
+  uint64_t commands_sent = 0, malformed = 0;
+  std::string last_error;
+};
+
+class Driver {
+ public:
+  virtual ~Driver() = default;
+
+  // Reaches the arm and learns info(); kUnavailable or kDeadlineExceeded if it does not answer.
+  virtual Status Connect(double timeout_s) = 0;
+  virtual const DriverInfo& info() const = 0;  // valid after Connect
+  virtual DriverHealth health() const = 0;
+
+  virtual int64_t NowNanos() const = 0;
+  // Returns at or after `deadline_ns`; kUnavailable if the robot was lost meanwhile.
+  virtual Status SleepUntil(int64_t deadline_ns) = 0;
+
+  // The newest measured state (possibly one already seen: compare `sequence`). kUnavailable: none yet,
+  // or the connection is gone.
+  virtual Status ReadState(RobotState* state) = 0;
+
+  // Position mode -> torque mode with `first` (n) as the command in force from the first instant.
+  // kFailedPrecondition: the arm did not enter it.
+  virtual Status EnterTorqueMode(const double* first) = 0;
+  // tau (n): what the arm is handed, see the convention above. Holds until the next command.
+  virtual Status SendTorque(const double* tau) = 0;
+  // The stop every end of a rollout comes to: position mode at the present position. Safe in any mode
+  // and repeatedly; a lost arm gives kUnavailable (it then stops by its own silence timeout).
+  virtual Status Hold() = 0;
+
+  // Position mode; ramps to q (n) within the arm's speed limits, returns when there (within
+  // `tolerance`, per joint) and at rest. kDeadlineExceeded, then the arm holds where it is.
+  virtual Status MoveToPose(const double* q, double tolerance, double timeout_s) = 0;
+};
+
+}  // namespace rg::robot_agent

@@ -1,0 +1,158 @@
+#include "robot_agent/safety/limits.h"
+
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <set>
+
+namespace rg::robot_agent {
+namespace {
+
+using nlohmann::json;
+
+std::string Num(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.6g", value);
+  return text;
+}
+
+Status CheckSize(const char* field, const std::vector<double>& values, size_t n) {
+  if (values.size() == n) return Status::Ok();
+  return InvalidError(std::string("safety limits: ") + field + " has " + std::to_string(values.size()) +
+                      " entries for " + std::to_string(n) + " joints");
+}
+
+Status CheckAtLeast(const char* field, double value, double lowest) {
+  if (std::isfinite(value) && value >= lowest) return Status::Ok();
+  return InvalidError(std::string("safety limits: ") + field + " is " + Num(value) + ", needs at least " +
+                      Num(lowest));
+}
+
+Status CheckPositive(const char* field, const std::vector<double>& values,
+                     const std::vector<std::string>& joints) {
+  for (size_t i = 0; i < joints.size(); ++i) {
+    if (std::isfinite(values[i]) && values[i] > 0) continue;
+    return InvalidError(std::string("safety limits: ") + field + " of " + joints[i] + " is " +
+                        Num(values[i]) + ", must be positive and finite");
+  }
+  return Status::Ok();
+}
+
+Status CheckPositionBox(const SafetyLimits& limits, const std::vector<std::string>& joints,
+                        const std::vector<double>& start) {
+  for (size_t i = 0; i < joints.size(); ++i) {
+    const double lower = limits.lower[i], upper = limits.upper[i];
+    if (!std::isfinite(lower) || !std::isfinite(upper) || lower >= upper)
+      return InvalidError("safety limits: position box of " + joints[i] + " is [" + Num(lower) + ", " +
+                          Num(upper) + "], needs finite lower < upper");
+    if (!start.empty() && (start[i] < lower || start[i] > upper))
+      return InvalidError("safety limits: the start pose has " + joints[i] + " at " + Num(start[i]) +
+                          ", outside its box [" + Num(lower) + ", " + Num(upper) + "]");
+  }
+  return Status::Ok();
+}
+
+Status CheckTaskBox(const TaskBox& box) {
+  if (!box.enabled) return Status::Ok();
+  for (int i = 0; i < 3; ++i) {
+    if (std::isfinite(box.lower[i]) && std::isfinite(box.upper[i]) && box.lower[i] < box.upper[i]) continue;
+    return InvalidError(std::string("safety limits: task box along ") + "xyz"[i] + " is [" +
+                        Num(box.lower[i]) + ", " + Num(box.upper[i]) + "], needs finite lower < upper");
+  }
+  return Status::Ok();
+}
+
+Status ReadTaskBox(const json& value, TaskBox* box) {
+  const auto lower = value.at("lower").get<std::vector<double>>();
+  const auto upper = value.at("upper").get<std::vector<double>>();
+  if (lower.size() != 3 || upper.size() != 3)
+    return InvalidError("task_box needs lower and upper of three numbers");
+  for (int i = 0; i < 3; ++i) box->lower[i] = lower[i], box->upper[i] = upper[i];
+  box->enabled = true;
+  return Status::Ok();
+}
+
+Status ReadFields(const json& root, SafetyLimits* limits) {
+  for (const auto& [key, value] : root.items()) {
+    if (key == "lower") {
+      value.get_to(limits->lower);
+    } else if (key == "upper") {
+      value.get_to(limits->upper);
+    } else if (key == "velocity") {
+      value.get_to(limits->velocity);
+    } else if (key == "torque") {
+      value.get_to(limits->torque);
+    } else if (key == "task_box") {
+      RG_RETURN_IF_ERROR(ReadTaskBox(value, &limits->task));
+    } else if (key == "torque_trip_ratio") {
+      value.get_to(limits->torque_trip_ratio);
+    } else if (key == "stale_s") {
+      value.get_to(limits->stale_s);
+    } else if (key == "jump_ratio") {
+      value.get_to(limits->jump_ratio);
+    } else if (key == "jump_tolerance") {
+      value.get_to(limits->jump_tolerance);
+    } else if (key == "max_consecutive_missed") {
+      value.get_to(limits->max_consecutive_missed);
+    } else if (key == "max_missed_share") {
+      value.get_to(limits->max_missed_share);
+    } else if (key == "zero_torque_s") {
+      value.get_to(limits->zero_torque_s);
+    } else {
+      return InvalidError("unknown field \"" + key + "\"");
+    }
+  }
+  return Status::Ok();
+}
+
+}  // namespace
+
+Status ValidateLimits(const SafetyLimits& limits, const std::vector<std::string>& joints,
+                      const std::vector<double>& start) {
+  const size_t n = joints.size();
+  RG_RETURN_IF_ERROR(CheckSize("lower", limits.lower, n));
+  RG_RETURN_IF_ERROR(CheckSize("upper", limits.upper, n));
+  RG_RETURN_IF_ERROR(CheckSize("velocity", limits.velocity, n));
+  RG_RETURN_IF_ERROR(CheckSize("torque", limits.torque, n));
+  if (!start.empty()) RG_RETURN_IF_ERROR(CheckSize("start pose", start, n));
+  RG_RETURN_IF_ERROR(CheckPositionBox(limits, joints, start));
+  RG_RETURN_IF_ERROR(CheckPositive("velocity", limits.velocity, joints));
+  RG_RETURN_IF_ERROR(CheckPositive("torque", limits.torque, joints));
+  RG_RETURN_IF_ERROR(CheckTaskBox(limits.task));
+  RG_RETURN_IF_ERROR(CheckAtLeast("torque_trip_ratio", limits.torque_trip_ratio, 1.0));
+  RG_RETURN_IF_ERROR(CheckAtLeast("stale_s", limits.stale_s, 1e-3));
+  RG_RETURN_IF_ERROR(CheckAtLeast("jump_ratio", limits.jump_ratio, 1.0));
+  RG_RETURN_IF_ERROR(CheckAtLeast("jump_tolerance", limits.jump_tolerance, 0.0));
+  RG_RETURN_IF_ERROR(CheckAtLeast("max_consecutive_missed", limits.max_consecutive_missed, 1));
+  RG_RETURN_IF_ERROR(CheckAtLeast("max_missed_share", limits.max_missed_share, 0.0));
+  return CheckAtLeast("zero_torque_s", limits.zero_torque_s, 0.0);
+}
+
+Result<SafetyLimits> ParseLimits(const std::string& text, const SafetyLimits& defaults,
+                                 const std::string& source) {
+  SafetyLimits limits = defaults;
+  try {
+    const Status status = ReadFields(json::parse(text), &limits);
+    if (!status.ok()) return status.WithPrefix(source);
+  } catch (const json::exception& error) {
+    return InvalidError(source + ": " + error.what());
+  }
+  return limits;
+}
+
+std::string LimitsToJson(const SafetyLimits& limits) {
+  json root{{"lower", limits.lower},
+            {"upper", limits.upper},
+            {"velocity", limits.velocity},
+            {"torque", limits.torque},
+            {"torque_trip_ratio", limits.torque_trip_ratio},
+            {"stale_s", limits.stale_s},
+            {"jump_ratio", limits.jump_ratio},
+            {"jump_tolerance", limits.jump_tolerance},
+            {"max_consecutive_missed", limits.max_consecutive_missed},
+            {"max_missed_share", limits.max_missed_share},
+            {"zero_torque_s", limits.zero_torque_s}};
+  if (limits.task.enabled) root["task_box"] = {{"lower", limits.task.lower}, {"upper", limits.task.upper}};
+  return root.dump();
+}
+
+}  // namespace rg::robot_agent

@@ -1,0 +1,78 @@
+// A robot of two joints in memory: time passes only in SleepUntil, states and faults are scripted.
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "robot_agent/controller.h"
+#include "robot_agent/drivers/driver.h"
+
+namespace rg::robot_agent {
+
+class FakeDriver final : public Driver {
+ public:
+  FakeDriver() {
+    info_.robot = "fake";
+    info_.joints = {"a", "b"};
+    info_.lock_step = true;
+  }
+  Status Connect(double) override { return Status::Ok(); }
+  const DriverInfo& info() const override { return info_; }
+  DriverHealth health() const override { return {}; }
+  int64_t NowNanos() const override { return now_; }
+  Status SleepUntil(int64_t deadline) override {
+    if (lost) return UnavailableError("lost");
+    now_ = std::max(now_, deadline + oversleep_ns);
+    oversleep_ns = 0;
+    ++tick;
+    state.stamp_ns = now_ - 5'000'000;
+    ++state.sequence;
+    if (script) script(*this);
+    return Status::Ok();
+  }
+  Status ReadState(RobotState* out) override {
+    if (lost) return UnavailableError("lost");
+    *out = state;
+    return Status::Ok();
+  }
+  Status EnterTorqueMode(const double* first) override {
+    entered.assign(first, first + 2);
+    if (refuse) return FailedPreconditionError("refused");
+    state.mode = Mode::kTorque;
+    return Status::Ok();
+  }
+  Status SendTorque(const double* tau) override {
+    sent[sent_count++ % sent.size()] = {tau[0], tau[1]};
+    return Status::Ok();
+  }
+  Status Hold() override {
+    ++holds;
+    state.mode = Mode::kPosition;
+    return lost ? UnavailableError("lost") : Status::Ok();
+  }
+  Status MoveToPose(const double*, double, double) override { return Status::Ok(); }
+
+  DriverInfo info_;
+  int64_t now_ = 1'000'000'000;
+  int tick = -1;  // of the control loop: the number of SleepUntil calls so far, from 0
+  int64_t oversleep_ns = 0;
+  bool lost = false, refuse = false;
+  int holds = 0;
+  RobotState state;
+  std::vector<double> entered;
+  std::vector<std::array<double, 2>> sent = std::vector<std::array<double, 2>>(4096);
+  size_t sent_count = 0;
+  std::function<void(FakeDriver&)> script;  // at the end of every SleepUntil
+};
+
+// Gravity (1, 2) N·m everywhere; the end effector is at (q0, q1, 0).
+class FakeArm final : public ArmModel {
+ public:
+  void GravityTorque(const double*, double* tau) override { tau[0] = 1.0, tau[1] = 2.0; }
+  void Tip(const double* q, double* position) override {
+    position[0] = q[0], position[1] = q[1], position[2] = 0;
+  }
+};
+
+}  // namespace rg::robot_agent

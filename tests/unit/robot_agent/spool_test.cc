@@ -1,0 +1,77 @@
+#include "robot_agent/spool.h"
+
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <map>
+
+#include "common/base/file.h"
+#include "common/base/ids.h"
+
+namespace rg::robot_agent {
+namespace {
+
+class SpoolFolder : public testing::Test {
+ protected:
+  SpoolFolder() : folder_((std::filesystem::temp_directory_path() / ("rg-spool-" + RandomHex(6))).string()) {}
+  ~SpoolFolder() override { std::filesystem::remove_all(folder_); }
+  std::string folder_;
+};
+
+TEST_F(SpoolFolder, WhatCannotBeDeliveredStaysAndIsDeliveredLaterOnce) {
+  auto spool = Spool::Open(folder_).value();
+  ASSERT_TRUE(spool->Commit("one", "1").ok());
+  ASSERT_TRUE(spool->Commit("two", "2").ok());
+  EXPECT_EQ(spool->Deliver([](auto&, auto&) { return UnavailableError("away"); }), 0);
+  EXPECT_EQ(spool->Ready().size(), 2u);
+  std::map<std::string, int> got;
+  const auto take = [&](const std::string& id, const std::string& bytes) {
+    ++got[id + bytes];
+    return Status::Ok();
+  };
+  EXPECT_EQ(spool->Deliver(take), 2);
+  EXPECT_EQ(spool->Deliver(take), 0);
+  EXPECT_EQ(got, (std::map<std::string, int>{{"one1", 1}, {"two2", 1}}));
+}
+
+TEST_F(SpoolFolder, AReceiverThatHasItAlreadyEndsTheRedelivery) {
+  auto spool = Spool::Open(folder_).value();
+  ASSERT_TRUE(spool->Commit("one", "1").ok());
+  EXPECT_EQ(spool->Deliver([](auto&, auto&) { return AlreadyExistsError("have it"); }), 1);
+  EXPECT_TRUE(spool->Ready().empty());
+}
+
+TEST_F(SpoolFolder, OneRefusedBundleDoesNotBlockTheOthers) {
+  auto spool = Spool::Open(folder_).value();
+  ASSERT_TRUE(spool->Commit("bad", "1").ok());
+  ASSERT_TRUE(spool->Commit("good", "2").ok());
+  const auto picky = [](const std::string& id, auto&) {
+    return id == "bad" ? InvalidError("no") : Status::Ok();
+  };
+  EXPECT_EQ(spool->Deliver(picky), 1);
+  EXPECT_EQ(spool->Ready(), std::vector<std::string>{"bad"});
+}
+
+TEST_F(SpoolFolder, LeftoversOfADeadProcessBecomeReady) {
+  auto spool = Spool::Open(folder_).value();
+  ASSERT_TRUE(WriteFileAtomically(spool->ActivePath("dead"), "raw").ok());
+  ASSERT_TRUE(WriteFileAtomically(spool->ActivePath("junk"), "?").ok());
+  const auto finish = [](const std::string& path) -> Result<std::string> {
+    if (ReadFile(path).value() == "?") return DataLossError("unreadable");
+    return std::string("bundle");
+  };
+  EXPECT_EQ(spool->Salvage(finish), std::vector<std::string>{"dead"});
+  EXPECT_EQ(ReadFile(spool->ReadyPath("dead")).value(), "bundle");
+  EXPECT_TRUE(spool->Active().empty());
+  EXPECT_TRUE(std::filesystem::exists(folder_ + "/broken/junk.rec"));
+}
+
+TEST_F(SpoolFolder, OneProcessAtATime) {
+  auto spool = Spool::Open(folder_).value();
+  EXPECT_EQ(Spool::Open(folder_).status().code(), StatusCode::kFailedPrecondition);
+  spool.reset();
+  EXPECT_TRUE(Spool::Open(folder_).ok());
+}
+
+}  // namespace
+}  // namespace rg::robot_agent
