@@ -18,6 +18,7 @@
 #include <Eigen/Core>
 #include <memory>
 
+#include "common/math/isa.h"
 #include "common/model/robot_model.h"
 
 namespace rg::dynamics {
@@ -43,8 +44,8 @@ Eigen::Matrix<double, 10, 10> LumpingJacobian(const model::RobotModel& model, in
 // What is constant during a simulation. Copyable; immutable use is thread-safe.
 class Mechanism {
  public:
-  // Nominal link parameters, gravity (0, 0, -9.81) m/s² in W.
-  explicit Mechanism(const model::RobotModel& model);
+  // Nominal link parameters, gravity (0, 0, -9.81) m/s² in W. `isa`: instruction set of the kernels.
+  explicit Mechanism(const model::RobotModel& model, math::Isa isa = math::DetectIsa());
   ~Mechanism();
   Mechanism(const Mechanism&);
   Mechanism& operator=(const Mechanism&);
