@@ -15,6 +15,7 @@ namespace rg::coordinator {
 struct Submit {
   std::string request_id;
   std::shared_ptr<const JobPlan> plan;  // checked by CompileJob
+  std::shared_ptr<const TaskSpecs> specs;
   ReplyTo reply_to = 0;
 };
 enum class JobCommand { kCancel, kPause, kResume, kRetry };

@@ -43,7 +43,7 @@ void Turn::Handle(const Submit& event) {
   IndexJob(s_, job);
   s_.job_by_request.emplace(event.request_id, job.id);
   ++s_.counters.jobs_submitted;
-  Store(InsertJob{job.id, event.request_id, now_.wall_ns, event.plan});
+  Store(InsertJob{job.id, event.request_id, now_.wall_ns, event.plan, event.specs});
   Note("job.submitted", job.id, "", "", event.plan->submitted_by);
   for (uint32_t i = 0; i < job.tasks.size(); ++i) {
     if (event.plan->tasks[i].parents.empty()) Enqueue(s_, job, i);

@@ -87,8 +87,9 @@ struct JobPlan {
   std::vector<std::string> tags;
   std::map<std::string, std::string> labels;
   std::vector<TaskPlan> tasks;
-  std::vector<std::string> task_specs;  // opaque to the core: one serialised specification per task
 };
+// Opaque to the core: one serialised specification per task. Not kept in memory.
+using TaskSpecs = std::vector<std::string>;
 
 // --- what is durable ---------------------------------------------------------------------------
 
@@ -97,6 +98,7 @@ struct InsertJob {
   std::string request_id;
   int64_t submitted_ns = 0;
   std::shared_ptr<const JobPlan> plan;
+  std::shared_ptr<const TaskSpecs> specs;
 };
 
 struct JobRecord {
@@ -185,7 +187,7 @@ struct StoredJob {
   JobId job = 0;
   std::string request_id;
   JobRecord record;
-  std::shared_ptr<const JobPlan> plan;  // task_specs may be empty
+  std::shared_ptr<const JobPlan> plan;
   std::vector<TaskRecord> tasks;
 };
 struct StoredState {

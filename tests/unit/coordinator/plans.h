@@ -27,7 +27,6 @@ inline std::shared_ptr<const JobPlan> MakePlan(std::vector<TaskPlan> tasks, int3
   plan->priority = priority;
   for (TaskPlan& task : tasks) task.priority += priority;
   plan->tasks = std::move(tasks);
-  plan->task_specs.resize(plan->tasks.size());
   return plan;
 }
 

@@ -168,7 +168,7 @@ void Simulation::ResubmitUnacknowledged() {
   for (size_t i = 0; i < clients_.size(); ++i) {
     const Client& client = clients_[i];
     const bool due = ms_ % 1000 == 0 && ms_ > static_cast<int64_t>(i) * 3000;
-    if (!client.acknowledged && due) SendUp(Submit{client.request_id, client.plan, i + 1});
+    if (!client.acknowledged && due) SendUp(Submit{client.request_id, client.plan, nullptr, i + 1});
     // What was paused in the chaos is resumed after it.
     if (client.acknowledged && !chaos() && due) SendUp(CommandJob{client.job, JobCommand::kResume, "", 0});
   }

@@ -1,0 +1,185 @@
+#include "coordinator/server/job_compiler.h"
+
+#include <algorithm>
+#include <map>
+#include <unordered_map>
+
+#include "common/store/artifact_store.h"
+
+namespace rg::coordinator {
+namespace {
+
+namespace pb = realitygrad::v1;
+
+constexpr uint32_t kMaxAttempts = 1000;
+constexpr size_t kMaxNameBytes = 200;
+
+class Compiler {
+ public:
+  explicit Compiler(const pb::JobSpec& spec) : spec_(spec) {}
+
+  Result<CompiledJob> Run() {
+    RG_RETURN_IF_ERROR(CheckSize());
+    RG_RETURN_IF_ERROR(IndexNames());
+    auto plan = std::make_shared<JobPlan>();
+    auto specs = std::make_shared<TaskSpecs>();
+    CopyHead(*plan);
+    plan->tasks.reserve(static_cast<size_t>(spec_.tasks_size()));
+    for (const pb::TaskSpec& task : spec_.tasks()) {
+      TaskPlan& out = plan->tasks.emplace_back();
+      const Status status = CompileTask(task, out);
+      if (!status.ok()) return status.WithPrefix("task '" + task.name() + "'");
+      specs->push_back(task.SerializeAsString());
+    }
+    RG_RETURN_IF_ERROR(CheckNoCycle(*plan));
+    return CompiledJob{plan, specs};
+  }
+
+ private:
+  Status CheckSize() const {
+    if (spec_.tasks_size() == 0) return InvalidError("a job needs at least one task");
+    if (static_cast<uint32_t>(spec_.tasks_size()) >= kMaxTasksPerJob) {
+      return InvalidError("a job may have at most " + std::to_string(kMaxTasksPerJob - 1) +
+                          " tasks, this one has " + std::to_string(spec_.tasks_size()));
+    }
+    return Status::Ok();
+  }
+
+  Status IndexNames() {
+    for (int i = 0; i < spec_.tasks_size(); ++i) {
+      const pb::TaskSpec& task = spec_.tasks(i);
+      if (task.name().empty() || task.name().size() > kMaxNameBytes) {
+        return InvalidError("task " + std::to_string(i) + ": its name must have 1 to " +
+                            std::to_string(kMaxNameBytes) + " characters");
+      }
+      if (!by_name_.emplace(task.name(), static_cast<uint32_t>(i)).second) {
+        return InvalidError("two tasks are named '" + task.name() + "'");
+      }
+      by_stage_[StageOf(task)].push_back(static_cast<uint32_t>(i));
+    }
+    return Status::Ok();
+  }
+
+  static const std::string& StageOf(const pb::TaskSpec& task) {
+    return task.stage().empty() ? task.kind() : task.stage();
+  }
+
+  void CopyHead(JobPlan& plan) const {
+    plan.kind = spec_.kind();
+    plan.name = spec_.name();
+    plan.submitted_by = spec_.submitted_by();
+    plan.spec_json = spec_.spec_json();
+    plan.priority = spec_.priority();
+    plan.tags.assign(spec_.tags().begin(), spec_.tags().end());
+    plan.labels.insert(spec_.labels().begin(), spec_.labels().end());
+  }
+
+  Status CompileTask(const pb::TaskSpec& task, TaskPlan& out) {
+    if (task.kind().empty()) return InvalidError("it has no kind");
+    if (!(task.weight() >= 0.0))
+      return InvalidError("weight " + std::to_string(task.weight()) + " is below 0");
+    if (!(task.timeout_s() >= 0.0))
+      return InvalidError("timeout_s " + std::to_string(task.timeout_s()) + " is below 0");
+    if (task.max_attempts() > kMaxAttempts) {
+      return InvalidError("max_attempts " + std::to_string(task.max_attempts()) + " is above " +
+                          std::to_string(kMaxAttempts));
+    }
+    out.name = task.name();
+    out.kind = task.kind();
+    out.stage = StageOf(task);
+    out.required_tags.assign(task.required_tags().begin(), task.required_tags().end());
+    std::sort(out.required_tags.begin(), out.required_tags.end());
+    out.priority = spec_.priority() + task.priority();
+    out.max_attempts = task.max_attempts() == 0 ? 3 : task.max_attempts();
+    out.crash_limit = task.crash_limit() == 0 ? 3 : task.crash_limit();
+    out.at_most_once = task.at_most_once();
+    out.weight = task.weight() == 0.0 ? 1.0 : task.weight();
+    return CollectParents(task, out);
+  }
+
+  // A parent is optional for the task only if every mention of it is.
+  Status CollectParents(const pb::TaskSpec& task, TaskPlan& out) const {
+    std::map<uint32_t, bool> parents;
+    const auto add = [&](uint32_t index, bool optional) {
+      const auto [entry, is_new] = parents.emplace(index, optional);
+      if (!is_new) entry->second = entry->second && optional;
+    };
+    for (const std::string& name : task.after()) {
+      const auto found = by_name_.find(name);
+      if (found == by_name_.end())
+        return InvalidError("it comes after '" + name + "', which is no task of the job");
+      add(found->second, false);
+    }
+    for (const pb::InputSpec& input : task.inputs()) {
+      const Status status = CollectInput(input, add);
+      if (!status.ok()) return status.WithPrefix("input '" + input.name() + "'");
+    }
+    for (const auto& [index, optional] : parents) {
+      if (spec_.tasks(static_cast<int>(index)).name() == task.name())
+        return InvalidError("it depends on itself");
+      out.parents.push_back({index, optional});
+    }
+    return Status::Ok();
+  }
+
+  template <class Add>
+  Status CollectInput(const pb::InputSpec& input, const Add& add) const {
+    switch (input.source_case()) {
+      case pb::InputSpec::kArtifact:
+        return store::CheckSha256Text(input.artifact());
+      case pb::InputSpec::kTaskOutput: {
+        const auto found = by_name_.find(input.task_output().task());
+        if (found == by_name_.end()) {
+          return InvalidError("'" + input.task_output().task() + "' is no task of the job");
+        }
+        add(found->second, input.optional());
+        return Status::Ok();
+      }
+      case pb::InputSpec::kStageOutputs: {
+        const auto found = by_stage_.find(input.stage_outputs().stage());
+        if (found == by_stage_.end()) {
+          return InvalidError("'" + input.stage_outputs().stage() + "' is no stage of the job");
+        }
+        for (const uint32_t index : found->second) add(index, input.optional());
+        return Status::Ok();
+      }
+      case pb::InputSpec::SOURCE_NOT_SET:
+        break;
+    }
+    return InvalidError("it has no source");
+  }
+
+  static Status CheckNoCycle(const JobPlan& plan) {
+    std::vector<uint32_t> open(plan.tasks.size());
+    std::vector<std::vector<uint32_t>> children(plan.tasks.size());
+    std::vector<uint32_t> ready;
+    for (uint32_t i = 0; i < plan.tasks.size(); ++i) {
+      open[i] = static_cast<uint32_t>(plan.tasks[i].parents.size());
+      if (open[i] == 0) ready.push_back(i);
+      for (const ParentEdge& edge : plan.tasks[i].parents) children[edge.parent].push_back(i);
+    }
+    size_t reached = 0;
+    while (!ready.empty()) {
+      const uint32_t i = ready.back();
+      ready.pop_back();
+      ++reached;
+      for (const uint32_t child : children[i]) {
+        if (--open[child] == 0) ready.push_back(child);
+      }
+    }
+    if (reached == plan.tasks.size()) return Status::Ok();
+    const auto stuck = std::find_if(open.begin(), open.end(), [](uint32_t count) { return count > 0; });
+    return InvalidError("the tasks depend on each other in a circle, among them '" +
+                        plan.tasks[static_cast<size_t>(stuck - open.begin())].name + "'");
+  }
+
+  const pb::JobSpec& spec_;
+  std::unordered_map<std::string, uint32_t> by_name_;
+  std::unordered_map<std::string, std::vector<uint32_t>> by_stage_;
+};
+
+}  // namespace
+
+Result<CompiledJob> CompileJob(const pb::JobSpec& spec) { return Compiler(spec).Run(); }
+
+}  // namespace rg::coordinator

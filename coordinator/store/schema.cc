@@ -1,0 +1,112 @@
+#include "coordinator/store/schema.h"
+
+namespace rg::coordinator {
+namespace {
+
+// Times are wall nanoseconds; 0 or NULL: not yet. Numbers of phase and outcome: core/types.h.
+constexpr std::string_view kVersion1 = R"sql(
+CREATE TABLE jobs (
+  id INTEGER PRIMARY KEY,
+  request_id TEXT NOT NULL UNIQUE,
+  kind TEXT NOT NULL,
+  name TEXT NOT NULL,
+  submitted_by TEXT NOT NULL,
+  spec_json TEXT NOT NULL,
+  priority INTEGER NOT NULL,
+  tags_json TEXT NOT NULL,
+  labels_json TEXT NOT NULL,
+  phase INTEGER NOT NULL,
+  reason TEXT NOT NULL DEFAULT '',
+  submitted_ns INTEGER NOT NULL,
+  started_ns INTEGER NOT NULL DEFAULT 0,
+  finished_ns INTEGER NOT NULL DEFAULT 0
+);
+-- id = job * 2^24 + index in the job
+CREATE TABLE tasks (
+  id INTEGER PRIMARY KEY,
+  name TEXT NOT NULL,
+  stage TEXT NOT NULL,
+  kind TEXT NOT NULL,
+  tags TEXT NOT NULL,          -- one per line
+  parents BLOB NOT NULL,       -- little-endian uint32 each: index * 2 + optional
+  priority INTEGER NOT NULL,
+  max_attempts INTEGER NOT NULL,
+  crash_limit INTEGER NOT NULL,
+  at_most_once INTEGER NOT NULL,
+  weight REAL NOT NULL,
+  phase INTEGER NOT NULL,
+  attempts INTEGER NOT NULL DEFAULT 0,
+  failures INTEGER NOT NULL DEFAULT 0,
+  crashes INTEGER NOT NULL DEFAULT 0,
+  losses INTEGER NOT NULL DEFAULT 0,
+  token INTEGER NOT NULL DEFAULT 0,
+  set_aside INTEGER NOT NULL DEFAULT 0,
+  reason TEXT NOT NULL DEFAULT '',
+  started_ns INTEGER NOT NULL DEFAULT 0,
+  finished_ns INTEGER NOT NULL DEFAULT 0
+);
+CREATE TABLE task_specs (
+  task INTEGER PRIMARY KEY,
+  spec BLOB NOT NULL           -- realitygrad.v1.TaskSpec
+);
+CREATE TABLE attempts (
+  token INTEGER PRIMARY KEY,
+  task INTEGER NOT NULL,
+  number INTEGER NOT NULL,
+  worker TEXT NOT NULL,
+  instance TEXT NOT NULL,
+  leased_ns INTEGER NOT NULL,
+  granted_ns INTEGER NOT NULL DEFAULT 0,
+  finished_ns INTEGER NOT NULL DEFAULT 0,
+  outcome INTEGER NOT NULL DEFAULT 0,
+  error TEXT NOT NULL DEFAULT ''
+);
+CREATE INDEX attempts_by_task ON attempts (task);
+CREATE INDEX attempts_open ON attempts (outcome) WHERE outcome = 0;
+CREATE TABLE results (
+  task INTEGER PRIMARY KEY,    -- at most one committed result per task
+  token INTEGER NOT NULL,
+  summary_json TEXT NOT NULL,
+  seconds REAL NOT NULL
+);
+CREATE TABLE outputs (
+  task INTEGER NOT NULL,
+  position INTEGER NOT NULL,
+  name TEXT NOT NULL,
+  kind TEXT NOT NULL,
+  sha256 TEXT NOT NULL,
+  size INTEGER NOT NULL,
+  metadata_json TEXT NOT NULL,
+  PRIMARY KEY (task, position)
+) WITHOUT ROWID;
+CREATE TABLE checkpoints (
+  task INTEGER PRIMARY KEY,
+  token INTEGER NOT NULL,
+  sequence INTEGER NOT NULL,
+  bytes BLOB NOT NULL
+);
+CREATE TABLE task_logs (
+  sequence INTEGER PRIMARY KEY AUTOINCREMENT,
+  task INTEGER NOT NULL,
+  attempt INTEGER NOT NULL,
+  wall_ns INTEGER NOT NULL,
+  text TEXT NOT NULL
+);
+CREATE INDEX task_logs_by_task ON task_logs (task, sequence);
+CREATE TABLE events (
+  id INTEGER PRIMARY KEY AUTOINCREMENT,
+  wall_ns INTEGER NOT NULL,
+  job INTEGER NOT NULL,
+  task TEXT NOT NULL,
+  worker TEXT NOT NULL,
+  kind TEXT NOT NULL,
+  detail TEXT NOT NULL
+);
+CREATE INDEX events_by_job ON events (job, id);
+)sql";
+
+}  // namespace
+
+store::Module CoordinatorSchema() { return {"coordinator", {{1, kVersion1}}}; }
+
+}  // namespace rg::coordinator

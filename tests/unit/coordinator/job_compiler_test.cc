@@ -1,0 +1,80 @@
+#include "coordinator/server/job_compiler.h"
+
+#include <gtest/gtest.h>
+
+namespace rg::coordinator {
+namespace {
+
+namespace pb = realitygrad::v1;
+
+pb::TaskSpec* Add(pb::JobSpec* job, const std::string& name, const std::string& stage = "") {
+  pb::TaskSpec* task = job->add_tasks();
+  task->set_name(name);
+  task->set_kind("work");
+  task->set_stage(stage);
+  return task;
+}
+
+void Reads(pb::TaskSpec* task, const std::string& parent, bool optional = false) {
+  pb::InputSpec* input = task->add_inputs();
+  input->set_name("in");
+  input->mutable_task_output()->set_task(parent);
+  input->set_optional(optional);
+}
+
+void ExpectRefused(const pb::JobSpec& job, const std::string& part) {
+  const auto compiled = CompileJob(job);
+  ASSERT_FALSE(compiled.ok());
+  EXPECT_EQ(compiled.status().code(), StatusCode::kInvalid);
+  EXPECT_NE(compiled.status().message().find(part), std::string::npos) << compiled.status().message();
+}
+
+TEST(CompileJob, AStageInputDependsOnEveryTaskOfTheStage) {
+  pb::JobSpec job;
+  Add(&job, "s0", "shards");
+  Add(&job, "s1", "shards");
+  pb::InputSpec* input = Add(&job, "train")->add_inputs();
+  input->set_name("shards");
+  input->mutable_stage_outputs()->set_stage("shards");
+  const auto compiled = CompileJob(job);
+  ASSERT_TRUE(compiled.ok()) << compiled.status().ToString();
+  EXPECT_EQ(compiled->plan->tasks[2].parents.size(), 2u);
+  EXPECT_EQ(compiled->specs->size(), 3u);
+}
+
+TEST(CompileJob, AParentIsOptionalOnlyIfEveryMentionIs) {
+  pb::JobSpec job;
+  Add(&job, "a");
+  pb::TaskSpec* both = Add(&job, "b");
+  Reads(both, "a", true);
+  both->add_after("a");
+  Reads(Add(&job, "c"), "a", true);
+  const auto compiled = CompileJob(job);
+  ASSERT_TRUE(compiled.ok());
+  ASSERT_EQ(compiled->plan->tasks[1].parents.size(), 1u);
+  EXPECT_FALSE(compiled->plan->tasks[1].parents[0].optional);
+  EXPECT_TRUE(compiled->plan->tasks[2].parents[0].optional);
+}
+
+TEST(CompileJob, RefusesWhatCannotRunAndNamesIt) {
+  ExpectRefused({}, "at least one task");
+  pb::JobSpec twice;
+  Add(&twice, "a"), Add(&twice, "a");
+  ExpectRefused(twice, "two tasks are named 'a'");
+  pb::JobSpec circle;
+  Reads(Add(&circle, "a"), "b");
+  Reads(Add(&circle, "b"), "a");
+  ExpectRefused(circle, "circle");
+  pb::JobSpec unknown;
+  Reads(Add(&unknown, "a"), "ghost");
+  ExpectRefused(unknown, "'ghost'");
+  pb::JobSpec itself;
+  Reads(Add(&itself, "a"), "a");
+  ExpectRefused(itself, "itself");
+  pb::JobSpec hash;
+  Add(&hash, "a")->add_inputs()->set_artifact("xyz");
+  ExpectRefused(hash, "task 'a'");
+}
+
+}  // namespace
+}  // namespace rg::coordinator
