@@ -47,6 +47,7 @@ const std::map<std::string, std::set<std::string>>& Arrows() {
       {"services/diagnosis", with(sim, {"common/recordings", "services/sysid"})},
       {"services/report", algorithms},
       {"services/proof", with(algorithms, {"services/report"})},
+      {"services/proof/generator", {"common/base"}},  // the examiner's engine is independent
       {"services/jobs", with(with(with(algorithms, wire), {"services/report", "services/proof"}),
                              {"coordinator/client", "worker", "robot_agent"})},
       {"services/cli", with(with(with(algorithms, wire), {"services/report", "services/proof"}),

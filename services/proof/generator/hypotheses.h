@@ -1,0 +1,34 @@
+// Draws what is hidden in a case: effects, joints, strengths, and the label that says so.
+#pragma once
+
+#include <Eigen/Core>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "common/base/rng.h"
+#include "services/proof/generator/truth.h"
+
+namespace rg::proof {
+
+// What strengths are measured in.
+struct Scales {
+  std::vector<std::string> joints, links;
+  Eigen::VectorXd torque;            // RMS of the drive torque in the nominal motion, n
+  Eigen::VectorXd motion_torque;     // RMS of its part that gravity does not explain, n
+  Eigen::VectorXd velocity;          // RMS, n
+  Eigen::VectorXd inertia;           // diag M at home, n
+  Eigen::VectorXd home, amplitude;   // n
+  double tip_low = 0, tip_high = 0;  // heights the last link reaches, m
+  double last_mass = 1;              // of the last link with its payload, kg
+  double duration_s = 7;
+};
+
+// Ids of EFFECTS.md that the generator can make ("none" and "parameters_only" among them).
+const std::vector<std::string>& KnownEffects();
+
+// Adds effect `id` at `strength` (1: usual) to the truth; same rng, same joints and proportions.
+// The returned label entry is as in label.json: id, joints, localisation, parameters, equivalents.
+nlohmann::json AddEffect(const std::string& id, double strength, const Scales& scales, Rng rng, Truth* truth);
+
+}  // namespace rg::proof

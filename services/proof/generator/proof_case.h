@@ -1,0 +1,35 @@
+// One case of the blind examination: a recording set on disk, and its label and concealed recordings
+// in another folder.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "common/base/status.h"
+
+namespace rg::proof {
+
+struct CaseRequest {
+  std::string name;                  // folder name
+  std::string urdf;                  // path
+  std::string robot;                 // for people
+  std::vector<std::string> effects;  // ids; "none" alone is a control
+  double rate_hz = 100;
+  bool weak = false;              // nominal error 1.5 to 2.5 times the floor
+  bool wrong_parameters = false;  // masses and inertias of the URDF are off as well
+  bool with_velocity = true;
+  uint64_t seed = 1;
+};
+
+struct CaseSummary {
+  double nominal_rms = 0, oracle_rms = 0, ratio = 0;
+  std::string warning;
+};
+
+// Writes SETS/<name>/{robot.urdf, manifest.json, rec_00k.csv} and LABELS/<name>/{label.json,
+// oracle.json, hidden_00k.csv}.
+Result<CaseSummary> MakeCase(const CaseRequest& request, const std::string& sets_folder,
+                             const std::string& labels_folder);
+
+}  // namespace rg::proof
