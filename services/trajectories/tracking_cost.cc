@@ -14,6 +14,14 @@ TrackingWeights TrackingWeights::Uniform(int n, double position, double velocity
           all(effort),   all(terminal_position), all(terminal_velocity)};
 }
 
+TrackingWeights TrackingWeights::ForBandwidth(double omega, const Eigen::VectorXd& torque_limit) {
+  const int n = static_cast<int>(torque_limit.size());
+  const double w2 = omega * omega;
+  TrackingWeights w = Uniform(n, 1.0, 2.0 / w2, 1.0 / (w2 * w2), 0.0, 2.0 / omega, 2.0 / (w2 * omega));
+  w.effort = 1e-4 * torque_limit.cwiseAbs2().cwiseMax(1e-6).cwiseInverse();
+  return w;
+}
+
 TrackingCost::TrackingCost(int n, int nx, double interval_s, TrackingWeights weights)
     : n_(n), nx_(nx), h_(interval_s), w_(std::move(weights)) {
   RG_CHECK(n > 0 && nx >= 2 * n && interval_s > 0.0) << n << " joints, " << nx << " states";

@@ -26,6 +26,11 @@ struct TrackingWeights {
   // The same six figures for each of n joints.
   static TrackingWeights Uniform(int n, double position, double velocity, double acceleration, double effort,
                                  double terminal_position, double terminal_velocity);
+  // Every joint like a double integrator under the regulator of ∫ e² + 2ω⁻² v² + ω⁻⁴ a² dt, whose closed
+  // loop has both poles at −ω [rad/s]; terminal weights are the diagonal of that regulator's cost to go.
+  // `torque_limit` (n × 1) scales a small effort weight that keeps R positive definite where a torque
+  // does not act within one interval (lags).
+  static TrackingWeights ForBandwidth(double omega, const Eigen::VectorXd& torque_limit);
 };
 
 class TrackingCost {

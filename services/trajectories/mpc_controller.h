@@ -1,0 +1,110 @@
+// Model predictive control: from state and goal to the torque of the next 40 ms.
+//
+// Every call solves the horizon again by Gauss-Newton multiple shooting, warm-started with the last
+// plan moved one interval ahead. Runs live in the agent's control loop and, applied to its own model,
+// makes the trajectories that the policy learns from. One thread; allocates only for a new goal, a cold
+// start and the text of a failure.
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <string>
+
+#include "common/base/clock.h"
+#include "common/base/status.h"
+#include "common/sim/simulator.h"
+#include "services/trajectories/gnms_solver.h"
+#include "services/trajectories/plant_problem.h"
+
+namespace rg::trajectories {
+
+struct MpcOptions {
+  double interval_s = 0.04;  // control interval: 25 Hz, the paper
+  double horizon_s = 1.0;    // the paper; rounded to whole intervals
+  // Integration inside an interval. The second-order leapfrog at 5 ms is more accurate than the paper's
+  // first-order Euler at 1 ms (docs/figures.md).
+  sim::SimulatorOptions simulation{.step_s = 0.005};
+
+  // Natural frequency of the closed loop [rad/s], see TrackingWeights::ForBandwidth.
+  double bandwidth = 8.0;
+  // Overrides `bandwidth` when its vectors are not empty.
+  TrackingWeights weights;
+
+  // Caps the model's effort limits (n × 1); empty: the model's alone.
+  Eigen::VectorXd peak_torque;
+  // The plan keeps this far from the limits, so that what is executed holds them exactly.
+  double position_margin = 0.01;  // rad or m
+  double velocity_margin = 0.02;  // share of the limit
+
+  int cold_iterations = 30;
+  int warm_iterations = 2;  // per interval; the real-time iteration scheme uses 1
+  GnmsOptions solver{.step_tolerance = 1e-4, .defect_tolerance = 1e-6};
+  // 0: none. On the robot: what of the interval may be spent.
+  double time_budget_s = 0.0;
+
+  int knots() const;
+};
+
+struct MpcStatus {
+  bool ok = false;  // u comes from a plan for this state; else from the last plan, or the hold torque
+  Termination termination = Termination::kMaxIterations;
+  int iterations = 0;
+  double max_defect = 0.0;     // of the plan
+  double max_violation = 0.0;  // of the plan's tightened joint boxes
+  std::string message;         // empty when converged
+};
+
+class MpcController {
+ public:
+  // values: plant.parameters().size(). Refuses options that make no sense for this plant. `clock` is
+  // needed when options.time_budget_s > 0.
+  static Result<std::unique_ptr<MpcController>> Create(const sim::Plant& plant, const Eigen::VectorXd& values,
+                                                       const MpcOptions& options,
+                                                       const Clock* clock = nullptr);
+  ~MpcController();
+
+  int num_joints() const { return n_; }
+  const MpcOptions& options() const { return options_; }
+  // Exact bounds (not the tightened ones of the plan).
+  const MotionLimits& limits() const { return limits_; }
+  // The simulator the plan is made with.
+  sim::Simulator& simulator() { return simulator_; }
+
+  // The next Solve starts cold.
+  void Reset();
+
+  // q, v: measured (n). Internal states of effects are predicted by the last plan. A new goal (n) is
+  // taken over warm. u (n) is inside the torque box whatever happens.
+  MpcStatus Solve(const Eigen::VectorXd& q, const Eigen::VectorXd& v, const Eigen::VectorXd& goal,
+                  Eigen::VectorXd* u);
+  // The same for a state of the planning plant, internal states included.
+  MpcStatus Solve(const sim::State& x, const Eigen::VectorXd& goal, Eigen::VectorXd* u);
+
+  // The plan of the last Solve: x(k), u(k).
+  const GnmsSolver& plan() const { return solver_; }
+  // Torque that holds the goal of the last Solve.
+  const Eigen::VectorXd& hold_torque() const { return hold_torque_; }
+  // What is left of the acceleration when holding it, see HoldTorque.
+  double hold_residual() const { return hold_residual_; }
+
+ private:
+  MpcController(const sim::Plant& plan_plant, const Eigen::VectorXd& values, const MpcOptions& options,
+                const Clock* clock);
+  MpcStatus SolveFrom(const Eigen::VectorXd& goal, Eigen::VectorXd* u);
+  void TakeGoal(const Eigen::VectorXd& goal);
+  void GuessCold();
+
+  MpcOptions options_;
+  int n_, nx_;
+  MotionLimits limits_;
+  sim::Simulator simulator_;
+  PlantProblem problem_;
+  GnmsSolver solver_;
+  bool cold_ = true;
+  bool has_goal_ = false;
+  Eigen::VectorXd x0_, goal_, hold_torque_, start_torque_;
+  double hold_residual_ = 0.0;
+  Eigen::MatrixXd guess_x_, guess_u_;
+};
+
+}  // namespace rg::trajectories
