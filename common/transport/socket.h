@@ -52,6 +52,9 @@ class Socket {
   // Until Send has somebody to send to, as far as that can be known; same rules as Wait.
   virtual bool WaitWritable(int64_t timeout_ms, int wake_fd = -1) = 0;
 
+  // kPermissionDenied: the other end has refused our key. Ok: connected, or still trying.
+  virtual Status LinkError() { return Status::Ok(); }
+
   const SocketMetrics& metrics() const { return metrics_; }
 
  protected:

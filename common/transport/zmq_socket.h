@@ -53,9 +53,11 @@ struct RouterOptions {
   bool allow_plain_loopback = false;
   ReceiveLimits limits;
   int high_water_messages = 10'000;  // per peer and direction; > 0
+  int linger_ms = 0;                 // what is not sent when the socket closes is lost after this
 };
 
 struct DealerOptions {
+  Sender self;
   // Stable over reconnects of one process, new with each start. Empty: random.
   std::string routing_id;
   std::optional<KeyPair> key;     // CURVE on, with
@@ -63,11 +65,12 @@ struct DealerOptions {
   bool allow_plain_loopback = false;
   ReceiveLimits limits;
   int high_water_messages = 10'000;
+  int linger_ms = 0;
   // True: messages wait for a connection. False: Send says kUnavailable while there is none.
   bool queue_while_disconnected = false;
 };
 
-// What is known of a dealer's connection.
+// What is known of a dealer's connection. kRefused: our key, or that we have none, in the last answer.
 enum class LinkState { kConnecting, kConnected, kRefused };
 
 class ZmqSocket : public Socket {
@@ -80,9 +83,9 @@ class ZmqSocket : public Socket {
 
   // The endpoint as it was really bound: with the port the system chose for tcp://…:*.
   const std::string& endpoint() const;
-  // Dealers only. kRefused: the other end has refused our key in its last answer.
-  LinkState link();
-  // Plain sockets: what to add to a Poller.
+  LinkState link();  // dealers only
+  Status LinkError() override;
+  // For a Poller: the ZeroMQ socket itself.
   void* handle();
 
   struct Impl;
