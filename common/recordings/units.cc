@@ -9,11 +9,12 @@
 namespace rg::recordings {
 namespace {
 
-constexpr double kShareOfRows = 0.05;   // so many rows must be off: a glitch is not a unit
-constexpr double kFarOutside = 3.0;     // times half the range of the limits, from their middle
-constexpr double kInsideMargin = 0.35;  // what a converted value may exceed its limits by
-constexpr double kFastOutside = 12.0;   // times the speed limit: URDFs carry dummy limits of 1
-constexpr double kBlockSeconds = 0.1;   // motion is compared with velocity over such blocks
+constexpr double kShareOfRows = 0.05;     // so many rows must be off: a glitch is not a unit
+constexpr double kFarOutside = 3.0;       // times half the range of the limits, from their middle
+constexpr double kInsideMargin = 0.35;    // what a converted value may exceed its limits by
+constexpr double kFastOutside = 12.0;     // times the speed limit: URDFs carry dummy limits of 1
+constexpr double kFastUndeclared = 60.0;  // rad/s, for joints without a speed limit: 570 turns a minute
+constexpr double kBlockSeconds = 0.1;     // motion is compared with velocity over such blocks
 constexpr size_t kMinBlocks = 10;
 constexpr double kMinCorrelation = 0.9;
 
@@ -68,17 +69,20 @@ Status CheckPositionLimits(const std::string& place, const JointInfo& joint, con
 template <class Row>
 Status CheckSpeedLimit(const std::string& place, const JointInfo& joint, const std::string& column,
                        const Row& speed) {
-  if (!std::isfinite(joint.velocity) || joint.velocity <= 0.0) return Status::Ok();
+  const bool declared = std::isfinite(joint.velocity) && joint.velocity > 0.0;
+  if (!declared && joint.type == JointInfo::Type::kPrismatic) return Status::Ok();
   const Unit unit = SuspectOf(joint);
-  const double far = kFastOutside * joint.velocity;
+  const double far = declared ? kFastOutside * joint.velocity : kFastUndeclared;
   const int row = FirstOutside(speed, -far, far);
   if (row < 0) return Status::Ok();
-  const double inside = joint.velocity * unit.per_si;
+  const double inside = (declared ? joint.velocity : kFastUndeclared) * unit.per_si;
   if (FirstOutside(speed, -inside, inside) >= 0) return Status::Ok();
+  const std::string limit = declared ? "the limit " + Number(joint.velocity)
+                                     : Number(kFastUndeclared) + " (the robot declares no speed limit)";
   return InvalidError(place + "row " + std::to_string(row + 1) + " (line " + std::to_string(row + 2) +
                       "), column " + column + ": a speed of " + Number(std::abs(speed[row])) + " " +
-                      unit.length + "/s is far above the limit " + Number(joint.velocity) + ": visibly " +
-                      unit.wrong + ", " + unit.length + " is expected");
+                      unit.length + "/s is far above " + limit + ": visibly " + unit.wrong + ", " +
+                      unit.length + " is expected");
 }
 
 // Motion over blocks, and the integral of the measured velocity over the same blocks.

@@ -221,6 +221,21 @@ TEST(CheckUnits, AcceptsPositionsSomewhatOutsideTheLimitsAndASingleGlitch) {
   EXPECT_TRUE(ParseCsv(FileOf(300, glitch), "rec.csv", TwoJoints()).ok());
 }
 
+TEST(CheckUnits, RefusesDegreesOfAContinuousJointWithoutAnyLimit) {
+  CsvOptions options;
+  options.robot = {Continuous("a", std::numeric_limits<double>::infinity())};
+  const std::function<double(double)> v = [](double t) { return kDegrees * 2.0 * std::cos(t); };
+  const auto error = ErrorOf(FileOf(
+                                 300, [](double t) { return kDegrees * 2.0 * std::sin(t); }, &v),
+                             options);
+  EXPECT_THAT(error, AllOf(HasSubstr("velocity.a"), HasSubstr("degrees"), HasSubstr("no speed limit")));
+  const std::function<double(double)> fast = [](double) { return 45.0; };
+  EXPECT_TRUE(ParseCsv(FileOf(
+                           300, [](double t) { return 45.0 * t; }, &fast),
+                       "rec.csv", options)
+                  .ok());
+}
+
 TEST(CheckUnits, AcceptsMotionAboveADummySpeedLimitOfOne) {
   CsvOptions options;
   options.robot = {Continuous("a", 1.0)};
