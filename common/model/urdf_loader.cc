@@ -77,8 +77,8 @@ LinkParameters ToParameters(const urdf::Inertial& inertial) {
     about_com = (origin.rotation * about_com * origin.rotation.transpose()).eval();
   }
   LinkParameters out;
-  out << inertial.mass, origin.translation, about_com(0, 0), about_com(1, 1), about_com(2, 2), about_com(0, 1),
-      about_com(0, 2), about_com(1, 2);
+  out << inertial.mass, origin.translation, about_com(0, 0), about_com(1, 1), about_com(2, 2),
+      about_com(0, 1), about_com(0, 2), about_com(1, 2);
   return out;
 }
 
