@@ -53,15 +53,21 @@ Result<WriterLock> WriterLock::Acquire(const std::string& database_path, int wai
   return lock;
 }
 
-WriterLock::WriterLock(WriterLock&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
+WriterLock::WriterLock(int fd) : fd_(fd), owner_(::getpid()) {}
+
+WriterLock::WriterLock(WriterLock&& other) noexcept : fd_(std::exchange(other.fd_, -1)), owner_(other.owner_) {}
 
 WriterLock& WriterLock::operator=(WriterLock&& other) noexcept {
   std::swap(fd_, other.fd_);
+  std::swap(owner_, other.owner_);
   return *this;
 }
 
 WriterLock::~WriterLock() {
-  if (fd_ >= 0) ::close(fd_);
+  if (fd_ < 0) return;
+  // A forked child shares the lock: it must not end ours, and its copy must not outlive our closing.
+  if (owner_ == ::getpid()) ::flock(fd_, LOCK_UN);
+  ::close(fd_);
 }
 
 }  // namespace rg::store

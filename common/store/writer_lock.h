@@ -18,8 +18,9 @@ class WriterLock {
   ~WriterLock();
 
  private:
-  explicit WriterLock(int fd) : fd_(fd) {}
+  explicit WriterLock(int fd);
   int fd_ = -1;
+  int owner_ = 0;  // process
 };
 
 }  // namespace rg::store
