@@ -55,11 +55,11 @@ void MassMatrixAndBias(const Tree& tree, const InertiaRows& inertias, const doub
   CopyOut(tree.n, w.c, c);
 }
 
-void InverseDerivatives(const Tree& tree, const InertiaRows& inertias, const double* a, void* workspace,
-                        double* dtau_dq, ptrdiff_t ld_q, double* dtau_dv, ptrdiff_t ld_v, double* tau) {
+void InverseDerivatives(const Tree& tree, const double* a, void* workspace, double* dtau_dq, ptrdiff_t ld_q,
+                        double* dtau_dv, ptrdiff_t ld_v, double* tau) {
   Space& w = AsSpace(workspace);
   SetAcceleration(tree, a, w);
-  Derivatives(tree, AsInertias(inertias), w);
+  Derivatives(tree, w);
   CopyOut(tree.n, w.dtau_dq, tree.n, dtau_dq, ld_q);
   CopyOut(tree.n, w.dtau_dv, tree.n, dtau_dv, ld_v);
   if (tau != nullptr) CopyOut(tree.n, w.tau, tau);
@@ -105,7 +105,7 @@ void AbaDerivatives(const Tree& tree, const InertiaRows& inertias, const double*
   math::MatrixTimes(tree.n, w.M, force, acceleration);
   CopyOut(tree.n, acceleration, a);
   SetAcceleration(tree, a, w);
-  Derivatives(tree, AsInertias(inertias), w);
+  Derivatives(tree, w);
   for (int j = 0; j < tree.n; ++j) {
     math::MatrixTimes(tree.n, w.M, w.dtau_dq[j], column);
     for (int k = 0; k < tree.n; ++k) da_dq[j * ld_q + k] = -column[k];
@@ -136,7 +136,7 @@ void StepTerms(const Tree& tree, const InertiaRows& inertias, const double* grav
   Space& w = AsSpace(workspace);
   Terms(tree, AsInertias(inertias), gravity, q, v, w);
   SetAcceleration(tree, a, w);
-  Derivatives(tree, AsInertias(inertias), w);
+  Derivatives(tree, w);
   Regressor(tree, w);
 }
 

@@ -114,8 +114,8 @@ void RneaDerivatives(const Mechanism& mechanism, Workspace& workspace, const Vec
   void* scratch = Scratch(m, workspace.impl());
   double M[kMaxBodies * kMaxBodies], c[kMaxBodies];
   m.kernels->terms(m.tree, m.inertias, m.gravity.data(), q.data(), v.data(), scratch, M, kMaxBodies, c);
-  m.kernels->derivatives(m.tree, m.inertias, a.data(), scratch, dtau_dq.data(), dtau_dq.outerStride(),
-                         dtau_dv.data(), dtau_dv.outerStride(), nullptr);
+  m.kernels->derivatives(m.tree, a.data(), scratch, dtau_dq.data(), dtau_dq.outerStride(), dtau_dv.data(),
+                         dtau_dv.outerStride(), nullptr);
 }
 
 void RneaGravityDerivative(const Mechanism& mechanism, Workspace& workspace, const VectorIn& q,

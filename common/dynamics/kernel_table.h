@@ -24,8 +24,8 @@ struct KernelTable {
   void (*terms)(const Tree&, const InertiaRows&, const double* gravity, const double* q, const double* v,
                 void* workspace, double* M, ptrdiff_t ld, double* c);
   // After terms, in the same workspace. tau may be null.
-  void (*derivatives)(const Tree&, const InertiaRows&, const double* a, void* workspace, double* dtau_dq,
-                      ptrdiff_t ld_q, double* dtau_dv, ptrdiff_t ld_v, double* tau);
+  void (*derivatives)(const Tree&, const double* a, void* workspace, double* dtau_dq, ptrdiff_t ld_q,
+                      double* dtau_dv, ptrdiff_t ld_v, double* tau);
   // After terms: n × 3.
   void (*gravity_derivative)(const Tree&, void* workspace, double* dtau_dg, ptrdiff_t ld);
   void (*regressor)(const Tree&, const double* gravity, const double* q, const double* v, const double* a,

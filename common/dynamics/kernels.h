@@ -99,23 +99,33 @@ RG_INLINE Spatial<P> TwiceBTimes(const Vec3<P>& momentum, const Mat3<P>& mix, co
   return {twice * Trace(mix) - mix * twice, Cross(twice, momentum)};
 }
 
-// Column j of a matrix whose entry (r, j) is up(r) for joints r on the path of j (j included),
+template <class P>
+struct Two {
+  P first, second;
+};
+
+// Column j of two matrices whose entries (r, j) are up(r) for joints r on the path of j (j included),
 // down(r) for its descendants, and zero elsewhere.
 template <class T, int C, class Up, class Down>
-RG_INLINE void FillColumn(const Tree& tree, int j, Row<T, C>& column, Up up, Down down) {
+RG_INLINE void FillColumns(const Tree& tree, int j, Row<T, C>& first, Row<T, C>& second, Up up, Down down) {
   constexpr int kWidth = math::kPackWidth<T>;
   constexpr uint32_t kFull = (1u << kWidth) - 1u;
   ForEachPack<T>(tree, [&](int r) RG_LAMBDA_INLINE {
     const uint32_t path = (tree.path[j] >> r) & kFull;
     const uint32_t below = (tree.below[j] >> r) & kFull;
-    if (path == kFull) {
-      column.Store(r, up(r));
-    } else if (path == 0) {
-      column.Store(r, below == 0 ? Pack<T>(0.0) : down(r) * LoadConstant<T>(tree.below_mask[j], r));
-    } else {
-      column.Store(r, up(r) * LoadConstant<T>(tree.path_mask[j], r) +
-                          down(r) * LoadConstant<T>(tree.below_mask[j], r));
+    Two<Pack<T>> entry = {Pack<T>(0.0), Pack<T>(0.0)};
+    if (path != 0) entry = up(r);
+    if (path != 0 && path != kFull) {
+      const Pack<T> mask = LoadConstant<T>(tree.path_mask[j], r);
+      entry = {entry.first * mask, entry.second * mask};
     }
+    if (below != 0) {
+      const Pack<T> mask = LoadConstant<T>(tree.below_mask[j], r);
+      const Two<Pack<T>> lower = down(r);
+      entry = {entry.first + lower.first * mask, entry.second + lower.second * mask};
+    }
+    first.Store(r, entry.first);
+    second.Store(r, entry.second);
   });
 }
 
@@ -218,11 +228,13 @@ RG_INLINE void CompositeForces(const Tree& tree, KernelWorkspace<T, C>& w) {
 // M, both triangles, from F.
 template <class T, int C>
 RG_INLINE void MassMatrix(const Tree& tree, KernelWorkspace<T, C>& w) {
+  constexpr int kWidth = math::kPackWidth<T>;
   for (int j = 0; j < tree.n; ++j) {
-    const Spatial<Pack<T>> S = w.S.Splat(j), F = w.F.Splat(j);
-    kernel::FillColumn(
-        tree, j, w.M[j], [&](int r) RG_LAMBDA_INLINE { return Dot(w.S.Load(r), F); },
-        [&](int r) RG_LAMBDA_INLINE { return Dot(w.F.Load(r), S); });
+    const Spatial<Pack<T>> F = w.F.Splat(j);
+    for (int r = 0; r <= j; r += kWidth) {
+      w.M[j].Store(r, Dot(w.S.Load(r), F) * kernel::LoadConstant<T>(tree.path_mask[j], r));
+    }
+    for (int r = 0; r < j; ++r) w.M[r][j] = w.M[j][r];
   }
 }
 
@@ -259,23 +271,11 @@ RG_INLINE void SetAcceleration(const Tree& tree, const T* a, KernelWorkspace<T, 
 
 // dtau_dq and dtau_dv, after Terms and SetAcceleration. Also w.tau = M a + c.
 template <class T, int C>
-RG_INLINE void Derivatives(const Tree& tree, const Inertias<T, C>& inertias, KernelWorkspace<T, C>& w) {
+RG_INLINE void Derivatives(const Tree& tree, KernelWorkspace<T, C>& w) {
   using P = Pack<T>;
-  // The composites hold the force at A0; what A - A0 adds is S·(M a) along the path, found from the
-  // bodies' own inertias.
-  kernel::ForEachPack<T>(tree, [&](int r) RG_LAMBDA_INLINE {
-    const Mat3<P> R = w.R.Load(r);
-    const Vec3<P> p = w.p.Load(r);
-    const Spatial<P> delta = w.delta.Load(r);
-    const P m = inertias.mass.Load(r);
-    // In body axes about the body's origin, then shifted to W's.
-    const Vec3<P> ang = TransposeTimes(R, delta.ang);
-    const Vec3<P> lin = TransposeTimes(R, delta.lin + Cross(delta.ang, p));
-    const Spatial<P> f =
-        kernel::InertiaTimes(m, inertias.first.Load(r), inertias.second.Load(r), Spatial<P>{ang, lin});
-    const Vec3<P> force = R * f.lin;
-    w.added.Store(r, {R * f.ang + Cross(p, force), force});
-  });
+  // Force on the subtree of i in its motion at a: what Terms summed at a = 0, plus the subtree's inertia
+  // times its parent's share of A - A0, plus I_k S_k a_k of each joint k in it.
+  kernel::ForEachPack<T>(tree, [&](int r) RG_LAMBDA_INLINE { w.added.Store(r, w.F.Load(r) * w.a.Load(r)); });
   kernel::SumInward(tree, kernel::Rows(w.added), 6);
   kernel::ForEachPack<T>(tree, [&](int r) RG_LAMBDA_INLINE {
     const Spatial<P> S = w.S.Load(r), V = w.V.Load(r), A = w.A.Load(r), Sdot = w.Sdot.Load(r);
@@ -284,7 +284,9 @@ RG_INLINE void Derivatives(const Tree& tree, const Inertias<T, C>& inertias, Ker
     const Vec3<P> h = w.sum.first.Load(r), momentum = w.sum.momentum.Load(r);
     const Sym3<P> second = w.sum.second.Load(r);
     const Mat3<P> mix = w.sum.mix.Load(r);
-    const Spatial<P> force = w.sum.force.Load(r) + w.added.Load(r);
+    const Spatial<P> delta = w.delta.Load(r) - S * w.a.Load(r);
+    const Spatial<P> force =
+        w.sum.force.Load(r) + w.added.Load(r) + kernel::InertiaTimes(m, h, second, delta);
     const Vec3<P> half_bt = S.ang * Trace(mix) - TransposeTimes(mix, S.ang) + Cross(momentum, S.lin);
     w.tau.Store(r, Dot(S, force));
     w.Sddot.Store(r, Sddot);
@@ -299,12 +301,17 @@ RG_INLINE void Derivatives(const Tree& tree, const Inertias<T, C>& inertias, Ker
     const Spatial<P> Sdot = w.Sdot.Splat(j), Sddot = w.Sddot.Splat(j);
     const Spatial<P> twice_Sdot = Sdot + Sdot;
     const Vec3<P> axis = w.S.ang.Splat(j);
-    kernel::FillColumn(
-        tree, j, w.dtau_dq[j], [&](int r) RG_LAMBDA_INLINE { return Dot(w.S.Load(r), up_q); },
-        [&](int r) RG_LAMBDA_INLINE { return Dot(w.bt.Load(r), Sdot.ang) + Dot(w.F.Load(r), Sddot); });
-    kernel::FillColumn(
-        tree, j, w.dtau_dv[j], [&](int r) RG_LAMBDA_INLINE { return Dot(w.S.Load(r), up_v); },
-        [&](int r) RG_LAMBDA_INLINE { return Dot(w.bt.Load(r), axis) + Dot(w.F.Load(r), twice_Sdot); });
+    kernel::FillColumns(
+        tree, j, w.dtau_dq[j], w.dtau_dv[j],
+        [&](int r) RG_LAMBDA_INLINE {
+          const Spatial<P> S = w.S.Load(r);
+          return kernel::Two<P>{Dot(S, up_q), Dot(S, up_v)};
+        },
+        [&](int r) RG_LAMBDA_INLINE {
+          const Spatial<P> F = w.F.Load(r);
+          const Vec3<P> bt = w.bt.Load(r);
+          return kernel::Two<P>{Dot(bt, Sdot.ang) + Dot(F, Sddot), Dot(bt, axis) + Dot(F, twice_Sdot)};
+        });
   }
 }
 

@@ -38,7 +38,7 @@ void Run(const Tree& tree, void* buffer) {
   State& s = *static_cast<State*>(buffer);
   Terms(tree, s.inertias, s.gravity, s.q, s.v, s.workspace);
   SetAcceleration(tree, s.a, s.workspace);
-  Derivatives(tree, s.inertias, s.workspace);
+  Derivatives(tree, s.workspace);
   Regressor(tree, s.workspace);
 }
 

@@ -87,7 +87,7 @@ void CompareLanesWithScalar(const model::RobotModel& model) {
   }
   Terms(tree, *inertias, gravity, q, v, *lanes);
   SetAcceleration(tree, a, *lanes);
-  Derivatives(tree, *inertias, *lanes);
+  Derivatives(tree, *lanes);
   Regressor(tree, *lanes);
   Mechanism m(model, math::Isa::kV1);
   Workspace w;
