@@ -6,6 +6,7 @@
 //   motion --sensor--> measured state
 #pragma once
 
+#include <limits>
 #include <map>
 #include <string>
 #include <string_view>
@@ -15,14 +16,17 @@
 
 namespace rg::effects {
 
+inline constexpr double kInf = std::numeric_limits<double>::infinity();
+
 enum class Stage { kActuator, kTransmission, kJoint, kBody, kSensor, kEnvironment };
 std::string_view StageName(Stage stage);
 
 // What the parameters belong to.
 enum class Scope {
-  kJoint,      // one set per joint it acts on: "coulomb_friction.joint_2.coulomb"
-  kRobot,      // one set: "payload.*.mass"; `joints` stays empty
-  kJointPair,  // one set, `joints` lists source and target in that order: "joint_coupling.*.coefficient"
+  kJoint,         // one set per joint it acts on: "coulomb_friction.joint_2.coulomb"
+  kRobot,         // one set: "payload.*.mass"; `joints` stays empty
+  kJointOrRobot,  // with joints as kJoint, without as kRobot
+  kJointPair,     // one set, `joints` lists source and target in that order: "joint_coupling.*.coefficient"
 };
 
 // One scalar parameter of an effect, named exactly as in the contract EFFECTS.md.
@@ -38,6 +42,8 @@ struct ParameterInfo {
   bool prior_of_effort = false;    // where this is set
   bool default_is_effort = false;  // the default is the joint's effort limit (torque_saturation)
   std::string meaning;             // "Coulomb level", for tables and messages
+  // Scope::kJointOrRobot: whether it exists only with joints or only without.
+  enum class Only { kBoth, kWithJoints, kWithoutJoints } only = Only::kBoth;
 };
 
 // The catalogue row of an effect.
@@ -58,6 +64,8 @@ struct EffectInfo {
 
   // Index into `parameters`, or -1.
   int FindParameter(std::string_view name) const;
+  // Whether parameter i exists for a spec with or without joints.
+  bool Applies(int i, bool with_joints) const;
 };
 
 // An effect as a plant, a model file or a hypothesis holds it.

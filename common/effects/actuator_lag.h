@@ -1,0 +1,51 @@
+// A drive that follows its command like a first-order filter.
+//
+//   T·τ̇ + τ = u        T [s] > 0;  state: τ [N·m]
+//
+// Exact for a command that is constant over the step (its average is used), for any T/h:
+//   τ(h) = u + (τ₀ − u)·e^{−h/T},   mean over the step = u + (τ₀ − u)·(1 − e^{−h/T})·T/h.
+#pragma once
+
+#include "common/effects/effect.h"
+#include "common/effects/effect_role.h"
+#include "common/effects/joint_law.h"
+
+namespace rg::effects {
+inline namespace RG_ISA {
+
+struct ActuatorLag {
+  static constexpr Role kRole = Role::kJointLaw;
+  static constexpr Phase kPhase = Phase::kLag;
+  static constexpr int kStates = 1;
+  static constexpr const char* kStateNames[] = {"lagged_torque"};
+
+  static EffectInfo Info() {
+    return {
+        .id = "actuator_lag",
+        .title = "Actuator lag",
+        .stage = Stage::kActuator,
+        .scope = Scope::kJoint,
+        .equation = "T*dtau + tau = u",
+        .sentence =
+            "{joint}'s torque follows its command like a filter with a time constant of {time_constant}.",
+        .parameters = {{"time_constant", "T", "s", "s", 0, kInf, 0, 0.01, false, false, "time constant"}},
+        .family = "timing",
+        .confused_with = {"actuator_delay", "sensor_delay"},
+        .reference = "",
+        .options = {},
+    };
+  }
+
+  template <class S>
+  static void Apply(const S* p, JointLaw<S>& law) {
+    using T = Base<S>;
+    const S constant = p[0] + T(1e-9);  // zero passes the command through
+    const S decay = Exp((-law.step.h) / constant);
+    const S start = law.z0[0] - law.drive;
+    law.z1[0] = law.drive + start * decay;
+    law.drive = law.drive + start * (T(1) - decay) * constant / law.step.h;
+  }
+};
+
+}  // namespace RG_ISA
+}  // namespace rg::effects

@@ -1,0 +1,150 @@
+#include "common/effects/effect.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <set>
+
+#include "common/effects/effect_catalog.h"
+
+namespace rg::effects {
+namespace {
+
+std::string Number(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.3g", value);
+  return text;
+}
+
+Status CheckJoints(const EffectInfo& info, const std::vector<std::string>& joints) {
+  std::set<std::string> seen;
+  for (const auto& joint : joints) {
+    if (joint.empty()) return InvalidError("effect " + info.id + ": a joint without a name");
+    if (!seen.insert(joint).second)
+      return InvalidError("effect " + info.id + ": joint " + joint + " is listed twice");
+  }
+  const size_t n = joints.size();
+  if (info.scope == Scope::kJoint && n == 0)
+    return InvalidError("effect " + info.id + ": needs at least one joint");
+  if (info.scope == Scope::kRobot && n != 0) {
+    return InvalidError("effect " + info.id + ": belongs to the whole robot and takes no joints, got " +
+                        joints[0]);
+  }
+  if (info.scope == Scope::kJointPair && n != 2) {
+    return InvalidError("effect " + info.id + ": needs two joints (from, to), got " + std::to_string(n));
+  }
+  return Status::Ok();
+}
+
+Status CheckValue(const std::string& where, const ParameterInfo& parameter, double value) {
+  if (!std::isfinite(value)) return InvalidError(where + " is not finite");
+  if (value < parameter.lower || value > parameter.upper) {
+    return InvalidError(where + " = " + Number(value) + " is outside [" + Number(parameter.lower) + ", " +
+                        Number(parameter.upper) + "]");
+  }
+  return Status::Ok();
+}
+
+}  // namespace
+
+std::string_view StageName(Stage stage) {
+  switch (stage) {
+    case Stage::kActuator:
+      return "actuator";
+    case Stage::kTransmission:
+      return "transmission";
+    case Stage::kJoint:
+      return "joint";
+    case Stage::kBody:
+      return "body";
+    case Stage::kSensor:
+      return "sensor";
+    case Stage::kEnvironment:
+      return "environment";
+  }
+  return "unknown";
+}
+
+int EffectInfo::FindParameter(std::string_view name) const {
+  for (size_t i = 0; i < parameters.size(); ++i) {
+    if (parameters[i].name == name) return static_cast<int>(i);
+  }
+  return -1;
+}
+
+bool EffectInfo::Applies(int i, bool with_joints) const {
+  const auto only = parameters[i].only;
+  return only == ParameterInfo::Only::kBoth || (only == ParameterInfo::Only::kWithJoints) == with_joints;
+}
+
+EffectSpec MakeSpec(std::string id, std::vector<std::string> joints, std::map<std::string, double> values) {
+  EffectSpec spec{std::move(id), std::move(joints), {}, {}};
+  const EffectInfo* info = FindEffect(spec.id);
+  const bool pair = info != nullptr && info->scope == Scope::kJointPair;
+  if (values.empty()) return spec;
+  if (spec.joints.empty() || pair) {
+    spec.values["*"] = std::move(values);
+  } else {
+    for (const auto& joint : spec.joints) spec.values[joint] = values;
+  }
+  return spec;
+}
+
+std::string Sentence(const EffectInfo& info, const std::string& joint, bool prismatic,
+                     const std::map<std::string, double>& values) {
+  std::string text;
+  for (size_t at = 0; at < info.sentence.size();) {
+    const size_t close = info.sentence[at] == '{' ? info.sentence.find('}', at) : std::string::npos;
+    if (close == std::string::npos) {
+      text += info.sentence[at++];
+      continue;
+    }
+    const std::string key = info.sentence.substr(at + 1, close - at - 1);
+    const int i = info.FindParameter(key);
+    const auto value = values.find(key);
+    if (key == "joint") {
+      text += joint;
+    } else if (i >= 0 && value != values.end()) {
+      const std::string& unit = prismatic ? info.parameters[i].unit_prismatic : info.parameters[i].unit;
+      text += Number(value->second) + (unit == "-" ? "" : " " + unit);
+    } else {
+      text += i >= 0 ? "an unknown " + info.parameters[i].meaning : key;
+    }
+    at = close + 1;
+  }
+  return text;
+}
+
+Status ValidateSpec(const EffectSpec& spec) {
+  const EffectInfo* info = FindEffect(spec.id);
+  if (info == nullptr) return InvalidError("effect " + spec.id + ": no such effect in the catalogue");
+  RG_RETURN_IF_ERROR(CheckJoints(*info, spec.joints));
+  const bool per_joint = info->scope != Scope::kJointPair && !spec.joints.empty();
+  for (const auto& [owner, values] : spec.values) {
+    const bool known = per_joint
+                           ? std::find(spec.joints.begin(), spec.joints.end(), owner) != spec.joints.end()
+                           : owner == "*";
+    if (!known) {
+      return InvalidError("effect " + spec.id + ": values for " + owner + ", which is not " +
+                          (per_joint ? "among its joints" : "\"*\""));
+    }
+    for (const auto& [name, value] : values) {
+      const int i = info->FindParameter(name);
+      if (i < 0 || !info->Applies(i, !spec.joints.empty())) {
+        return InvalidError("effect " + spec.id + ", " + owner + ": no parameter " + name);
+      }
+      RG_RETURN_IF_ERROR(
+          CheckValue("effect " + spec.id + ", " + owner + ": " + name, info->parameters[i], value));
+    }
+  }
+  for (const auto& [option, value] : spec.options) {
+    const auto row = info->options.find(option);
+    if (row == info->options.end()) return InvalidError("effect " + spec.id + ": no option " + option);
+    if (std::find(row->second.begin(), row->second.end(), value) == row->second.end()) {
+      return InvalidError("effect " + spec.id + ": option " + option + " cannot be " + value);
+    }
+  }
+  return Status::Ok();
+}
+
+}  // namespace rg::effects

@@ -1,0 +1,66 @@
+// A motor that drives the link through a spring (strain-wave gear, belt, long shaft).
+//
+//   J·ω̇ = tau_drive − T,   T = k·(θ − q) + b·(ω − v)  acts on the link
+//   k [N·m/rad] > 0, b [N·m·s/rad] ≥ 0, J [kg·m²] > 0 motor inertia seen at the joint;  states θ, ω
+//
+// The motor's equation is linear in its end-of-step velocity, so it is solved here for any v1: the rest
+// of the step sees a force on the link. Stiff springs need no small step. Option "sensor" says on which
+// side the encoder sits.
+// Ref: Spong, J. Dyn. Sys. 109(4), 1987.
+#pragma once
+
+#include "common/effects/effect.h"
+#include "common/effects/effect_role.h"
+#include "common/effects/joint_law.h"
+
+namespace rg::effects {
+inline namespace RG_ISA {
+
+struct JointElasticity {
+  static constexpr Role kRole = Role::kJointLaw;
+  static constexpr Phase kPhase = Phase::kTransmission;
+  static constexpr int kStates = 2;
+  static constexpr const char* kStateNames[] = {"motor_position", "motor_velocity"};
+
+  static EffectInfo Info() {
+    return {
+        .id = "joint_elasticity",
+        .title = "Elastic joint",
+        .stage = Stage::kTransmission,
+        .scope = Scope::kJoint,
+        .equation = "tau = k*(theta-q) + b*(dtheta-dq), J*ddtheta = u - tau",
+        .sentence =
+            "{joint} is elastic: motor and link are joined by a spring of {stiffness} that the model does "
+            "not have.",
+        .parameters = {{"stiffness", "k", "N*m/rad", "N/m", 1e-3, kInf, 1e4, 1e4, false, false, "stiffness"},
+                       {"damping", "b", "N*m*s/rad", "N*s/m", 0, kInf, 1, 5, false, false,
+                        "damping of the spring"},
+                       {"motor_inertia", "J", "kg*m^2", "kg", 1e-6, kInf, 0.1, 0.1, false, false,
+                        "motor inertia at the joint"}},
+        .family = "compliance",
+        .confused_with = {"backlash", "base_flexibility", "presliding_hysteresis"},
+        .reference = "Spong, J. Dyn. Sys. 109(4), 1987",
+        .options = {{"sensor", {"link", "motor"}}},
+    };
+  }
+
+  template <class S>
+  static void Apply(const S* p, JointLaw<S>& law) {
+    using T = Base<S>;
+    const T h = law.step.h;
+    const S &k = p[0], &b = p[1], &J = p[2], &theta0 = law.z0[0], &omega0 = law.z0[1];
+    const S lighter = J * law.reference_mass / (J + law.reference_mass);
+    const S weight = law.OscillationWeight(k * (h * h) / lighter);
+    const T drift = law.step.first_order ? T(1) : T(0.5);
+    const S rest =
+        k * (theta0 + weight * h * omega0 - law.PositionAt(weight)) + b * (omega0 - law.VelocityAt(weight));
+    const S slope = weight * (k * (h * drift) + b);  // of T by the change of ω
+    const S change = (law.drive - rest) / (J / h + slope);
+    law.link = rest + slope * change;
+    law.z1[0] = theta0 + h * (omega0 + drift * change);
+    law.z1[1] = omega0 + change;
+  }
+};
+
+}  // namespace RG_ISA
+}  // namespace rg::effects

@@ -1,0 +1,67 @@
+// Friction as a bristle that bends before it slides (Dahl's model with a damping term; LuGre without the
+// Stribeck drop, which stribeck_friction adds).
+//
+//   ż = v − σ₀·|v|/c·z ,   tau_f = −(σ₀·z + σ₁·ż)
+//   z [rad] state    σ₀ [N·m/rad] > 0    c [N·m] > 0 level while sliding    σ₁ [N·m·s/rad] ≥ 0
+//
+// At rest the joint sits in a stiff spring σ₀ and returns elastically; after many c/σ₀ of travel it
+// slides with force c. The bristle equation is linear in z over a step and is taken implicitly, so σ₀ may
+// be stiff.
+// Ref: Canudas de Wit, Olsson, Åström, Lischinsky, IEEE TAC 40(3), 1995.
+#pragma once
+
+#include "common/effects/effect.h"
+#include "common/effects/effect_role.h"
+#include "common/effects/joint_law.h"
+
+namespace rg::effects {
+inline namespace RG_ISA {
+
+struct PreslidingHysteresis {
+  static constexpr Role kRole = Role::kJointLaw;
+  static constexpr Phase kPhase = Phase::kJoint;
+  static constexpr int kStates = 1;
+  static constexpr const char* kStateNames[] = {"bristle"};
+
+  static EffectInfo Info() {
+    return {
+        .id = "presliding_hysteresis",
+        .title = "Presliding hysteresis",
+        .stage = Stage::kJoint,
+        .scope = Scope::kJoint,
+        .equation = "dz = dq - s0*abs(dq)/c*z, tau_f = -(s0*z + s1*dz)",
+        .sentence =
+            "{joint} springs back before it slides: friction of {coulomb} through a bristle of "
+            "{bristle_stiffness}.",
+        .parameters = {{"bristle_stiffness", "s0", "N*m/rad", "N/m", 1e-3, kInf, 1000, 1000, false, false,
+                        "stiffness before sliding"},
+                       {"coulomb", "c", "N*m", "N", 0, kInf, 0, 0.1, true, false, "level while sliding"},
+                       {"bristle_damping", "s1", "N*m*s/rad", "N*s/m", 0, kInf, 0, 1, false, false,
+                        "damping of the bristle"}},
+        .family = "friction",
+        .confused_with = {"viscous_friction", "coulomb_friction", "stribeck_friction", "asymmetric_friction",
+                          "load_dependent_friction", "thermal_drift", "joint_elasticity", "backlash"},
+        .reference = "Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE TAC 40(3), 1995",
+        .options = {},
+    };
+  }
+
+  template <class S>
+  static void Apply(const S* p, JointLaw<S>& law) {
+    using T = Base<S>;
+    const T h = law.step.h;
+    const S& stiffness = p[0];
+    const S& z = law.z0[0];
+    const S v = law.VelocityAt(law.OscillationWeight(stiffness * (h * h / law.reference_mass)));
+    // A level of zero is no friction: the bristle then slips freely.
+    const S level = p[1] + T(1e-12);
+    const S x = stiffness * Abs(v) * h / level;
+    const S weight = law.Weight(x);
+    const S change = (v * h - x * z) / (T(1) + weight * x);
+    law.z1[0] = z + change;
+    law.force -= stiffness * (z + weight * change) + p[2] * change / h;
+  }
+};
+
+}  // namespace RG_ISA
+}  // namespace rg::effects

@@ -1,0 +1,71 @@
+// A torque without a name: a smooth function of one variable per joint, flexible enough to stand for what
+// no other effect says.
+//
+//   tau = Σ_i w_i·B((x − x_i)/Δ),   x = q, v, the drive torque or time (option "variable")
+//   eight nodes x_i, evenly from `low` to `high` (spacing Δ); B the cubic B-spline, twice differentiable
+//
+// Zero far outside [low − 2Δ, high + 2Δ]. Linear in w. Neither dissipative nor conservative in general.
+#pragma once
+
+#include "common/effects/effect.h"
+#include "common/effects/effect_role.h"
+#include "common/effects/joint_law.h"
+
+namespace rg::effects {
+inline namespace RG_ISA {
+
+struct UnknownField {
+  static constexpr Role kRole = Role::kJointLaw;
+  static constexpr Phase kPhase = Phase::kLoad;
+
+  static EffectInfo Info() {
+    return {
+        .id = "unknown_field",
+        .title = "Unnamed force",
+        .stage = Stage::kJoint,
+        .scope = Scope::kJoint,
+        .equation = "tau = sum_i w_i*B((x-x_i)/D)",
+        .sentence = "{joint} feels a repeatable force that has no name here.",
+        .parameters = {{"w0", "w0", "N*m", "N", -kInf, kInf, 0, 0.05, true, false, "value at node 0"},
+                       {"w1", "w1", "N*m", "N", -kInf, kInf, 0, 0.05, true, false, "value at node 1"},
+                       {"w2", "w2", "N*m", "N", -kInf, kInf, 0, 0.05, true, false, "value at node 2"},
+                       {"w3", "w3", "N*m", "N", -kInf, kInf, 0, 0.05, true, false, "value at node 3"},
+                       {"w4", "w4", "N*m", "N", -kInf, kInf, 0, 0.05, true, false, "value at node 4"},
+                       {"w5", "w5", "N*m", "N", -kInf, kInf, 0, 0.05, true, false, "value at node 5"},
+                       {"w6", "w6", "N*m", "N", -kInf, kInf, 0, 0.05, true, false, "value at node 6"},
+                       {"w7", "w7", "N*m", "N", -kInf, kInf, 0, 0.05, true, false, "value at node 7"},
+                       {"low", "low", "rad", "m", -kInf, kInf, -3.1416, 3, false, false, "first node"},
+                       {"high", "high", "rad", "m", -kInf, kInf, 3.1416, 3, false, false, "last node"}},
+        .family = "position",
+        .confused_with = {"torque_ripple", "position_spring"},
+        .reference = "",
+        .options = {{"variable", {"position", "velocity", "torque", "time"}}},
+    };
+  }
+
+  static constexpr int kNodes = 8;
+  template <class S>
+  static void Apply(const S* p, JointLaw<S>& law) {
+    using T = Base<S>;
+    const S half(T(0.5));
+    const S x = law.option == 0   ? law.PositionAt(half)
+                : law.option == 1 ? law.VelocityAt(half)
+                : law.option == 2 ? law.link
+                                  : S(law.step.t + T(0.5) * law.step.h);
+    const S spacing = (p[kNodes + 1] - p[kNodes]) / T(kNodes - 1);
+    const S at = (x - p[kNodes]) / spacing;
+    for (int i = 0; i < kNodes; ++i) law.force += p[i] * Spline(S(at - T(i)));
+  }
+  // 2/3 at 0, zero beyond ±2.
+  template <class S>
+  static S Spline(const S& x) {
+    using T = Base<S>;
+    const S a = Abs(x);
+    const S outer = T(2) - a, inner = T(1) - a;
+    const S o = Select(outer > T(0), outer, S(T(0))), i = Select(inner > T(0), inner, S(T(0)));
+    return (o * o * o - T(4) * i * i * i) * T(1.0 / 6.0);
+  }
+};
+
+}  // namespace RG_ISA
+}  // namespace rg::effects
