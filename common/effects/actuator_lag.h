@@ -43,7 +43,9 @@ struct ActuatorLag {
     const S decay = Exp((-law.step.h) / constant);
     const S start = law.z0[0] - law.drive;
     law.z1[0] = law.drive + start * decay;
-    law.drive = law.drive + start * (T(1) - decay) * constant / law.step.h;
+    // In an instant (explicit integrators) the torque is the state.
+    const S mean = (T(1) - decay) * constant / Select(law.step.h > T(0), law.step.h, T(1));
+    law.drive = law.drive + start * Select(law.step.h > T(0), mean, S(T(1)));
   }
 };
 

@@ -71,6 +71,13 @@ struct Backlash {
     law.z1[0] = theta0 + h * (omega0 + drift * change);
     law.z1[1] = omega0 + change;
   }
+
+  // The motor on the face that the drive's torque presses.
+  static void Settle(const double* p, const JointLaw<double>& law, double* z) {
+    const double side = law.drive > 0 ? 1.0 : law.drive < 0 ? -1.0 : 0.0;
+    z[0] = law.q0 + side * 0.5 * p[0] + law.drive / p[1];
+    z[1] = law.v0;
+  }
 };
 
 }  // namespace RG_ISA

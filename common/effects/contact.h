@@ -58,7 +58,8 @@ struct Contact {
   }
   // option: index into the values of "normal".
   template <class S>
-  static void PointForce(const S* p, const S* position, const S* velocity, Base<S>, Base<S>, int option, S* force) {
+  static void PointForce(const S* p, const S* position, const S* velocity, Base<S>, Base<S>, int option,
+                         S* force) {
     using T = Base<S>;
     const int axis = option < 2 ? 2 : option < 4 ? 0 : 1;
     const T sign = option % 2 == 0 ? T(1) : T(-1);

@@ -60,6 +60,12 @@ struct JointElasticity {
     law.z1[0] = theta0 + h * (omega0 + drift * change);
     law.z1[1] = omega0 + change;
   }
+
+  // The motor turned so far that the spring holds the drive's torque.
+  static void Settle(const double* p, const JointLaw<double>& law, double* z) {
+    z[0] = law.q0 + law.drive / p[0];
+    z[1] = law.v0;
+  }
 };
 
 }  // namespace RG_ISA

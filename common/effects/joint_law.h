@@ -46,14 +46,14 @@ struct JointLaw {
 
   // Given.
   StepContext<T> step;
-  T mass;            // inertia the joint's force sees now, 1/(M⁻¹)_ii [kg·m²]; no derivative is taken
-  T reference_mass;  // a constant of the same kind
-  S q0, q1, v0, v1;  // position and velocity at begin and end of the step
-  S acceleration;    // (v1 − v0)/h
-  S coupled{};       // drive torque of the joint that is coupled to this one, before its own coupling
-  bool rough = true; // whether any friction level may differ from zero
-  const S* z0;       // internal states of the effect at work at the step's begin …
-  S* z1;             // … and, written by it, at its end
+  T mass;             // inertia the joint's force sees now, 1/(M⁻¹)_ii [kg·m²]; no derivative is taken
+  T reference_mass;   // a constant of the same kind
+  S q0, q1, v0, v1;   // position and velocity at begin and end of the step
+  S acceleration;     // (v1 − v0)/h
+  S coupled{};        // drive torque of the joint that is coupled to this one, before its own coupling
+  bool rough = true;  // whether any friction level may differ from zero
+  const S* z0;        // internal states of the effect at work at the step's begin …
+  S* z1;              // … and, written by it, at its end
 
   int option = 0;  // of the effect at work: index into the values of its only option
 

@@ -59,7 +59,8 @@ struct PreslidingHysteresis {
     const S weight = law.Weight(x);
     const S change = (v * h - x * z) / (T(1) + weight * x);
     law.z1[0] = z + change;
-    law.force -= stiffness * (z + weight * change) + p[2] * change / h;
+    law.force -=
+        stiffness * (z + weight * change) + p[2] * Select(h > T(0), S(change / Select(h > T(0), h, T(1))), v);
   }
 };
 

@@ -44,8 +44,8 @@ void RunOps(const StepProgram& program, int begin, int end, const S* parameters,
 // Force on joint i. v1, q0 …: the local variables; parameters: all of the joint's; z0, z1: its states.
 // `drive`: the torque after the actuator stage, which coupled joints feel.
 template <class S>
-S Law(const LawContext& c, int i, const S& v1, const S& v0, const S& q0, const S& u, const S& coupled, const S* z0,
-      const S* parameters, S* z1, S* drive) {
+S Law(const LawContext& c, int i, const S& v1, const S& v0, const S& q0, const S& u, const S& coupled,
+      const S* z0, const S* parameters, S* z1, S* drive) {
   const StepProgram& program = *c.program;
   const JointProgram& joint = program.joints[i];
   const double h = c.scheme.instantaneous ? 0.0 : c.input->h;
@@ -92,8 +92,8 @@ inline void Forces(const LawContext& c, const double* v1, double* force, double*
       for (int k = 0; k < joint.num_parameters; ++k) parameters[k] = S(values[k]);
       for (int k = 0; k < joint.num_states; ++k) z[k] = S(c.input->z[joint.first_state + k]);
       const S coupled(pass == 1 ? drives[joint.coupled_to] : 0.0);
-      const S f = Law<S>(c, i, S::Variable(v1[i], 0), S(c.input->v[i]), S(c.input->q[i]), S(c.input->command[i]),
-                         coupled, z, parameters, end, &drive);
+      const S f = Law<S>(c, i, S::Variable(v1[i], 0), S(c.input->v[i]), S(c.input->q[i]),
+                         S(c.input->command[i]), coupled, z, parameters, end, &drive);
       force[i] = f.v;
       slope[i] = f.d[0];
       drives[i] = drive.v;

@@ -17,8 +17,8 @@ inline namespace RG_ISA {
 
 template <int C>
 StepResult LeapfrogStep(const StepProgram& program, const StepValues& values, const StepInput& input,
-                        const Directions* directions, double* direct, const Sensitivity& from, const Sensitivity& to,
-                        const StepOutput& output, StepWorkspace<C>& s) {
+                        const Directions* directions, double* direct, const Sensitivity& from,
+                        const Sensitivity& to, const StepOutput& output, StepWorkspace<C>& s) {
   const dynamics::Tree& tree = program.tree;
   const int n = tree.n;
   const double h = input.h, end = input.t + input.h;

@@ -102,8 +102,8 @@ bool StageSensitivity(const LawContext& c, const Directions& directions, StepWor
 // `direct`: n × stride, followed by 3·n × stride of scratch when directions are given.
 template <int C>
 StepResult Rk4Step(const StepProgram& program, const StepValues& values, const StepInput& input,
-                   const Directions* directions, double* direct, const Sensitivity& from, const Sensitivity& to,
-                   const StepOutput& output, StepWorkspace<C>& s) {
+                   const Directions* directions, double* direct, const Sensitivity& from,
+                   const Sensitivity& to, const StepOutput& output, StepWorkspace<C>& s) {
   const int n = program.tree.n;
   const double h = input.h;
   constexpr double kNode[4] = {0.0, 0.5, 0.5, 1.0};
@@ -142,7 +142,8 @@ StepResult Rk4Step(const StepProgram& program, const StepValues& values, const S
       dq[k] = from.q[k] + shift * dv[k];
       dv[k] = from.v[k] + shift * da[k];
     }
-    if (!StageSensitivity(c, *directions, s, direct, dq, dv, da)) return {StepStatus::kMassMatrixNotPositive, 0};
+    if (!StageSensitivity(c, *directions, s, direct, dq, dv, da))
+      return {StepStatus::kMassMatrixNotPositive, 0};
     for (int k = 0; k < size; ++k) {
       to.q[k] += h * kShare[stage] * dv[k];
       to.v[k] += h * kShare[stage] * da[k];

@@ -20,11 +20,14 @@ struct Table {
   Table() {
     switch (math::DetectIsa()) {
       case math::Isa::kV1:
-        return isa_v1::FillStepKernels(&small, &large);
+        isa_v1::FillStepKernels(&small, &large);
+        break;
       case math::Isa::kV3:
-        return isa_v3::FillStepKernels(&small, &large);
+        isa_v3::FillStepKernels(&small, &large);
+        break;
       case math::Isa::kV4:
-        return isa_v4::FillStepKernels(&small, &large);
+        isa_v4::FillStepKernels(&small, &large);
+        break;
     }
   }
 };

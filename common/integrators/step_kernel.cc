@@ -24,11 +24,12 @@ StepKernels MakeKernels() {
   k.semi_implicit_euler = [](const StepProgram& program, const StepValues& values, const StepInput& input,
                              const Directions* directions, double* direct, const Sensitivity& from,
                              const Sensitivity& to, const StepOutput& output, void* scratch) {
-    return SemiImplicitEulerStep(program, values, input, directions, direct, from, to, output, In<C>(scratch));
+    return SemiImplicitEulerStep(program, values, input, directions, direct, from, to, output,
+                                 In<C>(scratch));
   };
   k.leapfrog = [](const StepProgram& program, const StepValues& values, const StepInput& input,
-                  const Directions* directions, double* direct, const Sensitivity& from, const Sensitivity& to,
-                  const StepOutput& output, void* scratch) {
+                  const Directions* directions, double* direct, const Sensitivity& from,
+                  const Sensitivity& to, const StepOutput& output, void* scratch) {
     return LeapfrogStep(program, values, input, directions, direct, from, to, output, In<C>(scratch));
   };
   k.rk4 = [](const StepProgram& program, const StepValues& values, const StepInput& input,

@@ -11,9 +11,10 @@ namespace rg::integrators {
 // sensitivities are computed and direct, from, to are not used. `direct` is 4·n × stride, zero at the
 // start, 64-byte aligned, private to the kernels between calls. output may be the input's arrays; `from` and
 // `to` must differ.
-using StepFunction = StepResult (*)(const StepProgram& program, const StepValues& values, const StepInput& input,
-                                    const Directions* directions, double* direct, const Sensitivity& from,
-                                    const Sensitivity& to, const StepOutput& output, void* scratch);
+using StepFunction = StepResult (*)(const StepProgram& program, const StepValues& values,
+                                    const StepInput& input, const Directions* directions, double* direct,
+                                    const Sensitivity& from, const Sensitivity& to, const StepOutput& output,
+                                    void* scratch);
 
 struct StepKernels {
   size_t scratch_bytes;  // to be aligned to 64
@@ -24,8 +25,8 @@ struct StepKernels {
   StepFunction leapfrog;
   StepFunction rk4;
   // Acceleration a (n) at input.q, input.v under instantaneous forces.
-  StepResult (*acceleration)(const StepProgram& program, const StepValues& values, const StepInput& input, double* a,
-                             void* scratch);
+  StepResult (*acceleration)(const StepProgram& program, const StepValues& values, const StepInput& input,
+                             double* a, void* scratch);
   // Mass matrix at q (n × n, row-major, without rotor inertia).
   void (*mass_matrix)(const StepProgram& program, const double* q, double* M, void* scratch);
 };

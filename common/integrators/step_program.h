@@ -11,8 +11,8 @@
 namespace rg::integrators {
 
 inline constexpr int kMaxJoints = dynamics::kMaxBodies;
-inline constexpr int kMaxOps = 160;         // effect × joint
-inline constexpr int kMaxLocals = 64;       // variables of one joint's law
+inline constexpr int kMaxOps = 160;    // effect × joint
+inline constexpr int kMaxLocals = 64;  // variables of one joint's law
 inline constexpr int kMaxPointForces = 4;
 inline constexpr int kMaxPointParameters = 8;
 
@@ -31,14 +31,14 @@ struct LawOp {
 };
 
 struct JointProgram {
-  int first_op = 0;         // into StepProgram::ops, in the order of Phase
-  int num_actuator_ops = 0; // those before Phase::kCoupling
+  int first_op = 0;          // into StepProgram::ops, in the order of Phase
+  int num_actuator_ops = 0;  // those before Phase::kCoupling
   int num_ops = 0;
-  int first_state = 0;      // into z
+  int first_state = 0;  // into z
   int num_states = 0;
   int first_parameter = 0;  // into StepValues::joint_parameters
   int num_parameters = kFirstEffectParameter;
-  int coupled_to = -1;      // joint whose drive torque reaches this one, or -1
+  int coupled_to = -1;  // joint whose drive torque reaches this one, or -1
 
   int num_locals() const { return kFirstState + num_states + num_parameters; }
 };
@@ -112,7 +112,7 @@ struct Directions {
   double basis[kMaxJoints][100];
   struct Local {
     int joint;
-    int local;   // LocalVariable or kFirstState + num_states + parameter
+    int local;  // LocalVariable or kFirstState + num_states + parameter
     int column;
   };
   int num_locals = 0;

@@ -23,7 +23,8 @@ struct StepWeights {
 // Direct effect of every direction on the generalised force, n × stride into `direct`; only columns that
 // have one are written (the rest stays zero). With coupling, of the source's parameters too.
 template <int C>
-void DirectForces(const LawContext& c, const Directions& directions, const StepWorkspace<C>& s, double* direct) {
+void DirectForces(const LawContext& c, const Directions& directions, const StepWorkspace<C>& s,
+                  double* direct) {
   const StepProgram& program = *c.program;
   const int n = program.tree.n, stride = directions.stride;
   if (directions.gravity >= 0) {
@@ -60,7 +61,8 @@ void DirectForces(const LawContext& c, const Directions& directions, const StepW
     direct[joint * stride + column] += weight * s.gradients.force[joint][local];
     for (int j = 0; j < n; ++j) {
       if (program.joints[j].coupled_to != joint) continue;
-      direct[j * stride + column] += weight * s.gradients.force[j][kCoupled] * s.gradients.drive[joint][local];
+      direct[j * stride + column] +=
+          weight * s.gradients.force[j][kCoupled] * s.gradients.drive[joint][local];
     }
   };
   for (int k = 0; k < directions.num_locals; ++k) {
@@ -115,16 +117,16 @@ bool StateMatrices(const LawContext& c, const StepWeights& weights, StepWorkspac
 // Solves for dv1 and moves all columns to the step's end. q1 = q0 + position_begin·v0 + position_end·v1.
 template <int C>
 void Propagate(const LawContext& c, const Directions& directions, double position_begin, double position_end,
-               const StepWorkspace<C>& s, const double* direct, const Sensitivity& from, const Sensitivity& to) {
+               const StepWorkspace<C>& s, const double* direct, const Sensitivity& from,
+               const Sensitivity& to) {
   using P = math::Lanes<8>;
   const StepProgram& program = *c.program;
   const int n = program.tree.n, stride = directions.stride;
   auto load = [](const double* p) RG_LAMBDA_INLINE {
     return P(*reinterpret_cast<const P::Vector*>(__builtin_assume_aligned(p, 64)));
   };
-  auto store = [](double* p, P x) RG_LAMBDA_INLINE {
-    *reinterpret_cast<P::Vector*>(__builtin_assume_aligned(p, 64)) = x.v;
-  };
+  auto store = [](double* p, P x)
+                   RG_LAMBDA_INLINE { *reinterpret_cast<P::Vector*>(__builtin_assume_aligned(p, 64)) = x.v; };
   for (int block = 0; block < stride; block += 8) {
     P q[C], v[C], rhs[C];
     for (int j = 0; j < n; ++j) {
@@ -136,7 +138,8 @@ void Propagate(const LawContext& c, const Directions& directions, double positio
       for (int j = 0; j < n; ++j) sum += q[j] * P(s.B_q[i * C + j]) + v[j] * P(s.B_v[i * C + j]);
       const JointProgram& joint = program.joints[i];
       for (int k = 0; k < joint.num_states; ++k) {
-        sum += load(from.z + (joint.first_state + k) * stride + block) * P(s.gradients.force[i][kFirstState + k]);
+        sum += load(from.z + (joint.first_state + k) * stride + block) *
+               P(s.gradients.force[i][kFirstState + k]);
       }
       const int source = joint.coupled_to;
       if (source >= 0) {

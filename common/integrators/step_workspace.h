@@ -15,14 +15,14 @@ struct StepWorkspace {
   dynamics::Inertias<double, C> inertias;
 
   // Set by Prepare from program and values.
-  bool rough[C];          // whether the joint has friction levels
+  bool rough[C];  // whether the joint has friction levels
   bool any_rough;
-  double armature[C];     // rotor inertia at the joint
-  double mass[C];         // inertia a joint's force sees, for reversals
+  double armature[C];  // rotor inertia at the joint
+  double mass[C];      // inertia a joint's force sees, for reversals
 
   // Of the step being taken.
-  alignas(64) double bias[C];    // c(q, v, g) less the point forces
-  double force[C], slope[C];     // joint laws at the current v1
+  alignas(64) double bias[C];  // c(q, v, g) less the point forces
+  double force[C], slope[C];   // joint laws at the current v1
   double trial_force[C], trial_slope[C];
   double v1[C], mean[C], half[C];
   double z1[C * 4];
@@ -70,8 +70,8 @@ void Prepare(const StepProgram& program, const StepValues& values, StepWorkspace
 // Generalised force of the point forces at the workspace's kinematics and velocity v, averaged over
 // [begin, end], with derivatives where `derivatives`.
 template <int C>
-void PointForces(const StepProgram& program, const StepValues& values, const double* v, double begin, double end,
-                 bool derivatives, StepWorkspace<C>& s);
+void PointForces(const StepProgram& program, const StepValues& values, const double* v, double begin,
+                 double end, bool derivatives, StepWorkspace<C>& s);
 
 // w.M into H's lower triangle, scaled.
 template <int C>
@@ -103,7 +103,8 @@ RG_INLINE void MassMatrixHere(const dynamics::Tree& tree, StepWorkspace<C>& s) {
 
 // w.c at velocity v, after Kinematics; leaves the composites that Derivatives needs.
 template <int C>
-RG_INLINE void BiasHere(const dynamics::Tree& tree, const double* gravity, const double* v, StepWorkspace<C>& s) {
+RG_INLINE void BiasHere(const dynamics::Tree& tree, const double* gravity, const double* v,
+                        StepWorkspace<C>& s) {
   dynamics::CopyIn(tree.n, v, s.w.v);
   dynamics::Velocities(tree, gravity, s.w);
   dynamics::BodyInertias(tree, s.inertias, s.w);
@@ -114,8 +115,8 @@ RG_INLINE void BiasHere(const dynamics::Tree& tree, const double* gravity, const
 }
 
 template <int C>
-void PointForces(const StepProgram& program, const StepValues& values, const double* v, double begin, double end,
-                 bool derivatives, StepWorkspace<C>& s) {
+void PointForces(const StepProgram& program, const StepValues& values, const double* v, double begin,
+                 double end, bool derivatives, StepWorkspace<C>& s) {
   using D = Dual<double, 16>;
   using math::Vec3;
   const int n = program.tree.n;

@@ -17,8 +17,8 @@ inline constexpr int kMaxLineSearch = 60;
 
 // residual = M (v1 − v0)/h + bias − F, and whether it vanishes against the size of its terms.
 template <int C>
-RG_INLINE bool VelocityResidual(int n, double inverse_h, const double* v0, const double* v1, const double* force,
-                                const StepWorkspace<C>& s, double* residual) {
+RG_INLINE bool VelocityResidual(int n, double inverse_h, const double* v0, const double* v1,
+                                const double* force, const StepWorkspace<C>& s, double* residual) {
   bool small = true;
   for (int i = 0; i < n; ++i) {
     double inertial = 0.0, speed = 0.0;

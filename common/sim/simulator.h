@@ -132,8 +132,11 @@ class Simulator {
   // Returns false where the mass matrix is not positive definite.
   bool Acceleration(const State& x, const Eigen::VectorXd& u, Eigen::VectorXd* a);
 
+  struct Impl;  // the workspace, private to this folder
+
  private:
-  struct Impl;
+  void RecordCommand(State* x, const Eigen::VectorXd& u, double oldest);
+  void RecordState(State* x, double duration);
   std::unique_ptr<Impl> impl_;
 };
 

@@ -1,0 +1,422 @@
+#include "common/sim/plant_builder.h"
+
+#include <Eigen/LU>
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+#include <utility>
+
+#include "common/base/check.h"
+#include "common/base/rng.h"
+#include "common/dynamics/dynamics.h"
+#include "common/effects/joint_law.h"
+#include "common/integrators/step_kernel.h"
+#include "common/sim/parameter_values.h"
+
+namespace rg::sim::internal {
+namespace {
+
+using effects::EffectInfo;
+using effects::EffectSpec;
+using effects::Role;
+using Where = ParameterUse::Where;
+
+constexpr double kInfinity = effects::kInf;
+
+double EffortScale(const model::Joint& joint) {
+  return std::isfinite(joint.effort) && joint.effort > 0 ? joint.effort : 10.0;
+}
+
+bool Has(const std::vector<EffectSpec>& effects, const std::string& id) {
+  return std::any_of(effects.begin(), effects.end(), [&](const EffectSpec& s) { return s.id == id; });
+}
+
+int OptionIndex(const EffectInfo& info, const EffectSpec& spec, const std::string& option) {
+  const auto row = info.options.find(option);
+  const auto chosen = spec.options.find(option);
+  if (row == info.options.end() || chosen == spec.options.end()) return 0;
+  return static_cast<int>(std::find(row->second.begin(), row->second.end(), chosen->second) -
+                          row->second.begin());
+}
+
+Parameter Row(std::string name, ParameterKind kind, std::string owner, std::string field, std::string unit,
+              double nominal, double lower, double upper, double prior) {
+  return {std::move(name), kind, std::move(owner), std::move(field), "", std::move(unit), nominal, lower,
+          upper,           prior};
+}
+
+}  // namespace
+
+PlantBuilder::PlantBuilder(std::shared_ptr<const model::RobotModel> model, const PlantOptions& options,
+                           std::vector<EffectSpec> effects)
+    : data_(std::make_shared<PlantData>()) {
+  data_->model = std::move(model);
+  data_->options = options;
+  data_->effects = std::move(effects);
+}
+
+std::shared_ptr<const PlantData> PlantBuilder::Take() { return std::move(data_); }
+
+Status PlantBuilder::Build() {
+  RG_RETURN_IF_ERROR(CheckEffects());
+  LayOutTree();
+  AddBaseParameters();
+  for (const EffectSpec& spec : data_->effects) RG_RETURN_IF_ERROR(AddEffect(spec));
+  RG_RETURN_IF_ERROR(LayOutProgram());
+  NameInternalStates();
+  SetReferenceMasses();
+  return Status::Ok();
+}
+
+Status PlantBuilder::CheckEffects() const {
+  const auto& specs = data_->effects;
+  for (size_t i = 0; i < specs.size(); ++i) {
+    RG_RETURN_IF_ERROR(effects::ValidateSpec(specs[i]));
+    for (const auto& joint : specs[i].joints) {
+      if (data_->model->FindJoint(joint) < 0) {
+        return InvalidError("effect " + specs[i].id + ": the model has no moving joint " + joint);
+      }
+    }
+    for (size_t j = 0; j < i; ++j) {
+      if (specs[j].id != specs[i].id) continue;
+      std::set<std::string> seen(specs[j].joints.begin(), specs[j].joints.end());
+      const bool per_joint =
+          !specs[i].joints.empty() && !specs[j].joints.empty() && specs[i].id != "joint_coupling";
+      for (const auto& joint : specs[i].joints) {
+        if (per_joint && seen.count(joint)) {
+          return InvalidError("effect " + specs[i].id + " stands twice on " + joint);
+        }
+      }
+      if (!per_joint) return InvalidError("effect " + specs[i].id + " stands twice");
+    }
+  }
+  return Status::Ok();
+}
+
+void PlantBuilder::LayOutTree() {
+  PlantData& d = *data_;
+  const bool base = Has(d.effects, "base_flexibility"), slosh = Has(d.effects, "sloshing_payload");
+  d.tree_model = WithExtraBodies(d.model, base, slosh);
+  d.program.tree = dynamics::MakeTree(*d.tree_model);
+  d.first_joint = base ? kBaseJoints : 0;
+  for (const auto& joint : d.model->joints()) d.joint_names.push_back(joint.name);
+  const int n = d.num_joints();
+  for (int k = 0; k < d.num_kernel_joints(); ++k) {
+    if (k < d.first_joint || k >= d.first_joint + n) d.extra_joints.push_back(k);
+  }
+  ops_.resize(d.num_kernel_joints());
+  joint_parameters_.assign(d.num_kernel_joints(), integrators::kFirstEffectParameter);
+  d.command_delay.assign(n, -1);
+  d.sensors.assign(n, {});
+  const auto tool = d.tree_model->FindFrame(d.tree_model->end_effector().name);
+  d.program.point_body = tool->body;
+  for (int i = 0; i < 3; ++i) d.program.point[i] = tool->X_BF.translation[i];
+}
+
+void PlantBuilder::Add(Parameter row, std::vector<ParameterUse> uses) {
+  data_->table.Add(std::move(row));
+  data_->uses.push_back(std::move(uses));
+}
+
+void PlantBuilder::AddBaseParameters() {
+  const model::RobotModel& model = *data_->model;
+  constexpr const char* kAxes[] = {"x", "y", "z"};
+  for (int i = 0; i < 3; ++i) {
+    Add(Row(std::string("gravity.") + kAxes[i], ParameterKind::kGravity, "*", kAxes[i], "m/s^2",
+            data_->options.gravity[i], -kInfinity, kInfinity, 0.2),
+        {{Where::kGravity, i, 0}});
+  }
+  auto add_links = [&](int first, int last, ParameterKind kind, const char* unit, bool signed_values) {
+    for (int l = 0; l < model.num_links(); ++l) {
+      for (int c = first; c <= last; ++c) {
+        const model::Link& link = model.link(l);
+        const double nominal = link.parameters[c];
+        const double prior = kind == ParameterKind::kCenterOfMass ? 0.03
+                             : kind == ParameterKind::kMass       ? std::max(0.3 * nominal, 0.05)
+                                                                  : std::max(0.5 * std::abs(nominal), 1e-4);
+        const std::string field(model::kLinkParameterNames[c]);
+        Add(Row(field + "." + link.name, kind, link.name, field, unit, nominal,
+                signed_values || c > 6 ? -kInfinity : 0.0, kInfinity, prior),
+            {{Where::kLink, l, c}});
+      }
+    }
+  };
+  add_links(0, 0, ParameterKind::kMass, "kg", false);
+  add_links(1, 3, ParameterKind::kCenterOfMass, "m", true);
+  add_links(4, 9, ParameterKind::kInertia, "kg*m^2", false);
+  auto add_joints = [&](const char* field, ParameterKind kind, int local, auto&& values) {
+    for (int j = 0; j < model.num_joints(); ++j) {
+      const model::Joint& joint = model.joint(j);
+      const auto [nominal, lower, prior, unit] = values(joint);
+      Add(Row(std::string(field) + "." + joint.name, kind, joint.name, field, unit, nominal, lower, kInfinity,
+              prior),
+          {{Where::kLaw, data_->first_joint + j, local}});
+    }
+  };
+  using Values = std::tuple<double, double, double, const char*>;
+  add_joints("damping", ParameterKind::kDamping, integrators::kDamping, [](const model::Joint& j) {
+    return Values(j.damping, 0.0, std::max(j.damping, 0.1 * EffortScale(j)),
+                  j.is_revolute() ? "N*m*s/rad" : "N*s/m");
+  });
+  add_joints("friction", ParameterKind::kFriction, integrators::kFriction, [](const model::Joint& j) {
+    return Values(j.friction, 0.0, std::max(j.friction, 0.1 * EffortScale(j)), j.is_revolute() ? "N*m" : "N");
+  });
+  add_joints("force_gain", ParameterKind::kForceGain, integrators::kForceGain,
+             [](const model::Joint&) { return Values(1.0, -kInfinity, 0.2, "-"); });
+}
+
+Status PlantBuilder::AddEffect(const EffectSpec& spec) {
+  const int kind = effects::KindOf(spec.id);
+  const EffectInfo& info = effects::Catalog()[kind];
+  if (info.scope == effects::Scope::kJointPair) {
+    const int from = data_->model->FindJoint(spec.joints[0]), to = data_->model->FindJoint(spec.joints[1]);
+    const auto rows = AddRows(spec, kind, "*", to);
+    AddLaw(data_->first_joint + to, kind, 0, rows, data_->first_joint + from);
+    return Status::Ok();
+  }
+  if (spec.joints.empty()) {
+    AddRobotEffect(spec, kind);
+    return Status::Ok();
+  }
+  for (const auto& name : spec.joints)
+    RG_RETURN_IF_ERROR(AddJointEffect(spec, kind, data_->model->FindJoint(name)));
+  return Status::Ok();
+}
+
+std::vector<int> PlantBuilder::AddRows(const EffectSpec& spec, int kind, const std::string& owner,
+                                       int joint) {
+  const EffectInfo& info = effects::Catalog()[kind];
+  const auto given = spec.values.find(owner);
+  std::vector<int> rows;
+  for (size_t i = 0; i < info.parameters.size(); ++i) {
+    const effects::ParameterInfo& p = info.parameters[i];
+    if (!info.Applies(static_cast<int>(i), !spec.joints.empty())) {
+      rows.push_back(-1);
+      continue;
+    }
+    const bool prismatic = joint >= 0 && !data_->model->joint(joint).is_revolute();
+    const double effort = joint >= 0 ? EffortScale(data_->model->joint(joint)) : 10.0;
+    double nominal = p.default_is_effort ? effort : p.default_value;
+    if (given != spec.values.end()) {
+      const auto value = given->second.find(p.name);
+      if (value != given->second.end()) nominal = value->second;
+    }
+    Parameter row = Row(info.id + "." + owner + "." + p.name, ParameterKind::kEffect, owner, p.name,
+                        prismatic ? p.unit_prismatic : p.unit, nominal, p.lower, p.upper,
+                        p.prior_stddev * (p.prior_of_effort ? effort : 1.0));
+    row.effect = info.id;
+    rows.push_back(data_->table.size());
+    Add(std::move(row), {});
+  }
+  return rows;
+}
+
+void PlantBuilder::AddLaw(int kernel_joint, int kind, int option, const std::vector<int>& rows,
+                          int coupled_to) {
+  int& next = joint_parameters_[kernel_joint];
+  ops_[kernel_joint].push_back({effects::TraitsOf(kind).phase, kind, option, next, coupled_to});
+  for (const int row : rows) {
+    if (row >= 0) data_->uses[row].push_back({Where::kLaw, kernel_joint, next});
+    ++next;
+  }
+}
+
+Status PlantBuilder::AddJointEffect(const EffectSpec& spec, int kind, int joint) {
+  const EffectInfo& info = effects::Catalog()[kind];
+  const int k = data_->first_joint + joint;
+  const auto rows = AddRows(spec, kind, spec.joints.empty() ? "*" : data_->joint_names[joint], joint);
+  JointSensor& sensor = data_->sensors[joint];
+  switch (effects::TraitsOf(kind).role) {
+    case Role::kJointLaw:
+    case Role::kJointOrPointForce: {
+      const int option = info.options.empty() ? 0 : OptionIndex(info, spec, info.options.begin()->first);
+      const bool transmission =
+          effects::TraitsOf(kind).phase == static_cast<int>(effects::Phase::kTransmission);
+      if (transmission) {
+        for (const PendingOp& op : ops_[k]) {
+          if (op.phase == static_cast<int>(effects::Phase::kTransmission)) {
+            return InvalidError("effect " + spec.id + ": joint " + data_->joint_names[joint] +
+                                " already has an elastic transmission");
+          }
+        }
+        if (OptionIndex(info, spec, "sensor") == 1) sensor.motor_state = 0;  // found in LayOutProgram
+      }
+      AddLaw(k, kind, option, rows);
+      return Status::Ok();
+    }
+    case Role::kCommandDelay:
+      data_->command_delay[joint] = rows[0];
+      data_->has_command_delay = true;
+      data_->uses[rows[0]].push_back({Where::kCommandDelay, joint, 0});
+      return Status::Ok();
+    case Role::kSensorDelay: {
+      const int signal = OptionIndex(info, spec, "signal");
+      sensor.delay = rows[0];
+      sensor.delays_position = signal != 2;
+      sensor.delays_velocity = signal != 1;
+      data_->has_sensor_delay = true;
+      data_->uses[rows[0]].push_back({Where::kSensorDelay, joint, 0});
+      return Status::Ok();
+    }
+    case Role::kSensorOffset:
+      sensor.offset = rows[0];
+      data_->uses[rows[0]].push_back({Where::kSensorOffset, joint, 0});
+      return Status::Ok();
+    case Role::kBodyInertia:
+    case Role::kGravity:
+    case Role::kExtraBodies:
+      break;
+  }
+  RG_CHECK(false) << spec.id << " takes no joints";
+  return Status::Ok();
+}
+
+void PlantBuilder::AddRobotEffect(const EffectSpec& spec, int kind) {
+  const EffectInfo& info = effects::Catalog()[kind];
+  const auto rows = AddRows(spec, kind, "*", -1);
+  PlantData& d = *data_;
+  switch (effects::TraitsOf(kind).role) {
+    case Role::kBodyInertia:
+      d.payload = rows[0];
+      for (size_t i = 0; i < rows.size(); ++i)
+        d.uses[rows[i]].push_back({Where::kPayload, 0, static_cast<int>(i)});
+      return;
+    case Role::kGravity:
+      d.gravity_turn = rows[0];
+      for (size_t i = 0; i < rows.size(); ++i)
+        d.uses[rows[i]].push_back({Where::kGravityTurn, 0, static_cast<int>(i)});
+      return;
+    case Role::kJointOrPointForce: {
+      const int force = d.program.num_point_forces++;
+      const int option = info.options.empty() ? 0 : OptionIndex(info, spec, info.options.begin()->first);
+      const int count = static_cast<int>(rows.size());
+      RG_CHECK(force < integrators::kMaxPointForces && count <= integrators::kMaxPointParameters);
+      d.program.point_forces[force] = {kind, option, count, d.num_point_parameters};
+      for (int i = 0; i < count; ++i) {
+        if (rows[i] >= 0) d.uses[rows[i]].push_back({Where::kPoint, force, i});
+      }
+      d.num_point_parameters += count;
+      return;
+    }
+    case Role::kExtraBodies: {
+      const bool base = info.id == "base_flexibility";
+      for (const int k : d.extra_joints) {
+        if ((k < d.first_joint) == base) AddLaw(k, kind, 0, rows);
+      }
+      if (!base) d.uses[rows[0]].push_back({Where::kLink, d.tree_model->num_links() - 1, 0});
+      return;
+    }
+    case Role::kJointLaw:
+    case Role::kCommandDelay:
+    case Role::kSensorDelay:
+    case Role::kSensorOffset:
+      break;
+  }
+  RG_CHECK(false) << spec.id << " needs joints";
+}
+
+Status PlantBuilder::LayOutProgram() {
+  PlantData& d = *data_;
+  int next_op = 0;
+  for (int k = 0; k < d.num_kernel_joints(); ++k) {
+    auto& pending = ops_[k];
+    std::stable_sort(pending.begin(), pending.end(),
+                     [](const PendingOp& a, const PendingOp& b) { return a.phase < b.phase; });
+    integrators::JointProgram& joint = d.program.joints[k];
+    joint.first_op = next_op;
+    joint.num_ops = static_cast<int>(pending.size());
+    joint.first_state = d.program.num_states;
+    joint.first_parameter = d.num_joint_parameters;
+    joint.num_parameters = joint_parameters_[k];
+    const std::string& name = d.tree_model->joint(k).name;
+    if (next_op + joint.num_ops > integrators::kMaxOps) return InvalidError("too many effects");
+    for (const PendingOp& op : pending) {
+      if (op.coupled_to >= 0) {
+        if (joint.coupled_to >= 0) return InvalidError("effect joint_coupling: two couplings end at " + name);
+        joint.coupled_to = op.coupled_to;
+      }
+      if (op.phase < static_cast<int>(effects::Phase::kCoupling)) ++joint.num_actuator_ops;
+      d.program.ops[next_op++] = {op.kind, op.first_parameter, joint.num_states, op.option};
+      const auto& states = effects::TraitsOf(op.kind).state_names;
+      const int user = k - d.first_joint;
+      if (op.phase == static_cast<int>(effects::Phase::kTransmission) && user >= 0 && user < d.num_joints()) {
+        if (joint.coupled_to >= 0) {
+          return InvalidError("effect joint_coupling cannot end at " + name +
+                              ", whose transmission is elastic");
+        }
+        JointSensor& sensor = d.sensors[user];
+        if (sensor.motor_state >= 0) sensor.motor_state = d.program.num_states + joint.num_states;
+      }
+      joint.num_states += static_cast<int>(states.size());
+    }
+    d.program.num_states += joint.num_states;
+    d.num_joint_parameters += joint.num_parameters;
+    if (joint.num_locals() > integrators::kMaxLocals) {
+      return InvalidError("joint " + name + " has too many effects at once");
+    }
+  }
+  for (int k = 0; k < d.num_kernel_joints(); ++k) {
+    const int source = d.program.joints[k].coupled_to;
+    if (source >= 0 && d.program.joints[source].coupled_to >= 0) {
+      return InvalidError("effect joint_coupling: " + d.tree_model->joint(source).name +
+                          " is both the end and the start of a coupling");
+    }
+  }
+  return Status::Ok();
+}
+
+void PlantBuilder::NameInternalStates() {
+  PlantData& d = *data_;
+  for (int k = 0; k < d.num_kernel_joints(); ++k) {
+    const integrators::JointProgram& joint = d.program.joints[k];
+    for (int o = joint.first_op; o < joint.first_op + joint.num_ops; ++o) {
+      for (const auto& state : effects::TraitsOf(d.program.ops[o].kind).state_names) {
+        d.internal_state_names.push_back(state + "." + d.tree_model->joint(k).name);
+      }
+    }
+  }
+  for (const int k : d.extra_joints) {
+    d.internal_state_names.push_back("position." + d.tree_model->joint(k).name);
+    d.internal_state_names.push_back("velocity." + d.tree_model->joint(k).name);
+  }
+}
+
+// The median over a fixed set of poses of the inertia each joint's force sees, at nominal parameters.
+void PlantBuilder::SetReferenceMasses() {
+  PlantData& d = *data_;
+  const int n = d.num_kernel_joints();
+  d.reference_mass.assign(n, 1.0);
+  ParameterValues values(d);
+  values.Set(d.table.Nominal());
+  dynamics::Mechanism mechanism(*d.tree_model);
+  mechanism.SetBodyParameters(values.phi());
+  dynamics::Workspace workspace;
+  constexpr int kPoses = 33;
+  std::vector<std::vector<double>> seen(n);
+  Rng rng(0x5eedULL);
+  Eigen::VectorXd q(n);
+  Eigen::MatrixXd M(n, n);
+  for (int pose = 0; pose < kPoses; ++pose) {
+    for (int k = 0; k < n; ++k) {
+      const model::Joint& joint = d.tree_model->joint(k);
+      const bool extra = std::count(d.extra_joints.begin(), d.extra_joints.end(), k) > 0;
+      const double low = std::isfinite(joint.lower) ? joint.lower : -3.14;
+      const double high = std::isfinite(joint.upper) ? joint.upper : 3.14;
+      q[k] = extra ? 0.0 : rng.Uniform(low, high);
+    }
+    dynamics::Crba(mechanism, workspace, q, M);
+    const Eigen::MatrixXd inverse = M.inverse();
+    for (int k = 0; k < n; ++k) {
+      const double mass = 1.0 / inverse(k, k);
+      if (std::isfinite(mass) && mass > 0) seen[k].push_back(mass);
+    }
+  }
+  for (int k = 0; k < n; ++k) {
+    if (seen[k].empty()) continue;
+    std::nth_element(seen[k].begin(), seen[k].begin() + seen[k].size() / 2, seen[k].end());
+    d.reference_mass[k] = seen[k][seen[k].size() / 2];
+  }
+}
+
+}  // namespace rg::sim::internal

@@ -1,0 +1,79 @@
+// How a plant is laid out for the step kernels. Private to this folder.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "common/effects/effect.h"
+#include "common/integrators/step_program.h"
+#include "common/model/robot_model.h"
+#include "common/sim/parameter_table.h"
+#include "common/sim/plant.h"
+
+namespace rg::sim::internal {
+
+// One place where a parameter enters.
+struct ParameterUse {
+  enum class Where {
+    kGravity,       // a: axis
+    kLink,          // a: link of the tree's model, b: component of model::LinkParameters
+    kLaw,           // a: kernel joint, b: parameter of its law
+    kPoint,         // a: point force, b: parameter
+    kPayload,       // b: parameter of the payload
+    kGravityTurn,   // b: parameter of gravity_misalignment
+    kCommandDelay,  // a: joint
+    kSensorDelay,   // a: joint
+    kSensorOffset,  // a: joint
+  };
+  Where where;
+  int a = 0;
+  int b = 0;
+};
+
+struct JointSensor {
+  int motor_state = -1;  // first of the kernel's z rows (position, then velocity) if the encoder sits
+                         // on the motor, else -1
+  int offset = -1;       // parameters, or -1
+  int delay = -1;
+  bool delays_position = true;
+  bool delays_velocity = true;
+};
+
+struct PlantData {
+  std::shared_ptr<const model::RobotModel> model;
+  std::shared_ptr<const model::RobotModel> tree_model;  // with the bodies that effects add
+  PlantOptions options;
+  std::vector<effects::EffectSpec> effects;
+  ParameterTable table;
+  std::vector<std::vector<ParameterUse>> uses;  // per parameter
+  std::vector<std::string> joint_names;
+  std::vector<std::string> internal_state_names;
+
+  // Kernel joints: those that the base stands on, the robot's n, those that hang on it.
+  int first_joint = 0;            // kernel joint of joint 0
+  std::vector<int> extra_joints;  // kernel joints that effects add
+  integrators::StepProgram program;
+  int num_joint_parameters = 0;
+  int num_point_parameters = 0;
+  std::vector<double> reference_mass;  // per kernel joint
+
+  std::vector<int> command_delay;  // per joint: parameter, or -1
+  std::vector<JointSensor> sensors;
+  bool has_command_delay = false;
+  bool has_sensor_delay = false;
+  int payload = -1;       // first parameter of the payload, or -1
+  int gravity_turn = -1;  // first parameter of gravity_misalignment, or -1
+
+  int num_joints() const { return static_cast<int>(joint_names.size()); }
+  int num_kernel_joints() const { return program.tree.n; }
+  int num_internal_states() const { return program.num_states + 2 * static_cast<int>(extra_joints.size()); }
+};
+
+// The model with a rocking base and a mass in a soft hold where the effects ask for them.
+std::shared_ptr<const model::RobotModel> WithExtraBodies(std::shared_ptr<const model::RobotModel> model,
+                                                         bool flexible_base, bool sloshing_mass);
+inline constexpr int kBaseJoints = 2;   // about x, then y
+inline constexpr int kSloshJoints = 3;  // along x, y, z
+
+}  // namespace rg::sim::internal
