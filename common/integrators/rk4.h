@@ -44,7 +44,7 @@ bool StageSensitivity(const LawContext& c, const Directions& directions, StepWor
   const StepProgram& program = *c.program;
   const int n = program.tree.n, stride = directions.stride;
   dynamics::SetAcceleration(program.tree, s.v1, s.w);
-  dynamics::Derivatives(program.tree, s.inertias, s.w);
+  dynamics::Derivatives(program.tree, s.w);
   dynamics::Regressor(program.tree, s.w);
   Gradients(c, c.input->v, &s.gradients);
   // The laws saw no acceleration: a rotor inertia's own derivative is −a.

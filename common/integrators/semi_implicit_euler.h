@@ -39,7 +39,7 @@ StepResult SemiImplicitEulerStep(const StepProgram& program, const StepValues& v
     double a[C];
     for (int i = 0; i < n; ++i) a[i] = (s.v1[i] - input.v[i]) / h;
     dynamics::SetAcceleration(tree, a, s.w);
-    dynamics::Derivatives(tree, s.inertias, s.w);
+    dynamics::Derivatives(tree, s.w);
     dynamics::Regressor(tree, s.w);
     Gradients(c, s.v1, &s.gradients);
     DirectForces(c, *directions, s, direct);
