@@ -113,12 +113,27 @@ Status ArtifactStore::SweepUploads() {
 
 // ---- uploads ----
 
-Result<ArtifactWriter> ArtifactStore::Reserve() {
-  std::string token = RandomHex(8);
-  RG_ASSIGN_OR_RETURN(Statement insert, database_->Prepare("INSERT INTO artifact_upload (token) VALUES (?)"));
-  insert.Bind(1, token);
-  RG_RETURN_IF_ERROR(insert.Run());
-  return ArtifactWriter(this, database_->last_insert_id(), std::move(token));
+// Above every artefact and every upload. Only one process writes, and only in a transaction.
+Result<int64_t> ArtifactStore::NextId() {
+  RG_ASSIGN_OR_RETURN(Statement query,
+                      database_->Prepare("SELECT 1 + max((SELECT coalesce(max(id), 0) FROM artifact),"
+                                         " (SELECT coalesce(max(id), 0) FROM artifact_upload))"));
+  RG_ASSIGN_OR_RETURN(const bool row, query.Step());
+  RG_CHECK(row);
+  return query.Int(0);
+}
+
+Result<ArtifactWriter> ArtifactStore::BeginPut() {
+  const std::string token = RandomHex(8);
+  int64_t id = 0;
+  RG_RETURN_IF_ERROR(database_->InTransaction([&]() -> Status {
+    RG_ASSIGN_OR_RETURN(id, NextId());
+    RG_ASSIGN_OR_RETURN(Statement insert,
+                        database_->Prepare("INSERT INTO artifact_upload (id, token) VALUES (?, ?)"));
+    insert.Bind(1, id).Bind(2, token);
+    return insert.Run();
+  }));
+  return ArtifactWriter(this, id, token);
 }
 
 Status ArtifactStore::CheckUpload(int64_t id, const std::string& token) {
@@ -161,16 +176,15 @@ Status ArtifactStore::DropUpload(int64_t id, const std::string& token) {
 // Pieces appended inside a transaction that was rolled back later are gone: such an upload must not
 // become an artefact.
 Status ArtifactStore::CheckChunks(int64_t id, int64_t chunks, int64_t size) {
-  RG_ASSIGN_OR_RETURN(Statement query,
-                      database_->Prepare("SELECT count(*), coalesce(sum(length(bytes)), 0) FROM artifact_chunk"
-                                         " WHERE id >= ? AND id < ?"));
+  RG_ASSIGN_OR_RETURN(
+      Statement query,
+      database_->Prepare("SELECT count(*), coalesce(sum(length(bytes)), 0) FROM artifact_chunk"
+                         " WHERE id >= ? AND id < ?"));
   query.Bind(1, ChunkId(id, 0)).Bind(2, ChunkId(id + 1, 0));
   RG_ASSIGN_OR_RETURN(const bool row, query.Step());
   if (row && query.Int(0) == chunks && query.Int(1) == size) return Status::Ok();
   return AbortedError("upload " + std::to_string(id) + ": a part of it was rolled back");
 }
-
-Result<ArtifactWriter> ArtifactStore::BeginPut() { return Reserve(); }
 
 Result<PutResult> ArtifactStore::Put(std::string_view bytes, const ArtifactSpec& spec) {
   RG_RETURN_IF_ERROR(CheckSpec(spec));
@@ -181,12 +195,11 @@ Result<PutResult> ArtifactStore::Put(std::string_view bytes, const ArtifactSpec&
   RG_RETURN_IF_ERROR(database_->InTransaction([&]() -> Status {
     RG_ASSIGN_OR_RETURN(result.existed, NoteExisting(result.sha256, spec));
     if (result.existed) return Status::Ok();
-    RG_ASSIGN_OR_RETURN(ArtifactWriter upload, Reserve());
-    upload.store_.store = nullptr;  // its rows go with this transaction if anything fails
+    RG_ASSIGN_OR_RETURN(const int64_t id, NextId());
     int64_t chunk = 0;
     for (size_t at = 0; at < bytes.size(); at += options_.chunk_bytes)
-      RG_RETURN_IF_ERROR(WriteChunk(upload.id_, chunk++, bytes.substr(at, options_.chunk_bytes)));
-    return InsertArtifact(upload.id_, chunk, static_cast<int64_t>(bytes.size()), result.sha256, spec);
+      RG_RETURN_IF_ERROR(WriteChunk(id, chunk++, bytes.substr(at, options_.chunk_bytes)));
+    return InsertArtifact(id, chunk, static_cast<int64_t>(bytes.size()), result.sha256, spec);
   }));
   return result;
 }
@@ -202,9 +215,6 @@ Status ArtifactStore::InsertArtifact(int64_t id, int64_t chunks, int64_t size, c
   insert.Bind(1, id).Bind(2, sha256).Bind(3, spec.kind).Bind(4, spec.version).Bind(5, size).Bind(6, chunks);
   insert.Bind(7, clock_->WallNanos()).Bind(8, spec.metadata_json).Bind(9, spec.job_id).Bind(10, spec.task_id);
   RG_RETURN_IF_ERROR(insert.Run());
-  RG_ASSIGN_OR_RETURN(Statement done, database_->Prepare("DELETE FROM artifact_upload WHERE id = ?"));
-  done.Bind(1, id);
-  RG_RETURN_IF_ERROR(done.Run());
   return AddLinks(id, sha256, spec);
 }
 
@@ -299,6 +309,9 @@ Result<PutResult> ArtifactWriter::Commit(const ArtifactSpec& spec, std::string_v
     if (result.existed) return store.DropUpload(id_, token_);
     if (!pending_.empty()) RG_RETURN_IF_ERROR(store.WriteChunk(id_, next_chunk_++, pending_));
     RG_RETURN_IF_ERROR(store.CheckChunks(id_, next_chunk_, size_bytes_));
+    RG_ASSIGN_OR_RETURN(Statement done, store.database_->Prepare("DELETE FROM artifact_upload WHERE id = ?"));
+    done.Bind(1, id_);
+    RG_RETURN_IF_ERROR(done.Run());
     return store.InsertArtifact(id_, next_chunk_, size_bytes_, result.sha256, spec);
   });
   if (!outcome.ok()) {

@@ -216,7 +216,7 @@ class ArtifactStore {
 
   // Uploads (artifact_store.cc).
   Status SweepUploads();
-  Result<ArtifactWriter> Reserve();
+  Result<int64_t> NextId();
   Status CheckUpload(int64_t id, const std::string& token);
   Status WriteChunk(int64_t id, int64_t chunk, std::string_view bytes);
   Status CheckChunks(int64_t id, int64_t chunks, int64_t size);

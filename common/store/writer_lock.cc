@@ -55,7 +55,8 @@ Result<WriterLock> WriterLock::Acquire(const std::string& database_path, int wai
 
 WriterLock::WriterLock(int fd) : fd_(fd), owner_(::getpid()) {}
 
-WriterLock::WriterLock(WriterLock&& other) noexcept : fd_(std::exchange(other.fd_, -1)), owner_(other.owner_) {}
+WriterLock::WriterLock(WriterLock&& other) noexcept
+    : fd_(std::exchange(other.fd_, -1)), owner_(other.owner_) {}
 
 WriterLock& WriterLock::operator=(WriterLock&& other) noexcept {
   std::swap(fd_, other.fd_);
