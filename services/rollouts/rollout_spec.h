@@ -1,0 +1,52 @@
+// What a rollout is to be: where it starts, where it should go, for how long.
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "common/base/rng.h"
+#include "common/base/status.h"
+#include "common/model/robot_model.h"
+
+namespace rg::rollouts {
+
+inline constexpr const char* kSpecFormat = "realitygrad.rollout_spec/1";
+
+struct RolloutSpec {
+  // Also the name of the recording and its identity when it is delivered twice; from job and task.
+  std::string id;
+  double rate_hz = 25.0;
+  double duration_s = 6.0;
+  Eigen::VectorXd start;  // n, the candle pose; empty: the agent's own
+  // The goal: these joints (n) if given, else this place of the end effector (3, m, base frame) if
+  // given, else a random one (SampleGoal with the fields below).
+  Eigen::VectorXd goal;
+  Eigen::VectorXd goal_position;
+  uint64_t goal_seed = 1;
+  double goal_reach_s = 1.0;  // > 0: |goal - start| ≤ 0.6 · v_max · goal_reach_s
+  uint64_t robot_seed = 1;    // of a simulated robot's sensor noise
+};
+
+// {"format", "id", "rate_hz", "duration_s", "start"?, "goal"?, "goal_position"?, "goal_seed", "goal_reach_s",
+// "robot_seed"}; ranges are checked, unknown fields refused.
+Result<RolloutSpec> ParseSpec(const std::string& json);
+std::string SpecToJson(const RolloutSpec& spec);
+
+// Uniform in the box |q - start| ≤ 0.6 · v_max · reach_s cut by the position limits less a margin:
+// [lower, upper] (n each) is the safety box, so that a goal never asks to leave it. At least one joint
+// moves by half of what it may (redrawn until then), so that no goal is the start.
+Eigen::VectorXd SampleGoal(const model::RobotModel& model, const Eigen::VectorXd& start,
+                           const Eigen::VectorXd& lower, const Eigen::VectorXd& upper, double reach_s,
+                           Rng& rng);
+
+// First rollouts are short and grow: first_s · growth^iteration, at most full_s.
+struct DurationSchedule {
+  double first_s = 6.0;  // > 0
+  double growth = 2.0;   // ≥ 1
+  double full_s = 6.0;   // ≥ first_s
+};
+double ScheduledDuration(const DurationSchedule& schedule, int iteration);
+
+}  // namespace rg::rollouts
