@@ -1,0 +1,99 @@
+#include "robot_agent/controllers.h"
+
+#include <algorithm>
+#include <limits>
+
+#include "services/trajectories/mpc_controller.h"
+
+namespace rg::robot_agent {
+namespace {
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+
+class MpcControllerAdapter final : public Controller {
+ public:
+  MpcControllerAdapter(std::unique_ptr<trajectories::MpcController> mpc, const Eigen::VectorXd& goal)
+      : mpc_(std::move(mpc)), goal_(goal), q_(goal.size()), v_(goal.size()), u_(goal.size()) {}
+
+  void Command(double, const double* q, const double* v, double* tau) override {
+    const auto n = goal_.size();
+    q_ = Eigen::Map<const Eigen::VectorXd>(q, n);
+    v_ = Eigen::Map<const Eigen::VectorXd>(v, n);
+    mpc_->Solve(q_, v_, goal_, &u_);
+    Eigen::Map<Eigen::VectorXd>(tau, n) = u_;
+  }
+
+ private:
+  const std::unique_ptr<trajectories::MpcController> mpc_;
+  const Eigen::VectorXd goal_;
+  Eigen::VectorXd q_, v_, u_;
+};
+
+}  // namespace
+
+Result<std::unique_ptr<PolicyController>> PolicyController::Create(policy::Policy policy,
+                                                                   const std::vector<std::string>& joints,
+                                                                   const Eigen::VectorXd& goal) {
+  const auto n = static_cast<int>(joints.size());
+  if (policy.input_size() != 3 * n || policy.output_size() != n)
+    return InvalidError("the policy takes " + std::to_string(policy.input_size()) + " inputs and gives " +
+                        std::to_string(policy.output_size()) + " torques, the robot needs " +
+                        std::to_string(3 * n) + " and " + std::to_string(n));
+  if (!policy.joints().empty() && policy.joints() != joints)
+    return InvalidError("the policy was trained for other joints than the robot's (its first is " +
+                        policy.joints().front() + ", the robot's " + joints.front() + ")");
+  RG_CHECK(goal.size() == n) << goal.size();
+  return std::unique_ptr<PolicyController>(new PolicyController(std::move(policy), goal));
+}
+
+PolicyController::PolicyController(policy::Policy policy, const Eigen::VectorXd& goal)
+    : policy_(std::move(policy)), n_(static_cast<int>(goal.size())) {
+  std::copy_n(goal.data(), n_, input_.begin() + 2 * n_);
+}
+
+void PolicyController::Command(double, const double* q, const double* v, double* tau) {
+  std::copy_n(q, n_, input_.begin());
+  std::copy_n(v, n_, input_.begin() + n_);
+  const auto outcome =
+      policy_.Evaluate({input_.data(), static_cast<size_t>(3 * n_)}, {tau, static_cast<size_t>(n_)});
+  if (!outcome.ok()) std::fill_n(tau, n_, kNan);
+}
+
+Result<std::unique_ptr<TrajectoryController>> TrajectoryController::Create(Plan plan) {
+  const auto count = plan.t.size();
+  const bool feedback = plan.gain_q.size() > 0;
+  if (count == 0 || plan.tau.cols() != count || !plan.tau.allFinite())
+    return InvalidError("planned motion: needs one finite column of torques per time");
+  for (Eigen::Index k = 1; k < count; ++k)
+    if (!(plan.t[k] > plan.t[k - 1]))
+      return InvalidError("planned motion: time does not grow at row " + std::to_string(k));
+  const bool fits = plan.q.cols() == count && plan.v.cols() == count && plan.q.rows() == plan.tau.rows() &&
+                    plan.v.rows() == plan.tau.rows() && plan.gain_q.size() == plan.tau.rows() &&
+                    plan.gain_v.size() == plan.tau.rows();
+  if (feedback && !fits)
+    return InvalidError("planned motion: gains need positions and velocities of the same shape");
+  return std::unique_ptr<TrajectoryController>(new TrajectoryController(std::move(plan)));
+}
+
+void TrajectoryController::Command(double t, const double* q, const double* v, double* tau) {
+  const double* begin = plan_.t.data();
+  const double* after = std::upper_bound(begin, begin + plan_.t.size(), t);
+  const Eigen::Index k = std::max<Eigen::Index>(after - begin - 1, 0);
+  for (Eigen::Index i = 0; i < plan_.tau.rows(); ++i) {
+    tau[i] = plan_.tau(i, k);
+    if (plan_.gain_q.size() == 0) continue;
+    tau[i] += plan_.gain_q[i] * (plan_.q(i, k) - q[i]) + plan_.gain_v[i] * (plan_.v(i, k) - v[i]);
+  }
+}
+
+Result<std::unique_ptr<Controller>> MakeMpcController(const sim::Plant& plant, const Eigen::VectorXd& values,
+                                                      const Eigen::VectorXd& goal,
+                                                      const Eigen::VectorXd& torque_limit, double rate_hz) {
+  trajectories::MpcOptions options;
+  options.interval_s = 1.0 / rate_hz;
+  options.peak_torque = torque_limit;
+  RG_ASSIGN_OR_RETURN(auto mpc, trajectories::MpcController::Create(plant, values, options));
+  return std::unique_ptr<Controller>(std::make_unique<MpcControllerAdapter>(std::move(mpc), goal));
+}
+
+}  // namespace rg::robot_agent

@@ -1,0 +1,58 @@
+// The controllers a rollout runs with: the trained policy, a table of torques, model predictive control.
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <string>
+
+#include "common/base/status.h"
+#include "common/sim/plant.h"
+#include "robot_agent/controller.h"
+#include "robot_agent/drivers/driver.h"
+#include "services/policy/policy.h"
+
+namespace rg::robot_agent {
+
+// tau = policy(q, v, goal). A policy that cannot evaluate (NaN in or out) yields NaN, so that the safety
+// monitor stops the arm. Allocates nothing per command.
+class PolicyController final : public Controller {
+ public:
+  // `goal`: n. Refuses a policy whose inputs are not 3n or whose joints are not `joints`.
+  static Result<std::unique_ptr<PolicyController>> Create(policy::Policy policy,
+                                                          const std::vector<std::string>& joints,
+                                                          const Eigen::VectorXd& goal);
+  void Command(double t, const double* q, const double* v, double* tau) override;
+
+ private:
+  PolicyController(policy::Policy policy, const Eigen::VectorXd& goal);
+
+  const policy::Policy policy_;
+  const int n_;
+  std::array<double, 3 * kMaxJoints> input_{};
+};
+
+// A planned motion: torques held from their row's time to the next, after the last row the last one,
+// optionally with a correction tau += gain_q ∘ (q_ref - q) + gain_v ∘ (v_ref - v).
+class TrajectoryController final : public Controller {
+ public:
+  struct Plan {
+    Eigen::VectorXd t;               // K, s, from the rollout's start, increasing
+    Eigen::MatrixXd tau;             // n × K
+    Eigen::MatrixXd q, v;            // n × K, needed with gains
+    Eigen::VectorXd gain_q, gain_v;  // n, or empty: open loop
+  };
+  static Result<std::unique_ptr<TrajectoryController>> Create(Plan plan);
+  void Command(double t, const double* q, const double* v, double* tau) override;
+
+ private:
+  explicit TrajectoryController(Plan plan) : plan_(std::move(plan)) {}
+  Plan plan_;
+};
+
+// The paper's controller for its bounded/unbounded recording: receding horizon on the believed model,
+// solved anew each cycle. Allocates inside the solver on a cold start (the first command).
+Result<std::unique_ptr<Controller>> MakeMpcController(const sim::Plant& plant, const Eigen::VectorXd& values,
+                                                      const Eigen::VectorXd& goal,
+                                                      const Eigen::VectorXd& torque_limit, double rate_hz);
+
+}  // namespace rg::robot_agent

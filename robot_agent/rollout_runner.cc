@@ -1,0 +1,199 @@
+#include "robot_agent/rollout_runner.h"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "common/base/file.h"
+#include "common/base/log.h"
+#include "common/model/robot_model.h"
+#include "robot_agent/arm_model.h"
+#include "services/trajectories/inverse_kinematics.h"
+
+namespace rg::robot_agent {
+namespace {
+
+using nlohmann::json;
+
+std::vector<double> ToVector(const Eigen::VectorXd& x) { return {x.data(), x.data() + x.size()}; }
+
+Eigen::VectorXd ToEigen(const std::vector<double>& x) {
+  return Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size()));
+}
+
+Status CheckSize(const char* what, const Eigen::VectorXd& x, int n) {
+  if (x.size() == n) return Status::Ok();
+  return InvalidError(std::string("rollout: ") + what + " has " + std::to_string(x.size()) + " entries for " +
+                      std::to_string(n) + " joints");
+}
+
+Status CheckInBox(const model::RobotModel& model, const SafetyLimits& limits, const Eigen::VectorXd& goal) {
+  for (int i = 0; i < model.num_joints(); ++i)
+    if (goal[i] < limits.lower[i] || goal[i] > limits.upper[i])
+      return InvalidError("rollout: the goal has " + model.joint(i).name + " at " + std::to_string(goal[i]) +
+                          ", outside its box [" + std::to_string(limits.lower[i]) + ", " +
+                          std::to_string(limits.upper[i]) + "]");
+  return Status::Ok();
+}
+
+// The joints of the arm, in the order of the model: drivers and models number them alike.
+Status CheckJoints(const DriverInfo& info, const sim::Plant& plant) {
+  if (info.joints == plant.joint_names()) return Status::Ok();
+  std::string have, want;
+  for (const auto& joint : info.joints) have += " " + joint;
+  for (const auto& joint : plant.joint_names()) want += " " + joint;
+  return InvalidError("the robot " + info.robot + " has the joints" + have + ", the model" + want);
+}
+
+json NoiseOf(const DriverInfo& info) {
+  json noise = json::object();
+  if (info.position_stddev > 0) noise["position_stddev"] = info.position_stddev;
+  if (info.velocity_stddev > 0) noise["velocity_stddev"] = info.velocity_stddev;
+  if (info.position_resolution > 0) noise["position_resolution"] = info.position_resolution;
+  return noise;
+}
+
+std::string MetadataOf(const DriverInfo& info, const RolloutInput& input, const Clock& clock) {
+  const auto& spec = input.plan.spec;
+  const Eigen::Vector3d gravity = input.plant.options().gravity;
+  return json{{"format", rollouts::kRolloutFormat},
+              {"id", spec.id},
+              {"robot", info.robot},
+              {"driver", info.driver},
+              {"lock_step", info.lock_step},
+              {"joints", info.joints},
+              {"urdf", input.plant.model().urdf_text()},
+              {"gravity", {gravity.x(), gravity.y(), gravity.z()}},
+              {"rate_hz", spec.rate_hz},
+              {"duration_s", spec.duration_s},
+              {"torque_convention", "whole joint torque, gravity included"},
+              {"adds_gravity_compensation", info.adds_gravity_compensation},
+              {"start", ToVector(spec.start)},
+              {"goal", ToVector(spec.goal)},
+              {"goal_seed", spec.goal_seed},
+              {"controller", input.controller_name},
+              {"policy_sha256", input.policy_sha256},
+              {"model_sha256", input.model_sha256},
+              {"limits", json::parse(LimitsToJson(input.plan.limits))},
+              {"noise", NoiseOf(info)},
+              {"started", FormatWallTime(clock.WallNanos())}}
+      .dump();
+}
+
+std::string EndOf(const ControlLoopResult& loop, const std::vector<std::string>& joints) {
+  return json{{"end_reason", EndReasonName(loop.trip.reason)},
+              {"detail", DescribeTrip(loop.trip, joints)},
+              {"ended_after_s", loop.duration_s},
+              {"commands", loop.commands},
+              {"saturated_samples", loop.saturated_samples},
+              {"held", loop.held},
+              {"jitter", json::parse(loop.jitter.ToJson())}}
+      .dump();
+}
+
+RolloutResult ResultOf(const FinishedRollout& finished, std::string bundle, std::string path,
+                       const RolloutInput& input) {
+  RolloutResult result;
+  const json rollout = json::parse(finished.rollout_json);
+  result.reason = EndReasonFromName(rollout.value("end_reason", ""));
+  result.detail = rollout.value("detail", "");
+  result.rows = finished.recording.rows();
+  if (result.rows > 0)
+    result.goal_error = rollouts::ScoreGoal(input.plant.model(), finished.recording, input.plan.spec.goal);
+  result.rollout_json = finished.rollout_json;
+  result.bundle = std::move(bundle);
+  result.bundle_path = std::move(path);
+  return result;
+}
+
+// A rollout of that id is in the spool already, finished or just salvaged.
+Result<RolloutResult> AlreadyThere(Spool& spool, const RolloutInput& input) {
+  const std::string path = spool.ReadyPath(input.plan.spec.id);
+  RG_ASSIGN_OR_RETURN(std::string bytes, ReadFile(path));
+  RG_ASSIGN_OR_RETURN(rollouts::Bundle bundle, rollouts::UnpackBundle(bytes));
+  FinishedRollout finished{.bundle = bundle, .recording = {}, .rollout_json = bundle["rollout.json"]};
+  const auto recording = recordings::ParseCsv(bundle[kRecordingFile], kRecordingFile,
+                                              {.joints = input.plant.joint_names(), .robot = {}});
+  if (recording.ok()) finished.recording = *recording;
+  RolloutResult result = ResultOf(finished, std::move(bytes), path, input);
+  result.was_there = true;
+  return result;
+}
+
+Result<Eigen::VectorXd> GoalByInverseKinematics(const sim::Plant& plant, const rollouts::RolloutSpec& spec) {
+  Rng rng(spec.goal_seed);
+  trajectories::TaskGoal goal{.position = spec.goal_position, .orientation = std::nullopt, .link = ""};
+  const auto found = trajectories::SolveInverseKinematics(plant.model(), goal, spec.start, {}, rng);
+  if (!found.reached) return InvalidError("rollout: " + found.message);
+  return found.q;
+}
+
+Status GoToStart(Driver& driver, const RolloutInput& input, const ProgressFn& progress) {
+  if (progress) progress({"rollout", 0.0, input.plan.spec.duration_s, "to the start pose"});
+  const Status moved = driver.MoveToPose(input.plan.spec.start.data(), input.config.pose_tolerance,
+                                         input.config.pose_timeout_s);
+  if (!moved.ok()) return moved.WithPrefix("start pose");
+  return driver.SleepUntil(driver.NowNanos() + std::llround(1e9 * input.config.settle_s));
+}
+
+}  // namespace
+
+Result<RolloutPlan> PlanRollout(const rollouts::RolloutSpec& spec, const AgentConfig& config,
+                                const sim::Plant& plant) {
+  const model::RobotModel& model = plant.model();
+  const int n = plant.num_joints();
+  RolloutPlan plan{.spec = spec, .limits = {}};
+  if (plan.spec.start.size() == 0) plan.spec.start = ToEigen(config.start_pose);
+  RG_RETURN_IF_ERROR(CheckSize("start", plan.spec.start, n));
+  RG_ASSIGN_OR_RETURN(plan.limits, LimitsFor(config, model, ToVector(plan.spec.start)));
+  if (plan.spec.goal.size() == 0 && plan.spec.goal_position.size() == 3) {
+    RG_ASSIGN_OR_RETURN(plan.spec.goal, GoalByInverseKinematics(plant, plan.spec));
+  } else if (plan.spec.goal.size() == 0) {
+    Rng rng(spec.goal_seed);
+    plan.spec.goal = rollouts::SampleGoal(model, plan.spec.start, ToEigen(plan.limits.lower),
+                                          ToEigen(plan.limits.upper), spec.goal_reach_s, rng);
+  }
+  RG_RETURN_IF_ERROR(CheckSize("goal", plan.spec.goal, n));
+  RG_RETURN_IF_ERROR(CheckInBox(model, plan.limits, plan.spec.goal));
+  return plan;
+}
+
+Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spool& spool,
+                                 const ProgressFn& progress, const CancelToken& stop, const Clock& clock) {
+  const std::string& id = input.plan.spec.id;
+  if (std::filesystem::exists(spool.ReadyPath(id))) return AlreadyThere(spool, input);
+  RG_RETURN_IF_ERROR(driver.Connect(input.config.connect_timeout_s));
+  RG_RETURN_IF_ERROR(CheckJoints(driver.info(), input.plant));
+  RG_RETURN_IF_ERROR(GoToStart(driver, input, progress));
+  if (stop.cancelled()) return CancelledError("stopped before the rollout began");
+
+  const int n = input.plant.num_joints();
+  const std::string active = spool.ActivePath(id);
+  RG_ASSIGN_OR_RETURN(auto recorder, Recorder::Start(active, MetadataOf(driver.info(), input, clock), n, {}));
+  PlantArmModel arm(input.plant, input.values);
+  ControlLoopOptions options;
+  options.rate_hz = input.plan.spec.rate_hz;
+  options.duration_s = input.plan.spec.duration_s;
+  options.velocity_source = input.config.velocity_source;
+  if (progress) progress({"rollout", 0.0, options.duration_s, "running"});
+  const ControlLoopResult loop =
+      RunControlLoop(driver, input.controller, arm, input.plan.limits, options, *recorder, stop, clock);
+  const Status recorded = recorder->Finish(EndOf(loop, driver.info().joints));
+  if (!recorded.ok()) spdlog::error("recording {}: {}", id, recorded.ToString());
+  recorder.reset();
+
+  RG_ASSIGN_OR_RETURN(const RawRecording raw, ReadRawRecording(active));
+  RG_ASSIGN_OR_RETURN(const FinishedRollout finished, FinishRollout(raw));
+  std::string bundle = rollouts::PackBundle(finished.bundle);
+  RG_RETURN_IF_ERROR(spool.Commit(id, bundle));
+  RolloutResult result = ResultOf(finished, std::move(bundle), spool.ReadyPath(id), input);
+  result.jitter = loop.jitter;
+  if (progress)
+    progress({"rollout", loop.duration_s, options.duration_s, std::string(EndReasonName(result.reason))});
+  return result;
+}
+
+}  // namespace rg::robot_agent

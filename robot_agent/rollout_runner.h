@@ -1,0 +1,63 @@
+// One rollout, from wherever the arm is to a recording in the spool.
+//
+//   connect -> start pose (position mode) -> settle -> torque mode -> control loop -> hold -> spool
+//
+// Who calls it: the executor of the task kind `rollout`, a test, or a program; one thread. What is
+// durable when it returns a result: the bundle, in the spool's ready folder under spec.id. A repeat with
+// the same id moves nothing: the bundle that is there is returned (a robot never runs a rollout twice).
+// A stop of any kind is a result with its reason; an error means that the arm was not moved under
+// torque (unreachable, wrong joints, start pose not reached) or that the recording could not be kept.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "common/base/clock.h"
+#include "common/base/progress.h"
+#include "common/sim/plant.h"
+#include "robot_agent/agent_config.h"
+#include "robot_agent/control_loop.h"
+#include "robot_agent/rollout_bundle.h"
+#include "robot_agent/spool.h"
+#include "services/rollouts/rollout_spec.h"
+#include "services/rollouts/scoring.h"
+
+namespace rg::robot_agent {
+
+struct RolloutPlan {
+  rollouts::RolloutSpec spec;  // start and goal filled in
+  SafetyLimits limits;
+};
+// Start (the agent's if the spec has none), limits, goal: given, by inverse kinematics, or sampled by
+// goal_seed. Depends on nothing but its arguments. The goal lies inside the position box.
+Result<RolloutPlan> PlanRollout(const rollouts::RolloutSpec& spec, const AgentConfig& config,
+                                const sim::Plant& plant);
+
+struct RolloutInput {
+  const RolloutPlan& plan;
+  const AgentConfig& config;
+  const sim::Plant& plant;        // the believed model …
+  const Eigen::VectorXd& values;  // … at these parameters: gravity compensation, end effector
+  Controller& controller;         // for plan.spec.goal
+  std::string controller_name = "policy";
+  std::string policy_sha256, model_sha256;  // into the metadata
+};
+
+struct RolloutResult {
+  std::string bundle;       // bytes of the tar
+  std::string bundle_path;  // in the spool
+  EndReason reason = EndReason::kNone;
+  std::string detail;
+  int rows = 0;  // of the recording; 0 and 1: nothing that can be used
+  bool usable() const { return rows >= 2; }
+  rollouts::GoalError goal_error;  // if rows > 0
+  JitterReport jitter;             // empty if the bundle was there already
+  std::string rollout_json;
+  bool was_there = false;
+};
+
+Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spool& spool,
+                                 const ProgressFn& progress, const CancelToken& stop, const Clock& clock);
+
+}  // namespace rg::robot_agent

@@ -1,0 +1,51 @@
+// The task kind `rollout` as a function: what services/jobs registers in the agent's worker.
+//
+// Runs in an executor child of the agent, one at a time (the spool's lock holds that too), at most
+// once: a repeat with the same spec.id returns the recording that is in the spool and moves nothing.
+// Recordings that a dead executor left are finished first and wait in the spool for DeliverSpool.
+#pragma once
+
+#include <functional>
+#include <string>
+
+#include "common/base/progress.h"
+#include "common/base/status.h"
+#include "robot_agent/agent_config.h"
+#include "robot_agent/spool.h"
+#include "services/rollouts/rollout_spec.h"
+
+namespace rg::robot_agent {
+
+struct RolloutTaskInput {
+  std::string model_json;    // realitygrad.model/1: the belief
+  std::string policy_bytes;  // for controller "policy"
+  rollouts::RolloutSpec spec;
+  std::string controller = "policy";  // or "mpc"
+};
+
+struct RolloutTaskOutput {
+  std::string bundle;  // artefact of kind rollouts::kBundleKind; `tar xf` gives a recording set
+  // rollout.json on one line, the artefact's metadata: "end_reason", "detail", "goal", "goal_error",
+  // "rows", "jitter", …
+  std::string metadata_json;
+  // {"end_reason", "rows", "ended_after_s", "goal_joint_norm", "goal_tip_m", "missed_deadlines",
+  // "cycle_p99_us", "lateness_p99_us"}: the task's summary.
+  std::string summary_json;
+  bool usable = false;  // false: it ended before there were two rows; the bundle tells why
+};
+
+// `stop`: cancelled by the operator or the coordinator: the arm stops as defined, the recording counts.
+Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::string& spool_folder,
+                                         const RolloutTaskInput& input, const ProgressFn& progress,
+                                         const CancelToken& stop);
+
+// Opens the spool, finishes what a dead process left, and hands every bundle that waits to `deliver` with
+// its metadata. Returns how many were taken; kFailedPrecondition: a rollout is running, come later.
+using BundleDeliverer =
+    std::function<Status(const std::string& id, const std::string& bundle, const std::string& metadata_json)>;
+Result<int> DeliverSpool(const std::string& spool_folder, const BundleDeliverer& deliver);
+
+// After the coordinator has committed the task's output: the spool need not keep it. Idempotent.
+Status ForgetDelivered(const std::string& spool_folder, const std::string& id);
+
+}  // namespace rg::robot_agent

@@ -1,0 +1,181 @@
+#include "robot_agent/simulated_robot/truth.h"
+
+#include <cmath>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "common/base/file.h"
+#include "common/model/urdf_loader.h"
+
+namespace rg::robot_agent {
+namespace {
+
+using nlohmann::json;
+
+Status CheckKeys(const json& object, const std::set<std::string>& known, const std::string& where) {
+  for (const auto& [key, value] : object.items())
+    if (!known.contains(key)) return InvalidError(where + "unknown field \"" + key + "\"");
+  return Status::Ok();
+}
+
+Result<Eigen::VectorXd> ReadVector(const json& object, const char* field, int n, double lowest) {
+  const auto values = object.at(field).get<std::vector<double>>();
+  if (static_cast<int>(values.size()) != n)
+    return InvalidError(std::string(field) + " has " + std::to_string(values.size()) + " entries for " +
+                        std::to_string(n) + " joints");
+  for (const double value : values)
+    if (!std::isfinite(value) || value < lowest)
+      return InvalidError(std::string(field) + " holds " + std::to_string(value) + ", needs at least " +
+                          std::to_string(lowest));
+  return Eigen::VectorXd(Eigen::Map<const Eigen::VectorXd>(values.data(), n));
+}
+
+Status ReadNumber(const json& object, const char* field, double lowest, double highest, double* value) {
+  if (!object.contains(field)) return Status::Ok();
+  *value = object.at(field).get<double>();
+  if (std::isfinite(*value) && *value >= lowest && *value <= highest) return Status::Ok();
+  return InvalidError(std::string(field) + " is " + std::to_string(*value) + ", needs " +
+                      std::to_string(lowest) + " to " + std::to_string(highest));
+}
+
+Result<effects::EffectSpec> ReadEffect(const json& entry) {
+  RG_RETURN_IF_ERROR(CheckKeys(entry, {"effect", "joints", "parameters", "options"}, "effects: "));
+  effects::EffectSpec spec;
+  entry.at("effect").get_to(spec.id);
+  spec.joints = entry.value("joints", std::vector<std::string>{});
+  spec.options = entry.value("options", std::map<std::string, std::string>{});
+  const json parameters = entry.value("parameters", json::object());
+  for (const auto& [name, value] : parameters.items()) {
+    if (spec.joints.empty() || !value.is_array()) {
+      for (const auto& joint : spec.joints) spec.values[joint][name] = value.get<double>();
+      if (spec.joints.empty()) spec.values["*"][name] = value.get<double>();
+      continue;
+    }
+    if (value.size() != spec.joints.size())
+      return InvalidError("effects: " + spec.id + "." + name + " has " + std::to_string(value.size()) +
+                          " values for " + std::to_string(spec.joints.size()) + " joints");
+    for (size_t i = 0; i < value.size(); ++i) spec.values[spec.joints[i]][name] = value[i].get<double>();
+  }
+  return spec;
+}
+
+Result<sim::Plant> ReadPlant(const json& root, const std::string& path) {
+  const auto urdf = std::filesystem::path(path).parent_path() / root.at("urdf").get<std::string>();
+  model::LoadOptions load;
+  load.joints = root.value("joints", std::vector<std::string>{});
+  load.locked = root.value("locked", std::map<std::string, double>{});
+  RG_ASSIGN_OR_RETURN(auto model, model::LoadUrdf(urdf.string(), load));
+  sim::PlantOptions options;
+  if (root.contains("gravity")) {
+    const auto gravity = root.at("gravity").get<std::vector<double>>();
+    if (gravity.size() != 3) return InvalidError("gravity needs three numbers");
+    options.gravity = Eigen::Vector3d(gravity[0], gravity[1], gravity[2]);
+  }
+  std::vector<effects::EffectSpec> effects;
+  for (const auto& entry : root.value("effects", json::array())) {
+    RG_ASSIGN_OR_RETURN(effects::EffectSpec spec, ReadEffect(entry));
+    effects.push_back(std::move(spec));
+  }
+  return sim::Plant::Create(std::make_shared<const model::RobotModel>(std::move(model)), options,
+                            std::move(effects));
+}
+
+Status ReadParameters(const json& root, const sim::Plant& plant, Eigen::VectorXd* values) {
+  *values = plant.parameters().Nominal();
+  const json departures = root.value("parameters", json::object());
+  for (const auto& [name, departure] : departures.items()) {
+    RG_RETURN_IF_ERROR(CheckKeys(departure, {"scale", "add", "value"}, "parameters." + name + ": "));
+    RG_ASSIGN_OR_RETURN(const int index, plant.parameters().IndexOf(name));
+    if (departure.contains("value")) (*values)[index] = departure["value"].get<double>();
+    (*values)[index] = (*values)[index] * departure.value("scale", 1.0) + departure.value("add", 0.0);
+  }
+  return plant.parameters().Validate(*values).WithPrefix("parameters");
+}
+
+Status ReadBase(const json& root, RobotTruth* truth) {
+  const std::string compensation = root.value("gravity_compensation", "none");
+  if (compensation == "nominal") {
+    truth->compensation = GravityCompensation::kNominal;
+  } else if (compensation == "true") {
+    truth->compensation = GravityCompensation::kTrue;
+  } else if (compensation != "none") {
+    return InvalidError("gravity_compensation is \"" + compensation + "\", needs none, nominal or true");
+  }
+  if (!root.contains("silence")) return Status::Ok();
+  const json& silence = root.at("silence");
+  RG_RETURN_IF_ERROR(CheckKeys(silence, {"timeout_s", "action"}, "silence: "));
+  RG_RETURN_IF_ERROR(ReadNumber(silence, "timeout_s", 0.01, 60, &truth->silence_timeout_s));
+  const std::string action = silence.value("action", "position_mode");
+  if (action != "position_mode" && action != "zero_torque")
+    return InvalidError("silence: action is \"" + action + "\", needs position_mode or zero_torque");
+  truth->silence_action = action == "zero_torque" ? SilenceAction::kZeroTorque : SilenceAction::kPositionMode;
+  return Status::Ok();
+}
+
+Status ReadPositionController(const json& root, RobotTruth* truth) {
+  const json& control = root.at("position_controller");
+  RG_RETURN_IF_ERROR(CheckKeys(control, {"stiffness", "damping", "speed"}, "position_controller: "));
+  RG_ASSIGN_OR_RETURN(truth->stiffness, ReadVector(control, "stiffness", truth->n(), 0));
+  RG_ASSIGN_OR_RETURN(truth->damping, ReadVector(control, "damping", truth->n(), 0));
+  RG_ASSIGN_OR_RETURN(truth->speed, ReadVector(control, "speed", truth->n(), 1e-3));
+  return Status::Ok();
+}
+
+Status ReadSensors(const json& root, RobotTruth* truth) {
+  truth->velocity_gain = Eigen::VectorXd::Ones(truth->n());
+  if (!root.contains("sensors")) return Status::Ok();
+  const json& sensors = root.at("sensors");
+  RG_RETURN_IF_ERROR(CheckKeys(sensors,
+                               {"rate_hz", "latency_s", "position_stddev", "position_resolution",
+                                "velocity_stddev", "velocity_gain", "effort_stddev", "effort_filter_s"},
+                               "sensors: "));
+  RG_RETURN_IF_ERROR(ReadNumber(sensors, "rate_hz", 1, 1000, &truth->rate_hz));
+  RG_RETURN_IF_ERROR(ReadNumber(sensors, "latency_s", 0, 1, &truth->latency_s));
+  RG_RETURN_IF_ERROR(ReadNumber(sensors, "position_stddev", 0, 1, &truth->position_stddev));
+  RG_RETURN_IF_ERROR(ReadNumber(sensors, "position_resolution", 0, 1, &truth->position_resolution));
+  RG_RETURN_IF_ERROR(ReadNumber(sensors, "velocity_stddev", 0, 10, &truth->velocity_stddev));
+  RG_RETURN_IF_ERROR(ReadNumber(sensors, "effort_stddev", 0, 100, &truth->effort_stddev));
+  RG_RETURN_IF_ERROR(ReadNumber(sensors, "effort_filter_s", 0, 10, &truth->effort_filter_s));
+  if (!sensors.contains("velocity_gain")) return Status::Ok();
+  RG_ASSIGN_OR_RETURN(truth->velocity_gain, ReadVector(sensors, "velocity_gain", truth->n(), 0));
+  return Status::Ok();
+}
+
+Result<RobotTruth> ReadTruth(const json& root, const std::string& path) {
+  RG_RETURN_IF_ERROR(
+      CheckKeys(root,
+                {"format", "robot", "urdf", "joints", "locked", "gravity", "parameters", "effects",
+                 "torque_limit", "gravity_compensation", "silence", "position_controller", "initial_pose",
+                 "sensors", "command_latency_s", "step_s", "physics_step_s"},
+                ""));
+  if (root.at("format") != "realitygrad.robot_truth/1")
+    return InvalidError("format is " + root.at("format").dump() + ", needs realitygrad.robot_truth/1");
+  RG_ASSIGN_OR_RETURN(sim::Plant plant, ReadPlant(root, path));
+  RobotTruth truth{.robot = root.at("robot").get<std::string>(), .plant = std::move(plant)};
+  RG_RETURN_IF_ERROR(ReadParameters(root, truth.plant, &truth.values));
+  RG_ASSIGN_OR_RETURN(truth.torque_limit, ReadVector(root, "torque_limit", truth.n(), 0));
+  RG_ASSIGN_OR_RETURN(truth.initial_pose, ReadVector(root, "initial_pose", truth.n(), -1e3));
+  RG_RETURN_IF_ERROR(ReadBase(root, &truth));
+  RG_RETURN_IF_ERROR(ReadPositionController(root, &truth));
+  RG_RETURN_IF_ERROR(ReadSensors(root, &truth));
+  RG_RETURN_IF_ERROR(ReadNumber(root, "command_latency_s", 0, 1, &truth.command_latency_s));
+  RG_RETURN_IF_ERROR(ReadNumber(root, "step_s", 1e-4, 0.01, &truth.step_s));
+  RG_RETURN_IF_ERROR(ReadNumber(root, "physics_step_s", 1e-5, 0.01, &truth.physics_step_s));
+  return truth;
+}
+
+}  // namespace
+
+Result<RobotTruth> LoadRobotTruth(const std::string& path) {
+  RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
+  try {
+    auto truth = ReadTruth(json::parse(text), path);
+    if (!truth.ok()) return truth.status().WithPrefix(path);
+    return truth;
+  } catch (const json::exception& error) {
+    return InvalidError(path + ": " + error.what());
+  }
+}
+
+}  // namespace rg::robot_agent

@@ -1,0 +1,198 @@
+// Whole rollouts against the simulated robot in its own process, in lock-step.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <nlohmann/json.hpp>
+
+#include "common/recordings/csv.h"
+#include "robot_agent/rollout_task.h"
+#include "services/rollouts/recording_bundle.h"
+#include "tests/unit/robot_agent/rig.h"
+
+namespace rg::robot_agent {
+namespace {
+
+using testing::HasSubstr;
+
+TEST(Rollout, ReachesTheGoalAndLeavesARecordingSet) {
+  Rig rig(true);
+  const RolloutPlan plan = rig.Plan();
+  auto controller = rig.ToGoal(plan);
+  const auto driver = rig.Driver();
+  const RolloutResult result = rig.Run(*driver, plan, controller).value();
+  EXPECT_EQ(result.reason, EndReason::kCompleted) << result.detail;
+  EXPECT_EQ(result.rows, 51);
+  EXPECT_LT(result.goal_error.joint_norm, 0.5 * result.goal_error.start_norm);
+  const recordings::RecordingSet set = rollouts::LoadBundle(result.bundle).value();
+  ASSERT_EQ(set.recordings.size(), 1u);
+  EXPECT_EQ(set.joints, rig.plant.joint_names());
+  EXPECT_NEAR(set.recordings[0].SamplePeriod(), 0.04, 1e-9);
+  EXPECT_TRUE(set.recordings[0].has_velocity());
+  EXPECT_TRUE(set.recordings[0].has_effort_command());
+  EXPECT_EQ(set.control_rate_hz, 25.0);
+  EXPECT_EQ(set.noise.position_stddev, 3e-4);
+  EXPECT_FALSE(set.effort_excludes_gravity);
+  const auto rollout = nlohmann::json::parse(result.rollout_json);
+  EXPECT_EQ(rollout["end_reason"], "completed");
+  EXPECT_EQ(rollout["held"], true);
+  EXPECT_EQ(rollout["jitter"]["missed_deadlines"], 0);
+}
+
+TEST(Rollout, SameSeedSameRecordingOtherSeedAnother) {
+  std::string csv[3];
+  for (int k = 0; k < 3; ++k) {
+    Rig rig(true);
+    const RolloutPlan plan = rig.Plan();
+    auto controller = rig.ToGoal(plan);
+    const auto driver = rig.Driver(k == 2 ? 8 : 7);
+    const RolloutResult result = rig.Run(*driver, plan, controller).value();
+    csv[k] = rollouts::UnpackBundle(result.bundle).value()[kRecordingFile];
+  }
+  EXPECT_EQ(csv[0], csv[1]);
+  EXPECT_NE(csv[0], csv[2]);
+}
+
+TEST(Rollout, AnotherCallWithTheSameIdMovesNothing) {
+  Rig rig(true);
+  const RolloutPlan plan = rig.Plan();
+  auto controller = rig.ToGoal(plan);
+  const auto driver = rig.Driver();
+  const RolloutResult first = rig.Run(*driver, plan, controller).value();
+  const auto untouched = rig.Driver();
+  const RolloutResult again = rig.Run(*untouched, plan, controller).value();
+  EXPECT_TRUE(again.was_there);
+  EXPECT_EQ(again.bundle, first.bundle);
+  EXPECT_EQ(again.goal_error.joint_norm, first.goal_error.joint_norm);
+  EXPECT_EQ(untouched->pid(), -1);
+}
+
+struct FaultCase {
+  Fault fault;
+  double strength;
+  EndReason reason;
+};
+
+class FaultyRobot : public testing::TestWithParam<FaultCase> {};
+
+TEST_P(FaultyRobot, EndsInADefinedStopWithItsReasonAndKeepsTheRecording) {
+  Rig rig(true);
+  const RolloutPlan plan = rig.Plan();
+  const auto driver = rig.Driver();
+  bool injected = false;
+  auto controller = rig.ToGoal(plan, [&](double t) {
+    if (t < 1.0 || injected) return;
+    injected = true;
+    ASSERT_TRUE(driver->InjectFault(GetParam().fault, GetParam().strength).ok());
+  });
+  const RolloutResult result = rig.Run(*driver, plan, controller).value();
+  EXPECT_EQ(result.reason, GetParam().reason) << EndReasonName(result.reason) << ": " << result.detail;
+  EXPECT_GE(result.rows, 25);
+  EXPECT_LE(result.rows, 28);
+  EXPECT_TRUE(rollouts::LoadBundle(result.bundle).ok());
+  EXPECT_EQ(rig.spool->Ready(), std::vector<std::string>{"rollout-1"});
+}
+
+INSTANTIATE_TEST_SUITE_P(EachKind, FaultyRobot,
+                         testing::Values(FaultCase{Fault::kFreeze, 0, EndReason::kDriverLost},
+                                         FaultCase{Fault::kDropReplies, 0, EndReason::kDriverLost},
+                                         FaultCase{Fault::kDie, 0, EndReason::kDriverLost},
+                                         FaultCase{Fault::kNan, 0, EndReason::kRobotNan},
+                                         FaultCase{Fault::kJump, 0.5, EndReason::kImpossibleState},
+                                         FaultCase{Fault::kLeaveTorque, 0, EndReason::kModeLost}));
+
+TEST(Rollout, RefusedTorqueModeIsFoundOutAndSaidSo) {
+  Rig rig(true);
+  const RolloutPlan plan = rig.Plan();
+  auto controller = rig.ToGoal(plan);
+  const auto driver = rig.Driver();
+  ASSERT_TRUE(driver->Connect(5).ok());
+  ASSERT_TRUE(driver->InjectFault(Fault::kRefuseTorque).ok());
+  const std::vector<double> zero(6, 0.0);
+  const Status entered = driver->EnterTorqueMode(zero.data());
+  EXPECT_EQ(entered.code(), StatusCode::kFailedPrecondition);
+  EXPECT_THAT(entered.message(), HasSubstr("refused torque mode"));
+}
+
+TEST(Rollout, NanFromTheControllerStopsTheArmAndTheRecordingSaysWhichJoint) {
+  Rig rig(true);
+  const RolloutPlan plan = rig.Plan();
+  auto spring = rig.ToGoal(plan);
+  FunctionController controller([&](double t, const double* q, const double* v, double* tau) {
+    spring.Command(t, q, v, tau);
+    if (t > 0.9) tau[2] = std::nan("");
+  });
+  const auto driver = rig.Driver();
+  const RolloutResult result = rig.Run(*driver, plan, controller).value();
+  EXPECT_EQ(result.reason, EndReason::kControllerNan);
+  EXPECT_THAT(result.detail, HasSubstr("joint_3"));
+  RobotState state;
+  ASSERT_TRUE(driver->SleepUntil(driver->NowNanos() + 1'000'000'000).ok());
+  ASSERT_TRUE(driver->ReadState(&state).ok());
+  EXPECT_EQ(state.mode, Mode::kPosition);
+  for (int i = 0; i < 6; ++i) EXPECT_LT(std::abs(state.v[i]), 0.06);
+}
+
+TEST(Rollout, ABaseThatAddsGravityRunsTheSameControllers) {
+  Rig rig(true);
+  const std::string truth = ReadFile(rig.config.simulated.truth_path).value();
+  auto json = nlohmann::json::parse(truth);
+  json["gravity_compensation"] = "nominal";
+  json["urdf"] = SourceDir() + "/deploy/robots/mico2.urdf";
+  rig.config.simulated.truth_path = rig.folder + "/truth.json";
+  ASSERT_TRUE(WriteFileAtomically(rig.config.simulated.truth_path, json.dump()).ok());
+  const RolloutPlan plan = rig.Plan();
+  auto controller = rig.ToGoal(plan);
+  const auto driver = rig.Driver();
+  const RolloutResult result = rig.Run(*driver, plan, controller).value();
+  EXPECT_EQ(result.reason, EndReason::kCompleted) << result.detail;
+  EXPECT_LT(result.goal_error.joint_norm, 0.5 * result.goal_error.start_norm);
+  const auto bundle = rollouts::UnpackBundle(result.bundle).value();
+  EXPECT_THAT(bundle.at(kRecordingFile), HasSubstr("effort_sent.joint_2"));
+}
+
+TEST(Rollout, SilencePutsTheArmInPositionMode) {
+  Rig rig(true);
+  const auto driver = rig.Driver();
+  ASSERT_TRUE(driver->Connect(5).ok());
+  PlantArmModel arm(rig.plant, rig.values);
+  JointArray gravity{};
+  RobotState state;
+  ASSERT_TRUE(driver->ReadState(&state).ok());
+  arm.GravityTorque(state.q.data(), gravity.data());
+  ASSERT_TRUE(driver->EnterTorqueMode(gravity.data()).ok());
+  ASSERT_TRUE(driver->SleepUntil(driver->NowNanos() + 200'000'000).ok());
+  ASSERT_TRUE(driver->ReadState(&state).ok());
+  EXPECT_EQ(state.mode, Mode::kTorque);
+  ASSERT_TRUE(driver->SleepUntil(driver->NowNanos() + 100'000'000).ok());
+  ASSERT_TRUE(driver->ReadState(&state).ok());
+  EXPECT_EQ(state.mode, Mode::kPosition);
+}
+
+TEST(Rollout, PlansRefuseGoalsOutsideTheBoxAndKeepTheGivenOnes) {
+  Rig rig(true);
+  rig.spec.goal = Eigen::VectorXd::Zero(6);  // joint_2 cannot be at 0
+  const auto refused = PlanRollout(rig.spec, rig.config, rig.plant);
+  EXPECT_THAT(refused.status().message(), HasSubstr("joint_2"));
+  rig.spec.goal.resize(0);
+  rig.spec.goal_position = Eigen::Vector3d(0.3, 0.3, 0.5);
+  const RolloutPlan plan = PlanRollout(rig.spec, rig.config, rig.plant).value();
+  const Eigen::MatrixXd tip = rollouts::TipPositions(rig.plant.model(), plan.spec.goal);
+  EXPECT_LT((tip.col(0) - rig.spec.goal_position).norm(), 1e-3);
+  rig.spec.goal_position = Eigen::Vector3d(3, 0, 0);
+  EXPECT_FALSE(PlanRollout(rig.spec, rig.config, rig.plant).ok());
+}
+
+TEST(Rollout, MissingProgramAndMissingTruthAreUnavailableNotACrash) {
+  Rig rig(true);
+  const RolloutPlan plan = rig.Plan();
+  auto controller = rig.ToGoal(plan);
+  rig.config.simulated.program = "/nonexistent/robot";
+  EXPECT_EQ(rig.Run(*rig.Driver(), plan, controller).status().code(), StatusCode::kUnavailable);
+  rig.config.simulated.program = "";
+  rig.config.simulated.truth_path = "/nonexistent/truth.json";
+  EXPECT_FALSE(rig.Run(*rig.Driver(), plan, controller).ok());
+  EXPECT_TRUE(rig.spool->Ready().empty());
+}
+
+}  // namespace
+}  // namespace rg::robot_agent
