@@ -56,8 +56,9 @@ struct OutputArtifact {
   std::string name;  // children name it as (task, name)
   std::string kind;
   std::string bytes;
-  // An object. For kind "parameters" it must have {"robot": name, "source": text, "values": [{"name",
-  // "value", "stddev"?, "unit"?}, …]} and may have "residuals" and anything else; such an output
+  // An object. For kind "parameters" it must have {"robot": name, "source": "nominal" | "identified" |
+  // "imported", "values": [{"name", "value", "stddev"?}, …]} and may have "residual_before",
+  // "residual_after", "recording" and "model" (hashes), "parent_version", "note"; such an output
   // becomes a version of the parameter history.
   std::string metadata_json = "{}";
   // Hashes of artefacts it derives from besides the task's inputs, which are always its parents.

@@ -1,0 +1,150 @@
+// The coordinator's shell. One thread receives a batch of messages, lets the core handle each, writes
+// all that follows in one transaction, and only then sends: what anybody can see is durable. A commit
+// that fails (disk full) is as if the batch had never come: the state is loaded again from the
+// database, nothing is answered, and peers repeat themselves.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "common/base/clock.h"
+#include "common/base/status.h"
+#include "common/store/artifact_store.h"
+#include "common/store/database.h"
+#include "common/store/parameter_store.h"
+#include "common/transport/socket.h"
+#include "coordinator/core/reactor.h"
+#include "coordinator/server/artifact_desk.h"
+#include "coordinator/server/worker_desk.h"
+#include "coordinator/store/job_store.h"
+#include "realitygrad/v1/control.pb.h"
+
+namespace rg::coordinator {
+
+struct ServerOptions {
+  std::string database_path;
+  Options core;
+  std::string version = "0.1.0";
+  size_t max_batch_messages = 1024;
+  size_t max_batch_bytes = 32u << 20;
+  uint64_t inline_limit = 256u << 10;  // outputs up to this travel inside TaskFinished
+  size_t max_log_line_bytes = 8u << 10;
+};
+
+class Server {
+ public:
+  // Opens and migrates the database, loads the state. `socket` is a router; `clock` must outlive it.
+  static Result<std::unique_ptr<Server>> Open(const ServerOptions& options,
+                                              std::unique_ptr<transport::Socket> socket,
+                                              transport::Sender self, const Clock* clock);
+  ~Server();
+
+  // One batch: waits at most `timeout_ms` for the first message; `wake_fd` (an eventfd, or -1)
+  // interrupts the waiting.
+  void RunOnce(int64_t timeout_ms, int wake_fd = -1);
+  // Before a clean stop: writes what waits for the next transaction.
+  void Finish();
+
+  const State& state() const { return state_; }
+  transport::Socket& socket() { return *socket_; }
+  // For fault tests.
+  store::Database& database() { return *database_; }
+
+ private:
+  struct Watcher {
+    transport::Message request;
+    pb::GetJobRequest body;
+    int64_t deadline_ns;
+  };
+  struct PendingReply {  // of a request whose answer the core gives
+    transport::Message request;
+    bool is_submit = false, is_drain = false;
+  };
+
+  Server(const ServerOptions& options, std::unique_ptr<transport::Socket> socket, transport::Sender self,
+         const Clock* clock);
+  Status OpenStores();
+  Status LoadState();
+
+  Now now() const { return {clock_->SteadyNanos(), clock_->WallNanos()}; }
+  // --- one batch
+  void ReceiveBatch();
+  void Handle(transport::Message message);
+  Status CommitBatch();
+  void DiscardBatch(const Status& why);
+  void SendBatch();
+  void TickIfDue();
+  bool NeedsCommit() const;
+  Status EnsureTransaction();
+  // --- workers
+  void HandleWorker(const transport::Message& message);
+  void HandleFinished(const pb::TaskFinished& finished, const std::string& instance);
+  void HandleLog(const pb::TaskLogReport& report, const std::string& instance);
+  void HandleCheckpoint(const pb::TaskCheckpointReport& report, const std::string& instance);
+  void FlushLogs();
+  void SendToWorker(const std::string& instance, const pb::CoordinatorMessage& message);
+  void Translate(const Welcome& m);
+  void Translate(const Assign& m);
+  void Translate(const GrantStart& m);
+  void Translate(const Revoke& m);
+  void Translate(const AnswerResult& m);
+  void Translate(const AnswerBeat& m);
+  void Translate(const TellDrain& m);
+  void Translate(const AnswerClient& m);
+  // --- clients (server_queries.cc)
+  void HandleRequest(transport::Message message);
+  void HandleSubmit(const transport::Message& message);
+  void HandleAction(const transport::Message& message);
+  void HandleDrain(const transport::Message& message);
+  transport::Message AnswerQuery(const transport::Message& message);
+  Result<pb::ListJobsReply> ListJobs(const pb::ListJobsRequest& request);
+  Result<pb::GetJobReply> GetJob(const pb::GetJobRequest& request);
+  Result<pb::GetLogsReply> GetLogs(const pb::GetLogsRequest& request);
+  Result<pb::ListWorkersReply> ListWorkers(const pb::ListWorkersRequest& request);
+  Result<pb::ExplainReply> ExplainTask(const pb::ExplainRequest& request);
+  Result<pb::ListEventsReply> ListEvents(const pb::ListEventsRequest& request);
+  Result<pb::StatusReply> DescribeSelf(const pb::StatusRequest& request);
+  bool MustWait(const pb::GetJobRequest& request) const;
+  void AnswerWatchers();
+  Result<const Job*> RequireJob(JobId id) const;
+  void Reply(transport::Message reply) { outbox_.push_back(std::move(reply)); }
+
+  ServerOptions options_;
+  std::unique_ptr<transport::Socket> socket_;
+  transport::Sender self_;
+  const Clock* clock_;
+  std::unique_ptr<store::Database> database_;
+  std::unique_ptr<store::ArtifactStore> artifacts_;
+  std::unique_ptr<store::ParameterStore> parameters_;
+  std::unique_ptr<JobStore> jobs_;
+  std::unique_ptr<ArtifactDesk> artifact_desk_;
+  std::unique_ptr<WorkerDesk> worker_desk_;
+  State state_;
+  int64_t started_ns_ = 0;
+
+  // Of the batch under way:
+  Actions actions_;
+  ResultsByToken results_;
+  std::vector<transport::Message> queries_;  // answered after the commit
+  std::vector<transport::Message> outbox_;
+  std::optional<store::Transaction> transaction_;
+  bool poisoned_ = false;  // a write of this batch failed outside a result
+  std::string poison_;
+
+  std::vector<Event> deferred_;  // found out while sending; handled with the next batch
+  std::vector<LogRow> logs_;     // not written yet
+  int64_t logs_due_ns_ = 0, tick_due_ns_ = 0;
+  std::unordered_map<std::string, std::string> peer_by_instance_;
+  std::map<ReplyTo, PendingReply> pending_;
+  ReplyTo last_reply_ = 0;
+  std::vector<Watcher> watchers_;
+  uint64_t batches_ = 0, commits_ = 0, failed_commits_ = 0, ignored_messages_ = 0, log_lines_dropped_ = 0;
+};
+
+}  // namespace rg::coordinator

@@ -1,0 +1,375 @@
+// The part of the server that answers clients.
+#include <algorithm>
+
+#include "coordinator/core/explain.h"
+#include "coordinator/server/job_compiler.h"
+#include "coordinator/server/server.h"
+#include "coordinator/server/views.h"
+
+namespace rg::coordinator {
+namespace {
+
+using transport::Is;
+using transport::MakeErrorReply;
+using transport::MakeReply;
+using transport::Unpack;
+
+constexpr uint32_t kMaxWaitMs = 60'000;
+constexpr size_t kMaxWatchers = 1'000;
+
+Status StatusOf(const AnswerClient& answer) {
+  switch (answer.verdict) {
+    case Verdict::kOk:
+      return Status::Ok();
+    case Verdict::kNotFound:
+      return NotFoundError(answer.error);
+    case Verdict::kFailedPrecondition:
+      return FailedPreconditionError(answer.error);
+  }
+  return Status::Ok();
+}
+
+// Who may change something, who may put artefacts, who may only look.
+Status CheckRole(const transport::Message& message) {
+  const pb::Role role = message.credentials.role;
+  const bool is_change = Is<pb::SubmitRequest>(message) || Is<pb::JobActionRequest>(message) ||
+                         Is<pb::DrainWorkerRequest>(message) || Is<pb::GcArtifactsRequest>(message) ||
+                         Is<pb::PinArtifactRequest>(message);
+  const bool is_upload = Is<pb::PutArtifactRequest>(message);
+  const bool is_worker = role == pb::ROLE_WORKER || role == pb::ROLE_AGENT;
+  if (role == pb::ROLE_OPERATOR || (!is_change && !is_upload) || (is_upload && is_worker))
+    return Status::Ok();
+  return PermissionDeniedError("the role " + std::string(transport::RoleName(role)) + " may not do this");
+}
+
+int LimitOf(uint32_t asked, int normally) {
+  return asked == 0 ? normally : static_cast<int>(std::min(asked, 1'000'000u));
+}
+
+template <class Body, class Function>
+transport::Message Serve(const transport::Sender& self, const transport::Message& message,
+                         Function function) {
+  auto body = Unpack<Body>(message);
+  if (!body.ok()) return MakeErrorReply(self, message, body.status());
+  auto reply = function(*body);
+  if (!reply.ok()) return MakeErrorReply(self, message, reply.status());
+  return MakeReply(self, message, *reply);
+}
+
+}  // namespace
+
+void Server::HandleRequest(transport::Message message) {
+  const Status allowed = CheckRole(message);
+  if (!allowed.ok()) return Reply(MakeErrorReply(self_, message, allowed));
+  if (Is<pb::SubmitRequest>(message)) return HandleSubmit(message);
+  if (Is<pb::JobActionRequest>(message)) return HandleAction(message);
+  if (Is<pb::DrainWorkerRequest>(message)) return HandleDrain(message);
+  if (ArtifactDesk::Writes(message)) {
+    const Status begun = EnsureTransaction();
+    if (!begun.ok()) return Reply(MakeErrorReply(self_, message, begun));
+    return Reply(*artifact_desk_->Answer(self_, message));
+  }
+  if (Is<pb::GetJobRequest>(message) && watchers_.size() < kMaxWatchers) {
+    auto body = Unpack<pb::GetJobRequest>(message);
+    if (body.ok() && body->wait_ms() > 0) {
+      const int64_t wait_ns = int64_t{std::min(body->wait_ms(), kMaxWaitMs)} * 1'000'000;
+      watchers_.push_back({std::move(message), *std::move(body), clock_->SteadyNanos() + wait_ns});
+      return;
+    }
+  }
+  queries_.push_back(std::move(message));
+}
+
+void Server::HandleSubmit(const transport::Message& message) {
+  auto body = Unpack<pb::SubmitRequest>(message);
+  if (!body.ok()) return Reply(MakeErrorReply(self_, message, body.status()));
+  if (body->request_id().empty()) {
+    return Reply(MakeErrorReply(self_, message, InvalidError("a submit needs a request id")));
+  }
+  Submit event;
+  event.request_id = body->request_id();
+  if (state_.job_by_request.count(event.request_id) == 0) {
+    auto compiled = CompileJob(body->job());
+    if (!compiled.ok()) return Reply(MakeErrorReply(self_, message, compiled.status()));
+    const Status inputs = worker_desk_->CheckArtifactsExist(body->job());
+    if (!inputs.ok()) return Reply(MakeErrorReply(self_, message, inputs));
+    event.plan = compiled->plan;
+    event.specs = compiled->specs;
+  }
+  event.reply_to = ++last_reply_;
+  pending_[event.reply_to] = {message, true, false};
+  React(event, state_, now(), actions_);
+}
+
+void Server::HandleAction(const transport::Message& message) {
+  auto body = Unpack<pb::JobActionRequest>(message);
+  if (!body.ok()) return Reply(MakeErrorReply(self_, message, body.status()));
+  CommandJob event;
+  event.job = body->job() == 0 ? state_.last_job : body->job();
+  event.reason = body->reason();
+  switch (body->action()) {
+    case pb::JOB_ACTION_CANCEL:
+      event.command = JobCommand::kCancel;
+      break;
+    case pb::JOB_ACTION_PAUSE:
+      event.command = JobCommand::kPause;
+      break;
+    case pb::JOB_ACTION_RESUME:
+      event.command = JobCommand::kResume;
+      break;
+    case pb::JOB_ACTION_RETRY:
+      event.command = JobCommand::kRetry;
+      break;
+    default:
+      return Reply(MakeErrorReply(self_, message, InvalidError("unknown action")));
+  }
+  event.reply_to = ++last_reply_;
+  pending_[event.reply_to] = {message, false, false};
+  React(event, state_, now(), actions_);
+}
+
+void Server::HandleDrain(const transport::Message& message) {
+  auto body = Unpack<pb::DrainWorkerRequest>(message);
+  if (!body.ok()) return Reply(MakeErrorReply(self_, message, body.status()));
+  const ReplyTo reply_to = ++last_reply_;
+  pending_[reply_to] = {message, false, true};
+  React(DrainWorker{body->worker(), reply_to}, state_, now(), actions_);
+}
+
+void Server::Translate(const AnswerClient& m) {
+  const auto found = pending_.find(m.reply_to);
+  if (found == pending_.end()) return;
+  const PendingReply pending = std::move(found->second);
+  pending_.erase(found);
+  const Status status = StatusOf(m);
+  if (!status.ok()) return Reply(MakeErrorReply(self_, pending.request, status));
+  if (pending.is_submit) {
+    pb::SubmitReply reply;
+    reply.set_job(m.job);
+    reply.set_already_known(m.already_known);
+    return Reply(MakeReply(self_, pending.request, reply));
+  }
+  if (pending.is_drain) return Reply(MakeReply(self_, pending.request, pb::DrainWorkerReply()));
+  pb::JobActionReply reply;
+  *reply.mutable_job() = SummaryOf(state_.jobs.at(m.job), 0.0, clock_->WallNanos());
+  Reply(MakeReply(self_, pending.request, reply));
+}
+
+// --- queries: after the commit, so that what they show is durable ---------------------------------------
+
+transport::Message Server::AnswerQuery(const transport::Message& message) {
+  if (Is<pb::GetJobRequest>(message)) {
+    return Serve<pb::GetJobRequest>(self_, message, [this](const auto& b) { return GetJob(b); });
+  }
+  if (Is<pb::ListJobsRequest>(message)) {
+    return Serve<pb::ListJobsRequest>(self_, message, [this](const auto& b) { return ListJobs(b); });
+  }
+  if (Is<pb::GetLogsRequest>(message)) {
+    return Serve<pb::GetLogsRequest>(self_, message, [this](const auto& b) { return GetLogs(b); });
+  }
+  if (Is<pb::ListWorkersRequest>(message)) {
+    return Serve<pb::ListWorkersRequest>(self_, message, [this](const auto& b) { return ListWorkers(b); });
+  }
+  if (Is<pb::ExplainRequest>(message)) {
+    return Serve<pb::ExplainRequest>(self_, message, [this](const auto& b) { return ExplainTask(b); });
+  }
+  if (Is<pb::ListEventsRequest>(message)) {
+    return Serve<pb::ListEventsRequest>(self_, message, [this](const auto& b) { return ListEvents(b); });
+  }
+  if (Is<pb::StatusRequest>(message)) {
+    return Serve<pb::StatusRequest>(self_, message, [this](const auto& b) { return DescribeSelf(b); });
+  }
+  if (auto reply = artifact_desk_->Answer(self_, message)) return *std::move(reply);
+  return MakeErrorReply(self_, message,
+                        InvalidError("a coordinator does not answer " + message.envelope.type()));
+}
+
+Result<const Job*> Server::RequireJob(JobId id) const {
+  const Job* job = state_.FindJob(id == 0 ? state_.last_job : id);
+  if (job != nullptr) return job;
+  return NotFoundError(id == 0 ? "there is no job yet" : "there is no job " + std::to_string(id));
+}
+
+Result<pb::ListJobsReply> Server::ListJobs(const pb::ListJobsRequest& request) {
+  const auto under_way = WeightUnderWay(state_);
+  const int limit = LimitOf(request.limit(), 100);
+  const auto wanted = [](const auto& list, const auto& value) {
+    return list.empty() || std::find(list.begin(), list.end(), value) != list.end();
+  };
+  pb::ListJobsReply reply;
+  for (auto it = state_.jobs.rbegin(); it != state_.jobs.rend() && reply.jobs_size() < limit; ++it) {
+    const Job& job = it->second;
+    if (!wanted(request.ids(), job.id) || !wanted(request.states(), static_cast<int>(job.record.phase)))
+      continue;
+    const auto weight = under_way.find(job.id);
+    *reply.add_jobs() = SummaryOf(job, weight == under_way.end() ? 0.0 : weight->second, clock_->WallNanos());
+  }
+  return reply;
+}
+
+Result<pb::GetJobReply> Server::GetJob(const pb::GetJobRequest& request) {
+  RG_ASSIGN_OR_RETURN(const Job* job, RequireJob(request.job()));
+  const auto under_way = WeightUnderWay(state_);
+  const auto weight = under_way.find(job->id);
+  pb::GetJobReply reply;
+  *reply.mutable_job() =
+      SummaryOf(*job, weight == under_way.end() ? 0.0 : weight->second, clock_->WallNanos());
+  reply.set_spec_json(job->plan->spec_json);
+  FillStages(state_, *job, &reply);
+  if (request.with_tasks() || request.with_attempts()) {
+    RG_RETURN_IF_ERROR(FillTasks(state_, *job, request.with_attempts(), *jobs_, &reply));
+  }
+  return reply;
+}
+
+Result<pb::GetLogsReply> Server::GetLogs(const pb::GetLogsRequest& request) {
+  RG_ASSIGN_OR_RETURN(const Job* job, RequireJob(request.job()));
+  TaskId first = MakeTaskId(job->id, 0), last = MakeTaskId(job->id, kMaxTasksPerJob - 1);
+  if (!request.task().empty()) {
+    const int64_t index = FindTask(*job, request.task());
+    if (index < 0)
+      return NotFoundError("job " + std::to_string(job->id) + " has no task '" + request.task() + "'");
+    first = last = MakeTaskId(job->id, static_cast<uint32_t>(index));
+  }
+  RG_ASSIGN_OR_RETURN(const auto lines,
+                      jobs_->Logs(first, last, request.after_sequence(), LimitOf(request.limit(), 1000)));
+  pb::GetLogsReply reply;
+  for (const LogRow& line : lines) {
+    pb::TaskLogLine* out = reply.add_lines();
+    out->set_wall_ns(line.wall_ns);
+    out->set_attempt(line.attempt);
+    out->set_text(line.text);
+    out->set_sequence(line.sequence);
+    out->set_task(job->plan_of(IndexOf(line.task)).name);
+  }
+  return reply;
+}
+
+Result<pb::ListWorkersReply> Server::ListWorkers(const pb::ListWorkersRequest&) {
+  pb::ListWorkersReply reply;
+  for (const auto& [name, worker] : state_.workers) {
+    *reply.add_workers() = InfoOf(worker, state_, clock_->SteadyNanos());
+  }
+  return reply;
+}
+
+Result<pb::ExplainReply> Server::ExplainTask(const pb::ExplainRequest& request) {
+  RG_ASSIGN_OR_RETURN(const Job* job, RequireJob(request.job()));
+  int64_t index = FindTask(*job, request.task());
+  if (!request.task().empty() && index < 0) {
+    return NotFoundError("job " + std::to_string(job->id) + " has no task '" + request.task() + "'");
+  }
+  if (request.task().empty()) {  // what would move first: ready, then uncertain, then running, then waiting
+    index = 0;
+    const auto rank = [&](uint32_t i) {
+      switch (PhaseOf(job->tasks[i].status)) {
+        case TaskPhase::kReady:
+          return 0;
+        case TaskPhase::kUncertain:
+          return 1;
+        case TaskPhase::kFailed:
+          return 2;
+        case TaskPhase::kLeased:
+          return 3;
+        case TaskPhase::kWaiting:
+          return 4;
+        default:
+          return 5;
+      }
+    };
+    for (uint32_t i = 1; i < job->tasks.size(); ++i) {
+      if (rank(i) < rank(static_cast<uint32_t>(index))) index = i;
+    }
+  }
+  const Explanation explanation = Explain(state_, *job, static_cast<uint32_t>(index));
+  pb::ExplainReply reply;
+  reply.set_task(job->plan_of(static_cast<uint32_t>(index)).name);
+  reply.set_state(static_cast<pb::TaskState>(PhaseOf(job->tasks[static_cast<size_t>(index)].status)));
+  for (const std::string& reason : explanation.reasons) reply.add_reasons(reason);
+  reply.set_placeable(explanation.placeable);
+  return reply;
+}
+
+Result<pb::ListEventsReply> Server::ListEvents(const pb::ListEventsRequest& request) {
+  RG_ASSIGN_OR_RETURN(const auto rows,
+                      jobs_->Events(request.job(), request.after_id(), LimitOf(request.limit(), 1000)));
+  pb::ListEventsReply reply;
+  for (const EventRow& row : rows) {
+    pb::EventRecord* out = reply.add_events();
+    out->set_id(row.id);
+    out->set_wall_ns(row.event.wall_ns);
+    out->set_job(row.event.job);
+    out->set_task(row.event.task);
+    out->set_worker(row.event.worker);
+    out->set_kind(row.event.kind);
+    out->set_detail(row.event.detail);
+  }
+  return reply;
+}
+
+Result<pb::StatusReply> Server::DescribeSelf(const pb::StatusRequest&) {
+  pb::StatusReply reply;
+  reply.set_instance(self_.id);
+  reply.set_version(options_.version);
+  reply.set_started_ns(started_ns_);
+  reply.set_database(options_.database_path);
+  for (const auto& [name, worker] : state_.workers) {
+    if (!worker.connected) continue;
+    reply.set_workers(reply.workers() + 1);
+    reply.set_slots(reply.slots() + worker.slots);
+    reply.set_slots_busy(reply.slots_busy() + worker.busy());
+  }
+  uint64_t waiting = 0, ready = 0, leased = 0;
+  for (const auto& [id, job] : state_.jobs) {
+    if (IsFinal(job.record.phase)) continue;
+    leased += job.leased;
+    for (const Task& task : job.tasks) {
+      waiting += std::holds_alternative<TaskWaiting>(task.status);
+      ready += std::holds_alternative<TaskReady>(task.status);
+    }
+  }
+  reply.set_tasks_waiting(waiting);
+  reply.set_tasks_ready(ready);
+  reply.set_tasks_leased(leased);
+  const Counters& c = state_.counters;
+  const transport::SocketMetrics& m = socket_->metrics();
+  const std::pair<const char*, uint64_t> counters[] = {{"jobs_submitted_total", c.jobs_submitted},
+                                                       {"jobs_succeeded_total", c.jobs_succeeded},
+                                                       {"jobs_failed_total", c.jobs_failed},
+                                                       {"jobs_cancelled_total", c.jobs_cancelled},
+                                                       {"tasks_committed_total", c.tasks_committed},
+                                                       {"tasks_failed_total", c.tasks_failed},
+                                                       {"attempts_started_total", c.attempts_started},
+                                                       {"attempts_lost_total", c.attempts_lost},
+                                                       {"results_refused_total", c.results_refused},
+                                                       {"workers_lost_total", c.workers_lost},
+                                                       {"executors_crashed_total", c.executors_crashed},
+                                                       {"batches_total", batches_},
+                                                       {"commits_total", commits_},
+                                                       {"commits_failed_total", failed_commits_},
+                                                       {"messages_received_total", m.received},
+                                                       {"messages_sent_total", m.sent},
+                                                       {"messages_dropped_total", m.dropped()},
+                                                       {"messages_ignored_total", ignored_messages_},
+                                                       {"log_lines_dropped_total", log_lines_dropped_}};
+  for (const auto& [name, value] : counters) (*reply.mutable_counters())[name] = static_cast<double>(value);
+  return reply;
+}
+
+// --- long polls --------------------------------------------------------------------------------------------
+
+bool Server::MustWait(const pb::GetJobRequest& request) const {
+  const Job* job = state_.FindJob(request.job() == 0 ? state_.last_job : request.job());
+  return job != nullptr && !IsFinal(job->record.phase) && job->revision <= request.after_revision();
+}
+
+void Server::AnswerWatchers() {
+  const int64_t steady = clock_->SteadyNanos();
+  std::erase_if(watchers_, [&](const Watcher& watcher) {
+    if (steady < watcher.deadline_ns && MustWait(watcher.body)) return false;
+    Reply(AnswerQuery(watcher.request));
+    return true;
+  });
+}
+
+}  // namespace rg::coordinator

@@ -1,0 +1,193 @@
+#include "coordinator/server/views.h"
+
+#include <algorithm>
+
+namespace rg::coordinator {
+namespace {
+
+double FractionOf(const Lease& lease) {
+  return lease.progress_total > 0.0 ? std::clamp(lease.progress_done / lease.progress_total, 0.0, 1.0) : 0.0;
+}
+
+const Lease* LeaseOf(const State& state, const Task& task) {
+  const auto* leased = std::get_if<TaskLeased>(&task.status);
+  if (leased == nullptr) return nullptr;
+  const auto found = state.leases.find(leased->token);
+  return found == state.leases.end() ? nullptr : &found->second;
+}
+
+void FillProgress(const Lease& lease, pb::TaskProgress* out) {
+  out->set_stage(lease.progress_stage);
+  out->set_done(lease.progress_done);
+  out->set_total(lease.progress_total);
+  out->set_note(lease.progress_note);
+}
+
+// By the rate so far, once there is one.
+double EstimateSecondsLeft(const Job& job, double progress, int64_t wall_ns) {
+  constexpr double kTooEarly = 0.02;
+  if (IsFinal(job.record.phase)) return 0.0;
+  if (job.record.started_ns == 0 || progress < kTooEarly) return -1.0;
+  const double elapsed = 1e-9 * static_cast<double>(wall_ns - job.record.started_ns);
+  return elapsed * (1.0 - progress) / progress;
+}
+
+Status FillTask(const State& state, const Job& job, uint32_t index, bool with_attempts, JobStore& store,
+                pb::TaskInfo* out) {
+  const Task& task = job.tasks[index];
+  const TaskPlan& plan = job.plan_of(index);
+  const TaskId id = MakeTaskId(job.id, index);
+  out->set_id(id);
+  out->set_job(job.id);
+  out->set_name(plan.name);
+  out->set_stage(plan.stage);
+  out->set_kind(plan.kind);
+  out->set_state(static_cast<pb::TaskState>(PhaseOf(task.status)));
+  out->set_attempts(task.attempts);
+  out->set_at_most_once(plan.at_most_once);
+  for (const std::string& tag : plan.required_tags) out->add_required_tags(tag);
+  if (const auto* failed = std::get_if<TaskFailed>(&task.status)) out->set_set_aside(failed->set_aside);
+  if (const Lease* lease = LeaseOf(state, task)) {
+    out->set_worker(lease->worker);
+    FillProgress(*lease, out->mutable_progress());
+  }
+  if (task.attempts == 0 && PhaseOf(task.status) != TaskPhase::kCancelled) return Status::Ok();
+  RG_ASSIGN_OR_RETURN(const TaskDetail detail, store.Detail(id));
+  out->set_reason(detail.reason);
+  out->set_started_ns(detail.started_ns);
+  out->set_finished_ns(detail.finished_ns);
+  out->set_summary_json(detail.summary_json);
+  RG_ASSIGN_OR_RETURN(const auto outputs, store.Outputs(id));
+  for (const OutputRow& row : outputs) {
+    pb::TaskOutput* output = out->add_outputs();
+    output->set_name(row.name);
+    output->set_kind(row.kind);
+    output->set_sha256(row.sha256);
+    output->set_size(static_cast<uint64_t>(row.size));
+    output->set_metadata_json(row.metadata_json);
+  }
+  if (!with_attempts) return Status::Ok();
+  RG_ASSIGN_OR_RETURN(const auto attempts, store.Attempts(id));
+  for (const AttemptRow& row : attempts) {
+    pb::AttemptInfo* attempt = out->add_attempt_list();
+    attempt->set_number(row.number);
+    attempt->set_token(row.token);
+    attempt->set_worker(row.worker);
+    attempt->set_leased_ns(row.leased_ns);
+    attempt->set_finished_ns(row.finished_ns);
+    attempt->set_outcome(static_cast<pb::AttemptOutcome>(row.outcome));
+    attempt->set_error(row.error);
+  }
+  return Status::Ok();
+}
+
+}  // namespace
+
+std::map<JobId, double> WeightUnderWay(const State& state) {
+  std::map<JobId, double> sums;
+  for (const auto& [token, lease] : state.leases) {
+    const Job* job = state.FindJob(JobOf(lease.task));
+    if (job != nullptr) sums[job->id] += job->plan_of(IndexOf(lease.task)).weight * FractionOf(lease);
+  }
+  return sums;
+}
+
+pb::JobSummary SummaryOf(const Job& job, double weight_under_way, int64_t wall_ns) {
+  pb::JobSummary out;
+  const JobPlan& plan = *job.plan;
+  out.set_id(job.id);
+  out.set_kind(plan.kind);
+  out.set_name(plan.name);
+  out.set_submitted_by(plan.submitted_by);
+  out.set_state(static_cast<pb::JobState>(job.record.phase));
+  out.set_reason(job.record.reason);
+  out.set_priority(plan.priority);
+  for (const std::string& tag : plan.tags) out.add_tags(tag);
+  out.mutable_labels()->insert(plan.labels.begin(), plan.labels.end());
+  out.set_submitted_ns(job.record.submitted_ns);
+  out.set_started_ns(job.record.started_ns);
+  out.set_finished_ns(job.record.finished_ns);
+  out.set_tasks_total(static_cast<uint32_t>(job.tasks.size()));
+  out.set_tasks_done(job.succeeded);
+  out.set_tasks_running(job.leased);
+  out.set_tasks_failed(job.failed + job.uncertain);
+  const double total = std::max(job.weight_total, 1e-12);
+  const double progress =
+      job.record.phase == JobPhase::kSucceeded ? 1.0 : (job.weight_done + weight_under_way) / total;
+  out.set_progress(std::clamp(progress, 0.0, 1.0));
+  out.set_eta_s(EstimateSecondsLeft(job, out.progress(), wall_ns));
+  out.set_revision(job.revision);
+  return out;
+}
+
+pb::WorkerInfo InfoOf(const Worker& worker, const State& state, int64_t steady_ns) {
+  pb::WorkerInfo out;
+  out.set_name(worker.name);
+  out.set_host(worker.host);
+  out.set_pid(worker.pid);
+  for (const std::string& tag : worker.tags) out.add_tags(tag);
+  for (const std::string& kind : worker.kinds) out.add_kinds(kind);
+  out.set_slots(worker.slots);
+  out.set_busy(worker.busy());
+  out.set_draining(worker.draining);
+  out.set_connected(worker.connected);
+  out.set_last_seen_s(1e-9 * static_cast<double>(steady_ns - worker.last_seen_ns));
+  out.set_since_ns(worker.since_wall_ns);
+  out.set_tasks_done(worker.tasks_done);
+  out.set_tasks_failed(worker.tasks_failed);
+  for (const Token token : worker.leases) {
+    const auto lease = state.leases.find(token);
+    if (lease != state.leases.end()) out.add_running(lease->second.task);
+  }
+  out.set_version(worker.version);
+  return out;
+}
+
+void FillStages(const State& state, const Job& job, pb::GetJobReply* reply) {
+  std::vector<double> done(job.stages.size()), total(job.stages.size());
+  for (const std::string& name : job.stages) reply->add_stages()->set_name(name);
+  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
+    const Task& task = job.tasks[i];
+    const double weight = job.plan_of(i).weight;
+    pb::StageInfo* stage = reply->mutable_stages(static_cast<int>(task.stage));
+    stage->set_total(stage->total() + 1);
+    total[task.stage] += weight;
+    const TaskPhase phase = PhaseOf(task.status);
+    if (phase == TaskPhase::kSucceeded) stage->set_done(stage->done() + 1), done[task.stage] += weight;
+    if (phase == TaskPhase::kFailed || phase == TaskPhase::kUncertain) stage->set_failed(stage->failed() + 1);
+    if (const Lease* lease = LeaseOf(state, task)) {
+      stage->set_running(stage->running() + 1);
+      done[task.stage] += weight * FractionOf(*lease);
+      if (!lease->progress_stage.empty() || lease->progress_total > 0.0)
+        FillProgress(*lease, stage->mutable_latest());
+    }
+    if (task.started_ns > 0 && (stage->started_ns() == 0 || task.started_ns < stage->started_ns())) {
+      stage->set_started_ns(task.started_ns);
+    }
+    stage->set_finished_ns(std::max(stage->finished_ns(), task.finished_ns));
+  }
+  for (int s = 0; s < reply->stages_size(); ++s) {
+    const auto i = static_cast<size_t>(s);
+    reply->mutable_stages(s)->set_progress(total[i] > 0.0 ? done[i] / total[i] : 0.0);
+    if (reply->stages(s).done() + reply->stages(s).failed() < reply->stages(s).total()) {
+      reply->mutable_stages(s)->set_finished_ns(0);
+    }
+  }
+}
+
+Status FillTasks(const State& state, const Job& job, bool with_attempts, JobStore& store,
+                 pb::GetJobReply* reply) {
+  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
+    RG_RETURN_IF_ERROR(FillTask(state, job, i, with_attempts, store, reply->add_tasks()));
+  }
+  return Status::Ok();
+}
+
+int64_t FindTask(const Job& job, const std::string& name) {
+  const auto& tasks = job.plan->tasks;
+  const auto found =
+      std::find_if(tasks.begin(), tasks.end(), [&](const TaskPlan& t) { return t.name == name; });
+  return found == tasks.end() ? -1 : found - tasks.begin();
+}
+
+}  // namespace rg::coordinator

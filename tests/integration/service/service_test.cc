@@ -1,0 +1,298 @@
+// The service over real sockets with a real database and real processes.
+#include <gtest/gtest.h>
+#include <signal.h>
+
+#include "common/base/hash.h"
+#include "tests/support/service/processes.h"
+
+namespace rg::testing {
+namespace {
+
+constexpr double kPatience = 40.0;
+
+pb::GetJobReply RunJob(Service& service, const pb::JobSpec& job) {
+  const auto id = service.client().Submit(job);
+  EXPECT_TRUE(id.ok()) << id.status().ToString();
+  if (!id.ok()) return {};
+  const auto end = service.client().WaitForJob(*id, kPatience);
+  EXPECT_TRUE(end.ok()) << end.status().ToString() << service.Logs();
+  const auto full = service.client().GetJob(*id, true, true);
+  EXPECT_TRUE(full.ok()) << full.status().ToString();
+  return full.ok() ? *full : pb::GetJobReply();
+}
+
+TEST(Service, RunsAGraphAndKeepsItsOutputsWithTheirLineage) {
+  Service service;
+  service.StartWorker("a", 2);
+  pb::JobSpec job;
+  job.set_kind("test");
+  for (int i = 0; i < 3; ++i) {
+    AddTask(&job, "shard" + std::to_string(i), "echo", R"({"text": "s)" + std::to_string(i) + R"(;"})")
+        ->set_stage("shards");
+  }
+  AddStageInput(AddTask(&job, "join", "echo", R"({"text": "all:"})"), "shards", "shards");
+  const auto reply = RunJob(service, job);
+  ASSERT_EQ(reply.job().state(), pb::JOB_STATE_SUCCEEDED) << reply.job().reason() << service.Logs();
+  EXPECT_EQ(reply.job().tasks_done(), 4u);
+  EXPECT_DOUBLE_EQ(reply.job().progress(), 1.0);
+  const pb::TaskInfo* join = FindTask(reply, "join");
+  ASSERT_EQ(join->outputs_size(), 1);
+  const auto bytes = service.client().GetArtifact(join->outputs(0).sha256());
+  ASSERT_TRUE(bytes.ok()) << bytes.status().ToString();
+  EXPECT_EQ(*bytes, "all:s0;s1;s2;");  // in the order of the graph
+  const auto lineage = service.client().Lineage(join->outputs(0).sha256());
+  ASSERT_TRUE(lineage.ok());
+  EXPECT_EQ(lineage->nodes_size(), 4);
+  EXPECT_EQ(lineage->edges_size(), 3);
+  ASSERT_EQ(reply.stages_size(), 2);
+  EXPECT_EQ(reply.stages(0).done(), 3u);
+}
+
+TEST(Service, LargeOutputsAndInputsTravelInPieces) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "make", "blob", R"({"bytes": 5000000, "seed": 3})");
+  AddInput(AddTask(&job, "copy", "echo", R"({"text": "x"})"), "in", "make");
+  const auto reply = RunJob(service, job);
+  ASSERT_EQ(reply.job().state(), pb::JOB_STATE_SUCCEEDED) << reply.job().reason();
+  const auto made = service.client().GetArtifact(FindTask(reply, "make")->outputs(0).sha256());
+  const auto copied = service.client().GetArtifact(FindTask(reply, "copy")->outputs(0).sha256());
+  ASSERT_TRUE(made.ok() && copied.ok());
+  EXPECT_EQ(made->size(), 5'000'000u);
+  EXPECT_EQ(*copied, "x" + *made);
+}
+
+TEST(Service, ArtefactsGoInAndOutAndFeedJobs) {
+  Service service;
+  service.StartWorker("a");
+  std::string bytes(3'000'000, 'm');
+  pb::ArtifactInfo info;
+  info.set_kind("model");
+  info.set_metadata_json(R"({"robot": "arm"})");
+  const auto sha256 = service.client().PutArtifact(bytes, info);
+  ASSERT_TRUE(sha256.ok()) << sha256.status().ToString();
+  EXPECT_EQ(*sha256, Sha256Hex(bytes));
+  EXPECT_TRUE(service.client().PutArtifact(bytes, info).ok()) << "a repeat is harmless";
+  pb::JobSpec job;
+  pb::InputSpec* input = AddTask(&job, "read", "echo")->add_inputs();
+  input->set_name("model");
+  input->set_artifact(*sha256);
+  const auto reply = RunJob(service, job);
+  ASSERT_EQ(reply.job().state(), pb::JOB_STATE_SUCCEEDED) << reply.job().reason();
+  EXPECT_EQ(FindTask(reply, "read")->outputs(0).sha256(), *sha256)
+      << "the same bytes as another kind are no trouble";
+  EXPECT_EQ(FindTask(reply, "read")->outputs(0).kind(), "text");
+  pb::JobSpec wrong = job;
+  wrong.mutable_tasks(0)->mutable_inputs(0)->set_artifact(std::string(64, 'a'));
+  EXPECT_EQ(service.client().Submit(wrong).status().code(), StatusCode::kNotFound);
+}
+
+TEST(Service, ParametersBecomeVersionsOfTheHistory) {
+  Service service;
+  service.StartWorker("a");
+  for (const char* value : {"1.5", "2.5"}) {
+    pb::JobSpec job;
+    AddTask(&job, "fit", "parameters", std::string(R"({"robot": "arm", "value": )") + value + "}");
+    ASSERT_EQ(RunJob(service, job).job().state(), pb::JOB_STATE_SUCCEEDED);
+  }
+  const auto history = service.client().ParameterHistory("arm");
+  ASSERT_TRUE(history.ok()) << history.status().ToString();
+  ASSERT_EQ(history->size(), 2u);
+  const auto newest = service.client().Parameters("arm");
+  ASSERT_TRUE(newest.ok());
+  EXPECT_EQ(newest->version(), 2u);
+  EXPECT_DOUBLE_EQ(newest->values(0).value(), 2.5);
+  const auto diff = service.client().DiffParameters("arm", 1);
+  ASSERT_TRUE(diff.ok()) << diff.status().ToString();
+  ASSERT_EQ(diff->rows_size(), 1);
+  EXPECT_DOUBLE_EQ(diff->rows(0).from(), 1.5);
+}
+
+TEST(Service, AFailureIsTriedAgainUntilItsLimitThenTheJobSaysWhy) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec recovers;
+  AddTask(&recovers, "shaky", "fail", R"({"until": 2})");
+  const auto good = RunJob(service, recovers);
+  EXPECT_EQ(good.job().state(), pb::JOB_STATE_SUCCEEDED);
+  EXPECT_EQ(FindTask(good, "shaky")->attempts(), 3u);
+  pb::JobSpec hopeless;
+  AddTask(&hopeless, "bad", "fail")->set_max_attempts(2);
+  AddInput(AddTask(&hopeless, "child", "echo"), "in", "bad");
+  const auto bad = RunJob(service, hopeless);
+  EXPECT_EQ(bad.job().state(), pb::JOB_STATE_FAILED);
+  EXPECT_NE(bad.job().reason().find("bad"), std::string::npos) << bad.job().reason();
+  EXPECT_EQ(FindTask(bad, "bad")->attempts(), 2u);
+  EXPECT_EQ(FindTask(bad, "bad")->attempt_list_size(), 2);
+  EXPECT_EQ(FindTask(bad, "child")->state(), pb::TASK_STATE_CANCELLED);
+  pb::JobSpec invalid;  // invalid input: no second attempt
+  AddTask(&invalid, "bad", "fail", R"({"code": 1})");
+  EXPECT_EQ(FindTask(RunJob(service, invalid), "bad")->attempts(), 1u);
+}
+
+TEST(Service, AnOptionalInputOfAFailedTaskIsLeftOut) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "bad", "fail")->set_max_attempts(1);
+  AddTask(&job, "good", "echo", R"({"text": "g"})");
+  pb::TaskSpec* join = AddTask(&job, "join", "echo", R"({"text": "j"})");
+  AddInput(join, "a", "bad", true);
+  AddInput(join, "b", "good");
+  const auto reply = RunJob(service, job);
+  EXPECT_EQ(reply.job().state(), pb::JOB_STATE_SUCCEEDED) << reply.job().reason();
+  EXPECT_EQ(*service.client().GetArtifact(FindTask(reply, "join")->outputs(0).sha256()), "jg");
+}
+
+TEST(Service, ATaskThatKillsItsExecutorsIsSetAsideWithItsLog) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "killer", "crash")->set_crash_limit(2);
+  const auto reply = RunJob(service, job);
+  EXPECT_EQ(reply.job().state(), pb::JOB_STATE_FAILED);
+  EXPECT_TRUE(FindTask(reply, "killer")->set_aside());
+  EXPECT_EQ(FindTask(reply, "killer")->attempts(), 2u);
+  EXPECT_NE(reply.job().reason().find("set aside"), std::string::npos) << reply.job().reason();
+  EXPECT_NE(reply.job().reason().find("famous last words"), std::string::npos) << reply.job().reason();
+  const auto logs = service.client().Logs(reply.job().id(), "killer");
+  ASSERT_TRUE(logs.ok());
+  EXPECT_EQ(logs->lines_size(), 2);
+  pb::JobSpec after;  // the worker is as good as new
+  AddTask(&after, "once", "crash", R"({"until": 1})");
+  EXPECT_EQ(RunJob(service, after).job().state(), pb::JOB_STATE_SUCCEEDED);
+}
+
+TEST(Service, ATaskPastItsTimeoutIsStopped) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  pb::TaskSpec* task = AddTask(&job, "endless", "hang");
+  task->set_timeout_s(0.3);
+  task->set_max_attempts(1);
+  const auto reply = RunJob(service, job);
+  EXPECT_EQ(reply.job().state(), pb::JOB_STATE_FAILED);
+  EXPECT_EQ(FindTask(reply, "endless")->attempt_list(0).outcome(), pb::ATTEMPT_OUTCOME_TIMED_OUT);
+}
+
+TEST(Service, CancelIsFinalAndStopsWhatRuns) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "long", "sleep", R"({"seconds": 60})");
+  AddTask(&job, "next", "echo");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(id.ok());
+  ASSERT_TRUE(service.WaitForTask(*id, "long", pb::TASK_STATE_LEASED));
+  const auto cancelled = service.client().Act(*id, pb::JOB_ACTION_CANCEL, "not needed");
+  ASSERT_TRUE(cancelled.ok()) << cancelled.status().ToString();
+  EXPECT_EQ(cancelled->state(), pb::JOB_STATE_CANCELLED);
+  EXPECT_EQ(cancelled->reason(), "not needed");
+  EXPECT_EQ(service.client().Act(*id, pb::JOB_ACTION_RETRY).status().code(), StatusCode::kFailedPrecondition);
+  pb::JobSpec after;  // its slot is free again
+  AddTask(&after, "quick", "echo");
+  EXPECT_EQ(RunJob(service, after).job().state(), pb::JOB_STATE_SUCCEEDED);
+}
+
+TEST(Service, APausedJobStartsNothingUntilItIsResumed) {
+  Service service;
+  pb::JobSpec job;
+  AddTask(&job, "t", "echo");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(id.ok());
+  ASSERT_TRUE(service.client().Act(*id, pb::JOB_ACTION_PAUSE).ok());
+  service.StartWorker("a");
+  ASSERT_TRUE(service.WaitForWorkers(1));
+  pb::JobSpec other;
+  AddTask(&other, "o", "echo");
+  RunJob(service, other);
+  EXPECT_EQ(service.client().GetJob(*id)->job().state(), pb::JOB_STATE_PAUSED);
+  EXPECT_NE(service.client().Explain(*id)->reasons(0).find("paused"), std::string::npos);
+  ASSERT_TRUE(service.client().Act(*id, pb::JOB_ACTION_RESUME).ok());
+  EXPECT_EQ(service.client().WaitForJob(*id, kPatience)->job().state(), pb::JOB_STATE_SUCCEEDED);
+}
+
+TEST(Service, ExplainsWhyATaskWaits) {
+  Service service;
+  pb::JobSpec job;
+  AddTask(&job, "t", "echo")->add_required_tags("robot:none");
+  AddInput(AddTask(&job, "u", "echo"), "in", "t");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(id.ok());
+  EXPECT_EQ(service.client().Explain(*id)->reasons(0), "no worker is connected");
+  service.StartWorker("a");
+  ASSERT_TRUE(service.WaitForWorkers(1));
+  const auto placed = service.client().Explain(*id);
+  EXPECT_FALSE(placed->placeable());
+  EXPECT_NE(placed->reasons(0).find("robot:none"), std::string::npos) << placed->reasons(0);
+  EXPECT_NE(service.client().Explain(*id, "u")->reasons(0).find("parents: t"), std::string::npos);
+  service.StartWorker("b", 1, {"--tag", "robot:none"});
+  EXPECT_EQ(service.client().WaitForJob(*id, kPatience)->job().state(), pb::JOB_STATE_SUCCEEDED);
+}
+
+TEST(Service, ADrainedWorkerFinishesAndLeaves) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "t", "sleep", R"({"seconds": 0.5})");
+  AddTask(&job, "u", "sleep", R"({"seconds": 0.1})");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(service.WaitForTask(*id, "t", pb::TASK_STATE_LEASED));
+  service.worker("a").Signal(SIGTERM);
+  EXPECT_EQ(service.worker("a").WaitForExit(kPatience), 0);
+  const auto reply = service.client().GetJob(*id);
+  EXPECT_EQ(FindTask(*reply, "t")->state(), pb::TASK_STATE_SUCCEEDED);
+  EXPECT_EQ(FindTask(*reply, "u")->state(), pb::TASK_STATE_READY);
+  service.StartWorker("b");
+  EXPECT_EQ(service.client().WaitForJob(*id, kPatience)->job().state(), pb::JOB_STATE_SUCCEEDED);
+  ASSERT_TRUE(service.client().DrainWorker("b").ok());
+  EXPECT_EQ(service.worker("b").WaitForExit(kPatience), 0);
+  EXPECT_EQ(service.client().DrainWorker("nobody").code(), StatusCode::kNotFound);
+}
+
+TEST(Service, ASubmitIsIdempotentByItsRequestId) {
+  Service service;
+  pb::JobSpec job;
+  AddTask(&job, "t", "echo");
+  const auto first = service.client().Submit(job, "the-same");
+  const auto second = service.client().Submit(job, "the-same");
+  ASSERT_TRUE(first.ok() && second.ok());
+  EXPECT_EQ(*first, *second);
+  EXPECT_NE(*service.client().Submit(job, "another"), *first);
+  EXPECT_EQ(service.client().ListJobs()->size(), 2u);
+}
+
+TEST(Service, TwoWorkersShareTheWorkAndOneThatJoinsLateGetsSome) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  for (int i = 0; i < 30; ++i) AddTask(&job, "t" + std::to_string(i), "sleep", R"({"seconds": 0.1})");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(service.WaitForTask(*id, "t3", pb::TASK_STATE_SUCCEEDED));
+  service.StartWorker("b");
+  ASSERT_EQ(service.client().WaitForJob(*id, kPatience)->job().state(), pb::JOB_STATE_SUCCEEDED);
+  std::map<std::string, int> by_worker;
+  const auto reply = service.client().GetJob(*id, true, true);
+  for (const auto& task : reply->tasks()) ++by_worker[task.attempt_list(0).worker()];
+  EXPECT_GT(by_worker["a"], 3);
+  EXPECT_GT(by_worker["b"], 3);
+}
+
+TEST(Service, HigherPriorityGoesFirst) {
+  Service service;
+  pb::JobSpec low, high;
+  AddTask(&low, "l", "echo");
+  AddTask(&high, "h", "echo");
+  high.set_priority(5);
+  const auto l = service.client().Submit(low);
+  const auto h = service.client().Submit(high);
+  service.StartWorker("a");
+  ASSERT_TRUE(service.client().WaitForJob(*l, kPatience).ok());
+  ASSERT_TRUE(service.client().WaitForJob(*h, kPatience).ok());
+  EXPECT_LT(service.client().GetJob(*h, true, true)->tasks(0).attempt_list(0).token(),
+            service.client().GetJob(*l, true, true)->tasks(0).attempt_list(0).token());
+}
+
+}  // namespace
+}  // namespace rg::testing

@@ -1,0 +1,100 @@
+#include "worker/artifact_cache.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <vector>
+
+#include "common/base/file.h"
+#include "common/base/hash.h"
+
+namespace rg::worker {
+
+namespace fs = std::filesystem;
+
+Result<ArtifactCache> ArtifactCache::Open(const std::string& folder, uint64_t limit_bytes) {
+  ArtifactCache cache(folder, limit_bytes);
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (error) return UnavailableError(folder + ": " + error.message());
+  std::vector<std::pair<fs::file_time_type, fs::path>> files;
+  for (auto it = fs::recursive_directory_iterator(folder, error); !error && it != fs::end(it);
+       it.increment(error)) {
+    std::error_code ignored;
+    if (it->is_regular_file(ignored) && it->path().filename().string().size() == 64) {
+      files.emplace_back(it->last_write_time(ignored), it->path());
+    }
+  }
+  std::sort(files.begin(), files.end());
+  for (const auto& [time, path] : files) {
+    const uint64_t size = fs::file_size(path, error);
+    if (!error) cache.Note(path.filename().string(), size);
+  }
+  cache.MakeRoom();
+  return cache;
+}
+
+std::string ArtifactCache::PathOf(const std::string& sha256) const {
+  return folder_ + "/" + sha256.substr(0, 2) + "/" + sha256;
+}
+
+void ArtifactCache::Note(const std::string& sha256, uint64_t size) {
+  Entry& entry = entries_[sha256];
+  if (entry.last_use > 0) by_use_.erase(entry.last_use);
+  bytes_ += size - entry.size;
+  entry = {size, ++uses_};
+  by_use_[entry.last_use] = sha256;
+}
+
+bool ArtifactCache::Find(const std::string& sha256, std::string* path) {
+  *path = PathOf(sha256);
+  std::error_code error;
+  const uint64_t size = fs::file_size(*path, error);  // another worker may have put or removed it
+  if (error) {
+    Remove(sha256);
+    return false;
+  }
+  Note(sha256, size);
+  fs::last_write_time(*path, fs::file_time_type::clock::now(), error);
+  return true;
+}
+
+Result<std::string> ArtifactCache::Insert(const std::string& sha256, std::string_view bytes) {
+  if (Sha256Hex(bytes) != sha256)
+    return DataLossError("artefact " + sha256 + ": the bytes do not match the hash");
+  const std::string path = PathOf(sha256);
+  RG_RETURN_IF_ERROR(WriteFileAtomically(path, bytes));
+  Note(sha256, bytes.size());
+  Hold(sha256);
+  MakeRoom();
+  Release(sha256);
+  return path;
+}
+
+void ArtifactCache::Remove(const std::string& sha256) {
+  std::error_code ignored;
+  fs::remove(PathOf(sha256), ignored);
+  const auto entry = entries_.find(sha256);
+  if (entry == entries_.end()) return;
+  bytes_ -= entry->second.size;
+  by_use_.erase(entry->second.last_use);
+  entries_.erase(entry);
+}
+
+void ArtifactCache::Release(const std::string& sha256) {
+  const auto one = held_.find(sha256);
+  if (one != held_.end()) held_.erase(one);
+}
+
+void ArtifactCache::MakeRoom() {
+  std::vector<std::string> going;
+  uint64_t left = bytes_;
+  for (const auto& [use, sha256] : by_use_) {
+    if (left <= limit_) break;
+    if (held_.count(sha256) > 0) continue;
+    left -= entries_[sha256].size;
+    going.push_back(sha256);
+  }
+  for (const std::string& sha256 : going) Remove(sha256);
+}
+
+}  // namespace rg::worker

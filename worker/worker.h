@@ -1,0 +1,137 @@
+// The worker: joins a coordinator, keeps leases alive, fetches inputs, has executor children run the
+// tasks, brings results home. One thread (the process's main thread); transfers run beside it.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "common/base/clock.h"
+#include "common/base/status.h"
+#include "common/transport/zmq_socket.h"
+#include "realitygrad/v1/worker.pb.h"
+#include "worker/artifact_cache.h"
+#include "worker/executor.h"
+#include "worker/transfers.h"
+
+namespace rg::worker {
+
+struct WorkerOptions {
+  std::string coordinator;  // endpoint
+  std::string name;         // unique among the workers; empty: host and process
+  uint32_t slots = 0;       // 0: one per core
+  std::vector<std::string> tags;
+  std::vector<std::string> kinds;
+  std::string folder;  // cache and scratch; empty: ~/.cache/realitygrad/worker
+  uint64_t cache_bytes = uint64_t{8} << 30;
+  double drain_timeout_s = 0.0;  // on SIGTERM, for what runs; 0: as long as it takes
+  double cancel_grace_s = 5.0;   // for a cancelled task to return before its executor is killed
+  double patience_s = 0.0;       // without a coordinator for that long it gives up; 0: never
+  double idle_exit_s = 0.0;      // leaves when it had nothing to do for that long; 0: never
+  bool is_agent = false;         // speaks as the agent beside a robot
+  std::optional<transport::KeyPair> key;
+  std::string server_public_key;
+  std::string version = "0.1.0";
+  std::vector<std::string> executor_arguments;  // argv of this program, to start it again as executor
+};
+
+class Worker {
+ public:
+  static Result<std::unique_ptr<Worker>> Open(WorkerOptions options, const Clock* clock);
+  ~Worker();
+
+  // Until it has drained, or may not join. `signal_fd` (an eventfd) is written once per SIGTERM or
+  // SIGINT: the first drains, the second stops at once.
+  Status Run(int signal_fd);
+
+ private:
+  enum class Stage { kFetching, kAwaitingGrant, kQueued, kRunning, kUploading, kReporting };
+  // A lease at hand, from its assignment to the acknowledged result.
+  struct Held {
+    realitygrad::v1::TaskAssignment assignment;
+    Stage stage = Stage::kFetching;
+    bool revoked = false, timed_out = false, gave_back = false;
+    int open_transfers = 0;
+    std::vector<std::string> input_paths;
+    Executor* executor = nullptr;
+    int64_t deadline_ns = 0;   // of the run; 0: none
+    int64_t kill_at_ns = 0;    // after a cancel; 0: not cancelled
+    int64_t next_send_ns = 0;  // start request or result, again until answered
+    std::string scratch;
+    realitygrad::v1::ExecutorFinished finished;
+    realitygrad::v1::WorkerMessage report;
+  };
+  using HeldMap = std::map<uint64_t, Held>;
+
+  Worker(WorkerOptions options, const Clock* clock, ArtifactCache cache);
+  Status Connect();
+  Result<std::unique_ptr<transport::RequestClient>> ConnectForTransfers(int thread);
+  int64_t now() const { return clock_->SteadyNanos(); }
+
+  // --- the loop
+  void WaitForSomething(int signal_fd);
+  void ReadSignal(int signal_fd);
+  bool MustStop();
+  Status CheckPatience();
+  // --- messages
+  void ReceiveMessages();
+  void Handle(const realitygrad::v1::CoordinatorMessage& message);
+  void Take(const realitygrad::v1::TaskAssignment& assignment);
+  void HandleReply(const realitygrad::v1::TaskResultReply& reply);
+  void HandleRevoke(const realitygrad::v1::TaskRevoke& revoke);
+  void Send(const realitygrad::v1::WorkerMessage& message);
+  void SendHello();
+  void SendBeatIfDue();
+  void SendReportsIfDue();
+  void FlushLogs();
+  // --- tasks
+  void TakeTransferResults();
+  void InputsAreHere(uint64_t token, Held& held);
+  void StartQueued();
+  void Start(uint64_t token, Held& held);
+  Executor* IdleExecutor();
+  void ReadExecutors();
+  void HandleExecutorMessage(realitygrad::v1::FromExecutor& message);
+  void HandleExecutorFinished(uint64_t token, Held& held, realitygrad::v1::ExecutorFinished finished);
+  void HandleExecutorFailed(Held& held, const realitygrad::v1::ExecutorFailed& failed);
+  void HandleExecutorEnd(Executor& executor);
+  void Upload(uint64_t token, Held& held, const std::vector<std::string>& only = {});
+  void ReportFinished(Held& held);
+  void ReportFailure(Held& held, realitygrad::v1::AttemptOutcome outcome, const std::string& error,
+                     bool retryable);
+  void Interrupt(Held& held);
+  void EnforceDeadlines();
+  void GiveBackEverything(const std::string& why);
+  void Forget(uint64_t token);
+  void AddLog(uint64_t token, const std::string& text, int64_t wall_ns);
+
+  WorkerOptions options_;
+  const Clock* clock_;
+  ArtifactCache cache_;
+  std::string instance_;
+  transport::Sender self_;
+  std::unique_ptr<transport::Context> context_;
+  std::unique_ptr<transport::ZmqSocket> socket_;
+  int transfer_fd_ = -1;
+  std::unique_ptr<Transfers> transfers_;
+  std::string scratch_root_;
+
+  bool joined_ = false, draining_ = false, stop_now_ = false;
+  std::string refused_;
+  int signals_ = 0;
+  int64_t drain_since_ns_ = 0, last_word_ns_ = 0, last_busy_ns_ = 0, next_beat_ns_ = 0, logs_due_ns_ = 0;
+  int64_t heartbeat_ns_ = 2'000'000'000;
+  uint64_t inline_limit_ = 256u << 10;
+  HeldMap held_;
+  std::set<uint64_t> done_tokens_;  // recent ones, so that a repeated assignment is known
+  std::deque<uint64_t> done_order_;
+  std::vector<std::unique_ptr<Executor>> executors_;
+  std::map<uint64_t, std::vector<realitygrad::v1::TaskLogLine>> logs_;
+};
+
+}  // namespace rg::worker
