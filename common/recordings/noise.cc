@@ -35,11 +35,16 @@ Eigen::VectorXd DividedDifference(const Eigen::VectorXd& t, int first, int order
   return c.normalized();
 }
 
-double SpreadOfDifferences(const Eigen::VectorXd& t, const Eigen::VectorXd& x, int order) {
+std::vector<double> AbsoluteDifferences(const Eigen::VectorXd& t, const Eigen::VectorXd& x, int order) {
   std::vector<double> differences;
   for (int k = 0; k + order < t.size(); ++k) {
     differences.push_back(std::abs(DividedDifference(t, k, order).dot(x.segment(k, order + 1))));
   }
+  return differences;
+}
+
+double SpreadOfDifferences(const Eigen::VectorXd& t, const Eigen::VectorXd& x, int order) {
+  std::vector<double> differences = AbsoluteDifferences(t, x, order);
   return kMedianToStddev * Median(&differences);
 }
 
@@ -99,37 +104,94 @@ Span RowsAround(Side side, int row, int count, int rows) {
   return {first, std::min(rows - 1, first + count - 1)};
 }
 
-// Mean square errors to expect of slope and value at some rows: noise from the weights, bias from how
-// far a polynomial of two degrees more goes beyond the noise of the difference.
+// Mean square errors to expect of slope and value.
 struct ExpectedError {
   double slope = 0.0, value = 0.0;
 };
 
-ExpectedError ExpectError(const Eigen::VectorXd& t, const Eigen::VectorXd& x, Side side, int count,
-                          int degree, double stddev, int rows) {
-  const int first_row = side == Side::kCausal ? std::min(count, rows) - 1 : 0;
-  const int stride = std::max(1, (rows - first_row) / kRowsToChooseSpan);
-  const double variance = stddev * stddev;
-  ExpectedError noise, excess;
-  int used = 0;
-  for (int row = rows - 1; row >= first_row; row -= stride, ++used) {
-    const Span span = RowsAround(side, row, count, rows);
-    const auto samples = x.segment(span.first, span.last - span.first + 1);
-    const LocalPolynomial low = FitLocalPolynomial(t, span.first, span.last, t[row], degree);
-    noise.slope += variance * low.slope.squaredNorm();
-    noise.value += variance * low.value.squaredNorm();
-    const LocalPolynomial high = FitLocalPolynomial(t, span.first, span.last, t[row], degree + 2);
-    const auto beyond = [&](const Eigen::VectorXd& a, const Eigen::VectorXd& b) {
-      const Eigen::VectorXd d = a - b;
-      const double difference = d.dot(samples);
-      return difference * difference - variance * d.squaredNorm();
-    };
-    excess.slope += beyond(low.slope, high.slope);
-    excess.value += beyond(low.value, high.value);
+// A local polynomial of each span at one row, with weights laid over the same samples.
+struct Candidates {
+  Eigen::MatrixXd slope, value;  // samples × spans
+  Eigen::VectorXd samples;
+};
+
+Candidates FitCandidates(const Eigen::VectorXd& t, const Eigen::VectorXd& x, Side side, int row,
+                         const std::vector<int>& counts, int degree, int rows) {
+  const Span widest = RowsAround(side, row, counts.back(), rows);
+  const int length = widest.last - widest.first + 1;
+  Candidates c;
+  c.samples = x.segment(widest.first, length);
+  c.slope = c.value = Eigen::MatrixXd::Zero(length, static_cast<Eigen::Index>(counts.size()));
+  for (size_t j = 0; j < counts.size(); ++j) {
+    const Span span = RowsAround(side, row, counts[j], rows);
+    const LocalPolynomial fit = FitLocalPolynomial(t, span.first, span.last, t[row], degree);
+    const auto col = static_cast<Eigen::Index>(j);
+    c.slope.col(col).segment(span.first - widest.first, fit.slope.size()) = fit.slope;
+    c.value.col(col).segment(span.first - widest.first, fit.value.size()) = fit.value;
   }
-  const double scale = used > 0 ? 1.0 / used : 0.0;
-  return {scale * (noise.slope + std::max(0.0, excess.slope)),
-          scale * (noise.value + std::max(0.0, excess.value))};
+  return c;
+}
+
+// Noise of each span, and how far it strays from each shorter one, over some rows.
+class SpanComparison {
+ public:
+  explicit SpanComparison(Eigen::Index spans)
+      : noise_(Eigen::VectorXd::Zero(spans)),
+        expected_(Eigen::MatrixXd::Zero(spans, spans)),
+        moved_(static_cast<size_t>(spans * spans)) {}
+
+  void Add(const Eigen::MatrixXd& weights, const Eigen::VectorXd& samples, double variance) {
+    ++rows_;
+    for (Eigen::Index j = 0; j < weights.cols(); ++j) {
+      noise_[j] += variance * weights.col(j).squaredNorm();
+      for (Eigen::Index i = 0; i < j; ++i) {
+        const Eigen::VectorXd d = weights.col(j) - weights.col(i);
+        moved_[At(i, j)].push_back(std::pow(d.dot(samples), 2));
+        expected_(i, j) += variance * d.squaredNorm();
+      }
+    }
+  }
+
+  // The bias of a span is what it strays from a shorter one beyond what noise would do: the median
+  // over rows, so that outliers and time stamps that jump are not taken for motion. The margin covers
+  // the error of the noise's own estimate; what it hides is smaller than the shorter span's noise.
+  double MeanSquareError(Eigen::Index j) {
+    if (rows_ == 0) return 0.0;
+    double bias = 0.0;
+    for (Eigen::Index i = 0; i < j; ++i) {
+      const double moved = Median(&moved_[At(i, j)]) / kMedianOfChiSquare;
+      bias = std::max(bias, moved - kNoiseMargin * expected_(i, j) / rows_);
+    }
+    return noise_[j] / rows_ + bias;
+  }
+
+ private:
+  static constexpr double kNoiseMargin = 1.5;
+  static constexpr double kMedianOfChiSquare = 0.455;  // one degree of freedom
+
+  size_t At(Eigen::Index i, Eigen::Index j) const { return static_cast<size_t>(i * noise_.size() + j); }
+
+  Eigen::VectorXd noise_;
+  Eigen::MatrixXd expected_;                // [shorter span][span]
+  std::vector<std::vector<double>> moved_;  // the same, one entry per row
+  int rows_ = 0;
+};
+
+std::vector<ExpectedError> ExpectErrors(const Eigen::VectorXd& t, const Eigen::VectorXd& x, Side side,
+                                        const std::vector<int>& counts, int degree, double stddev, int rows) {
+  const int first_row = side == Side::kCausal ? std::min(counts.back(), rows) - 1 : 0;
+  const int stride = std::max(1, (rows - first_row) / kRowsToChooseSpan);
+  const auto spans = static_cast<Eigen::Index>(counts.size());
+  SpanComparison slope(spans), value(spans);
+  for (int row = rows - 1; row >= first_row; row -= stride) {
+    const Candidates c = FitCandidates(t, x, side, row, counts, degree, rows);
+    slope.Add(c.slope, c.samples, stddev * stddev);
+    value.Add(c.value, c.samples, stddev * stddev);
+  }
+  std::vector<ExpectedError> errors;
+  for (Eigen::Index j = 0; j < spans; ++j)
+    errors.push_back({slope.MeanSquareError(j), value.MeanSquareError(j)});
+  return errors;
 }
 
 struct ChosenSpan {
@@ -147,22 +209,34 @@ int RowsOfSpan(const Eigen::VectorXd& t, double span_s, int rows) {
 // Rows per polynomial for the first `rows` rows of x.
 ChosenSpan ChooseSpan(const Eigen::VectorXd& t, const Eigen::VectorXd& x, Side side, int rows, double stddev,
                       const VelocityOptions& options) {
+  std::vector<int> counts;
   if (options.span_s > 0.0) {
-    const int count = std::min(RowsOfSpan(t, options.span_s, rows), rows);
-    return {count, ExpectError(t, x, side, count, options.degree, stddev, rows)};
+    counts.push_back(std::min(RowsOfSpan(t, options.span_s, rows), rows));
+  } else {
+    for (const int count : kSpans) {
+      if (count >= options.degree + 2 && count <= rows) counts.push_back(count);
+    }
   }
-  ChosenSpan best;
-  for (const int count : kSpans) {
-    if (count < options.degree + 2 || count > rows) continue;
-    const ExpectedError error = ExpectError(t, x, side, count, options.degree, stddev, rows);
-    if (best.count == 0 || error.slope < best.error.slope) best = {count, error};
+  if (counts.empty()) counts.push_back(rows);
+  const auto errors = ExpectErrors(t, x, side, counts, options.degree, stddev, rows);
+  size_t best = 0;
+  for (size_t j = 1; j < counts.size(); ++j) {
+    if (errors[j].slope < errors[best].slope) best = j;
   }
-  if (best.count == 0) best.count = rows;
-  return best;
+  return {counts[best], errors[best]};
 }
 
+// Noise as a local polynomial meets it: rows that repeat and time stamps that jump count in full here,
+// which the median of EstimateNoise leaves out.
 double StddevFor(const Eigen::VectorXd& t, const Eigen::VectorXd& x, const VelocityOptions& options) {
-  return options.position_stddev > 0.0 ? options.position_stddev : EstimateNoise(t, x).stddev;
+  if (options.position_stddev > 0.0) return options.position_stddev;
+  constexpr int kOrder = 5;
+  const double robust = EstimateNoise(t, x).stddev;
+  if (t.size() < kOrder + 4) return robust;
+  double sum = 0.0;
+  const std::vector<double> differences = AbsoluteDifferences(t, x, kOrder);
+  for (const double d : differences) sum += d * d;
+  return std::max(robust, std::sqrt(sum / static_cast<double>(differences.size())));
 }
 
 // Root mean square over recordings, weighted by rows, of something that each of them gives per joint.
@@ -178,14 +252,15 @@ Eigen::VectorXd Pool(const RecordingSet& set, const PerRecording& per_recording)
   return rows > 0.0 ? Eigen::VectorXd((sum / rows).cwiseSqrt()) : sum;
 }
 
-Eigen::VectorXd VelocityStddev(const Recording& r, const Eigen::VectorXd& position_stddev) {
+Eigen::VectorXd VelocityStddev(const Recording& r, const VelocityOptions& options) {
   Eigen::VectorXd out(r.n());
   for (int i = 0; i < r.n(); ++i) {
     if (r.has_velocity()) {
       out[i] = EstimateNoise(r.t, r.v.row(i).transpose()).stddev;
     } else {
       const Eigen::VectorXd q = r.q.row(i).transpose();
-      out[i] = std::sqrt(ChooseSpan(r.t, q, Side::kCentred, r.rows(), position_stddev[i], {}).error.slope);
+      const double stddev = StddevFor(r.t, q, options);
+      out[i] = std::sqrt(ChooseSpan(r.t, q, Side::kCentred, r.rows(), stddev, options).error.slope);
     }
   }
   return out;
@@ -230,8 +305,9 @@ SensorNoise EstimateSensorNoise(const RecordingSet& set) {
     return x;
   });
   if (set.noise.position_stddev) sensor.position_stddev.setConstant(*set.noise.position_stddev);
-  sensor.velocity_stddev =
-      Pool(set, [&](const Recording& r) { return VelocityStddev(r, sensor.position_stddev); });
+  VelocityOptions velocity;
+  velocity.position_stddev = set.noise.position_stddev.value_or(0.0);
+  sensor.velocity_stddev = Pool(set, [&](const Recording& r) { return VelocityStddev(r, velocity); });
   if (set.noise.velocity_stddev) sensor.velocity_stddev.setConstant(*set.noise.velocity_stddev);
   return sensor;
 }

@@ -252,6 +252,31 @@ TEST(CheckUnits, AcceptsNoisyVelocitiesAtRest) {
                   .ok());
 }
 
+TEST(ParseCsv, AcceptsOrRefusesInOneLineWhateverTheBytes) {
+  const std::string whole = FileOf(30, [](double t) { return std::sin(t); });
+  Rng rng(21);
+  const std::string alphabet = "0123456789.,-+eE\n\r \"nainf\xEF\x00\xFF";
+  for (int trial = 0; trial < 4000; ++trial) {
+    std::string text = whole;
+    for (uint64_t edits = 1 + rng.Index(4); edits > 0; --edits) {
+      const size_t at = rng.Index(text.size());
+      const uint64_t kind = rng.Index(3);
+      if (kind == 0) text[at] = alphabet[rng.Index(alphabet.size())];
+      if (kind == 1) text.erase(at, 1 + rng.Index(20));
+      if (kind == 2) text.insert(at, text.substr(rng.Index(text.size()), rng.Index(40)));
+      if (text.empty()) text = "t";
+    }
+    const auto recording = ParseCsv(text, "rec.csv", TwoJoints());
+    if (!recording.ok()) {
+      ASSERT_EQ(recording.status().message().find('\n'), std::string::npos) << recording.status().message();
+      continue;
+    }
+    ASSERT_TRUE(recording->q.allFinite() && recording->t.allFinite() &&
+                recording->effort_command.allFinite());
+    for (int k = 1; k < recording->rows(); ++k) ASSERT_GT(recording->t[k], recording->t[k - 1]);
+  }
+}
+
 TEST(FormatCsv, ReadsBackBitForBit) {
   Rng rng(7);
   Recording r;
