@@ -5,6 +5,9 @@
 
 #include <cmath>
 
+#include "common/base/file.h"
+#include "common/base/rng.h"
+
 namespace rg::model {
 namespace {
 
@@ -249,6 +252,41 @@ INSTANTIATE_TEST_SUITE_P(
          "joint 'j': <origin> is there twice"},
     }),
     [](const auto& info) { return std::string(info.param.name); });
+
+TEST(UrdfLoader, SurvivesDamagedDocuments) {
+  const std::string original = ReadFile("deploy/robots/mico2.urdf").value();
+  Rng rng(17);
+  int accepted = 0;
+  for (int i = 0; i < 1500; ++i) {
+    std::string text = original;
+    for (uint64_t hits = 1 + rng.Index(4); hits > 0; --hits) {
+      const size_t at = rng.Index(text.size());
+      switch (rng.Index(4)) {
+        case 0:
+          text[at] = static_cast<char>(rng.Index(256));
+          break;
+        case 1:
+          text.erase(at, rng.Index(40));
+          break;
+        case 2:
+          text.insert(at, text.substr(rng.Index(text.size()), rng.Index(200)));
+          break;
+        default:
+          text[at] = "0123456789.-e<>/\"="[rng.Index(18)];
+      }
+    }
+    const auto model = ParseUrdf(text, "damaged.urdf");
+    if (model.ok()) {
+      ++accepted;
+      EXPECT_TRUE(model->NominalLinkParameters().allFinite());
+      EXPECT_TRUE(model->LowerLimits().size() == model->num_joints());
+    } else {
+      EXPECT_THAT(model.status().message(), StartsWith("damaged.urdf: "));
+    }
+  }
+  EXPECT_GT(accepted, 100);  // damage to comments and digits leaves a robot
+  EXPECT_LT(accepted, 1400);
+}
 
 TEST(UrdfLoader, RefusesSeventeenMovingJoints) {
   std::string body = LinkXml("l0");
