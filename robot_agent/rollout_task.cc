@@ -4,10 +4,10 @@
 
 #include "common/base/clock.h"
 #include "common/base/hash.h"
-#include "common/base/log.h"
 #include "common/sim/model_file.h"
 #include "robot_agent/controllers.h"
 #include "robot_agent/rollout_runner.h"
+#include "robot_agent/spool_delivery.h"
 
 namespace rg::robot_agent {
 namespace {
@@ -51,24 +51,13 @@ RolloutTaskOutput OutputOf(const RolloutResult& result) {
   return output;
 }
 
-std::string MetadataOfBundle(const std::string& bytes) {
-  const auto bundle = rollouts::UnpackBundle(bytes);
-  if (!bundle.ok() || !bundle->contains("rollout.json")) return "{}";
-  const json rollout = json::parse(bundle->at("rollout.json"), nullptr, false);
-  return rollout.is_discarded() ? "{}" : rollout.dump();
-}
-
-void LogSalvaged(const std::vector<std::string>& ids) {
-  for (const auto& id : ids) spdlog::warn("recording {} was cut off by a crash; what it holds is kept", id);
-}
-
 }  // namespace
 
 Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::string& spool_folder,
                                          const RolloutTaskInput& input, const ProgressFn& progress,
                                          const CancelToken& stop) {
   RG_ASSIGN_OR_RETURN(const auto spool, Spool::Open(spool_folder));
-  LogSalvaged(spool->Salvage(FinishFile));
+  SalvageRecordings(*spool);
   RG_ASSIGN_OR_RETURN(const sim::ModelFile model, sim::ModelFromJson(input.model_json, "model"));
   RG_ASSIGN_OR_RETURN(const RolloutPlan plan, PlanRollout(input.spec, config, model.plant));
   RG_ASSIGN_OR_RETURN(const auto controller, MakeController(input, model, plan));
@@ -84,19 +73,6 @@ Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::s
   RG_ASSIGN_OR_RETURN(const RolloutResult result,
                       RunRollout(*driver, rollout, *spool, progress, stop, RealClock()));
   return OutputOf(result);
-}
-
-Result<int> DeliverSpool(const std::string& spool_folder, const BundleDeliverer& deliver) {
-  RG_ASSIGN_OR_RETURN(const auto spool, Spool::Open(spool_folder));
-  LogSalvaged(spool->Salvage(FinishFile));
-  return spool->Deliver([&](const std::string& id, const std::string& bundle) {
-    return deliver(id, bundle, MetadataOfBundle(bundle));
-  });
-}
-
-Status ForgetDelivered(const std::string& spool_folder, const std::string& id) {
-  RG_ASSIGN_OR_RETURN(const auto spool, Spool::Open(spool_folder));
-  return spool->Delivered(id);
 }
 
 }  // namespace rg::robot_agent

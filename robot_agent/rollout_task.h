@@ -2,16 +2,14 @@
 //
 // Runs in an executor child of the agent, one at a time (the spool's lock holds that too), at most
 // once: a repeat with the same spec.id returns the recording that is in the spool and moves nothing.
-// Recordings that a dead executor left are finished first and wait in the spool for DeliverSpool.
+// Recordings that a dead executor left are finished first and wait in the spool (spool_delivery.h).
 #pragma once
 
-#include <functional>
 #include <string>
 
 #include "common/base/progress.h"
 #include "common/base/status.h"
 #include "robot_agent/agent_config.h"
-#include "robot_agent/spool.h"
 #include "services/rollouts/rollout_spec.h"
 
 namespace rg::robot_agent {
@@ -38,14 +36,5 @@ struct RolloutTaskOutput {
 Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::string& spool_folder,
                                          const RolloutTaskInput& input, const ProgressFn& progress,
                                          const CancelToken& stop);
-
-// Opens the spool, finishes what a dead process left, and hands every bundle that waits to `deliver` with
-// its metadata. Returns how many were taken; kFailedPrecondition: a rollout is running, come later.
-using BundleDeliverer =
-    std::function<Status(const std::string& id, const std::string& bundle, const std::string& metadata_json)>;
-Result<int> DeliverSpool(const std::string& spool_folder, const BundleDeliverer& deliver);
-
-// After the coordinator has committed the task's output: the spool need not keep it. Idempotent.
-Status ForgetDelivered(const std::string& spool_folder, const std::string& id);
 
 }  // namespace rg::robot_agent

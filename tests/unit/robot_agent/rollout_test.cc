@@ -5,7 +5,6 @@
 #include <nlohmann/json.hpp>
 
 #include "common/recordings/csv.h"
-#include "robot_agent/rollout_task.h"
 #include "services/rollouts/recording_bundle.h"
 #include "tests/unit/robot_agent/rig.h"
 

@@ -1,0 +1,26 @@
+// The way of recordings from the spool to the store, beside the tasks that made them: what a crash or an
+// absent coordinator left behind. Delivered at least once, kept once (the store addresses by hash).
+#pragma once
+
+#include <functional>
+#include <string>
+
+#include "common/base/status.h"
+
+namespace rg::robot_agent {
+
+class Spool;
+
+// Makes bundles of what a dead process left in the spool; how many.
+int SalvageRecordings(Spool& spool);
+
+// Opens the spool, finishes what a dead process left, and hands every bundle that waits to `deliver` with
+// its metadata. Returns how many were taken; kFailedPrecondition: a rollout is running, come later.
+using BundleDeliverer =
+    std::function<Status(const std::string& id, const std::string& bundle, const std::string& metadata_json)>;
+Result<int> DeliverSpool(const std::string& spool_folder, const BundleDeliverer& deliver);
+
+// After the coordinator has committed the task's output: the spool need not keep it. Idempotent.
+Status ForgetDelivered(const std::string& spool_folder, const std::string& id);
+
+}  // namespace rg::robot_agent
