@@ -371,7 +371,11 @@ GnmsSummary GnmsSolver::Solve(const VecIn& x0) {
   double slowest = 0.0;
   merit_weight_.setZero();
 
-  ++summary.passes;
+  if (!x0.allFinite()) {
+    Finish(Termination::kNonFinite, x0, "the initial state is not finite", &summary);
+    return summary;
+  }
+  if (current_.linearized_from == 0) ++summary.passes;
   if (!Linearize(current_, current_.linearized_from)) {
     summary.worst_knot = current_.linearized_from;
     Finish(Termination::kNonFinite, x0,

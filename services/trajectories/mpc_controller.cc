@@ -9,6 +9,9 @@
 namespace rg::trajectories {
 namespace {
 
+// A plan whose search stalled with defects beyond this is none.
+constexpr double kOpenDefect = 1e-3;
+
 TrackingWeights WeightsOf(const MpcOptions& options, const Eigen::VectorXd& torque_limit) {
   if (options.weights.position.size() > 0) return options.weights;
   // Where there is no torque limit the effort weight falls back to that of 1 N·m.
@@ -167,7 +170,8 @@ MpcStatus MpcController::SolveFrom(const Eigen::VectorXd& goal, Eigen::VectorXd*
   status.max_defect = summary.max_defect;
   status.max_violation = summary.max_violation;
   status.message = summary.message;
-  status.ok = summary.termination != Termination::kNonFinite && x0_.allFinite();
+  const bool stalled_open = summary.termination == Termination::kStalled && summary.max_defect > kOpenDefect;
+  status.ok = summary.termination != Termination::kNonFinite && !stalled_open;
   // A plan that failed is not built upon; the old one still gives this interval's control.
   *u = solver_.u(0);
   cold_ = !status.ok;

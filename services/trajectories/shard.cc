@@ -16,14 +16,14 @@ constexpr int kSlotsBeforeGivingUp = 2;
 Status CheckSpec(const ShardSpec& spec) {
   if (spec.count == 0) return InvalidError("shard: count is 0");
   if (spec.max_draws < 1) return InvalidError("shard: max_draws must be ≥ 1");
-  if (!(spec.goal_tolerance >= 0.0)) return InvalidError("shard: goal_tolerance must be ≥ 0");
+  if (!(spec.goal_tolerance > 0.0)) return InvalidError("shard: goal_tolerance must be > 0");
   if (!(spec.duration_s > 0.0) || spec.duration_s > 1000.0)
     return InvalidError("shard: duration_s must be in 0 … 1000");
   return Status::Ok();
 }
 
 std::optional<Failure> FailureOf(const MpcStatus& status) {
-  if (status.ok && status.termination != Termination::kStalled) return std::nullopt;
+  if (status.ok) return std::nullopt;
   switch (status.termination) {
     case Termination::kNonFinite:
       return Failure::kNonFinite;
@@ -56,7 +56,7 @@ class SlotFiller {
         sampler_(std::move(sampler)),
         root_(spec.seed),
         intervals_(std::max(1, static_cast<int>(std::lround(spec.duration_s / spec.mpc.interval_s)))),
-        tolerance_(spec.goal_tolerance > 0.0 ? spec.goal_tolerance : GoalToleranceFor(spec.duration_s)) {}
+        tolerance_(spec.goal_tolerance) {}
 
   // The first good draw of a slot. Counts the others in `shard`.
   bool Fill(uint64_t slot, const CancelToken* cancel, Shard* shard) {
@@ -94,10 +94,6 @@ class SlotFiller {
 };
 
 }  // namespace
-
-double GoalToleranceFor(double duration_s) {
-  return duration_s >= 2.0 ? 0.02 : std::min(0.1, 0.02 + 0.06 * (2.0 - duration_s));
-}
 
 std::string_view FailureName(Failure failure) {
   constexpr std::array<std::string_view, kFailureKinds> kNames = {
