@@ -1,0 +1,200 @@
+// Processes of the service killed and stopped at bad moments.
+#include <gtest/gtest.h>
+#include <signal.h>
+
+#include <chrono>
+#include <fstream>
+#include <set>
+#include <thread>
+
+#include "common/base/clock.h"
+#include "common/base/rng.h"
+#include "tests/support/service/processes.h"
+
+namespace rg::testing {
+namespace {
+
+constexpr double kPatience = 60.0;
+
+void SleepMs(int ms) { std::this_thread::sleep_for(std::chrono::milliseconds(ms)); }
+
+std::vector<std::string> ReadLines(const std::string& path) {
+  std::vector<std::string> lines;
+  std::ifstream file(path);
+  for (std::string line; std::getline(file, line);) lines.push_back(line);
+  return lines;
+}
+
+pb::JobState WaitForEnd(Service& service, int64_t job) {
+  const auto end = service.client().WaitForJob(job, kPatience);
+  EXPECT_TRUE(end.ok()) << end.status().ToString() << service.Logs();
+  return end.ok() ? end->job().state() : pb::JOB_STATE_UNSPECIFIED;
+}
+
+TEST(WorkerKill, ItsTaskFinishesElsewhereWithinTwoHeartbeats) {
+  Service service(200);
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "t", "sleep", R"({"seconds": 1.0})");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(service.WaitForTask(*id, "t", pb::TASK_STATE_LEASED));
+  service.StartWorker("b");
+  ASSERT_TRUE(service.WaitForWorkers(2));
+  service.worker("a").KillNow();
+  ASSERT_EQ(WaitForEnd(service, *id), pb::JOB_STATE_SUCCEEDED);
+  const auto reply = service.client().GetJob(*id, true, true);
+  const auto& attempts = FindTask(*reply, "t")->attempt_list();
+  ASSERT_EQ(attempts.size(), 2);
+  EXPECT_EQ(attempts[0].outcome(), pb::ATTEMPT_OUTCOME_LOST);
+  EXPECT_EQ(attempts[0].worker(), "a");
+  EXPECT_EQ(attempts[1].worker(), "b");
+  EXPECT_EQ(service.Counter("workers_lost_total"), 1.0);
+}
+
+TEST(WorkerKill, ACheckpointGoesOnOnAnotherWorker) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "t", "count", R"({"to": 40, "step_seconds": 0.05})");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(service.WaitForTask(*id, "t", pb::TASK_STATE_LEASED));
+  SleepMs(1000);
+  service.worker("a").KillNow();
+  service.StartWorker("b");
+  ASSERT_EQ(WaitForEnd(service, *id), pb::JOB_STATE_SUCCEEDED);
+  const auto reply = service.client().GetJob(*id);
+  const std::string result = *service.client().GetArtifact(FindTask(*reply, "t")->outputs(0).sha256());
+  EXPECT_EQ(result.find("\"began_at\":0"), std::string::npos) << result;
+  EXPECT_NE(result.find("\"ended_at\":40"), std::string::npos) << result;
+}
+
+TEST(WorkerStop, ALateResultIsRefusedAndCounted) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "t", "sleep", R"({"seconds": 0.5})");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(service.WaitForTask(*id, "t", pb::TASK_STATE_LEASED));
+  SleepMs(100);
+  service.worker("a").Signal(SIGSTOP);  // its executor goes on and finishes
+  service.StartWorker("b");
+  ASSERT_EQ(WaitForEnd(service, *id), pb::JOB_STATE_SUCCEEDED);
+  service.worker("a").Signal(SIGCONT);
+  ASSERT_TRUE(service.WaitForWorkers(2)) << "a stopped worker joins again by itself";
+  const double end = RealClock().SteadySeconds() + 20.0;
+  while (service.Counter("results_refused_total") < 1.0 && RealClock().SteadySeconds() < end) SleepMs(20);
+  EXPECT_GE(service.Counter("results_refused_total"), 1.0) << service.Logs();
+  const auto reply = service.client().GetJob(*id, true, true);
+  EXPECT_EQ(FindTask(*reply, "t")->attempt_list(1).outcome(), pb::ATTEMPT_OUTCOME_SUCCEEDED);
+  pb::JobSpec after;
+  for (int i = 0; i < 4; ++i) AddTask(&after, "t" + std::to_string(i), "sleep", R"({"seconds": 0.1})");
+  const auto next = service.client().Submit(after);
+  EXPECT_EQ(WaitForEnd(service, *next), pb::JOB_STATE_SUCCEEDED);
+}
+
+TEST(AtMostOnce, ALostRolloutIsNotRunAgainWithoutConsent) {
+  Service service;
+  service.StartWorker("a");
+  const std::string path = service.folder() + "/runs";
+  pb::JobSpec job;
+  AddTask(&job, "t", "append", R"({"seconds": 30, "path": ")" + path + "\"}")->set_at_most_once(true);
+  const auto id = service.client().Submit(job);
+  const double end = RealClock().SteadySeconds() + 20.0;
+  while (ReadLines(path).empty() && RealClock().SteadySeconds() < end) SleepMs(10);
+  ASSERT_EQ(ReadLines(path).size(), 1u);
+  service.worker("a").KillNow();
+  service.StartWorker("b");
+  ASSERT_TRUE(service.WaitForTask(*id, "t", pb::TASK_STATE_UNCERTAIN));
+  EXPECT_NE(service.client().Explain(*id)->reasons(0).find("may have run on a"), std::string::npos);
+  ASSERT_EQ(WaitForEnd(service, *id), pb::JOB_STATE_FAILED);
+  EXPECT_EQ(ReadLines(path).size(), 1u);
+  ASSERT_TRUE(service.client().Act(*id, pb::JOB_ACTION_RETRY).ok());
+  while (ReadLines(path).size() < 2 && RealClock().SteadySeconds() < end + 20.0) SleepMs(10);
+  EXPECT_EQ(ReadLines(path).size(), 2u) << "with consent it runs";
+}
+
+TEST(AtMostOnce, ACoordinatorKilledMeanwhileChangesNothing) {
+  Service service;
+  service.StartWorker("a");
+  const std::string path = service.folder() + "/runs";
+  pb::JobSpec job;
+  AddTask(&job, "t", "append", R"({"seconds": 1.5, "path": ")" + path + "\"}")->set_at_most_once(true);
+  const auto id = service.client().Submit(job);
+  const double end = RealClock().SteadySeconds() + 20.0;
+  while (ReadLines(path).empty() && RealClock().SteadySeconds() < end) SleepMs(10);
+  service.KillCoordinator();
+  SleepMs(200);
+  service.StartCoordinator();
+  ASSERT_EQ(WaitForEnd(service, *id), pb::JOB_STATE_SUCCEEDED);
+  EXPECT_EQ(ReadLines(path).size(), 1u);
+}
+
+TEST(CoordinatorKill, ARunningTaskKeepsItsLeaseOverTheRestart) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "t", "sleep", R"({"seconds": 1.5})");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(service.WaitForTask(*id, "t", pb::TASK_STATE_LEASED));
+  SleepMs(300);
+  service.KillCoordinator();
+  SleepMs(300);
+  service.StartCoordinator();
+  ASSERT_EQ(WaitForEnd(service, *id), pb::JOB_STATE_SUCCEEDED);
+  const auto reply = service.client().GetJob(*id, true, true);
+  EXPECT_EQ(FindTask(*reply, "t")->attempts(), 1u) << service.Logs();
+}
+
+// kill -9 again and again while jobs are submitted and run: what was acknowledged is there and ends,
+// every task has one committed result, and its output is what it should be.
+TEST(CoordinatorKill, NothingIsLostOrCommittedTwiceAtRandomTimes) {
+  Service service;
+  service.StartWorker("a", 2);
+  service.StartWorker("b", 2);
+  Rng rng(11);
+  std::vector<int64_t> jobs;
+  std::set<int64_t> distinct;
+  constexpr int kRounds = 12;
+  for (int round = 0; round < kRounds; ++round) {
+    pb::JobSpec job;
+    for (int i = 0; i < 6; ++i) {
+      AddTask(&job, "t" + std::to_string(i), "echo",
+              "{\"text\": \"" + std::to_string(round * 10 + i) + ";\"}")
+          ->set_stage("s");
+    }
+    AddStageInput(AddTask(&job, "join", "echo"), "all", "s");
+    std::thread killer([&] {
+      SleepMs(static_cast<int>(rng.Index(60)));
+      service.KillCoordinator();
+      service.StartCoordinator();
+    });
+    const auto id = service.client().Submit(job, "round" + std::to_string(round));
+    killer.join();
+    ASSERT_TRUE(id.ok()) << id.status().ToString() << service.Logs();
+    jobs.push_back(*id);
+    distinct.insert(*id);
+  }
+  EXPECT_EQ(distinct.size(), jobs.size());
+  EXPECT_EQ(service.client().ListJobs()->size(), jobs.size()) << "no submit made two jobs";
+  for (int round = 0; round < kRounds; ++round) {
+    const int64_t id = jobs[static_cast<size_t>(round)];
+    ASSERT_EQ(WaitForEnd(service, id), pb::JOB_STATE_SUCCEEDED) << service.Logs();
+    const auto reply = service.client().GetJob(id, true, true);
+    for (const pb::TaskInfo& task : reply->tasks()) {
+      int succeeded = 0;
+      for (const auto& attempt : task.attempt_list())
+        succeeded += attempt.outcome() == pb::ATTEMPT_OUTCOME_SUCCEEDED;
+      EXPECT_EQ(succeeded, 1) << task.name();
+      EXPECT_EQ(task.outputs_size(), 1);
+    }
+    std::string expected;
+    for (int i = 0; i < 6; ++i) expected += std::to_string(round * 10 + i) + ";";
+    EXPECT_EQ(*service.client().GetArtifact(FindTask(*reply, "join")->outputs(0).sha256()), expected);
+  }
+  const auto damage = service.client().VerifyArtifacts();
+  ASSERT_TRUE(damage.ok());
+  EXPECT_EQ(damage->damaged_size(), 0);
+}
+
+}  // namespace
+}  // namespace rg::testing
