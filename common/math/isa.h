@@ -19,9 +19,16 @@
 #define RG_ISA_LANES 2
 #endif
 
+// Kernels are one function after inlining; sanitizers would instrument it for minutes, so there the
+// compiler decides.
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#define RG_INLINE inline
+#define RG_LAMBDA_INLINE
+#else
 #define RG_INLINE inline __attribute__((always_inline))
 // After a lambda's parameter list: inlined into the kernel that calls it.
 #define RG_LAMBDA_INLINE __attribute__((always_inline))
+#endif
 
 namespace rg::math {
 
