@@ -133,7 +133,11 @@ Status Recorder::Finish(const std::string& end_json) {
 }
 
 void Recorder::StopThread() {
-  stop_.store(true, std::memory_order_relaxed);
+  {
+    const std::lock_guard lock(stop_mutex_);
+    stop_ = true;
+  }
+  stop_signal_.notify_one();
   if (thread_.joinable()) thread_.join();
 }
 
@@ -141,8 +145,8 @@ void Recorder::Run() {
   using std::chrono::duration;
   using std::chrono::steady_clock;
   auto last_sync = steady_clock::now();
-  while (!stop_.load(std::memory_order_relaxed)) {
-    std::this_thread::sleep_for(duration<double>(options_.poll_s));
+  std::unique_lock lock(stop_mutex_);
+  while (!stop_signal_.wait_for(lock, duration<double>(options_.poll_s), [this] { return stop_; })) {
     Drain();
     if (duration<double>(steady_clock::now() - last_sync).count() < options_.sync_s) continue;
     Sync();

@@ -14,7 +14,9 @@
 #pragma once
 
 #include <atomic>
+#include <condition_variable>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <string>
 #include <thread>
@@ -74,7 +76,10 @@ class Recorder {
   const RecorderOptions options_;
   SpscRing<Sample> ring_;
   std::string scratch_;
-  std::atomic<bool> ok_{true}, stop_{false};
+  std::atomic<bool> ok_{true};
+  std::mutex stop_mutex_;  // between StopThread and Run, never in Record
+  std::condition_variable stop_signal_;
+  bool stop_ = false;
   Status failure_;  // recorder thread, read after it ended
   std::thread thread_;
 };

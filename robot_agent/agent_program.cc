@@ -1,0 +1,164 @@
+#include "robot_agent/agent_program.h"
+
+#include <cstdlib>
+#include <iostream>
+#include <memory>
+
+#include "common/base/hash.h"
+#include "common/base/log.h"
+#include "common/transport/keys.h"
+#include "coordinator/client/client.h"
+#include "robot_agent/spool_delivery.h"
+#include "services/rollouts/recording_bundle.h"
+#include "worker/task_registry.h"
+#include "worker/worker_main.h"
+
+namespace rg::robot_agent {
+namespace {
+
+constexpr char kConfigVariable[] = "REALITYGRAD_AGENT_CONFIG";
+constexpr char kSpoolVariable[] = "REALITYGRAD_AGENT_SPOOL";
+constexpr char kLockStepVariable[] = "REALITYGRAD_AGENT_LOCK_STEP";
+constexpr char kDefaultCoordinator[] = "tcp://127.0.0.1:7341";
+
+constexpr char kHelp[] =
+    "realitygrad-agent: flags of its own\n"
+    "  --config FILE               what stands beside the robot, realitygrad.agent/1 (required)\n"
+    "  --spool FOLDER              recordings being made or waiting for the coordinator (default: spool)\n"
+    "  --lock-step                 a simulated robot runs as fast as it can, not in real time\n\n";
+
+std::string Environment(const char* name, const std::string& otherwise = "") {
+  const char* value = std::getenv(name);
+  return value != nullptr ? value : otherwise;
+}
+
+// Takes "--name value" or "--name=value" at arguments[i]; i ends on the last word used.
+bool TakeValue(const std::vector<std::string>& arguments, const std::string& name, size_t* i,
+               std::string* value) {
+  const std::string& word = arguments[*i];
+  if (word.rfind(name + "=", 0) == 0) {
+    *value = word.substr(name.size() + 1);
+    return true;
+  }
+  if (word != name || *i + 1 >= arguments.size()) return false;
+  *value = arguments[++*i];
+  return true;
+}
+
+void ReadFlags(const std::vector<std::string>& arguments, AgentSettings* settings) {
+  for (size_t i = 0; i < arguments.size(); ++i) {
+    const size_t first = i;
+    if (TakeValue(arguments, "--config", &i, &settings->config_path)) continue;
+    if (TakeValue(arguments, "--spool", &i, &settings->spool_folder)) continue;
+    if (arguments[i] == "--lock-step") {
+      settings->lock_step = true;
+      continue;
+    }
+    // Passed on, but of interest here too.
+    std::string ignored;
+    if (TakeValue(arguments, "--executor-fd", &i, &ignored)) settings->is_executor = true;
+    if (i == first) TakeValue(arguments, "--coordinator", &i, &settings->coordinator);
+    if (i == first) TakeValue(arguments, "-c", &i, &settings->coordinator);
+    if (i == first) TakeValue(arguments, "--key", &i, &settings->key_path);
+    if (i == first) TakeValue(arguments, "--server-key", &i, &settings->server_key_path);
+    for (size_t k = first; k <= i; ++k) settings->worker_arguments.push_back(arguments[k]);
+  }
+}
+
+void TellExecutors(const AgentSettings& settings) {
+  setenv(kConfigVariable, settings.config_path.c_str(), 1);
+  setenv(kSpoolVariable, settings.spool_folder.c_str(), 1);
+  setenv(kLockStepVariable, settings.lock_step ? "1" : "0", 1);
+}
+
+Result<std::unique_ptr<coordinator::Client>> ConnectFor(const AgentSettings& settings) {
+  coordinator::ClientOptions options;
+  options.address = settings.coordinator;
+  options.name = "agent-" + settings.config.name;
+  options.connect_timeout_ms = 1'000;
+  options.attempts = 1;
+  if (!settings.key_path.empty()) {
+    RG_ASSIGN_OR_RETURN(const auto own, transport::LoadKeyFile(settings.key_path));
+    RG_ASSIGN_OR_RETURN(const auto server, transport::LoadPublicKeyFile(settings.server_key_path));
+    options.key = own.keys;
+    options.server_public_key = server.keys.public_key;
+  }
+  return coordinator::Client::Connect(options);
+}
+
+Status DeliverTo(coordinator::Client& client, const std::string& bundle, const std::string& metadata_json) {
+  const std::string sha256 = Sha256Hex(bundle);
+  const auto known = client.ShowArtifact(sha256);
+  if (known.ok()) return Status::Ok();
+  if (known.status().code() != StatusCode::kNotFound) return known.status();
+  realitygrad::v1::ArtifactInfo info;
+  info.set_kind(rollouts::kBundleKind);
+  info.set_metadata_json(metadata_json);
+  return client.PutArtifact(bundle, info).status();
+}
+
+// Best effort: what cannot be sent stays where it is.
+void EmptySpool(const AgentSettings& settings) {
+  std::unique_ptr<coordinator::Client> client;
+  const auto deliver = [&](const std::string& id, const std::string& bundle, const std::string& metadata) {
+    if (client == nullptr) {
+      RG_ASSIGN_OR_RETURN(client, ConnectFor(settings));
+    }
+    const Status sent = DeliverTo(*client, bundle, metadata);
+    if (sent.ok()) spdlog::info("the store has recording {}; it left the spool", id);
+    return sent;
+  };
+  const auto delivered = DeliverSpool(settings.spool_folder, deliver);
+  if (!delivered.ok()) spdlog::warn("spool {}: {}", settings.spool_folder, delivered.status().ToString());
+}
+
+int RunWorker(const AgentSettings& settings, const KindRegistrar& register_kinds) {
+  worker::TaskRegistry registry;
+  register_kinds(settings.config, settings.spool_folder, &registry);
+  std::vector<std::string> words = settings.worker_arguments;
+  if (!settings.is_executor) words.insert(words.end(), {"--robot", settings.config.name});
+  std::vector<char*> argv;
+  for (auto& word : words) argv.push_back(word.data());
+  argv.push_back(nullptr);
+  return worker::AgentMain(static_cast<int>(words.size()), argv.data(), registry);
+}
+
+}  // namespace
+
+Result<AgentSettings> ReadAgentSettings(const std::vector<std::string>& arguments) {
+  AgentSettings settings;
+  settings.config_path = Environment(kConfigVariable);
+  settings.spool_folder = Environment(kSpoolVariable, "spool");
+  settings.lock_step = Environment(kLockStepVariable) == "1";
+  settings.coordinator = Environment("REALITYGRAD_COORDINATOR", kDefaultCoordinator);
+  settings.key_path = Environment("REALITYGRAD_KEY");
+  settings.server_key_path = Environment("REALITYGRAD_SERVER_KEY");
+  ReadFlags(arguments, &settings);
+  if (settings.config_path.empty()) return InvalidError("realitygrad-agent: needs --config FILE");
+  RG_ASSIGN_OR_RETURN(settings.config, LoadAgentConfig(settings.config_path));
+  settings.config.simulated.lock_step |= settings.lock_step;
+  return settings;
+}
+
+int AgentProgramMain(int argc, char** argv, const KindRegistrar& register_kinds) {
+  const std::vector<std::string> arguments(argv, argv + argc);
+  for (const auto& word : arguments) {
+    if (word != "--help" && word != "-h") continue;
+    std::cout << kHelp;
+    return worker::AgentMain(argc, argv, worker::TaskRegistry());
+  }
+  const auto settings = ReadAgentSettings(arguments);
+  if (!settings.ok()) {
+    std::cerr << settings.status().message() << "\n";
+    return 2;
+  }
+  if (settings->is_executor) return RunWorker(*settings, register_kinds);
+  TellExecutors(*settings);
+  InitLogging("realitygrad-agent");
+  EmptySpool(*settings);
+  const int code = RunWorker(*settings, register_kinds);
+  EmptySpool(*settings);
+  return code;
+}
+
+}  // namespace rg::robot_agent

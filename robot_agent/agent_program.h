@@ -1,0 +1,47 @@
+// The program realitygrad-agent: a worker with one slot beside one robot.
+//
+//   int main(int argc, char** argv) {
+//     return rg::robot_agent::AgentProgramMain(argc, argv, rg::jobs::RegisterAgentKinds);
+//   }
+//
+// Own flags; everything else goes to worker::AgentMain:
+//   --config FILE   realitygrad.agent/1 (deploy/robots/mico2_agent.json)
+//   --spool FOLDER  recordings that are being made or wait for the coordinator
+//   --lock-step     a simulated robot runs as fast as it can instead of in real time
+// Executor children, which get none of these flags, find them in the environment.
+//
+// Recordings reach the store as outputs of their tasks. What a crash left in the spool is sent when the
+// program starts and when it ends, by hash, so that nothing is lost and nothing kept twice; a recording
+// that the store has leaves the spool then.
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "common/base/status.h"
+#include "robot_agent/agent_config.h"
+
+namespace rg::worker {
+class TaskRegistry;
+}
+
+namespace rg::robot_agent {
+
+using KindRegistrar =
+    std::function<void(const AgentConfig& config, const std::string& spool_folder, worker::TaskRegistry*)>;
+
+int AgentProgramMain(int argc, char** argv, const KindRegistrar& register_kinds);
+
+// What the flags and, in an executor child, the environment say.
+struct AgentSettings {
+  AgentConfig config;
+  std::string config_path, spool_folder;
+  bool lock_step = false;
+  bool is_executor = false;
+  std::vector<std::string> worker_arguments;           // for worker::AgentMain, argv[0] first
+  std::string coordinator, key_path, server_key_path;  // seen on the way, for the spool
+};
+Result<AgentSettings> ReadAgentSettings(const std::vector<std::string>& arguments);
+
+}  // namespace rg::robot_agent

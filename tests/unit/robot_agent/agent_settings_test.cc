@@ -1,0 +1,52 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+
+#include "robot_agent/agent_program.h"
+
+namespace rg::robot_agent {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+std::string ConfigPath() {
+  return std::string(std::getenv("RG_SOURCE_DIR")) + "/deploy/robots/mico2_agent.json";
+}
+
+TEST(AgentSettings, OwnFlagsAreTakenAndTheRestGoesToTheWorker) {
+  const auto settings = ReadAgentSettings({"agent", "--coordinator", "ipc:///tmp/x", "--config", ConfigPath(),
+                                           "--spool=/tmp/s", "--lock-step", "--name", "a"})
+                            .value();
+  EXPECT_EQ(settings.config.name, "mico2");
+  EXPECT_EQ(settings.spool_folder, "/tmp/s");
+  EXPECT_TRUE(settings.config.simulated.lock_step);
+  EXPECT_FALSE(settings.is_executor);
+  EXPECT_EQ(settings.coordinator, "ipc:///tmp/x");
+  EXPECT_THAT(settings.worker_arguments,
+              ElementsAre("agent", "--coordinator", "ipc:///tmp/x", "--name", "a"));
+}
+
+TEST(AgentSettings, AnExecutorChildFindsThemInTheEnvironment) {
+  setenv("REALITYGRAD_AGENT_CONFIG", ConfigPath().c_str(), 1);
+  setenv("REALITYGRAD_AGENT_SPOOL", "/tmp/there", 1);
+  const auto settings = ReadAgentSettings({"agent", "--executor-fd", "7"}).value();
+  unsetenv("REALITYGRAD_AGENT_CONFIG");
+  unsetenv("REALITYGRAD_AGENT_SPOOL");
+  EXPECT_TRUE(settings.is_executor);
+  EXPECT_EQ(settings.spool_folder, "/tmp/there");
+  EXPECT_THAT(settings.worker_arguments, ElementsAre("agent", "--executor-fd", "7"));
+}
+
+TEST(AgentSettings, AMissingOrWrongConfigIsOneClearLine) {
+  EXPECT_THAT(ReadAgentSettings({"agent"}).status().message(), HasSubstr("--config"));
+  EXPECT_FALSE(ReadAgentSettings({"agent", "--config", "/nonexistent"}).ok());
+  EXPECT_THAT(ParseAgentConfig(R"({"format": "realitygrad.agent/1", "nmae": "x"})", ".", "robot.json")
+                  .status()
+                  .message(),
+              HasSubstr("robot.json: unknown field \"nmae\""));
+}
+
+}  // namespace
+}  // namespace rg::robot_agent
