@@ -223,6 +223,18 @@ Status RevokeKey(const std::string& path, const std::string& name_or_public_key)
   return WriteFileAtomically(path, list.Format());
 }
 
+Result<std::optional<AllowList>> AllowListFile::Changed() {
+  std::string text;
+  if (std::filesystem::exists(path_)) {
+    RG_ASSIGN_OR_RETURN(text, ReadFile(path_));
+  }
+  if (asked_ && text == last_) return std::optional<AllowList>();
+  asked_ = true;
+  last_ = text;
+  RG_ASSIGN_OR_RETURN(AllowList list, AllowList::Parse(text, path_));
+  return std::optional<AllowList>(std::move(list));
+}
+
 std::string DefaultKeyFolder() {
   const auto variable = [](const char* name) {
     return std::string(std::getenv(name) ? std::getenv(name) : "");

@@ -7,6 +7,7 @@
 // The role belongs to the key: what a peer says of itself counts for nothing on such a socket.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <string_view>
 #include <unordered_map>
@@ -78,6 +79,21 @@ Result<AllowList> LoadAllowList(const std::string& path);
 Status AllowKey(const std::string& path, const std::string& public_key, pb::Role role,
                 const std::string& name);
 Status RevokeKey(const std::string& path, const std::string& name_or_public_key);
+
+// An allowed_keys file that may change while a server runs: ask now and then.
+class AllowListFile {
+ public:
+  explicit AllowListFile(std::string path) : path_(std::move(path)) {}
+  // The list, if the file is another one than at the last call (the first call always gives it, empty
+  // if there is no file); nothing if it is the same. A file that does not parse is an error and leaves
+  // the list in force as it was.
+  Result<std::optional<AllowList>> Changed();
+
+ private:
+  std::string path_;
+  std::string last_;  // its text at the last call
+  bool asked_ = false;
+};
 
 // $REALITYGRAD_KEYS, or $XDG_CONFIG_HOME/realitygrad/keys, or ~/.config/realitygrad/keys.
 std::string DefaultKeyFolder();

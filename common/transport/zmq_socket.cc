@@ -1,5 +1,6 @@
 #include "common/transport/zmq_socket.h"
 
+#include <google/protobuf/stubs/logging.h>
 #include <sys/stat.h>
 
 #include <algorithm>
@@ -8,14 +9,30 @@
 
 #include "common/base/clock.h"
 #include "common/base/ids.h"
+#include "common/base/log.h"
 #include "common/transport/endpoint.h"
 #include "common/transport/frames.h"
 #include "common/transport/zap.h"
 
 namespace rg::transport {
 
+namespace {
+
+// Protobuf writes a line to stderr for each bad byte a peer sends; we count and answer such messages.
+void QuietProtobuf() {
+  google::protobuf::SetLogHandler(
+      [](google::protobuf::LogLevel level, const char*, int, const std::string& what) {
+        if (level == google::protobuf::LOGLEVEL_FATAL)
+          spdlog::critical("protobuf: {}", what);
+        else
+          spdlog::debug("protobuf: {}", what);
+      });
+}
+
+}  // namespace
+
 struct Context::Impl {
-  explicit Impl(int io_threads) : context(io_threads) {}
+  explicit Impl(int io_threads) : context(io_threads) { QuietProtobuf(); }
   zmq::context_t context;
   std::unique_ptr<ZapHandler> zap;  // destroyed before the context
 };
@@ -52,6 +69,10 @@ bool PollIn(std::vector<zmq_pollitem_t> items, int64_t timeout_ms) {
 }  // namespace
 
 struct ZmqSocket::Impl {
+  ~Impl() {
+    // libzmq leaks the events of a monitor that nobody reads any more.
+    if (monitor) zmq_socket_monitor(socket.handle(), nullptr, 0);
+  }
   zmq::socket_t socket;
   zmq::socket_t monitor;  // of dealers
   Context::Impl* context = nullptr;

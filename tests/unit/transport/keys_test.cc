@@ -96,6 +96,19 @@ TEST_F(KeysTest, BadAllowListsNameTheLine) {
   EXPECT_TRUE(AllowList::Parse("", "f").ok());
 }
 
+TEST_F(KeysTest, AChangedAllowListIsSeenOnceAndABadOneChangesNothing) {
+  const std::string path = folder_ + "/allowed_keys";
+  AllowListFile file(path);
+  EXPECT_EQ((*file.Changed())->size(), 0u) << "the first call always gives the list";
+  EXPECT_FALSE(file.Changed()->has_value());
+  ASSERT_TRUE(AllowKey(path, GenerateKeyPair().public_key, pb::ROLE_WORKER, "host7").ok());
+  EXPECT_EQ((*file.Changed())->size(), 1u);
+  EXPECT_FALSE(file.Changed()->has_value());
+  ASSERT_TRUE(WriteFileAtomically(path, "nonsense\n").ok());
+  EXPECT_THAT(file.Changed().status().message(), HasSubstr("line 1"));
+  EXPECT_FALSE(file.Changed()->has_value()) << "told once";
+}
+
 TEST_F(KeysTest, ListShowsEachKeyOnceWithoutSecrets) {
   ASSERT_TRUE(GenerateKeyFiles(folder_, "b", pb::ROLE_WORKER).ok());
   ASSERT_TRUE(GenerateKeyFiles(folder_, "a", pb::ROLE_COORDINATOR).ok());
