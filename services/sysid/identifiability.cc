@@ -23,7 +23,7 @@ Verdict VerdictOf(double shrink) {
 
 bool AtBound(double value, double lower, double upper, double prior) {
   const double tolerance = 1e-6 * std::max({prior, std::abs(value), 1e-300});
-  return value - lower <= tolerance || upper - value <= tolerance;
+  return value <= lower + tolerance || value >= upper - tolerance;
 }
 
 std::vector<std::pair<int, double>> LargestLoadings(const VectorXd& v) {

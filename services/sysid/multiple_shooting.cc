@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "common/base/check.h"
+#include "services/sysid/boxed_newton_step.h"
 #include "services/sysid/parallel.h"
 
 namespace rg::sysid {
@@ -32,6 +33,16 @@ struct Eliminated {
 struct Scratch {
   RowMatrix J_t, J_x;
 };
+
+// A residual or slope beyond this is a simulation that exploded: as good as not finite. The cost of a broken
+// window is that of residuals of this size, so that no step gains by breaking one.
+constexpr double kBrokenResidual = 1e6;
+constexpr double kBrokenSlope = 1e12, kBrokenGrowth = 1e7;  // by θ, by ξ
+
+template <class Matrix>
+bool Within(const Matrix& x, double limit) {
+  return x.size() == 0 || (x.allFinite() && x.cwiseAbs().maxCoeff() < limit);
+}
 
 double HuberCost(const VectorXd& r, double k) {
   double cost = 0.0;
@@ -70,7 +81,8 @@ class Engine {
     ParallelFor(options_.threads, windows_, [&](int worker, int w) {
       if (stop_.ShouldStop()) return;
       VectorXd r(model_.window_residuals(w));
-      const bool ok = model_.Evaluate(worker, w, theta, xi[w], &r, nullptr, nullptr) && r.allFinite();
+      const bool ok =
+          model_.Evaluate(worker, w, theta, xi[w], &r, nullptr, nullptr) && Within(r, kBrokenResidual);
       costs[w] = 0.5 * (ok ? HuberCost(r, options_.huber) + xi[w].squaredNorm() : FailedCost(w));
     });
     if (stop_.ShouldStop()) return std::numeric_limits<double>::infinity();
@@ -86,9 +98,16 @@ class Engine {
     });
     if (stop_.ShouldStop()) return std::numeric_limits<double>::infinity();
     double sum = PriorCost(theta);
-    for (const WindowTerms& t : terms_) sum += t.cost;
+    broken_cost_ = 0.0;
+    for (const WindowTerms& t : terms_) {
+      sum += t.cost;
+      if (!t.finite) broken_cost_ += t.cost;
+    }
     return sum;
   }
+
+  // The part of Linearize's cost that stands for broken windows.
+  double broken_cost() const { return broken_cost_; }
 
   std::vector<WindowTerms>& terms() { return terms_; }
   int P() const { return P_; }
@@ -99,8 +118,7 @@ class Engine {
     return 0.5 * (problem_.prior_information.array() * (theta - problem_.theta0).array().square()).sum();
   }
   double FailedCost(int w) const {
-    return HuberCost(VectorXd::Constant(model_.window_residuals(w), options_.failed_residual),
-                     options_.huber);
+    return HuberCost(VectorXd::Constant(model_.window_residuals(w), kBrokenResidual), options_.huber);
   }
 
   void LinearizeWindow(int worker, int w, const VectorXd& theta, const VectorXd& xi) {
@@ -110,8 +128,8 @@ class Engine {
     t.r.resize(m);
     s.J_t.resize(m, P_);
     s.J_x.resize(m, nx);
-    t.finite = model_.Evaluate(worker, w, theta, xi, &t.r, &s.J_t, &s.J_x) && t.r.allFinite() &&
-               s.J_t.allFinite() && s.J_x.allFinite();
+    t.finite = model_.Evaluate(worker, w, theta, xi, &t.r, &s.J_t, &s.J_x) && Within(t.r, kBrokenResidual) &&
+               Within(s.J_t, kBrokenSlope) && Within(s.J_x, kBrokenGrowth);
     if (!t.finite) {
       t.cost = 0.5 * FailedCost(w);
       return;
@@ -134,47 +152,10 @@ class Engine {
   const ShootingOptions& options_;
   const StopCondition& stop_;
   int windows_ = 0, P_ = 0;
+  double broken_cost_ = 0.0;
   std::vector<WindowTerms> terms_;
   std::vector<Scratch> scratch_;
 };
-
-// min ½ δᵀHδ + gᵀδ with low ≤ δ ≤ high by an active set that only grows: coordinates that leave the box
-// are set on its side and the rest is solved again.
-VectorXd BoxedNewtonStep(const MatrixXd& H, const VectorXd& g, const VectorXd& low, const VectorXd& high) {
-  const int P = static_cast<int>(g.size());
-  VectorXd step = VectorXd::Zero(P);
-  std::vector<int> free;
-  for (int i = 0; i < P; ++i) {
-    const bool pushed_out = (high[i] <= 0.0 && g[i] < 0.0) || (low[i] >= 0.0 && g[i] > 0.0);
-    if (!pushed_out && low[i] < high[i]) free.push_back(i);
-  }
-  while (!free.empty()) {
-    const int f = static_cast<int>(free.size());
-    const VectorXd rhs = -(g + H * step);
-    MatrixXd H_ff(f, f);
-    VectorXd b(f);
-    for (int a = 0; a < f; ++a) {
-      b[a] = rhs[free[a]];
-      for (int c = 0; c < f; ++c) H_ff(a, c) = H(free[a], free[c]);
-    }
-    const VectorXd x = H_ff.ldlt().solve(b);
-    std::vector<int> still_free;
-    for (int a = 0; a < f; ++a) {
-      const int i = free[a];
-      if (x[a] < low[i] || x[a] > high[i]) {
-        step[i] = x[a] < low[i] ? low[i] : high[i];
-      } else {
-        still_free.push_back(i);
-      }
-    }
-    if (still_free.size() == free.size()) {
-      for (int a = 0; a < f; ++a) step[free[a]] = x[a];
-      break;
-    }
-    free = std::move(still_free);
-  }
-  return step;
-}
 
 struct Reduced {
   MatrixXd H;  // Schur complement, full symmetric, no priors, no damping on θ
@@ -287,7 +268,7 @@ ShootingSolution SolveShooting(const ShootingProblem& problem, const VectorXd& t
     const double trial_cost = engine.Cost(trial, trial_xi);
     if (stop.ShouldStop()) break;
     if (trial_cost < s.cost) {
-      const double gain = (s.cost - trial_cost) / s.cost;
+      const double gain = (s.cost - trial_cost) / std::max(1e-300, s.cost - engine.broken_cost());
       s.theta = trial;
       s.xi = std::move(trial_xi);
       s.cost = trial_cost;

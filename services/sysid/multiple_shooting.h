@@ -9,8 +9,9 @@
 // Each window's ξ is eliminated by its own small Schur complement, so the cost grows linearly with the
 // number of windows and a step solves P × P. Windows run on several threads; sums are taken in the
 // windows' order, so the result does not depend on the number of threads. Bounds hold exactly
-// (projected active set). A window whose simulation is not finite counts as a fixed large cost and has
-// no say in the step: one exploding window does not stop the others.
+// (projected active set). A window whose simulation is not finite or exploded counts as a
+// fixed cost above any other and has no say in the step: it does not stop the others, and no step gains by
+// breaking one.
 #pragma once
 
 #include <Eigen/Core>

@@ -61,7 +61,8 @@ class PaperProblem {
 
 // Accumulated Euclidean distance Σ_n |p_robot − p_sim| of the end effector over a whole recording,
 // simulated open loop from its first state with `values` (m); the paper's headline measure. Rows where
-// the simulation is not finite count as `cap` metres. `rms` (or null): of the joint positions, rad.
+// the simulation is not finite count as `cap` metres. `joint_residual` (or null): Σ |q − q̂|² at the rows,
+// infinity where the simulation broke down.
 double AccumulatedTaskError(const sim::Plant& plant, const Eigen::VectorXd& values,
                             const recordings::Recording& recording,
                             const sim::SimulatorOptions& simulator = {}, double cap = 10.0,

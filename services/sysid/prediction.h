@@ -53,6 +53,9 @@ struct Prediction {
 Prediction PredictRecording(const sim::Plant& plant, const Eigen::VectorXd& values,
                             const recordings::Recording& recording, const PredictionOptions& options = {});
 
+// Errors count up to kErrorCap each: a simulation that explodes is wrong, not infinitely wrong.
+inline constexpr double kErrorCap = 1e3;  // rad or m
+
 struct PredictionError {
   double rms = 0.0;             // over all rows but the first, all joints
   double median_window = 0.0;   // of `windows`

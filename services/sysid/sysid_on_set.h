@@ -34,8 +34,9 @@ struct SysidOptions {
   double huber = 3.0;
   int max_iterations = 12;  // per round of shooting
   bool fit_inertial = true;
-  bool fit_joints = true;  // viscous and Coulomb friction, rotor inertia
-  int threads = 0;         // 0: all
+  bool consistent_inertias = true;  // only bodies that can exist (fit_space.h)
+  bool fit_joints = true;           // viscous and Coulomb friction, rotor inertia
+  int threads = 0;                  // 0: all
 };
 
 struct HoldoutScore {

@@ -1,0 +1,110 @@
+#include "services/sysid/fit_parameters.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "common/model/robot_model.h"
+
+namespace rg::sysid {
+namespace {
+
+constexpr double kMassShare = 0.25, kMassLower = 0.1, kMassUpper = 4.0;
+constexpr double kComShare = 0.25, kComFloor = 0.005, kComBound = 6.0;           // of r, m, stddev
+constexpr double kInertiaShare = 0.5, kInertiaArm = 0.01, kInertiaLower = 0.02;  // of max I, m, of nominal
+constexpr double kInertiaBound = 8.0;                                            // stddev
+
+FitParameter Row(const sim::Plant& plant, int index) {
+  const sim::Parameter& p = plant.parameters()[index];
+  return {index, p.name, p.unit, p.nominal, p.lower, p.upper, p.prior_stddev};
+}
+
+// The heaviest link of each moving body; a body whose links are all massless gives its first link.
+std::vector<int> PrincipalLinks(const model::RobotModel& model) {
+  std::vector<int> principal(model.num_joints(), -1);
+  for (int i = 0; i < model.num_links(); ++i) {
+    const model::Link& link = model.link(i);
+    if (link.body < 0 || !link.has_inertial) continue;
+    int& best = principal[link.body];
+    if (best < 0 || link.parameters[0] > model.link(best).parameters[0]) best = i;
+  }
+  return principal;
+}
+
+void AddLink(const sim::Plant& plant, const model::Link& link, std::vector<FitParameter>* out) {
+  const double mass = link.parameters[0];
+  const double trace = link.parameters.segment<3>(4).sum();
+  const double gyration = mass > 0.0 ? std::sqrt(std::max(0.0, trace / (2.0 * mass))) : 0.0;
+  const double largest = link.parameters.segment<3>(4).maxCoeff();
+  for (int k = 0; k < model::kLinkParameters; ++k) {
+    const std::string name = std::string(model::kLinkParameterNames[k]) + "." + link.name;
+    const int index = plant.parameters().Find(name);
+    RG_CHECK(index >= 0) << name;
+    FitParameter p = Row(plant, index);
+    if (k == 0) {
+      p.prior_stddev = kMassShare * mass;
+      p.lower = kMassLower * mass;
+      p.upper = kMassUpper * mass;
+    } else if (k <= 3) {
+      p.prior_stddev = kComShare * gyration + kComFloor;
+      p.lower = p.nominal - kComBound * p.prior_stddev;
+      p.upper = p.nominal + kComBound * p.prior_stddev;
+    } else {
+      p.prior_stddev = kInertiaShare * largest + mass * kInertiaArm * kInertiaArm;
+      p.lower = k <= 6 ? kInertiaLower * p.nominal : p.nominal - kInertiaBound * p.prior_stddev;
+      p.upper = p.nominal + kInertiaBound * p.prior_stddev;
+    }
+    if (p.prior_stddev > 0.0) out->push_back(std::move(p));
+  }
+}
+
+}  // namespace
+
+std::vector<FitParameter> InertialFitParameters(const sim::Plant& plant) {
+  std::vector<FitParameter> out;
+  for (const int link : PrincipalLinks(plant.model())) {
+    if (link >= 0) AddLink(plant, plant.model().link(link), &out);
+  }
+  return out;
+}
+
+std::vector<FitParameter> DeclaredJointFitParameters(const sim::Plant& plant) {
+  std::vector<FitParameter> out;
+  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kDamping)) out.push_back(Row(plant, i));
+  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kFriction)) {
+    if (plant.parameters()[i].nominal != 0.0) out.push_back(Row(plant, i));
+  }
+  return out;
+}
+
+std::vector<FitParameter> EffectFitParameters(const sim::Plant& plant, const std::string& effect) {
+  std::vector<FitParameter> out;
+  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kEffect)) {
+    if (effect.empty() || plant.parameters()[i].effect == effect) out.push_back(Row(plant, i));
+  }
+  return out;
+}
+
+Result<std::vector<FitParameter>> NamedFitParameters(const sim::Plant& plant,
+                                                     const std::vector<std::string>& names) {
+  std::vector<FitParameter> out;
+  for (const std::string& name : names) {
+    RG_ASSIGN_OR_RETURN(const int index, plant.parameters().IndexOf(name));
+    out.push_back(Row(plant, index));
+  }
+  return out;
+}
+
+std::vector<int> Indices(const std::vector<FitParameter>& parameters) {
+  std::vector<int> out;
+  for (const FitParameter& p : parameters) out.push_back(p.index);
+  return out;
+}
+
+Eigen::VectorXd WithFitted(const std::vector<FitParameter>& parameters, Eigen::VectorXd values,
+                           const Eigen::VectorXd& theta) {
+  for (size_t i = 0; i < parameters.size(); ++i) values[parameters[i].index] = theta[i];
+  return values;
+}
+
+}  // namespace rg::sysid

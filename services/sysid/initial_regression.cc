@@ -1,0 +1,313 @@
+#include "services/sysid/initial_regression.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <utility>
+
+#include "common/base/check.h"
+#include "common/dynamics/dynamics.h"
+#include "common/model/robot_model.h"
+#include "services/sysid/boxed_newton_step.h"
+#include "services/sysid/drive_signal.h"
+
+namespace rg::sysid {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+struct Sample {
+  VectorXd q, v, a, effort;  // n each, smoothed
+};
+
+// Local cubic at row `row`: weights of value, slope and second derivative on rows first … last.
+struct Cubic {
+  int first = 0, last = 0;
+  Eigen::Matrix<double, 3, Eigen::Dynamic> weights;
+};
+
+Cubic FitCubic(const VectorXd& t, int row, double half_span) {
+  Cubic c{row, row, {}};
+  const int K = static_cast<int>(t.size());
+  while (c.first > 0 && (t[row] - t[c.first - 1] <= half_span || row - c.first < 3)) --c.first;
+  while (c.last + 1 < K && (t[c.last + 1] - t[row] <= half_span || c.last - row < 3)) ++c.last;
+  const int m = c.last - c.first + 1;
+  const double scale = std::max(t[row] - t[c.first], t[c.last] - t[row]);
+  MatrixXd V(m, 4);
+  for (int i = 0; i < m; ++i) {
+    const double s = (t[c.first + i] - t[row]) / scale;
+    V.row(i) << 1.0, s, s * s, s * s * s;
+  }
+  const MatrixXd solve = (V.transpose() * V).ldlt().solve(V.transpose());
+  c.weights.resize(3, m);
+  c.weights.row(0) = solve.row(0);
+  c.weights.row(1) = solve.row(1) / scale;
+  c.weights.row(2) = 2.0 * solve.row(2) / (scale * scale);
+  return c;
+}
+
+// The mean effort around each row: a held command changes at its row, so it is averaged over the
+// neighbouring halves.
+MatrixXd EffortAroundRows(const FitRecording& fit) {
+  const VectorXd& t = fit.recording->t;
+  const int K = static_cast<int>(t.size()), n = fit.recording->n();
+  MatrixXd effort(n, K);
+  for (int k = 0; k < K; ++k) {
+    const double begin = k > 0 ? 0.5 * (t[k - 1] + t[k]) : t[k];
+    const double end = k + 1 < K ? 0.5 * (t[k] + t[k + 1]) : t[k];
+    for (int j = 0; j < n; ++j) {
+      effort(j, k) = end > begin ? fit.command.Average(j, begin, end) : fit.command.At(j, t[k]);
+    }
+  }
+  return effort;
+}
+
+void AddSamples(const FitRecording& fit, const RegressionOptions& options, int stride,
+                std::vector<Sample>* out) {
+  const recordings::Recording& rec = *fit.recording;
+  if (rec.rows() < 9) return;
+  const MatrixXd effort = EffortAroundRows(fit);
+  for (int row = 3; row + 3 < rec.rows(); row += stride) {
+    const Cubic c = FitCubic(rec.t, row, options.half_span_s);
+    // A gap in the rows: no derivative from across it.
+    if (rec.t[c.last] - rec.t[c.first] > 4.0 * std::max(options.half_span_s, 3.0 * rec.SamplePeriod()))
+      continue;
+    const MatrixXd q = rec.q.middleCols(c.first, c.last - c.first + 1) * c.weights.transpose();  // n × 3
+    Sample s{q.col(0), q.col(1), q.col(2), {}};
+    s.effort = effort.middleCols(c.first, c.last - c.first + 1) * c.weights.row(0).transpose();
+    out->push_back(std::move(s));
+  }
+}
+
+std::vector<Sample> CollectSamples(const std::vector<FitRecording>& recordings,
+                                   const RegressionOptions& options) {
+  double total = 0.0;
+  for (const FitRecording& fit : recordings) {
+    const double rate = 1.0 / std::max(1e-9, fit.recording->SamplePeriod());
+    total += fit.recording->rows() / std::max(1.0, rate / options.rate_hz);
+  }
+  const double thin = std::max(1.0, total / options.max_rows);
+  std::vector<Sample> samples;
+  for (const FitRecording& fit : recordings) {
+    const double rate = 1.0 / std::max(1e-9, fit.recording->SamplePeriod());
+    const int stride =
+        std::max(1, static_cast<int>(std::lround(std::max(1.0, rate / options.rate_hz) * thin)));
+    AddSamples(fit, options, stride, &samples);
+  }
+  return samples;
+}
+
+// What a parameter multiplies in its joint's torque balance (moved to the model's side).
+double JointColumn(const sim::Parameter& p, double v, double a, double u) {
+  if (p.kind == sim::ParameterKind::kDamping) return v;
+  if (p.kind == sim::ParameterKind::kFriction) return v > 0.0 ? 1.0 : -1.0;
+  if (p.kind == sim::ParameterKind::kForceGain) return -u;
+  if (p.effect == "viscous_friction") return v;
+  if (p.effect == "coulomb_friction") return v > 0.0 ? 1.0 : -1.0;
+  if (p.effect == "asymmetric_friction") {
+    if (p.field == "coulomb_positive") return v > 0.0 ? 1.0 : 0.0;
+    return v > 0.0 ? 0.0 : -1.0;
+  }
+  if (p.effect == "quadratic_drag") return v * std::abs(v);
+  if (p.effect == "rotor_inertia") return a;
+  return 0.0;
+}
+
+bool HasJointColumn(const sim::Parameter& p) {
+  return p.kind == sim::ParameterKind::kDamping || p.kind == sim::ParameterKind::kFriction ||
+         p.kind == sim::ParameterKind::kForceGain || p.effect == "viscous_friction" ||
+         p.effect == "coulomb_friction" || p.effect == "asymmetric_friction" ||
+         p.effect == "quadratic_drag" || p.effect == "rotor_inertia";
+}
+
+class Regression {
+ public:
+  Regression(const sim::Plant& plant, VectorXd values, const FitSpace& space, VectorXd theta,
+             std::vector<Sample> samples, const RegressionOptions& options)
+      : plant_(plant),
+        values_(std::move(values)),
+        space_(space),
+        parameters_(space.parameters()),
+        theta_(std::move(theta)),
+        samples_(std::move(samples)),
+        options_(options),
+        n_(plant.num_joints()),
+        P_(space.size()),
+        mechanism_(plant.model()) {
+    FindStillSpeeds();
+    offset_ = VectorXd::Zero(n_);
+    stddev_ = VectorXd::Constant(n_, -1.0);  // not known yet
+  }
+
+  void Iterate() {
+    values_ = space_.Values(theta_, std::move(values_));
+    const int S = static_cast<int>(samples_.size());
+    J_.setZero(S * n_, P_ + n_);
+    r_.setZero(S * n_);
+    used_.assign(S * n_, false);
+    PrepareMechanism();
+    for (int s = 0; s < S; ++s) FillRows(s);
+    EstimateScale();
+    Step();
+  }
+
+  RegressionResult Result() const {
+    RegressionResult out;
+    out.theta = theta_;
+    out.torque_stddev = stddev_;
+    out.offset = offset_;
+    out.rows = static_cast<int>(samples_.size());
+    return out;
+  }
+
+ private:
+  void FindStillSpeeds() {
+    still_ = VectorXd::Zero(n_);
+    for (const Sample& s : samples_) still_ += s.v.cwiseAbs2();
+    still_ = options_.still_share * (still_ / samples_.size()).cwiseSqrt();
+  }
+
+  void PrepareMechanism() {
+    const auto links = LinkParametersOf(plant_, values_);
+    mechanism_.SetLinkParameters(plant_.model(), links);
+    mechanism_.SetGravity(GravityOf(plant_, values_));
+    link_jacobian_.clear();
+    for (int i = 0; i < plant_.model().num_links(); ++i) {
+      link_jacobian_.push_back(plant_.model().link(i).body < 0
+                                   ? Eigen::Matrix<double, 10, 10>::Zero()
+                                   : dynamics::LumpingJacobian(plant_.model(), i, links.col(i)));
+    }
+  }
+
+  // Rows of one sample: J = d(model torque)/dθ, r = model torque − drive torque, offset columns last.
+  void FillRows(int s) {
+    const Sample& x = samples_[s];
+    VectorXd tau(n_);
+    MatrixXd Y(n_, 10 * n_);
+    dynamics::Rnea(mechanism_, workspace_, x.q, x.v, x.a, tau);
+    dynamics::TorqueRegressor(mechanism_, workspace_, x.q, x.v, x.a, Y);
+    auto J = J_.middleRows(s * n_, n_);
+    for (int i = 0; i < P_; ++i) FillColumn(x, Y, i, J.col(i));
+    AddJointTorques(x, &tau);
+    for (int j = 0; j < n_; ++j) {
+      J(j, P_ + j) = 1.0;
+      r_[s * n_ + j] = tau[j] + offset_[j];
+      used_[s * n_ + j] = std::abs(x.v[j]) > still_[j];
+    }
+  }
+
+  template <class Column>
+  void FillColumn(const Sample& x, const MatrixXd& Y, int i, Column column) {
+    const sim::Parameter& p = plant_.parameters()[parameters_[i].index];
+    if (HasJointColumn(p)) {
+      const int j = plant_.model().FindJoint(p.owner);
+      column[j] = JointColumn(p, x.v[j], x.a[j], x.effort[j]);
+      return;
+    }
+    const int link = plant_.model().FindLink(p.owner);
+    if (p.kind == sim::ParameterKind::kGravity) {
+      MatrixXd dtau_dg(n_, 3);
+      dynamics::RneaGravityDerivative(mechanism_, workspace_, x.q, dtau_dg);
+      column = dtau_dg.col(p.field == "x" ? 0 : p.field == "y" ? 1 : 2);
+    } else if (link >= 0 && plant_.model().link(link).body >= 0 && p.effect.empty()) {
+      for (int k = 0; k < model::kLinkParameters; ++k) {
+        if (p.field != model::kLinkParameterNames[k]) continue;
+        column = Y.middleCols(10 * plant_.model().link(link).body, 10) * link_jacobian_[link].col(k);
+      }
+    }
+  }
+
+  // Every parameter of the plant with a place in the joint's balance acts, fitted or not.
+  void AddJointTorques(const Sample& x, VectorXd* tau) const {
+    for (int i = 0; i < plant_.parameters().size(); ++i) {
+      const sim::Parameter& p = plant_.parameters()[i];
+      if (!HasJointColumn(p)) continue;
+      const int j = plant_.model().FindJoint(p.owner);
+      if (j >= 0) (*tau)[j] += values_[i] * JointColumn(p, x.v[j], x.a[j], x.effort[j]);
+    }
+  }
+
+  // Median absolute residual per joint, the offset's median removed at first.
+  void EstimateScale() {
+    const bool first = stddev_[0] < 0.0;
+    for (int j = 0; j < n_; ++j) {
+      std::vector<double> values;
+      for (int k = j; k < r_.size(); k += n_) {
+        if (used_[k]) values.push_back(r_[k]);
+      }
+      if (values.empty()) {
+        stddev_[j] = 1.0;
+        continue;
+      }
+      auto median = [](std::vector<double>& x) {
+        std::nth_element(x.begin(), x.begin() + x.size() / 2, x.end());
+        return x[x.size() / 2];
+      };
+      const double center = first ? median(values) : 0.0;
+      for (double& x : values) x = std::abs(x - center);
+      stddev_[j] = std::max(1e-9, 1.4826 * median(values));
+    }
+  }
+
+  void Step() {
+    MatrixXd H = MatrixXd::Zero(P_ + n_, P_ + n_);
+    J_.leftCols(P_) *= space_.Jacobian(theta_);
+    for (int k = 0; k < r_.size(); ++k) {
+      const double z = r_[k] / stddev_[k % n_];
+      const double weight = std::min(1.0, options_.huber / std::max(1e-12, std::abs(z)));
+      const double root = used_[k] ? std::sqrt(weight) / stddev_[k % n_] : 0.0;
+      J_.row(k) *= root;
+      r_[k] *= root;
+    }
+    H.selfadjointView<Eigen::Lower>().rankUpdate(J_.transpose());
+    VectorXd g = J_.transpose() * r_;
+    H = MatrixXd(H.selfadjointView<Eigen::Lower>());
+    VectorXd low = VectorXd::Constant(P_ + n_, -1e300), high = -low;
+    low.head(P_) = (space_.lower() - theta_).cwiseMin(0.0);
+    high.head(P_) = (space_.upper() - theta_).cwiseMax(0.0);
+    const VectorXd information = space_.prior_stddev().cwiseAbs2().cwiseInverse();
+    H.diagonal().head(P_) += information;
+    g.head(P_) += information.cwiseProduct(theta_ - space_.nominal());
+    H.diagonal().tail(n_).array() += 1e-9;
+    const VectorXd step = BoxedNewtonStep(H, g, low, high);
+    theta_ += step.head(P_);
+    offset_ += step.tail(n_);
+  }
+
+  const sim::Plant& plant_;
+  VectorXd values_;
+  const FitSpace& space_;
+  const std::vector<FitParameter>& parameters_;
+  VectorXd theta_;
+  std::vector<Sample> samples_;
+  const RegressionOptions& options_;
+  int n_, P_;
+  dynamics::Mechanism mechanism_;
+  dynamics::Workspace workspace_;
+  std::vector<Eigen::Matrix<double, 10, 10>> link_jacobian_;
+  VectorXd still_, offset_, stddev_;
+  MatrixXd J_;
+  VectorXd r_;
+  std::vector<bool> used_;
+};
+
+}  // namespace
+
+RegressionResult RegressInverseDynamics(const sim::Plant& plant, const VectorXd& values,
+                                        const FitSpace& space, const VectorXd& theta,
+                                        const std::vector<FitRecording>& recordings,
+                                        const RegressionOptions& options) {
+  RG_CHECK(values.size() == plant.parameters().size() && theta.size() == space.size());
+  std::vector<Sample> samples = CollectSamples(recordings, options);
+  if (samples.size() < 10) {
+    const VectorXd zero = VectorXd::Zero(plant.num_joints());
+    return {theta, zero, zero, 0};
+  }
+  Regression regression(plant, values, space, theta, std::move(samples), options);
+  for (int k = 0; k < options.iterations; ++k) regression.Iterate();
+  return regression.Result();
+}
+
+}  // namespace rg::sysid

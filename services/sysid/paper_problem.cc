@@ -1,0 +1,232 @@
+#include "services/sysid/paper_problem.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "common/dynamics/dynamics.h"
+#include "common/model/robot_model.h"
+#include "common/recordings/noise.h"
+#include "common/recordings/resample.h"
+#include "common/recordings/windows.h"
+#include "services/sysid/drive_signal.h"
+
+namespace rg::sysid {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+// Joint position errors over one window, by one simulation from the measured state.
+class WindowResiduals final : public ResidualFunction {
+ public:
+  WindowResiduals(const sim::Plant& plant, const VectorXd& base, std::vector<int> parameters,
+                  sim::CommandSignal command, std::vector<double> times, MatrixXd measured, VectorXd q0,
+                  VectorXd v0, double start, const sim::SimulatorOptions& options)
+      : simulator_(plant, options),
+        values_(base),
+        command_(std::move(command)),
+        times_(std::move(times)),
+        measured_(std::move(measured)),
+        q0_(std::move(q0)),
+        v0_(std::move(v0)),
+        start_(start) {
+    request_.parameters = std::move(parameters);
+  }
+
+  int num_parameters() const override { return static_cast<int>(request_.parameters.size()); }
+  int num_residuals() const override { return static_cast<int>(measured_.size()); }
+  const std::vector<double>& times() const { return times_; }
+  const std::vector<int>& parameters() const { return request_.parameters; }
+
+  bool Evaluate(const VectorXd& p, const StopCondition& stop, VectorXd* r, RowMatrix* dr_dp) override {
+    if (stop.ShouldStop()) return false;
+    for (int i = 0; i < p.size(); ++i) values_[request_.parameters[i]] = p[i];
+    simulator_.SetParameters(values_);
+    const sim::State x0 = simulator_.MakeState(q0_, v0_, start_, command_);
+    simulator_.SimulateInto(x0, command_, times_, dr_dp != nullptr ? request_ : sim::SensitivityRequest{},
+                            &out_);
+    if (!out_.outcome.ok()) return false;
+    Eigen::Map<MatrixXd>(r->data(), measured_.rows(), measured_.cols()) = out_.position - measured_;
+    if (dr_dp != nullptr) *dr_dp = out_.dposition;
+    return true;
+  }
+
+ private:
+  sim::Simulator simulator_;
+  sim::SensitivityRequest request_;
+  sim::Trajectory out_;
+  VectorXd values_;
+  sim::CommandSignal command_;
+  std::vector<double> times_;
+  MatrixXd measured_;  // n × K
+  VectorXd q0_, v0_;
+  double start_;
+};
+
+// A bound of ± share around the nominal value; zero nominal gives the interval [0, 0].
+void RelativeBound(double nominal, double share, double* lower, double* upper) {
+  *lower = nominal - share * std::abs(nominal);
+  *upper = nominal + share * std::abs(nominal);
+}
+
+void SetBounds(const sim::Plant& plant, const PaperOptions& options, const std::vector<int>& parameters,
+               LeastSquaresProblem* problem) {
+  for (size_t i = 0; i < parameters.size(); ++i) {
+    const sim::Parameter& p = plant.parameters()[parameters[i]];
+    double& lower = problem->lower[i];
+    double& upper = problem->upper[i];
+    switch (p.kind) {
+      case sim::ParameterKind::kDamping:
+        lower = 0.0;
+        upper = options.damping_upper;
+        problem->scale[i] = 1.0;
+        break;
+      case sim::ParameterKind::kForceGain:
+        lower = -options.gain_bound;
+        upper = options.gain_bound;
+        problem->scale[i] = 0.2;
+        break;
+      default:
+        RelativeBound(p.nominal, options.relative_bound, &lower, &upper);
+        problem->scale[i] = p.nominal != 0.0 ? options.relative_bound * std::abs(p.nominal) : p.prior_stddev;
+    }
+    problem->search_lower[i] = lower;
+    problem->search_upper[i] = upper;
+    problem->alpha[i] = options.alpha / (problem->scale[i] * problem->scale[i]);
+  }
+}
+
+struct WindowRows {
+  int first = 0, last = 0;
+};
+
+Result<WindowRows> FindRows(const recordings::Recording& recording, const PaperOptions& options) {
+  const double t0 = recording.t[0] + options.window_start_s;
+  WindowRows rows;
+  const double tolerance = 0.5 * recording.SamplePeriod();
+  while (rows.first < recording.rows() && recording.t[rows.first] < t0 - tolerance) ++rows.first;
+  rows.last = rows.first;
+  if (rows.first < recording.rows()) {
+    const double end = recording.t[rows.first] + options.window_s + tolerance;
+    while (rows.last + 1 < recording.rows() && recording.t[rows.last + 1] < end) ++rows.last;
+  }
+  if (rows.last <= rows.first) {
+    return InvalidError(recording.name + ": a window of " + std::to_string(options.window_s) + " s from " +
+                        std::to_string(options.window_start_s) + " s holds fewer than two rows");
+  }
+  return rows;
+}
+
+// The simulator's step grid from begin (exclusive) to end, or the rows' times.
+std::vector<double> ResidualTimes(const recordings::Recording& recording, const WindowRows& rows,
+                                  const PaperOptions& options) {
+  std::vector<double> times;
+  const double begin = recording.t[rows.first], end = recording.t[rows.last];
+  if (options.interpolate) {
+    const int steps =
+        std::max(1, static_cast<int>(std::ceil((end - begin) / options.simulator.step_s - 1e-9)));
+    for (int k = 1; k <= steps; ++k) times.push_back(begin + (end - begin) * k / steps);
+  } else {
+    for (int k = rows.first + 1; k <= rows.last; ++k) times.push_back(recording.t[k]);
+  }
+  return times;
+}
+
+}  // namespace
+
+struct PaperProblem::Impl {
+  std::unique_ptr<WindowResiduals> residuals;
+  LeastSquaresProblem problem;
+  VectorXd base;
+};
+
+PaperProblem::PaperProblem(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+PaperProblem::~PaperProblem() = default;
+PaperProblem::PaperProblem(PaperProblem&&) noexcept = default;
+PaperProblem& PaperProblem::operator=(PaperProblem&&) noexcept = default;
+
+Result<PaperProblem> PaperProblem::Create(const sim::Plant& plant, const VectorXd& initial,
+                                          const recordings::Recording& recording,
+                                          const PaperOptions& options) {
+  if (recording.n() != plant.num_joints()) {
+    return InvalidError(recording.name + ": " + std::to_string(recording.n()) + " joints, the model has " +
+                        std::to_string(plant.num_joints()));
+  }
+  if (recording.rows() < 2) return InvalidError(recording.name + ": fewer than two rows");
+  if (recording.drive_effort().size() == 0) return InvalidError(recording.name + ": no effort");
+  RG_CHECK(initial.size() == plant.parameters().size());
+  RG_ASSIGN_OR_RETURN(const WindowRows rows, FindRows(recording, options));
+  std::vector<double> times = ResidualTimes(recording, rows, options);
+  const MatrixXd measured = recordings::InterpolateLinear(
+      recording.t, recording.q, Eigen::Map<const VectorXd>(times.data(), static_cast<int>(times.size())));
+  const VectorXd v0 = recordings::VelocityOrEstimate(recording).col(rows.first);
+
+  auto impl = std::make_unique<Impl>();
+  const std::vector<int> parameters = PaperParameters(plant);
+  const int P = static_cast<int>(parameters.size());
+  impl->base = initial;
+  impl->residuals = std::make_unique<WindowResiduals>(plant, initial, parameters, DriveSignal(recording),
+                                                      std::move(times), measured, recording.q.col(rows.first),
+                                                      v0, recording.t[rows.first], options.simulator);
+  LeastSquaresProblem& problem = impl->problem;
+  problem.residuals = impl->residuals.get();
+  problem.initial.resize(P);
+  for (int i = 0; i < P; ++i) problem.initial[i] = initial[parameters[i]];
+  for (VectorXd* v : {&problem.lower, &problem.upper, &problem.alpha, &problem.scale, &problem.search_lower,
+                      &problem.search_upper}) {
+    v->resize(P);
+  }
+  SetBounds(plant, options, parameters, &problem);
+  CheckProblem(problem);
+  return PaperProblem(std::move(impl));
+}
+
+const LeastSquaresProblem& PaperProblem::problem() const { return impl_->problem; }
+const std::vector<int>& PaperProblem::parameters() const { return impl_->residuals->parameters(); }
+const std::vector<double>& PaperProblem::times() const { return impl_->residuals->times(); }
+
+VectorXd PaperProblem::FullValues(const VectorXd& p) const {
+  VectorXd values = impl_->base;
+  for (int i = 0; i < p.size(); ++i) values[parameters()[i]] = p[i];
+  return values;
+}
+
+double AccumulatedTaskError(const sim::Plant& plant, const VectorXd& values,
+                            const recordings::Recording& recording, const sim::SimulatorOptions& options,
+                            double cap, double* joint_residual) {
+  sim::Simulator simulator(plant, options);
+  simulator.SetParameters(values);
+  const sim::CommandSignal command = DriveSignal(recording);
+  const VectorXd v0 = recordings::VelocityOrEstimate(recording).col(0);
+  const sim::State x0 = simulator.MakeState(recording.q.col(0), v0, recording.t[0], command);
+  const std::vector<double> times(recording.t.data() + 1, recording.t.data() + recording.rows());
+  const sim::Trajectory out = simulator.Simulate(x0, command, times);
+
+  const model::RobotModel& model = plant.model();
+  const auto frame = model.FindFrame(model.end_effector().name);
+  RG_CHECK(frame.has_value());
+  const dynamics::Mechanism mechanism(model);
+  dynamics::Workspace workspace;
+  const int reached = out.outcome.ok() ? static_cast<int>(times.size()) : out.reached;
+  double distance = 0.0, squares = 0.0;
+  for (size_t k = 0; k < times.size(); ++k) {
+    if (static_cast<int>(k) >= reached) {
+      distance += cap;
+      continue;
+    }
+    const VectorXd robot = recording.q.col(k + 1), simulated = out.position.col(k);
+    const auto p_robot = dynamics::FramePose(mechanism, workspace, robot, *frame).translation;
+    const auto p_sim = dynamics::FramePose(mechanism, workspace, simulated, *frame).translation;
+    distance += std::min(cap, (p_robot - p_sim).norm());
+    squares += (robot - simulated).squaredNorm();
+  }
+  if (joint_residual != nullptr) {
+    *joint_residual =
+        reached == static_cast<int>(times.size()) ? squares : std::numeric_limits<double>::infinity();
+  }
+  return distance;
+}
+
+}  // namespace rg::sysid

@@ -1,0 +1,133 @@
+#include "services/sysid/state_filter.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "common/base/check.h"
+
+namespace rg::sysid {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+constexpr double kMaxPiece = 0.01;          // s: a measured effort is averaged over at most this
+constexpr double kUnknownSpeed = 1.0;       // rad/s or m/s: prior where velocity is not measured
+constexpr double kInternalVariance = 1e-6;  // of internal states at the start
+constexpr double kStartAcceleration = 1.0;  // rad/s² per sqrt(Hz)
+constexpr double kLowAcceleration = 1e-3, kHighAcceleration = 1e3;
+constexpr double kAdaptation = 0.05;  // of the log strength per innovation
+constexpr double kMaxExcess = 4.0;
+
+}  // namespace
+
+StateFilter::StateFilter(sim::Simulator* simulator, const recordings::Recording& recording,
+                         const sim::CommandSignal& command, const recordings::SensorNoise& noise,
+                         DriveTorque drive_torque)
+    : simulator_(*simulator),
+      recording_(recording),
+      command_(command),
+      drive_torque_(std::move(drive_torque)),
+      position_variance_(noise.position_stddev.cwiseAbs2()),
+      velocity_variance_(noise.velocity_stddev.cwiseAbs2()),
+      n_(recording.n()),
+      nx_(simulator->plant().num_states()) {
+  RG_CHECK(position_variance_.size() == n_ && velocity_variance_.size() == n_);
+  log_acceleration_ = VectorXd::Constant(n_, std::log(kStartAcceleration));
+}
+
+const sim::State& StateFilter::StateAt(int row) {
+  RG_CHECK(row >= row_ && row < recording_.rows());
+  if (row_ < 0) Start(0);
+  while (row_ < row) Step(row_ + 1);
+  return x_;
+}
+
+void StateFilter::Start(int row) {
+  row_ = row;
+  VectorXd v = VectorXd::Zero(n_);
+  if (recording_.has_velocity()) {
+    v = recording_.v.col(row);
+  } else if (row > 0) {
+    v = recordings::EstimateStateCausal(recording_, row).v;
+  }
+  x_ = simulator_.MakeState(recording_.q.col(row), v, recording_.t[row], command_);
+  P_ = kInternalVariance * MatrixXd::Identity(nx_, nx_);
+  P_.diagonal().head(n_) = position_variance_;
+  P_.diagonal().segment(n_, n_).setConstant(kUnknownSpeed * kUnknownSpeed);
+  if (recording_.has_velocity()) P_.diagonal().segment(n_, n_) = velocity_variance_;
+}
+
+void StateFilter::Step(int row) {
+  if (!Propagate(recording_.t[row - 1], recording_.t[row])) {
+    Start(row);
+    return;
+  }
+  row_ = row;
+  Correct(row);
+  if (!x_.q.allFinite() || !x_.v.allFinite() || !P_.allFinite()) Start(row);
+}
+
+bool StateFilter::Propagate(double begin, double end) {
+  const int pieces = std::max(1, static_cast<int>(std::ceil((end - begin) / kMaxPiece - 1e-9)));
+  const double dt = (end - begin) / pieces;
+  VectorXd u(n_), torque(n_);
+  for (int k = 0; k < pieces; ++k) {
+    const double t = begin + k * dt;
+    for (int j = 0; j < n_; ++j) u[j] = command_.Average(j, t, t + dt);
+    if (drive_torque_) {
+      drive_torque_(x_.q + 0.5 * dt * x_.v, &torque);
+      u += torque;
+    }
+    if (!simulator_.Advance(x_, u, dt, &lin_).ok()) return false;
+    P_ = lin_.A * P_ * lin_.A.transpose();
+    for (int j = 0; j < n_; ++j) {
+      const double s = std::exp(2.0 * log_acceleration_[j]) * dt;
+      P_(n_ + j, n_ + j) += s;
+      P_(j, j) += s * dt * dt / 3.0;
+      P_(j, n_ + j) += 0.5 * s * dt;
+      P_(n_ + j, j) += 0.5 * s * dt;
+    }
+  }
+  return true;
+}
+
+void StateFilter::Correct(int row) {
+  VectorXd q(n_), v(n_);
+  simulator_.Measure(x_, &q, &v);
+  VectorXd excess = VectorXd::Zero(n_);
+  for (int j = 0; j < n_; ++j) {  // innovations before anything is corrected
+    const double dq = recording_.q(j, row) - q[j];
+    excess[j] = dq * dq / (P_(j, j) + position_variance_[j]) - 1.0;
+    if (!recording_.has_velocity()) continue;
+    const double dv = recording_.v(j, row) - v[j];
+    excess[j] = 0.5 * (excess[j] + dv * dv / (P_(n_ + j, n_ + j) + velocity_variance_[j]) - 1.0);
+  }
+  for (int j = 0; j < n_; ++j) {
+    simulator_.Measure(x_, &q, &v);
+    Update(j, recording_.q(j, row), q[j], position_variance_[j]);
+    if (!recording_.has_velocity()) continue;
+    simulator_.Measure(x_, &q, &v);
+    Update(n_ + j, recording_.v(j, row), v[j], velocity_variance_[j]);
+  }
+  for (int j = 0; j < n_; ++j) {
+    log_acceleration_[j] = std::clamp(log_acceleration_[j] + kAdaptation * std::min(excess[j], kMaxExcess),
+                                      std::log(kLowAcceleration), std::log(kHighAcceleration));
+  }
+}
+
+// One scalar measurement of state `index`; sensor effects are in `predicted`, their slope is taken as 1.
+void StateFilter::Update(int index, double measured, double predicted, double variance) {
+  const double S = P_(index, index) + variance;
+  const VectorXd gain = P_.col(index) / S;
+  const VectorXd dx = gain * (measured - predicted);
+  x_.q += dx.head(n_);
+  x_.v += dx.segment(n_, n_);
+  if (nx_ > 2 * n_) x_.z += dx.tail(nx_ - 2 * n_);
+  const Eigen::RowVectorXd row = P_.row(index);
+  P_ -= gain * row;
+  P_ = 0.5 * (P_ + P_.transpose()).eval();
+}
+
+}  // namespace rg::sysid

@@ -1,0 +1,371 @@
+#include "services/sysid/sysid_on_set.h"
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <utility>
+
+#include "common/effects/effect.h"
+#include "common/model/robot_model.h"
+#include "common/model/urdf_loader.h"
+#include "common/recordings/noise.h"
+#include "services/sysid/drive_signal.h"
+#include "services/sysid/fit_space.h"
+#include "services/sysid/initial_regression.h"
+#include "services/sysid/parallel.h"
+#include "services/sysid/prediction.h"
+#include "services/sysid/recording_shooting.h"
+
+namespace rg::sysid {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+constexpr double kMinPosition = 1e-6, kMinVelocity = 1e-5;  // floors of residual scales
+constexpr double kSimpler = 1.01;  // a model with more parameters must be better by this much
+constexpr double kMaxInflation = 400.0;
+constexpr double kMaxBroken = 0.2;  // share of windows
+
+struct Candidate {
+  std::string name;
+  std::vector<std::string> effects;
+  bool inertial = false;
+};
+
+struct Fitted {
+  sim::Plant plant;
+  FitSpace space;
+  VectorXd theta, values;
+  CandidateScore score;
+  ShootingSolution solution;
+  double variance_inflation = 1.0;
+  std::vector<PredictionError> holdout;
+};
+
+std::vector<Candidate> Candidates(const SysidOptions& options) {
+  const std::vector<std::string> coulomb = {"viscous_friction", "coulomb_friction", "rotor_inertia"};
+  const std::vector<std::string> asymmetric = {"viscous_friction", "asymmetric_friction", "rotor_inertia"};
+  std::vector<Candidate> out{{"nominal", {}, false}};
+  if (options.fit_inertial) out.push_back({"inertial", {}, true});
+  if (options.fit_joints) out.push_back({"viscous + coulomb + rotor", coulomb, false});
+  if (options.fit_joints && options.fit_inertial) {
+    out.push_back({"inertial + viscous + coulomb + rotor", coulomb, true});
+    out.push_back({"inertial + viscous + asymmetric + rotor", asymmetric, true});
+  }
+  return out;
+}
+
+class Identification {
+ public:
+  Identification(const recordings::RecordingSet& set, const SysidOptions& options, const Clock& clock,
+                 const ProgressFn& progress, const CancelToken* cancel)
+      : set_(set), options_(options), clock_(clock), progress_(progress), stop_(cancel) {
+    threads_ = ChooseThreads(options.threads);
+    simulator_.step_s = options.step_s;
+  }
+
+  Result<SysidReport> Run() {
+    const double start = clock_.SteadySeconds();
+    RG_RETURN_IF_ERROR(Prepare());
+    std::vector<Candidate> candidates = Candidates(options_);
+    std::vector<Fitted> fitted;
+    for (const Candidate& candidate : candidates) {
+      if (stop_.ShouldStop() && !fitted.empty()) break;
+      Tell("fit", static_cast<double>(fitted.size()), static_cast<double>(candidates.size()), candidate.name);
+      RG_ASSIGN_OR_RETURN(Fitted f, Fit(candidate));
+      fitted.push_back(std::move(f));
+    }
+    SysidReport report = Report(fitted);
+    report.seconds = clock_.SteadySeconds() - start;
+    report.stopped_early = stop_.ShouldStop();
+    Tell("fit", 1.0, 1.0, report.chosen);
+    return report;
+  }
+
+ private:
+  Status Prepare() {
+    RG_ASSIGN_OR_RETURN(sim::Plant nominal, NominalPlant(set_));
+    nominal_.emplace(std::move(nominal));
+    const VectorXd values = nominal_->parameters().Nominal();
+    for (const recordings::Recording* rec : set_.Fit()) {
+      if (rec->drive_effort().size() == 0) return InvalidError(rec->name + ": no effort drives the model");
+      if (rec->rows() < 10) return InvalidError(rec->name + ": fewer than 10 rows, too little to fit");
+      fit_.push_back({rec, set_.effort_excludes_gravity ? DriveSignalWithGravity(*rec, *nominal_, values)
+                                                        : DriveSignal(*rec)});
+    }
+    if (fit_.empty()) return InvalidError("no recording of the split \"fit\"");
+    judged_ = set_.Holdout();
+    judged_on_fit_ = judged_.empty();
+    if (judged_on_fit_) judged_ = set_.Fit();
+    noise_ = recordings::EstimateSensorNoise(set_);
+    noise_.position_stddev = noise_.position_stddev.cwiseMax(kMinPosition);
+    noise_.velocity_stddev = noise_.velocity_stddev.cwiseMax(kMinVelocity);
+    return Status::Ok();
+  }
+
+  Result<Fitted> Fit(const Candidate& candidate) {
+    const double start = clock_.SteadySeconds();
+    RG_ASSIGN_OR_RETURN(sim::Plant plant, PlantOf(candidate));
+    Fitted f{
+        plant, FitSpace(ParametersOf(plant, candidate), options_.consistent_inertias), {}, {}, {}, {}, 1.0,
+        {}};
+    f.score.name = candidate.name;
+    f.theta = f.space.nominal();
+    f.values = plant.parameters().Nominal();
+    f.score.parameters = f.space.size();
+    if (f.space.size() > 0) {
+      Regress(&f);
+      Shoot(&f);
+    }
+    f.score.fit_rms = Score(f, set_.Fit(), nullptr);
+    f.score.holdout_rms = Score(f, judged_, &f.holdout);
+    f.score.seconds = clock_.SteadySeconds() - start;
+    return f;
+  }
+
+  Result<sim::Plant> PlantOf(const Candidate& candidate) const {
+    std::vector<effects::EffectSpec> specs;
+    for (const std::string& id : candidate.effects)
+      specs.push_back(effects::MakeSpec(id, nominal_->joint_names()));
+    return sim::Plant::Create(nominal_->shared_model(), nominal_->options(), std::move(specs));
+  }
+
+  // Rotor inertia is believed in units of what the joint carries, which its catalogue row cannot know.
+  std::vector<FitParameter> ParametersOf(const sim::Plant& plant, const Candidate& candidate) const {
+    std::vector<FitParameter> out;
+    if (candidate.inertial) out = InertialFitParameters(plant);
+    if (candidate.inertial || !candidate.effects.empty()) {
+      for (FitParameter& p : DeclaredJointFitParameters(plant)) {
+        if (p.nominal != 0.0) out.push_back(std::move(p));
+      }
+    }
+    dynamics::Workspace workspace;
+    const int n = plant.num_joints();
+    MatrixXd M(n, n);
+    dynamics::Crba(MechanismOf(plant, plant.parameters().Nominal()), workspace,
+                   fit_.front().recording->q.col(0), M);
+    for (FitParameter& p : EffectFitParameters(plant)) {
+      const sim::Parameter& row = plant.parameters()[p.index];
+      const int joint = plant.model().FindJoint(row.owner);
+      if (row.effect == "rotor_inertia") p.prior_stddev = std::max(p.prior_stddev, M(joint, joint));
+      if (!std::isfinite(p.prior_stddev)) p.prior_stddev = 0.1 * LargestEffort(joint);
+      out.push_back(std::move(p));
+    }
+    return out;
+  }
+
+  // What stands for the effort limit of a joint whose URDF has none.
+  double LargestEffort(int joint) const {
+    double largest = 1e-3;
+    for (const FitRecording& fit : fit_) {
+      largest = std::max(largest, fit.recording->drive_effort().row(joint).cwiseAbs().maxCoeff());
+    }
+    return largest;
+  }
+
+  void Regress(Fitted* f) const {
+    const RegressionResult start = RegressInverseDynamics(f->plant, f->values, f->space, f->theta, fit_);
+    f->theta = start.theta;
+    f->values = f->space.Values(f->theta, f->values);
+  }
+
+  // Short windows first: they forgive a poor start. The scale of the residuals is what they show.
+  void Shoot(Fitted* f) {
+    const double windows[] = {0.25 * options_.fit_window_s, options_.fit_window_s, options_.fit_window_s};
+    ShootingScales scales = ScalesOf(noise_);
+    f->variance_inflation = 1.0;
+    for (int round = 0; round < 3 && !stop_.ShouldStop(); ++round) {
+      RecordingShootingOptions shooting;
+      shooting.window_s = windows[round];
+      shooting.residual_rate_hz = std::max(options_.residual_rate_hz, 4.0 / windows[round]);
+      shooting.simulator = simulator_;
+      ShootingOptions solver;
+      solver.huber = options_.huber;
+      solver.threads = threads_;
+      {
+        RecordingShooting probe(f->plant, f->values, f->space, fit_, scales, shooting, threads_);
+        solver.max_iterations = 0;
+        const auto seen = SolveShooting(ShootingProblemFor(&probe, f->space), f->theta, {}, solver, stop_);
+        // A motion too unstable for windows this long: the shorter ones have the last word.
+        if (seen.failed_windows > kMaxBroken * probe.num_windows()) return;
+        Rescale(probe, seen, round == 2 ? f->variance_inflation : 1.0, &scales);
+      }
+      RecordingShooting model(f->plant, f->values, f->space, fit_, scales, shooting, threads_);
+      solver.max_iterations = options_.max_iterations;
+      f->solution = SolveShooting(ShootingProblemFor(&model, f->space), f->theta, {}, solver, stop_,
+                                  [&](int iteration, double cost) {
+                                    Tell("shooting " + f->score.name, iteration, options_.max_iterations,
+                                         "cost " + std::to_string(cost));
+                                  });
+      f->theta = f->solution.theta;
+      f->values = f->space.Values(f->theta, f->values);
+      f->variance_inflation = std::clamp(f->solution.variance_inflation, 1.0, kMaxInflation);
+    }
+  }
+
+  // Residual scales: the spread the residuals show, not below the sensors' noise; and wider by the root of
+  // the inflation, so that windows that err together do not outvote the priors.
+  void Rescale(const RecordingShooting& model, const ShootingSolution& seen, double inflation,
+               ShootingScales* scales) const {
+    VectorXd position, velocity;
+    model.ResidualSpread(seen.residuals, &position, &velocity);
+    scales->position = position.cwiseMax(noise_.position_stddev) * std::sqrt(inflation);
+    if (velocity.size() > 0)
+      scales->velocity = velocity.cwiseMax(noise_.velocity_stddev) * std::sqrt(inflation);
+  }
+
+  // RMS over all recordings together; `each` (or null) gets one entry per recording.
+  double Score(const Fitted& f, const std::vector<const recordings::Recording*>& recs,
+               std::vector<PredictionError>* each) const {
+    std::vector<PredictionError> errors(recs.size());
+    ParallelFor(threads_, static_cast<int>(recs.size()), [&](int, int i) {
+      PredictionOptions prediction;
+      prediction.window_s = options_.window_s;
+      prediction.simulator = simulator_;
+      prediction.noise = noise_;
+      prediction.effort_excludes_gravity = set_.effort_excludes_gravity;
+      errors[i] = ErrorOf(PredictRecording(f.plant, f.values, *recs[i], prediction), *recs[i]);
+    });
+    double squares = 0.0, rows = 0.0;
+    for (size_t i = 0; i < recs.size(); ++i) {
+      squares += errors[i].rms * errors[i].rms * recs[i]->rows();
+      rows += recs[i]->rows();
+    }
+    if (each != nullptr) *each = std::move(errors);
+    return std::sqrt(squares / std::max(1.0, rows));
+  }
+
+  // The best on held-out data; a simpler one when it is as good.
+  static size_t Choose(const std::vector<Fitted>& fitted) {
+    size_t best = 0;
+    for (size_t i = 1; i < fitted.size(); ++i) {
+      if (fitted[i].score.holdout_rms * kSimpler < fitted[best].score.holdout_rms) best = i;
+    }
+    return best;
+  }
+
+  static double MedianOfWindows(const std::vector<PredictionError>& errors) {
+    std::vector<double> all;
+    for (const PredictionError& e : errors) all.insert(all.end(), e.windows.begin(), e.windows.end());
+    if (all.empty()) return 0.0;
+    std::nth_element(all.begin(), all.begin() + all.size() / 2, all.end());
+    return all[all.size() / 2];
+  }
+
+  SysidReport Report(const std::vector<Fitted>& fitted) const {
+    const Fitted& nominal = fitted.front();
+    const Fitted& best = fitted[Choose(fitted)];
+    SysidReport report;
+    report.robot = nominal_->model().name();
+    report.joints = nominal_->joint_names();
+    report.window_s = options_.window_s;
+    report.judged_on_fit = judged_on_fit_;
+    report.before_rms = nominal.score.holdout_rms;
+    report.after_rms = best.score.holdout_rms;
+    report.before_median = MedianOfWindows(nominal.holdout);
+    report.after_median = MedianOfWindows(best.holdout);
+    report.fit_before_rms = nominal.score.fit_rms;
+    report.fit_after_rms = best.score.fit_rms;
+    report.chosen = best.score.name;
+    for (const Fitted& f : fitted) report.candidates.push_back(f.score);
+    for (size_t i = 0; i < judged_.size(); ++i) {
+      const PredictionError &before = nominal.holdout[i], &after = best.holdout[i];
+      report.holdout.push_back({judged_[i]->name, before.rms, after.rms, before.median_window,
+                                after.median_window, before.joint_rms, after.joint_rms});
+    }
+    report.plant = best.plant;
+    report.values = best.values;
+    FillIdentifiability(best, &report);
+    FillWarnings(best, &report);
+    return report;
+  }
+
+  void FillIdentifiability(const Fitted& f, SysidReport* report) const {
+    const int P = f.space.size();
+    if (P == 0 || f.solution.information.rows() != P) return;
+    // From the fit's coordinates to the parameters people know.
+    const MatrixXd dp_dtheta = f.space.Jacobian(f.theta);
+    const MatrixXd dtheta_dp = dp_dtheta.inverse();
+    IdentifiabilityInput in;
+    in.value = f.space.Parameters(f.theta);
+    in.prior_stddev = (dp_dtheta * f.space.prior_stddev().asDiagonal()).rowwise().norm();
+    for (VectorXd* v : {&in.nominal, &in.lower, &in.upper}) v->resize(P);
+    for (int i = 0; i < P; ++i) {
+      const FitParameter& p = f.space.parameters()[i];
+      const bool bounded = f.space.IsItself(i);
+      in.names.push_back(p.name);
+      in.units.push_back(p.unit);
+      in.nominal[i] = p.nominal;
+      in.lower[i] = bounded ? p.lower : -std::numeric_limits<double>::infinity();
+      in.upper[i] = bounded ? p.upper : std::numeric_limits<double>::infinity();
+    }
+    in.information = dtheta_dp.transpose() * f.solution.information * dtheta_dp;
+    in.residual_variance = std::clamp(f.solution.variance_inflation, 1.0, kMaxInflation);
+    report->identifiability = Identify(in);
+  }
+
+  void FillWarnings(const Fitted& f, SysidReport* report) const {
+    for (const std::string& w : nominal_->model().warnings()) report->warnings.push_back(w);
+    const auto links = LinkParametersOf(f.plant, f.values);
+    std::vector<LinkInertia> fitted_links;
+    for (int i = 0; i < f.plant.model().num_links(); ++i) {
+      const model::LinkParameters link = links.col(i);
+      if (f.plant.model().link(i).has_inertial) {
+        fitted_links.push_back({f.plant.model().link(i).name, link[0], model::InertiaMatrix(link)});
+      }
+    }
+    for (std::string& w : ImpossibleInertias(fitted_links)) report->warnings.push_back(std::move(w));
+    for (const ParameterVerdict& p : report->identifiability.parameters) {
+      if (p.verdict == Verdict::kAtBound && p.value != 0.0) {
+        report->warnings.push_back(p.name + " sits on its bound, " + std::to_string(p.value) + " " + p.unit);
+      }
+    }
+    if (f.solution.failed_windows > 0) {
+      report->warnings.push_back(std::to_string(f.solution.failed_windows) +
+                                 " windows could not be simulated with the fitted parameters");
+    }
+    if (set_.holdout_was_chosen) report->warnings.push_back("the set has no holdout split: one was chosen");
+    if (judged_on_fit_)
+      report->warnings.push_back("the set has one recording: errors are of the fitted data");
+    report->identifiability.warnings = report->warnings;
+  }
+
+  void Tell(const std::string& stage, double done, double total, const std::string& note) const {
+    if (progress_) progress_({stage, done, total, note});
+  }
+
+  const recordings::RecordingSet& set_;
+  const SysidOptions& options_;
+  const Clock& clock_;
+  const ProgressFn& progress_;
+  StopCondition stop_;
+  int threads_ = 1;
+  sim::SimulatorOptions simulator_;
+  std::optional<sim::Plant> nominal_;
+  std::vector<FitRecording> fit_;
+  std::vector<const recordings::Recording*> judged_;
+  bool judged_on_fit_ = false;
+  recordings::SensorNoise noise_;
+};
+
+}  // namespace
+
+Result<sim::Plant> NominalPlant(const recordings::RecordingSet& set) {
+  model::LoadOptions load;
+  load.joints = set.joints;
+  load.locked = set.locked;
+  RG_ASSIGN_OR_RETURN(model::RobotModel robot, model::ParseUrdf(set.urdf_text, set.urdf_path, load));
+  sim::PlantOptions options;
+  options.gravity = set.gravity;
+  return sim::Plant::Create(std::make_shared<const model::RobotModel>(std::move(robot)), options);
+}
+
+Result<SysidReport> SysidOnSet(const recordings::RecordingSet& set, const SysidOptions& options,
+                               const Clock& clock, const ProgressFn& progress, const CancelToken* cancel) {
+  return Identification(set, options, clock, progress, cancel).Run();
+}
+
+}  // namespace rg::sysid

@@ -1,0 +1,101 @@
+// How a SysidReport reads: the table for a person and the JSON for programs.
+#include <cmath>
+#include <cstdio>
+#include <nlohmann/json.hpp>
+
+#include "services/sysid/sysid_on_set.h"
+
+namespace rg::sysid {
+namespace {
+
+using nlohmann::json;
+
+std::string Printf(const char* format, auto... args) {
+  char line[256];
+  std::snprintf(line, sizeof line, format, args...);
+  return line;
+}
+
+std::string Ratio(double before, double after) {
+  return after > 0.0 && std::isfinite(before / after) ? Printf("%.1f times less", before / after) : "";
+}
+
+// JSON has no NaN or infinity.
+json Number(double x) { return std::isfinite(x) ? json(x) : json(); }
+
+json Numbers(const Eigen::VectorXd& x) {
+  json out = json::array();
+  for (const double value : x) out.push_back(Number(value));
+  return out;
+}
+
+json HoldoutToJson(const SysidReport& report) {
+  json recordings = json::array();
+  for (const HoldoutScore& h : report.holdout) {
+    recordings.push_back({{"file", h.recording},
+                          {"before_rms", Number(h.before_rms)},
+                          {"after_rms", Number(h.after_rms)},
+                          {"before_median_window_rms", Number(h.before_median)},
+                          {"after_median_window_rms", Number(h.after_median)},
+                          {"before_joint_rms", Numbers(h.before_joint_rms)},
+                          {"after_joint_rms", Numbers(h.after_joint_rms)}});
+  }
+  return {{"window_s", report.window_s},
+          {"before_rms", Number(report.before_rms)},
+          {"after_rms", Number(report.after_rms)},
+          {"before_median_window_rms", Number(report.before_median)},
+          {"after_median_window_rms", Number(report.after_median)},
+          {"of_fitted_recordings", report.judged_on_fit},
+          {"recordings", recordings}};
+}
+
+}  // namespace
+
+std::string FormatSysid(const SysidReport& report) {
+  std::string out =
+      report.robot + ", " + std::to_string(report.joints.size()) + " joints: " + report.chosen + "\n\n";
+  out += FormatIdentifiability(report.identifiability) + "\n";
+  out += Printf("%-36s %10s %12s %12s %8s\n", "model", "parameters", "fit rms", "held-out rms", "seconds");
+  for (const CandidateScore& c : report.candidates) {
+    out += Printf("%-36s %10d %12.5g %12.5g %8.1f%s\n", c.name.c_str(), c.parameters, c.fit_rms,
+                  c.holdout_rms, c.seconds, c.name == report.chosen ? "  chosen" : "");
+  }
+  out += Printf("\n%-36s %12s %12s %14s %14s\n",
+                report.judged_on_fit ? "fitted recording" : "held-out recording", "before rms", "after rms",
+                "before median", "after median");
+  for (const HoldoutScore& h : report.holdout) {
+    out += Printf("%-36s %12.5g %12.5g %14.5g %14.5g\n", h.recording.c_str(), h.before_rms, h.after_rms,
+                  h.before_median, h.after_median);
+  }
+  out += Printf("%-36s %12.5g %12.5g %14.5g %14.5g  ", "all", report.before_rms, report.after_rms,
+                report.before_median, report.after_median) +
+         Ratio(report.before_rms, report.after_rms) + "\n";
+  out += Printf("windows of %.3g s, restarted from the measured state; %.1f s of work%s\n", report.window_s,
+                report.seconds, report.stopped_early ? ", stopped early" : "");
+  return out;
+}
+
+json SysidToJson(const SysidReport& report) {
+  json candidates = json::array();
+  for (const CandidateScore& c : report.candidates) {
+    candidates.push_back({{"model", c.name},
+                          {"parameters", c.parameters},
+                          {"fit_rms", Number(c.fit_rms)},
+                          {"holdout_rms", Number(c.holdout_rms)},
+                          {"seconds", c.seconds}});
+  }
+  return {
+      {"format", "realitygrad.sysid/1"},
+      {"robot", report.robot},
+      {"joints", report.joints},
+      {"model", report.chosen},
+      {"holdout", HoldoutToJson(report)},
+      {"fit", {{"before_rms", Number(report.fit_before_rms)}, {"after_rms", Number(report.fit_after_rms)}}},
+      {"candidates", candidates},
+      {"identifiability", IdentifiabilityToJson(report.identifiability)},
+      {"warnings", report.warnings},
+      {"stopped_early", report.stopped_early},
+      {"elapsed_s", report.seconds}};
+}
+
+}  // namespace rg::sysid

@@ -1,0 +1,135 @@
+#include "services/sysid/paper_problem.h"
+
+#include <gtest/gtest.h>
+
+#include <set>
+
+#include "common/math/gradient_check.h"
+#include "services/sysid/basin_hopping.h"
+#include "tests/unit/sysid/simulated_recordings.h"
+
+namespace rg::sysid {
+namespace {
+
+using Eigen::VectorXd;
+
+struct Mico {
+  sim::Plant plant = testing::LoadPlant("mico2");
+  VectorXd nominal = plant.parameters().Nominal();
+  // 25 Hz without noise, as the paper's arm is read.
+  recordings::Recording Record(const VectorXd& values) const {
+    return testing::MakeRecording(
+        plant, values, 3,
+        {.duration_s = 2.0, .rate_hz = 25.0, .amplitude = 0.2, .center = testing::CandlePose()});
+  }
+};
+
+TEST(PaperProblem, HasThePapersSeventyOneParametersAndResidualsOnTheStepGrid) {
+  Mico mico;
+  const auto paper = PaperProblem::Create(mico.plant, mico.nominal, mico.Record(mico.nominal));
+  ASSERT_TRUE(paper.ok()) << paper.status().ToString();
+  EXPECT_EQ(paper->problem().residuals->num_parameters(), 71);
+  EXPECT_EQ(paper->problem().residuals->num_residuals(), 200 * 6);
+  EXPECT_NEAR(paper->times().back(), 0.2, 1e-12);
+}
+
+TEST(PaperProblem, BoundsAreThePapersAndFixWhatIsZero) {
+  Mico mico;
+  const auto paper = PaperProblem::Create(mico.plant, mico.nominal, mico.Record(mico.nominal));
+  ASSERT_TRUE(paper.ok());
+  const auto& problem = paper->problem();
+  int fixed = 0;
+  for (int i = 0; i < 71; ++i) {
+    const auto& p = mico.plant.parameters()[paper->parameters()[i]];
+    if (p.name == "gravity.z") {
+      EXPECT_DOUBLE_EQ(problem.lower[i], -9.81 * 1.2);
+      EXPECT_DOUBLE_EQ(problem.upper[i], -9.81 * 0.8);
+    }
+    if (p.kind == sim::ParameterKind::kDamping) {
+      EXPECT_EQ(problem.upper[i], 18.0);
+    }
+    if (p.kind == sim::ParameterKind::kForceGain) {
+      EXPECT_EQ(problem.lower[i], -1.5);
+    }
+    fixed += problem.lower[i] == problem.upper[i] ? 1 : 0;
+  }
+  // gravity x and y; mass and three inertias of world, root and end_effector.
+  EXPECT_EQ(fixed, 2 + 3 * 4);
+}
+
+TEST(PaperProblem, JacobianMatchesCentralDifferences) {
+  Mico mico;
+  auto paper = PaperProblem::Create(mico.plant, mico.nominal, mico.Record(mico.nominal));
+  ASSERT_TRUE(paper.ok());
+  ResidualFunction& residuals = *paper->problem().residuals;
+  const VectorXd p = paper->problem().initial;
+  VectorXd r(residuals.num_residuals());
+  RowMatrix J(residuals.num_residuals(), 71);
+  ASSERT_TRUE(residuals.Evaluate(p, {}, &r, &J));
+  // In the solver's units, or the difference step would be larger than a finger's inertia.
+  const VectorXd& scale = paper->problem().scale;
+  const auto f = [&](const VectorXd& y) {
+    VectorXd out(residuals.num_residuals());
+    RG_CHECK(residuals.Evaluate(p + scale.cwiseProduct(y), {}, &out, nullptr));
+    return out;
+  };
+  const Eigen::MatrixXd scaled = J * scale.asDiagonal();
+  math::GradientCheckOptions options;
+  options.scale_floor = 1e-2;
+  options.tolerance = 1e-4;
+  const auto result = math::CheckGradient(f, VectorXd::Zero(71), scaled, options);
+  EXPECT_TRUE(result) << result.message;
+}
+
+TEST(PaperProblem, BoundedSolverExplainsAWindowOfAnotherRobotWithinItsBounds) {
+  Mico mico;
+  VectorXd truth = mico.nominal;
+  for (const int i : PaperParameters(mico.plant)) {
+    const auto& p = mico.plant.parameters()[i];
+    if (p.kind == sim::ParameterKind::kMass) truth[i] *= 1.1;
+    if (p.kind == sim::ParameterKind::kDamping) truth[i] = 0.5;
+  }
+  auto paper = PaperProblem::Create(mico.plant, mico.nominal, mico.Record(truth));
+  ASSERT_TRUE(paper.ok());
+  const auto& problem = paper->problem();
+  double before = 0.0;
+  ASSERT_TRUE(EvaluateCost(problem, problem.initial, {}, &before));
+  const SolveSummary s = Solve(problem, problem.initial, {.max_iterations = 40}, {});
+  // The rest is the paper's straight line between 25 Hz rows, which no parameter bends.
+  EXPECT_LT(s.residual, 0.02 * before);
+  EXPECT_TRUE((s.p.array() >= problem.lower.array()).all());
+  EXPECT_TRUE((s.p.array() <= problem.upper.array()).all());
+  const VectorXd full = paper->FullValues(s.p);
+  EXPECT_LT(AccumulatedTaskError(mico.plant, truth, mico.Record(truth)), 1e-3);
+  EXPECT_TRUE(full.allFinite());
+}
+
+TEST(PaperProblem, ChainsOfBasinHoppingRunOnIt) {
+  Mico mico;
+  VectorXd truth = mico.nominal;
+  for (const int i : mico.plant.parameters().OfKind(sim::ParameterKind::kDamping)) truth[i] = 2.0;
+  auto paper = PaperProblem::Create(mico.plant, mico.nominal, mico.Record(truth));
+  ASSERT_TRUE(paper.ok());
+  HopOptions options;
+  options.solve.max_iterations = 5;
+  for (const Solver solver : {Solver::kBoundedLevenbergMarquardt, Solver::kUnboundedLbfgs}) {
+    options.solve.solver = solver;
+    const HopState s = RunHops(paper->problem(), options, StartChain(1, 0), {.hops = 2}, RealClock());
+    EXPECT_EQ(s.hops, 2);
+    double before = 0.0;
+    ASSERT_TRUE(EvaluateCost(paper->problem(), paper->problem().initial, {}, &before));
+    EXPECT_LT(s.best_cost, before);
+  }
+}
+
+TEST(PaperProblem, RefusesAWindowOutsideTheRecording) {
+  Mico mico;
+  PaperOptions options;
+  options.window_start_s = 100.0;
+  const auto paper = PaperProblem::Create(mico.plant, mico.nominal, mico.Record(mico.nominal), options);
+  ASSERT_FALSE(paper.ok());
+  EXPECT_NE(paper.status().message().find("fewer than two rows"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace rg::sysid

@@ -1,0 +1,157 @@
+#include "services/sysid/prediction.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "tests/unit/sysid/simulated_recordings.h"
+
+namespace rg::sysid {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+PredictionOptions Measured(double window_s) {
+  PredictionOptions options;
+  options.window_s = window_s;
+  options.restart = RestartState::kMeasured;
+  return options;
+}
+
+// The slide of a single mass on rails under no force: it keeps its speed, so every prediction can be
+// written down by hand.
+sim::Plant Cart() {
+  auto model = model::ParseUrdf(R"(<robot name="cart"><link name="rail"/><link name="cart"><inertial>
+      <mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="x" type="prismatic"><parent link="rail"/><child link="cart"/><axis xyz="1 0 0"/>
+      <limit lower="-100" upper="100" effort="10" velocity="10"/></joint></robot>)",
+                                "cart");
+  RG_CHECK(model.ok()) << model.status().ToString();
+  return *sim::Plant::Create(std::make_shared<const model::RobotModel>(*model));
+}
+
+recordings::Recording Rows(std::vector<double> t, std::vector<double> q, std::vector<double> v) {
+  recordings::Recording rec;
+  rec.name = "hand.csv";
+  rec.joints = {"x"};
+  const int K = static_cast<int>(t.size());
+  rec.t = Eigen::Map<VectorXd>(t.data(), K);
+  rec.q = Eigen::Map<MatrixXd>(q.data(), 1, K);
+  if (!v.empty()) rec.v = Eigen::Map<MatrixXd>(v.data(), 1, K);
+  rec.effort_command = MatrixXd::Zero(1, K);
+  return rec;
+}
+
+TEST(Prediction, ARestartRowCarriesTheWindowThatEndsThereAndTheFirstRowIsMeasured) {
+  const sim::Plant cart = Cart();
+  // Position jumps by 1 at t = 1, where the second window starts with another speed.
+  const auto rec = Rows({0, 0.5, 1.0, 1.5, 2.0}, {0.0, 9.0, 1.0, 9.0, 9.0}, {0.2, 9, 0.6, 9, 9});
+  const Prediction p = PredictRecording(cart, cart.parameters().Nominal(), rec, Measured(1.0));
+  const std::vector<double> expected = {0.0, 0.1, 0.2, 1.3, 1.6};
+  for (int k = 0; k < 5; ++k) EXPECT_NEAR(p.q(0, k), expected[k], 1e-9) << "row " << k;
+  EXPECT_EQ(p.restarts,
+            (std::vector<int>{0, 2, 4}).size() == p.restarts.size() ? p.restarts : (std::vector<int>{0, 2}));
+}
+
+TEST(Prediction, RestartsAtTheFirstRowAtOrAfterTheWindowOnIrregularRows) {
+  const sim::Plant cart = Cart();
+  const auto rec = Rows({10.0, 10.4, 10.9, 11.3, 11.6, 12.4}, {0, 0, 0, 5, 0, 0}, {1, 1, 1, 2, 1, 1});
+  const Prediction p = PredictRecording(cart, cart.parameters().Nominal(), rec, Measured(1.0));
+  // Windows from 10.0 and from 11.3 (or 10.9, within half a sample of 11.0).
+  const double at_last = p.q(0, 3);
+  EXPECT_NEAR(p.q(0, 1), 0.4, 1e-9);
+  EXPECT_NEAR(p.q(0, 2), 0.9, 1e-9);
+  const bool early = p.restarts.size() > 1 && p.restarts[1] == 2;
+  EXPECT_NEAR(at_last, early ? 0.4 : 1.3, 1e-9);
+}
+
+TEST(Prediction, LaterRowsChangeNothingBefore) {
+  const sim::Plant plant = testing::LoadPlant("arm2");
+  const VectorXd values = plant.parameters().Nominal();
+  auto rec = testing::MakeRecording(plant, values, 5, {.position_noise = 1e-3, .with_velocity = false});
+  for (const RestartState restart : {RestartState::kMeasured, RestartState::kFiltered}) {
+    PredictionOptions options;
+    options.restart = restart;
+    options.noise.position_stddev = VectorXd::Constant(2, 1e-3);
+    const Prediction a = PredictRecording(plant, values, rec, options);
+    auto changed = rec;
+    changed.q.rightCols(changed.rows() - 251).array() += 0.3;  // rows after t = 2.5
+    const Prediction b = PredictRecording(plant, values, changed, options);
+    EXPECT_EQ(a.q.leftCols(301), b.q.leftCols(301)) << "the window from 2 to 3 s restarts at 2 s";
+    EXPECT_NE(a.q, b.q);
+  }
+}
+
+TEST(Prediction, TheTrueModelWithoutNoisePredictsWhatWasRecorded) {
+  const sim::Plant plant =
+      testing::LoadPlant("arm2", {effects::MakeSpec("viscous_friction", {"elbow"}, {{"viscous", 0.2}})});
+  const VectorXd values = plant.parameters().Nominal();
+  const auto rec = testing::MakeRecording(plant, values, 5);
+  const PredictionError error = ErrorOf(PredictRecording(plant, values, rec, Measured(1.0)), rec);
+  EXPECT_LT(error.rms, 1e-6);
+  EXPECT_EQ(error.windows.size(), 4u);
+}
+
+TEST(Prediction, FilteringTheNoisyStateBeatsTakingItAsMeasured) {
+  const sim::Plant plant = testing::LoadPlant("arm2");
+  const VectorXd values = plant.parameters().Nominal();
+  const auto rec = testing::MakeRecording(
+      plant, values, 5, {.duration_s = 10.0, .position_noise = 6e-4, .velocity_noise = 0.01});
+  PredictionOptions filtered = Measured(1.0);
+  filtered.restart = RestartState::kFiltered;
+  const double plain = ErrorOf(PredictRecording(plant, values, rec, Measured(1.0)), rec).rms;
+  EXPECT_LT(ErrorOf(PredictRecording(plant, values, rec, filtered), rec).rms, 0.8 * plain);
+}
+
+TEST(Prediction, AWrongModelDoesNotMisleadTheFilter) {
+  const sim::Plant plant = testing::LoadPlant("arm2");
+  const VectorXd values = plant.parameters().Nominal();
+  VectorXd wrong = values;
+  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kMass)) wrong[i] *= 1.3;
+  const auto rec = testing::MakeRecording(
+      plant, values, 5, {.duration_s = 10.0, .position_noise = 6e-4, .velocity_noise = 0.01});
+  PredictionOptions filtered = Measured(1.0);
+  filtered.restart = RestartState::kFiltered;
+  const double plain = ErrorOf(PredictRecording(plant, wrong, rec, Measured(1.0)), rec).rms;
+  EXPECT_LT(ErrorOf(PredictRecording(plant, wrong, rec, filtered), rec).rms, 1.05 * plain);
+}
+
+TEST(Prediction, DriveThatAddsItsOwnGravityTorqueHoldsTheArmUnderNoCommand) {
+  const sim::Plant plant = testing::LoadPlant("arm2");
+  const VectorXd values = plant.parameters().Nominal();
+  recordings::Recording rec;
+  rec.name = "still.csv";
+  rec.joints = plant.joint_names();
+  rec.t = VectorXd::LinSpaced(201, 0.0, 2.0);
+  rec.q = Eigen::Vector2d(0.4, -0.7).replicate(1, 201);
+  rec.v = MatrixXd::Zero(2, 201);
+  rec.effort_command = MatrixXd::Zero(2, 201);
+  PredictionOptions options = Measured(1.0);
+  EXPECT_GT(ErrorOf(PredictRecording(plant, values, rec, options), rec).rms, 0.1);
+  options.effort_excludes_gravity = true;
+  EXPECT_LT(ErrorOf(PredictRecording(plant, values, rec, options), rec).rms, 1e-6);
+}
+
+TEST(Prediction, CsvHasOneLinePerRowAndReadsBackExactly) {
+  const sim::Plant cart = Cart();
+  const auto rec = Rows({0, 0.1, 0.2}, {0.1, 0.2, 0.3}, {1, 1, 1});
+  const std::string csv = FormatPredictionCsv(
+      PredictRecording(cart, cart.parameters().Nominal(), rec, Measured(1.0)), rec.joints);
+  EXPECT_EQ(csv.substr(0, csv.find('\n')), "time,position.x");
+  EXPECT_EQ(std::count(csv.begin(), csv.end(), '\n'), 4);
+  EXPECT_EQ(csv.substr(16, 6), "0,0.1\n");
+}
+
+TEST(Prediction, AWindowThatBreaksDownIsReportedAndStaysFinite) {
+  const sim::Plant plant = testing::LoadPlant("arm2");
+  VectorXd values = plant.parameters().Nominal();
+  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kMass)) values[i] = -1.0;
+  const auto rec = testing::MakeRecording(plant, plant.parameters().Nominal(), 5, {.duration_s = 2.0});
+  const Prediction p = PredictRecording(plant, values, rec, Measured(1.0));
+  EXPECT_FALSE(p.failures.empty());
+  EXPECT_TRUE(p.q.allFinite());
+}
+
+}  // namespace
+}  // namespace rg::sysid
