@@ -81,8 +81,7 @@ std::string Endpoint(const std::string& listen) {
 }
 
 Status AllowKeys(transport::Context& context, const std::string& path) {
-  RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
-  RG_ASSIGN_OR_RETURN(auto allowed, transport::AllowList::Parse(text, path));
+  RG_ASSIGN_OR_RETURN(auto allowed, transport::LoadAllowList(path));
   spdlog::info("{} keys may connect", allowed.size());
   context.SetAllowList(std::move(allowed));
   return Status::Ok();
