@@ -99,6 +99,17 @@ RG_INLINE Spatial<P> TwiceBTimes(const Vec3<P>& momentum, const Mat3<P>& mix, co
   return {twice * Trace(mix) - mix * twice, Cross(twice, momentum)};
 }
 
+// Whether any, or all, joints of the pack at r are in a set given by bits.
+template <class T>
+RG_INLINE bool AnyOf(uint32_t set, int r) {
+  return ((set >> r) & ((1u << math::kPackWidth<T>)-1u)) != 0;
+}
+template <class T>
+RG_INLINE bool AllOf(uint32_t set, int r) {
+  constexpr uint32_t kFull = (1u << math::kPackWidth<T>)-1u;
+  return ((set >> r) & kFull) == kFull;
+}
+
 template <class P>
 struct Two {
   P first, second;
@@ -108,21 +119,22 @@ struct Two {
 // down(r) for its descendants, and zero elsewhere.
 template <class T, int C, class Up, class Down>
 RG_INLINE void FillColumns(const Tree& tree, int j, Row<T, C>& first, Row<T, C>& second, Up up, Down down) {
-  constexpr int kWidth = math::kPackWidth<T>;
-  constexpr uint32_t kFull = (1u << kWidth) - 1u;
   ForEachPack<T>(tree, [&](int r) RG_LAMBDA_INLINE {
-    const uint32_t path = (tree.path[j] >> r) & kFull;
-    const uint32_t below = (tree.below[j] >> r) & kFull;
     Two<Pack<T>> entry = {Pack<T>(0.0), Pack<T>(0.0)};
-    if (path != 0) entry = up(r);
-    if (path != 0 && path != kFull) {
-      const Pack<T> mask = LoadConstant<T>(tree.path_mask[j], r);
-      entry = {entry.first * mask, entry.second * mask};
+    if (AnyOf<T>(tree.path[j], r)) {
+      entry = up(r);
+      if (!AllOf<T>(tree.path[j], r)) {
+        const Pack<T> mask = LoadConstant<T>(tree.path_mask[j], r);
+        entry = {entry.first * mask, entry.second * mask};
+      }
     }
-    if (below != 0) {
-      const Pack<T> mask = LoadConstant<T>(tree.below_mask[j], r);
-      const Two<Pack<T>> lower = down(r);
-      entry = {entry.first + lower.first * mask, entry.second + lower.second * mask};
+    if (AnyOf<T>(tree.below[j], r)) {
+      Two<Pack<T>> lower = down(r);
+      if (!AllOf<T>(tree.below[j], r)) {
+        const Pack<T> mask = LoadConstant<T>(tree.below_mask[j], r);
+        lower = {lower.first * mask, lower.second * mask};
+      }
+      entry = {entry.first + lower.first, entry.second + lower.second};
     }
     first.Store(r, entry.first);
     second.Store(r, entry.second);
@@ -232,7 +244,9 @@ RG_INLINE void MassMatrix(const Tree& tree, KernelWorkspace<T, C>& w) {
   for (int j = 0; j < tree.n; ++j) {
     const Spatial<Pack<T>> F = w.F.Splat(j);
     for (int r = 0; r <= j; r += kWidth) {
-      w.M[j].Store(r, Dot(w.S.Load(r), F) * kernel::LoadConstant<T>(tree.path_mask[j], r));
+      Pack<T> entry = Dot(w.S.Load(r), F);
+      if (!kernel::AllOf<T>(tree.path[j], r)) entry *= kernel::LoadConstant<T>(tree.path_mask[j], r);
+      w.M[j].Store(r, entry);
     }
     for (int r = 0; r < j; ++r) w.M[r][j] = w.M[j][r];
   }
@@ -342,9 +356,10 @@ RG_INLINE void Regressor(const Tree& tree, KernelWorkspace<T, C>& w) {
                        {xz + al.y, yz - al.x, -(xx + yy)}};
     Row<T, C>* Y = w.Y[k];
     for (int r = 0; r <= k; r += math::kPackWidth<T>) {
-      const P mask = kernel::LoadConstant<T>(tree.path_mask[k], r);
-      const Vec3<P> axis = w.S.ang.Load(r) * mask;
-      const Vec3<P> moved = w.S.lin.Load(r) * mask + Cross(axis, p);
+      Spatial<P> S = w.S.Load(r);
+      if (!kernel::AllOf<T>(tree.path[k], r)) S = S * kernel::LoadConstant<T>(tree.path_mask[k], r);
+      const Vec3<P> axis = S.ang;
+      const Vec3<P> moved = S.lin + Cross(axis, p);
       const Vec3<P> n = TransposeTimes(R, axis), s = TransposeTimes(R, moved), u = Cross(n, o);
       const Vec3<P> first = TransposeTimes(E, s) + Cross(acc, n);
       Y[0].Store(r, Dot(s, acc));
