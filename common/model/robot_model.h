@@ -16,6 +16,7 @@
 
 #include <Eigen/Core>
 #include <array>
+#include <map>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -89,6 +90,7 @@ class RobotModel {
   struct Parts {
     std::string name;
     std::string urdf_text;
+    std::map<std::string, double> locked;  // LoadOptions::locked
     std::vector<Joint> joints;
     std::vector<Link> links;
     int end_effector = -1;              // index into links
@@ -99,6 +101,8 @@ class RobotModel {
   const std::string& name() const { return parts_.name; }
   // The text the model was made from, to be stored with results.
   const std::string& urdf_text() const { return parts_.urdf_text; }
+  // Where joints that do not move are locked, as far as it is not 0 [rad or m].
+  const std::map<std::string, double>& locked() const { return parts_.locked; }
   // n, the number of degrees of freedom and of moving bodies.
   int num_joints() const { return static_cast<int>(parts_.joints.size()); }
   int num_links() const { return static_cast<int>(parts_.links.size()); }

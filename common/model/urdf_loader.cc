@@ -94,6 +94,7 @@ class Loader {
     RG_RETURN_IF_ERROR(CheckOptions());
     parts_.name = outline_.robot_name;
     parts_.urdf_text = xml;
+    parts_.locked = options_.locked;
     parts_.links.resize(outline_.links.size());
     RG_RETURN_IF_ERROR(AddLink(urdf_.getRoot()->name, -1, Pose{}, 0));
     if (parts_.joints.empty()) return InvalidError(source_ + ": no joint is left to move");
