@@ -119,8 +119,8 @@ void RegisterLanes(math::Isa isa, const LaneBenchmark& lanes) {
           lanes.run(tree, buffer);
           benchmark::ClobberMemory();
         }
-        state.counters["per_lane_ns"] =
-            benchmark::Counter(static_cast<double>(state.iterations()) * lanes.lanes * 1e-9,
+        state.counters["per_lane"] =
+            benchmark::Counter(static_cast<double>(state.iterations()) * lanes.lanes,
                                benchmark::Counter::kIsRate | benchmark::Counter::kInvert);
         lanes.destroy(buffer);
       });
