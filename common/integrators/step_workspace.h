@@ -24,7 +24,7 @@ struct StepWorkspace {
   alignas(64) double bias[C];  // c(q, v, g) less the point forces
   double force[C], slope[C];   // joint laws at the current v1
   double trial_force[C], trial_slope[C];
-  double v1[C], mean[C], half[C];
+  double v1[C], mean[C], half[C], before[C];
   double z1[C * 4];
   alignas(64) double H[C * C];
   double diagonal[C];
