@@ -4,7 +4,7 @@
 //   T = k·(δ − s) + b·δ̇ ≥ 0 for δ > s,   0 inside the gap,   k·(δ + s) + b·δ̇ ≤ 0 for δ < −s
 //   k [N·m/rad] > 0, b [N·m·s/rad] ≥ 0, J [kg·m²] > 0;  states θ, ω
 //
-// The faces push, they never pull. Damping grows over the first 2 % of the gap (at least 1e-5 rad), so
+// The faces push, they never pull. Damping grows over the first 0.1 % of the gap (at least 1e-6 rad), so
 // that T has no jump. The motor's end-of-step velocity is eliminated as in joint_elasticity.h.
 // Ref: Nordin, Gutman, Automatica 38(10), 2002.
 #pragma once
@@ -64,7 +64,7 @@ struct Backlash {
     const S side = Select(deflection < T(0), S(T(-1)), S(T(1)));
     const S depth = side * deflection - half;  // > 0: the faces touch
     const S touching = Select(depth > T(0), depth, S(T(0)));
-    const S b = p[2] * touching / (touching + T(0.02) * p[0] + T(1e-5));
+    const S b = p[2] * touching / (touching + T(1e-3) * p[0] + T(1e-6));
     const S push = (k * touching + b * side * rate) / (T(1) + k * give + b * give_rate);
     law.link = side * Select(push > T(0), push, S(T(0)));
     const S change = free - law.link * h / J;

@@ -17,7 +17,7 @@ namespace rg::integrators {
 inline namespace RG_ISA {
 
 inline constexpr int kMaxPasses = 25;
-inline constexpr double kPassTolerance = 1e-9;  // of velocity
+inline constexpr double kPassTolerance = 1e-6;  // of velocity, per second
 
 RG_INLINE double Larger(double a, double b) { return a > b ? a : b; }
 
@@ -38,7 +38,7 @@ StepResult LeapfrogStep(const StepProgram& program, const StepValues& values, co
   BiasHere(tree, values.gravity, input.v, s);
   dynamics::CompositeForces(tree, s.w);
   dynamics::MassMatrix(tree, s.w);
-  const int bad = UpdateEffectiveInertias(n, s);
+  const int bad = UpdateEffectiveInertias(n, input.v, values.stick_velocity, s);
   if (bad >= 0) return {StepStatus::kMassMatrixNotPositive, bad};
   PointForces(program, values, input.v, input.t, end, false, s);
   for (int i = 0; i < n; ++i) {
@@ -68,7 +68,7 @@ StepResult LeapfrogStep(const StepProgram& program, const StepValues& values, co
       change = Larger(change, 0.5 * __builtin_fabs(s.v1[i] - s.before[i]));
       size = Larger(size, __builtin_fabs(s.v1[i]));
     }
-    if (change * change <= kPassTolerance * size * last) break;  // the next change, if they shrink evenly
+    if (change * change <= kPassTolerance * h * size * last) break;  // the next change, if they shrink evenly
   }
 
   if (directions != nullptr) {

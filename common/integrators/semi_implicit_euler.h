@@ -25,7 +25,7 @@ StepResult SemiImplicitEulerStep(const StepProgram& program, const StepValues& v
   BiasHere(tree, values.gravity, input.v, s);
   dynamics::CompositeForces(tree, s.w);
   dynamics::MassMatrix(tree, s.w);
-  const int bad = UpdateEffectiveInertias(n, s);
+  const int bad = UpdateEffectiveInertias(n, input.v, values.stick_velocity, s);
   if (bad >= 0) return {StepStatus::kMassMatrixNotPositive, bad};
   PointForces(program, values, input.v, input.t, input.t + h, directions != nullptr, s);
   for (int i = 0; i < n; ++i) {

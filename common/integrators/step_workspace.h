@@ -73,6 +73,8 @@ template <int C>
 void PointForces(const StepProgram& program, const StepValues& values, const double* v, double begin,
                  double end, bool derivatives, StepWorkspace<C>& s);
 
+inline constexpr double kHeld = 1e9;  // a joint with so many times its inertia does not move
+
 // w.M into H's lower triangle, scaled.
 template <int C>
 RG_INLINE void LoadMass(int n, double scale, const StepWorkspace<C>& s, double* H) {
@@ -81,14 +83,25 @@ RG_INLINE void LoadMass(int n, double scale, const StepWorkspace<C>& s, double* 
   }
 }
 
-// The inertia each joint's force sees, M⁻¹ of link plus rotor. Returns the row that is not positive.
+// The inertia each joint's force sees, link plus rotor, joints that stick held: 1/(M⁻¹)_ii over the joints
+// that move. Also checks that M is positive definite: returns the row that is not, or −1.
 template <int C>
-RG_INLINE int UpdateEffectiveInertias(int n, StepWorkspace<C>& s) {
+RG_INLINE int UpdateEffectiveInertias(int n, const double* v, double stick_velocity, StepWorkspace<C>& s) {
   LoadMass(n, 1.0, s, s.H);
-  for (int i = 0; i < n; ++i) s.H[i * C + i] += s.armature[i];
+  for (int i = 0; i < n; ++i) {
+    s.H[i * C + i] += s.armature[i];
+    s.mass[i] = s.H[i * C + i];
+    if (s.rough[i] && __builtin_fabs(v[i]) <= stick_velocity) s.H[i * C + i] *= kHeld;
+  }
   const int bad = Cholesky<C>(n, s.H, s.diagonal);
   if (bad >= 0) return bad;
-  if (s.any_rough) EffectiveInertias<C>(n, s.H, s.diagonal, s.mass);
+  if (s.any_rough) {
+    double seen[C];
+    EffectiveInertias<C>(n, s.H, s.diagonal, seen);
+    for (int i = 0; i < n; ++i) {
+      if (!(s.rough[i] && __builtin_fabs(v[i]) <= stick_velocity)) s.mass[i] = seen[i];
+    }
+  }
   return -1;
 }
 

@@ -15,10 +15,23 @@ inline namespace RG_ISA {
 inline constexpr int kMaxNewton = 60;
 inline constexpr int kMaxLineSearch = 60;
 
+// How large the terms of joint i's equation are, and how far rounding in its law may reach: laws take
+// differences of positions times stiffness, with slope·(q/h) as the size of what is subtracted.
+RG_INLINE double TermSize(const LawContext& c, int i, double bias, double force, double slope, double v1) {
+  const double speed = __builtin_fabs(c.input->v[i]) + __builtin_fabs(v1);
+  return __builtin_fabs(bias) + __builtin_fabs(force) + __builtin_fabs(slope) * speed;
+}
+RG_INLINE double Rounding(const LawContext& c, int i, double slope) {
+  return 4e-15 * __builtin_fabs(slope) * __builtin_fabs(c.input->q[i]) / c.input->h + 1e-300;
+}
+
 // residual = M (v1 − v0)/h + bias − F, and whether it vanishes against the size of its terms.
 template <int C>
-RG_INLINE bool VelocityResidual(int n, double inverse_h, const double* v0, const double* v1,
-                                const double* force, const StepWorkspace<C>& s, double* residual) {
+RG_INLINE bool VelocityResidual(const LawContext& c, const double* v1, const double* force,
+                                const double* slope, const StepWorkspace<C>& s, double* residual) {
+  const int n = c.program->tree.n;
+  const double inverse_h = 1.0 / c.input->h;
+  const double* v0 = c.input->v;
   bool small = true;
   for (int i = 0; i < n; ++i) {
     double inertial = 0.0, speed = 0.0;
@@ -28,19 +41,22 @@ RG_INLINE bool VelocityResidual(int n, double inverse_h, const double* v0, const
       speed += __builtin_fabs(m) * (__builtin_fabs(v0[j]) + __builtin_fabs(v1[j]));
     }
     residual[i] = inertial + s.bias[i] - force[i];
-    const double size = __builtin_fabs(inertial) + __builtin_fabs(s.bias[i]) + __builtin_fabs(force[i]);
-    small &= __builtin_fabs(residual[i]) <= 1e-12 * size + 4e-16 * speed + 1e-300;
+    const double size = TermSize(c, i, s.bias[i], force[i], slope[i], v1[i]);
+    small &= __builtin_fabs(residual[i]) <= 1e-12 * size + 4e-16 * speed + Rounding(c, i, slope[i]);
   }
   return small;
 }
 
-// Whether the slopes did not change over a full Newton step, so that it was exact.
+// Whether the slopes did not change over a full Newton step, so that it was exact and what is left of the
+// residual is rounding. A jump of the forces between two regions of equal slope leaves more.
 template <int C>
-RG_INLINE bool Affine(int n, const StepWorkspace<C>& s, const double* step) {
+RG_INLINE bool Affine(const LawContext& c, const double* v1, const StepWorkspace<C>& s, const double* step,
+                      const double* residual) {
   bool affine = true;
-  for (int i = 0; i < n; ++i) {
-    const double size = __builtin_fabs(s.bias[i]) + __builtin_fabs(s.trial_force[i]);
+  for (int i = 0; i < c.program->tree.n; ++i) {
+    const double size = TermSize(c, i, s.bias[i], s.trial_force[i], s.trial_slope[i], v1[i]);
     affine &= __builtin_fabs((s.trial_slope[i] - s.slope[i]) * step[i]) <= 1e-12 * size + 1e-300;
+    affine &= __builtin_fabs(residual[i]) <= 1e-8 * size + 1e-300;
   }
   return affine;
 }
@@ -50,10 +66,9 @@ template <int C>
 StepResult SolveVelocity(const LawContext& c, StepWorkspace<C>& s) {
   const int n = c.program->tree.n;
   const double inverse_h = 1.0 / c.input->h;
-  const double* v0 = c.input->v;
   double residual[C], step[C], trial[C];
   Forces(c, s.v1, s.force, s.slope, s.z1);
-  if (VelocityResidual(n, inverse_h, v0, s.v1, s.force, s, residual)) return {};
+  if (VelocityResidual(c, s.v1, s.force, s.slope, s, residual)) return {};
   for (int iteration = 0; iteration < kMaxNewton; ++iteration) {
     LoadMass(n, inverse_h, s, s.H);
     for (int i = 0; i < n; ++i) {
@@ -75,8 +90,8 @@ StepResult SolveVelocity(const LawContext& c, StepWorkspace<C>& s) {
         moved |= trial[i] != s.v1[i];
       }
       Forces(c, trial, s.trial_force, s.trial_slope, s.z1);
-      done = VelocityResidual(n, inverse_h, v0, trial, s.trial_force, s, residual);
-      done = done || !moved || (at == 1.0 && Affine(n, s, step));
+      done = VelocityResidual(c, trial, s.trial_force, s.trial_slope, s, residual);
+      done = done || !moved || (at == 1.0 && Affine(c, trial, s, step, residual));
       if (done) break;
       double slope = 0.0;
       for (int i = 0; i < n; ++i) slope += residual[i] * step[i];

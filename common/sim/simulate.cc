@@ -117,8 +117,7 @@ class OutputWriter {
     const Blend position = now ? Blend{0, 0, 1, 0} : PositionAt(s, h);
     const Blend velocity = now ? Blend{0, 0, 0, 1} : VelocityAt(s);
     if (Writes(sensor, true, delayed)) Write(j, k, position, true, now ? Blend{} : Slope(s, h, true));
-    if (Writes(sensor, false, delayed))
-      Write(j, k, velocity, false, now ? Blend{} : Slope(s, h, false));
+    if (Writes(sensor, false, delayed)) Write(j, k, velocity, false, now ? Blend{} : Slope(s, h, false));
   }
   // Before the first step only the present (the begin) is known; offset ≤ 0 is followed back.
   void SampleBefore(int j, int k, double offset) {
