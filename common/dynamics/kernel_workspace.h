@@ -77,10 +77,11 @@ struct KernelWorkspace {
   RowSpatial<T, Capacity> A0;     // accelerations at a = 0, base at -g
   RowSpatial<T, Capacity> A;      // accelerations at a, base at -g
   RowSpatial<T, Capacity> Sddot;  // A × S + V × Sdot
-  RowSpatial<T, Capacity> delta;  // A - A0, and scratch for its prefix sum
-  RowSpatial<T, Capacity> added;  // composite force that A - A0 needs
-  RowSpatial<T, Capacity> F;      // composite inertia times S; dtau_dg is -F.lin
-  Row3<T, Capacity> bt;           // angular part of 2 Bᵀ S (the linear part is zero)
+  RowSpatial<T, Capacity> delta;  // A - A0
+  RowSpatial<T, Capacity>
+      added;  // forces being summed: I S a per subtree (Derivatives), per body (InverseDynamics)
+  RowSpatial<T, Capacity> F;  // composite inertia times S; dtau_dg is -F.lin
+  Row3<T, Capacity> bt;       // angular part of 2 Bᵀ S (the linear part is zero)
   RowSpatial<T, Capacity> up_q, up_v;
   Composite<T, Capacity> sum;
 
