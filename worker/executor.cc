@@ -27,9 +27,9 @@ constexpr size_t kMaxLineBytes = 8u << 10;
   sigset_t none;
   sigemptyset(&none);
   sigprocmask(SIG_SETMASK, &none, nullptr);
-  // A Ctrl-C on the terminal is the worker's business: it decides what becomes of the task.
+  // A Ctrl-C on the terminal or a stop of the whole group is the worker's business: it drains.
   signal(SIGINT, SIG_IGN);
-  signal(SIGTERM, SIG_DFL);
+  signal(SIGTERM, SIG_IGN);
   dup2(output_fd, STDOUT_FILENO);
   dup2(output_fd, STDERR_FILENO);
   fcntl(message_fd, F_SETFD, 0);

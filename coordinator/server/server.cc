@@ -180,7 +180,14 @@ void Server::HandleWorker(const transport::Message& message) {
     ++ignored_messages_;
     return;
   }
-  peer_by_instance_[instance] = message.peer;
+  const auto [peer, is_new] =
+      peer_by_instance_.try_emplace(instance, Peer{message.peer, message.credentials.name});
+  if (!is_new &&
+      peer->second.key_name != message.credentials.name) {  // another key's worker may not speak for it
+    ++ignored_messages_;
+    return;
+  }
+  peer->second.routing_id = message.peer;
   switch (body->message_case()) {
     case pb::WorkerMessage::kFinished:
       return HandleFinished(body->finished(), instance);
@@ -266,7 +273,7 @@ void Server::SendToWorker(const std::string& instance, const pb::CoordinatorMess
   const auto peer = peer_by_instance_.find(instance);
   if (peer == peer_by_instance_.end()) return;
   transport::Message out = transport::MakeEvent(self_, message);
-  out.peer = peer->second;
+  out.peer = peer->second.routing_id;
   outbox_.push_back(std::move(out));
 }
 

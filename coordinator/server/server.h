@@ -60,7 +60,12 @@ class Server {
   struct Watcher {
     transport::Message request;
     pb::GetJobRequest body;
+    int64_t earliest_ns;  // so that a busy job does not answer with every step
     int64_t deadline_ns;
+  };
+  struct Peer {
+    std::string routing_id;
+    std::string key_name;  // of the key it came with
   };
   struct PendingReply {  // of a request whose answer the core gives
     transport::Message request;
@@ -110,7 +115,6 @@ class Server {
   Result<pb::ExplainReply> ExplainTask(const pb::ExplainRequest& request);
   Result<pb::ListEventsReply> ListEvents(const pb::ListEventsRequest& request);
   Result<pb::StatusReply> DescribeSelf(const pb::StatusRequest& request);
-  bool MustWait(const pb::GetJobRequest& request) const;
   void AnswerWatchers();
   Result<const Job*> RequireJob(JobId id) const;
   void Reply(transport::Message reply) { outbox_.push_back(std::move(reply)); }
@@ -140,7 +144,7 @@ class Server {
   std::vector<Event> deferred_;  // found out while sending; handled with the next batch
   std::vector<LogRow> logs_;     // not written yet
   int64_t logs_due_ns_ = 0, tick_due_ns_ = 0;
-  std::unordered_map<std::string, std::string> peer_by_instance_;
+  std::unordered_map<std::string, Peer> peer_by_instance_;
   std::map<ReplyTo, PendingReply> pending_;
   ReplyTo last_reply_ = 0;
   std::vector<Watcher> watchers_;

@@ -16,6 +16,7 @@ using transport::Unpack;
 
 constexpr uint32_t kMaxWaitMs = 60'000;
 constexpr size_t kMaxWatchers = 1'000;
+constexpr int64_t kCalmNs = 100'000'000;
 
 Status StatusOf(const AnswerClient& answer) {
   switch (answer.verdict) {
@@ -73,7 +74,8 @@ void Server::HandleRequest(transport::Message message) {
     auto body = Unpack<pb::GetJobRequest>(message);
     if (body.ok() && body->wait_ms() > 0) {
       const int64_t wait_ns = int64_t{std::min(body->wait_ms(), kMaxWaitMs)} * 1'000'000;
-      watchers_.push_back({std::move(message), *std::move(body), clock_->SteadyNanos() + wait_ns});
+      watchers_.push_back({std::move(message), *std::move(body), clock_->SteadyNanos() + kCalmNs,
+                           clock_->SteadyNanos() + wait_ns});
       return;
     }
   }
@@ -358,15 +360,14 @@ Result<pb::StatusReply> Server::DescribeSelf(const pb::StatusRequest&) {
 
 // --- long polls --------------------------------------------------------------------------------------------
 
-bool Server::MustWait(const pb::GetJobRequest& request) const {
-  const Job* job = state_.FindJob(request.job() == 0 ? state_.last_job : request.job());
-  return job != nullptr && !IsFinal(job->record.phase) && job->revision <= request.after_revision();
-}
-
 void Server::AnswerWatchers() {
   const int64_t steady = clock_->SteadyNanos();
   std::erase_if(watchers_, [&](const Watcher& watcher) {
-    if (steady < watcher.deadline_ns && MustWait(watcher.body)) return false;
+    const Job* job = state_.FindJob(watcher.body.job() == 0 ? state_.last_job : watcher.body.job());
+    const bool is_over = job == nullptr || IsFinal(job->record.phase);
+    const bool changed =
+        job != nullptr && job->revision > watcher.body.after_revision() && steady >= watcher.earliest_ns;
+    if (!is_over && !changed && steady < watcher.deadline_ns) return false;
     Reply(AnswerQuery(watcher.request));
     return true;
   });

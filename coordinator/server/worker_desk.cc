@@ -5,7 +5,6 @@
 
 #include "common/base/hash.h"
 #include "coordinator/server/artifact_desk.h"
-#include "coordinator/server/views.h"
 
 namespace rg::coordinator {
 namespace {
@@ -105,7 +104,8 @@ Result<ResultRow> WorkerDesk::StoreOutputs(const State& state, const Lease& leas
     RG_ASSIGN_OR_RETURN(const std::string bytes, jobs_->Spec(lease.task));
     pb::TaskSpec spec;
     if (!spec.ParseFromString(bytes)) return DataLossError("the task's specification does not parse");
-    RG_ASSIGN_OR_RETURN(const auto inputs, ResolveInputs(*state.FindJob(JobOf(lease.task)), spec));
+    RG_ASSIGN_OR_RETURN(const auto inputs,
+                        ResolveInputs(*state.FindJob(JobOf(lease.task)), IndexOf(lease.task), spec));
     for (const pb::ResolvedInput& input : inputs) parents.push_back(input.sha256());
   }
   RG_ASSIGN_OR_RETURN(auto savepoint, database_->Begin());
@@ -173,7 +173,7 @@ Result<pb::TaskAssignment> WorkerDesk::Assemble(const State& state, const Assign
   out.set_at_most_once(spec.at_most_once());
   out.set_timeout_s(spec.timeout_s());
   out.set_job_name(job->plan->name);
-  RG_ASSIGN_OR_RETURN(auto inputs, ResolveInputs(*job, spec));
+  RG_ASSIGN_OR_RETURN(auto inputs, ResolveInputs(*job, IndexOf(assign.task), spec));
   for (pb::ResolvedInput& input : inputs) *out.add_inputs() = std::move(input);
   if (assign.attempt > 1) {
     RG_ASSIGN_OR_RETURN(*out.mutable_checkpoint(), jobs_->Checkpoint(assign.task));
@@ -181,40 +181,42 @@ Result<pb::TaskAssignment> WorkerDesk::Assemble(const State& state, const Assign
   return out;
 }
 
-Result<std::vector<pb::ResolvedInput>> WorkerDesk::ResolveInputs(const Job& job, const pb::TaskSpec& spec) {
+Result<std::vector<pb::ResolvedInput>> WorkerDesk::ResolveInputs(const Job& job, uint32_t index,
+                                                                 const pb::TaskSpec& spec) {
   std::vector<pb::ResolvedInput> resolved;
   for (const pb::InputSpec& input : spec.inputs()) {
-    const Status status = ResolveInput(job, input, &resolved);
+    const Status status = ResolveInput(job, index, input, &resolved);
     if (!status.ok()) return status.WithPrefix("input '" + input.name() + "'");
   }
   return resolved;
 }
 
-Status WorkerDesk::ResolveInput(const Job& job, const pb::InputSpec& input,
+Status WorkerDesk::ResolveInput(const Job& job, uint32_t index, const pb::InputSpec& input,
                                 std::vector<pb::ResolvedInput>* resolved) {
-  if (input.source_case() == pb::InputSpec::kArtifact) {
-    auto info = artifacts_->Info(input.artifact());
-    if (!info.ok() && input.optional() && info.status().code() == StatusCode::kNotFound) return Status::Ok();
-    if (!info.ok()) return info.status();
-    pb::ResolvedInput& out = resolved->emplace_back();
-    out.set_name(input.name());
-    out.set_sha256(info->sha256);
-    out.set_kind(info->kind);
-    out.set_size(static_cast<uint64_t>(info->size_bytes));
-    out.set_metadata_json(info->metadata_json);
-    return Status::Ok();
+  if (input.source_case() == pb::InputSpec::kArtifact) return ResolveArtifact(input, resolved);
+  const bool is_stage = input.source_case() == pb::InputSpec::kStageOutputs;
+  const std::string& output = is_stage ? input.stage_outputs().output() : input.task_output().output();
+  for (const ParentEdge& edge : job.plan_of(index).parents) {  // in the order of the job's tasks
+    const TaskPlan& parent = job.plan_of(edge.parent);
+    const bool is_meant =
+        is_stage ? parent.stage == input.stage_outputs().stage() : parent.name == input.task_output().task();
+    if (!is_meant) continue;
+    RG_RETURN_IF_ERROR(
+        ResolveTaskOutputs(job, edge.parent, output, is_stage && output.empty(), input, resolved));
   }
-  if (input.source_case() == pb::InputSpec::kTaskOutput) {
-    const int64_t parent = FindTask(job, input.task_output().task());
-    if (parent < 0) return InvalidError("there is no task '" + input.task_output().task() + "'");
-    return ResolveTaskOutputs(job, static_cast<uint32_t>(parent), input.task_output().output(), false, input,
-                              resolved);
-  }
-  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
-    if (job.plan_of(i).stage != input.stage_outputs().stage()) continue;
-    const std::string& output = input.stage_outputs().output();
-    RG_RETURN_IF_ERROR(ResolveTaskOutputs(job, i, output, output.empty(), input, resolved));
-  }
+  return Status::Ok();
+}
+
+Status WorkerDesk::ResolveArtifact(const pb::InputSpec& input, std::vector<pb::ResolvedInput>* resolved) {
+  auto info = artifacts_->Info(input.artifact());
+  if (!info.ok() && input.optional() && info.status().code() == StatusCode::kNotFound) return Status::Ok();
+  if (!info.ok()) return info.status();
+  pb::ResolvedInput& out = resolved->emplace_back();
+  out.set_name(input.name());
+  out.set_sha256(info->sha256);
+  out.set_kind(info->kind);
+  out.set_size(static_cast<uint64_t>(info->size_bytes));
+  out.set_metadata_json(info->metadata_json);
   return Status::Ok();
 }
 

@@ -41,10 +41,13 @@ class WorkerDesk {
   Status CheckArtifactsExist(const pb::JobSpec& spec);
 
  private:
-  Status ResolveInput(const Job& job, const pb::InputSpec& input, std::vector<pb::ResolvedInput>* resolved);
+  Status ResolveInput(const Job& job, uint32_t index, const pb::InputSpec& input,
+                      std::vector<pb::ResolvedInput>* resolved);
+  Status ResolveArtifact(const pb::InputSpec& input, std::vector<pb::ResolvedInput>* resolved);
   Status ResolveTaskOutputs(const Job& job, uint32_t parent, const std::string& output, bool all_outputs,
                             const pb::InputSpec& input, std::vector<pb::ResolvedInput>* resolved);
-  Result<std::vector<pb::ResolvedInput>> ResolveInputs(const Job& job, const pb::TaskSpec& spec);
+  Result<std::vector<pb::ResolvedInput>> ResolveInputs(const Job& job, uint32_t index,
+                                                       const pb::TaskSpec& spec);
   Result<OutputRow> StoreOutput(TaskId task, const std::vector<std::string>& parents,
                                 const pb::TaskOutput& output);
   Status AddParameters(TaskId task, const pb::TaskOutput& output);

@@ -85,7 +85,10 @@ Status JobStore::ApplyOne(const UpdateJob& row) {
   update.Bind(1, static_cast<int>(row.record.phase))
       .Bind(2, row.record.reason)
       .Bind(3, row.record.started_ns);
-  return update.Bind(4, row.record.finished_ns).Bind(5, row.job).Run();
+  RG_RETURN_IF_ERROR(update.Bind(4, row.record.finished_ns).Bind(5, row.job).Run());
+  if (row.record.phase != JobPhase::kCancelled) return Status::Ok();
+  RG_ASSIGN_OR_RETURN(auto forget, db_->Prepare("DELETE FROM checkpoints WHERE task BETWEEN ? AND ?"));
+  return forget.Bind(1, MakeTaskId(row.job, 0)).Bind(2, MakeTaskId(row.job, kMaxTasksPerJob - 1)).Run();
 }
 
 Status JobStore::ApplyOne(const UpdateTask& row) {

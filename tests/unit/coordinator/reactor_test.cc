@@ -1,0 +1,320 @@
+// Scenarios of the reactor, step by step; the promises are checked after each event.
+#include "coordinator/core/reactor.h"
+
+#include <gtest/gtest.h>
+
+#include "coordinator/core/explain.h"
+#include "coordinator/core/invariants.h"
+#include "tests/unit/coordinator/memory_store.h"
+#include "tests/unit/coordinator/plans.h"
+
+namespace rg::coordinator {
+namespace {
+
+class Reactor : public ::testing::Test {
+ protected:
+  Actions Do(const Event& event) {
+    Actions actions = On(event, state_, {ns_, 1'000 + ns_});
+    store_.Apply(actions.rows);
+    for (const std::string& line : BrokenInvariants(state_)) ADD_FAILURE() << line;
+    for (const std::string& line :
+         Differences(Describe(state_), Describe(Restore(store_.Load(), state_.options, {})))) {
+      ADD_FAILURE() << "a restart would change: " << line;
+    }
+    return actions;
+  }
+  void Pass(double heartbeats) {
+    ns_ += static_cast<int64_t>(heartbeats * static_cast<double>(state_.options.heartbeat_ns));
+  }
+  void Join(const std::string& name, uint32_t slots = 1, std::vector<Token> held = {},
+            std::vector<std::string> tags = {}) {
+    last_ = Do(WorkerJoined{
+        name, name + "#1", slots, std::move(tags), {"work", "other"}, std::move(held), false, "h", 1, "v"});
+  }
+  JobId SubmitJob(std::vector<TaskPlan> tasks, int32_t priority = 0) {
+    last_ = Do(Submit{"r" + std::to_string(++requests_), MakePlan(std::move(tasks), priority), nullptr, 1});
+    return state_.last_job;
+  }
+  template <class M>
+  std::vector<M> Sent(const Actions& actions) {
+    std::vector<M> found;
+    for (const Message& message : actions.messages) {
+      if (const auto* m = std::get_if<M>(&message)) found.push_back(*m);
+    }
+    return found;
+  }
+  TaskPhase Phase(JobId job, uint32_t index) { return PhaseOf(state_.jobs.at(job).tasks[index].status); }
+  JobPhase Phase(JobId job) { return state_.jobs.at(job).record.phase; }
+
+  State state_;
+  MemoryStore store_;
+  Actions last_;
+  int64_t ns_ = 1'000'000'000'000;
+  int requests_ = 0;
+};
+
+TEST_F(Reactor, AChildIsAssignedOnlyAfterItsParentCommitted) {
+  Join("a", 4);
+  const JobId job = SubmitJob({MakeTask("p"), MakeTask("c", {{0, false}})});
+  auto assigned = Sent<Assign>(last_);
+  ASSERT_EQ(assigned.size(), 1u);
+  EXPECT_EQ(assigned[0].task, MakeTaskId(job, 0));
+  last_ = Do(Finished{"a#1", assigned[0].task, assigned[0].token});
+  EXPECT_TRUE(Sent<AnswerResult>(last_).at(0).accepted);
+  ASSERT_EQ(Sent<Assign>(last_).size(), 1u);
+  EXPECT_EQ(Sent<Assign>(last_)[0].task, MakeTaskId(job, 1));
+}
+
+TEST_F(Reactor, ARepeatedResultIsAcceptedOnceAndAnOldOneRefused) {
+  Join("a");
+  SubmitJob({MakeTask("t")});
+  const Assign first = Sent<Assign>(last_).at(0);
+  Pass(2.5);
+  Join("b");
+  last_ = Do(Tick{});
+  const Assign second = Sent<Assign>(last_).at(0);
+  EXPECT_GT(second.token, first.token);
+  EXPECT_EQ(second.attempt, 2u);
+  last_ = Do(Finished{"a#1", first.task, first.token});
+  EXPECT_FALSE(Sent<AnswerResult>(last_).at(0).accepted);
+  EXPECT_EQ(state_.counters.results_refused, 1u);
+  last_ = Do(Finished{"b#1", second.task, second.token});
+  EXPECT_TRUE(Sent<AnswerResult>(last_).at(0).accepted);
+  last_ = Do(Finished{"b#1", second.task, second.token});
+  EXPECT_TRUE(Sent<AnswerResult>(last_).at(0).accepted) << "the first answer may have been lost";
+  EXPECT_EQ(store_.commits.at(second.task), 1);
+}
+
+TEST_F(Reactor, AWorkerIsLostAfterTwoHeartbeatsNotBefore) {
+  Join("a");
+  SubmitJob({MakeTask("t")});
+  Pass(1.9);
+  Do(Tick{});
+  EXPECT_EQ(Phase(1, 0), TaskPhase::kLeased);
+  Pass(0.2);
+  Do(Tick{});
+  EXPECT_EQ(Phase(1, 0), TaskPhase::kReady);
+  last_ = Do(WorkerBeat{"a#1", {1}, false});
+  EXPECT_FALSE(Sent<AnswerBeat>(last_).at(0).known);
+}
+
+TEST_F(Reactor, AHeartbeatRenewsOnlyTheLeasesItNames) {
+  Join("a", 2);
+  SubmitJob({MakeTask("t"), MakeTask("u")});
+  ASSERT_EQ(Sent<Assign>(last_).size(), 2u);
+  for (int i = 0; i < 5; ++i) {
+    Pass(0.5);
+    Do(WorkerBeat{"a#1", {1}, false});
+    Do(Tick{});
+  }
+  EXPECT_EQ(Phase(1, 0), TaskPhase::kLeased);
+  EXPECT_EQ(state_.leases.count(2), 0u) << "its assignment was lost on the way";
+}
+
+TEST_F(Reactor, ALeaseOutlivesARestartIfItsWorkerComesBackInTime) {
+  Join("a");
+  SubmitJob({MakeTask("t")});
+  const Token token = Sent<Assign>(last_).at(0).token;
+  state_ = Restore(store_.Load(), state_.options, {ns_, 0});
+  Pass(1.0);
+  Join("a", 1, {token});
+  EXPECT_TRUE(Sent<Assign>(last_).empty());
+  last_ = Do(Finished{"a#1", MakeTaskId(1, 0), token});
+  EXPECT_TRUE(Sent<AnswerResult>(last_).at(0).accepted);
+}
+
+TEST_F(Reactor, AnAssignmentLostInARestartIsGivenAgain) {
+  Join("a");
+  SubmitJob({MakeTask("t")});  // committed, then killed before the message left
+  state_ = Restore(store_.Load(), state_.options, {ns_, 0});
+  Join("a");
+  ASSERT_EQ(Sent<Assign>(last_).size(), 1u);
+  EXPECT_EQ(Sent<Assign>(last_)[0].attempt, 2u);
+}
+
+TEST_F(Reactor, AnAtMostOnceTaskThatNeverStartedIsGivenToAnother) {
+  TaskPlan rollout = MakeTask("rollout");
+  rollout.at_most_once = true;
+  Join("a");
+  SubmitJob({rollout});
+  Pass(2.5);
+  Join("b");
+  last_ = Do(Tick{});
+  EXPECT_EQ(Sent<Assign>(last_).size(), 1u);
+  last_ = Do(StartRequested{"a#1", 1});  // late: must not be let through
+  EXPECT_TRUE(Sent<GrantStart>(last_).empty());
+  EXPECT_EQ(Sent<Revoke>(last_).size(), 1u);
+}
+
+TEST_F(Reactor, AnAtMostOnceTaskThatMayHaveRunWaitsForItsWorkerOrConsent) {
+  TaskPlan rollout = MakeTask("rollout");
+  rollout.at_most_once = true;
+  Join("a");
+  const JobId job = SubmitJob({rollout});
+  last_ = Do(StartRequested{"a#1", 1});
+  ASSERT_EQ(Sent<GrantStart>(last_).size(), 1u);
+  Pass(2.5);
+  Join("b");
+  last_ = Do(Tick{});
+  EXPECT_TRUE(Sent<Assign>(last_).empty());
+  EXPECT_EQ(Phase(job, 0), TaskPhase::kUncertain);
+  Join("a", 1, {1});  // back from the dead, still running it
+  EXPECT_EQ(Phase(job, 0), TaskPhase::kLeased);
+  Pass(2.5);
+  Do(WorkerBeat{"b#1", {}, false});
+  Do(Tick{});
+  EXPECT_EQ(Phase(job, 0), TaskPhase::kUncertain);
+  last_ = Do(CommandJob{job, JobCommand::kRetry, "", 9});
+  EXPECT_EQ(Sent<Assign>(last_).size(), 1u) << "consent";
+  last_ = Do(Finished{"a#1", MakeTaskId(job, 0), 1});
+  EXPECT_FALSE(Sent<AnswerResult>(last_).at(0).accepted) << "the older attempt no longer counts";
+}
+
+TEST_F(Reactor, ResultsOfAnUncertainTaskAreStillWelcome) {
+  TaskPlan rollout = MakeTask("rollout");
+  rollout.at_most_once = true;
+  Join("a");
+  const JobId job = SubmitJob({rollout});
+  Do(StartRequested{"a#1", 1});
+  Pass(2.5);
+  Do(Tick{});
+  ASSERT_EQ(Phase(job, 0), TaskPhase::kUncertain);
+  last_ = Do(Finished{"a#1", MakeTaskId(job, 0), 1});
+  EXPECT_TRUE(Sent<AnswerResult>(last_).at(0).accepted);
+  EXPECT_EQ(Phase(job), JobPhase::kSucceeded);
+}
+
+TEST_F(Reactor, AnUncertainTaskFailsInTheEndAndSaysWhy) {
+  TaskPlan rollout = MakeTask("rollout");
+  rollout.at_most_once = true;
+  Join("a");
+  const JobId job = SubmitJob({rollout});
+  Do(StartRequested{"a#1", 1});
+  Pass(2.5);
+  Do(Tick{});
+  ns_ += state_.options.uncertain_ns + 1;
+  Do(Tick{});
+  EXPECT_EQ(Phase(job), JobPhase::kFailed);
+  EXPECT_NE(state_.jobs.at(job).record.reason.find("may have run on a"), std::string::npos);
+  last_ = Do(Finished{"a#1", MakeTaskId(job, 0), 1});
+  EXPECT_FALSE(Sent<AnswerResult>(last_).at(0).accepted);
+}
+
+TEST_F(Reactor, CancelIsFinal) {
+  Join("a");
+  const JobId job = SubmitJob({MakeTask("t"), MakeTask("u", {{0, false}})});
+  const Assign assign = Sent<Assign>(last_).at(0);
+  last_ = Do(CommandJob{job, JobCommand::kCancel, "enough", 7});
+  EXPECT_EQ(Sent<Revoke>(last_).size(), 1u);
+  EXPECT_EQ(Sent<AnswerClient>(last_).at(0).verdict, Verdict::kOk);
+  Do(Finished{"a#1", assign.task, assign.token});
+  Do(CommandJob{job, JobCommand::kRetry, "", 8});
+  Do(CommandJob{job, JobCommand::kResume, "", 8});
+  EXPECT_EQ(Phase(job), JobPhase::kCancelled);
+  EXPECT_TRUE(store_.commits.empty());
+}
+
+TEST_F(Reactor, ACancelledTaskHoldsItsSlotUntilTheWorkerSaysItStopped) {
+  Join("a");
+  const JobId job = SubmitJob({MakeTask("t")});
+  Do(CommandJob{job, JobCommand::kCancel, "", 7});
+  SubmitJob({MakeTask("next")});
+  EXPECT_TRUE(Sent<Assign>(last_).empty());
+  Do(WorkerBeat{"a#1", {1}, false});
+  last_ = Do(WorkerBeat{"a#1", {}, false});
+  EXPECT_EQ(Sent<Assign>(last_).size(), 1u);
+}
+
+TEST_F(Reactor, AFailedTaskTakesDownOnlyWhatNeedsIt) {
+  Join("a", 1);
+  TaskPlan bad = MakeTask("bad");
+  bad.max_attempts = 1;
+  const JobId job =
+      SubmitJob({bad, MakeTask("needs", {{0, false}}), MakeTask("can do without", {{0, true}, {1, true}})});
+  Do(Failed{"a#1", MakeTaskId(job, 0), 1, Outcome::kFailed, "no", true});
+  EXPECT_EQ(Phase(job, 0), TaskPhase::kFailed);
+  EXPECT_EQ(Phase(job, 1), TaskPhase::kCancelled);
+  EXPECT_EQ(Phase(job, 2), TaskPhase::kLeased);
+  Do(Finished{"a#1", MakeTaskId(job, 2), 2});
+  EXPECT_EQ(Phase(job), JobPhase::kSucceeded);
+}
+
+TEST_F(Reactor, ACrashingTaskIsSetAsideAtItsLimitAndARetryGivesItAnotherChance) {
+  Join("a");
+  TaskPlan killer = MakeTask("killer");
+  killer.crash_limit = 2;
+  const JobId job = SubmitJob({killer, MakeTask("after", {{0, false}})});
+  for (const Token token : {1, 2})
+    Do(Failed{"a#1", MakeTaskId(job, 0), token, Outcome::kCrashed, "SIGSEGV", true});
+  EXPECT_EQ(Phase(job), JobPhase::kFailed);
+  EXPECT_TRUE(std::get<TaskFailed>(state_.jobs.at(job).tasks[0].status).set_aside);
+  last_ = Do(CommandJob{job, JobCommand::kRetry, "", 7});
+  ASSERT_EQ(Sent<Assign>(last_).size(), 1u);
+  EXPECT_EQ(Sent<Assign>(last_)[0].attempt, 3u) << "attempts are counted on";
+  Do(Finished{"a#1", MakeTaskId(job, 0), 3});
+  Do(Finished{"a#1", MakeTaskId(job, 1), 4});
+  EXPECT_EQ(Phase(job), JobPhase::kSucceeded);
+}
+
+TEST_F(Reactor, ATaskWhoseWorkersKeepDyingIsSetAside) {
+  const JobId job = SubmitJob({MakeTask("poison")});
+  for (uint32_t i = 0; i < state_.options.max_losses; ++i) {
+    Join("w" + std::to_string(i));
+    Do(WorkerLeft{"w" + std::to_string(i) + "#1"});
+  }
+  EXPECT_EQ(Phase(job), JobPhase::kFailed);
+}
+
+TEST_F(Reactor, TagsAndKindsDecideWhoMayRunATask) {
+  TaskPlan task = MakeTask("rollout");
+  task.required_tags = {"robot:one"};
+  Join("a");
+  const JobId job = SubmitJob({task});
+  EXPECT_TRUE(Sent<Assign>(last_).empty());
+  EXPECT_FALSE(Explain(state_, state_.jobs.at(job), 0).placeable);
+  Join("b", 1, {}, {"robot:one", "gpu"});
+  ASSERT_EQ(Sent<Assign>(last_).size(), 1u);
+  EXPECT_EQ(Sent<Assign>(last_)[0].instance, "b#1");
+}
+
+TEST_F(Reactor, WorkGoesToTheEmptiestWorkerFirst) {
+  Join("a", 4);
+  Join("b", 2);
+  SubmitJob({MakeTask("1"), MakeTask("2"), MakeTask("3")});
+  EXPECT_EQ(state_.workers.at("a").busy(), 2u);
+  EXPECT_EQ(state_.workers.at("b").busy(), 1u);
+}
+
+TEST_F(Reactor, ADrainingWorkerGetsNothingNew) {
+  Join("a");
+  Do(DrainWorker{"a", 5});
+  SubmitJob({MakeTask("t")});
+  EXPECT_TRUE(Sent<Assign>(last_).empty());
+  EXPECT_NE(Explain(state_, state_.jobs.at(1), 0).reasons.at(0).find("draining"), std::string::npos);
+}
+
+TEST_F(Reactor, ASecondProcessOfTheSameNameReplacesTheFirst) {
+  Join("a");
+  SubmitJob({MakeTask("t")});
+  last_ = Do(WorkerJoined{"a", "a#2", 1, {}, {"work"}, {}, false, "h", 2, "v"});
+  ASSERT_EQ(Sent<Assign>(last_).size(), 1u);
+  EXPECT_EQ(Sent<Assign>(last_)[0].instance, "a#2");
+  last_ = Do(Finished{"a#1", MakeTaskId(1, 0), 1});
+  EXPECT_FALSE(Sent<AnswerResult>(last_).at(0).accepted);
+}
+
+TEST_F(Reactor, MessagesFromNobodyAndAboutNothingDoNoHarm) {
+  SubmitJob({MakeTask("t")});
+  Do(Finished{"ghost", 0, 99});
+  Do(Finished{"ghost", MakeTaskId(77, 3), 99});
+  Do(Failed{"ghost", -1, 99, Outcome::kCrashed, "", true});
+  Do(Progressed{"ghost", 99, "", 0, 0, ""});
+  Do(StartRequested{"ghost", 99});
+  Do(WorkerBeat{"ghost", {1, 2, 3}, true});
+  Do(WorkerLeft{"ghost"});
+  Do(CommandJob{77, JobCommand::kCancel, "", 1});
+  EXPECT_EQ(Phase(1), JobPhase::kQueued);
+}
+
+}  // namespace
+}  // namespace rg::coordinator
