@@ -22,6 +22,15 @@ Status InRange(const char* name, T value, T low, T high) {
   return Status::Ok();
 }
 
+Status OneOf(const char* name, const std::string& value, const std::vector<std::string>& allowed) {
+  std::string list;
+  for (const std::string& a : allowed) {
+    if (value == a) return Status::Ok();
+    list += (list.empty() ? "" : ", ") + a;
+  }
+  return InvalidError(std::string(name) + " is '" + value + "', must be one of " + list);
+}
+
 pb::InputSpec* AddInput(pb::TaskSpec* task, const std::string& name) {
   pb::InputSpec* input = task->add_inputs();
   input->set_name(name);
@@ -83,6 +92,8 @@ void AppendTrajectories(const IterationOptions& options, const IterationInputs& 
     payload.set_duration_s(o.duration_s);
     payload.set_reach(o.reach);
     payload.set_spread(o.spread);
+    payload.mutable_home()->Assign(options.home.begin(), options.home.end());
+    payload.mutable_peak_torque()->Assign(options.peak_torque.begin(), options.peak_torque.end());
     pb::TaskSpec* task = AddTask(job, Numbered("trajectories", first / o.shard_size), kStageTrajectories,
                                  kKindTrajectories, payload);
     task->set_weight(payload.count());
@@ -119,6 +130,8 @@ void AppendRollout(const IterationOptions& options, const IterationInputs& input
   payload.mutable_goal_position()->Assign(o.goal_position.begin(), o.goal_position.end());
   payload.set_reach_s(o.reach_s);
   payload.set_controller(o.controller);
+  payload.mutable_start_q()->Assign(options.home.begin(), options.home.end());
+  payload.mutable_peak_torque()->Assign(options.peak_torque.begin(), options.peak_torque.end());
   pb::TaskSpec* task = AddTask(job, "rollout", kStageRollout, kKindRollout, payload);
   task->set_at_most_once(true);
   task->set_max_attempts(1);
@@ -138,7 +151,10 @@ pb::IdentifyPayload IdentifyPayloadOf(const IterationOptions& options) {
   payload.set_budget_s(o.budget_s / o.rounds);
   payload.set_hops(o.hops == 0 ? 0u : static_cast<uint32_t>(std::max(1, (o.hops + o.rounds - 1) / o.rounds)));
   payload.set_window(o.whole_recording ? pb::IDENTIFY_WINDOW_WHOLE : pb::IDENTIFY_WINDOW_SINGLE);
-  payload.set_solver(o.bounded ? pb::IDENTIFY_SOLVER_LM_BOUNDED : pb::IDENTIFY_SOLVER_LBFGS_UNBOUNDED);
+  payload.set_solver(o.solver == "lbfgs" ? pb::IDENTIFY_SOLVER_LBFGS : pb::IDENTIFY_SOLVER_LM);
+  payload.set_bounds(o.bounds == "paper"  ? pb::IDENTIFY_BOUNDS_PAPER
+                     : o.bounds == "none" ? pb::IDENTIFY_BOUNDS_NONE
+                                          : pb::IDENTIFY_BOUNDS_PHYSICAL);
   payload.set_window_s(o.window_s);
   payload.set_window_start_s(o.window_start_s);
   payload.set_alpha(o.alpha);
@@ -219,7 +235,8 @@ json SpecJson(const IterationOptions& o) {
             {"budget_s", o.identify.budget_s},
             {"hops", o.identify.hops},
             {"window", o.identify.whole_recording ? "whole" : "single"},
-            {"bounded", o.identify.bounded},
+            {"solver", o.identify.solver},
+            {"bounds", o.identify.bounds},
             {"alpha", o.identify.alpha}}}};
 }
 
@@ -246,9 +263,7 @@ Status Validate(const IterationOptions& o) {
   for (int width : o.train.hidden) RG_RETURN_IF_ERROR(InRange("hidden layer width", width, 1, 4096));
   RG_RETURN_IF_ERROR(InRange("rollout duration [s]", o.rollout.duration_s, 0.2, 600.0));
   RG_RETURN_IF_ERROR(InRange("rollout rate [Hz]", o.rollout.rate_hz, 5.0, 1000.0));
-  if (o.rollout.controller != "policy" && o.rollout.controller != "mpc") {
-    return InvalidError("controller is '" + o.rollout.controller + "', must be policy or mpc");
-  }
+  RG_RETURN_IF_ERROR(OneOf("controller", o.rollout.controller, {"policy", "mpc"}));
   if (!o.rollout.goal_position.empty() && o.rollout.goal_position.size() != 3) {
     return InvalidError("goal position has " + std::to_string(o.rollout.goal_position.size()) +
                         " numbers, must have 3 (x y z in m)");
@@ -260,9 +275,11 @@ Status Validate(const IterationOptions& o) {
   if (o.identify.budget_s == 0.0 && o.identify.hops == 0) {
     return InvalidError("identification has neither a budget in seconds nor a number of hops");
   }
-  RG_RETURN_IF_ERROR(InRange("identification window [s]", o.identify.window_s, 0.04, 600.0));
+  RG_RETURN_IF_ERROR(InRange("identification window [s]", o.identify.window_s, 0.0, 600.0));
   RG_RETURN_IF_ERROR(InRange("identification window start [s]", o.identify.window_start_s, 0.0, 600.0));
   RG_RETURN_IF_ERROR(InRange("alpha", o.identify.alpha, 0.0, 1e9));
+  RG_RETURN_IF_ERROR(OneOf("solver", o.identify.solver, {"lm", "lbfgs"}));
+  RG_RETURN_IF_ERROR(OneOf("bounds", o.identify.bounds, {"physical", "paper", "none"}));
   return Status::Ok();
 }
 

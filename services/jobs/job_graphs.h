@@ -34,7 +34,7 @@ struct RolloutOptions {
   double rate_hz = 25.0;
   std::vector<double> goal_q;         // empty: drawn
   std::vector<double> goal_position;  // task space
-  double reach_s = 3.0;
+  double reach_s = 1.0;               // a drawn goal lies within 0.6 · v_max · reach_s of the start
   std::string controller = "policy";
 };
 
@@ -44,15 +44,18 @@ struct IdentifyOptions {
   double budget_s = 30;  // wall time of one chain over all rounds; 0: hops decides
   int hops = 0;          // of one chain over all rounds
   bool whole_recording = true;
-  double window_s = 0.2;  // of the single window
+  double window_s = 0.0;  // 0: 0.2 s for the single window (PAPER.md), else IdentifyProblemOptions' own
   double window_start_s = 0.0;
-  bool bounded = true;
+  std::string solver = "lm";        // "lm" or "lbfgs"
+  std::string bounds = "physical";  // "physical", "paper" or "none"; lbfgs knows none
   double alpha = 1e-3;
 };
 
 struct IterationOptions {
   uint64_t seed = 1;
   std::string robot = "mico2";
+  std::vector<double> home;         // candle pose; empty: zero
+  std::vector<double> peak_torque;  // N·m; empty: the model's effort limits
   int iteration = 1;
   TrajectoriesOptions trajectories;
   TrainOptions train;

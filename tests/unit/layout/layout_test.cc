@@ -53,8 +53,8 @@ const std::map<std::string, std::set<std::string>>& Arrows() {
       {"services/cli", with(with(with(algorithms, wire), {"services/report", "services/proof"}),
                             {"coordinator/client", "services/jobs"})},
       {"coordinator", wire},
-      {"worker", with(wire, {"coordinator/client"})},
-      {"robot_agent", with(with(algorithms, wire), {"worker", "coordinator/client"})},
+      {"worker", with(wire, {"coordinator/client", "services/jobs"})},
+      {"robot_agent", with(with(algorithms, wire), {"worker", "coordinator/client", "services/jobs"})},
   };
   return arrows;
 }

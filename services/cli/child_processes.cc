@@ -1,0 +1,93 @@
+#include "services/cli/child_processes.h"
+
+#include <fcntl.h>
+#include <signal.h>
+#include <sys/prctl.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+
+#include "common/base/clock.h"
+#include "common/base/file.h"
+
+namespace rg::cli {
+namespace {
+
+std::string LastLine(const std::string& path) {
+  const auto text = ReadFile(path);
+  if (!text.ok()) return {};
+  const size_t end = text->find_last_not_of('\n');
+  if (end == std::string::npos) return {};
+  const size_t begin = text->rfind('\n', end);
+  return text->substr(begin == std::string::npos ? 0 : begin + 1,
+                      end - (begin == std::string::npos ? 0 : begin + 1) + 1);
+}
+
+[[noreturn]] void Become(const std::vector<std::string>& command, int log_fd, pid_t parent) {
+  setpgid(0, 0);
+  prctl(PR_SET_PDEATHSIG, SIGTERM);
+  if (getppid() != parent) _exit(1);
+  dup2(open("/dev/null", O_RDONLY), STDIN_FILENO);
+  dup2(log_fd, STDOUT_FILENO);
+  dup2(log_fd, STDERR_FILENO);
+  std::vector<char*> argv;
+  for (const std::string& word : command) argv.push_back(const_cast<char*>(word.c_str()));
+  argv.push_back(nullptr);
+  execv(argv[0], argv.data());
+  dprintf(STDERR_FILENO, "cannot start %s: %s\n", argv[0], strerror(errno));
+  _exit(127);
+}
+
+}  // namespace
+
+Status ChildProcesses::Start(const std::string& name, const std::vector<std::string>& command,
+                             const std::string& log_file) {
+  const int log_fd = open(log_file.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
+  if (log_fd < 0) return InternalError(log_file + ": cannot open: " + std::strerror(errno));
+  const pid_t parent = getpid();
+  const pid_t pid = fork();
+  if (pid == 0) Become(command, log_fd, parent);
+  close(log_fd);
+  if (pid < 0) return ResourceExhaustedError("cannot start " + name + ": " + std::strerror(errno));
+  children_.push_back({name, log_file, pid});
+  return Status::Ok();
+}
+
+Status ChildProcesses::Check() {
+  for (Child& child : children_) {
+    int how = 0;
+    if (child.pid < 0 || waitpid(child.pid, &how, WNOHANG) != child.pid) continue;
+    child.pid = -1;
+    const std::string end = WIFSIGNALED(how) ? "was ended by signal " + std::to_string(WTERMSIG(how))
+                                             : "ended with code " + std::to_string(WEXITSTATUS(how));
+    return InternalError("the " + child.name + " " + end + ": " + LastLine(child.log_file) +
+                         " (log: " + child.log_file + ")");
+  }
+  return Status::Ok();
+}
+
+void ChildProcesses::StopAll(double grace_s) {
+  for (auto child = children_.rbegin(); child != children_.rend(); ++child) {
+    if (child->pid > 0) kill(child->pid, SIGTERM);
+  }
+  const double deadline = RealClock().SteadySeconds() + grace_s;
+  for (auto child = children_.rbegin(); child != children_.rend(); ++child) {
+    while (child->pid > 0) {
+      if (waitpid(child->pid, nullptr, WNOHANG) == child->pid) {
+        child->pid = -1;
+      } else if (RealClock().SteadySeconds() > deadline) {
+        kill(-child->pid, SIGKILL);
+        kill(child->pid, SIGKILL);
+        waitpid(child->pid, nullptr, 0);
+        child->pid = -1;
+      } else {
+        usleep(10'000);
+      }
+    }
+  }
+  children_.clear();
+}
+
+}  // namespace rg::cli

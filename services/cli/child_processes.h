@@ -1,0 +1,37 @@
+// The programs that `run` starts: each a child whose output goes to a log file and who does not outlive
+// this process.
+#pragma once
+
+#include <sys/types.h>
+
+#include <string>
+#include <vector>
+
+#include "common/base/status.h"
+
+namespace rg::cli {
+
+class ChildProcesses {
+ public:
+  ChildProcesses() = default;
+  ~ChildProcesses() { StopAll(3.0); }
+  ChildProcesses(const ChildProcesses&) = delete;
+  ChildProcesses& operator=(const ChildProcesses&) = delete;
+
+  // `name` is for people and for the log's name. The child gets SIGTERM if this process dies, and
+  // does not see the terminal's Ctrl-C.
+  Status Start(const std::string& name, const std::vector<std::string>& command, const std::string& log_file);
+  // Ok while all are running; else the first that ended, with the last line of its log.
+  Status Check();
+  // SIGTERM to all, last started first; SIGKILL to those still there after `grace_s`.
+  void StopAll(double grace_s);
+
+ private:
+  struct Child {
+    std::string name, log_file;
+    pid_t pid = -1;
+  };
+  std::vector<Child> children_;
+};
+
+}  // namespace rg::cli

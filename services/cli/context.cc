@@ -1,0 +1,145 @@
+#include "services/cli/context.h"
+
+#include <cstdlib>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "common/base/file.h"
+#include "common/transport/keys.h"
+#include "coordinator/client/client.h"
+#include "services/cli/child_processes.h"
+
+namespace rg::cli {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Key {
+  const char* name;
+  const char* environment;
+  Setting Settings::*member;
+};
+const Key kKeys[] = {{"coordinator", "REALITYGRAD_COORDINATOR", &Settings::coordinator},
+                     {"key", "REALITYGRAD_KEY", &Settings::key},
+                     {"server_key", "REALITYGRAD_SERVER_KEY", &Settings::server_key},
+                     {"robots", "REALITYGRAD_ROBOTS", &Settings::robots}};
+
+Status ReadSettingsFile(const std::string& path, const std::string& origin, Settings* settings) {
+  RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
+  const nlohmann::json file = nlohmann::json::parse(text, nullptr, false);
+  if (!file.is_object()) return InvalidError(path + ": not a JSON object");
+  for (const auto& [name, value] : file.items()) {
+    bool known = false;
+    for (const Key& key : kKeys) {
+      if (name != key.name) continue;
+      known = true;
+      if (!value.is_string()) return InvalidError(path + ": '" + name + "' must be a string");
+      if ((settings->*key.member).origin == "default")
+        settings->*key.member = {value, origin + " (" + path + ")"};
+    }
+    if (!known)
+      return InvalidError(path + ": unknown key '" + name + "' (coordinator, key, server_key, robots)");
+  }
+  return Status::Ok();
+}
+
+std::string FindProjectFile() {
+  std::error_code error;
+  for (fs::path folder = fs::current_path(error); !folder.empty(); folder = folder.parent_path()) {
+    if (fs::exists(folder / kProjectFile, error)) return folder / kProjectFile;
+    if (folder == folder.parent_path()) break;
+  }
+  return {};
+}
+
+std::string UserFile() {
+  const char* xdg = std::getenv("XDG_CONFIG_HOME");
+  const char* home = std::getenv("HOME");
+  if (xdg && *xdg) return std::string(xdg) + "/realitygrad/config.json";
+  return home ? std::string(home) + "/.config/realitygrad/config.json" : std::string();
+}
+
+}  // namespace
+
+Result<Settings> Context::Resolve() const {
+  Settings settings;
+  for (const Key& key : kKeys) {
+    Setting& setting = settings.*key.member;
+    const char* environment = std::getenv(key.environment);
+    if (!(flags.*key.member).value.empty()) {
+      setting = {(flags.*key.member).value, "flag"};
+    } else if (environment && *environment) {
+      setting = {environment, std::string("environment (") + key.environment + ")"};
+    } else {
+      setting.origin = "default";
+    }
+  }
+  if (const std::string project = FindProjectFile(); !project.empty()) {
+    RG_RETURN_IF_ERROR(ReadSettingsFile(project, "project file", &settings));
+  }
+  if (const std::string user = UserFile(); !user.empty() && fs::exists(user)) {
+    RG_RETURN_IF_ERROR(ReadSettingsFile(user, "user file", &settings));
+  }
+  if (settings.coordinator.value.empty()) settings.coordinator.value = kDefaultCoordinator;
+  return settings;
+}
+
+Context::Context() = default;
+Context::~Context() {
+  children_.reset();
+  std::error_code error;
+  if (!socket_folder_.empty()) fs::remove_all(socket_folder_, error);
+}
+
+Result<std::string> Context::AddressOfRun(const std::string& folder) const {
+  if (const auto running = ReadFile(folder + "/address"); running.ok()) return *running;
+  const std::string database = folder + "/realitygrad.db";
+  if (!fs::exists(database))
+    return NotFoundError(folder + ": not the folder of a run (realitygrad.db is not there)");
+  char socket_folder[] = "/tmp/realitygrad-XXXXXX";
+  if (mkdtemp(socket_folder) == nullptr) return InternalError("/tmp: cannot make a folder for the socket");
+  socket_folder_ = socket_folder;
+  const std::string address = "ipc://" + socket_folder_ + "/coordinator.sock";
+  children_ = std::make_unique<ChildProcesses>();
+  RG_RETURN_IF_ERROR(children_->Start(
+      "coordinator", {SiblingProgram("realitygrad-coordinator"), "--listen", address, "--db", database},
+      folder + "/logs/coordinator.log"));
+  return address;
+}
+
+Result<std::unique_ptr<coordinator::Client>> Context::Connect() const {
+  RG_ASSIGN_OR_RETURN(const Settings settings, Resolve());
+  coordinator::ClientOptions options;
+  options.address = settings.coordinator.value;
+  if (fs::is_directory(options.address)) {
+    RG_ASSIGN_OR_RETURN(options.address, AddressOfRun(options.address));
+  }
+  if (!settings.server_key.value.empty()) {
+    RG_ASSIGN_OR_RETURN(const transport::NamedKey server,
+                        transport::LoadPublicKeyFile(settings.server_key.value));
+    options.server_public_key = server.keys.public_key;
+  }
+  if (!settings.key.value.empty()) {
+    RG_ASSIGN_OR_RETURN(const transport::NamedKey key, transport::LoadKeyFile(settings.key.value));
+    options.key = key.keys;
+  }
+  return coordinator::Client::Connect(options);
+}
+
+bool Context::Failed(const Status& status) {
+  if (status.ok()) return false;
+  exit_code = Fail(status);
+  return true;
+}
+
+std::string RobotsFolder(const Settings& settings) {
+  return settings.robots.value.empty() ? std::string(RG_ROBOTS_FOLDER) : settings.robots.value;
+}
+
+std::string SiblingProgram(const std::string& name) {
+  std::error_code error;
+  const fs::path self = fs::read_symlink("/proc/self/exe", error);
+  return (error ? fs::path(".") : self.parent_path()) / name;
+}
+
+}  // namespace rg::cli

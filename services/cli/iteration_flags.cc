@@ -1,0 +1,64 @@
+#include "services/cli/iteration_flags.h"
+
+#include <CLI/CLI.hpp>
+
+#include "services/cli/robot_profile.h"
+
+namespace rg::cli {
+
+void AddTrajectoryFlags(CLI::App* command, jobs::IterationOptions* options) {
+  auto& o = options->trajectories;
+  command->add_option("--trajectories", o.count, "How many")->capture_default_str();
+  command->add_option("--shard-size", o.shard_size, "Trajectories per task")->capture_default_str();
+  command->add_option("--trajectory-seconds", o.duration_s, "Length of each")->capture_default_str();
+  command->add_option("--reach", o.reach, "Share of what the speed limit allows between start and goal")
+      ->capture_default_str();
+  command->add_option("--spread", o.spread, "Poses within this of home [rad]; 0: anywhere")
+      ->capture_default_str();
+}
+
+void AddTrainFlags(CLI::App* command, jobs::IterationOptions* options) {
+  auto& o = options->train;
+  command->add_option("--epochs", o.epochs)->capture_default_str();
+  command->add_option("--batch", o.batch)->capture_default_str();
+  command->add_option("--learning-rate", o.learning_rate)->capture_default_str();
+  command->add_option("--hidden", o.hidden, "Width of each hidden layer")
+      ->delimiter(',')
+      ->capture_default_str();
+}
+
+void AddRolloutFlags(CLI::App* command, jobs::IterationOptions* options) {
+  auto& o = options->rollout;
+  command->add_option("--rollout-seconds", o.duration_s)->capture_default_str();
+  command->add_option("--goal", o.goal_q, "Goal in joint space [rad]; default: drawn")->delimiter(',');
+  command->add_option("--goal-position", o.goal_position, "Goal of the end effector x,y,z [m]")
+      ->delimiter(',');
+  command->add_option("--controller", o.controller, "policy or mpc")->capture_default_str();
+}
+
+void AddIdentifyFlags(CLI::App* command, jobs::IterationOptions* options) {
+  auto& o = options->identify;
+  command->add_option("--identify-seconds", o.budget_s, "Time budget of the search; 0: --hops decides")
+      ->capture_default_str();
+  command->add_option("--hops", o.hops, "Hops of a chain; 0: as many as the budget allows")
+      ->capture_default_str();
+  command->add_option("--chains", o.chains, "Parallel chains of basin hopping")->capture_default_str();
+  command->add_option("--rounds", o.rounds, "Chains exchange their best so often")->capture_default_str();
+  command->add_flag("!--single-window", o.whole_recording,
+                    "Fit one short window as in the paper, not the whole recording");
+  command->add_option("--window", o.window_s, "Length of the windows that are fitted [s]; 0: 0.5, single 0.2")
+      ->capture_default_str();
+  command->add_option("--window-start", o.window_start_s, "Its start [s]")->capture_default_str();
+  command->add_option("--solver", o.solver, "lm or lbfgs")->capture_default_str();
+  command->add_option("--bounds", o.bounds, "physical, paper (±20 %) or none")->capture_default_str();
+  command->add_option("--alpha", o.alpha, "Weight of the pull towards the present parameters")
+      ->capture_default_str();
+}
+
+void TakeProfile(const RobotProfile& profile, jobs::IterationOptions* options) {
+  options->robot = profile.name;
+  options->home = profile.home;
+  options->peak_torque = profile.peak_torque;
+}
+
+}  // namespace rg::cli

@@ -1,0 +1,211 @@
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+
+#include "common/base/clock.h"
+#include "coordinator/client/client.h"
+#include "services/cli/commands.h"
+#include "services/cli/context.h"
+#include "services/cli/job_view.h"
+
+namespace rg::cli {
+namespace {
+
+namespace pb = ::realitygrad::v1;
+using nlohmann::json;
+
+struct JobArguments {
+  std::string id = "last";
+  std::string task, reason;
+  bool tasks = false;
+  double timeout_s = -1.0;
+};
+
+// "5", "1-10", "1,3", "all", "last" -> ids; 0 stands for the newest.
+Result<std::vector<int64_t>> ParseSelector(const std::string& text, coordinator::Client& client) {
+  std::vector<int64_t> ids;
+  if (text == "last") return std::vector<int64_t>{0};
+  if (text == "all") {
+    RG_ASSIGN_OR_RETURN(const auto jobs, client.ListJobs());
+    for (const auto& job : jobs) ids.push_back(job.id());
+    return ids;
+  }
+  for (const std::string& part : CLI::detail::split(text, ',')) {
+    long low = 0, high = 0;
+    char dash = 0, rest = 0;
+    const int fields = std::sscanf(part.c_str(), "%ld%c%ld%c", &low, &dash, &high, &rest);
+    if (fields == 1) high = low;
+    if ((fields != 1 && !(fields == 3 && dash == '-')) || low < 1 || high < low || high - low > 100000) {
+      return InvalidError("job selector '" + text + "': must be a number, 1-10, 1,3, all or last");
+    }
+    for (long id = low; id <= high; ++id) ids.push_back(id);
+  }
+  return ids;
+}
+
+void ListJobs(Context& context) {
+  auto client = context.Connect();
+  if (context.Failed(client.status())) return;
+  const auto jobs = (*client)->ListJobs();
+  if (context.Failed(jobs.status())) return;
+  if (context.quiet()) {
+    for (const auto& job : *jobs) Print(std::to_string(job.id()));
+  } else if (context.json()) {
+    json list = json::array();
+    for (const auto& job : *jobs) list.push_back(JobJson(job));
+    PrintJson("realitygrad.jobs/1", {{"jobs", list}});
+  } else {
+    Print(jobs->empty() ? "no jobs yet: submit one with `realitygrad submit iteration`" : JobsTable(*jobs));
+  }
+}
+
+// Calls `body` for the job that `arguments.id` selects (one only).
+template <class Body>
+void WithJob(Context& context, const JobArguments& arguments, const Body& body) {
+  auto client = context.Connect();
+  if (context.Failed(client.status())) return;
+  const auto ids = ParseSelector(arguments.id, **client);
+  if (context.Failed(ids.status())) return;
+  for (const int64_t id : *ids) body(**client, id);
+}
+
+void ShowJob(Context& context, const JobArguments& arguments) {
+  WithJob(context, arguments, [&](coordinator::Client& client, int64_t id) {
+    const auto job = client.GetJob(id, true, true);
+    if (context.Failed(job.status())) return;
+    if (context.json()) {
+      PrintJson("realitygrad.job/1", JobDetailsJson(*job));
+    } else {
+      Print(JobDetails(*job, arguments.tasks || job->tasks_size() <= 12));
+    }
+  });
+}
+
+void WatchJob(Context& context, const JobArguments& arguments) {
+  WithJob(context, arguments, [&](coordinator::Client& client, int64_t id) {
+    const auto job = FollowJob(client, id, arguments.timeout_s, context.quiet());
+    if (context.Failed(job.status())) return;
+    if (context.json()) {
+      PrintJson("realitygrad.job/1", JobDetailsJson(*job));
+    } else if (!context.quiet()) {
+      Print(JobDetails(*job, false));
+    }
+    context.exit_code = coordinator::ExitCodeOf(job->job().state());
+  });
+}
+
+void ActOnJob(Context& context, const JobArguments& arguments, pb::JobAction action) {
+  WithJob(context, arguments, [&](coordinator::Client& client, int64_t id) {
+    const auto job = client.Act(id, action, arguments.reason);
+    if (context.Failed(job.status())) return;
+    if (context.json()) {
+      PrintJson("realitygrad.job/1", JobJson(*job));
+    } else if (!context.quiet()) {
+      Print("job " + std::to_string(job->id()) + " is " + JobStateText(job->state()));
+    }
+  });
+}
+
+void ShowLogs(Context& context, const JobArguments& arguments) {
+  WithJob(context, arguments, [&](coordinator::Client& client, int64_t id) {
+    uint64_t after = 0;
+    json list = json::array();
+    while (true) {
+      const auto reply = client.Logs(id, arguments.task, after);
+      if (context.Failed(reply.status())) return;
+      for (const pb::TaskLogLine& line : reply->lines()) {
+        after = line.sequence();
+        if (context.json()) {
+          list.push_back({{"time", FormatWallTime(line.wall_ns())},
+                          {"task", line.task()},
+                          {"attempt", line.attempt()},
+                          {"text", line.text()}});
+        } else {
+          Print(FormatWallTime(line.wall_ns()) + "  " + line.task() + "#" + std::to_string(line.attempt()) +
+                "  " + line.text());
+        }
+      }
+      if (reply->lines_size() == 0) break;
+    }
+    if (context.json()) PrintJson("realitygrad.logs/1", {{"lines", list}});
+  });
+}
+
+void Explain(Context& context, const JobArguments& arguments) {
+  WithJob(context, arguments, [&](coordinator::Client& client, int64_t id) {
+    const auto reply = client.Explain(id, arguments.task);
+    if (context.Failed(reply.status())) return;
+    if (context.json()) {
+      PrintJson("realitygrad.explain/1",
+                {{"task", reply->task()},
+                 {"state", TaskStateText(reply->state())},
+                 {"reasons", std::vector<std::string>(reply->reasons().begin(), reply->reasons().end())},
+                 {"placeable", reply->placeable()}});
+    } else {
+      Print(
+          (reply->task().empty() ? "nothing waits" : reply->task() + " is " + TaskStateText(reply->state())));
+      for (const std::string& reason : reply->reasons()) Print("  " + reason);
+    }
+    if (!reply->placeable() && !reply->task().empty()) context.exit_code = kExitCannotPlace;
+  });
+}
+
+void ListWorkers(Context& context) {
+  auto client = context.Connect();
+  if (context.Failed(client.status())) return;
+  const auto workers = (*client)->Workers();
+  if (context.Failed(workers.status())) return;
+  if (context.quiet()) {
+    for (const auto& worker : *workers) Print(worker.name());
+  } else if (context.json()) {
+    json list = json::array();
+    for (const auto& worker : *workers) list.push_back(WorkerJson(worker));
+    PrintJson("realitygrad.workers/1", {{"workers", list}});
+  } else {
+    Print(workers->empty() ? "no workers: start one with `realitygrad worker`" : WorkersTable(*workers));
+  }
+}
+
+}  // namespace
+
+void AddJobCommands(CLI::App& app, Context& context) {
+  app.add_subcommand("jobs", "List jobs")->callback([&context] { ListJobs(context); });
+  app.add_subcommand("workers", "List workers and what they do")->callback([&context] {
+    ListWorkers(context);
+  });
+
+  CLI::App* job = app.add_subcommand("job", "Look at one job, or act on it")->require_subcommand(1);
+  const auto add = [&](const char* name, const char* help, auto function) {
+    auto arguments = std::make_shared<JobArguments>();
+    CLI::App* command = job->add_subcommand(name, help);
+    command->add_option("ID", arguments->id, "5, 1-10, 1,3, all or last")->capture_default_str();
+    command->callback([&context, arguments, function] { function(context, *arguments); });
+    return std::pair{command, arguments};
+  };
+  auto [show, show_arguments] = add("show", "Stages, tasks and attempts", ShowJob);
+  show->add_flag("--tasks", show_arguments->tasks, "List every task");
+  for (const auto& [name, help] : {std::pair{"watch", "Follow its progress until it ends"},
+                                   std::pair{"wait", "The same; the exit code says how it ended"}}) {
+    auto [watch, watch_arguments] = add(name, help, WatchJob);
+    watch->add_option("--timeout", watch_arguments->timeout_s, "Seconds to wait at the most");
+  }
+  struct Act {
+    const char *name, *help;
+    pb::JobAction action;
+  };
+  for (const Act& act : {Act{"cancel", "Stop it for good", pb::JOB_ACTION_CANCEL},
+                         Act{"pause", "Start nothing new", pb::JOB_ACTION_PAUSE},
+                         Act{"resume", "Go on", pb::JOB_ACTION_RESUME},
+                         Act{"retry", "Run failed tasks again (consent for those that may run only once)",
+                             pb::JOB_ACTION_RETRY}}) {
+    auto [command, arguments] =
+        add(act.name, act.help,
+            [action = act.action](Context& c, const JobArguments& a) { ActOnJob(c, a, action); });
+    command->add_option("--reason", arguments->reason, "Kept with the job");
+  }
+  auto [logs, logs_arguments] = add("logs", "What its tasks said", ShowLogs);
+  logs->add_option("--task", logs_arguments->task, "Only this task");
+  auto [explain, explain_arguments] = add("explain", "Why does it wait?", Explain);
+  explain->add_option("--task", explain_arguments->task, "This task; default: the first that waits");
+}
+
+}  // namespace rg::cli

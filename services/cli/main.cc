@@ -1,0 +1,77 @@
+// realitygrad: the command line. `realitygrad coordinator|worker|agent …` become those programs.
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <cerrno>
+#include <cstring>
+
+#include "common/base/log.h"
+#include "services/cli/commands.h"
+#include "services/cli/context.h"
+
+namespace {
+
+const char* const kServices[] = {"coordinator", "worker", "agent"};
+
+bool IsService(int argc, char** argv) {
+  if (argc < 2) return false;
+  // `worker drain NAME` is a command about a worker, not the worker.
+  if (argc >= 3 && std::strcmp(argv[1], "worker") == 0 && std::strcmp(argv[2], "drain") == 0) return false;
+  for (const char* name : kServices) {
+    if (std::strcmp(argv[1], name) == 0) return true;
+  }
+  return false;
+}
+
+int BecomeService(char** argv) {
+  const std::string program = rg::cli::SiblingProgram(std::string("realitygrad-") + argv[1]);
+  argv[1] = argv[0];
+  execv(program.c_str(), argv + 1);
+  return rg::cli::Fail(rg::NotFoundError(program + ": cannot start: " + std::strerror(errno)));
+}
+
+void AddServiceHelp(CLI::App& app) {
+  app.add_subcommand("coordinator", "Run the coordinator (realitygrad coordinator --help)");
+  app.add_subcommand("agent", "Run the agent beside a robot (realitygrad agent --help)");
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  if (IsService(argc, argv)) return BecomeService(argv);
+  rg::InitLogging("realitygrad", "warn");
+
+  CLI::App app{
+      "RealityGrad closes the gap between a simulation and a robot.\n"
+      "Start with: realitygrad run"};
+  app.set_version_flag("--version", std::string(RG_VERSION));
+  app.require_subcommand(1);
+  app.fallthrough();
+
+  rg::cli::Context context;
+  std::string output = "table";
+  app.add_option("--output,-o", output, "table, json or quiet")->capture_default_str();
+  app.add_option("--coordinator", context.flags.coordinator.value, "Address of the coordinator");
+  app.add_option("--key", context.flags.key.value, "This user's key file, for encrypted connections");
+  app.add_option("--server-key", context.flags.server_key.value, "The coordinator's public key file");
+  app.add_option("--robots", context.flags.robots.value, "Folder of robot profiles");
+  app.parse_complete_callback([&] {
+    const auto format = rg::cli::ParseOutputFormat(output);
+    if (!format.ok()) throw CLI::ValidationError(format.status().message(), rg::cli::kExitUsage);
+    context.output = *format;
+  });
+  AddServiceHelp(app);
+  rg::cli::AddRunCommand(app, context);
+  rg::cli::AddModelCommands(app, context);
+  rg::cli::AddSubmitCommands(app, context);
+  rg::cli::AddJobCommands(app, context);
+  rg::cli::AddParameterCommands(app, context);
+  rg::cli::AddArtifactCommands(app, context);
+  rg::cli::AddSystemCommands(app, context);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? rg::cli::kExitOk : rg::cli::kExitUsage;
+  }
+  return context.exit_code;
+}

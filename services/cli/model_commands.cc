@@ -1,0 +1,194 @@
+// `sysid` and `predict`: work on files, without a service.
+#include <signal.h>
+
+#include <CLI/CLI.hpp>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "common/base/clock.h"
+#include "common/base/file.h"
+#include "common/model/robot_model.h"
+#include "common/model/urdf_loader.h"
+#include "common/recordings/csv.h"
+#include "common/recordings/recording_set.h"
+#include "common/sim/model_file.h"
+#include "services/cli/commands.h"
+#include "services/cli/context.h"
+#include "services/cli/progress_display.h"
+#include "services/sysid/prediction.h"
+#include "services/sysid/sysid_on_set.h"
+
+namespace rg::cli {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+CancelToken cancel_on_interrupt;
+void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
+
+// ---- sysid ----
+
+struct SysidArguments {
+  std::string set, out;
+  sysid::SysidOptions options;
+};
+
+Status Sysid(Context& context, const SysidArguments& arguments) {
+  signal(SIGINT, OnInterrupt);
+  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSet(arguments.set));
+  ProgressDisplay display(
+      {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
+  RG_ASSIGN_OR_RETURN(const sysid::SysidReport report,
+                      sysid::SysidOnSet(
+                          set, arguments.options, RealClock(),
+                          [&](const ProgressUpdate& u) { display.Show(u); }, &cancel_on_interrupt));
+  display.Finish();
+  if (!arguments.out.empty() && report.plant) {
+    RG_RETURN_IF_ERROR(sim::SaveModelFile(arguments.out + "/model.json", *report.plant, report.values));
+    RG_RETURN_IF_ERROR(
+        WriteFileAtomically(arguments.out + "/sysid.json", sysid::SysidToJson(report).dump(2)));
+  }
+  if (context.json()) {
+    PrintJson("realitygrad.sysid/1", sysid::SysidToJson(report));
+  } else if (!context.quiet()) {
+    Print(sysid::FormatSysid(report));
+    if (!arguments.out.empty()) {
+      Print("next: realitygrad predict --model " + arguments.out +
+            "/model.json --recording REC.csv --out PRED.csv");
+    } else {
+      Print("next: the same with --out DIR keeps the model for `realitygrad predict`");
+    }
+  }
+  return Status::Ok();
+}
+
+// ---- predict ----
+
+struct PredictArguments {
+  std::string model, recording, out;
+  double window_s = 1.0;
+  bool measured_restart = false;
+};
+
+// What the simulation needs to know besides the model.
+struct PredictionModel {
+  sim::ModelFile file;
+  std::optional<recordings::EffortKind> drive;
+  bool effort_excludes_gravity = false;
+};
+
+Result<PredictionModel> NominalOf(const recordings::RecordingSet& set) {
+  RG_ASSIGN_OR_RETURN(const sim::Plant plant, sysid::NominalPlant(set));
+  return PredictionModel{{plant, plant.parameters().Nominal(), 0}, set.drive, set.effort_excludes_gravity};
+}
+
+// A model.json, a recording set's folder, or a URDF.
+Result<PredictionModel> LoadModel(const std::string& path) {
+  if (fs::is_directory(path)) {
+    RG_ASSIGN_OR_RETURN(const auto set, recordings::LoadSet(path));
+    return NominalOf(set);
+  }
+  if (path.ends_with(".urdf") || path.ends_with(".xml")) {
+    RG_ASSIGN_OR_RETURN(model::RobotModel robot, model::LoadUrdf(path));
+    RG_ASSIGN_OR_RETURN(const sim::Plant plant,
+                        sim::Plant::Create(std::make_shared<const model::RobotModel>(std::move(robot))));
+    return PredictionModel{{plant, plant.parameters().Nominal(), 0}, std::nullopt, false};
+  }
+  RG_ASSIGN_OR_RETURN(sim::ModelFile file, sim::LoadModelFile(path));
+  return PredictionModel{std::move(file), std::nullopt, false};
+}
+
+recordings::CsvOptions CsvOptionsFor(const model::RobotModel& robot) {
+  recordings::CsvOptions options;
+  for (const model::Joint& joint : robot.joints()) {
+    using Type = recordings::JointInfo::Type;
+    options.joints.push_back(joint.name);
+    options.robot.push_back({joint.name,
+                             joint.type == model::JointType::kPrismatic    ? Type::kPrismatic
+                             : joint.type == model::JointType::kContinuous ? Type::kContinuous
+                                                                           : Type::kRevolute,
+                             joint.lower, joint.upper, joint.velocity});
+  }
+  return options;
+}
+
+// What the manifest beside a recording says of its effort, if there is one.
+void TakeManifestBeside(const std::string& recording, PredictionModel* model) {
+  const fs::path folder = fs::path(recording).parent_path();
+  if (!fs::exists((folder.empty() ? fs::path(".") : folder) / "manifest.json")) return;
+  const auto set = recordings::LoadSet(folder.empty() ? "." : folder.string());
+  if (!set.ok()) return;
+  if (!model->drive) model->drive = set->drive;
+  model->effort_excludes_gravity = model->effort_excludes_gravity || set->effort_excludes_gravity;
+}
+
+Status Predict(Context& context, const PredictArguments& arguments) {
+  if (!(arguments.window_s > 0))
+    return InvalidError("--window is " + std::to_string(arguments.window_s) + ", must be positive (s)");
+  RG_ASSIGN_OR_RETURN(PredictionModel model, LoadModel(arguments.model));
+  TakeManifestBeside(arguments.recording, &model);
+  RG_ASSIGN_OR_RETURN(recordings::Recording recording,
+                      recordings::LoadCsv(arguments.recording, CsvOptionsFor(model.file.plant.model())));
+  if (model.drive && *model.drive == recordings::EffortKind::kMeasured && recording.has_effort_measured()) {
+    recording.drive = recordings::EffortKind::kMeasured;
+  }
+  sysid::PredictionOptions options;
+  options.window_s = arguments.window_s;
+  options.effort_excludes_gravity = model.effort_excludes_gravity;
+  if (arguments.measured_restart) options.restart = sysid::RestartState::kMeasured;
+  const sysid::Prediction prediction =
+      sysid::PredictRecording(model.file.plant, model.file.values, recording, options);
+  RG_RETURN_IF_ERROR(WriteFileAtomically(
+      arguments.out, sysid::FormatPredictionCsv(prediction, model.file.plant.joint_names())));
+  const sysid::PredictionError error = sysid::ErrorOf(prediction, recording);
+  for (const std::string& failure : prediction.failures) PrintNote("realitygrad: " + failure);
+  if (context.json()) {
+    std::vector<double> joints(error.joint_rms.data(), error.joint_rms.data() + error.joint_rms.size());
+    PrintJson("realitygrad.prediction/1", {{"out", arguments.out},
+                                           {"window_s", arguments.window_s},
+                                           {"rms", error.rms},
+                                           {"median_window_rms", error.median_window},
+                                           {"joint_rms", joints},
+                                           {"windows", error.windows.size()},
+                                           {"failed_windows", prediction.failures.size()}});
+  } else if (!context.quiet()) {
+    char text[160];
+    std::snprintf(text, sizeof text, "%zu windows of %.3g s: RMS %.4g, median window %.4g (rad or m)",
+                  error.windows.size(), arguments.window_s, error.rms, error.median_window);
+    Print(text);
+  }
+  return Status::Ok();
+}
+
+}  // namespace
+
+void AddModelCommands(CLI::App& app, Context& context) {
+  auto sysid_arguments = std::make_shared<SysidArguments>();
+  CLI::App* sysid_command =
+      app.add_subcommand("sysid", "Identify a robot from a recording set, judged on held-out recordings");
+  auto& o = sysid_arguments->options;
+  sysid_command->add_option("SET", sysid_arguments->set, "Folder of a recording set")->required();
+  sysid_command->add_option("--out", sysid_arguments->out, "Folder for model.json and sysid.json");
+  sysid_command->add_option("--window", o.window_s, "Length of the judged predictions [s]")
+      ->capture_default_str();
+  sysid_command->add_option("--step", o.step_s, "Of the simulator [s]")->capture_default_str();
+  sysid_command->add_option("--threads", o.threads, "0: all cores")->capture_default_str();
+  sysid_command->add_flag("!--no-friction", o.fit_joints, "Inertial parameters only");
+  sysid_command->add_flag("!--no-inertial", o.fit_inertial, "Joint friction and rotor inertia only");
+  sysid_command->callback([&context, sysid_arguments] { context.Failed(Sysid(context, *sysid_arguments)); });
+
+  auto predict_arguments = std::make_shared<PredictArguments>();
+  CLI::App* predict =
+      app.add_subcommand("predict", "Predict a recording in windows restarted from what was measured");
+  predict->add_option("--model", predict_arguments->model, "model.json, a recording set's folder, or a URDF")
+      ->required();
+  predict->add_option("--recording", predict_arguments->recording, "CSV")->required();
+  predict->add_option("--window", predict_arguments->window_s, "Seconds")->capture_default_str();
+  predict->add_option("--out", predict_arguments->out, "CSV of predictions")->required();
+  predict->add_flag("--measured-restart", predict_arguments->measured_restart,
+                    "Restart from the measured row itself, not from a filtered state");
+  predict->callback([&context, predict_arguments] { context.Failed(Predict(context, *predict_arguments)); });
+}
+
+}  // namespace rg::cli

@@ -1,0 +1,28 @@
+// Which model a job starts from, and how it gets to the coordinator.
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "common/base/status.h"
+#include "services/cli/robot_profile.h"
+
+namespace rg::coordinator {
+class Client;
+}
+namespace rg::model {
+class RobotModel;
+}
+
+namespace rg::cli {
+
+Result<std::shared_ptr<const model::RobotModel>> LoadRobot(const RobotProfile& profile);
+// The profile's URDF with its own parameters, as model.json.
+Result<std::string> NominalModelJson(const RobotProfile& profile);
+
+// Artefact of the model to use: `choice` is "nominal", "latest" (the newest version of the parameter
+// history, nominal if there is none), a model.json file, or the hash of a model artefact.
+Result<std::string> ChooseModel(coordinator::Client& client, const RobotProfile& profile,
+                                const std::string& choice);
+
+}  // namespace rg::cli

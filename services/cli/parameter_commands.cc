@@ -1,0 +1,168 @@
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+
+#include "common/base/clock.h"
+#include "coordinator/client/client.h"
+#include "services/cli/commands.h"
+#include "services/cli/context.h"
+#include "services/cli/job_view.h"
+
+namespace rg::cli {
+namespace {
+
+namespace pb = ::realitygrad::v1;
+using nlohmann::json;
+
+std::string Number(double value) {
+  char text[40];
+  std::snprintf(text, sizeof text, "%.6g", value);
+  return text;
+}
+
+std::string SourceText(pb::ParameterSource source) {
+  switch (source) {
+    case pb::PARAMETER_SOURCE_NOMINAL:
+      return "nominal";
+    case pb::PARAMETER_SOURCE_IDENTIFIED:
+      return "identified";
+    case pb::PARAMETER_SOURCE_IMPORTED:
+      return "imported";
+    default:
+      return "?";
+  }
+}
+
+json VersionJson(const pb::ParameterVersion& v) {
+  json out = {{"robot", v.robot()},
+              {"version", v.version()},
+              {"parent", v.parent_version() ? json(v.parent_version()) : json(nullptr)},
+              {"source", SourceText(v.source())},
+              {"recording", v.recording_sha256()},
+              {"model", v.model_sha256()},
+              {"residual_before", v.has_residual_before() ? json(v.residual_before()) : json(nullptr)},
+              {"residual_after", v.has_residual_after() ? json(v.residual_after()) : json(nullptr)},
+              {"created", FormatWallTime(v.created_ns())},
+              {"job", v.job_id()},
+              {"note", v.note()}};
+  if (v.values_size() > 0) {
+    out["values"] = json::array();
+    for (const auto& value : v.values()) {
+      out["values"].push_back({{"name", value.name()},
+                               {"value", value.value()},
+                               {"stddev", value.has_stddev() ? json(value.stddev()) : json(nullptr)}});
+    }
+  }
+  return out;
+}
+
+// The robot named, or the only one there is.
+Result<std::string> ChooseRobot(coordinator::Client& client, const std::string& named) {
+  if (!named.empty()) return named;
+  RG_ASSIGN_OR_RETURN(const auto robots, client.Robots());
+  if (robots.empty()) return NotFoundError("no parameters yet: run an iteration first");
+  if (robots.size() == 1) return robots.front();
+  std::string all;
+  for (const std::string& r : robots) all += " " + r;
+  return InvalidError("several robots have parameters:" + all + "; name one with --robot");
+}
+
+struct Arguments {
+  std::string robot;
+  unsigned version = 0, to = 0, limit = 0;
+};
+
+template <class Body>
+void WithRobot(Context& context, const Arguments& arguments, const Body& body) {
+  auto client = context.Connect();
+  if (context.Failed(client.status())) return;
+  const auto robot = ChooseRobot(**client, arguments.robot);
+  if (context.Failed(robot.status())) return;
+  body(**client, *robot);
+}
+
+void History(Context& context, const Arguments& arguments) {
+  WithRobot(context, arguments, [&](coordinator::Client& client, const std::string& robot) {
+    const auto versions = client.ParameterHistory(robot, arguments.limit);
+    if (context.Failed(versions.status())) return;
+    if (context.json()) {
+      json list = json::array();
+      for (const auto& v : *versions) list.push_back(VersionJson(v));
+      return PrintJson("realitygrad.parameter-history/1", {{"robot", robot}, {"versions", list}});
+    }
+    TextTable table(
+        {">VERSION", ">FROM", "SOURCE", ">RESIDUAL BEFORE", ">AFTER", "RECORDING", "JOB", "CREATED", "NOTE"});
+    for (const auto& v : *versions) {
+      table.AddRow({std::to_string(v.version()),
+                    v.parent_version() ? std::to_string(v.parent_version()) : "–", SourceText(v.source()),
+                    v.has_residual_before() ? Number(v.residual_before()) : "–",
+                    v.has_residual_after() ? Number(v.residual_after()) : "–",
+                    v.recording_sha256().substr(0, 12), v.job_id(), TimeText(v.created_ns()), v.note()});
+    }
+    Print(robot + "\n" + table.ToString());
+  });
+}
+
+void Show(Context& context, const Arguments& arguments) {
+  WithRobot(context, arguments, [&](coordinator::Client& client, const std::string& robot) {
+    const auto version = client.Parameters(robot, arguments.version);
+    if (context.Failed(version.status())) return;
+    if (context.json()) return PrintJson("realitygrad.parameters/1", VersionJson(*version));
+    TextTable table({"PARAMETER", ">VALUE", ">STDDEV"});
+    for (const auto& value : version->values()) {
+      table.AddRow({value.name(), Number(value.value()), value.has_stddev() ? Number(value.stddev()) : "–"});
+    }
+    Print(robot + " version " + std::to_string(version->version()) + " (" + SourceText(version->source()) +
+          ", " + TimeText(version->created_ns()) + ")\n" + table.ToString());
+  });
+}
+
+void Diff(Context& context, const Arguments& arguments) {
+  WithRobot(context, arguments, [&](coordinator::Client& client, const std::string& robot) {
+    const auto diff = client.DiffParameters(robot, arguments.version, arguments.to);
+    if (context.Failed(diff.status())) return;
+    if (context.json()) {
+      json rows = json::array();
+      for (const auto& row : diff->rows()) {
+        rows.push_back({{"name", row.name()},
+                        {"from", row.has_from() ? json(row.from()) : json(nullptr)},
+                        {"to", row.has_to() ? json(row.to()) : json(nullptr)},
+                        {"sigmas", row.has_sigmas() ? json(row.sigmas()) : json(nullptr)}});
+      }
+      return PrintJson(
+          "realitygrad.parameter-diff/1",
+          {{"robot", robot}, {"from", diff->from().version()}, {"to", diff->to().version()}, {"rows", rows}});
+    }
+    TextTable table({"PARAMETER", ">FROM", ">TO", ">CHANGE", ">SIGMAS"});
+    for (const auto& row : diff->rows()) {
+      const bool both = row.has_from() && row.has_to();
+      table.AddRow({row.name(), row.has_from() ? Number(row.from()) : "–",
+                    row.has_to() ? Number(row.to()) : "–", both ? Number(row.to() - row.from()) : "–",
+                    row.has_sigmas() ? Number(row.sigmas()) : "–"});
+    }
+    Print(robot + ": version " + std::to_string(diff->from().version()) + " to " +
+          std::to_string(diff->to().version()) + "\n" +
+          (table.empty() ? std::string("no difference\n") : table.ToString()));
+  });
+}
+
+}  // namespace
+
+void AddParameterCommands(CLI::App& app, Context& context) {
+  CLI::App* params = app.add_subcommand("params", "Parameter history of robots")->require_subcommand(1);
+  const auto add = [&](const char* name, const char* help, void (*function)(Context&, const Arguments&)) {
+    auto arguments = std::make_shared<Arguments>();
+    CLI::App* command = params->add_subcommand(name, help);
+    command->add_option("--robot", arguments->robot, "Name; needed where several have parameters");
+    command->callback([&context, arguments, function] { function(context, *arguments); });
+    return std::pair{command, arguments};
+  };
+  auto [history, history_arguments] = add("history", "Every version, newest first", History);
+  history->add_option("--limit", history_arguments->limit, "At most so many");
+  auto [show, show_arguments] = add("show", "One version's values", Show);
+  show->add_option("VERSION", show_arguments->version, "Default: the latest");
+  auto [diff, diff_arguments] = add("diff", "What changed between two versions", Diff);
+  diff->add_option("FROM", diff_arguments->version)->required();
+  diff->add_option("TO", diff_arguments->to, "Default: the latest");
+}
+
+}  // namespace rg::cli

@@ -1,0 +1,235 @@
+#include "services/cli/run_report.h"
+
+#include <cmath>
+#include <nlohmann/json.hpp>
+
+#include "services/cli/output.h"
+#include "services/report/page.h"
+
+namespace rg::cli {
+namespace {
+
+using nlohmann::json;
+using report::FormatNumber;
+
+double Number(const json& j, const json::json_pointer& at) {
+  if (!j.contains(at) || !j.at(at).is_number()) return std::nan("");
+  return j.at(at).get<double>();
+}
+
+std::string Cell(double value, const std::string& unit) {
+  return unit.empty() && value == std::floor(value) && std::abs(value) < 1e9
+             ? std::to_string(std::lround(value))
+             : FormatNumber(value);
+}
+
+// A row of the table: what it is, where it stands in a result, and the paper's figure per iteration.
+struct Row {
+  const char* name;
+  const char* unit;
+  const char* pointer;
+  const char* paper;
+};
+
+const Row kRows[] = {
+    {"trajectories solved", "", "/trajectories/solved", "450"},
+    {"  draws replaced", "", "/trajectories/failed", "–"},
+    {"  time", "s", "/seconds/trajectories", "77 (30 threads)"},
+    {"policy: training loss", "", "/policy/train_loss", "–"},
+    {"  validation loss", "", "/policy/validation_loss", "–"},
+    {"  time", "s", "/seconds/policy", "24"},
+    {"rollout: distance to goal at the end", "rad", "/rollout/goal_error/joint_norm", "–"},
+    {"  distance covered at the start", "rad", "/rollout/goal_error/start_norm", "–"},
+    {"  end effector to goal", "m", "/rollout/goal_error/tip_distance_m", "–"},
+    {"  time", "s", "/seconds/rollout", "6"},
+    {"simulation: residual before", "rad²", "/identification/before/residual", "350155"},
+    {"  residual after", "rad²", "/identification/after/residual", "28.9, then 12.3"},
+    {"  task-space error before, accumulated", "m", "/identification/before/accumulated_tip_m",
+     "129.8, then 150.7"},
+    {"  task-space error after", "m", "/identification/after/accumulated_tip_m", "47.8, then 60.0"},
+    {"  joint RMS in 1 s windows before", "rad", "/identification/before_windows/joint_rms", "–"},
+    {"  joint RMS in 1 s windows after", "rad", "/identification/after_windows/joint_rms", "–"},
+    {"  time", "s", "/seconds/identification", "1170"},
+    {"iteration: time", "s", "/seconds/iteration", "1278"},
+};
+
+std::vector<std::string> JointNames(const json& result) {
+  std::vector<std::string> names;
+  const size_t count = result.at("series").at("measured").size();
+  const json joints = result.value("joints", json::array());
+  for (size_t j = 0; j < count; ++j)
+    names.push_back(j < joints.size() ? joints[j].get<std::string>() : "joint " + std::to_string(j + 1));
+  return names;
+}
+
+std::vector<double> Numbers(const json& list) {
+  std::vector<double> out;
+  for (const json& x : list) out.push_back(x.is_number() ? x.get<double>() : std::nan(""));
+  return out;
+}
+
+void Trim(std::vector<double>* values, size_t size) { values->resize(size, std::nan("")); }
+
+std::vector<report::Plot> ResponsePlots(const json& result) {
+  std::vector<report::Plot> plots;
+  const json& series = result.at("series");
+  const std::vector<double> t = Numbers(series.at("t"));
+  const std::vector<double> goal = Numbers(
+      result.contains("/rollout/goal"_json_pointer) ? result.at("rollout").at("goal") : json::array());
+  const auto names = JointNames(result);
+  for (size_t j = 0; j < names.size(); ++j) {
+    report::Plot plot{names[j], "time [s]", "position [rad]", {}};
+    std::vector<double> measured = Numbers(series.at("measured")[j]);
+    std::vector<double> before = Numbers(series.at("before").at(j)),
+                        after = Numbers(series.at("after").at(j));
+    Trim(&measured, t.size()), Trim(&before, t.size()), Trim(&after, t.size());
+    plot.series.push_back({"robot", t, measured});
+    plot.series.push_back({"simulation before", t, before, report::SeriesStyle::kDashed});
+    plot.series.push_back({"simulation after", t, after});
+    if (j < goal.size())
+      plot.series.push_back(
+          {"goal", {t.front(), t.back()}, {goal[j], goal[j]}, report::SeriesStyle::kDashed, 6});
+    plots.push_back(std::move(plot));
+  }
+  return plots;
+}
+
+report::Plot LossPlot(const json& result) {
+  report::Plot plot{"Learning curve", "epoch", "mean squared error (normalised)", {}};
+  plot.log_y = true;
+  const json curve =
+      result.contains("/policy/curve"_json_pointer) ? result.at("policy").at("curve") : json::object();
+  for (const char* name : {"train", "validation"}) {
+    const std::vector<double> y = Numbers(curve.value(name, json::array()));
+    std::vector<double> x;
+    for (size_t i = 0; i < y.size(); ++i) x.push_back(static_cast<double>(i + 1));
+    plot.series.push_back({name, x, y});
+  }
+  return plot;
+}
+
+report::Plot HopsPlot(const json& result) {
+  report::Plot plot{"Basin hopping, best chain", "hop", "cost", {}};
+  plot.log_y = true;
+  std::vector<double> x, cost, best;
+  for (const json& hop : result.at("identification").value("history", json::array())) {
+    x.push_back(hop[0].get<double>()),
+        cost.push_back(hop[1].is_number() ? hop[1].get<double>() : std::nan("")),
+        best.push_back(hop[2].get<double>());
+  }
+  plot.series.push_back({"of the hop", x, cost, report::SeriesStyle::kPoints});
+  plot.series.push_back({"best so far", x, best});
+  return plot;
+}
+
+double Reduction(const json& result) {
+  return 1.0 - Number(result, "/identification/after/accumulated_tip_m"_json_pointer) /
+                   Number(result, "/identification/before/accumulated_tip_m"_json_pointer);
+}
+
+std::string Percent(double share) {
+  return std::isfinite(share) ? std::to_string(std::lround(100 * share)) + " %" : "–";
+}
+
+void AddIdentifiability(report::Page& page, const json& result) {
+  const json& report_json = result.at("identification").at("identifiability");
+  if (!report_json.contains("parameters")) return;
+  report::Table table{{"parameter", "value", "nominal", "standard deviation", "verdict"}, {}};
+  int shown = 0;
+  for (const json& p : report_json.at("parameters")) {
+    if (p.value("verdict", "") == "prior_only" && ++shown > 0) continue;
+    table.rows.push_back({p.value("name", ""), FormatNumber(p.value("value", std::nan(""))),
+                          FormatNumber(p.value("nominal", std::nan(""))),
+                          FormatNumber(p.value("stddev", std::nan(""))), p.value("verdict", "")});
+  }
+  table.text_columns = {4};
+  table.caption = std::to_string(shown) + " of " + std::to_string(report_json.at("parameters").size()) +
+                  " parameters are left out here: the recording says nothing of them, only the prior does.";
+  page.Subheading("What the recording determines");
+  page.AddTable(table);
+}
+
+}  // namespace
+
+std::string IterationsTable(const std::vector<json>& results) {
+  std::vector<std::string> columns = {""};
+  for (size_t i = 0; i < results.size(); ++i) columns.push_back(">ITERATION " + std::to_string(i + 1));
+  columns.push_back(">PAPER");
+  columns.push_back("UNIT");
+  TextTable table(columns);
+  for (const Row& row : kRows) {
+    std::vector<std::string> cells = {row.name};
+    for (const json& result : results)
+      cells.push_back(Cell(Number(result, json::json_pointer(row.pointer)), row.unit));
+    cells.push_back(row.paper);
+    cells.push_back(row.unit);
+    table.AddRow(cells);
+  }
+  return table.ToString();
+}
+
+json RunJson(const std::vector<json>& results) {
+  json iterations = json::array();
+  for (const json& result : results) {
+    json one = result;
+    one.erase("series");
+    if (one.contains("/policy/curve"_json_pointer)) one["policy"].erase("curve");
+    iterations.push_back(std::move(one));
+  }
+  return {{"iterations", iterations}};
+}
+
+std::string RunPage(const std::string& robot, const std::vector<json>& results) {
+  report::Page page("RealityGrad: " + robot,
+                    std::to_string(results.size()) + (results.size() == 1 ? " iteration" : " iterations"));
+  if (!results.empty()) {
+    const json& last = results.back();
+    page.Lead(
+        "Identification took " + Percent(Reduction(results.front())) +
+        " off the simulation's task-space error in the first iteration. The robot's last rollout ended " +
+        FormatNumber(Number(last, "/rollout/goal_error/joint_norm"_json_pointer)) + " rad from its goal, " +
+        FormatNumber(Number(last, "/rollout/goal_error/start_norm"_json_pointer)) +
+        " rad from where it began.");
+    std::vector<report::Card> cards;
+    for (size_t i = 0; i < results.size(); ++i) {
+      const std::string n = std::to_string(i + 1);
+      cards.push_back(
+          {"iteration " + n + ": task-space error",
+           FormatNumber(Number(results[i], "/identification/before/accumulated_tip_m"_json_pointer)) + " → " +
+               FormatNumber(Number(results[i], "/identification/after/accumulated_tip_m"_json_pointer)) +
+               " m",
+           "accumulated over the rollout, before and after"});
+      cards.push_back(
+          {"iteration " + n + ": goal error",
+           FormatNumber(Number(results[i], "/rollout/goal_error/joint_norm"_json_pointer)) + " rad",
+           "of the robot at the rollout's end"});
+    }
+    page.Cards(cards);
+  }
+  page.Heading("Iterations beside the paper");
+  report::Table table{{""}, {}};
+  for (size_t i = 0; i < results.size(); ++i) table.columns.push_back("iteration " + std::to_string(i + 1));
+  table.columns.push_back("paper");
+  table.columns.push_back("unit");
+  for (const Row& row : kRows) {
+    std::vector<std::string> cells = {row.name};
+    for (const json& result : results)
+      cells.push_back(Cell(Number(result, json::json_pointer(row.pointer)), row.unit));
+    cells.push_back(row.paper);
+    cells.push_back(row.unit);
+    table.rows.push_back(cells);
+  }
+  table.caption =
+      "Paper: Collins, Brown, Leitner, Howard, RealityGrad; 32 cores, real arm. Residual and task-space "
+      "error: the recorded torques run open loop through the simulator from the first state.";
+  page.AddTable(table);
+  for (size_t i = 0; i < results.size(); ++i) {
+    page.Heading("Iteration " + std::to_string(i + 1) + ": joint responses");
+    page.AddPlots(ResponsePlots(results[i]), 380);
+    page.AddPlots({LossPlot(results[i]), HopsPlot(results[i])});
+    AddIdentifiability(page, results[i]);
+  }
+  return page.Html();
+}
+
+}  // namespace rg::cli

@@ -1,0 +1,16 @@
+// What a run shows when it is done: the table of iterations beside the paper's figures, and the page.
+#pragma once
+
+#include <nlohmann/json_fwd.hpp>
+#include <string>
+#include <vector>
+
+namespace rg::cli {
+
+// `results`: one "realitygrad.iteration/1" each, in order.
+std::string IterationsTable(const std::vector<nlohmann::json>& results);
+std::string RunPage(const std::string& robot, const std::vector<nlohmann::json>& results);
+// {"iterations": […]} with the table's figures.
+nlohmann::json RunJson(const std::vector<nlohmann::json>& results);
+
+}  // namespace rg::cli

@@ -1,0 +1,65 @@
+// The identification problem of a task: the paper's 71 parameters and residual, over one window (as the
+// paper) or over all windows of a recording, each restarted from the state measured at its start.
+//
+//   Σ_w Σ_n Σ_j (q − q̂)²  +  Σ_p α (p − p_init)² / scale_p²
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <vector>
+
+#include "common/base/status.h"
+#include "common/recordings/recording.h"
+#include "common/sim/plant.h"
+#include "services/sysid/least_squares.h"
+#include "services/sysid/paper_problem.h"
+
+namespace realitygrad::v1 {
+class IdentifyPayload;
+}
+
+namespace rg::jobs {
+
+// Bounds of the search.
+enum class BoundsKind {
+  kPaper,  // ±20 % on gravity, mass and inertia, 0 ≤ damping ≤ 18, −1.5 ≤ P_d ≤ 1.5
+  // What a body and a drive can be, so that what the model lacks (a rotor's reflected inertia, say) has
+  // room in what it has: mass 0.3 to 3 ×, inertia 0 to 0.5 kg·m², damping 0 to 30, P_d 0.3 to 1.5.
+  kPhysical,
+  kNone,
+};
+
+struct IdentifyProblemOptions {
+  bool whole_recording = true;
+  double window_s = 0.5;        // of each window; of the single one
+  double window_start_s = 0.0;  // of the single one
+  double alpha = 0.0;
+  BoundsKind bounds = BoundsKind::kPhysical;
+  sim::SimulatorOptions simulator;
+};
+
+IdentifyProblemOptions OptionsOf(const realitygrad::v1::IdentifyPayload& payload);
+sysid::Solver SolverOf(const realitygrad::v1::IdentifyPayload& payload);
+
+class IdentifyProblem {
+ public:
+  // `initial`: values of the plant's whole table, p_init for the 71.
+  static Result<IdentifyProblem> Create(const sim::Plant& plant, const Eigen::VectorXd& initial,
+                                        const recordings::Recording& recording,
+                                        const IdentifyProblemOptions& options);
+  ~IdentifyProblem();
+  IdentifyProblem(IdentifyProblem&&) noexcept;
+
+  const sysid::LeastSquaresProblem& problem() const;
+  const std::vector<int>& parameters() const { return windows_.front().parameters(); }
+  Eigen::VectorXd FullValues(const Eigen::VectorXd& p) const { return windows_.front().FullValues(p); }
+  int windows() const { return static_cast<int>(windows_.size()); }
+
+ private:
+  class Stacked;
+  IdentifyProblem(std::vector<sysid::PaperProblem> windows, std::unique_ptr<Stacked> stacked);
+  std::vector<sysid::PaperProblem> windows_;
+  std::unique_ptr<Stacked> stacked_;
+};
+
+}  // namespace rg::jobs

@@ -1,0 +1,162 @@
+#include "services/jobs/identify_tasks.h"
+
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <optional>
+
+#include "common/base/clock.h"
+#include "realitygrad/v1/payloads.pb.h"
+#include "services/jobs/identify_problem.h"
+#include "services/jobs/iteration_result.h"
+#include "services/jobs/kinds.h"
+#include "services/jobs/task_support.h"
+#include "services/rollouts/recording_bundle.h"
+#include "services/sysid/basin_hopping.h"
+
+namespace rg::jobs {
+namespace {
+
+namespace pb = ::realitygrad::v1;
+using Eigen::VectorXd;
+using nlohmann::json;
+
+constexpr double kCheckpointPeriod_s = 2.0;
+
+Result<recordings::Recording> RecordingOf(const worker::TaskInput& input) {
+  RG_ASSIGN_OR_RETURN(const worker::InputArtifact* artifact, input.Require(kInputRecording));
+  auto set = rollouts::LoadBundle(artifact->bytes);
+  if (!set.ok()) return set.status().WithPrefix("recording " + artifact->sha256.substr(0, 12));
+  if (set->recordings.empty()) {
+    return InvalidError("recording " + artifact->sha256.substr(0, 12) +
+                        " holds no usable rows: the rollout ended at once (see its metadata)");
+  }
+  return set->recordings.front();
+}
+
+Result<sysid::HopState> StateFrom(const worker::InputArtifact& artifact) {
+  auto state = sysid::ParseHopState(artifact.bytes);
+  if (!state.ok()) return state.status().WithPrefix("chain " + artifact.sha256.substr(0, 12));
+  return state;
+}
+
+// Where this round begins: a checkpoint of it, the chain of the round before (which takes the others'
+// best), or a new chain.
+Result<sysid::HopState> StartOf(const worker::TaskInput& input, worker::TaskContext& context,
+                                const pb::IdentifyPayload& payload) {
+  if (const std::string checkpoint = context.LoadCheckpoint(); !checkpoint.empty()) {
+    auto state = sysid::ParseHopState(checkpoint);
+    if (state.ok()) return state;
+    context.Log("checkpoint ignored: " + state.status().message());
+  }
+  const worker::InputArtifact* own = input.Find(kInputChain);
+  if (own == nullptr) return sysid::StartChain(payload.seed(), static_cast<int>(payload.chain()));
+  RG_ASSIGN_OR_RETURN(sysid::HopState state, StateFrom(*own));
+  for (const worker::InputArtifact* other : input.All(kInputOthers)) {
+    RG_ASSIGN_OR_RETURN(const sysid::HopState theirs, StateFrom(*other));
+    if (theirs.started() && sysid::Exchange(theirs.best, theirs.best_cost, &state)) {
+      context.Log("took the best of chain " + std::to_string(theirs.chain));
+    }
+  }
+  return state;
+}
+
+// Hops until the round's budget is spent, a checkpoint now and then.
+sysid::HopState HopOn(const IdentifyProblem& problem, const pb::IdentifyPayload& payload,
+                      sysid::HopState state, int first_hop, worker::TaskContext& context) {
+  sysid::HopOptions options;
+  options.solve.solver = SolverOf(payload);
+  const int hops = payload.hops() > 0 ? static_cast<int>(payload.hops()) : 1 << 30;
+  const double seconds = payload.budget_s() > 0 ? payload.budget_s() : 1e30;
+  const double start = RealClock().SteadySeconds();
+  while (!context.cancelled()) {
+    const double spent = RealClock().SteadySeconds() - start;
+    const int done = state.hops - first_hop;
+    if (done >= hops || spent >= seconds) break;
+    const double slice = std::min(seconds - spent, kCheckpointPeriod_s);
+    const double budget = payload.budget_s() > 0 ? slice : kCheckpointPeriod_s;
+    // A slice ends with a whole hop when hops are counted, so that what is drawn does not depend on time.
+    state = sysid::RunHops(
+        problem.problem(), options, std::move(state),
+        payload.budget_s() > 0 ? sysid::HopBudget{hops - done, budget} : sysid::HopBudget{1, 1e30},
+        RealClock(), {}, &context.cancel_token());
+    (void)context.SaveCheckpoint(sysid::SerializeHopState(state));
+    char note[64];
+    std::snprintf(note, sizeof note, "cost %.4g, %d hops", state.best_cost, state.hops);
+    const bool timed = payload.budget_s() > 0;
+    context.Progress({kStageIdentify,
+                      timed ? std::min(seconds, RealClock().SteadySeconds() - start) : state.hops - first_hop,
+                      timed ? seconds : hops, note});
+  }
+  return state;
+}
+
+Result<sysid::HopState> BestChain(const worker::TaskInput& input) {
+  std::optional<sysid::HopState> best;
+  for (const worker::InputArtifact* artifact : input.All(kInputChain)) {
+    RG_ASSIGN_OR_RETURN(sysid::HopState state, StateFrom(*artifact));
+    if (state.started() && (!best || state.best_cost < best->best_cost)) best = std::move(state);
+  }
+  if (!best) return FailedPreconditionError("no chain found parameters that can be simulated");
+  return *best;
+}
+
+}  // namespace
+
+Result<worker::TaskOutputs> RunIdentify(const worker::TaskInput& input, worker::TaskContext& context) {
+  const double start = RealClock().SteadySeconds();
+  RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::IdentifyPayload>(input));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile model, ModelOf(input));
+  RG_ASSIGN_OR_RETURN(const recordings::Recording recording, RecordingOf(input));
+  RG_ASSIGN_OR_RETURN(const IdentifyProblem problem,
+                      IdentifyProblem::Create(model.plant, model.values, recording, OptionsOf(payload)));
+  const worker::InputArtifact* own = input.Find(kInputChain);
+  int first_hop = 0;
+  if (own != nullptr) {
+    RG_ASSIGN_OR_RETURN(const sysid::HopState before, StateFrom(*own));
+    first_hop = before.hops;
+  }
+  RG_ASSIGN_OR_RETURN(sysid::HopState state, StartOf(input, context, payload));
+  state = HopOn(problem, payload, std::move(state), first_hop, context);
+  if (context.cancelled()) return CancelledError("identification was cancelled");
+  const json summary = {{"chain", state.chain},
+                        {"hops", state.hops},
+                        {"best_cost", state.best_cost},
+                        {"windows", problem.windows()},
+                        {"seconds", RealClock().SteadySeconds() - start}};
+  worker::TaskOutputs outputs;
+  outputs.artifacts.push_back(
+      {kOutputChain, kArtifactHopState, sysid::SerializeHopState(state), summary.dump()});
+  outputs.summary_json = summary.dump();
+  return outputs;
+}
+
+Result<worker::TaskOutputs> RunConclude(const worker::TaskInput& input, worker::TaskContext& context) {
+  RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::ConcludePayload>(input));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile model, ModelOf(input));
+  RG_ASSIGN_OR_RETURN(const recordings::Recording recording, RecordingOf(input));
+  RG_ASSIGN_OR_RETURN(
+      const IdentifyProblem problem,
+      IdentifyProblem::Create(model.plant, model.values, recording, OptionsOf(payload.identify())));
+  RG_ASSIGN_OR_RETURN(const sysid::HopState best, BestChain(input));
+  const VectorXd after = problem.FullValues(best.best);
+  context.Progress({kStageConclude, 0, 2, "judging before and after"});
+  const Judgement judgement = Judge(model.plant, model.values, after, recording);
+  context.Progress({kStageConclude, 1, 2, "what the data determine"});
+  const sysid::IdentifiabilityReport identified =
+      Determine(model.plant, problem, best.best, judgement.noise_variance);
+  const std::string model_json = sim::ModelToJson(model.plant, after, model.version + 1);
+  const json result = ResultJson(input, payload, judgement, best, identified);
+
+  worker::TaskOutputs outputs;
+  outputs.artifacts.push_back(
+      {kOutputModel, kArtifactModel, model_json, json{{"robot", payload.robot()}}.dump()});
+  outputs.artifacts.push_back(
+      {kOutputParameters, kArtifactParameters, ParametersJson(model.plant, problem, after, identified).dump(),
+       ParametersMetadata(input, payload, model, judgement, model_json, problem, after, identified).dump()});
+  outputs.artifacts.push_back(
+      {kOutputResult, kArtifactResult, result.dump(), json{{"robot", payload.robot()}}.dump()});
+  outputs.summary_json = SummaryOf(result).dump();
+  return outputs;
+}
+
+}  // namespace rg::jobs

@@ -1,0 +1,190 @@
+#include "services/jobs/iteration_result.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "common/base/hash.h"
+#include "realitygrad/v1/payloads.pb.h"
+#include "services/jobs/identify_problem.h"
+#include "services/jobs/kinds.h"
+
+namespace rg::jobs {
+namespace {
+
+namespace pb = ::realitygrad::v1;
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+using nlohmann::json;
+
+constexpr double kJudgementWindow_s = 1.0;
+
+json Parsed(const std::string& text) {
+  json value = json::parse(text.empty() ? "{}" : text, nullptr, false);
+  return value.is_discarded() ? json::object() : value;
+}
+
+json Numbers(const VectorXd& values) {
+  return std::vector<double>(values.data(), values.data() + values.size());
+}
+
+json Rows(const MatrixXd& values) {
+  json rows = json::array();
+  for (Eigen::Index i = 0; i < values.rows(); ++i) rows.push_back(Numbers(values.row(i)));
+  return rows;
+}
+
+json ErrorJson(const rollouts::SimulationError& e) {
+  return {{"ok", e.ok},
+          {"failure", e.failure},
+          {"rows", e.rows},
+          {"residual", e.residual},
+          {"accumulated_tip_m", e.accumulated_tip_m},
+          {"joint_rms", e.joint_rms},
+          {"tip_rms_m", e.tip_rms_m},
+          {"tip_max_m", e.tip_max_m},
+          {"joint_rms_each", Numbers(e.joint_rms_each)}};
+}
+
+// Totals over the shards' metadata.
+json TrajectoriesJson(const worker::TaskInput& input) {
+  json total = {
+      {"solved", 0}, {"failed", 0}, {"failures", json::object()}, {"samples", 0}, {"task_seconds", 0.0}};
+  for (const worker::InputArtifact* shard : input.All(kInputShard)) {
+    const json one = Parsed(shard->metadata_json);
+    for (const char* key : {"solved", "failed", "samples"})
+      total[key] = total[key].get<int64_t>() + one.value(key, int64_t{0});
+    total["task_seconds"] = total["task_seconds"].get<double>() + one.value("seconds", 0.0);
+    const json failures = one.value("failures", json::object());
+    for (const auto& [reason, count] : failures.items()) {
+      total["failures"][reason] = total["failures"].value(reason, int64_t{0}) + count.get<int64_t>();
+    }
+  }
+  return total;
+}
+
+json MetadataOf(const worker::TaskInput& input, const char* name) {
+  const worker::InputArtifact* artifact = input.Find(name);
+  if (artifact == nullptr) return nullptr;
+  json out = Parsed(artifact->metadata_json);
+  out["sha256"] = artifact->sha256;
+  return out;
+}
+
+}  // namespace
+
+Judgement Judge(const sim::Plant& plant, const VectorXd& before, const VectorXd& after,
+                const recordings::Recording& recording) {
+  Judgement out;
+  rollouts::SimulationScoreOptions whole, windows;
+  windows.window_s = kJudgementWindow_s;
+  out.before = rollouts::ScoreSimulation(plant, before, recording, whole);
+  out.after = rollouts::ScoreSimulation(plant, after, recording, whole);
+  out.before_windows = rollouts::ScoreSimulation(plant, before, recording, windows);
+  out.after_windows = rollouts::ScoreSimulation(plant, after, recording, windows);
+  out.t = recording.t;
+  out.measured = recording.q;
+  out.noise_variance = std::max(1e-10, out.after_windows.joint_rms * out.after_windows.joint_rms);
+  return out;
+}
+
+sysid::IdentifiabilityReport Determine(const sim::Plant& plant, const IdentifyProblem& problem,
+                                       const VectorXd& p, double noise_variance) {
+  const sysid::LeastSquaresProblem& ls = problem.problem();
+  const auto count = static_cast<Eigen::Index>(problem.parameters().size());
+  sysid::IdentifiabilityInput input;
+  input.value = p;
+  input.nominal = ls.initial;
+  input.lower = ls.lower;
+  input.upper = ls.upper;
+  input.prior_stddev = ls.scale;
+  for (const int index : problem.parameters()) {
+    input.names.push_back(plant.parameters()[index].name);
+    input.units.push_back(plant.parameters()[index].unit);
+  }
+  VectorXd r(ls.residuals->num_residuals());
+  sysid::RowMatrix jacobian(r.size(), count);
+  input.information = MatrixXd::Zero(count, count);
+  if (ls.residuals->Evaluate(p, {}, &r, &jacobian)) {
+    input.information = sysid::InformationOf(jacobian / std::sqrt(noise_variance));
+  }
+  return sysid::Identify(input);
+}
+
+json ResultJson(const worker::TaskInput& input, const pb::ConcludePayload& payload,
+                const Judgement& judgement, const sysid::HopState& best,
+                const sysid::IdentifiabilityReport& identified) {
+  int hops = 0;
+  for (const worker::InputArtifact* chain : input.All(kInputChain))
+    hops += Parsed(chain->metadata_json).value("hops", 0);
+  json history = json::array();
+  for (const sysid::HopRecord& hop : best.history) history.push_back({hop.hop, hop.cost, hop.best});
+  return {{"format", "realitygrad.iteration/1"},
+          {"iteration", payload.iteration()},
+          {"robot", payload.robot()},
+          {"trajectories", TrajectoriesJson(input)},
+          {"policy", MetadataOf(input, kInputPolicy)},
+          {"rollout", MetadataOf(input, kInputRecording)},
+          {"identification",
+           {{"chains", payload.identify().chains()},
+            {"hops", hops},
+            {"best_chain", best.chain},
+            {"best_cost", best.best_cost},
+            {"history", history},
+            {"before", ErrorJson(judgement.before)},
+            {"after", ErrorJson(judgement.after)},
+            {"before_windows", ErrorJson(judgement.before_windows)},
+            {"after_windows", ErrorJson(judgement.after_windows)},
+            {"window_s", kJudgementWindow_s},
+            {"identifiability", sysid::IdentifiabilityToJson(identified)}}},
+          {"series",
+           {{"t", Numbers(judgement.t)},
+            {"measured", Rows(judgement.measured)},
+            {"before", Rows(judgement.before.position)},
+            {"after", Rows(judgement.after.position)}}}};
+}
+
+json SummaryOf(const json& result) {
+  const json& id = result.at("identification");
+  return {{"residual_before", id["before"]["residual"]},
+          {"residual_after", id["after"]["residual"]},
+          {"tip_before_m", id["before"]["accumulated_tip_m"]},
+          {"tip_after_m", id["after"]["accumulated_tip_m"]},
+          {"window_rms_before", id["before_windows"]["joint_rms"]},
+          {"window_rms_after", id["after_windows"]["joint_rms"]}};
+}
+
+json ParametersJson(const sim::Plant& plant, const IdentifyProblem& problem, const VectorXd& values,
+                    const sysid::IdentifiabilityReport& identified) {
+  json rows = json::array();
+  for (size_t i = 0; i < problem.parameters().size(); ++i) {
+    const int index = problem.parameters()[i];
+    const sysid::ParameterVerdict& verdict = identified.parameters[i];
+    rows.push_back({{"name", plant.parameters()[index].name},
+                    {"value", values[index]},
+                    {"stddev", verdict.stddev},
+                    {"unit", plant.parameters()[index].unit},
+                    {"verdict", sysid::VerdictName(verdict.verdict)}});
+  }
+  return rows;
+}
+
+json ParametersMetadata(const worker::TaskInput& input, const pb::ConcludePayload& payload,
+                        const sim::ModelFile& before, const Judgement& judgement,
+                        const std::string& model_json, const IdentifyProblem& problem, const VectorXd& values,
+                        const sysid::IdentifiabilityReport& identified) {
+  json rows = json::array();
+  for (const json& row : ParametersJson(before.plant, problem, values, identified)) {
+    rows.push_back({{"name", row["name"]}, {"value", row["value"]}, {"stddev", row["stddev"]}});
+  }
+  return {{"robot", payload.robot()},
+          {"source", "identified"},
+          {"values", rows},
+          {"residual_before", judgement.before.residual},
+          {"residual_after", judgement.after.residual},
+          {"parent_version", before.version},
+          {"recording", input.Find(kInputRecording)->sha256},
+          {"model", Sha256Hex(model_json)},
+          {"note", "iteration " + std::to_string(payload.iteration())}};
+}
+
+}  // namespace rg::jobs

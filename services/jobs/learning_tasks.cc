@@ -1,0 +1,133 @@
+#include "services/jobs/learning_tasks.h"
+
+#include <Eigen/Core>
+#include <nlohmann/json.hpp>
+
+#include "common/base/clock.h"
+#include "common/model/robot_model.h"
+#include "realitygrad/v1/payloads.pb.h"
+#include "services/jobs/kinds.h"
+#include "services/jobs/task_support.h"
+#include "services/policy/dataset.h"
+#include "services/policy/policy.h"
+#include "services/policy/train.h"
+#include "services/trajectories/shard.h"
+
+namespace rg::jobs {
+namespace {
+
+namespace pb = ::realitygrad::v1;
+using nlohmann::json;
+
+Eigen::VectorXd ToVector(const google::protobuf::RepeatedField<double>& values) {
+  return Eigen::Map<const Eigen::VectorXd>(values.data(), values.size());
+}
+
+trajectories::ShardSpec SpecOf(const pb::TrajectoriesPayload& payload) {
+  trajectories::ShardSpec spec;
+  spec.seed = payload.seed();
+  spec.first = payload.first();
+  spec.count = payload.count();
+  if (payload.duration_s() > 0) spec.duration_s = payload.duration_s();
+  if (payload.reach() > 0) spec.sampling.reach_fraction = payload.reach();
+  if (payload.home_size() > 0) spec.sampling.home = ToVector(payload.home());
+  if (payload.spread() > 0) spec.sampling.home_range = payload.spread();
+  if (payload.peak_torque_size() > 0) spec.mpc.peak_torque = ToVector(payload.peak_torque());
+  return spec;
+}
+
+json FailuresJson(const trajectories::Shard& shard) {
+  json failures = json::object();
+  for (int kind = 0; kind < trajectories::kFailureKinds; ++kind) {
+    const uint64_t count = shard.failures[static_cast<size_t>(kind)];
+    if (count > 0)
+      failures[std::string(trajectories::FailureName(static_cast<trajectories::Failure>(kind)))] = count;
+  }
+  return failures;
+}
+
+Result<policy::Dataset> DatasetOf(const worker::TaskInput& input) {
+  policy::Dataset dataset;
+  const auto shards = input.All(kInputShard);
+  if (shards.empty()) return InvalidError(input.task_name + ": no shard of trajectories was given");
+  for (const worker::InputArtifact* artifact : shards) {
+    RG_ASSIGN_OR_RETURN(const trajectories::Shard shard,
+                        trajectories::ParseShard(artifact->bytes, "shard " + artifact->sha256.substr(0, 12)));
+    for (const trajectories::Trajectory& t : shard.trajectories) {
+      dataset.AddTrajectory(t.slot, t.q, t.v, t.goal, t.torque);
+    }
+  }
+  return dataset;
+}
+
+policy::TrainOptions OptionsOf(const pb::TrainPayload& payload) {
+  policy::TrainOptions options;
+  options.seed = payload.seed();
+  if (payload.epochs() > 0) options.epochs = static_cast<int>(payload.epochs());
+  if (payload.batch() > 0) options.batch = static_cast<int>(payload.batch());
+  if (payload.learning_rate() > 0) options.learning_rate = payload.learning_rate();
+  if (payload.hidden_size() > 0) options.hidden.assign(payload.hidden().begin(), payload.hidden().end());
+  return options;
+}
+
+json CurveJson(const std::vector<policy::EpochLoss>& curve) {
+  json train = json::array(), validation = json::array();
+  for (const policy::EpochLoss& epoch : curve) {
+    train.push_back(epoch.train);
+    validation.push_back(epoch.validation);  // NaN becomes null
+  }
+  return {{"train", train}, {"validation", validation}};
+}
+
+}  // namespace
+
+Result<worker::TaskOutputs> RunTrajectories(const worker::TaskInput& input, worker::TaskContext& context) {
+  RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::TrajectoriesPayload>(input));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile model, ModelOf(input));
+  const double start = RealClock().SteadySeconds();
+  RG_ASSIGN_OR_RETURN(const trajectories::Shard shard,
+                      trajectories::GenerateShard(model.plant, model.values, SpecOf(payload),
+                                                  context.progress_fn(), &context.cancel_token()));
+  if (shard.num_failures() > 0) context.Log("draws replaced: " + shard.FailureSummary());
+  const json summary = {
+      {"solved", shard.trajectories.size()}, {"failed", shard.num_failures()},
+      {"failures", FailuresJson(shard)},     {"unfilled", shard.unfilled.size()},
+      {"samples", shard.num_samples()},      {"seconds", RealClock().SteadySeconds() - start}};
+  worker::TaskOutputs outputs;
+  outputs.artifacts.push_back(
+      {kOutputShard, kArtifactShard, trajectories::SerializeShard(shard), summary.dump()});
+  outputs.summary_json = summary.dump();
+  return outputs;
+}
+
+Result<worker::TaskOutputs> RunTrain(const worker::TaskInput& input, worker::TaskContext& context) {
+  RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::TrainPayload>(input));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile model, ModelOf(input));
+  RG_ASSIGN_OR_RETURN(const policy::Dataset dataset, DatasetOf(input));
+  policy::TrainOptions options = OptionsOf(payload);
+  options.joints = model.plant.joint_names();
+  const double start = RealClock().SteadySeconds();
+  RG_ASSIGN_OR_RETURN(const policy::TrainResult result,
+                      policy::Train(dataset, options, context.progress_fn(), &context.cancel_token()));
+  context.Log(result.Message());
+  if (result.termination == policy::Termination::kCancelled) return CancelledError("training was cancelled");
+  if (result.termination == policy::Termination::kDiverged) {
+    return InvalidError("training diverged in epoch " + std::to_string(result.diverged_epoch));
+  }
+  json summary = {{"points", result.policy.record().points},
+                  {"validation_points", result.policy.record().validation_points},
+                  {"epochs", result.policy.record().epochs},
+                  {"train_loss", result.train_loss},
+                  {"validation_loss", result.validation_loss},
+                  {"train_rms", result.train_rms},
+                  {"validation_rms", result.validation_rms},
+                  {"seconds", RealClock().SteadySeconds() - start}};
+  worker::TaskOutputs outputs;
+  outputs.summary_json = summary.dump();
+  summary["curve"] = CurveJson(result.policy.record().curve);
+  outputs.artifacts.push_back(
+      {kOutputPolicy, kArtifactPolicy, policy::SerializePolicy(result.policy), summary.dump()});
+  return outputs;
+}
+
+}  // namespace rg::jobs

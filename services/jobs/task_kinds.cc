@@ -1,0 +1,17 @@
+#include "services/jobs/task_kinds.h"
+
+#include "services/jobs/identify_tasks.h"
+#include "services/jobs/kinds.h"
+#include "services/jobs/learning_tasks.h"
+#include "worker/task_registry.h"
+
+namespace rg::jobs {
+
+void RegisterWorkerKinds(worker::TaskRegistry* registry) {
+  registry->Register(kKindTrajectories, RunTrajectories);
+  registry->Register(kKindTrain, RunTrain);
+  registry->Register(kKindIdentify, RunIdentify);
+  registry->Register(kKindConclude, RunConclude);
+}
+
+}  // namespace rg::jobs

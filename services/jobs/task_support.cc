@@ -1,0 +1,12 @@
+#include "services/jobs/task_support.h"
+
+#include "services/jobs/kinds.h"
+
+namespace rg::jobs {
+
+Result<sim::ModelFile> ModelOf(const worker::TaskInput& input) {
+  RG_ASSIGN_OR_RETURN(const worker::InputArtifact* model, input.Require(kInputModel));
+  return sim::ModelFromJson(model->bytes, "model " + model->sha256.substr(0, 12));
+}
+
+}  // namespace rg::jobs
