@@ -71,13 +71,13 @@ GnmsSolver::GnmsSolver(ControlProblem& problem, const GnmsOptions& options, cons
   rho_ = Eigen::VectorXd::Zero(nx_);
   rho_unit_ = Eigen::VectorXd::Zero(nx_);
   merit_weight_ = Eigen::VectorXd::Zero(nx_);
-  history_.reserve(std::max(options.max_iterations, 1) + 1);
+  history_.reserve(std::max(options.max_iterations, 1) + options.extra_iterations + 1);
   SetGuess(Eigen::MatrixXd::Zero(nx_, n_ + 1), Eigen::MatrixXd::Zero(nu_, n_));
 }
 
 void GnmsSolver::set_max_iterations(int iterations) {
   options_.max_iterations = iterations;
-  history_.reserve(std::max(iterations, 1) + 1);
+  history_.reserve(std::max(iterations, 1) + options_.extra_iterations + 1);
 }
 
 void GnmsSolver::SetGuess(const MatIn& x, const MatIn& u) {
@@ -261,10 +261,13 @@ void GnmsSolver::MeasureStep(GnmsIteration* record) const {
   for (int k = 0; k < n_; ++k) record->step_u = std::max(record->step_u, lq_.du(k).lpNorm<Eigen::Infinity>());
 }
 
-bool GnmsSolver::StepIsSmall(const GnmsIteration& record) const {
+bool GnmsSolver::StepIsSmall(const GnmsIteration& record, double slope, double merit) const {
+  if (!record.exact || record.max_defect > options_.defect_tolerance) return false;
   const double u_scale = 1.0 + ConstMap(current_.u.data(), current_.u.size()).lpNorm<Eigen::Infinity>();
-  return record.exact && record.step_x <= options_.step_tolerance &&
-         record.step_u <= options_.step_tolerance * u_scale && record.max_defect <= options_.defect_tolerance;
+  if (record.step_x <= options_.step_tolerance && record.step_u <= options_.step_tolerance * u_scale)
+    return true;
+  return -slope <= options_.decrease_tolerance * std::abs(merit) &&
+         record.max_violation <= options_.box_tolerance;
 }
 
 // Convex combination of points inside the box of u; clamped against rounding.
@@ -276,9 +279,8 @@ void GnmsSolver::MakeTrial(double step_length) {
                                   .cwiseMin(problem_.u_upper());
 }
 
-GnmsSolver::Search GnmsSolver::LineSearch(const VecIn& x0, GnmsSummary* summary, GnmsIteration* record) {
-  const double slope = std::min(UpdateMeritWeights(x0), 0.0);
-  const double merit = Merit(current_, x0);
+GnmsSolver::Search GnmsSolver::LineSearch(const VecIn& x0, double slope, double merit, GnmsSummary* summary,
+                                          GnmsIteration* record) {
   const double rounding = 1e-13 * (std::abs(merit) + std::abs(current_.cost));
   bool any_finite = false;
   for (double length = 1.0; length >= options_.min_step; length *= options_.shrink) {
@@ -349,6 +351,14 @@ void GnmsSolver::MeasureViolation(GnmsSummary* summary) const {
   }
 }
 
+bool GnmsSolver::IterationsLeft(const VecIn& x0, const GnmsSummary& summary) const {
+  if (summary.iterations < options_.max_iterations) return true;
+  if (summary.iterations >= options_.max_iterations + options_.extra_iterations) return false;
+  GnmsSummary now;
+  MeasureDefects(x0, &now);
+  return now.max_defect > options_.usable_defect;
+}
+
 bool GnmsSolver::OutOfTime(double started, double slowest) const {
   return options_.time_budget_s > 0.0 && clock_->SteadySeconds() - started + slowest > options_.time_budget_s;
 }
@@ -383,7 +393,7 @@ GnmsSummary GnmsSolver::Solve(const VecIn& x0) {
            &summary);
     return summary;
   }
-  while (summary.iterations < options_.max_iterations) {
+  while (IterationsLeft(x0, summary)) {
     if (OutOfTime(started, slowest)) {
       Finish(Termination::kTimeBudget, x0, "time budget used up", &summary);
       return summary;
@@ -404,7 +414,9 @@ GnmsSummary GnmsSolver::Solve(const VecIn& x0) {
     record.max_defect = summary.max_defect;
     record.max_violation = summary.max_violation;
     MeasureStep(&record);
-    const bool stationary = StepIsSmall(record);
+    const double slope = std::min(UpdateMeritWeights(x0), 0.0);
+    const double merit = Merit(current_, x0);
+    const bool stationary = StepIsSmall(record, slope, merit);
     if (stationary) {
       history_.push_back(record);
       if (summary.max_violation <= options_.box_tolerance) {
@@ -417,7 +429,7 @@ GnmsSummary GnmsSolver::Solve(const VecIn& x0) {
       }
       continue;
     }
-    const Search search = LineSearch(x0, &summary, &record);
+    const Search search = LineSearch(x0, slope, merit, &summary, &record);
     history_.push_back(record);
     if (search == Search::kAccepted) {
       std::swap(current_, trial_);

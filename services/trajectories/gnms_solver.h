@@ -34,9 +34,16 @@ namespace rg::trajectories {
 
 struct GnmsOptions {
   int max_iterations = 60;
+  // So many more while a defect is above `usable_defect`: a receding horizon with few iterations per
+  // interval then takes its time where the plan is not yet a motion (at kinks of Φ).
+  int extra_iterations = 0;
+  double usable_defect = 1e-2;
   // Converged when max|δx|, max|δu|/(1 + max|u|) and every defect are below these; x in its units.
   double step_tolerance = 1e-6;
   double defect_tolerance = 1e-7;
+  // Also converged, with closed defects and boxes, when the merit's predicted decrease is below this share
+  // of the merit; at a kink of Φ (dry friction) steps do not vanish. 0: never.
+  double decrease_tolerance = 0.0;
   double box_tolerance = 1e-4;
 
   // Sufficient decrease, as in Nocedal & Wright 3.4; step lengths are shrink^i ≥ min_step.
@@ -145,15 +152,16 @@ class GnmsSolver {
   double Merit(const Iterate& it, const VecIn& x0) const;
   double BoxTerm(const Iterate& it) const;
   void MeasureStep(GnmsIteration* record) const;
-  bool StepIsSmall(const GnmsIteration& record) const;
+  bool StepIsSmall(const GnmsIteration& record, double slope, double merit) const;
   void MakeTrial(double step_length);
-  Search LineSearch(const VecIn& x0, GnmsSummary* summary, GnmsIteration* record);
+  Search LineSearch(const VecIn& x0, double slope, double merit, GnmsSummary* summary, GnmsIteration* record);
   void RaiseRegularization();
   void LowerRegularization();
   bool TightenBoxes(bool stationary);
   void UpdateMultipliers();
   void MeasureDefects(const VecIn& x0, GnmsSummary* summary) const;
   void MeasureViolation(GnmsSummary* summary) const;
+  bool IterationsLeft(const VecIn& x0, const GnmsSummary& summary) const;
   bool OutOfTime(double started, double slowest) const;
   void Finish(Termination termination, const VecIn& x0, std::string message, GnmsSummary* summary) const;
 

@@ -23,7 +23,9 @@ struct MpcOptions {
   double horizon_s = 1.0;    // the paper; rounded to whole intervals
   // Integration inside an interval. Over 40 ms on trajectories of the Mico² the leapfrog at 10 ms errs by
   // at most 2.4e-4 rad and 8e-3 rad/s; the paper's Euler at 1 ms by 4.0e-4 rad and 1.3e-2 rad/s.
-  sim::SimulatorOptions simulation{.step_s = 0.01};
+  // Dry friction is smoothed over ± stick_velocity: a plan needs to see that torque moves a joint which
+  // sticks now. The plan's joints therefore creep by up to that under load; a robot's stick.
+  sim::SimulatorOptions simulation{.step_s = 0.01, .stick_velocity = 0.05};
 
   // Natural frequency of the closed loop [rad/s], see TrackingWeights::ForBandwidth.
   double bandwidth = 8.0;
@@ -38,7 +40,12 @@ struct MpcOptions {
 
   int cold_iterations = 30;
   int warm_iterations = 2;  // per interval; the real-time iteration scheme uses 1
-  GnmsOptions solver{.step_tolerance = 1e-4, .defect_tolerance = 1e-6};
+  GnmsOptions solver{.extra_iterations = 8,
+                     .step_tolerance = 1e-4,
+                     .defect_tolerance = 1e-4,
+                     .decrease_tolerance = 1e-5,
+                     .min_step = 1.0 / 32,
+                     .regularization_max = 1e3};
   // 0: none. On the robot: what of the interval may be spent.
   double time_budget_s = 0.0;
 

@@ -69,7 +69,8 @@ TEST(PlantProblem, LinearisationMatchesCentralDifferences) {
 }
 
 TEST(PlanningPlant, DropsPureDelaysOnly) {
-  const sim::Plant plant = MakePlant("arm2", {effects::MakeSpec("actuator_delay", {"shoulder", "elbow"}, {{"delay", 0.03}})});
+  const sim::Plant plant =
+      MakePlant("arm2", {effects::MakeSpec("actuator_delay", {"shoulder", "elbow"}, {{"delay", 0.03}})});
   EXPECT_TRUE(PlanningPlant(plant).effects().empty());
 }
 
