@@ -44,7 +44,7 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
   RG_RETURN_IF_ERROR(
       CheckKeys(root,
                 {"format", "name", "driver", "simulated", "start_pose", "pose_tolerance", "pose_timeout_s",
-                 "settle_s", "connect_timeout_s", "limits", "velocity_source"},
+                 "settle_s", "connect_timeout_s", "limits", "velocity_source", "excitation"},
                 ""));
   if (root.at("format") != "realitygrad.agent/1")
     return InvalidError("format is " + root.at("format").dump() + ", needs realitygrad.agent/1");
@@ -61,6 +61,9 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
   if (source != "measured" && source != "differenced")
     return InvalidError("velocity_source is \"" + source + "\", needs measured or differenced");
   config.velocity_source = source == "measured" ? VelocitySource::kMeasured : VelocitySource::kDifferenced;
+  config.excitation = root.value("excitation", 0.0);
+  if (!(config.excitation >= 0.0 && config.excitation <= 1.0))
+    return InvalidError("excitation is " + std::to_string(config.excitation) + ", needs 0 to 1");
   if (config.driver != "simulated")
     return InvalidError("driver \"" + config.driver + "\" is not in this build (simulated)");
   RG_RETURN_IF_ERROR(ReadSimulated(root.at("simulated"), folder, &config.simulated));

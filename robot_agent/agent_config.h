@@ -3,7 +3,8 @@
 // realitygrad.agent/1, JSON: "format", "name" ("mico2": the worker's tag robot:<name>), "driver"
 // ("simulated"), "simulated" {"truth": path relative to this file, "lock_step": bool, "socket": path of
 // a robot started by hand}, "start_pose" [n], "pose_tolerance", "pose_timeout_s", "limits" (see
-// safety/limits.h; what is absent comes from the model), "velocity_source" ("measured" | "differenced").
+// safety/limits.h; what is absent comes from the model), "velocity_source" ("measured" | "differenced"),
+// "excitation" (share of the torque limits, see RolloutSpec).
 #pragma once
 
 #include <memory>
@@ -30,6 +31,7 @@ struct AgentConfig {
   double connect_timeout_s = 10.0;
   std::string limits_json = "{}";
   VelocitySource velocity_source = VelocitySource::kMeasured;
+  double excitation = 0.0;  // where the rollout's specification leaves it open
 };
 
 // `folder` resolves relative paths; `source` names the text in errors.

@@ -1,8 +1,11 @@
 #include "robot_agent/controllers.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
+#include <numbers>
 
+#include "common/base/rng.h"
 #include "services/trajectories/mpc_controller.h"
 
 namespace rg::robot_agent {
@@ -83,6 +86,31 @@ void TrajectoryController::Command(double t, const double* q, const double* v, d
     tau[i] = plan_.tau(i, k);
     if (plan_.gain_q.size() == 0) continue;
     tau[i] += plan_.gain_q[i] * (plan_.q(i, k) - q[i]) + plan_.gain_v[i] * (plan_.v(i, k) - v[i]);
+  }
+}
+
+ExcitedController::ExcitedController(Controller& inner, const Eigen::VectorXd& amplitude, double duration_s,
+                                     uint64_t seed)
+    : inner_(inner), amplitude_(amplitude), duration_s_(duration_s) {
+  RG_CHECK(amplitude.size() <= kMaxJoints);
+  Rng rng(seed);
+  for (Eigen::Index i = 0; i < amplitude.size(); ++i)
+    for (Sine& sine : sines_[i])
+      sine = {2.0 * std::numbers::pi * rng.Uniform(0.2, 1.5), rng.Uniform(0.0, 2.0 * std::numbers::pi)};
+}
+
+double ExcitedController::Window(double t) const {
+  const double fall = std::clamp((t / duration_s_ - 0.5) / 0.2, 0.0, 1.0);
+  return 0.5 + 0.5 * std::cos(std::numbers::pi * fall);
+}
+
+void ExcitedController::Command(double t, const double* q, const double* v, double* tau) {
+  inner_.Command(t, q, v, tau);
+  const double window = Window(t);
+  for (Eigen::Index i = 0; i < amplitude_.size(); ++i) {
+    double sum = 0.0;
+    for (const Sine& sine : sines_[i]) sum += std::sin(sine.angular_frequency * t + sine.phase);
+    tau[i] += amplitude_[i] * window * sum / 3.0;
   }
 }
 

@@ -49,6 +49,29 @@ class TrajectoryController final : public Controller {
   Plan plan_;
 };
 
+// Another controller's torques plus a small known motion of every joint, so that the recording tells
+// friction and inertia also of joints that the controller leaves at rest:
+//   tau_i += A_i · w(t) · Σ_{k=1..3} sin(2π f_ik t + φ_ik) / 3 ,  f in 0.2 … 1.5 Hz, drawn from `seed`
+// w is 1 for the first half of duration_s, then falls smoothly to 0 at 0.7 of it, so that what comes
+// after is the controller alone. |addition| ≤ A_i. No allocation per command.
+class ExcitedController final : public Controller {
+ public:
+  // amplitude: n, N·m.
+  ExcitedController(Controller& inner, const Eigen::VectorXd& amplitude, double duration_s, uint64_t seed);
+  void Command(double t, const double* q, const double* v, double* tau) override;
+
+ private:
+  struct Sine {
+    double angular_frequency = 0.0, phase = 0.0;
+  };
+  double Window(double t) const;
+
+  Controller& inner_;
+  const Eigen::VectorXd amplitude_;
+  const double duration_s_;
+  std::array<std::array<Sine, 3>, kMaxJoints> sines_{};
+};
+
 // The paper's controller for its bounded/unbounded recording: receding horizon on the believed model,
 // solved anew each cycle. Allocates inside the solver on a cold start (the first command).
 Result<std::unique_ptr<Controller>> MakeMpcController(const sim::Plant& plant, const Eigen::VectorXd& values,

@@ -11,6 +11,7 @@
 #include "common/base/log.h"
 #include "common/model/robot_model.h"
 #include "robot_agent/arm_model.h"
+#include "robot_agent/controllers.h"
 #include "services/trajectories/inverse_kinematics.h"
 
 namespace rg::robot_agent {
@@ -75,6 +76,7 @@ std::string MetadataOf(const DriverInfo& info, const RolloutInput& input, const 
               {"goal", ToVector(spec.goal)},
               {"goal_seed", spec.goal_seed},
               {"controller", input.controller_name},
+              {"excitation", spec.excitation},
               {"policy_sha256", input.policy_sha256},
               {"model_sha256", input.model_sha256},
               {"limits", json::parse(LimitsToJson(input.plan.limits))},
@@ -146,6 +148,7 @@ Result<RolloutPlan> PlanRollout(const rollouts::RolloutSpec& spec, const AgentCo
   const model::RobotModel& model = plant.model();
   const int n = plant.num_joints();
   RolloutPlan plan{.spec = spec, .limits = {}};
+  if (plan.spec.excitation < 0) plan.spec.excitation = config.excitation;
   if (plan.spec.start.size() == 0) plan.spec.start = ToEigen(config.start_pose);
   RG_RETURN_IF_ERROR(CheckSize("start", plan.spec.start, n));
   RG_ASSIGN_OR_RETURN(plan.limits, LimitsFor(config, model, ToVector(plan.spec.start)));

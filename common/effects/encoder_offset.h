@@ -3,7 +3,7 @@
 //   q_measured = q + o        o [rad]
 //
 // Recordings start from measured positions: whoever sets an initial state from a measurement subtracts
-// the offset (sim::Simulator::MakeStateFromMeasurement).
+// the offset.
 #pragma once
 
 #include "common/effects/effect.h"

@@ -35,7 +35,7 @@ Result<std::unique_ptr<Client>> Client::Connect(const ClientOptions& options) {
   auto context = std::make_unique<transport::Context>();
   transport::Sender self;
   self.id = options.name + "-" + RandomHex(6);
-  self.role = options.read_only ? pb::ROLE_VIEWER : pb::ROLE_OPERATOR;
+  self.role = options.read_only ? pb::ROLE_VIEWER : options.role;
   transport::DealerOptions dealer;
   dealer.key = options.key;
   dealer.server_public_key = options.server_public_key;

@@ -37,7 +37,8 @@ struct ClientOptions {
   std::optional<transport::KeyPair> key;  // CURVE, with
   std::string server_public_key;          // the coordinator's, Z85
   bool allow_plain_loopback = true;
-  bool read_only = false;  // claims the role viewer instead of operator
+  bool read_only = false;             // claims the role viewer instead of `role`
+  pb::Role role = pb::ROLE_OPERATOR;  // with a key: must be the key's (NamedKey::role)
   std::string name = "client";
   int64_t connect_timeout_ms = 5'000;
   int64_t attempt_timeout_ms = 10'000;

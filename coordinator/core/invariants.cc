@@ -16,12 +16,15 @@ class Inspection {
   }
 
  private:
-  void Expect(bool holds, const std::string& what) {
-    if (!holds) broken_.push_back(what);
+  // `what` makes the line; only called for a broken promise.
+  template <class What>
+  void Expect(bool holds, What what) {
+    if (!holds) [[unlikely]]
+      broken_.emplace_back(what());
   }
 
   void CheckJob(const Job& job) {
-    const std::string where = "job " + std::to_string(job.id);
+    const auto where = [&] { return "job " + std::to_string(job.id); };
     uint32_t open = 0, leased = 0, failed = 0, uncertain = 0;
     for (uint32_t i = 0; i < job.tasks.size(); ++i) {
       CheckTask(job, i);
@@ -32,34 +35,38 @@ class Inspection {
       open += phase == TaskPhase::kWaiting || phase == TaskPhase::kReady || phase == TaskPhase::kLeased ||
               phase == TaskPhase::kUncertain;
     }
-    Expect(!IsFinal(job.record.phase) || open == 0, where + " is over but has open tasks");
-    Expect(IsFinal(job.record.phase) || open > 0, where + " has nothing left to do but is not over");
-    Expect(job.record.phase != JobPhase::kQueued || leased == 0, where + " is queued but runs");
-    Expect(job.leased == leased && job.failed == failed && job.uncertain == uncertain, where + ": counts");
-    Expect(job.settled() + open == job.tasks.size(), where + ": settled count");
+    Expect(!IsFinal(job.record.phase) || open == 0, [&] { return where() + " is over but has open tasks"; });
+    Expect(IsFinal(job.record.phase) || open > 0,
+           [&] { return where() + " has nothing left to do but is not over"; });
+    Expect(job.record.phase != JobPhase::kQueued || leased == 0,
+           [&] { return where() + " is queued but runs"; });
+    Expect(job.leased == leased && job.failed == failed && job.uncertain == uncertain,
+           [&] { return where() + ": counts"; });
+    Expect(job.settled() + open == job.tasks.size(), [&] { return where() + ": settled count"; });
   }
 
   void CheckTask(const Job& job, uint32_t index) {
     const Task& task = job.tasks[index];
     const TaskPlan& plan = job.plan_of(index);
-    const std::string where = "job " + std::to_string(job.id) + " task " + plan.name;
+    const auto where = [&] { return "job " + std::to_string(job.id) + " task " + plan.name; };
     const uint32_t open_parents = CountOpenParents(job, index);
     if (const auto* waiting = std::get_if<TaskWaiting>(&task.status)) {
-      Expect(waiting->parents_left == open_parents, where + ": count of open parents");
-      Expect(open_parents > 0, where + " waits for nothing");
+      Expect(waiting->parents_left == open_parents, [&] { return where() + ": count of open parents"; });
+      Expect(open_parents > 0, [&] { return where() + " waits for nothing"; });
     }
     const TaskPhase phase = PhaseOf(task.status);
     const bool started =
         phase == TaskPhase::kReady || phase == TaskPhase::kLeased || phase == TaskPhase::kUncertain;
-    Expect(!started || open_parents == 0, where + " started before its parents committed");
+    Expect(!started || open_parents == 0, [&] { return where() + " started before its parents committed"; });
     // A retry may reopen an optional parent that a done task did without, never one that it needed.
     Expect(phase != TaskPhase::kSucceeded || RequiredParentsSucceeded(job, index),
-           where + " is done but a parent is not");
-    Expect(task.failures <= plan.max_attempts, where + ": more failures than attempts");
-    Expect(task.crashes <= plan.crash_limit, where + ": more crashes than the limit");
+           [&] { return where() + " is done but a parent is not"; });
+    Expect(task.failures <= plan.max_attempts, [&] { return where() + ": more failures than attempts"; });
+    Expect(task.crashes <= plan.crash_limit, [&] { return where() + ": more crashes than the limit"; });
     const bool over_limit = task.failures >= plan.max_attempts || task.crashes >= plan.crash_limit;
-    Expect(!over_limit || phase == TaskPhase::kFailed, where + " goes on past its limit");
-    Expect(phase != TaskPhase::kUncertain || plan.at_most_once, where + " is uncertain but may be repeated");
+    Expect(!over_limit || phase == TaskPhase::kFailed, [&] { return where() + " goes on past its limit"; });
+    Expect(phase != TaskPhase::kUncertain || plan.at_most_once,
+           [&] { return where() + " is uncertain but may be repeated"; });
     CheckLeaseOf(job, index, where);
   }
 
@@ -70,36 +77,42 @@ class Inspection {
     return true;
   }
 
-  void CheckLeaseOf(const Job& job, uint32_t index, const std::string& where) {
+  template <class Where>
+  void CheckLeaseOf(const Job& job, uint32_t index, const Where& where) {
     const TaskRecord record = RecordOf(job, index);
     if (record.phase != TaskPhase::kLeased && record.phase != TaskPhase::kUncertain) return;
     const auto lease = s_.leases.find(record.token);
     Expect(lease != s_.leases.end() && lease->second.task == MakeTaskId(job.id, index),
-           where + " has no lease");
+           [&] { return where() + " has no lease"; });
     if (lease == s_.leases.end()) return;
     Expect(record.phase != TaskPhase::kUncertain || lease->second.granted,
-           where + " is uncertain but never started");
-    Expect(lease->second.attempt == record.attempts, where + " is held under an older attempt");
+           [&] { return where() + " is uncertain but never started"; });
+    Expect(lease->second.attempt == record.attempts,
+           [&] { return where() + " is held under an older attempt"; });
   }
 
   void CheckLeases() {
     for (const auto& [token, lease] : s_.leases) {
-      const std::string where = "lease " + std::to_string(token);
-      Expect(token <= s_.last_token, where + " is from the future");
+      const auto where = [&] { return "lease " + std::to_string(token); };
+      Expect(token <= s_.last_token, [&] { return where() + " is from the future"; });
       const Job* job = s_.FindJob(JobOf(lease.task));
-      Expect(job != nullptr && IndexOf(lease.task) < job->tasks.size(), where + " is for no task");
+      Expect(job != nullptr && IndexOf(lease.task) < job->tasks.size(),
+             [&] { return where() + " is for no task"; });
       if (job == nullptr) continue;
-      Expect(RecordOf(*job, IndexOf(lease.task)).token == token, where + " is not the one its task knows");
+      Expect(RecordOf(*job, IndexOf(lease.task)).token == token,
+             [&] { return where() + " is not the one its task knows"; });
     }
   }
 
   void CheckWorkers() {
     for (const auto& [name, worker] : s_.workers) {
-      Expect(worker.connected || worker.leases.empty(), "worker " + name + " is lost but holds leases");
+      Expect(worker.connected || worker.leases.empty(),
+             [&] { return "worker " + name + " is lost but holds leases"; });
       for (const Token token : worker.leases) {
         const auto lease = s_.leases.find(token);
-        Expect(lease != s_.leases.end() && lease->second.instance == worker.instance,
-               "worker " + name + " holds lease " + std::to_string(token) + ", which is not its own");
+        Expect(lease != s_.leases.end() && lease->second.instance == worker.instance, [&] {
+          return "worker " + name + " holds lease " + std::to_string(token) + ", which is not its own";
+        });
       }
     }
   }
@@ -111,7 +124,7 @@ class Inspection {
       for (const auto& entry : cls.ready) {
         const Job* job = s_.FindJob(JobOf(entry.task));
         Expect(job != nullptr && std::holds_alternative<TaskReady>(job->tasks[IndexOf(entry.task)].status),
-               "a task is queued but not ready");
+               [&] { return std::string("a task is queued but not ready"); });
       }
     }
     size_t ready = 0;
@@ -119,8 +132,8 @@ class Inspection {
       if (job.record.phase == JobPhase::kPaused) continue;
       for (const Task& task : job.tasks) ready += std::holds_alternative<TaskReady>(task.status);
     }
-    Expect(queued == ready, "a ready task is in no queue");
-    Expect(!s_.dispatch_needed, "dispatch was left undone");
+    Expect(queued == ready, [&] { return std::string("a ready task is in no queue"); });
+    Expect(!s_.dispatch_needed, [&] { return std::string("dispatch was left undone"); });
   }
 
   const State& s_;

@@ -41,6 +41,7 @@ Status Check(const RolloutSpec& spec) {
   RG_RETURN_IF_ERROR(CheckRange("rate_hz", spec.rate_hz, 1, 500));
   RG_RETURN_IF_ERROR(CheckRange("duration_s", spec.duration_s, 0.1, 600));
   RG_RETURN_IF_ERROR(CheckRange("goal_reach_s", spec.goal_reach_s, 1e-3, 600));
+  RG_RETURN_IF_ERROR(CheckRange("excitation", spec.excitation, -1, 1));
   if (!spec.start.allFinite()) return InvalidError("rollout spec: start is not finite");
   if (!spec.goal.allFinite()) return InvalidError("rollout spec: goal is not finite");
   const auto place = spec.goal_position.size();
@@ -52,9 +53,9 @@ Status Check(const RolloutSpec& spec) {
 }  // namespace
 
 Result<RolloutSpec> ParseSpec(const std::string& text) {
-  static const std::set<std::string> kKnown{"format",       "id",        "rate_hz",       "duration_s",
-                                            "start",        "goal",      "goal_position", "goal_seed",
-                                            "goal_reach_s", "robot_seed"};
+  static const std::set<std::string> kKnown{"format",       "id",         "rate_hz",       "duration_s",
+                                            "start",        "goal",       "goal_position", "goal_seed",
+                                            "goal_reach_s", "excitation", "robot_seed"};
   RolloutSpec spec;
   try {
     const json root = json::parse(text);
@@ -67,6 +68,7 @@ Result<RolloutSpec> ParseSpec(const std::string& text) {
     spec.duration_s = root.value("duration_s", spec.duration_s);
     spec.goal_seed = root.value("goal_seed", spec.goal_seed);
     spec.goal_reach_s = root.value("goal_reach_s", spec.goal_reach_s);
+    spec.excitation = root.value("excitation", spec.excitation);
     spec.robot_seed = root.value("robot_seed", spec.robot_seed);
     if (root.contains("start")) spec.start = ReadVector(root["start"]);
     if (root.contains("goal")) spec.goal = ReadVector(root["goal"]);
@@ -79,10 +81,10 @@ Result<RolloutSpec> ParseSpec(const std::string& text) {
 }
 
 std::string SpecToJson(const RolloutSpec& spec) {
-  json root{{"format", kSpecFormat},        {"id", spec.id},
-            {"rate_hz", spec.rate_hz},      {"duration_s", spec.duration_s},
-            {"goal_seed", spec.goal_seed},  {"goal_reach_s", spec.goal_reach_s},
-            {"robot_seed", spec.robot_seed}};
+  json root{{"format", kSpecFormat},         {"id", spec.id},
+            {"rate_hz", spec.rate_hz},       {"duration_s", spec.duration_s},
+            {"goal_seed", spec.goal_seed},   {"goal_reach_s", spec.goal_reach_s},
+            {"excitation", spec.excitation}, {"robot_seed", spec.robot_seed}};
   if (spec.start.size() > 0) root["start"] = ToVector(spec.start);
   if (spec.goal.size() > 0) root["goal"] = ToVector(spec.goal);
   if (spec.goal_position.size() > 0) root["goal_position"] = ToVector(spec.goal_position);

@@ -26,11 +26,14 @@ struct RolloutSpec {
   Eigen::VectorXd goal_position;
   uint64_t goal_seed = 1;
   double goal_reach_s = 1.0;  // > 0: |goal - start| ≤ 0.6 · v_max · goal_reach_s
-  uint64_t robot_seed = 1;    // of a simulated robot's sensor noise
+  // Small known torques on top of the controller's, as a share of each joint's torque limit, faded out
+  // before the end; negative: what the agent's configuration says.
+  double excitation = -1.0;
+  uint64_t robot_seed = 1;  // of a simulated robot's sensor noise
 };
 
 // {"format", "id", "rate_hz", "duration_s", "start"?, "goal"?, "goal_position"?, "goal_seed", "goal_reach_s",
-// "robot_seed"}; ranges are checked, unknown fields refused.
+// "excitation", "robot_seed"}; ranges are checked, unknown fields refused.
 Result<RolloutSpec> ParseSpec(const std::string& json);
 std::string SpecToJson(const RolloutSpec& spec);
 

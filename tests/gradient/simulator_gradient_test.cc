@@ -231,6 +231,50 @@ std::vector<Case> Cases() {
 INSTANTIATE_TEST_SUITE_P(Catalogue, GradientTest, ::testing::ValuesIn(Cases()),
                          [](const auto& info) { return info.param.name; });
 
+class IntegratorGradientTest : public ::testing::TestWithParam<Integrator> {};
+
+TEST_P(IntegratorGradientTest, MatchesCentralDifferences) {
+  const std::vector<std::string> joints = {"shoulder", "elbow"};
+  const Plant plant = rg::testing::MakePlant(
+      "arm2", {MakeSpec("viscous_friction", joints, {{"viscous", 0.8}}),
+               MakeSpec("coulomb_friction", joints, {{"coulomb", 0.3}}),
+               MakeSpec("rotor_inertia", joints, {{"armature", 0.1}}),
+               MakeSpec("position_spring", joints, {{"stiffness", 4}}),
+               MakeSpec("joint_coupling", joints, {{"coefficient", 0.2}}),
+               MakeSpec("external_disturbance", {},
+                        {{"start", -1}, {"end", 1}, {"force_x", 3.0}, {"force_z", -2.0}})});
+  SimulatorOptions options;
+  options.integrator = GetParam();
+  options.step_s = 4e-3;
+  Simulator simulator(plant, options);
+  const CommandSignal command = Commands(2, 3.0, Hold::kZeroOrder);
+  const State x0 = simulator.MakeState(StartPosition(plant), StartVelocity(plant));
+  SensitivityRequest request{true, {}};
+  for (int i = 0; i < plant.parameters().size(); ++i) {
+    if (plant.parameters()[i].unit != "s") request.parameters.push_back(i);
+  }
+  const Trajectory out = simulator.Simulate(x0, command, {0.02}, request);
+  ASSERT_TRUE(out.outcome.ok()) << out.outcome.ToString();
+  const auto count = static_cast<Eigen::Index>(request.parameters.size());
+  Eigen::VectorXd scale(4 + count);
+  scale.head(4).setConstant(kStateScale);
+  for (int i = 0; i < count; ++i) scale[4 + i] = Scale(plant.parameters()[request.parameters[i]]);
+  auto run = [&](const Eigen::VectorXd& at) {
+    Eigen::VectorXd p = plant.parameters().Nominal();
+    for (int i = 0; i < count; ++i) p[request.parameters[i]] += scale[4 + i] * at[4 + i];
+    simulator.SetParameters(p);
+    const State x = FromStacked(x0, x0.Stacked() + kStateScale * at.head(4));
+    return Eigen::VectorXd(simulator.Simulate(x, command, {0.02}).state.col(0));
+  };
+  const auto check = math::CheckGradient(run, Eigen::VectorXd::Zero(scale.size()),
+                                         out.dfinal_state * scale.asDiagonal(), Options(1e-6));
+  EXPECT_TRUE(check.ok) << check.message;
+}
+
+INSTANTIATE_TEST_SUITE_P(All, IntegratorGradientTest,
+                         ::testing::Values(Integrator::kSemiImplicitEuler, Integrator::kLeapfrog,
+                                           Integrator::kRk4));
+
 TEST(GradientCases, CoverEveryEffectOfTheCatalogue) {
   for (const auto& info : effects::Catalog()) {
     bool found = false;

@@ -17,9 +17,12 @@
 #include "coordinator/client/client.h"
 #include "coordinator/server/server.h"
 #include "coordinator/store/schema.h"
+#include "tests/support/service/processes.h"
 
 namespace rg::coordinator {
 namespace {
+
+namespace testing = ::rg::testing;
 
 constexpr uint32_t kSlots = 256;
 
@@ -178,6 +181,28 @@ void DurableTasks(benchmark::State& state) {
   state.SetLabel(state.range(0) == 1 ? "CURVE" : "plain");
 }
 BENCHMARK(DurableTasks)->Arg(0)->Arg(1)->UseManualTime()->Iterations(3)->Unit(benchmark::kMillisecond);
+
+// The whole way with real programs: two workers with two executors each, one small output per task.
+void TasksThroughExecutors(benchmark::State& state) {
+  testing::Service service(1000);
+  service.StartWorker("a", 2);
+  service.StartWorker("b", 2);
+  RG_CHECK(service.WaitForWorkers(2));
+  constexpr int kTasks = 1'000;
+  for (auto _ : state) {
+    pb::JobSpec job;
+    for (int i = 0; i < kTasks; ++i) {
+      testing::AddTask(&job, "t" + std::to_string(i), "echo", "{\"text\": \"" + std::to_string(i) + "\"}");
+    }
+    const auto id = service.client().Submit(job);
+    RG_CHECK(id.ok());
+    const double begin = RealClock().SteadySeconds();
+    RG_CHECK(service.client().WaitForJob(*id).ok());
+    state.SetIterationTime(RealClock().SteadySeconds() - begin);
+  }
+  state.SetItemsProcessed(state.iterations() * kTasks);
+}
+BENCHMARK(TasksThroughExecutors)->UseManualTime()->Iterations(2)->Unit(benchmark::kMillisecond);
 
 // From the submit's call to the assignment in the worker's hands, on an idle service; p50 and p99.
 void Dispatch(benchmark::State& state) {

@@ -38,6 +38,10 @@ class Hosts {
   }
   bool ok() const { return ok_; }
   std::string Name(int host) const { return prefix_ + "h" + std::to_string(host); }
+  // Pulls the host's cable, or puts it back.
+  void Plug(int host, bool in) const {
+    Shell("ip -n " + Name(0) + " link set port" + std::to_string(host) + (in ? " up" : " down"));
+  }
   std::vector<std::string> On(int host, std::vector<std::string> arguments) const {
     std::vector<std::string> all = {"ip", "netns", "exec", Name(host)};
     all.insert(all.end(), arguments.begin(), arguments.end());
@@ -201,6 +205,35 @@ TEST_F(ThreeHosts, AWorkerJoinsHalfWayAndAKilledOnesShardsFinishElsewhere) {
   std::string expected;
   for (int i = 0; i < kShards; ++i) expected += "shard" + std::to_string(i) + " slept";
   EXPECT_EQ(*client->GetArtifact(FindTask(*reply, "join")->outputs(0).sha256()), expected);
+}
+
+TEST_F(ThreeHosts, APartitionedWorkersTaskFinishesElsewhereAndItsLateResultIsRefused) {
+  const VisitHost here(hosts_->Name(3));
+  ASSERT_TRUE(here.ok());
+  auto client = Connect("operator");
+  auto a = StartWorker(2, "a");
+  pb::JobSpec job;
+  AddTask(&job, "t", "sleep", R"({"seconds": 1.0})");
+  const auto id = client->Submit(job);
+  ASSERT_TRUE(id.ok()) << id.status().ToString();
+  const auto until = [](const std::function<bool()>& holds) {
+    const double end = RealClock().SteadySeconds() + kPatience;
+    while (!holds() && RealClock().SteadySeconds() < end)
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    return holds();
+  };
+  ASSERT_TRUE(until([&] { return client->GetJob(*id)->tasks(0).state() == pb::TASK_STATE_LEASED; }));
+  hosts_->Plug(2, false);
+  auto b = StartWorker(3, "b");
+  const auto end = client->WaitForJob(*id, kPatience);
+  ASSERT_TRUE(end.ok() && end->job().state() == pb::JOB_STATE_SUCCEEDED) << Logs();
+  EXPECT_EQ(client->GetJob(*id, true, true)->tasks(0).attempt_list(1).worker(), "b");
+  hosts_->Plug(2, true);
+  EXPECT_TRUE(until([&] { return client->CoordinatorStatus()->workers() == 2; }))
+      << "it joins again" << Logs();
+  EXPECT_TRUE(until([&] {
+    return client->CoordinatorStatus()->counters().at("results_refused_total") >= 1.0;
+  })) << Logs();
 }
 
 TEST_F(ThreeHosts, KeysDecideWhoMayDoWhat) {

@@ -112,6 +112,7 @@ class Simulation {
   std::set<JobId> cancelled_;     // acknowledged
   std::map<JobId, std::map<TaskId, int>> commits_at_cancel_;
   int instances_ = 0;
+  uint64_t commits_made_ = 0;
   Facts facts_;
   std::vector<std::string> broken_;
 };

@@ -28,7 +28,7 @@ void Play(uint64_t first_seed, uint64_t count, const SimulationOptions& options,
 
 TEST(Simulation, NoHistoryOfKillsAndLossesBreaksAPromise) {
   Simulation::Facts sum;
-  Play(1, Histories(600), SimulationOptions{}, &sum);
+  Play(1, Histories(2500), SimulationOptions{}, &sum);
   // The histories must have met what they are for.
   EXPECT_GT(sum.restarts, 100u);
   EXPECT_GT(sum.deaths, 100u);
@@ -50,7 +50,7 @@ TEST(Simulation, AVeryBadNetworkOnlyDelays) {
   options.delay_max_ms = 1500;
   options.chaos_ms = 15'000;
   Simulation::Facts sum;
-  Play(100'000, Histories(100), options, &sum);
+  Play(100'000, Histories(400), options, &sum);
 }
 
 TEST(Simulation, TheSameSeedGivesTheSameHistory) {

@@ -1,0 +1,80 @@
+// What the programs say and how they end when they are used wrongly or told to stop.
+#include <gtest/gtest.h>
+#include <signal.h>
+
+#include <filesystem>
+
+#include "common/base/file.h"
+#include "common/base/ids.h"
+#include "tests/support/service/processes.h"
+
+namespace rg::testing {
+namespace {
+
+constexpr double kPatience = 30.0;
+
+class Programs : public ::testing::Test {
+ protected:
+  Programs() : folder_("/tmp/rg-programs-" + RandomHex(6)) { std::filesystem::create_directories(folder_); }
+  ~Programs() override { std::filesystem::remove_all(folder_); }
+  int Run(std::vector<std::string> arguments) {
+    arguments[0] = BinFolder() + "/" + arguments[0];
+    std::filesystem::remove(folder_ + "/log");
+    return Process(arguments, folder_ + "/log").WaitForExit(kPatience);
+  }
+  std::string Said() const { return *ReadFile(folder_ + "/log"); }
+  std::string folder_;
+};
+
+TEST_F(Programs, AWrongFlagIsUsage) {
+  EXPECT_EQ(Run({"realitygrad-coordinator", "--bogus"}), 2);
+  EXPECT_EQ(Run({"realitygrad-coordinator", "--heartbeat-ms", "1"}), 2);
+  EXPECT_EQ(Run({"synthetic_worker", "--slots", "many"}), 2);
+  EXPECT_EQ(Run({"synthetic_worker", "--key", folder_ + "/none"}), 2);
+  EXPECT_NE(Said().find("--server-key"), std::string::npos) << Said();
+  EXPECT_EQ(Run({"realitygrad-coordinator", "--help"}), 0);
+}
+
+TEST_F(Programs, NothingListensOnAPublicAddressWithoutKeys) {
+  EXPECT_EQ(Run({"realitygrad-coordinator", "--listen", "tcp://0.0.0.0:0", "--db", folder_ + "/a.db"}), 1);
+  EXPECT_NE(Said().find("keys"), std::string::npos) << Said();
+}
+
+TEST_F(Programs, AWorkerWithoutACoordinatorGivesUpWhenItsPatienceEnds) {
+  EXPECT_EQ(Run({"synthetic_worker", "--coordinator", "ipc://" + folder_ + "/nobody", "--patience", "0.3",
+                 "--folder", folder_ + "/w"}),
+            6);
+}
+
+TEST_F(Programs, AFileThatIsNoDatabaseIsRefusedByName) {
+  ASSERT_TRUE(WriteFileAtomically(folder_ + "/a.db", std::string(5000, 'x')).ok());
+  EXPECT_EQ(
+      Run({"realitygrad-coordinator", "--listen", "ipc://" + folder_ + "/s", "--db", folder_ + "/a.db"}), 1);
+  EXPECT_NE(Said().find("a.db"), std::string::npos) << Said();
+}
+
+TEST_F(Programs, SignalsStopThemCleanly) {
+  Service service;
+  service.StartWorker("a");
+  ASSERT_TRUE(service.WaitForWorkers(1));
+  pb::JobSpec job;
+  AddTask(&job, "t", "sleep", R"({"seconds": 60})");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(service.WaitForTask(*id, "t", pb::TASK_STATE_LEASED));
+  service.worker("a").Signal(SIGINT);
+  EXPECT_EQ(service.worker("a").WaitForExit(0.3), -1) << "the first signal drains";
+  service.worker("a").Signal(SIGINT);
+  EXPECT_EQ(service.worker("a").WaitForExit(kPatience), 0) << "the second one stops";
+  EXPECT_TRUE(service.WaitForTask(*id, "t", pb::TASK_STATE_READY)) << "its task goes back at once";
+  service.coordinator().Signal(SIGTERM);
+  EXPECT_EQ(service.coordinator().WaitForExit(kPatience), 0);
+}
+
+TEST_F(Programs, AnIdleWorkerLeavesIfItWasToldTo) {
+  Service service;
+  EXPECT_EQ(service.StartWorker("a", 1, {"--idle-exit", "0.5"}).WaitForExit(kPatience), 0);
+  EXPECT_TRUE(service.client().Workers()->empty());
+}
+
+}  // namespace
+}  // namespace rg::testing

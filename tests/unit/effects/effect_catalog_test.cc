@@ -1,0 +1,121 @@
+#include "common/effects/effect_catalog.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <set>
+
+namespace rg::effects {
+namespace {
+
+using ::testing::HasSubstr;
+
+// The ids and parameter names of the contract EFFECTS.md.
+const std::map<std::string, std::vector<std::string>> kContract = {
+    {"viscous_friction", {"viscous"}},
+    {"coulomb_friction", {"coulomb"}},
+    {"stribeck_friction", {"coulomb", "static", "stribeck_velocity"}},
+    {"asymmetric_friction", {"coulomb_positive", "coulomb_negative"}},
+    {"load_dependent_friction", {"coulomb", "load_coefficient"}},
+    {"quadratic_drag", {"quadratic"}},
+    {"presliding_hysteresis", {"bristle_stiffness", "coulomb"}},
+    {"joint_elasticity", {"stiffness", "damping", "motor_inertia"}},
+    {"backlash", {"gap", "contact_stiffness", "contact_damping", "motor_inertia"}},
+    {"actuator_delay", {"delay"}},
+    {"actuator_lag", {"time_constant"}},
+    {"torque_gain", {"gain"}},
+    {"torque_deadband", {"deadband"}},
+    {"torque_saturation", {"limit"}},
+    {"torque_ripple", {"amplitude", "cycles_per_rev", "phase"}},
+    {"rotor_inertia", {"armature"}},
+    {"payload", {"mass", "com_x", "com_y", "com_z"}},
+    {"gravity_misalignment", {"tilt", "azimuth"}},
+    {"encoder_offset", {"offset"}},
+    {"sensor_delay", {"delay"}},
+    {"position_spring", {"stiffness", "cubic", "center"}},
+    {"thermal_drift", {"initial", "final", "time_constant"}},
+    {"external_disturbance", {"start", "end", "force_x", "torque"}},
+    {"contact", {"stiffness", "damping", "height"}},
+    {"joint_coupling", {"coefficient"}},
+    {"base_flexibility", {"stiffness", "damping"}},
+    {"sloshing_payload", {"mass", "stiffness"}},
+    {"unknown_field", {}},
+};
+
+TEST(Catalog, HoldsTheContractsIdsAndParameters) {
+  EXPECT_EQ(Catalog().size(), kContract.size());
+  for (const auto& [id, parameters] : kContract) {
+    const EffectInfo* info = FindEffect(id);
+    ASSERT_NE(info, nullptr) << id;
+    for (const auto& name : parameters) EXPECT_GE(info->FindParameter(name), 0) << id << " " << name;
+  }
+  EXPECT_EQ(FindEffect("none"), nullptr);
+}
+
+TEST(Catalog, RowsAreComplete) {
+  for (const EffectInfo& info : Catalog()) {
+    EXPECT_FALSE(info.title.empty() || info.equation.empty() || info.sentence.empty() || info.family.empty())
+        << info.id;
+    std::set<std::string> names;
+    for (const ParameterInfo& p : info.parameters) {
+      EXPECT_TRUE(names.insert(p.name).second) << info.id << " " << p.name;
+      EXPECT_FALSE(p.unit.empty() || p.unit_prismatic.empty() || p.meaning.empty())
+          << info.id << " " << p.name;
+      EXPECT_GT(p.prior_stddev, 0.0) << info.id << " " << p.name;
+      EXPECT_TRUE(p.default_is_effort || (p.default_value >= p.lower && p.default_value <= p.upper))
+          << info.id << " " << p.name;
+    }
+    for (const auto& id : info.confused_with) {
+      EXPECT_TRUE(id == "parameters_only" || FindEffect(id) != nullptr) << info.id << " " << id;
+      EXPECT_NE(id, info.id);
+    }
+  }
+}
+
+TEST(Sentence, FillsInJointValuesAndUnits) {
+  const std::string text = Sentence(*FindEffect("coulomb_friction"), "joint_2", false, {{"coulomb", 0.84}});
+  EXPECT_EQ(
+      text,
+      "joint_2 loses a constant torque against its motion that the model does not have: Coulomb friction of "
+      "0.84 N*m.");
+  EXPECT_THAT(Sentence(*FindEffect("coulomb_friction"), "slide", true, {{"coulomb", 20.4}}),
+              HasSubstr("20.4 N."));
+}
+
+TEST(ValidateSpec, RefusesWithNamesAndLimits) {
+  EffectSpec bad = MakeSpec("stribeck_friction", {"j"}, {{"stribeck_velocity", 0.0}});
+  EXPECT_THAT(ValidateSpec(bad).message(), HasSubstr("stribeck_velocity = 0 is outside [1e-06"));
+  bad = MakeSpec("coulomb_friction", {"j"}, {{"coulomb", std::nan("")}});
+  EXPECT_THAT(ValidateSpec(bad).message(), HasSubstr("not finite"));
+  bad = MakeSpec("coulomb_friction", {"j", "j"});
+  EXPECT_THAT(ValidateSpec(bad).message(), HasSubstr("j is listed twice"));
+  bad = MakeSpec("external_disturbance", {"j"}, {{"force_x", 1.0}});
+  EXPECT_THAT(ValidateSpec(bad).message(), HasSubstr("no parameter force_x"));
+  bad = MakeSpec("external_disturbance", {}, {{"torque", 1.0}});
+  EXPECT_THAT(ValidateSpec(bad).message(), HasSubstr("no parameter torque"));
+  bad = MakeSpec("coulomb_friction", {"j"});
+  bad.values["k"]["coulomb"] = 1.0;
+  EXPECT_THAT(ValidateSpec(bad).message(), HasSubstr("values for k"));
+}
+
+TEST(ValidateSpec, RefusesEveryParameterBeyondItsBounds) {
+  for (const EffectInfo& info : Catalog()) {
+    const bool joints = info.scope == Scope::kJoint || info.scope == Scope::kJointPair;
+    for (const ParameterInfo& p : info.parameters) {
+      if (p.only == ParameterInfo::Only::kWithJoints) continue;
+      for (const double limit : {p.lower, p.upper}) {
+        if (!std::isfinite(limit)) continue;
+        const double beyond = limit == p.lower ? limit - 1.0 : limit + 1.0;
+        std::vector<std::string> names;
+        if (joints) names = {"j"};
+        if (info.scope == Scope::kJointPair) names.push_back("k");
+        EXPECT_FALSE(ValidateSpec(MakeSpec(info.id, names, {{p.name, beyond}})).ok())
+            << info.id << " " << p.name;
+      }
+    }
+  }
+}
+
+}  // namespace
+}  // namespace rg::effects

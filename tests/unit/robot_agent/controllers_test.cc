@@ -1,0 +1,103 @@
+#include "robot_agent/controllers.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+
+#include "tests/unit/robot_agent/allocation_counter.h"
+
+namespace rg::robot_agent {
+namespace {
+
+using testing::HasSubstr;
+
+// One joint: tau = 2 - 3 (q - goal) by one layer without hidden ones.
+policy::Policy Linear() {
+  policy::Policy::Parts parts;
+  parts.joints = {"a"};
+  parts.encoding.inputs = 3;
+  parts.input_mean = {0, 0, 0};
+  parts.input_scale = {1, 1, 1};
+  parts.output_mean = {2};
+  parts.output_scale = {1};
+  parts.network = policy::Network({3, 1});
+  auto& weights = parts.network.parameters();
+  weights[parts.network.WeightIndex(0, 0, 0)] = -3.0f;
+  weights[parts.network.WeightIndex(0, 0, 2)] = 3.0f;
+  return policy::Policy(parts);
+}
+
+TEST(PolicyControllers, FeedStateAndGoalAndAllocateNothing) {
+  const auto controller =
+      PolicyController::Create(Linear(), {"a"}, Eigen::VectorXd::Constant(1, 0.5)).value();
+  const double q = 1.0, v = 0.0;
+  double tau = 0.0;
+  const long before = AllocationsOfThisThread();
+  controller->Command(0, &q, &v, &tau);
+  EXPECT_EQ(AllocationsOfThisThread(), before);
+  EXPECT_NEAR(tau, 0.5, 1e-6);
+}
+
+TEST(PolicyControllers, AStateThatIsNotFiniteGivesNanNotTheLastTorque) {
+  const auto controller =
+      PolicyController::Create(Linear(), {"a"}, Eigen::VectorXd::Constant(1, 0.5)).value();
+  const double q = std::numeric_limits<double>::quiet_NaN(), v = 0.0;
+  double tau = 1.0;
+  controller->Command(0, &q, &v, &tau);
+  EXPECT_TRUE(std::isnan(tau));
+}
+
+TEST(PolicyControllers, OtherRobotsPoliciesAreRefused) {
+  EXPECT_THAT(PolicyController::Create(Linear(), {"b"}, Eigen::VectorXd::Zero(1)).status().message(),
+              HasSubstr("other joints"));
+  EXPECT_THAT(PolicyController::Create(Linear(), {"a", "b"}, Eigen::VectorXd::Zero(2)).status().message(),
+              HasSubstr("3 inputs"));
+}
+
+TEST(TrajectoryControllers, HoldEachRowAndCorrectWithGains) {
+  TrajectoryController::Plan plan;
+  plan.t = Eigen::Vector3d(0, 0.1, 0.2);
+  plan.tau = Eigen::RowVector3d(1, 2, 3);
+  const double q = 0.1, v = -1.0;
+  double tau = 0;
+  const auto open_loop = TrajectoryController::Create(plan).value();
+  for (const auto& [t, expected] : {std::pair(-0.1, 1.0), {0.05, 1.0}, {0.1, 2.0}, {0.19, 2.0}, {9.0, 3.0}}) {
+    open_loop->Command(t, &q, &v, &tau);
+    EXPECT_EQ(tau, expected) << t;
+  }
+  plan.q = plan.v = Eigen::RowVector3d::Zero();
+  plan.gain_q = Eigen::VectorXd::Constant(1, 10);
+  plan.gain_v = Eigen::VectorXd::Constant(1, 2);
+  TrajectoryController::Create(plan).value()->Command(0, &q, &v, &tau);
+  EXPECT_NEAR(tau, 1 - 1 + 2, 1e-12);
+  plan.t[2] = 0.1;
+  EXPECT_THAT(TrajectoryController::Create(plan).status().message(), HasSubstr("row 2"));
+}
+
+TEST(Excitation, StaysWithinItsAmplitudeMovesEveryJointAndIsOverBeforeTheEnd) {
+  FunctionController nothing(
+      [](double, const double*, const double*, double* tau) { tau[0] = tau[1] = 1.0; });
+  ExcitedController excited(nothing, Eigen::Vector2d(0.5, 0.1), 6.0, 3);
+  ExcitedController same(nothing, Eigen::Vector2d(0.5, 0.1), 6.0, 3);
+  const double zero[2] = {0, 0};
+  double peak[2] = {0, 0};
+  for (int k = 0; k <= 150; ++k) {
+    double tau[2], again[2];
+    excited.Command(0.04 * k, zero, zero, tau);
+    same.Command(0.04 * k, zero, zero, again);
+    for (int i = 0; i < 2; ++i) {
+      EXPECT_EQ(tau[i], again[i]);
+      peak[i] = std::max(peak[i], std::abs(tau[i] - 1.0));
+      EXPECT_TRUE(0.04 * k < 4.2 || tau[i] == 1.0) << k;
+    }
+  }
+  EXPECT_LE(peak[0], 0.5);
+  EXPECT_LE(peak[1], 0.1);
+  EXPECT_GT(peak[0], 0.2);
+  EXPECT_GT(peak[1], 0.04);
+}
+
+}  // namespace
+}  // namespace rg::robot_agent
