@@ -182,8 +182,11 @@ Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spoo
   options.duration_s = input.plan.spec.duration_s;
   options.velocity_source = input.config.velocity_source;
   if (progress) progress({"rollout", 0.0, options.duration_s, "running"});
+  ExcitedController controller(input.controller,
+                               input.plan.spec.excitation * ToEigen(input.plan.limits.torque),
+                               options.duration_s, input.plan.spec.goal_seed);
   const ControlLoopResult loop =
-      RunControlLoop(driver, input.controller, arm, input.plan.limits, options, *recorder, stop, clock);
+      RunControlLoop(driver, controller, arm, input.plan.limits, options, *recorder, stop, clock);
   const Status recorded = recorder->Finish(EndOf(loop, driver.info().joints));
   if (!recorded.ok()) spdlog::error("recording {}: {}", id, recorded.ToString());
   recorder.reset();

@@ -65,6 +65,26 @@ TEST(Rollout, AnotherCallWithTheSameIdMovesNothing) {
   EXPECT_EQ(untouched->pid(), -1);
 }
 
+TEST(Rollout, ExcitationMovesJointsThatTheControllerLeavesAtRest) {
+  double moved[2];
+  for (int k = 0; k < 2; ++k) {
+    Rig rig(true);
+    rig.spec.excitation = 0.1 * k;
+    const RolloutPlan plan = rig.Plan();
+    PlantArmModel arm(rig.plant, rig.values);
+    FunctionController gravity(
+        [&](double, const double* q, const double*, double* tau) { arm.GravityTorque(q, tau); });
+    const auto driver = rig.Driver();
+    const RolloutResult result = rig.Run(*driver, plan, gravity).value();
+    EXPECT_EQ(result.reason, EndReason::kCompleted) << result.detail;
+    const auto set = rollouts::LoadBundle(result.bundle).value();
+    const auto joint_6 = set.recordings[0].q.row(5);
+    moved[k] = joint_6.maxCoeff() - joint_6.minCoeff();
+  }
+  EXPECT_LT(moved[0], 0.01);
+  EXPECT_GT(moved[1], 0.02);
+}
+
 struct FaultCase {
   Fault fault;
   double strength;
