@@ -24,7 +24,8 @@ constexpr char kDefaultCoordinator[] = "tcp://127.0.0.1:7341";
 constexpr char kHelp[] =
     "realitygrad-agent: flags of its own\n"
     "  --config FILE               what stands beside the robot, realitygrad.agent/1 (required)\n"
-    "  --spool FOLDER              recordings being made or waiting for the coordinator (default: spool)\n"
+    "  --spool FOLDER              recordings being made or waiting for the coordinator (default: "
+    "realitygrad-spool)\n"
     "  --lock-step                 a simulated robot runs as fast as it can, not in real time\n\n";
 
 std::string Environment(const char* name, const std::string& otherwise = "") {
@@ -128,7 +129,7 @@ int RunWorker(const AgentSettings& settings, const KindRegistrar& register_kinds
 Result<AgentSettings> ReadAgentSettings(const std::vector<std::string>& arguments) {
   AgentSettings settings;
   settings.config_path = Environment(kConfigVariable);
-  settings.spool_folder = Environment(kSpoolVariable, "spool");
+  settings.spool_folder = Environment(kSpoolVariable, "realitygrad-spool");
   settings.lock_step = Environment(kLockStepVariable) == "1";
   settings.coordinator = Environment("REALITYGRAD_COORDINATOR", kDefaultCoordinator);
   settings.key_path = Environment("REALITYGRAD_KEY");
