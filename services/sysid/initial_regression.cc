@@ -137,14 +137,13 @@ class Regression {
         P_(space.size()),
         mechanism_(plant.model()) {
     FindStillSpeeds();
-    offset_ = VectorXd::Zero(n_);
-    stddev_ = VectorXd::Constant(n_, -1.0);  // not known yet
+    stddev_ = VectorXd::Ones(n_);
   }
 
   void Iterate() {
     values_ = space_.Values(theta_, std::move(values_));
     const int S = static_cast<int>(samples_.size());
-    J_.setZero(S * n_, P_ + n_);
+    J_.setZero(S * n_, P_);
     r_.setZero(S * n_);
     used_.assign(S * n_, false);
     PrepareMechanism();
@@ -157,7 +156,6 @@ class Regression {
     RegressionResult out;
     out.theta = theta_;
     out.torque_stddev = stddev_;
-    out.offset = offset_;
     out.rows = static_cast<int>(samples_.size());
     return out;
   }
@@ -181,7 +179,7 @@ class Regression {
     }
   }
 
-  // Rows of one sample: J = d(model torque)/dθ, r = model torque − drive torque, offset columns last.
+  // Rows of one sample: J = d(model torque)/dp, r = model torque − drive torque.
   void FillRows(int s) {
     const Sample& x = samples_[s];
     VectorXd tau(n_);
@@ -192,8 +190,7 @@ class Regression {
     for (int i = 0; i < P_; ++i) FillColumn(x, Y, i, J.col(i));
     AddJointTorques(x, &tau);
     for (int j = 0; j < n_; ++j) {
-      J(j, P_ + j) = 1.0;
-      r_[s * n_ + j] = tau[j] + offset_[j];
+      r_[s * n_ + j] = tau[j];
       used_[s * n_ + j] = std::abs(x.v[j]) > still_[j];
     }
   }
@@ -229,31 +226,23 @@ class Regression {
     }
   }
 
-  // Median absolute residual per joint, the offset's median removed at first.
+  // Median absolute residual per joint.
   void EstimateScale() {
-    const bool first = stddev_[0] < 0.0;
     for (int j = 0; j < n_; ++j) {
       std::vector<double> values;
       for (int k = j; k < r_.size(); k += n_) {
-        if (used_[k]) values.push_back(r_[k]);
+        if (used_[k]) values.push_back(std::abs(r_[k]));
       }
-      if (values.empty()) {
-        stddev_[j] = 1.0;
-        continue;
-      }
-      auto median = [](std::vector<double>& x) {
-        std::nth_element(x.begin(), x.begin() + x.size() / 2, x.end());
-        return x[x.size() / 2];
-      };
-      const double center = first ? median(values) : 0.0;
-      for (double& x : values) x = std::abs(x - center);
-      stddev_[j] = std::max(1e-9, 1.4826 * median(values));
+      stddev_[j] = 1.0;
+      if (values.empty()) continue;
+      std::nth_element(values.begin(), values.begin() + values.size() / 2, values.end());
+      stddev_[j] = std::max(1e-9, 1.4826 * values[values.size() / 2]);
     }
   }
 
   void Step() {
-    MatrixXd H = MatrixXd::Zero(P_ + n_, P_ + n_);
-    J_.leftCols(P_) *= space_.Jacobian(theta_);
+    MatrixXd H = MatrixXd::Zero(P_, P_);
+    J_ *= space_.Jacobian(theta_);
     for (int k = 0; k < r_.size(); ++k) {
       const double z = r_[k] / stddev_[k % n_];
       const double weight = std::min(1.0, options_.huber / std::max(1e-12, std::abs(z)));
@@ -264,16 +253,13 @@ class Regression {
     H.selfadjointView<Eigen::Lower>().rankUpdate(J_.transpose());
     VectorXd g = J_.transpose() * r_;
     H = MatrixXd(H.selfadjointView<Eigen::Lower>());
-    VectorXd low = VectorXd::Constant(P_ + n_, -1e300), high = -low;
-    low.head(P_) = (space_.lower() - theta_).cwiseMin(0.0);
-    high.head(P_) = (space_.upper() - theta_).cwiseMax(0.0);
+    const VectorXd low = (space_.lower() - theta_).cwiseMin(0.0);
+    const VectorXd high = (space_.upper() - theta_).cwiseMax(0.0);
     const VectorXd information = space_.prior_stddev().cwiseAbs2().cwiseInverse();
-    H.diagonal().head(P_) += information;
-    g.head(P_) += information.cwiseProduct(theta_ - space_.nominal());
-    H.diagonal().tail(n_).array() += 1e-9;
+    H.diagonal() += information;
+    g += information.cwiseProduct(theta_ - space_.nominal());
     const VectorXd step = BoxedNewtonStep(H, g, low, high);
-    theta_ += step.head(P_);
-    offset_ += step.tail(n_);
+    theta_ += step;
   }
 
   const sim::Plant& plant_;
@@ -287,7 +273,7 @@ class Regression {
   dynamics::Mechanism mechanism_;
   dynamics::Workspace workspace_;
   std::vector<Eigen::Matrix<double, 10, 10>> link_jacobian_;
-  VectorXd still_, offset_, stddev_;
+  VectorXd still_, stddev_;
   MatrixXd J_;
   VectorXd r_;
   std::vector<bool> used_;
@@ -303,7 +289,7 @@ RegressionResult RegressInverseDynamics(const sim::Plant& plant, const VectorXd&
   std::vector<Sample> samples = CollectSamples(recordings, options);
   if (samples.size() < 10) {
     const VectorXd zero = VectorXd::Zero(plant.num_joints());
-    return {theta, zero, zero, 0};
+    return {theta, zero, 0};
   }
   Regression regression(plant, values, space, theta, std::move(samples), options);
   for (int k = 0; k < options.iterations; ++k) regression.Iterate();

@@ -1,12 +1,12 @@
 // Where to start: least squares of the inverse dynamics on smoothed recordings.
 //
-//   g·u  =  Y(q, v, a) φ(p)  +  friction and rotor terms(v, a, p)  +  o  +  ε        per joint and row
+//   g·u  =  Y(q, v, a) φ(p)  +  friction and rotor terms(v, a, p)  +  ε        per joint and row
 //
 // Positions are smoothed by local cubics (value, slope and second derivative), the effort by the same
 // cubics, so that both have lost the same frequencies. Linear in all but the centres of mass: a few
 // Gauss-Newton steps. Rows in which a joint hardly moves have no say for that joint: what friction does
 // there is anything up to its level. Huber weights, the residual's scale per joint estimated on the way,
-// priors and bounds of the fit parameters, and an offset o per joint that is thrown away afterwards.
+// priors and bounds of the fit space. No offset per joint: the model has none to predict with.
 // Parameters that this equation does not hold (delays, elasticity, …) keep their start value.
 //
 // Biased by noise in the regressors and blind to what happens between rows, but it needs no simulation,
@@ -41,7 +41,6 @@ struct RegressionOptions {
 struct RegressionResult {
   Eigen::VectorXd theta;          // in the fit space
   Eigen::VectorXd torque_stddev;  // n, robust, of the residual
-  Eigen::VectorXd offset;         // n
   int rows = 0;                   // rows used; 0: too little data, theta is the start
 };
 

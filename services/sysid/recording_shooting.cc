@@ -42,6 +42,16 @@ std::vector<int> ThinnedRows(const VectorXd& t, int first, int last, double rate
   return rows;
 }
 
+// Evenly, so that every recording keeps its share.
+template <class Window>
+void ThinWindows(int most, std::vector<Window>* windows) {
+  const size_t count = windows->size();
+  if (static_cast<int>(count) <= most) return;
+  std::vector<Window> kept;
+  for (int k = 0; k < most; ++k) kept.push_back(std::move((*windows)[k * count / most]));
+  *windows = std::move(kept);
+}
+
 double RobustSpread(std::vector<double>& values) {
   if (values.empty()) return 0.0;
   for (double& x : values) x = std::abs(x);
@@ -87,6 +97,7 @@ RecordingShooting::RecordingShooting(const sim::Plant& plant, const VectorXd& va
       windows_.push_back(std::move(window));
     }
   }
+  ThinWindows(options.max_windows, &windows_);
   for (int w = 0; w < std::max(1, workers); ++w) {
     workers_.push_back(std::make_unique<Worker>(plant, options.simulator, values));
     workers_.back()->request = {.initial_state = true, .parameters = Indices(space.parameters())};

@@ -24,6 +24,7 @@ struct RecordingShootingOptions {
   double window_s = 1.0;
   double residual_rate_hz = 25.0;  // at most about this many rows per second become residuals
   bool use_velocity = true;        // where it is measured
+  int max_windows = 1 << 30;       // more are thinned evenly
   double internal_state_stddev = 0.0;
   sim::SimulatorOptions simulator;
 };

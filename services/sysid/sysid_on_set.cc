@@ -25,8 +25,12 @@ using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
 constexpr double kMinPosition = 1e-6, kMinVelocity = 1e-5;  // floors of residual scales
-constexpr double kSimpler = 1.01;  // a model with more parameters must be better by this much
+constexpr double kSimpler = 1.01;      // a model with more parameters must be better by this much
+constexpr double kSignificance = 2.0;  // standard errors by which a richer model must be better
 constexpr double kMaxInflation = 400.0;
+constexpr double kMuchWorse = 2.0;   // torque residual against the best model's
+constexpr double kStepShare = 0.02;  // of the residual that the step may make
+constexpr int kFirstWindows = 120;
 constexpr double kMaxBroken = 0.2;  // share of windows
 
 struct Candidate {
@@ -38,11 +42,11 @@ struct Candidate {
 struct Fitted {
   sim::Plant plant;
   FitSpace space;
-  VectorXd theta, values;
-  CandidateScore score;
-  ShootingSolution solution;
-  double variance_inflation = 1.0;
-  std::vector<PredictionError> holdout;
+  VectorXd theta = {}, values = {};
+  VectorXd torque_stddev = {};  // of the regression's residual; empty when nothing was fitted
+  CandidateScore score = {};
+  ShootingSolution solution = {};
+  std::vector<PredictionError> holdout = {};
 };
 
 std::vector<Candidate> Candidates(const SysidOptions& options) {
@@ -64,19 +68,22 @@ class Identification {
                  const ProgressFn& progress, const CancelToken* cancel)
       : set_(set), options_(options), clock_(clock), progress_(progress), stop_(cancel) {
     threads_ = ChooseThreads(options.threads);
-    simulator_.step_s = options.step_s;
   }
 
   Result<SysidReport> Run() {
     const double start = clock_.SteadySeconds();
     RG_RETURN_IF_ERROR(Prepare());
-    std::vector<Candidate> candidates = Candidates(options_);
     std::vector<Fitted> fitted;
-    for (const Candidate& candidate : candidates) {
-      if (stop_.ShouldStop() && !fitted.empty()) break;
-      Tell("fit", static_cast<double>(fitted.size()), static_cast<double>(candidates.size()), candidate.name);
-      RG_ASSIGN_OR_RETURN(Fitted f, Fit(candidate));
+    for (const Candidate& candidate : Candidates(options_)) {
+      RG_ASSIGN_OR_RETURN(Fitted f, Start(candidate));
       fitted.push_back(std::move(f));
+    }
+    KeepPromising(&fitted);
+    ChooseStep(fitted.back());
+    for (size_t i = 0; i < fitted.size(); ++i) {
+      Tell("fit", static_cast<double>(i), static_cast<double>(fitted.size()), fitted[i].score.name);
+      Finish(&fitted[i]);
+      if (stop_.ShouldStop()) fitted.erase(fitted.begin() + static_cast<long>(i) + 1, fitted.end());
     }
     SysidReport report = Report(fitted);
     report.seconds = clock_.SteadySeconds() - start;
@@ -106,24 +113,83 @@ class Identification {
     return Status::Ok();
   }
 
-  Result<Fitted> Fit(const Candidate& candidate) {
+  // The candidate's plant, and where its fit starts.
+  Result<Fitted> Start(const Candidate& candidate) {
     const double start = clock_.SteadySeconds();
     RG_ASSIGN_OR_RETURN(sim::Plant plant, PlantOf(candidate));
-    Fitted f{
-        plant, FitSpace(ParametersOf(plant, candidate), options_.consistent_inertias), {}, {}, {}, {}, 1.0,
-        {}};
+    Fitted f{plant, FitSpace(ParametersOf(plant, candidate), options_.consistent_inertias)};
     f.score.name = candidate.name;
     f.theta = f.space.nominal();
     f.values = plant.parameters().Nominal();
     f.score.parameters = f.space.size();
-    if (f.space.size() > 0) {
-      Regress(&f);
-      Shoot(&f);
-    }
-    f.score.fit_rms = Score(f, set_.Fit(), nullptr);
-    f.score.holdout_rms = Score(f, judged_, &f.holdout);
+    if (f.space.size() > 0) Regress(&f);
     f.score.seconds = clock_.SteadySeconds() - start;
     return f;
+  }
+
+  // Judges the start and what each round of shooting made of it, and keeps the best on held-out data: long
+  // windows can fit the peculiarities of few recordings.
+  void Finish(Fitted* f) {
+    const double start = clock_.SteadySeconds();
+    Judge(f);
+    if (f->space.size() > 0) {
+      Fitted trial = *f;
+      Shoot(&trial, f);
+    }
+    f->score.seconds += clock_.SteadySeconds() - start;
+  }
+
+  void Judge(Fitted* f) const {
+    f->score.fit_rms = Score(*f, set_.Fit(), nullptr);
+    f->score.holdout_rms = Score(*f, judged_, &f->holdout);
+  }
+
+  // A model whose inverse dynamics already explains the torques much worse than another's is not shot.
+  static void KeepPromising(std::vector<Fitted>* fitted) {
+    double best = std::numeric_limits<double>::infinity();
+    for (const Fitted& f : *fitted) {
+      if (f.torque_stddev.size() > 0) best = std::min(best, f.torque_stddev.array().log().mean());
+    }
+    std::erase_if(*fitted, [&](const Fitted& f) {
+      return f.torque_stddev.size() > 0 && f.torque_stddev.array().log().mean() > best + std::log(kMuchWorse);
+    });
+  }
+
+  // The longest step that changes the fitted windows by less than the sensors' noise, or by little of what
+  // the model is wrong anyway.
+  void ChooseStep(const Fitted& f) {
+    if (options_.step_s > 0.0) {
+      simulator_.step_s = options_.step_s;
+      return;
+    }
+    for (const double step : {8e-3, 4e-3, 2e-3, 1e-3}) {
+      simulator_.step_s = step;
+      if (StepIsFine(f)) return;
+    }
+  }
+
+  bool StepIsFine(const Fitted& f) const {
+    RecordingShootingOptions options;
+    options.window_s = 0.5 * options_.fit_window_s;
+    options.use_velocity = false;
+    options.max_windows = 40;
+    options.simulator = simulator_;
+    RecordingShootingOptions fine = options;
+    fine.simulator.step_s *= 0.5;
+    const ShootingScales scales = ScalesOf(noise_);
+    RecordingShooting a(f.plant, f.values, f.space, fit_, scales, options, 1);
+    RecordingShooting b(f.plant, f.values, f.space, fit_, scales, fine, 1);
+    double difference = 0.0, residual = 0.0, count = 0.0;
+    for (int w = 0; w < a.num_windows(); ++w) {
+      VectorXd ra(a.window_residuals(w)), rb(b.window_residuals(w));
+      const VectorXd xi = VectorXd::Zero(a.window_unknowns(w));
+      if (!b.Evaluate(0, w, f.theta, xi, &rb, nullptr, nullptr)) continue;
+      if (!a.Evaluate(0, w, f.theta, xi, &ra, nullptr, nullptr)) return false;
+      difference += (ra - rb).squaredNorm();
+      residual += rb.squaredNorm();
+      count += static_cast<double>(rb.size());
+    }
+    return difference <= std::max(0.04 * count, kStepShare * kStepShare * residual);
   }
 
   Result<sim::Plant> PlantOf(const Candidate& candidate) const {
@@ -169,52 +235,81 @@ class Identification {
   void Regress(Fitted* f) const {
     const RegressionResult start = RegressInverseDynamics(f->plant, f->values, f->space, f->theta, fit_);
     f->theta = start.theta;
+    if (start.rows > 0) f->torque_stddev = start.torque_stddev;
     f->values = f->space.Values(f->theta, f->values);
   }
 
-  // Short windows first: they forgive a poor start. The scale of the residuals is what they show.
-  void Shoot(Fitted* f) {
-    const double windows[] = {0.25 * options_.fit_window_s, options_.fit_window_s, options_.fit_window_s};
+  // Short windows first: they forgive a poor start. The scale of the residuals is what they show; for the
+  // long windows it is wider by the root of the inflation, so that windows that err together, as a wrong
+  // model makes them, do not outvote the priors.
+  void Shoot(Fitted* trial, Fitted* best) {
     ShootingScales scales = ScalesOf(noise_);
-    f->variance_inflation = 1.0;
-    for (int round = 0; round < 3 && !stop_.ShouldStop(); ++round) {
-      RecordingShootingOptions shooting;
-      shooting.window_s = windows[round];
-      shooting.residual_rate_hz = std::max(options_.residual_rate_hz, 4.0 / windows[round]);
-      shooting.simulator = simulator_;
-      ShootingOptions solver;
-      solver.huber = options_.huber;
-      solver.threads = threads_;
-      {
-        RecordingShooting probe(f->plant, f->values, f->space, fit_, scales, shooting, threads_);
-        solver.max_iterations = 0;
-        const auto seen = SolveShooting(ShootingProblemFor(&probe, f->space), f->theta, {}, solver, stop_);
-        // A motion too unstable for windows this long: the shorter ones have the last word.
-        if (seen.failed_windows > kMaxBroken * probe.num_windows()) return;
-        Rescale(probe, seen, round == 2 ? f->variance_inflation : 1.0, &scales);
-      }
-      RecordingShooting model(f->plant, f->values, f->space, fit_, scales, shooting, threads_);
-      solver.max_iterations = options_.max_iterations;
-      f->solution = SolveShooting(ShootingProblemFor(&model, f->space), f->theta, {}, solver, stop_,
-                                  [&](int iteration, double cost) {
-                                    Tell("shooting " + f->score.name, iteration, options_.max_iterations,
-                                         "cost " + std::to_string(cost));
-                                  });
-      f->theta = f->solution.theta;
-      f->values = f->space.Values(f->theta, f->values);
-      f->variance_inflation = std::clamp(f->solution.variance_inflation, 1.0, kMaxInflation);
+    if (!ShootRound(trial, 0.25 * options_.fit_window_s, kFirstWindows, 1.0, &scales)) return;
+    KeepBetter(trial, best);
+    const double inflation = std::clamp(trial->solution.variance_inflation, 1.0, kMaxInflation);
+    if (ShootRound(trial, options_.fit_window_s, 1 << 30, inflation, &scales)) KeepBetter(trial, best);
+  }
+
+  void KeepBetter(Fitted* trial, Fitted* best) const {
+    Judge(trial);
+    const bool first = best->solution.information.size() == 0;  // a start has no covariance to report
+    if (first ? trial->score.holdout_rms < kSimpler * best->score.holdout_rms
+              : trial->score.holdout_rms < best->score.holdout_rms) {
+      *best = *trial;
     }
   }
 
-  // Residual scales: the spread the residuals show, not below the sensors' noise; and wider by the root of
-  // the inflation, so that windows that err together do not outvote the priors.
-  void Rescale(const RecordingShooting& model, const ShootingSolution& seen, double inflation,
-               ShootingScales* scales) const {
+  bool ShootRound(Fitted* f, double window_s, int max_windows, double inflation, ShootingScales* scales) {
+    if (stop_.ShouldStop()) return false;
+    RecordingShooting probe(f->plant, f->values, f->space, fit_, *scales, ShootingFor(window_s, max_windows),
+                            threads_);
+    ShootingOptions look;
+    look.max_iterations = 0;
+    look.threads = threads_;
+    const auto seen = SolveShooting(ShootingProblemFor(&probe, f->space), f->theta, {}, look, stop_);
+    // A motion too unstable for windows this long: the shorter ones have the last word.
+    if (seen.residuals.empty() || seen.failed_windows > kMaxBroken * probe.num_windows()) return false;
+    Rescale(probe, seen, scales);
+    scales->position *= std::sqrt(inflation);
+    scales->velocity *= std::sqrt(inflation);
+    ShootWith(f, window_s, max_windows, *scales);
+    return true;
+  }
+
+  RecordingShootingOptions ShootingFor(double window_s, int max_windows) const {
+    RecordingShootingOptions shooting;
+    shooting.window_s = window_s;
+    shooting.residual_rate_hz = std::max(options_.residual_rate_hz, 4.0 / window_s);
+    shooting.max_windows = max_windows;
+    shooting.simulator = simulator_;
+    return shooting;
+  }
+
+  void ShootWith(Fitted* f, double window_s, int max_windows, const ShootingScales& scales) {
+    RecordingShooting model(f->plant, f->values, f->space, fit_, scales, ShootingFor(window_s, max_windows),
+                            threads_);
+    ShootingOptions solver;
+    solver.huber = options_.huber;
+    solver.threads = threads_;
+    solver.max_iterations = options_.max_iterations;
+    solver.relative_tolerance = options_.relative_tolerance;
+    ShootingSolution solution = SolveShooting(ShootingProblemFor(&model, f->space), f->theta, {}, solver,
+                                              stop_, [&](int iteration, double cost) {
+                                                Tell("shooting " + f->score.name, iteration,
+                                                     options_.max_iterations, "cost " + std::to_string(cost));
+                                              });
+    if (solution.residuals.empty()) return;  // stopped before the first linearisation
+    f->solution = std::move(solution);
+    f->theta = f->solution.theta;
+    f->values = f->space.Values(f->theta, f->values);
+  }
+
+  // Residual scales: the spread the residuals show, not below the sensors' noise.
+  void Rescale(const RecordingShooting& model, const ShootingSolution& seen, ShootingScales* scales) const {
     VectorXd position, velocity;
     model.ResidualSpread(seen.residuals, &position, &velocity);
-    scales->position = position.cwiseMax(noise_.position_stddev) * std::sqrt(inflation);
-    if (velocity.size() > 0)
-      scales->velocity = velocity.cwiseMax(noise_.velocity_stddev) * std::sqrt(inflation);
+    scales->position = position.cwiseMax(noise_.position_stddev);
+    if (velocity.size() > 0) scales->velocity = velocity.cwiseMax(noise_.velocity_stddev);
   }
 
   // RMS over all recordings together; `each` (or null) gets one entry per recording.
@@ -238,13 +333,37 @@ class Identification {
     return std::sqrt(squares / std::max(1.0, rows));
   }
 
-  // The best on held-out data; a simpler one when it is as good.
+  // From the simplest to the richest: a model replaces the one before when its held-out error is smaller,
+  // and by more than chance on a window by window comparison. Logarithms, so that one window does not
+  // decide.
   static size_t Choose(const std::vector<Fitted>& fitted) {
     size_t best = 0;
     for (size_t i = 1; i < fitted.size(); ++i) {
-      if (fitted[i].score.holdout_rms * kSimpler < fitted[best].score.holdout_rms) best = i;
+      if (fitted[i].score.holdout_rms < fitted[best].score.holdout_rms &&
+          GainInDeviations(fitted[best].holdout, fitted[i].holdout) > kSignificance) {
+        best = i;
+      }
     }
     return best;
+  }
+
+  // Mean of log(before/after) over the windows, in standard errors.
+  static double GainInDeviations(const std::vector<PredictionError>& before,
+                                 const std::vector<PredictionError>& after) {
+    double sum = 0.0, squares = 0.0, count = 0.0;
+    for (size_t r = 0; r < before.size(); ++r) {
+      for (size_t w = 0; w < before[r].windows.size(); ++w) {
+        const double gain =
+            std::log((before[r].windows[w] + kMinPosition) / (after[r].windows[w] + kMinPosition));
+        sum += gain;
+        squares += gain * gain;
+        count += 1.0;
+      }
+    }
+    if (count < 2.0) return sum > 0.0 ? kSignificance + 1.0 : 0.0;
+    const double mean = sum / count;
+    const double variance = std::max(1e-12, squares / count - mean * mean) * count / (count - 1.0);
+    return mean / std::sqrt(variance / count);
   }
 
   static double MedianOfWindows(const std::vector<PredictionError>& errors) {
@@ -262,6 +381,7 @@ class Identification {
     report.robot = nominal_->model().name();
     report.joints = nominal_->joint_names();
     report.window_s = options_.window_s;
+    report.step_s = simulator_.step_s;
     report.judged_on_fit = judged_on_fit_;
     report.before_rms = nominal.score.holdout_rms;
     report.after_rms = best.score.holdout_rms;

@@ -4,10 +4,12 @@
 //   1. noise of the sensors, from the manifest or estimated
 //   2. start: linear regression of the inverse dynamics (initial_regression.h), so that no friction
 //      starts on its bound
-//   3. multiple shooting over the fit recordings, short windows first, then longer ones; the residuals'
+//   3. multiple shooting over the fit recordings, short windows first, then long ones; the residuals'
 //      scale per joint is re-estimated in between; Huber; priors from the URDF
-//   4. candidates (rigid body only, with viscous, with Coulomb, with rotor inertia, …) compared by their
-//      error on held-out recordings in restarted windows
+//   4. candidates (nominal, inertial, friction and rotor inertia, both, direction-dependent friction)
+//      compared on held-out recordings in restarted windows: a richer one must be better there by more than
+//      chance. What each round of shooting made of a candidate is judged there too. So the held-out figures
+//      are those of the best of about a dozen fits, not of one chosen blindly.
 //   5. identifiability, covariance, warnings
 #pragma once
 
@@ -30,9 +32,10 @@ struct SysidOptions {
   double window_s = 1.0;           // of the judgement
   double fit_window_s = 1.0;       // of the last round of shooting
   double residual_rate_hz = 25.0;  // rows used as residuals are thinned to about this rate
-  double step_s = 2e-3;            // of the simulator
+  double step_s = 0.0;             // of the simulator; 0: the longest that makes no difference
   double huber = 3.0;
-  int max_iterations = 12;  // per round of shooting
+  int max_iterations = 12;           // per round of shooting
+  double relative_tolerance = 1e-3;  // of the cost, ends a round
   bool fit_inertial = true;
   bool consistent_inertias = true;  // only bodies that can exist (fit_space.h)
   bool fit_joints = true;           // viscous and Coulomb friction, rotor inertia
@@ -57,6 +60,7 @@ struct SysidReport {
   std::string robot;
   std::vector<std::string> joints;
   double window_s = 1.0;
+  double step_s = 0.0;                             // that the simulator took
   double before_rms = 0.0, after_rms = 0.0;        // all held-out recordings together
   double before_median = 0.0, after_median = 0.0;  // medians over windows
   double fit_before_rms = 0.0, fit_after_rms = 0.0;
