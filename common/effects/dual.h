@@ -23,11 +23,11 @@ RG_INLINE double Value(double a) { return a; }
 
 template <class T, int N>
 struct Dual {
-  T v{};
-  T d[N]{};
+  T v;
+  T d[N];
 
-  Dual() = default;
-  Dual(T value) : v(value) {}  // NOLINT: constants mix with duals
+  Dual() = default;                    // not initialised, as a double
+  Dual(T value) : v(value), d{} {}  // NOLINT: constants mix with duals
 
   static Dual Variable(T value, int index) {
     Dual x(value);

@@ -83,8 +83,9 @@ struct JointLaw {
   S MeanSpeed() const { return T(0.5) * (Abs(v0) + Abs(v1)); }
 
   S Force() const {
-    return link + force - SmoothFriction() + SignForce(level_positive, level_negative) -
-           inertia * acceleration;
+    const S smooth = link + force - SmoothFriction() - inertia * acceleration;
+    if (!rough) return smooth;
+    return smooth + SignForce(level_positive, level_negative);
   }
 
   // d·v + b·v|v| at the weighted velocity.
