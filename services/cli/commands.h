@@ -4,8 +4,14 @@
 
 #include <string>
 
+#include "common/base/status.h"
+
 namespace CLI {
 class App;
+}
+
+namespace rg::coordinator {
+class Client;
 }
 
 namespace rg::cli {
@@ -14,12 +20,15 @@ class Context;
 
 void AddJobCommands(CLI::App& app, Context& context);        // jobs, job …, workers, explain
 void AddParameterCommands(CLI::App& app, Context& context);  // params …
+void AddExportCommand(CLI::App& params, Context& context);   // params export
 void AddArtifactCommands(CLI::App& app, Context& context);   // artifacts …
 void AddSubmitCommands(CLI::App& app, Context& context);     // submit …
 void AddModelCommands(CLI::App& app, Context& context);      // sysid, predict
 void AddRunCommand(CLI::App& app, Context& context);         // run
 void AddSystemCommands(CLI::App& app, Context& context);     // doctor, config, keys
 
+// The robot named, or the only one that has parameters.
+Result<std::string> ChooseRobot(coordinator::Client& client, const std::string& named);
 // "last", "5": the id a client call takes (0 is the newest).
 long ParseJobId(const std::string& text, Context& context);
 

@@ -55,17 +55,6 @@ json VersionJson(const pb::ParameterVersion& v) {
   return out;
 }
 
-// The robot named, or the only one there is.
-Result<std::string> ChooseRobot(coordinator::Client& client, const std::string& named) {
-  if (!named.empty()) return named;
-  RG_ASSIGN_OR_RETURN(const auto robots, client.Robots());
-  if (robots.empty()) return NotFoundError("no parameters yet: run an iteration first");
-  if (robots.size() == 1) return robots.front();
-  std::string all;
-  for (const std::string& r : robots) all += " " + r;
-  return InvalidError("several robots have parameters:" + all + "; name one with --robot");
-}
-
 struct Arguments {
   std::string robot;
   unsigned version = 0, to = 0, limit = 0;
@@ -147,6 +136,16 @@ void Diff(Context& context, const Arguments& arguments) {
 
 }  // namespace
 
+Result<std::string> ChooseRobot(coordinator::Client& client, const std::string& named) {
+  if (!named.empty()) return named;
+  RG_ASSIGN_OR_RETURN(const auto robots, client.Robots());
+  if (robots.empty()) return NotFoundError("no parameters yet: run an iteration first");
+  if (robots.size() == 1) return robots.front();
+  std::string all;
+  for (const std::string& r : robots) all += " " + r;
+  return InvalidError("several robots have parameters:" + all + "; name one with --robot");
+}
+
 void AddParameterCommands(CLI::App& app, Context& context) {
   CLI::App* params = app.add_subcommand("params", "Parameter history of robots")->require_subcommand(1);
   const auto add = [&](const char* name, const char* help, void (*function)(Context&, const Arguments&)) {
@@ -163,6 +162,7 @@ void AddParameterCommands(CLI::App& app, Context& context) {
   auto [diff, diff_arguments] = add("diff", "What changed between two versions", Diff);
   diff->add_option("FROM", diff_arguments->version)->required();
   diff->add_option("TO", diff_arguments->to, "Default: the latest");
+  AddExportCommand(*params, context);
 }
 
 }  // namespace rg::cli

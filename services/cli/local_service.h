@@ -1,0 +1,68 @@
+// The service on this machine: the programs of this build as children, on a socket in a folder that only
+// this user can enter. What `run`, `experiment` and `bench` work through; there is no other path.
+#pragma once
+
+#include <memory>
+#include <nlohmann/json_fwd.hpp>
+#include <string>
+
+#include "common/base/status.h"
+#include "services/cli/child_processes.h"
+
+namespace realitygrad::v1 {
+class GetJobReply;
+class JobSpec;
+class TaskOutput;
+}  // namespace realitygrad::v1
+
+namespace rg::coordinator {
+class Client;
+}
+
+namespace rg::cli {
+
+struct LocalServiceOptions {
+  std::string folder;        // database, logs, caches, spool; must exist
+  std::string agent_config;  // file; the agent of a simulated robot
+  int workers = 1;
+  bool lock_step = false;  // the simulated robot does not wait for real time
+};
+
+class LocalService {
+ public:
+  LocalService();
+  // Stops the programs; what they had committed stays in the folder.
+  ~LocalService();
+  // Returns when all programs have joined the coordinator. Error: one of them ended, or 20 s passed.
+  Status Start(const LocalServiceOptions& options);
+  coordinator::Client& client() { return *client_; }
+  const std::string& address() const { return address_; }
+  // Ok while all programs are running.
+  Status Check() { return children_.Check(); }
+
+ private:
+  Status StartPrograms(const LocalServiceOptions& options);
+  Status AwaitWorkers(size_t count);
+
+  ChildProcesses children_;
+  std::unique_ptr<coordinator::Client> client_;
+  std::string address_, socket_folder_, address_file_;
+};
+
+// Ctrl-C from now on: the call of a LocalService's client that is under way returns kCancelled; nothing
+// is lost.
+void InstallInterruptHandlers();
+bool Interrupted();
+
+// Submits, shows progress on stderr unless `quiet`, waits for success; the job with its tasks. The same
+// `request_id` always means the same job. Errors: kCancelled, kAborted with the job's reason.
+Result<realitygrad::v1::GetJobReply> RunJob(coordinator::Client& client, realitygrad::v1::JobSpec job,
+                                            const std::string& request_id, bool quiet);
+// The first output of a kind of artefact; null if there is none.
+const realitygrad::v1::TaskOutput* FindOutput(const realitygrad::v1::GetJobReply& job,
+                                              const std::string& kind);
+// The "realitygrad.iteration/1" of an iteration's or identification's job, with "seconds" per stage, "job"
+// and the hash of the new "model" added.
+Result<nlohmann::json> FetchResult(coordinator::Client& client, const realitygrad::v1::GetJobReply& job);
+
+}  // namespace rg::cli
