@@ -2,6 +2,7 @@
 
 #include <tinyxml.h>
 
+#include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 #include <cmath>
 #include <initializer_list>
@@ -72,7 +73,12 @@ class MjcfWriter {
     option.SetAttribute("integrator", "implicitfast");
     option.SetAttribute("gravity", Numbers({g[0], g[1], g[2]}));
     for (int l = 0; l < robot_.num_links(); ++l) {
-      if (parents_[static_cast<size_t>(l)] < 0) world.InsertEndChild(Body(l));
+      if (parents_[static_cast<size_t>(l)] >= 0) continue;
+      if (robot_.link(l).name == "world") {  // MuJoCo's own name of what the robot stands on
+        AddChildren(l, &world);
+      } else {
+        world.InsertEndChild(Body(l));
+      }
     }
     for (int j = 0; j < robot_.num_joints(); ++j) actuators.InsertEndChild(Actuator(j));
     for (const TiXmlElement& part : {compiler, option, world, actuators}) root_.InsertEndChild(part);
@@ -113,10 +119,14 @@ class MjcfWriter {
     for (int j = 0; j < robot_.num_joints(); ++j) {
       if (robot_.joint(j).child_link == l) body.InsertEndChild(Joint(j));
     }
-    for (int child = 0; child < robot_.num_links(); ++child) {
-      if (parents_[static_cast<size_t>(child)] == l) body.InsertEndChild(Body(child));
-    }
+    AddChildren(l, &body);
     return body;
+  }
+
+  void AddChildren(int l, TiXmlElement* body) const {
+    for (int child = 0; child < robot_.num_links(); ++child) {
+      if (parents_[static_cast<size_t>(child)] == l) body->InsertEndChild(Body(child));
+    }
   }
 
   TiXmlElement Joint(int j) const {
@@ -178,6 +188,21 @@ Status CheckMjcf(const Plant& plant, const ExportFigures& figures) {
   return Status::Ok();
 }
 
+// Links whose inertia no body can have, which MuJoCo refuses to load.
+void NoteInertias(const Plant& plant, const ExportFigures& figures, std::vector<std::string>* notes) {
+  for (int l = 0; l < plant.model().num_links(); ++l) {
+    const model::LinkParameters link = figures.links.col(l);
+    if (link[0] == 0) continue;
+    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(model::InertiaMatrix(link));
+    const Eigen::Vector3d I = solver.eigenvalues();
+    if (I[0] > 0 && I[0] + I[1] >= I[2]) continue;
+    notes->push_back(
+        "inertia of " + plant.model().link(l).name +
+        ": no body can have it (not positive, or breaks the triangle inequality); MuJoCo loads it "
+        "only with <compiler balanceinertia=\"true\"/>, which changes it");
+  }
+}
+
 }  // namespace
 
 Result<ExportedModel> ExportMjcf(const Plant& plant, const VectorXd& values, double step_s) {
@@ -187,6 +212,7 @@ Result<ExportedModel> ExportMjcf(const Plant& plant, const VectorXd& values, dou
   ExportedModel out;
   out.text = MjcfWriter(plant, figures).Write(step_s);
   out.left_out = internal::LeftOut(plant, values, "MJCF", Covered());
+  NoteInertias(plant, figures, &out.left_out);
   return out;
 }
 

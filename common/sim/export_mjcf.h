@@ -9,8 +9,8 @@
 //                              dyntype filterexact with dynprm: actuator_lag; ctrlrange: torque_saturation
 //                              (before the lag, as in the plant); forcerange: the effort limit
 // Joints that the model locks are fixed where it locks them. Links are bodies under their own names,
-// joints and actuators under the joint's name. Shapes (visuals, collisions) are left out. What MJCF has no
-// place for is in `left_out`, one line each.
+// joints and actuators under the joint's name; a root link called world is MuJoCo's own. Shapes (visuals,
+// collisions) are left out. What MJCF has no place for is in `left_out`, one line each.
 #pragma once
 
 #include <Eigen/Core>
