@@ -139,8 +139,13 @@ void JointGradient(const LawContext& c, int i, double v1, double coupled, LawGra
   }
 }
 
-inline void Gradients(const LawContext& c, const double* v1, LawGradients* out) {
-  const int n = c.program->tree.n;
+inline void Gradients(const LawContext& at, const Directions& directions, const double* v1, LawGradients* out) {
+  const int n = at.program->tree.n;
+  // A friction level of zero changes no force, but it has a derivative.
+  bool rough[kMaxJoints];
+  for (int i = 0; i < n; ++i) rough[i] = at.rough[i] || directions.friction[i];
+  LawContext c = at;
+  c.rough = rough;
   for (int pass = 0; pass < 2; ++pass) {
     for (int i = 0; i < n; ++i) {
       const JointProgram& joint = c.program->joints[i];

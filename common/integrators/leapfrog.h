@@ -77,7 +77,7 @@ StepResult LeapfrogStep(const StepProgram& program, const StepValues& values, co
     dynamics::SetAcceleration(tree, a, s.w);
     dynamics::Derivatives(tree, s.w);
     dynamics::Regressor(tree, s.w);
-    Gradients(c, s.v1, &s.gradients);
+    Gradients(c, *directions, s.v1, &s.gradients);
     DirectForces(c, *directions, s, direct);
     if (!StateMatrices(c, {0.5 * h, 0.5, 0.5}, s)) return {StepStatus::kMassMatrixNotPositive, 0};
     Propagate(c, *directions, 0.5 * h, 0.5 * h, s, direct, from, to);

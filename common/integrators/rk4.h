@@ -46,7 +46,7 @@ bool StageSensitivity(const LawContext& c, const Directions& directions, StepWor
   dynamics::SetAcceleration(program.tree, s.v1, s.w);
   dynamics::Derivatives(program.tree, s.w);
   dynamics::Regressor(program.tree, s.w);
-  Gradients(c, c.input->v, &s.gradients);
+  Gradients(c, directions, c.input->v, &s.gradients);
   // The laws saw no acceleration: a rotor inertia's own derivative is −a.
   for (int i = 0; i < n; ++i) {
     const JointProgram& joint = program.joints[i];

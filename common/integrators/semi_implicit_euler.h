@@ -41,7 +41,7 @@ StepResult SemiImplicitEulerStep(const StepProgram& program, const StepValues& v
     dynamics::SetAcceleration(tree, a, s.w);
     dynamics::Derivatives(tree, s.w);
     dynamics::Regressor(tree, s.w);
-    Gradients(c, s.v1, &s.gradients);
+    Gradients(c, *directions, s.v1, &s.gradients);
     DirectForces(c, *directions, s, direct);
     if (!StateMatrices(c, {0.0, 1.0, 0.0}, s)) return {StepStatus::kMassMatrixNotPositive, 0};
     Propagate(c, *directions, 0.0, h, s, direct, from, to);

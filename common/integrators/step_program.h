@@ -115,6 +115,7 @@ struct Directions {
     int local;  // LocalVariable or kFirstState + num_states + parameter
     int column;
   };
+  bool friction[kMaxJoints] = {};  // whether the joint's own friction level is among them
   int num_locals = 0;
   const Local* locals = nullptr;
   struct Command {

@@ -154,7 +154,7 @@ void PointForces(const StepProgram& program, const StepValues& values, const dou
     const PointForce& op = program.point_forces[k];
     D position[3] = {D::Variable(p.x, 0), D::Variable(p.y, 1), D::Variable(p.z, 2)};
     D rate[3] = {D::Variable(velocity.x, 3), D::Variable(velocity.y, 4), D::Variable(velocity.z, 5)};
-    D parameters[kMaxPointParameters], force[3];
+    D parameters[kMaxPointParameters], force[3] = {};
     for (int m = 0; m < op.num_parameters; ++m) {
       parameters[m] = D::Variable(values.point_parameters[op.first_parameter + m], 6 + m);
     }

@@ -66,6 +66,7 @@ DirectionPlan::DirectionPlan(const PlantData& plant, Leading leading, std::vecto
       if (use.where == Where::kLaw) {
         const auto& joint = plant.program.joints[use.a];
         locals_.push_back({use.a, integrators::kFirstState + joint.num_states + use.b, own()});
+        if (use.b == integrators::kFriction) directions_.friction[use.a] = true;
       } else if (use.where == Where::kPoint) {
         points_.push_back({use.a, use.b, own()});
       } else if (use.where == Where::kCommandDelay) {

@@ -83,7 +83,7 @@ void ParameterValues::SetInertias() {
   phi_ = dynamics::LumpedInertias(*plant_.tree_model, links_);
   if (plant_.payload < 0) return;
   using D = Dual<double, 4>;
-  D p[4], local[10], moved[10];
+  D p[4], local[10] = {}, moved[10];
   for (int i = 0; i < 4; ++i) p[i] = D::Variable(values_[plant_.payload + i], i);
   effects::Payload::AddInertia(p, local);
   MoveInertia(payload_frame_, local, moved);
