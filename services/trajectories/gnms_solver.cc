@@ -159,8 +159,9 @@ void GnmsSolver::BuildLq(const VecIn& x0) {
 // states, once per guess.
 bool GnmsSolver::SetBoxWeights(GnmsSummary* summary) {
   if (rho_unit_.maxCoeff() > 0.0) return true;
-  r_scale_ = 0.0;
-  for (int k = 0; k < n_; ++k) r_scale_ += lq_.problem().R(k).trace() / (nu_ * n_);
+  Eigen::VectorXd& r_scale = lq_.problem().regularization_scale;
+  r_scale.setConstant(std::numeric_limits<double>::min());
+  for (int k = 0; k < n_; ++k) r_scale += lq_.problem().R(k).diagonal() / n_;
   rho_unit_.setConstant(1.0);
   const bool bounded =
       problem_.x_lower().array().isFinite().any() || problem_.x_upper().array().isFinite().any();
@@ -195,7 +196,7 @@ void GnmsSolver::BuildBoxes() {
 bool GnmsSolver::SolveLq(GnmsSummary* summary, GnmsIteration* record) {
   LqOptions lq_options;
   while (true) {
-    lq_options.regularization = regularization_ * r_scale_;
+    lq_options.regularization = regularization_;
     const LqSummary lq_summary = lq_.Solve(lq_options);
     summary->sweeps += lq_summary.sweeps;
     record->sweeps += lq_summary.sweeps;
@@ -211,8 +212,12 @@ void GnmsSolver::RaiseRegularization() {
   regularization_ = std::max(10.0 * regularization_, options_.regularization_first);
 }
 
-void GnmsSolver::LowerRegularization() {
-  regularization_ = regularization_ <= options_.regularization_first ? 0.0 : 0.1 * regularization_;
+// A full step says that the model is good, a short one that it is not (Levenberg-Marquardt).
+void GnmsSolver::AdaptRegularization(double step_length) {
+  if (step_length == 1.0)
+    regularization_ = regularization_ <= options_.regularization_first ? 0.0 : 0.2 * regularization_;
+  else if (step_length <= options_.short_step && regularization_ < options_.regularization_max)
+    RaiseRegularization();
 }
 
 // μ_i above the largest costate, so that the ℓ1 term is exact. Returns the slope of the merit along
@@ -433,7 +438,7 @@ GnmsSummary GnmsSolver::Solve(const VecIn& x0) {
     history_.push_back(record);
     if (search == Search::kAccepted) {
       std::swap(current_, trial_);
-      LowerRegularization();
+      AdaptRegularization(record.step_length);
       if (record.step_length == 1.0) TightenBoxes(false);
     } else if (regularization_ < options_.regularization_max) {
       RaiseRegularization();

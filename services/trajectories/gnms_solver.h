@@ -59,7 +59,9 @@ struct GnmsOptions {
   double box_penalty_growth = 10.0;
   double box_penalty_max = 1e6;
 
-  // Levenberg term on δu, relative to the mean diagonal of the cost's R; used only after a failed search.
+  // Levenberg-Marquardt term on δu, relative to the mean diagonal of the cost's R; used only after a failed
+  // search or a step not longer than `short_step`.
+  double short_step = 0.5;
   double regularization_first = 1e-3;
   double regularization_max = 1e6;
 
@@ -156,7 +158,7 @@ class GnmsSolver {
   void MakeTrial(double step_length);
   Search LineSearch(const VecIn& x0, double slope, double merit, GnmsSummary* summary, GnmsIteration* record);
   void RaiseRegularization();
-  void LowerRegularization();
+  void AdaptRegularization(double step_length);
   bool TightenBoxes(bool stationary);
   void UpdateMultipliers();
   void MeasureDefects(const VecIn& x0, GnmsSummary* summary) const;
@@ -176,7 +178,6 @@ class GnmsSolver {
   Eigen::VectorXd rho_unit_;        // nx: weight for box_penalty = 1; empty until known
   Eigen::VectorXd merit_weight_;    // nx: μ
   double regularization_ = 0.0;
-  double r_scale_ = 1.0;
   double last_violation_ = 0.0;
   std::vector<GnmsIteration> history_;
 };

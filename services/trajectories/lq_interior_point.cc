@@ -47,7 +47,7 @@ void LqSolver::StartInteriorPoint() {
 
 void LqSolver::TermsFromInteriorPoint(double regularization, double mu) {
   for (size_t i = 0; i < ip_u_.size(); ++i) {
-    u_diagonal_[i] = regularization;
+    u_diagonal_[i] = regularization * problem_.regularization_scale[i % problem_.nu()];
     u_shift_[i] = 0.0;
     if (ip_low_[i] > 0.0) {
       const double slack = ip_u_[i] - problem_.u_low[i];

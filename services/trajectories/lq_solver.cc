@@ -28,6 +28,7 @@ LqProblem::LqProblem(int nx, int nu, int knots) : nx_(nx), nu_(nu), knots_(knots
   x_high.assign((knots + 1) * nx, kInfinity);
   rho = Eigen::VectorXd::Zero(nx);
   dx0 = Eigen::VectorXd::Zero(nx);
+  regularization_scale = Eigen::VectorXd::Ones(nu);
 }
 
 // One knot of the backward and of the forward recursion for sizes known at compile time (or
@@ -292,7 +293,8 @@ bool LqSolver::Sweep(int from, LqSummary* summary) {
 
 // Diagonal terms of a sweep in which x_set_ says which penalties are on.
 void LqSolver::TermsFromSets(double regularization) {
-  std::fill(u_diagonal_.begin(), u_diagonal_.end(), regularization);
+  for (size_t i = 0; i < u_diagonal_.size(); ++i)
+    u_diagonal_[i] = regularization * problem_.regularization_scale[i % problem_.nu()];
   std::fill(u_shift_.begin(), u_shift_.end(), 0.0);
   const int nx = problem_.nx();
   for (size_t i = nx; i < x_set_.size(); ++i) {
@@ -309,7 +311,7 @@ bool LqSolver::SettleSets(const LqOptions& options, LqSummary* summary) {
   for (int sweep = 0; sweep < options.max_set_sweeps && !summary->exact; ++sweep) {
     TermsFromSets(options.regularization);
     if (!Sweep(changed, summary)) return false;
-    for (size_t i = 0; i < du_.size(); ++i) u_grad_[i] += options.regularization * du_[i];
+    for (size_t i = 0; i < du_.size(); ++i) u_grad_[i] += u_diagonal_[i] * du_[i];
     const int control_changed = UpdateControlSet(options.tolerance);
     changed = std::max(control_changed, UpdateStateSet(options.tolerance));
     summary->exact = changed < 0;

@@ -50,15 +50,17 @@ class LqProblem {
   VecMap x_hi(int k) { return VecMap(&x_high[k * nx_], nx_); }
 
   std::vector<double> a, b, defect, q_mat, s_mat, r_mat, q_vec, r_vec, u_low, u_high, x_low, x_high;
-  Eigen::VectorXd rho;  // nx, ≥ 0
-  Eigen::VectorXd dx0;  // nx
+  Eigen::VectorXd rho;                   // nx, ≥ 0
+  Eigen::VectorXd dx0;                   // nx
+  Eigen::VectorXd regularization_scale;  // nu, > 0; ones at first
 
  private:
   int nx_, nu_, knots_;
 };
 
 struct LqOptions {
-  // Added to the diagonal of R: shortens the step when the quadratic model is not trusted.
+  // × LqProblem::regularization_scale is added to the diagonal of R: shortens the step when the
+  // quadratic model is not trusted.
   double regularization = 0.0;
   // Sweeps of the active-set method before the interior point takes over, and again from its end.
   int max_set_sweeps = 6;
