@@ -1,6 +1,5 @@
 #include "services/sysid/sysid_on_set.h"
 
-#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -16,7 +15,7 @@
 #include "services/sysid/initial_regression.h"
 #include "services/sysid/parallel.h"
 #include "services/sysid/prediction.h"
-#include "services/sysid/recording_shooting.h"
+#include "services/sysid/shooting_fit.h"
 
 namespace rg::sysid {
 namespace {
@@ -24,14 +23,10 @@ namespace {
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-constexpr double kMinPosition = 1e-6, kMinVelocity = 1e-5;  // floors of residual scales
-constexpr double kSimpler = 1.01;      // a model with more parameters must be better by this much
+constexpr double kMinError = 1e-6;     // rad or m: windows better than this are equally good
+constexpr double kSimpler = 1.01;      // a start, which has no covariance, must be better than a fit by this
 constexpr double kSignificance = 2.0;  // standard errors by which a richer model must be better
-constexpr double kMaxInflation = 400.0;
-constexpr double kMuchWorse = 2.0;   // torque residual against the best model's
-constexpr double kStepShare = 0.02;  // of the residual that the step may make
-constexpr int kFirstWindows = 120;
-constexpr double kMaxBroken = 0.2;  // share of windows
+constexpr double kMuchWorse = 2.0;     // torque residual against the best model's
 
 struct Candidate {
   std::string name;
@@ -42,10 +37,9 @@ struct Candidate {
 struct Fitted {
   sim::Plant plant;
   FitSpace space;
-  VectorXd theta = {}, values = {};
+  ShootingFit fit = {};
   VectorXd torque_stddev = {};  // of the regression's residual; empty when nothing was fitted
   CandidateScore score = {};
-  ShootingSolution solution = {};
   std::vector<PredictionError> holdout = {};
 };
 
@@ -79,7 +73,7 @@ class Identification {
       fitted.push_back(std::move(f));
     }
     KeepPromising(&fitted);
-    ChooseStep(fitted.back());
+    ChooseStepFor(fitted.back());
     for (size_t i = 0; i < fitted.size(); ++i) {
       Tell("fit", static_cast<double>(i), static_cast<double>(fitted.size()), fitted[i].score.name);
       Finish(&fitted[i]);
@@ -107,9 +101,7 @@ class Identification {
     judged_ = set_.Holdout();
     judged_on_fit_ = judged_.empty();
     if (judged_on_fit_) judged_ = set_.Fit();
-    noise_ = recordings::EstimateSensorNoise(set_);
-    noise_.position_stddev = noise_.position_stddev.cwiseMax(kMinPosition);
-    noise_.velocity_stddev = noise_.velocity_stddev.cwiseMax(kMinVelocity);
+    noise_ = FlooredNoise(recordings::EstimateSensorNoise(set_));
     return Status::Ok();
   }
 
@@ -119,8 +111,8 @@ class Identification {
     RG_ASSIGN_OR_RETURN(sim::Plant plant, PlantOf(candidate));
     Fitted f{plant, FitSpace(ParametersOf(plant, candidate), options_.consistent_inertias)};
     f.score.name = candidate.name;
-    f.theta = f.space.nominal();
-    f.values = plant.parameters().Nominal();
+    f.fit.theta = f.space.nominal();
+    f.fit.values = plant.parameters().Nominal();
     f.score.parameters = f.space.size();
     if (f.space.size() > 0) Regress(&f);
     f.score.seconds = clock_.SteadySeconds() - start;
@@ -132,10 +124,7 @@ class Identification {
   void Finish(Fitted* f) {
     const double start = clock_.SteadySeconds();
     Judge(f);
-    if (f->space.size() > 0) {
-      Fitted trial = *f;
-      Shoot(&trial, f);
-    }
+    if (f->space.size() > 0) Shoot(f);
     f->score.seconds += clock_.SteadySeconds() - start;
   }
 
@@ -155,41 +144,10 @@ class Identification {
     });
   }
 
-  // The longest step that changes the fitted windows by less than the sensors' noise, or by little of what
-  // the model is wrong anyway.
-  void ChooseStep(const Fitted& f) {
-    if (options_.step_s > 0.0) {
-      simulator_.step_s = options_.step_s;
-      return;
-    }
-    for (const double step : {8e-3, 4e-3, 2e-3, 1e-3}) {
-      simulator_.step_s = step;
-      if (StepIsFine(f)) return;
-    }
-  }
-
-  bool StepIsFine(const Fitted& f) const {
-    RecordingShootingOptions options;
-    options.window_s = 0.5 * options_.fit_window_s;
-    options.use_velocity = false;
-    options.max_windows = 40;
-    options.simulator = simulator_;
-    RecordingShootingOptions fine = options;
-    fine.simulator.step_s *= 0.5;
-    const ShootingScales scales = ScalesOf(noise_);
-    RecordingShooting a(f.plant, f.values, f.space, fit_, scales, options, 1);
-    RecordingShooting b(f.plant, f.values, f.space, fit_, scales, fine, 1);
-    double difference = 0.0, residual = 0.0, count = 0.0;
-    for (int w = 0; w < a.num_windows(); ++w) {
-      VectorXd ra(a.window_residuals(w)), rb(b.window_residuals(w));
-      const VectorXd xi = VectorXd::Zero(a.window_unknowns(w));
-      if (!b.Evaluate(0, w, f.theta, xi, &rb, nullptr, nullptr)) continue;
-      if (!a.Evaluate(0, w, f.theta, xi, &ra, nullptr, nullptr)) return false;
-      difference += (ra - rb).squaredNorm();
-      residual += rb.squaredNorm();
-      count += static_cast<double>(rb.size());
-    }
-    return difference <= std::max(0.04 * count, kStepShare * kStepShare * residual);
+  void ChooseStepFor(const Fitted& f) {
+    simulator_.step_s = options_.step_s > 0.0 ? options_.step_s
+                                              : ChooseStep(f.plant, f.fit.values, f.space, f.fit.theta, fit_,
+                                                           noise_, 0.5 * options_.fit_window_s);
   }
 
   Result<sim::Plant> PlantOf(const Candidate& candidate) const {
@@ -233,83 +191,41 @@ class Identification {
   }
 
   void Regress(Fitted* f) const {
-    const RegressionResult start = RegressInverseDynamics(f->plant, f->values, f->space, f->theta, fit_);
-    f->theta = start.theta;
+    const RegressionResult start =
+        RegressInverseDynamics(f->plant, f->fit.values, f->space, f->fit.theta, fit_);
+    f->fit.theta = start.theta;
     if (start.rows > 0) f->torque_stddev = start.torque_stddev;
-    f->values = f->space.Values(f->theta, f->values);
+    f->fit.values = f->space.Values(f->fit.theta, f->fit.values);
   }
 
-  // Short windows first: they forgive a poor start. The scale of the residuals is what they show; for the
-  // long windows it is wider by the root of the inflation, so that windows that err together, as a wrong
-  // model makes them, do not outvote the priors.
-  void Shoot(Fitted* trial, Fitted* best) {
-    ShootingScales scales = ScalesOf(noise_);
-    if (!ShootRound(trial, 0.25 * options_.fit_window_s, kFirstWindows, 1.0, &scales)) return;
-    KeepBetter(trial, best);
-    const double inflation = std::clamp(trial->solution.variance_inflation, 1.0, kMaxInflation);
-    if (ShootRound(trial, options_.fit_window_s, 1 << 30, inflation, &scales)) KeepBetter(trial, best);
-  }
-
-  void KeepBetter(Fitted* trial, Fitted* best) const {
-    Judge(trial);
-    const bool first = best->solution.information.size() == 0;  // a start has no covariance to report
-    if (first ? trial->score.holdout_rms < kSimpler * best->score.holdout_rms
-              : trial->score.holdout_rms < best->score.holdout_rms) {
-      *best = *trial;
-    }
-  }
-
-  bool ShootRound(Fitted* f, double window_s, int max_windows, double inflation, ShootingScales* scales) {
-    if (stop_.ShouldStop()) return false;
-    RecordingShooting probe(f->plant, f->values, f->space, fit_, *scales, ShootingFor(window_s, max_windows),
-                            threads_);
-    ShootingOptions look;
-    look.max_iterations = 0;
-    look.threads = threads_;
-    const auto seen = SolveShooting(ShootingProblemFor(&probe, f->space), f->theta, {}, look, stop_);
-    // A motion too unstable for windows this long: the shorter ones have the last word.
-    if (seen.residuals.empty() || seen.failed_windows > kMaxBroken * probe.num_windows()) return false;
-    Rescale(probe, seen, scales);
-    scales->position *= std::sqrt(inflation);
-    scales->velocity *= std::sqrt(inflation);
-    ShootWith(f, window_s, max_windows, *scales);
-    return true;
-  }
-
-  RecordingShootingOptions ShootingFor(double window_s, int max_windows) const {
-    RecordingShootingOptions shooting;
-    shooting.window_s = window_s;
-    shooting.residual_rate_hz = std::max(options_.residual_rate_hz, 4.0 / window_s);
-    shooting.max_windows = max_windows;
+  void Shoot(Fitted* best) const {
+    ShootingFitOptions shooting;
+    shooting.first_window_s = 0.25 * options_.fit_window_s;
+    shooting.window_s = options_.fit_window_s;
+    shooting.residual_rate_hz = options_.residual_rate_hz;
+    shooting.huber = options_.huber;
+    shooting.max_iterations = options_.max_iterations;
+    shooting.relative_tolerance = options_.relative_tolerance;
+    shooting.threads = threads_;
     shooting.simulator = simulator_;
-    return shooting;
+    const Fitted start = *best;
+    FitByShooting(
+        start.plant, start.fit.values, start.space, start.fit.theta, fit_, noise_, shooting, stop_,
+        [&](const ShootingFit& fit) {
+          Fitted trial = start;
+          trial.fit = fit;
+          KeepBetter(std::move(trial), best);
+        },
+        [&](const ProgressUpdate& u) { Tell("shooting " + start.score.name, u.done, u.total, u.note); });
   }
 
-  void ShootWith(Fitted* f, double window_s, int max_windows, const ShootingScales& scales) {
-    RecordingShooting model(f->plant, f->values, f->space, fit_, scales, ShootingFor(window_s, max_windows),
-                            threads_);
-    ShootingOptions solver;
-    solver.huber = options_.huber;
-    solver.threads = threads_;
-    solver.max_iterations = options_.max_iterations;
-    solver.relative_tolerance = options_.relative_tolerance;
-    ShootingSolution solution = SolveShooting(ShootingProblemFor(&model, f->space), f->theta, {}, solver,
-                                              stop_, [&](int iteration, double cost) {
-                                                Tell("shooting " + f->score.name, iteration,
-                                                     options_.max_iterations, "cost " + std::to_string(cost));
-                                              });
-    if (solution.residuals.empty()) return;  // stopped before the first linearisation
-    f->solution = std::move(solution);
-    f->theta = f->solution.theta;
-    f->values = f->space.Values(f->theta, f->values);
-  }
-
-  // Residual scales: the spread the residuals show, not below the sensors' noise.
-  void Rescale(const RecordingShooting& model, const ShootingSolution& seen, ShootingScales* scales) const {
-    VectorXd position, velocity;
-    model.ResidualSpread(seen.residuals, &position, &velocity);
-    scales->position = position.cwiseMax(noise_.position_stddev);
-    if (velocity.size() > 0) scales->velocity = velocity.cwiseMax(noise_.velocity_stddev);
+  void KeepBetter(Fitted trial, Fitted* best) const {
+    Judge(&trial);
+    const bool first = best->fit.solution.information.size() == 0;  // a start has no covariance to report
+    if (first ? trial.score.holdout_rms < kSimpler * best->score.holdout_rms
+              : trial.score.holdout_rms < best->score.holdout_rms) {
+      *best = std::move(trial);
+    }
   }
 
   // RMS over all recordings together; `each` (or null) gets one entry per recording.
@@ -322,7 +238,7 @@ class Identification {
       prediction.simulator = simulator_;
       prediction.noise = noise_;
       prediction.effort_excludes_gravity = set_.effort_excludes_gravity;
-      errors[i] = ErrorOf(PredictRecording(f.plant, f.values, *recs[i], prediction), *recs[i]);
+      errors[i] = ErrorOf(PredictRecording(f.plant, f.fit.values, *recs[i], prediction), *recs[i]);
     });
     double squares = 0.0, rows = 0.0;
     for (size_t i = 0; i < recs.size(); ++i) {
@@ -353,8 +269,7 @@ class Identification {
     double sum = 0.0, squares = 0.0, count = 0.0;
     for (size_t r = 0; r < before.size(); ++r) {
       for (size_t w = 0; w < before[r].windows.size(); ++w) {
-        const double gain =
-            std::log((before[r].windows[w] + kMinPosition) / (after[r].windows[w] + kMinPosition));
+        const double gain = std::log((before[r].windows[w] + kMinError) / (after[r].windows[w] + kMinError));
         sum += gain;
         squares += gain * gain;
         count += 1.0;
@@ -397,39 +312,15 @@ class Identification {
                                 after.median_window, before.joint_rms, after.joint_rms});
     }
     report.plant = best.plant;
-    report.values = best.values;
-    FillIdentifiability(best, &report);
+    report.values = best.fit.values;
+    report.identifiability = IdentifiabilityOf(best.space, best.fit);
     FillWarnings(best, &report);
     return report;
   }
 
-  void FillIdentifiability(const Fitted& f, SysidReport* report) const {
-    const int P = f.space.size();
-    if (P == 0 || f.solution.information.rows() != P) return;
-    // From the fit's coordinates to the parameters people know.
-    const MatrixXd dp_dtheta = f.space.Jacobian(f.theta);
-    const MatrixXd dtheta_dp = dp_dtheta.inverse();
-    IdentifiabilityInput in;
-    in.value = f.space.Parameters(f.theta);
-    in.prior_stddev = (dp_dtheta * f.space.prior_stddev().asDiagonal()).rowwise().norm();
-    for (VectorXd* v : {&in.nominal, &in.lower, &in.upper}) v->resize(P);
-    for (int i = 0; i < P; ++i) {
-      const FitParameter& p = f.space.parameters()[i];
-      const bool bounded = f.space.IsItself(i);
-      in.names.push_back(p.name);
-      in.units.push_back(p.unit);
-      in.nominal[i] = p.nominal;
-      in.lower[i] = bounded ? p.lower : -std::numeric_limits<double>::infinity();
-      in.upper[i] = bounded ? p.upper : std::numeric_limits<double>::infinity();
-    }
-    in.information = dtheta_dp.transpose() * f.solution.information * dtheta_dp;
-    in.residual_variance = std::clamp(f.solution.variance_inflation, 1.0, kMaxInflation);
-    report->identifiability = Identify(in);
-  }
-
   void FillWarnings(const Fitted& f, SysidReport* report) const {
     for (const std::string& w : nominal_->model().warnings()) report->warnings.push_back(w);
-    const auto links = LinkParametersOf(f.plant, f.values);
+    const auto links = LinkParametersOf(f.plant, f.fit.values);
     std::vector<LinkInertia> fitted_links;
     for (int i = 0; i < f.plant.model().num_links(); ++i) {
       const model::LinkParameters link = links.col(i);
@@ -443,8 +334,8 @@ class Identification {
         report->warnings.push_back(p.name + " sits on its bound, " + std::to_string(p.value) + " " + p.unit);
       }
     }
-    if (f.solution.failed_windows > 0) {
-      report->warnings.push_back(std::to_string(f.solution.failed_windows) +
+    if (f.fit.solution.failed_windows > 0) {
+      report->warnings.push_back(std::to_string(f.fit.solution.failed_windows) +
                                  " windows could not be simulated with the fitted parameters");
     }
     if (set_.holdout_was_chosen) report->warnings.push_back("the set has no holdout split: one was chosen");
