@@ -32,7 +32,7 @@ pb::JobState WaitForEnd(Service& service, int64_t job) {
 }
 
 TEST(WorkerKill, ItsTaskFinishesElsewhereWithinTwoHeartbeats) {
-  Service service(200);
+  Service service;
   service.StartWorker("a");
   pb::JobSpec job;
   AddTask(&job, "t", "sleep", R"({"seconds": 1.0})");

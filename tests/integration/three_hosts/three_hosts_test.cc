@@ -120,7 +120,7 @@ class ThreeHosts : public ::testing::Test {
     const std::string address_file = folder_ + "/address";
     coordinator_ = std::make_unique<Process>(
         hosts_->On(1, {BinFolder() + "/realitygrad-coordinator", "--listen", kAddress, "--db",
-                       folder_ + "/service.db", "--heartbeat-ms", "200", "--address-file", address_file,
+                       folder_ + "/service.db", "--heartbeat-ms", "400", "--address-file", address_file,
                        "--key", KeyPath("coordinator"), "--allowed-keys", folder_ + "/allowed_keys"}),
         folder_ + "/coordinator.log");
     const double end = RealClock().SteadySeconds() + 20.0;

@@ -37,7 +37,7 @@ class Process {
 
 class Service {
  public:
-  explicit Service(int heartbeat_ms = 100);
+  explicit Service(int heartbeat_ms = 400);
   ~Service();
 
   void StartCoordinator();  // again after a kill: on the same endpoint and database
