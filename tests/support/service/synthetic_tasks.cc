@@ -62,7 +62,7 @@ Result<TaskOutputs> Crash(const TaskInput& input, TaskContext&) {
   const json options = Options(input);
   if (options.contains("until") && input.attempt > options["until"].get<uint32_t>()) return One("survived");
   fprintf(stderr, "famous last words\n");
-  raise(SIGSEGV);
+  raise(SIGKILL);
   return One("");
 }
 
