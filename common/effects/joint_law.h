@@ -110,6 +110,10 @@ struct JointLaw {
       return Select(x > T(0), -(positive * x), -(negative * x));
     }
     const T width = T(step.sign_width);
+    if constexpr (requires(T x) { static_cast<bool>(x > x); }) {  // not for lanes: no need to look further
+      if (v1 > width && !(v0 < T(0))) return -positive;
+      if (v1 < -width && !(v0 > T(0))) return negative;
+    }
     const S above = SignForceAbove(positive, negative);  // at v1 ≥ width, or at +width inside the ramp
     const S below = -SignForceMirrored(positive, negative);
     const S ramp = T(0.5) * (above + below) + (above - below) * (v1 * (T(0.5) / width));

@@ -45,7 +45,7 @@ StepResult LeapfrogStep(const StepProgram& program, const StepValues& values, co
     s.bias[i] = s.w.c[i] - s.E[i];
     s.v1[i] = input.v[i];
   }
-  StepResult result = SolveVelocity(c, s);
+  StepResult result = SolveVelocity(c, false, s);
   if (result.status != StepStatus::kOk) return result;
 
   // Further passes: the bias at the mean velocity, until what one more would change is negligible.
@@ -60,7 +60,7 @@ StepResult LeapfrogStep(const StepProgram& program, const StepValues& values, co
       s.bias[i] = s.w.c[i] - s.E[i];
       s.before[i] = s.v1[i];
     }
-    result = SolveVelocity(c, s);
+    result = SolveVelocity(c, true, s);
     if (result.status != StepStatus::kOk) return result;
     const double last = change;
     change = 0.0;

@@ -32,7 +32,7 @@ StepResult SemiImplicitEulerStep(const StepProgram& program, const StepValues& v
     s.bias[i] = s.w.c[i] - s.E[i];
     s.v1[i] = input.v[i];
   }
-  const StepResult result = SolveVelocity(c, s);
+  const StepResult result = SolveVelocity(c, false, s);
   if (result.status != StepStatus::kOk) return result;
 
   if (directions != nullptr) {

@@ -62,12 +62,13 @@ RG_INLINE bool Affine(const LawContext& c, const double* v1, const StepWorkspace
 }
 
 // On entry s.v1 is the first guess; on success s.v1, s.force, s.slope and s.z1 are those of the solution.
+// `known`: s.force and s.slope are already those at s.v1.
 template <int C>
-StepResult SolveVelocity(const LawContext& c, StepWorkspace<C>& s) {
+StepResult SolveVelocity(const LawContext& c, bool known, StepWorkspace<C>& s) {
   const int n = c.program->tree.n;
   const double inverse_h = 1.0 / c.input->h;
   double residual[C], step[C], trial[C];
-  Forces(c, s.v1, s.force, s.slope, s.z1);
+  if (!known) Forces(c, s.v1, s.force, s.slope, s.z1);
   if (VelocityResidual(c, s.v1, s.force, s.slope, s, residual)) return {};
   for (int iteration = 0; iteration < kMaxNewton; ++iteration) {
     LoadMass(n, inverse_h, s, s.H);
