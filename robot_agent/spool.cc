@@ -68,6 +68,7 @@ int Spool::Deliver(const Deliverer& deliver) {
     const Status status = bundle.ok() ? deliver(id, *bundle) : bundle.status();
     if (!status.ok() && status.code() != StatusCode::kAlreadyExists) {
       spdlog::warn("recording {} stays in the spool: {}", id, status.ToString());
+      if (status.code() == StatusCode::kUnavailable) break;
       continue;
     }
     delivered += Delivered(id).ok();

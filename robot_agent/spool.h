@@ -34,8 +34,9 @@ class Spool {
   std::vector<std::string> Ready() const;
   std::vector<std::string> Active() const;
 
-  // Called for each ready bundle. kOk or kAlreadyExists: it leaves the spool. Anything else: it stays,
-  // and Deliver goes on with the next one. Returns how many left.
+  // Called for each ready bundle. kOk or kAlreadyExists: it leaves the spool. kUnavailable: nobody is
+  // there to take any, all stay. Anything else: it stays, and Deliver goes on with the next one. Returns
+  // how many left.
   using Deliverer = std::function<Status(const std::string& id, const std::string& bundle)>;
   int Deliver(const Deliverer& deliver);
   // The bundle reached its receiver by another way (as the output of a task).

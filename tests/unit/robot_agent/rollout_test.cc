@@ -4,7 +4,11 @@
 
 #include <nlohmann/json.hpp>
 
+#include "common/base/hash.h"
 #include "common/recordings/csv.h"
+#include "common/sim/model_file.h"
+#include "robot_agent/rollout_task.h"
+#include "services/policy/policy.h"
 #include "services/rollouts/recording_bundle.h"
 #include "tests/unit/robot_agent/rig.h"
 
@@ -185,6 +189,76 @@ TEST(Rollout, SilencePutsTheArmInPositionMode) {
   ASSERT_TRUE(driver->SleepUntil(driver->NowNanos() + 100'000'000).ok());
   ASSERT_TRUE(driver->ReadState(&state).ok());
   EXPECT_EQ(state.mode, Mode::kPosition);
+}
+
+// A policy of the right shape that always asks for nothing.
+std::string IdlePolicy(const std::vector<std::string>& joints) {
+  policy::Policy::Parts parts;
+  const auto n = static_cast<int>(joints.size());
+  parts.joints = joints;
+  parts.encoding.inputs = 3 * n;
+  parts.input_mean.assign(3 * n, 0.0);
+  parts.input_scale.assign(3 * n, 1.0);
+  parts.output_mean.assign(n, 0.0);
+  parts.output_scale.assign(n, 1.0);
+  parts.network = policy::Network({3 * n, n});
+  return policy::SerializePolicy(policy::Policy(parts));
+}
+
+TEST(RolloutTask, TakesTheBytesOfModelAndPolicyAndGivesTheBundleWithItsFigures) {
+  Rig rig(true);
+  rig.spool.reset();
+  RolloutTaskInput input;
+  input.model_json = sim::ModelToJson(rig.plant, rig.values);
+  input.policy_bytes = IdlePolicy(rig.plant.joint_names());
+  input.spec = rig.spec;
+  std::vector<std::string> notes;
+  const auto listen = [&](const ProgressUpdate& update) { notes.push_back(update.note); };
+  const RolloutTaskOutput output = RunRolloutTask(rig.config, rig.folder, input, listen, rig.stop).value();
+  EXPECT_TRUE(output.usable);
+  const auto summary = nlohmann::json::parse(output.summary_json);
+  EXPECT_EQ(summary["end_reason"], "completed") << output.summary_json;
+  EXPECT_EQ(summary["rows"], 51);
+  EXPECT_GT(summary["goal_joint_norm"], 0.1);
+  const auto metadata = nlohmann::json::parse(output.metadata_json);
+  EXPECT_EQ(metadata["format"], "realitygrad.rollout/1");
+  EXPECT_EQ(metadata["policy_sha256"], Sha256Hex(input.policy_bytes));
+  EXPECT_FALSE(metadata.contains("urdf"));
+  EXPECT_TRUE(rollouts::LoadBundle(output.bundle).ok());
+  EXPECT_EQ(notes.back(), "completed");
+  const RolloutTaskOutput again = RunRolloutTask(rig.config, rig.folder, input, listen, rig.stop).value();
+  EXPECT_EQ(again.bundle, output.bundle);
+}
+
+TEST(RolloutTask, WhatCannotRunIsRefusedBeforeTheRobotIsTouched) {
+  Rig rig(true);
+  rig.spool.reset();
+  RolloutTaskInput input;
+  input.model_json = sim::ModelToJson(rig.plant, rig.values);
+  input.policy_bytes = IdlePolicy({"joint_1"});
+  input.spec = rig.spec;
+  const auto run = [&] { return RunRolloutTask(rig.config, rig.folder, input, {}, rig.stop).status(); };
+  EXPECT_EQ(run().code(), StatusCode::kInvalid);
+  input.policy_bytes = "not a policy";
+  EXPECT_FALSE(run().ok());
+  input.controller = "dance";
+  EXPECT_THAT(run().message(), HasSubstr("\"dance\""));
+  input.model_json = "{}";
+  EXPECT_FALSE(run().ok());
+  EXPECT_TRUE(Spool::Open(rig.folder).value()->Active().empty());
+}
+
+TEST(RolloutTask, ThePapersControllerRunsLiveOnTheBelievedModel) {
+  Rig rig(true);
+  rig.spool.reset();
+  RolloutTaskInput input;
+  input.model_json = sim::ModelToJson(rig.plant, rig.values);
+  input.controller = "mpc";
+  input.spec = rig.spec;
+  input.spec.duration_s = 1.0;
+  const RolloutTaskOutput output = RunRolloutTask(rig.config, rig.folder, input, {}, rig.stop).value();
+  EXPECT_EQ(nlohmann::json::parse(output.metadata_json)["controller"], "mpc");
+  EXPECT_TRUE(output.usable);
 }
 
 TEST(Rollout, PlansRefuseGoalsOutsideTheBoxAndKeepTheGivenOnes) {

@@ -22,7 +22,9 @@ TEST_F(SpoolFolder, WhatCannotBeDeliveredStaysAndIsDeliveredLaterOnce) {
   auto spool = Spool::Open(folder_).value();
   ASSERT_TRUE(spool->Commit("one", "1").ok());
   ASSERT_TRUE(spool->Commit("two", "2").ok());
-  EXPECT_EQ(spool->Deliver([](auto&, auto&) { return UnavailableError("away"); }), 0);
+  int asked = 0;
+  EXPECT_EQ(spool->Deliver([&](auto&, auto&) { return ++asked, UnavailableError("away"); }), 0);
+  EXPECT_EQ(asked, 1);
   EXPECT_EQ(spool->Ready().size(), 2u);
   std::map<std::string, int> got;
   const auto take = [&](const std::string& id, const std::string& bytes) {
