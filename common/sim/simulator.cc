@@ -109,6 +109,13 @@ void Simulator::Impl::Store(State* x) const {
 }
 
 Outcome Simulator::Impl::Step(double t, double h, internal::DirectionPlan* p, SensitivityBuffers* b) {
+  const Outcome outcome = StepInParts(t, h, 0, p, b);
+  if (outcome.ok()) ++step_count;
+  return outcome;
+}
+
+Outcome Simulator::Impl::StepInParts(double t, double h, int halvings, internal::DirectionPlan* p,
+                                     SensitivityBuffers* b) {
   const internal::PlantData& d = data();
   const integrators::StepInput input{q.data(), v.data(), z.data(), t, h, command.data()};
   const integrators::StepOutput output{next_q.data(), next_v.data(), next_z.data()};
@@ -117,6 +124,10 @@ Outcome Simulator::Impl::Step(double t, double h, internal::DirectionPlan* p, Se
       step(d.program, kernel_values, input, p == nullptr ? nullptr : &p->directions(),
            b == nullptr ? nullptr : b->direct, b == nullptr ? kNone : b->at[b->current],
            b == nullptr ? kNone : b->at[1 - b->current], output, scratch.data());
+  if (result.status == StepStatus::kNotConverged && halvings < kMaxHalvings) {
+    const Outcome first = StepInParts(t, 0.5 * h, halvings + 1, p, b);
+    return first.ok() ? StepInParts(t + 0.5 * h, 0.5 * h, halvings + 1, p, b) : first;
+  }
   if (result.status != StepStatus::kOk) {
     Outcome outcome;
     outcome.kind = result.status == StepStatus::kNonFinite ? Outcome::Kind::kNonFinite
@@ -135,7 +146,6 @@ Outcome Simulator::Impl::Step(double t, double h, internal::DirectionPlan* p, Se
     }
     return outcome;
   }
-  ++step_count;
   begin_q.swap(q);
   begin_v.swap(v);
   begin_z.swap(z);

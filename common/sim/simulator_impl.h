@@ -52,7 +52,12 @@ struct Simulator::Impl {
 
   // One step of length h from time t; commands must be set. On success the state and, with a plan, the
   // sensitivities are those of the step's end; the state at its begin stays in begin_*.
+  // Where the motion is too fast for h (a light wrist spinning freely at 100 rad/s), the step is halved, up
+  // to kMaxHalvings times; the command keeps its average.
   Outcome Step(double t, double h, internal::DirectionPlan* plan, SensitivityBuffers* buffers);
+  Outcome StepInParts(double t, double h, int halvings, internal::DirectionPlan* plan,
+                      SensitivityBuffers* buffers);
+  static constexpr int kMaxHalvings = 6;
   // A plan for this request with the present parameters; laid out anew only when the request changes.
   internal::DirectionPlan& PlanFor(const SensitivityRequest& request);
   internal::DirectionPlan& ControlPlan();

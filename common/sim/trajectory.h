@@ -16,7 +16,7 @@ struct Outcome {
     kOk,
     kNonFinite,              // position, velocity or force became NaN or infinite
     kMassMatrixNotPositive,  // M(q) is not positive definite for these parameters
-    kNotConverged,           // the implicit joint forces found no solution (a bug or absurd parameters)
+    kNotConverged,           // the implicit step found no solution, even in 64 parts
   };
   Kind kind = Kind::kOk;
   long step = -1;     // number of the step that failed, from the start of the call

@@ -177,6 +177,23 @@ TEST(Stiffness, ElasticJointsOnLightLinksStandAtOneMillisecond) {
   for (int i = 0; i < 6; ++i) EXPECT_LT(std::abs(x.z[2 * i] - x.q[i]), 0.01) << i;  // the spring hardly bends
 }
 
+// The nominal Mico has neither damping nor rotors: its wrist spins up beyond 100 rad/s.
+TEST(Stiffness, AFreelyFallingMicoIsFollowedThroughSpeedsThatOneMillisecondCannotResolve) {
+  const Plant plant = MakePlant("mico2");
+  Simulator simulator(plant);
+  Eigen::VectorXd q(6);
+  q << 1.5, 2.5, 2.0, 1.5, 1.5, 1.5;
+  State x = simulator.MakeState(q, Eigen::VectorXd::Zero(6));
+  double fastest = 0.0;
+  for (int k = 0; k < 200; ++k) {
+    const Outcome outcome = simulator.Advance(x, Eigen::VectorXd::Constant(6, 0.2 * std::sin(0.3 * k)), 0.04);
+    ASSERT_TRUE(outcome.ok()) << outcome.ToString();
+    fastest = std::max(fastest, x.v.cwiseAbs().maxCoeff());
+  }
+  EXPECT_GT(fastest, 100.0);
+  EXPECT_LT(fastest, 2000.0);
+}
+
 TEST(Sticking, HoldsTheArmUnderGravityWithoutCreep) {
   const auto joints = JointNames(*LoadRobot("mico2"));
   const Plant plant = MakePlant("mico2", {MakeSpec("coulomb_friction", joints, {{"coulomb", 15.0}})});
