@@ -60,7 +60,7 @@ GnmsSolver::GnmsSolver(ControlProblem& problem, const GnmsOptions& options, cons
   RG_CHECK(problem.u_lower().size() == nu_ && problem.u_upper().size() == nu_) << "boxes on u";
   RG_CHECK(problem.x_lower().size() == nx_ && problem.x_upper().size() == nx_) << "boxes on x";
   RG_CHECK(options.time_budget_s <= 0.0 || clock != nullptr) << "a time budget needs a clock";
-  for (Iterate* it : {&current_, &trial_}) {
+  for (Shooting* it : {&current_, &trial_}) {
     it->x.assign((n_ + 1) * nx_, 0.0);
     it->u.assign(n_ * nu_, 0.0);
     it->phi.assign(n_ * nx_, 0.0);
@@ -111,7 +111,7 @@ void GnmsSolver::Shift() {
   if (current_.linearized_from > 0) --current_.linearized_from;
 }
 
-bool GnmsSolver::Linearize(Iterate& it, int from) {
+bool GnmsSolver::Linearize(Shooting& it, int from) {
   it.linearized_from = from;
   for (int k = from; k < n_; ++k) {
     if (!problem_.StepLinearized(k, Block(it.x, k, nx_), Block(it.u, k, nu_), Block(it.phi, k, nx_),
@@ -122,14 +122,14 @@ bool GnmsSolver::Linearize(Iterate& it, int from) {
   return TerminalAndFinite(it);
 }
 
-bool GnmsSolver::Evaluate(Iterate& it) {
+bool GnmsSolver::Evaluate(Shooting& it) {
   it.linearized_from = 0;
   for (int k = 0; k < n_; ++k)
     if (!problem_.Step(k, Block(it.x, k, nx_), Block(it.u, k, nu_), Block(it.phi, k, nx_))) return false;
   return TerminalAndFinite(it);
 }
 
-bool GnmsSolver::TerminalAndFinite(Iterate& it) {
+bool GnmsSolver::TerminalAndFinite(Shooting& it) {
   it.cost = problem_.TerminalCost(Block(it.x, n_, nx_));
   for (int k = 0; k < n_; ++k)
     it.cost += problem_.StageCost(k, Block(it.x, k, nx_), Block(it.u, k, nu_), Block(it.phi, k, nx_));
@@ -239,7 +239,7 @@ double GnmsSolver::UpdateMeritWeights(const VecIn& x0) {
   return slope;
 }
 
-double GnmsSolver::BoxTerm(const Iterate& it) const {
+double GnmsSolver::BoxTerm(const Shooting& it) const {
   double term = 0.0;
   for (int i = 0; i < nx_; ++i) {
     if (rho_[i] == 0.0) continue;
@@ -252,7 +252,7 @@ double GnmsSolver::BoxTerm(const Iterate& it) const {
   return term;
 }
 
-double GnmsSolver::Merit(const Iterate& it, const VecIn& x0) const {
+double GnmsSolver::Merit(const Shooting& it, const VecIn& x0) const {
   double merit = it.cost + BoxTerm(it) + merit_weight_.dot((x0 - Block(it.x, 0, nx_)).cwiseAbs());
   for (int k = 0; k < n_; ++k)
     merit += merit_weight_.dot((Block(it.phi, k, nx_) - Block(it.x, k + 1, nx_)).cwiseAbs());
@@ -378,82 +378,99 @@ void GnmsSolver::Finish(Termination termination, const VecIn& x0, std::string me
   MeasureViolation(summary);
 }
 
+double GnmsSolver::Now() const { return options_.time_budget_s > 0.0 ? clock_->SteadySeconds() : 0.0; }
+
 GnmsSummary GnmsSolver::Solve(const VecIn& x0) {
   RG_CHECK(x0.size() == nx_) << x0.size();
   GnmsSummary summary;
   history_.clear();
-  const double started = options_.time_budget_s > 0.0 ? clock_->SteadySeconds() : 0.0;
-  double slowest = 0.0;
   merit_weight_.setZero();
-
-  if (!x0.allFinite()) {
-    Finish(Termination::kNonFinite, x0, "the initial state is not finite", &summary);
-    return summary;
-  }
-  if (current_.linearized_from == 0) ++summary.passes;
-  if (!Linearize(current_, current_.linearized_from)) {
-    summary.worst_knot = current_.linearized_from;
-    Finish(Termination::kNonFinite, x0,
-           "knot " + std::to_string(current_.linearized_from) + " of the guess: " + problem_.StepError(),
-           &summary);
-    return summary;
-  }
+  const double started = Now();
+  double slowest = 0.0;
+  if (!LinearizeGuess(x0, &summary)) return summary;
   while (IterationsLeft(x0, summary)) {
     if (OutOfTime(started, slowest)) {
       Finish(Termination::kTimeBudget, x0, "time budget used up", &summary);
       return summary;
     }
-    const double iteration_started = options_.time_budget_s > 0.0 ? clock_->SteadySeconds() : 0.0;
-    GnmsIteration record;
-    BuildLq(x0);
-    ++summary.iterations;
-    const bool weighted = SetBoxWeights(&summary);
-    BuildBoxes();
-    if (!weighted || !SolveLq(&summary, &record)) {
-      Finish(Termination::kStalled, x0, "the Hessian in the controls is not positive definite", &summary);
-      return summary;
-    }
-    MeasureDefects(x0, &summary);
-    MeasureViolation(&summary);
-    record.cost = current_.cost;
-    record.max_defect = summary.max_defect;
-    record.max_violation = summary.max_violation;
-    MeasureStep(&record);
-    const double slope = std::min(UpdateMeritWeights(x0), 0.0);
-    const double merit = Merit(current_, x0);
-    const bool stationary = StepIsSmall(record, slope, merit);
-    if (stationary) {
-      history_.push_back(record);
-      if (summary.max_violation <= options_.box_tolerance) {
-        Finish(Termination::kConverged, x0, "", &summary);
-        return summary;
-      }
-      if (!TightenBoxes(true)) {
-        Finish(Termination::kInfeasible, x0, "a state box cannot be held", &summary);
-        return summary;
-      }
-      continue;
-    }
-    const Search search = LineSearch(x0, slope, merit, &summary, &record);
-    history_.push_back(record);
-    if (search == Search::kAccepted) {
-      std::swap(current_, trial_);
-      AdaptRegularization(record.step_length);
-      if (record.step_length == 1.0) TightenBoxes(false);
-    } else if (regularization_ < options_.regularization_max) {
-      RaiseRegularization();
-    } else if (search == Search::kNonFinite) {
-      Finish(Termination::kNonFinite, x0, "every trial step: " + problem_.StepError(), &summary);
-      return summary;
-    } else {
-      Finish(Termination::kStalled, x0, "no step decreases the merit", &summary);
-      return summary;
-    }
-    if (options_.time_budget_s > 0.0)
-      slowest = std::max(slowest, clock_->SteadySeconds() - iteration_started);
+    const double iteration_started = Now();
+    if (!Iterate(x0, &summary)) return summary;
+    slowest = std::max(slowest, Now() - iteration_started);
   }
   Finish(Termination::kMaxIterations, x0, "iteration limit", &summary);
   return summary;
+}
+
+bool GnmsSolver::LinearizeGuess(const VecIn& x0, GnmsSummary* summary) {
+  if (!x0.allFinite()) {
+    Finish(Termination::kNonFinite, x0, "the initial state is not finite", summary);
+    return false;
+  }
+  if (current_.linearized_from == 0) ++summary->passes;
+  if (Linearize(current_, current_.linearized_from)) return true;
+  summary->worst_knot = current_.linearized_from;
+  Finish(Termination::kNonFinite, x0,
+         "knot " + std::to_string(current_.linearized_from) + " of the guess: " + problem_.StepError(),
+         summary);
+  return false;
+}
+
+// Linear-quadratic problem, then convergence or a step. False when the search has ended.
+bool GnmsSolver::Iterate(const VecIn& x0, GnmsSummary* summary) {
+  ++summary->iterations;
+  GnmsIteration record;
+  if (!SolveModel(x0, summary, &record)) {
+    Finish(Termination::kStalled, x0, "the Hessian in the controls is not positive definite", summary);
+    return false;
+  }
+  const double slope = std::min(UpdateMeritWeights(x0), 0.0);
+  const double merit = Merit(current_, x0);
+  if (StepIsSmall(record, slope, merit)) {
+    history_.push_back(record);
+    return !FinishOrTighten(x0, summary);
+  }
+  const Search search = LineSearch(x0, slope, merit, summary, &record);
+  history_.push_back(record);
+  if (search == Search::kAccepted) {
+    std::swap(current_, trial_);
+    AdaptRegularization(record.step_length);
+    if (record.step_length == 1.0) TightenBoxes(false);
+    return true;
+  }
+  if (regularization_ < options_.regularization_max) {
+    RaiseRegularization();
+    return true;
+  }
+  if (search == Search::kNonFinite)
+    Finish(Termination::kNonFinite, x0, "every trial step: " + problem_.StepError(), summary);
+  else
+    Finish(Termination::kStalled, x0, "no step decreases the merit", summary);
+  return false;
+}
+
+bool GnmsSolver::SolveModel(const VecIn& x0, GnmsSummary* summary, GnmsIteration* record) {
+  BuildLq(x0);
+  if (!SetBoxWeights(summary)) return false;
+  BuildBoxes();
+  if (!SolveLq(summary, record)) return false;
+  MeasureDefects(x0, summary);
+  MeasureViolation(summary);
+  record->cost = current_.cost;
+  record->max_defect = summary->max_defect;
+  record->max_violation = summary->max_violation;
+  MeasureStep(record);
+  return true;
+}
+
+// At a stationary point of the augmented Lagrangian: true when that is the end.
+bool GnmsSolver::FinishOrTighten(const VecIn& x0, GnmsSummary* summary) {
+  if (summary->max_violation <= options_.box_tolerance) {
+    Finish(Termination::kConverged, x0, "", summary);
+    return true;
+  }
+  if (TightenBoxes(true)) return false;
+  Finish(Termination::kInfeasible, x0, "a state box cannot be held", summary);
+  return true;
 }
 
 }  // namespace rg::trajectories

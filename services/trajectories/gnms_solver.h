@@ -136,23 +136,28 @@ class GnmsSolver {
   const std::vector<GnmsIteration>& history() const { return history_; }
 
  private:
-  struct Iterate {
+  // States, controls and what a pass over the knots makes of them.
+  struct Shooting {
     std::vector<double> x, u, phi, a, b;
     double cost = 0.0;
     int linearized_from = 0;  // knots below this one have valid phi, a, b
   };
   enum class Search { kAccepted, kFailed, kNonFinite };
 
-  bool Linearize(Iterate& it, int from);
-  bool Evaluate(Iterate& it);
-  bool TerminalAndFinite(Iterate& it);
+  bool LinearizeGuess(const VecIn& x0, GnmsSummary* summary);
+  bool Iterate(const VecIn& x0, GnmsSummary* summary);
+  bool SolveModel(const VecIn& x0, GnmsSummary* summary, GnmsIteration* record);
+  bool FinishOrTighten(const VecIn& x0, GnmsSummary* summary);
+  bool Linearize(Shooting& it, int from);
+  bool Evaluate(Shooting& it);
+  bool TerminalAndFinite(Shooting& it);
   void BuildLq(const VecIn& x0);
   bool SetBoxWeights(GnmsSummary* summary);
   void BuildBoxes();
   bool SolveLq(GnmsSummary* summary, GnmsIteration* record);
   double UpdateMeritWeights(const VecIn& x0);
-  double Merit(const Iterate& it, const VecIn& x0) const;
-  double BoxTerm(const Iterate& it) const;
+  double Merit(const Shooting& it, const VecIn& x0) const;
+  double BoxTerm(const Shooting& it) const;
   void MeasureStep(GnmsIteration* record) const;
   bool StepIsSmall(const GnmsIteration& record, double slope, double merit) const;
   void MakeTrial(double step_length);
@@ -165,13 +170,14 @@ class GnmsSolver {
   void MeasureViolation(GnmsSummary* summary) const;
   bool IterationsLeft(const VecIn& x0, const GnmsSummary& summary) const;
   bool OutOfTime(double started, double slowest) const;
+  double Now() const;
   void Finish(Termination termination, const VecIn& x0, std::string message, GnmsSummary* summary) const;
 
   ControlProblem& problem_;
   GnmsOptions options_;
   const Clock* clock_;
   int nx_, nu_, n_;
-  Iterate current_, trial_;
+  Shooting current_, trial_;
   LqSolver lq_;
   std::vector<double> multiplier_;  // (knots + 1) × nx of the state boxes
   Eigen::VectorXd rho_;             // nx

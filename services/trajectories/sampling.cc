@@ -23,6 +23,8 @@ Status CheckScalars(const SamplingOptions& o, int n, double duration_s) {
     return InvalidError("sampling: ranges must be > 0");
   if (o.home.size() != 0 && (o.home.size() != n || !o.home.allFinite()))
     return InvalidError("sampling: home needs " + std::to_string(n) + " finite values");
+  if (o.goal.size() != 0 && (o.goal.size() != n || !o.goal.allFinite()))
+    return InvalidError("sampling: goal needs " + std::to_string(n) + " finite values");
   if (std::isfinite(o.home_range) && o.home.size() == 0)
     return InvalidError("sampling: home_range needs home");
   if (o.max_attempts < 1) return InvalidError("sampling: max_attempts must be ≥ 1");
@@ -53,6 +55,9 @@ Result<StartGoalSampler> StartGoalSampler::Create(const model::RobotModel& model
     if (!(low < high))
       return InvalidError("sampling: joint " + model.joint(i).name + ": empty range " + Number(low) + " … " +
                           Number(high));
+    if (options.goal.size() > 0 && !(options.goal[i] >= low && options.goal[i] <= high))
+      return InvalidError("sampling: goal " + Number(options.goal[i]) + " of joint " + model.joint(i).name +
+                          " is outside the range " + Number(low) + " … " + Number(high));
     if (!std::isfinite(limits.velocity[i]) || !(limits.velocity[i] > 0.0))
       return InvalidError("sampling: joint " + model.joint(i).name + " has no velocity limit");
   }
@@ -63,23 +68,33 @@ bool StartGoalSampler::HighEnough(const Eigen::VectorXd& q) {
   return dynamics::FramePose(mechanism_, workspace_, q, end_effector_).translation.z() >= options_.min_height;
 }
 
+void StartGoalSampler::DrawJoint(int i, Rng& rng, StartGoal* draw) const {
+  if (options_.goal.size() > 0) {
+    draw->goal[i] = options_.goal[i];
+    draw->q[i] = rng.Uniform(std::max(lower_[i], draw->goal[i] - reach_[i]),
+                             std::min(upper_[i], draw->goal[i] + reach_[i]));
+    return;
+  }
+  // A uniform pair on the square has distance d with density ∝ width − d, and its lower end is then
+  // uniform where both ends fit; drawn this way a short reach in a wide range costs few rejections.
+  const double width = upper_[i] - lower_[i];
+  const double reach = std::min(reach_[i], width);
+  double distance;
+  do {
+    distance = rng.Uniform(0.0, reach);
+  } while (rng.Uniform() * width > width - distance);
+  const double low_end = rng.Uniform(lower_[i], upper_[i] - distance);
+  const bool upwards = rng.Uniform() < 0.5;
+  draw->q[i] = upwards ? low_end : low_end + distance;
+  draw->goal[i] = upwards ? low_end + distance : low_end;
+}
+
 std::optional<StartGoal> StartGoalSampler::Draw(Rng& rng) {
   const int n = static_cast<int>(lower_.size());
   StartGoal draw{Eigen::VectorXd(n), Eigen::VectorXd(n), Eigen::VectorXd(n)};
   for (int attempt = 0; attempt < options_.max_attempts; ++attempt) {
     for (int i = 0; i < n; ++i) {
-      // A uniform pair on the square has distance d with density ∝ width − d, and its lower end is then
-      // uniform where both ends fit; drawn this way a short reach in a wide range costs few rejections.
-      const double width = upper_[i] - lower_[i];
-      const double reach = std::min(reach_[i], width);
-      double distance;
-      do {
-        distance = rng.Uniform(0.0, reach);
-      } while (rng.Uniform() * width > width - distance);  // density ∝ width − d
-      const double low_end = rng.Uniform(lower_[i], upper_[i] - distance);
-      const bool upwards = rng.Uniform() < 0.5;
-      draw.q[i] = upwards ? low_end : low_end + distance;
-      draw.goal[i] = upwards ? low_end + distance : low_end;
+      DrawJoint(i, rng, &draw);
       draw.v[i] = options_.start_velocity_fraction * velocity_[i] * rng.Uniform(-1.0, 1.0);
     }
     if (std::isinf(options_.min_height)) return draw;

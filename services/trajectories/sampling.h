@@ -31,6 +31,9 @@ struct SamplingOptions {
   double start_velocity_fraction = 0.0;
   // Lowest height of the end effector above the root frame [m], at start, goal and half-way between.
   double min_height = -std::numeric_limits<double>::infinity();
+  // One goal for all (n × 1, from inverse kinematics, say) instead of random ones; starts are uniform
+  // within reach of it.
+  Eigen::VectorXd goal;
   int max_attempts = 1000;  // for one pair
 };
 
@@ -55,6 +58,7 @@ class StartGoalSampler {
 
  private:
   explicit StartGoalSampler(const model::RobotModel& model) : mechanism_(model) {}
+  void DrawJoint(int i, Rng& rng, StartGoal* draw) const;
   bool HighEnough(const Eigen::VectorXd& q);
 
   SamplingOptions options_;

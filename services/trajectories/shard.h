@@ -5,7 +5,8 @@
 //   every solve was usable, max |goal − q(T)| ≤ goal_tolerance, |u| ≤ torque limit exactly, and q, v inside
 //   the limits exactly at every knot;
 // otherwise the reason is counted and the slot draws again. So slot i is the same trajectory whoever
-// makes it and however slots are split over workers, and failures are never stored as good.
+// makes it and however slots are split over workers (bit for bit on one instruction set, to rounding
+// across), and failures are never stored as good.
 #pragma once
 
 #include <Eigen/Core>

@@ -62,6 +62,29 @@ TEST(StartGoalSampler, HomeRangeAndHeightHold) {
   EXPECT_GT(fastest, 0.4);
 }
 
+TEST(StartGoalSampler, OneGoalForAllWithStartsInItsReach) {
+  const auto model = LoadRobot("mico2");
+  const MotionLimits limits = MotionLimits::FromModel(*model);
+  SamplingOptions options;
+  options.home = Candle();
+  options.goal = Candle().array() + 0.4;
+  auto sampler = StartGoalSampler::Create(*model, limits, 1.0, options);
+  ASSERT_TRUE(sampler.ok()) << sampler.status().ToString();
+  Rng rng(9);
+  double farthest = 0.0;
+  for (int i = 0; i < 200; ++i) {
+    const auto draw = sampler.value().Draw(rng);
+    EXPECT_EQ(draw->goal, options.goal);
+    const Eigen::VectorXd share = (draw->q - draw->goal).cwiseAbs().cwiseQuotient(limits.velocity);
+    farthest = std::max(farthest, share.maxCoeff());
+  }
+  EXPECT_LE(farthest, 0.6 + 1e-12);
+  EXPECT_GT(farthest, 0.55);
+  options.goal[1] = 9.0;
+  const auto refused = StartGoalSampler::Create(*model, limits, 1.0, options);
+  EXPECT_NE(refused.status().message().find("joint_2"), std::string::npos) << refused.status().message();
+}
+
 TEST(StartGoalSampler, RefusesWhatCannotBeDrawn) {
   const auto model = LoadRobot("mico2");
   const MotionLimits limits = MotionLimits::FromModel(*model);
