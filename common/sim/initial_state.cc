@@ -71,4 +71,23 @@ State Simulator::MakeState(const Eigen::VectorXd& q, const Eigen::VectorXd& v, d
   return MakeState(q, v, time, &u);
 }
 
+State Simulator::MakeStateFromMeasurement(const Eigen::VectorXd& q, const Eigen::VectorXd& v, double time,
+                                          const CommandSignal& command) const {
+  const internal::PlantData& d = impl_->data();
+  Eigen::VectorXd position = q;
+  for (int j = 0; j < impl_->n(); ++j) {
+    position[j] -= impl_->Offset(j);
+    if (d.sensors[j].delay >= 0 && d.sensors[j].delays_position) position[j] += impl_->SensorDelay(j) * v[j];
+  }
+  State x = MakeState(position, v, time, command);
+  // MakeState has put the motor at link + deflection; here the motor is what was measured.
+  for (int j = 0; j < impl_->n(); ++j) {
+    const int motor = d.sensors[j].motor_state;
+    if (motor < 0) continue;
+    x.q[j] -= x.z[motor] - position[j];
+    x.z[motor] = position[j];
+  }
+  return x;
+}
+
 }  // namespace rg::sim

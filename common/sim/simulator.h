@@ -113,6 +113,12 @@ class Simulator {
   State MakeState(const Eigen::VectorXd& q, const Eigen::VectorXd& v, double time,
                   const CommandSignal& command) const;
 
+  // The state that a measured position and velocity stand for under this plant's sensors: encoder offsets
+  // taken off, delayed positions carried forward by delay·velocity, and, where the encoder sits on a motor,
+  // the link placed where the transmission holds it under the command. Internal states as MakeState.
+  State MakeStateFromMeasurement(const Eigen::VectorXd& q, const Eigen::VectorXd& v, double time,
+                                 const CommandSignal& command) const;
+
   // u (n) held over [x.time, x.time + duration]; duration > 0. On failure x stays as it was.
   Outcome Advance(State& x, const Eigen::VectorXd& u, double duration,
                   Linearization* linearization = nullptr);

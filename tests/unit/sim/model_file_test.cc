@@ -67,7 +67,8 @@ TEST(ModelFile, NamesFileAndFieldOfWhatIsWrong) {
   EXPECT_THAT(Refusal([](auto& m) { m["joints"] = 3; }), HasSubstr("m.json: joints"));
   EXPECT_THAT(Refusal([](auto& m) { m["gravity"] = {1, 2}; }), HasSubstr("m.json: gravity"));
   EXPECT_THAT(Refusal([](auto& m) { m["effects"][0]["effect"] = "magic"; }), HasSubstr("magic"));
-  EXPECT_THAT(Refusal([](auto& m) { m["effects"][0]["joints"] = {"wrist"}; }), HasSubstr("m.json: effect coulomb_friction"));
+  EXPECT_THAT(Refusal([](auto& m) { m["effects"][0]["joints"] = {"wrist"}; }),
+              HasSubstr("m.json: effect coulomb_friction"));
   EXPECT_THAT(Refusal([](auto& m) { m["effects"][1]["parameters"]["elbow"]["stiffness"] = "soft"; }),
               HasSubstr("m.json: effects[1].parameters: elbow.stiffness"));
   EXPECT_THAT(Refusal([](auto& m) { m["parameters"]["mass.forarm"] = 1.0; }),

@@ -153,6 +153,26 @@ TEST(SensorDelay, ReportsThePast) {
   EXPECT_NEAR(out.position(0, 2), 0.1 - 0.0137, 1e-12);
 }
 
+TEST(MakeStateFromMeasurement, IsMeasuredAsWhatItWasMadeFrom) {
+  auto elastic = MakeSpec("joint_elasticity", {"elbow"}, {{"stiffness", 200}, {"motor_inertia", 0.1}});
+  elastic.options["sensor"] = "motor";
+  const Plant plant =
+      MakePlant("arm2", {elastic, MakeSpec("encoder_offset", {"shoulder", "elbow"}, {{"offset", 0.03}}),
+                         MakeSpec("sensor_delay", {"shoulder"}, {{"delay", 0.02}})});
+  Simulator simulator(plant);
+  Eigen::VectorXd q(2), v(2), u(2), measured_q, measured_v;
+  q << 0.4, -0.7;
+  v << 0.5, 0.2;
+  u << 1.0, 3.0;
+  const State x = simulator.MakeStateFromMeasurement(q, v, 0.0, CommandSignal::Constant(u));
+  EXPECT_NEAR(x.z[0] - x.q[1], 3.0 / 200, 1e-12);  // the spring holds the drive's torque
+  simulator.Measure(x, &measured_q, &measured_v);
+  EXPECT_LT((measured_q - q).norm(), 1e-12);
+  EXPECT_LT((measured_v - v).norm(), 1e-12);
+  const Trajectory out = simulator.Simulate(x, CommandSignal::Constant(u), {0.0});
+  EXPECT_LT((out.position.col(0) - q).norm(), 1e-12);
+}
+
 TEST(RotorInertia, AddsToTheJoint) {
   Rotor rotor({MakeSpec("rotor_inertia", {"hinge"}, {{"armature", 0.25}})});
   State x = rotor.simulator.MakeState(kZero, kZero);
