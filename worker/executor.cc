@@ -11,6 +11,8 @@
 #include <cerrno>
 #include <cstring>
 
+#include "common/base/utf8.h"
+
 namespace rg::worker {
 namespace {
 
@@ -100,7 +102,9 @@ bool Executor::Read(std::vector<pb::FromExecutor>* messages, std::vector<std::st
   std::string frame;
   while (reader_.Next(&frame)) {
     pb::FromExecutor& message = messages->emplace_back();
-    if (!message.ParseFromString(frame)) messages->pop_back();
+    if (message.ParseFromString(frame)) continue;
+    messages->pop_back();
+    Kill();  // not one of our programs any more
   }
   if (open) return true;
   if (!reaped_) {
@@ -119,7 +123,7 @@ void Executor::ReadOutput(std::vector<std::string>* lines) {
     size_t end;
     while ((end = partial_line_.find('\n')) != std::string::npos || partial_line_.size() > kMaxLineBytes) {
       const bool whole = end != std::string::npos;
-      lines->push_back(partial_line_.substr(0, whole ? std::min(end, kMaxLineBytes) : kMaxLineBytes));
+      lines->push_back(CleanUtf8(partial_line_.substr(0, whole ? end : kMaxLineBytes), kMaxLineBytes));
       last_lines_.push_back(lines->back());
       if (last_lines_.size() > kLastLines) last_lines_.pop_front();
       partial_line_.erase(0, whole ? end + 1 : kMaxLineBytes);

@@ -12,6 +12,7 @@
 #include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/hash.h"
+#include "common/base/utf8.h"
 #include "realitygrad/v1/executor.pb.h"
 #include "worker/frame_stream.h"
 
@@ -111,10 +112,10 @@ class Link {
       last_progress_ns_ = now;
       auto* report = message.mutable_progress();
       report->set_token(token_);
-      report->mutable_progress()->set_stage(progress_.stage);
+      report->mutable_progress()->set_stage(CleanUtf8(progress_.stage, kMaxLineBytes));
       report->mutable_progress()->set_done(progress_.done);
       report->mutable_progress()->set_total(progress_.total);
-      report->mutable_progress()->set_note(progress_.note);
+      report->mutable_progress()->set_note(CleanUtf8(progress_.note, kMaxLineBytes));
     }
     Send(message);
   }
@@ -163,7 +164,7 @@ class ChildContext final : public TaskContext {
     pb::TaskLogLine* out = message.mutable_log()->add_lines();
     out->set_wall_ns(RealClock().WallNanos());
     out->set_attempt(run_.assignment().attempt());
-    out->set_text(std::string(line.substr(0, kMaxLineBytes)));
+    out->set_text(CleanUtf8(line, kMaxLineBytes));
     link_.Send(message);
   }
   const std::string& scratch_folder() const override { return run_.scratch_folder(); }
@@ -219,7 +220,20 @@ Result<TaskOutputs> CallFunction(const TaskRegistry& registry, const TaskInput& 
   }
 }
 
+// Messages carry UTF-8; what a task names or describes wrongly is its error, not a lost message.
+Status CheckText(const TaskOutputs& outputs) {
+  if (!IsUtf8(outputs.summary_json)) return InvalidError("the summary is not UTF-8");
+  for (const OutputArtifact& output : outputs.artifacts) {
+    bool good = IsUtf8(output.name) && IsUtf8(output.kind) && IsUtf8(output.metadata_json);
+    for (const std::string& parent : output.extra_parents) good = good && IsUtf8(parent);
+    if (!good)
+      return InvalidError("output '" + output.name + "': name, kind, metadata or parents are not UTF-8");
+  }
+  return Status::Ok();
+}
+
 Status PackOutputs(const pb::RunTask& run, TaskOutputs outputs, pb::ExecutorFinished* finished) {
+  RG_RETURN_IF_ERROR(CheckText(outputs));
   uint64_t inline_left = run.inline_limit();
   for (size_t i = 0; i < outputs.artifacts.size(); ++i) {
     OutputArtifact& from = outputs.artifacts[i];
@@ -265,7 +279,7 @@ void RunOne(Link& link, const TaskRegistry& registry, const pb::RunTask& run) {
     auto* failed = message.mutable_failed();
     failed->set_token(token);
     failed->set_code(static_cast<uint32_t>(outcome.code()));
-    failed->set_error(outcome.ToString());
+    failed->set_error(CleanUtf8(outcome.ToString(), kMaxLineBytes));
     failed->set_retryable(TaskFailureIsRetryable(outcome.code()));
     for (std::string& sha256 : damaged) failed->add_damaged_inputs(std::move(sha256));
   }

@@ -87,8 +87,15 @@ void Worker::Start(uint64_t, Held& held) {
   if (held.assignment.timeout_s() > 0.0) {
     held.deadline_ns = now() + static_cast<int64_t>(held.assignment.timeout_s() * kSecond);
   }
-  const Status sent = executor->Run(run);  // if it is gone, ReadExecutors sees its end
-  if (!sent.ok()) spdlog::debug("executor {}: {}", executor->pid(), sent.ToString());
+  const Status sent = executor->Run(run);
+  if (sent.code() == StatusCode::kResourceExhausted) {  // too large a payload
+    executor->SetIdle();
+    held.executor = nullptr;
+    held.deadline_ns = 0;
+    return ReportFailure(held, pb::ATTEMPT_OUTCOME_FAILED, sent.ToString(), false);
+  }
+  if (!sent.ok())
+    spdlog::debug("executor {}: {}", executor->pid(), sent.ToString());  // ReadExecutors sees its end
 }
 
 Executor* Worker::IdleExecutor() {

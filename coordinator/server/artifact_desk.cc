@@ -336,7 +336,12 @@ Result<store::ParameterVersion> ParseParameterMetadata(const std::string& metada
   RG_ASSIGN_OR_RETURN(version.values, store::ParseParameterValues(json["values"].dump()));
   version.residual_before = number("residual_before");
   version.residual_after = number("residual_after");
-  version.parent_version = static_cast<int>(number("parent_version").value_or(0.0));
+  const double parent = number("parent_version").value_or(0.0);
+  constexpr double kMaxVersion = 1e9;
+  if (!(parent >= 0.0 && parent <= kMaxVersion)) {
+    return InvalidError("metadata of parameters: parent_version " + std::to_string(parent) + " is none");
+  }
+  version.parent_version = static_cast<int>(parent);
   version.recording_sha256 = text("recording");
   version.model_sha256 = text("model");
   version.note = text("note");

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "common/base/log.h"
+#include "common/base/utf8.h"
 #include "coordinator/store/schema.h"
 
 namespace rg::coordinator {
@@ -247,7 +248,7 @@ void Server::HandleLog(const pb::TaskLogReport& report, const std::string& insta
     }
     const int64_t wall_ns = line.wall_ns() != 0 ? line.wall_ns() : clock_->WallNanos();
     logs_.push_back(
-        {lease->task, lease->attempt, wall_ns, 0, line.text().substr(0, options_.max_log_line_bytes)});
+        {lease->task, lease->attempt, wall_ns, 0, CleanUtf8(line.text(), options_.max_log_line_bytes)});
   }
 }
 

@@ -4,6 +4,7 @@
 #include <set>
 
 #include "common/base/hash.h"
+#include "common/base/utf8.h"
 #include "coordinator/server/artifact_desk.h"
 
 namespace rg::coordinator {
@@ -13,7 +14,7 @@ constexpr size_t kMaxSummaryBytes = 64 << 10;
 constexpr size_t kMaxErrorBytes = 4 << 10;
 
 std::string Shortened(const std::string& text) {
-  return text.size() <= kMaxErrorBytes ? text : text.substr(0, kMaxErrorBytes) + " …";
+  return text.size() <= kMaxErrorBytes ? text : CleanUtf8(text, kMaxErrorBytes) + " …";
 }
 
 WorkerJoined FromHello(const pb::WorkerHello& hello, const std::string& instance) {

@@ -164,6 +164,22 @@ TEST(Service, ATaskThatKillsItsExecutorsIsSetAsideWithItsLog) {
   EXPECT_EQ(RunJob(service, after).job().state(), pb::JOB_STATE_SUCCEEDED);
 }
 
+TEST(Service, BytesThatAreNoTextReachNobodyAsSuch) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "t", "garble")->set_max_attempts(1);
+  const auto reply = RunJob(service, job);
+  EXPECT_EQ(reply.job().state(), pb::JOB_STATE_FAILED);
+  EXPECT_NE(reply.job().reason().find("failed ??"), std::string::npos) << reply.job().reason();
+  const auto logs = service.client().Logs(reply.job().id());
+  ASSERT_TRUE(logs.ok()) << logs.status().ToString();
+  std::string text;
+  for (const auto& line : logs->lines()) text += line.text() + "\n";
+  EXPECT_NE(text.find("printed ??"), std::string::npos) << text;
+  EXPECT_NE(text.find("logged ??"), std::string::npos) << text;
+}
+
 TEST(Service, ATaskPastItsTimeoutIsStopped) {
   Service service;
   service.StartWorker("a");

@@ -66,6 +66,14 @@ Result<TaskOutputs> Crash(const TaskInput& input, TaskContext&) {
   return One("");
 }
 
+Result<TaskOutputs> Garble(const TaskInput&, TaskContext& context) {
+  printf("printed \xff\xfe\n");
+  fflush(stdout);
+  context.Log("logged \xff\xfe");
+  context.Progress({"\xff", 1.0, 2.0, "\xfe"});
+  return InternalError("failed \xff\xfe");
+}
+
 Result<TaskOutputs> Hang(const TaskInput&, TaskContext&) {
   while (true) SleepFor(3600.0);
 }
@@ -126,6 +134,7 @@ worker::TaskRegistry SyntheticTasks() {
   registry.Register("sleep", Sleep);
   registry.Register("fail", Fail);
   registry.Register("crash", Crash);
+  registry.Register("garble", Garble);
   registry.Register("hang", Hang);
   registry.Register("count", Count);
   registry.Register("blob", Blob);

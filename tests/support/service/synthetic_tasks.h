@@ -4,6 +4,7 @@
 //   sleep    {"seconds"}              sleeps, reports progress, stops when cancelled; output "out"
 //   fail     {"code", "until"}        fails with the status code on attempts <= until (absent: always)
 //   crash    {"until"}                kills its process on attempts <= until (absent: always)
+//   garble   {}                       prints, logs and fails with bytes that are no text
 //   hang     {}                       neither returns nor looks whether it is cancelled
 //   count    {"to", "step_seconds"}   counts with a checkpoint per step; output "out": where it began,
 //                                     the attempt, and the end
