@@ -75,14 +75,15 @@ class Identification {
     KeepPromising(&fitted);
     ChooseStepFor(fitted.back());
     for (size_t i = 0; i < fitted.size(); ++i) {
-      Tell("fit", static_cast<double>(i), static_cast<double>(fitted.size()), fitted[i].score.name);
+      position_ = {static_cast<double>(i), static_cast<double>(fitted.size())};
+      Tell(0.0, fitted[i].score.name);
       Finish(&fitted[i]);
       if (stop_.ShouldStop()) fitted.erase(fitted.begin() + static_cast<long>(i) + 1, fitted.end());
     }
     SysidReport report = Report(fitted);
     report.seconds = clock_.SteadySeconds() - start;
     report.stopped_early = stop_.ShouldStop();
-    Tell("fit", 1.0, 1.0, report.chosen);
+    Tell(1.0, report.chosen);
     return report;
   }
 
@@ -174,6 +175,9 @@ class Identification {
     for (FitParameter& p : EffectFitParameters(plant)) {
       const sim::Parameter& row = plant.parameters()[p.index];
       const int joint = plant.model().FindJoint(row.owner);
+      // Where the URDF declares the same force, that parameter is the one that moves.
+      if (row.effect == "viscous_friction" && plant.model().joint(joint).damping != 0.0) continue;
+      if (row.effect == "coulomb_friction" && plant.model().joint(joint).friction != 0.0) continue;
       if (row.effect == "rotor_inertia") p.prior_stddev = std::max(p.prior_stddev, M(joint, joint));
       if (!std::isfinite(p.prior_stddev)) p.prior_stddev = 0.1 * LargestEffort(joint);
       out.push_back(std::move(p));
@@ -209,14 +213,18 @@ class Identification {
     shooting.threads = threads_;
     shooting.simulator = simulator_;
     const Fitted start = *best;
+    double rounds = 0.0;  // of two
     FitByShooting(
         start.plant, start.fit.values, start.space, start.fit.theta, fit_, noise_, shooting, stop_,
         [&](const ShootingFit& fit) {
           Fitted trial = start;
           trial.fit = fit;
           KeepBetter(std::move(trial), best);
+          rounds += 1.0;
         },
-        [&](const ProgressUpdate& u) { Tell("shooting " + start.score.name, u.done, u.total, u.note); });
+        [&](const ProgressUpdate& u) {
+          Tell(0.5 * (rounds + u.done / u.total), start.score.name + ", " + u.note);
+        });
   }
 
   void KeepBetter(Fitted trial, Fitted* best) const {
@@ -344,8 +352,9 @@ class Identification {
     report->identifiability.warnings = report->warnings;
   }
 
-  void Tell(const std::string& stage, double done, double total, const std::string& note) const {
-    if (progress_) progress_({stage, done, total, note});
+  // `share` of the current candidate is done.
+  void Tell(double share, const std::string& note) const {
+    if (progress_) progress_({"fit", position_.candidate + share, position_.candidates, note});
   }
 
   const recordings::RecordingSet& set_;
@@ -359,6 +368,9 @@ class Identification {
   std::vector<FitRecording> fit_;
   std::vector<const recordings::Recording*> judged_;
   bool judged_on_fit_ = false;
+  struct {
+    double candidate = 0.0, candidates = 1.0;
+  } position_;  // for progress
   recordings::SensorNoise noise_;
 };
 
