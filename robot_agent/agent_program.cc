@@ -82,6 +82,7 @@ Result<std::unique_ptr<coordinator::Client>> ConnectFor(const AgentSettings& set
     RG_ASSIGN_OR_RETURN(const auto own, transport::LoadKeyFile(settings.key_path));
     RG_ASSIGN_OR_RETURN(const auto server, transport::LoadPublicKeyFile(settings.server_key_path));
     options.key = own.keys;
+    options.role = own.role;
     options.server_public_key = server.keys.public_key;
   }
   return coordinator::Client::Connect(options);

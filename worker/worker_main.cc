@@ -71,12 +71,17 @@ void AddFlags(CLI::App& app, Flags& flags, bool is_agent) {
   app.add_option("--log-level", flags.log_level, "debug, info, warn, error");
 }
 
-Status LoadKeys(Flags& flags) {
+Status LoadKeys(Flags& flags, realitygrad::v1::Role role) {
   if (flags.key_path.empty() != flags.server_key_path.empty()) {
     return InvalidError("--key and --server-key go together");
   }
   if (flags.key_path.empty()) return Status::Ok();
   RG_ASSIGN_OR_RETURN(const auto own, transport::LoadKeyFile(flags.key_path));
+  if (own.role != role) {
+    return InvalidError(flags.key_path + ": this key is for the role " +
+                        std::string(transport::RoleName(own.role)) + ", not " +
+                        std::string(transport::RoleName(role)));
+  }
   RG_ASSIGN_OR_RETURN(const auto server, transport::LoadPublicKeyFile(flags.server_key_path));
   flags.options.key = own.keys;
   flags.options.server_public_key = server.keys.public_key;
@@ -102,7 +107,7 @@ int Main(int argc, char** argv, const TaskRegistry& registry, bool is_agent) {
     return app.exit(error) == 0 ? 0 : kExitUsage;
   }
   InitLogging(is_agent ? "realitygrad-agent" : "realitygrad-worker", flags.log_level);
-  const Status keys = LoadKeys(flags);
+  const Status keys = LoadKeys(flags, is_agent ? realitygrad::v1::ROLE_AGENT : realitygrad::v1::ROLE_WORKER);
   if (!keys.ok()) return ExitCodeOf(keys);
   WorkerOptions& options = flags.options;
   options.kinds = registry.kinds();

@@ -122,6 +122,7 @@ Result<std::unique_ptr<coordinator::Client>> Context::Connect() const {
   if (!settings.key.value.empty()) {
     RG_ASSIGN_OR_RETURN(const transport::NamedKey key, transport::LoadKeyFile(settings.key.value));
     options.key = key.keys;
+    options.role = key.role;
   }
   return coordinator::Client::Connect(options);
 }

@@ -244,6 +244,11 @@ TEST_F(ThreeHosts, KeysDecideWhoMayDoWhat) {
   auto viewer = Connect("viewer");
   EXPECT_TRUE(viewer->ListJobs().ok());
   EXPECT_EQ(viewer->Submit(job).status().code(), StatusCode::kPermissionDenied);
+  Process impostor(
+      hosts_->On(2, {BinFolder() + "/synthetic_worker", "--coordinator", kAddress, "--folder", folder_ + "/w",
+                     "--key", KeyPath("operator"), "--server-key", KeyPath("coordinator", ".pub")}),
+      folder_ + "/impostor.log");
+  EXPECT_EQ(impostor.WaitForExit(kPatience), 2) << "an operator's key makes no worker";
   auto stranger = Connect("stranger");
   EXPECT_FALSE(stranger->ListJobs().ok());
 }
