@@ -44,6 +44,7 @@ json OptionsJson(const jobs::IterationOptions& o) {
             {"window_start_s", o.identify.window_start_s},
             {"solver", o.identify.solver},
             {"bounds", o.identify.bounds},
+            {"friction", o.identify.friction},
             {"alpha", o.identify.alpha}}}};
 }
 
@@ -66,7 +67,7 @@ jobs::IterationOptions OptionsFrom(const json& j) {
       i.at("window_s").get_to(o.identify.window_s);
   i.at("window_start_s").get_to(o.identify.window_start_s), i.at("solver").get_to(o.identify.solver),
       i.at("bounds").get_to(o.identify.bounds);
-  i.at("alpha").get_to(o.identify.alpha);
+  i.at("alpha").get_to(o.identify.alpha), i.at("friction").get_to(o.identify.friction);
   return o;
 }
 

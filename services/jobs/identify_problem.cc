@@ -14,8 +14,10 @@ using Eigen::VectorXd;
 // The windows' residuals one below the other; the parameters are shared.
 class IdentifyProblem::Stacked final : public sysid::ResidualFunction {
  public:
-  explicit Stacked(const std::vector<sysid::PaperProblem>& windows) {
+  // The last window has the weight `last_weight`, the others 1.
+  Stacked(const std::vector<sysid::PaperProblem>& windows, double last_weight) {
     for (const auto& window : windows) parts_.push_back(window.problem().residuals);
+    last_scale_ = std::sqrt(last_weight);
     problem_ = windows.front().problem();
     problem_.residuals = this;
     for (const auto* part : parts_) rows_ += part->num_residuals();
@@ -31,8 +33,9 @@ class IdentifyProblem::Stacked final : public sysid::ResidualFunction {
       part_r_.resize(m);
       if (dr_dp) part_jacobian_.resize(m, num_parameters());
       if (!part->Evaluate(p, stop, &part_r_, dr_dp ? &part_jacobian_ : nullptr)) return false;
-      r->segment(row, m) = part_r_;
-      if (dr_dp) dr_dp->middleRows(row, m) = part_jacobian_;
+      const double scale = part == parts_.back() ? last_scale_ : 1.0;
+      r->segment(row, m) = scale * part_r_;
+      if (dr_dp) dr_dp->middleRows(row, m) = scale * part_jacobian_;
       row += m;
     }
     return true;
@@ -44,6 +47,7 @@ class IdentifyProblem::Stacked final : public sysid::ResidualFunction {
   std::vector<sysid::ResidualFunction*> parts_;
   sysid::LeastSquaresProblem problem_;
   int rows_ = 0;
+  double last_scale_ = 1.0;
   VectorXd part_r_;
   sysid::RowMatrix part_jacobian_;
 };
@@ -52,42 +56,74 @@ IdentifyProblem::IdentifyProblem(std::vector<sysid::PaperProblem> windows, std::
     : windows_(std::move(windows)), stacked_(std::move(stacked)) {}
 IdentifyProblem::~IdentifyProblem() = default;
 IdentifyProblem::IdentifyProblem(IdentifyProblem&&) noexcept = default;
+IdentifyProblem& IdentifyProblem::operator=(IdentifyProblem&&) noexcept = default;
 const sysid::LeastSquaresProblem& IdentifyProblem::problem() const { return stacked_->problem(); }
 
 namespace {
 
-struct Interval {
-  double lower, upper;
+// What is believed of a parameter before any recording: bounds, and how far it may be off.
+struct Belief {
+  double lower, upper, stddev;
 };
 
-Interval PhysicalBounds(const sim::Parameter& parameter, double initial) {
+// `rotors`: rotor inertias are fitted on their own.
+Belief PhysicalBelief(const sim::Parameter& parameter, bool rotors) {
+  const double nominal = parameter.nominal;
   switch (parameter.kind) {
     case sim::ParameterKind::kGravity:
-      return {initial - 2.0, initial + 2.0};
+      return {nominal - 0.5, nominal + 0.5, 0.1};
     case sim::ParameterKind::kMass:
-      return {0.3 * parameter.nominal, 3.0 * parameter.nominal};
+      return {0.3 * nominal, 3.0 * nominal, 0.2 * nominal};
+    // Without a rotor inertia of its own a joint's has to find room in its links'.
     case sim::ParameterKind::kInertia:
-      return {0.0, parameter.nominal > 0 ? std::max(0.5, 3.0 * parameter.nominal) : 0.0};
+      if (nominal <= 0) return {0, 0, 0};
+      return rotors ? Belief{0.2 * nominal, 5.0 * nominal, 0.5 * nominal} : Belief{0.0, 0.6, 0.1};
     case sim::ParameterKind::kDamping:
-      return {0.0, 30.0};
+      return {0.0, 30.0, 10.0};
     case sim::ParameterKind::kForceGain:
-      return {0.3, 1.5};
+      return {0.6, 1.5, 0.05};
     default:
-      return {parameter.lower, parameter.upper};
+      return {parameter.lower, parameter.upper, parameter.prior_stddev};
   }
 }
 
-// Bounds, search ranges and units of the 71 for BoundsKind::kPhysical.
-void SetPhysicalBounds(const sim::Plant& plant, const std::vector<int>& parameters,
-                       sysid::LeastSquaresProblem* problem) {
+// Bounds, search ranges and the weights of the pull towards p_init for BoundsKind::kPhysical.
+void TakePhysicalBeliefs(const sim::Plant& plant, const std::vector<int>& parameters, double alpha,
+                         bool rotors, sysid::LeastSquaresProblem* problem) {
   for (size_t i = 0; i < parameters.size(); ++i) {
     const auto e = static_cast<Eigen::Index>(i);
-    const Interval box = PhysicalBounds(plant.parameters()[parameters[i]], problem->initial[e]);
-    problem->lower[e] = std::min(box.lower, problem->initial[e]);
-    problem->upper[e] = std::max(box.upper, problem->initial[e]);
-    problem->search_lower[e] = std::max(problem->search_lower[e], problem->lower[e]);
-    problem->search_upper[e] = std::min(problem->search_upper[e], problem->upper[e]);
+    const Belief belief = PhysicalBelief(plant.parameters()[parameters[i]], rotors);
+    problem->lower[e] = std::min(belief.lower, problem->initial[e]);
+    problem->upper[e] = std::max(belief.upper, problem->initial[e]);
+    problem->search_lower[e] = std::max(problem->lower[e], problem->initial[e] - 2 * belief.stddev);
+    problem->search_upper[e] = std::min(problem->upper[e], problem->initial[e] + 2 * belief.stddev);
+    if (belief.stddev > 0) {
+      problem->alpha[e] = alpha / (belief.stddev * belief.stddev);
+      problem->scale[e] = belief.stddev;
+    }
   }
+}
+
+constexpr const char* kFrictionEffects[] = {"coulomb_friction", "rotor_inertia"};
+
+std::vector<int> FrictionParameters(const sim::Plant& plant) {
+  std::vector<int> found;
+  for (int i = 0; i < plant.parameters().size(); ++i) {
+    for (const char* id : kFrictionEffects) {
+      if (plant.parameters()[i].effect == id) found.push_back(i);
+    }
+  }
+  return found;
+}
+
+// Joints on which the plant does not have the effect.
+std::vector<std::string> JointsWithout(const sim::Plant& plant, const std::string& id) {
+  std::vector<std::string> joints = plant.joint_names();
+  for (const effects::EffectSpec& spec : plant.effects()) {
+    if (spec.id != id) continue;
+    for (const std::string& joint : spec.joints) std::erase(joints, joint);
+  }
+  return joints;
 }
 
 std::vector<double> WindowStarts(const recordings::Recording& recording,
@@ -102,26 +138,54 @@ std::vector<double> WindowStarts(const recordings::Recording& recording,
 
 }  // namespace
 
+Result<sim::ModelFile> ModelToFit(const sim::ModelFile& model, const IdentifyProblemOptions& options) {
+  sim::ModelFile out = model;
+  for (const char* id : kFrictionEffects) {
+    const std::vector<std::string> joints = JointsWithout(out.plant, id);
+    if (!options.friction || joints.empty()) continue;
+    RG_ASSIGN_OR_RETURN(sim::Plant plant, out.plant.WithEffect(effects::MakeSpec(id, joints)));
+    Eigen::VectorXd values = plant.ValuesFrom(out.plant.parameters(), out.values);
+    for (int i = 0; i < plant.parameters().size(); ++i) {
+      const sim::Parameter& row = plant.parameters()[i];
+      if (row.effect == id && out.plant.parameters().Find(row.name) < 0) values[i] = 0.01 * row.prior_stddev;
+    }
+    out = {std::move(plant), std::move(values), model.version};
+  }
+  return out;
+}
+
 Result<IdentifyProblem> IdentifyProblem::Create(const sim::Plant& plant, const VectorXd& initial,
                                                 const recordings::Recording& recording,
                                                 const IdentifyProblemOptions& options) {
   if (recording.rows() < 2) return InvalidError(recording.name + ": too few rows to identify anything");
   std::vector<sysid::PaperProblem> windows;
-  for (const double start : WindowStarts(recording, options)) {
+  const auto add = [&](double start, double length) -> Status {
     sysid::PaperOptions paper;
     paper.window_start_s = start;
-    paper.window_s = options.window_s;
+    paper.window_s = length;
     paper.alpha = options.alpha;
     paper.interpolate = !options.whole_recording;
     paper.simulator = options.simulator;
+    if (options.friction) paper.extra_parameters = FrictionParameters(plant);
     RG_ASSIGN_OR_RETURN(auto window, sysid::PaperProblem::Create(plant, initial, recording, paper));
     windows.push_back(std::move(window));
+    return Status::Ok();
+  };
+  for (const double start : WindowStarts(recording, options))
+    RG_RETURN_IF_ERROR(add(start, options.window_s));
+  if (options.long_weight > 0) RG_RETURN_IF_ERROR(add(0.0, std::numeric_limits<double>::infinity()));
+  auto stacked = std::make_unique<Stacked>(windows, options.long_weight > 0 ? options.long_weight : 1.0);
+  if (options.bounds == BoundsKind::kPhysical) {
+    TakePhysicalBeliefs(plant, windows.front().parameters(), options.alpha, options.friction,
+                        &stacked->problem());
   }
-  auto stacked = std::make_unique<Stacked>(windows);
-  if (options.bounds == BoundsKind::kPhysical)
-    SetPhysicalBounds(plant, windows.front().parameters(), &stacked->problem());
-  return IdentifyProblem(std::move(windows), std::move(stacked));
+  IdentifyProblem problem(std::move(windows), std::move(stacked));
+  problem.long_weight_ = options.long_weight;
+  return problem;
 }
+
+// A whole rollout counts as about as much as one of its seconds: errors grow along it.
+constexpr double kLongWeight = 0.02;
 
 IdentifyProblemOptions OptionsOf(const pb::IdentifyPayload& payload) {
   IdentifyProblemOptions options;
@@ -133,7 +197,12 @@ IdentifyProblemOptions OptionsOf(const pb::IdentifyPayload& payload) {
   options.bounds = payload.bounds() == pb::IDENTIFY_BOUNDS_PAPER  ? BoundsKind::kPaper
                    : payload.bounds() == pb::IDENTIFY_BOUNDS_NONE ? BoundsKind::kNone
                                                                   : BoundsKind::kPhysical;
+  options.friction = payload.friction();
+  const bool last_round = payload.round() + 1 == payload.rounds();
+  if (options.whole_recording && payload.rounds() > 1 && last_round) options.long_weight = kLongWeight;
   options.simulator.step_s = 0.002;
+  // Wide enough that a joint at rest still says something of its friction.
+  if (options.friction) options.simulator.stick_velocity = 2e-3;
   return options;
 }
 

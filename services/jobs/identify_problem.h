@@ -1,7 +1,7 @@
-// The identification problem of a task: the paper's 71 parameters and residual, over one window (as the
+// The identification problem of a task: the paper's parameters and residual, over one window (as the
 // paper) or over all windows of a recording, each restarted from the state measured at its start.
 //
-//   Σ_w Σ_n Σ_j (q − q̂)²  +  Σ_p α (p − p_init)² / scale_p²
+//   Σ_w Σ_n Σ_j weight_w (q − q̂)²  +  Σ_p α_p (p − p_init)²
 #pragma once
 
 #include <Eigen/Core>
@@ -10,6 +10,7 @@
 
 #include "common/base/status.h"
 #include "common/recordings/recording.h"
+#include "common/sim/model_file.h"
 #include "common/sim/plant.h"
 #include "services/sysid/least_squares.h"
 #include "services/sysid/paper_problem.h"
@@ -24,22 +25,31 @@ namespace rg::jobs {
 enum class BoundsKind {
   kPaper,  // ±20 % on gravity, mass and inertia, 0 ≤ damping ≤ 18, −1.5 ≤ P_d ≤ 1.5
   // What a body and a drive can be, so that what the model lacks (a rotor's reflected inertia, say) has
-  // room in what it has: mass 0.3 to 3 ×, inertia 0 to 0.5 kg·m², damping 0 to 30, P_d 0.3 to 1.5.
+  // room in what it has: mass 0.3 to 3 ×, inertia 0 to 0.6 kg·m², damping 0 to 30, P_d 0.6 to 1.5; α is
+  // then `alpha` over the square of what each may be off (P_d little, damping and inertia much).
   kPhysical,
   kNone,
 };
 
 struct IdentifyProblemOptions {
   bool whole_recording = true;
-  double window_s = 0.5;        // of each window; of the single one
+  double window_s = 1.0;        // of each window; of the single one
   double window_start_s = 0.0;  // of the single one
+  // Weight of one more window, open loop over the whole recording, beside the windows: what makes long
+  // predictions hold too. It needs a start that is not far off, so the first rounds go without it.
+  double long_weight = 0.0;
   double alpha = 0.0;
   BoundsKind bounds = BoundsKind::kPhysical;
+  bool friction = false;  // fit the effects of WithFriction too
   sim::SimulatorOptions simulator;
 };
 
 IdentifyProblemOptions OptionsOf(const realitygrad::v1::IdentifyPayload& payload);
 sysid::Solver SolverOf(const realitygrad::v1::IdentifyPayload& payload);
+
+// The model to be fitted: `model` itself, or, if friction is asked for, with Coulomb friction and rotor
+// inertia on every joint that has none yet, at a hundredth of what the catalogue thinks typical.
+Result<sim::ModelFile> ModelToFit(const sim::ModelFile& model, const IdentifyProblemOptions& options);
 
 class IdentifyProblem {
  public:
@@ -49,10 +59,12 @@ class IdentifyProblem {
                                         const IdentifyProblemOptions& options);
   ~IdentifyProblem();
   IdentifyProblem(IdentifyProblem&&) noexcept;
+  IdentifyProblem& operator=(IdentifyProblem&&) noexcept;
 
   const sysid::LeastSquaresProblem& problem() const;
   const std::vector<int>& parameters() const { return windows_.front().parameters(); }
   Eigen::VectorXd FullValues(const Eigen::VectorXd& p) const { return windows_.front().FullValues(p); }
+  double long_weight() const { return long_weight_; }
   int windows() const { return static_cast<int>(windows_.size()); }
 
  private:
@@ -60,6 +72,7 @@ class IdentifyProblem {
   IdentifyProblem(std::vector<sysid::PaperProblem> windows, std::unique_ptr<Stacked> stacked);
   std::vector<sysid::PaperProblem> windows_;
   std::unique_ptr<Stacked> stacked_;
+  double long_weight_ = 0.0;
 };
 
 }  // namespace rg::jobs

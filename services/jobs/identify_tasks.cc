@@ -20,8 +20,6 @@ namespace pb = ::realitygrad::v1;
 using Eigen::VectorXd;
 using nlohmann::json;
 
-constexpr double kCheckpointPeriod_s = 2.0;
-
 Result<recordings::Recording> RecordingOf(const worker::TaskInput& input) {
   RG_ASSIGN_OR_RETURN(const worker::InputArtifact* artifact, input.Require(kInputRecording));
   auto set = rollouts::LoadBundle(artifact->bytes);
@@ -60,29 +58,36 @@ Result<sysid::HopState> StartOf(const worker::TaskInput& input, worker::TaskCont
   return state;
 }
 
+// The last round weighs long predictions too: its costs are on another scale than those that the chain
+// brought along. False: the long prediction is not finite there.
+bool Rescale(const IdentifyProblem& problem, sysid::HopState* state) {
+  if (!state->started()) return false;
+  double cost = 0.0;
+  if (!sysid::EvaluateCost(problem.problem(), state->best, {}, &cost)) return false;
+  state->current = state->best;
+  state->current_cost = state->best_cost = cost;
+  return true;
+}
+
 // Hops until the round's budget is spent, a checkpoint now and then.
 sysid::HopState HopOn(const IdentifyProblem& problem, const pb::IdentifyPayload& payload,
                       sysid::HopState state, int first_hop, worker::TaskContext& context) {
   sysid::HopOptions options;
   options.solve.solver = SolverOf(payload);
+  const bool timed = payload.budget_s() > 0;
   const int hops = payload.hops() > 0 ? static_cast<int>(payload.hops()) : 1 << 30;
-  const double seconds = payload.budget_s() > 0 ? payload.budget_s() : 1e30;
+  const double seconds = timed ? payload.budget_s() : 1e30;
   const double start = RealClock().SteadySeconds();
   while (!context.cancelled()) {
     const double spent = RealClock().SteadySeconds() - start;
     const int done = state.hops - first_hop;
     if (done >= hops || spent >= seconds) break;
-    const double slice = std::min(seconds - spent, kCheckpointPeriod_s);
-    const double budget = payload.budget_s() > 0 ? slice : kCheckpointPeriod_s;
-    // A slice ends with a whole hop when hops are counted, so that what is drawn does not depend on time.
-    state = sysid::RunHops(
-        problem.problem(), options, std::move(state),
-        payload.budget_s() > 0 ? sysid::HopBudget{hops - done, budget} : sysid::HopBudget{1, 1e30},
-        RealClock(), {}, &context.cancel_token());
+    // One hop, or what the clock leaves of it, between checkpoints.
+    state = sysid::RunHops(problem.problem(), options, std::move(state), {1, seconds - spent}, RealClock(),
+                           {}, &context.cancel_token());
     (void)context.SaveCheckpoint(sysid::SerializeHopState(state));
     char note[64];
     std::snprintf(note, sizeof note, "cost %.4g, %d hops", state.best_cost, state.hops);
-    const bool timed = payload.budget_s() > 0;
     context.Progress({kStageIdentify,
                       timed ? std::min(seconds, RealClock().SteadySeconds() - start) : state.hops - first_hop,
                       timed ? seconds : hops, note});
@@ -90,10 +95,13 @@ sysid::HopState HopOn(const IdentifyProblem& problem, const pb::IdentifyPayload&
   return state;
 }
 
-Result<sysid::HopState> BestChain(const worker::TaskInput& input) {
+// Chains may have ended on different costs (see Rescale): they are compared on that of `problem`, where it
+// is finite.
+Result<sysid::HopState> BestChain(const worker::TaskInput& input, const IdentifyProblem& problem) {
   std::optional<sysid::HopState> best;
   for (const worker::InputArtifact* artifact : input.All(kInputChain)) {
     RG_ASSIGN_OR_RETURN(sysid::HopState state, StateFrom(*artifact));
+    if (state.started() && !Rescale(problem, &state)) state.best_cost += 1e9;
     if (state.started() && (!best || state.best_cost < best->best_cost)) best = std::move(state);
   }
   if (!best) return FailedPreconditionError("no chain found parameters that can be simulated");
@@ -105,9 +113,10 @@ Result<sysid::HopState> BestChain(const worker::TaskInput& input) {
 Result<worker::TaskOutputs> RunIdentify(const worker::TaskInput& input, worker::TaskContext& context) {
   const double start = RealClock().SteadySeconds();
   RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::IdentifyPayload>(input));
-  RG_ASSIGN_OR_RETURN(const sim::ModelFile model, ModelOf(input));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile given, ModelOf(input));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile model, ModelToFit(given, OptionsOf(payload)));
   RG_ASSIGN_OR_RETURN(const recordings::Recording recording, RecordingOf(input));
-  RG_ASSIGN_OR_RETURN(const IdentifyProblem problem,
+  RG_ASSIGN_OR_RETURN(IdentifyProblem problem,
                       IdentifyProblem::Create(model.plant, model.values, recording, OptionsOf(payload)));
   const worker::InputArtifact* own = input.Find(kInputChain);
   int first_hop = 0;
@@ -116,6 +125,12 @@ Result<worker::TaskOutputs> RunIdentify(const worker::TaskInput& input, worker::
     first_hop = before.hops;
   }
   RG_ASSIGN_OR_RETURN(sysid::HopState state, StartOf(input, context, payload));
+  if (problem.long_weight() > 0 && !Rescale(problem, &state)) {
+    context.Log("the whole recording cannot be simulated from the best so far: windows only");
+    IdentifyProblemOptions options = OptionsOf(payload);
+    options.long_weight = 0.0;
+    RG_ASSIGN_OR_RETURN(problem, IdentifyProblem::Create(model.plant, model.values, recording, options));
+  }
   state = HopOn(problem, payload, std::move(state), first_hop, context);
   if (context.cancelled()) return CancelledError("identification was cancelled");
   const json summary = {{"chain", state.chain},
@@ -130,17 +145,27 @@ Result<worker::TaskOutputs> RunIdentify(const worker::TaskInput& input, worker::
   return outputs;
 }
 
+namespace {
+
+IdentifyProblemOptions LastRoundOf(pb::IdentifyPayload payload) {
+  payload.set_round(payload.rounds() - 1);
+  return OptionsOf(payload);
+}
+
+}  // namespace
+
 Result<worker::TaskOutputs> RunConclude(const worker::TaskInput& input, worker::TaskContext& context) {
   RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::ConcludePayload>(input));
-  RG_ASSIGN_OR_RETURN(const sim::ModelFile model, ModelOf(input));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile given, ModelOf(input));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile model, ModelToFit(given, OptionsOf(payload.identify())));
   RG_ASSIGN_OR_RETURN(const recordings::Recording recording, RecordingOf(input));
   RG_ASSIGN_OR_RETURN(
       const IdentifyProblem problem,
-      IdentifyProblem::Create(model.plant, model.values, recording, OptionsOf(payload.identify())));
-  RG_ASSIGN_OR_RETURN(const sysid::HopState best, BestChain(input));
+      IdentifyProblem::Create(model.plant, model.values, recording, LastRoundOf(payload.identify())));
+  RG_ASSIGN_OR_RETURN(const sysid::HopState best, BestChain(input, problem));
   const VectorXd after = problem.FullValues(best.best);
   context.Progress({kStageConclude, 0, 2, "judging before and after"});
-  const Judgement judgement = Judge(model.plant, model.values, after, recording);
+  const Judgement judgement = Judge(given, model.plant, after, recording);
   context.Progress({kStageConclude, 1, 2, "what the data determine"});
   const sysid::IdentifiabilityReport identified =
       Determine(model.plant, problem, best.best, judgement.noise_variance);

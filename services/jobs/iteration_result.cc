@@ -72,14 +72,14 @@ json MetadataOf(const worker::TaskInput& input, const char* name) {
 
 }  // namespace
 
-Judgement Judge(const sim::Plant& plant, const VectorXd& before, const VectorXd& after,
+Judgement Judge(const sim::ModelFile& before, const sim::Plant& plant, const VectorXd& after,
                 const recordings::Recording& recording) {
   Judgement out;
   rollouts::SimulationScoreOptions whole, windows;
   windows.window_s = kJudgementWindow_s;
-  out.before = rollouts::ScoreSimulation(plant, before, recording, whole);
+  out.before = rollouts::ScoreSimulation(before.plant, before.values, recording, whole);
   out.after = rollouts::ScoreSimulation(plant, after, recording, whole);
-  out.before_windows = rollouts::ScoreSimulation(plant, before, recording, windows);
+  out.before_windows = rollouts::ScoreSimulation(before.plant, before.values, recording, windows);
   out.after_windows = rollouts::ScoreSimulation(plant, after, recording, windows);
   out.t = recording.t;
   out.measured = recording.q;

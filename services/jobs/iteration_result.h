@@ -29,7 +29,7 @@ struct Judgement {
   Eigen::MatrixXd measured;
   double noise_variance = 1.0;  // of one position residual at the solution, rad²
 };
-Judgement Judge(const sim::Plant& plant, const Eigen::VectorXd& before, const Eigen::VectorXd& after,
+Judgement Judge(const sim::ModelFile& before, const sim::Plant& plant, const Eigen::VectorXd& after,
                 const recordings::Recording& recording);
 
 // Which of the 71 the recording determines at p.

@@ -158,6 +158,7 @@ pb::IdentifyPayload IdentifyPayloadOf(const IterationOptions& options) {
   payload.set_window_s(o.window_s);
   payload.set_window_start_s(o.window_start_s);
   payload.set_alpha(o.alpha);
+  payload.set_friction(o.friction);
   return payload;
 }
 
@@ -237,6 +238,7 @@ json SpecJson(const IterationOptions& o) {
             {"window", o.identify.whole_recording ? "whole" : "single"},
             {"solver", o.identify.solver},
             {"bounds", o.identify.bounds},
+            {"friction", o.identify.friction},
             {"alpha", o.identify.alpha}}}};
 }
 

@@ -19,7 +19,7 @@ struct TrajectoriesOptions {
   int shard_size = 15;  // trajectories per task
   double duration_s = 1.0;
   double reach = 0.6;   // |Δq| <= reach · v_max · duration
-  double spread = 0.0;  // rad round the home pose; 0: the whole range
+  double spread = 0.6;  // rad round the home pose; 0: the whole range
 };
 
 struct TrainOptions {
@@ -48,7 +48,8 @@ struct IdentifyOptions {
   double window_start_s = 0.0;
   std::string solver = "lm";        // "lm" or "lbfgs"
   std::string bounds = "physical";  // "physical", "paper" or "none"; lbfgs knows none
-  double alpha = 1e-3;
+  bool friction = true;  // beyond the paper's 71: Coulomb friction and rotor inertia of every joint
+  double alpha = 1e-2;
 };
 
 struct IterationOptions {

@@ -29,8 +29,9 @@ Eigen::VectorXd VelocityAt(const Recording& recording, int row) {
   return recordings::EstimateStateCausal(recording, row).v;
 }
 
-// Simulates one window into the columns first + 1 … last of `position`; the number of rows reached.
-int RunWindow(const Recording& recording, const sim::CommandSignal& command, const recordings::Window& window,
+// Simulates one window into the columns first + 1 … last of `position`. Rows that a simulation that broke
+// down did not reach get its last position.
+void RunWindow(const Recording& recording, const sim::CommandSignal& command, const recordings::Window& window,
               sim::Simulator& simulator, SimulationError* error) {
   std::vector<double> times;
   for (int k = window.first + 1; k <= window.last; ++k) times.push_back(recording.t[k]);
@@ -39,8 +40,12 @@ int RunWindow(const Recording& recording, const sim::CommandSignal& command, con
   const sim::Trajectory out = simulator.Simulate(start, command, times);
   const int reached = out.outcome.ok() ? window.rows() : out.reached;
   error->position.middleCols(window.first + 1, reached) = out.position.leftCols(reached);
-  if (!out.outcome.ok()) error->ok = false, error->failure = out.outcome.ToString();
-  return reached;
+  if (out.outcome.ok()) return;
+  error->ok = false;
+  error->failure = out.outcome.ToString();
+  for (int k = window.first + 1 + reached; k <= window.last; ++k) {
+    error->position.col(k) = error->position.col(window.first + reached);
+  }
 }
 
 void Accumulate(const Recording& recording, const Eigen::MatrixXd& tip, const Eigen::MatrixXd& simulated_tip,
@@ -115,8 +120,10 @@ SimulationError ScoreSimulation(const sim::Plant& plant, const Eigen::VectorXd& 
   simulator.SetParameters(values);
   const sim::CommandSignal command = CommandOf(recording);
   std::vector<std::pair<int, int>> compared;  // first row, count
-  for (const auto& window : recordings::SplitIntoWindows(recording.t, options.window_s))
-    compared.emplace_back(window.first + 1, RunWindow(recording, command, window, simulator, &error));
+  for (const auto& window : recordings::SplitIntoWindows(recording.t, options.window_s)) {
+    RunWindow(recording, command, window, simulator, &error);
+    compared.emplace_back(window.first + 1, window.rows());
+  }
   const Eigen::MatrixXd tip = TipPositions(plant.model(), recording.q);
   const Eigen::MatrixXd simulated_tip = TipPositions(plant.model(), error.position);
   for (const auto& [first, count] : compared) Accumulate(recording, tip, simulated_tip, first, count, &error);

@@ -29,7 +29,7 @@ GoalError ScoreGoal(const model::RobotModel& model, const recordings::Recording&
                     const Eigen::VectorXd& goal);
 
 struct SimulationError {
-  bool ok = false;                 // false: the simulation failed; the sums are over what it reached
+  bool ok = false;                 // false: the simulation broke down; from there its last position counts
   std::string failure;             // "not finite at step 812 (t = 0.812 s), joint_6"
   int rows = 0;                    // compared
   double residual = 0.0;           // Σ_k Σ_j (q - q̂)², rad²: the paper's without its second term

@@ -88,6 +88,11 @@ void SetBounds(const sim::Plant& plant, const PaperOptions& options, const std::
         upper = options.gain_bound;
         problem->scale[i] = 0.2;
         break;
+      case sim::ParameterKind::kEffect:
+        lower = p.lower;
+        upper = std::isfinite(p.upper) ? p.upper : p.nominal + 10.0 * p.prior_stddev;
+        problem->scale[i] = p.prior_stddev;
+        break;
       default:
         RelativeBound(p.nominal, options.relative_bound, &lower, &upper);
         problem->scale[i] = p.nominal != 0.0 ? options.relative_bound * std::abs(p.nominal) : p.prior_stddev;
@@ -164,7 +169,8 @@ Result<PaperProblem> PaperProblem::Create(const sim::Plant& plant, const VectorX
   const VectorXd v0 = recordings::VelocityOrEstimate(recording).col(rows.first);
 
   auto impl = std::make_unique<Impl>();
-  const std::vector<int> parameters = PaperParameters(plant);
+  std::vector<int> parameters = PaperParameters(plant);
+  parameters.insert(parameters.end(), options.extra_parameters.begin(), options.extra_parameters.end());
   const int P = static_cast<int>(parameters.size());
   impl->base = initial;
   impl->residuals = std::make_unique<WindowResiduals>(plant, initial, parameters, DriveSignal(recording),

@@ -30,6 +30,9 @@ struct PaperOptions {
   double relative_bound = 0.2;
   double damping_upper = 18.0;
   double gain_bound = 1.5;
+  // Parameters beyond the paper's (indices into the plant's table), after them: what an augmented plant
+  // has of friction and rotors. Bounds and scale are the table's.
+  std::vector<int> extra_parameters;
   double alpha = 0.0;  // regulariser of every parameter in units of its scale: α_i = alpha / scale_i²
   sim::SimulatorOptions simulator;
 };
@@ -47,7 +50,8 @@ class PaperProblem {
 
   // To be given to Solve and RunHops; valid as long as this object. One thread at a time.
   const LeastSquaresProblem& problem() const;
-  const std::vector<int>& parameters() const;  // indices into the plant's table, the paper's order
+  // Indices into the plant's table: the paper's order, then extra_parameters.
+  const std::vector<int>& parameters() const;
   // The whole table with the 71 replaced.
   Eigen::VectorXd FullValues(const Eigen::VectorXd& p) const;
   // Times of the residuals; residual k·n + j is joint j at times()[k].

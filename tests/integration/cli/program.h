@@ -1,0 +1,53 @@
+// Runs the programs of this build and keeps what they said.
+#pragma once
+
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cstdlib>
+#include <filesystem>
+#include <string>
+
+#include "common/base/file.h"
+#include "common/base/ids.h"
+
+namespace rg {
+
+inline std::string BinDir() {
+  const char* dir = std::getenv("RG_BIN_DIR");
+  return dir ? dir : ".";
+}
+
+class ScratchFolder {
+ public:
+  ScratchFolder() : path_(std::filesystem::temp_directory_path() / ("rg_cli_" + RandomHex(6))) {
+    std::filesystem::create_directories(path_);
+  }
+  ~ScratchFolder() {
+    std::error_code error;
+    std::filesystem::remove_all(path_, error);
+  }
+  const std::string& path() const { return path_; }
+  std::string operator/(const std::string& name) const { return path_ + "/" + name; }
+
+ private:
+  std::string path_;
+};
+
+struct Said {
+  int code = -1;
+  std::string out, err;
+};
+
+// `arguments` are words for a shell.
+inline Said RunProgram(const ScratchFolder& scratch, const std::string& arguments) {
+  const std::string out = scratch / "out", err = scratch / "err";
+  const std::string command =
+      "cd " + scratch.path() + " && " + BinDir() + "/realitygrad " + arguments + " >" + out + " 2>" + err;
+  const int how = std::system(command.c_str());
+  return {WIFEXITED(how) ? WEXITSTATUS(how) : 128 + WTERMSIG(how), ReadFile(out).value(),
+          ReadFile(err).value()};
+}
+
+}  // namespace rg
