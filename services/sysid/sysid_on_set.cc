@@ -6,6 +6,7 @@
 #include <memory>
 #include <utility>
 
+#include "common/base/rng.h"
 #include "common/effects/effect.h"
 #include "common/model/robot_model.h"
 #include "common/model/urdf_loader.h"
@@ -26,6 +27,9 @@ using Eigen::VectorXd;
 constexpr double kMinError = 1e-6;     // rad or m: windows better than this are equally good
 constexpr double kSimpler = 1.01;      // a start, which has no covariance, must be better than a fit by this
 constexpr double kSignificance = 2.0;  // standard errors by which a richer model must be better
+constexpr double kResampleShare = 0.975;
+constexpr int kResamples = 1000;
+constexpr uint64_t kResampleSeed = 1;  // fixed: the same data give the same choice
 constexpr double kMuchWorse = 2.0;     // torque residual against the best model's
 
 struct Candidate {
@@ -258,35 +262,58 @@ class Identification {
   }
 
   // From the simplest to the richest: a model replaces the one before when its held-out error is smaller,
-  // and by more than chance on a window by window comparison. Logarithms, so that one window does not
-  // decide.
+  // and by more than chance on a window by window comparison: in nearly all resamples of the windows, or in
+  // the mean of the logarithms, where one window does not decide.
   static size_t Choose(const std::vector<Fitted>& fitted) {
     size_t best = 0;
     for (size_t i = 1; i < fitted.size(); ++i) {
-      if (fitted[i].score.holdout_rms < fitted[best].score.holdout_rms &&
-          GainInDeviations(fitted[best].holdout, fitted[i].holdout) > kSignificance) {
+      if (fitted[i].score.holdout_rms >= fitted[best].score.holdout_rms) continue;
+      const auto pairs = PairedWindows(fitted[best].holdout, fitted[i].holdout);
+      if (pairs.empty() || LogGain(pairs) > kSignificance || ShareOfResamples(pairs) > kResampleShare)
         best = i;
-      }
     }
     return best;
   }
 
-  // Mean of log(before/after) over the windows, in standard errors.
-  static double GainInDeviations(const std::vector<PredictionError>& before,
-                                 const std::vector<PredictionError>& after) {
-    double sum = 0.0, squares = 0.0, count = 0.0;
+  static std::vector<std::pair<double, double>> PairedWindows(const std::vector<PredictionError>& before,
+                                                              const std::vector<PredictionError>& after) {
+    std::vector<std::pair<double, double>> pairs;
     for (size_t r = 0; r < before.size(); ++r) {
       for (size_t w = 0; w < before[r].windows.size(); ++w) {
-        const double gain = std::log((before[r].windows[w] + kMinError) / (after[r].windows[w] + kMinError));
-        sum += gain;
-        squares += gain * gain;
-        count += 1.0;
+        pairs.emplace_back(before[r].windows[w] + kMinError, after[r].windows[w] + kMinError);
       }
     }
-    if (count < 2.0) return sum > 0.0 ? kSignificance + 1.0 : 0.0;
+    return pairs;
+  }
+
+  // Mean of log(before/after) in standard errors.
+  static double LogGain(const std::vector<std::pair<double, double>>& pairs) {
+    const double count = static_cast<double>(pairs.size());
+    double sum = 0.0, squares = 0.0;
+    for (const auto& [before, after] : pairs) {
+      const double gain = std::log(before / after);
+      sum += gain;
+      squares += gain * gain;
+    }
     const double mean = sum / count;
-    const double variance = std::max(1e-12, squares / count - mean * mean) * count / (count - 1.0);
+    const double variance =
+        std::max(1e-12, squares / count - mean * mean) * count / std::max(1.0, count - 1.0);
     return mean / std::sqrt(variance / count);
+  }
+
+  // Share of bootstrap resamples of the windows in which the sum of squares falls.
+  static double ShareOfResamples(const std::vector<std::pair<double, double>>& pairs) {
+    Rng rng(kResampleSeed);
+    int better = 0;
+    for (int k = 0; k < kResamples; ++k) {
+      double gain = 0.0;
+      for (size_t w = 0; w < pairs.size(); ++w) {
+        const auto& [before, after] = pairs[rng.Index(pairs.size())];
+        gain += before * before - after * after;
+      }
+      better += gain > 0.0 ? 1 : 0;
+    }
+    return static_cast<double>(better) / kResamples;
   }
 
   static double MedianOfWindows(const std::vector<PredictionError>& errors) {
