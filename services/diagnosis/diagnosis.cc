@@ -1,0 +1,39 @@
+#include "services/diagnosis/diagnosis.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <set>
+
+#include "common/effects/effect_catalog.h"
+#include "common/model/robot_model.h"
+#include "services/diagnosis/findings.h"
+#include "services/diagnosis/holdout.h"
+#include "services/diagnosis/search.h"
+#include "services/sysid/parallel.h"
+#include "services/sysid/sysid_on_set.h"
+
+namespace rg::diagnosis {
+
+Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& set, const DiagnosisOptions& options,
+                                 const Clock& clock, const ProgressFn& progress, const CancelToken* cancel) {
+  const double start = clock.SteadySeconds();
+  const int threads = sysid::ChooseThreads(options.threads);
+  RG_ASSIGN_OR_RETURN(const sim::Plant nominal, sysid::NominalPlant(set));
+  RG_ASSIGN_OR_RETURN(const FitData data, PrepareData(set, nominal, options));
+  const MotionScales scales = ScalesOf(data, nominal);
+  const SearchResult search = SearchEffects(data, nominal, scales, options, threads, clock, progress, cancel);
+
+  DiagnosisResult result;
+  result.window_s = options.window_s;
+  result.robot = nominal.model().name();
+  result.joints = nominal.joint_names();
+  result.notes = NotesOn(set, data, nominal, scales);
+  Conclude(search, data, nominal, scales, &result);
+  if (progress) progress({"held-out recordings", 0.97, 1.0, result.verdict});
+  JudgeHeldOut(set, nominal, search, data, options, threads, &result);
+  result.elapsed_s = clock.SteadySeconds() - start;
+  return result;
+}
+
+}  // namespace rg::diagnosis

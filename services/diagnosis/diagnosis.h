@@ -1,0 +1,134 @@
+// Says which physics a model leaves out, from recordings: checks, calibration, localisation of the missing
+// force, a screen over every effect and joint, refits in the simulator, abstention (README.md).
+//
+// Thread-safe for different calls; runs on options.threads threads. Deterministic: same set, same options,
+// same result, whatever the number of threads.
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/base/clock.h"
+#include "common/base/progress.h"
+#include "common/base/status.h"
+#include "common/recordings/recording_set.h"
+#include "common/sim/plant.h"
+
+namespace rg::diagnosis {
+
+struct DiagnosisOptions {
+  int threads = 0;            // 0: all
+  double window_s = 1.0;      // of the judgement on held-out recordings
+  double fit_window_s = 0.5;  // of the fits
+  double step_s = 2.5e-3;     // of the simulator
+  int max_effects = 4;        // rounds of adding
+  uint64_t seed = 1;          // of simulated nulls and bootstraps
+  double time_limit_s = 150;  // no new round starts later
+};
+
+struct Region {
+  std::string variable;  // "velocity.joint_2", "position.joint_3", "time", "effort.joint_1"
+  double low = 0, high = 0;
+};
+struct TimeWindow {
+  std::string recording;
+  double start = 0, end = 0;
+};
+struct ParameterEstimate {
+  std::string owner;  // joint, link or "*"
+  std::string name, unit;
+  double value = 0, stddev = 0;
+};
+struct Alternative {
+  std::string effect;
+  std::vector<std::string> joints;
+  double evidence = 0;  // log evidence minus the chosen one's, nats
+  bool separable = true;
+  std::string experiment;
+};
+struct Finding {
+  std::string effect;
+  std::vector<std::string> joints;
+  double confidence = 0;
+  std::string summary;
+  double share_of_mismatch = 0;
+  std::vector<Region> regions;
+  std::vector<TimeWindow> windows;
+  std::string statement, equation;
+  std::vector<std::string> effect_class;
+  std::vector<ParameterEstimate> parameters;
+  std::vector<Alternative> alternatives;
+};
+
+// How a base parameter moved when the effects came in.
+struct LedgerRow {
+  std::string name, unit;
+  double nominal = 0, calibrated = 0, final = 0, prior_stddev = 1;
+};
+
+// A candidate that was fitted in the simulator.
+struct CandidateRow {
+  std::string name;
+  bool calibrated = false;  // base parameters free
+  double evidence = 0;      // log evidence minus that of the model without effects
+  double chi2_per_row = 0;
+  int round = 0;
+  bool chosen = false;
+};
+
+// Missing force over time of one fitted recording, for plots. n × S.
+struct ForcePlot {
+  std::string recording;
+  std::vector<double> t;
+  Eigen::MatrixXd force, stddev, explained;  // explained: by the findings (what remains is taken off)
+  Eigen::MatrixXd q, v, u;
+};
+
+struct HoldoutFit {
+  double before_rms = 0, calibrated_rms = 0, after_rms = 0, noise_floor_rms = 0;
+  double improvement_low = 0, improvement_high = 0;
+  bool judged_on_fit = false;
+  std::vector<double> before_windows, after_windows;
+};
+struct HoldoutPlot {
+  std::string recording;
+  std::vector<double> t;
+  Eigen::MatrixXd measured, before, after;  // n × K
+};
+
+struct DiagnosisResult {
+  std::string verdict;  // no_mismatch, parameters_only, unmodelled_physics, unexplained
+  std::vector<Finding> findings;
+  HoldoutFit holdout;
+  double window_s = 1.0;
+  double elapsed_s = 0;
+  std::vector<std::string> notes;
+
+  std::string robot;
+  std::vector<std::string> joints, units;
+  double noise_scale = 1;       // residual variance in units of the sensors' noise
+  double mismatch = 0;          // χ² per row of the calibrated model, 1 at the noise
+  double remaining = 0;         // of the augmented model
+  double null_threshold = 0;    // log evidence that chance reaches in 2 % of sets
+  Eigen::VectorXd joint_share;  // n, of the missing force's energy above its noise
+  std::vector<CandidateRow> candidates;
+  std::vector<LedgerRow> ledger;
+  std::vector<ForcePlot> force_plots;
+  std::vector<HoldoutPlot> holdout_plots;
+
+  std::optional<sim::Plant> plant;  // augmented
+  Eigen::VectorXd values;
+};
+
+Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& set, const DiagnosisOptions& options,
+                                 const Clock& clock, const ProgressFn& progress = {},
+                                 const CancelToken* cancel = nullptr);
+
+// diagnosis.json, "realitygrad.diagnosis/1".
+std::string DiagnosisJson(const DiagnosisResult& result);
+// diagnosis.json, model.json and report.html into `folder`, which is made.
+Status WriteDiagnosis(const std::string& folder, const DiagnosisResult& result);
+
+}  // namespace rg::diagnosis

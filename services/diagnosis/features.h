@@ -1,0 +1,39 @@
+// Candidate forces as functions of the recorded motion: what an effect would do, per unit of its strength,
+// to first order. Smooth effects need one, others one per value of a grid (`shape`).
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "services/diagnosis/lifted_fit.h"
+
+namespace rg::diagnosis {
+
+struct Feature {
+  std::string effect;  // id, or "spline" for pieces of an unnamed force
+  std::string role;    // which of the effect's columns: "coulomb", "sin", …
+  int joint = 0;       // where the force acts
+  int other = -1;      // joint_coupling: the source
+  double shape = 0;    // grid value: a speed, a delay, a limit, cycles per revolution, …
+  double scale = 1;    // coefficient of one unit of prior: coefficient = scale · standardised one
+};
+
+// Typical sizes of a set of recordings, n each.
+struct MotionScales {
+  Eigen::VectorXd torque;  // RMS of the drive torque about its mean, plus a third of the mean's size
+  Eigen::VectorXd speed;   // RMS
+  Eigen::VectorXd top_speed;
+  Eigen::VectorXd low, high;    // range of positions
+  Eigen::VectorXd inertia;      // diag M at the middle of the motion
+  Eigen::VectorXd speed_noise;  // of the smoothed velocity
+  double duration = 1;          // longest recording, s
+};
+MotionScales ScalesOf(const FitData& data, const sim::Plant& plant);
+
+struct FeatureSet {
+  std::vector<Feature> features;
+  FeatureBlock block;  // standardised: a coefficient of 1 is one prior stddev
+};
+FeatureSet MakeFeatures(const FitData& data, const MotionScales& scales);
+
+}  // namespace rg::diagnosis

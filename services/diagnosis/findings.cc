@@ -1,0 +1,444 @@
+#include "services/diagnosis/findings.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <map>
+#include <set>
+
+#include "common/effects/effect_catalog.h"
+#include "common/model/robot_model.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+namespace {
+
+std::string Number(double x) {
+  char text[40];
+  std::snprintf(text, sizeof text, "%.3g", x);
+  return text;
+}
+
+std::string Listed(const std::vector<std::string>& names) {
+  std::string out;
+  for (size_t i = 0; i < names.size(); ++i)
+    out += (i == 0 ? "" : i + 1 == names.size() ? " and " : ", ") + names[i];
+  return out;
+}
+
+std::vector<std::string> JointsOf(const std::vector<EffectSpec>& specs, const std::string& id,
+                                  const std::vector<std::string>& order) {
+  std::set<std::string> joints;
+  std::vector<std::string> pair;
+  for (const EffectSpec& s : specs) {
+    if (s.id != id) continue;
+    if (id == "joint_coupling") pair.insert(pair.end(), s.joints.begin(), s.joints.end());
+    joints.insert(s.joints.begin(), s.joints.end());
+  }
+  if (id == "joint_coupling") return pair;
+  std::vector<std::string> out;
+  for (const std::string& name : order) {
+    if (joints.count(name)) out.push_back(name);
+  }
+  return out;
+}
+
+// Evidence of the best tried candidate that lacks effect `id`, with the other findings kept where tried.
+double BestWithout(const SearchResult& s, const std::string& id) {
+  double best = -1e300;
+  for (const Candidate& c : s.tried) {
+    bool has = false;
+    for (const EffectSpec& e : c.specs) has = has || e.id == id;
+    if (!has) best = std::max(best, c.score);
+  }
+  return best;
+}
+
+// Energy of a staircase of forces above its noise, per joint.
+VectorXd Energy(const MissingForce& f, int n) {
+  VectorXd sum = VectorXd::Zero(n);
+  for (size_t w = 0; w < f.force.size(); ++w) {
+    if (f.force[w].size() == 0) continue;
+    sum += (f.force[w].cwiseAbs2() - f.stddev[w].cwiseAbs2()).rowwise().sum();
+  }
+  return sum.cwiseMax(0.0);
+}
+
+class Speaker {
+ public:
+  Speaker(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
+          const MotionScales& scales, DiagnosisResult* result)
+      : s_(search), data_(data), nominal_(nominal), scales_(scales), r_(*result) {}
+
+  void Run() {
+    Figures();
+    Verdict();
+    Ledger();
+    Rows();
+    Plots();
+  }
+
+ private:
+  void Figures() {
+    const Candidate& without = s_.calibrated.score > s_.nominal.score ? s_.calibrated : s_.nominal;
+    const double scale = s_.noise_scale * std::max(1, without.fit.rows);
+    r_.noise_scale = s_.noise_scale;
+    r_.null_threshold = s_.null_gain;
+    r_.mismatch = without.fit.chi2 / scale;
+    r_.remaining = s_.best.fit.chi2 / scale;
+    energy_ = Energy(s_.missing, data_.n).cwiseQuotient(scales_.torque.cwiseAbs2());
+    r_.joint_share = energy_ / std::max(1e-300, energy_.sum());
+    r_.plant = *s_.best.plant;
+    r_.values = s_.best.fit.values;
+    for (const std::string& j : r_.joints) {
+      const auto& joint = nominal_.model().joint(nominal_.model().FindJoint(j));
+      r_.units.push_back(joint.is_revolute() ? "rad" : "m");
+    }
+  }
+
+  void Verdict() {
+    std::set<std::string> ids;
+    for (const EffectSpec& e : s_.best.specs) ids.insert(e.id);
+    const double excess = r_.mismatch - 1.0, left = r_.remaining - 1.0;
+    const bool unexplained = left > 0.25 && left > 0.3 * std::max(excess, 1e-9);
+    for (const std::string& id : ids) r_.findings.push_back(FindingOf(id));
+    std::sort(r_.findings.begin(), r_.findings.end(),
+              [](const Finding& a, const Finding& b) { return a.confidence > b.confidence; });
+    if (unexplained || ids.count("unknown_field")) {
+      r_.verdict = "unexplained";
+      if (!ids.count("unknown_field")) AddUnknown();
+      return;
+    }
+    if (ids.empty()) {
+      const double odds = s_.calibrated.score - s_.nominal.score - s_.threshold;
+      r_.verdict = odds > 0 ? "parameters_only" : "no_mismatch";
+      if (odds > 0) AddParameters(Confidence(odds));
+      return;
+    }
+    r_.verdict = "unmodelled_physics";
+    if (s_.best.base) AddParameters(0.6);
+  }
+
+  static double Confidence(double nats) {
+    // Evidence is of an approximate likelihood: half of each nat is believed.
+    const double p = 1.0 / (1.0 + std::exp(-std::clamp(0.5 * nats, -30.0, 30.0)));
+    return std::clamp(p, 0.02, 0.98);
+  }
+
+  Finding FindingOf(const std::string& id) {
+    Finding f;
+    f.effect = id;
+    f.joints = JointsOf(s_.best.specs, id, r_.joints);
+    const effects::EffectInfo* info = effects::FindEffect(id);
+    f.equation = info->equation;
+    f.confidence = Confidence(s_.best.score - BestWithout(s_, id));
+    FillParameters(id, *info, &f);
+    f.statement = StatementOf(*info, f);
+    FillClass(id, &f);
+    FillWhere(id, &f);
+    return f;
+  }
+
+  void FillParameters(const std::string& id, const effects::EffectInfo&, Finding* f) {
+    for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
+      const sim::Parameter& p = s_.best.plant->parameters()[s_.best.parameters[k].index];
+      if (p.effect != id) continue;
+      ParameterEstimate e{p.owner, p.field, p.unit, s_.best.fit.theta[static_cast<long>(k)],
+                          s_.best.fit.stddev[static_cast<long>(k)]};
+      f->parameters.push_back(e);
+    }
+    // The contract's tilt is positive, its azimuth within ±π.
+    if (id == "gravity_misalignment" && f->parameters.size() == 2) {
+      double &tilt = f->parameters[0].value, &azimuth = f->parameters[1].value;
+      if (tilt < 0) tilt = -tilt, azimuth += M_PI;
+      azimuth = std::remainder(azimuth, 2 * M_PI);
+    }
+  }
+
+  std::string StatementOf(const effects::EffectInfo& info, const Finding& f) const {
+    std::map<std::string, std::map<std::string, double>> by_owner;
+    for (const ParameterEstimate& p : f.parameters) by_owner[p.owner][p.name] = p.value;
+    std::string text;
+    for (const auto& [owner, values] : by_owner) {
+      const int joint = nominal_.model().FindJoint(owner);
+      const bool prismatic = joint >= 0 && !nominal_.model().joint(joint).is_revolute();
+      const std::string name = owner == "*" && !f.joints.empty() ? Listed(f.joints)
+                               : owner == "*"                    ? "the robot"
+                                                                 : owner;
+      text += (text.empty() ? "" : " ") + effects::Sentence(info, name, prismatic, values);
+    }
+    return text.empty() ? info.title + "." : text;
+  }
+
+  void FillClass(const std::string& id, Finding* f) {
+    f->effect_class.push_back(id);
+    std::map<std::string, const Candidate*> rivals;
+    for (const Candidate& c : s_.tried) {
+      // The same model with one effect exchanged.
+      std::set<std::string> mine, theirs;
+      for (const EffectSpec& e : s_.best.specs) mine.insert(e.id);
+      for (const EffectSpec& e : c.specs) theirs.insert(e.id);
+      if (theirs.count(id) || theirs.size() != mine.size()) continue;
+      std::vector<std::string> extra;
+      for (const std::string& e : theirs) {
+        if (!mine.count(e)) extra.push_back(e);
+      }
+      if (extra.size() != 1) continue;
+      auto [it, fresh] = rivals.try_emplace(extra[0], &c);
+      if (!fresh && c.score > it->second->score) it->second = &c;
+    }
+    std::vector<std::pair<std::string, const Candidate*>> sorted(rivals.begin(), rivals.end());
+    std::sort(sorted.begin(), sorted.end(),
+              [](auto& a, auto& b) { return a.second->score > b.second->score; });
+    for (const auto& [effect, c] : sorted) {
+      if (f->alternatives.size() >= 4) break;
+      Alternative a;
+      a.effect = effect;
+      a.joints = JointsOf(c->specs, effect, r_.joints);
+      a.evidence = c->score - s_.best.score;
+      a.separable = a.evidence < -3.0;
+      a.experiment = Experiment(id, effect, f->joints);
+      if (!a.separable) f->effect_class.push_back(effect);
+      f->alternatives.push_back(a);
+    }
+  }
+
+  static std::string Experiment(const std::string& a, const std::string& b,
+                                const std::vector<std::string>& joints) {
+    const std::string who = joints.empty() ? "the joints" : Listed(joints);
+    auto either = [&](std::initializer_list<const char*> ids) {
+      return std::any_of(ids.begin(), ids.end(), [&](const char* x) { return a == x || b == x; });
+    };
+    if (either({"stribeck_friction", "presliding_hysteresis", "backlash"}))
+      return "slow ramps of " + who + " at 0.01 to 0.05 rad/s through several reversals";
+    if (either({"actuator_delay", "actuator_lag", "sensor_delay"}))
+      return "a chirp of " + who +
+             " up to half the sample rate: phase grows with frequency for a delay, saturates for a lag";
+    if (either({"load_dependent_friction"}))
+      return "the same slow motion of " + who + " with and without load, arm stretched and folded";
+    if (either({"viscous_friction", "quadratic_drag", "coulomb_friction", "asymmetric_friction"}))
+      return "constant speeds of " + who + " at five levels in both directions";
+    if (either({"thermal_drift"})) return "the same motion of " + who + " repeated for several minutes";
+    if (either({"payload", "parameters_only", "torque_gain", "rotor_inertia"}))
+      return "fast reversals and slow holds of " + who + " in several poses";
+    if (either({"joint_elasticity", "base_flexibility"}))
+      return "a chirp of " + who + " through 2 to 20 Hz at high sample rate";
+    return "a slow sweep of " + who + " through the whole range in both directions";
+  }
+
+  void FillWhere(const std::string& id, Finding* f) {
+    const auto& names = r_.joints;
+    double share = 0;
+    for (size_t j = 0; j < names.size(); ++j) {
+      if (f->joints.empty() || std::find(f->joints.begin(), f->joints.end(), names[j]) != f->joints.end()) {
+        share += r_.joint_share[static_cast<long>(j)];
+      }
+    }
+    f->share_of_mismatch = std::clamp(share, 0.0, 1.0);
+    const std::string who = f->joints.empty() ? "all joints" : Listed(f->joints);
+    f->summary = who;
+    for (const std::string& joint : f->joints) {
+      const int j = nominal_.model().FindJoint(joint);
+      if (id == "external_disturbance") {
+        for (const ParameterEstimate& p : f->parameters) {
+          if (p.name == "start") f->regions.push_back({"time", p.value, p.value});
+          if (p.name == "end" && !f->regions.empty()) f->regions.back().high = p.value;
+        }
+        break;
+      }
+      const bool position = id == "torque_ripple" || id == "position_spring" || id == "unknown_field";
+      const bool effort = id == "torque_saturation" || id == "torque_deadband" || id == "torque_gain";
+      if (position) {
+        f->regions.push_back({"position." + joint, scales_.low[j], scales_.high[j]});
+      } else if (!effort) {
+        f->regions.push_back({"velocity." + joint, -scales_.top_speed[j], scales_.top_speed[j]});
+      }
+    }
+    // The windows with most of it.
+    std::vector<std::pair<double, size_t>> loud;
+    for (size_t w = 0; w < s_.missing.force.size(); ++w) {
+      double sum = 0;
+      for (size_t j = 0; j < names.size(); ++j) {
+        if (!f->joints.empty() && std::find(f->joints.begin(), f->joints.end(), names[j]) == f->joints.end())
+          continue;
+        const auto row = static_cast<long>(j);
+        sum += (s_.missing.force[w].row(row) / scales_.torque[row]).squaredNorm();
+      }
+      loud.push_back({sum, w});
+    }
+    std::sort(loud.rbegin(), loud.rend());
+    for (size_t i = 0; i < std::min<size_t>(4, loud.size()); ++i) {
+      const NodeWindow& w = data_.windows[loud[i].second];
+      f->windows.push_back({data_.recordings[w.recording].recording->name, w.t.front(), w.t.back()});
+    }
+    f->summary +=
+        ", most in " + (f->windows.empty() ? std::string("no window") : f->windows[0].recording) +
+        (f->windows.empty() ? ""
+                            : " around " + Number(0.5 * (f->windows[0].start + f->windows[0].end)) + " s");
+  }
+
+  void AddUnknown() {
+    const VectorXd energy = Energy(s_.remaining, data_.n).cwiseQuotient(scales_.torque.cwiseAbs2());
+    Finding f;
+    f.effect = "unknown_field";
+    f.confidence = 0.7;
+    f.equation = "tau = f(q, dq, t)";
+    f.effect_class = {"unknown_field"};
+    std::vector<std::pair<double, int>> sorted;
+    for (int j = 0; j < data_.n; ++j) sorted.push_back({energy[j], j});
+    std::sort(sorted.rbegin(), sorted.rend());
+    std::vector<int> chosen;
+    for (const auto& [e, j] : sorted) {
+      if (chosen.empty() || (e > 0.3 * sorted[0].first && chosen.size() < 2)) chosen.push_back(j);
+    }
+    std::sort(chosen.begin(), chosen.end());
+    for (const int j : chosen) {
+      f.joints.push_back(r_.joints[j]);
+      f.regions.push_back({"position." + r_.joints[j], scales_.low[j], scales_.high[j]});
+    }
+    f.summary = Listed(f.joints) + ": a force that no named effect explains";
+    f.share_of_mismatch = std::min(1.0, (r_.remaining - 1) / std::max(1e-9, r_.mismatch - 1));
+    f.statement = "Something acts on " + Listed(f.joints) +
+                  " that no named effect explains: " + Number(100 * f.share_of_mismatch) +
+                  " % of the mismatch remains after the best of them.";
+    r_.findings.insert(r_.findings.begin(), f);
+    for (Finding& g : r_.findings) {
+      if (g.effect != "unknown_field") g.confidence = std::min(g.confidence, 0.6);
+    }
+  }
+
+  void AddParameters(double confidence) {
+    Finding f;
+    f.effect = "parameters_only";
+    f.confidence = confidence;
+    f.effect_class = {"parameters_only"};
+    f.equation = "M(q)*ddq + h(q, dq) = u with other masses, centres of mass, inertias";
+    const Candidate& c = s_.best;
+    int moved = 0;
+    for (size_t k = 0; k < c.parameters.size(); ++k) {
+      const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+      if (p.kind == sim::ParameterKind::kEffect) continue;
+      const double value = c.fit.theta[static_cast<long>(k)], sd = c.fit.stddev[static_cast<long>(k)];
+      f.parameters.push_back({p.owner, p.field, p.unit, value, sd});
+      moved += std::abs(value - p.nominal) > 3 * sd;
+    }
+    f.statement =
+        "The structure of the model is right; masses, centres of mass or inertias differ from the URDF (" +
+        std::to_string(moved) + " parameters by more than three standard deviations).";
+    f.summary = "all poses and motions";
+    f.share_of_mismatch = 1.0;
+    r_.findings.push_back(f);
+  }
+
+  void Ledger() {
+    const Candidate& c = s_.best;
+    for (size_t k = 0; k < s_.calibrated.parameters.size(); ++k) {
+      const auto& p = s_.calibrated.parameters[k];
+      LedgerRow row{p.name,    p.unit,        p.nominal, s_.calibrated.fit.theta[static_cast<long>(k)],
+                    p.nominal, p.prior_stddev};
+      const int at = c.plant->parameters().Find(p.name);
+      if (at >= 0) row.final = c.fit.values[at];
+      r_.ledger.push_back(row);
+    }
+    std::sort(r_.ledger.begin(), r_.ledger.end(), [](const LedgerRow& a, const LedgerRow& b) {
+      return std::abs(a.final - a.calibrated) / a.prior_stddev >
+             std::abs(b.final - b.calibrated) / b.prior_stddev;
+    });
+  }
+
+  void Rows() {
+    for (const Candidate& c : s_.tried) {
+      if (!c.fit.ok || r_.candidates.size() >= 30) continue;
+      CandidateRow row;
+      std::map<std::string, std::vector<std::string>> by_id;
+      for (const EffectSpec& e : c.specs) {
+        auto& joints = by_id[e.id];
+        joints.insert(joints.end(), e.joints.begin(), e.joints.end());
+      }
+      for (const auto& [id, joints] : by_id) {
+        row.name +=
+            (row.name.empty() ? "" : " + ") + id + (joints.empty() ? "" : " (" + Listed(joints) + ")");
+      }
+      if (row.name.empty()) row.name = "none";
+      row.calibrated = c.base;
+      row.evidence = c.score - s_.nominal.score;
+      row.chi2_per_row = c.fit.chi2 / std::max(1, c.fit.rows) / s_.noise_scale;
+      row.round = c.round;
+      row.chosen = &c == &s_.tried.front();
+      r_.candidates.push_back(row);
+    }
+  }
+
+  void Plots() {
+    std::map<int, std::vector<size_t>> by_recording;
+    for (size_t w = 0; w < data_.windows.size(); ++w) by_recording[data_.windows[w].recording].push_back(w);
+    for (const auto& [recording, windows] : by_recording) {
+      ForcePlot plot;
+      plot.recording = data_.recordings[recording].recording->name;
+      std::vector<VectorXd> force, stddev, explained, q, v, u;
+      const FineMotion& fine = data_.fine[recording];
+      const double dt = fine.t[1] - fine.t[0];
+      for (const size_t w : windows) {
+        for (size_t s = 0; s < s_.missing.t[w].size(); ++s) {
+          const double t = s_.missing.t[w][s];
+          const auto at = static_cast<long>(
+              std::clamp((t - fine.t[0]) / dt, 0.0, static_cast<double>(fine.t.size() - 1)));
+          const auto col = static_cast<long>(s);
+          plot.t.push_back(t);
+          force.push_back(s_.missing.force[w].col(col));
+          stddev.push_back(s_.missing.stddev[w].col(col));
+          explained.push_back(s_.missing.force[w].col(col) - s_.remaining.force[w].col(col));
+          q.push_back(fine.q.col(at)), v.push_back(fine.v.col(at)), u.push_back(fine.u.col(at));
+        }
+      }
+      auto stack = [&](const std::vector<VectorXd>& from, MatrixXd* to) {
+        to->resize(data_.n, static_cast<long>(from.size()));
+        for (size_t i = 0; i < from.size(); ++i) to->col(static_cast<long>(i)) = from[i];
+      };
+      stack(force, &plot.force), stack(stddev, &plot.stddev), stack(explained, &plot.explained);
+      stack(q, &plot.q), stack(v, &plot.v), stack(u, &plot.u);
+      r_.force_plots.push_back(std::move(plot));
+    }
+  }
+
+  const SearchResult& s_;
+  const FitData& data_;
+  const sim::Plant& nominal_;
+  const MotionScales& scales_;
+  DiagnosisResult& r_;
+  VectorXd energy_;
+};
+
+}  // namespace
+
+std::vector<std::string> NotesOn(const recordings::RecordingSet& set, const FitData& data,
+                                 const sim::Plant& nominal, const MotionScales& scales) {
+  std::vector<std::string> notes;
+  for (int j = 0; j < data.n; ++j) {
+    const double range = scales.high[j] - scales.low[j];
+    if (range < 20 * data.noise.position_stddev[j]) {
+      notes.push_back(nominal.joint_names()[j] +
+                      " never moved: nothing can be said of its friction and inertia");
+    }
+  }
+  const double rate = 1.0 / std::max(1e-9, data.recordings[0].recording->SamplePeriod());
+  if (rate < 60) {
+    notes.push_back("sampled at " + Number(rate) + " Hz: resonances (joint_elasticity, backlash) above " +
+                    Number(rate / 4) + " Hz and ripple that passes faster cannot be seen");
+  }
+  if (!data.use_velocity) notes.push_back("velocities are not measured: they were estimated from positions");
+  if (set.holdout_was_chosen)
+    notes.push_back("the manifest has no holdout split: whole recordings were set aside");
+  return notes;
+}
+
+void Conclude(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
+              const MotionScales& scales, DiagnosisResult* result) {
+  Speaker(search, data, nominal, scales, result).Run();
+}
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,162 @@
+#include "services/diagnosis/holdout.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "common/sim/simulator.h"
+#include "services/sysid/drive_signal.h"
+#include "services/sysid/parallel.h"
+#include "services/sysid/prediction.h"
+
+namespace rg::diagnosis {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+namespace {
+
+constexpr int kBootstraps = 400;
+
+struct Judged {
+  double rms = 0;
+  std::vector<double> windows;  // of all recordings in order
+  std::vector<double> weights;  // rows of each
+  std::vector<sysid::Prediction> predictions;
+};
+
+double PooledRms(const std::vector<double>& windows, const std::vector<double>& weights) {
+  double squares = 0, count = 0;
+  for (size_t i = 0; i < windows.size(); ++i)
+    squares += windows[i] * windows[i] * weights[i], count += weights[i];
+  return std::sqrt(squares / std::max(1.0, count));
+}
+
+Judged Judge(const std::vector<const recordings::Recording*>& recs, const sim::Plant& plant,
+             const VectorXd& values, const sysid::PredictionOptions& options, int threads) {
+  Judged out;
+  out.predictions.resize(recs.size());
+  std::vector<sysid::PredictionError> errors(recs.size());
+  sysid::ParallelFor(threads, static_cast<int>(recs.size()), [&](int, int i) {
+    out.predictions[i] = sysid::PredictRecording(plant, values, *recs[i], options);
+    errors[i] = sysid::ErrorOf(out.predictions[i], *recs[i]);
+  });
+  for (size_t i = 0; i < recs.size(); ++i) {
+    const auto& restarts = out.predictions[i].restarts;
+    size_t window = 0;
+    for (size_t w = 0; w < restarts.size(); ++w) {
+      const int first = restarts[w] + 1,
+                last = w + 1 < restarts.size() ? restarts[w + 1] : recs[i]->rows() - 1;
+      if (last < first || window >= errors[i].windows.size()) continue;
+      out.windows.push_back(errors[i].windows[window++]);
+      out.weights.push_back(last - first + 1.0);
+    }
+  }
+  out.rms = PooledRms(out.windows, out.weights);
+  return out;
+}
+
+// What the augmented model would show if it were true: windows that it made itself, from the states where
+// they start, measured with the sensors' noise and predicted again.
+double NoiseFloor(const std::vector<const recordings::Recording*>& recs, const Judged& after,
+                  const sim::Plant& plant, const VectorXd& values, const sysid::PredictionOptions& options,
+                  const recordings::SensorNoise& noise, Rng rng) {
+  sim::Simulator simulator(plant, options.simulator);
+  simulator.SetParameters(values);
+  double squares = 0, count = 0;
+  const int n = plant.num_joints();
+  for (size_t i = 0; i < recs.size(); ++i) {
+    const recordings::Recording& rec = *recs[i];
+    const sim::CommandSignal command = sysid::DriveSignal(rec);
+    const auto& restarts = after.predictions[i].restarts;
+    // A filter over some rows knows the state better than one row does.
+    const double rows = 3.0;
+    for (size_t w = 0; w < restarts.size(); ++w) {
+      const int first = restarts[w], last = w + 1 < restarts.size() ? restarts[w + 1] : rec.rows() - 1;
+      if (last <= first) continue;
+      const std::vector<double> times(rec.t.data() + first + 1, rec.t.data() + last + 1);
+      VectorXd q = rec.q.col(first);
+      VectorXd v =
+          rec.has_velocity() ? VectorXd(rec.v.col(first)) : recordings::EstimateStateCausal(rec, first).v;
+      const sim::Trajectory truth =
+          simulator.Simulate(simulator.MakeState(q, v, rec.t[first], command), command, times);
+      for (int j = 0; j < n; ++j) {
+        q[j] += rng.Normal(0.0, noise.position_stddev[j] / std::sqrt(rows));
+        v[j] += rng.Normal(0.0, noise.velocity_stddev[j] / std::sqrt(rows));
+      }
+      const sim::Trajectory guess =
+          simulator.Simulate(simulator.MakeState(q, v, rec.t[first], command), command, times);
+      if (!truth.outcome.ok() || !guess.outcome.ok()) continue;
+      for (int j = 0; j < n; ++j) {
+        const double sensor = noise.position_stddev[j] * noise.position_stddev[j];
+        squares += (truth.position.row(j) - guess.position.row(j)).squaredNorm() +
+                   sensor * static_cast<double>(times.size());
+      }
+      count += static_cast<double>(n) * static_cast<double>(times.size());
+    }
+  }
+  return std::sqrt(squares / std::max(1.0, count));
+}
+
+HoldoutPlot PlotOf(const recordings::Recording& rec, const sysid::Prediction& before,
+                   const sysid::Prediction& after) {
+  HoldoutPlot plot;
+  plot.recording = rec.name;
+  const int stride = std::max(1, rec.rows() / 700);
+  std::vector<int> rows;
+  for (int k = 0; k < rec.rows(); k += stride) rows.push_back(k);
+  for (MatrixXd* m : {&plot.measured, &plot.before, &plot.after}) m->resize(rec.n(), rows.size());
+  for (size_t i = 0; i < rows.size(); ++i) {
+    plot.t.push_back(rec.t[rows[i]]);
+    plot.measured.col(i) = rec.q.col(rows[i]);
+    plot.before.col(i) = before.q.col(rows[i]);
+    plot.after.col(i) = after.q.col(rows[i]);
+  }
+  return plot;
+}
+
+}  // namespace
+
+void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal, const SearchResult& search,
+                  const FitData& data, const DiagnosisOptions& options, int threads,
+                  DiagnosisResult* result) {
+  std::vector<const recordings::Recording*> recs = set.Holdout();
+  result->holdout.judged_on_fit = recs.empty();
+  if (recs.empty()) recs = set.Fit();
+  sysid::PredictionOptions prediction;
+  prediction.window_s = options.window_s;
+  prediction.simulator.step_s = options.step_s;
+  prediction.noise = data.noise;
+  prediction.effort_excludes_gravity = set.effort_excludes_gravity;
+  const Judged before = Judge(recs, nominal, nominal.parameters().Nominal(), prediction, threads);
+  const Judged calibrated =
+      Judge(recs, *search.calibrated.plant, search.calibrated.fit.values, prediction, threads);
+  const Judged after = Judge(recs, *result->plant, result->values, prediction, threads);
+  HoldoutFit& h = result->holdout;
+  h.before_rms = before.rms, h.calibrated_rms = calibrated.rms, h.after_rms = after.rms;
+  h.before_windows = before.windows, h.after_windows = after.windows;
+  Rng rng(options.seed + 17);
+  h.noise_floor_rms =
+      NoiseFloor(recs, after, *result->plant, result->values, prediction, data.noise, rng.Split(1));
+  // Bootstrap over windows.
+  std::vector<double> gains;
+  const size_t W = before.windows.size();
+  for (int b = 0; b < kBootstraps && W > 0; ++b) {
+    double before2 = 0, after2 = 0;
+    for (size_t i = 0; i < W; ++i) {
+      const size_t w = rng.Index(W);
+      before2 += before.weights[w] * before.windows[w] * before.windows[w];
+      after2 += before.weights[w] * after.windows[w] * after.windows[w];
+    }
+    gains.push_back(before2 > 0 ? 1.0 - std::sqrt(after2 / before2) : 0.0);
+  }
+  std::sort(gains.begin(), gains.end());
+  if (!gains.empty()) {
+    h.improvement_low = gains[static_cast<size_t>(0.025 * gains.size())];
+    h.improvement_high = gains[static_cast<size_t>(0.975 * gains.size())];
+  }
+  for (size_t i = 0; i < recs.size() && i < 2; ++i) {
+    result->holdout_plots.push_back(PlotOf(*recs[i], before.predictions[i], after.predictions[i]));
+  }
+}
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,310 @@
+#include "services/diagnosis/hypotheses.h"
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include "common/dynamics/dynamics.h"
+#include "common/model/robot_model.h"
+#include "services/sysid/drive_signal.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+using effects::MakeSpec;
+
+namespace {
+
+constexpr double kSmall = 1e-6;
+
+double Positive(double x, double least) { return std::max(x, least); }
+
+EffectSpec JointSpec(const Scored& h, int joint, const std::vector<double>& c, const std::string& name,
+                     const MotionScales& s) {
+  const double torque = s.torque[joint], floor = 0.02 * torque;
+  if (h.effect == "viscous_friction")
+    return MakeSpec(h.effect, {name}, {{"viscous", Positive(c[0], kSmall)}});
+  if (h.effect == "quadratic_drag")
+    return MakeSpec(h.effect, {name}, {{"quadratic", Positive(c[0], kSmall)}});
+  if (h.effect == "coulomb_friction") return MakeSpec(h.effect, {name}, {{"coulomb", Positive(c[0], floor)}});
+  if (h.effect == "asymmetric_friction") {
+    return MakeSpec(
+        h.effect, {name},
+        {{"coulomb_positive", Positive(c[0], floor)}, {"coulomb_negative", Positive(c[1], floor)}});
+  }
+  if (h.effect == "load_dependent_friction") {
+    return MakeSpec(h.effect, {name},
+                    {{"coulomb", Positive(c[0], floor)}, {"load_coefficient", Positive(c[1], 0.02)}});
+  }
+  if (h.effect == "stribeck_friction") {
+    const double level = Positive(c[0], floor);
+    return MakeSpec(
+        h.effect, {name},
+        {{"coulomb", level}, {"static", Positive(c[0] + c[1], floor)}, {"stribeck_velocity", h.shape}});
+  }
+  if (h.effect == "thermal_drift") {
+    return MakeSpec(h.effect, {name},
+                    {{"initial", Positive(c[0] + c[1], floor)},
+                     {"final", Positive(c[0], floor)},
+                     {"time_constant", h.shape}});
+  }
+  if (h.effect == "presliding_hysteresis") {
+    const double level = Positive(c[0], floor);
+    return MakeSpec(h.effect, {name},
+                    {{"coulomb", level},
+                     {"bristle_stiffness", level / h.shape},
+                     {"bristle_damping", 0.2 * std::sqrt(level / h.shape * s.inertia[joint])}});
+  }
+  if (h.effect == "torque_gain")
+    return MakeSpec(h.effect, {name}, {{"gain", std::clamp(1.0 + c[0], 0.2, 4.0)}});
+  if (h.effect == "torque_deadband") return MakeSpec(h.effect, {name}, {{"deadband", h.shape}});
+  if (h.effect == "torque_saturation") return MakeSpec(h.effect, {name}, {{"limit", h.shape}});
+  if (h.effect == "actuator_delay") {
+    return MakeSpec(h.effect, {name}, {{"delay", std::clamp(c[0] * h.shape, 1e-3, 0.3)}});
+  }
+  if (h.effect == "actuator_lag") {
+    return MakeSpec(h.effect, {name}, {{"time_constant", std::clamp(c[0] * h.shape, 2e-3, 0.3)}});
+  }
+  if (h.effect == "sensor_delay") return MakeSpec(h.effect, {name}, {{"delay", std::clamp(c[0], 1e-3, 0.3)}});
+  if (h.effect == "encoder_offset") return MakeSpec(h.effect, {name}, {{"offset", c[0]}});
+  if (h.effect == "rotor_inertia") return MakeSpec(h.effect, {name}, {{"armature", Positive(c[0], kSmall)}});
+  if (h.effect == "torque_ripple") {
+    return MakeSpec(h.effect, {name},
+                    {{"amplitude", std::hypot(c[0], c[1])},
+                     {"cycles_per_rev", h.shape},
+                     {"phase", std::atan2(c[1], c[0])}});
+  }
+  if (h.effect == "position_spring") {
+    const double k = c[1], center = std::abs(k) > 1e-9 ? h.shape + c[0] / k : h.shape;
+    return MakeSpec(h.effect, {name},
+                    {{"stiffness", k}, {"cubic", 0.0}, {"center", std::clamp(center, -10.0, 10.0)}});
+  }
+  if (h.effect == "external_disturbance") {
+    return MakeSpec(h.effect, {name}, {{"start", h.shape}, {"end", h.shape_end}, {"torque", c[0]}});
+  }
+  if (h.effect == "unknown_field") {
+    std::map<std::string, double> values = {{"low", s.low[joint]}, {"high", s.high[joint]}};
+    for (size_t i = 0; i < c.size() && i < 8; ++i) values["w" + std::to_string(i)] = c[i];
+    EffectSpec spec = MakeSpec(h.effect, {name}, values);
+    spec.options["variable"] = "position";
+    return spec;
+  }
+  return MakeSpec(h.effect, {name});
+}
+
+double LastMass(const sim::Plant& plant) {
+  const auto& model = plant.model();
+  double mass = 0;
+  for (int i = 0; i < model.num_links(); ++i) {
+    if (model.link(i).body == model.num_joints() - 1) mass += model.link(i).parameters[0];
+  }
+  return std::max(1e-3, mass);
+}
+
+struct Prior {
+  double center = 0, stddev = 1;
+  double lower = -1e300, upper = 1e300;
+};
+
+Prior PriorOf(const sim::Parameter& p, int joint, const MotionScales& s, const sim::Plant& plant) {
+  const double torque = joint >= 0 ? s.torque[joint] : s.torque.maxCoeff();
+  const double speed = joint >= 0 ? s.speed[joint] : s.speed.maxCoeff();
+  const double inertia = joint >= 0 ? s.inertia[joint] : s.inertia.maxCoeff();
+  const double range = joint >= 0 ? std::max(0.05, s.high[joint] - s.low[joint]) : 1;
+  const std::string& e = p.effect;
+  const std::string& f = p.field;
+  if (f == "viscous") return {0, 0.5 * torque / speed};
+  if (f == "quadratic") return {0, 0.5 * torque / speed / speed};
+  if (f == "coulomb" || f == "static" || f == "coulomb_positive" || f == "coulomb_negative" ||
+      f == "initial" || f == "final" || f == "deadband" || f == "amplitude")
+    return {0, 0.5 * torque};
+  if (f == "load_coefficient") return {0, 0.3, 0, 2};
+  if (f == "stribeck_velocity") return {p.nominal, 0.5 * speed, 0.02 * speed, 3 * speed};
+  if (f == "bristle_stiffness") return {p.nominal, p.nominal, 0.1 * p.nominal, 50 * p.nominal};
+  if (f == "bristle_damping") return {0, std::max(1e-6, 2 * p.nominal)};
+  if (f == "delay") return {0, 0.03, 0, 0.4};
+  if (e == "thermal_drift") return {p.nominal, 0.5 * s.duration, 0.03 * s.duration, 4 * s.duration};
+  if (e == "actuator_lag") return {0, 0.03, 5e-4, 0.4};
+  if (f == "gain") return {1, 0.3, 0.05, 8};
+  if (f == "limit") return {p.nominal, torque, 1e-3 * torque, 50 * torque};
+  if (f == "cycles_per_rev") return {p.nominal, 0.1 * p.nominal + 0.5, 0.3, 300};
+  if (f == "phase" || f == "azimuth") return {p.nominal, 2};
+  if (f == "armature") return {0, inertia};
+  if (f == "offset") return {0, 0.1};
+  if (f == "tilt") return {0, 0.1, -1.5, 1.5};
+  if (f == "coefficient") return {0, 0.5 * torque / std::max(1e-9, s.torque.maxCoeff()) + 0.1, -3, 3};
+  if (e == "position_spring") {
+    if (f == "stiffness") return {0, torque / range};
+    if (f == "cubic") return {0, torque / range / range / range};
+    return {p.nominal, 1.0, p.nominal - 3, p.nominal + 3};
+  }
+  if (e == "external_disturbance") {
+    if (f == "torque") return {0, torque};
+    if (f == "start" || f == "end") return {p.nominal, 0.4};
+    return {0, 0.5 * torque / 0.3};
+  }
+  if (e == "payload" && f == "mass") return {0, 0.5 * LastMass(plant)};
+  if (e == "payload") return {0, 0.15, -1, 1};
+  if (f == "mass") return {0, LastMass(plant), 1e-4 * LastMass(plant), 20 * LastMass(plant)};
+  if (f == "gap") return {0, 0.05, 1e-5, 0.5};
+  if (f == "height") return {p.nominal, 0.2};
+  if (f == "motor_inertia") return {0.3 * inertia, inertia, 0.002 * inertia, 10 * inertia};
+  if (f[0] == 'w') return {0, 0.5 * torque};
+  // Stiffnesses and dampings: as likely half as twice the start.
+  return {p.nominal, std::max(1e-6, p.nominal), 0.02 * p.nominal, 50 * p.nominal};
+}
+
+bool Fixed(const sim::Parameter& p) {
+  return p.effect == "unknown_field" && (p.field == "low" || p.field == "high");
+}
+
+}  // namespace
+
+std::vector<std::vector<EffectSpec>> SpecsFor(const Scored& h, const sim::Plant& nominal,
+                                              const MotionScales& s) {
+  const auto& names = nominal.joint_names();
+  if (h.effect == "gravity_misalignment") {
+    // A gravity change (g_x, g_y) is a tilt of |g_xy|/9.81 towards its direction.
+    const double gx = h.coefficients[0], gy = h.coefficients[1];
+    const double g = nominal.options().gravity.norm();
+    return {{MakeSpec(h.effect, {},
+                      {{"tilt", std::clamp(std::hypot(gx, gy) / std::max(1e-6, g), 1e-3, 1.2)},
+                       {"azimuth", std::atan2(gy, gx)}})}};
+  }
+  if (h.effect == "joint_coupling") {
+    return {
+        {MakeSpec(h.effect, {names[h.joints[0]], names[h.joints[1]]}, {{"coefficient", h.coefficients[0]}})}};
+  }
+  std::vector<EffectSpec> specs;
+  const size_t m = h.joints.empty() ? 0 : h.coefficients.size() / h.joints.size();
+  for (size_t i = 0; i < h.joints.size(); ++i) {
+    // One common coefficient, or some for each joint.
+    std::vector<double> c =
+        m == 0 ? h.coefficients
+               : std::vector<double>(h.coefficients.begin() + static_cast<long>(i * m),
+                                     h.coefficients.begin() + static_cast<long>((i + 1) * m));
+    specs.push_back(JointSpec(h, h.joints[i], c, names[h.joints[i]], s));
+  }
+  return {specs};
+}
+
+std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effect, int joint,
+                                                        const sim::Plant& nominal, const MotionScales& s) {
+  std::vector<std::vector<EffectSpec>> out;
+  const double inertia = s.inertia[joint], J = 0.4 * inertia;
+  const std::string& name = nominal.joint_names()[joint];
+  for (const char* sensor : {"link", "motor"}) {
+    for (const double hertz : {4.0, 8.0}) {
+      if (effect == "backlash" && hertz > 4.0) break;
+      const double omega = 2 * M_PI * (effect == "backlash" ? 18.0 : hertz), k = omega * omega * inertia;
+      EffectSpec spec =
+          effect == "backlash"
+              ? MakeSpec(effect, {name},
+                         {{"gap", 0.025},
+                          {"contact_stiffness", k},
+                          {"contact_damping", 0.3 * std::sqrt(k * inertia)},
+                          {"motor_inertia", J}})
+              : MakeSpec(
+                    effect, {name},
+                    {{"stiffness", k}, {"damping", 0.15 * std::sqrt(k * inertia)}, {"motor_inertia", J}});
+      spec.options["sensor"] = sensor;
+      out.push_back({spec});
+    }
+  }
+  return out;
+}
+
+std::vector<std::vector<EffectSpec>> BodyStarts(const std::string& effect, const sim::Plant& nominal,
+                                                const FitData& data, const MotionScales& s) {
+  std::vector<std::vector<EffectSpec>> out;
+  if (effect == "payload") {
+    // From the middle of the last link's own mass.
+    const auto& model = nominal.model();
+    Eigen::Vector3d com = Eigen::Vector3d::Zero();
+    const int child = model.joint(model.num_joints() - 1).child_link;
+    com = model.link(child).parameters.segment<3>(1);
+    out.push_back({MakeSpec(
+        effect, {},
+        {{"mass", 0.1 * LastMass(nominal)}, {"com_x", com[0]}, {"com_y", com[1]}, {"com_z", com[2]}})});
+    return out;
+  }
+  if (effect == "sloshing_payload") {
+    const double mass = 0.2 * LastMass(nominal);
+    for (const double length : {0.04, 0.12}) {
+      const double k = mass * 9.81 / length;
+      out.push_back(
+          {MakeSpec(effect, {}, {{"mass", mass}, {"stiffness", k}, {"damping", 0.2 * std::sqrt(k * mass)}})});
+    }
+    return out;
+  }
+  if (effect == "base_flexibility") {
+    const double k = 15 * s.torque.maxCoeff();
+    for (const double factor : {1.0, 6.0}) {
+      out.push_back({MakeSpec(effect, {}, {{"stiffness", k * factor}, {"damping", 0.02 * k * factor}})});
+    }
+    return out;
+  }
+  if (effect == "contact") {
+    // Heights of the end-effector link's origin over the recorded motion.
+    const auto& model = nominal.model();
+    const dynamics::Mechanism mechanism(model);
+    dynamics::Workspace workspace;
+    std::vector<double> heights;
+    const model::Frame frame = *model.FindFrame(model.end_effector().name);
+    for (const FineMotion& m : data.fine) {
+      for (int k = 0; k < m.q.cols(); k += 8) {
+        heights.push_back(dynamics::FramePose(mechanism, workspace, m.q.col(k), frame).translation[2]);
+      }
+    }
+    std::sort(heights.begin(), heights.end());
+    for (const double share : {0.1, 0.3}) {
+      const double height = heights[static_cast<size_t>(share * static_cast<double>(heights.size()))];
+      const double reach = std::max(0.02, heights.back() - heights.front());
+      const double k = 5 * s.torque.maxCoeff() / reach;
+      out.push_back({MakeSpec(effect, {}, {{"stiffness", k}, {"damping", 0.02 * k}, {"height", height}})});
+    }
+  }
+  return out;
+}
+
+std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const MotionScales& s, bool base) {
+  std::vector<sysid::FitParameter> out;
+  if (base) {
+    out = sysid::InertialFitParameters(plant);
+    for (const auto& p : sysid::DeclaredJointFitParameters(plant)) {
+      if (p.nominal == 0) continue;
+      out.push_back(p);
+      out.back().prior_stddev = 0.5 * std::abs(p.nominal);
+    }
+  }
+  for (int i = 0; i < plant.parameters().size(); ++i) {
+    const sim::Parameter& p = plant.parameters()[i];
+    if (p.kind != sim::ParameterKind::kEffect || Fixed(p)) continue;
+    const Prior prior = PriorOf(p, plant.model().FindJoint(p.owner), s, plant);
+    sysid::FitParameter row{i,
+                            p.name,
+                            p.unit,
+                            prior.center,
+                            std::max(p.lower, prior.lower),
+                            std::min(p.upper, prior.upper),
+                            prior.stddev};
+    out.push_back(row);
+  }
+  return out;
+}
+
+std::string KeyOf(const std::vector<EffectSpec>& specs) {
+  std::set<std::string> parts;
+  for (const EffectSpec& s : specs) {
+    std::string part = s.id + "[";
+    for (const std::string& j : s.joints) part += j + " ";
+    part += "]";
+    for (const auto& [k, v] : s.options) part += k + "=" + v;
+    parts.insert(part);
+  }
+  std::string key;
+  for (const std::string& p : parts) key += p + " ";
+  return key;
+}
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,109 @@
+// Fits a plant with effects to recordings, and linearises it around them: lifted multiple shooting.
+//
+// Every window carries its own states x_k at nodes about 10 ms apart. With e_k the correction of x_k,
+//
+//   e_{k+1} = A_k e_k + P_k δθ + B_k δτ_k + d_k ,   d_k = F(x_k, u_k; θ) − x_{k+1}
+//   y_k     = h(x_k) + H_k e_k + … + ν_k            ν: white, sensors' noise
+//
+// is linear, so θ and every window's e_0 (eliminated by QR) follow from one least-squares problem, and the
+// states from a forward pass. Iterated, this is Gauss-Newton for the whole problem: at the solution d = 0
+// and each window is one simulation. Since the states start at the recorded motion and not at what a wrong
+// model makes of it, a wrong model or a sensitive arm does not break it (Albersmeyer & Diehl 2010).
+//
+// δτ are features: candidate forces as functions of the recorded motion. Their columns beside those of the
+// parameters let all hypotheses be tested with one linearisation.
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <vector>
+
+#include "common/base/rng.h"
+#include "common/recordings/noise.h"
+#include "common/sim/plant.h"
+#include "common/sim/simulator.h"
+#include "services/diagnosis/motion.h"
+#include "services/sysid/fit_parameters.h"
+#include "services/sysid/initial_regression.h"
+
+namespace rg::diagnosis {
+
+// What all fits of one diagnosis share.
+struct FitData {
+  int n = 0;
+  bool use_velocity = true;
+  recordings::SensorNoise noise;  // of one row, quantisation included
+  std::vector<sysid::FitRecording> recordings;
+  std::vector<SmoothMotion> motions;
+  std::vector<FineMotion> fine;
+  std::vector<NodeWindow> windows;
+  NodeOptions nodes;
+  int Rows() const;  // residual rows of all windows
+};
+
+// States at the nodes of every window: nx × (N + 1) each.
+using NodeStates = std::vector<Eigen::MatrixXd>;
+
+struct FitModel {
+  sim::Plant plant;
+  Eigen::VectorXd values;                       // of the plant's table
+  std::vector<sysid::FitParameter> parameters;  // free ones; θ0 = nominal, prior_stddev
+};
+
+struct LiftedOptions {
+  int iterations = 6;
+  int threads = 1;
+  double noise_scale = 1.0;  // residual variance in units of the sensors' noise
+  double step_s = 2e-3;
+};
+
+struct FitResult {
+  Eigen::VectorXd values;
+  NodeStates states;
+  double chi2 = 0;  // of the simulated windows, far residuals softened
+  std::vector<double> window_chi2;
+  double prior_cost = 0;        // Σ ((θ−θ0)/σ)²
+  Eigen::MatrixXd information;  // P × P, without priors, divided by noise_scale
+  Eigen::VectorXd stddev;       // P, posterior
+  Eigen::VectorXd theta;        // P
+  int rows = 0;
+  int iterations = 0;
+  bool ok = false;
+  // log evidence: −½χ²/s² − ½ prior cost − ½ log det(1 + σ H σ)
+  double evidence = 0;
+};
+
+// Forces per unit coefficient: phi[w] is C × N (per window, feature, interval); joint: C.
+struct FeatureBlock {
+  std::vector<int> joint;
+  std::vector<Eigen::MatrixXd> phi;
+  int size() const { return static_cast<int>(joint.size()); }
+};
+
+// Normal equations in (θ, features, residual), e_0 eliminated, whitened and divided by the noise scale:
+// gram is (P + C + 1)², its last row and column belong to the residual.
+struct Screen {
+  Eigen::MatrixXd gram;
+  Eigen::MatrixXd null;  // (P + C) × draws: right-hand sides if the residual were the sensors' noise alone
+  int parameters = 0, features = 0, rows = 0, eliminated = 0;
+};
+
+NodeStates InitialStates(const FitData& data, const FitModel& model, const LiftedOptions& options);
+FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& options);
+Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
+                  const FeatureBlock& features, const LiftedOptions& options, int null_draws, Rng rng);
+
+// The missing force as a staircase (`segment_s` wide) per joint, with its stddev; weak prior `prior` (n) on
+// each stair. One entry per window: n × stairs.
+struct MissingForce {
+  std::vector<Eigen::MatrixXd> force, stddev;
+  std::vector<std::vector<double>> t;  // middles
+  double chi2 = 0;                     // with the forces
+  double unknowns = 0;                 // effective number of them, e_0 included
+  int rows = 0;
+};
+MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, const NodeStates& states,
+                                  const Eigen::VectorXd& prior, double segment_s,
+                                  const LiftedOptions& options);
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,57 @@
+// Recordings made ready for the diagnosis: nodes to fit at, and a smooth motion between them.
+#pragma once
+
+#include <Eigen/Core>
+#include <string>
+#include <vector>
+
+#include "common/recordings/noise.h"
+#include "common/recordings/recording.h"
+#include "common/sim/command_signal.h"
+
+namespace rg::diagnosis {
+
+// Position, velocity and acceleration of one recording at any time, from local cubics through measured
+// positions and, where there are any, velocities, each weighted by its noise.
+class SmoothMotion {
+ public:
+  SmoothMotion(const recordings::Recording& recording, const recordings::SensorNoise& noise);
+  // n each.
+  void At(double t, Eigen::VectorXd* q, Eigen::VectorXd* v, Eigen::VectorXd* a) const;
+  double half_span() const { return half_span_; }
+
+ private:
+  const recordings::Recording& recording_;
+  Eigen::VectorXd weight_q_, weight_v_;  // n, 1/stddev
+  double half_span_ = 0.05;
+};
+
+// One window of a recording, cut into short intervals by N + 1 nodes. Rows closer together than a node
+// interval are averaged into their node, so that no information is lost.
+struct NodeWindow {
+  int recording = 0;
+  std::vector<double> t;       // N + 1
+  std::vector<char> measured;  // N + 1
+  Eigen::MatrixXd q, v;        // n × (N + 1), where measured
+  std::vector<int> rows;       // N + 1: how many rows a measured node stands for
+  Eigen::MatrixXd q0, v0;      // n × (N + 1): the smooth motion
+};
+
+// What features of the force are made of: the motion and the command of one recording on a fine grid.
+struct FineMotion {
+  std::vector<double> t;       // F
+  Eigen::MatrixXd q, v, a, u;  // n × F
+};
+
+struct NodeOptions {
+  double window_s = 1.0;
+  double interval_s = 0.01;  // longest interval between nodes
+  int fine_per_interval = 4;
+};
+
+std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& recording, int index,
+                                     const SmoothMotion& motion, const NodeOptions& options);
+FineMotion FineMotionOf(const recordings::Recording& recording, const sim::CommandSignal& command,
+                        const SmoothMotion& motion, const NodeOptions& options);
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,379 @@
+#include "services/diagnosis/screening.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <set>
+
+namespace rg::diagnosis {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+namespace {
+
+constexpr double kNullShare = 0.98;
+
+// Each coefficient multiplies a sum of standardised columns.
+struct Group {
+  std::string effect;
+  std::vector<int> joints;
+  std::vector<std::vector<int>> columns;
+  std::vector<double> scale;  // coefficient in SI per standardised unit
+  double shape = 0, shape_end = 0;
+  double search = 0;  // log of the number of shapes tried
+  bool positive = false;
+  double low = -1e300, high = 1e300;  // admissible standardised coefficients
+};
+
+const std::set<std::string>& PositiveEffects() {
+  static const std::set<std::string> ids = {
+      "viscous_friction",        "coulomb_friction",  "quadratic_drag",
+      "rotor_inertia",           "actuator_delay",    "actuator_lag",
+      "torque_deadband",         "torque_saturation", "presliding_hysteresis",
+      "load_dependent_friction", "stribeck_friction", "asymmetric_friction",
+      "thermal_drift",           "sensor_delay"};
+  return ids;
+}
+
+class Scorer {
+ public:
+  Scorer(const Screen& screen, const std::vector<ParameterColumn>& columns, const FeatureSet& features,
+         const MotionScales& scales, bool base_free, int n)
+      : columns_(columns), features_(features), scales_(scales), n_(n) {
+    Project(screen, base_free);
+    MakeGroups();
+  }
+
+  ScreenResult Run() {
+    std::map<std::pair<std::string, std::vector<int>>, Scored> best;
+    for (const Group& g : groups_) {
+      const Scored s = Score(g, b_, true);
+      if (!std::isfinite(s.gain)) continue;
+      auto [it, fresh] = best.try_emplace({g.effect, g.joints}, s);
+      if (!fresh && s.gain > it->second.gain) it->second = s;
+    }
+    ScreenResult out;
+    for (auto& [key, s] : best) out.hypotheses.push_back(s);
+    std::sort(out.hypotheses.begin(), out.hypotheses.end(),
+              [](const Scored& a, const Scored& b) { return a.gain > b.gain; });
+    out.null_gain = NullGain();
+    return out;
+  }
+
+ private:
+  // Removes what the model can produce itself; what is left are the candidates' columns.
+  void Project(const Screen& screen, bool base_free) {
+    const int P = screen.parameters, C = screen.features, D = P + C;
+    std::vector<int> own, free;
+    VectorXd unit = VectorXd::Ones(D);
+    for (int c = 0; c < P; ++c) {
+      unit[c] = columns_[c].prior_stddev;
+      if (!columns_[c].effect.empty()) {
+        free.push_back(c);
+      } else if (!columns_[c].base || base_free) {
+        own.push_back(c);
+      }
+    }
+    for (int c = 0; c < C; ++c) free.push_back(P + c);
+    place_.assign(D, -1);
+    for (size_t i = 0; i < free.size(); ++i) place_[free[i]] = static_cast<int>(i);
+    const int F = static_cast<int>(free.size()), B = static_cast<int>(own.size());
+    MatrixXd Gbb(B, B), Gbf(B, F + 1);
+    G_.resize(F, F), b_.resize(F);
+    for (int i = 0; i < F; ++i) {
+      for (int j = 0; j < F; ++j) G_(i, j) = screen.gram(free[i], free[j]) * unit[free[i]] * unit[free[j]];
+      b_[i] = screen.gram(free[i], D) * unit[free[i]];
+    }
+    for (int i = 0; i < B; ++i) {
+      for (int j = 0; j < B; ++j) Gbb(i, j) = screen.gram(own[i], own[j]) * unit[own[i]] * unit[own[j]];
+      for (int j = 0; j < F; ++j) Gbf(i, j) = screen.gram(own[i], free[j]) * unit[own[i]] * unit[free[j]];
+      Gbf(i, F) = screen.gram(own[i], D) * unit[own[i]];
+    }
+    if (B > 0) {
+      Gbb.diagonal().array() += 1.0;
+      const MatrixXd X = Gbb.ldlt().solve(Gbf);
+      G_ -= Gbf.leftCols(F).transpose() * X.leftCols(F);
+      b_ -= Gbf.leftCols(F).transpose() * X.col(F);
+    }
+    null_.resize(F, screen.null.cols());
+    for (int i = 0; i < F; ++i) null_.row(i) = screen.null.row(free[i]) * unit[free[i]];
+    if (B > 0) {
+      MatrixXd own_null(B, screen.null.cols());
+      for (int i = 0; i < B; ++i) own_null.row(i) = screen.null.row(own[i]) * unit[own[i]];
+      null_ -= Gbf.leftCols(F).transpose() * Gbb.ldlt().solve(own_null);
+    }
+    feature_start_ = P;
+  }
+
+  int Find(const std::string& effect, const std::string& role, int joint, double shape,
+           int other = -1) const {
+    for (size_t c = 0; c < features_.features.size(); ++c) {
+      const Feature& f = features_.features[c];
+      if (f.joint == joint && f.effect == effect && f.role == role && f.other == other && f.shape == shape) {
+        return place_[feature_start_ + static_cast<int>(c)];
+      }
+    }
+    return -1;
+  }
+  double ScaleOf(int place) const {
+    for (size_t c = 0; c < place_.size(); ++c) {
+      if (place_[c] != place) continue;
+      return static_cast<int>(c) < feature_start_ ? columns_[c].prior_stddev
+                                                  : features_.features[c - feature_start_].scale;
+    }
+    return 1;
+  }
+
+  std::vector<double> Shapes(const std::string& effect, const std::string& role, int joint) const {
+    std::vector<double> out;
+    for (const Feature& f : features_.features) {
+      if (f.effect == effect && f.role == role && f.joint == joint) out.push_back(f.shape);
+    }
+    return out;
+  }
+
+  void Push(Group g) {
+    for (const auto& c : g.columns) {
+      for (const int i : c) {
+        if (i < 0) return;
+      }
+      if (c.empty()) return;
+      g.scale.push_back(ScaleOf(c.front()));
+    }
+    g.positive = PositiveEffects().count(g.effect) > 0;
+    groups_.push_back(std::move(g));
+  }
+
+  void MakeGroups() {
+    for (int j = 0; j < n_; ++j) JointGroups(j);
+    RobotGroups();
+    if (n_ > 1) AllJointGroups();
+  }
+
+  Group Single(const std::string& effect, const std::string& role, int j, double shape = 0) const {
+    Group g{effect, {j}, {{Find(effect, role, j, shape)}}, {}, shape};
+    return g;
+  }
+
+  void JointGroups(int j) {
+    for (const char* e :
+         {"viscous_friction", "quadratic_drag", "coulomb_friction", "rotor_inertia", "torque_gain"}) {
+      const std::string role = std::string(e) == "viscous_friction"   ? "viscous"
+                               : std::string(e) == "quadratic_drag"   ? "quadratic"
+                               : std::string(e) == "coulomb_friction" ? "coulomb"
+                               : std::string(e) == "rotor_inertia"    ? "armature"
+                                                                      : "gain";
+      Push(Single(e, role, j));
+    }
+    const int coulomb = Find("coulomb_friction", "coulomb", j, 0);
+    Push({"asymmetric_friction",
+          {j},
+          {{Find("asymmetric_friction", "coulomb_positive", j, 0)},
+           {Find("asymmetric_friction", "coulomb_negative", j, 0)}},
+          {}});
+    Push({"load_dependent_friction", {j}, {{coulomb}, {Find("load_dependent_friction", "load", j, 0)}}, {}});
+    for (const auto& [effect, role] :
+         {std::pair<std::string, std::string>{"stribeck_friction", "drop"}, {"thermal_drift", "drop"}}) {
+      const auto shapes = Shapes(effect, role, j);
+      for (const double s : shapes) {
+        Group g{effect, {j}, {{coulomb}, {Find(effect, role, j, s)}}, {}, s};
+        g.search = std::log(static_cast<double>(shapes.size()));
+        Push(g);
+      }
+    }
+    for (const auto& [effect, role] :
+         {std::pair<std::string, std::string>{"presliding_hysteresis", "coulomb"},
+          {"torque_deadband", "deadband"},
+          {"torque_saturation", "limit"},
+          {"actuator_delay", "delay"},
+          {"actuator_lag", "time_constant"}}) {
+      const auto shapes = Shapes(effect, role, j);
+      for (const double s : shapes) {
+        Group g = Single(effect, role, j, s);
+        g.search = std::log(static_cast<double>(shapes.size()));
+        if (effect != "presliding_hysteresis") g.low = 0.25, g.high = 4;
+        Push(g);
+      }
+    }
+    const auto cycles = Shapes("torque_ripple", "sin", j);
+    for (const double s : cycles) {
+      Group g{"torque_ripple",
+              {j},
+              {{Find("torque_ripple", "sin", j, s)}, {Find("torque_ripple", "cos", j, s)}},
+              {},
+              s};
+      g.search = std::log(static_cast<double>(cycles.size()));
+      Push(g);
+    }
+    const auto middle = Shapes("position_spring", "stiffness", j);
+    if (!middle.empty()) {
+      Push({"position_spring",
+            {j},
+            {{Find("position_spring", "constant", j, 0)},
+             {Find("position_spring", "stiffness", j, middle[0])}},
+            {},
+            middle[0]});
+    }
+    Group field{"unknown_field", {j}, {}, {}};
+    for (const double s : Shapes("unknown_field", "position", j))
+      field.columns.push_back({Find("unknown_field", "position", j, s)});
+    Push(field);
+    for (int other = 0; other < n_; ++other) {
+      if (other == j) continue;
+      Group g{"joint_coupling", {other, j}, {{Find("joint_coupling", "coefficient", j, 0, other)}}, {}};
+      g.search = std::log(std::max(1.0, n_ - 1.0));
+      Push(g);
+    }
+    Disturbances(j);
+    for (size_t c = 0; c < columns_.size(); ++c) {
+      const ParameterColumn& p = columns_[c];
+      if (p.joint == j && !p.effect.empty()) Push({p.effect, {j}, {{place_[c]}}, {}});
+    }
+  }
+
+  void Disturbances(int j) {
+    const auto bins = Shapes("external_disturbance", "torque", j);
+    const double width = bins.size() > 1 ? bins[1] - bins[0] : 1;
+    for (size_t a = 0; a < bins.size(); ++a) {
+      std::vector<int> run;
+      for (size_t b = a; b < std::min(bins.size(), a + 6); ++b) {
+        run.push_back(Find("external_disturbance", "torque", j, bins[b]));
+        Group g{"external_disturbance", {j}, {run}, {}, bins[a], bins[b] + width};
+        g.search = std::log(6.0 * static_cast<double>(bins.size()));
+        Push(g);
+      }
+    }
+  }
+
+  void RobotGroups() {
+    Group gravity{"gravity_misalignment", {}, {}, {}};
+    for (size_t c = 0; c < columns_.size(); ++c) {
+      if (columns_[c].effect == "gravity_misalignment") gravity.columns.push_back({place_[c]});
+    }
+    if (!gravity.columns.empty()) Push(gravity);
+  }
+
+  // The same effect on every joint: with one coefficient for all, or one each.
+  void AllJointGroups() {
+    std::vector<int> all(n_);
+    for (int j = 0; j < n_; ++j) all[j] = j;
+    for (const auto& [effect, role] : {std::pair<std::string, std::string>{"actuator_delay", "delay"},
+                                       {"actuator_lag", "time_constant"},
+                                       {"torque_gain", "gain"},
+                                       {"viscous_friction", "viscous"},
+                                       {"coulomb_friction", "coulomb"},
+                                       {"rotor_inertia", "armature"}}) {
+      const auto shapes = Shapes(effect, role, 0);
+      for (const double s : shapes) {
+        Group common{effect, all, {{}}, {}, s}, each{effect, all, {}, {}, s};
+        for (int j = 0; j < n_; ++j) {
+          const int place = Find(effect, role, j, s);
+          common.columns[0].push_back(place);
+          each.columns.push_back({place});
+        }
+        common.search = each.search = std::log(static_cast<double>(shapes.size()));
+        if (s > 0) common.low = 0.25, common.high = 4;
+        const bool same_unit =
+            effect == "actuator_delay" || effect == "actuator_lag" || effect == "torque_gain";
+        if (same_unit) Push(common);
+        if (s == 0) Push(each);
+      }
+    }
+    Group sensor{"sensor_delay", all, {{}}, {}};
+    for (size_t c = 0; c < columns_.size(); ++c) {
+      if (columns_[c].effect == "sensor_delay") sensor.columns[0].push_back(place_[c]);
+    }
+    Push(sensor);
+  }
+
+  static double Total(const VectorXd& b, const std::vector<int>& columns) {
+    double sum = 0;
+    for (const int c : columns) sum += b[c];
+    return sum;
+  }
+
+  struct Solved {
+    MatrixXd inverse;  // (G + 1)⁻¹
+    double log_det = 0;
+  };
+  Solved Solve(const Group& g) const {
+    const int m = static_cast<int>(g.columns.size());
+    MatrixXd H(m, m);
+    for (int i = 0; i < m; ++i) {
+      for (int k = 0; k < m; ++k) {
+        double sum = 0;
+        for (const int a : g.columns[i]) {
+          for (const int b : g.columns[k]) sum += G_(a, b);
+        }
+        H(i, k) = sum;
+      }
+    }
+    H.diagonal().array() += 1.0;
+    const Eigen::LLT<MatrixXd> llt(H);
+    Solved s;
+    s.inverse = llt.solve(MatrixXd::Identity(m, m));
+    for (int i = 0; i < m; ++i) s.log_det += 2 * std::log(std::max(1e-12, llt.matrixL()(i, i)));
+    return s;
+  }
+
+  Scored Score(const Group& g, const VectorXd& b, bool admissible, const Solved* solved = nullptr) const {
+    Solved own;
+    if (solved == nullptr) own = Solve(g), solved = &own;
+    const int m = static_cast<int>(g.columns.size());
+    VectorXd rhs(m);
+    for (int i = 0; i < m; ++i) rhs[i] = Total(b, g.columns[i]);
+    const VectorXd c = solved->inverse * rhs;
+    Scored s;
+    s.effect = g.effect, s.joints = g.joints, s.shape = g.shape, s.shape_end = g.shape_end;
+    s.chi2 = rhs.dot(c);
+    s.gain = 0.5 * s.chi2 - 0.5 * solved->log_det - g.search;
+    for (int i = 0; i < m; ++i) s.coefficients.push_back(c[i] * g.scale[i]);
+    if (admissible) {
+      if (g.positive && c.maxCoeff() <= 0) s.gain = -1e300 * 1e10;
+      if (g.positive && m == 1 && c[0] <= 0) s.gain = -1e300 * 1e10;
+      if (m == 1 && (c[0] < g.low || c[0] > g.high)) s.gain = -1e300 * 1e10;
+    }
+    return s;
+  }
+
+  double NullGain() const {
+    std::vector<Solved> solved;
+    for (const Group& g : groups_) solved.push_back(Solve(g));
+    std::vector<double> largest;
+    for (int draw = 0; draw < null_.cols(); ++draw) {
+      const VectorXd b = null_.col(draw);
+      double best = -1e300;
+      for (size_t g = 0; g < groups_.size(); ++g) {
+        if (groups_[g].effect == "unknown_field") continue;
+        best = std::max(best, Score(groups_[g], b, false, &solved[g]).gain);
+      }
+      largest.push_back(best);
+    }
+    if (largest.empty()) return 0;
+    std::sort(largest.begin(), largest.end());
+    return largest[static_cast<size_t>(kNullShare * (static_cast<double>(largest.size()) - 1))];
+  }
+
+  const std::vector<ParameterColumn>& columns_;
+  const FeatureSet& features_;
+  const MotionScales& scales_;
+  int n_;
+  int feature_start_ = 0;
+  std::vector<int> place_;
+  MatrixXd G_;
+  VectorXd b_;
+  MatrixXd null_;
+  std::vector<Group> groups_;
+};
+
+}  // namespace
+
+ScreenResult ScoreHypotheses(const Screen& screen, const std::vector<ParameterColumn>& columns,
+                             const FeatureSet& features, const MotionScales& scales, bool base_free,
+                             int joints) {
+  return Scorer(screen, columns, features, scales, base_free, joints).Run();
+}
+
+}  // namespace rg::diagnosis

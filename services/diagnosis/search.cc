@@ -1,0 +1,609 @@
+#include "services/diagnosis/search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <set>
+
+#include "common/base/check.h"
+#include "common/effects/effect_catalog.h"
+#include "common/model/robot_model.h"
+#include "services/sysid/drive_signal.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+namespace {
+
+constexpr double kBasePrior = 1.0;    // −log odds of a URDF that is off
+constexpr double kEffectPrior = 4.0;  // of one more kind of effect
+constexpr double kJointPrior = 1.0;   // of one more joint of it
+constexpr double kFieldPrior = 6.0;   // what an unnamed force pays beside
+constexpr double kModelError = 0.03;  // of a residual's variance: integration, timing within a step
+constexpr double kExplained = 1.1;    // χ² per row at which nothing else is looked for in another world
+
+double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
+  std::set<std::string> ids;
+  double cost = base ? kBasePrior : 0.0;
+  for (const EffectSpec& s : specs) {
+    ids.insert(s.id);
+    cost += kJointPrior;
+    if (s.id == "unknown_field") cost += kFieldPrior;
+  }
+  return cost + kEffectPrior * static_cast<double>(ids.size());
+}
+
+bool Contains(const std::vector<EffectSpec>& specs, const std::string& id, const std::string& joint) {
+  for (const EffectSpec& s : specs) {
+    if (s.id != id) continue;
+    if (s.joints.empty() || joint.empty() || id == "joint_coupling") {
+      if (s.joints.empty()) return true;
+      continue;
+    }
+    if (std::find(s.joints.begin(), s.joints.end(), joint) != s.joints.end()) return true;
+  }
+  return false;
+}
+
+class Search {
+ public:
+  Search(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+         const DiagnosisOptions& options, int threads, const Clock& clock, const ProgressFn& progress,
+         const CancelToken* cancel)
+      : data_(data),
+        nominal_(nominal),
+        scales_(scales),
+        options_(options),
+        clock_(clock),
+        progress_(progress),
+        cancel_(cancel) {
+    lifted_.threads = threads;
+    lifted_.step_s = options.step_s;
+    start_ = clock.SteadySeconds();
+  }
+
+  SearchResult Run() {
+    SearchResult out;
+    Tell("noise", 0.02, "");
+    const FitModel bare{nominal_, nominal_.parameters().Nominal(), {}};
+    MissingForce missing = EstimateMissingForce(data_, bare, InitialStates(data_, bare, lifted_),
+                                                scales_.torque, kSegment, lifted_);
+    lifted_.noise_scale = std::max(1.0, missing.chi2 / std::max(1.0, missing.rows - missing.unknowns));
+    Tell("calibrate", 0.05, "");
+    out.nominal = Evaluate({}, false);
+    out.calibrated = Evaluate({}, true);
+    Candidate best = out.calibrated.score > out.nominal.score + Threshold() ? out.calibrated : out.nominal;
+    features_ = MakeFeatures(data_, scales_);
+    for (round_ = 1; round_ <= options_.max_effects && !Late() && AtStake(best) > Threshold(); ++round_) {
+      const bool added = AddOne(&best);
+      if (!added) break;
+      Prune(&best);
+    }
+    Prune(&best);
+    out.best = best;
+    for (const auto& [key, c] : tried_) out.tried.push_back(c);
+    std::sort(out.tried.begin(), out.tried.end(),
+              [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
+    out.null_gain = null_gain_;
+    out.noise_scale = lifted_.noise_scale;
+    Tell("locate", 0.95, "");
+    const Candidate without = Better(out.nominal, out.calibrated);
+    out.threshold = Threshold();
+    out.missing = Force(without);
+    out.remaining = Force(best);
+    return out;
+  }
+
+ private:
+  static constexpr double kSegment = 0.05;  // s
+  static constexpr int kNullDraws = 60;
+
+  void Tell(const std::string& stage, double done, const std::string& note) const {
+    if (progress_) progress_({stage, done, 1.0, note});
+    if (std::getenv("RG_DIAGNOSIS_TRACE") != nullptr) {
+      std::fprintf(stderr, "[%6.2f] %s %s\n", clock_.SteadySeconds() - start_, stage.c_str(), note.c_str());
+    }
+  }
+  bool Late() const {
+    return (cancel_ != nullptr && cancel_->cancelled()) ||
+           clock_.SteadySeconds() - start_ > options_.time_limit_s;
+  }
+  static const Candidate& Better(const Candidate& a, const Candidate& b) { return b.score > a.score ? b : a; }
+
+  MissingForce Force(const Candidate& c) {
+    const FitModel model{*c.plant, c.fit.values, {}};
+    return EstimateMissingForce(data_, model, InitialStates(data_, model, lifted_), scales_.torque, kSegment,
+                                lifted_);
+  }
+
+  Candidate Evaluate(const std::vector<EffectSpec>& specs, bool base, int iterations = 6) {
+    const std::string key = KeyOf(specs) + (base ? "+base" : "");
+    Candidate c;
+    c.specs = specs, c.base = base, c.round = round_;
+    c.score = -1e300;
+    auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), specs);
+    if (!plant.ok()) return c;
+    c.plant = std::make_shared<const sim::Plant>(*plant);
+    c.parameters = FreeParameters(*c.plant, scales_, base);
+    LiftedOptions options = lifted_;
+    options.iterations = iterations;
+    c.fit = Fit(data_, {*c.plant, c.plant->parameters().Nominal(), c.parameters}, options);
+    if (c.fit.ok) c.score = c.fit.evidence - StructurePrior(specs, base);
+    auto [it, fresh] = tried_.try_emplace(key, c);
+    if (!fresh && c.score > it->second.score) it->second = c;
+    TraceFit(c, "fit");
+    return c;
+  }
+
+  void TraceFit(const Candidate& c, const char* what) const {
+    if (std::getenv("RG_DIAGNOSIS_TRACE") == nullptr) return;
+    std::fprintf(stderr, "[%6.2f]   %s %-50s%s score %.1f chi2/row %.4f it %d",
+                 clock_.SteadySeconds() - start_, what, KeyOf(c.specs).c_str(), c.base ? "+base" : "",
+                 c.score, c.fit.chi2 / std::max(1, c.fit.rows), c.fit.iterations);
+    for (size_t i = 0; i < c.parameters.size(); ++i) {
+      if (c.plant->parameters()[c.parameters[i].index].kind == sim::ParameterKind::kEffect && c.fit.ok)
+        std::fprintf(stderr, " %s=%.4g", c.parameters[i].name.substr(c.parameters[i].name.find('.')).c_str(),
+                     c.fit.theta[static_cast<long>(i)]);
+    }
+    std::fprintf(stderr, "\n");
+  }
+
+  // Specs of a fitted candidate with the fitted values in them, as the start of a larger model.
+  std::vector<EffectSpec> Refreshed(const Candidate& c) const {
+    std::vector<EffectSpec> specs = c.specs;
+    for (EffectSpec& s : specs) {
+      std::vector<std::string> owners = s.joints;
+      if (s.joints.empty() || s.id == "joint_coupling") owners = {"*"};
+      for (const std::string& owner : owners) {
+        for (const auto& info : effects::FindEffect(s.id)->parameters) {
+          const int at = c.plant->parameters().Find(s.id + "." + owner + "." + info.name);
+          if (at >= 0 && c.fit.ok) s.values[owner][info.name] = c.fit.values[at];
+        }
+      }
+    }
+    return specs;
+  }
+
+  std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant,
+                                             std::vector<sysid::FitParameter>* parameters,
+                                             const std::vector<EffectSpec>& specs) {
+    *parameters = FreeParameters(plant, scales_, true);
+    std::vector<ParameterColumn> columns;
+    auto held = [&](const std::string& id, const std::string& joint) { return Contains(specs, id, joint); };
+    for (const auto& p : *parameters) {
+      const sim::Parameter& row = plant.parameters()[p.index];
+      ParameterColumn c;
+      c.prior_stddev = p.prior_stddev;
+      c.base = row.kind != sim::ParameterKind::kEffect;
+      const bool probe =
+          (row.effect == "encoder_offset" || row.effect == "sensor_delay") && !held(row.effect, row.owner);
+      if (probe) {
+        c.effect = row.effect, c.role = row.field, c.joint = plant.model().FindJoint(row.owner);
+      }
+      columns.push_back(c);
+    }
+    if (!held("gravity_misalignment", "")) {
+      for (const char* axis : {"gravity.x", "gravity.y"}) {
+        const int at = plant.parameters().Find(axis);
+        sysid::FitParameter p{at, axis, "m/s^2", plant.parameters()[at].nominal, -20, 20, 0.6};
+        parameters->push_back(p);
+        columns.push_back({"gravity_misalignment", axis, -1, 0.6, false});
+      }
+    }
+    return columns;
+  }
+
+  ScreenResult ScreenAround(const Candidate& current, bool base) {
+    std::vector<EffectSpec> specs = Refreshed(current);
+    const std::vector<EffectSpec> own = specs;
+    for (const std::string& joint : nominal_.joint_names()) {
+      if (!Contains(own, "encoder_offset", joint))
+        specs.push_back(effects::MakeSpec("encoder_offset", {joint}));
+      if (!Contains(own, "sensor_delay", joint)) specs.push_back(effects::MakeSpec("sensor_delay", {joint}));
+    }
+    auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), specs);
+    if (!plant.ok()) return {};
+    std::vector<sysid::FitParameter> parameters;
+    const auto columns = ScreenColumns(*plant, &parameters, own);
+    const FitModel model{*plant, plant->parameters().Nominal(), parameters};
+    const Screen screen =
+        MakeScreen(data_, model, InitialStates(data_, model, lifted_), features_.block, lifted_, kNullDraws,
+                   Rng(options_.seed).Split(static_cast<uint64_t>(round_)));
+    return ScoreHypotheses(screen, columns, features_, scales_, base, data_.n);
+  }
+
+  std::vector<std::string> Names(const std::vector<int>& joints) const {
+    std::vector<std::string> out;
+    for (const int j : joints) out.push_back(nominal_.joint_names()[j]);
+    return out;
+  }
+
+  // Whether the model has this already.
+  bool Known(const Candidate& current, const Scored& h) const {
+    if (h.effect == "gravity_misalignment") return Contains(current.specs, h.effect, "");
+    if (h.effect == "joint_coupling") {
+      for (const EffectSpec& s : current.specs) {
+        if (s.id == h.effect && s.joints == Names(h.joints)) return true;
+      }
+      return false;
+    }
+    for (const std::string& joint : Names(h.joints)) {
+      if (Contains(current.specs, h.effect, joint)) return true;
+    }
+    return false;
+  }
+
+  // Log evidence below which an addition is not worth a name: chance, or what the integrator's own error
+  // could do (kModelError of a residual's variance).
+  double Threshold() const {
+    return std::max({1.0, null_gain_ - kEffectPrior, 0.5 * kModelError * data_.Rows()});
+  }
+
+  // The most that any addition could bring: half of χ² above what noise alone leaves.
+  double AtStake(const Candidate& c) const {
+    const double noise = c.fit.rows - 2.0 * data_.n * static_cast<double>(data_.windows.size());
+    return 0.5 * (c.fit.chi2 / lifted_.noise_scale - noise);
+  }
+
+  bool AddOne(Candidate* best) {
+    Tell("screen", 0.1 + 0.2 * round_, KeyOf(best->specs));
+    Candidate winner = *best;
+    std::vector<bool> worlds = {false, true};
+    for (const bool base : worlds) {
+      if (Late()) break;
+      if (base && PerRow(winner) < kExplained && winner.score > best->score + Threshold()) break;
+      const Candidate* own = base == best->base ? best : OtherWorld(*best);
+      if (own == nullptr || !own->fit.ok) continue;
+      if (round_ > 1 && own->score < best->score - 0.5 * data_.Rows()) continue;
+      const Candidate from = *own;
+      const ScreenResult screened = ScreenAround(from, base);
+      null_gain_ = std::max(screened.null_gain, 3.0);
+      Trace(screened, base);
+      TryBest(from, Pool(from, screened, base), base, base ? 3 : 4, &winner);
+    }
+    if (KeyOf(winner.specs) != KeyOf(best->specs)) {
+      Siblings(&winner);
+      const Candidate twin = Evaluate(Refreshed(winner), !winner.base);
+      if (twin.score > winner.score + (twin.base ? Threshold() : -Threshold())) winner = twin;
+    }
+    const bool accept = winner.score > best->score + Threshold();
+    if (accept) *best = winner;
+    return accept;
+  }
+
+  double PerRow(const Candidate& c) const {
+    return c.fit.chi2 / std::max(1, c.fit.rows) / lifted_.noise_scale;
+  }
+
+  using Start = std::vector<EffectSpec>;
+
+  // What is worth a trial in the simulator: the best of the screen, what it is easily taken for, and what
+  // the screen cannot see.
+  std::vector<Start> Pool(const Candidate& from, const ScreenResult& screened, bool base) {
+    std::vector<Start> pool;
+    std::map<int, double> joint_gain;
+    auto push = [&](const std::vector<Start>& starts) {
+      pool.insert(pool.end(), starts.begin(), starts.end());
+    };
+    int taken = 0;
+    for (const Scored& h : screened.hypotheses) {
+      if (h.joints.size() == 1 && h.effect != "unknown_field") {
+        joint_gain[h.joints[0]] = std::max(joint_gain[h.joints[0]], h.gain);
+      }
+      if (h.gain < 1.0 || taken >= (base ? 10 : 16) || Known(from, h)) continue;
+      ++taken;
+      push(SpecsFor(h, nominal_, scales_));
+    }
+    std::vector<std::pair<double, int>> joints;
+    for (const auto& [joint, gain] : joint_gain) joints.push_back({gain, joint});
+    std::sort(joints.rbegin(), joints.rend());
+    for (size_t i = 0; i < std::min<size_t>(3, joints.size()); ++i) {
+      for (const Scored& h : screened.hypotheses) {
+        const bool dry =
+            h.effect == "coulomb_friction" || h.effect == "viscous_friction" || h.effect == "torque_deadband";
+        if (dry && h.joints.size() == 1 && h.joints[0] == joints[i].second && !Known(from, h)) {
+          push(SpecsFor(h, nominal_, scales_));
+        }
+      }
+    }
+    auto has = [&](const std::string& id) {
+      return std::any_of(from.specs.begin(), from.specs.end(),
+                         [&](const EffectSpec& e) { return e.id == id; });
+    };
+    if (!base && !has("payload")) push(BodyStarts("payload", nominal_, data_, scales_));
+    const size_t springy = data_.n <= 2 ? 2 : base ? 1 : 2;
+    for (size_t i = 0; i < std::min(springy, joints.size()); ++i) {
+      const std::string& name = nominal_.joint_names()[joints[i].second];
+      if (Contains(from.specs, "joint_elasticity", name) || Contains(from.specs, "backlash", name)) continue;
+      push(TransmissionStarts("joint_elasticity", joints[i].second, nominal_, scales_));
+      push(TransmissionStarts("backlash", joints[i].second, nominal_, scales_));
+    }
+    for (const char* id : {"contact", "sloshing_payload", "base_flexibility"}) {
+      if (!has(id) && (data_.n <= 2 || !base)) push(BodyStarts(id, nominal_, data_, scales_));
+    }
+    return pool;
+  }
+
+  // Trials on some windows with few iterations; the best of them on all.
+  void TryBest(const Candidate& from, const std::vector<Start>& pool, bool base, size_t full,
+               Candidate* winner) {
+    const FitData some = SomeWindows();
+    const double reference = Coarse(some, Refreshed(from), base).fit.evidence;
+    std::vector<std::pair<double, std::vector<EffectSpec>>> ranked;
+    std::set<std::string> seen;
+    for (const Start& start : pool) {
+      if (Late()) break;
+      std::vector<EffectSpec> specs = Joined(Refreshed(from), start);
+      Candidate c = Coarse(some, specs, base);
+      if (!c.fit.ok) continue;
+      const double score = c.fit.evidence - StructurePrior(specs, base);
+      if (score < reference - 2) continue;
+      ranked.push_back({score, Refreshed(c)});
+      TraceFit(c, "  ~");
+    }
+    std::sort(ranked.begin(), ranked.end(), [](auto& a, auto& b) { return a.first > b.first; });
+    size_t done = 0;
+    for (const auto& [score, specs] : ranked) {
+      if (done >= full || Late()) break;
+      if (!seen.insert(KeyOf(specs)).second) continue;
+      ++done;
+      const Candidate c = Evaluate(specs, base);
+      if (c.score > winner->score) *winner = c;
+    }
+  }
+
+  FitData SomeWindows() const {
+    const size_t wanted = data_.n <= 2 ? 40 : 14;
+    FitData some = data_;
+    if (data_.windows.size() <= wanted) return some;
+    some.windows.clear();
+    for (size_t i = 0; i < wanted; ++i)
+      some.windows.push_back(data_.windows[i * data_.windows.size() / wanted]);
+    return some;
+  }
+
+  Candidate Coarse(const FitData& some, const std::vector<EffectSpec>& specs, bool base) {
+    Candidate c;
+    c.specs = specs, c.base = base;
+    auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), specs);
+    if (!plant.ok()) return c;
+    c.plant = std::make_shared<const sim::Plant>(*plant);
+    c.parameters = FreeParameters(*c.plant, scales_, base);
+    LiftedOptions options = lifted_;
+    options.iterations = 4;
+    c.fit = Fit(some, {*c.plant, c.plant->parameters().Nominal(), c.parameters}, options);
+    return c;
+  }
+
+  // At most one dry friction, one transmission, one timing effect per joint: a new one takes the place of
+  // the old.
+  static int Exclusive(const std::string& id) {
+    static const std::map<std::string, int> kGroups = {
+        {"coulomb_friction", 1},      {"stribeck_friction", 1},
+        {"asymmetric_friction", 1},   {"load_dependent_friction", 1},
+        {"presliding_hysteresis", 1}, {"thermal_drift", 1},
+        {"joint_elasticity", 2},      {"backlash", 2},
+        {"actuator_delay", 3},        {"actuator_lag", 3},
+        {"sensor_delay", 3},          {"position_spring", 4},
+        {"unknown_field", 4}};
+    const auto it = kGroups.find(id);
+    return it == kGroups.end() ? 0 : it->second;
+  }
+
+  static std::vector<EffectSpec> Joined(std::vector<EffectSpec> specs, const Start& start) {
+    for (const EffectSpec& s : start) {
+      const int group = Exclusive(s.id);
+      std::erase_if(specs, [&](const EffectSpec& old) {
+        if (old.joints != s.joints) return false;
+        return old.id == s.id || (group != 0 && Exclusive(old.id) == group);
+      });
+      specs.push_back(s);
+    }
+    return specs;
+  }
+
+  // The winner with its newest effect exchanged for what it is easily taken for, on the same joints.
+  void Siblings(Candidate* winner) {
+    const std::vector<EffectSpec> specs = Refreshed(*winner);
+    if (specs.empty()) return;
+    const std::string id = specs.back().id;
+    const int group = Exclusive(id);
+    if (group != 1 && group != 3) return;
+    const std::vector<std::string> siblings =
+        group == 1 ? std::vector<std::string>{"coulomb_friction",      "stribeck_friction",
+                                              "asymmetric_friction",   "load_dependent_friction",
+                                              "presliding_hysteresis", "thermal_drift"}
+                   : std::vector<std::string>{"actuator_delay", "actuator_lag", "sensor_delay"};
+    for (const std::string& sibling : siblings) {
+      if (sibling == id || Late()) continue;
+      std::vector<EffectSpec> other;
+      for (const EffectSpec& s : specs) other.push_back(s.id == id ? Exchanged(s, sibling) : s);
+      const std::string key = KeyOf(other) + (winner->base ? "+base" : "");
+      if (tried_.count(key)) continue;
+      const Candidate c = Evaluate(other, winner->base);
+      if (c.score > winner->score) *winner = c;
+    }
+  }
+
+  EffectSpec Exchanged(const EffectSpec& s, const std::string& id) const {
+    const int j = nominal_.model().FindJoint(s.joints[0]);
+    double level = 0, seconds = 0.01;
+    for (const auto& [name, value] : s.values.begin()->second) {
+      if (name == "coulomb" || name == "coulomb_positive" || name == "initial")
+        level = std::max(level, value);
+      if (name == "delay" || name == "time_constant") seconds = value;
+    }
+    level = std::max(level, 0.05 * scales_.torque[j]);
+    if (id == "coulomb_friction") return effects::MakeSpec(id, s.joints, {{"coulomb", level}});
+    if (id == "stribeck_friction") {
+      return effects::MakeSpec(
+          id, s.joints,
+          {{"coulomb", 0.9 * level}, {"static", 1.2 * level}, {"stribeck_velocity", 0.2 * scales_.speed[j]}});
+    }
+    if (id == "asymmetric_friction") {
+      return effects::MakeSpec(id, s.joints, {{"coulomb_positive", level}, {"coulomb_negative", level}});
+    }
+    if (id == "load_dependent_friction") {
+      return effects::MakeSpec(
+          id, s.joints, {{"coulomb", 0.5 * level}, {"load_coefficient", 0.5 * level / scales_.torque[j]}});
+    }
+    if (id == "presliding_hysteresis") {
+      const double stiffness = level / 0.02;
+      return effects::MakeSpec(id, s.joints,
+                               {{"coulomb", level},
+                                {"bristle_stiffness", stiffness},
+                                {"bristle_damping", 0.3 * std::sqrt(stiffness * scales_.inertia[j])}});
+    }
+    if (id == "thermal_drift") {
+      return effects::MakeSpec(
+          id, s.joints,
+          {{"initial", 1.1 * level}, {"final", 0.9 * level}, {"time_constant", 0.4 * scales_.duration}});
+    }
+    if (id == "actuator_lag") return effects::MakeSpec(id, s.joints, {{"time_constant", seconds}});
+    return effects::MakeSpec(id, s.joints, {{"delay", seconds}});
+  }
+
+  const Candidate* OtherWorld(const Candidate& c) const {
+    const auto it = tried_.find(KeyOf(c.specs) + (c.base ? "" : "+base"));
+    return it == tried_.end() ? nullptr : &it->second;
+  }
+
+  // Takes out, one by one, what the data do not pay for.
+  void Prune(Candidate* best) {
+    bool changed = true;
+    while (changed && best->specs.size() > 1 && !Late()) {
+      changed = false;
+      for (size_t i = 0; i < best->specs.size(); ++i) {
+        // Worth a fit only if its strength is within a few stddev of nothing.
+        if (Strength(*best, i) > 4.0) continue;
+        std::vector<EffectSpec> specs = Refreshed(*best);
+        specs.erase(specs.begin() + static_cast<long>(i));
+        const Candidate c = Evaluate(specs, best->base, 4);
+        if (c.score > best->score) {
+          *best = c;
+          changed = true;
+          break;
+        }
+      }
+    }
+  }
+
+  // |strength − none| in its stddev.
+  double Strength(const Candidate& c, size_t i) const {
+    static const std::set<std::string> kStrengths = {"viscous",
+                                                     "coulomb",
+                                                     "coulomb_positive",
+                                                     "coulomb_negative",
+                                                     "static",
+                                                     "load_coefficient",
+                                                     "quadratic",
+                                                     "delay",
+                                                     "time_constant",
+                                                     "gain",
+                                                     "deadband",
+                                                     "amplitude",
+                                                     "armature",
+                                                     "mass",
+                                                     "tilt",
+                                                     "offset",
+                                                     "stiffness",
+                                                     "initial",
+                                                     "final",
+                                                     "torque",
+                                                     "coefficient",
+                                                     "gap",
+                                                     "cubic"};
+    const EffectSpec& s = c.specs[i];
+    double most = 0;
+    bool any = false;
+    for (size_t k = 0; k < c.parameters.size(); ++k) {
+      const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+      if (p.effect != s.id || kStrengths.count(p.field) == 0) continue;
+      if (!s.joints.empty() && p.owner != "*" &&
+          std::find(s.joints.begin(), s.joints.end(), p.owner) == s.joints.end())
+        continue;
+      const double none = p.field == "gain" ? 1 : 0, sd = std::max(1e-12, c.fit.stddev[static_cast<long>(k)]);
+      most = std::max(most, std::abs(c.fit.theta[static_cast<long>(k)] - none) / sd);
+      any = true;
+    }
+    return any ? most : 1e9;
+  }
+
+  void Trace(const ScreenResult& s, bool base) const {
+    if (std::getenv("RG_DIAGNOSIS_TRACE") == nullptr) return;
+    std::fprintf(stderr, "[%6.2f]  screen base=%d null %.1f:", clock_.SteadySeconds() - start_, base,
+                 s.null_gain);
+    for (size_t i = 0; i < std::min<size_t>(8, s.hypotheses.size()); ++i) {
+      const Scored& h = s.hypotheses[i];
+      std::fprintf(stderr, "  %s[", h.effect.c_str());
+      for (const int j : h.joints) std::fprintf(stderr, "%d", j + 1);
+      std::fprintf(stderr, "] %.1f", h.gain);
+    }
+    std::fprintf(stderr, "\n");
+  }
+
+  const FitData& data_;
+  const sim::Plant& nominal_;
+  const MotionScales& scales_;
+  const DiagnosisOptions& options_;
+  const Clock& clock_;
+  const ProgressFn& progress_;
+  const CancelToken* cancel_;
+  LiftedOptions lifted_;
+  double start_ = 0;
+  int round_ = 0;
+  double null_gain_ = 3;
+  FeatureSet features_;
+  std::map<std::string, Candidate> tried_;
+};
+
+}  // namespace
+
+SearchResult SearchEffects(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                           const DiagnosisOptions& options, int threads, const Clock& clock,
+                           const ProgressFn& progress, const CancelToken* cancel) {
+  return Search(data, nominal, scales, options, threads, clock, progress, cancel).Run();
+}
+
+Result<FitData> PrepareData(const recordings::RecordingSet& set, const sim::Plant& nominal,
+                            const DiagnosisOptions& options) {
+  FitData data;
+  data.n = nominal.num_joints();
+  data.noise = recordings::EstimateSensorNoise(set);
+  for (int j = 0; j < data.n; ++j) {
+    const double step = data.noise.position_resolution[j];
+    // The manifest's stddev is of the sensor before quantisation.
+    double variance = data.noise.position_stddev[j] * data.noise.position_stddev[j];
+    if (set.noise.position_stddev) variance += step * step / 12.0;
+    data.noise.position_stddev[j] = std::max(1e-6, std::sqrt(variance));
+    data.noise.velocity_stddev[j] = std::max(1e-5, data.noise.velocity_stddev[j]);
+  }
+  const VectorXd values = nominal.parameters().Nominal();
+  for (const recordings::Recording* rec : set.Fit()) {
+    if (rec->drive_effort().size() == 0) return InvalidError(rec->name + ": no effort drives the model");
+    if (rec->rows() < 10) return InvalidError(rec->name + ": fewer than 10 rows, too little to fit");
+    data.use_velocity = data.use_velocity && rec->has_velocity();
+    data.recordings.push_back({rec, set.effort_excludes_gravity
+                                        ? sysid::DriveSignalWithGravity(*rec, nominal, values)
+                                        : sysid::DriveSignal(*rec)});
+  }
+  if (data.recordings.empty()) return InvalidError("no recording of the split \"fit\"");
+  data.nodes.window_s = options.fit_window_s;
+  for (size_t r = 0; r < data.recordings.size(); ++r) {
+    data.motions.emplace_back(*data.recordings[r].recording, data.noise);
+    auto windows =
+        CutIntoNodes(*data.recordings[r].recording, static_cast<int>(r), data.motions[r], data.nodes);
+    data.windows.insert(data.windows.end(), windows.begin(), windows.end());
+    data.fine.push_back(
+        FineMotionOf(*data.recordings[r].recording, data.recordings[r].command, data.motions[r], data.nodes));
+  }
+  if (data.windows.size() < 3)
+    return InvalidError("less than three windows of motion: too little to say anything");
+  return data;
+}
+
+}  // namespace rg::diagnosis
