@@ -24,6 +24,7 @@ void AddExportCommand(CLI::App& params, Context& context);   // params export
 void AddArtifactCommands(CLI::App& app, Context& context);   // artifacts …
 void AddSubmitCommands(CLI::App& app, Context& context);     // submit …
 void AddModelCommands(CLI::App& app, Context& context);      // sysid, predict
+void AddDiagnoseCommand(CLI::App& app, Context& context);    // diagnose
 void AddRunCommand(CLI::App& app, Context& context);         // run
 void AddSystemCommands(CLI::App& app, Context& context);     // doctor, config, keys
 

@@ -128,7 +128,8 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& set, const Diag
 
 // diagnosis.json, "realitygrad.diagnosis/1".
 std::string DiagnosisJson(const DiagnosisResult& result);
-// diagnosis.json, model.json and report.html into `folder`, which is made.
-Status WriteDiagnosis(const std::string& folder, const DiagnosisResult& result);
+// diagnosis.json, model.json and, if `page` is not empty, report.html into `folder`, which is made. The page
+// is made by report::DiagnosisPage.
+Status WriteDiagnosis(const std::string& folder, const DiagnosisResult& result, const std::string& page = {});
 
 }  // namespace rg::diagnosis

@@ -6,7 +6,6 @@
 #include "common/base/file.h"
 #include "common/sim/model_file.h"
 #include "services/diagnosis/diagnosis.h"
-#include "services/diagnosis/diagnosis_page.h"
 
 namespace rg::diagnosis {
 
@@ -66,13 +65,13 @@ std::string DiagnosisJson(const DiagnosisResult& r) {
   return out.dump(1);
 }
 
-Status WriteDiagnosis(const std::string& folder, const DiagnosisResult& r) {
+Status WriteDiagnosis(const std::string& folder, const DiagnosisResult& r, const std::string& page) {
   std::error_code error;
   std::filesystem::create_directories(folder, error);
   if (error) return UnavailableError(folder + ": " + error.message());
   RG_RETURN_IF_ERROR(WriteFileAtomically(folder + "/diagnosis.json", DiagnosisJson(r) + "\n"));
   if (r.plant) RG_RETURN_IF_ERROR(sim::SaveModelFile(folder + "/model.json", *r.plant, r.values));
-  return WriteFileAtomically(folder + "/report.html", DiagnosisPage(r));
+  return page.empty() ? Status::Ok() : WriteFileAtomically(folder + "/report.html", page);
 }
 
 }  // namespace rg::diagnosis

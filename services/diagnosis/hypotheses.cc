@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <set>
 
 #include "common/dynamics/dynamics.h"
@@ -291,6 +292,79 @@ std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const M
     out.push_back(row);
   }
   return out;
+}
+
+namespace {
+
+int ExclusiveGroup(const std::string& id) {
+  static const std::map<std::string, int> kGroups = {
+      {"coulomb_friction", 1},      {"stribeck_friction", 1},
+      {"asymmetric_friction", 1},   {"load_dependent_friction", 1},
+      {"presliding_hysteresis", 1}, {"thermal_drift", 1},
+      {"joint_elasticity", 2},      {"backlash", 2},
+      {"actuator_delay", 3},        {"actuator_lag", 3},
+      {"sensor_delay", 3},          {"position_spring", 4},
+      {"unknown_field", 4}};
+  const auto it = kGroups.find(id);
+  return it == kGroups.end() ? 0 : it->second;
+}
+
+}  // namespace
+
+std::vector<EffectSpec> Joined(std::vector<EffectSpec> specs, const std::vector<EffectSpec>& added) {
+  for (const EffectSpec& s : added) {
+    const int group = ExclusiveGroup(s.id);
+    std::erase_if(specs, [&](const EffectSpec& old) {
+      if (old.joints != s.joints) return false;
+      return old.id == s.id || (group != 0 && ExclusiveGroup(old.id) == group);
+    });
+    specs.push_back(s);
+  }
+  return specs;
+}
+
+std::vector<std::string> SiblingsOf(const std::string& effect) {
+  switch (ExclusiveGroup(effect)) {
+    case 1:
+      return {"coulomb_friction",        "stribeck_friction",     "asymmetric_friction",
+              "load_dependent_friction", "presliding_hysteresis", "thermal_drift"};
+    case 3:
+      return {"actuator_delay", "actuator_lag", "sensor_delay"};
+    default:
+      return {};
+  }
+}
+
+EffectSpec Exchanged(const EffectSpec& spec, const std::string& id, const sim::Plant& nominal,
+                     const MotionScales& s) {
+  const int j = nominal.model().FindJoint(spec.joints[0]);
+  double level = 0.05 * s.torque[j], seconds = 0.01;
+  for (const auto& [name, value] : spec.values.begin()->second) {
+    if (name == "coulomb" || name == "coulomb_positive" || name == "initial") level = std::max(level, value);
+    if (name == "delay" || name == "time_constant") seconds = value;
+  }
+  const auto make = [&](std::map<std::string, double> values) {
+    return MakeSpec(id, spec.joints, std::move(values));
+  };
+  if (id == "coulomb_friction") return make({{"coulomb", level}});
+  if (id == "stribeck_friction") {
+    return make({{"coulomb", 0.9 * level}, {"static", 1.2 * level}, {"stribeck_velocity", 0.2 * s.speed[j]}});
+  }
+  if (id == "asymmetric_friction") return make({{"coulomb_positive", level}, {"coulomb_negative", level}});
+  if (id == "load_dependent_friction") {
+    return make({{"coulomb", 0.5 * level}, {"load_coefficient", 0.5 * level / s.torque[j]}});
+  }
+  if (id == "presliding_hysteresis") {
+    const double stiffness = level / 0.02;
+    return make({{"coulomb", level},
+                 {"bristle_stiffness", stiffness},
+                 {"bristle_damping", 0.3 * std::sqrt(stiffness * s.inertia[j])}});
+  }
+  if (id == "thermal_drift") {
+    return make({{"initial", 1.1 * level}, {"final", 0.9 * level}, {"time_constant", 0.4 * s.duration}});
+  }
+  if (id == "actuator_lag") return make({{"time_constant", seconds}});
+  return make({{"delay", seconds}});
 }
 
 std::string KeyOf(const std::vector<EffectSpec>& specs) {

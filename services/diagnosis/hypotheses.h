@@ -25,6 +25,16 @@ std::vector<std::vector<effects::EffectSpec>> BodyStarts(const std::string& effe
 std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const MotionScales& scales,
                                                 bool base);
 
+// `specs` with `added`, which take the place of what cannot stand beside them on the same joints: at most one
+// dry friction, one transmission, one timing effect and one force of position per joint.
+std::vector<effects::EffectSpec> Joined(std::vector<effects::EffectSpec> specs,
+                                        const std::vector<effects::EffectSpec>& added);
+// What an effect is easily taken for and can be exchanged with on the same joints; empty where nothing.
+std::vector<std::string> SiblingsOf(const std::string& effect);
+// `spec` as its sibling, of about the same strength.
+effects::EffectSpec Exchanged(const effects::EffectSpec& spec, const std::string& sibling,
+                              const sim::Plant& nominal, const MotionScales& scales);
+
 // A key that is the same for the same effects on the same joints: "coulomb_friction[2] payload[]".
 std::string KeyOf(const std::vector<effects::EffectSpec>& specs);
 

@@ -379,92 +379,22 @@ class Search {
     return c;
   }
 
-  // At most one dry friction, one transmission, one timing effect per joint: a new one takes the place of
-  // the old.
-  static int Exclusive(const std::string& id) {
-    static const std::map<std::string, int> kGroups = {
-        {"coulomb_friction", 1},      {"stribeck_friction", 1},
-        {"asymmetric_friction", 1},   {"load_dependent_friction", 1},
-        {"presliding_hysteresis", 1}, {"thermal_drift", 1},
-        {"joint_elasticity", 2},      {"backlash", 2},
-        {"actuator_delay", 3},        {"actuator_lag", 3},
-        {"sensor_delay", 3},          {"position_spring", 4},
-        {"unknown_field", 4}};
-    const auto it = kGroups.find(id);
-    return it == kGroups.end() ? 0 : it->second;
-  }
-
-  static std::vector<EffectSpec> Joined(std::vector<EffectSpec> specs, const Start& start) {
-    for (const EffectSpec& s : start) {
-      const int group = Exclusive(s.id);
-      std::erase_if(specs, [&](const EffectSpec& old) {
-        if (old.joints != s.joints) return false;
-        return old.id == s.id || (group != 0 && Exclusive(old.id) == group);
-      });
-      specs.push_back(s);
-    }
-    return specs;
-  }
-
   // The winner with its newest effect exchanged for what it is easily taken for, on the same joints.
   void Siblings(Candidate* winner) {
     const std::vector<EffectSpec> specs = Refreshed(*winner);
     if (specs.empty()) return;
     const std::string id = specs.back().id;
-    const int group = Exclusive(id);
-    if (group != 1 && group != 3) return;
-    const std::vector<std::string> siblings =
-        group == 1 ? std::vector<std::string>{"coulomb_friction",      "stribeck_friction",
-                                              "asymmetric_friction",   "load_dependent_friction",
-                                              "presliding_hysteresis", "thermal_drift"}
-                   : std::vector<std::string>{"actuator_delay", "actuator_lag", "sensor_delay"};
+    const std::vector<std::string> siblings = SiblingsOf(id);
     for (const std::string& sibling : siblings) {
       if (sibling == id || Late()) continue;
       std::vector<EffectSpec> other;
-      for (const EffectSpec& s : specs) other.push_back(s.id == id ? Exchanged(s, sibling) : s);
+      for (const EffectSpec& s : specs)
+        other.push_back(s.id == id ? Exchanged(s, sibling, nominal_, scales_) : s);
       const std::string key = KeyOf(other) + (winner->base ? "+base" : "");
       if (tried_.count(key)) continue;
       const Candidate c = Evaluate(other, winner->base);
       if (c.score > winner->score) *winner = c;
     }
-  }
-
-  EffectSpec Exchanged(const EffectSpec& s, const std::string& id) const {
-    const int j = nominal_.model().FindJoint(s.joints[0]);
-    double level = 0, seconds = 0.01;
-    for (const auto& [name, value] : s.values.begin()->second) {
-      if (name == "coulomb" || name == "coulomb_positive" || name == "initial")
-        level = std::max(level, value);
-      if (name == "delay" || name == "time_constant") seconds = value;
-    }
-    level = std::max(level, 0.05 * scales_.torque[j]);
-    if (id == "coulomb_friction") return effects::MakeSpec(id, s.joints, {{"coulomb", level}});
-    if (id == "stribeck_friction") {
-      return effects::MakeSpec(
-          id, s.joints,
-          {{"coulomb", 0.9 * level}, {"static", 1.2 * level}, {"stribeck_velocity", 0.2 * scales_.speed[j]}});
-    }
-    if (id == "asymmetric_friction") {
-      return effects::MakeSpec(id, s.joints, {{"coulomb_positive", level}, {"coulomb_negative", level}});
-    }
-    if (id == "load_dependent_friction") {
-      return effects::MakeSpec(
-          id, s.joints, {{"coulomb", 0.5 * level}, {"load_coefficient", 0.5 * level / scales_.torque[j]}});
-    }
-    if (id == "presliding_hysteresis") {
-      const double stiffness = level / 0.02;
-      return effects::MakeSpec(id, s.joints,
-                               {{"coulomb", level},
-                                {"bristle_stiffness", stiffness},
-                                {"bristle_damping", 0.3 * std::sqrt(stiffness * scales_.inertia[j])}});
-    }
-    if (id == "thermal_drift") {
-      return effects::MakeSpec(
-          id, s.joints,
-          {{"initial", 1.1 * level}, {"final", 0.9 * level}, {"time_constant", 0.4 * scales_.duration}});
-    }
-    if (id == "actuator_lag") return effects::MakeSpec(id, s.joints, {{"time_constant", seconds}});
-    return effects::MakeSpec(id, s.joints, {{"delay", seconds}});
   }
 
   const Candidate* OtherWorld(const Candidate& c) const {

@@ -1,0 +1,85 @@
+// `diagnose`: which physics the model leaves out, from a recording set.
+#include <signal.h>
+
+#include <CLI/CLI.hpp>
+#include <memory>
+#include <nlohmann/json.hpp>
+
+#include "common/base/clock.h"
+#include "common/recordings/recording_set.h"
+#include "services/cli/commands.h"
+#include "services/cli/context.h"
+#include "services/cli/progress_display.h"
+#include "services/diagnosis/diagnosis.h"
+#include "services/report/diagnosis_page.h"
+
+namespace rg::cli {
+namespace {
+
+CancelToken cancel_on_interrupt;
+void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
+
+struct DiagnoseArguments {
+  std::string set, out;
+  diagnosis::DiagnosisOptions options;
+};
+
+std::string Told(const diagnosis::DiagnosisResult& r) {
+  std::string text = r.verdict;
+  for (const auto& f : r.findings) {
+    char confidence[32];
+    std::snprintf(confidence, sizeof confidence, " (%.2f)", f.confidence);
+    text += "\n  " + f.effect + confidence + ": " + f.statement;
+  }
+  char line[200];
+  std::snprintf(line, sizeof line,
+                "\nheld-out RMS: %.4g as given, %.4g calibrated, %.4g with the findings, floor %.4g (%.1f s)",
+                r.holdout.before_rms, r.holdout.calibrated_rms, r.holdout.after_rms,
+                r.holdout.noise_floor_rms, r.elapsed_s);
+  text += line;
+  for (const std::string& note : r.notes) text += "\nnote: " + note;
+  return text;
+}
+
+Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
+  signal(SIGINT, OnInterrupt);
+  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSet(arguments.set));
+  ProgressDisplay display(
+      {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
+  RG_ASSIGN_OR_RETURN(const diagnosis::DiagnosisResult result,
+                      diagnosis::Diagnose(
+                          set, arguments.options, RealClock(),
+                          [&](const ProgressUpdate& u) { display.Show(u); }, &cancel_on_interrupt));
+  display.Finish();
+  if (!arguments.out.empty()) {
+    RG_RETURN_IF_ERROR(diagnosis::WriteDiagnosis(arguments.out, result, report::DiagnosisPage(result)));
+  }
+  if (context.json()) {
+    PrintJson("realitygrad.diagnosis/1", nlohmann::json::parse(diagnosis::DiagnosisJson(result)));
+  } else if (!context.quiet()) {
+    Print(Told(result));
+    Print(arguments.out.empty()
+              ? "next: the same with --out DIR keeps model and report"
+              : "next: open " + arguments.out + "/report.html; realitygrad predict --model " + arguments.out +
+                    "/model.json --recording REC.csv --out PRED.csv");
+  }
+  return Status::Ok();
+}
+
+}  // namespace
+
+void AddDiagnoseCommand(CLI::App& app, Context& context) {
+  auto arguments = std::make_shared<DiagnoseArguments>();
+  CLI::App* command =
+      app.add_subcommand("diagnose", "Say which physics the model leaves out, from a recording set");
+  auto& o = arguments->options;
+  command->add_option("SET", arguments->set, "Folder of a recording set")->required();
+  command->add_option("--out", arguments->out, "Folder for diagnosis.json, model.json and report.html");
+  command->add_option("--threads", o.threads, "0: all cores")->capture_default_str();
+  command->add_option("--window", o.window_s, "Length of the judged predictions [s]")->capture_default_str();
+  command->add_option("--step", o.step_s, "Of the simulator [s]")->capture_default_str();
+  command->add_option("--seed", o.seed, "Of simulated nulls and bootstraps")->capture_default_str();
+  command->callback([&context, arguments] { context.Failed(DiagnoseSet(context, *arguments)); });
+}
+
+}  // namespace rg::cli

@@ -1,0 +1,239 @@
+#include "services/report/diagnosis_page.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdio>
+
+#include "services/report/page.h"
+
+namespace rg::report {
+namespace {
+
+using diagnosis::DiagnosisResult;
+using diagnosis::Finding;
+using diagnosis::ForcePlot;
+
+std::string Percent(double x) { return FormatNumber(100 * x, 3) + " %"; }
+
+std::string Joined(const std::vector<std::string>& parts) {
+  std::string out;
+  for (const std::string& p : parts) out += (out.empty() ? "" : ", ") + p;
+  return out;
+}
+
+void Summary(const DiagnosisResult& r, Page* page) {
+  if (r.verdict == "no_mismatch") {
+    page->Lead("Nothing is missing: the model explains the recordings to the noise of the sensors.");
+  } else if (r.findings.empty()) {
+    page->Lead("Something is missing that was not found.");
+  }
+  for (const Finding& f : r.findings) page->Lead(f.statement);
+  const auto& h = r.holdout;
+  page->Cards({{"error before", FormatNumber(h.before_rms), "model as given, held-out recordings"},
+               {"calibrated", FormatNumber(h.calibrated_rms), "rigid-body parameters alone"},
+               {"after", FormatNumber(h.after_rms), "augmented model"},
+               {"noise floor", FormatNumber(h.noise_floor_rms), "if the augmented model were true"},
+               {"improvement", Percent(1 - h.after_rms / std::max(1e-300, h.before_rms)),
+                "95 %: " + Percent(h.improvement_low) + " to " + Percent(h.improvement_high)}});
+  if (h.judged_on_fit) page->Note("The set has no held-out recording: errors are of the fitted ones.", true);
+  for (const std::string& note : r.notes) page->Note(note, true);
+}
+
+void FindingsTable(const DiagnosisResult& r, Page* page) {
+  if (r.findings.empty()) return;
+  Table table{{"effect", "joints", "confidence", "equation", "cannot be told from", "share of mismatch"},
+              {},
+              {},
+              {0, 1, 3, 4}};
+  Table values{{"effect", "owner", "parameter", "value", "stddev", "unit"}, {}, {}, {0, 1, 2, 5}};
+  for (const Finding& f : r.findings) {
+    const std::vector<std::string> others(f.effect_class.begin() + (f.effect_class.empty() ? 0 : 1),
+                                          f.effect_class.end());
+    table.rows.push_back({f.effect, Joined(f.joints), FormatNumber(f.confidence, 2), f.equation,
+                          others.empty() ? "–" : Joined(others), Percent(f.share_of_mismatch)});
+    if (f.effect == "parameters_only") continue;
+    for (const auto& p : f.parameters) {
+      values.rows.push_back(
+          {f.effect, p.owner, p.name, FormatNumber(p.value, 4), FormatNumber(p.stddev, 2), p.unit});
+    }
+  }
+  page->Heading("What is missing");
+  page->AddTable(table);
+  if (!values.rows.empty()) page->AddTable(values);
+}
+
+// Joints worth a plot: those of the findings, else the loudest.
+std::vector<int> PlottedJoints(const DiagnosisResult& r) {
+  std::vector<int> out;
+  const auto add = [&](int j) {
+    if (std::find(out.begin(), out.end(), j) == out.end() && out.size() < 4) out.push_back(j);
+  };
+  for (const Finding& f : r.findings) {
+    for (const std::string& name : f.joints) {
+      add(static_cast<int>(std::find(r.joints.begin(), r.joints.end(), name) - r.joints.begin()));
+    }
+  }
+  if (!out.empty()) return out;
+  std::vector<std::pair<double, int>> loud;
+  for (int j = 0; j < r.joint_share.size(); ++j) loud.push_back({r.joint_share[j], j});
+  std::sort(loud.rbegin(), loud.rend());
+  for (size_t i = 0; i < std::min<size_t>(2, loud.size()); ++i) add(loud[i].second);
+  return out;
+}
+
+std::vector<double> RowOf(const Eigen::MatrixXd& m, int row) {
+  std::vector<double> out(static_cast<size_t>(m.cols()));
+  for (Eigen::Index k = 0; k < m.cols(); ++k) out[static_cast<size_t>(k)] = m(row, k);
+  return out;
+}
+
+Plot OverTime(const DiagnosisResult& r, const ForcePlot& f, int joint) {
+  return {"Missing force on " + r.joints[joint] + ", " + f.recording,
+          "time [s]",
+          r.units[joint] == "m" ? "N" : "N·m",
+          {{"estimated", f.t, RowOf(f.force, joint)},
+           {"explained by the findings", f.t, RowOf(f.explained, joint), SeriesStyle::kDashed}},
+          "Estimated from the recording with the rigid-body model alone, in stairs of 50 ms."};
+}
+
+// Over the variable that explains it: position, velocity or command.
+Plot OverVariable(const DiagnosisResult& r, int joint, const std::string& variable) {
+  std::vector<std::array<double, 3>> points;
+  for (const ForcePlot& f : r.force_plots) {
+    const Eigen::MatrixXd& x = variable == "position" ? f.q : variable == "velocity" ? f.v : f.u;
+    for (Eigen::Index k = 0; k < f.force.cols(); ++k) {
+      if (f.stddev(joint, k) > 0.7 * f.stddev.row(joint).maxCoeff() && k % 2 == 1) continue;
+      points.push_back({x(joint, k), f.force(joint, k), f.explained(joint, k)});
+    }
+  }
+  std::sort(points.begin(), points.end());
+  const size_t stride = std::max<size_t>(1, points.size() / 900);
+  Series raw{"estimated", {}, {}, SeriesStyle::kPoints},
+      law{"explained by the findings", {}, {}, SeriesStyle::kPoints};
+  double last = -1e300;
+  for (size_t i = 0; i < points.size(); i += stride) {
+    if (points[i][0] <= last) continue;
+    last = points[i][0];
+    raw.x.push_back(points[i][0]), raw.y.push_back(points[i][1]);
+    law.x.push_back(points[i][0]), law.y.push_back(points[i][2]);
+  }
+  const std::string unit = variable == "position"   ? r.units[joint]
+                           : variable == "velocity" ? r.units[joint] + "/s"
+                                                    : "N·m";
+  return {"Over the " + variable + " of " + r.joints[joint],
+          variable + " [" + unit + "]",
+          "missing force",
+          {raw, law}};
+}
+
+std::string VariableOf(const std::string& effect) {
+  for (const char* id : {"torque_ripple", "position_spring", "unknown_field", "contact", "encoder_offset",
+                         "gravity_misalignment", "payload", "parameters_only"}) {
+    if (effect == id) return "position";
+  }
+  for (const char* id : {"torque_gain", "torque_saturation", "torque_deadband", "joint_coupling"}) {
+    if (effect == id) return "command";
+  }
+  return "velocity";
+}
+
+void Where(const DiagnosisResult& r, Page* page) {
+  page->Heading("Where it is");
+  Table shares{{"joint", "share of the missing force's energy"},
+               {},
+               "In units of each joint's usual torque, above the noise.",
+               {0}};
+  for (size_t j = 0; j < r.joints.size(); ++j) {
+    shares.rows.push_back({r.joints[j], Percent(r.joint_share[static_cast<Eigen::Index>(j)])});
+  }
+  page->AddTable(shares);
+  for (const Finding& f : r.findings) page->Paragraph(f.effect + ": " + f.summary + ".");
+  const std::string variable = VariableOf(r.findings.empty() ? "" : r.findings.front().effect);
+  std::vector<Plot> plots;
+  for (const int joint : PlottedJoints(r)) {
+    if (!r.force_plots.empty()) plots.push_back(OverTime(r, r.force_plots.front(), joint));
+    plots.push_back(OverVariable(r, joint, variable));
+  }
+  if (!plots.empty()) page->AddPlots(plots);
+}
+
+void BeforeAfter(const DiagnosisResult& r, Page* page) {
+  page->Heading("Before and after, on recordings that were not fitted");
+  page->Paragraph("Windows of " + FormatNumber(r.window_s) + " s, each restarted from what was measured.");
+  std::vector<Plot> plots;
+  for (const auto& h : r.holdout_plots) {
+    for (const int joint : PlottedJoints(r)) {
+      plots.push_back({r.joints[joint] + ", " + h.recording,
+                       "time [s]",
+                       "position [" + r.units[joint] + "]",
+                       {{"measured", h.t, RowOf(h.measured, joint)},
+                        {"before", h.t, RowOf(h.before, joint), SeriesStyle::kDashed},
+                        {"after", h.t, RowOf(h.after, joint)}}});
+      if (plots.size() >= 6) break;
+    }
+  }
+  if (!plots.empty()) page->AddPlots(plots);
+}
+
+void Considered(const DiagnosisResult& r, Page* page) {
+  page->Heading("What else was considered");
+  Table table{{"model", "base parameters", "log evidence [nats]", "χ² per row", ""}, {}, {}, {0, 1, 4}};
+  table.caption =
+      "Against the model as given. χ² per row is 1 where only the sensors' noise remains. An addition "
+      "must bring at least " +
+      FormatNumber(r.null_threshold) + " nats, which chance alone reaches in 2 % of sets.";
+  for (const auto& c : r.candidates) {
+    table.rows.push_back({c.name, c.calibrated ? "free" : "as given", FormatNumber(c.evidence, 5),
+                          FormatNumber(c.chi2_per_row, 4), c.chosen ? "best evidence" : ""});
+  }
+  page->AddTable(table);
+  Table next{{"instead of", "alternative", "log evidence", "separable", "what would tell them apart"},
+             {},
+             {},
+             {0, 1, 3, 4}};
+  for (const Finding& f : r.findings) {
+    for (const auto& a : f.alternatives) {
+      next.rows.push_back({f.effect, a.effect + (a.joints.empty() ? "" : " (" + Joined(a.joints) + ")"),
+                           FormatNumber(a.evidence, 4), a.separable ? "yes" : "no", a.experiment});
+    }
+  }
+  if (next.rows.empty()) return;
+  page->Heading("What to record next");
+  page->AddTable(next);
+}
+
+void Absorbed(const DiagnosisResult& r, Page* page) {
+  if (r.findings.empty() || r.ledger.empty()) return;
+  page->Heading("Which parameters had absorbed it");
+  page->Paragraph(
+      "Base parameters fitted without the effects, and with them: what moves back toward the URDF had stood "
+      "in for "
+      "the missing physics.");
+  Table table{{"parameter", "URDF", "calibrated alone", "with the findings", "moved [prior stddev]", "unit"},
+              {},
+              {},
+              {0, 5}};
+  for (const auto& row : r.ledger) {
+    const double moved = (row.final - row.calibrated) / row.prior_stddev;
+    if (table.rows.size() >= 12 || std::abs(moved) < 0.05) break;
+    table.rows.push_back({row.name, FormatNumber(row.nominal, 4), FormatNumber(row.calibrated, 4),
+                          FormatNumber(row.final, 4), FormatNumber(moved, 2), row.unit});
+  }
+  if (!table.rows.empty()) page->AddTable(table);
+}
+
+}  // namespace
+
+std::string DiagnosisPage(const DiagnosisResult& r) {
+  Page page("Diagnosis of " + r.robot, r.verdict + ", in " + FormatNumber(r.elapsed_s) + " s");
+  Summary(r, &page);
+  FindingsTable(r, &page);
+  Where(r, &page);
+  BeforeAfter(r, &page);
+  Considered(r, &page);
+  Absorbed(r, &page);
+  return page.Html();
+}
+
+}  // namespace rg::report
