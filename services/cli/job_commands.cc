@@ -165,6 +165,12 @@ void ListWorkers(Context& context) {
   }
 }
 
+void DrainWorker(Context& context, const std::string& name) {
+  auto client = context.Connect();
+  if (context.Failed(client.status()) || context.Failed((*client)->DrainWorker(name))) return;
+  if (!context.quiet()) PrintNote(name + " finishes what it runs and leaves");
+}
+
 }  // namespace
 
 void AddJobCommands(CLI::App& app, Context& context) {
@@ -172,6 +178,13 @@ void AddJobCommands(CLI::App& app, Context& context) {
   app.add_subcommand("workers", "List workers and what they do")->callback([&context] {
     ListWorkers(context);
   });
+
+  CLI::App* worker = app.add_subcommand("worker", "Run a worker (realitygrad worker --help), or drain one")
+                         ->require_subcommand(1);
+  auto name = std::make_shared<std::string>();
+  CLI::App* drain = worker->add_subcommand("drain", "Let it finish what it runs and leave");
+  drain->add_option("NAME", *name)->required();
+  drain->callback([&context, name] { DrainWorker(context, *name); });
 
   CLI::App* job = app.add_subcommand("job", "Look at one job, or act on it")->require_subcommand(1);
   const auto add = [&](const char* name, const char* help, auto function) {

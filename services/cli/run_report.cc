@@ -1,5 +1,6 @@
 #include "services/cli/run_report.h"
 
+#include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
 
@@ -70,6 +71,19 @@ std::vector<double> Numbers(const json& list) {
 
 void Trim(std::vector<double>* values, size_t size) { values->resize(size, std::nan("")); }
 
+// What is worth seeing of a joint: the robot, the goal and the simulation after; one that ran away before
+// leaves the picture.
+void SetRange(const std::vector<const std::vector<double>*>& shown, report::Plot* plot) {
+  double low = 1e300, high = -1e300;
+  for (const auto* values : shown) {
+    for (const double x : *values) {
+      if (std::isfinite(x)) low = std::min(low, x), high = std::max(high, x);
+    }
+  }
+  const double margin = std::max(0.05, 0.25 * (high - low));
+  plot->y_low = low - margin, plot->y_high = high + margin;
+}
+
 std::vector<report::Plot> ResponsePlots(const json& result) {
   std::vector<report::Plot> plots;
   const json& series = result.at("series");
@@ -89,6 +103,8 @@ std::vector<report::Plot> ResponsePlots(const json& result) {
     if (j < goal.size())
       plot.series.push_back(
           {"goal", {t.front(), t.back()}, {goal[j], goal[j]}, report::SeriesStyle::kDashed, 6});
+    const std::vector<double> target = j < goal.size() ? std::vector<double>{goal[j]} : std::vector<double>{};
+    SetRange({&measured, &after, &target}, &plot);
     plots.push_back(std::move(plot));
   }
   return plots;
@@ -212,7 +228,9 @@ std::string RunPage(const std::string& robot, const std::vector<json>& results) 
   table.columns.push_back("paper");
   table.columns.push_back("unit");
   for (const Row& row : kRows) {
-    std::vector<std::string> cells = {row.name};
+    std::string name = row.name;
+    if (name.starts_with("  ")) name.replace(0, 2, "\u2003");  // an indent that HTML keeps
+    std::vector<std::string> cells = {name};
     for (const json& result : results)
       cells.push_back(Cell(Number(result, json::json_pointer(row.pointer)), row.unit));
     cells.push_back(row.paper);

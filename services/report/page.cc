@@ -47,6 +47,7 @@ json MergedRows(const std::vector<Series>& series) {
 json PlotData(const Plot& plot) {
   json data = {{"labels", {"x"}},        {"colors", json::array()}, {"styles", json::array()},
                {"xlabel", plot.x_label}, {"ylabel", plot.y_label},  {"logy", plot.log_y}};
+  if (plot.y_high > plot.y_low) data["range"] = {plot.y_low, plot.y_high};
   int next = 0;
   for (const Series& s : plot.series) {
     data["labels"].push_back(s.name);

@@ -26,6 +26,7 @@ struct Plot {
   std::string caption = {};
   bool log_y = false;
   bool tall = false;
+  double y_low = 0.0, y_high = 0.0;  // range shown; equal: all there is
 };
 
 struct Table {
