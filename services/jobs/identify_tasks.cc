@@ -74,6 +74,8 @@ sysid::HopState HopOn(const IdentifyProblem& problem, const pb::IdentifyPayload&
                       sysid::HopState state, int first_hop, worker::TaskContext& context) {
   sysid::HopOptions options;
   options.solve.solver = SolverOf(payload);
+  // A hop that no longer moves the cost's fifth digit has found its basin's floor: the next one tells more.
+  options.solve.function_tolerance = 1e-5;
   const bool timed = payload.budget_s() > 0;
   const int hops = payload.hops() > 0 ? static_cast<int>(payload.hops()) : 1 << 30;
   const double seconds = timed ? payload.budget_s() : 1e30;

@@ -1,0 +1,138 @@
+#include "services/jobs/identify_problem.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdlib>
+
+#include "common/model/robot_model.h"
+#include "common/model/urdf_loader.h"
+#include "common/sim/simulator.h"
+#include "realitygrad/v1/payloads.pb.h"
+
+namespace rg::jobs {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+sim::ModelFile Arm2() {
+  const char* source = std::getenv("RG_SOURCE_DIR");
+  auto robot = model::LoadUrdf(std::string(source ? source : ".") + "/deploy/robots/arm2.urdf");
+  const sim::Plant plant = *sim::Plant::Create(std::make_shared<const model::RobotModel>(*std::move(robot)));
+  return {plant, plant.parameters().Nominal(), 3};
+}
+
+// What `model` does under a slow excitation, at 25 Hz.
+recordings::Recording Record(const sim::ModelFile& model, double seconds) {
+  const int rows = static_cast<int>(seconds * 25) + 1;
+  recordings::Recording out;
+  out.name = "made";
+  out.joints = model.plant.joint_names();
+  out.t = VectorXd::LinSpaced(rows, 0, (rows - 1) * 0.04);
+  out.effort_command = MatrixXd(2, rows);
+  for (int k = 0; k < rows; ++k) {
+    out.effort_command.col(k) << 3.0 * std::sin(1.7 * out.t[k]), 1.2 * std::sin(2.9 * out.t[k] + 0.4);
+  }
+  std::vector<double> times(out.t.data(), out.t.data() + rows);
+  const auto command = *sim::CommandSignal::Create(times, out.effort_command, sim::Hold::kZeroOrder);
+  sim::Simulator simulator(model.plant);
+  simulator.SetParameters(model.values);
+  const sim::Trajectory truth = simulator.Simulate(
+      simulator.MakeState(VectorXd::Zero(2), VectorXd::Zero(2), 0.0, command), command, times);
+  EXPECT_TRUE(truth.outcome.ok()) << truth.outcome.ToString();
+  out.q = truth.position;
+  out.v = truth.velocity;
+  return out;
+}
+
+IdentifyProblemOptions Options() {
+  IdentifyProblemOptions options;
+  options.window_s = 0.4;
+  options.simulator.step_s = 0.002;
+  return options;
+}
+
+TEST(IdentifyProblem, TruthLeavesNoResidualInAnyWindow) {
+  const sim::ModelFile model = Arm2();
+  IdentifyProblemOptions options = Options();
+  options.long_weight = 0.5;
+  options.simulator.step_s = 0.001;  // as it was made
+  const auto problem = IdentifyProblem::Create(model.plant, model.values, Record(model, 1.6), options);
+  ASSERT_TRUE(problem.ok()) << problem.status().ToString();
+  EXPECT_EQ(problem->windows(), 5) << "four windows and the whole";
+  double cost = 1;
+  ASSERT_TRUE(sysid::EvaluateCost(problem->problem(), problem->problem().initial, {}, &cost));
+  EXPECT_LT(cost, 1e-12);
+}
+
+TEST(IdentifyProblem, JacobianMatchesCentralDifferences) {
+  const sim::ModelFile model = Arm2();
+  sim::ModelFile other = model;
+  other.values[model.plant.parameters().Find("damping.shoulder")] += 0.2;
+  IdentifyProblemOptions options = Options();
+  options.long_weight = 0.3;
+  const auto problem = IdentifyProblem::Create(model.plant, model.values, Record(other, 0.8), options);
+  ASSERT_TRUE(problem.ok()) << problem.status().ToString();
+  sysid::ResidualFunction& residuals = *problem->problem().residuals;
+  const VectorXd p = problem->problem().initial;
+  VectorXd r(residuals.num_residuals()), up(r.size()), down(r.size());
+  sysid::RowMatrix jacobian(r.size(), p.size());
+  ASSERT_TRUE(residuals.Evaluate(p, {}, &r, &jacobian));
+  for (Eigen::Index i = 0; i < p.size(); ++i) {
+    const double h = 1e-6;
+    VectorXd moved = p;
+    moved[i] = p[i] + h;
+    ASSERT_TRUE(residuals.Evaluate(moved, {}, &up, nullptr));
+    moved[i] = p[i] - h;
+    ASSERT_TRUE(residuals.Evaluate(moved, {}, &down, nullptr));
+    const VectorXd difference = (up - down) / (2 * h);
+    EXPECT_LT((jacobian.col(i) - difference).norm(), 1e-5 * (1 + difference.norm()))
+        << model.plant.parameters()[problem->parameters()[static_cast<size_t>(i)]].name;
+  }
+}
+
+TEST(IdentifyProblem, ASingleWindowIsThePapersProblem) {
+  const sim::ModelFile model = Arm2();
+  IdentifyProblemOptions options = Options();
+  options.whole_recording = false;
+  options.window_s = 0.2;
+  options.window_start_s = 0.4;
+  const auto problem = IdentifyProblem::Create(model.plant, model.values, Record(model, 1.6), options);
+  ASSERT_TRUE(problem.ok()) << problem.status().ToString();
+  EXPECT_EQ(problem->windows(), 1);
+  EXPECT_EQ(problem->problem().residuals->num_residuals(), 2 * 100) << "0.2 s on the 2 ms grid, two joints";
+  options.window_start_s = 5.0;
+  EXPECT_FALSE(IdentifyProblem::Create(model.plant, model.values, Record(model, 1.6), options).ok());
+}
+
+TEST(ModelToFit, AddsFrictionOnceAndKeepsWhatWasFound) {
+  const sim::ModelFile model = Arm2();
+  IdentifyProblemOptions options = Options();
+  EXPECT_TRUE(ModelToFit(model, options)->plant.effects().empty());
+  options.friction = true;
+  sim::ModelFile first = *ModelToFit(model, options);
+  const int coulomb = first.plant.parameters().Find("coulomb_friction.elbow.coulomb");
+  ASSERT_GE(coulomb, 0);
+  EXPECT_GT(first.values[coulomb], 0.0) << "friction that starts on its bound may stay there";
+  first.values[coulomb] = 0.77;
+  const sim::ModelFile second = *ModelToFit(first, options);
+  EXPECT_EQ(second.plant.parameters().size(), first.plant.parameters().size());
+  EXPECT_EQ(second.values[coulomb], 0.77);
+  EXPECT_EQ(second.version, 3);
+}
+
+TEST(OptionsOf, OnlyTheLastOfSeveralRoundsWeighsTheWholeRecording) {
+  realitygrad::v1::IdentifyPayload payload;
+  payload.set_window(realitygrad::v1::IDENTIFY_WINDOW_WHOLE);
+  payload.set_rounds(3);
+  payload.set_round(1);
+  EXPECT_EQ(OptionsOf(payload).long_weight, 0.0);
+  payload.set_round(2);
+  EXPECT_GT(OptionsOf(payload).long_weight, 0.0);
+  payload.set_window(realitygrad::v1::IDENTIFY_WINDOW_SINGLE);
+  EXPECT_EQ(OptionsOf(payload).long_weight, 0.0);
+}
+
+}  // namespace
+}  // namespace rg::jobs
