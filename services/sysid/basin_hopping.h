@@ -8,7 +8,7 @@
 // One hop: perturb the current point uniformly by ± step_size of the search range (clipped to it), solve
 // locally, accept by Metropolis on the relative change of cost; the step size is adapted so that about
 // half of the hops are accepted. Hop 0 of chain 0 solves from p_init; hop 0 of the others starts
-// uniformly within the search range (PAPER.md).
+// uniformly within the search range (Collins et al.).
 #pragma once
 
 #include <Eigen/Core>

@@ -36,7 +36,7 @@ struct LeastSquaresProblem {
   Eigen::VectorXd lower, upper;           // box of the bounded solver; ±infinity where there is none
   Eigen::VectorXd alpha;                  // α ≥ 0
   Eigen::VectorXd scale;                  // > 0, a typical change of each parameter: the solvers' unit
-  // Where global search draws starts from and how far it steps (PAPER.md: "within user-set ranges").
+  // Where global search draws starts from and how far it steps (the paper: "within user-set ranges").
   Eigen::VectorXd search_lower, search_upper;
 };
 

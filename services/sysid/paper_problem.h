@@ -1,4 +1,4 @@
-// The identification problem of Collins et al. as their paper sets it (PAPER.md's figures):
+// The identification problem of Collins et al. as their paper sets it:
 //
 //   Σ_n Σ_j (q_nj − q̂_nj(p))²  +  Σ_i α_i (p_i − p_init,i)²
 //

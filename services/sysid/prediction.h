@@ -1,4 +1,4 @@
-// Predictions of a recording as RECORDINGS.md defines them.
+// Predictions of a recording in restarted windows, as the contract of recordings defines them.
 //
 // With t0 the time of the first row and W the window, the simulation starts anew at the first row at or
 // after t0 + k·W (half a sample of tolerance) and runs the recorded effort open loop to the window's end.
