@@ -99,6 +99,8 @@ void RestoreTask(State& state, Job& job, uint32_t index, const TaskRecord& recor
   task.failures = record.failures;
   task.crashes = record.crashes;
   task.losses = record.losses;
+  task.started_ns = record.started_ns;
+  task.finished_ns = record.finished_ns;
   SetStatus(state, job, index, StatusOf(record));
 }
 

@@ -51,7 +51,7 @@ struct Task {
   uint32_t scheduling_class = 0;
   uint32_t stage = 0;  // index in Job::stages
   uint32_t first_child = 0, child_count = 0;
-  int64_t started_ns = 0, finished_ns = 0;  // volatile, wall time
+  int64_t started_ns = 0, finished_ns = 0;  // wall time, for people to read
 };
 
 TaskPhase PhaseOf(const TaskStatus& status);

@@ -122,6 +122,9 @@ struct TaskRecord {
   uint32_t losses = 0;    // of these: the worker was lost
   Token token = 0;        // of the current lease (leased, uncertain) or of the committed attempt
   bool set_aside = false;
+  // Wall times of the first lease and of the end, 0: not yet. Kept by the store from UpdateTask::wall_ns
+  // and CloseTasks::wall_ns; for people to read, nothing is decided by them.
+  int64_t started_ns = 0, finished_ns = 0;
 };
 struct UpdateTask {
   TaskId task = 0;

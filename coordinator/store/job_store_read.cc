@@ -88,10 +88,10 @@ Status JobStore::LoadTasks(StoredState* out, const std::vector<std::shared_ptr<J
     job.tasks.resize(count);
     plans[j]->tasks.resize(count);
   }
-  RG_ASSIGN_OR_RETURN(auto rows,
-                      db_->Prepare("SELECT id, name, stage, kind, tags, parents, priority, max_attempts, "
-                                   "crash_limit, at_most_once, weight, phase, attempts, failures, crashes, "
-                                   "losses, token, set_aside FROM tasks ORDER BY id"));
+  RG_ASSIGN_OR_RETURN(
+      auto rows, db_->Prepare("SELECT id, name, stage, kind, tags, parents, priority, max_attempts, "
+                              "crash_limit, at_most_once, weight, phase, attempts, failures, crashes, "
+                              "losses, token, set_aside, started_ns, finished_ns FROM tasks ORDER BY id"));
   while (true) {
     RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
     if (!more) return Status::Ok();
@@ -122,6 +122,8 @@ Status JobStore::LoadTasks(StoredState* out, const std::vector<std::shared_ptr<J
     record.losses = static_cast<uint32_t>(rows.Int(15));
     record.token = static_cast<Token>(rows.Int(16));
     record.set_aside = rows.Int(17) != 0;
+    record.started_ns = rows.Int(18);
+    record.finished_ns = rows.Int(19);
   }
 }
 

@@ -115,6 +115,34 @@ TEST(JobStore, APlanSurvivesAsItWas) {
   EXPECT_EQ(*store.Spec(MakeTaskId(1, 1)), specs->at(1));
 }
 
+TEST(JobStore, StartAndEndOfATaskSurviveARestart) {
+  auto database = OpenMemory();
+  JobStore store(database.get());
+  State state;
+  auto plan = std::make_shared<JobPlan>();
+  plan->tasks = {MakeTask("first"), MakeTask("second", {{0, false}})};
+  const auto happen = [&](const Event& event, int64_t wall_ns) {
+    const Actions actions = On(event, state, Now{wall_ns, wall_ns});
+    ResultsByToken results;
+    for (const Row& row : actions.rows) {
+      if (const auto* commit = std::get_if<CommitResult>(&row)) results[commit->token] = {};
+    }
+    ASSERT_TRUE(store.Apply(actions.rows, results).ok());
+  };
+  happen(Submit{"r", plan, nullptr, 0}, 10);
+  happen(WorkerJoined{"w", "i", 1, {}, {plan->tasks[0].kind}, {}, false, "h", 1, "v"}, 20);
+  ASSERT_EQ(state.leases.size(), 1u);
+  happen(Finished{"i", MakeTaskId(1, 0), state.leases.begin()->first}, 30);
+  const auto loaded = store.Load();
+  ASSERT_TRUE(loaded.ok());
+  const State restored = Restore(*loaded, state.options, Now{});
+  const Job& back = restored.jobs.at(1);
+  EXPECT_EQ(back.tasks[0].started_ns, 20);
+  EXPECT_EQ(back.tasks[0].finished_ns, 30);
+  EXPECT_EQ(back.tasks[1].started_ns, 30);
+  EXPECT_EQ(back.tasks[1].finished_ns, 0);
+}
+
 TEST(JobStore, ACheckpointOfAnOlderLeaseDoesNotReplaceANewerOne) {
   auto database = OpenMemory();
   JobStore store(database.get());
