@@ -26,6 +26,7 @@ void AddSubmitCommands(CLI::App& app, Context& context);     // submit …
 void AddModelCommands(CLI::App& app, Context& context);      // sysid, predict
 void AddDiagnoseCommand(CLI::App& app, Context& context);    // diagnose
 void AddRunCommand(CLI::App& app, Context& context);         // run
+void AddExperimentCommand(CLI::App& app, Context& context);  // experiment …
 void AddSystemCommands(CLI::App& app, Context& context);     // doctor, config, keys
 
 // The robot named, or the only one that has parameters.
