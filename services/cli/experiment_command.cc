@@ -34,7 +34,7 @@ struct ExperimentArguments {
   std::string robot = "mico2", parent = "realitygrad-experiments", folder;
   int repetitions = 5, workers = 2;
   double budget_s = 60;
-  double whole_window_s = 0;  // of the windows when the whole recording is fitted; 0: as `run`
+  double whole_window_s = 4;  // of the windows when the whole recording is fitted
   bool full = false, lock_step = false;
   jobs::IterationOptions options;
 };
@@ -146,7 +146,7 @@ Result<json> ExperimentRun::RepeatBounded(const jobs::IterationOptions& options,
   RG_ASSIGN_OR_RETURN(out["unbounded"], Identify(arm, inputs, request + "-unbounded"));
   arm.identify = jobs::IdentifyOptions();  // what `run` does
   arm.identify.budget_s = options.identify.budget_s, arm.identify.chains = options.identify.chains;
-  if (arguments_.whole_window_s > 0) arm.identify.window_s = arguments_.whole_window_s;
+  arm.identify.window_s = arguments_.whole_window_s;
   RG_ASSIGN_OR_RETURN(out["whole"], Identify(arm, inputs, request + "-whole"));
   return out;
 }
@@ -271,8 +271,10 @@ void AddExperiment(CLI::App* parent, Context& context, Experiment experiment, co
                    "Of the 0.2 s that are fitted [s]")
       ->capture_default_str();
   if (experiment == Experiment::kBoundedVsUnbounded) {
-    command->add_option("--whole-window", arguments->whole_window_s,
-                        "Length of the windows when the whole recording is fitted [s]; 0: as run");
+    command
+        ->add_option("--whole-window", arguments->whole_window_s,
+                     "Length of the windows when the whole recording is fitted [s]")
+        ->capture_default_str();
   } else {
     command->add_option("--window", arguments->options.identify.window_s,
                         "Length of the windows that are fitted [s]; 0: 0.2, of the whole recording as run");

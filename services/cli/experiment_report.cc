@@ -350,13 +350,14 @@ json ExperimentRows(Experiment experiment, const std::vector<json>& repetitions)
   json rows = json::array();
   for (const Row& row : definition.rows) {
     json arms;
-    for (int arm = 0; arm < 2; ++arm) {
+    for (size_t arm = 0; arm < definition.arms.size(); ++arm) {
       const Spread spread = SpreadOfRow(repetitions, definition.arms[arm], row);
-      arms[definition.arms[arm].key] = {{"median", number(spread.median)},
-                                        {"min", number(spread.min)},
-                                        {"max", number(spread.max)},
-                                        {"count", spread.count},
-                                        {"paper", row.paper[arm]}};
+      json& figures = arms[definition.arms[arm].key];
+      figures = {{"median", number(spread.median)},
+                 {"min", number(spread.min)},
+                 {"max", number(spread.max)},
+                 {"count", spread.count}};
+      if (arm < kPaperArms) figures["paper"] = row.paper[arm];
     }
     std::string figure = row.figure;
     figure.erase(0, figure.find_first_not_of(' '));
