@@ -27,6 +27,7 @@ void AddModelCommands(CLI::App& app, Context& context);      // sysid, predict
 void AddDiagnoseCommand(CLI::App& app, Context& context);    // diagnose
 void AddRunCommand(CLI::App& app, Context& context);         // run
 void AddExperimentCommand(CLI::App& app, Context& context);  // experiment …
+void AddBenchCommand(CLI::App& app, Context& context);       // bench
 void AddSystemCommands(CLI::App& app, Context& context);     // doctor, config, keys
 
 // The robot named, or the only one that has parameters.

@@ -69,6 +69,7 @@ int main(int argc, char** argv) {
   rg::cli::AddParameterCommands(app, context);
   rg::cli::AddArtifactCommands(app, context);
   rg::cli::AddExperimentCommand(app, context);
+  rg::cli::AddBenchCommand(app, context);
   rg::cli::AddSystemCommands(app, context);
   try {
     app.parse(argc, argv);

@@ -1,0 +1,140 @@
+// `bench`: the project's figures on this machine.
+#include <signal.h>
+#include <stdlib.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <filesystem>
+#include <memory>
+#include <nlohmann/json.hpp>
+
+#include "common/base/clock.h"
+#include "common/base/file.h"
+#include "common/model/robot_model.h"
+#include "services/bench/bench.h"
+#include "services/cli/child_processes.h"
+#include "services/cli/commands.h"
+#include "services/cli/context.h"
+#include "services/cli/model_source.h"
+#include "services/cli/progress_display.h"
+#include "services/cli/robot_profile.h"
+#include "services/report/page.h"
+
+namespace rg::cli {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+CancelToken cancel_on_interrupt;
+void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
+
+struct BenchArguments {
+  bench::BenchOptions options;
+  std::string robot = "mico2";
+};
+
+std::string LoadAverage() {
+  double load[1] = {0};
+  if (getloadavg(load, 1) != 1) return "unknown";
+  return report::FormatNumber(load[0]);
+}
+
+// Seconds of the iteration of a `realitygrad run` at its defaults, the paper's size, in a folder of its own.
+Result<double> RunIteration(const std::string& robot, const std::string& robots_folder, int workers) {
+  char folder[] = "/tmp/realitygrad-bench-XXXXXX";
+  if (mkdtemp(folder) == nullptr) return InternalError("/tmp: cannot make a folder");
+  const std::string run = std::string(folder) + "/run";
+  ChildProcesses children;
+  RG_RETURN_IF_ERROR(
+      children.Start("run",
+                     {SiblingProgram("realitygrad"), "--robots", robots_folder, "run", "--iterations", "1",
+                      "--workers", std::to_string(workers), "--robot", robot, "--dir", run},
+                     std::string(folder) + "/run.log"));
+  Result<double> seconds = CancelledError("interrupted");
+  while (!cancel_on_interrupt.cancelled()) {
+    const Status child = children.Check();  // an end, good or bad, is reported as an error
+    const auto text = ReadFile(run + "/run.json");
+    const json state = text.ok() ? json::parse(*text, nullptr, false) : json();
+    if (state.is_object() && !state.value("results", json::array()).empty()) {
+      seconds = state.at("results").at(0).at("seconds").at("iteration").get<double>();
+      break;
+    }
+    if (!child.ok()) {
+      seconds = child;
+      break;
+    }
+    usleep(200'000);
+  }
+  children.StopAll(5.0);
+  std::error_code error;
+  if (seconds.ok()) fs::remove_all(folder, error);
+  return seconds;
+}
+
+std::string BenchTable(const std::vector<bench::Measurement>& measurements) {
+  TextTable table({"FIGURE", ">MEASURED", ">AT MOST", "UNIT", "RIVALS", "KEY"});
+  for (const bench::Measurement& m : measurements) {
+    for (const bench::Row& row : bench::Rows()) {
+      if (m.key != row.key) continue;
+      table.AddRow({row.what, m.value ? report::FormatNumber(*m.value) : "–",
+                    report::FormatNumber(row.target), row.unit, row.rival, row.key});
+    }
+  }
+  std::string text = table.ToString();
+  for (const bench::Measurement& m : measurements) text += m.key + ": " + m.note + "\n";
+  return text;
+}
+
+Status RunBenchCommand(Context& context, BenchArguments arguments) {
+  signal(SIGINT, OnInterrupt);
+  signal(SIGTERM, OnInterrupt);
+  RG_ASSIGN_OR_RETURN(const Settings settings, context.Resolve());
+  RG_ASSIGN_OR_RETURN(const RobotProfile profile, LoadRobotProfile(RobotsFolder(settings), arguments.robot));
+  RG_ASSIGN_OR_RETURN(const auto robot, LoadRobot(profile));
+  const std::string robots = RobotsFolder(settings);
+  arguments.options.run_iteration = [&] {
+    return RunIteration(arguments.robot, robots, arguments.options.threads);
+  };
+  ProgressDisplay display(
+      {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
+  const std::string load_before = LoadAverage();
+  RG_ASSIGN_OR_RETURN(const auto measurements,
+                      bench::RunBench(
+                          robot, arguments.options, RealClock(),
+                          [&](const ProgressUpdate& u) { display.Show(u); }, &cancel_on_interrupt));
+  display.Finish();
+  if (context.json()) {
+    json out = bench::BenchJson(measurements);
+    out["load_average"] = {{"before", load_before}, {"after", LoadAverage()}};
+    PrintJson("realitygrad.bench/1", out);
+    return Status::Ok();
+  }
+  if (context.quiet()) return Status::Ok();
+  Print(BenchTable(measurements));
+  Print("load average " + load_before + " before, " + LoadAverage() +
+        " after. Rivals were measured on another machine; see tests/benchmarks for a yardstick in the same "
+        "run.");
+  return Status::Ok();
+}
+
+}  // namespace
+
+void AddBenchCommand(CLI::App& app, Context& context) {
+  auto arguments = std::make_shared<BenchArguments>();
+  CLI::App* command =
+      app.add_subcommand("bench", "Measure this machine: the project's figures beside rivals'");
+  command->add_option("--only", arguments->options.only, "Keys, separated by commas")->delimiter(',');
+  command->add_flag("--quick", arguments->options.quick, "Fewer samples, no whole iteration");
+  command->add_option("--threads", arguments->options.threads, "Of the rows that use several")
+      ->check(CLI::Range(1, 1024))
+      ->capture_default_str();
+  command->add_option("--robot", arguments->robot, "Profile: a name, or a file")->capture_default_str();
+  command->add_option("--seed", arguments->options.seed)->capture_default_str();
+  command->callback([&context, arguments] {
+    context.Failed(RunBenchCommand(context, *arguments));
+    if (cancel_on_interrupt.cancelled()) context.exit_code = kExitCancelled;
+  });
+}
+
+}  // namespace rg::cli

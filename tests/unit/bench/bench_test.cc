@@ -1,0 +1,83 @@
+#include "services/bench/bench.h"
+
+#include <gtest/gtest.h>
+
+#include <nlohmann/json.hpp>
+
+#include "common/model/robot_model.h"
+#include "services/bench/subjects.h"
+#include "tests/support/sim/plants.h"
+
+namespace rg::bench {
+namespace {
+
+BenchOptions Quick(std::vector<std::string> only) {
+  BenchOptions options;
+  options.only = std::move(only);
+  options.quick = true;
+  return options;
+}
+
+TEST(Bench, HasTheAgreedKeysInTheirOrder) {
+  std::vector<std::string> keys;
+  for (const Row& row : Rows()) keys.push_back(row.key);
+  EXPECT_EQ(keys,
+            (std::vector<std::string>{
+                "rnea_us", "aba_us", "aba_derivatives_us", "regressor_us", "step_sensitivities_us",
+                "step_sensitivities_lanes_us", "step_effects_ratio", "jacobian_8s_ms", "identify_8s_s",
+                "gnms_iteration_ms", "trajectory_1s_ms", "trajectories_450_s", "training_s", "iteration_s"}));
+}
+
+TEST(Bench, MeasuresCheapRowsAndNotesWhatWasMeasured) {
+  const auto robot = rg::testing::LoadRobot("mico2");
+  const auto out = RunBench(robot, Quick({"rnea_us", "regressor_us", "gnms_iteration_ms"}), RealClock());
+  ASSERT_TRUE(out.ok()) << out.status().ToString();
+  const nlohmann::json j = BenchJson(*out);
+  ASSERT_EQ(out->size(), 3u);
+  for (const Measurement& m : *out) {
+    EXPECT_GT(j.at(m.key).get<double>(), 0) << m.key << ": " << m.note;
+    EXPECT_FALSE(j.at("notes").at(m.key).get<std::string>().empty());
+    EXPECT_GT(j.at("samples").at(m.key).get<int>(), 0);
+  }
+  EXPECT_FALSE(j.contains("aba_us")) << "not asked for";
+  EXPECT_EQ(j.at("targets").at("rnea_us"), 0.70);
+}
+
+TEST(Bench, RefusesAnUnknownKeyByName) {
+  const auto out = RunBench(rg::testing::LoadRobot("arm2"), Quick({"rnea_us", "warp_us"}), RealClock());
+  ASSERT_FALSE(out.ok());
+  EXPECT_NE(out.status().message().find("'warp_us'"), std::string::npos);
+}
+
+TEST(Bench, ARowThatCannotBeMeasuredIsNullAndSaysWhy) {
+  const auto out = RunBench(rg::testing::LoadRobot("arm2"), Quick({"iteration_s"}), RealClock());
+  ASSERT_TRUE(out.ok());
+  const nlohmann::json j = BenchJson(*out);
+  EXPECT_TRUE(j.at("iteration_s").is_null());
+  EXPECT_EQ(j.at("notes").at("iteration_s"), "no programs to run an iteration with");
+}
+
+TEST(Bench, TakesTheIterationsTimeFromTheCaller) {
+  BenchOptions options = Quick({"iteration_s"});
+  options.run_iteration = [] { return Result<double>(42.0); };
+  const auto out = RunBench(rg::testing::LoadRobot("arm2"), options, RealClock());
+  ASSERT_TRUE(out.ok());
+  EXPECT_EQ(out->front().value, 42.0);
+}
+
+TEST(Subjects, MedianOfOddAndEvenCounts) {
+  EXPECT_EQ(Median({3, 1, 2}), 2);
+  EXPECT_EQ(Median({4, 1, 2, 3}), 2.5);
+}
+
+TEST(Subjects, TheRecordedMotionDependsOnTheSeedOnly) {
+  const sim::Plant plant = rg::testing::MakePlant("arm2");
+  const Eigen::VectorXd p = DampedValues(plant);
+  const recordings::Recording rec = RecordMotion(plant, p, 0.5, 1);
+  EXPECT_EQ(rec.q.cols(), 51);
+  EXPECT_EQ(RecordMotion(plant, p, 0.5, 1).q, rec.q) << "same seed, same recording";
+  EXPECT_NE(RecordMotion(plant, p, 0.5, 2).q, rec.q);
+}
+
+}  // namespace
+}  // namespace rg::bench
