@@ -147,6 +147,12 @@ VectorXd TwentyPercentOff(const sim::Plant& plant, VectorXd values, uint64_t see
   return values;
 }
 
+double RootMeanSquare(const std::vector<VectorXd>& residuals) {
+  double sum = 0, count = 0;
+  for (const VectorXd& r : residuals) sum += r.squaredNorm(), count += static_cast<double>(r.size());
+  return std::sqrt(sum / count);
+}
+
 Measurement Bench::Identify() {
   const MovingArm arm(robot_, {}, 0.2);
   const sim::Plant& plant = arm.plant;
@@ -166,6 +172,8 @@ Measurement Bench::Identify() {
   sysid::ShootingFitOptions options;
   options.threads = options_.threads;
   options.simulator.step_s = 2e-3;
+  options.relative_tolerance = 1e-5;
+  options.max_iterations = 30;
   std::vector<double> seconds;
   sysid::ShootingFit result;
   for (int round = 0; round < Batches(3, 1); ++round) {
@@ -174,13 +182,15 @@ Measurement Bench::Identify() {
         sysid::FitByShooting(plant, start, space, theta, fit, noise, options, sysid::StopCondition(cancel_));
     seconds.push_back(clock_.SteadySeconds() - begin);
   }
-  char note[240];
+  char note[280];
   std::snprintf(
       note, sizeof note,
       "multiple shooting over the whole 8 s (100 Hz, noise 3e-4 rad), %d parameters from ±20 %% off, "
-      "step 2 ms, %d threads, wall time; ended %s in windows of %.2g s",
+      "step 2 ms, %d threads, wall time; ended %s after %d iterations in windows of %.2g s, residuals "
+      "%.3g of the noise",
       space.size(), options_.threads,
-      std::string(sysid::TerminationName(result.solution.termination)).c_str(), result.window_s);
+      std::string(sysid::TerminationName(result.solution.termination)).c_str(), result.solution.iterations,
+      result.window_s, RootMeanSquare(result.solution.residuals));
   return Done(Median(seconds), static_cast<int>(seconds.size()), note);
 }
 
