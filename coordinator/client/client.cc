@@ -1,6 +1,7 @@
 #include "coordinator/client/client.h"
 
 #include <algorithm>
+#include <cstdio>
 #include <thread>
 
 #include "common/base/hash.h"
@@ -114,8 +115,9 @@ Result<pb::GetJobReply> Client::WaitForJob(int64_t id, double timeout_s,
       std::this_thread::sleep_for(std::chrono::milliseconds(200));
     }
     if (left <= 0.0) {
-      return DeadlineExceededError("job " + std::to_string(id) + " was not over after " +
-                                   std::to_string(timeout_s) + " s");
+      char seconds[32];
+      std::snprintf(seconds, sizeof seconds, "%g s", timeout_s);
+      return DeadlineExceededError("job " + std::to_string(id) + " was not over after " + seconds);
     }
   }
 }

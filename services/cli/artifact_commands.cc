@@ -91,7 +91,12 @@ Status Get(Context& context, const Arguments& arguments, coordinator::Client& cl
   const std::string path =
       arguments.out.empty() ? info.kind() + "-" + info.sha256().substr(0, 12) : arguments.out;
   RG_RETURN_IF_ERROR(WriteFileAtomically(path, bytes));
-  if (!context.quiet()) PrintNote("wrote " + path + " (" + Bytes(bytes.size()) + ", " + info.kind() + ")");
+  if (context.json()) {
+    json written = InfoJson(info);
+    written["out"] = path;
+    PrintJson("realitygrad.artifact/1", written);
+  } else if (!context.quiet())
+    PrintNote("wrote " + path + " (" + Bytes(bytes.size()) + ", " + info.kind() + ")");
   return Status::Ok();
 }
 

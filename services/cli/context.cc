@@ -1,5 +1,8 @@
 #include "services/cli/context.h"
 
+#include <unistd.h>
+
+#include <cerrno>
 #include <cstdlib>
 #include <filesystem>
 #include <nlohmann/json.hpp>
@@ -141,6 +144,21 @@ std::string SiblingProgram(const std::string& name) {
   std::error_code error;
   const fs::path self = fs::read_symlink("/proc/self/exe", error);
   return (error ? fs::path(".") : self.parent_path()) / name;
+}
+
+Status CheckWritable(const std::string& folder) {
+  if (folder.empty()) return Status::Ok();
+  std::vector<fs::path> missing;  // the folder itself first
+  for (fs::path at = fs::absolute(folder).lexically_normal(); !fs::exists(at); at = at.parent_path()) {
+    if (at.has_filename()) missing.push_back(at);
+  }
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (!error && access(folder.c_str(), W_OK) != 0) error = std::error_code(errno, std::generic_category());
+  const std::string reason = error.message();
+  const bool failed = static_cast<bool>(error);
+  for (const fs::path& made : missing) fs::remove(made, error);
+  return failed ? InvalidError(folder + ": cannot write there: " + reason) : Status::Ok();
 }
 
 }  // namespace rg::cli

@@ -60,5 +60,8 @@ class Context {
 std::string RobotsFolder(const Settings& settings);
 // A program of this build, beside the running one.
 std::string SiblingProgram(const std::string& name);
+// Whether `folder` can be written, or made if it is not there; asked before long work. Leaves nothing.
+// An empty name: no folder is wanted.
+Status CheckWritable(const std::string& folder);
 
 }  // namespace rg::cli

@@ -44,6 +44,7 @@ std::string Told(const diagnosis::DiagnosisResult& r) {
 Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
   signal(SIGINT, OnInterrupt);
   RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSet(arguments.set));
+  RG_RETURN_IF_ERROR(CheckWritable(arguments.out));
   ProgressDisplay display(
       {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
   RG_ASSIGN_OR_RETURN(const diagnosis::DiagnosisResult result,

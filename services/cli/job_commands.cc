@@ -1,4 +1,5 @@
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "common/base/clock.h"
@@ -21,12 +22,15 @@ struct JobArguments {
 };
 
 // "5", "1-10", "1,3", "all", "last" -> ids; 0 stands for the newest.
-Result<std::vector<int64_t>> ParseSelector(const std::string& text, coordinator::Client& client) {
+Result<std::vector<int64_t>> ParseSelector(const std::string& text, coordinator::Client& client,
+                                           bool (*wanted)(pb::JobState)) {
   std::vector<int64_t> ids;
   if (text == "last") return std::vector<int64_t>{0};
   if (text == "all") {
     RG_ASSIGN_OR_RETURN(const auto jobs, client.ListJobs());
-    for (const auto& job : jobs) ids.push_back(job.id());
+    for (const auto& job : jobs) {
+      if (wanted == nullptr || wanted(job.state())) ids.push_back(job.id());
+    }
     return ids;
   }
   for (const std::string& part : CLI::detail::split(text, ',')) {
@@ -58,60 +62,96 @@ void ListJobs(Context& context) {
   }
 }
 
-// Calls `body` for the job that `arguments.id` selects (one only).
+using WantedState = bool (*)(pb::JobState);
+
+// Calls `body` for every job that `arguments.id` selects; "all" leaves out those in no `wanted` state.
+// Of the exit codes the highest is kept. The JSON values that the bodies give become one: the value
+// itself for a single job, else {"format": `plural`, "jobs": […]}.
 template <class Body>
-void WithJob(Context& context, const JobArguments& arguments, const Body& body) {
+void WithJobs(Context& context, const JobArguments& arguments, const char* format, const char* plural,
+              const Body& body, WantedState wanted = nullptr) {
   auto client = context.Connect();
   if (context.Failed(client.status())) return;
-  const auto ids = ParseSelector(arguments.id, **client);
+  const auto ids = ParseSelector(arguments.id, **client, wanted);
   if (context.Failed(ids.status())) return;
-  for (const int64_t id : *ids) body(**client, id);
+  json values = json::array();
+  int code = kExitOk;
+  for (const int64_t id : *ids) {
+    json value = body(**client, id);
+    if (!value.is_null()) values.push_back(std::move(value));
+    code = std::max(code, context.exit_code);
+  }
+  context.exit_code = code;
+  if (!context.json() || (values.empty() && code != kExitOk)) return;
+  const bool single = arguments.id != "all" && ids->size() == 1;
+  if (single) {
+    PrintJson(format, values.front());
+  } else {
+    PrintJson(plural, {{"jobs", values}});
+  }
 }
 
 void ShowJob(Context& context, const JobArguments& arguments) {
-  WithJob(context, arguments, [&](coordinator::Client& client, int64_t id) {
+  const auto show = [&](coordinator::Client& client, int64_t id) -> json {
     const auto job = client.GetJob(id, true, true);
-    if (context.Failed(job.status())) return;
-    if (context.json()) {
-      PrintJson("realitygrad.job/1", JobDetailsJson(*job));
+    if (context.Failed(job.status())) return nullptr;
+    if (context.json()) return JobDetailsJson(*job);
+    if (context.quiet()) {
+      Print(std::to_string(job->job().id()));
     } else {
       Print(JobDetails(*job, arguments.tasks || job->tasks_size() <= 12));
     }
-  });
+    return nullptr;
+  };
+  WithJobs(context, arguments, "realitygrad.job/1", "realitygrad.jobs/1", show);
 }
 
 void WatchJob(Context& context, const JobArguments& arguments) {
-  WithJob(context, arguments, [&](coordinator::Client& client, int64_t id) {
+  const auto watch = [&](coordinator::Client& client, int64_t id) -> json {
     const auto job = FollowJob(client, id, arguments.timeout_s, context.quiet());
-    if (context.Failed(job.status())) return;
-    if (context.json()) {
-      PrintJson("realitygrad.job/1", JobDetailsJson(*job));
-    } else if (!context.quiet()) {
-      Print(JobDetails(*job, false));
-    }
+    if (context.Failed(job.status())) return nullptr;
     context.exit_code = coordinator::ExitCodeOf(job->job().state());
-  });
+    if (context.json()) return JobDetailsJson(*job);
+    if (!context.quiet()) Print(JobDetails(*job, false));
+    return nullptr;
+  };
+  WithJobs(context, arguments, "realitygrad.job/1", "realitygrad.jobs/1", watch);
+}
+
+// The states in which `action` makes sense: what "all" stands for.
+WantedState StatesFor(pb::JobAction action) {
+  switch (action) {
+    case pb::JOB_ACTION_RETRY:
+      return [](pb::JobState s) { return s == pb::JOB_STATE_FAILED; };
+    case pb::JOB_ACTION_RESUME:
+      return [](pb::JobState s) { return s == pb::JOB_STATE_PAUSED; };
+    case pb::JOB_ACTION_PAUSE:
+      return [](pb::JobState s) { return s == pb::JOB_STATE_QUEUED || s == pb::JOB_STATE_RUNNING; };
+    default:
+      return [](pb::JobState s) {
+        return s == pb::JOB_STATE_QUEUED || s == pb::JOB_STATE_RUNNING || s == pb::JOB_STATE_PAUSED;
+      };
+  }
 }
 
 void ActOnJob(Context& context, const JobArguments& arguments, pb::JobAction action) {
-  WithJob(context, arguments, [&](coordinator::Client& client, int64_t id) {
+  const auto act = [&](coordinator::Client& client, int64_t id) -> json {
     const auto job = client.Act(id, action, arguments.reason);
-    if (context.Failed(job.status())) return;
-    if (context.json()) {
-      PrintJson("realitygrad.job/1", JobJson(*job));
-    } else if (!context.quiet()) {
-      Print("job " + std::to_string(job->id()) + " is " + JobStateText(job->state()));
-    }
-  });
+    if (context.Failed(job.status())) return nullptr;
+    if (context.json()) return JobJson(*job);
+    if (!context.quiet()) Print("job " + std::to_string(job->id()) + " is " + JobStateText(job->state()));
+    return nullptr;
+  };
+  WithJobs(context, arguments, "realitygrad.job/1", "realitygrad.jobs/1", act, StatesFor(action));
 }
 
 void ShowLogs(Context& context, const JobArguments& arguments) {
-  WithJob(context, arguments, [&](coordinator::Client& client, int64_t id) {
+  const auto show = [&](coordinator::Client& client, int64_t id) -> json {
     uint64_t after = 0;
     json list = json::array();
     while (true) {
       const auto reply = client.Logs(id, arguments.task, after);
-      if (context.Failed(reply.status())) return;
+      if (context.Failed(reply.status())) return nullptr;
       for (const pb::TaskLogLine& line : reply->lines()) {
         after = line.sequence();
         if (context.json()) {
@@ -126,27 +166,27 @@ void ShowLogs(Context& context, const JobArguments& arguments) {
       }
       if (reply->lines_size() == 0) break;
     }
-    if (context.json()) PrintJson("realitygrad.logs/1", {{"lines", list}});
-  });
+    return context.json() ? json{{"lines", list}} : json(nullptr);
+  };
+  WithJobs(context, arguments, "realitygrad.logs/1", "realitygrad.logs-of-jobs/1", show);
 }
 
 void Explain(Context& context, const JobArguments& arguments) {
-  WithJob(context, arguments, [&](coordinator::Client& client, int64_t id) {
+  const auto explain = [&](coordinator::Client& client, int64_t id) -> json {
     const auto reply = client.Explain(id, arguments.task);
-    if (context.Failed(reply.status())) return;
-    if (context.json()) {
-      PrintJson("realitygrad.explain/1",
-                {{"task", reply->task()},
-                 {"state", TaskStateText(reply->state())},
-                 {"reasons", std::vector<std::string>(reply->reasons().begin(), reply->reasons().end())},
-                 {"placeable", reply->placeable()}});
-    } else {
-      Print(
-          (reply->task().empty() ? "nothing waits" : reply->task() + " is " + TaskStateText(reply->state())));
-      for (const std::string& reason : reply->reasons()) Print("  " + reason);
-    }
+    if (context.Failed(reply.status())) return nullptr;
     if (!reply->placeable() && !reply->task().empty()) context.exit_code = kExitCannotPlace;
-  });
+    if (context.json()) {
+      return {{"task", reply->task()},
+              {"state", TaskStateText(reply->state())},
+              {"reasons", std::vector<std::string>(reply->reasons().begin(), reply->reasons().end())},
+              {"placeable", reply->placeable()}};
+    }
+    Print(reply->task().empty() ? "nothing waits" : reply->task() + " is " + TaskStateText(reply->state()));
+    for (const std::string& reason : reply->reasons()) Print("  " + reason);
+    return nullptr;
+  };
+  WithJobs(context, arguments, "realitygrad.explain/1", "realitygrad.explain-jobs/1", explain);
 }
 
 void ListWorkers(Context& context) {

@@ -3,6 +3,7 @@
 
 #include <CLI/CLI.hpp>
 #include <cerrno>
+#include <cstdio>
 #include <cstring>
 
 #include "common/base/log.h"
@@ -74,7 +75,9 @@ int main(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? rg::cli::kExitOk : rg::cli::kExitUsage;
+    if (error.get_exit_code() == 0) return app.exit(error);  // --help, --version
+    std::fprintf(stderr, "realitygrad: usage: %s (--help says more)\n", error.what());
+    return rg::cli::kExitUsage;
   }
   return context.exit_code;
 }

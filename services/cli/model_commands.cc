@@ -37,6 +37,7 @@ struct SysidArguments {
 Status Sysid(Context& context, const SysidArguments& arguments) {
   signal(SIGINT, OnInterrupt);
   RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSet(arguments.set));
+  RG_RETURN_IF_ERROR(CheckWritable(arguments.out));
   ProgressDisplay display(
       {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
   RG_ASSIGN_OR_RETURN(const sysid::SysidReport report,
@@ -124,8 +125,7 @@ void TakeManifestBeside(const std::string& recording, PredictionModel* model) {
 }
 
 Status Predict(Context& context, const PredictArguments& arguments) {
-  if (!(arguments.window_s > 0))
-    return InvalidError("--window is " + std::to_string(arguments.window_s) + ", must be positive (s)");
+  if (!(arguments.window_s > 0)) return InvalidError("--window must be positive (s)");
   RG_ASSIGN_OR_RETURN(PredictionModel model, LoadModel(arguments.model));
   TakeManifestBeside(arguments.recording, &model);
   RG_ASSIGN_OR_RETURN(recordings::Recording recording,

@@ -53,6 +53,24 @@ Status RunIteration(LocalService& service, const RobotProfile& profile, RunState
   return SaveRun(*run);
 }
 
+Status MakeFolder(const RunArguments& arguments, RunState* run) {
+  if (arguments.folder.empty()) {
+    RG_ASSIGN_OR_RETURN(run->folder, NewRunFolder(arguments.parent));
+    return Status::Ok();
+  }
+  if (fs::exists(arguments.folder + "/run.json")) {
+    return AlreadyExistsError(arguments.folder +
+                              " holds a run already; go on with it: realitygrad run --resume --dir " +
+                              arguments.folder);
+  }
+  std::error_code error;
+  fs::create_directories(arguments.folder + "/logs", error);
+  if (error) return InvalidError(arguments.folder + ": cannot create: " + error.message());
+  run->folder = arguments.folder;
+  return Status::Ok();
+}
+
+// The folder is made last: what is refused leaves nothing.
 Status Prepare(const Context& context, RunArguments* arguments, RobotProfile* profile) {
   RunState& run = arguments->run;
   if (arguments->resume) {
@@ -60,18 +78,6 @@ Status Prepare(const Context& context, RunArguments* arguments, RobotProfile* pr
       RG_ASSIGN_OR_RETURN(arguments->folder, UnfinishedRunFolder(arguments->parent));
     }
     RG_ASSIGN_OR_RETURN(run, LoadRun(arguments->folder));
-  } else if (!arguments->folder.empty()) {
-    if (fs::exists(arguments->folder + "/run.json")) {
-      return AlreadyExistsError(arguments->folder +
-                                " holds a run already; go on with it: realitygrad run --resume --dir " +
-                                arguments->folder);
-    }
-    std::error_code error;
-    fs::create_directories(arguments->folder + "/logs", error);
-    if (error) return InternalError(arguments->folder + ": cannot create: " + error.message());
-    run.folder = arguments->folder;
-  } else {
-    RG_ASSIGN_OR_RETURN(run.folder, NewRunFolder(arguments->parent));
   }
   RG_ASSIGN_OR_RETURN(const Settings settings, context.Resolve());
   RG_ASSIGN_OR_RETURN(*profile, LoadRobotProfile(RobotsFolder(settings), run.robot));
@@ -81,9 +87,14 @@ Status Prepare(const Context& context, RunArguments* arguments, RobotProfile* pr
   RG_RETURN_IF_ERROR(LoadRobot(*profile).status());
   if (run.iterations < 1)
     return InvalidError("--iterations is " + std::to_string(run.iterations) + ", must be at least 1");
-  RG_RETURN_IF_ERROR(jobs::Validate(run.options));
+  jobs::IterationOptions options = run.options;
+  TakeProfile(*profile, &options);
+  RG_RETURN_IF_ERROR(jobs::Validate(options));
   if (run.workers <= 0) run.workers = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
-  if (!arguments->resume) run.id = "run-" + RandomHex(8);
+  if (!arguments->resume) {
+    run.id = "run-" + RandomHex(8);
+    RG_RETURN_IF_ERROR(MakeFolder(*arguments, &run));
+  }
   return SaveRun(run);
 }
 

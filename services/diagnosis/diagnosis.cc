@@ -17,6 +17,7 @@ namespace rg::diagnosis {
 
 Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& set, const DiagnosisOptions& options,
                                  const Clock& clock, const ProgressFn& progress, const CancelToken* cancel) {
+  RG_RETURN_IF_ERROR(sysid::CheckTimes(options.window_s, options.step_s));
   const double start = clock.SteadySeconds();
   const int threads = sysid::ChooseThreads(options.threads);
   RG_ASSIGN_OR_RETURN(const sim::Plant nominal, sysid::NominalPlant(set));

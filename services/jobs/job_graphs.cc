@@ -258,6 +258,7 @@ Status Validate(const IterationOptions& o) {
   RG_RETURN_IF_ERROR(InRange("shard size", o.trajectories.shard_size, 1, 100000));
   RG_RETURN_IF_ERROR(InRange("trajectory duration [s]", o.trajectories.duration_s, 0.08, 60.0));
   RG_RETURN_IF_ERROR(InRange("reach", o.trajectories.reach, 0.01, 1.0));
+  RG_RETURN_IF_ERROR(InRange("spread [rad]", o.trajectories.spread, 0.0, 1e3));
   RG_RETURN_IF_ERROR(InRange("epochs", o.train.epochs, 1, 100000));
   RG_RETURN_IF_ERROR(InRange("batch", o.train.batch, 1, 100000));
   RG_RETURN_IF_ERROR(InRange("learning rate", o.train.learning_rate, 1e-7, 1.0));
@@ -266,6 +267,12 @@ Status Validate(const IterationOptions& o) {
   RG_RETURN_IF_ERROR(InRange("rollout duration [s]", o.rollout.duration_s, 0.2, 600.0));
   RG_RETURN_IF_ERROR(InRange("rollout rate [Hz]", o.rollout.rate_hz, 5.0, 1000.0));
   RG_RETURN_IF_ERROR(OneOf("controller", o.rollout.controller, {"policy", "mpc"}));
+  if (!o.rollout.goal_q.empty() && !o.home.empty() && o.rollout.goal_q.size() != o.home.size()) {
+    return InvalidError("goal has " + std::to_string(o.rollout.goal_q.size()) + " numbers, must have " +
+                        std::to_string(o.home.size()) + ", one per joint");
+  }
+  for (double q : o.rollout.goal_q) RG_RETURN_IF_ERROR(InRange("goal [rad or m]", q, -1e3, 1e3));
+  for (double x : o.rollout.goal_position) RG_RETURN_IF_ERROR(InRange("goal position [m]", x, -1e3, 1e3));
   if (!o.rollout.goal_position.empty() && o.rollout.goal_position.size() != 3) {
     return InvalidError("goal position has " + std::to_string(o.rollout.goal_position.size()) +
                         " numbers, must have 3 (x y z in m)");

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <limits>
 #include <memory>
 #include <utility>
@@ -413,8 +414,22 @@ Result<sim::Plant> NominalPlant(const recordings::RecordingSet& set) {
   return sim::Plant::Create(std::make_shared<const model::RobotModel>(std::move(robot)), options);
 }
 
+Status CheckTimes(double window_s, double step_s) {
+  char text[120];
+  if (!(window_s > 0.0 && window_s <= 3600.0)) {
+    std::snprintf(text, sizeof text, "window is %g s, must be positive and at most 3600 s", window_s);
+    return InvalidError(text);
+  }
+  if (step_s != 0.0 && !(step_s >= 1e-6 && step_s <= 0.1)) {
+    std::snprintf(text, sizeof text, "step is %g s, must be 0 (chosen) or between 1e-6 and 0.1 s", step_s);
+    return InvalidError(text);
+  }
+  return Status::Ok();
+}
+
 Result<SysidReport> SysidOnSet(const recordings::RecordingSet& set, const SysidOptions& options,
                                const Clock& clock, const ProgressFn& progress, const CancelToken* cancel) {
+  RG_RETURN_IF_ERROR(CheckTimes(options.window_s, options.step_s));
   return Identification(set, options, clock, progress, cancel).Run();
 }
 

@@ -42,6 +42,9 @@ struct SysidOptions {
   int threads = 0;                  // 0: all
 };
 
+// Windows of (0, 3600] s; a simulator's step of 0 (chosen) or [1e-6, 0.1] s.
+Status CheckTimes(double window_s, double step_s);
+
 struct HoldoutScore {
   std::string recording;
   double before_rms = 0.0, after_rms = 0.0;

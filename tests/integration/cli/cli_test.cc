@@ -16,6 +16,26 @@ TEST(CommandLine, WrongUseExitsWithTwoAndSaysWhy) {
   EXPECT_NE(said.err.find("must be table, json or quiet"), std::string::npos) << said.err;
 }
 
+TEST(CommandLine, WrongUseIsOneLine) {
+  const ScratchFolder scratch;
+  for (const char* wrong : {"jobs --frob", "predict --window abc", "sysid", "params diff 0 1"}) {
+    const Said said = RunProgram(scratch, wrong);
+    EXPECT_EQ(said.code, 2) << wrong;
+    EXPECT_TRUE(said.out.empty()) << wrong;
+    EXPECT_EQ(std::count(said.err.begin(), said.err.end(), '\n'), 1) << said.err;
+  }
+}
+
+TEST(Run, RefusedFlagsLeaveNothing) {
+  const ScratchFolder scratch;
+  for (const char* wrong : {"--epochs 0", "--iterations 0", "--goal 1,2", "--spread nan", "--robot nope"}) {
+    const Said said = RunProgram(scratch, std::string("run --dir made ") + wrong);
+    EXPECT_EQ(said.code, 1) << wrong;
+    EXPECT_EQ(std::count(said.err.begin(), said.err.end(), '\n'), 1) << said.err;
+    EXPECT_FALSE(std::filesystem::exists(scratch / "made")) << wrong;
+  }
+}
+
 TEST(CommandLine, NoCoordinatorExitsWithSix) {
   const ScratchFolder scratch;
   const Said said = RunProgram(scratch, "--coordinator tcp://127.0.0.1:9 jobs");
