@@ -120,7 +120,7 @@ class Speaker {
       return;
     }
     r_.verdict = "unmodelled_physics";
-    if (s_.best.base) AddParameters(0.6);
+    if (s_.best.base) AddParameters(0.25);  // a side remark
   }
 
   static double Confidence(double nats) {

@@ -330,6 +330,8 @@ std::vector<std::string> SiblingsOf(const std::string& effect) {
               "load_dependent_friction", "presliding_hysteresis", "thermal_drift"};
     case 3:
       return {"actuator_delay", "actuator_lag", "sensor_delay"};
+    case 4:
+      return {"position_spring"};
     default:
       return {};
   }
@@ -362,6 +364,11 @@ EffectSpec Exchanged(const EffectSpec& spec, const std::string& id, const sim::P
   }
   if (id == "thermal_drift") {
     return make({{"initial", 1.1 * level}, {"final", 0.9 * level}, {"time_constant", 0.4 * s.duration}});
+  }
+  if (id == "position_spring") {
+    const double range = std::max(0.05, s.high[j] - s.low[j]);
+    return make(
+        {{"stiffness", 0.3 * s.torque[j] / range}, {"cubic", 0.0}, {"center", 0.5 * (s.low[j] + s.high[j])}});
   }
   if (id == "actuator_lag") return make({{"time_constant", seconds}});
   return make({{"delay", seconds}});

@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "common/base/check.h"
+#include "common/model/robot_model.h"
 #include "services/sysid/boxed_newton_step.h"
 #include "services/sysid/parallel.h"
 
@@ -199,8 +200,9 @@ class Lineariser {
     return sum;
   }
 
-  // States of a window simulated node by node from x_0, hidden states carried on: in place.
-  void CarryHidden(int worker, int index, MatrixXd* states) {
+  // States of a window simulated node by node from x_0, in place: what is recorded stays as recorded, what is
+  // hidden is carried on. Behind an encoder on the motor the link is the hidden one.
+  void CarryHidden(int worker, int index, const std::vector<int>& motor, MatrixXd* states) {
     Worker& w = *workers_[worker];
     const NodeWindow& window = data_.windows[index];
     const int nz = nx_ - 2 * n_;
@@ -213,6 +215,12 @@ class Lineariser {
       w.simulator.SimulateInto(w.x, data_.recordings[window.recording].command, w.times, {}, &w.out);
       if (!w.out.outcome.ok()) return;
       states->col(k + 1).tail(nz) = w.out.state.col(0).tail(nz);
+      for (int j = 0; j < n_; ++j) {
+        if (motor[j] < 0) continue;
+        for (const int row : {j, n_ + j}) (*states)(row, k + 1) = w.out.state(row, 0);
+        (*states)(2 * n_ + motor[j], k + 1) = window.q0(j, k + 1);
+        (*states)(2 * n_ + motor[j] + 1, k + 1) = window.v0(j, k + 1);
+      }
     }
   }
   sim::State MakeState(int worker, const VectorXd& q, const VectorXd& v, double t, int recording) {
@@ -299,8 +307,28 @@ int FitData::Rows() const {
   return rows;
 }
 
+namespace {
+
+// Per joint: place of the motor's position among the internal states where the encoder sits on the motor.
+std::vector<int> SensedMotors(const sim::Plant& plant) {
+  std::vector<int> out(plant.num_joints(), -1);
+  const auto& names = plant.internal_state_names();
+  for (const effects::EffectSpec& e : plant.effects()) {
+    const auto sensor = e.options.find("sensor");
+    if (sensor == e.options.end() || sensor->second != "motor") continue;
+    for (const std::string& joint : e.joints) {
+      const auto at = std::find(names.begin(), names.end(), "motor_position." + joint);
+      if (at != names.end()) out[plant.model().FindJoint(joint)] = static_cast<int>(at - names.begin());
+    }
+  }
+  return out;
+}
+
+}  // namespace
+
 NodeStates InitialStates(const FitData& data, const FitModel& model, const LiftedOptions& options) {
   Lineariser lin(data, model, false, options);
+  const std::vector<int> motor = SensedMotors(model.plant);
   const int nx = lin.nx(), n = data.n;
   NodeStates states(data.windows.size());
   sysid::ParallelFor(options.threads, static_cast<int>(data.windows.size()), [&](int worker, int w) {
@@ -314,7 +342,12 @@ NodeStates InitialStates(const FitData& data, const FitModel& model, const Lifte
     const sim::State x =
         lin.MakeState(worker, window.q0.col(0), window.v0.col(0), window.t[0], window.recording);
     states[w].col(0).tail(nx - 2 * n) = x.z;
-    lin.CarryHidden(worker, w, &states[w]);
+    for (int j = 0; j < n; ++j) {
+      if (motor[j] < 0) continue;
+      states[w](j, 0) -= x.z[motor[j]] - window.q0(j, 0);
+      states[w](2 * n + motor[j], 0) = window.q0(j, 0);
+    }
+    lin.CarryHidden(worker, w, motor, &states[w]);
   });
   return states;
 }

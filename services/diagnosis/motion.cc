@@ -12,15 +12,15 @@ using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
 SmoothMotion::SmoothMotion(const recordings::Recording& recording, const recordings::SensorNoise& noise)
-    : recording_(recording),
+    : recording_(&recording),
       weight_q_(noise.position_stddev.cwiseInverse()),
       weight_v_(noise.velocity_stddev.cwiseInverse()) {
   half_span_ = std::max(0.05, 2.2 * recording.SamplePeriod());
 }
 
 void SmoothMotion::At(double t, VectorXd* q, VectorXd* v, VectorXd* a) const {
-  const VectorXd& times = recording_.t;
-  const int K = recording_.rows(), n = recording_.n();
+  const VectorXd& times = recording_->t;
+  const int K = recording_->rows(), n = recording_->n();
   int first =
       static_cast<int>(std::lower_bound(times.data(), times.data() + K, t - half_span_) - times.data());
   int last =
@@ -51,11 +51,11 @@ void SmoothMotion::At(double t, VectorXd* q, VectorXd* v, VectorXd* a) const {
       }
       const double wq = window * weight_q_[j] * weight_q_[j];
       H.noalias() += wq * value * value.transpose();
-      g += wq * recording_.q(j, k) * value;
-      if (!recording_.has_velocity()) continue;
+      g += wq * recording_->q(j, k) * value;
+      if (!recording_->has_velocity()) continue;
       const double wv = window * weight_v_[j] * weight_v_[j];
       H.noalias() += wv * slope * slope.transpose();
-      g += wv * recording_.v(j, k) * slope;
+      g += wv * recording_->v(j, k) * slope;
     }
     H.diagonal().array() += 1e-9 * H.trace();
     for (int i = m; i < 5; ++i) H(i, i) = 1.0;

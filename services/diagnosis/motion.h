@@ -21,7 +21,7 @@ class SmoothMotion {
   double half_span() const { return half_span_; }
 
  private:
-  const recordings::Recording& recording_;
+  const recordings::Recording* recording_;
   Eigen::VectorXd weight_q_, weight_v_;  // n, 1/stddev
   double half_span_ = 0.05;
 };

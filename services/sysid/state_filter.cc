@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "common/base/check.h"
+#include "common/model/robot_model.h"
 
 namespace rg::sysid {
 namespace {
@@ -35,6 +36,7 @@ StateFilter::StateFilter(sim::Simulator* simulator, const recordings::Recording&
       nx_(simulator->plant().num_states()) {
   RG_CHECK(position_variance_.size() == n_ && velocity_variance_.size() == n_);
   log_acceleration_ = VectorXd::Constant(n_, std::log(kStartAcceleration));
+  PlaceSensors();
 }
 
 const sim::State& StateFilter::StateAt(int row) {
@@ -53,10 +55,43 @@ void StateFilter::Start(int row) {
     v = recordings::EstimateStateCausal(recording_, row).v;
   }
   x_ = simulator_.MakeState(recording_.q.col(row), v, recording_.t[row], command_);
+  // Link and motor together, until the encoder would have said what it said.
+  VectorXd seen(n_), rate(n_);
+  simulator_.Measure(x_, &seen, &rate);
+  for (int j = 0; j < n_; ++j) {
+    const double shift = recording_.q(j, row) - seen[j];
+    x_.q[j] += shift;
+    if (position_index_[j] != j) x_.z[position_index_[j] - 2 * n_] += shift;
+  }
   P_ = kInternalVariance * MatrixXd::Identity(nx_, nx_);
   P_.diagonal().head(n_) = position_variance_;
   P_.diagonal().segment(n_, n_).setConstant(kUnknownSpeed * kUnknownSpeed);
   if (recording_.has_velocity()) P_.diagonal().segment(n_, n_) = velocity_variance_;
+  for (int j = 0; j < n_; ++j) {
+    if (position_index_[j] == j) continue;
+    P_(position_index_[j], position_index_[j]) = position_variance_[j];
+    P_(j, j) = kInternalVariance;
+  }
+}
+
+void StateFilter::PlaceSensors() {
+  const sim::Plant& plant = simulator_.plant();
+  const auto& names = plant.internal_state_names();
+  for (int j = 0; j < n_; ++j) {
+    position_index_.push_back(j);
+    velocity_index_.push_back(n_ + j);
+  }
+  for (const effects::EffectSpec& e : plant.effects()) {
+    const auto sensor = e.options.find("sensor");
+    if (sensor == e.options.end() || sensor->second != "motor") continue;
+    for (const std::string& joint : e.joints) {
+      const auto at = std::find(names.begin(), names.end(), "motor_position." + joint);
+      const int j = plant.model().FindJoint(joint);
+      if (at == names.end() || j < 0) continue;
+      position_index_[j] = 2 * n_ + static_cast<int>(at - names.begin());
+      velocity_index_[j] = position_index_[j] + 1;
+    }
+  }
 }
 
 void StateFilter::Step(int row) {
@@ -99,17 +134,18 @@ void StateFilter::Correct(int row) {
   VectorXd excess = VectorXd::Zero(n_);
   for (int j = 0; j < n_; ++j) {  // innovations before anything is corrected
     const double dq = recording_.q(j, row) - q[j];
-    excess[j] = dq * dq / (P_(j, j) + position_variance_[j]) - 1.0;
+    excess[j] = dq * dq / (P_(position_index_[j], position_index_[j]) + position_variance_[j]) - 1.0;
     if (!recording_.has_velocity()) continue;
     const double dv = recording_.v(j, row) - v[j];
-    excess[j] = 0.5 * (excess[j] + dv * dv / (P_(n_ + j, n_ + j) + velocity_variance_[j]) - 1.0);
+    excess[j] = 0.5 * (excess[j] +
+                       dv * dv / (P_(velocity_index_[j], velocity_index_[j]) + velocity_variance_[j]) - 1.0);
   }
   for (int j = 0; j < n_; ++j) {
     simulator_.Measure(x_, &q, &v);
-    Update(j, recording_.q(j, row), q[j], position_variance_[j]);
+    Update(position_index_[j], recording_.q(j, row), q[j], position_variance_[j]);
     if (!recording_.has_velocity()) continue;
     simulator_.Measure(x_, &q, &v);
-    Update(n_ + j, recording_.v(j, row), v[j], velocity_variance_[j]);
+    Update(velocity_index_[j], recording_.v(j, row), v[j], velocity_variance_[j]);
   }
   for (int j = 0; j < n_; ++j) {
     log_acceleration_[j] = std::clamp(log_acceleration_[j] + kAdaptation * std::min(excess[j], kMaxExcess),

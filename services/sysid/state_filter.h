@@ -10,6 +10,7 @@
 
 #include <Eigen/Core>
 #include <functional>
+#include <vector>
 
 #include "common/recordings/noise.h"
 #include "common/recordings/recording.h"
@@ -36,6 +37,7 @@ class StateFilter {
   void Step(int row);
   bool Propagate(double begin, double end);
   void Correct(int row);
+  void PlaceSensors();
   void Update(int index, double measured, double predicted, double variance);
 
   sim::Simulator& simulator_;
@@ -44,6 +46,8 @@ class StateFilter {
   DriveTorque drive_torque_;
   Eigen::VectorXd position_variance_, velocity_variance_;
   int n_, nx_;
+  // Per joint: the place in (q, v, z) of what its encoder sees; the motor's where it sits there.
+  std::vector<int> position_index_, velocity_index_;
   int row_ = -1;
   sim::State x_;
   sim::Linearization lin_;

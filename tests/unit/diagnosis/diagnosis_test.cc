@@ -1,0 +1,142 @@
+#include "services/diagnosis/diagnosis.h"
+
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "common/base/file.h"
+#include "common/effects/effect_catalog.h"
+#include "common/sim/model_file.h"
+#include "tests/unit/diagnosis/simulated_set.h"
+
+namespace rg::diagnosis {
+namespace {
+
+using effects::MakeSpec;
+using nlohmann::json;
+
+DiagnosisResult Diagnosed(const recordings::RecordingSet& set) {
+  DiagnosisOptions options;
+  options.threads = 2;
+  auto result = Diagnose(set, options, RealClock());
+  RG_CHECK(result.ok()) << result.status().ToString();
+  return *result;
+}
+
+std::string Pivot() { return sysid::testing::LoadPlant("pendulum").joint_names()[0]; }
+
+// Every field of RECORDINGS.md, with its type.
+void ExpectContract(const json& d) {
+  EXPECT_EQ(d.at("format"), "realitygrad.diagnosis/1");
+  const std::set<std::string> verdicts = {"no_mismatch", "parameters_only", "unmodelled_physics",
+                                          "unexplained"};
+  EXPECT_TRUE(verdicts.count(d.at("verdict").get<std::string>()));
+  EXPECT_TRUE(d.at("elapsed_s").is_number());
+  EXPECT_TRUE(d.at("fit").at("window_s").is_number());
+  const json& h = d.at("fit").at("holdout");
+  for (const char* name : {"before_rms", "calibrated_rms", "after_rms", "noise_floor_rms"}) {
+    EXPECT_TRUE(h.at(name).is_number()) << name;
+    EXPECT_GT(h.at(name).get<double>(), 0) << name;
+  }
+  ASSERT_EQ(h.at("improvement_ci95").size(), 2u);
+  EXPECT_LE(h["improvement_ci95"][0].get<double>(), h["improvement_ci95"][1].get<double>());
+  double last = 1.0;
+  for (const json& f : d.at("findings")) {
+    const std::string id = f.at("effect");
+    EXPECT_TRUE(id == "parameters_only" || effects::FindEffect(id) != nullptr) << id;
+    EXPECT_TRUE(f.at("joints").is_array());
+    const double confidence = f.at("confidence");
+    EXPECT_GE(confidence, 0.0);
+    EXPECT_LE(confidence, last);
+    last = confidence;
+    EXPECT_TRUE(f.at("where").at("summary").is_string());
+    EXPECT_GE(f["where"].at("share_of_mismatch").get<double>(), 0.0);
+    EXPECT_LE(f["where"]["share_of_mismatch"].get<double>(), 1.0);
+    for (const json& r : f["where"].at("regions"))
+      EXPECT_LE(r.at("low").get<double>(), r.at("high").get<double>());
+    for (const json& w : f["where"].at("windows")) {
+      EXPECT_TRUE(w.at("recording").is_string());
+      EXPECT_LT(w.at("start").get<double>(), w.at("end").get<double>());
+    }
+    EXPECT_FALSE(f.at("statement").get<std::string>().empty());
+    EXPECT_FALSE(f.at("equation").get<std::string>().empty());
+    const auto effect_class = f.at("class").get<std::vector<std::string>>();
+    EXPECT_EQ(effect_class.front(), id);
+    for (const auto& [owner, values] : f.at("parameters").items()) {
+      for (const auto& [name, value] : values.items()) {
+        EXPECT_TRUE(value.at("value").is_number()) << owner << " " << name;
+        EXPECT_TRUE(value.at("stddev").is_number());
+        EXPECT_TRUE(value.at("unit").is_string());
+      }
+    }
+    for (const json& a : f.at("alternatives")) {
+      EXPECT_TRUE(a.at("effect").is_string());
+      EXPECT_TRUE(a.at("evidence").is_number());
+      EXPECT_TRUE(a.at("separable").is_boolean());
+      EXPECT_TRUE(a.at("experiment").is_string());
+    }
+  }
+}
+
+TEST(Diagnose, SaysNothingOfAPendulumThatLacksNothing) {
+  const DiagnosisResult r = Diagnosed(testing::MakeSet("pendulum", {}, 11));
+  EXPECT_EQ(r.verdict, "no_mismatch");
+  EXPECT_TRUE(r.findings.empty());
+  ExpectContract(json::parse(DiagnosisJson(r)));
+}
+
+TEST(Diagnose, NamesCoulombFrictionAndItsLevel) {
+  const DiagnosisResult r = Diagnosed(
+      testing::MakeSet("pendulum", {MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.15}})}, 12));
+  EXPECT_EQ(r.verdict, "unmodelled_physics");
+  ASSERT_FALSE(r.findings.empty());
+  EXPECT_EQ(r.findings[0].effect, "coulomb_friction");
+  EXPECT_EQ(r.findings[0].joints, std::vector<std::string>{Pivot()});
+  EXPECT_GT(r.findings[0].confidence, 0.5);
+  ASSERT_FALSE(r.findings[0].parameters.empty());
+  EXPECT_NEAR(r.findings[0].parameters[0].value, 0.15, 0.008);
+  EXPECT_LT(r.holdout.after_rms, 0.5 * r.holdout.before_rms);
+  ExpectContract(json::parse(DiagnosisJson(r)));
+}
+
+TEST(Diagnose, NamesADelay) {
+  const DiagnosisResult r =
+      Diagnosed(testing::MakeSet("pendulum", {MakeSpec("actuator_delay", {Pivot()}, {{"delay", 0.03}})}, 13));
+  ASSERT_FALSE(r.findings.empty());
+  EXPECT_EQ(r.findings[0].effect, "actuator_delay");
+  EXPECT_NEAR(r.findings[0].parameters[0].value, 0.03, 0.003);
+}
+
+TEST(Diagnose, WritesAModelThatPredictsAsItDoes) {
+  const DiagnosisResult r = Diagnosed(
+      testing::MakeSet("pendulum", {MakeSpec("viscous_friction", {Pivot()}, {{"viscous", 0.1}})}, 14));
+  const std::string folder = (std::filesystem::temp_directory_path() / "rg_diagnosis_test").string();
+  ASSERT_TRUE(WriteDiagnosis(folder, r, "<html></html>").ok());
+  const auto model = sim::LoadModelFile(folder + "/model.json");
+  ASSERT_TRUE(model.ok()) << model.status().ToString();
+  EXPECT_EQ(model->plant.effects().size(), r.plant->effects().size());
+  EXPECT_LT((model->values - r.values).cwiseAbs().maxCoeff(), 1e-12);
+  EXPECT_TRUE(std::filesystem::exists(folder + "/diagnosis.json"));
+  EXPECT_TRUE(std::filesystem::exists(folder + "/report.html"));
+  std::filesystem::remove_all(folder);
+}
+
+TEST(Diagnose, DoesNotDependOnTheTimeOrigin) {
+  auto set = testing::MakeSet("pendulum", {MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.15}})}, 15);
+  for (auto& rec : set.recordings) rec.t.array() += 100.0;
+  const DiagnosisResult r = Diagnosed(set);
+  ASSERT_FALSE(r.findings.empty());
+  EXPECT_EQ(r.findings[0].effect, "coulomb_friction");
+}
+
+TEST(Diagnose, RefusesTooLittleData) {
+  auto set = testing::MakeSet("pendulum", {}, 16, 1.0);
+  set.recordings.resize(1);
+  set.recordings[0] = recordings::Slice(set.recordings[0], 0, 8);
+  EXPECT_FALSE(Diagnose(set, {}, RealClock()).ok());
+}
+
+}  // namespace
+}  // namespace rg::diagnosis
