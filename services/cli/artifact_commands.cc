@@ -204,6 +204,7 @@ void AddArtifactCommands(CLI::App& app, Context& context) {
   verify->add_option("HASH", verify_arguments->hash, hash_help);
   auto [gc, gc_arguments] = add("gc", "Remove what nothing kept descends from", Gc);
   gc->add_option("--older-than-days", gc_arguments->older_than_days, "Only older ones")
+      ->check(CLI::Range(0.0, 100000.0))
       ->capture_default_str();
   gc->add_flag("--yes", gc_arguments->yes, "Really remove; otherwise it only says what it would");
 }

@@ -1,5 +1,7 @@
 #include "services/cli/context.h"
 
+#include <sys/socket.h>
+#include <sys/un.h>
 #include <unistd.h>
 
 #include <cerrno>
@@ -87,6 +89,24 @@ Result<Settings> Context::Resolve() const {
   return settings;
 }
 
+namespace {
+
+// Whether a process has the socket of this ipc:// address open. Other addresses: true.
+bool SomebodyListens(const std::string& address) {
+  constexpr std::string_view kIpc = "ipc://";
+  sockaddr_un to{};
+  to.sun_family = AF_UNIX;
+  if (!address.starts_with(kIpc) || address.size() - kIpc.size() >= sizeof to.sun_path) return true;
+  address.copy(to.sun_path, sizeof to.sun_path - 1, kIpc.size());
+  const int fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  if (fd < 0) return true;
+  const bool listens = connect(fd, reinterpret_cast<const sockaddr*>(&to), sizeof to) == 0;
+  close(fd);
+  return listens;
+}
+
+}  // namespace
+
 Context::Context() = default;
 Context::~Context() {
   children_.reset();
@@ -95,7 +115,9 @@ Context::~Context() {
 }
 
 Result<std::string> Context::AddressOfRun(const std::string& folder) const {
-  if (const auto running = ReadFile(folder + "/address"); running.ok()) return *running;
+  // A run that was killed leaves its address behind.
+  if (const auto running = ReadFile(folder + "/address"); running.ok() && SomebodyListens(*running))
+    return *running;
   const std::string database = folder + "/realitygrad.db";
   if (!fs::exists(database))
     return NotFoundError(folder + ": not the folder of a run (realitygrad.db is not there)");
@@ -103,6 +125,8 @@ Result<std::string> Context::AddressOfRun(const std::string& folder) const {
   if (mkdtemp(socket_folder) == nullptr) return InternalError("/tmp: cannot make a folder for the socket");
   socket_folder_ = socket_folder;
   const std::string address = "ipc://" + socket_folder_ + "/coordinator.sock";
+  std::error_code error;
+  fs::create_directories(folder + "/logs", error);  // if that fails, Start says so
   children_ = std::make_unique<ChildProcesses>();
   RG_RETURN_IF_ERROR(children_->Start(
       "coordinator", {SiblingProgram("realitygrad-coordinator"), "--listen", address, "--db", database},
@@ -132,7 +156,10 @@ Result<std::unique_ptr<coordinator::Client>> Context::Connect() const {
 
 bool Context::Failed(const Status& status) {
   if (status.ok()) return false;
-  exit_code = Fail(status);
+  // A coordinator of our own that did not come up says better why nobody answers.
+  const Status own =
+      children_ && status.code() == StatusCode::kUnavailable ? children_->Check() : Status::Ok();
+  exit_code = Fail(own.ok() ? status : own);
   return true;
 }
 

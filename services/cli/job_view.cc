@@ -50,12 +50,18 @@ std::string StagesTable(const pb::GetJobReply& job) {
   return table.ToString();
 }
 
+// Who runs it, or ran it last as far as the reply has attempts.
+const std::string& WorkerOf(const pb::TaskInfo& task) {
+  const int attempts = task.attempt_list_size();
+  return task.worker().empty() && attempts > 0 ? task.attempt_list(attempts - 1).worker() : task.worker();
+}
+
 std::string TasksTable(const pb::GetJobReply& job) {
   TextTable table({"TASK", "STAGE", "STATE", ">ATTEMPTS", "WORKER", ">SECONDS", "REASON"});
   for (const pb::TaskInfo& task : job.tasks()) {
     table.AddRow(
         {task.name(), task.stage(), TaskStateText(task.state()), std::to_string(task.attempts()),
-         task.worker(),
+         WorkerOf(task),
          task.started_ns() == 0 ? "–" : FormatSeconds(Seconds(task.started_ns(), task.finished_ns())),
          task.reason()});
   }
@@ -147,7 +153,7 @@ json JobDetailsJson(const pb::GetJobReply& reply) {
                                 {"state", TaskStateText(task.state())},
                                 {"reason", task.reason()},
                                 {"attempts", task.attempts()},
-                                {"worker", task.worker()},
+                                {"worker", WorkerOf(task)},
                                 {"started", TimeJson(task.started_ns())},
                                 {"finished", TimeJson(task.finished_ns())},
                                 {"summary", Parsed(task.summary_json())},

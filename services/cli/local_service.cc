@@ -158,6 +158,11 @@ Result<json> FetchResult(coordinator::Client& client, const pb::GetJobReply& job
 Result<pb::GetJobReply> RunJob(coordinator::Client& client, pb::JobSpec job, const std::string& request_id,
                                bool quiet) {
   RG_ASSIGN_OR_RETURN(const int64_t id, client.Submit(job, request_id));
+  // Known from before and failed: to go on is to try its failed tasks again.
+  RG_ASSIGN_OR_RETURN(const pb::GetJobReply known, client.GetJob(id, false, false));
+  if (known.job().state() == pb::JOB_STATE_FAILED) {
+    RG_RETURN_IF_ERROR(client.Act(id, pb::JOB_ACTION_RETRY, "run --resume").status());
+  }
   RG_ASSIGN_OR_RETURN(const pb::GetJobReply end, FollowJob(client, id, -1, quiet));
   if (end.job().state() == pb::JOB_STATE_CANCELLED)
     return CancelledError("job " + std::to_string(id) + " was cancelled");

@@ -76,7 +76,11 @@ int main(int argc, char** argv) {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
     if (error.get_exit_code() == 0) return app.exit(error);  // --help, --version
-    std::fprintf(stderr, "realitygrad: usage: %s (--help says more)\n", error.what());
+    const auto rest = app.remaining(true);
+    const std::string what = dynamic_cast<const CLI::RequiredError*>(&error) && !rest.empty()
+                                 ? "there is no command '" + rest.front() + "'"
+                                 : error.what();
+    std::fprintf(stderr, "realitygrad: usage: %s (--help says more)\n", what.c_str());
     return rg::cli::kExitUsage;
   }
   return context.exit_code;

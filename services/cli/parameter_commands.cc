@@ -160,7 +160,7 @@ void AddParameterCommands(CLI::App& app, Context& context) {
   auto [show, show_arguments] = add("show", "One version's values", Show);
   show->add_option("VERSION", show_arguments->version, "Default: the latest");
   auto [diff, diff_arguments] = add("diff", "What changed between two versions", Diff);
-  diff->add_option("FROM", diff_arguments->version)->required()->check(CLI::PositiveNumber);
+  diff->add_option("FROM", diff_arguments->version)->required()->check(CLI::Range(1u, 1'000'000'000u));
   diff->add_option("TO", diff_arguments->to, "Default: the latest");
   AddExportCommand(*params, context);
 }

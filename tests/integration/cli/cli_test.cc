@@ -26,6 +26,17 @@ TEST(CommandLine, WrongUseIsOneLine) {
   }
 }
 
+TEST(CommandLine, ARunsDatabaseThatIsNoneIsNamed) {
+  const ScratchFolder scratch;
+  ASSERT_TRUE(WriteFileAtomically(scratch / "run/realitygrad.db", std::string(5000, 'x')).ok());
+  // As a run leaves it that was killed.
+  ASSERT_TRUE(WriteFileAtomically(scratch / "run/address", "ipc:///tmp/realitygrad-gone/socket").ok());
+  const Said said = RunProgram(scratch, "--coordinator run jobs");
+  EXPECT_NE(said.code, 0);
+  EXPECT_EQ(std::count(said.err.begin(), said.err.end(), '\n'), 1) << said.err;
+  EXPECT_NE(said.err.find("realitygrad.db: file is not a database"), std::string::npos) << said.err;
+}
+
 TEST(Run, RefusedFlagsLeaveNothing) {
   const ScratchFolder scratch;
   for (const char* wrong : {"--epochs 0", "--iterations 0", "--goal 1,2", "--spread nan", "--robot nope"}) {
