@@ -60,7 +60,7 @@ TEST_F(Programs, SignalsStopThemCleanly) {
   pb::JobSpec job;
   AddTask(&job, "t", "sleep", R"({"seconds": 60})");
   const auto id = service.client().Submit(job);
-  ASSERT_TRUE(service.WaitForTask(*id, "t", pb::TASK_STATE_LEASED));
+  ASSERT_TRUE(service.WaitForProgress(*id, "t"));
   service.worker("a").Signal(SIGINT);
   EXPECT_EQ(service.worker("a").WaitForExit(0.3), -1) << "the first signal drains";
   service.worker("a").Signal(SIGINT);

@@ -251,10 +251,10 @@ TEST(Service, ADrainedWorkerFinishesAndLeaves) {
   Service service;
   service.StartWorker("a");
   pb::JobSpec job;
-  AddTask(&job, "t", "sleep", R"({"seconds": 0.5})");
+  AddTask(&job, "t", "sleep", R"({"seconds": 2.0})");
   AddTask(&job, "u", "sleep", R"({"seconds": 0.1})");
   const auto id = service.client().Submit(job);
-  ASSERT_TRUE(service.WaitForTask(*id, "t", pb::TASK_STATE_LEASED));
+  ASSERT_TRUE(service.WaitForProgress(*id, "t"));
   service.worker("a").Signal(SIGTERM);
   EXPECT_EQ(service.worker("a").WaitForExit(kPatience), 0);
   const auto reply = service.client().GetJob(*id);

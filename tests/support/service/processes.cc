@@ -151,6 +151,14 @@ bool Service::WaitForTask(int64_t job, const std::string& task, pb::TaskState st
   });
 }
 
+bool Service::WaitForProgress(int64_t job, const std::string& task, double timeout_s) {
+  return WaitUntil(timeout_s, [&] {
+    const auto reply = client_->GetJob(job);
+    const pb::TaskInfo* info = reply.ok() ? FindTask(*reply, task) : nullptr;
+    return info != nullptr && info->state() == pb::TASK_STATE_LEASED && info->progress().total() > 0;
+  });
+}
+
 std::string Service::Logs() const {
   std::string text;
   std::error_code ignored;

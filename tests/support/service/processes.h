@@ -54,6 +54,8 @@ class Service {
   double Counter(const std::string& name);
   // Waits until `workers` are connected.
   bool WaitForWorkers(uint32_t workers, double timeout_s = 20.0);
+  // Until the task itself has said something: a lease alone may still be on its way to the worker.
+  bool WaitForProgress(int64_t job, const std::string& task, double timeout_s = 20.0);
   bool WaitForTask(int64_t job, const std::string& task, pb::TaskState state, double timeout_s = 20.0);
   // The end of everything that was logged, for a failing test.
   std::string Logs() const;
