@@ -44,15 +44,17 @@ void AddIdentifyFlags(CLI::App* command, jobs::IterationOptions* options) {
       ->capture_default_str();
   command->add_option("--chains", o.chains, "Parallel chains of basin hopping")->capture_default_str();
   command->add_option("--rounds", o.rounds, "Chains exchange their best so often")->capture_default_str();
-  command->add_flag("!--single-window", o.whole_recording,
-                    "Fit one short window as in the paper, not the whole recording");
+  command->add_flag_callback(
+      "--single-window", [&o] { o.whole_recording = false; },
+      "Fit one short window as in the paper, not the whole recording");
   command->add_option("--window", o.window_s, "Length of the windows that are fitted [s]; 0: 1, single 0.2")
       ->capture_default_str();
   command->add_option("--window-start", o.window_start_s, "Its start [s]")->capture_default_str();
   command->add_option("--solver", o.solver, "lm or lbfgs")->capture_default_str();
   command->add_option("--bounds", o.bounds, "physical, paper (±20 %) or none")->capture_default_str();
-  command->add_flag("!--paper-parameters", o.friction,
-                    "Only the paper's 71 parameters, without Coulomb friction and rotor inertia");
+  command->add_flag_callback(
+      "--paper-parameters", [&o] { o.friction = false; },
+      "Only the paper's 71 parameters, without Coulomb friction and rotor inertia");
   command->add_option("--alpha", o.alpha, "Weight of the pull towards the present parameters")
       ->capture_default_str();
 }

@@ -74,11 +74,11 @@ Status LocalService::StartPrograms(const LocalServiceOptions& options) {
       file("logs/coordinator.log")));
   for (int w = 1; w <= options.workers; ++w) {
     const std::string name = "worker-" + std::to_string(w);
-    RG_RETURN_IF_ERROR(
-        children_.Start(name,
-                        {SiblingProgram("realitygrad-worker"), "--patience", "30", "--coordinator", address_,
-                         "--name", name, "--slots", "1", "--folder", file("cache/" + name)},
-                        file("logs/" + name + ".log")));
+    RG_RETURN_IF_ERROR(children_.Start(
+        name,
+        {SiblingProgram("realitygrad-worker"), "--patience", "30", "--coordinator", address_, "--name", name,
+         "--slots", "1", "--drain-timeout", "0.5", "--folder", file("cache/" + name)},
+        file("logs/" + name + ".log")));
   }
   std::vector<std::string> agent = {SiblingProgram("realitygrad-agent"),
                                     "--coordinator",

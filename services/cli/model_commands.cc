@@ -174,8 +174,10 @@ void AddModelCommands(CLI::App& app, Context& context) {
       ->capture_default_str();
   sysid_command->add_option("--step", o.step_s, "Of the simulator [s]")->capture_default_str();
   sysid_command->add_option("--threads", o.threads, "0: all cores")->capture_default_str();
-  sysid_command->add_flag("!--no-friction", o.fit_joints, "Inertial parameters only");
-  sysid_command->add_flag("!--no-inertial", o.fit_inertial, "Joint friction and rotor inertia only");
+  sysid_command->add_flag_callback(
+      "--no-friction", [&o] { o.fit_joints = false; }, "Inertial parameters only");
+  sysid_command->add_flag_callback(
+      "--no-inertial", [&o] { o.fit_inertial = false; }, "Joint friction and rotor inertia only");
   sysid_command->callback([&context, sysid_arguments] { context.Failed(Sysid(context, *sysid_arguments)); });
 
   auto predict_arguments = std::make_shared<PredictArguments>();
