@@ -83,6 +83,12 @@ Engine::Engine(const SkeletonPtr& nominal, const std::vector<std::string>& joint
   for (const std::string& name : joints) {
     dof_.push_back(static_cast<int>(skeleton_->getJoint(name)->getDof(0)->getIndexInSkeleton()));
   }
+  declared_damping_ = declared_friction_ = VectorXd::Zero(n_);
+  for (int i = 0; i < n_; ++i) {
+    const auto* dof = skeleton_->getDof(static_cast<size_t>(dof_[i]));
+    declared_damping_[i] = dof->getDampingCoefficient();
+    declared_friction_[i] = dof->getCoulombFriction();
+  }
   q_ = v_ = VectorXd::Zero(dofs_);
   motor_q_ = motor_v_ = lagged_ = bristle_ = VectorXd::Zero(n_);
 }
@@ -157,7 +163,7 @@ void Engine::AddJointForces(const VectorXd& drive, VectorXd* tau) {
       motor_q_[i] += dt_ * motor_v_[i];
       force = spring;
     }
-    force -= j.viscous * v + j.quadratic * v * std::abs(v);
+    force -= (declared_damping_[i] + j.viscous) * v + j.quadratic * v * std::abs(v);
     const double away = q - j.spring_center;
     force -= j.spring_stiffness * away + j.spring_cubic * away * away * away;
     if (j.bristle.stiffness > 0) {
@@ -199,9 +205,9 @@ VectorXd Engine::FrictionLimits(const VectorXd& v, const VectorXd& drive, bool p
   VectorXd limit = VectorXd::Zero(dofs_);
   for (int i = 0; i < n_; ++i) {
     const DryFriction& f = truth_.joint[static_cast<size_t>(i)].dry;
-    if (!f.any()) continue;
+    if (!f.any() && declared_friction_[i] <= 0) continue;
     const double ratio = v[dof_[i]] / f.stribeck_velocity;
-    limit[dof_[i]] = (positive ? f.coulomb_positive : f.coulomb_negative) +
+    limit[dof_[i]] = declared_friction_[i] + (positive ? f.coulomb_positive : f.coulomb_negative) +
                      f.static_extra * std::exp(-ratio * ratio) + f.load_coefficient * std::abs(drive[i]) +
                      f.thermal_extra * std::exp(-time_ / f.thermal_time);
   }

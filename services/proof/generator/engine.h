@@ -44,8 +44,10 @@ class Engine {
   Truth truth_;
   dart::dynamics::SkeletonPtr skeleton_;
   dart::dynamics::BodyNode* last_ = nullptr;
-  int n_, dofs_;                // joints with columns, all degrees of freedom of the skeleton
-  std::vector<int> dof_;        // skeleton index of joint i
+  int n_, dofs_;          // joints with columns, all degrees of freedom of the skeleton
+  std::vector<int> dof_;  // skeleton index of joint i
+  // What the URDF itself declares, which is no concealed effect: <dynamics damping, friction>, n.
+  Eigen::VectorXd declared_damping_, declared_friction_;
   std::vector<int> base_dofs_;  // springy ones of a flexible base
   double dt_;
   double time_ = 0;

@@ -119,7 +119,6 @@ Status Maker::LoadRobot() {
   }
   if (joints_.empty()) return InvalidError(request_.urdf + ": no movable joint");
   skeleton_->setGravity(Eigen::Vector3d(0, 0, -9.81));
-  for (size_t i = 0; i < skeleton_->getNumDofs(); ++i) skeleton_->getDof(i)->setDampingCoefficient(0);
   return Status::Ok();
 }
 

@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <dart/dynamics/DegreeOfFreedom.hpp>
 #include <dart/dynamics/Joint.hpp>
 #include <dart/utils/urdf/DartLoader.hpp>
 #include <filesystem>
@@ -51,6 +52,20 @@ TEST(ProofEngine, FrictionHoldsAtRestAndSlipsAboveItsLevel) {
   EXPECT_LT(std::abs(engine.SensedPosition()[0]), 1e-9);
   for (int i = 0; i < 5000; ++i) engine.Step(One(0.7));
   EXPECT_GT(engine.SensedPosition()[0], 0.01);
+}
+
+TEST(ProofEngine, WhatTheUrdfDeclaresIsNoConcealedEffect) {
+  auto skeleton = Pendulum();
+  skeleton->getDof(0)->setDampingCoefficient(0.2);
+  Truth viscous = OneJoint();
+  viscous.joint[0].viscous = 0.2;
+  Engine declared(skeleton, {"pivot"}, OneJoint(), 1e-4), concealed(Pendulum(), {"pivot"}, viscous, 1e-4);
+  for (Engine* engine : {&declared, &concealed}) {
+    engine->Reset(One(0.5), One(0), One(0), 0);
+    for (int i = 0; i < 3000; ++i) engine->Step(One(0));
+  }
+  EXPECT_DOUBLE_EQ(declared.SensedPosition()[0], concealed.SensedPosition()[0]);
+  EXPECT_LT(declared.SensedPosition()[0], 0.49);
 }
 
 TEST(ProofEngine, DelayShiftsTheCommand) {
