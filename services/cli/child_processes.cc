@@ -6,6 +6,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 
@@ -69,25 +70,34 @@ Status ChildProcesses::Check() {
 }
 
 void ChildProcesses::StopAll(double grace_s) {
-  for (auto child = children_.rbegin(); child != children_.rend(); ++child) {
-    if (child->pid > 0) kill(child->pid, SIGTERM);
-  }
   const double deadline = RealClock().SteadySeconds() + grace_s;
-  for (auto child = children_.rbegin(); child != children_.rend(); ++child) {
-    while (child->pid > 0) {
-      if (waitpid(child->pid, nullptr, WNOHANG) == child->pid) {
-        child->pid = -1;
-      } else if (RealClock().SteadySeconds() > deadline) {
-        kill(-child->pid, SIGKILL);
-        kill(child->pid, SIGKILL);
-        waitpid(child->pid, nullptr, 0);
-        child->pid = -1;
-      } else {
-        usleep(10'000);
-      }
-    }
+  const size_t first = children_.empty() ? 0 : 1;
+  for (size_t i = children_.size(); i > first; --i) Terminate(children_[i - 1]);
+  for (size_t i = children_.size(); i > first; --i) AwaitEnd(&children_[i - 1], deadline);
+  if (first == 1) {
+    Terminate(children_.front());
+    AwaitEnd(&children_.front(), std::max(deadline, RealClock().SteadySeconds() + 1.0));
   }
   children_.clear();
+}
+
+void ChildProcesses::Terminate(const Child& child) {
+  if (child.pid > 0) kill(child.pid, SIGTERM);
+}
+
+void ChildProcesses::AwaitEnd(Child* child, double deadline) {
+  while (child->pid > 0) {
+    if (waitpid(child->pid, nullptr, WNOHANG) == child->pid) {
+      child->pid = -1;
+    } else if (RealClock().SteadySeconds() > deadline) {
+      kill(-child->pid, SIGKILL);
+      kill(child->pid, SIGKILL);
+      waitpid(child->pid, nullptr, 0);
+      child->pid = -1;
+    } else {
+      usleep(10'000);
+    }
+  }
 }
 
 }  // namespace rg::cli

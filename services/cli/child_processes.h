@@ -23,7 +23,8 @@ class ChildProcesses {
   Status Start(const std::string& name, const std::vector<std::string>& command, const std::string& log_file);
   // Ok while all are running; else the first that ended, with the last line of its log.
   Status Check();
-  // SIGTERM to all, last started first; SIGKILL to those still there after `grace_s`.
+  // SIGTERM to all but the first, which the others may still need, and to it when they have ended;
+  // SIGKILL to those still there after `grace_s`.
   void StopAll(double grace_s);
 
  private:
@@ -31,6 +32,8 @@ class ChildProcesses {
     std::string name, log_file;
     pid_t pid = -1;
   };
+  static void Terminate(const Child& child);
+  static void AwaitEnd(Child* child, double deadline);  // steady seconds; SIGKILL then
   std::vector<Child> children_;
 };
 

@@ -60,7 +60,7 @@ LocalService::LocalService() = default;
 
 LocalService::~LocalService() {
   interrupted_client = nullptr;
-  children_.StopAll(5.0);
+  children_.StopAll(15.0);  // a rollout under way is finished, recorded and handed in
   std::error_code error;
   if (!address_file_.empty()) fs::remove(address_file_, error);
   if (!socket_folder_.empty()) fs::remove_all(socket_folder_, error);
@@ -68,10 +68,10 @@ LocalService::~LocalService() {
 
 Status LocalService::StartPrograms(const LocalServiceOptions& options) {
   const auto file = [&](const std::string& name) { return options.folder + "/" + name; };
-  RG_RETURN_IF_ERROR(children_.Start(
-      "coordinator",
-      {SiblingProgram("realitygrad-coordinator"), "--listen", address_, "--db", file("realitygrad.db")},
-      file("logs/coordinator.log")));
+  RG_RETURN_IF_ERROR(children_.Start("coordinator",
+                                     {SiblingProgram("realitygrad-coordinator"), "--listen", address_,
+                                      "--uncertain-s", "2", "--db", file("realitygrad.db")},
+                                     file("logs/coordinator.log")));
   for (int w = 1; w <= options.workers; ++w) {
     const std::string name = "worker-" + std::to_string(w);
     RG_RETURN_IF_ERROR(children_.Start(
@@ -158,13 +158,16 @@ Result<json> FetchResult(coordinator::Client& client, const pb::GetJobReply& job
 
 Result<pb::GetJobReply> RunJob(coordinator::Client& client, pb::JobSpec job, const std::string& request_id,
                                bool quiet) {
+  const int64_t now_ns = RealClock().WallNanos();
   RG_ASSIGN_OR_RETURN(const int64_t id, client.Submit(job, request_id));
-  // Known from before and failed: to go on is to try its failed tasks again.
   RG_ASSIGN_OR_RETURN(const pb::GetJobReply known, client.GetJob(id, false, false));
-  if (known.job().state() == pb::JOB_STATE_FAILED) {
+  RG_ASSIGN_OR_RETURN(pb::GetJobReply end, FollowJob(client, id, -1, quiet));
+  // Known from before: what failed then, or was cut off by the stop (a rollout whose end nobody saw), is
+  // tried again once. To go on is the consent that a rollout needs; its recording is used if there is one.
+  if (known.job().submitted_ns() < now_ns && end.job().state() == pb::JOB_STATE_FAILED) {
     RG_RETURN_IF_ERROR(client.Act(id, pb::JOB_ACTION_RETRY, "run --resume").status());
+    RG_ASSIGN_OR_RETURN(end, FollowJob(client, id, -1, quiet));
   }
-  RG_ASSIGN_OR_RETURN(const pb::GetJobReply end, FollowJob(client, id, -1, quiet));
   if (end.job().state() == pb::JOB_STATE_CANCELLED)
     return CancelledError("job " + std::to_string(id) + " was cancelled");
   if (end.job().state() != pb::JOB_STATE_SUCCEEDED)

@@ -5,6 +5,7 @@
 #include <filesystem>
 
 #include "common/base/file.h"
+#include "services/jobs/options_json.h"
 
 namespace rg::cli {
 namespace {
@@ -13,63 +14,6 @@ namespace fs = std::filesystem;
 using nlohmann::json;
 
 constexpr char kFormat[] = "realitygrad.run/1";
-
-json OptionsJson(const jobs::IterationOptions& o) {
-  return {{"seed", o.seed},
-          {"trajectories",
-           {{"count", o.trajectories.count},
-            {"shard_size", o.trajectories.shard_size},
-            {"duration_s", o.trajectories.duration_s},
-            {"reach", o.trajectories.reach},
-            {"spread", o.trajectories.spread}}},
-          {"train",
-           {{"epochs", o.train.epochs},
-            {"batch", o.train.batch},
-            {"learning_rate", o.train.learning_rate},
-            {"hidden", o.train.hidden}}},
-          {"rollout",
-           {{"duration_s", o.rollout.duration_s},
-            {"rate_hz", o.rollout.rate_hz},
-            {"goal_q", o.rollout.goal_q},
-            {"goal_position", o.rollout.goal_position},
-            {"reach_s", o.rollout.reach_s},
-            {"controller", o.rollout.controller}}},
-          {"identify",
-           {{"chains", o.identify.chains},
-            {"rounds", o.identify.rounds},
-            {"budget_s", o.identify.budget_s},
-            {"hops", o.identify.hops},
-            {"whole_recording", o.identify.whole_recording},
-            {"window_s", o.identify.window_s},
-            {"window_start_s", o.identify.window_start_s},
-            {"solver", o.identify.solver},
-            {"bounds", o.identify.bounds},
-            {"friction", o.identify.friction},
-            {"alpha", o.identify.alpha}}}};
-}
-
-jobs::IterationOptions OptionsFrom(const json& j) {
-  jobs::IterationOptions o;
-  j.at("seed").get_to(o.seed);
-  const json &t = j.at("trajectories"), &p = j.at("train"), &r = j.at("rollout"), &i = j.at("identify");
-  t.at("count").get_to(o.trajectories.count), t.at("shard_size").get_to(o.trajectories.shard_size);
-  t.at("duration_s").get_to(o.trajectories.duration_s), t.at("reach").get_to(o.trajectories.reach),
-      t.at("spread").get_to(o.trajectories.spread);
-  p.at("epochs").get_to(o.train.epochs), p.at("batch").get_to(o.train.batch);
-  p.at("learning_rate").get_to(o.train.learning_rate), p.at("hidden").get_to(o.train.hidden);
-  r.at("duration_s").get_to(o.rollout.duration_s), r.at("rate_hz").get_to(o.rollout.rate_hz),
-      r.at("goal_q").get_to(o.rollout.goal_q);
-  r.at("goal_position").get_to(o.rollout.goal_position), r.at("reach_s").get_to(o.rollout.reach_s),
-      r.at("controller").get_to(o.rollout.controller);
-  i.at("chains").get_to(o.identify.chains), i.at("rounds").get_to(o.identify.rounds),
-      i.at("budget_s").get_to(o.identify.budget_s);
-  i.at("hops").get_to(o.identify.hops), i.at("whole_recording").get_to(o.identify.whole_recording),
-      i.at("window_s").get_to(o.identify.window_s);
-  i.at("window_start_s").get_to(o.identify.window_start_s), i.at("solver").get_to(o.identify.solver),
-      i.at("bounds").get_to(o.identify.bounds);
-  i.at("alpha").get_to(o.identify.alpha), i.at("friction").get_to(o.identify.friction);
-  return o;
-}
 
 std::vector<std::string> RunFolders(const std::string& parent) {
   std::vector<std::string> found;
@@ -109,7 +53,7 @@ Result<std::string> UnfinishedRunFolder(const std::string& parent) {
 Status SaveRun(const RunState& run) {
   const json file = {{"format", kFormat},      {"id", run.id},
                      {"robot", run.robot},     {"iterations", run.iterations},
-                     {"workers", run.workers}, {"options", OptionsJson(run.options)},
+                     {"workers", run.workers}, {"options", jobs::OptionsToJson(run.options)},
                      {"results", run.results}};
   return WriteFileAtomically(run.File("run.json"), file.dump());
 }
@@ -125,7 +69,7 @@ Result<RunState> LoadRun(const std::string& folder) {
     run.folder = folder;
     file.at("id").get_to(run.id), file.at("robot").get_to(run.robot);
     file.at("iterations").get_to(run.iterations), file.at("workers").get_to(run.workers);
-    run.options = OptionsFrom(file.at("options"));
+    run.options = jobs::OptionsFromJson(file.at("options"));
     run.results = file.at("results").get<std::vector<json>>();
     return run;
   } catch (const json::exception& error) {

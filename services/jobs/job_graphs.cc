@@ -6,6 +6,7 @@
 
 #include "common/base/check.h"
 #include "services/jobs/kinds.h"
+#include "services/jobs/options_json.h"
 
 namespace rg::jobs {
 namespace {
@@ -210,36 +211,11 @@ void AppendConclude(const IterationOptions& options, const IterationInputs& inpu
   }
 }
 
-json SpecJson(const IterationOptions& o) {
-  return {{"seed", o.seed},
-          {"robot", o.robot},
-          {"iteration", o.iteration},
-          {"trajectories",
-           {{"count", o.trajectories.count},
-            {"shard_size", o.trajectories.shard_size},
-            {"duration_s", o.trajectories.duration_s},
-            {"reach", o.trajectories.reach}}},
-          {"train",
-           {{"epochs", o.train.epochs},
-            {"batch", o.train.batch},
-            {"hidden", o.train.hidden},
-            {"learning_rate", o.train.learning_rate}}},
-          {"rollout",
-           {{"duration_s", o.rollout.duration_s},
-            {"rate_hz", o.rollout.rate_hz},
-            {"goal_q", o.rollout.goal_q},
-            {"goal_position", o.rollout.goal_position},
-            {"controller", o.rollout.controller}}},
-          {"identify",
-           {{"chains", o.identify.chains},
-            {"rounds", o.identify.rounds},
-            {"budget_s", o.identify.budget_s},
-            {"hops", o.identify.hops},
-            {"window", o.identify.whole_recording ? "whole" : "single"},
-            {"solver", o.identify.solver},
-            {"bounds", o.identify.bounds},
-            {"friction", o.identify.friction},
-            {"alpha", o.identify.alpha}}}};
+json SpecJson(const IterationOptions& options) {
+  json spec = OptionsToJson(options);
+  spec["robot"] = options.robot;
+  spec["iteration"] = options.iteration;
+  return spec;
 }
 
 pb::JobSpec NewJob(const std::string& kind, const IterationOptions& options) {

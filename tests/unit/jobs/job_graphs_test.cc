@@ -3,9 +3,11 @@
 #include <gtest/gtest.h>
 
 #include <map>
+#include <nlohmann/json.hpp>
 #include <set>
 
 #include "services/jobs/kinds.h"
+#include "services/jobs/options_json.h"
 
 namespace rg::jobs {
 namespace {
@@ -92,6 +94,25 @@ TEST(JobGraphs, BudgetIsSharedByTheRounds) {
   pb::IdentifyPayload payload;
   ASSERT_TRUE(payload.ParseFromString(CompileIdentify(options, inputs).tasks(0).payload()));
   EXPECT_DOUBLE_EQ(payload.budget_s(), 5.0);
+}
+
+TEST(OptionsJson, ComeBackAsTheyWere) {
+  IterationOptions options;
+  options.seed = 77;
+  options.trajectories = {.count = 12, .shard_size = 3, .duration_s = 2.0, .reach = 0.3, .spread = 0.7};
+  options.train = {.epochs = 9, .batch = 8, .learning_rate = 0.02, .hidden = {16, 8}};
+  options.rollout.goal_position = {0.1, 0.2, 0.3};
+  options.rollout.controller = "mpc";
+  options.identify.solver = "lbfgs";
+  options.identify.friction = false;
+  options.identify.hops = 5;
+  const nlohmann::json json = OptionsToJson(options);
+  EXPECT_EQ(OptionsToJson(OptionsFromJson(json)), json);
+  EXPECT_NE(OptionsToJson(IterationOptions{}), json);
+  EXPECT_EQ(OptionsFromJson(json).train.hidden, options.train.hidden);
+  nlohmann::json broken = json;
+  broken["train"].erase("epochs");
+  EXPECT_THROW((void)OptionsFromJson(broken), nlohmann::json::exception);
 }
 
 TEST(JobGraphs, OptionsOutOfRangeAreNamed) {
