@@ -427,7 +427,7 @@ Result<CaseSummary> Maker::Run(const std::string& sets_folder, const std::string
                             {"recordings", oracle_recordings}};
   const json label_json = {{"name", request_.name},
                            {"robot", request_.robot},
-                           {"rate_hz", request_.rate_hz},
+                           {"rate_hz", std::lround(request_.rate_hz)},
                            {"weak", request_.weak},
                            {"verdict", AcceptedVerdicts(effects)},
                            {"effects", effects},

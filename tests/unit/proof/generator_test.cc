@@ -93,6 +93,7 @@ TEST(ProofCase, ConcealsTheTruthFromTheSet) {
   EXPECT_GT(summary->ratio, 1.5);
   const auto label = nlohmann::json::parse(*ReadFile(folder + "/labels/case/label.json"));
   EXPECT_EQ(label["effects"][0]["id"], "coulomb_friction");
+  EXPECT_TRUE(label["rate_hz"].is_number_integer()) << "scores count rows per second with it";
   for (const auto& entry : std::filesystem::recursive_directory_iterator(folder + "/sets")) {
     if (!entry.is_regular_file()) continue;
     const std::string text = *ReadFile(entry.path());
