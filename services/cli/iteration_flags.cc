@@ -27,6 +27,24 @@ void AddTrainFlags(CLI::App* command, jobs::IterationOptions* options) {
       ->capture_default_str();
 }
 
+void AddLearningFlags(CLI::App* command, jobs::IterationOptions* options) {
+  auto& o = options->train;
+  command
+      ->add_option("--aggregations", o.aggregations,
+                   "Rounds in which the policy drives, MPC answers, and both train the next (DAgger)")
+      ->capture_default_str();
+  command
+      ->add_option("--examination", o.examination_pairs,
+                   "Start/goal pairs on which policy and MPC are compared; 0: none")
+      ->capture_default_str();
+  command->add_flag("--curriculum", options->curriculum.on,
+                    "Near and slow goals first: reach, speed and spread grow over the iterations");
+  command->add_option("--curriculum-first", options->curriculum.first, "Share in the first iteration")
+      ->capture_default_str();
+  command->add_option("--curriculum-growth", options->curriculum.growth, "Factor per iteration, up to 1")
+      ->capture_default_str();
+}
+
 void AddRolloutFlags(CLI::App* command, jobs::IterationOptions* options) {
   auto& o = options->rollout;
   command->add_option("--rollout-seconds", o.duration_s)->capture_default_str();

@@ -13,6 +13,8 @@ struct RobotProfile;
 
 void AddTrajectoryFlags(CLI::App* command, jobs::IterationOptions* options);
 void AddTrainFlags(CLI::App* command, jobs::IterationOptions* options);
+// What only a whole iteration has: aggregation, examination, curriculum.
+void AddLearningFlags(CLI::App* command, jobs::IterationOptions* options);
 void AddRolloutFlags(CLI::App* command, jobs::IterationOptions* options);
 void AddIdentifyFlags(CLI::App* command, jobs::IterationOptions* options);
 // Name, candle pose, peak torque.

@@ -170,6 +170,7 @@ void AddRunCommand(CLI::App& app, Context& context) {
   command->add_flag("--lock-step", arguments->lock_step, "The simulated robot does not wait for real time");
   AddTrajectoryFlags(command, &arguments->run.options);
   AddTrainFlags(command, &arguments->run.options);
+  AddLearningFlags(command, &arguments->run.options);
   AddRolloutFlags(command, &arguments->run.options);
   AddIdentifyFlags(command, &arguments->run.options);
   command->callback([&context, arguments] { Run(context, *arguments); });

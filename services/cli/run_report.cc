@@ -39,6 +39,8 @@ const Row kRows[] = {
     {"policy: training loss", "", "/policy/train_loss", "–"},
     {"  validation loss", "", "/policy/validation_loss", "–"},
     {"  time", "s", "/seconds/policy", "24"},
+    {"  goal error in simulation, median", "rad", "/examination/policy/median", "–"},
+    {"  the same of MPC", "rad", "/examination/mpc/median", "–"},
     {"rollout: distance to goal at the end", "rad", "/rollout/goal_error/joint_norm", "–"},
     {"  distance covered at the start", "rad", "/rollout/goal_error/start_norm", "–"},
     {"  end effector to goal", "m", "/rollout/goal_error/tip_distance_m", "–"},

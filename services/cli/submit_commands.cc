@@ -164,6 +164,7 @@ void AddSubmitCommands(CLI::App& app, Context& context) {
       add("iteration", "Trajectories, policy, rollout, identification", jobs::CompileIteration);
   AddTrajectoryFlags(iteration, &ia->options);
   AddTrainFlags(iteration, &ia->options);
+  AddLearningFlags(iteration, &ia->options);
   AddRolloutFlags(iteration, &ia->options);
   AddIdentifyFlags(iteration, &ia->options);
   auto [trajectories, ta] =

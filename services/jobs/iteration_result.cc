@@ -123,6 +123,7 @@ json ResultJson(const worker::TaskInput& input, const pb::ConcludePayload& paylo
           {"robot", payload.robot()},
           {"trajectories", TrajectoriesJson(input)},
           {"policy", MetadataOf(input, kInputPolicy)},
+          {"examination", MetadataOf(input, kInputExamination)},
           {"rollout", MetadataOf(input, kInputRecording)},
           {"identification",
            {{"chains", payload.identify().chains()},

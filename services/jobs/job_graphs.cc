@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/check.h"
+#include "common/base/rng.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/options_json.h"
 
@@ -83,40 +84,106 @@ std::string Numbered(const std::string& stem, int number, int width = 3) {
   return stem + "-" + digits;
 }
 
-void AppendTrajectories(const IterationOptions& options, const IterationInputs& inputs, pb::JobSpec* job) {
+pb::TrajectoriesPayload PairsPayload(const IterationOptions& options, uint64_t seed) {
   const TrajectoriesOptions& o = options.trajectories;
-  for (int first = 0; first < o.count; first += o.shard_size) {
-    pb::TrajectoriesPayload payload;
-    payload.set_seed(options.seed);
-    payload.set_first(static_cast<uint64_t>(first));
-    payload.set_count(static_cast<uint32_t>(std::min(o.shard_size, o.count - first)));
-    payload.set_duration_s(o.duration_s);
-    payload.set_reach(o.reach);
-    payload.set_spread(o.spread);
-    payload.mutable_home()->Assign(options.home.begin(), options.home.end());
-    payload.mutable_peak_torque()->Assign(options.peak_torque.begin(), options.peak_torque.end());
-    pb::TaskSpec* task = AddTask(job, Numbered("trajectories", first / o.shard_size), kStageTrajectories,
-                                 kKindTrajectories, payload);
-    task->set_weight(payload.count());
-    AddArtifact(task, kInputModel, inputs.model);
-  }
+  pb::TrajectoriesPayload payload;
+  payload.set_seed(seed);
+  payload.set_duration_s(o.duration_s);
+  payload.set_reach(o.reach);
+  payload.set_spread(o.spread);
+  payload.mutable_home()->Assign(options.home.begin(), options.home.end());
+  payload.mutable_peak_torque()->Assign(options.peak_torque.begin(), options.peak_torque.end());
+  return payload;
 }
 
-void AppendTrain(const IterationOptions& options, const IterationInputs& inputs, pb::JobSpec* job) {
+std::string OfSo(const char* stem, int number, int count) {
+  return count == 1 ? stem : std::string(stem) + " " + std::to_string(number) + "/" + std::to_string(count);
+}
+// Policies before the last are stages of their own: their drivers' answers train the next.
+std::string PolicyStage(const TrainOptions& o, int round) {
+  return OfSo(kStagePolicy, round + 1, o.aggregations + 1);
+}
+std::string LastPolicyStage(const TrainOptions& o) { return PolicyStage(o, o.aggregations); }
+std::string AggregateStage(const TrainOptions& o, int round) {
+  return OfSo(kStageAggregate, round + 1, o.aggregations);
+}
+
+// One shard's task after another; `kind` and `stage` tell the expert's own from the answers to a policy.
+std::vector<pb::TaskSpec*> AppendShards(const TrajectoriesOptions& o, pb::TrajectoriesPayload payload,
+                                        const std::string& stem, const std::string& stage, const char* kind,
+                                        const std::string& model, pb::JobSpec* job) {
+  std::vector<pb::TaskSpec*> tasks;
+  for (int first = 0; first < o.count; first += o.shard_size) {
+    payload.set_first(static_cast<uint64_t>(first));
+    payload.set_count(static_cast<uint32_t>(std::min(o.shard_size, o.count - first)));
+    pb::TaskSpec* task = AddTask(job, Numbered(stem, first / o.shard_size), stage, kind, payload);
+    task->set_weight(payload.count());
+    AddArtifact(task, kInputModel, model);
+    tasks.push_back(task);
+  }
+  return tasks;
+}
+
+void AppendTrajectories(const IterationOptions& options, const IterationInputs& inputs, pb::JobSpec* job) {
+  AppendShards(options.trajectories, PairsPayload(options, options.seed), "trajectories", kStageTrajectories,
+               kKindTrajectories, inputs.model, job);
+}
+
+// Seeds of a job's own beside options.seed: pairs that the expert's trajectories do not use.
+uint64_t DerivedSeed(const IterationOptions& options, uint64_t which) {
+  return Rng(options.seed).Split(0x706f6c696379).Split(which).Next() >> 1;
+}
+
+void AppendTrain(const IterationOptions& options, const IterationInputs& inputs, int round,
+                 pb::JobSpec* job) {
   pb::TrainPayload payload;
   payload.set_seed(options.seed);
   payload.set_epochs(static_cast<uint32_t>(options.train.epochs));
   payload.set_batch(static_cast<uint32_t>(options.train.batch));
   payload.set_learning_rate(options.train.learning_rate);
   for (int width : options.train.hidden) payload.add_hidden(static_cast<uint32_t>(width));
-  pb::TaskSpec* task = AddTask(job, "policy", kStagePolicy, kKindTrain, payload);
-  task->set_weight(0.02 * options.train.epochs * std::max(1, options.trajectories.count) / 45.0);
+  const std::string stage = PolicyStage(options.train, round);
+  pb::TaskSpec* task =
+      AddTask(job, round == options.train.aggregations ? "policy" : Numbered("policy", round, 1), stage,
+              kKindTrain, payload);
+  task->set_weight(0.02 * options.train.epochs * std::max(1, options.trajectories.count) * (round + 1) /
+                   45.0);
   AddArtifact(task, kInputModel, inputs.model);
   if (inputs.shards.empty()) {
     AddStageOutputs(task, kInputShard, kStageTrajectories, kOutputShard);
   } else {
     for (const std::string& shard : inputs.shards) AddArtifact(task, kInputShard, shard);
   }
+  for (int r = 0; r < round; ++r)
+    AddStageOutputs(task, kInputShard, AggregateStage(options.train, r), kOutputShard);
+}
+
+// The first policies are helped more: each round the expert drives half as often as in the one before.
+void AppendAggregation(const IterationOptions& options, const IterationInputs& inputs, int round,
+                       pb::JobSpec* job) {
+  pb::TrajectoriesPayload payload = PairsPayload(options, DerivedSeed(options, static_cast<uint64_t>(round)));
+  payload.set_expert_share(std::pow(0.5, round + 1));
+  for (pb::TaskSpec* task :
+       AppendShards(options.trajectories, payload, "aggregate-" + std::to_string(round),
+                    AggregateStage(options.train, round), kKindAggregate, inputs.model, job))
+    AddStageOutputs(task, kInputPolicy, PolicyStage(options.train, round), kOutputPolicy);
+}
+
+void AppendPolicies(const IterationOptions& options, const IterationInputs& inputs, pb::JobSpec* job) {
+  for (int round = 0; round <= options.train.aggregations; ++round) {
+    AppendTrain(options, inputs, round, job);
+    if (round < options.train.aggregations) AppendAggregation(options, inputs, round, job);
+  }
+}
+
+void AppendExamination(const IterationOptions& options, const IterationInputs& inputs, pb::JobSpec* job) {
+  if (options.train.examination_pairs == 0) return;
+  pb::TrajectoriesPayload payload = PairsPayload(options, DerivedSeed(options, 1000));
+  payload.set_count(static_cast<uint32_t>(options.train.examination_pairs));
+  pb::TaskSpec* task = AddTask(job, "examination", kStageExamine, kKindExamine, payload);
+  task->set_weight(payload.count());
+  AddArtifact(task, kInputModel, inputs.model);
+  AddStageOutputs(task, kInputPolicy, LastPolicyStage(options.train), kOutputPolicy);
 }
 
 void AppendRollout(const IterationOptions& options, const IterationInputs& inputs, bool trained_here,
@@ -140,7 +207,7 @@ void AppendRollout(const IterationOptions& options, const IterationInputs& input
   task->add_required_tags("robot:" + options.robot);
   AddArtifact(task, kInputModel, inputs.model);
   if (o.controller == "policy")
-    AddFrom(task, kInputPolicy, trained_here, kStagePolicy, kOutputPolicy, inputs.policy);
+    AddFrom(task, kInputPolicy, trained_here, LastPolicyStage(options.train), kOutputPolicy, inputs.policy);
 }
 
 pb::IdentifyPayload IdentifyPayloadOf(const IterationOptions& options) {
@@ -168,9 +235,7 @@ std::string ChainTask(int chain, int round) {
 }
 // Rounds are stages of their own, so that a later one can read all chains of the one before.
 std::string RoundStage(const IdentifyOptions& o, int round) {
-  return o.rounds == 1
-             ? kStageIdentify
-             : std::string(kStageIdentify) + " " + std::to_string(round + 1) + "/" + std::to_string(o.rounds);
+  return OfSo(kStageIdentify, round + 1, o.rounds);
 }
 
 void AppendIdentify(const IterationOptions& options, const IterationInputs& inputs, bool recorded_here,
@@ -207,7 +272,9 @@ void AppendConclude(const IterationOptions& options, const IterationInputs& inpu
   AddStageOutputs(task, kInputChain, RoundStage(options.identify, options.identify.rounds - 1), kOutputChain);
   if (whole_iteration) {
     AddStageOutputs(task, kInputShard, kStageTrajectories, kOutputShard);
-    AddStageOutputs(task, kInputPolicy, kStagePolicy, kOutputPolicy);
+    AddStageOutputs(task, kInputPolicy, LastPolicyStage(options.train), kOutputPolicy);
+    if (options.train.examination_pairs > 0)
+      AddStageOutputs(task, kInputExamination, kStageExamine, kOutputExamination);
   }
 }
 
@@ -229,6 +296,10 @@ pb::JobSpec NewJob(const std::string& kind, const IterationOptions& options) {
 
 }  // namespace
 
+double CurriculumShare(const CurriculumOptions& options, int iteration) {
+  return options.on ? std::min(1.0, options.first * std::pow(options.growth, iteration - 1)) : 1.0;
+}
+
 Status Validate(const IterationOptions& o) {
   RG_RETURN_IF_ERROR(InRange("trajectories", o.trajectories.count, 1, 1000000));
   RG_RETURN_IF_ERROR(InRange("shard size", o.trajectories.shard_size, 1, 100000));
@@ -237,6 +308,10 @@ Status Validate(const IterationOptions& o) {
   RG_RETURN_IF_ERROR(InRange("spread [rad]", o.trajectories.spread, 0.0, 1e3));
   RG_RETURN_IF_ERROR(InRange("epochs", o.train.epochs, 1, 100000));
   RG_RETURN_IF_ERROR(InRange("batch", o.train.batch, 1, 100000));
+  RG_RETURN_IF_ERROR(InRange("aggregations", o.train.aggregations, 0, 100));
+  RG_RETURN_IF_ERROR(InRange("examination pairs", o.train.examination_pairs, 0, 100000));
+  RG_RETURN_IF_ERROR(InRange("curriculum's first share", o.curriculum.first, 0.01, 1.0));
+  RG_RETURN_IF_ERROR(InRange("curriculum's growth", o.curriculum.growth, 1.0, 100.0));
   RG_RETURN_IF_ERROR(InRange("learning rate", o.train.learning_rate, 1e-7, 1.0));
   if (o.train.hidden.empty()) return InvalidError("hidden layers: none given, at least one is needed");
   for (int width : o.train.hidden) RG_RETURN_IF_ERROR(InRange("hidden layer width", width, 1, 4096));
@@ -268,10 +343,16 @@ Status Validate(const IterationOptions& o) {
   return Status::Ok();
 }
 
-pb::JobSpec CompileIteration(const IterationOptions& options, const IterationInputs& inputs) {
-  pb::JobSpec job = NewJob("iteration", options);
+pb::JobSpec CompileIteration(const IterationOptions& given, const IterationInputs& inputs) {
+  IterationOptions options = given;
+  const double share = CurriculumShare(options.curriculum, options.iteration);
+  options.trajectories.reach *= share;
+  options.trajectories.spread *= share;
+  options.rollout.reach_s *= share;
+  pb::JobSpec job = NewJob("iteration", given);
   AppendTrajectories(options, inputs, &job);
-  AppendTrain(options, inputs, &job);
+  AppendPolicies(options, inputs, &job);
+  AppendExamination(options, inputs, &job);
   AppendRollout(options, inputs, true, &job);
   AppendIdentify(options, inputs, true, &job);
   AppendConclude(options, inputs, true, &job);
@@ -287,7 +368,9 @@ pb::JobSpec CompileTrajectories(const IterationOptions& options, const Iteration
 pb::JobSpec CompileTrain(const IterationOptions& options, const IterationInputs& inputs) {
   RG_CHECK(!inputs.shards.empty());
   pb::JobSpec job = NewJob("train", options);
-  AppendTrain(options, inputs, &job);
+  IterationOptions once = options;
+  once.train.aggregations = 0;
+  AppendTrain(once, inputs, 0, &job);
   return job;
 }
 
@@ -305,8 +388,8 @@ pb::JobSpec CompileIdentify(const IterationOptions& options, const IterationInpu
 }
 
 const std::vector<std::string>& IterationStages() {
-  static const std::vector<std::string> stages = {kStageTrajectories, kStagePolicy, kStageRollout,
-                                                  kStageIdentify, kStageConclude};
+  static const std::vector<std::string> stages = {kStageTrajectories, kStagePolicy,   kStageExamine,
+                                                  kStageRollout,      kStageIdentify, kStageConclude};
   return stages;
 }
 

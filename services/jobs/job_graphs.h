@@ -27,7 +27,20 @@ struct TrainOptions {
   int batch = 32;
   double learning_rate = 1e-3;
   std::vector<int> hidden = {128, 128};
+  // Rounds in which the policy drives, the expert answers, and both together train the next one
+  // (services/trajectories/aggregation.h); an iteration's only.
+  int aggregations = 2;
+  int examination_pairs = 60;  // start/goal pairs of the closed-loop examination; 0: none
 };
+
+// Short and slow first: the share of reach, speed and distance that iteration i is given,
+// min(1, first · growth^(i − 1)).
+struct CurriculumOptions {
+  bool on = false;
+  double first = 0.4;
+  double growth = 1.6;
+};
+double CurriculumShare(const CurriculumOptions& options, int iteration);
 
 struct RolloutOptions {
   double duration_s = 6.0;
@@ -62,6 +75,7 @@ struct IterationOptions {
   TrainOptions train;
   RolloutOptions rollout;
   IdentifyOptions identify;
+  CurriculumOptions curriculum;
 };
 
 // Every option inside its range; the line names option, value and limit.

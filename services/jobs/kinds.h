@@ -6,12 +6,16 @@ namespace rg::jobs {
 
 inline constexpr char kKindTrajectories[] = "trajectories";
 inline constexpr char kKindTrain[] = "train";
+inline constexpr char kKindAggregate[] = "aggregate";
+inline constexpr char kKindExamine[] = "examine";
 inline constexpr char kKindRollout[] = "rollout";
 inline constexpr char kKindIdentify[] = "identify";
 inline constexpr char kKindConclude[] = "conclude";
 
 inline constexpr char kStageTrajectories[] = "trajectories";
 inline constexpr char kStagePolicy[] = "policy";
+inline constexpr char kStageAggregate[] = "aggregation";
+inline constexpr char kStageExamine[] = "examination";
 inline constexpr char kStageRollout[] = "rollout";
 inline constexpr char kStageIdentify[] = "identification";
 inline constexpr char kStageConclude[] = "conclusion";
@@ -19,12 +23,14 @@ inline constexpr char kStageConclude[] = "conclusion";
 inline constexpr char kInputModel[] = "model";
 inline constexpr char kInputShard[] = "shard";
 inline constexpr char kInputPolicy[] = "policy";
+inline constexpr char kInputExamination[] = "examination";
 inline constexpr char kInputRecording[] = "recording";
 inline constexpr char kInputChain[] = "chain";
 inline constexpr char kInputOthers[] = "others";
 
 inline constexpr char kOutputShard[] = "shard";
 inline constexpr char kOutputPolicy[] = "policy";
+inline constexpr char kOutputExamination[] = "examination";
 inline constexpr char kOutputRecording[] = "recording";
 inline constexpr char kOutputChain[] = "chain";
 inline constexpr char kOutputModel[] = "model";
@@ -35,6 +41,7 @@ inline constexpr char kOutputResult[] = "result";
 inline constexpr char kArtifactModel[] = "model";
 inline constexpr char kArtifactShard[] = "trajectories";
 inline constexpr char kArtifactPolicy[] = "policy";
+inline constexpr char kArtifactExamination[] = "examination";
 inline constexpr char kArtifactRecording[] = "recording";
 inline constexpr char kArtifactHopState[] = "hop-state";
 inline constexpr char kArtifactParameters[] = "parameters";

@@ -1,6 +1,7 @@
 #include "services/jobs/learning_tasks.h"
 
 #include <Eigen/Core>
+#include <cmath>
 #include <nlohmann/json.hpp>
 
 #include "common/base/clock.h"
@@ -11,6 +12,7 @@
 #include "services/policy/dataset.h"
 #include "services/policy/policy.h"
 #include "services/policy/train.h"
+#include "services/trajectories/aggregation.h"
 #include "services/trajectories/shard.h"
 
 namespace rg::jobs {
@@ -54,10 +56,48 @@ Result<policy::Dataset> DatasetOf(const worker::TaskInput& input) {
     RG_ASSIGN_OR_RETURN(const trajectories::Shard shard,
                         trajectories::ParseShard(artifact->bytes, "shard " + artifact->sha256.substr(0, 12)));
     for (const trajectories::Trajectory& t : shard.trajectories) {
-      dataset.AddTrajectory(t.slot, t.q, t.v, t.goal, t.torque);
+      dataset.AddTrajectory((shard.seed << 32) + t.slot, t.q, t.v, t.goal, t.torque);
     }
   }
   return dataset;
+}
+
+// Errors that are no number are null.
+json QuantilesJson(const std::vector<double>& errors) {
+  json out = {{"median", nullptr}, {"p90", nullptr}};
+  if (errors.empty()) return out;
+  const double median = trajectories::Quantile(errors, 0.5), p90 = trajectories::Quantile(errors, 0.9);
+  if (std::isfinite(median)) out["median"] = median;
+  if (std::isfinite(p90)) out["p90"] = p90;
+  return out;
+}
+
+Result<policy::Policy> PolicyOf(const worker::TaskInput& input, const sim::ModelFile& model) {
+  const worker::InputArtifact* artifact = input.Find(kInputPolicy);
+  if (artifact == nullptr) return InvalidError(input.task_name + ": no policy was given");
+  RG_ASSIGN_OR_RETURN(policy::Policy policy,
+                      policy::ParsePolicy(artifact->bytes, "policy " + artifact->sha256.substr(0, 12)));
+  const int n = model.plant.num_joints();
+  if (policy.input_size() != 3 * n || policy.output_size() != n) {
+    return InvalidError(input.task_name + ": the policy has " + std::to_string(policy.output_size()) +
+                        " efforts, the model " + std::to_string(n) + " joints");
+  }
+  return policy;
+}
+
+// (q, q̇, q_goal) → effort. `policy` must outlive it.
+trajectories::Learner LearnerOf(const policy::Policy& policy) {
+  return [&policy, in = std::vector<double>(static_cast<size_t>(policy.input_size()))](
+             const Eigen::VectorXd& q, const Eigen::VectorXd& v, const Eigen::VectorXd& goal,
+             Eigen::VectorXd* effort) mutable {
+    const auto n = static_cast<size_t>(q.size());
+    for (size_t i = 0; i < n; ++i) {
+      const auto row = static_cast<Eigen::Index>(i);
+      in[i] = q[row], in[n + i] = v[row], in[2 * n + i] = goal[row];
+    }
+    effort->resize(q.size());
+    return policy.Evaluate(in, {effort->data(), n}).ok();
+  };
 }
 
 policy::TrainOptions OptionsOf(const pb::TrainPayload& payload) {
@@ -96,6 +136,49 @@ Result<worker::TaskOutputs> RunTrajectories(const worker::TaskInput& input, work
   worker::TaskOutputs outputs;
   outputs.artifacts.push_back(
       {kOutputShard, kArtifactShard, trajectories::SerializeShard(shard), summary.dump()});
+  outputs.summary_json = summary.dump();
+  return outputs;
+}
+
+Result<worker::TaskOutputs> RunAggregate(const worker::TaskInput& input, worker::TaskContext& context) {
+  RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::TrajectoriesPayload>(input));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile model, ModelOf(input));
+  RG_ASSIGN_OR_RETURN(const policy::Policy policy, PolicyOf(input, model));
+  trajectories::AggregationSpec spec;
+  spec.shard = SpecOf(payload);
+  spec.expert_share = payload.expert_share();
+  const double start = RealClock().SteadySeconds();
+  RG_ASSIGN_OR_RETURN(const trajectories::Shard shard,
+                      trajectories::AggregateShard(model.plant, model.values, spec, LearnerOf(policy),
+                                                   context.progress_fn(), &context.cancel_token()));
+  std::vector<double> errors;
+  for (const trajectories::Trajectory& t : shard.trajectories) errors.push_back(t.goal_error);
+  const json summary = {{"solved", shard.trajectories.size()},
+                        {"failed", shard.num_failures()},
+                        {"failures", FailuresJson(shard)},
+                        {"unfilled", shard.unfilled.size()},
+                        {"samples", shard.num_samples()},
+                        {"goal_error", QuantilesJson(errors)},
+                        {"seconds", RealClock().SteadySeconds() - start}};
+  worker::TaskOutputs outputs;
+  outputs.artifacts.push_back(
+      {kOutputShard, kArtifactShard, trajectories::SerializeShard(shard), summary.dump()});
+  outputs.summary_json = summary.dump();
+  return outputs;
+}
+
+Result<worker::TaskOutputs> RunExamine(const worker::TaskInput& input, worker::TaskContext& context) {
+  RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::TrajectoriesPayload>(input));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile model, ModelOf(input));
+  RG_ASSIGN_OR_RETURN(const policy::Policy policy, PolicyOf(input, model));
+  RG_ASSIGN_OR_RETURN(const trajectories::Examination examination,
+                      trajectories::Examine(model.plant, model.values, SpecOf(payload), LearnerOf(policy),
+                                            context.progress_fn(), &context.cancel_token()));
+  const json summary = {{"pairs", examination.pairs()},
+                        {"policy", QuantilesJson(examination.learner)},
+                        {"mpc", QuantilesJson(examination.mpc)}};
+  worker::TaskOutputs outputs;
+  outputs.artifacts.push_back({kOutputExamination, kArtifactExamination, summary.dump(), summary.dump()});
   outputs.summary_json = summary.dump();
   return outputs;
 }

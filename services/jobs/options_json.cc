@@ -18,7 +18,11 @@ json OptionsToJson(const IterationOptions& o) {
            {{"epochs", o.train.epochs},
             {"batch", o.train.batch},
             {"learning_rate", o.train.learning_rate},
-            {"hidden", o.train.hidden}}},
+            {"hidden", o.train.hidden},
+            {"aggregations", o.train.aggregations},
+            {"examination_pairs", o.train.examination_pairs}}},
+          {"curriculum",
+           {{"on", o.curriculum.on}, {"first", o.curriculum.first}, {"growth", o.curriculum.growth}}},
           {"rollout",
            {{"duration_s", o.rollout.duration_s},
             {"rate_hz", o.rollout.rate_hz},
@@ -49,6 +53,11 @@ IterationOptions OptionsFromJson(const json& j) {
       t.at("spread").get_to(o.trajectories.spread);
   p.at("epochs").get_to(o.train.epochs), p.at("batch").get_to(o.train.batch);
   p.at("learning_rate").get_to(o.train.learning_rate), p.at("hidden").get_to(o.train.hidden);
+  p.at("aggregations").get_to(o.train.aggregations);
+  p.at("examination_pairs").get_to(o.train.examination_pairs);
+  const json& c = j.at("curriculum");
+  c.at("on").get_to(o.curriculum.on), c.at("first").get_to(o.curriculum.first),
+      c.at("growth").get_to(o.curriculum.growth);
   r.at("duration_s").get_to(o.rollout.duration_s), r.at("rate_hz").get_to(o.rollout.rate_hz),
       r.at("goal_q").get_to(o.rollout.goal_q);
   r.at("goal_position").get_to(o.rollout.goal_position), r.at("reach_s").get_to(o.rollout.reach_s),

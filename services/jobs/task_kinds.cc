@@ -10,6 +10,8 @@ namespace rg::jobs {
 void RegisterWorkerKinds(worker::TaskRegistry* registry) {
   registry->Register(kKindTrajectories, RunTrajectories);
   registry->Register(kKindTrain, RunTrain);
+  registry->Register(kKindAggregate, RunAggregate);
+  registry->Register(kKindExamine, RunExamine);
   registry->Register(kKindIdentify, RunIdentify);
   registry->Register(kKindConclude, RunConclude);
 }

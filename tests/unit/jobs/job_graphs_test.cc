@@ -53,6 +53,50 @@ TEST(JobGraphs, IterationIsWellFormedAndInOrder) {
   EXPECT_EQ(job.tasks(job.tasks_size() - 1).kind(), kKindConclude);
 }
 
+TEST(JobGraphs, EveryPolicyLearnsFromTheAnswersToAllBefore) {
+  IterationOptions options;
+  options.train.aggregations = 2;
+  const pb::JobSpec job = CompileIteration(options, Model());
+  std::vector<const pb::TaskSpec*> policies;
+  std::set<uint64_t> seeds;
+  for (const pb::TaskSpec& task : job.tasks()) {
+    if (task.kind() == kKindTrain) policies.push_back(&task);
+    pb::TrajectoriesPayload payload;
+    if (task.kind() == kKindTrajectories || task.kind() == kKindAggregate || task.kind() == kKindExamine) {
+      ASSERT_TRUE(payload.ParseFromString(task.payload()));
+      seeds.insert(payload.seed());
+    }
+    if (task.kind() == kKindRollout || task.kind() == kKindExamine) {
+      for (const auto& input : task.inputs()) {
+        if (input.name() != kInputPolicy) continue;
+        EXPECT_EQ(input.stage_outputs().stage(), policies.back()->stage());
+      }
+    }
+  }
+  ASSERT_EQ(policies.size(), 3u);
+  EXPECT_EQ(policies[2]->inputs_size(), 1 + 3) << "model, the expert's shards, two rounds of answers";
+  EXPECT_EQ(seeds.size(), 4u) << "no start/goal pair is used twice";
+  options.train.aggregations = 0;
+  options.train.examination_pairs = 0;
+  const pb::JobSpec plain = CompileIteration(options, Model());
+  for (const pb::TaskSpec& task : plain.tasks())
+    EXPECT_TRUE(task.kind() != kKindAggregate && task.kind() != kKindExamine);
+}
+
+TEST(JobGraphs, TheCurriculumStartsNearAndGrowsToTheWhole) {
+  IterationOptions options;
+  options.curriculum = {.on = true, .first = 0.5, .growth = 1.5};
+  const auto reach = [&](int iteration) {
+    options.iteration = iteration;
+    pb::TrajectoriesPayload payload;
+    EXPECT_TRUE(payload.ParseFromString(CompileIteration(options, Model()).tasks(0).payload()));
+    return payload.reach();
+  };
+  EXPECT_DOUBLE_EQ(reach(1), 0.5 * 0.6);
+  EXPECT_DOUBLE_EQ(reach(2), 0.75 * 0.6);
+  EXPECT_DOUBLE_EQ(reach(9), 0.6);
+}
+
 TEST(JobGraphs, RolloutRunsAtMostOnceAndOnlyBesideItsRobot) {
   IterationOptions options;
   options.robot = "mico2";
@@ -100,7 +144,13 @@ TEST(OptionsJson, ComeBackAsTheyWere) {
   IterationOptions options;
   options.seed = 77;
   options.trajectories = {.count = 12, .shard_size = 3, .duration_s = 2.0, .reach = 0.3, .spread = 0.7};
-  options.train = {.epochs = 9, .batch = 8, .learning_rate = 0.02, .hidden = {16, 8}};
+  options.train = {.epochs = 9,
+                   .batch = 8,
+                   .learning_rate = 0.02,
+                   .hidden = {16, 8},
+                   .aggregations = 5,
+                   .examination_pairs = 7};
+  options.curriculum = {.on = true, .first = 0.3, .growth = 2.0};
   options.rollout.goal_position = {0.1, 0.2, 0.3};
   options.rollout.controller = "mpc";
   options.identify.solver = "lbfgs";
