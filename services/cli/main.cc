@@ -68,6 +68,7 @@ int main(int argc, char** argv) {
   rg::cli::AddSubmitCommands(app, context);
   rg::cli::AddJobCommands(app, context);
   rg::cli::AddParameterCommands(app, context);
+  rg::cli::AddPolicyCommands(app, context);
   rg::cli::AddArtifactCommands(app, context);
   rg::cli::AddExperimentCommand(app, context);
   rg::cli::AddBenchCommand(app, context);

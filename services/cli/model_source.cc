@@ -72,4 +72,18 @@ Result<std::string> ChooseModel(coordinator::Client& client, const RobotProfile&
   return info.sha256();
 }
 
+Result<std::string> FindArtifact(coordinator::Client& client, const std::string& named,
+                                 const std::string& kind) {
+  if (named.empty() || named == "latest") {
+    RG_ASSIGN_OR_RETURN(const auto newest, client.ListArtifacts(kind, 0, 1));
+    if (newest.empty()) return NotFoundError("no artefact of kind '" + kind + "' yet");
+    return newest.front().sha256();
+  }
+  RG_ASSIGN_OR_RETURN(const auto info, client.ShowArtifact(named));
+  if (info.kind() != kind) {
+    return InvalidError("artefact " + named + " is a " + info.kind() + ", not a " + kind);
+  }
+  return info.sha256();
+}
+
 }  // namespace rg::cli

@@ -1,4 +1,4 @@
-// Which model a job starts from, and how it gets to the coordinator.
+// Which model or other artefact a job starts from, and how a model gets to the coordinator.
 #pragma once
 
 #include <memory>
@@ -24,5 +24,9 @@ Result<std::string> NominalModelJson(const RobotProfile& profile);
 // history, nominal if there is none), a model.json file, or the hash of a model artefact.
 Result<std::string> ChooseModel(coordinator::Client& client, const RobotProfile& profile,
                                 const std::string& choice);
+
+// Full hash of an artefact of the kind, named by hash or prefix; "latest" or nothing: the newest one.
+Result<std::string> FindArtifact(coordinator::Client& client, const std::string& named,
+                                 const std::string& kind);
 
 }  // namespace rg::cli

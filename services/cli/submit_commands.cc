@@ -32,21 +32,6 @@ struct SubmitArguments {
 
 using Compile = pb::JobSpec (*)(const jobs::IterationOptions&, const jobs::IterationInputs&);
 
-// Full hash of an artefact of the kind, named by hash or prefix; "latest": the newest one.
-Result<std::string> FindArtifact(coordinator::Client& client, const std::string& named,
-                                 const std::string& kind) {
-  if (named.empty() || named == "latest") {
-    RG_ASSIGN_OR_RETURN(const auto newest, client.ListArtifacts(kind, 0, 1));
-    if (newest.empty()) return NotFoundError("no artefact of kind '" + kind + "' yet");
-    return newest.front().sha256();
-  }
-  RG_ASSIGN_OR_RETURN(const auto info, client.ShowArtifact(named));
-  if (info.kind() != kind) {
-    return InvalidError("artefact " + named + " is a " + info.kind() + ", not a " + kind);
-  }
-  return info.sha256();
-}
-
 Result<std::vector<std::string>> FindShards(coordinator::Client& client, const SubmitArguments& arguments) {
   std::vector<std::string> shards;
   for (const std::string& named : arguments.shards) {

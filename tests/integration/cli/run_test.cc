@@ -31,6 +31,8 @@ TEST(Run, ClosesTheGapOfTheFirstIterationAndKeepsEverything) {
   const double after = iteration["identification"]["after_windows"]["joint_rms"];
   EXPECT_LT(after, before / 3) << "identification did not bring the simulation nearer to the recording";
   EXPECT_GT(iteration["rollout"]["rows"].get<int>(), 40);
+  EXPECT_EQ(iteration["examination"]["pairs"], 60);
+  EXPECT_LT(iteration["examination"]["mpc"]["median"].get<double>(), 0.02);
 
   const std::string page = ReadFile(scratch / "r/report.html").value();
   EXPECT_NE(page.find("joint_1"), std::string::npos);
@@ -53,6 +55,12 @@ TEST(Run, ClosesTheGapOfTheFirstIterationAndKeepsEverything) {
                                                          << lineage.out;
   }
   EXPECT_EQ(RunProgram(scratch, "--coordinator r artifacts verify").code, 0);
+
+  const json policy = json::parse(RunProgram(scratch, "--coordinator r policy show --output json").out);
+  EXPECT_EQ(policy["layers"], json({18, 128, 128, 6}));
+  EXPECT_GT(policy["points"].get<int>(), 24 * 25) << "the newest policy learned from answers, too";
+  EXPECT_EQ(RunProgram(scratch, "--coordinator r policy export --onnx p.onnx").code, 0);
+  EXPECT_NE(ReadFile(scratch / "p.onnx").value().find("observation"), std::string::npos);
 }
 
 TEST(Run, StoppedByCtrlCGoesOnWhereItWas) {
