@@ -6,6 +6,7 @@
 
 #include "common/base/check.h"
 #include "common/recordings/local_polynomial.h"
+#include "common/recordings/velocity_lag.h"
 
 namespace rg::recordings {
 namespace {
@@ -254,9 +255,11 @@ Eigen::VectorXd Pool(const RecordingSet& set, const PerRecording& per_recording)
 
 Eigen::VectorXd VelocityStddev(const Recording& r, const VelocityOptions& options) {
   Eigen::VectorXd out(r.n());
+  // A filter takes the white noise away and adds an error of its own.
+  const VelocityLag late = EstimateVelocityLag(r);
   for (int i = 0; i < r.n(); ++i) {
     if (r.has_velocity()) {
-      out[i] = EstimateNoise(r.t, r.v.row(i).transpose()).stddev;
+      out[i] = std::hypot(EstimateNoise(r.t, r.v.row(i).transpose()).stddev, late.error[i]);
     } else {
       const Eigen::VectorXd q = r.q.row(i).transpose();
       const double stddev = StddevFor(r.t, q, options);

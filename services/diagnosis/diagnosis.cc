@@ -7,6 +7,7 @@
 
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
+#include "services/diagnosis/balance_search.h"
 #include "services/diagnosis/findings.h"
 #include "services/diagnosis/holdout.h"
 #include "services/diagnosis/search.h"
@@ -23,7 +24,9 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& set, const Diag
   RG_ASSIGN_OR_RETURN(const sim::Plant nominal, sysid::NominalPlant(set));
   RG_ASSIGN_OR_RETURN(const FitData data, PrepareData(set, nominal, options));
   const MotionScales scales = ScalesOf(data, nominal);
-  const SearchResult search = SearchEffects(data, nominal, scales, options, threads, clock, progress, cancel);
+  const auto search_effects = EffortIsMeasured(data) ? SearchMeasuredEffort : SearchEffects;
+  const SearchResult search =
+      search_effects(data, nominal, scales, options, threads, clock, progress, cancel);
 
   DiagnosisResult result;
   result.window_s = options.window_s;

@@ -104,7 +104,9 @@ class Speaker {
     std::set<std::string> ids;
     for (const EffectSpec& e : s_.best.specs) ids.insert(e.id);
     const double excess = r_.mismatch - 1.0, left = r_.remaining - 1.0;
-    const bool unexplained = left > 0.25 && left > 0.3 * std::max(excess, 1e-9);
+    // With a measured effort there is no χ² of 1 to be reached: most of the misfit must be explained.
+    const bool unexplained =
+        s_.measured.active ? Remains() : left > 0.25 && left > 0.3 * std::max(excess, 1e-9);
     for (const std::string& id : ids) r_.findings.push_back(FindingOf(id));
     std::sort(r_.findings.begin(), r_.findings.end(),
               [](const Finding& a, const Finding& b) { return a.confidence > b.confidence; });
@@ -123,6 +125,12 @@ class Speaker {
     if (s_.best.base) AddParameters(0.25);  // a side remark
   }
 
+  // Whether what the names leave is structured and more than they explain.
+  bool Remains() const {
+    const auto& m = s_.measured;
+    return m.explained < 0.5 && m.structured.size() > 0 && m.structured.maxCoeff() > 0.3;
+  }
+
   static double Confidence(double nats) {
     // Evidence is of an approximate likelihood: half of each nat is believed.
     const double p = 1.0 / (1.0 + std::exp(-std::clamp(0.5 * nats, -30.0, 30.0)));
@@ -135,7 +143,9 @@ class Speaker {
     f.joints = JointsOf(s_.best.specs, id, r_.joints);
     const effects::EffectInfo* info = effects::FindEffect(id);
     f.equation = info->equation;
-    f.confidence = Confidence(s_.best.score - BestWithout(s_, id));
+    const auto gain = s_.measured.gain.find(id);
+    f.confidence =
+        Confidence(gain != s_.measured.gain.end() ? gain->second : s_.best.score - BestWithout(s_, id));
     FillParameters(id, *info, &f);
     f.statement = StatementOf(*info, f);
     FillClass(id, &f);

@@ -55,11 +55,30 @@ Judged Judge(const std::vector<const recordings::Recording*>& recs, const sim::P
   return out;
 }
 
+// The command with what the balance of torques cannot explain added: an effort's noise, of the size and the
+// correlation that the fitted recordings show.
+sim::CommandSignal Disturbed(const sim::CommandSignal& command, const MeasuredEffort& effort, Rng* rng) {
+  if (!effort.active) return command;
+  MatrixXd u = command.values();
+  for (Eigen::Index j = 0; j < u.rows(); ++j) {
+    double state = effort.effort_noise[j] * rng->Normal();
+    for (int k = 0; k < command.size(); ++k) {
+      const double dt = k > 0 ? command.times()[k] - command.times()[k - 1] : 0;
+      // Integrated autocorrelation of an exponential with time T is 2T.
+      const double keep = std::exp(-dt / std::max(1e-3, 0.5 * effort.effort_correlation_s[j]));
+      state = keep * state + std::sqrt(1 - keep * keep) * effort.effort_noise[j] * rng->Normal();
+      u(j, k) += state;
+    }
+  }
+  auto out = sim::CommandSignal::Create(command.times(), u, command.hold());
+  return out.ok() ? *out : command;
+}
+
 // What the augmented model would show if it were true: windows that it made itself, from the states where
 // they start, measured with the sensors' noise and predicted again.
 double NoiseFloor(const std::vector<const recordings::Recording*>& recs, const Judged& after,
                   const sim::Plant& plant, const VectorXd& values, const sysid::PredictionOptions& options,
-                  const recordings::SensorNoise& noise, Rng rng) {
+                  const recordings::SensorNoise& noise, const MeasuredEffort& effort, Rng rng) {
   sim::Simulator simulator(plant, options.simulator);
   simulator.SetParameters(values);
   double squares = 0, count = 0;
@@ -67,6 +86,7 @@ double NoiseFloor(const std::vector<const recordings::Recording*>& recs, const J
   for (size_t i = 0; i < recs.size(); ++i) {
     const recordings::Recording& rec = *recs[i];
     const sim::CommandSignal command = sysid::DriveSignal(rec);
+    const sim::CommandSignal recorded = Disturbed(command, effort, &rng);
     const auto& restarts = after.predictions[i].restarts;
     // A filter over some rows knows the state better than one row does.
     const double rows = 3.0;
@@ -84,7 +104,7 @@ double NoiseFloor(const std::vector<const recordings::Recording*>& recs, const J
         v[j] += rng.Normal(0.0, noise.velocity_stddev[j] / std::sqrt(rows));
       }
       const sim::Trajectory guess =
-          simulator.Simulate(simulator.MakeState(q, v, rec.t[first], command), command, times);
+          simulator.Simulate(simulator.MakeState(q, v, rec.t[first], recorded), recorded, times);
       if (!truth.outcome.ok() || !guess.outcome.ok()) continue;
       for (int j = 0; j < n; ++j) {
         const double sensor = noise.position_stddev[j] * noise.position_stddev[j];
@@ -135,8 +155,8 @@ void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal
   h.before_rms = before.rms, h.calibrated_rms = calibrated.rms, h.after_rms = after.rms;
   h.before_windows = before.windows, h.after_windows = after.windows;
   Rng rng(options.seed + 17);
-  h.noise_floor_rms =
-      NoiseFloor(recs, after, *result->plant, result->values, prediction, data.noise, rng.Split(1));
+  h.noise_floor_rms = NoiseFloor(recs, after, *result->plant, result->values, prediction, data.noise,
+                                 search.measured, rng.Split(1));
   // Bootstrap over windows.
   std::vector<double> gains;
   const size_t W = before.windows.size();

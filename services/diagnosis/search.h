@@ -30,6 +30,18 @@ struct Candidate {
   int round = 0;
 };
 
+// What the search over a measured effort (balance_search.h) says beside its candidates.
+struct MeasuredEffort {
+  bool active = false;
+  double explained = 0;          // share of the calibrated model's misfit, on parts left out
+  Eigen::VectorXd structured;    // n: share of the rest that a free force over position and velocity takes
+  Eigen::VectorXd effort_share;  // n: what remains over the effort's variance
+  Eigen::VectorXd effort_noise;  // n: RMS of what remains, N·m or N
+  Eigen::VectorXd effort_correlation_s;  // n: integrated autocorrelation of that
+  std::vector<int> early;                // joints whose effort lags their motion
+  std::map<std::string, double> gain;    // nats on parts left out, per kind of effect
+};
+
 struct SearchResult {
   Candidate best;
   Candidate nominal;     // no effects, base as given
@@ -40,6 +52,7 @@ struct SearchResult {
   double noise_scale = 1;
   MissingForce missing;    // under the best model without effects
   MissingForce remaining;  // under the best model
+  MeasuredEffort measured;
 };
 
 SearchResult SearchEffects(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,

@@ -10,6 +10,7 @@
 
 #include "common/base/check.h"
 #include "common/dynamics/dynamics.h"
+#include "common/recordings/velocity_lag.h"
 #include "common/recordings/windows.h"
 #include "services/sysid/drive_signal.h"
 #include "services/sysid/state_filter.h"
@@ -36,9 +37,10 @@ recordings::SensorNoise NoiseOf(const recordings::Recording& recording, const Pr
   }
   if (noise.velocity_stddev.size() != n) {
     noise.velocity_stddev = VectorXd::Constant(n, 1.0);
+    const recordings::VelocityLag late = recordings::EstimateVelocityLag(recording);
     for (int j = 0; j < n && recording.has_velocity(); ++j) {
-      noise.velocity_stddev[j] =
-          recordings::EstimateNoise(recording.t, recording.v.row(j).transpose()).stddev;
+      noise.velocity_stddev[j] = std::hypot(
+          recordings::EstimateNoise(recording.t, recording.v.row(j).transpose()).stddev, late.error[j]);
     }
   }
   noise.position_stddev = noise.position_stddev.cwiseMax(kMinStddev);

@@ -1,0 +1,78 @@
+// Least squares on a torque balance, judged by parts of the recordings left out in turn.
+//
+// w of the balance is coloured and its size unknown: per joint its variance is that of the residual, and its
+// correlation counts as so many rows fewer (integrated autocorrelation), so that a nat is a nat. A hypothesis
+// is judged by what it gains on the parts that its coefficients did not see, block by block: the mean with a
+// standard error that needs no assumption on the noise.
+#pragma once
+
+#include <Eigen/Core>
+#include <set>
+#include <vector>
+
+#include "services/diagnosis/torque_balance.h"
+
+namespace rg::diagnosis {
+
+// Which columns are in: features per joint by their place in TorqueBalance::columns, and base parameters.
+struct BalanceModel {
+  bool base = true;
+  bool tilt = false;
+  std::vector<std::set<int>> features;  // per joint
+};
+
+struct BalanceSolution {
+  Eigen::VectorXd base;                   // B + 2, standardised, 0 where not in
+  std::vector<Eigen::VectorXd> features;  // per joint: F, standardised, 0 where not in
+  Eigen::VectorXd energy;                 // n, mean square of the residual
+};
+
+// Costs ½ SSR/(s² c) of the parts left out: blocks × n.
+using BlockCosts = Eigen::MatrixXd;
+
+class BalanceFit {
+ public:
+  explicit BalanceFit(const TorqueBalance& balance);
+
+  // y per joint: rigid − effort.
+  void SetResponse(int joint, const Eigen::VectorXd& y);
+  // Variance and correlation of the residual per joint, from this model's residuals.
+  void SetNoiseFrom(const BalanceModel& model);
+
+  BalanceSolution Solve(const BalanceModel& model, int without_block = -1) const;
+  BlockCosts LeaveOut(const BalanceModel& model) const;
+  Eigen::VectorXd Residual(const BalanceSolution& solution, int joint) const;
+  // Stddev of the features' standardised coefficients by leaving out blocks (jackknife).
+  std::vector<Eigen::VectorXd> Jackknife(const BalanceModel& model) const;
+  double Variance(int joint) const { return variance_[joint]; }
+  double Correlation(int joint) const { return correlation_[joint]; }
+  int EffectiveRows() const;
+  // Entries of rows in which the joint moves.
+  Eigen::VectorXd Moving(const Eigen::VectorXd& x, int joint) const;
+
+ private:
+  struct Gram {
+    Eigen::MatrixXd xx;  // columns: base, features
+    Eigen::VectorXd xy;
+    double yy = 0;
+    double rows = 0;
+  };
+  double Cost(const Gram& g, const Eigen::VectorXd& x) const;
+  Eigen::VectorXd Stacked(const BalanceSolution& s, int joint) const;
+
+  const TorqueBalance& balance_;
+  int base_ = 0;
+  std::vector<Eigen::VectorXd> y_;
+  std::vector<std::vector<Gram>> gram_;  // [block][joint]
+  Eigen::VectorXd variance_, correlation_;
+};
+
+// A paired comparison over blocks.
+struct Gain {
+  double nats = 0, stddev = 0;
+  bool Beyond(double errors) const { return nats > errors * stddev; }
+};
+// joint −1: all.
+Gain GainOf(const BlockCosts& before, const BlockCosts& after, int joint = -1);
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,90 @@
+// Which effects the balance of torques asks for, on which joints: steps 1 to 4 of balance_search.h.
+#pragma once
+
+#include <functional>
+#include <map>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "common/base/progress.h"
+#include "common/effects/effect.h"
+#include "services/diagnosis/balance_fit.h"
+
+namespace rg::diagnosis {
+
+// Plain laws, and finer forms of dry friction; "offset" beside Coulomb friction is friction that depends on
+// the direction.
+extern const std::vector<std::string> kPlainKinds, kRefinedKinds;
+
+// How motion lies behind effort on one joint; kDelay with 0 s: it does not.
+struct JointTiming {
+  EffortTiming kind = EffortTiming::kDelay;
+  double seconds = 0;
+  double stddev = 0;
+};
+
+class BalanceSelection {
+ public:
+  using TraceFn = std::function<void(const std::string&)>;
+  BalanceSelection(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                   int max_effects, TraceFn trace);
+
+  // Effort and motion are brought to one time, with every plain law free, so that none is mistaken for a
+  // delay.
+  void FindTiming();
+  void Select(const CancelToken* cancel);
+
+  const TorqueBalance& balance() const { return balance_; }
+  BalanceFit& fit() { return fit_; }
+  const BalanceFit& fit() const { return fit_; }
+  const BalanceModel& model() const { return model_; }
+  const std::vector<JointTiming>& timing() const { return timing_; }
+  double timing_gain() const { return timing_gain_; }              // nats
+  double other_timing_gain() const { return other_timing_gain_; }  // of lags for delays and the reverse
+  const std::vector<int>& early() const { return early_; }         // joints whose effort lags their motion
+
+  // Columns of an effect on a joint, whether a model has any of them, and their coefficients' sum in SI.
+  std::vector<int> ColumnsOf(const std::string& effect, int joint) const;
+  bool Has(const BalanceModel& m, const std::string& effect, int joint) const;
+  double Coefficient(const BalanceSolution& s, const std::string& effect, int joint) const;
+  bool Admissible(const BalanceModel& m, int joint) const;
+  // A model's effects as the simulator has them, timing included.
+  std::vector<effects::EffectSpec> SpecsOf(const BalanceModel& m) const;
+  std::vector<effects::EffectSpec> SpecsOfJoint(const BalanceModel& m, const BalanceSolution& s,
+                                                int joint) const;
+  std::set<std::string> KindsOf(const BalanceModel& m) const;
+  // How far leaving out parts of the recordings moves an effect's parameters, by their names.
+  std::map<std::string, double> Spread() const;
+  double LogHypotheses() const;
+
+ private:
+  struct Trial;
+  void Pass(int joint, const JointTiming& timing);
+  BalanceModel Flexible(BalanceModel m) const;
+  std::vector<BalanceModel> With(const BalanceModel& m, const std::string& effect, int joint) const;
+  bool Pays(const std::string& kind, const BlockCosts& before, const BlockCosts& after, int joint,
+            Gain* gain) const;
+  bool TiltPays(const BlockCosts& before, Gain* gain) const;
+  Trial TryKind(const std::string& kind, const BlockCosts& before) const;
+  bool AddKind();
+  bool DropNegative(int joint);
+  bool Refined(int joint) const;
+  bool AddRefinement();
+  void Prune();
+  std::string StateOf(const BalanceModel& m) const;
+
+  const FitData& data_;
+  const sim::Plant& nominal_;
+  const MotionScales& scales_;
+  int max_effects_;
+  TraceFn trace_;
+  TorqueBalance balance_;
+  BalanceFit fit_;
+  BalanceModel model_;
+  std::vector<JointTiming> timing_;
+  std::vector<int> early_;
+  double timing_gain_ = 0, other_timing_gain_ = 0;
+};
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,300 @@
+#include "services/diagnosis/torque_balance.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include "common/dynamics/dynamics.h"
+#include "common/model/robot_model.h"
+#include "services/diagnosis/hypotheses.h"
+#include "services/sysid/drive_signal.h"
+
+namespace rg::diagnosis {
+
+using Eigen::ArrayXd;
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+namespace {
+
+constexpr double kHalfWindow = 0.03;  // s
+constexpr double kRowStep = 0.02;     // s
+constexpr double kBlock = 1.0;        // s, shortest part left out
+constexpr int kMostBlocks = 12;
+constexpr double kStillShare = 0.05;  // of a joint's RMS speed
+constexpr int kHats = 8;
+constexpr double kTiltPrior = 0.6;  // m/s², of gravity's x and y
+
+// Hann weights over the fine grid.
+struct Window {
+  int half = 0;
+  std::vector<double> weight;
+};
+
+Window MakeWindow(double dt, double period) {
+  Window w;
+  w.half = std::max(1, static_cast<int>(std::lround(std::max(kHalfWindow, period) / dt)));
+  double sum = 0;
+  for (int i = -w.half; i <= w.half; ++i) {
+    w.weight.push_back(1.0 + std::cos(M_PI * i / (w.half + 1.0)));
+    sum += w.weight.back();
+  }
+  for (double& x : w.weight) x /= sum;
+  return w;
+}
+
+class Maker {
+ public:
+  Maker(const FitData& data, const sim::Plant& plant, const MotionScales& scales)
+      : data_(data), plant_(plant), s_(scales) {
+    out_.n = data.n;
+    out_.base = FreeParameters(plant, scales, true);
+    out_.tilt = static_cast<int>(out_.base.size());
+    out_.joints.resize(data.n);
+    still_ = (kStillShare * s_.speed).cwiseMax(3.0 * s_.speed_noise);
+    MakeColumns();
+  }
+
+  TorqueBalance Take() {
+    int first_block = 0;
+    double total = 0;
+    for (const FineMotion& m : data_.fine) total += m.t.back() - m.t.front();
+    const double block = std::max(kBlock, total / kMostBlocks);
+    for (size_t r = 0; r < data_.fine.size(); ++r) {
+      const double span = data_.fine[r].t.back() - data_.fine[r].t.front();
+      const int blocks = std::max(1, static_cast<int>(std::lround(span / block)));
+      AddRecording(static_cast<int>(r), first_block, blocks);
+      first_block += blocks;
+    }
+    out_.blocks = first_block;
+    Flush();
+    Standardise();
+    return std::move(out_);
+  }
+
+ private:
+  void MakeColumns() {
+    out_.columns.resize(data_.n);
+    for (int j = 0; j < data_.n; ++j) {
+      auto& c = out_.columns[j];
+      c = {{"viscous_friction", "viscous"},
+           {"coulomb_friction", "coulomb"},
+           {"offset", "offset"},
+           {"rotor_inertia", "armature"},
+           {"quadratic_drag", "quadratic"},
+           {"torque_gain", "gain"},
+           {"position_spring", "stiffness", 0.5 * (s_.low[j] + s_.high[j])},
+           {"load_dependent_friction", "load"}};
+      for (const double share : {0.1, 0.25, 0.5})
+        c.push_back({"stribeck_friction", "drop", share * s_.speed[j]});
+      for (const double share : {0.15, 0.4, 1.0}) c.push_back({"thermal_drift", "drop", share * s_.duration});
+      // Pieces of a force without a name: hats over the range of position and of velocity.
+      for (int k = 0; k < kHats; ++k) {
+        c.push_back({"unknown_field", "position", static_cast<double>(k)});
+        c.push_back({"unknown_field", "velocity", static_cast<double>(k)});
+      }
+    }
+  }
+
+  // φ of joint j over the fine grid. The effort itself is never a column: it is the response, and would
+  // explain itself.
+  ArrayXd Feature(const BalanceColumn& c, const FineMotion& m, const MatrixXd& rigid, int j) const {
+    const ArrayXd v = m.v.row(j).transpose().array();
+    const ArrayXd torque = rigid.row(j).transpose().array();
+    const ArrayXd sign = v.sign();
+    if (c.effect == "viscous_friction") return -v;
+    if (c.effect == "coulomb_friction") return -sign;
+    if (c.effect == "offset") return ArrayXd::Ones(v.size());
+    if (c.effect == "rotor_inertia") return -m.a.row(j).transpose().array();
+    if (c.effect == "quadratic_drag") return -v * v.abs();
+    if (c.effect == "position_spring") return -(m.q.row(j).transpose().array() - c.shape);
+    if (c.effect == "torque_gain") return torque;
+    if (c.effect == "load_dependent_friction") return -sign * torque.abs();
+    if (c.effect == "stribeck_friction") return -sign * (-(v / c.shape).square()).exp();
+    if (c.effect == "unknown_field") {
+      const bool position = c.role == "position";
+      const double low = position ? s_.low[j] : -s_.top_speed[j],
+                   high = position ? s_.high[j] : s_.top_speed[j];
+      const double spacing = std::max(1e-12, (high - low) / (kHats - 1.0));
+      const ArrayXd x = (position ? m.q : m.v).row(j).transpose().array();
+      return (1.0 - ((x - low) / spacing - c.shape).abs()).max(0.0);
+    }
+    const ArrayXd t = Eigen::Map<const ArrayXd>(m.t.data(), static_cast<Eigen::Index>(m.t.size()));
+    return -sign * (-t / c.shape).exp();
+  }
+
+  void AddRecording(int r, int first_block, int blocks) {
+    const FineMotion& m = data_.fine[r];
+    const int F = static_cast<int>(m.t.size()), n = data_.n;
+    const double dt = m.t[1] - m.t[0];
+    const Window window = MakeWindow(dt, data_.recordings[r].recording->SamplePeriod());
+    const int stride = std::max(1, static_cast<int>(std::lround(kRowStep / dt)));
+    MatrixXd rigid(n, F);
+    std::vector<MatrixXd> base(n, MatrixXd(out_.base.size() + 2, F));
+    FillRigid(m, &rigid, &base);
+    std::vector<MatrixXd> features(n);
+    for (int j = 0; j < n; ++j) {
+      features[j].resize(static_cast<long>(out_.columns[j].size()), F);
+      for (size_t c = 0; c < out_.columns[j].size(); ++c)
+        features[j].row(static_cast<long>(c)) = Feature(out_.columns[j][c], m, rigid, j).transpose().matrix();
+    }
+    const Eigen::Map<const VectorXd> w(window.weight.data(), static_cast<long>(window.weight.size()));
+    for (int k = window.half; k + window.half < F; k += stride) {
+      const int first = k - window.half, count = 2 * window.half + 1;
+      const int block = first_block + std::min(blocks - 1, k * blocks / F);
+      for (int j = 0; j < n; ++j) {
+        const auto v = m.v.row(j).segment(first, count);
+        const bool still = v.cwiseAbs().minCoeff() < still_[j] || v.maxCoeff() * v.minCoeff() < 0;
+        Row row{m.t[k],
+                r,
+                block,
+                still,
+                base[j].middleCols(first, count) * w,
+                features[j].middleCols(first, count) * w,
+                rigid.row(j).segment(first, count).dot(w),
+                m.u.row(j).segment(first, count).dot(w)};
+        rows_[j].push_back(std::move(row));
+      }
+    }
+  }
+
+  void FillRigid(const FineMotion& m, MatrixXd* rigid, std::vector<MatrixXd>* base) {
+    const VectorXd values = plant_.parameters().Nominal();
+    const dynamics::Mechanism mechanism(sysid::MechanismOf(plant_, values));
+    const auto links = sysid::LinkParametersOf(plant_, values);
+    std::vector<Eigen::Matrix<double, 10, 10>> lump(plant_.model().num_links());
+    for (int i = 0; i < plant_.model().num_links(); ++i) {
+      if (plant_.model().link(i).body >= 0)
+        lump[i] = dynamics::LumpingJacobian(plant_.model(), i, links.col(i));
+    }
+    dynamics::Workspace workspace;
+    const int n = data_.n, B = static_cast<int>(out_.base.size());
+    VectorXd tau(n);
+    MatrixXd Y(n, 10 * n), G(n, 3);
+    for (int k = 0; k < rigid->cols(); ++k) {
+      dynamics::Rnea(mechanism, workspace, m.q.col(k), m.v.col(k), m.a.col(k), tau);
+      dynamics::TorqueRegressor(mechanism, workspace, m.q.col(k), m.v.col(k), m.a.col(k), Y);
+      dynamics::RneaGravityDerivative(mechanism, workspace, m.q.col(k), G);
+      for (int i = 0; i < B; ++i) {
+        const sim::Parameter& p = plant_.parameters()[out_.base[i].index];
+        const int link = plant_.model().FindLink(p.owner), joint = plant_.model().FindJoint(p.owner);
+        VectorXd column = VectorXd::Zero(n);
+        if (joint >= 0) {
+          const double v = m.v(joint, k);
+          column[joint] = p.kind == sim::ParameterKind::kDamping ? v : v > 0 ? 1.0 : -1.0;
+        } else if (link >= 0 && plant_.model().link(link).body >= 0) {
+          for (int f = 0; f < model::kLinkParameters; ++f) {
+            if (p.field == model::kLinkParameterNames[f])
+              column = Y.middleCols(10 * plant_.model().link(link).body, 10) * lump[link].col(f);
+          }
+        }
+        for (int j = 0; j < n; ++j) (*base)[j](i, k) = -out_.base[i].prior_stddev * column[j];
+      }
+      // What the URDF declares acts in the model too.
+      for (int i = 0; i < plant_.parameters().size(); ++i) {
+        const sim::Parameter& p = plant_.parameters()[i];
+        const int j = plant_.model().FindJoint(p.owner);
+        if (p.kind == sim::ParameterKind::kDamping) tau[j] += values[i] * m.v(j, k);
+        if (p.kind == sim::ParameterKind::kFriction) tau[j] += values[i] * (m.v(j, k) > 0 ? 1.0 : -1.0);
+      }
+      rigid->col(k) = tau;
+      for (int j = 0; j < n; ++j) {
+        (*base)[j](B, k) = -kTiltPrior * G(j, 0);
+        (*base)[j](B + 1, k) = -kTiltPrior * G(j, 1);
+      }
+    }
+  }
+
+  void Flush() {
+    for (int j = 0; j < data_.n; ++j) {
+      const auto R = static_cast<long>(rows_[j].size());
+      BalanceRows& o = out_.joints[j];
+      o.base.resize(R, static_cast<long>(out_.base.size()) + 2);
+      o.features.resize(R, static_cast<long>(out_.columns[j].size()));
+      o.rigid.resize(R), o.effort.resize(R);
+      for (long k = 0; k < R; ++k) {
+        const Row& row = rows_[j][static_cast<size_t>(k)];
+        o.base.row(k) = row.base.transpose();
+        o.features.row(k) = row.features.transpose();
+        o.rigid[k] = row.rigid, o.effort[k] = row.effort;
+        o.t.push_back(row.t), o.recording.push_back(row.recording), o.block.push_back(row.block);
+        o.still.push_back(row.still);
+      }
+    }
+  }
+
+  // A coefficient of 1 makes half the joint's usual torque.
+  void Standardise() {
+    for (int j = 0; j < data_.n; ++j) {
+      BalanceRows& o = out_.joints[j];
+      for (long c = 0; c < o.features.cols() && o.features.rows() > 0; ++c) {
+        double squares = 0, count = 1e-300;
+        for (long k = 0; k < o.features.rows(); ++k) {
+          if (!o.still[static_cast<size_t>(k)]) squares += std::pow(o.features(k, c), 2), ++count;
+        }
+        const double rms = std::sqrt(squares / count);
+        double& scale = out_.columns[j][static_cast<size_t>(c)].scale;
+        scale = rms > 0 ? 0.5 * s_.torque[j] / rms : 0.0;
+        if (out_.columns[j][static_cast<size_t>(c)].effect == "torque_gain") scale = std::min(scale, 0.3);
+        o.features.col(c) *= scale;
+      }
+    }
+  }
+
+  struct Row {
+    double t;
+    int recording, block;
+    bool still;
+    VectorXd base, features;
+    double rigid, effort;
+  };
+  const FitData& data_;
+  const sim::Plant& plant_;
+  const MotionScales& s_;
+  VectorXd still_;
+  TorqueBalance out_;
+  std::map<int, std::vector<Row>> rows_;
+};
+
+}  // namespace
+
+TorqueBalance MakeTorqueBalance(const FitData& data, const sim::Plant& plant, const MotionScales& scales) {
+  return Maker(data, plant, scales).Take();
+}
+
+VectorXd TimedEffort(const FitData& data, const BalanceRows& rows, int joint, EffortTiming timing,
+                     double seconds) {
+  VectorXd out(rows.effort.size());
+  if (rows.t.empty()) return out;
+  int recording = -1;
+  ArrayXd passed;
+  for (size_t k = 0; k < rows.t.size(); ++k) {
+    const FineMotion& m = data.fine[rows.recording[k]];
+    const double dt = m.t[1] - m.t[0];
+    if (rows.recording[k] != recording) {
+      recording = rows.recording[k];
+      passed.resize(static_cast<long>(m.t.size()));
+      double state = m.u(joint, 0);
+      for (long i = 0; i < passed.size(); ++i) {
+        if (timing == EffortTiming::kDelay) {
+          const double at = std::clamp(static_cast<double>(i) - seconds / dt, 0.0, passed.size() - 1.001);
+          const auto k0 = static_cast<long>(at);
+          const double w = at - static_cast<double>(k0);
+          passed[i] = (1 - w) * m.u(joint, k0) + w * m.u(joint, k0 + 1);
+        } else {
+          state = m.u(joint, i) + (state - m.u(joint, i)) * std::exp(-dt / std::max(1e-6, seconds));
+          passed[i] = state;
+        }
+      }
+    }
+    const Window window = MakeWindow(dt, data.recordings[recording].recording->SamplePeriod());
+    const int at = static_cast<int>(std::lround((rows.t[k] - m.t[0]) / dt));
+    double sum = 0;
+    for (int i = -window.half; i <= window.half; ++i)
+      sum += window.weight[static_cast<size_t>(i + window.half)] * passed[at + i];
+    out[static_cast<long>(k)] = sum;
+  }
+  return out;
+}
+
+}  // namespace rg::diagnosis

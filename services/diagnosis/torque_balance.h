@@ -1,0 +1,57 @@
+// The balance of torques along measured motion, for drives whose effort is measured:
+//
+//   f(t) = RNEA(q, q̇, q̈; URDF) − u(t)  =  Σ c_e φ_e(t) − Y(t) δp + w(t)        per joint
+//
+// f is the force that the model lacks, φ_e what an effect does per unit of its coefficient c_e, Y δp what
+// other base parameters would do, w the effort's own noise and all that has no name; w is neither white nor
+// known. Motion comes from the local polynomials of motion.h; both sides then pass the same window (Hann, ±30
+// ms), so that they have lost the same frequencies, and are thinned to rows 20 ms apart. Rows in which a
+// joint may be stuck
+// (`still`) have no say on it: there friction is whatever it takes.
+#pragma once
+
+#include <Eigen/Core>
+#include <string>
+#include <vector>
+
+#include "services/diagnosis/features.h"
+
+namespace rg::diagnosis {
+
+// What an effect does to one joint per unit of coefficient.
+struct BalanceColumn {
+  std::string effect;  // id; "offset": a constant force
+  std::string role;
+  double shape = 0;
+  double scale = 1;  // coefficient in SI = scale · standardised one (prior stddev 1)
+};
+
+struct BalanceRows {
+  Eigen::MatrixXd base;      // R × B, base parameters in units of their prior stddev
+  Eigen::MatrixXd features;  // R × F, standardised
+  Eigen::VectorXd rigid;     // R, RNEA of the URDF
+  Eigen::VectorXd effort;    // R
+  std::vector<double> t;     // R
+  std::vector<int> recording, block;
+  std::vector<char> still;
+};
+
+struct TorqueBalance {
+  int n = 0;
+  int blocks = 0;  // parts of the recordings that are left out in turn
+  std::vector<sysid::FitParameter> base;
+  int tilt = -1;  // first of two columns of `base` that stand for gravity's x and y; after the parameters
+  std::vector<std::vector<BalanceColumn>> columns;  // per joint
+  std::vector<BalanceRows> joints;
+};
+
+enum class EffortTiming { kDelay, kLag };
+
+TorqueBalance MakeTorqueBalance(const FitData& data, const sim::Plant& plant, const MotionScales& scales);
+
+// The effort rows of joint j as they would be if the drive passed its effort on `seconds` late (negative:
+// early), or through a first-order lag.
+Eigen::VectorXd TimedEffort(const FitData& data, const BalanceRows& rows, int joint, EffortTiming timing,
+                            double seconds);
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,139 @@
+// Sets whose drive's effort is measured, with a coloured noise of its own: what real robots give.
+#include <gtest/gtest.h>
+
+#include <regex>
+
+#include "common/base/rng.h"
+#include "services/diagnosis/diagnosis.h"
+#include "tests/unit/diagnosis/simulated_set.h"
+
+namespace rg::diagnosis {
+namespace {
+
+using effects::MakeSpec;
+
+constexpr double kEffortNoise = 0.03;  // of the effort's RMS
+constexpr double kCorrelation = 0.05;  // s
+
+recordings::RecordingSet MeasuredSet(const std::string& robot, std::vector<effects::EffectSpec> effects,
+                                     uint64_t seed) {
+  auto set = testing::MakeSet(robot, std::move(effects), seed, 6.0);
+  set.noise = {};
+  // What the URDF declares is calibrated: take it away, so that all damping is an effect.
+  set.urdf_text = std::regex_replace(set.urdf_text, std::regex("damping=\"[0-9.]+\""), "damping=\"0\"");
+  Rng rng(seed + 99);
+  for (recordings::Recording& rec : set.recordings) {
+    Eigen::MatrixXd u = rec.effort_command;
+    for (int k = 1; k < rec.rows(); ++k)
+      u.col(k) = 0.5 * (rec.effort_command.col(k - 1) + rec.effort_command.col(k));
+    for (int j = 0; j < rec.n(); ++j) {
+      const double size = kEffortNoise * std::sqrt(u.row(j).squaredNorm() / rec.rows());
+      const double keep = std::exp(-rec.SamplePeriod() / kCorrelation);
+      double state = 0;
+      for (int k = 0; k < rec.rows(); ++k) {
+        state = keep * state + std::sqrt(1 - keep * keep) * size * rng.Normal();
+        u(j, k) += state;
+      }
+    }
+    rec.effort_measured = u;
+    rec.effort_command.resize(0, 0);
+    rec.drive = recordings::EffortKind::kMeasured;
+  }
+  return set;
+}
+
+DiagnosisResult Diagnosed(const recordings::RecordingSet& set) {
+  DiagnosisOptions options;
+  options.threads = 2;
+  auto result = Diagnose(set, options, RealClock());
+  RG_CHECK(result.ok()) << result.status().ToString();
+  return *result;
+}
+
+const Finding* Find(const DiagnosisResult& r, const std::string& effect) {
+  for (const Finding& f : r.findings) {
+    if (f.effect == effect) return &f;
+  }
+  return nullptr;
+}
+
+double Value(const Finding& f, const std::string& owner, const std::string& name) {
+  for (const ParameterEstimate& p : f.parameters) {
+    if (p.owner == owner && p.name == name) return p.value;
+  }
+  return NAN;
+}
+
+TEST(MeasuredEffort, NamesTwoFrictionsOnTwoJointsUnderACorrelatedEffortNoise) {
+  const auto names = sysid::testing::LoadPlant("arm2").joint_names();
+  const auto r = Diagnosed(MeasuredSet("arm2",
+                                       {MakeSpec("coulomb_friction", {names[0]}, {{"coulomb", 2.0}}),
+                                        MakeSpec("viscous_friction", {names[1]}, {{"viscous", 0.8}})},
+                                       31));
+  EXPECT_EQ(r.verdict, "unmodelled_physics");
+  const Finding* coulomb = Find(r, "coulomb_friction");
+  ASSERT_NE(coulomb, nullptr);
+  EXPECT_EQ(coulomb->joints, std::vector<std::string>{names[0]});
+  EXPECT_NEAR(Value(*coulomb, names[0], "coulomb"), 2.0, 0.2);
+  const Finding* viscous = Find(r, "viscous_friction");
+  ASSERT_NE(viscous, nullptr);
+  EXPECT_NEAR(Value(*viscous, names[1], "viscous"), 0.85, 0.08);  // 0.05 of it the URDF's own
+  EXPECT_LT(r.holdout.after_rms, 0.5 * r.holdout.before_rms);
+}
+
+TEST(MeasuredEffort, NamesNoPhysicsWhereOnlyTheEffortIsNoisy) {
+  for (const uint64_t seed : {41, 42, 43}) {
+    for (const char* robot : {"pendulum", "arm2"}) {
+      auto set = MeasuredSet(robot, {}, seed);
+      set.urdf_text = testing::MakeSet(robot, {}, seed, 1.0).urdf_text;
+      const auto r = Diagnosed(set);
+      EXPECT_TRUE(r.verdict == "no_mismatch" || r.verdict == "parameters_only") << robot << " " << r.verdict;
+    }
+  }
+}
+
+TEST(MeasuredEffort, FindsByHowMuchMotionLagsEffort) {
+  const auto name = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  const auto r = Diagnosed(MeasuredSet("pendulum",
+                                       {MakeSpec("actuator_delay", {name}, {{"delay", 0.03}}),
+                                        MakeSpec("coulomb_friction", {name}, {{"coulomb", 0.15}})},
+                                       51));
+  const Finding* delay = Find(r, "actuator_delay");
+  ASSERT_NE(delay, nullptr);
+  EXPECT_NEAR(Value(*delay, name, "delay"), 0.03, 0.004);
+  ASSERT_NE(Find(r, "coulomb_friction"), nullptr);
+  EXPECT_NEAR(Value(*Find(r, "coulomb_friction"), name, "coulomb"), 0.15, 0.02);
+}
+
+TEST(MeasuredEffort, TellsFrictionThatDependsOnTheDirection) {
+  const auto name = sysid::testing::LoadPlant("slide").joint_names()[0];
+  const auto r = Diagnosed(MeasuredSet(
+      "slide",
+      {MakeSpec("asymmetric_friction", {name}, {{"coulomb_positive", 6.0}, {"coulomb_negative", 14.0}})},
+      61));
+  const Finding* f = Find(r, "asymmetric_friction");
+  ASSERT_NE(f, nullptr);
+  EXPECT_NEAR(Value(*f, name, "coulomb_positive"), 6.0, 1.5);
+  EXPECT_NEAR(Value(*f, name, "coulomb_negative"), 14.0, 1.5);
+}
+
+// The same physics, whatever it is called and however it is cut.
+TEST(MeasuredEffort, VerdictDoesNotDependOnHowRecordingsAreCut) {
+  const auto names = sysid::testing::LoadPlant("arm2").joint_names();
+  const auto set = MeasuredSet("arm2", {MakeSpec("coulomb_friction", {names[0]}, {{"coulomb", 2.0}})}, 71);
+  auto cut = set;
+  const recordings::Recording whole = cut.recordings[0];
+  cut.recordings[0] = recordings::Slice(whole, 0, whole.rows() / 2);
+  cut.recordings.push_back(recordings::Slice(whole, whole.rows() / 2, whole.rows() - whole.rows() / 2));
+  cut.recordings.back().name = "second_half.csv";
+  for (const auto& s : {set, cut}) {
+    const auto r = Diagnosed(s);
+    const Finding* f = Find(r, "coulomb_friction");
+    ASSERT_NE(f, nullptr);
+    EXPECT_EQ(f->joints, std::vector<std::string>{names[0]});
+    EXPECT_NEAR(Value(*f, names[0], "coulomb"), 2.0, 0.2);
+  }
+}
+
+}  // namespace
+}  // namespace rg::diagnosis
