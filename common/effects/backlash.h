@@ -1,8 +1,8 @@
 // A gear with play: the motor moves through a gap before it pushes the link.
 //
-//   J·ω̇ = tau_drive − T,  with δ = θ − q and half the gap s = gap/2:
+//   J·ω̇ = tau_drive − c·ω − T,  with δ = θ − q and half the gap s = gap/2:
 //   T = k·(δ − s) + b·δ̇ ≥ 0 for δ > s,   0 inside the gap,   k·(δ + s) + b·δ̇ ≤ 0 for δ < −s
-//   k [N·m/rad] > 0, b [N·m·s/rad] ≥ 0, J [kg·m²] > 0;  states θ, ω
+//   k [N·m/rad] > 0, b [N·m·s/rad] ≥ 0, J [kg·m²] > 0, c [N·m·s/rad] ≥ 0;  states θ, ω
 //
 // The faces push, they never pull. Damping grows over the first 0.1 % of the gap (at least 1e-6 rad), so
 // that T has no jump. The motor's end-of-step velocity is eliminated as in joint_elasticity.h.
@@ -28,7 +28,8 @@ struct Backlash {
         .title = "Backlash",
         .stage = Stage::kTransmission,
         .scope = Scope::kJoint,
-        .equation = "tau = k*(delta -+ gap/2) + b*ddelta beyond the gap, 0 inside; J*ddtheta = u - tau",
+        .equation =
+            "tau = k*(delta -+ gap/2) + b*ddelta beyond the gap, 0 inside; J*ddtheta = u - c*dtheta - tau",
         .sentence = "{joint} has play: its motor moves through {gap} before it pushes the link.",
         .parameters = {{"gap", "gap", "rad", "m", 0, kInf, 0.01, 0.02, false, false, "total play"},
                        {"contact_stiffness", "k", "N*m/rad", "N/m", 1e-3, kInf, 1e4, 1e4, false, false,
@@ -36,7 +37,9 @@ struct Backlash {
                        {"contact_damping", "b", "N*m*s/rad", "N*s/m", 0, kInf, 5, 5, false, false,
                         "damping of the faces"},
                        {"motor_inertia", "J", "kg*m^2", "kg", 1e-6, kInf, 0.1, 0.1, false, false,
-                        "motor inertia at the joint"}},
+                        "motor inertia at the joint"},
+                       {"motor_viscous", "c", "N*m*s/rad", "N*s/m", 0, kInf, 0, 1, false, false,
+                        "viscous friction of the motor"}},
         .family = "compliance",
         .confused_with = {"joint_elasticity", "base_flexibility", "presliding_hysteresis"},
         .reference = "Nordin, Gutman, Automatica 38(10), 2002",
@@ -48,14 +51,15 @@ struct Backlash {
   static void Apply(const S* p, JointLaw<S>& law) {
     using T = Base<S>;
     const T h = law.step.h;
-    const S &k = p[1], &J = p[3], &theta0 = law.z0[0], &omega0 = law.z0[1];
+    const S &k = p[1], &c = p[4], &theta0 = law.z0[0], &omega0 = law.z0[1];
     const S half = T(0.5) * p[0];
+    const S J = p[3] + T(0.5) * h * c;  // the motor's friction at the middle of the step
     const S lighter = J * law.reference_mass / (J + law.reference_mass);
     const S weight = law.OscillationWeight(k * (h * h) / lighter);
     const T drift = law.step.first_order ? T(1) : T(0.5);
 
     // Deflection and its rate at the weighted time if the motor turned freely, and what a torque takes off.
-    const S free = law.drive * h / J;  // change of ω
+    const S free = (law.drive - c * omega0) * h / J;  // change of ω
     const S deflection = theta0 + weight * h * (omega0 + drift * free) - law.PositionAt(weight);
     const S rate = omega0 + weight * free - law.VelocityAt(weight);
     const S give = weight * (h * h * drift) / J;  // of the deflection, per torque

@@ -3,10 +3,11 @@
 //   x = position along the normal of what touches;  depth d = height − x
 //   f = max(0, k·d − b·ẋ) along the normal where d > 0        k [N/m], b [N·s/m] ≥ 0, height [m]
 //
-// Without joints: the origin of the end-effector link meets a plane of the base frame with that normal
-// (frictionless). With joints: a stop for the joint's own coordinate ("z": it pushes up from below
-// `height`; "-z": down from above −height); read N·m/rad, N·m·s/rad, rad. Damping grows over the first
-// 0.1 mm (0.1 mrad), so that the force has no jump. Dissipative.
+// Without joints: the origin of the end-effector link, or of the child link of the last joint (option
+// "point"), meets a plane of the base frame with that normal (frictionless). With joints: a stop for the
+// joint's own coordinate ("z": it pushes up from below `height`; "-z": down from above −height); read
+// N·m/rad, N·m·s/rad, rad. Damping grows over the first 0.1 mm (0.1 mrad), so that the force has no jump.
+// Dissipative.
 #pragma once
 
 #include "common/effects/effect.h"
@@ -36,7 +37,7 @@ struct Contact {
         .family = "environment",
         .confused_with = {"external_disturbance", "unknown_field"},
         .reference = "",
-        .options = {{"normal", {"z", "-z", "x", "-x", "y", "-y"}}},
+        .options = {{"normal", {"z", "-z", "x", "-x", "y", "-y"}}, {"point", {"end_effector", "last_link"}}},
     };
   }
 

@@ -1,8 +1,9 @@
 // Something pushes the robot for a while.
 //
 //   with joints:  tau = torque          for start ≤ t < end, on those joints      torque [N·m]
-//   without:      f = (force_x, force_y, force_z) on the origin of the end-effector link, base frame [N]
+//   without:      f = (force_x, force_y, force_z) on a point, base frame [N]
 //
+// The point is the origin of the end-effector link, or of the child link of the last joint (option "point").
 // t is the state's time. Averaged over each step, so that start and end have derivatives.
 #pragma once
 
@@ -38,7 +39,7 @@ struct ExternalDisturbance {
         .family = "environment",
         .confused_with = {"contact", "unknown_field"},
         .reference = "",
-        .options = {},
+        .options = {{"point", {"end_effector", "last_link"}}},
     };
   }
 

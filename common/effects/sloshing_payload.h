@@ -1,6 +1,7 @@
 // A mass that moves in a soft hold on the last link: liquid, a loose part, something that hangs.
 //
-//   a point mass m at the origin of the end-effector link, free in x, y, z against
+//   a point mass m at the origin of the end-effector link, or of the child link of the last joint (option
+//   "point"), free in x, y, z against
 //   f = −k·s − b·ṡ,  s its displacement in the link's axes
 //   m [kg] ≥ 0, k [N/m] > 0, b [N·s/m] ≥ 0;  states: s and ṡ
 //
@@ -34,7 +35,7 @@ struct SloshingPayload {
         .family = "load",
         .confused_with = {"payload", "base_flexibility"},
         .reference = "",
-        .options = {},
+        .options = {{"point", {"end_effector", "last_link"}}},
     };
   }
 

@@ -49,9 +49,9 @@ void AddFlexibleBase(model::RobotModel::Parts& parts) {
   parts.joints = std::move(joints);
 }
 
-// Three slides at the end effector's origin; the last one carries the mass, a link of its own.
-void AddSloshingMass(model::RobotModel::Parts& parts) {
-  const model::Link& tool = parts.links[parts.end_effector];
+// Three slides at the tool's origin; the last one carries the mass, a link of its own.
+void AddSloshingMass(model::RobotModel::Parts& parts, int tool_link) {
+  const model::Link& tool = parts.links[tool_link];
   model::Pose placement = tool.X_BL;  // of the tool's frame in the parent body
   int parent = tool.body;
   model::Pose orientation;  // of the present body in the tool's axes
@@ -74,7 +74,7 @@ void AddSloshingMass(model::RobotModel::Parts& parts) {
 }  // namespace
 
 std::shared_ptr<const model::RobotModel> WithExtraBodies(std::shared_ptr<const model::RobotModel> model,
-                                                         bool flexible_base, bool sloshing_mass) {
+                                                         bool flexible_base, bool sloshing_mass, int tool) {
   if (!flexible_base && !sloshing_mass) return model;
   model::RobotModel::Parts parts;
   parts.name = model->name();
@@ -83,7 +83,7 @@ std::shared_ptr<const model::RobotModel> WithExtraBodies(std::shared_ptr<const m
   parts.links = model->links();
   parts.end_effector = model->FindLink(model->end_effector().name);
   if (flexible_base) AddFlexibleBase(parts);
-  if (sloshing_mass) AddSloshingMass(parts);
+  if (sloshing_mass) AddSloshingMass(parts, tool);
   return std::make_shared<const model::RobotModel>(std::move(parts));
 }
 

@@ -94,10 +94,22 @@ Status PlantBuilder::CheckEffects() const {
   return Status::Ok();
 }
 
+// The link that point forces and a sloshing mass act on: one for all effects.
+int PlantBuilder::ToolLink() const {
+  const model::RobotModel& model = *data_->model;
+  for (const EffectSpec& spec : data_->effects) {
+    const auto point = spec.options.find("point");
+    if (point != spec.options.end() && point->second == "last_link")
+      return model.joint(model.num_joints() - 1).child_link;
+  }
+  return model.FindLink(model.end_effector().name);
+}
+
 void PlantBuilder::LayOutTree() {
   PlantData& d = *data_;
   const bool base = Has(d.effects, "base_flexibility"), slosh = Has(d.effects, "sloshing_payload");
-  d.tree_model = WithExtraBodies(d.model, base, slosh);
+  const int tool_link = ToolLink();
+  d.tree_model = WithExtraBodies(d.model, base, slosh, tool_link);
   d.program.tree = dynamics::MakeTree(*d.tree_model);
   d.first_joint = base ? kBaseJoints : 0;
   for (const auto& joint : d.model->joints()) d.joint_names.push_back(joint.name);
@@ -109,7 +121,7 @@ void PlantBuilder::LayOutTree() {
   joint_parameters_.assign(d.num_kernel_joints(), integrators::kFirstEffectParameter);
   d.command_delay.assign(n, -1);
   d.sensors.assign(n, {});
-  const auto tool = d.tree_model->FindFrame(d.tree_model->end_effector().name);
+  const auto tool = d.tree_model->FindFrame(d.model->link(tool_link).name);
   d.program.point_body = tool->body;
   for (int i = 0; i < 3; ++i) d.program.point[i] = tool->X_BF.translation[i];
 }

@@ -30,6 +30,7 @@ class PlantBuilder {
   };
 
   Status CheckEffects() const;
+  int ToolLink() const;
   void LayOutTree();
   void AddBaseParameters();
   Status AddEffect(const effects::EffectSpec& spec);

@@ -70,9 +70,10 @@ struct PlantData {
   int num_internal_states() const { return program.num_states + 2 * static_cast<int>(extra_joints.size()); }
 };
 
-// The model with a rocking base and a mass in a soft hold where the effects ask for them.
+// The model with a rocking base and a mass in a soft hold on `tool`, an index of links(), where the effects
+// ask for them.
 std::shared_ptr<const model::RobotModel> WithExtraBodies(std::shared_ptr<const model::RobotModel> model,
-                                                         bool flexible_base, bool sloshing_mass);
+                                                         bool flexible_base, bool sloshing_mass, int tool);
 inline constexpr int kBaseJoints = 2;   // about x, then y
 inline constexpr int kSloshJoints = 3;  // along x, y, z
 

@@ -128,7 +128,9 @@ Prior PriorOf(const sim::Parameter& p, int joint, const MotionScales& s, const s
   if (e == "actuator_lag") return {0, 0.03, 5e-4, 0.4};
   if (f == "gain") return {1, 0.3, 0.05, 8};
   if (f == "limit") return {p.nominal, torque, 1e-3 * torque, 50 * torque};
-  if (f == "cycles_per_rev") return {p.nominal, 0.1 * p.nominal + 0.5, 0.3, 300};
+  // Less than about a period over the whole range is a slow curve, not a ripple.
+  if (f == "cycles_per_rev")
+    return {p.nominal, 0.1 * p.nominal + 0.5, std::max(2.0, 1.5 * M_PI / range), 300};
   if (f == "phase" || f == "azimuth") return {p.nominal, 2};
   if (f == "armature") return {0, inertia};
   if (f == "offset") return {0, 0.1};
@@ -149,6 +151,7 @@ Prior PriorOf(const sim::Parameter& p, int joint, const MotionScales& s, const s
   if (f == "mass") return {0, LastMass(plant), 1e-4 * LastMass(plant), 20 * LastMass(plant)};
   if (f == "gap") return {0, 0.05, 1e-5, 0.5};
   if (f == "height") return {p.nominal, 0.2};
+  if (f == "motor_viscous") return {0, 0.2 * torque / speed};
   if (f == "motor_inertia") return {0.3 * inertia, inertia, 0.002 * inertia, 10 * inertia};
   if (f[0] == 'w') return {0, 0.5 * torque};
   // Stiffnesses and dampings: as likely half as twice the start.
@@ -168,9 +171,17 @@ std::vector<std::vector<EffectSpec>> SpecsFor(const Scored& h, const sim::Plant&
     // A gravity change (g_x, g_y) is a tilt of |g_xy|/9.81 towards its direction.
     const double gx = h.coefficients[0], gy = h.coefficients[1];
     const double g = nominal.options().gravity.norm();
-    return {{MakeSpec(h.effect, {},
-                      {{"tilt", std::clamp(std::hypot(gx, gy) / std::max(1e-6, g), 1e-3, 1.2)},
-                       {"azimuth", std::atan2(gy, gx)}})}};
+    const double tilt = std::clamp(std::hypot(gx, gy) / std::max(1e-6, g), 1e-3, 1.2);
+    const double azimuth = std::atan2(gy, gx);
+    std::vector<std::vector<EffectSpec>> out = {
+        {MakeSpec(h.effect, {}, {{"tilt", tilt}, {"azimuth", azimuth}})}};
+    // To first order a planar arm does not feel the tilt about the line in its plane: only the cosine, and
+    // the gradient there is zero.
+    if (nominal.num_joints() <= 2 && tilt < 0.3) {
+      const double more = std::max(0.05, 1.5 * tilt), turn = std::acos(tilt / more);
+      out.push_back({MakeSpec(h.effect, {}, {{"tilt", more}, {"azimuth", azimuth + turn}})});
+    }
+    return out;
   }
   if (h.effect == "joint_coupling") {
     return {
@@ -190,33 +201,43 @@ std::vector<std::vector<EffectSpec>> SpecsFor(const Scored& h, const sim::Plant&
 }
 
 std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effect, int joint,
-                                                        const sim::Plant& nominal, const MotionScales& s) {
+                                                        const sim::Plant& nominal, const MotionScales& s,
+                                                        double added_inertia) {
   std::vector<std::vector<EffectSpec>> out;
-  const double inertia = s.inertia[joint], J = 0.4 * inertia;
+  const double inertia = s.inertia[joint];
+  // Below its resonance the motor moves with the link: what the screen takes for more inertia is the motor.
+  const double J = added_inertia > 0.01 * inertia ? std::min(added_inertia, 2 * inertia) : 0.4 * inertia;
+  const double lighter = J * inertia / (J + inertia);
   const std::string& name = nominal.joint_names()[joint];
+  const auto push = [&](EffectSpec spec, const char* sensor) {
+    spec.options["sensor"] = sensor;
+    out.push_back({spec});
+  };
   for (const char* sensor : {"link", "motor"}) {
-    for (const double hertz : {4.0, 8.0}) {
-      if (effect == "backlash" && hertz > 4.0) break;
-      const double omega = 2 * M_PI * (effect == "backlash" ? 18.0 : hertz), k = omega * omega * inertia;
-      EffectSpec spec =
-          effect == "backlash"
-              ? MakeSpec(effect, {name},
-                         {{"gap", 0.025},
-                          {"contact_stiffness", k},
-                          {"contact_damping", 0.3 * std::sqrt(k * inertia)},
-                          {"motor_inertia", J}})
-              : MakeSpec(
-                    effect, {name},
-                    {{"stiffness", k}, {"damping", 0.15 * std::sqrt(k * inertia)}, {"motor_inertia", J}});
-      spec.options["sensor"] = sensor;
-      out.push_back({spec});
+    if (effect == "backlash") {
+      for (const double gap : {0.01, 0.03}) {
+        const double omega = 2 * M_PI * 30.0, k = omega * omega * lighter;
+        push(MakeSpec(effect, {name},
+                      {{"gap", gap},
+                       {"contact_stiffness", k},
+                       {"contact_damping", 0.4 * std::sqrt(k * lighter)},
+                       {"motor_inertia", J}}),
+             sensor);
+      }
+      continue;
+    }
+    for (const double hertz : {6.0, 12.0}) {
+      const double omega = 2 * M_PI * hertz, k = omega * omega * lighter;
+      push(MakeSpec(effect, {name},
+                    {{"stiffness", k}, {"damping", 0.2 * std::sqrt(k * lighter)}, {"motor_inertia", J}}),
+           sensor);
     }
   }
   return out;
 }
 
 std::vector<std::vector<EffectSpec>> BodyStarts(const std::string& effect, const sim::Plant& nominal,
-                                                const FitData& data, const MotionScales& s) {
+                                                const MotionScales& s) {
   std::vector<std::vector<EffectSpec>> out;
   if (effect == "payload") {
     // From the middle of the last link's own mass.
@@ -231,10 +252,15 @@ std::vector<std::vector<EffectSpec>> BodyStarts(const std::string& effect, const
   }
   if (effect == "sloshing_payload") {
     const double mass = 0.2 * LastMass(nominal);
-    for (const double length : {0.04, 0.12}) {
+    const auto& model = nominal.model();
+    const bool same =
+        model.joint(model.num_joints() - 1).child_link == model.FindLink(model.end_effector().name);
+    for (const double length : {0.04, 0.08, 0.12}) {
       const double k = mass * 9.81 / length;
-      out.push_back(
-          {MakeSpec(effect, {}, {{"mass", mass}, {"stiffness", k}, {"damping", 0.2 * std::sqrt(k * mass)}})});
+      EffectSpec spec =
+          MakeSpec(effect, {}, {{"mass", mass}, {"stiffness", k}, {"damping", 0.05 * std::sqrt(k * mass)}});
+      if (!same && length != 0.08) spec.options["point"] = "last_link";
+      out.push_back({spec});
     }
     return out;
   }
@@ -244,26 +270,6 @@ std::vector<std::vector<EffectSpec>> BodyStarts(const std::string& effect, const
       out.push_back({MakeSpec(effect, {}, {{"stiffness", k * factor}, {"damping", 0.02 * k * factor}})});
     }
     return out;
-  }
-  if (effect == "contact") {
-    // Heights of the end-effector link's origin over the recorded motion.
-    const auto& model = nominal.model();
-    const dynamics::Mechanism mechanism(model);
-    dynamics::Workspace workspace;
-    std::vector<double> heights;
-    const model::Frame frame = *model.FindFrame(model.end_effector().name);
-    for (const FineMotion& m : data.fine) {
-      for (int k = 0; k < m.q.cols(); k += 8) {
-        heights.push_back(dynamics::FramePose(mechanism, workspace, m.q.col(k), frame).translation[2]);
-      }
-    }
-    std::sort(heights.begin(), heights.end());
-    for (const double share : {0.1, 0.3}) {
-      const double height = heights[static_cast<size_t>(share * static_cast<double>(heights.size()))];
-      const double reach = std::max(0.02, heights.back() - heights.front());
-      const double k = 5 * s.torque.maxCoeff() / reach;
-      out.push_back({MakeSpec(effect, {}, {{"stiffness", k}, {"damping", 0.02 * k}, {"height", height}})});
-    }
   }
   return out;
 }

@@ -14,11 +14,13 @@ namespace rg::diagnosis {
 std::vector<std::vector<effects::EffectSpec>> SpecsFor(const Scored& hypothesis, const sim::Plant& nominal,
                                                        const MotionScales& scales);
 // Effects with hidden states or hidden geometry, which the screen cannot see; from several starts.
+// added_inertia: what the screen would add to the joint's inertia [kg·m²], 0 where it does not say.
 std::vector<std::vector<effects::EffectSpec>> TransmissionStarts(const std::string& effect, int joint,
                                                                  const sim::Plant& nominal,
-                                                                 const MotionScales& scales);
+                                                                 const MotionScales& scales,
+                                                                 double added_inertia);
 std::vector<std::vector<effects::EffectSpec>> BodyStarts(const std::string& effect, const sim::Plant& nominal,
-                                                         const FitData& data, const MotionScales& scales);
+                                                         const MotionScales& scales);
 
 // Free parameters of a plant: all parameters of its effects with priors in units of the motion, and, with
 // `base`, the inertial parameters with priors around the URDF.

@@ -1,281 +1,19 @@
 #include "services/diagnosis/lifted_fit.h"
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
 
-#include "common/base/check.h"
 #include "common/model/robot_model.h"
+#include "services/diagnosis/lineariser.h"
 #include "services/sysid/boxed_newton_step.h"
 #include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-using sim::RowMatrix;
-
 namespace {
-
-// A residual r [stddev] counts c²·log(1 + r²/c²) when costs are compared: r² where the model holds, and a
-// window that explodes does not outvote the others.
-constexpr double kSoft = 20.0;
-constexpr double kBroken = 1e12;
-
-// A plant that can feel a torque on each joint, for the columns B.
-struct Probe {
-  sim::Plant plant;
-  VectorXd values;
-  std::vector<int> torque;  // parameter index per joint, −1: none
-};
-
-bool Holds(const sim::Plant& plant, const std::string& id, const std::string& joint) {
-  for (const effects::EffectSpec& e : plant.effects()) {
-    if (e.id == id && std::find(e.joints.begin(), e.joints.end(), joint) != e.joints.end()) return true;
-  }
-  return false;
-}
-
-Probe MakeProbe(const FitModel& model, bool with_torque) {
-  Probe probe{model.plant, model.values, {}};
-  const int n = model.plant.num_joints();
-  probe.torque.assign(n, -1);
-  if (!with_torque) return probe;
-  std::vector<effects::EffectSpec> specs = model.plant.effects();
-  std::vector<std::string> names(n);
-  for (int j = 0; j < n; ++j) {
-    const std::string& joint = model.plant.joint_names()[j];
-    if (!Holds(model.plant, "external_disturbance", joint)) {
-      specs.push_back(effects::MakeSpec("external_disturbance", {joint},
-                                        {{"start", -1e9}, {"end", 1e9}, {"torque", 0.0}}));
-      names[j] = "external_disturbance." + joint + ".torque";
-    } else if (!Holds(model.plant, "torque_ripple", joint)) {
-      specs.push_back(effects::MakeSpec("torque_ripple", {joint},
-                                        {{"amplitude", 0.0}, {"cycles_per_rev", 0.0}, {"phase", M_PI_2}}));
-      names[j] = "torque_ripple." + joint + ".amplitude";
-    }
-  }
-  auto plant = sim::Plant::Create(model.plant.shared_model(), model.plant.options(), specs);
-  RG_CHECK(plant.ok()) << plant.status().ToString();
-  probe.plant = *plant;
-  probe.values = probe.plant.ValuesFrom(model.plant.parameters(), model.values);
-  for (int j = 0; j < n; ++j) {
-    if (!names[j].empty()) probe.torque[j] = probe.plant.parameters().Find(names[j]);
-  }
-  return probe;
-}
-
-// One window, linearised.
-struct Linear {
-  MatrixXd J;               // M × (P + C)
-  MatrixXd J_e;             // M × nx
-  VectorXd r;               // M, whitened residual at e_0 = 0, δθ = 0
-  std::vector<MatrixXd> E;  // per node: nx × (1 + P + nx): d, θ, e_0
-  bool ok = true;
-};
-
-struct Worker {
-  sim::Simulator simulator;
-  sim::State x;
-  sim::Trajectory out;
-  sim::SensitivityRequest request;
-  std::vector<double> times;
-  Worker(const sim::Plant& plant, const sim::SimulatorOptions& options, const VectorXd& values,
-         std::vector<int> parameters)
-      : simulator(plant, options) {
-    simulator.SetParameters(values);
-    request = {.initial_state = true, .parameters = std::move(parameters)};
-  }
-};
-
-class Lineariser {
- public:
-  Lineariser(const FitData& data, const FitModel& model, bool with_torque, const LiftedOptions& options)
-      : data_(data), probe_(MakeProbe(model, with_torque)), options_(options) {
-    n_ = data.n;
-    P_ = static_cast<int>(model.parameters.size());
-    nx_ = model.plant.num_states();
-    std::vector<int> columns;
-    for (const auto& p : model.parameters) {
-      columns.push_back(probe_.plant.parameters().Find(model.plant.parameters()[p.index].name));
-    }
-    torque_column_.assign(n_, -1);
-    for (int j = 0; j < n_; ++j) {
-      if (probe_.torque[j] < 0) continue;
-      torque_column_[j] = static_cast<int>(columns.size());
-      columns.push_back(probe_.torque[j]);
-    }
-    columns_ = columns;
-    sim::SimulatorOptions simulator;
-    simulator.step_s = options.step_s;
-    for (int w = 0; w < std::max(1, options.threads); ++w) {
-      workers_.push_back(std::make_unique<Worker>(probe_.plant, simulator, probe_.values, columns));
-    }
-  }
-
-  int nx() const { return nx_; }
-  int P() const { return P_; }
-
-  int RowsOf(const NodeWindow& w) const {
-    int nodes = 0;
-    for (const char m : w.measured) nodes += m;
-    return nodes * n_ * (data_.use_velocity ? 2 : 1);
-  }
-
-  // phi: C × N or null.
-  void Run(int worker, int index, const MatrixXd& states, const std::vector<int>* joint, const MatrixXd* phi,
-           bool keep, Linear* out) {
-    Worker& w = *workers_[worker];
-    const NodeWindow& window = data_.windows[index];
-    const int N = static_cast<int>(window.t.size()) - 1, M = RowsOf(window);
-    const int C = joint == nullptr ? 0 : static_cast<int>(joint->size());
-    out->J.resize(M, P_ + C), out->J_e.resize(M, nx_), out->r.resize(M);
-    out->E.clear();
-    out->ok = true;
-    MatrixXd E = MatrixXd::Zero(nx_, 1 + P_ + nx_), Ef = MatrixXd::Zero(nx_, C), next;
-    E.rightCols(nx_).setIdentity();
-    if (keep) out->E.push_back(E);
-    int row = 0;
-    for (int k = 0; k < N; ++k) {
-      w.x.q = states.col(k).head(n_);
-      w.x.v = states.col(k).segment(n_, n_);
-      w.x.z = states.col(k).tail(nx_ - 2 * n_);
-      w.x.time = window.t[k];
-      w.times.clear();
-      if (k == 0 && window.measured[0]) w.times.push_back(window.t[0]);
-      w.times.push_back(window.t[k + 1]);
-      w.simulator.SimulateInto(w.x, data_.recordings[window.recording].command, w.times, w.request, &w.out);
-      if (!w.out.outcome.ok() || !w.out.dfinal_state.allFinite()) {
-        out->ok = false;
-        return;
-      }
-      int output = 0;
-      if (k == 0 && window.measured[0]) WriteRows(w, window, 0, output++, E, Ef, nullptr, nullptr, out, &row);
-      if (window.measured[k + 1]) WriteRows(w, window, k + 1, output, E, Ef, joint, phi, out, &row);
-      const auto A = w.out.dfinal_state.leftCols(nx_);
-      next.noalias() = A * E;
-      next.col(0) += w.out.state.col(output) - states.col(k + 1);
-      next.middleCols(1, P_) += w.out.dfinal_state.middleCols(nx_, P_);
-      E.swap(next);
-      if (C > 0) {
-        Ef = A * Ef;
-        for (int c = 0; c < C; ++c) {
-          const int t = torque_column_[(*joint)[c]];
-          if (t >= 0) Ef.col(c) += w.out.dfinal_state.col(nx_ + t) * (*phi)(c, k);
-        }
-      }
-      if (keep) out->E.push_back(E);
-    }
-    RG_CHECK(row == M) << row << " " << M;
-    if (!out->J.allFinite() || !out->J_e.allFinite() || !out->r.allFinite()) out->ok = false;
-  }
-
-  // Σ ((y − ŷ)/σ)² of the window simulated from x_0 in one go.
-  double Simulated(int worker, int index, const VectorXd& x0) {
-    Worker& w = *workers_[worker];
-    const NodeWindow& window = data_.windows[index];
-    w.x.q = x0.head(n_);
-    w.x.v = x0.segment(n_, n_);
-    w.x.z = x0.tail(nx_ - 2 * n_);
-    w.x.time = window.t[0];
-    w.times.clear();
-    std::vector<int> nodes;
-    for (size_t k = 0; k < window.t.size(); ++k) {
-      if (!window.measured[k]) continue;
-      w.times.push_back(window.t[k]);
-      nodes.push_back(static_cast<int>(k));
-    }
-    w.simulator.SimulateInto(w.x, data_.recordings[window.recording].command, w.times, {}, &w.out);
-    double sum = 0;
-    for (size_t i = 0; i < nodes.size(); ++i) {
-      const int k = nodes[i];
-      const double s = std::sqrt(static_cast<double>(window.rows[k]));
-      for (int j = 0; j < n_; ++j) {
-        sum += Capped((window.q(j, k) - w.out.position(j, i)) / data_.noise.position_stddev[j] * s);
-        if (!data_.use_velocity) continue;
-        sum += Capped((window.v(j, k) - w.out.velocity(j, i)) / data_.noise.velocity_stddev[j] * s);
-      }
-    }
-    return sum;
-  }
-
-  // States of a window simulated node by node from x_0, in place: what is recorded stays as recorded, what is
-  // hidden is carried on. Behind an encoder on the motor the link is the hidden one.
-  void CarryHidden(int worker, int index, const std::vector<int>& motor, MatrixXd* states) {
-    Worker& w = *workers_[worker];
-    const NodeWindow& window = data_.windows[index];
-    const int nz = nx_ - 2 * n_;
-    for (size_t k = 0; k + 1 < window.t.size(); ++k) {
-      w.x.q = states->col(k).head(n_);
-      w.x.v = states->col(k).segment(n_, n_);
-      w.x.z = states->col(k).tail(nz);
-      w.x.time = window.t[k];
-      w.times.assign(1, window.t[k + 1]);
-      w.simulator.SimulateInto(w.x, data_.recordings[window.recording].command, w.times, {}, &w.out);
-      if (!w.out.outcome.ok()) return;
-      states->col(k + 1).tail(nz) = w.out.state.col(0).tail(nz);
-      for (int j = 0; j < n_; ++j) {
-        if (motor[j] < 0) continue;
-        for (const int row : {j, n_ + j}) (*states)(row, k + 1) = w.out.state(row, 0);
-        (*states)(2 * n_ + motor[j], k + 1) = window.q0(j, k + 1);
-        (*states)(2 * n_ + motor[j] + 1, k + 1) = window.v0(j, k + 1);
-      }
-    }
-  }
-  sim::State MakeState(int worker, const VectorXd& q, const VectorXd& v, double t, int recording) {
-    return workers_[worker]->simulator.MakeState(q, v, t, data_.recordings[recording].command);
-  }
-  void SetValues(const FitModel& model, const VectorXd& values) {
-    probe_.values = probe_.plant.ValuesFrom(model.plant.parameters(), values);
-    for (auto& w : workers_) w->simulator.SetParameters(probe_.values);
-  }
-
- private:
-  static double Capped(double r) {
-    const double square = std::isfinite(r) ? std::min(r * r, kBroken) : kBroken;
-    return kSoft * kSoft * std::log1p(square / (kSoft * kSoft));
-  }
-
-  void WriteRows(const Worker& w, const NodeWindow& window, int node, int output, const MatrixXd& E,
-                 const MatrixXd& Ef, const std::vector<int>* joint, const MatrixXd* phi, Linear* out,
-                 int* row) {
-    const double s = std::sqrt(static_cast<double>(window.rows[node]));
-    const int kinds = data_.use_velocity ? 2 : 1;
-    for (int kind = 0; kind < kinds; ++kind) {
-      const RowMatrix& D = kind == 0 ? w.out.dposition : w.out.dvelocity;
-      const VectorXd& sigma = kind == 0 ? data_.noise.position_stddev : data_.noise.velocity_stddev;
-      const auto block = D.middleRows(output * n_, n_);
-      VectorXd weight = s * sigma.cwiseInverse();
-      const MatrixXd H = weight.asDiagonal() * block.leftCols(nx_);
-      const VectorXd y = kind == 0 ? window.q.col(node) : window.v.col(node);
-      const VectorXd h = kind == 0 ? w.out.position.col(output) : w.out.velocity.col(output);
-      out->r.segment(*row, n_) = weight.cwiseProduct(y - h) - H * E.col(0);
-      auto J = out->J.middleRows(*row, n_);
-      J.leftCols(P_).noalias() = H * E.middleCols(1, P_);
-      J.leftCols(P_) += weight.asDiagonal() * block.middleCols(nx_, P_);
-      out->J_e.middleRows(*row, n_).noalias() = H * E.rightCols(nx_);
-      const int C = static_cast<int>(Ef.cols());
-      if (C > 0) {
-        J.rightCols(C).noalias() = H * Ef;
-        for (int c = 0; c < C && phi != nullptr; ++c) {
-          const int t = torque_column_[(*joint)[c]];
-          if (t >= 0) {
-            J.col(P_ + c) += weight.cwiseProduct(block.col(nx_ + t)) * (*phi)(c, node - 1);
-          }
-        }
-      }
-      *row += n_;
-    }
-  }
-
-  const FitData& data_;
-  Probe probe_;
-  LiftedOptions options_;
-  int n_ = 0, P_ = 0, nx_ = 0;
-  std::vector<int> columns_, torque_column_;
-  std::vector<std::unique_ptr<Worker>> workers_;
-};
 
 // Rows of [J | r] orthogonal to J_e; also the factorisation to find e_0 later.
 struct Projected {
@@ -338,19 +76,68 @@ NodeStates InitialStates(const FitData& data, const FitModel& model, const Lifte
     states[w].topRows(n) = window.q0;
     states[w].middleRows(n, n) = window.v0;
     if (nx == 2 * n) return;
-    // Hidden states: settled a little before, then carried along the recorded motion.
+    // Hidden states: settled some time before, then carried along the recorded motion.
+    const double t0 = window.t[0] - kSettleTime;
+    const FineMotion& fine = data.fine[window.recording];
+    const double dt = fine.t[1] - fine.t[0];
+    const int first = std::max(0, static_cast<int>(std::ceil((t0 - fine.t[0]) / dt)));
+    const int stride = std::max(1, data.nodes.fine_per_interval);
+    NodeWindow before;
+    before.recording = window.recording;
+    for (int k = first; fine.t[k] < window.t[0] - 1e-9; k += stride) before.t.push_back(fine.t[k]);
+    const int B = static_cast<int>(before.t.size());
+    before.t.push_back(window.t[0]);
+    before.q0.resize(n, B + 1), before.v0.resize(n, B + 1);
+    for (int k = 0; k < B; ++k) {
+      before.q0.col(k) = fine.q.col(first + k * stride);
+      before.v0.col(k) = fine.v.col(first + k * stride);
+    }
+    before.q0.col(B) = window.q0.col(0), before.v0.col(B) = window.v0.col(0);
+    MatrixXd earlier = MatrixXd::Zero(nx, B + 1);
+    earlier.topRows(n) = before.q0, earlier.middleRows(n, n) = before.v0;
     const sim::State x =
-        lin.MakeState(worker, window.q0.col(0), window.v0.col(0), window.t[0], window.recording);
-    states[w].col(0).tail(nx - 2 * n) = x.z;
+        lin.MakeState(worker, before.q0.col(0), before.v0.col(0), before.t[0], window.recording);
+    earlier.col(0).tail(nx - 2 * n) = x.z;
     for (int j = 0; j < n; ++j) {
       if (motor[j] < 0) continue;
-      states[w](j, 0) -= x.z[motor[j]] - window.q0(j, 0);
-      states[w](2 * n + motor[j], 0) = window.q0(j, 0);
+      earlier(j, 0) -= x.z[motor[j]] - before.q0(j, 0);
+      earlier(2 * n + motor[j], 0) = before.q0(j, 0);
     }
-    lin.CarryHidden(worker, w, motor, &states[w]);
+    lin.CarryHidden(worker, before, motor, &earlier);
+    states[w].col(0) = earlier.col(B);
+    lin.ChooseFace(worker, w, motor, &states[w]);
+    lin.CarryHidden(worker, window, motor, &states[w]);
   });
   return states;
 }
+
+namespace {
+
+// What the free starts of hidden states cost: they follow noise, each by up to a nat, where the data know
+// them better than their own spread over the windows says.
+double HiddenCost(const std::vector<Linear>& linear, const NodeStates& states, int n, double inverse_scale) {
+  const int nx = static_cast<int>(states[0].rows()), nz = nx - 2 * n;
+  if (nz == 0) return 0;
+  VectorXd mean = VectorXd::Zero(nz), square = VectorXd::Zero(nz);
+  for (const MatrixXd& s : states) mean += s.col(0).tail(nz) / static_cast<double>(states.size());
+  for (const MatrixXd& s : states)
+    square += (s.col(0).tail(nz) - mean).cwiseAbs2() / static_cast<double>(states.size());
+  const VectorXd spread = square.cwiseSqrt();
+  double cost = 0;
+  for (const Linear& l : linear) {
+    if (!l.ok) continue;
+    const Eigen::ColPivHouseholderQR<MatrixXd> qr(l.J_e.leftCols(2 * n));
+    MatrixXd hidden = l.J_e.rightCols(nz) * spread.asDiagonal();
+    hidden.applyOnTheLeft(qr.householderQ().adjoint());
+    const auto own = hidden.bottomRows(hidden.rows() - qr.rank());
+    const MatrixXd information = own.transpose() * own * inverse_scale;
+    const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(information, Eigen::EigenvaluesOnly);
+    for (const double x : eigen.eigenvalues()) cost += std::min(1.0, 0.5 * std::log1p(std::max(0.0, x)));
+  }
+  return cost;
+}
+
+}  // namespace
 
 FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& options) {
   const int P = static_cast<int>(model.parameters.size()), n = data.n;
@@ -378,6 +165,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   double trust = 1.0;
   std::vector<Linear> linear(W);
   std::vector<MatrixXd> grams(W);
+  std::vector<double> adopted(W);
   for (int it = 0; it <= options.iterations; ++it) {
     sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
       lin.Run(worker, w, states[w], nullptr, nullptr, true, &linear[w]);
@@ -420,11 +208,21 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       S.diagonal().array() += 1e-10;
       const VectorXd b = scale.cwiseProduct(l.J_e.transpose() * (l.r - l.J * step));
       const VectorXd e0 = scale.cwiseProduct(S.ldlt().solve(b));
-      for (size_t k = 0; k < l.E.size(); ++k) {
-        trial_states[w].col(k) += l.E[k].col(0) + l.E[k].middleCols(1, P) * step + l.E[k].rightCols(nx) * e0;
+      // A hidden state that hardly shows may be thrown far: then a shorter step in the window's start.
+      double share = 1.0;
+      chi2[w] = lin.Simulated(worker, w, states[w].col(0) + e0);
+      if (nx > 2 * n && it > 0 && chi2[w] > adopted[w]) {
+        for (const double less : {0.4, 0.1, 0.0}) {
+          const double c = lin.Simulated(worker, w, states[w].col(0) + less * e0);
+          if (c < chi2[w]) chi2[w] = c, share = less;
+        }
       }
-      chi2[w] = lin.Simulated(worker, w, trial_states[w].col(0));
+      for (size_t k = 0; k < l.E.size(); ++k) {
+        trial_states[w].col(k) +=
+            l.E[k].col(0) + l.E[k].middleCols(1, P) * step + l.E[k].rightCols(nx) * (share * e0);
+      }
     });
+    adopted = chi2;
     double total = 0;
     for (const double c : chi2) total += c;
     const double cost = total * inverse_scale + prior.dot((trial - theta0).cwiseAbs2());
@@ -472,7 +270,8 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
     const MatrixXd covariance = llt.solve(MatrixXd::Identity(P, P));
     for (int i = 0; i < P; ++i) result.stddev[i] = sigma[i] * std::sqrt(std::max(0.0, covariance(i, i)));
   }
-  result.evidence = -0.5 * result.chi2 * inverse_scale - 0.5 * result.prior_cost - 0.5 * log_det;
+  result.evidence = -0.5 * result.chi2 * inverse_scale - 0.5 * result.prior_cost - 0.5 * log_det -
+                    HiddenCost(linear, result.states, n, inverse_scale);
   return result;
 }
 

@@ -69,7 +69,7 @@ struct FitResult {
   int rows = 0;
   int iterations = 0;
   bool ok = false;
-  // log evidence: −½χ²/s² − ½ prior cost − ½ log det(1 + σ H σ)
+  // log evidence: −½χ²/s² − ½ prior cost − ½ log det(1 + σ H σ) − what free hidden starts cost
   double evidence = 0;
 };
 

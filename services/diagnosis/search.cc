@@ -9,6 +9,7 @@
 #include "common/base/check.h"
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
+#include "services/diagnosis/push_starts.h"
 #include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
@@ -26,6 +27,7 @@ constexpr double kShapePrior =
     1.0;  // of each parameter beyond the first: what the data do not show costs too
 constexpr double kFieldPrior = 6.0;   // what an unnamed force pays beside
 constexpr double kModelError = 0.03;  // of a residual's variance: integration, timing within a step
+constexpr double kChance = 3.0;       // log evidence between models of the same data, one no larger
 constexpr double kExplained = 1.1;    // χ² per row at which nothing else is looked for in another world
 
 double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
@@ -82,6 +84,7 @@ class Search {
     out.calibrated = Evaluate({}, true);
     Candidate best = out.calibrated.score > out.nominal.score + Threshold() ? out.calibrated : out.nominal;
     features_ = MakeFeatures(data_, scales_);
+    if (best.base) Simpler(&best);
     for (round_ = 1; round_ <= options_.max_effects && !Late() && AtStake(best) > Threshold(); ++round_) {
       const bool added = AddOne(&best);
       if (!added) break;
@@ -292,6 +295,21 @@ class Search {
     return accept;
   }
 
+  // Many base parameters can produce what one effect does. Where they were freed and there is nothing left to
+  // explain, an effect on the URDF as it is still may be the better account: it needs fewer parameters.
+  void Simpler(Candidate* best) {
+    Tell("screen", 0.1, "one effect instead of other base parameters");
+    const Candidate& nominal = tried_.at(KeyOf({}));
+    if (!nominal.fit.ok) return;
+    const ScreenResult screened = ScreenAround(nominal, false);
+    Trace(screened, false);
+    Candidate winner = *best;
+    TryBest(nominal, Pool(nominal, screened, false), false, 4, &winner);
+    if (KeyOf(winner.specs) == KeyOf(best->specs)) return;
+    Siblings(&winner);
+    if (winner.score > best->score + kChance) *best = winner;
+  }
+
   double PerRow(const Candidate& c) const {
     return c.fit.chi2 / std::max(1, c.fit.rows) / lifted_.noise_scale;
   }
@@ -331,16 +349,26 @@ class Search {
       return std::any_of(from.specs.begin(), from.specs.end(),
                          [&](const EffectSpec& e) { return e.id == id; });
     };
-    if (!base && !has("payload")) push(BodyStarts("payload", nominal_, data_, scales_));
+    if (!base && !has("payload")) push(BodyStarts("payload", nominal_, scales_));
     const size_t springy = data_.n <= 2 ? 2 : base ? 1 : 2;
     for (size_t i = 0; i < std::min(springy, joints.size()); ++i) {
       const std::string& name = nominal_.joint_names()[joints[i].second];
       if (Contains(from.specs, "joint_elasticity", name) || Contains(from.specs, "backlash", name)) continue;
-      push(TransmissionStarts("joint_elasticity", joints[i].second, nominal_, scales_));
-      push(TransmissionStarts("backlash", joints[i].second, nominal_, scales_));
+      double added = 0;
+      for (const Scored& h : screened.hypotheses) {
+        if (h.effect == "rotor_inertia" && h.joints == std::vector<int>{joints[i].second})
+          added = h.coefficients[0];
+      }
+      for (const char* id : {"joint_elasticity", "backlash"})
+        push(TransmissionStarts(id, joints[i].second, nominal_, scales_, added));
     }
-    for (const char* id : {"contact", "sloshing_payload", "base_flexibility"}) {
-      if (!has(id) && (data_.n <= 2 || !base)) push(BodyStarts(id, nominal_, data_, scales_));
+    for (const char* id : {"sloshing_payload", "base_flexibility"}) {
+      if (!has(id) && (data_.n <= 2 || !base)) push(BodyStarts(id, nominal_, scales_));
+    }
+    if (from.fit.ok && (!has("contact") || !has("external_disturbance"))) {
+      const MissingForce missing = Force(from);
+      if (!has("contact")) push(ContactStarts(data_, nominal_, missing, base ? 2 : 3));
+      if (!has("external_disturbance")) push(PushStarts(data_, nominal_, missing));
     }
     return pool;
   }

@@ -21,7 +21,7 @@ const std::map<std::string, std::vector<std::string>> kContract = {
     {"quadratic_drag", {"quadratic"}},
     {"presliding_hysteresis", {"bristle_stiffness", "coulomb"}},
     {"joint_elasticity", {"stiffness", "damping", "motor_inertia"}},
-    {"backlash", {"gap", "contact_stiffness", "contact_damping", "motor_inertia"}},
+    {"backlash", {"gap", "contact_stiffness", "contact_damping", "motor_inertia", "motor_viscous"}},
     {"actuator_delay", {"delay"}},
     {"actuator_lag", {"time_constant"}},
     {"torque_gain", {"gain"}},

@@ -1,0 +1,315 @@
+// One window of a recording linearised node by node, for the fits of lifted_fit.h.
+#pragma once
+
+#include <Eigen/Core>
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "common/base/check.h"
+#include "common/model/robot_model.h"
+#include "services/diagnosis/lifted_fit.h"
+
+namespace rg::diagnosis {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+using sim::RowMatrix;
+
+// A residual r [stddev] counts c²·log(1 + r²/c²) when costs are compared: r² where the model holds, and a
+// window that explodes does not outvote the others.
+inline constexpr double kSoft = 20.0;
+inline constexpr double kBroken = 1e12;
+// How long before a window hidden states are carried along the record, so that their settled start is
+// forgotten [s].
+inline constexpr double kSettleTime = 0.5;
+
+// A plant that can feel a torque on each joint, for the columns B.
+struct Probe {
+  sim::Plant plant;
+  VectorXd values;
+  std::vector<int> torque;  // parameter index per joint, −1: none
+};
+
+inline bool Holds(const sim::Plant& plant, const std::string& id, const std::string& joint) {
+  for (const effects::EffectSpec& e : plant.effects()) {
+    if (e.id == id && std::find(e.joints.begin(), e.joints.end(), joint) != e.joints.end()) return true;
+  }
+  return false;
+}
+
+inline Probe MakeProbe(const FitModel& model, bool with_torque) {
+  Probe probe{model.plant, model.values, {}};
+  const int n = model.plant.num_joints();
+  probe.torque.assign(n, -1);
+  if (!with_torque) return probe;
+  std::vector<effects::EffectSpec> specs = model.plant.effects();
+  std::vector<std::string> names(n);
+  for (int j = 0; j < n; ++j) {
+    const std::string& joint = model.plant.joint_names()[j];
+    if (!Holds(model.plant, "external_disturbance", joint)) {
+      specs.push_back(effects::MakeSpec("external_disturbance", {joint},
+                                        {{"start", -1e9}, {"end", 1e9}, {"torque", 0.0}}));
+      names[j] = "external_disturbance." + joint + ".torque";
+    } else if (!Holds(model.plant, "torque_ripple", joint)) {
+      specs.push_back(effects::MakeSpec("torque_ripple", {joint},
+                                        {{"amplitude", 0.0}, {"cycles_per_rev", 0.0}, {"phase", M_PI_2}}));
+      names[j] = "torque_ripple." + joint + ".amplitude";
+    }
+  }
+  auto plant = sim::Plant::Create(model.plant.shared_model(), model.plant.options(), specs);
+  RG_CHECK(plant.ok()) << plant.status().ToString();
+  probe.plant = *plant;
+  probe.values = probe.plant.ValuesFrom(model.plant.parameters(), model.values);
+  for (int j = 0; j < n; ++j) {
+    if (!names[j].empty()) probe.torque[j] = probe.plant.parameters().Find(names[j]);
+  }
+  return probe;
+}
+
+// One window, linearised.
+struct Linear {
+  MatrixXd J;               // M × (P + C)
+  MatrixXd J_e;             // M × nx
+  VectorXd r;               // M, whitened residual at e_0 = 0, δθ = 0
+  std::vector<MatrixXd> E;  // per node: nx × (1 + P + nx): d, θ, e_0
+  bool ok = true;
+};
+
+struct Worker {
+  sim::Simulator simulator;
+  sim::State x;
+  sim::Trajectory out;
+  sim::SensitivityRequest request;
+  std::vector<double> times;
+  Worker(const sim::Plant& plant, const sim::SimulatorOptions& options, const VectorXd& values,
+         std::vector<int> parameters)
+      : simulator(plant, options) {
+    simulator.SetParameters(values);
+    request = {.initial_state = true, .parameters = std::move(parameters)};
+  }
+};
+
+class Lineariser {
+ public:
+  Lineariser(const FitData& data, const FitModel& model, bool with_torque, const LiftedOptions& options)
+      : data_(data), probe_(MakeProbe(model, with_torque)), options_(options) {
+    n_ = data.n;
+    P_ = static_cast<int>(model.parameters.size());
+    nx_ = model.plant.num_states();
+    std::vector<int> columns;
+    for (const auto& p : model.parameters) {
+      columns.push_back(probe_.plant.parameters().Find(model.plant.parameters()[p.index].name));
+    }
+    torque_column_.assign(n_, -1);
+    for (int j = 0; j < n_; ++j) {
+      if (probe_.torque[j] < 0) continue;
+      torque_column_[j] = static_cast<int>(columns.size());
+      columns.push_back(probe_.torque[j]);
+    }
+    columns_ = columns;
+    const auto& internal = probe_.plant.internal_state_names();
+    for (const effects::EffectSpec& e : probe_.plant.effects()) {
+      if (e.id != "backlash") continue;
+      for (const std::string& joint : e.joints) {
+        const auto at = std::find(internal.begin(), internal.end(), "motor_position." + joint);
+        gaps_.push_back({probe_.plant.model().FindJoint(joint),
+                         probe_.plant.parameters().Find("backlash." + joint + ".gap"),
+                         static_cast<int>(at - internal.begin())});
+      }
+    }
+    sim::SimulatorOptions simulator;
+    simulator.step_s = options.step_s;
+    for (int w = 0; w < std::max(1, options.threads); ++w) {
+      workers_.push_back(std::make_unique<Worker>(probe_.plant, simulator, probe_.values, columns));
+    }
+  }
+
+  int nx() const { return nx_; }
+  int P() const { return P_; }
+
+  int RowsOf(const NodeWindow& w) const {
+    int nodes = 0;
+    for (const char m : w.measured) nodes += m;
+    return nodes * n_ * (data_.use_velocity ? 2 : 1);
+  }
+
+  // phi: C × N or null.
+  void Run(int worker, int index, const MatrixXd& states, const std::vector<int>* joint, const MatrixXd* phi,
+           bool keep, Linear* out) {
+    Worker& w = *workers_[worker];
+    const NodeWindow& window = data_.windows[index];
+    const int N = static_cast<int>(window.t.size()) - 1, M = RowsOf(window);
+    const int C = joint == nullptr ? 0 : static_cast<int>(joint->size());
+    out->J.resize(M, P_ + C), out->J_e.resize(M, nx_), out->r.resize(M);
+    out->E.clear();
+    out->ok = true;
+    MatrixXd E = MatrixXd::Zero(nx_, 1 + P_ + nx_), Ef = MatrixXd::Zero(nx_, C), next;
+    E.rightCols(nx_).setIdentity();
+    if (keep) out->E.push_back(E);
+    int row = 0;
+    for (int k = 0; k < N; ++k) {
+      w.x.q = states.col(k).head(n_);
+      w.x.v = states.col(k).segment(n_, n_);
+      w.x.z = states.col(k).tail(nx_ - 2 * n_);
+      w.x.time = window.t[k];
+      w.times.clear();
+      if (k == 0 && window.measured[0]) w.times.push_back(window.t[0]);
+      w.times.push_back(window.t[k + 1]);
+      w.simulator.SimulateInto(w.x, data_.recordings[window.recording].command, w.times, w.request, &w.out);
+      if (!w.out.outcome.ok() || !w.out.dfinal_state.allFinite()) {
+        out->ok = false;
+        return;
+      }
+      int output = 0;
+      if (k == 0 && window.measured[0]) WriteRows(w, window, 0, output++, E, Ef, nullptr, nullptr, out, &row);
+      if (window.measured[k + 1]) WriteRows(w, window, k + 1, output, E, Ef, joint, phi, out, &row);
+      const auto A = w.out.dfinal_state.leftCols(nx_);
+      next.noalias() = A * E;
+      next.col(0) += w.out.state.col(output) - states.col(k + 1);
+      next.middleCols(1, P_) += w.out.dfinal_state.middleCols(nx_, P_);
+      E.swap(next);
+      if (C > 0) {
+        Ef = A * Ef;
+        for (int c = 0; c < C; ++c) {
+          const int t = torque_column_[(*joint)[c]];
+          if (t >= 0) Ef.col(c) += w.out.dfinal_state.col(nx_ + t) * (*phi)(c, k);
+        }
+      }
+      if (keep) out->E.push_back(E);
+    }
+    RG_CHECK(row == M) << row << " " << M;
+    if (!out->J.allFinite() || !out->J_e.allFinite() || !out->r.allFinite()) out->ok = false;
+  }
+
+  // Σ ((y − ŷ)/σ)² of the window simulated from x_0 in one go.
+  double Simulated(int worker, int index, const VectorXd& x0) {
+    Worker& w = *workers_[worker];
+    const NodeWindow& window = data_.windows[index];
+    w.x.q = x0.head(n_);
+    w.x.v = x0.segment(n_, n_);
+    w.x.z = x0.tail(nx_ - 2 * n_);
+    w.x.time = window.t[0];
+    w.times.clear();
+    std::vector<int> nodes;
+    for (size_t k = 0; k < window.t.size(); ++k) {
+      if (!window.measured[k]) continue;
+      w.times.push_back(window.t[k]);
+      nodes.push_back(static_cast<int>(k));
+    }
+    w.simulator.SimulateInto(w.x, data_.recordings[window.recording].command, w.times, {}, &w.out);
+    double sum = 0;
+    for (size_t i = 0; i < nodes.size(); ++i) {
+      const int k = nodes[i];
+      const double s = std::sqrt(static_cast<double>(window.rows[k]));
+      for (int j = 0; j < n_; ++j) {
+        sum += Capped((window.q(j, k) - w.out.position(j, i)) / data_.noise.position_stddev[j] * s);
+        if (!data_.use_velocity) continue;
+        sum += Capped((window.v(j, k) - w.out.velocity(j, i)) / data_.noise.velocity_stddev[j] * s);
+      }
+    }
+    return sum;
+  }
+
+  // States of a window simulated node by node from x_0, in place: what is recorded stays as recorded, what is
+  // hidden is carried on. Behind an encoder on the motor the link is the hidden one.
+  void CarryHidden(int worker, const NodeWindow& window, const std::vector<int>& motor, MatrixXd* states) {
+    Worker& w = *workers_[worker];
+    const int nz = nx_ - 2 * n_;
+    for (size_t k = 0; k + 1 < window.t.size(); ++k) {
+      w.x.q = states->col(k).head(n_);
+      w.x.v = states->col(k).segment(n_, n_);
+      w.x.z = states->col(k).tail(nz);
+      w.x.time = window.t[k];
+      w.times.assign(1, window.t[k + 1]);
+      w.simulator.SimulateInto(w.x, data_.recordings[window.recording].command, w.times, {}, &w.out);
+      if (!w.out.outcome.ok()) return;
+      states->col(k + 1).tail(nz) = w.out.state.col(0).tail(nz);
+      for (int j = 0; j < n_; ++j) {
+        if (motor[j] < 0) continue;
+        for (const int row : {j, n_ + j}) (*states)(row, k + 1) = w.out.state(row, 0);
+        (*states)(2 * n_ + motor[j], k + 1) = window.q0(j, k + 1);
+        (*states)(2 * n_ + motor[j] + 1, k + 1) = window.v0(j, k + 1);
+      }
+    }
+  }
+  // In a gear with play the link may lie on either face or between them, and no derivative leads from one
+  // to the other: of these starts the one whose simulation is nearest to the record.
+  void ChooseFace(int worker, int index, const std::vector<int>& sensed, MatrixXd* states) {
+    for (const auto& [joint, gap, motor] : gaps_) {
+      const VectorXd carried = states->col(0);
+      double best = Simulated(worker, index, carried);
+      for (const double side : {-1.0, 0.0, 1.0}) {
+        VectorXd x = carried;
+        const double q = x[joint], theta = x[2 * n_ + motor], half = 0.5 * probe_.values[gap];
+        if (sensed[joint] >= 0) {
+          x[joint] = theta - side * half;
+        } else {
+          x[2 * n_ + motor] = q + side * half;
+        }
+        const double chi2 = Simulated(worker, index, x);
+        if (chi2 < best) best = chi2, states->col(0) = x;
+      }
+    }
+  }
+  sim::State MakeState(int worker, const VectorXd& q, const VectorXd& v, double t, int recording) {
+    return workers_[worker]->simulator.MakeState(q, v, t, data_.recordings[recording].command);
+  }
+  void SetValues(const FitModel& model, const VectorXd& values) {
+    probe_.values = probe_.plant.ValuesFrom(model.plant.parameters(), values);
+    for (auto& w : workers_) w->simulator.SetParameters(probe_.values);
+  }
+
+ private:
+  static double Capped(double r) {
+    const double square = std::isfinite(r) ? std::min(r * r, kBroken) : kBroken;
+    return kSoft * kSoft * std::log1p(square / (kSoft * kSoft));
+  }
+
+  void WriteRows(const Worker& w, const NodeWindow& window, int node, int output, const MatrixXd& E,
+                 const MatrixXd& Ef, const std::vector<int>* joint, const MatrixXd* phi, Linear* out,
+                 int* row) {
+    const double s = std::sqrt(static_cast<double>(window.rows[node]));
+    const int kinds = data_.use_velocity ? 2 : 1;
+    for (int kind = 0; kind < kinds; ++kind) {
+      const RowMatrix& D = kind == 0 ? w.out.dposition : w.out.dvelocity;
+      const VectorXd& sigma = kind == 0 ? data_.noise.position_stddev : data_.noise.velocity_stddev;
+      const auto block = D.middleRows(output * n_, n_);
+      VectorXd weight = s * sigma.cwiseInverse();
+      const MatrixXd H = weight.asDiagonal() * block.leftCols(nx_);
+      const VectorXd y = kind == 0 ? window.q.col(node) : window.v.col(node);
+      const VectorXd h = kind == 0 ? w.out.position.col(output) : w.out.velocity.col(output);
+      out->r.segment(*row, n_) = weight.cwiseProduct(y - h) - H * E.col(0);
+      auto J = out->J.middleRows(*row, n_);
+      J.leftCols(P_).noalias() = H * E.middleCols(1, P_);
+      J.leftCols(P_) += weight.asDiagonal() * block.middleCols(nx_, P_);
+      out->J_e.middleRows(*row, n_).noalias() = H * E.rightCols(nx_);
+      const int C = static_cast<int>(Ef.cols());
+      if (C > 0) {
+        J.rightCols(C).noalias() = H * Ef;
+        for (int c = 0; c < C && phi != nullptr; ++c) {
+          const int t = torque_column_[(*joint)[c]];
+          if (t >= 0) {
+            J.col(P_ + c) += weight.cwiseProduct(block.col(nx_ + t)) * (*phi)(c, node - 1);
+          }
+        }
+      }
+      *row += n_;
+    }
+  }
+
+  const FitData& data_;
+  Probe probe_;
+  LiftedOptions options_;
+  int n_ = 0, P_ = 0, nx_ = 0;
+  std::vector<int> columns_, torque_column_;
+  struct Gap {
+    int joint, parameter, motor;  // place of the motor's position among the internal states
+  };
+  std::vector<Gap> gaps_;
+  std::vector<std::unique_ptr<Worker>> workers_;
+};
+
+}  // namespace rg::diagnosis
