@@ -25,6 +25,7 @@ class Fields {
   }
 
   const Json* Find(const std::string& field, bool required) {
+    known_.insert(field);
     const auto found = object_.find(field);
     if (found != object_.end()) return &*found;
     if (required) Fail(field, "is missing");
@@ -76,7 +77,18 @@ class Fields {
 
   bool ok() const { return status_.ok(); }
 
+  // One line for each key that nobody asked for: a typing error, or meant for someone else.
+  void WarnOfUnknown(std::vector<std::string>* warnings) const {
+    std::string known;
+    for (const std::string& name : known_) known += (known.empty() ? "" : ", ") + name;
+    for (const auto& [name, value] : object_.items()) {
+      if (known_.count(name) > 0) continue;
+      warnings->push_back(source_ + ": " + path_ + name + ": unknown key, left alone (known: " + known + ")");
+    }
+  }
+
  private:
+  std::set<std::string> known_;
   const Json& object_;
   std::string source_, path_;
   Status& status_;
@@ -134,6 +146,7 @@ void ReadControl(Fields& fields, const std::string& source, Status* status, Reco
   } else if (hold != "zero_order") {
     control.Fail("hold", "'" + hold + "', must be zero_order or linear");
   }
+  control.WarnOfUnknown(&set->warnings);
 }
 
 void ReadNoise(Fields& fields, const std::string& source, Status* status, RecordingSet* set) {
@@ -143,6 +156,7 @@ void ReadNoise(Fields& fields, const std::string& source, Status* status, Record
   set->noise.position_stddev = noise.Number("position_stddev", 0.0, true);
   set->noise.velocity_stddev = noise.Number("velocity_stddev", 0.0, true);
   set->noise.position_resolution = noise.Number("position_resolution", 0.0, true);
+  noise.WarnOfUnknown(&set->warnings);
 }
 
 void ReadDrive(Fields& fields, RecordingSet* set) {
@@ -173,6 +187,7 @@ void ReadRecordings(Fields& fields, const std::string& source, Status* status, M
     read.split = split == "holdout" ? Split::kHoldout : Split::kFit;
     if (!seen.insert(read.file).second) entry.Fail("file", "'" + read.file + "' is there twice");
     manifest->recordings.push_back(read);
+    entry.WarnOfUnknown(&manifest->settings.warnings);
   }
 }
 
@@ -210,6 +225,7 @@ Result<Manifest> ParseManifest(std::string_view text, const std::string& source)
   manifest.settings.effort_excludes_gravity = fields.Bool("effort_excludes_gravity", false);
   ReadRecordings(fields, source, &status, &manifest);
   if (!status.ok()) return status;
+  fields.WarnOfUnknown(&manifest.settings.warnings);
   return manifest;
 }
 

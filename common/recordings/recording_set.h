@@ -42,6 +42,8 @@ struct RecordingSet {
   bool effort_excludes_gravity = false;
   // The manifest had no holdout split, and LoadSet chose whole recordings for it.
   bool holdout_was_chosen = false;
+  // What was odd but not wrong, one line each: keys of the manifest that nobody knows.
+  std::vector<std::string> warnings;
   std::vector<Recording> recordings;  // in the manifest's order, joints in the order of `joints`
 
   std::vector<const Recording*> Fit() const { return Of(Split::kFit); }

@@ -79,6 +79,8 @@ void AddDiagnoseCommand(CLI::App& app, Context& context) {
   command->add_option("--threads", o.threads, "0: all cores")->capture_default_str();
   command->add_option("--window", o.window_s, "Length of the judged predictions [s]")->capture_default_str();
   command->add_option("--step", o.step_s, "Of the simulator [s]")->capture_default_str();
+  command->add_flag("--trust-effort", o.trust_effort,
+                    "Go on where the sign or the unit of an effort looks wrong");
   command->add_option("--seed", o.seed, "Of simulated nulls and bootstraps")->capture_default_str();
   command->callback([&context, arguments] { context.Failed(DiagnoseSet(context, *arguments)); });
 }

@@ -10,6 +10,7 @@
 #include "services/diagnosis/balance_search.h"
 #include "services/diagnosis/findings.h"
 #include "services/diagnosis/holdout.h"
+#include "services/diagnosis/plausibility.h"
 #include "services/diagnosis/search.h"
 #include "services/sysid/parallel.h"
 #include "services/sysid/sysid_on_set.h"
@@ -24,15 +25,18 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& set, const Diag
   RG_ASSIGN_OR_RETURN(const sim::Plant nominal, sysid::NominalPlant(set));
   RG_ASSIGN_OR_RETURN(const FitData data, PrepareData(set, nominal, options));
   const MotionScales scales = ScalesOf(data, nominal);
+  DiagnosisResult result;
+  RG_RETURN_IF_ERROR(CheckPlausible(set, data, nominal, scales, options.trust_effort, &result.notes));
   const auto search_effects = EffortIsMeasured(data) ? SearchMeasuredEffort : SearchEffects;
   const SearchResult search =
       search_effects(data, nominal, scales, options, threads, clock, progress, cancel);
 
-  DiagnosisResult result;
   result.window_s = options.window_s;
   result.robot = nominal.model().name();
   result.joints = nominal.joint_names();
-  result.notes = NotesOn(set, data, nominal, scales);
+  for (std::string& note : NotesOn(set, data, nominal, scales)) result.notes.push_back(std::move(note));
+  for (std::string& note : NotesOnMeasurement(set, data, nominal, search.measured))
+    result.notes.push_back(std::move(note));
   Conclude(search, data, nominal, scales, &result);
   if (progress) progress({"held-out recordings", 0.97, 1.0, result.verdict});
   JudgeHeldOut(set, nominal, search, data, options, threads, &result);

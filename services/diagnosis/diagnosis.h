@@ -26,6 +26,7 @@ struct DiagnosisOptions {
   int max_effects = 4;        // rounds of adding
   uint64_t seed = 1;          // of simulated nulls and bootstraps
   double time_limit_s = 150;  // no new round starts later
+  bool trust_effort = false;  // go on where an effort's sign or unit looks wrong
 };
 
 struct Region {

@@ -355,6 +355,7 @@ class Identification {
   }
 
   void FillWarnings(const Fitted& f, SysidReport* report) const {
+    report->warnings = set_.warnings;
     for (const std::string& w : nominal_->model().warnings()) report->warnings.push_back(w);
     const auto links = LinkParametersOf(f.plant, f.fit.values);
     std::vector<LinkInertia> fitted_links;

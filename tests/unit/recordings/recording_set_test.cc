@@ -88,6 +88,16 @@ TEST(LoadSet, PutsJointsInModelOrderWhateverTheManifestAndTheFileSay) {
   EXPECT_EQ(set->recordings[0].name, "a.csv");
 }
 
+TEST(LoadSet, WarnsOfKeysThatNobodyKnowsAndOfNoOther) {
+  const auto plain = Load(ManifestText(R"(, "noise": {"position_stddev": 5e-4})"));
+  ASSERT_TRUE(plain.ok());
+  EXPECT_TRUE(plain->warnings.empty());
+  const auto set = Load(ManifestText(R"(, "nois": {}, "control": {"rate": 50})"));
+  ASSERT_TRUE(set.ok()) << set.status().ToString();
+  EXPECT_THAT(set->warnings, ::testing::UnorderedElementsAre(HasSubstr("nois: unknown key"),
+                                                             HasSubstr("control.rate: unknown key")));
+}
+
 TEST(LoadSet, ReadsEverySettingOfTheManifest) {
   const auto set = Load(ManifestText(
       R"(, "gravity": [1, 2, 3], "sample_rate_hz": 100, "control": {"rate_hz": 50, "hold": "linear"},

@@ -1,0 +1,154 @@
+#include "services/diagnosis/plausibility.h"
+
+#include <Eigen/QR>
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include "common/dynamics/dynamics.h"
+#include "common/model/robot_model.h"
+#include "common/recordings/velocity_lag.h"
+#include "services/sysid/drive_signal.h"
+
+namespace rg::diagnosis {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+namespace {
+
+constexpr double kLeastSeconds = 0.5;  // of fitted recordings
+constexpr double kMovesBy = 20.0;      // stddev of the position: less is not a motion
+constexpr double kClose = 0.8;     // share that the URDF's torque must explain before its slope says anything
+constexpr double kFlipped = 0.35;  // |slope + 1| of an effort with the other sign
+constexpr double kOtherUnit = 20.0;   // factor that no gain error of a drive reaches
+constexpr double kWorthALag = 0.002;  // s
+constexpr double kWorthANote = 0.05;  // of the effort's variance
+
+std::string Number(double x, const char* format = "%.3g") {
+  char text[40];
+  std::snprintf(text, sizeof text, format, x);
+  return text;
+}
+
+// The same motion in every joint's row would be a guess; a list of joints is a fact.
+std::string Listed(const std::vector<std::string>& names) {
+  std::string out;
+  for (size_t i = 0; i < names.size(); ++i)
+    out += (i == 0 ? "" : i + 1 == names.size() ? " and " : ", ") + names[i];
+  return out;
+}
+
+std::string Guess(double slope, bool revolute) {
+  const double factor = std::abs(slope);
+  const std::string unit = revolute ? "N m" : "N";
+  if (std::abs(factor / 1000 - 1) < 0.3) return "it looks like m" + unit + ", " + unit + " is expected";
+  if (std::abs(factor * 1000 - 1) < 0.3) return "it looks like k" + unit + ", " + unit + " is expected";
+  return "it may be a raw current, or the motor's side of a gear; " + unit + " at the joint is expected";
+}
+
+Status CheckMotion(const FitData& data, const sim::Plant& plant, const MotionScales& scales) {
+  double seconds = 0;
+  for (const FineMotion& m : data.fine) seconds += m.t.back() - m.t.front();
+  if (seconds < kLeastSeconds) {
+    return InvalidError("the fitted recordings are " + Number(seconds) +
+                        " s together: too little to say anything");
+  }
+  std::string widest;
+  for (int j = 0; j < data.n; ++j) {
+    const double range = scales.high[j] - scales.low[j];
+    if (range >= kMovesBy * data.noise.position_stddev[j]) return Status::Ok();
+    widest += (j > 0 ? ", " : "") + plant.joint_names()[j] + " by " + Number(range);
+  }
+  return InvalidError("no joint moves by more than its sensor's noise (" + widest +
+                      "): too little motion to say anything");
+}
+
+}  // namespace
+
+std::vector<EffortMatch> MatchEfforts(const FitData& data, const sim::Plant& plant) {
+  const dynamics::Mechanism mechanism(sysid::MechanismOf(plant, plant.parameters().Nominal()));
+  dynamics::Workspace workspace;
+  long rows = 0;
+  constexpr int kStride = 8;
+  for (const FineMotion& m : data.fine) rows += (m.q.cols() + kStride - 1) / kStride;
+  MatrixXd rigid(rows, data.n), v(rows, data.n), u(rows, data.n);
+  VectorXd tau(data.n);
+  long row = 0;
+  for (const FineMotion& m : data.fine) {
+    for (long k = 0; k < m.q.cols(); k += kStride, ++row) {
+      dynamics::Rnea(mechanism, workspace, m.q.col(k), m.v.col(k), m.a.col(k), tau);
+      rigid.row(row) = tau.transpose(), v.row(row) = m.v.col(k).transpose(),
+      u.row(row) = m.u.col(k).transpose();
+    }
+  }
+  std::vector<EffortMatch> out(data.n);
+  for (int j = 0; j < data.n; ++j) {
+    MatrixXd X(rows, 4);
+    X << VectorXd::Ones(rows), v.col(j), v.col(j).array().sign().matrix(), rigid.col(j);
+    const MatrixXd others = X.leftCols(3);
+    const double without = (u.col(j) - others * others.colPivHouseholderQr().solve(u.col(j))).squaredNorm();
+    const VectorXd c = X.colPivHouseholderQr().solve(u.col(j));
+    const double with = (u.col(j) - X * c).squaredNorm();
+    out[j].slope = c[3];
+    out[j].share = without > 0 ? 1.0 - with / without : 0.0;
+  }
+  return out;
+}
+
+Status CheckPlausible(const recordings::RecordingSet& set, const FitData& data, const sim::Plant& plant,
+                      const MotionScales& scales, bool trust_effort, std::vector<std::string>* notes) {
+  RG_RETURN_IF_ERROR(CheckMotion(data, plant, scales));
+  const std::vector<EffortMatch> match = MatchEfforts(data, plant);
+  const char* column =
+      set.recordings[0].drive == recordings::EffortKind::kMeasured ? "effort_measured." : "effort_command.";
+  for (int j = 0; j < data.n; ++j) {
+    const double slope = match[j].slope, factor = std::abs(slope);
+    if (match[j].share < kClose) continue;
+    const bool flipped = std::abs(slope + 1)<kFlipped, unit = factor> kOtherUnit || factor < 1.0 / kOtherUnit;
+    if (!flipped && !unit) continue;
+    const std::string& joint = plant.joint_names()[j];
+    const bool revolute = plant.model().joint(plant.model().FindJoint(joint)).is_revolute();
+    const std::string line = std::string(column) + joint + " is " + Number(slope) +
+                             " times the torque that the URDF needs for the recorded motion: " +
+                             (flipped ? "its sign looks turned around" : Guess(slope, revolute));
+    if (!trust_effort) return InvalidError(line + " (--trust-effort goes on all the same)");
+    notes->push_back(line);
+  }
+  return Status::Ok();
+}
+
+std::vector<std::string> NotesOnMeasurement(const recordings::RecordingSet& set, const FitData& data,
+                                            const sim::Plant& plant, const MeasuredEffort& measured) {
+  std::vector<std::string> notes = set.warnings;
+  const auto& names = plant.joint_names();
+  std::vector<std::string> late;
+  double least = 1e9, most = 0;
+  const recordings::VelocityLag lag = recordings::EstimateVelocityLag(*data.recordings[0].recording);
+  for (int j = 0; j < data.n; ++j) {
+    if (lag.error[j] <= 0 || lag.lag[j] < kWorthALag) continue;
+    late.push_back(names[j]);
+    least = std::min(least, lag.lag[j]), most = std::max(most, lag.lag[j]);
+  }
+  if (!late.empty()) {
+    notes.push_back("the velocities of " + Listed(late) + " lag the positions' slope by " +
+                    Number(1e3 * least) + " to " + Number(1e3 * most) +
+                    " ms: they are filtered, and were weighed accordingly");
+  }
+  if (!measured.active) return notes;
+  std::vector<std::string> early, rest;
+  for (const int j : measured.early) early.push_back(names[j]);
+  if (!early.empty()) {
+    notes.push_back(
+        "the effort of " + Listed(early) +
+        " lags the motion that it makes: it is filtered or stamped late (no effect can say that)");
+  }
+  for (int j = 0; j < data.n; ++j) {
+    if (measured.effort_share[j] > kWorthANote)
+      rest.push_back(names[j] + " " + Number(100 * measured.effort_share[j]) + " %");
+  }
+  if (!rest.empty()) notes.push_back("of the effort's variance the findings leave: " + Listed(rest));
+  return notes;
+}
+
+}  // namespace rg::diagnosis

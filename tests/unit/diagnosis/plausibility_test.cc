@@ -1,0 +1,91 @@
+// Data that cannot be what they say they are: one clear line, and nothing is diagnosed.
+#include "services/diagnosis/plausibility.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/unit/diagnosis/simulated_set.h"
+
+namespace rg::diagnosis {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+std::string ErrorOf(const recordings::RecordingSet& set) {
+  const auto result = Diagnose(set, {.threads = 1, .time_limit_s = 0}, RealClock());
+  EXPECT_EQ(result.status().message().find('\n'), std::string::npos);
+  return result.ok() ? "accepted" : result.status().message();
+}
+
+recordings::RecordingSet Scaled(recordings::RecordingSet set, int joint, double factor) {
+  for (auto& rec : set.recordings) rec.effort_command.row(joint) *= factor;
+  return set;
+}
+
+TEST(Plausibility, EffortWithTheWrongSignIsSuspectedOnTheJointThatHasIt) {
+  const auto set = testing::MakeSet("arm2", {}, 21);
+  EXPECT_THAT(ErrorOf(Scaled(set, 1, -1.0)),
+              AllOf(HasSubstr("effort_command.elbow"), HasSubstr("sign looks turned around")));
+  EXPECT_THAT(ErrorOf(Scaled(set, 0, -1.0)), HasSubstr("effort_command.shoulder"));
+}
+
+TEST(Plausibility, EffortInAnotherUnitIsSuspected) {
+  const auto set = testing::MakeSet("arm2", {}, 22);
+  EXPECT_THAT(ErrorOf(Scaled(set, 0, 1000.0)), HasSubstr("looks like mN m"));
+  EXPECT_THAT(ErrorOf(Scaled(set, 0, 1e-3)), HasSubstr("looks like kN m"));
+  EXPECT_THAT(ErrorOf(Scaled(set, 1, 0.01)), HasSubstr("raw current"));
+}
+
+// What an effect can do is no error of the file.
+TEST(Plausibility, StrongEffectsAreNotTakenForWrongUnits) {
+  using effects::MakeSpec;
+  const auto names = sysid::testing::LoadPlant("arm2").joint_names();
+  for (const effects::EffectSpec& e :
+       {MakeSpec("torque_gain", {names[1]}, {{"gain", 2.5}}),
+        MakeSpec("torque_gain", {names[1]}, {{"gain", 0.3}}),
+        MakeSpec("coulomb_friction", {names[0]}, {{"coulomb", 6.0}}),
+        MakeSpec("rotor_inertia", {names[1]}, {{"armature", 0.5}}),
+        MakeSpec("position_spring", {names[0]}, {{"stiffness", 30.0}, {"cubic", 0.0}, {"center", 0.2}}),
+        MakeSpec("actuator_delay", {names[0]}, {{"delay", 0.04}})}) {
+    EXPECT_EQ(ErrorOf(testing::MakeSet("arm2", {e}, 23)), "accepted") << e.id;
+  }
+}
+
+TEST(Plausibility, SuspectedEffortsAreDiagnosedAllTheSameOnRequest) {
+  const auto set = Scaled(testing::MakeSet("arm2", {}, 24), 1, -1.0);
+  const auto r = Diagnose(set, {.threads = 1, .time_limit_s = 0, .trust_effort = true}, RealClock());
+  ASSERT_TRUE(r.ok()) << r.status().ToString();
+  EXPECT_THAT(r->notes, ::testing::Contains(HasSubstr("sign looks turned around")));
+}
+
+TEST(Plausibility, RefusesRecordingsInWhichNothingMoves) {
+  auto set = testing::MakeSet("arm2", {}, 25);
+  Rng rng(5);
+  for (auto& rec : set.recordings) {
+    for (int k = 0; k < rec.rows(); ++k) {
+      rec.q.col(k) << 0.3 + 5e-4 * rng.Normal(), -0.2 + 5e-4 * rng.Normal();
+      rec.v.col(k) << 8e-3 * rng.Normal(), 8e-3 * rng.Normal();
+    }
+  }
+  EXPECT_THAT(ErrorOf(set), AllOf(HasSubstr("too little motion"), HasSubstr("elbow")));
+}
+
+TEST(Plausibility, SaysWhichJointNeverMoved) {
+  auto set = testing::MakeSet("arm2", {}, 26);
+  for (auto& rec : set.recordings) rec.q.row(0).setConstant(0.3), rec.v.row(0).setZero();
+  const auto r = Diagnose(set, {.threads = 1, .time_limit_s = 0, .trust_effort = true}, RealClock());
+  ASSERT_TRUE(r.ok()) << r.status().ToString();
+  EXPECT_THAT(r->notes,
+              ::testing::Contains(AllOf(HasSubstr("shoulder never moved"), Not(HasSubstr("elbow")))));
+}
+
+TEST(Plausibility, RefusesHalfASecond) {
+  auto set = testing::MakeSet("pendulum", {}, 27, 1.0);
+  for (auto& rec : set.recordings) rec = recordings::Slice(rec, 0, 15);
+  EXPECT_THAT(ErrorOf(set), HasSubstr("too little to say anything"));
+}
+
+}  // namespace
+}  // namespace rg::diagnosis
