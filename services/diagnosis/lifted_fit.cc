@@ -15,13 +15,15 @@ namespace rg::diagnosis {
 
 namespace {
 
+constexpr double kOtherStep = 2e-4;  // s, see MakeScreen
+
 // Rows of [J | r] orthogonal to J_e; also the factorisation to find e_0 later.
 struct Projected {
   MatrixXd rest;  // (M − rank) × (D + 1)
 };
 
-MatrixXd ProjectOut(const MatrixXd& J_e, const MatrixXd& J, const VectorXd& r) {
-  MatrixXd stacked(J.rows(), J.cols() + 1);
+MatrixXd ProjectOut(const MatrixXd& J_e, const MatrixXd& J, const MatrixXd& r) {
+  MatrixXd stacked(J.rows(), J.cols() + r.cols());
   stacked << J, r;
   // Columns of very different size (a state that is forgotten at once) are scaled first.
   MatrixXd scaled = J_e;
@@ -278,18 +280,29 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
 Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
                   const FeatureBlock& features, const LiftedOptions& options, int null_draws, Rng rng) {
   Lineariser lin(data, model, true, options);
+  LiftedOptions euler = options;
+  euler.step_s = kOtherStep, euler.integrator = sim::Integrator::kSemiImplicitEuler;
+  Lineariser other(data, model, false, euler), own(data, model, false, options);
   const int P = lin.P(), C = features.size(), W = static_cast<int>(data.windows.size());
   Screen screen;
   screen.parameters = P, screen.features = C;
   const int D = P + C + 1, threads = std::max(1, options.threads);
   std::vector<MatrixXd> sums(threads, MatrixXd::Zero(D, D));
   std::vector<MatrixXd> nulls(W);
+  std::vector<VectorXd> systematic(W);
   std::vector<int> rows(threads, 0), eliminated(threads, 0);
   sysid::ParallelFor(threads, W, [&](int worker, int w) {
     Linear l;
     lin.Run(worker, w, states[w], &features.joint, &features.phi[w], false, &l);
     if (!l.ok) return;
-    const MatrixXd rest = ProjectOut(l.J_e, l.J, l.r);
+    MatrixXd columns(l.r.size(), 2);
+    const VectorXd x0 = states[w].col(0);
+    columns.col(1) = own.Residuals(worker, w, x0) - other.Residuals(worker, w, x0);
+    columns.col(0) = l.r;
+    if (!columns.col(1).allFinite()) columns.col(1).setZero();
+    const MatrixXd all = ProjectOut(l.J_e, l.J, columns);
+    const auto rest = all.leftCols(D);
+    systematic[w] = rest.leftCols(D - 1).transpose() * all.col(D) / options.noise_scale;
     sums[worker].selfadjointView<Eigen::Lower>().rankUpdate(rest.transpose(), 1.0 / options.noise_scale);
     MatrixXd noise(rest.rows(), null_draws);
     Rng stream = rng.Split(static_cast<uint64_t>(w));
@@ -305,8 +318,9 @@ Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& 
   }
   screen.gram = MatrixXd(screen.gram.selfadjointView<Eigen::Lower>());
   screen.null = MatrixXd::Zero(D - 1, null_draws);
-  for (const MatrixXd& m : nulls) {
-    if (m.size() > 0) screen.null += m;
+  screen.step_rule = VectorXd::Zero(D - 1);
+  for (int w = 0; w < W; ++w) {
+    if (nulls[w].size() > 0) screen.null += nulls[w], screen.step_rule += systematic[w];
   }
   return screen;
 }

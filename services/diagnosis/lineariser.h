@@ -122,6 +122,7 @@ class Lineariser {
     }
     sim::SimulatorOptions simulator;
     simulator.step_s = options.step_s;
+    simulator.integrator = options.integrator;
     for (int w = 0; w < std::max(1, options.threads); ++w) {
       workers_.push_back(std::make_unique<Worker>(probe_.plant, simulator, probe_.values, columns));
     }
@@ -184,10 +185,19 @@ class Lineariser {
     if (!out->J.allFinite() || !out->J_e.allFinite() || !out->r.allFinite()) out->ok = false;
   }
 
-  // Σ ((y − ŷ)/σ)² of the window simulated from x_0 in one go.
+  // Σ ((y − ŷ)/σ)² of the window simulated from x_0 in one go, far residuals softened.
   double Simulated(int worker, int index, const VectorXd& x0) {
+    double sum = 0;
+    for (const double r : Residuals(worker, index, x0)) sum += Capped(r);
+    return sum;
+  }
+
+  // (y − ŷ)/σ of the same, rows in the order of Run.
+  VectorXd Residuals(int worker, int index, const VectorXd& x0) {
     Worker& w = *workers_[worker];
     const NodeWindow& window = data_.windows[index];
+    VectorXd residuals(RowsOf(window));
+    Eigen::Index row = 0;
     w.x.q = x0.head(n_);
     w.x.v = x0.segment(n_, n_);
     w.x.z = x0.tail(nx_ - 2 * n_);
@@ -200,17 +210,19 @@ class Lineariser {
       nodes.push_back(static_cast<int>(k));
     }
     w.simulator.SimulateInto(w.x, data_.recordings[window.recording].command, w.times, {}, &w.out);
-    double sum = 0;
     for (size_t i = 0; i < nodes.size(); ++i) {
       const int k = nodes[i];
       const double s = std::sqrt(static_cast<double>(window.rows[k]));
-      for (int j = 0; j < n_; ++j) {
-        sum += Capped((window.q(j, k) - w.out.position(j, i)) / data_.noise.position_stddev[j] * s);
-        if (!data_.use_velocity) continue;
-        sum += Capped((window.v(j, k) - w.out.velocity(j, i)) / data_.noise.velocity_stddev[j] * s);
-      }
+      const auto at = static_cast<Eigen::Index>(i);
+      residuals.segment(row, n_) =
+          s * (window.q.col(k) - w.out.position.col(at)).cwiseQuotient(data_.noise.position_stddev);
+      row += n_;
+      if (!data_.use_velocity) continue;
+      residuals.segment(row, n_) =
+          s * (window.v.col(k) - w.out.velocity.col(at)).cwiseQuotient(data_.noise.velocity_stddev);
+      row += n_;
     }
-    return sum;
+    return residuals;
   }
 
   // States of a window simulated node by node from x_0, in place: what is recorded stays as recorded, what is

@@ -49,7 +49,8 @@ class Scorer {
   ScreenResult Run() {
     std::map<std::pair<std::string, std::vector<int>>, Scored> best;
     for (const Group& g : groups_) {
-      const Scored s = Score(g, b_, true);
+      Scored s = Score(g, b_, true);
+      s.step_rule = 0.5 * Score(g, step_rule_, false).chi2;
       if (!std::isfinite(s.gain)) continue;
       auto [it, fresh] = best.try_emplace({g.effect, g.joints}, s);
       if (!fresh && s.gain > it->second.gain) it->second = s;
@@ -89,7 +90,7 @@ class Scorer {
     for (int i = 0; i < B; ++i) {
       for (int j = 0; j < B; ++j) Gbb(i, j) = screen.gram(own[i], own[j]) * unit[own[i]] * unit[own[j]];
       for (int j = 0; j < F; ++j) Gbf(i, j) = screen.gram(own[i], free[j]) * unit[own[i]] * unit[free[j]];
-      Gbf(i, F) = screen.gram(own[i], D) * unit[own[i]];
+      Gbf(i, F) = screen.gram(own[i], D) * unit[own[i]] - columns_[own[i]].away;
     }
     if (B > 0) {
       Gbb.diagonal().array() += 1.0;
@@ -103,6 +104,13 @@ class Scorer {
       MatrixXd own_null(B, screen.null.cols());
       for (int i = 0; i < B; ++i) own_null.row(i) = screen.null.row(own[i]) * unit[own[i]];
       null_ -= Gbf.leftCols(F).transpose() * Gbb.ldlt().solve(own_null);
+    }
+    step_rule_.resize(F);
+    for (int i = 0; i < F; ++i) step_rule_[i] = screen.step_rule[free[i]] * unit[free[i]];
+    if (B > 0) {
+      VectorXd own_rule(B);
+      for (int i = 0; i < B; ++i) own_rule[i] = screen.step_rule[own[i]] * unit[own[i]];
+      step_rule_ -= Gbf.leftCols(F).transpose() * Gbb.ldlt().solve(own_rule);
     }
     feature_start_ = P;
   }
@@ -363,7 +371,7 @@ class Scorer {
   int feature_start_ = 0;
   std::vector<int> place_;
   MatrixXd G_;
-  VectorXd b_;
+  VectorXd b_, step_rule_;
   MatrixXd null_;
   std::vector<Group> groups_;
 };

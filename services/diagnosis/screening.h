@@ -17,6 +17,7 @@ struct ParameterColumn {
   std::string role;
   int joint = -1;
   double prior_stddev = 1;
+  double away = 0;    // (θ − θ0)/σ where it was linearised
   bool base = false;  // an inertial parameter: projected out only where base parameters are free
 };
 
@@ -25,6 +26,7 @@ struct Scored {
   std::vector<int> joints;  // source, target for joint_coupling; empty: the robot
   double gain = 0;          // of log evidence, the search over shapes paid for
   double chi2 = 0;          // what χ² falls by
+  double step_rule = 0;     // nats that the effect would gain from another step rule alone
   double shape = 0, shape_end = 0;
   std::vector<double> coefficients;  // per column of the effect, SI, joint after joint
 };

@@ -9,6 +9,7 @@
 #include "common/base/check.h"
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
+#include "services/diagnosis/acceptance.h"
 #include "services/diagnosis/push_starts.h"
 #include "services/sysid/drive_signal.h"
 
@@ -20,39 +21,9 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr double kBasePrior = 1.0;    // −log odds of a URDF that is off
-constexpr double kEffectPrior = 4.0;  // of one more kind of effect
-constexpr double kJointPrior = 1.0;   // of one more joint of it
-constexpr double kShapePrior =
-    1.0;  // of each parameter beyond the first: what the data do not show costs too
-constexpr double kFieldPrior = 6.0;   // what an unnamed force pays beside
-constexpr double kModelError = 0.03;  // of a residual's variance: integration, timing within a step
-constexpr double kChance = 3.0;       // log evidence between models of the same data, one no larger
+constexpr double kRivalShare = 0.25;  // of what parameters explain, by the screen's linear estimate
+constexpr double kHolds = 2.0;        // χ² per row below which a model's own states are trusted
 constexpr double kExplained = 1.1;    // χ² per row at which nothing else is looked for in another world
-
-double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
-  std::set<std::string> ids;
-  double cost = base ? kBasePrior : 0.0;
-  for (const EffectSpec& s : specs) {
-    ids.insert(s.id);
-    cost +=
-        kJointPrior + kShapePrior * (static_cast<double>(effects::FindEffect(s.id)->parameters.size()) - 1.0);
-    if (s.id == "unknown_field") cost += kFieldPrior;
-  }
-  return cost + kEffectPrior * static_cast<double>(ids.size());
-}
-
-bool Contains(const std::vector<EffectSpec>& specs, const std::string& id, const std::string& joint) {
-  for (const EffectSpec& s : specs) {
-    if (s.id != id) continue;
-    if (s.joints.empty() || joint.empty() || id == "joint_coupling") {
-      if (s.joints.empty()) return true;
-      continue;
-    }
-    if (std::find(s.joints.begin(), s.joints.end(), joint) != s.joints.end()) return true;
-  }
-  return false;
-}
 
 class Search {
  public:
@@ -82,10 +53,10 @@ class Search {
     Tell("calibrate", 0.05, "");
     out.nominal = Evaluate({}, false);
     out.calibrated = Evaluate({}, true);
-    Candidate best = out.calibrated.score > out.nominal.score + Threshold() ? out.calibrated : out.nominal;
+    Candidate best =
+        out.calibrated.score > out.nominal.score + Threshold(out.nominal) ? out.calibrated : out.nominal;
     features_ = MakeFeatures(data_, scales_);
-    if (best.base) Simpler(&best);
-    for (round_ = 1; round_ <= options_.max_effects && !Late() && AtStake(best) > Threshold(); ++round_) {
+    for (round_ = 1; round_ <= options_.max_effects && !Late(); ++round_) {
       const bool added = AddOne(&best);
       if (!added) break;
       Prune(&best);
@@ -96,11 +67,11 @@ class Search {
     for (const auto& [key, c] : tried_) out.tried.push_back(c);
     std::sort(out.tried.begin(), out.tried.end(),
               [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
-    out.null_gain = null_gain_;
+    out.null_gain = acceptance_.null_gain();
     out.noise_scale = lifted_.noise_scale;
     Tell("locate", 0.95, "");
     const Candidate without = Better(out.nominal, out.calibrated);
-    out.threshold = Threshold();
+    out.threshold = Threshold(without);
     out.missing = Force(without);
     out.remaining = Force(best);
     return out;
@@ -228,11 +199,19 @@ class Search {
     auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), specs);
     if (!plant.ok()) return {};
     std::vector<sysid::FitParameter> parameters;
-    const auto columns = ScreenColumns(*plant, &parameters, own);
-    const FitModel model{*plant, plant->parameters().Nominal(), parameters};
-    const Screen screen =
-        MakeScreen(data_, model, InitialStates(data_, model, lifted_), features_.block, lifted_, kNullDraws,
-                   Rng(options_.seed).Split(static_cast<uint64_t>(round_)));
+    auto columns = ScreenColumns(*plant, &parameters, own);
+    // Around a model that holds, its own states and values; around a wrong one, the recorded motion.
+    const bool holds = PerRow(current) < kHolds && current.fit.states.front().rows() == plant->num_states();
+    VectorXd values = plant->parameters().Nominal();
+    if (holds) values = plant->ValuesFrom(current.plant->parameters(), current.fit.values);
+    for (size_t c = 0; c < columns.size(); ++c) {
+      const sysid::FitParameter& p = parameters[c];
+      if (columns[c].effect.empty()) columns[c].away = (values[p.index] - p.nominal) / p.prior_stddev;
+    }
+    const FitModel model{*plant, values, parameters};
+    const NodeStates states = holds ? current.fit.states : InitialStates(data_, model, lifted_);
+    const Screen screen = MakeScreen(data_, model, states, features_.block, lifted_, kNullDraws,
+                                     Rng(options_.seed).Split(static_cast<uint64_t>(round_)));
     return ScoreHypotheses(screen, columns, features_, scales_, base, data_.n);
   }
 
@@ -257,10 +236,14 @@ class Search {
     return false;
   }
 
-  // Log evidence below which an addition is not worth a name: chance, or what the integrator's own error
-  // could do (kModelError of a residual's variance).
-  double Threshold() const {
-    return std::max({1.0, null_gain_ - kEffectPrior, 0.5 * kModelError * data_.Rows()});
+  double Threshold(const Candidate& best) const { return acceptance_.Needed(best, Explained(best)); }
+  double Threshold(const Candidate& best, const Candidate& c) const {
+    return acceptance_.Needed(best, Explained(best), c);
+  }
+  // Log evidence that the effects of a candidate bring.
+  double Explained(const Candidate& c) const {
+    const auto without = tried_.find(c.base ? "+base" : "");
+    return c.specs.empty() || without == tried_.end() ? 0.0 : c.score - without->second.score;
   }
 
   // The most that any addition could bring: half of χ² above what noise alone leaves.
@@ -275,39 +258,33 @@ class Search {
     std::vector<bool> worlds = {false, true};
     for (const bool base : worlds) {
       if (Late()) break;
-      if (base && PerRow(winner) < kExplained && winner.score > best->score + Threshold()) break;
+      if (base && PerRow(winner) < kExplained && winner.score > best->score + Threshold(*best, winner)) break;
       const Candidate* own = base == best->base ? best : OtherWorld(*best);
       if (own == nullptr || !own->fit.ok) continue;
       if (round_ > 1 && own->score < best->score - 0.5 * data_.Rows()) continue;
+      // Parameters explain all: only what explains it as well with less is of interest.
+      const bool rival = !base && best->base && AtStake(*best) < Threshold(*best);
       const Candidate from = *own;
       const ScreenResult screened = ScreenAround(from, base);
-      null_gain_ = std::max(screened.null_gain, 3.0);
+      acceptance_.Note(screened, nominal_.joint_names());
       Trace(screened, base);
-      TryBest(from, Pool(from, screened, base), base, base ? 3 : 4, &winner);
+      const double best_gain = screened.hypotheses.empty() ? 0.0 : screened.hypotheses.front().gain;
+      if (AtStake(from) < Threshold(*best) && best_gain < Threshold(*best)) continue;
+      const double wanted = rival ? kRivalShare * (best->score - from.score) : 1.0;
+      TryBest(from, Pool(from, screened, base, wanted), base, base ? 3 : 4, &winner);
     }
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
       Siblings(&winner);
       const Candidate twin = Evaluate(Refreshed(winner), !winner.base);
-      if (twin.score > winner.score + (twin.base ? Threshold() : -Threshold())) winner = twin;
+      if (twin.score > winner.score + (twin.base ? 1.0 : -1.0) * Threshold(*best)) winner = twin;
     }
-    const bool accept = winner.score > best->score + Threshold();
+    const double needed = Threshold(*best, winner);
+    const bool accept = winner.score > best->score + needed;
+    Tell("decide", 0.1 + 0.2 * round_,
+         KeyOf(winner.specs) + " gains " + std::to_string(winner.score - best->score) + " needs " +
+             std::to_string(needed));
     if (accept) *best = winner;
     return accept;
-  }
-
-  // Many base parameters can produce what one effect does. Where they were freed and there is nothing left to
-  // explain, an effect on the URDF as it is still may be the better account: it needs fewer parameters.
-  void Simpler(Candidate* best) {
-    Tell("screen", 0.1, "one effect instead of other base parameters");
-    const Candidate& nominal = tried_.at(KeyOf({}));
-    if (!nominal.fit.ok) return;
-    const ScreenResult screened = ScreenAround(nominal, false);
-    Trace(screened, false);
-    Candidate winner = *best;
-    TryBest(nominal, Pool(nominal, screened, false), false, 4, &winner);
-    if (KeyOf(winner.specs) == KeyOf(best->specs)) return;
-    Siblings(&winner);
-    if (winner.score > best->score + kChance) *best = winner;
   }
 
   double PerRow(const Candidate& c) const {
@@ -318,7 +295,8 @@ class Search {
 
   // What is worth a trial in the simulator: the best of the screen, what it is easily taken for, and what
   // the screen cannot see.
-  std::vector<Start> Pool(const Candidate& from, const ScreenResult& screened, bool base) {
+  // Hypotheses that the screen gives less than `wanted` are left out; above 1 also what it cannot see.
+  std::vector<Start> Pool(const Candidate& from, const ScreenResult& screened, bool base, double wanted) {
     std::vector<Start> pool;
     std::map<int, double> joint_gain;
     auto push = [&](const std::vector<Start>& starts) {
@@ -329,10 +307,16 @@ class Search {
       if (h.joints.size() == 1 && h.effect != "unknown_field") {
         joint_gain[h.joints[0]] = std::max(joint_gain[h.joints[0]], h.gain);
       }
-      if (h.gain < 1.0 || taken >= (base ? 10 : 16) || Known(from, h)) continue;
+      if (h.gain < wanted || taken >= (base ? 10 : 16) || Known(from, h)) continue;
       ++taken;
       push(SpecsFor(h, nominal_, scales_));
     }
+    auto has = [&](const std::string& id) {
+      return std::any_of(from.specs.begin(), from.specs.end(),
+                         [&](const EffectSpec& e) { return e.id == id; });
+    };
+    if (!base && !has("payload")) push(BodyStarts("payload", nominal_, scales_));
+    if (wanted > 1.0) return pool;
     std::vector<std::pair<double, int>> joints;
     for (const auto& [joint, gain] : joint_gain) joints.push_back({gain, joint});
     std::sort(joints.rbegin(), joints.rend());
@@ -345,11 +329,6 @@ class Search {
         }
       }
     }
-    auto has = [&](const std::string& id) {
-      return std::any_of(from.specs.begin(), from.specs.end(),
-                         [&](const EffectSpec& e) { return e.id == id; });
-    };
-    if (!base && !has("payload")) push(BodyStarts("payload", nominal_, scales_));
     const size_t springy = data_.n <= 2 ? 2 : base ? 1 : 2;
     for (size_t i = 0; i < std::min(springy, joints.size()); ++i) {
       const std::string& name = nominal_.joint_names()[joints[i].second];
@@ -531,7 +510,7 @@ class Search {
   LiftedOptions lifted_;
   double start_ = 0;
   int round_ = 0;
-  double null_gain_ = 3;
+  Acceptance acceptance_;
   FeatureSet features_;
   std::map<std::string, Candidate> tried_;
 };

@@ -14,21 +14,11 @@
 
 #include "common/base/clock.h"
 #include "common/base/progress.h"
+#include "services/diagnosis/candidate.h"
 #include "services/diagnosis/diagnosis.h"
 #include "services/diagnosis/hypotheses.h"
 
 namespace rg::diagnosis {
-
-// A fitted set of effects.
-struct Candidate {
-  std::vector<effects::EffectSpec> specs;
-  bool base = false;
-  std::shared_ptr<const sim::Plant> plant;
-  std::vector<sysid::FitParameter> parameters;
-  FitResult fit;
-  double score = 0;  // evidence with the structure's prior
-  int round = 0;
-};
 
 // What the search over a measured effort (balance_search.h) says beside its candidates.
 struct MeasuredEffort {

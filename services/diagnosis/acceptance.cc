@@ -1,0 +1,71 @@
+#include "services/diagnosis/acceptance.h"
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+
+namespace {
+
+constexpr double kFormError = 0.01;   // share of what effects explain that a neighbour's form may be worth
+constexpr double kSimplerOdds = 3.0;  // log odds: 20 to 1
+
+std::string Joined(const std::set<std::string>& joints) {
+  std::string out;
+  for (const std::string& joint : joints) out += " " + joint;
+  return out;
+}
+
+// Effects with the joints that are new in `c`.
+std::map<std::string, std::set<std::string>> Added(const Candidate& best, const Candidate& c) {
+  std::map<std::string, std::set<std::string>> fresh;
+  for (const EffectSpec& s : c.specs) {
+    if (s.joints.empty() && !Contains(best.specs, s.id, "")) fresh[s.id];
+    for (const std::string& joint : s.joints) {
+      if (!Contains(best.specs, s.id, joint)) fresh[s.id].insert(joint);
+    }
+  }
+  return fresh;
+}
+
+}  // namespace
+
+void Acceptance::Note(const ScreenResult& screened, const std::vector<std::string>& joint_names) {
+  null_gain_ = std::max(screened.null_gain, 3.0);
+  for (const Scored& h : screened.hypotheses) {
+    std::set<std::string> joints;
+    for (const int j : h.joints) joints.insert(joint_names[static_cast<size_t>(j)]);
+    double& known = step_rule_[h.effect + Joined(joints)];
+    known = std::max(known, std::sqrt(2 * std::max(0.0, h.step_rule)));
+  }
+}
+
+double Acceptance::Needed(const Candidate& best, double explained) const {
+  return std::max({1.0, null_gain_ - kEffectPrior, best.specs.empty() ? 0.0 : kFormError * explained});
+}
+
+double Acceptance::Needed(const Candidate& best, double explained, const Candidate& c) const {
+  if (best.base && !c.base && best.specs.empty()) return kSimplerOdds;
+  double rule = 0;
+  for (const auto& [id, joints] : Added(best, c)) rule = std::max(rule, StepRule(id, Joined(joints)));
+  const double chance = std::sqrt(2 * Needed(best, explained));
+  return 0.5 * (chance + rule) * (chance + rule);
+}
+
+// Joints that were not screened together: the most of that effect. Effects that the screen cannot see: the
+// most of any.
+double Acceptance::StepRule(const std::string& id, const std::string& joints) const {
+  const auto at = step_rule_.find(id + joints);
+  if (at != step_rule_.end()) return at->second;
+  double same = -1, any = 0;
+  for (const auto& [key, value] : step_rule_) {
+    if (key.rfind(id, 0) == 0) same = std::max(same, value);
+    any = std::max(any, value);
+  }
+  return same >= 0 ? same : any;
+}
+
+}  // namespace rg::diagnosis

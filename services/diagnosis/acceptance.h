@@ -1,0 +1,39 @@
+// When an addition to a model is worth a name: the log evidence that it must bring.
+//
+//   needed = ½ (√(2·chance) + √(2·rule))²
+//
+// chance: what the best of all hypotheses gains from noise alone in 2 % of recordings (screening.h draws
+// them), or what the idealised form of the effects found so far may leave (1 % of what they explain).
+// rule: what the same effect on the same joints would gain from another step rule alone (MakeScreen).
+// Amplitudes add, so their squares, the nats, add like this.
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "services/diagnosis/candidate.h"
+#include "services/diagnosis/screening.h"
+
+namespace rg::diagnosis {
+
+class Acceptance {
+ public:
+  // Takes in a screen; the largest step-rule gain of each hypothesis so far is kept.
+  void Note(const ScreenResult& screened, const std::vector<std::string>& joint_names);
+
+  double null_gain() const { return null_gain_; }
+
+  // Of any addition to `best`, whose effects explain `explained` nats.
+  double Needed(const Candidate& best, double explained) const;
+  // Of `c` in place of `best`. A model with less in it that explains as much needs no more than the odds.
+  double Needed(const Candidate& best, double explained, const Candidate& c) const;
+
+ private:
+  double StepRule(const std::string& id, const std::string& joints) const;
+
+  double null_gain_ = 3;
+  std::map<std::string, double> step_rule_;  // √(2 nats) of every hypothesis screened, by effect and joints
+};
+
+}  // namespace rg::diagnosis
