@@ -6,12 +6,14 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/clock.h"
+#include "common/base/file.h"
 #include "common/recordings/recording_set.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
 #include "services/cli/progress_display.h"
 #include "services/diagnosis/diagnosis.h"
 #include "services/report/diagnosis_page.h"
+#include "services/report/diagnosis_svg.h"
 
 namespace rg::cli {
 namespace {
@@ -20,7 +22,7 @@ CancelToken cancel_on_interrupt;
 void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
 
 struct DiagnoseArguments {
-  std::string set, out;
+  std::string set, out, svg;
   diagnosis::DiagnosisOptions options;
 };
 
@@ -55,6 +57,8 @@ Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
   if (!arguments.out.empty()) {
     RG_RETURN_IF_ERROR(diagnosis::WriteDiagnosis(arguments.out, result, report::DiagnosisPage(result)));
   }
+  if (!arguments.svg.empty())
+    RG_RETURN_IF_ERROR(WriteFileAtomically(arguments.svg, report::DiagnosisSvg(result)));
   if (context.json()) {
     PrintJson("realitygrad.diagnosis/1", nlohmann::json::parse(diagnosis::DiagnosisJson(result)));
   } else if (!context.quiet()) {
@@ -76,6 +80,7 @@ void AddDiagnoseCommand(CLI::App& app, Context& context) {
   auto& o = arguments->options;
   command->add_option("SET", arguments->set, "Folder of a recording set")->required();
   command->add_option("--out", arguments->out, "Folder for diagnosis.json, model.json and report.html");
+  command->add_option("--svg", arguments->svg, "File for a small picture of the missing force");
   command->add_option("--threads", o.threads, "0: all cores")->capture_default_str();
   command->add_option("--window", o.window_s, "Length of the judged predictions [s]")->capture_default_str();
   command->add_option("--step", o.step_s, "Of the simulator [s]")->capture_default_str();

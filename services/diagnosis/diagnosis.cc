@@ -34,6 +34,7 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& set, const Diag
   result.window_s = options.window_s;
   result.robot = nominal.model().name();
   result.joints = nominal.joint_names();
+  result.effort_measured = search.measured.active;
   for (std::string& note : NotesOn(set, data, nominal, scales)) result.notes.push_back(std::move(note));
   for (std::string& note : NotesOnMeasurement(set, data, nominal, search.measured))
     result.notes.push_back(std::move(note));

@@ -87,11 +87,19 @@ struct ForcePlot {
   Eigen::MatrixXd q, v, u;
 };
 
+// One held-out recording by itself: RMS over rows, and the median over windows.
+struct HoldoutRecording {
+  std::string name;
+  double before_rms = 0, calibrated_rms = 0, after_rms = 0;
+  double before_median = 0, calibrated_median = 0, after_median = 0;
+};
+
 struct HoldoutFit {
   double before_rms = 0, calibrated_rms = 0, after_rms = 0, noise_floor_rms = 0;
   double improvement_low = 0, improvement_high = 0;
   bool judged_on_fit = false;
   std::vector<double> before_windows, after_windows;
+  std::vector<HoldoutRecording> recordings;
 };
 struct HoldoutPlot {
   std::string recording;
@@ -109,11 +117,12 @@ struct DiagnosisResult {
 
   std::string robot;
   std::vector<std::string> joints, units;
-  double noise_scale = 1;       // residual variance in units of the sensors' noise
-  double mismatch = 0;          // χ² per row of the calibrated model, 1 at the noise
-  double remaining = 0;         // of the augmented model
-  double null_threshold = 0;    // log evidence that chance reaches in 2 % of sets
-  Eigen::VectorXd joint_share;  // n, of the missing force's energy above its noise
+  bool effort_measured = false;  // hypotheses were judged in the balance of torques
+  double noise_scale = 1;        // residual variance in units of the sensors' noise
+  double mismatch = 0;           // χ² per row of the calibrated model, 1 at the noise
+  double remaining = 0;          // of the augmented model
+  double null_threshold = 0;     // log evidence that chance reaches in 2 % of sets
+  Eigen::VectorXd joint_share;   // n, of the missing force's energy above its noise
   std::vector<CandidateRow> candidates;
   std::vector<LedgerRow> ledger;
   std::vector<ForcePlot> force_plots;

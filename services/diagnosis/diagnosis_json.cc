@@ -46,6 +46,16 @@ std::string DiagnosisJson(const DiagnosisResult& r) {
   json findings = json::array();
   for (const Finding& f : r.findings) findings.push_back(FindingJson(f));
   const HoldoutFit& h = r.holdout;
+  json recordings = json::array();
+  for (const HoldoutRecording& rec : h.recordings) {
+    recordings.push_back({{"file", rec.name},
+                          {"before_rms", rec.before_rms},
+                          {"calibrated_rms", rec.calibrated_rms},
+                          {"after_rms", rec.after_rms},
+                          {"before_median", rec.before_median},
+                          {"calibrated_median", rec.calibrated_median},
+                          {"after_median", rec.after_median}});
+  }
   const json out = {{"format", "realitygrad.diagnosis/1"},
                     {"verdict", r.verdict},
                     {"findings", findings},
@@ -56,7 +66,8 @@ std::string DiagnosisJson(const DiagnosisResult& r) {
                         {"calibrated_rms", h.calibrated_rms},
                         {"after_rms", h.after_rms},
                         {"noise_floor_rms", h.noise_floor_rms},
-                        {"improvement_ci95", {h.improvement_low, h.improvement_high}}}},
+                        {"improvement_ci95", {h.improvement_low, h.improvement_high}},
+                        {"recordings", recordings}}},
                       {"mismatch", r.mismatch},
                       {"remaining", r.remaining},
                       {"noise_scale", r.noise_scale}}},

@@ -336,9 +336,10 @@ class Speaker {
       f.parameters.push_back({p.owner, p.field, p.unit, value, sd});
       moved += std::abs(value - p.nominal) > 3 * sd;
     }
-    f.statement =
-        "The structure of the model is right; masses, centres of mass or inertias differ from the URDF (" +
-        std::to_string(moved) + " parameters by more than three standard deviations).";
+    f.statement = std::string(r_.findings.empty() ? "The structure of the model is right; masses"
+                                                  : "Beside this, masses") +
+                  ", centres of mass or inertias differ from the URDF (" + std::to_string(moved) +
+                  " parameters by more than three standard deviations).";
     f.summary = "all poses and motions";
     f.share_of_mismatch = 1.0;
     r_.findings.push_back(f);

@@ -22,6 +22,7 @@ struct Judged {
   std::vector<double> windows;  // of all recordings in order
   std::vector<double> weights;  // rows of each
   std::vector<sysid::Prediction> predictions;
+  std::vector<sysid::PredictionError> errors;  // per recording
 };
 
 double PooledRms(const std::vector<double>& windows, const std::vector<double>& weights) {
@@ -52,6 +53,7 @@ Judged Judge(const std::vector<const recordings::Recording*>& recs, const sim::P
     }
   }
   out.rms = PooledRms(out.windows, out.weights);
+  out.errors = std::move(errors);
   return out;
 }
 
@@ -154,6 +156,11 @@ void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal
   HoldoutFit& h = result->holdout;
   h.before_rms = before.rms, h.calibrated_rms = calibrated.rms, h.after_rms = after.rms;
   h.before_windows = before.windows, h.after_windows = after.windows;
+  for (size_t i = 0; i < recs.size(); ++i) {
+    h.recordings.push_back({recs[i]->name, before.errors[i].rms, calibrated.errors[i].rms,
+                            after.errors[i].rms, before.errors[i].median_window,
+                            calibrated.errors[i].median_window, after.errors[i].median_window});
+  }
   Rng rng(options.seed + 17);
   h.noise_floor_rms = NoiseFloor(recs, after, *result->plant, result->values, prediction, data.noise,
                                  search.measured, rng.Split(1));

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cctype>
 #include <cmath>
 #include <cstdio>
 
@@ -22,13 +23,56 @@ std::string Joined(const std::vector<std::string>& parts) {
   return out;
 }
 
+std::string Unit(std::string unit) {
+  for (size_t at; (at = unit.find('*')) != std::string::npos;) unit.replace(at, 1, "·");
+  return unit;
+}
+
+// One sentence for a finding: its statement, or, where it acts on many joints, their values in a row.
+std::string Sentence(const Finding& f) {
+  if (f.joints.size() <= 2 || f.effect == "parameters_only" || f.parameters.empty()) return f.statement;
+  std::string name = f.effect;
+  std::replace(name.begin(), name.end(), '_', ' ');
+  name[0] = static_cast<char>(std::toupper(name[0]));
+  std::string text =
+      name + " on " + std::to_string(f.joints.size()) + " joints that the model does not have: ";
+  std::string last;
+  for (const std::string& joint : f.joints) {
+    std::string values;
+    for (const auto& p : f.parameters) {
+      if (p.owner == joint)
+        values +=
+            (values.empty() ? "" : " / ") + FormatNumber(p.value) + (p.unit == "-" ? "" : " " + Unit(p.unit));
+    }
+    text += (last.empty() ? "" : ", ") + joint + (values.empty() ? "" : " " + values);
+    last = joint;
+  }
+  return text + ".";
+}
+
+// "coulomb_friction (joint_1, joint_2) + payload" with long lists of joints counted.
+std::string ShortName(const std::string& name) {
+  std::string out;
+  size_t at = 0;
+  while (at < name.size()) {
+    const size_t open = name.find('(', at), close = name.find(')', open);
+    if (open == std::string::npos || close == std::string::npos) break;
+    const std::string inside = name.substr(open + 1, close - open - 1);
+    const auto commas = std::count(inside.begin(), inside.end(), ',');
+    out += name.substr(at, open - at);
+    out += "(" + (commas > 0 ? std::to_string(commas + 2) + " joints" : inside) + ")";
+    at = close + 1;
+  }
+  return out + name.substr(at);
+}
+
 void Summary(const DiagnosisResult& r, Page* page) {
   if (r.verdict == "no_mismatch") {
     page->Lead("Nothing is missing: the model explains the recordings to the noise of the sensors.");
   } else if (r.findings.empty()) {
     page->Lead("Something is missing that was not found.");
   }
-  for (const Finding& f : r.findings) page->Lead(f.statement);
+  for (const Finding& f : r.findings) page->Lead(Sentence(f));
   const auto& h = r.holdout;
   page->Cards({{"error before", FormatNumber(h.before_rms), "model as given, held-out recordings"},
                {"calibrated", FormatNumber(h.calibrated_rms), "rigid-body parameters alone"},
@@ -52,10 +96,11 @@ void FindingsTable(const DiagnosisResult& r, Page* page) {
                                           f.effect_class.end());
     table.rows.push_back({f.effect, Joined(f.joints), FormatNumber(f.confidence, 2), f.equation,
                           others.empty() ? "–" : Joined(others), Percent(f.share_of_mismatch)});
-    if (f.effect == "parameters_only") continue;
+    // Base parameters stand below, weights of a force without a name say nothing by themselves.
+    if (f.effect == "parameters_only" || f.effect == "unknown_field") continue;
     for (const auto& p : f.parameters) {
-      values.rows.push_back(
-          {f.effect, p.owner, p.name, FormatNumber(p.value, 4), FormatNumber(p.stddev, 2), p.unit});
+      values.rows.push_back({f.effect, p.owner, p.name, FormatNumber(p.value, 4), FormatNumber(p.stddev, 2),
+                             p.unit == "-" ? "" : Unit(p.unit)});
     }
   }
   page->Heading("What is missing");
@@ -88,13 +133,22 @@ std::vector<double> RowOf(const Eigen::MatrixXd& m, int row) {
   return out;
 }
 
+// Every so manieth of a long row: a page is looked at, not computed with.
+std::vector<double> Thinned(const std::vector<double>& x) {
+  const size_t stride = std::max<size_t>(1, x.size() / 700);
+  std::vector<double> out;
+  for (size_t i = 0; i < x.size(); i += stride) out.push_back(x[i]);
+  return out;
+}
+
 Plot OverTime(const DiagnosisResult& r, const ForcePlot& f, int joint) {
-  return {"Missing force on " + r.joints[joint] + ", " + f.recording,
-          "time [s]",
-          r.units[joint] == "m" ? "N" : "N·m",
-          {{"estimated", f.t, RowOf(f.force, joint)},
-           {"explained by the findings", f.t, RowOf(f.explained, joint), SeriesStyle::kDashed}},
-          "Estimated from the recording with the rigid-body model alone, in stairs of 50 ms."};
+  return {
+      "Missing force on " + r.joints[joint] + ", " + f.recording,
+      "time [s]",
+      r.units[joint] == "m" ? "N" : "N·m",
+      {{"estimated", Thinned(f.t), Thinned(RowOf(f.force, joint))},
+       {"explained by the findings", Thinned(f.t), Thinned(RowOf(f.explained, joint)), SeriesStyle::kDashed}},
+      "Estimated from the recording with the rigid-body model alone, in stairs of 50 ms."};
 }
 
 // Over the variable that explains it: position, velocity or command.
@@ -108,7 +162,7 @@ Plot OverVariable(const DiagnosisResult& r, int joint, const std::string& variab
     }
   }
   std::sort(points.begin(), points.end());
-  const size_t stride = std::max<size_t>(1, points.size() / 900);
+  const size_t stride = std::max<size_t>(1, points.size() / 500);
   Series raw{"estimated", {}, {}, SeriesStyle::kPoints},
       law{"explained by the findings", {}, {}, SeriesStyle::kPoints};
   double last = -1e300;
@@ -138,6 +192,19 @@ std::string VariableOf(const std::string& effect) {
   return "velocity";
 }
 
+// The finding that explains most on a joint.
+std::string EffectOn(const DiagnosisResult& r, int joint) {
+  const Finding* best = nullptr;
+  for (const Finding& f : r.findings) {
+    const bool here =
+        f.joints.empty() || std::find(f.joints.begin(), f.joints.end(), r.joints[joint]) != f.joints.end();
+    if (here && f.effect != "parameters_only" &&
+        (best == nullptr || f.share_of_mismatch > best->share_of_mismatch))
+      best = &f;
+  }
+  return best == nullptr ? "" : best->effect;
+}
+
 void Where(const DiagnosisResult& r, Page* page) {
   page->Heading("Where it is");
   Table shares{{"joint", "share of the missing force's energy"},
@@ -149,18 +216,36 @@ void Where(const DiagnosisResult& r, Page* page) {
   }
   page->AddTable(shares);
   for (const Finding& f : r.findings) page->Paragraph(f.effect + ": " + f.summary + ".");
-  const std::string variable = VariableOf(r.findings.empty() ? "" : r.findings.front().effect);
   std::vector<Plot> plots;
   for (const int joint : PlottedJoints(r)) {
     if (!r.force_plots.empty()) plots.push_back(OverTime(r, r.force_plots.front(), joint));
-    plots.push_back(OverVariable(r, joint, variable));
+    plots.push_back(OverVariable(r, joint, VariableOf(EffectOn(r, joint))));
   }
   if (!plots.empty()) page->AddPlots(plots);
+}
+
+// Axis for what was measured, with room for a model that is somewhat wrong; one that runs away leaves it.
+void FitAxis(const std::vector<double>& measured, Plot* plot) {
+  if (measured.empty()) return;
+  const auto [low, high] = std::minmax_element(measured.begin(), measured.end());
+  const double room = 0.6 * std::max(1e-9, *high - *low);
+  plot->y_low = *low - room, plot->y_high = *high + room;
 }
 
 void BeforeAfter(const DiagnosisResult& r, Page* page) {
   page->Heading("Before and after, on recordings that were not fitted");
   page->Paragraph("Windows of " + FormatNumber(r.window_s) + " s, each restarted from what was measured.");
+  Table each{{"recording", "as given", "calibrated", "with the findings", "median window as given",
+              "median window with the findings"},
+             {},
+             "RMS error of the joint positions.",
+             {0}};
+  for (const auto& h : r.holdout.recordings) {
+    each.rows.push_back({h.name, FormatNumber(h.before_rms), FormatNumber(h.calibrated_rms),
+                         FormatNumber(h.after_rms), FormatNumber(h.before_median),
+                         FormatNumber(h.after_median)});
+  }
+  if (each.rows.size() > 1) page->AddTable(each);
   std::vector<Plot> plots;
   for (const auto& h : r.holdout_plots) {
     for (const int joint : PlottedJoints(r)) {
@@ -170,6 +255,7 @@ void BeforeAfter(const DiagnosisResult& r, Page* page) {
                        {{"measured", h.t, RowOf(h.measured, joint)},
                         {"before", h.t, RowOf(h.before, joint), SeriesStyle::kDashed},
                         {"after", h.t, RowOf(h.after, joint)}}});
+      FitAxis(RowOf(h.measured, joint), &plots.back());
       if (plots.size() >= 6) break;
     }
   }
@@ -179,12 +265,18 @@ void BeforeAfter(const DiagnosisResult& r, Page* page) {
 void Considered(const DiagnosisResult& r, Page* page) {
   page->Heading("What else was considered");
   Table table{{"model", "base parameters", "log evidence [nats]", "χ² per row", ""}, {}, {}, {0, 1, 4}};
-  table.caption =
-      "Against the model as given. χ² per row is 1 where only the sensors' noise remains. An addition "
-      "must bring at least " +
-      FormatNumber(r.null_threshold) + " nats, which chance alone reaches in 2 % of sets.";
+  table.caption = r.effort_measured ? "Against the model as given, on parts of the recordings left out in "
+                                      "turn. χ² per row is in units of what "
+                                      "the findings leave. A kind of effect must bring more nats than chance "
+                                      "over all hypotheses, more than two "
+                                      "standard errors, and a tenth of what remains on its joint."
+                                    : "Against the model as given. χ² per row is 1 where only the sensors' "
+                                      "noise remains. An addition must "
+                                      "bring at least " +
+                                          FormatNumber(r.null_threshold) +
+                                          " nats, which chance alone reaches in 2 % of sets.";
   for (const auto& c : r.candidates) {
-    table.rows.push_back({c.name, c.calibrated ? "free" : "as given", FormatNumber(c.evidence, 5),
+    table.rows.push_back({ShortName(c.name), c.calibrated ? "free" : "as given", FormatNumber(c.evidence, 5),
                           FormatNumber(c.chi2_per_row, 4), c.chosen ? "best evidence" : ""});
   }
   page->AddTable(table);
@@ -194,7 +286,8 @@ void Considered(const DiagnosisResult& r, Page* page) {
              {0, 1, 3, 4}};
   for (const Finding& f : r.findings) {
     for (const auto& a : f.alternatives) {
-      next.rows.push_back({f.effect, a.effect + (a.joints.empty() ? "" : " (" + Joined(a.joints) + ")"),
+      next.rows.push_back({f.effect,
+                           ShortName(a.effect + (a.joints.empty() ? "" : " (" + Joined(a.joints) + ")")),
                            FormatNumber(a.evidence, 4), a.separable ? "yes" : "no", a.experiment});
     }
   }
@@ -218,7 +311,7 @@ void Absorbed(const DiagnosisResult& r, Page* page) {
     const double moved = (row.final - row.calibrated) / row.prior_stddev;
     if (table.rows.size() >= 12 || std::abs(moved) < 0.05) break;
     table.rows.push_back({row.name, FormatNumber(row.nominal, 4), FormatNumber(row.calibrated, 4),
-                          FormatNumber(row.final, 4), FormatNumber(moved, 2), row.unit});
+                          FormatNumber(row.final, 4), FormatNumber(moved, 2), Unit(row.unit)});
   }
   if (!table.rows.empty()) page->AddTable(table);
 }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <cstdlib>
 #include <map>
 #include <nlohmann/json.hpp>
 
@@ -22,7 +23,13 @@ const char* StyleName(SeriesStyle style) {
   return style == SeriesStyle::kDashed ? "dashed" : style == SeriesStyle::kPoints ? "points" : "line";
 }
 
-json Number(double x) { return std::isfinite(x) ? json(x) : json(nullptr); }
+// Six digits are more than a screen shows, and a third of the bytes of all.
+json Number(double x) {
+  if (!std::isfinite(x)) return nullptr;
+  char text[32];
+  std::snprintf(text, sizeof text, "%.6g", x);
+  return std::strtod(text, nullptr);
+}
 
 // One row per distinct x over all series; a series without a value there has null.
 json MergedRows(const std::vector<Series>& series) {
