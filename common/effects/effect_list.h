@@ -30,6 +30,7 @@
 #include "common/effects/torque_ripple.h"
 #include "common/effects/torque_saturation.h"
 #include "common/effects/unknown_field.h"
+#include "common/effects/unknown_field_pair.h"
 #include "common/effects/viscous_friction.h"
 
 namespace rg::effects {
@@ -45,7 +46,8 @@ using EffectList =
              QuadraticDrag, PreslidingHysteresis, JointElasticity, Backlash, ActuatorDelay, ActuatorLag,
              TorqueGain, TorqueDeadband, TorqueSaturation, TorqueRipple, RotorInertia, Payload,
              GravityMisalignment, EncoderOffset, SensorDelay, PositionSpring, ThermalDrift,
-             ExternalDisturbance, Contact, JointCoupling, BaseFlexibility, SloshingPayload, UnknownField>;
+             ExternalDisturbance, Contact, JointCoupling, BaseFlexibility, SloshingPayload, UnknownField,
+             UnknownFieldPair>;
 
 // Calls f.template operator()<E>() for the effect type with this number.
 template <class F, class... E>

@@ -50,7 +50,8 @@ struct JointLaw {
   T reference_mass;   // a constant of the same kind
   S q0, q1, v0, v1;   // position and velocity at begin and end of the step
   S acceleration;     // (v1 − v0)/h
-  S coupled{};        // drive torque of the joint that is coupled to this one, before its own coupling
+  S coupled{};        // drive torque of the joint that is coupled to this one, before its own coupling, or
+                      // position of the joint that this one sees, predicted for the step's middle
   bool rough = true;  // whether any friction level may differ from zero
   const S* z0;        // internal states of the effect at work at the step's begin …
   S* z1;              // … and, written by it, at its end

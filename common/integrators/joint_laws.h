@@ -76,6 +76,14 @@ S Law(const LawContext& c, int i, const S& v1, const S& v0, const S& q0, const S
   return law.Force();
 }
 
+// What the local variable kCoupled is on a joint without a coupling.
+inline double Seen(const LawContext& c, int joint) {
+  const int other = c.program->joints[joint].sees;
+  if (other < 0) return 0.0;
+  const double ahead = c.scheme.instantaneous ? 0.0 : 0.5 * c.input->h;
+  return c.input->q[other] + ahead * c.input->v[other];
+}
+
 // Forces F (n) and slopes dF/dv1 (n) at end velocities v1; z1 (num_states) is written too.
 inline void Forces(const LawContext& c, const double* v1, double* force, double* slope, double* z1) {
   using S = Dual<double, 1>;
@@ -91,7 +99,7 @@ inline void Forces(const LawContext& c, const double* v1, double* force, double*
       const double* values = c.values->joint_parameters + joint.first_parameter;
       for (int k = 0; k < joint.num_parameters; ++k) parameters[k] = S(values[k]);
       for (int k = 0; k < joint.num_states; ++k) z[k] = S(c.input->z[joint.first_state + k]);
-      const S coupled(pass == 1 ? drives[joint.coupled_to] : 0.0);
+      const S coupled(pass == 1 ? drives[joint.coupled_to] : Seen(c, i));
       const S f = Law<S>(c, i, S::Variable(v1[i], 0), S(c.input->v[i]), S(c.input->q[i]),
                          S(c.input->command[i]), coupled, z, parameters, end, &drive);
       force[i] = f.v;
@@ -139,7 +147,8 @@ void JointGradient(const LawContext& c, int i, double v1, double coupled, LawGra
   }
 }
 
-inline void Gradients(const LawContext& at, const Directions& directions, const double* v1, LawGradients* out) {
+inline void Gradients(const LawContext& at, const Directions& directions, const double* v1,
+                      LawGradients* out) {
   const int n = at.program->tree.n;
   // A friction level of zero changes no force, but it has a derivative.
   bool rough[kMaxJoints];
@@ -150,7 +159,7 @@ inline void Gradients(const LawContext& at, const Directions& directions, const 
     for (int i = 0; i < n; ++i) {
       const JointProgram& joint = c.program->joints[i];
       if ((joint.coupled_to >= 0) != (pass == 1)) continue;
-      const double coupled = pass == 1 ? out->drive_value[joint.coupled_to] : 0.0;
+      const double coupled = pass == 1 ? out->drive_value[joint.coupled_to] : Seen(c, i);
       const int locals = joint.num_locals();
       if (locals <= 8) {
         JointGradient<8>(c, i, v1[i], coupled, out);

@@ -73,6 +73,8 @@ bool StageSensitivity(const LawContext& c, const Directions& directions, StepWor
     s.H[i * C + i] += s.armature[i];
     s.B_q[i * C + i] += s.gradients.force[i][kPosition];
     s.B_v[i * C + i] += s.gradients.force[i][kVelocity] + s.gradients.force[i][kEndVelocity];
+    if (const int other = program.joints[i].sees; other >= 0)
+      s.B_q[i * C + other] += s.gradients.force[i][kCoupled];
     const int source = program.joints[i].coupled_to;
     if (source >= 0) {
       const double slope = s.gradients.force[i][kCoupled];

@@ -39,6 +39,7 @@ struct JointProgram {
   int first_parameter = 0;  // into StepValues::joint_parameters
   int num_parameters = kFirstEffectParameter;
   int coupled_to = -1;  // joint whose drive torque reaches this one, or -1
+  int sees = -1;        // joint whose position this one's law depends on, or -1; not beside coupled_to
 
   int num_locals() const { return kFirstState + num_states + num_parameters; }
 };

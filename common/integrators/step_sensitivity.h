@@ -103,6 +103,11 @@ bool StateMatrices(const LawContext& c, const StepWeights& weights, StepWorkspac
     s.H[i * C + i] -= s.gradients.force[i][kEndVelocity];
     s.B_q[i * C + i] += s.gradients.force[i][kPosition];
     s.B_v[i * C + i] += s.gradients.force[i][kVelocity];
+    if (const int other = program.joints[i].sees; other >= 0) {
+      const double slope = s.gradients.force[i][kCoupled];
+      s.B_q[i * C + other] += slope;
+      s.B_v[i * C + other] += 0.5 * c.input->h * slope;
+    }
     const int source = program.joints[i].coupled_to;
     if (source >= 0) {
       const double slope = s.gradients.force[i][kCoupled];

@@ -81,8 +81,8 @@ Status PlantBuilder::CheckEffects() const {
     for (size_t j = 0; j < i; ++j) {
       if (specs[j].id != specs[i].id) continue;
       std::set<std::string> seen(specs[j].joints.begin(), specs[j].joints.end());
-      const bool per_joint =
-          !specs[i].joints.empty() && !specs[j].joints.empty() && specs[i].id != "joint_coupling";
+      const bool per_joint = !specs[i].joints.empty() && !specs[j].joints.empty() &&
+                             specs[i].id != "joint_coupling" && specs[i].id != "unknown_field_pair";
       for (const auto& joint : specs[i].joints) {
         if (per_joint && seen.count(joint)) {
           return InvalidError("effect " + specs[i].id + " stands twice on " + joint);
@@ -345,8 +345,11 @@ Status PlantBuilder::LayOutProgram() {
     if (next_op + joint.num_ops > integrators::kMaxOps) return InvalidError("too many effects");
     for (const PendingOp& op : pending) {
       if (op.coupled_to >= 0) {
-        if (joint.coupled_to >= 0) return InvalidError("effect joint_coupling: two couplings end at " + name);
-        joint.coupled_to = op.coupled_to;
+        if (joint.coupled_to >= 0 || joint.sees >= 0) {
+          return InvalidError("effects joint_coupling, unknown_field_pair: two couplings end at " + name);
+        }
+        const bool drive = op.phase == static_cast<int>(effects::Phase::kCoupling);
+        (drive ? joint.coupled_to : joint.sees) = op.coupled_to;
       }
       if (op.phase < static_cast<int>(effects::Phase::kCoupling)) ++joint.num_actuator_ops;
       d.program.ops[next_op++] = {op.kind, op.first_parameter, joint.num_states, op.option};

@@ -26,7 +26,7 @@ double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
     ids.insert(s.id);
     cost +=
         kJointPrior + kShapePrior * (static_cast<double>(effects::FindEffect(s.id)->parameters.size()) - 1.0);
-    if (s.id == "unknown_field") cost += kFieldPrior;
+    if (s.id == "unknown_field" || s.id == "unknown_field_pair") cost += kFieldPrior;
   }
   return cost + kEffectPrior * static_cast<double>(ids.size());
 }

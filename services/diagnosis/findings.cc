@@ -110,9 +110,10 @@ class Speaker {
     for (const std::string& id : ids) r_.findings.push_back(FindingOf(id));
     std::sort(r_.findings.begin(), r_.findings.end(),
               [](const Finding& a, const Finding& b) { return a.confidence > b.confidence; });
-    if (unexplained || ids.count("unknown_field")) {
+    const bool unnamed = ids.count("unknown_field") || ids.count("unknown_field_pair");
+    if (unexplained || unnamed) {
       r_.verdict = "unexplained";
-      if (!ids.count("unknown_field")) AddUnknown();
+      if (!unnamed) AddUnknown();
       return;
     }
     if (ids.empty()) {
@@ -139,7 +140,7 @@ class Speaker {
 
   Finding FindingOf(const std::string& id) {
     Finding f;
-    f.effect = id;
+    f.effect = id == "unknown_field_pair" ? "unknown_field" : id;
     f.joints = JointsOf(s_.best.specs, id, r_.joints);
     const effects::EffectInfo* info = effects::FindEffect(id);
     f.equation = info->equation;
@@ -156,7 +157,8 @@ class Speaker {
   void FillParameters(const std::string& id, const effects::EffectInfo&, Finding* f) {
     for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
       const sim::Parameter& p = s_.best.plant->parameters()[s_.best.parameters[k].index];
-      if (p.effect != id) continue;
+      // A surface's 36 weights are in model.json.
+      if (p.effect != id || id == "unknown_field_pair") continue;
       ParameterEstimate e{p.owner, p.field, p.unit, s_.best.fit.theta[static_cast<long>(k)],
                           s_.best.fit.stddev[static_cast<long>(k)]};
       f->parameters.push_back(e);
@@ -181,11 +183,13 @@ class Speaker {
                                                                  : owner;
       text += (text.empty() ? "" : " ") + effects::Sentence(info, name, prismatic, values);
     }
+    if (f.effect == "unknown_field" && f.parameters.empty())
+      return effects::Sentence(info, Listed(f.joints), false, {});
     return text.empty() ? info.title + "." : text;
   }
 
   void FillClass(const std::string& id, Finding* f) {
-    f->effect_class.push_back(id);
+    f->effect_class.push_back(f->effect);
     std::map<std::string, const Candidate*> rivals;
     for (const Candidate& c : s_.tried) {
       // The same model with one effect exchanged.
@@ -240,6 +244,38 @@ class Speaker {
     return "a slow sweep of " + who + " through the whole range in both directions";
   }
 
+  // The interval of a joint's positions in which an unnamed force differs from zero by more than three of its
+  // standard deviations and a seventh of its peak; the whole motion where it does so nowhere.
+  Region FieldRegion(const std::string& id, const std::string& joint) const {
+    const int j = nominal_.model().FindJoint(joint);
+    const double low = scales_.low[j], high = scales_.high[j];
+    Region region{"position." + joint, low, high};
+    const bool pair = id == "unknown_field_pair";
+    bool own = true;  // the joint that feels the force, not the one it sees
+    for (const EffectSpec& e : s_.best.specs) own = own && !(pair && e.id == id && e.joints[0] == joint);
+    const auto mine = [&](const sim::Parameter& p) {
+      return p.effect == id && p.field[0] == 'w' && (pair || p.owner == joint);
+    };
+    double peak = 0;
+    for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
+      if (mine(s_.best.plant->parameters()[s_.best.parameters[k].index]))
+        peak = std::max(peak, std::abs(s_.best.fit.theta[static_cast<long>(k)]));
+    }
+    const double spacing = (high - low) / (pair ? 5 : 7);
+    double first = high, last = low;
+    for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
+      const sim::Parameter& p = s_.best.plant->parameters()[s_.best.parameters[k].index];
+      const auto at = static_cast<long>(k);
+      if (!mine(p) || std::abs(s_.best.fit.theta[at]) < peak / 7 ||
+          std::abs(s_.best.fit.theta[at]) < 3 * s_.best.fit.stddev[at])
+        continue;
+      const double node = low + spacing * (p.field[pair && !own ? 2 : 1] - '0');
+      first = std::min(first, node - spacing), last = std::max(last, node + spacing);
+    }
+    if (first < last) region.low = std::max(low, first), region.high = std::min(high, last);
+    return region;
+  }
+
   void FillWhere(const std::string& id, Finding* f) {
     const auto& names = r_.joints;
     double share = 0;
@@ -260,9 +296,11 @@ class Speaker {
         }
         break;
       }
-      const bool position = id == "torque_ripple" || id == "position_spring" || id == "unknown_field";
+      const bool position = id == "torque_ripple" || id == "position_spring" || f->effect == "unknown_field";
       const bool effort = id == "torque_saturation" || id == "torque_deadband" || id == "torque_gain";
-      if (position) {
+      if (f->effect == "unknown_field") {
+        f->regions.push_back(FieldRegion(id, joint));
+      } else if (position) {
         f->regions.push_back({"position." + joint, scales_.low[j], scales_.high[j]});
       } else if (!effort) {
         f->regions.push_back({"velocity." + joint, -scales_.top_speed[j], scales_.top_speed[j]});

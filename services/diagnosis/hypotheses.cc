@@ -102,6 +102,18 @@ double LastMass(const sim::Plant& plant) {
   return std::max(1e-3, mass);
 }
 
+// RMS of the weights that a surface starts with.
+double SizeOfSurface(const sim::Plant& plant) {
+  double squares = 0, count = 0;
+  for (const EffectSpec& spec : plant.effects()) {
+    if (spec.id != "unknown_field_pair") continue;
+    for (const auto& [name, value] : spec.values.begin()->second) {
+      if (name[0] == 'w') squares += value * value, ++count;
+    }
+  }
+  return std::max(1e-9, std::sqrt(squares / std::max(1.0, count)));
+}
+
 struct Prior {
   double center = 0, stddev = 1;
   double lower = -1e300, upper = 1e300;
@@ -153,13 +165,15 @@ Prior PriorOf(const sim::Parameter& p, int joint, const MotionScales& s, const s
   if (f == "height") return {p.nominal, 0.2};
   if (f == "motor_viscous") return {0, 0.2 * torque / speed};
   if (f == "motor_inertia") return {0.3 * inertia, inertia, 0.002 * inertia, 10 * inertia};
+  if (e == "unknown_field_pair") return {0, 2 * SizeOfSurface(plant)};
   if (f[0] == 'w') return {0, 0.5 * torque};
   // Stiffnesses and dampings: as likely half as twice the start.
   return {p.nominal, std::max(1e-6, p.nominal), 0.02 * p.nominal, 50 * p.nominal};
 }
 
 bool Fixed(const sim::Parameter& p) {
-  return p.effect == "unknown_field" && (p.field == "low" || p.field == "high");
+  const bool field = p.effect == "unknown_field" || p.effect == "unknown_field_pair";
+  return field && p.field[0] != 'w';
 }
 
 }  // namespace

@@ -168,6 +168,22 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   std::vector<Linear> linear(W);
   std::vector<MatrixXd> grams(W);
   std::vector<double> adopted(W);
+  const bool hidden = nx > 2 * n;
+  // What the cost falls by against the best so far, which the new state takes the place of if it does.
+  const auto adopt = [&](const VectorXd& at, const VectorXd& trial, const NodeStates& nodes,
+                         const std::vector<double>& chi2, const MatrixXd& information) {
+    double total = 0;
+    for (const double c : chi2) total += c;
+    const double prior_cost = prior.dot((trial - theta0).cwiseAbs2());
+    const double cost = total * inverse_scale + prior_cost, gain = best - cost;
+    if (!(gain > 0)) return gain;
+    best = cost;
+    result.values = at, result.theta = trial, result.states = nodes;
+    result.chi2 = total, result.window_chi2 = chi2, result.prior_cost = prior_cost;
+    result.information = information;
+    result.ok = true;
+    return gain;
+  };
   for (int it = 0; it <= options.iterations; ++it) {
     sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
       lin.Run(worker, w, states[w], nullptr, nullptr, true, &linear[w]);
@@ -183,6 +199,13 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
     gram = MatrixXd(gram.selfadjointView<Eigen::Lower>());
     MatrixXd H = gram.topLeftCorner(P, P);
     const MatrixXd information = H;
+    if (hidden && it == 0) {  // the start itself counts
+      std::vector<double> chi2(W);
+      sysid::ParallelFor(options.threads, W,
+                         [&](int worker, int w) { chi2[w] = lin.Simulated(worker, w, states[w].col(0)); });
+      adopt(values, theta, states, chi2, information);
+      adopted = chi2;
+    }
     VectorXd step = VectorXd::Zero(P);
     if (P > 0) {
       H.diagonal() += prior;
@@ -213,7 +236,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       // A hidden state that hardly shows may be thrown far: then a shorter step in the window's start.
       double share = 1.0;
       chi2[w] = lin.Simulated(worker, w, states[w].col(0) + e0);
-      if (nx > 2 * n && it > 0 && chi2[w] > adopted[w]) {
+      if (hidden && chi2[w] > adopted[w]) {
         for (const double less : {0.4, 0.1, 0.0}) {
           const double c = lin.Simulated(worker, w, states[w].col(0) + less * e0);
           if (c < chi2[w]) chi2[w] = c, share = less;
@@ -225,20 +248,8 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       }
     });
     adopted = chi2;
-    double total = 0;
-    for (const double c : chi2) total += c;
-    const double cost = total * inverse_scale + prior.dot((trial - theta0).cwiseAbs2());
-    const double gain = best - cost;
-    if (cost < best) {
-      best = cost;
-      result.values = trial_values;
-      result.theta = trial;
-      result.chi2 = total;
-      result.window_chi2 = chi2;
-      result.prior_cost = prior.dot((trial - theta0).cwiseAbs2());
-      result.states = trial_states;
-      result.information = information;
-      result.ok = true;
+    const double gain = adopt(trial_values, trial, trial_states, chi2, information);
+    if (gain > 0) {
       trust = std::min(1.0, 2 * trust);
     } else {
       trust *= 0.5;

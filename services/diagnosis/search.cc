@@ -10,8 +10,8 @@
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/acceptance.h"
+#include "services/diagnosis/field_starts.h"
 #include "services/diagnosis/push_starts.h"
-#include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
 
@@ -61,8 +61,11 @@ class Search {
       if (!added) break;
       Prune(&best);
       LowerNoise(&best, &out);
+      // What little is left of it is the surface's own coarseness, and no further name.
+      if ((round_ == 1 || OfPosition(best)) && Flexible(&best, LeavesNothing(out))) break;
     }
     Prune(&best);
+    if (PerRow(best) > kExplained || OfPosition(best)) Flexible(&best, 1e300);
     out.best = best;
     for (const auto& [key, c] : tried_) out.tried.push_back(c);
     std::sort(out.tried.begin(), out.tried.end(),
@@ -148,7 +151,7 @@ class Search {
     std::vector<EffectSpec> specs = c.specs;
     for (EffectSpec& s : specs) {
       std::vector<std::string> owners = s.joints;
-      if (s.joints.empty() || s.id == "joint_coupling") owners = {"*"};
+      if (s.joints.empty() || s.id == "joint_coupling" || s.id == "unknown_field_pair") owners = {"*"};
       for (const std::string& owner : owners) {
         for (const auto& info : effects::FindEffect(s.id)->parameters) {
           const int at = c.plant->parameters().Find(s.id + "." + owner + "." + info.name);
@@ -285,6 +288,39 @@ class Search {
              std::to_string(needed));
     if (accept) *best = winner;
     return accept;
+  }
+
+  // χ² per row of an account that leaves next to nothing of what there was.
+  double LeavesNothing(const SearchResult& out) const {
+    return std::max(kExplained, 1 + 0.02 * (std::min(PerRow(out.nominal), PerRow(out.calibrated)) - 1));
+  }
+
+  // Whether the account is of forces over position that may be parts of an unnamed one.
+  static bool OfPosition(const Candidate& c) {
+    return std::any_of(c.specs.begin(), c.specs.end(), [](const EffectSpec& e) {
+      return e.id == "unknown_field" || e.id == "position_spring" || e.id == "torque_ripple";
+    });
+  }
+
+  // The ceiling: one unnamed force over two joints' positions in the place of all effects. It is taken where
+  // it leaves less than `worst` χ² per row and is the better account.
+  bool Flexible(Candidate* best, double worst) {
+    if (data_.n < 2 || Late() || PerRow(*best) < kExplained) return false;
+    bool taken = false;
+    Tell("flexible", 0.3 + 0.15 * round_, KeyOf(best->specs));
+    for (const bool base : {false, true}) {
+      const auto from = tried_.find(base ? "+base" : "");
+      if (from == tried_.end() || !from->second.fit.ok) continue;
+      // Free base parameters only where they are part of the account.
+      if (base && !best->base) continue;
+      const auto spec = FieldPairStart(data_, nominal_, scales_, Force(from->second));
+      if (!spec) continue;
+      const std::string key = KeyOf({*spec}) + (base ? "+base" : "");
+      const auto done = tried_.find(key);
+      const Candidate c = done != tried_.end() ? done->second : Evaluate({*spec}, base);
+      if (c.score > best->score + Threshold(*best) && PerRow(c) < worst) *best = c, taken = true;
+    }
+    return taken;
   }
 
   double PerRow(const Candidate& c) const {
@@ -521,43 +557,6 @@ SearchResult SearchEffects(const FitData& data, const sim::Plant& nominal, const
                            const DiagnosisOptions& options, int threads, const Clock& clock,
                            const ProgressFn& progress, const CancelToken* cancel) {
   return Search(data, nominal, scales, options, threads, clock, progress, cancel).Run();
-}
-
-Result<FitData> PrepareData(const recordings::RecordingSet& set, const sim::Plant& nominal,
-                            const DiagnosisOptions& options) {
-  FitData data;
-  data.n = nominal.num_joints();
-  data.noise = recordings::EstimateSensorNoise(set);
-  for (int j = 0; j < data.n; ++j) {
-    const double step = data.noise.position_resolution[j];
-    // The manifest's stddev is of the sensor before quantisation.
-    double variance = data.noise.position_stddev[j] * data.noise.position_stddev[j];
-    if (set.noise.position_stddev) variance += step * step / 12.0;
-    data.noise.position_stddev[j] = std::max(1e-6, std::sqrt(variance));
-    data.noise.velocity_stddev[j] = std::max(1e-5, data.noise.velocity_stddev[j]);
-  }
-  const VectorXd values = nominal.parameters().Nominal();
-  for (const recordings::Recording* rec : set.Fit()) {
-    if (rec->drive_effort().size() == 0) return InvalidError(rec->name + ": no effort drives the model");
-    if (rec->rows() < 10) return InvalidError(rec->name + ": fewer than 10 rows, too little to fit");
-    data.use_velocity = data.use_velocity && rec->has_velocity();
-    data.recordings.push_back({rec, set.effort_excludes_gravity
-                                        ? sysid::DriveSignalWithGravity(*rec, nominal, values)
-                                        : sysid::DriveSignal(*rec)});
-  }
-  if (data.recordings.empty()) return InvalidError("no recording of the split \"fit\"");
-  data.nodes.window_s = options.fit_window_s;
-  for (size_t r = 0; r < data.recordings.size(); ++r) {
-    data.motions.emplace_back(*data.recordings[r].recording, data.noise);
-    auto windows =
-        CutIntoNodes(*data.recordings[r].recording, static_cast<int>(r), data.motions[r], data.nodes);
-    data.windows.insert(data.windows.end(), windows.begin(), windows.end());
-    data.fine.push_back(
-        FineMotionOf(*data.recordings[r].recording, data.recordings[r].command, data.motions[r], data.nodes));
-  }
-  if (data.windows.size() < 3)
-    return InvalidError("less than three windows of motion: too little to say anything");
-  return data;
 }
 
 }  // namespace rg::diagnosis

@@ -175,7 +175,12 @@ std::vector<Case> Cases() {
   one("presliding_hysteresis", {{"bristle_stiffness", 200}, {"coulomb", 0.5}, {"bristle_damping", 0.4}});
   one("joint_elasticity", {{"stiffness", 2000}, {"damping", 2}, {"motor_inertia", 0.2}});
   one("backlash",
-      {{"gap", 0.001}, {"contact_stiffness", 40}, {"contact_damping", 0.2}, {"motor_inertia", 0.2}}, 1e-5);
+      {{"gap", 0.001},
+       {"contact_stiffness", 40},
+       {"contact_damping", 0.2},
+       {"motor_inertia", 0.2},
+       {"motor_viscous", 0.4}},
+      1e-5);
   one("actuator_delay", {{"delay", 0.0033}});
   one("actuator_lag", {{"time_constant", 0.007}});
   one("torque_gain", {{"gain", 1.2}});
@@ -202,6 +207,8 @@ std::vector<Case> Cases() {
                              {{"start", 0.0043}, {"end", 0.0137}, {"force_x", 3.0}, {"force_z", -2.0}})}});
   EffectSpec contact = MakeSpec("contact", {}, {{"stiffness", 300}, {"damping", 5}, {"height", 3.0}});
   cases.push_back({"contact_plane", "mico2", {contact}, 1e-5});
+  contact.options["point"] = "last_link";
+  cases.push_back({"contact_last_link", "mico2", {contact}, 1e-5});
   cases.push_back({"contact_stop",
                    "arm2",
                    {MakeSpec("contact", {"elbow"}, {{"stiffness", 30}, {"damping", 1}, {"height", 3.5}})},
@@ -210,6 +217,14 @@ std::vector<Case> Cases() {
                    "arm2",
                    {MakeSpec("joint_coupling", {"shoulder", "elbow"}, {{"coefficient", 0.3}}),
                     MakeSpec("actuator_lag", {"shoulder"}, {{"time_constant", 0.01}})}});
+  std::map<std::string, double> surface = {
+      {"low", -1.0}, {"high", 2.0}, {"other_low", -1.5}, {"other_high", 1.5}};
+  for (int i = 0; i < 36; ++i)
+    surface["w" + std::to_string(i / 6) + std::to_string(i % 6)] = 0.5 * std::sin(1.7 * i);
+  cases.push_back({"unknown_field_pair",
+                   "arm2",
+                   {MakeSpec("unknown_field_pair", {"shoulder", "elbow"}, surface),
+                    MakeSpec("viscous_friction", {"elbow"}, {{"viscous", 0.3}})}});
   EffectSpec motor_side =
       MakeSpec("joint_elasticity", {"elbow"}, {{"stiffness", 500}, {"motor_inertia", 0.1}});
   motor_side.options["sensor"] = "motor";

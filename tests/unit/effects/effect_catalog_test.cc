@@ -41,6 +41,8 @@ const std::map<std::string, std::vector<std::string>> kContract = {
     {"base_flexibility", {"stiffness", "damping"}},
     {"sloshing_payload", {"mass", "stiffness"}},
     {"unknown_field", {}},
+    // One more form of unknown_field; a diagnosis reports it as that.
+    {"unknown_field_pair", {}},
 };
 
 TEST(Catalog, HoldsTheContractsIdsAndParameters) {

@@ -1,0 +1,17 @@
+// Start values for a force without a name that depends on two joints' positions.
+#pragma once
+
+#include <optional>
+
+#include "common/effects/effect.h"
+#include "services/diagnosis/features.h"
+#include "services/diagnosis/lifted_fit.h"
+
+namespace rg::diagnosis {
+
+// The unknown_field_pair that follows the missing force best, over all pairs of joints: a regression of one
+// joint's missing force on the surface's weights. Empty where no pair gains anything or there is one joint.
+std::optional<effects::EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& nominal,
+                                                  const MotionScales& scales, const MissingForce& missing);
+
+}  // namespace rg::diagnosis

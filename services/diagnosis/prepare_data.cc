@@ -1,0 +1,48 @@
+#include <algorithm>
+#include <cmath>
+
+#include "services/diagnosis/search.h"
+#include "services/sysid/drive_signal.h"
+
+namespace rg::diagnosis {
+
+using Eigen::VectorXd;
+
+Result<FitData> PrepareData(const recordings::RecordingSet& set, const sim::Plant& nominal,
+                            const DiagnosisOptions& options) {
+  FitData data;
+  data.n = nominal.num_joints();
+  data.noise = recordings::EstimateSensorNoise(set);
+  for (int j = 0; j < data.n; ++j) {
+    const double step = data.noise.position_resolution[j];
+    // The manifest's stddev is of the sensor before quantisation.
+    double variance = data.noise.position_stddev[j] * data.noise.position_stddev[j];
+    if (set.noise.position_stddev) variance += step * step / 12.0;
+    data.noise.position_stddev[j] = std::max(1e-6, std::sqrt(variance));
+    data.noise.velocity_stddev[j] = std::max(1e-5, data.noise.velocity_stddev[j]);
+  }
+  const VectorXd values = nominal.parameters().Nominal();
+  for (const recordings::Recording* rec : set.Fit()) {
+    if (rec->drive_effort().size() == 0) return InvalidError(rec->name + ": no effort drives the model");
+    if (rec->rows() < 10) return InvalidError(rec->name + ": fewer than 10 rows, too little to fit");
+    data.use_velocity = data.use_velocity && rec->has_velocity();
+    data.recordings.push_back({rec, set.effort_excludes_gravity
+                                        ? sysid::DriveSignalWithGravity(*rec, nominal, values)
+                                        : sysid::DriveSignal(*rec)});
+  }
+  if (data.recordings.empty()) return InvalidError("no recording of the split \"fit\"");
+  data.nodes.window_s = options.fit_window_s;
+  for (size_t r = 0; r < data.recordings.size(); ++r) {
+    data.motions.emplace_back(*data.recordings[r].recording, data.noise);
+    auto windows =
+        CutIntoNodes(*data.recordings[r].recording, static_cast<int>(r), data.motions[r], data.nodes);
+    data.windows.insert(data.windows.end(), windows.begin(), windows.end());
+    data.fine.push_back(
+        FineMotionOf(*data.recordings[r].recording, data.recordings[r].command, data.motions[r], data.nodes));
+  }
+  if (data.windows.size() < 3)
+    return InvalidError("less than three windows of motion: too little to say anything");
+  return data;
+}
+
+}  // namespace rg::diagnosis

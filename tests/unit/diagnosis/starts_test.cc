@@ -1,0 +1,129 @@
+// Start values read from the record: what is hidden or lives in Cartesian space has no gradient from rest.
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "services/diagnosis/field_starts.h"
+#include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/push_starts.h"
+#include "services/diagnosis/search.h"
+#include "services/sysid/sysid_on_set.h"
+#include "tests/unit/diagnosis/simulated_set.h"
+
+namespace rg::diagnosis {
+namespace {
+
+using effects::EffectSpec;
+using effects::MakeSpec;
+
+struct Case {
+  recordings::RecordingSet set;
+  sim::Plant nominal;
+  FitData data;
+  MotionScales scales;
+
+  static std::unique_ptr<Case> Of(const std::string& robot, std::vector<EffectSpec> truth, uint64_t seed) {
+    recordings::RecordingSet set = testing::MakeSet(robot, std::move(truth), seed, 3.0);
+    auto nominal = sysid::NominalPlant(set);
+    RG_CHECK(nominal.ok()) << nominal.status().ToString();
+    auto out = std::make_unique<Case>(Case{std::move(set), *nominal, {}, {}});
+    auto data = PrepareData(out->set, out->nominal, {});
+    RG_CHECK(data.ok()) << data.status().ToString();
+    out->data = *data;
+    out->scales = ScalesOf(out->data, out->nominal);
+    return out;
+  }
+  MissingForce Missing() const {
+    const FitModel bare{nominal, nominal.parameters().Nominal(), {}};
+    return EstimateMissingForce(data, bare, InitialStates(data, bare, {}), scales.torque, 0.05, {});
+  }
+  FitResult FitOf(const std::vector<EffectSpec>& specs) const {
+    auto plant = sim::Plant::Create(nominal.shared_model(), nominal.options(), specs);
+    RG_CHECK(plant.ok()) << plant.status().ToString();
+    return Fit(data, {*plant, plant->parameters().Nominal(), FreeParameters(*plant, scales, false)}, {});
+  }
+};
+
+double PerRow(const FitResult& fit) { return fit.chi2 / fit.rows; }
+
+TEST(ContactStarts, FindsTheSurfaceAndThePointThatMeetsIt) {
+  // The forearm's own origin, the elbow, is what meets the floor.
+  EffectSpec floor = MakeSpec("contact", {}, {{"stiffness", 60}, {"damping", 1}, {"height", 0.55}});
+  floor.options["point"] = "last_link";
+  const auto c = Case::Of("arm2", {floor}, 5);
+  const auto starts = ContactStarts(c->data, c->nominal, c->Missing(), 2);
+  ASSERT_FALSE(starts.empty());
+  const EffectSpec& best = starts[0][0];
+  ASSERT_TRUE(best.options.count("point"));
+  EXPECT_EQ(best.options.at("point"), "last_link");
+  EXPECT_FALSE(best.options.count("normal"));  // z
+  const FitResult fit = c->FitOf(starts[0]);
+  ASSERT_TRUE(fit.ok);
+  EXPECT_LT(PerRow(fit), 1.1);
+  EXPECT_GT(PerRow(c->FitOf({})), 2.0);
+}
+
+TEST(PushStarts, FindsAForceInItsWindow) {
+  const auto c = Case::Of("mico2",
+                          {MakeSpec("external_disturbance", {},
+                                    {{"start", 1.0}, {"end", 2.0}, {"force_x", 1.5}, {"force_z", -2.0}})},
+                          6);
+  const auto starts = PushStarts(c->data, c->nominal, c->Missing());
+  ASSERT_EQ(starts.size(), 1u);
+  EffectSpec spec = starts[0][0];
+  EXPECT_TRUE(spec.joints.empty());
+  const auto& v = spec.values.begin()->second;
+  EXPECT_NEAR(v.at("start"), 1.0, 0.26);
+  EXPECT_NEAR(v.at("end"), 2.0, 0.26);
+  EXPECT_NEAR(v.at("force_z"), -2.0, 0.6);
+}
+
+TEST(FieldPairStart, FindsBothJointsOfASurfaceAndLeavesNothing) {
+  std::map<std::string, double> surface = {
+      {"low", -2.0}, {"high", 2.0}, {"other_low", -2.0}, {"other_high", 2.0}};
+  for (int i = 0; i < 36; ++i) {
+    const double x = i / 6 - 2.5, y = i % 6 - 2.0;
+    surface["w" + std::to_string(i / 6) + std::to_string(i % 6)] = 0.8 * std::exp(-0.5 * (x * x + y * y));
+  }
+  const auto c = Case::Of("arm2", {MakeSpec("unknown_field_pair", {"shoulder", "elbow"}, surface)}, 7);
+  const auto start = FieldPairStart(c->data, c->nominal, c->scales, c->Missing());
+  ASSERT_TRUE(start.has_value());
+  EXPECT_EQ(start->joints, (std::vector<std::string>{"shoulder", "elbow"}));
+  const FitResult fit = c->FitOf({*start});
+  ASSERT_TRUE(fit.ok);
+  const double bare = PerRow(c->FitOf({}));
+  EXPECT_GT(bare, 3.0);
+  EXPECT_LT(PerRow(fit) - 1, 0.05 * (bare - 1));
+}
+
+TEST(HiddenStarts, AMotorBehindPlayIsCarriedFromBeforeTheWindow) {
+  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  EffectSpec play = MakeSpec("backlash", {joint},
+                             {{"gap", 0.04},
+                              {"contact_stiffness", 300},
+                              {"contact_damping", 3.0},
+                              {"motor_inertia", 0.02},
+                              {"motor_viscous", 0.02}});
+  play.options["sensor"] = "link";
+  const auto c = Case::Of("pendulum", {play}, 8);
+  const FitResult fit = c->FitOf({play});
+  ASSERT_TRUE(fit.ok);
+  EXPECT_LT(PerRow(fit), 1.3);
+  EXPECT_NEAR(fit.theta[0], 0.04, 0.004);
+}
+
+TEST(GravityStarts, APlanarArmStartsFromATiltThatItFeelsOnlyBySecondOrder) {
+  const auto plant = sysid::testing::LoadPlant("pendulum");
+  Scored h;
+  h.effect = "gravity_misalignment";
+  h.coefficients = {0.05, 0.0};
+  const auto starts = SpecsFor(h, plant, {});
+  ASSERT_EQ(starts.size(), 2u);
+  for (const auto& s : starts) {
+    const auto& v = s[0].values.begin()->second;
+    EXPECT_NEAR(v.at("tilt") * std::cos(v.at("azimuth")), 0.05 / 9.81, 1e-6);
+  }
+}
+
+}  // namespace
+}  // namespace rg::diagnosis
