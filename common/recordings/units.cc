@@ -15,7 +15,6 @@ constexpr double kInsideMargin = 0.35;    // what a converted value may exceed i
 constexpr double kFastOutside = 12.0;     // times the speed limit: URDFs carry dummy limits of 1
 constexpr double kFastTypical = 5.0;      // the same of the median speed
 constexpr double kFastUndeclared = 60.0;  // rad/s, for joints without a speed limit: 570 turns a minute
-constexpr double kQuiet = 0.5;            // of the moving rows below the speed limit
 constexpr double kBlockSeconds = 0.1;     // motion is compared with velocity over such blocks
 constexpr size_t kMinBlocks = 10;
 constexpr double kMinCorrelation = 0.9;
@@ -47,19 +46,6 @@ int FirstOutside(const Row& x, double low, double high) {
     ++outside;
   }
   return outside > kShareOfRows * static_cast<double>(x.size()) ? first : -1;
-}
-
-// Share of the moving rows (a hundredth of the fastest and more) that are slower than `speed`.
-template <class Row>
-double QuietShare(const Row& x, double speed) {
-  const double least = 0.01 * x.abs().maxCoeff();
-  double moving = 0, quiet = 0;
-  for (int k = 0; k < x.size(); ++k) {
-    if (std::abs(x[k]) < least) continue;
-    ++moving;
-    quiet += std::abs(x[k]) < speed;
-  }
-  return quiet / std::max(1.0, moving);
 }
 
 template <class Row>
@@ -99,10 +85,6 @@ Status CheckSpeedLimit(const std::string& place, const JointInfo& joint, const s
   const double far = declared ? kFastOutside * joint.velocity : kFastUndeclared;
   const int row = FirstOutside(speed, -far, far);
   if (row < 0) return Status::Ok();
-  // A unit is wrong from the first row on; an arm that runs away, or is flung once, was slower for most of
-  // it.
-  if (QuietShare(speed, declared ? joint.velocity : kFastUndeclared / unit.per_si) > kQuiet)
-    return Status::Ok();
   const double inside = (declared ? joint.velocity : kFastUndeclared) * unit.per_si;
   if (FirstOutside(speed, -inside, inside) >= 0) return Status::Ok();
   // A light joint may run away now and then; in degrees even an ordinary moment is too fast.
