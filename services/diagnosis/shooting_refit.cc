@@ -16,7 +16,7 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr double kTrust = 1.0;   // stddev that a start may be off by
+constexpr double kTrust = 0.3;   // of the stddev of a start: what the balance knows, long windows bend little
 constexpr double kLeast = 0.02;  // nothing is known better than this, relatively
 
 double DelayOf(const std::vector<EffectSpec>& specs, const std::string& joint) {

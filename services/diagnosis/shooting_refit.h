@@ -11,7 +11,7 @@ namespace rg::diagnosis {
 struct RefitOptions {
   int threads = 1;
   double window_s = 1.0;
-  // By parameter: how well an effect's start value is known. Its prior is then the start with twice this.
+  // By parameter: how well an effect's start value is known. Its prior is then the start, tighter.
   std::map<std::string, double> spread;
   const CancelToken* cancel = nullptr;
 };
