@@ -4,7 +4,7 @@
 //
 // chance: what the best of all hypotheses gains from noise alone in 2 % of recordings (screening.h draws
 // them), or what the idealised form of the effects found so far may leave (1 % of what they explain).
-// rule: what the same effect on the same joints would gain from another step rule alone (MakeScreen).
+// rule: what the same effect on the same joints would gain from another step rule alone (StepRuleResiduals).
 // Amplitudes add, so their squares, the nats, add like this.
 #pragma once
 

@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include "common/model/robot_model.h"
+#include "services/diagnosis/gram.h"
 #include "services/diagnosis/lineariser.h"
 #include "services/sysid/boxed_newton_step.h"
 #include "services/sysid/parallel.h"
@@ -15,7 +16,7 @@ namespace rg::diagnosis {
 
 namespace {
 
-constexpr double kOtherStep = 2e-4;  // s, see MakeScreen
+constexpr double kOtherStep = 2e-4;  // s, see StepRuleResiduals
 
 // Rows of [J | r] orthogonal to J_e; also the factorisation to find e_0 later.
 struct Projected {
@@ -288,18 +289,31 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   return result;
 }
 
-Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
-                  const FeatureBlock& features, const LiftedOptions& options, int null_draws, Rng rng) {
-  Lineariser lin(data, model, true, options);
+std::vector<VectorXd> StepRuleResiduals(const FitData& data, const FitModel& model, const NodeStates& states,
+                                        const LiftedOptions& options) {
   LiftedOptions euler = options;
   euler.step_s = kOtherStep, euler.integrator = sim::Integrator::kSemiImplicitEuler;
   Lineariser other(data, model, false, euler), own(data, model, false, options);
+  const int W = static_cast<int>(data.windows.size());
+  std::vector<VectorXd> out(W);
+  sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
+    const VectorXd x0 = states[w].col(0);
+    out[w] = own.Residuals(worker, w, x0) - other.Residuals(worker, w, x0);
+    if (!out[w].allFinite()) out[w].setZero();
+  });
+  return out;
+}
+
+Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
+                  const FeatureBlock& features, const LiftedOptions& options,
+                  const std::vector<VectorXd>& step_rule, int null_draws, Rng rng) {
+  Lineariser lin(data, model, true, options);
   const int P = lin.P(), C = features.size(), W = static_cast<int>(data.windows.size());
   Screen screen;
   screen.parameters = P, screen.features = C;
   const int D = P + C + 1, threads = std::max(1, options.threads);
-  std::vector<MatrixXd> sums(threads, MatrixXd::Zero(D, D));
-  std::vector<MatrixXd> nulls(W);
+  std::vector<RowMatrixXd> sums(threads, RowMatrixXd::Zero(D, D)), nulls(threads);
+  for (RowMatrixXd& null : nulls) null = RowMatrixXd::Zero(D, null_draws);
   std::vector<VectorXd> systematic(W);
   std::vector<int> rows(threads, 0), eliminated(threads, 0);
   sysid::ParallelFor(threads, W, [&](int worker, int w) {
@@ -307,18 +321,15 @@ Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& 
     lin.Run(worker, w, states[w], &features.joint, &features.phi[w], false, &l);
     if (!l.ok) return;
     MatrixXd columns(l.r.size(), 2);
-    const VectorXd x0 = states[w].col(0);
-    columns.col(1) = own.Residuals(worker, w, x0) - other.Residuals(worker, w, x0);
-    columns.col(0) = l.r;
-    if (!columns.col(1).allFinite()) columns.col(1).setZero();
+    columns << l.r, step_rule[w];
     const MatrixXd all = ProjectOut(l.J_e, l.J, columns);
-    const auto rest = all.leftCols(D);
+    const RowMatrixXd rest = all.leftCols(D);
     systematic[w] = rest.leftCols(D - 1).transpose() * all.col(D) / options.noise_scale;
-    sums[worker].selfadjointView<Eigen::Lower>().rankUpdate(rest.transpose(), 1.0 / options.noise_scale);
-    MatrixXd noise(rest.rows(), null_draws);
+    AddGram(rest, 1.0 / options.noise_scale, &sums[worker]);
+    RowMatrixXd noise(rest.rows(), null_draws);
     Rng stream = rng.Split(static_cast<uint64_t>(w));
     for (double& x : noise.reshaped()) x = stream.Normal();
-    nulls[w] = rest.leftCols(D - 1).transpose() * noise / std::sqrt(options.noise_scale);
+    AddTransposedProduct(rest, noise, 1.0 / std::sqrt(options.noise_scale), &nulls[worker]);
     rows[worker] += static_cast<int>(l.r.size());
     eliminated[worker] += static_cast<int>(l.r.size() - rest.rows());
   });
@@ -330,9 +341,10 @@ Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& 
   screen.gram = MatrixXd(screen.gram.selfadjointView<Eigen::Lower>());
   screen.null = MatrixXd::Zero(D - 1, null_draws);
   screen.step_rule = VectorXd::Zero(D - 1);
-  for (int w = 0; w < W; ++w) {
-    if (nulls[w].size() > 0) screen.null += nulls[w], screen.step_rule += systematic[w];
+  for (const VectorXd& rule : systematic) {
+    if (rule.size() > 0) screen.step_rule += rule;
   }
+  for (const RowMatrixXd& null : nulls) screen.null += null.topRows(D - 1);
   return screen;
 }
 

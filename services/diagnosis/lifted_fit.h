@@ -86,17 +86,20 @@ struct FeatureBlock {
 struct Screen {
   Eigen::MatrixXd gram;
   Eigen::MatrixXd null;  // (P + C) × draws: right-hand sides if the residual were the sensors' noise alone
-  Eigen::VectorXd step_rule;  // P + C: the right-hand side that another step rule makes, see MakeScreen
+  Eigen::VectorXd step_rule;  // P + C: the right-hand side that another step rule makes
   int parameters = 0, features = 0, rows = 0, eliminated = 0;
 };
 
 NodeStates InitialStates(const FitData& data, const FitModel& model, const LiftedOptions& options);
 FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& options);
-// Another step rule stands for what nobody knows of an engine or of a robot's timing: `step_rule` is what the
-// outputs change by when the windows are simulated by semi-implicit Euler at 0.2 ms, as careful users of the
-// field's simulators do. An effect that explains no more than that is none.
+// Another step rule stands for what nobody knows of an engine or of a robot's timing: what the whitened
+// outputs of every window change by when it is simulated by semi-implicit Euler at 0.2 ms, as careful users
+// of the field's simulators do. An effect that explains no more than that is none.
+std::vector<Eigen::VectorXd> StepRuleResiduals(const FitData& data, const FitModel& model,
+                                               const NodeStates& states, const LiftedOptions& options);
 Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
-                  const FeatureBlock& features, const LiftedOptions& options, int null_draws, Rng rng);
+                  const FeatureBlock& features, const LiftedOptions& options,
+                  const std::vector<Eigen::VectorXd>& step_rule, int null_draws, Rng rng);
 
 // The missing force as a staircase (`segment_s` wide) per joint, with its stddev; weak prior `prior` (n) on
 // each stair. One entry per window: n × stairs.

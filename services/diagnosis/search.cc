@@ -213,7 +213,9 @@ class Search {
     }
     const FitModel model{*plant, values, parameters};
     const NodeStates states = holds ? current.fit.states : InitialStates(data_, model, lifted_);
-    const Screen screen = MakeScreen(data_, model, states, features_.block, lifted_, kNullDraws,
+    // It hardly depends on the model: the first one's serves all.
+    if (step_rule_.empty()) step_rule_ = StepRuleResiduals(data_, model, states, lifted_);
+    const Screen screen = MakeScreen(data_, model, states, features_.block, lifted_, step_rule_, kNullDraws,
                                      Rng(options_.seed).Split(static_cast<uint64_t>(round_)));
     return ScoreHypotheses(screen, columns, features_, scales_, base, data_.n);
   }
@@ -272,7 +274,10 @@ class Search {
       acceptance_.Note(screened, nominal_.joint_names());
       Trace(screened, base);
       const double best_gain = screened.hypotheses.empty() ? 0.0 : screened.hypotheses.front().gain;
-      if (AtStake(from) < Threshold(*best) && best_gain < Threshold(*best)) continue;
+      if (AtStake(from) < Threshold(*best) && best_gain < Threshold(*best)) {
+        if (base == best->base) break;  // nothing is left; freed parameters would leave less
+        continue;
+      }
       const double wanted = rival ? kRivalShare * (best->score - from.score) : 1.0;
       TryBest(from, Pool(from, screened, base, wanted), base, base ? 3 : 4, &winner);
     }
@@ -547,6 +552,7 @@ class Search {
   double start_ = 0;
   int round_ = 0;
   Acceptance acceptance_;
+  std::vector<VectorXd> step_rule_;
   FeatureSet features_;
   std::map<std::string, Candidate> tried_;
 };

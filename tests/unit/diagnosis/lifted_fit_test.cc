@@ -2,6 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <tuple>
+
+#include "services/diagnosis/gram.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/search.h"
 #include "services/sysid/sysid_on_set.h"
@@ -67,6 +70,20 @@ TEST(LiftedFit, DoesNotDependOnTheNumberOfThreads) {
   EXPECT_EQ(Fit(p->data, model, one).chi2, Fit(p->data, model, three).chi2);
 }
 
+TEST(Gram, IsWhatEigenSaysForEverySize) {
+  Rng rng(3);
+  for (const auto& [rows, a, b] : {std::tuple{1, 1, 1}, {70, 9, 21}, {130, 37, 64}}) {
+    RowMatrixXd A(rows, a), B(rows, b), G = RowMatrixXd::Ones(a, b), H = RowMatrixXd::Zero(a, a);
+    for (double& x : A.reshaped()) x = rng.Normal();
+    for (double& x : B.reshaped()) x = rng.Normal();
+    AddTransposedProduct(A, B, 0.5, &G);
+    EXPECT_LT((G - RowMatrixXd::Ones(a, b) - 0.5 * A.transpose() * B).norm(), 1e-11 * rows);
+    AddGram(A, 2.0, &H);
+    const RowMatrixXd lower = H.triangularView<Eigen::Lower>(), product = 2.0 * A.transpose() * A;
+    EXPECT_LT((lower - RowMatrixXd(product.triangularView<Eigen::Lower>())).norm(), 1e-11 * rows);
+  }
+}
+
 TEST(Screening, TheInjectedEffectScoresAboveTheNullAndNothingDoesWithoutIt) {
   const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
   for (const bool there : {true, false}) {
@@ -77,8 +94,9 @@ TEST(Screening, TheInjectedEffectScoresAboveTheNullAndNothingDoesWithoutIt) {
         4);
     const FeatureSet features = MakeFeatures(p->data, p->scales);
     const FitModel model{p->nominal, p->nominal.parameters().Nominal(), {}};
-    const Screen screen =
-        MakeScreen(p->data, model, InitialStates(p->data, model, {}), features.block, {}, 60, Rng(5));
+    const NodeStates states = InitialStates(p->data, model, {});
+    const auto step_rule = StepRuleResiduals(p->data, model, states, {});
+    const Screen screen = MakeScreen(p->data, model, states, features.block, {}, step_rule, 60, Rng(5));
     const ScreenResult result = ScoreHypotheses(screen, {}, features, p->scales, false, 1);
     ASSERT_FALSE(result.hypotheses.empty());
     if (there) {
