@@ -17,6 +17,8 @@ using Eigen::VectorXd;
 
 namespace {
 
+constexpr double kMuchOfTheEffort = 0.25;  // of its variance
+
 std::string Number(double x) {
   char text[40];
   std::snprintf(text, sizeof text, "%.3g", x);
@@ -126,9 +128,11 @@ class Speaker {
     if (s_.best.base) AddParameters(0.25);  // a side remark
   }
 
-  // Whether what the names leave is structured and more than they explain.
+  // Whether what the names leave is structured and more than they explain, or, where there is no name, a good
+  // part of the effort: then the model does not hold, whatever the reason.
   bool Remains() const {
     const auto& m = s_.measured;
+    if (s_.best.specs.empty() && m.effort_share.maxCoeff() > kMuchOfTheEffort) return true;
     return m.explained < 0.5 && m.structured.size() > 0 && m.structured.maxCoeff() > 0.3;
   }
 

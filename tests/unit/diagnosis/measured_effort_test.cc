@@ -16,7 +16,7 @@ constexpr double kEffortNoise = 0.03;  // of the effort's RMS
 constexpr double kCorrelation = 0.05;  // s
 
 recordings::RecordingSet MeasuredSet(const std::string& robot, std::vector<effects::EffectSpec> effects,
-                                     uint64_t seed) {
+                                     uint64_t seed, double effort_noise = kEffortNoise) {
   auto set = testing::MakeSet(robot, std::move(effects), seed, 6.0);
   set.noise = {};
   // What the URDF declares is calibrated: take it away, so that all damping is an effect.
@@ -27,7 +27,7 @@ recordings::RecordingSet MeasuredSet(const std::string& robot, std::vector<effec
     for (int k = 1; k < rec.rows(); ++k)
       u.col(k) = 0.5 * (rec.effort_command.col(k - 1) + rec.effort_command.col(k));
     for (int j = 0; j < rec.n(); ++j) {
-      const double size = kEffortNoise * std::sqrt(u.row(j).squaredNorm() / rec.rows());
+      const double size = effort_noise * std::sqrt(u.row(j).squaredNorm() / rec.rows());
       const double keep = std::exp(-rec.SamplePeriod() / kCorrelation);
       double state = 0;
       for (int k = 0; k < rec.rows(); ++k) {
@@ -90,6 +90,13 @@ TEST(MeasuredEffort, NamesNoPhysicsWhereOnlyTheEffortIsNoisy) {
       EXPECT_TRUE(r.verdict == "no_mismatch" || r.verdict == "parameters_only") << robot << " " << r.verdict;
     }
   }
+}
+
+TEST(MeasuredEffort, AnEffortThatHardlyGoesWithTheMotionIsNotCalledAMatch) {
+  const auto r = Diagnosed(MeasuredSet("pendulum", {}, 44, 1.5));
+  EXPECT_EQ(r.verdict, "unexplained");
+  ASSERT_FALSE(r.findings.empty());
+  EXPECT_EQ(r.findings[0].effect, "unknown_field");
 }
 
 TEST(MeasuredEffort, FindsByHowMuchMotionLagsEffort) {
