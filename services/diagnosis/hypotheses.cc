@@ -265,15 +265,20 @@ std::vector<std::vector<EffectSpec>> BodyStarts(const std::string& effect, const
     return out;
   }
   if (effect == "sloshing_payload") {
-    const double mass = 0.2 * LastMass(nominal);
+    // A pendulum's k/m is g/L, whatever its mass; fits find the mass from a small one, not from a large one.
     const auto& model = nominal.model();
     const bool same =
         model.joint(model.num_joints() - 1).child_link == model.FindLink(model.end_effector().name);
-    for (const double length : {0.04, 0.08, 0.12}) {
-      const double k = mass * 9.81 / length;
+    struct Guess {
+      double share, length;
+      bool last_link;
+    };
+    for (const Guess g : {Guess{0.02, 0.05, true}, Guess{0.05, 0.1, true}, Guess{0.03, 0.07, false}}) {
+      if (same && g.last_link && g.share > 0.03) continue;
+      const double mass = g.share * LastMass(nominal), k = mass * 9.81 / g.length;
       EffectSpec spec =
           MakeSpec(effect, {}, {{"mass", mass}, {"stiffness", k}, {"damping", 0.05 * std::sqrt(k * mass)}});
-      if (!same && length != 0.08) spec.options["point"] = "last_link";
+      if (!same && g.last_link) spec.options["point"] = "last_link";
       out.push_back({spec});
     }
     return out;

@@ -286,6 +286,12 @@ class Search {
       const Candidate twin = Evaluate(Refreshed(winner), !winner.base);
       if (twin.score > winner.score + (twin.base ? 1.0 : -1.0) * Threshold(*best)) winner = twin;
     }
+    // Fits with hidden states end before they are done: the old model has another try from where it is, or an
+    // addition would be credited with what a longer fit alone brings.
+    if (winner.score > best->score && best->fit.ok && best->plant->num_states() > 2 * data_.n) {
+      const Candidate longer = Evaluate(Refreshed(*best), best->base, 12);
+      if (longer.score > best->score) *best = longer;
+    }
     const double needed = Threshold(*best, winner);
     const bool accept = winner.score > best->score + needed;
     Tell("decide", 0.1 + 0.2 * round_,
