@@ -63,6 +63,7 @@ int main(int argc, char** argv) {
   });
   AddServiceHelp(app);
   rg::cli::AddRunCommand(app, context);
+  rg::cli::AddProveCommand(app, context);
   rg::cli::AddModelCommands(app, context);
   rg::cli::AddDiagnoseCommand(app, context);
   rg::cli::AddSubmitCommands(app, context);

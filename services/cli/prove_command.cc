@@ -1,0 +1,250 @@
+// `prove`: the blind examination of the diagnosis, on sets that an engine of its own makes.
+#include <signal.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <filesystem>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <thread>
+
+#include "common/base/file.h"
+#include "common/base/hash.h"
+#include "services/cli/commands.h"
+#include "services/cli/context.h"
+#include "services/cli/process_pool.h"
+#include "services/cli/progress_display.h"
+#include "services/cli/robot_profile.h"
+#include "services/proof/concealed.h"
+#include "services/proof/examination.h"
+#include "services/proof/proof_text.h"
+
+namespace rg::cli {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+CancelToken cancel_on_interrupt;
+void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
+
+constexpr int kFirstControl = 500;  // controls are numbered from here, so that either count may grow
+constexpr int kCasesPerMaker = 4;
+
+struct ProveArguments {
+  std::string out = "proof", markdown;
+  std::vector<std::string> robots = {"mico2", "arm2", "pendulum"};
+  uint64_t seed = 1;
+  int cases = 100, controls = 60, jobs = 0;
+  double weak = 0.15, pairs = 0.2, wrong_parameters = 0.2;
+  bool quick = false;
+
+  std::string Sets() const { return out + "/sets"; }
+  std::string Labels() const { return out + "/sealed"; }
+  std::string Answers() const { return out + "/answers"; }
+  std::string Command() const {
+    std::string text = "realitygrad prove --seed " + std::to_string(seed) + " --cases " +
+                       std::to_string(cases) + " --controls " + std::to_string(controls);
+    std::string names;
+    for (const std::string& robot : robots) names += (names.empty() ? "" : ",") + robot;
+    return names == "mico2,arm2,pendulum" ? text : text + " --robots " + names;
+  }
+};
+
+class Examiner {
+ public:
+  Examiner(const Context& context, const ProveArguments& arguments, std::string robots_folder)
+      : a_(arguments),
+        robots_folder_(std::move(robots_folder)),
+        quiet_(context.quiet()),
+        display_({.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = quiet_}, RealClock()) {}
+
+  Result<proof::ProofRecord> Run() {
+    std::error_code error;
+    for (const std::string& folder : {a_.Sets(), a_.Labels(), a_.Answers(), a_.out + "/logs"}) {
+      fs::create_directories(folder, error);
+      if (error) return InvalidError(folder + ": cannot create: " + error.message());
+    }
+    RG_RETURN_IF_ERROR(MakeSets());
+    proof::ProofRecord record;
+    record.command = a_.Command();
+    RG_ASSIGN_OR_RETURN(record.seal, Seal());
+    if (!quiet_) PrintNote("sealed: SHA-256 of " + std::to_string(names_.size()) + " labels " + record.seal);
+    RG_RETURN_IF_ERROR(DiagnoseAll());
+    RG_ASSIGN_OR_RETURN(const std::string opened, Seal());
+    if (opened != record.seal) return DataLossError(a_.Labels() + ": labels changed during the examination");
+    RG_RETURN_IF_ERROR(MarkAll(&record));
+    return record;
+  }
+
+ private:
+  // One process of the generator per few cases: a case depends on seed and number alone. Runs that were
+  // interrupted go on where they were.
+  Status MakeSets() {
+    const std::string maker = SiblingProgram("realitygrad-proof-generator");
+    if (!fs::exists(maker))
+      return FailedPreconditionError(maker + " is not there: it is built where DART is (libdart-dev)");
+    std::vector<PooledProcess> makers;
+    const auto add = [&](int first, int count, bool control) {
+      for (int i = first; i < first + count; i += kCasesPerMaker) {
+        const int n = std::min(kCasesPerMaker, first + count - i);
+        const std::string done = a_.out + "/logs/made-" + std::to_string(i) + "-" + std::to_string(n);
+        if (fs::exists(done)) continue;
+        std::vector<std::string> command = {maker,
+                                            "--sets",
+                                            a_.Sets(),
+                                            "--labels",
+                                            a_.Labels(),
+                                            "--robots",
+                                            robots_folder_,
+                                            "--seed",
+                                            std::to_string(a_.seed),
+                                            "--first",
+                                            std::to_string(i),
+                                            "--count",
+                                            std::to_string(n)};
+        const auto with = [&command](const char* flag, double value) {
+          command.insert(command.end(), {flag, std::to_string(value)});
+        };
+        with("--controls", 0);
+        with("--weak", control ? 0 : a_.weak);
+        with("--pairs", control ? 0 : a_.pairs);
+        with("--wrong-parameters", control ? 0 : a_.wrong_parameters);
+        if (control) command.insert(command.end(), {"--effect", "none", "--effect", "parameters_only"});
+        for (const std::string& robot : a_.robots) command.insert(command.end(), {"--robot", robot});
+        makers.push_back({command, a_.out + "/logs/make-" + std::to_string(i) + ".log"});
+        marks_.push_back(done);
+      }
+    };
+    add(0, a_.cases, false);
+    add(kFirstControl, a_.controls, true);
+    size_t made = 0;
+    RG_RETURN_IF_ERROR(RunPool(
+        makers, a_.jobs,
+        [&](size_t i, int) {
+          // A case whose true robot cannot be simulated is dropped by the generator and said in its log.
+          (void)WriteFileAtomically(marks_[i], "");
+          display_.Show({"making sets", static_cast<double>(++made), static_cast<double>(makers.size()), ""});
+        },
+        &cancel_on_interrupt));
+    for (const auto& entry : fs::directory_iterator(a_.Labels())) {
+      if (fs::exists(entry.path() / "label.json")) names_.push_back(entry.path().filename());
+    }
+    std::sort(names_.begin(), names_.end());
+    return names_.empty() ? InternalError(a_.out + "/logs: no set could be made") : Status::Ok();
+  }
+
+  Result<std::string> Seal() const {
+    Sha256 hash;
+    for (const std::string& name : names_) {
+      for (const char* file : {"/label.json", "/oracle.json"}) {
+        RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(a_.Labels() + "/" + name + file));
+        hash.Update(name + file + "\n");
+        hash.Update(text);
+      }
+    }
+    return hash.FinishHex();
+  }
+
+  Status DiagnoseAll() {
+    std::vector<PooledProcess> diagnoses;
+    std::vector<std::string> which;
+    for (const std::string& name : names_) {
+      if (fs::exists(a_.Answers() + "/" + name + "/diagnosis.json")) continue;
+      which.push_back(name);
+      diagnoses.push_back({{SiblingProgram("realitygrad"), "diagnose", a_.Sets() + "/" + name, "--out",
+                            a_.Answers() + "/" + name, "--threads", "1", "--output", "quiet"},
+                           a_.out + "/logs/" + name + ".log"});
+    }
+    size_t done = names_.size() - diagnoses.size();
+    return RunPool(
+        diagnoses, a_.jobs,
+        [&](size_t i, int code) {
+          display_.Show({"diagnosing", static_cast<double>(++done), static_cast<double>(names_.size()),
+                         code == 0 ? "" : which[i] + " ended with code " + std::to_string(code)});
+        },
+        &cancel_on_interrupt);
+  }
+
+  Status MarkAll(proof::ProofRecord* record) {
+    for (size_t i = 0; i < names_.size(); ++i) {
+      const std::string answer = a_.Answers() + "/" + names_[i], label = a_.Labels() + "/" + names_[i];
+      RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(label + "/label.json"));
+      const auto said = ReadFile(answer + "/diagnosis.json");
+      RG_ASSIGN_OR_RETURN(const proof::PredictionMarks prediction,
+                          proof::PredictConcealed(label, answer + "/model.json"));
+      RG_ASSIGN_OR_RETURN(
+          proof::CaseMarks marks,
+          proof::Mark(json::parse(text, nullptr, false),
+                      said.ok() ? json::parse(*said, nullptr, false) : json(nullptr), prediction));
+      record->cases.push_back(std::move(marks));
+      display_.Show({"marking", static_cast<double>(i + 1), static_cast<double>(names_.size()), names_[i]});
+    }
+    display_.Finish();
+    return Status::Ok();
+  }
+
+  const ProveArguments& a_;
+  std::string robots_folder_;
+  bool quiet_;
+  ProgressDisplay display_;
+  std::vector<std::string> names_, marks_;
+};
+
+Status Prove(Context& context, ProveArguments& arguments) {
+  signal(SIGINT, OnInterrupt);
+  if (arguments.quick) arguments.cases = 4, arguments.controls = 2, arguments.robots = {"pendulum"};
+  if (arguments.jobs <= 0)
+    arguments.jobs = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
+  if (arguments.cases > kFirstControl)
+    return InvalidError("--cases is " + std::to_string(arguments.cases) + ", must be at most " +
+                        std::to_string(kFirstControl));
+  RG_ASSIGN_OR_RETURN(const Settings settings, context.Resolve());
+  Examiner examiner(context, arguments, RobotsFolder(settings));
+  RG_ASSIGN_OR_RETURN(const proof::ProofRecord record, examiner.Run());
+  const std::string markdown = proof::Markdown(record), page = arguments.out + "/proof.html";
+  json all = {{"command", record.command}, {"seal", record.seal}, {"cases", json::array()}};
+  for (const proof::CaseMarks& c : record.cases) all["cases"].push_back(proof::ToJson(c));
+  all["summary"] = proof::ToJson(proof::Summarise(record.cases));
+  all["effects"] = proof::PerEffect(record.cases);
+  RG_RETURN_IF_ERROR(WriteFileAtomically(page, proof::ProofPage(record)));
+  RG_RETURN_IF_ERROR(WriteFileAtomically(arguments.out + "/proof.json", all.dump(1)));
+  if (!arguments.markdown.empty()) RG_RETURN_IF_ERROR(WriteFileAtomically(arguments.markdown, markdown));
+  if (context.json()) {
+    PrintJson("realitygrad.proof/1", all);
+  } else {
+    Print(context.quiet() ? page : markdown);
+    if (!context.quiet()) Print("page: " + page);
+  }
+  return Status::Ok();
+}
+
+}  // namespace
+
+void AddProveCommand(CLI::App& app, Context& context) {
+  auto arguments = std::make_shared<ProveArguments>();
+  CLI::App* command = app.add_subcommand(
+      "prove",
+      "Examine the diagnosis blind: concealed physics by another engine, sealed labels, every miss told");
+  command->add_option("--out", arguments->out, "Folder; a run that was interrupted goes on in it")
+      ->capture_default_str();
+  command->add_option("--seed", arguments->seed, "Of the whole examination")->capture_default_str();
+  command->add_option("--cases", arguments->cases, "Sets with something concealed")
+      ->capture_default_str()
+      ->check(CLI::PositiveNumber);
+  command
+      ->add_option("--controls", arguments->controls, "Sets with nothing concealed, or wrong parameters only")
+      ->capture_default_str()
+      ->check(CLI::NonNegativeNumber);
+  command->add_option("--robots", arguments->robots, "To draw from")->delimiter(',')->capture_default_str();
+  command->add_option("--jobs", arguments->jobs, "Sets at a time, one thread each; default: one per core");
+  command->add_option("--weak", arguments->weak, "Share of weak effects")->check(CLI::Range(0.0, 1.0));
+  command->add_option("--pairs", arguments->pairs, "Share of pairs")->check(CLI::Range(0.0, 1.0));
+  command->add_option("--wrong-parameters", arguments->wrong_parameters, "Share whose URDF is off as well")
+      ->check(CLI::Range(0.0, 1.0));
+  command->add_option("--markdown", arguments->markdown, "Also write the tables to this file");
+  command->add_flag("--quick", arguments->quick, "Six sets of a pendulum");
+  command->callback([&context, arguments] { context.Failed(Prove(context, *arguments)); });
+}
+
+}  // namespace rg::cli

@@ -1,0 +1,16 @@
+// The concealed recordings of a case, predicted by a model that never saw them.
+#pragma once
+
+#include <string>
+
+#include "common/base/status.h"
+#include "services/proof/examination.h"
+
+namespace rg::proof {
+
+// LABELS/<case>/oracle.json and hidden_000.csv … against MODEL (a diagnosis' model.json): windows of 1 s
+// restarted from the measured state, compared with the columns true_position.*. Without a model, or where it
+// cannot be read, `tool` is NaN.
+Result<PredictionMarks> PredictConcealed(const std::string& label_folder, const std::string& model_file);
+
+}  // namespace rg::proof

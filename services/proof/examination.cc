@@ -1,0 +1,448 @@
+#include "services/proof/examination.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <set>
+
+namespace rg::proof {
+
+using nlohmann::json;
+
+namespace {
+
+constexpr double kCounts = 0.3;  // confidence at which a finding counts
+
+bool SameFamily(const std::string& a, const std::string& b) {
+  static const std::vector<std::set<std::string>> families = {
+      {"viscous_friction", "coulomb_friction", "stribeck_friction", "asymmetric_friction",
+       "load_dependent_friction", "presliding_hysteresis", "thermal_drift", "quadratic_drag"},
+      {"actuator_delay", "actuator_lag", "sensor_delay"},
+      {"joint_elasticity", "backlash"},
+      {"torque_gain", "torque_saturation", "torque_deadband"},
+      {"payload", "sloshing_payload", "parameters_only"},
+      {"gravity_misalignment", "encoder_offset", "base_flexibility"},
+      {"rotor_inertia", "parameters_only"},
+      {"position_spring", "contact", "unknown_field"}};
+  return std::any_of(families.begin(), families.end(),
+                     [&](const auto& f) { return f.count(a) > 0 && f.count(b) > 0; });
+}
+
+bool OutsideCatalogue(const std::string& id) { return id == "unknown_field"; }
+
+std::vector<std::string> Strings(const json& object, const char* key) {
+  std::vector<std::string> out;
+  for (const json& x : object.value(key, json::array())) {
+    if (x.is_string()) out.push_back(x.get<std::string>());
+  }
+  return out;
+}
+
+bool Has(const std::vector<std::string>& list, const std::string& x) {
+  return std::find(list.begin(), list.end(), x) != list.end();
+}
+
+double NameMark(const json& effect, const std::string& said) {
+  const std::string id = effect.at("id");
+  if (said == id || Has(Strings(effect, "equivalents"), said)) return 1.0;
+  return SameFamily(id, said) ? 0.5 : 0.0;
+}
+
+struct Said {
+  std::string effect;
+  std::vector<std::string> joints;
+  double confidence = 0;
+  json parameters;
+};
+
+std::vector<Said> FindingsOf(const json& diagnosis) {
+  std::vector<Said> out;
+  if (!diagnosis.is_object()) return out;
+  for (const json& f : diagnosis.value("findings", json::array())) {
+    out.push_back({f.value("effect", ""), Strings(f, "joints"), f.value("confidence", 0.5),
+                   f.value("parameters", json::object())});
+  }
+  std::stable_sort(out.begin(), out.end(),
+                   [](const Said& a, const Said& b) { return a.confidence > b.confidence; });
+  return out;
+}
+
+std::string Listed(const std::string& id, const std::vector<std::string>& joints) {
+  std::string text = id;
+  for (size_t i = 0; i < joints.size(); ++i) text += (i == 0 ? " [" : ", ") + joints[i];
+  return text + (joints.empty() ? "" : "]");
+}
+
+// What the label asks to be named: wrong parameters beside an effect need not be.
+std::vector<json> Asked(const json& label) {
+  std::vector<json> effects, physics;
+  for (const json& e : label.at("effects")) {
+    effects.push_back(e);
+    if (e.at("id") != "parameters_only") physics.push_back(e);
+  }
+  return physics.empty() ? effects : physics;
+}
+
+class Marker {
+ public:
+  Marker(const json& label, const json& diagnosis, CaseMarks* marks)
+      : label_(label), asked_(Asked(label)), said_(FindingsOf(diagnosis)), m_(*marks) {
+    for (const json& e : label.at("effects")) {
+      for (const std::string& ok : Strings(e, "also_acceptable")) allowed_.insert(ok);
+      if (e.at("id") == "parameters_only") allowed_.insert("parameters_only");
+    }
+  }
+
+  void Run() {
+    if (m_.kind == CaseKind::kControl) return Control();
+    First();
+    F1();
+    Joints();
+    Parameters();
+    for (const Said& s : said_) m_.calls.push_back({s.confidence, Holds(s)});
+  }
+
+ private:
+  double Best(const std::string& effect) const {
+    double best = 0;
+    for (const json& e : asked_) best = std::max(best, NameMark(e, effect));
+    return best;
+  }
+  bool Holds(const Said& s) const { return Best(s.effect) == 1.0 || allowed_.count(s.effect) > 0; }
+  // True beside the answer, but not the answer.
+  bool SideRemark(const Said& s) const { return allowed_.count(s.effect) > 0 && Best(s.effect) < 1.0; }
+
+  void Control() {
+    const bool parameters = !asked_.empty();
+    const std::string wanted = parameters ? "parameters_only" : "no_mismatch";
+    bool physics = false, all_equivalent = true;
+    for (const Said& s : said_) {
+      if (s.effect == "none" || s.effect == "parameters_only") continue;
+      physics = true;
+      all_equivalent = all_equivalent && Best(s.effect) == 1.0;
+    }
+    const bool excused = physics && all_equivalent;
+    m_.false_alarm =
+        !m_.diagnosed || ((m_.verdict == "unmodelled_physics" || m_.verdict == "unexplained") && !excused);
+    m_.first = m_.verdict == wanted || (excused && !m_.false_alarm) ? 1.0 : m_.false_alarm ? 0.0 : 0.5;
+    m_.f1 = m_.first;
+    for (const Said& s : said_) m_.calls.push_back({s.confidence, Holds(s)});
+  }
+
+  void First() {
+    const Said* top = nullptr;
+    for (const Said& s : said_) {
+      if (top == nullptr && !SideRemark(s)) top = &s;
+    }
+    if (top == nullptr && !said_.empty()) top = &said_.front();
+    if (top != nullptr) {
+      m_.first = Best(top->effect);
+    } else if (m_.verdict == "parameters_only") {
+      m_.first = Best("parameters_only");
+    }
+    if (m_.kind == CaseKind::kOpen) {
+      const bool named = top != nullptr && top->effect == "unknown_field";
+      m_.first = m_.verdict == "unexplained" && named ? 1.0 : m_.verdict == "unexplained" ? 0.5 : m_.first;
+    }
+  }
+
+  // Every effect of the label can be matched once.
+  void F1() {
+    std::vector<json> left = asked_;
+    double hits = 0;
+    int extra = 0;
+    std::set<std::string> names;
+    std::vector<std::string> ordered;
+    for (const Said& s : said_) {
+      if (s.confidence >= kCounts && names.insert(s.effect).second) ordered.push_back(s.effect);
+    }
+    std::stable_sort(ordered.begin(), ordered.end(),
+                     [this](const auto& a, const auto& b) { return Best(a) > Best(b); });
+    for (const std::string& name : ordered) {
+      auto at = left.end();
+      double mark = 0;
+      for (auto e = left.begin(); e != left.end(); ++e) {
+        if (NameMark(*e, name) > mark) mark = NameMark(*e, name), at = e;
+      }
+      if (mark < 1.0 && allowed_.count(name) > 0) continue;
+      if (at == left.end()) {
+        ++extra;
+      } else {
+        hits += mark;
+        left.erase(at);
+      }
+    }
+    const double matched = static_cast<double>(asked_.size() - left.size());
+    const double precision = matched + extra > 0 ? hits / (matched + extra) : 0.0;
+    const double recall = hits / static_cast<double>(asked_.size());
+    m_.f1 = precision + recall > 0 ? 2 * precision * recall / (precision + recall) : 0.0;
+  }
+
+  // Findings that speak of this effect: rightly named, else of its family.
+  std::vector<const Said*> About(const json& effect) const {
+    std::vector<const Said*> exact, family;
+    for (const Said& s : said_) {
+      const double mark = NameMark(effect, s.effect);
+      if (mark == 1.0) exact.push_back(&s);
+      if ((mark > 0 || OutsideCatalogue(effect.at("id"))) && !SideRemark(s)) family.push_back(&s);
+    }
+    return exact.empty() ? family : exact;
+  }
+
+  void Joints() {
+    for (const json& e : asked_) {
+      if (e.value("localisation", "") != "joints") continue;
+      std::set<std::string> said, truth;
+      for (const std::string& j : Strings(e, "joints")) truth.insert(j);
+      for (const Said* s : About(e)) said.insert(s->joints.begin(), s->joints.end());
+      m_.joints_exact = m_.joints_exact.value_or(true) && said == truth;
+    }
+  }
+
+  void Parameters() {
+    for (const json& e : asked_) {
+      for (const Said* s : About(e)) {
+        if (s->effect != e.at("id")) continue;
+        const json truths = e.value("parameters", json::object());
+        for (const auto& [owner, rows] : truths.items()) {
+          for (const auto& [name, row] : rows.items()) {
+            if (!row.contains("value") || !row["value"].is_number()) continue;
+            const json::json_pointer at("/" + owner + "/" + name + "/value");
+            if (!s->parameters.contains(at) || !s->parameters[at].is_number()) continue;
+            // Secondary shapes (a damping, a phase, a place) are for information.
+            static const std::set<std::string> secondary = {
+                "damping",         "motor_inertia", "phase", "azimuth", "contact_stiffness",
+                "contact_damping", "com_x",         "com_y", "com_z",   "cubic",
+                "center"};
+            if (secondary.count(name) > 0) continue;
+            const double truth = row["value"], value = s->parameters[at];
+            const double reference = name == "gain" ? truth - 1 : truth;
+            m_.parameter_errors.push_back(reference != 0 ? std::abs((value - truth) / reference)
+                                                         : std::abs(value));
+          }
+        }
+      }
+    }
+  }
+
+  const json& label_;
+  std::vector<json> asked_;
+  std::vector<Said> said_;
+  std::set<std::string> allowed_;
+  CaseMarks& m_;
+};
+
+double Median(std::vector<double> v) {
+  if (v.empty()) return std::numeric_limits<double>::quiet_NaN();
+  std::sort(v.begin(), v.end());
+  const size_t middle = v.size() / 2;
+  return v.size() % 2 == 1 ? v[middle] : 0.5 * (v[middle - 1] + v[middle]);
+}
+
+json NumberOrNull(double x) { return std::isfinite(x) ? json(x) : json(nullptr); }
+
+json ShareJson(const Share& s) {
+  return {{"value", NumberOrNull(s.value)}, {"low", s.low}, {"high", s.high}, {"n", s.n}};
+}
+
+void Calibrate(const std::vector<CaseMarks>& cases, Summary* s) {
+  constexpr int kBins = 5;
+  s->bins.resize(kBins);
+  int total = 0;
+  for (int b = 0; b < kBins; ++b) s->bins[b].low = b / 5.0, s->bins[b].high = (b + 1) / 5.0;
+  for (const CaseMarks& c : cases) {
+    for (const auto& [confidence, holds] : c.calls) {
+      ConfidenceBin& bin = s->bins[std::clamp(static_cast<int>(confidence * kBins), 0, kBins - 1)];
+      bin.mean_confidence += confidence, bin.hit_rate += holds;
+      ++bin.n, ++total;
+    }
+  }
+  for (ConfidenceBin& bin : s->bins) {
+    if (bin.n == 0) continue;
+    bin.mean_confidence /= bin.n, bin.hit_rate /= bin.n;
+    s->calibration_error += bin.n * std::abs(bin.mean_confidence - bin.hit_rate) / total;
+  }
+}
+
+}  // namespace
+
+std::optional<double> PredictionMarks::recovered() const {
+  if (!(nominal >= 1.3 * oracle) || !std::isfinite(nominal)) return std::nullopt;
+  return std::isfinite(tool) ? (nominal - tool) / (nominal - oracle) : 0.0;
+}
+
+Result<CaseMarks> Mark(const json& label, const json& diagnosis, const PredictionMarks& prediction) {
+  CaseMarks m;
+  try {
+    m.name = label.at("name"), m.robot = label.at("robot");
+    m.weak = label.value("weak", false);
+    m.rate_hz = label.value("rate_hz", 0.0);
+    for (const json& e : label.at("effects")) {
+      m.effects.push_back(e.at("id"));
+      m.truth.push_back(Listed(e.at("id"), Strings(e, "joints")));
+    }
+    const std::vector<json> asked = Asked(label);
+    const bool control = std::all_of(asked.begin(), asked.end(),
+                                     [](const json& e) { return e.at("id") == "parameters_only"; });
+    m.kind = control                                                       ? CaseKind::kControl
+             : asked.size() > 1                                            ? CaseKind::kPair
+             : OutsideCatalogue(asked.front().at("id").get<std::string>()) ? CaseKind::kOpen
+                                                                           : CaseKind::kSingle;
+    m.diagnosed = diagnosis.is_object();
+    m.prediction = prediction;
+    if (m.diagnosed) {
+      m.verdict = diagnosis.value("verdict", "");
+      m.seconds = diagnosis.value("elapsed_s", 0.0);
+    }
+    for (const Said& s : FindingsOf(diagnosis)) {
+      char confidence[16];
+      std::snprintf(confidence, sizeof confidence, " %.2f", s.confidence);
+      m.said.push_back(Listed(s.effect, s.joints) + confidence);
+    }
+    m.verdict_right = Has(Strings(label, "verdict"), m.verdict);
+    Marker(label, diagnosis, &m).Run();
+  } catch (const json::exception& e) {
+    return InvalidError("label of " + label.value("name", std::string("a case")) + ": " + e.what());
+  }
+  return m;
+}
+
+Share ShareOf(double hits, int n) {
+  Share s;
+  s.n = n;
+  if (n == 0) {
+    s.value = std::numeric_limits<double>::quiet_NaN();
+    return s;
+  }
+  constexpr double z = 1.959964;
+  s.value = hits / n;
+  const double middle = s.value + z * z / (2 * n),
+               width = z * std::sqrt(s.value * (1 - s.value) / n + z * z / (4.0 * n * n));
+  s.low = std::max(0.0, (middle - width) / (1 + z * z / n));
+  s.high = std::min(1.0, (middle + width) / (1 + z * z / n));
+  return s;
+}
+
+Summary Summarise(const std::vector<CaseMarks>& cases) {
+  Summary s;
+  s.cases = static_cast<int>(cases.size());
+  double strong = 0, weak = 0, joints = 0, alarms = 0, open = 0, verdicts = 0;
+  int strong_n = 0, weak_n = 0, joints_n = 0, controls = 0, open_n = 0;
+  std::vector<double> errors, recovered, seconds;
+  for (const CaseMarks& c : cases) {
+    s.undiagnosed += !c.diagnosed;
+    verdicts += c.verdict_right;
+    seconds.push_back(c.seconds);
+    if (c.kind == CaseKind::kControl) ++controls, alarms += c.false_alarm;
+    if (c.kind == CaseKind::kPair) ++s.pairs, s.pair_f1 += c.f1;
+    if (c.kind == CaseKind::kSingle) {
+      const bool clear = c.prediction.nominal > 3 * c.prediction.oracle && !c.weak;
+      (clear ? strong : weak) += c.first;
+      ++(clear ? strong_n : weak_n);
+    }
+    if (c.kind == CaseKind::kOpen) ++open_n, open += c.first == 1.0 && c.joints_exact.value_or(true);
+    if (c.joints_exact && c.kind != CaseKind::kOpen) ++joints_n, joints += *c.joints_exact;
+    errors.insert(errors.end(), c.parameter_errors.begin(), c.parameter_errors.end());
+    if (const auto share = c.prediction.recovered()) recovered.push_back(*share);
+    s.worse += c.prediction.tool > 1.05 * c.prediction.nominal;
+  }
+  if (s.pairs > 0) s.pair_f1 /= s.pairs;
+  s.right_first = ShareOf(strong, strong_n), s.right_first_weak = ShareOf(weak, weak_n);
+  s.joints = ShareOf(joints, joints_n);
+  s.false_alarms = ShareOf(alarms, controls);
+  s.open = ShareOf(open, open_n);
+  s.verdicts = ShareOf(verdicts, s.cases);
+  s.parameter_error = Median(errors), s.parameters = static_cast<int>(errors.size());
+  s.recovered = Median(recovered), s.gaps = static_cast<int>(recovered.size());
+  s.seconds_median = Median(seconds);
+  s.seconds_max = seconds.empty() ? 0 : *std::max_element(seconds.begin(), seconds.end());
+  Calibrate(cases, &s);
+  return s;
+}
+
+json PerEffect(const std::vector<CaseMarks>& cases) {
+  std::map<std::string, std::vector<const CaseMarks*>> by_effect;
+  for (const CaseMarks& c : cases) {
+    if (c.effects.empty()) by_effect["none"].push_back(&c);
+    for (const std::string& id : c.effects) {
+      if (id != "parameters_only" || c.kind == CaseKind::kControl) by_effect[id].push_back(&c);
+    }
+  }
+  json rows = json::array();
+  for (const auto& [id, list] : by_effect) {
+    double first = 0, f1 = 0, joints = 0;
+    int joints_n = 0;
+    std::vector<double> errors, recovered;
+    for (const CaseMarks* c : list) {
+      first += c->first, f1 += c->f1;
+      if (c->joints_exact) ++joints_n, joints += *c->joints_exact;
+      errors.insert(errors.end(), c->parameter_errors.begin(), c->parameter_errors.end());
+      if (const auto share = c->prediction.recovered()) recovered.push_back(*share);
+    }
+    const double n = static_cast<double>(list.size());
+    rows.push_back({{"effect", id},
+                    {"cases", list.size()},
+                    {"right_first", first / n},
+                    {"f1", f1 / n},
+                    {"joints_exact", joints_n > 0 ? json(joints / joints_n) : json(nullptr)},
+                    {"parameter_error", NumberOrNull(Median(errors))},
+                    {"recovered", NumberOrNull(Median(recovered))}});
+  }
+  return rows;
+}
+
+json ToJson(const CaseMarks& c) {
+  static const char* const kinds[] = {"control", "single", "pair", "open"};
+  const auto share = c.prediction.recovered();
+  return {{"name", c.name},
+          {"robot", c.robot},
+          {"rate_hz", c.rate_hz},
+          {"kind", kinds[static_cast<int>(c.kind)]},
+          {"weak", c.weak},
+          {"truth", c.truth},
+          {"verdict", c.verdict},
+          {"said", c.said},
+          {"verdict_right", c.verdict_right},
+          {"false_alarm", c.false_alarm},
+          {"right_first", c.first},
+          {"f1", c.f1},
+          {"joints_exact", c.joints_exact ? json(*c.joints_exact) : json(nullptr)},
+          {"parameter_errors", c.parameter_errors},
+          {"nominal_rms", NumberOrNull(c.prediction.nominal)},
+          {"oracle_rms", NumberOrNull(c.prediction.oracle)},
+          {"rms", NumberOrNull(c.prediction.tool)},
+          {"recovered", share ? json(*share) : json(nullptr)},
+          {"seconds", c.seconds}};
+}
+
+json ToJson(const Summary& s) {
+  json bins = json::array();
+  for (const ConfidenceBin& b : s.bins) {
+    bins.push_back({{"low", b.low},
+                    {"high", b.high},
+                    {"n", b.n},
+                    {"confidence", b.mean_confidence},
+                    {"hit_rate", b.hit_rate}});
+  }
+  return {{"cases", s.cases},
+          {"undiagnosed", s.undiagnosed},
+          {"right_first", ShareJson(s.right_first)},
+          {"right_first_weak", ShareJson(s.right_first_weak)},
+          {"joints_exact", ShareJson(s.joints)},
+          {"pair_f1", s.pair_f1},
+          {"pairs", s.pairs},
+          {"false_alarms", ShareJson(s.false_alarms)},
+          {"outside_catalogue", ShareJson(s.open)},
+          {"verdicts", ShareJson(s.verdicts)},
+          {"parameter_error", NumberOrNull(s.parameter_error)},
+          {"parameters", s.parameters},
+          {"recovered", NumberOrNull(s.recovered)},
+          {"gaps", s.gaps},
+          {"worse_than_nominal", s.worse},
+          {"confidence_bins", bins},
+          {"calibration_error", s.calibration_error},
+          {"seconds_median", s.seconds_median},
+          {"seconds_max", s.seconds_max}};
+}
+
+}  // namespace rg::proof

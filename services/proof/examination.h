@@ -1,0 +1,91 @@
+// The marks of a blind examination: what a diagnosis said against the sealed label, case by case and over
+// all.
+//
+// A name is right when it is the effect of the label or one that the label calls equivalent (the data cannot
+// tell them apart), half right when it belongs to the same family (EFFECTS: friction, delay, transmission,
+// gain, body, base, fields), wrong otherwise. Findings below a confidence of 0.3 count for nothing but
+// calibration.
+#pragma once
+
+#include <map>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/base/status.h"
+
+namespace rg::proof {
+
+// RMS of joint positions on the concealed recordings, 1 s windows restarted from the measured state, against
+// the noise-free truth [rad or m]. NaN: none.
+struct PredictionMarks {
+  double nominal = 0, oracle = 0, tool = 0;
+  // 1 where the true model is reached, 0 at the nominal one; absent where there is no gap (< 1.3 × oracle).
+  std::optional<double> recovered() const;
+};
+
+enum class CaseKind { kControl, kSingle, kPair, kOpen };  // open: the effect is outside the catalogue
+
+struct CaseMarks {
+  std::string name, robot;
+  CaseKind kind = CaseKind::kSingle;
+  bool weak = false, diagnosed = false;
+  double rate_hz = 0, seconds = 0;
+  std::vector<std::string> truth;  // "coulomb_friction [joint_2]"
+  std::string verdict;
+  std::vector<std::string> said;  // "coulomb_friction [joint_2] 0.97"
+  bool verdict_right = false, false_alarm = false;
+  double first = 0;                            // mark of the first finding
+  double f1 = 0;                               // of the set of effects
+  std::optional<bool> joints_exact;            // of the effects that act on joints
+  std::vector<double> parameter_errors;        // relative, of the parameters of rightly named effects
+  std::vector<std::pair<double, bool>> calls;  // confidence of every finding, whether it holds
+  std::vector<std::string> effects;            // ids of the label
+  PredictionMarks prediction;
+};
+
+// label: label.json of a case; diagnosis: diagnosis.json, null if there is none. Error: a label that is none.
+Result<CaseMarks> Mark(const nlohmann::json& label, const nlohmann::json& diagnosis,
+                       const PredictionMarks& prediction);
+
+// A share with its 95 % interval (Wilson 1927).
+struct Share {
+  double value = 0, low = 0, high = 1;
+  int n = 0;
+};
+Share ShareOf(double hits, int n);
+
+struct ConfidenceBin {
+  double low = 0, high = 1, mean_confidence = 0, hit_rate = 0;
+  int n = 0;
+};
+
+struct Summary {
+  int cases = 0, undiagnosed = 0;
+  Share right_first;       // single effects whose nominal error exceeds three times the floor
+  Share right_first_weak;  // the other single effects
+  Share joints;            // exact, over all cases whose effects act on joints
+  double pair_f1 = 0;
+  int pairs = 0;
+  Share false_alarms;  // on controls
+  Share open;          // outside the catalogue: `unexplained` with the right joints, no wrong name before it
+  Share verdicts;
+  double parameter_error = 0;  // median
+  int parameters = 0;
+  double recovered = 0;  // median
+  int gaps = 0;
+  int worse = 0;  // predictions worse than the nominal model's by 5 %
+  std::vector<ConfidenceBin> bins;
+  double calibration_error = 0;  // Σ n·|confidence − hit rate| / Σ n
+  double seconds_median = 0, seconds_max = 0;
+};
+Summary Summarise(const std::vector<CaseMarks>& cases);
+
+// A row per effect: cases, first, f1, joints, parameter error, recovered.
+nlohmann::json PerEffect(const std::vector<CaseMarks>& cases);
+
+nlohmann::json ToJson(const CaseMarks& marks);
+nlohmann::json ToJson(const Summary& summary);
+
+}  // namespace rg::proof

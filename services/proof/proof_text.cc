@@ -1,0 +1,171 @@
+#include "services/proof/proof_text.h"
+
+#include <cmath>
+
+#include "services/report/page.h"
+
+namespace rg::proof {
+
+using nlohmann::json;
+using report::FormatNumber;
+
+namespace {
+
+struct Line {
+  std::string what, least, measured;
+};
+
+std::string Percent(double share) {
+  return std::isfinite(share) ? FormatNumber(100 * share) + " %" : std::string("–");
+}
+std::string Text(const Share& s) {
+  return s.n == 0 ? "no case"
+                  : Percent(s.value) + " (" + Percent(s.low) + " to " + Percent(s.high) +
+                        ", n = " + std::to_string(s.n) + ")";
+}
+std::string Count(const char* what, int n) { return std::string(" (") + what + std::to_string(n) + ")"; }
+
+std::vector<Line> Lines(const Summary& s) {
+  return {{"right effect first, single effects, nominal error > 3 × floor", "90 %", Text(s.right_first)},
+          {"the same, weak ones", "–", Text(s.right_first_weak)},
+          {"the right joints, exactly", "95 %", Text(s.joints)},
+          {"pairs: F1 of the set of effects", "0.85",
+           s.pairs == 0 ? "no case" : FormatNumber(s.pair_f1) + Count("n = ", s.pairs)},
+          {"false alarms on controls", "at most 5 %", Text(s.false_alarms)},
+          {"outside the catalogue: `unexplained` first, right joints", "80 %", Text(s.open)},
+          {"verdict right", "–", Text(s.verdicts)},
+          {"median error of named parameters", "at most 5 %",
+           Percent(s.parameter_error) + Count("n = ", s.parameters)},
+          {"gap recovered on concealed recordings, median", "0.9",
+           FormatNumber(s.recovered) + Count("n = ", s.gaps) +
+               ", worse than nominal: " + std::to_string(s.worse)},
+          {"confidence against hit rate, expected calibration error", "at most 0.1",
+           FormatNumber(s.calibration_error)},
+          {"seconds per set on one thread, median / longest", "–",
+           FormatNumber(s.seconds_median) + " / " + FormatNumber(s.seconds_max)}};
+}
+
+std::string Joined(const std::vector<std::string>& list) {
+  std::string out;
+  for (const std::string& x : list) out += (out.empty() ? "" : " + ") + x;
+  return out.empty() ? "none" : out;
+}
+
+bool Missed(const CaseMarks& c) {
+  return c.first < 1 || c.f1 < 1 || c.false_alarm || !c.joints_exact.value_or(true);
+}
+
+std::string Number(const json& x) { return x.is_number() ? FormatNumber(x.get<double>()) : "–"; }
+
+std::vector<std::vector<std::string>> EffectRows(const std::vector<CaseMarks>& cases) {
+  std::vector<std::vector<std::string>> rows;
+  for (const json& e : PerEffect(cases)) {
+    rows.push_back({e["effect"].get<std::string>(), e["cases"].dump(), Number(e["right_first"]),
+                    Number(e["f1"]), Number(e["joints_exact"]), Number(e["parameter_error"]),
+                    Number(e["recovered"])});
+  }
+  return rows;
+}
+const std::vector<std::string> kEffectColumns = {"effect", "cases",           "right first", "F1",
+                                                 "joints", "parameter error", "recovered"};
+
+std::vector<std::vector<std::string>> BinRows(const Summary& s) {
+  std::vector<std::vector<std::string>> rows;
+  for (const ConfidenceBin& b : s.bins) {
+    rows.push_back({FormatNumber(b.low) + " to " + FormatNumber(b.high), std::to_string(b.n),
+                    b.n > 0 ? FormatNumber(b.mean_confidence) : "–",
+                    b.n > 0 ? FormatNumber(b.hit_rate) : "–"});
+  }
+  return rows;
+}
+
+std::string TableText(const std::vector<std::string>& columns,
+                      const std::vector<std::vector<std::string>>& rows) {
+  std::string out = "|", rule = "|";
+  for (const std::string& c : columns) out += " " + c + " |", rule += "---|";
+  out += "\n" + rule + "\n";
+  for (const auto& row : rows) {
+    out += "|";
+    for (const std::string& cell : row) out += " " + cell + " |";
+    out += "\n";
+  }
+  return out;
+}
+
+std::vector<std::vector<std::string>> MissRows(const std::vector<CaseMarks>& cases, bool all) {
+  std::vector<std::vector<std::string>> rows;
+  for (const CaseMarks& c : cases) {
+    if (!all && !Missed(c)) continue;
+    const auto share = c.prediction.recovered();
+    rows.push_back({c.name, c.robot + ", " + FormatNumber(c.rate_hz) + " Hz" + (c.weak ? ", weak" : ""),
+                    Joined(c.truth), c.diagnosed ? c.verdict : "no diagnosis", Joined(c.said),
+                    FormatNumber(c.first), FormatNumber(c.f1), share ? FormatNumber(*share) : "–"});
+  }
+  return rows;
+}
+const std::vector<std::string> kCaseColumns = {"case", "set",   "hidden", "verdict",
+                                               "said", "first", "F1",     "recovered"};
+
+std::vector<std::vector<std::string>> LineRows(const Summary& s) {
+  std::vector<std::vector<std::string>> rows;
+  for (const Line& l : Lines(s)) rows.push_back({l.what, l.least, l.measured});
+  return rows;
+}
+
+}  // namespace
+
+std::string Markdown(const ProofRecord& record) {
+  const Summary s = Summarise(record.cases);
+  std::string out = "`" + record.command + "`\n\nSeal (SHA-256 over all labels, printed before the first " +
+                    "diagnosis): `" + record.seal + "`. " + std::to_string(s.cases) + " cases, " +
+                    std::to_string(s.undiagnosed) + " without a diagnosis.\n\n";
+  out += TableText({"", "asked", "measured (95 % interval)"}, LineRows(s));
+  out += "\n### By effect\n\n" + TableText(kEffectColumns, EffectRows(record.cases));
+  out += "\n### Confidence\n\n" + TableText({"stated", "findings", "mean", "hold"}, BinRows(s));
+  out += "\n### Every miss\n\n" + TableText(kCaseColumns, MissRows(record.cases, false));
+  return out;
+}
+
+std::string ProofPage(const ProofRecord& record) {
+  const Summary s = Summarise(record.cases);
+  report::Page page("The diagnosis, examined blind", record.command);
+  page.Lead("Right effect first in " + Text(s.right_first) + " of the single effects that are not weak; " +
+            "false alarms on controls " + Text(s.false_alarms) + ".");
+  page.Paragraph(
+      "Sets made by an engine that shares no code with the simulator; labels sealed before the first "
+      "diagnosis, opened after the last. Seal: " +
+      record.seal);
+  page.AddTable({.columns = {"", "asked", "measured (95 % interval)"},
+                 .rows = LineRows(s),
+                 .caption = {},
+                 .text_columns = {0, 1, 2}});
+  page.Heading("Concealed recordings");
+  report::Series nominal{"nominal model", {}, {}, report::SeriesStyle::kPoints},
+      tool{"diagnosed model", {}, {}, report::SeriesStyle::kPoints},
+      oracle{"true model", {}, {}, report::SeriesStyle::kPoints};
+  double at = 0;
+  for (const CaseMarks& c : record.cases) {
+    at += 1;
+    for (report::Series* series : {&nominal, &tool, &oracle}) series->x.push_back(at);
+    nominal.y.push_back(c.prediction.nominal), tool.y.push_back(c.prediction.tool);
+    oracle.y.push_back(c.prediction.oracle);
+  }
+  page.AddPlot({.title = "Error on recordings that nobody fitted, per case",
+                .x_label = "case",
+                .y_label = "RMS in 1 s windows [rad or m]",
+                .series = {nominal, tool, oracle},
+                .log_y = true});
+  page.Heading("By effect");
+  page.AddTable(
+      {.columns = kEffectColumns, .rows = EffectRows(record.cases), .caption = {}, .text_columns = {0}});
+  page.Heading("Confidence");
+  page.AddTable({.columns = {"stated", "findings", "mean", "hold"}, .rows = BinRows(s)});
+  page.Heading("Every case");
+  page.AddTable({.columns = kCaseColumns,
+                 .rows = MissRows(record.cases, true),
+                 .caption = {},
+                 .text_columns = {0, 1, 2, 3, 4}});
+  return page.Html();
+}
+
+}  // namespace rg::proof

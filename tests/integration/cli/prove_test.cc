@@ -1,0 +1,39 @@
+// `realitygrad prove` at its smallest: sets are made by the other engine, sealed, diagnosed and marked by
+// real processes, and a second run goes on instead of starting anew.
+#include <nlohmann/json.hpp>
+
+#include "tests/integration/cli/program.h"
+
+namespace rg {
+namespace {
+
+using nlohmann::json;
+
+TEST(Prove, SealsDiagnosesMarksAndGoesOn) {
+  if (!std::filesystem::exists(BinDir() + "/realitygrad-proof-generator"))
+    GTEST_SKIP() << "SKIPPED: realitygrad-proof-generator is not built (libdart-dev)";
+  const ScratchFolder scratch;
+  const std::string command =
+      "prove --robots pendulum --seed 7 --cases 1 --controls 1 --jobs 2 --out p --markdown p.md --output "
+      "json";
+  const Said said = RunProgram(scratch, command);
+  ASSERT_EQ(said.code, 0) << said.err;
+  const json proof = json::parse(said.out);
+  EXPECT_EQ(proof["format"], "realitygrad.proof/1");
+  EXPECT_EQ(proof["seal"].get<std::string>().size(), 64u);
+  EXPECT_NE(said.err.find(proof["seal"].get<std::string>()), std::string::npos) << "sealed before all else";
+  ASSERT_EQ(proof["cases"].size(), 2u);
+  EXPECT_EQ(proof["summary"]["undiagnosed"], 0);
+  for (const json& one : proof["cases"]) EXPECT_TRUE(one["rms"].is_number()) << one.dump();
+  EXPECT_NE(ReadFile(scratch / "p.md").value().find("Every miss"), std::string::npos);
+
+  const auto before = std::filesystem::last_write_time(scratch / "p/answers/case_000/diagnosis.json");
+  const Said again = RunProgram(scratch, command);
+  ASSERT_EQ(again.code, 0) << again.err;
+  EXPECT_EQ(json::parse(again.out)["seal"], proof["seal"]);
+  EXPECT_EQ(std::filesystem::last_write_time(scratch / "p/answers/case_000/diagnosis.json"), before)
+      << "what was answered is not asked again";
+}
+
+}  // namespace
+}  // namespace rg

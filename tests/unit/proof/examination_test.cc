@@ -1,0 +1,145 @@
+#include "services/proof/examination.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+
+#include "services/proof/proof_text.h"
+
+namespace rg::proof {
+namespace {
+
+using nlohmann::json;
+
+json Effect(const std::string& id, const std::vector<std::string>& joints, json equivalents = json::array()) {
+  json parameters = json::object();
+  for (const std::string& j : joints) parameters[j] = {{"coulomb", {{"value", 0.5}, {"unit", "N*m"}}}};
+  return {{"id", id},
+          {"joints", joints},
+          {"localisation", joints.empty() ? "robot" : "joints"},
+          {"equivalents", equivalents},
+          {"also_acceptable", json::array()},
+          {"parameters", parameters}};
+}
+
+json Label(std::vector<json> effects, std::vector<std::string> verdicts = {"unmodelled_physics"}) {
+  return {{"name", "case"}, {"robot", "arm2"},     {"rate_hz", 100},
+          {"weak", false},  {"verdict", verdicts}, {"effects", effects}};
+}
+
+json Finding(const std::string& id, const std::vector<std::string>& joints, double confidence = 0.9) {
+  json f = {{"effect", id}, {"joints", joints}, {"confidence", confidence}, {"parameters", json::object()}};
+  for (const std::string& j : joints) f["parameters"][j] = {{"coulomb", {{"value", 0.55}}}};
+  return f;
+}
+
+json Diagnosis(const std::string& verdict, std::vector<json> findings) {
+  return {{"verdict", verdict}, {"findings", findings}, {"elapsed_s", 2.0}};
+}
+
+CaseMarks Marked(const json& label, const json& diagnosis, PredictionMarks prediction = {1.0, 0.1, 0.1}) {
+  auto marks = Mark(label, diagnosis, prediction);
+  EXPECT_TRUE(marks.ok()) << marks.status().ToString();
+  return *marks;
+}
+
+TEST(Examination, ARightNameOnTheRightJointsIsWhole) {
+  const CaseMarks m = Marked(Label({Effect("coulomb_friction", {"elbow"})}),
+                             Diagnosis("unmodelled_physics", {Finding("coulomb_friction", {"elbow"})}));
+  EXPECT_EQ(m.first, 1.0);
+  EXPECT_EQ(m.f1, 1.0);
+  EXPECT_TRUE(*m.joints_exact);
+  ASSERT_EQ(m.parameter_errors.size(), 1u);
+  EXPECT_NEAR(m.parameter_errors[0], 0.1, 1e-12);
+}
+
+TEST(Examination, ASiblingIsHalfRightAndAStrangerIsWrong) {
+  const json label = Label({Effect("coulomb_friction", {"elbow"})});
+  EXPECT_EQ(Marked(label, Diagnosis("unmodelled_physics", {Finding("stribeck_friction", {"elbow"})})).first,
+            0.5);
+  EXPECT_EQ(Marked(label, Diagnosis("unmodelled_physics", {Finding("payload", {})})).first, 0.0);
+  EXPECT_EQ(Marked(label, json(nullptr)).first, 0.0);
+}
+
+TEST(Examination, WhatTheDataCannotTellApartCountsAsRight) {
+  const json label = Label({Effect("payload", {}, {"parameters_only"})}, {"parameters_only"});
+  const CaseMarks m = Marked(label, Diagnosis("parameters_only", {Finding("parameters_only", {})}));
+  EXPECT_EQ(m.first, 1.0);
+  EXPECT_EQ(m.kind, CaseKind::kSingle);
+}
+
+TEST(Examination, APairNeedsBothNamesAndAWrongOneCosts) {
+  const json label = Label({Effect("coulomb_friction", {"elbow"}), Effect("payload", {})});
+  const auto f1 = [&](std::vector<json> findings) {
+    return Marked(label, Diagnosis("unmodelled_physics", findings)).f1;
+  };
+  const json coulomb = Finding("coulomb_friction", {"elbow"}), payload = Finding("payload", {});
+  EXPECT_EQ(f1({coulomb, payload}), 1.0);
+  EXPECT_NEAR(f1({coulomb}), 2.0 / 3, 1e-12);
+  EXPECT_NEAR(f1({coulomb, payload, Finding("torque_ripple", {"elbow"})}), 0.8, 1e-12);
+  EXPECT_EQ(f1({coulomb, payload, Finding("torque_ripple", {"elbow"}, 0.2)}), 1.0) << "it is not claimed";
+}
+
+TEST(Examination, AControlWithANameIsAFalseAlarm) {
+  const json label = Label({}, {"no_mismatch"});
+  EXPECT_FALSE(Marked(label, Diagnosis("no_mismatch", {})).false_alarm);
+  EXPECT_TRUE(Marked(label, Diagnosis("unmodelled_physics", {Finding("payload", {})})).false_alarm);
+  EXPECT_TRUE(Marked(label, Diagnosis("unexplained", {Finding("unknown_field", {"elbow"})})).false_alarm);
+  EXPECT_TRUE(Marked(label, json(nullptr)).false_alarm);
+  const CaseMarks half = Marked(label, Diagnosis("parameters_only", {Finding("parameters_only", {})}));
+  EXPECT_FALSE(half.false_alarm);
+  EXPECT_EQ(half.first, 0.5);
+}
+
+TEST(Examination, OutsideTheCatalogueANameIsWrongAndSilenceRight) {
+  const json label = Label({Effect("unknown_field", {"elbow"})}, {"unexplained"});
+  const CaseMarks open = Marked(label, Diagnosis("unexplained", {Finding("unknown_field", {"elbow"})}));
+  EXPECT_EQ(open.kind, CaseKind::kOpen);
+  EXPECT_EQ(open.first, 1.0);
+  const CaseMarks wrong =
+      Marked(label, Diagnosis("unmodelled_physics", {Finding("torque_ripple", {"elbow"})}));
+  EXPECT_EQ(wrong.first, 0.0);
+  const Summary s = Summarise({open, wrong});
+  EXPECT_EQ(s.open.n, 2);
+  EXPECT_EQ(s.open.value, 0.5);
+}
+
+TEST(Examination, WilsonsIntervalIsTheTabulatedOne) {
+  const Share s = ShareOf(0, 60);
+  EXPECT_EQ(s.low, 0.0);
+  EXPECT_NEAR(s.high, 0.0602, 5e-4);
+  EXPECT_NEAR(ShareOf(9, 10).low, 0.596, 1e-3);
+  EXPECT_TRUE(std::isnan(ShareOf(0, 0).value));
+}
+
+TEST(Examination, CalibrationComparesStatedWithHeld) {
+  CaseMarks m;
+  m.calls = {{0.9, true}, {0.9, true}, {0.9, false}, {0.9, true}, {0.3, false}};
+  const Summary s = Summarise({m});
+  EXPECT_NEAR(s.calibration_error, (4 * std::abs(0.9 - 0.75) + 0.3) / 5, 1e-12);
+  EXPECT_EQ(s.bins[4].n, 4);
+}
+
+TEST(Examination, RecoveredIsOneAtTheTruthAndZeroAtTheNominal) {
+  EXPECT_EQ(*(PredictionMarks{1.0, 0.2, 0.2}.recovered()), 1.0);
+  EXPECT_EQ(*(PredictionMarks{1.0, 0.2, 1.0}.recovered()), 0.0);
+  EXPECT_FALSE((PredictionMarks{1.0, 0.9, 0.9}.recovered().has_value()));
+  EXPECT_EQ(*(PredictionMarks{1.0, 0.2, std::nan("")}.recovered()), 0.0) << "no prediction recovers nothing";
+}
+
+TEST(ProofText, PrintsEveryMissAndTheSeal) {
+  ProofRecord record{"realitygrad prove --seed 1", "abc123", {}};
+  record.cases.push_back(Marked(Label({Effect("coulomb_friction", {"elbow"})}),
+                                Diagnosis("unmodelled_physics", {Finding("payload", {})})));
+  const std::string text = Markdown(record);
+  EXPECT_NE(text.find("abc123"), std::string::npos);
+  EXPECT_NE(text.find("| coulomb_friction [elbow] | unmodelled_physics | payload 0.90 |"), std::string::npos)
+      << text;
+  EXPECT_NE(ProofPage(record).find("Every case"), std::string::npos);
+}
+
+TEST(Examination, ALabelThatIsNoneIsNamed) { EXPECT_FALSE(Mark(json{{"name", "x"}}, nullptr, {}).ok()); }
+
+}  // namespace
+}  // namespace rg::proof
