@@ -1,3 +1,6 @@
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
 #include <nlohmann/json.hpp>
 
 #include "tests/integration/cli/program.h"
@@ -111,6 +114,75 @@ TEST(Predict, BadInputIsOneLineAndLeavesNothing) {
   EXPECT_EQ(std::count(said.err.begin(), said.err.end(), '\n'), 1) << said.err;
   EXPECT_NE(said.err.find("/nowhere/model.json"), std::string::npos);
   EXPECT_FALSE(std::filesystem::exists(scratch / "pred.csv"));
+}
+
+// A pendulum that swings freely: q, dq and the effort that holds its friction. `break_row` edits a row's
+// fields.
+struct PendulumSet {
+  explicit PendulumSet(const ScratchFolder& scratch) : folder(scratch / "set") {
+    std::filesystem::create_directories(folder);
+    const char* root = std::getenv("RG_SOURCE_DIR");
+    urdf = ReadFile(std::string(root ? root : ".") + "/deploy/robots/pendulum.urdf").value();
+    manifest =
+        R"({"format": "realitygrad.recordings/1", "robot": "robot.urdf", "joints": ["hinge"], "recordings": [{"file": "a.csv"}]})";
+    csv = "time,position.hinge,velocity.hinge,effort_command.hinge\n";
+    for (int k = 0; k < 400; ++k) {
+      const double t = 0.01 * k, w = 3.0;
+      char row[160];
+      // Mass 0.6 kg at 0.45 m, inertia 0.1236 kg·m² about the hinge.
+      const double q = 0.6 * std::sin(w * t), v = 0.6 * w * std::cos(w * t), a = -w * w * q;
+      std::snprintf(row, sizeof row, "%.3f,%.6f,%.6f,%.6f\n", t, q, v,
+                    0.1236 * a + 0.6 * 9.81 * 0.45 * std::sin(q) + 0.01 * v);
+      csv += row;
+    }
+  }
+  void Write() const {
+    ASSERT_TRUE(WriteFileAtomically(folder + "/robot.urdf", urdf).ok());
+    ASSERT_TRUE(WriteFileAtomically(folder + "/manifest.json", manifest).ok());
+    ASSERT_TRUE(WriteFileAtomically(folder + "/a.csv", csv).ok());
+  }
+  std::string folder, urdf, manifest, csv;
+};
+
+std::string Replaced(std::string text, const std::string& from, const std::string& to) {
+  const size_t at = text.find(from);
+  EXPECT_NE(at, std::string::npos) << from;
+  return at == std::string::npos ? text : text.replace(at, from.size(), to);
+}
+
+void ExpectRefused(const ScratchFolder& scratch, const PendulumSet& set, const std::string& said_of) {
+  set.Write();
+  const Said said = RunProgram(scratch, "diagnose set --out result --threads 1");
+  EXPECT_EQ(said.code, 1) << said_of;
+  EXPECT_EQ(std::count(said.err.begin(), said.err.end(), '\n'), 1) << said.err;
+  EXPECT_NE(said.err.find(said_of), std::string::npos) << said.err;
+  EXPECT_FALSE(std::filesystem::exists(scratch / "result")) << said_of;
+}
+
+TEST(Diagnose, BadInputIsOneLineAndLeavesNothing) {
+  const ScratchFolder scratch;
+  const PendulumSet good(scratch);
+  PendulumSet bad = good;
+  bad.urdf = Replaced(bad.urdf, "\"hinge\"", "\"elbow\"");
+  ExpectRefused(scratch, bad, "no joint 'hinge'");
+  bad = good;
+  bad.csv = Replaced(bad.csv, "0.100,", "0.050,");
+  ExpectRefused(scratch, bad, "time goes back");
+  bad = good;
+  bad.csv = Replaced(bad.csv, "velocity.hinge", "position.hinge");
+  ExpectRefused(scratch, bad, "twice");
+  bad = good;
+  bad.csv.resize(bad.csv.size() - 12);
+  ExpectRefused(scratch, bad, "truncated");
+  bad = good;
+  bad.csv = Replaced(bad.csv, "0.000000", "nan");
+  ExpectRefused(scratch, bad, "NaN");
+  bad = good;
+  bad.csv.resize(bad.csv.find("0.200,"));
+  ExpectRefused(scratch, bad, "too little to say anything");
+  bad = good;
+  bad.manifest = "{";
+  ExpectRefused(scratch, bad, "not JSON");
 }
 
 }  // namespace
