@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "common/effects/effect_list.h"
 #include "common/model/robot_model.h"
@@ -53,7 +54,7 @@ std::optional<EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& 
   const std::vector<Sample> samples = SamplesOf(data, missing);
   const int n = data.n, S = static_cast<int>(samples.size());
   std::optional<EffectSpec> best;
-  double best_gain = 0;
+  double best_gain = -std::numeric_limits<double>::infinity();
   std::vector<MatrixXd> basis(n, MatrixXd(kNodes, S));
   for (int j = 0; j < n; ++j) {
     for (int s = 0; s < S; ++s)

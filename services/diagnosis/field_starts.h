@@ -10,7 +10,8 @@
 namespace rg::diagnosis {
 
 // The unknown_field_pair that follows the missing force best, over all pairs of joints: a regression of one
-// joint's missing force on the surface's weights. Empty where no pair gains anything or there is one joint.
+// joint's missing force on the surface's weights. The stairs' errors are taken as independent, which they are
+// not: good enough for a start of a fit that is linear in the weights. Empty for one joint.
 std::optional<effects::EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& nominal,
                                                   const MotionScales& scales, const MissingForce& missing);
 
