@@ -20,13 +20,13 @@ struct Blend {
 };
 
 // Cubic Hermite interpolation over a step of length h at s ∈ [0, 1]; before the step (s < 0, only before
-// the whole simulation) the begin's velocity is followed back.
+// the whole simulation) the motion is followed back with the step's mean acceleration (v1 − v0)/h.
 Blend PositionAt(double s, double h) {
-  if (s < 0) return {1, s * h, 0, 0};
+  if (s < 0) return {1, h * (s - 0.5 * s * s), 0, 0.5 * h * s * s};
   const double s2 = s * s, s3 = s2 * s;
   return {2 * s3 - 3 * s2 + 1, h * (s3 - 2 * s2 + s), 3 * s2 - 2 * s3, h * (s3 - s2)};
 }
-Blend VelocityAt(double s) { return s < 0 ? Blend{0, 1, 0, 0} : Blend{0, 1 - s, 0, s}; }
+Blend VelocityAt(double s) { return {0, 1 - s, 0, s}; }
 
 }  // namespace
 
@@ -74,14 +74,14 @@ class OutputWriter {
     impl_.StoreStacked(out_->state.data() + static_cast<Eigen::Index>(k) * out_->state.rows());
     out_->reached = k + 1;
   }
-  // The same before any step: delayed sensors look back from x0.
+  // The same before any step: delayed sensors look back from x0, at first with its velocity alone; once the
+  // first step knows the acceleration, AfterStep writes them anew.
   void AtStart(int k) {
     AtOutput(k);
     if (!impl_.data().has_sensor_delay) return;
     for (int j = 0; j < impl_.n(); ++j) {
       if (impl_.data().sensors[j].delay < 0) continue;
       SampleBefore(j, k, times_[k] - impl_.SensorDelay(j) - start_);
-      next_[j] = k + 1;
     }
   }
 
@@ -127,8 +127,8 @@ class OutputWriter {
   }
   // Time derivative of the interpolant.
   static Blend Slope(double s, double h, bool position) {
-    if (s < 0) return position ? Blend{0, 1, 0, 0} : Blend{};
     if (!position) return {0, -1 / h, 0, 1 / h};
+    if (s < 0) return {0, 1 - s, 0, s};
     return {6 * (s * s - s) / h, 3 * s * s - 4 * s + 1, 6 * (s - s * s) / h, 3 * s * s - 2 * s};
   }
 

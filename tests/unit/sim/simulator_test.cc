@@ -153,6 +153,32 @@ TEST(SensorDelay, ReportsThePast) {
   EXPECT_NEAR(out.position(0, 2), 0.1 - 0.0137, 1e-12);
 }
 
+TEST(SensorDelay, FollowsAnAcceleratedMotionBackBeyondItsStart) {
+  constexpr double kDelay = 0.0137, kSpeed = 0.3, kNudge = 1e-6;
+  Rotor rotor({MakeSpec("sensor_delay", {"hinge"}, {{"delay", kDelay}})});
+  const Eigen::VectorXd one = Eigen::VectorXd::Ones(1);
+  const CommandSignal command = CommandSignal::Constant(one);
+  const State x0 = rotor.simulator.MakeState(kZero, kSpeed * one);
+  const int delay = rotor.plant.parameters().Find("sensor_delay.hinge.delay");
+  const std::vector<double> times = {0.0, 0.01, 0.02};
+  const Trajectory out =
+      rotor.simulator.Simulate(x0, command, times, {.initial_state = true, .parameters = {delay}});
+  const double a = 1.0 / rotor.inertia;
+  for (int k = 0; k < 3; ++k) {
+    const double t = times[k] - kDelay;
+    EXPECT_NEAR(out.position(0, k), kSpeed * t + 0.5 * a * t * t, 1e-9) << k;
+    EXPECT_NEAR(out.velocity(0, k), kSpeed + a * t, 1e-9) << k;
+    EXPECT_NEAR(out.dposition(k, 2), -out.velocity(0, k), 1e-9) << k;
+    EXPECT_NEAR(out.dvelocity(k, 2), -a, 1e-9) << k;
+  }
+  const State nudged = rotor.simulator.MakeState(kZero, (kSpeed + kNudge) * one);
+  const Trajectory other = rotor.simulator.Simulate(nudged, command, times);
+  for (int k = 0; k < 3; ++k) {
+    EXPECT_NEAR(out.dposition(k, 1), (other.position(0, k) - out.position(0, k)) / kNudge, 1e-7) << k;
+    EXPECT_NEAR(out.dvelocity(k, 1), (other.velocity(0, k) - out.velocity(0, k)) / kNudge, 1e-7) << k;
+  }
+}
+
 TEST(MakeStateFromMeasurement, IsMeasuredAsWhatItWasMadeFrom) {
   auto elastic = MakeSpec("joint_elasticity", {"elbow"}, {{"stiffness", 200}, {"motor_inertia", 0.1}});
   elastic.options["sensor"] = "motor";
