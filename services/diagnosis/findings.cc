@@ -8,6 +8,8 @@
 
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
+#include "services/diagnosis/confidence.h"
+#include "services/diagnosis/hypotheses.h"
 
 namespace rg::diagnosis {
 
@@ -79,6 +81,7 @@ class Speaker {
   void Run() {
     Figures();
     Verdict();
+    Calibrate(r_.verdict, s_.measured.active, &r_.findings);
     Ledger();
     Rows();
     Plots();
@@ -110,8 +113,6 @@ class Speaker {
     const bool unexplained =
         s_.measured.active ? Remains() : left > 0.25 && left > 0.3 * std::max(excess, 1e-9);
     for (const std::string& id : ids) r_.findings.push_back(FindingOf(id));
-    std::sort(r_.findings.begin(), r_.findings.end(),
-              [](const Finding& a, const Finding& b) { return a.confidence > b.confidence; });
     const bool unnamed = ids.count("unknown_field") || ids.count("unknown_field_pair");
     if (unexplained || unnamed) {
       r_.verdict = "unexplained";
@@ -125,7 +126,15 @@ class Speaker {
       return;
     }
     r_.verdict = "unmodelled_physics";
-    if (s_.best.base) AddParameters(0.25);  // a side remark
+    if (s_.best.base) AddParameters(Confidence(OddsOfParameters()));  // a side remark
+  }
+
+  // How much better the same effects explain with base parameters freed.
+  double OddsOfParameters() const {
+    for (const Candidate& c : s_.tried) {
+      if (!c.base && KeyOf(c.specs) == KeyOf(s_.best.specs)) return s_.best.score - c.score;
+    }
+    return s_.calibrated.score - s_.nominal.score;
   }
 
   // Whether what the names leave is structured and more than they explain, or, where there is no name, a good
@@ -337,7 +346,7 @@ class Speaker {
     const VectorXd energy = Energy(s_.remaining, data_.n).cwiseQuotient(scales_.torque.cwiseAbs2());
     Finding f;
     f.effect = "unknown_field";
-    f.confidence = 0.7;
+    f.confidence = 1.0;
     f.equation = "tau = f(q, dq, t)";
     f.effect_class = {"unknown_field"};
     std::vector<std::pair<double, int>> sorted;
@@ -358,9 +367,6 @@ class Speaker {
                   " that no named effect explains: " + Number(100 * f.share_of_mismatch) +
                   " % of the mismatch remains after the best of them.";
     r_.findings.insert(r_.findings.begin(), f);
-    for (Finding& g : r_.findings) {
-      if (g.effect != "unknown_field") g.confidence = std::min(g.confidence, 0.6);
-    }
   }
 
   void AddParameters(double confidence) {

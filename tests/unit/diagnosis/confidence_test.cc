@@ -1,0 +1,52 @@
+#include "services/diagnosis/confidence.h"
+
+#include <gtest/gtest.h>
+
+namespace rg::diagnosis {
+namespace {
+
+Finding Named(const std::string& effect, double confidence, double rival = -100) {
+  Finding f;
+  f.effect = effect;
+  f.confidence = confidence;
+  f.alternatives.push_back({"other", {}, rival, rival < -3, ""});
+  return f;
+}
+
+TEST(Confidence, NoOddsMakeAFindingSurerThanItsLikeWereRight) {
+  std::vector<Finding> one = {Named("coulomb_friction", 0.999)};
+  Calibrate("unmodelled_physics", false, &one);
+  EXPECT_LT(one[0].confidence, 0.97);
+  std::vector<Finding> doubtful = {Named("coulomb_friction", 0.4)};
+  Calibrate("unmodelled_physics", false, &doubtful);
+  EXPECT_EQ(doubtful[0].confidence, 0.4) << "poor odds stay poor";
+}
+
+TEST(Confidence, ANearRivalAndManyNamesLowerIt) {
+  std::vector<Finding> near = {Named("coulomb_friction", 1, -2)};
+  Calibrate("unmodelled_physics", false, &near);
+  std::vector<Finding> many = {Named("coulomb_friction", 1), Named("payload", 1), Named("torque_gain", 1)};
+  Calibrate("unmodelled_physics", false, &many);
+  EXPECT_LE(near[0].confidence, 0.6);
+  EXPECT_LE(many[0].confidence, 0.5);
+}
+
+TEST(Confidence, BesideWhatHasNoNameANameIsHardlyClaimed) {
+  std::vector<Finding> both = {Named("torque_ripple", 1), Named("unknown_field", 1)};
+  Calibrate("unexplained", false, &both);
+  EXPECT_EQ(both[0].effect, "unknown_field");
+  EXPECT_LT(both[1].confidence, 0.3);
+  std::vector<Finding> measured = {Named("coulomb_friction", 1), Named("unknown_field", 1)};
+  Calibrate("unexplained", true, &measured);
+  EXPECT_EQ(measured[0].effect, "coulomb_friction") << "a real arm's friction holds whatever else remains";
+}
+
+TEST(Confidence, ASideRemarkComesLastAndIsNoSurerThanTheName) {
+  std::vector<Finding> f = {Named("parameters_only", 1), Named("coulomb_friction", 0.7)};
+  Calibrate("unmodelled_physics", false, &f);
+  EXPECT_EQ(f[1].effect, "parameters_only");
+  EXPECT_LE(f[1].confidence, f[0].confidence);
+}
+
+}  // namespace
+}  // namespace rg::diagnosis
