@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 
 #include "common/base/check.h"
 #include "common/sim/simulator_impl.h"
@@ -74,16 +75,37 @@ class OutputWriter {
     impl_.StoreStacked(out_->state.data() + static_cast<Eigen::Index>(k) * out_->state.rows());
     out_->reached = k + 1;
   }
-  // The same before any step: delayed sensors look back from x0, at first with its velocity alone; once the
-  // first step knows the acceleration, AfterStep writes them anew.
+  // The same before any step: delayed sensors that have not looked back yet do so with x0's velocity alone,
+  // until the first step knows the acceleration and AfterStep writes them anew.
   void AtStart(int k) {
     AtOutput(k);
     if (!impl_.data().has_sensor_delay) return;
     for (int j = 0; j < impl_.n(); ++j) {
-      if (impl_.data().sensors[j].delay < 0) continue;
+      if (impl_.data().sensors[j].delay < 0 || next_[j] > k) continue;
       SampleBefore(j, k, times_[k] - impl_.SensorDelay(j) - start_);
     }
   }
+
+  // The next sample of joint j, where it is of before the start: the time it is of.
+  std::optional<double> Earlier(int j) const {
+    if (impl_.data().sensors[j].delay < 0 || next_[j] >= static_cast<int>(times_.size())) return {};
+    const double at = times_[next_[j]] - impl_.SensorDelay(j);
+    return at < start_ ? std::optional<double>(at) : std::nullopt;
+  }
+  // That sample, after a trial step of h from the start under the mean command of [at, start]; `at_once`:
+  // the velocity after the same step under the command at `at`, which is what enters as `at` moves.
+  void Before(int j, double at, double h, double at_once) {
+    const internal::JointSensor& sensor = impl_.data().sensors[j];
+    const int k = next_[j]++;
+    Sample(j, k, (at - start_) / h, h, true);
+    const int column = plan_ == nullptr ? -1 : plan_->OutputColumn(sensor.delay);
+    if (column < 0) return;
+    const double change = (at_once - EndVelocity(j)) / h;
+    const Eigen::Index row = static_cast<Eigen::Index>(k) * impl_.n() + j;
+    if (sensor.delays_position) out_->dposition(row, column) -= 0.5 * (at - start_) * change;
+    if (sensor.delays_velocity) out_->dvelocity(row, column) -= change;
+  }
+  double EndVelocity(int j) const { return *ValueRows(j, false).v; }
 
   void Finish() {
     if (plan_ == nullptr) return;
@@ -210,6 +232,33 @@ void SetCommands(Simulator::Impl& impl, const CommandSignal& signal, double t, d
   }
 }
 
+// What late sensors say of the time before the start: the motion followed back under the commands of then.
+void LookBack(Simulator::Impl& s, const State& x0, const CommandSignal& signal, internal::DirectionPlan* plan,
+              OutputWriter* writer) {
+  if (!s.data().has_sensor_delay) return;
+  const double h = s.options.step_s;
+  SensitivityBuffers* buffers = plan == nullptr ? nullptr : &s.buffers;
+  const auto restart = [&] {
+    s.Load(x0);
+    s.step_count = 0;
+    s.buffers.current = 0;
+    if (plan != nullptr) plan->Start(&s.buffers.at[0]);
+  };
+  for (int j = 0; j < s.n(); ++j) {
+    for (auto at = writer->Earlier(j); at; at = writer->Earlier(j)) {
+      SetCommands(s, signal, *at, 1e-9, nullptr);
+      bool ok = s.Step(x0.time, h, nullptr, nullptr).ok();
+      const double at_once = writer->EndVelocity(j);
+      restart();
+      SetCommands(s, signal, *at, x0.time - *at, plan);
+      ok = ok && s.Step(x0.time, h, plan, buffers).ok();
+      if (ok) writer->Before(j, *at, h, at_once);
+      restart();
+      if (!ok) return;
+    }
+  }
+}
+
 }  // namespace
 
 Trajectory Simulator::Simulate(const State& x0, const CommandSignal& command,
@@ -234,6 +283,8 @@ void Simulator::SimulateInto(const State& x0, const CommandSignal& signal, const
   }
   SensitivityBuffers* buffers = plan == nullptr ? nullptr : &s.buffers;
   OutputWriter writer(s, plan, x0.time, times, out);
+  // An output at the start alone is Measure's: it asks for no motion.
+  if (!times.empty() && times.back() > x0.time) LookBack(s, x0, signal, plan, &writer);
   double time = x0.time;
   for (size_t k = 0; k < times.size(); ++k) {
     const double duration = times[k] - time;

@@ -179,6 +179,25 @@ TEST(SensorDelay, FollowsAnAcceleratedMotionBackBeyondItsStart) {
   }
 }
 
+// A window that starts in the middle of a run says of its late rows what the whole run says.
+TEST(SensorDelay, LooksBackUnderTheCommandsOfThen) {
+  Rotor rotor({MakeSpec("sensor_delay", {"hinge"}, {{"delay", 0.025}})});
+  const CommandSignal command = Steps(1, 0.02, 10);
+  const State x0 = rotor.simulator.MakeState(kZero, kZero);
+  const Trajectory whole = rotor.simulator.Simulate(x0, command, {0.1, 0.11, 0.12, 0.13});
+  State middle = x0;
+  middle.q = whole.state.col(0).head(1);
+  middle.v = whole.state.col(0).tail(1);
+  middle.time = 0.1;
+  const Trajectory window = rotor.simulator.Simulate(middle, command, {0.1, 0.11, 0.12, 0.13});
+  for (int k = 0; k < 4; ++k) {
+    // Exact in velocity; in position to the lever of a change of command inside the time looked back.
+    EXPECT_NEAR(window.velocity(0, k), whole.velocity(0, k), 1e-9) << k;
+    const double lever = 0.025 * 0.025 / 8 * 0.8 / rotor.inertia;
+    EXPECT_NEAR(window.position(0, k), whole.position(0, k), lever) << k;
+  }
+}
+
 TEST(MakeStateFromMeasurement, IsMeasuredAsWhatItWasMadeFrom) {
   auto elastic = MakeSpec("joint_elasticity", {"elbow"}, {{"stiffness", 200}, {"motor_inertia", 0.1}});
   elastic.options["sensor"] = "motor";
