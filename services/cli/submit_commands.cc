@@ -145,6 +145,7 @@ void AddSubmitCommands(CLI::App& app, Context& context) {
         [&context, arguments, what, compile] { context.Failed(Submit(context, what, compile, *arguments)); });
     return std::pair{command, arguments};
   };
+  AddSubmitDiagnose(*submit, context);
   auto [iteration, ia] =
       add("iteration", "Trajectories, policy, rollout, identification", jobs::CompileIteration);
   AddTrajectoryFlags(iteration, &ia->options);

@@ -387,6 +387,20 @@ pb::JobSpec CompileIdentify(const IterationOptions& options, const IterationInpu
   return job;
 }
 
+pb::JobSpec CompileDiagnose(const DiagnoseOptions& options, const std::string& set) {
+  pb::JobSpec job;
+  job.set_kind("diagnose");
+  job.set_name("diagnose");
+  job.set_spec_json(
+      json{{"window_s", options.window_s}, {"seed", options.seed}, {"threads", options.threads}}.dump());
+  pb::DiagnosePayload payload;
+  payload.set_window_s(options.window_s);
+  payload.set_seed(options.seed);
+  payload.set_threads(static_cast<uint32_t>(options.threads));
+  AddArtifact(AddTask(&job, "diagnosis", kStageDiagnose, kKindDiagnose, payload), kInputRecording, set);
+  return job;
+}
+
 const std::vector<std::string>& IterationStages() {
   static const std::vector<std::string> stages = {kStageTrajectories, kStagePolicy,   kStageExamine,
                                                   kStageRollout,      kStageIdentify, kStageConclude};

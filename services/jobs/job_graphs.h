@@ -95,6 +95,14 @@ realitygrad::v1::JobSpec CompileTrain(const IterationOptions& options, const Ite
 realitygrad::v1::JobSpec CompileRollout(const IterationOptions& options, const IterationInputs& inputs);
 realitygrad::v1::JobSpec CompileIdentify(const IterationOptions& options, const IterationInputs& inputs);
 
+struct DiagnoseOptions {
+  double window_s = 1.0;
+  uint64_t seed = 1;
+  int threads = 0;  // 0: all cores of the worker
+};
+// set: artefact of kind "recording-set".
+realitygrad::v1::JobSpec CompileDiagnose(const DiagnoseOptions& options, const std::string& set);
+
 // The stage names of an iteration in order, as people see them.
 const std::vector<std::string>& IterationStages();
 

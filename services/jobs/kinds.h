@@ -11,6 +11,7 @@ inline constexpr char kKindExamine[] = "examine";
 inline constexpr char kKindRollout[] = "rollout";
 inline constexpr char kKindIdentify[] = "identify";
 inline constexpr char kKindConclude[] = "conclude";
+inline constexpr char kKindDiagnose[] = "diagnose";
 
 inline constexpr char kStageTrajectories[] = "trajectories";
 inline constexpr char kStagePolicy[] = "policy";
@@ -19,6 +20,7 @@ inline constexpr char kStageExamine[] = "examination";
 inline constexpr char kStageRollout[] = "rollout";
 inline constexpr char kStageIdentify[] = "identification";
 inline constexpr char kStageConclude[] = "conclusion";
+inline constexpr char kStageDiagnose[] = "diagnosis";
 
 inline constexpr char kInputModel[] = "model";
 inline constexpr char kInputShard[] = "shard";
@@ -36,6 +38,8 @@ inline constexpr char kOutputChain[] = "chain";
 inline constexpr char kOutputModel[] = "model";
 inline constexpr char kOutputParameters[] = "parameters";
 inline constexpr char kOutputResult[] = "result";
+inline constexpr char kOutputDiagnosis[] = "diagnosis";
+inline constexpr char kOutputReport[] = "report";
 
 // Kinds of artefacts.
 inline constexpr char kArtifactModel[] = "model";
@@ -46,5 +50,8 @@ inline constexpr char kArtifactRecording[] = "recording";
 inline constexpr char kArtifactHopState[] = "hop-state";
 inline constexpr char kArtifactParameters[] = "parameters";
 inline constexpr char kArtifactResult[] = "iteration-result";
+inline constexpr char kArtifactRecordingSet[] = "recording-set";
+inline constexpr char kArtifactDiagnosis[] = "diagnosis";
+inline constexpr char kArtifactReport[] = "report";
 
 }  // namespace rg::jobs

@@ -1,5 +1,6 @@
 #include "services/jobs/task_kinds.h"
 
+#include "services/jobs/diagnose_task.h"
 #include "services/jobs/identify_tasks.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/learning_tasks.h"
@@ -14,6 +15,7 @@ void RegisterWorkerKinds(worker::TaskRegistry* registry) {
   registry->Register(kKindExamine, RunExamine);
   registry->Register(kKindIdentify, RunIdentify);
   registry->Register(kKindConclude, RunConclude);
+  registry->Register(kKindDiagnose, RunDiagnose);
 }
 
 }  // namespace rg::jobs

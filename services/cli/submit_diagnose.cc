@@ -1,0 +1,115 @@
+// `submit diagnose`: a recording set on this machine, diagnosed by a worker.
+#include <CLI/CLI.hpp>
+#include <filesystem>
+#include <memory>
+#include <nlohmann/json.hpp>
+
+#include "common/base/file.h"
+#include "common/recordings/recording_set.h"
+#include "coordinator/client/client.h"
+#include "realitygrad/v1/artifact.pb.h"
+#include "realitygrad/v1/control.pb.h"
+#include "services/cli/commands.h"
+#include "services/cli/context.h"
+#include "services/cli/job_view.h"
+#include "services/jobs/job_graphs.h"
+#include "services/jobs/kinds.h"
+#include "services/rollouts/recording_bundle.h"
+
+namespace rg::cli {
+namespace {
+
+namespace pb = ::realitygrad::v1;
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+struct DiagnoseJobArguments {
+  std::string set, out, request_id;
+  jobs::DiagnoseOptions options;
+  bool follow = false;
+};
+
+// What the manifest names, and the manifest; the set is read first, so that a bad one is refused here.
+Result<std::string> Packed(const std::string& folder) {
+  RG_RETURN_IF_ERROR(recordings::LoadSet(folder).status());
+  RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(folder + "/manifest.json"));
+  const json manifest = json::parse(text);
+  rollouts::Bundle bundle = {{"manifest.json", text}};
+  const auto add = [&](const std::string& name) -> Status {
+    RG_ASSIGN_OR_RETURN(bundle[name], ReadFile(folder + "/" + name));
+    return Status::Ok();
+  };
+  RG_RETURN_IF_ERROR(add(manifest.at("robot").get<std::string>()));
+  for (const json& recording : manifest.at("recordings"))
+    RG_RETURN_IF_ERROR(add(recording.at("file").get<std::string>()));
+  for (const auto& [name, bytes] : bundle) {
+    if (name.find('/') != std::string::npos)
+      return InvalidError(folder + "/manifest.json: " + name + " is not in the set's own folder");
+  }
+  return rollouts::PackBundle(bundle);
+}
+
+Status Fetch(coordinator::Client& client, const pb::GetJobReply& job, const std::string& out) {
+  for (const pb::TaskInfo& task : job.tasks()) {
+    for (const pb::TaskOutput& output : task.outputs()) {
+      const std::string name = output.kind() == jobs::kArtifactDiagnosis ? "diagnosis.json"
+                               : output.kind() == jobs::kArtifactModel   ? "model.json"
+                               : output.kind() == jobs::kArtifactReport  ? "report.html"
+                                                                         : "";
+      if (name.empty()) continue;
+      RG_ASSIGN_OR_RETURN(const std::string bytes, client.GetArtifact(output.sha256()));
+      RG_RETURN_IF_ERROR(WriteFileAtomically(out + "/" + name, bytes));
+    }
+  }
+  return Status::Ok();
+}
+
+Status SubmitDiagnose(Context& context, const DiagnoseJobArguments& arguments) {
+  RG_ASSIGN_OR_RETURN(const std::string bundle, Packed(arguments.set));
+  RG_ASSIGN_OR_RETURN(const auto client, context.Connect());
+  pb::ArtifactInfo info;
+  info.set_kind(jobs::kArtifactRecordingSet);
+  info.set_metadata_json(json{{"name", fs::path(arguments.set).filename().string()}}.dump());
+  RG_ASSIGN_OR_RETURN(const std::string set, client->PutArtifact(bundle, info));
+  RG_ASSIGN_OR_RETURN(const int64_t id,
+                      client->Submit(jobs::CompileDiagnose(arguments.options, set), arguments.request_id));
+  if (!arguments.follow && arguments.out.empty()) {
+    if (context.json()) {
+      PrintJson("realitygrad.submitted/1", {{"job", id}});
+    } else {
+      Print(std::to_string(id));
+      if (!context.quiet()) PrintNote("next: realitygrad job watch " + std::to_string(id));
+    }
+    return Status::Ok();
+  }
+  RG_ASSIGN_OR_RETURN(const pb::GetJobReply end, FollowJob(*client, id, -1, context.quiet()));
+  RG_ASSIGN_OR_RETURN(const pb::GetJobReply whole, client->GetJob(id, true, false));
+  if (!arguments.out.empty()) RG_RETURN_IF_ERROR(Fetch(*client, whole, arguments.out));
+  if (context.json()) {
+    PrintJson("realitygrad.job/1", JobDetailsJson(whole));
+  } else {
+    Print(context.quiet() || !arguments.out.empty() ? arguments.out : JobDetails(whole, false));
+  }
+  context.exit_code = coordinator::ExitCodeOf(end.job().state());
+  return Status::Ok();
+}
+
+}  // namespace
+
+void AddSubmitDiagnose(CLI::App& submit, Context& context) {
+  auto arguments = std::make_shared<DiagnoseJobArguments>();
+  CLI::App* command = submit.add_subcommand("diagnose", "Which physics a model leaves out, on a worker");
+  command->add_option("SET", arguments->set, "Folder of a recording set")->required();
+  command->add_option("--out", arguments->out,
+                      "Wait, and write diagnosis.json, model.json, report.html here");
+  command->add_option("--window", arguments->options.window_s, "Length of the judged predictions [s]")
+      ->capture_default_str();
+  command->add_option("--threads", arguments->options.threads, "0: all cores of the worker")
+      ->capture_default_str();
+  command->add_option("--seed", arguments->options.seed)->capture_default_str();
+  command->add_option("--request-id", arguments->request_id, "The same id never makes a second job");
+  command->add_flag("--follow", arguments->follow, "Until it ends, with progress");
+  command->callback([&context, arguments] { context.Failed(SubmitDiagnose(context, *arguments)); });
+}
+
+}  // namespace rg::cli
