@@ -299,6 +299,13 @@ Result<CaseMarks> Mark(const json& label, const json& diagnosis, const Predictio
       std::snprintf(confidence, sizeof confidence, " %.2f", s.confidence);
       m.said.push_back(Listed(s.effect, s.joints) + confidence);
     }
+    const json holdout =
+        m.diagnosed ? diagnosis.value(json::json_pointer("/fit/holdout"), json::object()) : json::object();
+    const double before = holdout.value("before_rms", 0.0), floor = holdout.value("noise_floor_rms", 0.0);
+    if (before > 1.3 * floor && floor > 0) {
+      m.calibrated_alone = (before - holdout.value("calibrated_rms", before)) / (before - floor);
+      m.with_findings = (before - holdout.value("after_rms", before)) / (before - floor);
+    }
     m.verdict_right = Has(Strings(label, "verdict"), m.verdict);
     Marker(label, diagnosis, &m).Run();
   } catch (const json::exception& e) {
@@ -328,8 +335,11 @@ Summary Summarise(const std::vector<CaseMarks>& cases) {
   s.cases = static_cast<int>(cases.size());
   double strong = 0, weak = 0, joints = 0, alarms = 0, open = 0, verdicts = 0;
   int strong_n = 0, weak_n = 0, joints_n = 0, controls = 0, open_n = 0;
-  std::vector<double> errors, recovered, seconds;
+  std::vector<double> errors, recovered, seconds, calibrated, findings;
   for (const CaseMarks& c : cases) {
+    if (c.kind != CaseKind::kControl && c.calibrated_alone) {
+      calibrated.push_back(*c.calibrated_alone), findings.push_back(*c.with_findings);
+    }
     s.undiagnosed += !c.diagnosed;
     verdicts += c.verdict_right;
     seconds.push_back(c.seconds);
@@ -354,6 +364,7 @@ Summary Summarise(const std::vector<CaseMarks>& cases) {
   s.verdicts = ShareOf(verdicts, s.cases);
   s.parameter_error = Median(errors), s.parameters = static_cast<int>(errors.size());
   s.recovered = Median(recovered), s.gaps = static_cast<int>(recovered.size());
+  s.calibrated_alone = Median(calibrated), s.with_findings = Median(findings);
   s.seconds_median = Median(seconds);
   s.seconds_max = seconds.empty() ? 0 : *std::max_element(seconds.begin(), seconds.end());
   Calibrate(cases, &s);
@@ -439,6 +450,8 @@ json ToJson(const Summary& s) {
           {"recovered", NumberOrNull(s.recovered)},
           {"gaps", s.gaps},
           {"worse_than_nominal", s.worse},
+          {"holdout_calibrated_alone", NumberOrNull(s.calibrated_alone)},
+          {"holdout_with_findings", NumberOrNull(s.with_findings)},
           {"confidence_bins", bins},
           {"calibration_error", s.calibration_error},
           {"seconds_median", s.seconds_median},

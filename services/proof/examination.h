@@ -43,6 +43,9 @@ struct CaseMarks {
   std::vector<std::pair<double, bool>> calls;  // confidence of every finding, whether it holds
   std::vector<std::string> effects;            // ids of the label
   PredictionMarks prediction;
+  // Of the gap between before and floor on the set's own held-out recordings: what rigid-body parameters alone
+  // recover, and what the findings do. Absent where there is no gap.
+  std::optional<double> calibrated_alone, with_findings;
 };
 
 // label: label.json of a case; diagnosis: diagnosis.json, null if there is none. Error: a label that is none.
@@ -75,6 +78,7 @@ struct Summary {
   int parameters = 0;
   double recovered = 0;  // median
   int gaps = 0;
+  double calibrated_alone = 0, with_findings = 0;  // medians, on the sets' held-out recordings, effects only
   int worse = 0;  // predictions worse than the nominal model's by 5 %
   std::vector<ConfidenceBin> bins;
   double calibration_error = 0;  // Σ n·|confidence − hit rate| / Σ n

@@ -128,6 +128,16 @@ TEST(Examination, RecoveredIsOneAtTheTruthAndZeroAtTheNominal) {
   EXPECT_EQ(*(PredictionMarks{1.0, 0.2, std::nan("")}.recovered()), 0.0) << "no prediction recovers nothing";
 }
 
+TEST(Examination, TheBaselineIsWhatParametersAloneRecover) {
+  json diagnosis = Diagnosis("unmodelled_physics", {Finding("coulomb_friction", {"elbow"})});
+  diagnosis["fit"]["holdout"] = {
+      {"before_rms", 1.1}, {"calibrated_rms", 0.6}, {"after_rms", 0.1}, {"noise_floor_rms", 0.1}};
+  const CaseMarks m = Marked(Label({Effect("coulomb_friction", {"elbow"})}), diagnosis);
+  EXPECT_NEAR(*m.calibrated_alone, 0.5, 1e-12);
+  EXPECT_NEAR(*m.with_findings, 1.0, 1e-12);
+  EXPECT_NEAR(Summarise({m}).calibrated_alone, 0.5, 1e-12);
+}
+
 TEST(ProofText, PrintsEveryMissAndTheSeal) {
   ProofRecord record{"realitygrad prove --seed 1", "abc123", {}};
   record.cases.push_back(Marked(Label({Effect("coulomb_friction", {"elbow"})}),
