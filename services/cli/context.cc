@@ -160,7 +160,13 @@ bool Context::Failed(const Status& status) {
   const Status own =
       children_ && status.code() == StatusCode::kUnavailable ? children_->Check() : Status::Ok();
   exit_code = Fail(own.ok() ? status : own);
+  if (misused_) exit_code = kExitUsage;
   return true;
+}
+
+Status Context::Usage(Status status) const {
+  misused_ = misused_ || !status.ok();
+  return status;
 }
 
 std::string RobotsFolder(const Settings& settings) {

@@ -47,6 +47,8 @@ class Context {
   Result<std::unique_ptr<coordinator::Client>> Connect() const;
   // Prints `status` and sets the exit code; true if it was an error.
   bool Failed(const Status& status);
+  // `status` as it is; if it is an error, one of usage: Failed will exit with 2.
+  Status Usage(Status status) const;
   bool json() const { return output == OutputFormat::kJson; }
   bool quiet() const { return output == OutputFormat::kQuiet; }
 
@@ -54,6 +56,7 @@ class Context {
   Result<std::string> AddressOfRun(const std::string& folder) const;
   mutable std::unique_ptr<ChildProcesses> children_;
   mutable std::string socket_folder_;
+  mutable bool misused_ = false;
 };
 
 // Folder of robot profiles and URDFs: the setting, or what was there when the program was built.

@@ -229,7 +229,7 @@ Status RunExperiment(Context& context, ExperimentArguments arguments) {
   }
   arguments.options.identify.budget_s = arguments.budget_s;
   arguments.options.identify.chains = arguments.workers;
-  RG_RETURN_IF_ERROR(jobs::Validate(arguments.options));
+  RG_RETURN_IF_ERROR(context.Usage(jobs::Validate(arguments.options)));
   RG_ASSIGN_OR_RETURN(const Settings settings, context.Resolve());
   RG_ASSIGN_OR_RETURN(const RobotProfile profile, LoadRobotProfile(RobotsFolder(settings), arguments.robot));
   RG_ASSIGN_OR_RETURN(const auto robot, LoadRobot(profile));

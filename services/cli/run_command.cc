@@ -86,10 +86,11 @@ Status Prepare(const Context& context, RunArguments* arguments, RobotProfile* pr
                         "' has no simulated robot: 'truth' is missing in its profile");
   RG_RETURN_IF_ERROR(LoadRobot(*profile).status());
   if (run.iterations < 1)
-    return InvalidError("--iterations is " + std::to_string(run.iterations) + ", must be at least 1");
+    return context.Usage(
+        InvalidError("--iterations is " + std::to_string(run.iterations) + ", must be at least 1"));
   jobs::IterationOptions options = run.options;
   TakeProfile(*profile, &options);
-  RG_RETURN_IF_ERROR(jobs::Validate(options));
+  RG_RETURN_IF_ERROR(context.Usage(jobs::Validate(options)));
   if (run.workers <= 0) run.workers = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
   if (!arguments->resume) {
     run.id = "run-" + RandomHex(8);

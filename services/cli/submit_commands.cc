@@ -94,7 +94,7 @@ Status Submit(Context& context, const std::string& what, Compile compile, Submit
   RG_ASSIGN_OR_RETURN(const Settings settings, context.Resolve());
   RG_ASSIGN_OR_RETURN(const RobotProfile profile, LoadRobotProfile(RobotsFolder(settings), arguments.robot));
   TakeProfile(profile, &arguments.options);
-  RG_RETURN_IF_ERROR(jobs::Validate(arguments.options));
+  RG_RETURN_IF_ERROR(context.Usage(jobs::Validate(arguments.options)));
   RG_ASSIGN_OR_RETURN(const auto client, context.Connect());
   RG_ASSIGN_OR_RETURN(const auto inputs, FindInputs(*client, profile, what, arguments));
   pb::JobSpec job = compile(arguments.options, inputs);

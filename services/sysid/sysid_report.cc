@@ -70,6 +70,7 @@ std::string FormatSysid(const SysidReport& report) {
   out += Printf("%-36s %12.5g %12.5g %14.5g %14.5g  ", "all", report.before_rms, report.after_rms,
                 report.before_median, report.after_median) +
          Ratio(report.before_rms, report.after_rms) + "\n";
+  for (const std::string& warning : report.warnings) out += "warning: " + warning + "\n";
   out += Printf("windows of %.3g s, restarted from the measured state; steps of %.3g ms; %.1f s of work%s\n",
                 report.window_s, 1e3 * report.step_s, report.seconds,
                 report.stopped_early ? ", stopped early" : "");
