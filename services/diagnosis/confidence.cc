@@ -5,21 +5,23 @@
 namespace rg::diagnosis {
 namespace {
 
-constexpr double kAlone = 0.95;       // one name, nothing left
-constexpr double kTwo = 0.9;          // two names, nothing left
-constexpr double kMany = 0.5;         // three or more: one thing taken for several
-constexpr double kRival = 0.6;        // a rival that the data cannot tell from it
-constexpr double kBeside = 0.2;       // a name beside what has none
-constexpr double kUnknown = 0.8;      // that there is something without a name
-constexpr double kParameters = 0.95;  // parameters alone
+constexpr double kAlone = 0.92;             // one name, nothing left: 65 of 70
+constexpr double kTwo = 0.6;                // two names, nothing left
+constexpr double kMany = 0.45;              // three or more: one thing taken for several
+constexpr double kMeasured = 0.9;           // several names on a robot whose effort is measured
+constexpr double kRival = 0.4;              // a rival that the data cannot tell from it
+constexpr double kBeside = 0.2;             // a name beside what has none
+constexpr double kUnknown = 0.5;            // that there is something without a name
+constexpr double kParameters = 0.92;        // parameters alone
+constexpr double kParametersBeside = 0.29;  // beside a name: as often a second effect that they swallowed
 
 bool IsName(const Finding& f) { return f.effect != "parameters_only" && f.effect != "unknown_field"; }
 
-double HitRate(const Finding& f, const std::string& verdict, bool measured, int names) {
-  if (f.effect == "parameters_only") return kParameters;
+double HitRate(const Finding& f, const std::string& verdict, bool measured, int names, bool alone) {
+  if (f.effect == "parameters_only") return alone ? kParameters : kParametersBeside;
   if (f.effect == "unknown_field") return kUnknown;
   if (verdict == "unexplained" && !measured) return kBeside;
-  const double rate = names <= 1 ? kAlone : names == 2 ? kTwo : measured ? kTwo : kMany;
+  const double rate = names <= 1 ? kAlone : measured ? kMeasured : names == 2 ? kTwo : kMany;
   const bool rival = std::any_of(f.alternatives.begin(), f.alternatives.end(),
                                  [](const Alternative& a) { return !a.separable; });
   return rival ? std::min(rate, kRival) : rate;
@@ -29,7 +31,9 @@ double HitRate(const Finding& f, const std::string& verdict, bool measured, int 
 
 void Calibrate(const std::string& verdict, bool measured, std::vector<Finding>* findings) {
   const auto names = static_cast<int>(std::count_if(findings->begin(), findings->end(), IsName));
-  for (Finding& f : *findings) f.confidence = std::min(f.confidence, HitRate(f, verdict, measured, names));
+  const bool alone = findings->size() == 1;
+  for (Finding& f : *findings)
+    f.confidence = std::min(f.confidence, HitRate(f, verdict, measured, names, alone));
   const auto side = [&](const Finding& f) { return f.effect == "parameters_only" && findings->size() > 1; };
   std::stable_sort(findings->begin(), findings->end(), [&](const Finding& a, const Finding& b) {
     return side(a) != side(b) ? side(b) : a.confidence > b.confidence;
