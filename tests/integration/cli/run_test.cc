@@ -94,7 +94,7 @@ TEST(Run, StoppedByCtrlCGoesOnWhereItWas) {
 TEST(Run, RefusesImpossibleOptionsBeforeAnythingStarts) {
   const ScratchFolder scratch;
   const Said said = RunProgram(scratch, "run --dir r --trajectories 0");
-  EXPECT_EQ(said.code, 1);
+  EXPECT_EQ(said.code, 2);
   EXPECT_NE(said.err.find("trajectories is 0, must be between 1"), std::string::npos) << said.err;
   EXPECT_FALSE(std::filesystem::exists(scratch / "r/realitygrad.db"));
   EXPECT_NE(RunProgram(scratch, "run --robot nobody").err.find("known robots"), std::string::npos);
