@@ -3,10 +3,12 @@
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <set>
 
 #include "common/base/file.h"
 #include "common/model/urdf_loader.h"
+#include "common/sim/model_file.h"
 
 namespace rg::robot_agent {
 namespace {
@@ -60,6 +62,32 @@ Result<effects::EffectSpec> ReadEffect(const json& entry) {
   return spec;
 }
 
+Result<std::vector<effects::EffectSpec>> ReadEffects(const json& root) {
+  std::vector<effects::EffectSpec> effects;
+  for (const auto& entry : root.value("effects", json::array())) {
+    RG_ASSIGN_OR_RETURN(effects::EffectSpec spec, ReadEffect(entry));
+    effects.push_back(std::move(spec));
+  }
+  return effects;
+}
+
+// From "model": what a diagnosis or an identification wrote, and the effects beside it.
+Result<sim::ModelFile> ReadModel(const json& root, const std::string& path) {
+  for (const char* field : {"urdf", "joints", "locked", "gravity"})
+    if (root.contains(field))
+      return InvalidError("\"model\" holds the robot already: \"" + std::string(field) +
+                          "\" is one too many");
+  const auto file = std::filesystem::path(path).parent_path() / root.at("model").get<std::string>();
+  RG_ASSIGN_OR_RETURN(sim::ModelFile model, sim::LoadModelFile(file.string()));
+  RG_ASSIGN_OR_RETURN(const auto effects, ReadEffects(root));
+  sim::Plant plant = model.plant;
+  for (const effects::EffectSpec& spec : effects) {
+    RG_ASSIGN_OR_RETURN(plant, plant.WithEffect(spec));
+  }
+  Eigen::VectorXd values = plant.ValuesFrom(model.plant.parameters(), model.values);
+  return sim::ModelFile{std::move(plant), std::move(values), model.version};
+}
+
 Result<sim::Plant> ReadPlant(const json& root, const std::string& path) {
   const auto urdf = std::filesystem::path(path).parent_path() / root.at("urdf").get<std::string>();
   model::LoadOptions load;
@@ -72,17 +100,12 @@ Result<sim::Plant> ReadPlant(const json& root, const std::string& path) {
     if (gravity.size() != 3) return InvalidError("gravity needs three numbers");
     options.gravity = Eigen::Vector3d(gravity[0], gravity[1], gravity[2]);
   }
-  std::vector<effects::EffectSpec> effects;
-  for (const auto& entry : root.value("effects", json::array())) {
-    RG_ASSIGN_OR_RETURN(effects::EffectSpec spec, ReadEffect(entry));
-    effects.push_back(std::move(spec));
-  }
+  RG_ASSIGN_OR_RETURN(auto effects, ReadEffects(root));
   return sim::Plant::Create(std::make_shared<const model::RobotModel>(std::move(model)), options,
                             std::move(effects));
 }
 
 Status ReadParameters(const json& root, const sim::Plant& plant, Eigen::VectorXd* values) {
-  *values = plant.parameters().Nominal();
   const json departures = root.value("parameters", json::object());
   for (const auto& [name, departure] : departures.items()) {
     RG_RETURN_IF_ERROR(CheckKeys(departure, {"scale", "add", "value"}, "parameters." + name + ": "));
@@ -145,14 +168,22 @@ Status ReadSensors(const json& root, RobotTruth* truth) {
 Result<RobotTruth> ReadTruth(const json& root, const std::string& path) {
   RG_RETURN_IF_ERROR(
       CheckKeys(root,
-                {"format", "robot", "urdf", "joints", "locked", "gravity", "parameters", "effects",
+                {"format", "robot", "model", "urdf", "joints", "locked", "gravity", "parameters", "effects",
                  "torque_limit", "gravity_compensation", "silence", "position_controller", "initial_pose",
                  "sensors", "command_latency_s", "step_s", "physics_step_s"},
                 ""));
   if (root.at("format") != "realitygrad.robot_truth/1")
     return InvalidError("format is " + root.at("format").dump() + ", needs realitygrad.robot_truth/1");
-  RG_ASSIGN_OR_RETURN(sim::Plant plant, ReadPlant(root, path));
-  RobotTruth truth{.robot = root.at("robot").get<std::string>(), .plant = std::move(plant)};
+  std::optional<sim::ModelFile> model;
+  if (root.contains("model")) {
+    RG_ASSIGN_OR_RETURN(model, ReadModel(root, path));
+  } else {
+    RG_ASSIGN_OR_RETURN(sim::Plant plant, ReadPlant(root, path));
+    Eigen::VectorXd nominal = plant.parameters().Nominal();
+    model = sim::ModelFile{std::move(plant), std::move(nominal)};
+  }
+  RobotTruth truth{
+      .robot = root.at("robot").get<std::string>(), .plant = model->plant, .values = model->values};
   RG_RETURN_IF_ERROR(ReadParameters(root, truth.plant, &truth.values));
   RG_ASSIGN_OR_RETURN(truth.torque_limit, ReadVector(root, "torque_limit", truth.n(), 0));
   RG_ASSIGN_OR_RETURN(truth.initial_pose, ReadVector(root, "initial_pose", truth.n(), -1e3));

@@ -3,6 +3,8 @@
 // realitygrad.robot_truth/1, JSON:
 //   "format", "robot"       "mico2"
 //   "urdf"                  path, relative to the truth file; "joints" (the moving ones), "locked" {joint: q}
+//   "model"                 instead of these, relative too: a model.json (of a diagnosis, an identification);
+//                           "parameters" and "effects" then come on top of what it holds
 //   "gravity"               [3], default (0, 0, -9.81)
 //   "parameters"            {"<name of the plant's parameter table>": {"scale": s} | {"add": d} | {"value":
 //   x}}:

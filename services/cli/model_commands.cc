@@ -30,13 +30,16 @@ void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
 // ---- sysid ----
 
 struct SysidArguments {
-  std::string set, out;
+  std::string set, out, model;
   sysid::SysidOptions options;
 };
 
-Status Sysid(Context& context, const SysidArguments& arguments) {
+Status Sysid(Context& context, SysidArguments& arguments) {
   signal(SIGINT, OnInterrupt);
   RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSet(arguments.set));
+  if (!arguments.model.empty()) {
+    RG_ASSIGN_OR_RETURN(arguments.options.model, sim::LoadModelFile(arguments.model));
+  }
   RG_RETURN_IF_ERROR(CheckWritable(arguments.out));
   ProgressDisplay display(
       {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
@@ -170,6 +173,8 @@ void AddModelCommands(CLI::App& app, Context& context) {
   auto& o = sysid_arguments->options;
   sysid_command->add_option("SET", sysid_arguments->set, "Folder of a recording set")->required();
   sysid_command->add_option("--out", sysid_arguments->out, "Folder for model.json and sysid.json");
+  sysid_command->add_option("--model", sysid_arguments->model,
+                            "model.json to start from, of a diagnosis for example; default: the set's URDF");
   sysid_command->add_option("--window", o.window_s, "Length of the judged predictions [s]")
       ->capture_default_str();
   sysid_command->add_option("--step", o.step_s, "Of the simulator [s]")->capture_default_str();

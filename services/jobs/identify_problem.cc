@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <set>
 
 #include "realitygrad/v1/payloads.pb.h"
 
@@ -116,11 +117,21 @@ std::vector<int> FrictionParameters(const sim::Plant& plant) {
   return found;
 }
 
-// Joints on which the plant does not have the effect.
+// Where a diagnosis has put another law of dry friction, or a motor of its own, a second one is no news.
+bool Stands(const std::string& have, const std::string& for_this) {
+  static const std::set<std::string> kDry = {"stribeck_friction", "asymmetric_friction",
+                                             "load_dependent_friction", "presliding_hysteresis",
+                                             "thermal_drift"};
+  static const std::set<std::string> kMotor = {"joint_elasticity", "backlash"};
+  if (have == for_this) return true;
+  return for_this == "coulomb_friction" ? kDry.contains(have) : kMotor.contains(have);
+}
+
+// Joints on which the plant has neither the effect nor one that stands for it.
 std::vector<std::string> JointsWithout(const sim::Plant& plant, const std::string& id) {
   std::vector<std::string> joints = plant.joint_names();
   for (const effects::EffectSpec& spec : plant.effects()) {
-    if (spec.id != id) continue;
+    if (!Stands(spec.id, id)) continue;
     for (const std::string& joint : spec.joints) std::erase(joints, joint);
   }
   return joints;

@@ -48,7 +48,8 @@ IdentifyProblemOptions OptionsOf(const realitygrad::v1::IdentifyPayload& payload
 sysid::Solver SolverOf(const realitygrad::v1::IdentifyPayload& payload);
 
 // The model to be fitted: `model` itself, or, if friction is asked for, with Coulomb friction and rotor
-// inertia on every joint that has none yet, at a hundredth of what the catalogue thinks typical.
+// inertia on every joint that has none yet (nor another law of dry friction, nor a motor behind a spring or a
+// gap), at a hundredth of what the catalogue thinks typical.
 Result<sim::ModelFile> ModelToFit(const sim::ModelFile& model, const IdentifyProblemOptions& options);
 
 class IdentifyProblem {

@@ -9,6 +9,7 @@
 
 #include "common/base/rng.h"
 #include "common/effects/effect.h"
+#include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "common/model/urdf_loader.h"
 #include "common/recordings/noise.h"
@@ -95,8 +96,14 @@ class Identification {
  private:
   Status Prepare() {
     RG_ASSIGN_OR_RETURN(sim::Plant nominal, NominalPlant(set_));
+    given_ = nominal.parameters().Nominal();
+    if (options_.model) {
+      RG_RETURN_IF_ERROR(CheckJoints(options_.model->plant, nominal));
+      nominal = options_.model->plant;
+      given_ = options_.model->values;
+    }
     nominal_.emplace(std::move(nominal));
-    const VectorXd values = nominal_->parameters().Nominal();
+    const VectorXd& values = given_;
     for (const recordings::Recording* rec : set_.Fit()) {
       if (rec->drive_effort().size() == 0) return InvalidError(rec->name + ": no effort drives the model");
       if (rec->rows() < 10) return InvalidError(rec->name + ": fewer than 10 rows, too little to fit");
@@ -111,6 +118,14 @@ class Identification {
     return Status::Ok();
   }
 
+  static Status CheckJoints(const sim::Plant& model, const sim::Plant& set) {
+    if (model.joint_names() == set.joint_names()) return Status::Ok();
+    std::string have, want;
+    for (const std::string& joint : model.joint_names()) have += " " + joint;
+    for (const std::string& joint : set.joint_names()) want += " " + joint;
+    return InvalidError("the model has the joints" + have + ", the recordings" + want);
+  }
+
   // The candidate's plant, and where its fit starts.
   Result<Fitted> Start(const Candidate& candidate) {
     const double start = clock_.SteadySeconds();
@@ -118,7 +133,7 @@ class Identification {
     Fitted f{plant, FitSpace(ParametersOf(plant, candidate), options_.consistent_inertias)};
     f.score.name = candidate.name;
     f.fit.theta = f.space.nominal();
-    f.fit.values = plant.parameters().Nominal();
+    f.fit.values = plant.ValuesFrom(nominal_->parameters(), given_);
     f.score.parameters = f.space.size();
     if (f.space.size() > 0) Regress(&f);
     f.score.seconds = clock_.SteadySeconds() - start;
@@ -157,10 +172,27 @@ class Identification {
   }
 
   Result<sim::Plant> PlantOf(const Candidate& candidate) const {
-    std::vector<effects::EffectSpec> specs;
-    for (const std::string& id : candidate.effects)
-      specs.push_back(effects::MakeSpec(id, nominal_->joint_names()));
+    std::vector<effects::EffectSpec> specs = nominal_->effects();
+    for (const std::string& id : candidate.effects) {
+      const std::vector<std::string> joints = JointsWithout(id);
+      if (!joints.empty()) specs.push_back(effects::MakeSpec(id, joints));
+    }
     return sim::Plant::Create(nominal_->shared_model(), nominal_->options(), std::move(specs));
+  }
+
+  // Joints on which the model that was given has neither this effect nor, for dry friction, another law of
+  // it.
+  std::vector<std::string> JointsWithout(const std::string& id) const {
+    const auto dry = [](const std::string& of) {
+      return effects::FindEffect(of)->family == "friction" && of != "viscous_friction" &&
+             of != "quadratic_drag";
+    };
+    std::vector<std::string> joints = nominal_->joint_names();
+    for (const effects::EffectSpec& spec : nominal_->effects()) {
+      if (spec.id != id && !(dry(spec.id) && dry(id))) continue;
+      for (const std::string& joint : spec.joints) std::erase(joints, joint);
+    }
+    return joints;
   }
 
   // Rotor inertia is believed in units of what the joint carries, which its catalogue row cannot know.
@@ -178,6 +210,9 @@ class Identification {
     dynamics::Crba(MechanismOf(plant, plant.parameters().Nominal()), workspace,
                    fit_.front().recording->q.col(0), M);
     for (FitParameter& p : EffectFitParameters(plant)) {
+      if (std::find(candidate.effects.begin(), candidate.effects.end(), plant.parameters()[p.index].effect) ==
+          candidate.effects.end())
+        continue;
       const sim::Parameter& row = plant.parameters()[p.index];
       const int joint = plant.model().FindJoint(row.owner);
       // Where the URDF declares the same force, that parameter is the one that moves.
@@ -187,7 +222,16 @@ class Identification {
       if (!std::isfinite(p.prior_stddev)) p.prior_stddev = 0.1 * LargestEffort(joint);
       out.push_back(std::move(p));
     }
+    if (options_.model) StandAround(plant.ValuesFrom(nominal_->parameters(), given_), &out);
     return out;
+  }
+
+  static void StandAround(const VectorXd& values, std::vector<FitParameter>* parameters) {
+    for (FitParameter& p : *parameters) {
+      p.nominal = values[p.index];
+      p.lower = std::min(p.lower, p.nominal);
+      p.upper = std::max(p.upper, p.nominal);
+    }
   }
 
   // What stands for the effort limit of a joint whose URDF has none.
@@ -394,6 +438,7 @@ class Identification {
   int threads_ = 1;
   sim::SimulatorOptions simulator_;
   std::optional<sim::Plant> nominal_;
+  VectorXd given_;  // values of nominal_'s table
   std::vector<FitRecording> fit_;
   std::vector<const recordings::Recording*> judged_;
   bool judged_on_fit_ = false;

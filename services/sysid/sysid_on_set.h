@@ -22,6 +22,7 @@
 #include "common/base/progress.h"
 #include "common/base/status.h"
 #include "common/recordings/recording_set.h"
+#include "common/sim/model_file.h"
 #include "common/sim/plant.h"
 #include "services/sysid/identifiability.h"
 #include "services/sysid/stop_condition.h"
@@ -40,6 +41,9 @@ struct SysidOptions {
   bool consistent_inertias = true;  // only bodies that can exist (fit_space.h)
   bool fit_joints = true;           // viscous and Coulomb friction, rotor inertia
   int threads = 0;                  // 0: all
+  // What to start from instead of the set's URDF, a diagnosis' model for example: its effects stay, its
+  // values are where fits start and what priors stand around. Its joints must be the set's.
+  std::optional<sim::ModelFile> model;
 };
 
 // Windows of (0, 3600] s; a simulator's step of 0 (chosen) or [1e-6, 0.1] s.

@@ -41,10 +41,21 @@ bool Drive(const Learner& learner, const MotionLimits& limits, const Eigen::Vect
   return simulator.Advance(*state, *u, interval).ok();
 }
 
+// The learner is told what encoders say; the loop runs in true positions.
+Learner Measured(const MpcController& controller, const Learner& learner) {
+  return [&learner, offset = controller.encoder_offset(), q_read = Eigen::VectorXd(),
+          goal_read = Eigen::VectorXd()](const Eigen::VectorXd& q, const Eigen::VectorXd& v,
+                                         const Eigen::VectorXd& goal, Eigen::VectorXd* effort) mutable {
+    q_read = q + offset;
+    goal_read = goal + offset;
+    return learner(q_read, v, goal_read, effort);
+  };
+}
+
 class Loop {
  public:
   Loop(MpcController& controller, const ShardSpec& spec, const Learner& learner)
-      : controller_(controller), learner_(learner), intervals_(Intervals(spec)) {}
+      : controller_(controller), learner_(Measured(controller, learner)), intervals_(Intervals(spec)) {}
 
   // The learner alone.
   double LearnerError(const StartGoal& pair) {
@@ -112,7 +123,7 @@ class Loop {
 
  private:
   MpcController& controller_;
-  const Learner& learner_;
+  const Learner learner_;
   int intervals_;
 };
 
@@ -161,6 +172,7 @@ Result<Shard> AggregateShard(const sim::Plant& plant, const Eigen::VectorXd& val
     if (failure) ++shard.failures[static_cast<size_t>(*failure)];
     t.slot = spec.first + i;
     if (t.num_samples() > 0) {
+      AsMeasured(setup.controller->encoder_offset(), &t);
       shard.trajectories.push_back(std::move(t));
     } else {
       shard.unfilled.push_back(spec.first + i);

@@ -63,7 +63,7 @@ Status CheckOptions(const sim::Plant& plant, const Eigen::VectorXd& values, cons
     return InvalidError("mpc: peak_torque needs " + std::to_string(n) + " positive values");
   if (o.time_budget_s > 0.0 && clock == nullptr) return InvalidError("mpc: a time budget needs a clock");
   RG_RETURN_IF_ERROR(CheckWeights(o.weights, n));
-  return sim::Simulator::Supports(PlanningPlant(plant), o.simulation);
+  return sim::Simulator::Supports(MakePlanningModel(plant, values).plant, o.simulation);
 }
 
 }  // namespace
@@ -74,25 +74,23 @@ Result<std::unique_ptr<MpcController>> MpcController::Create(const sim::Plant& p
                                                              const Eigen::VectorXd& values,
                                                              const MpcOptions& options, const Clock* clock) {
   RG_RETURN_IF_ERROR(CheckOptions(plant, values, options, clock));
-  const sim::Plant planning = PlanningPlant(plant);
-  const Eigen::VectorXd planning_values = planning.ValuesFrom(plant.parameters(), values);
-  return std::unique_ptr<MpcController>(new MpcController(planning, planning_values, options, clock));
+  return std::unique_ptr<MpcController>(new MpcController(MakePlanningModel(plant, values), options, clock));
 }
 
-MpcController::MpcController(const sim::Plant& plant, const Eigen::VectorXd& values,
-                             const MpcOptions& options, const Clock* clock)
+MpcController::MpcController(const PlanningModel& planning, const MpcOptions& options, const Clock* clock)
     : options_(options),
-      n_(plant.num_joints()),
-      nx_(plant.num_states()),
-      limits_(MotionLimits::FromModel(plant.model(), options.peak_torque)),
-      simulator_(plant, options.simulation),
+      n_(planning.plant.num_joints()),
+      nx_(planning.plant.num_states()),
+      encoder_offset_(planning.encoder_offset),
+      limits_(MotionLimits::FromModel(planning.plant.model(), options.peak_torque)),
+      simulator_(planning.plant, options.simulation),
       problem_(simulator_, options.knots(), options.interval_s,
                limits_.Tightened(options.position_margin, options.velocity_margin),
                WeightsOf(options, limits_.torque)),
       solver_(problem_, SolverOptions(options), clock) {
-  simulator_.SetParameters(values);
+  simulator_.SetParameters(planning.values);
   x0_ = Eigen::VectorXd::Zero(nx_);
-  goal_ = hold_torque_ = start_torque_ = Eigen::VectorXd::Zero(n_);
+  goal_ = true_goal_ = hold_torque_ = start_torque_ = Eigen::VectorXd::Zero(n_);
   guess_x_ = Eigen::MatrixXd::Zero(nx_, options.knots() + 1);
   guess_u_ = Eigen::MatrixXd::Zero(n_, options.knots());
 }
@@ -138,13 +136,14 @@ MpcStatus MpcController::Solve(const Eigen::VectorXd& q, const Eigen::VectorXd& 
   RG_CHECK(q.size() == n_ && v.size() == n_) << q.size() << " positions, " << v.size() << " velocities";
   if (nx_ > 2 * n_) {
     if (cold_)
-      x0_.tail(nx_ - 2 * n_) = simulator_.MakeState(q, v).z;
+      x0_.tail(nx_ - 2 * n_) = simulator_.MakeState(q - encoder_offset_, v).z;
     else
       x0_.tail(nx_ - 2 * n_) = solver_.x(1).tail(nx_ - 2 * n_);
   }
-  x0_.head(n_) = q;
+  x0_.head(n_) = q - encoder_offset_;
   x0_.segment(n_, n_) = v;
-  return SolveFrom(goal, u);
+  true_goal_ = goal - encoder_offset_;
+  return SolveFrom(true_goal_, u);
 }
 
 MpcStatus MpcController::Solve(const sim::State& x, const Eigen::VectorXd& goal, Eigen::VectorXd* u) {

@@ -72,6 +72,8 @@ class MpcController {
 
   int num_joints() const { return n_; }
   const MpcOptions& options() const { return options_; }
+  // n, measured minus true position.
+  const Eigen::VectorXd& encoder_offset() const { return encoder_offset_; }
   // Exact bounds (not the tightened ones of the plan).
   const MotionLimits& limits() const { return limits_; }
   // The simulator the plan is made with.
@@ -80,11 +82,11 @@ class MpcController {
   // The next Solve starts cold.
   void Reset();
 
-  // q, v: measured (n). Internal states of effects are predicted by the last plan. A new goal (n) is
-  // taken over warm. u (n) is inside the torque box whatever happens.
+  // q, v, goal: as the encoders say it (n). Internal states of effects are predicted by the last plan. A new
+  // goal (n) is taken over warm. u (n) is inside the torque box whatever happens.
   MpcStatus Solve(const Eigen::VectorXd& q, const Eigen::VectorXd& v, const Eigen::VectorXd& goal,
                   Eigen::VectorXd* u);
-  // The same for a state of the planning plant, internal states included.
+  // The same for a state and a goal of the planning plant, in true positions, internal states included.
   MpcStatus Solve(const sim::State& x, const Eigen::VectorXd& goal, Eigen::VectorXd* u);
 
   // The plan of the last Solve: x(k), u(k).
@@ -95,21 +97,21 @@ class MpcController {
   double hold_residual() const { return hold_residual_; }
 
  private:
-  MpcController(const sim::Plant& plan_plant, const Eigen::VectorXd& values, const MpcOptions& options,
-                const Clock* clock);
+  MpcController(const PlanningModel& planning, const MpcOptions& options, const Clock* clock);
   MpcStatus SolveFrom(const Eigen::VectorXd& goal, Eigen::VectorXd* u);
   void TakeGoal(const Eigen::VectorXd& goal);
   void GuessCold();
 
   MpcOptions options_;
   int n_, nx_;
+  Eigen::VectorXd encoder_offset_;
   MotionLimits limits_;
   sim::Simulator simulator_;
   PlantProblem problem_;
   GnmsSolver solver_;
   bool cold_ = true;
   bool has_goal_ = false;
-  Eigen::VectorXd x0_, goal_, hold_torque_, start_torque_;
+  Eigen::VectorXd x0_, goal_, true_goal_, hold_torque_, start_torque_;
   double hold_residual_ = 0.0;
   Eigen::MatrixXd guess_x_, guess_u_;
 };

@@ -10,12 +10,46 @@
 namespace rg::trajectories {
 namespace {
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+double ValueOf(const sim::Plant& plant, const Eigen::VectorXd& values, const std::string& name) {
+  const int at = plant.parameters().Find(name);
+  return at < 0 ? 0.0 : values[at];
 }
 
-sim::Plant PlanningPlant(const sim::Plant& plant) {
-  return plant.WithoutEffect("actuator_delay")
-      .WithoutEffect("sensor_delay")
-      .WithoutEffect("external_disturbance");
+// `id` on the joint with `value` more of its only parameter.
+void AddOnJoint(const std::string& id, const std::string& parameter, const std::string& joint, double value,
+                sim::Plant* plant, Eigen::VectorXd* values) {
+  const std::string name = id + "." + joint + "." + parameter;
+  if (plant->parameters().Find(name) < 0) {
+    auto with = plant->WithEffect(effects::MakeSpec(id, {joint}));
+    RG_CHECK(with.ok()) << with.status().ToString();
+    *values = with->ValuesFrom(plant->parameters(), *values);
+    *plant = *with;
+    (*values)[plant->parameters().Find(name)] = 0.0;
+  }
+  (*values)[plant->parameters().Find(name)] += value;
+}
+
+}  // namespace
+
+PlanningModel MakePlanningModel(const sim::Plant& plant, const Eigen::VectorXd& values) {
+  sim::Plant planned = plant.WithoutEffect("actuator_delay")
+                           .WithoutEffect("sensor_delay")
+                           .WithoutEffect("external_disturbance")
+                           .WithoutEffect("backlash");
+  PlanningModel model{planned, planned.ValuesFrom(plant.parameters(), values),
+                      Eigen::VectorXd::Zero(plant.num_joints())};
+  for (int j = 0; j < plant.num_joints(); ++j) {
+    const std::string& joint = plant.joint_names()[static_cast<size_t>(j)];
+    model.encoder_offset[j] = ValueOf(plant, values, "encoder_offset." + joint + ".offset");
+    const std::string play = "backlash." + joint + ".";
+    if (plant.parameters().Find(play + "gap") < 0) continue;
+    AddOnJoint("rotor_inertia", "armature", joint, ValueOf(plant, values, play + "motor_inertia"),
+               &model.plant, &model.values);
+    AddOnJoint("viscous_friction", "viscous", joint, ValueOf(plant, values, play + "motor_viscous"),
+               &model.plant, &model.values);
+  }
+  return model;
 }
 
 double HoldTorque(sim::Simulator& simulator, const Eigen::VectorXd& q, Eigen::VectorXd* u) {

@@ -1,7 +1,7 @@
 // The optimal control problem of a plant: reach a joint-space goal, x = (q, v, z).
 //
 // Φ is sim::Simulator::Advance over one control interval with the torque held; A and B are its exact
-// derivatives. What the plan leaves out: see PlanningPlant.
+// derivatives. What the plan leaves out: see PlanningModel.
 #pragma once
 
 #include <Eigen/Core>
@@ -14,9 +14,17 @@
 
 namespace rg::trajectories {
 
-// The plant without actuator_delay and sensor_delay, whose memory is not part of x, and without
-// external_disturbance, which belongs to the time of one recording.
-sim::Plant PlanningPlant(const sim::Plant& plant);
+// What is planned with: the plant without actuator_delay and sensor_delay, whose memory is not part of x,
+// without external_disturbance, which belongs to the time of one recording, and without backlash, whose
+// stiff faces no plan of 40 ms can follow: its motor moves with the link, as rotor inertia and viscous
+// friction of the joint.
+struct PlanningModel {
+  sim::Plant plant;
+  Eigen::VectorXd values;
+  // n, measured minus true position: plans are in true positions, robots and policies in measured ones.
+  Eigen::VectorXd encoder_offset;
+};
+PlanningModel MakePlanningModel(const sim::Plant& plant, const Eigen::VectorXd& values);
 
 // The torque u with which the plant rests at q: acceleration zero at v = 0 with internal states settled
 // at u. Newton's method on the simulator's acceleration; exact after one step for a rigid plant. Returns
@@ -26,7 +34,7 @@ double HoldTorque(sim::Simulator& simulator, const Eigen::VectorXd& q, Eigen::Ve
 class PlantProblem final : public ControlProblem {
  public:
   // `simulator` (whose parameters are the model's) and the problem live in one thread; the simulator must
-  // outlive the problem and its plant must be a PlanningPlant.
+  // outlive the problem and its plant must be a PlanningModel's.
   PlantProblem(sim::Simulator& simulator, int knots, double interval_s, const MotionLimits& limits,
                const TrackingWeights& weights);
 

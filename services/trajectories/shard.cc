@@ -74,6 +74,7 @@ class SlotFiller {
       }
       attempt.trajectory.slot = slot;
       attempt.trajectory.draw = draw;
+      AsMeasured(controller_.encoder_offset(), &attempt.trajectory);
       shard->trajectories.push_back(std::move(attempt.trajectory));
       return true;
     }
@@ -121,6 +122,12 @@ std::string Shard::FailureSummary() const {
     text += std::string(FailureName(static_cast<Failure>(i))) + " " + std::to_string(failures[i]);
   }
   return text.empty() ? "none" : text;
+}
+
+void AsMeasured(const Eigen::VectorXd& encoder_offset, Trajectory* t) {
+  t->q.colwise() += encoder_offset;
+  t->final_q += encoder_offset;
+  t->goal += encoder_offset;
 }
 
 Attempt RunRecedingHorizon(MpcController& controller, const StartGoal& draw, int intervals,

@@ -51,6 +51,7 @@ inline constexpr int kFailureKinds = 7;
 std::string_view FailureName(Failure failure);
 
 // K samples at k·interval, k = 0 … K−1, of n joints; torque(:, k) acts from sample k to k + 1.
+// In a shard q, final_q and goal are as the encoders would say them, which is what a policy will be given.
 struct Trajectory {
   uint64_t slot = 0;
   uint32_t draw = 0;                 // draws before this one failed
@@ -79,7 +80,10 @@ struct Shard {
   std::string FailureSummary() const;
 };
 
-// One closed loop from a given start; `failure` says why it is not good.
+// From true positions to measured ones. offset: n, measured minus true.
+void AsMeasured(const Eigen::VectorXd& encoder_offset, Trajectory* trajectory);
+
+// One closed loop from a given start, in true positions; `failure` says why it is not good.
 struct Attempt {
   bool good = false;
   Failure failure = Failure::kSolver;

@@ -58,6 +58,28 @@ TEST(SysidOnSet, FindsFrictionThatTheUrdfLacksAndPredictsHeldOutMotion) {
   EXPECT_DOUBLE_EQ(done.back(), 1.0);
 }
 
+TEST(SysidOnSet, StartsFromADiagnosedModelAndKeepsItsEffects) {
+  Set s;
+  // What a diagnosis would hand over: the elbow's friction named, with a value that is not quite right.
+  auto bare = NominalPlant(s.set);
+  const sim::Plant diagnosed = *bare->WithEffect(effects::MakeSpec(
+      "stribeck_friction", {"elbow"}, {{"coulomb", 0.4}, {"static", 0.4}, {"stribeck_velocity", 0.05}}));
+  SysidOptions options = Quick();
+  options.model = sim::ModelFile{diagnosed, diagnosed.parameters().Nominal()};
+  const auto report = SysidOnSet(s.set, options, RealClock());
+  ASSERT_TRUE(report.ok()) << report.status().ToString();
+  EXPECT_EQ(Of(*report, "stribeck_friction.elbow.coulomb"), 0.4) << "what is not fitted stays";
+  EXPECT_LT(report->plant->parameters().Find("coulomb_friction.elbow.coulomb"), 0);
+  EXPECT_NEAR(Of(*report, "coulomb_friction.shoulder.coulomb"), 0.4, 0.08);
+  const auto plain = SysidOnSet(s.set, Quick(), RealClock());
+  EXPECT_LT(report->before_rms, plain->before_rms) << "the model is the start, not the URDF";
+
+  options.model = sim::ModelFile{testing::LoadPlant("pendulum", {}), {}};
+  const auto refused = SysidOnSet(s.set, options, RealClock());
+  EXPECT_NE(refused.status().message().find("the recordings shoulder elbow"), std::string::npos)
+      << refused.status().ToString();
+}
+
 TEST(SysidOnSet, WorksOnIrregularRowsWithoutVelocity) {
   Set s({.duration_s = 10.0, .rate_hz = 100.0, .position_noise = 2e-4, .with_velocity = false});
   for (recordings::Recording& rec : s.set.recordings) {  // drop rows, but keep the command piecewise constant

@@ -68,10 +68,23 @@ TEST(PlantProblem, LinearisationMatchesCentralDifferences) {
   }
 }
 
-TEST(PlanningPlant, DropsPureDelaysOnly) {
+TEST(PlanningModel, DropsPureDelaysOnly) {
   const sim::Plant plant =
       MakePlant("arm2", {effects::MakeSpec("actuator_delay", {"shoulder", "elbow"}, {{"delay", 0.03}})});
-  EXPECT_TRUE(PlanningPlant(plant).effects().empty());
+  EXPECT_TRUE(MakePlanningModel(plant, plant.parameters().Nominal()).plant.effects().empty());
+}
+
+TEST(PlanningModel, CarriesTheMotorBehindAPlayWithTheLink) {
+  const sim::Plant plant = MakePlant(
+      "arm2", {effects::MakeSpec("backlash", {"elbow"}, {{"motor_inertia", 0.2}, {"motor_viscous", 0.4}}),
+               effects::MakeSpec("rotor_inertia", {"elbow"}, {{"armature", 0.1}}),
+               effects::MakeSpec("encoder_offset", {"elbow"}, {{"offset", 0.05}})});
+  const PlanningModel model = MakePlanningModel(plant, plant.parameters().Nominal());
+  const auto value = [&](const char* name) { return model.values[model.plant.parameters().Find(name)]; };
+  EXPECT_NEAR(value("rotor_inertia.elbow.armature"), 0.3, 1e-12);
+  EXPECT_NEAR(value("viscous_friction.elbow.viscous"), 0.4, 1e-12);
+  EXPECT_EQ(model.plant.num_internal_states(), 0);
+  EXPECT_EQ(model.encoder_offset, Eigen::Vector2d(0.0, 0.05));
 }
 
 TEST(MotionLimits, PeakTorquesOfTheMicoCapTheUrdf) {
