@@ -8,7 +8,8 @@
 
 #include <cmath>
 
-#include "common/math/isa.h"
+#include "common/math/exp.h"
+#include "common/math/sincos.h"
 
 namespace rg::effects {
 inline namespace RG_ISA {
@@ -20,13 +21,17 @@ RG_INLINE double Exp(double a) { return std::exp(a); }
 RG_INLINE double Sin(double a) { return std::sin(a); }
 RG_INLINE double Cos(double a) { return std::cos(a); }
 RG_INLINE double Value(double a) { return a; }
+using math::All;
+using math::And;
+using math::Not;
+using math::Or;
 
 template <class T, int N>
 struct Dual {
   T v;
   T d[N];
 
-  Dual() = default;                    // not initialised, as a double
+  Dual() = default;                 // not initialised, as a double
   Dual(T value) : v(value), d{} {}  // NOLINT: constants mix with duals
 
   static Dual Variable(T value, int index) {

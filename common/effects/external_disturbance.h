@@ -55,7 +55,7 @@ struct ExternalDisturbance {
   // Part of [begin, end] that lies in [start, end of the disturbance).
   template <class S, class T>
   static S Share(const S* p, T begin, T end) {
-    if (!(end > begin)) return Select(p[0] > begin, S(T(0)), Select(p[1] > begin, S(T(1)), S(T(0))));
+    if (!All(end > begin)) return Select(p[0] > begin, S(T(0)), Select(p[1] > begin, S(T(1)), S(T(0))));
     const S from = Select(p[0] > begin, p[0], S(begin)), to = Select(p[1] < end, p[1], S(end));
     const S length = to - from;
     return Select(length > T(0), length, S(T(0))) / (end - begin);

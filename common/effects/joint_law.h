@@ -106,15 +106,14 @@ struct JointLaw {
   // than sign_width. Monotone in v1. Without the averaging a reversal would cost a velocity error of
   // order c·h/mass, first order in h.
   S SignForce(const S& positive, const S& negative) const {
-    if (!(step.h > T(0))) {  // instantaneous, smooth
+    if (!All(step.h > T(0))) {  // instantaneous, smooth
       const S x = v1 / Sqrt(v1 * v1 + T(step.sign_width * step.sign_width));
       return Select(x > T(0), -(positive * x), -(negative * x));
     }
     const T width = T(step.sign_width);
-    if constexpr (requires(T x) { static_cast<bool>(x > x); }) {  // not for lanes: no need to look further
-      if (v1 > width && !(v0 < T(0))) return -positive;
-      if (v1 < -width && !(v0 > T(0))) return negative;
-    }
+    // All slide on in their direction: no need to look further.
+    const auto forward = And(v1 > width, Not(v0 < T(0))), backward = And(v1 < -width, Not(v0 > T(0)));
+    if (All(Or(forward, backward))) return Select(forward, -positive, negative);
     const S above = SignForceAbove(positive, negative);  // at v1 ≥ width, or at +width inside the ramp
     const S below = -SignForceMirrored(positive, negative);
     const S ramp = T(0.5) * (above + below) + (above - below) * (v1 * (T(0.5) / width));

@@ -1,15 +1,21 @@
 // Evaluates the joints' scalar laws (effects/joint_law.h): forces and slopes for the velocity solver,
 // gradients by all local variables for sensitivities. One text for both: Law() over the scalar.
+//
+// Laws are evaluated by registers, never one by one: with T = Lanes<N> a register holds one joint of N
+// windows; with T = double it holds joints of the one robot that have the same effects (LawPack).
 #pragma once
 
 #include "common/effects/effect_list.h"
 #include "common/integrators/step_program.h"
+#include "common/math/lanes.h"
 
 namespace rg::integrators {
 inline namespace RG_ISA {
 
 using effects::Dual;
 using effects::JointLaw;
+using math::Mask;
+using math::Pack;
 
 // How positions follow velocities within the step, and where forces are taken.
 struct Scheme {
@@ -17,13 +23,148 @@ struct Scheme {
   bool instantaneous;  // no step: force at (q, v), for explicit integrators
 };
 
+// StepInput as the kernel's scalars, in the workspace (arrays of C joints, 64-byte aligned).
+template <class T, int C>
+struct StepState {
+  alignas(64) T q[C] = {};
+  alignas(64) T v[C] = {};
+  alignas(64) T command[C] = {};
+  const T* z;
+  const T* command_weights;
+  T t, h, inverse_h;
+
+  void Load(const StepInput& input, int n) {
+    const auto at = [](const double* p) { return reinterpret_cast<const T*>(p); };
+    for (int i = 0; i < n; ++i) {
+      q[i] = at(input.q)[i];
+      v[i] = at(input.v)[i];
+      command[i] = at(input.command)[i];
+    }
+    z = at(input.z);
+    command_weights = at(input.command_weights);
+    t = *at(input.t);
+    h = *at(input.h);
+    inverse_h = T(1.0) / h;
+  }
+};
+
+// Joints whose laws are evaluated in one register.
+template <class T>
+struct LawPack {
+  static constexpr int kWidth = math::kPackWidth<T>;
+  int joints[kWidth];  // those past `count` repeat the first
+  int count = 0;
+  bool in_place = false;  // the joints are a whole aligned register of the robot's joints, or its last
+  bool rough = false;     // whether any friction level may differ from zero
+};
+
+// The number that joint l of a pack has in a register.
+template <class T>
+RG_INLINE T LaneOf(const Pack<T>& x, int l) {
+  if constexpr (LawPack<T>::kWidth == 1) {
+    return x;
+  } else {
+    return x[l];
+  }
+}
+
+template <class T, int C>
+struct LawPacks {
+  int count = 0;
+  int num_uncoupled = 0;  // packs of joints that feel another one's drive torque come after these
+  LawPack<T> packs[C];
+  Pack<T> reference_mass[C];          // per pack
+  Pack<T> parameters[C][kMaxLocals];  // per pack
+
+  RG_INLINE static Pack<T> Gather(const LawPack<T>& pack, const T* x) {
+    if constexpr (LawPack<T>::kWidth == 1) {
+      return x[pack.joints[0]];
+    } else {
+      if (pack.in_place) return math::LoadPack(x + pack.joints[0]);
+      Pack<T> out;
+      for (int l = 0; l < LawPack<T>::kWidth; ++l) out.Set(l, x[pack.joints[l]]);
+      return out;
+    }
+  }
+  RG_INLINE static void Scatter(const LawPack<T>& pack, Pack<T> x, T* out) {
+    if constexpr (LawPack<T>::kWidth == 1) {
+      out[pack.joints[0]] = x;
+    } else {
+      if (pack.in_place) return math::StorePack(out + pack.joints[0], x);
+      for (int l = 0; l < pack.count; ++l) out[pack.joints[l]] = x[l];
+    }
+  }
+};
+
+// Whether the laws of two joints are the same program.
+inline bool SameLaw(const StepProgram& program, int a, int b) {
+  const JointProgram &x = program.joints[a], &y = program.joints[b];
+  if (x.num_ops != y.num_ops || x.num_actuator_ops != y.num_actuator_ops || x.num_states != y.num_states ||
+      x.num_parameters != y.num_parameters || (x.coupled_to >= 0) != (y.coupled_to >= 0)) {
+    return false;
+  }
+  for (int k = 0; k < x.num_ops; ++k) {
+    const LawOp &p = program.ops[x.first_op + k], &q = program.ops[y.first_op + k];
+    if (p.kind != q.kind || p.parameter != q.parameter || p.state != q.state || p.option != q.option) {
+      return false;
+    }
+  }
+  return true;
+}
+
+template <class T, int C>
+void MakeLawPacks(const StepProgram& program, const StepValues& values, const bool* rough,
+                  LawPacks<T, C>* out) {
+  constexpr int kWidth = LawPack<T>::kWidth;
+  const int n = program.tree.n;
+  out->count = 0;
+  for (const bool coupled : {false, true}) {
+    if (coupled) out->num_uncoupled = out->count;
+    const int begin = out->count;
+    for (int i = 0; i < n; ++i) {
+      if ((program.joints[i].coupled_to >= 0) != coupled) continue;
+      int place = begin;
+      while (place < out->count &&
+             (out->packs[place].count == kWidth || !SameLaw(program, out->packs[place].joints[0], i))) {
+        ++place;
+      }
+      if (place == out->count) out->packs[out->count++] = {};
+      LawPack<T>& pack = out->packs[place];
+      pack.joints[pack.count++] = i;
+      pack.rough |= rough[i];
+    }
+  }
+  for (int k = 0; k < out->count; ++k) {
+    LawPack<T>& pack = out->packs[k];
+    pack.in_place =
+        pack.joints[0] % kWidth == 0 && (pack.count == kWidth || pack.joints[0] + pack.count == n);
+    for (int l = 1; l < pack.count; ++l) pack.in_place &= pack.joints[l] == pack.joints[0] + l;
+    for (int l = pack.count; l < kWidth; ++l) pack.joints[l] = pack.joints[0];
+    const auto each = [&](auto value) {
+      if constexpr (kWidth == 1) {
+        return Pack<T>(value(pack.joints[0]));
+      } else {
+        Pack<T> x;
+        for (int l = 0; l < kWidth; ++l) x.Set(l, value(pack.joints[l]));
+        return x;
+      }
+    };
+    out->reference_mass[k] = each([&](int i) { return values.reference_mass[i]; });
+    for (int m = 0; m < program.joints[pack.joints[0]].num_parameters; ++m) {
+      out->parameters[k][m] =
+          each([&](int i) { return values.joint_parameters[program.joints[i].first_parameter + m]; });
+    }
+  }
+}
+
+template <class T, int C>
 struct LawContext {
   const StepProgram* program;
   const StepValues* values;
-  const StepInput* input;
+  const StepState<T, C>* input;
   Scheme scheme;
-  const double* mass;  // n, inertia each joint's force sees
-  const bool* rough;   // n, see JointLaw
+  const T* mass;  // n, inertia each joint's force sees
+  const LawPacks<T, C>* packs;
 };
 
 template <class S>
@@ -41,25 +182,32 @@ void RunOps(const StepProgram& program, int begin, int end, const S* parameters,
   }
 }
 
-// Force on joint i. v1, q0 …: the local variables; parameters: all of the joint's; z0, z1: its states.
-// `drive`: the torque after the actuator stage, which coupled joints feel.
+// What a register of laws is given beside its local variables.
+template <class P>
+struct LawSetting {
+  effects::StepContext<P> step;
+  P inverse_h, mass, reference_mass;
+  bool rough;
+};
+
+// Force on the joints of one pack, `joint` the program of each. v1, q0 …: the local variables; parameters:
+// all of the joint's; z0, z1: its states. `drive`: the torque after the actuator stage, which coupled
+// joints feel.
 template <class S>
-S Law(const LawContext& c, int i, const S& v1, const S& v0, const S& q0, const S& u, const S& coupled,
-      const S* z0, const S* parameters, S* z1, S* drive) {
-  const StepProgram& program = *c.program;
-  const JointProgram& joint = program.joints[i];
-  const double h = c.scheme.instantaneous ? 0.0 : c.input->h;
+S Law(const StepProgram& program, const JointProgram& joint, const LawSetting<effects::Base<S>>& at,
+      const S& v1, const S& v0, const S& q0, const S& u, const S& coupled, const S* z0, const S* parameters,
+      S* z1, S* drive) {
+  using P = effects::Base<S>;
   JointLaw<S> law;
-  law.step = {h, c.input->t, c.scheme.first_order,
-              c.scheme.instantaneous ? c.values->rk4_sign_width : c.values->stick_velocity};
-  law.mass = c.mass[i];
-  law.reference_mass = c.values->reference_mass[i];
-  law.rough = c.rough[i];
+  law.step = at.step;
+  law.mass = at.mass;
+  law.reference_mass = at.reference_mass;
+  law.rough = at.rough;
   law.q0 = q0;
   law.v0 = v0;
   law.v1 = v1;
-  law.q1 = c.scheme.first_order ? q0 + h * v1 : q0 + (0.5 * h) * (v0 + v1);
-  law.acceleration = c.scheme.instantaneous ? S(0.0) : (v1 - v0) * (1.0 / c.input->h);
+  law.q1 = at.step.first_order ? q0 + at.step.h * v1 : q0 + (P(0.5) * at.step.h) * (v0 + v1);
+  law.acceleration = (v1 - v0) * at.inverse_h;
   law.coupled = coupled;
   law.drive = parameters[kForceGain] * u;
   law.viscous = parameters[kDamping];
@@ -76,100 +224,153 @@ S Law(const LawContext& c, int i, const S& v1, const S& v0, const S& q0, const S
   return law.Force();
 }
 
-// What the local variable kCoupled is on a joint without a coupling.
-inline double Seen(const LawContext& c, int joint) {
-  const int other = c.program->joints[joint].sees;
-  if (other < 0) return 0.0;
-  const double ahead = c.scheme.instantaneous ? 0.0 : 0.5 * c.input->h;
-  return c.input->q[other] + ahead * c.input->v[other];
+template <class T, int C>
+RG_INLINE LawSetting<Pack<T>> SettingOf(const LawContext<T, C>& c, int k) {
+  using P = Pack<T>;
+  const LawPack<T>& pack = c.packs->packs[k];
+  const bool instantaneous = c.scheme.instantaneous;
+  return {{instantaneous ? P(0.0) : P(c.input->h), P(c.input->t), c.scheme.first_order,
+           instantaneous ? c.values->rk4_sign_width : c.values->stick_velocity},
+          instantaneous ? P(0.0) : P(c.input->inverse_h),
+          LawPacks<T, C>::Gather(pack, c.mass),
+          c.packs->reference_mass[k],
+          pack.rough};
 }
 
-// Forces F (n) and slopes dF/dv1 (n) at end velocities v1; z1 (num_states) is written too.
-inline void Forces(const LawContext& c, const double* v1, double* force, double* slope, double* z1) {
-  using S = Dual<double, 1>;
-  const StepProgram& program = *c.program;
-  const int n = program.tree.n;
-  double drives[kMaxJoints];
-  // Joints that others are coupled to come first.
-  for (int pass = 0; pass < 2; ++pass) {
-    for (int i = 0; i < n; ++i) {
-      const JointProgram& joint = program.joints[i];
-      if ((joint.coupled_to >= 0) != (pass == 1)) continue;
-      S parameters[kMaxLocals], z[kMaxLocals], end[kMaxLocals], drive;
-      const double* values = c.values->joint_parameters + joint.first_parameter;
-      for (int k = 0; k < joint.num_parameters; ++k) parameters[k] = S(values[k]);
-      for (int k = 0; k < joint.num_states; ++k) z[k] = S(c.input->z[joint.first_state + k]);
-      const S coupled(pass == 1 ? drives[joint.coupled_to] : Seen(c, i));
-      const S f = Law<S>(c, i, S::Variable(v1[i], 0), S(c.input->v[i]), S(c.input->q[i]),
-                         S(c.input->command[i]), coupled, z, parameters, end, &drive);
-      force[i] = f.v;
-      slope[i] = f.d[0];
-      drives[i] = drive.v;
-      for (int k = 0; k < joint.num_states; ++k) z1[joint.first_state + k] = end[k].v;
+// What the local variable kCoupled is: the drive torque of the joint this one is coupled to, or the
+// position of the one it sees.
+template <class T, int C>
+RG_INLINE Pack<T> CoupledOf(const LawContext<T, C>& c, const LawPack<T>& pack, const T* drives) {
+  const auto one = [&](int joint) {
+    const JointProgram& program = c.program->joints[joint];
+    if (program.coupled_to >= 0) return drives[program.coupled_to];
+    if (program.sees < 0) return T(0.0);
+    const T ahead = c.scheme.instantaneous ? T(0.0) : T(0.5) * c.input->h;
+    return c.input->q[program.sees] + ahead * c.input->v[program.sees];
+  };
+  if constexpr (LawPack<T>::kWidth == 1) {
+    return one(pack.joints[0]);
+  } else {
+    Pack<T> out(0.0);
+    for (int l = 0; l < LawPack<T>::kWidth; ++l) {
+      const JointProgram& program = c.program->joints[pack.joints[l]];
+      if (program.coupled_to >= 0 || program.sees >= 0) out.Set(l, one(pack.joints[l]));
     }
-    bool any = false;
-    for (int i = 0; i < n; ++i) any |= program.joints[i].coupled_to >= 0;
-    if (!any) break;
+    return out;
   }
 }
 
-// Gradients by local variables: of the force, of the drive torque, of each internal state's end value.
+// State k of each joint of a pack.
+template <class T, int C>
+RG_INLINE Pack<T> StateOf(const LawContext<T, C>& c, const LawPack<T>& pack, int k) {
+  if constexpr (LawPack<T>::kWidth == 1) {
+    return c.input->z[c.program->joints[pack.joints[0]].first_state + k];
+  } else {
+    Pack<T> out;
+    for (int l = 0; l < LawPack<T>::kWidth; ++l) {
+      out.Set(l, c.input->z[c.program->joints[pack.joints[l]].first_state + k]);
+    }
+    return out;
+  }
+}
+
+// Forces F (n) and slopes dF/dv1 (n) at end velocities v1; z1 (num_states) is written too. force, slope, v1:
+// 64-byte aligned, C.
+template <class T, int C>
+void Forces(const LawContext<T, C>& c, const T* v1, T* force, T* slope, T* z1) {
+  using P = Pack<T>;
+  using S = Dual<P, 1>;
+  using Packs = LawPacks<T, C>;
+  T drives[C];
+  for (int k = 0; k < c.packs->count; ++k) {
+    const LawPack<T>& pack = c.packs->packs[k];
+    const JointProgram& joint = c.program->joints[pack.joints[0]];
+    S parameters[kMaxLocals], z[kMaxStates], end[kMaxStates], drive;
+    for (int m = 0; m < joint.num_parameters; ++m) parameters[m] = S(c.packs->parameters[k][m]);
+    for (int m = 0; m < joint.num_states; ++m) z[m] = S(StateOf(c, pack, m));
+    const S f = Law<S>(*c.program, joint, SettingOf(c, k), S::Variable(Packs::Gather(pack, v1), 0),
+                       S(Packs::Gather(pack, c.input->v)), S(Packs::Gather(pack, c.input->q)),
+                       S(Packs::Gather(pack, c.input->command)), S(CoupledOf(c, pack, drives)), z, parameters,
+                       end, &drive);
+    Packs::Scatter(pack, f.v, force);
+    Packs::Scatter(pack, f.d[0], slope);
+    if (c.packs->num_uncoupled < c.packs->count) {
+      for (int l = 0; l < pack.count; ++l) drives[pack.joints[l]] = LaneOf<T>(drive.v, l);
+    }
+    for (int m = 0; m < joint.num_states; ++m) {
+      for (int l = 0; l < pack.count; ++l) {
+        z1[c.program->joints[pack.joints[l]].first_state + m] = LaneOf<T>(end[m].v, l);
+      }
+    }
+  }
+}
+
+// Gradients by local variables: of the force, of the drive torque (where joints are coupled), of each
+// internal state's end value; [local][joint]. Those by internal states also on their own, zero where a joint
+// has fewer.
+template <class T, int C>
 struct LawGradients {
-  double force[kMaxJoints][kMaxLocals];
-  double drive[kMaxJoints][kMaxLocals];
-  double state[kMaxJoints * 4][kMaxLocals];  // row first_state + k
-  double drive_value[kMaxJoints];
+  alignas(64) T force_by_state[kMaxStates][C];
+  alignas(64) T state_by_state[kMaxStates][kMaxStates][C];
+  alignas(64) T force[kMaxLocals][C];
+  alignas(64) T drive[kMaxLocals][C];
+  alignas(64) T state[kMaxStates][kMaxLocals][C];
 };
 
-template <int W>
-void JointGradient(const LawContext& c, int i, double v1, double coupled, LawGradients* out) {
-  using S = Dual<double, W>;
-  const JointProgram& joint = c.program->joints[i];
-  S parameters[W], z[W], end[W], drive;
-  const double* values = c.values->joint_parameters + joint.first_parameter;
-  for (int k = 0; k < joint.num_states; ++k) {
-    z[k] = S::Variable(c.input->z[joint.first_state + k], kFirstState + k);
+template <int W, class T, int C>
+void PackGradient(const LawContext<T, C>& c, int k, bool rough, const T* v1, T* drives,
+                  LawGradients<T, C>* out) {
+  using P = Pack<T>;
+  using S = Dual<P, W>;
+  using Packs = LawPacks<T, C>;
+  const LawPack<T>& pack = c.packs->packs[k];
+  const JointProgram& joint = c.program->joints[pack.joints[0]];
+  S parameters[W], z[kMaxStates], end[kMaxStates], drive;
+  for (int m = 0; m < joint.num_states; ++m) z[m] = S::Variable(StateOf(c, pack, m), kFirstState + m);
+  for (int m = 0; m < joint.num_parameters; ++m) {
+    parameters[m] = S::Variable(c.packs->parameters[k][m], kFirstState + joint.num_states + m);
   }
-  for (int k = 0; k < joint.num_parameters; ++k) {
-    parameters[k] = S::Variable(values[k], kFirstState + joint.num_states + k);
-  }
-  const S f = Law<S>(c, i, S::Variable(v1, kEndVelocity), S::Variable(c.input->v[i], kVelocity),
-                     S::Variable(c.input->q[i], kPosition), S::Variable(c.input->command[i], kCommand),
-                     S::Variable(coupled, kCoupled), z, parameters, end, &drive);
+  LawSetting<P> setting = SettingOf(c, k);
+  setting.rough = rough;
+  const S f = Law<S>(*c.program, joint, setting, S::Variable(Packs::Gather(pack, v1), kEndVelocity),
+                     S::Variable(Packs::Gather(pack, c.input->v), kVelocity),
+                     S::Variable(Packs::Gather(pack, c.input->q), kPosition),
+                     S::Variable(Packs::Gather(pack, c.input->command), kCommand),
+                     S::Variable(CoupledOf(c, pack, drives), kCoupled), z, parameters, end, &drive);
   const int locals = joint.num_locals();
-  out->drive_value[i] = drive.v;
-  for (int k = 0; k < locals; ++k) {
-    out->force[i][k] = f.d[k];
-    out->drive[i][k] = drive.d[k];
+  for (int m = 0; m < locals; ++m) Packs::Scatter(pack, f.d[m], out->force[m]);
+  for (int m = 0; m < joint.num_states; ++m)
+    Packs::Scatter(pack, f.d[kFirstState + m], out->force_by_state[m]);
+  if (c.packs->num_uncoupled < c.packs->count) {
+    for (int m = 0; m < locals; ++m) Packs::Scatter(pack, drive.d[m], out->drive[m]);
+    Packs::Scatter(pack, drive.v, drives);
   }
   for (int s = 0; s < joint.num_states; ++s) {
-    for (int k = 0; k < locals; ++k) out->state[joint.first_state + s][k] = end[s].d[k];
+    for (int m = 0; m < locals; ++m) Packs::Scatter(pack, end[s].d[m], out->state[s][m]);
+    for (int m = 0; m < joint.num_states; ++m) {
+      Packs::Scatter(pack, end[s].d[kFirstState + m], out->state_by_state[s][m]);
+    }
   }
 }
 
-inline void Gradients(const LawContext& at, const Directions& directions, const double* v1,
-                      LawGradients* out) {
-  const int n = at.program->tree.n;
-  // A friction level of zero changes no force, but it has a derivative.
-  bool rough[kMaxJoints];
-  for (int i = 0; i < n; ++i) rough[i] = at.rough[i] || directions.friction[i];
-  LawContext c = at;
-  c.rough = rough;
-  for (int pass = 0; pass < 2; ++pass) {
-    for (int i = 0; i < n; ++i) {
-      const JointProgram& joint = c.program->joints[i];
-      if ((joint.coupled_to >= 0) != (pass == 1)) continue;
-      const double coupled = pass == 1 ? out->drive_value[joint.coupled_to] : Seen(c, i);
-      const int locals = joint.num_locals();
-      if (locals <= 8) {
-        JointGradient<8>(c, i, v1[i], coupled, out);
-      } else if (locals <= 16) {
-        JointGradient<16>(c, i, v1[i], coupled, out);
-      } else if (locals <= 32) {
-        JointGradient<32>(c, i, v1[i], coupled, out);
-      } else {
-        JointGradient<kMaxLocals>(c, i, v1[i], coupled, out);
-      }
+template <class T, int C>
+void Gradients(const LawContext<T, C>& c, const Directions& directions, const T* v1,
+               LawGradients<T, C>* out) {
+  alignas(64) T drives[C];
+  for (int k = 0; k < c.packs->count; ++k) {
+    const LawPack<T>& pack = c.packs->packs[k];
+    // A friction level of zero changes no force, but it has a derivative.
+    bool rough = pack.rough;
+    for (int l = 0; l < pack.count; ++l) rough |= directions.friction[pack.joints[l]];
+    const int locals = c.program->joints[pack.joints[0]].num_locals();
+    if (locals <= 8) {
+      PackGradient<8>(c, k, rough, v1, drives, out);
+    } else if (locals <= 16) {
+      PackGradient<16>(c, k, rough, v1, drives, out);
+    } else if (locals <= 32) {
+      PackGradient<32>(c, k, rough, v1, drives, out);
+    } else {
+      PackGradient<kMaxLocals>(c, k, rough, v1, drives, out);
     }
   }
 }

@@ -19,75 +19,71 @@ inline namespace RG_ISA {
 inline constexpr int kMaxPasses = 25;
 inline constexpr double kPassTolerance = 1e-6;  // of velocity, per second
 
-RG_INLINE double Larger(double a, double b) { return a > b ? a : b; }
-
-template <int C>
+template <class T, int C>
 StepResult LeapfrogStep(const StepProgram& program, const StepValues& values, const StepInput& input,
                         const Directions* directions, double* direct, const Sensitivity& from,
-                        const Sensitivity& to, const StepOutput& output, StepWorkspace<C>& s) {
+                        const Sensitivity& to, const StepOutput& output, StepWorkspace<T, C>& s) {
   const dynamics::Tree& tree = program.tree;
   const int n = tree.n;
-  const double h = input.h, end = input.t + input.h;
-  const LawContext c{&program, &values, &input, {false, false}, s.mass, s.rough};
+  s.input.Load(input, n);
+  s.failure = {};
+  const T h = s.input.h, begin = s.input.t, end = begin + h;
+  const T *q0 = s.input.q, *v0 = s.input.v;
+  const LawContext<T, C> c{&program, &values, &s.input, {false, false}, s.mass, &s.laws};
 
-  for (int i = 0; i < n; ++i) s.half[i] = input.q[i] + 0.5 * h * input.v[i];
+  for (int i = 0; i < n; ++i) s.half[i] = q0[i] + T(0.5) * h * v0[i];
   dynamics::CopyIn(n, s.half, s.w.q);
   dynamics::Kinematics(tree, s.w);
 
   // First pass: everything at v.
-  BiasHere(tree, values.gravity, input.v, s);
+  BiasHere(tree, v0, s);
   dynamics::CompositeForces(tree, s.w);
   dynamics::MassMatrix(tree, s.w);
-  const int bad = UpdateEffectiveInertias(n, input.v, values.stick_velocity, s);
-  if (bad >= 0) return {StepStatus::kMassMatrixNotPositive, bad};
-  PointForces(program, values, input.v, input.t, end, false, s);
+  UpdateEffectiveInertias(n, v0, values.stick_velocity, s);
+  PointForces(program, values, v0, begin, end, false, s);
   for (int i = 0; i < n; ++i) {
     s.bias[i] = s.w.c[i] - s.E[i];
-    s.v1[i] = input.v[i];
+    s.v1[i] = v0[i];
   }
-  StepResult result = SolveVelocity(c, false, s);
-  if (result.status != StepStatus::kOk) return result;
+  SolveVelocity(c, false, s.failure.failed, s);
 
   // Further passes: the bias at the mean velocity, until what one more would change is negligible.
-  double change = 0.0, size = 1.0;
-  for (int i = 0; i < n; ++i) change = Larger(change, 0.5 * __builtin_fabs(s.v1[i] - input.v[i]));
-  for (int pass = 0;; ++pass) {
-    if (pass == kMaxPasses) return {StepStatus::kNotConverged, 0};
-    for (int i = 0; i < n; ++i) s.mean[i] = 0.5 * (input.v[i] + s.v1[i]);
-    BiasHere(tree, values.gravity, s.mean, s);
-    PointForces(program, values, s.mean, input.t, end, directions != nullptr, s);
+  T change = T(0.0), size = T(1.0);
+  for (int i = 0; i < n; ++i) change = math::Max(change, T(0.5) * math::Abs(s.v1[i] - v0[i]));
+  for (int i = 0; i < n; ++i) s.mean[i] = v0[i];
+  Mask<T> settled = s.failure.failed;
+  for (int pass = 0; !All(settled); ++pass) {
+    if (pass == kMaxPasses) {
+      s.failure.Add(Not(settled), StepStatus::kNotConverged, 0);
+      break;
+    }
+    for (int i = 0; i < n; ++i) s.mean[i] = Select(settled, s.mean[i], T(0.5) * (v0[i] + s.v1[i]));
+    BiasHere(tree, s.mean, s);
+    PointForces(program, values, s.mean, begin, end, directions != nullptr, s);
     for (int i = 0; i < n; ++i) {
       s.bias[i] = s.w.c[i] - s.E[i];
       s.before[i] = s.v1[i];
     }
-    result = SolveVelocity(c, true, s);
-    if (result.status != StepStatus::kOk) return result;
-    const double last = change;
-    change = 0.0;
+    SolveVelocity(c, true, settled, s);
+    const T last = change;
+    change = T(0.0);
     for (int i = 0; i < n; ++i) {
-      change = Larger(change, 0.5 * __builtin_fabs(s.v1[i] - s.before[i]));
-      size = Larger(size, __builtin_fabs(s.v1[i]));
+      change = math::Max(change, T(0.5) * math::Abs(s.v1[i] - s.before[i]));
+      size = math::Max(size, math::Abs(s.v1[i]));
     }
-    if (change * change <= kPassTolerance * h * size * last) break;  // the next change, if they shrink evenly
+    // What the next would change, if they shrink evenly.
+    settled = Or(Or(settled, s.failure.failed), change * change <= T(kPassTolerance) * h * size * last);
   }
+  if (s.failure.all()) return s.failure.Result();
 
   if (directions != nullptr) {
-    double a[C];
-    for (int i = 0; i < n; ++i) a[i] = (s.v1[i] - input.v[i]) / h;
+    T a[C];
+    for (int i = 0; i < n; ++i) a[i] = (s.v1[i] - v0[i]) * s.input.inverse_h;
     dynamics::SetAcceleration(tree, a, s.w);
-    dynamics::Derivatives(tree, s.w);
-    dynamics::Regressor(tree, s.w);
-    Gradients(c, *directions, s.v1, &s.gradients);
-    DirectForces(c, *directions, s, direct);
-    if (!StateMatrices(c, {0.5 * h, 0.5, 0.5}, s)) return {StepStatus::kMassMatrixNotPositive, 0};
-    Propagate(c, *directions, 0.5 * h, 0.5 * h, s, direct, from, to);
+    Sensitivities(c, *directions, {T(0.5) * h, 0.5, 0.5}, T(0.5) * h, T(0.5) * h, s, direct, from, to);
   }
-  for (int i = 0; i < n; ++i) {
-    output.v[i] = s.v1[i];
-    output.q[i] = s.half[i] + 0.5 * h * s.v1[i];
-  }
-  for (int i = 0; i < program.num_states; ++i) output.z[i] = s.z1[i];
-  return {};
+  Store(program, output, s, [&](int i) RG_LAMBDA_INLINE { return s.half[i] + T(0.5) * h * s.v1[i]; });
+  return s.failure.Result();
 }
 
 }  // namespace RG_ISA

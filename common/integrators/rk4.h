@@ -9,44 +9,45 @@
 namespace rg::integrators {
 inline namespace RG_ISA {
 
-// s.v1 = acceleration at (q, v) under the laws' instantaneous forces; leaves w ready for Derivatives.
+// s.v1 = acceleration at c.input's (q, v) under the laws' instantaneous forces; leaves w ready for
+// Derivatives.
 template <int C>
-StepResult Acceleration(const LawContext& c, const double* q, const double* v, bool derivatives,
-                        StepWorkspace<C>& s) {
-  const StepProgram& program = *c.program;
-  const dynamics::Tree& tree = program.tree;
+void Acceleration(const LawContext<double, C>& c, bool derivatives, StepWorkspace<double, C>& s) {
+  const dynamics::Tree& tree = c.program->tree;
   const int n = tree.n;
-  dynamics::CopyIn(n, q, s.w.q);
+  const StepState<double, C>& at = *c.input;
+  s.failure = {};
+  dynamics::CopyIn(n, at.q, s.w.q);
   dynamics::Kinematics(tree, s.w);
-  BiasHere(tree, c.values->gravity, v, s);
+  BiasHere(tree, at.v, s);
   dynamics::CompositeForces(tree, s.w);
   dynamics::MassMatrix(tree, s.w);
-  PointForces(program, *c.values, v, c.input->t, c.input->t, derivatives, s);
-  Forces(c, v, s.force, s.slope, s.z1);
+  PointForces(*c.program, *c.values, at.v, at.t, at.t, derivatives, s);
+  Forces(c, at.v, s.force, s.slope, s.z1);
   LoadMass(n, 1.0, s, s.H);
   for (int i = 0; i < n; ++i) {
     s.H[i * C + i] += s.armature[i];
     s.v1[i] = s.force[i] + s.E[i] - s.w.c[i];
   }
-  const int bad = Cholesky<C>(n, s.H, s.diagonal);
-  if (bad >= 0) return {StepStatus::kMassMatrixNotPositive, bad};
-  CholeskySolve<C>(n, s.H, s.diagonal, s.v1);
-  for (int i = 0; i < n; ++i) {
-    if (!(__builtin_fabs(s.v1[i]) < 1e300)) return {StepStatus::kNonFinite, i};
-  }
-  return {};
+  int row = -1;
+  s.failure.Add(Cholesky<double, C>(n, s.H, s.diagonal, &row), StepStatus::kMassMatrixNotPositive, row);
+  if (s.failure.all()) return;
+  CholeskySolve<double, C>(n, s.H, s.diagonal, s.v1);
+  for (int i = 0; i < n; ++i) s.failure.Add(!(math::Abs(s.v1[i]) < 1e300), StepStatus::kNonFinite, i);
 }
 
-// da = H⁻¹(B_q dq + B_v dv + direct) of one stage; dq, dv, da: n × stride.
+// da = H⁻¹(B_q dq + B_v dv + direct) of one stage; dq, dv, da: [column][C].
 template <int C>
-bool StageSensitivity(const LawContext& c, const Directions& directions, StepWorkspace<C>& s, double* direct,
-                      const double* dq, const double* dv, double* da) {
+void StageSensitivity(const LawContext<double, C>& c, const Directions& directions,
+                      StepWorkspace<double, C>& s, double* direct, const double* dq, const double* dv,
+                      double* da) {
   const StepProgram& program = *c.program;
-  const int n = program.tree.n, stride = directions.stride;
+  const int n = program.tree.n;
   dynamics::SetAcceleration(program.tree, s.v1, s.w);
   dynamics::Derivatives(program.tree, s.w);
   dynamics::Regressor(program.tree, s.w);
   Gradients(c, directions, c.input->v, &s.gradients);
+  auto& force = s.gradients.force;
   // The laws saw no acceleration: a rotor inertia's own derivative is −a.
   for (int i = 0; i < n; ++i) {
     const JointProgram& joint = program.joints[i];
@@ -54,7 +55,7 @@ bool StageSensitivity(const LawContext& c, const Directions& directions, StepWor
       effects::WithEffectType(program.ops[k].kind, [&]<class E>() {
         if constexpr (requires { E::kInertiaParameter; }) {
           const int local = kFirstState + joint.num_states + program.ops[k].parameter + E::kInertiaParameter;
-          s.gradients.force[i][local] -= s.v1[i];
+          force[local][i] -= s.v1[i];
         }
       });
     }
@@ -62,98 +63,92 @@ bool StageSensitivity(const LawContext& c, const Directions& directions, StepWor
   DirectForces(c, directions, s, direct);
   for (int i = 0; i < n; ++i) {
     for (int j = 0; j < n; ++j) {
-      s.H[i * C + j] = s.w.M[j][i];
-      s.B_q[i * C + j] = -s.w.dtau_dq[j][i];
-      s.B_v[i * C + j] = -s.w.dtau_dv[j][i];
+      s.inverse[j][i] = s.w.M[j][i];
+      s.B_q[j][i] = -s.w.dtau_dq[j][i];
+      s.B_v[j][i] = -s.w.dtau_dv[j][i];
       if (program.num_point_forces > 0) {
-        s.B_q[i * C + j] += s.E_q[i * C + j];
-        s.B_v[i * C + j] += s.E_v[i * C + j];
+        s.B_q[j][i] += s.E_q[i * C + j];
+        s.B_v[j][i] += s.E_v[i * C + j];
       }
     }
-    s.H[i * C + i] += s.armature[i];
-    s.B_q[i * C + i] += s.gradients.force[i][kPosition];
-    s.B_v[i * C + i] += s.gradients.force[i][kVelocity] + s.gradients.force[i][kEndVelocity];
-    if (const int other = program.joints[i].sees; other >= 0)
-      s.B_q[i * C + other] += s.gradients.force[i][kCoupled];
-    const int source = program.joints[i].coupled_to;
-    if (source >= 0) {
-      const double slope = s.gradients.force[i][kCoupled];
-      const double* drive = s.gradients.drive[source];
-      s.B_q[i * C + source] += slope * drive[kPosition];
-      s.B_v[i * C + source] += slope * (drive[kVelocity] + drive[kEndVelocity]);
+    s.inverse[i][i] += s.armature[i];
+    s.B_q[i][i] += force[kPosition][i];
+    s.B_v[i][i] += force[kVelocity][i] + force[kEndVelocity][i];
+    if (const int other = program.joints[i].sees; other >= 0) s.B_q[other][i] += force[kCoupled][i];
+    if (const int source = program.joints[i].coupled_to; source >= 0) {
+      const auto& drive = s.gradients.drive;
+      s.B_q[source][i] += force[kCoupled][i] * drive[kPosition][source];
+      s.B_v[source][i] += force[kCoupled][i] * (drive[kVelocity][source] + drive[kEndVelocity][source]);
     }
   }
-  if (!Invert<C>(n, s.H)) return false;
-  for (int k = 0; k < stride; ++k) {
-    double rhs[C];
+  s.failure.Add(Invert<double, C>(n, s.inverse), StepStatus::kMassMatrixNotPositive, 0);
+  for (int column = 0; column < directions.columns; ++column) {
+    math::Row<double, C> rhs, end;
+    const double *own = direct + column * C, *q = dq + column * C, *v = dv + column * C;
     for (int i = 0; i < n; ++i) {
-      rhs[i] = direct[i * stride + k];
-      for (int j = 0; j < n; ++j) {
-        rhs[i] += s.B_q[i * C + j] * dq[j * stride + k] + s.B_v[i * C + j] * dv[j * stride + k];
-      }
+      rhs[i] = own[i];
+      for (int j = 0; j < n; ++j) rhs[i] += s.B_q[j][i] * q[j] + s.B_v[j][i] * v[j];
     }
-    for (int i = 0; i < n; ++i) {
-      double sum = 0;
-      for (int j = 0; j < n; ++j) sum += s.H[i * C + j] * rhs[j];
-      da[i * stride + k] = sum;
-    }
+    math::MatrixTimes<double, C>(n, s.inverse, rhs, end);
+    for (int i = 0; i < n; ++i) da[column * C + i] = end[i];
   }
-  return true;
 }
 
-// `direct`: n × stride, followed by 3·n × stride of scratch when directions are given.
+// `direct`: columns × C, followed by three times as much scratch when directions are given.
 template <int C>
 StepResult Rk4Step(const StepProgram& program, const StepValues& values, const StepInput& input,
                    const Directions* directions, double* direct, const Sensitivity& from,
-                   const Sensitivity& to, const StepOutput& output, StepWorkspace<C>& s) {
+                   const Sensitivity& to, const StepOutput& output, StepWorkspace<double, C>& s) {
   const int n = program.tree.n;
-  const double h = input.h;
+  s.input.Load(input, n);
+  const StepState<double, C> start = s.input;
+  const double h = start.h;
   constexpr double kNode[4] = {0.0, 0.5, 0.5, 1.0};
   constexpr double kShare[4] = {1.0 / 6, 1.0 / 3, 1.0 / 3, 1.0 / 6};
-  double q[C], v[C], previous_v[C], previous_a[C] = {}, sum_v[C] = {}, sum_a[C] = {};
-  for (int i = 0; i < n; ++i) previous_v[i] = input.v[i];
-  const int size = directions == nullptr ? 0 : n * directions->stride;
-  double *dq = direct + size, *dv = dq + size, *da = dv + size;
-  for (int k = 0; k < size; ++k) {
-    to.q[k] = from.q[k];
-    to.v[k] = from.v[k];
-    dv[k] = from.v[k];
-    da[k] = 0.0;
-  }
+  double previous_v[C], previous_a[C] = {}, sum_v[C] = {}, sum_a[C] = {};
+  for (int i = 0; i < n; ++i) previous_v[i] = start.v[i];
+  const int columns = directions == nullptr ? 0 : directions->columns;
+  double *dq = direct + columns * C, *dv = dq + columns * C, *da = dv + columns * C;
+  const auto each = [&](auto f) {
+    for (int column = 0; column < columns; ++column) {
+      const auto x = ColumnOf<double, C>(program, from, column), y = ColumnOf<double, C>(program, to, column);
+      for (int i = 0; i < n; ++i) f(column * C + i, x.q()[i], x.v()[i], y.q()[i], y.v()[i]);
+    }
+  };
+  each([&](int k, double q, double v, double& to_q, double& to_v) {
+    to_q = q, to_v = dv[k] = v, da[k] = 0.0;
+  });
   for (int stage = 0; stage < 4; ++stage) {
     const double shift = kNode[stage] * h;
     for (int i = 0; i < n; ++i) {
-      q[i] = input.q[i] + shift * previous_v[i];
-      v[i] = input.v[i] + shift * previous_a[i];
+      s.input.q[i] = start.q[i] + shift * previous_v[i];
+      s.input.v[i] = start.v[i] + shift * previous_a[i];
     }
-    StepInput here = input;
-    here.q = q;
-    here.v = v;
-    here.t = input.t + shift;
-    const LawContext c{&program, &values, &here, {false, true}, s.mass, s.rough};
-    const StepResult result = Acceleration(c, q, v, directions != nullptr, s);
-    if (result.status != StepStatus::kOk) return result;
+    s.input.t = start.t + shift;
+    const LawContext<double, C> c{&program, &values, &s.input, {false, true}, s.mass, &s.laws};
+    Acceleration(c, directions != nullptr, s);
+    if (s.failure.all()) return s.failure.Result();
     for (int i = 0; i < n; ++i) {
-      sum_v[i] += kShare[stage] * v[i];
+      sum_v[i] += kShare[stage] * s.input.v[i];
       sum_a[i] += kShare[stage] * s.v1[i];
-      previous_v[i] = v[i];
+      previous_v[i] = s.input.v[i];
       previous_a[i] = s.v1[i];
     }
     if (directions == nullptr) continue;
-    for (int k = 0; k < size; ++k) {
-      dq[k] = from.q[k] + shift * dv[k];
-      dv[k] = from.v[k] + shift * da[k];
-    }
-    if (!StageSensitivity(c, *directions, s, direct, dq, dv, da))
-      return {StepStatus::kMassMatrixNotPositive, 0};
-    for (int k = 0; k < size; ++k) {
-      to.q[k] += h * kShare[stage] * dv[k];
-      to.v[k] += h * kShare[stage] * da[k];
-    }
+    each([&](int k, double q, double v, double&, double&) {
+      dq[k] = q + shift * dv[k];
+      dv[k] = v + shift * da[k];
+    });
+    StageSensitivity(c, *directions, s, direct, dq, dv, da);
+    if (s.failure.all()) return s.failure.Result();
+    each([&](int k, double, double, double& to_q, double& to_v) {
+      to_q += h * kShare[stage] * dv[k];
+      to_v += h * kShare[stage] * da[k];
+    });
   }
   for (int i = 0; i < n; ++i) {
-    output.q[i] = input.q[i] + h * sum_v[i];
-    output.v[i] = input.v[i] + h * sum_a[i];
+    output.q[i] = start.q[i] + h * sum_v[i];
+    output.v[i] = start.v[i] + h * sum_a[i];
   }
   return {};
 }

@@ -11,47 +11,40 @@
 namespace rg::integrators {
 inline namespace RG_ISA {
 
-template <int C>
+template <class T, int C>
 StepResult SemiImplicitEulerStep(const StepProgram& program, const StepValues& values, const StepInput& input,
                                  const Directions* directions, double* direct, const Sensitivity& from,
-                                 const Sensitivity& to, const StepOutput& output, StepWorkspace<C>& s) {
+                                 const Sensitivity& to, const StepOutput& output, StepWorkspace<T, C>& s) {
   const dynamics::Tree& tree = program.tree;
   const int n = tree.n;
-  const double h = input.h;
-  const LawContext c{&program, &values, &input, {true, false}, s.mass, s.rough};
+  s.input.Load(input, n);
+  s.failure = {};
+  const T h = s.input.h;
+  const T *q0 = s.input.q, *v0 = s.input.v;
+  const LawContext<T, C> c{&program, &values, &s.input, {true, false}, s.mass, &s.laws};
 
-  dynamics::CopyIn(n, input.q, s.w.q);
+  dynamics::CopyIn(n, q0, s.w.q);
   dynamics::Kinematics(tree, s.w);
-  BiasHere(tree, values.gravity, input.v, s);
+  BiasHere(tree, v0, s);
   dynamics::CompositeForces(tree, s.w);
   dynamics::MassMatrix(tree, s.w);
-  const int bad = UpdateEffectiveInertias(n, input.v, values.stick_velocity, s);
-  if (bad >= 0) return {StepStatus::kMassMatrixNotPositive, bad};
-  PointForces(program, values, input.v, input.t, input.t + h, directions != nullptr, s);
+  UpdateEffectiveInertias(n, v0, values.stick_velocity, s);
+  PointForces(program, values, v0, s.input.t, s.input.t + h, directions != nullptr, s);
   for (int i = 0; i < n; ++i) {
     s.bias[i] = s.w.c[i] - s.E[i];
-    s.v1[i] = input.v[i];
+    s.v1[i] = v0[i];
   }
-  const StepResult result = SolveVelocity(c, false, s);
-  if (result.status != StepStatus::kOk) return result;
+  SolveVelocity(c, false, s.failure.failed, s);
+  if (s.failure.all()) return s.failure.Result();
 
   if (directions != nullptr) {
-    double a[C];
-    for (int i = 0; i < n; ++i) a[i] = (s.v1[i] - input.v[i]) / h;
+    T a[C];
+    for (int i = 0; i < n; ++i) a[i] = (s.v1[i] - v0[i]) * s.input.inverse_h;
     dynamics::SetAcceleration(tree, a, s.w);
-    dynamics::Derivatives(tree, s.w);
-    dynamics::Regressor(tree, s.w);
-    Gradients(c, *directions, s.v1, &s.gradients);
-    DirectForces(c, *directions, s, direct);
-    if (!StateMatrices(c, {0.0, 1.0, 0.0}, s)) return {StepStatus::kMassMatrixNotPositive, 0};
-    Propagate(c, *directions, 0.0, h, s, direct, from, to);
+    Sensitivities(c, *directions, {T(0.0), 1.0, 0.0}, T(0.0), h, s, direct, from, to);
   }
-  for (int i = 0; i < n; ++i) {
-    output.v[i] = s.v1[i];
-    output.q[i] = input.q[i] + h * s.v1[i];
-  }
-  for (int i = 0; i < program.num_states; ++i) output.z[i] = s.z1[i];
-  return {};
+  Store(program, output, s, [&](int i) RG_LAMBDA_INLINE { return q0[i] + h * s.v1[i]; });
+  return s.failure.Result();
 }
 
 }  // namespace RG_ISA

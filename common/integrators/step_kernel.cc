@@ -9,58 +9,56 @@ namespace rg::integrators {
 inline namespace RG_ISA {
 namespace {
 
-template <int C>
-StepWorkspace<C>& In(void* scratch) {
-  return *static_cast<StepWorkspace<C>*>(scratch);
+template <class T, int C>
+StepWorkspace<T, C>& In(void* scratch) {
+  return *static_cast<StepWorkspace<T, C>*>(scratch);
 }
 
-template <int C>
+template <class T, int C>
 StepKernels MakeKernels() {
-  StepKernels k;
-  k.scratch_bytes = sizeof(StepWorkspace<C>);
+  StepKernels k{};
+  k.lanes = static_cast<int>(sizeof(T) / sizeof(double));
+  k.capacity = C;
+  k.scratch_bytes = sizeof(StepWorkspace<T, C>);
   k.prepare = [](const StepProgram& program, const StepValues& values, void* scratch) {
-    Prepare(program, values, In<C>(scratch));
+    Prepare(program, values, In<T, C>(scratch));
   };
   k.semi_implicit_euler = [](const StepProgram& program, const StepValues& values, const StepInput& input,
                              const Directions* directions, double* direct, const Sensitivity& from,
                              const Sensitivity& to, const StepOutput& output, void* scratch) {
     return SemiImplicitEulerStep(program, values, input, directions, direct, from, to, output,
-                                 In<C>(scratch));
+                                 In<T, C>(scratch));
   };
   k.leapfrog = [](const StepProgram& program, const StepValues& values, const StepInput& input,
                   const Directions* directions, double* direct, const Sensitivity& from,
                   const Sensitivity& to, const StepOutput& output, void* scratch) {
-    return LeapfrogStep(program, values, input, directions, direct, from, to, output, In<C>(scratch));
+    return LeapfrogStep(program, values, input, directions, direct, from, to, output, In<T, C>(scratch));
   };
-  k.rk4 = [](const StepProgram& program, const StepValues& values, const StepInput& input,
-             const Directions* directions, double* direct, const Sensitivity& from, const Sensitivity& to,
-             const StepOutput& output, void* scratch) {
-    return Rk4Step(program, values, input, directions, direct, from, to, output, In<C>(scratch));
-  };
-  k.acceleration = [](const StepProgram& program, const StepValues& values, const StepInput& input, double* a,
-                      void* scratch) {
-    StepWorkspace<C>& s = In<C>(scratch);
-    const LawContext c{&program, &values, &input, {false, true}, s.mass, s.rough};
-    const StepResult result = Acceleration(c, input.q, input.v, false, s);
-    for (int i = 0; i < program.tree.n; ++i) a[i] = s.v1[i];
-    return result;
-  };
-  k.mass_matrix = [](const StepProgram& program, const double* q, double* M, void* scratch) {
-    StepWorkspace<C>& s = In<C>(scratch);
-    dynamics::CompositeRigidBody(program.tree, s.inertias, q, s.w);
-    const int n = program.tree.n;
-    for (int i = 0; i < n; ++i) {
-      for (int j = 0; j < n; ++j) M[i * n + j] = s.w.M[j][i];
-    }
-  };
+  if constexpr (sizeof(T) == sizeof(double)) {
+    k.rk4 = [](const StepProgram& program, const StepValues& values, const StepInput& input,
+               const Directions* directions, double* direct, const Sensitivity& from, const Sensitivity& to,
+               const StepOutput& output, void* scratch) {
+      return Rk4Step(program, values, input, directions, direct, from, to, output, In<T, C>(scratch));
+    };
+    k.acceleration = [](const StepProgram& program, const StepValues& values, const StepInput& input,
+                        double* a, void* scratch) {
+      StepWorkspace<T, C>& s = In<T, C>(scratch);
+      s.input.Load(input, program.tree.n);
+      const LawContext<T, C> c{&program, &values, &s.input, {false, true}, s.mass, &s.laws};
+      Acceleration(c, false, s);
+      for (int i = 0; i < program.tree.n; ++i) a[i] = s.v1[i];
+      return s.failure.Result();
+    };
+  }
   return k;
 }
 
 }  // namespace
 
-void FillStepKernels(StepKernels* small, StepKernels* large) {
-  *small = MakeKernels<8>();
-  *large = MakeKernels<16>();
+void FillStepKernels(StepKernels* small, StepKernels* large, StepKernels* lanes) {
+  *small = MakeKernels<double, 8>();
+  *large = MakeKernels<double, 16>();
+  *lanes = MakeKernels<math::Lanes<math::kNativeLanes>, 8>();
 }
 
 }  // namespace RG_ISA

@@ -8,30 +8,34 @@
 namespace rg::integrators {
 
 // One step. `scratch` is a workspace that `prepare` has filled; with directions == nullptr no
-// sensitivities are computed and direct, from, to are not used. `direct` is 4·n × stride, zero at the
-// start, 64-byte aligned, private to the kernels between calls. output may be the input's arrays; `from` and
-// `to` must differ.
+// sensitivities are computed and direct, from, to are not used. `direct` is 4·columns × capacity × lanes
+// numbers, zero at the start, 64-byte aligned, private to the kernels between calls. output may be the
+// input's arrays; `to` may be `from` but in rk4.
 using StepFunction = StepResult (*)(const StepProgram& program, const StepValues& values,
                                     const StepInput& input, const Directions* directions, double* direct,
                                     const Sensitivity& from, const Sensitivity& to, const StepOutput& output,
                                     void* scratch);
 
 struct StepKernels {
+  int lanes;             // windows that a step takes side by side (StepInput)
+  int capacity;          // most joints
   size_t scratch_bytes;  // to be aligned to 64
   // Makes a zeroed block of scratch_bytes a workspace, then takes over program and values; again after
   // each change of either.
   void (*prepare)(const StepProgram& program, const StepValues& values, void* scratch);
   StepFunction semi_implicit_euler;
   StepFunction leapfrog;
+  // Null in lanes.
   StepFunction rk4;
   // Acceleration a (n) at input.q, input.v under instantaneous forces.
   StepResult (*acceleration)(const StepProgram& program, const StepValues& values, const StepInput& input,
                              double* a, void* scratch);
-  // Mass matrix at q (n × n, row-major, without rotor inertia).
-  void (*mass_matrix)(const StepProgram& program, const double* q, double* M, void* scratch);
 };
 
 // For plants of up to n joints.
 const StepKernels& GetStepKernels(int n);
+// As many windows side by side as a register of the processor holds; null for plants with too many joints. A
+// window's result does not depend, not by a bit, on what the other lanes hold.
+const StepKernels* GetLaneStepKernels(int n);
 
 }  // namespace rg::integrators

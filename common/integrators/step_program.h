@@ -13,6 +13,7 @@ namespace rg::integrators {
 inline constexpr int kMaxJoints = dynamics::kMaxBodies;
 inline constexpr int kMaxOps = 160;    // effect × joint
 inline constexpr int kMaxLocals = 64;  // variables of one joint's law
+inline constexpr int kMaxStates = 6;   // internal states of one joint
 inline constexpr int kMaxPointForces = 4;
 inline constexpr int kMaxPointParameters = 8;
 
@@ -54,6 +55,7 @@ struct PointForce {
 struct StepProgram {
   dynamics::Tree tree;
   int num_states = 0;  // of z
+  int max_states = 0;  // of one joint
   JointProgram joints[kMaxJoints];
   LawOp ops[kMaxOps];
   int num_point_forces = 0;
@@ -72,13 +74,17 @@ struct StepValues {
   double rk4_sign_width = 1e-2;
 };
 
+// A kernel steps one window or, in SIMD lanes, several side by side: then every number of the state is
+// `lanes` numbers in a row (64-byte aligned), one per window, and so is every number of the sensitivities.
+// Plant, parameter values and directions are the same for all.
 struct StepInput {
-  const double* q = nullptr;  // n
-  const double* v = nullptr;  // n
-  const double* z = nullptr;  // num_states
-  double t = 0;
-  double h = 0;
-  const double* command = nullptr;  // n, averages over the step (0 for joints without a drive)
+  const double* q = nullptr;                // n
+  const double* v = nullptr;                // n
+  const double* z = nullptr;                // num_states
+  const double* t = nullptr;                // 1
+  const double* h = nullptr;                // 1
+  const double* command = nullptr;          // n, averages over the step (0 for joints without a drive)
+  const double* command_weights = nullptr;  // per Directions::commands: d(average command)/d(column)
 };
 
 struct StepOutput {
@@ -89,23 +95,23 @@ struct StepOutput {
 
 enum class StepStatus { kOk, kNonFinite, kMassMatrixNotPositive, kNotConverged };
 struct StepResult {
-  StepStatus status = StepStatus::kOk;
+  StepStatus status = StepStatus::kOk;  // of the first failure that was seen
   int joint = -1;
+  unsigned failed = 0;  // one bit per lane; outputs of lanes that failed mean nothing
 };
 
-// Sensitivities of (q, v, z) to a set of directions, one column each, row-major, `stride` columns of
-// which the first `columns` mean something; stride is a multiple of 8 and rows are 64-byte aligned.
+// Sensitivities of (q, v, z) to a set of directions. Each direction is a column of 2 + max_states rows: q, v,
+// then the k-th internal state of each joint (zero where it has fewer); each row has as many entries as the
+// kernel's capacity of joints. 64-byte aligned.
 struct Sensitivity {
-  double* q = nullptr;  // n × stride
-  double* v = nullptr;  // n × stride
-  double* z = nullptr;  // num_states × stride
+  double* columns = nullptr;
 };
 
 // Which columns a parameter enters directly. All other columns only pass on what the state carries.
 struct Directions {
   int columns = 0;
-  int stride = 0;
-  int gravity = -1;  // first of three columns, or -1
+  int first_direct = 0;  // columns before this one enter no force directly: the initial state's
+  int gravity = -1;      // first of three columns, or -1
   // Body b's inertial directions: columns first_body[b] … + num_body[b], direction k is
   // basis[b][k·10 … k·10 + 9] in φ.
   int first_body[kMaxJoints];
@@ -122,7 +128,6 @@ struct Directions {
   struct Command {
     int joint;
     int column;
-    double weight;  // d(average command)/d(column) in this step
   };
   int num_commands = 0;
   const Command* commands = nullptr;

@@ -4,8 +4,8 @@
 //   (M/h + w1·A_v − dF/dv1) dv1 = (M/h − w0·A_v + dF/dv0) dv0 − A_q dq_s + dF/dq0 dq0 + dF/dz dz0
 //                                 − Y dφ − dtau/dg dg + dF/dp dp + dF/du du
 //
-// A column of the state's sensitivity is one direction; most parameters of a robot share few directions
-// (ten per body), and sim/ maps directions to parameters at the outputs.
+// A column of the sensitivities is one direction, its entries rows over joints; most parameters of a robot
+// share few directions (ten per body), and sim/ maps directions to parameters at the outputs.
 #pragma once
 
 #include "common/integrators/step_workspace.h"
@@ -14,179 +14,248 @@ namespace rg::integrators {
 inline namespace RG_ISA {
 
 // Where a step takes its rigid-body terms.
+template <class T>
 struct StepWeights {
-  double position;  // q_s = q0 + position · v0
-  double begin;     // v_s = begin · v0 + end · v1
+  T position;    // q_s = q0 + position · v0
+  double begin;  // v_s = begin · v0 + end · v1
   double end;
 };
 
-// Direct effect of every direction on the generalised force, n × stride into `direct`; only columns that
+// A column of sensitivities.
+template <class T, int C>
+struct ColumnRows {
+  T* x;
+  T* q() const { return x; }
+  T* v() const { return x + C; }
+  T* z(int k) const { return x + (2 + k) * C; }
+};
+template <class T, int C>
+RG_INLINE ColumnRows<T, C> ColumnOf(const StepProgram& program, const Sensitivity& s, int column) {
+  return {reinterpret_cast<T*>(s.columns) + static_cast<long>(column) * (2 + program.max_states) * C};
+}
+
+// Direct effect of every direction on the generalised force, [column][C] into `direct`; only columns that
 // have one are written (the rest stays zero). With coupling, of the source's parameters too.
-template <int C>
-void DirectForces(const LawContext& c, const Directions& directions, const StepWorkspace<C>& s,
-                  double* direct) {
+template <class T, int C>
+void DirectForces(const LawContext<T, C>& c, const Directions& directions, const StepWorkspace<T, C>& s,
+                  T* direct) {
+  constexpr int kWidth = math::kPackWidth<T>;
   const StepProgram& program = *c.program;
-  const int n = program.tree.n, stride = directions.stride;
+  const int n = program.tree.n;
   if (directions.gravity >= 0) {
-    for (int i = 0; i < n; ++i) {
-      double* row = direct + i * stride + directions.gravity;
-      row[0] = s.w.F.lin.x[i];
-      row[1] = s.w.F.lin.y[i];
-      row[2] = s.w.F.lin.z[i];
+    T* column = direct + directions.gravity * C;
+    for (int r = 0; r < n; r += kWidth) {
+      math::StorePack(column + r, s.w.F.lin.x.Load(r));
+      math::StorePack(column + C + r, s.w.F.lin.y.Load(r));
+      math::StorePack(column + 2 * C + r, s.w.F.lin.z.Load(r));
     }
   }
   for (int b = 0; b < n; ++b) {
     for (int k = 0; k < directions.num_body[b]; ++k) {
       const double* basis = directions.basis[b] + 10 * k;
-      double* column = direct + directions.first_body[b] + k;
-      double sum[C] = {};
-      for (int m = 0; m < 10; ++m) {
-        const double weight = basis[m];
-        if (weight == 0.0) continue;
-        for (int i = 0; i < C; ++i) sum[i] -= weight * s.w.Y[b][m][i];
+      T* column = direct + (directions.first_body[b] + k) * C;
+      for (int r = 0; r <= b; r += kWidth) {
+        Pack<T> sum(0.0);
+        for (int m = 0; m < 10; ++m) {
+          if (basis[m] != 0.0) sum -= Pack<T>(basis[m]) * s.w.Y[b][m].Load(r);
+        }
+        math::StorePack(column + r, sum);
       }
-      for (int i = 0; i <= b; ++i) column[i * stride] = sum[i];
     }
   }
   // Several joints may share a parameter, several columns a joint.
-  for (int k = 0; k < directions.num_locals; ++k) {
-    const auto& l = directions.locals[k];
-    for (int i = 0; i < n; ++i) direct[i * stride + l.column] = 0.0;
-  }
-  for (int k = 0; k < directions.num_commands; ++k) {
-    const auto& l = directions.commands[k];
-    for (int i = 0; i < n; ++i) direct[i * stride + l.column] = 0.0;
-  }
-  auto add = [&](int joint, int local, int column, double weight) {
-    direct[joint * stride + column] += weight * s.gradients.force[joint][local];
+  const auto clear = [&](int column) RG_LAMBDA_INLINE {
+    for (int r = 0; r < n; r += kWidth) math::StorePack(direct + column * C + r, Pack<T>(0.0));
+  };
+  for (int k = 0; k < directions.num_locals; ++k) clear(directions.locals[k].column);
+  for (int k = 0; k < directions.num_commands; ++k) clear(directions.commands[k].column);
+  const bool coupling = c.packs->num_uncoupled < c.packs->count;
+  const auto add = [&](int joint, int local, int column, T weight) RG_LAMBDA_INLINE {
+    direct[column * C + joint] += weight * s.gradients.force[local][joint];
+    if (!coupling) return;
     for (int j = 0; j < n; ++j) {
       if (program.joints[j].coupled_to != joint) continue;
-      direct[j * stride + column] +=
-          weight * s.gradients.force[j][kCoupled] * s.gradients.drive[joint][local];
+      direct[column * C + j] += weight * s.gradients.force[kCoupled][j] * s.gradients.drive[local][joint];
     }
   };
   for (int k = 0; k < directions.num_locals; ++k) {
     const auto& l = directions.locals[k];
-    add(l.joint, l.local, l.column, 1.0);
+    add(l.joint, l.local, l.column, T(1.0));
   }
   for (int k = 0; k < directions.num_commands; ++k) {
     const auto& l = directions.commands[k];
-    add(l.joint, kCommand, l.column, l.weight);
+    add(l.joint, kCommand, l.column, c.input->command_weights[k]);
   }
   for (int k = 0; k < directions.num_points; ++k) {
     const auto& point = directions.points[k];
     for (int i = 0; i < n; ++i) {
-      direct[i * stride + point.column] = s.E_p[point.force * kMaxPointParameters + point.parameter][i];
+      direct[point.column * C + i] = s.E_p[point.force * kMaxPointParameters + point.parameter][i];
     }
   }
 }
 
-// H⁻¹ into s.H, and the matrices that dq0 and dv0 are multiplied with into s.B_q, s.B_v, all row-major C.
-template <int C>
-bool StateMatrices(const LawContext& c, const StepWeights& weights, StepWorkspace<C>& s) {
+// H⁻¹ into s.inverse, and the matrices that dq0 and dv0 are multiplied with into s.B_q, s.B_v. True where H
+// has no inverse.
+template <class T, int C>
+Mask<T> StateMatrices(const LawContext<T, C>& c, const StepWeights<T>& weights, StepWorkspace<T, C>& s) {
   const StepProgram& program = *c.program;
   const int n = program.tree.n;
-  const double inverse_h = 1.0 / c.input->h;
-  const bool points = program.num_point_forces > 0;
-  for (int i = 0; i < n; ++i) {
-    for (int j = 0; j < C; ++j) {
-      const double m = s.w.M[j][i] * inverse_h;
-      double A_q = s.w.dtau_dq[j][i], A_v = s.w.dtau_dv[j][i];
-      if (points && j < n) {
-        A_q -= s.E_q[i * C + j];
-        A_v -= s.E_v[i * C + j];
+  constexpr int kWidth = math::kPackWidth<T>;
+  using P = Pack<T>;
+  const auto& force = s.gradients.force;
+  const P position(weights.position), begin(weights.begin), end(weights.end), inverse_h(c.input->inverse_h);
+  for (int j = 0; j < n; ++j) {
+    for (int r = 0; r < n; r += kWidth) {
+      const P m = s.w.M[j].Load(r) * inverse_h, A_q = s.w.dtau_dq[j].Load(r), A_v = s.w.dtau_dv[j].Load(r);
+      P H = m + end * A_v, B_q = -A_q, B_v = m - begin * A_v - position * A_q;
+      if (j >= r && j < r + kWidth) {
+        H -= AlongUnit<T>(j, r, math::LoadPack(force[kEndVelocity] + r));
+        B_q += AlongUnit<T>(j, r, math::LoadPack(force[kPosition] + r));
+        B_v += AlongUnit<T>(j, r, math::LoadPack(force[kVelocity] + r));
       }
-      s.H[i * C + j] = m + weights.end * A_v;
-      s.B_q[i * C + j] = -A_q;
-      s.B_v[i * C + j] = m - weights.begin * A_v - weights.position * A_q;
-    }
-    s.H[i * C + i] -= s.gradients.force[i][kEndVelocity];
-    s.B_q[i * C + i] += s.gradients.force[i][kPosition];
-    s.B_v[i * C + i] += s.gradients.force[i][kVelocity];
-    if (const int other = program.joints[i].sees; other >= 0) {
-      const double slope = s.gradients.force[i][kCoupled];
-      s.B_q[i * C + other] += slope;
-      s.B_v[i * C + other] += 0.5 * c.input->h * slope;
-    }
-    const int source = program.joints[i].coupled_to;
-    if (source >= 0) {
-      const double slope = s.gradients.force[i][kCoupled];
-      s.H[i * C + source] -= slope * s.gradients.drive[source][kEndVelocity];
-      s.B_q[i * C + source] += slope * s.gradients.drive[source][kPosition];
-      s.B_v[i * C + source] += slope * s.gradients.drive[source][kVelocity];
+      s.inverse[j].Store(r, H);
+      s.B_q[j].Store(r, B_q);
+      s.B_v[j].Store(r, B_v);
     }
   }
-  return Invert<C>(n, s.H);
+  if (program.num_point_forces > 0) {
+    for (int i = 0; i < n; ++i) {
+      for (int j = 0; j < n; ++j) {
+        const T E_q = s.E_q[i * C + j], E_v = s.E_v[i * C + j];
+        s.inverse[j][i] -= T(weights.end) * E_v;
+        s.B_q[j][i] += E_q;
+        s.B_v[j][i] += T(weights.begin) * E_v + weights.position * E_q;
+      }
+    }
+  }
+  for (int i = 0; i < n; ++i) {
+    const T slope = force[kCoupled][i];
+    if (const int other = program.joints[i].sees; other >= 0) {
+      s.B_q[other][i] += slope;
+      s.B_v[other][i] += T(0.5) * c.input->h * slope;
+    }
+    if (const int source = program.joints[i].coupled_to; source >= 0) {
+      s.inverse[source][i] -= slope * s.gradients.drive[kEndVelocity][source];
+      s.B_q[source][i] += slope * s.gradients.drive[kPosition][source];
+      s.B_v[source][i] += slope * s.gradients.drive[kVelocity][source];
+    }
+  }
+  return Invert<T, C>(n, s.inverse);
+}
+
+// X ← H⁻¹ X
+template <class T, int C>
+RG_INLINE void TimesInverse(int n, const math::Row<T, C>* inverse, math::Row<T, C>* X) {
+  for (int j = 0; j < n; ++j) {
+    math::Row<T, C> product;
+    math::MatrixTimes<T, C>(n, inverse, X[j], product);
+    for (int r = 0; r < n; r += math::kPackWidth<T>) X[j].Store(r, product.Load(r));
+  }
 }
 
 // Solves for dv1 and moves all columns to the step's end. q1 = q0 + position_begin·v0 + position_end·v1.
-template <int C>
-void Propagate(const LawContext& c, const Directions& directions, double position_begin, double position_end,
-               const StepWorkspace<C>& s, const double* direct, const Sensitivity& from,
+// `to` may be `from`.
+template <class T, int C>
+void Propagate(const LawContext<T, C>& c, const Directions& directions, T position_begin, T position_end,
+               const StepWorkspace<T, C>& s, const T* direct, const Sensitivity& from,
                const Sensitivity& to) {
-  using P = math::Lanes<8>;
+  using P = Pack<T>;
+  constexpr int kWidth = math::kPackWidth<T>;
   const StepProgram& program = *c.program;
-  const int n = program.tree.n, stride = directions.stride;
-  auto load = [](const double* p) RG_LAMBDA_INLINE {
-    return P(*reinterpret_cast<const P::Vector*>(__builtin_assume_aligned(p, 64)));
-  };
-  auto store = [](double* p, P x)
-                   RG_LAMBDA_INLINE { *reinterpret_cast<P::Vector*>(__builtin_assume_aligned(p, 64)) = x.v; };
-  for (int block = 0; block < stride; block += 8) {
-    P q[C], v[C], rhs[C];
-    for (int j = 0; j < n; ++j) {
-      q[j] = load(from.q + j * stride + block);
-      v[j] = load(from.v + j * stride + block);
-    }
-    for (int i = 0; i < n; ++i) {
-      P sum = load(direct + i * stride + block);
-      for (int j = 0; j < n; ++j) sum += q[j] * P(s.B_q[i * C + j]) + v[j] * P(s.B_v[i * C + j]);
-      const JointProgram& joint = program.joints[i];
-      for (int k = 0; k < joint.num_states; ++k) {
-        sum += load(from.z + (joint.first_state + k) * stride + block) *
-               P(s.gradients.force[i][kFirstState + k]);
+  const int n = program.tree.n, states = program.max_states;
+  const bool coupling = c.packs->num_uncoupled < c.packs->count;
+  const auto& g = s.gradients;
+  for (int column = 0; column < directions.columns; ++column) {
+    const ColumnRows<T, C> x = ColumnOf<T, C>(program, from, column), y = ColumnOf<T, C>(program, to, column);
+    const T* own = column < directions.first_direct ? nullptr : direct + column * C;
+    alignas(64) T u[C], v1[C];
+    if (states > 0) {
+      for (int r = 0; r < n; r += kWidth) {
+        P sum = own == nullptr ? P(0.0) : math::LoadPack(own + r);
+        for (int k = 0; k < states; ++k) {
+          sum += math::LoadPack(g.force_by_state[k] + r) * math::LoadPack(x.z(k) + r);
+        }
+        math::StorePack(u + r, sum);
       }
-      const int source = joint.coupled_to;
-      if (source >= 0) {
-        const JointProgram& other = program.joints[source];
-        for (int k = 0; k < other.num_states; ++k) {
-          sum += load(from.z + (other.first_state + k) * stride + block) *
-                 P(s.gradients.force[i][kCoupled] * s.gradients.drive[source][kFirstState + k]);
+      for (int i = 0; i < n && coupling; ++i) {
+        const int source = program.joints[i].coupled_to;
+        if (source < 0) continue;
+        for (int k = 0; k < program.joints[source].num_states; ++k) {
+          u[i] += g.force[kCoupled][i] * g.drive[kFirstState + k][source] * x.z(k)[source];
         }
       }
-      rhs[i] = sum;
+      own = u;
     }
-    for (int i = 0; i < n; ++i) {
-      P v1(0.0);
-      for (int j = 0; j < n; ++j) v1 += rhs[j] * P(s.H[i * C + j]);
-      const JointProgram& joint = program.joints[i];
-      for (int k = 0; k < joint.num_states; ++k) {
-        const double* slope = s.gradients.state[joint.first_state + k];
-        P sum = v1 * P(slope[kEndVelocity]) + v[i] * P(slope[kVelocity]) + q[i] * P(slope[kPosition]);
-        for (int m = 0; m < joint.num_states; ++m) {
-          sum += load(from.z + (joint.first_state + m) * stride + block) * P(slope[kFirstState + m]);
-        }
-        store(to.z + (joint.first_state + k) * stride + block, sum);
+    for (int r = 0; r < n; r += kWidth) {
+      P sum = s.B_q[0].Load(r) * P(x.q()[0]), more = s.B_v[0].Load(r) * P(x.v()[0]);
+      for (int j = 1; j < n; ++j) {
+        sum += s.B_q[j].Load(r) * P(x.q()[j]);
+        more += s.B_v[j].Load(r) * P(x.v()[j]);
       }
-      store(to.v + i * stride + block, v1);
-      store(to.q + i * stride + block, q[i] + v[i] * P(position_begin) + v1 * P(position_end));
+      if (own != nullptr) {
+        for (int j = 0; j < n; ++j) sum += s.inverse[j].Load(r) * P(own[j]);
+      }
+      math::StorePack(v1 + r, sum + more);
+    }
+    for (int r = 0; r < n; r += kWidth) {
+      const P q = math::LoadPack(x.q() + r), v = math::LoadPack(x.v() + r), end = math::LoadPack(v1 + r);
+      P z[kMaxStates];
+      for (int k = 0; k < states; ++k) z[k] = math::LoadPack(x.z(k) + r);
+      for (int k = 0; k < states; ++k) {
+        P sum = end * math::LoadPack(g.state[k][kEndVelocity] + r) +
+                v * math::LoadPack(g.state[k][kVelocity] + r) + q * math::LoadPack(g.state[k][kPosition] + r);
+        for (int m = 0; m < states; ++m) sum += z[m] * math::LoadPack(g.state_by_state[k][m] + r);
+        math::StorePack(y.z(k) + r, sum);
+      }
+      math::StorePack(y.v() + r, end);
+      math::StorePack(y.q() + r, q + v * P(position_begin) + end * P(position_end));
     }
   }
+  if (states == 0) return;
+  const auto add = [&](int joint, int local, int column, T weight) RG_LAMBDA_INLINE {
+    const ColumnRows<T, C> y = ColumnOf<T, C>(program, to, column);
+    for (int k = 0; k < program.joints[joint].num_states; ++k) {
+      y.z(k)[joint] += weight * g.state[k][local][joint];
+    }
+  };
   for (int k = 0; k < directions.num_locals; ++k) {
     const auto& l = directions.locals[k];
-    const JointProgram& joint = program.joints[l.joint];
-    for (int m = 0; m < joint.num_states; ++m) {
-      to.z[(joint.first_state + m) * stride + l.column] += s.gradients.state[joint.first_state + m][l.local];
-    }
+    add(l.joint, l.local, l.column, T(1.0));
   }
   for (int k = 0; k < directions.num_commands; ++k) {
     const auto& l = directions.commands[k];
-    const JointProgram& joint = program.joints[l.joint];
-    for (int m = 0; m < joint.num_states; ++m) {
-      to.z[(joint.first_state + m) * stride + l.column] +=
-          l.weight * s.gradients.state[joint.first_state + m][kCommand];
-    }
+    add(l.joint, kCommand, l.column, c.input->command_weights[k]);
   }
+}
+
+// All of it, after SetAcceleration at the solution s.v1.
+template <class T, int C>
+RG_INLINE void Sensitivities(const LawContext<T, C>& c, const Directions& directions,
+                             const StepWeights<T>& weights, T position_begin, T position_end,
+                             StepWorkspace<T, C>& s, double* direct, const Sensitivity& from,
+                             const Sensitivity& to) {
+  const dynamics::Tree& tree = c.program->tree;
+  dynamics::Derivatives(tree, s.w);
+  dynamics::Regressor(tree, s.w);
+  Gradients(c, directions, s.v1, &s.gradients);
+  DirectForces(c, directions, s, reinterpret_cast<T*>(direct));
+  s.failure.Add(StateMatrices(c, weights, s), StepStatus::kMassMatrixNotPositive, 0);
+  if (s.failure.all()) return;
+  TimesInverse<T, C>(tree.n, s.inverse, s.B_q);
+  TimesInverse<T, C>(tree.n, s.inverse, s.B_v);
+  Propagate(c, directions, position_begin, position_end, s, reinterpret_cast<const T*>(direct), from, to);
+}
+
+// The state at the step's end; `position` of a joint. Lanes that failed keep what they had.
+template <class T, int C, class Position>
+RG_INLINE void Store(const StepProgram& program, const StepOutput& output, const StepWorkspace<T, C>& s,
+                     Position position) {
+  const auto at = [](double* p) { return reinterpret_cast<T*>(p); };
+  for (int i = 0; i < program.tree.n; ++i) {
+    at(output.v)[i] = s.v1[i];
+    at(output.q)[i] = position(i);
+  }
+  for (int i = 0; i < program.num_states; ++i) at(output.z)[i] = s.z1[i];
 }
 
 }  // namespace RG_ISA

@@ -17,108 +17,141 @@ inline constexpr int kMaxLineSearch = 60;
 
 // How large the terms of joint i's equation are, and how far rounding in its law may reach: laws take
 // differences of positions times stiffness, with slope·(q/h) as the size of what is subtracted.
-RG_INLINE double TermSize(const LawContext& c, int i, double bias, double force, double slope, double v1) {
-  const double speed = __builtin_fabs(c.input->v[i]) + __builtin_fabs(v1);
-  return __builtin_fabs(bias) + __builtin_fabs(force) + __builtin_fabs(slope) * speed;
+template <class T, int C>
+RG_INLINE T TermSize(const LawContext<T, C>& c, int i, T bias, T force, T slope, T v1) {
+  const T speed = math::Abs(c.input->v[i]) + math::Abs(v1);
+  return math::Abs(bias) + math::Abs(force) + math::Abs(slope) * speed;
 }
-RG_INLINE double Rounding(const LawContext& c, int i, double slope) {
-  return 4e-15 * __builtin_fabs(slope) * __builtin_fabs(c.input->q[i]) / c.input->h + 1e-300;
+template <class T, int C>
+RG_INLINE T Rounding(const LawContext<T, C>& c, int i, T slope) {
+  return T(4e-15) * math::Abs(slope) * math::Abs(c.input->q[i]) * c.input->inverse_h + T(1e-300);
 }
 
 // residual = M (v1 − v0)/h + bias − F, and whether it vanishes against the size of its terms.
-template <int C>
-RG_INLINE bool VelocityResidual(const LawContext& c, const double* v1, const double* force,
-                                const double* slope, const StepWorkspace<C>& s, double* residual) {
+template <class T, int C>
+RG_INLINE Mask<T> VelocityResidual(const LawContext<T, C>& c, const T* v1, const T* force, const T* slope,
+                                   const StepWorkspace<T, C>& s, T* residual) {
   const int n = c.program->tree.n;
-  const double inverse_h = 1.0 / c.input->h;
-  const double* v0 = c.input->v;
-  bool small = true;
-  for (int i = 0; i < n; ++i) {
-    double inertial = 0.0, speed = 0.0;
+  const T* v0 = c.input->v;
+  alignas(64) T inertial[C], size[C];
+  const auto over_joints = [&](auto each) RG_LAMBDA_INLINE {
+    for (int r = 0; r < n; r += math::kPackWidth<T>) each(r);
+  };
+  over_joints([&](int r) RG_LAMBDA_INLINE {
+    Pack<T> sum(0.0), speed(0.0);
     for (int j = 0; j < n; ++j) {
-      const double m = s.w.M[j][i] * inverse_h;
-      inertial += m * (v1[j] - v0[j]);
-      speed += __builtin_fabs(m) * (__builtin_fabs(v0[j]) + __builtin_fabs(v1[j]));
+      const Pack<T> m = s.w.M[j].Load(r);
+      sum += m * Pack<T>((v1[j] - v0[j]) * c.input->inverse_h);
+      speed += math::Abs(m) * Pack<T>((math::Abs(v0[j]) + math::Abs(v1[j])) * c.input->inverse_h);
     }
-    residual[i] = inertial + s.bias[i] - force[i];
-    const double size = TermSize(c, i, s.bias[i], force[i], slope[i], v1[i]);
-    small &= __builtin_fabs(residual[i]) <= 1e-12 * size + 4e-16 * speed + Rounding(c, i, slope[i]);
+    math::StorePack(inertial + r, sum);
+    math::StorePack(size + r, speed);
+  });
+  Mask<T> small = true;
+  for (int i = 0; i < n; ++i) {
+    residual[i] = inertial[i] + s.bias[i] - force[i];
+    const T terms = TermSize(c, i, s.bias[i], force[i], slope[i], v1[i]);
+    small = And(small,
+                math::Abs(residual[i]) <= T(1e-12) * terms + T(4e-16) * size[i] + Rounding(c, i, slope[i]));
   }
   return small;
 }
 
 // Whether the slopes did not change over a full Newton step, so that it was exact and what is left of the
 // residual is rounding. A jump of the forces between two regions of equal slope leaves more.
-template <int C>
-RG_INLINE bool Affine(const LawContext& c, const double* v1, const StepWorkspace<C>& s, const double* step,
-                      const double* residual) {
-  bool affine = true;
+template <class T, int C>
+RG_INLINE Mask<T> Affine(const LawContext<T, C>& c, const T* v1, const StepWorkspace<T, C>& s, const T* step,
+                         const T* residual) {
+  Mask<T> affine = true;
   for (int i = 0; i < c.program->tree.n; ++i) {
-    const double size = TermSize(c, i, s.bias[i], s.trial_force[i], s.trial_slope[i], v1[i]);
-    affine &= __builtin_fabs((s.trial_slope[i] - s.slope[i]) * step[i]) <= 1e-12 * size + 1e-300;
-    affine &= __builtin_fabs(residual[i]) <= 1e-8 * size + 1e-300;
+    const T size = TermSize(c, i, s.bias[i], s.trial_force[i], s.trial_slope[i], v1[i]);
+    affine = And(affine, math::Abs((s.trial_slope[i] - s.slope[i]) * step[i]) <= T(1e-12) * size + T(1e-300));
+    affine = And(affine, math::Abs(residual[i]) <= T(1e-8) * size + T(1e-300));
   }
   return affine;
 }
 
-// On entry s.v1 is the first guess; on success s.v1, s.force, s.slope and s.z1 are those of the solution.
-// `known`: s.force and s.slope are already those at s.v1.
-template <int C>
-StepResult SolveVelocity(const LawContext& c, bool known, StepWorkspace<C>& s) {
+// The zero along a Newton step of the convex function's slope: all of the step unless a kink lies before.
+// One search per lane; a lane that has found its point keeps it while others go on.
+template <class T>
+struct LineSearch {
+  T low = T(0.0), high = T(1.0), at = T(1.0), low_slope, high_slope = T(0.0);
+  T downhill;  // < 0
+  Mask<T> searching;
+
+  LineSearch(T d, Mask<T> active) : low_slope(d), downhill(d), searching(active) {}
+
+  // `finished`: the trial at `at` is the solution; `slope`: there. Moves on where that does not end it.
+  RG_INLINE void Next(int search, Mask<T> finished, T slope) {
+    const Mask<T> before = Not(slope > T(-0.1) * downhill);
+    const Mask<T> good = And(before, Or(at >= T(1.0), slope > T(0.1) * downhill));
+    searching = And(searching, Not(Or(finished, good)));
+    if (!Any(searching)) return;
+    low = Select(before, at, low);
+    low_slope = Select(before, slope, low_slope);
+    high = Select(before, high, at);
+    high_slope = Select(before, high_slope, slope);
+    const T width = high - low;
+    const T secant = low - low_slope * width / (high_slope - low_slope);
+    const Mask<T> inside = And(secant > low + T(0.01) * width, secant < high - T(0.01) * width);
+    const T middle = T(0.5) * (low + high);
+    at = search % 3 == 2 ? middle : Select(inside, secant, middle);
+    searching = And(searching, Not(width < T(1e-15)));
+  }
+};
+
+// Solves for s.v1 from its present value, in the lanes that are not in `settled`; w.M and s.bias must be set.
+// Afterwards s.v1, s.force, s.slope and s.z1 are those of the solution. `known`: s.force and s.slope are
+// already those at s.v1.
+template <class T, int C>
+void SolveVelocity(const LawContext<T, C>& c, bool known, Mask<T> settled, StepWorkspace<T, C>& s) {
   const int n = c.program->tree.n;
-  const double inverse_h = 1.0 / c.input->h;
-  double residual[C], step[C], trial[C];
+  T residual[C], step[C];
   if (!known) Forces(c, s.v1, s.force, s.slope, s.z1);
-  if (VelocityResidual(c, s.v1, s.force, s.slope, s, residual)) return {};
-  for (int iteration = 0; iteration < kMaxNewton; ++iteration) {
-    LoadMass(n, inverse_h, s, s.H);
+  Mask<T> done = Or(Or(settled, s.failure.failed), VelocityResidual(c, s.v1, s.force, s.slope, s, residual));
+  for (int iteration = 0; iteration < kMaxNewton && !All(done); ++iteration) {
+    LoadMass(n, c.input->inverse_h, s, s.H);
     for (int i = 0; i < n; ++i) {
       s.H[i * C + i] -= s.slope[i];
       step[i] = -residual[i];
     }
-    const int bad = Cholesky<C>(n, s.H, s.diagonal);
-    if (bad >= 0) return {StepStatus::kMassMatrixNotPositive, bad};
-    CholeskySolve<C>(n, s.H, s.diagonal, step);
-    double downhill = 0.0;  // slope of the convex function along the step, < 0
+    int row = -1;
+    const Mask<T> bad = And(Cholesky<T, C>(n, s.H, s.diagonal, &row), Not(done));
+    s.failure.Add(bad, StepStatus::kMassMatrixNotPositive, row);
+    done = Or(done, bad);
+    if (All(done)) return;
+    CholeskySolve<T, C>(n, s.H, s.diagonal, step);
+    T downhill = T(0.0);
     for (int i = 0; i < n; ++i) downhill += residual[i] * step[i];
-    // The zero of the slope along the step: all of it unless a kink lies before.
-    double low = 0.0, high = 1.0, at = 1.0, low_slope = downhill, high_slope = 0.0;
-    bool done = false;
-    for (int search = 0; search < kMaxLineSearch; ++search) {
-      bool moved = false;
+    LineSearch<T> line(downhill, Not(done));
+    Mask<T> found = done;
+    for (int i = 0; i < n; ++i) s.trial[i] = s.v1[i];
+    for (int search = 0; search < kMaxLineSearch && Any(line.searching); ++search) {
+      Mask<T> still = true;
       for (int i = 0; i < n; ++i) {
-        trial[i] = s.v1[i] + at * step[i];
-        moved |= trial[i] != s.v1[i];
+        s.trial[i] = Select(line.searching, s.v1[i] + line.at * step[i], s.trial[i]);
+        still = And(still, And(s.trial[i] <= s.v1[i], s.trial[i] >= s.v1[i]));
       }
-      Forces(c, trial, s.trial_force, s.trial_slope, s.z1);
-      done = VelocityResidual(c, trial, s.trial_force, s.trial_slope, s, residual);
-      done = done || !moved || (at == 1.0 && Affine(c, trial, s, step, residual));
-      if (done) break;
-      double slope = 0.0;
+      Forces(c, s.trial, s.trial_force, s.trial_slope, s.z1);
+      Mask<T> finished = VelocityResidual(c, s.trial, s.trial_force, s.trial_slope, s, residual);
+      finished = Or(finished, still);
+      if (!All(Or(finished, Not(line.searching)))) {
+        finished = Or(finished, And(line.at >= T(1.0), Affine(c, s.trial, s, step, residual)));
+      }
+      found = Or(found, And(line.searching, finished));
+      T slope = T(0.0);
       for (int i = 0; i < n; ++i) slope += residual[i] * step[i];
-      if (!(slope > 0.1 * -downhill)) {
-        if (at == 1.0 || slope > 0.1 * downhill) break;
-        low = at;
-        low_slope = slope;
-      } else {
-        high = at;
-        high_slope = slope;
-      }
-      const double secant = low - low_slope * (high - low) / (high_slope - low_slope);
-      const double width = high - low;
-      const bool inside = secant > low + 0.01 * width && secant < high - 0.01 * width;
-      at = search % 3 != 2 && inside ? secant : 0.5 * (low + high);
-      if (width < 1e-15) break;
+      line.Next(search, finished, slope);
     }
     for (int i = 0; i < n; ++i) {
-      s.v1[i] = trial[i];
+      s.v1[i] = s.trial[i];
       s.force[i] = s.trial_force[i];
       s.slope[i] = s.trial_slope[i];
-      if (!(__builtin_fabs(trial[i]) < 1e300)) return {StepStatus::kNonFinite, i};
+      s.failure.Add(Not(Or(done, math::Abs(s.v1[i]) < T(1e300))), StepStatus::kNonFinite, i);
     }
-    if (done) return {};
+    done = Or(found, s.failure.failed);
   }
-  return {StepStatus::kNotConverged, 0};
+  s.failure.Add(Not(done), StepStatus::kNotConverged, 0);
 }
 
 }  // namespace RG_ISA

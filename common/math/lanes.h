@@ -37,7 +37,7 @@ struct Lanes {
 
   Vector v;
 
-  RG_INLINE Lanes() : v{} {}
+  Lanes() = default;                              // not initialised, as a double
   RG_INLINE Lanes(double x) : v(x - Vector{}) {}  // NOLINT: a constant is the same in all lanes
   RG_INLINE Lanes(Vector x) : v(x) {}             // NOLINT
 
@@ -59,9 +59,27 @@ template <int N>
 struct LaneMask {
   typename Lanes<N>::Bits bits;  // 0 or -1
 
+  LaneMask() = default;
+  RG_INLINE LaneMask(bool all) : bits(typename Lanes<N>::Bits{} - static_cast<long>(all)) {}  // NOLINT
+  RG_INLINE LaneMask(typename Lanes<N>::Bits b) : bits(b) {}                                  // NOLINT
+
   friend RG_INLINE LaneMask operator&(LaneMask a, LaneMask b) { return {a.bits & b.bits}; }
   friend RG_INLINE LaneMask operator|(LaneMask a, LaneMask b) { return {a.bits | b.bits}; }
 };
+
+// The truth value that comparing two T gives: bool for double.
+template <class T>
+struct MaskOf;
+template <>
+struct MaskOf<double> {
+  using Type = bool;
+};
+template <int N>
+struct MaskOf<Lanes<N>> {
+  using Type = LaneMask<N>;
+};
+template <class T>
+using Mask = typename MaskOf<T>::Type;
 
 template <int N>
 RG_INLINE LaneMask<N> operator<(Lanes<N> a, Lanes<N> b) {
@@ -86,13 +104,57 @@ RG_INLINE Lanes<N> Select(LaneMask<N> mask, Lanes<N> yes, Lanes<N> no) {
 }
 RG_INLINE double Select(bool mask, double yes, double no) { return mask ? yes : no; }
 
+RG_INLINE bool And(bool a, bool b) { return a && b; }
+RG_INLINE bool Or(bool a, bool b) { return a || b; }
+RG_INLINE bool Not(bool a) { return !a; }
+template <int N>
+RG_INLINE LaneMask<N> And(LaneMask<N> a, LaneMask<N> b) {
+  return a & b;
+}
+template <int N>
+RG_INLINE LaneMask<N> Or(LaneMask<N> a, LaneMask<N> b) {
+  return a | b;
+}
+template <int N>
+RG_INLINE LaneMask<N> Not(LaneMask<N> a) {
+  return {~a.bits};
+}
+
+// One bit per lane.
+RG_INLINE unsigned BitsOf(bool mask) { return mask ? 1u : 0u; }
+template <int N>
+RG_INLINE unsigned BitsOf(LaneMask<N> mask) {
+  unsigned bits = 0;
+  for (int i = 0; i < N; ++i) bits |= static_cast<unsigned>(mask.bits[i] & 1) << i;
+  return bits;
+}
+#if RG_ISA_LANES >= 2
+RG_INLINE unsigned BitsOf(LaneMask<2> mask) {
+  return static_cast<unsigned>(__builtin_ia32_movmskpd((Lanes<2>::Vector)mask.bits));
+}
+#endif
+#if RG_ISA_LANES >= 4
+RG_INLINE unsigned BitsOf(LaneMask<4> mask) {
+  return static_cast<unsigned>(__builtin_ia32_movmskpd256((Lanes<4>::Vector)mask.bits));
+}
+#endif
+#if RG_ISA_LANES >= 8
+RG_INLINE unsigned BitsOf(LaneMask<8> mask) {
+  typedef long long Wide __attribute__((vector_size(64)));
+  return __builtin_ia32_cvtq2mask512((Wide)mask.bits);
+}
+#endif
+
 template <int N>
 RG_INLINE bool All(LaneMask<N> mask) {
-  long all = -1;
-  for (int i = 0; i < N; ++i) all &= mask.bits[i];
-  return all != 0;
+  return BitsOf(mask) == (1u << N) - 1u;
 }
 RG_INLINE bool All(bool mask) { return mask; }
+template <int N>
+RG_INLINE bool Any(LaneMask<N> mask) {
+  return BitsOf(mask) != 0;
+}
+RG_INLINE bool Any(bool mask) { return mask; }
 
 RG_INLINE double Sqrt(double x) { return __builtin_sqrt(x); }
 template <int N>

@@ -15,13 +15,6 @@ RG_INLINE void SinCos(Lanes<N> x, Lanes<N>* sine, Lanes<N>* cosine) {
   using L = Lanes<N>;
   using Vector = typename L::Vector;
   using Bits = typename L::Bits;
-  if (!All(Abs(x) < L(1e6))) [[unlikely]] {
-    for (int i = 0; i < N; ++i) {
-      sine->v[i] = __builtin_sin(x.v[i]);
-      cosine->v[i] = __builtin_cos(x.v[i]);
-    }
-    return;
-  }
   // Adding 1.5·2⁵² leaves the nearest integer in the low bits of the sum.
   const L magic = 0x1.8p52;
   const L shifted = x * L(0.63661977236758138243) + magic;
@@ -58,6 +51,28 @@ RG_INLINE void SinCos(Lanes<N> x, Lanes<N>* sine, Lanes<N>* cosine) {
   const Bits flip_cosine = ((quadrant + 1) & 2) << 62;
   *sine = (Vector)((Bits)Select(swap, c, s).v ^ flip_sine);
   *cosine = (Vector)((Bits)Select(swap, s, c).v ^ flip_cosine);
+
+  const LaneMask<N> small = Abs(x) < L(1e6);
+  if (!All(small)) [[unlikely]] {
+    for (int i = 0; i < N; ++i) {
+      if (small.bits[i]) continue;
+      sine->v[i] = __builtin_sin(x.v[i]);
+      cosine->v[i] = __builtin_cos(x.v[i]);
+    }
+  }
+}
+
+template <int N>
+RG_INLINE Lanes<N> Sin(Lanes<N> x) {
+  Lanes<N> sine, cosine;
+  SinCos(x, &sine, &cosine);
+  return sine;
+}
+template <int N>
+RG_INLINE Lanes<N> Cos(Lanes<N> x) {
+  Lanes<N> sine, cosine;
+  SinCos(x, &sine, &cosine);
+  return cosine;
 }
 
 }  // namespace RG_ISA

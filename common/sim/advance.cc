@@ -37,27 +37,28 @@ Outcome Simulator::Advance(State& x, const Eigen::VectorXd& u, double duration,
   Impl& s = *impl_;
   const internal::PlantData& d = s.data();
   RG_CHECK(u.size() == s.n() && duration > 0) << u.size() << " " << duration;
-  s.Load(x);
+  s.x.Load(d, x, 0);
   s.step_count = 0;
   internal::DirectionPlan* plan = nullptr;
   if (linearization != nullptr) {
     plan = &s.ControlPlan();
     s.control_buffers.current = 0;
-    plan->Start(&s.control_buffers.at[0]);
+    plan->Start(s.control_buffers.layout, 0, &s.control_buffers.at[0]);
+    std::fill_n(s.x.command_weights.doubles(), plan->commands().size(), 1.0);
   }
   SensitivityBuffers* buffers = plan == nullptr ? nullptr : &s.control_buffers;
-  for (int j = 0; j < s.n(); ++j) s.command[d.first_joint + j] = u[j];
-  const long steps = std::max(1L, static_cast<long>(std::ceil(duration / s.options.step_s - 1e-9)));
+  for (int j = 0; j < s.n(); ++j) s.x.command[d.first_joint + j] = u[j];
+  const long steps = StepsFor(duration, s.options.step_s);
   const double h = duration / static_cast<double>(steps);
   for (long i = 0; i < steps; ++i) {
     const double t = x.time + static_cast<double>(i) * h;
     if (d.has_command_delay) {
       for (int j = 0; j < s.n(); ++j) {
         const double begin = t - s.Delay(j);
-        s.command[d.first_joint + j] = PieceAverage(x.commands.pieces_, j, x.time, u[j], begin, begin + h);
+        s.x.command[d.first_joint + j] = PieceAverage(x.commands.pieces_, j, x.time, u[j], begin, begin + h);
         if (plan != nullptr) {
           const double share = (begin + h - std::max(begin, x.time)) / h;
-          plan->commands()[j].weight = x.commands.pieces_.empty() ? 1.0 : std::clamp(share, 0.0, 1.0);
+          s.x.command_weights.doubles()[j] = x.commands.pieces_.empty() ? 1.0 : std::clamp(share, 0.0, 1.0);
         }
       }
     }
@@ -70,26 +71,18 @@ Outcome Simulator::Advance(State& x, const Eigen::VectorXd& u, double duration,
     RecordCommand(&x, u, x.time + duration - longest - kSlack);
   }
   if (d.has_sensor_delay) RecordState(&x, duration);
-  s.Store(&x);
+  s.x.Store(d, &x);
   x.time += duration;
   if (plan != nullptr) {
-    const auto& end = s.control_buffers.at[s.control_buffers.current];
-    const int stride = plan->directions().stride, n = s.n(), nx = 2 * n + d.num_internal_states();
+    const int n = s.n(), nx = 2 * n + d.num_internal_states();
     linearization->A.resize(nx, nx);
     linearization->B.resize(nx, n);
     int row = 0;
-    auto write = [&](const double* from) {
-      std::copy_n(from, nx, linearization->A.row(row).data());
-      std::copy_n(from + nx, n, linearization->B.row(row).data());
+    s.control_buffers.ForEachStateRow(d, 0, [&](const internal::SensitivityRow& from) {
+      for (int k = 0; k < nx; ++k) linearization->A(row, k) = from[k];
+      for (int k = 0; k < n; ++k) linearization->B(row, k) = from[nx + k];
       ++row;
-    };
-    for (int j = 0; j < n; ++j) write(end.q + (d.first_joint + j) * stride);
-    for (int j = 0; j < n; ++j) write(end.v + (d.first_joint + j) * stride);
-    for (int k = 0; k < d.program.num_states; ++k) write(end.z + k * stride);
-    for (const int k : d.extra_joints) {
-      write(end.q + k * stride);
-      write(end.v + k * stride);
-    }
+    });
   }
   return {};
 }

@@ -34,9 +34,10 @@ DirectionPlan::DirectionPlan(const PlantData& plant, Leading leading, std::vecto
   const int n = plant.num_joints();
   const int nx = 2 * n + plant.num_internal_states();
   if (leading_.initial_state) leading_columns_ += nx;
+  directions_.first_direct = leading_columns_;
   int next = leading_columns_;
   if (leading_.commands) {
-    for (int j = 0; j < n; ++j) commands_.push_back({plant.first_joint + j, next + j, 1.0});
+    for (int j = 0; j < n; ++j) commands_.push_back({plant.first_joint + j, next + j});
     next += n;
     leading_columns_ += n;
   }
@@ -70,7 +71,7 @@ DirectionPlan::DirectionPlan(const PlantData& plant, Leading leading, std::vecto
       } else if (use.where == Where::kPoint) {
         points_.push_back({use.a, use.b, own()});
       } else if (use.where == Where::kCommandDelay) {
-        commands_.push_back({plant.first_joint + use.a, own(), 0.0});
+        commands_.push_back({plant.first_joint + use.a, own()});
       }
     }
   }
@@ -97,7 +98,6 @@ DirectionPlan::DirectionPlan(const PlantData& plant, Leading leading, std::vecto
     next += directions_.num_body[b];
   }
   directions_.columns = next;
-  directions_.stride = (next + 7) / 8 * 8;
   directions_.locals = locals_.data();
   directions_.num_locals = static_cast<int>(locals_.size());
   directions_.commands = commands_.data();
@@ -141,19 +141,26 @@ void DirectionPlan::FillBody(const ParameterValues& values, int body) {
   }
 }
 
-void DirectionPlan::Start(integrators::Sensitivity* s) const {
-  const int stride = directions_.stride, kernel_joints = plant_.num_kernel_joints(), n = plant_.num_joints();
-  std::fill(s->q, s->q + kernel_joints * stride, 0.0);
-  std::fill(s->v, s->v + kernel_joints * stride, 0.0);
-  std::fill(s->z, s->z + plant_.program.num_states * stride, 0.0);
+void DirectionPlan::Start(const SensitivityLayout& layout, int lane, integrators::Sensitivity* s) const {
+  const size_t size = layout.column_size();
+  for (double* x = s->columns + lane; x < s->columns + directions_.columns * size; x += layout.lanes)
+    *x = 0.0;
   if (!leading_.initial_state) return;
-  int column = 0;
-  for (int i = 0; i < n; ++i) s->q[(plant_.first_joint + i) * stride + column++] = 1.0;
-  for (int i = 0; i < n; ++i) s->v[(plant_.first_joint + i) * stride + column++] = 1.0;
-  for (int i = 0; i < plant_.program.num_states; ++i) s->z[i * stride + column++] = 1.0;
+  double* column = s->columns;
+  const auto own = [&](int row, int joint) {
+    column[layout.Offset(row, joint, lane)] = 1.0;
+    column += size;
+  };
+  const int n = plant_.num_joints();
+  for (int row = 0; row < 2; ++row) {
+    for (int i = 0; i < n; ++i) own(row, plant_.first_joint + i);
+  }
+  for (int i = 0; i < plant_.num_kernel_joints(); ++i) {
+    for (int k = 0; k < plant_.program.joints[i].num_states; ++k) own(2 + k, i);
+  }
   for (const int k : plant_.extra_joints) {
-    s->q[k * stride + column++] = 1.0;
-    s->v[k * stride + column++] = 1.0;
+    own(0, k);
+    own(1, k);
   }
 }
 

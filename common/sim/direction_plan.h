@@ -11,6 +11,7 @@
 
 #include "common/integrators/step_program.h"
 #include "common/sim/parameter_values.h"
+#include "common/sim/sensitivity_layout.h"
 #include "common/sim/trajectory.h"
 
 namespace rg::sim::internal {
@@ -30,15 +31,16 @@ class DirectionPlan {
 
   const std::vector<int>& parameters() const { return parameters_; }
   bool initial_state() const { return leading_.initial_state; }
-  integrators::Directions& directions() { return directions_; }
-  // Weights of command columns, in the order of joints' commands (Advance) or of delays (Simulate).
-  std::vector<integrators::Directions::Command>& commands() { return commands_; }
+  const integrators::Directions& directions() const { return directions_; }
+  // Command columns, in the order of joints' commands (Advance) or of delays (Simulate).
+  const std::vector<integrators::Directions::Command>& commands() const { return commands_; }
 
-  // Zero, then identity for the initial state. Rows as the kernel's (q, v, z).
-  void Start(integrators::Sensitivity* s) const;
+  // Zero, then identity for the initial state, in one lane.
+  void Start(const SensitivityLayout& layout, int lane, integrators::Sensitivity* s) const;
 
+  int num_directions() const { return directions_.columns; }
   int num_columns() const { return static_cast<int>(leading_columns_ + parameters_.size()); }
-  // out[0 … num_columns) = `row` of a sensitivity, combined.
+  // out[0 … num_columns) = a row of directions, combined.
   void Combine(const double* row, double* out) const;
   // Column of the output that belongs to a parameter, or −1.
   int OutputColumn(int parameter) const;

@@ -366,8 +366,9 @@ Status PlantBuilder::LayOutProgram() {
       joint.num_states += static_cast<int>(states.size());
     }
     d.program.num_states += joint.num_states;
+    d.program.max_states = std::max(d.program.max_states, joint.num_states);
     d.num_joint_parameters += joint.num_parameters;
-    if (joint.num_locals() > integrators::kMaxLocals) {
+    if (joint.num_locals() > integrators::kMaxLocals || joint.num_states > integrators::kMaxStates) {
       return InvalidError("joint " + name + " has too many effects at once");
     }
   }

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <tuple>
+#include <utility>
 
 #include "common/base/check.h"
 #include "common/sim/simulator_impl.h"
@@ -20,18 +22,75 @@ void AlignedBuffer::Resize(size_t bytes) {
   std::memset(data_.get(), 0, bytes_);
 }
 
-void SensitivityBuffers::Resize(const internal::PlantData& plant, int stride) {
-  const size_t joints = static_cast<size_t>(plant.num_kernel_joints()) * stride;
-  const size_t states = static_cast<size_t>(plant.program.num_states) * stride;
-  memory.Resize((2 * (2 * joints + states) + 4 * joints) * sizeof(double));
+KernelState::KernelState(const internal::PlantData& plant, int lanes) : lanes(lanes) {
+  const size_t joints = (static_cast<size_t>(plant.num_kernel_joints()) * lanes + 7) / 8 * 8;
+  const size_t states = (static_cast<size_t>(plant.program.num_states) * lanes + 7) / 8 * 8;
+  size = 7 * joints + 3 * states;
+  memory.Resize(size * sizeof(double));
   double* next = memory.doubles();
-  auto take = [&](size_t count) {
-    double* at = next;
-    next += count;
-    return at;
-  };
-  for (auto& s : at) s = {take(joints), take(joints), take(states)};
-  direct = take(4 * joints);
+  for (double** x : {&q, &v, &begin_q, &begin_v, &next_q, &next_v, &command}) *x = next, next += joints;
+  for (double** x : {&z, &begin_z, &next_z}) *x = next, next += states;
+}
+
+void KernelState::Shift() {
+  for (auto [present, begin, next] : {std::tuple(&q, &begin_q, &next_q), std::tuple(&v, &begin_v, &next_v),
+                                      std::tuple(&z, &begin_z, &next_z)}) {
+    std::swap(*begin, *present);
+    std::swap(*present, *next);
+  }
+}
+
+void KernelState::Clear(int lane) {
+  // Joint arrays lie behind one another, then the states.
+  for (double* p = memory.doubles() + lane; p < memory.doubles() + size; p += lanes) *p = 0.0;
+}
+
+void KernelState::Load(const internal::PlantData& d, const State& x, int lane) {
+  const int n = d.num_joints();
+  RG_CHECK(x.q.size() == n && x.v.size() == n && x.z.size() == d.num_internal_states())
+      << x.q.size() << " " << x.v.size() << " " << x.z.size();
+  for (int i = 0; i < n; ++i) {
+    q[(d.first_joint + i) * lanes + lane] = x.q[i];
+    v[(d.first_joint + i) * lanes + lane] = x.v[i];
+  }
+  int next = 0;
+  for (; next < d.program.num_states; ++next) z[next * lanes + lane] = x.z[next];
+  for (const int k : d.extra_joints) {
+    q[k * lanes + lane] = x.z[next++];
+    v[k * lanes + lane] = x.z[next++];
+  }
+}
+
+void KernelState::StoreStacked(const internal::PlantData& d, int lane, double* x) const {
+  const int n = d.num_joints();
+  for (int i = 0; i < n; ++i) *x++ = q[(d.first_joint + i) * lanes + lane];
+  for (int i = 0; i < n; ++i) *x++ = v[(d.first_joint + i) * lanes + lane];
+  for (int k = 0; k < d.program.num_states; ++k) *x++ = z[k * lanes + lane];
+  for (const int k : d.extra_joints) {
+    *x++ = q[k * lanes + lane];
+    *x++ = v[k * lanes + lane];
+  }
+}
+
+void KernelState::Store(const internal::PlantData& d, State* x) const {
+  const int n = d.num_joints();
+  std::copy_n(q + d.first_joint, n, x->q.data());
+  std::copy_n(v + d.first_joint, n, x->v.data());
+  double* out = std::copy_n(z, d.program.num_states, x->z.data());
+  for (const int k : d.extra_joints) {
+    *out++ = q[k];
+    *out++ = v[k];
+  }
+}
+
+void SensitivityBuffers::Resize(const internal::SensitivityLayout& of, int columns) {
+  layout = of;
+  const size_t set = layout.column_size() * columns;
+  const size_t forces = static_cast<size_t>(columns) * layout.capacity * layout.lanes;
+  memory.Resize((2 * set + 4 * forces) * sizeof(double));
+  at[0].columns = memory.doubles();
+  at[1].columns = memory.doubles() + set;
+  direct = memory.doubles() + 2 * set;
   current = 0;
 }
 
@@ -45,14 +104,12 @@ Simulator::Impl::Impl(const Plant& p, const SimulatorOptions& o)
     : plant(p),
       options(o),
       kernels(integrators::GetStepKernels(p.data().num_kernel_joints())),
-      values(plant.data()) {
+      values(plant.data()),
+      x(p.data(), 1) {
   const internal::PlantData& d = data();
-  const int joints = d.num_kernel_joints();
   step = options.integrator == Integrator::kLeapfrog            ? kernels.leapfrog
          : options.integrator == Integrator::kSemiImplicitEuler ? kernels.semi_implicit_euler
                                                                 : kernels.rk4;
-  for (auto* x : {&q, &v, &begin_q, &begin_v, &next_q, &next_v, &command}) x->assign(joints, 0.0);
-  for (auto* x : {&z, &begin_z, &next_z}) x->assign(d.program.num_states, 0.0);
   scratch.Resize(kernels.scratch_bytes);
   std::copy(d.reference_mass.begin(), d.reference_mass.end(), kernel_values.reference_mass);
   kernel_values.stick_velocity = options.stick_velocity;
@@ -72,42 +129,6 @@ void Simulator::Impl::SetValues(const Eigen::VectorXd& p) {
   kernels.prepare(data().program, kernel_values, scratch.data());
 }
 
-void Simulator::Impl::Load(const State& x) {
-  const internal::PlantData& d = data();
-  RG_CHECK(x.q.size() == n() && x.v.size() == n() && x.z.size() == d.num_internal_states())
-      << x.q.size() << " " << x.v.size() << " " << x.z.size();
-  std::copy(x.q.data(), x.q.data() + n(), q.begin() + d.first_joint);
-  std::copy(x.v.data(), x.v.data() + n(), v.begin() + d.first_joint);
-  std::copy(x.z.data(), x.z.data() + d.program.num_states, z.begin());
-  int next = d.program.num_states;
-  for (const int k : d.extra_joints) {
-    q[k] = x.z[next++];
-    v[k] = x.z[next++];
-  }
-}
-
-void Simulator::Impl::StoreStacked(double* x) const {
-  const internal::PlantData& d = data();
-  x = std::copy_n(q.begin() + d.first_joint, n(), x);
-  x = std::copy_n(v.begin() + d.first_joint, n(), x);
-  x = std::copy(z.begin(), z.end(), x);
-  for (const int k : d.extra_joints) {
-    *x++ = q[k];
-    *x++ = v[k];
-  }
-}
-
-void Simulator::Impl::Store(State* x) const {
-  const internal::PlantData& d = data();
-  std::copy_n(q.begin() + d.first_joint, n(), x->q.data());
-  std::copy_n(v.begin() + d.first_joint, n(), x->v.data());
-  double* out = std::copy(z.begin(), z.end(), x->z.data());
-  for (const int k : d.extra_joints) {
-    *out++ = q[k];
-    *out++ = v[k];
-  }
-}
-
 Outcome Simulator::Impl::Step(double t, double h, internal::DirectionPlan* p, SensitivityBuffers* b) {
   const Outcome outcome = StepInParts(t, h, 0, p, b);
   if (outcome.ok()) ++step_count;
@@ -117,8 +138,8 @@ Outcome Simulator::Impl::Step(double t, double h, internal::DirectionPlan* p, Se
 Outcome Simulator::Impl::StepInParts(double t, double h, int halvings, internal::DirectionPlan* p,
                                      SensitivityBuffers* b) {
   const internal::PlantData& d = data();
-  const integrators::StepInput input{q.data(), v.data(), z.data(), t, h, command.data()};
-  const integrators::StepOutput output{next_q.data(), next_v.data(), next_z.data()};
+  const integrators::StepInput input{x.q, x.v, x.z, &t, &h, x.command, x.command_weights.doubles()};
+  const integrators::StepOutput output{x.next_q, x.next_v, x.next_z};
   static const integrators::Sensitivity kNone{};
   const integrators::StepResult result =
       step(d.program, kernel_values, input, p == nullptr ? nullptr : &p->directions(),
@@ -138,20 +159,15 @@ Outcome Simulator::Impl::StepInParts(double t, double h, int halvings, internal:
     outcome.time = t;
     outcome.joint = d.tree_model->joint(std::max(result.joint, 0)).name;
     // A state that is already not finite makes the mass matrix so.
-    for (size_t i = 0; i < q.size(); ++i) {
-      if (std::isfinite(q[i]) && std::isfinite(v[i]) && std::isfinite(command[i])) continue;
+    for (int i = 0; i < d.num_kernel_joints(); ++i) {
+      if (std::isfinite(x.q[i]) && std::isfinite(x.v[i]) && std::isfinite(x.command[i])) continue;
       outcome.kind = Outcome::Kind::kNonFinite;
-      outcome.joint = d.tree_model->joint(static_cast<int>(i)).name;
+      outcome.joint = d.tree_model->joint(i).name;
       break;
     }
     return outcome;
   }
-  begin_q.swap(q);
-  begin_v.swap(v);
-  begin_z.swap(z);
-  q.swap(next_q);
-  v.swap(next_v);
-  z.swap(next_z);
+  x.Shift();
   if (b != nullptr) b->current = 1 - b->current;
   return {};
 }
@@ -161,10 +177,11 @@ internal::DirectionPlan& Simulator::Impl::PlanFor(const SensitivityRequest& requ
       plan_request.parameters != request.parameters) {
     plan.emplace(data(), internal::DirectionPlan::Leading{request.initial_state, false}, request.parameters);
     plan_request = request;
+    ++plan_count;
     plan_version = -1;
-    buffers.Resize(data(), plan->directions().stride);
-    row.resize(plan->num_columns());
-    begin_row.resize(plan->directions().stride);
+    buffers.Resize({data().program, kernels}, plan->directions().columns);
+    row.resize(plan->directions().columns);
+    x.command_weights.Resize((plan->commands().size() + 1) * sizeof(double));
   }
   if (plan_version != version) {
     plan->Update(values);
@@ -176,7 +193,8 @@ internal::DirectionPlan& Simulator::Impl::PlanFor(const SensitivityRequest& requ
 internal::DirectionPlan& Simulator::Impl::ControlPlan() {
   if (!control_plan) {
     control_plan.emplace(data(), internal::DirectionPlan::Leading{true, true}, std::vector<int>{});
-    control_buffers.Resize(data(), control_plan->directions().stride);
+    control_buffers.Resize({data().program, kernels}, control_plan->directions().columns);
+    x.command_weights.Resize((control_plan->commands().size() + 1) * sizeof(double));
   }
   if (control_version != version) {
     control_plan->Update(values);
@@ -229,12 +247,12 @@ const Eigen::VectorXd& Simulator::parameters() const { return impl_->values.valu
 bool Simulator::Acceleration(const State& x, const Eigen::VectorXd& u, Eigen::VectorXd* a) {
   Impl& s = *impl_;
   const internal::PlantData& d = s.data();
-  s.Load(x);
-  for (int i = 0; i < s.n(); ++i) s.command[d.first_joint + i] = u[i];
-  const integrators::StepInput input{s.q.data(), s.v.data(), s.z.data(), x.time, 0.0, s.command.data()};
-  const auto result =
-      s.kernels.acceleration(d.program, s.kernel_values, input, s.next_v.data(), s.scratch.data());
-  *a = Eigen::Map<const Eigen::VectorXd>(s.next_v.data() + d.first_joint, s.n());
+  s.x.Load(d, x, 0);
+  for (int i = 0; i < s.n(); ++i) s.x.command[d.first_joint + i] = u[i];
+  const double instant = 0.0;
+  const integrators::StepInput input{s.x.q, s.x.v, s.x.z, &x.time, &instant, s.x.command, nullptr};
+  const auto result = s.kernels.acceleration(d.program, s.kernel_values, input, s.x.next_v, s.scratch.data());
+  *a = Eigen::Map<const Eigen::VectorXd>(s.x.next_v + d.first_joint, s.n());
   return result.status == StepStatus::kOk;
 }
 

@@ -86,6 +86,13 @@ struct Linearization {
   RowMatrix B;  // nx × n
 };
 
+// One of several runs that SimulateWindows takes at once; what it points to is the caller's.
+struct SimulationWindow {
+  State x0;
+  const CommandSignal* command = nullptr;
+  const std::vector<double>* times = nullptr;
+};
+
 class Simulator {
  public:
   // The plant's data is kept alive. RG_CHECKs Supports(plant, options).
@@ -133,6 +140,15 @@ class Simulator {
   // The same into a trajectory whose memory is used again.
   void SimulateInto(const State& x0, const CommandSignal& command, const std::vector<double>& times,
                     const SensitivityRequest& request, Trajectory* out);
+
+  // Many runs with the same parameters, each as Simulate, side by side in SIMD lanes: as many at once as a
+  // register holds, the next one begins where one ends. A run's result is Simulate's to rounding, and does
+  // not depend on the others by a bit. One by one where the plant does not allow lanes (more than eight
+  // kernel joints, sensor delays, rk4), and for runs that fail or need steps in parts.
+  void SimulateWindows(const std::vector<SimulationWindow>& windows, const SensitivityRequest& request,
+                       std::vector<Trajectory>* out);
+  // Runs that are taken at once: 1, 2, 4 or 8.
+  int lanes() const;
 
   // Joint accelerations (n) at a state under a held command: forces at the instantaneous velocity.
   // Returns false where the mass matrix is not positive definite.

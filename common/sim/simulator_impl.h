@@ -9,6 +9,7 @@
 #include "common/integrators/step_kernel.h"
 #include "common/sim/direction_plan.h"
 #include "common/sim/parameter_values.h"
+#include "common/sim/sensitivity_layout.h"
 #include "common/sim/simulator.h"
 
 namespace rg::sim {
@@ -29,14 +30,62 @@ class AlignedBuffer {
   size_t bytes_ = 0;
 };
 
+// The kernel's state of one window or of several side by side, and that of the last step's begin.
+struct KernelState {
+  // `lanes` numbers per entry; zero.
+  KernelState(const internal::PlantData& plant, int lanes);
+
+  void Load(const internal::PlantData& plant, const State& x, int lane);
+  void Store(const internal::PlantData& plant, State* x) const;  // of lane 0
+  void StoreStacked(const internal::PlantData& plant, int lane, double* x) const;
+  // The next state becomes the present one, the present one begin_*.
+  void Shift();
+  // A state and command of zero in one lane.
+  void Clear(int lane);
+
+  int lanes;
+  AlignedBuffer memory;
+  size_t size;  // numbers in it
+  double *q, *v, *z, *begin_q, *begin_v, *begin_z, *next_q, *next_v, *next_z, *command;
+  AlignedBuffer command_weights;
+};
+
 // Two sets of sensitivities between which the steps alternate, and what the kernels need beside.
 struct SensitivityBuffers {
   AlignedBuffer memory;
+  internal::SensitivityLayout layout;
   integrators::Sensitivity at[2];
   double* direct = nullptr;
   int current = 0;
 
-  void Resize(const internal::PlantData& plant, int stride);
+  void Resize(const internal::SensitivityLayout& layout, int columns);
+  // Of set `which`.
+  internal::SensitivityRow Row(int which, int row, int joint, int lane) const {
+    return {at[which].columns + layout.Offset(row, joint, lane), layout.column_size()};
+  }
+  // Calls f(row) for each entry of the state (q, v, z), in its order, of the present set.
+  template <class F>
+  void ForEachStateRow(const internal::PlantData& d, int lane, F f) const {
+    for (int row = 0; row < 2; ++row) {
+      for (int j = 0; j < d.num_joints(); ++j) f(Row(current, row, d.first_joint + j, lane));
+    }
+    for (int j = 0; j < d.num_kernel_joints(); ++j) {
+      for (int k = 0; k < d.program.joints[j].num_states; ++k) f(Row(current, 2 + k, j, lane));
+    }
+    for (const int j : d.extra_joints) {
+      f(Row(current, 0, j, lane));
+      f(Row(current, 1, j, lane));
+    }
+  }
+};
+
+// Equal steps not longer than `limit` that make up `duration`; a part in 10⁹ of slack for times that are
+// sums.
+long StepsFor(double duration, double limit);
+
+struct LaneRunner;  // simulate_windows.cc
+struct DeleteLaneRunner {
+  void operator()(LaneRunner* runner) const;
 };
 
 struct Simulator::Impl {
@@ -44,11 +93,6 @@ struct Simulator::Impl {
 
   const internal::PlantData& data() const { return plant.data(); }
   int n() const { return data().num_joints(); }
-
-  // Kernel state from a State and back.
-  void Load(const State& x);
-  void Store(State* x) const;
-  void StoreStacked(double* x) const;
 
   // One step of length h from time t; commands must be set. On success the state and, with a plan, the
   // sensitivities are those of the step's end; the state at its begin stays in begin_*.
@@ -59,9 +103,12 @@ struct Simulator::Impl {
                       SensitivityBuffers* buffers);
   static constexpr int kMaxHalvings = 6;
   // A plan for this request with the present parameters; laid out anew only when the request changes.
-  internal::DirectionPlan& PlanFor(const SensitivityRequest& request);
+  internal::DirectionPlan& PlanFor(const SensitivityRequest& request);  // and buffers
   internal::DirectionPlan& ControlPlan();
   void SetValues(const Eigen::VectorXd& values);
+  // Average commands over [t, t + h] into one lane of `to`, and their derivative by the delays in the plan.
+  void SetCommands(const CommandSignal& signal, double t, double h, const internal::DirectionPlan* plan,
+                   int lane, KernelState* to) const;
 
   double Delay(int joint) const;        // of the command, s, ≥ 0
   double SensorDelay(int joint) const;  // s, ≥ 0
@@ -79,15 +126,19 @@ struct Simulator::Impl {
   AlignedBuffer scratch;
   long version = 0;  // of the parameters
 
-  // Kernel state, and that of the last step's begin.
-  std::vector<double> q, v, z, begin_q, begin_v, begin_z, next_q, next_v, next_z, command;
+  // Null where windows cannot run side by side; otherwise with the present parameters.
+  LaneRunner* Lanes();
+
+  KernelState x;
   long step_count = 0;
+  std::unique_ptr<LaneRunner, DeleteLaneRunner> lanes;
 
   std::optional<internal::DirectionPlan> plan, control_plan;
   SensitivityRequest plan_request;
   long plan_version = -1, control_version = -1;
+  long plan_count = 0;  // plans made so far
   SensitivityBuffers buffers, control_buffers;
-  std::vector<double> row, begin_row;
+  mutable std::vector<double> row;  // of directions, scratch
 };
 
 }  // namespace rg::sim

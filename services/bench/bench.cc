@@ -96,14 +96,22 @@ Measurement Bench::RigidBody(const std::string& key) {
 std::string Count(size_t parameters) { return std::to_string(parameters) + " parameters"; }
 
 Measurement Bench::StepSensitivities(bool lanes) {
-  if (lanes)
-    return Failed(
-        "the simulator runs one window at a time; windows in SIMD lanes are not built, so there is "
-        "nothing to measure (one lane: step_sensitivities_us)");
+  int samples = 0;
+  if (lanes) {
+    constexpr double kSeconds = 8.0;
+    MovingArm arm(robot_, {}, kSeconds);
+    const int count = 8;
+    if (!arm.CutIntoWindows(count) || !arm.SimulateSideBySide()) return Failed("the motion broke down");
+    const double s = SecondsPerCall([&] { arm.SimulateSideBySide(); }, Batches(31, 5), &samples);
+    return Done(kMicro * s / (kSeconds * 1000), samples,
+                "leapfrog at 1 ms, " + Count(arm.parameters.size()) + ", eight windows of 1 s, " +
+                    std::to_string(arm.simulator.lanes()) +
+                    " side by side on one core, per window and step, "
+                    "CPU time");
+  }
   constexpr double kSeconds = 1.0;
   MovingArm arm(robot_, {}, kSeconds);
   if (!arm.SimulateWithSensitivities()) return Failed(arm.out.outcome.ToString());
-  int samples = 0;
   const double s = SecondsPerCall([&] { arm.SimulateWithSensitivities(); }, Batches(101, 11), &samples);
   return Done(kMicro * s / (kSeconds * 1000), samples,
               "leapfrog (second order) at 1 ms, " + Count(arm.parameters.size()) + ", one lane, CPU time");

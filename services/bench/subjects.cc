@@ -112,6 +112,31 @@ bool MovingArm::SimulateWithSensitivities() {
   return out.outcome.ok();
 }
 
+bool MovingArm::CutIntoWindows(int count) {
+  const int n = plant.num_joints(), rows = static_cast<int>(times.size()) - 1;
+  if (!SimulateWithSensitivities()) return false;
+  window_times.assign(static_cast<size_t>(count), {});
+  windows.clear();
+  for (int w = 0; w < count; ++w) {
+    const int first = rows * w / count, last = rows * (w + 1) / count;
+    std::vector<double>& own = window_times[static_cast<size_t>(w)];
+    own.assign(times.begin() + first, times.begin() + last + 1);
+    sim::State start = simulator.MakeState(out.state.col(first).head(n), out.state.col(first).segment(n, n),
+                                           times[static_cast<size_t>(first)], command);
+    start.z = out.state.col(first).tail(start.z.size());
+    windows.push_back({start, &command, &own});
+  }
+  return true;
+}
+
+bool MovingArm::SimulateSideBySide() {
+  simulator.SimulateWindows(windows, {.initial_state = false, .parameters = parameters}, &window_out);
+  for (const sim::Trajectory& window : window_out) {
+    if (!window.outcome.ok()) return false;
+  }
+  return true;
+}
+
 recordings::Recording RecordMotion(const sim::Plant& plant, const VectorXd& values, double seconds,
                                    uint64_t seed) {
   constexpr double kRate = 100.0;

@@ -51,6 +51,10 @@ struct MovingArm {
             double seconds, double step_s = 1e-3);
   // One whole simulation with sensitivities to the paper's parameters. False: it broke down.
   bool SimulateWithSensitivities();
+  // The motion cut into `count` windows of equal length, each from the state it passes: what
+  // SimulateSideBySide runs, in SIMD lanes, with the same sensitivities. False: it broke down.
+  bool CutIntoWindows(int count);
+  bool SimulateSideBySide();
 
   sim::Plant plant;
   Eigen::VectorXd values;  // damped
@@ -60,6 +64,9 @@ struct MovingArm {
   sim::CommandSignal command;
   sim::State x0;
   sim::Trajectory out;
+  std::vector<std::vector<double>> window_times;
+  std::vector<sim::SimulationWindow> windows;
+  std::vector<sim::Trajectory> window_out;
 };
 
 // Joint damping as the paper identified it, as far as the robot has joints.

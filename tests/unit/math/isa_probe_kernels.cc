@@ -1,3 +1,4 @@
+#include "common/math/exp.h"
 #include "common/math/sincos.h"
 #include "tests/unit/math/isa_probe.h"
 
@@ -29,10 +30,12 @@ void ProbeSinCos(const double* x, double* s, double* c) {
   Write(cosine, c);
 }
 
+void ProbeExp(const double* x, double* out) { Write(Exp(Read(x)), out); }
+
 }  // namespace
 
 extern const IsaProbe kIsaProbe;
-const IsaProbe kIsaProbe = {kNativeLanes, Arithmetic, ProbeSinCos};
+const IsaProbe kIsaProbe = {kNativeLanes, Arithmetic, ProbeSinCos, ProbeExp};
 
 }  // namespace RG_ISA
 }  // namespace rg::math

@@ -45,6 +45,45 @@ TEST(Lanes, DoArithmeticLaneByLane) {
   }
 }
 
+TEST(Exp, IsWithinOneUlp) {
+  Rng rng(6);
+  for (const IsaProbe* probe : SupportedProbes()) {
+    double worst = 0.0;
+    for (double range : {1e-9, 1e-3, 1.0, 30.0, 700.0}) {
+      for (int i = 0; i < 4000; ++i) {
+        double x[8], e[8];
+        for (double& value : x) value = rng.Uniform(-range, range);
+        probe->exp(x, e);
+        for (int lane = 0; lane < probe->lanes; ++lane) {
+          const double want = std::exp(x[lane]);
+          worst = std::max(worst, std::abs(e[lane] - want) / (std::nextafter(want, 1e308) - want));
+        }
+      }
+    }
+    EXPECT_LE(worst, 1.0);
+  }
+}
+
+TEST(Exp, TakesEveryNumber) {
+  constexpr double kInf = std::numeric_limits<double>::infinity();
+  for (const IsaProbe* probe : SupportedProbes()) {
+    for (const double x : {0.0, -0.0, 709.7, 709.8, 1e5, kInf, -708.3, -740.0, -745.2, -1e5, -kInf}) {
+      double in[8] = {x, x, x, x, x, x, x, x}, e[8];
+      probe->exp(in, e);
+      const double want = std::exp(x);
+      if (std::isinf(want)) {
+        EXPECT_EQ(e[0], want) << x;
+      } else {
+        EXPECT_NEAR(e[0], want, 3e-16 * want + 5e-324) << x;
+      }
+    }
+    double in[8] = {std::nan(""), 1, 1, 1, 1, 1, 1, 1}, e[8];
+    probe->exp(in, e);
+    EXPECT_TRUE(std::isnan(e[0]));
+    EXPECT_DOUBLE_EQ(e[1], std::exp(1.0));
+  }
+}
+
 TEST(SinCos, AreWithinOneUlpOfOne) {
   Rng rng(5);
   for (const IsaProbe* probe : SupportedProbes()) {
