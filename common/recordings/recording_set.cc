@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <set>
 
 #include "common/base/file.h"
 #include "common/model/robot_model.h"
@@ -132,6 +133,64 @@ Result<RecordingSet> LoadSet(const std::string& folder) {
   }
   set.holdout_was_chosen = ChooseHoldout(set.recordings);
   return set;
+}
+
+namespace {
+
+Status SameRobot(const RecordingSet& a, const RecordingSet& b) {
+  const auto differ = [&](const std::string& what) {
+    return InvalidError(b.folder + ": " + what + " differs from " + a.folder +
+                        ": not one robot's recordings");
+  };
+  if (a.joints != b.joints) return differ("the list of joints");
+  if (a.urdf_text != b.urdf_text) return differ("the URDF");
+  if (a.locked != b.locked) return differ("\"locked\"");
+  if (a.gravity != b.gravity) return differ("\"gravity\"");
+  if (a.drive != b.drive) return differ("\"drive\"");
+  if (a.effort_excludes_gravity != b.effort_excludes_gravity) return differ("\"effort_excludes_gravity\"");
+  return Status::Ok();
+}
+
+void TakeLarger(const std::optional<double>& other, std::optional<double>* value) {
+  if (!other || !*value) {
+    value->reset();  // estimated from the data, then
+  } else {
+    *value = std::max(**value, *other);
+  }
+}
+
+// A name of its own among `taken`.
+std::string FreeName(const std::string& name, const std::string& prefix, const std::set<std::string>& taken) {
+  if (!taken.contains(name)) return name;
+  std::string free = prefix + "_" + name;
+  for (int k = 2; taken.contains(free); ++k) free = prefix + "_" + std::to_string(k) + "_" + name;
+  return free;
+}
+
+}  // namespace
+
+Result<RecordingSet> MergeSets(std::vector<RecordingSet> sets) {
+  if (sets.empty()) return InvalidError("no recording set was given");
+  RecordingSet all = std::move(sets.front());
+  std::set<std::string> taken;
+  for (const Recording& r : all.recordings) taken.insert(r.name);
+  for (size_t i = 1; i < sets.size(); ++i) {
+    RecordingSet& set = sets[i];
+    RG_RETURN_IF_ERROR(SameRobot(all, set));
+    TakeLarger(set.noise.position_stddev, &all.noise.position_stddev);
+    TakeLarger(set.noise.velocity_stddev, &all.noise.velocity_stddev);
+    TakeLarger(set.noise.position_resolution, &all.noise.position_resolution);
+    if (all.sample_rate_hz != set.sample_rate_hz) all.sample_rate_hz.reset();
+    const std::string folder = fs::path(set.folder).filename().string();
+    for (Recording& r : set.recordings) {
+      r.name = FreeName(r.name, folder.empty() ? std::to_string(i + 1) : folder, taken);
+      taken.insert(r.name);
+      all.recordings.push_back(std::move(r));
+    }
+    all.warnings.insert(all.warnings.end(), set.warnings.begin(), set.warnings.end());
+    all.holdout_was_chosen = all.holdout_was_chosen || set.holdout_was_chosen;
+  }
+  return all;
 }
 
 Status WriteSet(const std::string& folder, const RecordingSet& set) {

@@ -59,6 +59,12 @@ Result<RecordingSet> LoadSet(const std::string& folder);
 // Marks recordings as holdout by the rule above if none is; true if it did.
 bool ChooseHoldout(std::vector<Recording>& recordings);
 
+// Sets of one robot as one: same joints, URDF, locked joints, gravity and meaning of effort, else an error
+// that names what differs. Of noise and resolution the larger counts; what one of them does not say is
+// estimated. Recordings are renamed <set's folder or number>_<name> where two have one name; splits stay as
+// they are.
+Result<RecordingSet> MergeSets(std::vector<RecordingSet> sets);
+
 // Writes manifest.json, the URDF text as robot.urdf, and every recording, into `folder`.
 Status WriteSet(const std::string& folder, const RecordingSet& set);
 // The text of manifest.json for a set whose URDF lies in the folder as `robot_file`.

@@ -45,6 +45,18 @@ void AddLearningFlags(CLI::App* command, jobs::IterationOptions* options) {
       ->capture_default_str();
 }
 
+void AddLoopDiagnosisFlags(CLI::App* command, jobs::IterationOptions* options) {
+  auto& o = options->diagnosis;
+  command->add_flag("--diagnose", o.on,
+                    "Diagnose the rollouts so far after each; the next iteration plans with what that found");
+  command
+      ->add_option("--diagnose-seconds", o.budget_s,
+                   "No new round of the search for missing physics starts later")
+      ->capture_default_str();
+  command->add_option("--diagnose-threads", o.threads, "Of a diagnosis; 0: all cores of its worker")
+      ->capture_default_str();
+}
+
 void AddRolloutFlags(CLI::App* command, jobs::IterationOptions* options) {
   auto& o = options->rollout;
   command->add_option("--rollout-seconds", o.duration_s)->capture_default_str();

@@ -15,6 +15,8 @@ void AddTrajectoryFlags(CLI::App* command, jobs::IterationOptions* options);
 void AddTrainFlags(CLI::App* command, jobs::IterationOptions* options);
 // What only a whole iteration has: aggregation, examination, curriculum.
 void AddLearningFlags(CLI::App* command, jobs::IterationOptions* options);
+// Whether each rollout is diagnosed, and how long that may take.
+void AddLoopDiagnosisFlags(CLI::App* command, jobs::IterationOptions* options);
 void AddRolloutFlags(CLI::App* command, jobs::IterationOptions* options);
 void AddIdentifyFlags(CLI::App* command, jobs::IterationOptions* options);
 // Name, candle pose, peak torque.

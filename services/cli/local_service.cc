@@ -130,12 +130,13 @@ Status LocalService::Start(const LocalServiceOptions& options) {
 }
 
 const pb::TaskOutput* FindOutput(const pb::GetJobReply& job, const std::string& kind) {
+  const pb::TaskOutput* found = nullptr;
   for (const pb::TaskInfo& task : job.tasks()) {
     for (const pb::TaskOutput& output : task.outputs()) {
-      if (output.kind() == kind) return &output;
+      if (output.kind() == kind) found = &output;
     }
   }
-  return nullptr;
+  return found;
 }
 
 Result<json> FetchResult(coordinator::Client& client, const pb::GetJobReply& job) {

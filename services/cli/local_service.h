@@ -58,7 +58,7 @@ bool Interrupted();
 // `request_id` always means the same job. Errors: kCancelled, kAborted with the job's reason.
 Result<realitygrad::v1::GetJobReply> RunJob(coordinator::Client& client, realitygrad::v1::JobSpec job,
                                             const std::string& request_id, bool quiet);
-// The first output of a kind of artefact; null if there is none.
+// The last output of a kind of artefact, in the order of the graph; null if there is none.
 const realitygrad::v1::TaskOutput* FindOutput(const realitygrad::v1::GetJobReply& job,
                                               const std::string& kind);
 // The "realitygrad.iteration/1" of an iteration's or identification's job, with "seconds" per stage, "job"

@@ -40,6 +40,13 @@ Status RunIteration(LocalService& service, const RobotProfile& profile, RunState
   } else {
     inputs.model = run->results.back().at("model").get<std::string>();
   }
+  if (options.diagnosis.on) {
+    RG_ASSIGN_OR_RETURN(inputs.nominal, ChooseModel(service.client(), profile, "nominal"));
+    for (const json& before : run->results) {
+      inputs.identified = before.at("identified_model").get<std::string>();
+      inputs.earlier.push_back(before.at("rollout").at("sha256").get<std::string>());
+    }
+  }
   pb::JobSpec job = jobs::CompileIteration(options, inputs);
   job.set_submitted_by("run");
   if (!quiet)
@@ -107,6 +114,7 @@ void PrintEnd(const Context& context, const RunState& run, const std::string& pa
   }
   if (context.quiet()) return Print(run.folder);
   Print(IterationsTable(run.results));
+  if (const std::string said = DiagnosesText(run.results); !said.empty()) Print(said);
   Print("page:      " + page);
   Print("next:      realitygrad --coordinator " + run.folder + " params history");
   Print("           realitygrad --coordinator " + run.folder + " artifacts list");
@@ -173,6 +181,7 @@ void AddRunCommand(CLI::App& app, Context& context) {
   AddTrainFlags(command, &arguments->run.options);
   AddLearningFlags(command, &arguments->run.options);
   AddRolloutFlags(command, &arguments->run.options);
+  AddLoopDiagnosisFlags(command, &arguments->run.options);
   AddIdentifyFlags(command, &arguments->run.options);
   command->callback([&context, arguments] { Run(context, *arguments); });
 }

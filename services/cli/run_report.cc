@@ -56,6 +56,67 @@ const Row kRows[] = {
     {"iteration: time", "s", "/seconds/iteration", "1278"},
 };
 
+// What a diagnosis brought beside identification alone; only of runs that have one. Models made before the
+// rollout have not seen it; "all rollouts" are those so far, which the models were fitted to (identification
+// alone to the newest).
+const Row kDiagnosisRows[] = {
+    {"rollout not seen, RMS in 1 s windows: nominal", "rad", "/diagnosis/unseen/nominal/window_rms", "–"},
+    {"  identified only", "rad", "/diagnosis/unseen/identified/window_rms", "–"},
+    {"  diagnosed", "rad", "/diagnosis/unseen/diagnosed/window_rms", "–"},
+    {"  open loop, whole rollout: nominal", "rad", "/diagnosis/unseen/nominal/open_loop_rms", "–"},
+    {"  identified only", "rad", "/diagnosis/unseen/identified/open_loop_rms", "–"},
+    {"  diagnosed", "rad", "/diagnosis/unseen/diagnosed/open_loop_rms", "–"},
+    {"all rollouts, RMS in 1 s windows: nominal", "rad", "/diagnosis/all_rollouts/nominal/window_rms", "–"},
+    {"  identified only", "rad", "/diagnosis/all_rollouts/identified/window_rms", "–"},
+    {"  diagnosed", "rad", "/diagnosis/all_rollouts/diagnosed/window_rms", "–"},
+    {"  the model that goes on", "rad", "/diagnosis/adopted_error/window_rms", "–"},
+    {"  open loop: nominal", "rad", "/diagnosis/all_rollouts/nominal/open_loop_rms", "–"},
+    {"  identified only", "rad", "/diagnosis/all_rollouts/identified/open_loop_rms", "–"},
+    {"  diagnosed", "rad", "/diagnosis/all_rollouts/diagnosed/open_loop_rms", "–"},
+    {"  the model that goes on", "rad", "/diagnosis/adopted_error/open_loop_rms", "–"},
+    {"held-out rollouts: calibrated", "rad", "/diagnosis/fit/holdout/calibrated_rms", "–"},
+    {"  diagnosed", "rad", "/diagnosis/fit/holdout/after_rms", "–"},
+    {"diagnosis: time", "s", "/seconds/diagnosis", "–"},
+};
+
+bool Diagnosed(const json& result) { return result.contains("diagnosis"); }
+
+std::vector<Row> RowsFor(const std::vector<json>& results) {
+  std::vector<Row> rows(std::begin(kRows), std::end(kRows));
+  if (std::any_of(results.begin(), results.end(), Diagnosed))
+    rows.insert(rows.end(), std::begin(kDiagnosisRows), std::end(kDiagnosisRows));
+  return rows;
+}
+
+// "coulomb_friction of joint_2 (0.92): Joint 2 loses …"
+std::vector<std::string> Names(const json& diagnosis) {
+  std::vector<std::string> lines;
+  for (const json& f : diagnosis.at("findings")) {
+    std::string joints;
+    for (const json& joint : f.at("joints"))
+      joints += (joints.empty() ? "" : ", ") + joint.get<std::string>();
+    char confidence[16];
+    std::snprintf(confidence, sizeof confidence, " (%.2f)", f.at("confidence").get<double>());
+    lines.push_back(f.at("effect").get<std::string>() + (joints.empty() ? "" : " of " + joints) + confidence +
+                    ": " + f.at("statement").get<std::string>());
+  }
+  if (diagnosis.contains("note")) lines.push_back(diagnosis.at("note").get<std::string>());
+  return lines;
+}
+
+void AddDiagnosis(report::Page& page, const json& result) {
+  if (!Diagnosed(result)) return;
+  const json& d = result.at("diagnosis");
+  page.Subheading("What the model leaves out: " + d.at("verdict").get<std::string>());
+  report::Table table{{"named"}, {}};
+  for (const std::string& line : Names(d)) table.rows.push_back({line});
+  table.text_columns = {0};
+  table.caption = "From " + std::to_string(d.at("rollouts").get<int>()) +
+                  " rollouts. The next iteration goes on with the model that is " +
+                  d.at("adopted").get<std::string>() + ".";
+  page.AddTable(table);
+}
+
 std::vector<std::string> JointNames(const json& result) {
   std::vector<std::string> names;
   const size_t count = result.at("series").at("measured").size();
@@ -175,7 +236,7 @@ std::string IterationsTable(const std::vector<json>& results) {
   columns.push_back(">PAPER");
   columns.push_back("UNIT");
   TextTable table(columns);
-  for (const Row& row : kRows) {
+  for (const Row& row : RowsFor(results)) {
     std::vector<std::string> cells = {row.name};
     for (const json& result : results)
       cells.push_back(Cell(Number(result, json::json_pointer(row.pointer)), row.unit));
@@ -184,6 +245,18 @@ std::string IterationsTable(const std::vector<json>& results) {
     table.AddRow(cells);
   }
   return table.ToString();
+}
+
+std::string DiagnosesText(const std::vector<json>& results) {
+  std::string text;
+  for (size_t i = 0; i < results.size(); ++i) {
+    if (!Diagnosed(results[i])) continue;
+    const json& d = results[i].at("diagnosis");
+    text += (text.empty() ? "" : "\n") + std::string("diagnosis ") + std::to_string(i + 1) + ": " +
+            d.at("verdict").get<std::string>() + "; goes on: " + d.at("adopted").get<std::string>();
+    for (const std::string& line : Names(d)) text += "\n  " + line;
+  }
+  return text;
 }
 
 json RunJson(const std::vector<json>& results) {
@@ -229,7 +302,7 @@ std::string RunPage(const std::string& robot, const std::vector<json>& results) 
   for (size_t i = 0; i < results.size(); ++i) table.columns.push_back("iteration " + std::to_string(i + 1));
   table.columns.push_back("paper");
   table.columns.push_back("unit");
-  for (const Row& row : kRows) {
+  for (const Row& row : RowsFor(results)) {
     std::string name = row.name;
     if (name.starts_with("  ")) name.replace(0, 2, "\u2003");  // an indent that HTML keeps
     std::vector<std::string> cells = {name};
@@ -247,6 +320,7 @@ std::string RunPage(const std::string& robot, const std::vector<json>& results) 
     page.Heading("Iteration " + std::to_string(i + 1) + ": joint responses");
     page.AddPlots(ResponsePlots(results[i]), 380);
     page.AddPlots({LossPlot(results[i]), HopsPlot(results[i])});
+    AddDiagnosis(page, results[i]);
     AddIdentifiability(page, results[i]);
   }
   return page.Html();

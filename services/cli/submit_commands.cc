@@ -55,6 +55,9 @@ Result<jobs::IterationInputs> FindInputs(coordinator::Client& client, const Robo
                                          const std::string& what, const SubmitArguments& arguments) {
   jobs::IterationInputs inputs;
   RG_ASSIGN_OR_RETURN(inputs.model, ChooseModel(client, profile, arguments.model));
+  if (what == "iteration" && arguments.options.diagnosis.on) {
+    RG_ASSIGN_OR_RETURN(inputs.nominal, ChooseModel(client, profile, "nominal"));
+  }
   if (what == "train") {
     RG_ASSIGN_OR_RETURN(inputs.shards, FindShards(client, arguments));
   }
@@ -152,6 +155,7 @@ void AddSubmitCommands(CLI::App& app, Context& context) {
   AddTrainFlags(iteration, &ia->options);
   AddLearningFlags(iteration, &ia->options);
   AddRolloutFlags(iteration, &ia->options);
+  AddLoopDiagnosisFlags(iteration, &ia->options);
   AddIdentifyFlags(iteration, &ia->options);
   auto [trajectories, ta] =
       add("trajectories", "Optimal trajectories between random poses", jobs::CompileTrajectories);

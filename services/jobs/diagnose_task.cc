@@ -16,19 +16,73 @@ namespace rg::jobs {
 namespace pb = ::realitygrad::v1;
 using nlohmann::json;
 
+namespace {
+
+// From three rollouts on every third is held out, oldest first, never the newest.
+void HoldOut(recordings::RecordingSet* set) {
+  const size_t count = set->recordings.size();
+  for (size_t i = 0; i < count; ++i) {
+    const bool out = count > 2 && i % 3 == 0 && i + 1 < count;
+    set->recordings[i].split = out ? recordings::Split::kHoldout : recordings::Split::kFit;
+  }
+}
+
+constexpr int kLeastRows = 10;
+
+// All inputs as one set.
+Result<recordings::RecordingSet> SetOf(const worker::TaskInput& input, bool rollouts_of_a_loop) {
+  RG_RETURN_IF_ERROR(input.Require(kInputRecording).status());
+  std::vector<recordings::RecordingSet> sets;
+  for (const worker::InputArtifact* artifact : input.All(kInputRecording)) {
+    auto set = rollouts::LoadBundle(artifact->bytes);
+    if (!set.ok()) return set.status().WithPrefix("recording set " + artifact->sha256.substr(0, 12));
+    // It ended at once.
+    if (rollouts_of_a_loop && (set->recordings.empty() || set->recordings.front().rows() < kLeastRows))
+      continue;
+    set->folder = "set" + std::to_string(sets.size() + 1);
+    sets.push_back(std::move(*set));
+  }
+  if (sets.empty()) return InvalidError("no rollout so far holds " + std::to_string(kLeastRows) + " rows");
+  RG_ASSIGN_OR_RETURN(recordings::RecordingSet all, recordings::MergeSets(std::move(sets)));
+  if (rollouts_of_a_loop) HoldOut(&all);
+  return all;
+}
+
+// A loop goes on with the model it has where its rollouts say too little.
+Result<worker::TaskOutputs> NotDiagnosed(const worker::TaskInput& input, const Status& why,
+                                         worker::TaskContext& context) {
+  context.Log(why.message());
+  RG_ASSIGN_OR_RETURN(const worker::InputArtifact* model, input.Require(kInputModel));
+  const json said = {{"format", "realitygrad.diagnosis/1"},
+                     {"verdict", "not_diagnosed"},
+                     {"findings", json::array()},
+                     {"note", why.message()}};
+  const json summary = {{"verdict", "not_diagnosed"}, {"note", why.message()}};
+  worker::TaskOutputs outputs;
+  outputs.artifacts.push_back({kOutputDiagnosis, kArtifactDiagnosis, said.dump(), summary.dump()});
+  outputs.artifacts.push_back({kOutputModel, kArtifactModel, model->bytes, "{}"});
+  outputs.summary_json = summary.dump();
+  return outputs;
+}
+
+}  // namespace
+
 Result<worker::TaskOutputs> RunDiagnose(const worker::TaskInput& input, worker::TaskContext& context) {
   RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::DiagnosePayload>(input));
-  RG_ASSIGN_OR_RETURN(const worker::InputArtifact* artifact, input.Require(kInputRecording));
-  auto set = rollouts::LoadBundle(artifact->bytes);
-  if (!set.ok()) return set.status().WithPrefix("recording set " + artifact->sha256.substr(0, 12));
+  const auto set = SetOf(input, payload.rollouts());
   diagnosis::DiagnosisOptions options;
   if (payload.window_s() > 0) options.window_s = payload.window_s();
   if (payload.seed() > 0) options.seed = payload.seed();
+  if (payload.time_limit_s() > 0) options.time_limit_s = payload.time_limit_s();
   options.threads = static_cast<int>(payload.threads());
-  RG_ASSIGN_OR_RETURN(
-      const diagnosis::DiagnosisResult result,
-      diagnosis::Diagnose(*set, options, RealClock(), context.progress_fn(), &context.cancel_token()));
+  if (!set.ok() && !payload.rollouts()) return set.status();
+  const auto outcome = set.ok() ? diagnosis::Diagnose(*set, options, RealClock(), context.progress_fn(),
+                                                      &context.cancel_token())
+                                : Result<diagnosis::DiagnosisResult>(set.status());
   if (context.cancelled()) return CancelledError("diagnosis was cancelled");
+  if (!outcome.ok() && payload.rollouts()) return NotDiagnosed(input, outcome.status(), context);
+  if (!outcome.ok()) return outcome.status();
+  const diagnosis::DiagnosisResult& result = *outcome;
   const std::string said = diagnosis::DiagnosisJson(result);
   const json parsed = json::parse(said);
   json names = json::array();

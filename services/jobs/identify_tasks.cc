@@ -97,19 +97,6 @@ sysid::HopState HopOn(const IdentifyProblem& problem, const pb::IdentifyPayload&
   return state;
 }
 
-// Chains may have ended on different costs (see Rescale): they are compared on that of `problem`, where it
-// is finite.
-Result<sysid::HopState> BestChain(const worker::TaskInput& input, const IdentifyProblem& problem) {
-  std::optional<sysid::HopState> best;
-  for (const worker::InputArtifact* artifact : input.All(kInputChain)) {
-    RG_ASSIGN_OR_RETURN(sysid::HopState state, StateFrom(*artifact));
-    if (state.started() && !Rescale(problem, &state)) state.best_cost += 1e9;
-    if (state.started() && (!best || state.best_cost < best->best_cost)) best = std::move(state);
-  }
-  if (!best) return FailedPreconditionError("no chain found parameters that can be simulated");
-  return *best;
-}
-
 }  // namespace
 
 Result<worker::TaskOutputs> RunIdentify(const worker::TaskInput& input, worker::TaskContext& context) {
@@ -147,14 +134,23 @@ Result<worker::TaskOutputs> RunIdentify(const worker::TaskInput& input, worker::
   return outputs;
 }
 
-namespace {
-
-IdentifyProblemOptions LastRoundOf(pb::IdentifyPayload payload) {
-  payload.set_round(payload.rounds() - 1);
-  return OptionsOf(payload);
+IdentifyProblemOptions LastRoundOf(const pb::IdentifyPayload& payload) {
+  pb::IdentifyPayload last = payload;
+  last.set_round(payload.rounds() - 1);
+  return OptionsOf(last);
 }
 
-}  // namespace
+// Chains may have ended on different costs (see Rescale).
+Result<sysid::HopState> BestChain(const worker::TaskInput& input, const IdentifyProblem& problem) {
+  std::optional<sysid::HopState> best;
+  for (const worker::InputArtifact* artifact : input.All(kInputChain)) {
+    RG_ASSIGN_OR_RETURN(sysid::HopState state, StateFrom(*artifact));
+    if (state.started() && !Rescale(problem, &state)) state.best_cost += 1e9;
+    if (state.started() && (!best || state.best_cost < best->best_cost)) best = std::move(state);
+  }
+  if (!best) return FailedPreconditionError("no chain found parameters that can be simulated");
+  return *best;
+}
 
 Result<worker::TaskOutputs> RunConclude(const worker::TaskInput& input, worker::TaskContext& context) {
   RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::ConcludePayload>(input));

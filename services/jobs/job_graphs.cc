@@ -230,16 +230,28 @@ pb::IdentifyPayload IdentifyPayloadOf(const IterationOptions& options) {
   return payload;
 }
 
-std::string ChainTask(int chain, int round) {
-  return Numbered("chain", chain, 2) + "-round-" + std::to_string(round);
+// Identification of the model that was given, or of the one that this job's diagnosis made.
+enum class Branch { kGiven, kDiagnosed };
+
+std::string ChainTask(Branch branch, int chain, int round) {
+  return Numbered(branch == Branch::kGiven ? "chain" : "refine", chain, 2) + "-round-" +
+         std::to_string(round);
 }
 // Rounds are stages of their own, so that a later one can read all chains of the one before.
-std::string RoundStage(const IdentifyOptions& o, int round) {
-  return OfSo(kStageIdentify, round + 1, o.rounds);
+std::string RoundStage(Branch branch, const IdentifyOptions& o, int round) {
+  return OfSo(branch == Branch::kGiven ? kStageIdentify : kStageRefine, round + 1, o.rounds);
+}
+std::string LastRoundStage(Branch branch, const IdentifyOptions& o) {
+  return RoundStage(branch, o, o.rounds - 1);
 }
 
-void AppendIdentify(const IterationOptions& options, const IterationInputs& inputs, bool recorded_here,
-                    pb::JobSpec* job) {
+// The model that identification alone goes on from.
+const std::string& IdentifiedSoFar(const IterationInputs& inputs) {
+  return inputs.identified.empty() ? inputs.model : inputs.identified;
+}
+
+void AppendIdentify(const IterationOptions& options, const IterationInputs& inputs, Branch branch,
+                    bool recorded_here, pb::JobSpec* job) {
   const IdentifyOptions& o = options.identify;
   for (int round = 0; round < o.rounds; ++round) {
     for (int chain = 0; chain < o.chains; ++chain) {
@@ -247,13 +259,14 @@ void AppendIdentify(const IterationOptions& options, const IterationInputs& inpu
       payload.set_round(static_cast<uint32_t>(round));
       payload.set_chain(static_cast<uint32_t>(chain));
       pb::TaskSpec* task =
-          AddTask(job, ChainTask(chain, round), RoundStage(o, round), kKindIdentify, payload);
+          AddTask(job, ChainTask(branch, chain, round), RoundStage(branch, o, round), kKindIdentify, payload);
       task->set_weight(20.0 * std::max(1.0, payload.budget_s()));
-      AddArtifact(task, kInputModel, inputs.model);
+      AddFrom(task, kInputModel, branch == Branch::kDiagnosed, kStageDiagnose, kOutputModel,
+              IdentifiedSoFar(inputs));
       AddFrom(task, kInputRecording, recorded_here, kStageRollout, kOutputRecording, inputs.recording);
       if (round > 0) {
-        AddTaskOutput(task, kInputChain, ChainTask(chain, round - 1), kOutputChain);
-        AddStageOutputs(task, kInputOthers, RoundStage(o, round - 1), kOutputChain);
+        AddTaskOutput(task, kInputChain, ChainTask(branch, chain, round - 1), kOutputChain);
+        AddStageOutputs(task, kInputOthers, RoundStage(branch, o, round - 1), kOutputChain);
       }
     }
   }
@@ -267,15 +280,52 @@ void AppendConclude(const IterationOptions& options, const IterationInputs& inpu
   payload.set_iteration(static_cast<uint32_t>(options.iteration));
   pb::TaskSpec* task = AddTask(job, "conclusion", kStageConclude, kKindConclude, payload);
   task->set_weight(20.0);
-  AddArtifact(task, kInputModel, inputs.model);
+  AddArtifact(task, kInputModel, IdentifiedSoFar(inputs));
   AddFrom(task, kInputRecording, whole_iteration, kStageRollout, kOutputRecording, inputs.recording);
-  AddStageOutputs(task, kInputChain, RoundStage(options.identify, options.identify.rounds - 1), kOutputChain);
+  AddStageOutputs(task, kInputChain, LastRoundStage(Branch::kGiven, options.identify), kOutputChain);
   if (whole_iteration) {
     AddStageOutputs(task, kInputShard, kStageTrajectories, kOutputShard);
     AddStageOutputs(task, kInputPolicy, LastPolicyStage(options.train), kOutputPolicy);
     if (options.train.examination_pairs > 0)
       AddStageOutputs(task, kInputExamination, kStageExamine, kOutputExamination);
   }
+}
+
+// The recordings of all rollouts, the one of this job last.
+void AddRollouts(const IterationInputs& inputs, pb::TaskSpec* task) {
+  for (const std::string& earlier : inputs.earlier) AddArtifact(task, kInputRecording, earlier);
+  AddStageOutputs(task, kInputRecording, kStageRollout, kOutputRecording);
+}
+
+void AppendDiagnosis(const IterationOptions& options, const IterationInputs& inputs, pb::JobSpec* job) {
+  pb::DiagnosePayload payload;
+  payload.set_window_s(options.diagnosis.window_s);
+  payload.set_seed(options.seed);
+  payload.set_threads(static_cast<uint32_t>(options.diagnosis.threads));
+  payload.set_time_limit_s(options.diagnosis.budget_s);
+  payload.set_rollouts(true);
+  pb::TaskSpec* task = AddTask(job, "diagnosis", kStageDiagnose, kKindDiagnose, payload);
+  task->set_weight(20.0 * options.diagnosis.budget_s);
+  AddArtifact(task, kInputModel, inputs.model);
+  AddRollouts(inputs, task);
+}
+
+void AppendAdoption(const IterationOptions& options, const IterationInputs& inputs, pb::JobSpec* job) {
+  pb::AdoptPayload payload;
+  *payload.mutable_identify() = IdentifyPayloadOf(options);
+  payload.set_robot(options.robot);
+  payload.set_iteration(static_cast<uint32_t>(options.iteration));
+  pb::TaskSpec* task = AddTask(job, "adoption", kStageAdopt, kKindAdopt, payload);
+  task->set_weight(20.0);
+  AddArtifact(task, kInputNominal, inputs.nominal);
+  AddArtifact(task, kInputModel, inputs.model);
+  AddArtifact(task, kInputIdentifiedBefore, IdentifiedSoFar(inputs));
+  AddStageOutputs(task, kInputIdentified, kStageConclude, kOutputModel);
+  AddStageOutputs(task, kInputResult, kStageConclude, kOutputResult);
+  AddStageOutputs(task, kInputDiagnosis, kStageDiagnose, kOutputDiagnosis);
+  AddStageOutputs(task, kInputDiagnosed, kStageDiagnose, kOutputModel);
+  AddStageOutputs(task, kInputChain, LastRoundStage(Branch::kDiagnosed, options.identify), kOutputChain);
+  AddRollouts(inputs, task);
 }
 
 json SpecJson(const IterationOptions& options) {
@@ -338,6 +388,7 @@ Status Validate(const IterationOptions& o) {
   RG_RETURN_IF_ERROR(InRange("identification window [s]", o.identify.window_s, 0.0, 600.0));
   RG_RETURN_IF_ERROR(InRange("identification window start [s]", o.identify.window_start_s, 0.0, 600.0));
   RG_RETURN_IF_ERROR(InRange("alpha", o.identify.alpha, 0.0, 1e9));
+  RG_RETURN_IF_ERROR(InRange("diagnosis budget [s]", o.diagnosis.budget_s, 1.0, 1e6));
   RG_RETURN_IF_ERROR(OneOf("solver", o.identify.solver, {"lm", "lbfgs"}));
   RG_RETURN_IF_ERROR(OneOf("bounds", o.identify.bounds, {"physical", "paper", "none"}));
   return Status::Ok();
@@ -354,8 +405,13 @@ pb::JobSpec CompileIteration(const IterationOptions& given, const IterationInput
   AppendPolicies(options, inputs, &job);
   AppendExamination(options, inputs, &job);
   AppendRollout(options, inputs, true, &job);
-  AppendIdentify(options, inputs, true, &job);
+  AppendIdentify(options, inputs, Branch::kGiven, true, &job);
   AppendConclude(options, inputs, true, &job);
+  if (options.diagnosis.on) {
+    AppendDiagnosis(options, inputs, &job);
+    AppendIdentify(options, inputs, Branch::kDiagnosed, true, &job);
+    AppendAdoption(options, inputs, &job);
+  }
   return job;
 }
 
@@ -382,7 +438,7 @@ pb::JobSpec CompileRollout(const IterationOptions& options, const IterationInput
 
 pb::JobSpec CompileIdentify(const IterationOptions& options, const IterationInputs& inputs) {
   pb::JobSpec job = NewJob("identify", options);
-  AppendIdentify(options, inputs, false, &job);
+  AppendIdentify(options, inputs, Branch::kGiven, false, &job);
   AppendConclude(options, inputs, false, &job);
   return job;
 }
@@ -403,7 +459,8 @@ pb::JobSpec CompileDiagnose(const DiagnoseOptions& options, const std::string& s
 
 const std::vector<std::string>& IterationStages() {
   static const std::vector<std::string> stages = {kStageTrajectories, kStagePolicy,   kStageExamine,
-                                                  kStageRollout,      kStageIdentify, kStageConclude};
+                                                  kStageRollout,      kStageIdentify, kStageConclude,
+                                                  kStageDiagnose,     kStageRefine,   kStageAdopt};
   return stages;
 }
 

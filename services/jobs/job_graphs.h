@@ -65,6 +65,15 @@ struct IdentifyOptions {
   double alpha = 1e-2;
 };
 
+// Whether each rollout is diagnosed, and the model of the next iteration is what that found, identified
+// further. Identification alone goes on beside it, for comparison.
+struct LoopDiagnosisOptions {
+  bool on = false;
+  double budget_s = 60.0;  // no new round of the search for effects starts later
+  double window_s = 1.0;
+  int threads = 0;  // 0: all cores of the worker
+};
+
 struct IterationOptions {
   uint64_t seed = 1;
   std::string robot = "mico2";
@@ -76,6 +85,7 @@ struct IterationOptions {
   RolloutOptions rollout;
   IdentifyOptions identify;
   CurriculumOptions curriculum;
+  LoopDiagnosisOptions diagnosis;
 };
 
 // Every option inside its range; the line names option, value and limit.
@@ -87,6 +97,10 @@ struct IterationInputs {
   std::string policy;               // rollout only
   std::string recording;            // identify only
   std::vector<std::string> shards;  // train only
+  // With a diagnosis only: the model without effects, the model that identification alone has come to
+  // (empty: `model`), and the recordings of the iterations before, oldest first.
+  std::string nominal, identified;
+  std::vector<std::string> earlier;
 };
 
 realitygrad::v1::JobSpec CompileIteration(const IterationOptions& options, const IterationInputs& inputs);
@@ -103,7 +117,7 @@ struct DiagnoseOptions {
 // set: artefact of kind "recording-set".
 realitygrad::v1::JobSpec CompileDiagnose(const DiagnoseOptions& options, const std::string& set);
 
-// The stage names of an iteration in order, as people see them.
+// The stage names of an iteration in order, as people see them; the last three with a diagnosis only.
 const std::vector<std::string>& IterationStages();
 
 }  // namespace rg::jobs

@@ -12,6 +12,7 @@ inline constexpr char kKindRollout[] = "rollout";
 inline constexpr char kKindIdentify[] = "identify";
 inline constexpr char kKindConclude[] = "conclude";
 inline constexpr char kKindDiagnose[] = "diagnose";
+inline constexpr char kKindAdopt[] = "adopt";
 
 inline constexpr char kStageTrajectories[] = "trajectories";
 inline constexpr char kStagePolicy[] = "policy";
@@ -21,6 +22,8 @@ inline constexpr char kStageRollout[] = "rollout";
 inline constexpr char kStageIdentify[] = "identification";
 inline constexpr char kStageConclude[] = "conclusion";
 inline constexpr char kStageDiagnose[] = "diagnosis";
+inline constexpr char kStageRefine[] = "refinement";
+inline constexpr char kStageAdopt[] = "adoption";
 
 inline constexpr char kInputModel[] = "model";
 inline constexpr char kInputShard[] = "shard";
@@ -29,6 +32,12 @@ inline constexpr char kInputExamination[] = "examination";
 inline constexpr char kInputRecording[] = "recording";
 inline constexpr char kInputChain[] = "chain";
 inline constexpr char kInputOthers[] = "others";
+inline constexpr char kInputNominal[] = "nominal";
+inline constexpr char kInputIdentifiedBefore[] = "identified_before";
+inline constexpr char kInputIdentified[] = "identified";
+inline constexpr char kInputDiagnosed[] = "diagnosed";
+inline constexpr char kInputDiagnosis[] = "diagnosis";
+inline constexpr char kInputResult[] = "result";
 
 inline constexpr char kOutputShard[] = "shard";
 inline constexpr char kOutputPolicy[] = "policy";

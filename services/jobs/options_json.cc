@@ -23,6 +23,11 @@ json OptionsToJson(const IterationOptions& o) {
             {"examination_pairs", o.train.examination_pairs}}},
           {"curriculum",
            {{"on", o.curriculum.on}, {"first", o.curriculum.first}, {"growth", o.curriculum.growth}}},
+          {"diagnosis",
+           {{"on", o.diagnosis.on},
+            {"budget_s", o.diagnosis.budget_s},
+            {"window_s", o.diagnosis.window_s},
+            {"threads", o.diagnosis.threads}}},
           {"rollout",
            {{"duration_s", o.rollout.duration_s},
             {"rate_hz", o.rollout.rate_hz},
@@ -58,6 +63,12 @@ IterationOptions OptionsFromJson(const json& j) {
   const json& c = j.at("curriculum");
   c.at("on").get_to(o.curriculum.on), c.at("first").get_to(o.curriculum.first),
       c.at("growth").get_to(o.curriculum.growth);
+  // Runs that were begun before there was a diagnosis have none.
+  const json d = j.value("diagnosis", json::object());
+  o.diagnosis.on = d.value("on", o.diagnosis.on),
+  o.diagnosis.budget_s = d.value("budget_s", o.diagnosis.budget_s);
+  o.diagnosis.window_s = d.value("window_s", o.diagnosis.window_s),
+  o.diagnosis.threads = d.value("threads", o.diagnosis.threads);
   r.at("duration_s").get_to(o.rollout.duration_s), r.at("rate_hz").get_to(o.rollout.rate_hz),
       r.at("goal_q").get_to(o.rollout.goal_q);
   r.at("goal_position").get_to(o.rollout.goal_position), r.at("reach_s").get_to(o.rollout.reach_s),

@@ -1,5 +1,6 @@
 #include "services/jobs/task_kinds.h"
 
+#include "services/jobs/adopt_task.h"
 #include "services/jobs/diagnose_task.h"
 #include "services/jobs/identify_tasks.h"
 #include "services/jobs/kinds.h"
@@ -16,6 +17,7 @@ void RegisterWorkerKinds(worker::TaskRegistry* registry) {
   registry->Register(kKindIdentify, RunIdentify);
   registry->Register(kKindConclude, RunConclude);
   registry->Register(kKindDiagnose, RunDiagnose);
+  registry->Register(kKindAdopt, RunAdopt);
 }
 
 }  // namespace rg::jobs

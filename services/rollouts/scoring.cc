@@ -35,7 +35,7 @@ void RunWindow(const Recording& recording, const sim::CommandSignal& command, co
               sim::Simulator& simulator, SimulationError* error) {
   std::vector<double> times;
   for (int k = window.first + 1; k <= window.last; ++k) times.push_back(recording.t[k]);
-  const sim::State start = simulator.MakeState(
+  const sim::State start = simulator.MakeStateFromMeasurement(
       recording.q.col(window.first), VelocityAt(recording, window.first), recording.t[window.first], command);
   const sim::Trajectory out = simulator.Simulate(start, command, times);
   const int reached = out.outcome.ok() ? window.rows() : out.reached;

@@ -44,7 +44,7 @@ class WindowResiduals final : public ResidualFunction {
     if (stop.ShouldStop()) return false;
     for (int i = 0; i < p.size(); ++i) values_[request_.parameters[i]] = p[i];
     simulator_.SetParameters(values_);
-    const sim::State x0 = simulator_.MakeState(q0_, v0_, start_, command_);
+    const sim::State x0 = simulator_.MakeStateFromMeasurement(q0_, v0_, start_, command_);
     simulator_.SimulateInto(x0, command_, times_, dr_dp != nullptr ? request_ : sim::SensitivityRequest{},
                             &out_);
     if (!out_.outcome.ok()) return false;
@@ -206,7 +206,7 @@ double AccumulatedTaskError(const sim::Plant& plant, const VectorXd& values,
   simulator.SetParameters(values);
   const sim::CommandSignal command = DriveSignal(recording);
   const VectorXd v0 = recordings::VelocityOrEstimate(recording).col(0);
-  const sim::State x0 = simulator.MakeState(recording.q.col(0), v0, recording.t[0], command);
+  const sim::State x0 = simulator.MakeStateFromMeasurement(recording.q.col(0), v0, recording.t[0], command);
   const std::vector<double> times(recording.t.data() + 1, recording.t.data() + recording.rows());
   const sim::Trajectory out = simulator.Simulate(x0, command, times);
 

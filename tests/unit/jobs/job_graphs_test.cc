@@ -53,6 +53,52 @@ TEST(JobGraphs, IterationIsWellFormedAndInOrder) {
   EXPECT_EQ(job.tasks(job.tasks_size() - 1).kind(), kKindConclude);
 }
 
+TEST(JobGraphs, ADiagnosedIterationIdentifiesBothModelsAndAdoptsOne) {
+  IterationOptions options;
+  options.diagnosis.on = true;
+  IterationInputs inputs = Model();
+  inputs.nominal = std::string(64, 'n'), inputs.identified = std::string(64, 'i');
+  inputs.earlier = {std::string(64, '1'), std::string(64, '2')};
+  const pb::JobSpec job = CompileIteration(options, inputs);
+  ExpectWellFormed(job);
+  const auto from = [](const pb::TaskSpec& task, const std::string& name) {
+    std::vector<std::string> sources;
+    for (const pb::InputSpec& input : task.inputs()) {
+      if (input.name() == name)
+        sources.push_back(input.has_stage_outputs() ? input.stage_outputs().stage()
+                                                    : input.artifact().substr(0, 1));
+    }
+    return sources;
+  };
+  using Sources = std::vector<std::string>;
+  int alone = 0, refining = 0;
+  for (const pb::TaskSpec& task : job.tasks()) {
+    if (task.kind() == kKindTrajectories || task.kind() == kKindRollout) {
+      EXPECT_EQ(from(task, kInputModel), Sources{"a"}) << task.name();
+    }
+    if (task.kind() == kKindIdentify && task.stage().starts_with(kStageIdentify)) {
+      ++alone;
+      EXPECT_EQ(from(task, kInputModel), Sources{"i"}) << "identification alone goes its own way";
+    }
+    if (task.kind() == kKindIdentify && task.stage().starts_with(kStageRefine)) {
+      ++refining;
+      EXPECT_EQ(from(task, kInputModel), Sources{kStageDiagnose});
+    }
+    if (task.kind() == kKindDiagnose || task.kind() == kKindAdopt) {
+      EXPECT_EQ(from(task, kInputRecording), (Sources{"1", "2", kStageRollout})) << "oldest first";
+    }
+  }
+  EXPECT_EQ(alone, options.identify.chains * options.identify.rounds);
+  EXPECT_EQ(refining, alone);
+  EXPECT_EQ(job.tasks(job.tasks_size() - 1).kind(), kKindAdopt);
+
+  const IterationOptions read = OptionsFromJson(OptionsToJson(options));
+  EXPECT_TRUE(read.diagnosis.on);
+  nlohmann::json old = OptionsToJson(options);
+  old.erase("diagnosis");
+  EXPECT_FALSE(OptionsFromJson(old).diagnosis.on) << "runs from before there was one go on";
+}
+
 TEST(JobGraphs, EveryPolicyLearnsFromTheAnswersToAllBefore) {
   IterationOptions options;
   options.train.aggregations = 2;

@@ -180,6 +180,33 @@ TEST(LoadSet, ChoosesWholeRecordingsAsHoldoutWhereTheManifestNamesNone) {
   EXPECT_EQ(named->Fit()[0]->name, "b.csv");
 }
 
+TEST(MergeSets, MakesOneOfTwoAndNamesWhatDiffers) {
+  const Folder folder;
+  folder.Write("robot.urdf", kUrdf);
+  folder.Write("a.csv", kCsv);
+  folder.Write("manifest.json",
+               ManifestText(R"(, "noise": {"position_stddev": 0.001, "velocity_stddev": 0.1})"));
+  const RecordingSet one = LoadSet(folder.path()).value();
+  RecordingSet other = one;
+  other.folder = "/data/second";
+  other.noise.position_stddev = 0.002, other.noise.velocity_stddev.reset();
+  other.recordings[0].split = Split::kHoldout;
+  const auto both = MergeSets({one, other});
+  ASSERT_TRUE(both.ok()) << both.status().ToString();
+  ASSERT_EQ(both->recordings.size(), 2u);
+  EXPECT_EQ(both->recordings[1].name, "second_a.csv");
+  EXPECT_EQ(both->Holdout().size(), 1u);
+  EXPECT_EQ(both->noise.position_stddev, 0.002);
+  EXPECT_FALSE(both->noise.velocity_stddev.has_value());
+
+  other.gravity.x() = 1.0;
+  EXPECT_THAT(MergeSets({one, other}).status().message(),
+              AllOf(HasSubstr("/data/second"), HasSubstr("gravity")));
+  other = one;
+  other.urdf_text += " ";
+  EXPECT_THAT(MergeSets({one, other}).status().message(), HasSubstr("URDF"));
+}
+
 TEST(WriteSet, IsReadBackTheSame) {
   const auto set = Load(ManifestText(R"(, "noise": {"velocity_stddev": 0.005}, "locked": {"finger": 0.01})",
                                      R"([{"file":"a.csv"},{"file":"b.csv","split":"holdout"}])"));

@@ -1,0 +1,222 @@
+#include "services/jobs/adopt_task.h"
+
+#include <cmath>
+#include <limits>
+#include <nlohmann/json.hpp>
+#include <optional>
+
+#include "common/base/hash.h"
+#include "common/sim/model_file.h"
+#include "realitygrad/v1/payloads.pb.h"
+#include "services/jobs/identify_problem.h"
+#include "services/jobs/identify_tasks.h"
+#include "services/jobs/kinds.h"
+#include "services/jobs/task_support.h"
+#include "services/rollouts/recording_bundle.h"
+#include "services/rollouts/scoring.h"
+
+namespace rg::jobs {
+namespace {
+
+namespace pb = ::realitygrad::v1;
+using nlohmann::json;
+using recordings::Recording;
+
+constexpr double kWindow_s = 1.0;
+constexpr double kInfinite = std::numeric_limits<double>::infinity();
+
+// RMS over rows and joints [rad or m]; infinite where the simulation broke down.
+struct Error {
+  double windows = 0.0;    // restarted every second
+  double open_loop = 0.0;  // from the first row to the last
+  double tip_m = 0.0;      // accumulated over the rows, open loop
+};
+
+Error ErrorOn(const sim::ModelFile& model, const std::vector<const Recording*>& recordings) {
+  double windows = 0.0, open_loop = 0.0, rows = 0.0;
+  Error error;
+  for (const Recording* recording : recordings) {
+    rollouts::SimulationScoreOptions restarted;
+    restarted.window_s = kWindow_s;
+    const auto short_runs = rollouts::ScoreSimulation(model.plant, model.values, *recording, restarted);
+    const auto long_run = rollouts::ScoreSimulation(model.plant, model.values, *recording, {});
+    const double weight = recording->rows();
+    windows += short_runs.ok ? weight * short_runs.joint_rms * short_runs.joint_rms : kInfinite;
+    open_loop += long_run.ok ? weight * long_run.joint_rms * long_run.joint_rms : kInfinite;
+    error.tip_m += long_run.accumulated_tip_m;
+    rows += weight;
+  }
+  error.windows = std::sqrt(windows / rows);
+  error.open_loop = std::sqrt(open_loop / rows);
+  return error;
+}
+
+json NumberOrNull(double value) { return std::isfinite(value) ? json(value) : json(nullptr); }
+
+json ErrorJson(const Error& e) {
+  return {{"window_rms", NumberOrNull(e.windows)},
+          {"open_loop_rms", NumberOrNull(e.open_loop)},
+          {"accumulated_tip_m", NumberOrNull(e.tip_m)}};
+}
+
+// All rollouts that hold rows, oldest first.
+struct Rollouts {
+  std::vector<recordings::RecordingSet> sets;
+  std::vector<const Recording*> all;
+  const Recording& newest() const { return *all.back(); }
+  std::vector<const Recording*> last() const { return {all.back()}; }
+};
+
+Result<Rollouts> RolloutsOf(const worker::TaskInput& input) {
+  Rollouts out;
+  for (const worker::InputArtifact* artifact : input.All(kInputRecording)) {
+    auto set = rollouts::LoadBundle(artifact->bytes);
+    if (!set.ok()) return set.status().WithPrefix("recording " + artifact->sha256.substr(0, 12));
+    if (!set->recordings.empty()) out.sets.push_back(std::move(*set));
+  }
+  if (out.sets.empty()) return InvalidError(input.task_name + ": no rollout holds rows");
+  for (const auto& set : out.sets) out.all.push_back(&set.recordings.front());
+  return out;
+}
+
+Result<sim::ModelFile> ModelNamed(const worker::TaskInput& input, const char* name) {
+  RG_ASSIGN_OR_RETURN(const worker::InputArtifact* artifact, input.Require(name));
+  return sim::ModelFromJson(artifact->bytes, std::string(name) + " " + artifact->sha256.substr(0, 12));
+}
+
+// What identification made of the diagnosed model; nothing where no chain could be simulated.
+Result<std::optional<sim::ModelFile>> Refined(const worker::TaskInput& input, const pb::AdoptPayload& payload,
+                                              const sim::ModelFile& diagnosed, const Recording& newest,
+                                              worker::TaskContext& context) {
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile model, ModelToFit(diagnosed, OptionsOf(payload.identify())));
+  RG_ASSIGN_OR_RETURN(
+      const IdentifyProblem problem,
+      IdentifyProblem::Create(model.plant, model.values, newest, LastRoundOf(payload.identify())));
+  const auto best = BestChain(input, problem);
+  if (!best.ok()) {
+    context.Log("refinement: " + best.status().message());
+    return std::optional<sim::ModelFile>();
+  }
+  return std::optional<sim::ModelFile>({model.plant, problem.FullValues(best->best), model.version});
+}
+
+struct Choice {
+  std::string name;
+  const sim::ModelFile* model;
+};
+
+Choice Choose(const sim::ModelFile& identified, const sim::ModelFile& diagnosed, const Error& diagnosed_all,
+              const std::optional<sim::ModelFile>& refined, const Error& refined_all) {
+  const bool better = refined && refined_all.windows < diagnosed_all.windows &&
+                      refined_all.open_loop <= diagnosed_all.open_loop;
+  if (better) return {"diagnosed and identified", &*refined};
+  if (std::isfinite(diagnosed_all.windows)) return {"diagnosed", &diagnosed};
+  if (refined && std::isfinite(refined_all.windows)) return {"diagnosed and identified", &*refined};
+  return {"identified", &identified};
+}
+
+// Everything that is not as the URDF has it.
+json ChangedValues(const sim::ModelFile& model) {
+  json rows = json::array();
+  const auto& table = model.plant.parameters();
+  for (int i = 0; i < table.size(); ++i) {
+    const bool effect = table[i].kind == sim::ParameterKind::kEffect;
+    if (effect || model.values[i] != table[i].nominal)
+      rows.push_back({{"name", table[i].name}, {"value", model.values[i]}});
+  }
+  return rows;
+}
+
+std::string Named(const json& diagnosis) {
+  std::string names;
+  for (const json& finding : diagnosis.at("findings")) {
+    names += (names.empty() ? "" : "; ") + finding.at("effect").get<std::string>();
+    for (const json& joint : finding.at("joints")) names += " " + joint.get<std::string>();
+  }
+  return names.empty() ? diagnosis.at("verdict").get<std::string>() : names;
+}
+
+json Shortened(const json& diagnosis) {
+  json findings = json::array();
+  for (const json& f : diagnosis.at("findings"))
+    findings.push_back({{"effect", f.at("effect")},
+                        {"joints", f.at("joints")},
+                        {"confidence", f.at("confidence")},
+                        {"statement", f.value("statement", "")}});
+  json out = {{"verdict", diagnosis.at("verdict")}, {"findings", findings}};
+  for (const char* key : {"fit", "note", "elapsed_s"}) {
+    if (diagnosis.contains(key)) out[key] = diagnosis.at(key);
+  }
+  return out;
+}
+
+}  // namespace
+
+Result<worker::TaskOutputs> RunAdopt(const worker::TaskInput& input, worker::TaskContext& context) {
+  RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::AdoptPayload>(input));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile nominal, ModelNamed(input, kInputNominal));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile planned_with, ModelNamed(input, kInputModel));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile identified_before, ModelNamed(input, kInputIdentifiedBefore));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile identified, ModelNamed(input, kInputIdentified));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile diagnosed, ModelNamed(input, kInputDiagnosed));
+  RG_ASSIGN_OR_RETURN(const Rollouts rollouts, RolloutsOf(input));
+  RG_ASSIGN_OR_RETURN(const worker::InputArtifact* said, input.Require(kInputDiagnosis));
+  RG_ASSIGN_OR_RETURN(const worker::InputArtifact* concluded, input.Require(kInputResult));
+  const json diagnosis = json::parse(said->bytes, nullptr, false);
+  json result = json::parse(concluded->bytes, nullptr, false);
+  if (diagnosis.is_discarded() || result.is_discarded())
+    return DataLossError(input.task_name + ": diagnosis or result is no JSON");
+  RG_ASSIGN_OR_RETURN(const auto refined, Refined(input, payload, diagnosed, rollouts.newest(), context));
+
+  const auto last = rollouts.last();
+  const Error diagnosed_all = ErrorOn(diagnosed, rollouts.all);
+  const Error refined_all =
+      refined ? ErrorOn(*refined, rollouts.all) : Error{kInfinite, kInfinite, kInfinite};
+  const Choice choice = Choose(identified, diagnosed, diagnosed_all, refined, refined_all);
+  // Models made before this rollout: they have not seen it.
+  json unseen = {{"nominal", ErrorJson(ErrorOn(nominal, last))}};
+  if (rollouts.all.size() > 1) {
+    unseen["identified"] = ErrorJson(ErrorOn(identified_before, last));
+    unseen["diagnosed"] = ErrorJson(ErrorOn(planned_with, last));
+  }
+  json fitted = {{"nominal", ErrorJson(ErrorOn(nominal, rollouts.all))},
+                 {"identified", ErrorJson(ErrorOn(identified, rollouts.all))},
+                 {"diagnosed", ErrorJson(diagnosed_all)}};
+  if (refined) fitted["diagnosed and identified"] = ErrorJson(refined_all);
+  json brought = Shortened(diagnosis);
+  brought["rollouts"] = rollouts.all.size();
+  brought["window_s"] = kWindow_s;
+  brought["unseen"] = unseen;
+  brought["all_rollouts"] = fitted;
+  brought["adopted"] = choice.name;
+  brought["adopted_error"] = ErrorJson(ErrorOn(*choice.model, rollouts.all));
+  if (rollouts.all.size() <= 2) brought.erase("fit");  // nothing was held out
+  result["diagnosis"] = brought;
+  result["identified_model"] = input.Find(kInputIdentified)->sha256;
+
+  const std::string model_json = sim::ModelToJson(choice.model->plant, choice.model->values,
+                                                  std::max(identified.version, planned_with.version) + 1);
+  const json metadata = {{"robot", payload.robot()},
+                         {"source", "identified"},
+                         {"values", ChangedValues(*choice.model)},
+                         {"recording", input.All(kInputRecording).back()->sha256},
+                         {"model", Sha256Hex(model_json)},
+                         {"note", "iteration " + std::to_string(payload.iteration()) + ", " + choice.name +
+                                      ": " + Named(diagnosis)}};
+  worker::TaskOutputs outputs;
+  outputs.artifacts.push_back(
+      {kOutputModel, kArtifactModel, model_json, json{{"robot", payload.robot()}}.dump()});
+  outputs.artifacts.push_back(
+      {kOutputParameters, kArtifactParameters, metadata.at("values").dump(), metadata.dump()});
+  outputs.artifacts.push_back(
+      {kOutputResult, kArtifactResult, result.dump(), json{{"robot", payload.robot()}}.dump()});
+  outputs.summary_json = json{
+      {"verdict", diagnosis.at("verdict")},
+      {"named", Named(diagnosis)},
+      {"adopted", choice.name},
+      {"all_rollouts", fitted},
+      {"unseen", unseen}}.dump();
+  return outputs;
+}
+
+}  // namespace rg::jobs

@@ -1,0 +1,67 @@
+#include "services/jobs/diagnose_task.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdlib>
+#include <nlohmann/json.hpp>
+
+#include "common/base/file.h"
+#include "common/recordings/csv.h"
+#include "realitygrad/v1/payloads.pb.h"
+#include "services/jobs/kinds.h"
+#include "services/rollouts/recording_bundle.h"
+
+namespace rg::jobs {
+namespace {
+
+using nlohmann::json;
+
+// What the agent leaves of a rollout of `rows` rows; below two the recording is not in the manifest.
+worker::InputArtifact Rollout(int rows) {
+  recordings::Recording r;
+  r.joints = {"shoulder", "elbow"};
+  r.t = Eigen::VectorXd::LinSpaced(rows, 0.0, 0.04 * (rows - 1));
+  r.q = Eigen::MatrixXd::Zero(2, rows), r.v = r.q, r.effort_command = r.q;
+  for (int k = 0; k < rows; ++k) r.q(0, k) = 0.1 * std::sin(k);
+  json manifest = {{"format", "realitygrad.recordings/1"}, {"robot", "robot.urdf"}, {"joints", r.joints}};
+  manifest["recordings"] = json::array();
+  if (rows >= 2) manifest["recordings"].push_back({{"file", "rec_000.csv"}, {"split", "fit"}});
+  rollouts::Bundle bundle;
+  bundle["manifest.json"] = manifest.dump();
+  bundle["robot.urdf"] =
+      ReadFile(std::string(std::getenv("RG_SOURCE_DIR")) + "/deploy/robots/arm2.urdf").value();
+  bundle["rec_000.csv"] = recordings::FormatCsv(r);
+  return {.name = kInputRecording, .sha256 = std::string(64, 'a'), .bytes = rollouts::PackBundle(bundle)};
+}
+
+worker::TaskInput Input(bool of_a_loop, std::vector<int> rows) {
+  realitygrad::v1::DiagnosePayload payload;
+  payload.set_rollouts(of_a_loop);
+  worker::TaskInput input;
+  input.kind = kKindDiagnose, input.task_name = "diagnosis";
+  payload.SerializeToString(&input.payload);
+  input.inputs.push_back({.name = kInputModel, .sha256 = std::string(64, 'b'), .bytes = "the model"});
+  for (const int count : rows) input.inputs.push_back(Rollout(count));
+  return input;
+}
+
+TEST(DiagnoseTask, ALoopGoesOnWithItsModelWhereRolloutsSayTooLittle) {
+  for (const std::vector<int>& rows : {std::vector<int>{0}, {5}, {0, 5}, {12}}) {
+    worker::RecordingTaskContext context("");
+    const auto done = RunDiagnose(Input(true, rows), context);
+    ASSERT_TRUE(done.ok()) << done.status().ToString();
+    EXPECT_EQ(json::parse(done->artifacts[0].bytes)["verdict"], "not_diagnosed");
+    EXPECT_EQ(done->artifacts[1].bytes, "the model");
+    EXPECT_FALSE(context.lines.empty()) << "it says why";
+  }
+}
+
+TEST(DiagnoseTask, WhoAskedForADiagnosisIsToldThatThereIsNone) {
+  worker::RecordingTaskContext context("");
+  EXPECT_NE(RunDiagnose(Input(false, {5}), context).status().message().find("fewer than 10 rows"),
+            std::string::npos);
+}
+
+}  // namespace
+}  // namespace rg::jobs
