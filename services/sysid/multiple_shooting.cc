@@ -30,8 +30,15 @@ struct Eliminated {
   VectorXd offset;  // H_xx⁻¹ g_x
 };
 
-struct Scratch {
+struct Jacobians {
   RowMatrix J_t, J_x;
+};
+
+// Of one thread.
+struct Scratch {
+  std::vector<ShootingModel::Evaluation> windows;
+  std::vector<Jacobians> jacobians;
+  std::vector<VectorXd> r;
 };
 
 // A residual or slope beyond this is a simulation that exploded: as good as not finite. The cost of a broken
@@ -54,7 +61,7 @@ double HuberCost(const VectorXd& r, double k) {
 }
 
 // Scales the rows of r and the Jacobians by sqrt(weight), weight = min(1, k/|r|).
-void ApplyHuberWeights(double k, VectorXd* r, Scratch* s) {
+void ApplyHuberWeights(double k, VectorXd* r, Jacobians* s) {
   for (int i = 0; i < r->size(); ++i) {
     const double a = std::abs((*r)[i]);
     if (a <= k) continue;
@@ -65,10 +72,28 @@ void ApplyHuberWeights(double k, VectorXd* r, Scratch* s) {
   }
 }
 
+// Windows that go to the model together: enough to fill its lanes, and groups for all threads.
+struct Groups {
+  Groups(const ShootingModel& model, int threads) : windows(model.num_windows()) {
+    const int most = model.side_by_side() > 1 ? 2 * model.side_by_side() : 1;
+    threads = std::max(1, threads);
+    const int wanted = (windows + most - 1) / most;
+    count = most == 1 ? windows : std::min(windows, (wanted + threads - 1) / threads * threads);
+  }
+  int first(int group) const {
+    return static_cast<int>(static_cast<int64_t>(windows) * group / std::max(1, count));
+  }
+  int windows, count;
+};
+
 class Engine {
  public:
   Engine(const ShootingProblem& problem, const ShootingOptions& options, const StopCondition& stop)
-      : problem_(problem), model_(*problem.model), options_(options), stop_(stop) {
+      : problem_(problem),
+        model_(*problem.model),
+        options_(options),
+        stop_(stop),
+        groups_(model_, options.threads) {
     windows_ = model_.num_windows();
     P_ = model_.num_parameters();
     terms_.resize(windows_);
@@ -78,12 +103,20 @@ class Engine {
   // Cost only; +infinity when stopped on the way.
   double Cost(const VectorXd& theta, const std::vector<VectorXd>& xi) {
     std::vector<double> costs(windows_, 0.0);
-    ParallelFor(options_.threads, windows_, [&](int worker, int w) {
+    ParallelFor(options_.threads, groups_.count, [&](int worker, int g) {
       if (stop_.ShouldStop()) return;
-      VectorXd r(model_.window_residuals(w));
-      const bool ok =
-          model_.Evaluate(worker, w, theta, xi[w], &r, nullptr, nullptr) && Within(r, kBrokenResidual);
-      costs[w] = 0.5 * (ok ? HuberCost(r, options_.huber) + xi[w].squaredNorm() : FailedCost(w));
+      Scratch& s = scratch_[worker];
+      Gather(g, xi, false, &s);
+      for (ShootingModel::Evaluation& e : s.windows) {
+        s.r[e.window - groups_.first(g)].resize(model_.window_residuals(e.window));
+        e.r = &s.r[e.window - groups_.first(g)];
+      }
+      model_.EvaluateMany(worker, theta, &s.windows);
+      for (const ShootingModel::Evaluation& e : s.windows) {
+        const bool ok = e.ok && Within(*e.r, kBrokenResidual);
+        costs[e.window] =
+            0.5 * (ok ? HuberCost(*e.r, options_.huber) + e.xi->squaredNorm() : FailedCost(e.window));
+      }
     });
     if (stop_.ShouldStop()) return std::numeric_limits<double>::infinity();
     double sum = PriorCost(theta);
@@ -93,8 +126,12 @@ class Engine {
 
   // Fills terms(); the cost as above.
   double Linearize(const VectorXd& theta, const std::vector<VectorXd>& xi) {
-    ParallelFor(options_.threads, windows_, [&](int worker, int w) {
-      if (!stop_.ShouldStop()) LinearizeWindow(worker, w, theta, xi[w]);
+    ParallelFor(options_.threads, groups_.count, [&](int worker, int g) {
+      if (stop_.ShouldStop()) return;
+      Scratch& s = scratch_[worker];
+      Gather(g, xi, true, &s);
+      model_.EvaluateMany(worker, theta, &s.windows);
+      for (size_t k = 0; k < s.windows.size(); ++k) FormTerms(s.windows[k], &s.jacobians[k]);
     });
     if (stop_.ShouldStop()) return std::numeric_limits<double>::infinity();
     double sum = PriorCost(theta);
@@ -121,17 +158,33 @@ class Engine {
     return HuberCost(VectorXd::Constant(model_.window_residuals(w), kBrokenResidual), options_.huber);
   }
 
-  void LinearizeWindow(int worker, int w, const VectorXd& theta, const VectorXd& xi) {
-    WindowTerms& t = terms_[w];
-    Scratch& s = scratch_[worker];
-    const int m = model_.window_residuals(w), nx = model_.window_unknowns(w);
-    t.r.resize(m);
-    s.J_t.resize(m, P_);
-    s.J_x.resize(m, nx);
-    t.finite = model_.Evaluate(worker, w, theta, xi, &t.r, &s.J_t, &s.J_x) && Within(t.r, kBrokenResidual) &&
-               Within(s.J_t, kBrokenSlope) && Within(s.J_x, kBrokenGrowth);
+  // The windows of a group; with Jacobians into s->jacobians and residuals into the terms.
+  void Gather(int group, const std::vector<VectorXd>& xi, bool linearize, Scratch* s) {
+    const int first = groups_.first(group), count = groups_.first(group + 1) - first;
+    s->windows.assign(count, {});
+    s->r.resize(count);
+    if (linearize) s->jacobians.resize(std::max<size_t>(s->jacobians.size(), count));
+    for (int k = 0; k < count; ++k) {
+      const int w = first + k;
+      s->windows[k] = {.window = w, .xi = &xi[w]};
+      if (!linearize) continue;
+      terms_[w].r.resize(model_.window_residuals(w));
+      s->jacobians[k].J_t.resize(model_.window_residuals(w), P_);
+      s->jacobians[k].J_x.resize(model_.window_residuals(w), model_.window_unknowns(w));
+      s->windows[k].r = &terms_[w].r;
+      s->windows[k].dr_dtheta = &s->jacobians[k].J_t;
+      s->windows[k].dr_dxi = &s->jacobians[k].J_x;
+    }
+  }
+
+  void FormTerms(const ShootingModel::Evaluation& e, Jacobians* jacobians) {
+    WindowTerms& t = terms_[e.window];
+    Jacobians& s = *jacobians;
+    const VectorXd& xi = *e.xi;
+    t.finite =
+        e.ok && Within(t.r, kBrokenResidual) && Within(s.J_t, kBrokenSlope) && Within(s.J_x, kBrokenGrowth);
     if (!t.finite) {
-      t.cost = 0.5 * FailedCost(w);
+      t.cost = 0.5 * FailedCost(e.window);
       return;
     }
     t.cost = 0.5 * (HuberCost(t.r, options_.huber) + xi.squaredNorm());
@@ -151,6 +204,7 @@ class Engine {
   ShootingModel& model_;
   const ShootingOptions& options_;
   const StopCondition& stop_;
+  Groups groups_;
   int windows_ = 0, P_ = 0;
   double broken_cost_ = 0.0;
   std::vector<WindowTerms> terms_;
@@ -224,6 +278,12 @@ double VarianceInflation(const std::vector<WindowTerms>& terms, const Reduced& r
 }
 
 }  // namespace
+
+void ShootingModel::EvaluateMany(int worker, const VectorXd& theta, std::vector<Evaluation>* windows) {
+  for (Evaluation& e : *windows) {
+    e.ok = Evaluate(worker, e.window, theta, *e.xi, e.r, e.dr_dtheta, e.dr_dxi);
+  }
+}
 
 ShootingSolution SolveShooting(const ShootingProblem& problem, const VectorXd& theta,
                                const std::vector<VectorXd>& xi, const ShootingOptions& options,

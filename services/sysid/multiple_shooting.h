@@ -7,7 +7,7 @@
 // whitened. ρ is Huber's: r² for |r| ≤ k, 2k|r| − k² beyond.
 //
 // Each window's ξ is eliminated by its own small Schur complement, so the cost grows linearly with the
-// number of windows and a step solves P × P. Windows run on several threads; sums are taken in the
+// number of windows and a step solves P × P. Windows run in groups on several threads; sums are taken in the
 // windows' order, so the result does not depend on the number of threads. Bounds hold exactly
 // (projected active set). A window whose simulation is not finite or exploded counts as a
 // fixed cost above any other and has no say in the step: it does not stop the others, and no step gains by
@@ -34,6 +34,19 @@ class ShootingModel {
   // on entry. False: not finite. Called from `threads` threads at once, each with its own `worker`.
   virtual bool Evaluate(int worker, int window, const Eigen::VectorXd& theta, const Eigen::VectorXd& xi,
                         Eigen::VectorXd* r, RowMatrix* dr_dtheta, RowMatrix* dr_dxi) = 0;
+
+  // One window of EvaluateMany: what Evaluate is given and returns.
+  struct Evaluation {
+    int window = 0;
+    const Eigen::VectorXd* xi = nullptr;
+    Eigen::VectorXd* r = nullptr;
+    RowMatrix *dr_dtheta = nullptr, *dr_dxi = nullptr;
+    bool ok = false;
+  };
+  // Windows that are cheaper together than one by one: as many as this, or more, are handed to EvaluateMany.
+  virtual int side_by_side() const { return 1; }
+  // The Jacobians of all or of none. A window's result must not depend on the others, not by a bit.
+  virtual void EvaluateMany(int worker, const Eigen::VectorXd& theta, std::vector<Evaluation>* windows);
 };
 
 struct ShootingOptions {

@@ -25,8 +25,10 @@ struct RecordingShooting::Worker {
       : simulator(plant, options), values(std::move(values)) {}
   sim::Simulator simulator;
   VectorXd values;
-  sim::Trajectory out;
   sim::SensitivityRequest request;
+  sim::Trajectory out;
+  std::vector<sim::SimulationWindow> runs;
+  std::vector<sim::Trajectory> outs;  // of the runs
 };
 
 namespace {
@@ -113,26 +115,57 @@ int RecordingShooting::window_residuals(int window) const {
   return static_cast<int>(windows_[window].q.size() + windows_[window].v.size());
 }
 
+sim::State RecordingShooting::StartOf(const Worker& w, const Window& window, const VectorXd& xi) const {
+  const VectorXd q0 = window.q0 + scales_.initial_position.cwiseProduct(xi.head(n_));
+  const VectorXd v0 = window.v0 + scales_.initial_velocity.cwiseProduct(xi.segment(n_, n_));
+  sim::State x0 = w.simulator.MakeState(q0, v0, window.start, window.fit->command);
+  if (nz_ > 0) x0.z += options_.internal_state_stddev * xi.tail(nz_);
+  return x0;
+}
+
+bool RecordingShooting::WriteWindow(const Window& window, const sim::Trajectory& out, const VectorXd& theta,
+                                    VectorXd* r, RowMatrix* dr_dtheta, RowMatrix* dr_dxi) const {
+  if (!out.outcome.ok()) return false;
+  WriteResiduals(window, out, r);
+  if (dr_dtheta != nullptr) {
+    WriteJacobians(window, out, dr_dtheta, dr_dxi);
+    space_.PullBack(theta, dr_dtheta);
+  }
+  return true;
+}
+
 bool RecordingShooting::Evaluate(int worker, int index, const VectorXd& theta, const VectorXd& xi,
                                  VectorXd* r, RowMatrix* dr_dtheta, RowMatrix* dr_dxi) {
   Worker& w = *workers_[worker];
   const Window& window = windows_[index];
   w.values = space_.Values(theta, std::move(w.values));
   w.simulator.SetParameters(w.values);
-  const VectorXd q0 = window.q0 + scales_.initial_position.cwiseProduct(xi.head(n_));
-  const VectorXd v0 = window.v0 + scales_.initial_velocity.cwiseProduct(xi.segment(n_, n_));
-  sim::State x0 = w.simulator.MakeState(q0, v0, window.start, window.fit->command);
-  if (nz_ > 0) x0.z += options_.internal_state_stddev * xi.tail(nz_);
-  const bool with_jacobian = dr_dtheta != nullptr;
-  w.simulator.SimulateInto(x0, window.fit->command, window.times,
-                           with_jacobian ? w.request : sim::SensitivityRequest{}, &w.out);
-  if (!w.out.outcome.ok()) return false;
-  WriteResiduals(window, w.out, r);
-  if (with_jacobian) {
-    WriteJacobians(window, w.out, dr_dtheta, dr_dxi);
-    space_.PullBack(theta, dr_dtheta);
+  w.simulator.SimulateInto(StartOf(w, window, xi), window.fit->command, window.times,
+                           dr_dtheta != nullptr ? w.request : sim::SensitivityRequest{}, &w.out);
+  return WriteWindow(window, w.out, theta, r, dr_dtheta, dr_dxi);
+}
+
+int RecordingShooting::side_by_side() const { return num_windows() > 1 ? workers_[0]->simulator.lanes() : 1; }
+
+void RecordingShooting::EvaluateMany(int worker, const VectorXd& theta,
+                                     std::vector<Evaluation>* evaluations) {
+  if (side_by_side() == 1 || evaluations->empty()) {
+    return ShootingModel::EvaluateMany(worker, theta, evaluations);
   }
-  return true;
+  Worker& w = *workers_[worker];
+  w.values = space_.Values(theta, std::move(w.values));
+  w.simulator.SetParameters(w.values);
+  w.runs.clear();
+  for (const Evaluation& e : *evaluations) {
+    const Window& window = windows_[e.window];
+    w.runs.push_back({StartOf(w, window, *e.xi), &window.fit->command, &window.times});
+  }
+  const bool with_jacobian = evaluations->front().dr_dtheta != nullptr;
+  w.simulator.SimulateWindows(w.runs, with_jacobian ? w.request : sim::SensitivityRequest{}, &w.outs);
+  for (size_t k = 0; k < evaluations->size(); ++k) {
+    Evaluation& e = (*evaluations)[k];
+    e.ok = WriteWindow(windows_[e.window], w.outs[k], theta, e.r, e.dr_dtheta, e.dr_dxi);
+  }
 }
 
 void RecordingShooting::WriteResiduals(const Window& window, const sim::Trajectory& out, VectorXd* r) const {

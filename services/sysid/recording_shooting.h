@@ -51,6 +51,9 @@ class RecordingShooting final : public ShootingModel {
   int window_residuals(int window) const override;
   bool Evaluate(int worker, int window, const Eigen::VectorXd& theta, const Eigen::VectorXd& xi,
                 Eigen::VectorXd* r, RowMatrix* dr_dtheta, RowMatrix* dr_dxi) override;
+  // In SIMD lanes where the plant allows them (sim/simulator.h) and there is more than one window.
+  int side_by_side() const override;
+  void EvaluateMany(int worker, const Eigen::VectorXd& theta, std::vector<Evaluation>* windows) override;
 
   // Spread of a solution's residuals per joint in SI units: median absolute value · 1.4826, robust;
   // velocity is empty where it is not used.
@@ -60,6 +63,11 @@ class RecordingShooting final : public ShootingModel {
  private:
   struct Window;
   struct Worker;
+  // Initial state of a window at ξ, under the worker's present parameters.
+  sim::State StartOf(const Worker& worker, const Window& window, const Eigen::VectorXd& xi) const;
+  // False: the simulation failed.
+  bool WriteWindow(const Window& window, const sim::Trajectory& out, const Eigen::VectorXd& theta,
+                   Eigen::VectorXd* r, RowMatrix* dr_dtheta, RowMatrix* dr_dxi) const;
   void WriteResiduals(const Window& window, const sim::Trajectory& out, Eigen::VectorXd* r) const;
   void WriteJacobians(const Window& window, const sim::Trajectory& out, RowMatrix* dr_dtheta,
                       RowMatrix* dr_dxi) const;

@@ -54,6 +54,59 @@ struct Arm {
   std::unique_ptr<FitSpace> space;
 };
 
+// Windows in SIMD lanes are those one by one, and the fit does not depend on how threads share them.
+TEST(RecordingShooting, EvaluatesManyWindowsAsEachAlone) {
+  Arm arm;
+  const auto rec =
+      testing::MakeRecording(arm.plant, arm.truth, 3, {.duration_s = 5.3, .position_noise = 1e-4});
+  const std::vector<FitRecording> fit{{&rec, DriveSignal(rec)}};
+  const int n = arm.plant.num_joints(), P = arm.space->size();
+  RecordingShooting shooting(arm.plant, arm.truth, *arm.space, fit, ScalesOf(Noise(n, 1e-4, 1e-3)),
+                             {.window_s = 0.5}, 1);
+  ASSERT_GT(shooting.num_windows(), 9);
+  EXPECT_GT(shooting.side_by_side(), 1);
+  const VectorXd theta = arm.space->nominal();
+  std::vector<VectorXd> xi, r;
+  std::vector<RowMatrix> dr_dtheta, dr_dxi;
+  std::vector<ShootingModel::Evaluation> many(shooting.num_windows());
+  for (int w = 0; w < shooting.num_windows(); ++w) {
+    xi.push_back(VectorXd::Constant(shooting.window_unknowns(w), 0.1 * w));
+    r.emplace_back(shooting.window_residuals(w));
+    dr_dtheta.emplace_back(shooting.window_residuals(w), P);
+    dr_dxi.emplace_back(shooting.window_residuals(w), shooting.window_unknowns(w));
+  }
+  for (int w = 0; w < shooting.num_windows(); ++w)
+    many[w] = {.window = w, .xi = &xi[w], .r = &r[w], .dr_dtheta = &dr_dtheta[w], .dr_dxi = &dr_dxi[w]};
+  shooting.EvaluateMany(0, theta, &many);
+  for (int w = 0; w < shooting.num_windows(); ++w) {
+    VectorXd one(r[w].size());
+    RowMatrix one_theta = dr_dtheta[w], one_xi = dr_dxi[w];
+    ASSERT_TRUE(shooting.Evaluate(0, w, theta, xi[w], &one, &one_theta, &one_xi));
+    EXPECT_TRUE(many[w].ok);
+    EXPECT_LT((r[w] - one).norm(), 1e-10 * (1 + one.norm())) << w;
+    EXPECT_LT((dr_dtheta[w] - one_theta).norm(), 1e-10 * (1 + one_theta.norm())) << w;
+    EXPECT_LT((dr_dxi[w] - one_xi).norm(), 1e-10 * (1 + one_xi.norm())) << w;
+  }
+}
+
+TEST(RecordingShooting, FitsTheSameBitsOnAnyNumberOfThreads) {
+  Arm arm;
+  const auto rec =
+      testing::MakeRecording(arm.plant, arm.truth, 3, {.duration_s = 4.0, .position_noise = 1e-4});
+  const std::vector<FitRecording> fit{{&rec, DriveSignal(rec)}};
+  std::vector<VectorXd> found;
+  for (const int threads : {1, 2, 5}) {
+    RecordingShooting shooting(arm.plant, arm.truth, *arm.space, fit,
+                               ScalesOf(Noise(arm.plant.num_joints(), 1e-4, 1e-3)), {.window_s = 0.4},
+                               threads);
+    found.push_back(SolveShooting(ShootingProblemFor(&shooting, *arm.space), arm.space->nominal(), {},
+                                  {.max_iterations = 4, .threads = threads}, StopCondition())
+                        .theta);
+  }
+  EXPECT_EQ(found[0], found[1]);
+  EXPECT_EQ(found[0], found[2]);
+}
+
 TEST(InitialRegression, FindsMassesAndFrictionFromPositionsAlone) {
   Arm arm;
   const auto rec = testing::MakeRecording(
