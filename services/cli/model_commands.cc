@@ -15,6 +15,7 @@
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
 #include "services/cli/progress_display.h"
+#include "services/report/sysid_page.h"
 #include "services/sysid/prediction.h"
 #include "services/sysid/sysid_on_set.h"
 
@@ -31,6 +32,7 @@ void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
 
 struct SysidArguments {
   std::string set, out, model;
+  std::string parametrisation = "log-cholesky", window_choice = "information";
   sysid::SysidOptions options;
 };
 
@@ -52,13 +54,14 @@ Status Sysid(Context& context, SysidArguments& arguments) {
     RG_RETURN_IF_ERROR(sim::SaveModelFile(arguments.out + "/model.json", *report.plant, report.values));
     RG_RETURN_IF_ERROR(
         WriteFileAtomically(arguments.out + "/sysid.json", sysid::SysidToJson(report).dump(2)));
+    RG_RETURN_IF_ERROR(WriteFileAtomically(arguments.out + "/report.html", report::SysidPage(report)));
   }
   if (context.json()) {
     PrintJson("realitygrad.sysid/1", sysid::SysidToJson(report));
   } else if (!context.quiet()) {
     Print(sysid::FormatSysid(report));
     if (!arguments.out.empty()) {
-      Print("next: realitygrad predict --model " + arguments.out +
+      Print("next: open " + arguments.out + "/report.html; realitygrad predict --model " + arguments.out +
             "/model.json --recording REC.csv --out PRED.csv");
     } else {
       Print("next: the same with --out DIR keeps the model for `realitygrad predict`");
@@ -172,18 +175,42 @@ void AddModelCommands(CLI::App& app, Context& context) {
       app.add_subcommand("sysid", "Identify a robot from a recording set, judged on held-out recordings");
   auto& o = sysid_arguments->options;
   sysid_command->add_option("SET", sysid_arguments->set, "Folder of a recording set")->required();
-  sysid_command->add_option("--out", sysid_arguments->out, "Folder for model.json and sysid.json");
+  sysid_command->add_option("--out", sysid_arguments->out,
+                            "Folder for model.json, sysid.json and report.html");
   sysid_command->add_option("--model", sysid_arguments->model,
                             "model.json to start from, of a diagnosis for example; default: the set's URDF");
   sysid_command->add_option("--window", o.window_s, "Length of the judged predictions [s]")
       ->capture_default_str();
+  sysid_command
+      ->add_option("--parametrisation,--parametrization", sysid_arguments->parametrisation,
+                   "Of a link's ten inertial parameters: log-cholesky (only bodies that can exist) or raw")
+      ->check(CLI::IsMember({"log-cholesky", "raw"}))
+      ->capture_default_str();
+  sysid_command->add_option("--fit-window", o.fit_window_s, "Length of the fitted windows [s]")
+      ->capture_default_str();
+  sysid_command
+      ->add_option("--fit-windows", o.fit_windows, "Fit only so many windows, see --window-choice; 0: all")
+      ->check(CLI::Range(0, 100000))
+      ->capture_default_str();
+  sysid_command
+      ->add_option("--window-choice", sysid_arguments->window_choice,
+                   "With --fit-windows: the ones that tell most by the model (information), random, or first")
+      ->check(CLI::IsMember({"information", "random", "first"}))
+      ->capture_default_str();
+  sysid_command->add_option("--seed", o.window_seed, "Of --window-choice random")->capture_default_str();
   sysid_command->add_option("--step", o.step_s, "Of the simulator [s]")->capture_default_str();
   sysid_command->add_option("--threads", o.threads, "0: all cores")->capture_default_str();
   sysid_command->add_flag_callback(
       "--no-friction", [&o] { o.fit_joints = false; }, "Inertial parameters only");
   sysid_command->add_flag_callback(
       "--no-inertial", [&o] { o.fit_inertial = false; }, "Joint friction and rotor inertia only");
-  sysid_command->callback([&context, sysid_arguments] { context.Failed(Sysid(context, *sysid_arguments)); });
+  sysid_command->callback([&context, sysid_arguments] {
+    // Both were checked against their names when they were read.
+    sysid_arguments->options.consistent_inertias =
+        *sysid::ParseParametrisation(sysid_arguments->parametrisation);
+    sysid_arguments->options.window_choice = *sysid::ParseWindowChoice(sysid_arguments->window_choice);
+    context.Failed(Sysid(context, *sysid_arguments));
+  });
 
   auto predict_arguments = std::make_shared<PredictArguments>();
   CLI::App* predict =

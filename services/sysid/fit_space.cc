@@ -121,6 +121,14 @@ bool IsWholeLink(const std::vector<FitParameter>& parameters, size_t first) {
 
 }  // namespace
 
+std::string_view ParametrisationName(bool consistent) { return consistent ? "log-cholesky" : "raw"; }
+
+Result<bool> ParseParametrisation(std::string_view name) {
+  if (name == "log-cholesky") return true;
+  if (name == "raw") return false;
+  return InvalidError("parametrisation '" + std::string(name) + "' is neither raw nor log-cholesky");
+}
+
 FitSpace::FitSpace(std::vector<FitParameter> parameters, bool consistent)
     : parameters_(std::move(parameters)) {
   const int P = size();

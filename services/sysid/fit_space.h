@@ -16,7 +16,10 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <string_view>
 #include <vector>
+
+#include "common/base/status.h"
 
 #include "services/sysid/fit_parameters.h"
 #include "services/sysid/least_squares.h"
@@ -24,6 +27,10 @@
 namespace rg::sysid {
 
 inline constexpr double kMinSpread = 1e-3;  // m, standard deviation of a link's mass along any axis
+
+// "log-cholesky" or "raw", and whether a name asks for the first.
+std::string_view ParametrisationName(bool consistent);
+Result<bool> ParseParametrisation(std::string_view name);
 
 class FitSpace {
  public:

@@ -16,11 +16,6 @@ using Eigen::MatrixXd;
 using Eigen::VectorXd;
 using nlohmann::json;
 
-Verdict VerdictOf(double shrink) {
-  if (shrink <= kDeterminedShrink) return Verdict::kDetermined;
-  return shrink >= kUnseenShrink ? Verdict::kUnseen : Verdict::kWeak;
-}
-
 bool AtBound(double value, double lower, double upper, double prior) {
   const double tolerance = 1e-6 * std::max({prior, std::abs(value), 1e-300});
   return value <= lower + tolerance || value >= upper - tolerance;
@@ -43,7 +38,7 @@ void FillDirections(const MatrixXd& scaled_information, IdentifiabilityReport* r
   for (int k = P - 1; k >= 0; --k) {
     Direction d;
     d.shrink = 1.0 / std::sqrt(1.0 + std::max(0.0, eigen.eigenvalues()[k]));
-    d.verdict = VerdictOf(d.shrink);
+    d.verdict = VerdictOfShrink(d.shrink);
     d.loadings = LargestLoadings(eigen.eigenvectors().col(k));
     (d.verdict == Verdict::kDetermined ? report->determined
      : d.verdict == Verdict::kWeak     ? report->weak
@@ -71,7 +66,7 @@ ParameterVerdict VerdictFor(const IdentifiabilityInput& in, int i, double varian
   const bool fixed = in.lower[i] == in.upper[i];
   v.verdict = !fixed && AtBound(in.value[i], in.lower[i], in.upper[i], in.prior_stddev[i])
                   ? Verdict::kAtBound
-                  : VerdictOf(v.shrink);
+                  : VerdictOfShrink(v.shrink);
   return v;
 }
 
@@ -87,7 +82,58 @@ std::string DirectionLine(const IdentifiabilityReport& report, const Direction& 
   return line + "\n";
 }
 
+std::string BaseLine(const BaseParameter& b) {
+  return Printf("  %12.5g +- %-10.3g %-8s %-10s  ", b.value, b.stddev, b.unit.c_str(),
+                std::string(VerdictName(VerdictOfShrink(b.shrink))).c_str()) +
+         b.expression + "\n";
+}
+
+// Names in lines of about 100 characters.
+std::string Listed(const std::vector<std::string>& names) {
+  std::string out, line = "  ";
+  for (size_t i = 0; i < names.size(); ++i) {
+    const std::string word = names[i] + (i + 1 < names.size() ? ", " : "");
+    if (line.size() + word.size() > 100) {
+      out += line + "\n";
+      line = "  ";
+    }
+    line += word;
+  }
+  return out + line + "\n";
+}
+
+// Some base parameter is no parameter of the table above.
+bool HasSums(const IdentifiabilityReport& report) {
+  return std::any_of(report.base.parameters.begin(), report.base.parameters.end(),
+                     [&](const BaseParameter& b) {
+                       return std::none_of(report.parameters.begin(), report.parameters.end(),
+                                           [&](const ParameterVerdict& p) { return p.name == b.expression; });
+                     });
+}
+
+json BaseToJson(const BaseParameters& base) {
+  json out = json::array();
+  for (const BaseParameter& b : base.parameters) {
+    json terms = json::object();
+    for (const auto& [name, factor] : b.terms) terms[name] = factor;
+    out.push_back({{"expression", b.expression},
+                   {"unit", b.unit},
+                   {"value", b.value},
+                   {"stddev", b.stddev},
+                   {"nominal", b.nominal},
+                   {"prior_stddev", b.prior_stddev},
+                   {"verdict", VerdictName(VerdictOfShrink(b.shrink))},
+                   {"terms", terms}});
+  }
+  return out;
+}
+
 }  // namespace
+
+Verdict VerdictOfShrink(double shrink) {
+  if (shrink <= kDeterminedShrink) return Verdict::kDetermined;
+  return shrink >= kUnseenShrink ? Verdict::kUnseen : Verdict::kWeak;
+}
 
 std::string_view VerdictName(Verdict verdict) {
   switch (verdict) {
@@ -118,6 +164,8 @@ IdentifiabilityReport Identify(const IdentifiabilityInput& in) {
   report.covariance = D * posterior * D;
   for (int i = 0; i < P; ++i) report.parameters.push_back(VerdictFor(in, i, report.covariance(i, i)));
   FillCorrelations(&report);
+  report.base = FindBaseParameters({&in.names, &in.units, in.value, in.nominal, in.prior_stddev,
+                                    in.information / in.residual_variance, report.covariance});
   return report;
 }
 
@@ -151,6 +199,14 @@ std::string FormatIdentifiability(const IdentifiabilityReport& report) {
   }
   out += Printf("combinations: %d determined by the data, %d weakly, %d by the prior alone\n",
                 report.determined, report.weak, report.unseen);
+  if (HasSums(report)) {
+    out += "what the data determine (moment: mass times com, I: about the origin of the link's frame):\n";
+    for (const BaseParameter& b : report.base.parameters) out += BaseLine(b);
+  }
+  if (!report.base.prior_only.empty()) {
+    out += "what only the prior determines:\n" + Listed(report.base.prior_only);
+  }
+  if (report.weak > 0) out += "weak combinations, in units of the prior:\n";
   for (const Direction& d : report.directions) {
     if (d.verdict == Verdict::kWeak) out += DirectionLine(report, d);
   }
@@ -185,8 +241,14 @@ json IdentifiabilityToJson(const IdentifiabilityReport& report) {
     correlations.push_back(
         {{"a", report.parameters[c.a].name}, {"b", report.parameters[c.b].name}, {"value", c.value}});
   }
-  return {{"parameters", parameters},   {"directions", directions},    {"determined", report.determined},
-          {"weak", report.weak},        {"prior_only", report.unseen}, {"correlations", correlations},
+  return {{"base_parameters", BaseToJson(report.base)},
+          {"prior_only_parameters", report.base.prior_only},
+          {"parameters", parameters},
+          {"directions", directions},
+          {"determined", report.determined},
+          {"weak", report.weak},
+          {"prior_only", report.unseen},
+          {"correlations", correlations},
           {"warnings", report.warnings}};
 }
 

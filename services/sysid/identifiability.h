@@ -17,6 +17,8 @@
 #include <string_view>
 #include <vector>
 
+#include "services/sysid/base_parameters.h"
+
 namespace rg::sysid {
 
 inline constexpr double kDeterminedShrink = 0.2;
@@ -24,6 +26,7 @@ inline constexpr double kUnseenShrink = 0.95;
 inline constexpr double kStrongCorrelation = 0.95;
 
 enum class Verdict { kDetermined, kWeak, kUnseen, kAtBound };
+Verdict VerdictOfShrink(double shrink);         // of a direction, see above
 std::string_view VerdictName(Verdict verdict);  // "determined", "weak", "prior_only", "at_bound"
 
 // All vectors P.
@@ -69,6 +72,7 @@ struct IdentifiabilityReport {
   std::vector<ParameterVerdict> parameters;
   std::vector<Direction> directions;         // strongest first, all P
   int determined = 0, weak = 0, unseen = 0;  // directions of each kind
+  BaseParameters base;                       // the same as sums that a person can read
   std::vector<Correlation> correlations;     // |ρ| > kStrongCorrelation, strongest first
   Eigen::MatrixXd covariance;                // P × P, posterior
   std::vector<std::string> warnings;
@@ -83,7 +87,8 @@ Eigen::MatrixXd InformationOf(const Eigen::Ref<const Eigen::MatrixXd>& jacobian)
 // than the sum of the other two (beyond 1e-9 of the largest). Links of zero mass and inertia are fine.
 std::vector<std::string> ImpossibleInertias(const std::vector<LinkInertia>& links);
 
-// A table for a person: one line per parameter, then combinations, correlations and warnings.
+// A table for a person: one line per parameter, then base parameters, what only the prior says, weak
+// combinations, correlations and warnings.
 std::string FormatIdentifiability(const IdentifiabilityReport& report);
 nlohmann::json IdentifiabilityToJson(const IdentifiabilityReport& report);
 

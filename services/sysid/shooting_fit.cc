@@ -15,7 +15,8 @@ using Eigen::VectorXd;
 
 constexpr double kMinPosition = 1e-6, kMinVelocity = 1e-5;
 constexpr double kMaxInflation = 400.0;
-constexpr double kMaxBroken = 0.2;  // share of windows
+constexpr double kMaxBroken = 0.2;    // share of windows
+constexpr double kMuchSmaller = 0.7;  // of a joint's scale
 constexpr double kStepNoise = 0.2, kStepShare = 0.02;
 constexpr int kStepWindows = 40;
 
@@ -116,6 +117,10 @@ bool StepIsFine(RecordingShooting* coarse, RecordingShooting* fine, const Vector
   return difference <= std::max(kStepNoise * kStepNoise * count, kStepShare * kStepShare * residual);
 }
 
+bool MuchSmaller(const ShootingScales& scales, const ShootingScales& before) {
+  return (scales.position.array().log() - before.position.array().log()).minCoeff() < std::log(kMuchSmaller);
+}
+
 }  // namespace
 
 recordings::SensorNoise FlooredNoise(recordings::SensorNoise noise) {
@@ -136,10 +141,27 @@ ShootingFit FitByShooting(const sim::Plant& plant, const VectorXd& values, const
   if (!fitter.Round(options.first_window_s, options.first_max_windows, 1.0, &fit)) return fit;
   if (after_round) after_round(fit);
   const double inflation = std::clamp(fit.solution.variance_inflation, 1.0, kMaxInflation);
-  if (fitter.Round(options.window_s, std::numeric_limits<int>::max(), inflation, &fit) && after_round) {
-    after_round(fit);
+  for (int round = 0; round <= options.refinements; ++round) {
+    const ShootingScales before = fit.scales;
+    if (!fitter.Round(options.window_s, std::numeric_limits<int>::max(), round == 0 ? inflation : 1.0, &fit))
+      break;
+    if (after_round) after_round(fit);
+    if (round > 0 && !MuchSmaller(fit.scales, before)) break;
   }
   return fit;
+}
+
+void AddInformation(const sim::Plant& plant, const FitSpace& space,
+                    const std::vector<FitRecording>& recordings, const recordings::SensorNoise& noise,
+                    const ShootingFitOptions& options, const StopCondition& stop, ShootingFit* fit) {
+  ShootingFitOptions look = options;
+  look.max_iterations = 0;
+  const VectorXd theta = fit->theta, values = fit->values;
+  const ProgressFn silent;
+  Fitter(plant, space, recordings, FlooredNoise(noise), look, stop, silent)
+      .Round(options.window_s, std::numeric_limits<int>::max(), 1.0, fit);
+  fit->theta = theta;
+  fit->values = values;
 }
 
 IdentifiabilityReport IdentifiabilityOf(const FitSpace& space, const ShootingFit& fit) {

@@ -23,6 +23,9 @@ struct ShootingFitOptions {
   double first_window_s = 0.25;
   double window_s = 1.0;
   int first_max_windows = 120;  // of the short ones, thinned evenly
+  // Further rounds of long windows, as long as each round's residuals show that its scale was much too wide:
+  // from a poor start with few data the first scales leave the priors too much say.
+  int refinements = 0;
   double residual_rate_hz = 25.0;
   bool use_velocity = true;
   double internal_state_stddev = 0.0;
@@ -49,6 +52,12 @@ ShootingFit FitByShooting(const sim::Plant& plant, const Eigen::VectorXd& values
                           const StopCondition& stop,
                           const std::function<void(const ShootingFit&)>& after_round = {},
                           const ProgressFn& progress = {});
+
+// Without fitting: what windows of options.window_s determine at `fit`, for a start that no round was better
+// than. The fit's residuals set the scales as they do in a round.
+void AddInformation(const sim::Plant& plant, const FitSpace& space,
+                    const std::vector<FitRecording>& recordings, const recordings::SensorNoise& noise,
+                    const ShootingFitOptions& options, const StopCondition& stop, ShootingFit* fit);
 
 // Noise no smaller than what a double of a sensor can mean; scales must not be zero.
 recordings::SensorNoise FlooredNoise(recordings::SensorNoise noise);

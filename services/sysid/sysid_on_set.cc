@@ -31,8 +31,10 @@ constexpr double kSimpler = 1.01;      // a start, which has no covariance, must
 constexpr double kSignificance = 2.0;  // standard errors by which a richer model must be better
 constexpr double kResampleShare = 0.975;
 constexpr int kResamples = 1000;
-constexpr uint64_t kResampleSeed = 1;  // fixed: the same data give the same choice
-constexpr double kMuchWorse = 2.0;     // torque residual against the best model's
+constexpr uint64_t kResampleSeed = 1;      // fixed: the same data give the same choice
+constexpr int kRefinements = 4;            // where little is fitted
+constexpr double kInformationStep = 2e-3;  // s, of simulations that say what a window would tell
+constexpr double kMuchWorse = 2.0;         // torque residual against the best model's
 
 struct Candidate {
   std::string name;
@@ -115,6 +117,38 @@ class Identification {
     judged_on_fit_ = judged_.empty();
     if (judged_on_fit_) judged_ = set_.Fit();
     noise_ = FlooredNoise(recordings::EstimateSensorNoise(set_));
+    return options_.fit_windows > 0 ? ChooseWindows() : Status::Ok();
+  }
+
+  // Leaves of the fit recordings what is to be fitted.
+  Status ChooseWindows() {
+    const std::vector<FitWindow> candidates = CandidateWindows(fit_, options_.fit_window_s);
+    switch (options_.window_choice) {
+      case WindowChoice::kFirst:
+        windows_ = TakeFirst(candidates, options_.fit_windows);
+        break;
+      case WindowChoice::kRandom:
+        windows_ = TakeAtRandom(candidates, options_.window_seed, options_.fit_windows);
+        break;
+      case WindowChoice::kInformation: {
+        RG_ASSIGN_OR_RETURN(windows_, MostInformative(candidates));
+        break;
+      }
+    }
+    if (windows_.empty()) {
+      char text[96];
+      std::snprintf(text, sizeof text, "no fit recording holds a window of %g s", options_.fit_window_s);
+      return InvalidError(text);
+    }
+    std::vector<FitRecording> whole = std::move(fit_);
+    fit_.clear();
+    slices_.reserve(windows_.size());
+    for (const FitWindow& w : windows_) {
+      const recordings::Recording& rec = *whole[w.recording].recording;
+      window_recordings_.push_back(rec.name);
+      slices_.push_back(recordings::Slice(rec, w.first, w.last - w.first + 1));
+      fit_.push_back({&slices_.back(), whole[w.recording].command});
+    }
     return Status::Ok();
   }
 
@@ -124,6 +158,18 @@ class Identification {
     for (const std::string& joint : model.joint_names()) have += " " + joint;
     for (const std::string& joint : set.joint_names()) want += " " + joint;
     return InvalidError("the model has the joints" + have + ", the recordings" + want);
+  }
+
+  // By what they would tell the richest candidate of its parameters.
+  Result<std::vector<FitWindow>> MostInformative(const std::vector<FitWindow>& candidates) const {
+    const Candidate richest = Candidates(options_).back();
+    RG_ASSIGN_OR_RETURN(const sim::Plant plant, PlantOf(richest));
+    const FitSpace space(ParametersOf(plant, richest), options_.consistent_inertias);
+    WindowInformationOptions information;
+    information.threads = threads_;
+    information.simulator.step_s = options_.step_s > 0.0 ? options_.step_s : kInformationStep;
+    return ChooseByInformation(plant, plant.ValuesFrom(nominal_->parameters(), given_), space, fit_,
+                               candidates, noise_, options_.fit_windows, information);
   }
 
   // The candidate's plant, and where its fit starts.
@@ -251,7 +297,7 @@ class Identification {
     f->fit.values = f->space.Values(f->fit.theta, f->fit.values);
   }
 
-  void Shoot(Fitted* best) const {
+  ShootingFitOptions Shooting() const {
     ShootingFitOptions shooting;
     shooting.first_window_s = 0.25 * options_.fit_window_s;
     shooting.window_s = options_.fit_window_s;
@@ -261,10 +307,15 @@ class Identification {
     shooting.relative_tolerance = options_.relative_tolerance;
     shooting.threads = threads_;
     shooting.simulator = simulator_;
+    if (!windows_.empty()) shooting.refinements = kRefinements;
+    return shooting;
+  }
+
+  void Shoot(Fitted* best) const {
     const Fitted start = *best;
     double rounds = 0.0;  // of two
     FitByShooting(
-        start.plant, start.fit.values, start.space, start.fit.theta, fit_, noise_, shooting, stop_,
+        start.plant, start.fit.values, start.space, start.fit.theta, fit_, noise_, Shooting(), stop_,
         [&](const ShootingFit& fit) {
           Fitted trial = start;
           trial.fit = fit;
@@ -285,18 +336,21 @@ class Identification {
     }
   }
 
+  Prediction Predict(const Fitted& f, const recordings::Recording& rec) const {
+    PredictionOptions prediction;
+    prediction.window_s = options_.window_s;
+    prediction.simulator = simulator_;
+    prediction.noise = noise_;
+    prediction.effort_excludes_gravity = set_.effort_excludes_gravity;
+    return PredictRecording(f.plant, f.fit.values, rec, prediction);
+  }
+
   // RMS over all recordings together; `each` (or null) gets one entry per recording.
   double Score(const Fitted& f, const std::vector<const recordings::Recording*>& recs,
                std::vector<PredictionError>* each) const {
     std::vector<PredictionError> errors(recs.size());
-    ParallelFor(threads_, static_cast<int>(recs.size()), [&](int, int i) {
-      PredictionOptions prediction;
-      prediction.window_s = options_.window_s;
-      prediction.simulator = simulator_;
-      prediction.noise = noise_;
-      prediction.effort_excludes_gravity = set_.effort_excludes_gravity;
-      errors[i] = ErrorOf(PredictRecording(f.plant, f.fit.values, *recs[i], prediction), *recs[i]);
-    });
+    ParallelFor(threads_, static_cast<int>(recs.size()),
+                [&](int, int i) { errors[i] = ErrorOf(Predict(f, *recs[i]), *recs[i]); });
     double squares = 0.0, rows = 0.0;
     for (size_t i = 0; i < recs.size(); ++i) {
       squares += errors[i].rms * errors[i].rms * recs[i]->rows();
@@ -391,9 +445,24 @@ class Identification {
       report.holdout.push_back({judged_[i]->name, before.rms, after.rms, before.median_window,
                                 after.median_window, before.joint_rms, after.joint_rms});
     }
+    for (size_t i = 0; i < std::min(kTraces, judged_.size()); ++i) {
+      const recordings::Recording& rec = *judged_[i];
+      report.traces.push_back({rec.name, rec.t, rec.q, Predict(nominal, rec).q, Predict(best, rec).q});
+    }
+    report.window_choice = options_.window_choice;
+    report.windows = windows_;
+    report.window_recordings = window_recordings_;
+    report.consistent_inertias = options_.consistent_inertias;
     report.plant = best.plant;
     report.values = best.fit.values;
-    report.identifiability = IdentifiabilityOf(best.space, best.fit);
+    // A model without parameters says nothing of what the recordings could tell: the richest one does.
+    Fitted told = best.space.size() > 0 ? best : fitted.back();
+    if (told.fit.solution.information.size() == 0) {
+      told.fit.scales = ScalesOf(noise_);
+      AddInformation(told.plant, told.space, fit_, noise_, Shooting(), StopCondition(), &told.fit);
+    }
+    report.identifiability = IdentifiabilityOf(told.space, told.fit);
+    report.identifiability_of = told.score.name;
     FillWarnings(best, &report);
     return report;
   }
@@ -409,8 +478,14 @@ class Identification {
         fitted_links.push_back({f.plant.model().link(i).name, link[0], model::InertiaMatrix(link)});
       }
     }
-    for (std::string& w : ImpossibleInertias(fitted_links)) report->warnings.push_back(std::move(w));
+    char residual[120];
+    std::snprintf(
+        residual, sizeof residual,
+        "; the error of %.3g is no proof: the data leave this free, the consistent parametrisation does not",
+        report->after_rms);
+    for (const std::string& w : ImpossibleInertias(fitted_links)) report->warnings.push_back(w + residual);
     for (const ParameterVerdict& p : report->identifiability.parameters) {
+      if (report->identifiability_of != report->chosen) break;
       if (p.verdict == Verdict::kAtBound && p.value != 0.0) {
         report->warnings.push_back(p.name + " sits on its bound, " + std::to_string(p.value) + " " + p.unit);
       }
@@ -422,7 +497,6 @@ class Identification {
     if (set_.holdout_was_chosen) report->warnings.push_back("the set has no holdout split: one was chosen");
     if (judged_on_fit_)
       report->warnings.push_back("the set has one recording: errors are of the fitted data");
-    report->identifiability.warnings = report->warnings;
   }
 
   // `share` of the current candidate is done.
@@ -440,6 +514,9 @@ class Identification {
   std::optional<sim::Plant> nominal_;
   VectorXd given_;  // values of nominal_'s table
   std::vector<FitRecording> fit_;
+  std::vector<FitWindow> windows_;  // where only some are fitted: these, as
+  std::vector<recordings::Recording> slices_;
+  std::vector<std::string> window_recordings_;
   std::vector<const recordings::Recording*> judged_;
   bool judged_on_fit_ = false;
   struct {
@@ -476,6 +553,7 @@ Status CheckTimes(double window_s, double step_s) {
 Result<SysidReport> SysidOnSet(const recordings::RecordingSet& set, const SysidOptions& options,
                                const Clock& clock, const ProgressFn& progress, const CancelToken* cancel) {
   RG_RETURN_IF_ERROR(CheckTimes(options.window_s, options.step_s));
+  RG_RETURN_IF_ERROR(CheckTimes(options.fit_window_s, options.step_s).WithPrefix("fit"));
   return Identification(set, options, clock, progress, cancel).Run();
 }
 

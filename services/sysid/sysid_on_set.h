@@ -1,7 +1,8 @@
 // `realitygrad sysid SET`: inertial parameters, damping, friction and rotor inertia of a robot that was
 // never seen, from a folder of recordings, judged on recordings it was not fitted to.
 //
-//   1. noise of the sensors, from the manifest or estimated
+//   1. noise of the sensors, from the manifest or estimated; on request only a few windows of the fit
+//      recordings, chosen by what the model says they would tell (window_choice.h)
 //   2. start: linear regression of the inverse dynamics (initial_regression.h), so that no friction
 //      starts on its bound
 //   3. multiple shooting over the fit recordings, short windows first, then long ones; the residuals'
@@ -26,12 +27,16 @@
 #include "common/sim/plant.h"
 #include "services/sysid/identifiability.h"
 #include "services/sysid/stop_condition.h"
+#include "services/sysid/window_choice.h"
 
 namespace rg::sysid {
 
 struct SysidOptions {
-  double window_s = 1.0;           // of the judgement
-  double fit_window_s = 1.0;       // of the last round of shooting
+  double window_s = 1.0;      // of the judgement
+  double fit_window_s = 1.0;  // of the last round of shooting, and of the windows chosen
+  int fit_windows = 0;        // so many windows are fitted, chosen by `window_choice`; 0: all there is
+  WindowChoice window_choice = WindowChoice::kInformation;
+  uint64_t window_seed = 1;        // of WindowChoice::kRandom
   double residual_rate_hz = 25.0;  // rows used as residuals are thinned to about this rate
   double step_s = 0.0;             // of the simulator; 0: the longest that makes no difference
   double huber = 3.0;
@@ -46,8 +51,17 @@ struct SysidOptions {
   std::optional<sim::ModelFile> model;
 };
 
+// A held-out recording as measured and as both models tell it, in windows restarted from measured states.
+struct HoldoutTrace {
+  std::string recording;
+  Eigen::VectorXd t;                        // K
+  Eigen::MatrixXd measured, before, after;  // n × K
+};
+
 // Windows of (0, 3600] s; a simulator's step of 0 (chosen) or [1e-6, 0.1] s.
 Status CheckTimes(double window_s, double step_s);
+
+inline constexpr size_t kTraces = 3;
 
 struct HoldoutScore {
   std::string recording;
@@ -73,9 +87,16 @@ struct SysidReport {
   double fit_before_rms = 0.0, fit_after_rms = 0.0;
   bool judged_on_fit = false;  // the set has no holdout: the figures are of the fitted recordings
   std::vector<HoldoutScore> holdout;
+  std::vector<HoldoutTrace> traces;  // of the first kTraces of them
+  WindowChoice window_choice = WindowChoice::kInformation;
+  std::vector<FitWindow> windows;              // that were chosen; empty: the whole recordings were fitted
+  std::vector<std::string> window_recordings;  // their recordings' names
+  bool consistent_inertias = true;
   std::vector<CandidateScore> candidates;
   std::string chosen;
   IdentifiabilityReport identifiability;
+  std::string
+      identifiability_of;  // the model that it speaks of: the chosen one, unless that has no parameters
   std::vector<std::string> warnings;
   double seconds = 0.0;
   bool stopped_early = false;

@@ -49,11 +49,26 @@ json HoldoutToJson(const SysidReport& report) {
           {"recordings", recordings}};
 }
 
+json WindowsToJson(const SysidReport& report) {
+  json out = json::array();
+  for (size_t i = 0; i < report.windows.size(); ++i) {
+    const FitWindow& w = report.windows[i];
+    out.push_back({{"recording", report.window_recordings[i]},
+                   {"start_s", w.start_s},
+                   {"length_s", w.length_s},
+                   {"gain_nats", w.gain_nats}});
+  }
+  return out;
+}
+
 }  // namespace
 
 std::string FormatSysid(const SysidReport& report) {
   std::string out =
       report.robot + ", " + std::to_string(report.joints.size()) + " joints: " + report.chosen + "\n\n";
+  if (report.identifiability_of != report.chosen) {
+    out += "what the recordings would determine of " + report.identifiability_of + ":\n";
+  }
   out += FormatIdentifiability(report.identifiability) + "\n";
   out += Printf("%-36s %10s %12s %12s %8s\n", "model", "parameters", "fit rms", "held-out rms", "seconds");
   for (const CandidateScore& c : report.candidates) {
@@ -70,6 +85,12 @@ std::string FormatSysid(const SysidReport& report) {
   out += Printf("%-36s %12.5g %12.5g %14.5g %14.5g  ", "all", report.before_rms, report.after_rms,
                 report.before_median, report.after_median) +
          Ratio(report.before_rms, report.after_rms) + "\n";
+  for (size_t i = 0; i < report.windows.size(); ++i) {
+    const FitWindow& w = report.windows[i];
+    out += Printf("fitted: %.4g s from %.4g s of ", w.length_s, w.start_s) + report.window_recordings[i] +
+           " (" + std::string(WindowChoiceName(report.window_choice)) +
+           (w.gain_nats > 0.0 ? Printf(", %.3g nats", w.gain_nats) : "") + ")\n";
+  }
   for (const std::string& warning : report.warnings) out += "warning: " + warning + "\n";
   out += Printf("windows of %.3g s, restarted from the measured state; steps of %.3g ms; %.1f s of work%s\n",
                 report.window_s, 1e3 * report.step_s, report.seconds,
@@ -91,9 +112,13 @@ json SysidToJson(const SysidReport& report) {
       {"robot", report.robot},
       {"joints", report.joints},
       {"model", report.chosen},
+      {"parametrisation", ParametrisationName(report.consistent_inertias)},
+      {"window_choice", report.windows.empty() ? "all" : WindowChoiceName(report.window_choice)},
+      {"windows", WindowsToJson(report)},
       {"holdout", HoldoutToJson(report)},
       {"fit", {{"before_rms", Number(report.fit_before_rms)}, {"after_rms", Number(report.fit_after_rms)}}},
       {"candidates", candidates},
+      {"identifiability_of", report.identifiability_of},
       {"identifiability", IdentifiabilityToJson(report.identifiability)},
       {"warnings", report.warnings},
       {"stopped_early", report.stopped_early},

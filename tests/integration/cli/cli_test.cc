@@ -21,7 +21,9 @@ TEST(CommandLine, WrongUseExitsWithTwoAndSaysWhy) {
 
 TEST(CommandLine, WrongUseIsOneLine) {
   const ScratchFolder scratch;
-  for (const char* wrong : {"jobs --frob", "predict --window abc", "sysid", "params diff 0 1"}) {
+  for (const char* wrong :
+       {"jobs --frob", "predict --window abc", "sysid", "sysid set --window-choice best",
+        "sysid set --parametrisation nice", "sysid set --fit-windows -1", "params diff 0 1"}) {
     const Said said = RunProgram(scratch, wrong);
     EXPECT_EQ(said.code, 2) << wrong;
     EXPECT_TRUE(said.out.empty()) << wrong;

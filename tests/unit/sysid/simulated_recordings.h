@@ -2,6 +2,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <memory>
@@ -44,7 +45,41 @@ struct MakeOptions {
   double amplitude = 0.6;  // rad, of the reference
   double step_s = 1e-3;
   Eigen::VectorXd center;  // of the reference; empty: zero
+  // Instead of a multi-sine: moves from pose to pose (half a second to one and a half), with rests between.
+  bool moves = false;
 };
+
+struct Move {
+  double start = 0.0, duration = 1.0;
+  Eigen::VectorXd from, to;
+};
+
+inline std::vector<Move> DrawMoves(const Eigen::VectorXd& center, const MakeOptions& options, Rng* rng) {
+  std::vector<Move> out;
+  Eigen::VectorXd at = center;
+  for (double t = rng->Uniform(0.2, 1.0); t < options.duration_s;) {
+    Eigen::VectorXd to = center;
+    for (int j = 0; j < to.size(); ++j) to[j] += options.amplitude * rng->Uniform(-1.0, 1.0);
+    out.push_back({t, rng->Uniform(0.5, 1.5), at, to});
+    at = to;
+    t += out.back().duration + rng->Uniform(0.5, 2.0);
+  }
+  return out;
+}
+
+// Minimum jerk.
+inline void MoveAt(const std::vector<Move>& moves, double t, Eigen::VectorXd* q, Eigen::VectorXd* v,
+                   Eigen::VectorXd* a) {
+  const Move* move = &moves.front();
+  for (const Move& m : moves) {
+    if (m.start <= t) move = &m;
+  }
+  const double T = move->duration, s = std::clamp((t - move->start) / T, 0.0, 1.0);
+  const Eigen::VectorXd reach = move->to - move->from;
+  *q = move->from + reach * (s * s * s * (10.0 + s * (6.0 * s - 15.0)));
+  *v = reach * (30.0 * s * s * (1.0 - s) * (1.0 - s) / T);
+  *a = reach * (60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / (T * T));
+}
 
 // The plant follows a multi-sine under a computed torque, recorded with its held command.
 inline recordings::Recording MakeRecording(const sim::Plant& plant, const Eigen::VectorXd& values,
@@ -59,7 +94,7 @@ inline recordings::Recording MakeRecording(const sim::Plant& plant, const Eigen:
     phase.data()[i] = rng.Uniform(0.0, 2.0 * M_PI);
   }
   const Eigen::VectorXd center = options.center.size() > 0 ? options.center : Eigen::VectorXd::Zero(n);
-  const auto reference = [&](double t, Eigen::VectorXd* q, Eigen::VectorXd* v, Eigen::VectorXd* a) {
+  const auto sines = [&](double t, Eigen::VectorXd* q, Eigen::VectorXd* v, Eigen::VectorXd* a) {
     *q = center;
     v->setZero(n);
     a->setZero(n);
@@ -70,6 +105,15 @@ inline recordings::Recording MakeRecording(const sim::Plant& plant, const Eigen:
         (*v)[j] += s * w * std::cos(w * t + phase(j, m));
         (*a)[j] -= s * w * w * std::sin(w * t + phase(j, m));
       }
+    }
+  };
+  std::vector<Move> moves;
+  if (options.moves) moves = DrawMoves(center, options, &rng);
+  const auto reference = [&](double t, Eigen::VectorXd* q, Eigen::VectorXd* v, Eigen::VectorXd* a) {
+    if (options.moves) {
+      MoveAt(moves, t, q, v, a);
+    } else {
+      sines(t, q, v, a);
     }
   };
   const dynamics::Mechanism mechanism = MechanismOf(plant, values);
