@@ -89,6 +89,19 @@ void TrajectoryController::Command(double t, const double* q, const double* v, d
   }
 }
 
+void TrackingController::Command(double t, const double* q, const double* v, double* tau) {
+  // The tick's own interval, though it may wake a little early or late.
+  const auto tick = static_cast<Eigen::Index>(std::floor(t / plan_.interval_s + 0.5));
+  const Eigen::Index k = std::clamp<Eigen::Index>(tick, 0, plan_.intervals() - 1);
+  const Eigen::MatrixXd& gain = plan_.gain[static_cast<size_t>(k)];
+  const Eigen::Index n = plan_.q.rows();
+  for (Eigen::Index i = 0; i < n; ++i) {
+    tau[i] = plan_.effort(i, k);
+    for (Eigen::Index j = 0; j < n; ++j)
+      tau[i] += gain(i, j) * (plan_.q(j, k) - q[j]) + gain(i, n + j) * (plan_.v(j, k) - v[j]);
+  }
+}
+
 ExcitedController::ExcitedController(Controller& inner, const Eigen::VectorXd& amplitude, double duration_s,
                                      uint64_t seed)
     : inner_(inner), amplitude_(amplitude), duration_s_(duration_s) {

@@ -10,6 +10,7 @@
 #include "robot_agent/controller.h"
 #include "robot_agent/drivers/driver.h"
 #include "services/policy/policy.h"
+#include "services/trajectories/reference_tracking.h"
 
 namespace rg::robot_agent {
 
@@ -47,6 +48,18 @@ class TrajectoryController final : public Controller {
  private:
   explicit TrajectoryController(Plan plan) : plan_(std::move(plan)) {}
   Plan plan_;
+};
+
+// Follows a planned motion (services/trajectories/reference_tracking.h): held torques with feedback on
+// position and velocity; after the last interval the arm is held where the motion ends. No allocation per
+// command.
+class TrackingController final : public Controller {
+ public:
+  explicit TrackingController(trajectories::TrackingPlan plan) : plan_(std::move(plan)) {}
+  void Command(double t, const double* q, const double* v, double* tau) override;
+
+ private:
+  const trajectories::TrackingPlan plan_;
 };
 
 // Another controller's torques plus a small known motion of every joint, so that the recording tells

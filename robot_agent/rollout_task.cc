@@ -1,6 +1,8 @@
 #include "robot_agent/rollout_task.h"
 
+#include <cstdio>
 #include <nlohmann/json.hpp>
+#include <optional>
 
 #include "common/base/clock.h"
 #include "common/base/hash.h"
@@ -8,22 +10,71 @@
 #include "robot_agent/controllers.h"
 #include "robot_agent/rollout_runner.h"
 #include "robot_agent/spool_delivery.h"
+#include "services/rollouts/reference_motion.h"
+#include "services/trajectories/reference_tracking.h"
 
 namespace rg::robot_agent {
 namespace {
 
 using nlohmann::json;
 
+Eigen::VectorXd ToEigen(const std::vector<double>& x) {
+  return Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size()));
+}
+
+// Start, goal and duration are the motion's; nothing is added to it.
+rollouts::RolloutSpec SpecOf(const rollouts::ReferenceMotion& motion, rollouts::RolloutSpec spec) {
+  spec.start = motion.q.col(0);
+  spec.goal = motion.q.col(motion.q.cols() - 1);
+  spec.duration_s = motion.duration_s();
+  spec.excitation = 0.0;
+  return spec;
+}
+
+Status CheckTaskBox(const rollouts::ReferenceMotion& motion, const model::RobotModel& model,
+                    const TaskBox& box) {
+  if (!box.enabled) return Status::Ok();
+  const Eigen::MatrixXd tip = rollouts::TipPositions(model, motion.q);
+  for (Eigen::Index k = 0; k < tip.cols(); ++k) {
+    for (int axis = 0; axis < 3; ++axis) {
+      if (tip(axis, k) >= box.lower[axis] && tip(axis, k) <= box.upper[axis]) continue;
+      char text[160];
+      std::snprintf(text, sizeof text,
+                    "motion: the end effector has %c = %.4g m at %.3g s, its box is %.4g to %.4g",
+                    "xyz"[axis], tip(axis, k), motion.t[k], box.lower[axis], box.upper[axis]);
+      return InvalidError(text);
+    }
+  }
+  return Status::Ok();
+}
+
+// Everything that can be known before the arm moves.
+Result<std::unique_ptr<Controller>> FollowMotion(const rollouts::ReferenceMotion& motion,
+                                                 const sim::ModelFile& model, const RolloutPlan& plan) {
+  const SafetyLimits& limits = plan.limits;
+  RG_RETURN_IF_ERROR(rollouts::CheckMotion(
+      motion, {ToEigen(limits.lower), ToEigen(limits.upper), ToEigen(limits.velocity)}));
+  RG_RETURN_IF_ERROR(CheckTaskBox(motion, model.plant.model(), limits.task));
+  RG_ASSIGN_OR_RETURN(auto tracking,
+                      trajectories::PlanTracking(
+                          model.plant, model.values,
+                          [&](double t, Eigen::VectorXd* q, Eigen::VectorXd* v, Eigen::VectorXd* a) {
+                            motion.At(t, q, v, a);
+                          },
+                          motion.duration_s(), 1.0 / plan.spec.rate_hz, ToEigen(limits.torque)));
+  return std::unique_ptr<Controller>(std::make_unique<TrackingController>(std::move(tracking)));
+}
+
 Result<std::unique_ptr<Controller>> MakeController(const RolloutTaskInput& input, const sim::ModelFile& model,
-                                                   const RolloutPlan& plan) {
+                                                   const RolloutPlan& plan,
+                                                   const std::optional<rollouts::ReferenceMotion>& motion) {
+  if (motion) return FollowMotion(*motion, model, plan);
   if (input.controller == "mpc") {
-    const auto& torque = plan.limits.torque;
-    const Eigen::VectorXd limit =
-        Eigen::Map<const Eigen::VectorXd>(torque.data(), static_cast<Eigen::Index>(torque.size()));
-    return MakeMpcController(model.plant, model.values, plan.spec.goal, limit, plan.spec.rate_hz);
+    return MakeMpcController(model.plant, model.values, plan.spec.goal, ToEigen(plan.limits.torque),
+                             plan.spec.rate_hz);
   }
   if (input.controller != "policy")
-    return InvalidError("rollout: controller \"" + input.controller + "\", needs policy or mpc");
+    return InvalidError("rollout: controller \"" + input.controller + "\", needs policy, mpc or trajectory");
   RG_ASSIGN_OR_RETURN(policy::Policy policy, policy::ParsePolicy(input.policy_bytes, "policy"));
   RG_ASSIGN_OR_RETURN(auto controller,
                       PolicyController::Create(std::move(policy), model.plant.joint_names(), plan.spec.goal));
@@ -59,8 +110,14 @@ Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::s
   RG_ASSIGN_OR_RETURN(const auto spool, Spool::Open(spool_folder));
   SalvageRecordings(*spool);
   RG_ASSIGN_OR_RETURN(const sim::ModelFile model, sim::ModelFromJson(input.model_json, "model"));
-  RG_ASSIGN_OR_RETURN(const RolloutPlan plan, PlanRollout(input.spec, config, model.plant));
-  RG_ASSIGN_OR_RETURN(const auto controller, MakeController(input, model, plan));
+  std::optional<rollouts::ReferenceMotion> motion;
+  rollouts::RolloutSpec spec = input.spec;
+  if (input.controller == "trajectory") {
+    RG_ASSIGN_OR_RETURN(motion, rollouts::ParseMotion(input.motion_csv, "motion", model.plant.model()));
+    spec = SpecOf(*motion, std::move(spec));
+  }
+  RG_ASSIGN_OR_RETURN(const RolloutPlan plan, PlanRollout(spec, config, model.plant));
+  RG_ASSIGN_OR_RETURN(const auto controller, MakeController(input, model, plan, motion));
   RG_ASSIGN_OR_RETURN(const auto driver, MakeDriver(config, plan.spec.robot_seed));
   const RolloutInput rollout{.plan = plan,
                              .config = config,

@@ -18,7 +18,11 @@ struct RolloutTaskInput {
   std::string model_json;    // realitygrad.model/1: the belief
   std::string policy_bytes;  // for controller "policy"
   rollouts::RolloutSpec spec;
-  std::string controller = "policy";  // or "mpc"
+  std::string controller = "policy";  // "mpc", "trajectory"
+  // For controller "trajectory": the motion (services/rollouts/reference_motion.h), which then says start,
+  // goal and duration, whatever `spec` says of them. It is checked against the agent's boxes before anything
+  // moves.
+  std::string motion_csv;
 };
 
 struct RolloutTaskOutput {

@@ -1,9 +1,14 @@
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
+#include <filesystem>
 #include <nlohmann/json.hpp>
 
+#include "common/base/file.h"
+#include "common/model/robot_model.h"
+#include "common/sim/model_file.h"
 #include "coordinator/client/client.h"
+#include "realitygrad/v1/artifact.pb.h"
 #include "realitygrad/v1/control.pb.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
@@ -13,6 +18,10 @@
 #include "services/cli/robot_profile.h"
 #include "services/jobs/job_graphs.h"
 #include "services/jobs/kinds.h"
+#include "services/rollouts/recording_bundle.h"
+#include "services/rollouts/reference_motion.h"
+#include "services/trajectories/motion_limits.h"
+#include "services/trajectories/reference_tracking.h"
 
 namespace rg::cli {
 namespace {
@@ -23,6 +32,7 @@ using nlohmann::json;
 struct SubmitArguments {
   jobs::IterationOptions options;
   std::string robot = "mico2", model = "latest", policy, recording, name, request_id;
+  std::string trajectory, out;  // of a rollout
   std::vector<std::string> shards;
   int64_t shards_of_job = 0;
   int priority = 0;
@@ -51,6 +61,43 @@ Result<std::vector<std::string>> FindShards(coordinator::Client& client, const S
   return shards;
 }
 
+// The motion in `file` is within what the model's robot can do; uploaded as an artefact.
+Result<std::string> UploadMotion(coordinator::Client& client, const RobotProfile& profile,
+                                 const std::string& model_sha256, const std::string& file, double rate_hz) {
+  RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(file));
+  RG_ASSIGN_OR_RETURN(const std::string model_json, client.GetArtifact(model_sha256));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile model, sim::ModelFromJson(model_json, "model"));
+  RG_ASSIGN_OR_RETURN(const auto motion, rollouts::ParseMotion(text, file, model.plant.model()));
+  const Eigen::VectorXd peak = Eigen::Map<const Eigen::VectorXd>(
+      profile.peak_torque.data(), static_cast<Eigen::Index>(profile.peak_torque.size()));
+  const auto limits = trajectories::MotionLimits::FromModel(model.plant.model(), peak);
+  const auto named = [&](const Status& status) { return status.WithPrefix(file); };
+  if (const Status kept =
+          rollouts::CheckMotion(motion, {limits.position_lower, limits.position_upper, limits.velocity});
+      !kept.ok())
+    return named(kept);
+  const auto plan = trajectories::PlanTracking(
+      model.plant, model.values,
+      [&](double t, Eigen::VectorXd* q, Eigen::VectorXd* v, Eigen::VectorXd* a) { motion.At(t, q, v, a); },
+      motion.duration_s(), 1.0 / rate_hz, limits.torque);
+  if (!plan.ok()) return named(plan.status());
+  pb::ArtifactInfo info;
+  info.set_kind(jobs::kArtifactMotion);
+  info.set_metadata_json(json{
+      {"name", std::filesystem::path(file).filename().string()},
+      {"duration_s",
+       motion.duration_s()}}.dump());
+  return client.PutArtifact(text, info);
+}
+
+// The recording of a rollout's job as a set in a folder.
+Status FetchRecording(coordinator::Client& client, int64_t job, const std::string& out) {
+  RG_ASSIGN_OR_RETURN(const auto made, client.ListArtifacts(jobs::kArtifactRecording, job, 1));
+  if (made.empty()) return NotFoundError("job " + std::to_string(job) + " left no recording");
+  RG_ASSIGN_OR_RETURN(const std::string bytes, client.GetArtifact(made.front().sha256()));
+  return rollouts::ExtractBundle(bytes, out);
+}
+
 Result<jobs::IterationInputs> FindInputs(coordinator::Client& client, const RobotProfile& profile,
                                          const std::string& what, const SubmitArguments& arguments) {
   jobs::IterationInputs inputs;
@@ -61,7 +108,10 @@ Result<jobs::IterationInputs> FindInputs(coordinator::Client& client, const Robo
   if (what == "train") {
     RG_ASSIGN_OR_RETURN(inputs.shards, FindShards(client, arguments));
   }
-  if (what == "rollout" && arguments.options.rollout.controller == "policy") {
+  if (!arguments.trajectory.empty()) {
+    RG_ASSIGN_OR_RETURN(inputs.motion, UploadMotion(client, profile, inputs.model, arguments.trajectory,
+                                                    arguments.options.rollout.rate_hz));
+  } else if (what == "rollout" && arguments.options.rollout.controller == "policy") {
     RG_ASSIGN_OR_RETURN(inputs.policy, FindArtifact(client, arguments.policy, jobs::kArtifactPolicy));
   }
   if (what == "identify") {
@@ -98,6 +148,8 @@ Status Submit(Context& context, const std::string& what, Compile compile, Submit
   RG_ASSIGN_OR_RETURN(const RobotProfile profile, LoadRobotProfile(RobotsFolder(settings), arguments.robot));
   TakeProfile(profile, &arguments.options);
   RG_RETURN_IF_ERROR(context.Usage(jobs::Validate(arguments.options)));
+  if (!arguments.trajectory.empty()) arguments.options.rollout.controller = "trajectory";
+  RG_RETURN_IF_ERROR(CheckWritable(arguments.out));
   RG_ASSIGN_OR_RETURN(const auto client, context.Connect());
   RG_ASSIGN_OR_RETURN(const auto inputs, FindInputs(*client, profile, what, arguments));
   pb::JobSpec job = compile(arguments.options, inputs);
@@ -106,7 +158,7 @@ Status Submit(Context& context, const std::string& what, Compile compile, Submit
   if (!arguments.name.empty()) job.set_name(arguments.name);
   if (arguments.dry_run) return PrintGraph(context, job);
   RG_ASSIGN_OR_RETURN(const int64_t id, client->Submit(job, arguments.request_id));
-  if (!arguments.wait && !arguments.follow) {
+  if (!arguments.wait && !arguments.follow && arguments.out.empty()) {
     if (context.json()) {
       PrintJson("realitygrad.submitted/1", {{"job", id}});
     } else {
@@ -117,10 +169,14 @@ Status Submit(Context& context, const std::string& what, Compile compile, Submit
   }
   RG_ASSIGN_OR_RETURN(const auto end,
                       FollowJob(*client, id, arguments.timeout_s, context.quiet() || !arguments.follow));
+  const bool succeeded = end.job().state() == pb::JOB_STATE_SUCCEEDED;
+  if (succeeded && !arguments.out.empty()) RG_RETURN_IF_ERROR(FetchRecording(*client, id, arguments.out));
   if (context.json()) {
     PrintJson("realitygrad.job/1", JobDetailsJson(end));
   } else {
     Print(context.quiet() ? std::to_string(id) : JobDetails(end, false));
+    if (succeeded && !arguments.out.empty() && !context.quiet())
+      PrintNote("next: realitygrad diagnose SET " + arguments.out + " --out DIR");
   }
   context.exit_code = coordinator::ExitCodeOf(end.job().state());
   return Status::Ok();
@@ -167,6 +223,10 @@ void AddSubmitCommands(CLI::App& app, Context& context) {
   auto [rollout, ra] = add("rollout", "A policy on the robot, recorded", jobs::CompileRollout);
   AddRolloutFlags(rollout, &ra->options);
   rollout->add_option("--policy", ra->policy, "Artefact; default: the newest");
+  rollout->add_option(
+      "--trajectory", ra->trajectory,
+      "CSV of a motion (time, position.<joint>…), as a diagnosis proposes it, instead of a policy");
+  rollout->add_option("--out", ra->out, "Wait, and write the recording set here");
   auto [identify, id] = add("identify", "Simulator parameters from a recording", jobs::CompileIdentify);
   AddIdentifyFlags(identify, &id->options);
   identify->add_option("--recording", id->recording, "Artefact; default: the newest");

@@ -75,6 +75,7 @@ Result<worker::TaskOutputs> RunDiagnose(const worker::TaskInput& input, worker::
   if (payload.seed() > 0) options.seed = payload.seed();
   if (payload.time_limit_s() > 0) options.time_limit_s = payload.time_limit_s();
   options.threads = static_cast<int>(payload.threads());
+  options.trust_effort = payload.rollouts();  // the agent's own commands
   if (!set.ok() && !payload.rollouts()) return set.status();
   const auto outcome = set.ok() ? diagnosis::Diagnose(*set, options, RealClock(), context.progress_fn(),
                                                       &context.cancel_token())

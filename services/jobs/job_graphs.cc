@@ -206,6 +206,7 @@ void AppendRollout(const IterationOptions& options, const IterationInputs& input
   task->set_weight(20.0 * o.duration_s);
   task->add_required_tags("robot:" + options.robot);
   AddArtifact(task, kInputModel, inputs.model);
+  if (o.controller == "trajectory") AddArtifact(task, kInputMotion, inputs.motion);
   if (o.controller == "policy")
     AddFrom(task, kInputPolicy, trained_here, LastPolicyStage(options.train), kOutputPolicy, inputs.policy);
 }

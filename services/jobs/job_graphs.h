@@ -48,7 +48,7 @@ struct RolloutOptions {
   std::vector<double> goal_q;         // empty: drawn
   std::vector<double> goal_position;  // task space
   double reach_s = 1.0;               // a drawn goal lies within 0.6 · v_max · reach_s of the start
-  std::string controller = "policy";
+  std::string controller = "policy";  // "mpc"; "trajectory": IterationInputs::motion, a rollout's only
 };
 
 struct IdentifyOptions {
@@ -95,6 +95,7 @@ Status Validate(const IterationOptions& options);
 struct IterationInputs {
   std::string model;                // always
   std::string policy;               // rollout only
+  std::string motion;               // rollout with controller "trajectory" only
   std::string recording;            // identify only
   std::vector<std::string> shards;  // train only
   // With a diagnosis only: the model without effects, the model that identification alone has come to

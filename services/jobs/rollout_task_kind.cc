@@ -17,9 +17,9 @@ Eigen::VectorXd ToVector(const google::protobuf::RepeatedField<double>& values) 
 }
 
 // The same task of the same job always has the same id, another one never: a repeat moves nothing.
-std::string RolloutId(const worker::TaskInput& input, const std::string& model, const std::string& policy) {
+std::string RolloutId(const worker::TaskInput& input, const std::string& model, const std::string& steering) {
   return "job" + std::to_string(input.job) + "-" + input.task_name + "-" + model.substr(0, 8) +
-         (policy.empty() ? "" : "-" + policy.substr(0, 8));
+         (steering.empty() ? "" : "-" + steering.substr(0, 8));
 }
 
 rollouts::RolloutSpec SpecOf(const pb::RolloutPayload& payload, std::string id) {
@@ -55,7 +55,10 @@ void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::strin
         task.model_json = model->bytes;
         if (!payload.controller().empty()) task.controller = payload.controller();
         if (policy != nullptr) task.policy_bytes = policy->bytes;
-        task.spec = SpecOf(payload, RolloutId(input, model->sha256, policy ? policy->sha256 : ""));
+        const worker::InputArtifact* motion = input.Find(kInputMotion);
+        if (motion != nullptr) task.motion_csv = motion->bytes;
+        const worker::InputArtifact* steering = policy != nullptr ? policy : motion;
+        task.spec = SpecOf(payload, RolloutId(input, model->sha256, steering ? steering->sha256 : ""));
         RG_ASSIGN_OR_RETURN(const robot_agent::RolloutTaskOutput done,
                             robot_agent::RunRolloutTask(config, spool_folder, task, context.progress_fn(),
                                                         context.cancel_token()));

@@ -31,8 +31,8 @@ Eigen::VectorXd VelocityAt(const Recording& recording, int row) {
 
 // Simulates one window into the columns first + 1 … last of `position`. Rows that a simulation that broke
 // down did not reach get its last position.
-void RunWindow(const Recording& recording, const sim::CommandSignal& command, const recordings::Window& window,
-              sim::Simulator& simulator, SimulationError* error) {
+void RunWindow(const Recording& recording, const sim::CommandSignal& command,
+               const recordings::Window& window, sim::Simulator& simulator, SimulationError* error) {
   std::vector<double> times;
   for (int k = window.first + 1; k <= window.last; ++k) times.push_back(recording.t[k]);
   const sim::State start = simulator.MakeStateFromMeasurement(

@@ -32,6 +32,23 @@ void AddOnJoint(const std::string& id, const std::string& parameter, const std::
 
 }  // namespace
 
+namespace {
+
+// The motor of `transmission` (backlash, joint_elasticity) moves with its link.
+void CarryMotors(const std::string& transmission, const sim::Plant& from, const Eigen::VectorXd& values,
+                 PlanningModel* model) {
+  for (const std::string& joint : from.joint_names()) {
+    const std::string row = transmission + "." + joint + ".";
+    if (from.parameters().Find(row + "motor_inertia") < 0) continue;
+    AddOnJoint("rotor_inertia", "armature", joint, ValueOf(from, values, row + "motor_inertia"),
+               &model->plant, &model->values);
+    AddOnJoint("viscous_friction", "viscous", joint, ValueOf(from, values, row + "motor_viscous"),
+               &model->plant, &model->values);
+  }
+}
+
+}  // namespace
+
 PlanningModel MakePlanningModel(const sim::Plant& plant, const Eigen::VectorXd& values) {
   sim::Plant planned = plant.WithoutEffect("actuator_delay")
                            .WithoutEffect("sensor_delay")
@@ -42,14 +59,18 @@ PlanningModel MakePlanningModel(const sim::Plant& plant, const Eigen::VectorXd& 
   for (int j = 0; j < plant.num_joints(); ++j) {
     const std::string& joint = plant.joint_names()[static_cast<size_t>(j)];
     model.encoder_offset[j] = ValueOf(plant, values, "encoder_offset." + joint + ".offset");
-    const std::string play = "backlash." + joint + ".";
-    if (plant.parameters().Find(play + "gap") < 0) continue;
-    AddOnJoint("rotor_inertia", "armature", joint, ValueOf(plant, values, play + "motor_inertia"),
-               &model.plant, &model.values);
-    AddOnJoint("viscous_friction", "viscous", joint, ValueOf(plant, values, play + "motor_viscous"),
-               &model.plant, &model.values);
   }
+  CarryMotors("backlash", plant, values, &model);
   return model;
+}
+
+PlanningModel WithStiffDrives(const PlanningModel& model) {
+  sim::Plant stiff = model.plant.WithoutEffect("actuator_lag")
+                         .WithoutEffect("torque_deadband")
+                         .WithoutEffect("joint_elasticity");
+  PlanningModel out{stiff, stiff.ValuesFrom(model.plant.parameters(), model.values), model.encoder_offset};
+  CarryMotors("joint_elasticity", model.plant, model.values, &out);
+  return out;
 }
 
 double HoldTorque(sim::Simulator& simulator, const Eigen::VectorXd& q, Eigen::VectorXd* u) {

@@ -25,6 +25,9 @@ struct PlanningModel {
   Eigen::VectorXd encoder_offset;
 };
 PlanningModel MakePlanningModel(const sim::Plant& plant, const Eigen::VectorXd& values);
+// The same without what stands between command and joint (lag, dead band, elasticity): torques act at once,
+// elastic joints' motors move with their links.
+PlanningModel WithStiffDrives(const PlanningModel& model);
 
 // The torque u with which the plant rests at q: acceleration zero at v = 0 with internal states settled
 // at u. Newton's method on the simulator's acceleration; exact after one step for a rigid plant. Returns

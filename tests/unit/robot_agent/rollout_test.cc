@@ -261,6 +261,67 @@ TEST(RolloutTask, ThePapersControllerRunsLiveOnTheBelievedModel) {
   EXPECT_TRUE(output.usable);
 }
 
+// joint_5 swings by `width` rad and comes back, in 3 s, from the candle pose.
+std::string SwingCsv(double width) {
+  std::string csv = "time";
+  for (int j = 1; j <= 6; ++j) csv += ",position.joint_" + std::to_string(j);
+  for (int k = 0; k <= 75; ++k) {
+    const double t = 0.04 * k;
+    csv += "\n" + std::to_string(t);
+    const double swing = 0.5 * width * (1 - std::cos(2 * M_PI * t / 3));
+    for (const double q : {0.0, 3.141593, 3.141593, 0.0, swing, 0.0}) csv += "," + std::to_string(q);
+  }
+  return csv + "\n";
+}
+
+TEST(RolloutTask, PlaysAGivenMotionInsideTheMonitorAndRecordsIt) {
+  Rig rig(true);
+  rig.spool.reset();
+  RolloutTaskInput input;
+  input.model_json = sim::ModelToJson(rig.plant, rig.values);
+  input.controller = "trajectory";
+  input.motion_csv = SwingCsv(0.4);
+  input.spec = rig.spec;
+  rig.config.excitation = 0.1;
+  const RolloutTaskOutput output = RunRolloutTask(rig.config, rig.folder, input, {}, rig.stop).value();
+  const auto rollout = nlohmann::json::parse(output.metadata_json);
+  EXPECT_EQ(rollout["end_reason"], "completed") << rollout["detail"];
+  EXPECT_EQ(rollout["controller"], "trajectory");
+  EXPECT_EQ(rollout["duration_s"], 3.0) << "the motion says how long";
+  EXPECT_EQ(rollout["excitation"], 0.0) << "nothing is added to the motion";
+  const auto set = rollouts::LoadBundle(output.bundle).value();
+  const auto& recording = set.recordings.at(0);
+  EXPECT_EQ(recording.rows(), 76);
+  // The robot has rotors, friction and lag that the model lacks, so it follows loosely.
+  EXPECT_GT(recording.q.row(4).maxCoeff() - recording.q.row(4).minCoeff(), 0.05);
+}
+
+TEST(RolloutTask, AMotionOutsideTheAgentsBoxesMovesNothing) {
+  Rig rig(true);
+  rig.spool.reset();
+  RolloutTaskInput input;
+  input.model_json = sim::ModelToJson(rig.plant, rig.values);
+  input.controller = "trajectory";
+  input.spec = rig.spec;
+  const auto refusal = [&](double width, const std::string& limits) {
+    input.motion_csv = SwingCsv(width);
+    rig.config.limits_json = limits;
+    return RunRolloutTask(rig.config, rig.folder, input, {}, rig.stop).status().message();
+  };
+  const std::string velocity = R"({"velocity": [1, 1, 1, 1, 0.3, 1]})";
+  EXPECT_THAT(refusal(0.4, velocity), HasSubstr("motion: joint_5 has velocity"));
+  const std::string box = R"({"lower": [-6, 1, 1, -6, -6, -6], "upper": [6, 5, 5, 6, 0.2, 6]})";
+  EXPECT_THAT(refusal(0.4, box), HasSubstr("motion: joint_5 has position"));
+  EXPECT_THAT(refusal(0.4, R"({"torque": [30, 30, 30, 6, 0.001, 6]})"),
+              HasSubstr("joint_5 needs a torque of"));
+  EXPECT_THAT(refusal(0.4, R"({"task_box": {"lower": [-2, -2, 0], "upper": [2, 2, 0.3]}})"),
+              HasSubstr("the end effector has z ="));
+  input.motion_csv = "";
+  EXPECT_THAT(RunRolloutTask(rig.config, rig.folder, input, {}, rig.stop).status().message(),
+              HasSubstr("motion"));
+  EXPECT_TRUE(Spool::Open(rig.folder).value()->Active().empty());
+}
+
 TEST(Rollout, PlansRefuseGoalsOutsideTheBoxAndKeepTheGivenOnes) {
   Rig rig(true);
   rig.spec.goal = Eigen::VectorXd::Zero(6);  // joint_2 cannot be at 0
