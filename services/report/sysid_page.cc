@@ -39,19 +39,25 @@ std::string VerdictText(Verdict verdict) {
 
 void Summary(const SysidReport& r, Page* page) {
   const std::string kind = r.judged_on_fit ? "the fitted recordings" : "recordings that were not fitted";
-  if (r.chosen == "nominal") {
+  if (r.chosen == "nominal" && r.stopped_early) {
+    page->Lead("Stopped before a fit was found that predicts " + kind + " better than the model as given.");
+  } else if (r.chosen == "nominal") {
     page->Lead("The model as given predicts " + kind + " as well as any fit: it was left alone.");
   } else {
     page->Lead("Errors on " + kind + " fall from " + FormatNumber(r.before_rms) + " to " +
                FormatNumber(r.after_rms) + " (RMS) by fitting: " + r.chosen + ".");
   }
   const sysid::IdentifiabilityReport& id = r.identifiability;
-  page->Cards({{"error before", FormatNumber(r.before_rms), "median window " + FormatNumber(r.before_median)},
-               {"error after", FormatNumber(r.after_rms), "median window " + FormatNumber(r.after_median)},
-               {"determined", std::to_string(id.determined), "combinations, by the data"},
-               {"weak", std::to_string(id.weak), "data and prior"},
-               {"prior only", std::to_string(id.unseen),
-                "of " + std::to_string(id.parameters.size()) + " parameters' combinations"}});
+  std::vector<Card> cards{
+      {"error before", FormatNumber(r.before_rms), "median window " + FormatNumber(r.before_median)},
+      {"error after", FormatNumber(r.after_rms), "median window " + FormatNumber(r.after_median)}};
+  if (!id.parameters.empty()) {
+    cards.push_back({"determined", std::to_string(id.determined), "combinations, by the data"});
+    cards.push_back({"weak", std::to_string(id.weak), "data and prior"});
+    cards.push_back({"prior only", std::to_string(id.unseen),
+                     "of " + std::to_string(id.parameters.size()) + " parameters' combinations"});
+  }
+  page->Cards(cards);
   for (const std::string& warning : r.warnings) page->Note(warning, true);
 }
 

@@ -254,6 +254,7 @@ Reduced Eliminate(const std::vector<WindowTerms>& terms, int P, double damping, 
 double VarianceInflation(const std::vector<WindowTerms>& terms, const Reduced& reduced,
                          const VectorXd& scale) {
   const int P = static_cast<int>(scale.size());
+  if (P == 0) return 1.0;
   const auto D = scale.asDiagonal();
   MatrixXd M = MatrixXd::Zero(P, P);
   int used = 0;

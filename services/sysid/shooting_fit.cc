@@ -154,6 +154,7 @@ ShootingFit FitByShooting(const sim::Plant& plant, const VectorXd& values, const
 void AddInformation(const sim::Plant& plant, const FitSpace& space,
                     const std::vector<FitRecording>& recordings, const recordings::SensorNoise& noise,
                     const ShootingFitOptions& options, const StopCondition& stop, ShootingFit* fit) {
+  if (space.size() == 0) return;
   ShootingFitOptions look = options;
   look.max_iterations = 0;
   const VectorXd theta = fit->theta, values = fit->values;

@@ -77,6 +77,7 @@ class Identification {
     RG_RETURN_IF_ERROR(Prepare());
     std::vector<Fitted> fitted;
     for (const Candidate& candidate : Candidates(options_)) {
+      if (!fitted.empty() && stop_.ShouldStop()) break;
       RG_ASSIGN_OR_RETURN(Fitted f, Start(candidate));
       fitted.push_back(std::move(f));
     }
@@ -459,10 +460,10 @@ class Identification {
     Fitted told = best.space.size() > 0 ? best : fitted.back();
     if (told.fit.solution.information.size() == 0) {
       told.fit.scales = ScalesOf(noise_);
-      AddInformation(told.plant, told.space, fit_, noise_, Shooting(), StopCondition(), &told.fit);
+      AddInformation(told.plant, told.space, fit_, noise_, Shooting(), stop_, &told.fit);
     }
     report.identifiability = IdentifiabilityOf(told.space, told.fit);
-    report.identifiability_of = told.score.name;
+    if (!report.identifiability.parameters.empty()) report.identifiability_of = told.score.name;
     FillWarnings(best, &report);
     return report;
   }

@@ -94,9 +94,10 @@ struct SysidReport {
   bool consistent_inertias = true;
   std::vector<CandidateScore> candidates;
   std::string chosen;
+  // Of which model: the chosen one, unless that has no parameters. Both empty: stopped before anything was
+  // known of them, or nothing to fit.
   IdentifiabilityReport identifiability;
-  std::string
-      identifiability_of;  // the model that it speaks of: the chosen one, unless that has no parameters
+  std::string identifiability_of;
   std::vector<std::string> warnings;
   double seconds = 0.0;
   bool stopped_early = false;

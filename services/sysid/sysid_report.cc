@@ -66,10 +66,12 @@ json WindowsToJson(const SysidReport& report) {
 std::string FormatSysid(const SysidReport& report) {
   std::string out =
       report.robot + ", " + std::to_string(report.joints.size()) + " joints: " + report.chosen + "\n\n";
-  if (report.identifiability_of != report.chosen) {
-    out += "what the recordings would determine of " + report.identifiability_of + ":\n";
+  if (!report.identifiability.parameters.empty()) {
+    if (report.identifiability_of != report.chosen) {
+      out += "what the recordings would determine of " + report.identifiability_of + ":\n";
+    }
+    out += FormatIdentifiability(report.identifiability) + "\n";
   }
-  out += FormatIdentifiability(report.identifiability) + "\n";
   out += Printf("%-36s %10s %12s %12s %8s\n", "model", "parameters", "fit rms", "held-out rms", "seconds");
   for (const CandidateScore& c : report.candidates) {
     out += Printf("%-36s %10d %12.5g %12.5g %8.1f%s\n", c.name.c_str(), c.parameters, c.fit_rms,

@@ -82,6 +82,39 @@ TEST(MultipleShooting, RecoversSharedParametersWithUnknownInitialStates) {
   EXPECT_DOUBLE_EQ(s.theta[2], 4.0) << "a parameter without effect stays at its prior";
 }
 
+// Decay with θ held: only initial values are unknown.
+class KnownDecay final : public ShootingModel {
+ public:
+  explicit KnownDecay(Decay* decay) : decay_(*decay) {}
+  int num_parameters() const override { return 0; }
+  int num_windows() const override { return decay_.num_windows(); }
+  int window_unknowns(int w) const override { return decay_.window_unknowns(w); }
+  int window_residuals(int w) const override { return decay_.window_residuals(w); }
+  bool Evaluate(int worker, int w, const VectorXd&, const VectorXd& xi, VectorXd* r, RowMatrix* dr_dtheta,
+                RowMatrix* dr_dxi) override {
+    RowMatrix unused(r->size(), 3);
+    return decay_.Evaluate(worker, w, Eigen::Vector3d(1.3, 0.2, 4.0), xi, r,
+                           dr_dtheta != nullptr ? &unused : nullptr, dr_dxi);
+  }
+
+ private:
+  Decay& decay_;
+};
+
+TEST(MultipleShooting, SettlesInitialStatesWhereNoParameterIsUnknown) {
+  Decay decay(5, 0.001, 3);
+  KnownDecay model(&decay);
+  const ShootingProblem problem{&model, {}, {}, {}, {}, {}};
+  const auto s = SolveShooting(problem, {}, {}, {}, {});
+  EXPECT_EQ(s.termination, Termination::kConverged);
+  EXPECT_EQ(s.information.size(), 0);
+  EXPECT_EQ(s.variance_inflation, 1.0);
+  for (int w = 0; w < 5; ++w) {
+    const double x0 = decay.windows_[w].measured_x0 + 0.1 * s.xi[w][0];
+    EXPECT_NEAR(x0 * std::exp(-0.13) + 0.2, decay.windows_[w].y[0], 0.005) << w;
+  }
+}
+
 TEST(MultipleShooting, StatedUncertaintyCoversTheTruth) {
   int covered = 0;
   const int trials = 200;

@@ -130,6 +130,71 @@ TEST(SysidOnSet, RefusesASetWithoutAnythingToFit) {
   EXPECT_EQ(report.status().code(), StatusCode::kInvalid);
 }
 
+// Cancels at a count of the calls that identification makes on its clock and its progress.
+class CancelAtCall final : public Clock {
+ public:
+  explicit CancelAtCall(int call) : call_(call) {}
+  int64_t SteadyNanos() const override {
+    Count();
+    return 0;
+  }
+  int64_t WallNanos() const override { return 0; }
+  ProgressFn Progress() const {
+    return [this](const ProgressUpdate&) { Count(); };
+  }
+  const CancelToken& token() const { return cancel_; }
+  int calls() const { return calls_; }
+
+ private:
+  void Count() const {
+    if (calls_++ == call_) cancel_.Cancel();
+  }
+  int call_;
+  mutable int calls_ = 0;
+  mutable CancelToken cancel_;
+};
+
+TEST(SysidOnSet, ACancelAtAnyStageLeavesAReport) {
+  Set s({.duration_s = 2.0, .rate_hz = 50.0, .position_noise = 3e-4, .velocity_noise = 5e-3});
+  SysidOptions options = Quick();
+  options.max_iterations = 2;
+  const auto run = [&](const CancelAtCall& cancel) {
+    return SysidOnSet(s.set, options, cancel, cancel.Progress(), &cancel.token());
+  };
+  const CancelAtCall never(-1);
+  const auto whole = run(never);
+  ASSERT_TRUE(whole.ok()) << whole.status().ToString();
+  ASSERT_FALSE(whole->stopped_early);
+  ASSERT_EQ(whole->identifiability_of, whole->chosen);
+  ASSERT_GT(never.calls(), 20) << "stages to cancel at";
+  size_t fewest = whole->candidates.size(), told = 0;
+  for (int call = 0; call < never.calls() - 1; ++call) {  // the last: all is done
+    const auto report = run(CancelAtCall(call));
+    ASSERT_TRUE(report.ok()) << report.status().ToString();
+    EXPECT_TRUE(report->stopped_early) << call;
+    EXPECT_TRUE(std::isfinite(report->after_rms)) << call;
+    EXPECT_LE(report->after_rms, report->before_rms) << call;
+    EXPECT_EQ(report->identifiability_of.empty(), report->identifiability.parameters.empty()) << call;
+    EXPECT_FALSE(FormatSysid(*report).empty());
+    EXPECT_EQ(SysidToJson(*report)["candidates"].size(), report->candidates.size());
+    fewest = std::min(fewest, report->candidates.size());
+    told += report->identifiability_of.empty() ? 0 : 1;
+  }
+  EXPECT_EQ(fewest, 1u) << "before any fit";
+  EXPECT_GT(told, 0u) << "half-way: what is known by then";
+}
+
+TEST(SysidOnSet, NothingToFitIsAReportWithoutParameters) {
+  Set s({.duration_s = 2.0, .rate_hz = 50.0});
+  SysidOptions options = Quick();
+  options.fit_inertial = options.fit_joints = false;
+  const auto report = SysidOnSet(s.set, options, RealClock());
+  ASSERT_TRUE(report.ok()) << report.status().ToString();
+  EXPECT_EQ(report->chosen, "nominal");
+  EXPECT_TRUE(report->identifiability.parameters.empty());
+  EXPECT_TRUE(report->identifiability_of.empty());
+}
+
 TEST(SysidOnSet, TableAndJsonHoldTheSameFigures) {
   Set s;
   SysidOptions options = Quick();
