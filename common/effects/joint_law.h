@@ -68,7 +68,7 @@ struct JointLaw {
   S inertia{};                           // Σ reflected inertia
 
   // Weight for a law that relaxes at rate·h = x.
-  S Weight(const S& x) const {
+  RG_INLINE S Weight(const S& x) const {
     if (step.first_order) return S(T(1));
     const S y = Select(x > T(0), x, S(T(0)));
     return T(0.5) + y / (T(12) + T(2) * y);
@@ -79,18 +79,18 @@ struct JointLaw {
     const S y = x * x;
     return T(0.5) + T(0.5) * y / (T(16) + y);
   }
-  S VelocityAt(const S& theta) const { return v0 + theta * (v1 - v0); }
+  RG_INLINE S VelocityAt(const S& theta) const { return v0 + theta * (v1 - v0); }
   S PositionAt(const S& theta) const { return q0 + theta * (q1 - q0); }
   S MeanSpeed() const { return T(0.5) * (Abs(v0) + Abs(v1)); }
 
-  S Force() const {
+  RG_INLINE S Force() const {
     const S smooth = link + force - SmoothFriction() - inertia * acceleration;
     if (!rough) return smooth;
     return smooth + SignForce(level_positive, level_negative);
   }
 
   // d·v + b·v|v| at the weighted velocity.
-  S SmoothFriction() const {
+  RG_INLINE S SmoothFriction() const {
     const S stiffness = viscous + T(2) * quadratic * Abs(v0);
     const S v = VelocityAt(Weight(stiffness * (step.h / reference_mass)));
     return (viscous + quadratic * Abs(v)) * v;

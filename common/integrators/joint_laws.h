@@ -193,10 +193,10 @@ struct LawSetting {
 // Force on the joints of one pack, `joint` the program of each. v1, q0 …: the local variables; parameters:
 // all of the joint's; z0, z1: its states. `drive`: the torque after the actuator stage, which coupled
 // joints feel.
-template <class S>
-S Law(const StepProgram& program, const JointProgram& joint, const LawSetting<effects::Base<S>>& at,
-      const S& v1, const S& v0, const S& q0, const S& u, const S& coupled, const S* z0, const S* parameters,
-      S* z1, S* drive) {
+template <class S, bool kPlain>
+RG_INLINE S LawOf(const StepProgram& program, const JointProgram& joint,
+                  const LawSetting<effects::Base<S>>& at, const S& v1, const S& v0, const S& q0, const S& u,
+                  const S& coupled, const S* z0, const S* parameters, S* z1, S* drive) {
   using P = effects::Base<S>;
   JointLaw<S> law;
   law.step = at.step;
@@ -212,6 +212,10 @@ S Law(const StepProgram& program, const JointProgram& joint, const LawSetting<ef
   law.drive = parameters[kForceGain] * u;
   law.viscous = parameters[kDamping];
   law.level_positive = law.level_negative = parameters[kFriction];
+  if constexpr (kPlain) {  // no effects: all in registers
+    *drive = law.link = law.drive;
+    return law.Force();
+  }
   const int actuators = joint.first_op + joint.num_actuator_ops;
   RunOps(program, joint.first_op, actuators, parameters, z0, z1, law);
   *drive = law.drive;
@@ -222,6 +226,15 @@ S Law(const StepProgram& program, const JointProgram& joint, const LawSetting<ef
   law.link = law.drive;
   RunOps(program, next, joint.first_op + joint.num_ops, parameters, z0, z1, law);
   return law.Force();
+}
+
+template <class S>
+S Law(const StepProgram& program, const JointProgram& joint, const LawSetting<effects::Base<S>>& at,
+      const S& v1, const S& v0, const S& q0, const S& u, const S& coupled, const S* z0, const S* parameters,
+      S* z1, S* drive) {
+  return joint.num_ops == 0
+             ? LawOf<S, true>(program, joint, at, v1, v0, q0, u, coupled, z0, parameters, z1, drive)
+             : LawOf<S, false>(program, joint, at, v1, v0, q0, u, coupled, z0, parameters, z1, drive);
 }
 
 template <class T, int C>
@@ -317,38 +330,70 @@ struct LawGradients {
   alignas(64) T state[kMaxStates][kMaxLocals][C];
 };
 
+// Which local variables of a pack's joints gradients are taken by, each with its place in the dual numbers.
+struct Seeds {
+  int count = 0;
+  int local[kMaxLocals];
+  int8_t place[kMaxLocals];  // −1: none
+
+  void Add(int k) {
+    place[k] = static_cast<int8_t>(count);
+    local[count++] = k;
+  }
+};
+
+template <class T, int C>
+Seeds SeedsOf(const LawContext<T, C>& c, const LawPack<T>& pack, const Directions& directions) {
+  const JointProgram& joint = c.program->joints[pack.joints[0]];
+  uint64_t used = 1u << kEndVelocity | 1u << kVelocity | 1u << kPosition;
+  used |= ((uint64_t{1} << joint.num_states) - 1) << kFirstState;
+  for (int l = 0; l < pack.count; ++l) {
+    const JointProgram& own = c.program->joints[pack.joints[l]];
+    used |= directions.used_locals[pack.joints[l]];
+    if (own.coupled_to >= 0 || own.sees >= 0) used |= 1u << kCoupled;
+  }
+  Seeds seeds;
+  for (int k = 0; k < joint.num_locals(); ++k) {
+    seeds.place[k] = -1;
+    if (used >> k & 1u) seeds.Add(k);
+  }
+  return seeds;
+}
+
 template <int W, class T, int C>
-void PackGradient(const LawContext<T, C>& c, int k, bool rough, const T* v1, T* drives,
+void PackGradient(const LawContext<T, C>& c, int k, bool rough, const Seeds& seeds, const T* v1, T* drives,
                   LawGradients<T, C>* out) {
   using P = Pack<T>;
   using S = Dual<P, W>;
   using Packs = LawPacks<T, C>;
   const LawPack<T>& pack = c.packs->packs[k];
   const JointProgram& joint = c.program->joints[pack.joints[0]];
-  S parameters[W], z[kMaxStates], end[kMaxStates], drive;
-  for (int m = 0; m < joint.num_states; ++m) z[m] = S::Variable(StateOf(c, pack, m), kFirstState + m);
+  const auto variable = [&](P value, int local) RG_LAMBDA_INLINE {
+    return seeds.place[local] < 0 ? S(value) : S::Variable(value, seeds.place[local]);
+  };
+  S parameters[kMaxLocals], z[kMaxStates], end[kMaxStates], drive;
+  for (int m = 0; m < joint.num_states; ++m) z[m] = variable(StateOf(c, pack, m), kFirstState + m);
   for (int m = 0; m < joint.num_parameters; ++m) {
-    parameters[m] = S::Variable(c.packs->parameters[k][m], kFirstState + joint.num_states + m);
+    parameters[m] = variable(c.packs->parameters[k][m], kFirstState + joint.num_states + m);
   }
   LawSetting<P> setting = SettingOf(c, k);
   setting.rough = rough;
-  const S f = Law<S>(*c.program, joint, setting, S::Variable(Packs::Gather(pack, v1), kEndVelocity),
-                     S::Variable(Packs::Gather(pack, c.input->v), kVelocity),
-                     S::Variable(Packs::Gather(pack, c.input->q), kPosition),
-                     S::Variable(Packs::Gather(pack, c.input->command), kCommand),
-                     S::Variable(CoupledOf(c, pack, drives), kCoupled), z, parameters, end, &drive);
-  const int locals = joint.num_locals();
-  for (int m = 0; m < locals; ++m) Packs::Scatter(pack, f.d[m], out->force[m]);
-  for (int m = 0; m < joint.num_states; ++m)
-    Packs::Scatter(pack, f.d[kFirstState + m], out->force_by_state[m]);
-  if (c.packs->num_uncoupled < c.packs->count) {
-    for (int m = 0; m < locals; ++m) Packs::Scatter(pack, drive.d[m], out->drive[m]);
-    Packs::Scatter(pack, drive.v, drives);
-  }
-  for (int s = 0; s < joint.num_states; ++s) {
-    for (int m = 0; m < locals; ++m) Packs::Scatter(pack, end[s].d[m], out->state[s][m]);
-    for (int m = 0; m < joint.num_states; ++m) {
-      Packs::Scatter(pack, end[s].d[kFirstState + m], out->state_by_state[s][m]);
+  const S f = Law<S>(*c.program, joint, setting, variable(Packs::Gather(pack, v1), kEndVelocity),
+                     variable(Packs::Gather(pack, c.input->v), kVelocity),
+                     variable(Packs::Gather(pack, c.input->q), kPosition),
+                     variable(Packs::Gather(pack, c.input->command), kCommand),
+                     variable(CoupledOf(c, pack, drives), kCoupled), z, parameters, end, &drive);
+  const bool coupling = c.packs->num_uncoupled < c.packs->count;
+  if (coupling) Packs::Scatter(pack, drive.v, drives);
+  for (int i = 0; i < seeds.count; ++i) {
+    const int local = seeds.local[i], state = local - kFirstState;
+    const bool by_state = state >= 0 && state < joint.num_states;
+    Packs::Scatter(pack, f.d[i], out->force[local]);
+    if (by_state) Packs::Scatter(pack, f.d[i], out->force_by_state[state]);
+    if (coupling) Packs::Scatter(pack, drive.d[i], out->drive[local]);
+    for (int s = 0; s < joint.num_states; ++s) {
+      Packs::Scatter(pack, end[s].d[i], out->state[s][local]);
+      if (by_state) Packs::Scatter(pack, end[s].d[i], out->state_by_state[s][state]);
     }
   }
 }
@@ -362,15 +407,17 @@ void Gradients(const LawContext<T, C>& c, const Directions& directions, const T*
     // A friction level of zero changes no force, but it has a derivative.
     bool rough = pack.rough;
     for (int l = 0; l < pack.count; ++l) rough |= directions.friction[pack.joints[l]];
-    const int locals = c.program->joints[pack.joints[0]].num_locals();
-    if (locals <= 8) {
-      PackGradient<8>(c, k, rough, v1, drives, out);
-    } else if (locals <= 16) {
-      PackGradient<16>(c, k, rough, v1, drives, out);
-    } else if (locals <= 32) {
-      PackGradient<32>(c, k, rough, v1, drives, out);
+    const Seeds seeds = SeedsOf(c, pack, directions);
+    if (seeds.count <= 6) {
+      PackGradient<6>(c, k, rough, seeds, v1, drives, out);
+    } else if (seeds.count <= 8) {
+      PackGradient<8>(c, k, rough, seeds, v1, drives, out);
+    } else if (seeds.count <= 12) {
+      PackGradient<12>(c, k, rough, seeds, v1, drives, out);
+    } else if (seeds.count <= 24) {
+      PackGradient<24>(c, k, rough, seeds, v1, drives, out);
     } else {
-      PackGradient<kMaxLocals>(c, k, rough, v1, drives, out);
+      PackGradient<kMaxLocals>(c, k, rough, seeds, v1, drives, out);
     }
   }
 }

@@ -19,12 +19,12 @@ inline namespace RG_ISA {
 inline constexpr int kMaxPasses = 25;
 inline constexpr double kPassTolerance = 1e-6;  // of velocity, per second
 
-template <class T, int C>
+template <class T, int C, int N>
 StepResult LeapfrogStep(const StepProgram& program, const StepValues& values, const StepInput& input,
                         const Directions* directions, double* direct, const Sensitivity& from,
-                        const Sensitivity& to, const StepOutput& output, StepWorkspace<T, C>& s) {
+                        const Sensitivity& to, const StepOutput& output, StepWorkspace<T, C, N>& s) {
   const dynamics::Tree& tree = program.tree;
-  const int n = tree.n;
+  const int n = s.Joints(tree);
   s.input.Load(input, n);
   s.failure = {};
   const T h = s.input.h, begin = s.input.t, end = begin + h;

@@ -11,10 +11,10 @@ inline namespace RG_ISA {
 
 // s.v1 = acceleration at c.input's (q, v) under the laws' instantaneous forces; leaves w ready for
 // Derivatives.
-template <int C>
-void Acceleration(const LawContext<double, C>& c, bool derivatives, StepWorkspace<double, C>& s) {
+template <int C, int N>
+void Acceleration(const LawContext<double, C>& c, bool derivatives, StepWorkspace<double, C, N>& s) {
   const dynamics::Tree& tree = c.program->tree;
-  const int n = tree.n;
+  const int n = s.Joints(tree);
   const StepState<double, C>& at = *c.input;
   s.failure = {};
   dynamics::CopyIn(n, at.q, s.w.q);
@@ -37,12 +37,12 @@ void Acceleration(const LawContext<double, C>& c, bool derivatives, StepWorkspac
 }
 
 // da = H⁻¹(B_q dq + B_v dv + direct) of one stage; dq, dv, da: [column][C].
-template <int C>
+template <int C, int N>
 void StageSensitivity(const LawContext<double, C>& c, const Directions& directions,
-                      StepWorkspace<double, C>& s, double* direct, const double* dq, const double* dv,
+                      StepWorkspace<double, C, N>& s, double* direct, const double* dq, const double* dv,
                       double* da) {
   const StepProgram& program = *c.program;
-  const int n = program.tree.n;
+  const int n = s.Joints(program.tree);
   dynamics::SetAcceleration(program.tree, s.v1, s.w);
   dynamics::Derivatives(program.tree, s.w);
   dynamics::Regressor(program.tree, s.w);
@@ -95,11 +95,11 @@ void StageSensitivity(const LawContext<double, C>& c, const Directions& directio
 }
 
 // `direct`: columns × C, followed by three times as much scratch when directions are given.
-template <int C>
+template <int C, int N>
 StepResult Rk4Step(const StepProgram& program, const StepValues& values, const StepInput& input,
                    const Directions* directions, double* direct, const Sensitivity& from,
-                   const Sensitivity& to, const StepOutput& output, StepWorkspace<double, C>& s) {
-  const int n = program.tree.n;
+                   const Sensitivity& to, const StepOutput& output, StepWorkspace<double, C, N>& s) {
+  const int n = s.Joints(program.tree);
   s.input.Load(input, n);
   const StepState<double, C> start = s.input;
   const double h = start.h;

@@ -11,12 +11,12 @@
 namespace rg::integrators {
 inline namespace RG_ISA {
 
-template <class T, int C>
+template <class T, int C, int N>
 StepResult SemiImplicitEulerStep(const StepProgram& program, const StepValues& values, const StepInput& input,
                                  const Directions* directions, double* direct, const Sensitivity& from,
-                                 const Sensitivity& to, const StepOutput& output, StepWorkspace<T, C>& s) {
+                                 const Sensitivity& to, const StepOutput& output, StepWorkspace<T, C, N>& s) {
   const dynamics::Tree& tree = program.tree;
-  const int n = tree.n;
+  const int n = s.Joints(tree);
   s.input.Load(input, n);
   s.failure = {};
   const T h = s.input.h;

@@ -16,17 +16,17 @@ void FillStepKernels(StepKernels* small, StepKernels* large, StepKernels* lanes)
 namespace {
 
 struct Table {
-  StepKernels small, large, lanes;
+  StepKernels small[kSmallCapacity + 1], large, lanes[kSmallCapacity + 1];  // by the number of joints
   Table() {
     switch (math::DetectIsa()) {
       case math::Isa::kV1:
-        isa_v1::FillStepKernels(&small, &large, &lanes);
+        isa_v1::FillStepKernels(small, &large, lanes);
         break;
       case math::Isa::kV3:
-        isa_v3::FillStepKernels(&small, &large, &lanes);
+        isa_v3::FillStepKernels(small, &large, lanes);
         break;
       case math::Isa::kV4:
-        isa_v4::FillStepKernels(&small, &large, &lanes);
+        isa_v4::FillStepKernels(small, &large, lanes);
         break;
     }
   }
@@ -40,11 +40,9 @@ const Table& Kernels() {
 }  // namespace
 
 const StepKernels& GetStepKernels(int n) {
-  return n <= Kernels().small.capacity ? Kernels().small : Kernels().large;
+  return n <= kSmallCapacity ? Kernels().small[n] : Kernels().large;
 }
 
-const StepKernels* GetLaneStepKernels(int n) {
-  return n <= Kernels().lanes.capacity ? &Kernels().lanes : nullptr;
-}
+const StepKernels* GetLaneStepKernels(int n) { return n <= kSmallCapacity ? &Kernels().lanes[n] : nullptr; }
 
 }  // namespace rg::integrators

@@ -32,7 +32,11 @@ struct StepKernels {
                              double* a, void* scratch);
 };
 
-// For plants of up to n joints.
+// Plants of up to so many joints have kernels of this capacity, those of six and seven with the number of
+// joints known to the compiler.
+inline constexpr int kSmallCapacity = 8;
+
+// For plants of n joints.
 const StepKernels& GetStepKernels(int n);
 // As many windows side by side as a register of the processor holds; null for plants with too many joints. A
 // window's result does not depend, not by a bit, on what the other lanes hold.

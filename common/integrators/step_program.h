@@ -6,6 +6,8 @@
 // sloshing mass).
 #pragma once
 
+#include <cstdint>
+
 #include "common/dynamics/tree.h"
 
 namespace rg::integrators {
@@ -123,6 +125,8 @@ struct Directions {
     int column;
   };
   bool friction[kMaxJoints] = {};  // whether the joint's own friction level is among them
+  // Bit k: the joint's local variable k is among `locals` or `commands`.
+  uint64_t used_locals[kMaxJoints] = {};
   int num_locals = 0;
   const Local* locals = nullptr;
   struct Command {

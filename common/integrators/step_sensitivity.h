@@ -36,12 +36,12 @@ RG_INLINE ColumnRows<T, C> ColumnOf(const StepProgram& program, const Sensitivit
 
 // Direct effect of every direction on the generalised force, [column][C] into `direct`; only columns that
 // have one are written (the rest stays zero). With coupling, of the source's parameters too.
-template <class T, int C>
-void DirectForces(const LawContext<T, C>& c, const Directions& directions, const StepWorkspace<T, C>& s,
+template <class T, int C, int N>
+void DirectForces(const LawContext<T, C>& c, const Directions& directions, const StepWorkspace<T, C, N>& s,
                   T* direct) {
   constexpr int kWidth = math::kPackWidth<T>;
   const StepProgram& program = *c.program;
-  const int n = program.tree.n;
+  const int n = s.Joints(program.tree);
   if (directions.gravity >= 0) {
     T* column = direct + directions.gravity * C;
     for (int r = 0; r < n; r += kWidth) {
@@ -96,10 +96,10 @@ void DirectForces(const LawContext<T, C>& c, const Directions& directions, const
 
 // H⁻¹ into s.inverse, and the matrices that dq0 and dv0 are multiplied with into s.B_q, s.B_v. True where H
 // has no inverse.
-template <class T, int C>
-Mask<T> StateMatrices(const LawContext<T, C>& c, const StepWeights<T>& weights, StepWorkspace<T, C>& s) {
+template <class T, int C, int N>
+Mask<T> StateMatrices(const LawContext<T, C>& c, const StepWeights<T>& weights, StepWorkspace<T, C, N>& s) {
   const StepProgram& program = *c.program;
-  const int n = program.tree.n;
+  const int n = s.Joints(program.tree);
   constexpr int kWidth = math::kPackWidth<T>;
   using P = Pack<T>;
   const auto& force = s.gradients.force;
@@ -153,16 +153,33 @@ RG_INLINE void TimesInverse(int n, const math::Row<T, C>* inverse, math::Row<T, 
   }
 }
 
+// v1 = B_q q + B_v v + H⁻¹ own of a column; own may be null.
+template <class T, int C, int N>
+RG_INLINE void EndVelocities(int n, const StepWorkspace<T, C, N>& s, const ColumnRows<T, C>& x, const T* own,
+                             T* v1) {
+  using P = Pack<T>;
+  const auto times = [n](const math::Row<T, C>* A, const T* y, int r) RG_LAMBDA_INLINE {
+    P sum = A[0].Load(r) * P(y[0]);
+    for (int j = 1; j < n; ++j) sum += A[j].Load(r) * P(y[j]);
+    return sum;
+  };
+  for (int r = 0; r < n; r += math::kPackWidth<T>) {
+    P sum = times(s.B_q, x.q(), r) + times(s.B_v, x.v(), r);
+    if (own != nullptr) sum += times(s.inverse, own, r);
+    math::StorePack(v1 + r, sum);
+  }
+}
+
 // Solves for dv1 and moves all columns to the step's end. q1 = q0 + position_begin·v0 + position_end·v1.
 // `to` may be `from`.
-template <class T, int C>
+template <class T, int C, int N>
 void Propagate(const LawContext<T, C>& c, const Directions& directions, T position_begin, T position_end,
-               const StepWorkspace<T, C>& s, const T* direct, const Sensitivity& from,
+               const StepWorkspace<T, C, N>& s, const T* direct, const Sensitivity& from,
                const Sensitivity& to) {
   using P = Pack<T>;
   constexpr int kWidth = math::kPackWidth<T>;
   const StepProgram& program = *c.program;
-  const int n = program.tree.n, states = program.max_states;
+  const int n = s.Joints(program.tree), states = program.max_states;
   const bool coupling = c.packs->num_uncoupled < c.packs->count;
   const auto& g = s.gradients;
   for (int column = 0; column < directions.columns; ++column) {
@@ -186,17 +203,7 @@ void Propagate(const LawContext<T, C>& c, const Directions& directions, T positi
       }
       own = u;
     }
-    for (int r = 0; r < n; r += kWidth) {
-      P sum = s.B_q[0].Load(r) * P(x.q()[0]), more = s.B_v[0].Load(r) * P(x.v()[0]);
-      for (int j = 1; j < n; ++j) {
-        sum += s.B_q[j].Load(r) * P(x.q()[j]);
-        more += s.B_v[j].Load(r) * P(x.v()[j]);
-      }
-      if (own != nullptr) {
-        for (int j = 0; j < n; ++j) sum += s.inverse[j].Load(r) * P(own[j]);
-      }
-      math::StorePack(v1 + r, sum + more);
-    }
+    EndVelocities(n, s, x, own, v1);
     for (int r = 0; r < n; r += kWidth) {
       const P q = math::LoadPack(x.q() + r), v = math::LoadPack(x.v() + r), end = math::LoadPack(v1 + r);
       P z[kMaxStates];
@@ -229,10 +236,10 @@ void Propagate(const LawContext<T, C>& c, const Directions& directions, T positi
 }
 
 // All of it, after SetAcceleration at the solution s.v1.
-template <class T, int C>
+template <class T, int C, int N>
 RG_INLINE void Sensitivities(const LawContext<T, C>& c, const Directions& directions,
                              const StepWeights<T>& weights, T position_begin, T position_end,
-                             StepWorkspace<T, C>& s, double* direct, const Sensitivity& from,
+                             StepWorkspace<T, C, N>& s, double* direct, const Sensitivity& from,
                              const Sensitivity& to) {
   const dynamics::Tree& tree = c.program->tree;
   dynamics::Derivatives(tree, s.w);
@@ -241,17 +248,17 @@ RG_INLINE void Sensitivities(const LawContext<T, C>& c, const Directions& direct
   DirectForces(c, directions, s, reinterpret_cast<T*>(direct));
   s.failure.Add(StateMatrices(c, weights, s), StepStatus::kMassMatrixNotPositive, 0);
   if (s.failure.all()) return;
-  TimesInverse<T, C>(tree.n, s.inverse, s.B_q);
-  TimesInverse<T, C>(tree.n, s.inverse, s.B_v);
+  TimesInverse<T, C>(s.Joints(tree), s.inverse, s.B_q);
+  TimesInverse<T, C>(s.Joints(tree), s.inverse, s.B_v);
   Propagate(c, directions, position_begin, position_end, s, reinterpret_cast<const T*>(direct), from, to);
 }
 
 // The state at the step's end; `position` of a joint. Lanes that failed keep what they had.
-template <class T, int C, class Position>
-RG_INLINE void Store(const StepProgram& program, const StepOutput& output, const StepWorkspace<T, C>& s,
+template <class T, int C, int N, class Position>
+RG_INLINE void Store(const StepProgram& program, const StepOutput& output, const StepWorkspace<T, C, N>& s,
                      Position position) {
   const auto at = [](double* p) { return reinterpret_cast<T*>(p); };
-  for (int i = 0; i < program.tree.n; ++i) {
+  for (int i = 0; i < s.Joints(program.tree); ++i) {
     at(output.v)[i] = s.v1[i];
     at(output.q)[i] = position(i);
   }

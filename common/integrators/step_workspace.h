@@ -26,8 +26,11 @@ struct StepFailure {
   StepResult Result() const { return {status, joint, math::BitsOf(failed)}; }
 };
 
-template <class T, int C>
+// N: the number of joints where the compiler may know it, else 0.
+template <class T, int C, int N>
 struct StepWorkspace {
+  static constexpr RG_INLINE int Joints(const dynamics::Tree& tree) { return N > 0 ? N : tree.n; }
+
   dynamics::KernelWorkspace<T, C> w;
   dynamics::Inertias<T, C> inertias;
   LawPacks<T, C> laws;
@@ -50,6 +53,9 @@ struct StepWorkspace {
   T z1[C * kMaxStates];
   alignas(64) T H[C * C];
   T diagonal[C];
+  // Whether H holds the factor of M/h less these slopes.
+  bool factored;
+  T factored_slope[C];
 
   // Point forces: generalised force and its derivatives, row-major.
   T E[C], E_q[C * C], E_v[C * C], E_p[kMaxPointForces * kMaxPointParameters][C];
@@ -61,9 +67,9 @@ struct StepWorkspace {
 };
 
 // Inertias and constants from the values; whenever program or values change.
-template <class T, int C>
-void Prepare(const StepProgram& program, const StepValues& values, StepWorkspace<T, C>& s) {
-  const int n = program.tree.n;
+template <class T, int C, int N>
+void Prepare(const StepProgram& program, const StepValues& values, StepWorkspace<T, C, N>& s) {
+  const int n = s.Joints(program.tree);
   for (int k = 0; k < n; ++k) {
     T phi[10];
     for (int i = 0; i < 10; ++i) phi[i] = T(values.phi[k][i]);
@@ -99,15 +105,15 @@ void Prepare(const StepProgram& program, const StepValues& values, StepWorkspace
 
 // Generalised force of the point forces at the workspace's kinematics and velocity v, averaged over
 // [begin, end], with derivatives where `derivatives`.
-template <class T, int C>
+template <class T, int C, int N>
 void PointForces(const StepProgram& program, const StepValues& values, const T* v, T begin, T end,
-                 bool derivatives, StepWorkspace<T, C>& s);
+                 bool derivatives, StepWorkspace<T, C, N>& s);
 
 inline constexpr double kHeld = 1e9;  // a joint with so many times its inertia does not move
 
 // w.M into H's lower triangle, scaled.
-template <class T, int C>
-RG_INLINE void LoadMass(int n, T scale, const StepWorkspace<T, C>& s, T* H) {
+template <class T, int C, int N>
+RG_INLINE void LoadMass(int n, T scale, const StepWorkspace<T, C, N>& s, T* H) {
   for (int i = 0; i < n; ++i) {
     for (int j = 0; j <= i; ++j) H[i * C + j] = s.w.M[j][i] * scale;
   }
@@ -115,8 +121,9 @@ RG_INLINE void LoadMass(int n, T scale, const StepWorkspace<T, C>& s, T* H) {
 
 // The inertia each joint's force sees, link plus rotor, joints that stick held: 1/(M⁻¹)_ii over the joints
 // that move. Also checks that M is positive definite.
-template <class T, int C>
-RG_INLINE void UpdateEffectiveInertias(int n, const T* v, double stick_velocity, StepWorkspace<T, C>& s) {
+template <class T, int C, int N>
+RG_INLINE void UpdateEffectiveInertias(int n, const T* v, double stick_velocity, StepWorkspace<T, C, N>& s) {
+  s.factored = false;
   LoadMass(n, T(1.0), s, s.H);
   const auto sticks = [&](int i) RG_LAMBDA_INLINE { return math::Abs(v[i]) <= T(stick_velocity); };
   for (int i = 0; i < n; ++i) {
@@ -137,8 +144,8 @@ RG_INLINE void UpdateEffectiveInertias(int n, const T* v, double stick_velocity,
 }
 
 // w.c at velocity v, after Kinematics; leaves the composites that Derivatives needs.
-template <class T, int C>
-RG_INLINE void BiasHere(const dynamics::Tree& tree, const T* v, StepWorkspace<T, C>& s) {
+template <class T, int C, int N>
+RG_INLINE void BiasHere(const dynamics::Tree& tree, const T* v, StepWorkspace<T, C, N>& s) {
   dynamics::CopyIn(tree.n, v, s.w.v);
   dynamics::Velocities(tree, s.gravity, s.w);
   dynamics::BodyInertias(tree, s.inertias, s.w);
@@ -148,12 +155,12 @@ RG_INLINE void BiasHere(const dynamics::Tree& tree, const T* v, StepWorkspace<T,
       tree, [&](int r) RG_LAMBDA_INLINE { s.w.c.Store(r, Dot(s.w.S.Load(r), s.w.sum.force.Load(r))); });
 }
 
-template <class T, int C>
+template <class T, int C, int N>
 void PointForces(const StepProgram& program, const StepValues& values, const T* v, T begin, T end,
-                 bool derivatives, StepWorkspace<T, C>& s) {
+                 bool derivatives, StepWorkspace<T, C, N>& s) {
   using D = Dual<T, 16>;
   using math::Vec3;
-  const int n = program.tree.n;
+  const int n = s.Joints(program.tree);
   if (program.num_point_forces == 0 || program.point_body < 0) return;
   for (int i = 0; i < n; ++i) s.E[i] = T(0.0);
   if (derivatives) {

@@ -28,10 +28,10 @@ RG_INLINE T Rounding(const LawContext<T, C>& c, int i, T slope) {
 }
 
 // residual = M (v1 − v0)/h + bias − F, and whether it vanishes against the size of its terms.
-template <class T, int C>
+template <class T, int C, int N>
 RG_INLINE Mask<T> VelocityResidual(const LawContext<T, C>& c, const T* v1, const T* force, const T* slope,
-                                   const StepWorkspace<T, C>& s, T* residual) {
-  const int n = c.program->tree.n;
+                                   const StepWorkspace<T, C, N>& s, T* residual) {
+  const int n = s.Joints(c.program->tree);
   const T* v0 = c.input->v;
   alignas(64) T inertial[C], size[C];
   const auto over_joints = [&](auto each) RG_LAMBDA_INLINE {
@@ -59,11 +59,11 @@ RG_INLINE Mask<T> VelocityResidual(const LawContext<T, C>& c, const T* v1, const
 
 // Whether the slopes did not change over a full Newton step, so that it was exact and what is left of the
 // residual is rounding. A jump of the forces between two regions of equal slope leaves more.
-template <class T, int C>
-RG_INLINE Mask<T> Affine(const LawContext<T, C>& c, const T* v1, const StepWorkspace<T, C>& s, const T* step,
-                         const T* residual) {
+template <class T, int C, int N>
+RG_INLINE Mask<T> Affine(const LawContext<T, C>& c, const T* v1, const StepWorkspace<T, C, N>& s,
+                         const T* step, const T* residual) {
   Mask<T> affine = true;
-  for (int i = 0; i < c.program->tree.n; ++i) {
+  for (int i = 0; i < s.Joints(c.program->tree); ++i) {
     const T size = TermSize(c, i, s.bias[i], s.trial_force[i], s.trial_slope[i], v1[i]);
     affine = And(affine, math::Abs((s.trial_slope[i] - s.slope[i]) * step[i]) <= T(1e-12) * size + T(1e-300));
     affine = And(affine, math::Abs(residual[i]) <= T(1e-8) * size + T(1e-300));
@@ -103,23 +103,32 @@ struct LineSearch {
 // Solves for s.v1 from its present value, in the lanes that are not in `settled`; w.M and s.bias must be set.
 // Afterwards s.v1, s.force, s.slope and s.z1 are those of the solution. `known`: s.force and s.slope are
 // already those at s.v1.
-template <class T, int C>
-void SolveVelocity(const LawContext<T, C>& c, bool known, Mask<T> settled, StepWorkspace<T, C>& s) {
-  const int n = c.program->tree.n;
-  T residual[C], step[C];
+template <class T, int C, int N>
+void SolveVelocity(const LawContext<T, C>& c, bool known, Mask<T> settled, StepWorkspace<T, C, N>& s) {
+  const int n = s.Joints(c.program->tree);
+  T residual[C] = {}, step[C] = {};
   if (!known) Forces(c, s.v1, s.force, s.slope, s.z1);
   Mask<T> done = Or(Or(settled, s.failure.failed), VelocityResidual(c, s.v1, s.force, s.slope, s, residual));
   for (int iteration = 0; iteration < kMaxNewton && !All(done); ++iteration) {
-    LoadMass(n, c.input->inverse_h, s, s.H);
+    // The slopes often are those of the last factor: of this step's first pass, or before an exact step.
+    Mask<T> same = s.factored;
     for (int i = 0; i < n; ++i) {
-      s.H[i * C + i] -= s.slope[i];
+      same = And(same, And(s.slope[i] <= s.factored_slope[i], s.slope[i] >= s.factored_slope[i]));
       step[i] = -residual[i];
     }
-    int row = -1;
-    const Mask<T> bad = And(Cholesky<T, C>(n, s.H, s.diagonal, &row), Not(done));
-    s.failure.Add(bad, StepStatus::kMassMatrixNotPositive, row);
-    done = Or(done, bad);
-    if (All(done)) return;
+    if (!All(Or(same, done))) {
+      LoadMass(n, c.input->inverse_h, s, s.H);
+      for (int i = 0; i < n; ++i) {
+        s.H[i * C + i] -= s.slope[i];
+        s.factored_slope[i] = s.slope[i];
+      }
+      s.factored = true;
+      int row = -1;
+      const Mask<T> bad = And(Cholesky<T, C>(n, s.H, s.diagonal, &row), Not(done));
+      s.failure.Add(bad, StepStatus::kMassMatrixNotPositive, row);
+      done = Or(done, bad);
+      if (All(done)) return;
+    }
     CholeskySolve<T, C>(n, s.H, s.diagonal, step);
     T downhill = T(0.0);
     for (int i = 0; i < n; ++i) downhill += residual[i] * step[i];

@@ -97,6 +97,8 @@ DirectionPlan::DirectionPlan(const PlantData& plant, Leading leading, std::vecto
     }
     next += directions_.num_body[b];
   }
+  for (const auto& l : locals_) directions_.used_locals[l.joint] |= uint64_t{1} << l.local;
+  for (const auto& c : commands_) directions_.used_locals[c.joint] |= uint64_t{1} << integrators::kCommand;
   directions_.columns = next;
   directions_.locals = locals_.data();
   directions_.num_locals = static_cast<int>(locals_.size());
