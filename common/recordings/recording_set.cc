@@ -193,6 +193,15 @@ Result<RecordingSet> MergeSets(std::vector<RecordingSet> sets) {
   return all;
 }
 
+Result<RecordingSet> LoadSets(const std::vector<std::string>& folders) {
+  std::vector<RecordingSet> sets;
+  for (const std::string& folder : folders) {
+    RG_ASSIGN_OR_RETURN(RecordingSet set, LoadSet(folder));
+    sets.push_back(std::move(set));
+  }
+  return MergeSets(std::move(sets));
+}
+
 Status WriteSet(const std::string& folder, const RecordingSet& set) {
   for (const Recording& r : set.recordings) {
     RG_RETURN_IF_ERROR(WriteCsv((fs::path(folder) / r.name).string(), r));

@@ -65,6 +65,9 @@ bool ChooseHoldout(std::vector<Recording>& recordings);
 // they are.
 Result<RecordingSet> MergeSets(std::vector<RecordingSet> sets);
 
+// LoadSet of one folder, or of several as one set.
+Result<RecordingSet> LoadSets(const std::vector<std::string>& folders);
+
 // Writes manifest.json, the URDF text as robot.urdf, and every recording, into `folder`.
 Status WriteSet(const std::string& folder, const RecordingSet& set);
 // The text of manifest.json for a set whose URDF lies in the folder as `robot_file`.

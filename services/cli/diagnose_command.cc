@@ -22,9 +22,17 @@ CancelToken cancel_on_interrupt;
 void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
 
 struct DiagnoseArguments {
-  std::string set, out, svg;
+  std::vector<std::string> sets;
+  std::string out, svg;
   diagnosis::DiagnosisOptions options;
 };
+
+std::string Joined(const std::vector<std::string>& names) {
+  std::string out;
+  for (size_t i = 0; i < names.size(); ++i)
+    out += (i == 0 ? "" : i + 1 == names.size() ? " and " : ", ") + names[i];
+  return out;
+}
 
 std::string Told(const diagnosis::DiagnosisResult& r) {
   std::string text = r.verdict;
@@ -32,6 +40,9 @@ std::string Told(const diagnosis::DiagnosisResult& r) {
     char confidence[32];
     std::snprintf(confidence, sizeof confidence, " (%.2f)", f.confidence);
     text += "\n  " + f.effect + confidence + ": " + f.statement;
+    if (f.effect_class.size() > 1)
+      text += "\n    cannot be told from " + Joined({f.effect_class.begin() + 1, f.effect_class.end()}) +
+              " in these recordings";
   }
   char line[200];
   std::snprintf(line, sizeof line,
@@ -39,13 +50,32 @@ std::string Told(const diagnosis::DiagnosisResult& r) {
                 r.holdout.before_rms, r.holdout.calibrated_rms, r.holdout.after_rms,
                 r.holdout.noise_floor_rms, r.elapsed_s);
   text += line;
+  if (r.motion) {
+    std::snprintf(line, sizeof line, " (%.3g nats expected)", r.motion->expected_nats);
+    text += "\nrecord next: " + r.motion->description + line;
+  }
   for (const std::string& note : r.notes) text += "\nnote: " + note;
   return text;
 }
 
+std::string Next(const diagnosis::DiagnosisResult& r, const DiagnoseArguments& arguments) {
+  const std::string& out = arguments.out;
+  if (out.empty())
+    return std::string("next: the same with --out DIR keeps model and report") +
+           (r.motion ? ", and the motion that tells the rivals apart" : "");
+  if (!r.motion)
+    return "next: open " + out + "/report.html; realitygrad predict --model " + out +
+           "/model.json --recording REC.csv --out PRED.csv";
+  std::string sets;
+  for (const std::string& set : arguments.sets) sets += set + " ";
+  return "next: realitygrad submit rollout --trajectory " + out +
+         "/motion.csv --out MORE; realitygrad diagnose " + sets + "MORE --out " + out + "2   (tells " +
+         Joined(r.motion->effects) + " apart)";
+}
+
 Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
   signal(SIGINT, OnInterrupt);
-  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSet(arguments.set));
+  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSets(arguments.sets));
   RG_RETURN_IF_ERROR(CheckWritable(arguments.out));
   ProgressDisplay display(
       {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
@@ -63,10 +93,7 @@ Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
     PrintJson("realitygrad.diagnosis/1", nlohmann::json::parse(diagnosis::DiagnosisJson(result)));
   } else if (!context.quiet()) {
     Print(Told(result));
-    Print(arguments.out.empty()
-              ? "next: the same with --out DIR keeps model and report"
-              : "next: open " + arguments.out + "/report.html; realitygrad predict --model " + arguments.out +
-                    "/model.json --recording REC.csv --out PRED.csv");
+    Print(Next(result, arguments));
   }
   return Status::Ok();
 }
@@ -78,7 +105,10 @@ void AddDiagnoseCommand(CLI::App& app, Context& context) {
   CLI::App* command =
       app.add_subcommand("diagnose", "Say which physics the model leaves out, from a recording set");
   auto& o = arguments->options;
-  command->add_option("SET", arguments->set, "Folder of a recording set")->required();
+  command
+      ->add_option("SET", arguments->sets,
+                   "Folder of a recording set; several of one robot are diagnosed as one")
+      ->required();
   command->add_option("--out", arguments->out, "Folder for diagnosis.json, model.json and report.html");
   command->add_option("--svg", arguments->svg, "File for a small picture of the missing force");
   command->add_option("--threads", o.threads, "0: all cores")->capture_default_str();

@@ -24,7 +24,8 @@ namespace fs = std::filesystem;
 using nlohmann::json;
 
 struct DiagnoseJobArguments {
-  std::string set, out, request_id;
+  std::vector<std::string> sets;
+  std::string out, request_id;
   jobs::DiagnoseOptions options;
   bool follow = false;
 };
@@ -49,12 +50,24 @@ Result<std::string> Packed(const std::string& folder) {
   return rollouts::PackBundle(bundle);
 }
 
+// Several sets as one, its splits as they are.
+Result<std::string> PackedTogether(const std::vector<std::string>& folders) {
+  if (folders.size() == 1) return Packed(folders.front());
+  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSets(folders));
+  rollouts::Bundle bundle = {{"manifest.json", recordings::FormatManifest(set, "robot.urdf")},
+                             {"robot.urdf", set.urdf_text}};
+  for (const recordings::Recording& recording : set.recordings)
+    bundle[recording.name] = recordings::FormatCsv(recording);
+  return rollouts::PackBundle(bundle);
+}
+
 Status Fetch(coordinator::Client& client, const pb::GetJobReply& job, const std::string& out) {
   for (const pb::TaskInfo& task : job.tasks()) {
     for (const pb::TaskOutput& output : task.outputs()) {
       const std::string name = output.kind() == jobs::kArtifactDiagnosis ? "diagnosis.json"
                                : output.kind() == jobs::kArtifactModel   ? "model.json"
                                : output.kind() == jobs::kArtifactReport  ? "report.html"
+                               : output.kind() == jobs::kArtifactMotion  ? "motion.csv"
                                                                          : "";
       if (name.empty()) continue;
       RG_ASSIGN_OR_RETURN(const std::string bytes, client.GetArtifact(output.sha256()));
@@ -65,11 +78,11 @@ Status Fetch(coordinator::Client& client, const pb::GetJobReply& job, const std:
 }
 
 Status SubmitDiagnose(Context& context, const DiagnoseJobArguments& arguments) {
-  RG_ASSIGN_OR_RETURN(const std::string bundle, Packed(arguments.set));
+  RG_ASSIGN_OR_RETURN(const std::string bundle, PackedTogether(arguments.sets));
   RG_ASSIGN_OR_RETURN(const auto client, context.Connect());
   pb::ArtifactInfo info;
   info.set_kind(jobs::kArtifactRecordingSet);
-  info.set_metadata_json(json{{"name", fs::path(arguments.set).filename().string()}}.dump());
+  info.set_metadata_json(json{{"name", fs::path(arguments.sets.front()).filename().string()}}.dump());
   RG_ASSIGN_OR_RETURN(const std::string set, client->PutArtifact(bundle, info));
   RG_ASSIGN_OR_RETURN(const int64_t id,
                       client->Submit(jobs::CompileDiagnose(arguments.options, set), arguments.request_id));
@@ -99,7 +112,10 @@ Status SubmitDiagnose(Context& context, const DiagnoseJobArguments& arguments) {
 void AddSubmitDiagnose(CLI::App& submit, Context& context) {
   auto arguments = std::make_shared<DiagnoseJobArguments>();
   CLI::App* command = submit.add_subcommand("diagnose", "Which physics a model leaves out, on a worker");
-  command->add_option("SET", arguments->set, "Folder of a recording set")->required();
+  command
+      ->add_option("SET", arguments->sets,
+                   "Folder of a recording set; several of one robot are diagnosed as one")
+      ->required();
   command->add_option("--out", arguments->out,
                       "Wait, and write diagnosis.json, model.json, report.html here");
   command->add_option("--window", arguments->options.window_s, "Length of the judged predictions [s]")

@@ -12,10 +12,38 @@
 #include "services/diagnosis/holdout.h"
 #include "services/diagnosis/plausibility.h"
 #include "services/diagnosis/search.h"
+#include "services/diagnosis/separating_motion.h"
 #include "services/sysid/parallel.h"
 #include "services/sysid/sysid_on_set.h"
 
 namespace rg::diagnosis {
+
+namespace {
+
+// What to record next, where a class holds more than one effect: a motion that can be made, or that none was
+// found.
+void SayWhatToRecord(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
+                     const MotionScales& scales, const DiagnosisOptions& options, int threads,
+                     const CancelToken* cancel, DiagnosisResult* result) {
+  const bool open = std::any_of(result->findings.begin(), result->findings.end(),
+                                [](const Finding& f) { return f.effect_class.size() > 1; });
+  // With a measured effort rivals are weighed in the balance of torques, which has no sensors' noise to plan
+  // with.
+  if (!open || search.measured.active) return;
+  result->motion =
+      ProposeMotion(search, data, nominal, scales, result->findings, options.step_s, threads, cancel);
+  for (Finding& f : result->findings) {
+    for (Alternative& a : f.alternatives) {
+      if (a.separable) continue;
+      a.experiment = result->motion ? result->motion->description + " (motion.csv)"
+                                    : a.experiment +
+                                          "; no motion tried within the recorded range and the "
+                                          "limits is expected to separate them";
+    }
+  }
+}
+
+}  // namespace
 
 Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& set, const DiagnosisOptions& options,
                                  const Clock& clock, const ProgressFn& progress, const CancelToken* cancel) {
@@ -39,6 +67,8 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& set, const Diag
   for (std::string& note : NotesOnMeasurement(set, data, nominal, search.measured))
     result.notes.push_back(std::move(note));
   Conclude(search, data, nominal, scales, &result);
+  if (progress) progress({"what to record next", 0.96, 1.0, result.verdict});
+  SayWhatToRecord(search, data, nominal, scales, options, threads, cancel, &result);
   if (progress) progress({"held-out recordings", 0.97, 1.0, result.verdict});
   JudgeHeldOut(set, nominal, search, data, options, threads, &result);
   result.elapsed_s = clock.SteadySeconds() - start;

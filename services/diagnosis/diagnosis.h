@@ -63,6 +63,16 @@ struct Finding {
   std::vector<Alternative> alternatives;
 };
 
+// The motion that would tell apart what these recordings cannot (separating_motion.h). Written as motion.csv,
+// which `realitygrad submit rollout --trajectory` plays.
+struct ProposedMotion {
+  std::vector<std::string> effects;  // the rivals, ids
+  std::string description;
+  double expected_nats = 0;  // by which the wrong one is expected to lie behind afterwards
+  std::vector<double> t;     // K, s
+  Eigen::MatrixXd q, v;      // n × K
+};
+
 // How a base parameter moved when the effects came in.
 struct LedgerRow {
   std::string name, unit;
@@ -114,6 +124,7 @@ struct DiagnosisResult {
   double window_s = 1.0;
   double elapsed_s = 0;
   std::vector<std::string> notes;
+  std::optional<ProposedMotion> motion;  // where a class holds more than one effect
 
   std::string robot;
   std::vector<std::string> joints, units;
@@ -138,8 +149,10 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& set, const Diag
 
 // diagnosis.json, "realitygrad.diagnosis/1".
 std::string DiagnosisJson(const DiagnosisResult& result);
-// diagnosis.json, model.json and, if `page` is not empty, report.html into `folder`, which is made. The page
-// is made by report::DiagnosisPage.
+// The proposed motion as CSV (time, position.<joint>…, velocity.<joint>…); empty where there is none.
+std::string MotionCsv(const DiagnosisResult& result);
+// diagnosis.json, model.json, motion.csv where a motion is proposed, and, if `page` is not empty, report.html
+// into `folder`, which is made. The page is made by report::DiagnosisPage.
 Status WriteDiagnosis(const std::string& folder, const DiagnosisResult& result, const std::string& page = {});
 
 }  // namespace rg::diagnosis

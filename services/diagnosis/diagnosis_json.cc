@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/file.h"
+#include "common/recordings/csv.h"
 #include "common/sim/model_file.h"
 #include "services/diagnosis/diagnosis.h"
 
@@ -56,24 +57,41 @@ std::string DiagnosisJson(const DiagnosisResult& r) {
                           {"calibrated_median", rec.calibrated_median},
                           {"after_median", rec.after_median}});
   }
-  const json out = {{"format", "realitygrad.diagnosis/1"},
-                    {"verdict", r.verdict},
-                    {"findings", findings},
-                    {"fit",
-                     {{"window_s", r.window_s},
-                      {"holdout",
-                       {{"before_rms", h.before_rms},
-                        {"calibrated_rms", h.calibrated_rms},
-                        {"after_rms", h.after_rms},
-                        {"noise_floor_rms", h.noise_floor_rms},
-                        {"improvement_ci95", {h.improvement_low, h.improvement_high}},
-                        {"recordings", recordings}}},
-                      {"mismatch", r.mismatch},
-                      {"remaining", r.remaining},
-                      {"noise_scale", r.noise_scale}}},
-                    {"notes", r.notes},
-                    {"elapsed_s", r.elapsed_s}};
+  json out = {{"format", "realitygrad.diagnosis/1"},
+              {"verdict", r.verdict},
+              {"findings", findings},
+              {"fit",
+               {{"window_s", r.window_s},
+                {"holdout",
+                 {{"before_rms", h.before_rms},
+                  {"calibrated_rms", h.calibrated_rms},
+                  {"after_rms", h.after_rms},
+                  {"noise_floor_rms", h.noise_floor_rms},
+                  {"improvement_ci95", {h.improvement_low, h.improvement_high}},
+                  {"recordings", recordings}}},
+                {"mismatch", r.mismatch},
+                {"remaining", r.remaining},
+                {"noise_scale", r.noise_scale}}},
+              {"notes", r.notes},
+              {"elapsed_s", r.elapsed_s}};
+  if (r.motion) {
+    out["motion"] = {{"file", "motion.csv"},
+                     {"separates", r.motion->effects},
+                     {"description", r.motion->description},
+                     {"duration_s", r.motion->t.back()},
+                     {"expected_nats", r.motion->expected_nats}};
+  }
   return out.dump(1);
+}
+
+std::string MotionCsv(const DiagnosisResult& r) {
+  if (!r.motion) return "";
+  recordings::Recording rows;
+  rows.joints = r.joints;
+  rows.t =
+      Eigen::Map<const Eigen::VectorXd>(r.motion->t.data(), static_cast<Eigen::Index>(r.motion->t.size()));
+  rows.q = r.motion->q, rows.v = r.motion->v;
+  return recordings::FormatCsv(rows, 9);
 }
 
 Status WriteDiagnosis(const std::string& folder, const DiagnosisResult& r, const std::string& page) {
@@ -82,6 +100,11 @@ Status WriteDiagnosis(const std::string& folder, const DiagnosisResult& r, const
   if (error) return UnavailableError(folder + ": " + error.message());
   RG_RETURN_IF_ERROR(WriteFileAtomically(folder + "/diagnosis.json", DiagnosisJson(r) + "\n"));
   if (r.plant) RG_RETURN_IF_ERROR(sim::SaveModelFile(folder + "/model.json", *r.plant, r.values));
+  if (r.motion) {
+    RG_RETURN_IF_ERROR(WriteFileAtomically(folder + "/motion.csv", MotionCsv(r)));
+  } else {
+    std::filesystem::remove(folder + "/motion.csv", error);  // of an earlier diagnosis
+  }
   return page.empty() ? Status::Ok() : WriteFileAtomically(folder + "/report.html", page);
 }
 

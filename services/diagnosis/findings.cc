@@ -10,6 +10,7 @@
 #include "common/model/robot_model.h"
 #include "services/diagnosis/confidence.h"
 #include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/separating_motion.h"
 
 namespace rg::diagnosis {
 
@@ -203,31 +204,13 @@ class Speaker {
 
   void FillClass(const std::string& id, Finding* f) {
     f->effect_class.push_back(f->effect);
-    std::map<std::string, const Candidate*> rivals;
-    for (const Candidate& c : s_.tried) {
-      // The same model with one effect exchanged.
-      std::set<std::string> mine, theirs;
-      for (const EffectSpec& e : s_.best.specs) mine.insert(e.id);
-      for (const EffectSpec& e : c.specs) theirs.insert(e.id);
-      if (theirs.count(id) || theirs.size() != mine.size()) continue;
-      std::vector<std::string> extra;
-      for (const std::string& e : theirs) {
-        if (!mine.count(e)) extra.push_back(e);
-      }
-      if (extra.size() != 1) continue;
-      auto [it, fresh] = rivals.try_emplace(extra[0], &c);
-      if (!fresh && c.score > it->second->score) it->second = &c;
-    }
-    std::vector<std::pair<std::string, const Candidate*>> sorted(rivals.begin(), rivals.end());
-    std::sort(sorted.begin(), sorted.end(),
-              [](auto& a, auto& b) { return a.second->score > b.second->score; });
-    for (const auto& [effect, c] : sorted) {
+    for (const auto& [effect, c] : RivalsOf(s_, id)) {
       if (f->alternatives.size() >= 4) break;
       Alternative a;
       a.effect = effect;
       a.joints = JointsOf(c->specs, effect, r_.joints);
       a.evidence = c->score - s_.best.score;
-      a.separable = a.evidence < -3.0;
+      a.separable = a.evidence < -kSeparable;
       a.experiment = Experiment(id, effect, f->joints);
       if (!a.separable) f->effect_class.push_back(effect);
       f->alternatives.push_back(a);

@@ -97,6 +97,11 @@ Result<worker::TaskOutputs> RunDiagnose(const worker::TaskInput& input, worker::
   outputs.artifacts.push_back({kOutputModel, kArtifactModel, sim::ModelToJson(*result.plant, result.values),
                                json{{"robot", result.robot}}.dump()});
   outputs.artifacts.push_back({kOutputReport, kArtifactReport, report::DiagnosisPage(result), "{}"});
+  if (result.motion) {
+    const json motion = {{"name", "motion.csv"}, {"duration_s", result.motion->t.back()}};
+    outputs.artifacts.push_back(
+        {kOutputMotion, kArtifactMotion, diagnosis::MotionCsv(result), motion.dump()});
+  }
   outputs.summary_json = summary.dump();
   return outputs;
 }

@@ -50,6 +50,7 @@ inline constexpr char kOutputParameters[] = "parameters";
 inline constexpr char kOutputResult[] = "result";
 inline constexpr char kOutputDiagnosis[] = "diagnosis";
 inline constexpr char kOutputReport[] = "report";
+inline constexpr char kOutputMotion[] = "motion";
 
 // Kinds of artefacts.
 inline constexpr char kArtifactModel[] = "model";

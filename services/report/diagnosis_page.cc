@@ -262,6 +262,26 @@ void BeforeAfter(const DiagnosisResult& r, Page* page) {
   if (!plots.empty()) page->AddPlots(plots);
 }
 
+void ProposedMotion(const DiagnosisResult& r, Page* page) {
+  const diagnosis::ProposedMotion& motion = *r.motion;
+  page->Paragraph(
+      "These recordings cannot tell " + Joined(motion.effects) +
+      " apart. motion.csv, beside this page, would: " + motion.description +
+      ". The wrong one is then expected to lie " + FormatNumber(motion.expected_nats) +
+      " nats behind. It stays within the recorded ranges and the limits of the URDF; collisions are "
+      "not looked for.");
+  page->Code(
+      "realitygrad submit rollout --trajectory motion.csv --out MORE\nrealitygrad diagnose SET MORE --out "
+      "AGAIN");
+  Plot plot{"motion.csv", "time [s]", "position", {}};
+  for (Eigen::Index j = 0; j < motion.q.rows(); ++j) {
+    const std::vector<double> q = RowOf(motion.q, static_cast<int>(j));
+    if (*std::max_element(q.begin(), q.end()) > *std::min_element(q.begin(), q.end()))
+      plot.series.push_back({r.joints[static_cast<size_t>(j)], motion.t, q});
+  }
+  page->AddPlot(plot);
+}
+
 void Considered(const DiagnosisResult& r, Page* page) {
   page->Heading("What else was considered");
   Table table{{"model", "base parameters", "log evidence [nats]", "χ² per row", ""}, {}, {}, {0, 1, 4}};
@@ -293,6 +313,7 @@ void Considered(const DiagnosisResult& r, Page* page) {
   }
   if (next.rows.empty()) return;
   page->Heading("What to record next");
+  if (r.motion) ProposedMotion(r, page);
   page->AddTable(next);
 }
 

@@ -2,11 +2,13 @@
 #pragma once
 
 #include <gtest/gtest.h>
+#include <signal.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 #include <string>
 
 #include "common/base/file.h"
@@ -49,5 +51,22 @@ inline Said RunProgram(const ScratchFolder& scratch, const std::string& argument
   return {WIFEXITED(how) ? WEXITSTATUS(how) : 128 + WTERMSIG(how), ReadFile(out).value(),
           ReadFile(err).value()};
 }
+
+// A program started in the background and ended with the test; its log is NAME.log.
+class Background {
+ public:
+  Background(const ScratchFolder& scratch, const std::string& name, const std::string& arguments) {
+    const std::string pid_file = scratch / (name + ".pid");
+    const std::string command = "cd " + scratch.path() + " && { " + BinDir() + "/" + name + " " + arguments +
+                                " > " + name + ".log 2>&1 & echo $! > " + pid_file + "; }";
+    if (std::system(command.c_str()) == 0) std::ifstream(pid_file) >> pid_;
+  }
+  ~Background() {
+    if (pid_ > 0) kill(pid_, SIGTERM);
+  }
+
+ private:
+  pid_t pid_ = -1;
+};
 
 }  // namespace rg

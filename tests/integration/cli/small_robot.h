@@ -16,7 +16,8 @@ inline std::string Replaced(std::string text, const std::string& from, const std
 
 // Writes small.robot.json, small_agent.json, truth.json and arm.urdf into the scratch folder: arm2 with links
 // that 25 Hz can hold. `effects`: of the truth, as robot_agent/simulated_robot/truth.h has them.
-inline void WriteSmallRobot(const ScratchFolder& scratch, const nlohmann::json& effects, double excitation) {
+inline void WriteSmallRobot(const ScratchFolder& scratch, const nlohmann::json& effects, double excitation,
+                            double sensor_rate_hz = 100) {
   using nlohmann::json;
   std::string urdf = ReadFile(std::string(std::getenv("RG_SOURCE_DIR")) + "/deploy/robots/arm2.urdf").value();
   urdf = Replaced(urdf, "mass value=\"1.8\"", "mass value=\"6\"");
@@ -40,16 +41,17 @@ inline void WriteSmallRobot(const ScratchFolder& scratch, const nlohmann::json& 
                                  {"peak_torque", {60, 30}},
                                  {"truth", "truth.json"}}
                                 .dump());
-  write("truth.json",
-        json{{"format", "realitygrad.robot_truth/1"},
-             {"robot", "small"},
-             {"urdf", "arm.urdf"},
-             {"effects", effects},
-             {"torque_limit", {80, 40}},
-             {"initial_pose", home},
-             {"position_controller", {{"stiffness", {600, 300}}, {"damping", {60, 30}}, {"speed", {1, 1}}}},
-             {"sensors", {{"rate_hz", 100}, {"position_stddev", 3e-4}, {"velocity_stddev", 0.005}}}}
-            .dump());
+  write(
+      "truth.json",
+      json{{"format", "realitygrad.robot_truth/1"},
+           {"robot", "small"},
+           {"urdf", "arm.urdf"},
+           {"effects", effects},
+           {"torque_limit", {80, 40}},
+           {"initial_pose", home},
+           {"position_controller", {{"stiffness", {600, 300}}, {"damping", {60, 30}}, {"speed", {1, 1}}}},
+           {"sensors", {{"rate_hz", sensor_rate_hz}, {"position_stddev", 3e-4}, {"velocity_stddev", 0.005}}}}
+          .dump());
   write("small_agent.json", json{{"format", "realitygrad.agent/1"},
                                  {"name", "small"},
                                  {"driver", "simulated"},

@@ -1,8 +1,5 @@
 // A diagnosis on a worker is the diagnosis on this machine: real coordinator, real worker, a set of another
 // engine.
-#include <signal.h>
-
-#include <fstream>
 #include <nlohmann/json.hpp>
 
 #include "tests/integration/cli/program.h"
@@ -11,23 +8,6 @@ namespace rg {
 namespace {
 
 using nlohmann::json;
-
-// Started in the background; ended with the test.
-class Background {
- public:
-  Background(const ScratchFolder& scratch, const std::string& name, const std::string& arguments) {
-    const std::string pid_file = scratch / (name + ".pid");
-    const std::string command = "cd " + scratch.path() + " && { " + BinDir() + "/" + name + " " + arguments +
-                                " > " + name + ".log 2>&1 & echo $! > " + pid_file + "; }";
-    if (std::system(command.c_str()) == 0) std::ifstream(pid_file) >> pid_;
-  }
-  ~Background() {
-    if (pid_ > 0) kill(pid_, SIGTERM);
-  }
-
- private:
-  pid_t pid_ = -1;
-};
 
 json WithoutTime(json diagnosis) {
   diagnosis.erase("elapsed_s");

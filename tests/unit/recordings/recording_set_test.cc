@@ -207,6 +207,20 @@ TEST(MergeSets, MakesOneOfTwoAndNamesWhatDiffers) {
   EXPECT_THAT(MergeSets({one, other}).status().message(), HasSubstr("URDF"));
 }
 
+TEST(LoadSets, ReadsSeveralFoldersAsOneSetAndNamesTheOneThatIsBad) {
+  const Folder one, two;
+  for (const Folder* folder : {&one, &two}) {
+    folder->Write("robot.urdf", kUrdf);
+    folder->Write("a.csv", kCsv);
+    folder->Write("manifest.json", ManifestText(""));
+  }
+  const auto both = LoadSets({one.path(), two.path()});
+  ASSERT_TRUE(both.ok()) << both.status().ToString();
+  EXPECT_EQ(both->recordings.size(), 2u);
+  EXPECT_THAT(LoadSets({one.path(), "/nowhere"}).status().message(), HasSubstr("/nowhere"));
+  EXPECT_FALSE(LoadSets({}).ok());
+}
+
 TEST(WriteSet, IsReadBackTheSame) {
   const auto set = Load(ManifestText(R"(, "noise": {"velocity_stddev": 0.005}, "locked": {"finger": 0.01})",
                                      R"([{"file":"a.csv"},{"file":"b.csv","split":"holdout"}])"));
