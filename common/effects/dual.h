@@ -31,8 +31,10 @@ struct Dual {
   T v;
   T d[N];
 
-  Dual() = default;                 // not initialised, as a double
-  Dual(T value) : v(value), d{} {}  // NOLINT: constants mix with duals
+  Dual() = default;           // not initialised, as a double
+  Dual(T value) : v(value) {  // NOLINT: constants mix with duals
+    ClearFrom<0>();
+  }
 
   static Dual Variable(T value, int index) {
     Dual x(value);
@@ -95,6 +97,18 @@ struct Dual {
     Dual r(f);
     for (int i = 0; i < N; ++i) r.d[i] = df * a.d[i];
     return r;
+  }
+
+ private:
+  // d[k] … = 0. Short ones by name: the compiler would make a loop a string instruction, which costs more.
+  template <int k>
+  RG_INLINE void ClearFrom() {
+    if constexpr (N > 16) {
+      for (int i = k; i < N; ++i) d[i] = T(0.0);
+    } else if constexpr (k < N) {
+      d[k] = T(0.0);
+      ClearFrom<k + 1>();
+    }
   }
 };
 

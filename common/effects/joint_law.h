@@ -58,7 +58,7 @@ struct JointLaw {
 
   int option = 0;  // of the effect at work: index into the values of its only option
 
-  // Written by the effects.
+  // Written by the effects, from what the joint itself has.
   S drive{};      // torque of the actuator; starts as force_gain · command
   S link{};       // torque that reaches the link; the transmission's output (drive where it is rigid)
   S force{};      // further forces on the joint
@@ -83,11 +83,12 @@ struct JointLaw {
   S PositionAt(const S& theta) const { return q0 + theta * (q1 - q0); }
   S MeanSpeed() const { return T(0.5) * (Abs(v0) + Abs(v1)); }
 
-  RG_INLINE S Force() const {
-    const S smooth = link + force - SmoothFriction() - inertia * acceleration;
-    if (!rough) return smooth;
-    return smooth + SignForce(level_positive, level_negative);
+  S Force() const {
+    return rough ? SmoothForce() + SignForce(level_positive, level_negative) : SmoothForce();
   }
+
+  // All but the friction levels.
+  RG_INLINE S SmoothForce() const { return link + force - SmoothFriction() - inertia * acceleration; }
 
   // d·v + b·v|v| at the weighted velocity.
   RG_INLINE S SmoothFriction() const {

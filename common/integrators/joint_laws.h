@@ -190,13 +190,10 @@ struct LawSetting {
   bool rough;
 };
 
-// Force on the joints of one pack, `joint` the program of each. v1, q0 …: the local variables; parameters:
-// all of the joint's; z0, z1: its states. `drive`: the torque after the actuator stage, which coupled
-// joints feel.
-template <class S, bool kPlain>
-RG_INLINE S LawOf(const StepProgram& program, const JointProgram& joint,
-                  const LawSetting<effects::Base<S>>& at, const S& v1, const S& v0, const S& q0, const S& u,
-                  const S& coupled, const S* z0, const S* parameters, S* z1, S* drive) {
+// What every law starts with. parameters: at least the joint's first.
+template <class S>
+RG_INLINE JointLaw<S> BeginLaw(const LawSetting<effects::Base<S>>& at, const S& v1, const S& v0, const S& q0,
+                               const S& u, const S& coupled, const S* parameters) {
   using P = effects::Base<S>;
   JointLaw<S> law;
   law.step = at.step;
@@ -209,13 +206,20 @@ RG_INLINE S LawOf(const StepProgram& program, const JointProgram& joint,
   law.q1 = at.step.first_order ? q0 + at.step.h * v1 : q0 + (P(0.5) * at.step.h) * (v0 + v1);
   law.acceleration = (v1 - v0) * at.inverse_h;
   law.coupled = coupled;
-  law.drive = parameters[kForceGain] * u;
+  law.drive = law.link = parameters[kForceGain] * u;
   law.viscous = parameters[kDamping];
   law.level_positive = law.level_negative = parameters[kFriction];
-  if constexpr (kPlain) {  // no effects: all in registers
-    *drive = law.link = law.drive;
-    return law.Force();
-  }
+  return law;
+}
+
+// Force on the joints of one pack, `joint` the program of each. v1, q0 …: the local variables; parameters:
+// all of the joint's; z0, z1: its states. `drive`: the torque after the actuator stage, which coupled
+// joints feel.
+template <class S>
+S Law(const StepProgram& program, const JointProgram& joint, const LawSetting<effects::Base<S>>& at,
+      const S& v1, const S& v0, const S& q0, const S& u, const S& coupled, const S* z0, const S* parameters,
+      S* z1, S* drive) {
+  JointLaw<S> law = BeginLaw(at, v1, v0, q0, u, coupled, parameters);
   const int actuators = joint.first_op + joint.num_actuator_ops;
   RunOps(program, joint.first_op, actuators, parameters, z0, z1, law);
   *drive = law.drive;
@@ -228,13 +232,20 @@ RG_INLINE S LawOf(const StepProgram& program, const JointProgram& joint,
   return law.Force();
 }
 
+// The same where a joint has neither effects nor friction levels: all of it stays in registers. It does not
+// depend on the position.
 template <class S>
-S Law(const StepProgram& program, const JointProgram& joint, const LawSetting<effects::Base<S>>& at,
-      const S& v1, const S& v0, const S& q0, const S& u, const S& coupled, const S* z0, const S* parameters,
-      S* z1, S* drive) {
-  return joint.num_ops == 0
-             ? LawOf<S, true>(program, joint, at, v1, v0, q0, u, coupled, z0, parameters, z1, drive)
-             : LawOf<S, false>(program, joint, at, v1, v0, q0, u, coupled, z0, parameters, z1, drive);
+RG_INLINE S PlainLaw(const LawSetting<effects::Base<S>>& at, const S& v1, const S& v0, const S& u,
+                     const S& gain, const S& damping) {
+  using P = effects::Base<S>;
+  const S none(P(0.0)), parameters[] = {gain, damping, none};
+  return BeginLaw(at, v1, v0, none, u, none, parameters).SmoothForce();
+}
+
+// Whether that is so for the joints of a pack, and no other joint asks for their torque.
+template <class T, int C>
+RG_INLINE bool IsPlain(const LawContext<T, C>& c, const LawPack<T>& pack, bool rough) {
+  return c.program->joints[pack.joints[0]].num_ops == 0 && !rough && c.packs->num_uncoupled == c.packs->count;
 }
 
 template <class T, int C>
@@ -298,6 +309,15 @@ void Forces(const LawContext<T, C>& c, const T* v1, T* force, T* slope, T* z1) {
   for (int k = 0; k < c.packs->count; ++k) {
     const LawPack<T>& pack = c.packs->packs[k];
     const JointProgram& joint = c.program->joints[pack.joints[0]];
+    if (IsPlain(c, pack, pack.rough)) {
+      const Pack<T>* p = c.packs->parameters[k];
+      const S f = PlainLaw<S>(SettingOf(c, k), S::Variable(Packs::Gather(pack, v1), 0),
+                              S(Packs::Gather(pack, c.input->v)), S(Packs::Gather(pack, c.input->command)),
+                              S(p[kForceGain]), S(p[kDamping]));
+      Packs::Scatter(pack, f.v, force);
+      Packs::Scatter(pack, f.d[0], slope);
+      continue;
+    }
     S parameters[kMaxLocals], z[kMaxStates], end[kMaxStates], drive;
     for (int m = 0; m < joint.num_parameters; ++m) parameters[m] = S(c.packs->parameters[k][m]);
     for (int m = 0; m < joint.num_states; ++m) z[m] = S(StateOf(c, pack, m));
@@ -328,6 +348,24 @@ struct LawGradients {
   alignas(64) T force[kMaxLocals][C];
   alignas(64) T drive[kMaxLocals][C];
   alignas(64) T state[kMaxStates][kMaxLocals][C];
+  bool alone[kMaxStates];  // no joint's state of this number depends on motion or on other states
+
+  void FindAlone(int n, int states) {
+    for (int k = 0; k < states; ++k) {
+      Mask<Pack<T>> depends = false;
+      const auto add = [&](const T* by, int r) RG_LAMBDA_INLINE {
+        const Pack<T> x = math::LoadPack(by + r);
+        depends = Or(depends, Or(x > Pack<T>(0.0), x < Pack<T>(0.0)));
+      };
+      for (int r = 0; r < n; r += math::kPackWidth<T>) {
+        for (const int local : {kEndVelocity, kVelocity, kPosition}) add(state[k][local], r);
+        for (int m = 0; m < states; ++m) {
+          if (m != k) add(state_by_state[k][m], r);
+        }
+      }
+      alone[k] = !Any(depends);
+    }
+  }
 };
 
 // Which local variables of a pack's joints gradients are taken by, each with its place in the dual numbers.
@@ -399,6 +437,22 @@ void PackGradient(const LawContext<T, C>& c, int k, bool rough, const Seeds& see
 }
 
 template <class T, int C>
+RG_INLINE void PlainGradient(const LawContext<T, C>& c, int k, const T* v1, LawGradients<T, C>* out) {
+  using Packs = LawPacks<T, C>;
+  constexpr int kLocals[] = {kEndVelocity, kVelocity, kCommand, kFirstState + int{kForceGain},
+                             kFirstState + int{kDamping}};
+  using S = Dual<Pack<T>, 5>;
+  const LawPack<T>& pack = c.packs->packs[k];
+  const Pack<T>* p = c.packs->parameters[k];
+  const S f = PlainLaw<S>(SettingOf(c, k), S::Variable(Packs::Gather(pack, v1), 0),
+                          S::Variable(Packs::Gather(pack, c.input->v), 1),
+                          S::Variable(Packs::Gather(pack, c.input->command), 2),
+                          S::Variable(p[kForceGain], 3), S::Variable(p[kDamping], 4));
+  for (int i = 0; i < 5; ++i) Packs::Scatter(pack, f.d[i], out->force[kLocals[i]]);
+  Packs::Scatter(pack, Pack<T>(T(0.0)), out->force[kPosition]);
+}
+
+template <class T, int C>
 void Gradients(const LawContext<T, C>& c, const Directions& directions, const T* v1,
                LawGradients<T, C>* out) {
   alignas(64) T drives[C];
@@ -407,6 +461,10 @@ void Gradients(const LawContext<T, C>& c, const Directions& directions, const T*
     // A friction level of zero changes no force, but it has a derivative.
     bool rough = pack.rough;
     for (int l = 0; l < pack.count; ++l) rough |= directions.friction[pack.joints[l]];
+    if (IsPlain(c, pack, rough)) {
+      PlainGradient(c, k, v1, out);
+      continue;
+    }
     const Seeds seeds = SeedsOf(c, pack, directions);
     if (seeds.count <= 6) {
       PackGradient<6>(c, k, rough, seeds, v1, drives, out);
@@ -420,6 +478,7 @@ void Gradients(const LawContext<T, C>& c, const Directions& directions, const T*
       PackGradient<kMaxLocals>(c, k, rough, seeds, v1, drives, out);
     }
   }
+  out->FindAlone(c.program->tree.n, c.program->max_states);
 }
 
 }  // namespace RG_ISA

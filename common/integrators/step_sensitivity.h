@@ -153,35 +153,49 @@ RG_INLINE void TimesInverse(int n, const math::Row<T, C>* inverse, math::Row<T, 
   }
 }
 
-// v1 = B_q q + B_v v + H⁻¹ own of a column; own may be null.
+// Columns of a matrix; in registers where those of a whole robot fit.
 template <class T, int C, int N>
-RG_INLINE void EndVelocities(int n, const StepWorkspace<T, C, N>& s, const ColumnRows<T, C>& x, const T* own,
-                             T* v1) {
-  using P = Pack<T>;
-  const auto times = [n](const math::Row<T, C>* A, const T* y, int r) RG_LAMBDA_INLINE {
-    P sum = A[0].Load(r) * P(y[0]);
-    for (int j = 1; j < n; ++j) sum += A[j].Load(r) * P(y[j]);
-    return sum;
-  };
-  for (int r = 0; r < n; r += math::kPackWidth<T>) {
-    P sum = times(s.B_q, x.q(), r) + times(s.B_v, x.v(), r);
-    if (own != nullptr) sum += times(s.inverse, own, r);
-    math::StorePack(v1 + r, sum);
-  }
-}
+class MatrixColumns {
+  static constexpr bool kHeld = N > 0 && N <= math::kPackWidth<T>;
 
-// Solves for dv1 and moves all columns to the step's end. q1 = q0 + position_begin·v0 + position_end·v1.
-// `to` may be `from`.
-template <class T, int C, int N>
-void Propagate(const LawContext<T, C>& c, const Directions& directions, T position_begin, T position_end,
-               const StepWorkspace<T, C, N>& s, const T* direct, const Sensitivity& from,
-               const Sensitivity& to) {
+ public:
+  RG_INLINE explicit MatrixColumns(const math::Row<T, C>* rows) : rows_(rows) {
+    if constexpr (kHeld) {
+      for (int j = 0; j < N; ++j) held_[j] = rows[j].Load(0);
+    }
+  }
+  // Entries r … of A y, y: n.
+  RG_INLINE Pack<T> Times(int n, const T* y, int r) const {
+    Pack<T> sum = Load(0, r) * Pack<T>(y[0]);
+    for (int j = 1; j < n; ++j) sum += Load(j, r) * Pack<T>(y[j]);
+    return sum;
+  }
+
+ private:
+  RG_INLINE Pack<T> Load(int j, int r) const {
+    if constexpr (kHeld) {
+      return held_[j];
+    } else {
+      return rows_[j].Load(r);
+    }
+  }
+  const math::Row<T, C>* rows_;
+  Pack<T> held_[kHeld ? N : 1];
+};
+
+// v1 = B_q q + B_v v + H⁻¹ u of every column, and all of it moved to the step's end. kStates: the most
+// internal states of one joint where the compiler may know them, else -1.
+template <int kStates, class T, int C, int N>
+void PropagateColumns(const LawContext<T, C>& c, const Directions& directions, T position_begin,
+                      T position_end, const StepWorkspace<T, C, N>& s, const T* direct,
+                      const Sensitivity& from, const Sensitivity& to) {
   using P = Pack<T>;
   constexpr int kWidth = math::kPackWidth<T>;
   const StepProgram& program = *c.program;
-  const int n = s.Joints(program.tree), states = program.max_states;
+  const int n = s.Joints(program.tree), states = kStates >= 0 ? kStates : program.max_states;
   const bool coupling = c.packs->num_uncoupled < c.packs->count;
   const auto& g = s.gradients;
+  const MatrixColumns<T, C, N> B_q(s.B_q), B_v(s.B_v), inverse(s.inverse);
   for (int column = 0; column < directions.columns; ++column) {
     const ColumnRows<T, C> x = ColumnOf<T, C>(program, from, column), y = ColumnOf<T, C>(program, to, column);
     const T* own = column < directions.first_direct ? nullptr : direct + column * C;
@@ -203,22 +217,59 @@ void Propagate(const LawContext<T, C>& c, const Directions& directions, T positi
       }
       own = u;
     }
-    EndVelocities(n, s, x, own, v1);
+    for (int r = 0; r < n; r += kWidth) {
+      P sum = B_q.Times(n, x.q(), r) + B_v.Times(n, x.v(), r);
+      if (own != nullptr) sum += inverse.Times(n, own, r);
+      math::StorePack(v1 + r, sum);
+    }
     for (int r = 0; r < n; r += kWidth) {
       const P q = math::LoadPack(x.q() + r), v = math::LoadPack(x.v() + r), end = math::LoadPack(v1 + r);
-      P z[kMaxStates];
+      P z[kStates >= 0 ? kStates + 1 : kMaxStates];
       for (int k = 0; k < states; ++k) z[k] = math::LoadPack(x.z(k) + r);
       for (int k = 0; k < states; ++k) {
-        P sum = end * math::LoadPack(g.state[k][kEndVelocity] + r) +
-                v * math::LoadPack(g.state[k][kVelocity] + r) + q * math::LoadPack(g.state[k][kPosition] + r);
-        for (int m = 0; m < states; ++m) sum += z[m] * math::LoadPack(g.state_by_state[k][m] + r);
+        P sum = z[k] * math::LoadPack(g.state_by_state[k][k] + r);
+        if (!g.alone[k]) {
+          sum += end * math::LoadPack(g.state[k][kEndVelocity] + r) +
+                 v * math::LoadPack(g.state[k][kVelocity] + r) +
+                 q * math::LoadPack(g.state[k][kPosition] + r);
+          for (int m = 0; m < states; ++m) {
+            if (m != k) sum += z[m] * math::LoadPack(g.state_by_state[k][m] + r);
+          }
+        }
         math::StorePack(y.z(k) + r, sum);
       }
       math::StorePack(y.v() + r, end);
       math::StorePack(y.q() + r, q + v * P(position_begin) + end * P(position_end));
     }
   }
-  if (states == 0) return;
+}
+
+// Solves for dv1 and moves all columns to the step's end. q1 = q0 + position_begin·v0 + position_end·v1.
+// `to` may be `from`.
+template <class T, int C, int N>
+void Propagate(const LawContext<T, C>& c, const Directions& directions, T position_begin, T position_end,
+               const StepWorkspace<T, C, N>& s, const T* direct, const Sensitivity& from,
+               const Sensitivity& to) {
+  const StepProgram& program = *c.program;
+  const auto columns = [&]<int kStates>() {
+    PropagateColumns<kStates>(c, directions, position_begin, position_end, s, direct, from, to);
+  };
+  switch (program.max_states) {
+    case 0:
+      return columns.template operator()<0>();
+    case 1:
+      columns.template operator()<1>();
+      break;
+    case 2:
+      columns.template operator()<2>();
+      break;
+    case 3:
+      columns.template operator()<3>();
+      break;
+    default:
+      columns.template operator()<-1>();
+  }
+  const auto& g = s.gradients;
   const auto add = [&](int joint, int local, int column, T weight) RG_LAMBDA_INLINE {
     const ColumnRows<T, C> y = ColumnOf<T, C>(program, to, column);
     for (int k = 0; k < program.joints[joint].num_states; ++k) {
