@@ -119,7 +119,8 @@ Motion MotionOverBlocks(const Eigen::VectorXd& t, const Row& q, const Row* v) {
   return motion;
 }
 
-// Ratio of the measured velocity to the rate of the measured position; 1 if they hardly correlate.
+// Ratio of the measured velocity to the rate of the measured position, with its sign; 1 if they hardly
+// correlate.
 double VelocityToRate(const Motion& motion) {
   double xx = 0.0, yy = 0.0, xy = 0.0;
   for (size_t i = 0; i < motion.moved.size(); ++i) {
@@ -127,20 +128,26 @@ double VelocityToRate(const Motion& motion) {
     yy += motion.integrated[i] * motion.integrated[i];
     xy += motion.moved[i] * motion.integrated[i];
   }
-  if (motion.moved.size() < kMinBlocks || xx <= 0.0 || yy <= 0.0 || xy < kMinCorrelation * std::sqrt(xx * yy))
+  if (motion.moved.size() < kMinBlocks || xx <= 0.0 || yy <= 0.0 ||
+      std::abs(xy) < kMinCorrelation * std::sqrt(xx * yy))
     return 1.0;
-  return std::sqrt(yy / xx);
+  return std::copysign(std::sqrt(yy / xx), xy);
 }
 
 Status CheckVelocityAgainstRate(const std::string& place, const JointInfo& joint, const Motion& motion) {
   const Unit unit = SuspectOf(joint);
   const double ratio = VelocityToRate(motion);
   const auto near = [](double a, double b) { return a < 1.5 * b && b < 1.5 * a; };
+  const std::string times = "velocity is " + Number(ratio) + " times the rate of position: ";
+  if (near(-ratio, 1.0))
+    return InvalidError(place + "columns position." + joint.name + " and velocity." + joint.name + ": " +
+                        times + "one of them has the wrong sign");
+  if (near(ratio, 1e3))
+    return InvalidError(place + "column time: " + times + "time is visibly in milliseconds, s is expected");
   const bool velocity_is_wrong = near(ratio, unit.per_si), position_is_wrong = near(ratio, 1.0 / unit.per_si);
   if (!velocity_is_wrong && !position_is_wrong) return Status::Ok();
   return InvalidError(place + "row 1 (line 2), column " + (velocity_is_wrong ? "velocity." : "position.") +
-                      joint.name + ": velocity is " + Number(ratio) +
-                      " times the rate of position: " + (velocity_is_wrong ? "velocity" : "position") +
+                      joint.name + ": " + times + (velocity_is_wrong ? "velocity" : "position") +
                       " is visibly in " + unit.wrong + ", " + unit.length + " is expected");
 }
 

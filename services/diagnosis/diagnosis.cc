@@ -8,6 +8,7 @@
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/balance_search.h"
+#include "services/diagnosis/data_notes.h"
 #include "services/diagnosis/findings.h"
 #include "services/diagnosis/holdout.h"
 #include "services/diagnosis/plausibility.h"

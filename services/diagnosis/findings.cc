@@ -457,27 +457,6 @@ class Speaker {
 
 }  // namespace
 
-std::vector<std::string> NotesOn(const recordings::RecordingSet& set, const FitData& data,
-                                 const sim::Plant& nominal, const MotionScales& scales) {
-  std::vector<std::string> notes;
-  for (int j = 0; j < data.n; ++j) {
-    const double range = scales.high[j] - scales.low[j];
-    if (range < 20 * data.noise.position_stddev[j]) {
-      notes.push_back(nominal.joint_names()[j] +
-                      " never moved: nothing can be said of its friction and inertia");
-    }
-  }
-  const double rate = 1.0 / std::max(1e-9, data.recordings[0].recording->SamplePeriod());
-  if (rate < 60) {
-    notes.push_back("sampled at " + Number(rate) + " Hz: resonances (joint_elasticity, backlash) above " +
-                    Number(rate / 4) + " Hz and ripple that passes faster cannot be seen");
-  }
-  if (!data.use_velocity) notes.push_back("velocities are not measured: they were estimated from positions");
-  if (set.holdout_was_chosen)
-    notes.push_back("the manifest has no holdout split: whole recordings were set aside");
-  return notes;
-}
-
 void Conclude(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
               const MotionScales& scales, DiagnosisResult* result) {
   Speaker(search, data, nominal, scales, result).Run();

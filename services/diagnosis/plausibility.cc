@@ -21,6 +21,7 @@ constexpr double kLeastSeconds = 0.5;  // of fitted recordings
 constexpr double kMovesBy = 20.0;      // stddev of the position: less is not a motion
 constexpr double kClose = 0.8;     // share that the URDF's torque must explain before its slope says anything
 constexpr double kFlipped = 0.35;  // |slope + 1| of an effort with the other sign
+constexpr double kDriven = 0.3;    // share of the power that is put in
 constexpr double kOtherUnit = 20.0;   // factor that no gain error of a drive reaches
 constexpr double kWorthALag = 0.002;  // s
 constexpr double kWorthANote = 0.05;  // of the effort's variance
@@ -64,54 +65,100 @@ Status CheckMotion(const FitData& data, const sim::Plant& plant, const MotionSca
                       "): too little motion to say anything");
 }
 
-}  // namespace
-
-std::vector<EffortMatch> MatchEfforts(const FitData& data, const sim::Plant& plant) {
+// Torques that the URDF needs for the recorded motion and the efforts in the file, thinned. rows × n each.
+struct Torques {
+  MatrixXd rigid, v, u;
+};
+Torques TorquesOf(const FitData& data, const sim::Plant& plant) {
   const dynamics::Mechanism mechanism(sysid::MechanismOf(plant, plant.parameters().Nominal()));
   dynamics::Workspace workspace;
-  long rows = 0;
   constexpr int kStride = 8;
+  long rows = 0;
   for (const FineMotion& m : data.fine) rows += (m.q.cols() + kStride - 1) / kStride;
-  MatrixXd rigid(rows, data.n), v(rows, data.n), u(rows, data.n);
+  Torques out{MatrixXd(rows, data.n), MatrixXd(rows, data.n), MatrixXd(rows, data.n)};
   VectorXd tau(data.n);
   long row = 0;
   for (const FineMotion& m : data.fine) {
     for (long k = 0; k < m.q.cols(); k += kStride, ++row) {
       dynamics::Rnea(mechanism, workspace, m.q.col(k), m.v.col(k), m.a.col(k), tau);
-      rigid.row(row) = tau.transpose(), v.row(row) = m.v.col(k).transpose(),
-      u.row(row) = m.u.col(k).transpose();
+      out.rigid.row(row) = tau.transpose(), out.v.row(row) = m.v.col(k).transpose();
+      out.u.row(row) = m.u.col(k).transpose();
     }
   }
-  std::vector<EffortMatch> out(data.n);
-  for (int j = 0; j < data.n; ++j) {
-    MatrixXd X(rows, 4);
-    X << VectorXd::Ones(rows), v.col(j), v.col(j).array().sign().matrix(), rigid.col(j);
-    const MatrixXd others = X.leftCols(3);
-    const double without = (u.col(j) - others * others.colPivHouseholderQr().solve(u.col(j))).squaredNorm();
-    const VectorXd c = X.colPivHouseholderQr().solve(u.col(j));
-    const double with = (u.col(j) - X * c).squaredNorm();
-    out[j].slope = c[3];
-    out[j].share = without > 0 ? 1.0 - with / without : 0.0;
+  return out;
+}
+
+// effort `u` of joint `i` against the torque that joint `j` needs.
+EffortMatch MatchOf(const Torques& t, int i, int j) {
+  const long rows = t.u.rows();
+  MatrixXd X(rows, 4);
+  X << VectorXd::Ones(rows), t.v.col(j), t.v.col(j).array().sign().matrix(), t.rigid.col(j);
+  const MatrixXd others = X.leftCols(3);
+  const double without = (t.u.col(i) - others * others.colPivHouseholderQr().solve(t.u.col(i))).squaredNorm();
+  const VectorXd c = X.colPivHouseholderQr().solve(t.u.col(i));
+  const double with = (t.u.col(i) - X * c).squaredNorm();
+  return {c[3], without > 0 ? 1.0 - with / without : 0.0};
+}
+
+// A joint without any effort can only lose energy; one whose needed torque does work was driven.
+std::string Undriven(const Torques& t, int j, bool revolute) {
+  if (t.u.col(j).cwiseAbs().maxCoeff() > 0) return "";
+  const Eigen::ArrayXd power = t.rigid.col(j).array() * t.v.col(j).array();
+  if (power.max(0.0).sum() < kDriven * power.abs().sum()) return "";
+  return " is zero throughout, but the recorded motion needs " +
+         Number(std::sqrt(t.rigid.col(j).array().square().mean())) + (revolute ? " N m" : " N") +
+         " (RMS) that does work: it is not what drove this joint";
+}
+
+// Two efforts that each follow the other joint's torque; the other joint, or -1.
+int ExchangedWith(const Torques& t, const std::vector<EffortMatch>& own, int i) {
+  const auto follows = [](const EffortMatch& m) {
+    return m.share > kClose && std::abs(m.slope - 1) < kFlipped;
+  };
+  for (int j = 0; j < t.u.cols(); ++j) {
+    if (j == i || follows(own[i]) || follows(own[j])) continue;
+    if (follows(MatchOf(t, i, j)) && follows(MatchOf(t, j, i))) return j;
   }
+  return -1;
+}
+
+// What is wrong with a joint's effort, as it follows the column's name; empty where nothing is.
+std::string Suspicion(const Torques& torques, const std::vector<EffortMatch>& match, int j,
+                      const sim::Plant& plant) {
+  const bool revolute = plant.model().joint(j).is_revolute();
+  if (const std::string idle = Undriven(torques, j, revolute); !idle.empty()) return idle;
+  if (const int other = ExchangedWith(torques, match, j); other >= 0)
+    return " follows the torque that the URDF needs at " + plant.joint_names()[other] +
+           ", and that joint's effort the torque of this one: the columns look exchanged";
+  const double slope = match[j].slope, factor = std::abs(slope);
+  if (match[j].share < kClose) return "";
+  const bool flipped = std::abs(slope + 1) < kFlipped;
+  const bool unit = factor > kOtherUnit || factor < 1.0 / kOtherUnit;
+  if (!flipped && !unit) return "";
+  return " is " + Number(slope) + " times the torque that the URDF needs for the recorded motion: " +
+         (flipped ? "its sign looks turned around" : Guess(slope, revolute));
+}
+
+}  // namespace
+
+std::vector<EffortMatch> MatchEfforts(const FitData& data, const sim::Plant& plant) {
+  const Torques torques = TorquesOf(data, plant);
+  std::vector<EffortMatch> out;
+  for (int j = 0; j < data.n; ++j) out.push_back(MatchOf(torques, j, j));
   return out;
 }
 
 Status CheckPlausible(const recordings::RecordingSet& set, const FitData& data, const sim::Plant& plant,
                       const MotionScales& scales, bool trust_effort, std::vector<std::string>* notes) {
   RG_RETURN_IF_ERROR(CheckMotion(data, plant, scales));
+  const Torques torques = TorquesOf(data, plant);
   const std::vector<EffortMatch> match = MatchEfforts(data, plant);
   const char* column =
       set.recordings[0].drive == recordings::EffortKind::kMeasured ? "effort_measured." : "effort_command.";
   for (int j = 0; j < data.n; ++j) {
-    const double slope = match[j].slope, factor = std::abs(slope);
-    if (match[j].share < kClose) continue;
-    const bool flipped = std::abs(slope + 1)<kFlipped, unit = factor> kOtherUnit || factor < 1.0 / kOtherUnit;
-    if (!flipped && !unit) continue;
-    const std::string& joint = plant.joint_names()[j];
-    const bool revolute = plant.model().joint(plant.model().FindJoint(joint)).is_revolute();
-    const std::string line = std::string(column) + joint + " is " + Number(slope) +
-                             " times the torque that the URDF needs for the recorded motion: " +
-                             (flipped ? "its sign looks turned around" : Guess(slope, revolute));
+    const std::string suspicion = Suspicion(torques, match, j, plant);
+    if (suspicion.empty()) continue;
+    const std::string line = column + plant.joint_names()[j] + suspicion;
     if (!trust_effort) return InvalidError(line + " (--trust-effort goes on all the same)");
     notes->push_back(line);
   }

@@ -87,5 +87,62 @@ TEST(Plausibility, RefusesHalfASecond) {
   EXPECT_THAT(ErrorOf(set), HasSubstr("too little to say anything"));
 }
 
+TEST(Plausibility, AnEffortThatIsZeroWhileItsJointIsDrivenIsNotBelieved) {
+  const auto set = testing::MakeSet("arm2", {}, 27);
+  EXPECT_THAT(ErrorOf(Scaled(set, 1, 0.0)),
+              AllOf(HasSubstr("effort_command.elbow is zero"), HasSubstr("does work")));
+}
+
+TEST(Plausibility, EffortsInEachOthersColumnsAreSuspected) {
+  auto set = testing::MakeSet("arm2", {}, 28);
+  for (auto& rec : set.recordings) rec.effort_command.row(0).swap(rec.effort_command.row(1));
+  EXPECT_THAT(ErrorOf(set), AllOf(HasSubstr("follows the torque"), HasSubstr("exchanged")));
+}
+
+std::vector<std::string> NotesOf(recordings::RecordingSet set) {
+  const auto r = Diagnose(set, {.threads = 1, .time_limit_s = 0, .trust_effort = true}, RealClock());
+  EXPECT_TRUE(r.ok()) << r.status().ToString();
+  return r.ok() ? r->notes : std::vector<std::string>();
+}
+
+recordings::RecordingSet EveryNth(recordings::RecordingSet set, int n) {
+  for (auto& rec : set.recordings) {
+    const Eigen::Index rows = rec.rows() / n;
+    for (Eigen::Index k = 0; k < rows; ++k) {
+      rec.t[k] = rec.t[k * n];
+      for (Eigen::MatrixXd* m : {&rec.q, &rec.v, &rec.effort_command}) m->col(k) = m->col(k * n);
+    }
+    rec.t.conservativeResize(rows);
+    for (Eigen::MatrixXd* m : {&rec.q, &rec.v, &rec.effort_command})
+      m->conservativeResize(Eigen::NoChange, rows);
+  }
+  return set;
+}
+
+TEST(DataNotes, SayWhichEffectsARateIsTooLowFor) {
+  auto set = EveryNth(testing::MakeSet("arm2", {}, 29), 10);
+  const double rate = 1.0 / set.recordings[0].SamplePeriod();
+  set.control_rate_hz = 10 * rate, set.sample_rate_hz = 10 * rate;
+  const auto notes = NotesOf(set);
+  for (const char* text :
+       {"joint_elasticity", "stribeck_friction", "actuator_delay", "commands change at", "the manifest says"})
+    EXPECT_THAT(notes, ::testing::Contains(HasSubstr(text)));
+}
+
+TEST(DataNotes, SayHowManyRowsAreMissing) {
+  auto set = testing::MakeSet("arm2", {}, 30);
+  for (auto& rec : set.recordings) rec.t.tail(rec.rows() / 2).array() += 100 * rec.SamplePeriod();
+  EXPECT_THAT(NotesOf(set),
+              ::testing::Contains(AllOf(HasSubstr("of the rows are missing"), HasSubstr("commands"))));
+  EXPECT_THAT(NotesOf(testing::MakeSet("arm2", {}, 30)), Not(::testing::Contains(HasSubstr("missing"))));
+}
+
+TEST(DataNotes, SayThatAJointWasOutsideTheLimitsOfTheUrdf) {
+  auto set = testing::MakeSet("arm2", {}, 31);
+  for (auto& rec : set.recordings) rec.q.row(0).array() += 4.0;
+  EXPECT_THAT(NotesOf(set),
+              ::testing::Contains(AllOf(HasSubstr("shoulder was recorded"), HasSubstr("limits"))));
+}
+
 }  // namespace
 }  // namespace rg::diagnosis

@@ -180,6 +180,20 @@ TEST(CheckUnits, RefusesVelocitiesInDegreesBesidePositionsInRadians) {
   EXPECT_THAT(error, AllOf(HasSubstr("velocity.a"), HasSubstr("degrees")));
 }
 
+TEST(CheckUnits, RefusesVelocitiesAgainstTheirPositionsAndTimeInMilliseconds) {
+  const auto q = [](double t) { return 0.5 * std::sin(t); };
+  const std::function<double(double)> against = [](double t) { return -0.5 * std::cos(t); };
+  EXPECT_THAT(ErrorOf(FileOf(300, q, &against)),
+              AllOf(HasSubstr("velocity.a"), HasSubstr("wrong sign"), HasSubstr("times the rate")));
+  std::string text = "time,position.a,velocity.a,effort_command.a\n";
+  for (int k = 0; k < 300; ++k) {
+    const double t = 0.01 * k;
+    text += std::to_string(1000 * t) + "," + std::to_string(q(t)) + "," + std::to_string(0.5 * std::cos(t)) +
+            ",0\n";
+  }
+  EXPECT_THAT(ErrorOf(text), AllOf(HasSubstr("column time"), HasSubstr("milliseconds")));
+}
+
 TEST(CheckUnits, RefusesPositionsInDegreesBesideVelocitiesInRadiansOfAContinuousJoint) {
   CsvOptions options;
   options.robot = {Continuous("a", std::numeric_limits<double>::infinity())};

@@ -1,0 +1,16 @@
+// What a reader should know of the data themselves, one line each.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "services/diagnosis/features.h"
+
+namespace rg::diagnosis {
+
+// Joints that never moved; positions beyond the URDF's limits; rows too far apart for an effect (which) or
+// for the motion; rows that are missing; commands that change between rows; what the manifest says otherwise.
+std::vector<std::string> NotesOn(const recordings::RecordingSet& set, const FitData& data,
+                                 const sim::Plant& nominal, const MotionScales& scales);
+
+}  // namespace rg::diagnosis
