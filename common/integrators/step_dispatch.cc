@@ -1,5 +1,5 @@
+#include "common/base/check.h"
 #include "common/integrators/step_kernel.h"
-#include "common/math/isa.h"
 
 namespace rg::integrators {
 
@@ -17,32 +17,36 @@ namespace {
 
 struct Table {
   StepKernels small[kSmallCapacity + 1], large, lanes[kSmallCapacity + 1];  // by the number of joints
-  Table() {
-    switch (math::DetectIsa()) {
-      case math::Isa::kV1:
-        isa_v1::FillStepKernels(small, &large, lanes);
-        break;
-      case math::Isa::kV3:
-        isa_v3::FillStepKernels(small, &large, lanes);
-        break;
-      case math::Isa::kV4:
-        isa_v4::FillStepKernels(small, &large, lanes);
-        break;
-    }
-  }
+  explicit Table(void (*fill)(StepKernels*, StepKernels*, StepKernels*)) { fill(small, &large, lanes); }
 };
 
-const Table& Kernels() {
-  static const Table table;
-  return table;
+// Filled where they are asked for: only then the processor is sure to have what fills them.
+const Table& Kernels(math::Isa isa) {
+  RG_CHECK(math::IsaSupported(isa)) << math::IsaName(isa);
+  switch (isa) {
+    case math::Isa::kV4: {
+      static const Table v4(isa_v4::FillStepKernels);
+      return v4;
+    }
+    case math::Isa::kV3: {
+      static const Table v3(isa_v3::FillStepKernels);
+      return v3;
+    }
+    case math::Isa::kV1:
+      break;
+  }
+  static const Table v1(isa_v1::FillStepKernels);
+  return v1;
 }
 
 }  // namespace
 
-const StepKernels& GetStepKernels(int n) {
-  return n <= kSmallCapacity ? Kernels().small[n] : Kernels().large;
+const StepKernels& GetStepKernels(int n, math::Isa isa) {
+  return n <= kSmallCapacity ? Kernels(isa).small[n] : Kernels(isa).large;
 }
 
-const StepKernels* GetLaneStepKernels(int n) { return n <= kSmallCapacity ? &Kernels().lanes[n] : nullptr; }
+const StepKernels* GetLaneStepKernels(int n, math::Isa isa) {
+  return n <= kSmallCapacity ? &Kernels(isa).lanes[n] : nullptr;
+}
 
 }  // namespace rg::integrators

@@ -1,9 +1,10 @@
-// The integrators as plain functions, chosen once for the processor at hand (common/math/isa.h).
+// The integrators as plain functions, a table per instruction set (common/math/isa.h).
 #pragma once
 
 #include <cstddef>
 
 #include "common/integrators/step_program.h"
+#include "common/math/isa.h"
 
 namespace rg::integrators {
 
@@ -36,10 +37,10 @@ struct StepKernels {
 // joints known to the compiler.
 inline constexpr int kSmallCapacity = 8;
 
-// For plants of n joints.
-const StepKernels& GetStepKernels(int n);
+// For plants of n joints on an instruction set that the processor has.
+const StepKernels& GetStepKernels(int n, math::Isa isa);
 // As many windows side by side as a register of the processor holds; null for plants with too many joints. A
 // window's result does not depend, not by a bit, on what the other lanes hold.
-const StepKernels* GetLaneStepKernels(int n);
+const StepKernels* GetLaneStepKernels(int n, math::Isa isa);
 
 }  // namespace rg::integrators

@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "common/base/status.h"
+#include "common/math/isa.h"
 #include "common/sim/command_signal.h"
 #include "common/sim/plant.h"
 #include "common/sim/trajectory.h"
@@ -41,6 +42,8 @@ struct SimulatorOptions {
   double step_s = 1e-3;          // > 0; intervals are cut into equal steps not longer than this
   double stick_velocity = 1e-6;  // rad/s or m/s > 0: a joint held by friction creeps slower than this
   double rk4_sign_width = 1e-2;  // rad/s > 0
+  // One that the processor has. Results are the same bit for bit on one, to 1e-9 across.
+  math::Isa isa = math::DetectIsa();
 };
 
 // Commands of the past, as far as the longest actuator delay needs them. A value: copies with the state.

@@ -1,10 +1,11 @@
-// Windows side by side in SIMD lanes against the same windows one by one.
+// Windows side by side in SIMD lanes against the same windows one by one, on every instruction set.
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <limits>
 
 #include "common/base/rng.h"
+#include "common/math/isa.h"
 #include "common/sim/simulator.h"
 #include "tests/support/sim/plants.h"
 
@@ -69,13 +70,20 @@ SensitivityRequest Everything(const Plant& plant) {
   return request;
 }
 
-void Compare(const std::string& robot, std::vector<effects::EffectSpec> effects,
-             Integrator integrator = Integrator::kLeapfrog, double damping = 0.5) {
-  const Plant plant = MakePlant(robot, std::move(effects));
-  Simulator simulator(plant, {.integrator = integrator});
+std::vector<math::Isa> SupportedIsas() {
+  std::vector<math::Isa> out;
+  for (const math::Isa isa : {math::Isa::kV1, math::Isa::kV3, math::Isa::kV4}) {
+    if (math::IsaSupported(isa)) out.push_back(isa);
+  }
+  return out;
+}
+
+// Lanes against windows one by one on one instruction set, which run on `reference` too.
+void CompareOn(math::Isa isa, const Plant& plant, Integrator integrator, std::vector<Trajectory>* reference) {
+  Simulator simulator(plant, {.integrator = integrator, .isa = isa});
   Eigen::VectorXd p = plant.parameters().Nominal();
   for (const std::string& joint : plant.joint_names())
-    p[plant.parameters().Find("damping." + joint)] = damping;
+    p[plant.parameters().Find("damping." + joint)] = 0.5;
   simulator.SetParameters(p);
   const Windows windows(plant, simulator, 13, 5);
   const SensitivityRequest request = Everything(plant);
@@ -90,6 +98,18 @@ void Compare(const std::string& robot, std::vector<effects::EffectSpec> effects,
     ExpectSame(lanes[w], alone, 2e-12, static_cast<int>(w));
     EXPECT_EQ(Difference(values[w].position, lanes[w].position), 0.0) << w;
     EXPECT_EQ(values[w].dposition.size(), 0);
+    if (reference->size() <= w) reference->push_back(alone);
+    ExpectSame(lanes[w], (*reference)[w], 1e-9, static_cast<int>(w));
+  }
+}
+
+void Compare(const std::string& robot, std::vector<effects::EffectSpec> effects,
+             Integrator integrator = Integrator::kLeapfrog) {
+  const Plant plant = MakePlant(robot, std::move(effects));
+  std::vector<Trajectory> plain;
+  for (const math::Isa isa : SupportedIsas()) {
+    SCOPED_TRACE(robot + " on " + math::IsaName(isa));
+    CompareOn(isa, plant, integrator, &plain);
   }
 }
 
@@ -126,10 +146,8 @@ TEST(SimulateWindows, IsSimulateWhereJointsHaveDifferentLaws) {
 }
 
 // A few gates and loops decide by lane: one window must not see what the others do.
-TEST(SimulateWindows, GiveTheSameBitsInWhateverCompany) {
-  const auto joints = JointNames(*LoadRobot("arm2"));
-  const Plant plant = MakePlant("arm2", {MakeSpec("coulomb_friction", joints, {{"coulomb", 0.5}})});
-  Simulator simulator(plant);
+void ExpectSameBitsInWhateverCompany(const Plant& plant, math::Isa isa) {
+  Simulator simulator(plant, {.isa = isa});
   const Windows windows(plant, simulator, 11, 9);
   const SensitivityRequest request = Everything(plant);
   std::vector<Trajectory> together, reversed, alone;
@@ -142,6 +160,14 @@ TEST(SimulateWindows, GiveTheSameBitsInWhateverCompany) {
     EXPECT_EQ(together[w].dposition, other.dposition) << w;
     EXPECT_EQ(together[w].state, alone[0].state) << w;
     EXPECT_EQ(together[w].dvelocity, alone[0].dvelocity) << w;
+  }
+}
+
+TEST(SimulateWindows, GiveTheSameBitsInWhateverCompany) {
+  for (const char* robot : {"arm2", "mico2"}) {
+    const auto joints = JointNames(*LoadRobot(robot));
+    const Plant plant = MakePlant(robot, {MakeSpec("coulomb_friction", joints, {{"coulomb", 0.5}})});
+    for (const math::Isa isa : SupportedIsas()) ExpectSameBitsInWhateverCompany(plant, isa);
   }
 }
 
