@@ -12,6 +12,7 @@
 #include "common/base/file.h"
 #include "common/model/robot_model.h"
 #include "services/bench/bench.h"
+#include "services/bench/scaling.h"
 #include "services/cli/child_processes.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
@@ -32,6 +33,7 @@ void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
 struct BenchArguments {
   bench::BenchOptions options;
   std::string robot = "mico2";
+  std::string scaling;  // file for the plot; empty: the table
 };
 
 std::string LoadAverage() {
@@ -86,12 +88,44 @@ std::string BenchTable(const std::vector<bench::Measurement>& measurements) {
   return text;
 }
 
+// How the Jacobian's cost grows, as a plot and a table.
+Status RunScaling(Context& context, const BenchArguments& arguments,
+                  std::shared_ptr<const model::RobotModel> robot) {
+  ProgressDisplay display(
+      {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
+  RG_ASSIGN_OR_RETURN(const bench::Scaling scaling,
+                      bench::MeasureScaling(
+                          std::move(robot), arguments.options.quick, arguments.options.seed,
+                          [&](const ProgressUpdate& u) { display.Show(u); }, &cancel_on_interrupt));
+  display.Finish();
+  RG_RETURN_IF_ERROR(WriteFileAtomically(arguments.scaling, bench::ScalingSvg(scaling)));
+  if (context.json()) {
+    PrintJson("realitygrad.bench_scaling/1", bench::ScalingJson(scaling));
+    return Status::Ok();
+  }
+  if (context.quiet()) return Status::Ok();
+  const auto print = [](const char* head, const std::vector<bench::ScalingPoint>& points) {
+    TextTable table({head, ">JACOBIAN, ms", ">LINE, ms"});
+    const bench::ScalingLine line = bench::LineThrough(points);
+    for (const bench::ScalingPoint& p : points) {
+      table.AddRow({report::FormatNumber(p.x), report::FormatNumber(p.ms),
+                    report::FormatNumber(line.at_zero + line.slope * p.x)});
+    }
+    Print(table.ToString());
+  };
+  print("SECONDS", scaling.by_length);
+  print("PARAMETERS", scaling.by_parameters);
+  Print("plot in " + arguments.scaling);
+  return Status::Ok();
+}
+
 Status RunBenchCommand(Context& context, BenchArguments arguments) {
   signal(SIGINT, OnInterrupt);
   signal(SIGTERM, OnInterrupt);
   RG_ASSIGN_OR_RETURN(const Settings settings, context.Resolve());
   RG_ASSIGN_OR_RETURN(const RobotProfile profile, LoadRobotProfile(RobotsFolder(settings), arguments.robot));
   RG_ASSIGN_OR_RETURN(const auto robot, LoadRobot(profile));
+  if (!arguments.scaling.empty()) return RunScaling(context, arguments, robot);
   const std::string robots = RobotsFolder(settings);
   arguments.options.run_iteration = [&] {
     return RunIteration(arguments.robot, robots, arguments.options.threads);
@@ -124,13 +158,18 @@ void AddBenchCommand(CLI::App& app, Context& context) {
   auto arguments = std::make_shared<BenchArguments>();
   CLI::App* command =
       app.add_subcommand("bench", "Measure this machine: the project's figures beside rivals'");
-  command->add_option("--only", arguments->options.only, "Keys, separated by commas")->delimiter(',');
+  CLI::Option* only =
+      command->add_option("--only", arguments->options.only, "Keys, separated by commas")->delimiter(',');
   command->add_flag("--quick", arguments->options.quick, "Fewer samples, no whole iteration");
   command->add_option("--threads", arguments->options.threads, "Of the rows that use several")
       ->check(CLI::Range(1, 1024))
       ->capture_default_str();
   command->add_option("--robot", arguments->robot, "Profile: a name, or a file")->capture_default_str();
   command->add_option("--seed", arguments->options.seed)->capture_default_str();
+  command
+      ->add_option("--scaling", arguments->scaling,
+                   "Instead: how a Jacobian's cost grows with length and parameters; the plot's file (SVG)")
+      ->excludes(only);
   command->callback([&context, arguments] {
     context.Failed(RunBenchCommand(context, *arguments));
     if (cancel_on_interrupt.cancelled()) context.exit_code = kExitCancelled;

@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/model/robot_model.h"
+#include "services/bench/scaling.h"
 #include "services/bench/subjects.h"
 #include "tests/support/sim/plants.h"
 
@@ -63,6 +64,35 @@ TEST(Bench, TakesTheIterationsTimeFromTheCaller) {
   const auto out = RunBench(rg::testing::LoadRobot("arm2"), options, RealClock());
   ASSERT_TRUE(out.ok());
   EXPECT_EQ(out->front().value, 42.0);
+}
+
+TEST(Scaling, FindsTheLineAndHowMuchItExplains) {
+  const ScalingLine exact = LineThrough({{1, 5}, {2, 7}, {4, 11}});
+  EXPECT_DOUBLE_EQ(exact.at_zero, 3);
+  EXPECT_DOUBLE_EQ(exact.slope, 2);
+  EXPECT_DOUBLE_EQ(exact.r_squared, 1);
+  EXPECT_LT(LineThrough({{0, 0}, {1, 1}, {2, 0}, {3, 1}}).r_squared, 0.5);
+}
+
+TEST(Scaling, MeasuresLengthsAndGrowingSubsetsOfParametersAndDrawsThem) {
+  const auto robot = rg::testing::LoadRobot("mico2");
+  const auto scaling = MeasureScaling(robot, true, 1);
+  ASSERT_TRUE(scaling.ok()) << scaling.status().ToString();
+  EXPECT_EQ(scaling->paper_parameters, 71);
+  const nlohmann::json j = ScalingJson(*scaling);
+  for (const auto* points : {&scaling->by_length, &scaling->by_parameters}) {
+    ASSERT_GE(points->size(), 4u);
+    for (size_t k = 0; k < points->size(); ++k) {
+      EXPECT_GT((*points)[k].ms, 0);
+      EXPECT_GT((*points)[k].x, k > 0 ? (*points)[k - 1].x : 0);
+    }
+  }
+  EXPECT_EQ(j.at("by_length").at("points").size(), scaling->by_length.size());
+  EXPECT_GT(scaling->by_parameters.back().x, 71) << "the whole table";
+  const std::string svg = ScalingSvg(*scaling);
+  size_t dots = 0;
+  for (size_t at = 0; (at = svg.find("<circle", at)) != std::string::npos; ++at) ++dots;
+  EXPECT_EQ(dots, scaling->by_length.size() + scaling->by_parameters.size());
 }
 
 TEST(Subjects, MedianOfOddAndEvenCounts) {
