@@ -44,6 +44,7 @@ jobs::IterationOptions PaperOptions(Experiment experiment) {
   jobs::IterationOptions o;
   o.identify.whole_recording = false;  // one window of 0.2 s
   o.identify.rounds = 1;
+  o.identify.alpha = 1e-2;
   if (experiment == Experiment::kBoundedVsUnbounded) {
     o.rollout.controller = "mpc";
     o.rollout.duration_s = 8.0;
@@ -280,8 +281,13 @@ void AddExperiment(CLI::App* parent, Context& context, Experiment experiment, co
                         "Length of the windows that are fitted [s]; 0: 0.2, of the whole recording as run");
     AddTrajectoryFlags(command, &arguments->options);
     AddTrainFlags(command, &arguments->options);
-    command->add_flag("--whole-recording", arguments->options.identify.whole_recording,
-                      "Fit all of the recording, not 0.2 s of it");
+    command->add_flag_callback(
+        "--whole-recording",
+        [arguments] {
+          arguments->options.identify.whole_recording = true;
+          arguments->options.identify.alpha = jobs::IdentifyOptions().alpha;
+        },
+        "Fit all of the recording, not 0.2 s of it");
     command->add_option("--solver", arguments->options.identify.solver, "lm or lbfgs")->capture_default_str();
     command->add_option("--bounds", arguments->options.identify.bounds, "physical, paper (±20 %) or none")
         ->capture_default_str();

@@ -6,6 +6,8 @@
 #include <set>
 
 #include "realitygrad/v1/payloads.pb.h"
+#include "services/sysid/drive_signal.h"
+#include "services/sysid/initial_regression.h"
 
 namespace rg::jobs {
 
@@ -195,6 +197,22 @@ Result<IdentifyProblem> IdentifyProblem::Create(const sim::Plant& plant, const V
   return problem;
 }
 
+VectorXd IdentifyProblem::Start(const sim::Plant& plant, const recordings::Recording& recording) const {
+  const sysid::LeastSquaresProblem& ls = problem();
+  std::vector<sysid::FitParameter> fitted;
+  for (Eigen::Index i = 0; i < ls.initial.size(); ++i) {
+    const int index = parameters()[static_cast<size_t>(i)];
+    const sim::Parameter& row = plant.parameters()[index];
+    fitted.push_back({index, row.name, row.unit, ls.initial[i], ls.lower[i], ls.upper[i], ls.scale[i]});
+  }
+  const sysid::FitSpace space(std::move(fitted), false);
+  const std::vector<sysid::FitRecording> fit{{&recording, sysid::DriveSignal(recording)}};
+  VectorXd p = sysid::RegressInverseDynamics(plant, FullValues(ls.initial), space, ls.initial, fit).theta;
+  double given = 0.0, regressed = 0.0;
+  if (!sysid::EvaluateCost(ls, p, {}, &regressed)) return ls.initial;
+  return sysid::EvaluateCost(ls, ls.initial, {}, &given) && given <= regressed ? ls.initial : p;
+}
+
 // A whole rollout counts as about as much as one of its seconds: errors grow along it.
 constexpr double kLongWeight = 0.02;
 
@@ -209,6 +227,8 @@ IdentifyProblemOptions OptionsOf(const pb::IdentifyPayload& payload) {
                    : payload.bounds() == pb::IDENTIFY_BOUNDS_NONE ? BoundsKind::kNone
                                                                   : BoundsKind::kPhysical;
   options.friction = payload.friction();
+  // The paper's search starts from what is given.
+  options.regress = options.whole_recording && options.bounds == BoundsKind::kPhysical;
   const bool last_round = payload.round() + 1 == payload.rounds();
   if (options.whole_recording && payload.rounds() > 1 && last_round) options.long_weight = kLongWeight;
   options.simulator.step_s = 0.002;

@@ -2,6 +2,8 @@
 // paper) or over all windows of a recording, each restarted from the state measured at its start.
 //
 //   Σ_w Σ_n Σ_j weight_w (q − q̂)²  +  Σ_p α_p (p − p_init)²
+//
+// A search over a whole recording begins where a regression of the inverse dynamics ends.
 #pragma once
 
 #include <Eigen/Core>
@@ -40,6 +42,7 @@ struct IdentifyProblemOptions {
   double long_weight = 0.0;
   double alpha = 0.0;
   BoundsKind bounds = BoundsKind::kPhysical;
+  bool regress = false;   // a search begins at Start(), not at p_init
   bool friction = false;  // fit the effects of WithFriction too
   sim::SimulatorOptions simulator;
 };
@@ -66,6 +69,9 @@ class IdentifyProblem {
   const std::vector<int>& parameters() const { return windows_.front().parameters(); }
   Eigen::VectorXd FullValues(const Eigen::VectorXd& p) const { return windows_.front().FullValues(p); }
   double long_weight() const { return long_weight_; }
+  // Where a search begins: at p_init, or, if that costs less, where the regression of the inverse dynamics
+  // (services/sysid/initial_regression.h) ends, within the bounds.
+  Eigen::VectorXd Start(const sim::Plant& plant, const recordings::Recording& recording) const;
   int windows() const { return static_cast<int>(windows_.size()); }
 
  private:

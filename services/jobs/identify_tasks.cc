@@ -1,6 +1,7 @@
 #include "services/jobs/identify_tasks.h"
 
 #include <cmath>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <optional>
 
@@ -38,16 +39,22 @@ Result<sysid::HopState> StateFrom(const worker::InputArtifact& artifact) {
 }
 
 // Where this round begins: a checkpoint of it, the chain of the round before (which takes the others'
-// best), or a new chain.
+// best), or a new chain, of which the first begins where the regression says.
 Result<sysid::HopState> StartOf(const worker::TaskInput& input, worker::TaskContext& context,
-                                const pb::IdentifyPayload& payload) {
+                                const pb::IdentifyPayload& payload, const sim::Plant& plant,
+                                const recordings::Recording& recording, const IdentifyProblem& problem) {
   if (const std::string checkpoint = context.LoadCheckpoint(); !checkpoint.empty()) {
     auto state = sysid::ParseHopState(checkpoint);
     if (state.ok()) return state;
     context.Log("checkpoint ignored: " + state.status().message());
   }
   const worker::InputArtifact* own = input.Find(kInputChain);
-  if (own == nullptr) return sysid::StartChain(payload.seed(), static_cast<int>(payload.chain()));
+  if (own == nullptr) {
+    const int chain = static_cast<int>(payload.chain());
+    if (chain > 0 || !OptionsOf(payload).regress) return sysid::StartChain(payload.seed(), chain);
+    return sysid::StartChainAt(payload.seed(), chain, problem.Start(plant, recording),
+                               std::numeric_limits<double>::max());
+  }
   RG_ASSIGN_OR_RETURN(sysid::HopState state, StateFrom(*own));
   for (const worker::InputArtifact* other : input.All(kInputOthers)) {
     RG_ASSIGN_OR_RETURN(const sysid::HopState theirs, StateFrom(*other));
@@ -113,7 +120,8 @@ Result<worker::TaskOutputs> RunIdentify(const worker::TaskInput& input, worker::
     RG_ASSIGN_OR_RETURN(const sysid::HopState before, StateFrom(*own));
     first_hop = before.hops;
   }
-  RG_ASSIGN_OR_RETURN(sysid::HopState state, StartOf(input, context, payload));
+  RG_ASSIGN_OR_RETURN(sysid::HopState state,
+                      StartOf(input, context, payload, model.plant, recording, problem));
   if (problem.long_weight() > 0 && !Rescale(problem, &state)) {
     context.Log("the whole recording cannot be simulated from the best so far: windows only");
     IdentifyProblemOptions options = OptionsOf(payload);

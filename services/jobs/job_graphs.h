@@ -62,7 +62,7 @@ struct IdentifyOptions {
   std::string solver = "lm";        // "lm" or "lbfgs"
   std::string bounds = "physical";  // "physical", "paper" or "none"; lbfgs knows none
   bool friction = true;  // beyond the paper's 71: Coulomb friction and rotor inertia of every joint
-  double alpha = 1e-2;
+  double alpha = 1e-6;  // of the order of the squared residual that is left, rad²
 };
 
 // Whether each rollout is diagnosed, and the model of the next iteration is what that found, identified

@@ -92,6 +92,28 @@ TEST(IdentifyProblem, JacobianMatchesCentralDifferences) {
   }
 }
 
+TEST(IdentifyProblem, ASearchBeginsWhereTheRegressionEndsUnlessTheModelIsBetter) {
+  sim::ModelFile other = Arm2();
+  for (const int i : other.plant.parameters().OfKind(sim::ParameterKind::kDamping)) other.values[i] = 2.0;
+  for (const int i : other.plant.parameters().OfKind(sim::ParameterKind::kMass)) other.values[i] *= 1.5;
+  const recordings::Recording recording = Record(other, 4.0);
+  const auto costs = [&](const VectorXd& initial) {
+    const auto problem = IdentifyProblem::Create(other.plant, initial, recording, Options());
+    EXPECT_TRUE(problem.ok()) << problem.status().ToString();
+    const VectorXd start = problem->Start(other.plant, recording);
+    const sysid::LeastSquaresProblem& ls = problem->problem();
+    EXPECT_TRUE((start.array() >= ls.lower.array()).all() && (start.array() <= ls.upper.array()).all());
+    std::pair<double, double> out;
+    EXPECT_TRUE(sysid::EvaluateCost(ls, ls.initial, {}, &out.first));
+    EXPECT_TRUE(sysid::EvaluateCost(ls, start, {}, &out.second));
+    return out;
+  };
+  const auto [nominal, regressed] = costs(Arm2().values);
+  EXPECT_LT(regressed, 0.02 * nominal);
+  const auto [truth, kept] = costs(other.values);
+  EXPECT_EQ(kept, truth) << "no regression is better than the truth";
+}
+
 TEST(IdentifyProblem, ASingleWindowIsThePapersProblem) {
   const sim::ModelFile model = Arm2();
   IdentifyProblemOptions options = Options();
@@ -130,7 +152,9 @@ TEST(OptionsOf, OnlyTheLastOfSeveralRoundsWeighsTheWholeRecording) {
   EXPECT_EQ(OptionsOf(payload).long_weight, 0.0);
   payload.set_round(2);
   EXPECT_GT(OptionsOf(payload).long_weight, 0.0);
+  EXPECT_TRUE(OptionsOf(payload).regress);
   payload.set_window(realitygrad::v1::IDENTIFY_WINDOW_SINGLE);
+  EXPECT_FALSE(OptionsOf(payload).regress) << "the paper's search begins at what is given";
   EXPECT_EQ(OptionsOf(payload).long_weight, 0.0);
 }
 

@@ -1,0 +1,150 @@
+// A chain of basin hopping as workers run it: what it leaves depends on its payload and inputs alone.
+#include "services/jobs/identify_tasks.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+
+#include "common/base/file.h"
+#include "common/base/rng.h"
+#include "common/model/urdf_loader.h"
+#include "common/recordings/csv.h"
+#include "common/sim/model_file.h"
+#include "common/sim/simulator.h"
+#include "realitygrad/v1/payloads.pb.h"
+#include "services/jobs/kinds.h"
+#include "services/rollouts/recording_bundle.h"
+
+namespace rg::jobs {
+namespace {
+
+namespace pb = realitygrad::v1;
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+std::string UrdfPath() {
+  const char* source = std::getenv("RG_SOURCE_DIR");
+  return std::string(source ? source : ".") + "/deploy/robots/arm2.urdf";
+}
+
+// arm2 with heavier links and more damping than its URDF says, a second at 25 Hz.
+struct Loop {
+  sim::Plant plant =
+      *sim::Plant::Create(std::make_shared<const model::RobotModel>(*model::LoadUrdf(UrdfPath(), {})));
+  worker::InputArtifact model{.name = kInputModel,
+                              .sha256 = std::string(64, 'a'),
+                              .bytes = sim::ModelToJson(plant, plant.parameters().Nominal(), 1)};
+  worker::InputArtifact recording{.name = kInputRecording, .sha256 = std::string(64, 'b')};
+
+  Loop() {
+    VectorXd truth = plant.parameters().Nominal();
+    for (const int i : plant.parameters().OfKind(sim::ParameterKind::kDamping)) truth[i] = 0.9;
+    for (const int i : plant.parameters().OfKind(sim::ParameterKind::kMass)) truth[i] *= 1.2;
+    recordings::Recording r;
+    r.joints = plant.joint_names();
+    r.t = VectorXd::LinSpaced(26, 0.0, 1.0);
+    r.effort_command = MatrixXd(2, 26);
+    for (int k = 0; k < 26; ++k) {
+      r.effort_command.col(k) << 3.0 * std::sin(1.7 * r.t[k]), 1.2 * std::sin(2.9 * r.t[k] + 0.4);
+    }
+    const std::vector<double> times(r.t.data(), r.t.data() + 26);
+    const auto command = *sim::CommandSignal::Create(times, r.effort_command, sim::Hold::kZeroOrder);
+    sim::Simulator simulator(plant);
+    simulator.SetParameters(truth);
+    const auto out =
+        simulator.Simulate(simulator.MakeState(VectorXd::Zero(2), VectorXd::Zero(2)), command, times);
+    Rng rng(3);
+    r.q = out.position;
+    for (double& q : r.q.reshaped()) q += 1e-3 * rng.Normal();
+    r.v = out.velocity;
+    rollouts::Bundle bundle;
+    bundle["manifest.json"] =
+        R"({"format": "realitygrad.recordings/1", "robot": "robot.urdf", "joints": ["shoulder", "elbow"],
+            "recordings": [{"file": "rec_000.csv", "split": "fit"}]})";
+    bundle["robot.urdf"] = ReadFile(UrdfPath()).value();
+    bundle["rec_000.csv"] = recordings::FormatCsv(r);
+    recording.bytes = rollouts::PackBundle(bundle);
+  }
+
+  worker::TaskInput Input(int chain, int round, int hops,
+                          std::vector<worker::InputArtifact> chains = {}) const {
+    pb::IdentifyPayload payload;
+    payload.set_seed(5);
+    payload.set_chain(static_cast<uint32_t>(chain));
+    payload.set_round(static_cast<uint32_t>(round));
+    payload.set_rounds(2);
+    payload.set_hops(static_cast<uint32_t>(hops));
+    payload.set_window(pb::IDENTIFY_WINDOW_WHOLE);
+    payload.set_alpha(1e-4);
+    worker::TaskInput input;
+    input.kind = kKindIdentify, input.task_name = "identify";
+    payload.SerializeToString(&input.payload);
+    input.inputs = {model, recording};
+    for (worker::InputArtifact& c : chains) input.inputs.push_back(std::move(c));
+    return input;
+  }
+};
+
+// The chain that a task leaves.
+std::string Chain(const worker::TaskInput& input, worker::RecordingTaskContext* context) {
+  const auto done = RunIdentify(input, *context);
+  RG_CHECK(done.ok()) << done.status().ToString();
+  RG_CHECK(done->artifacts.front().name == kOutputChain);
+  return done->artifacts.front().bytes;
+}
+
+std::string Chain(const worker::TaskInput& input) {
+  worker::RecordingTaskContext context("");
+  return Chain(input, &context);
+}
+
+worker::InputArtifact As(const char* name, const std::string& chain) {
+  return {.name = name, .sha256 = std::string(64, 'c'), .bytes = chain};
+}
+
+TEST(IdentifyTask, ByHopsTheSameSeedLeavesTheSameBytes) {
+  const Loop loop;
+  const std::string once = Chain(loop.Input(1, 0, 3));
+  EXPECT_EQ(once, Chain(loop.Input(1, 0, 3)));
+  EXPECT_NE(once, Chain(loop.Input(0, 0, 3))) << "another chain draws other starts";
+  EXPECT_EQ(sysid::ParseHopState(once)->hops, 3);
+}
+
+TEST(IdentifyTask, GoesOnFromItsCheckpointAsIfItHadNotBeenCut) {
+  const Loop loop;
+  worker::RecordingTaskContext first("");
+  Chain(loop.Input(0, 0, 2), &first);
+  EXPECT_EQ(first.checkpoints_saved, 2);
+  worker::RecordingTaskContext second("", first.checkpoint);
+  EXPECT_EQ(Chain(loop.Input(0, 0, 5), &second), Chain(loop.Input(0, 0, 5)));
+  EXPECT_EQ(second.checkpoints_saved, 3) << "what was done is not done again";
+}
+
+TEST(IdentifyTask, ChainsTakeTheBestOfTheOthers) {
+  const Loop loop;
+  std::string chains[2] = {Chain(loop.Input(0, 0, 2)), Chain(loop.Input(1, 0, 2))};
+  const double costs[2] = {sysid::ParseHopState(chains[0])->best_cost,
+                           sysid::ParseHopState(chains[1])->best_cost};
+  ASSERT_NE(costs[0], costs[1]);
+  const int worse = costs[0] > costs[1] ? 0 : 1;
+  worker::RecordingTaskContext context("");
+  Chain(loop.Input(worse, 1, 1, {As(kInputChain, chains[worse]), As(kInputOthers, chains[1 - worse])}),
+        &context);
+  EXPECT_TRUE(std::any_of(context.lines.begin(), context.lines.end(), [&](const std::string& line) {
+    return line == "took the best of chain " + std::to_string(1 - worse);
+  }));
+}
+
+TEST(IdentifyTask, CancelledItHasNoResult) {
+  const Loop loop;
+  worker::RecordingTaskContext context("");
+  context.cancel.Cancel();
+  const auto done = RunIdentify(loop.Input(0, 0, 3), context);
+  ASSERT_FALSE(done.ok());
+  EXPECT_EQ(done.status().code(), StatusCode::kCancelled);
+}
+
+}  // namespace
+}  // namespace rg::jobs
