@@ -114,6 +114,7 @@ void PrintEnd(const Context& context, const RunState& run, const std::string& pa
   }
   if (context.quiet()) return Print(run.folder);
   Print(IterationsTable(run.results));
+  if (const std::string said = ImpossibleText(run.results); !said.empty()) Print(said);
   if (const std::string said = DiagnosesText(run.results); !said.empty()) Print(said);
   Print("page:      " + page);
   Print("next:      realitygrad --coordinator " + run.folder + " params history");

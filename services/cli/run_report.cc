@@ -210,6 +210,14 @@ std::string Percent(double share) {
   return std::isfinite(share) ? std::to_string(std::lround(100 * share)) + " %" : "–";
 }
 
+// What a small residual hides: links of a negative mass or of an inertia that no body has. Empty: none.
+std::string Impossible(const json& result) {
+  const json warnings = result.value("/identification/identifiability/warnings"_json_pointer, json::array());
+  std::string text;
+  for (const json& warning : warnings) text += (text.empty() ? "" : "; ") + warning.get<std::string>();
+  return text.empty() ? text : text + ". The small error is no proof: the recording leaves this free";
+}
+
 void AddIdentifiability(report::Page& page, const json& result) {
   const json& report_json = result.at("identification").at("identifiability");
   if (!report_json.contains("parameters")) return;
@@ -225,6 +233,7 @@ void AddIdentifiability(report::Page& page, const json& result) {
   table.caption = std::to_string(shown) + " of " + std::to_string(report_json.at("parameters").size()) +
                   " parameters are left out here: the recording says nothing of them, only the prior does.";
   page.Subheading("What the recording determines");
+  if (const std::string said = Impossible(result); !said.empty()) page.Note(said + ".", true);
   page.AddTable(table);
 }
 
@@ -245,6 +254,16 @@ std::string IterationsTable(const std::vector<json>& results) {
     table.AddRow(cells);
   }
   return table.ToString();
+}
+
+std::string ImpossibleText(const std::vector<json>& results) {
+  std::string text;
+  for (size_t i = 0; i < results.size(); ++i) {
+    const std::string said = Impossible(results[i]);
+    if (said.empty()) continue;
+    text += (text.empty() ? "" : "\n") + ("warning: identification " + std::to_string(i + 1)) + ": " + said;
+  }
+  return text;
 }
 
 std::string DiagnosesText(const std::vector<json>& results) {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 
 #include "common/base/hash.h"
 #include "realitygrad/v1/payloads.pb.h"
@@ -70,6 +71,20 @@ json MetadataOf(const worker::TaskInput& input, const char* name) {
   return out;
 }
 
+// Links that could exist before the fit and cannot after it: parameters that move one by one may go there
+// without the residual telling.
+std::vector<std::string> NewlyImpossible(const sim::Plant& plant, const VectorXd& before,
+                                         const VectorXd& after) {
+  const auto link_of = [](const std::string& line) { return line.substr(0, line.find(':')); };
+  std::set<std::string> were;
+  for (const std::string& line : sysid::ImpossibleInertias(plant, before)) were.insert(link_of(line));
+  std::vector<std::string> lines;
+  for (std::string& line : sysid::ImpossibleInertias(plant, after)) {
+    if (!were.contains(link_of(line))) lines.push_back(std::move(line));
+  }
+  return lines;
+}
+
 }  // namespace
 
 Judgement Judge(const sim::ModelFile& before, const sim::Plant& plant, const VectorXd& after,
@@ -107,7 +122,9 @@ sysid::IdentifiabilityReport Determine(const sim::Plant& plant, const IdentifyPr
   if (ls.residuals->Evaluate(p, {}, &r, &jacobian)) {
     input.information = sysid::InformationOf(jacobian / std::sqrt(noise_variance));
   }
-  return sysid::Identify(input);
+  sysid::IdentifiabilityReport report = sysid::Identify(input);
+  report.warnings = NewlyImpossible(plant, problem.FullValues(ls.initial), problem.FullValues(p));
+  return report;
 }
 
 json ResultJson(const worker::TaskInput& input, const pb::ConcludePayload& payload,

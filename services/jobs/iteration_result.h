@@ -32,7 +32,7 @@ struct Judgement {
 Judgement Judge(const sim::ModelFile& before, const sim::Plant& plant, const Eigen::VectorXd& after,
                 const recordings::Recording& recording);
 
-// Which of the 71 the recording determines at p.
+// Which of the 71 the recording determines at p, with a warning for each link that no body can have any more.
 sysid::IdentifiabilityReport Determine(const sim::Plant& plant, const IdentifyProblem& problem,
                                        const Eigen::VectorXd& p, double noise_variance);
 

@@ -8,6 +8,9 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/check.h"
+#include "common/model/robot_model.h"
+#include "common/sim/plant.h"
+#include "services/sysid/drive_signal.h"
 
 namespace rg::sysid {
 namespace {
@@ -187,6 +190,18 @@ std::vector<std::string> ImpossibleInertias(const std::vector<LinkInertia>& link
     }
   }
   return warnings;
+}
+
+std::vector<std::string> ImpossibleInertias(const sim::Plant& plant, const VectorXd& values) {
+  const auto parameters = LinkParametersOf(plant, values);
+  std::vector<LinkInertia> links;
+  for (int i = 0; i < plant.model().num_links(); ++i) {
+    const model::LinkParameters link = parameters.col(i);
+    if (plant.model().link(i).has_inertial) {
+      links.push_back({plant.model().link(i).name, link[0], model::InertiaMatrix(link)});
+    }
+  }
+  return ImpossibleInertias(links);
 }
 
 std::string FormatIdentifiability(const IdentifiabilityReport& report) {

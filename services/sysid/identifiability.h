@@ -19,6 +19,10 @@
 
 #include "services/sysid/base_parameters.h"
 
+namespace rg::sim {
+class Plant;
+}
+
 namespace rg::sysid {
 
 inline constexpr double kDeterminedShrink = 0.2;
@@ -86,6 +90,9 @@ Eigen::MatrixXd InformationOf(const Eigen::Ref<const Eigen::MatrixXd>& jacobian)
 // One line per link that no body can have: negative mass, a negative principal inertia, or one larger
 // than the sum of the other two (beyond 1e-9 of the largest). Links of zero mass and inertia are fine.
 std::vector<std::string> ImpossibleInertias(const std::vector<LinkInertia>& links);
+// The same of the plant's links at `values` (its whole table); links that the URDF gives no inertia are left
+// out.
+std::vector<std::string> ImpossibleInertias(const sim::Plant& plant, const Eigen::VectorXd& values);
 
 // A table for a person: one line per parameter, then base parameters, what only the prior says, weak
 // combinations, correlations and warnings.

@@ -471,20 +471,13 @@ class Identification {
   void FillWarnings(const Fitted& f, SysidReport* report) const {
     report->warnings = set_.warnings;
     for (const std::string& w : nominal_->model().warnings()) report->warnings.push_back(w);
-    const auto links = LinkParametersOf(f.plant, f.fit.values);
-    std::vector<LinkInertia> fitted_links;
-    for (int i = 0; i < f.plant.model().num_links(); ++i) {
-      const model::LinkParameters link = links.col(i);
-      if (f.plant.model().link(i).has_inertial) {
-        fitted_links.push_back({f.plant.model().link(i).name, link[0], model::InertiaMatrix(link)});
-      }
-    }
     char residual[120];
     std::snprintf(
         residual, sizeof residual,
         "; the error of %.3g is no proof: the data leave this free, the consistent parametrisation does not",
         report->after_rms);
-    for (const std::string& w : ImpossibleInertias(fitted_links)) report->warnings.push_back(w + residual);
+    for (const std::string& w : ImpossibleInertias(f.plant, f.fit.values))
+      report->warnings.push_back(w + residual);
     for (const ParameterVerdict& p : report->identifiability.parameters) {
       if (report->identifiability_of != report->chosen) break;
       if (p.verdict == Verdict::kAtBound && p.value != 0.0) {

@@ -9,6 +9,7 @@
 #include "common/model/urdf_loader.h"
 #include "common/sim/simulator.h"
 #include "realitygrad/v1/payloads.pb.h"
+#include "services/jobs/iteration_result.h"
 
 namespace rg::jobs {
 namespace {
@@ -126,6 +127,29 @@ TEST(IdentifyProblem, ASingleWindowIsThePapersProblem) {
   EXPECT_EQ(problem->problem().residuals->num_residuals(), 2 * 100) << "0.2 s on the 2 ms grid, two joints";
   options.window_start_s = 5.0;
   EXPECT_FALSE(IdentifyProblem::Create(model.plant, model.values, Record(model, 1.6), options).ok());
+}
+
+TEST(Determine, WarnsOfLinksThatCouldExistBeforeTheFitOnly) {
+  const sim::ModelFile model = Arm2();
+  IdentifyProblemOptions options = Options();
+  options.bounds = BoundsKind::kNone;
+  const auto problem = IdentifyProblem::Create(model.plant, model.values, Record(model, 1.2), options);
+  ASSERT_TRUE(problem.ok()) << problem.status().ToString();
+  VectorXd p = problem->problem().initial;
+  EXPECT_TRUE(Determine(model.plant, *problem, p, 1e-6).warnings.empty());
+  for (Eigen::Index i = 0; i < p.size(); ++i) {
+    const std::string& name = model.plant.parameters()[problem->parameters()[static_cast<size_t>(i)]].name;
+    if (name.starts_with("mass.")) p[i] = -std::abs(p[i]);
+  }
+  const auto warnings = Determine(model.plant, *problem, p, 1e-6).warnings;
+  ASSERT_FALSE(warnings.empty());
+  EXPECT_NE(warnings.front().find("negative mass"), std::string::npos) << warnings.front();
+
+  // What was impossible before the fit is none of the fit's news.
+  const auto given =
+      IdentifyProblem::Create(model.plant, problem->FullValues(p), Record(model, 1.2), options);
+  ASSERT_TRUE(given.ok()) << given.status().ToString();
+  EXPECT_TRUE(Determine(model.plant, *given, p, 1e-6).warnings.empty());
 }
 
 TEST(ModelToFit, AddsFrictionOnceAndKeepsWhatWasFound) {
