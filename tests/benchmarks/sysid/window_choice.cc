@@ -1,6 +1,6 @@
-// How much better a window chosen by its information is fitted than one drawn at random: a Mico² whose
-// inertias and friction differ from its URDF, one recording of 8 s to choose from, one held out. One line per
-// length of the window; RG_SOURCE_DIR is the source tree.
+// How much better a window chosen by its information is fitted than one drawn at random or the first: a Mico²
+// whose inertias and friction differ from its URDF, one recording of 8 s to choose from, one held out. One
+// line per length of the window; RG_SOURCE_DIR is the source tree.
 //
 //   window_choice [robots] [draws]     so many robots, so many random windows for each (default 10, 5)
 #include <Eigen/Eigenvalues>
@@ -133,7 +133,7 @@ double Median(std::vector<double> x) {
 }
 
 void Compare(int count, double window_s, int robots, int draws) {
-  std::vector<double> chosen, random, chosen_error, random_error;
+  std::vector<double> chosen, random, first, chosen_error, random_error, first_error;
   int better = 0;
   for (int seed = 1; seed <= robots; ++seed) {
     const Robot robot(static_cast<uint64_t>(seed));
@@ -146,13 +146,17 @@ void Compare(int count, double window_s, int robots, int draws) {
       holdout.push_back(out.holdout);
       random_error.push_back(out.parameter_error);
     }
+    const Outcome earliest = robot.FitOn(TakeFirst(robot.Candidates(window_s), count));
+    first.push_back(earliest.holdout);
+    first_error.push_back(earliest.parameter_error);
     better += best.holdout < Median(holdout) ? 1 : 0;
     chosen.push_back(best.holdout);
     chosen_error.push_back(best.parameter_error);
     random.insert(random.end(), holdout.begin(), holdout.end());
   }
-  std::printf("%2d x %.1f s %14.4g %14.4g %16.3f %16.3f %8d/%d\n", count, window_s, Median(chosen),
-              Median(random), Median(chosen_error), Median(random_error), better, robots);
+  std::printf("%2d x %.1f s %10.4g %10.4g %10.4g %10.3f %10.3f %10.3f %8d/%d\n", count, window_s,
+              Median(chosen), Median(random), Median(first), Median(chosen_error), Median(random_error),
+              Median(first_error), better, robots);
   std::fflush(stdout);
 }
 
@@ -162,8 +166,8 @@ void Compare(int count, double window_s, int robots, int draws) {
 int main(int argc, char** argv) {
   const int robots = argc > 1 ? std::max(1, std::atoi(argv[1])) : 10;
   const int draws = argc > 2 ? std::max(1, std::atoi(argv[2])) : 5;
-  std::printf("%10s %14s %14s %16s %16s %10s\n", "windows", "held out", "at random", "parameters",
-              "at random", "better");
+  std::printf("%10s %10s %10s %10s %10s %10s %10s %10s\n", "windows", "held out", "at random", "the first",
+              "parameters", "at random", "the first", "better");
   rg::sysid::Compare(1, 0.2, robots, draws);
   rg::sysid::Compare(5, 0.2, robots, draws);
   rg::sysid::Compare(1, 0.5, robots, draws);
