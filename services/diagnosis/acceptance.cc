@@ -11,6 +11,7 @@ using effects::EffectSpec;
 namespace {
 
 constexpr double kFormError = 0.01;   // share of what effects explain that a neighbour's form may be worth
+constexpr double kMostOfIt = 0.5;     // share of what is left that no matter of form takes
 constexpr double kSimplerOdds = 3.0;  // log odds: 20 to 1
 
 std::string Joined(const std::set<std::string>& joints) {
@@ -43,15 +44,19 @@ void Acceptance::Note(const ScreenResult& screened, const std::vector<std::strin
   }
 }
 
-double Acceptance::Needed(const Candidate& best, double explained) const {
-  return std::max({1.0, null_gain_ - kEffectPrior, best.specs.empty() ? 0.0 : kFormError * explained});
+double Acceptance::Needed(const Candidate& best, double explained, double at_stake) const {
+  // What is left above the noise is itself known to the scatter of χ² only.
+  const double left = std::max(0.0, at_stake) + std::sqrt(0.5 * best.fit.rows);
+  const double form = best.specs.empty() ? 0.0 : std::min(kFormError * explained, kMostOfIt * left);
+  return std::max({1.0, null_gain_ - kEffectPrior, form});
 }
 
-double Acceptance::Needed(const Candidate& best, double explained, const Candidate& c) const {
+double Acceptance::Needed(const Candidate& best, double explained, double at_stake,
+                          const Candidate& c) const {
   if (best.base && !c.base && best.specs.empty()) return kSimplerOdds;
   double rule = 0;
   for (const auto& [id, joints] : Added(best, c)) rule = std::max(rule, StepRule(id, Joined(joints)));
-  const double chance = std::sqrt(2 * Needed(best, explained));
+  const double chance = std::sqrt(2 * Needed(best, explained, at_stake));
   return 0.5 * (chance + rule) * (chance + rule);
 }
 

@@ -3,7 +3,8 @@
 //   needed = ½ (√(2·chance) + √(2·rule))²
 //
 // chance: what the best of all hypotheses gains from noise alone in 2 % of recordings (screening.h draws
-// them), or what the idealised form of the effects found so far may leave (1 % of what they explain).
+// them), or what the idealised form of the effects found so far may leave: 1 % of what they explain, but an
+// addition that takes half of all that is left above the noise is no matter of form.
 // rule: what the same effect on the same joints would gain from another step rule alone (StepRuleResiduals).
 // Amplitudes add, so their squares, the nats, add like this.
 #pragma once
@@ -24,10 +25,10 @@ class Acceptance {
 
   double null_gain() const { return null_gain_; }
 
-  // Of any addition to `best`, whose effects explain `explained` nats.
-  double Needed(const Candidate& best, double explained) const;
+  // Of any addition to `best`, whose effects explain `explained` nats and which leaves `at_stake` nats.
+  double Needed(const Candidate& best, double explained, double at_stake) const;
   // Of `c` in place of `best`. A model with less in it that explains as much needs no more than the odds.
-  double Needed(const Candidate& best, double explained, const Candidate& c) const;
+  double Needed(const Candidate& best, double explained, double at_stake, const Candidate& c) const;
 
  private:
   double StepRule(const std::string& id, const std::string& joints) const;

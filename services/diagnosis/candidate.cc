@@ -1,6 +1,7 @@
 #include "services/diagnosis/candidate.h"
 
 #include <algorithm>
+#include <cmath>
 #include <set>
 
 #include "common/effects/effect_catalog.h"
@@ -18,6 +19,7 @@ constexpr double kShapePrior =
 // A drive's command waits for its bus and cycle more often than a sensor's reading does; where both are on
 // all joints nothing but the first moments of a recording tells them apart.
 constexpr double kSensorDelayPrior = 2.0;
+constexpr double kUnseen = 0.7;      // posterior over prior stddev of the best known parameter
 constexpr double kFieldPrior = 6.0;  // what an unnamed force pays beside
 
 }  // namespace
@@ -45,6 +47,76 @@ bool Contains(const std::vector<EffectSpec>& specs, const std::string& id, const
     if (std::find(s.joints.begin(), s.joints.end(), joint) != s.joints.end()) return true;
   }
   return false;
+}
+
+std::vector<EffectSpec> Refreshed(const Candidate& c) {
+  std::vector<EffectSpec> specs = c.specs;
+  for (EffectSpec& s : specs) {
+    std::vector<std::string> owners = s.joints;
+    if (s.joints.empty() || s.id == "joint_coupling" || s.id == "unknown_field_pair") owners = {"*"};
+    for (const std::string& owner : owners) {
+      for (const auto& info : effects::FindEffect(s.id)->parameters) {
+        const int at = c.plant->parameters().Find(s.id + "." + owner + "." + info.name);
+        if (at >= 0 && c.fit.ok) s.values[owner][info.name] = c.fit.values[at];
+      }
+    }
+  }
+  return specs;
+}
+
+bool Unseen(const Candidate& c) {
+  for (const EffectSpec& s : c.specs) {
+    double known = 1;
+    for (size_t k = 0; k < c.parameters.size(); ++k) {
+      const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+      const bool own =
+          p.effect == s.id && (s.joints.empty() || p.owner == "*" ||
+                               std::find(s.joints.begin(), s.joints.end(), p.owner) != s.joints.end());
+      if (own) known = std::min(known, c.fit.stddev[static_cast<long>(k)] / c.parameters[k].prior_stddev);
+    }
+    if (known > kUnseen) return true;
+  }
+  return false;
+}
+
+double Strength(const Candidate& c, size_t i) {
+  static const std::set<std::string> kStrengths = {"viscous",
+                                                   "coulomb",
+                                                   "coulomb_positive",
+                                                   "coulomb_negative",
+                                                   "static",
+                                                   "load_coefficient",
+                                                   "quadratic",
+                                                   "delay",
+                                                   "time_constant",
+                                                   "gain",
+                                                   "deadband",
+                                                   "amplitude",
+                                                   "armature",
+                                                   "mass",
+                                                   "tilt",
+                                                   "offset",
+                                                   "stiffness",
+                                                   "initial",
+                                                   "final",
+                                                   "torque",
+                                                   "coefficient",
+                                                   "gap",
+                                                   "cubic"};
+  const EffectSpec& s = c.specs[i];
+  double most = 0;
+  bool any = false;
+  for (size_t k = 0; k < c.parameters.size(); ++k) {
+    const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+    if (p.effect != s.id || kStrengths.count(p.field) == 0) continue;
+    if (!s.joints.empty() && p.owner != "*" &&
+        std::find(s.joints.begin(), s.joints.end(), p.owner) == s.joints.end())
+      continue;
+    const double none = p.field == "gain" ? 1 : 0, sd = std::max(1e-12, c.fit.stddev[static_cast<long>(k)]);
+    most = std::max(most, std::abs(c.fit.theta[static_cast<long>(k)] - none) / sd);
+    any = true;
+  }
+  return any ? most : 1e9;
 }
 
 }  // namespace rg::diagnosis

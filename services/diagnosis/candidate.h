@@ -30,4 +30,13 @@ inline constexpr double kEffectPrior = 4.0;  // of one more kind of effect
 // Whether the effect acts there already; joint "": on the robot as a whole.
 bool Contains(const std::vector<effects::EffectSpec>& specs, const std::string& id, const std::string& joint);
 
+// The effects with the fitted values in them, as the start of a larger model.
+std::vector<effects::EffectSpec> Refreshed(const Candidate& c);
+
+// Whether it has an effect of which the data show nothing: no parameter is known better than before them.
+bool Unseen(const Candidate& c);
+
+// |strength − none| of effect i in its stddev: what a delay, an amplitude, a mass, … is from nothing.
+double Strength(const Candidate& c, size_t i);
+
 }  // namespace rg::diagnosis

@@ -25,7 +25,11 @@ struct DiagnosisOptions {
   double step_s = 2.5e-3;     // of the simulator
   int max_effects = 4;        // rounds of adding
   uint64_t seed = 1;          // of simulated nulls and bootstraps
-  double time_limit_s = 150;  // no new round starts later
+  // Of all fits together, in simulated rows times columns carried along (Work in lifted_fit.h): a limit that
+  // is the same on every machine; about a minute on two cores.
+  double work_limit = 8e8;
+  // No new fit starts later than this many seconds; 0: no such limit. What it cuts off depends on the machine.
+  double time_limit_s = 0;
   bool trust_effort = false;  // go on where an effort's sign or unit looks wrong
 };
 

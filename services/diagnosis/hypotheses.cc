@@ -58,7 +58,8 @@ EffectSpec JointSpec(const Scored& h, int joint, const std::vector<double>& c, c
   }
   if (h.effect == "torque_gain")
     return MakeSpec(h.effect, {name}, {{"gain", std::clamp(1.0 + c[0], 0.2, 4.0)}});
-  if (h.effect == "torque_deadband") return MakeSpec(h.effect, {name}, {{"deadband", h.shape}});
+  if (h.effect == "torque_deadband")
+    return MakeSpec(h.effect, {name}, {{"deadband", Positive(c[0] * h.shape, kSmall)}});
   if (h.effect == "torque_saturation") return MakeSpec(h.effect, {name}, {{"limit", h.shape}});
   if (h.effect == "actuator_delay") {
     return MakeSpec(h.effect, {name}, {{"delay", std::clamp(c[0] * h.shape, 1e-3, 0.3)}});
@@ -176,6 +177,19 @@ bool Fixed(const sim::Parameter& p) {
   return field && p.field[0] != 'w';
 }
 
+// Changes of the last link's mass and centre of mass as a body of their own, in that link's frame.
+EffectSpec PayloadSpec(const std::vector<double>& change, const sim::Plant& nominal) {
+  const auto& model = nominal.model();
+  const auto link = model.link(model.joint(model.num_joints() - 1).child_link).parameters;
+  const double mass = Positive(change[0], 0.01 * LastMass(nominal));
+  double com[3];
+  for (int i = 0; i < 3; ++i) {
+    const double moment = link[0] * change[static_cast<size_t>(i) + 1] + change[0] * link[i + 1];
+    com[i] = std::clamp(moment / mass, -0.3, 0.3);
+  }
+  return MakeSpec("payload", {}, {{"mass", mass}, {"com_x", com[0]}, {"com_y", com[1]}, {"com_z", com[2]}});
+}
+
 }  // namespace
 
 std::vector<std::vector<EffectSpec>> SpecsFor(const Scored& h, const sim::Plant& nominal,
@@ -197,6 +211,7 @@ std::vector<std::vector<EffectSpec>> SpecsFor(const Scored& h, const sim::Plant&
     }
     return out;
   }
+  if (h.effect == "payload") return {{PayloadSpec(h.coefficients, nominal)}};
   if (h.effect == "joint_coupling") {
     return {
         {MakeSpec(h.effect, {names[h.joints[0]], names[h.joints[1]]}, {{"coefficient", h.coefficients[0]}})}};
@@ -229,7 +244,7 @@ std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effec
   };
   for (const char* sensor : {"link", "motor"}) {
     if (effect == "backlash") {
-      for (const double gap : {0.01, 0.03}) {
+      for (const double gap : {0.003, 0.01, 0.03}) {
         const double omega = 2 * M_PI * 30.0, k = omega * omega * lighter;
         push(MakeSpec(effect, {name},
                       {{"gap", gap},
@@ -321,15 +336,22 @@ std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const M
 
 namespace {
 
+constexpr int kTransmission = 2;
+
 int ExclusiveGroup(const std::string& id) {
-  static const std::map<std::string, int> kGroups = {
-      {"coulomb_friction", 1},      {"stribeck_friction", 1},
-      {"asymmetric_friction", 1},   {"load_dependent_friction", 1},
-      {"presliding_hysteresis", 1}, {"thermal_drift", 1},
-      {"joint_elasticity", 2},      {"backlash", 2},
-      {"actuator_delay", 3},        {"actuator_lag", 3},
-      {"sensor_delay", 3},          {"position_spring", 4},
-      {"unknown_field", 4}};
+  static const std::map<std::string, int> kGroups = {{"coulomb_friction", 1},
+                                                     {"stribeck_friction", 1},
+                                                     {"asymmetric_friction", 1},
+                                                     {"load_dependent_friction", 1},
+                                                     {"presliding_hysteresis", 1},
+                                                     {"thermal_drift", 1},
+                                                     {"joint_elasticity", kTransmission},
+                                                     {"backlash", kTransmission},
+                                                     {"actuator_delay", 3},
+                                                     {"actuator_lag", 3},
+                                                     {"sensor_delay", 3},
+                                                     {"position_spring", 4},
+                                                     {"unknown_field", 4}};
   const auto it = kGroups.find(id);
   return it == kGroups.end() ? 0 : it->second;
 }
@@ -341,6 +363,8 @@ std::vector<EffectSpec> Joined(std::vector<EffectSpec> specs, const std::vector<
     const int group = ExclusiveGroup(s.id);
     std::erase_if(specs, [&](const EffectSpec& old) {
       if (old.joints != s.joints) return false;
+      // A motor behind a spring or play brings its own inertia.
+      if (old.id == "rotor_inertia" && ExclusiveGroup(s.id) == kTransmission) return true;
       return old.id == s.id || (group != 0 && ExclusiveGroup(old.id) == group);
     });
     specs.push_back(s);

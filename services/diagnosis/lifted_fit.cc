@@ -5,6 +5,8 @@
 #include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <numeric>
 
 #include "common/model/robot_model.h"
 #include "services/diagnosis/gram.h"
@@ -16,7 +18,10 @@ namespace rg::diagnosis {
 
 namespace {
 
-constexpr double kOtherStep = 2e-4;  // s, see StepRuleResiduals
+constexpr double kStillFalling = 0.005;  // of the cost in one iteration
+constexpr double kOtherStep = 2e-4;      // s, see StepRuleResiduals
+constexpr int kScreenParts = 16;
+constexpr int kTogether = 8;  // windows that are simulated side by side
 
 // Rows of [J | r] orthogonal to J_e; also the factorisation to find e_0 later.
 struct Projected {
@@ -140,9 +145,90 @@ double HiddenCost(const std::vector<Linear>& linear, const NodeStates& states, i
   return cost;
 }
 
+// Start of a window's states that fits best after a step of the parameters, relative to what they are.
+VectorXd BestStart(const Linear& l, const VectorXd& step) {
+  MatrixXd JJ = l.J_e.transpose() * l.J_e;
+  JJ.diagonal().array() += 1e-9 * JJ.diagonal().maxCoeff() + 1e-12;
+  const VectorXd scale = JJ.diagonal().cwiseSqrt().cwiseInverse();
+  MatrixXd S = scale.asDiagonal() * JJ * scale.asDiagonal();
+  S.diagonal().array() += 1e-10;
+  const VectorXd b = scale.cwiseProduct(l.J_e.transpose() * (l.r - l.J * step));
+  return scale.cwiseProduct(S.ldlt().solve(b));
+}
+
+// Moves the states of windows [first, last) with a step of the parameters, their starts to what then fits
+// best; writes χ² of the windows simulated from there. `adopted`: χ² so far; empty without hidden states.
+void MoveStates(Lineariser& lin, int worker, int first, int last, const std::vector<Linear>& linear,
+                const VectorXd& step, const std::vector<double>& adopted, NodeStates* states,
+                std::vector<double>* chi2) {
+  struct Moved {
+    int window;
+    VectorXd e0;
+    double share = 1.0;
+  };
+  std::vector<Moved> moved;
+  std::vector<int> windows;
+  std::vector<VectorXd> starts;
+  for (int w = first; w < last; ++w) {
+    if (!linear[w].ok) {
+      (*chi2)[w] = lin.WorstChi2(w);
+      continue;
+    }
+    moved.push_back({w, BestStart(linear[w], step)});
+    windows.push_back(w), starts.push_back((*states)[w].col(0) + moved.back().e0);
+  }
+  const std::vector<double> full = lin.Simulated(worker, windows, starts);
+  for (size_t i = 0; i < moved.size(); ++i) (*chi2)[moved[i].window] = full[i];
+  // A hidden state that hardly shows may be thrown far: then a shorter step in the window's start.
+  if (!adopted.empty()) {
+    windows.clear(), starts.clear();
+    std::vector<std::pair<Moved*, double>> shorter;
+    for (Moved& m : moved) {
+      if (!((*chi2)[m.window] > adopted[m.window])) continue;
+      for (const double less : {0.4, 0.1, 0.0}) {
+        shorter.push_back({&m, less});
+        windows.push_back(m.window), starts.push_back((*states)[m.window].col(0) + less * m.e0);
+      }
+    }
+    const std::vector<double> c = lin.Simulated(worker, windows, starts);
+    for (size_t i = 0; i < shorter.size(); ++i) {
+      auto& [m, less] = shorter[i];
+      if (c[i] < (*chi2)[m->window]) (*chi2)[m->window] = c[i], m->share = less;
+    }
+  }
+  const long P = step.size();
+  for (const Moved& m : moved) {
+    const Linear& l = linear[m.window];
+    MatrixXd& at = (*states)[m.window];
+    for (size_t k = 0; k < l.E.size(); ++k) {
+      at.col(static_cast<long>(k)) +=
+          l.E[k].col(0) + l.E[k].middleCols(1, P) * step + l.E[k].rightCols(at.rows()) * (m.share * m.e0);
+    }
+  }
+}
+
 }  // namespace
 
-FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& options) {
+NodeStates CarriedStates(const FitData& data, const FitModel& to, const sim::Plant& from,
+                         const NodeStates& states, const LiftedOptions& options) {
+  const int n = data.n;
+  const auto& theirs = from.internal_state_names();
+  const auto& own = to.plant.internal_state_names();
+  if (own == theirs) return states;
+  NodeStates out = InitialStates(data, to, options);
+  for (size_t w = 0; w < out.size(); ++w) {
+    out[w].topRows(2 * n) = states[w].topRows(2 * n);
+    for (size_t i = 0; i < own.size(); ++i) {
+      const auto at = std::find(theirs.begin(), theirs.end(), own[i]);
+      if (at != theirs.end())
+        out[w].row(2 * n + static_cast<long>(i)) = states[w].row(2 * n + (at - theirs.begin()));
+    }
+  }
+  return out;
+}
+
+FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& options,
+              const NodeStates* from) {
   const int P = static_cast<int>(model.parameters.size()), n = data.n;
   const int W = static_cast<int>(data.windows.size());
   Lineariser lin(data, model, false, options);
@@ -161,7 +247,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   VectorXd values = sysid::WithFitted(model.parameters, model.values, theta);
   lin.SetValues(model, values);
   FitModel start{model.plant, values, model.parameters};
-  NodeStates states = InitialStates(data, start, options);
+  NodeStates states = from != nullptr ? *from : InitialStates(data, start, options);
   const double inverse_scale = 1.0 / options.noise_scale;
 
   double best = std::numeric_limits<double>::infinity();
@@ -170,6 +256,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   std::vector<MatrixXd> grams(W);
   std::vector<double> adopted(W);
   const bool hidden = nx > 2 * n;
+  const int groups = (W + kTogether - 1) / kTogether;
   // What the cost falls by against the best so far, which the new state takes the place of if it does.
   const auto adopt = [&](const VectorXd& at, const VectorXd& trial, const NodeStates& nodes,
                          const std::vector<double>& chi2, const MatrixXd& information) {
@@ -185,7 +272,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
     result.ok = true;
     return gain;
   };
-  for (int it = 0; it <= options.iterations; ++it) {
+  for (int it = 0; it <= options.iterations + options.more_iterations; ++it) {
     sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
       lin.Run(worker, w, states[w], nullptr, nullptr, true, &linear[w]);
       if (!linear[w].ok) return;
@@ -193,6 +280,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       grams[w].setZero(P + 1, P + 1);
       grams[w].selfadjointView<Eigen::Lower>().rankUpdate(rest.transpose(), inverse_scale);
     });
+    result.work += Work(data.Rows(), nx + P);
     MatrixXd gram = MatrixXd::Zero(P + 1, P + 1);
     for (int w = 0; w < W; ++w) {
       if (linear[w].ok) gram += grams[w];
@@ -200,10 +288,17 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
     gram = MatrixXd(gram.selfadjointView<Eigen::Lower>());
     MatrixXd H = gram.topLeftCorner(P, P);
     const MatrixXd information = H;
-    if (hidden && it == 0) {  // the start itself counts
+    if ((hidden || from != nullptr) && it == 0) {  // the start itself counts
       std::vector<double> chi2(W);
-      sysid::ParallelFor(options.threads, W,
-                         [&](int worker, int w) { chi2[w] = lin.Simulated(worker, w, states[w].col(0)); });
+      sysid::ParallelFor(options.threads, groups, [&](int worker, int g) {
+        std::vector<int> windows;
+        std::vector<VectorXd> starts;
+        for (int w = g * W / groups; w < (g + 1) * W / groups; ++w) {
+          windows.push_back(w), starts.push_back(states[w].col(0));
+        }
+        const std::vector<double> own = lin.Simulated(worker, windows, starts);
+        std::copy(own.begin(), own.end(), chi2.begin() + windows.front());
+      });
       adopt(values, theta, states, chi2, information);
       adopted = chi2;
     }
@@ -215,39 +310,33 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       step = sysid::BoxedNewtonStep(H, g, (lower - theta).cwiseMax(-limit).cwiseMin(0.0),
                                     (upper - theta).cwiseMin(limit).cwiseMax(0.0));
     }
-    // States follow.
-    const VectorXd trial = (theta + step).cwiseMax(lower).cwiseMin(upper);
-    NodeStates trial_states = states;
-    std::vector<double> chi2(W);
-    const VectorXd trial_values = sysid::WithFitted(model.parameters, model.values, trial);
+    if (!step.allFinite()) step.setZero();
+    // States follow. A step that leads nowhere, as the first from the recorded motion may, has shorter ones
+    // tried beside it: without any, states alone come to where the model holds.
+    VectorXd trial, trial_values;
+    NodeStates trial_states;
+    std::vector<double> chi2;
+    double least = std::numeric_limits<double>::infinity();
+    for (const double length : {1.0, 0.3, 0.0}) {
+      if (length < 1.0 && (P == 0 || (it > 0 && least < best))) break;
+      const VectorXd shorter = length * step;
+      const VectorXd at = (theta + shorter).cwiseMax(lower).cwiseMin(upper);
+      const VectorXd at_values = sysid::WithFitted(model.parameters, model.values, at);
+      NodeStates nodes = states;
+      std::vector<double> own(W);
+      lin.SetValues(model, at_values);
+      sysid::ParallelFor(options.threads, groups, [&](int worker, int g) {
+        MoveStates(lin, worker, g * W / groups, (g + 1) * W / groups, linear, shorter,
+                   hidden ? adopted : std::vector<double>{}, &nodes, &own);
+      });
+      result.work += Work(data.Rows(), 0);
+      const double cost =
+          std::accumulate(own.begin(), own.end(), 0.0) * inverse_scale + prior.dot((at - theta0).cwiseAbs2());
+      if (!(cost < least)) continue;
+      least = cost;
+      trial = at, trial_values = at_values, trial_states = std::move(nodes), chi2 = std::move(own);
+    }
     lin.SetValues(model, trial_values);
-    sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
-      const Linear& l = linear[w];
-      if (!l.ok) {
-        chi2[w] = lin.RowsOf(data.windows[w]) * kSoft * kSoft * std::log1p(kBroken / (kSoft * kSoft));
-        return;
-      }
-      MatrixXd JJ = l.J_e.transpose() * l.J_e;
-      JJ.diagonal().array() += 1e-9 * JJ.diagonal().maxCoeff() + 1e-12;
-      VectorXd scale = JJ.diagonal().cwiseSqrt().cwiseInverse();
-      MatrixXd S = scale.asDiagonal() * JJ * scale.asDiagonal();
-      S.diagonal().array() += 1e-10;
-      const VectorXd b = scale.cwiseProduct(l.J_e.transpose() * (l.r - l.J * step));
-      const VectorXd e0 = scale.cwiseProduct(S.ldlt().solve(b));
-      // A hidden state that hardly shows may be thrown far: then a shorter step in the window's start.
-      double share = 1.0;
-      chi2[w] = lin.Simulated(worker, w, states[w].col(0) + e0);
-      if (hidden && chi2[w] > adopted[w]) {
-        for (const double less : {0.4, 0.1, 0.0}) {
-          const double c = lin.Simulated(worker, w, states[w].col(0) + less * e0);
-          if (c < chi2[w]) chi2[w] = c, share = less;
-        }
-      }
-      for (size_t k = 0; k < l.E.size(); ++k) {
-        trial_states[w].col(k) +=
-            l.E[k].col(0) + l.E[k].middleCols(1, P) * step + l.E[k].rightCols(nx) * (share * e0);
-      }
-    });
     adopted = chi2;
     const double gain = adopt(trial_values, trial, trial_states, chi2, information);
     if (gain > 0) {
@@ -272,6 +361,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
     }
     states = std::move(trial_states);
     if (it > 0 && std::abs(gain) < 0.02) break;
+    if (it >= options.iterations && !(gain > kStillFalling * best)) break;
   }
   result.rows = data.Rows();
   if (!result.ok) return result;
@@ -311,12 +401,13 @@ Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& 
   const int P = lin.P(), C = features.size(), W = static_cast<int>(data.windows.size());
   Screen screen;
   screen.parameters = P, screen.features = C;
-  const int D = P + C + 1, threads = std::max(1, options.threads);
-  std::vector<RowMatrixXd> sums(threads, RowMatrixXd::Zero(D, D)), nulls(threads);
-  for (RowMatrixXd& null : nulls) null = RowMatrixXd::Zero(D, null_draws);
+  // Summed in parts that do not depend on the number of threads, nor does what comes out.
+  const int D = P + C + 1, parts = std::min(W, kScreenParts);
+  std::vector<RowMatrixXd> sums(parts, RowMatrixXd::Zero(D, D)),
+      nulls(parts, RowMatrixXd::Zero(D, null_draws));
   std::vector<VectorXd> systematic(W);
-  std::vector<int> rows(threads, 0), eliminated(threads, 0);
-  sysid::ParallelFor(threads, W, [&](int worker, int w) {
+  std::vector<int> rows(parts, 0), eliminated(parts, 0);
+  const auto add = [&](int worker, int part, int w) {
     Linear l;
     lin.Run(worker, w, states[w], &features.joint, &features.phi[w], false, &l);
     if (!l.ok) return;
@@ -325,16 +416,19 @@ Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& 
     const MatrixXd all = ProjectOut(l.J_e, l.J, columns);
     const RowMatrixXd rest = all.leftCols(D);
     systematic[w] = rest.leftCols(D - 1).transpose() * all.col(D) / options.noise_scale;
-    AddGram(rest, 1.0 / options.noise_scale, &sums[worker]);
+    AddGram(rest, 1.0 / options.noise_scale, &sums[part]);
     RowMatrixXd noise(rest.rows(), null_draws);
     Rng stream = rng.Split(static_cast<uint64_t>(w));
     for (double& x : noise.reshaped()) x = stream.Normal();
-    AddTransposedProduct(rest, noise, 1.0 / std::sqrt(options.noise_scale), &nulls[worker]);
-    rows[worker] += static_cast<int>(l.r.size());
-    eliminated[worker] += static_cast<int>(l.r.size() - rest.rows());
+    AddTransposedProduct(rest, noise, 1.0 / std::sqrt(options.noise_scale), &nulls[part]);
+    rows[part] += static_cast<int>(l.r.size());
+    eliminated[part] += static_cast<int>(l.r.size() - rest.rows());
+  };
+  sysid::ParallelFor(options.threads, parts, [&](int worker, int part) {
+    for (int w = part; w < W; w += parts) add(worker, part, w);
   });
   screen.gram = MatrixXd::Zero(D, D);
-  for (int k = 0; k < threads; ++k) {
+  for (int k = 0; k < parts; ++k) {
     screen.gram += sums[k];
     screen.rows += rows[k], screen.eliminated += eliminated[k];
   }

@@ -52,11 +52,16 @@ struct FitModel {
 
 struct LiftedOptions {
   int iterations = 6;
+  int more_iterations = 0;  // while each lowers the cost by 0.5 %
   int threads = 1;
   double noise_scale = 1.0;  // residual variance in units of the sensors' noise
   double step_s = 2e-3;
   sim::Integrator integrator = sim::Integrator::kLeapfrog;
 };
+
+// What simulating rows with sensitivities to so many unknowns costs, the same on every machine: one per row and
+// column, the step itself counting as twenty columns.
+inline double Work(int rows, int columns) { return static_cast<double>(rows) * (20 + columns); }
 
 struct FitResult {
   Eigen::VectorXd values;
@@ -69,6 +74,7 @@ struct FitResult {
   Eigen::VectorXd theta;        // P
   int rows = 0;
   int iterations = 0;
+  double work = 0;  // Work of all simulations
   bool ok = false;
   // log evidence: −½χ²/s² − ½ prior cost − ½ log det(1 + σ H σ) − what free hidden starts cost
   double evidence = 0;
@@ -91,7 +97,12 @@ struct Screen {
 };
 
 NodeStates InitialStates(const FitData& data, const FitModel& model, const LiftedOptions& options);
-FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& options);
+// `start`: states to start from, the plant's own layout; without them from the recorded motion.
+FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& options,
+              const NodeStates* start = nullptr);
+// The states of a fitted plant as a start for another: what both have is kept.
+NodeStates CarriedStates(const FitData& data, const FitModel& to, const sim::Plant& from,
+                         const NodeStates& states, const LiftedOptions& options);
 // Another step rule stands for what nobody knows of an engine or of a robot's timing: what the whitened
 // outputs of every window change by when it is simulated by semi-implicit Euler at 0.2 ms, as careful users
 // of the field's simulators do. An effect that explains no more than that is none.

@@ -84,6 +84,10 @@ struct Worker {
   sim::Trajectory out;
   sim::SensitivityRequest request;
   std::vector<double> times;
+  // Runs side by side: from every node of a window, or of several windows from their starts.
+  std::vector<sim::SimulationWindow> runs;
+  std::vector<std::vector<double>> run_times;
+  std::vector<sim::Trajectory> outs;
   Worker(const sim::Plant& plant, const sim::SimulatorOptions& options, const VectorXd& values,
          std::vector<int> parameters)
       : simulator(plant, options) {
@@ -150,39 +154,40 @@ class Lineariser {
     MatrixXd E = MatrixXd::Zero(nx_, 1 + P_ + nx_), Ef = MatrixXd::Zero(nx_, C), next;
     E.rightCols(nx_).setIdentity();
     if (keep) out->E.push_back(E);
+    RunNodes(window, states, &w);
     int row = 0;
     for (int k = 0; k < N; ++k) {
-      w.x.q = states.col(k).head(n_);
-      w.x.v = states.col(k).segment(n_, n_);
-      w.x.z = states.col(k).tail(nx_ - 2 * n_);
-      w.x.time = window.t[k];
-      w.times.clear();
-      if (k == 0 && window.measured[0]) w.times.push_back(window.t[0]);
-      w.times.push_back(window.t[k + 1]);
-      w.simulator.SimulateInto(w.x, data_.recordings[window.recording].command, w.times, w.request, &w.out);
-      if (!w.out.outcome.ok() || !w.out.dfinal_state.allFinite()) {
+      const sim::Trajectory& step = w.outs[k];
+      if (!step.outcome.ok() || !step.dfinal_state.allFinite()) {
         out->ok = false;
         return;
       }
       int output = 0;
-      if (k == 0 && window.measured[0]) WriteRows(w, window, 0, output++, E, Ef, nullptr, nullptr, out, &row);
-      if (window.measured[k + 1]) WriteRows(w, window, k + 1, output, E, Ef, joint, phi, out, &row);
-      const auto A = w.out.dfinal_state.leftCols(nx_);
+      if (k == 0 && window.measured[0]) {
+        WriteRows(step, window, 0, output++, E, Ef, nullptr, nullptr, out, &row);
+      }
+      if (window.measured[k + 1]) WriteRows(step, window, k + 1, output, E, Ef, joint, phi, out, &row);
+      const auto A = step.dfinal_state.leftCols(nx_);
       next.noalias() = A * E;
-      next.col(0) += w.out.state.col(output) - states.col(k + 1);
-      next.middleCols(1, P_) += w.out.dfinal_state.middleCols(nx_, P_);
+      next.col(0) += step.state.col(output) - states.col(k + 1);
+      next.middleCols(1, P_) += step.dfinal_state.middleCols(nx_, P_);
       E.swap(next);
       if (C > 0) {
         Ef = A * Ef;
         for (int c = 0; c < C; ++c) {
           const int t = torque_column_[(*joint)[c]];
-          if (t >= 0) Ef.col(c) += w.out.dfinal_state.col(nx_ + t) * (*phi)(c, k);
+          if (t >= 0) Ef.col(c) += step.dfinal_state.col(nx_ + t) * (*phi)(c, k);
         }
       }
       if (keep) out->E.push_back(E);
     }
     RG_CHECK(row == M) << row << " " << M;
     if (!out->J.allFinite() || !out->J_e.allFinite() || !out->r.allFinite()) out->ok = false;
+  }
+
+  // χ² of a window whose simulation broke at once.
+  double WorstChi2(int index) const {
+    return RowsOf(data_.windows[index]) * kSoft * kSoft * std::log1p(kBroken / (kSoft * kSoft));
   }
 
   // Σ ((y − ŷ)/σ)² of the window simulated from x_0 in one go, far residuals softened.
@@ -192,37 +197,27 @@ class Lineariser {
     return sum;
   }
 
-  // (y − ŷ)/σ of the same, rows in the order of Run.
+  // The same of several windows side by side, each from its own x_0.
+  std::vector<double> Simulated(int worker, const std::vector<int>& indices, const std::vector<VectorXd>& x0) {
+    Worker& w = *workers_[worker];
+    const size_t count = indices.size();
+    w.runs.resize(count), w.run_times.resize(count);
+    for (size_t i = 0; i < count; ++i) StartWindow(indices[i], x0[i], &w.runs[i], &w.run_times[i]);
+    w.simulator.SimulateWindows(w.runs, {}, &w.outs);
+    std::vector<double> sums(count, 0.0);
+    for (size_t i = 0; i < count; ++i) {
+      for (const double r : Residuals(indices[i], w.outs[i])) sums[i] += Capped(r);
+    }
+    return sums;
+  }
+
+  // (y − ŷ)/σ of a window simulated from x_0, rows in the order of Run.
   VectorXd Residuals(int worker, int index, const VectorXd& x0) {
     Worker& w = *workers_[worker];
-    const NodeWindow& window = data_.windows[index];
-    VectorXd residuals(RowsOf(window));
-    Eigen::Index row = 0;
-    w.x.q = x0.head(n_);
-    w.x.v = x0.segment(n_, n_);
-    w.x.z = x0.tail(nx_ - 2 * n_);
-    w.x.time = window.t[0];
-    w.times.clear();
-    std::vector<int> nodes;
-    for (size_t k = 0; k < window.t.size(); ++k) {
-      if (!window.measured[k]) continue;
-      w.times.push_back(window.t[k]);
-      nodes.push_back(static_cast<int>(k));
-    }
-    w.simulator.SimulateInto(w.x, data_.recordings[window.recording].command, w.times, {}, &w.out);
-    for (size_t i = 0; i < nodes.size(); ++i) {
-      const int k = nodes[i];
-      const double s = std::sqrt(static_cast<double>(window.rows[k]));
-      const auto at = static_cast<Eigen::Index>(i);
-      residuals.segment(row, n_) =
-          s * (window.q.col(k) - w.out.position.col(at)).cwiseQuotient(data_.noise.position_stddev);
-      row += n_;
-      if (!data_.use_velocity) continue;
-      residuals.segment(row, n_) =
-          s * (window.v.col(k) - w.out.velocity.col(at)).cwiseQuotient(data_.noise.velocity_stddev);
-      row += n_;
-    }
-    return residuals;
+    w.runs.resize(1), w.run_times.resize(1);
+    StartWindow(index, x0, &w.runs[0], &w.run_times[0]);
+    w.simulator.SimulateInto(w.runs[0].x0, *w.runs[0].command, w.run_times[0], {}, &w.out);
+    return Residuals(index, w.out);
   }
 
   // States of a window simulated node by node from x_0, in place: what is recorded stays as recorded, what is
@@ -280,19 +275,72 @@ class Lineariser {
     return kSoft * kSoft * std::log1p(square / (kSoft * kSoft));
   }
 
-  void WriteRows(const Worker& w, const NodeWindow& window, int node, int output, const MatrixXd& E,
+  // One run from every node to the next, with sensitivities.
+  void RunNodes(const NodeWindow& window, const MatrixXd& states, Worker* w) const {
+    const int N = static_cast<int>(window.t.size()) - 1;
+    w->runs.resize(N), w->run_times.resize(N);
+    for (int k = 0; k < N; ++k) {
+      w->run_times[k].clear();
+      if (k == 0 && window.measured[0]) w->run_times[k].push_back(window.t[0]);
+      w->run_times[k].push_back(window.t[k + 1]);
+      w->runs[k].command = &data_.recordings[window.recording].command;
+      w->runs[k].times = &w->run_times[k];
+      SetState(states.col(k), window.t[k], &w->runs[k].x0);
+    }
+    w->simulator.SimulateWindows(w->runs, w->request, &w->outs);
+  }
+  // The whole window in one run.
+  void StartWindow(int index, const VectorXd& x0, sim::SimulationWindow* run,
+                   std::vector<double>* times) const {
+    const NodeWindow& window = data_.windows[index];
+    times->clear();
+    for (size_t k = 0; k < window.t.size(); ++k) {
+      if (window.measured[k]) times->push_back(window.t[k]);
+    }
+    run->command = &data_.recordings[window.recording].command;
+    run->times = times;
+    SetState(x0, window.t[0], &run->x0);
+  }
+  VectorXd Residuals(int index, const sim::Trajectory& simulated) const {
+    const NodeWindow& window = data_.windows[index];
+    VectorXd residuals(RowsOf(window));
+    Eigen::Index row = 0, at = 0;
+    for (size_t node = 0; node < window.t.size(); ++node) {
+      if (!window.measured[node]) continue;
+      const auto k = static_cast<Eigen::Index>(node);
+      const double s = std::sqrt(static_cast<double>(window.rows[node]));
+      residuals.segment(row, n_) =
+          s * (window.q.col(k) - simulated.position.col(at)).cwiseQuotient(data_.noise.position_stddev);
+      row += n_;
+      if (data_.use_velocity) {
+        residuals.segment(row, n_) =
+            s * (window.v.col(k) - simulated.velocity.col(at)).cwiseQuotient(data_.noise.velocity_stddev);
+        row += n_;
+      }
+      ++at;
+    }
+    return residuals;
+  }
+  void SetState(const VectorXd& stacked, double time, sim::State* x) const {
+    x->q = stacked.head(n_);
+    x->v = stacked.segment(n_, n_);
+    x->z = stacked.tail(nx_ - 2 * n_);
+    x->time = time;
+  }
+
+  void WriteRows(const sim::Trajectory& step, const NodeWindow& window, int node, int output, const MatrixXd& E,
                  const MatrixXd& Ef, const std::vector<int>* joint, const MatrixXd* phi, Linear* out,
                  int* row) {
     const double s = std::sqrt(static_cast<double>(window.rows[node]));
     const int kinds = data_.use_velocity ? 2 : 1;
     for (int kind = 0; kind < kinds; ++kind) {
-      const RowMatrix& D = kind == 0 ? w.out.dposition : w.out.dvelocity;
+      const RowMatrix& D = kind == 0 ? step.dposition : step.dvelocity;
       const VectorXd& sigma = kind == 0 ? data_.noise.position_stddev : data_.noise.velocity_stddev;
       const auto block = D.middleRows(output * n_, n_);
       VectorXd weight = s * sigma.cwiseInverse();
       const MatrixXd H = weight.asDiagonal() * block.leftCols(nx_);
       const VectorXd y = kind == 0 ? window.q.col(node) : window.v.col(node);
-      const VectorXd h = kind == 0 ? w.out.position.col(output) : w.out.velocity.col(output);
+      const VectorXd h = kind == 0 ? step.position.col(output) : step.velocity.col(output);
       out->r.segment(*row, n_) = weight.cwiseProduct(y - h) - H * E.col(0);
       auto J = out->J.middleRows(*row, n_);
       J.leftCols(P_).noalias() = H * E.middleCols(1, P_);

@@ -3,8 +3,11 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <map>
 #include <set>
+
+#include "services/diagnosis/candidate.h"
 
 namespace rg::diagnosis {
 
@@ -14,6 +17,8 @@ using Eigen::VectorXd;
 namespace {
 
 constexpr double kNullShare = 0.98;
+constexpr size_t kGrown = 8;    // effects whose sets of joints are grown
+constexpr size_t kPaired = 16;  // first effects that get a second one
 
 // Each coefficient multiplies a sum of standardised columns.
 struct Group {
@@ -49,8 +54,9 @@ class Scorer {
   ScreenResult Run() {
     std::map<std::pair<std::string, std::vector<int>>, Scored> best;
     for (const Group& g : groups_) {
-      Scored s = Score(g, b_, true);
-      s.step_rule = 0.5 * Score(g, step_rule_, false).chi2;
+      const Solved solved = Solve(g, G_);
+      Scored s = Score(g, solved, b_, true);
+      s.step_rule = 0.5 * Score(g, solved, step_rule_, false).chi2;
       if (!std::isfinite(s.gain)) continue;
       auto [it, fresh] = best.try_emplace({g.effect, g.joints}, s);
       if (!fresh && s.gain > it->second.gain) it->second = s;
@@ -60,6 +66,7 @@ class Scorer {
     std::sort(out.hypotheses.begin(), out.hypotheses.end(),
               [](const Scored& a, const Scored& b) { return a.gain > b.gain; });
     out.null_gain = NullGain();
+    Combine(&out);
     return out;
   }
 
@@ -71,7 +78,7 @@ class Scorer {
     VectorXd unit = VectorXd::Ones(D);
     for (int c = 0; c < P; ++c) {
       unit[c] = columns_[c].prior_stddev;
-      if (!columns_[c].effect.empty()) {
+      if (!columns_[c].effect.empty() || (columns_[c].last_link && !base_free)) {
         free.push_back(c);
       } else if (!columns_[c].base || base_free) {
         own.push_back(c);
@@ -202,6 +209,9 @@ class Scorer {
         Group g = Single(effect, role, j, s);
         g.search = std::log(static_cast<double>(shapes.size()));
         if (effect != "presliding_hysteresis") g.low = 0.25, g.high = 4;
+        // Beyond the ends of their grids: a band that every effort exceeds, a limit that few peaks reach.
+        if (effect == "torque_deadband" && s == shapes.front()) g.low = 0;
+        if (effect == "torque_saturation" && s == shapes.back()) g.low = 0;
         Push(g);
       }
     }
@@ -261,6 +271,15 @@ class Scorer {
       if (columns_[c].effect == "gravity_misalignment") gravity.columns.push_back({place_[c]});
     }
     if (!gravity.columns.empty()) Push(gravity);
+    Group payload{"payload", {}, {}, {}};
+    for (const char* role : {"mass", "com_x", "com_y", "com_z", "inertia_xx", "inertia_yy", "inertia_zz",
+                             "inertia_xy", "inertia_xz", "inertia_yz"}) {
+      for (size_t c = 0; c < columns_.size(); ++c) {
+        if (columns_[c].last_link && columns_[c].role == role && place_[c] >= 0)
+          payload.columns.push_back({place_[c]});
+      }
+    }
+    if (payload.columns.size() == 10) Push(payload);
   }
 
   // The same effect on every joint: with one coefficient for all, or one each.
@@ -306,14 +325,14 @@ class Scorer {
     MatrixXd inverse;  // (G + 1)⁻¹
     double log_det = 0;
   };
-  Solved Solve(const Group& g) const {
+  static Solved Solve(const Group& g, const MatrixXd& G) {
     const int m = static_cast<int>(g.columns.size());
     MatrixXd H(m, m);
     for (int i = 0; i < m; ++i) {
       for (int k = 0; k < m; ++k) {
         double sum = 0;
         for (const int a : g.columns[i]) {
-          for (const int b : g.columns[k]) sum += G_(a, b);
+          for (const int b : g.columns[k]) sum += G(a, b);
         }
         H(i, k) = sum;
       }
@@ -326,36 +345,172 @@ class Scorer {
     return s;
   }
 
-  Scored Score(const Group& g, const VectorXd& b, bool admissible, const Solved* solved = nullptr) const {
-    Solved own;
-    if (solved == nullptr) own = Solve(g), solved = &own;
+  static Scored Score(const Group& g, const Solved& solved, const VectorXd& b, bool admissible) {
     const int m = static_cast<int>(g.columns.size());
     VectorXd rhs(m);
     for (int i = 0; i < m; ++i) rhs[i] = Total(b, g.columns[i]);
-    const VectorXd c = solved->inverse * rhs;
+    const VectorXd c = solved.inverse * rhs;
     Scored s;
     s.effect = g.effect, s.joints = g.joints, s.shape = g.shape, s.shape_end = g.shape_end;
     s.chi2 = rhs.dot(c);
-    s.gain = 0.5 * s.chi2 - 0.5 * solved->log_det - g.search;
+    s.gain = 0.5 * s.chi2 - 0.5 * solved.log_det - g.search;
     for (int i = 0; i < m; ++i) s.coefficients.push_back(c[i] * g.scale[i]);
-    if (admissible) {
-      if (g.positive && c.maxCoeff() <= 0) s.gain = -1e300 * 1e10;
-      if (g.positive && m == 1 && c[0] <= 0) s.gain = -1e300 * 1e10;
-      if (m == 1 && (c[0] < g.low || c[0] > g.high)) s.gain = -1e300 * 1e10;
-    }
+    if (admissible && !Admissible(g, c)) s.gain = -std::numeric_limits<double>::infinity();
     return s;
+  }
+
+  // `c`: standardised coefficients of the group.
+  static bool Admissible(const Group& g, const VectorXd& c) {
+    if (g.positive && c.maxCoeff() <= 0) return false;
+    if (g.effect == "payload" && c[0] <= 0) return false;
+    return c.size() > 1 || (c[0] >= g.low && c[0] <= g.high);
+  }
+
+  // The system with some groups projected out.
+  struct Reduced {
+    MatrixXd G;
+    VectorXd b;
+    std::vector<int> groups;
+    double gain = 0;
+  };
+
+  void Add(int index, Reduced* r) const {
+    const Group& g = groups_[static_cast<size_t>(index)];
+    const Solved solved = Solve(g, r->G);
+    const int m = static_cast<int>(g.columns.size());
+    MatrixXd C = MatrixXd::Zero(r->G.rows(), m);
+    VectorXd rhs(m);
+    for (int i = 0; i < m; ++i) {
+      for (const int a : g.columns[i]) C.col(i) += r->G.col(a);
+      rhs[i] = Total(r->b, g.columns[i]);
+    }
+    r->gain += Score(g, solved, r->b, false).gain - Structure(g, r->groups);
+    r->b.noalias() -= C * (solved.inverse * rhs);
+    r->G.noalias() -= C * (solved.inverse * C.transpose());
+    r->groups.push_back(index);
+  }
+
+  double Structure(const Group& g, const std::vector<int>& beside) const {
+    double cost = StructurePrior({effects::EffectSpec{g.effect}}, false) *
+                  std::max<double>(1.0, static_cast<double>(g.joints.size()));
+    cost -= kEffectPrior * (std::max<double>(1.0, static_cast<double>(g.joints.size())) - 1);
+    for (const int other : beside) {
+      if (groups_[static_cast<size_t>(other)].effect == g.effect) return cost - kEffectPrior;
+    }
+    return cost;
+  }
+
+  // The group that brings most after those in `r`, among the effects admitted; −1: none brings anything.
+  template <class Admit>
+  int Next(const Reduced& r, const Admit& admit) const {
+    int next = -1;
+    double most = 0;
+    for (size_t i = 0; i < groups_.size(); ++i) {
+      const Group& g = groups_[i];
+      if (!admit(g) || Overlaps(g, r.groups)) continue;
+      const double gain = Score(g, Solve(g, r.G), r.b, true).gain - Structure(g, r.groups);
+      if (gain > most) most = gain, next = static_cast<int>(i);
+    }
+    return next;
+  }
+
+  bool Overlaps(const Group& g, const std::vector<int>& chosen) const {
+    for (const int c : chosen) {
+      const Group& other = groups_[static_cast<size_t>(c)];
+      if (other.effect != g.effect) continue;
+      if (other.joints == g.joints) return true;
+      if (g.effect == "joint_coupling") continue;
+      for (const int j : g.joints) {
+        if (std::find(other.joints.begin(), other.joints.end(), j) != other.joints.end()) return true;
+      }
+    }
+    return false;
+  }
+
+  // All groups solved together; false where a sign or a range is broken.
+  bool Together(const Reduced& r, Combination* out) const {
+    Group all;
+    for (const int i : r.groups) {
+      const Group& g = groups_[static_cast<size_t>(i)];
+      all.columns.insert(all.columns.end(), g.columns.begin(), g.columns.end());
+    }
+    const Solved solved = Solve(all, G_);
+    VectorXd rhs(static_cast<long>(all.columns.size()));
+    for (long i = 0; i < rhs.size(); ++i) rhs[i] = Total(b_, all.columns[static_cast<size_t>(i)]);
+    const VectorXd c = solved.inverse * rhs;
+    long at = 0;
+    for (const int i : r.groups) {
+      const Group& g = groups_[static_cast<size_t>(i)];
+      const VectorXd own = c.segment(at, static_cast<long>(g.columns.size()));
+      if (!Admissible(g, own)) return false;
+      Scored part;
+      part.effect = g.effect, part.joints = g.joints, part.shape = g.shape, part.shape_end = g.shape_end;
+      for (long k = 0; k < own.size(); ++k)
+        part.coefficients.push_back(own[k] * g.scale[static_cast<size_t>(k)]);
+      out->parts.push_back(std::move(part));
+      at += own.size();
+    }
+    out->gain = r.gain;
+    return true;
+  }
+
+  // Forward selection in the linear model: of joints for every effect, of second effects for the best first
+  // ones. What one effect alone cannot show (a joint's friction beside another's, an effect behind a larger
+  // one) shows beside the other.
+  void Combine(ScreenResult* out) const {
+    const auto named = [](const Group& g) { return g.effect != "unknown_field"; };
+    std::vector<std::pair<double, int>> first;
+    for (size_t i = 0; i < groups_.size(); ++i) {
+      if (!named(groups_[i])) continue;
+      const double gain = Score(groups_[i], Solve(groups_[i], G_), b_, true).gain - Structure(groups_[i], {});
+      if (gain > 0) first.push_back({gain, static_cast<int>(i)});
+    }
+    std::sort(first.begin(), first.end(), [](const auto& a, const auto& b) {
+      return a.first > b.first || (a.first == b.first && a.second < b.second);
+    });
+    std::set<std::string> grown;
+    std::set<std::pair<std::string, std::vector<int>>> paired;
+    for (const auto& [gain, index] : first) {
+      const Group& g = groups_[static_cast<size_t>(index)];
+      Reduced start{G_, b_, {}, 0};
+      if (grown.size() < kGrown && g.joints.size() == 1 && grown.insert(g.effect).second) {
+        Reduced r = start;
+        Add(index, &r);
+        while (static_cast<int>(r.groups.size()) < n_) {
+          const int next =
+              Next(r, [&](const Group& o) { return o.effect == g.effect && o.joints.size() == 1; });
+          if (next < 0) break;
+          Add(next, &r);
+          Combination c;
+          if (Together(r, &c)) out->sets.push_back(std::move(c));
+        }
+      }
+      if (paired.size() < kPaired && paired.insert({g.effect, g.joints}).second) {
+        Reduced r = start;
+        Add(index, &r);
+        const int next = Next(r, [&](const Group& o) { return named(o) && o.effect != g.effect; });
+        if (next < 0) continue;
+        Add(next, &r);
+        Combination c;
+        if (Together(r, &c)) out->pairs.push_back(std::move(c));
+      }
+    }
+    for (auto* list : {&out->sets, &out->pairs}) {
+      std::stable_sort(list->begin(), list->end(),
+                       [](const Combination& a, const Combination& b) { return a.gain > b.gain; });
+    }
   }
 
   double NullGain() const {
     std::vector<Solved> solved;
-    for (const Group& g : groups_) solved.push_back(Solve(g));
+    for (const Group& g : groups_) solved.push_back(Solve(g, G_));
     std::vector<double> largest;
     for (int draw = 0; draw < null_.cols(); ++draw) {
       const VectorXd b = null_.col(draw);
       double best = -1e300;
       for (size_t g = 0; g < groups_.size(); ++g) {
         if (groups_[g].effect == "unknown_field") continue;
-        best = std::max(best, Score(groups_[g], b, false, &solved[g]).gain);
+        best = std::max(best, Score(groups_[g], solved[g], b, false).gain);
       }
       largest.push_back(best);
     }

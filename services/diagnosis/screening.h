@@ -11,14 +11,15 @@
 namespace rg::diagnosis {
 
 // A column of the screen's parameter block that is itself a hypothesis (encoder_offset, sensor_delay,
-// gravity), or belongs to the model (effect empty).
+// gravity, the last link's inertial parameters), or belongs to the model (effect empty).
 struct ParameterColumn {
   std::string effect;
   std::string role;
   int joint = -1;
   double prior_stddev = 1;
-  double away = 0;    // (θ − θ0)/σ where it was linearised
-  bool base = false;  // an inertial parameter: projected out only where base parameters are free
+  double away = 0;         // (θ − θ0)/σ where it was linearised
+  bool base = false;       // an inertial parameter: projected out only where base parameters are free
+  bool last_link = false;  // one of the last link: where base parameters are not free, a payload's column
 };
 
 struct Scored {
@@ -31,8 +32,16 @@ struct Scored {
   std::vector<double> coefficients;  // per column of the effect, SI, joint after joint
 };
 
+// Several at once: an effect on a set of joints, or two effects, each blind to what the other leaves.
+struct Combination {
+  std::vector<Scored> parts;  // coefficients of the joint solution
+  double gain = 0;            // of log evidence together, structure paid for
+};
+
 struct ScreenResult {
   std::vector<Scored> hypotheses;  // best first, one per effect and set of joints
+  std::vector<Combination> sets;   // of one effect on several joints, best first
+  std::vector<Combination> pairs;  // of two effects, best first
   double null_gain = 0;            // exceeded by the best of all hypotheses in 2 % of recordings of the model
 };
 

@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
-#include <cstdlib>
 #include <set>
 
 #include "common/base/check.h"
@@ -11,7 +9,8 @@
 #include "common/model/robot_model.h"
 #include "services/diagnosis/acceptance.h"
 #include "services/diagnosis/field_starts.h"
-#include "services/diagnosis/push_starts.h"
+#include "services/diagnosis/trace.h"
+#include "services/diagnosis/trials.h"
 
 namespace rg::diagnosis {
 
@@ -22,6 +21,9 @@ using Eigen::VectorXd;
 namespace {
 
 constexpr double kRivalShare = 0.25;  // of what parameters explain, by the screen's linear estimate
+constexpr int kMoreIterations = 14;   // of a fit that still falls
+constexpr double kTrialShare = 0.35;  // of all work, that the trials of one screen may cost
+constexpr double kNothing = 1.0;      // stddev from none at which an effect is about nothing
 constexpr double kHolds = 2.0;        // χ² per row below which a model's own states are trusted
 constexpr double kExplained = 1.1;    // χ² per row at which nothing else is looked for in another world
 
@@ -34,12 +36,11 @@ class Search {
         nominal_(nominal),
         scales_(scales),
         options_(options),
-        clock_(clock),
         progress_(progress),
-        cancel_(cancel) {
+        cancel_(cancel),
+        trace_(clock) {
     lifted_.threads = threads;
     lifted_.step_s = options.step_s;
-    start_ = clock.SteadySeconds();
   }
 
   SearchResult Run() {
@@ -59,7 +60,6 @@ class Search {
     for (round_ = 1; round_ <= options_.max_effects && !Late(); ++round_) {
       const bool added = AddOne(&best);
       if (!added) break;
-      Prune(&best);
       LowerNoise(&best, &out);
       // What little is left of it is the surface's own coarseness, and no further name.
       if ((round_ == 1 || OfPosition(best)) && Flexible(&best, LeavesNothing(out))) break;
@@ -98,13 +98,11 @@ class Search {
 
   void Tell(const std::string& stage, double done, const std::string& note) const {
     if (progress_) progress_({stage, done, 1.0, note});
-    if (std::getenv("RG_DIAGNOSIS_TRACE") != nullptr) {
-      std::fprintf(stderr, "[%6.2f] %s %s\n", clock_.SteadySeconds() - start_, stage.c_str(), note.c_str());
-    }
+    trace_.Stage(stage, note + " after work " + std::to_string(work_ / options_.work_limit));
   }
   bool Late() const {
-    return (cancel_ != nullptr && cancel_->cancelled()) ||
-           clock_.SteadySeconds() - start_ > options_.time_limit_s;
+    return (cancel_ != nullptr && cancel_->cancelled()) || work_ > options_.work_limit ||
+           (options_.time_limit_s > 0 && trace_.Elapsed() > options_.time_limit_s);
   }
   static const Candidate& Better(const Candidate& a, const Candidate& b) { return b.score > a.score ? b : a; }
 
@@ -114,7 +112,9 @@ class Search {
                                 lifted_);
   }
 
-  Candidate Evaluate(const std::vector<EffectSpec>& specs, bool base, int iterations = 6) {
+  // `from`: where to start, where it holds; else at the recorded motion.
+  Candidate Evaluate(const std::vector<EffectSpec>& specs, bool base, const Candidate* from = nullptr,
+                     int iterations = 6) {
     const std::string key = KeyOf(specs) + (base ? "+base" : "");
     Candidate c;
     c.specs = specs, c.base = base, c.round = round_;
@@ -125,41 +125,13 @@ class Search {
     c.parameters = FreeParameters(*c.plant, scales_, base);
     LiftedOptions options = lifted_;
     options.iterations = iterations;
-    c.fit = Fit(data_, {*c.plant, c.plant->parameters().Nominal(), c.parameters}, options);
+    options.more_iterations = kMoreIterations;
+    c.fit = FitFrom(data_, c, options, from, {});
     if (c.fit.ok) c.score = c.fit.evidence - StructurePrior(specs, base);
     auto [it, fresh] = tried_.try_emplace(key, c);
     if (!fresh && c.score > it->second.score) it->second = c;
-    TraceFit(c, "fit");
+    trace_.Fit(c, "fit");
     return c;
-  }
-
-  void TraceFit(const Candidate& c, const char* what) const {
-    if (std::getenv("RG_DIAGNOSIS_TRACE") == nullptr) return;
-    std::fprintf(stderr, "[%6.2f]   %s %-50s%s score %.1f chi2/row %.4f it %d",
-                 clock_.SteadySeconds() - start_, what, KeyOf(c.specs).c_str(), c.base ? "+base" : "",
-                 c.score, c.fit.chi2 / std::max(1, c.fit.rows), c.fit.iterations);
-    for (size_t i = 0; i < c.parameters.size(); ++i) {
-      if (c.plant->parameters()[c.parameters[i].index].kind == sim::ParameterKind::kEffect && c.fit.ok)
-        std::fprintf(stderr, " %s=%.4g", c.parameters[i].name.substr(c.parameters[i].name.find('.')).c_str(),
-                     c.fit.theta[static_cast<long>(i)]);
-    }
-    std::fprintf(stderr, "\n");
-  }
-
-  // Specs of a fitted candidate with the fitted values in them, as the start of a larger model.
-  std::vector<EffectSpec> Refreshed(const Candidate& c) const {
-    std::vector<EffectSpec> specs = c.specs;
-    for (EffectSpec& s : specs) {
-      std::vector<std::string> owners = s.joints;
-      if (s.joints.empty() || s.id == "joint_coupling" || s.id == "unknown_field_pair") owners = {"*"};
-      for (const std::string& owner : owners) {
-        for (const auto& info : effects::FindEffect(s.id)->parameters) {
-          const int at = c.plant->parameters().Find(s.id + "." + owner + "." + info.name);
-          if (at >= 0 && c.fit.ok) s.values[owner][info.name] = c.fit.values[at];
-        }
-      }
-    }
-    return specs;
   }
 
   std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant,
@@ -168,11 +140,15 @@ class Search {
     *parameters = FreeParameters(plant, scales_, true);
     std::vector<ParameterColumn> columns;
     auto held = [&](const std::string& id, const std::string& joint) { return Contains(specs, id, joint); };
+    const auto& model = plant.model();
+    const std::string& last = model.link(model.joint(model.num_joints() - 1).child_link).name;
     for (const auto& p : *parameters) {
       const sim::Parameter& row = plant.parameters()[p.index];
       ParameterColumn c;
       c.prior_stddev = p.prior_stddev;
       c.base = row.kind != sim::ParameterKind::kEffect;
+      c.last_link = c.base && row.owner == last && !held("payload", "");
+      if (c.last_link) c.role = row.field;
       const bool probe =
           (row.effect == "encoder_offset" || row.effect == "sensor_delay") && !held(row.effect, row.owner);
       if (probe) {
@@ -220,30 +196,11 @@ class Search {
     return ScoreHypotheses(screen, columns, features_, scales_, base, data_.n);
   }
 
-  std::vector<std::string> Names(const std::vector<int>& joints) const {
-    std::vector<std::string> out;
-    for (const int j : joints) out.push_back(nominal_.joint_names()[j]);
-    return out;
+  double Threshold(const Candidate& best) const {
+    return acceptance_.Needed(best, Explained(best), AtStake(best));
   }
-
-  // Whether the model has this already.
-  bool Known(const Candidate& current, const Scored& h) const {
-    if (h.effect == "gravity_misalignment") return Contains(current.specs, h.effect, "");
-    if (h.effect == "joint_coupling") {
-      for (const EffectSpec& s : current.specs) {
-        if (s.id == h.effect && s.joints == Names(h.joints)) return true;
-      }
-      return false;
-    }
-    for (const std::string& joint : Names(h.joints)) {
-      if (Contains(current.specs, h.effect, joint)) return true;
-    }
-    return false;
-  }
-
-  double Threshold(const Candidate& best) const { return acceptance_.Needed(best, Explained(best)); }
   double Threshold(const Candidate& best, const Candidate& c) const {
-    return acceptance_.Needed(best, Explained(best), c);
+    return acceptance_.Needed(best, Explained(best), AtStake(best), c);
   }
   // Log evidence that the effects of a candidate bring.
   double Explained(const Candidate& c) const {
@@ -260,36 +217,39 @@ class Search {
   bool AddOne(Candidate* best) {
     Tell("screen", 0.1 + 0.2 * round_, KeyOf(best->specs));
     Candidate winner = *best;
+    if (OtherWorld(*best) == nullptr) Evaluate(Refreshed(*best), !best->base, best);
     std::vector<bool> worlds = {false, true};
     for (const bool base : worlds) {
       if (Late()) break;
       if (base && PerRow(winner) < kExplained && winner.score > best->score + Threshold(*best, winner)) break;
       const Candidate* own = base == best->base ? best : OtherWorld(*best);
       if (own == nullptr || !own->fit.ok) continue;
-      if (round_ > 1 && own->score < best->score - 0.5 * data_.Rows()) continue;
-      // Parameters explain all: only what explains it as well with less is of interest.
-      const bool rival = !base && best->base && AtStake(*best) < Threshold(*best);
+      // Parameters explain much: only what explains it as well with less is of interest.
+      const bool rival = !base && best->base &&
+                         (AtStake(*best) < Threshold(*best) ||
+                          (round_ > 1 && own->score < best->score - 0.5 * data_.Rows()));
       const Candidate from = *own;
       const ScreenResult screened = ScreenAround(from, base);
       acceptance_.Note(screened, nominal_.joint_names());
-      Trace(screened, base);
+      trace_.Screen(screened, base);
       const double best_gain = screened.hypotheses.empty() ? 0.0 : screened.hypotheses.front().gain;
       if (AtStake(from) < Threshold(*best) && best_gain < Threshold(*best)) {
         if (base == best->base) break;  // nothing is left; freed parameters would leave less
         continue;
       }
       const double wanted = rival ? kRivalShare * (best->score - from.score) : 1.0;
-      TryBest(from, Pool(from, screened, base, wanted), base, base ? 3 : 4, &winner);
+      TryBest(from, Trials(data_, nominal_, scales_, from, screened, wanted, [&] { return Force(from); }),
+              base, base ? 3 : 4, &winner);
     }
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
       Siblings(&winner);
-      const Candidate twin = Evaluate(Refreshed(winner), !winner.base);
+      const Candidate twin = Evaluate(Refreshed(winner), !winner.base, &winner);
       if (twin.score > winner.score + (twin.base ? 1.0 : -1.0) * Threshold(*best)) winner = twin;
     }
     // Fits with hidden states end before they are done: the old model has another try from where it is, or an
     // addition would be credited with what a longer fit alone brings.
     if (winner.score > best->score && best->fit.ok && best->plant->num_states() > 2 * data_.n) {
-      const Candidate longer = Evaluate(Refreshed(*best), best->base, 12);
+      const Candidate longer = Evaluate(Refreshed(*best), best->base, best, 12);
       if (longer.score > best->score) *best = longer;
     }
     const double needed = Threshold(*best, winner);
@@ -297,8 +257,36 @@ class Search {
     Tell("decide", 0.1 + 0.2 * round_,
          KeyOf(winner.specs) + " gains " + std::to_string(winner.score - best->score) + " needs " +
              std::to_string(needed));
-    if (accept) *best = winner;
+    if (accept) {
+      *best = Justified(*best, winner);
+      Prune(best);
+      Plainer(best);
+    }
     return accept;
+  }
+
+  // Of several effects added at once each must be worth its name.
+  Candidate Justified(const Candidate& before, Candidate winner) {
+    while (!Late()) {
+      std::set<std::string> fresh;
+      for (const EffectSpec& s : winner.specs) {
+        if (std::none_of(before.specs.begin(), before.specs.end(),
+                         [&](const EffectSpec& e) { return e.id == s.id; }))
+          fresh.insert(s.id);
+      }
+      if (fresh.size() < 2) return winner;
+      Candidate fewer = winner;
+      fewer.score = -1e300;
+      for (const std::string& id : fresh) {
+        std::vector<EffectSpec> specs = Refreshed(winner);
+        std::erase_if(specs, [&](const EffectSpec& s) { return s.id == id; });
+        const Candidate c = Evaluate(specs, winner.base, &winner);
+        if (c.score > fewer.score) fewer = c;
+      }
+      if (winner.score > fewer.score + Threshold(fewer, winner)) return winner;
+      winner = fewer;
+    }
+    return winner;
   }
 
   // χ² per row of an account that leaves next to nothing of what there was.
@@ -338,106 +326,47 @@ class Search {
     return c.fit.chi2 / std::max(1, c.fit.rows) / lifted_.noise_scale;
   }
 
-  using Start = std::vector<EffectSpec>;
-
-  // What is worth a trial in the simulator: the best of the screen, what it is easily taken for, and what
-  // the screen cannot see.
-  // Hypotheses that the screen gives less than `wanted` are left out; above 1 also what it cannot see.
-  std::vector<Start> Pool(const Candidate& from, const ScreenResult& screened, bool base, double wanted) {
-    std::vector<Start> pool;
-    std::map<int, double> joint_gain;
-    auto push = [&](const std::vector<Start>& starts) {
-      pool.insert(pool.end(), starts.begin(), starts.end());
-    };
-    int taken = 0;
-    for (const Scored& h : screened.hypotheses) {
-      if (h.joints.size() == 1 && h.effect != "unknown_field") {
-        joint_gain[h.joints[0]] = std::max(joint_gain[h.joints[0]], h.gain);
-      }
-      if (h.gain < wanted || taken >= (base ? 10 : 16) || Known(from, h)) continue;
-      ++taken;
-      push(SpecsFor(h, nominal_, scales_));
-    }
-    auto has = [&](const std::string& id) {
-      return std::any_of(from.specs.begin(), from.specs.end(),
-                         [&](const EffectSpec& e) { return e.id == id; });
-    };
-    if (!base && !has("payload")) push(BodyStarts("payload", nominal_, scales_));
-    if (wanted > 1.0) return pool;
-    std::vector<std::pair<double, int>> joints;
-    for (const auto& [joint, gain] : joint_gain) joints.push_back({gain, joint});
-    std::sort(joints.rbegin(), joints.rend());
-    for (size_t i = 0; i < std::min<size_t>(3, joints.size()); ++i) {
-      for (const Scored& h : screened.hypotheses) {
-        const bool dry =
-            h.effect == "coulomb_friction" || h.effect == "viscous_friction" || h.effect == "torque_deadband";
-        if (dry && h.joints.size() == 1 && h.joints[0] == joints[i].second && !Known(from, h)) {
-          push(SpecsFor(h, nominal_, scales_));
-        }
-      }
-    }
-    const size_t springy = data_.n <= 2 ? 2 : base ? 1 : 2;
-    for (size_t i = 0; i < std::min(springy, joints.size()); ++i) {
-      const std::string& name = nominal_.joint_names()[joints[i].second];
-      if (Contains(from.specs, "joint_elasticity", name) || Contains(from.specs, "backlash", name)) continue;
-      double added = 0;
-      for (const Scored& h : screened.hypotheses) {
-        if (h.effect == "rotor_inertia" && h.joints == std::vector<int>{joints[i].second})
-          added = h.coefficients[0];
-      }
-      for (const char* id : {"joint_elasticity", "backlash"})
-        push(TransmissionStarts(id, joints[i].second, nominal_, scales_, added));
-    }
-    for (const char* id : {"sloshing_payload", "base_flexibility"}) {
-      if (!has(id) && (data_.n <= 2 || !base)) push(BodyStarts(id, nominal_, scales_));
-    }
-    if (from.fit.ok && (!has("contact") || !has("external_disturbance"))) {
-      const MissingForce missing = Force(from);
-      if (!has("contact")) push(ContactStarts(data_, nominal_, missing, base ? 2 : 3));
-      if (!has("external_disturbance")) push(PushStarts(data_, nominal_, missing));
-    }
-    return pool;
-  }
-
   // Trials on some windows with few iterations; the best of them on all.
-  void TryBest(const Candidate& from, const std::vector<Start>& pool, bool base, size_t full,
+  void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base, size_t full,
                Candidate* winner) {
-    const FitData some = SomeWindows();
-    const double reference = Coarse(some, Refreshed(from), base).fit.evidence;
+    std::vector<size_t> places;
+    const FitData some = SomeWindows(&places);
+    const double reference = Coarse(some, places, Refreshed(from), base, from).score;
     std::vector<std::pair<double, std::vector<EffectSpec>>> ranked;
     std::set<std::string> seen;
-    for (const Start& start : pool) {
-      if (Late()) break;
+    const double enough = work_ + kTrialShare * options_.work_limit;
+    for (const TrialSpecs& start : pool) {
+      if (Late() || work_ > enough) break;
       std::vector<EffectSpec> specs = Joined(Refreshed(from), start);
-      Candidate c = Coarse(some, specs, base);
-      if (!c.fit.ok) continue;
-      const double score = c.fit.evidence - StructurePrior(specs, base);
-      if (score < reference - 2) continue;
-      ranked.push_back({score, Refreshed(c)});
-      TraceFit(c, "  ~");
+      const Candidate c = Coarse(some, places, specs, base, from);
+      const bool better = c.fit.ok && c.score >= reference && !Unseen(c);
+      trace_.Fit(c, better ? "  ~" : "  -");
+      if (better) ranked.push_back({c.score, Refreshed(c)});
     }
     std::sort(ranked.begin(), ranked.end(), [](auto& a, auto& b) { return a.first > b.first; });
     size_t done = 0;
     for (const auto& [score, specs] : ranked) {
-      if (done >= full || Late()) break;
+      if (done >= (Late() ? 1 : full)) break;
       if (!seen.insert(KeyOf(specs)).second) continue;
       ++done;
-      const Candidate c = Evaluate(specs, base);
-      if (c.score > winner->score) *winner = c;
+      const Candidate c = Evaluate(specs, base, &from);
+      if (c.score > winner->score && !Unseen(c)) *winner = c;
     }
   }
 
-  FitData SomeWindows() const {
-    const size_t wanted = data_.n <= 2 ? 24 : 14;
+  // Every so many windows, and which they are.
+  FitData SomeWindows(std::vector<size_t>* places) const {
+    const size_t wanted = data_.n <= 2 ? 24 : 14, all = data_.windows.size();
     FitData some = data_;
-    if (data_.windows.size() <= wanted) return some;
+    places->clear();
+    for (size_t i = 0; i < std::min(wanted, all); ++i) places->push_back(i * all / std::min(wanted, all));
     some.windows.clear();
-    for (size_t i = 0; i < wanted; ++i)
-      some.windows.push_back(data_.windows[i * data_.windows.size() / wanted]);
+    for (const size_t i : *places) some.windows.push_back(data_.windows[i]);
     return some;
   }
 
-  Candidate Coarse(const FitData& some, const std::vector<EffectSpec>& specs, bool base) {
+  Candidate Coarse(const FitData& some, const std::vector<size_t>& places,
+                   const std::vector<EffectSpec>& specs, bool base, const Candidate& from) {
     Candidate c;
     c.specs = specs, c.base = base;
     auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), specs);
@@ -446,8 +375,37 @@ class Search {
     c.parameters = FreeParameters(*c.plant, scales_, base);
     LiftedOptions options = lifted_;
     options.iterations = 4;
-    c.fit = Fit(some, {*c.plant, c.plant->parameters().Nominal(), c.parameters}, options);
+    c.fit = FitFrom(some, c, options, &from, places);
+    if (c.fit.ok) c.score = c.fit.evidence - StructurePrior(specs, base);
     return c;
+  }
+
+  // Starts at the states, and at the base parameters, of a model that holds: what is added to it or taken
+  // from it changes them little, and no fit is better than another for its start alone. `places`: of the
+  // windows among all; empty: all.
+  FitResult FitFrom(const FitData& data, const Candidate& c, const LiftedOptions& options,
+                    const Candidate* from, const std::vector<size_t>& places) {
+    FitModel model{*c.plant, c.plant->parameters().Nominal(), c.parameters};
+    if (from == nullptr || !from->fit.ok || PerRow(*from) > kHolds) return Counted(Fit(data, model, options));
+    if (c.base && from->base) {
+      const VectorXd nominal = model.values;
+      model.values = c.plant->ValuesFrom(from->plant->parameters(), from->fit.values);
+      for (int i = 0; i < nominal.size(); ++i) {
+        if (c.plant->parameters()[i].kind == sim::ParameterKind::kEffect) model.values[i] = nominal[i];
+      }
+    }
+    NodeStates states = from->fit.states;
+    if (!places.empty()) {
+      states.clear();
+      for (const size_t i : places) states.push_back(from->fit.states[i]);
+    }
+    const NodeStates start = CarriedStates(data, model, *from->plant, states, options);
+    return Counted(Fit(data, model, options, &start));
+  }
+
+  FitResult Counted(FitResult fit) {
+    work_ += fit.work;
+    return fit;
   }
 
   // The winner with its newest effect exchanged for what it is easily taken for, on the same joints.
@@ -473,8 +431,16 @@ class Search {
     return it == tried_.end() ? nullptr : &it->second;
   }
 
-  // Takes out, one by one, what the data do not pay for.
+  // Takes out what the data do not pay for: all at once what is about nothing, then one by one.
   void Prune(Candidate* best) {
+    std::vector<EffectSpec> strong;
+    for (size_t i = 0; i < best->specs.size(); ++i) {
+      if (Strength(*best, i) > kNothing) strong.push_back(Refreshed(*best)[i]);
+    }
+    if (!strong.empty() && strong.size() + 1 < best->specs.size() && !Late()) {
+      const Candidate c = Evaluate(strong, best->base, best);
+      if (c.score > best->score) *best = c;
+    }
     bool changed = true;
     while (changed && best->specs.size() > 1 && !Late()) {
       changed = false;
@@ -483,7 +449,7 @@ class Search {
         if (Strength(*best, i) > 4.0) continue;
         std::vector<EffectSpec> specs = Refreshed(*best);
         specs.erase(specs.begin() + static_cast<long>(i));
-        const Candidate c = Evaluate(specs, best->base, 4);
+        const Candidate c = Evaluate(specs, best->base, best, 4);
         if (c.score > best->score) {
           *best = c;
           changed = true;
@@ -493,70 +459,37 @@ class Search {
     }
   }
 
-  // |strength − none| in its stddev.
-  double Strength(const Candidate& c, size_t i) const {
-    static const std::set<std::string> kStrengths = {"viscous",
-                                                     "coulomb",
-                                                     "coulomb_positive",
-                                                     "coulomb_negative",
-                                                     "static",
-                                                     "load_coefficient",
-                                                     "quadratic",
-                                                     "delay",
-                                                     "time_constant",
-                                                     "gain",
-                                                     "deadband",
-                                                     "amplitude",
-                                                     "armature",
-                                                     "mass",
-                                                     "tilt",
-                                                     "offset",
-                                                     "stiffness",
-                                                     "initial",
-                                                     "final",
-                                                     "torque",
-                                                     "coefficient",
-                                                     "gap",
-                                                     "cubic"};
-    const EffectSpec& s = c.specs[i];
-    double most = 0;
-    bool any = false;
-    for (size_t k = 0; k < c.parameters.size(); ++k) {
-      const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
-      if (p.effect != s.id || kStrengths.count(p.field) == 0) continue;
-      if (!s.joints.empty() && p.owner != "*" &&
-          std::find(s.joints.begin(), s.joints.end(), p.owner) == s.joints.end())
-        continue;
-      const double none = p.field == "gain" ? 1 : 0, sd = std::max(1e-12, c.fit.stddev[static_cast<long>(k)]);
-      most = std::max(most, std::abs(c.fit.theta[static_cast<long>(k)] - none) / sd);
-      any = true;
+  // Dry friction of a richer form that is not worth more than plain dry friction.
+  void Plainer(Candidate* best) {
+    for (const char* id : {"stribeck_friction", "asymmetric_friction", "load_dependent_friction",
+                           "presliding_hysteresis", "thermal_drift"}) {
+      std::vector<EffectSpec> specs = Refreshed(*best);
+      bool any = false;
+      for (EffectSpec& s : specs) {
+        if (s.id != id) continue;
+        s = Exchanged(s, "coulomb_friction", nominal_, scales_), any = true;
+      }
+      if (!any || Late()) continue;
+      const auto known = tried_.find(KeyOf(specs) + (best->base ? "+base" : ""));
+      const Candidate plain = known != tried_.end() ? known->second : Evaluate(specs, best->base, best);
+      const double needed = Threshold(plain, *best);
+      if (best->score >= plain.score + needed) continue;
+      // What the form may pretend is not held for it when rivals are weighed.
+      tried_[KeyOf(best->specs) + (best->base ? "+base" : "")].score -= needed;
+      *best = plain;
     }
-    return any ? most : 1e9;
-  }
-
-  void Trace(const ScreenResult& s, bool base) const {
-    if (std::getenv("RG_DIAGNOSIS_TRACE") == nullptr) return;
-    std::fprintf(stderr, "[%6.2f]  screen base=%d null %.1f:", clock_.SteadySeconds() - start_, base,
-                 s.null_gain);
-    for (size_t i = 0; i < std::min<size_t>(8, s.hypotheses.size()); ++i) {
-      const Scored& h = s.hypotheses[i];
-      std::fprintf(stderr, "  %s[", h.effect.c_str());
-      for (const int j : h.joints) std::fprintf(stderr, "%d", j + 1);
-      std::fprintf(stderr, "] %.1f", h.gain);
-    }
-    std::fprintf(stderr, "\n");
   }
 
   const FitData& data_;
   const sim::Plant& nominal_;
   const MotionScales& scales_;
   const DiagnosisOptions& options_;
-  const Clock& clock_;
   const ProgressFn& progress_;
   const CancelToken* cancel_;
+  Trace trace_;
   LiftedOptions lifted_;
-  double start_ = 0;
   int round_ = 0;
+  double work_ = 0;  // of all fits so far
   Acceptance acceptance_;
   std::vector<VectorXd> step_rule_;
   FeatureSet features_;

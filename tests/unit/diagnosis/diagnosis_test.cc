@@ -109,6 +109,19 @@ TEST(Diagnose, NamesADelay) {
   EXPECT_NEAR(r.findings[0].parameters[0].value, 0.03, 0.003);
 }
 
+TEST(Diagnose, NamesBothOfTwoEffects) {
+  const DiagnosisResult r = Diagnosed(
+      testing::MakeSet("pendulum",
+                       {MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.15}}),
+                        MakeSpec("torque_ripple", {Pivot()},
+                                 {{"amplitude", 0.2}, {"cycles_per_rev", 4.0}, {"phase", 0.5}})},
+                       17));
+  EXPECT_EQ(r.verdict, "unmodelled_physics");
+  std::set<std::string> names;
+  for (const Finding& f : r.findings) names.insert(f.effect);
+  EXPECT_EQ(names, (std::set<std::string>{"coulomb_friction", "torque_ripple"}));
+}
+
 TEST(Diagnose, WritesAModelThatPredictsAsItDoes) {
   const DiagnosisResult r = Diagnosed(
       testing::MakeSet("pendulum", {MakeSpec("viscous_friction", {Pivot()}, {{"viscous", 0.1}})}, 14));

@@ -8,33 +8,15 @@
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/search.h"
 #include "services/sysid/sysid_on_set.h"
-#include "tests/unit/diagnosis/simulated_set.h"
+#include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {
 namespace {
 
 using effects::MakeSpec;
 
-struct Prepared {
-  recordings::RecordingSet set;
-  sim::Plant nominal;
-  FitData data;
-  MotionScales scales;
-  DiagnosisOptions options;
-};
-
-std::unique_ptr<Prepared> Prepare(const std::string& robot, std::vector<effects::EffectSpec> effects,
-                                  uint64_t seed) {
-  recordings::RecordingSet set = testing::MakeSet(robot, std::move(effects), seed);
-  auto nominal = sysid::NominalPlant(set);
-  RG_CHECK(nominal.ok()) << nominal.status().ToString();
-  auto out = std::make_unique<Prepared>(Prepared{std::move(set), *nominal, {}, {}, {}});
-  auto data = PrepareData(out->set, out->nominal, out->options);
-  RG_CHECK(data.ok()) << data.status().ToString();
-  out->data = *data;
-  out->scales = ScalesOf(out->data, out->nominal);
-  return out;
-}
+using testing::Prepare;
+using testing::Prepared;
 
 FitResult FitEffects(const Prepared& p, std::vector<effects::EffectSpec> specs) {
   auto plant = sim::Plant::Create(p.nominal.shared_model(), p.nominal.options(), std::move(specs));
@@ -67,7 +49,39 @@ TEST(LiftedFit, DoesNotDependOnTheNumberOfThreads) {
   three.threads = 3;
   const FitModel model{p->nominal, p->nominal.parameters().Nominal(),
                        FreeParameters(p->nominal, p->scales, true)};
-  EXPECT_EQ(Fit(p->data, model, one).chi2, Fit(p->data, model, three).chi2);
+  const FitResult a = Fit(p->data, model, one), b = Fit(p->data, model, three);
+  EXPECT_EQ(a.chi2, b.chi2);
+  EXPECT_EQ(a.work, b.work);
+}
+
+TEST(LiftedFit, EndsAtOnceWhereItStartsFromItsOwnEnd) {
+  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  const auto p = Prepare("pendulum", {MakeSpec("viscous_friction", {joint}, {{"viscous", 0.1}})}, 8);
+  const auto plant = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(),
+                                        {MakeSpec("viscous_friction", {joint}, {{"viscous", 0.02}})});
+  FitModel model{*plant, plant->parameters().Nominal(), FreeParameters(*plant, p->scales, false)};
+  const FitResult cold = Fit(p->data, model, {});
+  model.values = cold.values;
+  const NodeStates carried = CarriedStates(p->data, model, *plant, cold.states, {});
+  const FitResult warm = Fit(p->data, model, {}, &carried);
+  EXPECT_LE(warm.iterations, 2);
+  EXPECT_NEAR(warm.evidence, cold.evidence, 0.05);
+}
+
+TEST(LiftedFit, CarriesStatesToAModelWithMoreOfThem) {
+  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  const auto p = Prepare("pendulum", {}, 9);
+  const FitModel rigid{p->nominal, p->nominal.parameters().Nominal(), {}};
+  const NodeStates states = Fit(p->data, rigid, {}).states;
+  const auto elastic = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(),
+                                          {MakeSpec("joint_elasticity", {joint})});
+  const FitModel more{*elastic, elastic->parameters().Nominal(), {}};
+  const NodeStates carried = CarriedStates(p->data, more, p->nominal, states, {});
+  ASSERT_EQ(carried.size(), states.size());
+  ASSERT_EQ(carried[0].rows(), elastic->num_states());
+  EXPECT_EQ(carried[0].topRows(2), states[0].topRows(2));
+  // And back, nothing is lost.
+  EXPECT_EQ(CarriedStates(p->data, rigid, *elastic, carried, {})[0], states[0]);
 }
 
 TEST(Gram, IsWhatEigenSaysForEverySize) {
@@ -81,34 +95,6 @@ TEST(Gram, IsWhatEigenSaysForEverySize) {
     AddGram(A, 2.0, &H);
     const RowMatrixXd lower = H.triangularView<Eigen::Lower>(), product = 2.0 * A.transpose() * A;
     EXPECT_LT((lower - RowMatrixXd(product.triangularView<Eigen::Lower>())).norm(), 1e-11 * rows);
-  }
-}
-
-TEST(Screening, TheInjectedEffectScoresAboveTheNullAndNothingDoesWithoutIt) {
-  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
-  for (const bool there : {true, false}) {
-    const auto p = Prepare(
-        "pendulum",
-        there ? std::vector<effects::EffectSpec>{MakeSpec("viscous_friction", {joint}, {{"viscous", 0.1}})}
-              : std::vector<effects::EffectSpec>{},
-        4);
-    const FeatureSet features = MakeFeatures(p->data, p->scales);
-    const FitModel model{p->nominal, p->nominal.parameters().Nominal(), {}};
-    const NodeStates states = InitialStates(p->data, model, {});
-    const auto step_rule = StepRuleResiduals(p->data, model, states, {});
-    const Screen screen = MakeScreen(p->data, model, states, features.block, {}, step_rule, 60, Rng(5));
-    const ScreenResult result = ScoreHypotheses(screen, {}, features, p->scales, false, 1);
-    ASSERT_FALSE(result.hypotheses.empty());
-    if (there) {
-      EXPECT_GT(result.hypotheses.front().gain, result.null_gain + 20);
-      double viscous = 0;
-      for (const Scored& h : result.hypotheses) {
-        if (h.effect == "viscous_friction") viscous = h.coefficients[0];
-      }
-      EXPECT_NEAR(viscous, 0.1, 0.02);
-    } else {
-      EXPECT_LT(result.hypotheses.front().gain, std::max(result.null_gain, 0.0) + 6);
-    }
   }
 }
 

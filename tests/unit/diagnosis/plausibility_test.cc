@@ -14,7 +14,7 @@ using ::testing::HasSubstr;
 using ::testing::Not;
 
 std::string ErrorOf(const recordings::RecordingSet& set) {
-  const auto result = Diagnose(set, {.threads = 1, .time_limit_s = 0}, RealClock());
+  const auto result = Diagnose(set, {.threads = 1, .work_limit = 0}, RealClock());
   EXPECT_EQ(result.status().message().find('\n'), std::string::npos);
   return result.ok() ? "accepted" : result.status().message();
 }
@@ -55,7 +55,7 @@ TEST(Plausibility, StrongEffectsAreNotTakenForWrongUnits) {
 
 TEST(Plausibility, SuspectedEffortsAreDiagnosedAllTheSameOnRequest) {
   const auto set = Scaled(testing::MakeSet("arm2", {}, 24), 1, -1.0);
-  const auto r = Diagnose(set, {.threads = 1, .time_limit_s = 0, .trust_effort = true}, RealClock());
+  const auto r = Diagnose(set, {.threads = 1, .work_limit = 0, .trust_effort = true}, RealClock());
   ASSERT_TRUE(r.ok()) << r.status().ToString();
   EXPECT_THAT(r->notes, ::testing::Contains(HasSubstr("sign looks turned around")));
 }
@@ -75,7 +75,7 @@ TEST(Plausibility, RefusesRecordingsInWhichNothingMoves) {
 TEST(Plausibility, SaysWhichJointNeverMoved) {
   auto set = testing::MakeSet("arm2", {}, 26);
   for (auto& rec : set.recordings) rec.q.row(0).setConstant(0.3), rec.v.row(0).setZero();
-  const auto r = Diagnose(set, {.threads = 1, .time_limit_s = 0, .trust_effort = true}, RealClock());
+  const auto r = Diagnose(set, {.threads = 1, .work_limit = 0, .trust_effort = true}, RealClock());
   ASSERT_TRUE(r.ok()) << r.status().ToString();
   EXPECT_THAT(r->notes,
               ::testing::Contains(AllOf(HasSubstr("shoulder never moved"), Not(HasSubstr("elbow")))));
@@ -100,7 +100,7 @@ TEST(Plausibility, EffortsInEachOthersColumnsAreSuspected) {
 }
 
 std::vector<std::string> NotesOf(recordings::RecordingSet set) {
-  const auto r = Diagnose(set, {.threads = 1, .time_limit_s = 0, .trust_effort = true}, RealClock());
+  const auto r = Diagnose(set, {.threads = 1, .work_limit = 0, .trust_effort = true}, RealClock());
   EXPECT_TRUE(r.ok()) << r.status().ToString();
   return r.ok() ? r->notes : std::vector<std::string>();
 }

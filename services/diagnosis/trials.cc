@@ -1,0 +1,158 @@
+#include "services/diagnosis/trials.h"
+
+#include <algorithm>
+#include <map>
+
+#include "common/model/robot_model.h"
+#include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/push_starts.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+
+namespace {
+
+constexpr size_t kSets = 6;  // of joints, and as many pairs of effects
+
+class TrialBuilder {
+ public:
+  TrialBuilder(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+               const Candidate& from, const ScreenResult& screened)
+      : data_(data), nominal_(nominal), scales_(scales), from_(from), screened_(screened) {}
+
+  std::vector<TrialSpecs> Run(double wanted, const std::function<MissingForce()>& force) {
+    Singles(wanted);
+    Sets(screened_.sets, wanted);
+    Sets(screened_.pairs, wanted);
+    if (!from_.base && !Has("payload")) Push(BodyStarts("payload", nominal_, scales_));
+    if (wanted > 1.0) return std::move(out_);
+    const std::vector<int> joints = JointsByGain();
+    DryFriction(joints);
+    Transmissions(joints);
+    for (const char* id : {"sloshing_payload", "base_flexibility"}) {
+      if (!Has(id) && (data_.n <= 2 || !from_.base)) Push(BodyStarts(id, nominal_, scales_));
+    }
+    if (from_.fit.ok && (!Has("contact") || !Has("external_disturbance"))) {
+      const MissingForce missing = force();
+      if (!Has("contact")) Push(ContactStarts(data_, nominal_, missing, from_.base ? 2 : 3));
+      if (!Has("external_disturbance")) Push(PushStarts(data_, nominal_, missing));
+    }
+    return std::move(out_);
+  }
+
+ private:
+  void Push(const std::vector<TrialSpecs>& starts) { out_.insert(out_.end(), starts.begin(), starts.end()); }
+
+  bool Has(const std::string& id) const {
+    return std::any_of(from_.specs.begin(), from_.specs.end(),
+                       [&](const EffectSpec& e) { return e.id == id; });
+  }
+
+  std::vector<std::string> Names(const std::vector<int>& joints) const {
+    std::vector<std::string> out;
+    for (const int j : joints) out.push_back(nominal_.joint_names()[static_cast<size_t>(j)]);
+    return out;
+  }
+
+  // Whether the model has this already.
+  bool Known(const Scored& h) const {
+    if (h.joints.empty()) return Has(h.effect);
+    const std::vector<std::string> names = Names(h.joints);
+    if (h.effect == "joint_coupling") {
+      return std::any_of(from_.specs.begin(), from_.specs.end(),
+                         [&](const EffectSpec& s) { return s.id == h.effect && s.joints == names; });
+    }
+    return std::any_of(names.begin(), names.end(),
+                       [&](const std::string& joint) { return Contains(from_.specs, h.effect, joint); });
+  }
+
+  void Singles(double wanted) {
+    int taken = 0;
+    for (const Scored& h : screened_.hypotheses) {
+      if (h.gain < wanted || taken >= (from_.base ? 10 : 16) || Known(h)) continue;
+      ++taken;
+      Push(SpecsFor(h, nominal_, scales_));
+    }
+  }
+
+  void Sets(const std::vector<Combination>& sets, double wanted) {
+    size_t count = 0;
+    for (const Combination& set : sets) {
+      if (set.gain < wanted || count == kSets) break;
+      if (std::any_of(set.parts.begin(), set.parts.end(), [&](const Scored& h) { return Known(h); }))
+        continue;
+      TrialSpecs start;
+      for (const Scored& h : set.parts) {
+        const TrialSpecs part = SpecsFor(h, nominal_, scales_).front();
+        start.insert(start.end(), part.begin(), part.end());
+      }
+      out_.push_back(std::move(start));
+      ++count;
+    }
+  }
+
+  std::vector<int> JointsByGain() const {
+    std::map<int, double> best;
+    for (const Scored& h : screened_.hypotheses) {
+      if (h.joints.size() != 1 || h.effect == "unknown_field") continue;
+      const auto [at, fresh] = best.try_emplace(h.joints[0], h.gain);
+      if (!fresh) at->second = std::max(at->second, h.gain);
+    }
+    std::vector<std::pair<double, int>> sorted;
+    for (const auto& [joint, gain] : best) sorted.push_back({gain, joint});
+    std::sort(sorted.rbegin(), sorted.rend());
+    std::vector<int> out;
+    for (const auto& [gain, joint] : sorted) out.push_back(joint);
+    return out;
+  }
+
+  void DryFriction(const std::vector<int>& joints) {
+    for (size_t i = 0; i < std::min<size_t>(3, joints.size()); ++i) {
+      for (const Scored& h : screened_.hypotheses) {
+        const bool dry =
+            h.effect == "coulomb_friction" || h.effect == "viscous_friction" || h.effect == "torque_deadband";
+        if (dry && h.joints == std::vector<int>{joints[i]} && !Known(h)) Push(SpecsFor(h, nominal_, scales_));
+      }
+    }
+  }
+
+  void Transmissions(const std::vector<int>& joints) {
+    const size_t springy = data_.n <= 2 ? 2 : from_.base ? 1 : 2;
+    for (size_t i = 0; i < std::min(springy, joints.size()); ++i) {
+      const std::string& name = nominal_.joint_names()[static_cast<size_t>(joints[i])];
+      if (Contains(from_.specs, "joint_elasticity", name) || Contains(from_.specs, "backlash", name))
+        continue;
+      // The motor's inertia below its resonance: what a rotor holds already, or the screen takes for one.
+      double added = RotorOf(name);
+      for (const Scored& h : screened_.hypotheses) {
+        if (h.effect == "rotor_inertia" && h.joints == std::vector<int>{joints[i]})
+          added += h.coefficients[0];
+      }
+      for (const char* id : {"joint_elasticity", "backlash"})
+        Push(TransmissionStarts(id, joints[i], nominal_, scales_, added));
+    }
+  }
+
+  double RotorOf(const std::string& joint) const {
+    const int at = from_.plant->parameters().Find("rotor_inertia." + joint + ".armature");
+    return at >= 0 && from_.fit.ok ? from_.fit.values[at] : 0.0;
+  }
+
+  const FitData& data_;
+  const sim::Plant& nominal_;
+  const MotionScales& scales_;
+  const Candidate& from_;
+  const ScreenResult& screened_;
+  std::vector<TrialSpecs> out_;
+};
+
+}  // namespace
+
+std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                               const Candidate& from, const ScreenResult& screened, double wanted,
+                               const std::function<MissingForce()>& force) {
+  return TrialBuilder(data, nominal, scales, from, screened).Run(wanted, force);
+}
+
+}  // namespace rg::diagnosis

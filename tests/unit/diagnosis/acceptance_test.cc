@@ -1,0 +1,60 @@
+#include "services/diagnosis/acceptance.h"
+
+#include <gtest/gtest.h>
+
+namespace rg::diagnosis {
+namespace {
+
+using effects::MakeSpec;
+
+Candidate Model(std::vector<effects::EffectSpec> specs, bool base = false) {
+  Candidate c;
+  c.specs = std::move(specs), c.base = base;
+  c.fit.rows = 800;
+  return c;
+}
+
+ScreenResult StepRuleOf(const std::string& effect, int joint, double nats) {
+  ScreenResult s;
+  Scored h;
+  h.effect = effect, h.joints = {joint}, h.step_rule = nats;
+  s.hypotheses.push_back(h);
+  return s;
+}
+
+TEST(Acceptance, ANameBesideOthersNeedsAShareOfWhatTheyExplain) {
+  const Acceptance acceptance;
+  EXPECT_LT(acceptance.Needed(Model({}), 0, 1e6), 10);
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), 1e5, 1e6), 1e3);
+}
+
+TEST(Acceptance, WhatTakesHalfOfAllThatIsLeftIsNoMatterOfForm) {
+  const Acceptance acceptance;
+  // One percent would be 10,000 nats: more than there is to be had.
+  const double needed = acceptance.Needed(Model({MakeSpec("payload", {})}), 1e6, 600);
+  EXPECT_DOUBLE_EQ(needed, 0.5 * (600 + 20));
+  // Nothing at stake: the scatter of χ² remains.
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), 1e6, -50), 0.5 * 20);
+}
+
+TEST(Acceptance, AnEffectNeedsMoreThanAnotherStepRuleWouldPretend) {
+  Acceptance acceptance;
+  acceptance.Note(StepRuleOf("actuator_delay", 0, 50), {"a", "b"});
+  const Candidate none = Model({});
+  const double chance = acceptance.Needed(none, 0, 1e4);
+  const double delay = acceptance.Needed(none, 0, 1e4, Model({MakeSpec("actuator_delay", {"a"})}));
+  EXPECT_NEAR(delay, 0.5 * std::pow(std::sqrt(2 * chance) + 10, 2), 1e-9);
+  // The largest of all screens is kept.
+  acceptance.Note(StepRuleOf("actuator_delay", 0, 2), {"a", "b"});
+  EXPECT_DOUBLE_EQ(delay, acceptance.Needed(none, 0, 1e4, Model({MakeSpec("actuator_delay", {"a"})})));
+  // Joints that were not screened: the most of that effect.
+  EXPECT_DOUBLE_EQ(delay, acceptance.Needed(none, 0, 1e4, Model({MakeSpec("actuator_delay", {"b"})})));
+}
+
+TEST(Acceptance, FewerFreeParametersNeedTheOddsOnly) {
+  EXPECT_DOUBLE_EQ(
+      Acceptance().Needed(Model({}, true), 0, 1e4, Model({MakeSpec("coulomb_friction", {"a"})})), 3);
+}
+
+}  // namespace
+}  // namespace rg::diagnosis

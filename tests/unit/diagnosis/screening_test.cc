@@ -1,0 +1,120 @@
+#include "services/diagnosis/screening.h"
+
+#include <gtest/gtest.h>
+
+#include "tests/unit/diagnosis/prepared_set.h"
+
+namespace rg::diagnosis {
+namespace {
+
+using effects::MakeSpec;
+using testing::Prepare;
+using testing::Prepared;
+
+ScreenResult Screened(const Prepared& p, const std::vector<sysid::FitParameter>& parameters,
+                      const std::vector<ParameterColumn>& columns) {
+  const FeatureSet features = MakeFeatures(p.data, p.scales);
+  const FitModel model{p.nominal, p.nominal.parameters().Nominal(), parameters};
+  const NodeStates states = InitialStates(p.data, model, {});
+  const auto step_rule = StepRuleResiduals(p.data, model, states, {});
+  const Screen screen = MakeScreen(p.data, model, states, features.block, {}, step_rule, 60, Rng(5));
+  return ScoreHypotheses(screen, columns, features, p.scales, false, p.data.n);
+}
+
+bool Holds(const Combination& c, const std::string& effect, const std::vector<int>& joints) {
+  return std::any_of(c.parts.begin(), c.parts.end(),
+                     [&](const Scored& h) { return h.effect == effect && h.joints == joints; });
+}
+
+TEST(Screening, TheInjectedEffectScoresAboveTheNullAndNothingDoesWithoutIt) {
+  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  for (const bool there : {true, false}) {
+    const auto p = Prepare(
+        "pendulum",
+        there ? std::vector<effects::EffectSpec>{MakeSpec("viscous_friction", {joint}, {{"viscous", 0.1}})}
+              : std::vector<effects::EffectSpec>{},
+        4);
+    const ScreenResult result = Screened(*p, {}, {});
+    ASSERT_FALSE(result.hypotheses.empty());
+    if (there) {
+      EXPECT_GT(result.hypotheses.front().gain, result.null_gain + 20);
+      double viscous = 0;
+      for (const Scored& h : result.hypotheses) {
+        if (h.effect == "viscous_friction") viscous = h.coefficients[0];
+      }
+      EXPECT_NEAR(viscous, 0.1, 0.02);
+    } else {
+      EXPECT_LT(result.hypotheses.front().gain, std::max(result.null_gain, 0.0) + 6);
+    }
+  }
+}
+
+TEST(Screening, DoesNotDependOnTheNumberOfThreads) {
+  const auto p = Prepare("pendulum", {}, 21);
+  const FeatureSet features = MakeFeatures(p->data, p->scales);
+  const FitModel model{p->nominal, p->nominal.parameters().Nominal(), {}};
+  const NodeStates states = InitialStates(p->data, model, {});
+  const auto step_rule = StepRuleResiduals(p->data, model, states, {});
+  LiftedOptions three;
+  three.threads = 3;
+  const Screen a = MakeScreen(p->data, model, states, features.block, {}, step_rule, 8, Rng(5));
+  const Screen b = MakeScreen(p->data, model, states, features.block, three, step_rule, 8, Rng(5));
+  EXPECT_EQ(a.gram, b.gram);
+  EXPECT_EQ(a.null, b.null);
+}
+
+TEST(Screening, FindsTwoEffectsTogetherAndTheirStrengths) {
+  const auto joints = sysid::testing::LoadPlant("arm2").joint_names();
+  const auto p = Prepare("arm2",
+                         {MakeSpec("viscous_friction", {joints[0]}, {{"viscous", 0.3}}),
+                          MakeSpec("position_spring", {joints[1]}, {{"stiffness", 1.5}, {"center", 0.2}})},
+                         22);
+  const ScreenResult r = Screened(*p, {}, {});
+  ASSERT_FALSE(r.pairs.empty());
+  const Combination& best = r.pairs.front();
+  EXPECT_TRUE(Holds(best, "viscous_friction", {0}));
+  EXPECT_TRUE(Holds(best, "position_spring", {1}));
+  // Either alone leaves the other's part unexplained.
+  EXPECT_GT(best.gain, r.hypotheses.front().gain + 50);
+  for (const Scored& h : best.parts) {
+    if (h.effect != "viscous_friction") continue;
+    EXPECT_NEAR(h.coefficients[0], 0.3, 0.06);
+  }
+}
+
+TEST(Screening, GrowsASetOfJointsToWhereTheEffectIs) {
+  const auto joints = sysid::testing::LoadPlant("arm2").joint_names();
+  const auto p = Prepare("arm2",
+                         {MakeSpec("viscous_friction", {joints[0]}, {{"viscous", 0.3}}),
+                          MakeSpec("viscous_friction", {joints[1]}, {{"viscous", 0.1}})},
+                         23);
+  const ScreenResult r = Screened(*p, {}, {});
+  ASSERT_FALSE(r.sets.empty());
+  EXPECT_TRUE(Holds(r.sets.front(), "viscous_friction", {0, 1}) ||
+              (Holds(r.sets.front(), "viscous_friction", {0}) && Holds(r.sets.front(), "viscous_friction", {1})));
+}
+
+TEST(Screening, SeesAPayloadInTheLastLinksParameters) {
+  const auto p = Prepare(
+      "arm2", {MakeSpec("payload", {}, {{"mass", 0.3}, {"com_x", 0.0}, {"com_y", 0.0}, {"com_z", 0.0}})}, 24);
+  const auto parameters = FreeParameters(p->nominal, p->scales, true);
+  const auto& model = p->nominal.model();
+  const std::string& last = model.link(model.joint(model.num_joints() - 1).child_link).name;
+  std::vector<ParameterColumn> columns;
+  for (const auto& q : parameters) {
+    const sim::Parameter& row = p->nominal.parameters()[q.index];
+    ParameterColumn c;
+    c.prior_stddev = q.prior_stddev, c.base = true, c.last_link = row.owner == last;
+    if (c.last_link) c.role = row.field;
+    columns.push_back(c);
+  }
+  const ScreenResult r = Screened(*p, parameters, columns);
+  const auto payload = std::find_if(r.hypotheses.begin(), r.hypotheses.end(),
+                                    [](const Scored& h) { return h.effect == "payload"; });
+  ASSERT_NE(payload, r.hypotheses.end());
+  EXPECT_GT(payload->gain, r.null_gain + 50);
+  EXPECT_GT(payload->gain, 0.5 * r.hypotheses.front().gain);
+}
+
+}  // namespace
+}  // namespace rg::diagnosis
