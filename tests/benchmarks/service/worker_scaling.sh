@@ -5,7 +5,8 @@
 #   tests/benchmarks/service/worker_scaling.sh BIN [ROUNDS]     from the source tree; BIN holds realitygrad
 #
 # One line per job and number of workers: the time from the first task's start to the last one's end, the
-# tasks' own time, and the share of leased time that is not theirs (leasing, fetching, uploading, committing).
+# tasks' own time, the share of leased time that is not theirs (leasing, fetching, uploading, committing), and
+# the share of the workers' time in which there was no task left for one of them.
 # One line per round and job: how much faster two workers were. Other work on the machine shows in both.
 set -euo pipefail
 bin=$(realpath "$1")
@@ -19,17 +20,25 @@ trap 'kill "${pids[@]}" 2>/dev/null; wait; rm -rf "$folder"' EXIT
 "$bin/realitygrad" run --iterations 1 --workers 2 --identify-seconds 5 --dir "$folder/run" >"$folder/run.log" 2>&1 ||
   { cat "$folder/run.log"; exit 1; }
 
-# First start, last end and own seconds of a stage's tasks; a task's keys come in alphabetical order.
+# Of a stage's tasks: time from the first start to the last end, leased time, the tasks' own. A task's keys come
+# in alphabetical order.
 tasks_of() {
   awk -v stage="\"$1\"," '
-    /"finished":/ { finished = $2 }
+    function seconds(stamp) { split(substr(stamp, 13), part, ":"); return part[1] * 3600 + part[2] * 60 + part[3] }
+    /"finished":/ { finished = seconds($2) }
     /"stage":/ { ours = $2 == stage }
-    /"started":/ && ours { if (first == "" || $2 < first) first = $2; if (finished > last) last = finished }
+    /"started":/ && ours {
+      started = seconds($2)
+      if (finished < started) finished += 86400
+      if (first == "" || started < first) first = started
+      if (finished > last) last = finished
+      leased += finished - started
+    }
     /"seconds":/ && ours { own += $2 }
-    END { gsub(/[",]/, "", first); gsub(/[",]/, "", last); print first, last, own }' "$2"
+    END { print last - first, leased, own }' "$2"
 }
 
-measure() {  # WORKERS NAME STAGE SUBMIT-ARGUMENTS…: prints the stage's seconds and the tasks' own
+measure() {  # WORKERS NAME STAGE SUBMIT-ARGUMENTS…: prints what tasks_of does
   local workers=$1 name=$2 stage=$3
   shift 3
   local at=$folder/$name.$workers
@@ -47,9 +56,7 @@ measure() {  # WORKERS NAME STAGE SUBMIT-ARGUMENTS…: prints the stage's second
     --output json >"$at/job"
   kill "${pids[@]}" 2>/dev/null || true
   wait "${pids[@]}" 2>/dev/null || true
-  local first last own
-  read -r first last own <<<"$(tasks_of "$stage" "$at/job")"
-  awk -v a="$(date -d "$first" +%s.%N)" -v b="$(date -d "$last" +%s.%N)" -v o="$own" 'BEGIN { print b - a, o }'
+  tasks_of "$stage" "$at/job"
 }
 
 for round in $(seq "$rounds"); do
@@ -58,9 +65,10 @@ for round in $(seq "$rounds"); do
     [ $job = identification ] && arguments=(identify --identify-seconds 0 --hops 1 --chains 16 --rounds 1)
     times=()
     for workers in 1 2; do
-      read -r wall own <<<"$(measure $workers $job $job "${arguments[@]}")"
-      awk -v j=$job -v w=$workers -v t="$wall" -v o="$own" 'BEGIN {
-        printf "%-14s %d workers  %6.2f s, tasks %6.2f s, not theirs %4.1f %%\n", j, w, t, o, 100 * (1 - o / (w * t)) }'
+      read -r wall leased own <<<"$(measure $workers $job $job "${arguments[@]}")"
+      awk -v j=$job -v w=$workers -v t="$wall" -v l="$leased" -v o="$own" 'BEGIN {
+        printf "%-14s %d workers %6.2f s, tasks %6.2f s, scheduling %3.1f %%, idle at the end %3.1f %%\n", \
+          j, w, t, o, 100 * (1 - o / l), 100 * (1 - l / (w * t)) }'
       times+=("$wall")
     done
     awk -v r="$round" -v j=$job -v a="${times[0]}" -v b="${times[1]}" 'BEGIN {
