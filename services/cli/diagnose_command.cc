@@ -2,16 +2,22 @@
 #include <signal.h>
 
 #include <CLI/CLI.hpp>
+#include <filesystem>
 #include <memory>
 #include <nlohmann/json.hpp>
 
 #include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/recordings/recording_set.h"
+#include "coordinator/client/client.h"
+#include "realitygrad/v1/artifact.pb.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
+#include "services/cli/packed_set.h"
 #include "services/cli/progress_display.h"
 #include "services/diagnosis/diagnosis.h"
+#include "services/jobs/kinds.h"
+#include "services/jobs/remote_fits.h"
 #include "services/report/diagnosis_page.h"
 #include "services/report/diagnosis_svg.h"
 
@@ -73,17 +79,46 @@ std::string Next(const diagnosis::DiagnosisResult& r, const DiagnoseArguments& a
          Joined(r.motion->effects) + " apart)";
 }
 
+// Fits as tasks of a coordinator's workers.
+struct Workers {
+  std::unique_ptr<coordinator::Client> client;
+  std::unique_ptr<jobs::RemoteFits> fits;
+};
+
+Result<Workers> WithWorkers(const Context& context, const DiagnoseArguments& arguments) {
+  RG_ASSIGN_OR_RETURN(const std::string packed, PackedSet(arguments.sets));
+  Workers workers;
+  RG_ASSIGN_OR_RETURN(workers.client, context.Connect());
+  realitygrad::v1::ArtifactInfo info;
+  info.set_kind(jobs::kArtifactRecordingSet);
+  info.set_metadata_json(
+      nlohmann::json{{"name", std::filesystem::path(arguments.sets.front()).filename().string()}}.dump());
+  RG_ASSIGN_OR_RETURN(std::string set, workers.client->PutArtifact(packed, info));
+  workers.fits = std::make_unique<jobs::RemoteFits>(*workers.client, std::move(set),
+                                                    arguments.options.fit_window_s, &cancel_on_interrupt);
+  return workers;
+}
+
 Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
   signal(SIGINT, OnInterrupt);
   RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSets(arguments.sets));
   RG_RETURN_IF_ERROR(CheckWritable(arguments.out));
+  diagnosis::DiagnosisOptions options = arguments.options;
+  Workers workers;
+  if (!context.flags.coordinator.value.empty()) {
+    RG_ASSIGN_OR_RETURN(workers, WithWorkers(context, arguments));
+    options.fits = workers.fits.get();
+  }
   ProgressDisplay display(
       {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
   RG_ASSIGN_OR_RETURN(const diagnosis::DiagnosisResult result,
                       diagnosis::Diagnose(
-                          set, arguments.options, RealClock(),
-                          [&](const ProgressUpdate& u) { display.Show(u); }, &cancel_on_interrupt));
+                          set, options, RealClock(), [&](const ProgressUpdate& u) { display.Show(u); },
+                          &cancel_on_interrupt));
   display.Finish();
+  if (workers.fits != nullptr && !context.quiet())
+    PrintNote(std::to_string(workers.fits->by_workers()) + " fits by workers, " +
+              std::to_string(workers.fits->here()) + " here");
   if (!arguments.out.empty()) {
     RG_RETURN_IF_ERROR(diagnosis::WriteDiagnosis(arguments.out, result, report::DiagnosisPage(result)));
   }

@@ -5,16 +5,15 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/file.h"
-#include "common/recordings/recording_set.h"
 #include "coordinator/client/client.h"
 #include "realitygrad/v1/artifact.pb.h"
 #include "realitygrad/v1/control.pb.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
 #include "services/cli/job_view.h"
+#include "services/cli/packed_set.h"
 #include "services/jobs/job_graphs.h"
 #include "services/jobs/kinds.h"
-#include "services/rollouts/recording_bundle.h"
 
 namespace rg::cli {
 namespace {
@@ -29,37 +28,6 @@ struct DiagnoseJobArguments {
   jobs::DiagnoseOptions options;
   bool follow = false;
 };
-
-// What the manifest names, and the manifest; the set is read first, so that a bad one is refused here.
-Result<std::string> Packed(const std::string& folder) {
-  RG_RETURN_IF_ERROR(recordings::LoadSet(folder).status());
-  RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(folder + "/manifest.json"));
-  const json manifest = json::parse(text);
-  rollouts::Bundle bundle = {{"manifest.json", text}};
-  const auto add = [&](const std::string& name) -> Status {
-    RG_ASSIGN_OR_RETURN(bundle[name], ReadFile(folder + "/" + name));
-    return Status::Ok();
-  };
-  RG_RETURN_IF_ERROR(add(manifest.at("robot").get<std::string>()));
-  for (const json& recording : manifest.at("recordings"))
-    RG_RETURN_IF_ERROR(add(recording.at("file").get<std::string>()));
-  for (const auto& [name, bytes] : bundle) {
-    if (name.find('/') != std::string::npos)
-      return InvalidError(folder + "/manifest.json: " + name + " is not in the set's own folder");
-  }
-  return rollouts::PackBundle(bundle);
-}
-
-// Several sets as one, its splits as they are.
-Result<std::string> PackedTogether(const std::vector<std::string>& folders) {
-  if (folders.size() == 1) return Packed(folders.front());
-  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSets(folders));
-  rollouts::Bundle bundle = {{"manifest.json", recordings::FormatManifest(set, "robot.urdf")},
-                             {"robot.urdf", set.urdf_text}};
-  for (const recordings::Recording& recording : set.recordings)
-    bundle[recording.name] = recordings::FormatCsv(recording);
-  return rollouts::PackBundle(bundle);
-}
 
 Status Fetch(coordinator::Client& client, const pb::GetJobReply& job, const std::string& out) {
   for (const pb::TaskInfo& task : job.tasks()) {
@@ -78,7 +46,7 @@ Status Fetch(coordinator::Client& client, const pb::GetJobReply& job, const std:
 }
 
 Status SubmitDiagnose(Context& context, const DiagnoseJobArguments& arguments) {
-  RG_ASSIGN_OR_RETURN(const std::string bundle, PackedTogether(arguments.sets));
+  RG_ASSIGN_OR_RETURN(const std::string bundle, PackedSet(arguments.sets));
   RG_ASSIGN_OR_RETURN(const auto client, context.Connect());
   pb::ArtifactInfo info;
   info.set_kind(jobs::kArtifactRecordingSet);

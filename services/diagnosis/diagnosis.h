@@ -18,6 +18,8 @@
 
 namespace rg::diagnosis {
 
+class FitExecutor;
+
 struct DiagnosisOptions {
   int threads = 0;            // 0: all
   double window_s = 1.0;      // of the judgement on held-out recordings
@@ -28,9 +30,11 @@ struct DiagnosisOptions {
   // Of all fits together, in simulated rows times columns carried along (Work in lifted_fit.h): a limit that
   // is the same on every machine; about a minute on two cores.
   double work_limit = 8e8;
-  // No new fit starts later than this many seconds; 0: no such limit. What it cuts off depends on the machine.
+  // No new fit starts later than this many seconds; 0: no such limit. What it cuts off depends on the
+  // machine.
   double time_limit_s = 0;
-  bool trust_effort = false;  // go on where an effort's sign or unit looks wrong
+  FitExecutor* fits = nullptr;  // who makes the fits (fit_requests.h); null: this process
+  bool trust_effort = false;    // go on where an effort's sign or unit looks wrong
 };
 
 struct Region {

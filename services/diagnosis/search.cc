@@ -9,6 +9,7 @@
 #include "common/model/robot_model.h"
 #include "services/diagnosis/acceptance.h"
 #include "services/diagnosis/field_starts.h"
+#include "services/diagnosis/fit_requests.h"
 #include "services/diagnosis/trace.h"
 #include "services/diagnosis/trials.h"
 
@@ -35,6 +36,8 @@ class Search {
       : data_(data),
         nominal_(nominal),
         scales_(scales),
+        setting_{data, nominal, scales},
+        fits_(options.fits == nullptr ? local_ : *options.fits),
         options_(options),
         progress_(progress),
         cancel_(cancel),
@@ -115,20 +118,39 @@ class Search {
   // `from`: where to start, where it holds; else at the recorded motion.
   Candidate Evaluate(const std::vector<EffectSpec>& specs, bool base, const Candidate* from = nullptr,
                      int iterations = 6) {
-    const std::string key = KeyOf(specs) + (base ? "+base" : "");
-    Candidate c;
-    c.specs = specs, c.base = base, c.round = round_;
-    c.score = -1e300;
-    auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), specs);
-    if (!plant.ok()) return c;
-    c.plant = std::make_shared<const sim::Plant>(*plant);
-    c.parameters = FreeParameters(*c.plant, scales_, base);
-    LiftedOptions options = lifted_;
-    options.iterations = iterations;
-    options.more_iterations = kMoreIterations;
-    c.fit = FitFrom(data_, c, options, from, {});
-    if (c.fit.ok) c.score = c.fit.evidence - StructurePrior(specs, base);
-    auto [it, fresh] = tried_.try_emplace(key, c);
+    const FitRequest request = WholeFit(specs, base, Start(from), iterations);
+    return Tried(request, fits_.Start(setting_, {request})->Take(0));
+  }
+
+  // Starts at the states, and at the base parameters, of a model that holds: what is added to it or taken
+  // from it changes them little, and no fit is better than another for its start alone.
+  std::shared_ptr<const Candidate> Start(const Candidate* from) const {
+    if (from == nullptr || !from->fit.ok || PerRow(*from) > kHolds) return nullptr;
+    return std::make_shared<const Candidate>(*from);
+  }
+
+  FitRequest WholeFit(const std::vector<EffectSpec>& specs, bool base, std::shared_ptr<const Candidate> from,
+                      int iterations = 6) const {
+    FitRequest request{specs, base, lifted_, {}, std::move(from)};
+    request.options.iterations = iterations;
+    request.options.more_iterations = kMoreIterations;
+    return request;
+  }
+
+  Candidate Fitted(const FitRequest& request, FitResult fit) {
+    Candidate c = Unfitted(setting_, request.specs, request.base);
+    work_ += fit.work;
+    c.fit = std::move(fit);
+    c.round = round_;
+    c.score = c.fit.ok ? c.fit.evidence - StructurePrior(c.specs, c.base) : -1e300;
+    return c;
+  }
+
+  // A fit on all windows, kept.
+  Candidate Tried(const FitRequest& request, FitResult fit) {
+    const Candidate c = Fitted(request, std::move(fit));
+    if (c.plant == nullptr) return c;
+    auto [it, fresh] = tried_.try_emplace(KeyOf(c.specs) + (c.base ? "+base" : ""), c);
     if (!fresh && c.score > it->second.score) it->second = c;
     trace_.Fit(c, "fit");
     return c;
@@ -329,83 +351,45 @@ class Search {
   // Trials on some windows with few iterations; the best of them on all.
   void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base, size_t full,
                Candidate* winner) {
-    std::vector<size_t> places;
-    const FitData some = SomeWindows(&places);
-    const double reference = Coarse(some, places, Refreshed(from), base, from).score;
-    std::vector<std::pair<double, std::vector<EffectSpec>>> ranked;
-    std::set<std::string> seen;
-    const double enough = work_ + kTrialShare * options_.work_limit;
+    FitRequest trial{Refreshed(from), base, lifted_, SomeWindows(), Start(&from)};
+    trial.options.iterations = 4;
+    std::vector<FitRequest> trials = {trial};
     for (const TrialSpecs& start : pool) {
-      if (Late() || work_ > enough) break;
-      std::vector<EffectSpec> specs = Joined(Refreshed(from), start);
-      const Candidate c = Coarse(some, places, specs, base, from);
-      const bool better = c.fit.ok && c.score >= reference && !Unseen(c);
-      trace_.Fit(c, better ? "  ~" : "  -");
-      if (better) ranked.push_back({c.score, Refreshed(c)});
+      trial.specs = Joined(Refreshed(from), start);
+      trials.push_back(trial);
+    }
+    std::vector<std::pair<double, std::vector<EffectSpec>>> ranked;
+    const double enough = work_ + kTrialShare * options_.work_limit;
+    {
+      const auto batch = fits_.Start(setting_, trials);
+      const double reference = Fitted(trials[0], batch->Take(0)).score;
+      for (size_t i = 1; i < trials.size() && !Late() && work_ <= enough; ++i) {
+        const Candidate c = Fitted(trials[i], batch->Take(i));
+        const bool better = c.fit.ok && c.score >= reference && !Unseen(c);
+        trace_.Fit(c, better ? "  ~" : "  -");
+        if (better) ranked.push_back({c.score, Refreshed(c)});
+      }
     }
     std::sort(ranked.begin(), ranked.end(), [](auto& a, auto& b) { return a.first > b.first; });
-    size_t done = 0;
+    std::vector<FitRequest> best;
+    std::set<std::string> seen;
     for (const auto& [score, specs] : ranked) {
-      if (done >= (Late() ? 1 : full)) break;
-      if (!seen.insert(KeyOf(specs)).second) continue;
-      ++done;
-      const Candidate c = Evaluate(specs, base, &from);
+      if (best.size() < full && seen.insert(KeyOf(specs)).second)
+        best.push_back(WholeFit(specs, base, trial.from));
+    }
+    const auto batch = fits_.Start(setting_, best);
+    for (size_t i = 0; i < best.size() && (i == 0 || !Late()); ++i) {
+      const Candidate c = Tried(best[i], batch->Take(i));
       if (c.score > winner->score && !Unseen(c)) *winner = c;
     }
   }
 
-  // Every so many windows, and which they are.
-  FitData SomeWindows(std::vector<size_t>* places) const {
-    const size_t wanted = data_.n <= 2 ? 24 : 14, all = data_.windows.size();
-    FitData some = data_;
-    places->clear();
-    for (size_t i = 0; i < std::min(wanted, all); ++i) places->push_back(i * all / std::min(wanted, all));
-    some.windows.clear();
-    for (const size_t i : *places) some.windows.push_back(data_.windows[i]);
-    return some;
-  }
-
-  Candidate Coarse(const FitData& some, const std::vector<size_t>& places,
-                   const std::vector<EffectSpec>& specs, bool base, const Candidate& from) {
-    Candidate c;
-    c.specs = specs, c.base = base;
-    auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), specs);
-    if (!plant.ok()) return c;
-    c.plant = std::make_shared<const sim::Plant>(*plant);
-    c.parameters = FreeParameters(*c.plant, scales_, base);
-    LiftedOptions options = lifted_;
-    options.iterations = 4;
-    c.fit = FitFrom(some, c, options, &from, places);
-    if (c.fit.ok) c.score = c.fit.evidence - StructurePrior(specs, base);
-    return c;
-  }
-
-  // Starts at the states, and at the base parameters, of a model that holds: what is added to it or taken
-  // from it changes them little, and no fit is better than another for its start alone. `places`: of the
-  // windows among all; empty: all.
-  FitResult FitFrom(const FitData& data, const Candidate& c, const LiftedOptions& options,
-                    const Candidate* from, const std::vector<size_t>& places) {
-    FitModel model{*c.plant, c.plant->parameters().Nominal(), c.parameters};
-    if (from == nullptr || !from->fit.ok || PerRow(*from) > kHolds) return Counted(Fit(data, model, options));
-    if (c.base && from->base) {
-      const VectorXd nominal = model.values;
-      model.values = c.plant->ValuesFrom(from->plant->parameters(), from->fit.values);
-      for (int i = 0; i < nominal.size(); ++i) {
-        if (c.plant->parameters()[i].kind == sim::ParameterKind::kEffect) model.values[i] = nominal[i];
-      }
-    }
-    NodeStates states = from->fit.states;
-    if (!places.empty()) {
-      states.clear();
-      for (const size_t i : places) states.push_back(from->fit.states[i]);
-    }
-    const NodeStates start = CarriedStates(data, model, *from->plant, states, options);
-    return Counted(Fit(data, model, options, &start));
-  }
-
-  FitResult Counted(FitResult fit) {
-    work_ += fit.work;
-    return fit;
+  // Every so many windows.
+  std::vector<uint32_t> SomeWindows() const {
+    const size_t all = data_.windows.size(), wanted = std::min<size_t>(data_.n <= 2 ? 24 : 14, all);
+    std::vector<uint32_t> places;
+    for (size_t i = 0; i < wanted; ++i) places.push_back(static_cast<uint32_t>(i * all / wanted));
+    return places;
   }
 
   // The winner with its newest effect exchanged for what it is easily taken for, on the same joints.
@@ -413,15 +397,18 @@ class Search {
     const std::vector<EffectSpec> specs = Refreshed(*winner);
     if (specs.empty()) return;
     const std::string id = specs.back().id;
-    const std::vector<std::string> siblings = SiblingsOf(id);
-    for (const std::string& sibling : siblings) {
-      if (sibling == id || Late()) continue;
+    std::vector<FitRequest> others;
+    for (const std::string& sibling : SiblingsOf(id)) {
+      if (sibling == id) continue;
       std::vector<EffectSpec> other;
       for (const EffectSpec& s : specs)
         other.push_back(s.id == id ? Exchanged(s, sibling, nominal_, scales_) : s);
       const std::string key = KeyOf(other) + (winner->base ? "+base" : "");
-      if (tried_.count(key)) continue;
-      const Candidate c = Evaluate(other, winner->base);
+      if (!tried_.count(key)) others.push_back(WholeFit(other, winner->base, nullptr));
+    }
+    const auto batch = fits_.Start(setting_, others);
+    for (size_t i = 0; i < others.size() && !Late(); ++i) {
+      const Candidate c = Tried(others[i], batch->Take(i));
       if (c.score > winner->score) *winner = c;
     }
   }
@@ -483,6 +470,9 @@ class Search {
   const FitData& data_;
   const sim::Plant& nominal_;
   const MotionScales& scales_;
+  FitSetting setting_;
+  LocalFits local_;
+  FitExecutor& fits_;  // who makes the fits
   const DiagnosisOptions& options_;
   const ProgressFn& progress_;
   const CancelToken* cancel_;

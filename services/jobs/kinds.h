@@ -12,6 +12,7 @@ inline constexpr char kKindRollout[] = "rollout";
 inline constexpr char kKindIdentify[] = "identify";
 inline constexpr char kKindConclude[] = "conclude";
 inline constexpr char kKindDiagnose[] = "diagnose";
+inline constexpr char kKindFit[] = "fit";
 inline constexpr char kKindAdopt[] = "adopt";
 
 inline constexpr char kStageTrajectories[] = "trajectories";
@@ -39,6 +40,7 @@ inline constexpr char kInputIdentified[] = "identified";
 inline constexpr char kInputDiagnosed[] = "diagnosed";
 inline constexpr char kInputDiagnosis[] = "diagnosis";
 inline constexpr char kInputResult[] = "result";
+inline constexpr char kInputFitBatch[] = "batch";
 
 inline constexpr char kOutputShard[] = "shard";
 inline constexpr char kOutputPolicy[] = "policy";
@@ -51,6 +53,7 @@ inline constexpr char kOutputResult[] = "result";
 inline constexpr char kOutputDiagnosis[] = "diagnosis";
 inline constexpr char kOutputReport[] = "report";
 inline constexpr char kOutputMotion[] = "motion";
+inline constexpr char kOutputFit[] = "fit";
 
 // Kinds of artefacts.
 inline constexpr char kArtifactModel[] = "model";
@@ -65,5 +68,7 @@ inline constexpr char kArtifactResult[] = "iteration-result";
 inline constexpr char kArtifactRecordingSet[] = "recording-set";
 inline constexpr char kArtifactDiagnosis[] = "diagnosis";
 inline constexpr char kArtifactReport[] = "report";
+inline constexpr char kArtifactFitBatch[] = "fit-batch";
+inline constexpr char kArtifactFit[] = "fit";
 
 }  // namespace rg::jobs

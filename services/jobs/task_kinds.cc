@@ -2,6 +2,7 @@
 
 #include "services/jobs/adopt_task.h"
 #include "services/jobs/diagnose_task.h"
+#include "services/jobs/fit_task.h"
 #include "services/jobs/identify_tasks.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/learning_tasks.h"
@@ -17,6 +18,7 @@ void RegisterWorkerKinds(worker::TaskRegistry* registry) {
   registry->Register(kKindIdentify, RunIdentify);
   registry->Register(kKindConclude, RunConclude);
   registry->Register(kKindDiagnose, RunDiagnose);
+  registry->Register(kKindFit, MakeFitTask());
   registry->Register(kKindAdopt, RunAdopt);
 }
 

@@ -1,5 +1,5 @@
-// A diagnosis on a worker is the diagnosis on this machine: real coordinator, real worker, a set of another
-// engine.
+// A diagnosis on a worker, or with its fits spread over workers, is the diagnosis on this machine: real
+// coordinator, real worker, a set of another engine.
 #include <nlohmann/json.hpp>
 
 #include "tests/integration/cli/program.h"
@@ -40,6 +40,26 @@ TEST(SubmitDiagnose, SaysWhatADiagnosisHereSays) {
   EXPECT_EQ(WithoutTime(read("there/diagnosis.json")), WithoutTime(read("here/diagnosis.json")));
   EXPECT_EQ(read("there/model.json")["values"], read("here/model.json")["values"]);
   EXPECT_TRUE(std::filesystem::exists(scratch / "there/report.html"));
+
+  // Led by this process, its fits made by the worker and here; and without any worker.
+  const Said spread = RunProgram(
+      scratch, "--coordinator " + address + " diagnose sets/case_000 --threads 1 --out spread --output json");
+  ASSERT_EQ(spread.code, 0) << spread.err;
+  EXPECT_EQ(WithoutTime(read("spread/diagnosis.json")), WithoutTime(read("here/diagnosis.json")));
+  EXPECT_EQ(ReadFile(scratch / "spread/model.json").value(), ReadFile(scratch / "here/model.json").value());
+  EXPECT_NE(spread.err.find("fits by workers"), std::string::npos) << spread.err;
+  EXPECT_EQ(spread.err.find("\n0 fits by workers"), std::string::npos) << spread.err;
+  const json jobs =
+      json::parse(RunProgram(scratch, "--coordinator " + address + " jobs --output json").out)["jobs"];
+  EXPECT_NE(jobs.dump().find("\"fits\""), std::string::npos) << jobs.dump(1);
+
+  const std::string empty = "ipc://" + (scratch / "e.sock");
+  const Background idle(scratch, "realitygrad-coordinator", "--listen " + empty + " --db e.db");
+  const Said alone = RunProgram(
+      scratch, "--coordinator " + empty + " diagnose sets/case_000 --threads 1 --out alone --output json");
+  ASSERT_EQ(alone.code, 0) << alone.err;
+  EXPECT_NE(alone.err.find("\n0 fits by workers"), std::string::npos) << alone.err;
+  EXPECT_EQ(ReadFile(scratch / "alone/model.json").value(), ReadFile(scratch / "here/model.json").value());
 
   const Said bad = RunProgram(scratch, "--coordinator " + address + " submit diagnose nowhere");
   EXPECT_EQ(bad.code, 1);

@@ -1,0 +1,57 @@
+// Fits of candidates as requests, so that the search need not know who makes them: this process, or workers
+// on other hosts (services/jobs/remote_fits.h). A request holds everything but the recordings; its result is
+// the same whoever makes it.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "services/diagnosis/candidate.h"
+#include "services/diagnosis/features.h"
+
+namespace rg::diagnosis {
+
+struct FitRequest {
+  std::vector<effects::EffectSpec> specs;  // with start values
+  bool base = false;                       // base parameters free
+  LiftedOptions options;
+  // Windows that are fitted, by their places among all; empty: all.
+  std::vector<uint32_t> places;
+  // A fitted model at whose states, and base parameters, it starts; null: at the recorded motion.
+  std::shared_ptr<const Candidate> from;
+};
+
+// What all requests of one diagnosis share.
+struct FitSetting {
+  const FitData& data;
+  const sim::Plant& nominal;
+  const MotionScales& scales;
+};
+
+// Plant and free parameters of the request's candidate, not yet fitted; without a plant where its effects
+// cannot stand together.
+Candidate Unfitted(const FitSetting& setting, const std::vector<effects::EffectSpec>& specs, bool base);
+// Not ok where the request's candidate has no plant.
+FitResult MakeFit(const FitSetting& setting, const FitRequest& request);
+
+// Fits that were asked for together.
+class FitBatch {
+ public:
+  virtual ~FitBatch() = default;  // what was not taken is given up
+  virtual FitResult Take(size_t i) = 0;
+};
+
+class FitExecutor {
+ public:
+  virtual ~FitExecutor() = default;
+  virtual std::unique_ptr<FitBatch> Start(const FitSetting& setting, std::vector<FitRequest> requests) = 0;
+};
+
+// In this process, each when it is taken.
+class LocalFits final : public FitExecutor {
+ public:
+  std::unique_ptr<FitBatch> Start(const FitSetting& setting, std::vector<FitRequest> requests) override;
+};
+
+}  // namespace rg::diagnosis
