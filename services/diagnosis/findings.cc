@@ -410,7 +410,7 @@ class Speaker {
       row.evidence = c.score - s_.nominal.score;
       row.chi2_per_row = c.fit.chi2 / std::max(1, c.fit.rows) / s_.noise_scale;
       row.round = c.round;
-      row.chosen = &c == &s_.tried.front();
+      row.chosen = c.base == s_.best.base && KeyOf(c.specs) == KeyOf(s_.best.specs);
       r_.candidates.push_back(row);
     }
   }

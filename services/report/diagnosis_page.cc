@@ -66,20 +66,47 @@ std::string ShortName(const std::string& name) {
   return out + name.substr(at);
 }
 
+// The sentence with how sure it is, and with what it may be instead.
+std::string Claim(const Finding& f, bool motion) {
+  std::string text = Sentence(f) + " (confidence " + FormatNumber(f.confidence, 2) + ")";
+  if (f.effect_class.size() < 2) return text;
+  const std::vector<std::string> others(f.effect_class.begin() + 1, f.effect_class.end());
+  return text + " Or it is " + Joined(others) + ": these recordings cannot tell" +
+         (motion ? "; motion.csv would (see “What to record next”)." : ".");
+}
+
+// The unit of an error over all joints; empty where they have different ones.
+std::string ErrorUnit(const DiagnosisResult& r) {
+  const bool one = std::all_of(r.units.begin(), r.units.end(),
+                               [&](const std::string& unit) { return unit == r.units.front(); });
+  return one && !r.units.empty() ? " " + r.units.front() : "";
+}
+
+std::string InWords(const std::string& verdict) {
+  if (verdict == "no_mismatch") return "nothing is missing from the model";
+  if (verdict == "parameters_only") return "the structure is right, parameters are off";
+  if (verdict == "unmodelled_physics") return "the model leaves physics out";
+  if (verdict == "unexplained") return "something is missing that no named effect explains";
+  return verdict;
+}
+
 void Summary(const DiagnosisResult& r, Page* page) {
   if (r.verdict == "no_mismatch") {
     page->Lead("Nothing is missing: the model explains the recordings to the noise of the sensors.");
   } else if (r.findings.empty()) {
     page->Lead("Something is missing that was not found.");
   }
-  for (const Finding& f : r.findings) page->Lead(Sentence(f));
+  for (const Finding& f : r.findings) page->Lead(Claim(f, r.motion.has_value()));
   const auto& h = r.holdout;
-  page->Cards({{"error before", FormatNumber(h.before_rms), "model as given, held-out recordings"},
-               {"calibrated", FormatNumber(h.calibrated_rms), "rigid-body parameters alone"},
-               {"after", FormatNumber(h.after_rms), "augmented model"},
-               {"noise floor", FormatNumber(h.noise_floor_rms), "if the augmented model were true"},
-               {"improvement", Percent(1 - h.after_rms / std::max(1e-300, h.before_rms)),
-                "95 %: " + Percent(h.improvement_low) + " to " + Percent(h.improvement_high)}});
+  const std::string unit = ErrorUnit(r);
+  page->Cards(
+      {{"error before", FormatNumber(h.before_rms) + unit,
+        h.judged_on_fit ? "model as given, the fitted recordings" : "model as given, held-out recordings"},
+       {"calibrated", FormatNumber(h.calibrated_rms) + unit, "rigid-body parameters alone"},
+       {"after", FormatNumber(h.after_rms) + unit, "augmented model"},
+       {"noise floor", FormatNumber(h.noise_floor_rms) + unit, "if the augmented model were true"},
+       {"improvement", Percent(1 - h.after_rms / std::max(1e-300, h.before_rms)),
+        "95 %: " + Percent(h.improvement_low) + " to " + Percent(h.improvement_high)}});
   if (h.judged_on_fit) page->Note("The set has no held-out recording: errors are of the fitted ones.", true);
   for (const std::string& note : r.notes) page->Note(note, true);
 }
@@ -95,7 +122,8 @@ void FindingsTable(const DiagnosisResult& r, Page* page) {
     const std::vector<std::string> others(f.effect_class.begin() + (f.effect_class.empty() ? 0 : 1),
                                           f.effect_class.end());
     table.rows.push_back({f.effect, Joined(f.joints), FormatNumber(f.confidence, 2), f.equation,
-                          others.empty() ? "–" : Joined(others), Percent(f.share_of_mismatch)});
+                          others.empty() ? "–" : Joined(others),
+                          f.share_of_mismatch > 0 ? Percent(f.share_of_mismatch) : "–"});
     // Base parameters stand below, weights of a force without a name say nothing by themselves.
     if (f.effect == "parameters_only" || f.effect == "unknown_field") continue;
     for (const auto& p : f.parameters) {
@@ -198,8 +226,11 @@ std::string EffectOn(const DiagnosisResult& r, int joint) {
   for (const Finding& f : r.findings) {
     const bool here =
         f.joints.empty() || std::find(f.joints.begin(), f.joints.end(), r.joints[joint]) != f.joints.end();
-    if (here && f.effect != "parameters_only" &&
-        (best == nullptr || f.share_of_mismatch > best->share_of_mismatch))
+    if (!here || f.effect == "parameters_only") continue;
+    // What acts on this joint itself before what shows on all.
+    const bool own = !f.joints.empty(), best_own = best != nullptr && !best->joints.empty();
+    if (best == nullptr || (own && !best_own) ||
+        (own == best_own && f.share_of_mismatch > best->share_of_mismatch))
       best = &f;
   }
   return best == nullptr ? "" : best->effect;
@@ -214,7 +245,13 @@ void Where(const DiagnosisResult& r, Page* page) {
   for (size_t j = 0; j < r.joints.size(); ++j) {
     shares.rows.push_back({r.joints[j], Percent(r.joint_share[static_cast<Eigen::Index>(j)])});
   }
-  page->AddTable(shares);
+  if (r.joint_share.size() > 0 && r.joint_share.maxCoeff() > 0) {
+    page->AddTable(shares);
+  } else {
+    page->Paragraph(
+        "The missing force does not rise above its noise in stairs of 50 ms; what was found shows in whole "
+        "trajectories only.");
+  }
   for (const Finding& f : r.findings) page->Paragraph(f.effect + ": " + f.summary + ".");
   std::vector<Plot> plots;
   for (const int joint : PlottedJoints(r)) {
@@ -233,7 +270,8 @@ void FitAxis(const std::vector<double>& measured, Plot* plot) {
 }
 
 void BeforeAfter(const DiagnosisResult& r, Page* page) {
-  page->Heading("Before and after, on recordings that were not fitted");
+  page->Heading(r.holdout.judged_on_fit ? "Before and after, on the fitted recordings"
+                                        : "Before and after, on recordings that were not fitted");
   page->Paragraph("Windows of " + FormatNumber(r.window_s) + " s, each restarted from what was measured.");
   Table each{{"recording", "as given", "calibrated", "with the findings", "median window as given",
               "median window with the findings"},
@@ -284,20 +322,30 @@ void ProposedMotion(const DiagnosisResult& r, Page* page) {
 
 void Considered(const DiagnosisResult& r, Page* page) {
   page->Heading("What else was considered");
-  Table table{{"model", "base parameters", "log evidence [nats]", "χ² per row", ""}, {}, {}, {0, 1, 4}};
-  table.caption = r.effort_measured ? "Against the model as given, on parts of the recordings left out in "
-                                      "turn. χ² per row is in units of what "
-                                      "the findings leave. A kind of effect must bring more nats than chance "
-                                      "over all hypotheses, more than two "
-                                      "standard errors, and a tenth of what remains on its joint."
-                                    : "Against the model as given. χ² per row is 1 where only the sensors' "
-                                      "noise remains. An addition must "
-                                      "bring at least " +
-                                          FormatNumber(r.null_threshold) +
-                                          " nats, which chance alone reaches in 2 % of sets.";
+  Table table{
+      {"model", "base parameters", "against the chosen one [nats]", "χ² per row", ""}, {}, {}, {0, 1, 4}};
+  double chosen = 0;
   for (const auto& c : r.candidates) {
-    table.rows.push_back({ShortName(c.name), c.calibrated ? "free" : "as given", FormatNumber(c.evidence, 5),
-                          FormatNumber(c.chi2_per_row, 4), c.chosen ? "best evidence" : ""});
+    if (c.chosen) chosen = c.evidence;
+  }
+  table.caption = r.effort_measured
+                      ? "Log evidence on parts of the recordings left out in "
+                        "turn. χ² per row is in units of what "
+                        "the findings leave. A kind of effect must bring more nats than chance "
+                        "over all hypotheses, more than two "
+                        "standard errors, and a tenth of what remains on its joint."
+                      : "Log evidence, less the chosen model's. χ² per row is 1 where only the sensors' "
+                        "noise remains. An addition must "
+                        "bring at least " +
+                            FormatNumber(r.null_threshold) +
+                            " nats, which chance alone reaches in 2 % of sets.";
+  for (const auto& c : r.candidates) {
+    table.rows.push_back({ShortName(c.name), c.calibrated ? "free" : "as given",
+                          c.chosen ? "0" : FormatNumber(c.evidence - chosen, 3),
+                          FormatNumber(c.chi2_per_row, 4),
+                          c.chosen                  ? "chosen"
+                          : c.evidence > chosen + 1 ? "more, but too little for what it adds"
+                                                    : ""});
   }
   page->AddTable(table);
   Table next{{"instead of", "alternative", "log evidence", "separable", "what would tell them apart"},
@@ -312,13 +360,19 @@ void Considered(const DiagnosisResult& r, Page* page) {
     }
   }
   if (next.rows.empty()) return;
-  page->Heading("What to record next");
+  const bool open = std::any_of(r.findings.begin(), r.findings.end(),
+                                [](const Finding& f) { return f.effect_class.size() > 1; });
+  page->Heading(open ? "What to record next" : "What would confirm it further");
   if (r.motion) ProposedMotion(r, page);
   page->AddTable(next);
 }
 
+constexpr double kWorthARow = 0.05;  // prior stddev
+
+double Moved(const diagnosis::LedgerRow& row) { return (row.final - row.calibrated) / row.prior_stddev; }
+
 void Absorbed(const DiagnosisResult& r, Page* page) {
-  if (r.findings.empty() || r.ledger.empty()) return;
+  if (r.findings.empty() || r.ledger.empty() || std::abs(Moved(r.ledger.front())) < kWorthARow) return;
   page->Heading("Which parameters had absorbed it");
   page->Paragraph(
       "Base parameters fitted without the effects, and with them: what moves back toward the URDF had stood "
@@ -329,8 +383,8 @@ void Absorbed(const DiagnosisResult& r, Page* page) {
               {},
               {0, 5}};
   for (const auto& row : r.ledger) {
-    const double moved = (row.final - row.calibrated) / row.prior_stddev;
-    if (table.rows.size() >= 12 || std::abs(moved) < 0.05) break;
+    const double moved = Moved(row);
+    if (table.rows.size() >= 12 || std::abs(moved) < kWorthARow) break;
     table.rows.push_back({row.name, FormatNumber(row.nominal, 4), FormatNumber(row.calibrated, 4),
                           FormatNumber(row.final, 4), FormatNumber(moved, 2), Unit(row.unit)});
   }
@@ -340,7 +394,8 @@ void Absorbed(const DiagnosisResult& r, Page* page) {
 }  // namespace
 
 std::string DiagnosisPage(const DiagnosisResult& r) {
-  Page page("Diagnosis of " + r.robot, r.verdict + ", in " + FormatNumber(r.elapsed_s) + " s");
+  Page page("Diagnosis of " + r.robot,
+            InWords(r.verdict) + " (" + r.verdict + "), in " + FormatNumber(r.elapsed_s) + " s");
   Summary(r, &page);
   FindingsTable(r, &page);
   Where(r, &page);
