@@ -105,14 +105,19 @@ struct Choice {
   const sim::ModelFile* model;
 };
 
-Choice Choose(const sim::ModelFile& identified, const sim::ModelFile& diagnosed, const Error& diagnosed_all,
-              const std::optional<sim::ModelFile>& refined, const Error& refined_all) {
-  const bool better = refined && refined_all.windows < diagnosed_all.windows &&
-                      refined_all.open_loop <= diagnosed_all.open_loop;
-  if (better) return {"diagnosed and identified", &*refined};
-  if (std::isfinite(diagnosed_all.windows)) return {"diagnosed", &diagnosed};
-  if (refined && std::isfinite(refined_all.windows)) return {"diagnosed and identified", &*refined};
-  return {"identified", &identified};
+bool Better(const Error& a, const Error& b) { return a.windows < b.windows && a.open_loop <= b.open_loop; }
+
+// What goes on: the diagnosed model, further identified where that is better; identification alone where that
+// is better still, as where a diagnosis found no name for most of the mismatch.
+Choice Choose(const sim::ModelFile& identified, const Error& identified_all, const sim::ModelFile& diagnosed,
+              const Error& diagnosed_all, const std::optional<sim::ModelFile>& refined,
+              const Error& refined_all) {
+  Choice choice{"diagnosed", &diagnosed};
+  Error error = diagnosed_all;
+  if (refined && (Better(refined_all, diagnosed_all) || !std::isfinite(diagnosed_all.windows)))
+    choice = {"diagnosed and identified", &*refined}, error = refined_all;
+  if (Better(identified_all, error) || !std::isfinite(error.windows)) return {"identified", &identified};
+  return choice;
 }
 
 // Everything that is not as the URDF has it.
@@ -172,7 +177,8 @@ Result<worker::TaskOutputs> RunAdopt(const worker::TaskInput& input, worker::Tas
   const Error diagnosed_all = ErrorOn(diagnosed, rollouts.all);
   const Error refined_all =
       refined ? ErrorOn(*refined, rollouts.all) : Error{kInfinite, kInfinite, kInfinite};
-  const Choice choice = Choose(identified, diagnosed, diagnosed_all, refined, refined_all);
+  const Error identified_all = ErrorOn(identified, rollouts.all);
+  const Choice choice = Choose(identified, identified_all, diagnosed, diagnosed_all, refined, refined_all);
   // Models made before this rollout: they have not seen it.
   json unseen = {{"nominal", ErrorJson(ErrorOn(nominal, last))}};
   if (rollouts.all.size() > 1) {
@@ -180,7 +186,7 @@ Result<worker::TaskOutputs> RunAdopt(const worker::TaskInput& input, worker::Tas
     unseen["diagnosed"] = ErrorJson(ErrorOn(planned_with, last));
   }
   json fitted = {{"nominal", ErrorJson(ErrorOn(nominal, rollouts.all))},
-                 {"identified", ErrorJson(ErrorOn(identified, rollouts.all))},
+                 {"identified", ErrorJson(identified_all)},
                  {"diagnosed", ErrorJson(diagnosed_all)}};
   if (refined) fitted["diagnosed and identified"] = ErrorJson(refined_all);
   json brought = Shortened(diagnosis);
