@@ -4,8 +4,10 @@
 #include <cmath>
 #include <cstdio>
 
+#include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
 #include "common/recordings/recording_set.h"
+#include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
 
@@ -19,6 +21,7 @@ constexpr double kReversals = 20.0;     // Hz: nor what happens within a reversa
 constexpr double kTurnPerRow = 0.6;     // rad of a joint's oscillation between rows: ten rows per period
 constexpr double kWorthMissing = 0.02;  // share of rows
 constexpr double kOtherRate = 1.5;      // factor between rates
+constexpr double kHeld = 0.5;           // of the torque needed
 constexpr double kBeyond = 0.01;        // rad or m outside a limit
 
 std::string Number(double x) {
@@ -38,7 +41,11 @@ class Notes {
  public:
   Notes(const recordings::RecordingSet& set, const FitData& data, const sim::Plant& nominal,
         const MotionScales& scales)
-      : set_(set), data_(data), model_(nominal.model()), scales_(scales) {}
+      : set_(set),
+        data_(data),
+        model_(nominal.model()),
+        scales_(scales),
+        mechanism_(sysid::MechanismOf(nominal, nominal.parameters().Nominal())) {}
 
   std::vector<std::string> Take() {
     Still();
@@ -60,8 +67,29 @@ class Notes {
 
   void Still() {
     for (int j = 0; j < data_.n; ++j) {
-      if (!Moves(j)) Say(Name(j) + " never moved: nothing can be said of its friction and inertia");
+      if (Moves(j)) continue;
+      Say(Name(j) + " never moved: nothing can be said of its friction and inertia");
+      const auto [missed, needed] = Missed(j);
+      if (missed > kHeld * needed)
+        Say(Name(j) + "'s effort misses the torque that held it by " + Number(missed) +
+            " (RMS; needed: " + Number(needed) +
+            "): a brake, a stop or friction held it, and findings on it are not to be trusted; \"locked\" in "
+            "the "
+            "manifest leaves the joint out");
     }
+  }
+
+  // RMS of a joint's effort less the torque that the URDF needs for the recorded motion, and of that torque.
+  std::pair<double, double> Missed(int j) {
+    double missed = 0, needed = 0, rows = 0;
+    VectorXd torque(data_.n);
+    for (const FineMotion& m : data_.fine) {
+      for (Eigen::Index k = 0; k < m.q.cols(); k += 8, ++rows) {
+        dynamics::Rnea(mechanism_, workspace_, m.q.col(k), m.v.col(k), m.a.col(k), torque);
+        missed += std::pow(m.u(j, k) - torque[j], 2), needed += torque[j] * torque[j];
+      }
+    }
+    return {std::sqrt(missed / std::max(1.0, rows)), std::sqrt(needed / std::max(1.0, rows))};
   }
 
   void Limits() {
@@ -143,6 +171,8 @@ class Notes {
   const FitData& data_;
   const model::RobotModel& model_;
   const MotionScales& scales_;
+  dynamics::Mechanism mechanism_;
+  dynamics::Workspace workspace_;
   std::vector<std::string> out_;
 };
 

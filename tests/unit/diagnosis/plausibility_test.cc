@@ -129,6 +129,13 @@ TEST(DataNotes, SayWhichEffectsARateIsTooLowFor) {
     EXPECT_THAT(notes, ::testing::Contains(HasSubstr(text)));
 }
 
+TEST(DataNotes, SayThatSomethingElseThanItsEffortHeldAJoint) {
+  auto set = testing::MakeSet("arm2", {}, 32);
+  for (auto& rec : set.recordings) rec.q.row(1).setConstant(0.3), rec.v.row(1).setZero();
+  EXPECT_THAT(NotesOf(set),
+              ::testing::Contains(AllOf(HasSubstr("elbow's effort misses"), HasSubstr("locked"))));
+}
+
 TEST(DataNotes, SayHowManyRowsAreMissing) {
   auto set = testing::MakeSet("arm2", {}, 30);
   for (auto& rec : set.recordings) rec.t.tail(rec.rows() / 2).array() += 100 * rec.SamplePeriod();
