@@ -4,7 +4,7 @@
 # x86-64-v3 (AVX2, FMA) and for x86-64-v4 (AVX-512). Such a file includes kernel headers only: code
 # of the standard library or Eigen compiled for a newer instruction set could be picked by the linker
 # for everyone. All symbols it defines must live in the inline namespace RG_ISA. Kernels are optimised (-O3:
-# small loops unrolled) in every build type.
+# small loops unrolled) in every build type but under sanitizers.
 function(rg_isa_sources target)
   set(flags_v1 "")
   set(flags_v3 "-march=x86-64-v3")
@@ -13,7 +13,8 @@ function(rg_isa_sources target)
     add_library(${target}_isa_${isa} OBJECT ${ARGN})
     target_include_directories(${target}_isa_${isa} PRIVATE ${CMAKE_SOURCE_DIR})
     target_compile_options(${target}_isa_${isa} PRIVATE ${flags_${isa}} -Wno-psabi -fno-exceptions -fno-rtti
-      -fno-trapping-math -O3)
+      -fno-trapping-math
+      $<$<NOT:$<BOOL:${RG_SANITIZE}>>:-O3>)
     target_sources(${target} PRIVATE $<TARGET_OBJECTS:${target}_isa_${isa}>)
   endforeach()
 endfunction()
