@@ -15,6 +15,7 @@ constexpr double kInsideMargin = 0.35;    // what a converted value may exceed i
 constexpr double kFastOutside = 12.0;     // times the speed limit: URDFs carry dummy limits of 1
 constexpr double kFastTypical = 5.0;      // the same of the median speed
 constexpr double kFastUndeclared = 60.0;  // rad/s, for joints without a speed limit: 570 turns a minute
+constexpr double kDegreesTravelled = 12.0;  // less than this in a whole recording is no motion in degrees
 constexpr double kBlockSeconds = 0.1;     // motion is compared with velocity over such blocks
 constexpr size_t kMinBlocks = 10;
 constexpr double kMinCorrelation = 0.9;
@@ -77,8 +78,10 @@ double Median(const Row& values) {
 
 template <class Row>
 Status CheckSpeedLimit(const std::string& place, const JointInfo& joint, const std::string& column,
-                       const Row& speed) {
+                       double travel, const Row& speed) {
   if (speed.size() == 0) return Status::Ok();
+  // A joint that would hardly have moved, were it degrees, is a light one that runs fast.
+  if (joint.type != JointInfo::Type::kPrismatic && travel < kDegreesTravelled) return Status::Ok();
   const bool declared = std::isfinite(joint.velocity) && joint.velocity > 0.0;
   if (!declared && joint.type == JointInfo::Type::kPrismatic) return Status::Ok();
   const Unit unit = SuspectOf(joint);
@@ -158,12 +161,13 @@ Status CheckJoint(const std::string& place, const JointInfo& joint, const Record
   const Motion motion = MotionOverBlocks(r.t, q, r.has_velocity() ? &v : nullptr);
   if (r.has_velocity()) RG_RETURN_IF_ERROR(CheckVelocityAgainstRate(place, joint, motion));
   RG_RETURN_IF_ERROR(CheckPositionLimits(place, joint, q));
-  if (r.has_velocity()) return CheckSpeedLimit(place, joint, "velocity." + joint.name, v);
+  const double travel = q.size() > 0 ? q.maxCoeff() - q.minCoeff() : 0.0;
+  if (r.has_velocity()) return CheckSpeedLimit(place, joint, "velocity." + joint.name, travel, v);
   Eigen::ArrayXd rate(static_cast<Eigen::Index>(motion.moved.size()));
   for (Eigen::Index b = 0; b < rate.size(); ++b) {
     rate[b] = motion.moved[static_cast<size_t>(b)] / motion.seconds[static_cast<size_t>(b)];
   }
-  return rate.size() > 0 ? CheckSpeedLimit(place, joint, "position." + joint.name, rate) : Status::Ok();
+  return rate.size() > 0 ? CheckSpeedLimit(place, joint, "position." + joint.name, travel, rate) : Status::Ok();
 }
 
 }  // namespace

@@ -255,7 +255,7 @@ std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effec
       }
       continue;
     }
-    for (const double hertz : {6.0, 12.0}) {
+    for (const double hertz : {6.0, 12.0, 24.0}) {
       const double omega = 2 * M_PI * hertz, k = omega * omega * lighter;
       push(MakeSpec(effect, {name},
                     {{"stiffness", k}, {"damping", 0.2 * std::sqrt(k * lighter)}, {"motor_inertia", J}}),

@@ -103,8 +103,9 @@ class Search {
     if (progress_) progress_({stage, done, 1.0, note});
     trace_.Stage(stage, note + " after work " + std::to_string(work_ / options_.work_limit));
   }
+  bool Cancelled() const { return cancel_ != nullptr && cancel_->cancelled(); }
   bool Late() const {
-    return (cancel_ != nullptr && cancel_->cancelled()) || work_ > options_.work_limit ||
+    return Cancelled() || work_ > options_.work_limit ||
            (options_.time_limit_s > 0 && trace_.Elapsed() > options_.time_limit_s);
   }
   static const Candidate& Better(const Candidate& a, const Candidate& b) { return b.score > a.score ? b : a; }
@@ -326,7 +327,7 @@ class Search {
   // The ceiling: one unnamed force over two joints' positions in the place of all effects. It is taken where
   // it leaves less than `worst` χ² per row and is the better account.
   bool Flexible(Candidate* best, double worst) {
-    if (data_.n < 2 || Late() || PerRow(*best) < kExplained) return false;
+    if (data_.n < 2 || Cancelled() || PerRow(*best) < kExplained) return false;
     bool taken = false;
     Tell("flexible", 0.3 + 0.15 * round_, KeyOf(best->specs));
     for (const bool base : {false, true}) {
@@ -405,6 +406,14 @@ class Search {
         other.push_back(s.id == id ? Exchanged(s, sibling, nominal_, scales_) : s);
       const std::string key = KeyOf(other) + (winner->base ? "+base" : "");
       if (!tried_.count(key)) others.push_back(WholeFit(other, winner->base, nullptr));
+    }
+    // Below its resonance a motor behind a spring is a rotor, and what it is more no screen can see.
+    for (const EffectSpec& s : specs) {
+      if (id != "rotor_inertia" || s.id != id || s.joints.size() != 1) continue;
+      const int joint = nominal_.model().FindJoint(s.joints[0]);
+      const double armature = s.values.begin()->second.at("armature");
+      for (const auto& start : TransmissionStarts("joint_elasticity", joint, nominal_, scales_, armature))
+        others.push_back(WholeFit(Joined(specs, start), winner->base, nullptr));
     }
     const auto batch = fits_.Start(setting_, others);
     for (size_t i = 0; i < others.size() && !Late(); ++i) {

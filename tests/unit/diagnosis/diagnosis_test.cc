@@ -122,6 +122,15 @@ TEST(Diagnose, NamesBothOfTwoEffects) {
   EXPECT_EQ(names, (std::set<std::string>{"coulomb_friction", "torque_ripple"}));
 }
 
+TEST(Diagnose, TellsAStiffSpringFromTheRotorBehindIt) {
+  const DiagnosisResult r = Diagnosed(testing::MakeSet(
+      "pendulum",
+      {MakeSpec("joint_elasticity", {Pivot()}, {{"stiffness", 900.0}, {"damping", 1.0}, {"motor_inertia", 0.07}})},
+      18));
+  ASSERT_FALSE(r.findings.empty());
+  EXPECT_EQ(r.findings[0].effect, "joint_elasticity");
+}
+
 TEST(Diagnose, WritesAModelThatPredictsAsItDoes) {
   const DiagnosisResult r = Diagnosed(
       testing::MakeSet("pendulum", {MakeSpec("viscous_friction", {Pivot()}, {{"viscous", 0.1}})}, 14));

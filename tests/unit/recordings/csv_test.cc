@@ -250,6 +250,16 @@ TEST(CheckUnits, RefusesDegreesOfAContinuousJointWithoutAnyLimit) {
                   .ok());
 }
 
+TEST(CheckUnits, AcceptsALightJointThatRunsFarAboveItsLimitOverAFewRadians) {
+  CsvOptions options;
+  options.robot = {Continuous("a", 0.8)};
+  const std::function<double(double)> v = [](double t) { return 40.0 * std::cos(10.0 * t); };
+  EXPECT_TRUE(ParseCsv(FileOf(
+                           300, [](double t) { return 4.0 * std::sin(10.0 * t); }, &v),
+                       "rec.csv", options)
+                  .ok());
+}
+
 TEST(CheckUnits, AcceptsMotionAboveADummySpeedLimitOfOne) {
   CsvOptions options;
   options.robot = {Continuous("a", 1.0)};
