@@ -19,6 +19,7 @@ constexpr double kShapePrior =
 // A drive's command waits for its bus and cycle more often than a sensor's reading does; where both are on
 // all joints nothing but the first moments of a recording tells them apart.
 constexpr double kSensorDelayPrior = 2.0;
+constexpr double kLeast = 1.3;        // times the least that a mass or a gap may be
 constexpr double kUnseen = 0.7;      // posterior over prior stddev of the best known parameter
 constexpr double kFieldPrior = 6.0;  // what an unnamed force pays beside
 
@@ -72,7 +73,11 @@ bool Unseen(const Candidate& c) {
       const bool own =
           p.effect == s.id && (s.joints.empty() || p.owner == "*" ||
                                std::find(s.joints.begin(), s.joints.end(), p.owner) != s.joints.end());
-      if (own) known = std::min(known, c.fit.stddev[static_cast<long>(k)] / c.parameters[k].prior_stddev);
+      if (!own) continue;
+      known = std::min(known, c.fit.stddev[static_cast<long>(k)] / c.parameters[k].prior_stddev);
+      // Next to nothing of a mass or a gap, whose hidden states then swing with the noise.
+      const bool vanishes = p.field == "mass" || p.field == "gap";
+      if (vanishes && c.fit.theta[static_cast<long>(k)] < kLeast * c.parameters[k].lower) return true;
     }
     if (known > kUnseen) return true;
   }

@@ -33,7 +33,8 @@ bool Contains(const std::vector<effects::EffectSpec>& specs, const std::string& 
 // The effects with the fitted values in them, as the start of a larger model.
 std::vector<effects::EffectSpec> Refreshed(const Candidate& c);
 
-// Whether it has an effect of which the data show nothing: no parameter is known better than before them.
+// Whether it has an effect of which the data show nothing: no parameter is known better than before them, or
+// a mass or a gap is the least that it may be.
 bool Unseen(const Candidate& c);
 
 // |strength − none| of effect i in its stddev: what a delay, an amplitude, a mass, … is from nothing.

@@ -29,7 +29,7 @@ struct DiagnosisOptions {
   uint64_t seed = 1;          // of simulated nulls and bootstraps
   // Of all fits together, in simulated rows times columns carried along (Work in lifted_fit.h): a limit that
   // is the same on every machine; about a minute on two cores.
-  double work_limit = 2.4e9;
+  double work_limit = 1.6e9;
   // No new fit starts later than this many seconds; 0: no such limit. What it cuts off depends on the
   // machine.
   double time_limit_s = 0;
