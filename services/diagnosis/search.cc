@@ -143,6 +143,7 @@ class Search {
     work_ += fit.work;
     c.fit = std::move(fit);
     c.round = round_;
+    c.fit.ok = c.fit.ok && !Unseen(c);
     c.score = c.fit.ok ? c.fit.evidence - StructurePrior(c.specs, c.base) : -1e300;
     return c;
   }
@@ -366,7 +367,7 @@ class Search {
       const double reference = Fitted(trials[0], batch->Take(0)).score;
       for (size_t i = 1; i < trials.size() && !Late() && work_ <= enough; ++i) {
         const Candidate c = Fitted(trials[i], batch->Take(i));
-        const bool better = c.fit.ok && c.score >= reference && !Unseen(c);
+        const bool better = c.fit.ok && c.score >= reference;
         trace_.Fit(c, better ? "  ~" : "  -");
         if (better) ranked.push_back({c.score, Refreshed(c)});
       }
@@ -381,7 +382,7 @@ class Search {
     const auto batch = fits_.Start(setting_, best);
     for (size_t i = 0; i < best.size() && (i == 0 || !Late()); ++i) {
       const Candidate c = Tried(best[i], batch->Take(i));
-      if (c.score > winner->score && !Unseen(c)) *winner = c;
+      if (c.score > winner->score) *winner = c;
     }
   }
 
