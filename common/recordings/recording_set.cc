@@ -11,13 +11,8 @@
 #include "common/recordings/manifest.h"
 
 namespace rg::recordings {
-namespace {
 
-namespace fs = std::filesystem;
-
-constexpr int kHoldoutEvery = 4;
-
-JointInfo InfoOf(const model::Joint& joint) {
+static JointInfo InfoOf(const model::Joint& joint) {
   JointInfo info;
   info.name = joint.name;
   info.type = joint.type == model::JointType::kPrismatic    ? JointInfo::Type::kPrismatic
@@ -28,6 +23,21 @@ JointInfo InfoOf(const model::Joint& joint) {
   info.velocity = joint.velocity;
   return info;
 }
+
+CsvOptions CsvOptionsFor(const model::RobotModel& robot) {
+  CsvOptions options;
+  for (const model::Joint& joint : robot.joints()) {
+    options.joints.push_back(joint.name);
+    options.robot.push_back(InfoOf(joint));
+  }
+  return options;
+}
+
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr int kHoldoutEvery = 4;
 
 bool Contains(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();

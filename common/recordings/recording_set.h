@@ -12,7 +12,14 @@
 #include "common/recordings/csv.h"
 #include "common/recordings/recording.h"
 
+namespace rg::model {
+class RobotModel;
+}
+
 namespace rg::recordings {
+
+// For a CSV by itself: every joint of the robot has columns.
+CsvOptions CsvOptionsFor(const model::RobotModel& robot);
 
 inline constexpr const char* kSetFormat = "realitygrad.recordings/1";
 

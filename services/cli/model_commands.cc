@@ -106,20 +106,6 @@ Result<PredictionModel> LoadModel(const std::string& path) {
   return PredictionModel{std::move(file), std::nullopt, false};
 }
 
-recordings::CsvOptions CsvOptionsFor(const model::RobotModel& robot) {
-  recordings::CsvOptions options;
-  for (const model::Joint& joint : robot.joints()) {
-    using Type = recordings::JointInfo::Type;
-    options.joints.push_back(joint.name);
-    options.robot.push_back({joint.name,
-                             joint.type == model::JointType::kPrismatic    ? Type::kPrismatic
-                             : joint.type == model::JointType::kContinuous ? Type::kContinuous
-                                                                           : Type::kRevolute,
-                             joint.lower, joint.upper, joint.velocity});
-  }
-  return options;
-}
-
 // What the manifest beside a recording says of its effort, if there is one.
 void TakeManifestBeside(const std::string& recording, PredictionModel* model) {
   const fs::path folder = fs::path(recording).parent_path();
@@ -135,7 +121,7 @@ Status Predict(Context& context, const PredictArguments& arguments) {
   RG_ASSIGN_OR_RETURN(PredictionModel model, LoadModel(arguments.model));
   TakeManifestBeside(arguments.recording, &model);
   RG_ASSIGN_OR_RETURN(recordings::Recording recording,
-                      recordings::LoadCsv(arguments.recording, CsvOptionsFor(model.file.plant.model())));
+                      recordings::LoadCsv(arguments.recording, recordings::CsvOptionsFor(model.file.plant.model())));
   if (model.drive && *model.drive == recordings::EffortKind::kMeasured && recording.has_effort_measured()) {
     recording.drive = recordings::EffortKind::kMeasured;
   }

@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
 #include "common/recordings/recording_set.h"
+#include "services/diagnosis/words.h"
 #include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
@@ -23,19 +23,6 @@ constexpr double kWorthMissing = 0.02;  // share of rows
 constexpr double kOtherRate = 1.5;      // factor between rates
 constexpr double kHeld = 0.5;           // of the torque needed
 constexpr double kBeyond = 0.01;        // rad or m outside a limit
-
-std::string Number(double x) {
-  char text[40];
-  std::snprintf(text, sizeof text, "%.3g", x);
-  return text;
-}
-
-std::string Listed(const std::vector<std::string>& names) {
-  std::string out;
-  for (size_t i = 0; i < names.size(); ++i)
-    out += (i == 0 ? "" : i + 1 == names.size() ? " and " : ", ") + names[i];
-  return out;
-}
 
 class Notes {
  public:

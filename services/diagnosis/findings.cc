@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <map>
 #include <set>
 
@@ -11,6 +10,7 @@
 #include "services/diagnosis/confidence.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/separating_motion.h"
+#include "services/diagnosis/words.h"
 
 namespace rg::diagnosis {
 
@@ -21,19 +21,6 @@ using Eigen::VectorXd;
 namespace {
 
 constexpr double kMuchOfTheEffort = 0.25;  // of its variance
-
-std::string Number(double x) {
-  char text[40];
-  std::snprintf(text, sizeof text, "%.3g", x);
-  return text;
-}
-
-std::string Listed(const std::vector<std::string>& names) {
-  std::string out;
-  for (size_t i = 0; i < names.size(); ++i)
-    out += (i == 0 ? "" : i + 1 == names.size() ? " and " : ", ") + names[i];
-  return out;
-}
 
 std::vector<std::string> JointsOf(const std::vector<EffectSpec>& specs, const std::string& id,
                                   const std::vector<std::string>& order) {

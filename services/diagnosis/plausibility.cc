@@ -3,11 +3,11 @@
 #include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
 #include "common/recordings/velocity_lag.h"
+#include "services/diagnosis/words.h"
 #include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
@@ -25,20 +25,6 @@ constexpr double kDriven = 0.3;    // share of the power that is put in
 constexpr double kOtherUnit = 20.0;   // factor that no gain error of a drive reaches
 constexpr double kWorthALag = 0.002;  // s
 constexpr double kWorthANote = 0.05;  // of the effort's variance
-
-std::string Number(double x, const char* format = "%.3g") {
-  char text[40];
-  std::snprintf(text, sizeof text, format, x);
-  return text;
-}
-
-// The same motion in every joint's row would be a guess; a list of joints is a fact.
-std::string Listed(const std::vector<std::string>& names) {
-  std::string out;
-  for (size_t i = 0; i < names.size(); ++i)
-    out += (i == 0 ? "" : i + 1 == names.size() ? " and " : ", ") + names[i];
-  return out;
-}
 
 std::string Guess(double slope, bool revolute) {
   const double factor = std::abs(slope);

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <cstdio>
 
-#include "common/recordings/csv.h"
+#include "common/recordings/recording_set.h"
 
 namespace rg::rollouts {
 namespace {
@@ -12,21 +12,6 @@ namespace {
 constexpr double kAtRest = 0.05;      // of the velocity limit
 constexpr double kLongestGap = 0.25;  // s between rows
 constexpr double kLongest = 600.0;    // s
-
-recordings::CsvOptions OptionsFor(const model::RobotModel& robot) {
-  using Type = recordings::JointInfo::Type;
-  recordings::CsvOptions options;
-  options.require_effort = false;
-  for (const model::Joint& joint : robot.joints()) {
-    options.joints.push_back(joint.name);
-    options.robot.push_back({joint.name,
-                             joint.type == model::JointType::kPrismatic    ? Type::kPrismatic
-                             : joint.type == model::JointType::kContinuous ? Type::kContinuous
-                                                                           : Type::kRevolute,
-                             joint.lower, joint.upper, joint.velocity});
-  }
-  return options;
-}
 
 // Slopes: between its neighbours, zero at both ends.
 Eigen::MatrixXd SlopesOf(const Eigen::VectorXd& t, const Eigen::MatrixXd& q) {
@@ -66,7 +51,9 @@ void ReferenceMotion::At(double time, Eigen::VectorXd* q_at, Eigen::VectorXd* v_
 
 Result<ReferenceMotion> ParseMotion(std::string_view csv, const std::string& source,
                                     const model::RobotModel& robot) {
-  RG_ASSIGN_OR_RETURN(const recordings::Recording rows, recordings::ParseCsv(csv, source, OptionsFor(robot)));
+  recordings::CsvOptions options = recordings::CsvOptionsFor(robot);
+  options.require_effort = false;
+  RG_ASSIGN_OR_RETURN(const recordings::Recording rows, recordings::ParseCsv(csv, source, options));
   if (rows.rows() < 2) return InvalidError(source + ": a motion needs at least two rows");
   ReferenceMotion motion;
   motion.joints = rows.joints;

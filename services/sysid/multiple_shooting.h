@@ -54,7 +54,6 @@ struct ShootingOptions {
   double huber = 3.0;                // k, in stddev; infinity: plain least squares
   double relative_tolerance = 1e-5;  // ends when the cost falls by less, twice in a row
   double initial_damping = 1e-3;
-  double failed_residual = 100.0;  // what each residual of a window that is not finite counts as
   int threads = 1;
 };
 
