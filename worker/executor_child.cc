@@ -13,6 +13,7 @@
 #include "common/base/file.h"
 #include "common/base/hash.h"
 #include "common/base/utf8.h"
+#include "coordinator/client/client.h"
 #include "realitygrad/v1/executor.pb.h"
 #include "worker/frame_stream.h"
 
@@ -168,6 +169,19 @@ class ChildContext final : public TaskContext {
     link_.Send(message);
   }
   const std::string& scratch_folder() const override { return run_.scratch_folder(); }
+  Result<std::shared_ptr<coordinator::Client>> Coordinator() override {
+    const pb::Access& access = run_.access();
+    coordinator::ClientOptions options;
+    options.address = access.coordinator();
+    options.role = static_cast<pb::Role>(access.role());
+    options.name = "task";
+    options.lease = run_.assignment().token();
+    if (!access.public_key().empty())
+      options.key = transport::KeyPair{access.public_key(), access.secret_key()};
+    options.server_public_key = access.server_public_key();
+    RG_ASSIGN_OR_RETURN(auto client, coordinator::Client::Connect(options));
+    return std::shared_ptr<coordinator::Client>(std::move(client));
+  }
 
  private:
   Link& link_;

@@ -14,12 +14,17 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <memory>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "common/base/progress.h"
 #include "common/base/status.h"
+
+namespace rg::coordinator {
+class Client;
+}
 
 namespace rg::worker {
 
@@ -89,6 +94,13 @@ class TaskContext {
   virtual void Log(std::string_view line) = 0;
   // An empty folder of this attempt, removed after it.
   virtual const std::string& scratch_folder() const = 0;
+  // A connection that speaks for this task, under its lease: it may read everything, put artefacts, and
+  // submit jobs, and cancel those. Such a job is over when the task is. The same request id is the same job
+  // for every attempt, so that one which takes up after a lost worker finds what that one had asked for.
+  // kUnavailable: there is no coordinator.
+  virtual Result<std::shared_ptr<coordinator::Client>> Coordinator() {
+    return UnavailableError("this task runs without a coordinator");
+  }
 
   // Progress as a callback for the numeric rooms.
   ProgressFn progress_fn() {

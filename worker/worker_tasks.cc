@@ -82,6 +82,14 @@ void Worker::Start(uint64_t, Held& held) {
   for (const std::string& path : held.input_paths) run.add_input_paths(path);
   run.set_scratch_folder(held.scratch);
   run.set_inline_limit(inline_limit_);
+  pb::Access* access = run.mutable_access();
+  access->set_coordinator(options_.coordinator);
+  access->set_role(self_.role);
+  if (options_.key) {
+    access->set_public_key(options_.key->public_key);
+    access->set_secret_key(options_.key->secret_key);
+    access->set_server_public_key(options_.server_public_key);
+  }
   held.executor = executor;
   held.stage = Stage::kRunning;
   if (held.assignment.timeout_s() > 0.0) {

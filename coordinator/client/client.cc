@@ -25,8 +25,8 @@ bool IsOver(pb::JobState state) {
 }  // namespace
 
 Client::Client(std::unique_ptr<transport::Context> context,
-               std::unique_ptr<transport::RequestClient> requests)
-    : context_(std::move(context)), requests_(std::move(requests)) {}
+               std::unique_ptr<transport::RequestClient> requests, uint64_t lease)
+    : context_(std::move(context)), requests_(std::move(requests)), lease_(lease) {}
 
 Client::~Client() = default;
 
@@ -49,12 +49,15 @@ Result<std::unique_ptr<Client>> Client::Connect(const ClientOptions& options) {
   request.attempts = options.attempts;
   auto requests = std::make_unique<transport::RequestClient>(
       std::move(socket), self, "coordinator at " + options.address, RealClock(), request);
-  return std::unique_ptr<Client>(new Client(std::move(context), std::move(requests)));
+  return std::unique_ptr<Client>(new Client(std::move(context), std::move(requests), options.lease));
 }
 
 template <class Reply, class Body>
 Result<Reply> Client::Call(const Body& body) {
-  return requests_->Call<Reply>(body);
+  transport::Message request = transport::MakeRequest(requests_->self(), body);
+  request.envelope.set_fencing_token(lease_);
+  RG_ASSIGN_OR_RETURN(const transport::Message reply, requests_->Call(std::move(request)));
+  return transport::Unpack<Reply>(reply);
 }
 
 // --- jobs

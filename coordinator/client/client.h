@@ -40,6 +40,7 @@ struct ClientOptions {
   bool read_only = false;             // claims the role viewer instead of `role`
   pb::Role role = pb::ROLE_OPERATOR;  // with a key: must be the key's (NamedKey::role)
   std::string name = "client";
+  uint64_t lease = 0;  // the fencing token of the task that speaks, with role worker or agent
   int64_t connect_timeout_ms = 5'000;
   int64_t attempt_timeout_ms = 10'000;
   int attempts = 3;
@@ -101,12 +102,14 @@ class Client {
   Result<pb::DiffParametersReply> DiffParameters(const std::string& robot, uint32_t from, uint32_t to = 0);
 
  private:
-  Client(std::unique_ptr<transport::Context> context, std::unique_ptr<transport::RequestClient> requests);
+  Client(std::unique_ptr<transport::Context> context, std::unique_ptr<transport::RequestClient> requests,
+         uint64_t lease);
   template <class Reply, class Body>
   Result<Reply> Call(const Body& body);
 
   std::unique_ptr<transport::Context> context_;
   std::unique_ptr<transport::RequestClient> requests_;
+  uint64_t lease_;
 };
 
 // The exit code of SERVICE.md for a job that is over: 0 succeeded, 3 failed, 4 cancelled; 1 otherwise.

@@ -17,6 +17,7 @@ struct Submit {
   std::shared_ptr<const JobPlan> plan;  // checked by CompileJob
   std::shared_ptr<const TaskSpecs> specs;
   ReplyTo reply_to = 0;
+  Token lease = 0;  // under which plan->parent submits it; 0: a client does
 };
 enum class JobCommand { kCancel, kPause, kResume, kRetry };
 struct CommandJob {

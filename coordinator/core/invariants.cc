@@ -43,6 +43,19 @@ class Inspection {
     Expect(job.leased == leased && job.failed == failed && job.uncertain == uncertain,
            [&] { return where() + ": counts"; });
     Expect(job.settled() + open == job.tasks.size(), [&] { return where() + ": settled count"; });
+    CheckParent(job);
+  }
+
+  // A job that a task submitted goes on for as long as that may still run, and no longer.
+  void CheckParent(const Job& job) {
+    if (job.plan->parent == 0) return;
+    const auto where = [&] { return "job " + std::to_string(job.id); };
+    const Job* parent = s_.FindJob(JobOf(job.plan->parent));
+    Expect(parent != nullptr && parent->id < job.id && IndexOf(job.plan->parent) < parent->tasks.size(),
+           [&] { return where() + " was submitted by a task that there is not"; });
+    if (parent == nullptr || IsFinal(job.record.phase)) return;
+    Expect(!s_.IsSettled(job.plan->parent),
+           [&] { return where() + " goes on though the task that submitted it is over"; });
   }
 
   void CheckTask(const Job& job, uint32_t index) {

@@ -35,6 +35,11 @@ void Turn::Handle(const Submit& event) {
     Send(AnswerClient{event.reply_to, Verdict::kOk, "", known->second, true});
     return;
   }
+  if (event.lease != 0 && !s_.Holds(event.plan->parent, event.lease)) {
+    Send(AnswerClient{event.reply_to, Verdict::kFailedPrecondition,
+                      "the lease " + std::to_string(event.lease) + " is no longer valid", 0, false});
+    return;
+  }
   Job& job = s_.jobs[++s_.last_job];
   job.id = s_.last_job;
   job.request_id = event.request_id;
@@ -126,6 +131,11 @@ Verdict Turn::Retry(Job& job, std::string* error) {
     *error = AlreadyIs(job) + ": only a failed job can be retried";
     return Verdict::kFailedPrecondition;
   }
+  if (job.plan->parent != 0 && s_.IsSettled(job.plan->parent)) {
+    *error = AlreadyIs(job) + ", and the task of job " + std::to_string(JobOf(job.plan->parent)) +
+             " that submitted it is over";
+    return Verdict::kFailedPrecondition;
+  }
   std::vector<uint32_t> reopened;
   for (uint32_t i = 0; i < job.tasks.size(); ++i) {
     if (std::holds_alternative<TaskSucceeded>(job.tasks[i].status)) continue;
@@ -184,6 +194,16 @@ void Turn::CloseJob(Job& job, JobPhase phase, const std::string& reason) {
   SetJobPhase(job, phase, reason);
   (phase == JobPhase::kCancelled ? s_.counters.jobs_cancelled : s_.counters.jobs_failed)++;
   Note(phase == JobPhase::kCancelled ? "job.cancelled" : "job.failed", job.id, "", "", reason);
+  for (uint32_t i = 0; i < job.tasks.size(); ++i) CloseJobsOf(MakeTaskId(job.id, i));
+}
+
+void Turn::CloseJobsOf(TaskId task) {
+  const auto found = s_.jobs_of_task.find(task);
+  if (found == s_.jobs_of_task.end()) return;
+  for (const JobId id : found->second) {
+    Job& job = s_.jobs.at(id);
+    if (!IsFinal(job.record.phase)) CloseJob(job, JobPhase::kCancelled, "the task that submitted it is over");
+  }
 }
 
 void Turn::CloseJobIfSettled(Job& job) {

@@ -59,6 +59,7 @@ void Turn::CommitTask(Job& job, uint32_t index, Token token) {
   ++s_.counters.tasks_committed;
   PersistTask(job, index);
   Store(CommitResult{MakeTaskId(job.id, index), token, now_.wall_ns});
+  CloseJobsOf(MakeTaskId(job.id, index));
   ReleaseChildren(job, index);
   CloseJobIfSettled(job);
 }
@@ -177,6 +178,7 @@ void Turn::FailTask(Job& job, uint32_t index, const std::string& reason, bool se
   job.tasks[index].finished_ns = now_.wall_ns;
   ++s_.counters.tasks_failed;
   PersistTask(job, index, reason);
+  CloseJobsOf(MakeTaskId(job.id, index));
   if (CancelDescendants(job, index)) {
     CloseJob(job, JobPhase::kFailed, "task " + job.plan_of(index).name + ": " + reason);
   } else {

@@ -175,6 +175,24 @@ Lease* State::FindLease(Token token, const std::string& instance) {
   return &found->second;
 }
 
+bool State::IsSettled(TaskId task) const {
+  const TaskPhase phase = PhaseOf(jobs.at(JobOf(task)).tasks.at(IndexOf(task)).status);
+  return phase == TaskPhase::kSucceeded || phase == TaskPhase::kFailed || phase == TaskPhase::kCancelled;
+}
+
+JobId State::NewestOfClients() const {
+  const auto newest = std::find_if(jobs.rbegin(), jobs.rend(),
+                                   [](const auto& entry) { return entry.second.plan->parent == 0; });
+  return newest == jobs.rend() ? 0 : newest->first;
+}
+
+bool State::Holds(TaskId task, Token token) const {
+  const Job* job = FindJob(JobOf(task));
+  if (job == nullptr || IndexOf(task) >= job->tasks.size()) return false;
+  const auto* leased = std::get_if<TaskLeased>(&job->tasks[IndexOf(task)].status);
+  return leased != nullptr && leased->token == token;
+}
+
 bool CanRun(const Worker& worker, const SchedulingClass& cls) {
   return worker.kinds.count(cls.kind) > 0 &&
          std::all_of(cls.tags.begin(), cls.tags.end(),
@@ -194,6 +212,7 @@ void IndexJob(State& state, Job& job) {
     job.tasks[i].status = TaskWaiting{static_cast<uint32_t>(plans[i].parents.size())};
     job.weight_total += plans[i].weight;
   }
+  if (job.plan->parent != 0) state.jobs_of_task[job.plan->parent].push_back(job.id);
   IndexChildren(job);
 }
 
@@ -288,7 +307,8 @@ std::vector<std::string> Differences(const StoredState& a, const StoredState& b)
   for (size_t j = 0; j < a.jobs.size(); ++j) {
     const StoredJob &x = a.jobs[j], &y = b.jobs[j];
     const std::string where = "job " + std::to_string(x.job);
-    if (x.job != y.job || x.request_id != y.request_id) found.push_back(where + ": identity");
+    if (x.job != y.job || x.request_id != y.request_id || x.plan->parent != y.plan->parent)
+      found.push_back(where + ": identity");
     if (x.record.phase != y.record.phase || x.record.reason != y.record.reason)
       found.push_back(where + ": phase");
     if (x.tasks.size() != y.tasks.size()) return found.push_back(where + ": number of tasks"), found;

@@ -146,8 +146,9 @@ struct State {
   Options options;
   std::map<JobId, Job> jobs;
   std::unordered_map<std::string, JobId> job_by_request;
-  std::unordered_map<Token, Lease> leases;  // leased and uncertain tasks
-  std::map<std::string, Worker> workers;    // by name
+  std::map<TaskId, std::vector<JobId>> jobs_of_task;  // JobPlan::parent, the other way round
+  std::unordered_map<Token, Lease> leases;            // leased and uncertain tasks
+  std::map<std::string, Worker> workers;              // by name
   std::unordered_map<std::string, std::string> worker_by_instance;
   std::deque<SchedulingClass> classes;
   std::map<std::pair<std::string, std::vector<std::string>>, uint32_t> class_index;
@@ -162,6 +163,12 @@ struct State {
   Worker* FindWorkerByInstance(const std::string& instance);
   // The lease if `token` is valid for that process; else null.
   Lease* FindLease(Token token, const std::string& instance);
+  // Succeeded, failed or cancelled.
+  bool IsSettled(TaskId task) const;
+  // The newest job that a client submitted; 0: none.
+  JobId NewestOfClients() const;
+  // Whether the task runs, as far as anybody knows, under this lease.
+  bool Holds(TaskId task, Token token) const;
 };
 
 // Builds the job's index from its plan: all tasks waiting, scheduling classes made.

@@ -40,6 +40,8 @@ class Turn {
   // Ends the job and everything of it that is not settled.
   void CloseJob(Job& job, JobPhase phase, const std::string& reason);
   void CloseJobIfSettled(Job& job);
+  // Ends what the task has submitted: it is settled itself.
+  void CloseJobsOf(TaskId task);
   void SetJobPhase(Job& job, JobPhase phase, const std::string& reason);
 
   // --- tasks

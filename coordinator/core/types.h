@@ -86,6 +86,8 @@ struct JobPlan {
   int32_t priority = 0;
   std::vector<std::string> tags;
   std::map<std::string, std::string> labels;
+  // The task that submitted it while it ran; 0: a client did. Such a job is over when the task is.
+  TaskId parent = 0;
   std::vector<TaskPlan> tasks;
 };
 // Opaque to the core: one serialised specification per task. Not kept in memory.

@@ -16,7 +16,7 @@ constexpr size_t kMaxNameBytes = 200;
 
 class Compiler {
  public:
-  explicit Compiler(const pb::JobSpec& spec) : spec_(spec) {}
+  Compiler(const pb::JobSpec& spec, TaskId parent) : spec_(spec), parent_(parent) {}
 
   Result<CompiledJob> Run() {
     RG_RETURN_IF_ERROR(CheckSize());
@@ -68,6 +68,7 @@ class Compiler {
     plan.kind = spec_.kind();
     plan.name = spec_.name();
     plan.submitted_by = spec_.submitted_by();
+    plan.parent = parent_;
     plan.spec_json = spec_.spec_json();
     plan.priority = spec_.priority();
     plan.tags.assign(spec_.tags().begin(), spec_.tags().end());
@@ -174,12 +175,15 @@ class Compiler {
   }
 
   const pb::JobSpec& spec_;
+  const TaskId parent_;
   std::unordered_map<std::string, uint32_t> by_name_;
   std::unordered_map<std::string, std::vector<uint32_t>> by_stage_;
 };
 
 }  // namespace
 
-Result<CompiledJob> CompileJob(const pb::JobSpec& spec) { return Compiler(spec).Run(); }
+Result<CompiledJob> CompileJob(const pb::JobSpec& spec, TaskId parent) {
+  return Compiler(spec, parent).Run();
+}
 
 }  // namespace rg::coordinator

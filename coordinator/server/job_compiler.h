@@ -17,6 +17,7 @@ struct CompiledJob {
 
 // kInvalid, naming task, field, value and limit: no tasks or too many, a name twice, an unknown task
 // or stage in an input, a cycle, an input without a source, a hash that is none, a negative weight.
-Result<CompiledJob> CompileJob(const realitygrad::v1::JobSpec& spec);
+// `parent`: the task that submits it (JobPlan::parent).
+Result<CompiledJob> CompileJob(const realitygrad::v1::JobSpec& spec, TaskId parent = 0);
 
 }  // namespace rg::coordinator

@@ -105,6 +105,8 @@ class Server {
   // --- clients (server_queries.cc)
   void HandleRequest(transport::Message message);
   void HandleSubmit(const transport::Message& message);
+  // The task under whose lease a worker asks for a change; 0: a client asks.
+  Result<TaskId> TaskAsking(const transport::Message& message) const;
   void HandleAction(const transport::Message& message);
   void HandleDrain(const transport::Message& message);
   transport::Message AnswerQuery(const transport::Message& message);

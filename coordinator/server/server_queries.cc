@@ -30,15 +30,22 @@ Status StatusOf(const AnswerClient& answer) {
   return Status::Ok();
 }
 
-// Who may change something, who may put artefacts, who may only look.
+bool IsWorker(const transport::Message& message) {
+  return message.credentials.role == pb::ROLE_WORKER || message.credentials.role == pb::ROLE_AGENT;
+}
+
+// Who may change something, who may put artefacts, who may only look. A worker may submit and cancel under a
+// lease: jobs of the task that it runs (Server::TaskAsking).
 Status CheckRole(const transport::Message& message) {
   const pb::Role role = message.credentials.role;
   const bool is_change = Is<pb::SubmitRequest>(message) || Is<pb::JobActionRequest>(message) ||
                          Is<pb::DrainWorkerRequest>(message) || Is<pb::GcArtifactsRequest>(message) ||
                          Is<pb::PinArtifactRequest>(message);
   const bool is_upload = Is<pb::PutArtifactRequest>(message);
-  const bool is_worker = role == pb::ROLE_WORKER || role == pb::ROLE_AGENT;
-  if (role == pb::ROLE_OPERATOR || (!is_change && !is_upload) || (is_upload && is_worker))
+  const bool is_of_a_task = message.envelope.fencing_token() != 0 &&
+                            (Is<pb::SubmitRequest>(message) || Is<pb::JobActionRequest>(message));
+  if (role == pb::ROLE_OPERATOR || (!is_change && !is_upload) ||
+      (IsWorker(message) && (is_upload || is_of_a_task)))
     return Status::Ok();
   return PermissionDeniedError("the role " + std::string(transport::RoleName(role)) + " may not do this");
 }
@@ -88,10 +95,20 @@ void Server::HandleSubmit(const transport::Message& message) {
   if (body->request_id().empty()) {
     return Reply(MakeErrorReply(self_, message, InvalidError("a submit needs a request id")));
   }
+  const auto parent = TaskAsking(message);
+  if (!parent.ok()) return Reply(MakeErrorReply(self_, message, parent.status()));
   Submit event;
   event.request_id = body->request_id();
+  if (*parent != 0) {
+    const Job& job = state_.jobs.at(JobOf(*parent));
+    event.request_id = "task " + std::to_string(*parent) + ": " + event.request_id;
+    event.lease = message.envelope.fencing_token();
+    body->mutable_job()->set_priority(job.plan_of(IndexOf(*parent)).priority);
+    body->mutable_job()->set_submitted_by("task " + job.plan_of(IndexOf(*parent)).name + " of job " +
+                                          std::to_string(job.id));
+  }
   if (state_.job_by_request.count(event.request_id) == 0) {
-    auto compiled = CompileJob(body->job());
+    auto compiled = CompileJob(body->job(), *parent);
     if (!compiled.ok()) return Reply(MakeErrorReply(self_, message, compiled.status()));
     const Status inputs = worker_desk_->CheckArtifactsExist(body->job());
     if (!inputs.ok()) return Reply(MakeErrorReply(self_, message, inputs));
@@ -103,11 +120,31 @@ void Server::HandleSubmit(const transport::Message& message) {
   React(event, state_, now(), actions_);
 }
 
+Result<TaskId> Server::TaskAsking(const transport::Message& message) const {
+  if (!IsWorker(message)) return TaskId{0};
+  const Token token = message.envelope.fencing_token();
+  const auto lease = state_.leases.find(token);
+  if (lease != state_.leases.end() && state_.Holds(lease->second.task, token)) {
+    const auto peer = peer_by_instance_.find(lease->second.instance);
+    if (peer != peer_by_instance_.end() && peer->second.key_name == message.credentials.name)
+      return lease->second.task;
+  }
+  return FailedPreconditionError("the lease " + std::to_string(token) + " is no longer valid");
+}
+
 void Server::HandleAction(const transport::Message& message) {
   auto body = Unpack<pb::JobActionRequest>(message);
   if (!body.ok()) return Reply(MakeErrorReply(self_, message, body.status()));
+  const auto task = TaskAsking(message);
+  if (!task.ok()) return Reply(MakeErrorReply(self_, message, task.status()));
   CommandJob event;
-  event.job = body->job() == 0 ? state_.last_job : body->job();
+  event.job = body->job() == 0 ? state_.NewestOfClients() : body->job();
+  const Job* job = state_.FindJob(event.job);
+  if (*task != 0 &&
+      (job == nullptr || job->plan->parent != *task || body->action() != pb::JOB_ACTION_CANCEL)) {
+    return Reply(MakeErrorReply(
+        self_, message, PermissionDeniedError("a task may cancel what it has submitted, and nothing else")));
+  }
   event.reason = body->reason();
   switch (body->action()) {
     case pb::JOB_ACTION_CANCEL:
@@ -187,7 +224,7 @@ transport::Message Server::AnswerQuery(const transport::Message& message) {
 }
 
 Result<const Job*> Server::RequireJob(JobId id) const {
-  const Job* job = state_.FindJob(id == 0 ? state_.last_job : id);
+  const Job* job = state_.FindJob(id == 0 ? state_.NewestOfClients() : id);
   if (job != nullptr) return job;
   return NotFoundError(id == 0 ? "there is no job yet" : "there is no job " + std::to_string(id));
 }
@@ -201,6 +238,7 @@ Result<pb::ListJobsReply> Server::ListJobs(const pb::ListJobsRequest& request) {
   pb::ListJobsReply reply;
   for (auto it = state_.jobs.rbegin(); it != state_.jobs.rend() && reply.jobs_size() < limit; ++it) {
     const Job& job = it->second;
+    if (request.ids().empty() && JobOf(job.plan->parent) != request.parent_job()) continue;
     if (!wanted(request.ids(), job.id) || !wanted(request.states(), static_cast<int>(job.record.phase)))
       continue;
     const auto weight = under_way.find(job.id);
@@ -363,7 +401,7 @@ Result<pb::StatusReply> Server::DescribeSelf(const pb::StatusRequest&) {
 void Server::AnswerWatchers() {
   const int64_t steady = clock_->SteadyNanos();
   std::erase_if(watchers_, [&](const Watcher& watcher) {
-    const Job* job = state_.FindJob(watcher.body.job() == 0 ? state_.last_job : watcher.body.job());
+    const Job* job = state_.FindJob(watcher.body.job() == 0 ? state_.NewestOfClients() : watcher.body.job());
     const bool is_over = job == nullptr || IsFinal(job->record.phase);
     const bool changed =
         job != nullptr && job->revision > watcher.body.after_revision() && steady >= watcher.earliest_ns;

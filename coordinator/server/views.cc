@@ -117,6 +117,7 @@ pb::JobSummary SummaryOf(const Job& job, double weight_under_way, int64_t wall_n
   out.set_progress(std::clamp(progress, 0.0, 1.0));
   out.set_eta_s(EstimateSecondsLeft(job, out.progress(), wall_ns));
   out.set_revision(job.revision);
+  if (plan.parent != 0) out.set_parent_job(JobOf(plan.parent));
   return out;
 }
 

@@ -36,8 +36,8 @@ Status JobStore::Apply(const std::vector<Row>& rows, const ResultsByToken& resul
 Status JobStore::ApplyOne(const InsertJob& row) {
   RG_ASSIGN_OR_RETURN(auto insert,
                       db_->Prepare("INSERT INTO jobs (id, request_id, kind, name, submitted_by, spec_json, "
-                                   "priority, tags_json, labels_json, phase, submitted_ns) "
-                                   "VALUES (?,?,?,?,?,?,?,?,?,?,?)"));
+                                   "priority, tags_json, labels_json, phase, submitted_ns, parent) "
+                                   "VALUES (?,?,?,?,?,?,?,?,?,?,?,?)"));
   const JobPlan& plan = *row.plan;
   insert.Bind(1, row.job)
       .Bind(2, row.request_id)
@@ -48,7 +48,7 @@ Status JobStore::ApplyOne(const InsertJob& row) {
       .Bind(7, plan.priority)
       .Bind(8, Json(plan.tags).dump())
       .Bind(9, Json(plan.labels).dump());
-  insert.Bind(10, static_cast<int>(JobPhase::kQueued)).Bind(11, row.submitted_ns);
+  insert.Bind(10, static_cast<int>(JobPhase::kQueued)).Bind(11, row.submitted_ns).Bind(12, plan.parent);
   RG_RETURN_IF_ERROR(insert.Run());
   for (uint32_t i = 0; i < plan.tasks.size(); ++i) {
     const TaskId id = MakeTaskId(row.job, i);

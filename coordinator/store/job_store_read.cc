@@ -47,7 +47,7 @@ Status JobStore::LoadJobs(StoredState* out, std::vector<std::shared_ptr<JobPlan>
   RG_ASSIGN_OR_RETURN(
       auto rows,
       db_->Prepare("SELECT id, request_id, kind, name, submitted_by, spec_json, priority, tags_json, "
-                   "labels_json, phase, reason, submitted_ns, started_ns, finished_ns "
+                   "labels_json, phase, reason, submitted_ns, started_ns, finished_ns, parent "
                    "FROM jobs ORDER BY id"));
   while (true) {
     RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
@@ -70,6 +70,9 @@ Status JobStore::LoadJobs(StoredState* out, std::vector<std::shared_ptr<JobPlan>
     plan->labels = labels.get<std::map<std::string, std::string>>();
     job.record = {static_cast<JobPhase>(rows.Int(9)), rows.Text(10), rows.Int(11), rows.Int(12),
                   rows.Int(13)};
+    plan->parent = rows.Int(14);
+    if (plan->parent < 0 || JobOf(plan->parent) >= job.job)
+      return DataLossError("job " + std::to_string(job.job) + ": submitted by a task of a later job");
     job.plan = plan;
     plans->push_back(std::move(plan));
   }

@@ -105,8 +105,13 @@ CREATE TABLE events (
 CREATE INDEX events_by_job ON events (job, id);
 )sql";
 
+// Jobs that tasks submit: the task's id; 0: a client submitted it.
+constexpr std::string_view kVersion2 = R"sql(
+ALTER TABLE jobs ADD COLUMN parent INTEGER NOT NULL DEFAULT 0;
+)sql";
+
 }  // namespace
 
-store::Module CoordinatorSchema() { return {"coordinator", {{1, kVersion1}}}; }
+store::Module CoordinatorSchema() { return {"coordinator", {{1, kVersion1}, {2, kVersion2}}}; }
 
 }  // namespace rg::coordinator

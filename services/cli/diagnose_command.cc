@@ -94,7 +94,9 @@ Result<Workers> WithWorkers(const Context& context, const DiagnoseArguments& arg
   info.set_metadata_json(
       nlohmann::json{{"name", std::filesystem::path(arguments.sets.front()).filename().string()}}.dump());
   RG_ASSIGN_OR_RETURN(std::string set, workers.client->PutArtifact(packed, info));
-  workers.fits = std::make_unique<jobs::RemoteFits>(*workers.client, std::move(set),
+  jobs::FitInputs inputs;
+  inputs.recordings = {std::move(set)};
+  workers.fits = std::make_unique<jobs::RemoteFits>(*workers.client, std::move(inputs),
                                                     arguments.options.fit_window_s, &cancel_on_interrupt);
   return workers;
 }

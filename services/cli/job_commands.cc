@@ -46,10 +46,13 @@ Result<std::vector<int64_t>> ParseSelector(const std::string& text, coordinator:
   return ids;
 }
 
-void ListJobs(Context& context) {
+// `of`: what tasks of this job submitted; 0: what clients did.
+void ListJobs(Context& context, int64_t of) {
   auto client = context.Connect();
   if (context.Failed(client.status())) return;
-  const auto jobs = (*client)->ListJobs();
+  pb::ListJobsRequest request;
+  request.set_parent_job(of);
+  const auto jobs = (*client)->ListJobs(request);
   if (context.Failed(jobs.status())) return;
   if (context.quiet()) {
     for (const auto& job : *jobs) Print(std::to_string(job.id()));
@@ -58,7 +61,9 @@ void ListJobs(Context& context) {
     for (const auto& job : *jobs) list.push_back(JobJson(job));
     PrintJson("realitygrad.jobs/1", {{"jobs", list}});
   } else {
-    Print(jobs->empty() ? "no jobs yet: submit one with `realitygrad submit iteration`" : JobsTable(*jobs));
+    Print(!jobs->empty() ? JobsTable(*jobs)
+          : of != 0      ? "no task of job " + std::to_string(of) + " submitted a job"
+                         : "no jobs yet: submit one with `realitygrad submit iteration`");
   }
 }
 
@@ -214,7 +219,10 @@ void DrainWorker(Context& context, const std::string& name) {
 }  // namespace
 
 void AddJobCommands(CLI::App& app, Context& context) {
-  app.add_subcommand("jobs", "List jobs")->callback([&context] { ListJobs(context); });
+  CLI::App* jobs = app.add_subcommand("jobs", "List jobs");
+  auto of = std::make_shared<int64_t>(0);
+  jobs->add_option("--of", *of, "Those that tasks of this job submitted")->check(CLI::PositiveNumber);
+  jobs->callback([&context, of] { ListJobs(context, *of); });
   app.add_subcommand("workers", "List workers and what they do")->callback([&context] {
     ListWorkers(context);
   });

@@ -111,6 +111,7 @@ json JobJson(const pb::JobSummary& job) {
           {"reason", job.reason()},
           {"submitted_by", job.submitted_by()},
           {"priority", job.priority()},
+          {"parent_job", job.parent_job() == 0 ? json(nullptr) : json(job.parent_job())},
           {"labels", std::map<std::string, std::string>(job.labels().begin(), job.labels().end())},
           {"submitted", TimeJson(job.submitted_ns())},
           {"started", TimeJson(job.started_ns())},

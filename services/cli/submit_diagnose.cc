@@ -1,4 +1,4 @@
-// `submit diagnose`: a recording set on this machine, diagnosed by a worker.
+// `submit diagnose`: a recording set on this machine, diagnosed by workers.
 #include <CLI/CLI.hpp>
 #include <filesystem>
 #include <memory>
@@ -79,7 +79,8 @@ Status SubmitDiagnose(Context& context, const DiagnoseJobArguments& arguments) {
 
 void AddSubmitDiagnose(CLI::App& submit, Context& context) {
   auto arguments = std::make_shared<DiagnoseJobArguments>();
-  CLI::App* command = submit.add_subcommand("diagnose", "Which physics a model leaves out, on a worker");
+  CLI::App* command = submit.add_subcommand(
+      "diagnose", "Which physics a model leaves out, led by a worker's task, its fits on all workers");
   command
       ->add_option("SET", arguments->sets,
                    "Folder of a recording set; several of one robot are diagnosed as one")

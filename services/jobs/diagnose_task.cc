@@ -1,15 +1,18 @@
 #include "services/jobs/diagnose_task.h"
 
 #include <nlohmann/json.hpp>
+#include <optional>
 
 #include "common/base/clock.h"
 #include "common/sim/model_file.h"
+#include "coordinator/client/client.h"
 #include "realitygrad/v1/payloads.pb.h"
 #include "services/diagnosis/diagnosis.h"
+#include "services/jobs/diagnosis_inputs.h"
 #include "services/jobs/kinds.h"
+#include "services/jobs/remote_fits.h"
 #include "services/jobs/task_support.h"
 #include "services/report/diagnosis_page.h"
-#include "services/rollouts/recording_bundle.h"
 
 namespace rg::jobs {
 
@@ -18,34 +21,13 @@ using nlohmann::json;
 
 namespace {
 
-// From three rollouts on every third is held out, oldest first, never the newest.
-void HoldOut(recordings::RecordingSet* set) {
-  const size_t count = set->recordings.size();
-  for (size_t i = 0; i < count; ++i) {
-    const bool out = count > 2 && i % 3 == 0 && i + 1 < count;
-    set->recordings[i].split = out ? recordings::Split::kHoldout : recordings::Split::kFit;
-  }
-}
-
-constexpr int kLeastRows = 10;
-
-// All inputs as one set.
-Result<recordings::RecordingSet> SetOf(const worker::TaskInput& input, bool rollouts_of_a_loop) {
-  RG_RETURN_IF_ERROR(input.Require(kInputRecording).status());
-  std::vector<recordings::RecordingSet> sets;
-  for (const worker::InputArtifact* artifact : input.All(kInputRecording)) {
-    auto set = rollouts::LoadBundle(artifact->bytes);
-    if (!set.ok()) return set.status().WithPrefix("recording set " + artifact->sha256.substr(0, 12));
-    // It ended at once.
-    if (rollouts_of_a_loop && (set->recordings.empty() || set->recordings.front().rows() < kLeastRows))
-      continue;
-    set->folder = "set" + std::to_string(sets.size() + 1);
-    sets.push_back(std::move(*set));
-  }
-  if (sets.empty()) return InvalidError("no rollout so far holds " + std::to_string(kLeastRows) + " rows");
-  RG_ASSIGN_OR_RETURN(recordings::RecordingSet all, recordings::MergeSets(std::move(sets)));
-  if (rollouts_of_a_loop) HoldOut(&all);
-  return all;
+FitInputs FitInputsOf(const worker::TaskInput& input, const pb::DiagnosePayload& payload) {
+  FitInputs inputs;
+  inputs.of_a_task = true;
+  inputs.rollouts = payload.rollouts();
+  for (const worker::InputArtifact* recording : input.All(kInputRecording))
+    inputs.recordings.push_back(recording->sha256);
+  return inputs;
 }
 
 // A loop goes on with the model it has where its rollouts say too little.
@@ -69,7 +51,7 @@ Result<worker::TaskOutputs> NotDiagnosed(const worker::TaskInput& input, const S
 
 Result<worker::TaskOutputs> RunDiagnose(const worker::TaskInput& input, worker::TaskContext& context) {
   RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::DiagnosePayload>(input));
-  const auto set = SetOf(input, payload.rollouts());
+  const auto set = SetToDiagnose(input, payload.rollouts());
   diagnosis::DiagnosisOptions options;
   if (payload.window_s() > 0) options.window_s = payload.window_s();
   if (payload.seed() > 0) options.seed = payload.seed();
@@ -77,9 +59,19 @@ Result<worker::TaskOutputs> RunDiagnose(const worker::TaskInput& input, worker::
   options.threads = static_cast<int>(payload.threads());
   options.trust_effort = payload.rollouts();  // the agent's own commands
   if (!set.ok() && !payload.rollouts()) return set.status();
+  const auto coordinator = context.Coordinator();
+  std::optional<RemoteFits> fits;
+  if (coordinator.ok()) {
+    fits.emplace(**coordinator, FitInputsOf(input, payload), options.fit_window_s, &context.cancel_token());
+    options.fits = &*fits;
+  }
   const auto outcome = set.ok() ? diagnosis::Diagnose(*set, options, RealClock(), context.progress_fn(),
                                                       &context.cancel_token())
                                 : Result<diagnosis::DiagnosisResult>(set.status());
+  if (fits) {
+    context.Log(std::to_string(fits->by_workers()) + " fits by other tasks, " + std::to_string(fits->here()) +
+                " by this one");
+  }
   if (context.cancelled()) return CancelledError("diagnosis was cancelled");
   if (!outcome.ok() && payload.rollouts()) return NotDiagnosed(input, outcome.status(), context);
   if (!outcome.ok()) return outcome.status();

@@ -4,10 +4,10 @@
 #include <string>
 
 #include "services/diagnosis/search.h"
+#include "services/jobs/diagnosis_inputs.h"
 #include "services/jobs/fit_messages.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/task_support.h"
-#include "services/rollouts/recording_bundle.h"
 #include "services/sysid/sysid_on_set.h"
 
 namespace rg::jobs {
@@ -27,9 +27,9 @@ struct ReadySet {
   diagnosis::MotionScales scales;
 };
 
-Result<std::unique_ptr<ReadySet>> Prepare(const worker::InputArtifact& bundle, double fit_window_s,
+Result<std::unique_ptr<ReadySet>> Prepare(const worker::TaskInput& input, bool rollouts, double fit_window_s,
                                           std::string key) {
-  RG_ASSIGN_OR_RETURN(recordings::RecordingSet set, rollouts::LoadBundle(bundle.bytes));
+  RG_ASSIGN_OR_RETURN(recordings::RecordingSet set, SetToDiagnose(input, rollouts));
   RG_ASSIGN_OR_RETURN(sim::Plant nominal, sysid::NominalPlant(set));
   auto ready = std::make_unique<ReadySet>(std::move(set), std::move(nominal));
   diagnosis::DiagnosisOptions options;
@@ -44,13 +44,13 @@ class FitTask {
  public:
   Result<worker::TaskOutputs> Run(const worker::TaskInput& input) {
     RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::FitPayload>(input));
-    RG_ASSIGN_OR_RETURN(const worker::InputArtifact* bundle, input.Require(kInputRecording));
     RG_ASSIGN_OR_RETURN(const worker::InputArtifact* bytes, input.Require(kInputFitBatch));
     pb::FitBatch batch;
     if (!batch.ParseFromString(bytes->bytes)) return InvalidError("fit: the batch cannot be read");
-    const std::string key = bundle->sha256 + " " + std::to_string(batch.fit_window_s());
+    std::string key = std::to_string(payload.rollouts()) + " " + std::to_string(batch.fit_window_s());
+    for (const worker::InputArtifact* recording : input.All(kInputRecording)) key += " " + recording->sha256;
     if (ready_ == nullptr || ready_->key != key) {
-      RG_ASSIGN_OR_RETURN(ready_, Prepare(*bundle, batch.fit_window_s(), key));
+      RG_ASSIGN_OR_RETURN(ready_, Prepare(input, payload.rollouts(), batch.fit_window_s(), key));
     }
     const diagnosis::FitSetting setting{ready_->data, ready_->nominal, ready_->scales};
     RG_ASSIGN_OR_RETURN(const diagnosis::FitRequest request, RequestOf(batch, payload.index(), setting));

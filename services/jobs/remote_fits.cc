@@ -20,6 +20,12 @@ constexpr uint32_t kWaitMs = 500;
 
 std::string TaskName(size_t i) { return "fit-" + std::to_string(i); }
 
+void AddInput(const char* name, const std::string& sha256, pb::TaskSpec* task) {
+  pb::InputSpec* input = task->add_inputs();
+  input->set_name(name);
+  input->set_artifact(sha256);
+}
+
 }  // namespace
 
 class RemoteFits::Batch final : public diagnosis::FitBatch {
@@ -92,15 +98,12 @@ int64_t RemoteFits::Submit(const std::vector<FitRequest>& requests) {
     task->set_kind(kKindFit);
     pb::FitPayload payload;
     payload.set_index(static_cast<uint32_t>(i));
+    payload.set_rollouts(inputs_.rollouts);
     payload.SerializeToString(task->mutable_payload());
-    const std::pair<const char*, std::string> inputs[] = {{kInputRecording, set_}, {kInputFitBatch, *batch}};
-    for (const auto& [name, sha256] : inputs) {
-      pb::InputSpec* input = task->add_inputs();
-      input->set_name(name);
-      input->set_artifact(sha256);
-    }
+    for (const std::string& recording : inputs_.recordings) AddInput(kInputRecording, recording, task);
+    AddInput(kInputFitBatch, *batch, task);
   }
-  const auto id = client_.Submit(job);
+  const auto id = client_.Submit(job, inputs_.of_a_task ? "fits " + *batch : "");
   return id.ok() ? *id : 0;
 }
 

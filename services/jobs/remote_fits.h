@@ -1,6 +1,7 @@
 // The fits of a diagnosis as tasks of workers: a job per batch, a task per fit. This process takes part, from
 // the other end of a batch, and makes what no worker has begun or what failed; so the result is the same with
-// many workers, with one, and without any, and with a coordinator that goes away.
+// many workers, with one, and without any, and with a coordinator that goes away. It may be a task itself:
+// its next attempt then finds the fits that the one before had asked for.
 #pragma once
 
 #include <memory>
@@ -15,12 +16,18 @@ class Client;
 
 namespace rg::jobs {
 
+// What the fits read, as artefacts.
+struct FitInputs {
+  std::vector<std::string> recordings;  // sets, as rollouts::PackBundle makes them
+  bool rollouts = false;                // of a loop (SetToDiagnose)
+  bool of_a_task = false;               // `client` speaks for a task (TaskContext::Coordinator)
+};
+
 class RemoteFits final : public diagnosis::FitExecutor {
  public:
-  // `set`: the artefact of the recording set, as rollouts::PackBundle makes it. `client` and `cancel` outlive
-  // this.
-  RemoteFits(coordinator::Client& client, std::string set, double fit_window_s, const CancelToken* cancel)
-      : client_(client), set_(std::move(set)), fit_window_s_(fit_window_s), cancel_(cancel) {}
+  // `client` and `cancel` outlive this.
+  RemoteFits(coordinator::Client& client, FitInputs inputs, double fit_window_s, const CancelToken* cancel)
+      : client_(client), inputs_(std::move(inputs)), fit_window_s_(fit_window_s), cancel_(cancel) {}
 
   std::unique_ptr<diagnosis::FitBatch> Start(const diagnosis::FitSetting& setting,
                                              std::vector<diagnosis::FitRequest> requests) override;
@@ -34,7 +41,7 @@ class RemoteFits final : public diagnosis::FitExecutor {
   int64_t Submit(const std::vector<diagnosis::FitRequest>& requests);
 
   coordinator::Client& client_;
-  std::string set_;
+  FitInputs inputs_;
   double fit_window_s_;
   const CancelToken* cancel_;
   int by_workers_ = 0, here_ = 0;

@@ -68,6 +68,53 @@ TEST(WorkerKill, ACheckpointGoesOnOnAnotherWorker) {
   EXPECT_NE(result.find("\"ended_at\":40"), std::string::npos) << result;
 }
 
+TEST(WorkerKill, ATaskThatLeadsOthersIsTakenUpWithWhatTheyHaveDone) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "lead", "lead", R"({"parts": 3, "seconds": 0.3})");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(service.WaitForProgress(*id, "lead"));
+  pb::ListJobsRequest of_it;
+  of_it.set_parent_job(*id);
+  const auto parts = service.client().ListJobs(of_it);
+  ASSERT_TRUE(parts.ok()) << parts.status().ToString();
+  ASSERT_EQ(parts->size(), 1u);
+  EXPECT_EQ(parts->front().parent_job(), *id);
+  EXPECT_EQ(parts->front().submitted_by(), "task lead of job " + std::to_string(*id));
+  // The only slot is taken by the one who leads: its parts are for another worker.
+  service.StartWorker("b");
+  ASSERT_TRUE(service.WaitForTask(parts->front().id(), "part0", pb::TASK_STATE_SUCCEEDED));
+  service.worker("a").KillNow();
+  service.StartWorker("c");
+  ASSERT_EQ(WaitForEnd(service, *id), pb::JOB_STATE_SUCCEEDED);
+  const auto reply = service.client().GetJob(*id, true, true);
+  const pb::TaskInfo* lead = FindTask(*reply, "lead");
+  EXPECT_EQ(lead->attempts(), 2u);
+  EXPECT_EQ(*service.client().GetArtifact(lead->outputs(0).sha256()), "part0 slept;part1 slept;part2 slept;");
+  EXPECT_EQ(service.client().ListJobs(of_it)->size(), 1u) << "the second attempt found the first one's job";
+  const auto done = service.client().GetJob(parts->front().id());
+  EXPECT_EQ(done->job().state(), pb::JOB_STATE_SUCCEEDED);
+  EXPECT_EQ(FindTask(*done, "part0")->attempts(), 1u) << "what was done is not done again";
+}
+
+TEST(WorkerKill, ACoordinatorKilledMeanwhileKeepsWhatATaskHasSubmitted) {
+  Service service;
+  service.StartWorker("a", 2);
+  pb::JobSpec job;
+  AddTask(&job, "lead", "lead", R"({"parts": 4, "seconds": 0.3})");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(service.WaitForProgress(*id, "lead"));
+  service.KillCoordinator();
+  service.StartCoordinator();
+  ASSERT_EQ(WaitForEnd(service, *id), pb::JOB_STATE_SUCCEEDED);
+  pb::ListJobsRequest of_it;
+  of_it.set_parent_job(*id);
+  const auto parts = service.client().ListJobs(of_it);
+  ASSERT_EQ(parts->size(), 1u);
+  EXPECT_EQ(parts->front().state(), pb::JOB_STATE_SUCCEEDED);
+}
+
 TEST(WorkerStop, ALateResultIsRefusedAndCounted) {
   Service service;
   service.StartWorker("a");

@@ -64,6 +64,10 @@ class Background {
   ~Background() {
     if (pid_ > 0) kill(pid_, SIGTERM);
   }
+  void KillNow() {
+    if (pid_ > 0) kill(pid_, SIGKILL);
+    pid_ = -1;
+  }
 
  private:
   pid_t pid_ = -1;

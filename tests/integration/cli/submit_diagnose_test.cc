@@ -1,5 +1,6 @@
 // A diagnosis on a worker, or with its fits spread over workers, is the diagnosis on this machine: real
 // coordinator, real worker, a set of another engine.
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "tests/integration/cli/program.h"
@@ -14,22 +15,69 @@ json WithoutTime(json diagnosis) {
   return diagnosis;
 }
 
-TEST(SubmitDiagnose, SaysWhatADiagnosisHereSays) {
-  const std::string maker = BinDir() + "/realitygrad-proof-generator";
-  if (!std::filesystem::exists(maker))
-    GTEST_SKIP() << "SKIPPED: realitygrad-proof-generator is not built (libdart-dev)";
-  const ScratchFolder scratch;
-  const std::string make = maker + " --sets " + (scratch / "sets") + " --labels " + (scratch / "labels") +
-                           " --robots " + std::getenv("RG_SOURCE_DIR") +
-                           "/deploy/robots --robot pendulum --rate 50 --effect viscous_friction --weak 0"
+bool HasMaker() { return std::filesystem::exists(BinDir() + "/realitygrad-proof-generator"); }
+
+// sets/case_000 in the folder.
+void MakeCase(const ScratchFolder& scratch, const std::string& robot, int rate_hz) {
+  const std::string make = BinDir() + "/realitygrad-proof-generator --sets " + (scratch / "sets") +
+                           " --labels " + (scratch / "labels") + " --robots " + std::getenv("RG_SOURCE_DIR") +
+                           "/deploy/robots --robot " + robot + " --rate " + std::to_string(rate_hz) +
+                           " --effect viscous_friction --weak 0"
                            " --wrong-parameters 0 --seed 12 --count 1 > " +
                            (scratch / "made") + " 2>&1";
   ASSERT_EQ(std::system(make.c_str()), 0) << ReadFile(scratch / "made").value();
+}
 
+// The worker that leads the search is killed in the middle of it: another one takes the lead, with the fits
+// that are done.
+TEST(SubmitDiagnose, OutlivesTheWorkerThatLeadsIt) {
+  if (!HasMaker()) GTEST_SKIP() << "SKIPPED: realitygrad-proof-generator is not built (libdart-dev)";
+  const ScratchFolder scratch;
+  MakeCase(scratch, "arm2", 100);
+  const std::string address = "ipc://" + (scratch / "c.sock");
+  const std::string service = "--coordinator " + address + " ";
+  const Background coordinator(scratch, "realitygrad-coordinator",
+                               "--listen " + address + " --db c.db --heartbeat-ms 400");
+  std::map<std::string, Background> workers;
+  for (const char* name : {"one", "two"}) {
+    workers.try_emplace(name, scratch, "realitygrad-worker",
+                        service + "--slots 2 --folder " + name + " --name " + name);
+  }
+  const Said submitted = RunProgram(
+      scratch, service + "submit diagnose sets/case_000 --threads 1 --request-id once --output quiet");
+  ASSERT_EQ(submitted.code, 0) << submitted.err;
+  const std::string id = submitted.out.substr(0, submitted.out.find('\n'));
+  const auto fits_done = [&] {
+    const json jobs = json::parse(RunProgram(scratch, service + "jobs --of " + id + " --output json").out);
+    int done = 0;
+    for (const json& job : jobs["jobs"]) done += job["tasks"]["done"].get<int>();
+    return done;
+  };
+  for (int i = 0; i < 2000 && fits_done() == 0; ++i) usleep(5'000);
+  ASSERT_GT(fits_done(), 0);
+  const json now = json::parse(RunProgram(scratch, service + "job show " + id + " --output json").out);
+  workers.at(now["task_list"][0]["worker"].get<std::string>()).KillNow();
+  const Said there = RunProgram(scratch, service +
+                                             "submit diagnose sets/case_000 --threads 1 --request-id once"
+                                             " --out there --output json");
+  ASSERT_EQ(there.code, 0) << there.err;
+  EXPECT_EQ(std::to_string(json::parse(there.out)["id"].get<int>()), id);
+  EXPECT_EQ(json::parse(there.out)["task_list"][0]["attempts"], 2);
+  const Said here = RunProgram(scratch, "diagnose sets/case_000 --threads 1 --out here --output quiet");
+  ASSERT_EQ(here.code, 0) << here.err;
+  const auto read = [&](const std::string& file) { return json::parse(ReadFile(scratch / file).value()); };
+  EXPECT_EQ(WithoutTime(read("there/diagnosis.json")), WithoutTime(read("here/diagnosis.json")));
+  EXPECT_EQ(read("there/model.json")["values"], read("here/model.json")["values"]);
+}
+
+TEST(SubmitDiagnose, SaysWhatADiagnosisHereSays) {
+  if (!HasMaker()) GTEST_SKIP() << "SKIPPED: realitygrad-proof-generator is not built (libdart-dev)";
+  const ScratchFolder scratch;
+  MakeCase(scratch, "pendulum", 50);
   const std::string address = "ipc://" + (scratch / "c.sock");
   const Background coordinator(scratch, "realitygrad-coordinator", "--listen " + address + " --db c.db");
   const Background worker(scratch, "realitygrad-worker",
-                          "--coordinator " + address + " --folder w --slots 1");
+                          "--coordinator " + address + " --folder w --slots 2");
   const Said there =
       RunProgram(scratch, "--coordinator " + address +
                               " submit diagnose sets/case_000 --threads 1 --out there --output quiet");
@@ -40,6 +88,9 @@ TEST(SubmitDiagnose, SaysWhatADiagnosisHereSays) {
   EXPECT_EQ(WithoutTime(read("there/diagnosis.json")), WithoutTime(read("here/diagnosis.json")));
   EXPECT_EQ(read("there/model.json")["values"], read("here/model.json")["values"]);
   EXPECT_TRUE(std::filesystem::exists(scratch / "there/report.html"));
+  const std::string log = RunProgram(scratch, "--coordinator " + address + " job logs last").out;
+  EXPECT_NE(log.find(" fits by other tasks"), std::string::npos) << log;
+  EXPECT_EQ(log.find(" 0 fits by other tasks"), std::string::npos) << log;
 
   // Led by this process, its fits made by the worker and here; and without any worker.
   const Said spread = RunProgram(

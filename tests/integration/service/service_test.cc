@@ -48,6 +48,55 @@ TEST(Service, RunsAGraphAndKeepsItsOutputsWithTheirLineage) {
   EXPECT_EQ(reply.stages(0).done(), 3u);
 }
 
+TEST(Service, WhatATaskSubmitsIsOverWhenTheTaskIs) {
+  Service service;
+  service.StartWorker("a", 2);
+  pb::JobSpec job;
+  AddTask(&job, "lead", "lead", R"({"parts": 2, "seconds": 60, "leave": true})");
+  const auto reply = RunJob(service, job);
+  ASSERT_EQ(reply.job().state(), pb::JOB_STATE_SUCCEEDED) << reply.job().reason() << service.Logs();
+  EXPECT_EQ(service.client().ListJobs()->size(), 1u) << "clients see what clients submitted";
+  pb::ListJobsRequest of_it;
+  of_it.set_parent_job(reply.job().id());
+  const auto parts = service.client().ListJobs(of_it);
+  ASSERT_EQ(parts->size(), 1u);
+  EXPECT_EQ(parts->front().state(), pb::JOB_STATE_CANCELLED);
+  EXPECT_EQ(service.client().GetJob(0)->job().id(), reply.job().id()) << "nor is it the newest job";
+  EXPECT_EQ(service.client().Act(parts->front().id(), pb::JOB_ACTION_RETRY).status().code(),
+            StatusCode::kFailedPrecondition);
+}
+
+TEST(Service, AWorkerMaySubmitOnlyUnderALeaseThatHolds) {
+  Service service;
+  service.StartWorker("a", 2);
+  pb::JobSpec job;
+  AddTask(&job, "t", "sleep", R"({"seconds": 60})");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(service.WaitForProgress(*id, "t"));
+  const auto token = service.client().GetJob(*id, true, true)->tasks(0).attempt_list(0).token();
+  const auto as_worker = [&](uint64_t lease) {
+    return *coordinator::Client::Connect(
+        {.address = service.endpoint(), .role = pb::ROLE_WORKER, .lease = lease});
+  };
+  pb::JobSpec part;
+  AddTask(&part, "p", "sleep", R"({"seconds": 60})");
+  EXPECT_EQ(as_worker(0)->Submit(part).status().code(), StatusCode::kPermissionDenied);
+  EXPECT_EQ(as_worker(token + 7)->Submit(part).status().code(), StatusCode::kFailedPrecondition);
+  const auto task = as_worker(token);
+  EXPECT_EQ(task->Act(*id, pb::JOB_ACTION_CANCEL).status().code(), StatusCode::kPermissionDenied)
+      << "its own job is not its to cancel";
+  const auto made = task->Submit(part, "p");
+  ASSERT_TRUE(made.ok()) << made.status().ToString();
+  EXPECT_EQ(*task->Submit(part, "p"), *made);
+  EXPECT_NE(*service.client().Submit(part, "p"), *made) << "a client's ids are its own";
+  EXPECT_EQ(task->Act(*made, pb::JOB_ACTION_PAUSE).status().code(), StatusCode::kPermissionDenied);
+  EXPECT_TRUE(task->Act(*made, pb::JOB_ACTION_CANCEL).ok());
+  const auto open = task->Submit(part, "q");
+  ASSERT_TRUE(service.client().Act(*id, pb::JOB_ACTION_CANCEL).ok());
+  EXPECT_EQ(task->Submit(part, "r").status().code(), StatusCode::kFailedPrecondition);
+  EXPECT_EQ(service.client().GetJob(*open)->job().state(), pb::JOB_STATE_CANCELLED);
+}
+
 TEST(Service, LargeOutputsAndInputsTravelInPieces) {
   Service service;
   service.StartWorker("a");

@@ -10,6 +10,7 @@
 
 #include "common/base/clock.h"
 #include "common/base/rng.h"
+#include "coordinator/client/client.h"
 
 namespace rg::testing {
 namespace {
@@ -126,6 +127,33 @@ Result<TaskOutputs> Parameters(const TaskInput& input, TaskContext&) {
   return outputs;
 }
 
+// Submits a job of `parts` tasks which sleep for `seconds`, and waits for what they say.
+Result<TaskOutputs> Lead(const TaskInput& input, TaskContext& context) {
+  const json options = Options(input);
+  RG_ASSIGN_OR_RETURN(const auto coordinator, context.Coordinator());
+  realitygrad::v1::JobSpec job;
+  job.set_kind("parts");
+  for (int i = 0; i < options.value("parts", 2); ++i) {
+    auto* task = job.add_tasks();
+    task->set_name("part" + std::to_string(i));
+    task->set_kind("sleep");
+    task->set_payload(json{{"seconds", options.value("seconds", 0.1)}}.dump());
+  }
+  RG_ASSIGN_OR_RETURN(const int64_t id, coordinator->Submit(job, "parts"));
+  context.Progress({"leading", 0.0, 1.0, ""});
+  if (options.value("leave", false)) return One("left them");
+  RG_RETURN_IF_ERROR(coordinator->WaitForJob(id, 60.0).status());
+  RG_ASSIGN_OR_RETURN(const auto done, coordinator->GetJob(id));
+  std::string text;
+  for (const auto& task : done.tasks()) {
+    for (const auto& output : task.outputs()) {
+      RG_ASSIGN_OR_RETURN(const std::string said, coordinator->GetArtifact(output.sha256()));
+      text += said + ";";
+    }
+  }
+  return One(text, json{{"job", id}, {"attempt", input.attempt}}.dump());
+}
+
 }  // namespace
 
 worker::TaskRegistry SyntheticTasks() {
@@ -140,6 +168,7 @@ worker::TaskRegistry SyntheticTasks() {
   registry.Register("blob", Blob);
   registry.Register("append", Append);
   registry.Register("parameters", Parameters);
+  registry.Register("lead", Lead);
   return registry;
 }
 

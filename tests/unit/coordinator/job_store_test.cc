@@ -30,8 +30,14 @@ Event RandomEvent(Rng& rng, const State& state, int n) {
   const TaskId task = lease == state.leases.end() ? 0 : lease->second.task;
   const JobId job = static_cast<JobId>(1 + rng.Index(4));
   switch (rng.Index(14)) {
-    case 0:
-      return Submit{"r" + std::to_string(rng.Index(6)), RandomPlan(rng), nullptr, 0};
+    case 0: {
+      Submit submit{"r" + std::to_string(rng.Index(6)), RandomPlan(rng), nullptr, 0};
+      if (task == 0) return submit;
+      auto plan = std::make_shared<JobPlan>(*submit.plan);  // by the task that holds the lease
+      plan->parent = task;
+      submit.plan = plan, submit.lease = token;
+      return submit;
+    }
     case 1:
       return CommandJob{job, rng.Index(3) == 0 ? JobCommand::kCancel : JobCommand::kRetry, "r", 0};
     case 2:

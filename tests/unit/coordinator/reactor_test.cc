@@ -53,6 +53,37 @@ class Reactor : public ::testing::Test {
   int requests_ = 0;
 };
 
+TEST_F(Reactor, ATaskSubmitsUnderItsLeaseAndWhatItSubmitsEndsWithIt) {
+  Join("a", 4);
+  const JobId job = SubmitJob({MakeTask("lead"), MakeTask("after", {{0, false}})});
+  const Assign lead = Sent<Assign>(last_).at(0);
+  const auto submit = [&](const std::string& id, Token lease) {
+    auto plan = std::make_shared<JobPlan>(*MakePlan({MakeTask("part")}));
+    plan->parent = lead.task;
+    return Sent<AnswerClient>(Do(Submit{id, plan, nullptr, 1, lease})).at(0);
+  };
+  EXPECT_EQ(submit("parts", lead.token + 1).verdict, Verdict::kFailedPrecondition);
+  const AnswerClient made = submit("parts", lead.token);
+  ASSERT_EQ(made.verdict, Verdict::kOk);
+  EXPECT_EQ(Phase(made.job, 0), TaskPhase::kLeased);
+  EXPECT_EQ(state_.NewestOfClients(), job);
+  Pass(3);
+  Do(Tick{});  // the worker is lost, and both leases with it
+  EXPECT_EQ(submit("more", lead.token).verdict, Verdict::kFailedPrecondition) << "of a lease that was lost";
+  EXPECT_EQ(Phase(made.job), JobPhase::kRunning) << "another attempt may want it";
+  Join("b", 4);
+  const std::vector<Assign> again = Sent<Assign>(last_);
+  ASSERT_EQ(again.size(), 2u);
+  const Assign second = again[again[0].task == lead.task ? 0 : 1];
+  const AnswerClient found = submit("parts", second.token);
+  EXPECT_TRUE(found.already_known);
+  EXPECT_EQ(found.job, made.job);
+  Do(Finished{"b#1", lead.task, second.token});
+  EXPECT_EQ(Phase(made.job), JobPhase::kCancelled) << "its task is over";
+  EXPECT_EQ(Phase(job, 1), TaskPhase::kLeased);
+  EXPECT_EQ(submit("late", second.token).verdict, Verdict::kFailedPrecondition);
+}
+
 TEST_F(Reactor, AChildIsAssignedOnlyAfterItsParentCommitted) {
   Join("a", 4);
   const JobId job = SubmitJob({MakeTask("p"), MakeTask("c", {{0, false}})});

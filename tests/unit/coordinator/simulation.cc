@@ -218,7 +218,9 @@ void Simulation::StepWorker(SimWorker& worker) {
 
 void Simulation::Progress(SimWorker& worker) {
   for (auto& [token, held] : worker.held) {
-    if (held.state != Held::kRunning || !held.started || ms_ < held.done_at_ms) continue;
+    if (held.state != Held::kRunning || !held.started) continue;
+    SubmitParts(token, held);
+    if (ms_ < held.done_at_ms) continue;
     const double dice = rng_.Uniform();
     held.state = dice < options_.task_failure + options_.task_crash ? Held::kFailed : Held::kFinished;
     held.outcome = dice < options_.task_failure ? Outcome::kFailed : Outcome::kCrashed;
@@ -226,6 +228,17 @@ void Simulation::Progress(SimWorker& worker) {
     if (held.state == Held::kFailed)
       SendUp(Failed{worker.instance, held.task, token, held.outcome, "chaos", true});
   }
+}
+
+// Now and then a task of a client's job submits one of its own, with every attempt the same one.
+void Simulation::SubmitParts(Token token, Held& held) {
+  const Job* job = state_.FindJob(JobOf(held.task));
+  if (held.asked_for_parts || job == nullptr || job->plan->parent != 0) return;
+  held.asked_for_parts = true;
+  if (rng_.Index(3) != 0) return;
+  auto plan = std::make_shared<JobPlan>(*RandomPlan(rng_));
+  plan->parent = held.task;
+  SendUp(Submit{"parts of " + std::to_string(held.task), plan, nullptr, 0, token});
 }
 
 std::vector<Token> Simulation::HeldTokens(const SimWorker& worker) const {
@@ -325,6 +338,7 @@ void Simulation::CheckAtTheEnd() {
     const JobPhase phase = job.record.phase;
     if (!IsFinal(phase)) Complain("job " + std::to_string(id) + " never ended");
     if (cancelled_.count(id) && phase != JobPhase::kCancelled) Complain("a cancelled job came back");
+    facts_.of_tasks += job.plan->parent != 0 ? 1 : 0;
     (phase == JobPhase::kSucceeded ? facts_.succeeded
      : phase == JobPhase::kFailed  ? facts_.failed
                                    : facts_.cancelled)++;

@@ -35,13 +35,14 @@ class Simulation {
   struct Facts {
     uint64_t events = 0, restarts = 0, deaths = 0, freezes = 0, refused = 0, commits = 0, uncertain = 0;
     uint64_t succeeded = 0, failed = 0, cancelled = 0;
+    uint64_t of_tasks = 0;  // jobs that tasks submitted
   };
   const Facts& facts() const { return facts_; }
 
  private:
   struct Held {
     TaskId task = 0;
-    bool at_most_once = false, started = false, revoked = false;
+    bool at_most_once = false, started = false, revoked = false, asked_for_parts = false;
     int64_t done_at_ms = 0;
     enum { kRunning, kFinished, kFailed } state = kRunning;
     Outcome outcome = Outcome::kSucceeded;
@@ -76,6 +77,7 @@ class Simulation {
   void StepWorker(SimWorker& worker);
   void StartWorker(SimWorker& worker);
   void Progress(SimWorker& worker);
+  void SubmitParts(Token token, Held& held);
   void MaybeHarm();
   void MaybeCommand();
   void ResubmitUnacknowledged();

@@ -22,6 +22,7 @@ void Play(uint64_t first_seed, uint64_t count, const SimulationOptions& options,
     const auto& f = simulation.facts();
     sum->events += f.events, sum->restarts += f.restarts, sum->deaths += f.deaths, sum->refused += f.refused;
     sum->commits += f.commits, sum->succeeded += f.succeeded, sum->failed += f.failed;
+    sum->of_tasks += f.of_tasks;
     sum->cancelled += f.cancelled, sum->freezes += f.freezes, sum->uncertain += f.uncertain;
   }
 }
@@ -37,6 +38,7 @@ TEST(Simulation, NoHistoryOfKillsAndLossesBreaksAPromise) {
   EXPECT_GT(sum.failed, 100u);
   EXPECT_GT(sum.cancelled, 100u);
   EXPECT_GT(sum.uncertain, 0u);
+  EXPECT_GT(sum.of_tasks, 100u);
   std::printf("%llu events, %llu restarts, %llu deaths, %llu freezes, %llu refused, %llu commits\n",
               static_cast<unsigned long long>(sum.events), static_cast<unsigned long long>(sum.restarts),
               static_cast<unsigned long long>(sum.deaths), static_cast<unsigned long long>(sum.freezes),

@@ -1,0 +1,40 @@
+#include "services/jobs/diagnosis_inputs.h"
+
+#include "services/jobs/kinds.h"
+#include "services/rollouts/recording_bundle.h"
+
+namespace rg::jobs {
+
+namespace {
+
+// From three rollouts on every third is held out, oldest first, never the newest.
+void HoldOut(recordings::RecordingSet* set) {
+  const size_t count = set->recordings.size();
+  for (size_t i = 0; i < count; ++i) {
+    const bool out = count > 2 && i % 3 == 0 && i + 1 < count;
+    set->recordings[i].split = out ? recordings::Split::kHoldout : recordings::Split::kFit;
+  }
+}
+
+constexpr int kLeastRows = 10;
+
+}  // namespace
+
+Result<recordings::RecordingSet> SetToDiagnose(const worker::TaskInput& input, bool rollouts) {
+  RG_RETURN_IF_ERROR(input.Require(kInputRecording).status());
+  std::vector<recordings::RecordingSet> sets;
+  for (const worker::InputArtifact* artifact : input.All(kInputRecording)) {
+    auto set = rg::rollouts::LoadBundle(artifact->bytes);
+    if (!set.ok()) return set.status().WithPrefix("recording set " + artifact->sha256.substr(0, 12));
+    // It ended at once.
+    if (rollouts && (set->recordings.empty() || set->recordings.front().rows() < kLeastRows)) continue;
+    set->folder = "set" + std::to_string(sets.size() + 1);
+    sets.push_back(std::move(*set));
+  }
+  if (sets.empty()) return InvalidError("no rollout so far holds " + std::to_string(kLeastRows) + " rows");
+  RG_ASSIGN_OR_RETURN(recordings::RecordingSet all, recordings::MergeSets(std::move(sets)));
+  if (rollouts) HoldOut(&all);
+  return all;
+}
+
+}  // namespace rg::jobs
