@@ -10,6 +10,8 @@
 #include <dart/dynamics/UniversalJoint.hpp>
 #include <dart/dynamics/WeldJoint.hpp>
 
+#include "services/proof/generator/fields.h"
+
 namespace rg::proof {
 namespace {
 
@@ -19,8 +21,8 @@ using Eigen::VectorXd;
 
 constexpr double kHistorySeconds = 0.3;
 
-void ChangeLinks(const Truth& truth, const SkeletonPtr& skeleton) {
-  for (const auto& [name, change] : truth.links) {
+void ChangeLinks(const std::map<std::string, LinkChange>& changes, const SkeletonPtr& skeleton) {
+  for (const auto& [name, change] : changes) {
     BodyNode* body = skeleton->getBodyNode(name);
     if (body == nullptr) continue;
     dart::dynamics::Inertia inertia = body->getInertia();
@@ -45,10 +47,12 @@ void AddPayload(const Truth& truth, const SkeletonPtr& skeleton, BodyNode* last)
   skeleton->createJointAndBodyNodePair<dart::dynamics::WeldJoint>(last, weld, body);
 }
 
-void AddSloshing(const Truth& truth, const SkeletonPtr& skeleton, BodyNode* last) {
+void AddSloshing(const Truth& truth, const SkeletonPtr& skeleton, BodyNode* last,
+                 const Eigen::Vector3d& tool) {
   if (truth.slosh_mass <= 0) return;
   dart::dynamics::UniversalJoint::Properties joint;
   joint.mName = "slosh_joint";
+  joint.mT_ParentBodyToJoint.translation() = tool;
   BodyNode::Properties body;
   body.mName = "slosh";
   body.mInertia = dart::dynamics::Inertia(truth.slosh_mass, Eigen::Vector3d(0, 0, -truth.slosh_length),
@@ -63,22 +67,39 @@ Eigen::Vector3d Gravity(const Truth& truth) {
 
 }  // namespace
 
+Eigen::Vector3d ToolOffset(const SkeletonPtr& skeleton, const std::string& last_joint) {
+  const BodyNode* last = skeleton->getJoint(last_joint)->getChildBodyNode();
+  for (size_t i = 0; i < last->getNumChildBodyNodes(); ++i) {
+    const BodyNode* child = last->getChildBodyNode(i);
+    if (child->getParentJoint()->getNumDofs() == 0 && child->getName().find("finger") == std::string::npos)
+      return child->getTransform(last).translation();
+  }
+  return Eigen::Vector3d::Zero();
+}
+
+SkeletonPtr TrueBodies(const SkeletonPtr& nominal, const std::vector<std::string>& joints,
+                       const Truth& truth) {
+  const SkeletonPtr skeleton = nominal->cloneSkeleton("truth");
+  ChangeLinks(truth.links, skeleton);
+  AddPayload(truth, skeleton, skeleton->getJoint(joints.back())->getChildBodyNode());
+  skeleton->setGravity(Gravity(truth));
+  return skeleton;
+}
+
 Engine::Engine(const SkeletonPtr& nominal, const std::vector<std::string>& joints, const Truth& truth,
                double dt)
     : truth_(truth),
-      skeleton_(nominal->cloneSkeleton("truth")),
+      skeleton_(TrueBodies(nominal, joints, truth)),
+      tool_(ToolOffset(nominal, joints.back())),
       n_(static_cast<int>(joints.size())),
       dt_(dt) {
-  ChangeLinks(truth, skeleton_);
   last_ = skeleton_->getJoint(joints.back())->getChildBodyNode();
-  AddPayload(truth, skeleton_, last_);
-  AddSloshing(truth, skeleton_, last_);
+  AddSloshing(truth, skeleton_, last_, tool_);
   if (truth.base_stiffness > 0) {
     auto* base = skeleton_->getRootBodyNode()->changeParentJointType<dart::dynamics::UniversalJoint>();
     base_dofs_ = {static_cast<int>(base->getDof(0)->getIndexInSkeleton()),
                   static_cast<int>(base->getDof(1)->getIndexInSkeleton())};
   }
-  skeleton_->setGravity(Gravity(truth));
   dofs_ = static_cast<int>(skeleton_->getNumDofs());
   for (const std::string& name : joints) {
     dof_.push_back(static_cast<int>(skeleton_->getJoint(name)->getDof(0)->getIndexInSkeleton()));
@@ -183,21 +204,19 @@ void Engine::AddFieldForces(VectorXd* tau) {
     (*tau)[dof_[truth_.disturbed]] += truth_.disturbance;
   }
   for (int d : base_dofs_) (*tau)[d] -= truth_.base_stiffness * q_[d] + truth_.base_damping * v_[d];
-  const Field& f = truth_.field;
-  if (f.on < 0) return;
-  const double a = (q_[dof_[f.over[0]]] - f.center[0]) / f.width[0];
-  const double b = (q_[dof_[f.over[1]]] - f.center[1]) / f.width[1];
-  (*tau)[dof_[f.on]] +=
-      f.amplitude * (f.form == "wave" ? std::sin(a) * std::cos(b) : std::exp(-0.5 * (a * a + b * b)));
+  if (truth_.field.on < 0) return;
+  VectorXd q(n_), v(n_);
+  for (int i = 0; i < n_; ++i) q[i] = q_[dof_[i]], v[i] = v_[dof_[i]];
+  (*tau)[dof_[truth_.field.on]] += FieldForce(truth_.field, q, v, time_);
 }
 
 void Engine::AddContactForce(VectorXd* tau) {
   if (truth_.contact_stiffness <= 0) return;
-  const double depth = truth_.contact_height - last_->getTransform().translation().z();
+  const double depth = truth_.contact_height - (last_->getTransform() * tool_).z();
   if (depth <= 0) return;
-  const double speed = last_->getLinearVelocity().z();
+  const double speed = last_->getLinearVelocity(tool_).z();
   const double force = std::max(0.0, truth_.contact_stiffness * depth - truth_.contact_damping * speed);
-  const auto jacobian = skeleton_->getLinearJacobian(last_);
+  const auto jacobian = skeleton_->getLinearJacobian(last_, tool_);
   *tau += jacobian.row(2).transpose() * force;
 }
 

@@ -14,6 +14,13 @@
 
 namespace rg::proof {
 
+// Where the last link ends, in its frame: the origin of the link fixed to it, else its own.
+Eigen::Vector3d ToolOffset(const dart::dynamics::SkeletonPtr& skeleton, const std::string& last_joint);
+
+// The rigid bodies as they really are: other masses, a payload, gravity that the base is tilted against.
+dart::dynamics::SkeletonPtr TrueBodies(const dart::dynamics::SkeletonPtr& nominal,
+                                       const std::vector<std::string>& joints, const Truth& truth);
+
 class Engine {
  public:
   Engine(const dart::dynamics::SkeletonPtr& nominal, const std::vector<std::string>& joints,
@@ -44,6 +51,7 @@ class Engine {
   Truth truth_;
   dart::dynamics::SkeletonPtr skeleton_;
   dart::dynamics::BodyNode* last_ = nullptr;
+  Eigen::Vector3d tool_;
   int n_, dofs_;          // joints with columns, all degrees of freedom of the skeleton
   std::vector<int> dof_;  // skeleton index of joint i
   // What the URDF itself declares, which is no concealed effect: <dynamics damping, friction>, n.

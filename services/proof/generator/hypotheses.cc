@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "common/base/check.h"
+#include "services/proof/generator/fields.h"
 
 namespace rg::proof {
 namespace {
@@ -37,6 +38,19 @@ struct Draft {
   bool on_joints = true;
   std::vector<std::string> equivalents, acceptable;
 
+  // With its unit, which is given for a revolute joint: m for rad and N for N·m on a prismatic one.
+  json Value(int joint, double value, std::string unit) const {
+    if (s.prismatic[static_cast<size_t>(joint)]) {
+      for (const auto& [angular, linear] :
+           {std::pair<std::string, std::string>{"N*m", "N"}, {"rad", "m"}, {"kg*m^2", "kg"}}) {
+        if (const size_t at = unit.find(angular); at != std::string::npos)
+          unit.replace(at, angular.size(), linear);
+      }
+    }
+    return rg::proof::Value(value, unit.c_str());
+  }
+  // Lengths that usual figures are stated for an arm's joint are shorter on one that moves little.
+  double Reach(int joint) const { return std::min(1.0, s.amplitude[joint] / 0.4); }
   JointTruth& Joint(int i) { return truth->joint[static_cast<size_t>(i)]; }
   json& Row(int i) { return parameters[s.joints[static_cast<size_t>(i)]]; }
   double LogUniform(double low, double high) { return low * std::pow(high / low, rng.Uniform()); }
@@ -51,44 +65,45 @@ void Friction(const std::string& id, Draft& d) {
     const double level = d.x * d.LogUniform(0.3, 0.9) * torque;
     if (id == "viscous_friction") {
       j.viscous = level / speed;
-      row = {{"viscous", Value(j.viscous, "N*m*s/rad")}};
+      row = {{"viscous", d.Value(i, j.viscous, "N*m*s/rad")}};
     } else if (id == "quadratic_drag") {
       j.quadratic = level / (speed * speed);
-      row = {{"quadratic", Value(j.quadratic, "N*m*s^2/rad^2")}};
+      row = {{"quadratic", d.Value(i, j.quadratic, "N*m*s^2/rad^2")}};
     } else if (id == "coulomb_friction") {
       j.dry.coulomb_positive = j.dry.coulomb_negative = level;
-      row = {{"coulomb", Value(level, "N*m")}};
+      row = {{"coulomb", d.Value(i, level, "N*m")}};
     } else if (id == "stribeck_friction") {
       j.dry.coulomb_positive = j.dry.coulomb_negative = 0.7 * level;
       j.dry.static_extra = level * d.rng.Uniform(0.5, 0.9);
       j.dry.stribeck_velocity = speed * d.rng.Uniform(0.15, 0.4);
-      row = {{"coulomb", Value(0.7 * level, "N*m")},
-             {"static", Value(0.7 * level + j.dry.static_extra, "N*m")},
-             {"stribeck_velocity", Value(j.dry.stribeck_velocity, "rad/s")}};
+      row = {{"coulomb", d.Value(i, 0.7 * level, "N*m")},
+             {"static", d.Value(i, 0.7 * level + j.dry.static_extra, "N*m")},
+             {"stribeck_velocity", d.Value(i, j.dry.stribeck_velocity, "rad/s")}};
     } else if (id == "asymmetric_friction") {
       j.dry.coulomb_positive = level * d.rng.Uniform(1.0, 1.4);
       j.dry.coulomb_negative = level * d.rng.Uniform(0.3, 0.6);
       if (d.rng.Uniform() < 0.5) std::swap(j.dry.coulomb_positive, j.dry.coulomb_negative);
-      row = {{"coulomb_positive", Value(j.dry.coulomb_positive, "N*m")},
-             {"coulomb_negative", Value(j.dry.coulomb_negative, "N*m")}};
+      row = {{"coulomb_positive", d.Value(i, j.dry.coulomb_positive, "N*m")},
+             {"coulomb_negative", d.Value(i, j.dry.coulomb_negative, "N*m")}};
     } else if (id == "load_dependent_friction") {
       j.dry.coulomb_positive = j.dry.coulomb_negative = 0.15 * level;
       j.dry.load_coefficient = std::min(0.6, 0.8 * level / std::max(1e-6, d.s.torque[i]));
-      row = {{"coulomb", Value(0.15 * level, "N*m")},
-             {"load_coefficient", Value(j.dry.load_coefficient, "1")}};
+      row = {{"coulomb", d.Value(i, 0.15 * level, "N*m")},
+             {"load_coefficient", d.Value(i, j.dry.load_coefficient, "1")}};
     } else if (id == "presliding_hysteresis") {
       j.bristle.coulomb = level;
-      j.bristle.stiffness = level / d.rng.Uniform(0.02, 0.06);
+      j.bristle.stiffness = level / (d.Reach(i) * d.rng.Uniform(0.02, 0.06));
       j.bristle.damping = 0.2 * std::sqrt(j.bristle.stiffness * d.s.inertia[i]);
-      row = {{"coulomb", Value(level, "N*m")}, {"bristle_stiffness", Value(j.bristle.stiffness, "N*m/rad")}};
+      row = {{"coulomb", d.Value(i, level, "N*m")},
+             {"bristle_stiffness", d.Value(i, j.bristle.stiffness, "N*m/rad")}};
     } else {  // thermal_drift
       const double last = level * d.rng.Uniform(0.3, 0.5);
       j.dry.coulomb_positive = j.dry.coulomb_negative = last;
       j.dry.thermal_extra = 1.2 * level;
       j.dry.thermal_time = d.s.duration_s * d.rng.Uniform(0.2, 0.5);
-      row = {{"initial", Value(last + j.dry.thermal_extra, "N*m")},
-             {"final", Value(last, "N*m")},
-             {"time_constant", Value(j.dry.thermal_time, "s")}};
+      row = {{"initial", d.Value(i, last + j.dry.thermal_extra, "N*m")},
+             {"final", d.Value(i, last, "N*m")},
+             {"time_constant", d.Value(i, j.dry.thermal_time, "s")}};
     }
   }
 }
@@ -114,24 +129,36 @@ void SpringyTransmission(const std::string& id, Draft& d) {
   if (id == "joint_elasticity") {
     t.stiffness = resonance * resonance * inertia;
     t.damping = 0.1 * std::sqrt(t.stiffness * inertia);
-    row = {{"stiffness", Value(t.stiffness, "N*m/rad")}, {"damping", Value(t.damping, "N*m*s/rad")}};
+    row = {{"stiffness", d.Value(i, t.stiffness, "N*m/rad")},
+           {"damping", d.Value(i, t.damping, "N*m*s/rad")}};
   } else {
-    t.gap = 0.03 * d.x * d.rng.Uniform(0.7, 1.6);
+    t.gap = 0.03 * d.Reach(i) * d.x * d.rng.Uniform(0.7, 1.6);
     t.stiffness = 6.283 * 6.283 * 400 * inertia;
     t.damping = 0.4 * std::sqrt(t.stiffness * inertia);
-    row = {{"gap", Value(t.gap, "rad")},
-           {"contact_stiffness", Value(t.stiffness, "N*m/rad")},
-           {"contact_damping", Value(t.damping, "N*m*s/rad")}};
+    row = {{"gap", d.Value(i, t.gap, "rad")},
+           {"contact_stiffness", d.Value(i, t.stiffness, "N*m/rad")},
+           {"contact_damping", d.Value(i, t.damping, "N*m*s/rad")}};
   }
-  row["motor_inertia"] = Value(t.motor_inertia, "kg*m^2");
+  row["motor_inertia"] = d.Value(i, t.motor_inertia, "kg*m^2");
   row["sensor_side"] = {{"value", t.sensor_on_motor ? "motor" : "link"}};
   d.joints = {i};
   d.acceptable = {"rotor_inertia", "viscous_friction"};
 }
 
+// Drops the joints on which a wrong zero changes next to nothing (an upright axis, a lift).
+void KeepWhereZeroMatters(Draft& d) {
+  const auto hidden = [&](int i) { return d.s.zero_matters[i] < 0.02; };
+  d.joints.erase(std::remove_if(d.joints.begin(), d.joints.end(), hidden), d.joints.end());
+  if (!d.joints.empty()) return;
+  int best = 0;
+  d.s.zero_matters.maxCoeff(&best);
+  d.joints = {best};
+}
+
 void Actuator(const std::string& id, Draft& d) {
   const int n = static_cast<int>(d.s.joints.size());
   d.joints = DrawJoints(n, id == "actuator_delay" || id == "actuator_lag" || id == "sensor_delay", d.rng);
+  if (id == "encoder_offset") KeepWhereZeroMatters(d);
   const double seconds = d.x * d.LogUniform(0.012, 0.04), factor = d.rng.Uniform(0.1, 0.25);
   const bool stronger = d.rng.Uniform() < 0.5;
   for (int i : d.joints) {
@@ -139,46 +166,44 @@ void Actuator(const std::string& id, Draft& d) {
     json& row = d.Row(i);
     if (id == "actuator_delay") {
       j.delay = std::min(0.2, seconds);
-      row = {{"delay", Value(j.delay, "s")}};
+      row = {{"delay", d.Value(i, j.delay, "s")}};
     } else if (id == "sensor_delay") {
       j.sensor_delay = std::min(0.2, seconds);
-      row = {{"delay", Value(j.sensor_delay, "s")}};
+      row = {{"delay", d.Value(i, j.sensor_delay, "s")}};
     } else if (id == "actuator_lag") {
       j.lag = std::min(0.3, seconds);
-      row = {{"time_constant", Value(j.lag, "s")}};
+      row = {{"time_constant", d.Value(i, j.lag, "s")}};
     } else if (id == "torque_gain") {
       j.gain = 1 + (stronger ? 1 : -1) * std::min(0.6, d.x * factor);
-      row = {{"gain", Value(j.gain, "1")}};
+      row = {{"gain", d.Value(i, j.gain, "1")}};
     } else if (id == "torque_deadband") {
       j.deadband = d.x * 0.5 * (0.3 * d.s.torque[i] + 0.7 * d.s.motion_torque[i]);
-      row = {{"deadband", Value(j.deadband, "N*m")}};
+      row = {{"deadband", d.Value(i, j.deadband, "N*m")}};
     } else if (id == "torque_saturation") {
-      j.saturation = d.s.torque[i] * (0.6 + 1.1 / (1.0 + d.x));
-      row = {{"limit", Value(j.saturation, "N*m")}};
+      j.saturation = 1.5 * d.s.peak_torque[i] / (1.0 + d.x);
+      row = {{"limit", d.Value(i, j.saturation, "N*m")}};
     } else if (id == "torque_ripple") {
       j.ripple_amplitude = d.x * 0.5 * (0.3 * d.s.torque[i] + 0.7 * d.s.motion_torque[i]);
-      j.ripple_cycles = 4 + static_cast<double>(d.rng.Index(14));
+      j.ripple_cycles = std::round((4 + static_cast<double>(d.rng.Index(14))) / d.Reach(i));
       j.ripple_phase = d.rng.Uniform(-3, 3);
-      row = {{"amplitude", Value(j.ripple_amplitude, "N*m")},
-             {"cycles_per_rev", Value(j.ripple_cycles, "1")},
+      row = {{"amplitude", d.Value(i, j.ripple_amplitude, "N*m")},
+             {"cycles_per_rev", d.Value(i, j.ripple_cycles, "1")},
              {"phase", Value(j.ripple_phase, "rad")}};
     } else if (id == "encoder_offset") {
       j.encoder_offset = (stronger ? 1 : -1) * d.x * 0.05;
-      row = {{"offset", Value(j.encoder_offset, "rad")}};
+      row = {{"offset", d.Value(i, j.encoder_offset, "rad")}};
     } else if (id == "rotor_inertia") {
       j.armature = d.x * d.s.inertia[i] * (0.2 + factor);
-      row = {{"armature", Value(j.armature, "kg*m^2")}};
+      row = {{"armature", d.Value(i, j.armature, "kg*m^2")}};
     } else {  // position_spring
       j.spring_stiffness =
           d.x * 0.8 * (0.3 * d.s.torque[i] + 0.7 * d.s.motion_torque[i]) / std::max(0.05, d.s.amplitude[i]);
       j.spring_center = d.s.home[i] + d.rng.Uniform(-0.5, 0.5) * d.s.amplitude[i];
-      row = {{"stiffness", Value(j.spring_stiffness, "N*m/rad")},
-             {"cubic", Value(0, "N*m/rad^3")},
-             {"center", Value(j.spring_center, "rad")}};
+      row = {{"stiffness", d.Value(i, j.spring_stiffness, "N*m/rad")},
+             {"cubic", d.Value(i, 0, "N*m/rad^3")},
+             {"center", d.Value(i, j.spring_center, "rad")}};
     }
   }
-  if (n == 1 && (id == "rotor_inertia" || id == "torque_gain"))
-    d.equivalents = {"rotor_inertia", "torque_gain", "parameters_only"};
 }
 
 void Body(const std::string& id, Draft& d) {
@@ -186,13 +211,14 @@ void Body(const std::string& id, Draft& d) {
   Truth& t = *d.truth;
   if (id == "payload") {
     t.payload_mass = d.x * 0.15 * d.s.last_mass * d.rng.Uniform(0.6, 1.4);
-    for (double& c : t.payload_com) c = d.rng.Uniform(-0.03, 0.03);
-    t.payload_com[2] = -0.1;
+    for (int k = 0; k < 3; ++k)
+      t.payload_com[k] =
+          d.rng.Uniform(0.6, 1.2) * d.s.tool[static_cast<size_t>(k)] + d.rng.Uniform(-0.03, 0.03);
     d.parameters["*"] = {{"mass", Value(t.payload_mass, "kg")},
                          {"com_x", Value(t.payload_com[0], "m")},
                          {"com_y", Value(t.payload_com[1], "m")},
                          {"com_z", Value(t.payload_com[2], "m")}};
-    d.equivalents = {"parameters_only"};
+    d.equivalents = {"parameters_only"};  // a payload is a change of the last link
   } else if (id == "gravity_misalignment") {
     t.tilt = d.x * 0.05 * d.rng.Uniform(0.7, 1.4);
     t.azimuth = d.rng.Uniform(-3.1, 3.1);
@@ -208,7 +234,7 @@ void Body(const std::string& id, Draft& d) {
     d.on_joints = true;
     d.parameters["*"] = {{"start", Value(t.disturbance_start, "s")},
                          {"end", Value(t.disturbance_end, "s")},
-                         {"torque", Value(t.disturbance, "N*m")}};
+                         {"torque", d.Value(i, t.disturbance, "N*m")}};
   } else if (id == "contact") {
     t.contact_height = d.s.tip_low + (d.s.tip_high - d.s.tip_low) * d.rng.Uniform(0.2, 0.4);
     t.contact_stiffness =
@@ -246,19 +272,30 @@ void Parameters(Draft& d) {
 void UnknownField(Draft& d) {
   const int n = static_cast<int>(d.s.joints.size());
   Field& f = d.truth->field;
+  const std::vector<std::string> forms = FieldForms(n);
+  f.form = forms[d.rng.Index(forms.size())];
   f.on = static_cast<int>(d.rng.Index(static_cast<uint64_t>(n)));
-  f.over[0] = f.on;
-  f.over[1] = n == 1 ? f.on : (f.on + 1) % n;
-  f.form = d.rng.Uniform() < 0.6 ? "bump" : "wave";
+  f.over[0] = f.over[1] = f.on;
+  const bool pair = n > 1 && (f.form == "wave" || f.form == "saddle" || f.form == "cross_speed" ||
+                              (f.form == "bump" && d.rng.Uniform() < 0.6));
+  if (pair) f.over[1] = (f.on + 1) % n;
   f.amplitude = d.x * 0.9 * (0.3 * d.s.torque[f.on] + 0.7 * d.s.motion_torque[f.on]);
+  const bool narrow = f.form == "wave", broad = f.form == "cross_speed" || f.form == "wind";
   for (int k = 0; k < 2; ++k) {
     f.center[k] = d.s.home[f.over[k]] + d.rng.Uniform(-0.4, 0.4) * d.s.amplitude[f.over[k]];
-    f.width[k] =
-        d.s.amplitude[f.over[k]] * (f.form == "bump" ? d.rng.Uniform(0.4, 0.7) : d.rng.Uniform(0.15, 0.3));
+    f.width[k] = d.s.amplitude[f.over[k]] * (narrow  ? d.rng.Uniform(0.15, 0.3)
+                                             : broad ? d.rng.Uniform(0.3, 0.6)
+                                                     : d.rng.Uniform(0.4, 0.7));
   }
+  if (f.form == "detent") f.width[0] *= 0.5;
+  f.speed = d.s.velocity[f.form == "cross_speed" ? f.over[1] : f.on] *
+            (f.form == "speed_bump" ? d.rng.Uniform(0.9, 1.4) : 1.0);
+  f.speed_width = f.speed * d.rng.Uniform(0.2, 0.35);
+  f.direction = static_cast<int>(d.rng.Index(3)) - 1;
+  f.period = d.rng.Uniform(1.2, 3.0);
   d.joints = {f.on};
-  if (f.over[1] != f.on) d.joints.push_back(f.over[1]);
-  d.parameters["*"] = {{"form", {{"value", f.form}}}, {"amplitude", Value(f.amplitude, "N*m")}};
+  if (pair) d.joints.push_back(f.over[1]);
+  d.parameters["*"] = {{"form", {{"value", f.form}}}, {"amplitude", d.Value(f.on, f.amplitude, "N*m")}};
 }
 
 bool OneOf(const std::string& id, std::initializer_list<const char*> ids) {

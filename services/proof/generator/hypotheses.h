@@ -2,6 +2,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
@@ -14,13 +15,17 @@ namespace rg::proof {
 // What strengths are measured in.
 struct Scales {
   std::vector<std::string> joints, links;
-  Eigen::VectorXd torque;            // RMS of the drive torque in the nominal motion, n
-  Eigen::VectorXd motion_torque;     // RMS of its part that gravity does not explain, n
-  Eigen::VectorXd velocity;          // RMS, n
-  Eigen::VectorXd inertia;           // diag M at home, n
-  Eigen::VectorXd home, amplitude;   // n
-  double tip_low = 0, tip_high = 0;  // heights the last link reaches, m
-  double last_mass = 1;              // of the last link with its payload, kg
+  std::vector<bool> prismatic;
+  Eigen::VectorXd torque;           // RMS of the drive torque in the nominal motion, n
+  Eigen::VectorXd motion_torque;    // RMS of its part that gravity does not explain, n
+  Eigen::VectorXd peak_torque;      // largest drive torque in it, n
+  Eigen::VectorXd zero_matters;     // share of the torque that changes with the joint's zero by 0.05 of it, n
+  Eigen::VectorXd velocity;         // RMS, n
+  Eigen::VectorXd inertia;          // diag M at home, n
+  Eigen::VectorXd home, amplitude;  // n
+  double tip_low = 0, tip_high = 0;        // heights the last link reaches, m
+  std::array<double, 3> tool = {0, 0, 0};  // from the last joint, in its link's frame, m
+  double last_mass = 1;                    // of the last link with its payload, kg
   double duration_s = 7;
 };
 

@@ -5,6 +5,7 @@
 #include "common/base/rng.h"
 #include "services/proof/generator/hypotheses.h"
 #include "services/proof/generator/proof_case.h"
+#include "services/proof/generator/robots.h"
 
 namespace {
 
@@ -22,12 +23,12 @@ int main(int argc, char** argv) {
   std::string sets = "proof/sets", labels = "proof/labels", robots = "deploy/robots";
   uint64_t seed = 1;
   int first = 0, count = 1;
-  std::vector<std::string> effects, robot_names = {"mico2", "arm2", "pendulum"};
+  std::vector<std::string> effects, robot_names = rg::proof::KnownRobots();
   std::vector<double> rates = {25, 50, 100, 250, 500};
-  double weak = 0.15, pairs = 0.15, controls = 0.25, wrong_parameters = 0.2, no_velocity = 0.1;
+  double weak = 0.15, pairs = 0.15, controls = 0.25, wrong_parameters = 0.2, no_velocity = 0.1, tuned = 0.15;
   app.add_option("--sets", sets, "Folder for the recording sets");
   app.add_option("--labels", labels, "Folder for labels and concealed recordings");
-  app.add_option("--robots", robots, "Folder of <robot>.urdf");
+  app.add_option("--robots", robots, "Folder of mico2.urdf");
   app.add_option("--robot", robot_names, "Robots to draw from");
   app.add_option("--rate", rates, "Sample rates to draw from, Hz");
   app.add_option("--seed", seed, "Seed of the whole examination");
@@ -38,6 +39,8 @@ int main(int argc, char** argv) {
   app.add_option("--pairs", pairs, "Share of cases with two effects")->check(CLI::Range(0.0, 1.0));
   app.add_option("--controls", controls, "Share of cases with nothing missing")->check(CLI::Range(0.0, 1.0));
   app.add_option("--wrong-parameters", wrong_parameters, "Share of cases whose URDF is off as well")
+      ->check(CLI::Range(0.0, 1.0));
+  app.add_option("--tuned", tuned, "Share of effects whose URDF was tuned and hides part of them")
       ->check(CLI::Range(0.0, 1.0));
   app.add_option("--no-velocity", no_velocity, "Share of cases with positions only")
       ->check(CLI::Range(0.0, 1.0));
@@ -53,35 +56,61 @@ int main(int argc, char** argv) {
     const auto& pool = effects.empty() ? rg::proof::KnownEffects() : effects;
     const size_t skip = effects.empty() ? 2 : 0;  // none and parameters_only are controls
     const auto draw = [&] { return pool[skip + rng.Index(pool.size() - skip)]; };
-    std::string drawn = control ? (rng.Uniform() < 0.5 ? "none" : "parameters_only") : draw();
-    if (!control && effects.empty() && rng.Uniform() < pairs) drawn += "+" + draw();
-    for (size_t at = 0; at <= drawn.size();) {
-      const size_t plus = std::min(drawn.find('+', at), drawn.size());
-      const std::string id = drawn.substr(at, plus - at);
-      if (std::find(request.effects.begin(), request.effects.end(), id) == request.effects.end())
-        request.effects.push_back(id);
+    const std::string first = control ? (rng.Uniform() < 0.5 ? "none" : "parameters_only") : draw();
+    for (size_t at = 0; at <= first.size();) {
+      const size_t plus = std::min(first.find('+', at), first.size());
+      request.effects.push_back(first.substr(at, plus - at));
       at = plus + 1;
     }
-    request.robot = robot_names[rng.Index(robot_names.size())];
-    if (drawn.find("joint_coupling") != std::string::npos && request.robot == "pendulum")
-      request.robot = "arm2";
-    request.urdf = robots + "/" + request.robot + ".urdf";
+    const auto suits = [&](const std::string& kind) {
+      return std::all_of(request.effects.begin(), request.effects.end(),
+                         [&](const std::string& e) { return rg::proof::Applies(e, kind); });
+    };
+    for (int attempt = 0; attempt < 100; ++attempt) {
+      request.kind = robot_names[rng.Index(robot_names.size())];
+      if (suits(request.kind)) break;
+    }
+    if (!suits(request.kind)) {
+      std::fprintf(stderr, "realitygrad-proof-generator: %s (%s): on none of the robots\n",
+                   request.name.c_str(), first.c_str());
+      ++failures;
+      continue;
+    }
+    if (!control && effects.empty() && rng.Uniform() < pairs) {
+      for (int attempt = 0; attempt < 100 && request.effects.size() < 2; ++attempt) {
+        const std::string second = draw();
+        if (rg::proof::Applies(second, request.kind) && rg::proof::CanPair(first, second, request.kind))
+          request.effects.push_back(second);
+      }
+    }
+    std::string drawn;
+    for (const std::string& e : request.effects) drawn += (drawn.empty() ? "" : "+") + e;
+    request.robots = robots;
     request.rate_hz = rates[rng.Index(rates.size())];
     const bool fast =
         drawn.find("backlash") != std::string::npos || drawn.find("elasticity") != std::string::npos;
     if (fast && request.rate_hz < 100) request.rate_hz = 250;
-    request.weak = !control && rng.Uniform() < weak;
-    request.wrong_parameters = !control && rng.Uniform() < wrong_parameters;
+    // The two that nothing is concealed in have no strength and no other URDF.
+    const bool nothing = first == "none" || first == "parameters_only";
+    request.weak = !nothing && rng.Uniform() < weak;
+    request.wrong_parameters = !nothing && rng.Uniform() < wrong_parameters;
+    // Damping that absorbs viscous friction hides all of it: that is no case.
+    const bool hideable = !nothing && first != "viscous_friction";
+    request.tuned = hideable && !request.weak && !request.wrong_parameters &&
+                    rng.Uniform() < tuned / std::max(1e-9, (1 - weak) * (1 - wrong_parameters));
     request.with_velocity = rng.Uniform() >= no_velocity;
     const auto summary = rg::proof::MakeCase(request, sets, labels);
     if (!summary.ok()) {
-      std::fprintf(stderr, "realitygrad-proof-generator: %s (%s on %s): %s\n", request.name.c_str(),
-                   drawn.c_str(), request.robot.c_str(), summary.status().message().c_str());
+      std::fprintf(stderr, "realitygrad-proof-generator: %s on %s: %s\n", drawn.c_str(), request.kind.c_str(),
+                   summary.status().message().c_str());
       ++failures;
       continue;
     }
     std::printf("%s  %-28s %-9s %4.0f Hz  nominal/oracle %.2f%s%s\n", request.name.c_str(), drawn.c_str(),
-                request.robot.c_str(), request.rate_hz, summary->ratio, request.weak ? "  weak" : "",
+                request.kind.c_str(), request.rate_hz, summary->ratio,
+                request.weak    ? "  weak"
+                : request.tuned ? "  tuned"
+                                : "",
                 summary->warning.empty() ? "" : ("  (" + summary->warning + ")").c_str());
     std::fflush(stdout);
   }

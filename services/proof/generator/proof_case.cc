@@ -8,6 +8,8 @@
 #include <dart/dynamics/BodyNode.hpp>
 #include <dart/dynamics/DegreeOfFreedom.hpp>
 #include <dart/dynamics/Joint.hpp>
+#include <dart/dynamics/PrismaticJoint.hpp>
+#include <dart/dynamics/RevoluteJoint.hpp>
 #include <dart/dynamics/WeldJoint.hpp>
 #include <dart/utils/urdf/DartLoader.hpp>
 #include <nlohmann/json.hpp>
@@ -15,8 +17,12 @@
 
 #include "common/base/file.h"
 #include "services/proof/generator/engine.h"
+#include "services/proof/generator/equivalents.h"
 #include "services/proof/generator/hypotheses.h"
 #include "services/proof/generator/references.h"
+#include "services/proof/generator/robots.h"
+#include "services/proof/generator/set_files.h"
+#include "services/proof/generator/tuning.h"
 
 namespace rg::proof {
 namespace {
@@ -25,20 +31,12 @@ using Eigen::MatrixXd;
 using Eigen::VectorXd;
 using nlohmann::json;
 
-struct Noise {
-  double position, velocity, resolution;
-};
-
-struct Track {
-  MatrixXd q, v, u, true_q, true_v;  // n × K
-  bool ok = true;
-};
+constexpr int kAttempts = 5;
 
 // Everything a case is made from.
 class Maker {
  public:
-  Maker(const CaseRequest& request, std::string urdf_text)
-      : request_(request), urdf_(std::move(urdf_text)), rng_(request.seed) {}
+  Maker(const CaseRequest& request, uint64_t seed) : request_(request), rng_(seed) {}
 
   Result<CaseSummary> Run(const std::string& sets_folder, const std::string& labels_folder);
 
@@ -50,28 +48,31 @@ class Maker {
   VectorXd CalmHome(Rng rng) const;
   void ChooseMotion();
   Truth Nominal() const { return Truth{std::vector<JointTruth>(joints_.size())}; }
-  Track Record(const Truth& truth, const std::string& kind, double duration, uint64_t stream) const;
+  Track Record(const Truth& truth, const std::string& kind, double duration, uint64_t stream,
+               bool regular) const;
   void MeasureScales();
   Truth Draw(double strength, json* effects) const;
+  Motion TuningMotion(const Truth& truth) const;
+  Status TuneNominal(const Truth& truth, json* effects);
   // RMS of nominal and true model over windows of 1 s of a recording.
   void WindowErrors(const Truth& truth, const Track& track, std::vector<double>* nominal,
                     std::vector<double>* oracle) const;
   double Ratio(const Truth& truth) const;
-  Truth SearchStrength(json* effects, std::string* warning) const;
-  std::string Csv(const Track& track, bool concealed) const;
-  json Manifest() const;
+  Result<Truth> SearchStrength(json* effects, std::string* warning);
+  RobotFacts Facts(const Truth& truth) const;
   VectorXd Controller(const VectorXd& q, const VectorXd& v, const VectorXd& q_ref,
                       const VectorXd& v_ref) const;
 
   CaseRequest request_;
-  std::string urdf_;
   Rng rng_;
-  dart::dynamics::SkeletonPtr skeleton_;  // nominal
+  std::string original_urdf_, urdf_;                // of the robot without its effects; as handed out
+  dart::dynamics::SkeletonPtr skeleton_, nominal_;  // the robot without its effects; as handed out
   std::vector<std::string> joints_, links_;
   std::vector<Eigen::Index> at_;  // skeleton index of joint i
   ReferenceLimits limits_;
   VectorXd effort_;
   Scales scales_;
+  SetStyle style_;
   Noise noise_{};
   double dt_ = 2e-4, wn_ = 8;
 };
@@ -101,25 +102,36 @@ void LockFingers(const dart::dynamics::SkeletonPtr& skeleton) {
   }
 }
 
-Status Maker::LoadRobot() {
+Result<dart::dynamics::SkeletonPtr> Parsed(const std::string& urdf) {
   dart::utils::DartLoader::Options options;
   options.mDefaultInertia =
       dart::dynamics::Inertia(1e-9, Eigen::Vector3d::Zero(), 1e-12 * Eigen::Matrix3d::Identity());
   options.mDefaultRootJointType = dart::utils::DartLoader::RootJointType::FIXED;
   dart::utils::DartLoader loader(options);
-  skeleton_ = loader.parseSkeletonString(urdf_, "");
-  if (!skeleton_) return InvalidError(request_.urdf + ": DART cannot read this URDF");
-  LockFingers(skeleton_);
+  dart::dynamics::SkeletonPtr skeleton = loader.parseSkeletonString(urdf, "");
+  if (!skeleton) return InvalidError("DART cannot read this URDF");
+  LockFingers(skeleton);
+  skeleton->setGravity(Eigen::Vector3d(0, 0, -9.81));
+  return skeleton;
+}
+
+Status Maker::LoadRobot() {
+  original_urdf_ = request_.urdf;
+  if (original_urdf_.empty()) {
+    RG_ASSIGN_OR_RETURN(original_urdf_, DrawRobot(request_.kind, request_.robots, rng_.Split(2)));
+  }
+  urdf_ = original_urdf_;
+  RG_ASSIGN_OR_RETURN(skeleton_, Parsed(urdf_));
+  nominal_ = skeleton_;
   for (size_t i = 0; i < skeleton_->getNumJoints(); ++i) {
     auto* joint = skeleton_->getJoint(i);
     if (joint->getNumDofs() != 1) continue;
     joints_.push_back(joint->getName());
     links_.push_back(joint->getChildBodyNode()->getName());
     at_.push_back(static_cast<Eigen::Index>(joint->getDof(0)->getIndexInSkeleton()));
+    scales_.prismatic.push_back(joint->getType() == dart::dynamics::PrismaticJoint::getStaticType());
   }
-  if (joints_.empty()) return InvalidError(request_.urdf + ": no movable joint");
-  skeleton_->setGravity(Eigen::Vector3d(0, 0, -9.81));
-  return Status::Ok();
+  return joints_.empty() ? InvalidError(request_.kind + ": no movable joint") : Status::Ok();
 }
 
 // How fast a small deviation grows under gravity at constant torque, 1/s; 0: stable.
@@ -177,14 +189,22 @@ void Maker::ChooseMotion() {
     const bool bounded = high - low < 12.0;
     limits_.home[i] = home[i];
     const double room = bounded ? std::min(home[i] - low, high - home[i]) : 3.0;
-    limits_.amplitude[i] = std::min(room, n > 2 ? 0.45 : 0.9) * rng.Uniform(0.7, 1.0);
+    const double reach = scales_.prismatic[static_cast<size_t>(i)] ? 0.25 : n > 2 ? 0.45 : 0.9;
+    limits_.amplitude[i] = std::min(room, reach) * rng.Uniform(0.7, 1.0);
     // Arms of one or two joints may swing fast, as far as their speed limit lets them.
     limits_.velocity[i] = std::min(n > 2 ? 1.2 : 5.0, dof->getVelocityUpperLimit());
     effort_[i] = dof->getForceUpperLimit();
   }
   dt_ = n > 2 ? 2e-4 : 1e-4;
-  wn_ = request_.rate_hz < 40 ? 5 : request_.rate_hz < 150 ? 7.5 : 9;
+  style_ = DrawStyle(request_.rate_hz, request_.with_velocity, rng_.Split(3));
+  const double control_hz = request_.rate_hz / style_.rows_per_command;
+  wn_ = control_hz < 40 ? 5 : control_hz < 150 ? 7.5 : 9;
   noise_ = {rng.Uniform(2e-4, 8e-4), rng.Uniform(3e-3, 1e-2), rng.Uniform(1e-4, 4e-4)};
+  if (rng.Uniform() < 0.15) noise_.position = 1e-4, noise_.resolution = rng.Uniform(8e-4, 1.5e-3);
+  // A linear axis is measured more finely in metres than an arm in radians.
+  const auto linear = std::count(scales_.prismatic.begin(), scales_.prismatic.end(), true);
+  const double finer = linear == n ? 0.15 : linear > 0 ? 0.4 : 1.0;
+  noise_.position *= finer, noise_.velocity *= finer, noise_.resolution *= finer;
 }
 
 VectorXd Maker::Gravity(const VectorXd& q) const {
@@ -205,29 +225,47 @@ VectorXd Maker::Controller(const VectorXd& q, const VectorXd& v, const VectorXd&
   return torque.cwiseMax(-effort_).cwiseMin(effort_);
 }
 
-Track Maker::Record(const Truth& truth, const std::string& kind, double duration, uint64_t stream) const {
+Track Maker::Record(const Truth& truth, const std::string& kind, double duration, uint64_t stream,
+                    bool regular) const {
   const int n = static_cast<int>(joints_.size());
   Rng rng = rng_.Split(100 + stream);
   const Reference reference = MakeReference(kind, limits_, duration, request_.rate_hz, rng.Split(0));
-  const int rows = static_cast<int>(reference.q.cols());
-  Track track{MatrixXd(n, rows), MatrixXd(n, rows), MatrixXd(n, rows), MatrixXd(n, rows), MatrixXd(n, rows)};
+  const RowPlan plan = PlanRows(style_, regular, duration, request_.rate_hz, dt_, rng.Split(1));
+  const auto rows = static_cast<Eigen::Index>(std::count(plan.written.begin(), plan.written.end(), true));
+  Track track{VectorXd(rows),    MatrixXd(n, rows), MatrixXd(n, rows),
+              MatrixXd(n, rows), MatrixXd(n, rows), MatrixXd(n, rows)};
   Engine engine(skeleton_, joints_, truth, dt_);
   const VectorXd zero = VectorXd::Zero(n);
-  engine.Reset(reference.q.col(0), zero, Controller(reference.q.col(0), zero, reference.q.col(0), zero), 0.0);
+  VectorXd q(n), v(n), u = Controller(reference.q.col(0), zero, reference.q.col(0), zero);
+  engine.Reset(reference.q.col(0), zero, u, 0.0);
   long fine = 0;
-  for (int k = 0; k < rows; ++k) {
-    track.true_q.col(k) = engine.SensedPosition();
-    track.true_v.col(k) = engine.SensedVelocity();
+  Eigen::Index row = 0;
+  for (size_t k = 0; k < plan.time.size(); ++k) {
+    const VectorXd true_q = engine.SensedPosition(), true_v = engine.SensedVelocity();
     for (int i = 0; i < n; ++i) {
-      const double noisy = track.true_q(i, k) + noise_.position * rng.Normal();
-      track.q(i, k) = std::round(noisy / noise_.resolution) * noise_.resolution;
-      track.v(i, k) = track.true_v(i, k) + noise_.velocity * rng.Normal();
+      const double noisy = true_q[i] + noise_.position * rng.Normal();
+      q[i] = std::round(noisy / noise_.resolution) * noise_.resolution;
+      v[i] = true_v[i] + noise_.velocity * rng.Normal();
     }
-    track.u.col(k) = Controller(track.q.col(k), track.v.col(k), reference.q.col(k), reference.v.col(k));
-    for (int i = 0; i < n; ++i) track.u(i, k) = std::round(track.u(i, k) * 1e6) * 1e-6;  // as the file has it
-    const long end = std::lround((k + 1) / (request_.rate_hz * dt_));
-    for (; fine < end; ++fine) engine.Step(track.u.col(k));
-    if (!engine.finite() || track.true_q.col(k).cwiseAbs().maxCoeff() > 50) {
+    if (plan.commands[k]) {
+      const double at =
+          std::min(plan.time[k] * request_.rate_hz, static_cast<double>(reference.q.cols() - 1));
+      const auto low = static_cast<Eigen::Index>(at);
+      const Eigen::Index high = std::min(low + 1, reference.q.cols() - 1);
+      const double part = at - static_cast<double>(low);
+      u = Controller(q, v, (1 - part) * reference.q.col(low) + part * reference.q.col(high),
+                     (1 - part) * reference.v.col(low) + part * reference.v.col(high));
+      for (int i = 0; i < n; ++i) u[i] = std::round(u[i] * 1e6) * 1e-6;  // as the file has it
+    }
+    if (plan.written[k]) {
+      track.t[row] = plan.time[k];
+      track.q.col(row) = q, track.v.col(row) = v, track.u.col(row) = u;
+      track.true_q.col(row) = true_q, track.true_v.col(row) = true_v;
+      ++row;
+    }
+    if (k + 1 == plan.time.size()) break;
+    for (const long end = std::lround(plan.time[k + 1] / dt_); fine < end; ++fine) engine.Step(u);
+    if (!engine.finite() || true_q.cwiseAbs().maxCoeff() > 50) {
       track.ok = false;
       return track;
     }
@@ -237,24 +275,42 @@ Track Maker::Record(const Truth& truth, const std::string& kind, double duration
 
 void Maker::MeasureScales() {
   const int n = static_cast<int>(joints_.size());
-  const Track track = Record(Nominal(), "multisine", 7.0, 50);
+  const Track track = Record(Nominal(), "multisine", 7.0, 50, true);
   scales_.joints = joints_;
   scales_.links = links_;
   scales_.home = limits_.home;
   scales_.amplitude = limits_.amplitude;
   const double rows = static_cast<double>(track.u.cols());
   scales_.torque = (track.u.rowwise().squaredNorm() / rows).cwiseSqrt();
+  scales_.peak_torque = track.u.cwiseAbs().rowwise().maxCoeff();
   scales_.velocity = (track.true_v.rowwise().squaredNorm() / rows).cwiseSqrt();
+  const Eigen::Vector3d tool = ToolOffset(skeleton_, joints_.back());
+  scales_.tool = {tool[0], tool[1], tool[2]};
   MatrixXd motion(n, track.u.cols());
   scales_.tip_low = 1e9, scales_.tip_high = -1e9;
   for (Eigen::Index k = 0; k < track.u.cols(); ++k) {
     motion.col(k) = track.u.col(k) - Controller(track.true_q.col(k), VectorXd::Zero(n), track.true_q.col(k),
                                                 VectorXd::Zero(n));
-    const double tip = skeleton_->getBodyNode(links_.back())->getTransform().translation().z();
+    const double tip = (skeleton_->getBodyNode(links_.back())->getTransform() * tool).z();
     scales_.tip_low = std::min(scales_.tip_low, tip);
     scales_.tip_high = std::max(scales_.tip_high, tip);
   }
   scales_.motion_torque = (motion.rowwise().squaredNorm() / rows).cwiseSqrt();
+  scales_.zero_matters = VectorXd::Zero(n);
+  for (int i = 0; i < n; ++i) {
+    VectorXd beside = limits_.home;
+    beside[i] += 0.05;
+    const VectorXd here = Gravity(limits_.home);
+    const MatrixXd mass = Select(skeleton_->getMassMatrix());
+    const VectorXd there = Gravity(beside);
+    scales_.zero_matters[i] =
+        ((there - here).cwiseQuotient(scales_.torque.cwiseMax(1e-9))).cwiseAbs().maxCoeff() +
+        0.5 * (Select(skeleton_->getMassMatrix()) - mass)
+                  .diagonal()
+                  .cwiseQuotient(mass.diagonal())
+                  .cwiseAbs()
+                  .maxCoeff();
+  }
   Gravity(limits_.home);
   scales_.inertia = Select(skeleton_->getMassMatrix()).diagonal();
   scales_.last_mass = skeleton_->getBodyNode(links_.back())->getMass();
@@ -274,10 +330,61 @@ Truth Maker::Draw(double strength, json* effects) const {
   return truth;
 }
 
+Motion Maker::TuningMotion(const Truth& truth) const {
+  Motion motion;
+  uint64_t stream = 80;
+  for (const char* kind : {"multisine", "p2p"}) {
+    const Track track = Record(truth, kind, 6.0, stream++, true);
+    if (!track.ok) return {};
+    const Eigen::Index k = track.q.cols() - 1, old = motion.q.cols();
+    const auto append = [&](MatrixXd* to, const MatrixXd& x) {
+      to->conservativeResize(x.rows(), old + k);
+      to->rightCols(k) = x;
+    };
+    append(&motion.q, 0.5 * (track.true_q.leftCols(k) + track.true_q.rightCols(k)));
+    append(&motion.v, 0.5 * (track.true_v.leftCols(k) + track.true_v.rightCols(k)));
+    append(&motion.a, request_.rate_hz * (track.true_v.rightCols(k) - track.true_v.leftCols(k)));
+    append(&motion.u, track.u.leftCols(k));
+  }
+  return motion;
+}
+
+// Hands out a URDF that has absorbed of the effects what it can; the label says that it is wrong.
+Status Maker::TuneNominal(const Truth& truth, json* effects) {
+  const Motion motion = TuningMotion(truth);
+  if (motion.q.size() == 0) return InternalError("the true robot ran away");
+  const json& effect = effects->front();
+  const TunedPart part = PartThatHides(effect["id"]);
+  size_t middle = links_.size() - 1;
+  if (!effect["joints"].empty()) {
+    const auto joint = std::find(joints_.begin(), joints_.end(), effect["joints"][0].get<std::string>());
+    middle = static_cast<size_t>(joint - joints_.begin());
+  }
+  std::vector<std::string> links;
+  for (size_t l = middle > 0 ? middle - 1 : 0; l < std::min(links_.size(), middle + 2); ++l)
+    links.push_back(links_[l]);
+  const Tuning tuning = Tune(skeleton_, joints_, links, motion, part);
+  urdf_ = WithTuning(original_urdf_, skeleton_, joints_, tuning);
+  RG_ASSIGN_OR_RETURN(nominal_, Parsed(urdf_));
+  json changes = json::object();
+  for (const auto& [link, change] : tuning.links)
+    changes[link] = {{"mass_factor", 1 / change.mass_factor}, {"inertia_factor", 1 / change.inertia_factor}};
+  json damping = json::object();
+  for (size_t i = 0; i < joints_.size(); ++i) damping[joints_[i]] = tuning.damping[i];
+  effects->push_back(
+      {{"id", "parameters_only"},
+       {"joints", json::array()},
+       {"localisation", "links"},
+       {"parameters", {{"*", {{"links", {{"value", changes}}}, {"urdf_damping", {{"value", damping}}}}}}},
+       {"also_acceptable", part == TunedPart::kDamping ? json{"viscous_friction"} : json::array()},
+       {"equivalents", json::array()}});
+  return Status::Ok();
+}
+
 void Maker::WindowErrors(const Truth& truth, const Track& track, std::vector<double>* nominal,
                          std::vector<double>* oracle) const {
   Engine real(skeleton_, joints_, truth, dt_), model(skeleton_, joints_, truth, dt_),
-      plain(skeleton_, joints_, Nominal(), dt_);
+      plain(nominal_, joints_, Nominal(), dt_);
   const int rate = static_cast<int>(request_.rate_hz), rows = static_cast<int>(track.q.cols());
   real.Reset(track.true_q.col(0), track.true_v.col(0), track.u.col(0), 0.0);
   model.Reset(track.q.col(0), track.v.col(0), track.u.col(0), 0.0);
@@ -303,92 +410,76 @@ void Maker::WindowErrors(const Truth& truth, const Track& track, std::vector<dou
 
 double Maker::Ratio(const Truth& truth) const {
   std::vector<double> nominal, oracle;
-  const Track track = Record(truth, "chirp", 5.0, 70);
+  const Track track = Record(truth, "chirp", 5.0, 70, true);
   if (!track.ok) return 1e9;
   WindowErrors(truth, track, &nominal, &oracle);
   return Rms(nominal) / std::max(1e-12, Rms(oracle));
 }
 
 // Makes the effect as strong as was asked: by bisection on the logarithm of the strength.
-Truth Maker::SearchStrength(json* effects, std::string* warning) const {
+Result<Truth> Maker::SearchStrength(json* effects, std::string* warning) {
   const double low = request_.weak ? 1.5 : 4.0, high = request_.weak ? 2.5 : 30.0;
   double strength = request_.weak ? 0.25 : 1.0, below = 0.01, above = 8.0;
+  bool seen = false;
+  Truth truth;
   for (int attempt = 0; attempt < 9; ++attempt) {
-    const Truth truth = Draw(strength, effects);
+    truth = Draw(strength, effects);
+    if (request_.tuned) RG_RETURN_IF_ERROR(TuneNominal(truth, effects));
     const double ratio = Ratio(truth);
     if (ratio >= low && ratio <= high) return truth;
+    seen = seen || ratio > high;
     (ratio < low ? below : above) = strength;
     strength = std::sqrt(below * above);
   }
-  *warning = "no strength gives the error ratio that was asked for";
-  return Draw(strength, effects);
+  if (request_.weak || !seen) return InternalError("no strength gives the error ratio that was asked for");
+  *warning = "stronger than was asked for";
+  return truth;
 }
 
-std::string Maker::Csv(const Track& track, bool concealed) const {
-  const int n = static_cast<int>(joints_.size());
-  std::string text = "time";
-  const auto header = [&](const std::string& kind) {
-    for (const std::string& j : joints_) text += "," + kind + "." + j;
-  };
-  header("position");
-  if (request_.with_velocity) header("velocity");
-  header("effort_command");
-  if (concealed) header("true_position"), header("true_velocity");
-  text += "\n";
-  char number[40];
-  const auto put = [&](double x, const char* format) {
-    std::snprintf(number, sizeof number, format, x);
-    text += number;
-  };
-  for (Eigen::Index k = 0; k < track.q.cols(); ++k) {
-    put(static_cast<double>(k) / request_.rate_hz, "%.9g");
-    for (int i = 0; i < n; ++i) put(track.q(i, k), ",%.7g");
-    for (int i = 0; request_.with_velocity && i < n; ++i) put(track.v(i, k), ",%.6g");
-    for (int i = 0; i < n; ++i) put(track.u(i, k), ",%.9g");
-    for (int i = 0; concealed && i < n; ++i) put(track.true_q(i, k), ",%.9g");
-    for (int i = 0; concealed && i < n; ++i) put(track.true_v(i, k), ",%.9g");
-    text += "\n";
+RobotFacts Maker::Facts(const Truth& truth) const {
+  RobotFacts facts;
+  facts.joints = static_cast<int>(joints_.size());
+  facts.first_joint = joints_.front();
+  facts.linear = scales_.prismatic[0];
+  facts.upright_plane = true;
+  Eigen::Vector3d first = Eigen::Vector3d::Zero();
+  for (size_t i = 0; i < joints_.size(); ++i) {
+    const auto* joint = dynamic_cast<const dart::dynamics::RevoluteJoint*>(skeleton_->getJoint(joints_[i]));
+    if (joint == nullptr) {
+      facts.upright_plane = false;
+      break;
+    }
+    const Eigen::Vector3d axis = joint->getChildBodyNode()->getTransform().linear() * joint->getAxis();
+    if (i == 0) first = axis;
+    facts.upright_plane = facts.upright_plane && std::abs(axis.z()) < 1e-6 && axis.cross(first).norm() < 1e-6;
   }
-  return text;
-}
-
-const std::vector<std::pair<std::string, std::string>> kPlan = {
-    {"fit", "multisine"},      {"fit", "p2p"},      {"fit", "ramps"},
-    {"fit", "multisine"},      {"fit", "holds"},    {"holdout", "chirp"},
-    {"holdout", "sequential"}, {"hidden", "chirp"}, {"hidden", "p2p"}};
-
-json Maker::Manifest() const {
-  json recordings = json::array();
-  for (size_t r = 0; r < kPlan.size(); ++r) {
-    if (kPlan[r].first == "hidden") continue;
-    recordings.push_back({{"file", "rec_00" + std::to_string(r) + ".csv"}, {"split", kPlan[r].first}});
-  }
-  return {{"format", "realitygrad.recordings/1"},
-          {"robot", "robot.urdf"},
-          {"joints", joints_},
-          {"gravity", {0, 0, -9.81}},
-          {"sample_rate_hz", request_.rate_hz},
-          {"control", {{"rate_hz", request_.rate_hz}, {"hold", "zero_order"}}},
-          {"noise",
-           {{"position_stddev", noise_.position},
-            {"velocity_stddev", noise_.velocity},
-            {"position_resolution", noise_.resolution}}},
-          {"recordings", recordings}};
+  if (facts.joints > 1) return facts;
+  const auto inertia = [&](const dart::dynamics::SkeletonPtr& bodies) {
+    VectorXd q = VectorXd::Zero(1);
+    bodies->setPositions(q);
+    return bodies->getMassMatrix()(0, 0);
+  };
+  facts.heavier =
+      (inertia(TrueBodies(skeleton_, joints_, truth)) + truth.joint[0].armature) / truth.joint[0].gain >
+      inertia(nominal_->cloneSkeleton("urdf"));
+  return facts;
 }
 
 json AcceptedVerdicts(const json& effects) {
   std::set<std::string> verdicts;
+  bool all_parameters = true;
   for (const json& e : effects) {
     const std::string id = e["id"];
-    if (id == "parameters_only") continue;
-    verdicts.insert("unmodelled_physics");
+    const auto is = [&](const char* name) {
+      return std::find(e["equivalents"].begin(), e["equivalents"].end(), name) != e["equivalents"].end();
+    };
+    all_parameters = all_parameters && (id == "parameters_only" || is("parameters_only"));
+    if (id != "parameters_only" || !e["equivalents"].empty()) verdicts.insert("unmodelled_physics");
     if (id == "unknown_field" || id == "base_flexibility" || id == "sloshing_payload")
       verdicts.insert("unexplained");
-    for (const json& q : e["equivalents"]) {
-      if (q == "parameters_only" && effects.size() == 1) verdicts.insert("parameters_only");
-    }
   }
-  if (verdicts.empty()) verdicts.insert(effects.empty() ? "no_mismatch" : "parameters_only");
+  if (effects.empty()) verdicts.insert("no_mismatch");
+  if (!effects.empty() && all_parameters) verdicts.insert("parameters_only");
   return verdicts;
 }
 
@@ -398,43 +489,59 @@ Result<CaseSummary> Maker::Run(const std::string& sets_folder, const std::string
   MeasureScales();
   CaseSummary summary;
   json effects;
-  const bool control = request_.effects == std::vector<std::string>{"none"};
-  const Truth truth = control || request_.effects == std::vector<std::string>{"parameters_only"}
-                          ? Draw(1.0, &effects)
-                          : SearchStrength(&effects, &summary.warning);
-  const std::string set = sets_folder + "/" + request_.name, label = labels_folder + "/" + request_.name;
-  RG_RETURN_IF_ERROR(WriteFileAtomically(set + "/robot.urdf", urdf_));
-  RG_RETURN_IF_ERROR(WriteFileAtomically(set + "/manifest.json", Manifest().dump(1)));
+  const bool control = request_.effects == std::vector<std::string>{"none"} ||
+                       request_.effects == std::vector<std::string>{"parameters_only"};
+  Truth truth;
+  if (control) {
+    truth = Draw(1.0, &effects);
+  } else {
+    RG_ASSIGN_OR_RETURN(truth, SearchStrength(&effects, &summary.warning));
+  }
+  const std::vector<PlannedRecording> plan = DrawPlan(rng_.Split(4));
   std::vector<double> nominal, oracle;
+  std::vector<std::pair<std::string, std::string>> files;
   int hidden = 0;
-  json oracle_recordings = json::array();
-  for (size_t r = 0; r < kPlan.size(); ++r) {
-    Rng rng = rng_.Split(200 + r);
-    const Track track = Record(truth, kPlan[r].second, 6.0 + 0.5 * static_cast<double>(rng.Index(5)), r);
-    if (!track.ok) return InternalError(request_.name + ": the true robot ran away");
-    const bool concealed = kPlan[r].first == "hidden";
-    const std::string file = concealed ? label + "/hidden_00" + std::to_string(hidden++) + ".csv"
-                                       : set + "/rec_00" + std::to_string(r) + ".csv";
-    RG_RETURN_IF_ERROR(WriteFileAtomically(file, Csv(track, concealed)));
+  for (size_t r = 0; r < plan.size(); ++r) {
+    const bool concealed = plan[r].split == "hidden";
+    const Track track = Record(truth, plan[r].kind, plan[r].duration_s, r, concealed);
+    if (!track.ok) return InternalError("the true robot ran away");
+    char number[16];
+    std::snprintf(number, sizeof number, "_%03d.csv", concealed ? hidden++ : static_cast<int>(r));
+    files.emplace_back((concealed ? labels_folder : sets_folder) + "/" + request_.name +
+                           (concealed ? "/hidden" : "/rec") + number,
+                       Csv(track, joints_, style_.with_velocity, concealed));
     if (concealed) WindowErrors(truth, track, &nominal, &oracle);
   }
   summary.nominal_rms = Rms(nominal), summary.oracle_rms = Rms(oracle);
   summary.ratio = summary.nominal_rms / summary.oracle_rms;
+  if (!control && !(summary.ratio > 1.3))
+    return InternalError("the nominal model is as good as the true one");
+  AddEquivalents(Facts(truth), &effects);
+  const json label = {{"name", request_.name},
+                      {"robot", request_.kind},
+                      {"rate_hz", std::lround(request_.rate_hz)},
+                      {"weak", request_.weak},
+                      {"tuned", request_.tuned},
+                      {"rows", style_.rows == Rows::kRegular    ? "regular"
+                               : style_.rows == Rows::kJittered ? "jittered"
+                                                                : "missing"},
+                      {"rows_per_command", style_.rows_per_command},
+                      {"verdict", AcceptedVerdicts(effects)},
+                      {"effects", effects},
+                      {"truth_dt", dt_},
+                      {"warnings", summary.warning.empty() ? json::array() : json{summary.warning}}};
   const json oracle_json = {{"window_s", 1},
                             {"nominal_rms", summary.nominal_rms},
                             {"oracle_rms", summary.oracle_rms},
                             {"ratio", summary.ratio},
-                            {"recordings", oracle_recordings}};
-  const json label_json = {{"name", request_.name},
-                           {"robot", request_.robot},
-                           {"rate_hz", std::lround(request_.rate_hz)},
-                           {"weak", request_.weak},
-                           {"verdict", AcceptedVerdicts(effects)},
-                           {"effects", effects},
-                           {"truth_dt", dt_},
-                           {"warnings", summary.warning.empty() ? json::array() : json{summary.warning}}};
-  RG_RETURN_IF_ERROR(WriteFileAtomically(label + "/oracle.json", oracle_json.dump(1)));
-  RG_RETURN_IF_ERROR(WriteFileAtomically(label + "/label.json", label_json.dump(1)));
+                            {"recordings", json::array()}};
+  const std::string set = sets_folder + "/" + request_.name, sealed = labels_folder + "/" + request_.name;
+  files.emplace_back(set + "/robot.urdf", urdf_);
+  files.emplace_back(set + "/manifest.json",
+                     Manifest(style_, joints_, plan, noise_, request_.rate_hz).dump(1));
+  files.emplace_back(sealed + "/oracle.json", oracle_json.dump(1));
+  files.emplace_back(sealed + "/label.json", label.dump(1));
+  for (const auto& [file, text] : files) RG_RETURN_IF_ERROR(WriteFileAtomically(file, text));
   return summary;
 }
 
@@ -442,8 +549,15 @@ Result<CaseSummary> Maker::Run(const std::string& sets_folder, const std::string
 
 Result<CaseSummary> MakeCase(const CaseRequest& request, const std::string& sets_folder,
                              const std::string& labels_folder) {
-  RG_ASSIGN_OR_RETURN(std::string urdf, ReadFile(request.urdf));
-  return Maker(request, std::move(urdf)).Run(sets_folder, labels_folder);
+  std::string why;
+  for (int attempt = 0; attempt < kAttempts; ++attempt) {
+    const uint64_t seed =
+        attempt == 0 ? request.seed : Rng(request.seed).Split(static_cast<uint64_t>(attempt)).Next();
+    auto summary = Maker(request, seed).Run(sets_folder, labels_folder);
+    if (summary.ok() || summary.status().code() != StatusCode::kInternal) return summary;
+    why = summary.status().message();
+  }
+  return InternalError(request.name + ": " + why + ", in " + std::to_string(kAttempts) + " drawings");
 }
 
 }  // namespace rg::proof

@@ -12,12 +12,14 @@ namespace rg::proof {
 
 struct CaseRequest {
   std::string name;                  // folder name
-  std::string urdf;                  // path
-  std::string robot;                 // for people
+  std::string kind;                  // of robot, robots.h
+  std::string urdf;                  // text; empty: a robot of that kind is drawn
+  std::string robots = ".";          // folder that robots which are not drawn are read from
   std::vector<std::string> effects;  // ids; "none" alone is a control
   double rate_hz = 100;
   bool weak = false;              // nominal error 1.5 to 2.5 times the floor
   bool wrong_parameters = false;  // masses and inertias of the URDF are off as well
+  bool tuned = false;             // the URDF was tuned on this robot and has absorbed part of the effect
   bool with_velocity = true;
   uint64_t seed = 1;
 };
@@ -28,7 +30,8 @@ struct CaseSummary {
 };
 
 // Writes SETS/<name>/{robot.urdf, manifest.json, rec_00k.csv} and LABELS/<name>/{label.json,
-// oracle.json, hidden_00k.csv}.
+// oracle.json, hidden_00k.csv}. What leaves the nominal model almost as good as the true one, or makes the
+// robot run away, is drawn anew; an error after the fifth time.
 Result<CaseSummary> MakeCase(const CaseRequest& request, const std::string& sets_folder,
                              const std::string& labels_folder);
 

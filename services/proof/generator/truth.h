@@ -42,11 +42,16 @@ struct JointTruth {
   double spring_stiffness = 0, spring_cubic = 0, spring_center = 0;
 };
 
-struct Field {  // structured torque that has no name
-  int on = -1;
-  int over[2] = {0, 0};
-  double amplitude = 0, center[2] = {0, 0}, width[2] = {1, 1};
-  std::string form;  // "bump", "wave"
+// Structured force that no row of the catalogue makes (fields.h has the laws).
+struct Field {
+  std::string form;
+  int on = -1;                                   // the joint it acts on
+  int over[2] = {0, 0};                          // joints whose positions it depends on; both the same: one
+  double amplitude = 0;                          // N·m or N
+  double center[2] = {0, 0}, width[2] = {1, 1};  // of these positions
+  double speed = 1, speed_width = 1;             // scale or peak of a speed, rad/s or m/s
+  int direction = 0;                             // of a speed: both, or that of its sign
+  double period = 1;                             // s
 };
 
 struct LinkChange {

@@ -10,7 +10,13 @@
 #include "common/base/file.h"
 #include "common/base/ids.h"
 #include "services/proof/generator/engine.h"
+#include "services/proof/generator/equivalents.h"
+#include "services/proof/generator/fields.h"
+#include "services/proof/generator/hypotheses.h"
 #include "services/proof/generator/proof_case.h"
+#include "services/proof/generator/robots.h"
+#include "services/proof/generator/set_files.h"
+#include "services/proof/generator/tuning.h"
 
 namespace rg::proof {
 namespace {
@@ -79,13 +85,136 @@ TEST(ProofEngine, DelayShiftsTheCommand) {
   EXPECT_GT(engine.SensedVelocity()[0], 0.0);
 }
 
+TEST(ProofRobots, EveryDrawnOneIsAnotherAndCanBeSimulated) {
+  for (const std::string& kind : KnownRobots()) {
+    if (kind == "mico2") continue;  // read from a file
+    const std::string one = *DrawRobot(kind, "", Rng(1)), other = *DrawRobot(kind, "", Rng(2));
+    EXPECT_NE(one, other) << kind;
+    dart::utils::DartLoader::Options options;
+    options.mDefaultRootJointType = dart::utils::DartLoader::RootJointType::FIXED;
+    const auto skeleton = dart::utils::DartLoader(options).parseSkeletonString(one, "");
+    ASSERT_NE(skeleton, nullptr) << kind;
+    const Eigen::MatrixXd mass = skeleton->getMassMatrix();
+    EXPECT_GT(mass.selfadjointView<Eigen::Lower>().eigenvalues().minCoeff(), 0) << kind;
+  }
+  EXPECT_FALSE(DrawRobot("crane", "", Rng(1)).ok());
+}
+
+TEST(ProofFields, NoLawIsConstantAndDragsOppose) {
+  Eigen::VectorXd q(2), v(2);
+  Field field;
+  field.on = 0, field.over[1] = 1, field.amplitude = 2;
+  for (const std::string& form : FieldForms(2)) {
+    field.form = form;
+    q << 0.2, 0.1, v << 0.5, 0.4;
+    const double here = FieldForce(field, q, v, 0.3);
+    q << 1.3, -0.6, v << 1.1, -0.7;
+    EXPECT_NE(here, FieldForce(field, q, v, 0.9)) << form;
+    if (form == "sticky_patch" || form == "speed_bump") {
+      EXPECT_LE(here * 0.5, 0) << form;
+      EXPECT_EQ(FieldForce(field, q, Eigen::VectorXd::Zero(2), 0), 0) << form;
+    }
+  }
+}
+
+TEST(ProofSetFiles, CommandsHoldFromRowToRowHoweverIrregularTheRows) {
+  SetStyle style;
+  style.rows = Rows::kMissing, style.rows_per_command = 5;
+  const RowPlan missing = PlanRows(style, false, 6, 500, 1e-4, Rng(3));
+  int left_out = 0;
+  for (size_t k = 0; k < missing.time.size(); ++k) {
+    left_out += !missing.written[k];
+    EXPECT_TRUE(missing.written[k] || !missing.commands[k]) << "a command that no row says";
+  }
+  EXPECT_GT(left_out, 100);
+  style = {};
+  style.rows = Rows::kJittered;
+  const RowPlan jittered = PlanRows(style, false, 6, 100, 1e-4, Rng(3));
+  double shortest = 1, longest = 0;
+  for (size_t k = 1; k < jittered.time.size(); ++k) {
+    const double gap = jittered.time[k] - jittered.time[k - 1];
+    shortest = std::min(shortest, gap), longest = std::max(longest, gap);
+  }
+  EXPECT_GT(shortest, 0.006);
+  EXPECT_LT(shortest, 0.008);
+  EXPECT_GT(longest, 0.015);
+  EXPECT_EQ(PlanRows(style, true, 6, 100, 1e-4, Rng(3)).time.size(), 601u) << "concealed ones are regular";
+}
+
+// Torque of a pendulum that is swung by hand, plus what is concealed.
+Motion Swung(double extra_inertia, double coulomb, double ripple) {
+  Motion m;
+  const int rows = 500;
+  m.q = m.v = m.a = m.u = Eigen::MatrixXd(1, rows);
+  for (int k = 0; k < rows; ++k) {
+    const double t = 0.01 * k;
+    m.q(0, k) = 0.8 * std::sin(2 * t) + ripple * std::sin(9 * t);
+    m.v(0, k) = 1.6 * std::cos(2 * t) + 9 * ripple * std::cos(9 * t);
+    m.a(0, k) = -3.2 * std::sin(2 * t) - 81 * ripple * std::sin(9 * t);
+    m.u(0, k) = (0.1 + extra_inertia) * m.a(0, k) + 9.81 * 0.3 * std::sin(m.q(0, k)) +
+                std::copysign(coulomb, m.v(0, k));
+  }
+  return m;
+}
+
+TEST(ProofTuning, DampingSwallowsDryFriction) {
+  const Tuning tuned = Tune(Pendulum(), {"pivot"}, {"rod"}, Swung(0, 0.2, 0), TunedPart::kDamping);
+  // Least squares of c·sign(v) by d·v: d = c·mean|v|/mean v².
+  EXPECT_NEAR(tuned.damping[0], 0.2 * (2 / M_PI * 1.6) / (0.5 * 1.6 * 1.6), 0.01);
+  EXPECT_TRUE(tuned.links.empty());
+  EXPECT_NE(WithTuning(kPendulum, Pendulum(), {"pivot"}, tuned).find("damping=\"0.1"), std::string::npos);
+}
+
+TEST(ProofTuning, BodiesSwallowARotorsInertia) {
+  const Motion motion = Swung(0.008, 0, 0.1);
+  const Tuning tuned = Tune(Pendulum(), {"pivot"}, {"rod"}, motion, TunedPart::kBodies);
+  Truth bodies = OneJoint();
+  bodies.links = tuned.links;
+  const auto skeleton = TrueBodies(Pendulum(), {"pivot"}, bodies);
+  EXPECT_NEAR(skeleton->getMassMatrix()(0, 0), 0.108, 0.001);
+  dart::utils::DartLoader::Options options;
+  options.mDefaultRootJointType = dart::utils::DartLoader::RootJointType::FIXED;
+  const auto read_again = dart::utils::DartLoader(options).parseSkeletonString(
+      WithTuning(kPendulum, Pendulum(), {"pivot"}, tuned), "");
+  EXPECT_NEAR(read_again->getMassMatrix()(0, 0), skeleton->getMassMatrix()(0, 0), 1e-7);
+}
+
+nlohmann::json EffectOf(const char* id, std::vector<std::string> joints) {
+  return {{"id", id},
+          {"joints", joints},
+          {"also_acceptable", nlohmann::json::array()},
+          {"equivalents", nlohmann::json::array()}};
+}
+
+TEST(ProofLabels, CallEquivalentWhatIsAndNothingElse) {
+  using nlohmann::json;
+  RobotFacts arm{.joints = 2, .first_joint = "a", .upright_plane = true};
+  json one = {EffectOf("sensor_delay", {"b"}), EffectOf("encoder_offset", {"a"})};
+  AddEquivalents(arm, &one);
+  EXPECT_TRUE(one[0]["equivalents"].empty()) << "one of two joints";
+  EXPECT_EQ(one[1]["equivalents"], json{"gravity_misalignment"});
+  json all = {EffectOf("sensor_delay", {"a", "b"}), EffectOf("encoder_offset", {"b"})};
+  AddEquivalents(arm, &all);
+  EXPECT_EQ(all[0]["equivalents"], json{"actuator_delay"});
+  EXPECT_TRUE(all[1]["equivalents"].empty());
+
+  RobotFacts slide{.joints = 1, .first_joint = "s", .linear = true, .heavier = false};
+  json mass = {EffectOf("torque_gain", {"s"}), EffectOf("coulomb_friction", {"s"})};
+  AddEquivalents(slide, &mass);
+  EXPECT_EQ(mass[0]["equivalents"], json{"parameters_only"}) << "no payload makes it lighter";
+  EXPECT_TRUE(mass[1]["equivalents"].empty());
+  slide.heavier = true;
+  json heavier = {EffectOf("torque_gain", {"s"})};
+  AddEquivalents(slide, &heavier);
+  EXPECT_EQ(heavier[0]["equivalents"].size(), 3u);
+}
+
 TEST(ProofCase, ConcealsTheTruthFromTheSet) {
   const std::string folder = std::filesystem::temp_directory_path() / ("rg_proof_" + RandomHex(6));
-  ASSERT_TRUE(WriteFileAtomically(folder + "/pendulum.urdf", kPendulum).ok());
   CaseRequest request;
   request.name = "case";
-  request.urdf = folder + "/pendulum.urdf";
-  request.robot = "pendulum";
+  request.urdf = kPendulum;
+  request.kind = "pendulum";
   request.effects = {"coulomb_friction"};
   request.rate_hz = 25;
   const auto summary = MakeCase(request, folder + "/sets", folder + "/labels");

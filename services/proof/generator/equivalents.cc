@@ -1,0 +1,64 @@
+#include "services/proof/generator/equivalents.h"
+
+#include <algorithm>
+#include <set>
+#include <string>
+
+namespace rg::proof {
+namespace {
+
+using nlohmann::json;
+
+void Join(const std::set<std::string>& names, json* effect) {
+  json& list = (*effect)["equivalents"];
+  for (const std::string& name : names) {
+    if (name != (*effect)["id"] && std::find(list.begin(), list.end(), name) == list.end())
+      list.push_back(name);
+  }
+}
+
+bool Has(const json& effects, const char* id) {
+  return std::any_of(effects.begin(), effects.end(), [&](const json& e) { return e["id"] == id; });
+}
+
+void OneJoint(const RobotFacts& facts, json* effects) {
+  const bool body_differs = Has(*effects, "parameters_only");
+  for (json& e : *effects) {
+    const std::string id = e["id"];
+    if (facts.linear) {
+      if (id != "payload" && id != "rotor_inertia" && id != "torque_gain" && id != "parameters_only")
+        continue;
+      Join({"parameters_only", "torque_gain"}, &e);
+      if (facts.heavier) Join({"payload", "rotor_inertia"}, &e);
+      continue;
+    }
+    const bool turns = id == "gravity_misalignment" || id == "encoder_offset";
+    const bool moments = id == "rotor_inertia" || id == "torque_gain" || id == "payload";
+    if (turns) Join({"gravity_misalignment", "encoder_offset", "parameters_only"}, &e);
+    if (moments) Join({"parameters_only"}, &e);
+    const bool payload = facts.heavier && (id == "torque_gain" || body_differs);
+    if (payload && (turns || moments || id == "parameters_only")) Join({"payload"}, &e);
+  }
+}
+
+}  // namespace
+
+void AddEquivalents(const RobotFacts& facts, json* effects) {
+  for (json& e : *effects) {
+    const bool everywhere = static_cast<int>(e["joints"].size()) == facts.joints;
+    if (everywhere && (e["id"] == "actuator_delay" || e["id"] == "sensor_delay"))
+      Join({"actuator_delay", "sensor_delay"}, &e);
+    if (facts.joints < 2 || !facts.upright_plane) continue;
+    const bool first_only = e["joints"].size() == 1 && e["joints"][0] == facts.first_joint;
+    if (e["id"] == "gravity_misalignment" || (e["id"] == "encoder_offset" && first_only))
+      Join({"gravity_misalignment", "encoder_offset"}, &e);
+  }
+  if (facts.joints == 1) OneJoint(facts, effects);
+  // Beside an effect the same names are true remarks about the body.
+  for (json& e : *effects) {
+    if (e["id"] != "parameters_only") continue;
+    for (const json& name : e["equivalents"]) e["also_acceptable"].push_back(name);
+  }
+}
+
+}  // namespace rg::proof

@@ -1,0 +1,25 @@
+// Which other names describe the same data: the label must not ask for more than physics can tell.
+#pragma once
+
+#include <nlohmann/json.hpp>
+#include <string>
+
+namespace rg::proof {
+
+struct RobotFacts {
+  int joints = 1;
+  std::string first_joint;
+  bool linear = false;         // its one joint is prismatic
+  bool upright_plane = false;  // every joint revolute about the same level axis: it moves in an upright plane
+  bool heavier = false;        // one joint: it accelerates more slowly for its torque than the URDF says
+};
+
+// Adds to `equivalents` of the label's effects, exact cases only:
+// - one delay for all sensors and one for all drives (the robot does not change with time);
+// - on an upright plane: a tilt of the base and a wrong zero of the first joint;
+// - on one joint that turns: rotor inertia, torque gain, payload, tilt and zero are all other moments of the
+//   body; where it became heavier, a payload at some distance makes any of them once the body may differ;
+// - on one level slide: the mass is all there is.
+void AddEquivalents(const RobotFacts& facts, nlohmann::json* effects);
+
+}  // namespace rg::proof

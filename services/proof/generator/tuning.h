@@ -1,0 +1,39 @@
+// A URDF whose parameters were tuned on recordings by somebody who did not know of the concealed effect:
+// least squares over the torque that rigid bodies and damping leave unexplained, so that they absorb of it
+// what they can.
+#pragma once
+
+#include <Eigen/Core>
+#include <dart/dynamics/Skeleton.hpp>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "services/proof/generator/truth.h"
+
+namespace rg::proof {
+
+enum class TunedPart { kDamping, kBodies };
+
+// Which of the two can hide this effect best: friction goes into damping, torque into bodies.
+TunedPart PartThatHides(const std::string& effect);
+
+struct Motion {  // of n joints at K times
+  Eigen::MatrixXd q, v, a, u;
+};
+
+struct Tuning {
+  std::vector<double> damping;              // of each joint, what the URDF then declares
+  std::map<std::string, LinkChange> links;  // against the true robot's nominal
+};
+
+// Bodies: mass, inertia (a factor each) and centre of mass of the last `links` links, with priors of 25 %
+// and of 3 cm; damping: of every joint, never negative.
+Tuning Tune(const dart::dynamics::SkeletonPtr& nominal, const std::vector<std::string>& joints,
+            const std::vector<std::string>& links, const Motion& motion, TunedPart part);
+
+// The URDF text with what was tuned in it.
+std::string WithTuning(const std::string& urdf, const dart::dynamics::SkeletonPtr& nominal,
+                       const std::vector<std::string>& joints, const Tuning& tuning);
+
+}  // namespace rg::proof
