@@ -28,15 +28,18 @@ using nlohmann::json;
 CancelToken cancel_on_interrupt;
 void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
 
-constexpr int kFirstControl = 500;  // controls are numbered from here, so that either count may grow
+// Controls and effects outside the catalogue are numbered from here, so that each count may grow.
+constexpr int kFirstControl = 500, kFirstOutside = 800, kLast = 1000;
 constexpr int kCasesPerMaker = 4;
+
+const std::vector<std::string> kRobots = {"mico2", "arm7", "arm4", "scara", "arm2", "pendulum", "slide"};
 
 struct ProveArguments {
   std::string out = "proof", markdown;
-  std::vector<std::string> robots = {"mico2", "arm2", "pendulum"};
+  std::vector<std::string> robots = kRobots;
   uint64_t seed = 1;
-  int cases = 100, controls = 60, jobs = 0;
-  double weak = 0.15, pairs = 0.2, wrong_parameters = 0.2;
+  int cases = 100, controls = 60, outside = 20, jobs = 0;
+  double weak = 0.15, pairs = 0.2, wrong_parameters = 0.2, tuned = 0.15;
   bool quick = false;
 
   std::string Sets() const { return out + "/sets"; }
@@ -44,10 +47,11 @@ struct ProveArguments {
   std::string Answers() const { return out + "/answers"; }
   std::string Command() const {
     std::string text = "realitygrad prove --seed " + std::to_string(seed) + " --cases " +
-                       std::to_string(cases) + " --controls " + std::to_string(controls);
+                       std::to_string(cases) + " --controls " + std::to_string(controls) + " --outside " +
+                       std::to_string(outside);
     std::string names;
     for (const std::string& robot : robots) names += (names.empty() ? "" : ",") + robot;
-    return names == "mico2,arm2,pendulum" ? text : text + " --robots " + names;
+    return robots == kRobots ? text : text + " --robots " + names;
   }
 };
 
@@ -85,7 +89,8 @@ class Examiner {
     if (!fs::exists(maker))
       return FailedPreconditionError(maker + " is not there: it is built where DART is (libdart-dev)");
     std::vector<PooledProcess> makers;
-    const auto add = [&](int first, int count, bool control) {
+    // `pool` empty: any effect, with the shares that were asked for.
+    const auto add = [&](int first, int count, const std::vector<std::string>& pool) {
       for (int i = first; i < first + count; i += kCasesPerMaker) {
         const int n = std::min(kCasesPerMaker, first + count - i);
         const std::string done = a_.out + "/logs/made-" + std::to_string(i) + "-" + std::to_string(n);
@@ -107,17 +112,19 @@ class Examiner {
           command.insert(command.end(), {flag, std::to_string(value)});
         };
         with("--controls", 0);
-        with("--weak", control ? 0 : a_.weak);
-        with("--pairs", control ? 0 : a_.pairs);
-        with("--wrong-parameters", control ? 0 : a_.wrong_parameters);
-        if (control) command.insert(command.end(), {"--effect", "none", "--effect", "parameters_only"});
+        with("--weak", pool.empty() ? a_.weak : 0);
+        with("--pairs", pool.empty() ? a_.pairs : 0);
+        with("--wrong-parameters", pool.empty() ? a_.wrong_parameters : 0);
+        with("--tuned", pool.empty() ? a_.tuned : 0);
+        for (const std::string& effect : pool) command.insert(command.end(), {"--effect", effect});
         for (const std::string& robot : a_.robots) command.insert(command.end(), {"--robot", robot});
         makers.push_back({command, a_.out + "/logs/make-" + std::to_string(i) + ".log"});
         marks_.push_back(done);
       }
     };
-    add(0, a_.cases, false);
-    add(kFirstControl, a_.controls, true);
+    add(0, a_.cases, {});
+    add(kFirstControl, a_.controls, {"none", "parameters_only"});
+    add(kFirstOutside, a_.outside, {"unknown_field"});
     size_t made = 0;
     RG_RETURN_IF_ERROR(RunPool(
         makers, a_.jobs,
@@ -193,12 +200,30 @@ class Examiner {
 
 Status Prove(Context& context, ProveArguments& arguments) {
   signal(SIGINT, OnInterrupt);
-  if (arguments.quick) arguments.cases = 4, arguments.controls = 2, arguments.robots = {"pendulum"};
+  if (arguments.quick) {
+    arguments.cases = 3, arguments.controls = 2, arguments.outside = 1;
+    arguments.robots = {"pendulum"};
+  }
   if (arguments.jobs <= 0)
     arguments.jobs = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
-  if (arguments.cases > kFirstControl)
-    return InvalidError("--cases is " + std::to_string(arguments.cases) + ", must be at most " +
-                        std::to_string(kFirstControl));
+  const struct {
+    const char* flag;
+    int value, most;
+  } counts[] = {{"--cases", arguments.cases, kFirstControl},
+                {"--controls", arguments.controls, kFirstOutside - kFirstControl},
+                {"--outside", arguments.outside, kLast - kFirstOutside}};
+  for (const auto& count : counts) {
+    if (count.value > count.most)
+      return InvalidError(std::string(count.flag) + " is " + std::to_string(count.value) +
+                          ", must be at most " + std::to_string(count.most));
+  }
+  for (const std::string& robot : arguments.robots) {
+    if (std::find(kRobots.begin(), kRobots.end(), robot) == kRobots.end()) {
+      std::string known;
+      for (const std::string& r : kRobots) known += (known.empty() ? "" : ", ") + r;
+      return InvalidError("--robots: '" + robot + "' is not known, there are " + known);
+    }
+  }
   RG_ASSIGN_OR_RETURN(const Settings settings, context.Resolve());
   Examiner examiner(context, arguments, RobotsFolder(settings));
   RG_ASSIGN_OR_RETURN(const proof::ProofRecord record, examiner.Run());
@@ -236,11 +261,16 @@ void AddProveCommand(CLI::App& app, Context& context) {
       ->add_option("--controls", arguments->controls, "Sets with nothing concealed, or wrong parameters only")
       ->capture_default_str()
       ->check(CLI::NonNegativeNumber);
+  command->add_option("--outside", arguments->outside, "Further sets whose force is outside the catalogue")
+      ->capture_default_str()
+      ->check(CLI::NonNegativeNumber);
   command->add_option("--robots", arguments->robots, "To draw from")->delimiter(',')->capture_default_str();
   command->add_option("--jobs", arguments->jobs, "Sets at a time, one thread each; default: one per core");
   command->add_option("--weak", arguments->weak, "Share of weak effects")->check(CLI::Range(0.0, 1.0));
   command->add_option("--pairs", arguments->pairs, "Share of pairs")->check(CLI::Range(0.0, 1.0));
   command->add_option("--wrong-parameters", arguments->wrong_parameters, "Share whose URDF is off as well")
+      ->check(CLI::Range(0.0, 1.0));
+  command->add_option("--tuned", arguments->tuned, "Share whose URDF was tuned and hides part of the effect")
       ->check(CLI::Range(0.0, 1.0));
   command->add_option("--markdown", arguments->markdown, "Also write the tables to this file");
   command->add_flag("--quick", arguments->quick, "Six sets of a pendulum");

@@ -189,12 +189,20 @@ class Marker {
     return exact.empty() ? family : exact;
   }
 
+  // Not asked of an equivalent name that speaks of the body or its base instead of joints.
   void Joints() {
+    static const std::set<std::string> of_body = {"parameters_only", "payload", "gravity_misalignment"};
     for (const json& e : asked_) {
       if (e.value("localisation", "") != "joints") continue;
       std::set<std::string> said, truth;
       for (const std::string& j : Strings(e, "joints")) truth.insert(j);
-      for (const Said* s : About(e)) said.insert(s->joints.begin(), s->joints.end());
+      const std::vector<const Said*> about = About(e);
+      for (const Said* s : about) said.insert(s->joints.begin(), s->joints.end());
+      if (!about.empty() && std::all_of(about.begin(), about.end(), [&](const Said* s) {
+            return NameMark(e, s->effect) == 1.0 && of_body.count(s->effect) > 0;
+          })) {
+        continue;
+      }
       m_.joints_exact = m_.joints_exact.value_or(true) && said == truth;
     }
   }
@@ -275,7 +283,7 @@ Result<CaseMarks> Mark(const json& label, const json& diagnosis, const Predictio
   CaseMarks m;
   try {
     m.name = label.at("name"), m.robot = label.at("robot");
-    m.weak = label.value("weak", false);
+    m.weak = label.value("weak", false), m.tuned = label.value("tuned", false);
     m.rate_hz = label.value("rate_hz", 0.0);
     for (const json& e : label.at("effects")) {
       m.effects.push_back(e.at("id"));
@@ -333,8 +341,8 @@ Share ShareOf(double hits, int n) {
 Summary Summarise(const std::vector<CaseMarks>& cases) {
   Summary s;
   s.cases = static_cast<int>(cases.size());
-  double strong = 0, weak = 0, joints = 0, alarms = 0, open = 0, verdicts = 0;
-  int strong_n = 0, weak_n = 0, joints_n = 0, controls = 0, open_n = 0;
+  double strong = 0, weak = 0, tuned = 0, joints = 0, alarms = 0, open = 0, verdicts = 0;
+  int strong_n = 0, weak_n = 0, tuned_n = 0, joints_n = 0, controls = 0, open_n = 0;
   std::vector<double> errors, recovered, seconds, calibrated, findings;
   for (const CaseMarks& c : cases) {
     if (c.kind != CaseKind::kControl && c.calibrated_alone) {
@@ -349,6 +357,7 @@ Summary Summarise(const std::vector<CaseMarks>& cases) {
       const bool clear = c.prediction.nominal > 3 * c.prediction.oracle && !c.weak;
       (clear ? strong : weak) += c.first;
       ++(clear ? strong_n : weak_n);
+      if (c.tuned) tuned += c.first, ++tuned_n;
     }
     if (c.kind == CaseKind::kOpen) ++open_n, open += c.first == 1.0 && c.joints_exact.value_or(true);
     if (c.joints_exact && c.kind != CaseKind::kOpen) ++joints_n, joints += *c.joints_exact;
@@ -358,6 +367,7 @@ Summary Summarise(const std::vector<CaseMarks>& cases) {
   }
   if (s.pairs > 0) s.pair_f1 /= s.pairs;
   s.right_first = ShareOf(strong, strong_n), s.right_first_weak = ShareOf(weak, weak_n);
+  s.right_first_tuned = ShareOf(tuned, tuned_n);
   s.joints = ShareOf(joints, joints_n);
   s.false_alarms = ShareOf(alarms, controls);
   s.open = ShareOf(open, open_n);
@@ -410,6 +420,7 @@ json ToJson(const CaseMarks& c) {
           {"rate_hz", c.rate_hz},
           {"kind", kinds[static_cast<int>(c.kind)]},
           {"weak", c.weak},
+          {"tuned", c.tuned},
           {"truth", c.truth},
           {"verdict", c.verdict},
           {"said", c.said},
@@ -439,6 +450,7 @@ json ToJson(const Summary& s) {
           {"undiagnosed", s.undiagnosed},
           {"right_first", ShareJson(s.right_first)},
           {"right_first_weak", ShareJson(s.right_first_weak)},
+          {"right_first_tuned", ShareJson(s.right_first_tuned)},
           {"joints_exact", ShareJson(s.joints)},
           {"pair_f1", s.pair_f1},
           {"pairs", s.pairs},

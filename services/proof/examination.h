@@ -31,6 +31,7 @@ struct CaseMarks {
   std::string name, robot;
   CaseKind kind = CaseKind::kSingle;
   bool weak = false, diagnosed = false;
+  bool tuned = false;  // the URDF had absorbed part of the effect
   double rate_hz = 0, seconds = 0;
   std::vector<std::string> truth;  // "coulomb_friction [joint_2]"
   std::string verdict;
@@ -43,8 +44,8 @@ struct CaseMarks {
   std::vector<std::pair<double, bool>> calls;  // confidence of every finding, whether it holds
   std::vector<std::string> effects;            // ids of the label
   PredictionMarks prediction;
-  // Of the gap between before and floor on the set's own held-out recordings: what rigid-body parameters alone
-  // recover, and what the findings do. Absent where there is no gap.
+  // Of the gap between before and floor on the set's own held-out recordings: what rigid-body parameters
+  // alone recover, and what the findings do. Absent where there is no gap.
   std::optional<double> calibrated_alone, with_findings;
 };
 
@@ -66,9 +67,10 @@ struct ConfidenceBin {
 
 struct Summary {
   int cases = 0, undiagnosed = 0;
-  Share right_first;       // single effects whose nominal error exceeds three times the floor
-  Share right_first_weak;  // the other single effects
-  Share joints;            // exact, over all cases whose effects act on joints
+  Share right_first;        // single effects whose nominal error exceeds three times the floor
+  Share right_first_weak;   // the other single effects
+  Share right_first_tuned;  // single effects of any strength that the URDF had absorbed part of
+  Share joints;             // exact, over all cases whose effects act on joints
   double pair_f1 = 0;
   int pairs = 0;
   Share false_alarms;  // on controls
@@ -79,7 +81,7 @@ struct Summary {
   double recovered = 0;  // median
   int gaps = 0;
   double calibrated_alone = 0, with_findings = 0;  // medians, on the sets' held-out recordings, effects only
-  int worse = 0;  // predictions worse than the nominal model's by 5 %
+  int worse = 0;                                   // predictions worse than the nominal model's by 5 %
   std::vector<ConfidenceBin> bins;
   double calibration_error = 0;  // Σ n·|confidence − hit rate| / Σ n
   double seconds_median = 0, seconds_max = 0;

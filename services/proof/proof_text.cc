@@ -29,6 +29,7 @@ std::vector<Line> Lines(const Summary& s) {
   return {
       {"right effect first, single effects, nominal error > 3 × floor", "90 %", Text(s.right_first)},
       {"the same, weak ones", "–", Text(s.right_first_weak)},
+      {"hidden behind tuned parameters: right first", "–", Text(s.right_first_tuned)},
       {"the right joints, exactly", "95 %", Text(s.joints)},
       {"pairs: F1 of the set of effects", "0.85",
        s.pairs == 0 ? "no case" : FormatNumber(s.pair_f1) + Count("n = ", s.pairs)},
@@ -101,7 +102,11 @@ std::vector<std::vector<std::string>> MissRows(const std::vector<CaseMarks>& cas
   for (const CaseMarks& c : cases) {
     if (!all && !Missed(c)) continue;
     const auto share = c.prediction.recovered();
-    rows.push_back({c.name, c.robot + ", " + FormatNumber(c.rate_hz) + " Hz" + (c.weak ? ", weak" : ""),
+    rows.push_back({c.name,
+                    c.robot + ", " + FormatNumber(c.rate_hz) + " Hz" +
+                        (c.weak    ? ", weak"
+                         : c.tuned ? ", tuned"
+                                   : ""),
                     Joined(c.truth), c.diagnosed ? c.verdict : "no diagnosis", Joined(c.said),
                     FormatNumber(c.first), FormatNumber(c.f1), share ? FormatNumber(*share) : "–"});
   }

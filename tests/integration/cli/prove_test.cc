@@ -14,7 +14,7 @@ TEST(Prove, SealsDiagnosesMarksAndGoesOn) {
     GTEST_SKIP() << "SKIPPED: realitygrad-proof-generator is not built (libdart-dev)";
   const ScratchFolder scratch;
   const std::string command =
-      "prove --robots pendulum --seed 7 --cases 1 --controls 1 --jobs 2 --out p --markdown p.md --output "
+      "prove --robots pendulum --seed 7 --cases 1 --controls 1 --outside 1 --jobs 2 --out p --markdown p.md --output "
       "json";
   const Said said = RunProgram(scratch, command);
   ASSERT_EQ(said.code, 0) << said.err;
@@ -22,7 +22,8 @@ TEST(Prove, SealsDiagnosesMarksAndGoesOn) {
   EXPECT_EQ(proof["format"], "realitygrad.proof/1");
   EXPECT_EQ(proof["seal"].get<std::string>().size(), 64u);
   EXPECT_NE(said.err.find(proof["seal"].get<std::string>()), std::string::npos) << "sealed before all else";
-  ASSERT_EQ(proof["cases"].size(), 2u);
+  ASSERT_EQ(proof["cases"].size(), 3u);
+  EXPECT_EQ(proof["summary"]["outside_catalogue"]["n"], 1);
   EXPECT_EQ(proof["summary"]["undiagnosed"], 0);
   for (const json& one : proof["cases"]) EXPECT_TRUE(one["rms"].is_number()) << one.dump();
   EXPECT_NE(ReadFile(scratch / "p.md").value().find("Every miss"), std::string::npos);

@@ -69,6 +69,25 @@ TEST(Examination, WhatTheDataCannotTellApartCountsAsRight) {
   EXPECT_EQ(m.kind, CaseKind::kSingle);
 }
 
+TEST(Examination, AnEquivalentNameOfTheBodyIsNotAskedForJoints) {
+  const json label = Label({Effect("rotor_inertia", {"hinge"}, {"parameters_only"})}, {"parameters_only"});
+  EXPECT_FALSE(Marked(label, Diagnosis("parameters_only", {Finding("parameters_only", {})})).joints_exact);
+  EXPECT_FALSE(*Marked(label, Diagnosis("unmodelled_physics", {Finding("rotor_inertia", {})})).joints_exact);
+  EXPECT_FALSE(*Marked(label, Diagnosis("no_mismatch", {})).joints_exact) << "silence names no joint";
+}
+
+TEST(Examination, TunedCasesHaveAShareOfTheirOwn) {
+  json label = Label({Effect("coulomb_friction", {"elbow"})});
+  const json right = Diagnosis("unmodelled_physics", {Finding("coulomb_friction", {"elbow"})});
+  std::vector<CaseMarks> cases = {Marked(label, right)};
+  label["tuned"] = true;
+  cases.push_back(Marked(label, Diagnosis("no_mismatch", {})));
+  const Summary s = Summarise(cases);
+  EXPECT_EQ(s.right_first.n, 2);
+  EXPECT_EQ(s.right_first_tuned.n, 1);
+  EXPECT_EQ(s.right_first_tuned.value, 0.0);
+}
+
 TEST(Examination, APairNeedsBothNamesAndAWrongOneCosts) {
   const json label = Label({Effect("coulomb_friction", {"elbow"}), Effect("payload", {})});
   const auto f1 = [&](std::vector<json> findings) {
