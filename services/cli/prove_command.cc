@@ -10,6 +10,7 @@
 
 #include "common/base/file.h"
 #include "common/base/hash.h"
+#include "common/base/rng.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
 #include "services/cli/process_pool.h"
@@ -179,7 +180,8 @@ class Examiner {
       RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(label + "/label.json"));
       const auto said = ReadFile(answer + "/diagnosis.json");
       RG_ASSIGN_OR_RETURN(const proof::PredictionMarks prediction,
-                          proof::PredictConcealed(label, answer + "/model.json"));
+                          proof::PredictConcealed(label, a_.Sets() + "/" + names_[i], answer + "/model.json",
+                                                  Rng(a_.seed).Split(i)));
       RG_ASSIGN_OR_RETURN(
           proof::CaseMarks marks,
           proof::Mark(json::parse(text, nullptr, false),

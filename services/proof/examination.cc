@@ -274,9 +274,9 @@ void Calibrate(const std::vector<CaseMarks>& cases, Summary* s) {
 
 }  // namespace
 
-std::optional<double> PredictionMarks::recovered() const {
+std::optional<double> PredictionMarks::recovered_by(double rms) const {
   if (!(nominal >= 1.3 * oracle) || !std::isfinite(nominal)) return std::nullopt;
-  return std::isfinite(tool) ? (nominal - tool) / (nominal - oracle) : 0.0;
+  return std::isfinite(rms) ? (nominal - rms) / (nominal - oracle) : 0.0;
 }
 
 Result<CaseMarks> Mark(const json& label, const json& diagnosis, const PredictionMarks& prediction) {
@@ -343,7 +343,7 @@ Summary Summarise(const std::vector<CaseMarks>& cases) {
   s.cases = static_cast<int>(cases.size());
   double strong = 0, weak = 0, tuned = 0, joints = 0, alarms = 0, open = 0, verdicts = 0;
   int strong_n = 0, weak_n = 0, tuned_n = 0, joints_n = 0, controls = 0, open_n = 0;
-  std::vector<double> errors, recovered, seconds, calibrated, findings;
+  std::vector<double> errors, recovered, black_box, seconds, calibrated, findings;
   for (const CaseMarks& c : cases) {
     if (c.kind != CaseKind::kControl && c.calibrated_alone) {
       calibrated.push_back(*c.calibrated_alone), findings.push_back(*c.with_findings);
@@ -363,6 +363,8 @@ Summary Summarise(const std::vector<CaseMarks>& cases) {
     if (c.joints_exact && c.kind != CaseKind::kOpen) ++joints_n, joints += *c.joints_exact;
     errors.insert(errors.end(), c.parameter_errors.begin(), c.parameter_errors.end());
     if (const auto share = c.prediction.recovered()) recovered.push_back(*share);
+    const auto boxed = c.prediction.recovered_by(c.prediction.black_box);
+    if (boxed && std::isfinite(c.prediction.black_box)) black_box.push_back(*boxed);
     s.worse += c.prediction.tool > 1.05 * c.prediction.nominal;
   }
   if (s.pairs > 0) s.pair_f1 /= s.pairs;
@@ -374,6 +376,7 @@ Summary Summarise(const std::vector<CaseMarks>& cases) {
   s.verdicts = ShareOf(verdicts, s.cases);
   s.parameter_error = Median(errors), s.parameters = static_cast<int>(errors.size());
   s.recovered = Median(recovered), s.gaps = static_cast<int>(recovered.size());
+  s.black_box = Median(black_box), s.black_boxes = static_cast<int>(black_box.size());
   s.calibrated_alone = Median(calibrated), s.with_findings = Median(findings);
   s.seconds_median = Median(seconds);
   s.seconds_max = seconds.empty() ? 0 : *std::max_element(seconds.begin(), seconds.end());
@@ -393,12 +396,14 @@ json PerEffect(const std::vector<CaseMarks>& cases) {
   for (const auto& [id, list] : by_effect) {
     double first = 0, f1 = 0, joints = 0;
     int joints_n = 0;
-    std::vector<double> errors, recovered;
+    std::vector<double> errors, recovered, black_box;
     for (const CaseMarks* c : list) {
       first += c->first, f1 += c->f1;
       if (c->joints_exact) ++joints_n, joints += *c->joints_exact;
       errors.insert(errors.end(), c->parameter_errors.begin(), c->parameter_errors.end());
       if (const auto share = c->prediction.recovered()) recovered.push_back(*share);
+      const auto boxed = c->prediction.recovered_by(c->prediction.black_box);
+      if (boxed && std::isfinite(c->prediction.black_box)) black_box.push_back(*boxed);
     }
     const double n = static_cast<double>(list.size());
     rows.push_back({{"effect", id},
@@ -407,7 +412,8 @@ json PerEffect(const std::vector<CaseMarks>& cases) {
                     {"f1", f1 / n},
                     {"joints_exact", joints_n > 0 ? json(joints / joints_n) : json(nullptr)},
                     {"parameter_error", NumberOrNull(Median(errors))},
-                    {"recovered", NumberOrNull(Median(recovered))}});
+                    {"recovered", NumberOrNull(Median(recovered))},
+                    {"black_box_recovered", NumberOrNull(Median(black_box))}});
   }
   return rows;
 }
@@ -434,6 +440,7 @@ json ToJson(const CaseMarks& c) {
           {"oracle_rms", NumberOrNull(c.prediction.oracle)},
           {"rms", NumberOrNull(c.prediction.tool)},
           {"recovered", share ? json(*share) : json(nullptr)},
+          {"black_box_rms", NumberOrNull(c.prediction.black_box)},
           {"seconds", c.seconds}};
 }
 
@@ -462,6 +469,8 @@ json ToJson(const Summary& s) {
           {"recovered", NumberOrNull(s.recovered)},
           {"gaps", s.gaps},
           {"worse_than_nominal", s.worse},
+          {"black_box_recovered", NumberOrNull(s.black_box)},
+          {"black_boxes", s.black_boxes},
           {"holdout_calibrated_alone", NumberOrNull(s.calibrated_alone)},
           {"holdout_with_findings", NumberOrNull(s.with_findings)},
           {"confidence_bins", bins},

@@ -7,6 +7,7 @@
 // calibration.
 #pragma once
 
+#include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -21,8 +22,10 @@ namespace rg::proof {
 // the noise-free truth [rad or m]. NaN: none.
 struct PredictionMarks {
   double nominal = 0, oracle = 0, tool = 0;
+  double black_box = std::numeric_limits<double>::quiet_NaN();  // black_box.h
   // 1 where the true model is reached, 0 at the nominal one; absent where there is no gap (< 1.3 × oracle).
-  std::optional<double> recovered() const;
+  std::optional<double> recovered() const { return recovered_by(tool); }
+  std::optional<double> recovered_by(double rms) const;
 };
 
 enum class CaseKind { kControl, kSingle, kPair, kOpen };  // open: the effect is outside the catalogue
@@ -80,6 +83,8 @@ struct Summary {
   int parameters = 0;
   double recovered = 0;  // median
   int gaps = 0;
+  double black_box = 0;  // median of what it recovers on the concealed recordings
+  int black_boxes = 0;
   double calibrated_alone = 0, with_findings = 0;  // medians, on the sets' held-out recordings, effects only
   int worse = 0;                                   // predictions worse than the nominal model's by 5 %
   std::vector<ConfidenceBin> bins;

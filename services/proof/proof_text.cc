@@ -41,6 +41,8 @@ std::vector<Line> Lines(const Summary& s) {
       {"gap recovered on concealed recordings, median", "0.9",
        FormatNumber(s.recovered) + Count("n = ", s.gaps) +
            ", worse than nominal: " + std::to_string(s.worse)},
+      {"baseline: the same by a black-box residual on the nominal model, median", "–",
+       FormatNumber(s.black_box) + Count("n = ", s.black_boxes)},
       {"baseline on the sets' held-out recordings: gap recovered by rigid-body parameters alone / with the "
        "findings, median over effects",
        "–", FormatNumber(s.calibrated_alone) + " / " + FormatNumber(s.with_findings)},
@@ -67,12 +69,12 @@ std::vector<std::vector<std::string>> EffectRows(const std::vector<CaseMarks>& c
   for (const json& e : PerEffect(cases)) {
     rows.push_back({e["effect"].get<std::string>(), e["cases"].dump(), Number(e["right_first"]),
                     Number(e["f1"]), Number(e["joints_exact"]), Number(e["parameter_error"]),
-                    Number(e["recovered"])});
+                    Number(e["recovered"]), Number(e["black_box_recovered"])});
   }
   return rows;
 }
 const std::vector<std::string> kEffectColumns = {"effect", "cases",           "right first", "F1",
-                                                 "joints", "parameter error", "recovered"};
+                                                 "joints", "parameter error", "recovered",   "black box"};
 
 std::vector<std::vector<std::string>> BinRows(const Summary& s) {
   std::vector<std::vector<std::string>> rows;
