@@ -179,13 +179,14 @@ class Examiner {
       const std::string answer = a_.Answers() + "/" + names_[i], label = a_.Labels() + "/" + names_[i];
       RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(label + "/label.json"));
       const auto said = ReadFile(answer + "/diagnosis.json");
-      RG_ASSIGN_OR_RETURN(const proof::PredictionMarks prediction,
+      RG_ASSIGN_OR_RETURN(const proof::Concealed concealed,
                           proof::PredictConcealed(label, a_.Sets() + "/" + names_[i], answer + "/model.json",
                                                   Rng(a_.seed).Split(i)));
       RG_ASSIGN_OR_RETURN(
           proof::CaseMarks marks,
           proof::Mark(json::parse(text, nullptr, false),
-                      said.ok() ? json::parse(*said, nullptr, false) : json(nullptr), prediction));
+                      said.ok() ? json::parse(*said, nullptr, false) : json(nullptr), concealed.marks));
+      marks.plot = concealed.plot;
       record->cases.push_back(std::move(marks));
       display_.Show({"marking", static_cast<double>(i + 1), static_cast<double>(names_.size()), names_[i]});
     }

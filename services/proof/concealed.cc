@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <functional>
 #include <limits>
+#include <optional>
 #include <vector>
 
 #include "common/base/file.h"
@@ -22,77 +23,99 @@ using nlohmann::json;
 namespace {
 
 constexpr double kWindow = 1.0;  // s
+constexpr int kPlotPoints = 150;
 
+// n × K positions; empty: this predictor has nothing to say.
 using Predictor = std::function<Eigen::MatrixXd(const recordings::Recording&)>;
 
 struct Squares {
   double sum = 0;
   long count = 0;
+  void Add(const Eigen::MatrixXd& error) {
+    const auto later = error.rightCols(error.cols() - 1);  // the first row is measured
+    sum += later.cwiseAbs().cwiseMin(sysid::kErrorCap).squaredNorm();
+    count += later.size();
+  }
+  double rms() const {
+    return count > 0 ? std::sqrt(sum / static_cast<double>(count)) : std::numeric_limits<double>::quiet_NaN();
+  }
 };
 
-Result<Squares> ErrorOn(const std::string& file, const std::vector<std::string>& joints,
-                        const Predictor& predict) {
-  recordings::CsvOptions options;
-  options.joints = joints;
-  RG_ASSIGN_OR_RETURN(const recordings::Recording recording, recordings::LoadCsv(file, options));
-  const Eigen::MatrixXd truth = recording.OtherKind("true_position");
-  if (truth.size() == 0) return InvalidError(file + ": no columns true_position.<joint>");
-  const Eigen::MatrixXd predicted = predict(recording);
-  Squares out;
-  for (int k = 1; k < recording.rows(); ++k) {
-    for (int j = 0; j < recording.n(); ++j) {
-      const double e = std::min(std::abs(predicted(j, k) - truth(j, k)), sysid::kErrorCap);
-      out.sum += e * e, ++out.count;
+CasePlot PlotOf(const recordings::Recording& recording, const recordings::RecordingSet& set,
+                const std::vector<Eigen::MatrixXd>& errors) {
+  CasePlot plot;
+  Eigen::Index joint = 0;
+  errors[0].rowwise().squaredNorm().maxCoeff(&joint);
+  plot.joint = recording.joints[static_cast<size_t>(joint)];
+  plot.unit = set.joint_info[static_cast<size_t>(joint)].type == recordings::JointInfo::Type::kPrismatic
+                  ? "m"
+                  : "rad";
+  const int step = std::max(1, recording.rows() / kPlotPoints);
+  for (int k = 0; k < recording.rows(); k += step) {
+    plot.t.push_back(recording.t[k] - recording.t[0]);
+    std::vector<double>* const columns[] = {&plot.nominal, &plot.tool, &plot.black_box};
+    for (size_t i = 0; i < 3; ++i) {
+      columns[i]->push_back(errors[i].size() > 0 ? errors[i](joint, k)
+                                                 : std::numeric_limits<double>::quiet_NaN());
     }
   }
-  return out;
+  return plot;
 }
 
-Result<double> RmsOnConcealed(const std::string& label_folder, const std::vector<std::string>& joints,
-                              const Predictor& predict) {
-  Squares all;
-  for (int k = 0;; ++k) {
-    char name[32];
-    std::snprintf(name, sizeof name, "/hidden_%03d.csv", k);
-    if (!fs::exists(label_folder + name)) break;
-    RG_ASSIGN_OR_RETURN(const Squares one, ErrorOn(label_folder + name, joints, predict));
-    all.sum += one.sum, all.count += one.count;
-  }
-  return all.count > 0 ? std::sqrt(all.sum / static_cast<double>(all.count))
-                       : std::numeric_limits<double>::quiet_NaN();
-}
-
-Result<double> BlackBoxRms(const std::string& label_folder, const std::string& set_folder, Rng rng) {
-  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSet(set_folder));
-  RG_ASSIGN_OR_RETURN(const sim::Plant nominal, sysid::NominalPlant(set));
-  const auto box = BlackBox::Fit(nominal, set, rng);
-  if (!box.ok()) return std::numeric_limits<double>::quiet_NaN();
-  return RmsOnConcealed(label_folder, set.joints,
-                        [&](const recordings::Recording& r) { return box->Predict(r, kWindow); });
+Predictor PredictorOf(const sim::Plant& plant, const Eigen::VectorXd& values) {
+  return [&plant, &values](const recordings::Recording& recording) {
+    sysid::PredictionOptions options;
+    options.window_s = kWindow;
+    return sysid::PredictRecording(plant, values, recording, options).q;
+  };
 }
 
 }  // namespace
 
-Result<PredictionMarks> PredictConcealed(const std::string& label_folder, const std::string& set_folder,
-                                         const std::string& model_file, Rng rng) {
+Result<Concealed> PredictConcealed(const std::string& label_folder, const std::string& set_folder,
+                                   const std::string& model_file, Rng rng) {
   RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(label_folder + "/oracle.json"));
   const json oracle = json::parse(text, nullptr, false);
   if (!oracle.is_object()) return DataLossError(label_folder + "/oracle.json: no JSON");
-  PredictionMarks marks;
-  marks.nominal = oracle.value("nominal_rms", std::numeric_limits<double>::quiet_NaN());
-  marks.oracle = oracle.value("oracle_rms", std::numeric_limits<double>::quiet_NaN());
-  marks.tool = std::numeric_limits<double>::quiet_NaN();
-  RG_ASSIGN_OR_RETURN(marks.black_box, BlackBoxRms(label_folder, set_folder, rng));
-  if (!fs::exists(model_file)) return marks;
-  RG_ASSIGN_OR_RETURN(const sim::ModelFile model, sim::LoadModelFile(model_file));
-  RG_ASSIGN_OR_RETURN(
-      marks.tool,
-      RmsOnConcealed(label_folder, model.plant.joint_names(), [&](const recordings::Recording& r) {
-        sysid::PredictionOptions options;
-        options.window_s = kWindow;
-        return sysid::PredictRecording(model.plant, model.values, r, options).q;
-      }));
-  return marks;
+  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSet(set_folder));
+  RG_ASSIGN_OR_RETURN(const sim::Plant nominal, sysid::NominalPlant(set));
+  const Eigen::VectorXd nominal_values = nominal.parameters().Nominal();
+  const auto box = BlackBox::Fit(nominal, set, rng);
+  std::optional<sim::ModelFile> model;
+  if (fs::exists(model_file)) {
+    RG_ASSIGN_OR_RETURN(model, sim::LoadModelFile(model_file));
+  }
+  const auto nothing = [](const recordings::Recording&) { return Eigen::MatrixXd(); };
+  const std::vector<Predictor> predictors = {
+      PredictorOf(nominal, nominal_values),
+      model ? PredictorOf(model->plant, model->values) : Predictor(nothing),
+      box.ok() ? Predictor([&](const recordings::Recording& r) { return box->Predict(r, kWindow); })
+               : Predictor(nothing)};
+  Concealed out;
+  std::vector<Squares> all(predictors.size());
+  for (int k = 0;; ++k) {
+    char name[32];
+    std::snprintf(name, sizeof name, "/hidden_%03d.csv", k);
+    if (!fs::exists(label_folder + name)) break;
+    recordings::CsvOptions options;
+    options.joints = set.joints;
+    RG_ASSIGN_OR_RETURN(const recordings::Recording recording,
+                        recordings::LoadCsv(label_folder + name, options));
+    const Eigen::MatrixXd truth = recording.OtherKind("true_position");
+    if (truth.size() == 0) return InvalidError(label_folder + name + ": no columns true_position.<joint>");
+    std::vector<Eigen::MatrixXd> errors;
+    for (size_t i = 0; i < predictors.size(); ++i) {
+      const Eigen::MatrixXd predicted = predictors[i](recording);
+      errors.push_back(predicted.size() > 0 ? Eigen::MatrixXd(predicted - truth) : Eigen::MatrixXd());
+      if (predicted.size() > 0) all[i].Add(errors[i]);
+    }
+    if (k == 0) out.plot = PlotOf(recording, set, errors);
+  }
+  // The nominal and the true model's errors are the generator's own.
+  out.marks.nominal = oracle.value("nominal_rms", std::numeric_limits<double>::quiet_NaN());
+  out.marks.oracle = oracle.value("oracle_rms", std::numeric_limits<double>::quiet_NaN());
+  out.marks.tool = all[1].rms(), out.marks.black_box = all[2].rms();
+  return out;
 }
 
 }  // namespace rg::proof

@@ -12,7 +12,11 @@ namespace rg::proof {
 // LABELS/<case>/oracle.json and hidden_000.csv … against MODEL (a diagnosis' model.json): windows of 1 s
 // restarted from the measured state, compared with the columns true_position.*. Without a model, or where it
 // cannot be read, `tool` is NaN. The black box is fitted to SETS/<case>, seen by nobody else.
-Result<PredictionMarks> PredictConcealed(const std::string& label_folder, const std::string& set_folder,
-                                         const std::string& model_file, Rng rng);
+struct Concealed {
+  PredictionMarks marks;
+  CasePlot plot;
+};
+Result<Concealed> PredictConcealed(const std::string& label_folder, const std::string& set_folder,
+                                   const std::string& model_file, Rng rng);
 
 }  // namespace rg::proof

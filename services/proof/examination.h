@@ -28,6 +28,13 @@ struct PredictionMarks {
   std::optional<double> recovered_by(double rms) const;
 };
 
+// How far predictions are off, on the joint of the first concealed recording where the nominal model is off
+// most.
+struct CasePlot {
+  std::string joint, unit;
+  std::vector<double> t, nominal, tool, black_box;  // s; rad or m, NaN where there is none
+};
+
 enum class CaseKind { kControl, kSingle, kPair, kOpen };  // open: the effect is outside the catalogue
 
 struct CaseMarks {
@@ -47,6 +54,7 @@ struct CaseMarks {
   std::vector<std::pair<double, bool>> calls;  // confidence of every finding, whether it holds
   std::vector<std::string> effects;            // ids of the label
   PredictionMarks prediction;
+  CasePlot plot;  // empty: nothing concealed could be predicted
   // Of the gap between before and floor on the set's own held-out recordings: what rigid-body parameters
   // alone recover, and what the findings do. Absent where there is no gap.
   std::optional<double> calibrated_alone, with_findings;

@@ -9,15 +9,12 @@
 
 #include "common/base/check.h"
 #include "services/report/assets.h"
+#include "services/report/palette.h"
 
 namespace rg::report {
 namespace {
 
 using nlohmann::json;
-
-// Okabe & Ito's palette, readable with colour-blind eyes and on light or dark paper.
-const char* const kPalette[] = {"#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8a8f98"};
-constexpr int kPaletteSize = 7;
 
 const char* StyleName(SeriesStyle style) {
   return style == SeriesStyle::kDashed ? "dashed" : style == SeriesStyle::kPoints ? "points" : "line";

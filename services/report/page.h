@@ -42,6 +42,16 @@ struct Card {
   std::string note = {};
 };
 
+// A plot of a hand's width that nothing moves in: for hundreds of them on one page.
+struct Miniature {
+  std::string title;
+  std::string link = {};  // of the title, relative to the page
+  std::string text;       // below the plot
+  bool warning = false;   // stands out
+  std::string y_label;    // with unit
+  std::vector<Series> series;
+};
+
 class Page {
  public:
   Page(std::string title, std::string subtitle);
@@ -57,6 +67,8 @@ class Page {
   void AddPlot(const Plot& plot);
   // Side by side as the width allows, each at least `min_width_px` wide.
   void AddPlots(const std::vector<Plot>& plots, int min_width_px = 440);
+  // A grid of them with one legend, that of the first.
+  void AddMiniatures(const std::vector<Miniature>& miniatures);
 
   std::string Html() const;
 

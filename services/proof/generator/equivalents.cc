@@ -48,8 +48,9 @@ void AddEquivalents(const RobotFacts& facts, json* effects) {
     const bool everywhere = static_cast<int>(e["joints"].size()) == facts.joints;
     if (everywhere && (e["id"] == "actuator_delay" || e["id"] == "sensor_delay"))
       Join({"actuator_delay", "sensor_delay"}, &e);
-    if (facts.joints < 2 || !facts.upright_plane) continue;
     const bool first_only = e["joints"].size() == 1 && e["joints"][0] == facts.first_joint;
+    if (e["id"] == "rotor_inertia" && first_only && !facts.linear) Join({"parameters_only"}, &e);
+    if (facts.joints < 2 || !facts.upright_plane) continue;
     if (e["id"] == "gravity_misalignment" || (e["id"] == "encoder_offset" && first_only))
       Join({"gravity_misalignment", "encoder_offset"}, &e);
   }

@@ -9,13 +9,14 @@ namespace rg::proof {
 struct RobotFacts {
   int joints = 1;
   std::string first_joint;
-  bool linear = false;         // its one joint is prismatic
+  bool linear = false;         // its first joint is prismatic
   bool upright_plane = false;  // every joint revolute about the same level axis: it moves in an upright plane
   bool heavier = false;        // one joint: it accelerates more slowly for its torque than the URDF says
 };
 
 // Adds to `equivalents` of the label's effects, exact cases only:
 // - one delay for all sensors and one for all drives (the robot does not change with time);
+// - a rotor's inertia on the first joint, where it turns, and the first link's inertia about that axis;
 // - on an upright plane: a tilt of the base and a wrong zero of the first joint;
 // - on one joint that turns: rotor inertia, torque gain, payload, tilt and zero are all other moments of the
 //   body; where it became heavier, a payload at some distance makes any of them once the body may differ;

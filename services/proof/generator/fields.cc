@@ -7,8 +7,9 @@
 namespace rg::proof {
 
 std::vector<std::string> FieldForms(int n) {
-  std::vector<std::string> forms = {"bump", "detent", "sticky_patch", "speed_bump", "wind"};
-  if (n > 1) forms.insert(forms.end(), {"bump", "wave", "saddle", "cross_speed"});
+  // Named more than once: drawn more often.
+  std::vector<std::string> forms = {"bump", "detent", "detent", "sticky_patch", "speed_bump", "wind"};
+  if (n > 1) forms.insert(forms.end(), {"bump", "bump", "wave", "saddle", "cross_speed"});
   return forms;
 }
 

@@ -19,7 +19,7 @@
 
 namespace rg::proof {
 
-// Laws that mean something on a robot of n joints.
+// Laws that mean something on a robot of n joints, to be drawn from evenly.
 std::vector<std::string> FieldForms(int n);
 
 // Force on joint field.on [N·m or N]; q, v: n positions and speeds, time since the recording's start.

@@ -14,7 +14,8 @@ TEST(Prove, SealsDiagnosesMarksAndGoesOn) {
     GTEST_SKIP() << "SKIPPED: realitygrad-proof-generator is not built (libdart-dev)";
   const ScratchFolder scratch;
   const std::string command =
-      "prove --robots pendulum --seed 7 --cases 1 --controls 1 --outside 1 --jobs 2 --out p --markdown p.md --output "
+      "prove --robots pendulum --seed 7 --cases 1 --controls 1 --outside 1 --jobs 2 --out p --markdown p.md "
+      "--output "
       "json";
   const Said said = RunProgram(scratch, command);
   ASSERT_EQ(said.code, 0) << said.err;
@@ -25,7 +26,14 @@ TEST(Prove, SealsDiagnosesMarksAndGoesOn) {
   ASSERT_EQ(proof["cases"].size(), 3u);
   EXPECT_EQ(proof["summary"]["outside_catalogue"]["n"], 1);
   EXPECT_EQ(proof["summary"]["undiagnosed"], 0);
-  for (const json& one : proof["cases"]) EXPECT_TRUE(one["rms"].is_number()) << one.dump();
+  for (const json& one : proof["cases"]) {
+    EXPECT_TRUE(one["rms"].is_number()) << one.dump();
+    EXPECT_TRUE(one["black_box_rms"].is_number()) << one.dump();
+  }
+  const std::string page = ReadFile(scratch / "p/proof.html").value();
+  size_t plots = 0;
+  for (size_t at = 0; (at = page.find("class=\"mini", at)) != std::string::npos; ++at) ++plots;
+  EXPECT_EQ(plots, 1 + 3u) << "the grid and one of each case";
   EXPECT_NE(ReadFile(scratch / "p.md").value().find("Every miss"), std::string::npos);
 
   const auto before = std::filesystem::last_write_time(scratch / "p/answers/case_000/diagnosis.json");

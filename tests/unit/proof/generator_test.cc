@@ -198,6 +198,11 @@ TEST(ProofLabels, CallEquivalentWhatIsAndNothingElse) {
   EXPECT_EQ(all[0]["equivalents"], json{"actuator_delay"});
   EXPECT_TRUE(all[1]["equivalents"].empty());
 
+  json rotor = {EffectOf("rotor_inertia", {"a"}), EffectOf("rotor_inertia", {"b"})};
+  AddEquivalents(arm, &rotor);
+  EXPECT_EQ(rotor[0]["equivalents"], json{"parameters_only"}) << "the first link turns about that axis alone";
+  EXPECT_TRUE(rotor[1]["equivalents"].empty());
+
   RobotFacts slide{.joints = 1, .first_joint = "s", .linear = true, .heavier = false};
   json mass = {EffectOf("torque_gain", {"s"}), EffectOf("coulomb_friction", {"s"})};
   AddEquivalents(slide, &mass);

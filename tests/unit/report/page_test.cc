@@ -58,5 +58,19 @@ TEST(PageDeathTest, ATableRowOfTheWrongLengthIsABug) {
   EXPECT_DEATH(page.AddTable({{"a", "b"}, {{"1"}}}), "table row");
 }
 
+TEST(Page, MiniaturesAreDrawnWithoutScripts) {
+  Page page("many", "");
+  const double gap = std::nan("");
+  Miniature one{.title = "a < b", .link = "x.html", .text = "said", .y_label = "error [rad]"};
+  one.series = {{"nominal", {0, 1, 2, 3}, {-1, gap, 1, 2}}, {"tool", {0, 3}, {0, 0}}};
+  page.AddMiniatures({one, one});
+  const std::string html = page.Html();
+  EXPECT_EQ(html.find("<script"), std::string::npos);
+  EXPECT_NE(html.find("<a href=\"x.html\">a &lt; b</a>"), std::string::npos);
+  EXPECT_NE(html.find("M40.0 100.0M"), std::string::npos)
+      << "a gap lifts the pen, the lowest value stands lowest";
+  EXPECT_NE(html.find("error [rad]"), std::string::npos);
+}
+
 }  // namespace
 }  // namespace rg::report
