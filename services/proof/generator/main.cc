@@ -99,7 +99,12 @@ int main(int argc, char** argv) {
     request.tuned = hideable && !request.weak && !request.wrong_parameters &&
                     rng.Uniform() < tuned / std::max(1e-9, (1 - weak) * (1 - wrong_parameters));
     request.with_velocity = rng.Uniform() >= no_velocity;
-    const auto summary = rg::proof::MakeCase(request, sets, labels);
+    auto summary = rg::proof::MakeCase(request, sets, labels);
+    if (!summary.ok() && (request.weak || request.tuned)) {
+      // What cannot be weak or hidden there may still be plain.
+      request.weak = request.tuned = false;
+      summary = rg::proof::MakeCase(request, sets, labels);
+    }
     if (!summary.ok()) {
       std::fprintf(stderr, "realitygrad-proof-generator: %s on %s: %s\n", drawn.c_str(), request.kind.c_str(),
                    summary.status().message().c_str());
