@@ -1,7 +1,6 @@
 #include "services/proof/black_box.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -18,56 +17,14 @@ using Eigen::MatrixXd;
 using Eigen::VectorXd;
 using recordings::Recording;
 
-constexpr int kFeatures = 192, kRowsPerRecording = 800, kDegree = 3;
-constexpr double kHalfSpan = 0.05;   // s, of the local cubics; at least three rows to each side
-constexpr double kPiece = 0.005;     // s, in prediction
-constexpr double kSpeedTrust = 0.1;  // s: position noise over velocity noise of usual encoders
+constexpr int kFeatures = 192;
+constexpr double kBlock = 0.08;   // s over which torque and features are averaged
+constexpr double kPiece = 0.005;  // s, in prediction
 constexpr double kRidge[] = {1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0};
 
 struct Examples {
-  MatrixXd state, missing;  // 3n × m, n × m
-};
-
-// Value, slope and curvature at t[row] of local cubics through q (and v), and the mean command there.
-class LocalCubics {
- public:
-  explicit LocalCubics(const Recording& recording) : r_(recording) {
-    half_ = std::max(kHalfSpan, 3.2 * recording.SamplePeriod());
-  }
-
-  bool At(int row, VectorXd* q, VectorXd* v, VectorXd* a, VectorXd* u) const {
-    const double t0 = r_.t[row];
-    int first = row, last = row;
-    while (first > 0 && r_.t[first - 1] >= t0 - half_) --first;
-    while (last + 2 < r_.rows() && r_.t[last + 1] <= t0 + half_) ++last;
-    const int m = last - first + 1;
-    if (m < kDegree + 3 || t0 - r_.t[0] < half_ || r_.t[r_.rows() - 1] - t0 < half_) return false;
-    const int speeds = r_.has_velocity() ? m : 0;
-    MatrixXd design(m + speeds, kDegree + 1), held(m, kDegree + 1);
-    for (int k = 0; k < m; ++k) {
-      const double s = (r_.t[first + k] - t0) / half_,
-                   mid = s + 0.5 * (r_.t[first + k + 1] - r_.t[first + k]) / half_;
-      design.row(k) << 1, s, s * s, s * s * s;
-      held.row(k) << 1, mid, mid * mid, mid * mid * mid;
-      if (speeds > 0) design.row(m + k) << 0, 1, 2 * s, 3 * s * s;
-      if (speeds > 0) design.row(m + k) *= kSpeedTrust / half_;
-    }
-    MatrixXd values(m + speeds, r_.n());
-    values.topRows(m) = r_.q.middleCols(first, m).transpose();
-    if (speeds > 0) values.bottomRows(m) = kSpeedTrust * r_.v.middleCols(first, m).transpose();
-    const MatrixXd cubic = design.householderQr().solve(values);
-    *q = cubic.row(0).transpose();
-    *v = cubic.row(1).transpose() / half_;
-    *a = 2 * cubic.row(2).transpose() / (half_ * half_);
-    const bool holds = r_.drive == recordings::EffortKind::kCommand;
-    const MatrixXd effort = r_.drive_effort().middleCols(first, m).transpose();
-    *u = (holds ? held : MatrixXd(design.topRows(m))).householderQr().solve(effort).row(0).transpose();
-    return true;
-  }
-
- private:
-  const Recording& r_;
-  double half_;
+  MatrixXd state, missing;  // 3n × m, n × m: of each interval between rows
+  int block = 1;            // intervals that are averaged
 };
 
 // What the URDF declares: [damping, friction] of each joint.
@@ -84,24 +41,35 @@ MatrixXd Declared(const sim::Plant& plant) {
   return out;
 }
 
+// Between two rows the mean acceleration, state and command are exact to second order, whatever the rate.
 Examples ExamplesOf(const sim::Plant& plant, const Recording& recording) {
-  const int n = recording.n(), step = std::max(1, recording.rows() / kRowsPerRecording);
+  const int n = recording.n(), m = recording.rows() - 1;
   const dynamics::Mechanism mechanism = sysid::MechanismOf(plant, plant.parameters().Nominal());
-  const MatrixXd declared = Declared(plant);
+  const MatrixXd declared = Declared(plant), speed = recordings::VelocityOrEstimate(recording);
+  const sim::CommandSignal command = sysid::DriveSignal(recording);
   dynamics::Workspace workspace;
-  const LocalCubics cubics(recording);
-  Examples out{MatrixXd(3 * n, recording.rows() / step + 1), MatrixXd(n, recording.rows() / step + 1)};
-  Eigen::Index m = 0;
-  VectorXd q, v, a, u, torque(n);
-  for (int row = 0; row < recording.rows(); row += step) {
-    if (!cubics.At(row, &q, &v, &a, &u)) continue;
+  Examples out{MatrixXd(3 * n, m), MatrixXd(n, m),
+               std::max(1, static_cast<int>(std::lround(kBlock / recording.SamplePeriod())))};
+  VectorXd u(n), torque(n);
+  for (int k = 0; k < m; ++k) {
+    const double span = recording.t[k + 1] - recording.t[k];
+    const VectorXd q = 0.5 * (recording.q.col(k) + recording.q.col(k + 1)),
+                   v = 0.5 * (speed.col(k) + speed.col(k + 1)), a = (speed.col(k + 1) - speed.col(k)) / span;
+    for (int j = 0; j < n; ++j) u[j] = command.Average(j, recording.t[k], recording.t[k + 1]);
     dynamics::Rnea(mechanism, workspace, q, v, a, torque);
     torque += declared.col(0).cwiseProduct(v) + declared.col(1).cwiseProduct(v.cwiseSign());
-    out.state.col(m) << q, v, u;
-    out.missing.col(m++) = torque - u;
+    out.state.col(k) << q, v, u;
+    out.missing.col(k) = torque - u;
   }
-  out.state.conservativeResize(Eigen::NoChange, m);
-  out.missing.conservativeResize(Eigen::NoChange, m);
+  return out;
+}
+
+// Means over blocks that overlap by half.
+MatrixXd Blocks(const MatrixXd& x, int block) {
+  const int step = std::max(1, block / 2);
+  const Eigen::Index count = x.cols() < block ? 0 : (x.cols() - block) / step + 1;
+  MatrixXd out(x.rows(), count);
+  for (Eigen::Index b = 0; b < count; ++b) out.col(b) = x.middleCols(b * step, block).rowwise().mean();
   return out;
 }
 
@@ -151,16 +119,18 @@ Result<BlackBox> BlackBox::Fit(const sim::Plant& nominal, const recordings::Reco
   std::vector<Examples> examples;
   Eigen::Index rows = 0;
   for (const Recording* recording : set.Fit()) {
+    if (recording->rows() < 10) continue;
     Examples one = ExamplesOf(nominal, *recording);
-    if (one.state.cols() == 0) continue;
     rows += one.state.cols();
     examples.push_back(std::move(one));
   }
   const int inputs = 3 * nominal.num_joints();
   if (rows < 10 * inputs || examples.size() < 2) return FailedPreconditionError("too little to learn from");
-  MatrixXd states(inputs, rows), missing(nominal.num_joints(), rows);
+  MatrixXd states(inputs, rows);
+  VectorXd square = VectorXd::Zero(nominal.num_joints());
   for (Eigen::Index at = 0; const Examples& e : examples) {
-    states.middleCols(at, e.state.cols()) = e.state, missing.middleCols(at, e.state.cols()) = e.missing;
+    states.middleCols(at, e.state.cols()) = e.state;
+    square += Blocks(e.missing, e.block).rowwise().squaredNorm() * static_cast<double>(e.block);
     at += e.state.cols();
   }
   box.mean_ = states.rowwise().mean();
@@ -168,7 +138,7 @@ Result<BlackBox> BlackBox::Fit(const sim::Plant& nominal, const recordings::Reco
   box.low_ = (states.rowwise().minCoeff() - box.mean_).cwiseQuotient(box.spread_);
   box.high_ = (states.rowwise().maxCoeff() - box.mean_).cwiseQuotient(box.spread_);
   // The torques of light and heavy joints count alike.
-  const VectorXd scale = (missing.rowwise().squaredNorm() / rows).cwiseSqrt().cwiseMax(1e-12);
+  const VectorXd scale = (square / rows).cwiseSqrt().cwiseMax(1e-12);
   box.project_.resize(kFeatures, inputs);
   box.phase_.resize(kFeatures);
   for (int f = 0; f < kFeatures; ++f) {
@@ -179,9 +149,10 @@ Result<BlackBox> BlackBox::Fit(const sim::Plant& nominal, const recordings::Reco
   for (const Examples& e : examples) {
     MatrixXd features(1 + inputs + kFeatures, e.state.cols());
     for (Eigen::Index k = 0; k < e.state.cols(); ++k) features.col(k) = box.Features(e.state.col(k));
-    const MatrixXd target = scale.cwiseInverse().asDiagonal() * e.missing;
-    parts.push_back({features * features.transpose(), features * target.transpose(), target.squaredNorm(),
-                     static_cast<double>(e.state.cols())});
+    const MatrixXd mean = Blocks(features, e.block),
+                   target = scale.cwiseInverse().asDiagonal() * Blocks(e.missing, e.block);
+    parts.push_back({mean * mean.transpose(), mean * target.transpose(), target.squaredNorm(),
+                     static_cast<double>(mean.cols())});
   }
   box.weights_ = BestWeights(parts) * scale.asDiagonal();
   return box;

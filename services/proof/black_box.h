@@ -4,8 +4,8 @@
 //   r = Wᵀ·[1, z, tanh(A·z + b)],  z = (q, v, u) scaled to unit spread and kept within the range seen.
 //
 // A and b are random (Rahimi & Recht 2007), W is ridge regression on the torque that the nominal model misses
-// along the `fit` recordings (positions and velocities smoothed by local cubics); its strength is chosen by
-// leaving one recording out, and no residual at all is among the choices.
+// between the rows of the `fit` recordings, both sides averaged over blocks of 80 ms; its strength is chosen
+// by leaving one recording out, and no residual at all is among the choices.
 #pragma once
 
 #include <Eigen/Core>
