@@ -189,6 +189,15 @@ class Marker {
     return exact.empty() ? family : exact;
   }
 
+  // All of them; of a force outside the catalogue the label lists the joint it acts on and then those it
+  // depends on, which a finding may leave out.
+  static bool Right(const json& effect, const std::set<std::string>& said,
+                    const std::set<std::string>& truth) {
+    if (!OutsideCatalogue(effect.at("id"))) return said == truth;
+    return said.count(Strings(effect, "joints").front()) > 0 &&
+           std::includes(truth.begin(), truth.end(), said.begin(), said.end());
+  }
+
   // Not asked of an equivalent name that speaks of the body or its base instead of joints.
   void Joints() {
     static const std::set<std::string> of_body = {"parameters_only", "payload", "gravity_misalignment"};
@@ -203,7 +212,7 @@ class Marker {
           })) {
         continue;
       }
-      m_.joints_exact = m_.joints_exact.value_or(true) && said == truth;
+      m_.joints_exact = m_.joints_exact.value_or(true) && Right(e, said, truth);
     }
   }
 

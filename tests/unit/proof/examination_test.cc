@@ -76,6 +76,17 @@ TEST(Examination, AnEquivalentNameOfTheBodyIsNotAskedForJoints) {
   EXPECT_FALSE(*Marked(label, Diagnosis("no_mismatch", {})).joints_exact) << "silence names no joint";
 }
 
+TEST(Examination, AForceWithoutANameNeedsTheJointItActsOnAndNoStranger) {
+  const json label = Label({Effect("unknown_field", {"elbow", "shoulder"})}, {"unexplained"});
+  const auto right = [&](const std::vector<std::string>& joints) {
+    return *Marked(label, Diagnosis("unexplained", {Finding("unknown_field", joints)})).joints_exact;
+  };
+  EXPECT_TRUE(right({"elbow", "shoulder"}));
+  EXPECT_TRUE(right({"elbow"})) << "it acts there";
+  EXPECT_FALSE(right({"shoulder"})) << "it only depends on that one";
+  EXPECT_FALSE(right({"elbow", "wrist"}));
+}
+
 TEST(Examination, TunedCasesHaveAShareOfTheirOwn) {
   json label = Label({Effect("coulomb_friction", {"elbow"})});
   const json right = Diagnosis("unmodelled_physics", {Finding("coulomb_friction", {"elbow"})});
