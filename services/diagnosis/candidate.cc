@@ -19,7 +19,7 @@ constexpr double kShapePrior =
 // A drive's command waits for its bus and cycle more often than a sensor's reading does; where both are on
 // all joints nothing but the first moments of a recording tells them apart.
 constexpr double kSensorDelayPrior = 2.0;
-constexpr double kLeast = 1.3;        // times the least that a mass or a gap may be
+constexpr double kLeast = 1.3;       // times the least that a mass or a gap may be
 constexpr double kUnseen = 0.7;      // posterior over prior stddev of the best known parameter
 constexpr double kFieldPrior = 6.0;  // what an unnamed force pays beside
 

@@ -5,14 +5,14 @@
 namespace rg::diagnosis {
 namespace {
 
-constexpr double kAlone = 0.92;             // one name, nothing left: 65 of 70
-constexpr double kTwo = 0.8;                // two names, nothing left: 18 of 20, on sets used while developing
-constexpr double kMany = 0.5;               // three or more: one thing taken for several
-constexpr double kMeasured = 0.9;           // several names on a robot whose effort is measured
-constexpr double kRival = 0.4;              // a rival that the data cannot tell from it
-constexpr double kBeside = 0.2;             // a name beside what has none
-constexpr double kUnknown = 0.5;            // that there is something without a name
-constexpr double kParameters = 0.92;        // parameters alone
+constexpr double kAlone = 0.92;       // one name, nothing left: 65 of 70
+constexpr double kTwo = 0.8;          // two names, nothing left: 18 of 20, on sets used while developing
+constexpr double kMany = 0.5;         // three or more: one thing taken for several
+constexpr double kMeasured = 0.9;     // several names on a robot whose effort is measured
+constexpr double kRival = 0.4;        // a rival that the data cannot tell from it
+constexpr double kBeside = 0.2;       // a name beside what has none
+constexpr double kUnknown = 0.5;      // that there is something without a name
+constexpr double kParameters = 0.92;  // parameters alone
 constexpr double kParametersBeside = 0.45;  // beside a name: as often a second effect that they swallowed
 
 bool IsName(const Finding& f) { return f.effect != "parameters_only" && f.effect != "unknown_field"; }

@@ -8,24 +8,45 @@ using Eigen::VectorXd;
 
 namespace {
 
+constexpr double kLonger = 2.2;  // times from one length of pieces to the next
+
 FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& request) {
   FitModel model{*c.plant, c.plant->parameters().Nominal(), c.parameters};
   const Candidate* from = request.from.get();
-  if (from == nullptr) return Fit(data, model, request.options);
-  if (c.base && from->base) {
+  if (c.base && from != nullptr && from->base) {
     const VectorXd nominal = model.values;
     model.values = c.plant->ValuesFrom(from->plant->parameters(), from->fit.values);
     for (int i = 0; i < nominal.size(); ++i) {
       if (c.plant->parameters()[i].kind == sim::ParameterKind::kEffect) model.values[i] = nominal[i];
     }
   }
-  NodeStates states = from->fit.states;
-  if (!request.places.empty()) {
-    states.clear();
-    for (const uint32_t i : request.places) states.push_back(from->fit.states[i]);
+  const bool hidden = c.plant->num_states() > 2 * data.n;
+  FitResult fit;
+  double work = 0;
+  for (double piece = hidden ? 0 : request.piece_s; piece > 0; piece *= kLonger) {
+    if (piece > data.nodes.window_s / 1.5) break;
+    FitData pieces = data;
+    pieces.windows = InPieces(data.windows, piece);
+    fit = Fit(pieces, model, request.options);
+    work += fit.work;
+    if (fit.ok) model.values = fit.values;
+    if (!request.pieces_alone) continue;
+    fit.states.clear(), fit.window_chi2.clear();  // of pieces, which nobody else knows
+    return fit;
   }
-  const NodeStates start = CarriedStates(data, model, *from->plant, states, request.options);
-  return Fit(data, model, request.options, &start);
+  if (from == nullptr || from->fit.states.empty()) {
+    fit = Fit(data, model, request.options);
+  } else {
+    NodeStates states = from->fit.states;
+    if (!request.places.empty()) {
+      states.clear();
+      for (const uint32_t i : request.places) states.push_back(from->fit.states[i]);
+    }
+    const NodeStates start = CarriedStates(data, model, *from->plant, states, request.options);
+    fit = Fit(data, model, request.options, &start);
+  }
+  fit.work += work;
+  return fit;
 }
 
 class LocalBatch final : public FitBatch {

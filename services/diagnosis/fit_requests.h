@@ -18,7 +18,14 @@ struct FitRequest {
   LiftedOptions options;
   // Windows that are fitted, by their places among all; empty: all.
   std::vector<uint32_t> places;
-  // A fitted model at whose states, and base parameters, it starts; null: at the recorded motion.
+  // Pieces of this length [s] that windows are cut into first, 0: whole. Over a short piece even a model that
+  // is far off stays near the record, so that fits find their way which are lost over whole windows. Then it
+  // is fitted to longer pieces and at last to whole windows, from where it has come to; or to the pieces
+  // alone. Models with hidden states are fitted to whole windows only.
+  double piece_s = 0;
+  bool pieces_alone = false;
+  // A fitted model at whose states (without any: at the recorded motion) and base parameters it starts; null:
+  // at the recorded motion and nominal parameters.
   std::shared_ptr<const Candidate> from;
 };
 

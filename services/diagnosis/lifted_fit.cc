@@ -18,8 +18,11 @@ namespace rg::diagnosis {
 
 namespace {
 
-constexpr double kStillFalling = 0.005;  // of the cost in one iteration
-constexpr double kOtherStep = 2e-4;      // s, see StepRuleResiduals
+constexpr double kStillFalling = 0.005;                  // of the cost in one iteration
+constexpr double kParts[] = {1.0, 0.3, 0.1, 0.03, 0.0};  // of the trust region, tried one after another
+constexpr double kAsExpected = 1.3;  // times what the linear model says, which a step may cost
+constexpr double kLeastTaken = 0.1;  // of a trust region, for the next one
+constexpr double kOtherStep = 2e-4;  // s, see StepRuleResiduals
 constexpr int kScreenParts = 16;
 constexpr int kTogether = 8;  // windows that are simulated side by side
 
@@ -156,6 +159,16 @@ VectorXd BestStart(const Linear& l, const VectorXd& step) {
   return scale.cwiseProduct(S.ldlt().solve(b));
 }
 
+// Rows that lie far off weigh as they count in the costs that are compared, or windows that explode would
+// lead where no cost falls: d(c²·log(1 + r²/c²))/d(r²).
+void WeighAsCosts(Linear* l) {
+  const VectorXd rest = l->r - l->J_e * BestStart(*l, VectorXd::Zero(l->J.cols()));
+  const VectorXd weight = (1.0 + rest.array().square() / (kSoft * kSoft)).rsqrt();
+  l->r.array() *= weight.array();
+  l->J.array().colwise() *= weight.array();
+  l->J_e.array().colwise() *= weight.array();
+}
+
 // Moves the states of windows [first, last) with a step of the parameters, their starts to what then fits
 // best; writes χ² of the windows simulated from there. `adopted`: χ² so far; empty without hidden states.
 void MoveStates(Lineariser& lin, int worker, int first, int last, const std::vector<Linear>& linear,
@@ -276,6 +289,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
     sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
       lin.Run(worker, w, states[w], nullptr, nullptr, true, &linear[w]);
       if (!linear[w].ok) return;
+      WeighAsCosts(&linear[w]);
       const MatrixXd rest = ProjectOut(linear[w].J_e, linear[w].J, linear[w].r);
       grams[w].setZero(P + 1, P + 1);
       grams[w].selfadjointView<Eigen::Lower>().rankUpdate(rest.transpose(), inverse_scale);
@@ -302,48 +316,57 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       adopt(values, theta, states, chi2, information);
       adopted = chi2;
     }
-    VectorXd step = VectorXd::Zero(P);
+    VectorXd gradient = VectorXd::Zero(P);
     if (P > 0) {
       H.diagonal() += prior;
-      const VectorXd g = -gram.col(P).head(P) + prior.cwiseProduct(theta - theta0);
-      const VectorXd limit = (trust * sigma).cwiseMax(trust * 0.5 * theta.cwiseAbs());
-      step = sysid::BoxedNewtonStep(H, g, (lower - theta).cwiseMax(-limit).cwiseMin(0.0),
-                                    (upper - theta).cwiseMin(limit).cwiseMax(0.0));
+      gradient = -gram.col(P).head(P) + prior.cwiseProduct(theta - theta0);
     }
-    if (!step.allFinite()) step.setZero();
-    // States follow. A step that leads nowhere, as the first from the recorded motion may, has shorter ones
-    // tried beside it: without any, states alone come to where the model holds.
+    const auto step_within = [&](double radius) -> VectorXd {
+      if (P == 0 || radius == 0) return VectorXd::Zero(P);
+      const VectorXd limit = (radius * sigma).cwiseMax(radius * 0.5 * theta.cwiseAbs());
+      const VectorXd step =
+          sysid::BoxedNewtonStep(H, gradient, (lower - theta).cwiseMax(-limit).cwiseMin(0.0),
+                                 (upper - theta).cwiseMin(limit).cwiseMax(0.0));
+      return step.allFinite() ? step : VectorXd::Zero(P);
+    };
+    // States follow. Where the cost is not what the linear model says, smaller steps are tried beside the
+    // first while they are better: at last none, for states alone come to where the model holds.
     VectorXd trial, trial_values;
     NodeStates trial_states;
     std::vector<double> chi2;
-    double least = std::numeric_limits<double>::infinity();
-    for (const double length : {1.0, 0.3, 0.0}) {
-      if (length < 1.0 && (P == 0 || (it > 0 && least < best))) break;
-      const VectorXd shorter = length * step;
-      const VectorXd at = (theta + shorter).cwiseMax(lower).cwiseMin(upper);
+    double least = std::numeric_limits<double>::infinity(), taken = 1.0;
+    for (const double part : kParts) {
+      const VectorXd step = step_within(part * trust);
+      const VectorXd at = (theta + step).cwiseMax(lower).cwiseMin(upper);
       const VectorXd at_values = sysid::WithFitted(model.parameters, model.values, at);
       NodeStates nodes = states;
       std::vector<double> own(W);
       lin.SetValues(model, at_values);
       sysid::ParallelFor(options.threads, groups, [&](int worker, int g) {
-        MoveStates(lin, worker, g * W / groups, (g + 1) * W / groups, linear, shorter,
+        MoveStates(lin, worker, g * W / groups, (g + 1) * W / groups, linear, step,
                    hidden ? adopted : std::vector<double>{}, &nodes, &own);
       });
       result.work += Work(data.Rows(), 0);
       const double cost =
           std::accumulate(own.begin(), own.end(), 0.0) * inverse_scale + prior.dot((at - theta0).cwiseAbs2());
-      if (!(cost < least)) continue;
-      least = cost;
-      trial = at, trial_values = at_values, trial_states = std::move(nodes), chi2 = std::move(own);
+      const bool better = cost < least, known = least < best;
+      if (better) {
+        least = cost, taken = part;
+        trial = at, trial_values = at_values, trial_states = std::move(nodes), chi2 = std::move(own);
+      }
+      const double expected = P == 0 ? cost
+                                     : gram(P, P) + prior.dot((theta - theta0).cwiseAbs2()) +
+                                           2 * gradient.dot(step) + step.dot(H * step);
+      if (part == 1.0 && (P == 0 || cost <= kAsExpected * expected || best - cost > 0.25 * (best - expected)))
+        break;
+      if (!better && known) break;
     }
     lin.SetValues(model, trial_values);
     adopted = chi2;
     const double gain = adopt(trial_values, trial, trial_states, chi2, information);
-    if (gain > 0) {
-      trust = std::min(1.0, 2 * trust);
-    } else {
-      trust *= 0.5;
-    }
+    // Where a smaller step was better, the next one is kept that small.
+    trust *= taken < 1.0 ? std::max(kLeastTaken, taken) : gain > 0 ? 2.0 : 0.5;
+    trust = std::min(1.0, trust);
     result.iterations = it + 1;
     theta = trial;
     // Far from the data only where the model holds it: a node that strays goes back to the record.

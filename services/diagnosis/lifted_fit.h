@@ -59,8 +59,8 @@ struct LiftedOptions {
   sim::Integrator integrator = sim::Integrator::kLeapfrog;
 };
 
-// What simulating rows with sensitivities to so many unknowns costs, the same on every machine: one per row and
-// column, the step itself counting as twenty columns.
+// What simulating rows with sensitivities to so many unknowns costs, the same on every machine: one per row
+// and column, the step itself counting as twenty columns.
 inline double Work(int rows, int columns) { return static_cast<double>(rows) * (20 + columns); }
 
 struct FitResult {

@@ -33,9 +33,11 @@ struct Probe {
   std::vector<int> torque;  // parameter index per joint, −1: none
 };
 
+// Whether it has the effect on that joint, or one that acts on no joint and bars others of its kind.
 inline bool Holds(const sim::Plant& plant, const std::string& id, const std::string& joint) {
   for (const effects::EffectSpec& e : plant.effects()) {
-    if (e.id == id && std::find(e.joints.begin(), e.joints.end(), joint) != e.joints.end()) return true;
+    if (e.id != id) continue;
+    if (e.joints.empty() || std::find(e.joints.begin(), e.joints.end(), joint) != e.joints.end()) return true;
   }
   return false;
 }
@@ -198,7 +200,8 @@ class Lineariser {
   }
 
   // The same of several windows side by side, each from its own x_0.
-  std::vector<double> Simulated(int worker, const std::vector<int>& indices, const std::vector<VectorXd>& x0) {
+  std::vector<double> Simulated(int worker, const std::vector<int>& indices,
+                                const std::vector<VectorXd>& x0) {
     Worker& w = *workers_[worker];
     const size_t count = indices.size();
     w.runs.resize(count), w.run_times.resize(count);
@@ -328,9 +331,9 @@ class Lineariser {
     x->time = time;
   }
 
-  void WriteRows(const sim::Trajectory& step, const NodeWindow& window, int node, int output, const MatrixXd& E,
-                 const MatrixXd& Ef, const std::vector<int>* joint, const MatrixXd* phi, Linear* out,
-                 int* row) {
+  void WriteRows(const sim::Trajectory& step, const NodeWindow& window, int node, int output,
+                 const MatrixXd& E, const MatrixXd& Ef, const std::vector<int>* joint, const MatrixXd* phi,
+                 Linear* out, int* row) {
     const double s = std::sqrt(static_cast<double>(window.rows[node]));
     const int kinds = data_.use_velocity ? 2 : 1;
     for (int kind = 0; kind < kinds; ++kind) {

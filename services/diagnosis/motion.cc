@@ -132,6 +132,30 @@ std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& rec, int index
   return out;
 }
 
+std::vector<NodeWindow> InPieces(const std::vector<NodeWindow>& windows, double piece_s) {
+  std::vector<NodeWindow> out;
+  for (const NodeWindow& w : windows) {
+    const int nodes = static_cast<int>(w.t.size());
+    for (int first = 0; first + 1 < nodes;) {
+      int last = first, measured = 0;
+      while (last < nodes && (w.t[last] - w.t[first] < piece_s || measured < 3))
+        measured += w.measured[last++];
+      if (measured < 3) break;
+      const int count = last - first;
+      NodeWindow piece;
+      piece.recording = w.recording;
+      piece.t.assign(w.t.begin() + first, w.t.begin() + last);
+      piece.measured.assign(w.measured.begin() + first, w.measured.begin() + last);
+      piece.rows.assign(w.rows.begin() + first, w.rows.begin() + last);
+      piece.q = w.q.middleCols(first, count), piece.v = w.v.middleCols(first, count);
+      piece.q0 = w.q0.middleCols(first, count), piece.v0 = w.v0.middleCols(first, count);
+      out.push_back(std::move(piece));
+      first = last;
+    }
+  }
+  return out;
+}
+
 FineMotion FineMotionOf(const recordings::Recording& rec, const sim::CommandSignal& command,
                         const SmoothMotion& motion, const NodeOptions& options) {
   FineMotion out;

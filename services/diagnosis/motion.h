@@ -51,6 +51,8 @@ struct NodeOptions {
 
 std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& recording, int index,
                                      const SmoothMotion& motion, const NodeOptions& options);
+// The same nodes in windows of about `piece_s`, but never less than three measured nodes.
+std::vector<NodeWindow> InPieces(const std::vector<NodeWindow>& windows, double piece_s);
 FineMotion FineMotionOf(const recordings::Recording& recording, const sim::CommandSignal& command,
                         const SmoothMotion& motion, const NodeOptions& options);
 

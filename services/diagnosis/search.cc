@@ -25,6 +25,7 @@ constexpr double kRivalShare = 0.25;  // of what parameters explain, by the scre
 constexpr int kMoreIterations = 14;   // of a fit that still falls
 constexpr double kTrialShare = 0.35;  // of all work, that the trials of one screen may cost
 constexpr double kNothing = 1.0;      // stddev from none at which an effect is about nothing
+constexpr double kPiece = 0.1;        // s
 constexpr double kHolds = 2.0;        // χ² per row below which a model's own states are trusted
 constexpr double kExplained = 1.1;    // χ² per row at which nothing else is looked for in another world
 
@@ -57,6 +58,7 @@ class Search {
     Tell("calibrate", 0.05, "");
     out.nominal = Evaluate({}, false);
     out.calibrated = Evaluate({}, true);
+    if (PerRow(out.calibrated) > kHolds) out.calibrated = Better(out.calibrated, FitPieces());
     Candidate best =
         out.calibrated.score > out.nominal.score + Threshold(out.nominal) ? out.calibrated : out.nominal;
     features_ = MakeFeatures(data_, scales_);
@@ -119,20 +121,36 @@ class Search {
   // `from`: where to start, where it holds; else at the recorded motion.
   Candidate Evaluate(const std::vector<EffectSpec>& specs, bool base, const Candidate* from = nullptr,
                      int iterations = 6) {
-    const FitRequest request = WholeFit(specs, base, Start(from), iterations);
+    const FitRequest request = WholeFit(specs, base, Start(from, base), iterations);
     return Tried(request, fits_.Start(setting_, {request})->Take(0));
   }
 
   // Starts at the states, and at the base parameters, of a model that holds: what is added to it or taken
   // from it changes them little, and no fit is better than another for its start alone.
-  std::shared_ptr<const Candidate> Start(const Candidate* from) const {
-    if (from == nullptr || !from->fit.ok || PerRow(*from) > kHolds) return nullptr;
+  std::shared_ptr<const Candidate> Start(const Candidate* from, bool base) const {
+    if (from == nullptr || !from->fit.ok || PerRow(*from) > kHolds) return base ? pieces_ : nullptr;
     return std::make_shared<const Candidate>(*from);
+  }
+
+  // Base parameters far from the URDF's, or beside missing effects, are found over short pieces of the
+  // record, from where fits in their world then start.
+  Candidate FitPieces() {
+    FitRequest request{{}, true, lifted_, {}, kPiece, true, nullptr};
+    request.options.iterations = kMoreIterations;
+    auto pieces = std::make_shared<Candidate>(Fitted(request, fits_.Start(setting_, {request})->Take(0)));
+    trace_.Fit(*pieces, "pieces");
+    if (pieces->fit.ok) pieces_ = pieces;
+    return Evaluate({}, true);
+  }
+
+  bool FromPieces(const FitRequest& request) const {
+    return request.from != nullptr && request.from == pieces_;
   }
 
   FitRequest WholeFit(const std::vector<EffectSpec>& specs, bool base, std::shared_ptr<const Candidate> from,
                       int iterations = 6) const {
-    FitRequest request{specs, base, lifted_, {}, std::move(from)};
+    FitRequest request{specs, base, lifted_, {}, 0, false, std::move(from)};
+    if (FromPieces(request)) request.piece_s = kPiece;
     request.options.iterations = iterations;
     request.options.more_iterations = kMoreIterations;
     return request;
@@ -206,7 +224,11 @@ class Search {
     // Around a model that holds, its own states and values; around a wrong one, the recorded motion.
     const bool holds = PerRow(current) < kHolds && current.fit.states.front().rows() == plant->num_states();
     VectorXd values = plant->parameters().Nominal();
-    if (holds) values = plant->ValuesFrom(current.plant->parameters(), current.fit.values);
+    if (holds) {
+      values = plant->ValuesFrom(current.plant->parameters(), current.fit.values);
+    } else if (base && pieces_ != nullptr) {
+      values = plant->ValuesFrom(pieces_->plant->parameters(), pieces_->fit.values);
+    }
     for (size_t c = 0; c < columns.size(); ++c) {
       const sysid::FitParameter& p = parameters[c];
       if (columns[c].effect.empty()) columns[c].away = (values[p.index] - p.nominal) / p.prior_stddev;
@@ -353,29 +375,42 @@ class Search {
   // Trials on some windows with few iterations; the best of them on all.
   void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base, size_t full,
                Candidate* winner) {
-    FitRequest trial{Refreshed(from), base, lifted_, SomeWindows(), Start(&from)};
+    FitRequest trial{Refreshed(from), base, lifted_, SomeWindows(), 0, false, Start(&from, base)};
     trial.options.iterations = 4;
+    // Whole windows, or pieces of them where only pieces are met: each has its own reference, and those with
+    // hidden states, which need whole windows, come after the others.
     std::vector<FitRequest> trials = {trial};
+    if (FromPieces(trial)) trial.piece_s = kPiece, trial.pieces_alone = true;
+    trials.push_back(trial);
     for (const TrialSpecs& start : pool) {
       trial.specs = Joined(Refreshed(from), start);
       trials.push_back(trial);
     }
-    std::vector<std::pair<double, std::vector<EffectSpec>>> ranked;
+    struct Ranked {
+      bool whole;
+      double score;
+      std::vector<EffectSpec> specs;
+    };
+    std::vector<Ranked> ranked;
     const double enough = work_ + kTrialShare * options_.work_limit;
     {
       const auto batch = fits_.Start(setting_, trials);
-      const double reference = Fitted(trials[0], batch->Take(0)).score;
-      for (size_t i = 1; i < trials.size() && !Late() && work_ <= enough; ++i) {
+      const double on_windows = Fitted(trials[0], batch->Take(0)).score;
+      const double on_pieces = trial.pieces_alone ? Fitted(trials[1], batch->Take(1)).score : on_windows;
+      for (size_t i = 2; i < trials.size() && !Late() && work_ <= enough; ++i) {
         const Candidate c = Fitted(trials[i], batch->Take(i));
-        const bool better = c.fit.ok && c.score >= reference;
+        const bool whole = c.plant != nullptr && c.plant->num_states() > 2 * data_.n;
+        const bool better = c.fit.ok && c.score >= (whole ? on_windows : on_pieces);
         trace_.Fit(c, better ? "  ~" : "  -");
-        if (better) ranked.push_back({c.score, Refreshed(c)});
+        if (better) ranked.push_back({whole && trial.pieces_alone, c.score, Refreshed(c)});
       }
     }
-    std::sort(ranked.begin(), ranked.end(), [](auto& a, auto& b) { return a.first > b.first; });
+    std::sort(ranked.begin(), ranked.end(), [](const Ranked& a, const Ranked& b) {
+      return a.whole != b.whole ? b.whole : a.score > b.score;
+    });
     std::vector<FitRequest> best;
     std::set<std::string> seen;
-    for (const auto& [score, specs] : ranked) {
+    for (const auto& [whole, score, specs] : ranked) {
       if (best.size() < full && seen.insert(KeyOf(specs)).second)
         best.push_back(WholeFit(specs, base, trial.from));
     }
@@ -406,7 +441,7 @@ class Search {
       for (const EffectSpec& s : specs)
         other.push_back(s.id == id ? Exchanged(s, sibling, nominal_, scales_) : s);
       const std::string key = KeyOf(other) + (winner->base ? "+base" : "");
-      if (!tried_.count(key)) others.push_back(WholeFit(other, winner->base, nullptr));
+      if (!tried_.count(key)) others.push_back(WholeFit(other, winner->base, Start(nullptr, winner->base)));
     }
     // Below its resonance a motor behind a spring is a rotor, and what it is more no screen can see.
     for (const EffectSpec& s : specs) {
@@ -414,7 +449,7 @@ class Search {
       const int joint = nominal_.model().FindJoint(s.joints[0]);
       const double armature = s.values.begin()->second.at("armature");
       for (const auto& start : TransmissionStarts("joint_elasticity", joint, nominal_, scales_, armature))
-        others.push_back(WholeFit(Joined(specs, start), winner->base, nullptr));
+        others.push_back(WholeFit(Joined(specs, start), winner->base, Start(nullptr, winner->base)));
     }
     const auto batch = fits_.Start(setting_, others);
     for (size_t i = 0; i < others.size() && !Late(); ++i) {
@@ -491,6 +526,7 @@ class Search {
   int round_ = 0;
   double work_ = 0;  // of all fits so far
   Acceptance acceptance_;
+  std::shared_ptr<const Candidate> pieces_;  // base parameters from pieces, where whole windows are not met
   std::vector<VectorXd> step_rule_;
   FeatureSet features_;
   std::map<std::string, Candidate> tried_;

@@ -67,12 +67,12 @@ Result<std::shared_ptr<const Candidate>> StartOf(const pb::FitStart& start, cons
   Candidate from = diagnosis::Unfitted(setting, Effects(start), start.base());
   const size_t windows = setting.data.windows.size();
   if (from.plant == nullptr || start.values_size() != from.plant->parameters().size() ||
-      static_cast<size_t>(start.states_size()) != windows)
+      (start.states_size() > 0 && static_cast<size_t>(start.states_size()) != windows))
     return InvalidError("fit: the model to start at is not one of these recordings");
   from.fit.ok = true;
   from.fit.values = Taken(start.values());
   for (const pb::FitMatrix& states : start.states()) from.fit.states.push_back(Taken(states));
-  for (size_t w = 0; w < windows; ++w) {
+  for (size_t w = 0; w < from.fit.states.size(); ++w) {
     const MatrixXd& states = from.fit.states[w];
     if (states.rows() != from.plant->num_states() ||
         states.cols() != static_cast<Eigen::Index>(setting.data.windows[w].t.size()))
@@ -95,6 +95,8 @@ pb::FitBatch BatchOf(const std::vector<FitRequest>& requests, double fit_window_
     fit->set_more_iterations(static_cast<uint32_t>(request.options.more_iterations));
     fit->set_noise_scale(request.options.noise_scale);
     fit->set_step_s(request.options.step_s);
+    fit->set_piece_s(request.piece_s);
+    fit->set_pieces_alone(request.pieces_alone);
     fit->mutable_places()->Assign(request.places.begin(), request.places.end());
     if (request.from == nullptr) continue;
     const auto [at, fresh] =
@@ -121,6 +123,8 @@ Result<FitRequest> RequestOf(const pb::FitBatch& batch, uint32_t index, const Fi
   request.options.more_iterations = static_cast<int>(fit.more_iterations());
   request.options.noise_scale = fit.noise_scale();
   request.options.step_s = fit.step_s();
+  request.piece_s = fit.piece_s();
+  request.pieces_alone = fit.pieces_alone();
   request.places.assign(fit.places().begin(), fit.places().end());
   for (const uint32_t place : request.places) {
     if (place >= setting.data.windows.size())

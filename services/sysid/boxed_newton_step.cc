@@ -1,7 +1,7 @@
 #include "services/sysid/boxed_newton_step.h"
 
 #include <Eigen/Cholesky>
-#include <utility>
+#include <algorithm>
 #include <vector>
 
 namespace rg::sysid {
@@ -9,38 +9,54 @@ namespace rg::sysid {
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
+namespace {
+
+constexpr int kMostIterations = 100;
+constexpr int kMostHalvings = 30;
+constexpr double kSettled = 1e-12;  // relative fall of the model below which nothing more is to be had
+
+// Newton's direction of those that are free, zero for the others.
+VectorXd DirectionOf(const MatrixXd& H, const VectorXd& gradient, const std::vector<int>& free) {
+  const int f = static_cast<int>(free.size());
+  MatrixXd H_ff(f, f);
+  VectorXd b(f);
+  for (int a = 0; a < f; ++a) {
+    b[a] = -gradient[free[a]];
+    for (int c = 0; c < f; ++c) H_ff(a, c) = H(free[a], free[c]);
+  }
+  const VectorXd x = H_ff.ldlt().solve(b);
+  VectorXd direction = VectorXd::Zero(gradient.size());
+  for (int a = 0; a < f; ++a) direction[free[a]] = x[a];
+  return direction;
+}
+
+}  // namespace
+
 VectorXd BoxedNewtonStep(const MatrixXd& H, const VectorXd& g, const VectorXd& low, const VectorXd& high) {
   const int P = static_cast<int>(g.size());
-  VectorXd step = VectorXd::Zero(P);
-  std::vector<int> free;
-  for (int i = 0; i < P; ++i) {
-    const bool pushed_out = (high[i] <= 0.0 && g[i] < 0.0) || (low[i] >= 0.0 && g[i] > 0.0);
-    if (!pushed_out && low[i] < high[i]) free.push_back(i);
-  }
-  while (!free.empty()) {
-    const int f = static_cast<int>(free.size());
-    const VectorXd rhs = -(g + H * step);
-    MatrixXd H_ff(f, f);
-    VectorXd b(f);
-    for (int a = 0; a < f; ++a) {
-      b[a] = rhs[free[a]];
-      for (int c = 0; c < f; ++c) H_ff(a, c) = H(free[a], free[c]);
+  VectorXd step = VectorXd::Zero(P).cwiseMax(low).cwiseMin(high);
+  const auto model = [&](const VectorXd& x) { return g.dot(x) + 0.5 * x.dot(H * x); };
+  double least = model(step);
+  for (int it = 0; it < kMostIterations; ++it) {
+    const VectorXd gradient = g + H * step;
+    std::vector<int> free;
+    for (int i = 0; i < P; ++i) {
+      const bool held = (step[i] <= low[i] && gradient[i] > 0) || (step[i] >= high[i] && gradient[i] < 0);
+      if (!held && low[i] < high[i]) free.push_back(i);
     }
-    const VectorXd x = H_ff.ldlt().solve(b);
-    std::vector<int> still_free;
-    for (int a = 0; a < f; ++a) {
-      const int i = free[a];
-      if (x[a] < low[i] || x[a] > high[i]) {
-        step[i] = x[a] < low[i] ? low[i] : high[i];
-      } else {
-        still_free.push_back(i);
-      }
+    if (free.empty()) break;
+    const VectorXd direction = DirectionOf(H, gradient, free);
+    double length = 1.0, value = least;
+    VectorXd next = step;
+    for (int half = 0; half < kMostHalvings; ++half, length *= 0.5) {
+      next = (step + length * direction).cwiseMax(low).cwiseMin(high);
+      value = model(next);
+      if (value <= least + 1e-4 * gradient.dot(next - step)) break;
     }
-    if (still_free.size() == free.size()) {
-      for (int a = 0; a < f; ++a) step[free[a]] = x[a];
-      break;
-    }
-    free = std::move(still_free);
+    if (!(value < least)) break;
+    const bool settled = least - value <= kSettled * std::abs(value);
+    step = std::move(next), least = value;
+    if (settled) break;
   }
   return step;
 }

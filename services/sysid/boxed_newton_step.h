@@ -5,9 +5,10 @@
 
 namespace rg::sysid {
 
-// min ½ δᵀHδ + gᵀδ with low ≤ δ ≤ high, low ≤ 0 ≤ high; H: P × P, positive definite. By an active set that
-// only grows: coordinates that leave the box are set on its side and the rest is solved again. Exact when
-// no bound is hit; else a feasible descent step that the caller's damping guards.
+//   min ½ δᵀHδ + gᵀδ,  low ≤ δ ≤ high,  low ≤ 0 ≤ high;  H: P × P, positive definite
+//
+// by projected Newton steps (Bertsekas, SIAM J. Control Optim. 20, 1982): coordinates that the gradient holds
+// at a side stay there, the rest are solved for and clipped while the model falls. Ends at the minimum.
 Eigen::VectorXd BoxedNewtonStep(const Eigen::MatrixXd& H, const Eigen::VectorXd& g,
                                 const Eigen::VectorXd& low, const Eigen::VectorXd& high);
 

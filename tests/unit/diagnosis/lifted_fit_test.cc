@@ -4,6 +4,7 @@
 
 #include <tuple>
 
+#include "services/diagnosis/fit_requests.h"
 #include "services/diagnosis/gram.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/search.h"
@@ -66,6 +67,41 @@ TEST(LiftedFit, EndsAtOnceWhereItStartsFromItsOwnEnd) {
   const FitResult warm = Fit(p->data, model, {}, &carried);
   EXPECT_LE(warm.iterations, 2);
   EXPECT_NEAR(warm.evidence, cold.evidence, 0.05);
+}
+
+TEST(LiftedFit, PiecesKeepWhatWasMeasured) {
+  const auto p = Prepare("pendulum", {}, 4);
+  const auto pieces = InPieces(p->data.windows, 0.1);
+  const auto count = [](const std::vector<NodeWindow>& windows) {
+    int measured = 0;
+    for (const NodeWindow& w : windows) {
+      for (const char m : w.measured) measured += m;
+      EXPECT_EQ(w.q.cols(), static_cast<long>(w.t.size()));
+      EXPECT_EQ(w.q0.cols(), static_cast<long>(w.t.size()));
+    }
+    return measured;
+  };
+  EXPECT_GT(pieces.size(), 3 * p->data.windows.size());
+  // Less the few at a window's end that make no piece of their own.
+  const int all = count(p->data.windows), kept = count(pieces);
+  EXPECT_LE(kept, all);
+  EXPECT_GE(kept, all - 2 * static_cast<int>(p->data.windows.size()));
+}
+
+TEST(LiftedFit, FindsTheWayOverPiecesFromFarAndEndsOnWholeWindows) {
+  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  const auto p = Prepare("pendulum", {MakeSpec("torque_gain", {joint}, {{"gain", 2.5}})}, 5);
+  const FitSetting setting{p->data, p->nominal, p->scales};
+  FitRequest request{{MakeSpec("torque_gain", {joint}, {{"gain", 0.3}})}, false, {}, {}, 0.1, false, nullptr};
+  const FitResult whole = MakeFit(setting, request);
+  ASSERT_TRUE(whole.ok);
+  EXPECT_NEAR(whole.theta[0], 2.5, 5 * whole.stddev[0] + 1e-3);
+  EXPECT_EQ(whole.states.size(), p->data.windows.size());
+  request.pieces_alone = true;
+  const FitResult pieces = MakeFit(setting, request);
+  ASSERT_TRUE(pieces.ok);
+  EXPECT_NEAR(pieces.theta[0], 2.5, 0.1);
+  EXPECT_TRUE(pieces.states.empty());
 }
 
 TEST(LiftedFit, CarriesStatesToAModelWithMoreOfThem) {

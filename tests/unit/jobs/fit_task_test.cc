@@ -32,10 +32,10 @@ class FitsOfASet : public ::testing::Test {
   std::vector<FitRequest> Requests() {
     const std::vector<effects::EffectSpec> friction = {
         effects::MakeSpec("coulomb_friction", {nominal_.joint_names()[1]}, {{"coulomb", 0.1}})};
-    FitRequest some{friction, true, {}, {0, 2, 5}, nullptr};
+    FitRequest some{friction, true, {}, {0, 2, 5}, 0, false, nullptr};
     some.options.iterations = 2, some.options.noise_scale = 1.25;
     auto from = diagnosis::Unfitted(setting_, friction, true);
-    FitRequest all{friction, true, {}, {}, nullptr};
+    FitRequest all{friction, true, {}, {}, 0, false, nullptr};
     all.options.iterations = 1;
     from.fit = diagnosis::MakeFit(setting_, all);
     all.from = std::make_shared<const diagnosis::Candidate>(std::move(from));
