@@ -209,24 +209,6 @@ Status Prove(Context& context, ProveArguments& arguments) {
   }
   if (arguments.jobs <= 0)
     arguments.jobs = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
-  const struct {
-    const char* flag;
-    int value, most;
-  } counts[] = {{"--cases", arguments.cases, kFirstControl},
-                {"--controls", arguments.controls, kFirstOutside - kFirstControl},
-                {"--outside", arguments.outside, kLast - kFirstOutside}};
-  for (const auto& count : counts) {
-    if (count.value > count.most)
-      return InvalidError(std::string(count.flag) + " is " + std::to_string(count.value) +
-                          ", must be at most " + std::to_string(count.most));
-  }
-  for (const std::string& robot : arguments.robots) {
-    if (std::find(kRobots.begin(), kRobots.end(), robot) == kRobots.end()) {
-      std::string known;
-      for (const std::string& r : kRobots) known += (known.empty() ? "" : ", ") + r;
-      return InvalidError("--robots: '" + robot + "' is not known, there are " + known);
-    }
-  }
   RG_ASSIGN_OR_RETURN(const Settings settings, context.Resolve());
   Examiner examiner(context, arguments, RobotsFolder(settings));
   RG_ASSIGN_OR_RETURN(const proof::ProofRecord record, examiner.Run());
@@ -259,15 +241,18 @@ void AddProveCommand(CLI::App& app, Context& context) {
   command->add_option("--seed", arguments->seed, "Of the whole examination")->capture_default_str();
   command->add_option("--cases", arguments->cases, "Sets with something concealed")
       ->capture_default_str()
-      ->check(CLI::PositiveNumber);
+      ->check(CLI::Range(1, kFirstControl));
   command
       ->add_option("--controls", arguments->controls, "Sets with nothing concealed, or wrong parameters only")
       ->capture_default_str()
-      ->check(CLI::NonNegativeNumber);
+      ->check(CLI::Range(0, kFirstOutside - kFirstControl));
   command->add_option("--outside", arguments->outside, "Further sets whose force is outside the catalogue")
       ->capture_default_str()
-      ->check(CLI::NonNegativeNumber);
-  command->add_option("--robots", arguments->robots, "To draw from")->delimiter(',')->capture_default_str();
+      ->check(CLI::Range(0, kLast - kFirstOutside));
+  command->add_option("--robots", arguments->robots, "To draw from")
+      ->delimiter(',')
+      ->capture_default_str()
+      ->check(CLI::IsMember(kRobots));
   command->add_option("--jobs", arguments->jobs, "Sets at a time, one thread each; default: one per core");
   command->add_option("--weak", arguments->weak, "Share of weak effects")->check(CLI::Range(0.0, 1.0));
   command->add_option("--pairs", arguments->pairs, "Share of pairs")->check(CLI::Range(0.0, 1.0));
