@@ -5,6 +5,7 @@
 #include <set>
 
 #include "common/effects/effect_catalog.h"
+#include "common/model/robot_model.h"
 
 namespace rg::diagnosis {
 
@@ -19,9 +20,10 @@ constexpr double kShapePrior =
 // A drive's command waits for its bus and cycle more often than a sensor's reading does; where both are on
 // all joints nothing but the first moments of a recording tells them apart.
 constexpr double kSensorDelayPrior = 2.0;
-constexpr double kLeast = 1.3;       // times the least that a mass or a gap may be
-constexpr double kUnseen = 0.7;      // posterior over prior stddev of the best known parameter
-constexpr double kFieldPrior = 6.0;  // what an unnamed force pays beside
+constexpr double kLeast = 1.3;            // times the least that a mass or a gap may be
+constexpr double kUnseen = 0.7;           // posterior over prior stddev of the best known parameter
+constexpr double kFieldPrior = 6.0;       // what an unnamed force pays beside
+constexpr double kOneInAHundred = 2.576;  // stddev that one of a hundred normal errors exceeds
 
 }  // namespace
 
@@ -30,10 +32,13 @@ double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
   double cost = base ? kBasePrior : 0.0;
   for (const EffectSpec& s : specs) {
     ids.insert(s.id);
-    cost +=
-        kJointPrior + kShapePrior * (static_cast<double>(effects::FindEffect(s.id)->parameters.size()) - 1.0);
+    // An unnamed force's weights are no parameters of a law: they pay for what they follow in the evidence.
+    const bool field = s.id == "unknown_field" || s.id == "unknown_field_pair";
+    cost += kJointPrior;
+    if (!field)
+      cost += kShapePrior * (static_cast<double>(effects::FindEffect(s.id)->parameters.size()) - 1.0);
     if (s.id == "sensor_delay") cost += kSensorDelayPrior;
-    if (s.id == "unknown_field" || s.id == "unknown_field_pair") cost += kFieldPrior;
+    if (field) cost += kFieldPrior;
   }
   return cost + kEffectPrior * static_cast<double>(ids.size());
 }
@@ -82,6 +87,23 @@ bool Unseen(const Candidate& c) {
     if (known > kUnseen) return true;
   }
   return false;
+}
+
+bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row) {
+  const auto& model = c.plant->model();
+  for (size_t k = 0; k < c.parameters.size(); ++k) {
+    const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+    if (p.effect != "torque_ripple" || p.field != "cycles_per_rev") continue;
+    const int joint = model.FindJoint(p.owner);
+    const double cycles = c.fit.theta[static_cast<long>(k)], lower = c.parameters[k].lower;
+    const double error =
+        kOneInAHundred * c.fit.stddev[static_cast<long>(k)] * std::sqrt(std::max(1.0, chi2_per_row));
+    if (cycles < lower + 1e-6 * (1 + std::abs(lower))) return false;
+    if (model.joint(joint).is_revolute() && std::abs(cycles - std::round(cycles)) > error) return false;
+    const double times = cycles * (scales.high[joint] - scales.low[joint]) / (2 * M_PI);
+    if (times < 2 && Contains(c.specs, "position_spring", p.owner)) return false;
+  }
+  return true;
 }
 
 double Strength(const Candidate& c, size_t i) {

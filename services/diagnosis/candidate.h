@@ -2,11 +2,13 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "common/effects/effect.h"
 #include "common/sim/plant.h"
+#include "services/diagnosis/features.h"
 #include "services/diagnosis/lifted_fit.h"
 
 namespace rg::diagnosis {
@@ -20,6 +22,8 @@ struct Candidate {
   FitResult fit;
   double score = 0;  // evidence with the structure's prior
   int round = 0;
+  std::optional<double>
+      held_out;  // log density of recordings kept aside, where it was asked for (held_out.h)
 };
 
 // −log prior odds: of a URDF that is off, of every kind of effect, every joint of it, every parameter beyond
@@ -36,6 +40,14 @@ std::vector<effects::EffectSpec> Refreshed(const Candidate& c);
 // Whether it has an effect of which the data show nothing: no parameter is known better than before them, or
 // a mass or a gap is the least that it may be.
 bool Unseen(const Candidate& c);
+
+// Whether every ripple in it repeats as a ripple does. What turns with a rotary joint (cogging, a gear's
+// teeth, a sensor's) is the same after each turn, so its cycles per turn are a whole number; one true ripple
+// in a hundred is refused for that. One whose fit wants less than about a period over all that was recorded
+// is a slow curve.
+// Beside a spring on its joint a ripple must come round twice within what was recorded: less are two terms of
+// any curve.
+bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row);
 
 // |strength − none| of effect i in its stddev: what a delay, an amplitude, a mass, … is from nothing.
 double Strength(const Candidate& c, size_t i);

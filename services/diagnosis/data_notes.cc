@@ -24,6 +24,10 @@ constexpr double kOtherRate = 1.5;      // factor between rates
 constexpr double kHeld = 0.5;           // of the torque needed
 constexpr double kBeyond = 0.01;        // rad or m outside a limit
 
+bool Moved(const FitData& data, const MotionScales& scales, int j) {
+  return scales.high[j] - scales.low[j] >= kMovesBy * data.noise.position_stddev[j];
+}
+
 class Notes {
  public:
   Notes(const recordings::RecordingSet& set, const FitData& data, const sim::Plant& nominal,
@@ -32,7 +36,7 @@ class Notes {
         data_(data),
         model_(nominal.model()),
         scales_(scales),
-        mechanism_(sysid::MechanismOf(nominal, nominal.parameters().Nominal())) {}
+        still_(StillJoints(data, nominal, scales)) {}
 
   std::vector<std::string> Take() {
     Still();
@@ -48,35 +52,19 @@ class Notes {
  private:
   void Say(const std::string& line) { out_.push_back(line); }
   const std::string& Name(int j) const { return model_.joint(j).name; }
-  bool Moves(int j) const {
-    return scales_.high[j] - scales_.low[j] >= kMovesBy * data_.noise.position_stddev[j];
-  }
+  bool Moves(int j) const { return Moved(data_, scales_, j); }
 
   void Still() {
-    for (int j = 0; j < data_.n; ++j) {
-      if (Moves(j)) continue;
-      Say(Name(j) + " never moved: nothing can be said of its friction and inertia");
-      const auto [missed, needed] = Missed(j);
-      if (missed > kHeld * needed)
-        Say(Name(j) + "'s effort misses the torque that held it by " + Number(missed) +
-            " (RMS; needed: " + Number(needed) +
+    for (const StillJoint& still : still_) {
+      const std::string& name = Name(still.joint);
+      Say(name + " never moved: nothing can be said of its friction and inertia");
+      if (still.held)
+        Say(name + "'s effort misses the torque that held it by " + Number(still.missed) +
+            " (RMS; needed: " + Number(still.needed) +
             "): a brake, a stop or friction held it, and findings on it are not to be trusted; \"locked\" in "
             "the "
             "manifest leaves the joint out");
     }
-  }
-
-  // RMS of a joint's effort less the torque that the URDF needs for the recorded motion, and of that torque.
-  std::pair<double, double> Missed(int j) {
-    double missed = 0, needed = 0, rows = 0;
-    VectorXd torque(data_.n);
-    for (const FineMotion& m : data_.fine) {
-      for (Eigen::Index k = 0; k < m.q.cols(); k += 8, ++rows) {
-        dynamics::Rnea(mechanism_, workspace_, m.q.col(k), m.v.col(k), m.a.col(k), torque);
-        missed += std::pow(m.u(j, k) - torque[j], 2), needed += torque[j] * torque[j];
-      }
-    }
-    return {std::sqrt(missed / std::max(1.0, rows)), std::sqrt(needed / std::max(1.0, rows))};
   }
 
   void Limits() {
@@ -158,12 +146,37 @@ class Notes {
   const FitData& data_;
   const model::RobotModel& model_;
   const MotionScales& scales_;
-  dynamics::Mechanism mechanism_;
-  dynamics::Workspace workspace_;
+  std::vector<StillJoint> still_;
   std::vector<std::string> out_;
 };
 
 }  // namespace
+
+std::vector<StillJoint> StillJoints(const FitData& data, const sim::Plant& nominal,
+                                    const MotionScales& scales) {
+  std::vector<StillJoint> out;
+  for (int j = 0; j < data.n; ++j) {
+    if (!Moved(data, scales, j)) out.push_back({j, 0, 0, false});
+  }
+  if (out.empty()) return out;
+  const dynamics::Mechanism mechanism = sysid::MechanismOf(nominal, nominal.parameters().Nominal());
+  dynamics::Workspace workspace;
+  VectorXd torque(data.n);
+  double rows = 0;
+  for (const FineMotion& m : data.fine) {
+    for (Eigen::Index k = 0; k < m.q.cols(); k += 8, ++rows) {
+      dynamics::Rnea(mechanism, workspace, m.q.col(k), m.v.col(k), m.a.col(k), torque);
+      for (StillJoint& s : out)
+        s.missed += std::pow(m.u(s.joint, k) - torque[s.joint], 2), s.needed += std::pow(torque[s.joint], 2);
+    }
+  }
+  for (StillJoint& s : out) {
+    s.missed = std::sqrt(s.missed / std::max(1.0, rows)),
+    s.needed = std::sqrt(s.needed / std::max(1.0, rows));
+    s.held = s.missed > kHeld * s.needed;
+  }
+  return out;
+}
 
 std::vector<std::string> NotesOn(const recordings::RecordingSet& set, const FitData& data,
                                  const sim::Plant& nominal, const MotionScales& scales) {

@@ -13,4 +13,13 @@ namespace rg::diagnosis {
 std::vector<std::string> NotesOn(const recordings::RecordingSet& set, const FitData& data,
                                  const sim::Plant& nominal, const MotionScales& scales);
 
+// A joint that moved by no more than its sensor's noise.
+struct StillJoint {
+  int joint = 0;
+  double missed = 0, needed = 0;  // RMS: effort less the torque that the URDF needs there, and that torque
+  bool held = false;              // by something else than its effort
+};
+std::vector<StillJoint> StillJoints(const FitData& data, const sim::Plant& nominal,
+                                    const MotionScales& scales);
+
 }  // namespace rg::diagnosis

@@ -26,8 +26,10 @@ namespace {
 void SayWhatToRecord(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
                      const MotionScales& scales, const DiagnosisOptions& options, int threads,
                      const CancelToken* cancel, DiagnosisResult* result) {
-  const bool open = std::any_of(result->findings.begin(), result->findings.end(),
-                                [](const Finding& f) { return f.effect_class.size() > 1; });
+  const auto separates = [](const Alternative& a) { return !a.separable && a.by_motion; };
+  const bool open = std::any_of(result->findings.begin(), result->findings.end(), [&](const Finding& f) {
+    return std::any_of(f.alternatives.begin(), f.alternatives.end(), separates);
+  });
   // With a measured effort rivals are weighed in the balance of torques, which has no sensors' noise to plan
   // with.
   if (!open || search.measured.active) return;
@@ -35,7 +37,7 @@ void SayWhatToRecord(const SearchResult& search, const FitData& data, const sim:
       ProposeMotion(search, data, nominal, scales, result->findings, options.step_s, threads, cancel);
   for (Finding& f : result->findings) {
     for (Alternative& a : f.alternatives) {
-      if (a.separable) continue;
+      if (!separates(a)) continue;
       a.experiment = result->motion ? result->motion->description + " (motion.csv)"
                                     : a.experiment +
                                           "; no motion tried within the recorded range and the "
@@ -52,7 +54,8 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& set, const Diag
   const double start = clock.SteadySeconds();
   const int threads = sysid::ChooseThreads(options.threads);
   RG_ASSIGN_OR_RETURN(const sim::Plant nominal, sysid::NominalPlant(set));
-  RG_ASSIGN_OR_RETURN(const FitData data, PrepareData(set, nominal, options));
+  RG_ASSIGN_OR_RETURN(FitData data, PrepareData(set, nominal, options));
+  data.held_out = PrepareHeldOut(set, data, nominal, options);
   const MotionScales scales = ScalesOf(data, nominal);
   DiagnosisResult result;
   RG_RETURN_IF_ERROR(CheckPlausible(set, data, nominal, scales, options.trust_effort, &result.notes));

@@ -53,9 +53,11 @@ struct ParameterEstimate {
 struct Alternative {
   std::string effect;
   std::vector<std::string> joints;
-  double evidence = 0;  // log evidence minus the chosen one's, nats
+  double evidence =
+      0;  // log predictive density of held-out recordings minus the chosen one's, nats (held_out.h)
   bool separable = true;
   std::string experiment;
+  bool by_motion = true;  // whether a motion could tell it apart
 };
 struct Finding {
   std::string effect;

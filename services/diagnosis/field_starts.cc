@@ -20,7 +20,7 @@ constexpr int kNodes = effects::UnknownFieldPair::kNodes;
 constexpr int kWeights = kNodes * kNodes;
 
 struct Sample {
-  VectorXd q, force, weight;  // n: positions, missing force, 1/σ²
+  VectorXd q, v, force, weight;  // n: positions, velocities, missing force, 1/σ²
 };
 
 std::vector<Sample> SamplesOf(const FitData& data, const MissingForce& missing) {
@@ -32,7 +32,7 @@ std::vector<Sample> SamplesOf(const FitData& data, const MissingForce& missing) 
       const auto at = static_cast<long>(
           std::clamp((missing.t[w][s] - fine.t[0]) / dt, 0.0, static_cast<double>(fine.t.size() - 1)));
       const auto col = static_cast<long>(s);
-      Sample sample{fine.q.col(at), missing.force[w].col(col),
+      Sample sample{fine.q.col(at), fine.v.col(at), missing.force[w].col(col),
                     missing.stddev[w].col(col).cwiseMax(1e-12).cwiseAbs2().cwiseInverse()};
       if (sample.force.allFinite() && sample.weight.allFinite()) out.push_back(std::move(sample));
     }
@@ -40,47 +40,93 @@ std::vector<Sample> SamplesOf(const FitData& data, const MissingForce& missing) 
   return out;
 }
 
-VectorXd Basis(double q, double low, double high) {
-  VectorXd out(kNodes);
-  const double x = (q - low) * (kNodes - 1) / (high - low);
-  for (int i = 0; i < kNodes; ++i) out[i] = effects::UnknownField::Spline(x - i);
+VectorXd Basis(int nodes, double x, double low, double high) {
+  VectorXd out(nodes);
+  const double at = (x - low) * (nodes - 1) / (high - low);
+  for (int i = 0; i < nodes; ++i) out[i] = effects::UnknownField::Spline(at - i);
   return out;
+}
+
+// The force's own size on a joint, three times: where nothing was recorded a field stays near zero.
+double SizeOn(const std::vector<Sample>& samples, int joint) {
+  double squares = 0;
+  for (const Sample& s : samples) squares += s.force[joint] * s.force[joint];
+  return std::max(1e-9, 3 * std::sqrt(squares / std::max<double>(1.0, static_cast<double>(samples.size()))));
+}
+
+// Weighted regression of one joint's missing force on columns phi (W × S, a unit of which is as large as the
+// force): log evidence gained, and the weights.
+double Regressed(const std::vector<Sample>& samples, int on, const MatrixXd& phi, VectorXd* weights) {
+  const auto W = phi.rows();
+  MatrixXd H = MatrixXd::Zero(W, W);
+  VectorXd g = VectorXd::Zero(W);
+  for (size_t s = 0; s < samples.size(); ++s) {
+    const auto column = phi.col(static_cast<long>(s));
+    H.selfadjointView<Eigen::Lower>().rankUpdate(column, samples[s].weight[on]);
+    g += samples[s].weight[on] * samples[s].force[on] * column;
+  }
+  H.diagonal().array() += 1.0;
+  const Eigen::LLT<MatrixXd> llt(H.selfadjointView<Eigen::Lower>());
+  *weights = llt.solve(g);
+  double log_det = 0;
+  for (Eigen::Index i = 0; i < W; ++i) log_det += 2 * std::log(llt.matrixLLT()(i, i));
+  return 0.5 * g.dot(*weights) - 0.5 * log_det;
 }
 
 }  // namespace
 
+std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nominal,
+                                     const MotionScales& scales, const MissingForce& missing,
+                                     const std::string& variable) {
+  const std::vector<Sample> samples = SamplesOf(data, missing);
+  std::optional<EffectSpec> best;
+  double best_gain = -std::numeric_limits<double>::infinity();
+  for (int on = 0; on < data.n; ++on) {
+    const bool speed = variable == "velocity";
+    const double low = speed ? -scales.top_speed[on] : scales.low[on];
+    const double high = std::max(speed ? scales.top_speed[on] : scales.high[on], low + 1e-3);
+    const double size = SizeOn(samples, on);
+    MatrixXd phi(effects::UnknownField::kNodes, static_cast<long>(samples.size()));
+    for (size_t s = 0; s < samples.size(); ++s) {
+      const double x = speed ? samples[s].v[on] : samples[s].q[on];
+      phi.col(static_cast<long>(s)) = size * Basis(effects::UnknownField::kNodes, x, low, high);
+    }
+    VectorXd weights;
+    const double gain = Regressed(samples, on, phi, &weights);
+    if (!(gain > best_gain)) continue;
+    best_gain = gain;
+    std::map<std::string, double> values = {{"low", low}, {"high", high}};
+    for (int i = 0; i < weights.size(); ++i) values["w" + std::to_string(i)] = size * weights[i];
+    best = effects::MakeSpec("unknown_field", {nominal.joint_names()[on]}, values);
+    best->options["variable"] = variable;
+  }
+  return best;
+}
+
 std::optional<EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& nominal,
                                          const MotionScales& scales, const MissingForce& missing) {
   const std::vector<Sample> samples = SamplesOf(data, missing);
-  const int n = data.n, S = static_cast<int>(samples.size());
+  const int n = data.n;
+  const auto S = static_cast<long>(samples.size());
   std::optional<EffectSpec> best;
   double best_gain = -std::numeric_limits<double>::infinity();
   std::vector<MatrixXd> basis(n, MatrixXd(kNodes, S));
   for (int j = 0; j < n; ++j) {
-    for (int s = 0; s < S; ++s)
-      basis[j].col(s) = Basis(samples[s].q[j], scales.low[j], std::max(scales.high[j], scales.low[j] + 1e-3));
+    for (long s = 0; s < S; ++s)
+      basis[j].col(s) = Basis(kNodes, samples[static_cast<size_t>(s)].q[j], scales.low[j],
+                              std::max(scales.high[j], scales.low[j] + 1e-3));
   }
   for (int on = 0; on < n; ++on) {
-    // The force's own size: where nothing was recorded the surface stays near zero.
-    double squares = 0;
-    for (const Sample& s : samples) squares += s.force[on] * s.force[on];
-    const double prior = std::max(1e-9, 3 * std::sqrt(squares / std::max(1, S)));
+    const double size = SizeOn(samples, on);
     for (int other = 0; other < n; ++other) {
       if (other == on) continue;
-      MatrixXd H = MatrixXd::Zero(kWeights, kWeights);
-      VectorXd g = VectorXd::Zero(kWeights), phi(kWeights);
-      for (int s = 0; s < S; ++s) {
+      MatrixXd phi(kWeights, S);
+      for (long s = 0; s < S; ++s) {
         for (int i = 0; i < kNodes; ++i)
-          phi.segment(i * kNodes, kNodes) = prior * basis[on](i, s) * basis[other].col(s);
-        H.selfadjointView<Eigen::Lower>().rankUpdate(phi, samples[s].weight[on]);
-        g += samples[s].weight[on] * samples[s].force[on] * phi;
+          phi.col(s).segment(i * kNodes, kNodes) = size * basis[on](i, s) * basis[other].col(s);
       }
-      H.diagonal().array() += 1.0;
-      const Eigen::LLT<MatrixXd> llt(H.selfadjointView<Eigen::Lower>());
-      const VectorXd c = llt.solve(g);
-      double log_det = 0;
-      for (int i = 0; i < kWeights; ++i) log_det += 2 * std::log(llt.matrixLLT()(i, i));
-      const double gain = 0.5 * g.dot(c) - 0.5 * log_det;
+      VectorXd weights;
+      const double gain = Regressed(samples, on, phi, &weights);
       if (!(gain > best_gain)) continue;
       best_gain = gain;
       std::map<std::string, double> values = {
@@ -89,7 +135,7 @@ std::optional<EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& 
           {"other_low", scales.low[other]},
           {"other_high", std::max(scales.high[other], scales.low[other] + 1e-3)}};
       for (int i = 0; i < kWeights; ++i)
-        values["w" + std::to_string(i / kNodes) + std::to_string(i % kNodes)] = prior * c[i];
+        values["w" + std::to_string(i / kNodes) + std::to_string(i % kNodes)] = size * weights[i];
       best = effects::MakeSpec("unknown_field_pair",
                                {nominal.joint_names()[other], nominal.joint_names()[on]}, values);
     }

@@ -402,11 +402,14 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   return result;
 }
 
+LiftedOptions OtherStepRule(LiftedOptions options) {
+  options.step_s = kOtherStep, options.integrator = sim::Integrator::kSemiImplicitEuler;
+  return options;
+}
+
 std::vector<VectorXd> StepRuleResiduals(const FitData& data, const FitModel& model, const NodeStates& states,
                                         const LiftedOptions& options) {
-  LiftedOptions euler = options;
-  euler.step_s = kOtherStep, euler.integrator = sim::Integrator::kSemiImplicitEuler;
-  Lineariser other(data, model, false, euler), own(data, model, false, options);
+  Lineariser other(data, model, false, OtherStepRule(options)), own(data, model, false, options);
   const int W = static_cast<int>(data.windows.size());
   std::vector<VectorXd> out(W);
   sysid::ParallelFor(options.threads, W, [&](int worker, int w) {

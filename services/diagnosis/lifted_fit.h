@@ -38,7 +38,8 @@ struct FitData {
   std::vector<FineMotion> fine;
   std::vector<NodeWindow> windows;
   NodeOptions nodes;
-  int Rows() const;  // residual rows of all windows
+  std::shared_ptr<const FitData> held_out;  // recordings that no fit sees; null: none
+  int Rows() const;                         // residual rows of all windows
 };
 
 // States at the nodes of every window: nx × (N + 1) each.
@@ -56,6 +57,7 @@ struct LiftedOptions {
   int threads = 1;
   double noise_scale = 1.0;  // residual variance in units of the sensors' noise
   double step_s = 2e-3;
+  bool free_hidden = true;  // hidden states start where they fit best, or else as the record before leaves them
   sim::Integrator integrator = sim::Integrator::kLeapfrog;
 };
 
@@ -106,6 +108,7 @@ NodeStates CarriedStates(const FitData& data, const FitModel& to, const sim::Pla
 // Another step rule stands for what nobody knows of an engine or of a robot's timing: what the whitened
 // outputs of every window change by when it is simulated by semi-implicit Euler at 0.2 ms, as careful users
 // of the field's simulators do. An effect that explains no more than that is none.
+LiftedOptions OtherStepRule(LiftedOptions options);
 std::vector<Eigen::VectorXd> StepRuleResiduals(const FitData& data, const FitModel& model,
                                                const NodeStates& states, const LiftedOptions& options);
 Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,

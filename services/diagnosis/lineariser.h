@@ -184,6 +184,7 @@ class Lineariser {
       if (keep) out->E.push_back(E);
     }
     RG_CHECK(row == M) << row << " " << M;
+    if (!options_.free_hidden) out->J_e.rightCols(nx_ - 2 * n_).setZero();
     if (!out->J.allFinite() || !out->J_e.allFinite() || !out->r.allFinite()) out->ok = false;
   }
 

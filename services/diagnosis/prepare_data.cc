@@ -8,8 +8,12 @@ namespace rg::diagnosis {
 
 using Eigen::VectorXd;
 
-Result<FitData> PrepareData(const recordings::RecordingSet& set, const sim::Plant& nominal,
-                            const DiagnosisOptions& options) {
+namespace {
+
+// Three windows at least.
+Result<FitData> Prepared(const recordings::RecordingSet& set,
+                         const std::vector<const recordings::Recording*>& recordings,
+                         const sim::Plant& nominal, const DiagnosisOptions& options) {
   FitData data;
   data.n = nominal.num_joints();
   data.noise = recordings::EstimateSensorNoise(set);
@@ -22,7 +26,7 @@ Result<FitData> PrepareData(const recordings::RecordingSet& set, const sim::Plan
     data.noise.velocity_stddev[j] = std::max(1e-5, data.noise.velocity_stddev[j]);
   }
   const VectorXd values = nominal.parameters().Nominal();
-  for (const recordings::Recording* rec : set.Fit()) {
+  for (const recordings::Recording* rec : recordings) {
     if (rec->drive_effort().size() == 0) return InvalidError(rec->name + ": no effort drives the model");
     if (rec->rows() < 10) return InvalidError(rec->name + ": fewer than 10 rows, too little to fit");
     data.use_velocity = data.use_velocity && rec->has_velocity();
@@ -30,7 +34,6 @@ Result<FitData> PrepareData(const recordings::RecordingSet& set, const sim::Plan
                                         ? sysid::DriveSignalWithGravity(*rec, nominal, values)
                                         : sysid::DriveSignal(*rec)});
   }
-  if (data.recordings.empty()) return InvalidError("no recording of the split \"fit\"");
   data.nodes.window_s = options.fit_window_s;
   for (size_t r = 0; r < data.recordings.size(); ++r) {
     data.motions.emplace_back(*data.recordings[r].recording, data.noise);
@@ -43,6 +46,22 @@ Result<FitData> PrepareData(const recordings::RecordingSet& set, const sim::Plan
   if (data.windows.size() < 3)
     return InvalidError("less than three windows of motion: too little to say anything");
   return data;
+}
+
+}  // namespace
+
+Result<FitData> PrepareData(const recordings::RecordingSet& set, const sim::Plant& nominal,
+                            const DiagnosisOptions& options) {
+  if (set.Fit().empty()) return InvalidError("no recording of the split \"fit\"");
+  return Prepared(set, set.Fit(), nominal, options);
+}
+
+std::shared_ptr<const FitData> PrepareHeldOut(const recordings::RecordingSet& set, const FitData& fitted,
+                                              const sim::Plant& nominal, const DiagnosisOptions& options) {
+  if (set.Holdout().empty()) return nullptr;
+  auto data = Prepared(set, set.Holdout(), nominal, options);
+  if (!data.ok() || data->use_velocity != fitted.use_velocity) return nullptr;
+  return std::make_shared<const FitData>(*std::move(data));
 }
 
 }  // namespace rg::diagnosis

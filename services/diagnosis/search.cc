@@ -10,6 +10,8 @@
 #include "services/diagnosis/acceptance.h"
 #include "services/diagnosis/field_starts.h"
 #include "services/diagnosis/fit_requests.h"
+#include "services/diagnosis/held_out_judge.h"
+#include "services/diagnosis/own_chi2.h"
 #include "services/diagnosis/trace.h"
 #include "services/diagnosis/trials.h"
 
@@ -27,6 +29,7 @@ constexpr double kTrialShare = 0.35;  // of all work, that the trials of one scr
 constexpr double kNothing = 1.0;      // stddev from none at which an effect is about nothing
 constexpr double kPiece = 0.1;        // s
 constexpr double kHolds = 2.0;        // χ² per row below which a model's own states are trusted
+constexpr int kSentBack = 3;          // times that recordings kept aside may refuse an account
 constexpr double kExplained = 1.1;    // χ² per row at which nothing else is looked for in another world
 
 class Search {
@@ -71,6 +74,7 @@ class Search {
     }
     Prune(&best);
     if (PerRow(best) > kExplained || OfPosition(best)) Flexible(&best, 1e300);
+    out.sent_back = SendBack(Better(out.nominal, out.calibrated), &best);
     out.best = best;
     for (const auto& [key, c] : tried_) out.tried.push_back(c);
     std::sort(out.tried.begin(), out.tried.end(),
@@ -80,6 +84,9 @@ class Search {
     Tell("locate", 0.95, "");
     const Candidate without = Better(out.nominal, out.calibrated);
     out.threshold = Threshold(without);
+    if (data_.held_out != nullptr && !Cancelled()) WeighRivals(*data_.held_out, lifted_, &out);
+    out.own_chi2 = OwnChi2(data_, FitModel{*best.plant, best.fit.values, {}}, best.fit.states, lifted_,
+                           Rng(options_.seed).Split(kOwnDraw));
     out.missing = Force(without);
     out.remaining = Force(best);
     return out;
@@ -88,6 +95,7 @@ class Search {
  private:
   static constexpr double kSegment = 0.05;  // s
   static constexpr int kNullDraws = 60;
+  static constexpr uint64_t kOwnDraw = 1000;  // its stream of random numbers, beyond the rounds'
 
   // A model that fits better than any force on the old one could: the noise is less than was thought. All
   // scores are brought to it.
@@ -162,6 +170,8 @@ class Search {
     c.fit = std::move(fit);
     c.round = round_;
     c.fit.ok = c.fit.ok && !Unseen(c);
+    // While much is left a ripple's period is bent by it.
+    if (c.fit.ok && PerRow(c) < kHolds) c.fit.ok = Repeats(c, scales_, PerRow(c));
     c.score = c.fit.ok ? c.fit.evidence - StructurePrior(c.specs, c.base) : -1e300;
     return c;
   }
@@ -304,7 +314,10 @@ class Search {
          KeyOf(winner.specs) + " gains " + std::to_string(winner.score - best->score) + " needs " +
              std::to_string(needed));
     if (accept) {
-      *best = Justified(*best, winner);
+      const Candidate justified = Justified(*best, winner);
+      // What is left of several at once may be worth less than none of them.
+      if (justified.score < best->score + Threshold(*best, justified)) return false;
+      *best = justified;
       Prune(best);
       Plainer(best);
     }
@@ -347,25 +360,59 @@ class Search {
     });
   }
 
-  // The ceiling: one unnamed force over two joints' positions in the place of all effects. It is taken where
-  // it leaves less than `worst` χ² per row and is the better account.
+  // The ceiling: one unnamed force over two joints' positions, or one joint's, in the
+  // place of all effects. It is taken where it leaves less than `worst` χ² per row and is the better account.
   bool Flexible(Candidate* best, double worst) {
-    if (data_.n < 2 || Cancelled() || PerRow(*best) < kExplained) return false;
+    if (Cancelled() || (PerRow(*best) < kExplained && data_.n > 1)) return false;
     bool taken = false;
-    Tell("flexible", 0.3 + 0.15 * round_, KeyOf(best->specs));
+    for (const Candidate& c : Unnamed(*best, {"position"})) {
+      if (c.score > best->score + Threshold(*best) && PerRow(c) < worst) *best = c, taken = true;
+    }
+    return taken;
+  }
+
+  std::vector<Candidate> Unnamed(const Candidate& best, const std::vector<std::string>& variables) {
+    std::vector<Candidate> out;
+    Tell("flexible", 0.3 + 0.15 * round_, KeyOf(best.specs));
     for (const bool base : {false, true}) {
       const auto from = tried_.find(base ? "+base" : "");
       if (from == tried_.end() || !from->second.fit.ok) continue;
       // Free base parameters only where they are part of the account.
-      if (base && !best->base) continue;
-      const auto spec = FieldPairStart(data_, nominal_, scales_, Force(from->second));
-      if (!spec) continue;
-      const std::string key = KeyOf({*spec}) + (base ? "+base" : "");
-      const auto done = tried_.find(key);
-      const Candidate c = done != tried_.end() ? done->second : Evaluate({*spec}, base);
-      if (c.score > best->score + Threshold(*best) && PerRow(c) < worst) *best = c, taken = true;
+      if (base && !best.base) continue;
+      const MissingForce force = Force(from->second);
+      for (const std::string& variable : variables) {
+        const auto spec = variable == "position" && data_.n > 1
+                              ? FieldPairStart(data_, nominal_, scales_, force)
+                              : FieldStart(data_, nominal_, scales_, force, variable);
+        if (!spec) continue;
+        const auto done = tried_.find(KeyOf({*spec}) + (base ? "+base" : ""));
+        out.push_back(done != tried_.end() ? done->second : Evaluate({*spec}, base));
+      }
     }
-    return taken;
+    return out;
+  }
+
+  // An account must hold on recordings kept aside, or what was tried and predicts them better takes its
+  // place. One that explains less than half of what is missing there is none, however well it follows what it
+  // was fitted to.
+  // Whether it was.
+  bool SendBack(const Candidate& without, Candidate* best) {
+    if (data_.held_out == nullptr || best->specs.empty()) return false;
+    HeldOutJudge judge(*data_.held_out, lifted_, trace_);
+    int sent = 0;
+    for (; sent < kSentBack && !Late() && !judge.Holds(*best, Threshold(*best)); ++sent) {
+      if (sent == 0) Unnamed(*best, {"position", "velocity"});
+      const auto needed = [&](const Candidate& c) { return Threshold(*best, c); };
+      const auto rival = judge.Better(*best, tried_, needed);
+      if (!rival) break;
+      Tell("sent back", 0.9, KeyOf(best->specs) + "for " + KeyOf(rival->specs));
+      *best = *rival;
+    }
+    work_ += judge.work();
+    if (judge.Holds(*best, Threshold(*best)) || judge.ExplainsMost(*best, without)) return sent > 0;
+    Tell("sent back", 0.9, KeyOf(best->specs) + "for nothing");
+    *best = without;
+    return true;
   }
 
   double PerRow(const Candidate& c) const {

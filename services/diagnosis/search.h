@@ -40,6 +40,8 @@ struct SearchResult {
   double null_gain = 0;
   double threshold = 0;  // log evidence that an addition must bring
   double noise_scale = 1;
+  bool sent_back = false;  // recordings kept aside refused an account that fits better than the best one
+  double own_chi2 = 0;     // of the best model, of recordings that it made itself (own_chi2.h)
   MissingForce missing;    // under the best model without effects
   MissingForce remaining;  // under the best model
   MeasuredEffort measured;
@@ -49,8 +51,12 @@ SearchResult SearchEffects(const FitData& data, const sim::Plant& nominal, const
                            const DiagnosisOptions& options, int threads, const Clock& clock,
                            const ProgressFn& progress, const CancelToken* cancel);
 
-// Nodes and smooth motion of the fit recordings of a set.
+// Nodes and smooth motion of the fit recordings of a set. Points into the set.
 Result<FitData> PrepareData(const recordings::RecordingSet& set, const sim::Plant& nominal,
                             const DiagnosisOptions& options);
+// The same of the recordings kept aside, for FitData::held_out; null where there are none that can be
+// predicted.
+std::shared_ptr<const FitData> PrepareHeldOut(const recordings::RecordingSet& set, const FitData& fitted,
+                                              const sim::Plant& nominal, const DiagnosisOptions& options);
 
 }  // namespace rg::diagnosis

@@ -177,6 +177,7 @@ std::vector<Rival> RivalsOf(const SearchResult& search, const std::string& id) {
   for (const auto& [effect, c] : best) out.push_back({effect, c});
   std::stable_sort(out.begin(), out.end(),
                    [](const Rival& a, const Rival& b) { return a.candidate->score > b.candidate->score; });
+  if (out.size() > kMostRivals) out.resize(kMostRivals);
   return out;
 }
 
@@ -189,7 +190,7 @@ std::optional<ProposedMotion> ProposeMotion(const SearchResult& search, const Fi
   for (const Finding& f : findings) {
     for (const Rival& rival : RivalsOf(search, f.effect)) {
       const bool open = std::any_of(f.alternatives.begin(), f.alternatives.end(), [&](const Alternative& a) {
-        return a.effect == rival.effect && !a.separable;
+        return a.effect == rival.effect && !a.separable && a.by_motion;
       });
       if (!open || !rival.candidate->fit.ok || pairs.size() >= kMostPairs) continue;
       pairs.push_back({&search.best, rival.candidate});

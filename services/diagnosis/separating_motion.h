@@ -24,7 +24,8 @@ struct Rival {
   std::string effect;
   const Candidate* candidate = nullptr;
 };
-// What was tried in the place of effect `id` of the best model, best first; one per kind.
+// What was tried in the place of effect `id` of the best model, best first; one per kind, the best four.
+inline constexpr size_t kMostRivals = 4;
 std::vector<Rival> RivalsOf(const SearchResult& search, const std::string& id);
 
 // For the findings whose class holds others: the motion, or none where no motion that was tried is expected

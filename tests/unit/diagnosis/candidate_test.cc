@@ -46,5 +46,46 @@ TEST(Candidate, IsNotSeenWhereItsMassVanishes) {
   EXPECT_TRUE(Unseen(c));
 }
 
+class Rippling : public ::testing::Test {
+ protected:
+  // `cycles` per turn, known to `error`, on a pendulum.
+  bool Repeats(double cycles, double error, bool spring = false, double chi2_per_row = 1.0) {
+    const std::string joint = p_->nominal.joint_names()[0];
+    Candidate c;
+    c.specs = {effects::MakeSpec("torque_ripple", {joint}, {{"amplitude", 0.1}, {"cycles_per_rev", cycles}})};
+    if (spring) c.specs.push_back(effects::MakeSpec("position_spring", {joint}, {{"stiffness", 1.0}}));
+    const auto plant = sim::Plant::Create(p_->nominal.shared_model(), p_->nominal.options(), c.specs);
+    RG_CHECK(plant.ok()) << plant.status().ToString();
+    c.plant = std::make_shared<const sim::Plant>(*plant);
+    c.parameters = FreeParameters(*c.plant, p_->scales, false);
+    const auto count = static_cast<Eigen::Index>(c.parameters.size());
+    c.fit.theta.setConstant(count, cycles), c.fit.stddev.setConstant(count, error);
+    return diagnosis::Repeats(c, p_->scales, chi2_per_row);
+  }
+  double Turns() const { return (p_->scales.high[0] - p_->scales.low[0]) / (2 * M_PI); }
+
+  std::unique_ptr<testing::Prepared> p_ = testing::Prepare("pendulum", {}, 32);
+};
+
+TEST_F(Rippling, IsTheSameAfterEachTurn) {
+  EXPECT_TRUE(Repeats(14.02, 0.01));
+  EXPECT_FALSE(Repeats(14.3, 0.01));
+  EXPECT_TRUE(Repeats(14.3, 0.2));
+  EXPECT_TRUE(Repeats(14.03, 0.01, false, 1.9)) << "what is left bends the period";
+}
+
+TEST_F(Rippling, IsNoneWhereItGoesThroughLessThanAPeriod) {
+  // The fit's lower limit: it wants something slower still.
+  EXPECT_FALSE(Repeats(std::max(2.0, 0.75 / Turns()), 1.0));
+}
+
+TEST_F(Rippling, ComesRoundTwiceBesideASpring) {
+  const double once = std::ceil(std::max(3.0, 1.0 / Turns())), often = std::ceil(2.0 / Turns()) + 1;
+  ASSERT_LT(once * Turns(), 2.0);
+  EXPECT_TRUE(Repeats(once, 0.01));
+  EXPECT_FALSE(Repeats(once, 0.01, true));
+  EXPECT_TRUE(Repeats(often, 0.01, true));
+}
+
 }  // namespace
 }  // namespace rg::diagnosis

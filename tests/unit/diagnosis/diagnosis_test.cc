@@ -14,6 +14,7 @@
 namespace rg::diagnosis {
 namespace {
 
+using effects::EffectSpec;
 using effects::MakeSpec;
 using nlohmann::json;
 
@@ -101,21 +102,38 @@ TEST(Diagnose, NamesCoulombFrictionAndItsLevel) {
   ExpectContract(json::parse(DiagnosisJson(r)));
 }
 
-TEST(Diagnose, NamesADelay) {
+TEST(Diagnose, NamesADelayAndWhatNoMotionTellsItFrom) {
   const DiagnosisResult r =
       Diagnosed(testing::MakeSet("pendulum", {MakeSpec("actuator_delay", {Pivot()}, {{"delay", 0.03}})}, 13));
   ASSERT_FALSE(r.findings.empty());
-  EXPECT_EQ(r.findings[0].effect, "actuator_delay");
-  EXPECT_NEAR(r.findings[0].parameters[0].value, 0.03, 0.003);
+  const Finding& f = r.findings[0];
+  EXPECT_EQ(f.effect, "actuator_delay");
+  EXPECT_NEAR(f.parameters[0].value, 0.03, 0.003);
+  // Readings that are old are the same motion under another clock.
+  EXPECT_EQ(f.effect_class, (std::vector<std::string>{"actuator_delay", "sensor_delay"}));
+  EXPECT_LE(f.confidence, 0.5);
+  EXPECT_FALSE(r.motion.has_value());
+}
+
+TEST(Diagnose, SaysOfAForceThatNoEffectHasThatItHasNoName) {
+  // A bump of two joints' positions is none of the catalogue's, nor is this of one joint's.
+  EffectSpec bump =
+      MakeSpec("unknown_field", {Pivot()}, {{"low", -1.2}, {"high", 1.2}, {"w3", 0.4}, {"w4", 0.5}});
+  bump.options["variable"] = "position";
+  const DiagnosisResult r = Diagnosed(testing::MakeSet("pendulum", {bump}, 20));
+  EXPECT_EQ(r.verdict, "unexplained");
+  ASSERT_EQ(r.findings.size(), 1u);
+  EXPECT_EQ(r.findings[0].effect, "unknown_field");
+  EXPECT_EQ(r.findings[0].joints, std::vector<std::string>{Pivot()});
+  for (const Alternative& a : r.findings[0].alternatives) EXPECT_LT(a.evidence, 0) << a.effect;
 }
 
 TEST(Diagnose, NamesBothOfTwoEffects) {
-  const DiagnosisResult r = Diagnosed(
-      testing::MakeSet("pendulum",
-                       {MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.15}}),
-                        MakeSpec("torque_ripple", {Pivot()},
-                                 {{"amplitude", 0.2}, {"cycles_per_rev", 4.0}, {"phase", 0.5}})},
-                       17));
+  const DiagnosisResult r = Diagnosed(testing::MakeSet(
+      "pendulum",
+      {MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.15}}),
+       MakeSpec("torque_ripple", {Pivot()}, {{"amplitude", 0.2}, {"cycles_per_rev", 4.0}, {"phase", 0.5}})},
+      17));
   EXPECT_EQ(r.verdict, "unmodelled_physics");
   std::set<std::string> names;
   for (const Finding& f : r.findings) names.insert(f.effect);
@@ -123,10 +141,11 @@ TEST(Diagnose, NamesBothOfTwoEffects) {
 }
 
 TEST(Diagnose, TellsAStiffSpringFromTheRotorBehindIt) {
-  const DiagnosisResult r = Diagnosed(testing::MakeSet(
-      "pendulum",
-      {MakeSpec("joint_elasticity", {Pivot()}, {{"stiffness", 900.0}, {"damping", 1.0}, {"motor_inertia", 0.07}})},
-      18));
+  const DiagnosisResult r = Diagnosed(
+      testing::MakeSet("pendulum",
+                       {MakeSpec("joint_elasticity", {Pivot()},
+                                 {{"stiffness", 900.0}, {"damping", 1.0}, {"motor_inertia", 0.07}})},
+                       18));
   ASSERT_FALSE(r.findings.empty());
   EXPECT_EQ(r.findings[0].effect, "joint_elasticity");
 }

@@ -1,0 +1,80 @@
+#include "services/diagnosis/held_out_judge.h"
+
+#include <algorithm>
+#include <set>
+#include <vector>
+
+#include "services/diagnosis/separating_motion.h"
+
+namespace rg::diagnosis {
+
+namespace {
+
+constexpr double kOnePercent = 2.326;  // stddev that one of a hundred normal variables exceeds
+
+std::string Key(const Candidate& c) { return KeyOf(c.specs) + (c.base ? "+base" : ""); }
+
+}  // namespace
+
+const HeldOut& HeldOutJudge::Of(const Candidate& c) {
+  const auto [at, fresh] = known_.try_emplace(Key(c));
+  if (fresh) {
+    at->second = Predicted(data_, c, options_);
+    work_ += at->second.work;
+    trace_.Stage("held out", Key(c) + " " + std::to_string(at->second.log_density) + ", short of noise by " +
+                                 std::to_string(at->second.short_of_noise));
+  }
+  return at->second;
+}
+
+bool HeldOutJudge::Holds(const Candidate& account, double needed) {
+  const HeldOut& own = Of(account);
+  return own.short_of_noise < std::max(kOnePercent * own.scatter, needed);
+}
+
+bool HeldOutJudge::ExplainsMost(const Candidate& account, const Candidate& without) {
+  return Of(account).short_of_noise < 0.5 * Of(without).short_of_noise;
+}
+
+std::optional<Candidate> HeldOutJudge::Better(const Candidate& account,
+                                              std::map<std::string, Candidate>& tried,
+                                              const std::function<double(const Candidate&)>& needed) {
+  const HeldOut own = Of(account);
+  std::vector<const Candidate*> others;
+  for (const auto& [key, c] : tried) {
+    if (c.fit.ok && key != Key(account)) others.push_back(&c);
+  }
+  std::sort(others.begin(), others.end(),
+            [](const Candidate* a, const Candidate* b) { return a->score > b->score; });
+  std::optional<Candidate> best;
+  double most = 0;
+  for (const Candidate* c : others) {
+    const double behind = account.score - c->score + needed(*c);
+    // What nothing on these recordings could make up for.
+    if (behind > own.short_of_noise + kOnePercent * own.scatter) break;
+    const HeldOut& theirs = Of(*c);
+    const double odds = theirs.log_density - own.log_density - behind;
+    if (PredictsMore(theirs, own) && odds > most) most = odds, best = *c;
+  }
+  if (!best) return best;
+  const double reached = Of(*best).log_density;
+  for (auto& [key, c] : tried) {
+    const auto known = known_.find(key);
+    if (known != known_.end()) c.score += std::min(0.0, known->second.log_density - reached);
+  }
+  return best;
+}
+
+void WeighRivals(const FitData& held_out, const LiftedOptions& options, SearchResult* search) {
+  search->best.held_out = Predicted(held_out, search->best, options).log_density;
+  std::set<std::string> ids;
+  for (const effects::EffectSpec& e : search->best.specs) ids.insert(e.id);
+  for (const std::string& id : ids) {
+    for (const Rival& rival : RivalsOf(*search, id)) {
+      Candidate& c = search->tried[static_cast<size_t>(rival.candidate - search->tried.data())];
+      if (c.fit.ok && !c.held_out) c.held_out = Predicted(held_out, c, options).log_density;
+    }
+  }
+}
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,46 @@
+// Recordings kept aside have the last word on an account.
+#pragma once
+
+#include <functional>
+#include <map>
+#include <optional>
+#include <string>
+
+#include "services/diagnosis/held_out.h"
+#include "services/diagnosis/search.h"
+#include "services/diagnosis/trace.h"
+
+namespace rg::diagnosis {
+
+class HeldOutJudge {
+ public:
+  HeldOutJudge(const FitData& held_out, const LiftedOptions& options, const Trace& trace)
+      : data_(held_out), options_(options), trace_(trace) {}
+
+  // Whether an account predicts them as well as noise allows (beyond it in 1 % of sets), or to within
+  // `needed` nats.
+  bool Holds(const Candidate& account, double needed);
+  // Whether it takes off more than half of what `without` is short of noise by.
+  bool ExplainsMost(const Candidate& account, const Candidate& without);
+  // Of what was tried the one that predicts most windows better, and in all by so much more that it pays for
+  // what its own fit is worse and for what an addition needs; empty where there is none. The scores of what
+  // was asked and predicts worse than it then hold that too.
+  std::optional<Candidate> Better(const Candidate& account, std::map<std::string, Candidate>& tried,
+                                  const std::function<double(const Candidate&)>& needed);
+  double work() const { return work_; }
+
+ private:
+  const HeldOut& Of(const Candidate& c);
+
+  const FitData& data_;
+  const LiftedOptions& options_;
+  const Trace& trace_;
+  std::map<std::string, HeldOut> known_;
+  double work_ = 0;
+};
+
+// Gives the best model, and what the findings' alternatives are (separating_motion.h), their log densities of
+// the held-out recordings.
+void WeighRivals(const FitData& held_out, const LiftedOptions& options, SearchResult* search);
+
+}  // namespace rg::diagnosis

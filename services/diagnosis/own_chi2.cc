@@ -1,0 +1,44 @@
+#include "services/diagnosis/own_chi2.h"
+
+#include <cmath>
+
+#include "services/diagnosis/lineariser.h"
+#include "services/sysid/parallel.h"
+
+namespace rg::diagnosis {
+
+namespace {
+
+constexpr int kIterations = 2;  // of the starts alone
+
+}  // namespace
+
+double OwnChi2(const FitData& data, const FitModel& model, const NodeStates& states,
+               const LiftedOptions& options, Rng rng) {
+  FitData own = data;
+  const FitModel fixed{model.plant, model.values, {}};
+  Lineariser other(data, fixed, false, OtherStepRule(options));
+  const double noise = std::sqrt(options.noise_scale);
+  const int n = data.n;
+  sysid::ParallelFor(options.threads, static_cast<int>(own.windows.size()), [&](int worker, int w) {
+    NodeWindow& window = own.windows[w];
+    const VectorXd residual = other.Residuals(worker, w, states[w].col(0));
+    if (!residual.allFinite()) return;
+    Rng stream = rng.Split(static_cast<uint64_t>(w));
+    long row = 0;
+    for (size_t node = 0; node < window.t.size(); ++node) {
+      if (!window.measured[node]) continue;
+      const auto k = static_cast<long>(node);
+      const double rows = std::sqrt(static_cast<double>(window.rows[node]));
+      for (int j = 0; j < n; ++j, ++row)
+        window.q(j, k) -= (residual[row] - noise * stream.Normal()) * data.noise.position_stddev[j] / rows;
+      for (int j = 0; data.use_velocity && j < n; ++j, ++row)
+        window.v(j, k) -= (residual[row] - noise * stream.Normal()) * data.noise.velocity_stddev[j] / rows;
+    }
+  });
+  LiftedOptions starts = options;
+  starts.iterations = kIterations, starts.more_iterations = 0;
+  return Fit(own, fixed, starts, &states).chi2;
+}
+
+}  // namespace rg::diagnosis

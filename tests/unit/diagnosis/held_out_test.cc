@@ -1,0 +1,88 @@
+#include "services/diagnosis/held_out.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "services/diagnosis/own_chi2.h"
+#include "tests/unit/diagnosis/prepared_set.h"
+
+namespace rg::diagnosis {
+namespace {
+
+using effects::MakeSpec;
+
+class HeldOutTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    p_ = testing::Prepare("pendulum", {MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.15}})}, 41);
+    p_->data.held_out = PrepareHeldOut(p_->set, p_->data, p_->nominal, p_->options);
+    RG_CHECK(p_->data.held_out != nullptr);
+  }
+  static std::string Pivot() { return sysid::testing::LoadPlant("pendulum").joint_names()[0]; }
+
+  Candidate Fitted(const std::vector<effects::EffectSpec>& specs, bool base = false) const {
+    Candidate c;
+    c.specs = specs, c.base = base;
+    auto plant = sim::Plant::Create(p_->nominal.shared_model(), p_->nominal.options(), specs);
+    RG_CHECK(plant.ok()) << plant.status().ToString();
+    c.plant = std::make_shared<const sim::Plant>(*plant);
+    c.parameters = FreeParameters(*c.plant, p_->scales, base);
+    c.fit = Fit(p_->data, FitModel{*c.plant, c.plant->parameters().Nominal(), c.parameters}, options_);
+    RG_CHECK(c.fit.ok);
+    return c;
+  }
+  HeldOut Of(const Candidate& c) const { return Predicted(*p_->data.held_out, c, options_); }
+
+  std::unique_ptr<testing::Prepared> p_;
+  LiftedOptions options_;
+};
+
+TEST_F(HeldOutTest, TheTrueLawIsShortOfNothingAndAnotherIsSurelyWorse) {
+  const HeldOut right = Of(Fitted({MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.1}})}));
+  const HeldOut wrong = Of(Fitted({MakeSpec("viscous_friction", {Pivot()}, {{"viscous", 0.05}})}));
+  EXPECT_LT(std::abs(right.short_of_noise), 3 * right.scatter);
+  EXPECT_GT(wrong.short_of_noise, 10 * wrong.scatter);
+  EXPECT_GT(right.log_density, wrong.log_density + 100);
+  EXPECT_TRUE(PredictsMore(right, wrong));
+  EXPECT_FALSE(PredictsMore(wrong, right));
+}
+
+TEST_F(HeldOutTest, WhatTheFitLeftOpenCostsNoMoreThanItsUncertainty) {
+  // Masses and inertias that one joint cannot tell apart, free beside the true law.
+  const HeldOut lean = Of(Fitted({MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.1}})}));
+  const HeldOut free = Of(Fitted({MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.1}})}, true));
+  EXPECT_NEAR(lean.log_density, free.log_density, 10);
+}
+
+TEST_F(HeldOutTest, HiddenStatesThatAreChosenInEachWindowPredictNothing) {
+  // A mass that swings as it likes follows anything when it may start anew in each window.
+  Candidate swing =
+      Fitted({MakeSpec("sloshing_payload", {}, {{"mass", 0.5}, {"stiffness", 8.0}, {"damping", 1e-4}})});
+  const HeldOut kept = Of(swing);
+  const FitResult chosen = Fit(*p_->data.held_out, FitModel{*swing.plant, swing.fit.values, {}}, options_);
+  EXPECT_LT(kept.log_density, -0.5 * chosen.chi2 - 10);
+}
+
+TEST(PredictsMore, AFewWindowsThatRunAwayDecideNothing) {
+  HeldOut a, b;
+  a.windows.assign(30, -50.0), b.windows = a.windows;
+  for (size_t w = 0; w < 4; ++w) b.windows[w] = -1e5;
+  EXPECT_FALSE(PredictsMore(a, b));
+  for (double& w : b.windows) w -= 1;
+  EXPECT_TRUE(PredictsMore(a, b));
+}
+
+TEST_F(HeldOutTest, AModelsOwnMisfitIsThatOfItsRecordings) {
+  const Candidate right = Fitted({MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.1}})});
+  const FitModel model{*right.plant, right.fit.values, {}};
+  const double own = OwnChi2(p_->data, model, right.fit.states, options_, Rng(3));
+  const double scatter = std::sqrt(4.0 * right.fit.rows);
+  EXPECT_NEAR(own, right.fit.chi2, 3 * scatter);
+  const Candidate wrong = Fitted({MakeSpec("viscous_friction", {Pivot()}, {{"viscous", 0.05}})});
+  const FitModel other{*wrong.plant, wrong.fit.values, {}};
+  EXPECT_GT(wrong.fit.chi2, OwnChi2(p_->data, other, wrong.fit.states, options_, Rng(3)) + 10 * scatter);
+}
+
+}  // namespace
+}  // namespace rg::diagnosis
