@@ -57,7 +57,7 @@ struct LiftedOptions {
   int threads = 1;
   double noise_scale = 1.0;  // residual variance in units of the sensors' noise
   double step_s = 2e-3;
-  bool free_hidden = true;  // hidden states start where they fit best, or else as the record before leaves them
+  bool free_hidden = true;  // hidden states start where they fit best; else as the record before leaves them
   sim::Integrator integrator = sim::Integrator::kLeapfrog;
 };
 
