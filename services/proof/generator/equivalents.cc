@@ -62,4 +62,22 @@ void AddEquivalents(const RobotFacts& facts, json* effects) {
   }
 }
 
+json AcceptedVerdicts(const json& effects) {
+  std::set<std::string> verdicts;
+  bool all_parameters = true;
+  for (const json& e : effects) {
+    const std::string id = e["id"];
+    const auto is = [&](const char* name) {
+      return std::find(e["equivalents"].begin(), e["equivalents"].end(), name) != e["equivalents"].end();
+    };
+    all_parameters = all_parameters && (id == "parameters_only" || is("parameters_only"));
+    if (id != "parameters_only" || !e["equivalents"].empty()) verdicts.insert("unmodelled_physics");
+    if (id == "unknown_field" || id == "base_flexibility" || id == "sloshing_payload")
+      verdicts.insert("unexplained");
+  }
+  if (effects.empty()) verdicts.insert("no_mismatch");
+  if (!effects.empty() && all_parameters) verdicts.insert("parameters_only");
+  return verdicts;
+}
+
 }  // namespace rg::proof

@@ -23,4 +23,7 @@ struct RobotFacts {
 // - on one level slide: the mass is all there is.
 void AddEquivalents(const RobotFacts& facts, nlohmann::json* effects);
 
+// Verdicts of RECORDINGS that are right for a label's effects with their equivalents.
+nlohmann::json AcceptedVerdicts(const nlohmann::json& effects);
+
 }  // namespace rg::proof

@@ -13,7 +13,6 @@
 #include <dart/dynamics/WeldJoint.hpp>
 #include <dart/utils/urdf/DartLoader.hpp>
 #include <nlohmann/json.hpp>
-#include <set>
 
 #include "common/base/file.h"
 #include "services/proof/generator/engine.h"
@@ -32,6 +31,7 @@ using Eigen::VectorXd;
 using nlohmann::json;
 
 constexpr int kAttempts = 5;
+constexpr double kVisible = 1.1;  // error of a model without an effect over the true one's
 
 // Everything a case is made from.
 class Maker {
@@ -51,12 +51,13 @@ class Maker {
   Track Record(const Truth& truth, const std::string& kind, double duration, uint64_t stream,
                bool regular) const;
   void MeasureScales();
-  Truth Draw(double strength, json* effects) const;
+  Truth Draw(double strength, bool wrong_parameters, json* effects) const;
   Motion TuningMotion(const Truth& truth) const;
   Status TuneNominal(const Truth& truth, json* effects);
-  // RMS of nominal and true model over windows of 1 s of a recording.
+  // Squared errors of the nominal (or a rival) and of the true model over windows of 1 s of a recording.
   void WindowErrors(const Truth& truth, const Track& track, std::vector<double>* nominal,
-                    std::vector<double>* oracle) const;
+                    std::vector<double>* oracle, const Truth* rival = nullptr) const;
+  void DropInvisible(Truth* truth, json* effects) const;
   double Ratio(const Truth& truth) const;
   Result<Truth> SearchStrength(json* effects, std::string* warning);
   RobotFacts Facts(const Truth& truth) const;
@@ -317,7 +318,7 @@ void Maker::MeasureScales() {
   scales_.duration_s = 7.0;
 }
 
-Truth Maker::Draw(double strength, json* effects) const {
+Truth Maker::Draw(double strength, bool wrong_parameters, json* effects) const {
   Truth truth = Nominal();
   *effects = json::array();
   uint64_t stream = 10;
@@ -325,7 +326,7 @@ Truth Maker::Draw(double strength, json* effects) const {
     if (id != "none") effects->push_back(AddEffect(id, strength, scales_, rng_.Split(stream), &truth));
     ++stream;
   }
-  if (request_.wrong_parameters)
+  if (wrong_parameters)
     effects->push_back(AddEffect("parameters_only", 1.0, scales_, rng_.Split(stream), &truth));
   return truth;
 }
@@ -382,9 +383,9 @@ Status Maker::TuneNominal(const Truth& truth, json* effects) {
 }
 
 void Maker::WindowErrors(const Truth& truth, const Track& track, std::vector<double>* nominal,
-                         std::vector<double>* oracle) const {
+                         std::vector<double>* oracle, const Truth* rival) const {
   Engine real(skeleton_, joints_, truth, dt_), model(skeleton_, joints_, truth, dt_),
-      plain(nominal_, joints_, Nominal(), dt_);
+      plain(rival != nullptr ? skeleton_ : nominal_, joints_, rival != nullptr ? *rival : Nominal(), dt_);
   const int rate = static_cast<int>(request_.rate_hz), rows = static_cast<int>(track.q.cols());
   real.Reset(track.true_q.col(0), track.true_v.col(0), track.u.col(0), 0.0);
   model.Reset(track.q.col(0), track.v.col(0), track.u.col(0), 0.0);
@@ -399,7 +400,11 @@ void Maker::WindowErrors(const Truth& truth, const Track& track, std::vector<dou
     }
     if (k % rate == 0) {
       model.ResetLike(real, track.q.col(k), track.v.col(k));
-      plain.Reset(track.q.col(k), track.v.col(k), track.u.col(k), k / request_.rate_hz);
+      if (rival != nullptr) {
+        plain.ResetLike(real, track.q.col(k), track.v.col(k));
+      } else {
+        plain.Reset(track.q.col(k), track.v.col(k), track.u.col(k), k / request_.rate_hz);
+      }
     }
     if (k == last) break;
     for (const long end = std::lround((k + 1) / (request_.rate_hz * dt_)); fine < end; ++fine) {
@@ -416,24 +421,51 @@ double Maker::Ratio(const Truth& truth) const {
   return Rms(nominal) / std::max(1e-12, Rms(oracle));
 }
 
-// Makes the effect as strong as was asked: by bisection on the logarithm of the strength.
+// Makes the effect as strong as was asked, by bisection on the logarithm of the strength; a URDF that is
+// wrong beside it does not count for that.
 Result<Truth> Maker::SearchStrength(json* effects, std::string* warning) {
   const double low = request_.weak ? 1.5 : 4.0, high = request_.weak ? 2.5 : 30.0;
   double strength = request_.weak ? 0.25 : 1.0, below = 0.01, above = 8.0;
   bool seen = false;
   Truth truth;
+  const auto finished = [&] { return request_.wrong_parameters ? Draw(strength, true, effects) : truth; };
   for (int attempt = 0; attempt < 9; ++attempt) {
-    truth = Draw(strength, effects);
+    truth = Draw(strength, false, effects);
     if (request_.tuned) RG_RETURN_IF_ERROR(TuneNominal(truth, effects));
     const double ratio = Ratio(truth);
-    if (ratio >= low && ratio <= high) return truth;
+    if (ratio >= low && ratio <= high) return finished();
     seen = seen || ratio > high;
     (ratio < low ? below : above) = strength;
-    strength = std::sqrt(below * above);
+    if (attempt < 8) strength = std::sqrt(below * above);
   }
   if (request_.weak || !seen) return InternalError("no strength gives the error ratio that was asked for");
   *warning = "stronger than was asked for";
-  return truth;
+  return finished();
+}
+
+// Of an effect on several joints those stay on which a model without it stands out: a limit that is never
+// reached is not there to be named.
+void Maker::DropInvisible(Truth* truth, json* effects) const {
+  const Track track = Record(*truth, "chirp", 5.0, 70, true);
+  for (json& effect : *effects) {
+    const std::vector<std::string> named = effect["joints"];
+    if (!track.ok || named.size() < 2 || !effect["parameters"].contains(named[0])) continue;
+    for (const std::string& name : named) {
+      const auto shares = std::count_if(effects->begin(), effects->end(), [&](const json& e) {
+        return std::find(e["joints"].begin(), e["joints"].end(), name) != e["joints"].end();
+      });
+      if (shares > 1 || effect["joints"].size() == 1) continue;
+      Truth without = *truth;
+      const auto joint = std::find(joints_.begin(), joints_.end(), name) - joints_.begin();
+      without.joint[static_cast<size_t>(joint)] = JointTruth{};
+      std::vector<double> left, oracle;
+      WindowErrors(*truth, track, &left, &oracle, &without);
+      if (Rms(left) > kVisible * Rms(oracle)) continue;
+      *truth = without;
+      effect["joints"].erase(std::find(effect["joints"].begin(), effect["joints"].end(), name));
+      effect["parameters"].erase(name);
+    }
+  }
 }
 
 RobotFacts Maker::Facts(const Truth& truth) const {
@@ -465,24 +497,6 @@ RobotFacts Maker::Facts(const Truth& truth) const {
   return facts;
 }
 
-json AcceptedVerdicts(const json& effects) {
-  std::set<std::string> verdicts;
-  bool all_parameters = true;
-  for (const json& e : effects) {
-    const std::string id = e["id"];
-    const auto is = [&](const char* name) {
-      return std::find(e["equivalents"].begin(), e["equivalents"].end(), name) != e["equivalents"].end();
-    };
-    all_parameters = all_parameters && (id == "parameters_only" || is("parameters_only"));
-    if (id != "parameters_only" || !e["equivalents"].empty()) verdicts.insert("unmodelled_physics");
-    if (id == "unknown_field" || id == "base_flexibility" || id == "sloshing_payload")
-      verdicts.insert("unexplained");
-  }
-  if (effects.empty()) verdicts.insert("no_mismatch");
-  if (!effects.empty() && all_parameters) verdicts.insert("parameters_only");
-  return verdicts;
-}
-
 Result<CaseSummary> Maker::Run(const std::string& sets_folder, const std::string& labels_folder) {
   RG_RETURN_IF_ERROR(LoadRobot());
   ChooseMotion();
@@ -493,9 +507,10 @@ Result<CaseSummary> Maker::Run(const std::string& sets_folder, const std::string
                        request_.effects == std::vector<std::string>{"parameters_only"};
   Truth truth;
   if (control) {
-    truth = Draw(1.0, &effects);
+    truth = Draw(1.0, false, &effects);
   } else {
     RG_ASSIGN_OR_RETURN(truth, SearchStrength(&effects, &summary.warning));
+    DropInvisible(&truth, &effects);
   }
   const std::vector<PlannedRecording> plan = DrawPlan(rng_.Split(4));
   std::vector<double> nominal, oracle;
