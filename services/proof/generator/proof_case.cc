@@ -30,7 +30,7 @@ using Eigen::MatrixXd;
 using Eigen::VectorXd;
 using nlohmann::json;
 
-constexpr int kAttempts = 5;
+constexpr int kAttempts = 3;
 constexpr double kVisible = 1.1;  // error of a model without an effect over the true one's
 
 // Everything a case is made from.
