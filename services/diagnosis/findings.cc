@@ -423,6 +423,7 @@ class Speaker {
     f.effect = "parameters_only";
     f.confidence = confidence;
     f.effect_class = {"parameters_only"};
+    if (data_.n == 1) f.joints = r_.joints;  // where it shows
     f.equation = "M(q)*ddq + h(q, dq) = u with other masses, centres of mass, inertias";
     const Candidate& c = s_.best;
     int moved = 0;

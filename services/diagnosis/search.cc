@@ -199,7 +199,8 @@ class Search {
       ParameterColumn c;
       c.prior_stddev = p.prior_stddev;
       c.base = row.kind != sim::ParameterKind::kEffect;
-      c.last_link = c.base && row.owner == last && !held("payload", "");
+      // One joint does not tell a payload from its link.
+      c.last_link = c.base && row.owner == last && data_.n > 1 && !held("payload", "");
       if (c.last_link) c.role = row.field;
       const bool probe =
           (row.effect == "encoder_offset" || row.effect == "sensor_delay") && !held(row.effect, row.owner);
@@ -277,7 +278,10 @@ class Search {
     std::vector<bool> worlds = {false, true};
     for (const bool base : worlds) {
       if (Late()) break;
-      if (base && PerRow(winner) < kExplained && winner.score > best->score + Threshold(*best, winner)) break;
+      // Where parameters explained much already, an account without them has that of both as its rival.
+      if (base && !best->base && PerRow(winner) < kExplained &&
+          winner.score > best->score + Threshold(*best, winner))
+        break;
       const Candidate* own = base == best->base ? best : OtherWorld(*best);
       if (own == nullptr || !own->fit.ok) continue;
       // Parameters explain much: only what explains it as well with less is of interest.
@@ -300,7 +304,9 @@ class Search {
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
       Siblings(&winner);
       const Candidate twin = Evaluate(Refreshed(winner), !winner.base, &winner);
-      if (twin.score > winner.score + (twin.base ? 1.0 : -1.0) * Threshold(*best)) winner = twin;
+      const Candidate& plain = winner.base ? twin : winner;
+      const Candidate& freed = winner.base ? winner : twin;
+      winner = freed.score > plain.score + std::max(Threshold(*best), Threshold(plain)) ? freed : plain;
     }
     // Fits with hidden states end before they are done: the old model has another try from where it is, or an
     // addition would be credited with what a longer fit alone brings.

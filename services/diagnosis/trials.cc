@@ -25,7 +25,7 @@ class TrialBuilder {
     Singles(wanted);
     Sets(screened_.sets, wanted);
     Sets(screened_.pairs, wanted);
-    if (!from_.base && !Has("payload")) Push(BodyStarts("payload", nominal_, scales_));
+    if (!from_.base && data_.n > 1 && !Has("payload")) Push(BodyStarts("payload", nominal_, scales_));
     if (wanted > 1.0) return std::move(out_);
     const std::vector<int> joints = JointsByGain();
     DryFriction(joints);
