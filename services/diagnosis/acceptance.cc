@@ -44,25 +44,20 @@ void Acceptance::Note(const ScreenResult& screened, const std::vector<std::strin
   }
 }
 
-double Acceptance::Form(const Candidate& best, double explained, double at_stake) {
-  if (best.specs.empty()) return 0;
+double Acceptance::Needed(const Candidate& best, double explained, double at_stake) const {
   // What is left above the noise is itself known to the scatter of χ² only.
   const double left = std::max(0.0, at_stake) + std::sqrt(0.5 * best.fit.rows);
-  return std::min(kFormError * explained, kMostOfIt * left);
+  const double form = best.specs.empty() ? 0.0 : std::min(kFormError * explained, kMostOfIt * left);
+  return std::max({1.0, null_gain_ - kEffectPrior, form});
 }
 
-double Acceptance::Needed(const Candidate& best, double explained, double at_stake) const {
-  return std::max(Chance(), Form(best, explained, at_stake));
-}
-
-// What another step rule pretends adds to chance; what a law's form leaves is all its own.
 double Acceptance::Needed(const Candidate& best, double explained, double at_stake,
                           const Candidate& c) const {
   if (best.base && !c.base && best.specs.empty()) return kSimplerOdds;
   double rule = 0;
   for (const auto& [id, joints] : Added(best, c)) rule = std::max(rule, StepRule(id, Joined(joints)));
-  const double chance = std::sqrt(2 * Chance());
-  return std::max(0.5 * (chance + rule) * (chance + rule), Form(best, explained, at_stake));
+  const double chance = std::sqrt(2 * Needed(best, explained, at_stake));
+  return 0.5 * (chance + rule) * (chance + rule);
 }
 
 // Joints that were not screened together: the most of that effect. Effects that the screen cannot see: the

@@ -1,16 +1,15 @@
 // When an addition to a model is worth a name: the log evidence that it must bring.
 //
-//   needed = max(½ (√(2·chance) + √(2·rule))², form)
+//   needed = ½ (√(2·chance) + √(2·rule))²
 //
-// chance: what the best of all hypotheses gains from noise alone in 2 % of recordings (screening.h draws them).
-// rule: what the same effect on the same joints would gain from another step rule alone (StepRuleResiduals).
-// Amplitudes add, so their squares, the nats, add like this.
-// form: what the idealised form of the effects found so far may leave: 1 % of what they explain, but an
+// chance: what the best of all hypotheses gains from noise alone in 2 % of recordings (screening.h draws
+// them), or what the idealised form of the effects found so far may leave: 1 % of what they explain, but an
 // addition that takes half of all that is left above the noise is no matter of form. Free base parameters beside
 // effects are such an addition too.
+// rule: what the same effect on the same joints would gain from another step rule alone (StepRuleResiduals).
+// Amplitudes add, so their squares, the nats, add like this.
 #pragma once
 
-#include <algorithm>
 #include <map>
 #include <string>
 #include <vector>
@@ -33,8 +32,6 @@ class Acceptance {
   double Needed(const Candidate& best, double explained, double at_stake, const Candidate& c) const;
 
  private:
-  static double Form(const Candidate& best, double explained, double at_stake);
-  double Chance() const { return std::max(1.0, null_gain_ - kEffectPrior); }
   double StepRule(const std::string& id, const std::string& joints) const;
 
   double null_gain_ = 3;

@@ -49,7 +49,7 @@ double BestWithout(const SearchResult& s, const std::string& id) {
   for (const Candidate& c : s.tried) {
     bool has = false;
     for (const EffectSpec& e : c.specs) has = has || e.id == id;
-    if (!has) best = std::max(best, c.score);
+    if (!has) best = std::max(best, c.score - (c.base && !s.best.base ? s.beside : 0.0));
   }
   return best;
 }
@@ -245,7 +245,7 @@ class Speaker {
       a.effect = effect;
       a.joints = JointsOf(c->specs, effect, r_.joints);
       // Where nothing was kept aside, and with a measured effort, whose scores are of parts left out: those.
-      const double fitted = c->score - s_.best.score;
+      const double fitted = c->score - (c->base && !s_.best.base ? s_.beside : 0.0) - s_.best.score;
       const bool weighed = c->held_out && s_.best.held_out;
       a.evidence = weighed ? *c->held_out - *s_.best.held_out : fitted;
       a.separable = (weighed ? fitted + a.evidence : fitted) < -kSeparable;

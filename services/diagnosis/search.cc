@@ -84,6 +84,7 @@ class Search {
     Tell("locate", 0.95, "");
     const Candidate without = Better(out.nominal, out.calibrated);
     out.threshold = Threshold(without);
+    out.beside = Threshold(best);
     if (data_.held_out != nullptr && !Cancelled()) WeighRivals(*data_.held_out, lifted_, &out);
     out.own_chi2 = OwnChi2(data_, FitModel{*best.plant, best.fit.values, {}}, best.fit.states, lifted_,
                            Rng(options_.seed).Split(kOwnDraw));
@@ -278,8 +279,9 @@ class Search {
     std::vector<bool> worlds = {false, true};
     for (const bool base : worlds) {
       if (Late()) break;
-      // Where parameters explained much already, an account without them has that of both as its rival.
-      if (base && !best->base && PerRow(winner) < kExplained &&
+      // Hidden states fit nearly anything: an account with them has those with free parameters as its rivals.
+      const bool hidden = winner.plant != nullptr && winner.plant->num_states() > 2 * data_.n;
+      if (base && !(best->base && hidden) && PerRow(winner) < kExplained &&
           winner.score > best->score + Threshold(*best, winner))
         break;
       const Candidate* own = base == best->base ? best : OtherWorld(*best);
