@@ -5,6 +5,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -25,6 +26,8 @@ struct PlantData;
 
 struct PlantOptions {
   Eigen::Vector3d gravity{0, 0, -9.81};  // m/s², base frame: the nominal of gravity.x|y|z
+  // Nominal values of further base parameters, by name, where they are not the URDF's: as identified before.
+  std::map<std::string, double> nominal;
 };
 
 class Plant {

@@ -127,6 +127,9 @@ void PlantBuilder::LayOutTree() {
 }
 
 void PlantBuilder::Add(Parameter row, std::vector<ParameterUse> uses) {
+  const auto other = data_->options.nominal.find(row.name);
+  if (row.kind != ParameterKind::kEffect && other != data_->options.nominal.end())
+    row.nominal = other->second;
   data_->table.Add(std::move(row));
   data_->uses.push_back(std::move(uses));
 }

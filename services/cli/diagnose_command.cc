@@ -13,6 +13,7 @@
 #include "realitygrad/v1/artifact.pb.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
+#include "services/cli/model_source.h"
 #include "services/cli/packed_set.h"
 #include "services/cli/progress_display.h"
 #include "services/diagnosis/diagnosis.h"
@@ -29,7 +30,7 @@ void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
 
 struct DiagnoseArguments {
   std::vector<std::string> sets;
-  std::string out, svg;
+  std::string out, svg, model;
   diagnosis::DiagnosisOptions options;
 };
 
@@ -96,6 +97,9 @@ Result<Workers> WithWorkers(const Context& context, const DiagnoseArguments& arg
   RG_ASSIGN_OR_RETURN(std::string set, workers.client->PutArtifact(packed, info));
   jobs::FitInputs inputs;
   inputs.recordings = {std::move(set)};
+  if (!arguments.model.empty()) {
+    RG_ASSIGN_OR_RETURN(inputs.model, PutModelFile(*workers.client, arguments.model));
+  }
   workers.fits = std::make_unique<jobs::RemoteFits>(*workers.client, std::move(inputs),
                                                     arguments.options.fit_window_s, &cancel_on_interrupt);
   return workers;
@@ -106,6 +110,9 @@ Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
   RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSets(arguments.sets));
   RG_RETURN_IF_ERROR(CheckWritable(arguments.out));
   diagnosis::DiagnosisOptions options = arguments.options;
+  if (!arguments.model.empty()) {
+    RG_ASSIGN_OR_RETURN(options.model, sim::LoadModelFile(arguments.model));
+  }
   Workers workers;
   if (!context.flags.coordinator.value.empty()) {
     RG_ASSIGN_OR_RETURN(workers, WithWorkers(context, arguments));
@@ -146,6 +153,9 @@ void AddDiagnoseCommand(CLI::App& app, Context& context) {
       ->add_option("SET", arguments->sets,
                    "Folder of a recording set; several of one robot are diagnosed as one")
       ->required();
+  command->add_option(
+      "--model", arguments->model,
+      "A model.json to start from, identified or diagnosed before, instead of the set's URDF");
   command->add_option("--out", arguments->out, "Folder for diagnosis.json, model.json and report.html");
   command->add_option("--svg", arguments->svg, "File for a small picture of the missing force");
   command->add_option("--threads", o.threads, "0: all cores")->capture_default_str();

@@ -60,16 +60,18 @@ Result<std::string> ChooseModel(coordinator::Client& client, const RobotProfile&
     RG_ASSIGN_OR_RETURN(const std::string nominal, NominalModelJson(profile));
     return Upload(client, nominal);
   }
-  if (std::filesystem::exists(choice)) {
-    RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(choice));
-    RG_RETURN_IF_ERROR(sim::ModelFromJson(text, choice).status());
-    return Upload(client, text);
-  }
+  if (std::filesystem::exists(choice)) return PutModelFile(client, choice);
   RG_ASSIGN_OR_RETURN(const auto info, client.ShowArtifact(choice));
   if (info.kind() != jobs::kArtifactModel) {
     return InvalidError("artefact " + info.sha256().substr(0, 12) + " is a " + info.kind() + ", not a model");
   }
   return info.sha256();
+}
+
+Result<std::string> PutModelFile(coordinator::Client& client, const std::string& path) {
+  RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
+  RG_RETURN_IF_ERROR(sim::ModelFromJson(text, path).status());
+  return Upload(client, text);
 }
 
 Result<std::string> FindArtifact(coordinator::Client& client, const std::string& named,

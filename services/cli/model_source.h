@@ -25,6 +25,9 @@ Result<std::string> NominalModelJson(const RobotProfile& profile);
 Result<std::string> ChooseModel(coordinator::Client& client, const RobotProfile& profile,
                                 const std::string& choice);
 
+// Artefact of a model.json, which must be one.
+Result<std::string> PutModelFile(coordinator::Client& client, const std::string& path);
+
 // Full hash of an artefact of the kind, named by hash or prefix; "latest" or nothing: the newest one.
 Result<std::string> FindArtifact(coordinator::Client& client, const std::string& named,
                                  const std::string& kind);

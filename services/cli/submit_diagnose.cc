@@ -11,6 +11,7 @@
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
 #include "services/cli/job_view.h"
+#include "services/cli/model_source.h"
 #include "services/cli/packed_set.h"
 #include "services/jobs/job_graphs.h"
 #include "services/jobs/kinds.h"
@@ -24,7 +25,7 @@ using nlohmann::json;
 
 struct DiagnoseJobArguments {
   std::vector<std::string> sets;
-  std::string out, request_id;
+  std::string out, request_id, model;
   jobs::DiagnoseOptions options;
   bool follow = false;
 };
@@ -52,8 +53,12 @@ Status SubmitDiagnose(Context& context, const DiagnoseJobArguments& arguments) {
   info.set_kind(jobs::kArtifactRecordingSet);
   info.set_metadata_json(json{{"name", fs::path(arguments.sets.front()).filename().string()}}.dump());
   RG_ASSIGN_OR_RETURN(const std::string set, client->PutArtifact(bundle, info));
-  RG_ASSIGN_OR_RETURN(const int64_t id,
-                      client->Submit(jobs::CompileDiagnose(arguments.options, set), arguments.request_id));
+  std::string model;
+  if (!arguments.model.empty()) {
+    RG_ASSIGN_OR_RETURN(model, PutModelFile(*client, arguments.model));
+  }
+  RG_ASSIGN_OR_RETURN(const int64_t id, client->Submit(jobs::CompileDiagnose(arguments.options, set, model),
+                                                       arguments.request_id));
   if (!arguments.follow && arguments.out.empty()) {
     if (context.json()) {
       PrintJson("realitygrad.submitted/1", {{"job", id}});
@@ -87,6 +92,9 @@ void AddSubmitDiagnose(CLI::App& submit, Context& context) {
       ->required();
   command->add_option("--out", arguments->out,
                       "Wait, and write diagnosis.json, model.json, report.html here");
+  command->add_option(
+      "--model", arguments->model,
+      "A model.json to start from, identified or diagnosed before, instead of the set's URDF");
   command->add_option("--window", arguments->options.window_s, "Length of the judged predictions [s]")
       ->capture_default_str();
   command->add_option("--threads", arguments->options.threads, "0: all cores of the worker")

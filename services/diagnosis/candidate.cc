@@ -71,22 +71,27 @@ std::vector<EffectSpec> Refreshed(const Candidate& c) {
 }
 
 bool Unseen(const Candidate& c) {
-  for (const EffectSpec& s : c.specs) {
-    double known = 1;
-    for (size_t k = 0; k < c.parameters.size(); ++k) {
-      const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
-      const bool own =
-          p.effect == s.id && (s.joints.empty() || p.owner == "*" ||
-                               std::find(s.joints.begin(), s.joints.end(), p.owner) != s.joints.end());
-      if (!own) continue;
-      known = std::min(known, c.fit.stddev[static_cast<long>(k)] / c.parameters[k].prior_stddev);
-      // Next to nothing of a mass or a gap, whose hidden states then swing with the noise.
-      const bool vanishes = p.field == "mass" || p.field == "gap";
-      if (vanishes && c.fit.theta[static_cast<long>(k)] < kLeast * c.parameters[k].lower) return true;
-    }
-    if (known > kUnseen) return true;
+  for (size_t i = 0; i < c.specs.size(); ++i) {
+    if (Unseen(c, i)) return true;
   }
   return false;
+}
+
+bool Unseen(const Candidate& c, size_t i) {
+  const EffectSpec& s = c.specs[i];
+  double known = 1;
+  for (size_t k = 0; k < c.parameters.size(); ++k) {
+    const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+    const bool own =
+        p.effect == s.id && (s.joints.empty() || p.owner == "*" ||
+                             std::find(s.joints.begin(), s.joints.end(), p.owner) != s.joints.end());
+    if (!own) continue;
+    known = std::min(known, c.fit.stddev[static_cast<long>(k)] / c.parameters[k].prior_stddev);
+    // Next to nothing of a mass or a gap, whose hidden states then swing with the noise.
+    const bool vanishes = p.field == "mass" || p.field == "gap";
+    if (vanishes && c.fit.theta[static_cast<long>(k)] < kLeast * c.parameters[k].lower) return true;
+  }
+  return known > kUnseen;
 }
 
 bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row) {

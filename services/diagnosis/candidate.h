@@ -40,6 +40,8 @@ std::vector<effects::EffectSpec> Refreshed(const Candidate& c);
 // Whether it has an effect of which the data show nothing: no parameter is known better than before them, or
 // a mass or a gap is the least that it may be.
 bool Unseen(const Candidate& c);
+// Whether effect i is such a one.
+bool Unseen(const Candidate& c, size_t i);
 
 // Whether every ripple in it repeats as a ripple does. What turns with a rotary joint (cogging, a gear's
 // teeth, a sensor's) is the same after each turn, so its cycles per turn are a whole number; one true ripple

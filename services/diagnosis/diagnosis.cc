@@ -10,6 +10,7 @@
 #include "services/diagnosis/balance_search.h"
 #include "services/diagnosis/data_notes.h"
 #include "services/diagnosis/findings.h"
+#include "services/diagnosis/given_model.h"
 #include "services/diagnosis/holdout.h"
 #include "services/diagnosis/plausibility.h"
 #include "services/diagnosis/search.h"
@@ -53,8 +54,12 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& set, const Diag
   RG_RETURN_IF_ERROR(sysid::CheckTimes(options.window_s, options.step_s));
   const double start = clock.SteadySeconds();
   const int threads = sysid::ChooseThreads(options.threads);
-  RG_ASSIGN_OR_RETURN(const sim::Plant nominal, sysid::NominalPlant(set));
+  RG_ASSIGN_OR_RETURN(sim::Plant nominal, GivenPlant(set, options.model));
   RG_ASSIGN_OR_RETURN(FitData data, PrepareData(set, nominal, options));
+  // The balance of torques is of rigid bodies, and finds effects beside them itself.
+  if (EffortIsMeasured(data) && !nominal.effects().empty()) {
+    RG_ASSIGN_OR_RETURN(nominal, sim::Plant::Create(nominal.shared_model(), nominal.options()));
+  }
   data.held_out = PrepareHeldOut(set, data, nominal, options);
   const MotionScales scales = ScalesOf(data, nominal);
   DiagnosisResult result;

@@ -14,7 +14,7 @@
 #include "common/base/progress.h"
 #include "common/base/status.h"
 #include "common/recordings/recording_set.h"
-#include "common/sim/plant.h"
+#include "common/sim/model_file.h"
 
 namespace rg::diagnosis {
 
@@ -35,6 +35,8 @@ struct DiagnosisOptions {
   double time_limit_s = 0;
   FitExecutor* fits = nullptr;  // who makes the fits (fit_requests.h); null: this process
   bool trust_effort = false;    // go on where an effort's sign or unit looks wrong
+  // What to start from instead of the set's URDF (given_model.h): findings are what it lacks.
+  std::optional<sim::ModelFile> model;
 };
 
 struct Region {

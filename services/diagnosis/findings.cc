@@ -9,6 +9,7 @@
 #include "common/model/robot_model.h"
 #include "services/diagnosis/confidence.h"
 #include "services/diagnosis/data_notes.h"
+#include "services/diagnosis/given_model.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/separating_motion.h"
 #include "services/diagnosis/words.h"
@@ -104,7 +105,8 @@ class Speaker {
 
   void Verdict() {
     std::set<std::string> ids;
-    for (const EffectSpec& e : s_.best.specs) {
+    beyond_ = Beyond(nominal_, s_.best.specs);
+    for (const EffectSpec& e : beyond_) {
       if (!OfStillJoints(e)) ids.insert(e.id);
     }
     // With a measured effort there is no χ² of 1 to be reached: most of the misfit must be explained.
@@ -183,7 +185,7 @@ class Speaker {
   Finding FindingOf(const std::string& id) {
     Finding f;
     f.effect = id == "unknown_field_pair" ? "unknown_field" : id;
-    f.joints = JointsOf(s_.best.specs, id, r_.joints);
+    f.joints = JointsOf(beyond_, id, r_.joints);
     std::erase_if(f.joints, [&](const std::string& j) { return Silent(j); });
     const effects::EffectInfo* info = effects::FindEffect(id);
     f.equation = info->equation;
@@ -208,7 +210,9 @@ class Speaker {
     for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
       const sim::Parameter& p = s_.best.plant->parameters()[s_.best.parameters[k].index];
       // A surface's 36 weights are in model.json.
-      if (p.effect != id || id == "unknown_field_pair" || Silent(p.owner)) continue;
+      const bool of_it = p.owner == "*" || f->joints.empty() ||
+                         std::find(f->joints.begin(), f->joints.end(), p.owner) != f->joints.end();
+      if (p.effect != id || !of_it || id == "unknown_field_pair" || Silent(p.owner)) continue;
       ParameterEstimate e{p.owner, p.field, p.unit, s_.best.fit.theta[static_cast<long>(k)],
                           s_.best.fit.stddev[static_cast<long>(k)]};
       f->parameters.push_back(e);
@@ -520,6 +524,7 @@ class Speaker {
   const MotionScales& scales_;
   std::vector<StillJoint> still_;
   DiagnosisResult& r_;
+  std::vector<EffectSpec> beyond_;  // effects that the given model has not
   VectorXd energy_;
 };
 

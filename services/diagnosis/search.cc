@@ -10,6 +10,7 @@
 #include "services/diagnosis/acceptance.h"
 #include "services/diagnosis/field_starts.h"
 #include "services/diagnosis/fit_requests.h"
+#include "services/diagnosis/given_model.h"
 #include "services/diagnosis/held_out_judge.h"
 #include "services/diagnosis/own_chi2.h"
 #include "services/diagnosis/trace.h"
@@ -59,8 +60,9 @@ class Search {
                                                 scales_.torque, stair, lifted_);
     lifted_.noise_scale = std::max(1.0, missing.chi2 / std::max(1.0, missing.rows - missing.unknowns));
     Tell("calibrate", 0.05, "");
-    out.nominal = Evaluate({}, false);
-    out.calibrated = Evaluate({}, true);
+    StartFromGiven();
+    out.nominal = Evaluate(given_, false);
+    out.calibrated = Evaluate(given_, true);
     if (PerRow(out.calibrated) > kHolds) out.calibrated = Better(out.calibrated, FitPieces());
     Candidate best =
         out.calibrated.score > out.nominal.score + Threshold(out.nominal) ? out.calibrated : out.nominal;
@@ -97,6 +99,21 @@ class Search {
   static constexpr double kSegment = 0.05;  // s
   static constexpr int kNullDraws = 60;
   static constexpr uint64_t kOwnDraw = 1000;  // its stream of random numbers, beyond the rounds'
+
+  // The effects of the given model, without those of which these recordings show nothing.
+  void StartFromGiven() {
+    given_ = GivenEffects(nominal_);
+    for (bool changed = !given_.empty(); changed;) {
+      const Candidate c = Evaluate(given_, true);
+      std::vector<EffectSpec> seen;
+      if (c.fit.theta.size() == 0) given_.clear();  // it cannot be fitted: from the beginning
+      for (size_t i = 0; i < given_.size(); ++i) {
+        if (c.fit.ok || !Unseen(c, i)) seen.push_back(given_[i]);
+      }
+      changed = seen.size() < given_.size();
+      given_ = std::move(seen);
+    }
+  }
 
   // A model that fits better than any force on the old one could: the noise is less than was thought. All
   // scores are brought to it.
@@ -144,12 +161,12 @@ class Search {
   // Base parameters far from the URDF's, or beside missing effects, are found over short pieces of the
   // record, from where fits in their world then start.
   Candidate FitPieces() {
-    FitRequest request{{}, true, lifted_, {}, kPiece, true, nullptr};
+    FitRequest request{given_, true, lifted_, {}, kPiece, true, nullptr};
     request.options.iterations = kMoreIterations;
     auto pieces = std::make_shared<Candidate>(Fitted(request, fits_.Start(setting_, {request})->Take(0)));
     trace_.Fit(*pieces, "pieces");
     if (pieces->fit.ok) pieces_ = pieces;
-    return Evaluate({}, true);
+    return Evaluate(given_, true);
   }
 
   bool FromPieces(const FitRequest& request) const {
@@ -262,9 +279,11 @@ class Search {
   }
   // Log evidence that the effects of a candidate bring.
   double Explained(const Candidate& c) const {
-    const auto without = tried_.find(c.base ? "+base" : "");
-    return c.specs.empty() || without == tried_.end() ? 0.0 : c.score - without->second.score;
+    const auto without = tried_.find(KeyOf(given_) + (c.base ? "+base" : ""));
+    return FoundNothing(c) || without == tried_.end() ? 0.0 : c.score - without->second.score;
   }
+  // Whether its effects are those of the given model.
+  bool FoundNothing(const Candidate& c) const { return KeyOf(c.specs) == KeyOf(given_); }
 
   // The most that any addition could bring: half of χ² above what noise alone leaves.
   double AtStake(const Candidate& c) const {
@@ -369,7 +388,8 @@ class Search {
   }
 
   // The ceiling: one unnamed force over two joints' positions, or one joint's, in the
-  // place of all effects. It is taken where it leaves less than `worst` χ² per row and is the better account.
+  // place of all effects found. It is taken where it leaves less than `worst` χ² per row and is the better
+  // account.
   bool Flexible(Candidate* best, double worst) {
     if (Cancelled() || (PerRow(*best) < kExplained && data_.n > 1)) return false;
     bool taken = false;
@@ -383,7 +403,7 @@ class Search {
     std::vector<Candidate> out;
     Tell("flexible", 0.3 + 0.15 * round_, KeyOf(best.specs));
     for (const bool base : {false, true}) {
-      const auto from = tried_.find(base ? "+base" : "");
+      const auto from = tried_.find(KeyOf(given_) + (base ? "+base" : ""));
       if (from == tried_.end() || !from->second.fit.ok) continue;
       // Free base parameters only where they are part of the account.
       if (base && !best.base) continue;
@@ -393,8 +413,9 @@ class Search {
                               ? FieldPairStart(data_, nominal_, scales_, force)
                               : FieldStart(data_, nominal_, scales_, force, variable);
         if (!spec) continue;
-        const auto done = tried_.find(KeyOf({*spec}) + (base ? "+base" : ""));
-        out.push_back(done != tried_.end() ? done->second : Evaluate({*spec}, base));
+        const std::vector<EffectSpec> specs = Joined(given_, {*spec});
+        const auto done = tried_.find(KeyOf(specs) + (base ? "+base" : ""));
+        out.push_back(done != tried_.end() ? done->second : Evaluate(specs, base));
       }
     }
     return out;
@@ -405,7 +426,7 @@ class Search {
   // was fitted to.
   // Whether it was.
   bool SendBack(const Candidate& without, Candidate* best) {
-    if (data_.held_out == nullptr || best->specs.empty()) return false;
+    if (data_.held_out == nullptr || best->specs.empty() || FoundNothing(*best)) return false;
     HeldOutJudge judge(*data_.held_out, lifted_, trace_);
     int sent = 0;
     for (; sent < kSentBack && !Late() && !judge.Holds(*best, Threshold(*best)); ++sent) {
@@ -441,12 +462,7 @@ class Search {
       trial.specs = Joined(Refreshed(from), start);
       trials.push_back(trial);
     }
-    struct Ranked {
-      bool whole;
-      double score;
-      std::vector<EffectSpec> specs;
-    };
-    std::vector<Ranked> ranked;
+    std::vector<RankedTrial> ranked;
     const double enough = work_ + kTrialShare * options_.work_limit;
     {
       const auto batch = fits_.Start(setting_, trials);
@@ -460,15 +476,9 @@ class Search {
         if (better) ranked.push_back({whole && trial.pieces_alone, c.score, Refreshed(c)});
       }
     }
-    std::sort(ranked.begin(), ranked.end(), [](const Ranked& a, const Ranked& b) {
-      return a.whole != b.whole ? b.whole : a.score > b.score;
-    });
     std::vector<FitRequest> best;
-    std::set<std::string> seen;
-    for (const auto& [whole, score, specs] : ranked) {
-      if (best.size() < full && seen.insert(KeyOf(specs)).second)
-        best.push_back(WholeFit(specs, base, trial.from));
-    }
+    for (const TrialSpecs& specs : BestOf(std::move(ranked), full))
+      best.push_back(WholeFit(specs, base, trial.from));
     const auto batch = fits_.Start(setting_, best);
     for (size_t i = 0; i < best.size() && (i == 0 || !Late()); ++i) {
       const Candidate c = Tried(best[i], batch->Take(i));
@@ -488,24 +498,13 @@ class Search {
   void Siblings(Candidate* winner) {
     const std::vector<EffectSpec> specs = Refreshed(*winner);
     if (specs.empty()) return;
-    const std::string id = specs.back().id;
     std::vector<FitRequest> others;
-    for (const std::string& sibling : SiblingsOf(id)) {
-      if (sibling == id) continue;
-      std::vector<EffectSpec> other;
-      for (const EffectSpec& s : specs)
-        other.push_back(s.id == id ? Exchanged(s, sibling, nominal_, scales_) : s);
+    for (const TrialSpecs& other : Exchanges(specs, nominal_, scales_)) {
       const std::string key = KeyOf(other) + (winner->base ? "+base" : "");
       if (!tried_.count(key)) others.push_back(WholeFit(other, winner->base, Start(nullptr, winner->base)));
     }
-    // Below its resonance a motor behind a spring is a rotor, and what it is more no screen can see.
-    for (const EffectSpec& s : specs) {
-      if (id != "rotor_inertia" || s.id != id || s.joints.size() != 1) continue;
-      const int joint = nominal_.model().FindJoint(s.joints[0]);
-      const double armature = s.values.begin()->second.at("armature");
-      for (const auto& start : TransmissionStarts("joint_elasticity", joint, nominal_, scales_, armature))
-        others.push_back(WholeFit(Joined(specs, start), winner->base, Start(nullptr, winner->base)));
-    }
+    for (const TrialSpecs& other : SpringsBehind(specs, nominal_, scales_))
+      others.push_back(WholeFit(other, winner->base, Start(nullptr, winner->base)));
     const auto batch = fits_.Start(setting_, others);
     for (size_t i = 0; i < others.size() && !Late(); ++i) {
       const Candidate c = Tried(others[i], batch->Take(i));
@@ -584,6 +583,7 @@ class Search {
   std::shared_ptr<const Candidate> pieces_;  // base parameters from pieces, where whole windows are not met
   std::vector<VectorXd> step_rule_;
   FeatureSet features_;
+  std::vector<EffectSpec> given_;  // that the model has which the search starts from
   std::map<std::string, Candidate> tried_;
 };
 

@@ -48,6 +48,8 @@ struct SearchResult {
   MeasuredEffort measured;
 };
 
+// `nominal`: the model to start from (given_model.h). The effects that it has are part of every hypothesis
+// until they are pruned or make place for others.
 SearchResult SearchEffects(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                            const DiagnosisOptions& options, int threads, const Clock& clock,
                            const ProgressFn& progress, const CancelToken* cancel);

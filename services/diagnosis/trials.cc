@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <map>
+#include <set>
 
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses.h"
@@ -153,6 +154,45 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
                                const Candidate& from, const ScreenResult& screened, double wanted,
                                const std::function<MissingForce()>& force) {
   return TrialBuilder(data, nominal, scales, from, screened).Run(wanted, force);
+}
+
+std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, size_t count) {
+  std::sort(trials.begin(), trials.end(), [](const RankedTrial& a, const RankedTrial& b) {
+    return a.whole != b.whole ? b.whole : a.score > b.score;
+  });
+  std::vector<TrialSpecs> out;
+  std::set<std::string> seen;
+  for (RankedTrial& trial : trials) {
+    if (out.size() < count && seen.insert(KeyOf(trial.specs)).second) out.push_back(std::move(trial.specs));
+  }
+  return out;
+}
+
+std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const sim::Plant& nominal,
+                                  const MotionScales& scales) {
+  std::vector<TrialSpecs> out;
+  const std::string& id = specs.back().id;
+  for (const std::string& sibling : SiblingsOf(id)) {
+    if (sibling == id) continue;
+    TrialSpecs other;
+    for (const EffectSpec& s : specs)
+      other.push_back(s.id == id ? Exchanged(s, sibling, nominal, scales) : s);
+    out.push_back(std::move(other));
+  }
+  return out;
+}
+
+std::vector<TrialSpecs> SpringsBehind(const TrialSpecs& specs, const sim::Plant& nominal,
+                                      const MotionScales& scales) {
+  std::vector<TrialSpecs> out;
+  for (const EffectSpec& s : specs) {
+    if (specs.back().id != "rotor_inertia" || s.id != "rotor_inertia" || s.joints.size() != 1) continue;
+    const int joint = nominal.model().FindJoint(s.joints[0]);
+    const double armature = s.values.begin()->second.at("armature");
+    for (const TrialSpecs& start : TransmissionStarts("joint_elasticity", joint, nominal, scales, armature))
+      out.push_back(Joined(specs, start));
+  }
+  return out;
 }
 
 }  // namespace rg::diagnosis

@@ -19,4 +19,23 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
                                const Candidate& from, const ScreenResult& screened, double wanted,
                                const std::function<MissingForce()>& force);
 
+// A trial that is better than the model it was added to.
+struct RankedTrial {
+  bool whole;  // fitted on whole windows where the others were fitted on pieces of them
+  double score;
+  TrialSpecs specs;
+};
+
+// The best of them, `count` at most and none twice; those on whole windows come after the others.
+std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, size_t count);
+
+// `specs` with the newest effect exchanged for each that it is easily taken for, on the same joints.
+std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const sim::Plant& nominal,
+                                  const MotionScales& scales);
+
+// `specs` with a spring behind each rotor, if a rotor is the newest: below its resonance a motor behind a
+// spring is a rotor, and what it is more no screen can see.
+std::vector<TrialSpecs> SpringsBehind(const TrialSpecs& specs, const sim::Plant& nominal,
+                                      const MotionScales& scales);
+
 }  // namespace rg::diagnosis

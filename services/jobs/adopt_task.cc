@@ -107,8 +107,12 @@ struct Choice {
 
 bool Better(const Error& a, const Error& b) { return a.windows < b.windows && a.open_loop <= b.open_loop; }
 
-// What goes on: the diagnosed model, further identified where that is better; identification alone where that
-// is better still, as where a diagnosis found no name for most of the mismatch.
+// By this much less error in windows more structure is worth having: the rollouts so far are what both were
+// fitted to.
+constexpr double kWorthItsStructure = 0.8;
+
+// What goes on: identification alone, unless the diagnosed model, further identified where that is better,
+// has clearly less error in windows and no more in open loop.
 Choice Choose(const sim::ModelFile& identified, const Error& identified_all, const sim::ModelFile& diagnosed,
               const Error& diagnosed_all, const std::optional<sim::ModelFile>& refined,
               const Error& refined_all) {
@@ -116,8 +120,9 @@ Choice Choose(const sim::ModelFile& identified, const Error& identified_all, con
   Error error = diagnosed_all;
   if (refined && (Better(refined_all, diagnosed_all) || !std::isfinite(diagnosed_all.windows)))
     choice = {"diagnosed and identified", &*refined}, error = refined_all;
-  if (Better(identified_all, error) || !std::isfinite(error.windows)) return {"identified", &identified};
-  return choice;
+  const bool pays = error.windows < kWorthItsStructure * identified_all.windows &&
+                    error.open_loop <= identified_all.open_loop;
+  return pays ? choice : Choice{"identified", &identified};
 }
 
 // Everything that is not as the URDF has it.

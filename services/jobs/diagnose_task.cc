@@ -25,6 +25,7 @@ FitInputs FitInputsOf(const worker::TaskInput& input, const pb::DiagnosePayload&
   FitInputs inputs;
   inputs.of_a_task = true;
   inputs.rollouts = payload.rollouts();
+  if (const worker::InputArtifact* model = input.Find(kInputModel)) inputs.model = model->sha256;
   for (const worker::InputArtifact* recording : input.All(kInputRecording))
     inputs.recordings.push_back(recording->sha256);
   return inputs;
@@ -59,6 +60,9 @@ Result<worker::TaskOutputs> RunDiagnose(const worker::TaskInput& input, worker::
   options.threads = static_cast<int>(payload.threads());
   options.trust_effort = payload.rollouts();  // the agent's own commands
   if (!set.ok() && !payload.rollouts()) return set.status();
+  if (set.ok()) {
+    RG_ASSIGN_OR_RETURN(options.model, ModelToDiagnose(input, payload.rollouts()));
+  }
   const auto coordinator = context.Coordinator();
   std::optional<RemoteFits> fits;
   if (coordinator.ok()) {

@@ -37,4 +37,16 @@ Result<recordings::RecordingSet> SetToDiagnose(const worker::TaskInput& input, b
   return all;
 }
 
+Result<std::optional<sim::ModelFile>> ModelToDiagnose(const worker::TaskInput& input, bool rollouts) {
+  const worker::InputArtifact* artifact = input.Find(kInputModel);
+  if (artifact == nullptr) return std::optional<sim::ModelFile>();
+  RG_ASSIGN_OR_RETURN(sim::ModelFile model,
+                      sim::ModelFromJson(artifact->bytes, "model " + artifact->sha256.substr(0, 12)));
+  const sim::ParameterTable& table = model.plant.parameters();
+  for (int i = 0; rollouts && i < table.size(); ++i) {
+    if (table[i].kind != sim::ParameterKind::kEffect) model.values[i] = table[i].nominal;
+  }
+  return std::optional<sim::ModelFile>(std::move(model));
+}
+
 }  // namespace rg::jobs

@@ -1,8 +1,11 @@
-// What a diagnosis and its fits read: all recordings of one robot as one set.
+// What a diagnosis and its fits read: all recordings of one robot as one set, and the model to start from.
 #pragma once
+
+#include <optional>
 
 #include "common/base/status.h"
 #include "common/recordings/recording_set.h"
+#include "common/sim/model_file.h"
 #include "worker/task_registry.h"
 
 namespace rg::jobs {
@@ -10,5 +13,10 @@ namespace rg::jobs {
 // All inputs named "recording". `rollouts`: they are the rollouts of a loop, oldest first; those that ended
 // at once are left out, and from three on every third is held out, never the newest.
 Result<recordings::RecordingSet> SetToDiagnose(const worker::TaskInput& input, bool rollouts);
+
+// The input named "model", which the diagnosis starts from; nothing: from the set's URDF. In a loop
+// (`rollouts`) it is the identified model, of which the effects count, with their values: its base parameters
+// have absorbed what it lacks, and are the URDF's again.
+Result<std::optional<sim::ModelFile>> ModelToDiagnose(const worker::TaskInput& input, bool rollouts);
 
 }  // namespace rg::jobs

@@ -3,12 +3,12 @@
 #include <memory>
 #include <string>
 
+#include "services/diagnosis/given_model.h"
 #include "services/diagnosis/search.h"
 #include "services/jobs/diagnosis_inputs.h"
 #include "services/jobs/fit_messages.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/task_support.h"
-#include "services/sysid/sysid_on_set.h"
 
 namespace rg::jobs {
 
@@ -30,7 +30,8 @@ struct ReadySet {
 Result<std::unique_ptr<ReadySet>> Prepare(const worker::TaskInput& input, bool rollouts, double fit_window_s,
                                           std::string key) {
   RG_ASSIGN_OR_RETURN(recordings::RecordingSet set, SetToDiagnose(input, rollouts));
-  RG_ASSIGN_OR_RETURN(sim::Plant nominal, sysid::NominalPlant(set));
+  RG_ASSIGN_OR_RETURN(const auto model, ModelToDiagnose(input, rollouts));
+  RG_ASSIGN_OR_RETURN(sim::Plant nominal, diagnosis::GivenPlant(set, model));
   auto ready = std::make_unique<ReadySet>(std::move(set), std::move(nominal));
   diagnosis::DiagnosisOptions options;
   options.fit_window_s = fit_window_s;
@@ -49,6 +50,7 @@ class FitTask {
     if (!batch.ParseFromString(bytes->bytes)) return InvalidError("fit: the batch cannot be read");
     std::string key = std::to_string(payload.rollouts()) + " " + std::to_string(batch.fit_window_s());
     for (const worker::InputArtifact* recording : input.All(kInputRecording)) key += " " + recording->sha256;
+    if (const auto* model = input.Find(kInputModel)) key += " from " + model->sha256;
     if (ready_ == nullptr || ready_->key != key) {
       RG_ASSIGN_OR_RETURN(ready_, Prepare(input, payload.rollouts(), batch.fit_window_s(), key));
     }

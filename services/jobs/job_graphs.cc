@@ -307,7 +307,7 @@ void AppendDiagnosis(const IterationOptions& options, const IterationInputs& inp
   payload.set_rollouts(true);
   pb::TaskSpec* task = AddTask(job, "diagnosis", kStageDiagnose, kKindDiagnose, payload);
   task->set_weight(20.0 * options.diagnosis.budget_s);
-  AddArtifact(task, kInputModel, inputs.model);
+  AddStageOutputs(task, kInputModel, kStageConclude, kOutputModel);
   AddRollouts(inputs, task);
 }
 
@@ -444,7 +444,8 @@ pb::JobSpec CompileIdentify(const IterationOptions& options, const IterationInpu
   return job;
 }
 
-pb::JobSpec CompileDiagnose(const DiagnoseOptions& options, const std::string& set) {
+pb::JobSpec CompileDiagnose(const DiagnoseOptions& options, const std::string& set,
+                            const std::string& model) {
   pb::JobSpec job;
   job.set_kind("diagnose");
   job.set_name("diagnose");
@@ -454,7 +455,9 @@ pb::JobSpec CompileDiagnose(const DiagnoseOptions& options, const std::string& s
   payload.set_window_s(options.window_s);
   payload.set_seed(options.seed);
   payload.set_threads(static_cast<uint32_t>(options.threads));
-  AddArtifact(AddTask(&job, "diagnosis", kStageDiagnose, kKindDiagnose, payload), kInputRecording, set);
+  pb::TaskSpec* task = AddTask(&job, "diagnosis", kStageDiagnose, kKindDiagnose, payload);
+  AddArtifact(task, kInputRecording, set);
+  if (!model.empty()) AddArtifact(task, kInputModel, model);
   return job;
 }
 

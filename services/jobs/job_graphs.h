@@ -62,7 +62,7 @@ struct IdentifyOptions {
   std::string solver = "lm";        // "lm" or "lbfgs"
   std::string bounds = "physical";  // "physical", "paper" or "none"; lbfgs knows none
   bool friction = true;  // beyond the paper's 71: Coulomb friction and rotor inertia of every joint
-  double alpha = 1e-6;  // of the order of the squared residual that is left, rad²
+  double alpha = 1e-6;   // of the order of the squared residual that is left, rad²
 };
 
 // Whether each rollout is diagnosed, and the model of the next iteration is what that found, identified
@@ -115,8 +115,9 @@ struct DiagnoseOptions {
   uint64_t seed = 1;
   int threads = 0;  // 0: all cores of the worker
 };
-// set: artefact of kind "recording-set".
-realitygrad::v1::JobSpec CompileDiagnose(const DiagnoseOptions& options, const std::string& set);
+// set: artefact of kind "recording-set"; model: of the model to start from, empty: the set's URDF.
+realitygrad::v1::JobSpec CompileDiagnose(const DiagnoseOptions& options, const std::string& set,
+                                         const std::string& model = {});
 
 // The stage names of an iteration in order, as people see them; the last three with a diagnosis only.
 const std::vector<std::string>& IterationStages();

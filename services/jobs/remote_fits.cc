@@ -101,6 +101,7 @@ int64_t RemoteFits::Submit(const std::vector<FitRequest>& requests) {
     payload.set_rollouts(inputs_.rollouts);
     payload.SerializeToString(task->mutable_payload());
     for (const std::string& recording : inputs_.recordings) AddInput(kInputRecording, recording, task);
+    if (!inputs_.model.empty()) AddInput(kInputModel, inputs_.model, task);
     AddInput(kInputFitBatch, *batch, task);
   }
   const auto id = client_.Submit(job, inputs_.of_a_task ? "fits " + *batch : "");

@@ -19,6 +19,7 @@ namespace rg::jobs {
 // What the fits read, as artefacts.
 struct FitInputs {
   std::vector<std::string> recordings;  // sets, as rollouts::PackBundle makes them
+  std::string model;                    // that the diagnosis starts from; empty: the sets' URDF
   bool rollouts = false;                // of a loop (SetToDiagnose)
   bool of_a_task = false;               // `client` speaks for a task (TaskContext::Coordinator)
 };

@@ -32,10 +32,15 @@ std::vector<int> PrincipalLinks(const model::RobotModel& model) {
 }
 
 void AddLink(const sim::Plant& plant, const model::Link& link, std::vector<FitParameter>* out) {
-  const double mass = link.parameters[0];
-  const double trace = link.parameters.segment<3>(4).sum();
-  const double gyration = mass > 0.0 ? std::sqrt(std::max(0.0, trace / (2.0 * mass))) : 0.0;
-  const double largest = link.parameters.segment<3>(4).maxCoeff();
+  const auto nominal = [&](int k) {
+    const int at = plant.parameters().Find(std::string(model::kLinkParameterNames[k]) + "." + link.name);
+    RG_CHECK(at >= 0) << link.name;
+    return plant.parameters()[at].nominal;
+  };
+  const double mass = nominal(0);
+  const Eigen::Vector3d inertia(nominal(4), nominal(5), nominal(6));
+  const double gyration = mass > 0.0 ? std::sqrt(std::max(0.0, inertia.sum() / (2.0 * mass))) : 0.0;
+  const double largest = inertia.maxCoeff();
   for (int k = 0; k < model::kLinkParameters; ++k) {
     const std::string name = std::string(model::kLinkParameterNames[k]) + "." + link.name;
     const int index = plant.parameters().Find(name);

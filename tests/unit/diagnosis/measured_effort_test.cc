@@ -5,6 +5,7 @@
 
 #include "common/base/rng.h"
 #include "services/diagnosis/diagnosis.h"
+#include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/simulated_set.h"
 
 namespace rg::diagnosis {
@@ -42,8 +43,9 @@ recordings::RecordingSet MeasuredSet(const std::string& robot, std::vector<effec
   return set;
 }
 
-DiagnosisResult Diagnosed(const recordings::RecordingSet& set) {
+DiagnosisResult Diagnosed(const recordings::RecordingSet& set, std::optional<sim::ModelFile> model = {}) {
   DiagnosisOptions options;
+  options.model = std::move(model);
   options.threads = 2;
   auto result = Diagnose(set, options, RealClock());
   RG_CHECK(result.ok()) << result.status().ToString();
@@ -110,6 +112,20 @@ TEST(MeasuredEffort, FindsByHowMuchMotionLagsEffort) {
   EXPECT_NEAR(Value(*delay, name, "delay"), 0.03, 0.004);
   ASSERT_NE(Find(r, "coulomb_friction"), nullptr);
   EXPECT_NEAR(Value(*Find(r, "coulomb_friction"), name, "coulomb"), 0.15, 0.02);
+}
+
+TEST(MeasuredEffort, OfAGivenModelOnlyTheBaseParametersCount) {
+  const auto name = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  const auto set = MeasuredSet("pendulum", {MakeSpec("coulomb_friction", {name}, {{"coulomb", 0.15}})}, 51);
+  const sim::Plant urdf = sysid::NominalPlant(set).value();
+  const sim::Plant given = sim::Plant::Create(urdf.shared_model(), urdf.options(),
+                                              {MakeSpec("coulomb_friction", {name}, {{"coulomb", 0.15}})})
+                               .value();
+  const auto alone = Diagnosed(set);
+  const auto from = Diagnosed(set, sim::ModelFile{given, given.parameters().Nominal(), 0});
+  ASSERT_NE(Find(from, "coulomb_friction"), nullptr);
+  EXPECT_EQ(from.verdict, alone.verdict);
+  EXPECT_EQ(from.values, alone.values);
 }
 
 TEST(MeasuredEffort, TellsFrictionThatDependsOnTheDirection) {

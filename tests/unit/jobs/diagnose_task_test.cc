@@ -7,7 +7,10 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/file.h"
+#include "common/model/robot_model.h"
+#include "common/model/urdf_loader.h"
 #include "common/recordings/csv.h"
+#include "common/sim/model_file.h"
 #include "realitygrad/v1/payloads.pb.h"
 #include "services/jobs/kinds.h"
 #include "services/rollouts/recording_bundle.h"
@@ -16,6 +19,14 @@ namespace rg::jobs {
 namespace {
 
 using nlohmann::json;
+
+// arm2 as its URDF has it.
+const std::string kModel = [] {
+  const auto robot =
+      model::LoadUrdf(std::string(std::getenv("RG_SOURCE_DIR")) + "/deploy/robots/arm2.urdf", {}).value();
+  const sim::Plant plant = sim::Plant::Create(std::make_shared<const model::RobotModel>(robot)).value();
+  return sim::ModelToJson(plant, plant.parameters().Nominal());
+}();
 
 // What the agent leaves of a rollout of `rows` rows; below two the recording is not in the manifest.
 worker::InputArtifact Rollout(int rows) {
@@ -41,7 +52,7 @@ worker::TaskInput Input(bool of_a_loop, std::vector<int> rows) {
   worker::TaskInput input;
   input.kind = kKindDiagnose, input.task_name = "diagnosis";
   payload.SerializeToString(&input.payload);
-  input.inputs.push_back({.name = kInputModel, .sha256 = std::string(64, 'b'), .bytes = "the model"});
+  input.inputs.push_back({.name = kInputModel, .sha256 = std::string(64, 'b'), .bytes = kModel});
   for (const int count : rows) input.inputs.push_back(Rollout(count));
   return input;
 }
@@ -52,7 +63,7 @@ TEST(DiagnoseTask, ALoopGoesOnWithItsModelWhereRolloutsSayTooLittle) {
     const auto done = RunDiagnose(Input(true, rows), context);
     ASSERT_TRUE(done.ok()) << done.status().ToString();
     EXPECT_EQ(json::parse(done->artifacts[0].bytes)["verdict"], "not_diagnosed");
-    EXPECT_EQ(done->artifacts[1].bytes, "the model");
+    EXPECT_EQ(done->artifacts[1].bytes, kModel);
     EXPECT_FALSE(context.lines.empty()) << "it says why";
   }
 }

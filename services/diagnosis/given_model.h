@@ -1,0 +1,25 @@
+// What a diagnosis starts from: the set's URDF as it is, or a model that was identified or augmented before.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/recordings/recording_set.h"
+#include "common/sim/model_file.h"
+
+namespace rg::diagnosis {
+
+// A plant whose nominal values, of base parameters and effects alike, are the model's. kInvalid: its joints
+// are not those of the recordings.
+Result<sim::Plant> GivenPlant(const recordings::RecordingSet& set,
+                              const std::optional<sim::ModelFile>& model);
+
+// Its effects, each on one joint or on the robot as a whole, as hypotheses are.
+std::vector<effects::EffectSpec> GivenEffects(const sim::Plant& given);
+
+// Those of `specs` that the given model has not.
+std::vector<effects::EffectSpec> Beyond(const sim::Plant& given,
+                                        const std::vector<effects::EffectSpec>& specs);
+
+}  // namespace rg::diagnosis
