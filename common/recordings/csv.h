@@ -49,8 +49,9 @@ Status WriteCsv(const std::string& path, const Recording& recording, int digits 
 // Refuses angles that are visibly degrees and lengths that are visibly millimetres: far outside the
 // joint's limits (or speeds far above its speed limit, or above 60 rad/s where none is declared) where
 // a conversion would put them inside, or measured velocity 57.3 times the rate of the measured position
-// (or the inverse). Many turns of a continuous joint are not refused. Joints without an entry in
-// `robot` are not checked.
+// (or the inverse). Many turns of a continuous joint are not refused, nor is a joint that is thrown beyond
+// its limits and comes back, nor values that would hardly be a motion in the other unit, unless the joint
+// lives there. Joints without an entry in `robot` are not checked.
 Status CheckUnits(const Recording& recording, const std::vector<JointInfo>& robot);
 
 }  // namespace rg::recordings

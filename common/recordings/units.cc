@@ -9,13 +9,17 @@
 namespace rg::recordings {
 namespace {
 
-constexpr double kShareOfRows = 0.05;     // so many rows must be off: a glitch is not a unit
+constexpr double kShareOfRows = 0.05;  // so many rows must be off: a glitch is not a unit
+// A robot may be thrown beyond its stops and come back. Positions are in another unit where the joint lives
+// outside, or where it would travel as far as motions do: of the range of the limits this share, or half of
+// it if so many rows are off.
+constexpr double kTravelled = 0.1, kManyRows = 0.25;
 constexpr double kFarOutside = 3.0;       // times half the range of the limits, from their middle
 constexpr double kInsideMargin = 0.35;    // what a converted value may exceed its limits by
 constexpr double kFastOutside = 12.0;     // times the speed limit: URDFs carry dummy limits of 1
 constexpr double kFastTypical = 5.0;      // the same of the median speed
 constexpr double kFastUndeclared = 60.0;  // rad/s, for joints without a speed limit: 570 turns a minute
-constexpr double kDegreesTravelled = 12.0;  // less than this in a whole recording is no motion in degrees
+constexpr double kUnitsTravelled = 12.0;  // less in a whole recording is no motion in degrees or millimetres
 constexpr double kBlockSeconds = 0.1;     // motion is compared with velocity over such blocks
 constexpr size_t kMinBlocks = 10;
 constexpr double kMinCorrelation = 0.9;
@@ -37,35 +41,16 @@ std::string Number(double value) {
   return buffer;
 }
 
-// First row at which x leaves [low, high] if at least kShareOfRows of all do, else -1.
+// First row at which x leaves [low, high] if at least `share` of all do, else -1.
 template <class Row>
-int FirstOutside(const Row& x, double low, double high) {
+int FirstOutside(const Row& x, double low, double high, double share = kShareOfRows) {
   int first = -1, outside = 0;
   for (int k = 0; k < x.size(); ++k) {
     if (x[k] >= low && x[k] <= high) continue;
     if (first < 0) first = k;
     ++outside;
   }
-  return outside > kShareOfRows * static_cast<double>(x.size()) ? first : -1;
-}
-
-template <class Row>
-Status CheckPositionLimits(const std::string& place, const JointInfo& joint, const Row& q) {
-  if (!std::isfinite(joint.lower) || !std::isfinite(joint.upper) ||
-      joint.type == JointInfo::Type::kContinuous || joint.upper <= joint.lower) {
-    return Status::Ok();
-  }
-  const Unit unit = SuspectOf(joint);
-  const double middle = 0.5 * (joint.lower + joint.upper), half = 0.5 * (joint.upper - joint.lower);
-  const double margin = joint.type == JointInfo::Type::kPrismatic ? 0.1 * half : kInsideMargin;
-  const double reach = kFarOutside * half + (joint.type == JointInfo::Type::kPrismatic ? 0.0 : 1.0);
-  const int row = FirstOutside(q, middle - reach, middle + reach);
-  if (row < 0) return Status::Ok();
-  if (FirstOutside(q / unit.per_si, joint.lower - margin, joint.upper + margin) >= 0) return Status::Ok();
-  return InvalidError(place + "row " + std::to_string(row + 1) + " (line " + std::to_string(row + 2) +
-                      "), column position." + joint.name + ": " + Number(q[row]) + " " + unit.length +
-                      " is far outside the limits " + Number(joint.lower) + " to " + Number(joint.upper) +
-                      ": visibly " + unit.wrong + ", " + unit.length + " is expected");
+  return outside > share * static_cast<double>(x.size()) ? first : -1;
 }
 
 template <class Row>
@@ -76,12 +61,44 @@ double Median(const Row& values) {
   return sorted[sorted.size() / 2];
 }
 
+bool HasLimits(const JointInfo& joint) {
+  return std::isfinite(joint.lower) && std::isfinite(joint.upper) &&
+         joint.type != JointInfo::Type::kContinuous && joint.upper > joint.lower;
+}
+
+// Whether values that travel so far [as in the file] could be a motion in the suspected unit.
+bool CouldBeMotion(const JointInfo& joint, double travel) {
+  const double range = HasLimits(joint) ? (joint.upper - joint.lower) * SuspectOf(joint).per_si : 0.0;
+  return travel >= std::max(kUnitsTravelled, 0.5 * kTravelled * range);
+}
+
+template <class Row>
+Status CheckPositionLimits(const std::string& place, const JointInfo& joint, const Row& q) {
+  if (!HasLimits(joint)) return Status::Ok();
+  const Unit unit = SuspectOf(joint);
+  const double middle = 0.5 * (joint.lower + joint.upper), half = 0.5 * (joint.upper - joint.lower);
+  const double margin = joint.type == JointInfo::Type::kPrismatic ? 0.1 * half : kInsideMargin;
+  const double reach = kFarOutside * half + (joint.type == JointInfo::Type::kPrismatic ? 0.0 : 1.0);
+  const int row = FirstOutside(q, middle - reach, middle + reach);
+  if (row < 0) return Status::Ok();
+  const double travel = q.maxCoeff() - q.minCoeff();
+  const bool far = travel >= 2 * kTravelled * half * unit.per_si,
+             often = FirstOutside(q, middle - reach, middle + reach, kManyRows) >= 0,
+             lives_there = std::abs(Median(q) - middle) > reach;
+  if (!lives_there && !far && !(often && CouldBeMotion(joint, travel))) return Status::Ok();
+  if (FirstOutside(q / unit.per_si, joint.lower - margin, joint.upper + margin) >= 0) return Status::Ok();
+  return InvalidError(place + "row " + std::to_string(row + 1) + " (line " + std::to_string(row + 2) +
+                      "), column position." + joint.name + ": " + Number(q[row]) + " " + unit.length +
+                      " is far outside the limits " + Number(joint.lower) + " to " + Number(joint.upper) +
+                      ": visibly " + unit.wrong + ", " + unit.length + " is expected");
+}
+
 template <class Row>
 Status CheckSpeedLimit(const std::string& place, const JointInfo& joint, const std::string& column,
                        double travel, const Row& speed) {
   if (speed.size() == 0) return Status::Ok();
   // A joint that would hardly have moved, were it degrees, is a light one that runs fast.
-  if (joint.type != JointInfo::Type::kPrismatic && travel < kDegreesTravelled) return Status::Ok();
+  if (!CouldBeMotion(joint, travel)) return Status::Ok();
   const bool declared = std::isfinite(joint.velocity) && joint.velocity > 0.0;
   if (!declared && joint.type == JointInfo::Type::kPrismatic) return Status::Ok();
   const Unit unit = SuspectOf(joint);
@@ -167,7 +184,8 @@ Status CheckJoint(const std::string& place, const JointInfo& joint, const Record
   for (Eigen::Index b = 0; b < rate.size(); ++b) {
     rate[b] = motion.moved[static_cast<size_t>(b)] / motion.seconds[static_cast<size_t>(b)];
   }
-  return rate.size() > 0 ? CheckSpeedLimit(place, joint, "position." + joint.name, travel, rate) : Status::Ok();
+  return rate.size() > 0 ? CheckSpeedLimit(place, joint, "position." + joint.name, travel, rate)
+                         : Status::Ok();
 }
 
 }  // namespace

@@ -260,6 +260,40 @@ TEST(CheckUnits, AcceptsALightJointThatRunsFarAboveItsLimitOverAFewRadians) {
                   .ok());
 }
 
+// Thrown through its stops at times, as by a controller that a delay makes unstable.
+TEST(CheckUnits, AcceptsAJointThatFliesFarBeyondItsLimitsAndComesBack) {
+  CsvOptions options;
+  options.robot = {{"a", JointInfo::Type::kRevolute, -3, 3, 5}};
+  const auto thrown = [](double t) {
+    const double calm = 1.3 + 0.3 * std::sin(t), burst = std::exp(-std::pow(t - 5.0, 2));
+    return calm + 13.0 * burst * std::sin(14.0 * t);
+  };
+  const std::function<double(double)> speed = [&](double t) {
+    return (thrown(t + 1e-5) - thrown(t - 1e-5)) / 2e-5;
+  };
+  EXPECT_TRUE(ParseCsv(FileOf(1000, thrown, &speed), "rec.csv", options).ok());
+  EXPECT_TRUE(ParseCsv(FileOf(1000, thrown), "rec.csv", options).ok());
+
+  options.robot = {{"a", JointInfo::Type::kPrismatic, -0.4, 0.4, 0.8}};
+  const auto slide = [](double t) { return 0.1 + 6.0 * std::sin(4.0 * t); };
+  const std::function<double(double)> slide_speed = [](double t) { return 24.0 * std::cos(4.0 * t); };
+  EXPECT_TRUE(ParseCsv(FileOf(800, slide, &slide_speed), "rec.csv", options).ok());
+}
+
+TEST(CheckUnits, StillRefusesOtherUnitsOfAJointThatMovesSeldomOrLittle) {
+  CsvOptions options;
+  options.robot = {{"a", JointInfo::Type::kRevolute, -3, 3, 5}};
+  const auto seldom = [](double t) { return 40.0 * std::exp(-4.0 * std::pow(t - 5.0, 2)); };
+  EXPECT_THAT(ErrorOf(FileOf(1000, seldom), options), HasSubstr("degrees"));
+  const auto held = [](double t) { return 45.0 + std::sin(t); };
+  EXPECT_THAT(ErrorOf(FileOf(500, held), options), HasSubstr("degrees"));
+  const auto small = [](double t) { return 15.0 * std::sin(3.0 * t); };
+  EXPECT_THAT(ErrorOf(FileOf(500, small), options), HasSubstr("degrees"));
+  options.robot = {{"a", JointInfo::Type::kPrismatic, -0.4, 0.4, 0.8}};
+  const auto little = [](double t) { return 150.0 + 5.0 * std::sin(t); };
+  EXPECT_THAT(ErrorOf(FileOf(500, little), options), HasSubstr("millimetres"));
+}
+
 TEST(CheckUnits, AcceptsMotionAboveADummySpeedLimitOfOne) {
   CsvOptions options;
   options.robot = {Continuous("a", 1.0)};
