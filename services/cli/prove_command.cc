@@ -56,6 +56,14 @@ struct ProveArguments {
   }
 };
 
+// What a program that failed said last.
+std::string LastLine(const std::string& file) {
+  const auto read = ReadFile(file);
+  std::string text = read.ok() ? *read : "";
+  while (!text.empty() && std::isspace(static_cast<unsigned char>(text.back()))) text.pop_back();
+  return text.substr(text.find_last_of("\r\n") + 1);
+}
+
 class Examiner {
  public:
   Examiner(const Context& context, const ProveArguments& arguments, std::string robots_folder)
@@ -187,6 +195,11 @@ class Examiner {
           proof::Mark(json::parse(text, nullptr, false),
                       said.ok() ? json::parse(*said, nullptr, false) : json(nullptr), concealed.marks));
       marks.plot = concealed.plot;
+      if (!marks.diagnosed) {
+        marks.reason =
+            concealed.refused.empty() ? LastLine(a_.out + "/logs/" + names_[i] + ".log") : concealed.refused;
+        if (!quiet_) PrintNote(names_[i] + ": no diagnosis: " + marks.reason);
+      }
       record->cases.push_back(std::move(marks));
       display_.Show({"marking", static_cast<double>(i + 1), static_cast<double>(names_.size()), names_[i]});
     }

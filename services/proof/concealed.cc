@@ -24,6 +24,7 @@ namespace {
 
 constexpr double kWindow = 1.0;  // s
 constexpr int kPlotPoints = 150;
+constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 
 // n × K positions; empty: this predictor has nothing to say.
 using Predictor = std::function<Eigen::MatrixXd(const recordings::Recording&)>;
@@ -36,9 +37,7 @@ struct Squares {
     sum += later.cwiseAbs().cwiseMin(sysid::kErrorCap).squaredNorm();
     count += later.size();
   }
-  double rms() const {
-    return count > 0 ? std::sqrt(sum / static_cast<double>(count)) : std::numeric_limits<double>::quiet_NaN();
-  }
+  double rms() const { return count > 0 ? std::sqrt(sum / static_cast<double>(count)) : kNone; }
 };
 
 CasePlot PlotOf(const recordings::Recording& recording, const recordings::RecordingSet& set,
@@ -55,8 +54,7 @@ CasePlot PlotOf(const recordings::Recording& recording, const recordings::Record
     plot.t.push_back(recording.t[k] - recording.t[0]);
     std::vector<double>* const columns[] = {&plot.nominal, &plot.tool, &plot.black_box};
     for (size_t i = 0; i < 3; ++i) {
-      columns[i]->push_back(errors[i].size() > 0 ? errors[i](joint, k)
-                                                 : std::numeric_limits<double>::quiet_NaN());
+      columns[i]->push_back(errors[i].size() > 0 ? errors[i](joint, k) : kNone);
     }
   }
   return plot;
@@ -70,28 +68,17 @@ Predictor PredictorOf(const sim::Plant& plant, const Eigen::VectorXd& values) {
   };
 }
 
-}  // namespace
-
-Result<Concealed> PredictConcealed(const std::string& label_folder, const std::string& set_folder,
-                                   const std::string& model_file, Rng rng) {
-  RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(label_folder + "/oracle.json"));
-  const json oracle = json::parse(text, nullptr, false);
-  if (!oracle.is_object()) return DataLossError(label_folder + "/oracle.json: no JSON");
-  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSet(set_folder));
-  RG_ASSIGN_OR_RETURN(const sim::Plant nominal, sysid::NominalPlant(set));
+Status Predict(const std::string& label_folder, const recordings::RecordingSet& set,
+               const sim::Plant& nominal, const std::optional<sim::ModelFile>& model, Rng rng,
+               Concealed* out) {
   const Eigen::VectorXd nominal_values = nominal.parameters().Nominal();
   const auto box = BlackBox::Fit(nominal, set, rng);
-  std::optional<sim::ModelFile> model;
-  if (fs::exists(model_file)) {
-    RG_ASSIGN_OR_RETURN(model, sim::LoadModelFile(model_file));
-  }
   const auto nothing = [](const recordings::Recording&) { return Eigen::MatrixXd(); };
   const std::vector<Predictor> predictors = {
       PredictorOf(nominal, nominal_values),
       model ? PredictorOf(model->plant, model->values) : Predictor(nothing),
       box.ok() ? Predictor([&](const recordings::Recording& r) { return box->Predict(r, kWindow); })
                : Predictor(nothing)};
-  Concealed out;
   std::vector<Squares> all(predictors.size());
   for (int k = 0;; ++k) {
     char name[32];
@@ -109,12 +96,39 @@ Result<Concealed> PredictConcealed(const std::string& label_folder, const std::s
       errors.push_back(predicted.size() > 0 ? Eigen::MatrixXd(predicted - truth) : Eigen::MatrixXd());
       if (predicted.size() > 0) all[i].Add(errors[i]);
     }
-    if (k == 0) out.plot = PlotOf(recording, set, errors);
+    if (k == 0) out->plot = PlotOf(recording, set, errors);
   }
+  out->marks.tool = all[1].rms(), out->marks.black_box = all[2].rms();
+  return Status::Ok();
+}
+
+}  // namespace
+
+Result<Concealed> PredictConcealed(const std::string& label_folder, const std::string& set_folder,
+                                   const std::string& model_file, Rng rng) {
+  RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(label_folder + "/oracle.json"));
+  const json oracle = json::parse(text, nullptr, false);
+  if (!oracle.is_object()) return DataLossError(label_folder + "/oracle.json: no JSON");
+  Concealed out;
   // The nominal and the true model's errors are the generator's own.
-  out.marks.nominal = oracle.value("nominal_rms", std::numeric_limits<double>::quiet_NaN());
-  out.marks.oracle = oracle.value("oracle_rms", std::numeric_limits<double>::quiet_NaN());
-  out.marks.tool = all[1].rms(), out.marks.black_box = all[2].rms();
+  out.marks.nominal = oracle.value("nominal_rms", kNone);
+  out.marks.oracle = oracle.value("oracle_rms", kNone);
+  out.marks.tool = kNone;
+  const auto refuse = [&](const Status& status) {
+    out.refused = status.message();
+    return out;
+  };
+  const auto set = recordings::LoadSet(set_folder);
+  if (!set.ok()) return refuse(set.status());
+  const auto nominal = sysid::NominalPlant(*set);
+  if (!nominal.ok()) return refuse(nominal.status());
+  std::optional<sim::ModelFile> model;
+  if (fs::exists(model_file)) {
+    auto read = sim::LoadModelFile(model_file);
+    if (!read.ok()) return refuse(read.status());
+    model = std::move(*read);
+  }
+  RG_RETURN_IF_ERROR(Predict(label_folder, *set, *nominal, model, rng, &out));
   return out;
 }
 

@@ -325,6 +325,8 @@ Result<CaseMarks> Mark(const json& label, const json& diagnosis, const Predictio
     }
     m.verdict_right = Has(Strings(label, "verdict"), m.verdict);
     Marker(label, diagnosis, &m).Run();
+    const bool allowed = m.verdict == "unexplained" && m.verdict_right;
+    m.first_or_unexplained = allowed ? 1.0 : m.first;
   } catch (const json::exception& e) {
     return InvalidError("label of " + label.value("name", std::string("a case")) + ": " + e.what());
   }
@@ -350,7 +352,7 @@ Share ShareOf(double hits, int n) {
 Summary Summarise(const std::vector<CaseMarks>& cases) {
   Summary s;
   s.cases = static_cast<int>(cases.size());
-  double strong = 0, weak = 0, tuned = 0, joints = 0, alarms = 0, open = 0, verdicts = 0;
+  double strong = 0, lenient = 0, weak = 0, tuned = 0, joints = 0, alarms = 0, open = 0, verdicts = 0;
   int strong_n = 0, weak_n = 0, tuned_n = 0, joints_n = 0, controls = 0, open_n = 0;
   std::vector<double> errors, recovered, black_box, seconds, calibrated, findings;
   for (const CaseMarks& c : cases) {
@@ -359,12 +361,13 @@ Summary Summarise(const std::vector<CaseMarks>& cases) {
     }
     s.undiagnosed += !c.diagnosed;
     verdicts += c.verdict_right;
-    seconds.push_back(c.seconds);
+    if (c.diagnosed) seconds.push_back(c.seconds);
     if (c.kind == CaseKind::kControl) ++controls, alarms += c.false_alarm;
     if (c.kind == CaseKind::kPair) ++s.pairs, s.pair_f1 += c.f1;
     if (c.kind == CaseKind::kSingle) {
       const bool clear = c.prediction.nominal > 3 * c.prediction.oracle && !c.weak;
       (clear ? strong : weak) += c.first;
+      if (clear) lenient += c.first_or_unexplained;
       ++(clear ? strong_n : weak_n);
       if (c.tuned) tuned += c.first, ++tuned_n;
     }
@@ -378,6 +381,7 @@ Summary Summarise(const std::vector<CaseMarks>& cases) {
   }
   if (s.pairs > 0) s.pair_f1 /= s.pairs;
   s.right_first = ShareOf(strong, strong_n), s.right_first_weak = ShareOf(weak, weak_n);
+  s.right_first_or_unexplained = ShareOf(lenient, strong_n);
   s.right_first_tuned = ShareOf(tuned, tuned_n);
   s.joints = ShareOf(joints, joints_n);
   s.false_alarms = ShareOf(alarms, controls);
@@ -438,10 +442,12 @@ json ToJson(const CaseMarks& c) {
           {"tuned", c.tuned},
           {"truth", c.truth},
           {"verdict", c.verdict},
+          {"reason", c.reason},
           {"said", c.said},
           {"verdict_right", c.verdict_right},
           {"false_alarm", c.false_alarm},
           {"right_first", c.first},
+          {"right_first_or_unexplained", c.first_or_unexplained},
           {"f1", c.f1},
           {"joints_exact", c.joints_exact ? json(*c.joints_exact) : json(nullptr)},
           {"parameter_errors", c.parameter_errors},
@@ -465,6 +471,7 @@ json ToJson(const Summary& s) {
   return {{"cases", s.cases},
           {"undiagnosed", s.undiagnosed},
           {"right_first", ShareJson(s.right_first)},
+          {"right_first_or_unexplained", ShareJson(s.right_first_or_unexplained)},
           {"right_first_weak", ShareJson(s.right_first_weak)},
           {"right_first_tuned", ShareJson(s.right_first_tuned)},
           {"joints_exact", ShareJson(s.joints)},

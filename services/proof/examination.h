@@ -45,9 +45,11 @@ struct CaseMarks {
   double rate_hz = 0, seconds = 0;
   std::vector<std::string> truth;  // "coulomb_friction [joint_2]"
   std::string verdict;
+  std::string reason;             // why there is no diagnosis
   std::vector<std::string> said;  // "coulomb_friction [joint_2] 0.97"
   bool verdict_right = false, false_alarm = false;
   double first = 0;                            // mark of the first finding
+  double first_or_unexplained = 0;             // the same, whole where the label allows such a verdict
   double f1 = 0;                               // of the set of effects
   std::optional<bool> joints_exact;            // of the effects that act on joints
   std::vector<double> parameter_errors;        // relative, of the parameters of rightly named effects
@@ -78,10 +80,11 @@ struct ConfidenceBin {
 
 struct Summary {
   int cases = 0, undiagnosed = 0;
-  Share right_first;        // single effects whose nominal error exceeds three times the floor
-  Share right_first_weak;   // the other single effects
-  Share right_first_tuned;  // single effects of any strength that the URDF had absorbed part of
-  Share joints;             // exact, over all cases whose effects act on joints
+  Share right_first;                 // single effects whose nominal error exceeds three times the floor
+  Share right_first_or_unexplained;  // the same effects, where `unexplained` is right if the label allows it
+  Share right_first_weak;            // the other single effects
+  Share right_first_tuned;           // single effects of any strength that the URDF had absorbed part of
+  Share joints;                      // exact, over all cases whose effects act on joints
   double pair_f1 = 0;
   int pairs = 0;
   Share false_alarms;  // on controls

@@ -29,6 +29,8 @@ std::string Count(const char* what, int n) { return std::string(" (") + what + s
 std::vector<Line> Lines(const Summary& s) {
   return {
       {"right effect first, single effects, nominal error > 3 × floor", "90 %", Text(s.right_first)},
+      {"the same, where `unexplained` counts for a swinging mass or a flexible base", "–",
+       Text(s.right_first_or_unexplained)},
       {"the same, weak ones", "–", Text(s.right_first_weak)},
       {"hidden behind tuned parameters: right first", "–", Text(s.right_first_tuned)},
       {"the right joints, exactly", "95 %", Text(s.joints)},
@@ -57,6 +59,11 @@ std::string Joined(const std::vector<std::string>& list) {
   std::string out;
   for (const std::string& x : list) out += (out.empty() ? "" : " + ") + x;
   return out.empty() ? "none" : out;
+}
+
+std::string Verdict(const CaseMarks& c) {
+  if (c.diagnosed) return c.verdict;
+  return "no diagnosis" + (c.reason.empty() ? "" : ": " + c.reason);
 }
 
 bool Missed(const CaseMarks& c) {
@@ -110,8 +117,8 @@ std::vector<std::vector<std::string>> MissRows(const std::vector<CaseMarks>& cas
                         (c.weak    ? ", weak"
                          : c.tuned ? ", tuned"
                                    : ""),
-                    Joined(c.truth), c.diagnosed ? c.verdict : "no diagnosis", Joined(c.said),
-                    FormatNumber(c.first), FormatNumber(c.f1), share ? FormatNumber(*share) : "–"});
+                    Joined(c.truth), Verdict(c), Joined(c.said), FormatNumber(c.first), FormatNumber(c.f1),
+                    share ? FormatNumber(*share) : "–"});
   }
   return rows;
 }
@@ -127,7 +134,7 @@ report::Miniature MiniatureOf(const CaseMarks& c) {
            (c.weak    ? ", weak"
             : c.tuned ? ", tuned"
                       : "") +
-           ". Said: " + (c.diagnosed ? c.verdict + ", " + Joined(c.said) : "no diagnosis") + "." +
+           ". Said: " + (c.diagnosed ? c.verdict + ", " + Joined(c.said) : Verdict(c)) + "." +
            (share ? " Recovered " + FormatNumber(*share) + "." : "");
   m.warning = Missed(c);
   m.y_label = "error on " + c.plot.joint + " [" + c.plot.unit + "]";

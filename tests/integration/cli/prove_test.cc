@@ -42,6 +42,20 @@ TEST(Prove, SealsDiagnosesMarksAndGoesOn) {
   EXPECT_EQ(json::parse(again.out)["seal"], proof["seal"]);
   EXPECT_EQ(std::filesystem::last_write_time(scratch / "p/answers/case_000/diagnosis.json"), before)
       << "what was answered is not asked again";
+
+  // A set that its reader refuses has no diagnosis; the others are marked all the same.
+  const auto csv = scratch / "p/sets/case_000/rec_000.csv";
+  ASSERT_TRUE(WriteFileAtomically(csv, ReadFile(csv).value() + "not a row\n").ok());
+  std::filesystem::remove_all(scratch / "p/answers/case_000");
+  const Said refused = RunProgram(scratch, command);
+  ASSERT_EQ(refused.code, 0) << refused.err;
+  EXPECT_NE(refused.err.find("case_000: no diagnosis: "), std::string::npos) << refused.err;
+  const json marked = json::parse(refused.out);
+  EXPECT_EQ(marked["summary"]["undiagnosed"], 1);
+  EXPECT_EQ(marked["cases"].size(), 3u);
+  EXPECT_EQ(marked["cases"][0]["right_first"], 0.0);
+  EXPECT_NE(marked["cases"][0]["reason"].get<std::string>().find("rec_000.csv"), std::string::npos);
+  EXPECT_TRUE(marked["cases"][1]["rms"].is_number());
 }
 
 }  // namespace

@@ -54,6 +54,29 @@ TEST(Examination, ARightNameOnTheRightJointsIsWhole) {
   EXPECT_NEAR(m.parameter_errors[0], 0.1, 1e-12);
 }
 
+TEST(Examination, UnexplainedCountsInARowOfItsOwnWhereTheLabelAllowsIt) {
+  const json swinging = Label({Effect("sloshing_payload", {})}, {"unmodelled_physics", "unexplained"}),
+             spring = Label({Effect("position_spring", {"elbow"})}),
+             said = Diagnosis("unexplained", {Finding("unknown_field", {"elbow"})});
+  const CaseMarks allowed = Marked(swinging, said), not_allowed = Marked(spring, said);
+  EXPECT_EQ(allowed.first, 0.0);
+  EXPECT_EQ(allowed.first_or_unexplained, 1.0);
+  EXPECT_LT(not_allowed.first_or_unexplained, 1.0);
+  const Summary summary = Summarise({allowed, not_allowed});
+  EXPECT_EQ(summary.right_first_or_unexplained.n, 2);
+  EXPECT_NEAR(summary.right_first_or_unexplained.value - summary.right_first.value, 0.5, 1e-12);
+}
+
+TEST(Examination, ARefusedSetIsToldWithItsReason) {
+  CaseMarks refused = Marked(Label({Effect("coulomb_friction", {"elbow"})}), json(nullptr),
+                             {1.0, 0.1, std::numeric_limits<double>::quiet_NaN()});
+  refused.reason = "rec_000.csv: row 3";
+  EXPECT_EQ(refused.first, 0.0);
+  EXPECT_EQ(Summarise({refused}).undiagnosed, 1);
+  EXPECT_EQ(Summarise({refused}).recovered, 0.0);
+  EXPECT_NE(Markdown({"prove", "00", {refused}}).find("no diagnosis: rec_000.csv: row 3"), std::string::npos);
+}
+
 TEST(Examination, ASiblingIsHalfRightAndAStrangerIsWrong) {
   const json label = Label({Effect("coulomb_friction", {"elbow"})});
   EXPECT_EQ(Marked(label, Diagnosis("unmodelled_physics", {Finding("stribeck_friction", {"elbow"})})).first,
