@@ -47,6 +47,14 @@ void AddPayload(const Truth& truth, const SkeletonPtr& skeleton, BodyNode* last)
   skeleton->createJointAndBodyNodePair<dart::dynamics::WeldJoint>(last, weld, body);
 }
 
+// Degrees of freedom that a springy base or a swinging mass adds.
+std::vector<int> DofsOf(const dart::dynamics::Joint* joint) {
+  std::vector<int> dofs;
+  for (size_t i = 0; i < joint->getNumDofs(); ++i)
+    dofs.push_back(static_cast<int>(joint->getDof(i)->getIndexInSkeleton()));
+  return dofs;
+}
+
 void AddSloshing(const Truth& truth, const SkeletonPtr& skeleton, BodyNode* last,
                  const Eigen::Vector3d& tool) {
   if (truth.slosh_mass <= 0) return;
@@ -63,6 +71,12 @@ void AddSloshing(const Truth& truth, const SkeletonPtr& skeleton, BodyNode* last
 Eigen::Vector3d Gravity(const Truth& truth) {
   return 9.81 * Eigen::Vector3d(std::sin(truth.tilt) * std::cos(truth.azimuth),
                                 std::sin(truth.tilt) * std::sin(truth.azimuth), -std::cos(truth.tilt));
+}
+
+// What of a twist is beyond the gap.
+double Stretch(double twist, double gap) {
+  const double half = 0.5 * gap;
+  return std::abs(twist) <= half ? 0.0 : twist - std::copysign(half, twist);
 }
 
 }  // namespace
@@ -96,10 +110,10 @@ Engine::Engine(const SkeletonPtr& nominal, const std::vector<std::string>& joint
   last_ = skeleton_->getJoint(joints.back())->getChildBodyNode();
   AddSloshing(truth, skeleton_, last_, tool_);
   if (truth.base_stiffness > 0) {
-    auto* base = skeleton_->getRootBodyNode()->changeParentJointType<dart::dynamics::UniversalJoint>();
-    base_dofs_ = {static_cast<int>(base->getDof(0)->getIndexInSkeleton()),
-                  static_cast<int>(base->getDof(1)->getIndexInSkeleton())};
+    base_dofs_ =
+        DofsOf(skeleton_->getRootBodyNode()->changeParentJointType<dart::dynamics::UniversalJoint>());
   }
+  if (truth.slosh_mass > 0) slosh_dofs_ = DofsOf(skeleton_->getJoint("slosh_joint"));
   dofs_ = static_cast<int>(skeleton_->getNumDofs());
   for (const std::string& name : joints) {
     dof_.push_back(static_cast<int>(skeleton_->getJoint(name)->getDof(0)->getIndexInSkeleton()));
@@ -135,13 +149,40 @@ void Engine::Reset(const VectorXd& q, const VectorXd& v, const VectorXd& u, doub
 
 void Engine::ResetLike(const Engine& other, const VectorXd& sensed_q, const VectorXd& sensed_v) {
   time_ = other.time_;
-  q_ = other.q_, v_ = other.v_;
+  q_.setZero(), v_.setZero();
+  const auto take = [&](const std::vector<int>& own, const std::vector<int>& its) {
+    for (size_t i = 0; i < std::min(own.size(), its.size()); ++i)
+      q_[own[i]] = other.q_[its[i]], v_[own[i]] = other.v_[its[i]];
+  };
+  take(dof_, other.dof_), take(base_dofs_, other.base_dofs_), take(slosh_dofs_, other.slosh_dofs_);
   motor_q_ = other.motor_q_, motor_v_ = other.motor_v_, lagged_ = other.lagged_, bristle_ = other.bristle_;
   commands_ = other.commands_, sensed_q_ = other.sensed_q_, sensed_v_ = other.sensed_v_;
   const VectorXd dq = sensed_q - other.SensedPosition(), dv = sensed_v - other.SensedVelocity();
   for (int i = 0; i < n_; ++i) {
-    q_[dof_[i]] += dq[i], v_[dof_[i]] += dv[i];
+    const JointTruth &own = truth_.joint[static_cast<size_t>(i)],
+                     &its = other.truth_.joint[static_cast<size_t>(i)];
+    double &q = q_[dof_[i]], &v = v_[dof_[i]];
+    q += dq[i], v += dv[i];
     motor_q_[i] += dq[i], motor_v_[i] += dv[i];
+    if (its.sensor_delay != own.sensor_delay)
+      q = motor_q_[i] = sensed_q[i] - own.encoder_offset, v = motor_v_[i] = sensed_v[i];
+    if (its.transmission.stiffness > 0) TakeOverTwist(its.transmission, own.transmission, i);
+  }
+}
+
+// The side that is sensed stays; the spring's deflection stays, the gap is this robot's.
+void Engine::TakeOverTwist(const Transmission& its, const Transmission& own, int joint) {
+  double &q = q_[dof_[joint]], &v = v_[dof_[joint]], &motor_q = motor_q_[joint], &motor_v = motor_v_[joint];
+  const bool rigid = own.stiffness <= 0;
+  if (!rigid && own.gap == its.gap) return;
+  const double stretch = Stretch(motor_q - q, its.gap),
+               twist = rigid || stretch == 0.0 ? 0.0 : stretch + std::copysign(0.5 * own.gap, stretch);
+  if (its.sensor_on_motor) {
+    q = motor_q - twist;
+    if (rigid) v = motor_v;
+  } else {
+    motor_q = q + twist;
+    if (rigid) motor_v = v;
   }
 }
 
@@ -173,8 +214,7 @@ void Engine::AddJointForces(const VectorXd& drive, VectorXd* tau) {
     double force = drive[i];
     if (j.transmission.stiffness > 0) {
       const Transmission& t = j.transmission;
-      const double twist = motor_q_[i] - q, half = 0.5 * t.gap;
-      const double stretch = std::abs(twist) <= half ? 0.0 : twist - std::copysign(half, twist);
+      const double stretch = Stretch(motor_q_[i] - q, t.gap);
       double spring = 0;
       if (stretch != 0.0 || t.gap == 0.0) {
         spring = t.stiffness * stretch + t.damping * (motor_v_[i] - v);

@@ -29,7 +29,8 @@ class Engine {
   int n() const { return n_; }
   // At rest in its hidden states (motors with their links, bristles relaxed, drives settled at u).
   void Reset(const Eigen::VectorXd& q, const Eigen::VectorXd& v, const Eigen::VectorXd& u, double time);
-  // The same, but everything hidden is taken from `other`, which is in the same instant.
+  // The same, but everything hidden is taken from `other`, which is in the same instant. Where this robot
+  // has no such state or senses otherwise, it is where it is sensed.
   void ResetLike(const Engine& other, const Eigen::VectorXd& sensed_q, const Eigen::VectorXd& sensed_v);
   void Step(const Eigen::VectorXd& command);
 
@@ -47,6 +48,7 @@ class Engine {
   void SolveFriction(const Eigen::MatrixXd& inverse_mass, const Eigen::VectorXd& drive,
                      Eigen::VectorXd* v) const;
   void SetSkeleton();
+  void TakeOverTwist(const Transmission& its, const Transmission& own, int joint);
 
   Truth truth_;
   dart::dynamics::SkeletonPtr skeleton_;
@@ -56,7 +58,7 @@ class Engine {
   std::vector<int> dof_;  // skeleton index of joint i
   // What the URDF itself declares, which is no concealed effect: <dynamics damping, friction>, n.
   Eigen::VectorXd declared_damping_, declared_friction_;
-  std::vector<int> base_dofs_;  // springy ones of a flexible base
+  std::vector<int> base_dofs_, slosh_dofs_;  // of a flexible base, of a swinging mass
   double dt_;
   double time_ = 0;
   Eigen::VectorXd q_, v_;  // all dofs

@@ -50,6 +50,9 @@ void AddEquivalents(const RobotFacts& facts, json* effects) {
       Join({"actuator_delay", "sensor_delay"}, &e);
     const bool first_only = e["joints"].size() == 1 && e["joints"][0] == facts.first_joint;
     if (e["id"] == "rotor_inertia" && first_only && !facts.linear) Join({"parameters_only"}, &e);
+    const auto damped = [&](const json& joint) { return facts.damped.count(joint.get<std::string>()) > 0; };
+    if (e["id"] == "viscous_friction" && std::all_of(e["joints"].begin(), e["joints"].end(), damped))
+      Join({"parameters_only"}, &e);
     if (facts.joints < 2 || !facts.upright_plane) continue;
     if (e["id"] == "gravity_misalignment" || (e["id"] == "encoder_offset" && first_only))
       Join({"gravity_misalignment", "encoder_offset"}, &e);

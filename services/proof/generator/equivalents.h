@@ -2,6 +2,7 @@
 #pragma once
 
 #include <nlohmann/json.hpp>
+#include <set>
 #include <string>
 
 namespace rg::proof {
@@ -11,12 +12,14 @@ struct RobotFacts {
   std::string first_joint;
   bool linear = false;         // its first joint is prismatic
   bool upright_plane = false;  // every joint revolute about the same level axis: it moves in an upright plane
-  bool heavier = false;        // one joint: it accelerates more slowly for its torque than the URDF says
+  std::set<std::string> damped;  // joints that the URDF declares damping of
+  bool heavier = false;          // one joint: it accelerates more slowly for its torque than the URDF says
 };
 
 // Adds to `equivalents` of the label's effects, exact cases only:
 // - one delay for all sensors and one for all drives (the robot does not change with time);
 // - a rotor's inertia on the first joint, where it turns, and the first link's inertia about that axis;
+// - viscous friction where the URDF declares damping on every joint of it: that is a parameter of the URDF;
 // - on an upright plane: a tilt of the base and a wrong zero of the first joint;
 // - on one joint that turns: rotor inertia, torque gain, payload, tilt and zero are all other moments of the
 //   body; where it became heavier, a payload at some distance makes any of them once the body may differ;

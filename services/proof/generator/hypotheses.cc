@@ -118,12 +118,13 @@ void Coupling(Draft& d) {
   d.parameters["*"] = {{"coefficient", Value(d.truth->coupling, "1")}};
 }
 
+// Figures that gears and belts have: a rotor of a tenth to two fifths of what it drives, a spring that
+// swings at a few hertz, a gap of about a degree. However strong the effect shall be, they stay such.
 void SpringyTransmission(const std::string& id, Draft& d) {
   const int i = static_cast<int>(d.rng.Index(d.s.joints.size()));
   Transmission& t = d.Joint(i).transmission;
-  const double inertia = d.s.inertia[i];
-  const double resonance = 6.283 * d.LogUniform(4, 9) / std::sqrt(std::max(0.05, d.x));
-  t.motor_inertia = inertia * d.rng.Uniform(0.25, 0.6);
+  const double inertia = d.s.inertia[i], resonance = 6.283 * d.LogUniform(4, 9) / std::sqrt(d.x);
+  t.motor_inertia = inertia * d.rng.Uniform(0.1, 0.4);
   t.sensor_on_motor = d.rng.Uniform() < 0.5;
   json& row = d.Row(i);
   if (id == "joint_elasticity") {
@@ -336,6 +337,13 @@ const std::vector<std::string>& KnownEffects() {
                                                "sloshing_payload",
                                                "unknown_field"};
   return ids;
+}
+
+StrengthRange StrengthsOf(const std::vector<std::string>& effects) {
+  const bool springy = std::any_of(effects.begin(), effects.end(), [](const std::string& id) {
+    return OneOf(id, {"joint_elasticity", "backlash"});
+  });
+  return springy ? StrengthRange{0.3, 3} : StrengthRange{0.01, 8};
 }
 
 json AddEffect(const std::string& id, double strength, const Scales& scales, Rng rng, Truth* truth) {

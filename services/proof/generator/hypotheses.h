@@ -32,6 +32,12 @@ struct Scales {
 // Ids of EFFECTS.md that the generator can make ("none" and "parameters_only" among them).
 const std::vector<std::string>& KnownEffects();
 
+// Strengths at which these effects have figures that robots have, together.
+struct StrengthRange {
+  double low = 0.01, high = 8;
+};
+StrengthRange StrengthsOf(const std::vector<std::string>& effects);
+
 // Adds effect `id` at `strength` (1: usual) to the truth; same rng, same joints and proportions.
 // The returned label entry is as in label.json: id, joints, localisation, parameters, equivalents.
 nlohmann::json AddEffect(const std::string& id, double strength, const Scales& scales, Rng rng, Truth* truth);

@@ -10,17 +10,20 @@
 #include <dart/dynamics/Joint.hpp>
 #include <dart/dynamics/PrismaticJoint.hpp>
 #include <dart/dynamics/RevoluteJoint.hpp>
-#include <dart/dynamics/WeldJoint.hpp>
-#include <dart/utils/urdf/DartLoader.hpp>
+#include <map>
 #include <nlohmann/json.hpp>
+#include <set>
 
 #include "common/base/file.h"
+#include "services/proof/generator/bodies.h"
+#include "services/proof/generator/comparison.h"
 #include "services/proof/generator/engine.h"
 #include "services/proof/generator/equivalents.h"
 #include "services/proof/generator/hypotheses.h"
 #include "services/proof/generator/references.h"
 #include "services/proof/generator/robots.h"
 #include "services/proof/generator/set_files.h"
+#include "services/proof/generator/siblings.h"
 #include "services/proof/generator/tuning.h"
 
 namespace rg::proof {
@@ -30,8 +33,11 @@ using Eigen::MatrixXd;
 using Eigen::VectorXd;
 using nlohmann::json;
 
-constexpr int kAttempts = 3;
+constexpr int kAttempts = 6;
 constexpr double kVisible = 1.1;  // error of a model without an effect over the true one's
+// Deviation of a model with a simpler effect in its place, from the true state, over the sensors' noise: much
+// less than what stands out from predictions that begin at noisy rows, but many rows tell it.
+constexpr double kHallmark = 1.0;
 
 // Everything a case is made from.
 class Maker {
@@ -50,14 +56,17 @@ class Maker {
   Truth Nominal() const { return Truth{std::vector<JointTruth>(joints_.size())}; }
   Track Record(const Truth& truth, const std::string& kind, double duration, uint64_t stream,
                bool regular) const;
-  void MeasureScales();
-  Truth Draw(double strength, bool wrong_parameters, json* effects) const;
+  Status MeasureScales();
+  // `without`: leaves out the effect of this index.
+  Truth Draw(double strength, bool wrong_parameters, json* effects, int without = -1) const;
   Motion TuningMotion(const Truth& truth) const;
   Status TuneNominal(const Truth& truth, json* effects);
-  // Squared errors of the nominal (or a rival) and of the true model over windows of 1 s of a recording.
-  void WindowErrors(const Truth& truth, const Track& track, std::vector<double>* nominal,
-                    std::vector<double>* oracle, const Truth* rival = nullptr) const;
-  void DropInvisible(Truth* truth, json* effects) const;
+  Comparison Compared() const { return {skeleton_, joints_, dt_, request_.rate_hz}; }
+  bool StandsOut(const Truth& truth, const Track& track, const Truth& without) const;
+  bool HallmarkShows(const Truth& truth, const Track& track, const std::vector<Truth>& siblings) const;
+  std::vector<std::string> JointsThatShow(const Truth& truth, const json& effect, const Track& track,
+                                          const std::set<std::string>& shared) const;
+  Status KeepVisible(Truth* truth, json* effects) const;
   double Ratio(const Truth& truth) const;
   Result<Truth> SearchStrength(json* effects, std::string* warning);
   RobotFacts Facts(const Truth& truth) const;
@@ -75,46 +84,8 @@ class Maker {
   Scales scales_;
   SetStyle style_;
   Noise noise_{};
-  double dt_ = 2e-4, wn_ = 8;
+  double dt_ = 2e-4, wn_ = 8, strength_ = 1;
 };
-
-double Rms(const std::vector<double>& squares) {
-  double sum = 0;
-  for (double s : squares) sum += s;
-  return squares.empty() ? 0.0 : std::sqrt(sum / static_cast<double>(squares.size()));
-}
-
-bool IsFinger(const std::string& name) { return name.find("finger") != std::string::npos; }
-
-// The manifest names the arm's joints only: everything else is locked at 0.
-void LockFingers(const dart::dynamics::SkeletonPtr& skeleton) {
-  std::vector<dart::dynamics::BodyNode*> fingers;
-  for (auto* body : skeleton->getBodyNodes()) {
-    const auto* joint = body->getParentJoint();
-    if (joint->getNumDofs() > 0 && IsFinger(joint->getName())) fingers.push_back(body);
-  }
-  for (auto* body : fingers) {
-    const auto* joint = body->getParentJoint();
-    dart::dynamics::WeldJoint::Properties weld;
-    weld.mName = joint->getName();
-    weld.mT_ParentBodyToJoint = joint->getTransformFromParentBodyNode();
-    weld.mT_ChildBodyToJoint = joint->getTransformFromChildBodyNode();
-    body->changeParentJointType<dart::dynamics::WeldJoint>(weld);
-  }
-}
-
-Result<dart::dynamics::SkeletonPtr> Parsed(const std::string& urdf) {
-  dart::utils::DartLoader::Options options;
-  options.mDefaultInertia =
-      dart::dynamics::Inertia(1e-9, Eigen::Vector3d::Zero(), 1e-12 * Eigen::Matrix3d::Identity());
-  options.mDefaultRootJointType = dart::utils::DartLoader::RootJointType::FIXED;
-  dart::utils::DartLoader loader(options);
-  dart::dynamics::SkeletonPtr skeleton = loader.parseSkeletonString(urdf, "");
-  if (!skeleton) return InvalidError("DART cannot read this URDF");
-  LockFingers(skeleton);
-  skeleton->setGravity(Eigen::Vector3d(0, 0, -9.81));
-  return skeleton;
-}
 
 Status Maker::LoadRobot() {
   original_urdf_ = request_.urdf;
@@ -122,7 +93,7 @@ Status Maker::LoadRobot() {
     RG_ASSIGN_OR_RETURN(original_urdf_, DrawRobot(request_.kind, request_.robots, rng_.Split(2)));
   }
   urdf_ = original_urdf_;
-  RG_ASSIGN_OR_RETURN(skeleton_, Parsed(urdf_));
+  RG_ASSIGN_OR_RETURN(skeleton_, ParseBodies(urdf_));
   nominal_ = skeleton_;
   for (size_t i = 0; i < skeleton_->getNumJoints(); ++i) {
     auto* joint = skeleton_->getJoint(i);
@@ -266,7 +237,7 @@ Track Maker::Record(const Truth& truth, const std::string& kind, double duration
     }
     if (k + 1 == plan.time.size()) break;
     for (const long end = std::lround(plan.time[k + 1] / dt_); fine < end; ++fine) engine.Step(u);
-    if (!engine.finite() || true_q.cwiseAbs().maxCoeff() > 50) {
+    if (!engine.finite() || BeyondStops(skeleton_, joints_, limits_.home, true_q, true_v)) {
       track.ok = false;
       return track;
     }
@@ -274,9 +245,10 @@ Track Maker::Record(const Truth& truth, const std::string& kind, double duration
   return track;
 }
 
-void Maker::MeasureScales() {
+Status Maker::MeasureScales() {
   const int n = static_cast<int>(joints_.size());
   const Track track = Record(Nominal(), "multisine", 7.0, 50, true);
+  if (!track.ok) return InternalError("the nominal robot ran away");
   scales_.joints = joints_;
   scales_.links = links_;
   scales_.home = limits_.home;
@@ -316,14 +288,16 @@ void Maker::MeasureScales() {
   scales_.inertia = Select(skeleton_->getMassMatrix()).diagonal();
   scales_.last_mass = skeleton_->getBodyNode(links_.back())->getMass();
   scales_.duration_s = 7.0;
+  return Status::Ok();
 }
 
-Truth Maker::Draw(double strength, bool wrong_parameters, json* effects) const {
+Truth Maker::Draw(double strength, bool wrong_parameters, json* effects, int without) const {
   Truth truth = Nominal();
   *effects = json::array();
   uint64_t stream = 10;
   for (const std::string& id : request_.effects) {
-    if (id != "none") effects->push_back(AddEffect(id, strength, scales_, rng_.Split(stream), &truth));
+    if (id != "none" && without-- != 0)
+      effects->push_back(AddEffect(id, strength, scales_, rng_.Split(stream), &truth));
     ++stream;
   }
   if (wrong_parameters)
@@ -366,7 +340,7 @@ Status Maker::TuneNominal(const Truth& truth, json* effects) {
     links.push_back(links_[l]);
   const Tuning tuning = Tune(skeleton_, joints_, links, motion, part);
   urdf_ = WithTuning(original_urdf_, skeleton_, joints_, tuning);
-  RG_ASSIGN_OR_RETURN(nominal_, Parsed(urdf_));
+  RG_ASSIGN_OR_RETURN(nominal_, ParseBodies(urdf_));
   json changes = json::object();
   for (const auto& [link, change] : tuning.links)
     changes[link] = {{"mass_factor", 1 / change.mass_factor}, {"inertia_factor", 1 / change.inertia_factor}};
@@ -382,50 +356,20 @@ Status Maker::TuneNominal(const Truth& truth, json* effects) {
   return Status::Ok();
 }
 
-void Maker::WindowErrors(const Truth& truth, const Track& track, std::vector<double>* nominal,
-                         std::vector<double>* oracle, const Truth* rival) const {
-  Engine real(skeleton_, joints_, truth, dt_), model(skeleton_, joints_, truth, dt_),
-      plain(rival != nullptr ? skeleton_ : nominal_, joints_, rival != nullptr ? *rival : Nominal(), dt_);
-  const int rate = static_cast<int>(request_.rate_hz), rows = static_cast<int>(track.q.cols());
-  real.Reset(track.true_q.col(0), track.true_v.col(0), track.u.col(0), 0.0);
-  model.Reset(track.q.col(0), track.v.col(0), track.u.col(0), 0.0);
-  long fine = 0;
-  const int last = (rows - 1) / rate * rate;
-  for (int k = 0; k <= last; ++k) {
-    if (k > 0) {
-      nominal->push_back(
-          std::min(1e6, (plain.SensedPosition() - track.true_q.col(k)).squaredNorm() / track.q.rows()));
-      oracle->push_back(
-          std::min(1e6, (model.SensedPosition() - track.true_q.col(k)).squaredNorm() / track.q.rows()));
-    }
-    if (k % rate == 0) {
-      model.ResetLike(real, track.q.col(k), track.v.col(k));
-      if (rival != nullptr) {
-        plain.ResetLike(real, track.q.col(k), track.v.col(k));
-      } else {
-        plain.Reset(track.q.col(k), track.v.col(k), track.u.col(k), k / request_.rate_hz);
-      }
-    }
-    if (k == last) break;
-    for (const long end = std::lround((k + 1) / (request_.rate_hz * dt_)); fine < end; ++fine) {
-      real.Step(track.u.col(k)), model.Step(track.u.col(k)), plain.Step(track.u.col(k));
-    }
-  }
-}
-
 double Maker::Ratio(const Truth& truth) const {
-  std::vector<double> nominal, oracle;
   const Track track = Record(truth, "chirp", 5.0, 70, true);
   if (!track.ok) return 1e9;
-  WindowErrors(truth, track, &nominal, &oracle);
-  return Rms(nominal) / std::max(1e-12, Rms(oracle));
+  WindowSquares squares;
+  Compared().Add(truth, track, {{nominal_, Nominal(), Start::kRow}}, &squares);
+  return Rms(squares.rivals[0]) / std::max(1e-12, Rms(squares.oracle));
 }
 
 // Makes the effect as strong as was asked, by bisection on the logarithm of the strength; a URDF that is
 // wrong beside it does not count for that.
 Result<Truth> Maker::SearchStrength(json* effects, std::string* warning) {
   const double low = request_.weak ? 1.5 : 4.0, high = request_.weak ? 2.5 : 30.0;
-  double strength = request_.weak ? 0.25 : 1.0, below = 0.01, above = 8.0;
+  auto [below, above] = StrengthsOf(request_.effects);
+  double& strength = strength_ = std::max(request_.weak ? 0.25 : 1.0, below);
   bool seen = false;
   Truth truth;
   const auto finished = [&] { return request_.wrong_parameters ? Draw(strength, true, effects) : truth; };
@@ -443,29 +387,79 @@ Result<Truth> Maker::SearchStrength(json* effects, std::string* warning) {
   return finished();
 }
 
-// Of an effect on several joints those stay on which a model without it stands out: a limit that is never
-// reached is not there to be named.
-void Maker::DropInvisible(Truth* truth, json* effects) const {
+bool Maker::StandsOut(const Truth& truth, const Track& track, const Truth& without) const {
+  WindowSquares squares;
+  Compared().Add(truth, track, {{skeleton_, without}}, &squares);
+  return Rms(squares.rivals[0]) > kVisible * Rms(squares.oracle);
+}
+
+bool Maker::HallmarkShows(const Truth& truth, const Track& track, const std::vector<Truth>& siblings) const {
+  const double noise =
+      std::sqrt(noise_.position * noise_.position + noise_.resolution * noise_.resolution / 12);
+  std::vector<Rival> rivals;
+  for (const Truth& sibling : siblings) rivals.push_back({skeleton_, sibling, Start::kTrue});
+  WindowSquares squares;
+  Compared().Add(truth, track, rivals, &squares);
+  const double joints = static_cast<double>(joints_.size());
+  return std::all_of(squares.rivals.begin(), squares.rivals.end(),
+                     [&](const auto& s) { return std::sqrt(joints) * Rms(s) > kHallmark * noise; });
+}
+
+// Joints on which a model without the effect stands out, and one with the simpler effect that it contains.
+std::vector<std::string> Maker::JointsThatShow(const Truth& truth, const json& effect, const Track& track,
+                                               const std::set<std::string>& shared) const {
+  std::vector<std::string> show;
+  const std::vector<std::string> named = effect["joints"];
+  for (const std::string& name : named) {
+    const auto joint = static_cast<size_t>(std::find(joints_.begin(), joints_.end(), name) - joints_.begin());
+    Truth without = truth;
+    without.joint[joint] = JointTruth{};
+    if (named.size() > 1 && shared.count(name) == 0 && !StandsOut(truth, track, without)) continue;
+    const double load = track.u.row(static_cast<Eigen::Index>(joint)).cwiseAbs().mean();
+    if (HallmarkShows(truth, track, SimplerSiblings(truth, effect["id"], joint, load, scales_.tool)))
+      show.push_back(name);
+  }
+  return show;
+}
+
+// A limit that is never reached and a gap that looks like a rotor's inertia are not there to be named: every
+// effect of several must show, on every joint that stays, by what makes it more than a simpler one.
+Status Maker::KeepVisible(Truth* truth, json* effects) const {
   const Track track = Record(*truth, "chirp", 5.0, 70, true);
+  if (!track.ok) return InternalError("the true robot ran away");
+  for (size_t e = 0; request_.effects.size() > 1 && e < request_.effects.size(); ++e) {
+    json ignored;
+    const Truth without = Draw(strength_, request_.wrong_parameters, &ignored, static_cast<int>(e));
+    if (!StandsOut(*truth, track, without))
+      return InternalError(request_.effects[e] + " does not show beside the other effect");
+  }
+  std::map<std::string, int> named;
+  for (const json& effect : *effects)
+    for (const json& joint : effect["joints"]) ++named[joint.get<std::string>()];
+  std::set<std::string> shared;
+  for (const auto& [name, count] : named)
+    if (count > 1) shared.insert(name);
   for (json& effect : *effects) {
-    const std::vector<std::string> named = effect["joints"];
-    if (!track.ok || named.size() < 2 || !effect["parameters"].contains(named[0])) continue;
-    for (const std::string& name : named) {
-      const auto shares = std::count_if(effects->begin(), effects->end(), [&](const json& e) {
-        return std::find(e["joints"].begin(), e["joints"].end(), name) != e["joints"].end();
-      });
-      if (shares > 1 || effect["joints"].size() == 1) continue;
-      Truth without = *truth;
-      const auto joint = std::find(joints_.begin(), joints_.end(), name) - joints_.begin();
-      without.joint[static_cast<size_t>(joint)] = JointTruth{};
-      std::vector<double> left, oracle;
-      WindowErrors(*truth, track, &left, &oracle, &without);
-      if (Rms(left) > kVisible * Rms(oracle)) continue;
-      *truth = without;
-      effect["joints"].erase(std::find(effect["joints"].begin(), effect["joints"].end(), name));
+    const std::string id = effect["id"];
+    if (effect["joints"].empty()) {
+      if (!HallmarkShows(*truth, track, SimplerSiblings(*truth, id, 0, 0, scales_.tool)))
+        return InternalError(id + " looks like a simpler effect");
+      continue;
+    }
+    if (!effect["parameters"].contains(effect["joints"][0].get<std::string>())) continue;
+    const std::vector<std::string> all = effect["joints"],
+                                   show = JointsThatShow(*truth, effect, track, shared);
+    for (const std::string& name : all) {
+      if (std::find(show.begin(), show.end(), name) != show.end()) continue;
+      if (show.empty() || shared.count(name) > 0)
+        return InternalError(id + " on " + name + " looks like a simpler effect");
+      truth->joint[static_cast<size_t>(std::find(joints_.begin(), joints_.end(), name) - joints_.begin())] =
+          JointTruth{};
       effect["parameters"].erase(name);
     }
+    effect["joints"] = show;
   }
+  return Status::Ok();
 }
 
 RobotFacts Maker::Facts(const Truth& truth) const {
@@ -473,6 +467,9 @@ RobotFacts Maker::Facts(const Truth& truth) const {
   facts.joints = static_cast<int>(joints_.size());
   facts.first_joint = joints_.front();
   facts.linear = scales_.prismatic[0];
+  for (const std::string& name : joints_) {
+    if (nominal_->getJoint(name)->getDof(0)->getDampingCoefficient() > 0) facts.damped.insert(name);
+  }
   facts.upright_plane = true;
   Eigen::Vector3d first = Eigen::Vector3d::Zero();
   for (size_t i = 0; i < joints_.size(); ++i) {
@@ -500,7 +497,7 @@ RobotFacts Maker::Facts(const Truth& truth) const {
 Result<CaseSummary> Maker::Run(const std::string& sets_folder, const std::string& labels_folder) {
   RG_RETURN_IF_ERROR(LoadRobot());
   ChooseMotion();
-  MeasureScales();
+  RG_RETURN_IF_ERROR(MeasureScales());
   CaseSummary summary;
   json effects;
   const bool control = request_.effects == std::vector<std::string>{"none"} ||
@@ -510,10 +507,10 @@ Result<CaseSummary> Maker::Run(const std::string& sets_folder, const std::string
     truth = Draw(1.0, false, &effects);
   } else {
     RG_ASSIGN_OR_RETURN(truth, SearchStrength(&effects, &summary.warning));
-    DropInvisible(&truth, &effects);
+    RG_RETURN_IF_ERROR(KeepVisible(&truth, &effects));
   }
   const std::vector<PlannedRecording> plan = DrawPlan(rng_.Split(4));
-  std::vector<double> nominal, oracle;
+  WindowSquares squares;
   std::vector<std::pair<std::string, std::string>> files;
   int hidden = 0;
   for (size_t r = 0; r < plan.size(); ++r) {
@@ -525,9 +522,9 @@ Result<CaseSummary> Maker::Run(const std::string& sets_folder, const std::string
     files.emplace_back((concealed ? labels_folder : sets_folder) + "/" + request_.name +
                            (concealed ? "/hidden" : "/rec") + number,
                        Csv(track, joints_, style_.with_velocity, concealed));
-    if (concealed) WindowErrors(truth, track, &nominal, &oracle);
+    if (concealed) Compared().Add(truth, track, {{nominal_, Nominal(), Start::kRow}}, &squares);
   }
-  summary.nominal_rms = Rms(nominal), summary.oracle_rms = Rms(oracle);
+  summary.nominal_rms = Rms(squares.rivals[0]), summary.oracle_rms = Rms(squares.oracle);
   summary.ratio = summary.nominal_rms / summary.oracle_rms;
   if (!control && !(summary.ratio > 1.3))
     return InternalError("the nominal model is as good as the true one");

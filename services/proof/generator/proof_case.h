@@ -30,8 +30,9 @@ struct CaseSummary {
 };
 
 // Writes SETS/<name>/{robot.urdf, manifest.json, rec_00k.csv} and LABELS/<name>/{label.json,
-// oracle.json, hidden_00k.csv}. What leaves the nominal model almost as good as the true one, or makes the
-// robot run away, is drawn anew; an error after the third time.
+// oracle.json, hidden_00k.csv}. What leaves the nominal model, or one with a simpler effect (siblings.h),
+// almost as good as the true one, or throws the robot through its stops, is drawn anew; an error after the
+// sixth time.
 Result<CaseSummary> MakeCase(const CaseRequest& request, const std::string& sets_folder,
                              const std::string& labels_folder);
 

@@ -9,6 +9,8 @@
 
 #include "common/base/file.h"
 #include "common/base/ids.h"
+#include "services/proof/generator/bodies.h"
+#include "services/proof/generator/comparison.h"
 #include "services/proof/generator/engine.h"
 #include "services/proof/generator/equivalents.h"
 #include "services/proof/generator/fields.h"
@@ -16,6 +18,7 @@
 #include "services/proof/generator/proof_case.h"
 #include "services/proof/generator/robots.h"
 #include "services/proof/generator/set_files.h"
+#include "services/proof/generator/siblings.h"
 #include "services/proof/generator/tuning.h"
 
 namespace rg::proof {
@@ -83,6 +86,119 @@ TEST(ProofEngine, DelayShiftsTheCommand) {
   EXPECT_EQ(engine.SensedVelocity()[0], 0.0);
   for (int i = 0; i < 20; ++i) engine.Step(One(1));
   EXPECT_GT(engine.SensedVelocity()[0], 0.0);
+}
+
+Truth Played(double gap, bool sensor_on_motor) {
+  Truth truth = OneJoint();
+  truth.joint[0].transmission = {
+      .stiffness = 600, .damping = 2, .motor_inertia = 0.02, .gap = gap, .sensor_on_motor = sensor_on_motor};
+  return truth;
+}
+
+TEST(ProofEngine, ARigidModelRestartsWhereItIsSensedOfARobotWithPlay) {
+  for (const bool motor : {false, true}) {
+    Engine real(Pendulum(), {"pivot"}, Played(0.05, motor), 1e-4);
+    real.Reset(One(0.3), One(0), One(0), 0);
+    for (int i = 0; i < 4000; ++i) real.Step(One(0.8));
+    Truth rigid = OneJoint();
+    Engine model(Pendulum(), {"pivot"}, rigid, 1e-4), same(Pendulum(), {"pivot"}, Played(0.05, motor), 1e-4);
+    model.ResetLike(real, real.SensedPosition(), real.SensedVelocity());
+    same.ResetLike(real, real.SensedPosition(), real.SensedVelocity());
+    const double before = real.SensedPosition()[0], speed = real.SensedVelocity()[0];
+    for (Engine* engine : {&real, &model, &same}) engine->Step(One(0.8));
+    EXPECT_NEAR(model.SensedPosition()[0], before + 1e-4 * speed, 1e-5) << motor;
+    EXPECT_EQ(same.SensedPosition()[0], real.SensedPosition()[0]) << motor;
+  }
+}
+
+// Least deviation of a simpler effect, over the sensor's noise, on a pendulum that is swung back and forth.
+double Hallmark(const Truth& truth, const std::string& effect) {
+  constexpr int kRows = 301;
+  constexpr double kRate = 100, kStep = 1e-4;
+  Track track;
+  track.q = track.v = track.u = track.true_q = track.true_v = Eigen::MatrixXd(1, kRows);
+  Engine real(Pendulum(), {"pivot"}, truth, kStep);
+  real.Reset(One(0), One(0), One(0), 0);
+  for (int k = 0; k < kRows; ++k) {
+    track.q.col(k) = track.true_q.col(k) = real.SensedPosition();
+    track.v.col(k) = track.true_v.col(k) = real.SensedVelocity();
+    track.u(0, k) = 2 * std::sin(3.0 * k / kRate) + std::sin(8.0 * k / kRate);
+    for (int i = 0; i < 100; ++i) real.Step(track.u.col(k));
+  }
+  std::vector<Rival> rivals;
+  for (const Truth& model : SimplerSiblings(truth, effect, 0, track.u.cwiseAbs().mean(), {0, 0, -0.6}))
+    rivals.push_back({Pendulum(), model, Start::kTrue});
+  WindowSquares squares;
+  Comparison{Pendulum(), {"pivot"}, kStep, kRate}.Add(truth, track, rivals, &squares);
+  double least = 1e9;
+  for (const auto& s : squares.rivals) least = std::min(least, Rms(s) / 4e-4);
+  return least;
+}
+
+TEST(ProofSiblings, APlayOfAHairIsARotorsInertiaAndOneOfADegreeIsNot) {
+  for (const bool motor : {false, true}) {
+    EXPECT_LT(Hallmark(Played(0.0003, motor), "backlash"), 1) << motor;
+    EXPECT_GT(Hallmark(Played(0.03, motor), "backlash"), 5) << motor;
+  }
+  Truth stiff = Played(0, false), soft = Played(0, false);
+  stiff.joint[0].transmission.stiffness = 5000, soft.joint[0].transmission.stiffness = 60;
+  EXPECT_LT(Hallmark(stiff, "joint_elasticity"), 1);
+  EXPECT_GT(Hallmark(soft, "joint_elasticity"), 5);
+}
+
+TEST(ProofSiblings, FrictionOfSeveralLevelsIsToldFromThatOfOne) {
+  Truth truth = OneJoint();
+  truth.joint[0].dry = {
+      .coulomb_positive = 0.3, .coulomb_negative = 0.3, .static_extra = 0.4, .stribeck_velocity = 0.5};
+  EXPECT_GT(Hallmark(truth, "stribeck_friction"), 5);
+  truth.joint[0].dry.static_extra = 1e-3;
+  EXPECT_LT(Hallmark(truth, "stribeck_friction"), 1);
+  truth.joint[0].dry = {.coulomb_positive = 0.5, .coulomb_negative = 0.2};
+  EXPECT_GT(Hallmark(truth, "asymmetric_friction"), 5);
+  truth.joint[0].dry = {.coulomb_positive = 0.3, .coulomb_negative = 0.2999};
+  EXPECT_LT(Hallmark(truth, "asymmetric_friction"), 1);
+  truth = OneJoint();
+  truth.slosh_mass = 0.2, truth.slosh_length = 0.1;
+  EXPECT_GT(Hallmark(truth, "sloshing_payload"), 1) << "a robot with other joints restarts from its state";
+}
+
+TEST(ProofHypotheses, SpringsAndGapsStayThoseOfGearsHoweverStrong) {
+  Scales scales;
+  scales.joints = {"a"}, scales.links = {"l"}, scales.prismatic = {false};
+  scales.torque = scales.motion_torque = scales.velocity = scales.amplitude = One(1);
+  scales.inertia = One(0.1);
+  for (const char* id : {"backlash", "joint_elasticity"}) {
+    const StrengthRange range = StrengthsOf({"payload", id});
+    for (uint64_t seed = 0; seed < 50; ++seed) {
+      for (const double strength : {range.low, 1.0, range.high}) {
+        Truth truth = OneJoint();
+        AddEffect(id, strength, scales, Rng(seed), &truth);
+        const Transmission& t = truth.joint[0].transmission;
+        EXPECT_GE(t.motor_inertia, 0.01);
+        EXPECT_LE(t.motor_inertia, 0.04);
+        if (t.gap > 0) {
+          EXPECT_GE(t.gap, 0.006) << "a third of a degree";
+          EXPECT_LE(t.gap, 0.15);
+        } else {
+          const double hertz = std::sqrt(t.stiffness / 0.1) / (2 * M_PI);
+          EXPECT_GE(hertz, 2);
+          EXPECT_LE(hertz, 17);
+        }
+      }
+    }
+  }
+}
+
+TEST(ProofRobots, BeyondTheirStopsNobodyRecordsThem) {
+  const auto bodies = Pendulum();  // from -3 to 3 rad, 8 rad/s
+  const auto beyond = [&](double q, double v) {
+    return BeyondStops(bodies, {"pivot"}, One(0), One(q), One(v));
+  };
+  EXPECT_FALSE(beyond(3.5, 8));
+  EXPECT_TRUE(beyond(4, 0));
+  EXPECT_TRUE(beyond(-4, 0));
+  EXPECT_FALSE(beyond(0, 30));
+  EXPECT_TRUE(beyond(0, -33));
 }
 
 TEST(ProofRobots, EveryDrawnOneIsAnotherAndCanBeSimulated) {
@@ -202,6 +318,13 @@ TEST(ProofLabels, CallEquivalentWhatIsAndNothingElse) {
   AddEquivalents(arm, &rotor);
   EXPECT_EQ(rotor[0]["equivalents"], json{"parameters_only"}) << "the first link turns about that axis alone";
   EXPECT_TRUE(rotor[1]["equivalents"].empty());
+
+  arm.damped = {"a"};
+  json viscous = {EffectOf("viscous_friction", {"a"}), EffectOf("viscous_friction", {"a", "b"})};
+  AddEquivalents(arm, &viscous);
+  EXPECT_EQ(viscous[0]["equivalents"], json{"parameters_only"}) << "the URDF has that parameter";
+  EXPECT_TRUE(viscous[1]["equivalents"].empty()) << "on one of two joints";
+  EXPECT_EQ(AcceptedVerdicts(json::array({viscous[0]})).size(), 2u);
 
   RobotFacts slide{.joints = 1, .first_joint = "s", .linear = true, .heavier = false};
   json mass = {EffectOf("torque_gain", {"s"}), EffectOf("coulomb_friction", {"s"})};
