@@ -26,7 +26,7 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
   for (double piece = hidden ? 0 : request.piece_s; piece > 0; piece *= kLonger) {
     if (piece > data.nodes.window_s / 1.5) break;
     FitData pieces = data;
-    pieces.windows = InPieces(data.windows, piece);
+    pieces.windows = InPieces(data.windows, piece, data.noise);
     fit = Fit(pieces, model, request.options);
     work += fit.work;
     if (fit.ok) model.values = fit.values;

@@ -164,11 +164,9 @@ class Lineariser {
         out->ok = false;
         return;
       }
-      int output = 0;
-      if (k == 0 && window.measured[0]) {
-        WriteRows(step, window, 0, output++, E, Ef, nullptr, nullptr, out, &row);
-      }
-      if (window.measured[k + 1]) WriteRows(step, window, k + 1, output, E, Ef, joint, phi, out, &row);
+      const int output = static_cast<int>(w.run_times[k].size()) - 1;
+      if (k == 0 && window.measured[0]) WriteRows(w, window, 0, 0, 0, E, Ef, nullptr, nullptr, out, &row);
+      if (window.measured[k + 1]) WriteRows(w, window, k + 1, k, output, E, Ef, joint, phi, out, &row);
       const auto A = step.dfinal_state.leftCols(nx_);
       next.noalias() = A * E;
       next.col(0) += step.state.col(output) - states.col(k + 1);
@@ -279,14 +277,18 @@ class Lineariser {
     return kSoft * kSoft * std::log1p(square / (kSoft * kSoft));
   }
 
-  // One run from every node to the next, with sensitivities.
+  // One run from every node to the next, with sensitivities: the rows after a node, those before the next,
+  // the next.
   void RunNodes(const NodeWindow& window, const MatrixXd& states, Worker* w) const {
     const int N = static_cast<int>(window.t.size()) - 1;
     w->runs.resize(N), w->run_times.resize(N);
     for (int k = 0; k < N; ++k) {
-      w->run_times[k].clear();
-      if (k == 0 && window.measured[0]) w->run_times[k].push_back(window.t[0]);
-      w->run_times[k].push_back(window.t[k + 1]);
+      std::vector<double>& times = w->run_times[k];
+      times.clear();
+      if ((k == 0 && window.measured[0]) || !window.after[k].empty()) times.push_back(window.t[k]);
+      times.insert(times.end(), window.after[k].begin(), window.after[k].end());
+      times.insert(times.end(), window.before[k + 1].begin(), window.before[k + 1].end());
+      times.push_back(window.t[k + 1]);
       w->runs[k].command = &data_.recordings[window.recording].command;
       w->runs[k].times = &w->run_times[k];
       SetState(states.col(k), window.t[k], &w->runs[k].x0);
@@ -299,7 +301,10 @@ class Lineariser {
     const NodeWindow& window = data_.windows[index];
     times->clear();
     for (size_t k = 0; k < window.t.size(); ++k) {
-      if (window.measured[k]) times->push_back(window.t[k]);
+      if (!window.measured[k]) continue;
+      times->insert(times->end(), window.before[k].begin(), window.before[k].end());
+      times->push_back(window.t[k]);
+      times->insert(times->end(), window.after[k].begin(), window.after[k].end());
     }
     run->command = &data_.recordings[window.recording].command;
     run->times = times;
@@ -312,16 +317,20 @@ class Lineariser {
     for (size_t node = 0; node < window.t.size(); ++node) {
       if (!window.measured[node]) continue;
       const auto k = static_cast<Eigen::Index>(node);
-      const double s = std::sqrt(static_cast<double>(window.rows[node]));
+      const auto count =
+          static_cast<Eigen::Index>(1 + window.before[node].size() + window.after[node].size());
+      const auto mean = [&](const MatrixXd& of) -> VectorXd {
+        return of.middleCols(at, count).rowwise().mean();
+      };
       residuals.segment(row, n_) =
-          s * (window.q.col(k) - simulated.position.col(at)).cwiseQuotient(data_.noise.position_stddev);
+          (window.q.col(k) - mean(simulated.position)).cwiseQuotient(window.q_stddev.col(k));
       row += n_;
       if (data_.use_velocity) {
         residuals.segment(row, n_) =
-            s * (window.v.col(k) - simulated.velocity.col(at)).cwiseQuotient(data_.noise.velocity_stddev);
+            (window.v.col(k) - mean(simulated.velocity)).cwiseQuotient(window.v_stddev.col(k));
         row += n_;
       }
-      ++at;
+      at += count;
     }
     return residuals;
   }
@@ -332,19 +341,41 @@ class Lineariser {
     x->time = time;
   }
 
-  void WriteRows(const sim::Trajectory& step, const NodeWindow& window, int node, int output,
-                 const MatrixXd& E, const MatrixXd& Ef, const std::vector<int>* joint, const MatrixXd* phi,
-                 Linear* out, int* row) {
-    const double s = std::sqrt(static_cast<double>(window.rows[node]));
+  // By how much the mean of a node's outputs differs from the one at its own time.
+  VectorXd MeanBeyond(const Worker& w, const NodeWindow& window, int node, bool speed) const {
+    const auto of = [&](int run) -> const MatrixXd& {
+      return speed ? w.outs[run].velocity : w.outs[run].position;
+    };
+    const auto before = static_cast<Eigen::Index>(window.before[node].size());
+    const auto after = static_cast<Eigen::Index>(window.after[node].size());
+    VectorXd sum = VectorXd::Zero(n_);
+    if (before > 0) {
+      const MatrixXd& y = of(node - 1);
+      const Eigen::Index end = static_cast<Eigen::Index>(w.run_times[node - 1].size()) - 1;
+      for (Eigen::Index i = end - before; i < end; ++i) sum += y.col(i) - y.col(end);
+    }
+    if (after > 0 && w.outs[node].outcome.ok()) {
+      const MatrixXd& y = of(node);
+      for (Eigen::Index i = 1; i <= after; ++i) sum += y.col(i) - y.col(0);
+    }
+    return sum / static_cast<double>(1 + before + after);
+  }
+
+  // The derivatives of a node's mean are taken for those at its own time.
+  void WriteRows(const Worker& w, const NodeWindow& window, int node, int run, int output, const MatrixXd& E,
+                 const MatrixXd& Ef, const std::vector<int>* joint, const MatrixXd* phi, Linear* out,
+                 int* row) {
+    const sim::Trajectory& step = w.outs[run];
     const int kinds = data_.use_velocity ? 2 : 1;
     for (int kind = 0; kind < kinds; ++kind) {
       const RowMatrix& D = kind == 0 ? step.dposition : step.dvelocity;
-      const VectorXd& sigma = kind == 0 ? data_.noise.position_stddev : data_.noise.velocity_stddev;
+      const MatrixXd& stddev = kind == 0 ? window.q_stddev : window.v_stddev;
       const auto block = D.middleRows(output * n_, n_);
-      VectorXd weight = s * sigma.cwiseInverse();
+      const VectorXd weight = stddev.col(node).cwiseInverse();
       const MatrixXd H = weight.asDiagonal() * block.leftCols(nx_);
       const VectorXd y = kind == 0 ? window.q.col(node) : window.v.col(node);
-      const VectorXd h = kind == 0 ? step.position.col(output) : step.velocity.col(output);
+      VectorXd h = kind == 0 ? step.position.col(output) : step.velocity.col(output);
+      h += MeanBeyond(w, window, node, kind == 1);
       out->r.segment(*row, n_) = weight.cwiseProduct(y - h) - H * E.col(0);
       auto J = out->J.middleRows(*row, n_);
       J.leftCols(P_).noalias() = H * E.middleCols(1, P_);

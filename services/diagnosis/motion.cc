@@ -68,28 +68,60 @@ void SmoothMotion::At(double t, VectorXd* q, VectorXd* v, VectorXd* a) const {
 
 namespace {
 
-// Mean over rows [row − half, row + half] with the slope taken out: the value at the row's time.
-struct Averaged {
-  VectorXd q, v;
-  int rows = 1;
-};
-Averaged AverageAround(const recordings::Recording& rec, int row, int half) {
-  half = std::min({half, row, rec.rows() - 1 - row});
-  const int count = 2 * half + 1;
-  Averaged out;
-  out.rows = count;
-  out.q = rec.q.middleCols(row - half, count).rowwise().mean();
-  if (!rec.has_velocity()) return out;
-  out.v = rec.v.middleCols(row - half, count).rowwise().mean();
-  const double offset = rec.t.segment(row - half, count).mean() - rec.t[row];
-  out.q -= offset * out.v;
-  return out;
+constexpr int kHarmonics = 12;  // of the sawtooth that a quantised reading's error is over position
+
+// The mean of rows [first, last] in the place of node k, whose own row is `row`.
+void Average(const recordings::Recording& rec, int first, int row, int last,
+             const recordings::SensorNoise& noise, int k, NodeWindow* window) {
+  const int count = last - first + 1;
+  const auto at = static_cast<size_t>(k);
+  for (int i = first; i < row; ++i) window->before[at].push_back(rec.t[i]);
+  for (int i = row + 1; i <= last; ++i) window->after[at].push_back(rec.t[i]);
+  window->measured[at] = 1;
+  window->q.col(k) = rec.q.middleCols(first, count).rowwise().mean();
+  window->q_row.col(k) = rec.q.col(row);
+  const std::vector<double> times(rec.t.data() + first, rec.t.data() + last + 1);
+  for (int j = 0; j < rec.n(); ++j)
+    window->q_stddev(j, k) =
+        StddevOfMean(times, window->v0(j, k), noise.position_stddev[j], noise.position_resolution[j]);
+  if (!rec.has_velocity()) return;
+  window->v.col(k) = rec.v.middleCols(first, count).rowwise().mean();
+  window->v_row.col(k) = rec.v.col(row);
+  window->v_stddev.col(k) = noise.velocity_stddev / std::sqrt(static_cast<double>(count));
+}
+
+// Node k is its own row alone.
+void LeaveRow(const recordings::SensorNoise& noise, int k, NodeWindow* window) {
+  const auto at = static_cast<size_t>(k);
+  if (window->before[at].empty() && window->after[at].empty()) return;
+  window->before[at].clear(), window->after[at].clear();
+  window->q.col(k) = window->q_row.col(k), window->v.col(k) = window->v_row.col(k);
+  window->q_stddev.col(k) = noise.position_stddev, window->v_stddev.col(k) = noise.velocity_stddev;
 }
 
 }  // namespace
 
+double StddevOfMean(const std::vector<double>& t, double speed, double stddev, double resolution) {
+  const auto count = static_cast<double>(t.size());
+  const double variance = stddev * stddev;
+  if (t.size() == 1 || !(resolution > 0)) return stddev / std::sqrt(count);
+  const double blur = std::max(0.0, variance - resolution * resolution / 12) / (resolution * resolution);
+  double together = 0;
+  for (int m = 1; m <= kHarmonics; ++m) {
+    const double turn = 2 * M_PI * m;
+    double real = 0, imaginary = 0;
+    for (const double at : t) {
+      const double phase = turn * speed * (at - t[0]) / resolution;
+      real += std::cos(phase) / count, imaginary += std::sin(phase) / count;
+    }
+    const double share = real * real + imaginary * imaginary - 1 / count;
+    together += 2 * std::exp(-turn * turn * blur) * share / (turn * turn);
+  }
+  return std::sqrt(std::max(0.0, variance / count + resolution * resolution * together));
+}
+
 std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& rec, int index, const SmoothMotion& motion,
-                                     const NodeOptions& options) {
+                                     const recordings::SensorNoise& noise, const NodeOptions& options) {
   const double period = std::max(1e-6, rec.SamplePeriod());
   int stride = std::max(1, static_cast<int>(std::floor(options.interval_s / period + 0.2)));
   if (stride % 2 == 0) --stride;  // symmetric averages
@@ -114,25 +146,29 @@ std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& rec, int index
     }
     const int nodes = static_cast<int>(window.t.size());
     if (nodes < 3) continue;
-    window.q.setZero(n, nodes), window.v.setZero(n, nodes);
-    window.q0.resize(n, nodes), window.v0.resize(n, nodes);
-    window.measured.assign(nodes, 0), window.rows.assign(nodes, 0);
+    for (MatrixXd* m : {&window.q, &window.v, &window.q_row, &window.v_row, &window.q0, &window.v0})
+      m->setZero(n, nodes);
+    window.q_stddev.setOnes(n, nodes), window.v_stddev.setOnes(n, nodes);
+    window.measured.assign(nodes, 0), window.before.resize(nodes), window.after.resize(nodes);
+    const int half = (stride - 1) / 2;
     for (int k = 0; k < nodes; ++k) {
       motion.At(window.t[k], &q, &v, &a);
       window.q0.col(k) = q, window.v0.col(k) = v;
-      if (row_of[k] < 0) continue;
-      const Averaged mean = AverageAround(rec, row_of[k], (stride - 1) / 2);
-      window.measured[k] = 1;
-      window.rows[k] = mean.rows;
-      window.q.col(k) = mean.q;
-      if (rec.has_velocity()) window.v.col(k) = mean.v;
+      const int row = row_of[k];
+      if (row < 0) continue;
+      // Only rows of the intervals beside it, for they are simulated from its neighbours.
+      int first = row, last = row;
+      while (k > 0 && first > row - half && rec.t[first - 1] > window.t[k - 1]) --first;
+      while (k + 1 < nodes && last < row + half && rec.t[last + 1] < window.t[k + 1]) ++last;
+      Average(rec, first, row, last, noise, k, &window);
     }
     out.push_back(std::move(window));
   }
   return out;
 }
 
-std::vector<NodeWindow> InPieces(const std::vector<NodeWindow>& windows, double piece_s) {
+std::vector<NodeWindow> InPieces(const std::vector<NodeWindow>& windows, double piece_s,
+                                 const recordings::SensorNoise& noise) {
   std::vector<NodeWindow> out;
   for (const NodeWindow& w : windows) {
     const int nodes = static_cast<int>(w.t.size());
@@ -146,9 +182,14 @@ std::vector<NodeWindow> InPieces(const std::vector<NodeWindow>& windows, double 
       piece.recording = w.recording;
       piece.t.assign(w.t.begin() + first, w.t.begin() + last);
       piece.measured.assign(w.measured.begin() + first, w.measured.begin() + last);
-      piece.rows.assign(w.rows.begin() + first, w.rows.begin() + last);
+      piece.before.assign(w.before.begin() + first, w.before.begin() + last);
+      piece.after.assign(w.after.begin() + first, w.after.begin() + last);
       piece.q = w.q.middleCols(first, count), piece.v = w.v.middleCols(first, count);
+      piece.q_stddev = w.q_stddev.middleCols(first, count);
+      piece.v_stddev = w.v_stddev.middleCols(first, count);
+      piece.q_row = w.q_row.middleCols(first, count), piece.v_row = w.v_row.middleCols(first, count);
       piece.q0 = w.q0.middleCols(first, count), piece.v0 = w.v0.middleCols(first, count);
+      LeaveRow(noise, 0, &piece), LeaveRow(noise, count - 1, &piece);
       out.push_back(std::move(piece));
       first = last;
     }

@@ -27,14 +27,17 @@ class SmoothMotion {
 };
 
 // One window of a recording, cut into short intervals by N + 1 nodes. Rows closer together than a node
-// interval are averaged into their node, so that no information is lost.
+// interval are averaged into their node, so that no information is lost; a model is compared by the average
+// of its outputs at the same times, for within them a motion bends and a command may step.
 struct NodeWindow {
   int recording = 0;
-  std::vector<double> t;       // N + 1
-  std::vector<char> measured;  // N + 1
-  Eigen::MatrixXd q, v;        // n × (N + 1), where measured
-  std::vector<int> rows;       // N + 1: how many rows a measured node stands for
-  Eigen::MatrixXd q0, v0;      // n × (N + 1): the smooth motion
+  std::vector<double> t;                           // N + 1
+  std::vector<char> measured;                      // N + 1
+  std::vector<std::vector<double>> before, after;  // N + 1: times of the rows beside a measured node's own
+  Eigen::MatrixXd q, v;                            // n × (N + 1), where measured: mean of the rows
+  Eigen::MatrixXd q_stddev, v_stddev;              // n × (N + 1) of it
+  Eigen::MatrixXd q_row, v_row;                    // n × (N + 1): its own row alone
+  Eigen::MatrixXd q0, v0;                          // n × (N + 1): the smooth motion
 };
 
 // What features of the force are made of: the motion and the command of one recording on a fine grid.
@@ -50,9 +53,17 @@ struct NodeOptions {
 };
 
 std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& recording, int index,
-                                     const SmoothMotion& motion, const NodeOptions& options);
-// The same nodes in windows of about `piece_s`, but never less than three measured nodes.
-std::vector<NodeWindow> InPieces(const std::vector<NodeWindow>& windows, double piece_s);
+                                     const SmoothMotion& motion, const recordings::SensorNoise& noise,
+                                     const NodeOptions& options);
+// The same nodes in windows of about `piece_s`, but never less than three measured nodes. Where a piece
+// begins or ends within a window, a node is its own row alone.
+std::vector<NodeWindow> InPieces(const std::vector<NodeWindow>& windows, double piece_s,
+                                 const recordings::SensorNoise& noise);
+// Stddev of the mean of positions quantised in steps of `resolution`, read at times `t` of a motion at speed
+// `speed`. `stddev`: of one reading, quantisation included. A reading's error by quantisation is a sawtooth
+// over position, which the sensor's other noise blurs: where the motion is less than a step its mean is no
+// smaller.
+double StddevOfMean(const std::vector<double>& t, double speed, double stddev, double resolution);
 FineMotion FineMotionOf(const recordings::Recording& recording, const sim::CommandSignal& command,
                         const SmoothMotion& motion, const NodeOptions& options);
 

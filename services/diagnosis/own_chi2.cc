@@ -29,11 +29,10 @@ double OwnChi2(const FitData& data, const FitModel& model, const NodeStates& sta
     for (size_t node = 0; node < window.t.size(); ++node) {
       if (!window.measured[node]) continue;
       const auto k = static_cast<long>(node);
-      const double rows = std::sqrt(static_cast<double>(window.rows[node]));
       for (int j = 0; j < n; ++j, ++row)
-        window.q(j, k) -= (residual[row] - noise * stream.Normal()) * data.noise.position_stddev[j] / rows;
+        window.q(j, k) -= (residual[row] - noise * stream.Normal()) * window.q_stddev(j, k);
       for (int j = 0; data.use_velocity && j < n; ++j, ++row)
-        window.v(j, k) -= (residual[row] - noise * stream.Normal()) * data.noise.velocity_stddev[j] / rows;
+        window.v(j, k) -= (residual[row] - noise * stream.Normal()) * window.v_stddev(j, k);
     }
   });
   LiftedOptions starts = options;

@@ -37,8 +37,8 @@ Result<FitData> Prepared(const recordings::RecordingSet& set,
   data.nodes.window_s = options.fit_window_s;
   for (size_t r = 0; r < data.recordings.size(); ++r) {
     data.motions.emplace_back(*data.recordings[r].recording, data.noise);
-    auto windows =
-        CutIntoNodes(*data.recordings[r].recording, static_cast<int>(r), data.motions[r], data.nodes);
+    auto windows = CutIntoNodes(*data.recordings[r].recording, static_cast<int>(r), data.motions[r],
+                                data.noise, data.nodes);
     data.windows.insert(data.windows.end(), windows.begin(), windows.end());
     data.fine.push_back(
         FineMotionOf(*data.recordings[r].recording, data.recordings[r].command, data.motions[r], data.nodes));

@@ -101,7 +101,7 @@ class Drive {
     d.n = like_.n, d.use_velocity = like_.use_velocity, d.noise = like_.noise, d.nodes = like_.nodes;
     d.recordings.push_back({&rec, std::move(signal)});
     d.motions.emplace_back(rec, d.noise);
-    d.windows = CutIntoNodes(rec, 0, d.motions[0], d.nodes);
+    d.windows = CutIntoNodes(rec, 0, d.motions[0], d.noise, d.nodes);
     d.fine.push_back(FineMotionOf(rec, d.recordings[0].command, d.motions[0], d.nodes));
   }
 

@@ -71,7 +71,7 @@ TEST(LiftedFit, EndsAtOnceWhereItStartsFromItsOwnEnd) {
 
 TEST(LiftedFit, PiecesKeepWhatWasMeasured) {
   const auto p = Prepare("pendulum", {}, 4);
-  const auto pieces = InPieces(p->data.windows, 0.1);
+  const auto pieces = InPieces(p->data.windows, 0.1, p->data.noise);
   const auto count = [](const std::vector<NodeWindow>& windows) {
     int measured = 0;
     for (const NodeWindow& w : windows) {
