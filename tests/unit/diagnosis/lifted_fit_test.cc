@@ -34,6 +34,38 @@ TEST(LiftedFit, TheTrueModelIsAtTheNoise) {
   EXPECT_NEAR(fit.chi2 / dof, 1.0, 5.0 * std::sqrt(2.0 / dof));
 }
 
+// Five rows are one node; the motion bends within them by more than their mean is known to.
+TEST(LiftedFit, TheTrueModelIsAtTheNoiseWhereSeveralRowsAreOneNode) {
+  const auto p = Prepare("pendulum", {}, 1, {.rate_hz = 500, .finer = 10});
+  const FitResult fit = FitEffects(*p, {});
+  ASSERT_TRUE(fit.ok);
+  const double dof = fit.rows - 2.0 * static_cast<double>(p->data.windows.size());
+  EXPECT_NEAR(fit.chi2 / dof, 1.0, 5.0 * std::sqrt(2.0 / dof));
+}
+
+// Rows within one step of the sensor err alike: their mean is no better than one of them.
+TEST(LiftedFit, TheTrueModelIsAtTheNoiseOfACoarseSensor) {
+  const auto p = Prepare("pendulum", {}, 1, {.rate_hz = 500, .finer = 5, .resolution = 4e-3});
+  const FitResult fit = FitEffects(*p, {});
+  ASSERT_TRUE(fit.ok);
+  const double dof = fit.rows - 2.0 * static_cast<double>(p->data.windows.size());
+  EXPECT_NEAR(fit.chi2 / dof, 1.0, 0.15);
+}
+
+TEST(StddevOfMean, IsThatOfOneReadingWithinAStepAndFallsWithTheRootBeyond) {
+  const std::vector<double> t = {0, 0.002, 0.004, 0.006, 0.008};
+  const double step = 1e-3, alone = step / std::sqrt(12.0);
+  EXPECT_NEAR(StddevOfMean(t, 0, alone, step), alone, 0.03 * alone);
+  // Less than half a step of motion: a part of the error stays beside the white share.
+  EXPECT_GT(StddevOfMean(t, 0.5 * step / 0.01, alone, step), 0.5 * alone);
+  // A fifth of a step further each row and over again: the sawtooth averages out but for its fifth harmonic.
+  EXPECT_NEAR(StddevOfMean(t, 0.2 * step / 0.002, alone, step), alone / 5, 0.02 * alone);
+  // White noise of half a step and more blurs the steps away.
+  const double white = std::hypot(0.6 * step, alone);
+  EXPECT_NEAR(StddevOfMean(t, 0, white, step), white / std::sqrt(5.0), 0.01 * white);
+  EXPECT_NEAR(StddevOfMean(t, 0, 1.0, 0), 1 / std::sqrt(5.0), 1e-12);
+}
+
 TEST(LiftedFit, FindsCoulombFrictionThroughSticking) {
   const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
   const auto p = Prepare("pendulum", {MakeSpec("coulomb_friction", {joint}, {{"coulomb", 0.15}})}, 2);

@@ -21,8 +21,8 @@ struct Prepared {
 };
 
 inline std::unique_ptr<Prepared> Prepare(const std::string& robot, std::vector<effects::EffectSpec> effects,
-                                         uint64_t seed) {
-  recordings::RecordingSet set = MakeSet(robot, std::move(effects), seed);
+                                         uint64_t seed, const Sampling& sampling = {}) {
+  recordings::RecordingSet set = MakeSet(robot, std::move(effects), seed, 4.0, sampling);
   auto nominal = sysid::NominalPlant(set);
   RG_CHECK(nominal.ok()) << nominal.status().ToString();
   auto out = std::make_unique<Prepared>(Prepared{std::move(set), *nominal, {}, {}, {}});
