@@ -451,7 +451,13 @@ class Search {
   // Trials on some windows with few iterations; the best of them on all.
   void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base, size_t full,
                Candidate* winner) {
-    FitRequest trial{Refreshed(from), base, lifted_, SomeWindows(), 0, false, Start(&from, base)};
+    FitRequest trial{Refreshed(from),
+                     base,
+                     lifted_,
+                     SomeWindows(from.fit.window_chi2, data_.windows.size(), data_.n <= 2 ? 24 : 14),
+                     0,
+                     false,
+                     Start(&from, base)};
     trial.options.iterations = 4;
     // Whole windows, or pieces of them where only pieces are met: each has its own reference, and those with
     // hidden states, which need whole windows, come after the others.
@@ -484,14 +490,6 @@ class Search {
       const Candidate c = Tried(best[i], batch->Take(i));
       if (c.score > winner->score) *winner = c;
     }
-  }
-
-  // Every so many windows.
-  std::vector<uint32_t> SomeWindows() const {
-    const size_t all = data_.windows.size(), wanted = std::min<size_t>(data_.n <= 2 ? 24 : 14, all);
-    std::vector<uint32_t> places;
-    for (size_t i = 0; i < wanted; ++i) places.push_back(static_cast<uint32_t>(i * all / wanted));
-    return places;
   }
 
   // The winner with its newest effect exchanged for what it is easily taken for, on the same joints.

@@ -2,6 +2,7 @@
 // effects, what they are easily taken for, and what no linear screen can see.
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <vector>
 
@@ -37,5 +38,10 @@ std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const sim::Plant& nom
 // spring is a rotor, and what it is more no screen can see.
 std::vector<TrialSpecs> SpringsBehind(const TrialSpecs& specs, const sim::Plant& nominal,
                                       const MotionScales& scales);
+
+// The windows, about `wanted` of `all`, on which trials are fitted: every so many. Where these hold less than
+// half of what is amiss (`chi2` of each window: a joint that saturates in three of sixty), every so much of
+// what is amiss and of the windows, in equal parts.
+std::vector<uint32_t> SomeWindows(const std::vector<double>& chi2, size_t all, size_t wanted);
 
 }  // namespace rg::diagnosis

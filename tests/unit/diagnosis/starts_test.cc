@@ -1,12 +1,14 @@
 // Start values read from the record: what is hidden or lives in Cartesian space has no gradient from rest.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "services/diagnosis/field_starts.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/push_starts.h"
 #include "services/diagnosis/search.h"
+#include "services/diagnosis/trials.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/simulated_set.h"
 
@@ -123,6 +125,19 @@ TEST(GravityStarts, APlanarArmStartsFromATiltThatItFeelsOnlyBySecondOrder) {
     const auto& v = s[0].values.begin()->second;
     EXPECT_NEAR(v.at("tilt") * std::cos(v.at("azimuth")), 0.05 / 9.81, 1e-6);
   }
+}
+
+TEST(SomeWindows, AreEveryFewUntilThoseMissWhatIsAmiss) {
+  std::vector<double> chi2(60, 1.0);
+  const auto even = SomeWindows(chi2, 60, 14);
+  ASSERT_EQ(even.size(), 14u);
+  for (size_t i = 0; i < even.size(); ++i) EXPECT_EQ(even[i], i * 60 / 14);
+  chi2[29] = chi2[31] = chi2[46] = 500;
+  const auto seen = SomeWindows(chi2, 60, 14);
+  for (const uint32_t w : {29u, 31u, 46u}) EXPECT_EQ(std::count(seen.begin(), seen.end(), w), 1) << w;
+  // Half of the weight is every window's alike.
+  EXPECT_GE(seen.size(), 8u);
+  EXPECT_LE(seen.size(), 14u);
 }
 
 }  // namespace
