@@ -35,9 +35,9 @@ using nlohmann::json;
 
 constexpr int kAttempts = 6;
 constexpr double kVisible = 1.1;  // error of a model without an effect over the true one's
-// Deviation of a model with a simpler effect in its place, from the true state, over the sensors' noise: much
-// less than what stands out from predictions that begin at noisy rows, but many rows tell it.
-constexpr double kHallmark = 1.0;
+// Deviation of a model, from the true state, over the sensors' noise: less than what stands out of
+// predictions that begin at noisy rows, but many rows tell it.
+constexpr double kShows = 1.0;
 
 // Everything a case is made from.
 class Maker {
@@ -63,7 +63,7 @@ class Maker {
   Status TuneNominal(const Truth& truth, json* effects);
   Comparison Compared() const { return {skeleton_, joints_, dt_, request_.rate_hz}; }
   bool StandsOut(const Truth& truth, const Track& track, const Truth& without) const;
-  bool HallmarkShows(const Truth& truth, const Track& track, const std::vector<Truth>& siblings) const;
+  bool Shows(const Truth& truth, const Track& track, const std::vector<Truth>& models) const;
   std::vector<std::string> JointsThatShow(const Truth& truth, const json& effect, const Track& track,
                                           const std::set<std::string>& shared) const;
   Status KeepVisible(Truth* truth, json* effects) const;
@@ -393,16 +393,16 @@ bool Maker::StandsOut(const Truth& truth, const Track& track, const Truth& witho
   return Rms(squares.rivals[0]) > kVisible * Rms(squares.oracle);
 }
 
-bool Maker::HallmarkShows(const Truth& truth, const Track& track, const std::vector<Truth>& siblings) const {
+bool Maker::Shows(const Truth& truth, const Track& track, const std::vector<Truth>& models) const {
   const double noise =
       std::sqrt(noise_.position * noise_.position + noise_.resolution * noise_.resolution / 12);
   std::vector<Rival> rivals;
-  for (const Truth& sibling : siblings) rivals.push_back({skeleton_, sibling, Start::kTrue});
+  for (const Truth& model : models) rivals.push_back({skeleton_, model, Start::kTrue});
   WindowSquares squares;
   Compared().Add(truth, track, rivals, &squares);
   const double joints = static_cast<double>(joints_.size());
   return std::all_of(squares.rivals.begin(), squares.rivals.end(),
-                     [&](const auto& s) { return std::sqrt(joints) * Rms(s) > kHallmark * noise; });
+                     [&](const auto& s) { return std::sqrt(joints) * Rms(s) > kShows * noise; });
 }
 
 // Joints on which a model without the effect stands out, and one with the simpler effect that it contains.
@@ -416,7 +416,7 @@ std::vector<std::string> Maker::JointsThatShow(const Truth& truth, const json& e
     without.joint[joint] = JointTruth{};
     if (named.size() > 1 && shared.count(name) == 0 && !StandsOut(truth, track, without)) continue;
     const double load = track.u.row(static_cast<Eigen::Index>(joint)).cwiseAbs().mean();
-    if (HallmarkShows(truth, track, SimplerSiblings(truth, effect["id"], joint, load, scales_.tool)))
+    if (Shows(truth, track, SimplerSiblings(truth, effect["id"], joint, load, scales_.tool)))
       show.push_back(name);
   }
   return show;
@@ -430,7 +430,7 @@ Status Maker::KeepVisible(Truth* truth, json* effects) const {
   for (size_t e = 0; request_.effects.size() > 1 && e < request_.effects.size(); ++e) {
     json ignored;
     const Truth without = Draw(strength_, request_.wrong_parameters, &ignored, static_cast<int>(e));
-    if (!StandsOut(*truth, track, without))
+    if (!Shows(*truth, track, {without}))
       return InternalError(request_.effects[e] + " does not show beside the other effect");
   }
   std::map<std::string, int> named;
@@ -442,7 +442,7 @@ Status Maker::KeepVisible(Truth* truth, json* effects) const {
   for (json& effect : *effects) {
     const std::string id = effect["id"];
     if (effect["joints"].empty()) {
-      if (!HallmarkShows(*truth, track, SimplerSiblings(*truth, id, 0, 0, scales_.tool)))
+      if (!Shows(*truth, track, SimplerSiblings(*truth, id, 0, 0, scales_.tool)))
         return InternalError(id + " looks like a simpler effect");
       continue;
     }
