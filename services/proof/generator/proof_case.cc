@@ -34,6 +34,7 @@ using Eigen::VectorXd;
 using nlohmann::json;
 
 constexpr int kAttempts = 6;
+constexpr double kNear = 1.05;    // strengths that need no telling apart
 constexpr double kVisible = 1.1;  // error of a model without an effect over the true one's
 // Deviation of a model, from the true state, over the sensors' noise: less than what stands out of
 // predictions that begin at noisy rows, but many rows tell it.
@@ -380,6 +381,7 @@ Result<Truth> Maker::SearchStrength(json* effects, std::string* warning) {
     if (ratio >= low && ratio <= high) return finished();
     seen = seen || ratio > high;
     (ratio < low ? below : above) = strength;
+    if (above < kNear * below) break;
     if (attempt < 8) strength = std::sqrt(below * above);
   }
   if (request_.weak || !seen) return InternalError("no strength gives the error ratio that was asked for");

@@ -54,12 +54,6 @@ Truth Held(const Truth& truth, const std::array<double, 3>& tool) {
 
 }  // namespace
 
-bool ContainsSimplerOne(const std::string& effect) {
-  return OneOf(effect,
-               {"stribeck_friction", "asymmetric_friction", "load_dependent_friction", "thermal_drift",
-                "presliding_hysteresis", "joint_elasticity", "backlash", "sloshing_payload"});
-}
-
 std::vector<Truth> SimplerSiblings(const Truth& truth, const std::string& effect, size_t joint, double load,
                                    const std::array<double, 3>& tool) {
   if (effect == "joint_elasticity" || effect == "backlash") {
@@ -72,7 +66,14 @@ std::vector<Truth> SimplerSiblings(const Truth& truth, const std::string& effect
     return out;
   }
   if (effect == "sloshing_payload") return {Held(truth, tool)};
-  return ContainsSimplerOne(effect) ? OfFriction(truth, effect, joint, load) : std::vector<Truth>{};
+  if (effect == "coulomb_friction") {
+    std::vector<Truth> out = {truth};
+    OneLevel(1.5 * truth.joint[joint].dry.coulomb_positive, &out[0].joint[joint]);
+    return out;
+  }
+  const bool friction = OneOf(effect, {"stribeck_friction", "asymmetric_friction", "load_dependent_friction",
+                                       "thermal_drift", "presliding_hysteresis"});
+  return friction ? OfFriction(truth, effect, joint, load) : std::vector<Truth>{};
 }
 
 }  // namespace rg::proof

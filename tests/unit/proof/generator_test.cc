@@ -114,7 +114,7 @@ TEST(ProofEngine, ARigidModelRestartsWhereItIsSensedOfARobotWithPlay) {
 // Least deviation of a simpler effect, over the sensor's noise, on a pendulum that is swung back and forth.
 double Hallmark(const Truth& truth, const std::string& effect) {
   constexpr int kRows = 301;
-  constexpr double kRate = 100, kStep = 1e-4;
+  constexpr double kRate = 100, kStep = 2e-4;
   Track track;
   track.q = track.v = track.u = track.true_q = track.true_v = Eigen::MatrixXd(1, kRows);
   Engine real(Pendulum(), {"pivot"}, truth, kStep);
@@ -123,7 +123,7 @@ double Hallmark(const Truth& truth, const std::string& effect) {
     track.q.col(k) = track.true_q.col(k) = real.SensedPosition();
     track.v.col(k) = track.true_v.col(k) = real.SensedVelocity();
     track.u(0, k) = 2 * std::sin(3.0 * k / kRate) + std::sin(8.0 * k / kRate);
-    for (int i = 0; i < 100; ++i) real.Step(track.u.col(k));
+    for (int i = 0; i < 50; ++i) real.Step(track.u.col(k));
   }
   std::vector<Rival> rivals;
   for (const Truth& model : SimplerSiblings(truth, effect, 0, track.u.cwiseAbs().mean(), {0, 0, -0.6}))
@@ -157,6 +157,10 @@ TEST(ProofSiblings, FrictionOfSeveralLevelsIsToldFromThatOfOne) {
   EXPECT_GT(Hallmark(truth, "asymmetric_friction"), 5);
   truth.joint[0].dry = {.coulomb_positive = 0.3, .coulomb_negative = 0.2999};
   EXPECT_LT(Hallmark(truth, "asymmetric_friction"), 1);
+  truth.joint[0].dry = {.coulomb_positive = 0.3, .coulomb_negative = 0.3};
+  EXPECT_GT(Hallmark(truth, "coulomb_friction"), 5);
+  truth.joint[0].dry = {.coulomb_positive = 4, .coulomb_negative = 4};
+  EXPECT_EQ(Hallmark(truth, "coulomb_friction"), 0) << "it never moves";
   truth = OneJoint();
   truth.slosh_mass = 0.2, truth.slosh_length = 0.1;
   EXPECT_GT(Hallmark(truth, "sloshing_payload"), 1) << "a robot with other joints restarts from its state";
