@@ -44,6 +44,12 @@ void Acceptance::Note(const ScreenResult& screened, const std::vector<std::strin
   }
 }
 
+void Acceptance::NoteBase(const FitData& data, const Candidate& calibrated, const LiftedOptions& options) {
+  if (!calibrated.fit.ok) return;
+  const FitModel model{*calibrated.plant, calibrated.fit.values, calibrated.parameters};
+  base_rule_ = std::sqrt(2 * std::max(0.0, StepRuleGain(data, model, calibrated.fit.states, options)));
+}
+
 double Acceptance::Needed(const Candidate& best, double explained, double at_stake) const {
   // What is left above the noise is itself known to the scatter of χ² only.
   const double left = std::max(0.0, at_stake) + std::sqrt(0.5 * best.fit.rows);
@@ -54,7 +60,7 @@ double Acceptance::Needed(const Candidate& best, double explained, double at_sta
 double Acceptance::Needed(const Candidate& best, double explained, double at_stake,
                           const Candidate& c) const {
   if (best.base && !c.base && best.specs.empty()) return kSimplerOdds;
-  double rule = 0;
+  double rule = c.base && !best.base ? base_rule_ : 0;
   for (const auto& [id, joints] : Added(best, c)) rule = std::max(rule, StepRule(id, Joined(joints)));
   const double chance = std::sqrt(2 * Needed(best, explained, at_stake));
   return 0.5 * (chance + rule) * (chance + rule);

@@ -4,10 +4,10 @@
 //
 // chance: what the best of all hypotheses gains from noise alone in 2 % of recordings (screening.h draws
 // them), or what the idealised form of the effects found so far may leave: 1 % of what they explain, but an
-// addition that takes half of all that is left above the noise is no matter of form. Free base parameters beside
-// effects are such an addition too.
-// rule: what the same effect on the same joints would gain from another step rule alone (StepRuleResiduals).
-// Amplitudes add, so their squares, the nats, add like this.
+// addition that takes half of all that is left above the noise is no matter of form. Free base parameters
+// beside effects are such an addition too. rule: what the same effect on the same joints, or free base
+// parameters, would gain from another step rule alone (StepRuleResiduals). Amplitudes add, so their squares,
+// the nats, add like this.
 #pragma once
 
 #include <map>
@@ -24,6 +24,9 @@ class Acceptance {
   // Takes in a screen; the largest step-rule gain of each hypothesis so far is kept.
   void Note(const ScreenResult& screened, const std::vector<std::string>& joint_names);
 
+  // Takes in what free base parameters would gain from another step rule alone.
+  void NoteBase(const FitData& data, const Candidate& calibrated, const LiftedOptions& options);
+
   double null_gain() const { return null_gain_; }
 
   // Of any addition to `best`, whose effects explain `explained` nats and which leaves `at_stake` nats.
@@ -35,6 +38,7 @@ class Acceptance {
   double StepRule(const std::string& id, const std::string& joints) const;
 
   double null_gain_ = 3;
+  double base_rule_ = 0;                     // √(2 nats)
   std::map<std::string, double> step_rule_;  // √(2 nats) of every hypothesis screened, by effect and joints
 };
 

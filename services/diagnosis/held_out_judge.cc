@@ -12,6 +12,13 @@ namespace {
 
 constexpr double kOnePercent = 2.326;  // stddev that one of a hundred normal variables exceeds
 
+// Whether a force without a name is all that it has.
+bool Nameless(const Candidate& c) {
+  return !c.specs.empty() && std::all_of(c.specs.begin(), c.specs.end(), [](const effects::EffectSpec& e) {
+    return e.id == "unknown_field" || e.id == "unknown_field_pair";
+  });
+}
+
 std::string Key(const Candidate& c) { return KeyOf(c.specs) + (c.base ? "+base" : ""); }
 
 }  // namespace
@@ -49,9 +56,11 @@ std::optional<Candidate> HeldOutJudge::Better(const Candidate& account,
   std::optional<Candidate> best;
   double most = 0;
   for (const Candidate* c : others) {
-    const double behind = account.score - c->score + needed(*c);
+    // Where an account does not hold and what has no law predicts better than it, its law is none, however
+    // much better it was made to fit.
+    const double behind = needed(*c) + (Nameless(*c) ? 0.0 : account.score - c->score);
     // What nothing on these recordings could make up for.
-    if (behind > own.short_of_noise + kOnePercent * own.scatter) break;
+    if (behind > own.short_of_noise + kOnePercent * own.scatter) continue;
     const HeldOut& theirs = Of(*c);
     const double odds = theirs.log_density - own.log_density - behind;
     if (PredictsMore(theirs, own) && odds > most) most = odds, best = *c;

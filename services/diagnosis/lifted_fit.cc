@@ -420,6 +420,23 @@ std::vector<VectorXd> StepRuleResiduals(const FitData& data, const FitModel& mod
   return out;
 }
 
+double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates& states,
+                    const LiftedOptions& options) {
+  FeatureBlock none;
+  for (const NodeWindow& window : data.windows)
+    none.phi.emplace_back(0, static_cast<long>(window.t.size()) - 1);
+  const Screen screen = MakeScreen(data, model, states, none, options,
+                                   StepRuleResiduals(data, model, states, options), 0, Rng(1));
+  const int P = screen.parameters;
+  MatrixXd H = screen.gram.topLeftCorner(P, P);
+  VectorXd unit(P);
+  for (int i = 0; i < P; ++i) unit[i] = model.parameters[static_cast<size_t>(i)].prior_stddev;
+  H = unit.asDiagonal() * H * unit.asDiagonal();
+  H.diagonal().array() += 1.0;
+  const VectorXd g = unit.cwiseProduct(screen.step_rule);
+  return 0.5 * g.dot(H.ldlt().solve(g));
+}
+
 Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
                   const FeatureBlock& features, const LiftedOptions& options,
                   const std::vector<VectorXd>& step_rule, int null_draws, Rng rng) {

@@ -111,6 +111,9 @@ NodeStates CarriedStates(const FitData& data, const FitModel& to, const sim::Pla
 LiftedOptions OtherStepRule(LiftedOptions options);
 std::vector<Eigen::VectorXd> StepRuleResiduals(const FitData& data, const FitModel& model,
                                                const NodeStates& states, const LiftedOptions& options);
+// Nats that the model's free parameters would gain from another step rule alone.
+double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates& states,
+                    const LiftedOptions& options);
 Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
                   const FeatureBlock& features, const LiftedOptions& options,
                   const std::vector<Eigen::VectorXd>& step_rule, int null_draws, Rng rng);

@@ -64,8 +64,10 @@ class Search {
     out.nominal = Evaluate(given_, false);
     out.calibrated = Evaluate(given_, true);
     if (PerRow(out.calibrated) > kHolds) out.calibrated = Better(out.calibrated, FitPieces());
-    Candidate best =
-        out.calibrated.score > out.nominal.score + Threshold(out.nominal) ? out.calibrated : out.nominal;
+    acceptance_.NoteBase(data_, out.calibrated, lifted_);
+    Candidate best = out.calibrated.score > out.nominal.score + Threshold(out.nominal, out.calibrated)
+                         ? out.calibrated
+                         : out.nominal;
     features_ = MakeFeatures(data_, scales_);
     for (round_ = 1; round_ <= options_.max_effects && !Late(); ++round_) {
       const bool added = AddOne(&best);
@@ -85,8 +87,8 @@ class Search {
     out.noise_scale = lifted_.noise_scale;
     Tell("locate", 0.95, "");
     const Candidate without = Better(out.nominal, out.calibrated);
-    out.threshold = Threshold(without);
-    out.beside = Threshold(best);
+    out.threshold = Threshold(out.nominal, out.calibrated);
+    out.beside = Threshold(best, out.calibrated);
     if (data_.held_out != nullptr && !Cancelled()) WeighRivals(*data_.held_out, lifted_, &out);
     out.own_chi2 = OwnChi2(data_, FitModel{*best.plant, best.fit.values, {}}, best.fit.states, lifted_,
                            Rng(options_.seed).Split(kOwnDraw));
@@ -327,7 +329,8 @@ class Search {
       const Candidate twin = Evaluate(Refreshed(winner), !winner.base, &winner);
       const Candidate& plain = winner.base ? twin : winner;
       const Candidate& freed = winner.base ? winner : twin;
-      winner = freed.score > plain.score + std::max(Threshold(*best), Threshold(plain)) ? freed : plain;
+      winner =
+          freed.score > plain.score + std::max(Threshold(*best), Threshold(plain, freed)) ? freed : plain;
     }
     // Fits with hidden states end before they are done: the old model has another try from where it is, or an
     // addition would be credited with what a longer fit alone brings.
@@ -430,7 +433,7 @@ class Search {
     HeldOutJudge judge(*data_.held_out, lifted_, trace_);
     int sent = 0;
     for (; sent < kSentBack && !Late() && !judge.Holds(*best, Threshold(*best)); ++sent) {
-      if (sent == 0) Unnamed(*best, {"position", "velocity"});
+      Unnamed(*best, {"position", "velocity"});
       const auto needed = [&](const Candidate& c) { return Threshold(*best, c); };
       const auto rival = judge.Better(*best, tried_, needed);
       if (!rival) break;

@@ -39,7 +39,7 @@ struct SearchResult {
   std::vector<Candidate> tried;
   double null_gain = 0;
   double threshold = 0;  // log evidence that an addition must bring
-  double beside = 0;  // log evidence that free base parameters beside the best's effects must bring
+  double beside = 0;     // log evidence that free base parameters beside the best's effects must bring
   double noise_scale = 1;
   bool sent_back = false;  // recordings kept aside refused an account that fits better than the best one
   double own_chi2 = 0;     // of the best model, of recordings that it made itself (own_chi2.h)

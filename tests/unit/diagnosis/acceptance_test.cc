@@ -2,6 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include "services/diagnosis/hypotheses.h"
+#include "tests/unit/diagnosis/prepared_set.h"
+
 namespace rg::diagnosis {
 namespace {
 
@@ -51,9 +54,24 @@ TEST(Acceptance, AnEffectNeedsMoreThanAnotherStepRuleWouldPretend) {
   EXPECT_DOUBLE_EQ(delay, acceptance.Needed(none, 0, 1e4, Model({MakeSpec("actuator_delay", {"b"})})));
 }
 
+TEST(Acceptance, FreeBaseParametersNeedMoreThanAnotherStepRuleWouldPretend) {
+  // Noise so fine that steps of 0.2 ms show.
+  const auto p = testing::Prepare("pendulum", {}, 1, {.rate_hz = 500, .finer = 100});
+  Candidate freed = Model({}, true);
+  freed.plant = std::make_shared<const sim::Plant>(p->nominal);
+  freed.parameters = FreeParameters(p->nominal, p->scales, true);
+  freed.fit = Fit(p->data, FitModel{p->nominal, p->nominal.parameters().Nominal(), freed.parameters}, {});
+  ASSERT_TRUE(freed.fit.ok);
+  Acceptance acceptance;
+  acceptance.NoteBase(p->data, freed, {});
+  EXPECT_GT(acceptance.Needed(Model({}), 0, 1e4, freed), 100);
+  // What acts beside parameters that are free already owes nothing to them.
+  EXPECT_LT(acceptance.Needed(Model({}, true), 0, 1e4, freed), 10);
+}
+
 TEST(Acceptance, FewerFreeParametersNeedTheOddsOnly) {
-  EXPECT_DOUBLE_EQ(
-      Acceptance().Needed(Model({}, true), 0, 1e4, Model({MakeSpec("coulomb_friction", {"a"})})), 3);
+  EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({}, true), 0, 1e4, Model({MakeSpec("coulomb_friction", {"a"})})),
+                   3);
 }
 
 }  // namespace
