@@ -13,6 +13,8 @@ namespace {
 
 constexpr int kIterations = 3;         // of the restarts alone
 constexpr double kWorthATry = 1.0;     // nats
+constexpr int kFollowed = 8;           // iterations of windows that start freely, and as many more
+constexpr double kLongestGap = 0.05;   // s between two windows, for one to go on from the other
 constexpr double kOnePercent = 2.326;  // stddev that one of a hundred normal variables exceeds
 
 // Information and gradient of the held-out rows, in units of the parameters' priors, and what was known
@@ -43,9 +45,55 @@ Learned LearnedFrom(const FitData& held_out, const Candidate& c, const NodeState
   return out;
 }
 
+// Where the windows start whose predecessor was followed from a start of its own: with hidden states as the
+// end of that leaves them, a motor bent against its link as there. Carried along the record itself, the
+// sensor's noise would strike a stiff spring at every row.
+NodeStates Continued(const FitData& held_out, const sim::Plant& plant, const VectorXd& values,
+                     const FitResult& followed, const LiftedOptions& options, NodeStates starts) {
+  const int n = held_out.n;
+  const auto& names = plant.internal_state_names();
+  sim::Simulator simulator(plant, {.integrator = options.integrator, .step_s = options.step_s});
+  simulator.SetParameters(values);
+  for (size_t w = 1; w < starts.size(); ++w) {
+    const NodeWindow &window = held_out.windows[w], &before = held_out.windows[w - 1];
+    const double gap = window.t.front() - before.t.back();
+    if (window.recording != before.recording || gap < 0 || gap > kLongestGap) continue;
+    VectorXd end = followed.states[w - 1].rightCols(1);
+    if (gap > 0) {
+      const sim::State x{end.head(n), end.segment(n, n), end.tail(end.size() - 2 * n), before.t.back(), {},
+                         {}};
+      const sim::Trajectory to =
+          simulator.Simulate(x, held_out.recordings[window.recording].command, {window.t.front()});
+      if (!to.outcome.ok()) continue;
+      end = to.state.col(0);
+    }
+    if (!end.allFinite()) continue;
+    auto start = starts[w].col(0);
+    start = followed.states[w].col(0);
+    start.tail(end.size() - 2 * n) = end.tail(end.size() - 2 * n);
+    for (int j = 0; j < n; ++j) {
+      const auto at = std::find(names.begin(), names.end(), "motor_position." + plant.joint_names()[j]);
+      if (at == names.end()) continue;
+      const auto motor = 2 * n + (at - names.begin());
+      start[motor] += start[j] - end[j], start[motor + 1] += start[n + j] - end[n + j];
+    }
+  }
+  return starts;
+}
+
 FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd& values,
                     const LiftedOptions& options) {
-  return Fit(held_out, FitModel{*c.plant, values, {}}, options);
+  const FitModel model{*c.plant, values, {}};
+  if (c.plant->num_states() == 2 * held_out.n) return Fit(held_out, model, options);
+  LiftedOptions free = options;
+  free.free_hidden = true, free.iterations = kFollowed, free.more_iterations = kFollowed;
+  const FitResult followed = Fit(held_out, model, free);
+  if (!followed.ok) return Fit(held_out, model, options);
+  const NodeStates starts =
+      Continued(held_out, *c.plant, values, followed, options, InitialStates(held_out, model, options));
+  FitResult out = Fit(held_out, model, options, &starts);
+  out.work += followed.work;
+  return out;
 }
 
 }  // namespace

@@ -4,11 +4,11 @@
 //   log p(held out | fitted) = −½ χ²/s² + ½ bᵀ(Λ + H)⁻¹b − ½ log det(1 + Λ⁻¹H)
 //
 // χ²: of the windows simulated with the fitted parameters, each restarted at the state that is measured
-// there, within the sensors' noise; hidden states (a motor, a swinging mass) as the record before the window
-// leaves them, for what may be chosen anew in each window predicts nothing. Λ: what the fit and the priors
-// know of the parameters; H, b: information and gradient that the held-out rows hold: a parameter that the
-// fit left open costs no more than its own uncertainty (the middle term is simulated, not trusted). What all
-// models share (the rows' own density, the restarts') is left out.
+// there, within the sensors' noise; hidden states (a motor, a swinging mass) as the window before, followed
+// from a start of its own, leaves them, for what may be chosen anew in each window predicts nothing. Λ: what
+// the fit and the priors know of the parameters; H, b: information and gradient that the held-out rows hold:
+// a parameter that the fit left open costs no more than its own uncertainty (the middle term is simulated,
+// not trusted). What all models share (the rows' own density, the restarts') is left out.
 #pragma once
 
 #include <vector>

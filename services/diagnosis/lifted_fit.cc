@@ -176,7 +176,7 @@ void MoveStates(Lineariser& lin, int worker, int first, int last, const std::vec
                 std::vector<double>* chi2) {
   struct Moved {
     int window;
-    VectorXd e0;
+    VectorXd e0, start;  // of the free directions, and what they move the start by
     double share = 1.0;
   };
   std::vector<Moved> moved;
@@ -187,8 +187,9 @@ void MoveStates(Lineariser& lin, int worker, int first, int last, const std::vec
       (*chi2)[w] = lin.WorstChi2(w);
       continue;
     }
-    moved.push_back({w, BestStart(linear[w], step)});
-    windows.push_back(w), starts.push_back((*states)[w].col(0) + moved.back().e0);
+    moved.push_back({w, BestStart(linear[w], step), {}});
+    moved.back().start = linear[w].E[0].rightCols(linear[w].J_e.cols()) * moved.back().e0;
+    windows.push_back(w), starts.push_back((*states)[w].col(0) + moved.back().start);
   }
   const std::vector<double> full = lin.Simulated(worker, windows, starts);
   for (size_t i = 0; i < moved.size(); ++i) (*chi2)[moved[i].window] = full[i];
@@ -200,7 +201,7 @@ void MoveStates(Lineariser& lin, int worker, int first, int last, const std::vec
       if (!((*chi2)[m.window] > adopted[m.window])) continue;
       for (const double less : {0.4, 0.1, 0.0}) {
         shorter.push_back({&m, less});
-        windows.push_back(m.window), starts.push_back((*states)[m.window].col(0) + less * m.e0);
+        windows.push_back(m.window), starts.push_back((*states)[m.window].col(0) + less * m.start);
       }
     }
     const std::vector<double> c = lin.Simulated(worker, windows, starts);

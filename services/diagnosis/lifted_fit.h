@@ -57,7 +57,8 @@ struct LiftedOptions {
   int threads = 1;
   double noise_scale = 1.0;  // residual variance in units of the sensors' noise
   double step_s = 2e-3;
-  bool free_hidden = true;  // hidden states start where they fit best; else as the record before leaves them
+  // Hidden states start where they fit best; else where they are given, a motor with its link.
+  bool free_hidden = true;
   sim::Integrator integrator = sim::Integrator::kLeapfrog;
 };
 

@@ -126,6 +126,7 @@ class Lineariser {
                          static_cast<int>(at - internal.begin())});
       }
     }
+    FreeStarts(internal);
     sim::SimulatorOptions simulator;
     simulator.step_s = options.step_s;
     simulator.integrator = options.integrator;
@@ -154,7 +155,7 @@ class Lineariser {
     out->E.clear();
     out->ok = true;
     MatrixXd E = MatrixXd::Zero(nx_, 1 + P_ + nx_), Ef = MatrixXd::Zero(nx_, C), next;
-    E.rightCols(nx_).setIdentity();
+    E.rightCols(nx_) = starts_;
     if (keep) out->E.push_back(E);
     RunNodes(window, states, &w);
     int row = 0;
@@ -182,7 +183,6 @@ class Lineariser {
       if (keep) out->E.push_back(E);
     }
     RG_CHECK(row == M) << row << " " << M;
-    if (!options_.free_hidden) out->J_e.rightCols(nx_ - 2 * n_).setZero();
     if (!out->J.allFinite() || !out->J_e.allFinite() || !out->r.allFinite()) out->ok = false;
   }
 
@@ -275,6 +275,21 @@ class Lineariser {
   static double Capped(double r) {
     const double square = std::isfinite(r) ? std::min(r * r, kBroken) : kBroken;
     return kSoft * kSoft * std::log1p(square / (kSoft * kSoft));
+  }
+
+  // In which directions a window's start is free. Where hidden states are not, a motor goes with its link:
+  // what is known of it is how far its spring is bent, and the sensor's noise bends no spring.
+  void FreeStarts(const std::vector<std::string>& internal) {
+    starts_ = MatrixXd::Identity(nx_, nx_);
+    if (options_.free_hidden) return;
+    starts_.rightCols(nx_ - 2 * n_).setZero();
+    for (int j = 0; j < n_; ++j) {
+      const std::string& joint = probe_.plant.joint_names()[j];
+      const auto at = std::find(internal.begin(), internal.end(), "motor_position." + joint);
+      if (at == internal.end()) continue;
+      const auto motor = 2 * n_ + (at - internal.begin());
+      starts_(motor, j) = starts_(motor + 1, n_ + j) = 1.0;
+    }
   }
 
   // One run from every node to the next, with sensitivities: the rows after a node, those before the next,
@@ -400,6 +415,7 @@ class Lineariser {
   LiftedOptions options_;
   int n_ = 0, P_ = 0, nx_ = 0;
   std::vector<int> columns_, torque_column_;
+  MatrixXd starts_;  // nx × nx
   struct Gap {
     int joint, parameter, motor;  // place of the motor's position among the internal states
   };

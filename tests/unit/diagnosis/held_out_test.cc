@@ -64,6 +64,16 @@ TEST_F(HeldOutTest, HiddenStatesThatAreChosenInEachWindowPredictNothing) {
   EXPECT_LT(kept.log_density, -0.5 * chosen.chi2 - 10);
 }
 
+// Carried along the record, a stiff spring would be struck by the noise of every row.
+TEST_F(HeldOutTest, ATrueSpringGoesOnAsTheWindowBeforeLeftIt) {
+  const effects::EffectSpec spring = MakeSpec(
+      "joint_elasticity", {Pivot()}, {{"stiffness", 800.0}, {"damping", 0.3}, {"motor_inertia", 0.05}});
+  p_ = testing::Prepare("pendulum", {spring}, 42);
+  p_->data.held_out = PrepareHeldOut(p_->set, p_->data, p_->nominal, p_->options);
+  const HeldOut right = Of(Fitted({spring}));
+  EXPECT_LT(right.short_of_noise, 5 * right.scatter);
+}
+
 TEST(PredictsMore, AFewWindowsThatRunAwayDecideNothing) {
   HeldOut a, b;
   a.windows.assign(30, -50.0), b.windows = a.windows;
