@@ -106,6 +106,13 @@ std::vector<const Recording*> RecordingSet::Of(Split split) const {
   return some;
 }
 
+void RecordingSet::KeepForFit(const std::vector<uint32_t>& places) {
+  for (Recording& r : recordings) r.split = Split::kHoldout;
+  for (const uint32_t place : places) {
+    if (place < recordings.size()) recordings[place].split = Split::kFit;
+  }
+}
+
 bool ChooseHoldout(std::vector<Recording>& recordings) {
   const bool has_one = std::any_of(recordings.begin(), recordings.end(),
                                    [](const Recording& r) { return r.split == Split::kHoldout; });

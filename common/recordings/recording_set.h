@@ -56,6 +56,8 @@ struct RecordingSet {
   std::vector<const Recording*> Fit() const { return Of(Split::kFit); }
   std::vector<const Recording*> Holdout() const { return Of(Split::kHoldout); }
   std::vector<const Recording*> Of(Split split) const;
+  // Makes the recordings at these places the split to fit, and all others that are kept aside.
+  void KeepForFit(const std::vector<uint32_t>& places);
 };
 
 // Reads and checks everything; the error names file, row, column and value. A set without a holdout

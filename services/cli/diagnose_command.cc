@@ -100,8 +100,7 @@ Result<Workers> WithWorkers(const Context& context, const DiagnoseArguments& arg
   if (!arguments.model.empty()) {
     RG_ASSIGN_OR_RETURN(inputs.model, PutModelFile(*workers.client, arguments.model));
   }
-  workers.fits = std::make_unique<jobs::RemoteFits>(*workers.client, std::move(inputs),
-                                                    arguments.options.fit_window_s, &cancel_on_interrupt);
+  workers.fits = std::make_unique<jobs::RemoteFits>(*workers.client, std::move(inputs), &cancel_on_interrupt);
   return workers;
 }
 

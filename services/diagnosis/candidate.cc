@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <set>
 
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
@@ -149,6 +148,20 @@ double Strength(const Candidate& c, size_t i) {
     any = true;
   }
   return any ? most : 1e9;
+}
+
+bool OneOfMany(const std::vector<EffectSpec>& specs, size_t i) {
+  static const std::set<std::string> kShared = {"actuator_delay", "actuator_lag", "sensor_delay"};
+  return kShared.count(specs[i].id) == 0 &&
+         std::count_if(specs.begin(), specs.end(), [&](const EffectSpec& s) { return s.id == specs[i].id; }) >
+             1;
+}
+
+std::set<std::string> FreshKinds(const Candidate& before, const Candidate& c) {
+  std::set<std::string> out;
+  for (const EffectSpec& s : c.specs) out.insert(s.id);
+  for (const EffectSpec& s : before.specs) out.erase(s.id);
+  return out;
 }
 
 }  // namespace rg::diagnosis

@@ -3,6 +3,7 @@
 
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -53,5 +54,11 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
 
 // |strength − none| of effect i in its stddev: what a delay, an amplitude, a mass, … is from nothing.
 double Strength(const Candidate& c, size_t i);
+// Whether specs[i] is one joint's share of an effect that other joints have too, each for itself. Delays and
+// lags are not: those are of what drives or reads all joints.
+bool OneOfMany(const std::vector<effects::EffectSpec>& specs, size_t i);
+
+// Kinds of effects that `c` has and `before` has not.
+std::set<std::string> FreshKinds(const Candidate& before, const Candidate& c);
 
 }  // namespace rg::diagnosis

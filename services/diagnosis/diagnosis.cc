@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <optional>
 #include <set>
 
 #include "common/effects/effect_catalog.h"
@@ -47,26 +48,55 @@ void SayWhatToRecord(const SearchResult& search, const FitData& data, const sim:
   }
 }
 
+// A set with a recording that was kept aside, by its place, among those to fit: another that is kept aside
+// stays so, else the last one to fit takes its place. Empty where there are too few.
+std::optional<recordings::RecordingSet> WithFitted(const recordings::RecordingSet& set, uint32_t place,
+                                                   const FitData& data) {
+  std::vector<uint32_t> fitted = data.places;
+  if (set.Holdout().size() < 2) fitted.pop_back();
+  if (fitted.empty()) return std::nullopt;
+  fitted.push_back(place);
+  recordings::RecordingSet out = set;
+  out.KeepForFit(fitted);
+  return out;
+}
+
 }  // namespace
 
-Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& set, const DiagnosisOptions& options,
+Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const DiagnosisOptions& options,
                                  const Clock& clock, const ProgressFn& progress, const CancelToken* cancel) {
   RG_RETURN_IF_ERROR(sysid::CheckTimes(options.window_s, options.step_s));
   const double start = clock.SteadySeconds();
   const int threads = sysid::ChooseThreads(options.threads);
-  RG_ASSIGN_OR_RETURN(sim::Plant nominal, GivenPlant(set, options.model));
-  RG_ASSIGN_OR_RETURN(FitData data, PrepareData(set, nominal, options));
+  RG_ASSIGN_OR_RETURN(sim::Plant nominal, GivenPlant(given, options.model));
+  RG_ASSIGN_OR_RETURN(FitData data, PrepareData(given, nominal, options));
   // The balance of torques is of rigid bodies, and finds effects beside them itself.
   if (EffortIsMeasured(data) && !nominal.effects().empty()) {
     RG_ASSIGN_OR_RETURN(nominal, sim::Plant::Create(nominal.shared_model(), nominal.options()));
   }
-  data.held_out = PrepareHeldOut(set, data, nominal, options);
-  const MotionScales scales = ScalesOf(data, nominal);
+  data.held_out = PrepareHeldOut(given, data, nominal, options);
+  MotionScales scales = ScalesOf(data, nominal);
   DiagnosisResult result;
-  RG_RETURN_IF_ERROR(CheckPlausible(set, data, nominal, scales, options.trust_effort, &result.notes));
+  RG_RETURN_IF_ERROR(CheckPlausible(given, data, nominal, scales, options.trust_effort, &result.notes));
   const auto search_effects = EffortIsMeasured(data) ? SearchMeasuredEffort : SearchEffects;
-  const SearchResult search =
-      search_effects(data, nominal, scales, options, threads, clock, progress, cancel);
+  SearchResult search = search_effects(data, nominal, scales, options, threads, clock, progress, cancel);
+
+  // What only a recording kept aside shows can be found only there: it is fitted too.
+  std::optional<recordings::RecordingSet> exchanged;
+  if (search.unseen_in >= 0 && !(cancel != nullptr && cancel->cancelled())) {
+    const auto unseen = static_cast<size_t>(search.unseen_in);
+    exchanged = WithFitted(given, data.held_out->places[unseen], data);
+    const std::string name = data.held_out->recordings[unseen].recording->name;
+    if (exchanged) {
+      RG_ASSIGN_OR_RETURN(data, PrepareData(*exchanged, nominal, options));
+      data.held_out = PrepareHeldOut(*exchanged, data, nominal, options);
+      scales = ScalesOf(data, nominal);
+      search = search_effects(data, nominal, scales, options, threads, clock, progress, cancel);
+      result.notes.push_back(name + " shows what the recordings to fit do not: it was fitted too" +
+                             (given.Holdout().size() < 2 ? ", another kept aside in its place" : ""));
+    }
+  }
+  const recordings::RecordingSet& set = exchanged ? *exchanged : given;
 
   result.window_s = options.window_s;
   result.robot = nominal.model().name();

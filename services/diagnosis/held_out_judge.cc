@@ -39,6 +39,14 @@ bool HeldOutJudge::Holds(const Candidate& account, double needed) {
   return own.short_of_noise < std::max(kOnePercent * own.scatter, needed);
 }
 
+int HeldOutJudge::Refusing(const Candidate& account, double needed) {
+  if (Holds(account, needed)) return -1;
+  std::vector<double> sums(data_.recordings.size(), 0.0);
+  for (size_t w = 0; w < data_.windows.size(); ++w)
+    sums[static_cast<size_t>(data_.windows[w].recording)] += Of(account).windows[w];
+  return static_cast<int>(std::min_element(sums.begin(), sums.end()) - sums.begin());
+}
+
 bool HeldOutJudge::ExplainsMost(const Candidate& account, const Candidate& without) {
   return Of(account).short_of_noise < 0.5 * Of(without).short_of_noise;
 }

@@ -27,6 +27,8 @@ class HeldOutJudge {
   // Empty where there is none. The scores of what was asked and predicts worse than it then hold that too.
   std::optional<Candidate> Better(const Candidate& account, std::map<std::string, Candidate>& tried,
                                   const std::function<double(const Candidate&)>& needed);
+  // The recording, by its place among those kept aside, that `account` is furthest from; −1 where it holds.
+  int Refusing(const Candidate& account, double needed);
   double work() const { return work_; }
 
  private:

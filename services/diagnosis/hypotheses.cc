@@ -265,6 +265,22 @@ std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effec
   return out;
 }
 
+std::vector<std::vector<EffectSpec>> StribeckStarts(const EffectSpec& friction, const sim::Plant& nominal,
+                                                    const MotionScales& scales) {
+  std::vector<std::vector<EffectSpec>> out;
+  const double coulomb =
+      Exchanged(friction, "coulomb_friction", nominal, scales).values.begin()->second.at("coulomb");
+  EffectSpec start = Exchanged(friction, "stribeck_friction", nominal, scales);
+  auto& values = start.values.begin()->second;
+  const double speed = values.at("stribeck_velocity") / 0.2;
+  for (const double share : {0.05, 0.15, 0.4}) {
+    values["coulomb"] = 0.6 * coulomb, values["static"] = 1.2 * coulomb;
+    values["stribeck_velocity"] = share * speed;
+    out.push_back({start});
+  }
+  return out;
+}
+
 std::vector<std::vector<EffectSpec>> BodyStarts(const std::string& effect, const sim::Plant& nominal,
                                                 const MotionScales& s) {
   std::vector<std::vector<EffectSpec>> out;

@@ -19,6 +19,11 @@ std::vector<std::vector<effects::EffectSpec>> TransmissionStarts(const std::stri
                                                                  const sim::Plant& nominal,
                                                                  const MotionScales& scales,
                                                                  double added_inertia);
+// Dry friction that drops with speed, where there is dry friction already: over a range of speeds, for fits
+// of a joint that sticks end near where they start.
+std::vector<std::vector<effects::EffectSpec>> StribeckStarts(const effects::EffectSpec& friction,
+                                                             const sim::Plant& nominal,
+                                                             const MotionScales& scales);
 std::vector<std::vector<effects::EffectSpec>> BodyStarts(const std::string& effect, const sim::Plant& nominal,
                                                          const MotionScales& scales);
 

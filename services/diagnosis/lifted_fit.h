@@ -34,6 +34,7 @@ struct FitData {
   bool use_velocity = true;
   recordings::SensorNoise noise;  // of one row, quantisation included
   std::vector<sysid::FitRecording> recordings;
+  std::vector<uint32_t> places;  // of the recordings in their set
   std::vector<SmoothMotion> motions;
   std::vector<FineMotion> fine;
   std::vector<NodeWindow> windows;

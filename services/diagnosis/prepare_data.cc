@@ -30,6 +30,7 @@ Result<FitData> Prepared(const recordings::RecordingSet& set,
     if (rec->drive_effort().size() == 0) return InvalidError(rec->name + ": no effort drives the model");
     if (rec->rows() < 10) return InvalidError(rec->name + ": fewer than 10 rows, too little to fit");
     data.use_velocity = data.use_velocity && rec->has_velocity();
+    data.places.push_back(static_cast<uint32_t>(rec - set.recordings.data()));
     data.recordings.push_back({rec, set.effort_excludes_gravity
                                         ? sysid::DriveSignalWithGravity(*rec, nominal, values)
                                         : sysid::DriveSignal(*rec)});

@@ -78,7 +78,7 @@ class Search {
     }
     Prune(&best);
     if (PerRow(best) > kExplained || OfPosition(best)) Flexible(&best, 1e300);
-    out.sent_back = SendBack(Better(out.nominal, out.calibrated), &best);
+    if (data_.held_out != nullptr) SendBack(Better(out.nominal, out.calibrated), &best, &out);
     out.best = best;
     for (const auto& [key, c] : tried_) out.tried.push_back(c);
     std::sort(out.tried.begin(), out.tried.end(),
@@ -325,7 +325,7 @@ class Search {
               base, base ? 3 : 4, &winner);
     }
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
-      Siblings(&winner);
+      Siblings(*best, &winner);
       const Candidate twin = Evaluate(Refreshed(winner), !winner.base, &winner);
       const Candidate& plain = winner.base ? twin : winner;
       const Candidate& freed = winner.base ? winner : twin;
@@ -338,7 +338,9 @@ class Search {
       const Candidate longer = Evaluate(Refreshed(*best), best->base, best, 12);
       if (longer.score > best->score) *best = longer;
     }
-    const double needed = Threshold(*best, winner);
+    // The same effects, better fitted, need no more than to be better.
+    const bool same = KeyOf(winner.specs) == KeyOf(best->specs) && winner.base == best->base;
+    const double needed = same ? 1.0 : Threshold(*best, winner);
     const bool accept = winner.score > best->score + needed;
     Tell("decide", 0.1 + 0.2 * round_,
          KeyOf(winner.specs) + " gains " + std::to_string(winner.score - best->score) + " needs " +
@@ -346,7 +348,7 @@ class Search {
     if (accept) {
       const Candidate justified = Justified(*best, winner);
       // What is left of several at once may be worth less than none of them.
-      if (justified.score < best->score + Threshold(*best, justified)) return false;
+      if (!same && justified.score < best->score + Threshold(*best, justified)) return false;
       *best = justified;
       Prune(best);
       Plainer(best);
@@ -357,12 +359,7 @@ class Search {
   // Of several effects added at once each must be worth its name.
   Candidate Justified(const Candidate& before, Candidate winner) {
     while (!Late()) {
-      std::set<std::string> fresh;
-      for (const EffectSpec& s : winner.specs) {
-        if (std::none_of(before.specs.begin(), before.specs.end(),
-                         [&](const EffectSpec& e) { return e.id == s.id; }))
-          fresh.insert(s.id);
-      }
+      const std::set<std::string> fresh = FreshKinds(before, winner);
       if (fresh.size() < 2) return winner;
       Candidate fewer = winner;
       fewer.score = -1e300;
@@ -427,24 +424,28 @@ class Search {
   // An account must hold on recordings kept aside, or what was tried and predicts them better takes its
   // place. One that explains less than half of what is missing there is none, however well it follows what it
   // was fitted to.
-  // Whether it was.
-  bool SendBack(const Candidate& without, Candidate* best) {
-    if (data_.held_out == nullptr || best->specs.empty() || FoundNothing(*best)) return false;
+  void SendBack(const Candidate& without, Candidate* best, SearchResult* out) {
     HeldOutJudge judge(*data_.held_out, lifted_, trace_);
-    int sent = 0;
-    for (; sent < kSentBack && !Late() && !judge.Holds(*best, Threshold(*best)); ++sent) {
+    if (PerRow(*best) < kExplained) out->unseen_in = judge.Refusing(*best, Threshold(*best));
+    const bool named = !best->specs.empty() && !FoundNothing(*best);
+    for (int sent = 0; named && sent < kSentBack && !Late() && !judge.Holds(*best, Threshold(*best));
+         ++sent) {
       Unnamed(*best, {"position", "velocity"});
       const auto needed = [&](const Candidate& c) { return Threshold(*best, c); };
       const auto rival = judge.Better(*best, tried_, needed);
       if (!rival) break;
+      out->sent_back = true;
       Tell("sent back", 0.9, KeyOf(best->specs) + "for " + KeyOf(rival->specs));
       *best = *rival;
     }
+    if (judge.Holds(*best, Threshold(*best))) {
+      out->unseen_in = -1;
+    } else if (named && !judge.ExplainsMost(*best, without)) {
+      Tell("sent back", 0.9, KeyOf(best->specs) + "for nothing");
+      *best = without;
+      out->sent_back = true;
+    }
     work_ += judge.work();
-    if (judge.Holds(*best, Threshold(*best)) || judge.ExplainsMost(*best, without)) return sent > 0;
-    Tell("sent back", 0.9, KeyOf(best->specs) + "for nothing");
-    *best = without;
-    return true;
   }
 
   double PerRow(const Candidate& c) const {
@@ -454,16 +455,11 @@ class Search {
   // Trials on some windows with few iterations; the best of them on all.
   void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base, size_t full,
                Candidate* winner) {
-    FitRequest trial{Refreshed(from),
-                     base,
-                     lifted_,
-                     SomeWindows(from.fit.window_chi2, data_.windows.size(), data_.n <= 2 ? 24 : 14),
-                     0,
-                     false,
-                     Start(&from, base)};
+    const auto windows = SomeWindows(from.fit.window_chi2, data_.windows.size(), data_.n <= 2 ? 24 : 14);
+    FitRequest trial{Refreshed(from), base, lifted_, windows, 0, false, Start(&from, base)};
     trial.options.iterations = 4;
-    // Whole windows, or pieces of them where only pieces are met: each has its own reference, and those with
-    // hidden states, which need whole windows, come after the others.
+    // Whole windows, or pieces of them where only pieces are met, but not for hidden states, which need whole
+    // windows: each has its own reference.
     std::vector<FitRequest> trials = {trial};
     if (FromPieces(trial)) trial.piece_s = kPiece, trial.pieces_alone = true;
     trials.push_back(trial);
@@ -480,9 +476,10 @@ class Search {
       for (size_t i = 2; i < trials.size() && !Late() && work_ <= enough; ++i) {
         const Candidate c = Fitted(trials[i], batch->Take(i));
         const bool whole = c.plant != nullptr && c.plant->num_states() > 2 * data_.n;
-        const bool better = c.fit.ok && c.score >= (whole ? on_windows : on_pieces);
+        const double before = whole ? on_windows : on_pieces;
+        const bool better = c.fit.ok && c.score >= before;
         trace_.Fit(c, better ? "  ~" : "  -");
-        if (better) ranked.push_back({whole && trial.pieces_alone, c.score, Refreshed(c)});
+        if (better) ranked.push_back({c.score / std::min(before, -1.0), Refreshed(c)});
       }
     }
     std::vector<FitRequest> best;
@@ -499,10 +496,14 @@ class Search {
   void Siblings(Candidate* winner) {
     const std::vector<EffectSpec> specs = Refreshed(*winner);
     if (specs.empty()) return;
+    std::set<std::string> kinds = FreshKinds(before, *winner);
+    if (kinds.empty()) kinds = {specs.back().id};
     std::vector<FitRequest> others;
-    for (const TrialSpecs& other : Exchanges(specs, nominal_, scales_)) {
-      const std::string key = KeyOf(other) + (winner->base ? "+base" : "");
-      if (!tried_.count(key)) others.push_back(WholeFit(other, winner->base, Start(nullptr, winner->base)));
+    for (const std::string& kind : kinds) {
+      for (const TrialSpecs& other : Exchanges(specs, kind, nominal_, scales_)) {
+        const std::string key = KeyOf(other) + (winner->base ? "+base" : "");
+        if (!tried_.count(key)) others.push_back(WholeFit(other, winner->base, Start(nullptr, winner->base)));
+      }
     }
     for (const TrialSpecs& other : SpringsBehind(specs, nominal_, scales_))
       others.push_back(WholeFit(other, winner->base, Start(nullptr, winner->base)));
@@ -531,17 +532,15 @@ class Search {
     bool changed = true;
     while (changed && best->specs.size() > 1 && !Late()) {
       changed = false;
-      for (size_t i = 0; i < best->specs.size(); ++i) {
-        // Worth a fit only if its strength is within a few stddev of nothing.
-        if (Strength(*best, i) > 4.0) continue;
+      for (size_t i = 0; i < best->specs.size() && !changed; ++i) {
+        const bool of_group = OneOfMany(best->specs, i);
+        // Worth a fit only if its strength is within a few stddev of nothing, or of what its form may leave.
+        const double strength = Strength(*best, i);
+        if (strength > 4.0 && (!of_group || 0.5 * strength * strength > 2 * Threshold(*best))) continue;
         std::vector<EffectSpec> specs = Refreshed(*best);
         specs.erase(specs.begin() + static_cast<long>(i));
         const Candidate c = Evaluate(specs, best->base, best, 4);
-        if (c.score > best->score) {
-          *best = c;
-          changed = true;
-          break;
-        }
+        if (best->score < c.score + (of_group ? Threshold(c, *best) : 0.0)) *best = c, changed = true;
       }
     }
   }
@@ -558,7 +557,9 @@ class Search {
       }
       if (!any || Late()) continue;
       const auto known = tried_.find(KeyOf(specs) + (best->base ? "+base" : ""));
-      const Candidate plain = known != tried_.end() ? known->second : Evaluate(specs, best->base, best);
+      // What it holds as a special case cannot be better: the plain one's fit had not found its way.
+      const bool done = known != tried_.end() && known->second.score >= best->score;
+      const Candidate plain = done ? known->second : Evaluate(specs, best->base, best);
       const double needed = Threshold(plain, *best);
       if (best->score >= plain.score + needed) continue;
       // What the form may pretend is not held for it when rivals are weighed.

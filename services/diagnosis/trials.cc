@@ -8,6 +8,7 @@
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/push_starts.h"
+#include "services/diagnosis/transmission_starts.h"
 
 namespace rg::diagnosis {
 
@@ -30,6 +31,7 @@ class TrialBuilder {
     if (!from_.base && data_.n > 1 && !Has("payload")) Push(BodyStarts("payload", nominal_, scales_));
     if (wanted > 1.0) return std::move(out_);
     const std::vector<int> joints = JointsByGain();
+    OtherForms();
     DryFriction(joints);
     Transmissions(joints);
     for (const char* id : {"sloshing_payload", "base_flexibility"}) {
@@ -109,6 +111,16 @@ class TrialBuilder {
     return out;
   }
 
+  // What the model has, by another law: what is left of a joint that sticks tells a screen little of it.
+  void OtherForms() {
+    for (const EffectSpec& s : from_.fit.ok ? Refreshed(from_) : TrialSpecs{}) {
+      for (const std::string& id : SiblingsOf(s.id)) {
+        if (id != s.id) Push({{Exchanged(s, id, nominal_, scales_)}});
+      }
+      if (SiblingsOf(s.id) == SiblingsOf("stribeck_friction")) Push(StribeckStarts(s, nominal_, scales_));
+    }
+  }
+
   void DryFriction(const std::vector<int>& joints) {
     for (size_t i = 0; i < std::min<size_t>(3, joints.size()); ++i) {
       for (const Scored& h : screened_.hypotheses) {
@@ -131,8 +143,11 @@ class TrialBuilder {
         if (h.effect == "rotor_inertia" && h.joints == std::vector<int>{joints[i]})
           added += h.coefficients[0];
       }
-      for (const char* id : {"joint_elasticity", "backlash"})
+      const TransmissionRecord record(data_, from_, scales_, joints[i]);
+      for (const char* id : {"joint_elasticity", "backlash"}) {
+        Push(record.Starts(id));
         Push(TransmissionStarts(id, joints[i], nominal_, scales_, added));
+      }
     }
   }
 
@@ -158,9 +173,8 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
 }
 
 std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, size_t count) {
-  std::sort(trials.begin(), trials.end(), [](const RankedTrial& a, const RankedTrial& b) {
-    return a.whole != b.whole ? b.whole : a.score > b.score;
-  });
+  std::stable_sort(trials.begin(), trials.end(),
+                   [](const RankedTrial& a, const RankedTrial& b) { return a.left < b.left; });
   std::vector<TrialSpecs> out;
   std::set<std::string> seen;
   for (RankedTrial& trial : trials) {
@@ -169,10 +183,9 @@ std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, size_t count) {
   return out;
 }
 
-std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const sim::Plant& nominal,
+std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const sim::Plant& nominal,
                                   const MotionScales& scales) {
   std::vector<TrialSpecs> out;
-  const std::string& id = specs.back().id;
   for (const std::string& sibling : SiblingsOf(id)) {
     if (sibling == id) continue;
     TrialSpecs other;

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <string>
 #include <vector>
 
 #include "services/diagnosis/candidate.h"
@@ -22,16 +23,17 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
 
 // A trial that is better than the model it was added to.
 struct RankedTrial {
-  bool whole;  // fitted on whole windows where the others were fitted on pieces of them
-  double score;
+  // Share of that model's misfit that remains, of the same windows or pieces of windows: trials with hidden
+  // states, which need whole windows, and others, which are fitted on pieces, can be ranked by it.
+  double left;
   TrialSpecs specs;
 };
 
-// The best of them, `count` at most and none twice; those on whole windows come after the others.
+// The best of them, `count` at most and none twice.
 std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, size_t count);
 
-// `specs` with the newest effect exchanged for each that it is easily taken for, on the same joints.
-std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const sim::Plant& nominal,
+// `specs` with effect `id` exchanged for each that it is easily taken for, on the same joints.
+std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const sim::Plant& nominal,
                                   const MotionScales& scales);
 
 // `specs` with a spring behind each rotor, if a rotor is the newest: below its resonance a motor behind a

@@ -66,7 +66,7 @@ Result<worker::TaskOutputs> RunDiagnose(const worker::TaskInput& input, worker::
   const auto coordinator = context.Coordinator();
   std::optional<RemoteFits> fits;
   if (coordinator.ok()) {
-    fits.emplace(**coordinator, FitInputsOf(input, payload), options.fit_window_s, &context.cancel_token());
+    fits.emplace(**coordinator, FitInputsOf(input, payload), &context.cancel_token());
     options.fits = &*fits;
   }
   const auto outcome = set.ok() ? diagnosis::Diagnose(*set, options, RealClock(), context.progress_fn(),

@@ -83,9 +83,10 @@ Result<std::shared_ptr<const Candidate>> StartOf(const pb::FitStart& start, cons
 
 }  // namespace
 
-pb::FitBatch BatchOf(const std::vector<FitRequest>& requests, double fit_window_s) {
+pb::FitBatch BatchOf(const std::vector<FitRequest>& requests, const diagnosis::FitData& data) {
   pb::FitBatch batch;
-  batch.set_fit_window_s(fit_window_s);
+  batch.set_fit_window_s(data.nodes.window_s);
+  batch.mutable_recordings()->Assign(data.places.begin(), data.places.end());
   std::map<const Candidate*, uint32_t> starts;
   for (const FitRequest& request : requests) {
     pb::FitRequest* fit = batch.add_fits();

@@ -8,7 +8,8 @@
 
 namespace rg::jobs {
 
-realitygrad::v1::FitBatch BatchOf(const std::vector<diagnosis::FitRequest>& requests, double fit_window_s);
+realitygrad::v1::FitBatch BatchOf(const std::vector<diagnosis::FitRequest>& requests,
+                                  const diagnosis::FitData& data);
 // Error: an index or a shape that does not fit the recordings.
 Result<diagnosis::FitRequest> RequestOf(const realitygrad::v1::FitBatch& batch, uint32_t index,
                                         const diagnosis::FitSetting& setting);

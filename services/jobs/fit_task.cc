@@ -27,14 +27,15 @@ struct ReadySet {
   diagnosis::MotionScales scales;
 };
 
-Result<std::unique_ptr<ReadySet>> Prepare(const worker::TaskInput& input, bool rollouts, double fit_window_s,
-                                          std::string key) {
+Result<std::unique_ptr<ReadySet>> Prepare(const worker::TaskInput& input, bool rollouts,
+                                          const pb::FitBatch& batch, std::string key) {
   RG_ASSIGN_OR_RETURN(recordings::RecordingSet set, SetToDiagnose(input, rollouts));
+  if (batch.recordings_size() > 0) set.KeepForFit({batch.recordings().begin(), batch.recordings().end()});
   RG_ASSIGN_OR_RETURN(const auto model, ModelToDiagnose(input, rollouts));
   RG_ASSIGN_OR_RETURN(sim::Plant nominal, diagnosis::GivenPlant(set, model));
   auto ready = std::make_unique<ReadySet>(std::move(set), std::move(nominal));
   diagnosis::DiagnosisOptions options;
-  options.fit_window_s = fit_window_s;
+  options.fit_window_s = batch.fit_window_s();
   RG_ASSIGN_OR_RETURN(ready->data, diagnosis::PrepareData(ready->set, ready->nominal, options));
   ready->scales = diagnosis::ScalesOf(ready->data, ready->nominal);
   ready->key = std::move(key);
@@ -50,9 +51,10 @@ class FitTask {
     if (!batch.ParseFromString(bytes->bytes)) return InvalidError("fit: the batch cannot be read");
     std::string key = std::to_string(payload.rollouts()) + " " + std::to_string(batch.fit_window_s());
     for (const worker::InputArtifact* recording : input.All(kInputRecording)) key += " " + recording->sha256;
+    for (const uint32_t place : batch.recordings()) key += " " + std::to_string(place);
     if (const auto* model = input.Find(kInputModel)) key += " from " + model->sha256;
     if (ready_ == nullptr || ready_->key != key) {
-      RG_ASSIGN_OR_RETURN(ready_, Prepare(input, payload.rollouts(), batch.fit_window_s(), key));
+      RG_ASSIGN_OR_RETURN(ready_, Prepare(input, payload.rollouts(), batch, key));
     }
     const diagnosis::FitSetting setting{ready_->data, ready_->nominal, ready_->scales};
     RG_ASSIGN_OR_RETURN(const diagnosis::FitRequest request, RequestOf(batch, payload.index(), setting));

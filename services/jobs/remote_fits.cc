@@ -80,11 +80,11 @@ class RemoteFits::Batch final : public diagnosis::FitBatch {
   int64_t job_;
 };
 
-int64_t RemoteFits::Submit(const std::vector<FitRequest>& requests) {
+int64_t RemoteFits::Submit(const std::vector<FitRequest>& requests, const diagnosis::FitData& data) {
   pb::ArtifactInfo info;
   info.set_kind(kArtifactFitBatch);
   info.set_metadata_json("{}");
-  const auto batch = client_.PutArtifact(BatchOf(requests, fit_window_s_).SerializeAsString(), info);
+  const auto batch = client_.PutArtifact(BatchOf(requests, data).SerializeAsString(), info);
   if (!batch.ok()) return 0;
   pb::JobSpec job;
   job.set_kind("fits");
@@ -111,7 +111,7 @@ int64_t RemoteFits::Submit(const std::vector<FitRequest>& requests) {
 std::unique_ptr<diagnosis::FitBatch> RemoteFits::Start(const FitSetting& setting,
                                                        std::vector<FitRequest> requests) {
   // One alone is not worth the way.
-  const int64_t job = requests.size() > 1 ? Submit(requests) : 0;
+  const int64_t job = requests.size() > 1 ? Submit(requests, setting.data) : 0;
   return std::make_unique<Batch>(*this, setting, std::move(requests), job);
 }
 

@@ -27,8 +27,8 @@ struct FitInputs {
 class RemoteFits final : public diagnosis::FitExecutor {
  public:
   // `client` and `cancel` outlive this.
-  RemoteFits(coordinator::Client& client, FitInputs inputs, double fit_window_s, const CancelToken* cancel)
-      : client_(client), inputs_(std::move(inputs)), fit_window_s_(fit_window_s), cancel_(cancel) {}
+  RemoteFits(coordinator::Client& client, FitInputs inputs, const CancelToken* cancel)
+      : client_(client), inputs_(std::move(inputs)), cancel_(cancel) {}
 
   std::unique_ptr<diagnosis::FitBatch> Start(const diagnosis::FitSetting& setting,
                                              std::vector<diagnosis::FitRequest> requests) override;
@@ -39,11 +39,10 @@ class RemoteFits final : public diagnosis::FitExecutor {
  private:
   class Batch;
   // The job of a batch; 0 where the coordinator does not take it.
-  int64_t Submit(const std::vector<diagnosis::FitRequest>& requests);
+  int64_t Submit(const std::vector<diagnosis::FitRequest>& requests, const diagnosis::FitData& data);
 
   coordinator::Client& client_;
   FitInputs inputs_;
-  double fit_window_s_;
   const CancelToken* cancel_;
   int by_workers_ = 0, here_ = 0;
 };

@@ -65,7 +65,7 @@ class FitsOfASet : public ::testing::Test {
 
 TEST_F(FitsOfASet, AWorkersFitIsThisProcessesFit) {
   const std::vector<FitRequest> requests = Requests();
-  const auto batch = BatchOf(requests, diagnosis::DiagnosisOptions().fit_window_s);
+  const auto batch = BatchOf(requests, data_);
   const worker::TaskFunction task = MakeFitTask();
   worker::RecordingTaskContext context("");
   for (uint32_t i = 0; i < requests.size(); ++i) {
@@ -94,7 +94,7 @@ TEST_F(FitsOfASet, AWorkersFitIsThisProcessesFit) {
 TEST_F(FitsOfASet, OptionsAndStartsTravelWithARequest) {
   std::vector<FitRequest> requests = Requests();
   requests[0].specs[0].options["sensor"] = "motor";
-  const auto batch = BatchOf(requests, 0.5);
+  const auto batch = BatchOf(requests, data_);
   EXPECT_EQ(batch.starts_size(), 1);
   const FitRequest back = RequestOf(batch, 0, setting_).value();
   EXPECT_EQ(back.specs[0].options, requests[0].specs[0].options);
@@ -106,7 +106,7 @@ TEST_F(FitsOfASet, OptionsAndStartsTravelWithARequest) {
 }
 
 TEST_F(FitsOfASet, ABatchOfOtherRecordingsIsRefused) {
-  auto batch = BatchOf(Requests(), 0.5);
+  auto batch = BatchOf(Requests(), data_);
   EXPECT_THAT(RequestOf(batch, 7, setting_).status().message(), HasSubstr("no fit 7"));
   batch.mutable_starts(0)->mutable_states()->RemoveLast();
   EXPECT_THAT(RequestOf(batch, 1, setting_).status().message(), HasSubstr("not one of these recordings"));
