@@ -297,8 +297,7 @@ class Search {
     Tell("screen", 0.1 + 0.2 * round_, KeyOf(best->specs));
     Candidate winner = *best;
     if (OtherWorld(*best) == nullptr) Evaluate(Refreshed(*best), !best->base, best);
-    std::vector<bool> worlds = {false, true};
-    for (const bool base : worlds) {
+    for (const bool base : {false, true}) {
       if (Late()) break;
       // Hidden states fit nearly anything: an account with them has those with free parameters as its rivals.
       const bool hidden = winner.plant != nullptr && winner.plant->num_states() > 2 * data_.n;
@@ -492,8 +491,8 @@ class Search {
     }
   }
 
-  // The winner with its newest effect exchanged for what it is easily taken for, on the same joints.
-  void Siblings(Candidate* winner) {
+  // The winner with each new kind of effect, or its newest, exchanged for what it is easily taken for.
+  void Siblings(const Candidate& before, Candidate* winner) {
     const std::vector<EffectSpec> specs = Refreshed(*winner);
     if (specs.empty()) return;
     std::set<std::string> kinds = FreshKinds(before, *winner);
