@@ -87,5 +87,16 @@ TEST_F(Rippling, ComesRoundTwiceBesideASpring) {
   EXPECT_TRUE(Repeats(often, 0.01, true));
 }
 
+TEST(Candidate, AJointsShareOfAnEffectIsItsOwnButADelayIsOfAll) {
+  const std::vector<effects::EffectSpec> specs = {
+      effects::MakeSpec("rotor_inertia", {"a"}), effects::MakeSpec("rotor_inertia", {"b"}),
+      effects::MakeSpec("coulomb_friction", {"a"}), effects::MakeSpec("actuator_delay", {"a"}),
+      effects::MakeSpec("actuator_delay", {"b"})};
+  EXPECT_TRUE(OneOfMany(specs, 0));
+  EXPECT_TRUE(OneOfMany(specs, 1));
+  EXPECT_FALSE(OneOfMany(specs, 2));
+  EXPECT_FALSE(OneOfMany(specs, 3));
+}
+
 }  // namespace
 }  // namespace rg::diagnosis

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <set>
@@ -177,6 +178,36 @@ TEST(Diagnose, RefusesTooLittleData) {
   set.recordings.resize(1);
   set.recordings[0] = recordings::Slice(set.recordings[0], 0, 8);
   EXPECT_FALSE(Diagnose(set, {}, RealClock()).ok());
+}
+
+TEST(Diagnosis, WhatOnlyARecordingKeptAsideShowsIsFittedToo) {
+  // Three slow recordings stay below the limit, a fast one meets it.
+  recordings::RecordingSet set = testing::MakeSet("pendulum", {}, 21);
+  const auto record = [&](double limit, double amplitude, uint64_t seed) {
+    std::vector<EffectSpec> truth;
+    if (limit > 0) truth = {MakeSpec("torque_saturation", {Pivot()}, {{"limit", limit}})};
+    const sim::Plant plant = sysid::testing::LoadPlant("pendulum", truth);
+    sysid::testing::MakeOptions options;
+    options.position_noise = testing::kPositionNoise, options.velocity_noise = testing::kVelocityNoise;
+    options.amplitude = amplitude;
+    return sysid::testing::MakeRecording(plant, plant.parameters().Nominal(), seed, options);
+  };
+  double most = 0;
+  for (uint64_t k = 0; k < 3; ++k)
+    most = std::max(most, record(0, 0.4, k).effort_command.cwiseAbs().maxCoeff());
+  for (size_t k = 0; k < 4; ++k) {
+    recordings::Recording made = record(1.2 * most, k < 3 ? 0.4 : 2.0, k);
+    made.name = set.recordings[k].name, made.split = set.recordings[k].split, made.joints = set.joints;
+    set.recordings[k] = std::move(made);
+  }
+  ASSERT_GT(set.recordings[3].effort_command.cwiseAbs().maxCoeff(), 1.5 * most);
+  const DiagnosisResult result = Diagnosed(set);
+  EXPECT_EQ(result.verdict, "unmodelled_physics");
+  ASSERT_FALSE(result.findings.empty());
+  EXPECT_EQ(result.findings[0].effect, "torque_saturation");
+  EXPECT_TRUE(std::any_of(result.notes.begin(), result.notes.end(), [](const std::string& note) {
+    return note.find("rec_003.csv shows what the recordings to fit do not") != std::string::npos;
+  }));
 }
 
 }  // namespace

@@ -8,6 +8,7 @@
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/push_starts.h"
 #include "services/diagnosis/search.h"
+#include "services/diagnosis/transmission_starts.h"
 #include "services/diagnosis/trials.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/simulated_set.h"
@@ -96,6 +97,52 @@ TEST(FieldPairStart, FindsBothJointsOfASurfaceAndLeavesNothing) {
   const double bare = PerRow(c->FitOf({}));
   EXPECT_GT(bare, 3.0);
   EXPECT_LT(PerRow(fit) - 1, 0.05 * (bare - 1));
+}
+
+TEST(TransmissionRecord, FindsASpringFromTheMeasuredSideAlone) {
+  const std::string joint = "elbow";
+  for (const std::string sensor : {"link", "motor"}) {
+    EffectSpec spring =
+        MakeSpec("joint_elasticity", {joint}, {{"stiffness", 40}, {"damping", 0.3}, {"motor_inertia", 0.03}});
+    spring.options["sensor"] = sensor;
+    const auto c = Case::Of("arm2", {spring}, 12);
+    Candidate bare;
+    bare.plant = std::make_shared<const sim::Plant>(c->nominal);
+    const TransmissionRecord record(c->data, bare, c->scales, 1);
+    double nearest = 1e9;
+    for (const auto& start : record.Starts("joint_elasticity")) {
+      if (start[0].options.at("sensor") != sensor) continue;
+      const auto& v = start[0].values.begin()->second;
+      nearest = std::min(nearest, std::max(std::abs(std::log(v.at("stiffness") / 40)),
+                                           std::abs(std::log(v.at("motor_inertia") / 0.03))));
+    }
+    EXPECT_LT(nearest, std::log(1.3)) << sensor;
+  }
+}
+
+TEST(StribeckStarts, CoverARangeOfSpeedsWithMoreFrictionAtRest) {
+  const auto c = Case::Of("pendulum", {}, 13);
+  const EffectSpec dry = MakeSpec("coulomb_friction", {c->nominal.joint_names()[0]}, {{"coulomb", 0.2}});
+  double last = 0;
+  for (const auto& start : StribeckStarts(dry, c->nominal, c->scales)) {
+    const auto& v = start[0].values.begin()->second;
+    EXPECT_GT(v.at("static"), v.at("coulomb"));
+    EXPECT_GT(v.at("stribeck_velocity"), 2 * last);
+    last = v.at("stribeck_velocity");
+  }
+  EXPECT_LT(last, c->scales.speed[0]);
+}
+
+TEST(Trials, AreRankedByWhatTheyLeaveOfTheirOwnReference) {
+  const auto named = [](const std::string& id) { return TrialSpecs{MakeSpec(id, {"elbow"})}; };
+  const auto best = BestOf({{0.9, named("coulomb_friction")},
+                            {0.1, named("joint_elasticity")},
+                            {0.2, named("joint_elasticity")},
+                            {0.5, named("torque_gain")}},
+                           2);
+  ASSERT_EQ(best.size(), 2u);
+  EXPECT_EQ(best[0][0].id, "joint_elasticity");
+  EXPECT_EQ(best[1][0].id, "torque_gain");
 }
 
 TEST(HiddenStarts, AMotorBehindPlayIsCarriedFromBeforeTheWindow) {
