@@ -47,17 +47,21 @@ Learned LearnedFrom(const FitData& held_out, const Candidate& c, const NodeState
 
 // Where the windows start whose predecessor was followed from a start of its own: with hidden states as the
 // end of that leaves them, a motor bent against its link as there. Carried along the record itself, the
-// sensor's noise would strike a stiff spring at every row.
+// sensor's noise would strike a stiff spring at every row. Of a window without one, a recording's first,
+// nothing says how its springs are bent: it starts as it was followed.
 NodeStates Continued(const FitData& held_out, const sim::Plant& plant, const VectorXd& values,
                      const FitResult& followed, const LiftedOptions& options, NodeStates starts) {
   const int n = held_out.n;
   const auto& names = plant.internal_state_names();
   sim::Simulator simulator(plant, {.integrator = options.integrator, .step_s = options.step_s});
   simulator.SetParameters(values);
-  for (size_t w = 1; w < starts.size(); ++w) {
-    const NodeWindow &window = held_out.windows[w], &before = held_out.windows[w - 1];
+  for (size_t w = 0; w < starts.size(); ++w) {
+    const NodeWindow &window = held_out.windows[w], &before = held_out.windows[w > 0 ? w - 1 : 0];
     const double gap = window.t.front() - before.t.back();
-    if (window.recording != before.recording || gap < 0 || gap > kLongestGap) continue;
+    if (w == 0 || window.recording != before.recording || gap < 0 || gap > kLongestGap) {
+      if (followed.states[w].col(0).allFinite()) starts[w].col(0) = followed.states[w].col(0);
+      continue;
+    }
     VectorXd end = followed.states[w - 1].rightCols(1);
     if (gap > 0) {
       const sim::State x{end.head(n), end.segment(n, n), end.tail(end.size() - 2 * n), before.t.back(), {},
