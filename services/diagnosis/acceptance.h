@@ -5,9 +5,10 @@
 // chance: what the best of all hypotheses gains from noise alone in 2 % of recordings (screening.h draws
 // them), or what the idealised form of the effects found so far may leave: 1 % of what they explain, but an
 // addition that takes half of all that is left above the noise is no matter of form. Free base parameters
-// beside effects are such an addition too. rule: what the same effect on the same joints, or free base
-// parameters, would gain from another step rule alone (StepRuleResiduals). Amplitudes add, so their squares,
-// the nats, add like this.
+// beside effects are such an addition too.
+//
+// rule: what the same effect on the same joints, or free base parameters, would gain from another step rule
+// alone (StepRuleResiduals). Amplitudes add, so their squares, the nats, add like this.
 #pragma once
 
 #include <map>

@@ -272,7 +272,7 @@ std::vector<std::vector<EffectSpec>> StribeckStarts(const EffectSpec& friction, 
       Exchanged(friction, "coulomb_friction", nominal, scales).values.begin()->second.at("coulomb");
   EffectSpec start = Exchanged(friction, "stribeck_friction", nominal, scales);
   auto& values = start.values.begin()->second;
-  const double speed = values.at("stribeck_velocity") / 0.2;
+  const double speed = scales.speed[nominal.model().FindJoint(friction.joints[0])];
   for (const double share : {0.05, 0.15, 0.4}) {
     values["coulomb"] = 0.6 * coulomb, values["static"] = 1.2 * coulomb;
     values["stribeck_velocity"] = share * speed;
