@@ -32,7 +32,7 @@ double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
   for (const EffectSpec& s : specs) {
     ids.insert(s.id);
     // An unnamed force's weights are no parameters of a law: they pay for what they follow in the evidence.
-    const bool field = s.id == "unknown_field" || s.id == "unknown_field_pair";
+    const bool field = IsUnnamed(s);
     cost += kJointPrior;
     if (!field)
       cost += kShapePrior * (static_cast<double>(effects::FindEffect(s.id)->parameters.size()) - 1.0);
@@ -40,6 +40,10 @@ double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
     if (field) cost += kFieldPrior;
   }
   return cost + kEffectPrior * static_cast<double>(ids.size());
+}
+
+bool IsUnnamed(const EffectSpec& spec) {
+  return spec.id == "unknown_field" || spec.id == "unknown_field_pair";
 }
 
 bool Contains(const std::vector<EffectSpec>& specs, const std::string& id, const std::string& joint) {

@@ -32,6 +32,9 @@ struct Candidate {
 double StructurePrior(const std::vector<effects::EffectSpec>& specs, bool base);
 inline constexpr double kEffectPrior = 4.0;  // of one more kind of effect
 
+// Whether it is a force without a name.
+bool IsUnnamed(const effects::EffectSpec& spec);
+
 // Whether the effect acts there already; joint "": on the robot as a whole.
 bool Contains(const std::vector<effects::EffectSpec>& specs, const std::string& id, const std::string& joint);
 

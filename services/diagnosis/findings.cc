@@ -25,7 +25,9 @@ namespace {
 constexpr double kMuchOfTheEffort = 0.25;  // of its variance
 constexpr double kOneInAHundred = 2.576;   // that one of a hundred normal errors exceeds
 constexpr double kSameDelay = 0.05;  // of itself: less between two joints is a twentieth of what it shows by
-constexpr double kOnePercent = 2.326;  // stddev that one of a hundred normal variables exceeds
+constexpr double kNextToNothing = 1.1;  // χ² over that of a true model
+constexpr double kLittle = 0.1;         // of what parameters explain
+constexpr double kOnePercent = 2.326;   // stddev that one of a hundred normal variables exceeds
 
 std::vector<std::string> JointsOf(const std::vector<EffectSpec>& specs, const std::string& id,
                                   const std::vector<std::string>& order) {
@@ -131,10 +133,13 @@ class Speaker {
   }
 
   // Whether more is left than the model would leave of recordings that it made itself by another step rule
-  // (its own null, exceeded in 1 % of sets), and more than the findings explain.
+  // (its own null, exceeded in 1 % of sets), and more than the findings explain. Beside parameters that
+  // explain nearly all, a remainder that no motion would show by more than a twentieth of the noise is none.
   bool MostIsLeft() const {
     const double scatter = std::sqrt(4.0 * s_.best.fit.rows) * s_.noise_scale;
     if (s_.best.fit.chi2 < s_.own_chi2 + kOnePercent * scatter) return false;
+    const double explained = s_.nominal.fit.chi2 - s_.best.fit.chi2;
+    if (s_.best.fit.chi2 < kNextToNothing * s_.own_chi2 && s_.own_chi2 < kLittle * explained) return false;
     const double excess = r_.mismatch - 1.0, left = r_.remaining - 1.0;
     return left > 0.5 * excess;
   }

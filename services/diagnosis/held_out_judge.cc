@@ -14,9 +14,7 @@ constexpr double kOnePercent = 2.326;  // stddev that one of a hundred normal va
 
 // Whether a force without a name is all that it has.
 bool Nameless(const Candidate& c) {
-  return !c.specs.empty() && std::all_of(c.specs.begin(), c.specs.end(), [](const effects::EffectSpec& e) {
-    return e.id == "unknown_field" || e.id == "unknown_field_pair";
-  });
+  return !c.specs.empty() && std::all_of(c.specs.begin(), c.specs.end(), IsUnnamed);
 }
 
 std::string Key(const Candidate& c) { return KeyOf(c.specs) + (c.base ? "+base" : ""); }

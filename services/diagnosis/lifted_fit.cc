@@ -18,7 +18,6 @@ namespace rg::diagnosis {
 
 namespace {
 
-constexpr double kStillFalling = 0.005;                  // of the cost in one iteration
 constexpr double kParts[] = {1.0, 0.3, 0.1, 0.03, 0.0};  // of the trust region, tried one after another
 constexpr double kAsExpected = 1.3;  // times what the linear model says, which a step may cost
 constexpr double kLeastTaken = 0.1;  // of a trust region, for the next one
@@ -385,7 +384,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
     }
     states = std::move(trial_states);
     if (it > 0 && std::abs(gain) < 0.02) break;
-    if (it >= options.iterations && !(gain > kStillFalling * best)) break;
+    if (it >= options.iterations && !(gain > options.still_falling * best)) break;
   }
   result.rows = data.Rows();
   if (!result.ok) return result;

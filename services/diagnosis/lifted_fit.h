@@ -54,7 +54,8 @@ struct FitModel {
 
 struct LiftedOptions {
   int iterations = 6;
-  int more_iterations = 0;  // while each lowers the cost by 0.5 %
+  int more_iterations = 0;       // while each lowers the cost
+  double still_falling = 0.005;  // by this share of it
   int threads = 1;
   double noise_scale = 1.0;  // residual variance in units of the sensors' noise
   double step_s = 2e-3;

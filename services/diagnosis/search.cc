@@ -13,6 +13,7 @@
 #include "services/diagnosis/given_model.h"
 #include "services/diagnosis/held_out_judge.h"
 #include "services/diagnosis/own_chi2.h"
+#include "services/diagnosis/screen_columns.h"
 #include "services/diagnosis/trace.h"
 #include "services/diagnosis/trials.h"
 
@@ -26,6 +27,7 @@ namespace {
 
 constexpr double kRivalShare = 0.25;  // of what parameters explain, by the screen's linear estimate
 constexpr int kMoreIterations = 14;   // of a fit that still falls
+constexpr double kFallsFast = 0.1;    // of the cost in one iteration, for a trial to go on
 constexpr double kTrialShare = 0.35;  // of all work, that the trials of one screen may cost
 constexpr double kNothing = 1.0;      // stddev from none at which an effect is about nothing
 constexpr double kPiece = 0.1;        // s
@@ -68,6 +70,7 @@ class Search {
     Candidate best = out.calibrated.score > out.nominal.score + Threshold(out.nominal, out.calibrated)
                          ? out.calibrated
                          : out.nominal;
+    LowerNoise(&best, &out);
     features_ = MakeFeatures(data_, scales_);
     for (round_ = 1; round_ <= options_.max_effects && !Late(); ++round_) {
       const bool added = AddOne(&best);
@@ -206,40 +209,6 @@ class Search {
     return c;
   }
 
-  std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant,
-                                             std::vector<sysid::FitParameter>* parameters,
-                                             const std::vector<EffectSpec>& specs) {
-    *parameters = FreeParameters(plant, scales_, true);
-    std::vector<ParameterColumn> columns;
-    auto held = [&](const std::string& id, const std::string& joint) { return Contains(specs, id, joint); };
-    const auto& model = plant.model();
-    const std::string& last = model.link(model.joint(model.num_joints() - 1).child_link).name;
-    for (const auto& p : *parameters) {
-      const sim::Parameter& row = plant.parameters()[p.index];
-      ParameterColumn c;
-      c.prior_stddev = p.prior_stddev;
-      c.base = row.kind != sim::ParameterKind::kEffect;
-      // One joint does not tell a payload from its link.
-      c.last_link = c.base && row.owner == last && data_.n > 1 && !held("payload", "");
-      if (c.last_link) c.role = row.field;
-      const bool probe =
-          (row.effect == "encoder_offset" || row.effect == "sensor_delay") && !held(row.effect, row.owner);
-      if (probe) {
-        c.effect = row.effect, c.role = row.field, c.joint = plant.model().FindJoint(row.owner);
-      }
-      columns.push_back(c);
-    }
-    if (!held("gravity_misalignment", "")) {
-      for (const char* axis : {"gravity.x", "gravity.y"}) {
-        const int at = plant.parameters().Find(axis);
-        sysid::FitParameter p{at, axis, "m/s^2", plant.parameters()[at].nominal, -20, 20, 0.6};
-        parameters->push_back(p);
-        columns.push_back({"gravity_misalignment", axis, -1, 0.6, false});
-      }
-    }
-    return columns;
-  }
-
   ScreenResult ScreenAround(const Candidate& current, bool base) {
     std::vector<EffectSpec> specs = Refreshed(current);
     const std::vector<EffectSpec> own = specs;
@@ -251,7 +220,7 @@ class Search {
     auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), specs);
     if (!plant.ok()) return {};
     std::vector<sysid::FitParameter> parameters;
-    auto columns = ScreenColumns(*plant, &parameters, own);
+    auto columns = ScreenColumns(*plant, scales_, own, &parameters);
     // Around a model that holds, its own states and values; around a wrong one, the recorded motion.
     const bool holds = PerRow(current) < kHolds && current.fit.states.front().rows() == plant->num_states();
     VectorXd values = plant->parameters().Nominal();
@@ -299,9 +268,11 @@ class Search {
     if (OtherWorld(*best) == nullptr) Evaluate(Refreshed(*best), !best->base, best);
     for (const bool base : {false, true}) {
       if (Late()) break;
-      // Hidden states fit nearly anything: an account with them has those with free parameters as its rivals.
-      const bool hidden = winner.plant != nullptr && winner.plant->num_states() > 2 * data_.n;
-      if (base && !(best->base && hidden) && PerRow(winner) < kExplained &&
+      // Hidden states and unnamed forces fit nearly anything: an account with them has those with free
+      // parameters as its rivals.
+      const bool pliant = std::any_of(winner.specs.begin(), winner.specs.end(), IsUnnamed) ||
+                          (winner.plant != nullptr && winner.plant->num_states() > 2 * data_.n);
+      if (base && !(best->base && pliant) && PerRow(winner) < kExplained &&
           winner.score > best->score + Threshold(*best, winner))
         break;
       const Candidate* own = base == best->base ? best : OtherWorld(*best);
@@ -457,6 +428,7 @@ class Search {
     const auto windows = SomeWindows(from.fit.window_chi2, data_.windows.size(), data_.n <= 2 ? 24 : 14);
     FitRequest trial{Refreshed(from), base, lifted_, windows, 0, false, Start(&from, base)};
     trial.options.iterations = 4;
+    trial.options.more_iterations = kMoreIterations, trial.options.still_falling = kFallsFast;
     // Whole windows, or pieces of them where only pieces are met, but not for hidden states, which need whole
     // windows: each has its own reference.
     std::vector<FitRequest> trials = {trial};

@@ -35,7 +35,8 @@ class TrialBuilder {
     DryFriction(joints);
     Transmissions(joints);
     for (const char* id : {"sloshing_payload", "base_flexibility"}) {
-      if (!Has(id) && (data_.n <= 2 || !from_.base)) Push(BodyStarts(id, nominal_, scales_));
+      if (!Has(id) && (data_.n <= 2 || !from_.base || !from_.specs.empty()))
+        Push(BodyStarts(id, nominal_, scales_));
     }
     if (from_.fit.ok && (!Has("contact") || !Has("external_disturbance"))) {
       const MissingForce missing = force();

@@ -1,0 +1,44 @@
+#include "services/diagnosis/screen_columns.h"
+
+#include "common/model/robot_model.h"
+#include "services/diagnosis/candidate.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+
+std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const MotionScales& scales,
+                                           const std::vector<EffectSpec>& held,
+                                           std::vector<sysid::FitParameter>* parameters) {
+  *parameters = FreeParameters(plant, scales, true);
+  std::vector<ParameterColumn> columns;
+  const auto has = [&](const std::string& id, const std::string& joint) { return Contains(held, id, joint); };
+  const auto& model = plant.model();
+  const std::string& last = model.link(model.joint(model.num_joints() - 1).child_link).name;
+  for (const auto& p : *parameters) {
+    const sim::Parameter& row = plant.parameters()[p.index];
+    ParameterColumn c;
+    c.prior_stddev = p.prior_stddev;
+    c.base = row.kind != sim::ParameterKind::kEffect;
+    // One joint does not tell a payload from its link.
+    c.last_link = c.base && row.owner == last && model.num_joints() > 1 && !has("payload", "");
+    if (c.last_link) c.role = row.field;
+    const bool probe =
+        (row.effect == "encoder_offset" || row.effect == "sensor_delay") && !has(row.effect, row.owner);
+    if (probe) {
+      c.effect = row.effect, c.role = row.field, c.joint = plant.model().FindJoint(row.owner);
+    }
+    columns.push_back(c);
+  }
+  if (!has("gravity_misalignment", "")) {
+    for (const char* axis : {"gravity.x", "gravity.y"}) {
+      const int at = plant.parameters().Find(axis);
+      sysid::FitParameter p{at, axis, "m/s^2", plant.parameters()[at].nominal, -20, 20, 0.6};
+      parameters->push_back(p);
+      columns.push_back({"gravity_misalignment", axis, -1, 0.6, false});
+    }
+  }
+  return columns;
+}
+
+}  // namespace rg::diagnosis
