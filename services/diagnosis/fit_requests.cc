@@ -10,6 +10,26 @@ namespace {
 
 constexpr double kLonger = 2.2;  // times from one length of pieces to the next
 
+// Base parameters found without a spring are bent by what it does, those of the URDF are not theirs: on from
+// whichever is nearer after one step.
+FitResult FitFromEither(const FitData& data, FitModel model, const LiftedOptions& options) {
+  LiftedOptions once = options;
+  once.iterations = 1, once.more_iterations = 0;
+  FitModel nominal = model;
+  for (const sysid::FitParameter& p : model.parameters) {
+    if (model.plant.parameters()[p.index].kind != sim::ParameterKind::kEffect)
+      nominal.values[p.index] = p.nominal;
+  }
+  const FitResult bent = Fit(data, model, once), given = Fit(data, nominal, once);
+  const auto cost = [&](const FitResult& f) { return f.chi2 / options.noise_scale + f.prior_cost; };
+  const bool back = given.ok && (!bent.ok || cost(given) < cost(bent));
+  const FitResult& near = back ? given : bent;
+  if (near.ok) model.values = near.values;
+  FitResult fit = Fit(data, model, options, near.ok ? &near.states : nullptr);
+  fit.work += bent.work + given.work;
+  return fit;
+}
+
 FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& request) {
   FitModel model{*c.plant, c.plant->parameters().Nominal(), c.parameters};
   const Candidate* from = request.from.get();
@@ -34,7 +54,9 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
     fit.states.clear(), fit.window_chi2.clear();  // of pieces, which nobody else knows
     return fit;
   }
-  if (from == nullptr || from->fit.states.empty()) {
+  if (hidden && c.base && from != nullptr && from->fit.states.empty()) {
+    fit = FitFromEither(data, model, request.options);
+  } else if (from == nullptr || from->fit.states.empty()) {
     fit = Fit(data, model, request.options);
   } else {
     NodeStates states = from->fit.states;

@@ -62,15 +62,14 @@ NodeStates Continued(const FitData& held_out, const sim::Plant& plant, const Vec
       if (followed.states[w].col(0).allFinite()) starts[w].col(0) = followed.states[w].col(0);
       continue;
     }
-    VectorXd end = followed.states[w - 1].rightCols(1);
-    if (gap > 0) {
-      const sim::State x{end.head(n), end.segment(n, n), end.tail(end.size() - 2 * n), before.t.back(), {},
-                         {}};
-      const sim::Trajectory to =
-          simulator.Simulate(x, held_out.recordings[window.recording].command, {window.t.front()});
-      if (!to.outcome.ok()) continue;
-      end = to.state.col(0);
-    }
+    // As that start's simulation ends: its lifted nodes are those of the linear model.
+    const VectorXd from = followed.states[w - 1].col(0);
+    const sim::State x{
+        from.head(n), from.segment(n, n), from.tail(from.size() - 2 * n), before.t.front(), {}, {}};
+    const sim::Trajectory to =
+        simulator.Simulate(x, held_out.recordings[window.recording].command, {window.t.front()});
+    if (!to.outcome.ok()) continue;
+    const VectorXd end = to.state.col(0);
     if (!end.allFinite()) continue;
     auto start = starts[w].col(0);
     start = followed.states[w].col(0);

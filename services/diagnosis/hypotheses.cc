@@ -378,6 +378,8 @@ std::vector<EffectSpec> Joined(std::vector<EffectSpec> specs, const std::vector<
   for (const EffectSpec& s : added) {
     const int group = ExclusiveGroup(s.id);
     std::erase_if(specs, [&](const EffectSpec& old) {
+      // Nor does a coupling end at a joint behind a spring.
+      if (old.id == "joint_coupling" && group == kTransmission) return old.joints.back() == s.joints.front();
       if (old.joints != s.joints) return false;
       // A motor behind a spring or play brings its own inertia.
       if (old.id == "rotor_inertia" && ExclusiveGroup(s.id) == kTransmission) return true;

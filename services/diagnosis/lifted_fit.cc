@@ -23,7 +23,9 @@ constexpr double kAsExpected = 1.3;  // times what the linear model says, which 
 constexpr double kLeastTaken = 0.1;  // of a trust region, for the next one
 constexpr double kOtherStep = 2e-4;  // s, see StepRuleResiduals
 constexpr int kScreenParts = 16;
-constexpr int kTogether = 8;  // windows that are simulated side by side
+constexpr double kUnusual = 1.5;  // times the middle χ² of windows, from where they start anew
+constexpr int kFaces = 10;        // what that costs on average, in simulations of all windows
+constexpr int kTogether = 8;      // windows that are simulated side by side
 
 // Rows of [J | r] orthogonal to J_e; also the factorisation to find e_0 later.
 struct Projected {
@@ -115,7 +117,10 @@ NodeStates InitialStates(const FitData& data, const FitModel& model, const Lifte
     }
     lin.CarryHidden(worker, before, motor, &earlier);
     states[w].col(0) = earlier.col(B);
-    lin.ChooseFace(worker, w, motor, &states[w]);
+    if (lin.has_gaps()) {
+      const double carried = lin.Simulated(worker, w, VectorXd(states[w].col(0)));
+      lin.ChooseFace(worker, w, motor, carried, &states[w]);
+    }
     lin.CarryHidden(worker, window, motor, &states[w]);
   });
   return states;
@@ -220,6 +225,23 @@ void MoveStates(Lineariser& lin, int worker, int first, int last, const std::vec
   }
 }
 
+// The windows that are met worst start anew where that is nearer to the record: a motor that lies on the
+// wrong face at first stays there, whatever the parameters become.
+void ChooseFaces(const FitData& data, Lineariser& lin, const std::vector<int>& sensed, int threads,
+                 std::vector<double>* chi2, NodeStates* states) {
+  const int W = static_cast<int>(data.windows.size());
+  std::vector<double> sorted = *chi2;
+  std::nth_element(sorted.begin(), sorted.begin() + W / 2, sorted.end());
+  const double usual = sorted[static_cast<size_t>(W / 2)];
+  sysid::ParallelFor(threads, W, [&](int worker, int w) {
+    if ((*chi2)[w] < kUnusual * usual) return;
+    const double chosen = lin.ChooseFace(worker, w, sensed, (*chi2)[w], &(*states)[w]);
+    if (!(chosen < (*chi2)[w])) return;
+    (*chi2)[w] = chosen;
+    lin.CarryHidden(worker, data.windows[w], sensed, &(*states)[w]);
+  });
+}
+
 }  // namespace
 
 NodeStates CarriedStates(const FitData& data, const FitModel& to, const sim::Plant& from,
@@ -270,6 +292,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   std::vector<double> adopted(W);
   const bool hidden = nx > 2 * n;
   const int groups = (W + kTogether - 1) / kTogether;
+  const std::vector<int> sensed = SensedMotors(model.plant);
   // What the cost falls by against the best so far, which the new state takes the place of if it does.
   const auto adopt = [&](const VectorXd& at, const VectorXd& trial, const NodeStates& nodes,
                          const std::vector<double>& chi2, const MatrixXd& information) {
@@ -363,7 +386,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
     }
     lin.SetValues(model, trial_values);
     adopted = chi2;
-    const double gain = adopt(trial_values, trial, trial_states, chi2, information);
+    double gain = adopt(trial_values, trial, trial_states, chi2, information);
     // Where a smaller step was better, the next one is kept that small.
     trust *= taken < 1.0 ? std::max(kLeastTaken, taken) : gain > 0 ? 2.0 : 0.5;
     trust = std::min(1.0, trust);
@@ -383,6 +406,12 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       }
     }
     states = std::move(trial_states);
+    if (lin.has_gaps() && options.free_hidden && it < options.iterations + options.more_iterations) {
+      ChooseFaces(data, lin, sensed, options.threads, &adopted, &states);
+      result.work += kFaces * Work(data.Rows(), 0);
+      const double more = adopt(trial_values, trial, states, adopted, information);
+      if (more > 0) gain = std::max(gain, 0.0) + more;
+    }
     if (it > 0 && std::abs(gain) < 0.02) break;
     if (it >= options.iterations && !(gain > options.still_falling * best)) break;
   }

@@ -123,6 +123,7 @@ class Lineariser {
         const auto at = std::find(internal.begin(), internal.end(), "motor_position." + joint);
         gaps_.push_back({probe_.plant.model().FindJoint(joint),
                          probe_.plant.parameters().Find("backlash." + joint + ".gap"),
+                         probe_.plant.parameters().Find("backlash." + joint + ".motor_inertia"),
                          static_cast<int>(at - internal.begin())});
       }
     }
@@ -244,24 +245,36 @@ class Lineariser {
       }
     }
   }
-  // In a gear with play the link may lie on either face or between them, and no derivative leads from one
-  // to the other: of these starts the one whose simulation is nearest to the record.
-  void ChooseFace(int worker, int index, const std::vector<int>& sensed, MatrixXd* states) {
-    for (const auto& [joint, gap, motor] : gaps_) {
-      const VectorXd carried = states->col(0);
-      double best = Simulated(worker, index, carried);
-      for (const double side : {-1.0, 0.0, 1.0}) {
-        VectorXd x = carried;
-        const double q = x[joint], theta = x[2 * n_ + motor], half = 0.5 * probe_.values[gap];
-        if (sensed[joint] >= 0) {
-          x[joint] = theta - side * half;
-        } else {
-          x[2 * n_ + motor] = q + side * half;
+  bool has_gaps() const { return !gaps_.empty(); }
+  // In a gear with play the link may lie on either face or between them, at rest against the motor or on its
+  // way, and no derivative leads from one to the other: of such starts the one whose simulation is nearest to
+  // the record, if it is nearer than `best`, the χ² of the start as it is. Returns its χ².
+  double ChooseFace(int worker, int index, const std::vector<int>& sensed, double best, MatrixXd* states) {
+    const NodeWindow& window = data_.windows[index];
+    for (const Gap& g : gaps_) {
+      const int theta = 2 * n_ + g.motor;
+      // The speed to which the drive brings the motor over the gap.
+      const double half = 0.5 * probe_.values[g.parameter];
+      const auto drive = data_.fine[window.recording].u.row(g.joint);
+      const double torque = std::sqrt(drive.squaredNorm() / static_cast<double>(drive.size()));
+      const double speed = std::sqrt(4 * half * torque / probe_.values[g.inertia]);
+      std::vector<VectorXd> starts;
+      for (const double side : {-1.0, -0.5, 0.0, 0.5, 1.0}) {
+        for (const double rate : {-1.0, -0.4, -0.15, 0.0, 0.15, 0.4, 1.0}) {
+          VectorXd x = states->col(0);
+          if (sensed[g.joint] >= 0) {
+            x[g.joint] = x[theta] - side * half, x[n_ + g.joint] = x[theta + 1] - rate * speed;
+          } else {
+            x[theta] = x[g.joint] + side * half, x[theta + 1] = x[n_ + g.joint] + rate * speed;
+          }
+          starts.push_back(std::move(x));
         }
-        const double chi2 = Simulated(worker, index, x);
-        if (chi2 < best) best = chi2, states->col(0) = x;
       }
+      const std::vector<double> chi2 = Simulated(worker, std::vector<int>(starts.size(), index), starts);
+      const auto least = std::min_element(chi2.begin(), chi2.end());
+      if (*least < best) best = *least, states->col(0) = starts[static_cast<size_t>(least - chi2.begin())];
     }
+    return best;
   }
   sim::State MakeState(int worker, const VectorXd& q, const VectorXd& v, double t, int recording) {
     return workers_[worker]->simulator.MakeState(q, v, t, data_.recordings[recording].command);
@@ -417,7 +430,7 @@ class Lineariser {
   std::vector<int> columns_, torque_column_;
   MatrixXd starts_;  // nx × nx
   struct Gap {
-    int joint, parameter, motor;  // place of the motor's position among the internal states
+    int joint, parameter, inertia, motor;  // place of the motor's position among the internal states
   };
   std::vector<Gap> gaps_;
   std::vector<std::unique_ptr<Worker>> workers_;

@@ -476,7 +476,7 @@ class Search {
         if (!tried_.count(key)) others.push_back(WholeFit(other, winner->base, Start(nullptr, winner->base)));
       }
     }
-    for (const TrialSpecs& other : SpringsBehind(specs, nominal_, scales_))
+    for (const TrialSpecs& other : SpringsBehind(specs, kinds, nominal_, scales_))
       others.push_back(WholeFit(other, winner->base, Start(nullptr, winner->base)));
     const auto batch = fits_.Start(setting_, others);
     for (size_t i = 0; i < others.size() && !Late(); ++i) {

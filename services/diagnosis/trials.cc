@@ -16,7 +16,8 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr size_t kSets = 6;  // of joints, and as many pairs of effects
+constexpr size_t kRotors = 2;  // the largest, behind which a spring is tried
+constexpr size_t kSets = 6;    // of joints, and as many pairs of effects
 
 class TrialBuilder {
  public:
@@ -197,14 +198,27 @@ std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id
   return out;
 }
 
-std::vector<TrialSpecs> SpringsBehind(const TrialSpecs& specs, const sim::Plant& nominal,
-                                      const MotionScales& scales) {
-  std::vector<TrialSpecs> out;
+std::vector<TrialSpecs> SpringsBehind(const TrialSpecs& specs, const std::set<std::string>& fresh,
+                                      const sim::Plant& nominal, const MotionScales& scales) {
+  struct Rotor {
+    double share;  // of the joint's own inertia
+    int joint;
+    double armature;
+  };
+  std::vector<Rotor> rotors;
   for (const EffectSpec& s : specs) {
-    if (specs.back().id != "rotor_inertia" || s.id != "rotor_inertia" || s.joints.size() != 1) continue;
+    if (s.id != "rotor_inertia" || s.joints.size() != 1) continue;
     const int joint = nominal.model().FindJoint(s.joints[0]);
     const double armature = s.values.begin()->second.at("armature");
-    for (const TrialSpecs& start : TransmissionStarts("joint_elasticity", joint, nominal, scales, armature))
+    rotors.push_back({armature / scales.inertia[joint], joint, armature});
+  }
+  if (fresh.count("rotor_inertia") == 0) rotors.clear();
+  std::stable_sort(rotors.begin(), rotors.end(),
+                   [](const Rotor& a, const Rotor& b) { return a.share > b.share; });
+  std::vector<TrialSpecs> out;
+  for (size_t i = 0; i < std::min(kRotors, rotors.size()); ++i) {
+    for (const TrialSpecs& start :
+         TransmissionStarts("joint_elasticity", rotors[i].joint, nominal, scales, rotors[i].armature))
       out.push_back(Joined(specs, start));
   }
   return out;

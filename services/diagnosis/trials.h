@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -36,10 +37,10 @@ std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, size_t count);
 std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const sim::Plant& nominal,
                                   const MotionScales& scales);
 
-// `specs` with a spring behind each rotor, if a rotor is the newest: below its resonance a motor behind a
-// spring is a rotor, and what it is more no screen can see.
-std::vector<TrialSpecs> SpringsBehind(const TrialSpecs& specs, const sim::Plant& nominal,
-                                      const MotionScales& scales);
+// `specs` with a spring behind one of its largest rotors, where rotors are `fresh` kinds of it: below its
+// resonance a motor behind a spring is a rotor, and what it is more no screen can see.
+std::vector<TrialSpecs> SpringsBehind(const TrialSpecs& specs, const std::set<std::string>& fresh,
+                                      const sim::Plant& nominal, const MotionScales& scales);
 
 // The windows, about `wanted` of `all`, on which trials are fitted: every so many. Where these hold less than
 // half of what is amiss (`chi2` of each window: a joint that saturates in three of sixty), every so much of
