@@ -154,6 +154,17 @@ double Strength(const Candidate& c, size_t i) {
   return any ? most : 1e9;
 }
 
+bool AddsNothing(const Candidate& before, const Candidate& c) {
+  bool any = false;
+  for (size_t i = 0; i < c.specs.size(); ++i) {
+    const std::string joint = c.specs[i].joints.empty() ? "" : c.specs[i].joints[0];
+    if (Contains(before.specs, c.specs[i].id, joint)) continue;
+    if (Strength(c, i) > kNothing) return false;
+    any = true;
+  }
+  return any;
+}
+
 bool OneOfMany(const std::vector<EffectSpec>& specs, size_t i) {
   static const std::set<std::string> kShared = {"actuator_delay", "actuator_lag", "sensor_delay"};
   return kShared.count(specs[i].id) == 0 &&

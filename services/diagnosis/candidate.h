@@ -57,6 +57,9 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
 
 // |strength − none| of effect i in its stddev: what a delay, an amplitude, a mass, … is from nothing.
 double Strength(const Candidate& c, size_t i);
+inline constexpr double kNothing = 1.0;  // strength at which it is about nothing
+// Whether all that `c` has and `before` has not is about nothing.
+bool AddsNothing(const Candidate& before, const Candidate& c);
 // Whether specs[i] is one joint's share of an effect that other joints have too, each for itself. Delays and
 // lags are not: those are of what drives or reads all joints.
 bool OneOfMany(const std::vector<effects::EffectSpec>& specs, size_t i);

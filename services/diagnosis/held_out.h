@@ -22,6 +22,7 @@ struct HeldOut {
   std::vector<double> windows;  // −½ χ²/s² of each window
   double short_of_noise = 0;    // nats that a perfect model would have more, as noise has it on average
   double scatter = 0;           // stddev of that under noise
+  double free = 0;              // rows less what the restarts take
   double work = 0;
 };
 

@@ -18,7 +18,7 @@ class HeldOutJudge {
       : data_(held_out), options_(options), trace_(trace) {}
 
   // Whether an account predicts them as well as noise allows (beyond it in 1 % of sets), or to within
-  // `needed` nats.
+  // `needed` nats, or with errors that no motion shows.
   bool Holds(const Candidate& account, double needed);
   // Whether it takes off more than half of what `without` is short of noise by.
   bool ExplainsMost(const Candidate& account, const Candidate& without);

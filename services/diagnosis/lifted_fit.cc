@@ -19,6 +19,7 @@ namespace rg::diagnosis {
 namespace {
 
 constexpr double kParts[] = {1.0, 0.3, 0.1, 0.03, 0.0};  // of the trust region, tried one after another
+constexpr double kThrown = 1.1;      // times its χ² so far, at which a window's start was moved too far
 constexpr double kAsExpected = 1.3;  // times what the linear model says, which a step may cost
 constexpr double kLeastTaken = 0.1;  // of a trust region, for the next one
 constexpr double kOtherStep = 2e-4;  // s, see StepRuleResiduals
@@ -174,10 +175,11 @@ void WeighAsCosts(Linear* l) {
 }
 
 // Moves the states of windows [first, last) with a step of the parameters, their starts to what then fits
-// best; writes χ² of the windows simulated from there. `adopted`: χ² so far; empty without hidden states.
-void MoveStates(Lineariser& lin, int worker, int first, int last, const std::vector<Linear>& linear,
-                const VectorXd& step, const std::vector<double>& adopted, NodeStates* states,
-                std::vector<double>* chi2) {
+// best; writes χ² of the windows simulated from there. `adopted`: χ² so far, where known. Returns how many
+// windows were simulated.
+size_t MoveStates(Lineariser& lin, int worker, int first, int last, const std::vector<Linear>& linear,
+                  const VectorXd& step, const std::vector<double>& adopted, NodeStates* states,
+                  std::vector<double>* chi2) {
   struct Moved {
     int window;
     VectorXd e0, start;  // of the free directions, and what they move the start by
@@ -197,17 +199,20 @@ void MoveStates(Lineariser& lin, int worker, int first, int last, const std::vec
   }
   const std::vector<double> full = lin.Simulated(worker, windows, starts);
   for (size_t i = 0; i < moved.size(); ++i) (*chi2)[moved[i].window] = full[i];
-  // A hidden state that hardly shows may be thrown far: then a shorter step in the window's start.
+  size_t simulated = windows.size();
+  // A hidden state that hardly shows, or a joint that sticks, may be thrown far: then a shorter step in the
+  // window's start.
   if (!adopted.empty()) {
     windows.clear(), starts.clear();
     std::vector<std::pair<Moved*, double>> shorter;
     for (Moved& m : moved) {
-      if (!((*chi2)[m.window] > adopted[m.window])) continue;
+      if (!((*chi2)[m.window] > kThrown * adopted[m.window])) continue;
       for (const double less : {0.4, 0.1, 0.0}) {
         shorter.push_back({&m, less});
         windows.push_back(m.window), starts.push_back((*states)[m.window].col(0) + less * m.start);
       }
     }
+    simulated += windows.size();
     const std::vector<double> c = lin.Simulated(worker, windows, starts);
     for (size_t i = 0; i < shorter.size(); ++i) {
       auto& [m, less] = shorter[i];
@@ -223,6 +228,7 @@ void MoveStates(Lineariser& lin, int worker, int first, int last, const std::vec
           l.E[k].col(0) + l.E[k].middleCols(1, P) * step + l.E[k].rightCols(at.rows()) * (m.share * m.e0);
     }
   }
+  return simulated;
 }
 
 // The windows that are met worst start anew where that is nearer to the record: a motor that lies on the
@@ -364,12 +370,14 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       const VectorXd at_values = sysid::WithFitted(model.parameters, model.values, at);
       NodeStates nodes = states;
       std::vector<double> own(W);
+      std::vector<size_t> simulated(groups);
       lin.SetValues(model, at_values);
       sysid::ParallelFor(options.threads, groups, [&](int worker, int g) {
-        MoveStates(lin, worker, g * W / groups, (g + 1) * W / groups, linear, step,
-                   hidden ? adopted : std::vector<double>{}, &nodes, &own);
+        simulated[g] = MoveStates(lin, worker, g * W / groups, (g + 1) * W / groups, linear, step,
+                                  (hidden || it > 0) ? adopted : std::vector<double>{}, &nodes, &own);
       });
-      result.work += Work(data.Rows(), 0);
+      const size_t windows = std::accumulate(simulated.begin(), simulated.end(), size_t{0});
+      result.work += Work(data.Rows(), 0) * static_cast<double>(windows) / W;
       const double cost =
           std::accumulate(own.begin(), own.end(), 0.0) * inverse_scale + prior.dot((at - theta0).cwiseAbs2());
       const bool better = cost < least, known = least < best;

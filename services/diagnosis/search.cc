@@ -29,7 +29,6 @@ constexpr double kRivalShare = 0.25;  // of what parameters explain, by the scre
 constexpr int kMoreIterations = 14;   // of a fit that still falls
 constexpr double kFallsFast = 0.1;    // of the cost in one iteration, for a trial to go on
 constexpr double kTrialShare = 0.35;  // of all work, that the trials of one screen may cost
-constexpr double kNothing = 1.0;      // stddev from none at which an effect is about nothing
 constexpr double kPiece = 0.1;        // s
 constexpr double kHolds = 2.0;        // χ² per row below which a model's own states are trusted
 constexpr int kSentBack = 3;          // times that recordings kept aside may refuse an account
@@ -270,8 +269,8 @@ class Search {
       if (Late()) break;
       // Hidden states and unnamed forces fit nearly anything: an account with them has those with free
       // parameters as its rivals.
-      const bool pliant = std::any_of(winner.specs.begin(), winner.specs.end(), IsUnnamed) ||
-                          (winner.plant != nullptr && winner.plant->num_states() > 2 * data_.n);
+      const bool pliant =
+          HasUnnamed(winner) || (winner.plant != nullptr && winner.plant->num_states() > 2 * data_.n);
       if (base && !(best->base && pliant) && PerRow(winner) < kExplained &&
           winner.score > best->score + Threshold(*best, winner))
         break;
@@ -302,12 +301,14 @@ class Search {
       winner =
           freed.score > plain.score + std::max(Threshold(*best), Threshold(plain, freed)) ? freed : plain;
     }
-    // Fits with hidden states end before they are done: the old model has another try from where it is, or an
-    // addition would be credited with what a longer fit alone brings.
-    if (winner.score > best->score && best->fit.ok && best->plant->num_states() > 2 * data_.n) {
-      const Candidate longer = Evaluate(Refreshed(*best), best->base, best, 12);
+    // Fits with hidden states or free base parameters end before they are done: the old model has another try
+    // from where it or the winner is, or an addition would be credited with what a longer fit alone brings.
+    const bool freed = best->base && winner.base;
+    if (winner.score > best->score && best->fit.ok && (freed || best->plant->num_states() > 2 * data_.n)) {
+      const Candidate longer = Evaluate(Refreshed(*best), best->base, freed ? &winner : best, 12);
       if (longer.score > best->score) *best = longer;
     }
+    if (AddsNothing(*best, winner)) winner = *best;
     // The same effects, better fitted, need no more than to be better.
     const bool same = KeyOf(winner.specs) == KeyOf(best->specs) && winner.base == best->base;
     const double needed = same ? 1.0 : Threshold(*best, winner);
@@ -348,6 +349,10 @@ class Search {
   // χ² per row of an account that leaves next to nothing of what there was.
   double LeavesNothing(const SearchResult& out) const {
     return std::max(kExplained, 1 + 0.02 * (std::min(PerRow(out.nominal), PerRow(out.calibrated)) - 1));
+  }
+
+  static bool HasUnnamed(const Candidate& c) {
+    return std::any_of(c.specs.begin(), c.specs.end(), IsUnnamed);
   }
 
   // Whether the account is of forces over position that may be parts of an unnamed one.
@@ -444,13 +449,19 @@ class Search {
       const auto batch = fits_.Start(setting_, trials);
       const double on_windows = Fitted(trials[0], batch->Take(0)).score;
       const double on_pieces = trial.pieces_alone ? Fitted(trials[1], batch->Take(1)).score : on_windows;
+      bool met = false;
       for (size_t i = 2; i < trials.size() && !Late() && work_ <= enough; ++i) {
+        const Candidate start = Unfitted(setting_, trials[i].specs, base);
+        const bool whole = start.plant != nullptr && start.plant->num_states() > 2 * data_.n;
+        // Where a law of what is recorded meets it, hidden states have no part.
+        if (met && whole) continue;
         const Candidate c = Fitted(trials[i], batch->Take(i));
-        const bool whole = c.plant != nullptr && c.plant->num_states() > 2 * data_.n;
         const double before = whole ? on_windows : on_pieces;
         const bool better = c.fit.ok && c.score >= before;
         trace_.Fit(c, better ? "  ~" : "  -");
         if (better) ranked.push_back({c.score / std::min(before, -1.0), Refreshed(c)});
+        met = met || (better && !whole && !trial.pieces_alone && !HasUnnamed(c) &&
+                      lifted_.noise_scale * PerRow(c) < kExplained && PerRow(from) > kExplained);
       }
     }
     std::vector<FitRequest> best;

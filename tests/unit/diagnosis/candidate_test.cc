@@ -46,6 +46,14 @@ TEST(Candidate, IsNotSeenWhereItsMassVanishes) {
   EXPECT_TRUE(Unseen(c));
 }
 
+TEST(Candidate, AddsNothingWhereAllThatIsNewIsWithinItsError) {
+  Candidate c = Swinging();
+  EXPECT_FALSE(AddsNothing({}, c));
+  c.fit.stddev = 2 * c.fit.theta;
+  EXPECT_TRUE(AddsNothing({}, c));
+  EXPECT_FALSE(AddsNothing(c, c));
+}
+
 class Rippling : public ::testing::Test {
  protected:
   // `cycles` per turn, known to `error`, on a pendulum.
