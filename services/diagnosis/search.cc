@@ -30,6 +30,7 @@ constexpr int kMoreIterations = 14;   // of a fit that still falls
 constexpr double kFallsFast = 0.1;    // of the cost in one iteration, for a trial to go on
 constexpr double kTrialShare = 0.35;  // of all work, that the trials of one screen may cost
 constexpr double kPiece = 0.1;        // s
+constexpr double kNoisiest = 4.0;     // variance over the sensors' own: more is motion that no force follows
 constexpr double kHolds = 2.0;        // χ² per row below which a model's own states are trusted
 constexpr int kSentBack = 3;          // times that recordings kept aside may refuse an account
 constexpr double kExplained = 1.1;    // χ² per row at which nothing else is looked for in another world
@@ -59,7 +60,8 @@ class Search {
     const double stair = std::max(0.02, data_.recordings[0].recording->SamplePeriod());
     MissingForce missing = EstimateMissingForce(data_, bare, InitialStates(data_, bare, lifted_),
                                                 scales_.torque, stair, lifted_);
-    lifted_.noise_scale = std::max(1.0, missing.chi2 / std::max(1.0, missing.rows - missing.unknowns));
+    lifted_.noise_scale =
+        std::clamp(missing.chi2 / std::max(1.0, missing.rows - missing.unknowns), 1.0, kNoisiest);
     Tell("calibrate", 0.05, "");
     StartFromGiven();
     out.nominal = Evaluate(given_, false);

@@ -19,9 +19,10 @@ using effects::EffectSpec;
 using effects::MakeSpec;
 using nlohmann::json;
 
-DiagnosisResult Diagnosed(const recordings::RecordingSet& set) {
+DiagnosisResult Diagnosed(const recordings::RecordingSet& set,
+                          double work_limit = DiagnosisOptions{}.work_limit) {
   DiagnosisOptions options;
-  options.threads = 2;
+  options.threads = 2, options.work_limit = work_limit;
   auto result = Diagnose(set, options, RealClock());
   RG_CHECK(result.ok()) << result.status().ToString();
   return *result;
@@ -127,6 +128,20 @@ TEST(Diagnose, SaysOfAForceThatNoEffectHasThatItHasNoName) {
   EXPECT_EQ(r.findings[0].effect, "unknown_field");
   EXPECT_EQ(r.findings[0].joints, std::vector<std::string>{Pivot()});
   for (const Alternative& a : r.findings[0].alternatives) EXPECT_LT(a.evidence, 0) << a.effect;
+}
+
+TEST(Diagnose, MotionThatNoForceFollowsIsNoNoise) {
+  recordings::RecordingSet set = testing::MakeSet("pendulum", {}, 21);
+  // A ring near half the sampling rate, thirty times the noise.
+  for (recordings::Recording& r : set.recordings) {
+    const double omega = 2 * M_PI * 37, size = 30 * testing::kPositionNoise;
+    r.q.row(0).array() += size * (omega * r.t.transpose().array()).sin();
+    r.v.row(0).array() += size * omega * (omega * r.t.transpose().array()).cos();
+  }
+  const DiagnosisResult r = Diagnosed(set, 1e7);
+  EXPECT_LE(r.noise_scale, 4.0);
+  EXPECT_NE(r.verdict, "no_mismatch");
+  EXPECT_NE(r.verdict, "parameters_only");
 }
 
 TEST(Diagnose, NamesBothOfTwoEffects) {
