@@ -229,37 +229,36 @@ std::vector<std::vector<EffectSpec>> SpecsFor(const Scored& h, const sim::Plant&
   return {specs};
 }
 
-std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effect, int joint,
-                                                        const sim::Plant& nominal, const MotionScales& s,
-                                                        double added_inertia) {
+std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effect, const std::string& sensor,
+                                                        int joint, const sim::Plant& nominal,
+                                                        const MotionScales& s, double added_inertia) {
   std::vector<std::vector<EffectSpec>> out;
-  const double inertia = s.inertia[joint];
+  const double inertia = s.inertia[joint], range = std::max(0.05, s.high[joint] - s.low[joint]);
+  std::vector<double> motors = {0.15 * inertia, 0.4 * inertia};
   // Below its resonance the motor moves with the link: what the screen takes for more inertia is the motor.
-  const double J = added_inertia > 0.01 * inertia ? std::min(added_inertia, 2 * inertia) : 0.4 * inertia;
-  const double lighter = J * inertia / (J + inertia);
-  const std::string& name = nominal.joint_names()[joint];
-  const auto push = [&](EffectSpec spec, const char* sensor) {
+  if (added_inertia > 0.01 * inertia) motors.push_back(std::min(added_inertia, 2 * inertia));
+  const std::string& name = nominal.joint_names()[static_cast<size_t>(joint)];
+  const auto push = [&](const std::map<std::string, double>& values) {
+    EffectSpec spec = MakeSpec(effect, {name}, values);
     spec.options["sensor"] = sensor;
-    out.push_back({spec});
+    out.push_back({std::move(spec)});
   };
-  for (const char* sensor : {"link", "motor"}) {
+  for (const double J : motors) {
     if (effect == "backlash") {
-      for (const double gap : {0.003, 0.01, 0.03}) {
-        const double omega = 2 * M_PI * 30.0, k = omega * omega * lighter;
-        push(MakeSpec(effect, {name},
-                      {{"gap", gap},
-                       {"contact_stiffness", k},
-                       {"contact_damping", 0.4 * std::sqrt(k * lighter)},
-                       {"motor_inertia", J}}),
-             sensor);
+      // Soft faces: how hard they are a fit finds out, but not where motor and link meet.
+      const double omega = 2 * M_PI * 12.0, k = omega * omega * inertia;
+      for (const double share : {0.007, 0.02, 0.06, 0.16}) {
+        push({{"gap", share * range},
+              {"contact_stiffness", k},
+              {"contact_damping", 0.3 * std::sqrt(k * inertia)},
+              {"motor_inertia", J}});
       }
       continue;
     }
-    for (const double hertz : {6.0, 12.0, 24.0}) {
+    const double lighter = J * inertia / (J + inertia);
+    for (const double hertz : {5.0, 9.0, 16.0, 30.0}) {
       const double omega = 2 * M_PI * hertz, k = omega * omega * lighter;
-      push(MakeSpec(effect, {name},
-                    {{"stiffness", k}, {"damping", 0.2 * std::sqrt(k * lighter)}, {"motor_inertia", J}}),
-           sensor);
+      push({{"stiffness", k}, {"damping", 0.2 * std::sqrt(k * lighter)}, {"motor_inertia", J}});
     }
   }
   return out;

@@ -14,8 +14,11 @@ namespace rg::diagnosis {
 std::vector<std::vector<effects::EffectSpec>> SpecsFor(const Scored& hypothesis, const sim::Plant& nominal,
                                                        const MotionScales& scales);
 // Effects with hidden states or hidden geometry, which the screen cannot see; from several starts.
+// Spring ("joint_elasticity") or play ("backlash") with the encoder on the "link" or the "motor": a grid, for
+// fits of play end near where they start. A look at each tells which are worth a fit.
 // added_inertia: what the screen would add to the joint's inertia [kg·m²], 0 where it does not say.
-std::vector<std::vector<effects::EffectSpec>> TransmissionStarts(const std::string& effect, int joint,
+std::vector<std::vector<effects::EffectSpec>> TransmissionStarts(const std::string& effect,
+                                                                 const std::string& sensor, int joint,
                                                                  const sim::Plant& nominal,
                                                                  const MotionScales& scales,
                                                                  double added_inertia);

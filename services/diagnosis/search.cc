@@ -12,6 +12,7 @@
 #include "services/diagnosis/fit_requests.h"
 #include "services/diagnosis/given_model.h"
 #include "services/diagnosis/held_out_judge.h"
+#include "services/diagnosis/nearest_starts.h"
 #include "services/diagnosis/own_chi2.h"
 #include "services/diagnosis/screen_columns.h"
 #include "services/diagnosis/trace.h"
@@ -29,6 +30,7 @@ constexpr double kRivalShare = 0.25;  // of what parameters explain, by the scre
 constexpr int kMoreIterations = 14;   // of a fit that still falls
 constexpr double kFallsFast = 0.1;    // of the cost in one iteration, for a trial to go on
 constexpr double kTrialShare = 0.35;  // of all work, that the trials of one screen may cost
+constexpr size_t kSprings = 4;        // behind rotors, that are fitted
 constexpr double kPiece = 0.1;        // s
 constexpr double kNoisiest = 4.0;     // variance over the sensors' own: more is motion that no force follows
 constexpr double kHolds = 2.0;        // χ² per row below which a model's own states are trusted
@@ -292,8 +294,12 @@ class Search {
         continue;
       }
       const double wanted = rival ? kRivalShare * (best->score - from.score) : 1.0;
-      TryBest(from, Trials(data_, nominal_, scales_, from, screened, wanted, [&] { return Force(from); }),
-              base, base ? 3 : 4, &winner);
+      const auto nearest = [&](const std::vector<TrialSpecs>& starts, size_t count) {
+        return Looked(from, base, starts, count);
+      };
+      const auto pool = Trials(
+          data_, nominal_, scales_, from, screened, wanted, [&] { return Force(from); }, nearest);
+      TryBest(from, pool, base, base ? 3 : 4, &winner);
     }
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
       Siblings(*best, &winner);
@@ -429,6 +435,13 @@ class Search {
     return c.fit.chi2 / std::max(1, c.fit.rows) / lifted_.noise_scale;
   }
 
+  std::vector<TrialSpecs> Looked(const Candidate& from, bool base, const std::vector<TrialSpecs>& starts,
+                                 size_t count) {
+    const FitRequest look{Refreshed(from), base, lifted_, {}, 0, false, Start(&from, base)};
+    return NearestStarts(
+        fits_, setting_, look, from.fit.window_chi2, starts, count, [&] { return Late(); }, &work_);
+  }
+
   // Trials on some windows with few iterations; the best of them on all.
   void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base, size_t full,
                Candidate* winner) {
@@ -489,8 +502,9 @@ class Search {
         if (!tried_.count(key)) others.push_back(WholeFit(other, winner->base, Start(nullptr, winner->base)));
       }
     }
-    for (const TrialSpecs& other : SpringsBehind(specs, kinds, nominal_, scales_))
-      others.push_back(WholeFit(other, winner->base, Start(nullptr, winner->base)));
+    const auto springs = SpringsBehind(specs, kinds, nominal_, scales_);
+    for (const TrialSpecs& spring : Looked(*winner, winner->base, springs, kSprings))
+      others.push_back(WholeFit(Joined(specs, spring), winner->base, Start(nullptr, winner->base)));
     const auto batch = fits_.Start(setting_, others);
     for (size_t i = 0; i < others.size() && !Late(); ++i) {
       const Candidate c = Tried(others[i], batch->Take(i));

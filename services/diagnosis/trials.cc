@@ -8,7 +8,6 @@
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/push_starts.h"
-#include "services/diagnosis/transmission_starts.h"
 
 namespace rg::diagnosis {
 
@@ -16,14 +15,20 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr size_t kRotors = 2;  // the largest, behind which a spring is tried
-constexpr size_t kSets = 6;    // of joints, and as many pairs of effects
+constexpr size_t kNearest = 2;  // starts of a spring or play that are tried, for either place of the sensor
+constexpr size_t kRotors = 2;   // the largest, behind which a spring is tried
+constexpr size_t kSets = 6;     // of joints, and as many pairs of effects
 
 class TrialBuilder {
  public:
   TrialBuilder(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-               const Candidate& from, const ScreenResult& screened)
-      : data_(data), nominal_(nominal), scales_(scales), from_(from), screened_(screened) {}
+               const Candidate& from, const ScreenResult& screened, const Nearest& nearest)
+      : data_(data),
+        nominal_(nominal),
+        scales_(scales),
+        from_(from),
+        screened_(screened),
+        nearest_(nearest) {}
 
   std::vector<TrialSpecs> Run(double wanted, const std::function<MissingForce()>& force) {
     Singles(wanted);
@@ -145,10 +150,9 @@ class TrialBuilder {
         if (h.effect == "rotor_inertia" && h.joints == std::vector<int>{joints[i]})
           added += h.coefficients[0];
       }
-      const TransmissionRecord record(data_, from_, scales_, joints[i]);
       for (const char* id : {"joint_elasticity", "backlash"}) {
-        Push(record.Starts(id));
-        Push(TransmissionStarts(id, joints[i], nominal_, scales_, added));
+        for (const char* sensor : {"link", "motor"})
+          Push(nearest_(TransmissionStarts(id, sensor, joints[i], nominal_, scales_, added), kNearest));
       }
     }
   }
@@ -163,6 +167,7 @@ class TrialBuilder {
   const MotionScales& scales_;
   const Candidate& from_;
   const ScreenResult& screened_;
+  const Nearest& nearest_;
   std::vector<TrialSpecs> out_;
 };
 
@@ -170,8 +175,8 @@ class TrialBuilder {
 
 std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                                const Candidate& from, const ScreenResult& screened, double wanted,
-                               const std::function<MissingForce()>& force) {
-  return TrialBuilder(data, nominal, scales, from, screened).Run(wanted, force);
+                               const std::function<MissingForce()>& force, const Nearest& nearest) {
+  return TrialBuilder(data, nominal, scales, from, screened, nearest).Run(wanted, force);
 }
 
 std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, size_t count) {
@@ -217,9 +222,11 @@ std::vector<TrialSpecs> SpringsBehind(const TrialSpecs& specs, const std::set<st
                    [](const Rotor& a, const Rotor& b) { return a.share > b.share; });
   std::vector<TrialSpecs> out;
   for (size_t i = 0; i < std::min(kRotors, rotors.size()); ++i) {
-    for (const TrialSpecs& start :
-         TransmissionStarts("joint_elasticity", rotors[i].joint, nominal, scales, rotors[i].armature))
-      out.push_back(Joined(specs, start));
+    for (const char* sensor : {"link", "motor"}) {
+      for (TrialSpecs& start : TransmissionStarts("joint_elasticity", sensor, rotors[i].joint, nominal,
+                                                  scales, rotors[i].armature))
+        out.push_back(std::move(start));
+    }
   }
   return out;
 }

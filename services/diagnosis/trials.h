@@ -16,11 +16,14 @@ namespace rg::diagnosis {
 // Effects to add to a model, with start values.
 using TrialSpecs = std::vector<effects::EffectSpec>;
 
+// Of starts the so many that are nearest to the record.
+using Nearest = std::function<std::vector<TrialSpecs>(const std::vector<TrialSpecs>&, size_t)>;
+
 // `wanted`: hypotheses that the screen gives less are left out; above 1 also what it cannot see.
 // `force`: the missing force of `from`, asked for only where it is needed.
 std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                                const Candidate& from, const ScreenResult& screened, double wanted,
-                               const std::function<MissingForce()>& force);
+                               const std::function<MissingForce()>& force, const Nearest& nearest);
 
 // A trial that is better than the model it was added to.
 struct RankedTrial {
@@ -37,7 +40,7 @@ std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, size_t count);
 std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const sim::Plant& nominal,
                                   const MotionScales& scales);
 
-// `specs` with a spring behind one of its largest rotors, where rotors are `fresh` kinds of it: below its
+// Springs behind the largest rotors of `specs`, where rotors are `fresh` kinds of it: below its
 // resonance a motor behind a spring is a rotor, and what it is more no screen can see.
 std::vector<TrialSpecs> SpringsBehind(const TrialSpecs& specs, const std::set<std::string>& fresh,
                                       const sim::Plant& nominal, const MotionScales& scales);

@@ -3,12 +3,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
+#include <utility>
 
 #include "services/diagnosis/field_starts.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/push_starts.h"
 #include "services/diagnosis/search.h"
-#include "services/diagnosis/transmission_starts.h"
 #include "services/diagnosis/trials.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/simulated_set.h"
@@ -40,10 +41,11 @@ struct Case {
     const FitModel bare{nominal, nominal.parameters().Nominal(), {}};
     return EstimateMissingForce(data, bare, InitialStates(data, bare, {}), scales.torque, 0.05, {});
   }
-  FitResult FitOf(const std::vector<EffectSpec>& specs) const {
+  FitResult FitOf(const std::vector<EffectSpec>& specs, int iterations = 6) const {
     auto plant = sim::Plant::Create(nominal.shared_model(), nominal.options(), specs);
     RG_CHECK(plant.ok()) << plant.status().ToString();
-    return Fit(data, {*plant, plant->parameters().Nominal(), FreeParameters(*plant, scales, false)}, {});
+    return Fit(data, {*plant, plant->parameters().Nominal(), FreeParameters(*plant, scales, false)},
+               {.iterations = iterations});
   }
 };
 
@@ -99,25 +101,36 @@ TEST(FieldPairStart, FindsBothJointsOfASurfaceAndLeavesNothing) {
   EXPECT_LT(PerRow(fit) - 1, 0.05 * (bare - 1));
 }
 
-TEST(TransmissionRecord, FindsASpringFromTheMeasuredSideAlone) {
+// Of each place of the sensor the search fits the two that are nearest after one step.
+TEST(TransmissionStarts, OneOfTheTwoNearestLeadsToTheTruth) {
   const std::string joint = "elbow";
-  for (const std::string sensor : {"link", "motor"}) {
-    EffectSpec spring =
-        MakeSpec("joint_elasticity", {joint}, {{"stiffness", 40}, {"damping", 0.3}, {"motor_inertia", 0.03}});
-    spring.options["sensor"] = sensor;
-    const auto c = Case::Of("arm2", {spring}, 12);
-    Candidate bare;
-    bare.plant = std::make_shared<const sim::Plant>(c->nominal);
-    const TransmissionRecord record(c->data, bare, c->scales, 1);
-    double nearest = 1e9;
-    for (const auto& start : record.Starts("joint_elasticity")) {
-      if (start[0].options.at("sensor") != sensor) continue;
-      const auto& v = start[0].values.begin()->second;
-      nearest = std::min(nearest, std::max(std::abs(std::log(v.at("stiffness") / 40)),
-                                           std::abs(std::log(v.at("motor_inertia") / 0.03))));
+  const std::map<std::string, double> spring = {{"stiffness", 40}, {"damping", 0.3}, {"motor_inertia", 0.03}};
+  const std::map<std::string, double> play = {
+      {"gap", 0.05}, {"contact_stiffness", 400}, {"contact_damping", 1.0}, {"motor_inertia", 0.03}};
+  for (const auto& [effect, values] : {std::pair("joint_elasticity", spring), std::pair("backlash", play)}) {
+    for (const std::string sensor : {"link", "motor"}) {
+      EffectSpec truth = MakeSpec(effect, {joint}, values);
+      truth.options["sensor"] = sensor;
+      const auto c = Case::Of("arm2", {truth}, 12);
+      std::vector<std::pair<double, std::vector<EffectSpec>>> seen;
+      for (const auto& start : TransmissionStarts(effect, sensor, 1, c->nominal, c->scales, 0))
+        seen.push_back({c->FitOf(start, 0).chi2, start});
+      std::sort(seen.begin(), seen.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+      const double bare = PerRow(c->FitOf({}));
+      const double left =
+          std::min(PerRow(c->FitOf(seen[0].second, 20)), PerRow(c->FitOf(seen[1].second, 20)));
+      EXPECT_GT(bare, 3.0) << effect << " " << sensor;
+      EXPECT_LT(left - 1, 0.1 * (bare - 1)) << effect << " " << sensor;
     }
-    EXPECT_LT(nearest, std::log(1.3)) << sensor;
   }
+}
+
+TEST(Joined, ASpringTakesThePlaceOfACouplingThatEndsAtItsJoint) {
+  const auto into = MakeSpec("joint_coupling", {"shoulder", "elbow"}, {{"coefficient", 0.1}});
+  const auto from = MakeSpec("joint_coupling", {"elbow", "shoulder"}, {{"coefficient", 0.1}});
+  const auto spring = MakeSpec("joint_elasticity", {"elbow"});
+  EXPECT_EQ(Joined({into}, {spring}).size(), 1u);
+  EXPECT_EQ(Joined({from}, {spring}).size(), 2u);
 }
 
 TEST(StribeckStarts, CoverARangeOfSpeedsWithMoreFrictionAtRest) {
