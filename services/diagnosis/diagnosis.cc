@@ -23,6 +23,9 @@ namespace rg::diagnosis {
 
 namespace {
 
+constexpr double kBothSearches = 1.6;  // times the work limit, that two searches may take
+constexpr double kLeastWork = 0.6;     // times the work limit, that the second is given
+
 // What to record next, where a class holds more than one effect: a motion that can be made, or that none was
 // found.
 void SayWhatToRecord(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
@@ -91,7 +94,11 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
       RG_ASSIGN_OR_RETURN(data, PrepareData(*exchanged, nominal, options));
       data.held_out = PrepareHeldOut(*exchanged, data, nominal, options);
       scales = ScalesOf(data, nominal);
-      search = search_effects(data, nominal, scales, options, threads, clock, progress, cancel);
+      // What the first search has left of the work for both, but enough to find a law.
+      DiagnosisOptions rest = options;
+      const double left = std::clamp(kBothSearches - search.work / options.work_limit, kLeastWork, 1.0);
+      rest.work_limit = left * options.work_limit;
+      search = search_effects(data, nominal, scales, rest, threads, clock, progress, cancel);
       result.notes.push_back(name + " shows what the recordings to fit do not: it was fitted too" +
                              (given.Holdout().size() < 2 ? ", another kept aside in its place" : ""));
     }

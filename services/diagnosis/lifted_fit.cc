@@ -25,8 +25,8 @@ constexpr double kLeastTaken = 0.1;  // of a trust region, for the next one
 constexpr double kOtherStep = 2e-4;  // s, see StepRuleResiduals
 constexpr int kScreenParts = 16;
 constexpr double kUnusual = 1.5;  // times the middle χ² of windows, from where they start anew
-constexpr int kFaces = 10;        // what that costs on average, in simulations of all windows
-constexpr int kTogether = 8;      // windows that are simulated side by side
+constexpr int kFaces = 10;    // what that costs, in simulations of all windows; twice that of every window
+constexpr int kTogether = 8;  // windows that are simulated side by side
 
 // Rows of [J | r] orthogonal to J_e; also the factorisation to find e_0 later.
 struct Projected {
@@ -297,6 +297,8 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   std::vector<MatrixXd> grams(W);
   std::vector<double> adopted(W);
   const bool hidden = nx > 2 * n;
+  if (hidden && from == nullptr)
+    result.work += (1 + (lin.has_gaps() ? 2 * kFaces : 0)) * Work(data.Rows(), 0);
   const int groups = (W + kTogether - 1) / kTogether;
   const std::vector<int> sensed = SensedMotors(model.plant);
   // What the cost falls by against the best so far, which the new state takes the place of if it does.

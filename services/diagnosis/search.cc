@@ -90,7 +90,7 @@ class Search {
     std::sort(out.tried.begin(), out.tried.end(),
               [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
     out.null_gain = acceptance_.null_gain();
-    out.noise_scale = lifted_.noise_scale;
+    out.noise_scale = lifted_.noise_scale, out.work = work_;
     Tell("locate", 0.95, "");
     const Candidate without = Better(out.nominal, out.calibrated);
     out.threshold = Threshold(out.nominal, out.calibrated);

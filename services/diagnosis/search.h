@@ -41,6 +41,7 @@ struct SearchResult {
   double threshold = 0;  // log evidence that an addition must bring
   double beside = 0;     // log evidence that free base parameters beside the best's effects must bring
   double noise_scale = 1;
+  double work = 0;  // of all fits
   // Of the recordings kept aside (held_out) the one that shows what the fitted ones, which an account meets,
   // do not: a limit that only it reaches, a place where only it has been. −1: none.
   int unseen_in = -1;
