@@ -10,8 +10,10 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr double kFormError = 0.01;   // share of what effects explain that a neighbour's form may be worth
-constexpr double kMostOfIt = 0.5;     // share of what is left that no matter of form takes
+constexpr double kFormError = 0.01;  // share of what effects explain that a neighbour's form may be worth
+constexpr double kAmplitude =
+    1e-4;                          // the same whatever is left: 1 % of an amplitude is within any simulation
+constexpr double kMostOfIt = 0.5;  // share of what is left that no matter of form takes
 constexpr double kSimplerOdds = 3.0;  // log odds: 20 to 1
 
 std::string Joined(const std::set<std::string>& joints) {
@@ -31,6 +33,8 @@ std::map<std::string, std::set<std::string>> Added(const Candidate& best, const 
   }
   return fresh;
 }
+
+size_t Names(const Candidate& c) { return FreshKinds(Candidate{}, c).size() + (c.base ? 1 : 0); }
 
 }  // namespace
 
@@ -53,7 +57,8 @@ void Acceptance::NoteBase(const FitData& data, const Candidate& calibrated, cons
 double Acceptance::Needed(const Candidate& best, double explained, double at_stake) const {
   // What is left above the noise is itself known to the scatter of χ² only.
   const double left = std::max(0.0, at_stake) + std::sqrt(0.5 * best.fit.rows);
-  const double form = best.specs.empty() ? 0.0 : std::min(kFormError * explained, kMostOfIt * left);
+  double form = std::min(kFormError * explained, kMostOfIt * left);
+  form = best.specs.empty() ? 0.0 : std::max(form, kAmplitude * explained);
   return std::max({1.0, null_gain_ - kEffectPrior, form});
 }
 
@@ -77,6 +82,17 @@ double Acceptance::StepRule(const std::string& id, const std::string& joints) co
     any = std::max(any, value);
   }
   return same >= 0 ? same : any;
+}
+
+const Candidate* FewerNames(const std::map<std::string, Candidate>& tried, const Candidate& before,
+                            const Candidate& winner,
+                            const std::function<double(const Candidate&, const Candidate&)>& needed) {
+  const Candidate* best = nullptr;
+  for (const auto& [key, c] : tried) {
+    if (!c.fit.ok || Names(c) >= Names(winner) || (best != nullptr && c.score < best->score)) continue;
+    if (c.score > before.score + needed(before, c) && winner.score <= c.score + needed(c, winner)) best = &c;
+  }
+  return best;
 }
 
 }  // namespace rg::diagnosis

@@ -4,13 +4,15 @@
 //
 // chance: what the best of all hypotheses gains from noise alone in 2 % of recordings (screening.h draws
 // them), or what the idealised form of the effects found so far may leave: 1 % of what they explain, but an
-// addition that takes half of all that is left above the noise is no matter of form. Free base parameters
-// beside effects are such an addition too.
+// addition that takes half of all that is left above the noise is no matter of form, unless it is worth less
+// than 1e-4 of it, which is what an error of 1 % in an amplitude makes. Free base parameters beside effects
+// are such an addition too.
 //
 // rule: what the same effect on the same joints, or free base parameters, would gain from another step rule
 // alone (StepRuleResiduals). Amplitudes add, so their squares, the nats, add like this.
 #pragma once
 
+#include <functional>
 #include <map>
 #include <string>
 #include <vector>
@@ -42,5 +44,13 @@ class Acceptance {
   double base_rule_ = 0;                     // √(2 nats)
   std::map<std::string, double> step_rule_;  // √(2 nats) of every hypothesis screened, by effect and joints
 };
+
+// Of all that were tried the best with fewer names than `winner` (free base parameters are one) that is a
+// better account than `before` and which `winner` does not beat by what its further names need; null: none.
+// It need not be a part of the winner: two laws together may bend into the shape of a third. needed(a, b):
+// log evidence that b must bring in place of a.
+const Candidate* FewerNames(const std::map<std::string, Candidate>& tried, const Candidate& before,
+                            const Candidate& winner,
+                            const std::function<double(const Candidate&, const Candidate&)>& needed);
 
 }  // namespace rg::diagnosis

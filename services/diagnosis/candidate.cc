@@ -172,11 +172,26 @@ bool OneOfMany(const std::vector<EffectSpec>& specs, size_t i) {
              1;
 }
 
+bool SurelyThere(const Candidate& c, size_t i, double needed) {
+  const double strength = Strength(c, i);
+  if (strength <= 4.0) return false;
+  return !OneOfMany(c.specs, i) ||
+         (c.specs[i].id != "torque_saturation" && 0.5 * strength * strength > 2 * needed);
+}
+
 std::set<std::string> FreshKinds(const Candidate& before, const Candidate& c) {
   std::set<std::string> out;
   for (const EffectSpec& s : c.specs) out.insert(s.id);
   for (const EffectSpec& s : before.specs) out.erase(s.id);
   return out;
+}
+
+bool HasUnnamed(const Candidate& c) { return std::any_of(c.specs.begin(), c.specs.end(), IsUnnamed); }
+
+bool OfPosition(const Candidate& c) {
+  return std::any_of(c.specs.begin(), c.specs.end(), [](const EffectSpec& e) {
+    return e.id == "unknown_field" || e.id == "position_spring" || e.id == "torque_ripple";
+  });
 }
 
 }  // namespace rg::diagnosis

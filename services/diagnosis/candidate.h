@@ -64,7 +64,16 @@ bool AddsNothing(const Candidate& before, const Candidate& c);
 // lags are not: those are of what drives or reads all joints.
 bool OneOfMany(const std::vector<effects::EffectSpec>& specs, size_t i);
 
+// Whether a fit without effect i is not worth its cost: its strength is not within a few stddev of nothing,
+// nor, as one joint's share, of what needs `needed` nats. A limit's strength is not known: it is nothing
+// where it is high.
+bool SurelyThere(const Candidate& c, size_t i, double needed);
+
 // Kinds of effects that `c` has and `before` has not.
 std::set<std::string> FreshKinds(const Candidate& before, const Candidate& c);
+// Whether it has a force without a name.
+bool HasUnnamed(const Candidate& c);
+// Whether the account is of forces over position that may be parts of an unnamed one.
+bool OfPosition(const Candidate& c);
 
 }  // namespace rg::diagnosis

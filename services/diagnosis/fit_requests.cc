@@ -8,8 +8,6 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr double kLonger = 2.2;  // times from one length of pieces to the next
-
 // Base parameters found without a spring are bent by what it does, those of the URDF are not theirs: on from
 // whichever is nearer after one step.
 FitResult FitFromEither(const FitData& data, FitModel model, const LiftedOptions& options) {
@@ -43,8 +41,8 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
   const bool hidden = c.plant->num_states() > 2 * data.n;
   FitResult fit;
   double work = 0;
-  for (double piece = hidden ? 0 : request.piece_s; piece > 0; piece *= kLonger) {
-    if (piece > data.nodes.window_s / 1.5) break;
+  for (double piece = hidden ? 0 : request.piece_s; piece > 0; piece *= kLongerPiece) {
+    if (piece > kLongestPiece * data.nodes.window_s) break;
     FitData pieces = data;
     pieces.windows = InPieces(data.windows, piece, data.noise);
     fit = Fit(pieces, model, request.options);

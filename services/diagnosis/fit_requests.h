@@ -12,6 +12,9 @@
 
 namespace rg::diagnosis {
 
+inline constexpr double kLongerPiece = 2.2;         // times from one length of pieces to the next
+inline constexpr double kLongestPiece = 1.0 / 1.5;  // of a window
+
 struct FitRequest {
   std::vector<effects::EffectSpec> specs;  // with start values
   bool base = false;                       // base parameters free

@@ -23,6 +23,8 @@ constexpr double kThrown = 1.1;      // times its χ² so far, at which a window
 constexpr double kAsExpected = 1.3;  // times what the linear model says, which a step may cost
 constexpr double kLeastTaken = 0.1;  // of a trust region, for the next one
 constexpr double kOtherStep = 2e-4;  // s, see StepRuleResiduals
+constexpr double kStandsOut = 4.0;   // times the median of all windows' χ², or what noise leaves
+constexpr int kPatience = 3;         // iterations before windows are taken for lost
 constexpr int kScreenParts = 16;
 constexpr double kUnusual = 1.5;  // times the middle χ² of windows, from where they start anew
 constexpr int kFaces = 10;    // what that costs, in simulations of all windows; twice that of every window
@@ -248,6 +250,23 @@ void ChooseFaces(const FitData& data, Lineariser& lin, const std::vector<int>& s
   });
 }
 
+// Noise throws a joint off that rests at a window's start. Windows that stand out, counted, are tried anew.
+size_t TryRecordedStarts(Lineariser& lin, const FitData& data, int threads, NodeStates* states,
+                         std::vector<double>* chi2) {
+  const int W = static_cast<int>(chi2->size());
+  std::vector<double> sorted = *chi2;
+  std::nth_element(sorted.begin(), sorted.begin() + W / 2, sorted.end());
+  std::vector<int> lost;
+  for (int w = 0; w < W; ++w) {
+    if ((*chi2)[w] > kStandsOut * std::max(sorted[W / 2], static_cast<double>(lin.RowsOf(data.windows[w]))))
+      lost.push_back(w);
+  }
+  sysid::ParallelFor(threads, static_cast<int>(lost.size()), [&](int worker, int i) {
+    lin.TryRecordedStart(worker, lost[i], &(*states)[lost[i]], &(*chi2)[lost[i]]);
+  });
+  return lost.size();
+}
+
 }  // namespace
 
 NodeStates CarriedStates(const FitData& data, const FitModel& to, const sim::Plant& from,
@@ -379,7 +398,8 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
                                   (hidden || it > 0) ? adopted : std::vector<double>{}, &nodes, &own);
       });
       const size_t windows = std::accumulate(simulated.begin(), simulated.end(), size_t{0});
-      result.work += Work(data.Rows(), 0) * static_cast<double>(windows) / W;
+      const size_t again = it < kPatience ? 0 : TryRecordedStarts(lin, data, options.threads, &nodes, &own);
+      result.work += Work(data.Rows(), 0) * static_cast<double>(windows + 2 * again) / W;
       const double cost =
           std::accumulate(own.begin(), own.end(), 0.0) * inverse_scale + prior.dot((at - theta0).cwiseAbs2());
       const bool better = cost < least, known = least < best;

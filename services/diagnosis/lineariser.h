@@ -223,6 +223,25 @@ class Lineariser {
     return Residuals(index, w.out);
   }
 
+  // Starts a window where it was recorded, or at the speeds recorded there, if it is nearer to the record
+  // from there: its states become what is simulated, nx × (N + 1).
+  void TryRecordedStart(int worker, int index, MatrixXd* states, double* chi2) {
+    const NodeWindow& window = data_.windows[index];
+    VectorXd speeds = states->col(0);
+    if (!speeds.allFinite()) return;
+    speeds.segment(n_, n_) = window.v0.col(0);
+    VectorXd all = speeds;
+    all.head(n_) = window.q0.col(0);
+    const std::vector<double> c = Simulated(worker, {index, index}, {speeds, all});
+    const double best = std::min(c[0], c[1]);
+    if (!(best < *chi2)) return;
+    Worker& w = *workers_[worker];
+    SetState(c[1] < c[0] ? all : speeds, window.t[0], &w.x);
+    w.simulator.SimulateInto(w.x, data_.recordings[window.recording].command, window.t, {}, &w.out);
+    if (!w.out.outcome.ok() || !w.out.state.allFinite()) return;
+    *states = w.out.state, *chi2 = best;
+  }
+
   // States of a window simulated node by node from x_0, in place: what is recorded stays as recorded, what is
   // hidden is carried on. Behind an encoder on the motor the link is the hidden one.
   void CarryHidden(int worker, const NodeWindow& window, const std::vector<int>& motor, MatrixXd* states) {

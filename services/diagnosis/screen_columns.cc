@@ -7,6 +7,17 @@ namespace rg::diagnosis {
 
 using effects::EffectSpec;
 
+std::vector<effects::EffectSpec> WithProbes(const std::vector<effects::EffectSpec>& held,
+                                            const std::vector<std::string>& joints) {
+  std::vector<effects::EffectSpec> out = held;
+  for (const std::string& joint : joints) {
+    for (const char* probe : {"encoder_offset", "sensor_delay"}) {
+      if (!Contains(held, probe, joint)) out.push_back(effects::MakeSpec(probe, {joint}));
+    }
+  }
+  return out;
+}
+
 std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const MotionScales& scales,
                                            const std::vector<EffectSpec>& held,
                                            std::vector<sysid::FitParameter>* parameters) {

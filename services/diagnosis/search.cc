@@ -126,8 +126,8 @@ class Search {
   // A model that fits better than any force on the old one could: the noise is less than was thought. All
   // scores are brought to it.
   void LowerNoise(Candidate* best, SearchResult* out) {
-    const double dof = best->fit.rows - 2.0 * data_.n * static_cast<double>(data_.windows.size());
-    const double scale = std::max(1.0, std::min(lifted_.noise_scale, best->fit.chi2 / std::max(1.0, dof)));
+    const double own = best->fit.chi2 / std::max(1.0, Noise(*best));
+    const double scale = std::max(1.0, std::min(lifted_.noise_scale, own));
     const double change = 0.5 * (1.0 / scale - 1.0 / lifted_.noise_scale);
     if (change < 1e-3) return;
     lifted_.noise_scale = scale;
@@ -145,7 +145,6 @@ class Search {
            (options_.time_limit_s > 0 && trace_.Elapsed() > options_.time_limit_s);
   }
   static const Candidate& Better(const Candidate& a, const Candidate& b) { return b.score > a.score ? b : a; }
-
   MissingForce Force(const Candidate& c) {
     const FitModel model{*c.plant, c.fit.values, {}};
     return EstimateMissingForce(data_, model, InitialStates(data_, model, lifted_), scales_.torque, kSegment,
@@ -213,14 +212,9 @@ class Search {
   }
 
   ScreenResult ScreenAround(const Candidate& current, bool base) {
-    std::vector<EffectSpec> specs = Refreshed(current);
-    const std::vector<EffectSpec> own = specs;
-    for (const std::string& joint : nominal_.joint_names()) {
-      if (!Contains(own, "encoder_offset", joint))
-        specs.push_back(effects::MakeSpec("encoder_offset", {joint}));
-      if (!Contains(own, "sensor_delay", joint)) specs.push_back(effects::MakeSpec("sensor_delay", {joint}));
-    }
-    auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), specs);
+    const std::vector<EffectSpec> own = Refreshed(current);
+    auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(),
+                                    WithProbes(own, nominal_.joint_names()));
     if (!plant.ok()) return {};
     std::vector<sysid::FitParameter> parameters;
     auto columns = ScreenColumns(*plant, scales_, own, &parameters);
@@ -253,22 +247,21 @@ class Search {
   }
   // Log evidence that the effects of a candidate bring.
   double Explained(const Candidate& c) const {
-    const auto without = tried_.find(KeyOf(given_) + (c.base ? "+base" : ""));
-    return FoundNothing(c) || without == tried_.end() ? 0.0 : c.score - without->second.score;
+    const Candidate* without = Known(given_, c.base);
+    return FoundNothing(c) || without == nullptr ? 0.0 : c.score - without->score;
   }
-  // Whether its effects are those of the given model.
   bool FoundNothing(const Candidate& c) const { return KeyOf(c.specs) == KeyOf(given_); }
 
-  // The most that any addition could bring: half of χ² above what noise alone leaves.
-  double AtStake(const Candidate& c) const {
-    const double noise = c.fit.rows - 2.0 * data_.n * static_cast<double>(data_.windows.size());
-    return 0.5 * (c.fit.chi2 / lifted_.noise_scale - noise);
+  double Noise(const Candidate& c) const {  // χ² that it alone leaves
+    return c.fit.rows - 2.0 * data_.n * static_cast<double>(data_.windows.size());
   }
+  // The most that any addition could bring: half of χ² above what noise alone leaves.
+  double AtStake(const Candidate& c) const { return 0.5 * (c.fit.chi2 / lifted_.noise_scale - Noise(c)); }
 
   bool AddOne(Candidate* best) {
     Tell("screen", 0.1 + 0.2 * round_, KeyOf(best->specs));
     Candidate winner = *best;
-    if (OtherWorld(*best) == nullptr) Evaluate(Refreshed(*best), !best->base, best);
+    if (Known(best->specs, !best->base) == nullptr) Evaluate(Refreshed(*best), !best->base, best);
     for (const bool base : {false, true}) {
       if (Late()) break;
       // Hidden states and unnamed forces fit nearly anything: an account with them has those with free
@@ -278,7 +271,7 @@ class Search {
       if (base && !(best->base && pliant) && PerRow(winner) < kExplained &&
           winner.score > best->score + Threshold(*best, winner))
         break;
-      const Candidate* own = base == best->base ? best : OtherWorld(*best);
+      const Candidate* own = base == best->base ? best : Known(best->specs, !best->base);
       if (own == nullptr || !own->fit.ok) continue;
       // Parameters explain much: only what explains it as well with less is of interest.
       const bool rival = !base && best->base &&
@@ -302,6 +295,7 @@ class Search {
       TryBest(from, pool, base, base ? 3 : 4, &winner);
     }
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
+      Restart(&winner);
       Siblings(*best, &winner);
       const Candidate twin = Evaluate(Refreshed(winner), !winner.base, &winner);
       const Candidate& plain = winner.base ? twin : winner;
@@ -309,13 +303,13 @@ class Search {
       winner =
           freed.score > plain.score + std::max(Threshold(*best), Threshold(plain, freed)) ? freed : plain;
     }
+    const auto needs = [&](const Candidate& a, const Candidate& b) { return Threshold(a, b); };
+    if (const Candidate* fewer = FewerNames(tried_, *best, winner, needs)) winner = Longer(*fewer, *fewer);
     // Fits with hidden states or free base parameters end before they are done: the old model has another try
     // from where it or the winner is, or an addition would be credited with what a longer fit alone brings.
     const bool freed = best->base && winner.base;
-    if (winner.score > best->score && best->fit.ok && (freed || best->plant->num_states() > 2 * data_.n)) {
-      const Candidate longer = Evaluate(Refreshed(*best), best->base, freed ? &winner : best, 12);
-      if (longer.score > best->score) *best = longer;
-    }
+    if (winner.score > best->score && best->fit.ok && (freed || best->plant->num_states() > 2 * data_.n))
+      *best = Longer(*best, freed ? winner : *best);
     if (AddsNothing(*best, winner)) winner = *best;
     // The same effects, better fitted, need no more than to be better.
     const bool same = KeyOf(winner.specs) == KeyOf(best->specs) && winner.base == best->base;
@@ -335,9 +329,14 @@ class Search {
     return accept;
   }
 
-  // Of several effects added at once each must be worth its name.
+  Candidate Longer(const Candidate c, const Candidate from) {
+    return Better(c, Evaluate(Refreshed(c), c.base, &from, 12));
+  }
+
+  // Of several effects added at once each must be worth its name; when there is no time left, beside what
+  // was tried already.
   Candidate Justified(const Candidate& before, Candidate winner) {
-    while (!Late()) {
+    while (!Cancelled()) {
       const std::set<std::string> fresh = FreshKinds(before, winner);
       if (fresh.size() < 2) return winner;
       Candidate fewer = winner;
@@ -345,8 +344,9 @@ class Search {
       for (const std::string& id : fresh) {
         std::vector<EffectSpec> specs = Refreshed(winner);
         std::erase_if(specs, [&](const EffectSpec& s) { return s.id == id; });
-        const Candidate c = Evaluate(specs, winner.base, &winner);
-        if (c.score > fewer.score) fewer = c;
+        const Candidate* known = Known(specs, winner.base);
+        if (Late() && known == nullptr) continue;
+        fewer = Better(fewer, Late() ? *known : Evaluate(specs, winner.base, &winner));
       }
       if (winner.score > fewer.score + Threshold(fewer, winner)) return winner;
       winner = fewer;
@@ -357,17 +357,6 @@ class Search {
   // χ² per row of an account that leaves next to nothing of what there was.
   double LeavesNothing(const SearchResult& out) const {
     return std::max(kExplained, 1 + 0.02 * (std::min(PerRow(out.nominal), PerRow(out.calibrated)) - 1));
-  }
-
-  static bool HasUnnamed(const Candidate& c) {
-    return std::any_of(c.specs.begin(), c.specs.end(), IsUnnamed);
-  }
-
-  // Whether the account is of forces over position that may be parts of an unnamed one.
-  static bool OfPosition(const Candidate& c) {
-    return std::any_of(c.specs.begin(), c.specs.end(), [](const EffectSpec& e) {
-      return e.id == "unknown_field" || e.id == "position_spring" || e.id == "torque_ripple";
-    });
   }
 
   // The ceiling: one unnamed force over two joints' positions, or one joint's, in the
@@ -386,19 +375,19 @@ class Search {
     std::vector<Candidate> out;
     Tell("flexible", 0.3 + 0.15 * round_, KeyOf(best.specs));
     for (const bool base : {false, true}) {
-      const auto from = tried_.find(KeyOf(given_) + (base ? "+base" : ""));
-      if (from == tried_.end() || !from->second.fit.ok) continue;
+      const Candidate* from = Known(given_, base);
+      if (from == nullptr || !from->fit.ok) continue;
       // Free base parameters only where they are part of the account.
       if (base && !best.base) continue;
-      const MissingForce force = Force(from->second);
+      const MissingForce force = Force(*from);
       for (const std::string& variable : variables) {
         const auto spec = variable == "position" && data_.n > 1
                               ? FieldPairStart(data_, nominal_, scales_, force)
                               : FieldStart(data_, nominal_, scales_, force, variable);
         if (!spec) continue;
         const std::vector<EffectSpec> specs = Joined(given_, {*spec});
-        const auto done = tried_.find(KeyOf(specs) + (base ? "+base" : ""));
-        out.push_back(done != tried_.end() ? done->second : Evaluate(specs, base));
+        const Candidate* done = Known(specs, base);
+        out.push_back(done != nullptr ? *done : Evaluate(specs, base));
       }
     }
     return out;
@@ -414,8 +403,7 @@ class Search {
     for (int sent = 0; named && sent < kSentBack && !Late() && !judge.Holds(*best, Threshold(*best));
          ++sent) {
       Unnamed(*best, {"position", "velocity"});
-      const auto needed = [&](const Candidate& c) { return Threshold(*best, c); };
-      const auto rival = judge.Better(*best, tried_, needed);
+      const auto rival = judge.Better(*best, tried_, [&](const Candidate& c) { return Threshold(*best, c); });
       if (!rival) break;
       out->sent_back = true;
       Tell("sent back", 0.9, KeyOf(best->specs) + "for " + KeyOf(rival->specs));
@@ -442,6 +430,17 @@ class Search {
         fits_, setting_, look, from.fit.window_chi2, starts, count, [&] { return Late(); }, &work_);
   }
 
+  // The shortest pieces over which a model without what is missing is seen not to hold: shorter ones hide it
+  // from every trial. 0: whole windows.
+  double TellingPiece(FitRequest trial) {
+    trial.pieces_alone = true;
+    for (double piece = kPiece; piece < kLongestPiece * data_.nodes.window_s; piece *= kLongerPiece) {
+      trial.piece_s = piece;
+      if (PerRow(Fitted(trial, fits_.Start(setting_, {trial})->Take(0))) > kHolds) return piece;
+    }
+    return 0;
+  }
+
   // Trials on some windows with few iterations; the best of them on all.
   void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base, size_t full,
                Candidate* winner) {
@@ -452,13 +451,13 @@ class Search {
     // Whole windows, or pieces of them where only pieces are met, but not for hidden states, which need whole
     // windows: each has its own reference.
     std::vector<FitRequest> trials = {trial};
-    if (FromPieces(trial)) trial.piece_s = kPiece, trial.pieces_alone = true;
+    if (FromPieces(trial)) trial.piece_s = TellingPiece(trial), trial.pieces_alone = trial.piece_s > 0;
     trials.push_back(trial);
     for (const TrialSpecs& start : pool) {
       trial.specs = Joined(Refreshed(from), start);
       trials.push_back(trial);
     }
-    std::vector<RankedTrial> ranked;
+    std::vector<RankedTrial> ranked, hidden;
     const double enough = work_ + kTrialShare * options_.work_limit;
     {
       const auto batch = fits_.Start(setting_, trials);
@@ -474,19 +473,27 @@ class Search {
         const double before = whole ? on_windows : on_pieces;
         const bool better = c.fit.ok && c.score >= before;
         trace_.Fit(c, better ? "  ~" : "  -");
-        if (better) ranked.push_back({c.score / std::min(before, -1.0), Refreshed(c)});
+        auto& list = whole && trial.pieces_alone ? hidden : ranked;
+        if (better) list.push_back({c.score / std::min(before, -1.0), Refreshed(c)});
         met = met || (better && !whole && !trial.pieces_alone && !HasUnnamed(c) &&
                       lifted_.noise_scale * PerRow(c) < kExplained && PerRow(from) > kExplained);
       }
     }
     std::vector<FitRequest> best;
-    for (const TrialSpecs& specs : BestOf(std::move(ranked), full))
+    for (const TrialSpecs& specs : BestOf(std::move(ranked), std::move(hidden), full))
       best.push_back(WholeFit(specs, base, trial.from));
     const auto batch = fits_.Start(setting_, best);
-    for (size_t i = 0; i < best.size() && (i == 0 || !Late()); ++i) {
-      const Candidate c = Tried(best[i], batch->Take(i));
-      if (c.score > winner->score) *winner = c;
-    }
+    for (size_t i = 0; i < best.size() && (i == 0 || !Late()); ++i)
+      *winner = Better(*winner, Tried(best[i], batch->Take(i)));
+  }
+
+  // A winner that does not hold may lack another effect, or its fit got stuck on its way from base parameters
+  // that had taken its effects' place: it has another try from nominal ones, over pieces.
+  void Restart(Candidate* winner) {
+    if (PerRow(*winner) < kHolds || Late()) return;
+    FitRequest request = WholeFit(Refreshed(*winner), winner->base, nullptr);
+    request.piece_s = kPiece;
+    *winner = Better(*winner, Tried(request, fits_.Start(setting_, {request})->Take(0)));
   }
 
   // The winner with each new kind of effect, or its newest, exchanged for what it is easily taken for.
@@ -498,22 +505,20 @@ class Search {
     std::vector<FitRequest> others;
     for (const std::string& kind : kinds) {
       for (const TrialSpecs& other : Exchanges(specs, kind, nominal_, scales_)) {
-        const std::string key = KeyOf(other) + (winner->base ? "+base" : "");
-        if (!tried_.count(key)) others.push_back(WholeFit(other, winner->base, Start(nullptr, winner->base)));
+        if (Known(other, winner->base) == nullptr)
+          others.push_back(WholeFit(other, winner->base, Start(nullptr, winner->base)));
       }
     }
     const auto springs = SpringsBehind(specs, kinds, nominal_, scales_);
     for (const TrialSpecs& spring : Looked(*winner, winner->base, springs, kSprings))
       others.push_back(WholeFit(Joined(specs, spring), winner->base, Start(nullptr, winner->base)));
     const auto batch = fits_.Start(setting_, others);
-    for (size_t i = 0; i < others.size() && !Late(); ++i) {
-      const Candidate c = Tried(others[i], batch->Take(i));
-      if (c.score > winner->score) *winner = c;
-    }
+    for (size_t i = 0; i < others.size() && !Late(); ++i)
+      *winner = Better(*winner, Tried(others[i], batch->Take(i)));
   }
 
-  const Candidate* OtherWorld(const Candidate& c) const {
-    const auto it = tried_.find(KeyOf(c.specs) + (c.base ? "" : "+base"));
+  const Candidate* Known(const std::vector<EffectSpec>& specs, bool base) const {
+    const auto it = tried_.find(KeyOf(specs) + (base ? "+base" : ""));
     return it == tried_.end() ? nullptr : &it->second;
   }
 
@@ -523,18 +528,14 @@ class Search {
     for (size_t i = 0; i < best->specs.size(); ++i) {
       if (Strength(*best, i) > kNothing) strong.push_back(Refreshed(*best)[i]);
     }
-    if (!strong.empty() && strong.size() + 1 < best->specs.size() && !Late()) {
-      const Candidate c = Evaluate(strong, best->base, best);
-      if (c.score > best->score) *best = c;
-    }
+    if (!strong.empty() && strong.size() + 1 < best->specs.size() && !Late())
+      *best = Better(*best, Evaluate(strong, best->base, best));
     bool changed = true;
     while (changed && best->specs.size() > 1 && !Late()) {
       changed = false;
       for (size_t i = 0; i < best->specs.size() && !changed; ++i) {
         const bool of_group = OneOfMany(best->specs, i);
-        // Worth a fit only if its strength is within a few stddev of nothing, or of what its form may leave.
-        const double strength = Strength(*best, i);
-        if (strength > 4.0 && (!of_group || 0.5 * strength * strength > 2 * Threshold(*best))) continue;
+        if (SurelyThere(*best, i, Threshold(*best))) continue;
         std::vector<EffectSpec> specs = Refreshed(*best);
         specs.erase(specs.begin() + static_cast<long>(i));
         const Candidate c = Evaluate(specs, best->base, best, 4);
@@ -554,10 +555,10 @@ class Search {
         s = Exchanged(s, "coulomb_friction", nominal_, scales_), any = true;
       }
       if (!any || Late()) continue;
-      const auto known = tried_.find(KeyOf(specs) + (best->base ? "+base" : ""));
+      const Candidate* known = Known(specs, best->base);
       // What it holds as a special case cannot be better: the plain one's fit had not found its way.
-      const bool done = known != tried_.end() && known->second.score >= best->score;
-      const Candidate plain = done ? known->second : Evaluate(specs, best->base, best);
+      const bool done = known != nullptr && known->score >= best->score;
+      const Candidate plain = done ? *known : Evaluate(specs, best->base, best);
       const double needed = Threshold(plain, *best);
       if (best->score >= plain.score + needed) continue;
       // What the form may pretend is not held for it when rivals are weighed.

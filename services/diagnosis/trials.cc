@@ -179,13 +179,20 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
   return TrialBuilder(data, nominal, scales, from, screened, nearest).Run(wanted, force);
 }
 
-std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, size_t count) {
-  std::stable_sort(trials.begin(), trials.end(),
-                   [](const RankedTrial& a, const RankedTrial& b) { return a.left < b.left; });
+std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, std::vector<RankedTrial> apart,
+                               size_t count) {
   std::vector<TrialSpecs> out;
   std::set<std::string> seen;
-  for (RankedTrial& trial : trials) {
-    if (out.size() < count && seen.insert(KeyOf(trial.specs)).second) out.push_back(std::move(trial.specs));
+  std::vector<RankedTrial>* lists[] = {&trials, &apart};
+  for (std::vector<RankedTrial>* list : lists) {
+    std::stable_sort(list->begin(), list->end(),
+                     [](const RankedTrial& a, const RankedTrial& b) { return a.left < b.left; });
+    std::erase_if(*list, [&](const RankedTrial& t) { return !seen.insert(KeyOf(t.specs)).second; });
+  }
+  for (size_t i = 0; i < std::max(trials.size(), apart.size()); ++i) {
+    for (std::vector<RankedTrial>* list : lists) {
+      if (i < list->size() && out.size() < count) out.push_back(std::move((*list)[i].specs));
+    }
   }
   return out;
 }

@@ -27,14 +27,13 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
 
 // A trial that is better than the model it was added to.
 struct RankedTrial {
-  // Share of that model's misfit that remains, of the same windows or pieces of windows: trials with hidden
-  // states, which need whole windows, and others, which are fitted on pieces, can be ranked by it.
-  double left;
+  double left;  // share of that model's misfit that remains, of the same windows or pieces of windows
   TrialSpecs specs;
 };
 
-// The best of them, `count` at most and none twice.
-std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, size_t count);
+// The best of them, `count` at most and none twice. `apart`: those with another reference (hidden states,
+// which need whole windows, beside others on pieces, over which less can go wrong): the two take turns.
+std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, std::vector<RankedTrial> apart, size_t count);
 
 // `specs` with effect `id` exchanged for each that it is easily taken for, on the same joints.
 std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const sim::Plant& nominal,

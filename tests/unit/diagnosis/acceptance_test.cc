@@ -37,7 +37,11 @@ TEST(Acceptance, WhatTakesHalfOfAllThatIsLeftIsNoMatterOfForm) {
   const double needed = acceptance.Needed(Model({MakeSpec("payload", {})}), 1e6, 600);
   EXPECT_DOUBLE_EQ(needed, 0.5 * (600 + 20));
   // Nothing at stake: the scatter of χ² remains.
-  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), 1e6, -50), 0.5 * 20);
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), 1e5, -50), 0.5 * 20);
+}
+
+TEST(Acceptance, OnePercentOfAnAmplitudeIsNoNameHoweverLittleIsLeft) {
+  EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({MakeSpec("payload", {})}), 1e7, -50), 1e3);
 }
 
 TEST(Acceptance, AnEffectNeedsMoreThanAnotherStepRuleWouldPretend) {

@@ -76,6 +76,25 @@ TEST(LiftedFit, FindsCoulombFrictionThroughSticking) {
   EXPECT_GT(fit.evidence, wrong.evidence + 50);
 }
 
+// How fast a joint slides that rests shows in the first rows alone: no window is lost to a start that noise
+// has thrown off, nor the friction to such a window.
+TEST(LiftedFit, ComesToTheNoiseWhereJointsRest) {
+  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  const auto friction = [&](double level) {
+    return MakeSpec("asymmetric_friction", {joint},
+                    {{"coulomb_positive", level}, {"coulomb_negative", 0.5 * level}});
+  };
+  for (const uint64_t seed : {1, 2, 4, 6}) {
+    const auto p = Prepare("pendulum", {friction(1.5)}, seed, {.rate_hz = 250, .finer = 5});
+    p->data.use_velocity = false;
+    const FitResult fit = FitEffects(*p, {friction(0.75)});
+    ASSERT_TRUE(fit.ok);
+    const double dof = fit.rows - 2.0 * static_cast<double>(p->data.windows.size());
+    EXPECT_LT(fit.chi2 / dof, 1.15) << seed;
+    EXPECT_NEAR(fit.theta[0], 1.5, 0.01) << seed;
+  }
+}
+
 TEST(LiftedFit, DoesNotDependOnTheNumberOfThreads) {
   const auto p = Prepare("pendulum", {}, 3);
   LiftedOptions one, three;

@@ -146,16 +146,19 @@ TEST(StribeckStarts, CoverARangeOfSpeedsWithMoreFrictionAtRest) {
   EXPECT_LT(last, c->scales.speed[0]);
 }
 
-TEST(Trials, AreRankedByWhatTheyLeaveOfTheirOwnReference) {
+TEST(Trials, OfTwoReferencesTakeTurnsByWhatTheyLeave) {
   const auto named = [](const std::string& id) { return TrialSpecs{MakeSpec(id, {"elbow"})}; };
-  const auto best = BestOf({{0.9, named("coulomb_friction")},
-                            {0.1, named("joint_elasticity")},
+  const auto best = BestOf({{0.9, named("coulomb_friction")}, {0.7, named("torque_gain")}},
+                           {{0.1, named("joint_elasticity")},
                             {0.2, named("joint_elasticity")},
-                            {0.5, named("torque_gain")}},
-                           2);
-  ASSERT_EQ(best.size(), 2u);
-  EXPECT_EQ(best[0][0].id, "joint_elasticity");
-  EXPECT_EQ(best[1][0].id, "torque_gain");
+                            {0.3, named("backlash")},
+                            {0.4, named("sloshing_payload")}},
+                           4);
+  ASSERT_EQ(best.size(), 4u);
+  EXPECT_EQ(best[0][0].id, "torque_gain");
+  EXPECT_EQ(best[1][0].id, "joint_elasticity");
+  EXPECT_EQ(best[2][0].id, "coulomb_friction");
+  EXPECT_EQ(best[3][0].id, "backlash");
 }
 
 TEST(HiddenStarts, AMotorBehindPlayIsCarriedFromBeforeTheWindow) {
