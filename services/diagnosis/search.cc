@@ -29,13 +29,14 @@ namespace {
 constexpr double kRivalShare = 0.25;  // of what parameters explain, by the screen's linear estimate
 constexpr int kMoreIterations = 14;   // of a fit that still falls
 constexpr double kFallsFast = 0.1;    // of the cost in one iteration, for a trial to go on
-constexpr double kTrialShare = 0.35;  // of all work, that the trials of one screen may cost
-constexpr size_t kSprings = 4;        // behind rotors, that are fitted
-constexpr double kPiece = 0.1;        // s
-constexpr double kNoisiest = 4.0;     // variance over the sensors' own: more is motion that no force follows
-constexpr double kHolds = 2.0;        // χ² per row below which a model's own states are trusted
-constexpr int kSentBack = 3;          // times that recordings kept aside may refuse an account
-constexpr double kExplained = 1.1;    // χ² per row at which nothing else is looked for in another world
+constexpr double kTrialShare = 0.3;   // of all work, that the trials of one screen may cost
+constexpr double kToTheEnd = 1.3;   // of all work, to weigh what is found and to take out what is not needed
+constexpr size_t kSprings = 4;      // behind rotors, that are fitted
+constexpr double kPiece = 0.1;      // s
+constexpr double kNoisiest = 4.0;   // variance over the sensors' own: more is motion that no force follows
+constexpr double kHolds = 2.0;      // χ² per row below which a model's own states are trusted
+constexpr int kSentBack = 3;        // times that recordings kept aside may refuse an account
+constexpr double kExplained = 1.1;  // χ² per row at which nothing else is looked for in another world
 
 class Search {
  public:
@@ -140,8 +141,8 @@ class Search {
     trace_.Stage(stage, note + " after work " + std::to_string(work_ / options_.work_limit));
   }
   bool Cancelled() const { return cancel_ != nullptr && cancel_->cancelled(); }
-  bool Late() const {
-    return Cancelled() || work_ > options_.work_limit ||
+  bool Late(double limits = 1.0) const {  // `limits`: times the work limit
+    return Cancelled() || work_ > limits * options_.work_limit ||
            (options_.time_limit_s > 0 && trace_.Elapsed() > options_.time_limit_s);
   }
   static const Candidate& Better(const Candidate& a, const Candidate& b) { return b.score > a.score ? b : a; }
@@ -483,7 +484,7 @@ class Search {
     for (const TrialSpecs& specs : BestOf(std::move(ranked), std::move(hidden), full))
       best.push_back(WholeFit(specs, base, trial.from));
     const auto batch = fits_.Start(setting_, best);
-    for (size_t i = 0; i < best.size() && (i == 0 || !Late()); ++i)
+    for (size_t i = 0; i < best.size() && (i == 0 || !Late(kToTheEnd)); ++i)
       *winner = Better(*winner, Tried(best[i], batch->Take(i)));
   }
 
@@ -513,7 +514,7 @@ class Search {
     for (const TrialSpecs& spring : Looked(*winner, winner->base, springs, kSprings))
       others.push_back(WholeFit(Joined(specs, spring), winner->base, Start(nullptr, winner->base)));
     const auto batch = fits_.Start(setting_, others);
-    for (size_t i = 0; i < others.size() && !Late(); ++i)
+    for (size_t i = 0; i < others.size() && !Late(kToTheEnd); ++i)
       *winner = Better(*winner, Tried(others[i], batch->Take(i)));
   }
 
@@ -528,10 +529,10 @@ class Search {
     for (size_t i = 0; i < best->specs.size(); ++i) {
       if (Strength(*best, i) > kNothing) strong.push_back(Refreshed(*best)[i]);
     }
-    if (!strong.empty() && strong.size() + 1 < best->specs.size() && !Late())
+    if (!strong.empty() && strong.size() + 1 < best->specs.size() && !Late(kToTheEnd))
       *best = Better(*best, Evaluate(strong, best->base, best));
     bool changed = true;
-    while (changed && best->specs.size() > 1 && !Late()) {
+    while (changed && best->specs.size() > 1 && !Late(kToTheEnd)) {
       changed = false;
       for (size_t i = 0; i < best->specs.size() && !changed; ++i) {
         const bool of_group = OneOfMany(best->specs, i);
@@ -554,7 +555,7 @@ class Search {
         if (s.id != id) continue;
         s = Exchanged(s, "coulomb_friction", nominal_, scales_), any = true;
       }
-      if (!any || Late()) continue;
+      if (!any || Late(kToTheEnd)) continue;
       const Candidate* known = Known(specs, best->base);
       // What it holds as a special case cannot be better: the plain one's fit had not found its way.
       const bool done = known != nullptr && known->score >= best->score;
