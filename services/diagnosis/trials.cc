@@ -39,16 +39,16 @@ class TrialBuilder {
     const std::vector<int> joints = JointsByGain();
     OtherForms();
     DryFriction(joints);
-    Transmissions(joints);
-    for (const char* id : {"sloshing_payload", "base_flexibility"}) {
-      if (!Has(id) && (data_.n <= 2 || !from_.base || !from_.specs.empty()))
-        Push(BodyStarts(id, nominal_, scales_));
-    }
     if (from_.fit.ok && (!Has("contact") || !Has("external_disturbance"))) {
       const MissingForce missing = force();
       if (!Has("contact")) Push(ContactStarts(data_, nominal_, missing, from_.base ? 2 : 3));
       if (!Has("external_disturbance")) Push(PushStarts(data_, nominal_, missing));
     }
+    for (const char* id : {"sloshing_payload", "base_flexibility"}) {
+      if (!Has(id) && (data_.n <= 2 || !from_.base || !from_.specs.empty()))
+        Push(BodyStarts(id, nominal_, scales_));
+    }
+    Transmissions(joints);  // last, for they cost most
     return std::move(out_);
   }
 
