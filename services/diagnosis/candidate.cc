@@ -188,6 +188,10 @@ std::set<std::string> FreshKinds(const Candidate& before, const Candidate& c) {
 
 bool HasUnnamed(const Candidate& c) { return std::any_of(c.specs.begin(), c.specs.end(), IsUnnamed); }
 
+bool HasHiddenStates(const Candidate& c) {
+  return c.plant != nullptr && c.plant->num_states() > 2 * c.plant->num_joints();
+}
+
 bool OfPosition(const Candidate& c) {
   return std::any_of(c.specs.begin(), c.specs.end(), [](const EffectSpec& e) {
     return e.id == "unknown_field" || e.id == "position_spring" || e.id == "torque_ripple";

@@ -73,6 +73,8 @@ bool SurelyThere(const Candidate& c, size_t i, double needed);
 std::set<std::string> FreshKinds(const Candidate& before, const Candidate& c);
 // Whether it has a force without a name.
 bool HasUnnamed(const Candidate& c);
+// Whether it has states that no sensor reads: a motor, a bristle, a lag, a mount, a swinging mass.
+bool HasHiddenStates(const Candidate& c);
 // Whether the account is of forces over position that may be parts of an unnamed one.
 bool OfPosition(const Candidate& c);
 

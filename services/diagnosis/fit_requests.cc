@@ -38,7 +38,7 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
       if (c.plant->parameters()[i].kind == sim::ParameterKind::kEffect) model.values[i] = nominal[i];
     }
   }
-  const bool hidden = c.plant->num_states() > 2 * data.n;
+  const bool hidden = HasHiddenStates(c);
   FitResult fit;
   double work = 0;
   for (double piece = hidden ? 0 : request.piece_s; piece > 0; piece *= kLongerPiece) {

@@ -267,10 +267,8 @@ class Search {
       if (Late()) break;
       // Hidden states and unnamed forces fit nearly anything: an account with them has those with free
       // parameters as its rivals.
-      const bool pliant =
-          HasUnnamed(winner) || (winner.plant != nullptr && winner.plant->num_states() > 2 * data_.n);
-      if (base && !(best->base && pliant) && PerRow(winner) < kExplained &&
-          winner.score > best->score + Threshold(*best, winner))
+      if (base && !(best->base && (HasUnnamed(winner) || HasHiddenStates(winner))) &&
+          PerRow(winner) < kExplained && winner.score > best->score + Threshold(*best, winner))
         break;
       const Candidate* own = base == best->base ? best : Known(best->specs, !best->base);
       if (own == nullptr || !own->fit.ok) continue;
@@ -309,7 +307,7 @@ class Search {
     // Fits with hidden states or free base parameters end before they are done: the old model has another try
     // from where it or the winner is, or an addition would be credited with what a longer fit alone brings.
     const bool freed = best->base && winner.base;
-    if (winner.score > best->score && best->fit.ok && (freed || best->plant->num_states() > 2 * data_.n))
+    if (winner.score > best->score && best->fit.ok && (freed || HasHiddenStates(*best)))
       *best = Longer(*best, freed ? winner : *best);
     if (AddsNothing(*best, winner)) winner = *best;
     // The same effects, better fitted, need no more than to be better.
@@ -466,8 +464,7 @@ class Search {
       const double on_pieces = trial.pieces_alone ? Fitted(trials[1], batch->Take(1)).score : on_windows;
       bool met = false;
       for (size_t i = 2; i < trials.size() && !Late() && work_ <= enough; ++i) {
-        const Candidate start = Unfitted(setting_, trials[i].specs, base);
-        const bool whole = start.plant != nullptr && start.plant->num_states() > 2 * data_.n;
+        const bool whole = HasHiddenStates(Unfitted(setting_, trials[i].specs, base));
         // Where a law of what is recorded meets it, hidden states have no part.
         if (met && whole) continue;
         const Candidate c = Fitted(trials[i], batch->Take(i));
