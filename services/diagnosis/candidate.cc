@@ -154,6 +154,15 @@ double Strength(const Candidate& c, size_t i) {
   return any ? most : 1e9;
 }
 
+std::vector<EffectSpec> StrongEffects(const Candidate& c) {
+  const std::vector<EffectSpec> all = Refreshed(c);
+  std::vector<EffectSpec> out;
+  for (size_t i = 0; i < all.size(); ++i) {
+    if (Strength(c, i) > kNothing) out.push_back(all[i]);
+  }
+  return out;
+}
+
 bool AddsNothing(const Candidate& before, const Candidate& c) {
   bool any = false;
   for (size_t i = 0; i < c.specs.size(); ++i) {

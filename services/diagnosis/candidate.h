@@ -58,6 +58,8 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
 // |strength − none| of effect i in its stddev: what a delay, an amplitude, a mass, … is from nothing.
 double Strength(const Candidate& c, size_t i);
 inline constexpr double kNothing = 1.0;  // strength at which it is about nothing
+// Its effects, refreshed, without those that are about nothing.
+std::vector<effects::EffectSpec> StrongEffects(const Candidate& c);
 // Whether all that `c` has and `before` has not is about nothing.
 bool AddsNothing(const Candidate& before, const Candidate& c);
 // Whether specs[i] is one joint's share of an effect that other joints have too, each for itself. Delays and

@@ -30,13 +30,14 @@ constexpr double kRivalShare = 0.25;  // of what parameters explain, by the scre
 constexpr int kMoreIterations = 14;   // of a fit that still falls
 constexpr double kFallsFast = 0.1;    // of the cost in one iteration, for a trial to go on
 constexpr double kTrialShare = 0.3;   // of all work, that the trials of one screen may cost
-constexpr double kToTheEnd = 1.3;   // of all work, to weigh what is found and to take out what is not needed
-constexpr size_t kSprings = 4;      // behind rotors, that are fitted
-constexpr double kPiece = 0.1;      // s
-constexpr double kNoisiest = 4.0;   // variance over the sensors' own: more is motion that no force follows
-constexpr double kHolds = 2.0;      // χ² per row below which a model's own states are trusted
-constexpr int kSentBack = 3;        // times that recordings kept aside may refuse an account
-constexpr double kExplained = 1.1;  // χ² per row at which nothing else is looked for in another world
+constexpr double kToTheEnd = 1.3;     // of all work, to weigh what is found
+constexpr double kPruned = 2.0;       // and to take out what is not needed
+constexpr size_t kSprings = 4;        // behind rotors, that are fitted
+constexpr double kPiece = 0.1;        // s
+constexpr double kNoisiest = 4.0;     // variance over the sensors' own: more is motion that no force follows
+constexpr double kHolds = 2.0;        // χ² per row below which a model's own states are trusted
+constexpr int kSentBack = 3;          // times that recordings kept aside may refuse an account
+constexpr double kExplained = 1.1;    // χ² per row at which nothing else is looked for in another world
 
 class Search {
  public:
@@ -295,6 +296,7 @@ class Search {
     }
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
       Restart(&winner);
+      DropNothing(&winner);
       Siblings(*best, &winner);
       const Candidate twin = Evaluate(Refreshed(winner), !winner.base, &winner);
       const Candidate& plain = winner.base ? twin : winner;
@@ -313,10 +315,10 @@ class Search {
     // The same effects, better fitted, need no more than to be better.
     const bool same = KeyOf(winner.specs) == KeyOf(best->specs) && winner.base == best->base;
     const double needed = same ? 1.0 : Threshold(*best, winner);
-    const bool accept = winner.score > best->score + needed;
     Tell("decide", 0.1 + 0.2 * round_,
          KeyOf(winner.specs) + " gains " + std::to_string(winner.score - best->score) + " needs " +
              std::to_string(needed));
+    const bool accept = winner.score > best->score + needed;
     if (accept) {
       const Candidate justified = Justified(*best, winner);
       // What is left of several at once may be worth less than none of them.
@@ -332,8 +334,7 @@ class Search {
     return Better(c, Evaluate(Refreshed(c), c.base, &from, 12));
   }
 
-  // Of several effects added at once each must be worth its name; when there is no time left, beside what
-  // was tried already.
+  // Of several effects added at once each must be worth its name; at the end, beside what was tried already.
   Candidate Justified(const Candidate& before, Candidate winner) {
     while (!Cancelled()) {
       const std::set<std::string> fresh = FreshKinds(before, winner);
@@ -353,14 +354,12 @@ class Search {
     return winner;
   }
 
-  // χ² per row of an account that leaves next to nothing of what there was.
-  double LeavesNothing(const SearchResult& out) const {
+  double LeavesNothing(const SearchResult& out) const {  // χ² per row of an account that does
     return std::max(kExplained, 1 + 0.02 * (std::min(PerRow(out.nominal), PerRow(out.calibrated)) - 1));
   }
 
-  // The ceiling: one unnamed force over two joints' positions, or one joint's, in the
-  // place of all effects found. It is taken where it leaves less than `worst` χ² per row and is the better
-  // account.
+  // The ceiling: one unnamed force over two joints' positions, or one joint's, in the place of all effects
+  // found. It is taken where it leaves less than `worst` χ² per row and is the better account.
   bool Flexible(Candidate* best, double worst) {
     if (Cancelled() || (PerRow(*best) < kExplained && data_.n > 1)) return false;
     bool taken = false;
@@ -520,24 +519,27 @@ class Search {
     return it == tried_.end() ? nullptr : &it->second;
   }
 
-  // Takes out what the data do not pay for: all at once what is about nothing, then one by one.
+  // Takes out all at once what is about nothing.
+  void DropNothing(Candidate* best) {
+    const std::vector<EffectSpec> strong = StrongEffects(*best);
+    if (strong.empty() || strong.size() == best->specs.size() || Late(kPruned)) return;
+    const Candidate c = Evaluate(strong, best->base, best);
+    if (best->score < c.score + Threshold(c, *best)) *best = c;
+  }
+
+  // And one by one what the data do not pay for.
   void Prune(Candidate* best) {
-    std::vector<EffectSpec> strong;
-    for (size_t i = 0; i < best->specs.size(); ++i) {
-      if (Strength(*best, i) > kNothing) strong.push_back(Refreshed(*best)[i]);
-    }
-    if (!strong.empty() && strong.size() + 1 < best->specs.size() && !Late(kToTheEnd))
-      *best = Better(*best, Evaluate(strong, best->base, best));
+    DropNothing(best);
     bool changed = true;
-    while (changed && best->specs.size() > 1 && !Late(kToTheEnd)) {
+    while (changed && best->specs.size() > 1 && !Late(kPruned)) {
       changed = false;
       for (size_t i = 0; i < best->specs.size() && !changed; ++i) {
-        const bool of_group = OneOfMany(best->specs, i);
         if (SurelyThere(*best, i, Threshold(*best))) continue;
         std::vector<EffectSpec> specs = Refreshed(*best);
         specs.erase(specs.begin() + static_cast<long>(i));
         const Candidate c = Evaluate(specs, best->base, best, 4);
-        if (best->score < c.score + (of_group ? Threshold(c, *best) : 0.0)) *best = c, changed = true;
+        const double worth = OneOfMany(best->specs, i) ? Threshold(c, *best) : 0.0;
+        if (best->score < c.score + worth) *best = c, changed = true;
       }
     }
   }
@@ -552,7 +554,7 @@ class Search {
         if (s.id != id) continue;
         s = Exchanged(s, "coulomb_friction", nominal_, scales_), any = true;
       }
-      if (!any || Late(kToTheEnd)) continue;
+      if (!any || Late(kPruned)) continue;
       const Candidate* known = Known(specs, best->base);
       // What it holds as a special case cannot be better: the plain one's fit had not found its way.
       const bool done = known != nullptr && known->score >= best->score;
