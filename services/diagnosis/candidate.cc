@@ -32,7 +32,7 @@ double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
   for (const EffectSpec& s : specs) {
     ids.insert(s.id);
     // An unnamed force's weights are no parameters of a law: they pay for what they follow in the evidence.
-    const bool field = IsUnnamed(s);
+    const bool field = IsUnnamed(s.id);
     cost += kJointPrior;
     if (!field)
       cost += kShapePrior * (static_cast<double>(effects::FindEffect(s.id)->parameters.size()) - 1.0);
@@ -42,9 +42,7 @@ double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
   return cost + kEffectPrior * static_cast<double>(ids.size());
 }
 
-bool IsUnnamed(const EffectSpec& spec) {
-  return spec.id == "unknown_field" || spec.id == "unknown_field_pair";
-}
+bool IsUnnamed(const std::string& id) { return id == "unknown_field" || id == "unknown_field_pair"; }
 
 bool Contains(const std::vector<EffectSpec>& specs, const std::string& id, const std::string& joint) {
   for (const EffectSpec& s : specs) {
@@ -195,7 +193,9 @@ std::set<std::string> FreshKinds(const Candidate& before, const Candidate& c) {
   return out;
 }
 
-bool HasUnnamed(const Candidate& c) { return std::any_of(c.specs.begin(), c.specs.end(), IsUnnamed); }
+bool HasUnnamed(const Candidate& c) {
+  return std::any_of(c.specs.begin(), c.specs.end(), [](const EffectSpec& e) { return IsUnnamed(e.id); });
+}
 
 bool HasHiddenStates(const Candidate& c) {
   return c.plant != nullptr && c.plant->num_states() > 2 * c.plant->num_joints();

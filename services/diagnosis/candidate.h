@@ -32,8 +32,11 @@ struct Candidate {
 double StructurePrior(const std::vector<effects::EffectSpec>& specs, bool base);
 inline constexpr double kEffectPrior = 4.0;  // of one more kind of effect
 
-// Whether it is a force without a name.
-bool IsUnnamed(const effects::EffectSpec& spec);
+inline constexpr double kExplained = 1.1;  // χ² per row: errors a twentieth above the noise, none to look for
+inline constexpr double kOnePercent = 2.326;  // stddev that one of a hundred normal variables exceeds
+
+// Whether the effect is a force without a name.
+bool IsUnnamed(const std::string& id);
 
 // Whether the effect acts there already; joint "": on the robot as a whole.
 bool Contains(const std::vector<effects::EffectSpec>& specs, const std::string& id, const std::string& joint);

@@ -25,9 +25,7 @@ namespace {
 constexpr double kMuchOfTheEffort = 0.25;  // of its variance
 constexpr double kOneInAHundred = 2.576;   // that one of a hundred normal errors exceeds
 constexpr double kSameDelay = 0.05;  // of itself: less between two joints is a twentieth of what it shows by
-constexpr double kNextToNothing = 1.1;  // χ² over that of a true model
-constexpr double kLittle = 0.1;         // of what parameters explain
-constexpr double kOnePercent = 2.326;   // stddev that one of a hundred normal variables exceeds
+constexpr double kLittle = 0.1;      // of what parameters explain
 
 std::vector<std::string> JointsOf(const std::vector<EffectSpec>& specs, const std::string& id,
                                   const std::vector<std::string>& order) {
@@ -113,7 +111,7 @@ class Speaker {
     }
     // With a measured effort there is no χ² of 1 to be reached: most of the misfit must be explained.
     const bool unexplained = s_.measured.active ? Remains() : MostIsLeft();
-    const bool unnamed = ids.count("unknown_field") || ids.count("unknown_field_pair");
+    const bool unnamed = std::any_of(ids.begin(), ids.end(), IsUnnamed);
     for (const std::string& id : ids) {
       if (!PartOfField(id)) r_.findings.push_back(FindingOf(id));
     }
@@ -139,7 +137,7 @@ class Speaker {
     const double scatter = std::sqrt(4.0 * s_.best.fit.rows) * s_.noise_scale;
     if (s_.best.fit.chi2 < s_.own_chi2 + kOnePercent * scatter) return false;
     const double explained = s_.nominal.fit.chi2 - s_.best.fit.chi2;
-    if (s_.best.fit.chi2 < kNextToNothing * s_.own_chi2 && s_.own_chi2 < kLittle * explained) return false;
+    if (s_.best.fit.chi2 < kExplained * s_.own_chi2 && s_.own_chi2 < kLittle * explained) return false;
     const double excess = r_.mismatch - 1.0, left = r_.remaining - 1.0;
     return left > 0.5 * excess;
   }

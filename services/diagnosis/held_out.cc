@@ -11,11 +11,10 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr int kIterations = 3;         // of the restarts alone
-constexpr double kWorthATry = 1.0;     // nats
-constexpr int kFollowed = 8;           // iterations of windows that start freely, and as many more
-constexpr double kLongestGap = 0.05;   // s between two windows, for one to go on from the other
-constexpr double kOnePercent = 2.326;  // stddev that one of a hundred normal variables exceeds
+constexpr int kIterations = 3;        // of the restarts alone
+constexpr double kWorthATry = 1.0;    // nats
+constexpr int kFollowed = 8;          // iterations of windows that start freely, and as many more
+constexpr double kLongestGap = 0.05;  // s between two windows, for one to go on from the other
 
 // Information and gradient of the held-out rows, in units of the parameters' priors, and what was known
 // before.

@@ -10,12 +10,10 @@ namespace rg::diagnosis {
 
 namespace {
 
-constexpr double kNextToNothing = 1.1;  // χ² per row: errors a twentieth above the noise
-constexpr double kOnePercent = 2.326;   // stddev that one of a hundred normal variables exceeds
-
 // Whether a force without a name is all that it has.
 bool Nameless(const Candidate& c) {
-  return !c.specs.empty() && std::all_of(c.specs.begin(), c.specs.end(), IsUnnamed);
+  return !c.specs.empty() && std::all_of(c.specs.begin(), c.specs.end(),
+                                         [](const effects::EffectSpec& e) { return IsUnnamed(e.id); });
 }
 
 std::string Key(const Candidate& c) { return KeyOf(c.specs) + (c.base ? "+base" : ""); }
@@ -36,7 +34,7 @@ const HeldOut& HeldOutJudge::Of(const Candidate& c) {
 bool HeldOutJudge::Holds(const Candidate& account, double needed) {
   const HeldOut& own = Of(account);
   return own.short_of_noise <
-         std::max({kOnePercent * own.scatter, 0.5 * (kNextToNothing - 1) * own.free, needed});
+         std::max({kOnePercent * own.scatter, 0.5 * (kExplained - 1) * own.free, needed});
 }
 
 int HeldOutJudge::Refusing(const Candidate& account, double needed) {

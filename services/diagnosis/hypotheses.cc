@@ -7,6 +7,7 @@
 
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
+#include "services/diagnosis/candidate.h"
 #include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
@@ -172,10 +173,7 @@ Prior PriorOf(const sim::Parameter& p, int joint, const MotionScales& s, const s
   return {p.nominal, std::max(1e-6, p.nominal), 0.02 * p.nominal, 50 * p.nominal};
 }
 
-bool Fixed(const sim::Parameter& p) {
-  const bool field = p.effect == "unknown_field" || p.effect == "unknown_field_pair";
-  return field && p.field[0] != 'w';
-}
+bool Fixed(const sim::Parameter& p) { return IsUnnamed(p.effect) && p.field[0] != 'w'; }
 
 // Changes of the last link's mass and centre of mass as a body of their own, in that link's frame.
 EffectSpec PayloadSpec(const std::vector<double>& change, const sim::Plant& nominal) {

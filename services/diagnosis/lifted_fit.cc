@@ -233,14 +233,18 @@ size_t MoveStates(Lineariser& lin, int worker, int first, int last, const std::v
   return simulated;
 }
 
+double Middle(std::vector<double> values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
 // The windows that are met worst start anew where that is nearer to the record: a motor that lies on the
 // wrong face at first stays there, whatever the parameters become.
 void ChooseFaces(const FitData& data, Lineariser& lin, const std::vector<int>& sensed, int threads,
                  std::vector<double>* chi2, NodeStates* states) {
   const int W = static_cast<int>(data.windows.size());
-  std::vector<double> sorted = *chi2;
-  std::nth_element(sorted.begin(), sorted.begin() + W / 2, sorted.end());
-  const double usual = sorted[static_cast<size_t>(W / 2)];
+  const double usual = Middle(*chi2);
   sysid::ParallelFor(threads, W, [&](int worker, int w) {
     if ((*chi2)[w] < kUnusual * usual) return;
     const double chosen = lin.ChooseFace(worker, w, sensed, (*chi2)[w], &(*states)[w]);
@@ -254,11 +258,10 @@ void ChooseFaces(const FitData& data, Lineariser& lin, const std::vector<int>& s
 size_t TryRecordedStarts(Lineariser& lin, const FitData& data, int threads, NodeStates* states,
                          std::vector<double>* chi2) {
   const int W = static_cast<int>(chi2->size());
-  std::vector<double> sorted = *chi2;
-  std::nth_element(sorted.begin(), sorted.begin() + W / 2, sorted.end());
+  const double middle = Middle(*chi2);
   std::vector<int> lost;
   for (int w = 0; w < W; ++w) {
-    if ((*chi2)[w] > kStandsOut * std::max(sorted[W / 2], static_cast<double>(lin.RowsOf(data.windows[w]))))
+    if ((*chi2)[w] > kStandsOut * std::max(middle, static_cast<double>(lin.RowsOf(data.windows[w]))))
       lost.push_back(w);
   }
   sysid::ParallelFor(threads, static_cast<int>(lost.size()), [&](int worker, int i) {

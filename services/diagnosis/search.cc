@@ -37,7 +37,6 @@ constexpr double kPiece = 0.1;        // s
 constexpr double kNoisiest = 4.0;     // variance over the sensors' own: more is motion that no force follows
 constexpr double kHolds = 2.0;        // χ² per row below which a model's own states are trusted
 constexpr int kSentBack = 3;          // times that recordings kept aside may refuse an account
-constexpr double kExplained = 1.1;    // χ² per row at which nothing else is looked for in another world
 
 class Search {
  public:
@@ -463,10 +462,10 @@ class Search {
       const double on_pieces = trial.pieces_alone ? Fitted(trials[1], batch->Take(1)).score : on_windows;
       bool met = false;
       for (size_t i = 2; i < trials.size() && !Late() && work_ <= enough; ++i) {
-        const bool whole = HasHiddenStates(Unfitted(setting_, trials[i].specs, base));
         // Where a law of what is recorded meets it, hidden states have no part.
-        if (met && whole) continue;
+        if (met && HasHiddenStates(Unfitted(setting_, trials[i].specs, base))) continue;
         const Candidate c = Fitted(trials[i], batch->Take(i));
+        const bool whole = HasHiddenStates(c);
         const double before = whole ? on_windows : on_pieces;
         const bool better = c.fit.ok && c.score >= before;
         trace_.Fit(c, better ? "  ~" : "  -");
