@@ -312,11 +312,18 @@ std::vector<std::vector<EffectSpec>> BodyStarts(const std::string& effect, const
     return out;
   }
   if (effect == "base_flexibility") {
-    const double k = 15 * s.torque.maxCoeff();
-    for (const double factor : {1.0, 6.0}) {
-      out.push_back({MakeSpec(effect, {}, {{"stiffness", k * factor}, {"damping", 0.02 * k * factor}})});
-    }
-    return out;
+    const auto grid = MountStarts(s);
+    return {grid.front(), grid[2]};
+  }
+  return out;
+}
+
+std::vector<std::vector<EffectSpec>> MountStarts(const MotionScales& s) {
+  std::vector<std::vector<EffectSpec>> out;
+  const double k = 15 * s.torque.maxCoeff();
+  for (const double factor : {1.0, 2.5, 6.0, 15.0}) {
+    out.push_back(
+        {MakeSpec("base_flexibility", {}, {{"stiffness", k * factor}, {"damping", 0.02 * k * factor}})});
   }
   return out;
 }

@@ -29,6 +29,8 @@ std::vector<std::vector<effects::EffectSpec>> StribeckStarts(const effects::Effe
                                                              const MotionScales& scales);
 std::vector<std::vector<effects::EffectSpec>> BodyStarts(const std::string& effect, const sim::Plant& nominal,
                                                          const MotionScales& scales);
+// A mount from soft to stiff, in steps from each of which a fit finds the next.
+std::vector<std::vector<effects::EffectSpec>> MountStarts(const MotionScales& scales);
 
 // Free parameters of a plant: all parameters of its effects with priors in units of the motion, and, with
 // `base`, the inertial parameters with priors around the URDF.

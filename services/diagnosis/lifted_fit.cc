@@ -11,10 +11,19 @@
 #include "common/model/robot_model.h"
 #include "services/diagnosis/gram.h"
 #include "services/diagnosis/lineariser.h"
+#include "services/diagnosis/loose_start.h"
 #include "services/sysid/boxed_newton_step.h"
 #include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
+
+int FitData::Rows() const {
+  int rows = 0;
+  for (const NodeWindow& w : windows) {
+    for (const char m : w.measured) rows += m * n * (use_velocity ? 2 : 1);
+  }
+  return rows;
+}
 
 namespace {
 
@@ -49,18 +58,6 @@ MatrixXd ProjectOut(const MatrixXd& J_e, const MatrixXd& J, const MatrixXd& r) {
   const int rank = static_cast<int>(qr.rank());
   return stacked.bottomRows(stacked.rows() - rank);
 }
-
-}  // namespace
-
-int FitData::Rows() const {
-  int rows = 0;
-  for (const NodeWindow& w : windows) {
-    for (const char m : w.measured) rows += m * n * (use_velocity ? 2 : 1);
-  }
-  return rows;
-}
-
-namespace {
 
 // Per joint: place of the motor's position among the internal states where the encoder sits on the motor.
 std::vector<int> SensedMotors(const sim::Plant& plant) {
@@ -155,21 +152,23 @@ double HiddenCost(const std::vector<Linear>& linear, const NodeStates& states, i
   return cost;
 }
 
-// Start of a window's states that fits best after a step of the parameters, relative to what they are.
-VectorXd BestStart(const Linear& l, const VectorXd& step) {
+// Start of a window's states that fits best after a step of the parameters, relative to what they are, `at`.
+VectorXd BestStart(const Linear& l, const VectorXd& step, const LooseStart& loose, const VectorXd& at) {
   MatrixXd JJ = l.J_e.transpose() * l.J_e;
   JJ.diagonal().array() += 1e-9 * JJ.diagonal().maxCoeff() + 1e-12;
+  JJ.diagonal() += loose.precision;
   const VectorXd scale = JJ.diagonal().cwiseSqrt().cwiseInverse();
   MatrixXd S = scale.asDiagonal() * JJ * scale.asDiagonal();
   S.diagonal().array() += 1e-10;
-  const VectorXd b = scale.cwiseProduct(l.J_e.transpose() * (l.r - l.J * step));
+  const VectorXd b = scale.cwiseProduct(l.J_e.transpose() * (l.r - l.J * step) +
+                                        loose.precision.cwiseProduct(loose.middle - at));
   return scale.cwiseProduct(S.ldlt().solve(b));
 }
 
 // Rows that lie far off weigh as they count in the costs that are compared, or windows that explode would
 // lead where no cost falls: d(c²·log(1 + r²/c²))/d(r²).
-void WeighAsCosts(Linear* l) {
-  const VectorXd rest = l->r - l->J_e * BestStart(*l, VectorXd::Zero(l->J.cols()));
+void WeighAsCosts(const LooseStart& loose, const VectorXd& at, Linear* l) {
+  const VectorXd rest = l->r - l->J_e * BestStart(*l, VectorXd::Zero(l->J.cols()), loose, at);
   const VectorXd weight = (1.0 + rest.array().square() / (kSoft * kSoft)).rsqrt();
   l->r.array() *= weight.array();
   l->J.array().colwise() *= weight.array();
@@ -180,8 +179,8 @@ void WeighAsCosts(Linear* l) {
 // best; writes χ² of the windows simulated from there. `adopted`: χ² so far, where known. Returns how many
 // windows were simulated.
 size_t MoveStates(Lineariser& lin, int worker, int first, int last, const std::vector<Linear>& linear,
-                  const VectorXd& step, const std::vector<double>& adopted, NodeStates* states,
-                  std::vector<double>* chi2) {
+                  const VectorXd& step, const std::vector<LooseStart>& loose,
+                  const std::vector<double>& adopted, NodeStates* states, std::vector<double>* chi2) {
   struct Moved {
     int window;
     VectorXd e0, start;  // of the free directions, and what they move the start by
@@ -195,7 +194,7 @@ size_t MoveStates(Lineariser& lin, int worker, int first, int last, const std::v
       (*chi2)[w] = lin.WorstChi2(w);
       continue;
     }
-    moved.push_back({w, BestStart(linear[w], step), {}});
+    moved.push_back({w, BestStart(linear[w], step, loose[w], (*states)[w].col(0)), {}});
     moved.back().start = linear[w].E[0].rightCols(linear[w].J_e.cols()) * moved.back().e0;
     windows.push_back(w), starts.push_back((*states)[w].col(0) + moved.back().start);
   }
@@ -312,6 +311,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   FitModel start{model.plant, values, model.parameters};
   NodeStates states = from != nullptr ? *from : InitialStates(data, start, options);
   const double inverse_scale = 1.0 / options.noise_scale;
+  const std::vector<LooseStart> loose = LooseStarts(model.plant, states);
 
   double best = std::numeric_limits<double>::infinity();
   double trust = 1.0;
@@ -342,7 +342,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
     sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
       lin.Run(worker, w, states[w], nullptr, nullptr, true, &linear[w]);
       if (!linear[w].ok) return;
-      WeighAsCosts(&linear[w]);
+      WeighAsCosts(loose[w], states[w].col(0), &linear[w]);
       const MatrixXd rest = ProjectOut(linear[w].J_e, linear[w].J, linear[w].r);
       grams[w].setZero(P + 1, P + 1);
       grams[w].selfadjointView<Eigen::Lower>().rankUpdate(rest.transpose(), inverse_scale);
@@ -397,7 +397,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       std::vector<size_t> simulated(groups);
       lin.SetValues(model, at_values);
       sysid::ParallelFor(options.threads, groups, [&](int worker, int g) {
-        simulated[g] = MoveStates(lin, worker, g * W / groups, (g + 1) * W / groups, linear, step,
+        simulated[g] = MoveStates(lin, worker, g * W / groups, (g + 1) * W / groups, linear, step, loose,
                                   (hidden || it > 0) ? adopted : std::vector<double>{}, &nodes, &own);
       });
       const size_t windows = std::accumulate(simulated.begin(), simulated.end(), size_t{0});

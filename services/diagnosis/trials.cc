@@ -48,6 +48,7 @@ class TrialBuilder {
       if (!Has(id) && (data_.n <= 2 || !from_.base || !from_.specs.empty()))
         Push(BodyStarts(id, nominal_, scales_));
     }
+    MountBeside();
     Transmissions(joints);  // last, for they cost most
     return std::move(out_);
   }
@@ -101,6 +102,28 @@ class TrialBuilder {
       out_.push_back(std::move(start));
       ++count;
     }
+  }
+
+  // A soft mount beside the best of the screen's: where both are missing each hides the other, and neither is
+  // worth a second look alone.
+  void MountBeside() {
+    if (!from_.specs.empty() || Has("base_flexibility") || (from_.base && data_.n > 2)) return;
+    double most = 0;
+    TrialSpecs beside;
+    const auto note = [&](double gain, const std::vector<Scored>& parts) {
+      if (gain <= most) return;
+      most = gain, beside.clear();
+      for (const Scored& h : parts) {
+        const TrialSpecs part = SpecsFor(h, nominal_, scales_).front();
+        beside.insert(beside.end(), part.begin(), part.end());
+      }
+    };
+    if (!screened_.hypotheses.empty()) note(screened_.hypotheses[0].gain, {screened_.hypotheses[0]});
+    if (!screened_.sets.empty()) note(screened_.sets[0].gain, screened_.sets[0].parts);
+    if (beside.empty()) return;
+    std::vector<TrialSpecs> starts = MountStarts(scales_);
+    for (TrialSpecs& start : starts) start.insert(start.end(), beside.begin(), beside.end());
+    Push(nearest_(starts, 1));
   }
 
   std::vector<int> JointsByGain() const {

@@ -7,6 +7,7 @@
 #include "services/diagnosis/fit_requests.h"
 #include "services/diagnosis/gram.h"
 #include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/loose_start.h"
 #include "services/diagnosis/search.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/prepared_set.h"
@@ -41,6 +42,41 @@ TEST(LiftedFit, TheTrueModelIsAtTheNoiseWhereSeveralRowsAreOneNode) {
   ASSERT_TRUE(fit.ok);
   const double dof = fit.rows - 2.0 * static_cast<double>(p->data.windows.size());
   EXPECT_NEAR(fit.chi2 / dof, 1.0, 5.0 * std::sqrt(2.0 / dof));
+}
+
+// Across the plane of a nearly planar arm hardly anything pushes its mount, and rows show that direction to
+// second order: a start that follows their noise there is thrown, and takes the directions that matter with
+// it.
+TEST(LiftedFit, StartsOfAMountStayInThePlaneOfAPlanarArm) {
+  const auto load =
+      MakeSpec("payload", {}, {{"mass", 0.8}, {"com_x", 0.0}, {"com_y", 0.01}, {"com_z", -0.2}});
+  const auto p =
+      Prepare("arm2", {load, MakeSpec("base_flexibility", {}, {{"stiffness", 1200}, {"damping", 12}})}, 8,
+              {.rate_hz = 25});
+  const FitResult fit =
+      FitEffects(*p, {load, MakeSpec("base_flexibility", {}, {{"stiffness", 800}, {"damping", 16}})});
+  ASSERT_TRUE(fit.ok);
+  for (const Eigen::MatrixXd& states : fit.states) {
+    EXPECT_LT(std::abs(states(4, 0)), 2e-3) << "tilt about x";
+    EXPECT_LT(std::abs(states(5, 0)), 5e-2) << "its rate";
+  }
+}
+
+TEST(LooseStarts, AreOfBodiesThatEffectsAddAlone) {
+  const auto plant =
+      sim::Plant::Create(Prepare("arm2", {}, 1)->nominal.shared_model(), {},
+                         {MakeSpec("joint_elasticity", {"elbow"}), MakeSpec("base_flexibility", {})});
+  ASSERT_TRUE(plant.ok());
+  const long nx = plant->num_states();
+  NodeStates carried(3, Eigen::MatrixXd::Constant(nx, 5, 0.2));
+  carried[1].row(nx - 3).setZero();
+  const std::vector<LooseStart> loose = LooseStarts(*plant, carried);
+  ASSERT_EQ(loose.size(), carried.size());
+  EXPECT_EQ(loose[1].middle, carried[1].col(0));
+  const Eigen::VectorXd& precision = loose[0].precision;
+  EXPECT_EQ(precision.head(nx - 4).norm(), 0) << "joints, and the motor behind its spring";
+  EXPECT_NEAR(precision[nx - 1], 0.25, 1e-12) << "ten times 0.2";
+  EXPECT_GT(precision[nx - 3], precision[nx - 1]) << "what moves less is known better";
 }
 
 // Rows within one step of the sensor err alike: their mean is no better than one of them.

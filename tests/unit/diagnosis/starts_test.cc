@@ -203,5 +203,34 @@ TEST(SomeWindows, AreEveryFewUntilThoseMissWhatIsAmiss) {
   EXPECT_LE(seen.size(), 14u);
 }
 
+// Where a soft mount and a gain are both missing each hides the other: the best of the screen is tried on a
+// mount too, but only before anything is found.
+TEST(Trials, TryAMountBesideTheBestOfTheScreen) {
+  const auto c = Case::Of("arm2", {}, 9);
+  ScreenResult screened;
+  Scored gain;
+  gain.effect = "torque_gain", gain.joints = {1}, gain.gain = 50, gain.coefficients = {-0.1};
+  screened.hypotheses = {gain};
+  size_t looked = 0;
+  const Nearest nearest = [&](const std::vector<TrialSpecs>& starts, size_t count) {
+    looked = std::max(looked, starts.size());
+    return std::vector<TrialSpecs>(starts.begin(), starts.begin() + static_cast<long>(count));
+  };
+  const auto pairs = [&](const TrialSpecs& found) {
+    Candidate from;
+    from.specs = found;
+    from.plant = std::make_shared<const sim::Plant>(c->nominal);
+    size_t count = 0;
+    for (const TrialSpecs& trial : Trials(
+             c->data, c->nominal, c->scales, from, screened, 1.0, [] { return MissingForce{}; }, nearest)) {
+      count += Contains(trial, "base_flexibility", "") && Contains(trial, "torque_gain", "elbow");
+    }
+    return count;
+  };
+  EXPECT_EQ(pairs({}), 1u);
+  EXPECT_GE(looked, 4u) << "of mounts from soft to stiff the nearest";
+  EXPECT_EQ(pairs({MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.1}})}), 0u);
+}
+
 }  // namespace
 }  // namespace rg::diagnosis
