@@ -45,6 +45,20 @@ Status CheckValue(const std::string& where, const ParameterInfo& parameter, doub
   return Status::Ok();
 }
 
+// Whether values are given for all parameters that a sentence names.
+bool Says(const std::string& sentence, const EffectInfo& info, const std::map<std::string, double>& values) {
+  return std::all_of(info.parameters.begin(), info.parameters.end(), [&](const ParameterInfo& p) {
+    return sentence.find("{" + p.name + "}") == std::string::npos || values.count(p.name) > 0;
+  });
+}
+
+const std::string& SentenceFor(const EffectInfo& info, const std::map<std::string, double>& values) {
+  if (Says(info.sentence, info, values)) return info.sentence;
+  const auto other = std::find_if(info.other_sentences.begin(), info.other_sentences.end(),
+                                  [&](const std::string& sentence) { return Says(sentence, info, values); });
+  return other == info.other_sentences.end() ? info.sentence : *other;
+}
+
 }  // namespace
 
 std::string_view StageName(Stage stage) {
@@ -72,9 +86,24 @@ int EffectInfo::FindParameter(std::string_view name) const {
   return -1;
 }
 
-bool EffectInfo::Applies(int i, bool with_joints) const {
+int EffectInfo::Option(const std::string& option, const EffectSpec& spec) const {
+  const auto row = options.find(option);
+  const auto chosen = spec.options.find(option);
+  if (row == options.end() || chosen == spec.options.end()) return 0;
+  return static_cast<int>(std::find(row->second.begin(), row->second.end(), chosen->second) -
+                          row->second.begin());
+}
+
+bool EffectInfo::OfForm(int i, const EffectSpec& spec) const {
+  const std::string& form = parameters[i].form;
+  return form.empty() || options.at("form")[Option("form", spec)] == form;
+}
+
+bool EffectInfo::Applies(int i, const EffectSpec& spec) const {
   const auto only = parameters[i].only;
-  return only == ParameterInfo::Only::kBoth || (only == ParameterInfo::Only::kWithJoints) == with_joints;
+  const bool with_joints = !spec.joints.empty();
+  return OfForm(i, spec) &&
+         (only == ParameterInfo::Only::kBoth || (only == ParameterInfo::Only::kWithJoints) == with_joints);
 }
 
 EffectSpec MakeSpec(std::string id, std::vector<std::string> joints, std::map<std::string, double> values) {
@@ -92,14 +121,15 @@ EffectSpec MakeSpec(std::string id, std::vector<std::string> joints, std::map<st
 
 std::string Sentence(const EffectInfo& info, const std::string& joint, bool prismatic,
                      const std::map<std::string, double>& values) {
+  const std::string& sentence = SentenceFor(info, values);
   std::string text;
-  for (size_t at = 0; at < info.sentence.size();) {
-    const size_t close = info.sentence[at] == '{' ? info.sentence.find('}', at) : std::string::npos;
+  for (size_t at = 0; at < sentence.size();) {
+    const size_t close = sentence[at] == '{' ? sentence.find('}', at) : std::string::npos;
     if (close == std::string::npos) {
-      text += info.sentence[at++];
+      text += sentence[at++];
       continue;
     }
-    const std::string key = info.sentence.substr(at + 1, close - at - 1);
+    const std::string key = sentence.substr(at + 1, close - at - 1);
     const int i = info.FindParameter(key);
     const auto value = values.find(key);
     if (key == "joint") {
@@ -119,6 +149,13 @@ Status ValidateSpec(const EffectSpec& spec) {
   const EffectInfo* info = FindEffect(spec.id);
   if (info == nullptr) return InvalidError("effect " + spec.id + ": no such effect in the catalogue");
   RG_RETURN_IF_ERROR(CheckJoints(*info, spec.joints));
+  for (const auto& [option, value] : spec.options) {
+    const auto row = info->options.find(option);
+    if (row == info->options.end()) return InvalidError("effect " + spec.id + ": no option " + option);
+    if (std::find(row->second.begin(), row->second.end(), value) == row->second.end()) {
+      return InvalidError("effect " + spec.id + ": option " + option + " cannot be " + value);
+    }
+  }
   const bool per_joint = info->scope != Scope::kJointPair && !spec.joints.empty();
   for (const auto& [owner, values] : spec.values) {
     const bool known = per_joint
@@ -130,18 +167,15 @@ Status ValidateSpec(const EffectSpec& spec) {
     }
     for (const auto& [name, value] : values) {
       const int i = info->FindParameter(name);
-      if (i < 0 || !info->Applies(i, !spec.joints.empty())) {
+      if (i >= 0 && !info->parameters[i].form.empty() && !info->OfForm(i, spec)) {
+        return InvalidError("effect " + spec.id + ", " + owner + ": parameter " + name +
+                            " needs option form " + info->parameters[i].form);
+      }
+      if (i < 0 || !info->Applies(i, spec)) {
         return InvalidError("effect " + spec.id + ", " + owner + ": no parameter " + name);
       }
       RG_RETURN_IF_ERROR(
           CheckValue("effect " + spec.id + ", " + owner + ": " + name, info->parameters[i], value));
-    }
-  }
-  for (const auto& [option, value] : spec.options) {
-    const auto row = info->options.find(option);
-    if (row == info->options.end()) return InvalidError("effect " + spec.id + ": no option " + option);
-    if (std::find(row->second.begin(), row->second.end(), value) == row->second.end()) {
-      return InvalidError("effect " + spec.id + ": option " + option + " cannot be " + value);
     }
   }
   return Status::Ok();

@@ -44,7 +44,11 @@ struct ParameterInfo {
   std::string meaning;             // "Coulomb level", for tables and messages
   // Scope::kJointOrRobot: whether it exists only with joints or only without.
   enum class Only { kBoth, kWithJoints, kWithoutJoints } only = Only::kBoth;
+  // Where not empty: it belongs to the form of the effect whose option "form" has this value.
+  std::string form = {};
 };
+
+struct EffectSpec;
 
 // The catalogue row of an effect.
 struct EffectInfo {
@@ -61,11 +65,17 @@ struct EffectInfo {
   std::string reference;                   // literature
   // Options of EffectSpec::options and their admissible values, the first one is the default.
   std::map<std::string, std::vector<std::string>> options;
+  // Of other forms, each with the parameters that it alone has: see Sentence().
+  std::vector<std::string> other_sentences = {};
 
   // Index into `parameters`, or -1.
   int FindParameter(std::string_view name) const;
-  // Whether parameter i exists for a spec with or without joints.
-  bool Applies(int i, bool with_joints) const;
+  // Index into the values of an option of the spec's, the default's where it chooses none.
+  int Option(const std::string& option, const EffectSpec& spec) const;
+  // Whether parameter i belongs to the spec's form of the effect.
+  bool OfForm(int i, const EffectSpec& spec) const;
+  // Whether parameter i exists for the spec: its form, with or without joints.
+  bool Applies(int i, const EffectSpec& spec) const;
 };
 
 // An effect as a plant, a model file or a hypothesis holds it.
@@ -81,7 +91,8 @@ struct EffectSpec {
 EffectSpec MakeSpec(std::string id, std::vector<std::string> joints = {},
                     std::map<std::string, double> values = {});
 
-// The row's sentence with names and values filled in: "joint_2 loses a constant torque …".
+// The row's sentence, or the first of the other forms' whose parameters are all given where one of its own is
+// not, with names and values filled in: "joint_2 loses a constant torque …".
 std::string Sentence(const EffectInfo& info, const std::string& joint, bool prismatic,
                      const std::map<std::string, double>& values);
 

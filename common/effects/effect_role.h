@@ -23,7 +23,7 @@ enum class Role {
   kSensorOffset,
   // p[0] makes the measured state old: q(t − p[0]), v(t − p[0]).
   kSensorDelay,
-  // Adds bodies with springs to the tree, see sim/extra_bodies.h.
+  // Adds bodies to the tree, see sim/plant_data.h; Apply acts on each of their joints.
   kExtraBodies,
 };
 

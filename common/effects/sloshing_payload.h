@@ -1,11 +1,22 @@
-// A mass that moves in a soft hold on the last link: liquid, a loose part, something that hangs.
+// A mass that moves on the last link: liquid, a loose part, something that hangs.
 //
-//   a point mass m at the origin of the end-effector link, or of the child link of the last joint (option
-//   "point"), free in x, y, z against
-//   f = −k·s − b·ṡ,  s its displacement in the link's axes
-//   m [kg] ≥ 0, k [N/m] > 0, b [N·s/m] ≥ 0;  states: s and ṡ
+//   on the end-effector link, or on the child link of the last joint (option "point"); m [kg] ≥ 0. Option
+//   "form":
 //
-// A pendulum of length L swings like k = m·9.81/L. Adds three bodies to the tree.
+//   "spring"  a point mass at the link's origin, free in x, y, z against  f = −k·s − b·ṡ,
+//             s its displacement in the link's axes;  k [N/m] > 0, b [N·s/m] ≥ 0;  states: s and ṡ
+//   "rod"     a mass whose centre is L [m] from a hinge at the link's origin, with a radius of gyration r [m]
+//   about
+//             that centre, the same in all directions; the hinge turns about two axes, first one of the
+//             link's (option "hinge"), then the next of its axes, against  τ = −b·L²·φ̇  on either; states:
+//             the angles φ and their rates
+//
+// The rod stands along the link's third axis from the first, backwards, at φ = 0. Both angles are one where
+// it lies along the first axis of the hinge: choose one that gravity is not along. It swings freely through
+// all the others.
+//
+// On a link that hardly turns a rod of length L swings like springs of k = m·9.81/L; on one that does it
+// does not, for gravity alone says where it hangs. Adds three bodies to the tree, or two.
 #pragma once
 
 #include "common/effects/effect.h"
@@ -18,8 +29,11 @@ inline namespace RG_ISA {
 struct SloshingPayload {
   static constexpr Role kRole = Role::kExtraBodies;
   static constexpr Phase kPhase = Phase::kJoint;
+  static constexpr int kRod = 1;                                     // of option "form"
+  enum Parameter { kMass, kStiffness, kDamping, kLength, kRadius };  // their order
 
   static EffectInfo Info() {
+    using Only = ParameterInfo::Only;
     return {
         .id = "sloshing_payload",
         .title = "Sloshing payload",
@@ -29,20 +43,43 @@ struct SloshingPayload {
         .sentence = "The last link carries {mass} that moves in a hold of {stiffness}.",
         .parameters = {{"mass", "m", "kg", "kg", 1e-6, kInf, 0.1, 0.5, false, false, "moving mass"},
                        {"stiffness", "k", "N/m", "N/m", 1e-3, kInf, 100, 100, false, false,
-                        "stiffness of the hold"},
+                        "stiffness of the hold", Only::kBoth, "spring"},
                        {"damping", "b", "N*s/m", "N*s/m", 0, kInf, 0.5, 1, false, false,
-                        "damping of the hold"}},
+                        "damping of the hold"},
+                       {"length", "L", "m", "m", 1e-4, kInf, 0.1, 0.1, false, false, "length of the rod",
+                        Only::kBoth, "rod"},
+                       {"radius", "r", "m", "m", 0, kInf, 0, 0.05, false, false,
+                        "radius of gyration of the mass", Only::kBoth, "rod"}},
         .family = "load",
         .confused_with = {"payload", "base_flexibility"},
         .reference = "",
-        .options = {{"point", {"end_effector", "last_link"}}},
+        .options = {{"form", {"spring", "rod"}},
+                    {"hinge", {"x", "y", "z"}},
+                    {"point", {"end_effector", "last_link"}}},
+        .other_sentences = {"The last link carries {mass} that swings on a rod of {length}."},
     };
   }
 
-  // On the program of each of the three joints.
+  // On the program of each of the three joints, or of the hinge's two.
   template <class S>
   static void Apply(const S* p, JointLaw<S>& law) {
-    SpringAndDamper(p[1], p[2], law);
+    if (law.option == kRod) {
+      law.viscous += p[kDamping] * p[kLength] * p[kLength];
+    } else {
+      SpringAndDamper(p[kStiffness], p[kDamping], law);
+    }
+  }
+
+  // Of the mass on a rod, in the link's axes at φ = 0, about the hinge. hinge: its first axis (0 x, 1 y, 2
+  // z); p: mass, length, radius; phi as Payload's.
+  template <class S>
+  static void AddRodInertia(const S* p, int hinge, S* phi) {
+    constexpr int kDiagonal[] = {4, 7, 9};
+    const int along = (hinge + 2) % 3;
+    const S own = p[0] * p[2] * p[2], far = p[0] * p[1] * p[1];
+    phi[0] += p[0];
+    phi[1 + along] -= p[0] * p[1];
+    for (int axis = 0; axis < 3; ++axis) phi[kDiagonal[axis]] += axis == along ? own : own + far;
   }
 };
 

@@ -19,6 +19,7 @@ bool UsedIn(const PlantData& plant, int parameter, std::initializer_list<Where> 
 int BodyOf(const PlantData& plant, int parameter) {
   for (const ParameterUse& use : plant.uses[parameter]) {
     if (use.where == Where::kLink) return plant.tree_model->link(use.a).body;
+    if (use.where == Where::kRod) return plant.tree_model->link(plant.rod.link).body;
     if (use.where == Where::kPayload) {
       const int last = plant.first_joint + plant.num_joints() - 1;
       return plant.tree_model->link(plant.tree_model->joint(last).child_link).body;

@@ -49,17 +49,19 @@ void AddFlexibleBase(model::RobotModel::Parts& parts) {
   parts.joints = std::move(joints);
 }
 
-// Three slides at the tool's origin; the last one carries the mass, a link of its own.
-void AddSloshingMass(model::RobotModel::Parts& parts, int tool_link) {
+// `count` joints at the tool's origin, along or about its axes from the first one on; the last one carries
+// the mass, a link of its own in the tool's axes.
+void AddMovingMass(model::RobotModel::Parts& parts, int tool_link, model::JointType type, const char* name,
+                   int first, int count) {
   const model::Link& tool = parts.links[tool_link];
   model::Pose placement = tool.X_BL;  // of the tool's frame in the parent body
   int parent = tool.body;
   model::Pose orientation;  // of the present body in the tool's axes
-  for (int axis = 0; axis < kSloshJoints; ++axis) {
+  for (int i = 0; i < count; ++i) {
+    const int axis = (first + i) % 3;
     const model::Pose target{AxisToZ(axis), Eigen::Vector3d::Zero()};
-    parts.joints.push_back(ExtraJoint(std::string("slosh_") + kAxisNames[axis], model::JointType::kPrismatic,
-                                      parent,
-                                      axis == 0 ? placement * target : orientation.Inverse() * target));
+    parts.joints.push_back(ExtraJoint(std::string(name) + kAxisNames[axis], type, parent,
+                                      i == 0 ? placement * target : orientation.Inverse() * target));
     orientation = target;
     parent = static_cast<int>(parts.joints.size()) - 1;
   }
@@ -67,6 +69,7 @@ void AddSloshingMass(model::RobotModel::Parts& parts, int tool_link) {
   mass.name = "sloshing_mass";
   mass.has_inertial = true;
   mass.body = parent;
+  mass.X_BL = orientation.Inverse();
   parts.joints.back().child_link = static_cast<int>(parts.links.size());
   parts.links.push_back(mass);
 }
@@ -74,16 +77,19 @@ void AddSloshingMass(model::RobotModel::Parts& parts, int tool_link) {
 }  // namespace
 
 std::shared_ptr<const model::RobotModel> WithExtraBodies(std::shared_ptr<const model::RobotModel> model,
-                                                         bool flexible_base, bool sloshing_mass, int tool) {
-  if (!flexible_base && !sloshing_mass) return model;
+                                                         const ExtraBodies& extra, int tool) {
+  const bool rod = extra.rod_hinge >= 0;
+  if (!extra.flexible_base && !extra.mass_in_springs && !rod) return model;
   model::RobotModel::Parts parts;
   parts.name = model->name();
   parts.urdf_text = model->urdf_text();
   parts.joints = model->joints();
   parts.links = model->links();
   parts.end_effector = model->FindLink(model->end_effector().name);
-  if (flexible_base) AddFlexibleBase(parts);
-  if (sloshing_mass) AddSloshingMass(parts, tool);
+  if (extra.flexible_base) AddFlexibleBase(parts);
+  if (extra.mass_in_springs)
+    AddMovingMass(parts, tool, model::JointType::kPrismatic, "slosh_", 0, kSloshJoints);
+  if (rod) AddMovingMass(parts, tool, model::JointType::kRevolute, "swing_", extra.rod_hinge, kRodJoints);
   return std::make_shared<const model::RobotModel>(std::move(parts));
 }
 

@@ -1,7 +1,10 @@
 // Internal states that fit a position, a velocity and a command.
+#include <Eigen/Geometry>
 #include <algorithm>
+#include <cmath>
 
 #include "common/base/check.h"
+#include "common/dynamics/dynamics.h"
 #include "common/effects/effect_list.h"
 #include "common/sim/simulator_impl.h"
 
@@ -38,6 +41,26 @@ void SettleJoint(const integrators::StepProgram& program, int k, const double* p
   }
 }
 
+// Angles of a hinge and their rates (φ₁, φ̇₁, φ₂, φ̇₂) at which the rod hangs down and does not turn in W,
+// while the robot is at q with speeds v. Where gravity is along the hinge's first axis: at rest in the link.
+Eigen::Vector4d HangingStill(const internal::Rod& rod, const Eigen::Vector3d& gravity,
+                             const Eigen::VectorXd& q, const Eigen::VectorXd& v) {
+  constexpr double kLeast = 0.1;  // sine of the angle between rod and axis
+  if (!(gravity.norm() > 0)) return Eigen::Vector4d::Zero();
+  dynamics::Workspace workspace;
+  Eigen::MatrixXd J(6, q.size());
+  const model::Pose X_WT = dynamics::FrameKinematics(*rod.arm, workspace, q, rod.tool, J);
+  const Eigen::Vector3d down = X_WT.rotation.transpose() * gravity.normalized();
+  const Eigen::Vector3d turn = X_WT.rotation.transpose() * (J.topRows(3) * v);
+  const Eigen::Vector3d rate = down.cross(turn);
+  // The rod is along −sin φ₂·a + cos φ₂·(sin φ₁·b − cos φ₁·c) in the link's axes from the hinge's first.
+  const int a = rod.hinge, b = (a + 1) % 3, c = (a + 2) % 3;
+  const double across = std::hypot(down[b], down[c]), first = std::atan2(down[b], -down[c]),
+               second = std::atan2(-down[a], across);
+  if (across < kLeast) return {first, 0.0, second, 0.0};
+  return {first, (down[b] * rate[c] - down[c] * rate[b]) / (across * across), second, -rate[a] / across};
+}
+
 }  // namespace
 
 void Simulator::Impl::SettleInternalStates(const Eigen::VectorXd& position, const Eigen::VectorXd& velocity,
@@ -51,6 +74,7 @@ void Simulator::Impl::SettleInternalStates(const Eigen::VectorXd& position, cons
     SettleJoint(d.program, k, values.joint_parameters().data() + joint.first_parameter, position[i],
                 velocity[i], u[i], d.reference_mass[k], time, internal->data());
   }
+  if (d.rod.hinge >= 0) internal->tail<4>() = HangingStill(d.rod, values.gravity(), position, velocity);
 }
 
 State Simulator::MakeState(const Eigen::VectorXd& q, const Eigen::VectorXd& v, double time,

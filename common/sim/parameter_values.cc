@@ -3,6 +3,7 @@
 #include "common/base/check.h"
 #include "common/effects/gravity_misalignment.h"
 #include "common/effects/payload.h"
+#include "common/effects/sloshing_payload.h"
 
 namespace rg::sim::internal {
 namespace {
@@ -81,6 +82,7 @@ void ParameterValues::Set(const Eigen::VectorXd& values) {
 
 void ParameterValues::SetInertias() {
   phi_ = dynamics::LumpedInertias(*plant_.tree_model, links_);
+  if (plant_.rod.hinge >= 0) SetRodInertia();
   if (plant_.payload < 0) return;
   using D = Dual<double, 4>;
   D p[4], local[10] = {}, moved[10];
@@ -90,6 +92,20 @@ void ParameterValues::SetInertias() {
   for (int i = 0; i < 10; ++i) {
     phi_(i, payload_body_) += moved[i].v;
     for (int k = 0; k < 4; ++k) phi_by_payload_(i, k) = moved[i].d[k];
+  }
+}
+
+void ParameterValues::SetRodInertia() {
+  using D = Dual<double, 3>;
+  const Rod& rod = plant_.rod;
+  const model::Link& link = plant_.tree_model->link(rod.link);
+  D p[3], local[10] = {}, moved[10];
+  for (int i = 0; i < 3; ++i) p[i] = D::Variable(values_[rod.parameters[i]], i);
+  effects::SloshingPayload::AddRodInertia(p, rod.hinge, local);
+  MoveInertia(link.X_BL, local, moved);
+  for (int i = 0; i < 10; ++i) {
+    phi_(i, link.body) = moved[i].v;
+    for (int k = 0; k < 3; ++k) phi_by_rod_(i, k) = moved[i].d[k];
   }
 }
 
@@ -122,6 +138,10 @@ int ParameterValues::InertiaDirection(int parameter, Eigen::Matrix<double, 10, 1
     if (use.where == Where::kPayload) {
       *direction = phi_by_payload_.col(use.b);
       return payload_body_;
+    }
+    if (use.where == Where::kRod) {
+      *direction = phi_by_rod_.col(use.b);
+      return plant_.tree_model->link(plant_.rod.link).body;
     }
     if (use.where == Where::kLink) {
       const int body = plant_.tree_model->link(use.a).body;

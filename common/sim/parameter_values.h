@@ -28,6 +28,7 @@ class ParameterValues {
 
  private:
   void SetInertias();
+  void SetRodInertia();
   void SetGravity();
 
   const PlantData& plant_;
@@ -40,6 +41,7 @@ class ParameterValues {
   int payload_body_ = -1;
   model::Pose payload_frame_;  // of the last joint's child link in its body
   Eigen::Matrix<double, 10, 4> phi_by_payload_;
+  Eigen::Matrix<double, 10, 3> phi_by_rod_;
   std::vector<double> joint_;
   std::vector<double> point_;
 };

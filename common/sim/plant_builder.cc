@@ -11,6 +11,7 @@
 #include "common/base/rng.h"
 #include "common/dynamics/dynamics.h"
 #include "common/effects/joint_law.h"
+#include "common/effects/sloshing_payload.h"
 #include "common/integrators/step_kernel.h"
 #include "common/sim/parameter_values.h"
 
@@ -28,16 +29,24 @@ double EffortScale(const model::Joint& joint) {
   return std::isfinite(joint.effort) && joint.effort > 0 ? joint.effort : 10.0;
 }
 
-bool Has(const std::vector<EffectSpec>& effects, const std::string& id) {
-  return std::any_of(effects.begin(), effects.end(), [&](const EffectSpec& s) { return s.id == id; });
+// The only option of most effects that have one.
+int FirstOption(const EffectInfo& info, const EffectSpec& spec) {
+  return info.options.empty() ? 0 : info.Option(info.options.begin()->first, spec);
 }
 
-int OptionIndex(const EffectInfo& info, const EffectSpec& spec, const std::string& option) {
-  const auto row = info.options.find(option);
-  const auto chosen = spec.options.find(option);
-  if (row == info.options.end() || chosen == spec.options.end()) return 0;
-  return static_cast<int>(std::find(row->second.begin(), row->second.end(), chosen->second) -
-                          row->second.begin());
+ExtraBodies ExtraBodiesOf(const std::vector<EffectSpec>& effects) {
+  ExtraBodies out;
+  for (const EffectSpec& spec : effects) {
+    const EffectInfo& info = *effects::FindEffect(spec.id);
+    if (spec.id == "base_flexibility") out.flexible_base = true;
+    if (spec.id != "sloshing_payload") continue;
+    if (info.Option("form", spec) == effects::SloshingPayload::kRod) {
+      out.rod_hinge = info.Option("hinge", spec);
+    } else {
+      out.mass_in_springs = true;
+    }
+  }
+  return out;
 }
 
 Parameter Row(std::string name, ParameterKind kind, std::string owner, std::string field, std::string unit,
@@ -107,11 +116,11 @@ int PlantBuilder::ToolLink() const {
 
 void PlantBuilder::LayOutTree() {
   PlantData& d = *data_;
-  const bool base = Has(d.effects, "base_flexibility"), slosh = Has(d.effects, "sloshing_payload");
+  const ExtraBodies extra = ExtraBodiesOf(d.effects);
   const int tool_link = ToolLink();
-  d.tree_model = WithExtraBodies(d.model, base, slosh, tool_link);
+  d.tree_model = WithExtraBodies(d.model, extra, tool_link);
   d.program.tree = dynamics::MakeTree(*d.tree_model);
-  d.first_joint = base ? kBaseJoints : 0;
+  d.first_joint = extra.flexible_base ? kBaseJoints : 0;
   for (const auto& joint : d.model->joints()) d.joint_names.push_back(joint.name);
   const int n = d.num_joints();
   for (int k = 0; k < d.num_kernel_joints(); ++k) {
@@ -124,6 +133,11 @@ void PlantBuilder::LayOutTree() {
   const auto tool = d.tree_model->FindFrame(d.model->link(tool_link).name);
   d.program.point_body = tool->body;
   for (int i = 0; i < 3; ++i) d.program.point[i] = tool->X_BF.translation[i];
+  if (extra.rod_hinge < 0) return;
+  d.rod.hinge = extra.rod_hinge;
+  d.rod.link = d.tree_model->num_links() - 1;
+  d.rod.tool = *d.model->FindFrame(d.model->link(tool_link).name);
+  d.rod.arm = std::make_shared<const dynamics::Mechanism>(*d.model);
 }
 
 void PlantBuilder::Add(Parameter row, std::vector<ParameterUse> uses) {
@@ -206,7 +220,7 @@ std::vector<int> PlantBuilder::AddRows(const EffectSpec& spec, int kind, const s
   std::vector<int> rows;
   for (size_t i = 0; i < info.parameters.size(); ++i) {
     const effects::ParameterInfo& p = info.parameters[i];
-    if (!info.Applies(static_cast<int>(i), !spec.joints.empty())) {
+    if (!info.Applies(static_cast<int>(i), spec)) {
       rows.push_back(-1);
       continue;
     }
@@ -245,7 +259,7 @@ Status PlantBuilder::AddJointEffect(const EffectSpec& spec, int kind, int joint)
   switch (effects::TraitsOf(kind).role) {
     case Role::kJointLaw:
     case Role::kJointOrPointForce: {
-      const int option = info.options.empty() ? 0 : OptionIndex(info, spec, info.options.begin()->first);
+      const int option = FirstOption(info, spec);
       const bool transmission =
           effects::TraitsOf(kind).phase == static_cast<int>(effects::Phase::kTransmission);
       if (transmission) {
@@ -255,7 +269,7 @@ Status PlantBuilder::AddJointEffect(const EffectSpec& spec, int kind, int joint)
                                 " already has an elastic transmission");
           }
         }
-        if (OptionIndex(info, spec, "sensor") == 1) sensor.motor_state = 0;  // found in LayOutProgram
+        if (info.Option("sensor", spec) == 1) sensor.motor_state = 0;  // found in LayOutProgram
       }
       AddLaw(k, kind, option, rows);
       return Status::Ok();
@@ -266,7 +280,7 @@ Status PlantBuilder::AddJointEffect(const EffectSpec& spec, int kind, int joint)
       data_->uses[rows[0]].push_back({Where::kCommandDelay, joint, 0});
       return Status::Ok();
     case Role::kSensorDelay: {
-      const int signal = OptionIndex(info, spec, "signal");
+      const int signal = info.Option("signal", spec);
       sensor.delay = rows[0];
       sensor.delays_position = signal != 2;
       sensor.delays_velocity = signal != 1;
@@ -304,7 +318,7 @@ void PlantBuilder::AddRobotEffect(const EffectSpec& spec, int kind) {
       return;
     case Role::kJointOrPointForce: {
       const int force = d.program.num_point_forces++;
-      const int option = info.options.empty() ? 0 : OptionIndex(info, spec, info.options.begin()->first);
+      const int option = FirstOption(info, spec);
       const int count = static_cast<int>(rows.size());
       RG_CHECK(force < integrators::kMaxPointForces && count <= integrators::kMaxPointParameters);
       d.program.point_forces[force] = {kind, option, count, d.num_point_parameters};
@@ -317,9 +331,9 @@ void PlantBuilder::AddRobotEffect(const EffectSpec& spec, int kind) {
     case Role::kExtraBodies: {
       const bool base = info.id == "base_flexibility";
       for (const int k : d.extra_joints) {
-        if ((k < d.first_joint) == base) AddLaw(k, kind, 0, rows);
+        if ((k < d.first_joint) == base) AddLaw(k, kind, FirstOption(info, spec), rows);
       }
-      if (!base) d.uses[rows[0]].push_back({Where::kLink, d.tree_model->num_links() - 1, 0});
+      if (!base) AddMovingMass(rows);
       return;
     }
     case Role::kJointLaw:
@@ -329,6 +343,18 @@ void PlantBuilder::AddRobotEffect(const EffectSpec& spec, int kind) {
       break;
   }
   RG_CHECK(false) << spec.id << " needs joints";
+}
+
+void PlantBuilder::AddMovingMass(const std::vector<int>& rows) {
+  using effects::SloshingPayload;
+  PlantData& d = *data_;
+  if (d.rod.hinge < 0) {
+    d.uses[rows[SloshingPayload::kMass]].push_back({Where::kLink, d.tree_model->num_links() - 1, 0});
+    return;
+  }
+  d.rod.parameters = {rows[SloshingPayload::kMass], rows[SloshingPayload::kLength],
+                      rows[SloshingPayload::kRadius]};
+  for (int i = 0; i < 3; ++i) d.uses[d.rod.parameters[i]].push_back({Where::kRod, 0, i});
 }
 
 Status PlantBuilder::LayOutProgram() {

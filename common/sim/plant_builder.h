@@ -36,6 +36,7 @@ class PlantBuilder {
   Status AddEffect(const effects::EffectSpec& spec);
   Status AddJointEffect(const effects::EffectSpec& spec, int kind, int joint);
   void AddRobotEffect(const effects::EffectSpec& spec, int kind);
+  void AddMovingMass(const std::vector<int>& rows);
   // Adds the effect's rows for one owner; returns the index of each, -1 for those that do not apply.
   std::vector<int> AddRows(const effects::EffectSpec& spec, int kind, const std::string& owner, int joint);
   void AddLaw(int kernel_joint, int kind, int option, const std::vector<int>& rows, int coupled_to = -1);

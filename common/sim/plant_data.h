@@ -1,10 +1,12 @@
 // How a plant is laid out for the step kernels. Private to this folder.
 #pragma once
 
+#include <array>
 #include <memory>
 #include <string>
 #include <vector>
 
+#include "common/dynamics/dynamics.h"
 #include "common/effects/effect.h"
 #include "common/integrators/step_program.h"
 #include "common/model/robot_model.h"
@@ -21,6 +23,7 @@ struct ParameterUse {
     kLaw,           // a: kernel joint, b: parameter of its law
     kPoint,         // a: point force, b: parameter
     kPayload,       // b: parameter of the payload
+    kRod,           // b: mass, length or radius of a mass on a rod
     kGravityTurn,   // b: parameter of gravity_misalignment
     kCommandDelay,  // a: joint
     kSensorDelay,   // a: joint
@@ -38,6 +41,16 @@ struct JointSensor {
   int delay = -1;
   bool delays_position = true;
   bool delays_velocity = true;
+};
+
+// A mass that hangs on a rod.
+struct Rod {
+  int hinge = -1;  // axis of the tool link that it turns about first (0 x, 1 y, 2 z); -1: there is none
+  int link = -1;   // of the tree's model
+  std::array<int, 3> parameters;  // mass, length, radius
+  // To find where it hangs: the robot without it, and the tool link on that.
+  std::shared_ptr<const dynamics::Mechanism> arm;
+  model::Frame tool;
 };
 
 struct PlantData {
@@ -64,17 +77,24 @@ struct PlantData {
   bool has_sensor_delay = false;
   int payload = -1;       // first parameter of the payload, or -1
   int gravity_turn = -1;  // first parameter of gravity_misalignment, or -1
+  Rod rod;
 
   int num_joints() const { return static_cast<int>(joint_names.size()); }
   int num_kernel_joints() const { return program.tree.n; }
   int num_internal_states() const { return program.num_states + 2 * static_cast<int>(extra_joints.size()); }
 };
 
-// The model with a rocking base and a mass in a soft hold on `tool`, an index of links(), where the effects
-// ask for them.
+// What effects add to the tree.
+struct ExtraBodies {
+  bool flexible_base = false;
+  bool mass_in_springs = false;
+  int rod_hinge = -1;  // see Rod::hinge
+};
+// The model with a rocking base, and a mass in springs or on a rod on `tool`, an index of links().
 std::shared_ptr<const model::RobotModel> WithExtraBodies(std::shared_ptr<const model::RobotModel> model,
-                                                         bool flexible_base, bool sloshing_mass, int tool);
+                                                         const ExtraBodies& extra, int tool);
 inline constexpr int kBaseJoints = 2;   // about x, then y
 inline constexpr int kSloshJoints = 3;  // along x, y, z
+inline constexpr int kRodJoints = 2;    // about the hinge's axes
 
 }  // namespace rg::sim::internal

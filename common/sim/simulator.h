@@ -116,7 +116,8 @@ class Simulator {
   const Eigen::VectorXd& parameters() const;
 
   // A state at rest or in motion with the internal states that fit it: motors where they hold the
-  // command's torque, lags settled at u, bristles relaxed. u: n, default zero.
+  // command's torque, lags settled at u, bristles relaxed, a mass on a rod where it hangs. u: n, default
+  // zero.
   State MakeState(const Eigen::VectorXd& q, const Eigen::VectorXd& v, double time = 0,
                   const Eigen::VectorXd* u = nullptr) const;
   // The same from a recorded command signal, its past included.

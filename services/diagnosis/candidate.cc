@@ -24,6 +24,14 @@ constexpr double kUnseen = 0.7;           // posterior over prior stddev of the 
 constexpr double kFieldPrior = 6.0;       // what an unnamed force pays beside
 constexpr double kOneInAHundred = 2.576;  // stddev that one of a hundred normal errors exceeds
 
+// Of the effect in this form.
+double ParametersOf(const EffectSpec& spec) {
+  const effects::EffectInfo& info = *effects::FindEffect(spec.id);
+  int count = 0;
+  for (size_t i = 0; i < info.parameters.size(); ++i) count += info.OfForm(static_cast<int>(i), spec);
+  return count;
+}
+
 }  // namespace
 
 double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
@@ -34,8 +42,7 @@ double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
     // An unnamed force's weights are no parameters of a law: they pay for what they follow in the evidence.
     const bool field = IsUnnamed(s.id);
     cost += kJointPrior;
-    if (!field)
-      cost += kShapePrior * (static_cast<double>(effects::FindEffect(s.id)->parameters.size()) - 1.0);
+    if (!field) cost += kShapePrior * (ParametersOf(s) - 1.0);
     if (s.id == "sensor_delay") cost += kSensorDelayPrior;
     if (field) cost += kFieldPrior;
   }

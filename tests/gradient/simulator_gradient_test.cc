@@ -196,6 +196,12 @@ std::vector<Case> Cases() {
   one("thermal_drift", {{"initial", 0.5}, {"final", 0.3}, {"time_constant", 4}});
   one("base_flexibility", {{"stiffness", 3000}, {"damping", 10}});
   one("sloshing_payload", {{"mass", 0.3}, {"stiffness", 60}, {"damping", 0.4}});
+  EffectSpec rod =
+      MakeSpec("sloshing_payload", {}, {{"mass", 0.3}, {"length", 0.2}, {"damping", 0.4}, {"radius", 0.05}});
+  rod.options = {{"form", "rod"}, {"hinge", "y"}};
+  cases.push_back({"sloshing_rod_arm2", "arm2", {rod}});
+  rod.options = {{"form", "rod"}, {"hinge", "z"}, {"point", "last_link"}};
+  cases.push_back({"sloshing_rod_mico2", "mico2", {rod, MakeSpec("payload", {}, {{"mass", 0.2}})}});
   one("unknown_field", {{"w0", 0.3}, {"w3", -0.4}, {"w4", 0.5}, {"w5", 0.2}});
   cases.push_back(
       {"disturbance_torque",

@@ -39,7 +39,7 @@ const std::map<std::string, std::vector<std::string>> kContract = {
     {"contact", {"stiffness", "damping", "height"}},
     {"joint_coupling", {"coefficient"}},
     {"base_flexibility", {"stiffness", "damping"}},
-    {"sloshing_payload", {"mass", "stiffness"}},
+    {"sloshing_payload", {"mass", "length", "stiffness"}},
     {"unknown_field", {}},
     // One more form of unknown_field; a diagnosis reports it as that.
     {"unknown_field_pair", {}},
@@ -53,6 +53,22 @@ TEST(Catalog, HoldsTheContractsIdsAndParameters) {
     for (const auto& name : parameters) EXPECT_GE(info->FindParameter(name), 0) << id << " " << name;
   }
   EXPECT_EQ(FindEffect("none"), nullptr);
+}
+
+TEST(SloshingPayload, SaysWhichOfItsFormsItIs) {
+  const EffectInfo& info = *FindEffect("sloshing_payload");
+  EXPECT_EQ(Sentence(info, "the robot", false, {{"mass", 0.2}, {"stiffness", 40}, {"damping", 1}}),
+            "The last link carries 0.2 kg that moves in a hold of 40 N/m.");
+  EXPECT_EQ(Sentence(info, "the robot", false, {{"mass", 0.2}, {"length", 0.1}, {"damping", 1}}),
+            "The last link carries 0.2 kg that swings on a rod of 0.1 m.");
+  EffectSpec rod = MakeSpec("sloshing_payload", {}, {{"mass", 0.2}, {"length", 0.1}});
+  const Status refused = ValidateSpec(rod);
+  EXPECT_FALSE(refused.ok());
+  EXPECT_NE(refused.message().find("length needs option form rod"), std::string::npos) << refused.message();
+  rod.options["form"] = "rod";
+  EXPECT_TRUE(ValidateSpec(rod).ok());
+  rod.values["*"]["stiffness"] = 40;
+  EXPECT_FALSE(ValidateSpec(rod).ok()) << "a rod has no springs";
 }
 
 TEST(Catalog, RowsAreComplete) {

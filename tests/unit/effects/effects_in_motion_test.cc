@@ -133,7 +133,7 @@ TEST(AllEffects, RunAtRandomStrengthsOnTheLightArm) {
       for (const auto& owner : owners) {
         for (size_t i = 0; i < info.parameters.size(); ++i) {
           const auto& p = info.parameters[i];
-          if (!info.Applies(static_cast<int>(i), !spec.joints.empty()) || p.default_is_effort) continue;
+          if (!info.Applies(static_cast<int>(i), spec) || p.default_is_effort) continue;
           if (p.name == "low" || p.name == "high") continue;
           const double scale = p.prior_of_effort ? 3.0 : 1.0;
           const bool both_signs =

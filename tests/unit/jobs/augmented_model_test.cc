@@ -49,7 +49,7 @@ sim::Plant With(const sim::Plant& bare, const effects::EffectInfo& info) {
   if (info.scope == effects::Scope::kJointPair) spec.joints = {names[0], names[1]};
   const bool joint = info.scope == effects::Scope::kJoint;
   for (size_t i = 0; i < info.parameters.size(); ++i) {
-    if (info.Applies(static_cast<int>(i), !spec.joints.empty()))
+    if (info.Applies(static_cast<int>(i), spec))
       spec.values[joint ? names[1] : "*"][info.parameters[i].name] =
           Felt(info.parameters[i], bare.model().joint(1).effort);
   }
