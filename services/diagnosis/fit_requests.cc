@@ -1,12 +1,15 @@
 #include "services/diagnosis/fit_requests.h"
 
 #include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/swing_starts.h"
 
 namespace rg::diagnosis {
 
 using Eigen::VectorXd;
 
 namespace {
+
+constexpr int kFollowed = 3;  // times that windows with a mass on a rod are followed
 
 // Base parameters found without a spring are bent by what it does, those of the URDF are not theirs: on from
 // whichever is nearer after one step.
@@ -52,7 +55,9 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
     fit.states.clear(), fit.window_chi2.clear();  // of pieces, which nobody else knows
     return fit;
   }
-  if (hidden && c.base && from != nullptr && from->fit.states.empty()) {
+  if (HasRod(c.specs) && (from == nullptr || from->fit.states.empty() || !HasRod(from->specs))) {
+    fit = FitFollowed(data, model, request.options, kFollowed);
+  } else if (hidden && c.base && from != nullptr && from->fit.states.empty()) {
     fit = FitFromEither(data, model, request.options);
   } else if (from == nullptr || from->fit.states.empty()) {
     fit = Fit(data, model, request.options);

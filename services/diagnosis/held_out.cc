@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "services/diagnosis/swing_starts.h"
+
 namespace rg::diagnosis {
 
 using Eigen::MatrixXd;
@@ -89,12 +91,16 @@ FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd&
   if (c.plant->num_states() == 2 * held_out.n) return Fit(held_out, model, options);
   LiftedOptions free = options;
   free.free_hidden = true, free.iterations = kFollowed, free.more_iterations = kFollowed;
-  const FitResult followed = Fit(held_out, model, free);
+  double work = 0;
+  NodeStates swinging;
+  if (HasRod(c.specs))
+    swinging = FollowedStates(held_out, model, free, InitialStates(held_out, model, free), &work);
+  const FitResult followed = Fit(held_out, model, free, swinging.empty() ? nullptr : &swinging);
   if (!followed.ok) return Fit(held_out, model, options);
   const NodeStates starts =
       Continued(held_out, *c.plant, values, followed, options, InitialStates(held_out, model, options));
   FitResult out = Fit(held_out, model, options, &starts);
-  out.work += followed.work;
+  out.work += followed.work + work;
   return out;
 }
 

@@ -116,6 +116,13 @@ double SizeOfSurface(const sim::Plant& plant) {
   return std::max(1e-9, std::sqrt(squares / std::max(1.0, count)));
 }
 
+// Of a mass on a rod that hangs, N·s/m; 0: there is none.
+double CriticalDampingOfRod(const sim::Plant& plant) {
+  const sim::ParameterTable& table = plant.parameters();
+  const int mass = table.Find("sloshing_payload.*.mass"), length = table.Find("sloshing_payload.*.length");
+  return length < 0 ? 0.0 : 2 * table[mass].nominal * std::sqrt(9.81 / table[length].nominal);
+}
+
 struct Prior {
   double center = 0, stddev = 1;
   double lower = -1e300, upper = 1e300;
@@ -162,6 +169,11 @@ Prior PriorOf(const sim::Parameter& p, int joint, const MotionScales& s, const s
   }
   if (e == "payload" && f == "mass") return {0, 0.5 * LastMass(plant)};
   if (e == "payload") return {0, 0.15, -1, 1};
+  if (f == "radius") return {0, 0.05};
+  // What swings on a rod may swing for long.
+  if (const double critical = CriticalDampingOfRod(plant);
+      e == "sloshing_payload" && f == "damping" && critical > 0)
+    return {0, 0.1 * critical};
   if (f == "mass") return {0, LastMass(plant), 1e-4 * LastMass(plant), 20 * LastMass(plant)};
   if (f == "gap") return {0, 0.05, 1e-5, 0.5};
   if (f == "height") return {p.nominal, 0.2};
