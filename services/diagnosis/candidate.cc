@@ -193,6 +193,16 @@ bool SurelyThere(const Candidate& c, size_t i, double needed) {
          (c.specs[i].id != "torque_saturation" && 0.5 * strength * strength > 2 * needed);
 }
 
+std::vector<EffectSpec> RefreshedFrom(const Candidate& before, const Candidate& c) {
+  std::vector<EffectSpec> out = Refreshed(before);
+  for (const EffectSpec& theirs : Refreshed(c)) {
+    for (EffectSpec& own : out) {
+      if (own.id == theirs.id && own.joints == theirs.joints && own.options == theirs.options) own = theirs;
+    }
+  }
+  return out;
+}
+
 std::set<std::string> FreshKinds(const Candidate& before, const Candidate& c) {
   std::set<std::string> out;
   for (const EffectSpec& s : c.specs) out.insert(s.id);

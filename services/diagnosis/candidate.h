@@ -74,6 +74,10 @@ bool OneOfMany(const std::vector<effects::EffectSpec>& specs, size_t i);
 // where it is high.
 bool SurelyThere(const Candidate& c, size_t i, double needed);
 
+// The effects of `before` with the values that `c` gives those which it has too, and their own for the
+// others.
+std::vector<effects::EffectSpec> RefreshedFrom(const Candidate& before, const Candidate& c);
+
 // Kinds of effects that `c` has and `before` has not.
 std::set<std::string> FreshKinds(const Candidate& before, const Candidate& c);
 // Whether it has a force without a name.

@@ -7,7 +7,7 @@
 
 #include "common/effects/effect.h"
 #include "services/diagnosis/features.h"
-#include "services/diagnosis/lifted_fit.h"
+#include "services/diagnosis/missing_force.h"
 
 namespace rg::diagnosis {
 

@@ -257,7 +257,9 @@ std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effec
     if (effect == "backlash") {
       // Soft faces: how hard they are a fit finds out, but not where motor and link meet.
       const double omega = 2 * M_PI * 12.0, k = omega * omega * inertia;
-      for (const double share : {0.007, 0.02, 0.06, 0.16}) {
+      const std::vector<double> coarse = {0.007, 0.02, 0.06, 0.16};
+      const std::vector<double> fine = {0.005, 0.009, 0.016, 0.03, 0.055, 0.1, 0.18};
+      for (const double share : nominal.num_joints() <= kLightRobot ? fine : coarse) {
         push({{"gap", share * range},
               {"contact_stiffness", k},
               {"contact_damping", 0.3 * std::sqrt(k * inertia)},

@@ -10,6 +10,8 @@
 
 namespace rg::diagnosis {
 
+inline constexpr int kLightRobot = 1;  // joints, up to which looks at starts cost next to nothing
+
 // Specs (one per joint) with start values for the refit; several where there are several starts.
 std::vector<std::vector<effects::EffectSpec>> SpecsFor(const Scored& hypothesis, const sim::Plant& nominal,
                                                        const MotionScales& scales);

@@ -36,13 +36,10 @@ constexpr double kStandsOut = 4.0;   // times the median of all windows' χ², o
 constexpr int kPatience = 3;         // iterations before windows are taken for lost
 constexpr int kScreenParts = 16;
 constexpr double kUnusual = 1.5;  // times the middle χ² of windows, from where they start anew
-constexpr int kFaces = 10;    // what that costs, in simulations of all windows; twice that of every window
-constexpr int kTogether = 8;  // windows that are simulated side by side
+constexpr int kFaces = 20;        // what that costs, in simulations of all windows
+constexpr int kTogether = 8;      // windows that are simulated side by side
 
-// Rows of [J | r] orthogonal to J_e; also the factorisation to find e_0 later.
-struct Projected {
-  MatrixXd rest;  // (M − rank) × (D + 1)
-};
+}  // namespace
 
 MatrixXd ProjectOut(const MatrixXd& J_e, const MatrixXd& J, const MatrixXd& r) {
   MatrixXd stacked(J.rows(), J.cols() + r.cols());
@@ -58,6 +55,8 @@ MatrixXd ProjectOut(const MatrixXd& J_e, const MatrixXd& J, const MatrixXd& r) {
   const int rank = static_cast<int>(qr.rank());
   return stacked.bottomRows(stacked.rows() - rank);
 }
+
+namespace {
 
 // Per joint: place of the motor's position among the internal states where the encoder sits on the motor.
 std::vector<int> SensedMotors(const sim::Plant& plant) {
@@ -119,7 +118,7 @@ NodeStates InitialStates(const FitData& data, const FitModel& model, const Lifte
     states[w].col(0) = earlier.col(B);
     if (lin.has_gaps()) {
       const double carried = lin.Simulated(worker, w, VectorXd(states[w].col(0)));
-      lin.ChooseFace(worker, w, motor, carried, &states[w]);
+      lin.ChooseFace(worker, w, motor, nullptr, carried, &states[w]);
     }
     lin.CarryHidden(worker, window, motor, &states[w]);
   });
@@ -244,13 +243,25 @@ void ChooseFaces(const FitData& data, Lineariser& lin, const std::vector<int>& s
                  std::vector<double>* chi2, NodeStates* states) {
   const int W = static_cast<int>(data.windows.size());
   const double usual = Middle(*chi2);
+  std::vector<VectorXd> ends;
+  for (const MatrixXd& s : *states) ends.push_back(s.col(s.cols() - 1));
   sysid::ParallelFor(threads, W, [&](int worker, int w) {
     if ((*chi2)[w] < kUnusual * usual) return;
-    const double chosen = lin.ChooseFace(worker, w, sensed, (*chi2)[w], &(*states)[w]);
+    const bool goes_on = w > 0 && data.windows[w].recording == data.windows[w - 1].recording &&
+                         data.windows[w].t.front() - data.windows[w - 1].t.back() == 0;
+    const double chosen =
+        lin.ChooseFace(worker, w, sensed, goes_on ? &ends[w - 1] : nullptr, (*chi2)[w], &(*states)[w]);
     if (!(chosen < (*chi2)[w])) return;
     (*chi2)[w] = chosen;
     lin.CarryHidden(worker, data.windows[w], sensed, &(*states)[w]);
   });
+}
+
+// Puts the nodes of every window on its simulation: faces that meet and part bend a motion more than a line
+// from node to node could say, and off the simulation fits stay where they start.
+void FollowSimulations(const FitData& data, Lineariser& lin, int threads, NodeStates* states) {
+  sysid::ParallelFor(threads, static_cast<int>(data.windows.size()),
+                     [&](int worker, int w) { lin.Simulate(worker, w, &(*states)[w]); });
 }
 
 // Noise throws a joint off that rests at a window's start. Windows that stand out, counted, are tried anew.
@@ -267,6 +278,15 @@ size_t TryRecordedStarts(Lineariser& lin, const FitData& data, int threads, Node
     lin.TryRecordedStart(worker, lost[i], &(*states)[lost[i]], &(*chi2)[lost[i]]);
   });
   return lost.size();
+}
+
+// Whether a fit whose cost after each iteration was `costs` would not come to what it has to.
+bool Hopeless(const std::vector<double>& costs, const LiftedOptions& options) {
+  const size_t done = costs.size();
+  if (!(options.to_beat > 0) || done <= kPatience) return false;
+  const double pace = std::sqrt(costs[done - 1] / costs[done - 3]);
+  const double left = options.iterations + options.more_iterations + 1.0 - static_cast<double>(done);
+  return costs.back() * std::pow(pace, left) > options.to_beat;
 }
 
 }  // namespace
@@ -312,15 +332,15 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   NodeStates states = from != nullptr ? *from : InitialStates(data, start, options);
   const double inverse_scale = 1.0 / options.noise_scale;
   const std::vector<LooseStart> loose = LooseStarts(model.plant, states);
+  if (lin.has_gaps()) FollowSimulations(data, lin, options.threads, &states);
 
   double best = std::numeric_limits<double>::infinity();
   double trust = 1.0;
   std::vector<Linear> linear(W);
   std::vector<MatrixXd> grams(W);
-  std::vector<double> adopted(W);
+  std::vector<double> adopted(W), costs;
   const bool hidden = nx > 2 * n;
-  if (hidden && from == nullptr)
-    result.work += (1 + (lin.has_gaps() ? 2 * kFaces : 0)) * Work(data.Rows(), 0);
+  if (hidden && from == nullptr) result.work += (1 + (lin.has_gaps() ? kFaces : 0)) * Work(data.Rows(), 0);
   const int groups = (W + kTogether - 1) / kTogether;
   const std::vector<int> sensed = SensedMotors(model.plant);
   // What the cost falls by against the best so far, which the new state takes the place of if it does.
@@ -439,14 +459,20 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       }
     }
     states = std::move(trial_states);
-    if (lin.has_gaps() && options.free_hidden && it < options.iterations + options.more_iterations) {
-      ChooseFaces(data, lin, sensed, options.threads, &adopted, &states);
-      result.work += kFaces * Work(data.Rows(), 0);
-      const double more = adopt(trial_values, trial, states, adopted, information);
-      if (more > 0) gain = std::max(gain, 0.0) + more;
+    if (lin.has_gaps() && it < options.iterations + options.more_iterations) {
+      if (options.free_hidden) {
+        ChooseFaces(data, lin, sensed, options.threads, &adopted, &states);
+        result.work += kFaces * Work(data.Rows(), 0);
+        const double more = adopt(trial_values, trial, states, adopted, information);
+        if (more > 0) gain = std::max(gain, 0.0) + more;
+      }
+      FollowSimulations(data, lin, options.threads, &states);
+      result.work += Work(data.Rows(), 0);
     }
     if (it > 0 && std::abs(gain) < 0.02) break;
     if (it >= options.iterations && !(gain > options.still_falling * best)) break;
+    costs.push_back(best);
+    if (Hopeless(costs, options)) break;
   }
   result.rows = data.Rows();
   if (!result.ok) return result;
@@ -545,58 +571,6 @@ Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& 
   }
   for (const RowMatrixXd& null : nulls) screen.null += null.topRows(D - 1);
   return screen;
-}
-
-MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, const NodeStates& states,
-                                  const VectorXd& prior, double segment_s, const LiftedOptions& options) {
-  FitModel fixed{model.plant, model.values, {}};
-  Lineariser lin(data, fixed, true, options);
-  const int W = static_cast<int>(data.windows.size()), n = data.n;
-  MissingForce out;
-  out.force.resize(W), out.stddev.resize(W), out.t.resize(W);
-  std::vector<double> chi2(W, 0), unknowns(W, 0);
-  sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
-    const NodeWindow& window = data.windows[w];
-    const int N = static_cast<int>(window.t.size()) - 1;
-    const double span = window.t[N] - window.t[0];
-    const int S = std::max(1, static_cast<int>(std::lround(span / segment_s)));
-    std::vector<int> joint;
-    MatrixXd phi = MatrixXd::Zero(S * n, N);
-    for (int s = 0; s < S; ++s) {
-      out.t[w].push_back(window.t[0] + span * (s + 0.5) / S);
-      for (int j = 0; j < n; ++j) {
-        joint.push_back(j);
-        for (int k = 0; k < N; ++k) {
-          const double middle = 0.5 * (window.t[k] + window.t[k + 1]);
-          const int at = std::min(S - 1, static_cast<int>((middle - window.t[0]) / span * S));
-          if (at == s) phi(s * n + j, k) = prior[j];
-        }
-      }
-    }
-    Linear l;
-    lin.Run(worker, w, states[w], &joint, &phi, false, &l);
-    out.force[w] = MatrixXd::Zero(n, S), out.stddev[w] = MatrixXd::Zero(n, S);
-    if (!l.ok) return;
-    const MatrixXd rest = ProjectOut(l.J_e, l.J, l.r) / std::sqrt(options.noise_scale);
-    const int C = S * n;
-    MatrixXd H = rest.leftCols(C).transpose() * rest.leftCols(C);
-    const MatrixXd data_H = H;
-    H.diagonal().array() += 1.0;
-    const Eigen::LLT<MatrixXd> llt(H);
-    const VectorXd c = llt.solve(rest.leftCols(C).transpose() * rest.col(C));
-    const MatrixXd cov = llt.solve(MatrixXd::Identity(C, C));
-    for (int s = 0; s < S; ++s) {
-      for (int j = 0; j < n; ++j) {
-        out.force[w](j, s) = prior[j] * c[s * n + j];
-        out.stddev[w](j, s) = prior[j] * std::sqrt(std::max(0.0, cov(s * n + j, s * n + j)));
-      }
-    }
-    chi2[w] = (rest.col(C) - rest.leftCols(C) * c).squaredNorm();
-    unknowns[w] = static_cast<double>(l.r.size() - rest.rows()) + (data_H * cov).trace();
-  });
-  for (int w = 0; w < W; ++w) out.chi2 += chi2[w], out.unknowns += unknowns[w];
-  out.rows = data.Rows();
-  return out;
 }
 
 }  // namespace rg::diagnosis

@@ -56,6 +56,9 @@ struct LiftedOptions {
   int iterations = 6;
   int more_iterations = 0;       // while each lowers the cost
   double still_falling = 0.005;  // by this share of it
+  // The cost that it must come to: it ends where, at the pace at which it falls, it would not in the
+  // iterations that are left. 0: none.
+  double to_beat = 0;
   int threads = 1;
   double noise_scale = 1.0;  // residual variance in units of the sensors' noise
   double step_s = 2e-3;
@@ -120,18 +123,5 @@ double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates
 Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
                   const FeatureBlock& features, const LiftedOptions& options,
                   const std::vector<Eigen::VectorXd>& step_rule, int null_draws, Rng rng);
-
-// The missing force as a staircase (`segment_s` wide) per joint, with its stddev; weak prior `prior` (n) on
-// each stair. One entry per window: n × stairs.
-struct MissingForce {
-  std::vector<Eigen::MatrixXd> force, stddev;
-  std::vector<std::vector<double>> t;  // middles
-  double chi2 = 0;                     // with the forces
-  double unknowns = 0;                 // effective number of them, e_0 included
-  int rows = 0;
-};
-MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, const NodeStates& states,
-                                  const Eigen::VectorXd& prior, double segment_s,
-                                  const LiftedOptions& options);
 
 }  // namespace rg::diagnosis

@@ -80,6 +80,9 @@ struct Linear {
   bool ok = true;
 };
 
+// Rows of [J | r] orthogonal to J_e: (M − rank) × (D + columns of r).
+MatrixXd ProjectOut(const MatrixXd& J_e, const MatrixXd& J, const MatrixXd& r);
+
 struct Worker {
   sim::Simulator simulator;
   sim::State x;
@@ -242,6 +245,15 @@ class Lineariser {
     *states = w.out.state, *chi2 = best;
   }
 
+  // The states of a window as they are simulated from its start; unchanged where that breaks.
+  void Simulate(int worker, int index, MatrixXd* states) {
+    Worker& w = *workers_[worker];
+    const NodeWindow& window = data_.windows[index];
+    SetState(states->col(0), window.t[0], &w.x);
+    w.simulator.SimulateInto(w.x, data_.recordings[window.recording].command, window.t, {}, &w.out);
+    if (w.out.outcome.ok() && w.out.state.allFinite()) *states = w.out.state;
+  }
+
   // States of a window simulated node by node from x_0, in place: what is recorded stays as recorded, what is
   // hidden is carried on. Behind an encoder on the motor the link is the hidden one.
   void CarryHidden(int worker, const NodeWindow& window, const std::vector<int>& motor, MatrixXd* states) {
@@ -268,7 +280,9 @@ class Lineariser {
   // In a gear with play the link may lie on either face or between them, at rest against the motor or on its
   // way, and no derivative leads from one to the other: of such starts the one whose simulation is nearest to
   // the record, if it is nearer than `best`, the χ² of the start as it is. Returns its χ².
-  double ChooseFace(int worker, int index, const std::vector<int>& sensed, double best, MatrixXd* states) {
+  // `before`: the state in which the window before ends, or null.
+  double ChooseFace(int worker, int index, const std::vector<int>& sensed, const VectorXd* before,
+                    double best, MatrixXd* states) {
     const NodeWindow& window = data_.windows[index];
     for (const Gap& g : gaps_) {
       const int theta = 2 * n_ + g.motor;
@@ -277,16 +291,30 @@ class Lineariser {
       const auto drive = data_.fine[window.recording].u.row(g.joint);
       const double torque = std::sqrt(drive.squaredNorm() / static_cast<double>(drive.size()));
       const double speed = std::sqrt(4 * half * torque / probe_.values[g.inertia]);
+      // From where it is, and from where it was recorded: a start that has followed a wrong face has moved.
+      const VectorXd here = states->col(0);
+      VectorXd recorded = here;
+      const int read = sensed[g.joint] >= 0 ? theta : g.joint;
+      recorded[read] = window.q0(g.joint, 0);
+      recorded[read == theta ? theta + 1 : n_ + g.joint] = window.v0(g.joint, 0);
       std::vector<VectorXd> starts;
-      for (const double side : {-1.0, -0.5, 0.0, 0.5, 1.0}) {
-        for (const double rate : {-1.0, -0.4, -0.15, 0.0, 0.15, 0.4, 1.0}) {
-          VectorXd x = states->col(0);
-          if (sensed[g.joint] >= 0) {
-            x[g.joint] = x[theta] - side * half, x[n_ + g.joint] = x[theta + 1] - rate * speed;
-          } else {
-            x[theta] = x[g.joint] + side * half, x[theta + 1] = x[n_ + g.joint] + rate * speed;
-          }
-          starts.push_back(std::move(x));
+      const auto push = [&](VectorXd x, double ahead, double faster) {  // the motor of the link
+        if (read == theta) {
+          x[g.joint] = x[theta] - ahead, x[n_ + g.joint] = x[theta + 1] - faster;
+        } else {
+          x[theta] = x[g.joint] + ahead, x[theta + 1] = x[n_ + g.joint] + faster;
+        }
+        starts.push_back(std::move(x));
+      };
+      for (const VectorXd& x : {here, recorded}) {
+        if (starts.size() > 0 && recorded == here) break;
+        if (before != nullptr) {
+          const VectorXd& b = *before;
+          push(x, b[theta] - b[g.joint], b[theta + 1] - b[n_ + g.joint]);
+        }
+        for (const double side : {-1.0, -0.5, 0.0, 0.5, 1.0}) {
+          for (const double rate : {-1.0, -0.4, -0.15, 0.0, 0.15, 0.4, 1.0})
+            push(x, side * half, rate * speed);
         }
       }
       const std::vector<double> chi2 = Simulated(worker, std::vector<int>(starts.size(), index), starts);

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "common/effects/effect.h"
-#include "services/diagnosis/lifted_fit.h"
+#include "services/diagnosis/missing_force.h"
 
 namespace rg::diagnosis {
 

@@ -7,6 +7,12 @@ namespace rg::diagnosis {
 
 using effects::EffectSpec;
 
+namespace {
+
+constexpr int kNullDraws = 60;
+
+}  // namespace
+
 std::vector<effects::EffectSpec> WithProbes(const std::vector<effects::EffectSpec>& held,
                                             const std::vector<std::string>& joints) {
   std::vector<effects::EffectSpec> out = held;
@@ -50,6 +56,32 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const Motion
     }
   }
   return columns;
+}
+
+ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
+                          const FeatureSet& features, const LiftedOptions& options, Rng rng,
+                          std::vector<Eigen::VectorXd>* step_rule) {
+  const sim::Plant& nominal = setting.nominal;
+  const std::vector<EffectSpec> own = Refreshed(current);
+  auto plant =
+      sim::Plant::Create(nominal.shared_model(), nominal.options(), WithProbes(own, nominal.joint_names()));
+  if (!plant.ok()) return {};
+  std::vector<sysid::FitParameter> parameters;
+  auto columns = ScreenColumns(*plant, setting.scales, own, &parameters);
+  const bool holds = at == &current && current.fit.states.front().rows() == plant->num_states();
+  Eigen::VectorXd values = plant->parameters().Nominal();
+  if (at != nullptr && (holds || at != &current))
+    values = plant->ValuesFrom(at->plant->parameters(), at->fit.values);
+  for (size_t c = 0; c < columns.size(); ++c) {
+    const sysid::FitParameter& p = parameters[c];
+    if (columns[c].effect.empty()) columns[c].away = (values[p.index] - p.nominal) / p.prior_stddev;
+  }
+  const FitModel model{*plant, values, parameters};
+  const NodeStates states = holds ? current.fit.states : InitialStates(setting.data, model, options);
+  if (step_rule->empty()) *step_rule = StepRuleResiduals(setting.data, model, states, options);
+  const Screen screen =
+      MakeScreen(setting.data, model, states, features.block, options, *step_rule, kNullDraws, rng);
+  return ScoreHypotheses(screen, columns, features, setting.scales, base, setting.data.n);
 }
 
 }  // namespace rg::diagnosis

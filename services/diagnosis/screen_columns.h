@@ -1,4 +1,4 @@
-// The parameters that a screen varies and what each column of them stands for.
+// The parameters that a screen varies, what each column of them stands for, and the screen itself.
 #pragma once
 
 #include <string>
@@ -6,6 +6,7 @@
 
 #include "common/effects/effect.h"
 #include "common/sim/plant.h"
+#include "services/diagnosis/fit_requests.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/screening.h"
 
@@ -20,5 +21,13 @@ std::vector<effects::EffectSpec> WithProbes(const std::vector<effects::EffectSpe
 std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const MotionScales& scales,
                                            const std::vector<effects::EffectSpec>& held,
                                            std::vector<sysid::FitParameter>* parameters);
+
+// Everything screened beside `current`, with free base parameters or without: around the states and values of
+// `at` where that is `current`; else on the recorded motion, at the base parameters of `at` or, without it,
+// the nominal ones. `step_rule`: StepRuleResiduals of the first model, which serve all and are made where it
+// is empty, for they hardly depend on the model.
+ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
+                          const FeatureSet& features, const LiftedOptions& options, Rng rng,
+                          std::vector<Eigen::VectorXd>* step_rule);
 
 }  // namespace rg::diagnosis

@@ -4,8 +4,6 @@
 #include <cmath>
 #include <set>
 
-#include "common/base/check.h"
-#include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/acceptance.h"
 #include "services/diagnosis/field_starts.h"
@@ -21,13 +19,13 @@
 namespace rg::diagnosis {
 
 using effects::EffectSpec;
-using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
 namespace {
 
 constexpr double kRivalShare = 0.25;  // of what parameters explain, by the screen's linear estimate
 constexpr int kMoreIterations = 14;   // of a fit that still falls
+constexpr double kHopeless = 2.0;     // times its rival's misfit, which a fit would not come to
 constexpr double kFallsFast = 0.1;    // of the cost in one iteration, for a trial to go on
 constexpr double kTrialShare = 0.3;   // of all work, that the trials of one screen may cost
 constexpr double kToTheEnd = 1.3;     // of all work, to weigh what is found
@@ -68,7 +66,7 @@ class Search {
     Tell("calibrate", 0.05, "");
     StartFromGiven();
     out.nominal = Evaluate(given_, false);
-    out.calibrated = Evaluate(given_, true);
+    out.calibrated = Calibrated();
     if (PerRow(out.calibrated) > kHolds) out.calibrated = Better(out.calibrated, FitPieces());
     acceptance_.NoteBase(data_, out.calibrated, lifted_);
     Candidate best = out.calibrated.score > out.nominal.score + Threshold(out.nominal, out.calibrated)
@@ -80,8 +78,9 @@ class Search {
       const bool added = AddOne(&best);
       if (!added) break;
       LowerNoise(&best, &out);
-      // What little is left of it is the surface's own coarseness, and no further name.
-      if ((round_ == 1 || OfPosition(best)) && Flexible(&best, LeavesNothing(out))) break;
+      // What little a surface leaves is its own coarseness, and no further name.
+      const double nothing = 0.98 + 0.02 * std::min(PerRow(out.nominal), PerRow(out.calibrated));
+      if ((round_ == 1 || OfPosition(best)) && Flexible(&best, std::max(kExplained, nothing))) break;
     }
     Prune(&best);
     if (PerRow(best) > kExplained || OfPosition(best)) Flexible(&best, 1e300);
@@ -105,8 +104,7 @@ class Search {
   }
 
  private:
-  static constexpr double kSegment = 0.05;  // s
-  static constexpr int kNullDraws = 60;
+  static constexpr double kSegment = 0.05;    // s
   static constexpr uint64_t kOwnDraw = 1000;  // its stream of random numbers, beyond the rounds'
 
   // The effects of the given model, without those of which these recordings show nothing.
@@ -152,10 +150,10 @@ class Search {
                                 lifted_);
   }
 
-  // `from`: where to start, where it holds; else at the recorded motion.
+  // `from`: where to start, where it holds; else at the recorded motion. `rival`: what it must come near to.
   Candidate Evaluate(const std::vector<EffectSpec>& specs, bool base, const Candidate* from = nullptr,
-                     int iterations = 6) {
-    const FitRequest request = WholeFit(specs, base, Start(from, base), iterations);
+                     int iterations = 6, const Candidate* rival = nullptr) {
+    const FitRequest request = WholeFit(specs, base, Start(from, base), iterations, rival);
     return Tried(request, fits_.Start(setting_, {request})->Take(0));
   }
 
@@ -170,11 +168,18 @@ class Search {
   // record, from where fits in their world then start.
   Candidate FitPieces() {
     FitRequest request{given_, true, lifted_, {}, kPiece, true, nullptr};
-    request.options.iterations = kMoreIterations;
+    request.options.more_iterations = kMoreIterations;
     auto pieces = std::make_shared<Candidate>(Fitted(request, fits_.Start(setting_, {request})->Take(0)));
     trace_.Fit(*pieces, "pieces");
     if (pieces->fit.ok) pieces_ = pieces;
-    return Evaluate(given_, true);
+    return Calibrated();
+  }
+
+  // No longer than it may come to hold.
+  Candidate Calibrated() {
+    FitRequest request = WholeFit(given_, true, pieces_);
+    request.options.to_beat = kHolds * data_.Rows();
+    return Tried(request, fits_.Start(setting_, {request})->Take(0));
   }
 
   bool FromPieces(const FitRequest& request) const {
@@ -182,11 +187,12 @@ class Search {
   }
 
   FitRequest WholeFit(const std::vector<EffectSpec>& specs, bool base, std::shared_ptr<const Candidate> from,
-                      int iterations = 6) const {
+                      int iterations = 6, const Candidate* rival = nullptr) const {
     FitRequest request{specs, base, lifted_, {}, 0, false, std::move(from)};
     if (FromPieces(request)) request.piece_s = kPiece;
     request.options.iterations = iterations;
     request.options.more_iterations = kMoreIterations;
+    if (rival != nullptr && rival->fit.ok) request.options.to_beat = -2 * kHopeless * rival->score;
     return request;
   }
 
@@ -212,32 +218,11 @@ class Search {
     return c;
   }
 
-  ScreenResult ScreenAround(const Candidate& current, bool base) {
-    const std::vector<EffectSpec> own = Refreshed(current);
-    auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(),
-                                    WithProbes(own, nominal_.joint_names()));
-    if (!plant.ok()) return {};
-    std::vector<sysid::FitParameter> parameters;
-    auto columns = ScreenColumns(*plant, scales_, own, &parameters);
-    // Around a model that holds, its own states and values; around a wrong one, the recorded motion.
-    const bool holds = PerRow(current) < kHolds && current.fit.states.front().rows() == plant->num_states();
-    VectorXd values = plant->parameters().Nominal();
-    if (holds) {
-      values = plant->ValuesFrom(current.plant->parameters(), current.fit.values);
-    } else if (base && pieces_ != nullptr) {
-      values = plant->ValuesFrom(pieces_->plant->parameters(), pieces_->fit.values);
-    }
-    for (size_t c = 0; c < columns.size(); ++c) {
-      const sysid::FitParameter& p = parameters[c];
-      if (columns[c].effect.empty()) columns[c].away = (values[p.index] - p.nominal) / p.prior_stddev;
-    }
-    const FitModel model{*plant, values, parameters};
-    const NodeStates states = holds ? current.fit.states : InitialStates(data_, model, lifted_);
-    // It hardly depends on the model: the first one's serves all.
-    if (step_rule_.empty()) step_rule_ = StepRuleResiduals(data_, model, states, lifted_);
-    const Screen screen = MakeScreen(data_, model, states, features_.block, lifted_, step_rule_, kNullDraws,
-                                     Rng(options_.seed).Split(static_cast<uint64_t>(round_)));
-    return ScoreHypotheses(screen, columns, features_, scales_, base, data_.n);
+  ScreenResult Screened(const Candidate& current, bool base) {
+    const Candidate* values = base ? pieces_.get() : nullptr;
+    if (PerRow(current) < kHolds) values = &current;
+    return ScreenAround(setting_, current, base, values, features_, lifted_,
+                        Rng(options_.seed).Split(static_cast<uint64_t>(round_)), &step_rule_);
   }
 
   double Threshold(const Candidate& best) const {
@@ -277,7 +262,7 @@ class Search {
                          (AtStake(*best) < Threshold(*best) ||
                           (round_ > 1 && own->score < best->score - 0.5 * data_.Rows()));
       const Candidate from = *own;
-      const ScreenResult screened = ScreenAround(from, base);
+      const ScreenResult screened = Screened(from, base);
       acceptance_.Note(screened, nominal_.joint_names());
       trace_.Screen(screened, base);
       const double best_gain = screened.hypotheses.empty() ? 0.0 : screened.hypotheses.front().gain;
@@ -286,30 +271,26 @@ class Search {
         continue;
       }
       const double wanted = rival ? kRivalShare * (best->score - from.score) : 1.0;
-      const auto nearest = [&](const std::vector<TrialSpecs>& starts, size_t count) {
+      const auto nearest = [&](const auto& starts, size_t count) {
         return Looked(from, base, starts, count);
       };
-      const auto pool = Trials(
-          data_, nominal_, scales_, from, screened, wanted, [&] { return Force(from); }, nearest);
+      const auto force = [&] { return Force(from); };
+      const auto pool = Trials(data_, nominal_, scales_, from, screened, wanted, force, nearest);
       TryBest(from, pool, base, base ? 3 : 4, &winner);
     }
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
       Restart(&winner);
       DropNothing(&winner);
       Siblings(*best, &winner);
-      const Candidate twin = Evaluate(Refreshed(winner), !winner.base, &winner);
-      const Candidate& plain = winner.base ? twin : winner;
-      const Candidate& freed = winner.base ? winner : twin;
-      winner =
-          freed.score > plain.score + std::max(Threshold(*best), Threshold(plain, freed)) ? freed : plain;
+      winner = InEitherWorld(winner, Threshold(*best));
     }
     const auto needs = [&](const Candidate& a, const Candidate& b) { return Threshold(a, b); };
-    if (const Candidate* fewer = FewerNames(tried_, *best, winner, needs)) winner = Longer(*fewer, *fewer);
+    if (const Candidate* c = FewerNames(tried_, *best, winner, needs)) winner = Longer(*c, *c, *c);
     // Fits with hidden states or free base parameters end before they are done: the old model has another try
-    // from where it or the winner is, or an addition would be credited with what a longer fit alone brings.
-    const bool freed = best->base && winner.base;
-    if (winner.score > best->score && best->fit.ok && (freed || HasHiddenStates(*best)))
-      *best = Longer(*best, freed ? winner : *best);
+    // with the winner's values, or an addition would be credited with what a longer fit alone brings.
+    const bool alike = best->base == winner.base;
+    if (winner.score > best->score && best->fit.ok && ((best->base && alike) || HasHiddenStates(*best)))
+      *best = Longer(*best, alike ? winner : *best, winner);
     if (AddsNothing(*best, winner)) winner = *best;
     // The same effects, better fitted, need no more than to be better.
     const bool same = KeyOf(winner.specs) == KeyOf(best->specs) && winner.base == best->base;
@@ -329,8 +310,18 @@ class Search {
     return accept;
   }
 
-  Candidate Longer(const Candidate c, const Candidate from) {
-    return Better(c, Evaluate(Refreshed(c), c.base, &from, 12));
+  // With free base parameters or without, whichever is worth it; they must bring `least`.
+  Candidate InEitherWorld(const Candidate& c, double least) {
+    const Candidate twin = Evaluate(Refreshed(c), !c.base, &c, 6, &c);
+    const Candidate &plain = c.base ? twin : c, &freed = c.base ? c : twin;
+    return freed.score > plain.score + std::max(least, Threshold(plain, freed)) ? freed : plain;
+  }
+
+  // Fitted on, from where `from` is and with the values of `rival`: in either world where that brings more.
+  Candidate Longer(const Candidate c, const Candidate from, const Candidate rival) {
+    const Candidate longer = Evaluate(RefreshedFrom(c, rival), c.base, &from, 12, &rival);
+    if (longer.score < c.score + 1) return Better(c, longer);
+    return c.base && HasHiddenStates(c) ? InEitherWorld(longer, 0) : longer;
   }
 
   // Of several effects added at once each must be worth its name; at the end, beside what was tried already.
@@ -345,16 +336,12 @@ class Search {
         std::erase_if(specs, [&](const EffectSpec& s) { return s.id == id; });
         const Candidate* known = Known(specs, winner.base);
         if (Late() && known == nullptr) continue;
-        fewer = Better(fewer, Late() ? *known : Evaluate(specs, winner.base, &winner));
+        fewer = Better(fewer, Late() ? *known : Evaluate(specs, winner.base, &winner, 6, &winner));
       }
       if (winner.score > fewer.score + Threshold(fewer, winner)) return winner;
       winner = fewer;
     }
     return winner;
-  }
-
-  double LeavesNothing(const SearchResult& out) const {  // χ² per row of an account that does
-    return std::max(kExplained, 1 + 0.02 * (std::min(PerRow(out.nominal), PerRow(out.calibrated)) - 1));
   }
 
   // The ceiling: one unnamed force over two joints' positions, or one joint's, in the place of all effects
@@ -424,7 +411,7 @@ class Search {
                                  size_t count) {
     const FitRequest look{Refreshed(from), base, lifted_, {}, 0, false, Start(&from, base)};
     return NearestStarts(
-        fits_, setting_, look, from.fit.window_chi2, starts, count, [&] { return Late(); }, &work_);
+        fits_, setting_, look, from.fit.window_chi2, starts, count, [&] { return Late(kToTheEnd); }, &work_);
   }
 
   // The shortest pieces over which a model without what is missing is seen not to hold: shorter ones hide it
@@ -475,12 +462,34 @@ class Search {
                       lifted_.noise_scale * PerRow(c) < kExplained && PerRow(from) > kExplained);
       }
     }
+    // What its misfit on all windows would be, by the best trial.
+    Candidate nearest = from;
+    for (const RankedTrial& t : ranked) nearest.score = std::max(nearest.score, t.left * from.score);
     std::vector<FitRequest> best;
     for (const TrialSpecs& specs : BestOf(std::move(ranked), std::move(hidden), full))
-      best.push_back(WholeFit(specs, base, trial.from));
-    const auto batch = fits_.Start(setting_, best);
-    for (size_t i = 0; i < best.size() && (i == 0 || !Late(kToTheEnd)); ++i)
-      *winner = Better(*winner, Tried(best[i], batch->Take(i)));
+      best.push_back(WholeFit(specs, base, trial.from, 6, trial.pieces_alone ? nullptr : &nearest));
+    Candidate found = from;
+    TakeBest(best, 1, &found);
+    TrySprings(from, &found);
+    *winner = Better(*winner, found);
+  }
+
+  // Fits them on all windows, at least so many however much work is done.
+  void TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner) {
+    const auto batch = fits_.Start(setting_, requests);
+    for (size_t i = 0; i < requests.size() && (i < least || !Late(kToTheEnd)); ++i)
+      *winner = Better(*winner, Tried(requests[i], batch->Take(i)));
+  }
+
+  // Springs behind the rotors that an account adds, before free base parameters make up for them.
+  void TrySprings(const Candidate& from, Candidate* account) {
+    const auto springs = SpringsBehind(from, *account, nominal_, scales_);
+    const bool base = account->base;
+    std::vector<FitRequest> fits;
+    for (const TrialSpecs& spring : Looked(*account, base, springs, kSprings))
+      fits.push_back(
+          WholeFit(Joined(StrongEffects(*account), spring), base, Start(nullptr, base), 6, account));
+    TakeBest(fits, 1, account);
   }
 
   // A winner that does not hold may lack another effect, or its fit got stuck on its way from base parameters
@@ -502,15 +511,10 @@ class Search {
     for (const std::string& kind : kinds) {
       for (const TrialSpecs& other : Exchanges(specs, kind, nominal_, scales_)) {
         if (Known(other, winner->base) == nullptr)
-          others.push_back(WholeFit(other, winner->base, Start(nullptr, winner->base)));
+          others.push_back(WholeFit(other, winner->base, Start(nullptr, winner->base), 6, winner));
       }
     }
-    const auto springs = SpringsBehind(specs, kinds, nominal_, scales_);
-    for (const TrialSpecs& spring : Looked(*winner, winner->base, springs, kSprings))
-      others.push_back(WholeFit(Joined(specs, spring), winner->base, Start(nullptr, winner->base)));
-    const auto batch = fits_.Start(setting_, others);
-    for (size_t i = 0; i < others.size() && !Late(kToTheEnd); ++i)
-      *winner = Better(*winner, Tried(others[i], batch->Take(i)));
+    TakeBest(others, 0, winner);
   }
 
   const Candidate* Known(const std::vector<EffectSpec>& specs, bool base) const {
@@ -536,7 +540,7 @@ class Search {
         if (SurelyThere(*best, i, Threshold(*best))) continue;
         std::vector<EffectSpec> specs = Refreshed(*best);
         specs.erase(specs.begin() + static_cast<long>(i));
-        const Candidate c = Evaluate(specs, best->base, best, 4);
+        const Candidate c = Evaluate(specs, best->base, best, 4, best);
         const double worth = OneOfMany(best->specs, i) ? Threshold(c, *best) : 0.0;
         if (best->score < c.score + worth) *best = c, changed = true;
       }
@@ -547,17 +551,12 @@ class Search {
   void Plainer(Candidate* best) {
     for (const char* id : {"stribeck_friction", "asymmetric_friction", "load_dependent_friction",
                            "presliding_hysteresis", "thermal_drift"}) {
-      std::vector<EffectSpec> specs = Refreshed(*best);
-      bool any = false;
-      for (EffectSpec& s : specs) {
-        if (s.id != id) continue;
-        s = Exchanged(s, "coulomb_friction", nominal_, scales_), any = true;
-      }
-      if (!any || Late(kPruned)) continue;
+      const TrialSpecs specs = Exchanges(Refreshed(*best), id, nominal_, scales_).front();
+      if (KeyOf(specs) == KeyOf(best->specs) || Late(kPruned)) continue;
       const Candidate* known = Known(specs, best->base);
       // What it holds as a special case cannot be better: the plain one's fit had not found its way.
       const bool done = known != nullptr && known->score >= best->score;
-      const Candidate plain = done ? *known : Evaluate(specs, best->base, best);
+      const Candidate plain = done ? *known : Evaluate(specs, best->base, best, 6, best);
       const double needed = Threshold(plain, *best);
       if (best->score >= plain.score + needed) continue;
       // What the form may pretend is not held for it when rivals are weighed.

@@ -17,6 +17,7 @@
 #include "services/diagnosis/candidate.h"
 #include "services/diagnosis/diagnosis.h"
 #include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/missing_force.h"
 
 namespace rg::diagnosis {
 

@@ -233,28 +233,25 @@ std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id
   return out;
 }
 
-std::vector<TrialSpecs> SpringsBehind(const TrialSpecs& specs, const std::set<std::string>& fresh,
+std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& account,
                                       const sim::Plant& nominal, const MotionScales& scales) {
-  struct Rotor {
-    double share;  // of the joint's own inertia
-    int joint;
-    double armature;
-  };
-  std::vector<Rotor> rotors;
-  for (const EffectSpec& s : specs) {
-    if (s.id != "rotor_inertia" || s.joints.size() != 1) continue;
-    const int joint = nominal.model().FindJoint(s.joints[0]);
-    const double armature = s.values.begin()->second.at("armature");
-    rotors.push_back({armature / scales.inertia[joint], joint, armature});
-  }
-  if (fresh.count("rotor_inertia") == 0) rotors.clear();
-  std::stable_sort(rotors.begin(), rotors.end(),
-                   [](const Rotor& a, const Rotor& b) { return a.share > b.share; });
   std::vector<TrialSpecs> out;
+  if (!account.fit.ok || FreshKinds(before, account).count("rotor_inertia") == 0) return out;
+  std::vector<std::pair<double, size_t>> rotors;  // strength, place
+  for (size_t i = 0; i < account.specs.size(); ++i) {
+    if (account.specs[i].id == "rotor_inertia" && account.specs[i].joints.size() == 1)
+      rotors.push_back({Strength(account, i), i});
+  }
+  std::stable_sort(rotors.begin(), rotors.end(),
+                   [](const auto& a, const auto& b) { return a.first > b.first; });
+  const std::vector<EffectSpec> specs = Refreshed(account);
   for (size_t i = 0; i < std::min(kRotors, rotors.size()); ++i) {
+    const EffectSpec& rotor = specs[rotors[i].second];
+    const int joint = nominal.model().FindJoint(rotor.joints[0]);
+    const double armature = rotor.values.begin()->second.at("armature");
     for (const char* sensor : {"link", "motor"}) {
-      for (TrialSpecs& start : TransmissionStarts("joint_elasticity", sensor, rotors[i].joint, nominal,
-                                                  scales, rotors[i].armature))
+      for (TrialSpecs& start :
+           TransmissionStarts("joint_elasticity", sensor, joint, nominal, scales, armature))
         out.push_back(std::move(start));
     }
   }

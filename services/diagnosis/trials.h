@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "services/diagnosis/candidate.h"
+#include "services/diagnosis/missing_force.h"
 #include "services/diagnosis/screening.h"
 
 namespace rg::diagnosis {
@@ -35,13 +36,14 @@ struct RankedTrial {
 // which need whole windows, beside others on pieces, over which less can go wrong): the two take turns.
 std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, std::vector<RankedTrial> apart, size_t count);
 
-// `specs` with effect `id` exchanged for each that it is easily taken for, on the same joints.
+// `specs` with effect `id` exchanged for each that it is easily taken for, on the same joints; of dry
+// friction's forms the plain one first.
 std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const sim::Plant& nominal,
                                   const MotionScales& scales);
 
-// Springs behind the largest rotors of `specs`, where rotors are `fresh` kinds of it: below its
-// resonance a motor behind a spring is a rotor, and what it is more no screen can see.
-std::vector<TrialSpecs> SpringsBehind(const TrialSpecs& specs, const std::set<std::string>& fresh,
+// Springs behind the rotors that `account` has beyond `before` and that it owes most to: below its resonance
+// a motor behind a spring is a rotor, and what it is more no screen can see.
+std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& account,
                                       const sim::Plant& nominal, const MotionScales& scales);
 
 // The windows, about `wanted` of `all`, on which trials are fitted: every so many. Where these hold less than

@@ -95,6 +95,7 @@ pb::FitBatch BatchOf(const std::vector<FitRequest>& requests, const diagnosis::F
     fit->set_iterations(static_cast<uint32_t>(request.options.iterations));
     fit->set_more_iterations(static_cast<uint32_t>(request.options.more_iterations));
     fit->set_still_falling(request.options.still_falling);
+    fit->set_to_beat(request.options.to_beat);
     fit->set_noise_scale(request.options.noise_scale);
     fit->set_step_s(request.options.step_s);
     fit->set_piece_s(request.piece_s);
@@ -124,6 +125,7 @@ Result<FitRequest> RequestOf(const pb::FitBatch& batch, uint32_t index, const Fi
   request.options.iterations = static_cast<int>(fit.iterations());
   request.options.more_iterations = static_cast<int>(fit.more_iterations());
   request.options.still_falling = fit.still_falling();
+  request.options.to_beat = fit.to_beat();
   request.options.noise_scale = fit.noise_scale();
   request.options.step_s = fit.step_s();
   request.piece_s = fit.piece_s();

@@ -54,6 +54,18 @@ TEST(Candidate, AddsNothingWhereAllThatIsNewIsWithinItsError) {
   EXPECT_FALSE(AddsNothing(c, c));
 }
 
+TEST(Candidate, IsRefreshedFromAnotherWhereBothHaveAnEffect) {
+  Candidate before = Swinging(), c = Swinging();
+  before.fit.ok = c.fit.ok = true;
+  before.fit.values = c.fit.values = c.plant->parameters().Nominal();
+  const int mass = c.plant->parameters().Find("sloshing_payload.*.mass");
+  ASSERT_GE(mass, 0);
+  c.fit.values[mass] = 0.08;
+  EXPECT_EQ(RefreshedFrom(before, c)[0].values.at("*").at("mass"), 0.08);
+  c.specs[0].options["point"] = "last_link";  // another law
+  EXPECT_EQ(RefreshedFrom(before, c)[0].values.at("*").at("mass"), 0.05);
+}
+
 class Rippling : public ::testing::Test {
  protected:
   // `cycles` per turn, known to `error`, on a pendulum.

@@ -8,6 +8,7 @@
 #include "services/diagnosis/gram.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/loose_start.h"
+#include "services/diagnosis/missing_force.h"
 #include "services/diagnosis/search.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/prepared_set.h"
@@ -15,15 +16,18 @@
 namespace rg::diagnosis {
 namespace {
 
+using effects::EffectSpec;
 using effects::MakeSpec;
 
 using testing::Prepare;
 using testing::Prepared;
 
-FitResult FitEffects(const Prepared& p, std::vector<effects::EffectSpec> specs) {
+FitResult FitEffects(const Prepared& p, std::vector<effects::EffectSpec> specs,
+                     const LiftedOptions& options = {}) {
   auto plant = sim::Plant::Create(p.nominal.shared_model(), p.nominal.options(), std::move(specs));
   RG_CHECK(plant.ok()) << plant.status().ToString();
-  return Fit(p.data, {*plant, plant->parameters().Nominal(), FreeParameters(*plant, p.scales, false)}, {});
+  return Fit(p.data, {*plant, plant->parameters().Nominal(), FreeParameters(*plant, p.scales, false)},
+             options);
 }
 
 TEST(LiftedFit, TheTrueModelIsAtTheNoise) {
@@ -129,6 +133,43 @@ TEST(LiftedFit, ComesToTheNoiseWhereJointsRest) {
     EXPECT_LT(fit.chi2 / dof, 1.15) << seed;
     EXPECT_NEAR(fit.theta[0], 1.5, 0.01) << seed;
   }
+}
+
+// Hard faces bend a motion more between two nodes than a line says: on nodes of their own, off the
+// simulation, fits stay where they start.
+TEST(LiftedFit, FindsPlayBetweenHardFacesFromSoftOnes) {
+  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  const auto play = [&](double gap, double stiffness, double damping, double inertia) {
+    EffectSpec spec = MakeSpec("backlash", {joint},
+                               {{"gap", gap},
+                                {"contact_stiffness", stiffness},
+                                {"contact_damping", damping},
+                                {"motor_inertia", inertia},
+                                {"motor_viscous", 0.001}});
+    spec.options["sensor"] = "motor";
+    return spec;
+  };
+  const auto p = Prepare("pendulum", {play(0.02, 1500, 2.6, 0.05)}, 3, {.rate_hz = 250, .finer = 2});
+  const FitResult fit = FitEffects(*p, {play(0.017, 450, 1.3, 0.05)}, {.iterations = 20});
+  ASSERT_TRUE(fit.ok);
+  EXPECT_LT(fit.chi2 / fit.rows, 15.0);  // from 150
+  EXPECT_NEAR(fit.theta[0], 0.02, 2e-3);
+}
+
+TEST(LiftedFit, EndsWhereItWouldNotComeToWhatItMust) {
+  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  const auto truth = MakeSpec("coulomb_friction", {joint}, {{"coulomb", 1.0}});
+  const auto p = Prepare("pendulum", {truth}, 4);
+  const auto start = MakeSpec("quadratic_drag", {joint}, {{"quadratic", 0.01}});
+  LiftedOptions options;
+  options.iterations = 12;
+  const FitResult wrong = FitEffects(*p, {start}, options);
+  options.to_beat = 0.5 * wrong.chi2;
+  const FitResult hopeless = FitEffects(*p, {start}, options);
+  EXPECT_LT(hopeless.work, wrong.work);
+  EXPECT_LT(hopeless.chi2, 1.1 * wrong.chi2);
+  const auto near = MakeSpec("coulomb_friction", {joint}, {{"coulomb", 0.3}});
+  EXPECT_EQ(FitEffects(*p, {near}, options).chi2, FitEffects(*p, {near}, {.iterations = 12}).chi2);
 }
 
 TEST(LiftedFit, DoesNotDependOnTheNumberOfThreads) {

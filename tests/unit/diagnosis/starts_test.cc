@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "services/diagnosis/field_starts.h"
+#include "services/diagnosis/fit_requests.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/push_starts.h"
 #include "services/diagnosis/search.h"
@@ -159,6 +160,31 @@ TEST(Trials, OfTwoReferencesTakeTurnsByWhatTheyLeave) {
   EXPECT_EQ(best[1][0].id, "joint_elasticity");
   EXPECT_EQ(best[2][0].id, "coulomb_friction");
   EXPECT_EQ(best[3][0].id, "backlash");
+}
+
+// Rotors on both joints stand for a motor behind a spring on one: springs are looked for behind the one that
+// the account owes most to, with its inertia.
+TEST(SpringsBehind, AreSoughtBehindTheRotorThatCountsMost) {
+  const auto rotor = [](const std::string& joint, double armature) {
+    return MakeSpec("rotor_inertia", {joint}, {{"armature", armature}});
+  };
+  EffectSpec spring = MakeSpec("joint_elasticity", {"shoulder"},
+                               {{"stiffness", 60}, {"damping", 0.5}, {"motor_inertia", 0.05}});
+  spring.options["sensor"] = "link";
+  const auto c = Case::Of("arm2", {spring}, 14);
+  Candidate account =
+      Unfitted({c->data, c->nominal, c->scales}, {rotor("elbow", 0.01), rotor("shoulder", 0.01)}, false);
+  account.fit = c->FitOf(account.specs);
+  ASSERT_TRUE(account.fit.ok);
+  EXPECT_GT(PerRow(account.fit), 2.0);
+  const auto springs = SpringsBehind({}, account, c->nominal, c->scales);
+  ASSERT_FALSE(springs.empty());
+  EXPECT_EQ(springs[0][0].joints[0], "shoulder");
+  double least = 1e300;
+  for (const TrialSpecs& start : springs)
+    least = std::min(least, PerRow(c->FitOf(Joined(account.specs, start), 12)));
+  EXPECT_LT(least, 1.1);
+  EXPECT_TRUE(SpringsBehind(account, account, c->nominal, c->scales).empty());  // nothing new
 }
 
 TEST(HiddenStarts, AMotorBehindPlayIsCarriedFromBeforeTheWindow) {

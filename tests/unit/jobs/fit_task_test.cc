@@ -34,6 +34,7 @@ class FitsOfASet : public ::testing::Test {
         effects::MakeSpec("coulomb_friction", {nominal_.joint_names()[1]}, {{"coulomb", 0.1}})};
     FitRequest some{friction, true, {}, {0, 2, 5}, 0, false, nullptr};
     some.options.iterations = 2, some.options.noise_scale = 1.25, some.options.still_falling = 0.1;
+    some.options.to_beat = 1e4;
     auto from = diagnosis::Unfitted(setting_, friction, true);
     FitRequest all{friction, true, {}, {}, 0, false, nullptr};
     all.options.iterations = 1;
@@ -102,6 +103,7 @@ TEST_F(FitsOfASet, OptionsAndStartsTravelWithARequest) {
   EXPECT_EQ(back.places, requests[0].places);
   EXPECT_EQ(back.options.noise_scale, 1.25);
   EXPECT_EQ(back.options.still_falling, 0.1);
+  EXPECT_EQ(back.options.to_beat, 1e4);
   EXPECT_EQ(back.from, nullptr);
   EXPECT_EQ(RequestOf(batch, 1, setting_)->from->fit.states, requests[1].from->fit.states);
 }
