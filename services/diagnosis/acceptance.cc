@@ -87,12 +87,15 @@ double Acceptance::StepRule(const std::string& id, const std::string& joints) co
 const Candidate* FewerNames(const std::map<std::string, Candidate>& tried, const Candidate& before,
                             const Candidate& winner,
                             const std::function<double(const Candidate&, const Candidate&)>& needed) {
-  const Candidate* best = nullptr;
+  const Candidate *part = nullptr, *other = nullptr;
   for (const auto& [key, c] : tried) {
-    if (!c.fit.ok || Names(c) >= Names(winner) || (best != nullptr && c.score < best->score)) continue;
-    if (c.score > before.score + needed(before, c) && winner.score <= c.score + needed(c, winner)) best = &c;
+    if (!c.fit.ok || Names(c) >= Names(winner)) continue;
+    if (c.score <= before.score + needed(before, c) || winner.score > c.score + needed(c, winner)) continue;
+    const Candidate*& best = (winner.base || !c.base) && IsPart(c.specs, winner.specs) ? part : other;
+    if (best == nullptr || c.score > best->score) best = &c;
   }
-  return best;
+  if (part == nullptr || other == nullptr) return part != nullptr ? part : other;
+  return other->score > part->score + needed(*part, *other) ? other : part;
 }
 
 }  // namespace rg::diagnosis

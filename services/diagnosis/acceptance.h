@@ -47,8 +47,10 @@ class Acceptance {
 
 // Of all that were tried the best with fewer names than `winner` (free base parameters are one) that is a
 // better account than `before` and which `winner` does not beat by what its further names need; null: none.
-// It need not be a part of the winner: two laws together may bend into the shape of a third. needed(a, b):
-// log evidence that b must bring in place of a.
+// It need not be a part of the winner, for two laws together may bend into the shape of a third, but another
+// must then be worth more than a part is by what it needs: a poor law's shape takes in some of what the
+// winner's further names explain, and would win by that alone. needed(a, b): log evidence that b must bring
+// in place of a.
 const Candidate* FewerNames(const std::map<std::string, Candidate>& tried, const Candidate& before,
                             const Candidate& winner,
                             const std::function<double(const Candidate&, const Candidate&)>& needed);

@@ -1,5 +1,6 @@
 #include "services/diagnosis/candidate.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 
@@ -61,6 +62,13 @@ bool Contains(const std::vector<EffectSpec>& specs, const std::string& id, const
     if (std::find(s.joints.begin(), s.joints.end(), joint) != s.joints.end()) return true;
   }
   return false;
+}
+
+bool IsPart(const std::vector<EffectSpec>& part, const std::vector<EffectSpec>& whole) {
+  return std::all_of(part.begin(), part.end(), [&](const EffectSpec& s) {
+    return std::any_of(whole.begin(), whole.end(),
+                       [&](const EffectSpec& w) { return w.id == s.id && w.joints == s.joints; });
+  });
 }
 
 std::vector<EffectSpec> Refreshed(const Candidate& c) {
@@ -144,19 +152,35 @@ double Strength(const Candidate& c, size_t i) {
                                                    "gap",
                                                    "cubic"};
   const EffectSpec& s = c.specs[i];
-  double most = 0;
-  bool any = false;
+  // The effect's strengths, and what else is free beside its shape, which is held.
+  std::vector<long> own, rest;
   for (size_t k = 0; k < c.parameters.size(); ++k) {
     const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
-    if (p.effect != s.id || kStrengths.count(p.field) == 0) continue;
-    if (!s.joints.empty() && p.owner != "*" &&
-        std::find(s.joints.begin(), s.joints.end(), p.owner) == s.joints.end())
-      continue;
-    const double none = p.field == "gain" ? 1 : 0, sd = std::max(1e-12, c.fit.stddev[static_cast<long>(k)]);
-    most = std::max(most, std::abs(c.fit.theta[static_cast<long>(k)] - none) / sd);
-    any = true;
+    const bool of_it =
+        p.effect == s.id && (s.joints.empty() || p.owner == "*" ||
+                             std::find(s.joints.begin(), s.joints.end(), p.owner) != s.joints.end());
+    if (!of_it) rest.push_back(static_cast<long>(k));
+    if (of_it && kStrengths.count(p.field) > 0) own.push_back(static_cast<long>(k));
   }
-  return any ? most : 1e9;
+  if (own.empty()) return 1e9;
+  const long n = static_cast<long>(own.size());
+  std::vector<long> order = own;
+  order.insert(order.end(), rest.begin(), rest.end());
+  Eigen::VectorXd value(n), weight(static_cast<long>(order.size()));
+  for (size_t k = 0; k < order.size(); ++k) {
+    const sysid::FitParameter& p = c.parameters[static_cast<size_t>(order[k])];
+    weight[static_cast<long>(k)] = 1 / (p.prior_stddev * p.prior_stddev);
+    if (static_cast<long>(k) < n)
+      value[static_cast<long>(k)] =
+          c.fit.theta[order[k]] - (c.plant->parameters()[p.index].field == "gain" ? 1 : 0);
+  }
+  Eigen::MatrixXd precision = c.fit.information(order, order);
+  precision.diagonal() += weight;
+  const auto others = Eigen::seq(n, Eigen::last);
+  const Eigen::MatrixXd cross = precision(others, Eigen::seqN(0, n));
+  const Eigen::MatrixXd own_precision =
+      precision.topLeftCorner(n, n) - cross.transpose() * precision(others, others).ldlt().solve(cross);
+  return std::sqrt(std::max(0.0, value.dot(own_precision * value)));
 }
 
 std::vector<EffectSpec> StrongEffects(const Candidate& c) {

@@ -41,6 +41,9 @@ bool IsUnnamed(const std::string& id);
 // Whether the effect acts there already; joint "": on the robot as a whole.
 bool Contains(const std::vector<effects::EffectSpec>& specs, const std::string& id, const std::string& joint);
 
+// Whether all effects of `part`, on their joints, are among `whole`.
+bool IsPart(const std::vector<effects::EffectSpec>& part, const std::vector<effects::EffectSpec>& whole);
+
 // The effects with the fitted values in them, as the start of a larger model.
 std::vector<effects::EffectSpec> Refreshed(const Candidate& c);
 
@@ -58,7 +61,10 @@ bool Unseen(const Candidate& c, size_t i);
 // any curve.
 bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row);
 
-// |strength − none| of effect i in its stddev: what a delay, an amplitude, a mass, … is from nothing.
+// How far effect i is from nothing: the stddevs that its strengths (a delay, an amplitude, a mass, …) lie
+// from none, all together and to the fit's second order, while its shape (an azimuth, a period) is held and
+// all else is free. Each alone may be unknown where their sum is certain: √(dᵀ·P·d), P their precision
+// without what is free beside them.
 double Strength(const Candidate& c, size_t i);
 inline constexpr double kNothing = 1.0;  // strength at which it is about nothing
 // Its effects, refreshed, without those that are about nothing.

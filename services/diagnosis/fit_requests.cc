@@ -1,5 +1,7 @@
 #include "services/diagnosis/fit_requests.h"
 
+#include <algorithm>
+
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/swing_starts.h"
 
@@ -9,7 +11,17 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr int kFollowed = 3;  // times that windows with a mass on a rod are followed
+constexpr int kFollowed = 3;        // times that windows with a mass on a rod are followed
+constexpr double kOnTheWay = 0.05;  // of the cost in one iteration, for a fit to pieces to go on
+constexpr size_t kWindowsOnTheWay = 32;
+
+// As many of them as a fit needs to find its way.
+std::vector<NodeWindow> Spread(const std::vector<NodeWindow>& windows) {
+  if (windows.size() <= kWindowsOnTheWay) return windows;
+  std::vector<NodeWindow> out;
+  for (size_t i = 0; i < kWindowsOnTheWay; ++i) out.push_back(windows[i * windows.size() / kWindowsOnTheWay]);
+  return out;
+}
 
 // Base parameters found without a spring are bent by what it does, those of the URDF are not theirs: on from
 // whichever is nearer after one step.
@@ -47,8 +59,11 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
   for (double piece = hidden ? 0 : request.piece_s; piece > 0; piece *= kLongerPiece) {
     if (piece > kLongestPiece * data.nodes.window_s) break;
     FitData pieces = data;
-    pieces.windows = InPieces(data.windows, piece, data.noise);
-    fit = Fit(pieces, model, request.options);
+    pieces.windows = InPieces(Spread(data.windows), piece, data.noise);
+    LiftedOptions options = request.options;
+    // On the way to longer ones nothing is gained by the last of them.
+    if (!request.pieces_alone) options.still_falling = std::max(options.still_falling, kOnTheWay);
+    fit = Fit(pieces, model, options);
     work += fit.work;
     if (fit.ok) model.values = fit.values;
     if (!request.pieces_alone) continue;

@@ -45,7 +45,11 @@ std::vector<TrialSpecs> NearestStarts(FitExecutor& fits, const FitSetting& setti
   };
   if (starts.empty() || !HasPlay(starts.front()) || setting.data.n > kLightRobot)
     return nearest(starts, 0, count);
-  return nearest(nearest(starts, 0, kAgain * count), kLongerLook, count);
+  std::vector<TrialSpecs> near = nearest(starts, 0, kAgain * count);
+  std::vector<TrialSpecs> again = nearest(near, kLongerLook, count);
+  if (again.size() == std::min(count, near.size())) return again;
+  near.resize(std::min(count, near.size()));
+  return near;
 }
 
 }  // namespace rg::diagnosis

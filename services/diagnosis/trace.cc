@@ -29,9 +29,9 @@ void Trace::Stage(const std::string& stage, const std::string& note) const {
 
 void Trace::Fit(const Candidate& c, const char* what) const {
   if (!on_) return;
-  std::fprintf(stderr, "[%6.2f]   %s %-50s%s score %.1f chi2/row %.4f it %d", Elapsed(), what,
+  std::fprintf(stderr, "[%6.2f]   %s %-50s%s score %.1f chi2/row %.4f it %d work %.1e", Elapsed(), what,
                KeyOf(c.specs).c_str(), c.base ? "+base" : "", c.score, c.fit.chi2 / std::max(1, c.fit.rows),
-               c.fit.iterations);
+               c.fit.iterations, c.fit.work);
   for (size_t i = 0; i < c.parameters.size() && c.fit.ok; ++i) {
     const auto& p = c.parameters[i];
     if (c.plant->parameters()[p.index].kind != sim::ParameterKind::kEffect) continue;

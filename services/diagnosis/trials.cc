@@ -18,6 +18,7 @@ namespace {
 constexpr size_t kNearest = 2;  // starts of a spring or play that are tried, for either place of the sensor
 constexpr size_t kRotors = 2;   // the largest, behind which a spring is tried
 constexpr size_t kSets = 6;     // of joints, and as many pairs of effects
+constexpr double kHardlyLess = 0.9;  // of what a part of it leaves
 
 class TrialBuilder {
  public:
@@ -202,19 +203,28 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
   return TrialBuilder(data, nominal, scales, from, screened, nearest).Run(wanted, force);
 }
 
-std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, std::vector<RankedTrial> apart,
-                               size_t count) {
-  std::vector<TrialSpecs> out;
+std::vector<std::shared_ptr<const Candidate>> BestOf(std::vector<RankedTrial> trials,
+                                                     std::vector<RankedTrial> apart, size_t count) {
+  std::vector<std::shared_ptr<const Candidate>> out;
   std::set<std::string> seen;
   std::vector<RankedTrial>* lists[] = {&trials, &apart};
   for (std::vector<RankedTrial>* list : lists) {
     std::stable_sort(list->begin(), list->end(),
                      [](const RankedTrial& a, const RankedTrial& b) { return a.left < b.left; });
-    std::erase_if(*list, [&](const RankedTrial& t) { return !seen.insert(KeyOf(t.specs)).second; });
+    std::erase_if(*list, [&](const RankedTrial& t) { return !seen.insert(KeyOf(t.fitted->specs)).second; });
+    std::vector<RankedTrial> worth;
+    for (const RankedTrial& t : *list) {
+      const bool hardly = std::any_of(list->begin(), list->end(), [&](const RankedTrial& part) {
+        return part.fitted->specs.size() < t.fitted->specs.size() && t.excess > kHardlyLess * part.excess &&
+               IsPart(part.fitted->specs, t.fitted->specs);
+      });
+      if (!hardly) worth.push_back(t);
+    }
+    *list = std::move(worth);
   }
   for (size_t i = 0; i < std::max(trials.size(), apart.size()); ++i) {
-    for (std::vector<RankedTrial>* list : lists) {
-      if (i < list->size() && out.size() < count) out.push_back(std::move((*list)[i].specs));
+    for (const std::vector<RankedTrial>* list : lists) {
+      if (i < list->size() && out.size() < count) out.push_back((*list)[i].fitted);
     }
   }
   return out;

@@ -28,13 +28,17 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
 
 // A trial that is better than the model it was added to.
 struct RankedTrial {
-  double left;  // share of that model's misfit that remains, of the same windows or pieces of windows
-  TrialSpecs specs;
+  double left;    // share of that model's misfit that remains, of the same windows or pieces of windows
+  double excess;  // χ² that it leaves beyond noise
+  std::shared_ptr<const Candidate> fitted;
 };
 
-// The best of them, `count` at most and none twice. `apart`: those with another reference (hidden states,
-// which need whole windows, beside others on pieces, over which less can go wrong): the two take turns.
-std::vector<TrialSpecs> BestOf(std::vector<RankedTrial> trials, std::vector<RankedTrial> apart, size_t count);
+// The best of them, `count` at most and none twice, nor with joints or kinds that take less than a tenth off
+// what is left beyond noise without them: so much a trial's few iterations do not tell. `apart`: those with
+// another reference (hidden states, which need whole windows, beside others on pieces, over which less can go
+// wrong): the two take turns.
+std::vector<std::shared_ptr<const Candidate>> BestOf(std::vector<RankedTrial> trials,
+                                                     std::vector<RankedTrial> apart, size_t count);
 
 // `specs` with effect `id` exchanged for each that it is easily taken for, on the same joints; of dry
 // friction's forms the plain one first.

@@ -78,5 +78,27 @@ TEST(Acceptance, FewerFreeParametersNeedTheOddsOnly) {
                    3);
 }
 
+// A constant force and a small gain: alone, a spring far away bends into more of the gain than the force
+// does.
+TEST(FewerNames, AreAPartOfTheWholeUnlessAnotherLawIsWorthMore) {
+  const auto tilt = MakeSpec("gravity_misalignment", {}), gain = MakeSpec("torque_gain", {"a"}),
+             spring = MakeSpec("position_spring", {"a"});
+  const auto scored = [](std::vector<effects::EffectSpec> specs, double score) {
+    Candidate c = Model(std::move(specs));
+    c.score = score, c.fit.ok = true;
+    return c;
+  };
+  const Candidate none = scored({}, -300000), both = scored({tilt, gain}, -1810);
+  std::map<std::string, Candidate> tried = {{"tilt", scored({tilt}, -1958)},
+                                            {"spring", scored({spring}, -1906)}};
+  const auto needed = [](const Candidate&, const Candidate&) { return 170.0; };
+  ASSERT_NE(FewerNames(tried, none, both, needed), nullptr);
+  EXPECT_EQ(FewerNames(tried, none, both, needed)->specs[0].id, "gravity_misalignment");
+  tried["spring"].score = -1700;
+  EXPECT_EQ(FewerNames(tried, none, both, needed)->specs[0].id, "position_spring");
+  tried["tilt"].score = tried["spring"].score = -2500;
+  EXPECT_EQ(FewerNames(tried, none, both, needed), nullptr);
+}
+
 }  // namespace
 }  // namespace rg::diagnosis

@@ -48,10 +48,33 @@ TEST(Candidate, IsNotSeenWhereItsMassVanishes) {
 
 TEST(Candidate, AddsNothingWhereAllThatIsNewIsWithinItsError) {
   Candidate c = Swinging();
+  const auto known_to = [&](double share) {
+    c.fit.information = (share * c.fit.theta).cwiseAbs2().cwiseInverse().asDiagonal();
+  };
+  known_to(0.1);
   EXPECT_FALSE(AddsNothing({}, c));
-  c.fit.stddev = 2 * c.fit.theta;
+  known_to(4.0);
+  for (sysid::FitParameter& p : c.parameters) p.prior_stddev = 1e6;
   EXPECT_TRUE(AddsNothing({}, c));
   EXPECT_FALSE(AddsNothing(c, c));
+}
+
+// A tilt of which only its part along one axis shows: neither angle is known, that it is there is certain.
+TEST(Candidate, IsStrongWhereOnlyTheSumOfItsPartsIsKnown) {
+  const auto p = testing::Prepare("arm2", {}, 31);
+  Candidate c;
+  c.specs = {effects::MakeSpec("gravity_misalignment", {})};
+  c.plant = std::make_shared<const sim::Plant>(
+      *sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), c.specs));
+  c.parameters = FreeParameters(*c.plant, p->scales, false);
+  c.fit.ok = true, c.fit.values = c.plant->parameters().Nominal();
+  c.fit.theta = Eigen::Vector2d(0.03, 1.4);
+  const double along = std::cos(c.fit.theta[1]), slope = -c.fit.theta[0] * std::sin(c.fit.theta[1]);
+  const Eigen::Vector2d shows(along, slope);
+  c.fit.information = shows * shows.transpose() / (1e-4 * 1e-4);
+  c.fit.stddev = Eigen::Vector2d(0.05, 3);
+  EXPECT_NEAR(Strength(c, 0), c.fit.theta[0] * along / 1e-4, 1.0);
+  EXPECT_EQ(StrongEffects(c).size(), 1u);
 }
 
 TEST(Candidate, IsRefreshedFromAnotherWhereBothHaveAnEffect) {

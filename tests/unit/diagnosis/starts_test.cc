@@ -147,19 +147,36 @@ TEST(StribeckStarts, CoverARangeOfSpeedsWithMoreFrictionAtRest) {
   EXPECT_LT(last, c->scales.speed[0]);
 }
 
+RankedTrial Trialled(double left, const std::vector<EffectSpec>& specs) {
+  Candidate c;
+  c.specs = specs;
+  return {left, 1000 * left, std::make_shared<const Candidate>(std::move(c))};
+}
+
 TEST(Trials, OfTwoReferencesTakeTurnsByWhatTheyLeave) {
-  const auto named = [](const std::string& id) { return TrialSpecs{MakeSpec(id, {"elbow"})}; };
-  const auto best = BestOf({{0.9, named("coulomb_friction")}, {0.7, named("torque_gain")}},
-                           {{0.1, named("joint_elasticity")},
-                            {0.2, named("joint_elasticity")},
-                            {0.3, named("backlash")},
-                            {0.4, named("sloshing_payload")}},
+  const auto named = [](double left, const std::string& id) {
+    return Trialled(left, {MakeSpec(id, {"elbow"})});
+  };
+  const auto best = BestOf({named(0.9, "coulomb_friction"), named(0.7, "torque_gain")},
+                           {named(0.1, "joint_elasticity"), named(0.2, "joint_elasticity"),
+                            named(0.3, "backlash"), named(0.4, "sloshing_payload")},
                            4);
   ASSERT_EQ(best.size(), 4u);
-  EXPECT_EQ(best[0][0].id, "torque_gain");
-  EXPECT_EQ(best[1][0].id, "joint_elasticity");
-  EXPECT_EQ(best[2][0].id, "coulomb_friction");
-  EXPECT_EQ(best[3][0].id, "backlash");
+  EXPECT_EQ(best[0]->specs[0].id, "torque_gain");
+  EXPECT_EQ(best[1]->specs[0].id, "joint_elasticity");
+  EXPECT_EQ(best[2]->specs[0].id, "coulomb_friction");
+  EXPECT_EQ(best[3]->specs[0].id, "backlash");
+}
+
+TEST(Trials, AJointThatTakesLittleOffIsNotTriedFurther) {
+  const EffectSpec elbow = MakeSpec("coulomb_friction", {"elbow"}),
+                   shoulder = MakeSpec("coulomb_friction", {"shoulder"}),
+                   gain = MakeSpec("torque_gain", {"shoulder"});
+  const auto best = BestOf(
+      {Trialled(0.50, {elbow}), Trialled(0.47, {elbow, shoulder}), Trialled(0.30, {elbow, gain})}, {}, 4);
+  ASSERT_EQ(best.size(), 2u);
+  EXPECT_EQ(best[0]->specs.back().id, "torque_gain");
+  EXPECT_EQ(best[1]->specs.size(), 1u);
 }
 
 // Rotors on both joints stand for a motor behind a spring on one: springs are looked for behind the one that

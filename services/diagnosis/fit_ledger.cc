@@ -1,0 +1,260 @@
+#include "services/diagnosis/fit_ledger.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/nearest_starts.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+
+namespace {
+
+constexpr int kMoreIterations = 14;   // of a fit that still falls
+constexpr double kHopeless = 2.0;     // times its rival's misfit, which a fit would not come to
+constexpr double kFallsFast = 0.1;    // of the cost in one iteration, for a trial to go on
+constexpr double kTrialShare = 0.3;   // of all work, that the trials of one screen may cost
+constexpr double kLookShare = 0.015;  // of all work, that the starts of one law on one joint may cost
+constexpr double kToTheEnd = 1.3;     // of all work, to weigh what is found
+constexpr double kPiece = 0.1;        // s
+constexpr size_t kSprings = 4;        // behind rotors, that are fitted
+constexpr size_t kInPlace = 2;        // other laws that are fitted on all windows
+constexpr double kMuchWorse = 0.1;    // of a trial's misfit, that one in its place may leave more
+
+// Where another fit starts whose windows are not its own.
+std::shared_ptr<const Candidate> ValuesOf(Candidate c) {
+  c.fit.states.clear(), c.fit.window_chi2.clear();
+  return std::make_shared<const Candidate>(std::move(c));
+}
+
+}  // namespace
+
+FitLedger::FitLedger(const FitSetting& setting, const DiagnosisOptions& options, int threads,
+                     const Trace& trace, const CancelToken* cancel)
+    : setting_(setting),
+      options_(options),
+      fits_(options.fits == nullptr ? local_ : *options.fits),
+      trace_(trace),
+      cancel_(cancel) {
+  lifted_.threads = threads;
+  lifted_.step_s = options.step_s;
+}
+
+bool FitLedger::Late(double limits) const {
+  return Cancelled() || work_ > limits * options_.work_limit ||
+         (options_.time_limit_s > 0 && trace_.Elapsed() > options_.time_limit_s);
+}
+
+void FitLedger::SetNoiseScale(double scale) {
+  const double change = 0.5 * (1.0 / scale - 1.0 / lifted_.noise_scale);
+  lifted_.noise_scale = scale;
+  for (auto& [key, c] : tried_) c.score -= change * c.fit.chi2;
+}
+
+const Candidate* FitLedger::Known(const std::vector<EffectSpec>& specs, bool base) const {
+  const auto it = tried_.find(KeyOf(specs) + (base ? "+base" : ""));
+  return it == tried_.end() ? nullptr : &it->second;
+}
+
+FitResult FitLedger::Made(const FitRequest& request) { return fits_.Start(setting_, {request})->Take(0); }
+
+Candidate FitLedger::Evaluate(const std::vector<EffectSpec>& specs, bool base, const Candidate* from,
+                              int iterations, const Candidate* rival) {
+  const FitRequest request = WholeFit(specs, base, Start(from, base), iterations, rival);
+  return Tried(request, Made(request));
+}
+
+Candidate FitLedger::Calibrated(const std::vector<EffectSpec>& specs) {
+  FitRequest request = WholeFit(specs, true, pieces_);
+  request.options.to_beat = kHolds * setting_.data.Rows();
+  return Tried(request, Made(request));
+}
+
+Candidate FitLedger::Anew(const Candidate& c) {
+  FitRequest request = WholeFit(Refreshed(c), c.base, nullptr);
+  request.piece_s = kPiece;
+  return Tried(request, Made(request));
+}
+
+void FitLedger::FindPieces(const std::vector<EffectSpec>& specs) {
+  FitRequest request{specs, true, lifted_, {}, kPiece, true, nullptr};
+  request.options.more_iterations = kMoreIterations;
+  auto pieces = std::make_shared<Candidate>(Fitted(request, Made(request)));
+  trace_.Fit(*pieces, "pieces");
+  if (pieces->fit.ok) pieces_ = pieces;
+}
+
+// Starts at the states, and at the base parameters, of a model that holds: what is added to it or taken
+// from it changes them little, and no fit is better than another for its start alone.
+std::shared_ptr<const Candidate> FitLedger::Start(const Candidate* from, bool base) const {
+  if (from == nullptr || !from->fit.ok || PerRow(*from) > kHolds) return base ? pieces_ : nullptr;
+  return std::make_shared<const Candidate>(*from);
+}
+
+FitRequest FitLedger::WholeFit(const std::vector<EffectSpec>& specs, bool base,
+                               std::shared_ptr<const Candidate> from, int iterations,
+                               const Candidate* rival) const {
+  FitRequest request{specs, base, lifted_, {}, 0, false, std::move(from)};
+  if (request.from != nullptr && request.from->fit.states.empty()) request.piece_s = kPiece;
+  request.options.iterations = iterations;
+  request.options.more_iterations = kMoreIterations;
+  if (rival != nullptr && rival->fit.ok) request.options.to_beat = -2 * kHopeless * rival->score;
+  return request;
+}
+
+Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
+  Candidate c = Unfitted(setting_, request.specs, request.base);
+  work_ += fit.work;
+  c.fit = std::move(fit);
+  c.round = round_;
+  // A few windows need not show what all of them do, as a limit that is seldom reached.
+  c.fit.ok = c.fit.ok && (!request.places.empty() || !Unseen(c));
+  // While much is left a ripple's period is bent by it.
+  if (c.fit.ok && PerRow(c) < kHolds) c.fit.ok = Repeats(c, setting_.scales, PerRow(c));
+  c.score = c.fit.ok ? c.fit.evidence - StructurePrior(c.specs, c.base) : -1e300;
+  return c;
+}
+
+// A fit on all windows, kept.
+Candidate FitLedger::Tried(const FitRequest& request, FitResult fit) {
+  const Candidate c = Fitted(request, std::move(fit));
+  if (c.plant == nullptr) return c;
+  auto [it, fresh] = tried_.try_emplace(KeyOf(c.specs) + (c.base ? "+base" : ""), c);
+  if (!fresh && c.score > it->second.score) it->second = c;
+  trace_.Fit(c, "fit");
+  return c;
+}
+
+std::vector<TrialSpecs> FitLedger::Nearest(const Candidate& from, bool base,
+                                           const std::vector<TrialSpecs>& starts, size_t count) {
+  const FitRequest look{Refreshed(from), base, lifted_, {}, 0, false, Start(&from, base)};
+  const double enough = work_ + kLookShare * options_.work_limit;
+  const auto late = [&] { return Late(kToTheEnd) || work_ > enough; };
+  return NearestStarts(fits_, setting_, look, from.fit.window_chi2, starts, count, late, &work_);
+}
+
+// Some windows, few iterations, on while they pay.
+FitRequest FitLedger::Trial(const Candidate& from, bool base, std::shared_ptr<const Candidate> start) const {
+  const FitData& data = setting_.data;
+  FitRequest trial{Refreshed(from),
+                   base,
+                   lifted_,
+                   SomeWindows(from.fit.window_chi2, data.windows.size(), data.n <= 2 ? 24 : 14),
+                   0,
+                   false,
+                   std::move(start)};
+  trial.options.iterations = 4;
+  trial.options.more_iterations = kMoreIterations, trial.options.still_falling = kFallsFast;
+  return trial;
+}
+
+// The shortest pieces over which a model without what is missing is seen not to hold: shorter ones hide it
+// from every trial. 0: whole windows.
+double FitLedger::TellingPiece(FitRequest trial) {
+  trial.pieces_alone = true;
+  for (double piece = kPiece; piece < kLongestPiece * setting_.data.nodes.window_s; piece *= kLongerPiece) {
+    trial.piece_s = piece;
+    if (PerRow(Fitted(trial, Made(trial))) > kHolds) return piece;
+  }
+  return 0;
+}
+
+void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base, size_t count,
+                        Candidate* winner) {
+  FitRequest trial = Trial(from, base, Start(&from, base));
+  // Whole windows, or pieces of them where only pieces are met, but not for hidden states, which need whole
+  // windows: each has its own reference.
+  std::vector<FitRequest> trials = {trial};
+  if (trial.from != nullptr && trial.from == pieces_)
+    trial.piece_s = TellingPiece(trial), trial.pieces_alone = trial.piece_s > 0;
+  trials.push_back(trial);
+  for (const TrialSpecs& start : pool) {
+    trial.specs = Joined(Refreshed(from), start);
+    trials.push_back(trial);
+  }
+  std::vector<RankedTrial> ranked, hidden;
+  const double enough = work_ + kTrialShare * options_.work_limit;
+  {
+    const auto batch = fits_.Start(setting_, trials);
+    const double on_windows = Fitted(trials[0], batch->Take(0)).score;
+    const double on_pieces = trial.pieces_alone ? Fitted(trials[1], batch->Take(1)).score : on_windows;
+    bool met = false;
+    for (size_t i = 2; i < trials.size() && !Late() && work_ <= enough; ++i) {
+      // Where a law of what is recorded meets it, hidden states have no part.
+      if (met && HasHiddenStates(Unfitted(setting_, trials[i].specs, base))) continue;
+      const Candidate c = Fitted(trials[i], batch->Take(i));
+      const bool whole = HasHiddenStates(c);
+      const double before = whole ? on_windows : on_pieces;
+      const bool better = c.fit.ok && c.score >= before;
+      trace_.Fit(c, better ? "  ~" : "  -");
+      auto& list = whole && trial.pieces_alone ? hidden : ranked;
+      if (better)
+        list.push_back({c.score / std::min(before, -1.0), Excess(c), std::make_shared<const Candidate>(c)});
+      met = met || (better && !whole && !trial.pieces_alone && !HasUnnamed(c) &&
+                    lifted_.noise_scale * PerRow(c) < kExplained && PerRow(from) > kExplained);
+    }
+  }
+  // What its misfit on all windows would be, by the best trial.
+  Candidate nearest = from;
+  for (const RankedTrial& t : ranked) nearest.score = std::max(nearest.score, t.left * from.score);
+  // From the model that the trials started at where that holds, else from base parameters where they ended.
+  const bool holds = trial.from != nullptr && !trial.from->fit.states.empty();
+  std::vector<FitRequest> best;
+  for (const auto& c : BestOf(std::move(ranked), std::move(hidden), count))
+    best.push_back(WholeFit(Refreshed(*c), base, holds || !base ? trial.from : ValuesOf(*c), 6,
+                            trial.pieces_alone ? nullptr : &nearest));
+  Candidate found = from;
+  TakeBest(best, 1, &found);
+  TrySprings(from, &found);
+  if (found.score > winner->score) *winner = found;
+}
+
+// Fits them on all windows, at least so many however much work is done.
+void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner) {
+  const auto batch = fits_.Start(setting_, requests);
+  for (size_t i = 0; i < requests.size() && (i < least || !Late(kToTheEnd)); ++i) {
+    const Candidate c = Tried(requests[i], batch->Take(i));
+    if (c.score > winner->score) *winner = c;
+  }
+}
+
+void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
+  const auto springs = SpringsBehind(from, *account, setting_.nominal, setting_.scales);
+  const bool base = account->base;
+  std::vector<FitRequest> fits;
+  for (const TrialSpecs& spring : Nearest(*account, base, springs, kSprings))
+    fits.push_back(WholeFit(Joined(StrongEffects(*account), spring), base, Start(nullptr, base), 6, account));
+  TakeBest(fits, 1, account);
+}
+
+void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner) {
+  if (others.empty()) return;
+  const bool base = winner->base;
+  const auto start =
+      winner->fit.ok && PerRow(*winner) > kHolds && base ? ValuesOf(*winner) : Start(winner, base);
+  std::vector<FitRequest> trials = {Trial(*winner, base, start)};
+  for (const TrialSpecs& other : others) {
+    trials.push_back(trials[0]);
+    trials.back().specs = other;
+  }
+  std::vector<RankedTrial> ranked;
+  {
+    const auto batch = fits_.Start(setting_, trials);
+    const double own = Fitted(trials[0], batch->Take(0)).score;
+    const double least = own - std::max(5.0, kMuchWorse * std::abs(own));
+    for (size_t i = 1; i < trials.size() && !Late(kToTheEnd); ++i) {
+      const Candidate c = Fitted(trials[i], batch->Take(i));
+      trace_.Fit(c, c.score >= least ? "  =" : "  -");
+      if (c.fit.ok && c.score >= least)
+        ranked.push_back({-c.score, Excess(c), std::make_shared<const Candidate>(c)});
+    }
+  }
+  std::vector<FitRequest> best;
+  for (const auto& c : BestOf(std::move(ranked), {}, kInPlace))
+    best.push_back(WholeFit(Refreshed(*c), base, start, 6, winner));
+  TakeBest(best, 0, winner);
+}
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,97 @@
+// The fits of one search: asks for them, scores them, keeps what was tried and what it cost.
+#pragma once
+
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "common/base/progress.h"
+#include "services/diagnosis/diagnosis.h"
+#include "services/diagnosis/fit_requests.h"
+#include "services/diagnosis/trace.h"
+#include "services/diagnosis/trials.h"
+
+namespace rg::diagnosis {
+
+inline constexpr double kHolds = 2.0;  // χ² per row below which a model's own states are trusted
+
+class FitLedger {
+ public:
+  FitLedger(const FitSetting& setting, const DiagnosisOptions& options, int threads, const Trace& trace,
+            const CancelToken* cancel);
+
+  bool Cancelled() const { return cancel_ != nullptr && cancel_->cancelled(); }
+  // Whether nothing new is begun; `limits`: times the work limit.
+  bool Late(double limits = 1.0) const;
+  double work() const { return work_; }
+  double work_share() const { return work_ / options_.work_limit; }
+  void AddWork(double work) { work_ += work; }
+  void SetRound(int round) { round_ = round; }
+
+  const LiftedOptions& lifted() const { return lifted_; }
+  double noise_scale() const { return lifted_.noise_scale; }
+  // All scores are brought to another noise scale.
+  void SetNoiseScale(double scale);
+
+  double PerRow(const Candidate& c) const {
+    return c.fit.chi2 / std::max(1, c.fit.rows) / lifted_.noise_scale;
+  }
+  double Excess(const Candidate& c) const {  // χ² beyond noise
+    return std::max(0.0, c.fit.chi2 / lifted_.noise_scale - c.fit.rows);
+  }
+  std::map<std::string, Candidate>& tried() { return tried_; }
+  // The best fit of these effects on all windows; null where there was none.
+  const Candidate* Known(const std::vector<effects::EffectSpec>& specs, bool base) const;
+
+  // On all windows. `from`: where to start, where it holds; else at the recorded motion. `rival`: what it
+  // must come near to, or it ends early.
+  Candidate Evaluate(const std::vector<effects::EffectSpec>& specs, bool base,
+                     const Candidate* from = nullptr, int iterations = 6, const Candidate* rival = nullptr);
+  // Free base parameters, no longer than they may come to hold.
+  Candidate Calibrated(const std::vector<effects::EffectSpec>& specs);
+  // Another try from nominal base parameters, over pieces.
+  Candidate Anew(const Candidate& c);
+  // Base parameters far from the URDF's, or beside missing effects, are found over short pieces of the
+  // record, from where fits in their world then start.
+  void FindPieces(const std::vector<effects::EffectSpec>& specs);
+  const Candidate* pieces() const { return pieces_.get(); }
+
+  // Of `pool`, each beside `from`'s effects, the `count` best of trials on some windows with few iterations,
+  // fitted on all; the best of them and of `winner`.
+  void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base, size_t count,
+               Candidate* winner);
+  // Of `others`, each in the place of `winner`'s effects, what trials do not find worse, fitted on all.
+  void TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner);
+  // Springs behind the rotors that `account` adds to `from`, before free base parameters make up for them.
+  void TrySprings(const Candidate& from, Candidate* account);
+  // The `count` of `starts` that are nearest to the record beside `from`'s effects.
+  std::vector<TrialSpecs> Nearest(const Candidate& from, bool base, const std::vector<TrialSpecs>& starts,
+                                  size_t count);
+
+ private:
+  std::shared_ptr<const Candidate> Start(const Candidate* from, bool base) const;
+  FitRequest WholeFit(const std::vector<effects::EffectSpec>& specs, bool base,
+                      std::shared_ptr<const Candidate> from, int iterations = 6,
+                      const Candidate* rival = nullptr) const;
+  void TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner);
+  FitRequest Trial(const Candidate& from, bool base, std::shared_ptr<const Candidate> start) const;
+  FitResult Made(const FitRequest& request);
+  Candidate Fitted(const FitRequest& request, FitResult fit);
+  Candidate Tried(const FitRequest& request, FitResult fit);
+  double TellingPiece(FitRequest trial);
+
+  const FitSetting& setting_;
+  const DiagnosisOptions& options_;
+  LocalFits local_;
+  FitExecutor& fits_;  // who makes the fits
+  const Trace& trace_;
+  const CancelToken* cancel_;
+  LiftedOptions lifted_;
+  int round_ = 0;
+  double work_ = 0;                          // of all fits so far
+  std::shared_ptr<const Candidate> pieces_;  // base parameters from pieces, where whole windows are not met
+  std::map<std::string, Candidate> tried_;
+};
+
+}  // namespace rg::diagnosis
