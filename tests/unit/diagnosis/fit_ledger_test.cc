@@ -1,0 +1,64 @@
+#include "services/diagnosis/fit_ledger.h"
+
+#include <gtest/gtest.h>
+
+#include "common/base/clock.h"
+#include "services/diagnosis/hypotheses.h"
+#include "tests/unit/diagnosis/prepared_set.h"
+
+namespace rg::diagnosis {
+namespace {
+
+using effects::MakeSpec;
+
+// A pendulum with dry friction that drops with speed.
+class FitLedgerTest : public ::testing::Test {
+ protected:
+  std::unique_ptr<testing::Prepared> p_ =
+      testing::Prepare("pendulum",
+                       {MakeSpec("stribeck_friction", {"hinge"},
+                                 {{"coulomb", 0.1}, {"static", 0.3}, {"stribeck_velocity", 0.3}})},
+                       41);
+  const std::string joint_ = p_->nominal.joint_names()[0];
+  FitSetting setting_{p_->data, p_->nominal, p_->scales};
+  FakeClock clock_;
+  Trace trace_{clock_};
+  FitLedger ledger_{setting_, p_->options, 1, trace_, nullptr};
+  Candidate coulomb_ = ledger_.Evaluate({MakeSpec("coulomb_friction", {joint_}, {{"coulomb", 0.2}})}, false);
+};
+
+TEST_F(FitLedgerTest, OtherLawsAreFittedInItsPlaceOnlyWhereATrialDoesNotRefuseThem) {
+  ASSERT_TRUE(coulomb_.fit.ok);
+  ASSERT_GT(ledger_.PerRow(coulomb_), 1.2);
+  const auto others = Exchanges(Refreshed(coulomb_), "coulomb_friction", p_->nominal, p_->scales);
+  ASSERT_GT(others.size(), 3u);
+  Candidate winner = coulomb_;
+  ledger_.TryInPlace(others, &winner);
+  EXPECT_EQ(winner.specs[0].id, "stribeck_friction");
+  EXPECT_LT(ledger_.PerRow(winner), 1.1);
+  EXPECT_LE(ledger_.tried().size(), 3u);  // with Coulomb friction itself
+}
+
+TEST_F(FitLedgerTest, AllScoresAreBroughtToAnotherNoise) {
+  const double before = coulomb_.score;
+  ledger_.SetNoiseScale(2.0);
+  EXPECT_NEAR(ledger_.Known(coulomb_.specs, false)->score, before + 0.25 * coulomb_.fit.chi2,
+              1e-6 * coulomb_.fit.chi2);
+  EXPECT_EQ(ledger_.Known(coulomb_.specs, true), nullptr);
+}
+
+TEST_F(FitLedgerTest, NothingNewIsBegunBeyondTheLimitOfWork) {
+  EXPECT_GT(ledger_.work(), 0);
+  EXPECT_FALSE(ledger_.Late());
+  ledger_.AddWork(p_->options.work_limit);
+  EXPECT_TRUE(ledger_.Late());
+  EXPECT_FALSE(ledger_.Late(1.1));
+  Candidate winner = coulomb_;
+  ledger_.AddWork(p_->options.work_limit);
+  ledger_.TryInPlace(Exchanges(Refreshed(coulomb_), "coulomb_friction", p_->nominal, p_->scales), &winner);
+  EXPECT_EQ(winner.specs[0].id, "coulomb_friction");
+  EXPECT_EQ(ledger_.tried().size(), 1u);
+}
+
+}  // namespace
+}  // namespace rg::diagnosis
