@@ -164,8 +164,10 @@ void ZmqSocket::Impl::NoteEvent(uint16_t event, uint32_t value) {
       return NoteRefusal(encrypted ? "that is no encrypted socket, or the wrong server key was given"
                                    : "that is an encrypted socket and we have no key");
     case ZMQ_EVENT_HANDSHAKE_FAILED_NO_DETAIL:
-      if (encrypted && ++silent_handshakes >= kSilentHandshakes)
-        NoteRefusal("the connection ends in the handshake: is the server's public key the right one?");
+      if (++silent_handshakes >= kSilentHandshakes)
+        NoteRefusal(encrypted
+                        ? "the connection ends in the handshake: is the server's public key the right one?"
+                        : "the connection ends in the handshake: is that an encrypted socket?");
       return;
     case ZMQ_EVENT_DISCONNECTED:
       if (link == LinkState::kConnected) link = LinkState::kConnecting;
