@@ -2,10 +2,9 @@
 //
 // Log evidence says how much better a model fits than its rivals; it does not know of laws that are not in
 // the catalogue, so beyond a few nats it is far too sure. What tells right names from wrong ones is what
-// stands beside them: nothing left unexplained, few names, no rival near. The shares are hit rates on
-// sets with known answers: 112 of the DART generator (seed 31001), 14 of another engine, and the 160 of
-// docs/proof.md after their proof had been taken; `realitygrad prove` with other seeds measures whether they
-// hold.
+// stands beside them: nothing left unexplained, few names, no rival near. The shares are hit rates on the sets
+// of five blind examinations (docs/proof.md) after they had been taken; `realitygrad prove` with other seeds
+// measures whether they hold.
 #pragma once
 
 #include <string>
