@@ -132,7 +132,9 @@ std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& rec, int index
     NodeWindow window;
     window.recording = index;
     std::vector<int> row_of;
-    for (int row = w.first; row <= w.last; row += stride) {
+    int start = w.first;
+    while (start < w.last && rec.t[start] < rec.t[0] + options.unknown_s) ++start;
+    for (int row = start; row <= w.last; row += stride) {
       if (!window.t.empty()) {
         const double begin = window.t.back(), gap = rec.t[row] - begin;
         const int pieces = std::max(1, static_cast<int>(std::ceil(gap / (1.3 * options.interval_s))));

@@ -49,6 +49,9 @@ struct FineMotion {
 struct NodeOptions {
   double window_s = 1.0;
   double interval_s = 0.01;  // longest interval between nodes
+  // What was commanded before a recording begins nobody knows, and a drive that is late still follows it: no
+  // window begins earlier than this.
+  double unknown_s = 0.1;
   int fine_per_interval = 4;
 };
 

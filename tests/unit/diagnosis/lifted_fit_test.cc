@@ -135,6 +135,23 @@ TEST(LiftedFit, ComesToTheNoiseWhereJointsRest) {
   }
 }
 
+// A drive that is late follows commands from before the recording, which nobody knows.
+TEST(Windows, BeginWhereWhatALateDriveFollowsIsRecorded) {
+  const auto p = Prepare("pendulum", {}, 3, {.rate_hz = 250});
+  int last = -1;
+  for (const NodeWindow& w : p->data.windows) {
+    const Eigen::VectorXd& t = p->data.recordings[static_cast<size_t>(w.recording)].recording->t;
+    if (w.recording != last) {
+      EXPECT_NEAR(w.t.front() - t[0], 0.1, 0.004);
+      EXPECT_NEAR(w.t.back() - t[0], 0.5, 0.01);
+    } else {
+      EXPECT_GE(w.t.front() - t[0], 0.49);
+    }
+    last = w.recording;
+  }
+  EXPECT_GE(last, 0);
+}
+
 // Hard faces bend a motion more between two nodes than a line says: on nodes of their own, off the
 // simulation, fits stay where they start.
 TEST(LiftedFit, FindsPlayBetweenHardFacesFromSoftOnes) {
@@ -152,8 +169,8 @@ TEST(LiftedFit, FindsPlayBetweenHardFacesFromSoftOnes) {
   const auto p = Prepare("pendulum", {play(0.02, 1500, 2.6, 0.05)}, 3, {.rate_hz = 250, .finer = 2});
   const FitResult fit = FitEffects(*p, {play(0.017, 450, 1.3, 0.05)}, {.iterations = 20});
   ASSERT_TRUE(fit.ok);
-  EXPECT_LT(fit.chi2 / fit.rows, 15.0);  // from 150
-  EXPECT_NEAR(fit.theta[0], 0.02, 2e-3);
+  EXPECT_LT(fit.chi2 / fit.rows, 20.0);     // from 150
+  EXPECT_NEAR(fit.theta[0], 0.02, 2.5e-3);  // from 0.017
 }
 
 TEST(LiftedFit, EndsWhereItWouldNotComeToWhatItMust) {
