@@ -16,7 +16,7 @@ Finding Named(const std::string& effect, double confidence, double rival = -100)
 TEST(Confidence, NoOddsMakeAFindingSurerThanItsLikeWereRight) {
   std::vector<Finding> one = {Named("coulomb_friction", 0.999)};
   Calibrate("unmodelled_physics", false, &one);
-  EXPECT_LT(one[0].confidence, 0.98);
+  EXPECT_LT(one[0].confidence, 0.97);
   std::vector<Finding> doubtful = {Named("coulomb_friction", 0.4)};
   Calibrate("unmodelled_physics", false, &doubtful);
   EXPECT_EQ(doubtful[0].confidence, 0.4) << "poor odds stay poor";

@@ -167,10 +167,18 @@ TEST(LiftedFit, FindsPlayBetweenHardFacesFromSoftOnes) {
     return spec;
   };
   const auto p = Prepare("pendulum", {play(0.02, 1500, 2.6, 0.05)}, 3, {.rate_hz = 250, .finer = 2});
+  // From rest: the drive is not late.
+  p->data.nodes.unknown_s = 0;
+  p->data.windows.clear();
+  for (size_t r = 0; r < p->data.recordings.size(); ++r) {
+    const auto windows = CutIntoNodes(*p->data.recordings[r].recording, static_cast<int>(r),
+                                      p->data.motions[r], p->data.noise, p->data.nodes);
+    p->data.windows.insert(p->data.windows.end(), windows.begin(), windows.end());
+  }
   const FitResult fit = FitEffects(*p, {play(0.017, 450, 1.3, 0.05)}, {.iterations = 20});
   ASSERT_TRUE(fit.ok);
-  EXPECT_LT(fit.chi2 / fit.rows, 20.0);     // from 150
-  EXPECT_NEAR(fit.theta[0], 0.02, 2.5e-3);  // from 0.017
+  EXPECT_LT(fit.chi2 / fit.rows, 20.0);  // from 150
+  EXPECT_NEAR(fit.theta[0], 0.02, 2e-3);
 }
 
 TEST(LiftedFit, EndsWhereItWouldNotComeToWhatItMust) {
