@@ -89,18 +89,23 @@ class TrialBuilder {
     }
   }
 
+  // The first start of each.
+  TrialSpecs Together(const std::vector<Scored>& parts) const {
+    TrialSpecs out;
+    for (const Scored& h : parts) {
+      const TrialSpecs part = SpecsFor(h, nominal_, scales_).front();
+      out.insert(out.end(), part.begin(), part.end());
+    }
+    return out;
+  }
+
   void Sets(const std::vector<Combination>& sets, double wanted) {
     size_t count = 0;
     for (const Combination& set : sets) {
       if (set.gain < wanted || count == kSets) break;
       if (std::any_of(set.parts.begin(), set.parts.end(), [&](const Scored& h) { return Known(h); }))
         continue;
-      TrialSpecs start;
-      for (const Scored& h : set.parts) {
-        const TrialSpecs part = SpecsFor(h, nominal_, scales_).front();
-        start.insert(start.end(), part.begin(), part.end());
-      }
-      out_.push_back(std::move(start));
+      out_.push_back(Together(set.parts));
       ++count;
     }
   }
@@ -108,20 +113,14 @@ class TrialBuilder {
   // A soft mount beside the best of the screen's: where both are missing each hides the other, and neither is
   // worth a second look alone.
   void MountBeside() {
-    if (!from_.specs.empty() || Has("base_flexibility") || (from_.base && data_.n > 2)) return;
+    if (!from_.specs.empty() || (from_.base && data_.n > 2)) return;
+    std::vector<Scored> best;
     double most = 0;
-    TrialSpecs beside;
-    const auto note = [&](double gain, const std::vector<Scored>& parts) {
-      if (gain <= most) return;
-      most = gain, beside.clear();
-      for (const Scored& h : parts) {
-        const TrialSpecs part = SpecsFor(h, nominal_, scales_).front();
-        beside.insert(beside.end(), part.begin(), part.end());
-      }
-    };
-    if (!screened_.hypotheses.empty()) note(screened_.hypotheses[0].gain, {screened_.hypotheses[0]});
-    if (!screened_.sets.empty()) note(screened_.sets[0].gain, screened_.sets[0].parts);
-    if (beside.empty()) return;
+    if (!screened_.hypotheses.empty() && screened_.hypotheses[0].gain > most)
+      best = {screened_.hypotheses[0]}, most = best[0].gain;
+    if (!screened_.sets.empty() && screened_.sets[0].gain > most) best = screened_.sets[0].parts;
+    if (best.empty()) return;
+    const TrialSpecs beside = Together(best);
     std::vector<TrialSpecs> starts = MountStarts(scales_);
     for (TrialSpecs& start : starts) start.insert(start.end(), beside.begin(), beside.end());
     Push(nearest_(starts, 1));
