@@ -51,6 +51,7 @@ struct CaseMarks {
   double first = 0;                            // mark of the first finding
   double first_or_unexplained = 0;             // the same, whole where the label allows such a verdict
   double f1 = 0;                               // of the set of effects
+  double f1_or_unexplained = 0;                // the same, where `unexplained` stands for what may be unnamed
   std::optional<bool> joints_exact;            // of the effects that act on joints
   std::vector<double> parameter_errors;        // relative, of the parameters of rightly named effects
   std::vector<std::pair<double, bool>> calls;  // confidence of every finding, whether it holds
@@ -86,6 +87,7 @@ struct Summary {
   Share right_first_tuned;           // single effects of any strength that the URDF had absorbed part of
   Share joints;                      // exact, over all cases whose effects act on joints
   double pair_f1 = 0;
+  double pair_f1_or_unexplained = 0;  // where `unexplained` stands for a swinging mass or a flexible base
   int pairs = 0;
   Share false_alarms;  // on controls
   Share open;          // outside the catalogue: `unexplained` with the right joints, no wrong name before it

@@ -67,6 +67,18 @@ TEST(Examination, UnexplainedCountsInARowOfItsOwnWhereTheLabelAllowsIt) {
   EXPECT_NEAR(summary.right_first_or_unexplained.value - summary.right_first.value, 0.5, 1e-12);
 }
 
+TEST(Examination, UnexplainedStandsForWhatMayBeUnnamedInThePairsOwnRow) {
+  const json pair = Label({Effect("sloshing_payload", {}), Effect("torque_gain", {"elbow"})},
+                          {"unmodelled_physics", "unexplained"}),
+             said = Diagnosis("unexplained", {Finding("unknown_field", {"elbow"})}),
+             named = Diagnosis("unmodelled_physics", {Finding("unknown_field", {"elbow"})});
+  const CaseMarks stands = Marked(pair, said), does_not = Marked(pair, named);
+  EXPECT_NEAR(stands.f1_or_unexplained, 2.0 / 3, 1e-12);  // one of two, nothing that is wrong
+  EXPECT_LT(stands.f1, 0.5);
+  EXPECT_EQ(does_not.f1_or_unexplained, does_not.f1);
+  EXPECT_NEAR(Summarise({stands, does_not}).pair_f1_or_unexplained, (2.0 / 3 + does_not.f1) / 2, 1e-12);
+}
+
 TEST(Examination, ARefusedSetIsToldWithItsReason) {
   CaseMarks refused = Marked(Label({Effect("coulomb_friction", {"elbow"})}), json(nullptr),
                              {1.0, 0.1, std::numeric_limits<double>::quiet_NaN()});
