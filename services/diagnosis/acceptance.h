@@ -34,7 +34,8 @@ class Acceptance {
 
   // Of any addition to `best`, whose effects explain `explained` nats and which leaves `at_stake` nats.
   double Needed(const Candidate& best, double explained, double at_stake) const;
-  // Of `c` in place of `best`. A model with less in it that explains as much needs no more than the odds.
+  // Of `c` in place of `best`. A model with less in it that explains as much needs no more than the odds, and
+  // may be short of what free base parameters gain from another step rule alone.
   double Needed(const Candidate& best, double explained, double at_stake, const Candidate& c) const;
 
  private:

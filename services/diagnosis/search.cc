@@ -195,6 +195,8 @@ class Search {
       const auto pool = Trials(data_, nominal_, scales_, from, screened, wanted, force, nearest);
       fits_.TryBest(from, pool, base, base ? 3 : 4, &winner);
     }
+    if (const Candidate* c = AsGoodAsFreed(*best); c != nullptr && KeyOf(winner.specs) == KeyOf(best->specs))
+      winner = *c;
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
       Restart(&winner);
       DropNothing(&winner);
@@ -225,6 +227,18 @@ class Search {
       Plainer(best);
     }
     return accept;
+  }
+
+  // The best of all effects on the parameters as given that is as good an account as free ones alone; null:
+  // none, or these are not the account.
+  const Candidate* AsGoodAsFreed(const Candidate& best) {
+    const Candidate* out = nullptr;
+    for (const auto& [key, c] : fits_.tried()) {
+      const bool less = best.base && FoundNothing(best) && !c.base && c.fit.ok && !FoundNothing(c);
+      if (less && c.score > best.score + Threshold(best, c) && (out == nullptr || c.score > out->score))
+        out = &c;
+    }
+    return out;
   }
 
   // With free base parameters or without, whichever is worth it; they must bring `least`.

@@ -71,6 +71,8 @@ TEST(Acceptance, FreeBaseParametersNeedMoreThanAnotherStepRuleWouldPretend) {
   EXPECT_GT(acceptance.Needed(Model({}), 0, 1e4, freed), 100);
   // What acts beside parameters that are free already owes nothing to them.
   EXPECT_LT(acceptance.Needed(Model({}, true), 0, 1e4, freed), 10);
+  // Nor is an effect on the parameters as given held to what they gain from it.
+  EXPECT_LT(acceptance.Needed(Model({}, true), 0, 1e4, Model({MakeSpec("encoder_offset", {"hinge"})})), -50);
 }
 
 TEST(Acceptance, FewerFreeParametersNeedTheOddsOnly) {
