@@ -203,18 +203,17 @@ bool AddsNothing(const Candidate& before, const Candidate& c) {
   return any;
 }
 
-bool OneOfMany(const std::vector<EffectSpec>& specs, size_t i) {
+bool OfAllJoints(const std::vector<EffectSpec>& specs, size_t i) {
   static const std::set<std::string> kShared = {"actuator_delay", "actuator_lag", "sensor_delay"};
-  return kShared.count(specs[i].id) == 0 &&
+  return kShared.count(specs[i].id) > 0 &&
          std::count_if(specs.begin(), specs.end(), [&](const EffectSpec& s) { return s.id == specs[i].id; }) >
              1;
 }
 
 bool SurelyThere(const Candidate& c, size_t i, double needed) {
   const double strength = Strength(c, i);
-  if (strength <= 4.0) return false;
-  return !OneOfMany(c.specs, i) ||
-         (c.specs[i].id != "torque_saturation" && 0.5 * strength * strength > 2 * needed);
+  if (strength <= 4.0 || c.specs[i].id == "torque_saturation") return false;
+  return OfAllJoints(c.specs, i) || 0.5 * strength * strength > 2 * needed;
 }
 
 std::vector<EffectSpec> RefreshedFrom(const Candidate& before, const Candidate& c) {

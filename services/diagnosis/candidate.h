@@ -71,13 +71,12 @@ inline constexpr double kNothing = 1.0;  // strength at which it is about nothin
 std::vector<effects::EffectSpec> StrongEffects(const Candidate& c);
 // Whether all that `c` has and `before` has not is about nothing.
 bool AddsNothing(const Candidate& before, const Candidate& c);
-// Whether specs[i] is one joint's share of an effect that other joints have too, each for itself. Delays and
-// lags are not: those are of what drives or reads all joints.
-bool OneOfMany(const std::vector<effects::EffectSpec>& specs, size_t i);
+// Whether specs[i] is one joint's share of a delay or lag that other joints have too: those are of what
+// drives or reads all joints, and none is asked to be worth a name.
+bool OfAllJoints(const std::vector<effects::EffectSpec>& specs, size_t i);
 
 // Whether a fit without effect i is not worth its cost: its strength is not within a few stddev of nothing,
-// nor, as one joint's share, of what needs `needed` nats. A limit's strength is not known: it is nothing
-// where it is high.
+// nor of what needs `needed` nats. A limit's strength is not known: it is nothing where it is high.
 bool SurelyThere(const Candidate& c, size_t i, double needed);
 
 // The effects of `before` with the values that `c` gives those which it has too, and their own for the

@@ -62,7 +62,7 @@ FitResult FitLedger::Made(const FitRequest& request) { return fits_.Start(settin
 
 Candidate FitLedger::Evaluate(const std::vector<EffectSpec>& specs, bool base, const Candidate* from,
                               int iterations, const Candidate* rival) {
-  const FitRequest request = WholeFit(specs, base, Start(from, base), iterations, rival);
+  const FitRequest request = WholeFit(specs, base, Nearby(from, base), iterations, rival);
   return Tried(request, Made(request));
 }
 
@@ -91,6 +91,13 @@ void FitLedger::FindPieces(const std::vector<EffectSpec>& specs) {
 std::shared_ptr<const Candidate> FitLedger::Start(const Candidate* from, bool base) const {
   if (from == nullptr || !from->fit.ok || PerRow(*from) > kHolds) return base ? pieces_ : nullptr;
   return std::make_shared<const Candidate>(*from);
+}
+
+// For what differs little from an account: where that does not hold, its base parameters are still nearer
+// than those found without its effects.
+std::shared_ptr<const Candidate> FitLedger::Nearby(const Candidate* from, bool base) const {
+  const bool account = from != nullptr && from->fit.ok && from->base && !from->specs.empty();
+  return account && base && PerRow(*from) > kHolds ? ValuesOf(*from) : Start(from, base);
 }
 
 FitRequest FitLedger::WholeFit(const std::vector<EffectSpec>& specs, bool base,
@@ -232,8 +239,7 @@ void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
 void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner) {
   if (others.empty()) return;
   const bool base = winner->base;
-  const auto start =
-      winner->fit.ok && PerRow(*winner) > kHolds && base ? ValuesOf(*winner) : Start(winner, base);
+  const auto start = Nearby(winner, base);
   std::vector<FitRequest> trials = {Trial(*winner, base, start)};
   for (const TrialSpecs& other : others) {
     trials.push_back(trials[0]);

@@ -71,6 +71,7 @@ class FitLedger {
 
  private:
   std::shared_ptr<const Candidate> Start(const Candidate* from, bool base) const;
+  std::shared_ptr<const Candidate> Nearby(const Candidate* from, bool base) const;
   FitRequest WholeFit(const std::vector<effects::EffectSpec>& specs, bool base,
                       std::shared_ptr<const Candidate> from, int iterations = 6,
                       const Candidate* rival = nullptr) const;

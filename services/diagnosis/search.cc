@@ -256,22 +256,32 @@ class Search {
   }
 
   // Of several effects added at once each must be worth its name; at the end, beside what was tried already.
+  // Free base parameters may be what the data have in the place of one of them.
   Candidate Justified(const Candidate& before, Candidate winner) {
     while (!fits_.Cancelled()) {
       const std::set<std::string> fresh = FreshKinds(before, winner);
       if (fresh.size() < 2) return winner;
-      Candidate fewer = winner;
+      Candidate fewer = winner, freed = winner;
       fewer.score = -1e300;
       for (const std::string& id : fresh) {
         std::vector<EffectSpec> specs = Refreshed(winner);
         std::erase_if(specs, [&](const EffectSpec& s) { return s.id == id; });
         const Candidate* known = fits_.Known(specs, winner.base);
         if (fits_.Late() && known == nullptr) continue;
-        fewer =
-            Better(fewer, fits_.Late() ? *known : fits_.Evaluate(specs, winner.base, &winner, 6, &winner));
+        const Candidate part =
+            fits_.Late() ? *known : fits_.Evaluate(specs, winner.base, &winner, 6, &winner);
+        fewer = Better(fewer, part);
+        if (winner.base || fits_.Late()) continue;
+        const Candidate twin = fits_.Evaluate(specs, true, &winner, 6, &winner);
+        if (twin.score > part.score + Threshold(part, twin)) freed = Better(freed, twin);
       }
-      if (winner.score > fewer.score + Threshold(fewer, winner)) return winner;
-      winner = fewer;
+      if (freed.base && !winner.base && freed.score > fewer.score) {
+        winner = freed;
+      } else if (winner.score > fewer.score + Threshold(fewer, winner)) {
+        return winner;
+      } else {
+        winner = fewer;
+      }
     }
     return winner;
   }
@@ -376,7 +386,7 @@ class Search {
         std::vector<EffectSpec> specs = Refreshed(*best);
         specs.erase(specs.begin() + static_cast<long>(i));
         const Candidate c = fits_.Evaluate(specs, best->base, best, 4, best);
-        const double worth = OneOfMany(best->specs, i) ? Threshold(c, *best) : 0.0;
+        const double worth = OfAllJoints(best->specs, i) ? 0.0 : Threshold(c, *best);
         if (best->score < c.score + worth) *best = c, changed = true;
       }
     }

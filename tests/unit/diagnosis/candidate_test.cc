@@ -130,15 +130,16 @@ TEST_F(Rippling, ComesRoundTwiceBesideASpring) {
   EXPECT_TRUE(Repeats(often, 0.01, true));
 }
 
-TEST(Candidate, AJointsShareOfAnEffectIsItsOwnButADelayIsOfAll) {
+TEST(Candidate, AJointsShareOfADelayIsOfAllButOfOtherEffectsItsOwn) {
   const std::vector<effects::EffectSpec> specs = {
       effects::MakeSpec("rotor_inertia", {"a"}), effects::MakeSpec("rotor_inertia", {"b"}),
       effects::MakeSpec("coulomb_friction", {"a"}), effects::MakeSpec("actuator_delay", {"a"}),
       effects::MakeSpec("actuator_delay", {"b"})};
-  EXPECT_TRUE(OneOfMany(specs, 0));
-  EXPECT_TRUE(OneOfMany(specs, 1));
-  EXPECT_FALSE(OneOfMany(specs, 2));
-  EXPECT_FALSE(OneOfMany(specs, 3));
+  EXPECT_FALSE(OfAllJoints(specs, 0));
+  EXPECT_FALSE(OfAllJoints(specs, 2));
+  EXPECT_TRUE(OfAllJoints(specs, 3));
+  EXPECT_TRUE(OfAllJoints(specs, 4));
+  EXPECT_FALSE(OfAllJoints({specs[2], specs[3]}, 1));
 }
 
 }  // namespace
