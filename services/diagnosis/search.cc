@@ -25,6 +25,7 @@ namespace {
 constexpr double kRivalShare = 0.25;  // of what parameters explain, by the screen's linear estimate
 constexpr double kPruned = 2.0;       // and to take out what is not needed
 constexpr double kNoisiest = 4.0;     // variance over the sensors' own: more is motion that no force follows
+constexpr size_t kPromised = 3;       // by a screen, that are fitted without a trial
 constexpr int kSentBack = 3;          // times that recordings kept aside may refuse an account
 
 class Search {
@@ -193,7 +194,11 @@ class Search {
       };
       const auto force = [&] { return Force(from); };
       const auto pool = Trials(data_, nominal_, scales_, from, screened, wanted, force, nearest);
-      fits_.TryBest(from, pool, base, base ? 3 : 4, &winner);
+      const bool holds = from.fit.ok && fits_.PerRow(from) < kHolds;
+      const auto promised = holds
+                                ? Promised(from, screened, nominal_, scales_, Threshold(*best), kPromised)
+                                : std::vector<TrialSpecs>{};
+      fits_.TryBest(from, pool, promised, base, base ? 3 : 4, &winner);
     }
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
       Restart(&winner);

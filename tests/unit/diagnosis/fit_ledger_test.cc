@@ -39,6 +39,15 @@ TEST_F(FitLedgerTest, OtherLawsAreFittedInItsPlaceOnlyWhereATrialDoesNotRefuseTh
   EXPECT_LE(ledger_.tried().size(), 3u);  // with Coulomb friction itself
 }
 
+TEST_F(FitLedgerTest, WhatIsPromisedIsFittedOnAllWindowsWithoutATrial) {
+  const TrialSpecs viscous = {MakeSpec("viscous_friction", {joint_}, {{"viscous", 0.01}})};
+  Candidate winner = coulomb_;
+  ledger_.TryBest(coulomb_, {}, {viscous}, false, 3, &winner);
+  const Candidate* both = ledger_.Known(Joined(coulomb_.specs, viscous), false);
+  ASSERT_NE(both, nullptr);
+  EXPECT_EQ(winner.score, std::max(coulomb_.score, both->score));
+}
+
 TEST_F(FitLedgerTest, AllScoresAreBroughtToAnotherNoise) {
   const double before = coulomb_.score;
   ledger_.SetNoiseScale(2.0);
