@@ -228,6 +228,7 @@ class Search {
       *best = justified;
       Prune(best);
       Plainer(best);
+      OwnLaws(best);
     }
     return accept;
   }
@@ -375,8 +376,7 @@ class Search {
 
   // Dry friction of a richer form that is not worth more than plain dry friction.
   void Plainer(Candidate* best) {
-    for (const char* id : {"stribeck_friction", "asymmetric_friction", "load_dependent_friction",
-                           "presliding_hysteresis", "thermal_drift"}) {
+    for (const char* id : kRicherFriction) {
       const TrialSpecs specs = Exchanges(Refreshed(*best), id, nominal_, scales_).front();
       if (KeyOf(specs) == KeyOf(best->specs) || fits_.Late(kPruned)) continue;
       const Candidate* known = fits_.Known(specs, best->base);
@@ -388,6 +388,18 @@ class Search {
       // What the form may pretend is not held for it when rivals are weighed.
       fits_.tried()[KeyOf(best->specs) + (best->base ? "+base" : "")].score -= needed;
       *best = plain;
+    }
+  }
+
+  // A richer form on several joints may bend into what is plain on one of them, and one kind of effect costs
+  // less than two: each joint has a try with a plain law of its own, which must bring what any further name
+  // must.
+  void OwnLaws(Candidate* best) {
+    for (bool changed = true; changed && !fits_.Late();) {
+      Candidate own = *best;
+      fits_.TryInPlace(PlainOnOneJoint(Refreshed(*best), nominal_, scales_), &own);
+      changed = own.score > best->score + Threshold(*best, own);
+      if (changed) *best = own;
     }
   }
 

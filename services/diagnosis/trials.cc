@@ -271,6 +271,21 @@ std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id
   return out;
 }
 
+std::vector<TrialSpecs> PlainOnOneJoint(const TrialSpecs& specs, const sim::Plant& nominal,
+                                        const MotionScales& scales) {
+  std::vector<TrialSpecs> out;
+  for (size_t i = 0; i < specs.size(); ++i) {
+    const bool richer = std::count(std::begin(kRicherFriction), std::end(kRicherFriction), specs[i].id) > 0;
+    if (!richer || !OneOfMany(specs, i)) continue;
+    for (const char* id : {"coulomb_friction", "viscous_friction"}) {
+      if (Contains(specs, id, specs[i].joints[0])) continue;
+      out.push_back(specs);
+      out.back()[i] = Exchanged(specs[i], id, nominal, scales);
+    }
+  }
+  return out;
+}
+
 std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& account,
                                       const sim::Plant& nominal, const MotionScales& scales) {
   std::vector<TrialSpecs> out;

@@ -52,6 +52,10 @@ std::vector<std::shared_ptr<const Candidate>> BestOf(std::vector<RankedTrial> tr
 std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const sim::Plant& nominal,
                                   const MotionScales& scales);
 
+// `specs` with plain dry or viscous friction on one of several joints that have a richer form.
+std::vector<TrialSpecs> PlainOnOneJoint(const TrialSpecs& specs, const sim::Plant& nominal,
+                                        const MotionScales& scales);
+
 // Springs behind the rotors that `account` has beyond `before` and that it owes most to: below its resonance
 // a motor behind a spring is a rotor, and what it is more no screen can see.
 std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& account,
