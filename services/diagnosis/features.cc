@@ -15,6 +15,8 @@ using Eigen::VectorXd;
 
 namespace {
 
+constexpr double kNextToNone = 0.1;  // of a band that few efforts lie in
+
 double Quantile(std::vector<double> x, double p) {
   if (x.empty()) return 0;
   std::sort(x.begin(), x.end());
@@ -120,8 +122,10 @@ class Builder {
     for (const FineMotion& m : data_.fine) {
       for (int k = 0; k < m.u.cols(); ++k) size.push_back(std::abs(m.u(j, k)));
     }
-    for (const double p : {0.03, 0.1, 0.2, 0.35}) {
-      const double band = Quantile(size, p);
+    // The first is a band that next to no effort lies in, however small: a force against the command's sign.
+    const double least = Quantile(size, 0.03);
+    for (const double band :
+         {kNextToNone * least, least, Quantile(size, 0.1), Quantile(size, 0.2), Quantile(size, 0.35)}) {
       Add(
           "torque_deadband", "deadband", j, band,
           [band](const FineMotion& m, int i) -> ArrayXd { return -Row(m.u, i).max(-band).min(band); }, 1.0);

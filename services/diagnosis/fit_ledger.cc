@@ -168,8 +168,8 @@ double FitLedger::TellingPiece(FitRequest trial) {
   return 0;
 }
 
-void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base, size_t count,
-                        Candidate* winner) {
+void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool,
+                        const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner) {
   FitRequest trial = Trial(from, base, Start(&from, base));
   // Whole windows, or pieces of them where only pieces are met, but not for hidden states, which need whole
   // windows: each has its own reference.
@@ -212,6 +212,13 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   for (const auto& c : BestOf(std::move(ranked), std::move(hidden), count))
     best.push_back(WholeFit(Refreshed(*c), base, holds || !base ? trial.from : ValuesOf(*c), 6,
                             trial.pieces_alone ? nullptr : &nearest));
+  for (const TrialSpecs& start : promised) {
+    const TrialSpecs specs = Joined(Refreshed(from), start);
+    const bool chosen = std::any_of(best.begin(), best.end(), [&](const FitRequest& request) {
+      return KeyOf(request.specs) == KeyOf(specs);
+    });
+    if (!chosen) best.push_back(WholeFit(specs, base, trial.from));
+  }
   Candidate found = from;
   TakeBest(best, 1, &found);
   TrySprings(from, &found);

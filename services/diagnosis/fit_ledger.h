@@ -58,9 +58,9 @@ class FitLedger {
   const Candidate* pieces() const { return pieces_.get(); }
 
   // Of `pool`, each beside `from`'s effects, the `count` best of trials on some windows with few iterations,
-  // fitted on all; the best of them and of `winner`.
-  void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base, size_t count,
-               Candidate* winner);
+  // and `promised` without a trial, fitted on all; the best of them and of `winner`.
+  void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool,
+               const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner);
   // Of `others`, each in the place of `winner`'s effects, what trials do not find worse, fitted on all.
   void TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner);
   // Springs behind the rotors that `account` adds to `from`, before free base parameters make up for them.

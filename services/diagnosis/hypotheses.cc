@@ -434,6 +434,7 @@ EffectSpec Exchanged(const EffectSpec& spec, const std::string& id, const sim::P
     return MakeSpec(id, spec.joints, std::move(values));
   };
   if (id == "coulomb_friction") return make({{"coulomb", level}});
+  if (id == "viscous_friction") return make({{"viscous", level / s.speed[j]}});
   if (id == "stribeck_friction") {
     return make({{"coulomb", 0.9 * level}, {"static", 1.2 * level}, {"stribeck_velocity", 0.2 * s.speed[j]}});
   }

@@ -43,6 +43,10 @@ std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const M
 // dry friction, one transmission, one timing effect and one force of position per joint.
 std::vector<effects::EffectSpec> Joined(std::vector<effects::EffectSpec> specs,
                                         const std::vector<effects::EffectSpec>& added);
+// Forms of dry friction beyond the plain one.
+inline constexpr const char* kRicherFriction[] = {"stribeck_friction", "asymmetric_friction",
+                                                  "load_dependent_friction", "presliding_hysteresis",
+                                                  "thermal_drift"};
 // What an effect is easily taken for and can be exchanged with on the same joints; empty where nothing.
 std::vector<std::string> SiblingsOf(const std::string& effect);
 // `spec` as its sibling, of about the same strength.

@@ -25,6 +25,7 @@ namespace {
 constexpr double kRivalShare = 0.25;  // of what parameters explain, by the screen's linear estimate
 constexpr double kPruned = 2.0;       // and to take out what is not needed
 constexpr double kNoisiest = 4.0;     // variance over the sensors' own: more is motion that no force follows
+constexpr size_t kPromised = 3;       // by a screen, that are fitted without a trial
 constexpr int kSentBack = 3;          // times that recordings kept aside may refuse an account
 
 class Search {
@@ -193,7 +194,11 @@ class Search {
       };
       const auto force = [&] { return Force(from); };
       const auto pool = Trials(data_, nominal_, scales_, from, screened, wanted, force, nearest);
-      fits_.TryBest(from, pool, base, base ? 3 : 4, &winner);
+      const bool holds = from.fit.ok && fits_.PerRow(from) < kHolds;
+      const auto promised = holds
+                                ? Promised(from, screened, nominal_, scales_, Threshold(*best), kPromised)
+                                : std::vector<TrialSpecs>{};
+      fits_.TryBest(from, pool, promised, base, base ? 3 : 4, &winner);
     }
     if (const Candidate* c = AsGoodAsFreed(*best); c != nullptr && KeyOf(winner.specs) == KeyOf(best->specs))
       winner = *c;
@@ -225,6 +230,7 @@ class Search {
       *best = justified;
       Prune(best);
       Plainer(best);
+      OwnLaws(best);
     }
     return accept;
   }
@@ -394,8 +400,7 @@ class Search {
 
   // Dry friction of a richer form that is not worth more than plain dry friction.
   void Plainer(Candidate* best) {
-    for (const char* id : {"stribeck_friction", "asymmetric_friction", "load_dependent_friction",
-                           "presliding_hysteresis", "thermal_drift"}) {
+    for (const char* id : kRicherFriction) {
       const TrialSpecs specs = Exchanges(Refreshed(*best), id, nominal_, scales_).front();
       if (KeyOf(specs) == KeyOf(best->specs) || fits_.Late(kPruned)) continue;
       const Candidate* known = fits_.Known(specs, best->base);
@@ -407,6 +412,18 @@ class Search {
       // What the form may pretend is not held for it when rivals are weighed.
       fits_.tried()[KeyOf(best->specs) + (best->base ? "+base" : "")].score -= needed;
       *best = plain;
+    }
+  }
+
+  // A richer form on several joints may bend into what is plain on one of them, and one kind of effect costs
+  // less than two: each joint has a try with a plain law of its own, which must bring what any further name
+  // must.
+  void OwnLaws(Candidate* best) {
+    for (bool changed = true; changed && !fits_.Late();) {
+      Candidate own = *best;
+      fits_.TryInPlace(PlainOnOneJoint(Refreshed(*best), nominal_, scales_), &own);
+      changed = own.score > best->score + Threshold(*best, own);
+      if (changed) *best = own;
     }
   }
 

@@ -20,6 +20,19 @@ constexpr size_t kRotors = 2;   // the largest, behind which a spring is tried
 constexpr size_t kSets = 6;     // of joints, and as many pairs of effects
 constexpr double kHardlyLess = 0.9;  // of what a part of it leaves
 
+// Whether the model has this already.
+bool AlreadyIn(const Candidate& from, const Scored& h, const sim::Plant& nominal) {
+  if (h.joints.empty()) return Contains(from.specs, h.effect, "");
+  std::vector<std::string> names;
+  for (const int j : h.joints) names.push_back(nominal.joint_names()[static_cast<size_t>(j)]);
+  if (h.effect == "joint_coupling") {
+    return std::any_of(from.specs.begin(), from.specs.end(),
+                       [&](const EffectSpec& s) { return s.id == h.effect && s.joints == names; });
+  }
+  return std::any_of(names.begin(), names.end(),
+                     [&](const std::string& joint) { return Contains(from.specs, h.effect, joint); });
+}
+
 class TrialBuilder {
  public:
   TrialBuilder(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
@@ -62,23 +75,7 @@ class TrialBuilder {
                        [&](const EffectSpec& e) { return e.id == id; });
   }
 
-  std::vector<std::string> Names(const std::vector<int>& joints) const {
-    std::vector<std::string> out;
-    for (const int j : joints) out.push_back(nominal_.joint_names()[static_cast<size_t>(j)]);
-    return out;
-  }
-
-  // Whether the model has this already.
-  bool Known(const Scored& h) const {
-    if (h.joints.empty()) return Has(h.effect);
-    const std::vector<std::string> names = Names(h.joints);
-    if (h.effect == "joint_coupling") {
-      return std::any_of(from_.specs.begin(), from_.specs.end(),
-                         [&](const EffectSpec& s) { return s.id == h.effect && s.joints == names; });
-    }
-    return std::any_of(names.begin(), names.end(),
-                       [&](const std::string& joint) { return Contains(from_.specs, h.effect, joint); });
-  }
+  bool Known(const Scored& h) const { return AlreadyIn(from_, h, nominal_); }
 
   void Singles(double wanted) {
     int taken = 0;
@@ -202,6 +199,38 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
   return TrialBuilder(data, nominal, scales, from, screened, nearest).Run(wanted, force);
 }
 
+std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& screened,
+                                 const sim::Plant& nominal, const MotionScales& scales, double needed,
+                                 size_t count) {
+  std::vector<std::pair<double, TrialSpecs>> promised;
+  const auto add = [&](const std::vector<Scored>& parts, double gain) {
+    TrialSpecs start;
+    for (const Scored& h : parts) {
+      if (IsUnnamed(h.effect) || AlreadyIn(from, h, nominal)) return;
+      const TrialSpecs part = SpecsFor(h, nominal, scales).front();
+      start.insert(start.end(), part.begin(), part.end());
+    }
+    if (gain > needed) promised.push_back({gain, std::move(start)});
+  };
+  const double before = StructurePrior(from.specs, false);
+  for (const Scored& h : screened.hypotheses) {
+    if (h.gain <= needed) break;
+    const TrialSpecs alone = SpecsFor(h, nominal, scales).front();
+    add({h}, h.gain - (StructurePrior(Joined(from.specs, alone), false) - before));
+  }
+  for (const auto* list : {&screened.sets, &screened.pairs}) {
+    for (const Combination& c : *list) add(c.parts, c.gain);
+  }
+  std::stable_sort(promised.begin(), promised.end(),
+                   [](const auto& a, const auto& b) { return a.first > b.first; });
+  std::vector<TrialSpecs> out;
+  std::set<std::string> seen;
+  for (auto& [gain, start] : promised) {
+    if (out.size() < count && seen.insert(KeyOf(start)).second) out.push_back(std::move(start));
+  }
+  return out;
+}
+
 std::vector<std::shared_ptr<const Candidate>> BestOf(std::vector<RankedTrial> trials,
                                                      std::vector<RankedTrial> apart, size_t count) {
   std::vector<std::shared_ptr<const Candidate>> out;
@@ -238,6 +267,21 @@ std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id
     for (const EffectSpec& s : specs)
       other.push_back(s.id == id ? Exchanged(s, sibling, nominal, scales) : s);
     out.push_back(std::move(other));
+  }
+  return out;
+}
+
+std::vector<TrialSpecs> PlainOnOneJoint(const TrialSpecs& specs, const sim::Plant& nominal,
+                                        const MotionScales& scales) {
+  std::vector<TrialSpecs> out;
+  for (size_t i = 0; i < specs.size(); ++i) {
+    const bool richer = std::count(std::begin(kRicherFriction), std::end(kRicherFriction), specs[i].id) > 0;
+    if (!richer || !OneOfMany(specs, i)) continue;
+    for (const char* id : {"coulomb_friction", "viscous_friction"}) {
+      if (Contains(specs, id, specs[i].joints[0])) continue;
+      out.push_back(specs);
+      out.back()[i] = Exchanged(specs[i], id, nominal, scales);
+    }
   }
   return out;
 }

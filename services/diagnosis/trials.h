@@ -26,6 +26,13 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
                                const Candidate& from, const ScreenResult& screened, double wanted,
                                const std::function<MissingForce()>& force, const Nearest& nearest);
 
+// What a screen around a model that holds gives more than `needed` nats beyond what its structure costs, best
+// first and `count` at most. There the screen is exact to first order, and of all windows: a small effect
+// that a few of them do not pay for is worth its fit.
+std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& screened,
+                                 const sim::Plant& nominal, const MotionScales& scales, double needed,
+                                 size_t count);
+
 // A trial that is better than the model it was added to.
 struct RankedTrial {
   double left;    // share of that model's misfit that remains, of the same windows or pieces of windows
@@ -44,6 +51,10 @@ std::vector<std::shared_ptr<const Candidate>> BestOf(std::vector<RankedTrial> tr
 // friction's forms the plain one first.
 std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const sim::Plant& nominal,
                                   const MotionScales& scales);
+
+// `specs` with plain dry or viscous friction on one of several joints that have a richer form.
+std::vector<TrialSpecs> PlainOnOneJoint(const TrialSpecs& specs, const sim::Plant& nominal,
+                                        const MotionScales& scales);
 
 // Springs behind the rotors that `account` has beyond `before` and that it owes most to: below its resonance
 // a motor behind a spring is a rotor, and what it is more no screen can see.

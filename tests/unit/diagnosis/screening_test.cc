@@ -116,5 +116,20 @@ TEST(Screening, SeesAPayloadInTheLastLinksParameters) {
   EXPECT_GT(payload->gain, 0.5 * r.hypotheses.front().gain);
 }
 
+// A dead zone that all efforts exceed is a force against their sign, however small it is.
+TEST(Screening, HasADeadZoneThatNextToNoEffortLiesIn) {
+  const auto p = Prepare("arm2", {}, 25);
+  double least = 1e300, small = 0, rows = 0;
+  for (const Feature& f : MakeFeatures(p->data, p->scales).features) {
+    if (f.effect == "torque_deadband" && f.joint == 0) least = std::min(least, f.shape);
+  }
+  for (const FineMotion& m : p->data.fine) {
+    small += static_cast<double>((m.u.row(0).array().abs() < least).count());
+    rows += static_cast<double>(m.u.cols());
+  }
+  EXPECT_GT(least, 0);
+  EXPECT_LT(small, 0.02 * rows);
+}
+
 }  // namespace
 }  // namespace rg::diagnosis

@@ -246,6 +246,38 @@ TEST(SomeWindows, AreEveryFewUntilThoseMissWhatIsAmiss) {
   EXPECT_LE(seen.size(), 14u);
 }
 
+// Around a model that holds a screen is exact to first order and of all windows: what it gives more than is
+// needed is fitted whatever a few windows say.
+TEST(Promised, IsWhatAScreenGivesBeyondStructureAndNeed) {
+  const auto c = Case::Of("arm2", {}, 9);
+  const auto scored = [](const std::string& effect, int joint, double gain) {
+    Scored h;
+    h.effect = effect, h.joints = {joint}, h.gain = gain, h.coefficients = {0.1}, h.shape = 0.5;
+    return h;
+  };
+  Candidate from;
+  from.specs = {MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.1}})};
+  from.plant = std::make_shared<const sim::Plant>(c->nominal);
+  ScreenResult screened;
+  screened.hypotheses = {scored("unknown_field", 1, 90),   scored("viscous_friction", 0, 80),
+                         scored("encoder_offset", 1, 40),  scored("viscous_friction", 1, 39),
+                         scored("torque_deadband", 1, 14), scored("rotor_inertia", 0, 10)};
+  const auto promised = [&](double needed, size_t count) {
+    return Promised(from, screened, c->nominal, c->scales, needed, count);
+  };
+  const auto two = promised(5, 2);
+  ASSERT_EQ(two.size(), 2u);
+  // One more joint of what is there costs less than one more name.
+  EXPECT_EQ(KeyOf(two[0]), "viscous_friction[elbow ] ");
+  EXPECT_EQ(KeyOf(two[1]), "encoder_offset[elbow ] ");
+  EXPECT_EQ(promised(5, 9).size(), 3u) << "a rotor's gain is what its structure costs and the need";
+  EXPECT_EQ(promised(30, 9).size(), 2u);
+  screened.pairs = {{{scored("encoder_offset", 1, 0), scored("torque_deadband", 1, 0)}, 60}};
+  const auto pair = promised(5, 1);
+  ASSERT_EQ(pair.size(), 1u);
+  EXPECT_EQ(pair[0].size(), 2u);
+}
+
 // Where a soft mount and a gain are both missing each hides the other: the best of the screen is tried on a
 // mount too, but only before anything is found.
 TEST(Trials, TryAMountBesideTheBestOfTheScreen) {
