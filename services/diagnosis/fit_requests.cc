@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/jumps.h"
 #include "services/diagnosis/swing_starts.h"
 
 namespace rg::diagnosis {
@@ -115,7 +116,11 @@ Candidate Unfitted(const FitSetting& setting, const std::vector<effects::EffectS
 FitResult MakeFit(const FitSetting& setting, const FitRequest& request) {
   const Candidate c = Unfitted(setting, request.specs, request.base);
   if (c.plant == nullptr) return {};
-  if (request.places.empty()) return FitOn(setting.data, c, request);
+  if (request.places.empty()) {
+    FitResult fit = FitOn(setting.data, c, request);
+    const bool counts = fit.ok && !request.pieces_alone && HasMassInSprings(c.specs);
+    return counts ? WithJumps(setting.data, *c.plant, std::move(fit), request.options) : fit;
+  }
   FitData some = setting.data;
   some.windows.clear();
   for (const uint32_t i : request.places) some.windows.push_back(setting.data.windows[i]);

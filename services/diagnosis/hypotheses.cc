@@ -239,41 +239,75 @@ std::vector<std::vector<EffectSpec>> SpecsFor(const Scored& h, const sim::Plant&
   return {specs};
 }
 
-std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effect, const std::string& sensor,
-                                                        int joint, const sim::Plant& nominal,
-                                                        const MotionScales& s, double added_inertia) {
-  std::vector<std::vector<EffectSpec>> out;
+namespace {
+
+// A spring or play between motor and link of a joint.
+std::vector<EffectSpec> Transmission(const std::string& effect, const std::string& sensor,
+                                     const std::string& joint, const std::map<std::string, double>& values) {
+  EffectSpec spec = MakeSpec(effect, {joint}, values);
+  spec.options["sensor"] = sensor;
+  return {std::move(spec)};
+}
+
+std::vector<std::vector<EffectSpec>> PlayStarts(const std::string& sensor, int joint,
+                                                const std::vector<double>& motors, const sim::Plant& nominal,
+                                                const MotionScales& s) {
   const double inertia = s.inertia[joint], range = std::max(0.05, s.high[joint] - s.low[joint]);
-  std::vector<double> motors = {0.15 * inertia, 0.4 * inertia};
-  // Below its resonance the motor moves with the link: what the screen takes for more inertia is the motor.
-  if (added_inertia > 0.01 * inertia) motors.push_back(std::min(added_inertia, 2 * inertia));
-  const std::string& name = nominal.joint_names()[static_cast<size_t>(joint)];
-  const auto push = [&](const std::map<std::string, double>& values) {
-    EffectSpec spec = MakeSpec(effect, {name}, values);
-    spec.options["sensor"] = sensor;
-    out.push_back({std::move(spec)});
-  };
+  // Soft faces: how hard they are a fit finds out, but not where motor and link meet.
+  const double omega = 2 * M_PI * 12.0, k = omega * omega * inertia;
+  const std::vector<double> coarse = {0.007, 0.02, 0.06, 0.16};
+  const std::vector<double> fine = {0.005, 0.009, 0.016, 0.03, 0.055, 0.1, 0.18};
+  std::vector<std::vector<EffectSpec>> out;
   for (const double J : motors) {
-    if (effect == "backlash") {
-      // Soft faces: how hard they are a fit finds out, but not where motor and link meet.
-      const double omega = 2 * M_PI * 12.0, k = omega * omega * inertia;
-      const std::vector<double> coarse = {0.007, 0.02, 0.06, 0.16};
-      const std::vector<double> fine = {0.005, 0.009, 0.016, 0.03, 0.055, 0.1, 0.18};
-      for (const double share : nominal.num_joints() <= kLightRobot ? fine : coarse) {
-        push({{"gap", share * range},
-              {"contact_stiffness", k},
-              {"contact_damping", 0.3 * std::sqrt(k * inertia)},
-              {"motor_inertia", J}});
-      }
-      continue;
-    }
-    const double lighter = J * inertia / (J + inertia);
-    for (const double hertz : {5.0, 9.0, 16.0, 30.0}) {
-      const double omega = 2 * M_PI * hertz, k = omega * omega * lighter;
-      push({{"stiffness", k}, {"damping", 0.2 * std::sqrt(k * lighter)}, {"motor_inertia", J}});
+    for (const double share : nominal.num_joints() <= kLightRobot ? fine : coarse) {
+      out.push_back(Transmission("backlash", sensor, nominal.joint_names()[static_cast<size_t>(joint)],
+                                 {{"gap", share * range},
+                                  {"contact_stiffness", k},
+                                  {"contact_damping", 0.3 * std::sqrt(k * inertia)},
+                                  {"motor_inertia", J}}));
     }
   }
   return out;
+}
+
+}  // namespace
+
+std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effect, const std::string& sensor,
+                                                        int joint, const sim::Plant& nominal,
+                                                        const MotionScales& s, double added_inertia) {
+  const double inertia = s.inertia[joint];
+  std::vector<double> motors = {0.15 * inertia, 0.4 * inertia};
+  // Below its resonance the motor moves with the link: what the screen takes for more inertia is the motor.
+  if (added_inertia > 0.01 * inertia) motors.push_back(std::min(added_inertia, 2 * inertia));
+  if (effect == "backlash") return PlayStarts(sensor, joint, motors, nominal, s);
+  std::vector<std::vector<EffectSpec>> out;
+  for (const double J : motors) {
+    const double lighter = J * inertia / (J + inertia);
+    for (const double hertz : {5.0, 9.0, 16.0, 30.0}) {
+      const double omega = 2 * M_PI * hertz, k = omega * omega * lighter;
+      out.push_back(
+          Transmission(effect, sensor, nominal.joint_names()[static_cast<size_t>(joint)],
+                       {{"stiffness", k}, {"damping", 0.2 * std::sqrt(k * lighter)}, {"motor_inertia", J}}));
+    }
+  }
+  return out;
+}
+
+std::vector<std::vector<EffectSpec>> OtherTransmission(const EffectSpec& spec, const sim::Plant& nominal,
+                                                       const MotionScales& s) {
+  const bool play = spec.id == "backlash";
+  if (!play && spec.id != "joint_elasticity") return {};
+  const std::string& joint = spec.joints[0];
+  const auto& values = spec.values.at(joint);
+  const auto at = spec.options.find("sensor");
+  const std::string sensor = at == spec.options.end() ? "link" : at->second;
+  if (play) {
+    return {Transmission("joint_elasticity", sensor, joint,
+                         {{"stiffness", values.at("contact_stiffness")},
+                          {"damping", values.at("contact_damping")},
+                          {"motor_inertia", values.at("motor_inertia")}})};
+  }
+  return PlayStarts(sensor, nominal.model().FindJoint(joint), {values.at("motor_inertia")}, nominal, s);
 }
 
 std::vector<std::vector<EffectSpec>> StribeckStarts(const EffectSpec& friction, const sim::Plant& nominal,

@@ -24,6 +24,11 @@ std::vector<std::vector<effects::EffectSpec>> TransmissionStarts(const std::stri
                                                                  const sim::Plant& nominal,
                                                                  const MotionScales& scales,
                                                                  double added_inertia);
+// The other law of a gear in the place of a spring or play, with the motor and the sensor that it has: play
+// from a grid of gaps, or the spring that its faces are. Empty for other effects.
+std::vector<std::vector<effects::EffectSpec>> OtherTransmission(const effects::EffectSpec& spec,
+                                                                const sim::Plant& nominal,
+                                                                const MotionScales& scales);
 // Dry friction that drops with speed, where there is dry friction already: over a range of speeds, for fits
 // of a joint that sticks end near where they start.
 std::vector<std::vector<effects::EffectSpec>> StribeckStarts(const effects::EffectSpec& friction,

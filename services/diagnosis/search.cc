@@ -195,9 +195,8 @@ class Search {
       const auto force = [&] { return Force(from); };
       const auto pool = Trials(data_, nominal_, scales_, from, screened, wanted, force, nearest);
       const bool holds = from.fit.ok && fits_.PerRow(from) < kHolds;
-      const auto promised = holds
-                                ? Promised(from, screened, nominal_, scales_, Threshold(*best), kPromised)
-                                : std::vector<TrialSpecs>{};
+      const auto promised = holds ? Promised(from, screened, nominal_, scales_, Threshold(*best), kPromised)
+                                  : std::vector<TrialSpecs>{};
       fits_.TryBest(from, pool, promised, base, base ? 3 : 4, &winner);
     }
     if (const Candidate* c = AsGoodAsFreed(*best); c != nullptr && KeyOf(winner.specs) == KeyOf(best->specs))
@@ -370,6 +369,12 @@ class Search {
         if (fits_.Known(other, winner->base) == nullptr) others.push_back(other);
       }
     }
+    for (const EffectSpec& s : specs) {
+      if (kinds.count(s.id) == 0) continue;
+      const auto starts = OtherTransmission(s, nominal_, scales_);
+      for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, starts, 1))
+        others.push_back(Joined(specs, start));
+    }
     fits_.TryInPlace(others, winner);
   }
 
@@ -398,10 +403,23 @@ class Search {
     }
   }
 
-  // Dry friction of a richer form that is not worth more than plain dry friction.
+  // Of a richer form the plain one that it holds: of dry friction that of one level, of play the spring that
+  // its faces are.
+  TrialSpecs PlainForm(const Candidate& c, const std::string& id) const {
+    TrialSpecs specs = Refreshed(c);
+    if (id != "backlash") return Exchanges(specs, id, nominal_, scales_).front();
+    for (EffectSpec& s : specs) {
+      if (s.id == id) s = OtherTransmission(s, nominal_, scales_).front().front();
+    }
+    return specs;
+  }
+
+  // A richer form that is not worth more than the plain one gives way to it.
   void Plainer(Candidate* best) {
-    for (const char* id : kRicherFriction) {
-      const TrialSpecs specs = Exchanges(Refreshed(*best), id, nominal_, scales_).front();
+    std::vector<std::string> richer(std::begin(kRicherFriction), std::end(kRicherFriction));
+    richer.push_back("backlash");
+    for (const std::string& id : richer) {
+      const TrialSpecs specs = PlainForm(*best, id);
       if (KeyOf(specs) == KeyOf(best->specs) || fits_.Late(kPruned)) continue;
       const Candidate* known = fits_.Known(specs, best->base);
       // What it holds as a special case cannot be better: the plain one's fit had not found its way.

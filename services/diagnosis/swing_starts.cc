@@ -40,12 +40,18 @@ FitResult Alone(FitData* one, const NodeWindow& window, const FitModel& model, c
   return Fit(*one, model, options, &from);
 }
 
+bool OnRod(const EffectSpec& e) { return e.options.count("form") > 0 && e.options.at("form") == "rod"; }
+
 }  // namespace
 
 bool HasRod(const std::vector<EffectSpec>& specs) {
-  return std::any_of(specs.begin(), specs.end(), [](const EffectSpec& e) {
-    return e.id == "sloshing_payload" && e.options.count("form") > 0 && e.options.at("form") == "rod";
-  });
+  return std::any_of(specs.begin(), specs.end(),
+                     [](const EffectSpec& e) { return e.id == "sloshing_payload" && OnRod(e); });
+}
+
+bool HasMassInSprings(const std::vector<EffectSpec>& specs) {
+  return std::any_of(specs.begin(), specs.end(),
+                     [](const EffectSpec& e) { return e.id == "sloshing_payload" && !OnRod(e); });
 }
 
 NodeStates FollowedStates(const FitData& data, const FitModel& given, const LiftedOptions& options,

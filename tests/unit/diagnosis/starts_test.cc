@@ -126,6 +126,32 @@ TEST(TransmissionStarts, OneOfTheTwoNearestLeadsToTheTruth) {
   }
 }
 
+// A spring that creeps bends anew in each window, as far as the link lies from the middle of the gap: play is
+// sought with the motor and the sensor that the spring was found with.
+TEST(OtherTransmission, PlayIsFoundInThePlaceOfASpringAndItsFacesAreOne) {
+  EffectSpec play = MakeSpec(
+      "backlash", {"elbow"},
+      {{"gap", 0.05}, {"contact_stiffness", 400}, {"contact_damping", 1.0}, {"motor_inertia", 0.03}});
+  play.options["sensor"] = "motor";
+  const auto c = Case::Of("arm2", {play}, 12);
+  EffectSpec spring = MakeSpec("joint_elasticity", {"elbow"},
+                               {{"stiffness", 100}, {"damping", 1.0}, {"motor_inertia", 0.03}});
+  spring.options["sensor"] = "motor";
+  const double bent = PerRow(c->FitOf({spring}, 12));
+  double least = 1e300;
+  for (const auto& start : OtherTransmission(spring, c->nominal, c->scales)) {
+    EXPECT_EQ(start[0].id, "backlash");
+    EXPECT_EQ(start[0].options.at("sensor"), "motor");
+    EXPECT_EQ(start[0].values.at("elbow").at("motor_inertia"), 0.03);
+    least = std::min(least, PerRow(c->FitOf(start, 20)));
+  }
+  EXPECT_LT(least - 1, 0.2 * (bent - 1));
+  const auto faces = OtherTransmission(play, c->nominal, c->scales);
+  ASSERT_EQ(faces.size(), 1u);
+  EXPECT_EQ(faces[0][0].id, "joint_elasticity");
+  EXPECT_EQ(faces[0][0].values.at("elbow").at("stiffness"), 400);
+}
+
 TEST(Joined, ASpringTakesThePlaceOfACouplingThatEndsAtItsJoint) {
   const auto into = MakeSpec("joint_coupling", {"shoulder", "elbow"}, {{"coefficient", 0.1}});
   const auto from = MakeSpec("joint_coupling", {"elbow", "shoulder"}, {{"coefficient", 0.1}});

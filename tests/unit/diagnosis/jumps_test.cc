@@ -1,0 +1,50 @@
+#include "services/diagnosis/jumps.h"
+
+#include <gtest/gtest.h>
+
+#include "services/diagnosis/fit_requests.h"
+#include "tests/unit/diagnosis/prepared_set.h"
+
+namespace rg::diagnosis {
+namespace {
+
+using effects::EffectSpec;
+using effects::MakeSpec;
+
+struct Fits {
+  double bare, free, counted;  // χ² per row: without a mass, with one that starts anew, as it counts
+};
+
+// A mass in springs, fitted to a pendulum with `truth`.
+Fits MassOn(const std::vector<EffectSpec>& truth, uint64_t seed) {
+  const auto p = testing::Prepare("pendulum", truth, seed);
+  const FitSetting setting{p->data, p->nominal, p->scales};
+  const std::vector<EffectSpec> mass = {
+      MakeSpec("sloshing_payload", {}, {{"mass", 0.05}, {"stiffness", 5.0}, {"damping", 0.02}})};
+  const Candidate c = Unfitted(setting, mass, false);
+  const auto per_row = [](const FitResult& fit) {
+    EXPECT_TRUE(fit.ok);
+    return fit.chi2 / fit.rows;
+  };
+  const FitModel model{*c.plant, c.plant->parameters().Nominal(), c.parameters};
+  return {per_row(MakeFit(setting, {{}, false, {}})), per_row(Fit(p->data, model, {})),
+          per_row(MakeFit(setting, {mass, false, {}}))};
+}
+
+TEST(Jumps, AMassThatStartsAnewInEachWindowDoesNotCountForWhatItFollowsSo) {
+  const std::string pivot = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  const Fits friction = MassOn({MakeSpec("coulomb_friction", {pivot}, {{"coulomb", 0.15}})}, 41);
+  EXPECT_LT(friction.free - 1, 0.5 * (friction.bare - 1));
+  EXPECT_GT(friction.counted - 1, 2 * (friction.free - 1));
+}
+
+TEST(Jumps, ATrueMassGoesOnFromWindowToWindow) {
+  const Fits swings =
+      MassOn({MakeSpec("sloshing_payload", {}, {{"mass", 0.05}, {"stiffness", 5.0}, {"damping", 0.02}})}, 43);
+  EXPECT_GT(swings.bare, 3.0);
+  EXPECT_LT(swings.free, 1.05);
+  EXPECT_LT(swings.counted, swings.free + 0.1);
+}
+
+}  // namespace
+}  // namespace rg::diagnosis
