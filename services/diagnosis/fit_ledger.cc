@@ -19,7 +19,7 @@ constexpr double kTrialShare = 0.3;   // of all work, that the trials of one scr
 constexpr double kLookShare = 0.015;  // of all work, that the starts of one law on one joint may cost
 constexpr double kToTheEnd = 1.3;     // of all work, to weigh what is found
 constexpr double kPiece = 0.1;        // s
-constexpr size_t kSprings = 4;        // behind rotors, that are fitted
+constexpr size_t kSprings = 2;        // behind rotors, that are fitted for either place of the sensor
 constexpr size_t kInPlace = 2;        // other laws that are fitted on all windows
 constexpr double kMuchWorse = 0.1;    // of a trial's misfit, that one in its place may leave more
 
@@ -238,8 +238,13 @@ void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
   const auto springs = SpringsBehind(from, *account, setting_.nominal, setting_.scales);
   const bool base = account->base;
   std::vector<FitRequest> fits;
-  for (const TrialSpecs& spring : Nearest(*account, base, springs, kSprings))
-    fits.push_back(WholeFit(Joined(StrongEffects(*account), spring), base, Start(nullptr, base), 6, account));
+  for (const char* sensor : {"link", "motor"}) {
+    std::vector<TrialSpecs> there = springs;
+    std::erase_if(there, [&](const TrialSpecs& s) { return s[0].options.at("sensor") != sensor; });
+    for (const TrialSpecs& spring : Nearest(*account, base, there, kSprings))
+      fits.push_back(
+          WholeFit(Joined(StrongEffects(*account), spring), base, Start(nullptr, base), 6, account));
+  }
   TakeBest(fits, 1, account);
 }
 
