@@ -64,10 +64,11 @@ double Acceptance::Needed(const Candidate& best, double explained, double at_sta
 
 double Acceptance::Needed(const Candidate& best, double explained, double at_stake,
                           const Candidate& c) const {
-  // What the parameters owe to another step rule is not theirs: less with it is not worse.
-  if (best.base && !c.base && best.specs.empty()) return kSimplerOdds - 0.5 * base_rule_ * base_rule_;
   double rule = c.base && !best.base ? base_rule_ : 0;
   for (const auto& [id, joints] : Added(best, c)) rule = std::max(rule, StepRule(id, Joined(joints)));
+  // What the parameters owe to another step rule, beyond what the effect does, is not theirs.
+  if (best.base && !c.base && best.specs.empty())
+    return kSimplerOdds - 0.5 * std::max(0.0, base_rule_ * base_rule_ - rule * rule);
   const double chance = std::sqrt(2 * Needed(best, explained, at_stake));
   return 0.5 * (chance + rule) * (chance + rule);
 }

@@ -5,6 +5,7 @@
 
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/nearest_starts.h"
+#include "services/diagnosis/swing_starts.h"
 
 namespace rg::diagnosis {
 
@@ -205,7 +206,10 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   }
   // What its misfit on all windows would be, by the best trial.
   Candidate nearest = from;
-  for (const RankedTrial& t : ranked) nearest.score = std::max(nearest.score, t.left * from.score);
+  for (const RankedTrial& t : ranked) {
+    // A mass that may start anew in each window of a trial may not when it is fitted on all.
+    if (!HasMassInSprings(t.fitted->specs)) nearest.score = std::max(nearest.score, t.left * from.score);
+  }
   // From the model that the trials started at where that holds, else from base parameters where they ended.
   const bool holds = trial.from != nullptr && !trial.from->fit.states.empty();
   std::vector<FitRequest> best;

@@ -44,8 +44,8 @@ class FitLedger {
   // The best fit of these effects on all windows; null where there was none.
   const Candidate* Known(const std::vector<effects::EffectSpec>& specs, bool base) const;
 
-  // On all windows. `from`: where to start, where it holds; else at the recorded motion. `rival`: what it
-  // must come near to, or it ends early.
+  // On all windows. `from`: where to start, where it holds; else at its base parameters or at the recorded
+  // motion. `rival`: what it must come near to, or it ends early.
   Candidate Evaluate(const std::vector<effects::EffectSpec>& specs, bool base,
                      const Candidate* from = nullptr, int iterations = 6, const Candidate* rival = nullptr);
   // Free base parameters, no longer than they may come to hold.

@@ -118,8 +118,9 @@ FitResult MakeFit(const FitSetting& setting, const FitRequest& request) {
   if (c.plant == nullptr) return {};
   if (request.places.empty()) {
     FitResult fit = FitOn(setting.data, c, request);
-    const bool counts = fit.ok && !request.pieces_alone && HasMassInSprings(c.specs);
-    return counts ? WithJumps(setting.data, *c.plant, std::move(fit), request.options) : fit;
+    if (fit.ok && !request.pieces_alone && HasMassInSprings(c.specs))
+      fit = WithJumps(setting.data, *c.plant, std::move(fit), request.options);
+    return fit;
   }
   FitData some = setting.data;
   some.windows.clear();

@@ -13,10 +13,9 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr int kIterations = 3;        // of the restarts alone
-constexpr double kWorthATry = 1.0;    // nats
-constexpr int kFollowed = 8;          // iterations of windows that start freely, and as many more
-constexpr double kLongestGap = 0.05;  // s between two windows, for one to go on from the other
+constexpr int kIterations = 3;      // of the restarts alone
+constexpr double kWorthATry = 1.0;  // nats
+constexpr int kFollowed = 8;        // iterations of windows that start freely, and as many more
 
 // Information and gradient of the held-out rows, in units of the parameters' priors, and what was known
 // before.
@@ -58,8 +57,7 @@ NodeStates Continued(const FitData& held_out, const sim::Plant& plant, const Vec
   simulator.SetParameters(values);
   for (size_t w = 0; w < starts.size(); ++w) {
     const NodeWindow &window = held_out.windows[w], &before = held_out.windows[w > 0 ? w - 1 : 0];
-    const double gap = window.t.front() - before.t.back();
-    if (w == 0 || window.recording != before.recording || gap < 0 || gap > kLongestGap) {
+    if (w == 0 || !FollowsOn(before, window)) {
       if (followed.states[w].col(0).allFinite()) starts[w].col(0) = followed.states[w].col(0);
       continue;
     }

@@ -74,8 +74,8 @@ inline double Work(int rows, int columns) { return static_cast<double>(rows) * (
 struct FitResult {
   Eigen::VectorXd values;
   NodeStates states;
-  double chi2 = 0;  // of the simulated windows, far residuals softened
-  std::vector<double> window_chi2;
+  double chi2 = 0;  // of the simulated windows, far residuals softened; of a mass in springs with its jumps
+  std::vector<double> window_chi2;  // (jumps.h)
   double prior_cost = 0;        // Σ ((θ−θ0)/σ)²
   Eigen::MatrixXd information;  // P × P, without priors, divided by noise_scale
   Eigen::VectorXd stddev;       // P, posterior

@@ -120,6 +120,12 @@ double StddevOfMean(const std::vector<double>& t, double speed, double stddev, d
   return std::sqrt(std::max(0.0, variance / count + resolution * resolution * together));
 }
 
+bool FollowsOn(const NodeWindow& before, const NodeWindow& window) {
+  constexpr double kLongestGap = 0.05;  // s
+  const double gap = window.t.front() - before.t.back();
+  return window.recording == before.recording && gap >= 0 && gap <= kLongestGap;
+}
+
 std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& rec, int index, const SmoothMotion& motion,
                                      const recordings::SensorNoise& noise, const NodeOptions& options) {
   const double period = std::max(1e-6, rec.SamplePeriod());

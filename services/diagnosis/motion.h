@@ -40,6 +40,9 @@ struct NodeWindow {
   Eigen::MatrixXd q0, v0;                          // n × (N + 1): the smooth motion
 };
 
+// Whether `window` begins where `before` ends, in the same recording: nodes need not divide a window's rows.
+bool FollowsOn(const NodeWindow& before, const NodeWindow& window);
+
 // What features of the force are made of: the motion and the command of one recording on a fine grid.
 struct FineMotion {
   std::vector<double> t;       // F

@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "services/diagnosis/jumps.h"
 #include "services/diagnosis/lineariser.h"
 #include "services/sysid/parallel.h"
 
@@ -37,7 +38,7 @@ double OwnChi2(const FitData& data, const FitModel& model, const NodeStates& sta
   });
   LiftedOptions starts = options;
   starts.iterations = kIterations, starts.more_iterations = 0;
-  return Fit(own, fixed, starts, &states).chi2;
+  return Fit(own, fixed, starts, &states).chi2 + TrueJumps(data, model.plant, options.noise_scale);
 }
 
 }  // namespace rg::diagnosis

@@ -240,7 +240,9 @@ class Search {
     const Candidate* out = nullptr;
     for (const auto& [key, c] : fits_.tried()) {
       const bool less = best.base && FoundNothing(best) && !c.base && c.fit.ok && !FoundNothing(c);
-      if (less && c.score > best.score + Threshold(best, c) && (out == nullptr || c.score > out->score))
+      // Hidden states and unnamed forces fit nearly anything: they have nothing to be forgiven.
+      if (less && !HasUnnamed(c) && !HasHiddenStates(c) && c.score > best.score + Threshold(best, c) &&
+          (out == nullptr || c.score > out->score))
         out = &c;
     }
     return out;
@@ -272,13 +274,12 @@ class Search {
         std::vector<EffectSpec> specs = Refreshed(winner);
         std::erase_if(specs, [&](const EffectSpec& s) { return s.id == id; });
         const Candidate* known = fits_.Known(specs, winner.base);
-        if (fits_.Late() && known == nullptr) continue;
-        const Candidate part =
-            fits_.Late() ? *known : fits_.Evaluate(specs, winner.base, &winner, 6, &winner);
-        fewer = Better(fewer, part);
-        if (winner.base || fits_.Late()) continue;
+        const bool late = fits_.Late();
+        if (late && known == nullptr) continue;
+        fewer = Better(fewer, late ? *known : fits_.Evaluate(specs, winner.base, &winner, 6, &winner));
+        if (winner.base || late) continue;
         const Candidate twin = fits_.Evaluate(specs, true, &winner, 6, &winner);
-        if (twin.score > part.score + Threshold(part, twin)) freed = Better(freed, twin);
+        if (twin.score > winner.score + Threshold(winner, twin)) freed = Better(freed, twin);
       }
       if (freed.base && !winner.base && freed.score > fewer.score) {
         winner = freed;
@@ -439,7 +440,9 @@ class Search {
   void OwnLaws(Candidate* best) {
     for (bool changed = true; changed && !fits_.Late();) {
       Candidate own = *best;
-      fits_.TryInPlace(PlainOnOneJoint(Refreshed(*best), nominal_, scales_), &own);
+      std::vector<TrialSpecs> others = PlainOnOneJoint(Refreshed(*best), nominal_, scales_);
+      std::erase_if(others, [&](const TrialSpecs& o) { return fits_.Known(o, best->base) != nullptr; });
+      fits_.TryInPlace(others, &own);
       changed = own.score > best->score + Threshold(*best, own);
       if (changed) *best = own;
     }

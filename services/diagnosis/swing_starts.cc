@@ -15,10 +15,9 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr int kIterations = 6;        // of a window alone
-constexpr double kLongestGap = 0.05;  // s between two windows, for one to go on from the other
-constexpr double kFollowOn = 0.9;     // of the χ² before, which another round must come below
-constexpr double kMet = 2.0;  // χ² per row below which a window's start is not looked for any further
+constexpr int kIterations = 6;     // of a window alone
+constexpr double kFollowOn = 0.9;  // of the χ² before, which another round must come below
+constexpr double kMet = 2.0;       // χ² per row below which a window's start is not looked for any further
 
 // A start whose hidden states are those at the end of `before` as simulated from its own start.
 bool GoesOn(const FitData& data, sim::Simulator& simulator, const NodeWindow& before, const VectorXd& from,
@@ -80,9 +79,9 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
     for (const size_t w : chains[static_cast<size_t>(c)]) {
       const NodeWindow& window = data.windows[w];
       std::vector<MatrixXd> starts;
-      const double gap = before == nullptr ? -1 : window.t.front() - before->t.back();
       VectorXd on = states[w].col(0);
-      if (gap >= 0 && gap <= kLongestGap && GoesOn(data, simulator, *before, from, window.t.front(), &on)) {
+      if (before != nullptr && FollowsOn(*before, window) &&
+          GoesOn(data, simulator, *before, from, window.t.front(), &on)) {
         MatrixXd carried = states[w];
         carried.col(0) = on;
         lineariser.CarryHidden(0, window, no_motor, &carried);

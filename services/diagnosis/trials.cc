@@ -210,7 +210,9 @@ std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& scre
       const TrialSpecs part = SpecsFor(h, nominal, scales).front();
       start.insert(start.end(), part.begin(), part.end());
     }
-    if (gain > needed) promised.push_back({gain, std::move(start)});
+    // In the place of another law on its joint it would not bring what it does beside it.
+    const bool beside = Joined(from.specs, start).size() == from.specs.size() + start.size();
+    if (beside && gain > needed) promised.push_back({gain, std::move(start)});
   };
   const double before = StructurePrior(from.specs, false);
   for (const Scored& h : screened.hypotheses) {

@@ -71,8 +71,14 @@ TEST(Acceptance, FreeBaseParametersNeedMoreThanAnotherStepRuleWouldPretend) {
   EXPECT_GT(acceptance.Needed(Model({}), 0, 1e4, freed), 100);
   // What acts beside parameters that are free already owes nothing to them.
   EXPECT_LT(acceptance.Needed(Model({}, true), 0, 1e4, freed), 10);
-  // Nor is an effect on the parameters as given held to what they gain from it.
-  EXPECT_LT(acceptance.Needed(Model({}, true), 0, 1e4, Model({MakeSpec("encoder_offset", {"hinge"})})), -50);
+  // Nor is an effect on the parameters as given held to what they gain from it, beyond what it does itself.
+  const Candidate offset = Model({MakeSpec("encoder_offset", {"a"})});
+  const double alone = acceptance.Needed(Model({}, true), 0, 1e4, offset);
+  EXPECT_LT(alone, -50);
+  acceptance.Note(StepRuleOf("encoder_offset", 0, 20), {"a"});
+  EXPECT_NEAR(acceptance.Needed(Model({}, true), 0, 1e4, offset), alone + 20, 1e-9);
+  acceptance.Note(StepRuleOf("encoder_offset", 0, 1e9), {"a"});
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({}, true), 0, 1e4, offset), 3);
 }
 
 TEST(Acceptance, FewerFreeParametersNeedTheOddsOnly) {
