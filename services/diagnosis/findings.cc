@@ -132,12 +132,14 @@ class Speaker {
 
   // Whether more is left than the model would leave of recordings that it made itself by another step rule
   // (its own null, exceeded in 1 % of sets), and more than the findings explain. Beside parameters that
-  // explain nearly all, a remainder that no motion would show by more than a twentieth of the noise is none.
+  // explain nearly all, or where no force was found at all, a remainder that no motion would show by more
+  // than a twentieth of the noise is none.
   bool MostIsLeft() const {
     const double scatter = std::sqrt(4.0 * s_.best.fit.rows) * s_.noise_scale;
     if (s_.best.fit.chi2 < s_.own_chi2 + kOnePercent * scatter) return false;
     const double explained = s_.nominal.fit.chi2 - s_.best.fit.chi2;
-    if (s_.best.fit.chi2 < kExplained * s_.own_chi2 && s_.own_chi2 < kLittle * explained) return false;
+    const bool little = beyond_.empty() || s_.own_chi2 < kLittle * explained;
+    if (s_.best.fit.chi2 < kExplained * s_.own_chi2 && little) return false;
     const double excess = r_.mismatch - 1.0, left = r_.remaining - 1.0;
     return left > 0.5 * excess;
   }

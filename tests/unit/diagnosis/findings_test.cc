@@ -1,0 +1,35 @@
+#include "services/diagnosis/findings.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "common/base/clock.h"
+#include "tests/unit/diagnosis/prepared_set.h"
+
+namespace rg::diagnosis {
+namespace {
+
+// What is said where nothing was found and χ² is `beyond` times what a true model would leave.
+std::string VerdictBeyond(double beyond) {
+  const auto p = testing::Prepare("pendulum", {}, 5, {.rate_hz = 250});
+  SearchResult search =
+      SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+  EXPECT_TRUE(search.best.specs.empty());
+  for (Candidate* c : {&search.nominal, &search.calibrated, &search.best}) c->fit.chi2 *= 1.3;
+  search.own_chi2 = search.best.fit.chi2 / beyond;
+  // Beyond what chance makes of the null.
+  EXPECT_GT(search.best.fit.chi2, search.own_chi2 + kOnePercent * std::sqrt(4.0 * search.best.fit.rows));
+  DiagnosisResult result;
+  result.joints = p->set.joints;
+  Conclude(search, p->data, p->nominal, p->scales, &result);
+  return result.verdict;
+}
+
+TEST(Verdict, WithoutAnyForceALittleMoreThanTheNoiseIsNoMismatch) {
+  EXPECT_EQ(VerdictBeyond(1.09), "no_mismatch");
+  EXPECT_EQ(VerdictBeyond(1.5), "unexplained");
+}
+
+}  // namespace
+}  // namespace rg::diagnosis
