@@ -33,6 +33,16 @@ bool AlreadyIn(const Candidate& from, const Scored& h, const sim::Plant& nominal
                      [&](const std::string& joint) { return Contains(from.specs, h.effect, joint); });
 }
 
+// The first start of each.
+TrialSpecs Together(const std::vector<Scored>& parts, const sim::Plant& nominal, const MotionScales& scales) {
+  TrialSpecs out;
+  for (const Scored& h : parts) {
+    const TrialSpecs part = SpecsFor(h, nominal, scales).front();
+    out.insert(out.end(), part.begin(), part.end());
+  }
+  return out;
+}
+
 class TrialBuilder {
  public:
   TrialBuilder(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
@@ -86,23 +96,13 @@ class TrialBuilder {
     }
   }
 
-  // The first start of each.
-  TrialSpecs Together(const std::vector<Scored>& parts) const {
-    TrialSpecs out;
-    for (const Scored& h : parts) {
-      const TrialSpecs part = SpecsFor(h, nominal_, scales_).front();
-      out.insert(out.end(), part.begin(), part.end());
-    }
-    return out;
-  }
-
   void Sets(const std::vector<Combination>& sets, double wanted) {
     size_t count = 0;
     for (const Combination& set : sets) {
       if (set.gain < wanted || count == kSets) break;
       if (std::any_of(set.parts.begin(), set.parts.end(), [&](const Scored& h) { return Known(h); }))
         continue;
-      out_.push_back(Together(set.parts));
+      out_.push_back(Together(set.parts, nominal_, scales_));
       ++count;
     }
   }
@@ -117,7 +117,7 @@ class TrialBuilder {
       best = {screened_.hypotheses[0]}, most = best[0].gain;
     if (!screened_.sets.empty() && screened_.sets[0].gain > most) best = screened_.sets[0].parts;
     if (best.empty()) return;
-    const TrialSpecs beside = Together(best);
+    const TrialSpecs beside = Together(best, nominal_, scales_);
     std::vector<TrialSpecs> starts = MountStarts(scales_);
     for (TrialSpecs& start : starts) start.insert(start.end(), beside.begin(), beside.end());
     Push(nearest_(starts, 1));
@@ -204,12 +204,10 @@ std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& scre
                                  size_t count) {
   std::vector<std::pair<double, TrialSpecs>> promised;
   const auto add = [&](const std::vector<Scored>& parts, double gain) {
-    TrialSpecs start;
     for (const Scored& h : parts) {
       if (IsUnnamed(h.effect) || AlreadyIn(from, h, nominal)) return;
-      const TrialSpecs part = SpecsFor(h, nominal, scales).front();
-      start.insert(start.end(), part.begin(), part.end());
     }
+    TrialSpecs start = Together(parts, nominal, scales);
     // In the place of another law on its joint it would not bring what it does beside it.
     const bool beside = Joined(from.specs, start).size() == from.specs.size() + start.size();
     if (beside && gain > needed) promised.push_back({gain, std::move(start)});
@@ -217,8 +215,8 @@ std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& scre
   const double before = StructurePrior(from.specs, false);
   for (const Scored& h : screened.hypotheses) {
     if (h.gain <= needed) break;
-    const TrialSpecs alone = SpecsFor(h, nominal, scales).front();
-    add({h}, h.gain - (StructurePrior(Joined(from.specs, alone), false) - before));
+    const TrialSpecs with = Joined(from.specs, Together({h}, nominal, scales));
+    add({h}, h.gain - (StructurePrior(with, false) - before));
   }
   for (const auto* list : {&screened.sets, &screened.pairs}) {
     for (const Combination& c : *list) add(c.parts, c.gain);

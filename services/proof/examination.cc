@@ -129,7 +129,7 @@ class Marker {
     m_.false_alarm =
         !m_.diagnosed || ((m_.verdict == "unmodelled_physics" || m_.verdict == "unexplained") && !excused);
     m_.first = m_.verdict == wanted || (excused && !m_.false_alarm) ? 1.0 : m_.false_alarm ? 0.0 : 0.5;
-    m_.f1 = m_.first;
+    m_.f1 = m_.f1_or_unexplained = m_.first;
     for (const Said& s : said_) m_.calls.push_back({s.confidence, Holds(s)});
   }
 
