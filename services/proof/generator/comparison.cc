@@ -2,9 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <memory>
-
-#include "services/proof/generator/engine.h"
 
 namespace rg::proof {
 namespace {
@@ -24,41 +21,63 @@ double Rms(const std::vector<double>& squares) {
   return squares.empty() ? 0.0 : std::sqrt(sum / static_cast<double>(squares.size()));
 }
 
-void Comparison::Add(const Truth& truth, const Track& track, const std::vector<Rival>& rivals,
-                     WindowSquares* squares) const {
-  Engine real(bodies, joints, truth, dt), model(bodies, joints, truth, dt);
-  std::vector<std::unique_ptr<Engine>> others;
-  for (const Rival& r : rivals) others.push_back(std::make_unique<Engine>(r.bodies, joints, r.truth, dt));
-  squares->rivals.resize(rivals.size());
-  const int rate = static_cast<int>(rate_hz), rows = static_cast<int>(track.q.cols());
+void Comparison::Run(const Truth& truth, const Track& track, const std::vector<Rival>& rivals,
+                     const std::function<void(const Engines&, int)>& visit) const {
+  Engine real(bodies_, joints_, truth, dt_);
+  Engines models;
+  models.push_back(std::make_unique<Engine>(bodies_, joints_, truth, dt_));
+  for (const Rival& r : rivals) models.push_back(std::make_unique<Engine>(r.bodies, joints_, r.truth, dt_));
+  const int rate = static_cast<int>(rate_hz_), rows = static_cast<int>(track.q.cols());
   real.Reset(track.true_q.col(0), track.true_v.col(0), track.u.col(0), 0.0);
-  model.Reset(track.q.col(0), track.v.col(0), track.u.col(0), 0.0);
+  models[0]->Reset(track.q.col(0), track.v.col(0), track.u.col(0), 0.0);
   long fine = 0;
   const int last = (rows - 1) / rate * rate;
   for (int k = 0; k <= last; ++k) {
-    if (k > 0) {
-      squares->oracle.push_back(Square(model, track, k));
-      for (size_t r = 0; r < others.size(); ++r) squares->rivals[r].push_back(Square(*others[r], track, k));
-    }
+    if (k > 0) visit(models, k);
     if (k % rate == 0) {
-      model.ResetLike(real, track.q.col(k), track.v.col(k));
-      for (size_t r = 0; r < others.size(); ++r) {
+      models[0]->ResetLike(real, track.q.col(k), track.v.col(k));
+      for (size_t r = 0; r < rivals.size(); ++r) {
         const bool exact = rivals[r].start == Start::kTrue;
-        const Eigen::VectorXd q = exact ? track.true_q.col(k) : track.q.col(k),
-                              v = exact ? track.true_v.col(k) : track.v.col(k);
+        Eigen::VectorXd q = exact ? track.true_q.col(k) : track.q.col(k),
+                        v = exact ? track.true_v.col(k) : track.v.col(k);
+        if (const Eigen::Index at = rivals[r].beside; at >= 0)
+          (at < q.size() ? q[at] : v[at - q.size()]) += kBeside;
         if (rivals[r].start == Start::kRow) {
-          others[r]->Reset(q, v, track.u.col(k), k / rate_hz);
+          models[r + 1]->Reset(q, v, track.u.col(k), k / rate_hz_);
         } else {
-          others[r]->ResetLike(real, q, v);
+          models[r + 1]->ResetLike(real, q, v);
         }
       }
     }
     if (k == last) break;
-    for (const long end = std::lround((k + 1) / (rate_hz * dt)); fine < end; ++fine) {
-      real.Step(track.u.col(k)), model.Step(track.u.col(k));
-      for (auto& other : others) other->Step(track.u.col(k));
+    for (const long end = std::lround((k + 1) / (rate_hz_ * dt_)); fine < end; ++fine) {
+      real.Step(track.u.col(k));
+      for (auto& model : models) model->Step(track.u.col(k));
     }
   }
+}
+
+void Comparison::Add(const Truth& truth, const Track& track, const std::vector<Rival>& rivals,
+                     WindowSquares* squares) const {
+  squares->rivals.resize(rivals.size());
+  Run(truth, track, rivals, [&](const Engines& models, int k) {
+    squares->oracle.push_back(Square(*models[0], track, k));
+    for (size_t r = 0; r < rivals.size(); ++r) squares->rivals[r].push_back(Square(*models[r + 1], track, k));
+  });
+}
+
+Eigen::MatrixXd Comparison::Deviations(const Truth& truth, const Track& track,
+                                       const std::vector<Rival>& rivals) const {
+  const auto count = static_cast<Eigen::Index>(rivals.size());
+  Eigen::MatrixXd out(count, 0);
+  Run(truth, track, rivals, [&](const Engines& models, int k) {
+    const Eigen::Index before = out.cols();
+    out.conservativeResize(count, before + track.q.rows());
+    for (Eigen::Index r = 0; r < count; ++r)
+      out.row(r).tail(track.q.rows()) =
+          models[static_cast<size_t>(r) + 1]->SensedPosition() - track.true_q.col(k);
+  });
+  return out;
 }
 
 }  // namespace rg::proof

@@ -44,7 +44,11 @@ void OneJoint(const RobotFacts& facts, json* effects) {
 }  // namespace
 
 void AddEquivalents(const RobotFacts& facts, json* effects) {
+  // What is held fast is a part of the last body: beside wrong bodies it is one of them.
+  const bool held = Has(*effects, "payload") && Has(*effects, "parameters_only");
   for (json& e : *effects) {
+    if (held && (e["id"] == "payload" || e["id"] == "parameters_only"))
+      Join({"payload", "parameters_only"}, &e);
     const bool everywhere = static_cast<int>(e["joints"].size()) == facts.joints;
     if (everywhere && (e["id"] == "actuator_delay" || e["id"] == "sensor_delay"))
       Join({"actuator_delay", "sensor_delay"}, &e);

@@ -100,9 +100,9 @@ int main(int argc, char** argv) {
                     rng.Uniform() < tuned / std::max(1e-9, (1 - weak) * (1 - wrong_parameters));
     request.with_velocity = rng.Uniform() >= no_velocity;
     auto summary = rg::proof::MakeCase(request, sets, labels);
-    if (!summary.ok() && (request.weak || request.tuned)) {
+    if (!summary.ok() && (request.weak || request.tuned || request.wrong_parameters)) {
       // What cannot be weak or hidden there may still be plain.
-      request.weak = request.tuned = false;
+      request.weak = request.tuned = request.wrong_parameters = false;
       summary = rg::proof::MakeCase(request, sets, labels);
     }
     if (!summary.ok()) {

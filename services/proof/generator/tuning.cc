@@ -17,7 +17,7 @@ using dart::dynamics::SkeletonPtr;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-constexpr int kSamples = 250, kRounds = 4, kPerLink = 5;
+constexpr int kSamples = 250, kRounds = 4;
 constexpr double kFactorPrior = 0.25, kShiftPrior = 0.03, kFurthest = 3;
 
 std::vector<Eigen::Index> Indices(const SkeletonPtr& skeleton, const std::vector<std::string>& joints) {
@@ -46,6 +46,14 @@ MatrixXd BodyTorque(const SkeletonPtr& skeleton, const std::vector<Eigen::Index>
   return torque;
 }
 
+}  // namespace
+
+VectorXd LinkPriors(size_t links) {
+  VectorXd prior(static_cast<Eigen::Index>(links) * kPerLink);
+  for (Eigen::Index k = 0; k < prior.size(); ++k) prior[k] = k % kPerLink < 2 ? kFactorPrior : kShiftPrior;
+  return prior;
+}
+
 LinkChange ChangeOf(const VectorXd& theta, size_t link) {
   const auto* p = theta.data() + static_cast<Eigen::Index>(link) * kPerLink;
   LinkChange change;
@@ -55,8 +63,6 @@ LinkChange ChangeOf(const VectorXd& theta, size_t link) {
   return change;
 }
 
-}  // namespace
-
 TunedPart PartThatHides(const std::string& effect) {
   static const char* const in_bodies[] = {"torque_gain",      "payload",           "rotor_inertia",
                                           "sloshing_payload", "position_spring",   "gravity_misalignment",
@@ -65,6 +71,14 @@ TunedPart PartThatHides(const std::string& effect) {
   return std::any_of(std::begin(in_bodies), std::end(in_bodies), [&](const char* x) { return effect == x; })
              ? TunedPart::kBodies
              : TunedPart::kDamping;
+}
+
+LinkChange Changed(const LinkChange& first, const LinkChange& then) {
+  LinkChange out = first;
+  out.mass_factor *= then.mass_factor;
+  out.inertia_factor *= then.inertia_factor;
+  for (int k = 0; k < 3; ++k) out.com_shift[k] += then.com_shift[k];
+  return out;
 }
 
 Tuning Tune(const SkeletonPtr& nominal, const std::vector<std::string>& joints,
@@ -94,9 +108,9 @@ Tuning Tune(const SkeletonPtr& nominal, const std::vector<std::string>& joints,
   // Gauss-Newton with priors; each joint weighs by what is missing there at first.
   const VectorXd weight =
       (missing.rowwise().squaredNorm() / missing.cols()).cwiseSqrt().cwiseMax(1e-9).cwiseInverse();
-  const auto p = static_cast<Eigen::Index>(links.size()) * kPerLink;
-  VectorXd theta = VectorXd::Zero(p), prior(p);
-  for (Eigen::Index k = 0; k < p; ++k) prior[k] = k % kPerLink < 2 ? kFactorPrior : kShiftPrior;
+  const VectorXd prior = LinkPriors(links.size());
+  const Eigen::Index p = prior.size();
+  VectorXd theta = VectorXd::Zero(p);
   const auto residual = [&](const VectorXd& at_theta) -> VectorXd {
     Truth bodies;
     for (size_t l = 0; l < links.size(); ++l) bodies.links[links[l]] = ChangeOf(at_theta, l);

@@ -27,8 +27,16 @@ struct Tuning {
   std::map<std::string, LinkChange> links;  // against the true robot's nominal
 };
 
-// Bodies: mass, inertia (a factor each) and centre of mass of the last `links` links, with priors of 25 %
-// and of 3 cm; damping: of every joint, never negative.
+// Of each link a factor of its mass, one of its inertia and a shift of its centre of mass; priors of 25 % and
+// of 3 cm.
+constexpr int kPerLink = 5;
+Eigen::VectorXd LinkPriors(size_t links);
+LinkChange ChangeOf(const Eigen::VectorXd& theta, size_t link);
+
+// A link changed twice.
+LinkChange Changed(const LinkChange& first, const LinkChange& then);
+
+// Bodies: of the named links; damping: of every joint, never negative.
 Tuning Tune(const dart::dynamics::SkeletonPtr& nominal, const std::vector<std::string>& joints,
             const std::vector<std::string>& links, const Motion& motion, TunedPart part);
 

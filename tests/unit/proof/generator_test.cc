@@ -15,6 +15,7 @@
 #include "services/proof/generator/equivalents.h"
 #include "services/proof/generator/fields.h"
 #include "services/proof/generator/hypotheses.h"
+#include "services/proof/generator/likeness.h"
 #include "services/proof/generator/proof_case.h"
 #include "services/proof/generator/robots.h"
 #include "services/proof/generator/set_files.h"
@@ -111,28 +112,59 @@ TEST(ProofEngine, ARigidModelRestartsWhereItIsSensedOfARobotWithPlay) {
   }
 }
 
-// Least deviation of a simpler effect, over the sensor's noise, on a pendulum that is swung back and forth.
-double Hallmark(const Truth& truth, const std::string& effect) {
+constexpr double kRowRate = 100, kFine = 2e-4;
+
+// What a pendulum does that is swung back and forth, without noise.
+Track Swung(const Truth& truth, double strength = 1) {
   constexpr int kRows = 301;
-  constexpr double kRate = 100, kStep = 2e-4;
   Track track;
   track.q = track.v = track.u = track.true_q = track.true_v = Eigen::MatrixXd(1, kRows);
-  Engine real(Pendulum(), {"pivot"}, truth, kStep);
+  Engine real(Pendulum(), {"pivot"}, truth, kFine);
   real.Reset(One(0), One(0), One(0), 0);
   for (int k = 0; k < kRows; ++k) {
     track.q.col(k) = track.true_q.col(k) = real.SensedPosition();
     track.v.col(k) = track.true_v.col(k) = real.SensedVelocity();
-    track.u(0, k) = 2 * std::sin(3.0 * k / kRate) + std::sin(8.0 * k / kRate);
+    track.u(0, k) = strength * (2 * std::sin(3.0 * k / kRowRate) + std::sin(8.0 * k / kRowRate));
     for (int i = 0; i < 50; ++i) real.Step(track.u.col(k));
   }
+  return track;
+}
+
+// Least deviation of a simpler effect, over the sensor's noise.
+double Hallmark(const Truth& truth, const std::string& effect) {
+  const Track track = Swung(truth);
   std::vector<Rival> rivals;
   for (const Truth& model : SimplerSiblings(truth, effect, 0, track.u.cwiseAbs().mean(), {0, 0, -0.6}))
     rivals.push_back({Pendulum(), model, Start::kTrue});
   WindowSquares squares;
-  Comparison{Pendulum(), {"pivot"}, kStep, kRate}.Add(truth, track, rivals, &squares);
+  Comparison(Pendulum(), {"pivot"}, kFine, kRowRate).Add(truth, track, rivals, &squares);
   double least = 1e9;
   for (const auto& s : squares.rivals) least = std::min(least, Rms(s) / 4e-4);
   return least;
+}
+
+// χ² per second, at a noise of 0.4 mrad, that other bodies leave of an effect on a pendulum.
+double LeftByBodies(const Truth& truth) {
+  const Track track = Swung(truth, 0.3);
+  const Comparison compared(Pendulum(), {"pivot"}, kFine, kRowRate);
+  return LeftByNearestBodies(compared, Pendulum(), truth, {track}, OneJoint(), {"rod"}, 4e-4);
+}
+
+TEST(ProofLikeness, AWeakSpringIsAnotherMassAndFrictionIsNot) {
+  Truth weak = OneJoint(), strong = OneJoint(), friction = OneJoint();
+  weak.joint[0].spring_stiffness = 0.005;
+  strong.joint[0].spring_stiffness = 3, strong.joint[0].spring_center = 0.8;
+  friction.joint[0].dry.coulomb_positive = friction.joint[0].dry.coulomb_negative = 0.05;
+  EXPECT_LT(LeftByBodies(weak), 0.5);
+  EXPECT_GT(LeftByBodies(strong), 50);
+  EXPECT_GT(LeftByBodies(friction), 50);
+}
+
+TEST(ProofLikeness, OtherBodiesAreFoundAgain) {
+  Truth bodies = OneJoint();
+  bodies.links["rod"].mass_factor = 1.03, bodies.links["rod"].com_shift[0] = 0.003;
+  bodies.joint[0].viscous = 0.005;
+  EXPECT_LT(LeftByBodies(bodies), 0.01);
 }
 
 TEST(ProofSiblings, APlayOfAHairIsARotorsInertiaAndOneOfADegreeIsNot) {
@@ -322,6 +354,11 @@ TEST(ProofLabels, CallEquivalentWhatIsAndNothingElse) {
   AddEquivalents(arm, &rotor);
   EXPECT_EQ(rotor[0]["equivalents"], json{"parameters_only"}) << "the first link turns about that axis alone";
   EXPECT_TRUE(rotor[1]["equivalents"].empty());
+
+  json held = {EffectOf("payload", {}), EffectOf("parameters_only", {})}, alone = {EffectOf("payload", {})};
+  AddEquivalents(arm, &held), AddEquivalents(arm, &alone);
+  EXPECT_EQ(held[0]["equivalents"], json{"parameters_only"}) << "a part of a body that is wrong anyway";
+  EXPECT_TRUE(alone[0]["equivalents"].empty());
 
   arm.damped = {"a"};
   json viscous = {EffectOf("viscous_friction", {"a"}), EffectOf("viscous_friction", {"a", "b"})};
