@@ -55,11 +55,20 @@ void Acceptance::NoteBase(const FitData& data, const Candidate& calibrated, cons
 }
 
 double Acceptance::Needed(const Candidate& best, double explained, double at_stake) const {
+  return Needed(best, explained, at_stake, 0.0);
+}
+
+double Acceptance::Needed(const Candidate& best, double explained, double at_stake, double rule) const {
+  const auto with_rule = [&](double nats) {
+    const double amplitude = std::sqrt(2 * nats) + rule;
+    return 0.5 * amplitude * amplitude;
+  };
+  const double chance = std::max(1.0, null_gain_ - kEffectPrior);
+  if (best.specs.empty()) return with_rule(chance);
   // What is left above the noise is itself known to the scatter of χ² only.
   const double left = std::max(0.0, at_stake) + std::sqrt(0.5 * best.fit.rows);
-  double form = std::min(kFormError * explained, kMostOfIt * left);
-  form = best.specs.empty() ? 0.0 : std::max(form, kAmplitude * explained);
-  return std::max({1.0, null_gain_ - kEffectPrior, form});
+  const double form = std::min(with_rule(kFormError * explained), kMostOfIt * left);
+  return std::max(form, with_rule(std::max(chance, kAmplitude * explained)));
 }
 
 double Acceptance::Needed(const Candidate& best, double explained, double at_stake,
@@ -69,8 +78,7 @@ double Acceptance::Needed(const Candidate& best, double explained, double at_sta
   // What the parameters owe to another step rule, beyond what the effect does, is not theirs.
   if (best.base && !c.base && best.specs.empty())
     return kSimplerOdds - 0.5 * std::max(0.0, base_rule_ * base_rule_ - rule * rule);
-  const double chance = std::sqrt(2 * Needed(best, explained, at_stake));
-  return 0.5 * (chance + rule) * (chance + rule);
+  return Needed(best, explained, at_stake, rule);
 }
 
 // Joints that were not screened together: the most of that effect. Effects that the screen cannot see: the

@@ -9,7 +9,8 @@
 // are such an addition too.
 //
 // rule: what the same effect on the same joints, or free base parameters, would gain from another step rule
-// alone (StepRuleResiduals). Amplitudes add, so their squares, the nats, add like this.
+// alone (StepRuleResiduals). Amplitudes add, so their squares, the nats, add like this. What takes half of all
+// that is left is no matter of the step rule and the form together either.
 #pragma once
 
 #include <functional>
@@ -39,6 +40,7 @@ class Acceptance {
   double Needed(const Candidate& best, double explained, double at_stake, const Candidate& c) const;
 
  private:
+  double Needed(const Candidate& best, double explained, double at_stake, double rule) const;
   double StepRule(const std::string& id, const std::string& joints) const;
 
   double null_gain_ = 3;

@@ -21,6 +21,7 @@ constexpr double kShapePrior =
 // all joints nothing but the first moments of a recording tells them apart.
 constexpr double kSensorDelayPrior = 2.0;
 constexpr double kLeast = 1.3;            // times the least that a mass or a gap may be
+constexpr double kSameRipple = 0.02;      // rad, from one end of a motion to the other: 1 % of an amplitude
 constexpr double kUnseen = 0.7;           // posterior over prior stddev of the best known parameter
 constexpr double kFieldPrior = 6.0;       // what an unnamed force pays beside
 constexpr double kOneInAHundred = 2.576;  // stddev that one of a hundred normal errors exceeds
@@ -117,11 +118,13 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
     if (p.effect != "torque_ripple" || p.field != "cycles_per_rev") continue;
     const int joint = model.FindJoint(p.owner);
     const double cycles = c.fit.theta[static_cast<long>(k)], lower = c.parameters[k].lower;
-    const double error =
-        kOneInAHundred * c.fit.stddev[static_cast<long>(k)] * std::sqrt(std::max(1.0, chi2_per_row));
+    const double range = scales.high[joint] - scales.low[joint];
+    const double error = std::max(kSameRipple / std::max(1e-9, range), kOneInAHundred *
+                                                                           c.fit.stddev[static_cast<long>(k)] *
+                                                                           std::sqrt(std::max(1.0, chi2_per_row)));
     if (cycles < lower + 1e-6 * (1 + std::abs(lower))) return false;
     if (model.joint(joint).is_revolute() && std::abs(cycles - std::round(cycles)) > error) return false;
-    const double times = cycles * (scales.high[joint] - scales.low[joint]) / (2 * M_PI);
+    const double times = cycles * range / (2 * M_PI);
     if (times < 2 && Contains(c.specs, "position_spring", p.owner)) return false;
   }
   return true;

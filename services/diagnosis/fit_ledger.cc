@@ -19,6 +19,7 @@ constexpr double kFallsFast = 0.1;    // of the cost in one iteration, for a tri
 constexpr double kTrialShare = 0.3;   // of all work, that the trials of one screen may cost
 constexpr double kLookShare = 0.015;  // of all work, that the starts of one law on one joint may cost
 constexpr double kToTheEnd = 1.3;     // of all work, to weigh what is found
+constexpr double kInPlaceYet = 1.8;   // of all work, to try other laws in the place of what is found
 constexpr double kPiece = 0.1;        // s
 constexpr size_t kSprings = 2;        // behind rotors, that are fitted for either place of the sensor
 constexpr size_t kInPlace = 2;        // other laws that are fitted on all windows
@@ -266,7 +267,7 @@ void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* win
     const auto batch = fits_.Start(setting_, trials);
     const double own = Fitted(trials[0], batch->Take(0)).score;
     const double least = own - std::max(5.0, kMuchWorse * std::abs(own));
-    for (size_t i = 1; i < trials.size() && !Late(kToTheEnd); ++i) {
+    for (size_t i = 1; i < trials.size() && !Late(kInPlaceYet); ++i) {
       const Candidate c = Fitted(trials[i], batch->Take(i));
       trace_.Fit(c, c.score >= least ? "  =" : "  -");
       if (c.fit.ok && c.score >= least)
@@ -276,7 +277,7 @@ void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* win
   std::vector<FitRequest> best;
   for (const auto& c : BestOf(std::move(ranked), {}, kInPlace))
     best.push_back(WholeFit(Refreshed(*c), base, start, 6, winner));
-  TakeBest(best, 0, winner);
+  TakeBest(best, best.size(), winner);
 }
 
 }  // namespace rg::diagnosis

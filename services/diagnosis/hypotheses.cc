@@ -293,6 +293,17 @@ std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effec
   return out;
 }
 
+std::vector<EffectSpec> WithoutSprings(std::vector<EffectSpec> specs) {
+  for (EffectSpec& s : specs) {
+    if (s.id != "joint_elasticity") continue;
+    EffectSpec rotor;
+    rotor.id = "rotor_inertia", rotor.joints = s.joints;
+    rotor.values[s.joints[0]]["armature"] = s.values.at(s.joints[0]).at("motor_inertia");
+    s = rotor;
+  }
+  return specs;
+}
+
 std::vector<std::vector<EffectSpec>> OtherTransmission(const EffectSpec& spec, const sim::Plant& nominal,
                                                        const MotionScales& s) {
   const bool play = spec.id == "backlash";

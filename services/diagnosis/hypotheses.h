@@ -24,6 +24,8 @@ std::vector<std::vector<effects::EffectSpec>> TransmissionStarts(const std::stri
                                                                  const sim::Plant& nominal,
                                                                  const MotionScales& scales,
                                                                  double added_inertia);
+// Rigid gears in the place of springs: of each the rotor behind it.
+std::vector<effects::EffectSpec> WithoutSprings(std::vector<effects::EffectSpec> specs);
 // The other law of a gear in the place of a spring or play, with the motor and the sensor that it has: play
 // from a grid of gaps, or the spring that its faces are. Empty for other effects.
 std::vector<std::vector<effects::EffectSpec>> OtherTransmission(const effects::EffectSpec& spec,

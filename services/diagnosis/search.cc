@@ -26,6 +26,7 @@ constexpr double kRivalShare = 0.25;  // of what parameters explain, by the scre
 constexpr double kPruned = 2.0;       // and to take out what is not needed
 constexpr double kNoisiest = 4.0;     // variance over the sensors' own: more is motion that no force follows
 constexpr size_t kPromised = 3;       // by a screen, that are fitted without a trial
+constexpr double kSmall = 0.01;       // of what all effects explain
 constexpr int kSentBack = 3;          // times that recordings kept aside may refuse an account
 
 class Search {
@@ -195,8 +196,8 @@ class Search {
       const auto force = [&] { return Force(from); };
       const auto pool = Trials(data_, nominal_, scales_, from, screened, wanted, force, nearest);
       const bool holds = from.fit.ok && fits_.PerRow(from) < kHolds;
-      const auto promised = holds ? Promised(from, screened, nominal_, scales_, Threshold(*best), kPromised)
-                                  : std::vector<TrialSpecs>{};
+      const auto promised =
+          Promised(from, screened, nominal_, scales_, holds, Threshold(*best), kPromised);
       fits_.TryBest(from, pool, promised, base, base ? 3 : 4, &winner);
     }
     if (const Candidate* c = AsGoodAsFreed(*best); c != nullptr && KeyOf(winner.specs) == KeyOf(best->specs))
@@ -230,6 +231,7 @@ class Search {
       Prune(best);
       Plainer(best);
       OwnLaws(best);
+      FirstRotor(best);
     }
     return accept;
   }
@@ -394,20 +396,45 @@ class Search {
     while (changed && best->specs.size() > 1 && !fits_.Late(kPruned)) {
       changed = false;
       for (size_t i = 0; i < best->specs.size() && !changed; ++i) {
-        if (SurelyThere(*best, i, Threshold(*best))) continue;
+        const bool sure = SurelyThere(*best, i, Threshold(*best));
         std::vector<EffectSpec> specs = Refreshed(*best);
         specs.erase(specs.begin() + static_cast<long>(i));
-        const Candidate c = fits_.Evaluate(specs, best->base, best, 4, best);
-        const double worth = OfAllJoints(best->specs, i) ? 0.0 : Threshold(c, *best);
-        if (best->score < c.score + worth) *best = c, changed = true;
+        if (!sure) {
+          const Candidate c = fits_.Evaluate(specs, best->base, best, 4, best);
+          const double worth = OfAllJoints(best->specs, i) ? 0.0 : Threshold(c, *best);
+          if (best->score < c.score + worth) *best = c, changed = true;
+        }
+        if (!changed) changed = GivesWayToBodies(specs, i, best);
       }
     }
   }
 
+  // What is small may stand for what the bodies differ by, as those of every URDF do: it gives way to them
+  // where they are the better account, or leave no more while it is not worth its name beside them. Free base
+  // parameters pay for differences of any size, which is why the better score is not asked of them; but what
+  // says in one number what takes bodies many is no rival of theirs.
+  bool GivesWayToBodies(const std::vector<EffectSpec>& without, size_t i, Candidate* best) {
+    static const std::set<std::string> kSaysMore = {"payload", "rotor_inertia", "torque_gain",
+                                                    "gravity_misalignment", "encoder_offset"};
+    const double strength = Strength(*best, i);
+    if (best->base || OfAllJoints(best->specs, i) || 0.5 * strength * strength > kSmall * Explained(*best))
+      return false;
+    const Candidate freed = fits_.Evaluate(without, true, best, 6, best);
+    if (!freed.fit.ok) return false;
+    if (freed.score < best->score + Threshold(*best, freed)) {
+      if (kSaysMore.count(best->specs[i].id) > 0 || freed.fit.chi2 > best->fit.chi2) return false;
+      const Candidate both = fits_.Evaluate(Refreshed(*best), true, &freed, 6, best);
+      if (both.score > freed.score + Threshold(freed, both)) return false;
+    }
+    *best = freed;
+    return true;
+  }
+
   // Of a richer form the plain one that it holds: of dry friction that of one level, of play the spring that
-  // its faces are.
+  // its faces are, of a spring the rotor behind it.
   TrialSpecs PlainForm(const Candidate& c, const std::string& id) const {
     TrialSpecs specs = Refreshed(c);
+    if (id == "joint_elasticity") return WithoutSprings(specs);
     if (id != "backlash") return Exchanges(specs, id, nominal_, scales_).front();
     for (EffectSpec& s : specs) {
       if (s.id == id) s = OtherTransmission(s, nominal_, scales_).front().front();
@@ -418,7 +445,7 @@ class Search {
   // A richer form that is not worth more than the plain one gives way to it.
   void Plainer(Candidate* best) {
     std::vector<std::string> richer(std::begin(kRicherFriction), std::end(kRicherFriction));
-    richer.push_back("backlash");
+    richer.insert(richer.end(), {"backlash", "joint_elasticity"});
     for (const std::string& id : richer) {
       const TrialSpecs specs = PlainForm(*best, id);
       if (KeyOf(specs) == KeyOf(best->specs) || fits_.Late(kPruned)) continue;
@@ -432,6 +459,22 @@ class Search {
       fits_.tried()[KeyOf(best->specs) + (best->base ? "+base" : "")].score -= needed;
       *best = plain;
     }
+  }
+
+  // A rotor on the first joint alone is the first body's inertia about its axis: beside another effect the body
+  // is the likelier of the two, and is named where it leaves no more.
+  void FirstRotor(Candidate* best) {
+    TrialSpecs specs = Refreshed(*best);
+    const auto rotor = [](const EffectSpec& s) { return s.id == "rotor_inertia"; };
+    const bool alone = std::count_if(specs.begin(), specs.end(), rotor) == 1;
+    std::erase_if(specs, [&](const EffectSpec& s) {
+      return rotor(s) && s.joints == std::vector<std::string>{nominal_.joint_names()[0]};
+    });
+    if (!alone || specs.empty() || specs.size() == best->specs.size() || best->base || fits_.Late(kPruned))
+      return;
+    const Candidate body = fits_.Evaluate(specs, true, best, 6, best);
+    const double more = 0.5 * (body.fit.chi2 - best->fit.chi2) / fits_.noise_scale();
+    if (body.fit.ok && more < Threshold(body)) *best = body;
   }
 
   // A richer form on several joints may bend into what is plain on one of them, and one kind of effect costs

@@ -200,12 +200,15 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
 }
 
 std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& screened,
-                                 const sim::Plant& nominal, const MotionScales& scales, double needed,
-                                 size_t count) {
+                                 const sim::Plant& nominal, const MotionScales& scales, bool holds,
+                                 double needed, size_t count) {
   std::vector<std::pair<double, TrialSpecs>> promised;
   const auto add = [&](const std::vector<Scored>& parts, double gain) {
     for (const Scored& h : parts) {
-      if (IsUnnamed(h.effect) || AlreadyIn(from, h, nominal)) return;
+      const bool known = h.joints.size() == 1 &&
+                         std::any_of(from.specs.begin(), from.specs.end(),
+                                     [&](const EffectSpec& s) { return s.id == h.effect; });
+      if (IsUnnamed(h.effect) || AlreadyIn(from, h, nominal) || (!holds && !known)) return;
     }
     TrialSpecs start = Together(parts, nominal, scales);
     // In the place of another law on its joint it would not bring what it does beside it.

@@ -40,6 +40,16 @@ TEST(Acceptance, WhatTakesHalfOfAllThatIsLeftIsNoMatterOfForm) {
   EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), 1e5, -50), 0.5 * 20);
 }
 
+TEST(Acceptance, HalfOfAllThatIsLeftIsNoMatterOfTheStepRuleEither) {
+  Acceptance acceptance;
+  acceptance.Note(StepRuleOf("load_dependent_friction", 0, 200), {"a"});
+  const Candidate found = Model({MakeSpec("payload", {})}),
+                  more = Model({MakeSpec("load_dependent_friction", {"a"})});
+  EXPECT_DOUBLE_EQ(acceptance.Needed(found, 1e6, 6000, more), 0.5 * (6000 + 20));
+  // But what the step rule may pretend is needed however little is left.
+  EXPECT_GT(acceptance.Needed(found, 1e6, 100, more), 200);
+}
+
 TEST(Acceptance, OnePercentOfAnAmplitudeIsNoNameHoweverLittleIsLeft) {
   EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({MakeSpec("payload", {})}), 1e7, -50), 1e3);
 }

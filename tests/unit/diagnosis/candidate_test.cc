@@ -117,6 +117,14 @@ TEST_F(Rippling, IsTheSameAfterEachTurn) {
   EXPECT_TRUE(Repeats(14.03, 0.01, false, 1.9)) << "what is left bends the period";
 }
 
+TEST_F(Rippling, IsNoLessOneForWhatAnotherStepWouldBendIt) {
+  // Known to a hair, as a strong ripple is: a hundredth of its amplitude, from one end to the other, is no
+  // other period.
+  const double hair = 0.01 / (2 * M_PI * Turns());
+  EXPECT_TRUE(Repeats(14 + hair, 1e-6));
+  EXPECT_FALSE(Repeats(14 + 4 * hair, 1e-6));
+}
+
 TEST_F(Rippling, IsNoneWhereItGoesThroughLessThanAPeriod) {
   // The fit's lower limit: it wants something slower still.
   EXPECT_FALSE(Repeats(std::max(2.0, 0.75 / Turns()), 1.0));

@@ -288,8 +288,9 @@ TEST(Promised, IsWhatAScreenGivesBeyondStructureAndNeed) {
   screened.hypotheses = {scored("unknown_field", 1, 90),   scored("viscous_friction", 0, 80),
                          scored("encoder_offset", 1, 40),  scored("viscous_friction", 1, 39),
                          scored("torque_deadband", 1, 14), scored("rotor_inertia", 0, 10)};
+  bool holds = true;
   const auto promised = [&](double needed, size_t count) {
-    return Promised(from, screened, c->nominal, c->scales, needed, count);
+    return Promised(from, screened, c->nominal, c->scales, holds, needed, count);
   };
   const auto two = promised(5, 2);
   ASSERT_EQ(two.size(), 2u);
@@ -302,6 +303,20 @@ TEST(Promised, IsWhatAScreenGivesBeyondStructureAndNeed) {
   const auto pair = promised(5, 1);
   ASSERT_EQ(pair.size(), 1u);
   EXPECT_EQ(pair[0].size(), 2u);
+  // Around a model that does not hold only what it has already, on one joint more.
+  holds = false;
+  const auto further = promised(5, 9);
+  ASSERT_EQ(further.size(), 1u);
+  EXPECT_EQ(KeyOf(further[0]), "viscous_friction[elbow ] ");
+}
+
+TEST(WithoutSprings, LeavesTheRotorsBehindThem) {
+  const TrialSpecs rigid = WithoutSprings(
+      {MakeSpec("joint_elasticity", {"elbow"},
+                {{"stiffness", 100}, {"damping", 0.1}, {"motor_inertia", 0.02}}),
+       MakeSpec("viscous_friction", {"elbow"}, {{"viscous", 0.1}})});
+  EXPECT_EQ(KeyOf(rigid), "rotor_inertia[elbow ] viscous_friction[elbow ] ");
+  EXPECT_EQ(rigid[0].values.at("elbow").at("armature"), 0.02);
 }
 
 // Where a soft mount and a gain are both missing each hides the other: the best of the screen is tried on a
