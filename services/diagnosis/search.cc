@@ -453,7 +453,8 @@ class Search {
       // What it holds as a special case cannot be better: the plain one's fit had not found its way.
       const bool done = known != nullptr && known->score >= best->score;
       const Candidate plain = done ? *known : fits_.Evaluate(specs, best->base, best, 6, best);
-      const double needed = Threshold(plain, *best);
+      // A spring is no matter of its rotor's form: it need only be the better account.
+      const double needed = id == "joint_elasticity" ? 1.0 : Threshold(plain, *best);
       if (best->score >= plain.score + needed) continue;
       // What the form may pretend is not held for it when rivals are weighed.
       fits_.tried()[KeyOf(best->specs) + (best->base ? "+base" : "")].score -= needed;
