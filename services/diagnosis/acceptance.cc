@@ -64,7 +64,7 @@ double Acceptance::Needed(const Candidate& best, double explained, double at_sta
     return 0.5 * amplitude * amplitude;
   };
   const double chance = std::max(1.0, null_gain_ - kEffectPrior);
-  if (best.specs.empty()) return with_rule(chance);
+  if (best.specs.empty() || explained <= 0) return with_rule(chance);
   // What is left above the noise is itself known to the scatter of χ² only.
   const double left = std::max(0.0, at_stake) + std::sqrt(0.5 * best.fit.rows);
   const double form = std::min(with_rule(kFormError * explained), kMostOfIt * left);

@@ -233,7 +233,7 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
 // Fits them on all windows, at least so many however much work is done.
 void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner) {
   const auto batch = fits_.Start(setting_, requests);
-  for (size_t i = 0; i < requests.size() && (i < least || !Late(kToTheEnd)); ++i) {
+  for (size_t i = 0; i < requests.size() && !Cancelled() && (i < least || !Late(kToTheEnd)); ++i) {
     const Candidate c = Tried(requests[i], batch->Take(i));
     if (c.score > winner->score) *winner = c;
   }

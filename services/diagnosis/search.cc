@@ -412,22 +412,28 @@ class Search {
   // What is small may stand for what the bodies differ by, as those of every URDF do: it gives way to them
   // where they are the better account, or leave no more while it is not worth its name beside them. Free base
   // parameters pay for differences of any size, which is why the better score is not asked of them; but what
-  // says in one number what takes bodies many is no rival of theirs.
+  // says in one number what takes bodies many is no such rival of theirs. Worth its name beside them it stays.
   bool GivesWayToBodies(const std::vector<EffectSpec>& without, size_t i, Candidate* best) {
     static const std::set<std::string> kSaysMore = {"payload", "rotor_inertia", "torque_gain",
                                                     "gravity_misalignment", "encoder_offset"};
     const double strength = Strength(*best, i);
     if (best->base || OfAllJoints(best->specs, i) || 0.5 * strength * strength > kSmall * Explained(*best))
       return false;
+    if (fits_.Late(kPruned)) return false;
     const Candidate freed = fits_.Evaluate(without, true, best, 6, best);
-    if (!freed.fit.ok) return false;
-    if (freed.score < best->score + Threshold(*best, freed)) {
-      if (kSaysMore.count(best->specs[i].id) > 0 || freed.fit.chi2 > best->fit.chi2) return false;
-      const Candidate both = fits_.Evaluate(Refreshed(*best), true, &freed, 6, best);
-      if (both.score > freed.score + Threshold(freed, both)) return false;
-    }
-    *best = freed;
+    const bool rival = kSaysMore.count(best->specs[i].id) == 0 && freed.fit.chi2 <= best->fit.chi2;
+    if (!freed.fit.ok || (!rival && freed.score < best->score + Threshold(*best, freed))) return false;
+    const Candidate both = fits_.Evaluate(Refreshed(*best), true, &freed, 6, best);
+    if (both.score > freed.score + Threshold(freed, both)) return false;
+    Replace(freed, best);
     return true;
+  }
+
+  // By what is the likelier account though its score may be less: nor is the old one found again.
+  void Replace(const Candidate& by, Candidate* best) {
+    double& known = fits_.tried()[KeyOf(best->specs) + (best->base ? "+base" : "")].score;
+    known = std::min(known, by.score);
+    *best = by;
   }
 
   // Of a richer form the plain one that it holds: of dry friction that of one level, of play the spring that
@@ -471,11 +477,12 @@ class Search {
     std::erase_if(specs, [&](const EffectSpec& s) {
       return rotor(s) && s.joints == std::vector<std::string>{nominal_.joint_names()[0]};
     });
-    if (!alone || specs.empty() || specs.size() == best->specs.size() || best->base || fits_.Late(kPruned))
+    if (!alone || specs.empty() || specs.size() == best->specs.size() || best->base || fits_.Late(kPruned) ||
+        !nominal_.model().joint(0).is_revolute())
       return;
     const Candidate body = fits_.Evaluate(specs, true, best, 6, best);
     const double more = 0.5 * (body.fit.chi2 - best->fit.chi2) / fits_.noise_scale();
-    if (body.fit.ok && more < Threshold(body)) *best = body;
+    if (body.fit.ok && more < 1) Replace(body, best);
   }
 
   // A richer form on several joints may bend into what is plain on one of them, and one kind of effect costs

@@ -50,6 +50,13 @@ TEST(Acceptance, HalfOfAllThatIsLeftIsNoMatterOfTheStepRuleEither) {
   EXPECT_GT(acceptance.Needed(found, 1e6, 100, more), 200);
 }
 
+TEST(Acceptance, WhatExplainsLessThanNothingNeedsNoMoreThanChance) {
+  const Acceptance acceptance;
+  const double chance = acceptance.Needed(Model({}), 0, 0);
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), -5, 600), chance);
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), -1e300, 0), chance);
+}
+
 TEST(Acceptance, OnePercentOfAnAmplitudeIsNoNameHoweverLittleIsLeft) {
   EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({MakeSpec("payload", {})}), 1e7, -50), 1e3);
 }
