@@ -9,8 +9,8 @@
 // are such an addition too.
 //
 // rule: what the same effect on the same joints, or free base parameters, would gain from another step rule
-// alone (StepRuleResiduals). Amplitudes add, so their squares, the nats, add like this. What takes half of all
-// that is left is no matter of the step rule and the form together either.
+// alone (StepRuleResiduals). Amplitudes add, so their squares, the nats, add like this. What takes half of
+// all that is left is no matter of the step rule and the form together either.
 #pragma once
 
 #include <functional>

@@ -119,9 +119,9 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
     const int joint = model.FindJoint(p.owner);
     const double cycles = c.fit.theta[static_cast<long>(k)], lower = c.parameters[k].lower;
     const double range = scales.high[joint] - scales.low[joint];
-    const double error = std::max(kSameRipple / std::max(1e-9, range), kOneInAHundred *
-                                                                           c.fit.stddev[static_cast<long>(k)] *
-                                                                           std::sqrt(std::max(1.0, chi2_per_row)));
+    const double error =
+        std::max(kSameRipple / std::max(1e-9, range), kOneInAHundred * c.fit.stddev[static_cast<long>(k)] *
+                                                          std::sqrt(std::max(1.0, chi2_per_row)));
     if (cycles < lower + 1e-6 * (1 + std::abs(lower))) return false;
     if (model.joint(joint).is_revolute() && std::abs(cycles - std::round(cycles)) > error) return false;
     const double times = cycles * range / (2 * M_PI);

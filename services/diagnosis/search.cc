@@ -196,8 +196,7 @@ class Search {
       const auto force = [&] { return Force(from); };
       const auto pool = Trials(data_, nominal_, scales_, from, screened, wanted, force, nearest);
       const bool holds = from.fit.ok && fits_.PerRow(from) < kHolds;
-      const auto promised =
-          Promised(from, screened, nominal_, scales_, holds, Threshold(*best), kPromised);
+      const auto promised = Promised(from, screened, nominal_, scales_, holds, Threshold(*best), kPromised);
       fits_.TryBest(from, pool, promised, base, base ? 3 : 4, &winner);
     }
     if (const Candidate* c = AsGoodAsFreed(*best); c != nullptr && KeyOf(winner.specs) == KeyOf(best->specs))
@@ -412,7 +411,8 @@ class Search {
   // What is small may stand for what the bodies differ by, as those of every URDF do: it gives way to them
   // where they are the better account, or leave no more while it is not worth its name beside them. Free base
   // parameters pay for differences of any size, which is why the better score is not asked of them; but what
-  // says in one number what takes bodies many is no such rival of theirs. Worth its name beside them it stays.
+  // says in one number what takes bodies many is no such rival of theirs. Worth its name beside them it
+  // stays.
   bool GivesWayToBodies(const std::vector<EffectSpec>& without, size_t i, Candidate* best) {
     static const std::set<std::string> kSaysMore = {"payload", "rotor_inertia", "torque_gain",
                                                     "gravity_misalignment", "encoder_offset"};
@@ -468,8 +468,8 @@ class Search {
     }
   }
 
-  // A rotor on the first joint alone is the first body's inertia about its axis: beside another effect the body
-  // is the likelier of the two, and is named where it leaves no more.
+  // A rotor on the first joint alone is the first body's inertia about its axis: beside another effect the
+  // body is the likelier of the two, and is named where it leaves no more.
   void FirstRotor(Candidate* best) {
     TrialSpecs specs = Refreshed(*best);
     const auto rotor = [](const EffectSpec& s) { return s.id == "rotor_inertia"; };

@@ -205,9 +205,9 @@ std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& scre
   std::vector<std::pair<double, TrialSpecs>> promised;
   const auto add = [&](const std::vector<Scored>& parts, double gain) {
     for (const Scored& h : parts) {
-      const bool known = h.joints.size() == 1 &&
-                         std::any_of(from.specs.begin(), from.specs.end(),
-                                     [&](const EffectSpec& s) { return s.id == h.effect; });
+      const bool known =
+          h.joints.size() == 1 && std::any_of(from.specs.begin(), from.specs.end(),
+                                              [&](const EffectSpec& s) { return s.id == h.effect; });
       if (IsUnnamed(h.effect) || AlreadyIn(from, h, nominal) || (!holds && !known)) return;
     }
     TrialSpecs start = Together(parts, nominal, scales);

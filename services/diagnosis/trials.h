@@ -26,10 +26,10 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
                                const Candidate& from, const ScreenResult& screened, double wanted,
                                const std::function<MissingForce()>& force, const Nearest& nearest);
 
-// What a screen around a model that `holds` gives more than `needed` nats beyond what its structure costs, best
-// first and `count` at most. There the screen is exact to first order, and of all windows: a small effect
-// that a few of them do not pay for is worth its fit. Around one that does not hold only effects that it has
-// already, on joints where it has them not: one kind on one joint more is likelier than another kind.
+// What a screen around a model that `holds` gives more than `needed` nats beyond what its structure costs,
+// best first and `count` at most. There the screen is exact to first order, and of all windows: a small
+// effect that a few of them do not pay for is worth its fit. Around one that does not hold only effects that
+// it has already, on joints where it has them not: one kind on one joint more is likelier than another kind.
 std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& screened,
                                  const sim::Plant& nominal, const MotionScales& scales, bool holds,
                                  double needed, size_t count);

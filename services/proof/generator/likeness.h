@@ -13,8 +13,8 @@ namespace rg::proof {
 
 // χ² per second that the robot `without` an effect leaves of what `truth` does over the tracks when the named
 // links and all joints' damping are changed so that it leaves least: Gauss-Newton on predictions over windows
-// of 1 s, each with a start of its own to be found, over the sensors' `noise` (rad or m), with the priors of
-// Tune. Stops early where it cannot come near the noise.
+// of 1 s, each with a start of its own to be found, over the sensors' `noise` (rad or m), with the
+// priors of Tune and a wide one on damping. Stops early where it cannot come near the noise.
 double LeftByNearestBodies(const Comparison& compared, const dart::dynamics::SkeletonPtr& bodies,
                            const Truth& truth, const std::vector<Track>& tracks, const Truth& without,
                            const std::vector<std::string>& links, double noise);

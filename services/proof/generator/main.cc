@@ -101,7 +101,7 @@ int main(int argc, char** argv) {
     request.with_velocity = rng.Uniform() >= no_velocity;
     auto summary = rg::proof::MakeCase(request, sets, labels);
     if (!summary.ok() && (request.weak || request.tuned || request.wrong_parameters)) {
-      // What cannot be weak or hidden there may still be plain.
+      // What cannot be weak, hidden or beside wrong bodies there may still be plain.
       request.weak = request.tuned = request.wrong_parameters = false;
       summary = rg::proof::MakeCase(request, sets, labels);
     }

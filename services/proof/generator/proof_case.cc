@@ -418,9 +418,9 @@ bool Maker::Shows(const Truth& truth, const Track& track, const std::vector<Trut
                      [&](const auto& s) { return std::sqrt(joints) * Rms(s) > kShows * SensorNoise(); });
 }
 
-// Whether other masses, centres of mass and damping would do in the place of what `truth` has more than
-// `without` on these joints, where they must be found from the same recordings: then nobody can tell it from
-// them.
+// Whether other masses, centres of mass, inertias and damping would do in the place of what `truth` has more
+// than `without` on these joints, where they must be found from the same recordings: then nobody can tell it
+// from them.
 bool Maker::LooksLikeBodies(const Truth& truth, const Truth& without,
                             const std::vector<std::string>& joints) const {
   const std::vector<Track> tracks = {Record(truth, "chirp", 5.0, 70, true),
@@ -428,8 +428,8 @@ bool Maker::LooksLikeBodies(const Truth& truth, const Truth& without,
   if (!tracks[0].ok || !tracks[1].ok) return false;
   double seconds = 0;
   for (const PlannedRecording& r : DrawPlan(rng_.Split(4))) seconds += r.split == "fit" ? r.duration_s : 0.0;
-  const double left = LeftByNearestBodies(Compared(), skeleton_, truth, tracks, without, LinksBeside(joints),
-                                          SensorNoise());
+  const double left =
+      LeftByNearestBodies(Compared(), skeleton_, truth, tracks, without, LinksBeside(joints), SensorNoise());
   return 0.5 * left * seconds < kTells;
 }
 
@@ -476,7 +476,8 @@ Status Maker::KeepVisible(Truth* truth, json* effects) const {
   for (size_t e = 0; e < request_.effects.size(); ++e) {
     json ignored;
     const Truth without = Draw(strength_, request_.wrong_parameters, &ignored, static_cast<int>(e));
-    if (MustBeToldFromBodies(e, *truth, *effects) && LooksLikeBodies(*truth, without, (*effects)[e]["joints"]))
+    if (MustBeToldFromBodies(e, *truth, *effects) &&
+        LooksLikeBodies(*truth, without, (*effects)[e]["joints"]))
       return InternalError(request_.effects[e] + " looks like other masses");
   }
   std::map<std::string, int> named;

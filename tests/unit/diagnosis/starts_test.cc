@@ -311,10 +311,10 @@ TEST(Promised, IsWhatAScreenGivesBeyondStructureAndNeed) {
 }
 
 TEST(WithoutSprings, LeavesTheRotorsBehindThem) {
-  const TrialSpecs rigid = WithoutSprings(
-      {MakeSpec("joint_elasticity", {"elbow"},
-                {{"stiffness", 100}, {"damping", 0.1}, {"motor_inertia", 0.02}}),
-       MakeSpec("viscous_friction", {"elbow"}, {{"viscous", 0.1}})});
+  const TrialSpecs rigid =
+      WithoutSprings({MakeSpec("joint_elasticity", {"elbow"},
+                               {{"stiffness", 100}, {"damping", 0.1}, {"motor_inertia", 0.02}}),
+                      MakeSpec("viscous_friction", {"elbow"}, {{"viscous", 0.1}})});
   EXPECT_EQ(KeyOf(rigid), "rotor_inertia[elbow ] viscous_friction[elbow ] ");
   EXPECT_EQ(rigid[0].values.at("elbow").at("armature"), 0.02);
 }
