@@ -294,6 +294,7 @@ void Engine::SolveFriction(const Eigen::MatrixXd& inverse_mass, const VectorXd& 
 }
 
 void Engine::Step(const VectorXd& command) {
+  if (!finite()) return;  // it ran away: DART ends the process at a pose that is none
   SetSkeleton();
   const VectorXd drive = Drive(command);
   VectorXd tau = -skeleton_->getCoriolisAndGravityForces();

@@ -37,7 +37,12 @@ class Engine {
   double dt() const { return dt_; }
   Eigen::VectorXd SensedPosition() const;
   Eigen::VectorXd SensedVelocity() const;
-  bool finite() const { return q_.allFinite() && v_.allFinite(); }
+  // Not where it ran away, to where DART's transforms are none any more.
+  bool finite() const {
+    constexpr double kAway = 1e6;  // rad, m, and per second
+    return q_.allFinite() && v_.allFinite() && q_.cwiseAbs().maxCoeff() < kAway &&
+           v_.cwiseAbs().maxCoeff() < kAway;
+  }
 
  private:
   Eigen::VectorXd Drive(const Eigen::VectorXd& command);

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/QR>
 #include <algorithm>
+#include <cmath>
 
 #include "services/proof/generator/tuning.h"
 
@@ -76,12 +77,13 @@ double LeftByNearestBodies(const Comparison& compared, const dart::dynamics::Ske
       misfit += r.squaredNorm(), count += static_cast<double>(r.size());
       seconds += static_cast<double>(r.size()) / (static_cast<double>(n) * compared.rate_hz());
     }
+    if (!std::isfinite(misfit)) break;  // these bodies ran away
     least = std::min(least, misfit / seconds);
     const VectorXd step = normal.ldlt().solve(gradient);
     const double gained = gradient.dot(step);
     // The first tangent says little of what is far off.
     const bool far = round > 0 && misfit - gained > kFarOff * kFarOff * count;
-    if (gained < kDone * misfit || far) break;
+    if (gained <= kDone * misfit || far) break;
     // Mass, centre and inertia trade places along a curve.
     theta -= std::min(1.0, kFurthestStep / step.cwiseQuotient(prior).cwiseAbs().maxCoeff()) * step;
     theta = theta.cwiseMin(kFurthest * prior).cwiseMax(-kFurthest * prior);
