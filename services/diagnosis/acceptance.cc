@@ -55,10 +55,10 @@ void Acceptance::NoteBase(const FitData& data, const Candidate& calibrated, cons
 }
 
 double Acceptance::Needed(const Candidate& best, double explained, double at_stake) const {
-  return Needed(best, explained, at_stake, 0.0);
+  return NeededBeside(best, explained, at_stake, 0.0);
 }
 
-double Acceptance::Needed(const Candidate& best, double explained, double at_stake, double rule) const {
+double Acceptance::NeededBeside(const Candidate& best, double explained, double at_stake, double rule) const {
   const auto with_rule = [&](double nats) {
     const double amplitude = std::sqrt(2 * nats) + rule;
     return 0.5 * amplitude * amplitude;
@@ -78,7 +78,7 @@ double Acceptance::Needed(const Candidate& best, double explained, double at_sta
   // What the parameters owe to another step rule, beyond what the effect does, is not theirs.
   if (best.base && !c.base && best.specs.empty())
     return kSimplerOdds - 0.5 * std::max(0.0, base_rule_ * base_rule_ - rule * rule);
-  return Needed(best, explained, at_stake, rule);
+  return NeededBeside(best, explained, at_stake, rule);
 }
 
 // Joints that were not screened together: the most of that effect. Effects that the screen cannot see: the

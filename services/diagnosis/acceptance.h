@@ -40,7 +40,8 @@ class Acceptance {
   double Needed(const Candidate& best, double explained, double at_stake, const Candidate& c) const;
 
  private:
-  double Needed(const Candidate& best, double explained, double at_stake, double rule) const;
+  // rule: of the addition, √(2 nats).
+  double NeededBeside(const Candidate& best, double explained, double at_stake, double rule) const;
   double StepRule(const std::string& id, const std::string& joints) const;
 
   double null_gain_ = 3;

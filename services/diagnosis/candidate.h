@@ -76,7 +76,8 @@ bool AddsNothing(const Candidate& before, const Candidate& c);
 bool OfAllJoints(const std::vector<effects::EffectSpec>& specs, size_t i);
 
 // Whether a fit without effect i is not worth its cost: its strength is not within a few stddev of nothing,
-// nor, unless it is of all joints, of what needs `needed` nats. A limit's strength is not known: it is nothing where it is high.
+// nor, unless it is of all joints, of what needs `needed` nats. A limit's strength is not known: it is
+// nothing where it is high.
 bool SurelyThere(const Candidate& c, size_t i, double needed);
 
 // The effects of `before` with the values that `c` gives those which it has too, and their own for the
