@@ -56,7 +56,7 @@ void FitLedger::SetNoiseScale(double scale) {
 }
 
 const Candidate* FitLedger::Known(const std::vector<EffectSpec>& specs, bool base) const {
-  const auto it = tried_.find(KeyOf(specs) + (base ? "+base" : ""));
+  const auto it = tried_.find(KeyOf(specs, base));
   return it == tried_.end() ? nullptr : &it->second;
 }
 
@@ -130,7 +130,7 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
 Candidate FitLedger::Tried(const FitRequest& request, FitResult fit) {
   const Candidate c = Fitted(request, std::move(fit));
   if (c.plant == nullptr) return c;
-  auto [it, fresh] = tried_.try_emplace(KeyOf(c.specs) + (c.base ? "+base" : ""), c);
+  auto [it, fresh] = tried_.try_emplace(KeyOf(c.specs, c.base), c);
   if (!fresh && c.score > it->second.score) it->second = c;
   trace_.Fit(c, "fit");
   return c;

@@ -16,7 +16,7 @@ bool Nameless(const Candidate& c) {
                                          [](const effects::EffectSpec& e) { return IsUnnamed(e.id); });
 }
 
-std::string Key(const Candidate& c) { return KeyOf(c.specs) + (c.base ? "+base" : ""); }
+std::string Key(const Candidate& c) { return KeyOf(c.specs, c.base); }
 
 }  // namespace
 

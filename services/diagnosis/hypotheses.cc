@@ -519,4 +519,8 @@ std::string KeyOf(const std::vector<EffectSpec>& specs) {
   return key;
 }
 
+std::string KeyOf(const std::vector<EffectSpec>& specs, bool base) {
+  return KeyOf(specs) + (base ? "+base" : "");
+}
+
 }  // namespace rg::diagnosis

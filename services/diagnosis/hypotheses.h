@@ -62,5 +62,7 @@ effects::EffectSpec Exchanged(const effects::EffectSpec& spec, const std::string
 
 // A key that is the same for the same effects on the same joints: "coulomb_friction[2] payload[]".
 std::string KeyOf(const std::vector<effects::EffectSpec>& specs);
+// The same with "+base" behind it where the base parameters are free.
+std::string KeyOf(const std::vector<effects::EffectSpec>& specs, bool base);
 
 }  // namespace rg::diagnosis
