@@ -21,17 +21,21 @@ double Rms(const std::vector<double>& squares) {
   return squares.empty() ? 0.0 : std::sqrt(sum / static_cast<double>(squares.size()));
 }
 
+int Comparison::LastRow(const Track& track) const {
+  const int rate = static_cast<int>(rate_hz_), rows = static_cast<int>(track.q.cols());
+  return (rows - 1) / rate * rate;
+}
+
 void Comparison::Run(const Truth& truth, const Track& track, const std::vector<Rival>& rivals,
                      const std::function<void(const Engines&, int)>& visit) const {
   Engine real(bodies_, joints_, truth, dt_);
   Engines models;
   models.push_back(std::make_unique<Engine>(bodies_, joints_, truth, dt_));
   for (const Rival& r : rivals) models.push_back(std::make_unique<Engine>(r.bodies, joints_, r.truth, dt_));
-  const int rate = static_cast<int>(rate_hz_), rows = static_cast<int>(track.q.cols());
+  const int rate = static_cast<int>(rate_hz_), last = LastRow(track);
   real.Reset(track.true_q.col(0), track.true_v.col(0), track.u.col(0), 0.0);
   models[0]->Reset(track.q.col(0), track.v.col(0), track.u.col(0), 0.0);
   long fine = 0;
-  const int last = (rows - 1) / rate * rate;
   for (int k = 0; k <= last; ++k) {
     if (k > 0) visit(models, k);
     if (k % rate == 0) {
@@ -68,13 +72,11 @@ void Comparison::Add(const Truth& truth, const Track& track, const std::vector<R
 
 Eigen::MatrixXd Comparison::Deviations(const Truth& truth, const Track& track,
                                        const std::vector<Rival>& rivals) const {
-  const auto count = static_cast<Eigen::Index>(rivals.size());
-  Eigen::MatrixXd out(count, 0);
+  const Eigen::Index count = static_cast<Eigen::Index>(rivals.size()), n = track.q.rows();
+  Eigen::MatrixXd out(count, n * LastRow(track));
   Run(truth, track, rivals, [&](const Engines& models, int k) {
-    const Eigen::Index before = out.cols();
-    out.conservativeResize(count, before + track.q.rows());
     for (Eigen::Index r = 0; r < count; ++r)
-      out.row(r).tail(track.q.rows()) =
+      out.row(r).segment((k - 1) * n, n) =
           models[static_cast<size_t>(r) + 1]->SensedPosition() - track.true_q.col(k);
   });
   return out;

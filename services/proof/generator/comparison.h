@@ -42,6 +42,7 @@ class Comparison {
   Comparison(dart::dynamics::SkeletonPtr bodies, std::vector<std::string> joints, double dt, double rate_hz)
       : bodies_(std::move(bodies)), joints_(std::move(joints)), dt_(dt), rate_hz_(rate_hz) {}
 
+  const dart::dynamics::SkeletonPtr& bodies() const { return bodies_; }  // of the robot without its effects
   double rate_hz() const { return rate_hz_; }
 
   // Adds the squares over one recording, which has regular rows.
@@ -53,12 +54,13 @@ class Comparison {
 
  private:
   using Engines = std::vector<std::unique_ptr<Engine>>;
+  int LastRow(const Track& track) const;  // at which the last whole window ends
   // Runs the true model from the recorded rows (first) and the rivals; visit(engines, k) at each row k but
   // those that windows start at.
   void Run(const Truth& truth, const Track& track, const std::vector<Rival>& rivals,
            const std::function<void(const Engines&, int)>& visit) const;
 
-  dart::dynamics::SkeletonPtr bodies_;  // of the true robot without its effects
+  dart::dynamics::SkeletonPtr bodies_;
   std::vector<std::string> joints_;
   double dt_, rate_hz_;
 };

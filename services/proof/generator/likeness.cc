@@ -46,23 +46,22 @@ MatrixXd WithoutStarts(const MatrixXd& off, Eigen::Index n, Eigen::Index columns
 
 }  // namespace
 
-double LeftByNearestBodies(const Comparison& compared, const dart::dynamics::SkeletonPtr& bodies,
-                           const Truth& truth, const std::vector<Track>& tracks, const Truth& without,
-                           const std::vector<std::string>& links, double noise) {
+double LeftByNearestBodies(const Comparison& compared, const Truth& truth, const std::vector<Track>& tracks,
+                           const Truth& without, const std::vector<std::string>& links, double noise) {
   const auto n = static_cast<Eigen::Index>(without.joint.size());
   VectorXd prior(LinkPriors(links.size()).size() + n);
   prior << LinkPriors(links.size()), VectorXd::Constant(n, kDampingPrior);
   VectorXd theta = VectorXd::Zero(prior.size());
   double least = 1e300;
   for (int round = 0; round < kRounds; ++round) {
-    std::vector<Rival> rivals = {{bodies, With(without, links, theta), Start::kTrue}};
+    std::vector<Rival> rivals = {{compared.bodies(), With(without, links, theta), Start::kTrue}};
     for (Eigen::Index k = 0; k < prior.size(); ++k) {
       VectorXd beside = theta;
       beside[k] += kStep * prior[k];
-      rivals.push_back({bodies, With(without, links, beside), Start::kTrue});
+      rivals.push_back({compared.bodies(), With(without, links, beside), Start::kTrue});
     }
     for (int i = 0; i < 2 * static_cast<int>(n); ++i)
-      rivals.push_back({bodies, With(without, links, theta), Start::kTrue, i});
+      rivals.push_back({compared.bodies(), With(without, links, theta), Start::kTrue, i});
     MatrixXd normal = prior.cwiseAbs2().cwiseInverse().asDiagonal();
     VectorXd gradient = theta.cwiseQuotient(prior.cwiseAbs2());
     double misfit = 0, count = 0, seconds = 0;

@@ -429,7 +429,7 @@ bool Maker::LooksLikeBodies(const Truth& truth, const Truth& without,
   double seconds = 0;
   for (const PlannedRecording& r : DrawPlan(rng_.Split(4))) seconds += r.split == "fit" ? r.duration_s : 0.0;
   const double left =
-      LeftByNearestBodies(Compared(), skeleton_, truth, tracks, without, LinksBeside(joints), SensorNoise());
+      LeftByNearestBodies(Compared(), truth, tracks, without, LinksBeside(joints), SensorNoise());
   return 0.5 * left * seconds < kTells;
 }
 

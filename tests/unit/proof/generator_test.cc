@@ -147,7 +147,7 @@ double Hallmark(const Truth& truth, const std::string& effect) {
 double LeftByBodies(const Truth& truth) {
   const Track track = Swung(truth, 0.3);
   const Comparison compared(Pendulum(), {"pivot"}, kFine, kRowRate);
-  return LeftByNearestBodies(compared, Pendulum(), truth, {track}, OneJoint(), {"rod"}, 4e-4);
+  return LeftByNearestBodies(compared, truth, {track}, OneJoint(), {"rod"}, 4e-4);
 }
 
 TEST(ProofLikeness, AWeakSpringIsAnotherMassAndFrictionIsNot) {
