@@ -10,7 +10,6 @@
 #include <dart/dynamics/Joint.hpp>
 #include <dart/dynamics/PrismaticJoint.hpp>
 #include <dart/dynamics/RevoluteJoint.hpp>
-#include <map>
 #include <nlohmann/json.hpp>
 #include <set>
 
@@ -20,12 +19,11 @@
 #include "services/proof/generator/engine.h"
 #include "services/proof/generator/equivalents.h"
 #include "services/proof/generator/hypotheses.h"
-#include "services/proof/generator/likeness.h"
 #include "services/proof/generator/references.h"
 #include "services/proof/generator/robots.h"
 #include "services/proof/generator/set_files.h"
-#include "services/proof/generator/siblings.h"
 #include "services/proof/generator/tuning.h"
+#include "services/proof/generator/visibility.h"
 
 namespace rg::proof {
 namespace {
@@ -35,14 +33,7 @@ using Eigen::VectorXd;
 using nlohmann::json;
 
 constexpr int kAttempts = 6;
-constexpr double kNear = 1.05;    // strengths that need no telling apart
-constexpr double kVisible = 1.1;  // error of a model without an effect over the true one's
-// Deviation of a model, from the true state, over the sensors' noise: less than what stands out of
-// predictions that begin at noisy rows, but many rows tell it.
-constexpr double kShows = 1.0;
-// Log evidence, on average over the noise, that tells an effect from other masses: a name costs about 14 (its
-// odds, and four for each of its numbers), which 32 ± √64 exceeds in 98 of 100 draws of the noise.
-constexpr double kTells = 32.0;
+constexpr double kNear = 1.05;  // strengths that need no telling apart
 
 // Everything a case is made from.
 class Maker {
@@ -65,19 +56,16 @@ class Maker {
   // `without`: leaves out the effect of this index.
   Truth Draw(double strength, bool wrong_parameters, json* effects, int without = -1) const;
   Motion TuningMotion(const Truth& truth) const;
-  std::vector<std::string> LinksBeside(const std::vector<std::string>& joints) const;
   Status TuneNominal(const Truth& truth, json* effects);
   double SensorNoise() const {  // of positions, rad or m
     return std::sqrt(noise_.position * noise_.position + noise_.resolution * noise_.resolution / 12);
   }
   Comparison Compared() const { return {skeleton_, joints_, dt_, request_.rate_hz}; }
-  bool StandsOut(const Truth& truth, const Track& track, const Truth& without) const;
-  bool Shows(const Truth& truth, const Track& track, const std::vector<Truth>& models) const;
-  bool LooksLikeBodies(const Truth& truth, const Truth& without,
-                       const std::vector<std::string>& joints) const;
-  bool MustBeToldFromBodies(size_t effect, const Truth& truth, json effects) const;
-  std::vector<std::string> JointsThatShow(const Truth& truth, const json& effect, const Track& track,
-                                          const std::set<std::string>& shared, bool from_bodies) const;
+  // The two recordings that effects must show in.
+  Track Chirp(const Truth& truth) const { return Record(truth, "chirp", 5.0, 70, true); }
+  Track Multisine(const Truth& truth) const { return Record(truth, "multisine", 6.0, 80, true); }
+  Visibility VisibilityOf(const Truth& truth) const;
+  std::vector<bool> ToTellFromBodies(const Truth& truth, json effects) const;
   Status KeepVisible(Truth* truth, json* effects) const;
   double Ratio(const Truth& truth) const;
   Result<Truth> SearchStrength(json* effects, std::string* warning);
@@ -336,22 +324,13 @@ Motion Maker::TuningMotion(const Truth& truth) const {
   return motion;
 }
 
-// The link of the first of the joints (the last link: of none) and its neighbours.
-std::vector<std::string> Maker::LinksBeside(const std::vector<std::string>& joints) const {
-  size_t middle = links_.size() - 1;
-  if (!joints.empty())
-    middle = static_cast<size_t>(std::find(joints_.begin(), joints_.end(), joints[0]) - joints_.begin());
-  const size_t first = middle > 0 ? middle - 1 : 0, end = std::min(links_.size(), middle + 2);
-  return {links_.begin() + static_cast<long>(first), links_.begin() + static_cast<long>(end)};
-}
-
 // Hands out a URDF that has absorbed of the effects what it can; the label says that it is wrong.
 Status Maker::TuneNominal(const Truth& truth, json* effects) {
   const Motion motion = TuningMotion(truth);
   if (motion.q.size() == 0) return InternalError("the true robot ran away");
   const json& effect = effects->front();
   const TunedPart part = PartThatHides(effect["id"]);
-  const std::vector<std::string> links = LinksBeside(effect["joints"]);
+  const std::vector<std::string> links = LinksBeside(effect["joints"], joints_, links_);
   const Tuning tuning = Tune(skeleton_, joints_, links, motion, part);
   urdf_ = WithTuning(original_urdf_, skeleton_, joints_, tuning);
   RG_ASSIGN_OR_RETURN(nominal_, ParseBodies(urdf_));
@@ -371,7 +350,7 @@ Status Maker::TuneNominal(const Truth& truth, json* effects) {
 }
 
 double Maker::Ratio(const Truth& truth) const {
-  const Track track = Record(truth, "chirp", 5.0, 70, true);
+  const Track track = Chirp(truth);
   if (!track.ok) return 1e9;
   WindowSquares squares;
   Compared().Add(truth, track, {{nominal_, Nominal(), Start::kRow}}, &squares);
@@ -402,104 +381,69 @@ Result<Truth> Maker::SearchStrength(json* effects, std::string* warning) {
   return finished();
 }
 
-bool Maker::StandsOut(const Truth& truth, const Track& track, const Truth& without) const {
-  WindowSquares squares;
-  Compared().Add(truth, track, {{skeleton_, without}}, &squares);
-  return Rms(squares.rivals[0]) > kVisible * Rms(squares.oracle);
+// What the questions of visibility.h are asked of, but for what other masses are found from.
+Visibility Maker::VisibilityOf(const Truth& truth) const {
+  double fit_s = 0;
+  for (const PlannedRecording& r : DrawPlan(rng_.Split(4))) fit_s += r.split == "fit" ? r.duration_s : 0.0;
+  return {Compared(), joints_, links_, scales_.tool, SensorNoise(), fit_s, Chirp(truth)};
 }
 
-bool Maker::Shows(const Truth& truth, const Track& track, const std::vector<Truth>& models) const {
-  std::vector<Rival> rivals;
-  for (const Truth& model : models) rivals.push_back({skeleton_, model, Start::kTrue});
-  WindowSquares squares;
-  Compared().Add(truth, track, rivals, &squares);
-  const double joints = static_cast<double>(joints_.size());
-  return std::all_of(squares.rivals.begin(), squares.rivals.end(),
-                     [&](const auto& s) { return std::sqrt(joints) * Rms(s) > kShows * SensorNoise(); });
-}
-
-// Whether other masses, centres of mass, inertias and damping would do in the place of what `truth` has more
-// than `without` on these joints, where they must be found from the same recordings: then nobody can tell it
-// from them.
-bool Maker::LooksLikeBodies(const Truth& truth, const Truth& without,
-                            const std::vector<std::string>& joints) const {
-  const std::vector<Track> tracks = {Record(truth, "chirp", 5.0, 70, true),
-                                     Record(truth, "multisine", 6.0, 80, true)};
-  if (!tracks[0].ok || !tracks[1].ok) return false;
-  double seconds = 0;
-  for (const PlannedRecording& r : DrawPlan(rng_.Split(4))) seconds += r.split == "fit" ? r.duration_s : 0.0;
-  const double left =
-      LeftByNearestBodies(Compared(), truth, tracks, without, LinksBeside(joints), SensorNoise());
-  return 0.5 * left * seconds < kTells;
-}
-
-// Whether the answer must tell this effect from other masses: it may look like them, and they are wrong too.
-// Where the URDF is right an effect explains with few numbers what takes them many.
-bool Maker::MustBeToldFromBodies(size_t effect, const Truth& truth, json effects) const {
-  const bool wrong = request_.wrong_parameters || request_.tuned;
-  if (!wrong || PartThatHides(request_.effects[effect]) != TunedPart::kBodies) return false;
+// Of each effect whether the answer must tell it from other masses: it may look like them, and they are wrong
+// too. Where the URDF is right an effect explains with few numbers what takes them many.
+std::vector<bool> Maker::ToTellFromBodies(const Truth& truth, json effects) const {
+  std::vector<bool> out(request_.effects.size(), false);
+  if (!request_.wrong_parameters && !request_.tuned) return out;
   AddEquivalents(Facts(truth), &effects);
-  const json& same = effects[effect]["equivalents"];
-  return std::find(same.begin(), same.end(), "parameters_only") == same.end();
+  for (size_t e = 0; e < out.size(); ++e) {
+    const json& same = effects[e]["equivalents"];
+    out[e] = PartThatHides(request_.effects[e]) == TunedPart::kBodies &&
+             std::find(same.begin(), same.end(), "parameters_only") == same.end();
+  }
+  return out;
 }
 
-// Joints on which a model without the effect stands out, and one with the simpler effect that it contains.
-std::vector<std::string> Maker::JointsThatShow(const Truth& truth, const json& effect, const Track& track,
-                                               const std::set<std::string>& shared, bool from_bodies) const {
-  std::vector<std::string> show;
-  const std::vector<std::string> named = effect["joints"];
-  for (const std::string& name : named) {
-    const auto joint = static_cast<size_t>(std::find(joints_.begin(), joints_.end(), name) - joints_.begin());
-    Truth without = truth;
-    without.joint[joint] = JointTruth{};
-    if (named.size() > 1 && shared.count(name) == 0 && !StandsOut(truth, track, without)) continue;
-    if (from_bodies && named.size() > 1 && shared.count(name) == 0 && LooksLikeBodies(truth, without, {name}))
-      continue;
-    const double load = track.u.row(static_cast<Eigen::Index>(joint)).cwiseAbs().mean();
-    if (Shows(truth, track, SimplerSiblings(truth, effect["id"], joint, load, scales_.tool)))
-      show.push_back(name);
-  }
-  return show;
+// Joints that several effects act on.
+std::set<std::string> SharedJoints(const json& effects) {
+  std::set<std::string> once, shared;
+  for (const json& effect : effects)
+    for (const json& joint : effect["joints"])
+      if (!once.insert(joint.get<std::string>()).second) shared.insert(joint.get<std::string>());
+  return shared;
 }
 
 // A limit that is never reached and a gap that looks like a rotor's inertia are not there to be named: every
 // effect of several must show, on every joint that stays, by what makes it more than a simpler one.
 Status Maker::KeepVisible(Truth* truth, json* effects) const {
-  const Track track = Record(*truth, "chirp", 5.0, 70, true);
-  if (!track.ok) return InternalError("the true robot ran away");
-  for (size_t e = 0; request_.effects.size() > 1 && e < request_.effects.size(); ++e) {
-    json ignored;
-    const Truth without = Draw(strength_, request_.wrong_parameters, &ignored, static_cast<int>(e));
-    if (!Shows(*truth, track, {without}))
-      return InternalError(request_.effects[e] + " does not show beside the other effect");
-  }
+  Visibility seen = VisibilityOf(*truth);
+  if (!seen.track.ok) return InternalError("the true robot ran away");
+  const std::vector<bool> from_bodies = ToTellFromBodies(*truth, *effects);
+  if (std::find(from_bodies.begin(), from_bodies.end(), true) != from_bodies.end())
+    seen.for_bodies = {seen.track, Multisine(*truth)};
   for (size_t e = 0; e < request_.effects.size(); ++e) {
     json ignored;
     const Truth without = Draw(strength_, request_.wrong_parameters, &ignored, static_cast<int>(e));
-    if (MustBeToldFromBodies(e, *truth, *effects) &&
-        LooksLikeBodies(*truth, without, (*effects)[e]["joints"]))
+    if (request_.effects.size() > 1 && !seen.Shows(*truth, {without}))
+      return InternalError(request_.effects[e] + " does not show beside the other effect");
+    if (from_bodies[e] && seen.LooksLikeBodies(*truth, without, (*effects)[e]["joints"]))
       return InternalError(request_.effects[e] + " looks like other masses");
   }
-  std::map<std::string, int> named;
-  for (const json& effect : *effects)
-    for (const json& joint : effect["joints"]) ++named[joint.get<std::string>()];
-  std::set<std::string> shared;
-  for (const auto& [name, count] : named)
-    if (count > 1) shared.insert(name);
-  const json all_effects = *effects;
+  const std::set<std::string> shared = SharedJoints(*effects);
+  bool dropped = false;
   for (size_t e = 0; e < effects->size(); ++e) {
     json& effect = (*effects)[e];
     const std::string id = effect["id"];
     if (effect["joints"].empty()) {
-      if (!Shows(*truth, track, SimplerSiblings(*truth, id, 0, 0, scales_.tool)))
-        return InternalError(id + " looks like a simpler effect");
+      if (!seen.ShowsAsMore(*truth, id, 0)) return InternalError(id + " looks like a simpler effect");
       continue;
     }
     if (!effect["parameters"].contains(effect["joints"][0].get<std::string>())) continue;
+    const bool told = e < from_bodies.size() && from_bodies[e];
+    if (told && dropped) {  // the robot moves otherwise since
+      seen.for_bodies = {Chirp(*truth), Multisine(*truth)};
+      dropped = false;
+    }
     const std::vector<std::string> all = effect["joints"],
-                                   show = JointsThatShow(*truth, effect, track, shared,
-                                                         e < request_.effects.size() &&
-                                                             MustBeToldFromBodies(e, *truth, all_effects));
+                                   show = seen.JointsThatShow(*truth, effect, shared, told);
     for (const std::string& name : all) {
       if (std::find(show.begin(), show.end(), name) != show.end()) continue;
       if (show.empty() || shared.count(name) > 0)
@@ -507,6 +451,7 @@ Status Maker::KeepVisible(Truth* truth, json* effects) const {
       truth->joint[static_cast<size_t>(std::find(joints_.begin(), joints_.end(), name) - joints_.begin())] =
           JointTruth{};
       effect["parameters"].erase(name);
+      dropped = true;
     }
     effect["joints"] = show;
   }

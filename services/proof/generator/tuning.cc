@@ -81,6 +81,16 @@ LinkChange Changed(const LinkChange& first, const LinkChange& then) {
   return out;
 }
 
+std::vector<std::string> LinksBeside(const std::vector<std::string>& on,
+                                     const std::vector<std::string>& joints,
+                                     const std::vector<std::string>& links) {
+  size_t middle = links.size() - 1;
+  if (!on.empty())
+    middle = static_cast<size_t>(std::find(joints.begin(), joints.end(), on[0]) - joints.begin());
+  const size_t first = middle > 0 ? middle - 1 : 0, end = std::min(links.size(), middle + 2);
+  return {links.begin() + static_cast<long>(first), links.begin() + static_cast<long>(end)};
+}
+
 Tuning Tune(const SkeletonPtr& nominal, const std::vector<std::string>& joints,
             const std::vector<std::string>& links, const Motion& motion, TunedPart part) {
   const std::vector<Eigen::Index> at = Indices(nominal, joints);

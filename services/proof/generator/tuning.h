@@ -36,6 +36,12 @@ LinkChange ChangeOf(const Eigen::VectorXd& theta, size_t link);
 // A link changed twice.
 LinkChange Changed(const LinkChange& first, const LinkChange& then);
 
+// Of `links`, of which link i hangs on joint i of `joints`: that of the first joint of `on` (of none: the
+// last) and its neighbours.
+std::vector<std::string> LinksBeside(const std::vector<std::string>& on,
+                                     const std::vector<std::string>& joints,
+                                     const std::vector<std::string>& links);
+
 // Bodies: of the named links; damping: of every joint, never negative.
 Tuning Tune(const dart::dynamics::SkeletonPtr& nominal, const std::vector<std::string>& joints,
             const std::vector<std::string>& links, const Motion& motion, TunedPart part);
