@@ -130,6 +130,15 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
   return true;
 }
 
+bool Drops(const Candidate& c) {
+  const auto& parameters = c.plant->parameters();
+  return std::all_of(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) {
+    if (s.id != "stribeck_friction") return true;
+    const std::string name = s.id + "." + s.joints[0] + ".";
+    return c.fit.values[parameters.Find(name + "static")] >= c.fit.values[parameters.Find(name + "coulomb")];
+  });
+}
+
 double Strength(const Candidate& c, size_t i) {
   static const std::set<std::string> kStrengths = {"viscous",
                                                    "coulomb",

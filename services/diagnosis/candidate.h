@@ -61,6 +61,10 @@ bool Unseen(const Candidate& c, size_t i);
 // any curve.
 bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row);
 
+// Whether every Stribeck friction in it is what the name says: less at speed than at rest. One that grows
+// with speed bends into drag.
+bool Drops(const Candidate& c);
+
 // How far effect i is from nothing: the stddevs that its strengths (a delay, an amplitude, a mass, …) lie
 // from none, all together and to the fit's second order, while its shape (an azimuth, a period) is held and
 // all else is free. Each alone may be unknown where their sum is certain: √(dᵀ·P·d), P their precision

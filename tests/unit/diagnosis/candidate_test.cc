@@ -138,6 +138,21 @@ TEST_F(Rippling, ComesRoundTwiceBesideASpring) {
   EXPECT_TRUE(Repeats(often, 0.01, true));
 }
 
+TEST(Candidate, StribeckFrictionThatGrowsWithSpeedIsNone) {
+  const auto p = testing::Prepare("pendulum", {}, 31);
+  const std::string joint = p->nominal.joint_names()[0];
+  Candidate c;
+  c.specs = {effects::MakeSpec("stribeck_friction", {joint},
+                               {{"coulomb", 0.1}, {"static", 0.2}, {"stribeck_velocity", 0.1}})};
+  const auto plant = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), c.specs);
+  ASSERT_TRUE(plant.ok()) << plant.status().ToString();
+  c.plant = std::make_shared<const sim::Plant>(*plant);
+  c.fit.values = c.plant->parameters().Nominal();
+  EXPECT_TRUE(Drops(c));
+  c.fit.values[c.plant->parameters().Find("stribeck_friction." + joint + ".static")] = 0.05;
+  EXPECT_FALSE(Drops(c));
+}
+
 TEST(Candidate, AJointsShareOfADelayIsOfAllButOfOtherEffectsItsOwn) {
   const std::vector<effects::EffectSpec> specs = {
       effects::MakeSpec("rotor_inertia", {"a"}), effects::MakeSpec("rotor_inertia", {"b"}),
