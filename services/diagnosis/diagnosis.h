@@ -30,7 +30,7 @@ struct DiagnosisOptions {
   // Of all fits together, in simulated rows times columns carried along (Work in lifted_fit.h): a limit that
   // is the same on every machine; one to two minutes on two cores, which few sets take. Where a recording
   // kept aside must be fitted too a second search has what the first one leaves of 1.6 times that.
-  double work_limit = 4e9;
+  double work_limit = 8e9;
   // No new fit starts later than this many seconds; 0: no such limit. What it cuts off depends on the
   // machine.
   double time_limit_s = 0;

@@ -23,6 +23,7 @@ constexpr double kInPlaceYet = 1.8;   // of all work, to try other laws in the p
 constexpr double kPiece = 0.1;        // s
 constexpr size_t kSprings = 2;        // behind rotors, that are fitted for either place of the sensor
 constexpr size_t kInPlace = 2;        // other laws that are fitted on all windows
+constexpr double kPartly = 0.5;       // of a model's misfit, that what is part of the truth leaves at most
 constexpr double kMuchWorse = 0.1;    // of a trial's misfit, that one in its place may leave more
 
 // Where another fit starts whose windows are not its own.
@@ -120,6 +121,10 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   c.round = round_;
   // A few windows need not show what all of them do, as a limit that is seldom reached.
   c.fit.ok = c.fit.ok && (!request.places.empty() || !Unseen(c));
+  c.fit.ok = c.fit.ok && Drops(c);
+  // A swinging mass takes in some of nearly anything: beside other names it is there where nothing is left.
+  const bool beside = HasMassInSprings(c.specs) && FreshKinds(Candidate{}, c).size() > 1;
+  if (beside && request.places.empty() && PerRow(c) > kHolds) c.fit.ok = false;
   // While much is left a ripple's period is bent by it.
   if (c.fit.ok && PerRow(c) < kHolds) c.fit.ok = Repeats(c, setting_.scales, PerRow(c));
   c.score = c.fit.ok ? c.fit.evidence - StructurePrior(c.specs, c.base) : -1e300;
@@ -211,19 +216,28 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
     // A mass that may start anew in each window of a trial may not when it is fitted on all.
     if (!HasMassInSprings(t.fitted->specs)) nearest.score = std::max(nearest.score, t.left * from.score);
   }
+  // The best with states that no sensor reads: something beside it may be missing, without which it is not
+  // among the best of all.
+  std::shared_ptr<const Candidate> unseen;
+  double least = kPartly;
+  for (const RankedTrial& t : ranked) {
+    if (t.left < least && HasHiddenStates(*t.fitted) && !HasMassInSprings(t.fitted->specs))
+      least = t.left, unseen = t.fitted;
+  }
   // From the model that the trials started at where that holds, else from base parameters where they ended.
   const bool holds = trial.from != nullptr && !trial.from->fit.states.empty();
   std::vector<FitRequest> best;
   for (const auto& c : BestOf(std::move(ranked), std::move(hidden), count))
     best.push_back(WholeFit(Refreshed(*c), base, holds || !base ? trial.from : ValuesOf(*c), 6,
                             trial.pieces_alone ? nullptr : &nearest));
-  for (const TrialSpecs& start : promised) {
-    const TrialSpecs specs = Joined(Refreshed(from), start);
+  const auto add = [&](const TrialSpecs& specs) {
     const bool chosen = std::any_of(best.begin(), best.end(), [&](const FitRequest& request) {
       return KeyOf(request.specs) == KeyOf(specs);
     });
     if (!chosen) best.push_back(WholeFit(specs, base, trial.from));
-  }
+  };
+  for (const TrialSpecs& start : promised) add(Joined(Refreshed(from), start));
+  if (!base && unseen != nullptr) add(Refreshed(*unseen));
   Candidate found = from;
   TakeBest(best, 1, &found);
   TrySprings(from, &found);

@@ -321,6 +321,17 @@ std::vector<std::vector<EffectSpec>> OtherTransmission(const EffectSpec& spec, c
   return PlayStarts(sensor, nominal.model().FindJoint(joint), {values.at("motor_inertia")}, nominal, s);
 }
 
+std::vector<std::vector<EffectSpec>> OtherGaps(const EffectSpec& spec) {
+  std::vector<std::vector<EffectSpec>> out;
+  if (spec.id != "backlash") return out;
+  for (const double part : {0.7, 0.85, 0.93, 1.08, 1.2, 1.4}) {
+    EffectSpec other = spec;
+    other.values.at(spec.joints[0]).at("gap") *= part;
+    out.push_back({other});
+  }
+  return out;
+}
+
 std::vector<std::vector<EffectSpec>> StribeckStarts(const EffectSpec& friction, const sim::Plant& nominal,
                                                     const MotionScales& scales) {
   std::vector<std::vector<EffectSpec>> out;

@@ -31,6 +31,8 @@ std::vector<effects::EffectSpec> WithoutSprings(std::vector<effects::EffectSpec>
 std::vector<std::vector<effects::EffectSpec>> OtherTransmission(const effects::EffectSpec& spec,
                                                                 const sim::Plant& nominal,
                                                                 const MotionScales& scales);
+// Play with other gaps than a fit of it came to, which ends near where it starts. Empty for other effects.
+std::vector<std::vector<effects::EffectSpec>> OtherGaps(const effects::EffectSpec& spec);
 // Dry friction that drops with speed, where there is dry friction already: over a range of speeds, for fits
 // of a joint that sticks end near where they start.
 std::vector<std::vector<effects::EffectSpec>> StribeckStarts(const effects::EffectSpec& friction,

@@ -12,6 +12,7 @@
 #include "services/diagnosis/held_out_judge.h"
 #include "services/diagnosis/own_chi2.h"
 #include "services/diagnosis/screen_columns.h"
+#include "services/diagnosis/simplifier.h"
 #include "services/diagnosis/trace.h"
 #include "services/diagnosis/trials.h"
 
@@ -23,11 +24,14 @@ using Eigen::VectorXd;
 namespace {
 
 constexpr double kRivalShare = 0.25;  // of what parameters explain, by the screen's linear estimate
-constexpr double kPruned = 2.0;       // and to take out what is not needed
 constexpr double kNoisiest = 4.0;     // variance over the sensors' own: more is motion that no force follows
 constexpr size_t kPromised = 3;       // by a screen, that are fitted without a trial
-constexpr double kSmall = 0.01;       // of what all effects explain
 constexpr int kSentBack = 3;          // times that recordings kept aside may refuse an account
+constexpr int kExchanged = 3;         // times that what is easily taken for each other changes places
+constexpr int kDeeper = 2;            // kinds beside a first one, before parameters are freed
+constexpr double kDeep = 0.5;         // of all work, after which none of that is begun
+constexpr int kLight = 2;             // joints up to which a round costs little
+constexpr double kBetter = 1.0;       // nats: as many names need only be the better account
 
 class Search {
  public:
@@ -41,7 +45,10 @@ class Search {
         options_(options),
         progress_(progress),
         trace_(clock),
-        fits_(setting_, options, threads, trace_, cancel) {}
+        fits_(setting_, options, threads, trace_, cancel),
+        simplifier_(
+            setting_, fits_, [this](const Candidate& a, const Candidate& b) { return Threshold(a, b); },
+            [this](const Candidate& c) { return Explained(c); }) {}
 
   SearchResult Run() {
     SearchResult out;
@@ -70,12 +77,13 @@ class Search {
       fits_.SetRound(round_);
       const bool added = AddOne(&best);
       if (!added) break;
-      LowerNoise(&best, &out);
+      // What had seemed to leave nothing may have ended on its way.
+      if (LowerNoise(&best, &out) && !MeetsSensors(best)) Siblings(Candidate{}, &best);
       // What little a surface leaves is its own coarseness, and no further name.
       const double nothing = 0.98 + 0.02 * std::min(fits_.PerRow(out.nominal), fits_.PerRow(out.calibrated));
       if ((round_ == 1 || OfPosition(best)) && Flexible(&best, std::max(kExplained, nothing))) break;
     }
-    Prune(&best);
+    simplifier_.Prune(&best);
     if (fits_.PerRow(best) > kExplained || OfPosition(best)) Flexible(&best, 1e300);
     if (data_.held_out != nullptr) SendBack(Better(out.nominal, out.calibrated), &best, &out);
     out.best = best;
@@ -117,13 +125,14 @@ class Search {
 
   // A model that fits better than any force on the old one could: the noise is less than was thought. All
   // scores are brought to it.
-  void LowerNoise(Candidate* best, SearchResult* out) {
+  bool LowerNoise(Candidate* best, SearchResult* out) {
     const double own = best->fit.chi2 / std::max(1.0, Noise(*best));
     const double scale = std::max(1.0, std::min(fits_.noise_scale(), own));
     const double change = 0.5 * (1.0 / scale - 1.0 / fits_.noise_scale());
-    if (change < 1e-3) return;
+    if (change < 1e-3) return false;
     fits_.SetNoiseScale(scale);
     for (Candidate* c : {best, &out->nominal, &out->calibrated}) c->score -= change * c->fit.chi2;
+    return true;
   }
 
   void Tell(const std::string& stage, double done, const std::string& note) const {
@@ -165,7 +174,7 @@ class Search {
 
   bool AddOne(Candidate* best) {
     Tell("screen", 0.1 + 0.2 * round_, KeyOf(best->specs));
-    Candidate winner = *best;
+    Candidate winner = *best, deeper = *best;
     if (fits_.Known(best->specs, !best->base) == nullptr) fits_.Evaluate(Refreshed(*best), !best->base, best);
     for (const bool base : {false, true}) {
       if (fits_.Late()) break;
@@ -190,21 +199,21 @@ class Search {
         continue;
       }
       const double wanted = rival ? kRivalShare * (best->score - from.score) : 1.0;
-      const auto nearest = [&](const auto& starts, size_t count) {
-        return fits_.Nearest(from, base, starts, count);
-      };
-      const auto force = [&] { return Force(from); };
-      const auto pool = Trials(data_, nominal_, scales_, from, screened, wanted, force, nearest);
-      const bool holds = from.fit.ok && fits_.PerRow(from) < kHolds;
-      const auto promised = Promised(from, screened, nominal_, scales_, holds, Threshold(*best), kPromised);
-      fits_.TryBest(from, pool, promised, base, base ? 3 : 4, &winner);
+      TryAround(from, screened, wanted, Threshold(*best), base ? 3 : 4, &winner);
+      if (base || (best->base && round_ > 1)) continue;
+      for (const Candidate& start : Beginnings(*best, winner)) deeper = Better(deeper, Deeper(start));
+      if (fits_.PerRow(deeper) < kExplained && deeper.score > winner.score + Threshold(winner, deeper))
+        winner = deeper;
     }
+    if (deeper.score > winner.score + Threshold(winner, deeper)) winner = deeper;
     if (const Candidate* c = AsGoodAsFreed(*best); c != nullptr && KeyOf(winner.specs) == KeyOf(best->specs))
       winner = *c;
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
       Restart(&winner);
-      DropNothing(&winner);
-      Siblings(*best, &winner);
+      simplifier_.DropNothing(&winner);
+      // What one was taken for may have been for another's sake.
+      for (int again = 0; again < kExchanged && Siblings(*best, &winner); ++again) {
+      }
       winner = InEitherWorld(winner, Threshold(*best));
     }
     const auto needs = [&](const Candidate& a, const Candidate& b) { return Threshold(a, b); };
@@ -227,12 +236,87 @@ class Search {
       // What is left of several at once may be worth less than none of them.
       if (!same && justified.score < best->score + Threshold(*best, justified)) return false;
       *best = justified;
-      Prune(best);
-      Plainer(best);
-      OwnLaws(best);
-      FirstRotor(best);
+      simplifier_.Run(best);
+      while (Substitute(best)) simplifier_.Prune(best);
     }
     return accept;
+  }
+
+  // Accounts on the parameters as given that something may be missing beside: the best, and the best with
+  // states that no sensor reads.
+  std::vector<Candidate> Beginnings(const Candidate& before, const Candidate& winner) {
+    std::vector<Candidate> out;
+    if (fits_.Late(kDeep)) return out;
+    const auto lacks = [&](const Candidate& c) {
+      return c.fit.ok && !c.base && fits_.PerRow(c) > kExplained;
+    };
+    if (lacks(winner) && winner.score > before.score + Threshold(before, winner)) out.push_back(winner);
+    const Candidate* hidden = nullptr;
+    for (const auto& [key, c] : fits_.tried()) {
+      const bool fresh = c.round == round_ && lacks(c) && HasHiddenStates(c) && IsPart(before.specs, c.specs);
+      if (fresh && (hidden == nullptr || c.score > hidden->score)) hidden = &c;
+    }
+    if (hidden != nullptr && (out.empty() || KeyOf(hidden->specs) != KeyOf(out[0].specs)))
+      out.push_back(*hidden);
+    return out;
+  }
+
+  // An account with what is found beside it on the parameters as given, until nothing is missing: that costs
+  // little of what free parameters do.
+  Candidate Deeper(Candidate account) {
+    for (int more = 0; more < kDeeper && fits_.PerRow(account) > kExplained && !fits_.Late(kDeep); ++more) {
+      Candidate with = account;
+      const ScreenResult screened = Screened(account, false);
+      acceptance_.Note(screened, nominal_.joint_names());
+      trace_.Screen(screened, false);
+      TryAround(account, screened, 1.0, Threshold(account), 3, &with);
+      Tell("deeper", 0.1 + 0.2 * round_,
+           KeyOf(with.specs) + " gains " + std::to_string(with.score - account.score));
+      if (with.score <= account.score + Threshold(account, with)) break;
+      account = with;
+    }
+    return account;
+  }
+
+  // A law bends into part of what another, that is missing, leaves, and is then in its way: each kind of
+  // effect in turn makes place for what a screen around the others finds.
+  bool Substitute(Candidate* best) {
+    const std::set<std::string> kinds = FreshKinds(Candidate{}, *best);
+    if (kinds.size() < 2 || (data_.n > kLight && fits_.PerRow(*best) < kExplained)) return false;
+    for (const std::string& kind : kinds) {
+      if (fits_.Late()) return false;
+      std::vector<EffectSpec> specs = Refreshed(*best);
+      std::erase_if(specs, [&](const EffectSpec& s) { return s.id == kind; });
+      if (!substituted_.insert(KeyOf(specs, best->base)).second) continue;
+      const Candidate* known = fits_.Known(specs, best->base);
+      const Candidate from = known != nullptr ? *known : fits_.Evaluate(specs, best->base, best, 6, best);
+      if (!from.fit.ok) continue;
+      const ScreenResult screened = Screened(from, from.base);
+      acceptance_.Note(screened, nominal_.joint_names());
+      Candidate winner = *best;
+      TryAround(from, screened, 1.0, Threshold(from), 2, &winner);
+      if (KeyOf(winner.specs) == KeyOf(best->specs)) continue;
+      const bool more = FreshKinds(Candidate{}, winner).size() > kinds.size();
+      Tell("substitute", 0.1 + 0.2 * round_,
+           KeyOf(winner.specs) + " for " + kind + " gains " + std::to_string(winner.score - best->score));
+      if (winner.score <= best->score + (more ? Threshold(*best, winner) : kBetter)) continue;
+      *best = winner;
+      return true;
+    }
+    return false;
+  }
+
+  // Trials of what may be added to `from`; the best of them and of `winner`.
+  void TryAround(const Candidate& from, const ScreenResult& screened, double wanted, double needed,
+                 size_t count, Candidate* winner) {
+    const auto nearest = [&](const auto& starts, size_t most) {
+      return fits_.Nearest(from, from.base, starts, most);
+    };
+    const auto force = [&] { return Force(from); };
+    const auto pool = Trials(data_, nominal_, scales_, from, screened, wanted, force, nearest);
+    const bool holds = from.fit.ok && fits_.PerRow(from) < kHolds;
+    const auto promised = Promised(from, screened, nominal_, scales_, holds, needed, kPromised);
+    fits_.TryBest(from, pool, promised, from.base, count, winner);
   }
 
   // The best of all effects on the parameters as given that is as good an account as free ones alone; null:
@@ -359,10 +443,13 @@ class Search {
     if (fits_.PerRow(*winner) > kHolds && !fits_.Late()) *winner = Better(*winner, fits_.Anew(*winner));
   }
 
+  // Whether it leaves no more than the sensors' own noise; what is taken for noise may be what it leaves.
+  bool MeetsSensors(const Candidate& c) const { return fits_.PerRow(c) * fits_.noise_scale() < kExplained; }
+
   // The winner with each new kind of effect, or its newest, exchanged for what it is easily taken for.
-  void Siblings(const Candidate& before, Candidate* winner) {
+  bool Siblings(const Candidate& before, Candidate* winner) {
     const std::vector<EffectSpec> specs = Refreshed(*winner);
-    if (specs.empty()) return;
+    if (specs.empty()) return false;
     std::set<std::string> kinds = FreshKinds(before, *winner);
     if (kinds.empty()) kinds = {specs.back().id};
     std::vector<TrialSpecs> others;
@@ -376,127 +463,13 @@ class Search {
       const auto starts = OtherTransmission(s, nominal_, scales_);
       for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, starts, 1))
         others.push_back(Joined(specs, start));
+      if (MeetsSensors(*winner)) continue;
+      for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, OtherGaps(s), 2))
+        others.push_back(Joined(specs, start));
     }
+    const double before_others = winner->score;
     fits_.TryInPlace(others, winner);
-  }
-
-  // Takes out all at once what is about nothing.
-  void DropNothing(Candidate* best) {
-    const std::vector<EffectSpec> strong = StrongEffects(*best);
-    if (strong.empty() || strong.size() == best->specs.size() || fits_.Late(kPruned)) return;
-    const Candidate c = fits_.Evaluate(strong, best->base, best);
-    if (best->score < c.score + Threshold(c, *best)) *best = c;
-  }
-
-  // And one by one what the data do not pay for.
-  void Prune(Candidate* best) {
-    DropNothing(best);
-    bool changed = true;
-    while (changed && best->specs.size() > 1 && !fits_.Late(kPruned)) {
-      changed = false;
-      for (size_t i = 0; i < best->specs.size() && !changed; ++i) {
-        const bool sure = SurelyThere(*best, i, Threshold(*best));
-        std::vector<EffectSpec> specs = Refreshed(*best);
-        specs.erase(specs.begin() + static_cast<long>(i));
-        if (!sure) {
-          const Candidate c = fits_.Evaluate(specs, best->base, best, 4, best);
-          const double worth = OfAllJoints(best->specs, i) ? 0.0 : Threshold(c, *best);
-          if (best->score < c.score + worth) *best = c, changed = true;
-        }
-        if (!changed) changed = GivesWayToBodies(specs, i, best);
-      }
-    }
-  }
-
-  // What is small may stand for what the bodies differ by, as those of every URDF do: it gives way to them
-  // where they are the better account, or leave no more while it is not worth its name beside them. Free base
-  // parameters pay for differences of any size, which is why the better score is not asked of them; but what
-  // says in one number what takes bodies many is no such rival of theirs. Worth its name beside them it
-  // stays.
-  bool GivesWayToBodies(const std::vector<EffectSpec>& without, size_t i, Candidate* best) {
-    static const std::set<std::string> kSaysMore = {"payload", "rotor_inertia", "torque_gain",
-                                                    "gravity_misalignment", "encoder_offset"};
-    const double strength = Strength(*best, i);
-    if (best->base || OfAllJoints(best->specs, i) || 0.5 * strength * strength > kSmall * Explained(*best))
-      return false;
-    if (fits_.Late(kPruned)) return false;
-    const Candidate freed = fits_.Evaluate(without, true, best, 6, best);
-    const bool rival = kSaysMore.count(best->specs[i].id) == 0 && freed.fit.chi2 <= best->fit.chi2;
-    if (!freed.fit.ok || (!rival && freed.score < best->score + Threshold(*best, freed))) return false;
-    const Candidate both = fits_.Evaluate(Refreshed(*best), true, &freed, 6, best);
-    if (both.score > freed.score + Threshold(freed, both)) return false;
-    Replace(freed, best);
-    return true;
-  }
-
-  // By what is the likelier account though its score may be less: nor is the old one found again.
-  void Replace(const Candidate& by, Candidate* best) {
-    double& known = fits_.tried()[KeyOf(best->specs) + (best->base ? "+base" : "")].score;
-    known = std::min(known, by.score);
-    *best = by;
-  }
-
-  // Of a richer form the plain one that it holds: of dry friction that of one level, of play the spring that
-  // its faces are, of a spring the rotor behind it.
-  TrialSpecs PlainForm(const Candidate& c, const std::string& id) const {
-    TrialSpecs specs = Refreshed(c);
-    if (id == "joint_elasticity") return WithoutSprings(specs);
-    if (id != "backlash") return Exchanges(specs, id, nominal_, scales_).front();
-    for (EffectSpec& s : specs) {
-      if (s.id == id) s = OtherTransmission(s, nominal_, scales_).front().front();
-    }
-    return specs;
-  }
-
-  // A richer form that is not worth more than the plain one gives way to it.
-  void Plainer(Candidate* best) {
-    std::vector<std::string> richer(std::begin(kRicherFriction), std::end(kRicherFriction));
-    richer.insert(richer.end(), {"backlash", "joint_elasticity"});
-    for (const std::string& id : richer) {
-      const TrialSpecs specs = PlainForm(*best, id);
-      if (KeyOf(specs) == KeyOf(best->specs) || fits_.Late(kPruned)) continue;
-      const Candidate* known = fits_.Known(specs, best->base);
-      // What it holds as a special case cannot be better: the plain one's fit had not found its way.
-      const bool done = known != nullptr && known->score >= best->score;
-      const Candidate plain = done ? *known : fits_.Evaluate(specs, best->base, best, 6, best);
-      // A spring is no matter of its rotor's form: it need only be the better account.
-      const double needed = id == "joint_elasticity" ? 1.0 : Threshold(plain, *best);
-      if (best->score >= plain.score + needed) continue;
-      // What the form may pretend is not held for it when rivals are weighed.
-      fits_.tried()[KeyOf(best->specs) + (best->base ? "+base" : "")].score -= needed;
-      *best = plain;
-    }
-  }
-
-  // A rotor on the first joint alone is the first body's inertia about its axis: beside another effect the
-  // body is the likelier of the two, and is named where it leaves no more.
-  void FirstRotor(Candidate* best) {
-    TrialSpecs specs = Refreshed(*best);
-    const auto rotor = [](const EffectSpec& s) { return s.id == "rotor_inertia"; };
-    const bool alone = std::count_if(specs.begin(), specs.end(), rotor) == 1;
-    std::erase_if(specs, [&](const EffectSpec& s) {
-      return rotor(s) && s.joints == std::vector<std::string>{nominal_.joint_names()[0]};
-    });
-    if (!alone || specs.empty() || specs.size() == best->specs.size() || best->base || fits_.Late(kPruned) ||
-        !nominal_.model().joint(0).is_revolute())
-      return;
-    const Candidate body = fits_.Evaluate(specs, true, best, 6, best);
-    const double more = 0.5 * (body.fit.chi2 - best->fit.chi2) / fits_.noise_scale();
-    if (body.fit.ok && more < 1) Replace(body, best);
-  }
-
-  // A richer form on several joints may bend into what is plain on one of them, and one kind of effect costs
-  // less than two: each joint has a try with a plain law of its own, which must bring what any further name
-  // must.
-  void OwnLaws(Candidate* best) {
-    for (bool changed = true; changed && !fits_.Late();) {
-      Candidate own = *best;
-      std::vector<TrialSpecs> others = PlainOnOneJoint(Refreshed(*best), nominal_, scales_);
-      std::erase_if(others, [&](const TrialSpecs& o) { return fits_.Known(o, best->base) != nullptr; });
-      fits_.TryInPlace(others, &own);
-      changed = own.score > best->score + Threshold(*best, own);
-      if (changed) *best = own;
-    }
+    return winner->score > before_others + kBetter;
   }
 
   const FitData& data_;
@@ -507,11 +480,13 @@ class Search {
   const ProgressFn& progress_;
   Trace trace_;
   FitLedger fits_;
+  Simplifier simplifier_;
   int round_ = 0;
   Acceptance acceptance_;
   std::vector<VectorXd> step_rule_;
   FeatureSet features_;
-  std::vector<EffectSpec> given_;  // that the model has which the search starts from
+  std::set<std::string> substituted_;  // what something was looked for beside, in the place of a kind
+  std::vector<EffectSpec> given_;      // that the model has which the search starts from
 };
 
 }  // namespace

@@ -156,6 +156,18 @@ TEST(Diagnose, NamesBothOfTwoEffects) {
   EXPECT_EQ(names, (std::set<std::string>{"coulomb_friction", "torque_ripple"}));
 }
 
+TEST(Diagnose, DragBesideDryFrictionIsNoFrictionThatGrowsWithSpeed) {
+  const DiagnosisResult r =
+      Diagnosed(testing::MakeSet("pendulum",
+                                 {MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.08}}),
+                                  MakeSpec("quadratic_drag", {Pivot()}, {{"quadratic", 0.1}})},
+                                 19));
+  EXPECT_EQ(r.verdict, "unmodelled_physics");
+  std::set<std::string> names;
+  for (const Finding& f : r.findings) names.insert(f.effect);
+  EXPECT_EQ(names, (std::set<std::string>{"coulomb_friction", "quadratic_drag"}));
+}
+
 TEST(Diagnose, TellsAStiffSpringFromTheRotorBehindIt) {
   const DiagnosisResult r = Diagnosed(
       testing::MakeSet("pendulum",

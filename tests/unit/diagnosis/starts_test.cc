@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <set>
 #include <utility>
 
 #include "services/diagnosis/field_starts.h"
@@ -51,6 +52,21 @@ struct Case {
 };
 
 double PerRow(const FitResult& fit) { return fit.chi2 / fit.rows; }
+
+TEST(OtherGaps, AreOfPlayAloneAndEachAnother) {
+  const EffectSpec play = MakeSpec("backlash", {"elbow"}, {{"gap", 0.01}, {"contact_stiffness", 900.0}});
+  const auto others = OtherGaps(play);
+  ASSERT_GE(others.size(), 4u);
+  std::set<double> gaps = {0.01};
+  for (const auto& other : others) {
+    ASSERT_EQ(other.size(), 1u);
+    EXPECT_TRUE(gaps.insert(other[0].values.at("elbow").at("gap")).second);
+    EXPECT_EQ(other[0].values.at("elbow").at("contact_stiffness"), 900.0);
+  }
+  EXPECT_LT(*gaps.begin(), 0.01);
+  EXPECT_GT(*gaps.rbegin(), 0.01);
+  EXPECT_TRUE(OtherGaps(MakeSpec("joint_elasticity", {"elbow"}, {{"stiffness", 900.0}})).empty());
+}
 
 TEST(ContactStarts, FindsTheSurfaceAndThePointThatMeetsIt) {
   // The forearm's own origin, the elbow, is what meets the floor.

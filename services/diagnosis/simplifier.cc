@@ -1,0 +1,145 @@
+#include "services/diagnosis/simplifier.h"
+
+#include <algorithm>
+#include <iterator>
+#include <set>
+
+#include "common/model/robot_model.h"
+#include "services/diagnosis/hypotheses.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+
+namespace {
+
+constexpr double kPruned = 2.0;  // of all work, to take out what is not needed
+constexpr double kSmall = 0.01;  // of what all effects explain
+
+}  // namespace
+
+void Simplifier::Run(Candidate* best) {
+  Prune(best);
+  Plainer(best);
+  OwnLaws(best);
+  FirstRotor(best);
+}
+
+void Simplifier::DropNothing(Candidate* best) {
+  const std::vector<EffectSpec> strong = StrongEffects(*best);
+  if (strong.empty() || strong.size() == best->specs.size() || fits_.Late(kPruned)) return;
+  const Candidate c = fits_.Evaluate(strong, best->base, best);
+  if (best->score < c.score + needed_(c, *best)) *best = c;
+}
+
+void Simplifier::Prune(Candidate* best) {
+  DropNothing(best);
+  bool changed = true;
+  while (changed && best->specs.size() > 1 && !fits_.Late(kPruned)) {
+    changed = false;
+    for (size_t i = 0; i < best->specs.size() && !changed; ++i) {
+      const bool sure = SurelyThere(*best, i, needed_(*best, *best));
+      std::vector<EffectSpec> specs = Refreshed(*best);
+      specs.erase(specs.begin() + static_cast<long>(i));
+      if (!sure) {
+        const Candidate c = fits_.Evaluate(specs, best->base, best, 4, best);
+        const double worth = OfAllJoints(best->specs, i) ? 0.0 : needed_(c, *best);
+        if (best->score < c.score + worth) *best = c, changed = true;
+      }
+      if (!changed) changed = GivesWayToBodies(specs, i, best);
+    }
+  }
+}
+
+// What is small may stand for what the bodies differ by, as those of every URDF do: it gives way to them
+// where they are the better account, or leave no more while it is not worth its name beside them. Free base
+// parameters pay for differences of any size, which is why the better score is not asked of them; but what
+// says in one number what takes bodies many is no such rival of theirs. Worth its name beside them it
+// stays.
+bool Simplifier::GivesWayToBodies(const std::vector<EffectSpec>& without, size_t i, Candidate* best) {
+  static const std::set<std::string> kSaysMore = {"payload", "rotor_inertia", "torque_gain",
+                                                  "gravity_misalignment", "encoder_offset"};
+  const double strength = Strength(*best, i);
+  if (best->base || OfAllJoints(best->specs, i) || 0.5 * strength * strength > kSmall * explained_(*best))
+    return false;
+  if (fits_.Late(kPruned)) return false;
+  const Candidate freed = fits_.Evaluate(without, true, best, 6, best);
+  const bool rival = kSaysMore.count(best->specs[i].id) == 0 && freed.fit.chi2 <= best->fit.chi2;
+  if (!freed.fit.ok || (!rival && freed.score < best->score + needed_(*best, freed))) return false;
+  const Candidate both = fits_.Evaluate(Refreshed(*best), true, &freed, 6, best);
+  if (both.score > freed.score + needed_(freed, both)) return false;
+  Replace(freed, best);
+  return true;
+}
+
+// By what is the likelier account though its score may be less: nor is the old one found again.
+void Simplifier::Replace(const Candidate& by, Candidate* best) {
+  double& known = fits_.tried()[KeyOf(best->specs, best->base)].score;
+  known = std::min(known, by.score);
+  *best = by;
+}
+
+// Of a richer form the plain one that it holds: of dry friction that of one level, of play the spring that
+// its faces are, of a spring the rotor behind it.
+TrialSpecs Simplifier::PlainForm(const Candidate& c, const std::string& id) const {
+  TrialSpecs specs = Refreshed(c);
+  if (id == "joint_elasticity") return WithoutSprings(specs);
+  if (id != "backlash") return Exchanges(specs, id, setting_.nominal, setting_.scales).front();
+  for (EffectSpec& s : specs) {
+    if (s.id == id) s = OtherTransmission(s, setting_.nominal, setting_.scales).front().front();
+  }
+  return specs;
+}
+
+// A richer form that is not worth more than the plain one gives way to it.
+void Simplifier::Plainer(Candidate* best) {
+  std::vector<std::string> richer(std::begin(kRicherFriction), std::end(kRicherFriction));
+  richer.insert(richer.end(), {"backlash", "joint_elasticity"});
+  for (const std::string& id : richer) {
+    const TrialSpecs specs = PlainForm(*best, id);
+    if (KeyOf(specs) == KeyOf(best->specs) || fits_.Late(kPruned)) continue;
+    const Candidate* known = fits_.Known(specs, best->base);
+    // What it holds as a special case cannot be better: the plain one's fit had not found its way.
+    const bool done = known != nullptr && known->score >= best->score;
+    const Candidate plain = done ? *known : fits_.Evaluate(specs, best->base, best, 6, best);
+    // A spring is no matter of its rotor's form: it need only be the better account.
+    const double needed = id == "joint_elasticity" ? 1.0 : needed_(plain, *best);
+    if (best->score >= plain.score + needed) continue;
+    // What the form may pretend is not held for it when rivals are weighed.
+    fits_.tried()[KeyOf(best->specs, best->base)].score -= needed;
+    *best = plain;
+  }
+}
+
+// A rotor on the first joint alone is the first body's inertia about its axis: beside another effect the
+// body is the likelier of the two, and is named where it leaves no more.
+void Simplifier::FirstRotor(Candidate* best) {
+  TrialSpecs specs = Refreshed(*best);
+  const auto rotor = [](const EffectSpec& s) { return s.id == "rotor_inertia"; };
+  const bool alone = std::count_if(specs.begin(), specs.end(), rotor) == 1;
+  std::erase_if(specs, [&](const EffectSpec& s) {
+    return rotor(s) && s.joints == std::vector<std::string>{setting_.nominal.joint_names()[0]};
+  });
+  if (!alone || specs.empty() || specs.size() == best->specs.size() || best->base || fits_.Late(kPruned) ||
+      !setting_.nominal.model().joint(0).is_revolute())
+    return;
+  const Candidate body = fits_.Evaluate(specs, true, best, 6, best);
+  const double more = 0.5 * (body.fit.chi2 - best->fit.chi2) / fits_.noise_scale();
+  if (body.fit.ok && more < 1) Replace(body, best);
+}
+
+// A richer form on several joints may bend into what is plain on one of them, and one kind of effect costs
+// less than two: each joint has a try with a plain law of its own, which must bring what any further name
+// must.
+void Simplifier::OwnLaws(Candidate* best) {
+  for (bool changed = true; changed && !fits_.Late();) {
+    Candidate own = *best;
+    std::vector<TrialSpecs> others = PlainOnOneJoint(Refreshed(*best), setting_.nominal, setting_.scales);
+    std::erase_if(others, [&](const TrialSpecs& o) { return fits_.Known(o, best->base) != nullptr; });
+    fits_.TryInPlace(others, &own);
+    changed = own.score > best->score + needed_(*best, own);
+    if (changed) *best = own;
+  }
+}
+
+}  // namespace rg::diagnosis
