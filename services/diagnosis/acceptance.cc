@@ -40,6 +40,10 @@ size_t Names(const Candidate& c) { return FreshKinds(Candidate{}, c).size() + (c
 
 void Acceptance::Note(const ScreenResult& screened, const std::vector<std::string>& joint_names) {
   null_gain_ = std::max(screened.null_gain, 3.0);
+  NoteStepRules(screened, joint_names);
+}
+
+void Acceptance::NoteStepRules(const ScreenResult& screened, const std::vector<std::string>& joint_names) {
   for (const Scored& h : screened.hypotheses) {
     std::set<std::string> joints;
     for (const int j : h.joints) joints.insert(joint_names[static_cast<size_t>(j)]);

@@ -28,6 +28,9 @@ class Acceptance {
   // Takes in a screen; the largest step-rule gain of each hypothesis so far is kept.
   void Note(const ScreenResult& screened, const std::vector<std::string>& joint_names);
 
+  // The step-rule gains alone, of a screen that is not of the account at hand.
+  void NoteStepRules(const ScreenResult& screened, const std::vector<std::string>& joint_names);
+
   // Takes in what free base parameters would gain from another step rule alone.
   void NoteBase(const FitData& data, const Candidate& calibrated, const LiftedOptions& options);
 

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <set>
 
-#include "common/model/robot_model.h"
 #include "services/diagnosis/acceptance.h"
 #include "services/diagnosis/field_starts.h"
 #include "services/diagnosis/fit_ledger.h"
@@ -29,8 +28,8 @@ constexpr size_t kPromised = 3;       // by a screen, that are fitted without a 
 constexpr int kSentBack = 3;          // times that recordings kept aside may refuse an account
 constexpr int kExchanged = 3;         // times that what is easily taken for each other changes places
 constexpr int kDeeper = 2;            // kinds beside a first one, before parameters are freed
-constexpr double kDeep = 0.5;         // of all work, after which none of that is begun
-constexpr int kLight = 2;             // joints up to which a round costs little
+constexpr double kDeep = 0.5;         // of all work, after which none of that, nor a substitute, is begun
+constexpr int kFewJoints = 2;         // joints up to which a round costs little
 constexpr double kBetter = 1.0;       // nats: as many names need only be the better account
 
 class Search {
@@ -48,6 +47,7 @@ class Search {
         fits_(setting_, options, threads, trace_, cancel),
         simplifier_(
             setting_, fits_, [this](const Candidate& a, const Candidate& b) { return Threshold(a, b); },
+            [this](const Candidate& c) { return Threshold(c); },
             [this](const Candidate& c) { return Explained(c); }) {}
 
   SearchResult Run() {
@@ -78,7 +78,8 @@ class Search {
       const bool added = AddOne(&best);
       if (!added) break;
       // What had seemed to leave nothing may have ended on its way.
-      if (LowerNoise(&best, &out) && !MeetsSensors(best)) Siblings(Candidate{}, &best);
+      if (LowerNoise(&best, &out) && !MeetsSensors(best) && !fits_.Late() && Siblings(Candidate{}, &best))
+        simplifier_.Run(&best);
       // What little a surface leaves is its own coarseness, and no further name.
       const double nothing = 0.98 + 0.02 * std::min(fits_.PerRow(out.nominal), fits_.PerRow(out.calibrated));
       if ((round_ == 1 || OfPosition(best)) && Flexible(&best, std::max(kExplained, nothing))) break;
@@ -180,8 +181,9 @@ class Search {
       if (fits_.Late()) break;
       // Hidden states and unnamed forces fit nearly anything: an account with them has those with free
       // parameters as its rivals.
-      if (base && !(best->base && (HasUnnamed(winner) || HasHiddenStates(winner))) &&
-          fits_.PerRow(winner) < kExplained && winner.score > best->score + Threshold(*best, winner))
+      const bool flexible = best->base && (HasUnnamed(winner) || HasHiddenStates(winner));
+      if (base && !flexible && fits_.PerRow(winner) < kExplained &&
+          winner.score > best->score + Threshold(*best, winner))
         break;
       const Candidate* own = base == best->base ? best : fits_.Known(best->specs, !best->base);
       if (own == nullptr || !own->fit.ok) continue;
@@ -237,18 +239,18 @@ class Search {
       if (!same && justified.score < best->score + Threshold(*best, justified)) return false;
       *best = justified;
       simplifier_.Run(best);
-      while (Substitute(best)) simplifier_.Prune(best);
+      while (Substitute(best)) simplifier_.Run(best);
     }
     return accept;
   }
 
-  // Accounts on the parameters as given that something may be missing beside: the best, and the best with
-  // states that no sensor reads.
+  // Accounts by name on the parameters as given that something may be missing beside: the best, and the best
+  // with states that no sensor reads.
   std::vector<Candidate> Beginnings(const Candidate& before, const Candidate& winner) {
     std::vector<Candidate> out;
-    if (fits_.Late(kDeep)) return out;
+    if (fits_.Late(kDeep) || fits_.PerRow(winner) < kExplained) return out;
     const auto lacks = [&](const Candidate& c) {
-      return c.fit.ok && !c.base && fits_.PerRow(c) > kExplained;
+      return c.fit.ok && !c.base && !HasUnnamed(c) && fits_.PerRow(c) > kExplained;
     };
     if (lacks(winner) && winner.score > before.score + Threshold(before, winner)) out.push_back(winner);
     const Candidate* hidden = nullptr;
@@ -267,12 +269,12 @@ class Search {
     for (int more = 0; more < kDeeper && fits_.PerRow(account) > kExplained && !fits_.Late(kDeep); ++more) {
       Candidate with = account;
       const ScreenResult screened = Screened(account, false);
-      acceptance_.Note(screened, nominal_.joint_names());
+      acceptance_.NoteStepRules(screened, nominal_.joint_names());
       trace_.Screen(screened, false);
       TryAround(account, screened, 1.0, Threshold(account), 3, &with);
       Tell("deeper", 0.1 + 0.2 * round_,
            KeyOf(with.specs) + " gains " + std::to_string(with.score - account.score));
-      if (with.score <= account.score + Threshold(account, with)) break;
+      if (HasUnnamed(with) || with.score <= account.score + Threshold(account, with)) break;
       account = with;
     }
     return account;
@@ -282,21 +284,24 @@ class Search {
   // effect in turn makes place for what a screen around the others finds.
   bool Substitute(Candidate* best) {
     const std::set<std::string> kinds = FreshKinds(Candidate{}, *best);
-    if (kinds.size() < 2 || (data_.n > kLight && fits_.PerRow(*best) < kExplained)) return false;
+    if (kinds.size() < 2 || HasUnnamed(*best) || (data_.n > kFewJoints && fits_.PerRow(*best) < kExplained))
+      return false;
     for (const std::string& kind : kinds) {
-      if (fits_.Late()) return false;
+      if (fits_.Late(kDeep)) return false;
       std::vector<EffectSpec> specs = Refreshed(*best);
       std::erase_if(specs, [&](const EffectSpec& s) { return s.id == kind; });
       if (!substituted_.insert(KeyOf(specs, best->base)).second) continue;
       const Candidate* known = fits_.Known(specs, best->base);
-      const Candidate from = known != nullptr ? *known : fits_.Evaluate(specs, best->base, best, 6, best);
+      const Candidate from = known != nullptr ? *known : fits_.Evaluate(specs, best->base, best);
       if (!from.fit.ok) continue;
       const ScreenResult screened = Screened(from, from.base);
-      acceptance_.Note(screened, nominal_.joint_names());
+      acceptance_.NoteStepRules(screened, nominal_.joint_names());
       Candidate winner = *best;
       TryAround(from, screened, 1.0, Threshold(from), 2, &winner);
       if (KeyOf(winner.specs) == KeyOf(best->specs)) continue;
-      const bool more = FreshKinds(Candidate{}, winner).size() > kinds.size();
+      const bool known_before =
+          std::any_of(given_.begin(), given_.end(), [&](const EffectSpec& s) { return s.id == kind; });
+      const bool more = known_before || FreshKinds(Candidate{}, winner).size() > kinds.size();
       Tell("substitute", 0.1 + 0.2 * round_,
            KeyOf(winner.specs) + " for " + kind + " gains " + std::to_string(winner.score - best->score));
       if (winner.score <= best->score + (more ? Threshold(*best, winner) : kBetter)) continue;
@@ -446,7 +451,8 @@ class Search {
   // Whether it leaves no more than the sensors' own noise; what is taken for noise may be what it leaves.
   bool MeetsSensors(const Candidate& c) const { return fits_.PerRow(c) * fits_.noise_scale() < kExplained; }
 
-  // The winner with each new kind of effect, or its newest, exchanged for what it is easily taken for.
+  // Whether a better account was found: the winner with each new kind of effect, or its newest, exchanged for
+  // what it is easily taken for.
   bool Siblings(const Candidate& before, Candidate* winner) {
     const std::vector<EffectSpec> specs = Refreshed(*winner);
     if (specs.empty()) return false;

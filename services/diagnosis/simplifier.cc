@@ -38,7 +38,7 @@ void Simplifier::Prune(Candidate* best) {
   while (changed && best->specs.size() > 1 && !fits_.Late(kPruned)) {
     changed = false;
     for (size_t i = 0; i < best->specs.size() && !changed; ++i) {
-      const bool sure = SurelyThere(*best, i, needed_(*best, *best));
+      const bool sure = SurelyThere(*best, i, beside_(*best));
       std::vector<EffectSpec> specs = Refreshed(*best);
       specs.erase(specs.begin() + static_cast<long>(i));
       if (!sure) {

@@ -4,6 +4,7 @@
 
 #include <functional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "services/diagnosis/fit_ledger.h"
@@ -12,14 +13,19 @@ namespace rg::diagnosis {
 
 class Simplifier {
  public:
-  // needed(a, b): log evidence that b must bring in the place of a. explained(c): what the effects of c
-  // bring.
+  // needed(a, b): log evidence that b must bring in the place of a. beside(c): that any addition to c must.
+  // explained(c): what the effects of c bring.
   Simplifier(const FitSetting& setting, FitLedger& fits,
              std::function<double(const Candidate&, const Candidate&)> needed,
+             std::function<double(const Candidate&)> beside,
              std::function<double(const Candidate&)> explained)
-      : setting_(setting), fits_(fits), needed_(std::move(needed)), explained_(std::move(explained)) {}
+      : setting_(setting),
+        fits_(fits),
+        needed_(std::move(needed)),
+        beside_(std::move(beside)),
+        explained_(std::move(explained)) {}
 
-  // All of what follows, in the order of what it costs.
+  // All of it: Prune, then plainer laws in the place of richer ones.
   void Run(Candidate* best);
   // Takes out what is about nothing, and one by one what the data do not pay for.
   void Prune(Candidate* best);
@@ -37,7 +43,7 @@ class Simplifier {
   const FitSetting& setting_;
   FitLedger& fits_;
   std::function<double(const Candidate&, const Candidate&)> needed_;
-  std::function<double(const Candidate&)> explained_;
+  std::function<double(const Candidate&)> beside_, explained_;
 };
 
 }  // namespace rg::diagnosis

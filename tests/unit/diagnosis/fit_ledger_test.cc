@@ -51,19 +51,19 @@ TEST_F(FitLedgerTest, WhatIsPromisedIsFittedOnAllWindowsWithoutATrial) {
 // Bristles can be made to look viscous: on a joint that has no more than that the plain law is the better
 // account.
 TEST(FitLedger, OfARicherFormAJointMayTurnOutPlain) {
-  const auto p = testing::Prepare("arm2",
-                                  {MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.4}}),
-                                   MakeSpec("asymmetric_friction", {"elbow"},
-                                            {{"coulomb_positive", 0.5}, {"coulomb_negative", 0.2}})},
-                                  43);
+  const auto p = testing::Prepare(
+      "arm2",
+      {MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.4}}),
+       MakeSpec("asymmetric_friction", {"elbow"}, {{"coulomb_positive", 0.5}, {"coulomb_negative", 0.2}})},
+      43);
   const FitSetting setting{p->data, p->nominal, p->scales};
   const FakeClock clock;
   const Trace trace{clock};
   FitLedger ledger{setting, p->options, 1, trace, nullptr};
   TrialSpecs both;
   for (const char* joint : {"shoulder", "elbow"}) {
-    both.push_back(MakeSpec("asymmetric_friction", {joint},
-                            {{"coulomb_positive", 0.5}, {"coulomb_negative", 0.2}}));
+    both.push_back(
+        MakeSpec("asymmetric_friction", {joint}, {{"coulomb_positive", 0.5}, {"coulomb_negative", 0.2}}));
   }
   Candidate winner = ledger.Evaluate(both, false);
   const TrialSpecs fitted = Refreshed(winner);
@@ -73,6 +73,15 @@ TEST(FitLedger, OfARicherFormAJointMayTurnOutPlain) {
   ledger.TryInPlace(others, &winner);
   EXPECT_TRUE(Contains(winner.specs, "viscous_friction", "shoulder"));
   EXPECT_TRUE(Contains(winner.specs, "asymmetric_friction", "elbow"));
+}
+
+TEST_F(FitLedgerTest, ASwingingMassStandsBesideOthersOnlyWhereTheyHold) {
+  const effects::EffectSpec mass = MakeSpec("sloshing_payload", {}, {{"mass", 0.05}}),
+                            drag = MakeSpec("quadratic_drag", {joint_}, {{"quadratic", 0.01}});
+  const Candidate both = ledger_.Evaluate({drag, mass}, false), alone = ledger_.Evaluate({mass}, false);
+  ASSERT_GT(ledger_.PerRow(both), kHolds);
+  EXPECT_FALSE(both.fit.ok);
+  EXPECT_EQ(alone.fit.ok, !Unseen(alone));
 }
 
 TEST_F(FitLedgerTest, AllScoresAreBroughtToAnotherNoise) {

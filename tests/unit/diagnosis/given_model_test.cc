@@ -68,5 +68,23 @@ TEST(GivenModel, WhatItHasIsNoFindingAndWhatItLacksIs) {
   EXPECT_EQ(whole.verdict, "no_mismatch");
 }
 
+// Its friction drops with speed; drag that it lacks bends it the other way until that is found.
+TEST(GivenModel, WhatItHasIsNotDoubtedWhileSomethingIsMissing) {
+  const std::string pivot = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  const effects::EffectSpec friction = MakeSpec(
+      "stribeck_friction", {pivot}, {{"coulomb", 0.10}, {"static", 0.12}, {"stribeck_velocity", 0.3}});
+  const auto set = testing::MakeSet(
+      "pendulum", {friction, MakeSpec("quadratic_drag", {pivot}, {{"quadratic", 0.2}})}, 10, 2.0);
+  const sim::Plant urdf = sysid::NominalPlant(set).value();
+  const sim::Plant plant = sim::Plant::Create(urdf.shared_model(), urdf.options(), {friction}).value();
+  DiagnosisOptions options;
+  options.threads = 1;
+  options.model = sim::ModelFile{plant, plant.parameters().Nominal(), 0};
+  const auto result = Diagnose(set, options, RealClock()).value();
+  EXPECT_EQ(result.verdict, "unmodelled_physics");
+  ASSERT_FALSE(result.findings.empty());
+  EXPECT_EQ(result.findings[0].effect, "quadratic_drag");
+}
+
 }  // namespace
 }  // namespace rg::diagnosis
