@@ -204,7 +204,9 @@ class Search {
       TryAround(from, screened, wanted, Threshold(*best), base ? 3 : 4, &winner);
       if (base || (best->base && round_ > 1)) continue;
       for (const Candidate& start : Beginnings(*best, winner)) deeper = Better(deeper, Deeper(start));
-      if (fits_.PerRow(deeper) < kExplained && deeper.score > winner.score + Threshold(winner, deeper))
+      // Where parameters alone explain something, several names have theirs as rivals: a URDF is off oftener.
+      if (!best->base && fits_.PerRow(deeper) < kExplained &&
+          deeper.score > winner.score + Threshold(winner, deeper))
         winner = deeper;
     }
     if (deeper.score > winner.score + Threshold(winner, deeper)) winner = deeper;
