@@ -12,6 +12,7 @@
 #include "services/diagnosis/own_chi2.h"
 #include "services/diagnosis/screen_columns.h"
 #include "services/diagnosis/simplifier.h"
+#include "services/diagnosis/swing_starts.h"
 #include "services/diagnosis/trace.h"
 #include "services/diagnosis/trials.h"
 
@@ -29,7 +30,6 @@ constexpr int kSentBack = 3;          // times that recordings kept aside may re
 constexpr int kExchanged = 3;         // times that what is easily taken for each other changes places
 constexpr int kDeeper = 2;            // kinds beside a first one, before parameters are freed
 constexpr double kDeep = 0.5;         // of all work, after which none of that, nor a substitute, is begun
-constexpr int kFewJoints = 2;         // joints up to which a round costs little
 constexpr double kBetter = 1.0;       // nats: as many names need only be the better account
 
 class Search {
@@ -257,7 +257,8 @@ class Search {
     if (lacks(winner) && winner.score > before.score + Threshold(before, winner)) out.push_back(winner);
     const Candidate* hidden = nullptr;
     for (const auto& [key, c] : fits_.tried()) {
-      const bool fresh = c.round == round_ && lacks(c) && HasHiddenStates(c) && IsPart(before.specs, c.specs);
+      const bool fresh = c.round == round_ && lacks(c) && HasHiddenStates(c) && !HasMassInSprings(c.specs) &&
+                         IsPart(before.specs, c.specs);
       if (fresh && (hidden == nullptr || c.score > hidden->score)) hidden = &c;
     }
     if (hidden != nullptr && (out.empty() || KeyOf(hidden->specs) != KeyOf(out[0].specs)))
@@ -286,8 +287,7 @@ class Search {
   // effect in turn makes place for what a screen around the others finds.
   bool Substitute(Candidate* best) {
     const std::set<std::string> kinds = FreshKinds(Candidate{}, *best);
-    if (kinds.size() < 2 || HasUnnamed(*best) || (data_.n > kFewJoints && fits_.PerRow(*best) < kExplained))
-      return false;
+    if (kinds.size() < 2 || HasUnnamed(*best) || fits_.PerRow(*best) < kExplained) return false;
     for (const std::string& kind : kinds) {
       if (fits_.Late(kDeep)) return false;
       std::vector<EffectSpec> specs = Refreshed(*best);
