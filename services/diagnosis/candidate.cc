@@ -65,6 +65,15 @@ bool Contains(const std::vector<EffectSpec>& specs, const std::string& id, const
   return false;
 }
 
+bool HasKind(const std::vector<EffectSpec>& specs, const std::string& id) {
+  return std::any_of(specs.begin(), specs.end(), [&](const EffectSpec& s) { return s.id == id; });
+}
+
+std::vector<EffectSpec> WithoutKind(std::vector<EffectSpec> specs, const std::string& id) {
+  std::erase_if(specs, [&](const EffectSpec& s) { return s.id == id; });
+  return specs;
+}
+
 bool IsPart(const std::vector<EffectSpec>& part, const std::vector<EffectSpec>& whole) {
   return std::all_of(part.begin(), part.end(), [&](const EffectSpec& s) {
     return std::any_of(whole.begin(), whole.end(),

@@ -41,6 +41,11 @@ bool IsUnnamed(const std::string& id);
 // Whether the effect acts there already; joint "": on the robot as a whole.
 bool Contains(const std::vector<effects::EffectSpec>& specs, const std::string& id, const std::string& joint);
 
+// Whether any effect of this kind is among them.
+bool HasKind(const std::vector<effects::EffectSpec>& specs, const std::string& id);
+// The effects without those of this kind.
+std::vector<effects::EffectSpec> WithoutKind(std::vector<effects::EffectSpec> specs, const std::string& id);
+
 // Whether all effects of `part`, on their joints, are among `whole`.
 bool IsPart(const std::vector<effects::EffectSpec>& part, const std::vector<effects::EffectSpec>& whole);
 

@@ -114,11 +114,6 @@ FitRequest FitLedger::WholeFit(const std::vector<EffectSpec>& specs, bool base,
   return request;
 }
 
-bool FitLedger::Given(const std::string& id) const {
-  const auto& effects = setting_.nominal.effects();
-  return std::any_of(effects.begin(), effects.end(), [&](const EffectSpec& e) { return e.id == id; });
-}
-
 Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   Candidate c = Unfitted(setting_, request.specs, request.base);
   work_ += fit.work;
@@ -126,11 +121,12 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   c.round = round_;
   // A few windows need not show what all of them do, as a limit that is seldom reached.
   c.fit.ok = c.fit.ok && (!request.places.empty() || !Unseen(c));
+  const auto& given = setting_.nominal.effects();
   // Nor what a trial makes of a law on its way; and what a given model has is not doubted.
-  if (request.places.empty() && !Given("stribeck_friction")) c.fit.ok = c.fit.ok && Drops(c);
+  if (request.places.empty() && !HasKind(given, "stribeck_friction")) c.fit.ok = c.fit.ok && Drops(c);
   // A swinging mass takes in some of nearly anything: beside other names it is there where they hold.
   const bool beside = HasMassInSprings(c.specs) && FreshKinds(Candidate{}, c).size() > 1;
-  if (request.places.empty() && beside && !Given("sloshing_payload"))
+  if (request.places.empty() && beside && !HasKind(given, "sloshing_payload"))
     c.fit.ok = c.fit.ok && PerRow(c) < kHolds;
   // While much is left a ripple's period is bent by it.
   if (c.fit.ok && PerRow(c) < kHolds) c.fit.ok = Repeats(c, setting_.scales, PerRow(c));

@@ -77,8 +77,6 @@ class FitLedger {
                       const Candidate* rival = nullptr) const;
   void TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner);
   FitRequest Trial(const Candidate& from, bool base, std::shared_ptr<const Candidate> start) const;
-  // Whether the model that the search starts from has it.
-  bool Given(const std::string& id) const;
   FitResult Made(const FitRequest& request);
   Candidate Fitted(const FitRequest& request, FitResult fit);
   Candidate Tried(const FitRequest& request, FitResult fit);

@@ -271,10 +271,7 @@ class Search {
   Candidate Deeper(Candidate account) {
     for (int more = 0; more < kDeeper && fits_.PerRow(account) > kExplained && !fits_.Late(kDeep); ++more) {
       Candidate with = account;
-      const ScreenResult screened = Screened(account, false);
-      acceptance_.NoteStepRules(screened, nominal_.joint_names());
-      trace_.Screen(screened, false);
-      TryAround(account, screened, 1.0, Threshold(account), 3, &with);
+      LookBeside(account, 3, &with);
       Tell("deeper", 0.1 + 0.2 * round_,
            KeyOf(with.specs) + " gains " + std::to_string(with.score - account.score));
       if (HasUnnamed(with) || with.score <= account.score + Threshold(account, with)) break;
@@ -290,20 +287,15 @@ class Search {
     if (kinds.size() < 2 || HasUnnamed(*best) || fits_.PerRow(*best) < kExplained) return false;
     for (const std::string& kind : kinds) {
       if (fits_.Late(kDeep)) return false;
-      std::vector<EffectSpec> specs = Refreshed(*best);
-      std::erase_if(specs, [&](const EffectSpec& s) { return s.id == kind; });
+      const std::vector<EffectSpec> specs = WithoutKind(Refreshed(*best), kind);
       if (!substituted_.insert(KeyOf(specs, best->base)).second) continue;
       const Candidate* known = fits_.Known(specs, best->base);
       const Candidate from = known != nullptr ? *known : fits_.Evaluate(specs, best->base, best);
       if (!from.fit.ok) continue;
-      const ScreenResult screened = Screened(from, from.base);
-      acceptance_.NoteStepRules(screened, nominal_.joint_names());
       Candidate winner = *best;
-      TryAround(from, screened, 1.0, Threshold(from), 2, &winner);
+      LookBeside(from, 2, &winner);
       if (KeyOf(winner.specs) == KeyOf(best->specs)) continue;
-      const bool known_before =
-          std::any_of(given_.begin(), given_.end(), [&](const EffectSpec& s) { return s.id == kind; });
-      const bool more = known_before || FreshKinds(Candidate{}, winner).size() > kinds.size();
+      const bool more = HasKind(given_, kind) || FreshKinds(Candidate{}, winner).size() > kinds.size();
       Tell("substitute", 0.1 + 0.2 * round_,
            KeyOf(winner.specs) + " for " + kind + " gains " + std::to_string(winner.score - best->score));
       if (winner.score <= best->score + (more ? Threshold(*best, winner) : kBetter)) continue;
@@ -311,6 +303,14 @@ class Search {
       return true;
     }
     return false;
+  }
+
+  // A screen around `from`, which need not be the account at hand, and all that it gives tried.
+  void LookBeside(const Candidate& from, size_t count, Candidate* winner) {
+    const ScreenResult screened = Screened(from, from.base);
+    acceptance_.NoteStepRules(screened, nominal_.joint_names());
+    trace_.Screen(screened, from.base);
+    TryAround(from, screened, 1.0, Threshold(from), count, winner);
   }
 
   // Trials of what may be added to `from`; the best of them and of `winner`.
@@ -363,8 +363,7 @@ class Search {
       Candidate fewer = winner, freed = winner;
       fewer.score = -1e300;
       for (const std::string& id : fresh) {
-        std::vector<EffectSpec> specs = Refreshed(winner);
-        std::erase_if(specs, [&](const EffectSpec& s) { return s.id == id; });
+        const std::vector<EffectSpec> specs = WithoutKind(Refreshed(winner), id);
         const Candidate* known = fits_.Known(specs, winner.base);
         const bool late = fits_.Late();
         if (late && known == nullptr) continue;

@@ -80,10 +80,7 @@ class TrialBuilder {
  private:
   void Push(const std::vector<TrialSpecs>& starts) { out_.insert(out_.end(), starts.begin(), starts.end()); }
 
-  bool Has(const std::string& id) const {
-    return std::any_of(from_.specs.begin(), from_.specs.end(),
-                       [&](const EffectSpec& e) { return e.id == id; });
-  }
+  bool Has(const std::string& id) const { return HasKind(from_.specs, id); }
 
   bool Known(const Scored& h) const { return AlreadyIn(from_, h, nominal_); }
 
@@ -205,9 +202,7 @@ std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& scre
   std::vector<std::pair<double, TrialSpecs>> promised;
   const auto add = [&](const std::vector<Scored>& parts, double gain) {
     for (const Scored& h : parts) {
-      const bool known =
-          h.joints.size() == 1 && std::any_of(from.specs.begin(), from.specs.end(),
-                                              [&](const EffectSpec& s) { return s.id == h.effect; });
+      const bool known = h.joints.size() == 1 && HasKind(from.specs, h.effect);
       if (IsUnnamed(h.effect) || AlreadyIn(from, h, nominal) || (!holds && !known)) return;
     }
     TrialSpecs start = Together(parts, nominal, scales);
