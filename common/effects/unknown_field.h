@@ -2,6 +2,8 @@
 // no other effect says.
 //
 //   tau = Σ_i w_i·B((x − x_i)/Δ),   x = q, v, the drive torque or time (option "variable")
+//   tau = -v·Σ_i w_i·B((q − x_i)/Δ)  where the variable is "drag": damping of the joint that depends on where
+//                                    it is, w_i the torque at 1 rad/s (1 m/s)
 //   eight nodes x_i, evenly from `low` to `high` (spacing Δ); B the cubic B-spline, twice differentiable
 //
 // Zero far outside [low − 2Δ, high + 2Δ]. Linear in w. Neither dissipative nor conservative in general.
@@ -39,7 +41,7 @@ struct UnknownField {
         .family = "position",
         .confused_with = {"torque_ripple", "position_spring"},
         .reference = "",
-        .options = {{"variable", {"position", "velocity", "torque", "time"}}},
+        .options = {{"variable", {"position", "velocity", "torque", "time", "drag"}}},
     };
   }
 
@@ -48,13 +50,20 @@ struct UnknownField {
   static void Apply(const S* p, JointLaw<S>& law) {
     using T = Base<S>;
     const S half(T(0.5));
-    const S x = law.option == 0   ? law.PositionAt(half)
-                : law.option == 1 ? law.VelocityAt(half)
-                : law.option == 2 ? law.link
-                                  : S(law.step.t + T(0.5) * law.step.h);
+    const bool drag = law.option == 4;
+    const S x = law.option == 0 || drag ? law.PositionAt(half)
+                : law.option == 1       ? law.VelocityAt(half)
+                : law.option == 2       ? law.link
+                                        : S(law.step.t + T(0.5) * law.step.h);
     const S spacing = (p[kNodes + 1] - p[kNodes]) / T(kNodes - 1);
     const S at = (x - p[kNodes]) / spacing;
-    for (int i = 0; i < kNodes; ++i) law.force += p[i] * Spline(S(at - T(i)));
+    S sum(T(0));
+    for (int i = 0; i < kNodes; ++i) sum += p[i] * Spline(S(at - T(i)));
+    if (drag) {
+      law.viscous += sum;
+    } else {
+      law.force += sum;
+    }
   }
   // 2/3 at 0, zero beyond ±2.
   template <class S>

@@ -53,6 +53,15 @@ double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
 
 bool IsUnnamed(const std::string& id) { return id == "unknown_field" || id == "unknown_field_pair"; }
 
+std::string FieldVariable(const std::vector<EffectSpec>& specs, const std::string& joint) {
+  for (const EffectSpec& s : specs) {
+    if (s.id != "unknown_field" || s.joints != std::vector<std::string>{joint}) continue;
+    const effects::EffectInfo& info = *effects::FindEffect(s.id);
+    return info.options.at("variable")[static_cast<size_t>(info.Option("variable", s))];
+  }
+  return "";
+}
+
 bool Contains(const std::vector<EffectSpec>& specs, const std::string& id, const std::string& joint) {
   for (const EffectSpec& s : specs) {
     if (s.id != id) continue;

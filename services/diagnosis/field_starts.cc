@@ -82,21 +82,23 @@ std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nomi
   std::optional<EffectSpec> best;
   double best_gain = -std::numeric_limits<double>::infinity();
   for (int on = 0; on < data.n; ++on) {
-    const bool speed = variable == "velocity";
+    const bool speed = variable == "velocity", drag = variable == "drag";
     const double low = speed ? -scales.top_speed[on] : scales.low[on];
     const double high = std::max(speed ? scales.top_speed[on] : scales.high[on], low + 1e-3);
-    const double size = SizeOn(samples, on);
+    // Of a damping at top speed.
+    const double size = SizeOn(samples, on) / (drag ? std::max(1e-9, scales.top_speed[on]) : 1.0);
     MatrixXd phi(effects::UnknownField::kNodes, static_cast<long>(samples.size()));
     for (size_t s = 0; s < samples.size(); ++s) {
       const double x = speed ? samples[s].v[on] : samples[s].q[on];
-      phi.col(static_cast<long>(s)) = size * Basis(effects::UnknownField::kNodes, x, low, high);
+      phi.col(static_cast<long>(s)) =
+          (drag ? -samples[s].v[on] : 1.0) * size * Basis(effects::UnknownField::kNodes, x, low, high);
     }
     VectorXd weights;
     const double gain = Regressed(samples, on, phi, &weights);
     if (!(gain > best_gain)) continue;
     best_gain = gain;
     std::map<std::string, double> values = {{"low", low}, {"high", high}};
-    for (int i = 0; i < weights.size(); ++i) values["w" + std::to_string(i)] = size * weights[i];
+    for (int i = 0; i < weights.size(); ++i) values["w" + std::to_string(i)] = size * (drag ? std::max(0.0, weights[i]) : weights[i]);
     best = effects::MakeSpec("unknown_field", {nominal.joint_names()[on]}, values);
     best->options["variable"] = variable;
   }

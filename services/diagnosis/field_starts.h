@@ -11,8 +11,8 @@
 
 namespace rg::diagnosis {
 
-// The unknown_field of one joint's position or velocity (`variable`) that follows its missing force best,
-// over all joints: a regression on the field's weights, as below.
+// The unknown_field of one joint (`variable`: "position", "velocity", or "drag", which only brakes) that
+// follows its missing force best, over all joints: a regression on the field's weights, as below.
 std::optional<effects::EffectSpec> FieldStart(const FitData& data, const sim::Plant& nominal,
                                               const MotionScales& scales, const MissingForce& missing,
                                               const std::string& variable);

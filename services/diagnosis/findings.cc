@@ -26,6 +26,7 @@ constexpr double kMuchOfTheEffort = 0.25;  // of its variance
 constexpr double kOneInAHundred = 2.576;   // that one of a hundred normal errors exceeds
 constexpr double kSameDelay = 0.05;  // of itself: less between two joints is a twentieth of what it shows by
 constexpr double kLittle = 0.1;      // of what parameters explain
+constexpr double kSecond = 0.3;      // of what a force on one joint explains, for another on a second joint
 
 std::vector<std::string> JointsOf(const std::vector<EffectSpec>& specs, const std::string& id,
                                   const std::vector<std::string>& order) {
@@ -160,7 +161,7 @@ class Speaker {
   bool PartOfField(const std::string& id) const {
     if (id != "torque_ripple" && id != "position_spring") return false;
     return std::all_of(s_.best.specs.begin(), s_.best.specs.end(), [&](const EffectSpec& e) {
-      return e.id != id || Contains(s_.best.specs, "unknown_field", e.joints[0]) ||
+      return e.id != id || FieldVariable(s_.best.specs, e.joints[0]) == "position" ||
              Contains(s_.best.specs, "unknown_field_pair", e.joints[0]);
     });
   }
@@ -197,10 +198,15 @@ class Speaker {
     const auto gain = s_.measured.gain.find(id);
     f.confidence =
         Confidence(gain != s_.measured.gain.end() ? gain->second : s_.best.score - BestWithout(s_, id));
-    // What fits better, but not where it was not fitted, is no reason for doubt.
-    if (f.effect == "unknown_field" && s_.sent_back) f.confidence = 1.0;
+    // That no name explains it was settled when names that fit better were refused: they are no reason for
+    // doubt.
+    if (IsUnnamed(id) && !s_.measured.active) f.confidence = 1.0;
     FillParameters(id, *info, &f);
     f.statement = StatementOf(*info, f);
+    if (id == "unknown_field" && FieldVariable(beyond_, f.joints[0]) == "drag") {
+      f.equation = "tau = -dq*sum_i w_i*B((q-x_i)/D)";
+      f.statement += " It is a drag that depends on where the joint is.";
+    }
     for (const StillJoint& still : still_) {
       const std::string& name = nominal_.model().joint(still.joint).name;
       if (std::find(f.joints.begin(), f.joints.end(), name) != f.joints.end())
@@ -321,6 +327,8 @@ class Speaker {
     const int j = nominal_.model().FindJoint(joint);
     const double low = scales_.low[j], high = scales_.high[j];
     Region region{"position." + joint, low, high};
+    if (FieldVariable(s_.best.specs, joint) == "velocity")
+      return {"velocity." + joint, -scales_.top_speed[j], scales_.top_speed[j]};
     const bool pair = id == "unknown_field_pair";
     bool own = true;  // the joint that feels the force, not the one it sees
     for (const EffectSpec& e : s_.best.specs) own = own && !(pair && e.id == id && e.joints[0] == joint);
@@ -400,22 +408,33 @@ class Speaker {
                             : " around " + Number(0.5 * (f->windows[0].start + f->windows[0].end)) + " s");
   }
 
+  // The joint that the force which no name explains acts on, and a second one that takes a good part of it.
+  // Where motion tells of it: by how much better a force on that joint alone explains what is left, as an
+  // error in one joint's torque moves all, and what weighs little most.
+  std::vector<int> JointsOfTheRest() const {
+    const MatrixXd& evidence = s_.remaining.evidence;
+    MatrixXd worth = evidence;
+    if (evidence.size() == 0) {
+      const VectorXd energy = Energy(s_.remaining, data_.n).cwiseQuotient(scales_.torque.cwiseAbs2());
+      worth = energy.replicate(1, data_.n) + energy.transpose().replicate(data_.n, 1);
+      worth.diagonal() = energy;
+    }
+    int first = 0, second = 0;
+    worth.diagonal().maxCoeff(&first);
+    worth.row(first).maxCoeff(&second);
+    if (worth(first, second) - worth(first, first) <= kSecond * std::max(0.0, worth(first, first))) second = first;
+    std::vector<int> out = {std::min(first, second)};
+    if (second != first) out.push_back(std::max(first, second));
+    return out;
+  }
+
   void AddUnknown() {
-    const VectorXd energy = Energy(s_.remaining, data_.n).cwiseQuotient(scales_.torque.cwiseAbs2());
     Finding f;
     f.effect = "unknown_field";
     f.confidence = 1.0;
     f.equation = "tau = f(q, dq, t)";
     f.effect_class = {"unknown_field"};
-    std::vector<std::pair<double, int>> sorted;
-    for (int j = 0; j < data_.n; ++j) sorted.push_back({energy[j], j});
-    std::sort(sorted.rbegin(), sorted.rend());
-    std::vector<int> chosen;
-    for (const auto& [e, j] : sorted) {
-      if (chosen.empty() || (e > 0.3 * sorted[0].first && chosen.size() < 2)) chosen.push_back(j);
-    }
-    std::sort(chosen.begin(), chosen.end());
-    for (const int j : chosen) {
+    for (const int j : JointsOfTheRest()) {
       f.joints.push_back(r_.joints[j]);
       f.regions.push_back({"position." + r_.joints[j], scales_.low[j], scales_.high[j]});
     }

@@ -180,6 +180,7 @@ Prior PriorOf(const sim::Parameter& p, int joint, const MotionScales& s, const s
   if (f == "motor_viscous") return {0, 0.2 * torque / speed};
   if (f == "motor_inertia") return {0.3 * inertia, inertia, 0.002 * inertia, 10 * inertia};
   if (e == "unknown_field_pair") return {0, 2 * SizeOfSurface(plant)};
+  if (f[0] == 'w' && FieldVariable(plant.effects(), p.owner) == "drag") return {0, 0.5 * torque / speed, 0};
   if (f[0] == 'w') return {0, 0.5 * torque};
   // Stiffnesses and dampings: as likely half as twice the start.
   return {p.nominal, std::max(1e-6, p.nominal), 0.02 * p.nominal, 50 * p.nominal};

@@ -3,11 +3,24 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
 #include "services/diagnosis/lineariser.h"
 #include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
+
+namespace {
+
+// Log evidence of the unknowns `chosen` alone, each with a prior of stddev 1: H the information of all with
+// that prior, g = Jᵀr.
+double EvidenceOf(const MatrixXd& H, const VectorXd& g, const std::vector<int>& chosen) {
+  const Eigen::LLT<MatrixXd> llt(H(chosen, chosen));
+  const VectorXd y = llt.matrixL().solve(g(chosen));
+  return 0.5 * y.squaredNorm() - llt.matrixLLT().diagonal().array().log().sum();
+}
+
+}  // namespace
 
 MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, const NodeStates& states,
                                   const VectorXd& prior, double segment_s, const LiftedOptions& options) {
@@ -17,6 +30,7 @@ MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, co
   MissingForce out;
   out.force.resize(W), out.stddev.resize(W), out.t.resize(W);
   std::vector<double> chi2(W, 0), unknowns(W, 0);
+  std::vector<MatrixXd> evidence(W, MatrixXd::Zero(n, n));
   sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
     const NodeWindow& window = data.windows[w];
     const int N = static_cast<int>(window.t.size()) - 1;
@@ -45,7 +59,8 @@ MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, co
     const MatrixXd data_H = H;
     H.diagonal().array() += 1.0;
     const Eigen::LLT<MatrixXd> llt(H);
-    const VectorXd c = llt.solve(rest.leftCols(C).transpose() * rest.col(C));
+    const VectorXd g = rest.leftCols(C).transpose() * rest.col(C);
+    const VectorXd c = llt.solve(g);
     const MatrixXd cov = llt.solve(MatrixXd::Identity(C, C));
     for (int s = 0; s < S; ++s) {
       for (int j = 0; j < n; ++j) {
@@ -53,10 +68,22 @@ MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, co
         out.stddev[w](j, s) = prior[j] * std::sqrt(std::max(0.0, cov(s * n + j, s * n + j)));
       }
     }
+    for (int j = 0; j < n; ++j) {
+      for (int k = 0; k <= j; ++k) {
+        std::vector<int> chosen;
+        for (int s = 0; s < S; ++s) {
+          chosen.push_back(s * n + j);
+          if (k != j) chosen.push_back(s * n + k);
+        }
+        evidence[w](j, k) = evidence[w](k, j) = EvidenceOf(H, g, chosen);
+      }
+    }
     chi2[w] = (rest.col(C) - rest.leftCols(C) * c).squaredNorm();
     unknowns[w] = static_cast<double>(l.r.size() - rest.rows()) + (data_H * cov).trace();
   });
-  for (int w = 0; w < W; ++w) out.chi2 += chi2[w], out.unknowns += unknowns[w];
+  out.evidence = MatrixXd::Zero(n, n);
+  for (int w = 0; w < W; ++w)
+    out.chi2 += chi2[w], out.unknowns += unknowns[w], out.evidence += evidence[w];
   out.rows = data.Rows();
   return out;
 }

@@ -13,6 +13,9 @@ struct MissingForce {
   double chi2 = 0;                     // with the forces
   double unknowns = 0;                 // effective number of them, e_0 included
   int rows = 0;
+  // n × n, nats: log evidence of such stairs on joint j alone (diagonal) or on two joints. Of forces that
+  // were not estimated from motion: empty.
+  Eigen::MatrixXd evidence;
 };
 MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, const NodeStates& states,
                                   const Eigen::VectorXd& prior, double segment_s,

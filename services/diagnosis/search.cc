@@ -86,7 +86,7 @@ class Search {
     }
     simplifier_.Prune(&best);
     if (fits_.PerRow(best) > kExplained || OfPosition(best)) Flexible(&best, 1e300);
-    if (data_.held_out != nullptr) SendBack(Better(out.nominal, out.calibrated), &best, &out);
+    if (data_.held_out != nullptr) SendBack(Better(out.nominal, out.calibrated), &best, &out.unseen_in);
     out.best = best;
     for (const auto& [key, c] : fits_.tried()) out.tried.push_back(c);
     std::sort(out.tried.begin(), out.tried.end(),
@@ -383,12 +383,12 @@ class Search {
     return winner;
   }
 
-  // The ceiling: one unnamed force over two joints' positions, or one joint's, in the place of all effects
-  // found. It is taken where it leaves less than `worst` χ² per row and is the better account.
+  // The ceiling: one unnamed force over two joints' positions, or one joint's, or a damping over them, in the
+  // place of all effects found. It is taken where it leaves less than `worst` χ² per row and is the better account.
   bool Flexible(Candidate* best, double worst) {
     if (fits_.Cancelled() || (fits_.PerRow(*best) < kExplained && data_.n > 1)) return false;
     bool taken = false;
-    for (const Candidate& c : Unnamed(*best, {"position"})) {
+    for (const Candidate& c : Unnamed(*best, {"position", "drag"})) {
       if (c.score > best->score + Threshold(*best) && fits_.PerRow(c) < worst) *best = c, taken = true;
     }
     return taken;
@@ -419,26 +419,24 @@ class Search {
   // An account must hold on recordings kept aside, or what was tried and predicts them better takes its
   // place. One that explains less than half of what is missing there is none, however well it follows what it
   // was fitted to.
-  void SendBack(const Candidate& without, Candidate* best, SearchResult* out) {
+  void SendBack(const Candidate& without, Candidate* best, int* unseen_in) {
     HeldOutJudge judge(*data_.held_out, fits_.lifted(), trace_);
-    if (fits_.PerRow(*best) < kExplained) out->unseen_in = judge.Refusing(*best, Threshold(*best));
+    if (fits_.PerRow(*best) < kExplained) *unseen_in = judge.Refusing(*best, Threshold(*best));
     const bool named = !best->specs.empty() && !FoundNothing(*best);
     for (int sent = 0; named && sent < kSentBack && !fits_.Late() && !judge.Holds(*best, Threshold(*best));
          ++sent) {
-      Unnamed(*best, {"position", "velocity"});
+      Unnamed(*best, {"position", "drag", "velocity"});
       const auto rival =
           judge.Better(*best, fits_.tried(), [&](const Candidate& c) { return Threshold(*best, c); });
       if (!rival) break;
-      out->sent_back = true;
       Tell("sent back", 0.9, KeyOf(best->specs) + "for " + KeyOf(rival->specs));
       *best = *rival;
     }
     if (judge.Holds(*best, Threshold(*best))) {
-      out->unseen_in = -1;
+      *unseen_in = -1;
     } else if (named && !judge.ExplainsMost(*best, without)) {
       Tell("sent back", 0.9, KeyOf(best->specs) + "for nothing");
       *best = without;
-      out->sent_back = true;
     }
     fits_.AddWork(judge.work());
   }

@@ -46,7 +46,6 @@ struct SearchResult {
   // Of the recordings kept aside (held_out) the one that shows what the fitted ones, which an account meets,
   // do not: a limit that only it reaches, a place where only it has been. −1: none.
   int unseen_in = -1;
-  bool sent_back = false;  // recordings kept aside refused an account that fits better than the best one
   double own_chi2 = 0;     // of the best model, of recordings that it made itself (own_chi2.h)
   MissingForce missing;    // under the best model without effects
   MissingForce remaining;  // under the best model

@@ -308,6 +308,24 @@ TEST(MissingForce, ShowsAConstantPush) {
   EXPECT_NEAR(outside / count_outside, 0.0, 0.05);
 }
 
+// Of an arm whose last joint weighs a hundredth of its first what is left is on the joint that was pushed, and
+// a second joint brings little.
+TEST(MissingForce, IsOnTheJointWhoseTorqueAloneExplainsMost) {
+  for (const int pushed : {0, 2, 4}) {
+    const std::string joint = sysid::testing::LoadPlant("mico2").joint_names()[static_cast<size_t>(pushed)];
+    const auto p = Prepare(
+        "mico2", {MakeSpec("torque_ripple", {joint}, {{"amplitude", 0.4}, {"cycles_per_rev", 6.0}})}, 3);
+    const FitModel model{p->nominal, p->nominal.parameters().Nominal(), {}};
+    const MissingForce force =
+        EstimateMissingForce(p->data, model, InitialStates(p->data, model, {}), p->scales.torque, 0.05, {});
+    int best = 0;
+    const double alone = force.evidence.diagonal().maxCoeff(&best);
+    EXPECT_EQ(best, pushed);
+    EXPECT_GT(alone, 100);
+    EXPECT_LT(force.evidence.row(pushed).maxCoeff(), 1.1 * alone);
+  }
+}
+
 TEST(Hypotheses, ANewFrictionTakesThePlaceOfTheOld) {
   const auto specs = Joined({MakeSpec("coulomb_friction", {"a"}), MakeSpec("coulomb_friction", {"b"})},
                             {MakeSpec("stribeck_friction", {"a"})});
