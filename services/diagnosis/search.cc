@@ -82,10 +82,11 @@ class Search {
         simplifier_.Run(&best);
       // What little a surface leaves is its own coarseness, and no further name.
       const double nothing = 0.98 + 0.02 * std::min(fits_.PerRow(out.nominal), fits_.PerRow(out.calibrated));
-      if ((round_ == 1 || OfPosition(best)) && Flexible(&best, std::max(kExplained, nothing))) break;
+      if ((round_ == 1 || OfPosition(best)) && Flexible(&best, std::max(kExplained, nothing), kOfPlace))
+        break;
     }
     simplifier_.Prune(&best);
-    if (fits_.PerRow(best) > kExplained || OfPosition(best)) Flexible(&best, 1e300);
+    if (fits_.PerRow(best) > kExplained || OfPosition(best)) Flexible(&best, 1e300, kAny);
     if (data_.held_out != nullptr) SendBack(Better(out.nominal, out.calibrated), &best, &out.unseen_in);
     out.best = best;
     for (const auto& [key, c] : fits_.tried()) out.tried.push_back(c);
@@ -106,6 +107,10 @@ class Search {
   }
 
  private:
+  // What an unnamed force may be over. Over speed two names of friction may be what it follows: it waits for
+  // them.
+  inline static const std::vector<std::string> kOfPlace = {"position", "drag"};
+  inline static const std::vector<std::string> kAny = {"position", "drag", "velocity"};
   static constexpr double kSegment = 0.05;    // s
   static constexpr uint64_t kOwnDraw = 1000;  // its stream of random numbers, beyond the rounds'
 
@@ -383,12 +388,13 @@ class Search {
     return winner;
   }
 
-  // The ceiling: one unnamed force over two joints' positions, or one joint's, or a damping over them, in the
-  // place of all effects found. It is taken where it leaves less than `worst` χ² per row and is the better account.
-  bool Flexible(Candidate* best, double worst) {
+  // The ceiling: one unnamed force in the place of all effects found, over two joints' positions, or over
+  // what one joint has of the `variables`. It is taken where it leaves less than `worst` χ² per row and is
+  // the better account.
+  bool Flexible(Candidate* best, double worst, const std::vector<std::string>& variables) {
     if (fits_.Cancelled() || (fits_.PerRow(*best) < kExplained && data_.n > 1)) return false;
     bool taken = false;
-    for (const Candidate& c : Unnamed(*best, {"position", "drag"})) {
+    for (const Candidate& c : Unnamed(*best, variables)) {
       if (c.score > best->score + Threshold(*best) && fits_.PerRow(c) < worst) *best = c, taken = true;
     }
     return taken;
@@ -425,7 +431,7 @@ class Search {
     const bool named = !best->specs.empty() && !FoundNothing(*best);
     for (int sent = 0; named && sent < kSentBack && !fits_.Late() && !judge.Holds(*best, Threshold(*best));
          ++sent) {
-      Unnamed(*best, {"position", "drag", "velocity"});
+      Unnamed(*best, kAny);
       const auto rival =
           judge.Better(*best, fits_.tried(), [&](const Candidate& c) { return Threshold(*best, c); });
       if (!rival) break;

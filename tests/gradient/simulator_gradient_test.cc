@@ -203,6 +203,10 @@ std::vector<Case> Cases() {
   rod.options = {{"form", "rod"}, {"hinge", "z"}, {"point", "last_link"}};
   cases.push_back({"sloshing_rod_mico2", "mico2", {rod, MakeSpec("payload", {}, {{"mass", 0.2}})}});
   one("unknown_field", {{"w0", 0.3}, {"w3", -0.4}, {"w4", 0.5}, {"w5", 0.2}});
+  EffectSpec drag =
+      MakeSpec("unknown_field", {"elbow"}, {{"w0", 0.3}, {"w3", 0.4}, {"w4", 0.5}, {"w5", 0.2}});
+  drag.options["variable"] = "drag";
+  cases.push_back({"unknown_field_drag", "arm2", {drag}});
   cases.push_back(
       {"disturbance_torque",
        "arm2",

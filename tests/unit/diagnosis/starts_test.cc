@@ -118,6 +118,23 @@ TEST(FieldPairStart, FindsBothJointsOfASurfaceAndLeavesNothing) {
   EXPECT_LT(PerRow(fit) - 1, 0.05 * (bare - 1));
 }
 
+TEST(FieldStart, OfADragInOnePlaceFindsTheJointAndLeavesNothing) {
+  for (const std::string joint : {"shoulder", "elbow"}) {
+    EffectSpec rub =
+        MakeSpec("unknown_field", {joint}, {{"low", -2.0}, {"high", 2.0}, {"w3", 1.0}, {"w4", 0.6}});
+    rub.options["variable"] = "drag";
+    const auto c = Case::Of("arm2", {rub}, 7);
+    const auto start = FieldStart(c->data, c->nominal, c->scales, c->Missing(), "drag");
+    ASSERT_TRUE(start.has_value());
+    EXPECT_EQ(start->joints, std::vector<std::string>{joint});
+    const FitResult fit = c->FitOf({*start});
+    ASSERT_TRUE(fit.ok);
+    const double bare = PerRow(c->FitOf({}));
+    EXPECT_GT(bare, 3.0);
+    EXPECT_LT(PerRow(fit) - 1, 0.05 * (bare - 1));
+  }
+}
+
 // Of each place of the sensor the search fits the two that are nearest after one step.
 TEST(TransmissionStarts, OneOfTheTwoNearestLeadsToTheTruth) {
   const std::string joint = "elbow";

@@ -89,6 +89,18 @@ TEST(EffectsAlmostRigid, ApproachTheRigidArm) {
   }
 }
 
+// Within its nodes splines of one height add up to that height.
+TEST(UnknownFieldAsDrag, IsViscousFrictionWhereItIsTheSameEverywhere) {
+  std::map<std::string, double> values = {{"low", -6}, {"high", 6}};
+  for (int i = 0; i < 8; ++i) values["w" + std::to_string(i)] = 0.8;
+  effects::EffectSpec drag = MakeSpec("unknown_field", kJoints, values);
+  drag.options["variable"] = "drag";
+  const Trajectory same = Swing(MakePlant("arm2", {drag}));
+  const Trajectory viscous =
+      Swing(MakePlant("arm2", {MakeSpec("viscous_friction", kJoints, {{"viscous", 0.8}})}));
+  EXPECT_LT((same.position - viscous.position).cwiseAbs().maxCoeff(), 1e-12);
+}
+
 TEST(DissipativeEffects, OnlyTakeEnergyFromAFreeArm) {
   auto model = LoadRobot("arm2");
   dynamics::Mechanism mechanism(*model);
