@@ -130,6 +130,20 @@ TEST(Diagnose, SaysOfAForceThatNoEffectHasThatItHasNoName) {
   for (const Alternative& a : r.findings[0].alternatives) EXPECT_LT(a.evidence, 0) << a.effect;
 }
 
+TEST(Diagnose, OfWhatRubsInOnePlaceItSaysThatItIsADragWithoutAName) {
+  EffectSpec rub =
+      MakeSpec("unknown_field", {"shoulder"}, {{"low", -2.0}, {"high", 2.0}, {"w3", 0.8}, {"w4", 0.5}});
+  rub.options["variable"] = "drag";
+  const DiagnosisResult r = Diagnosed(testing::MakeSet("arm2", {rub}, 24));
+  EXPECT_EQ(r.verdict, "unexplained");
+  ASSERT_EQ(r.findings.size(), 1u);
+  EXPECT_EQ(r.findings[0].joints, std::vector<std::string>{"shoulder"});
+  EXPECT_NE(r.findings[0].statement.find("a drag that depends on where"), std::string::npos);
+  EXPECT_NE(r.findings[0].equation.find("-dq"), std::string::npos);
+  EXPECT_EQ(r.findings[0].regions.at(0).variable, "position.shoulder");
+  EXPECT_LT(r.remaining, 1.1);
+}
+
 TEST(Diagnose, MotionThatNoForceFollowsIsNoNoise) {
   recordings::RecordingSet set = testing::MakeSet("pendulum", {}, 21);
   // A ring near half the sampling rate, thirty times the noise.
