@@ -401,14 +401,17 @@ class Search {
     return std::max(kExplained, 0.98 + 0.02 * least);
   }
 
-  // Whether an unnamed force over place leaves nothing where the best of a first screen does not:
-  // then it is the account, and no names are sought that would need hidden states or each other to follow it.
+  // Whether an unnamed force over place leaves nothing where the best of a first screen does, with base
+  // parameters as given and free: then it is the account, and no names are sought that would need hidden
+  // states or each other to follow it.
   bool Nameless(const Candidate& winner, Candidate* best) {
     if (round_ > 1 || fits_.PerRow(winner) < kExplained) return false;
     Candidate account = winner;
-    nameless_ = Flexible(&account, best->base, kExplained, kOfPlace);
-    if (nameless_) *best = account;
-    return nameless_;
+    if (!Flexible(&account, best->base, kExplained, kOfPlace)) return false;
+    const Candidate twin = fits_.Evaluate(Refreshed(winner), !winner.base, &winner, 6, &winner);
+    if (fits_.PerRow(twin) < kExplained || twin.score + Threshold(twin) > account.score) return false;
+    *best = account;
+    return nameless_ = true;
   }
 
   // The ceiling: one unnamed force in the place of all effects found, over two joints' positions, or over
