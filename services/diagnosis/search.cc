@@ -78,15 +78,16 @@ class Search {
       fits_.SetRound(round_);
       const bool added = AddOne(&best);
       if (!added) break;
-      const bool lower = LowerNoise(&best, &out);
-      if (nameless_) break;
       // What had seemed to leave nothing may have ended on its way.
-      if (lower && !MeetsSensors(best) && !fits_.Late() && Siblings(Candidate{}, &best))
+      if (LowerNoise(&best, &out) && !MeetsSensors(best) && !fits_.Late() && Siblings(Candidate{}, &best))
         simplifier_.Run(&best);
-      if ((round_ == 1 || OfPosition(best)) && Flexible(&best, best.base, Nothing(), kOfPlace)) break;
+      // What little a surface leaves is its own coarseness, and no further name.
+      const double nothing = 0.98 + 0.02 * std::min(fits_.PerRow(out.nominal), fits_.PerRow(out.calibrated));
+      if ((round_ == 1 || OfPosition(best)) && Flexible(&best, std::max(kExplained, nothing), kOfPlace))
+        break;
     }
     simplifier_.Prune(&best);
-    if (fits_.PerRow(best) > kExplained || OfPosition(best)) Flexible(&best, best.base, 1e300, kAny);
+    if (fits_.PerRow(best) > kExplained || OfPosition(best)) Flexible(&best, 1e300, kAny);
     if (data_.held_out != nullptr) SendBack(Better(out.nominal, out.calibrated), &best, &out.unseen_in);
     out.best = best;
     for (const auto& [key, c] : fits_.tried()) out.tried.push_back(c);
@@ -208,7 +209,6 @@ class Search {
       const double wanted = rival ? kRivalShare * (best->score - from.score) : 1.0;
       TryAround(from, screened, wanted, Threshold(*best), base ? 3 : 4, &winner);
       if (base || (best->base && round_ > 1)) continue;
-      if (Nameless(winner, best)) return true;
       for (const Candidate& start : Beginnings(*best, winner)) deeper = Better(deeper, Deeper(start));
       // Where parameters alone explain something, several names have theirs as rivals: a URDF is off oftener.
       if (!best->base && fits_.PerRow(deeper) < kExplained &&
@@ -392,48 +392,26 @@ class Search {
     return winner;
   }
 
-  // χ² per row that is next to nothing: what little a surface leaves is its own coarseness, and no name.
-  double Nothing() const {
-    double least = 1e300;
-    for (const bool base : {false, true}) {
-      if (const Candidate* c = fits_.Known(given_, base)) least = std::min(least, fits_.PerRow(*c));
-    }
-    return std::max(kExplained, 0.98 + 0.02 * least);
-  }
-
-  // Whether an unnamed force over place leaves nothing where the best of a first screen does, with base
-  // parameters as given and free: then it is the account, and no names are sought that would need hidden
-  // states or each other to follow it.
-  bool Nameless(const Candidate& winner, Candidate* best) {
-    if (round_ > 1 || fits_.PerRow(winner) < kExplained) return false;
-    Candidate account = winner;
-    if (!Flexible(&account, best->base, kExplained, kOfPlace)) return false;
-    const Candidate twin = fits_.Evaluate(Refreshed(winner), !winner.base, &winner, 6, &winner);
-    if (fits_.PerRow(twin) < kExplained || twin.score + Threshold(twin) > account.score) return false;
-    *best = account;
-    return nameless_ = true;
-  }
-
   // The ceiling: one unnamed force in the place of all effects found, over two joints' positions, or over
-  // what one joint has of the `variables`, with base parameters `freed` too. It is taken where it leaves less
-  // than `worst` χ² per row and is the better account.
-  bool Flexible(Candidate* best, bool freed, double worst, const std::vector<std::string>& variables) {
+  // what one joint has of the `variables`. It is taken where it leaves less than `worst` χ² per row and is
+  // the better account.
+  bool Flexible(Candidate* best, double worst, const std::vector<std::string>& variables) {
     if (fits_.Cancelled() || (fits_.PerRow(*best) < kExplained && data_.n > 1)) return false;
     bool taken = false;
-    for (const Candidate& c : Unnamed(freed, variables)) {
+    for (const Candidate& c : Unnamed(*best, variables)) {
       if (c.score > best->score + Threshold(*best) && fits_.PerRow(c) < worst) *best = c, taken = true;
     }
     return taken;
   }
 
-  std::vector<Candidate> Unnamed(bool freed, const std::vector<std::string>& variables) {
+  std::vector<Candidate> Unnamed(const Candidate& best, const std::vector<std::string>& variables) {
     std::vector<Candidate> out;
-    Tell("flexible", 0.3 + 0.15 * round_, "");
+    Tell("flexible", 0.3 + 0.15 * round_, KeyOf(best.specs));
     for (const bool base : {false, true}) {
       const Candidate* from = fits_.Known(given_, base);
       if (from == nullptr || !from->fit.ok) continue;
       // Free base parameters only where they are part of the account.
-      if (base && !freed) continue;
+      if (base && !best.base) continue;
       const MissingForce force = Force(*from);
       for (const std::string& variable : variables) {
         const auto spec = variable == "position" && data_.n > 1
@@ -457,7 +435,7 @@ class Search {
     const bool named = !best->specs.empty() && !FoundNothing(*best);
     for (int sent = 0; named && sent < kSentBack && !fits_.Late() && !judge.Holds(*best, Threshold(*best));
          ++sent) {
-      Unnamed(best->base, kAny);
+      Unnamed(*best, kAny);
       const auto rival =
           judge.Better(*best, fits_.tried(), [&](const Candidate& c) { return Threshold(*best, c); });
       if (!rival) break;
@@ -522,7 +500,6 @@ class Search {
   Acceptance acceptance_;
   std::vector<VectorXd> step_rule_;
   FeatureSet features_;
-  bool nameless_ = false;              // an unnamed force is the account, and the search over
   std::set<std::string> substituted_;  // what something was looked for beside, in the place of a kind
   std::vector<EffectSpec> given_;      // that the model has which the search starts from
 };
