@@ -38,8 +38,8 @@ inline constexpr double kOnePercent = 2.326;  // stddev that one of a hundred no
 // Whether the effect is a force without a name.
 bool IsUnnamed(const std::string& id);
 
-// What the unnamed force on the joint is over: "position", "velocity", …, or "drag"; empty: there is none that
-// is over one variable.
+// What the unnamed force on the joint is over: "position", "velocity", …, or "drag"; empty: there is none
+// that is over one variable.
 std::string FieldVariable(const std::vector<effects::EffectSpec>& specs, const std::string& joint);
 
 // Whether the effect acts there already; joint "": on the robot as a whole.

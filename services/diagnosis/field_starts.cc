@@ -98,7 +98,8 @@ std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nomi
     if (!(gain > best_gain)) continue;
     best_gain = gain;
     std::map<std::string, double> values = {{"low", low}, {"high", high}};
-    for (int i = 0; i < weights.size(); ++i) values["w" + std::to_string(i)] = size * (drag ? std::max(0.0, weights[i]) : weights[i]);
+    for (int i = 0; i < weights.size(); ++i)
+      values["w" + std::to_string(i)] = size * (drag ? std::max(0.0, weights[i]) : weights[i]);
     best = effects::MakeSpec("unknown_field", {nominal.joint_names()[on]}, values);
     best->options["variable"] = variable;
   }

@@ -422,7 +422,8 @@ class Speaker {
     int first = 0, second = 0;
     worth.diagonal().maxCoeff(&first);
     worth.row(first).maxCoeff(&second);
-    if (worth(first, second) - worth(first, first) <= kSecond * std::max(0.0, worth(first, first))) second = first;
+    if (worth(first, second) - worth(first, first) <= kSecond * std::max(0.0, worth(first, first)))
+      second = first;
     std::vector<int> out = {std::min(first, second)};
     if (second != first) out.push_back(std::max(first, second));
     return out;

@@ -82,8 +82,7 @@ MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, co
     unknowns[w] = static_cast<double>(l.r.size() - rest.rows()) + (data_H * cov).trace();
   });
   out.evidence = MatrixXd::Zero(n, n);
-  for (int w = 0; w < W; ++w)
-    out.chi2 += chi2[w], out.unknowns += unknowns[w], out.evidence += evidence[w];
+  for (int w = 0; w < W; ++w) out.chi2 += chi2[w], out.unknowns += unknowns[w], out.evidence += evidence[w];
   out.rows = data.Rows();
   return out;
 }

@@ -308,8 +308,8 @@ TEST(MissingForce, ShowsAConstantPush) {
   EXPECT_NEAR(outside / count_outside, 0.0, 0.05);
 }
 
-// Of an arm whose last joint weighs a hundredth of its first what is left is on the joint that was pushed, and
-// a second joint brings little.
+// Of an arm whose last joint weighs a hundredth of its first what is left is on the joint that was pushed,
+// and a second joint brings little.
 TEST(MissingForce, IsOnTheJointWhoseTorqueAloneExplainsMost) {
   for (const int pushed : {0, 2, 4}) {
     const std::string joint = sysid::testing::LoadPlant("mico2").joint_names()[static_cast<size_t>(pushed)];
