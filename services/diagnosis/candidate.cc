@@ -55,7 +55,7 @@ bool IsUnnamed(const std::string& id) { return id == "unknown_field" || id == "u
 
 std::string FieldVariable(const std::vector<EffectSpec>& specs, const std::string& joint) {
   for (const EffectSpec& s : specs) {
-    if (s.id != "unknown_field" || s.joints != std::vector<std::string>{joint}) continue;
+    if (s.id != "unknown_field" || !Contains({s}, s.id, joint)) continue;
     const effects::EffectInfo& info = *effects::FindEffect(s.id);
     return info.options.at("variable")[static_cast<size_t>(info.Option("variable", s))];
   }

@@ -31,25 +31,24 @@ TEST(Verdict, WithoutAnyForceALittleMoreThanTheNoiseIsNoMismatch) {
   EXPECT_EQ(VerdictBeyond(1.5), "unexplained");
 }
 
-// Joints of what no name explains, by the evidence of a force on each alone and on both.
-std::vector<std::string> JointsBy(const Eigen::Matrix2d& evidence) {
+// By the evidence of a force on each joint alone and on both.
+TEST(Unexplained, NamesASecondJointWhereItTakesAGoodPartOfTheRest) {
   const auto p = testing::Prepare("arm2", {}, 5);
   SearchResult search =
       SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
   search.best.fit.chi2 *= 2, search.nominal.fit.chi2 *= 2, search.calibrated.fit.chi2 *= 2;
-  search.remaining.evidence = evidence;
-  DiagnosisResult result;
-  result.joints = p->set.joints;
-  Conclude(search, p->data, p->nominal, p->scales, &result);
-  EXPECT_EQ(result.verdict, "unexplained");
-  return result.findings.at(0).joints;
-}
-
-TEST(Unexplained, NamesASecondJointWhereItTakesAGoodPartOfTheRest) {
+  const auto joints_by = [&](const Eigen::Matrix2d& evidence) {
+    search.remaining.evidence = evidence;
+    DiagnosisResult result;
+    result.joints = p->set.joints;
+    Conclude(search, p->data, p->nominal, p->scales, &result);
+    EXPECT_EQ(result.verdict, "unexplained");
+    return result.findings.at(0).joints;
+  };
   using Joints = std::vector<std::string>;
-  EXPECT_EQ(JointsBy(Eigen::Matrix2d{{100, 110}, {110, 20}}), Joints{"shoulder"});
-  EXPECT_EQ(JointsBy(Eigen::Matrix2d{{20, 110}, {110, 100}}), Joints{"elbow"});
-  EXPECT_EQ(JointsBy(Eigen::Matrix2d{{100, 160}, {160, 20}}), (Joints{"shoulder", "elbow"}));
+  EXPECT_EQ(joints_by(Eigen::Matrix2d{{100, 110}, {110, 20}}), Joints{"shoulder"});
+  EXPECT_EQ(joints_by(Eigen::Matrix2d{{20, 110}, {110, 100}}), Joints{"elbow"});
+  EXPECT_EQ(joints_by(Eigen::Matrix2d{{100, 160}, {160, 20}}), (Joints{"shoulder", "elbow"}));
 }
 
 }  // namespace
