@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <numeric>
 #include <string>
 #include <vector>
 
@@ -25,6 +26,8 @@ inline constexpr double kBroken = 1e12;
 // How long before a window hidden states are carried along the record, so that their settled start is
 // forgotten [s].
 inline constexpr double kSettleTime = 0.5;
+inline constexpr double kEarly = 0.4;   // of a window, in which starts are compared
+inline constexpr size_t kToTheEnd = 8;  // of them, that are simulated to its end
 
 // A plant that can feel a torque on each joint, for the columns B.
 struct Probe {
@@ -202,17 +205,17 @@ class Lineariser {
     return sum;
   }
 
-  // The same of several windows side by side, each from its own x_0.
-  std::vector<double> Simulated(int worker, const std::vector<int>& indices,
-                                const std::vector<VectorXd>& x0) {
+  // The same of several windows side by side, each from its own x_0, or of the first `part` of their nodes.
+  std::vector<double> Simulated(int worker, const std::vector<int>& indices, const std::vector<VectorXd>& x0,
+                                double part = 1.0) {
     Worker& w = *workers_[worker];
     const size_t count = indices.size();
     w.runs.resize(count), w.run_times.resize(count);
-    for (size_t i = 0; i < count; ++i) StartWindow(indices[i], x0[i], &w.runs[i], &w.run_times[i]);
+    for (size_t i = 0; i < count; ++i) StartWindow(indices[i], x0[i], &w.runs[i], &w.run_times[i], part);
     w.simulator.SimulateWindows(w.runs, {}, &w.outs);
     std::vector<double> sums(count, 0.0);
     for (size_t i = 0; i < count; ++i) {
-      for (const double r : Residuals(indices[i], w.outs[i])) sums[i] += Capped(r);
+      for (const double r : Residuals(indices[i], w.outs[i], part)) sums[i] += Capped(r);
     }
     return sums;
   }
@@ -317,9 +320,17 @@ class Lineariser {
             push(x, side * half, rate * speed);
         }
       }
-      const std::vector<double> chi2 = Simulated(worker, std::vector<int>(starts.size(), index), starts);
+      // Which face a motor lies on shows early: all of them for a part of the window, the best to its end.
+      const std::vector<double> early =
+          Simulated(worker, std::vector<int>(starts.size(), index), starts, kEarly);
+      std::vector<size_t> order(starts.size());
+      std::iota(order.begin(), order.end(), size_t{0});
+      std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return early[a] < early[b]; });
+      std::vector<VectorXd> nearest;
+      for (size_t i = 0; i < std::min(kToTheEnd, order.size()); ++i) nearest.push_back(starts[order[i]]);
+      const std::vector<double> chi2 = Simulated(worker, std::vector<int>(nearest.size(), index), nearest);
       const auto least = std::min_element(chi2.begin(), chi2.end());
-      if (*least < best) best = *least, states->col(0) = starts[static_cast<size_t>(least - chi2.begin())];
+      if (*least < best) best = *least, states->col(0) = nearest[static_cast<size_t>(least - chi2.begin())];
     }
     return best;
   }
@@ -370,12 +381,20 @@ class Lineariser {
     }
     w->simulator.SimulateWindows(w->runs, w->request, &w->outs);
   }
-  // The whole window in one run.
-  void StartWindow(int index, const VectorXd& x0, sim::SimulationWindow* run,
-                   std::vector<double>* times) const {
+  // At least three nodes, of which one is measured.
+  static size_t NodesOf(const NodeWindow& window, double part) {
+    size_t nodes = std::min(window.t.size(), std::max<size_t>(3, std::lround(part * window.t.size())));
+    while (nodes < window.t.size() &&
+           std::count(window.measured.begin(), window.measured.begin() + nodes, 1) < 1)
+      ++nodes;
+    return nodes;
+  }
+  // The whole window in one run, or its first part.
+  void StartWindow(int index, const VectorXd& x0, sim::SimulationWindow* run, std::vector<double>* times,
+                   double part = 1.0) const {
     const NodeWindow& window = data_.windows[index];
     times->clear();
-    for (size_t k = 0; k < window.t.size(); ++k) {
+    for (size_t k = 0; k < NodesOf(window, part); ++k) {
       if (!window.measured[k]) continue;
       times->insert(times->end(), window.before[k].begin(), window.before[k].end());
       times->push_back(window.t[k]);
@@ -385,11 +404,11 @@ class Lineariser {
     run->times = times;
     SetState(x0, window.t[0], &run->x0);
   }
-  VectorXd Residuals(int index, const sim::Trajectory& simulated) const {
+  VectorXd Residuals(int index, const sim::Trajectory& simulated, double part = 1.0) const {
     const NodeWindow& window = data_.windows[index];
     VectorXd residuals(RowsOf(window));
     Eigen::Index row = 0, at = 0;
-    for (size_t node = 0; node < window.t.size(); ++node) {
+    for (size_t node = 0; node < NodesOf(window, part); ++node) {
       if (!window.measured[node]) continue;
       const auto k = static_cast<Eigen::Index>(node);
       const auto count =
@@ -407,6 +426,7 @@ class Lineariser {
       }
       at += count;
     }
+    residuals.conservativeResize(row);
     return residuals;
   }
   void SetState(const VectorXd& stacked, double time, sim::State* x) const {

@@ -7,6 +7,7 @@
 #include "services/diagnosis/fit_requests.h"
 #include "services/diagnosis/gram.h"
 #include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/lineariser.h"
 #include "services/diagnosis/loose_start.h"
 #include "services/diagnosis/missing_force.h"
 #include "services/diagnosis/search.h"
@@ -28,6 +29,24 @@ FitResult FitEffects(const Prepared& p, std::vector<effects::EffectSpec> specs,
   RG_CHECK(plant.ok()) << plant.status().ToString();
   return Fit(p.data, {*plant, plant->parameters().Nominal(), FreeParameters(*plant, p.scales, false)},
              options);
+}
+
+TEST(Lineariser, ThePartOfAWindowIsItsFirstRows) {
+  const auto p = Prepare("arm2", {}, 1);
+  const FitModel model{p->nominal, p->nominal.parameters().Nominal(), {}};
+  Lineariser lineariser(p->data, model, false, LiftedOptions{});
+  const Eigen::VectorXd x0 = InitialStates(p->data, model, LiftedOptions{})[0].col(0);
+  const Eigen::VectorXd rows = lineariser.Residuals(0, 0, x0);
+  const std::vector<int> first = {0};
+  const std::vector<Eigen::VectorXd> start = {x0};
+  const double whole = lineariser.Simulated(0, first, start)[0];
+  const double part = lineariser.Simulated(0, first, start, 0.4)[0];
+  EXPECT_NEAR(whole, lineariser.Simulated(0, 0, x0), 1e-9 * whole);
+  // Near the record a row counts its square.
+  const auto count =
+      static_cast<Eigen::Index>(std::lround(0.4 * static_cast<double>(p->data.windows[0].t.size())));
+  EXPECT_NEAR(part, rows.head(count * 4).squaredNorm(), 0.02 * part);
+  EXPECT_LT(part, whole);
 }
 
 TEST(LiftedFit, TheTrueModelIsAtTheNoise) {
