@@ -28,7 +28,7 @@ std::vector<NodeWindow> Spread(const std::vector<NodeWindow>& windows) {
 // whichever is nearer after one step.
 FitResult FitFromEither(const FitData& data, FitModel model, const LiftedOptions& options) {
   LiftedOptions once = options;
-  once.iterations = 1, once.more_iterations = 0;
+  once.iterations = std::min(1, options.iterations), once.more_iterations = 0;
   FitModel nominal = model;
   for (const sysid::FitParameter& p : model.parameters) {
     if (model.plant.parameters()[p.index].kind != sim::ParameterKind::kEffect)
@@ -38,6 +38,11 @@ FitResult FitFromEither(const FitData& data, FitModel model, const LiftedOptions
   const auto cost = [&](const FitResult& f) { return f.chi2 / options.noise_scale + f.prior_cost; };
   const bool back = given.ok && (!bent.ok || cost(given) < cost(bent));
   const FitResult& near = back ? given : bent;
+  if (options.iterations + options.more_iterations == 0) {  // a look
+    FitResult look = near;
+    look.work = bent.work + given.work;
+    return look;
+  }
   if (near.ok) model.values = near.values;
   FitResult fit = Fit(data, model, options, near.ok ? &near.states : nullptr);
   fit.work += bent.work + given.work;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <set>
 
 #include "services/diagnosis/acceptance.h"
@@ -77,10 +78,12 @@ class Search {
     for (round_ = 1; round_ <= options_.max_effects && !fits_.Late(); ++round_) {
       fits_.SetRound(round_);
       const bool added = AddOne(&best);
-      if (!added) break;
+      if (!added || nameless_) break;
       // What had seemed to leave nothing may have ended on its way.
-      if (LowerNoise(&best, &out) && !MeetsSensors(best) && !fits_.Late() && Siblings(Candidate{}, &best))
-        simplifier_.Run(&best);
+      if (LowerNoise(&best, &out) && !MeetsSensors(best) && !fits_.Late()) {
+        if (Siblings(Candidate{}, &best)) simplifier_.Run(&best);
+        SubstituteAll(&best);
+      }
       // What little a surface leaves is its own coarseness, and no further name.
       const double nothing = 0.98 + 0.02 * std::min(fits_.PerRow(out.nominal), fits_.PerRow(out.calibrated));
       if ((round_ == 1 || OfPosition(best)) && Flexible(&best, std::max(kExplained, nothing), kOfPlace))
@@ -206,10 +209,24 @@ class Search {
         if (base == best->base) break;  // nothing is left; freed parameters would leave less
         continue;
       }
+      // Around a model that holds a screen is right: what it promises with free parameters may come nowhere
+      // near what was found without them.
+      const bool found = winner.score > best->score + Threshold(*best, winner);
+      if (base && round_ > 1 && !flexible && found && fits_.PerRow(from) < kHolds &&
+          from.score + best_gain < winner.score)
+        continue;
       const double wanted = rival ? kRivalShare * (best->score - from.score) : 1.0;
       TryAround(from, screened, wanted, Threshold(*best), base ? 3 : 4, &winner);
       if (base || (best->base && round_ > 1)) continue;
-      for (const Candidate& start : Beginnings(*best, winner)) deeper = Better(deeper, Deeper(start));
+      for (const Candidate& start : Beginnings(*best, winner)) {
+        deeper = Better(deeper, Deeper(start));
+        if (fits_.PerRow(deeper) < kExplained) break;
+      }
+      if (round_ == 1 && Nameless(*best, Better(winner, deeper), &winner)) {
+        nameless_ = true, *best = winner;
+        return true;
+      }
+      if (Settled(*best, Better(winner, deeper))) break;
       // Where parameters alone explain something, several names have theirs as rivals: a URDF is off oftener.
       if (!best->base && fits_.PerRow(deeper) < kExplained &&
           deeper.score > winner.score + Threshold(winner, deeper))
@@ -247,7 +264,7 @@ class Search {
       if (!same && justified.score < best->score + Threshold(*best, justified)) return false;
       *best = justified;
       simplifier_.Run(best);
-      while (Substitute(best)) simplifier_.Run(best);
+      SubstituteAll(best);
     }
     return accept;
   }
@@ -257,14 +274,16 @@ class Search {
   std::vector<Candidate> Beginnings(const Candidate& before, const Candidate& winner) {
     std::vector<Candidate> out;
     if (fits_.Late(kDeep) || fits_.PerRow(winner) < kExplained) return out;
+    // Nothing stands beside a swinging mass that does not hold.
     const auto lacks = [&](const Candidate& c) {
-      return c.fit.ok && !c.base && !HasUnnamed(c) && fits_.PerRow(c) > kExplained;
+      const bool swings = HasKind(c.specs, "sloshing_payload") && fits_.PerRow(c) >= kHolds;
+      return c.fit.ok && !c.base && !HasUnnamed(c) && fits_.PerRow(c) > kExplained && !swings;
     };
     if (lacks(winner) && winner.score > before.score + Threshold(before, winner)) out.push_back(winner);
     const Candidate* hidden = nullptr;
     for (const auto& [key, c] : fits_.tried()) {
-      const bool fresh = c.round == round_ && lacks(c) && HasHiddenStates(c) && !HasMassInSprings(c.specs) &&
-                         IsPart(before.specs, c.specs);
+      const bool fresh = c.round == round_ && lacks(c) && HasHiddenStates(c) &&
+                         !HasKind(c.specs, "sloshing_payload") && IsPart(before.specs, c.specs);
       if (fresh && (hidden == nullptr || c.score > hidden->score)) hidden = &c;
     }
     if (hidden != nullptr && (out.empty() || KeyOf(hidden->specs) != KeyOf(out[0].specs)))
@@ -284,6 +303,10 @@ class Search {
       account = with;
     }
     return account;
+  }
+
+  void SubstituteAll(Candidate* best) {
+    while (Substitute(best)) simplifier_.Run(best);
   }
 
   // A law bends into part of what another, that is missing, leaves, and is then in its way: each kind of
@@ -397,33 +420,65 @@ class Search {
   // the better account.
   bool Flexible(Candidate* best, double worst, const std::vector<std::string>& variables) {
     if (fits_.Cancelled() || (fits_.PerRow(*best) < kExplained && data_.n > 1)) return false;
+    Tell("flexible", 0.3 + 0.15 * round_, KeyOf(best->specs));
     bool taken = false;
-    for (const Candidate& c : Unnamed(*best, variables)) {
-      if (c.score > best->score + Threshold(*best) && fits_.PerRow(c) < worst) *best = c, taken = true;
+    // Free base parameters only where they are part of the account.
+    for (const bool base : best->base ? std::vector<bool>{false, true} : std::vector<bool>{false}) {
+      Unnamed(base, variables, [&](const Candidate& c) {
+        if (c.score > best->score + Threshold(*best) && fits_.PerRow(c) < worst) *best = c, taken = true;
+        return taken && fits_.PerRow(*best) < kExplained;
+      });
+      if (taken && fits_.PerRow(*best) < kExplained) break;
     }
     return taken;
   }
 
-  std::vector<Candidate> Unnamed(const Candidate& best, const std::vector<std::string>& variables) {
-    std::vector<Candidate> out;
-    Tell("flexible", 0.3 + 0.15 * round_, KeyOf(best.specs));
-    for (const bool base : {false, true}) {
-      const Candidate* from = fits_.Known(given_, base);
-      if (from == nullptr || !from->fit.ok) continue;
-      // Free base parameters only where they are part of the account.
-      if (base && !best.base) continue;
-      const MissingForce force = Force(*from);
-      for (const std::string& variable : variables) {
-        const auto spec = variable == "position" && data_.n > 1
-                              ? FieldPairStart(data_, nominal_, scales_, force)
-                              : FieldStart(data_, nominal_, scales_, force, variable);
-        if (!spec) continue;
-        const std::vector<EffectSpec> specs = Joined(given_, {*spec});
-        const Candidate* done = fits_.Known(specs, base);
-        out.push_back(done != nullptr ? *done : fits_.Evaluate(specs, base));
-      }
+  // Whether an account by name on the parameters as given leaves nothing of the recordings, nor of those kept
+  // aside: then free parameters, which alone explain little, are no rival. On a robot of two joints or one
+  // they may act like what was found.
+  bool Settled(const Candidate& before, const Candidate& named) {
+    if (data_.n <= 2 || data_.held_out == nullptr || !MeetsSensors(named) || HasUnnamed(named) ||
+        fits_.PerRow(before) < kHolds || named.score <= before.score + Threshold(before, named))
+      return false;
+    HeldOutJudge judge(*data_.held_out, fits_.lifted(), trace_);
+    const bool holds = judge.Holds(named, Threshold(before));
+    fits_.AddWork(judge.work());
+    return holds;
+  }
+
+  // Whether one unnamed force on the parameters as given, better than what has names there, leaves nothing of
+  // the recordings, nor of those kept aside: then nothing is looked for with other parameters. Bodies on a
+  // robot of more than two joints do not act like a force over two positions; on smaller ones they may.
+  bool Nameless(const Candidate& before, const Candidate& named, Candidate* out) {
+    if (data_.n <= 2 || data_.held_out == nullptr || fits_.PerRow(named) < kExplained || fits_.Late())
+      return false;
+    HeldOutJudge judge(*data_.held_out, fits_.lifted(), trace_);
+    bool found = false;
+    Unnamed(false, kOfPlace, [&](const Candidate& c) {
+      found = MeetsSensors(c) && c.score > named.score + Threshold(before) &&
+              c.score > before.score + Threshold(before) && judge.Holds(c, Threshold(before));
+      if (found) *out = c;
+      return found;
+    });
+    fits_.AddWork(judge.work());
+    return found;
+  }
+
+  // One unnamed force beside what the model is given, over each of the variables until one is enough.
+  void Unnamed(bool base, const std::vector<std::string>& variables,
+               const std::function<bool(const Candidate&)>& enough) {
+    const Candidate* from = fits_.Known(given_, base);
+    if (from == nullptr || !from->fit.ok) return;
+    const MissingForce force = Force(*from);
+    for (const std::string& variable : variables) {
+      const auto spec = variable == "position" && data_.n > 1
+                            ? FieldPairStart(data_, nominal_, scales_, force)
+                            : FieldStart(data_, nominal_, scales_, force, variable);
+      if (!spec) continue;
+      const std::vector<EffectSpec> specs = Joined(given_, {*spec});
+      const Candidate* done = fits_.Known(specs, base);
+      if (enough(done != nullptr ? *done : fits_.Evaluate(specs, base))) return;
     }
-    return out;
   }
 
   // An account must hold on recordings kept aside, or what was tried and predicts them better takes its
@@ -435,7 +490,9 @@ class Search {
     const bool named = !best->specs.empty() && !FoundNothing(*best);
     for (int sent = 0; named && sent < kSentBack && !fits_.Late() && !judge.Holds(*best, Threshold(*best));
          ++sent) {
-      Unnamed(*best, kAny);
+      for (const bool base : {false, true}) {
+        if (!base || best->base) Unnamed(base, kAny, [](const Candidate&) { return false; });
+      }
       const auto rival =
           judge.Better(*best, fits_.tried(), [&](const Candidate& c) { return Threshold(*best, c); });
       if (!rival) break;
@@ -497,6 +554,7 @@ class Search {
   FitLedger fits_;
   Simplifier simplifier_;
   int round_ = 0;
+  bool nameless_ = false;  // an unnamed force alone is the account of all recordings
   Acceptance acceptance_;
   std::vector<VectorXd> step_rule_;
   FeatureSet features_;
