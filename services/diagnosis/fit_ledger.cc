@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
+#include <initializer_list>
+#include <set>
 
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/nearest_starts.h"
@@ -25,6 +28,20 @@ constexpr size_t kSprings = 2;        // behind rotors, that are fitted for eith
 constexpr size_t kInPlace = 2;        // other laws that are fitted on all windows
 constexpr double kPartly = 0.5;       // of a model's misfit, that what is part of the truth leaves at most
 constexpr double kMuchWorse = 0.1;    // of a trial's misfit, that one in its place may leave more
+
+// Of trials like this the one that leaves least of the misfit, if it leaves no more than what is part of the
+// truth.
+std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::vector<RankedTrial>*> trials,
+                                             const std::function<bool(const Candidate&)>& like_this) {
+  std::shared_ptr<const Candidate> out;
+  double least = kPartly;
+  for (const std::vector<RankedTrial>* list : trials) {
+    for (const RankedTrial& t : *list) {
+      if (t.left < least && like_this(*t.fitted)) least = t.left, out = t.fitted;
+    }
+  }
+  return out;
+}
 
 // Where another fit starts whose windows are not its own.
 std::shared_ptr<const Candidate> ValuesOf(Candidate c) {
@@ -125,7 +142,7 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   // Nor what a trial makes of a law on its way; and what a given model has is not doubted.
   if (request.places.empty() && !HasKind(given, "stribeck_friction")) c.fit.ok = c.fit.ok && Drops(c);
   // A swinging mass takes in some of nearly anything: beside other names it is there where they hold.
-  const bool beside = HasMassInSprings(c.specs) && FreshKinds(Candidate{}, c).size() > 1;
+  const bool beside = HasKind(c.specs, "sloshing_payload") && FreshKinds(Candidate{}, c).size() > 1;
   if (request.places.empty() && beside && !HasKind(given, "sloshing_payload"))
     c.fit.ok = c.fit.ok && PerRow(c) < kHolds;
   // While much is left a ripple's period is bent by it.
@@ -192,6 +209,7 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
     trials.push_back(trial);
   }
   std::vector<RankedTrial> ranked, hidden;
+  std::set<std::string> refused;  // as no effect of its name, which more windows do not change
   const double enough = work_ + kTrialShare * options_.work_limit;
   {
     const auto batch = fits_.Start(setting_, trials);
@@ -206,6 +224,7 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
       const double before = whole ? on_windows : on_pieces;
       const bool better = c.fit.ok && c.score >= before;
       trace_.Fit(c, better ? "  ~" : "  -");
+      if (!c.fit.ok) refused.insert(KeyOf(c.specs));
       auto& list = whole && trial.pieces_alone ? hidden : ranked;
       if (better)
         list.push_back({c.score / std::min(before, -1.0), Excess(c), std::make_shared<const Candidate>(c)});
@@ -220,30 +239,34 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
     if (!HasMassInSprings(t.fitted->specs)) nearest.score = std::max(nearest.score, t.left * from.score);
   }
   // The best with states that no sensor reads: something beside it may be missing, without which it is not
-  // among the best of all.
-  std::shared_ptr<const Candidate> with_states;
-  double least = kPartly;
-  for (const RankedTrial& t : ranked) {
-    if (t.left < least && HasHiddenStates(*t.fitted) && !HasMassInSprings(t.fitted->specs))
-      least = t.left, with_states = t.fitted;
-  }
+  // among the best of all. And the best with a mass that swings, where `from` has none.
+  const auto with_states = LeavesLeast(
+      {&ranked}, [](const Candidate& c) { return HasHiddenStates(c) && !HasMassInSprings(c.specs); });
+  const auto swings = LeavesLeast({&ranked, &hidden}, [&](const Candidate& c) {
+    return HasMassInSprings(c.specs) && !HasKind(from.specs, "sloshing_payload");
+  });
   // From the model that the trials started at where that holds, else from base parameters where they ended.
   const bool holds = trial.from != nullptr && !trial.from->fit.states.empty();
   std::vector<FitRequest> best;
+  // Trials on pieces say nothing of whole windows: there what is known to come nearest is the rival.
+  const Candidate& rival = trial.pieces_alone ? *winner : nearest;
   for (const auto& c : BestOf(std::move(ranked), std::move(hidden), count))
-    best.push_back(WholeFit(Refreshed(*c), base, holds || !base ? trial.from : ValuesOf(*c), 6,
-                            trial.pieces_alone ? nullptr : &nearest));
+    best.push_back(WholeFit(Refreshed(*c), base, holds || !base ? trial.from : ValuesOf(*c), 6, &rival));
   const auto add = [&](const TrialSpecs& specs) {
     const bool chosen = std::any_of(best.begin(), best.end(), [&](const FitRequest& request) {
       return KeyOf(request.specs) == KeyOf(specs);
     });
     if (!chosen) best.push_back(WholeFit(specs, base, trial.from));
   };
-  for (const TrialSpecs& start : promised) add(Joined(Refreshed(from), start));
+  for (const TrialSpecs& start : promised) {
+    const TrialSpecs specs = Joined(Refreshed(from), start);
+    if (refused.count(KeyOf(specs)) == 0) add(specs);
+  }
   if (!base && with_states != nullptr) add(Refreshed(*with_states));
   Candidate found = from;
   TakeBest(best, 1, &found);
   TrySprings(from, &found);
+  if (swings != nullptr) TryRod(from, *swings, &found);
   if (found.score > winner->score) *winner = found;
 }
 
@@ -268,6 +291,22 @@ void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
           WholeFit(Joined(StrongEffects(*account), spring), base, Start(nullptr, base), 6, account));
   }
   TakeBest(fits, 1, account);
+}
+
+void FitLedger::TryRod(const Candidate& from, const Candidate& trial, Candidate* account) {
+  // All windows tell its length better, where its swing from one to the next is not refused.
+  const Candidate* whole = Known(trial.specs, trial.base);
+  const Candidate& springs = whole != nullptr && whole->fit.ok ? *whole : trial;
+  if (whole != nullptr && PerRow(*whole) < kExplained) return;
+  const TrialSpecs specs = Refreshed(springs);
+  const auto mass = std::find_if(specs.begin(), specs.end(),
+                                 [](const EffectSpec& s) { return s.id == "sloshing_payload"; });
+  for (const EffectSpec& rod : RodStarts(setting_.data, setting_.nominal, *mass)) {
+    const TrialSpecs with = Joined(specs, {rod});
+    if (Known(with, from.base) == nullptr)
+      TakeBest({WholeFit(with, from.base, Start(&from, from.base))}, 1, account);
+    if (PerRow(*account) < kExplained) return;
+  }
 }
 
 void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner) {

@@ -65,6 +65,8 @@ class FitLedger {
   void TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner);
   // Springs behind the rotors that `account` adds to `from`, before free base parameters make up for them.
   void TrySprings(const Candidate& from, Candidate* account);
+  // A rod in the place of springs for a mass, as a trial found it, that explains most of what `from` leaves.
+  void TryRod(const Candidate& from, const Candidate& trial, Candidate* account);
   // The `count` of `starts` that are nearest to the record beside `from`'s effects.
   std::vector<TrialSpecs> Nearest(const Candidate& from, bool base, const std::vector<TrialSpecs>& starts,
                                   size_t count);

@@ -1,9 +1,12 @@
 #include "services/diagnosis/swing_starts.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <map>
 
+#include "common/dynamics/dynamics.h"
+#include "common/model/robot_model.h"
 #include "services/diagnosis/lineariser.h"
 #include "services/sysid/parallel.h"
 
@@ -15,9 +18,10 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr int kIterations = 6;     // of a window alone
-constexpr double kFollowOn = 0.9;  // of the χ² before, which another round must come below
-constexpr double kMet = 2.0;       // χ² per row below which a window's start is not looked for any further
+constexpr int kIterations = 6;       // of a window alone
+constexpr Eigen::Index kEvery = 20;  // sample of a motion, to see how its link is turned
+constexpr double kFollowOn = 0.9;    // of the χ² before, which another round must come below
+constexpr double kMet = 2.0;  // χ² per row below which a window's start is not looked for any further
 
 // A start whose hidden states are those at the end of `before` as simulated from its own start.
 bool GoesOn(const FitData& data, sim::Simulator& simulator, const NodeWindow& before, const VectorXd& from,
@@ -119,6 +123,44 @@ FitResult FitFollowed(const FitData& data, FitModel model, const LiftedOptions& 
   }
   best.work = work;
   return best;
+}
+
+std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal, const EffectSpec& springs) {
+  const model::RobotModel& model = nominal.model();
+  const auto point = springs.options.find("point");
+  const bool last = point != springs.options.end() && point->second == "last_link";
+  const std::string& link =
+      last ? model.link(model.joint(model.num_joints() - 1).child_link).name : model.end_effector().name;
+  const model::Frame frame = *model.FindFrame(link);
+  const dynamics::Mechanism mechanism(model);
+  dynamics::Workspace workspace;
+  const Eigen::Vector3d gravity = nominal.options().gravity;
+  Eigen::Vector3d along = Eigen::Vector3d::Zero();
+  for (const FineMotion& fine : data.fine) {
+    for (Eigen::Index k = 0; k < fine.q.cols(); k += kEvery) {
+      const model::Pose pose = dynamics::FramePose(mechanism, workspace, fine.q.col(k), frame);
+      along += (pose.rotation.transpose() * gravity).cwiseAbs2();
+    }
+  }
+  const auto& of = springs.values.begin()->second;
+  // As a point it would swing with this length; a body that is not small does with L + r²/L, and from r = 0
+  // no fit leads away.
+  const double swings = of.at("mass") * gravity.norm() / of.at("stiffness");
+  EffectSpec rod = effects::MakeSpec("sloshing_payload", {},
+                                     {{"mass", of.at("mass")},
+                                      {"length", 0.9 * swings},
+                                      {"radius", 0.3 * swings},
+                                      {"damping", of.at("damping")}});
+  rod.options = springs.options;
+  rod.options["form"] = "rod";
+  std::array<int, 3> axes = {0, 1, 2};
+  std::stable_sort(axes.begin(), axes.end(), [&](int a, int b) { return along[a] < along[b]; });
+  std::vector<EffectSpec> out;
+  for (const int axis : {axes[0], axes[1]}) {
+    rod.options["hinge"] = std::string(1, "xyz"[axis]);
+    out.push_back(rod);
+  }
+  return out;
 }
 
 }  // namespace rg::diagnosis

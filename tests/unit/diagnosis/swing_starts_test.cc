@@ -5,6 +5,7 @@
 
 #include <cmath>
 
+#include "services/diagnosis/fit_ledger.h"
 #include "services/diagnosis/hypotheses.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
@@ -37,6 +38,43 @@ TEST(FitFollowed, FindsAMassThatSwingsForLongWhereItsStartsAreNotKnown) {
   EXPECT_NEAR(followed.chi2 / dof, 1.0, 0.1);
   EXPECT_NEAR(followed.values[plant->parameters().Find("sloshing_payload.*.length")], 0.12, 0.006);
   EXPECT_NEAR(followed.values[plant->parameters().Find("sloshing_payload.*.mass")], 0.15, 0.0075);
+}
+
+EffectSpec Springs(double mass, double stiffness) {
+  EffectSpec spec =
+      MakeSpec("sloshing_payload", {}, {{"mass", mass}, {"stiffness", stiffness}, {"damping", 1e-3}});
+  spec.options = {{"point", "last_link"}};
+  return spec;
+}
+
+TEST(RodStarts, SwingsAsTheSpringsDoAndTurnsAboutNoAxisThatGravityIsAlong) {
+  const auto p = Prepare("arm2", {}, 13);
+  const std::vector<EffectSpec> rods = RodStarts(p->data, p->nominal, Springs(0.15, 10.0));
+  ASSERT_EQ(rods.size(), 2u);
+  const EffectSpec& rod = rods[0];
+  const auto& values = rod.values.begin()->second;
+  EXPECT_EQ(values.at("mass"), 0.15);
+  const double length = values.at("length"), radius = values.at("radius");
+  EXPECT_GT(radius, 0);
+  EXPECT_NEAR(length + radius * radius / length, 0.15 * 9.81 / 10.0, 1e-3);
+  EXPECT_EQ(rod.options.at("form"), "rod");
+  EXPECT_EQ(rod.options.at("point"), "last_link");
+  // The arm moves in an upright plane about y of all its links: only y is never along gravity.
+  EXPECT_EQ(rod.options.at("hinge"), "y");
+}
+
+TEST(FitLedger, AMassFoundInSpringsIsTriedOnARod) {
+  const auto p = Prepare("arm2", {Rod(0.01, 0.12, 1e-3)}, 14);
+  const FitSetting setting{p->data, p->nominal, p->scales};
+  const FakeClock clock;
+  const Trace trace{clock};
+  FitLedger ledger{setting, p->options, 2, trace, nullptr};
+  const Candidate nothing = ledger.Evaluate({}, false);
+  Candidate winner = nothing;
+  ledger.TryBest(nothing, BodyStarts("sloshing_payload", p->nominal, p->scales), {}, false, 2, &winner);
+  EXPECT_TRUE(HasRod(winner.specs));
+  EXPECT_LT(ledger.PerRow(winner), 1.1);
+  EXPECT_NEAR(winner.fit.values[winner.plant->parameters().Find("sloshing_payload.*.mass")], 0.01, 0.0005);
 }
 
 }  // namespace
