@@ -27,6 +27,7 @@ constexpr double kPiece = 0.1;        // s
 constexpr size_t kSprings = 2;        // behind rotors, that are fitted for either place of the sensor
 constexpr size_t kInPlace = 2;        // other laws that are fitted on all windows
 constexpr double kPartly = 0.5;       // of a model's misfit, that what is part of the truth leaves at most
+constexpr double kNearer = 0.95;      // of the misfit so far, for a mass on a rod to be followed again
 constexpr double kMuchWorse = 0.1;    // of a trial's misfit, that one in its place may leave more
 
 // Of trials like this the one that leaves least of the misfit, if it leaves no more than what is part of the
@@ -301,10 +302,19 @@ void FitLedger::TryRod(const Candidate& from, const Candidate& trial, Candidate*
   const TrialSpecs specs = Refreshed(springs);
   const auto mass = std::find_if(specs.begin(), specs.end(),
                                  [](const EffectSpec& s) { return s.id == "sloshing_payload"; });
-  for (const EffectSpec& rod : RodStarts(setting_.data, setting_.nominal, *mass)) {
-    const TrialSpecs with = Joined(specs, {rod});
-    if (Known(with, from.base) == nullptr)
-      TakeBest({WholeFit(with, from.base, Start(&from, from.base))}, 1, account);
+  for (const EffectSpec& start : RodStarts(setting_.data, setting_.nominal, *mass)) {
+    TrialSpecs with = Joined(specs, {start});
+    if (Known(with, from.base) != nullptr) continue;
+    double enough = kPartly * PerRow(from);
+    for (bool nearer = true; nearer && !Late(kToTheEnd);) {
+      const FitRequest request = WholeFit(with, from.base, Start(&from, from.base));
+      const Candidate rod = Tried(request, Made(request));
+      // With what was found its windows are followed anew, from where it hung.
+      nearer = rod.fit.ok && PerRow(rod) < enough;
+      enough = kNearer * PerRow(rod);
+      if (nearer) with = Refreshed(rod);
+      if (rod.score > account->score) *account = rod;
+    }
     if (PerRow(*account) < kExplained) return;
   }
 }
