@@ -12,6 +12,7 @@
 #include "services/diagnosis/given_model.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/separating_motion.h"
+#include "services/diagnosis/swing_starts.h"
 #include "services/diagnosis/words.h"
 
 namespace rg::diagnosis {
@@ -207,6 +208,8 @@ class Speaker {
       f.equation = "tau = -dq*sum_i w_i*B((q-x_i)/D)";
       f.statement += " It is a drag that depends on where the joint is.";
     }
+    if (id == "sloshing_payload" && HasRod(beyond_))
+      f.equation = "m*(L^2+r^2)*ddphi = -b*L^2*dphi + m*L x (g-a)";
     for (const StillJoint& still : still_) {
       const std::string& name = nominal_.model().joint(still.joint).name;
       if (std::find(f.joints.begin(), f.joints.end(), name) != f.joints.end())

@@ -145,6 +145,23 @@ TEST(Diagnose, OfWhatRubsInOnePlaceItSaysThatItIsADragWithoutAName) {
   EXPECT_LT(r.remaining, 1.1);
 }
 
+TEST(Diagnose, OfAMassThatSwingsOnARodItSaysHowLongTheRodIs) {
+  EffectSpec rod = MakeSpec("sloshing_payload", {},
+                            {{"mass", 0.01}, {"length", 0.12}, {"radius", 0.01}, {"damping", 1e-3}});
+  rod.options = {{"form", "rod"}, {"hinge", "y"}};
+  const DiagnosisResult r = Diagnosed(testing::MakeSet("arm2", {rod}, 14), 5e8);
+  EXPECT_EQ(r.verdict, "unmodelled_physics");
+  ASSERT_FALSE(r.findings.empty());
+  const Finding& f = r.findings[0];
+  EXPECT_EQ(f.effect, "sloshing_payload");
+  EXPECT_NE(f.statement.find("swings on a rod"), std::string::npos) << f.statement;
+  EXPECT_NE(f.equation.find("ddphi"), std::string::npos) << f.equation;
+  const auto length = std::find_if(f.parameters.begin(), f.parameters.end(),
+                                   [](const auto& p) { return p.name == "length"; });
+  ASSERT_NE(length, f.parameters.end());
+  EXPECT_NEAR(length->value, 0.12, 0.006);
+}
+
 TEST(Diagnose, MotionThatNoForceFollowsIsNoNoise) {
   recordings::RecordingSet set = testing::MakeSet("pendulum", {}, 21);
   // A ring near half the sampling rate, thirty times the noise.
