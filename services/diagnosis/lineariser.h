@@ -26,8 +26,8 @@ inline constexpr double kBroken = 1e12;
 // How long before a window hidden states are carried along the record, so that their settled start is
 // forgotten [s].
 inline constexpr double kSettleTime = 0.5;
-inline constexpr double kEarly = 0.4;   // of a window, in which starts are compared
-inline constexpr size_t kToTheEnd = 8;  // of them, that are simulated to its end
+inline constexpr double kEarly = 0.4;  // of a window, in which starts are compared
+inline constexpr size_t kNearest = 8;  // of them, that are simulated to its end
 
 // A plant that can feel a torque on each joint, for the columns B.
 struct Probe {
@@ -327,7 +327,7 @@ class Lineariser {
       std::iota(order.begin(), order.end(), size_t{0});
       std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return early[a] < early[b]; });
       std::vector<VectorXd> nearest;
-      for (size_t i = 0; i < std::min(kToTheEnd, order.size()); ++i) nearest.push_back(starts[order[i]]);
+      for (size_t i = 0; i < std::min(kNearest, order.size()); ++i) nearest.push_back(starts[order[i]]);
       const std::vector<double> chi2 = Simulated(worker, std::vector<int>(nearest.size(), index), nearest);
       const auto least = std::min_element(chi2.begin(), chi2.end());
       if (*least < best) best = *least, states->col(0) = nearest[static_cast<size_t>(least - chi2.begin())];
@@ -383,18 +383,20 @@ class Lineariser {
   }
   // At least three nodes, of which one is measured.
   static size_t NodesOf(const NodeWindow& window, double part) {
-    size_t nodes = std::min(window.t.size(), std::max<size_t>(3, std::lround(part * window.t.size())));
-    while (nodes < window.t.size() &&
-           std::count(window.measured.begin(), window.measured.begin() + nodes, 1) < 1)
-      ++nodes;
-    return nodes;
+    const size_t all = window.t.size();
+    if (part >= 1.0) return all;
+    const auto first = std::find(window.measured.begin(), window.measured.end(), char{1});
+    const auto needed = static_cast<size_t>(first - window.measured.begin()) + 1;
+    const auto wanted = static_cast<size_t>(std::lround(part * static_cast<double>(all)));
+    return std::min(all, std::max({size_t{3}, needed, wanted}));
   }
   // The whole window in one run, or its first part.
   void StartWindow(int index, const VectorXd& x0, sim::SimulationWindow* run, std::vector<double>* times,
                    double part = 1.0) const {
     const NodeWindow& window = data_.windows[index];
+    const size_t nodes = NodesOf(window, part);
     times->clear();
-    for (size_t k = 0; k < NodesOf(window, part); ++k) {
+    for (size_t k = 0; k < nodes; ++k) {
       if (!window.measured[k]) continue;
       times->insert(times->end(), window.before[k].begin(), window.before[k].end());
       times->push_back(window.t[k]);
@@ -406,9 +408,10 @@ class Lineariser {
   }
   VectorXd Residuals(int index, const sim::Trajectory& simulated, double part = 1.0) const {
     const NodeWindow& window = data_.windows[index];
+    const size_t nodes = NodesOf(window, part);
     VectorXd residuals(RowsOf(window));
     Eigen::Index row = 0, at = 0;
-    for (size_t node = 0; node < NodesOf(window, part); ++node) {
+    for (size_t node = 0; node < nodes; ++node) {
       if (!window.measured[node]) continue;
       const auto k = static_cast<Eigen::Index>(node);
       const auto count =

@@ -423,61 +423,61 @@ class Search {
     Tell("flexible", 0.3 + 0.15 * round_, KeyOf(best->specs));
     bool taken = false;
     // Free base parameters only where they are part of the account.
-    for (const bool base : best->base ? std::vector<bool>{false, true} : std::vector<bool>{false}) {
-      Unnamed(base, variables, [&](const Candidate& c) {
-        if (c.score > best->score + Threshold(*best) && fits_.PerRow(c) < worst) *best = c, taken = true;
-        return taken && fits_.PerRow(*best) < kExplained;
-      });
-      if (taken && fits_.PerRow(*best) < kExplained) break;
-    }
+    Unnamed(best->base, variables, [&](const Candidate& c) {
+      if (c.score > best->score + Threshold(*best) && fits_.PerRow(c) < worst) *best = c, taken = true;
+      return taken && fits_.PerRow(*best) < kExplained;
+    });
     return taken;
   }
 
-  // Whether an account by name on the parameters as given leaves nothing of the recordings, nor of those kept
-  // aside: then free parameters, which alone explain little, are no rival. On a robot of two joints or one
-  // they may act like what was found.
-  bool Settled(const Candidate& before, const Candidate& named) {
-    if (data_.n <= 2 || data_.held_out == nullptr || !MeetsSensors(named) || HasUnnamed(named) ||
-        fits_.PerRow(before) < kHolds || named.score <= before.score + Threshold(before, named))
-      return false;
+  // Bodies on a robot of more than two joints do not act like a few laws, nor like a force over two
+  // positions: what holds on recordings kept aside there is no accident. On smaller ones they may.
+  bool MaySettle() const { return data_.n > 2 && data_.held_out != nullptr; }
+  bool HoldsAside(const Candidate& account, double needed) {
     HeldOutJudge judge(*data_.held_out, fits_.lifted(), trace_);
-    const bool holds = judge.Holds(named, Threshold(before));
+    const bool holds = judge.Holds(account, needed);
     fits_.AddWork(judge.work());
     return holds;
   }
 
+  // Whether an account by name on the parameters as given leaves nothing of the recordings, nor of those kept
+  // aside: then free parameters, which alone explain little, are no rival.
+  bool Settled(const Candidate& before, const Candidate& named) {
+    return MaySettle() && MeetsSensors(named) && !HasUnnamed(named) && fits_.PerRow(before) >= kHolds &&
+           named.score > before.score + Threshold(before, named) && HoldsAside(named, Threshold(before));
+  }
+
   // Whether one unnamed force on the parameters as given, better than what has names there, leaves nothing of
-  // the recordings, nor of those kept aside: then nothing is looked for with other parameters. Bodies on a
-  // robot of more than two joints do not act like a force over two positions; on smaller ones they may.
+  // the recordings, nor of those kept aside: then nothing is looked for with other parameters.
   bool Nameless(const Candidate& before, const Candidate& named, Candidate* out) {
-    if (data_.n <= 2 || data_.held_out == nullptr || fits_.PerRow(named) < kExplained || fits_.Late())
-      return false;
-    HeldOutJudge judge(*data_.held_out, fits_.lifted(), trace_);
+    if (!MaySettle() || fits_.PerRow(named) < kExplained || fits_.Late()) return false;
+    const double least = std::max(named.score, before.score) + Threshold(before);
     bool found = false;
     Unnamed(false, kOfPlace, [&](const Candidate& c) {
-      found = MeetsSensors(c) && c.score > named.score + Threshold(before) &&
-              c.score > before.score + Threshold(before) && judge.Holds(c, Threshold(before));
+      found = MeetsSensors(c) && c.score > least && HoldsAside(c, Threshold(before));
       if (found) *out = c;
       return found;
     });
-    fits_.AddWork(judge.work());
     return found;
   }
 
-  // One unnamed force beside what the model is given, over each of the variables until one is enough.
-  void Unnamed(bool base, const std::vector<std::string>& variables,
+  // One unnamed force beside what the model is given, over each of the variables, with base parameters as
+  // given and, where `freed`, with free ones, until one is enough.
+  void Unnamed(bool freed, const std::vector<std::string>& variables,
                const std::function<bool(const Candidate&)>& enough) {
-    const Candidate* from = fits_.Known(given_, base);
-    if (from == nullptr || !from->fit.ok) return;
-    const MissingForce force = Force(*from);
-    for (const std::string& variable : variables) {
-      const auto spec = variable == "position" && data_.n > 1
-                            ? FieldPairStart(data_, nominal_, scales_, force)
-                            : FieldStart(data_, nominal_, scales_, force, variable);
-      if (!spec) continue;
-      const std::vector<EffectSpec> specs = Joined(given_, {*spec});
-      const Candidate* done = fits_.Known(specs, base);
-      if (enough(done != nullptr ? *done : fits_.Evaluate(specs, base))) return;
+    for (const bool base : {false, true}) {
+      const Candidate* from = fits_.Known(given_, base);
+      if ((base && !freed) || from == nullptr || !from->fit.ok) continue;
+      const MissingForce force = Force(*from);
+      for (const std::string& variable : variables) {
+        const auto spec = variable == "position" && data_.n > 1
+                              ? FieldPairStart(data_, nominal_, scales_, force)
+                              : FieldStart(data_, nominal_, scales_, force, variable);
+        if (!spec) continue;
+        const std::vector<EffectSpec> specs = Joined(given_, {*spec});
+        const Candidate* done = fits_.Known(specs, base);
+        if (enough(done != nullptr ? *done : fits_.Evaluate(specs, base))) return;
+      }
     }
   }
 
@@ -490,9 +490,7 @@ class Search {
     const bool named = !best->specs.empty() && !FoundNothing(*best);
     for (int sent = 0; named && sent < kSentBack && !fits_.Late() && !judge.Holds(*best, Threshold(*best));
          ++sent) {
-      for (const bool base : {false, true}) {
-        if (!base || best->base) Unnamed(base, kAny, [](const Candidate&) { return false; });
-      }
+      Unnamed(best->base, kAny, [](const Candidate&) { return false; });
       const auto rival =
           judge.Better(*best, fits_.tried(), [&](const Candidate& c) { return Threshold(*best, c); });
       if (!rival) break;
