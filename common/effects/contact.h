@@ -37,6 +37,7 @@ struct Contact {
         .family = "environment",
         .confused_with = {"external_disturbance", "unknown_field"},
         .reference = "",
+        .shows_over = Variable::kPosition,
         .options = {{"normal", {"z", "-z", "x", "-x", "y", "-y"}}, {"point", {"end_effector", "last_link"}}},
     };
   }

@@ -45,18 +45,12 @@ Status CheckValue(const std::string& where, const ParameterInfo& parameter, doub
   return Status::Ok();
 }
 
-// Whether values are given for all parameters that a sentence names.
-bool Says(const std::string& sentence, const EffectInfo& info, const std::map<std::string, double>& values) {
-  return std::all_of(info.parameters.begin(), info.parameters.end(), [&](const ParameterInfo& p) {
-    return sentence.find("{" + p.name + "}") == std::string::npos || values.count(p.name) > 0;
+// Null: the first form, whose words are the row's.
+const FormInfo* FormOf(const EffectInfo& info, const EffectSpec& spec) {
+  const auto form = std::find_if(info.forms.begin(), info.forms.end(), [&](const FormInfo& f) {
+    return info.options.at(f.option)[info.Option(f.option, spec)] == f.value;
   });
-}
-
-const std::string& SentenceFor(const EffectInfo& info, const std::map<std::string, double>& values) {
-  if (Says(info.sentence, info, values)) return info.sentence;
-  const auto other = std::find_if(info.other_sentences.begin(), info.other_sentences.end(),
-                                  [&](const std::string& sentence) { return Says(sentence, info, values); });
-  return other == info.other_sentences.end() ? info.sentence : *other;
+  return form == info.forms.end() ? nullptr : &*form;
 }
 
 }  // namespace
@@ -75,6 +69,20 @@ std::string_view StageName(Stage stage) {
       return "sensor";
     case Stage::kEnvironment:
       return "environment";
+  }
+  return "unknown";
+}
+
+std::string_view VariableName(Variable variable) {
+  switch (variable) {
+    case Variable::kVelocity:
+      return "velocity";
+    case Variable::kPosition:
+      return "position";
+    case Variable::kEffort:
+      return "effort";
+    case Variable::kTime:
+      return "time";
   }
   return "unknown";
 }
@@ -119,9 +127,23 @@ EffectSpec MakeSpec(std::string id, std::vector<std::string> joints, std::map<st
   return spec;
 }
 
-std::string Sentence(const EffectInfo& info, const std::string& joint, bool prismatic,
+Variable ShowsOver(const EffectSpec& spec) {
+  const EffectInfo& info = *FindEffect(spec.id);
+  const FormInfo* form = FormOf(info, spec);
+  return form == nullptr ? info.shows_over : form->shows_over;
+}
+
+std::string Equation(const EffectSpec& spec) {
+  const EffectInfo& info = *FindEffect(spec.id);
+  const FormInfo* form = FormOf(info, spec);
+  return form == nullptr ? info.equation : form->equation;
+}
+
+std::string Sentence(const EffectSpec& spec, const std::string& joint, bool prismatic,
                      const std::map<std::string, double>& values) {
-  const std::string& sentence = SentenceFor(info, values);
+  const EffectInfo& info = *FindEffect(spec.id);
+  const FormInfo* form = FormOf(info, spec);
+  const std::string& sentence = form == nullptr ? info.sentence : form->sentence;
   std::string text;
   for (size_t at = 0; at < sentence.size();) {
     const size_t close = sentence[at] == '{' ? sentence.find('}', at) : std::string::npos;

@@ -21,6 +21,10 @@ inline constexpr double kInf = std::numeric_limits<double>::infinity();
 enum class Stage { kActuator, kTransmission, kJoint, kBody, kSensor, kEnvironment };
 std::string_view StageName(Stage stage);
 
+// What an effect's force is best seen over, of the joint that feels it.
+enum class Variable { kVelocity, kPosition, kEffort, kTime };
+std::string_view VariableName(Variable variable);  // "velocity", "position", "effort", "time"
+
 // What the parameters belong to.
 enum class Scope {
   kJoint,         // one set per joint it acts on: "coulomb_friction.joint_2.coulomb"
@@ -50,6 +54,13 @@ struct ParameterInfo {
 
 struct EffectSpec;
 
+// Another form of an effect, which the value of one of its options gives it, and how that form reads.
+struct FormInfo {
+  std::string option, value;  // "form", "rod"
+  std::string equation, sentence;
+  Variable shows_over = Variable::kVelocity;
+};
+
 // The catalogue row of an effect.
 struct EffectInfo {
   std::string id;     // as in EFFECTS.md; stored in files, never renamed
@@ -63,10 +74,11 @@ struct EffectInfo {
   std::string family;  // effects of one family are easily taken for each other: "friction", "timing", …
   std::vector<std::string> confused_with;  // ids, itself not included
   std::string reference;                   // literature
+  Variable shows_over = Variable::kVelocity;
   // Options of EffectSpec::options and their admissible values, the first one is the default.
   std::map<std::string, std::vector<std::string>> options;
-  // Of other forms, each with the parameters that it alone has: see Sentence().
-  std::vector<std::string> other_sentences = {};
+  // Forms with words of their own; the row's own are of the others.
+  std::vector<FormInfo> forms = {};
 
   // Index into `parameters`, or -1.
   int FindParameter(std::string_view name) const;
@@ -91,9 +103,12 @@ struct EffectSpec {
 EffectSpec MakeSpec(std::string id, std::vector<std::string> joints = {},
                     std::map<std::string, double> values = {});
 
-// The row's sentence, or the first of the other forms' whose parameters are all given where one of its own is
-// not, with names and values filled in: "joint_2 loses a constant torque …".
-std::string Sentence(const EffectInfo& info, const std::string& joint, bool prismatic,
+// What the spec's form of the effect shows over and what it says, in symbols, and in words with names and
+// values filled in: "joint_2 loses a constant torque …". values: by parameter, those of the spec are not
+// looked at.
+Variable ShowsOver(const EffectSpec& spec);
+std::string Equation(const EffectSpec& spec);
+std::string Sentence(const EffectSpec& spec, const std::string& joint, bool prismatic,
                      const std::map<std::string, double>& values);
 
 // Refuses unknown ids, parameters and options, wrong numbers of joints, joints twice, values that are

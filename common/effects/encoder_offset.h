@@ -30,6 +30,7 @@ struct EncoderOffset {
         .family = "load",
         .confused_with = {"gravity_misalignment", "payload", "parameters_only"},
         .reference = "",
+        .shows_over = Variable::kPosition,
         .options = {},
     };
   }

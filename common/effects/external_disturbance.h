@@ -39,6 +39,7 @@ struct ExternalDisturbance {
         .family = "environment",
         .confused_with = {"contact", "unknown_field"},
         .reference = "",
+        .shows_over = Variable::kTime,
         .options = {{"point", {"end_effector", "last_link"}}},
     };
   }

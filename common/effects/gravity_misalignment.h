@@ -35,6 +35,7 @@ struct GravityMisalignment {
         .family = "load",
         .confused_with = {"parameters_only", "payload", "encoder_offset", "torque_gain"},
         .reference = "",
+        .shows_over = Variable::kPosition,
         .options = {},
     };
   }

@@ -27,6 +27,7 @@ struct JointCoupling {
         .family = "coupling",
         .confused_with = {"unknown_field", "torque_gain"},
         .reference = "",
+        .shows_over = Variable::kEffort,
         .options = {},
     };
   }

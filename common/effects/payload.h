@@ -33,6 +33,7 @@ struct Payload {
         .confused_with = {"parameters_only", "torque_gain", "gravity_misalignment", "encoder_offset",
                           "rotor_inertia"},
         .reference = "",
+        .shows_over = Variable::kPosition,
         .options = {},
     };
   }

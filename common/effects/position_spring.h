@@ -33,6 +33,7 @@ struct PositionSpring {
         .family = "position",
         .confused_with = {"torque_ripple", "unknown_field"},
         .reference = "",
+        .shows_over = Variable::kPosition,
         .options = {},
     };
   }

@@ -56,7 +56,8 @@ struct SloshingPayload {
         .options = {{"form", {"spring", "rod"}},
                     {"hinge", {"x", "y", "z"}},
                     {"point", {"end_effector", "last_link"}}},
-        .other_sentences = {"The last link carries {mass} that swings on a rod of {length}."},
+        .forms = {{"form", "rod", "m*(L^2+r^2)*ddphi = -b*L^2*dphi + m*L x (g-a)",
+                   "The last link carries {mass} that swings on a rod of {length}."}},
     };
   }
 

@@ -27,6 +27,7 @@ struct TorqueDeadband {
         .family = "actuator",
         .confused_with = {"coulomb_friction"},
         .reference = "",
+        .shows_over = Variable::kEffort,
         .options = {},
     };
   }

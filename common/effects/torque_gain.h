@@ -27,6 +27,7 @@ struct TorqueGain {
         .family = "load",
         .confused_with = {"parameters_only", "payload", "gravity_misalignment", "load_dependent_friction"},
         .reference = "",
+        .shows_over = Variable::kEffort,
         .options = {},
     };
   }

@@ -31,6 +31,7 @@ struct TorqueRipple {
         .family = "position",
         .confused_with = {"position_spring", "unknown_field"},
         .reference = "",
+        .shows_over = Variable::kPosition,
         .options = {},
     };
   }

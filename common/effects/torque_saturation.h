@@ -26,6 +26,7 @@ struct TorqueSaturation {
         .family = "actuator",
         .confused_with = {"torque_gain"},
         .reference = "",
+        .shows_over = Variable::kEffort,
         .options = {},
     };
   }

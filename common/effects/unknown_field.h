@@ -26,7 +26,7 @@ struct UnknownField {
         .title = "Unnamed force",
         .stage = Stage::kJoint,
         .scope = Scope::kJoint,
-        .equation = "tau = sum_i w_i*B((x-x_i)/D)",
+        .equation = "tau = sum_i w_i*B((q-x_i)/D)",
         .sentence = "{joint} feels a repeatable force that has no name here.",
         .parameters = {{"w0", "w0", "N*m", "N", -kInf, kInf, 0, 0.05, true, false, "value at node 0"},
                        {"w1", "w1", "N*m", "N", -kInf, kInf, 0, 0.05, true, false, "value at node 1"},
@@ -41,7 +41,17 @@ struct UnknownField {
         .family = "position",
         .confused_with = {"torque_ripple", "position_spring"},
         .reference = "",
+        .shows_over = Variable::kPosition,
         .options = {{"variable", {"position", "velocity", "torque", "time", "drag"}}},
+        .forms = {{"variable", "velocity", "tau = sum_i w_i*B((dq-x_i)/D)",
+                   "{joint} feels a force that follows its speed and has no name here.", Variable::kVelocity},
+                  {"variable", "torque", "tau = sum_i w_i*B((u-x_i)/D)",
+                   "{joint} feels a force that follows its effort and has no name here.", Variable::kEffort},
+                  {"variable", "time", "tau = sum_i w_i*B((t-x_i)/D)",
+                   "{joint} feels a force that follows time and has no name here.", Variable::kTime},
+                  {"variable", "drag", "tau = -dq*sum_i w_i*B((q-x_i)/D)",
+                   "{joint} feels a drag that depends on where it is and has no name here.",
+                   Variable::kPosition}},
     };
   }
 

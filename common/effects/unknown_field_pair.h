@@ -73,6 +73,7 @@ struct UnknownFieldPair {
         .family = "position",
         .confused_with = {"unknown_field"},
         .reference = "",
+        .shows_over = Variable::kPosition,
         .options = {},
     };
   }

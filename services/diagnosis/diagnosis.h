@@ -13,6 +13,7 @@
 #include "common/base/clock.h"
 #include "common/base/progress.h"
 #include "common/base/status.h"
+#include "common/effects/effect.h"
 #include "common/recordings/recording_set.h"
 #include "common/sim/model_file.h"
 
@@ -71,6 +72,7 @@ struct Finding {
   std::vector<Region> regions;
   std::vector<TimeWindow> windows;
   std::string statement, equation;
+  effects::Variable shows_over = effects::Variable::kPosition;
   std::vector<std::string> effect_class;
   std::vector<ParameterEstimate> parameters;
   std::vector<Alternative> alternatives;

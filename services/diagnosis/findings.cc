@@ -12,12 +12,12 @@
 #include "services/diagnosis/given_model.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/separating_motion.h"
-#include "services/diagnosis/swing_starts.h"
 #include "services/diagnosis/words.h"
 
 namespace rg::diagnosis {
 
 using effects::EffectSpec;
+using effects::Variable;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
@@ -194,22 +194,16 @@ class Speaker {
     f.effect = id == "unknown_field_pair" ? "unknown_field" : id;
     f.joints = JointsOf(beyond_, id, r_.joints);
     std::erase_if(f.joints, [&](const std::string& j) { return Silent(j); });
-    const effects::EffectInfo* info = effects::FindEffect(id);
-    f.equation = info->equation;
+    f.equation = effects::Equation(SpecOf(id, "*"));
+    f.shows_over = effects::ShowsOver(SpecOf(id, "*"));
     const auto gain = s_.measured.gain.find(id);
     f.confidence =
         Confidence(gain != s_.measured.gain.end() ? gain->second : s_.best.score - BestWithout(s_, id));
     // That no name explains it was settled when names that fit better were refused: they are no reason for
     // doubt.
     if (IsUnnamed(id) && !s_.measured.active) f.confidence = 1.0;
-    FillParameters(id, *info, &f);
-    f.statement = StatementOf(*info, f);
-    if (id == "unknown_field" && FieldVariable(beyond_, f.joints[0]) == "drag") {
-      f.equation = "tau = -dq*sum_i w_i*B((q-x_i)/D)";
-      f.statement += " It is a drag that depends on where the joint is.";
-    }
-    if (id == "sloshing_payload" && HasRod(beyond_))
-      f.equation = "m*(L^2+r^2)*ddphi = -b*L^2*dphi + m*L x (g-a)";
+    FillParameters(id, &f);
+    f.statement = StatementOf(id, f);
     for (const StillJoint& still : still_) {
       const std::string& name = nominal_.model().joint(still.joint).name;
       if (std::find(f.joints.begin(), f.joints.end(), name) != f.joints.end())
@@ -220,7 +214,15 @@ class Speaker {
     return f;
   }
 
-  void FillParameters(const std::string& id, const effects::EffectInfo&, Finding* f) {
+  // The effect of that id that acts on the owner; of the whole robot, or of any joint, for "*".
+  const EffectSpec& SpecOf(const std::string& id, const std::string& owner) const {
+    return *std::find_if(s_.best.specs.begin(), s_.best.specs.end(), [&](const EffectSpec& e) {
+      return e.id == id && (owner == "*" || e.joints.empty() ||
+                            std::find(e.joints.begin(), e.joints.end(), owner) != e.joints.end());
+    });
+  }
+
+  void FillParameters(const std::string& id, Finding* f) {
     for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
       const sim::Parameter& p = s_.best.plant->parameters()[s_.best.parameters[k].index];
       // A surface's 36 weights are in model.json.
@@ -239,7 +241,7 @@ class Speaker {
     }
   }
 
-  std::string StatementOf(const effects::EffectInfo& info, const Finding& f) const {
+  std::string StatementOf(const std::string& id, const Finding& f) const {
     std::map<std::string, std::map<std::string, double>> by_owner;
     for (const ParameterEstimate& p : f.parameters) by_owner[p.owner][p.name] = p.value;
     std::string text;
@@ -249,11 +251,11 @@ class Speaker {
       const std::string name = owner == "*" && !f.joints.empty() ? Listed(f.joints)
                                : owner == "*"                    ? "the robot"
                                                                  : owner;
-      text += (text.empty() ? "" : " ") + effects::Sentence(info, name, prismatic, values);
+      text += (text.empty() ? "" : " ") + effects::Sentence(SpecOf(id, owner), name, prismatic, values);
     }
     if (f.effect == "unknown_field" && f.parameters.empty())
-      return effects::Sentence(info, Listed(f.joints), false, {});
-    return text.empty() ? info.title + "." : text;
+      return effects::Sentence(SpecOf(id, "*"), Listed(f.joints), false, {});
+    return text.empty() ? effects::FindEffect(id)->title + "." : text;
   }
 
   void FillClass(const std::string& id, Finding* f) {
@@ -330,8 +332,6 @@ class Speaker {
     const int j = nominal_.model().FindJoint(joint);
     const double low = scales_.low[j], high = scales_.high[j];
     Region region{"position." + joint, low, high};
-    if (FieldVariable(s_.best.specs, joint) == "velocity")
-      return {"velocity." + joint, -scales_.top_speed[j], scales_.top_speed[j]};
     const bool pair = id == "unknown_field_pair";
     bool own = true;  // the joint that feels the force, not the one it sees
     for (const EffectSpec& e : s_.best.specs) own = own && !(pair && e.id == id && e.joints[0] == joint);
@@ -378,13 +378,11 @@ class Speaker {
         }
         break;
       }
-      const bool position = id == "torque_ripple" || id == "position_spring" || f->effect == "unknown_field";
-      const bool effort = id == "torque_saturation" || id == "torque_deadband" || id == "torque_gain";
-      if (f->effect == "unknown_field") {
-        f->regions.push_back(FieldRegion(id, joint));
-      } else if (position) {
-        f->regions.push_back({"position." + joint, scales_.low[j], scales_.high[j]});
-      } else if (!effort) {
+      const Variable over = effects::ShowsOver(SpecOf(id, joint));
+      if (over == Variable::kPosition) {
+        f->regions.push_back(IsUnnamed(id) ? FieldRegion(id, joint)
+                                           : Region{"position." + joint, scales_.low[j], scales_.high[j]});
+      } else if (over == Variable::kVelocity) {
         f->regions.push_back({"velocity." + joint, -scales_.top_speed[j], scales_.top_speed[j]});
       }
     }

@@ -179,14 +179,17 @@ Plot OverTime(const DiagnosisResult& r, const ForcePlot& f, int joint) {
       "Estimated from the recording with the rigid-body model alone, in stairs of 50 ms."};
 }
 
-// Over the variable that explains it: position, velocity or command.
-Plot OverVariable(const DiagnosisResult& r, int joint, const std::string& variable) {
+// Over what the finding's force shows over best.
+Plot OverVariable(const DiagnosisResult& r, int joint, effects::Variable variable) {
   std::vector<std::array<double, 3>> points;
   for (const ForcePlot& f : r.force_plots) {
-    const Eigen::MatrixXd& x = variable == "position" ? f.q : variable == "velocity" ? f.v : f.u;
+    const Eigen::MatrixXd& x = variable == effects::Variable::kPosition ? f.q
+                               : variable == effects::Variable::kEffort ? f.u
+                                                                        : f.v;
     for (Eigen::Index k = 0; k < f.force.cols(); ++k) {
       if (f.stddev(joint, k) > 0.7 * f.stddev.row(joint).maxCoeff() && k % 2 == 1) continue;
-      points.push_back({x(joint, k), f.force(joint, k), f.explained(joint, k)});
+      const double at = variable == effects::Variable::kTime ? f.t[static_cast<size_t>(k)] : x(joint, k);
+      points.push_back({at, f.force(joint, k), f.explained(joint, k)});
     }
   }
   std::sort(points.begin(), points.end());
@@ -200,28 +203,19 @@ Plot OverVariable(const DiagnosisResult& r, int joint, const std::string& variab
     raw.x.push_back(points[i][0]), raw.y.push_back(points[i][1]);
     law.x.push_back(points[i][0]), law.y.push_back(points[i][2]);
   }
-  const std::string unit = variable == "position"   ? r.units[joint]
-                           : variable == "velocity" ? r.units[joint] + "/s"
-                                                    : "N·m";
-  return {"Over the " + variable + " of " + r.joints[joint],
-          variable + " [" + unit + "]",
-          "missing force",
+  const std::string force = r.units[joint] == "m" ? "N" : "N·m", name(effects::VariableName(variable));
+  const std::string unit = variable == effects::Variable::kPosition   ? r.units[joint]
+                           : variable == effects::Variable::kVelocity ? r.units[joint] + "/s"
+                           : variable == effects::Variable::kEffort   ? force
+                                                                      : "s";
+  return {"Over the " + name + " of " + r.joints[joint],
+          name + " [" + unit + "]",
+          "missing force [" + force + "]",
           {raw, law}};
 }
 
-std::string VariableOf(const std::string& effect) {
-  for (const char* id : {"torque_ripple", "position_spring", "unknown_field", "contact", "encoder_offset",
-                         "gravity_misalignment", "payload", "parameters_only"}) {
-    if (effect == id) return "position";
-  }
-  for (const char* id : {"torque_gain", "torque_saturation", "torque_deadband", "joint_coupling"}) {
-    if (effect == id) return "command";
-  }
-  return "velocity";
-}
-
 // The finding that explains most on a joint.
-std::string EffectOn(const DiagnosisResult& r, int joint) {
+const Finding* FindingOn(const DiagnosisResult& r, int joint) {
   const Finding* best = nullptr;
   for (const Finding& f : r.findings) {
     const bool here =
@@ -233,7 +227,7 @@ std::string EffectOn(const DiagnosisResult& r, int joint) {
         (own == best_own && f.share_of_mismatch > best->share_of_mismatch))
       best = &f;
   }
-  return best == nullptr ? "" : best->effect;
+  return best;
 }
 
 void Where(const DiagnosisResult& r, Page* page) {
@@ -256,7 +250,9 @@ void Where(const DiagnosisResult& r, Page* page) {
   std::vector<Plot> plots;
   for (const int joint : PlottedJoints(r)) {
     if (!r.force_plots.empty()) plots.push_back(OverTime(r, r.force_plots.front(), joint));
-    plots.push_back(OverVariable(r, joint, VariableOf(EffectOn(r, joint))));
+    const Finding* finding = FindingOn(r, joint);
+    plots.push_back(
+        OverVariable(r, joint, finding == nullptr ? effects::Variable::kVelocity : finding->shows_over));
   }
   if (!plots.empty()) page->AddPlots(plots);
 }

@@ -139,7 +139,7 @@ TEST(Diagnose, OfWhatRubsInOnePlaceItSaysThatItIsADragWithoutAName) {
   EXPECT_EQ(r.verdict, "unexplained");
   ASSERT_EQ(r.findings.size(), 1u);
   EXPECT_EQ(r.findings[0].joints, std::vector<std::string>{"shoulder"});
-  EXPECT_NE(r.findings[0].statement.find("a drag that depends on where"), std::string::npos);
+  EXPECT_NE(r.findings[0].statement.find("a drag that depends on where it is"), std::string::npos);
   EXPECT_NE(r.findings[0].equation.find("-dq"), std::string::npos);
   EXPECT_EQ(r.findings[0].regions.at(0).variable, "position.shoulder");
   EXPECT_LT(r.remaining, 1.1);

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <set>
 
@@ -56,16 +57,18 @@ TEST(Catalog, HoldsTheContractsIdsAndParameters) {
 }
 
 TEST(SloshingPayload, SaysWhichOfItsFormsItIs) {
-  const EffectInfo& info = *FindEffect("sloshing_payload");
-  EXPECT_EQ(Sentence(info, "the robot", false, {{"mass", 0.2}, {"stiffness", 40}, {"damping", 1}}),
+  const EffectSpec springs = MakeSpec("sloshing_payload");
+  EXPECT_EQ(Sentence(springs, "the robot", false, {{"mass", 0.2}, {"stiffness", 40}, {"damping", 1}}),
             "The last link carries 0.2 kg that moves in a hold of 40 N/m.");
-  EXPECT_EQ(Sentence(info, "the robot", false, {{"mass", 0.2}, {"length", 0.1}, {"damping", 1}}),
-            "The last link carries 0.2 kg that swings on a rod of 0.1 m.");
+  EXPECT_THAT(Equation(springs), HasSubstr("-k*s"));
   EffectSpec rod = MakeSpec("sloshing_payload", {}, {{"mass", 0.2}, {"length", 0.1}});
   const Status refused = ValidateSpec(rod);
   EXPECT_FALSE(refused.ok());
   EXPECT_NE(refused.message().find("length needs option form rod"), std::string::npos) << refused.message();
   rod.options["form"] = "rod";
+  EXPECT_EQ(Sentence(rod, "the robot", false, {{"mass", 0.2}, {"length", 0.1}, {"damping", 1}}),
+            "The last link carries 0.2 kg that swings on a rod of 0.1 m.");
+  EXPECT_THAT(Equation(rod), HasSubstr("ddphi"));
   EXPECT_TRUE(ValidateSpec(rod).ok());
   rod.values["*"]["stiffness"] = 40;
   EXPECT_FALSE(ValidateSpec(rod).ok()) << "a rod has no springs";
@@ -73,6 +76,12 @@ TEST(SloshingPayload, SaysWhichOfItsFormsItIs) {
 
 TEST(Catalog, RowsAreComplete) {
   for (const EffectInfo& info : Catalog()) {
+    for (const FormInfo& form : info.forms) {
+      const auto& values = info.options.at(form.option);
+      EXPECT_NE(std::find(values.begin(), values.end(), form.value), values.end())
+          << info.id << " " << form.value;
+      EXPECT_FALSE(form.equation.empty() || form.sentence.empty()) << info.id << " " << form.value;
+    }
     EXPECT_FALSE(info.title.empty() || info.equation.empty() || info.sentence.empty() || info.family.empty())
         << info.id;
     std::set<std::string> names;
@@ -92,12 +101,12 @@ TEST(Catalog, RowsAreComplete) {
 }
 
 TEST(Sentence, FillsInJointValuesAndUnits) {
-  const std::string text = Sentence(*FindEffect("coulomb_friction"), "joint_2", false, {{"coulomb", 0.84}});
+  const std::string text = Sentence(MakeSpec("coulomb_friction"), "joint_2", false, {{"coulomb", 0.84}});
   EXPECT_EQ(
       text,
       "joint_2 loses a constant torque against its motion that the model does not have: Coulomb friction of "
       "0.84 N*m.");
-  EXPECT_THAT(Sentence(*FindEffect("coulomb_friction"), "slide", true, {{"coulomb", 20.4}}),
+  EXPECT_THAT(Sentence(MakeSpec("coulomb_friction"), "slide", true, {{"coulomb", 20.4}}),
               HasSubstr("20.4 N."));
 }
 
