@@ -196,54 +196,59 @@ double FitLedger::TellingPiece(FitRequest trial) {
   return 0;
 }
 
-void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool,
-                        const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner) {
-  FitRequest trial = Trial(from, base, Start(&from, base));
+FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::vector<TrialSpecs>& pool,
+                                             bool base) {
+  TrialResults out{Trial(from, base, Start(&from, base)), {}, {}, {}};
+  FitRequest trial = out.setting;
   // Whole windows, or pieces of them where only pieces are met, but not for hidden states, which need whole
   // windows: each has its own reference.
   std::vector<FitRequest> trials = {trial};
   if (trial.from != nullptr && trial.from == pieces_)
     trial.piece_s = TellingPiece(trial), trial.pieces_alone = trial.piece_s > 0;
+  out.setting = trial;
   trials.push_back(trial);
   for (const TrialSpecs& start : pool) {
     trial.specs = Joined(Refreshed(from), start);
     trials.push_back(trial);
   }
-  std::vector<RankedTrial> ranked, hidden;
-  std::set<std::string> refused;  // as no effect of its name, which more windows do not change
   const double enough = work_ + kTrialShare * options_.work_limit;
-  {
-    const auto batch = fits_.Start(setting_, trials);
-    const double on_windows = Fitted(trials[0], batch->Take(0)).score;
-    const double on_pieces = trial.pieces_alone ? Fitted(trials[1], batch->Take(1)).score : on_windows;
-    bool met = false;
-    for (size_t i = 2; i < trials.size() && !Late() && work_ <= enough; ++i) {
-      // Where a law of what is recorded meets it, hidden states have no part.
-      if (met && HasHiddenStates(Unfitted(setting_, trials[i].specs, base))) continue;
-      const Candidate c = Fitted(trials[i], batch->Take(i));
-      const bool whole = HasHiddenStates(c);
-      const double before = whole ? on_windows : on_pieces;
-      const bool better = c.fit.ok && c.score >= before;
-      trace_.Fit(c, better ? "  ~" : "  -");
-      if (!c.fit.ok) refused.insert(KeyOf(c.specs));
-      auto& list = whole && trial.pieces_alone ? hidden : ranked;
-      if (better)
-        list.push_back({c.score / std::min(before, -1.0), Excess(c), std::make_shared<const Candidate>(c)});
-      met = met || (better && !whole && !trial.pieces_alone && !HasUnnamed(c) &&
-                    lifted_.noise_scale * PerRow(c) < kExplained && PerRow(from) > kExplained);
-    }
+  const auto batch = fits_.Start(setting_, trials);
+  const double on_windows = Fitted(trials[0], batch->Take(0)).score;
+  const double on_pieces = trial.pieces_alone ? Fitted(trials[1], batch->Take(1)).score : on_windows;
+  bool met = false;
+  for (size_t i = 2; i < trials.size() && !Late() && work_ <= enough; ++i) {
+    // Where a law of what is recorded meets it, hidden states have no part.
+    if (met && HasHiddenStates(Unfitted(setting_, trials[i].specs, base))) continue;
+    const Candidate c = Fitted(trials[i], batch->Take(i));
+    const bool whole = HasHiddenStates(c);
+    const double before = whole ? on_windows : on_pieces;
+    const bool better = c.fit.ok && c.score >= before;
+    trace_.Fit(c, better ? "  ~" : "  -");
+    if (!c.fit.ok) out.refused.insert(KeyOf(c.specs));
+    auto& list = whole && trial.pieces_alone ? out.hidden : out.ranked;
+    if (better)
+      list.push_back({c.score / std::min(before, -1.0), Excess(c), std::make_shared<const Candidate>(c)});
+    met = met || (better && !whole && !trial.pieces_alone && !HasUnnamed(c) &&
+                  lifted_.noise_scale * PerRow(c) < kExplained && PerRow(from) > kExplained);
   }
+  return out;
+}
+
+void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool,
+                        const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner) {
+  TrialResults trials = RunTrials(from, pool, base);
+  const FitRequest& trial = trials.setting;
   // What its misfit on all windows would be, by the best trial.
   Candidate nearest = from;
-  for (const RankedTrial& t : ranked) {
+  for (const RankedTrial& t : trials.ranked) {
     // A mass that may start anew in each window of a trial may not when it is fitted on all.
     if (!HasMassInSprings(t.fitted->specs)) nearest.score = std::max(nearest.score, t.left * from.score);
   }
   // The best with states that no sensor reads: something beside it may be missing, without which it is not
   // among the best of all. And the best with a mass that swings, where `from` has none.
   const auto with_states = LeavesLeast(
-      {&ranked}, [](const Candidate& c) { return HasHiddenStates(c) && !HasMassInSprings(c.specs); });
-  const auto swings = LeavesLeast({&ranked, &hidden}, [&](const Candidate& c) {
+      {&trials.ranked}, [](const Candidate& c) { return HasHiddenStates(c) && !HasMassInSprings(c.specs); });
+  const auto swings = LeavesLeast({&trials.ranked, &trials.hidden}, [&](const Candidate& c) {
     return HasMassInSprings(c.specs) && !HasKind(from.specs, "sloshing_payload");
   });
   // From the model that the trials started at where that holds, else from base parameters where they ended.
@@ -251,7 +256,7 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   std::vector<FitRequest> best;
   // Trials on pieces say nothing of whole windows: there what is known to come nearest is the rival.
   const Candidate& rival = trial.pieces_alone ? *winner : nearest;
-  for (const auto& c : BestOf(std::move(ranked), std::move(hidden), count))
+  for (const auto& c : BestOf(std::move(trials.ranked), std::move(trials.hidden), count))
     best.push_back(WholeFit(Refreshed(*c), base, holds || !base ? trial.from : ValuesOf(*c), 6, &rival));
   const auto add = [&](const TrialSpecs& specs) {
     const bool chosen = std::any_of(best.begin(), best.end(), [&](const FitRequest& request) {
@@ -261,7 +266,7 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   };
   for (const TrialSpecs& start : promised) {
     const TrialSpecs specs = Joined(Refreshed(from), start);
-    if (refused.count(KeyOf(specs)) == 0) add(specs);
+    if (trials.refused.count(KeyOf(specs)) == 0) add(specs);
   }
   if (!base && with_states != nullptr) add(Refreshed(*with_states));
   Candidate found = from;

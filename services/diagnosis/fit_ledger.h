@@ -3,6 +3,7 @@
 
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -79,6 +80,14 @@ class FitLedger {
                       const Candidate* rival = nullptr) const;
   void TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner);
   FitRequest Trial(const Candidate& from, bool base, std::shared_ptr<const Candidate> start) const;
+  // Of a pool beside `from`'s effects, what is no worse than these alone.
+  struct TrialResults {
+    FitRequest setting;  // of them all
+    std::vector<RankedTrial> ranked;
+    std::vector<RankedTrial> hidden;  // on whole windows with hidden states, where the others are on pieces
+    std::set<std::string> refused;    // as no effect of its name, which more windows do not change
+  };
+  TrialResults RunTrials(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base);
   FitResult Made(const FitRequest& request);
   Candidate Fitted(const FitRequest& request, FitResult fit);
   Candidate Tried(const FitRequest& request, FitResult fit);

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <set>
-#include <vector>
 
 #include "services/diagnosis/separating_motion.h"
 
@@ -20,8 +19,12 @@ std::string Key(const Candidate& c) { return KeyOf(c.specs, c.base); }
 
 }  // namespace
 
+HeldOutJudge::Question HeldOutJudge::About(const Candidate& c) const {
+  return {Key(c), {c.fit.values.begin(), c.fit.values.end()}, options_.noise_scale};
+}
+
 const HeldOut& HeldOutJudge::Of(const Candidate& c) {
-  const auto [at, fresh] = known_.try_emplace(Key(c));
+  const auto [at, fresh] = known_.try_emplace(About(c));
   if (fresh) {
     at->second = Predicted(data_, c, options_);
     work_ += at->second.work;
@@ -74,20 +77,20 @@ std::optional<Candidate> HeldOutJudge::Better(const Candidate& account,
   if (!best) return best;
   const double reached = Of(*best).log_density;
   for (auto& [key, c] : tried) {
-    const auto known = known_.find(key);
+    const auto known = known_.find(About(c));
     if (known != known_.end()) c.score += std::min(0.0, known->second.log_density - reached);
   }
   return best;
 }
 
-void WeighRivals(const FitData& held_out, const LiftedOptions& options, SearchResult* search) {
-  search->best.held_out = Predicted(held_out, search->best, options).log_density;
+void HeldOutJudge::WeighRivals(SearchResult* search) {
+  search->best.held_out = Of(search->best).log_density;
   std::set<std::string> ids;
   for (const effects::EffectSpec& e : search->best.specs) ids.insert(e.id);
   for (const std::string& id : ids) {
     for (const Rival& rival : RivalsOf(*search, id)) {
       Candidate& c = search->tried[static_cast<size_t>(rival.candidate - search->tried.data())];
-      if (c.fit.ok && !c.held_out) c.held_out = Predicted(held_out, c, options).log_density;
+      if (c.fit.ok) c.held_out = Of(c).log_density;
     }
   }
 }

@@ -5,6 +5,8 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "services/diagnosis/held_out.h"
 #include "services/diagnosis/search.h"
@@ -12,8 +14,10 @@
 
 namespace rg::diagnosis {
 
+// Remembers what it predicted: of the same values at the same noise it is asked several times.
 class HeldOutJudge {
  public:
+  // `options` may change between questions. Of the noise that they have all scores are.
   HeldOutJudge(const FitData& held_out, const LiftedOptions& options, const Trace& trace)
       : data_(held_out), options_(options), trace_(trace) {}
 
@@ -29,20 +33,27 @@ class HeldOutJudge {
                                   const std::function<double(const Candidate&)>& needed);
   // The recording, by its place among those kept aside, that `account` is furthest from; −1 where it holds.
   int Refusing(const Candidate& account, double needed);
-  double work() const { return work_; }
+  // Gives the best model, and what the findings' alternatives are (separating_motion.h), their log densities.
+  void WeighRivals(SearchResult* search);
+  // Done since this was asked last.
+  double TakeWork() { return std::exchange(work_, 0.0); }
 
  private:
+  // What a prediction depends on.
+  struct Question {
+    std::string key;
+    std::vector<double> values;
+    double noise_scale;
+    auto operator<=>(const Question&) const = default;
+  };
+  Question About(const Candidate& c) const;
   const HeldOut& Of(const Candidate& c);
 
   const FitData& data_;
   const LiftedOptions& options_;
   const Trace& trace_;
-  std::map<std::string, HeldOut> known_;
+  std::map<Question, HeldOut> known_;
   double work_ = 0;
 };
-
-// Gives the best model, and what the findings' alternatives are (separating_motion.h), their log densities of
-// the held-out recordings.
-void WeighRivals(const FitData& held_out, const LiftedOptions& options, SearchResult* search);
 
 }  // namespace rg::diagnosis

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <optional>
 #include <set>
 
 #include "services/diagnosis/acceptance.h"
@@ -50,7 +51,9 @@ class Search {
         simplifier_(
             setting_, fits_, [this](const Candidate& a, const Candidate& b) { return Threshold(a, b); },
             [this](const Candidate& c) { return Threshold(c); },
-            [this](const Candidate& c) { return Explained(c); }) {}
+            [this](const Candidate& c) { return Explained(c); }) {
+    if (data.held_out != nullptr) judge_.emplace(*data.held_out, fits_.lifted(), trace_);
+  }
 
   SearchResult Run() {
     SearchResult out;
@@ -91,7 +94,7 @@ class Search {
     }
     simplifier_.Prune(&best);
     if (fits_.PerRow(best) > kExplained || OfPosition(best)) Flexible(&best, 1e300, kAny);
-    if (data_.held_out != nullptr) SendBack(Better(out.nominal, out.calibrated), &best, &out.unseen_in);
+    if (judge_) SendBack(Better(out.nominal, out.calibrated), &best, &out.unseen_in);
     out.best = best;
     for (const auto& [key, c] : fits_.tried()) out.tried.push_back(c);
     std::sort(out.tried.begin(), out.tried.end(),
@@ -102,7 +105,7 @@ class Search {
     const Candidate without = Better(out.nominal, out.calibrated);
     out.threshold = Threshold(out.nominal, out.calibrated);
     out.beside = Threshold(best, out.calibrated);
-    if (data_.held_out != nullptr && !fits_.Cancelled()) WeighRivals(*data_.held_out, fits_.lifted(), &out);
+    if (judge_ && !fits_.Cancelled()) judge_->WeighRivals(&out);
     out.own_chi2 = OwnChi2(data_, FitModel{*best.plant, best.fit.values, {}}, best.fit.states, fits_.lifted(),
                            Rng(options_.seed).Split(kOwnDraw));
     out.missing = Force(without);
@@ -432,11 +435,10 @@ class Search {
 
   // Bodies on a robot of more than two joints do not act like a few laws, nor like a force over two
   // positions: what holds on recordings kept aside there is no accident. On smaller ones they may.
-  bool MaySettle() const { return data_.n > 2 && data_.held_out != nullptr; }
+  bool MaySettle() const { return data_.n > 2 && judge_; }
   bool HoldsAside(const Candidate& account, double needed) {
-    HeldOutJudge judge(*data_.held_out, fits_.lifted(), trace_);
-    const bool holds = judge.Holds(account, needed);
-    fits_.AddWork(judge.work());
+    const bool holds = judge_->Holds(account, needed);
+    fits_.AddWork(judge_->TakeWork());
     return holds;
   }
 
@@ -485,7 +487,7 @@ class Search {
   // place. One that explains less than half of what is missing there is none, however well it follows what it
   // was fitted to.
   void SendBack(const Candidate& without, Candidate* best, int* unseen_in) {
-    HeldOutJudge judge(*data_.held_out, fits_.lifted(), trace_);
+    HeldOutJudge& judge = *judge_;
     if (fits_.PerRow(*best) < kExplained) *unseen_in = judge.Refusing(*best, Threshold(*best));
     const bool named = !best->specs.empty() && !FoundNothing(*best);
     for (int sent = 0; named && sent < kSentBack && !fits_.Late() && !judge.Holds(*best, Threshold(*best));
@@ -503,7 +505,7 @@ class Search {
       Tell("sent back", 0.9, KeyOf(best->specs) + "for nothing");
       *best = without;
     }
-    fits_.AddWork(judge.work());
+    fits_.AddWork(judge.TakeWork());
   }
 
   // A winner that does not hold may lack another effect, or its fit got stuck on its way from base parameters
@@ -551,6 +553,7 @@ class Search {
   Trace trace_;
   FitLedger fits_;
   Simplifier simplifier_;
+  std::optional<HeldOutJudge> judge_;  // where recordings are kept aside
   int round_ = 0;
   bool nameless_ = false;  // an unnamed force alone is the account of all recordings
   Acceptance acceptance_;

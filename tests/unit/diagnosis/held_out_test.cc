@@ -3,7 +3,9 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <map>
 
+#include "services/diagnosis/held_out_judge.h"
 #include "services/diagnosis/own_chi2.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
@@ -46,6 +48,45 @@ TEST_F(HeldOutTest, TheTrueLawIsShortOfNothingAndAnotherIsSurelyWorse) {
   EXPECT_GT(right.log_density, wrong.log_density + 100);
   EXPECT_TRUE(PredictsMore(right, wrong));
   EXPECT_FALSE(PredictsMore(wrong, right));
+}
+
+TEST_F(HeldOutTest, AJudgeIsAskedOftenAndPredictsOnce) {
+  const Candidate right = Fitted({MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.1}})});
+  const Candidate wrong = Fitted({MakeSpec("viscous_friction", {Pivot()}, {{"viscous", 0.05}})});
+  const Trace trace(RealClock());
+  HeldOutJudge judge(*p_->data.held_out, options_, trace);
+  EXPECT_TRUE(judge.Holds(right, 0));
+  EXPECT_FALSE(judge.Holds(wrong, 0));
+  EXPECT_TRUE(judge.ExplainsMost(right, wrong));
+  EXPECT_GT(judge.TakeWork(), 0);
+  EXPECT_EQ(judge.Refusing(right, 0), -1);
+  EXPECT_GE(judge.Refusing(wrong, 0), 0);
+  EXPECT_EQ(judge.TakeWork(), 0) << "both were predicted before";
+
+  // The same name with other values, and the same values at another noise, are other questions.
+  Candidate longer = right;
+  longer.fit.values *= 1.01;
+  judge.Holds(longer, 0);
+  EXPECT_GT(judge.TakeWork(), 0);
+  options_.noise_scale = 2;
+  judge.Holds(right, 0);
+  EXPECT_GT(judge.TakeWork(), 0);
+}
+
+TEST_F(HeldOutTest, AJudgeExchangesALawForWhatPredictsBetter) {
+  const Candidate right = Fitted({MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.1}})});
+  const Candidate wrong = Fitted({MakeSpec("viscous_friction", {Pivot()}, {{"viscous", 0.05}})});
+  const Trace trace(RealClock());
+  HeldOutJudge judge(*p_->data.held_out, options_, trace);
+  std::map<std::string, Candidate> tried = {{KeyOf(right.specs, false), right},
+                                            {KeyOf(wrong.specs, false), wrong}};
+  const auto nothing = [](const Candidate&) { return 0.0; };
+  const auto better = judge.Better(wrong, tried, nothing);
+  ASSERT_TRUE(better.has_value());
+  EXPECT_EQ(better->specs[0].id, "coulomb_friction");
+  EXPECT_LT(tried.at(KeyOf(wrong.specs, false)).score, wrong.score - 100) << "held against it from now on";
+  EXPECT_EQ(tried.at(KeyOf(right.specs, false)).score, right.score);
+  EXPECT_FALSE(judge.Better(right, tried, nothing).has_value());
 }
 
 TEST_F(HeldOutTest, WhatTheFitLeftOpenCostsNoMoreThanItsUncertainty) {
