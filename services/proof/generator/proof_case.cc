@@ -61,9 +61,11 @@ class Maker {
     return std::sqrt(noise_.position * noise_.position + noise_.resolution * noise_.resolution / 12);
   }
   Comparison Compared() const { return {skeleton_, joints_, dt_, request_.rate_hz}; }
-  // The two recordings that effects must show in.
-  Track Chirp(const Truth& truth) const { return Record(truth, "chirp", 5.0, 70, true); }
-  Track Multisine(const Truth& truth) const { return Record(truth, "multisine", 6.0, 80, true); }
+  // The robot as it is recorded to fit, first or second: what does not show there is not there to be named.
+  Track ToFit(const Truth& truth, size_t which) const {
+    const PlannedRecording planned = DrawPlan(rng_.Split(4))[which];
+    return Record(truth, planned.kind, planned.duration_s, which, true);
+  }
   Visibility VisibilityOf(const Truth& truth) const;
   std::vector<bool> ToTellFromBodies(const Truth& truth, json effects) const;
   Status KeepVisible(Truth* truth, json* effects) const;
@@ -350,7 +352,7 @@ Status Maker::TuneNominal(const Truth& truth, json* effects) {
 }
 
 double Maker::Ratio(const Truth& truth) const {
-  const Track track = Chirp(truth);
+  const Track track = Record(truth, "chirp", 5.0, 70, true);
   if (!track.ok) return 1e9;
   WindowSquares squares;
   Compared().Add(truth, track, {{nominal_, Nominal(), Start::kRow}}, &squares);
@@ -385,7 +387,7 @@ Result<Truth> Maker::SearchStrength(json* effects, std::string* warning) {
 Visibility Maker::VisibilityOf(const Truth& truth) const {
   double fit_s = 0;
   for (const PlannedRecording& r : DrawPlan(rng_.Split(4))) fit_s += r.split == "fit" ? r.duration_s : 0.0;
-  return {Compared(), joints_, links_, scales_.tool, SensorNoise(), fit_s, Chirp(truth)};
+  return {Compared(), joints_, links_, scales_.tool, SensorNoise(), fit_s, ToFit(truth, 0)};
 }
 
 // Of each effect whether the answer must tell it from other masses: it may look like them, and they are wrong
@@ -418,7 +420,7 @@ Status Maker::KeepVisible(Truth* truth, json* effects) const {
   if (!seen.track.ok) return InternalError("the true robot ran away");
   const std::vector<bool> from_bodies = ToTellFromBodies(*truth, *effects);
   if (std::find(from_bodies.begin(), from_bodies.end(), true) != from_bodies.end())
-    seen.for_bodies = {seen.track, Multisine(*truth)};
+    seen.for_bodies = {seen.track, ToFit(*truth, 1)};
   for (size_t e = 0; e < request_.effects.size(); ++e) {
     json ignored;
     const Truth without = Draw(strength_, request_.wrong_parameters, &ignored, static_cast<int>(e));
@@ -439,7 +441,7 @@ Status Maker::KeepVisible(Truth* truth, json* effects) const {
     if (!effect["parameters"].contains(effect["joints"][0].get<std::string>())) continue;
     const bool told = e < from_bodies.size() && from_bodies[e];
     if (told && dropped) {  // the robot moves otherwise since
-      seen.for_bodies = {Chirp(*truth), Multisine(*truth)};
+      seen.for_bodies = {ToFit(*truth, 0), ToFit(*truth, 1)};
       dropped = false;
     }
     const std::vector<std::string> all = effect["joints"],
