@@ -9,6 +9,10 @@ namespace rg::diagnosis {
 
 namespace {
 
+// Of what a model without an account is short of noise by, that it may be short of itself. States that no
+// sensor reads follow nearly anything that they are fitted to: they are there where they predict.
+constexpr double kMayLeave = 0.5, kMayLeaveHidden = 0.1;
+
 // Whether a force without a name is all that it has.
 bool Nameless(const Candidate& c) {
   return !c.specs.empty() && std::all_of(c.specs.begin(), c.specs.end(),
@@ -49,7 +53,8 @@ int HeldOutJudge::Refusing(const Candidate& account, double needed) {
 }
 
 bool HeldOutJudge::ExplainsMost(const Candidate& account, const Candidate& without) {
-  return Of(account).short_of_noise < 0.5 * Of(without).short_of_noise;
+  const double may_leave = HasHiddenStates(account) ? kMayLeaveHidden : kMayLeave;
+  return Of(account).short_of_noise < may_leave * Of(without).short_of_noise;
 }
 
 std::optional<Candidate> HeldOutJudge::Better(const Candidate& account,

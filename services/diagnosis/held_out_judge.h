@@ -24,7 +24,8 @@ class HeldOutJudge {
   // Whether an account predicts them as well as noise allows (beyond it in 1 % of sets), or to within
   // `needed` nats, or with errors that no motion shows.
   bool Holds(const Candidate& account, double needed);
-  // Whether it takes off more than half of what `without` is short of noise by.
+  // Whether it takes off more than half of what `without` is short of noise by; with hidden states, nine
+  // tenths.
   bool ExplainsMost(const Candidate& account, const Candidate& without);
   // Of what was tried the one that predicts most windows better, and in all by so much more that it pays for
   // what its own fit is worse and for what an addition needs; a force without a name pays the latter alone.

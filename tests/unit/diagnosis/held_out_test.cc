@@ -34,6 +34,17 @@ class HeldOutTest : public ::testing::Test {
     RG_CHECK(c.fit.ok);
     return c;
   }
+  // As it is, with nothing fitted but how windows begin.
+  Candidate AsGiven(const std::vector<effects::EffectSpec>& specs) const {
+    Candidate c;
+    c.specs = specs;
+    auto plant = sim::Plant::Create(p_->nominal.shared_model(), p_->nominal.options(), specs);
+    RG_CHECK(plant.ok()) << plant.status().ToString();
+    c.plant = std::make_shared<const sim::Plant>(*plant);
+    c.fit = Fit(p_->data, FitModel{*c.plant, c.plant->parameters().Nominal(), {}}, options_);
+    RG_CHECK(c.fit.ok);
+    return c;
+  }
   HeldOut Of(const Candidate& c) const { return Predicted(*p_->data.held_out, c, options_); }
 
   std::unique_ptr<testing::Prepared> p_;
@@ -89,6 +100,20 @@ TEST_F(HeldOutTest, AJudgeExchangesALawForWhatPredictsBetter) {
   EXPECT_FALSE(judge.Better(right, tried, nothing).has_value());
 }
 
+TEST_F(HeldOutTest, OfStatesThatNoSensorReadsAJudgeAsksMore) {
+  // Either leaves about a quarter of what the true law, of 0.15 N·m, explains.
+  const Candidate without = AsGiven({});
+  const Candidate law = AsGiven({MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.08}})});
+  const Candidate hidden =
+      AsGiven({MakeSpec("presliding_hysteresis", {Pivot()},
+                        {{"coulomb", 0.08}, {"bristle_stiffness", 200.0}, {"bristle_damping", 0.5}})});
+  ASSERT_TRUE(HasHiddenStates(hidden));
+  const Trace trace(RealClock());
+  HeldOutJudge judge(*p_->data.held_out, options_, trace);
+  EXPECT_TRUE(judge.ExplainsMost(law, without));
+  EXPECT_FALSE(judge.ExplainsMost(hidden, without));
+}
+
 TEST_F(HeldOutTest, WhatTheFitLeftOpenCostsNoMoreThanItsUncertainty) {
   // Masses and inertias that one joint cannot tell apart, free beside the true law.
   const HeldOut lean = Of(Fitted({MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.1}})}));
@@ -98,13 +123,8 @@ TEST_F(HeldOutTest, WhatTheFitLeftOpenCostsNoMoreThanItsUncertainty) {
 
 TEST_F(HeldOutTest, HiddenStatesThatAreChosenInEachWindowPredictNothing) {
   // A mass that swings as it likes follows much when it may start anew in each window.
-  Candidate swing;
-  swing.specs = {MakeSpec("sloshing_payload", {}, {{"mass", 0.05}, {"stiffness", 1.0}, {"damping", 1e-4}})};
-  auto plant = sim::Plant::Create(p_->nominal.shared_model(), p_->nominal.options(), swing.specs);
-  ASSERT_TRUE(plant.ok());
-  swing.plant = std::make_shared<const sim::Plant>(*plant);
-  swing.fit = Fit(p_->data, FitModel{*plant, plant->parameters().Nominal(), {}}, options_);
-  ASSERT_TRUE(swing.fit.ok);
+  const Candidate swing =
+      AsGiven({MakeSpec("sloshing_payload", {}, {{"mass", 0.05}, {"stiffness", 1.0}, {"damping", 1e-4}})});
   const HeldOut kept = Of(swing);
   const FitResult chosen = Fit(*p_->data.held_out, FitModel{*swing.plant, swing.fit.values, {}}, options_);
   EXPECT_LT(kept.log_density, -0.5 * chosen.chi2 - 10);
