@@ -20,10 +20,12 @@ constexpr double kShapePrior =
 // A drive's command waits for its bus and cycle more often than a sensor's reading does; where both are on
 // all joints nothing but the first moments of a recording tells them apart.
 constexpr double kSensorDelayPrior = 2.0;
-constexpr double kLeast = 1.3;            // times the least that a mass or a gap may be
-constexpr double kSameRipple = 0.02;      // rad, from one end of a motion to the other: 1 % of an amplitude
-constexpr double kUnseen = 0.7;           // posterior over prior stddev of the best known parameter
-constexpr double kFieldPrior = 6.0;       // what an unnamed force pays beside
+constexpr double kLeast = 1.3;        // times the least that a mass or a gap may be
+constexpr double kSameRipple = 0.02;  // rad, from one end of a motion to the other: 1 % of an amplitude
+constexpr double kSeenAgain = 0.75;   // periods over all that was recorded: nearly all of a ripple
+constexpr double kSharp = 0.1;        // cycles per turn: one other curve in five is as near to a whole number
+constexpr double kUnseen = 0.7;       // posterior over prior stddev of the best known parameter
+constexpr double kFieldPrior = 6.0;   // what an unnamed force pays beside
 constexpr double kOneInAHundred = 2.576;  // stddev that one of a hundred normal errors exceeds
 
 // Of the effect in this form.
@@ -141,8 +143,11 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
         std::max(kSameRipple / std::max(1e-9, range), kOneInAHundred * c.fit.stddev[static_cast<long>(k)] *
                                                           std::sqrt(std::max(1.0, chi2_per_row)));
     if (cycles < lower + 1e-6 * (1 + std::abs(lower))) return false;
-    if (model.joint(joint).is_revolute() && std::abs(cycles - std::round(cycles)) > error) return false;
     const double times = cycles * range / (2 * M_PI);
+    const bool turns = model.joint(joint).is_revolute();
+    if (turns && std::abs(cycles - std::round(cycles)) > error) return false;
+    // What was not seen to come again must be whole so sharply that no other curve would by chance.
+    if (times < kSeenAgain && (!turns || error > kSharp)) return false;
     if (times < 2 && Contains(c.specs, "position_spring", p.owner)) return false;
   }
   return true;

@@ -64,10 +64,10 @@ bool Unseen(const Candidate& c, size_t i);
 
 // Whether every ripple in it repeats as a ripple does. What turns with a rotary joint (cogging, a gear's
 // teeth, a sensor's) is the same after each turn, so its cycles per turn are a whole number; one true ripple
-// in a hundred is refused for that. One whose fit wants less than about a period over all that was recorded
-// is a slow curve.
-// Beside a spring on its joint a ripple must come round twice within what was recorded: less are two terms of
-// any curve.
+// in a hundred is refused for that. Of one that hardly comes round within all that was recorded the number
+// must be known well, which few other curves would meet; less than half a period is any slow curve. Beside a
+// spring on its joint a ripple must come round twice within what was recorded: less are two terms of any
+// curve.
 bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row);
 
 // Whether every Stribeck friction in it is what the name says: less at speed than at rest. One that grows

@@ -187,8 +187,7 @@ class Builder {
         [middle](const FineMotion& m, int i) -> ArrayXd { return -(Row(m.q, i) - middle); });
     Add("position_spring", "cubic", j, middle,
         [middle](const FineMotion& m, int i) -> ArrayXd { return -(Row(m.q, i) - middle).cube(); });
-    // One period per range of motion is a slow curve, not a ripple.
-    const double lowest = std::max(2.0, M_PI / half * 0.75);
+    const double lowest = std::max(2.0, kLeastRipple * M_PI / half);
     const double step = std::min(1.0, 0.9 / half);
     const double highest = std::min(40.0, 200.0 / std::max(0.1, s_.top_speed[j]));
     const int count = static_cast<int>(std::min(48.0, (highest - lowest) / std::max(step, 0.5)));

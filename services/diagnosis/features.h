@@ -30,6 +30,9 @@ struct MotionScales {
 };
 MotionScales ScalesOf(const FitData& data, const sim::Plant& plant);
 
+// Periods over all that was recorded of its joint, with which a ripple is looked for.
+inline constexpr double kLeastRipple = 0.5;
+
 struct FeatureSet {
   std::vector<Feature> features;
   FeatureBlock block;  // standardised: a coefficient of 1 is one prior stddev

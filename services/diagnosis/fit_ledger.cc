@@ -272,7 +272,8 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   Candidate found = from;
   TakeBest(best, 1, &found);
   TrySprings(from, &found);
-  if (swings != nullptr) TryRod(from, *swings, &found);
+  // Where another account leaves far less than the springs do there is no mass that swings.
+  if (swings != nullptr && PerRow(found) - 1 > kPartly * (PerRow(*swings) - 1)) TryRod(from, *swings, &found);
   if (found.score > winner->score) *winner = found;
 }
 
@@ -348,7 +349,13 @@ void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* win
   std::vector<FitRequest> best;
   for (const auto& c : BestOf(std::move(ranked), {}, kInPlace))
     best.push_back(WholeFit(Refreshed(*c), base, start, 6, winner));
-  TakeBest(best, best.size(), winner);
+  Candidate found = *winner;
+  TakeBest(best, best.size(), &found);
+  if (!(found.score > winner->score)) return;
+  // The others were fitted on from where the winner ended: so is the winner, or one would take its place for
+  // what a longer fit alone brings.
+  TakeBest({WholeFit(Refreshed(*winner), base, start, 6, &found)}, 1, winner);
+  if (found.score > winner->score) *winner = found;
 }
 
 }  // namespace rg::diagnosis

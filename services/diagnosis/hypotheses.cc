@@ -8,6 +8,7 @@
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/candidate.h"
+#include "services/diagnosis/features.h"
 #include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
@@ -149,9 +150,8 @@ Prior PriorOf(const sim::Parameter& p, int joint, const MotionScales& s, const s
   if (e == "actuator_lag") return {0, 0.03, 5e-4, 0.4};
   if (f == "gain") return {1, 0.3, 0.05, 8};
   if (f == "limit") return {p.nominal, torque, 1e-3 * torque, 50 * torque};
-  // Less than about a period over the whole range is a slow curve, not a ripple.
   if (f == "cycles_per_rev")
-    return {p.nominal, 0.1 * p.nominal + 0.5, std::max(2.0, 1.5 * M_PI / range), 300};
+    return {p.nominal, 0.1 * p.nominal + 0.5, std::max(2.0, kLeastRipple * 2 * M_PI / range), 300};
   if (f == "phase" || f == "azimuth") return {p.nominal, 2};
   if (f == "armature") return {0, inertia};
   if (f == "offset") return {0, 0.1};

@@ -101,7 +101,15 @@ void Simplifier::Plainer(Candidate* best) {
     const Candidate* known = fits_.Known(specs, best->base);
     // What it holds as a special case cannot be better: the plain one's fit had not found its way.
     const bool done = known != nullptr && known->score >= best->score;
-    const Candidate plain = done ? *known : fits_.Evaluate(specs, best->base, best, 6, best);
+    Candidate plain = done ? *known : fits_.Evaluate(specs, best->base, best, 6, best);
+    if (!done && known != nullptr) {
+      // Nor need it have come to its end, which the richer one, fitted after it, may have begun beside.
+      const Candidate before = *known;
+      const Candidate longer = fits_.Evaluate(Refreshed(before), before.base, &before, 12, best);
+      for (const Candidate& c : {before, longer}) {
+        if (c.score > plain.score) plain = c;
+      }
+    }
     // A spring is no matter of its rotor's form: it need only be the better account.
     const double needed = id == "joint_elasticity" ? 1.0 : needed_(plain, *best);
     if (best->score >= plain.score + needed) continue;
