@@ -125,9 +125,18 @@ TEST_F(Rippling, IsNoLessOneForWhatAnotherStepWouldBendIt) {
   EXPECT_FALSE(Repeats(14 + 4 * hair, 1e-6));
 }
 
-TEST_F(Rippling, IsNoneWhereItGoesThroughLessThanAPeriod) {
+TEST_F(Rippling, IsNoneWhereItGoesThroughLessThanHalfAPeriod) {
+  p_->scales.high[0] = p_->scales.low[0] + 2 * M_PI / 5;
   // The fit's lower limit: it wants something slower still.
-  EXPECT_FALSE(Repeats(std::max(2.0, 0.75 / Turns()), 1.0));
+  EXPECT_FALSE(Repeats(0.5 / Turns(), 1.0));
+}
+
+TEST_F(Rippling, ThatHardlyComesRoundMustBeWholeSharply) {
+  p_->scales.high[0] = p_->scales.low[0] + 2 * M_PI / 5;
+  ASSERT_LT(3 * Turns(), 0.75);
+  EXPECT_TRUE(Repeats(3.01, 0.01));
+  EXPECT_FALSE(Repeats(3.01, 0.2)) << "as would be any curve's";
+  EXPECT_TRUE(Repeats(4.01, 0.2)) << "seen nearly whole";
 }
 
 TEST_F(Rippling, ComesRoundTwiceBesideASpring) {

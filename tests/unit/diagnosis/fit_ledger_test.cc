@@ -39,6 +39,26 @@ TEST_F(FitLedgerTest, OtherLawsAreFittedInItsPlaceOnlyWhereATrialDoesNotRefuseTh
   EXPECT_LE(ledger_.tried().size(), 3u);  // with Coulomb friction itself
 }
 
+// A fit may end before it is done: others that go on from there would be credited with the rest of its way.
+TEST(FitLedger, WhatIsAtHandIsFittedOnBeforeAnotherTakesItsPlace) {
+  const auto p =
+      testing::Prepare("pendulum", {MakeSpec("coulomb_friction", {"hinge"}, {{"coulomb", 0.2}})}, 44);
+  const FitSetting setting{p->data, p->nominal, p->scales};
+  const FakeClock clock;
+  const Trace trace(clock);
+  FitLedger ledger(setting, p->options, 1, trace, nullptr);
+  const std::string joint = p->nominal.joint_names()[0];
+  Candidate winner = ledger.Evaluate({MakeSpec("coulomb_friction", {joint}, {{"coulomb", 0.1}})}, false);
+  ASSERT_TRUE(winner.fit.ok);
+  const double done = winner.score;
+  winner.score -= 30;
+  const auto others = Exchanges(Refreshed(winner), "coulomb_friction", p->nominal, p->scales);
+  ledger.TryInPlace(others, &winner);
+  EXPECT_EQ(winner.specs[0].id, "coulomb_friction");
+  EXPECT_GT(winner.score, done - 1);
+  EXPECT_GT(ledger.tried().size(), 1u) << "others were fitted";
+}
+
 TEST_F(FitLedgerTest, WhatIsPromisedIsFittedOnAllWindowsWithoutATrial) {
   const TrialSpecs viscous = {MakeSpec("viscous_friction", {joint_}, {{"viscous", 0.01}})};
   Candidate winner = coulomb_;
