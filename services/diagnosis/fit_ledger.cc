@@ -27,7 +27,7 @@ constexpr double kPiece = 0.1;        // s
 constexpr size_t kSprings = 2;        // behind rotors, that are fitted for either place of the sensor
 constexpr size_t kInPlace = 2;        // other laws that are fitted on all windows
 constexpr double kPartly = 0.5;       // of a model's misfit, that what is part of the truth leaves at most
-constexpr double kNearer = 0.95;      // of the misfit so far, for a mass on a rod to be followed again
+constexpr double kNearer = 0.8;       // of the misfit so far, for a mass on a rod to be followed again
 constexpr double kMuchWorse = 0.1;    // of a trial's misfit, that one in its place may leave more
 
 // Of trials like this the one that leaves least of the misfit, if it leaves no more than what is part of the
@@ -142,13 +142,10 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   const auto& given = setting_.nominal.effects();
   // Nor what a trial makes of a law on its way; and what a given model has is not doubted.
   if (request.places.empty() && !HasKind(given, "stribeck_friction")) c.fit.ok = c.fit.ok && Drops(c);
-  // A swinging mass takes in some of nearly anything: beside other names it is there where they hold.
-  const bool beside = HasKind(c.specs, "sloshing_payload") && FreshKinds(Candidate{}, c).size() > 1;
-  if (request.places.empty() && beside && !HasKind(given, "sloshing_payload"))
-    c.fit.ok = c.fit.ok && PerRow(c) < kHolds;
   // While much is left a ripple's period is bent by it.
   if (c.fit.ok && PerRow(c) < kHolds) c.fit.ok = Repeats(c, setting_.scales, PerRow(c));
-  c.score = c.fit.ok ? c.fit.evidence - StructurePrior(c.specs, c.base) : -1e300;
+  const bool stands = c.fit.ok && (!request.places.empty() || Stands(c));
+  c.score = stands ? c.fit.evidence - StructurePrior(c.specs, c.base) : -1e300;
   return c;
 }
 
@@ -284,6 +281,12 @@ void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, 
     const Candidate c = Tried(requests[i], batch->Take(i));
     if (c.score > winner->score) *winner = c;
   }
+}
+
+// A swinging mass takes in some of nearly anything, and nothing is found beside one that does not hold.
+bool FitLedger::Stands(const Candidate& c) const {
+  return !HasKind(c.specs, "sloshing_payload") || HasKind(setting_.nominal.effects(), "sloshing_payload") ||
+         PerRow(c) < kHolds;
 }
 
 void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
