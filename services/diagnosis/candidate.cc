@@ -131,7 +131,7 @@ bool Unseen(const Candidate& c, size_t i) {
   return known > kUnseen;
 }
 
-bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row) {
+bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row, bool whole) {
   const auto& model = c.plant->model();
   for (size_t k = 0; k < c.parameters.size(); ++k) {
     const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
@@ -147,7 +147,7 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
     const bool turns = model.joint(joint).is_revolute();
     if (turns && std::abs(cycles - std::round(cycles)) > error) return false;
     // What was not seen to come again must be whole so sharply that no other curve would by chance.
-    if (times < kSeenAgain && (!turns || error > kSharp)) return false;
+    if (times < kSeenAgain && (!turns || (whole && error > kSharp))) return false;
     if (times < 2 && Contains(c.specs, "position_spring", p.owner)) return false;
   }
   return true;

@@ -68,7 +68,8 @@ bool Unseen(const Candidate& c, size_t i);
 // must be known well, which few other curves would meet; less than half a period is any slow curve. Beside a
 // spring on its joint a ripple must come round twice within what was recorded: less are two terms of any
 // curve.
-bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row);
+// `whole`: fitted on all windows; some alone need not know the number so well.
+bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row, bool whole);
 
 // Whether every Stribeck friction in it is what the name says: less at speed than at rest. One that grows
 // with speed bends into drag.

@@ -143,7 +143,8 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   // Nor what a trial makes of a law on its way; and what a given model has is not doubted.
   if (request.places.empty() && !HasKind(given, "stribeck_friction")) c.fit.ok = c.fit.ok && Drops(c);
   // While much is left a ripple's period is bent by it.
-  if (c.fit.ok && PerRow(c) < kHolds) c.fit.ok = Repeats(c, setting_.scales, PerRow(c));
+  if (c.fit.ok && PerRow(c) < kHolds)
+    c.fit.ok = Repeats(c, setting_.scales, PerRow(c), request.places.empty());
   const bool stands = c.fit.ok && (!request.places.empty() || Stands(c));
   c.score = stands ? c.fit.evidence - StructurePrior(c.specs, c.base) : -1e300;
   return c;
