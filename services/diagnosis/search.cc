@@ -277,10 +277,8 @@ class Search {
   std::vector<Candidate> Beginnings(const Candidate& before, const Candidate& winner) {
     std::vector<Candidate> out;
     if (fits_.Late(kDeep) || fits_.PerRow(winner) < kExplained) return out;
-    // Nothing stands beside a swinging mass that does not hold.
     const auto lacks = [&](const Candidate& c) {
-      const bool swings = HasKind(c.specs, "sloshing_payload") && fits_.PerRow(c) >= kHolds;
-      return c.fit.ok && !c.base && !HasUnnamed(c) && fits_.PerRow(c) > kExplained && !swings;
+      return c.fit.ok && !c.base && !HasUnnamed(c) && fits_.PerRow(c) > kExplained;
     };
     if (lacks(winner) && winner.score > before.score + Threshold(before, winner)) out.push_back(winner);
     const Candidate* hidden = nullptr;

@@ -103,7 +103,7 @@ void Simplifier::Plainer(Candidate* best) {
     const bool done = known != nullptr && known->score >= best->score;
     Candidate plain = done ? *known : fits_.Evaluate(specs, best->base, best, 6, best);
     if (!done && known != nullptr) {
-      // Nor need it have come to its end, which the richer one, fitted after it, may have begun beside.
+      // The plain one's first fit may have ended before it was done, and the richer one begun from there.
       const Candidate before = *known;
       const Candidate longer = fits_.Evaluate(Refreshed(before), before.base, &before, 12, best);
       for (const Candidate& c : {before, longer}) {
