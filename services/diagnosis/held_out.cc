@@ -110,7 +110,7 @@ HeldOut Predicted(const FitData& held_out, const Candidate& fitted, const Lifted
   const FitResult fit = Restarted(held_out, fitted, fitted.fit.values, restarts);
   const auto P = static_cast<long>(fitted.parameters.size());
   HeldOut out;
-  out.work = fit.work + Work(held_out.Rows(), static_cast<int>(P));
+  out.work = fit.work + Work(held_out, options, fitted.plant->num_states(), P);
   for (const double chi2 : fit.window_chi2) out.windows.push_back(-0.5 * chi2 / options.noise_scale);
   const double misfit = 0.5 * fit.chi2 / options.noise_scale;
   out.log_density = -misfit;

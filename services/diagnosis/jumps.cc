@@ -99,7 +99,7 @@ FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
     const auto i = static_cast<size_t>(w);
     ends[i] = EndsOf(lin, worker, w, mass, fit.states[i], loose[i], options.noise_scale);
   });
-  fit.work += Work(data.Rows(), lin.nx());
+  fit.work += Work(data, options, lin.nx(), lin.nx());
   for (size_t w = 1; w < ends.size(); ++w) {
     const bool meet = FollowsOn(data.windows[w - 1], data.windows[w]);
     if (!meet || !ends[w].ok || !ends[w - 1].ok) continue;

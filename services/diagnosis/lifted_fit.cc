@@ -17,12 +17,24 @@
 
 namespace rg::diagnosis {
 
+constexpr int kStepAsColumns = 20;
+
 int FitData::Rows() const {
   int rows = 0;
   for (const NodeWindow& w : windows) {
     for (const char m : w.measured) rows += m * n * (use_velocity ? 2 : 1);
   }
   return rows;
+}
+
+double FitData::Seconds() const {
+  double seconds = 0;
+  for (const NodeWindow& w : windows) seconds += w.t.back() - w.t.front();
+  return seconds;
+}
+
+double Work(const FitData& data, const LiftedOptions& options, long states, long columns) {
+  return data.Seconds() / options.step_s * 0.5 * static_cast<double>(states * (kStepAsColumns + columns));
 }
 
 namespace {
@@ -340,7 +352,8 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   std::vector<MatrixXd> grams(W);
   std::vector<double> adopted(W), costs;
   const bool hidden = nx > 2 * n;
-  if (hidden && from == nullptr) result.work += (1 + (lin.has_gaps() ? kFaces : 0)) * Work(data.Rows(), 0);
+  const double simulation = Work(data, options, nx, 0);
+  if (hidden && from == nullptr) result.work += (1 + (lin.has_gaps() ? kFaces : 0)) * simulation;
   const int groups = (W + kTogether - 1) / kTogether;
   const std::vector<int> sensed = SensedMotors(model.plant);
   // What the cost falls by against the best so far, which the new state takes the place of if it does.
@@ -367,7 +380,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       grams[w].setZero(P + 1, P + 1);
       grams[w].selfadjointView<Eigen::Lower>().rankUpdate(rest.transpose(), inverse_scale);
     });
-    result.work += Work(data.Rows(), nx + P);
+    result.work += Work(data, options, nx, nx + P);
     MatrixXd gram = MatrixXd::Zero(P + 1, P + 1);
     for (int w = 0; w < W; ++w) {
       if (linear[w].ok) gram += grams[w];
@@ -422,7 +435,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       });
       const size_t windows = std::accumulate(simulated.begin(), simulated.end(), size_t{0});
       const size_t again = it < kPatience ? 0 : TryRecordedStarts(lin, data, options.threads, &nodes, &own);
-      result.work += Work(data.Rows(), 0) * static_cast<double>(windows + 2 * again) / W;
+      result.work += simulation * static_cast<double>(windows + 2 * again) / W;
       const double cost =
           std::accumulate(own.begin(), own.end(), 0.0) * inverse_scale + prior.dot((at - theta0).cwiseAbs2());
       const bool better = cost < least, known = least < best;
@@ -462,12 +475,12 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
     if (lin.has_gaps() && it < options.iterations + options.more_iterations) {
       if (options.free_hidden) {
         ChooseFaces(data, lin, sensed, options.threads, &adopted, &states);
-        result.work += kFaces * Work(data.Rows(), 0);
+        result.work += kFaces * simulation;
         const double more = adopt(trial_values, trial, states, adopted, information);
         if (more > 0) gain = std::max(gain, 0.0) + more;
       }
       FollowSimulations(data, lin, options.threads, &states);
-      result.work += Work(data.Rows(), 0);
+      result.work += simulation;
     }
     if (it > 0 && std::abs(gain) < 0.02) break;
     if (it >= options.iterations && !(gain > options.still_falling * best)) break;

@@ -314,7 +314,7 @@ class Search {
   // effect in turn makes place for what a screen around the others finds.
   bool Substitute(Candidate* best) {
     const std::set<std::string> kinds = FreshKinds(Candidate{}, *best);
-    if (kinds.size() < 2 || HasUnnamed(*best) || fits_.PerRow(*best) < kExplained) return false;
+    if (kinds.size() < 2 || HasUnnamed(*best) || MeetsSensors(*best)) return false;
     for (const std::string& kind : kinds) {
       if (fits_.Late(kDeep)) return false;
       const std::vector<EffectSpec> specs = WithoutKind(Refreshed(*best), kind);

@@ -149,7 +149,7 @@ TEST(Diagnose, OfAMassThatSwingsOnARodItSaysHowLongTheRodIs) {
   EffectSpec rod = MakeSpec("sloshing_payload", {},
                             {{"mass", 0.01}, {"length", 0.12}, {"radius", 0.01}, {"damping", 1e-3}});
   rod.options = {{"form", "rod"}, {"hinge", "y"}};
-  const DiagnosisResult r = Diagnosed(testing::MakeSet("arm2", {rod}, 14), 5e8);
+  const DiagnosisResult r = Diagnosed(testing::MakeSet("arm2", {rod}, 14), 1e9);
   EXPECT_EQ(r.verdict, "unmodelled_physics");
   ASSERT_FALSE(r.findings.empty());
   const Finding& f = r.findings[0];

@@ -49,6 +49,22 @@ TEST(Lineariser, ThePartOfAWindowIsItsFirstRows) {
   EXPECT_LT(part, whole);
 }
 
+TEST(Work, GoesWithTheTimeThatIsSimulatedAndNotWithTheRowsOfIt) {
+  const auto p = Prepare("pendulum", {}, 1), slow = Prepare("pendulum", {}, 1, {.rate_hz = 25}),
+             arm = Prepare("arm2", {}, 1);
+  const LiftedOptions options;
+  const double work = Work(p->data, options, 2, 5);
+  EXPECT_LT(slow->data.Rows(), 0.3 * p->data.Rows());
+  EXPECT_NEAR(Work(slow->data, options, 2, 5), work, 0.1 * work);
+  EXPECT_GT(Work(arm->data, options, 4, 5), 1.2 * work);
+  LiftedOptions finer;
+  finer.step_s = 0.5 * options.step_s;
+  EXPECT_NEAR(Work(p->data, finer, 2, 5), 2 * work, 1e-9 * work);
+  FitData half = p->data;
+  half.windows.resize(half.windows.size() / 2);
+  EXPECT_NEAR(Work(half, options, 2, 5), 0.5 * work, 0.05 * work);
+}
+
 TEST(LiftedFit, TheTrueModelIsAtTheNoise) {
   const auto p = Prepare("pendulum", {}, 1);
   const FitResult fit = FitEffects(*p, {});
