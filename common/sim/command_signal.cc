@@ -8,6 +8,12 @@
 
 namespace rg::sim {
 
+namespace {
+
+constexpr int kSteps = 8;  // from where even rows would have a time, before it is looked for
+
+}  // namespace
+
 Result<CommandSignal> CommandSignal::Create(std::vector<double> times, Eigen::MatrixXd values, Hold hold) {
   const auto count = static_cast<Eigen::Index>(times.size());
   if (count == 0) return InvalidError("a command signal without rows");
@@ -42,8 +48,22 @@ CommandSignal CommandSignal::Constant(const Eigen::VectorXd& u) {
 }
 
 int CommandSignal::Segment(double t) const {
+  const int last = size() - 1;
+  if (!(t > times_.front())) return 0;
+  if (t >= times_.back()) return last;
+  // Rows are nearly even as a rule: a few steps from where they would be if they were.
+  int k = static_cast<int>(last * (t - times_.front()) / (times_.back() - times_.front()));
+  for (int step = 0; step < kSteps; ++step) {
+    if (t < times_[k]) {
+      --k;
+    } else if (k < last && t >= times_[k + 1]) {
+      ++k;
+    } else {
+      return k;
+    }
+  }
   const auto next = std::upper_bound(times_.begin(), times_.end(), t);
-  return std::max(0, static_cast<int>(next - times_.begin()) - 1);
+  return static_cast<int>(next - times_.begin()) - 1;
 }
 
 double CommandSignal::At(int joint, double t) const {

@@ -472,27 +472,27 @@ class Scorer {
     std::set<std::pair<std::string, std::vector<int>>> paired;
     for (const auto& [gain, index] : first) {
       const Group& g = groups_[static_cast<size_t>(index)];
-      Reduced start{G_, b_, {}, 0};
-      if (grown.size() < kGrown && g.joints.size() == 1 && grown.insert(g.effect).second) {
-        Reduced r = start;
-        Add(index, &r);
-        while (static_cast<int>(r.groups.size()) < n_) {
-          const int next =
-              Next(r, [&](const Group& o) { return o.effect == g.effect && o.joints.size() == 1; });
-          if (next < 0) break;
+      const bool grows = grown.size() < kGrown && g.joints.size() == 1 && grown.insert(g.effect).second;
+      const bool pairs = paired.size() < kPaired && paired.insert({g.effect, g.joints}).second;
+      if (!grows && !pairs) continue;
+      Reduced alone{G_, b_, {}, 0};
+      Add(index, &alone);
+      if (pairs) {
+        const int next = Next(alone, [&](const Group& o) { return named(o) && o.effect != g.effect; });
+        if (next >= 0) {
+          Reduced r = alone;
           Add(next, &r);
           Combination c;
-          if (Together(r, &c)) out->sets.push_back(std::move(c));
+          if (Together(r, &c)) out->pairs.push_back(std::move(c));
         }
       }
-      if (paired.size() < kPaired && paired.insert({g.effect, g.joints}).second) {
-        Reduced r = start;
-        Add(index, &r);
-        const int next = Next(r, [&](const Group& o) { return named(o) && o.effect != g.effect; });
-        if (next < 0) continue;
-        Add(next, &r);
+      while (grows && static_cast<int>(alone.groups.size()) < n_) {
+        const int next =
+            Next(alone, [&](const Group& o) { return o.effect == g.effect && o.joints.size() == 1; });
+        if (next < 0) break;
+        Add(next, &alone);
         Combination c;
-        if (Together(r, &c)) out->pairs.push_back(std::move(c));
+        if (Together(alone, &c)) out->sets.push_back(std::move(c));
       }
     }
     for (auto* list : {&out->sets, &out->pairs}) {

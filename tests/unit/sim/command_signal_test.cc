@@ -34,6 +34,21 @@ TEST(CommandSignal, AverageIsTheIntegralOverTheInterval) {
   }
 }
 
+TEST(CommandSignal, RowsMayBeAsUnevenAsTheyLike) {
+  // Bursts, a row that is late, and a gap as long as everything before it.
+  std::vector<double> times;
+  for (int k = 0; k < 40; ++k) times.push_back(0.01 * k + (k % 7 == 3 ? 0.004 : 0.0) + (k >= 30 ? 3.0 : 0.0));
+  Eigen::MatrixXd u(1, 40);
+  for (int k = 0; k < 40; ++k) u(0, k) = k;
+  const CommandSignal signal = CommandSignal::Create(times, u, Hold::kZeroOrder).value();
+  for (double t = -0.1; t < 3.6; t += 7e-4) {
+    double row = 0;
+    for (int k = 0; k < 40; ++k) row = times[k] <= t ? k : row;
+    ASSERT_EQ(signal.At(0, t), row) << t;
+  }
+  for (int k = 0; k < 40; ++k) EXPECT_EQ(signal.At(0, times[k]), k);
+}
+
 TEST(CommandSignal, RefusesBadRowsByNumber) {
   Eigen::MatrixXd u = Eigen::MatrixXd::Zero(1, 3);
   EXPECT_FALSE(CommandSignal::Create({}, Eigen::MatrixXd(1, 0), Hold::kLinear).ok());
