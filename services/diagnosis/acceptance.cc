@@ -14,6 +14,7 @@ constexpr double kFormError = 0.01;  // share of what effects explain that a nei
 constexpr double kAmplitude =
     1e-4;                          // the same whatever is left: 1 % of an amplitude is within any simulation
 constexpr double kMostOfIt = 0.5;  // share of what is left that no matter of form takes
+constexpr double kFar = 10.0;      // χ² per row beyond noise, of a model that has little to do with the record
 constexpr double kSimplerOdds = 3.0;  // log odds: 20 to 1
 
 std::string Joined(const std::set<std::string>& joints) {
@@ -67,12 +68,14 @@ double Acceptance::NeededBeside(const Candidate& best, double explained, double 
     const double amplitude = std::sqrt(2 * nats) + rule;
     return 0.5 * amplitude * amplitude;
   };
-  const double chance = std::max(1.0, null_gain_ - kEffectPrior);
-  if (best.specs.empty() || explained <= 0) return with_rule(chance);
   // What is left above the noise is itself known to the scatter of χ² only.
   const double left = std::max(0.0, at_stake) + std::sqrt(0.5 * best.fit.rows);
+  // Around a model that does not hold windows run away, and another step rule with them, as far as they like.
+  const double most = left > 0.5 * kFar * best.fit.rows ? kMostOfIt * left : 1e300;
+  const double chance = std::max(1.0, null_gain_ - kEffectPrior);
+  if (best.specs.empty() || explained <= 0) return std::min(with_rule(chance), most);
   const double form = std::min(with_rule(kFormError * explained), kMostOfIt * left);
-  return std::max(form, with_rule(std::max(chance, kAmplitude * explained)));
+  return std::min(std::max(form, with_rule(std::max(chance, kAmplitude * explained))), most);
 }
 
 double Acceptance::Needed(const Candidate& best, double explained, double at_stake,

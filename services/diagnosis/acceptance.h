@@ -10,7 +10,8 @@
 //
 // rule: what the same effect on the same joints, or free base parameters, would gain from another step rule
 // alone (StepRuleResiduals). Amplitudes add, so their squares, the nats, add like this. What takes half of
-// all that is left is no matter of the step rule and the form together either.
+// all that is left is no matter of the step rule and the form together either, nor, around a model that has
+// little to do with the record, of the step rule alone.
 #pragma once
 
 #include <functional>

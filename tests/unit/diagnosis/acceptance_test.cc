@@ -50,6 +50,16 @@ TEST(Acceptance, HalfOfAllThatIsLeftIsNoMatterOfTheStepRuleEither) {
   EXPECT_GT(acceptance.Needed(found, 1e6, 100, more), 200);
 }
 
+TEST(Acceptance, AroundAModelThatIsFarOffAStepRuleAsksNoMoreThanHalfOfWhatIsLeft) {
+  Acceptance acceptance;
+  acceptance.Note(StepRuleOf("position_spring", 0, 3e5), {"a"});
+  const Candidate more = Model({MakeSpec("position_spring", {"a"})});
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({}), 0, 1e5, more), 0.5 * (1e5 + 20));
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), 1e4, 1e5, more), 0.5 * (1e5 + 20));
+  // Nearer to it the step rule is what it says.
+  EXPECT_GT(acceptance.Needed(Model({}), 0, 1e3, more), 3e5);
+}
+
 TEST(Acceptance, WhatExplainsLessThanNothingNeedsNoMoreThanChance) {
   const Acceptance acceptance;
   const double chance = acceptance.Needed(Model({}), 0, 0);
