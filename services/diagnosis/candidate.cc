@@ -24,6 +24,8 @@ constexpr double kLeast = 1.3;        // times the least that a mass or a gap ma
 constexpr double kSameRipple = 0.02;  // rad, from one end of a motion to the other: 1 % of an amplitude
 constexpr double kSeenAgain = 0.75;   // periods over all that was recorded: nearly all of a ripple
 constexpr double kSharp = 0.1;        // cycles per turn: one other curve in five is as near to a whole number
+constexpr double kBent = 0.25;        // cycles per turn, off a whole number, that other effects make
+constexpr double kMostlyGone = 0.01;  // of the nats that an effect was worth
 constexpr double kUnseen = 0.7;       // posterior over prior stddev of the best known parameter
 constexpr double kFieldPrior = 6.0;   // what an unnamed force pays beside
 constexpr double kOneInAHundred = 2.576;  // stddev that one of a hundred normal errors exceeds
@@ -133,6 +135,7 @@ bool Unseen(const Candidate& c, size_t i) {
 
 bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row, bool whole) {
   const auto& model = c.plant->model();
+  bool seen_again = false, slow = false;
   for (size_t k = 0; k < c.parameters.size(); ++k) {
     const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
     if (p.effect != "torque_ripple" || p.field != "cycles_per_rev") continue;
@@ -145,12 +148,18 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
     if (cycles < lower + 1e-6 * (1 + std::abs(lower))) return false;
     const double times = cycles * range / (2 * M_PI);
     const bool turns = model.joint(joint).is_revolute();
-    if (turns && std::abs(cycles - std::round(cycles)) > error) return false;
+    // What else is missing still bends it.
+    const double bent = chi2_per_row > kExplained ? kBent : 0.0;
+    if (turns && std::abs(cycles - std::round(cycles)) > std::max(error, bent)) return false;
     // What was not seen to come again must be whole so sharply that no other curve would by chance.
-    if (times < kSeenAgain && (!turns || (whole && error > kSharp))) return false;
+    if (times >= kSeenAgain)
+      seen_again = true;
+    else if (!turns || (whole && error > kSharp))
+      slow = true;
     if (times < 2 && Contains(c.specs, "position_spring", p.owner)) return false;
   }
-  return true;
+  // A robot whose drives ripple does so on other joints too.
+  return seen_again || !slow;
 }
 
 bool Drops(const Candidate& c) {
@@ -223,6 +232,22 @@ std::vector<EffectSpec> StrongEffects(const Candidate& c) {
   std::vector<EffectSpec> out;
   for (size_t i = 0; i < all.size(); ++i) {
     if (Strength(c, i) > kNothing) out.push_back(all[i]);
+  }
+  return out;
+}
+
+std::vector<EffectSpec> StillNeeded(const Candidate& account, const Candidate& other) {
+  const std::vector<EffectSpec> specs = Refreshed(other);
+  if (!other.fit.ok) return specs;
+  std::vector<EffectSpec> out;
+  for (size_t i = 0; i < specs.size(); ++i) {
+    double before = 0;
+    for (size_t k = 0; k < account.specs.size(); ++k) {
+      if (account.specs[k].id == specs[i].id && account.specs[k].joints == specs[i].joints)
+        before = Strength(account, k);
+    }
+    const double now = Strength(other, i);
+    if (now * now > kMostlyGone * before * before) out.push_back(specs[i]);
   }
   return out;
 }

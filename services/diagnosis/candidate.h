@@ -65,10 +65,10 @@ bool Unseen(const Candidate& c, size_t i);
 // Whether every ripple in it repeats as a ripple does. What turns with a rotary joint (cogging, a gear's
 // teeth, a sensor's) is the same after each turn, so its cycles per turn are a whole number; one true ripple
 // in a hundred is refused for that. Of one that hardly comes round within all that was recorded the number
-// must be known well, which few other curves would meet; less than half a period is any slow curve. Beside a
-// spring on its joint a ripple must come round twice within what was recorded: less are two terms of any
-// curve.
-// `whole`: fitted on all windows; some alone need not know the number so well.
+// must be known well, which few other curves would meet, unless a ripple on another joint did come round;
+// less than two fifths of a period is any slow curve. Beside a spring on its joint a ripple must come round
+// twice within what was recorded: less are two terms of any curve. What else is missing bends a number, by up
+// to a quarter. `whole`: fitted on all windows; some alone need not know the number so well.
 bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row, bool whole);
 
 // Whether every Stribeck friction in it is what the name says: less at speed than at rest. One that grows
@@ -83,6 +83,10 @@ double Strength(const Candidate& c, size_t i);
 inline constexpr double kNothing = 1.0;  // strength at which it is about nothing
 // Its effects, refreshed, without those that are about nothing.
 std::vector<effects::EffectSpec> StrongEffects(const Candidate& c);
+// The effects of `other`, refreshed, without those of which it leaves less than a hundredth of what they were
+// worth in `account`: they stood for a law that `other` has. Play whose faces never part is half its gap off,
+// as a wrong zero is.
+std::vector<effects::EffectSpec> StillNeeded(const Candidate& account, const Candidate& other);
 // Whether all that `c` has and `before` has not is about nothing.
 bool AddsNothing(const Candidate& before, const Candidate& c);
 // Whether specs[i] is one joint's share of a delay or lag that other joints have too: those are of what

@@ -31,7 +31,7 @@ struct MotionScales {
 MotionScales ScalesOf(const FitData& data, const sim::Plant& plant);
 
 // Periods over all that was recorded of its joint, with which a ripple is looked for.
-inline constexpr double kLeastRipple = 0.5;
+inline constexpr double kLeastRipple = 0.4;
 
 struct FeatureSet {
   std::vector<Feature> features;

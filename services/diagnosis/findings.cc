@@ -49,10 +49,10 @@ std::vector<std::string> JointsOf(const std::vector<EffectSpec>& specs, const st
 // Evidence of the best tried candidate that lacks effect `id`, with the other findings kept where tried.
 double BestWithout(const SearchResult& s, const std::string& id) {
   double best = -1e300;
+  const size_t kinds = FreshKinds(Candidate{}, s.best).size();
   for (const Candidate& c : s.tried) {
-    bool has = false;
-    for (const EffectSpec& e : c.specs) has = has || e.id == id;
-    if (!has) best = std::max(best, c.score - (c.base && !s.best.base ? s.beside : 0.0));
+    const bool more = (c.base && !s.best.base) || FreshKinds(Candidate{}, c).size() > kinds;
+    if (!HasKind(c.specs, id)) best = std::max(best, c.score - (more ? s.beside : 0.0));
   }
   return best;
 }

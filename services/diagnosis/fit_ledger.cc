@@ -142,8 +142,8 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   const auto& given = setting_.nominal.effects();
   // Nor what a trial makes of a law on its way; and what a given model has is not doubted.
   if (request.places.empty() && !HasKind(given, "stribeck_friction")) c.fit.ok = c.fit.ok && Drops(c);
-  // While much is left a ripple's period is bent by it.
-  if (c.fit.ok && PerRow(c) < kHolds)
+  // While much is left a ripple's period is bent by it, and on some windows by little.
+  if (c.fit.ok && PerRow(c) < (request.places.empty() ? kHolds : kExplained))
     c.fit.ok = Repeats(c, setting_.scales, PerRow(c), request.places.empty());
   const bool stands = c.fit.ok && (!request.places.empty() || Stands(c));
   c.score = stands ? c.fit.evidence - StructurePrior(c.specs, c.base) : -1e300;
@@ -355,6 +355,13 @@ void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* win
     best.push_back(WholeFit(Refreshed(*c), base, start, 6, winner));
   Candidate found = *winner;
   TakeBest(best, best.size(), &found);
+  for (const FitRequest& request : best) {
+    const Candidate* other = Known(request.specs, base);
+    const TrialSpecs needed = other == nullptr ? request.specs : StillNeeded(*winner, *other);
+    if (needed.size() == request.specs.size() || needed.empty() || Known(needed, base) != nullptr) continue;
+    const Candidate fewer = Evaluate(needed, base, other, 6, winner);
+    if (fewer.score > found.score) found = fewer;
+  }
   if (!(found.score > winner->score)) return;
   // The others were fitted on from where the winner ended: so is the winner, or one would take its place for
   // what a longer fit alone brings.

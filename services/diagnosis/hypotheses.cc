@@ -439,7 +439,6 @@ int ExclusiveGroup(const std::string& id) {
                                                      {"joint_elasticity", kTransmission},
                                                      {"backlash", kTransmission},
                                                      {"actuator_delay", 3},
-                                                     {"actuator_lag", 3},
                                                      {"sensor_delay", 3},
                                                      {"position_spring", 4},
                                                      {"unknown_field", 4}};
@@ -466,7 +465,8 @@ std::vector<EffectSpec> Joined(std::vector<EffectSpec> specs, const std::vector<
 }
 
 std::vector<std::string> SiblingsOf(const std::string& effect) {
-  switch (ExclusiveGroup(effect)) {
+  // A lag may stand beside a delay, and be taken for one.
+  switch (effect == "actuator_lag" ? ExclusiveGroup("actuator_delay") : ExclusiveGroup(effect)) {
     case 1:
       return {"coulomb_friction",        "stribeck_friction",     "asymmetric_friction",
               "load_dependent_friction", "presliding_hysteresis", "thermal_drift"};

@@ -49,7 +49,7 @@ std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const M
                                                 bool base);
 
 // `specs` with `added`, which take the place of what cannot stand beside them on the same joints: at most one
-// dry friction, one transmission, one timing effect and one force of position per joint.
+// dry friction, one transmission, one delay and one force of position per joint.
 std::vector<effects::EffectSpec> Joined(std::vector<effects::EffectSpec> specs,
                                         const std::vector<effects::EffectSpec>& added);
 // Forms of dry friction beyond the plain one.

@@ -10,6 +10,7 @@ namespace rg::diagnosis {
 
 namespace {
 
+constexpr double kRefused = -1e299;
 constexpr size_t kHypotheses = 8, kSets = 6;  // printed of each screen
 
 void Print(const Scored& h) {
@@ -29,10 +30,15 @@ void Trace::Stage(const std::string& stage, const std::string& note) const {
 
 void Trace::Fit(const Candidate& c, const char* what) const {
   if (!on_) return;
-  std::fprintf(stderr, "[%6.2f]   %s %-50s%s score %.1f chi2/row %.4f it %d work %.1e", Elapsed(), what,
-               KeyOf(c.specs).c_str(), c.base ? "+base" : "", c.score, c.fit.chi2 / std::max(1, c.fit.rows),
+  std::fprintf(stderr, "[%6.2f]   %s %-50s%s ", Elapsed(), what, KeyOf(c.specs).c_str(),
+               c.base ? "+base" : "");
+  if (c.score > kRefused)
+    std::fprintf(stderr, "score %.1f", c.score);
+  else
+    std::fprintf(stderr, "refused");
+  std::fprintf(stderr, " chi2/row %.4f it %d work %.1e", c.fit.chi2 / std::max(1, c.fit.rows),
                c.fit.iterations, c.fit.work);
-  for (size_t i = 0; i < c.parameters.size() && c.fit.ok; ++i) {
+  for (size_t i = 0; i < c.parameters.size() && c.fit.theta.size() > 0; ++i) {
     const auto& p = c.parameters[i];
     if (c.plant->parameters()[p.index].kind != sim::ParameterKind::kEffect) continue;
     std::fprintf(stderr, " %s=%.4g", p.name.substr(p.name.find('.')).c_str(),

@@ -59,15 +59,13 @@ class TrialBuilder {
     Sets(screened_.sets, wanted);
     Sets(screened_.pairs, wanted);
     if (!from_.base && data_.n > 1 && !Has("payload")) Push(BodyStarts("payload", nominal_, scales_));
-    if (wanted > 1.0) return std::move(out_);
+    const bool promised = wanted > 1.0;
+    // No screen promises what touches the robot from outside.
+    if (!promised || HasHiddenStates(from_)) FromOutside(force);
+    if (promised) return std::move(out_);
     const std::vector<int> joints = JointsByGain();
     OtherForms();
     DryFriction(joints);
-    if (from_.fit.ok && (!Has("contact") || !Has("external_disturbance"))) {
-      const MissingForce missing = force();
-      if (!Has("contact")) Push(ContactStarts(data_, nominal_, missing, from_.base ? 2 : 3));
-      if (!Has("external_disturbance")) Push(PushStarts(data_, nominal_, missing));
-    }
     for (const char* id : {"sloshing_payload", "base_flexibility"}) {
       if (!Has(id) && (data_.n <= 2 || !from_.base || !from_.specs.empty()))
         Push(BodyStarts(id, nominal_, scales_));
@@ -118,6 +116,13 @@ class TrialBuilder {
     std::vector<TrialSpecs> starts = MountStarts(scales_);
     for (TrialSpecs& start : starts) start.insert(start.end(), beside.begin(), beside.end());
     Push(nearest_(starts, 1));
+  }
+
+  void FromOutside(const std::function<MissingForce()>& force) {
+    if (!from_.fit.ok || (Has("contact") && Has("external_disturbance"))) return;
+    const MissingForce missing = force();
+    if (!Has("contact")) Push(ContactStarts(data_, nominal_, missing, from_.base ? 2 : 3));
+    if (!Has("external_disturbance")) Push(PushStarts(data_, nominal_, missing));
   }
 
   std::vector<int> JointsByGain() const {

@@ -115,7 +115,9 @@ TEST_F(Rippling, IsTheSameAfterEachTurn) {
   EXPECT_TRUE(Repeats(14.02, 0.01));
   EXPECT_FALSE(Repeats(14.3, 0.01));
   EXPECT_TRUE(Repeats(14.3, 0.2));
-  EXPECT_TRUE(Repeats(14.03, 0.01, false, 1.9)) << "what is left bends the period";
+  EXPECT_TRUE(Repeats(14.2, 0.01, false, 1.9)) << "what is left bends the period";
+  EXPECT_FALSE(Repeats(14.4, 0.01, false, 1.9)) << "but not that far";
+  EXPECT_FALSE(Repeats(14.2, 0.01, false, 1.05));
 }
 
 TEST_F(Rippling, IsNoLessOneForWhatAnotherStepWouldBendIt) {
@@ -126,10 +128,10 @@ TEST_F(Rippling, IsNoLessOneForWhatAnotherStepWouldBendIt) {
   EXPECT_FALSE(Repeats(14 + 4 * hair, 1e-6));
 }
 
-TEST_F(Rippling, IsNoneWhereItGoesThroughLessThanHalfAPeriod) {
+TEST_F(Rippling, IsNoneWhereItGoesThroughLessThanTwoFifthsOfAPeriod) {
   p_->scales.high[0] = p_->scales.low[0] + 2 * M_PI / 5;
   // The fit's lower limit: it wants something slower still.
-  EXPECT_FALSE(Repeats(0.5 / Turns(), 1.0));
+  EXPECT_FALSE(Repeats(0.4 / Turns(), 1.0));
 }
 
 TEST_F(Rippling, ThatHardlyComesRoundMustBeWholeSharply) {
@@ -139,6 +141,58 @@ TEST_F(Rippling, ThatHardlyComesRoundMustBeWholeSharply) {
   EXPECT_FALSE(Repeats(3.01, 0.2)) << "as would be any curve's";
   EXPECT_TRUE(Repeats(3.01, 0.2, false, 1.0, false)) << "all windows may tell it better";
   EXPECT_TRUE(Repeats(4.01, 0.2)) << "seen nearly whole";
+}
+
+// One drive that ripples is no reason to doubt another.
+TEST(Candidate, ASlowRippleIsOneWhereAnotherJointsComesRound) {
+  const auto p = testing::Prepare("arm2", {}, 31);
+  const auto& names = p->nominal.joint_names();
+  for (const int j : {0, 1}) p->scales.high[j] = p->scales.low[j] + 2 * M_PI / 5;
+  const auto repeats = [&](double other, double cycles) {
+    Candidate c;
+    c.specs = {effects::MakeSpec("torque_ripple", {names[1]}, {{"cycles_per_rev", cycles}})};
+    if (other > 0)
+      c.specs.push_back(effects::MakeSpec("torque_ripple", {names[0]}, {{"cycles_per_rev", other}}));
+    c.plant = std::make_shared<const sim::Plant>(
+        *sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), c.specs));
+    c.parameters = FreeParameters(*c.plant, p->scales, false);
+    const auto count = static_cast<Eigen::Index>(c.parameters.size());
+    c.fit.theta.resize(count), c.fit.stddev.setConstant(count, 0.2);
+    for (Eigen::Index k = 0; k < count; ++k)
+      c.fit.theta[k] = c.plant->parameters()[c.parameters[static_cast<size_t>(k)].index].nominal;
+    return diagnosis::Repeats(c, p->scales, 1.0, true);
+  };
+  EXPECT_FALSE(repeats(0, 3.01));
+  EXPECT_TRUE(repeats(14.0, 3.01));
+  EXPECT_FALSE(repeats(3.0, 3.01)) << "neither came round";
+  EXPECT_FALSE(repeats(14.0, 1.5)) << "less than two fifths of a period";
+}
+
+TEST(Candidate, WhatStoodForAnotherLawIsNotNeededBesideIt) {
+  const auto p = testing::Prepare("arm2", {}, 31);
+  const auto& names = p->nominal.joint_names();
+  const auto with = [&](double offset) {
+    Candidate c;
+    c.specs = {effects::MakeSpec("encoder_offset", {names[0]}, {{"offset", offset}}),
+               effects::MakeSpec("viscous_friction", {names[1]}, {{"viscous", 0.1}})};
+    c.plant = std::make_shared<const sim::Plant>(
+        *sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), c.specs));
+    c.parameters = FreeParameters(*c.plant, p->scales, false);
+    c.fit.ok = true, c.fit.values = c.plant->parameters().Nominal();
+    c.fit.theta.resize(static_cast<Eigen::Index>(c.parameters.size()));
+    for (size_t k = 0; k < c.parameters.size(); ++k)
+      c.fit.theta[static_cast<Eigen::Index>(k)] = c.fit.values[c.parameters[k].index];
+    c.fit.information = Eigen::MatrixXd::Identity(c.fit.theta.size(), c.fit.theta.size()) * 1e8;
+    return c;
+  };
+  const Candidate account = with(0.015);
+  const auto left = StillNeeded(account, with(-0.001));
+  ASSERT_EQ(left.size(), 1u);
+  EXPECT_EQ(left[0].id, "viscous_friction");
+  EXPECT_EQ(StillNeeded(account, with(0.005)).size(), 2u);
+  Candidate failed = with(-0.001);
+  failed.fit.ok = false;
+  EXPECT_EQ(StillNeeded(account, failed).size(), 2u) << "a fit that failed says nothing";
 }
 
 TEST_F(Rippling, ComesRoundTwiceBesideASpring) {

@@ -31,6 +31,30 @@ TEST(Verdict, WithoutAnyForceALittleMoreThanTheNoiseIsNoMismatch) {
   EXPECT_EQ(VerdictBeyond(1.5), "unexplained");
 }
 
+// What a name was preferred to for having fewer is no reason to doubt it.
+TEST(Confidence, IsNotLessForARivalWithMoreNamesThatTheyDoNotPayFor) {
+  const auto p = testing::Prepare(
+      "pendulum", {effects::MakeSpec("viscous_friction", {"hinge"}, {{"viscous", 0.2}})}, 6);
+  SearchResult search =
+      SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+  ASSERT_EQ(search.best.specs.size(), 1u);
+  const auto beside = [&](const std::vector<std::string>& rival) {
+    SearchResult with = search;
+    with.beside = 10;
+    Candidate c = search.best;
+    c.specs.clear();
+    for (const std::string& id : rival) c.specs.push_back(effects::MakeSpec(id, {"hinge"}));
+    c.score = search.best.score + 5;
+    with.tried.push_back(c);
+    DiagnosisResult result;
+    result.joints = p->set.joints;
+    Conclude(with, p->data, p->nominal, p->scales, &result);
+    return result.findings.at(0).confidence;
+  };
+  EXPECT_GT(beside({"coulomb_friction", "quadratic_drag"}), 0.9);
+  EXPECT_LT(beside({"coulomb_friction"}), 0.1);
+}
+
 // By the evidence of a force on each joint alone and on both.
 TEST(Unexplained, NamesASecondJointWhereItTakesAGoodPartOfTheRest) {
   const auto p = testing::Prepare("arm2", {}, 5);

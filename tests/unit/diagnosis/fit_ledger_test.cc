@@ -9,6 +9,7 @@
 namespace rg::diagnosis {
 namespace {
 
+using effects::EffectSpec;
 using effects::MakeSpec;
 
 // A pendulum with dry friction that drops with speed.
@@ -57,6 +58,24 @@ TEST(FitLedger, WhatIsAtHandIsFittedOnBeforeAnotherTakesItsPlace) {
   EXPECT_EQ(winner.specs[0].id, "coulomb_friction");
   EXPECT_GT(winner.score, done - 1);
   EXPECT_GT(ledger.tried().size(), 1u) << "others were fitted";
+}
+
+// Drag stood for viscous friction: beside that it is about nothing, and viscous friction alone is tried.
+TEST(FitLedger, WhatStoodForAnotherLawIsTakenOutBesideIt) {
+  const auto p =
+      testing::Prepare("pendulum", {MakeSpec("viscous_friction", {"hinge"}, {{"viscous", 0.2}})}, 45);
+  const FitSetting setting{p->data, p->nominal, p->scales};
+  const FakeClock clock;
+  const Trace trace(clock);
+  FitLedger ledger(setting, p->options, 1, trace, nullptr);
+  const EffectSpec drag = MakeSpec("quadratic_drag", {"hinge"}, {{"quadratic", 0.05}});
+  const EffectSpec viscous = MakeSpec("viscous_friction", {"hinge"}, {{"viscous", 0.1}});
+  Candidate winner =
+      ledger.Evaluate({MakeSpec("coulomb_friction", {"hinge"}, {{"coulomb", 0.1}}), drag}, false);
+  ASSERT_TRUE(winner.fit.ok);
+  ASSERT_GT(Strength(winner, 1), 10);
+  ledger.TryInPlace({{viscous, drag}}, &winner);
+  EXPECT_EQ(KeyOf(winner.specs), KeyOf({viscous}));
 }
 
 TEST_F(FitLedgerTest, WhatIsPromisedIsFittedOnAllWindowsWithoutATrial) {

@@ -193,6 +193,13 @@ TEST(Joined, ASpringTakesThePlaceOfACouplingThatEndsAtItsJoint) {
   EXPECT_EQ(Joined({from}, {spring}).size(), 2u);
 }
 
+TEST(Joined, ALagMayStandBesideADelayButNoOtherDelay) {
+  const auto delay = MakeSpec("actuator_delay", {"elbow"}, {{"delay", 0.02}});
+  EXPECT_EQ(Joined({delay}, {MakeSpec("actuator_lag", {"elbow"})}).size(), 2u);
+  EXPECT_EQ(Joined({delay}, {MakeSpec("sensor_delay", {"elbow"})}).size(), 1u);
+  EXPECT_EQ(SiblingsOf("actuator_lag"), SiblingsOf("actuator_delay")) << "each is taken for the other";
+}
+
 TEST(StribeckStarts, CoverARangeOfSpeedsWithMoreFrictionAtRest) {
   const auto c = Case::Of("pendulum", {}, 13);
   const EffectSpec dry = MakeSpec("coulomb_friction", {c->nominal.joint_names()[0]}, {{"coulomb", 0.2}});
@@ -379,6 +386,28 @@ TEST(Trials, TryAMountBesideTheBestOfTheScreen) {
   EXPECT_EQ(pairs({}), 1u);
   EXPECT_GE(looked, 4u) << "of mounts from soft to stiff the nearest";
   EXPECT_EQ(pairs({MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.1}})}), 0u);
+}
+
+// What touches the robot from outside is no column of a screen, which promises nothing of it.
+TEST(Trials, TryASurfaceBesideHiddenStatesWithoutAPromise) {
+  EffectSpec floor = MakeSpec("contact", {}, {{"stiffness", 60}, {"damping", 1}, {"height", 0.55}});
+  floor.options["point"] = "last_link";
+  const auto c = Case::Of("arm2", {floor}, 5);
+  const auto surfaces = [&](std::vector<EffectSpec> specs) {
+    Candidate from;
+    from.specs = std::move(specs);
+    from.plant = std::make_shared<const sim::Plant>(
+        *sim::Plant::Create(c->nominal.shared_model(), c->nominal.options(), from.specs));
+    from.fit.ok = true, from.fit.values = from.plant->parameters().Nominal();
+    const Nearest nearest = [](const auto& starts, size_t) { return starts; };
+    size_t count = 0;
+    for (const TrialSpecs& trial : Trials(
+             c->data, c->nominal, c->scales, from, {}, 2.0, [&] { return c->Missing(); }, nearest))
+      count += HasKind(trial, "contact");
+    return count;
+  };
+  EXPECT_GE(surfaces({MakeSpec("actuator_lag", {"elbow"}, {{"time_constant", 0.01}})}), 1u);
+  EXPECT_EQ(surfaces({MakeSpec("viscous_friction", {"elbow"}, {{"viscous", 0.1}})}), 0u);
 }
 
 }  // namespace
