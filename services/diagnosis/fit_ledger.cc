@@ -4,6 +4,7 @@
 #include <cmath>
 #include <functional>
 #include <initializer_list>
+#include <limits>
 #include <set>
 
 #include "services/diagnosis/hypotheses.h"
@@ -27,21 +28,30 @@ constexpr double kPiece = 0.1;        // s
 constexpr size_t kSprings = 2;        // behind rotors, that are fitted for either place of the sensor
 constexpr size_t kInPlace = 2;        // other laws that are fitted on all windows
 constexpr double kPartly = 0.5;       // of a model's misfit, that what is part of the truth leaves at most
+constexpr double kSwings = 0.8;       // the same, for springs where the mass hangs on a rod
+constexpr double kAstray = 10.0;      // times a trial's misfit, of the same on all windows
 constexpr double kNearer = 0.8;       // of the misfit so far, for a mass on a rod to be followed again
 constexpr double kMuchWorse = 0.1;    // of a trial's misfit, that one in its place may leave more
 
-// Of trials like this the one that leaves least of the misfit, if it leaves no more than what is part of the
-// truth.
+// Of trials like this the one that leaves least of the misfit, if that is no more than `least`.
 std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::vector<RankedTrial>*> trials,
+                                             double least,
                                              const std::function<bool(const Candidate&)>& like_this) {
   std::shared_ptr<const Candidate> out;
-  double least = kPartly;
   for (const std::vector<RankedTrial>* list : trials) {
     for (const RankedTrial& t : *list) {
       if (t.left < least && like_this(*t.fitted)) least = t.left, out = t.fitted;
     }
   }
   return out;
+}
+
+// Whether a mass that swings does so on the last link, not on the tool.
+bool OnLastLink(const std::vector<EffectSpec>& specs) {
+  return std::any_of(specs.begin(), specs.end(), [](const EffectSpec& s) {
+    const auto point = s.options.find("point");
+    return s.id == "sloshing_payload" && point != s.options.end() && point->second == "last_link";
+  });
 }
 
 // Where another fit starts whose windows are not its own.
@@ -244,11 +254,17 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   }
   // The best with states that no sensor reads: something beside it may be missing, without which it is not
   // among the best of all. And the best with a mass that swings, where `from` has none.
-  const auto with_states = LeavesLeast(
-      {&trials.ranked}, [](const Candidate& c) { return HasHiddenStates(c) && !HasMassInSprings(c.specs); });
-  const auto swings = LeavesLeast({&trials.ranked, &trials.hidden}, [&](const Candidate& c) {
-    return HasMassInSprings(c.specs) && !HasKind(from.specs, "sloshing_payload");
+  const auto with_states = LeavesLeast({&trials.ranked}, kPartly, [](const Candidate& c) {
+    return HasHiddenStates(c) && !HasMassInSprings(c.specs);
   });
+  std::vector<std::shared_ptr<const Candidate>> swings;  // on the tool, on the last link
+  for (const bool last_link : {false, true}) {
+    const auto best = LeavesLeast({&trials.ranked, &trials.hidden}, kSwings, [&](const Candidate& c) {
+      return HasMassInSprings(c.specs) && !HasKind(from.specs, "sloshing_payload") &&
+             OnLastLink(c.specs) == last_link;
+    });
+    if (best != nullptr) swings.push_back(best);
+  }
   // From the model that the trials started at where that holds, else from base parameters where they ended.
   const bool holds = trial.from != nullptr && !trial.from->fit.states.empty();
   std::vector<FitRequest> best;
@@ -271,7 +287,10 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   TakeBest(best, 1, &found);
   TrySprings(from, &found);
   // Where another account leaves far less than the springs do there is no mass that swings.
-  if (swings != nullptr && PerRow(found) - 1 > kPartly * (PerRow(*swings) - 1)) TryRod(from, *swings, &found);
+  const bool far_less = std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
+    return PerRow(found) - 1 > kPartly * (PerRow(*c) - 1);
+  });
+  if (far_less) TryRod(from, swings, &found);
   if (found.score > winner->score) *winner = found;
 }
 
@@ -304,29 +323,51 @@ void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
   TakeBest(fits, 1, account);
 }
 
-void FitLedger::TryRod(const Candidate& from, const Candidate& trial, Candidate* account) {
-  // All windows tell its length better, where its swing from one to the next is not refused.
-  const Candidate* whole = Known(trial.specs, trial.base);
-  const Candidate& springs = whole != nullptr && whole->fit.ok ? *whole : trial;
-  if (whole != nullptr && PerRow(*whole) < kExplained) return;
-  const TrialSpecs specs = Refreshed(springs);
-  const auto mass = std::find_if(specs.begin(), specs.end(),
-                                 [](const EffectSpec& s) { return s.id == "sloshing_payload"; });
-  for (const EffectSpec& start : RodStarts(setting_.data, setting_.nominal, *mass)) {
-    TrialSpecs with = Joined(specs, {start});
-    if (Known(with, from.base) != nullptr) continue;
+void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<const Candidate>>& trials,
+                       Candidate* account) {
+  // Where it hangs, on the tool or on the last link, is where the first hinge leaves least, or little.
+  std::vector<TrialSpecs> rods;
+  double least = std::numeric_limits<double>::infinity();
+  for (const auto& trial : trials) {
+    // All windows tell its length better, unless its swing from one to the next led the fit astray.
+    const Candidate* whole = Known(trial->specs, trial->base);
+    if (whole != nullptr && PerRow(*whole) < kExplained) return;
+    const bool astray = whole == nullptr || !whole->fit.ok || PerRow(*whole) > kAstray * PerRow(*trial);
+    const TrialSpecs specs = Refreshed(astray ? *trial : *whole);
+    const auto mass = std::find_if(specs.begin(), specs.end(),
+                                   [](const EffectSpec& s) { return s.id == "sloshing_payload"; });
+    std::vector<TrialSpecs> here;
+    for (const EffectSpec& start : RodStarts(setting_.data, setting_.nominal, *mass)) {
+      here.push_back(Joined(specs, {start}));
+      if (Known(here.back(), from.base) != nullptr) here.pop_back();
+    }
+    if (here.empty() || Late(kToTheEnd)) continue;
+    const double left = Hung(from, &here[0], account);
+    if (left < kExplained) return;
+    if (left < least) least = left, rods = here;
+    if (left < kPartly * PerRow(from)) break;
+  }
+  for (size_t i = 0; i < rods.size() && !Late(kToTheEnd); ++i) {
     double enough = kPartly * PerRow(from);
-    for (bool nearer = true; nearer && !Late(kToTheEnd);) {
-      const FitRequest request = WholeFit(with, from.base, Start(&from, from.base));
-      const Candidate rod = Tried(request, Made(request));
-      // With what was found its windows are followed anew, from where it hung.
-      nearer = rod.fit.ok && PerRow(rod) < enough;
-      enough = kNearer * PerRow(rod);
-      if (nearer) with = Refreshed(rod);
-      if (rod.score > account->score) *account = rod;
+    double left = i == 0 ? least : Hung(from, &rods[i], account);
+    // Its windows are followed anew, from where it hung.
+    while (left < enough && left >= kExplained && !Late(kToTheEnd)) {
+      enough = kNearer * left;
+      left = Hung(from, &rods[i], account);
     }
     if (PerRow(*account) < kExplained) return;
   }
+}
+
+// A fit of a mass on a rod, from which the next one goes on: χ² per row that it leaves. The better of it and
+// of `account` is the account.
+double FitLedger::Hung(const Candidate& from, TrialSpecs* with, Candidate* account) {
+  const FitRequest request = WholeFit(*with, from.base, Start(&from, from.base));
+  const Candidate rod = Tried(request, Made(request));
+  if (rod.score > account->score) *account = rod;
+  if (!rod.fit.ok) return std::numeric_limits<double>::infinity();
+  *with = Refreshed(rod);
+  return PerRow(rod);
 }
 
 void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner) {

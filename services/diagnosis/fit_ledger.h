@@ -66,8 +66,10 @@ class FitLedger {
   void TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner);
   // Springs behind the rotors that `account` adds to `from`, before free base parameters make up for them.
   void TrySprings(const Candidate& from, Candidate* account);
-  // A rod in the place of springs for a mass, as a trial found it, that explains most of what `from` leaves.
-  void TryRod(const Candidate& from, const Candidate& trial, Candidate* account);
+  // A rod in the place of springs for a mass, as trials found it on the tool and on the last link, that
+  // explains most of what `from` leaves.
+  void TryRod(const Candidate& from, const std::vector<std::shared_ptr<const Candidate>>& trials,
+              Candidate* account);
   // The `count` of `starts` that are nearest to the record beside `from`'s effects.
   std::vector<TrialSpecs> Nearest(const Candidate& from, bool base, const std::vector<TrialSpecs>& starts,
                                   size_t count);
@@ -79,6 +81,7 @@ class FitLedger {
                       std::shared_ptr<const Candidate> from, int iterations = 6,
                       const Candidate* rival = nullptr) const;
   bool Stands(const Candidate& c) const;
+  double Hung(const Candidate& from, TrialSpecs* with, Candidate* account);
   void TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner);
   FitRequest Trial(const Candidate& from, bool base, std::shared_ptr<const Candidate> start) const;
   // Of a pool beside `from`'s effects, what is no worse than these alone.

@@ -21,6 +21,20 @@ bool Has(const json& effects, const char* id) {
   return std::any_of(effects.begin(), effects.end(), [&](const json& e) { return e["id"] == id; });
 }
 
+// Whether it is on all joints, or all others are apart from its and nothing else couples them.
+bool OfAllThatFeelIt(const RobotFacts& facts, const json& effects, const json& effect) {
+  const size_t on = effect["joints"].size();
+  if (static_cast<int>(on) == facts.joints) return true;
+  const bool bodies_alone = std::all_of(effects.begin(), effects.end(), [&](const json& other) {
+    return other["id"] == effect["id"] || other["id"] == "parameters_only";
+  });
+  const auto apart = static_cast<size_t>(
+      std::count_if(effect["joints"].begin(), effect["joints"].end(),
+                    [&](const json& joint) { return facts.apart.count(joint.get<std::string>()) > 0; }));
+  const size_t together = static_cast<size_t>(facts.joints) - facts.apart.size();
+  return bodies_alone && (on == apart || on - apart == together);
+}
+
 void OneJoint(const RobotFacts& facts, json* effects) {
   const bool body_differs = Has(*effects, "parameters_only");
   for (json& e : *effects) {
@@ -49,8 +63,7 @@ void AddEquivalents(const RobotFacts& facts, json* effects) {
   for (json& e : *effects) {
     if (held && (e["id"] == "payload" || e["id"] == "parameters_only"))
       Join({"payload", "parameters_only"}, &e);
-    const bool everywhere = static_cast<int>(e["joints"].size()) == facts.joints;
-    if (everywhere && (e["id"] == "actuator_delay" || e["id"] == "sensor_delay"))
+    if (OfAllThatFeelIt(facts, *effects, e) && (e["id"] == "actuator_delay" || e["id"] == "sensor_delay"))
       Join({"actuator_delay", "sensor_delay"}, &e);
     const bool first_only = e["joints"].size() == 1 && e["joints"][0] == facts.first_joint;
     if (e["id"] == "rotor_inertia" && first_only && !facts.linear) Join({"parameters_only"}, &e);
@@ -67,6 +80,18 @@ void AddEquivalents(const RobotFacts& facts, json* effects) {
     if (e["id"] != "parameters_only") continue;
     for (const json& name : e["equivalents"]) e["also_acceptable"].push_back(name);
   }
+}
+
+bool Hides(const RobotFacts& facts, const json& effects) {
+  if (facts.joints == 1 && facts.linear)
+    return Has(effects, "gravity_misalignment") && Has(effects, "position_spring");
+  const auto on_first = [&](const char* id) {
+    return std::any_of(effects.begin(), effects.end(), [&](const json& e) {
+      const auto& joints = e["joints"];
+      return e["id"] == id && std::find(joints.begin(), joints.end(), facts.first_joint) != joints.end();
+    });
+  };
+  return on_first("rotor_inertia") && (on_first("joint_elasticity") || on_first("backlash"));
 }
 
 json AcceptedVerdicts(const json& effects) {

@@ -33,7 +33,8 @@ using Eigen::VectorXd;
 using nlohmann::json;
 
 constexpr int kAttempts = 6;
-constexpr double kNear = 1.05;  // strengths that need no telling apart
+constexpr double kApart = 1e-9;  // of a joint's own inertia, that couples it to none
+constexpr double kNear = 1.05;   // strengths that need no telling apart
 
 // Everything a case is made from.
 class Maker {
@@ -71,6 +72,7 @@ class Maker {
   Status KeepVisible(Truth* truth, json* effects) const;
   double Ratio(const Truth& truth) const;
   Result<Truth> SearchStrength(json* effects, std::string* warning);
+  std::set<std::string> JointsApart() const;
   RobotFacts Facts(const Truth& truth) const;
   VectorXd Controller(const VectorXd& q, const VectorXd& v, const VectorXd& q_ref,
                       const VectorXd& v_ref) const;
@@ -421,6 +423,7 @@ Status Maker::KeepVisible(Truth* truth, json* effects) const {
   const std::vector<bool> from_bodies = ToTellFromBodies(*truth, *effects);
   if (std::find(from_bodies.begin(), from_bodies.end(), true) != from_bodies.end())
     seen.for_bodies = {seen.track, ToFit(*truth, 1)};
+  if (Hides(Facts(*truth), *effects)) return InternalError("one effect is part of what the other does");
   for (size_t e = 0; e < request_.effects.size(); ++e) {
     json ignored;
     const Truth without = Draw(strength_, request_.wrong_parameters, &ignored, static_cast<int>(e));
@@ -460,6 +463,27 @@ Status Maker::KeepVisible(Truth* truth, json* effects) const {
   return Status::Ok();
 }
 
+// By the mass matrix and gravity in some poses.
+std::set<std::string> Maker::JointsApart() const {
+  const auto n = static_cast<Eigen::Index>(joints_.size());
+  std::set<std::string> apart(joints_.begin(), joints_.end());
+  MatrixXd mass;
+  VectorXd gravity;
+  for (int pose = 0; pose < 3; ++pose) {
+    const VectorXd here = Gravity(limits_.home + 0.3 * pose * limits_.amplitude);
+    const MatrixXd now = Select(skeleton_->getMassMatrix());
+    if (pose == 0) mass = now, gravity = here;
+    for (Eigen::Index i = 0; i < n; ++i) {
+      const double least = kApart * now(i, i), sum = now.row(i).cwiseAbs().sum();
+      const bool alone = sum - now(i, i) < least && std::abs(now(i, i) - mass(i, i)) < least &&
+                         std::abs(here[i] - gravity[i]) < kApart * (1 + std::abs(gravity[i]));
+      if (!alone) apart.erase(joints_[static_cast<size_t>(i)]);
+    }
+  }
+  Gravity(limits_.home);
+  return apart;
+}
+
 RobotFacts Maker::Facts(const Truth& truth) const {
   RobotFacts facts;
   facts.joints = static_cast<int>(joints_.size());
@@ -480,7 +504,10 @@ RobotFacts Maker::Facts(const Truth& truth) const {
     if (i == 0) first = axis;
     facts.upright_plane = facts.upright_plane && std::abs(axis.z()) < 1e-6 && axis.cross(first).norm() < 1e-6;
   }
-  if (facts.joints > 1) return facts;
+  if (facts.joints > 1) {
+    facts.apart = JointsApart();
+    return facts;
+  }
   const auto inertia = [&](const dart::dynamics::SkeletonPtr& bodies) {
     VectorXd q = VectorXd::Zero(1);
     bodies->setPositions(q);

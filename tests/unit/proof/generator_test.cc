@@ -378,6 +378,33 @@ TEST(ProofLabels, CallEquivalentWhatIsAndNothingElse) {
   EXPECT_EQ(heavier[0]["equivalents"].size(), 3u);
 }
 
+// A SCARA's lift feels nothing of the other two, nor they of it: a delay of both is one of their drives.
+TEST(ProofLabels, OneDelayOfAllThatFeelEachOtherIsOneOfTheirDrives) {
+  using nlohmann::json;
+  const RobotFacts scara{.joints = 3, .first_joint = "a", .apart = {"lift"}};
+  const auto equivalents = [&](std::vector<std::string> joints, const char* beside) {
+    json effects = {EffectOf("sensor_delay", std::move(joints)), EffectOf(beside, {})};
+    AddEquivalents(scara, &effects);
+    return effects[0]["equivalents"].size();
+  };
+  EXPECT_EQ(equivalents({"a", "b"}, "parameters_only"), 1u);
+  EXPECT_EQ(equivalents({"lift"}, "parameters_only"), 1u);
+  EXPECT_EQ(equivalents({"a", "lift"}, "parameters_only"), 0u);
+  EXPECT_EQ(equivalents({"a", "b"}, "base_flexibility"), 0u) << "which couples them all";
+}
+
+TEST(ProofLabels, WhatIsPartOfAnotherEffectIsNotAskedFor) {
+  using nlohmann::json;
+  const RobotFacts arm{.joints = 2, .first_joint = "a"},
+      slide{.joints = 1, .first_joint = "s", .linear = true};
+  const json spring = EffectOf("joint_elasticity", {"a"});
+  EXPECT_TRUE(Hides(arm, json{EffectOf("rotor_inertia", {"a", "b"}), spring}));
+  EXPECT_FALSE(Hides(arm, json{EffectOf("rotor_inertia", {"b"}), spring}));
+  const json tilt = EffectOf("gravity_misalignment", {});
+  EXPECT_TRUE(Hides(slide, json{EffectOf("position_spring", {"s"}), tilt}));
+  EXPECT_FALSE(Hides(slide, json{EffectOf("viscous_friction", {"s"}), tilt}));
+}
+
 TEST(ProofCase, ConcealsTheTruthFromTheSet) {
   const std::string folder = std::filesystem::temp_directory_path() / ("rg_proof_" + RandomHex(6));
   CaseRequest request;
