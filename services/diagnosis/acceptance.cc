@@ -14,7 +14,7 @@ constexpr double kFormError = 0.01;  // share of what effects explain that a nei
 constexpr double kAmplitude =
     1e-4;                          // the same whatever is left: 1 % of an amplitude is within any simulation
 constexpr double kMostOfIt = 0.5;  // share of what is left that no matter of form takes
-constexpr double kFar = 10.0;      // χ² per row beyond noise, of a model that has little to do with the record
+constexpr double kFar = 10.0;  // χ² per row beyond noise, of a model that has little to do with the record
 constexpr double kSimplerOdds = 3.0;  // log odds: 20 to 1
 
 std::string Joined(const std::set<std::string>& joints) {

@@ -2,8 +2,8 @@
 //
 // Log evidence says how much better a model fits than its rivals; it does not know of laws that are not in
 // the catalogue, so beyond a few nats it is far too sure. What tells right names from wrong ones is what
-// stands beside them: nothing left unexplained, few names, no rival near. The shares are hit rates on the sets
-// of blind examinations (docs/proof.md) after they had been taken; `realitygrad prove` with other seeds
+// stands beside them: nothing left unexplained, few names, no rival near. The shares are hit rates on the
+// sets of blind examinations (docs/proof.md) after they had been taken; `realitygrad prove` with other seeds
 // measures whether they hold.
 #pragma once
 

@@ -29,8 +29,9 @@ struct DiagnosisOptions {
   int max_effects = 4;        // rounds of adding
   uint64_t seed = 1;          // of simulated nulls and bootstraps
   // Of all fits together (Work in lifted_fit.h): a limit that is the same on every machine, two and a half to
-  // six minutes of one core, which few sets take. What is found by then is weighed beyond it, up to twice. Where
-  // a recording kept aside must be fitted too a second search has what the first one leaves of 1.6 times that.
+  // six minutes of one core, which few sets take. What is found by then is weighed beyond it, up to twice.
+  // Where a recording kept aside must be fitted too a second search has what the first one leaves of 1.6
+  // times that.
   double work_limit = 1.2e10;
   // No new fit starts later than this many seconds; 0: no such limit. What it cuts off depends on the
   // machine.

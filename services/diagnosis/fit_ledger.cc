@@ -287,10 +287,10 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   TakeBest(best, 1, &found);
   TrySprings(from, &found);
   // Where another account leaves far less than the springs do there is no mass that swings.
-  const bool far_less = std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
+  const bool may_swing = std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
     return PerRow(found) - 1 > kPartly * (PerRow(*c) - 1);
   });
-  if (far_less) TryRod(from, swings, &found);
+  if (may_swing) TryRod(from, swings, &found);
   if (found.score > winner->score) *winner = found;
 }
 

@@ -68,9 +68,9 @@ struct LiftedOptions {
   sim::Integrator integrator = sim::Integrator::kLeapfrog;
 };
 
-// What simulating all windows of a plant with so many states costs with sensitivities to so many unknowns, the
-// same on every machine: steps times pairs of states times columns, the step itself counting as twenty. Its
-// time goes with that within a factor of 1.7 (robots of one to six joints, 25 to 500 Hz).
+// What simulating all windows of a plant with so many states costs with sensitivities to so many unknowns,
+// the same on every machine: steps times pairs of states times columns, the step itself counting as twenty.
+// Its time goes with that within a factor of 1.7 (robots of one to six joints, 25 to 500 Hz).
 double Work(const FitData& data, const LiftedOptions& options, long states, long columns);
 
 struct FitResult {
@@ -78,10 +78,10 @@ struct FitResult {
   NodeStates states;
   double chi2 = 0;  // of the simulated windows, far residuals softened; of a mass in springs with its jumps
   std::vector<double> window_chi2;  // (jumps.h)
-  double prior_cost = 0;        // Σ ((θ−θ0)/σ)²
-  Eigen::MatrixXd information;  // P × P, without priors, divided by noise_scale
-  Eigen::VectorXd stddev;       // P, posterior
-  Eigen::VectorXd theta;        // P
+  double prior_cost = 0;            // Σ ((θ−θ0)/σ)²
+  Eigen::MatrixXd information;      // P × P, without priors, divided by noise_scale
+  Eigen::VectorXd stddev;           // P, posterior
+  Eigen::VectorXd theta;            // P
   int rows = 0;
   int iterations = 0;
   double work = 0;  // Work of all simulations

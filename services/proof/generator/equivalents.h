@@ -19,9 +19,8 @@ struct RobotFacts {
 };
 
 // Adds to `equivalents` of the label's effects, exact cases only:
-// - one delay for all sensors and one for all drives (the robot does not change with time), or for all of
-// those
-//   that feel each other, where nothing else is amiss but bodies;
+// - one delay for all sensors and one for all drives (the robot does not change with time), or for all that
+//   feel each other, where nothing else is amiss but bodies;
 // - a rotor's inertia on the first joint, where it turns, and the first link's inertia about that axis;
 // - viscous friction where the URDF declares damping on every joint of it: that is a parameter of the URDF;
 // - on an upright plane: a tilt of the base and a wrong zero of the first joint;

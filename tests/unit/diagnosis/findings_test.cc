@@ -33,8 +33,8 @@ TEST(Verdict, WithoutAnyForceALittleMoreThanTheNoiseIsNoMismatch) {
 
 // What a name was preferred to for having fewer is no reason to doubt it.
 TEST(Confidence, IsNotLessForARivalWithMoreNamesThatTheyDoNotPayFor) {
-  const auto p = testing::Prepare(
-      "pendulum", {effects::MakeSpec("viscous_friction", {"hinge"}, {{"viscous", 0.2}})}, 6);
+  const auto p =
+      testing::Prepare("pendulum", {effects::MakeSpec("viscous_friction", {"hinge"}, {{"viscous", 0.2}})}, 6);
   SearchResult search =
       SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
   ASSERT_EQ(search.best.specs.size(), 1u);

@@ -90,8 +90,9 @@ TEST(Screening, GrowsASetOfJointsToWhereTheEffectIs) {
                          23);
   const ScreenResult r = Screened(*p, {}, {});
   ASSERT_FALSE(r.sets.empty());
-  EXPECT_TRUE(Holds(r.sets.front(), "viscous_friction", {0, 1}) ||
-              (Holds(r.sets.front(), "viscous_friction", {0}) && Holds(r.sets.front(), "viscous_friction", {1})));
+  EXPECT_TRUE(
+      Holds(r.sets.front(), "viscous_friction", {0, 1}) ||
+      (Holds(r.sets.front(), "viscous_friction", {0}) && Holds(r.sets.front(), "viscous_friction", {1})));
 }
 
 TEST(Screening, SeesAPayloadInTheLastLinksParameters) {
