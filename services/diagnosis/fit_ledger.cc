@@ -46,14 +46,6 @@ std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::ve
   return out;
 }
 
-// Whether a mass that swings does so on the last link, not on the tool.
-bool OnLastLink(const std::vector<EffectSpec>& specs) {
-  return std::any_of(specs.begin(), specs.end(), [](const EffectSpec& s) {
-    const auto point = s.options.find("point");
-    return s.id == "sloshing_payload" && point != s.options.end() && point->second == "last_link";
-  });
-}
-
 // Where another fit starts whose windows are not its own.
 std::shared_ptr<const Candidate> ValuesOf(Candidate c) {
   c.fit.states.clear(), c.fit.window_chi2.clear();
@@ -261,7 +253,7 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   for (const bool last_link : {false, true}) {
     const auto best = LeavesLeast({&trials.ranked, &trials.hidden}, kSwings, [&](const Candidate& c) {
       return HasMassInSprings(c.specs) && !HasKind(from.specs, "sloshing_payload") &&
-             OnLastLink(c.specs) == last_link;
+             SwingsOnLastLink(c.specs) == last_link;
     });
     if (best != nullptr) swings.push_back(best);
   }

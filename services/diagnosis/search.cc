@@ -487,8 +487,11 @@ class Search {
   void SendBack(const Candidate& without, Candidate* best, int* unseen_in) {
     HeldOutJudge& judge = *judge_;
     // Where a mass hangs that swings freely is not known for long: what little is left there is no other law.
-    const bool swings = HasKind(best->specs, "sloshing_payload") && judge.ExplainsMost(*best, without);
-    if (fits_.PerRow(*best) < kExplained && !swings) *unseen_in = judge.Refusing(*best, Threshold(*best));
+    const auto swings_on = [&] {
+      return HasKind(best->specs, "sloshing_payload") && judge.ExplainsMost(*best, without);
+    };
+    if (fits_.PerRow(*best) < kExplained && !swings_on())
+      *unseen_in = judge.Refusing(*best, Threshold(*best));
     const bool named = !best->specs.empty() && !FoundNothing(*best);
     for (int sent = 0; named && sent < kSentBack && !fits_.Late() && !judge.Holds(*best, Threshold(*best));
          ++sent) {

@@ -57,6 +57,13 @@ bool HasMassInSprings(const std::vector<EffectSpec>& specs) {
                      [](const EffectSpec& e) { return e.id == "sloshing_payload" && !OnRod(e); });
 }
 
+bool SwingsOnLastLink(const std::vector<EffectSpec>& specs) {
+  return std::any_of(specs.begin(), specs.end(), [](const EffectSpec& e) {
+    const auto point = e.options.find("point");
+    return e.id == "sloshing_payload" && point != e.options.end() && point->second == "last_link";
+  });
+}
+
 NodeStates FollowedStates(const FitData& data, const FitModel& given, const LiftedOptions& options,
                           NodeStates states, double* work) {
   const FitModel model{given.plant, given.values, {}};
@@ -127,10 +134,9 @@ FitResult FitFollowed(const FitData& data, FitModel model, const LiftedOptions& 
 
 std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal, const EffectSpec& springs) {
   const model::RobotModel& model = nominal.model();
-  const auto point = springs.options.find("point");
-  const bool last = point != springs.options.end() && point->second == "last_link";
-  const std::string& link =
-      last ? model.link(model.joint(model.num_joints() - 1).child_link).name : model.end_effector().name;
+  const std::string& link = SwingsOnLastLink({springs})
+                                ? model.link(model.joint(model.num_joints() - 1).child_link).name
+                                : model.end_effector().name;
   const model::Frame frame = *model.FindFrame(link);
   const dynamics::Mechanism mechanism(model);
   dynamics::Workspace workspace;

@@ -10,6 +10,8 @@ namespace rg::diagnosis {
 
 bool HasRod(const std::vector<effects::EffectSpec>& specs);
 bool HasMassInSprings(const std::vector<effects::EffectSpec>& specs);
+// Whether one swings on the last link, not on the end effector.
+bool SwingsOnLastLink(const std::vector<effects::EffectSpec>& specs);
 
 // States of all windows, one after another: each starts as the end of the one before leaves it, or as it is
 // in `now`, whichever is nearer to the record, and is fitted alone, at the model's values. `work`: its cost
