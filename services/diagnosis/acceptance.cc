@@ -71,7 +71,7 @@ double Acceptance::NeededBeside(const Candidate& best, double explained, double 
   // What is left above the noise is itself known to the scatter of χ² only.
   const double left = std::max(0.0, at_stake) + std::sqrt(0.5 * best.fit.rows);
   // Around a model that does not hold windows run away, and another step rule with them, as far as they like.
-  const double most = left > 0.5 * kFar * best.fit.rows ? kMostOfIt * left : 1e300;
+  const double most = left > 0.5 * kFar * best.fit.rows ? kMostOfIt * left : effects::kInf;
   const double chance = std::max(1.0, null_gain_ - kEffectPrior);
   if (best.specs.empty() || explained <= 0) return std::min(with_rule(chance), most);
   const double form = std::min(with_rule(kFormError * explained), kMostOfIt * left);

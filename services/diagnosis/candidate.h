@@ -14,6 +14,9 @@
 
 namespace rg::diagnosis {
 
+// The score of what is no account, whatever it leaves: finite, as scores are subtracted.
+inline constexpr double kNoScore = -1e300;
+
 // A fitted set of effects.
 struct Candidate {
   std::vector<effects::EffectSpec> specs;
@@ -21,7 +24,7 @@ struct Candidate {
   std::shared_ptr<const sim::Plant> plant;
   std::vector<sysid::FitParameter> parameters;
   FitResult fit;
-  double score = 0;  // evidence with the structure's prior
+  double score = 0;  // evidence with the structure's prior; kNoScore: no account at all
   int round = 0;
   std::optional<double>
       held_out;  // log density of recordings kept aside, where it was asked for (held_out.h)

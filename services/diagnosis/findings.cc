@@ -9,6 +9,8 @@
 #include "common/model/robot_model.h"
 #include "services/diagnosis/confidence.h"
 #include "services/diagnosis/data_notes.h"
+#include "services/diagnosis/experiments.h"
+#include "services/diagnosis/findings_tables.h"
 #include "services/diagnosis/given_model.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/separating_motion.h"
@@ -48,7 +50,7 @@ std::vector<std::string> JointsOf(const std::vector<EffectSpec>& specs, const st
 
 // Evidence of the best tried candidate that lacks effect `id`, with the other findings kept where tried.
 double BestWithout(const SearchResult& s, const std::string& id) {
-  double best = -1e300;
+  double best = kNoScore;
   const size_t kinds = FreshKinds(Candidate{}, s.best).size();
   for (const Candidate& c : s.tried) {
     const bool more = (c.base && !s.best.base) || FreshKinds(Candidate{}, c).size() > kinds;
@@ -82,9 +84,9 @@ class Speaker {
     Figures();
     Verdict();
     Calibrate(r_.verdict, s_.measured.active, &r_.findings);
-    Ledger();
-    Rows();
-    Plots();
+    r_.ledger = LedgerOf(s_);
+    r_.candidates = CandidateRows(s_);
+    r_.force_plots = ForcePlots(s_, data_);
   }
 
  private:
@@ -269,12 +271,10 @@ class Speaker {
       const bool weighed = c->held_out && s_.best.held_out;
       a.evidence = weighed ? *c->held_out - *s_.best.held_out : fitted;
       a.separable = (weighed ? fitted + a.evidence : fitted) < -kSeparable;
-      a.experiment = Experiment(id, effect, f->joints);
+      a.experiment = ExperimentFor(id, effect, f->joints);
       if (effect == OtherClock(id) && OneClock(id)) {
         a.separable = a.by_motion = false;
-        a.experiment =
-            "no motion can: command and reading stamped by one clock, or a step of the command whose "
-            "effect another sensor sees at once";
+        a.experiment = kClockExperiment;
       }
       if (!a.separable) f->effect_class.push_back(effect);
       f->alternatives.push_back(a);
@@ -301,29 +301,6 @@ class Speaker {
     }
     return joints == data_.n &&
            most - least <= std::max(kOneInAHundred * std::sqrt(2.0) * error, kSameDelay * most);
-  }
-
-  static std::string Experiment(const std::string& a, const std::string& b,
-                                const std::vector<std::string>& joints) {
-    const std::string who = joints.empty() ? "the joints" : Listed(joints);
-    auto either = [&](std::initializer_list<const char*> ids) {
-      return std::any_of(ids.begin(), ids.end(), [&](const char* x) { return a == x || b == x; });
-    };
-    if (either({"stribeck_friction", "presliding_hysteresis", "backlash"}))
-      return "slow ramps of " + who + " at 0.01 to 0.05 rad/s through several reversals";
-    if (either({"actuator_delay", "actuator_lag", "sensor_delay"}))
-      return "a chirp of " + who +
-             " up to half the sample rate: phase grows with frequency for a delay, saturates for a lag";
-    if (either({"load_dependent_friction"}))
-      return "the same slow motion of " + who + " with and without load, arm stretched and folded";
-    if (either({"viscous_friction", "quadratic_drag", "coulomb_friction", "asymmetric_friction"}))
-      return "constant speeds of " + who + " at five levels in both directions";
-    if (either({"thermal_drift"})) return "the same motion of " + who + " repeated for several minutes";
-    if (either({"payload", "parameters_only", "torque_gain", "rotor_inertia"}))
-      return "fast reversals and slow holds of " + who + " in several poses";
-    if (either({"joint_elasticity", "base_flexibility"}))
-      return "a chirp of " + who + " through 2 to 20 Hz at high sample rate";
-    return "a slow sweep of " + who + " through the whole range in both directions";
   }
 
   // The interval of a joint's positions in which an unnamed force differs from zero by more than three of its
@@ -471,77 +448,6 @@ class Speaker {
     f.summary = "all poses and motions";
     f.share_of_mismatch = 1.0;
     r_.findings.push_back(f);
-  }
-
-  void Ledger() {
-    const Candidate& c = s_.best;
-    for (size_t k = 0; k < s_.calibrated.parameters.size(); ++k) {
-      const auto& p = s_.calibrated.parameters[k];
-      LedgerRow row{p.name,    p.unit,        p.nominal, s_.calibrated.fit.theta[static_cast<long>(k)],
-                    p.nominal, p.prior_stddev};
-      const int at = c.plant->parameters().Find(p.name);
-      if (at >= 0) row.final = c.fit.values[at];
-      r_.ledger.push_back(row);
-    }
-    std::sort(r_.ledger.begin(), r_.ledger.end(), [](const LedgerRow& a, const LedgerRow& b) {
-      return std::abs(a.final - a.calibrated) / a.prior_stddev >
-             std::abs(b.final - b.calibrated) / b.prior_stddev;
-    });
-  }
-
-  void Rows() {
-    for (const Candidate& c : s_.tried) {
-      if (!c.fit.ok || r_.candidates.size() >= 30) continue;
-      CandidateRow row;
-      std::map<std::string, std::vector<std::string>> by_id;
-      for (const EffectSpec& e : c.specs) {
-        auto& joints = by_id[e.id];
-        joints.insert(joints.end(), e.joints.begin(), e.joints.end());
-      }
-      for (const auto& [id, joints] : by_id) {
-        row.name +=
-            (row.name.empty() ? "" : " + ") + id + (joints.empty() ? "" : " (" + Listed(joints) + ")");
-      }
-      if (row.name.empty()) row.name = "none";
-      row.calibrated = c.base;
-      row.evidence = c.score - s_.nominal.score;
-      row.chi2_per_row = c.fit.chi2 / std::max(1, c.fit.rows) / s_.noise_scale;
-      row.round = c.round;
-      row.chosen = c.base == s_.best.base && KeyOf(c.specs) == KeyOf(s_.best.specs);
-      r_.candidates.push_back(row);
-    }
-  }
-
-  void Plots() {
-    std::map<int, std::vector<size_t>> by_recording;
-    for (size_t w = 0; w < data_.windows.size(); ++w) by_recording[data_.windows[w].recording].push_back(w);
-    for (const auto& [recording, windows] : by_recording) {
-      ForcePlot plot;
-      plot.recording = data_.recordings[recording].recording->name;
-      std::vector<VectorXd> force, stddev, explained, q, v, u;
-      const FineMotion& fine = data_.fine[recording];
-      const double dt = fine.t[1] - fine.t[0];
-      for (const size_t w : windows) {
-        for (size_t s = 0; s < s_.missing.t[w].size(); ++s) {
-          const double t = s_.missing.t[w][s];
-          const auto at = static_cast<long>(
-              std::clamp((t - fine.t[0]) / dt, 0.0, static_cast<double>(fine.t.size() - 1)));
-          const auto col = static_cast<long>(s);
-          plot.t.push_back(t);
-          force.push_back(s_.missing.force[w].col(col));
-          stddev.push_back(s_.missing.stddev[w].col(col));
-          explained.push_back(s_.missing.force[w].col(col) - s_.remaining.force[w].col(col));
-          q.push_back(fine.q.col(at)), v.push_back(fine.v.col(at)), u.push_back(fine.u.col(at));
-        }
-      }
-      auto stack = [&](const std::vector<VectorXd>& from, MatrixXd* to) {
-        to->resize(data_.n, static_cast<long>(from.size()));
-        for (size_t i = 0; i < from.size(); ++i) to->col(static_cast<long>(i)) = from[i];
-      };
-      stack(force, &plot.force), stack(stddev, &plot.stddev), stack(explained, &plot.explained);
-      stack(q, &plot.q), stack(v, &plot.v), stack(u, &plot.u);
-      r_.force_plots.push_back(std::move(plot));
-    }
   }
 
   const SearchResult& s_;

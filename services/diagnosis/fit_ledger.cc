@@ -148,7 +148,7 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   if (c.fit.ok && PerRow(c) < (request.places.empty() ? kHolds : kExplained))
     c.fit.ok = Repeats(c, setting_.scales, PerRow(c), request.places.empty());
   const bool stands = c.fit.ok && (!request.places.empty() || Stands(c));
-  c.score = stands ? c.fit.evidence - StructurePrior(c.specs, c.base) : -1e300;
+  c.score = stands ? c.fit.evidence - StructurePrior(c.specs, c.base) : kNoScore;
   return c;
 }
 
@@ -249,7 +249,7 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   const auto with_states = LeavesLeast({&trials.ranked}, kPartly, [](const Candidate& c) {
     return HasHiddenStates(c) && !HasMassInSprings(c.specs);
   });
-  std::vector<std::shared_ptr<const Candidate>> swings;  // on the tool, on the last link
+  std::vector<std::shared_ptr<const Candidate>> swings;  // on the tool and on the last link, the nearer first
   for (const bool last_link : {false, true}) {
     const auto best = LeavesLeast({&trials.ranked, &trials.hidden}, kSwings, [&](const Candidate& c) {
       return HasMassInSprings(c.specs) && !HasKind(from.specs, "sloshing_payload") &&
@@ -257,6 +257,8 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
     });
     if (best != nullptr) swings.push_back(best);
   }
+  std::stable_sort(swings.begin(), swings.end(),
+                   [&](const auto& a, const auto& b) { return PerRow(*a) < PerRow(*b); });
   // From the model that the trials started at where that holds, else from base parameters where they ended.
   const bool holds = trial.from != nullptr && !trial.from->fit.states.empty();
   std::vector<FitRequest> best;
@@ -317,7 +319,8 @@ void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
 
 void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<const Candidate>>& trials,
                        Candidate* account) {
-  // Where it hangs, on the tool or on the last link, is where the first hinge leaves least, or little.
+  // Where it hangs, on the tool or on the last link, is where the first hinge leaves least, or little; the
+  // trial that came nearer is asked first.
   std::vector<TrialSpecs> rods;
   double least = std::numeric_limits<double>::infinity();
   for (const auto& trial : trials) {

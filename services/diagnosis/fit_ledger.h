@@ -66,8 +66,8 @@ class FitLedger {
   void TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner);
   // Springs behind the rotors that `account` adds to `from`, before free base parameters make up for them.
   void TrySprings(const Candidate& from, Candidate* account);
-  // A rod in the place of springs for a mass, as trials found it on the tool and on the last link, that
-  // explains most of what `from` leaves.
+  // A rod in the place of springs for a mass, as trials found it on the tool and on the last link, the nearer
+  // first, that explains most of what `from` leaves.
   void TryRod(const Candidate& from, const std::vector<std::shared_ptr<const Candidate>>& trials,
               Candidate* account);
   // The `count` of `starts` that are nearest to the record beside `from`'s effects.

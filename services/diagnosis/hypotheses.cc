@@ -427,37 +427,44 @@ std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const M
 
 namespace {
 
-constexpr int kTransmission = 2;
+using Kinds = std::vector<std::string>;
 
-int ExclusiveGroup(const std::string& id) {
-  static const std::map<std::string, int> kGroups = {{"coulomb_friction", 1},
-                                                     {"stribeck_friction", 1},
-                                                     {"asymmetric_friction", 1},
-                                                     {"load_dependent_friction", 1},
-                                                     {"presliding_hysteresis", 1},
-                                                     {"thermal_drift", 1},
-                                                     {"joint_elasticity", kTransmission},
-                                                     {"backlash", kTransmission},
-                                                     {"actuator_delay", 3},
-                                                     {"sensor_delay", 3},
-                                                     {"position_spring", 4},
-                                                     {"unknown_field", 4}};
-  const auto it = kGroups.find(id);
-  return it == kGroups.end() ? 0 : it->second;
+const Kinds& DryFriction() {
+  static const Kinds kinds = [] {
+    Kinds out = {"coulomb_friction"};
+    out.insert(out.end(), std::begin(kRicherFriction), std::end(kRicherFriction));
+    return out;
+  }();
+  return kinds;
+}
+
+bool IsOneOf(const Kinds& kinds, const std::string& id) {
+  return std::find(kinds.begin(), kinds.end(), id) != kinds.end();
+}
+
+bool IsTransmission(const std::string& id) { return id == "joint_elasticity" || id == "backlash"; }
+
+// Whether a joint has one of them at most.
+bool Exclusive(const std::string& a, const std::string& b) {
+  static const std::vector<Kinds> kGroups = {DryFriction(),
+                                             {"joint_elasticity", "backlash"},
+                                             {"actuator_delay", "sensor_delay"},
+                                             {"position_spring", "unknown_field"}};
+  return a == b || std::any_of(kGroups.begin(), kGroups.end(),
+                               [&](const Kinds& group) { return IsOneOf(group, a) && IsOneOf(group, b); });
 }
 
 }  // namespace
 
 std::vector<EffectSpec> Joined(std::vector<EffectSpec> specs, const std::vector<EffectSpec>& added) {
   for (const EffectSpec& s : added) {
-    const int group = ExclusiveGroup(s.id);
     std::erase_if(specs, [&](const EffectSpec& old) {
       // Nor does a coupling end at a joint behind a spring.
-      if (old.id == "joint_coupling" && group == kTransmission) return old.joints.back() == s.joints.front();
+      if (old.id == "joint_coupling" && IsTransmission(s.id)) return old.joints.back() == s.joints.front();
       if (old.joints != s.joints) return false;
       // A motor behind a spring or play brings its own inertia.
-      if (old.id == "rotor_inertia" && ExclusiveGroup(s.id) == kTransmission) return true;
-      return old.id == s.id || (group != 0 && ExclusiveGroup(old.id) == group);
+      if (old.id == "rotor_inertia" && IsTransmission(s.id)) return true;
+      return Exclusive(old.id, s.id);
     });
     specs.push_back(s);
   }
@@ -465,18 +472,12 @@ std::vector<EffectSpec> Joined(std::vector<EffectSpec> specs, const std::vector<
 }
 
 std::vector<std::string> SiblingsOf(const std::string& effect) {
-  // A lag may stand beside a delay, and be taken for one.
-  switch (effect == "actuator_lag" ? ExclusiveGroup("actuator_delay") : ExclusiveGroup(effect)) {
-    case 1:
-      return {"coulomb_friction",        "stribeck_friction",     "asymmetric_friction",
-              "load_dependent_friction", "presliding_hysteresis", "thermal_drift"};
-    case 3:
-      return {"actuator_delay", "actuator_lag", "sensor_delay"};
-    case 4:
-      return {"position_spring"};
-    default:
-      return {};
-  }
+  // A lag may stand beside a delay, and be taken for one; an unnamed force may be a spring's.
+  static const Kinds kLate = {"actuator_delay", "actuator_lag", "sensor_delay"};
+  if (IsOneOf(DryFriction(), effect)) return DryFriction();
+  if (IsOneOf(kLate, effect)) return kLate;
+  if (effect == "position_spring" || effect == "unknown_field") return {"position_spring"};
+  return {};
 }
 
 EffectSpec Exchanged(const EffectSpec& spec, const std::string& id, const sim::Plant& nominal,

@@ -93,7 +93,7 @@ class Search {
         break;
     }
     simplifier_.Prune(&best);
-    if (fits_.PerRow(best) > kExplained || OfPosition(best)) Flexible(&best, 1e300, kAny);
+    if (fits_.PerRow(best) > kExplained || OfPosition(best)) Flexible(&best, effects::kInf, kAny);
     if (judge_) SendBack(Better(out.nominal, out.calibrated), &best, &out.unseen_in);
     out.best = best;
     for (const auto& [key, c] : fits_.tried()) out.tried.push_back(c);
@@ -394,7 +394,7 @@ class Search {
       const std::set<std::string> fresh = FreshKinds(before, winner);
       if (fresh.size() < 2) return winner;
       Candidate fewer = winner, freed = winner;
-      fewer.score = -1e300;
+      fewer.score = kNoScore;
       for (const std::string& id : fresh) {
         const std::vector<EffectSpec> specs = WithoutKind(Refreshed(winner), id);
         const Candidate* known = fits_.Known(specs, winner.base);

@@ -10,7 +10,6 @@ namespace rg::diagnosis {
 
 namespace {
 
-constexpr double kRefused = -1e299;
 constexpr size_t kHypotheses = 8, kSets = 6;  // printed of each screen
 
 void Print(const Scored& h) {
@@ -32,7 +31,7 @@ void Trace::Fit(const Candidate& c, const char* what) const {
   if (!on_) return;
   std::fprintf(stderr, "[%6.2f]   %s %-50s%s ", Elapsed(), what, KeyOf(c.specs).c_str(),
                c.base ? "+base" : "");
-  if (c.score > kRefused)
+  if (c.score > kNoScore)
     std::fprintf(stderr, "score %.1f", c.score);
   else
     std::fprintf(stderr, "refused");

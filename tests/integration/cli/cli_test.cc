@@ -65,9 +65,26 @@ TEST(CommandLine, HelpNamesEveryCommandOfTheTour) {
   const Said said = RunProgram(scratch, "--help");
   EXPECT_EQ(said.code, 0);
   for (const char* name : {"run", "submit", "jobs", "job", "workers", "params", "artifacts", "sysid",
-                           "predict", "doctor", "keys", "config"}) {
+                           "predict", "diagnose", "prove", "effects", "doctor", "keys", "config"}) {
     EXPECT_NE(said.out.find(name), std::string::npos) << name;
   }
+}
+
+TEST(Effects, ListsTheCatalogueAndTellsOfOne) {
+  const ScratchFolder scratch;
+  const Said table = RunProgram(scratch, "effects");
+  EXPECT_EQ(table.code, 0);
+  const json all = json::parse(RunProgram(scratch, "effects --output json").out);
+  EXPECT_EQ(all["format"], "realitygrad.effects/1");
+  EXPECT_GE(all["effects"].size(), 28u);
+  for (const json& effect : all["effects"])
+    EXPECT_NE(table.out.find(effect["id"].get<std::string>()), std::string::npos) << effect["id"];
+  const Said one = RunProgram(scratch, "effects coulomb_friction");
+  for (const char* part : {"Coulomb friction", "-c*sign(dq)", "N*m or N", "stribeck_friction", "slow ramps"})
+    EXPECT_NE(one.out.find(part), std::string::npos) << one.out;
+  const Said none = RunProgram(scratch, "effects colomb");
+  EXPECT_EQ(none.code, 1);
+  EXPECT_NE(none.err.find("no effect 'colomb'"), std::string::npos) << none.err;
 }
 
 TEST(Config, FlagBeatsEnvironmentBeatsFile) {

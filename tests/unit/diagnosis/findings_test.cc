@@ -2,9 +2,14 @@
 
 #include <gtest/gtest.h>
 
+#include <Eigen/Cholesky>
+#include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "common/base/clock.h"
+#include "services/diagnosis/experiments.h"
+#include "services/diagnosis/findings_tables.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {
@@ -53,6 +58,57 @@ TEST(Confidence, IsNotLessForARivalWithMoreNamesThatTheyDoNotPayFor) {
   };
   EXPECT_GT(beside({"coulomb_friction", "quadratic_drag"}), 0.9);
   EXPECT_LT(beside({"coulomb_friction"}), 0.1);
+}
+
+TEST(Experiment, IsWhatShowsTheRarerOfTwoLawsBest) {
+  const std::string ramps = "slow ramps of hinge at 0.01 to 0.05 rad/s through several reversals";
+  EXPECT_EQ(ExperimentFor("coulomb_friction", "stribeck_friction", {"hinge"}), ramps);
+  EXPECT_EQ(ExperimentFor("stribeck_friction", "coulomb_friction", {"hinge"}), ramps);
+  EXPECT_EQ(ExperimentFor("base_flexibility", "sloshing_payload", {}),
+            "a chirp of the joints through 2 to 20 Hz at high sample rate");
+  EXPECT_EQ(ExperimentFor("contact", "unknown_field", {"a", "b"}),
+            "a slow sweep of a and b through the whole range in both directions");
+}
+
+TEST(Tables, ShowWhatParametersHadTakenInAndWhatElseWasTried) {
+  const auto p =
+      testing::Prepare("pendulum", {effects::MakeSpec("coulomb_friction", {"hinge"}, {{"coulomb", 0.1}})}, 7);
+  const SearchResult search =
+      SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+  ASSERT_EQ(search.best.specs.size(), 1u);
+  ASSERT_FALSE(search.best.base);
+  const std::vector<LedgerRow> ledger = LedgerOf(search);
+  ASSERT_EQ(ledger.size(), search.calibrated.parameters.size());
+  double last = std::numeric_limits<double>::infinity();
+  for (const LedgerRow& row : ledger) {
+    EXPECT_EQ(row.final, row.nominal) << row.name;
+    const double moved = std::abs(row.final - row.calibrated) / row.prior_stddev;
+    EXPECT_LE(moved, last);
+    last = moved;
+  }
+  EXPECT_GT(std::abs(ledger[0].final - ledger[0].calibrated), 0) << "damping had taken the friction in";
+  const std::vector<CandidateRow> rows = CandidateRows(search);
+  ASSERT_GT(rows.size(), 2u);
+  EXPECT_LE(rows.size(), kMostCandidates);
+  EXPECT_EQ(std::count_if(rows.begin(), rows.end(), [](const CandidateRow& r) { return r.chosen; }), 1);
+  EXPECT_TRUE(std::is_sorted(rows.begin(), rows.end(), [](const CandidateRow& a, const CandidateRow& b) {
+    return a.evidence > b.evidence;
+  }));
+  const std::vector<ForcePlot> plots = ForcePlots(search, p->data);
+  ASSERT_EQ(plots.size(), p->data.recordings.size());
+  // Friction by its level, less the damping that had taken part of it in.
+  Eigen::Matrix2d gram = Eigen::Matrix2d::Zero();
+  Eigen::Vector2d taken = Eigen::Vector2d::Zero();
+  for (const ForcePlot& plot : plots) {
+    ASSERT_EQ(plot.force.cols(), static_cast<Eigen::Index>(plot.t.size()));
+    for (Eigen::Index k = 0; k < plot.v.cols(); ++k) {
+      const Eigen::Vector2d of(plot.v(0, k) > 0 ? -1.0 : 1.0, plot.v(0, k));
+      gram += of * of.transpose(), taken += plot.explained(0, k) * of;
+    }
+  }
+  const Eigen::Vector2d law = gram.ldlt().solve(taken);
+  EXPECT_NEAR(law[0], 0.1, 0.02);
+  EXPECT_GT(law[1], 0);
 }
 
 // By the evidence of a force on each joint alone and on both.

@@ -63,18 +63,26 @@ TEST(RodStarts, SwingsAsTheSpringsDoAndTurnsAboutNoAxisThatGravityIsAlong) {
   EXPECT_EQ(rod.options.at("hinge"), "y");
 }
 
-TEST(FitLedger, AMassFoundInSpringsIsTriedOnARod) {
-  const auto p = Prepare("arm2", {Rod(0.01, 0.12, 1e-3)}, 14);
-  const FitSetting setting{p->data, p->nominal, p->scales};
-  const FakeClock clock;
-  const Trace trace{clock};
-  FitLedger ledger{setting, p->options, 2, trace, nullptr};
-  const Candidate nothing = ledger.Evaluate({}, false);
-  Candidate winner = nothing;
-  ledger.TryBest(nothing, BodyStarts("sloshing_payload", p->nominal, p->scales), {}, false, 2, &winner);
-  EXPECT_TRUE(HasRod(winner.specs));
-  EXPECT_LT(ledger.PerRow(winner), 1.1);
-  EXPECT_NEAR(winner.fit.values[winner.plant->parameters().Find("sloshing_payload.*.mass")], 0.01, 0.0005);
+// What remains is found where it hangs, of the tool and the last link's own point.
+TEST(FitLedger, AMassFoundInSpringsIsTriedOnARodWhereItHangs) {
+  for (const bool on_last_link : {false, true}) {
+    const double mass = on_last_link ? 0.1 : 0.01;
+    EffectSpec truth = Rod(mass, 0.12, 1e-3);
+    if (on_last_link) truth.options["point"] = "last_link";
+    const auto p = Prepare("arm2", {truth}, 14);
+    const FitSetting setting{p->data, p->nominal, p->scales};
+    const FakeClock clock;
+    const Trace trace{clock};
+    FitLedger ledger{setting, p->options, 2, trace, nullptr};
+    const Candidate nothing = ledger.Evaluate({}, false);
+    Candidate winner = nothing;
+    ledger.TryBest(nothing, BodyStarts("sloshing_payload", p->nominal, p->scales), {}, false, 2, &winner);
+    EXPECT_TRUE(HasRod(winner.specs));
+    EXPECT_EQ(SwingsOnLastLink(winner.specs), on_last_link);
+    EXPECT_LT(ledger.PerRow(winner), 1.1);
+    EXPECT_NEAR(winner.fit.values[winner.plant->parameters().Find("sloshing_payload.*.mass")], mass,
+                0.05 * mass);
+  }
 }
 
 }  // namespace
