@@ -30,7 +30,6 @@ constexpr size_t kInPlace = 2;        // other laws that are fitted on all windo
 constexpr double kPartly = 0.5;       // of a model's misfit, that what is part of the truth leaves at most
 constexpr double kSwings = 0.8;       // the same, for springs where the mass hangs on a rod
 constexpr double kAstray = 10.0;      // times a trial's misfit, of the same on all windows
-constexpr double kNearer = 0.8;       // of the misfit so far, for a mass on a rod to be followed again
 constexpr double kMuchWorse = 0.1;    // of a trial's misfit, that one in its place may leave more
 
 // Of trials like this the one that leaves least of the misfit, if that is no more than `least`.
@@ -337,32 +336,23 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
       if (Known(here.back(), from.base) != nullptr) here.pop_back();
     }
     if (here.empty() || Late(kToTheEnd)) continue;
-    const double left = Hung(from, &here[0], account);
+    const double left = Hung(from, here[0], account);
     if (left < kExplained) return;
     if (left < least) least = left, rods = here;
     if (left < kPartly * PerRow(from)) break;
   }
-  for (size_t i = 0; i < rods.size() && !Late(kToTheEnd); ++i) {
-    double enough = kPartly * PerRow(from);
-    double left = i == 0 ? least : Hung(from, &rods[i], account);
-    // Its windows are followed anew, from where it hung.
-    while (left < enough && left >= kExplained && !Late(kToTheEnd)) {
-      enough = kNearer * left;
-      left = Hung(from, &rods[i], account);
-    }
-    if (PerRow(*account) < kExplained) return;
-  }
+  // About any hinge a mass that is there explains that much.
+  if (!(least < kPartly * PerRow(from))) return;
+  for (size_t i = 1; i < rods.size() && least >= kExplained && !Late(kToTheEnd); ++i)
+    least = Hung(from, rods[i], account);
 }
 
-// A fit of a mass on a rod, from which the next one goes on: χ² per row that it leaves. The better of it and
-// of `account` is the account.
-double FitLedger::Hung(const Candidate& from, TrialSpecs* with, Candidate* account) {
-  const FitRequest request = WholeFit(*with, from.base, Start(&from, from.base));
+// A fit of a mass on a rod: χ² per row that it leaves. The better of it and of `account` is the account.
+double FitLedger::Hung(const Candidate& from, const TrialSpecs& with, Candidate* account) {
+  const FitRequest request = WholeFit(with, from.base, Start(&from, from.base));
   const Candidate rod = Tried(request, Made(request));
   if (rod.score > account->score) *account = rod;
-  if (!rod.fit.ok) return std::numeric_limits<double>::infinity();
-  *with = Refreshed(rod);
-  return PerRow(rod);
+  return rod.fit.ok ? PerRow(rod) : std::numeric_limits<double>::infinity();
 }
 
 void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner) {

@@ -50,7 +50,7 @@ EffectSpec Springs(double mass, double stiffness) {
 TEST(RodStarts, SwingsAsTheSpringsDoAndTurnsAboutNoAxisThatGravityIsAlong) {
   const auto p = Prepare("arm2", {}, 13);
   const std::vector<EffectSpec> rods = RodStarts(p->data, p->nominal, Springs(0.15, 10.0));
-  ASSERT_EQ(rods.size(), 2u);
+  ASSERT_EQ(rods.size(), 3u);
   const EffectSpec& rod = rods[0];
   const auto& values = rod.values.begin()->second;
   EXPECT_EQ(values.at("mass"), 0.15);
