@@ -29,6 +29,7 @@ constexpr size_t kSprings = 2;        // behind rotors, that are fitted for eith
 constexpr size_t kInPlace = 2;        // other laws that are fitted on all windows
 constexpr double kPartly = 0.5;       // of a model's misfit, that what is part of the truth leaves at most
 constexpr double kSwings = 0.8;       // the same, for springs where the mass hangs on a rod
+constexpr size_t kBeside = 2;         // accounts without hidden states, that a rod is tried beside
 constexpr double kAstray = 10.0;      // times a trial's misfit, of the same on all windows
 constexpr double kMuchWorse = 0.1;    // of a trial's misfit, that one in its place may leave more
 
@@ -258,6 +259,10 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   }
   std::stable_sort(swings.begin(), swings.end(),
                    [&](const auto& a, const auto& b) { return PerRow(*a) < PerRow(*b); });
+  std::vector<RankedTrial> plain = trials.ranked;
+  std::erase_if(plain,
+                [](const RankedTrial& t) { return HasHiddenStates(*t.fitted) || HasUnnamed(*t.fitted); });
+  const auto beside = BestOf(std::move(plain), {}, kBeside);
   // From the model that the trials started at where that holds, else from base parameters where they ended.
   const bool holds = trial.from != nullptr && !trial.from->fit.states.empty();
   std::vector<FitRequest> best;
@@ -283,7 +288,7 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   const bool may_swing = std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
     return PerRow(found) - 1 > kPartly * (PerRow(*c) - 1);
   });
-  if (may_swing) TryRod(from, swings, &found);
+  if (may_swing) TryRod(from, swings, beside, &found);
   if (found.score > winner->score) *winner = found;
 }
 
@@ -317,7 +322,7 @@ void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
 }
 
 void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<const Candidate>>& trials,
-                       Candidate* account) {
+                       const std::vector<std::shared_ptr<const Candidate>>& beside, Candidate* account) {
   // Where it hangs, on the tool or on the last link, is where the first hinge leaves least, or little; the
   // trial that came nearer is asked first.
   std::vector<TrialSpecs> rods;
@@ -343,8 +348,18 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
   }
   // About any hinge a mass that is there explains that much.
   if (!(least < kPartly * PerRow(from))) return;
-  for (size_t i = 1; i < rods.size() && least >= kExplained && !Late(kToTheEnd); ++i)
-    least = Hung(from, rods[i], account);
+  size_t hinge = 0;
+  for (size_t i = 1; i < rods.size() && least >= kExplained && !Late(kToTheEnd); ++i) {
+    const double left = Hung(from, rods[i], account);
+    if (left < least) least = left, hinge = i;
+  }
+  // Without what else is missing it may not hold.
+  for (const auto& other : beside) {
+    if (least < kExplained || Late(kToTheEnd)) return;
+    const auto rod = std::find_if(rods[hinge].begin(), rods[hinge].end(),
+                                  [](const EffectSpec& s) { return s.id == "sloshing_payload"; });
+    least = std::min(least, Hung(from, Joined(Refreshed(*other), {*rod}), account));
+  }
 }
 
 // A fit of a mass on a rod: χ² per row that it leaves. The better of it and of `account` is the account.

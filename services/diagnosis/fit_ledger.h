@@ -67,9 +67,9 @@ class FitLedger {
   // Springs behind the rotors that `account` adds to `from`, before free base parameters make up for them.
   void TrySprings(const Candidate& from, Candidate* account);
   // A rod in the place of springs for a mass, as trials found it on the tool and on the last link, the nearer
-  // first, that explains most of what `from` leaves.
+  // first, that explains most of what `from` leaves; alone, and with what the best of the other trials are.
   void TryRod(const Candidate& from, const std::vector<std::shared_ptr<const Candidate>>& trials,
-              Candidate* account);
+              const std::vector<std::shared_ptr<const Candidate>>& beside, Candidate* account);
   // The `count` of `starts` that are nearest to the record beside `from`'s effects.
   std::vector<TrialSpecs> Nearest(const Candidate& from, bool base, const std::vector<TrialSpecs>& starts,
                                   size_t count);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "services/diagnosis/followed_fit.h"
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/jumps.h"
 #include "services/diagnosis/swing_starts.h"

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "services/diagnosis/followed_fit.h"
 #include "services/diagnosis/swing_starts.h"
 
 namespace rg::diagnosis {

@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "services/diagnosis/fit_ledger.h"
+#include "services/diagnosis/followed_fit.h"
 #include "services/diagnosis/hypotheses.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
@@ -38,6 +39,21 @@ TEST(FitFollowed, FindsAMassThatSwingsForLongWhereItsStartsAreNotKnown) {
   EXPECT_NEAR(followed.chi2 / dof, 1.0, 0.1);
   EXPECT_NEAR(followed.values[plant->parameters().Find("sloshing_payload.*.length")], 0.12, 0.006);
   EXPECT_NEAR(followed.values[plant->parameters().Find("sloshing_payload.*.mass")], 0.15, 0.0075);
+}
+
+// A hand that weighs little is thrown anywhere within a window by a rod of the wrong length.
+TEST(FitFollowed, FindsAMassOnALightHandFromFarOff) {
+  const auto p = Prepare("mico2", {Rod(0.02, 0.05, 4e-3)}, 14);
+  auto plant = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), {Rod(0.012, 0.03, 4e-3)});
+  ASSERT_TRUE(plant.ok());
+  const FitModel model{*plant, plant->parameters().Nominal(), FreeParameters(*plant, p->scales, false)};
+  LiftedOptions options;
+  options.more_iterations = 8, options.threads = 2;
+  const FitResult followed = FitFollowed(p->data, model, options, 3);
+  ASSERT_TRUE(followed.ok);
+  EXPECT_LT(followed.chi2 / followed.rows, 1.1);
+  EXPECT_NEAR(followed.values[plant->parameters().Find("sloshing_payload.*.length")], 0.05, 0.0005);
+  EXPECT_NEAR(followed.values[plant->parameters().Find("sloshing_payload.*.mass")], 0.02, 0.0004);
 }
 
 EffectSpec Springs(double mass, double stiffness) {
@@ -83,6 +99,24 @@ TEST(FitLedger, AMassFoundInSpringsIsTriedOnARodWhereItHangs) {
     EXPECT_NEAR(winner.fit.values[winner.plant->parameters().Find("sloshing_payload.*.mass")], mass,
                 0.05 * mass);
   }
+}
+
+// Alone it does not hold, and what does not is no account that anything could be found beside.
+TEST(FitLedger, AMassOnARodIsTriedBesideWhatElseIsMissing) {
+  const EffectSpec viscous = MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.03}});
+  const auto p = Prepare("arm2", {Rod(0.05, 0.12, 1e-3), viscous}, 15);
+  const FitSetting setting{p->data, p->nominal, p->scales};
+  const FakeClock clock;
+  const Trace trace{clock};
+  FitLedger ledger{setting, p->options, 2, trace, nullptr};
+  const Candidate nothing = ledger.Evaluate({}, false);
+  Candidate winner = nothing;
+  std::vector<TrialSpecs> pool = BodyStarts("sloshing_payload", p->nominal, p->scales);
+  pool.push_back({MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.1}})});
+  ledger.TryBest(nothing, pool, {}, false, 2, &winner);
+  EXPECT_TRUE(HasRod(winner.specs));
+  EXPECT_TRUE(HasKind(winner.specs, "viscous_friction"));
+  EXPECT_LT(ledger.PerRow(winner), 1.1);
 }
 
 }  // namespace
