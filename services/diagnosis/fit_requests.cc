@@ -60,6 +60,7 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
       if (c.plant->parameters()[i].kind == sim::ParameterKind::kEffect) model.values[i] = nominal[i];
     }
   }
+  WidenPoint(*c.plant, &model.values);
   const bool hidden = HasHiddenStates(c);
   FitResult fit;
   double work = 0;

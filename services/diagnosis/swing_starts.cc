@@ -14,6 +14,9 @@ using effects::EffectSpec;
 namespace {
 
 constexpr Eigen::Index kEvery = 20;  // sample of a motion, to see how its link is turned
+constexpr double kPoint = 0.01;      // of its length, a radius of gyration that is none
+// Of the length of a point that swings alike: kShorter + kWide²/kShorter is one.
+constexpr double kShorter = 0.9, kWide = 0.3;
 
 bool OnRod(const EffectSpec& e) { return e.options.count("form") > 0 && e.options.at("form") == "rod"; }
 
@@ -34,6 +37,17 @@ bool SwingsOnLastLink(const std::vector<EffectSpec>& specs) {
     const auto point = e.options.find("point");
     return e.id == "sloshing_payload" && point != e.options.end() && point->second == "last_link";
   });
+}
+
+void WidenPoint(const sim::Plant& plant, Eigen::VectorXd* values) {
+  const auto of = [&](const char* field) -> double& {
+    return (*values)[plant.parameters().Find(std::string("sloshing_payload.*.") + field)];
+  };
+  if (!HasRod(plant.effects()) || of("radius") > kPoint * of("length")) return;
+  // m·L stays, and L + r²/L.
+  of("radius") = kWide * of("length");
+  of("mass") /= kShorter;
+  of("length") *= kShorter;
 }
 
 std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal, const EffectSpec& springs) {
@@ -58,8 +72,8 @@ std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal
   const double swings = of.at("mass") * gravity.norm() / of.at("stiffness");
   EffectSpec rod = effects::MakeSpec("sloshing_payload", {},
                                      {{"mass", of.at("mass")},
-                                      {"length", 0.9 * swings},
-                                      {"radius", 0.3 * swings},
+                                      {"length", kShorter * swings},
+                                      {"radius", kWide * swings},
                                       {"damping", of.at("damping")}});
   rod.options = springs.options;
   rod.options["form"] = "rod";

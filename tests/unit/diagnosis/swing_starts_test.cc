@@ -79,6 +79,27 @@ TEST(RodStarts, SwingsAsTheSpringsDoAndTurnsAboutNoAxisThatGravityIsAlong) {
   EXPECT_EQ(rod.options.at("hinge"), "y");
 }
 
+TEST(WidenPoint, HangsAndSwingsAlike) {
+  const auto p = Prepare("arm2", {}, 13);
+  EffectSpec rod = Rod(0.15, 0.12, 1e-3);
+  const auto widened = [&](double radius) {
+    rod.values.begin()->second.at("radius") = radius;
+    const auto plant = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), {rod});
+    RG_CHECK(plant.ok());
+    Eigen::VectorXd values = plant->parameters().Nominal();
+    WidenPoint(*plant, &values);
+    const auto of = [&](const char* field) {
+      return values[plant->parameters().Find(std::string("sloshing_payload.*.") + field)];
+    };
+    return Eigen::Vector3d(of("mass"), of("length"), of("radius"));
+  };
+  const Eigen::Vector3d point = widened(0.0), body = widened(0.03);
+  EXPECT_NEAR(point[0] * point[1], 0.15 * 0.12, 1e-12);
+  EXPECT_NEAR(point[1] + point[2] * point[2] / point[1], 0.12, 1e-12);
+  EXPECT_GT(point[2], 0.02);
+  EXPECT_EQ(body, Eigen::Vector3d(0.15, 0.12, 0.03));
+}
+
 // What remains is found where it hangs, of the tool and the last link's own point.
 TEST(FitLedger, AMassFoundInSpringsIsTriedOnARodWhereItHangs) {
   for (const bool on_last_link : {false, true}) {
