@@ -46,6 +46,12 @@ std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::ve
   return out;
 }
 
+// The one among these effects.
+const EffectSpec& SwingingMass(const TrialSpecs& specs) {
+  return *std::find_if(specs.begin(), specs.end(),
+                       [](const EffectSpec& s) { return s.id == "sloshing_payload"; });
+}
+
 // Where another fit starts whose windows are not its own.
 std::shared_ptr<const Candidate> ValuesOf(Candidate c) {
   c.fit.states.clear(), c.fit.window_chi2.clear();
@@ -333,10 +339,8 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
     if (whole != nullptr && PerRow(*whole) < kExplained) return;
     const bool astray = whole == nullptr || !whole->fit.ok || PerRow(*whole) > kAstray * PerRow(*trial);
     const TrialSpecs specs = Refreshed(astray ? *trial : *whole);
-    const auto mass = std::find_if(specs.begin(), specs.end(),
-                                   [](const EffectSpec& s) { return s.id == "sloshing_payload"; });
     std::vector<TrialSpecs> here;
-    for (const EffectSpec& start : RodStarts(setting_.data, setting_.nominal, *mass)) {
+    for (const EffectSpec& start : RodStarts(setting_.data, setting_.nominal, SwingingMass(specs))) {
       here.push_back(Joined(specs, {start}));
       if (Known(here.back(), from.base) != nullptr) here.pop_back();
     }
@@ -356,9 +360,8 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
   // Without what else is missing it may not hold.
   for (const auto& other : beside) {
     if (least < kExplained || Late(kToTheEnd)) return;
-    const auto rod = std::find_if(rods[hinge].begin(), rods[hinge].end(),
-                                  [](const EffectSpec& s) { return s.id == "sloshing_payload"; });
-    least = std::min(least, Hung(from, Joined(Refreshed(*other), {*rod}), account));
+    const TrialSpecs both = Joined(Refreshed(*other), {SwingingMass(rods[hinge])});
+    least = std::min(least, Hung(from, both, account));
   }
 }
 

@@ -190,14 +190,13 @@ double FindOverPieces(const FitData& data, double piece_s, const LiftedOptions& 
 
 FitResult FitFollowed(const FitData& data, FitModel model, const LiftedOptions& options, int rounds) {
   FitResult best;
-  double work = 0;
   Followed f{data, options, InitialStates(data, model, options), {}};
   size_t met = data.windows.size();
   for (int round = 0; round < rounds; ++round) {
     // Anew where only a few windows were lost on the way.
     if (round == 0 || met > kMostMet * static_cast<double>(data.windows.size())) {
       for (const double part : kPieces)
-        work += FindOverPieces(data, part * data.nodes.window_s, options, &model, &f.states);
+        f.work += FindOverPieces(data, part * data.nodes.window_s, options, &model, &f.states);
     }
     f.Follow(model);
     const std::vector<size_t> first = f.MetBest(kMostWindows);
@@ -207,14 +206,14 @@ FitResult FitFollowed(const FitData& data, FitModel model, const LiftedOptions& 
       if (part.ok) model.values = part.values, f.Follow(model);
     }
     FitResult fit = Fit(data, model, options, &f.states);
-    work += fit.work;
+    f.work += fit.work;
     if (!fit.ok) break;
     const bool better = !best.ok || fit.chi2 < kFollowOn * best.chi2;
     if (!best.ok || fit.evidence > best.evidence) best = fit;
     if (!better || fit.chi2 < kMet * fit.rows * options.noise_scale) break;
     model.values = fit.values, f.states = std::move(fit.states);
   }
-  best.work = work + f.work;
+  best.work = f.work;
   return best;
 }
 

@@ -100,6 +100,26 @@ TEST(WidenPoint, HangsAndSwingsAlike) {
   EXPECT_EQ(body, Eigen::Vector3d(0.15, 0.12, 0.03));
 }
 
+struct Best {
+  Candidate candidate;
+  double chi2_per_row = 0;
+};
+
+// Of trials of a mass on the model as given, and of what else is in the pool.
+Best BestWithAMass(const testing::Prepared& p, const std::vector<TrialSpecs>& more = {}) {
+  const FitSetting setting{p.data, p.nominal, p.scales};
+  const FakeClock clock;
+  const Trace trace{clock};
+  FitLedger ledger{setting, p.options, 2, trace, nullptr};
+  const Candidate nothing = ledger.Evaluate({}, false);
+  Best best{nothing};
+  std::vector<TrialSpecs> pool = BodyStarts("sloshing_payload", p.nominal, p.scales);
+  pool.insert(pool.end(), more.begin(), more.end());
+  ledger.TryBest(nothing, pool, {}, false, 2, &best.candidate);
+  best.chi2_per_row = ledger.PerRow(best.candidate);
+  return best;
+}
+
 // What remains is found where it hangs, of the tool and the last link's own point.
 TEST(FitLedger, AMassFoundInSpringsIsTriedOnARodWhereItHangs) {
   for (const bool on_last_link : {false, true}) {
@@ -107,16 +127,11 @@ TEST(FitLedger, AMassFoundInSpringsIsTriedOnARodWhereItHangs) {
     EffectSpec truth = Rod(mass, 0.12, 1e-3);
     if (on_last_link) truth.options["point"] = "last_link";
     const auto p = Prepare("arm2", {truth}, 14);
-    const FitSetting setting{p->data, p->nominal, p->scales};
-    const FakeClock clock;
-    const Trace trace{clock};
-    FitLedger ledger{setting, p->options, 2, trace, nullptr};
-    const Candidate nothing = ledger.Evaluate({}, false);
-    Candidate winner = nothing;
-    ledger.TryBest(nothing, BodyStarts("sloshing_payload", p->nominal, p->scales), {}, false, 2, &winner);
+    const Best best = BestWithAMass(*p);
+    const Candidate& winner = best.candidate;
     EXPECT_TRUE(HasRod(winner.specs));
     EXPECT_EQ(SwingsOnLastLink(winner.specs), on_last_link);
-    EXPECT_LT(ledger.PerRow(winner), 1.1);
+    EXPECT_LT(best.chi2_per_row, 1.1);
     EXPECT_NEAR(winner.fit.values[winner.plant->parameters().Find("sloshing_payload.*.mass")], mass,
                 0.05 * mass);
   }
@@ -126,18 +141,11 @@ TEST(FitLedger, AMassFoundInSpringsIsTriedOnARodWhereItHangs) {
 TEST(FitLedger, AMassOnARodIsTriedBesideWhatElseIsMissing) {
   const EffectSpec viscous = MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.03}});
   const auto p = Prepare("arm2", {Rod(0.05, 0.12, 1e-3), viscous}, 15);
-  const FitSetting setting{p->data, p->nominal, p->scales};
-  const FakeClock clock;
-  const Trace trace{clock};
-  FitLedger ledger{setting, p->options, 2, trace, nullptr};
-  const Candidate nothing = ledger.Evaluate({}, false);
-  Candidate winner = nothing;
-  std::vector<TrialSpecs> pool = BodyStarts("sloshing_payload", p->nominal, p->scales);
-  pool.push_back({MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.1}})});
-  ledger.TryBest(nothing, pool, {}, false, 2, &winner);
+  const Best best = BestWithAMass(*p, {{MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.1}})}});
+  const Candidate& winner = best.candidate;
   EXPECT_TRUE(HasRod(winner.specs));
   EXPECT_TRUE(HasKind(winner.specs, "viscous_friction"));
-  EXPECT_LT(ledger.PerRow(winner), 1.1);
+  EXPECT_LT(best.chi2_per_row, 1.1);
 }
 
 }  // namespace
