@@ -37,7 +37,7 @@ std::string Bytes(uint64_t n) {
   return text;
 }
 
-struct Arguments {
+struct ArtifactArguments {
   std::string hash, kind, out;
   int64_t job = 0;
   uint32_t limit = 0;
@@ -52,7 +52,7 @@ void WithClient(Context& context, const Body& body) {
   context.Failed(body(**client));
 }
 
-Status List(Context& context, const Arguments& arguments, coordinator::Client& client) {
+Status List(Context& context, const ArtifactArguments& arguments, coordinator::Client& client) {
   RG_ASSIGN_OR_RETURN(const auto artifacts,
                       client.ListArtifacts(arguments.kind, arguments.job, arguments.limit));
   if (context.json()) {
@@ -71,7 +71,7 @@ Status List(Context& context, const Arguments& arguments, coordinator::Client& c
   return Status::Ok();
 }
 
-Status Show(Context& context, const Arguments& arguments, coordinator::Client& client) {
+Status Show(Context& context, const ArtifactArguments& arguments, coordinator::Client& client) {
   RG_ASSIGN_OR_RETURN(const auto info, client.ShowArtifact(arguments.hash));
   if (context.json()) {
     PrintJson("realitygrad.artifact/1", InfoJson(info));
@@ -81,7 +81,7 @@ Status Show(Context& context, const Arguments& arguments, coordinator::Client& c
   return Status::Ok();
 }
 
-Status Get(Context& context, const Arguments& arguments, coordinator::Client& client) {
+Status Get(Context& context, const ArtifactArguments& arguments, coordinator::Client& client) {
   RG_ASSIGN_OR_RETURN(const auto info, client.ShowArtifact(arguments.hash));
   RG_ASSIGN_OR_RETURN(const std::string bytes, client.GetArtifact(info.sha256()));
   if (arguments.out == "-") {
@@ -100,7 +100,7 @@ Status Get(Context& context, const Arguments& arguments, coordinator::Client& cl
   return Status::Ok();
 }
 
-Status Lineage(Context& context, const Arguments& arguments, coordinator::Client& client) {
+Status Lineage(Context& context, const ArtifactArguments& arguments, coordinator::Client& client) {
   RG_ASSIGN_OR_RETURN(const auto info, client.ShowArtifact(arguments.hash));
   RG_ASSIGN_OR_RETURN(const auto lineage,
                       client.Lineage(info.sha256(), !arguments.descendants, arguments.descendants));
@@ -133,7 +133,7 @@ Status Lineage(Context& context, const Arguments& arguments, coordinator::Client
   return Status::Ok();
 }
 
-Status Verify(Context& context, const Arguments& arguments, coordinator::Client& client) {
+Status Verify(Context& context, const ArtifactArguments& arguments, coordinator::Client& client) {
   std::vector<std::string> hashes;
   if (!arguments.hash.empty()) {
     RG_ASSIGN_OR_RETURN(const auto info, client.ShowArtifact(arguments.hash));
@@ -157,7 +157,7 @@ Status Verify(Context& context, const Arguments& arguments, coordinator::Client&
              : Status::Ok();
 }
 
-Status Gc(Context& context, const Arguments& arguments, coordinator::Client& client) {
+Status Gc(Context& context, const ArtifactArguments& arguments, coordinator::Client& client) {
   RG_ASSIGN_OR_RETURN(
       const auto report,
       client.CollectGarbage(static_cast<int64_t>(arguments.older_than_days * 86400e9), !arguments.yes));
@@ -179,8 +179,8 @@ void AddArtifactCommands(CLI::App& app, Context& context) {
   CLI::App* artifacts =
       app.add_subcommand("artifacts", "Everything that is versioned")->require_subcommand(1);
   const auto add = [&](const char* name, const char* help,
-                       Status (*function)(Context&, const Arguments&, coordinator::Client&)) {
-    auto arguments = std::make_shared<Arguments>();
+                       Status (*function)(Context&, const ArtifactArguments&, coordinator::Client&)) {
+    auto arguments = std::make_shared<ArtifactArguments>();
     CLI::App* command = artifacts->add_subcommand(name, help);
     command->callback([&context, arguments, function] {
       WithClient(context, [&](coordinator::Client& client) { return function(context, *arguments, client); });

@@ -1,5 +1,4 @@
 // `bench`: the project's figures on this machine.
-#include <signal.h>
 #include <stdlib.h>
 #include <unistd.h>
 
@@ -16,6 +15,7 @@
 #include "services/cli/child_processes.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
+#include "services/cli/interrupt.h"
 #include "services/cli/model_source.h"
 #include "services/cli/progress_display.h"
 #include "services/cli/robot_profile.h"
@@ -26,9 +26,6 @@ namespace {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
-
-CancelToken cancel_on_interrupt;
-void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
 
 struct BenchArguments {
   bench::BenchOptions options;
@@ -54,7 +51,8 @@ Result<double> RunIteration(const std::string& robot, const std::string& robots_
                       "--workers", std::to_string(workers), "--robot", robot, "--dir", run},
                      std::string(folder) + "/run.log"));
   Result<double> seconds = CancelledError("interrupted");
-  while (!cancel_on_interrupt.cancelled()) {
+  const CancelToken& interrupted = CancelledByInterrupt();
+  while (!interrupted.cancelled()) {
     const Status child = children.Check();  // an end, good or bad, is reported as an error
     const auto text = ReadFile(run + "/run.json");
     const json state = text.ok() ? json::parse(*text, nullptr, false) : json();
@@ -96,7 +94,7 @@ Status RunScaling(Context& context, const BenchArguments& arguments,
   RG_ASSIGN_OR_RETURN(const bench::Scaling scaling,
                       bench::MeasureScaling(
                           std::move(robot), arguments.options.quick, arguments.options.seed,
-                          [&](const ProgressUpdate& u) { display.Show(u); }, &cancel_on_interrupt));
+                          [&](const ProgressUpdate& u) { display.Show(u); }, &CancelledByInterrupt()));
   display.Finish();
   RG_RETURN_IF_ERROR(WriteFileAtomically(arguments.scaling, bench::ScalingSvg(scaling)));
   if (context.json()) {
@@ -120,8 +118,6 @@ Status RunScaling(Context& context, const BenchArguments& arguments,
 }
 
 Status RunBenchCommand(Context& context, BenchArguments arguments) {
-  signal(SIGINT, OnInterrupt);
-  signal(SIGTERM, OnInterrupt);
   RG_ASSIGN_OR_RETURN(const Settings settings, context.Resolve());
   RG_ASSIGN_OR_RETURN(const RobotProfile profile, LoadRobotProfile(RobotsFolder(settings), arguments.robot));
   RG_ASSIGN_OR_RETURN(const auto robot, LoadRobot(profile));
@@ -136,7 +132,7 @@ Status RunBenchCommand(Context& context, BenchArguments arguments) {
   RG_ASSIGN_OR_RETURN(const auto measurements,
                       bench::RunBench(
                           robot, arguments.options, RealClock(),
-                          [&](const ProgressUpdate& u) { display.Show(u); }, &cancel_on_interrupt));
+                          [&](const ProgressUpdate& u) { display.Show(u); }, &CancelledByInterrupt()));
   display.Finish();
   if (context.json()) {
     json out = bench::BenchJson(measurements);
@@ -172,7 +168,7 @@ void AddBenchCommand(CLI::App& app, Context& context) {
       ->excludes(only);
   command->callback([&context, arguments] {
     context.Failed(RunBenchCommand(context, *arguments));
-    if (cancel_on_interrupt.cancelled()) context.exit_code = kExitCancelled;
+    if (CancelledByInterrupt().cancelled()) context.exit_code = kExitCancelled;
   });
 }
 

@@ -7,6 +7,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cctype>
 #include <cerrno>
 #include <cstring>
 
@@ -14,17 +15,15 @@
 #include "common/base/file.h"
 
 namespace rg::cli {
-namespace {
 
-std::string LastLine(const std::string& path) {
-  const auto text = ReadFile(path);
-  if (!text.ok()) return {};
-  const size_t end = text->find_last_not_of('\n');
-  if (end == std::string::npos) return {};
-  const size_t begin = text->rfind('\n', end);
-  return text->substr(begin == std::string::npos ? 0 : begin + 1,
-                      end - (begin == std::string::npos ? 0 : begin + 1) + 1);
+std::string LastLine(const std::string& file) {
+  const auto read = ReadFile(file);
+  std::string text = read.ok() ? *read : "";
+  while (!text.empty() && std::isspace(static_cast<unsigned char>(text.back()))) text.pop_back();
+  return text.substr(text.find_last_of("\r\n") + 1);
 }
+
+namespace {
 
 [[noreturn]] void Become(const std::vector<std::string>& command, int log_fd, pid_t parent) {
   setpgid(0, 0);

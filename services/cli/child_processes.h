@@ -11,6 +11,9 @@
 
 namespace rg::cli {
 
+// The last line of a text file that says something; empty where there is none.
+std::string LastLine(const std::string& file);
+
 class ChildProcesses {
  public:
   ChildProcesses() = default;

@@ -1,5 +1,4 @@
 // `diagnose`: which physics the model leaves out, from a recording set.
-#include <signal.h>
 
 #include <CLI/CLI.hpp>
 #include <filesystem>
@@ -13,6 +12,7 @@
 #include "realitygrad/v1/artifact.pb.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
+#include "services/cli/interrupt.h"
 #include "services/cli/model_source.h"
 #include "services/cli/packed_set.h"
 #include "services/cli/progress_display.h"
@@ -24,9 +24,6 @@
 
 namespace rg::cli {
 namespace {
-
-CancelToken cancel_on_interrupt;
-void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
 
 struct DiagnoseArguments {
   std::vector<std::string> sets;
@@ -100,12 +97,12 @@ Result<Workers> WithWorkers(const Context& context, const DiagnoseArguments& arg
   if (!arguments.model.empty()) {
     RG_ASSIGN_OR_RETURN(inputs.model, PutModelFile(*workers.client, arguments.model));
   }
-  workers.fits = std::make_unique<jobs::RemoteFits>(*workers.client, std::move(inputs), &cancel_on_interrupt);
+  workers.fits =
+      std::make_unique<jobs::RemoteFits>(*workers.client, std::move(inputs), &CancelledByInterrupt());
   return workers;
 }
 
 Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
-  signal(SIGINT, OnInterrupt);
   RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSets(arguments.sets));
   RG_RETURN_IF_ERROR(CheckWritable(arguments.out));
   diagnosis::DiagnosisOptions options = arguments.options;
@@ -122,7 +119,7 @@ Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
   RG_ASSIGN_OR_RETURN(const diagnosis::DiagnosisResult result,
                       diagnosis::Diagnose(
                           set, options, RealClock(), [&](const ProgressUpdate& u) { display.Show(u); },
-                          &cancel_on_interrupt));
+                          &CancelledByInterrupt()));
   display.Finish();
   if (workers.fits != nullptr && !context.quiet())
     PrintNote(std::to_string(workers.fits->by_workers()) + " fits by workers, " +

@@ -22,7 +22,7 @@ struct Arm {
 
 // Where a figure stands in an arm's result (or, with a leading "..", in the repetition), and the paper's:
 // for the first two arms, more the paper does not have.
-struct Row {
+struct FigureRow {
   const char* figure;
   const char* unit;
   const char* pointer;
@@ -34,7 +34,7 @@ struct Definition {
   const char* name;
   const char* title;
   std::vector<Arm> arms;
-  std::vector<Row> rows;
+  std::vector<FigureRow> rows;
 };
 
 constexpr char kAfterTip[] = "/identification/after/accumulated_tip_m";
@@ -84,12 +84,6 @@ const Definition& DefinitionOf(Experiment experiment) {
   return experiment == Experiment::kTwoIterations ? iterations : bounded;
 }
 
-std::vector<double> Numbers(const json& list) {
-  std::vector<double> out;
-  for (const json& x : list) out.push_back(x.is_number() ? x.get<double>() : std::nan(""));
-  return out;
-}
-
 double NumberAt(const json& j, const json::json_pointer& at) {
   if (!j.contains(at) || !j.at(at).is_number()) return std::nan("");
   return j.at(at).get<double>();
@@ -121,7 +115,7 @@ double JudgedFigure(const json& result, const std::string& pointer) {
   return judgement.value("ok", true) ? NumberAt(result, at) : std::nan("");
 }
 
-double Figure(const json& repetition, const Arm& arm, const Row& row) {
+double Figure(const json& repetition, const Arm& arm, const FigureRow& row) {
   const std::string pointer = row.pointer;
   if (pointer.rfind("..", 0) == 0) return NumberAt(repetition, json::json_pointer(pointer.substr(2)));
   if (!repetition.contains(arm.key)) return std::nan("");
@@ -131,7 +125,7 @@ double Figure(const json& repetition, const Arm& arm, const Row& row) {
   return JudgedFigure(repetition.at(arm.key), pointer);
 }
 
-Spread SpreadOfRow(const std::vector<json>& repetitions, const Arm& arm, const Row& row) {
+Spread SpreadOfRow(const std::vector<json>& repetitions, const Arm& arm, const FigureRow& row) {
   std::vector<double> values;
   for (const json& repetition : repetitions) values.push_back(Figure(repetition, arm, row));
   return SpreadOf(std::move(values));
@@ -150,7 +144,7 @@ std::vector<std::string> Columns(const Definition& definition) {
 std::vector<std::vector<std::string>> Cells(const Definition& definition,
                                             const std::vector<json>& repetitions) {
   std::vector<std::vector<std::string>> rows;
-  for (const Row& row : definition.rows) {
+  for (const FigureRow& row : definition.rows) {
     std::vector<std::string> cells = {row.figure};
     for (size_t arm = 0; arm < definition.arms.size(); ++arm) {
       cells.push_back(SpreadText(SpreadOfRow(repetitions, definition.arms[arm], row)));
@@ -348,7 +342,7 @@ json ExperimentRows(Experiment experiment, const std::vector<json>& repetitions)
   const Definition& definition = DefinitionOf(experiment);
   const auto number = [](double v) { return std::isfinite(v) ? json(v) : json(nullptr); };
   json rows = json::array();
-  for (const Row& row : definition.rows) {
+  for (const FigureRow& row : definition.rows) {
     json arms;
     for (size_t arm = 0; arm < definition.arms.size(); ++arm) {
       const Spread spread = SpreadOfRow(repetitions, definition.arms[arm], row);

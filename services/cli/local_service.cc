@@ -28,7 +28,7 @@ using nlohmann::json;
 
 std::atomic<coordinator::Client*> interrupted_client{nullptr};
 std::atomic<bool> interrupted{false};
-void OnInterrupt(int) {
+void CancelJobOnSignal(int) {
   interrupted = true;
   if (auto* client = interrupted_client.load()) client->Cancel();
 }
@@ -48,7 +48,7 @@ double StageSeconds(const pb::GetJobReply& job, const std::string& stage) {
 
 void InstallInterruptHandlers() {
   struct sigaction action {};
-  action.sa_handler = OnInterrupt;
+  action.sa_handler = CancelJobOnSignal;
   sigemptyset(&action.sa_mask);
   sigaction(SIGINT, &action, nullptr);
   sigaction(SIGTERM, &action, nullptr);

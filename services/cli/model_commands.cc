@@ -1,5 +1,4 @@
 // `sysid` and `predict`: work on files, without a service.
-#include <signal.h>
 
 #include <CLI/CLI.hpp>
 #include <filesystem>
@@ -14,6 +13,7 @@
 #include "common/sim/model_file.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
+#include "services/cli/interrupt.h"
 #include "services/cli/progress_display.h"
 #include "services/report/sysid_page.h"
 #include "services/sysid/prediction.h"
@@ -25,9 +25,6 @@ namespace {
 namespace fs = std::filesystem;
 using nlohmann::json;
 
-CancelToken cancel_on_interrupt;
-void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
-
 // ---- sysid ----
 
 struct SysidArguments {
@@ -37,7 +34,6 @@ struct SysidArguments {
 };
 
 Status Sysid(Context& context, SysidArguments& arguments) {
-  signal(SIGINT, OnInterrupt);
   RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSet(arguments.set));
   if (!arguments.model.empty()) {
     RG_ASSIGN_OR_RETURN(arguments.options.model, sim::LoadModelFile(arguments.model));
@@ -48,7 +44,7 @@ Status Sysid(Context& context, SysidArguments& arguments) {
   RG_ASSIGN_OR_RETURN(const sysid::SysidReport report,
                       sysid::SysidOnSet(
                           set, arguments.options, RealClock(),
-                          [&](const ProgressUpdate& u) { display.Show(u); }, &cancel_on_interrupt));
+                          [&](const ProgressUpdate& u) { display.Show(u); }, &CancelledByInterrupt()));
   display.Finish();
   if (!arguments.out.empty() && report.plant) {
     RG_RETURN_IF_ERROR(sim::SaveModelFile(arguments.out + "/model.json", *report.plant, report.values));
@@ -120,8 +116,9 @@ Status Predict(Context& context, const PredictArguments& arguments) {
   if (!(arguments.window_s > 0)) return InvalidError("--window must be positive (s)");
   RG_ASSIGN_OR_RETURN(PredictionModel model, LoadModel(arguments.model));
   TakeManifestBeside(arguments.recording, &model);
-  RG_ASSIGN_OR_RETURN(recordings::Recording recording,
-                      recordings::LoadCsv(arguments.recording, recordings::CsvOptionsFor(model.file.plant.model())));
+  RG_ASSIGN_OR_RETURN(
+      recordings::Recording recording,
+      recordings::LoadCsv(arguments.recording, recordings::CsvOptionsFor(model.file.plant.model())));
   if (model.drive && *model.drive == recordings::EffortKind::kMeasured && recording.has_effort_measured()) {
     recording.drive = recordings::EffortKind::kMeasured;
   }

@@ -31,6 +31,12 @@ Result<OutputFormat> ParseOutputFormat(std::string_view text) {
   return InvalidError("--output is '" + std::string(text) + "', must be table, json or quiet");
 }
 
+std::vector<double> Numbers(const nlohmann::json& list) {
+  std::vector<double> out;
+  for (const nlohmann::json& x : list) out.push_back(x.is_number() ? x.get<double>() : std::nan(""));
+  return out;
+}
+
 int DisplayWidth(std::string_view text) {
   return static_cast<int>(std::count_if(text.begin(), text.end(), [](char c) { return (c & 0xC0) != 0x80; }));
 }

@@ -30,6 +30,9 @@ enum class OutputFormat { kTable, kJson, kQuiet };
 // "table", "json", "quiet"; anything else is invalid.
 Result<OutputFormat> ParseOutputFormat(std::string_view text);
 
+// Of a JSON list; NaN where an element is no number.
+std::vector<double> Numbers(const nlohmann::json& list);
+
 // Columns aligned by what a terminal shows (UTF-8 aware), header in upper case.
 class TextTable {
  public:

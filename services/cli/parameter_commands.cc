@@ -55,13 +55,13 @@ json VersionJson(const pb::ParameterVersion& v) {
   return out;
 }
 
-struct Arguments {
+struct ParameterArguments {
   std::string robot;
   unsigned version = 0, to = 0, limit = 0;
 };
 
 template <class Body>
-void WithRobot(Context& context, const Arguments& arguments, const Body& body) {
+void WithRobot(Context& context, const ParameterArguments& arguments, const Body& body) {
   auto client = context.Connect();
   if (context.Failed(client.status())) return;
   const auto robot = ChooseRobot(**client, arguments.robot);
@@ -69,7 +69,7 @@ void WithRobot(Context& context, const Arguments& arguments, const Body& body) {
   body(**client, *robot);
 }
 
-void History(Context& context, const Arguments& arguments) {
+void History(Context& context, const ParameterArguments& arguments) {
   WithRobot(context, arguments, [&](coordinator::Client& client, const std::string& robot) {
     const auto versions = client.ParameterHistory(robot, arguments.limit);
     if (context.Failed(versions.status())) return;
@@ -91,7 +91,7 @@ void History(Context& context, const Arguments& arguments) {
   });
 }
 
-void Show(Context& context, const Arguments& arguments) {
+void Show(Context& context, const ParameterArguments& arguments) {
   WithRobot(context, arguments, [&](coordinator::Client& client, const std::string& robot) {
     const auto version = client.Parameters(robot, arguments.version);
     if (context.Failed(version.status())) return;
@@ -105,7 +105,7 @@ void Show(Context& context, const Arguments& arguments) {
   });
 }
 
-void Diff(Context& context, const Arguments& arguments) {
+void Diff(Context& context, const ParameterArguments& arguments) {
   WithRobot(context, arguments, [&](coordinator::Client& client, const std::string& robot) {
     const auto diff = client.DiffParameters(robot, arguments.version, arguments.to);
     if (context.Failed(diff.status())) return;
@@ -148,8 +148,9 @@ Result<std::string> ChooseRobot(coordinator::Client& client, const std::string& 
 
 void AddParameterCommands(CLI::App& app, Context& context) {
   CLI::App* params = app.add_subcommand("params", "Parameter history of robots")->require_subcommand(1);
-  const auto add = [&](const char* name, const char* help, void (*function)(Context&, const Arguments&)) {
-    auto arguments = std::make_shared<Arguments>();
+  const auto add = [&](const char* name, const char* help,
+                       void (*function)(Context&, const ParameterArguments&)) {
+    auto arguments = std::make_shared<ParameterArguments>();
     CLI::App* command = params->add_subcommand(name, help);
     command->add_option("--robot", arguments->robot, "Name; needed where several have parameters");
     command->callback([&context, arguments, function] { function(context, *arguments); });

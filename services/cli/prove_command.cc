@@ -1,5 +1,4 @@
 // `prove`: the blind examination of the diagnosis, on sets that an engine of its own makes.
-#include <signal.h>
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
@@ -11,8 +10,10 @@
 #include "common/base/file.h"
 #include "common/base/hash.h"
 #include "common/base/rng.h"
+#include "services/cli/child_processes.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
+#include "services/cli/interrupt.h"
 #include "services/cli/process_pool.h"
 #include "services/cli/progress_display.h"
 #include "services/cli/robot_profile.h"
@@ -25,9 +26,6 @@ namespace {
 
 namespace fs = std::filesystem;
 using nlohmann::json;
-
-CancelToken cancel_on_interrupt;
-void OnInterrupt(int) { cancel_on_interrupt.Cancel(); }
 
 // Controls and effects outside the catalogue are numbered from here, so that each count may grow.
 constexpr int kFirstControl = 500, kFirstOutside = 800, kLast = 1000;
@@ -55,14 +53,6 @@ struct ProveArguments {
     return robots == kRobots ? text : text + " --robots " + names;
   }
 };
-
-// What a program that failed said last.
-std::string LastLine(const std::string& file) {
-  const auto read = ReadFile(file);
-  std::string text = read.ok() ? *read : "";
-  while (!text.empty() && std::isspace(static_cast<unsigned char>(text.back()))) text.pop_back();
-  return text.substr(text.find_last_of("\r\n") + 1);
-}
 
 class Examiner {
  public:
@@ -142,7 +132,7 @@ class Examiner {
           (void)WriteFileAtomically(marks_[i], "");
           display_.Show({"making sets", static_cast<double>(++made), static_cast<double>(makers.size()), ""});
         },
-        &cancel_on_interrupt));
+        &CancelledByInterrupt()));
     for (const auto& entry : fs::directory_iterator(a_.Labels())) {
       if (fs::exists(entry.path() / "label.json")) names_.push_back(entry.path().filename());
     }
@@ -179,7 +169,7 @@ class Examiner {
           display_.Show({"diagnosing", static_cast<double>(++done), static_cast<double>(names_.size()),
                          code == 0 ? "" : which[i] + " ended with code " + std::to_string(code)});
         },
-        &cancel_on_interrupt);
+        &CancelledByInterrupt());
   }
 
   Status MarkAll(proof::ProofRecord* record) {
@@ -215,7 +205,6 @@ class Examiner {
 };
 
 Status Prove(Context& context, ProveArguments& arguments) {
-  signal(SIGINT, OnInterrupt);
   if (arguments.quick) {
     arguments.cases = 3, arguments.controls = 2, arguments.outside = 1;
     arguments.robots = {"pendulum"};

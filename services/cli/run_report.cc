@@ -25,14 +25,14 @@ std::string Cell(double value, const std::string& unit) {
 }
 
 // A row of the table: what it is, where it stands in a result, and the paper's figure per iteration.
-struct Row {
+struct ResultRow {
   const char* name;
   const char* unit;
   const char* pointer;
   const char* paper;
 };
 
-const Row kRows[] = {
+const ResultRow kRows[] = {
     {"trajectories solved", "", "/trajectories/solved", "450"},
     {"  draws replaced", "", "/trajectories/failed", "–"},
     {"  time", "s", "/seconds/trajectories", "77 (30 threads)"},
@@ -59,7 +59,7 @@ const Row kRows[] = {
 // What a diagnosis brought beside identification alone; only of runs that have one. Models made before the
 // rollout have not seen it; "all rollouts" are those so far, which the models were fitted to (identification
 // alone to the newest).
-const Row kDiagnosisRows[] = {
+const ResultRow kDiagnosisRows[] = {
     {"rollout not seen, RMS in 1 s windows: nominal", "rad", "/diagnosis/unseen/nominal/window_rms", "–"},
     {"  identified only", "rad", "/diagnosis/unseen/identified/window_rms", "–"},
     {"  diagnosed", "rad", "/diagnosis/unseen/diagnosed/window_rms", "–"},
@@ -81,8 +81,8 @@ const Row kDiagnosisRows[] = {
 
 bool Diagnosed(const json& result) { return result.contains("diagnosis"); }
 
-std::vector<Row> RowsFor(const std::vector<json>& results) {
-  std::vector<Row> rows(std::begin(kRows), std::end(kRows));
+std::vector<ResultRow> RowsFor(const std::vector<json>& results) {
+  std::vector<ResultRow> rows(std::begin(kRows), std::end(kRows));
   if (std::any_of(results.begin(), results.end(), Diagnosed))
     rows.insert(rows.end(), std::begin(kDiagnosisRows), std::end(kDiagnosisRows));
   return rows;
@@ -124,12 +124,6 @@ std::vector<std::string> JointNames(const json& result) {
   for (size_t j = 0; j < count; ++j)
     names.push_back(j < joints.size() ? joints[j].get<std::string>() : "joint " + std::to_string(j + 1));
   return names;
-}
-
-std::vector<double> Numbers(const json& list) {
-  std::vector<double> out;
-  for (const json& x : list) out.push_back(x.is_number() ? x.get<double>() : std::nan(""));
-  return out;
 }
 
 void Trim(std::vector<double>* values, size_t size) { values->resize(size, std::nan("")); }
@@ -206,7 +200,7 @@ double Reduction(const json& result) {
                    Number(result, "/identification/before/accumulated_tip_m"_json_pointer);
 }
 
-std::string Percent(double share) {
+std::string PercentOrNone(double share) {
   return std::isfinite(share) ? std::to_string(std::lround(100 * share)) + " %" : "–";
 }
 
@@ -245,7 +239,7 @@ std::string IterationsTable(const std::vector<json>& results) {
   columns.push_back(">PAPER");
   columns.push_back("UNIT");
   TextTable table(columns);
-  for (const Row& row : RowsFor(results)) {
+  for (const ResultRow& row : RowsFor(results)) {
     std::vector<std::string> cells = {row.name};
     for (const json& result : results)
       cells.push_back(Cell(Number(result, json::json_pointer(row.pointer)), row.unit));
@@ -295,7 +289,7 @@ std::string RunPage(const std::string& robot, const std::vector<json>& results) 
   if (!results.empty()) {
     const json& last = results.back();
     page.Lead(
-        "Identification took " + Percent(Reduction(results.front())) +
+        "Identification took " + PercentOrNone(Reduction(results.front())) +
         " off the simulation's task-space error in the first iteration. The robot's last rollout ended " +
         FormatNumber(Number(last, "/rollout/goal_error/joint_norm"_json_pointer)) + " rad from its goal, " +
         FormatNumber(Number(last, "/rollout/goal_error/start_norm"_json_pointer)) +
@@ -321,7 +315,7 @@ std::string RunPage(const std::string& robot, const std::vector<json>& results) 
   for (size_t i = 0; i < results.size(); ++i) table.columns.push_back("iteration " + std::to_string(i + 1));
   table.columns.push_back("paper");
   table.columns.push_back("unit");
-  for (const Row& row : RowsFor(results)) {
+  for (const ResultRow& row : RowsFor(results)) {
     std::string name = row.name;
     if (name.starts_with("  ")) name.replace(0, 2, "\u2003");  // an indent that HTML keeps
     std::vector<std::string> cells = {name};

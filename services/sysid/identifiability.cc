@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/check.h"
+#include "common/base/printf.h"
 #include "common/model/robot_model.h"
 #include "common/sim/plant.h"
 #include "services/sysid/drive_signal.h"
@@ -71,12 +72,6 @@ ParameterVerdict VerdictFor(const IdentifiabilityInput& in, int i, double varian
                   ? Verdict::kAtBound
                   : VerdictOfShrink(v.shrink);
   return v;
-}
-
-std::string Printf(const char* format, auto... args) {
-  char line[256];
-  std::snprintf(line, sizeof line, format, args...);
-  return line;
 }
 
 std::string DirectionLine(const IdentifiabilityReport& report, const Direction& d) {

@@ -5,16 +5,12 @@
 
 #include "services/sysid/sysid_on_set.h"
 
+#include "common/base/printf.h"
+
 namespace rg::sysid {
 namespace {
 
 using nlohmann::json;
-
-std::string Printf(const char* format, auto... args) {
-  char line[256];
-  std::snprintf(line, sizeof line, format, args...);
-  return line;
-}
 
 std::string Ratio(double before, double after) {
   return after > 0.0 && std::isfinite(before / after) ? Printf("%.1f times less", before / after) : "";

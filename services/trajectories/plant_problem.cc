@@ -9,7 +9,7 @@
 
 namespace rg::trajectories {
 namespace {
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kUnbounded = std::numeric_limits<double>::infinity();
 
 double ValueOf(const sim::Plant& plant, const Eigen::VectorXd& values, const std::string& name) {
   const int at = plant.parameters().Find(name);
@@ -115,8 +115,8 @@ PlantProblem::PlantProblem(sim::Simulator& simulator, int knots, double interval
   RG_CHECK(limits.torque.size() == n_) << limits.torque.size() << " torque limits";
   u_lower_ = -limits.torque;
   u_upper_ = limits.torque;
-  x_lower_ = Eigen::VectorXd::Constant(nx_, -kInfinity);
-  x_upper_ = Eigen::VectorXd::Constant(nx_, kInfinity);
+  x_lower_ = Eigen::VectorXd::Constant(nx_, -kUnbounded);
+  x_upper_ = Eigen::VectorXd::Constant(nx_, kUnbounded);
   x_lower_.head(n_) = limits.position_lower;
   x_upper_.head(n_) = limits.position_upper;
   x_lower_.segment(n_, n_) = -limits.velocity;

@@ -299,10 +299,6 @@ void UnknownField(Draft& d) {
   d.parameters["*"] = {{"form", {{"value", f.form}}}, {"amplitude", d.Value(f.on, f.amplitude, "N*m")}};
 }
 
-bool OneOf(const std::string& id, std::initializer_list<const char*> ids) {
-  return std::any_of(ids.begin(), ids.end(), [&](const char* x) { return id == x; });
-}
-
 }  // namespace
 
 const std::vector<std::string>& KnownEffects() {

@@ -17,11 +17,11 @@ void MinimumJerk(double s, double* x, double* dx) {
 
 double Fade(double t, double duration) { return std::min({1.0, t / 0.8, (duration - t) / 0.4 + 0.05}); }
 
-struct Track {
+struct Curve {
   std::vector<double> q;  // one joint
 };
 
-Track Multisine(double home, double amplitude, double velocity, double duration, double rate, Rng& rng) {
+Curve Multisine(double home, double amplitude, double velocity, double duration, double rate, Rng& rng) {
   const int waves = 4;
   double f[waves], phase[waves], weight[waves], sum = 0, speed = 0;
   for (int w = 0; w < waves; ++w) {
@@ -32,20 +32,20 @@ Track Multisine(double home, double amplitude, double velocity, double duration,
     speed += weight[w] * kTau * f[w];
   }
   const double scale = std::min(amplitude / sum, 0.8 * velocity / speed);
-  Track track;
+  Curve curve;
   for (int k = 0; k < static_cast<int>(duration * rate) + 1; ++k) {
     const double t = k / rate;
     double x = 0;
     for (int w = 0; w < waves; ++w) x += weight[w] * std::sin(kTau * f[w] * t + phase[w]);
-    track.q.push_back(home + scale * x * Fade(t, duration));
+    curve.q.push_back(home + scale * x * Fade(t, duration));
   }
-  return track;
+  return curve;
 }
 
 // A sequence of moves: each to a point within reach, over `move` seconds, then a rest.
-Track Moves(double home, double amplitude, double velocity, double duration, double rate, double slow,
+Curve Moves(double home, double amplitude, double velocity, double duration, double rate, double slow,
             double rest, bool straight, Rng& rng) {
-  Track track;
+  Curve curve;
   double from = home, to = home, start = 0, move = 0.1, pause = 0.2;
   for (int k = 0; k < static_cast<int>(duration * rate) + 1; ++k) {
     const double t = k / rate;
@@ -58,21 +58,21 @@ Track Moves(double home, double amplitude, double velocity, double duration, dou
     const double s = std::clamp((t - start) / move, 0.0, 1.0);
     double x = s, dx;
     if (!straight) MinimumJerk(s, &x, &dx);
-    track.q.push_back(from + (to - from) * x);
+    curve.q.push_back(from + (to - from) * x);
   }
-  return track;
+  return curve;
 }
 
-Track Chirp(double home, double amplitude, double velocity, double duration, double rate, Rng& rng) {
+Curve Chirp(double home, double amplitude, double velocity, double duration, double rate, Rng& rng) {
   const double f0 = rng.Uniform(0.1, 0.2), f1 = rng.Uniform(0.7, 1.4), phase = rng.Uniform(0, kTau);
-  Track track;
+  Curve curve;
   for (int k = 0; k < static_cast<int>(duration * rate) + 1; ++k) {
     const double t = k / rate, f = f0 + (f1 - f0) * t / duration;
     const double a = std::min(amplitude, 0.8 * velocity / (kTau * f));
-    track.q.push_back(home + a * std::sin(kTau * (f0 * t + 0.5 * (f1 - f0) * t * t / duration) + phase) *
+    curve.q.push_back(home + a * std::sin(kTau * (f0 * t + 0.5 * (f1 - f0) * t * t / duration) + phase) *
                                  Fade(t, duration));
   }
-  return track;
+  return curve;
 }
 
 }  // namespace
@@ -84,27 +84,27 @@ Reference MakeReference(const std::string& kind, const ReferenceLimits& limits, 
   Reference out{Eigen::MatrixXd(n, rows), Eigen::MatrixXd(n, rows)};
   for (int i = 0; i < n; ++i) {
     const double home = limits.home[i], a = limits.amplitude[i], v = limits.velocity[i];
-    Track track;
+    Curve curve;
     if (kind == "multisine") {
-      track = Multisine(home, a, v, duration_s, rate_hz, rng);
+      curve = Multisine(home, a, v, duration_s, rate_hz, rng);
     } else if (kind == "chirp") {
-      track = Chirp(home, a, v, duration_s, rate_hz, rng);
+      curve = Chirp(home, a, v, duration_s, rate_hz, rng);
     } else if (kind == "ramps") {
-      track = Moves(home, 0.7 * a, v, duration_s, rate_hz, 4.0, 0.0, true, rng);
+      curve = Moves(home, 0.7 * a, v, duration_s, rate_hz, 4.0, 0.0, true, rng);
     } else if (kind == "holds") {
-      track = Moves(home, a, v, duration_s, rate_hz, 1.3, 1.6, false, rng);
+      curve = Moves(home, a, v, duration_s, rate_hz, 1.3, 1.6, false, rng);
     } else if (kind == "sequential") {
-      track = Moves(home, a, v, duration_s, rate_hz, 1.1, 0.1, false, rng);
+      curve = Moves(home, a, v, duration_s, rate_hz, 1.1, 0.1, false, rng);
       for (int k = 0; k < rows; ++k) {  // one joint after another moves
         const double share = duration_s / n, t = k / rate_hz - share * i;
-        track.q[static_cast<size_t>(k)] =
-            home + (track.q[static_cast<size_t>(k)] - home) *
+        curve.q[static_cast<size_t>(k)] =
+            home + (curve.q[static_cast<size_t>(k)] - home) *
                        std::clamp(std::min(t / 0.3, (share - t) / 0.3), 0.0, 1.0);
       }
     } else {
-      track = Moves(home, a, v, duration_s, rate_hz, 1.0, 0.5, false, rng);
+      curve = Moves(home, a, v, duration_s, rate_hz, 1.0, 0.5, false, rng);
     }
-    for (int k = 0; k < rows; ++k) out.q(i, k) = track.q[static_cast<size_t>(k)];
+    for (int k = 0; k < rows; ++k) out.q(i, k) = curve.q[static_cast<size_t>(k)];
     for (int k = 0; k < rows; ++k) {
       const int lo = std::max(0, k - 1), hi = std::min(rows - 1, k + 1);
       out.v(i, k) = (out.q(i, hi) - out.q(i, lo)) * rate_hz / (hi - lo);

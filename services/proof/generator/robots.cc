@@ -139,10 +139,6 @@ Result<std::string> Mico(const std::string& folder, Rng& rng) {
   return text;
 }
 
-bool OneOf(const std::string& x, std::initializer_list<const char*> list) {
-  return std::any_of(list.begin(), list.end(), [&](const char* y) { return x == y; });
-}
-
 }  // namespace
 
 const std::vector<std::string>& KnownRobots() {

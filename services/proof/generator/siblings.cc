@@ -6,10 +6,6 @@
 namespace rg::proof {
 namespace {
 
-bool OneOf(const std::string& id, std::initializer_list<const char*> ids) {
-  return std::any_of(ids.begin(), ids.end(), [&](const char* x) { return id == x; });
-}
-
 void OneLevel(double level, JointTruth* j) {
   j->dry = DryFriction{};
   j->dry.coulomb_positive = j->dry.coulomb_negative = level;

@@ -2,12 +2,19 @@
 // nothing with common/effects: it is the other side of the examination.
 #pragma once
 
+#include <algorithm>
+#include <initializer_list>
 #include <limits>
 #include <map>
 #include <string>
 #include <vector>
 
 namespace rg::proof {
+
+// Whether an effect is one of these.
+inline bool OneOf(const std::string& effect, std::initializer_list<const char*> effects) {
+  return std::any_of(effects.begin(), effects.end(), [&](const char* e) { return effect == e; });
+}
 
 struct DryFriction {                                  // level as a function of speed, direction, load, time
   double coulomb_positive = 0, coulomb_negative = 0;  // N·m, kinetic level in each direction

@@ -17,8 +17,8 @@ using dart::dynamics::SkeletonPtr;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-constexpr int kSamples = 250, kRounds = 4;
-constexpr double kFactorPrior = 0.25, kShiftPrior = 0.03, kFurthest = 3;
+constexpr int kSamples = 250, kTuningRounds = 4;
+constexpr double kFactorPrior = 0.25, kShiftPrior = 0.03, kFurthestTuned = 3;
 
 std::vector<Eigen::Index> Indices(const SkeletonPtr& skeleton, const std::vector<std::string>& joints) {
   std::vector<Eigen::Index> at;
@@ -131,7 +131,7 @@ Tuning Tune(const SkeletonPtr& nominal, const std::vector<std::string>& joints,
   };
   VectorXd best = theta;
   double least = residual(theta).squaredNorm();
-  for (int round = 0; round < kRounds; ++round) {
+  for (int round = 0; round < kTuningRounds; ++round) {
     const VectorXd r = residual(theta);
     MatrixXd jacobian(r.size(), p);
     for (Eigen::Index k = 0; k < p; ++k) {
@@ -143,7 +143,7 @@ Tuning Tune(const SkeletonPtr& nominal, const std::vector<std::string>& joints,
     MatrixXd normal = jacobian.transpose() * jacobian;
     normal.diagonal() += prior.cwiseAbs2().cwiseInverse();
     theta -= normal.ldlt().solve(jacobian.transpose() * r + theta.cwiseQuotient(prior.cwiseAbs2()));
-    theta = theta.cwiseMin(kFurthest * prior).cwiseMax(-kFurthest * prior);
+    theta = theta.cwiseMin(kFurthestTuned * prior).cwiseMax(-kFurthestTuned * prior);
     const double left = residual(theta).squaredNorm();
     if (left < least) least = left, best = theta;
   }

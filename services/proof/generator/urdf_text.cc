@@ -5,7 +5,7 @@
 namespace rg::proof {
 namespace {
 
-std::string Number(double x) {
+std::string Exactly(double x) {
   char text[32];
   std::snprintf(text, sizeof text, "%.9g", x);
   return text;
@@ -40,11 +40,11 @@ std::string Replaced(const std::string& text, const Span& span, const std::strin
 
 std::string InertialText(const Inertial& i) {
   const auto& m = i.inertia;
-  return "<inertial>\n      <origin xyz=\"" + Number(i.com[0]) + " " + Number(i.com[1]) + " " +
-         Number(i.com[2]) + "\" rpy=\"0 0 0\"/>\n      <mass value=\"" + Number(i.mass) +
-         "\"/>\n      <inertia ixx=\"" + Number(m(0, 0)) + "\" iyy=\"" + Number(m(1, 1)) + "\" izz=\"" +
-         Number(m(2, 2)) + "\" ixy=\"" + Number(m(0, 1)) + "\" ixz=\"" + Number(m(0, 2)) + "\" iyz=\"" +
-         Number(m(1, 2)) + "\"/>\n    </inertial>";
+  return "<inertial>\n      <origin xyz=\"" + Exactly(i.com[0]) + " " + Exactly(i.com[1]) + " " +
+         Exactly(i.com[2]) + "\" rpy=\"0 0 0\"/>\n      <mass value=\"" + Exactly(i.mass) +
+         "\"/>\n      <inertia ixx=\"" + Exactly(m(0, 0)) + "\" iyy=\"" + Exactly(m(1, 1)) + "\" izz=\"" +
+         Exactly(m(2, 2)) + "\" ixy=\"" + Exactly(m(0, 1)) + "\" ixz=\"" + Exactly(m(0, 2)) + "\" iyz=\"" +
+         Exactly(m(1, 2)) + "\"/>\n    </inertial>";
 }
 
 std::string WithInertial(const std::string& urdf, const std::string& link, const Inertial& inertial) {
@@ -55,7 +55,7 @@ std::string WithInertial(const std::string& urdf, const std::string& link, const
 std::string WithDamping(const std::string& urdf, const std::string& joint, double damping) {
   const Span span = Element(urdf, "joint", joint);
   return span.found() ? Replaced(urdf, span, "<dynamics", "/>",
-                                 "<dynamics damping=\"" + Number(damping) + "\" friction=\"0\"/>")
+                                 "<dynamics damping=\"" + Exactly(damping) + "\" friction=\"0\"/>")
                       : urdf;
 }
 
