@@ -17,7 +17,7 @@ constexpr double kMostOfIt = 0.5;  // share of what is left that no matter of fo
 constexpr double kFar = 10.0;  // χ² per row beyond noise, of a model that has little to do with the record
 constexpr double kSimplerOdds = 3.0;  // log odds: 20 to 1
 
-std::string Joined(const std::set<std::string>& joints) {
+std::string WithSpaces(const std::set<std::string>& joints) {
   std::string out;
   for (const std::string& joint : joints) out += " " + joint;
   return out;
@@ -48,7 +48,7 @@ void Acceptance::NoteStepRules(const ScreenResult& screened, const std::vector<s
   for (const Scored& h : screened.hypotheses) {
     std::set<std::string> joints;
     for (const int j : h.joints) joints.insert(joint_names[static_cast<size_t>(j)]);
-    double& known = step_rule_[h.effect + Joined(joints)];
+    double& known = step_rule_[h.effect + WithSpaces(joints)];
     known = std::max(known, std::sqrt(2 * std::max(0.0, h.step_rule)));
   }
 }
@@ -81,7 +81,7 @@ double Acceptance::NeededBeside(const Candidate& best, double explained, double 
 double Acceptance::Needed(const Candidate& best, double explained, double at_stake,
                           const Candidate& c) const {
   double rule = c.base && !best.base ? base_rule_ : 0;
-  for (const auto& [id, joints] : Added(best, c)) rule = std::max(rule, StepRule(id, Joined(joints)));
+  for (const auto& [id, joints] : Added(best, c)) rule = std::max(rule, StepRule(id, WithSpaces(joints)));
   // What the parameters owe to another step rule, beyond what the effect does, is not theirs.
   if (best.base && !c.base && best.specs.empty())
     return kSimplerOdds - 0.5 * std::max(0.0, base_rule_ * base_rule_ - rule * rule);

@@ -8,6 +8,7 @@
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/balance_selection.h"
+#include "services/diagnosis/candidate.h"
 #include "services/diagnosis/shooting_refit.h"
 
 namespace rg::diagnosis {
@@ -16,10 +17,6 @@ using effects::EffectSpec;
 using Eigen::VectorXd;
 
 namespace {
-
-constexpr double kKindPrior = 4.0;   // −log odds of one more kind of effect, nats
-constexpr double kJointPrior = 1.0;  // of one more joint of it
-constexpr double kErrors = 2.0;      // standard errors over blocks
 
 class MeasuredSearch {
  public:
@@ -80,7 +77,7 @@ class MeasuredSearch {
     c.fit.rows = fit().EffectiveRows();
     c.fit.chi2 = 2 * cost;
     c.score = -cost;
-    c.score -= kKindPrior * static_cast<double>(chosen_.KindsOf(m).size());
+    c.score -= kEffectPrior * static_cast<double>(chosen_.KindsOf(m).size());
     for (const auto& f : m.features) c.score -= kJointPrior * static_cast<double>(f.size());
     return c;
   }
@@ -233,7 +230,7 @@ class MeasuredSearch {
               [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
     out->noise_scale = 1;
     out->null_gain = chosen_.LogHypotheses();
-    out->threshold = out->null_gain + kKindPrior;
+    out->threshold = out->null_gain + kEffectPrior;
     Forces(out);
   }
   // Missing force along the recordings with base parameters taken off, and what the findings leave of it.

@@ -5,6 +5,7 @@
 #include <cstdio>
 
 #include "common/model/robot_model.h"
+#include "services/diagnosis/candidate.h"
 
 namespace rg::diagnosis {
 
@@ -19,10 +20,7 @@ const std::vector<std::string> kRefinedKinds = {"offset", "stribeck_friction", "
 
 namespace {
 
-constexpr double kErrors = 2.0;      // standard errors over blocks, of what nearly every drive has
 constexpr double kRareErrors = 3.0;  // of what few have
-constexpr double kKindPrior = 4.0;   // −log odds of one more kind of effect, nats
-constexpr double kJointPrior = 1.0;  // of one more joint of it
 constexpr double kWorthAName = 0.1;  // of what remains on its joint
 constexpr double kSamples = 1.5;     // timing finer than this many samples is the recorder's business
 constexpr double kTimingStep = 0.004, kEarliest = -0.032, kLatest = 0.048;  // s
@@ -268,7 +266,7 @@ bool BalanceSelection::AddKind() {
     if (t.nats <= best.nats) continue;
     const size_t after = KindsOf(t.model).size();
     if (static_cast<int>(after) > max_effects_) continue;
-    if (after > kinds && t.nats < kKindPrior + LogHypotheses()) continue;
+    if (after > kinds && t.nats < kEffectPrior + LogHypotheses()) continue;
     best = t;
   }
   if (best.joints.empty()) return false;

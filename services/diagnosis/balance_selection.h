@@ -13,6 +13,8 @@
 
 namespace rg::diagnosis {
 
+inline constexpr double kErrors = 2.0;  // standard errors over blocks, of what nearly every drive has
+
 // Plain laws, and finer forms of dry friction; "offset" beside Coulomb friction is friction that depends on
 // the direction.
 extern const std::vector<std::string> kPlainKinds, kRefinedKinds;

@@ -10,7 +10,6 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr double kTiltPrior = 0.6;    // m/s², one standardised unit of gravity's columns (torque_balance.cc)
 constexpr double kLeastLevel = 1e-3;  // of the joint's usual torque: a friction that starts at 0 stays there
 
 double ShapeOf(const TorqueBalance& balance, const BalanceModel& m, const std::string& effect, int joint) {

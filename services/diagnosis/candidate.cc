@@ -13,8 +13,7 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr double kBasePrior = 1.0;   // −log odds of a URDF that is off
-constexpr double kJointPrior = 1.0;  // of one more joint of it
+constexpr double kBasePrior = 1.0;  // −log odds of a URDF that is off
 constexpr double kShapePrior =
     1.0;  // of each parameter beyond the first: what the data do not show costs too
 // A drive's command waits for its bus and cycle more often than a sensor's reading does; where both are on
@@ -28,7 +27,6 @@ constexpr double kBent = 0.25;        // cycles per turn, off a whole number, th
 constexpr double kMostlyGone = 0.01;  // of the nats that an effect was worth
 constexpr double kUnseen = 0.7;       // posterior over prior stddev of the best known parameter
 constexpr double kFieldPrior = 6.0;   // what an unnamed force pays beside
-constexpr double kOneInAHundred = 2.576;  // stddev that one of a hundred normal errors exceeds
 
 // Of the effect in this form.
 double ParametersOf(const EffectSpec& spec) {

@@ -34,9 +34,11 @@ struct Candidate {
 // its first.
 double StructurePrior(const std::vector<effects::EffectSpec>& specs, bool base);
 inline constexpr double kEffectPrior = 4.0;  // of one more kind of effect
+inline constexpr double kJointPrior = 1.0;   // of one more joint of it
 
 inline constexpr double kExplained = 1.1;  // χ² per row: errors a twentieth above the noise, none to look for
-inline constexpr double kOnePercent = 2.326;  // stddev that one of a hundred normal variables exceeds
+inline constexpr double kOnePercent = 2.326;     // stddev that one of a hundred normal variables exceeds
+inline constexpr double kOneInAHundred = 2.576;  // the same to either side
 
 // Whether the effect is a force without a name.
 bool IsUnnamed(const std::string& id);

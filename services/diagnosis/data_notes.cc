@@ -15,7 +15,6 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr double kMovesBy = 20.0;       // stddev of the position: less is not a motion
 constexpr double kResonances = 60.0;    // Hz: rows rarer than this do not show them
 constexpr double kReversals = 20.0;     // Hz: nor what happens within a reversal, or a delay
 constexpr double kTurnPerRow = 0.6;     // rad of a joint's oscillation between rows: ten rows per period

@@ -26,7 +26,6 @@ using Eigen::VectorXd;
 namespace {
 
 constexpr double kMuchOfTheEffort = 0.25;  // of its variance
-constexpr double kOneInAHundred = 2.576;   // that one of a hundred normal errors exceeds
 constexpr double kSameDelay = 0.05;  // of itself: less between two joints is a twentieth of what it shows by
 constexpr double kLittle = 0.1;      // of what parameters explain
 constexpr double kSecond = 0.3;      // of what a force on one joint explains, for another on a second joint

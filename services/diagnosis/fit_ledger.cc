@@ -8,6 +8,7 @@
 #include <set>
 
 #include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/jumps.h"
 #include "services/diagnosis/nearest_starts.h"
 #include "services/diagnosis/swing_starts.h"
 
@@ -28,8 +29,12 @@ constexpr double kPiece = 0.1;        // s
 constexpr size_t kSprings = 2;        // behind rotors, that are fitted for either place of the sensor
 constexpr size_t kInPlace = 2;        // other laws that are fitted on all windows
 constexpr double kPartly = 0.5;       // of a model's misfit, that what is part of the truth leaves at most
-constexpr double kSwings = 0.8;       // the same, for springs where the mass hangs on a rod
-constexpr size_t kBeside = 2;         // accounts without hidden states, that a rod is tried beside
+constexpr double kSwings = 0.8;       // the same, for springs or a hinge in the place of the true one
+constexpr size_t kRodWindows = 14;    // evenly spread, on which a mass on a rod is tried
+constexpr double kTypically = 0.7;    // of these, the others' starts may be lost
+constexpr double kLonger = 2.2;       // times another rod's length, that is tried too
+constexpr double kSameFit = 0.02;     // of χ², by which fits differ that came to the same
+constexpr size_t kBesideRod = 2;      // accounts without hidden states, that a rod is tried beside
 constexpr double kAstray = 10.0;      // times a trial's misfit, of the same on all windows
 constexpr double kMuchWorse = 0.1;    // of a trial's misfit, that one in its place may leave more
 
@@ -50,6 +55,13 @@ std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::ve
 const EffectSpec& SwingingMass(const TrialSpecs& specs) {
   return *std::find_if(specs.begin(), specs.end(),
                        [](const EffectSpec& s) { return s.id == "sloshing_payload"; });
+}
+
+std::vector<uint32_t> EvenlySpread(size_t windows, size_t count) {
+  std::vector<uint32_t> out;
+  const size_t some = std::min(count, windows);
+  for (size_t i = 0; i < some; ++i) out.push_back(static_cast<uint32_t>(i * windows / some));
+  return out;
 }
 
 // Where another fit starts whose windows are not its own.
@@ -116,9 +128,11 @@ void FitLedger::FindPieces(const std::vector<EffectSpec>& specs) {
 }
 
 // Starts at the states, and at the base parameters, of a model that holds: what is added to it or taken
-// from it changes them little, and no fit is better than another for its start alone.
+// from it changes them little, and no fit is better than another for its start alone. Where a mass on a rod
+// swings is not looked for again.
 std::shared_ptr<const Candidate> FitLedger::Start(const Candidate* from, bool base) const {
-  if (from == nullptr || !from->fit.ok || PerRow(*from) > kHolds) return base ? pieces_ : nullptr;
+  const bool holds = from != nullptr && from->fit.ok && (PerRow(*from) < kHolds || HasRod(from->specs));
+  if (!holds) return base ? pieces_ : nullptr;
   return std::make_shared<const Candidate>(*from);
 }
 
@@ -268,7 +282,7 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   std::vector<RankedTrial> plain = trials.ranked;
   std::erase_if(plain,
                 [](const RankedTrial& t) { return HasHiddenStates(*t.fitted) || HasUnnamed(*t.fitted); });
-  const auto beside = BestOf(std::move(plain), {}, kBeside);
+  const auto beside = BestOf(std::move(plain), {}, kBesideRod);
   // From the model that the trials started at where that holds, else from base parameters where they ended.
   const bool holds = trial.from != nullptr && !trial.from->fit.states.empty();
   std::vector<FitRequest> best;
@@ -290,8 +304,9 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   Candidate found = from;
   TakeBest(best, 1, &found);
   TrySprings(from, &found);
-  // Where another account leaves far less than the springs do there is no mass that swings.
-  const bool may_swing = std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
+  // Where another account leaves far less than the springs do there is no mass that swings; nor is one looked
+  // for beside a force without a name.
+  const bool may_swing = !HasUnnamed(from) && std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
     return PerRow(found) - 1 > kPartly * (PerRow(*c) - 1);
   });
   if (may_swing) TryRod(from, swings, beside, &found);
@@ -309,8 +324,9 @@ void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, 
 
 // A swinging mass takes in some of nearly anything, and nothing is found beside one that does not hold.
 bool FitLedger::Stands(const Candidate& c) const {
-  return !HasKind(c.specs, "sloshing_payload") || HasKind(setting_.nominal.effects(), "sloshing_payload") ||
-         PerRow(c) < kHolds;
+  if (!HasKind(c.specs, "sloshing_payload") || HasKind(setting_.nominal.effects(), "sloshing_payload"))
+    return true;
+  return PerRow(c) < kHolds && (!HasRod(c.specs) || SwingsOn(setting_.data, *c.plant, c.fit, lifted_));
 }
 
 void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
@@ -327,50 +343,68 @@ void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
   TakeBest(fits, 1, account);
 }
 
-void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<const Candidate>>& trials,
+void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<const Candidate>>& springs,
                        const std::vector<std::shared_ptr<const Candidate>>& beside, Candidate* account) {
-  // Where it hangs, on the tool or on the last link, is where the first hinge leaves least, or little; the
-  // trial that came nearer is asked first.
-  std::vector<TrialSpecs> rods;
-  double least = std::numeric_limits<double>::infinity();
-  for (const auto& trial : trials) {
-    // All windows tell its length better, unless its swing from one to the next led the fit astray.
+  for (const auto& trial : springs) {
     const Candidate* whole = Known(trial->specs, trial->base);
     if (whole != nullptr && PerRow(*whole) < kExplained) return;
-    const bool astray = whole == nullptr || !whole->fit.ok || PerRow(*whole) > kAstray * PerRow(*trial);
-    const TrialSpecs specs = Refreshed(astray ? *trial : *whole);
-    std::vector<TrialSpecs> here;
-    for (const EffectSpec& start : RodStarts(setting_.data, setting_.nominal, SwingingMass(specs))) {
-      here.push_back(Joined(specs, {start}));
-      if (Known(here.back(), from.base) != nullptr) here.pop_back();
-    }
-    if (here.empty() || Late(kToTheEnd)) continue;
-    const double left = Hung(from, here[0], account);
-    if (left < kExplained) return;
-    if (left < least) least = left, rods = here;
-    if (left < kPartly * PerRow(from)) break;
   }
-  // About any hinge a mass that is there explains that much.
-  if (!(least < kPartly * PerRow(from))) return;
-  size_t hinge = 0;
-  for (size_t i = 1; i < rods.size() && least >= kExplained && !Late(kToTheEnd); ++i) {
-    const double left = Hung(from, rods[i], account);
-    if (left < least) least = left, hinge = i;
-  }
-  // Without what else is missing it may not hold.
-  for (const auto& other : beside) {
-    if (least < kExplained || Late(kToTheEnd)) return;
-    const TrialSpecs both = Joined(Refreshed(*other), {SwingingMass(rods[hinge])});
-    least = std::min(least, Hung(from, both, account));
-  }
-}
+  // All windows tell its length better, unless its swing from one to the next led the fit astray.
+  const Candidate& trial = *springs.front();
+  const Candidate* whole = Known(trial.specs, trial.base);
+  const bool astray = whole == nullptr || !whole->fit.ok || PerRow(*whole) > kAstray * PerRow(trial);
+  const TrialSpecs specs = Refreshed(astray ? trial : *whole);
+  FitRequest request = WholeFit(specs, from.base, Start(&from, from.base));
+  request.places = EvenlySpread(setting_.data.windows.size(), kRodWindows);
+  std::vector<double> before;
+  for (const uint32_t i : request.places) before.push_back(from.fit.window_chi2[i]);
+  const auto typically = [&](const std::vector<double>& window_chi2) {
+    return Typically(setting_.data, window_chi2, lifted_.noise_scale, kTypically);
+  };
+  const double missing = typically(before) - 1;
 
-// A fit of a mass on a rod: χ² per row that it leaves. The better of it and of `account` is the account.
-double FitLedger::Hung(const Candidate& from, const TrialSpecs& with, Candidate* account) {
-  const FitRequest request = WholeFit(with, from.base, Start(&from, from.base));
-  const Candidate rod = Tried(request, Made(request));
-  if (rod.score > account->score) *account = rod;
-  return rod.fit.ok ? PerRow(rod) : std::numeric_limits<double>::infinity();
+  struct Hung {
+    TrialSpecs specs;
+    double left = std::numeric_limits<double>::infinity();    // typically
+    double in_all = std::numeric_limits<double>::infinity();  // χ² per row, with windows whose start is lost
+  };
+  const auto hang = [&](const TrialSpecs& with) {
+    if (Late(kToTheEnd)) return Hung{};
+    request.specs = with;
+    const Candidate c = Fitted(request, Made(request));
+    trace_.Fit(c, "  rod");
+    return c.fit.ok ? Hung{Refreshed(c), typically(c.fit.window_chi2), PerRow(c)} : Hung{};
+  };
+  const std::vector<EffectSpec> hinges = RodStarts(setting_.data, setting_.nominal, SwingingMass(specs));
+  Hung nearest;
+  double times = 1;
+  for (const double longer : {1.0, kLonger, 1 / kLonger}) {
+    if (nearest.left < kExplained) break;
+    const Hung rod = hang(Joined(specs, {LongerRod(hinges[0], longer)}));
+    const bool same = std::abs(rod.left - nearest.left) < kSameFit * nearest.left;  // by either length
+    if (rod.left < nearest.left) nearest = rod, times = longer;
+    if (same) break;
+  }
+  // About any hinge a mass that is there explains some of what is missing.
+  if (!(nearest.left - 1 < kSwings * missing)) return;
+  for (const EffectSpec& hinge : hinges) {
+    for (const EffectSpec& rod : EitherPlace(LongerRod(hinge, times))) {
+      if (nearest.in_all < kExplained || KeyOf({rod}) == KeyOf({LongerRod(hinges[0], times)})) continue;
+      const Hung other = hang(Joined(specs, {rod}));
+      if (other.left < nearest.left) nearest = other;
+    }
+  }
+  // Without what else is missing it may not hold: most windows take that in, by a swing of their own, not
+  // all.
+  const EffectSpec rod = SwingingMass(nearest.specs);
+  for (const auto& other : beside) {
+    if (nearest.in_all < kExplained) break;
+    const Hung both = hang(Joined(Refreshed(*other), {rod}));
+    if (both.in_all - 1 < kPartly * (nearest.in_all - 1)) nearest = both;
+  }
+  if (nearest.specs.empty() || Known(nearest.specs, from.base) != nullptr) return;
+  const Candidate found = Evaluate(nearest.specs, from.base, &from);
+  if (found.score > account->score) *account = found;
 }
 
 void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner) {

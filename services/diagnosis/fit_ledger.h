@@ -67,8 +67,9 @@ class FitLedger {
   // Springs behind the rotors that `account` adds to `from`, before free base parameters make up for them.
   void TrySprings(const Candidate& from, Candidate* account);
   // A rod in the place of springs for a mass, as trials found it on the tool and on the last link, the nearer
-  // first, that explains most of what `from` leaves; alone, and with what the best of the other trials are.
-  void TryRod(const Candidate& from, const std::vector<std::shared_ptr<const Candidate>>& trials,
+  // first: the rod that leaves least of trials with other lengths, hinges and places, alone and beside what
+  // the best of the other trials have.
+  void TryRod(const Candidate& from, const std::vector<std::shared_ptr<const Candidate>>& springs,
               const std::vector<std::shared_ptr<const Candidate>>& beside, Candidate* account);
   // The `count` of `starts` that are nearest to the record beside `from`'s effects.
   std::vector<TrialSpecs> Nearest(const Candidate& from, bool base, const std::vector<TrialSpecs>& starts,
@@ -81,7 +82,6 @@ class FitLedger {
                       std::shared_ptr<const Candidate> from, int iterations = 6,
                       const Candidate* rival = nullptr) const;
   bool Stands(const Candidate& c) const;
-  double Hung(const Candidate& from, const TrialSpecs& with, Candidate* account);
   void TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner);
   FitRequest Trial(const Candidate& from, bool base, std::shared_ptr<const Candidate> start) const;
   // Of a pool beside `from`'s effects, what is no worse than these alone.

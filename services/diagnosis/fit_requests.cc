@@ -13,7 +13,7 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr int kFollowed = 3;        // times that windows with a mass on a rod are followed
+constexpr int kFollowed = 3;        // times that all windows with a mass on a rod are followed; some: once
 constexpr double kOnTheWay = 0.05;  // of the cost in one iteration, for a fit to pieces to go on
 constexpr size_t kWindowsOnTheWay = 32;
 
@@ -79,7 +79,7 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
     return fit;
   }
   if (HasRod(c.specs) && (from == nullptr || from->fit.states.empty() || !HasRod(from->specs))) {
-    fit = FitFollowed(data, model, request.options, kFollowed);
+    fit = FitFollowed(data, model, request.options, request.places.empty() ? kFollowed : 1);
   } else if (hidden && c.base && from != nullptr && from->fit.states.empty()) {
     fit = FitFromEither(data, model, request.options);
   } else if (from == nullptr || from->fit.states.empty()) {

@@ -6,7 +6,9 @@
 #include <map>
 #include <numeric>
 
+#include "services/diagnosis/candidate.h"
 #include "services/diagnosis/lineariser.h"
+#include "services/diagnosis/swing_starts.h"
 #include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
@@ -16,14 +18,16 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr int kIterations = 6;             // of a window alone
+constexpr int kOneWindow = 6;              // of a window alone, and as many more while they pay
+constexpr size_t kNearestSwings = 3;       // that are followed to their end
+constexpr int kLook = 1;                   // the same, of each of the swings that it may start from
 constexpr double kFollowOn = 0.9;          // of the χ² before, which another round must come below
 constexpr double kPieces[] = {0.25, 0.5};  // of a window, on the way
 constexpr int kRounds = 6;                 // over either
 constexpr double kMostPieces = 0.7;        // of all, that are fitted with all that are met
 constexpr double kMostWindows = 0.5;       // the same of windows, at first
+constexpr int kGrowths = 4;                // of the windows that are met
 constexpr double kMostMet = 0.8;           // of the windows, from where the others were lost by chance
-constexpr double kMet = 2.0;  // χ² per row below which a window's start is not looked for any further
 
 // A start whose hidden states are those at the end of `before` as simulated from its own start.
 bool GoesOn(const FitData& data, sim::Simulator& simulator, const NodeWindow& before, const VectorXd& from,
@@ -38,17 +42,18 @@ bool GoesOn(const FitData& data, sim::Simulator& simulator, const NodeWindow& be
 }
 
 // One window alone, from a start of its own.
-FitResult Alone(FitData* one, const NodeWindow& window, const FitModel& model, const LiftedOptions& options,
-                const MatrixXd& states) {
+FitResult Alone(FitData* one, const NodeWindow& window, const FitModel& model, LiftedOptions options,
+                const MatrixXd& states, int iterations) {
   one->windows = {window};
   const NodeStates from = {states};
+  options.iterations = options.more_iterations = iterations;
   return Fit(*one, model, options, &from);
 }
 
 }  // namespace
 
 NodeStates FollowedStates(const FitData& data, const FitModel& given, const LiftedOptions& options,
-                          NodeStates states, double* work, std::vector<double>* chi2) {
+                          NodeStates states, bool anew, double* work, std::vector<double>* chi2) {
   if (chi2 != nullptr) chi2->assign(data.windows.size(), std::numeric_limits<double>::infinity());
   const FitModel model{given.plant, given.values, {}};
   std::map<int, std::vector<size_t>> by_recording;  // windows in the order of time
@@ -62,7 +67,7 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
   }
   std::vector<double> spent(chains.size(), 0.0);
   LiftedOptions alone = options;
-  alone.threads = 1, alone.iterations = kIterations, alone.more_iterations = kIterations;
+  alone.threads = 1;
   sysid::ParallelFor(options.threads, static_cast<int>(chains.size()), [&](int, int c) {
     FitData one = data;
     sim::Simulator simulator(model.plant, {.integrator = options.integrator, .step_s = options.step_s});
@@ -73,22 +78,36 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
     VectorXd from;
     for (const size_t w : chains[static_cast<size_t>(c)]) {
       const NodeWindow& window = data.windows[w];
-      std::vector<MatrixXd> starts;
-      VectorXd on = states[w].col(0);
-      if (before != nullptr && FollowsOn(*before, window) &&
-          GoesOn(data, simulator, *before, from, window.t.front(), &on)) {
-        MatrixXd carried = states[w];
-        carried.col(0) = on;
-        lineariser.CarryHidden(0, window, no_motor, &carried);
-        starts.push_back(std::move(carried));
-      }
-      starts.push_back(states[w]);
       FitResult best;
-      for (const MatrixXd& start : starts) {
-        const FitResult fit = Alone(&one, window, model, alone, start);
+      // Whether none is needed any more.
+      const auto met = [&] { return best.ok && best.chi2 < kMet * best.rows * options.noise_scale; };
+      const auto attempt = [&](const MatrixXd& start, int iterations) {
+        const FitResult fit = Alone(&one, window, model, alone, start, iterations);
         spent[static_cast<size_t>(c)] += fit.work;
         if (fit.ok && (!best.ok || fit.chi2 < best.chi2)) best = fit;
-        if (best.ok && best.chi2 < kMet * best.rows * options.noise_scale) break;
+      };
+      const auto carried = [&](const VectorXd& start) {
+        MatrixXd out = states[w];
+        out.col(0) = start;
+        lineariser.CarryHidden(0, window, no_motor, &out);
+        return out;
+      };
+      VectorXd on = states[w].col(0);
+      if (before != nullptr && FollowsOn(*before, window) &&
+          GoesOn(data, simulator, *before, from, window.t.front(), &on))
+        attempt(carried(on), kOneWindow);
+      if (!met()) attempt(states[w], kOneWindow);
+      if (anew && !met()) {
+        std::vector<FitResult> looks;
+        for (const VectorXd& start : SwingsFrom(model.plant, model.values, states[w].col(0))) {
+          looks.push_back(Alone(&one, window, model, alone, carried(start), kLook));
+          spent[static_cast<size_t>(c)] += looks.back().work;
+        }
+        std::erase_if(looks, [](const FitResult& look) { return !look.ok; });
+        std::stable_sort(looks.begin(), looks.end(),
+                         [](const FitResult& a, const FitResult& b) { return a.chi2 < b.chi2; });
+        for (size_t i = 0; i < std::min(kNearestSwings, looks.size()) && !met(); ++i)
+          attempt(looks[i].states[0], kOneWindow);
       }
       if (best.ok) states[w] = best.states[0];
       if (best.ok && chi2 != nullptr) (*chi2)[w] = best.chi2;
@@ -109,8 +128,8 @@ struct Followed {
   std::vector<double> chi2;
   double work = 0;
 
-  void Follow(const FitModel& model) {
-    states = FollowedStates(data, model, options, std::move(states), &work, &chi2);
+  void Follow(const FitModel& model, bool anew) {
+    states = FollowedStates(data, model, options, std::move(states), anew, &work, &chi2);
   }
 
   // The windows that are met best, and all that are met, so many at least.
@@ -168,7 +187,7 @@ double FindOverPieces(const FitData& data, double piece_s, const LiftedOptions& 
     f.states[p] = (*states)[w].middleCols(first, static_cast<Eigen::Index>(pieces.windows[p].t.size()));
   });
   for (int round = 0; round < kRounds; ++round) {
-    f.Follow(*model);
+    f.Follow(*model, false);
     const VectorXd before = model->values;
     const FitResult fit = f.FitTo(f.MetBest(kMostPieces), *model);
     if (!fit.ok) break;
@@ -198,19 +217,24 @@ FitResult FitFollowed(const FitData& data, FitModel model, const LiftedOptions& 
       for (const double part : kPieces)
         f.work += FindOverPieces(data, part * data.nodes.window_s, options, &model, &f.states);
     }
-    f.Follow(model);
-    const std::vector<size_t> first = f.MetBest(kMostWindows);
-    met = first.size();
-    if (met < data.windows.size()) {
+    f.Follow(model, true);
+    // What is met tells the model, and the model where more windows start.
+    met = 0;
+    for (int more = 0; more < kGrowths; ++more) {
+      const std::vector<size_t> first = f.MetBest(kMostWindows);
+      if (first.size() <= met) break;
+      met = first.size();
+      if (met == data.windows.size()) break;
       const FitResult part = f.FitTo(first, model);
-      if (part.ok) model.values = part.values, f.Follow(model);
+      if (!part.ok) break;
+      model.values = part.values, f.Follow(model, true);
     }
     FitResult fit = Fit(data, model, options, &f.states);
     f.work += fit.work;
     if (!fit.ok) break;
     const bool better = !best.ok || fit.chi2 < kFollowOn * best.chi2;
     if (!best.ok || fit.evidence > best.evidence) best = fit;
-    if (!better || fit.chi2 < kMet * fit.rows * options.noise_scale) break;
+    if (!better || fit.chi2 < kExplained * fit.rows * options.noise_scale) break;
     model.values = fit.values, f.states = std::move(fit.states);
   }
   best.work = f.work;

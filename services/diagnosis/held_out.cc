@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "services/diagnosis/followed_fit.h"
+#include "services/diagnosis/jumps.h"
 #include "services/diagnosis/swing_starts.h"
 
 namespace rg::diagnosis {
@@ -14,9 +15,10 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr int kIterations = 3;      // of the restarts alone
+constexpr int kRestarts = 3;        // of the restarts alone
+constexpr double kMost = 0.5;       // of the windows
 constexpr double kWorthATry = 1.0;  // nats
-constexpr int kFollowed = 8;        // iterations of windows that start freely, and as many more
+constexpr int kFreely = 8;          // iterations of windows that start freely, and as many more
 
 // Information and gradient of the held-out rows, in units of the parameters' priors, and what was known
 // before.
@@ -84,18 +86,22 @@ NodeStates Continued(const FitData& held_out, const sim::Plant& plant, const Vec
   return starts;
 }
 
+// `swings_on`: as in HeldOut.
 FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd& values,
-                    const LiftedOptions& options) {
+                    const LiftedOptions& options, bool* swings_on = nullptr) {
   const FitModel model{*c.plant, values, {}};
   if (c.plant->num_states() == 2 * held_out.n) return Fit(held_out, model, options);
   LiftedOptions free = options;
-  free.free_hidden = true, free.iterations = kFollowed, free.more_iterations = kFollowed;
+  free.free_hidden = true, free.iterations = kFreely, free.more_iterations = kFreely;
   double work = 0;
   NodeStates swinging;
   if (HasRod(c.specs))
-    swinging = FollowedStates(held_out, model, free, InitialStates(held_out, model, free), &work);
+    swinging = FollowedStates(held_out, model, free, InitialStates(held_out, model, free), true, &work);
   const FitResult followed = Fit(held_out, model, free, swinging.empty() ? nullptr : &swinging);
   if (!followed.ok) return Fit(held_out, model, options);
+  if (swings_on != nullptr && HasRod(c.specs))
+    *swings_on = Typically(held_out, followed.window_chi2, options.noise_scale, kMost) < kExplained &&
+                 SwingsOn(held_out, *c.plant, followed, free);
   const NodeStates starts =
       Continued(held_out, *c.plant, values, followed, options, InitialStates(held_out, model, options));
   FitResult out = Fit(held_out, model, options, &starts);
@@ -107,10 +113,10 @@ FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd&
 
 HeldOut Predicted(const FitData& held_out, const Candidate& fitted, const LiftedOptions& options) {
   LiftedOptions restarts = options;
-  restarts.iterations = kIterations, restarts.more_iterations = 0, restarts.free_hidden = false;
-  const FitResult fit = Restarted(held_out, fitted, fitted.fit.values, restarts);
-  const auto P = static_cast<long>(fitted.parameters.size());
+  restarts.iterations = kRestarts, restarts.more_iterations = 0, restarts.free_hidden = false;
   HeldOut out;
+  const FitResult fit = Restarted(held_out, fitted, fitted.fit.values, restarts, &out.swings_on);
+  const auto P = static_cast<long>(fitted.parameters.size());
   out.work = fit.work + Work(held_out, options, fitted.plant->num_states(), P);
   for (const double chi2 : fit.window_chi2) out.windows.push_back(-0.5 * chi2 / options.noise_scale);
   const double misfit = 0.5 * fit.chi2 / options.noise_scale;

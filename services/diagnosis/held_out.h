@@ -23,6 +23,9 @@ struct HeldOut {
   double short_of_noise = 0;    // nats that a perfect model would have more, as noise has it on average
   double scatter = 0;           // stddev of that under noise
   double free = 0;              // rows less what the restarts take
+  // Whether a mass on a rod, its start free in each window, meets most of them and goes on from one to the
+  // next (jumps.h): what swings freely is not predicted for long by carrying on what is known of it.
+  bool swings_on = false;
   double work = 0;
 };
 

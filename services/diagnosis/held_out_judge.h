@@ -22,7 +22,7 @@ class HeldOutJudge {
       : data_(held_out), options_(options), trace_(trace) {}
 
   // Whether an account predicts them as well as noise allows (beyond it in 1 % of sets), or to within
-  // `needed` nats, or with errors that no motion shows.
+  // `needed` nats, or with errors that no motion shows; or a mass on a rod swings on through them.
   bool Holds(const Candidate& account, double needed);
   // Whether it takes off more than half of what `without` is short of noise by; with hidden states, nine
   // tenths.

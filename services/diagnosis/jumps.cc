@@ -3,9 +3,12 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
+#include "services/diagnosis/candidate.h"
 #include "services/diagnosis/lineariser.h"
 #include "services/diagnosis/loose_start.h"
+#include "services/diagnosis/swing_starts.h"
 #include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
@@ -17,16 +20,24 @@ namespace {
 
 constexpr double kInstant = 1e-6;    // s
 constexpr double kSingular = 1e-12;  // of the largest, that a covariance has of its own
+constexpr int kEnough = 4;           // of so many meetings one must be of windows that are both met
+constexpr double kOfItsSwing = 0.1;  // of the nats that hanging still would be off by, of a step that goes on
 
-// Those of a mass in springs among a plant's states.
+// Those of a moving mass among a plant's states.
 std::vector<long> MassStates(const sim::Plant& plant) {
   std::vector<long> out;
   const auto& names = plant.internal_state_names();
   for (size_t i = 0; i < names.size(); ++i) {
-    if (names[i].find(".slosh_") != std::string::npos)
+    if (names[i].find(".slosh_") != std::string::npos || names[i].find(".swing_") != std::string::npos)
       out.push_back(2L * plant.num_joints() + static_cast<long>(i));
   }
   return out;
+}
+
+// χ² of k normal variables that one of a hundred exceeds (Wilson & Hilferty 1931).
+double OnePercentChi2(double k) {
+  const double spread = 2.0 / (9.0 * k);
+  return k * std::pow(1.0 - spread + kOnePercent * std::sqrt(spread), 3);
 }
 
 // The window with a node at `t`, where nothing is measured.
@@ -86,10 +97,27 @@ Ends EndsOf(Lineariser& lin, int worker, int window, const std::vector<long>& ma
   return out;
 }
 
-}  // namespace
+// Nats that a step takes; infinite where it is beyond numbers.
+double StepNats(const VectorXd& step, const MatrixXd& covariance) {
+  const double nats = 0.5 * step.dot(Inverse(covariance) * step);
+  return nats >= 0 && std::isfinite(nats) ? nats : std::numeric_limits<double>::infinity();
+}
 
-FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
-                    const LiftedOptions& options) {
+// A step of a rod's states (angle and rate about the first axis of its hinge, then about the second) with
+// angles within half a turn.
+VectorXd Wrapped(VectorXd step) {
+  for (const int angle : {0, 2}) step[angle] = std::remainder(step[angle], 2 * M_PI);
+  return step;
+}
+
+// The other angles at which a rod lies and moves alike.
+VectorXd TheOtherWay(const VectorXd& rod) {
+  return (VectorXd(4) << rod[0] + M_PI, rod[1], M_PI - rod[2], -rod[3]).finished();
+}
+
+// What each window alone knows of the mass.
+std::vector<Ends> AllEnds(const FitData& data, const sim::Plant& plant, const FitResult& fit,
+                          const LiftedOptions& options) {
   const FitData meeting = Meeting(data);
   const std::vector<long> mass = MassStates(plant);
   Lineariser lin(meeting, FitModel{plant, fit.values, {}}, false, options);
@@ -99,13 +127,34 @@ FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
     const auto i = static_cast<size_t>(w);
     ends[i] = EndsOf(lin, worker, w, mass, fit.states[i], loose[i], options.noise_scale);
   });
-  fit.work += Work(data, options, lin.nx(), lin.nx());
+  return ends;
+}
+
+// Whether a window goes on from the one before, as far as both tell.
+bool Meet(const FitData& data, const std::vector<Ends>& ends, size_t w) {
+  return w > 0 && FollowsOn(data.windows[w - 1], data.windows[w]) && ends[w - 1].ok && ends[w].ok;
+}
+
+// Of a rod, whose two ways to lie alike are one.
+double RodStepNats(const VectorXd& from, const MatrixXd& covariance, const Ends& to) {
+  const VectorXd sign = (VectorXd(4) << 1, 1, -1, -1).finished();
+  const MatrixXd turned = sign.asDiagonal() * covariance * sign.asDiagonal();
+  return std::min(StepNats(Wrapped(to.start - from), covariance + to.start_covariance),
+                  StepNats(Wrapped(to.start - TheOtherWay(from)), turned + to.start_covariance));
+}
+
+}  // namespace
+
+FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
+                    const LiftedOptions& options) {
+  const std::vector<Ends> ends = AllEnds(data, plant, fit, options);
+  const int nx = plant.num_states();
+  fit.work += Work(data, options, nx, nx);
   for (size_t w = 1; w < ends.size(); ++w) {
-    const bool meet = FollowsOn(data.windows[w - 1], data.windows[w]);
-    if (!meet || !ends[w].ok || !ends[w - 1].ok) continue;
-    const VectorXd step = ends[w].start - ends[w - 1].end;
-    const double nats = 0.5 * step.dot(Inverse(ends[w - 1].end_covariance + ends[w].start_covariance) * step);
-    if (!(nats >= 0) || !std::isfinite(nats)) {  // a mass thrown beyond what numbers hold
+    if (!Meet(data, ends, w)) continue;
+    const double nats =
+        StepNats(ends[w].start - ends[w - 1].end, ends[w - 1].end_covariance + ends[w].start_covariance);
+    if (std::isinf(nats)) {  // a mass thrown beyond what numbers hold
       fit.ok = false;
       continue;
     }
@@ -115,7 +164,29 @@ FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
   return fit;
 }
 
+bool SwingsOn(const FitData& data, const sim::Plant& plant, const FitResult& fit,
+              const LiftedOptions& options) {
+  const std::vector<Ends> ends = AllEnds(data, plant, fit, options);
+  const std::vector<long> mass = MassStates(plant);
+  const double noise = 0.5 * OnePercentChi2(static_cast<double>(mass.size()));
+  const double rows = data.Rows() / static_cast<double>(data.windows.size());
+  const auto met = [&](size_t w) { return fit.window_chi2[w] < kMet * options.noise_scale * rows; };
+  int meetings = 0, both_met = 0, goes_on = 0;
+  for (size_t w = 1; w < ends.size(); ++w) {
+    if (!Meet(data, ends, w)) continue;
+    ++meetings;
+    if (!met(w - 1) || !met(w)) continue;
+    const MatrixXd& known = ends[w - 1].end_covariance;
+    const VectorXd hangs = SwingsFrom(plant, fit.values, fit.states[w].col(0))[0](mass);
+    const double step = RodStepNats(ends[w - 1].end, known, ends[w]);
+    const double swing = RodStepNats(hangs, known, ends[w]);
+    ++both_met, goes_on += step < std::max(noise, kOfItsSwing * swing);
+  }
+  return kEnough * both_met >= meetings && 2 * goes_on >= both_met;
+}
+
 double TrueJumps(const FitData& data, const sim::Plant& plant, double noise_scale) {
+  if (!HasMassInSprings(plant.effects())) return 0;
   double meetings = 0;
   for (size_t w = 1; w < data.windows.size(); ++w)
     meetings += FollowsOn(data.windows[w - 1], data.windows[w]);

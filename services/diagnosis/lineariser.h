@@ -45,32 +45,44 @@ inline bool Holds(const sim::Plant& plant, const std::string& id, const std::str
   return false;
 }
 
+// Of `model`; on a joint that has all effects it can have, none.
 inline Probe MakeProbe(const FitModel& model, bool with_torque) {
   Probe probe{model.plant, model.values, {}};
   const int n = model.plant.num_joints();
   probe.torque.assign(n, -1);
   if (!with_torque) return probe;
-  std::vector<effects::EffectSpec> specs = model.plant.effects();
-  std::vector<std::string> names(n);
+  struct Push {
+    effects::EffectSpec spec;
+    std::string parameter;
+    int joint;
+  };
+  std::vector<Push> pushes;
   for (int j = 0; j < n; ++j) {
     const std::string& joint = model.plant.joint_names()[j];
     if (!Holds(model.plant, "external_disturbance", joint)) {
-      specs.push_back(effects::MakeSpec("external_disturbance", {joint},
-                                        {{"start", -1e9}, {"end", 1e9}, {"torque", 0.0}}));
-      names[j] = "external_disturbance." + joint + ".torque";
+      pushes.push_back({effects::MakeSpec("external_disturbance", {joint},
+                                          {{"start", -1e9}, {"end", 1e9}, {"torque", 0.0}}),
+                        "external_disturbance." + joint + ".torque", j});
     } else if (!Holds(model.plant, "torque_ripple", joint)) {
-      specs.push_back(effects::MakeSpec("torque_ripple", {joint},
-                                        {{"amplitude", 0.0}, {"cycles_per_rev", 0.0}, {"phase", M_PI_2}}));
-      names[j] = "torque_ripple." + joint + ".amplitude";
+      pushes.push_back({effects::MakeSpec("torque_ripple", {joint},
+                                          {{"amplitude", 0.0}, {"cycles_per_rev", 0.0}, {"phase", M_PI_2}}),
+                        "torque_ripple." + joint + ".amplitude", j});
     }
   }
-  auto plant = sim::Plant::Create(model.plant.shared_model(), model.plant.options(), specs);
+  const auto with = [&](const std::vector<Push>& some) {
+    std::vector<effects::EffectSpec> specs = model.plant.effects();
+    for (const Push& push : some) specs.push_back(push.spec);
+    return sim::Plant::Create(model.plant.shared_model(), model.plant.options(), specs);
+  };
+  auto plant = with(pushes);
+  if (!plant.ok()) {
+    std::erase_if(pushes, [&](const Push& push) { return !with({push}).ok(); });
+    plant = with(pushes);
+  }
   RG_CHECK(plant.ok()) << plant.status().ToString();
   probe.plant = *plant;
   probe.values = probe.plant.ValuesFrom(model.plant.parameters(), model.values);
-  for (int j = 0; j < n; ++j) {
-    if (!names[j].empty()) probe.torque[j] = probe.plant.parameters().Find(names[j]);
-  }
+  for (const Push& push : pushes) probe.torque[push.joint] = probe.plant.parameters().Find(push.parameter);
   return probe;
 }
 

@@ -9,7 +9,7 @@ namespace rg::diagnosis {
 namespace {
 
 constexpr double kLoose = 10.0;
-constexpr double kLeast = 1e-6;  // rad, m, per second
+constexpr double kLeastMotion = 1e-6;  // rad, m, per second
 
 }  // namespace
 
@@ -24,7 +24,7 @@ std::vector<LooseStart> LooseStarts(const sim::Plant& plant, const NodeStates& c
       squares += states.row(i).squaredNorm();
       count += static_cast<double>(states.cols());
     }
-    const double stddev = std::max(kLeast, kLoose * std::sqrt(squares / std::max(1.0, count)));
+    const double stddev = std::max(kLeastMotion, kLoose * std::sqrt(squares / std::max(1.0, count)));
     if (std::isfinite(stddev)) precision[i] = 1.0 / (stddev * stddev);
   }
   std::vector<LooseStart> out;

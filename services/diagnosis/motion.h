@@ -11,6 +11,8 @@
 
 namespace rg::diagnosis {
 
+inline constexpr double kMovesBy = 20.0;  // stddev of the position: less is not a motion
+
 // Position, velocity and acceleration of one recording at any time, from local cubics through measured
 // positions and, where there are any, velocities, each weighted by its noise.
 class SmoothMotion {

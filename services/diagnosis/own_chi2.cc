@@ -10,7 +10,7 @@ namespace rg::diagnosis {
 
 namespace {
 
-constexpr int kIterations = 2;  // of the starts alone
+constexpr int kStartsAlone = 2;  // of the starts alone
 
 }  // namespace
 
@@ -37,7 +37,7 @@ double OwnChi2(const FitData& data, const FitModel& model, const NodeStates& sta
     }
   });
   LiftedOptions starts = options;
-  starts.iterations = kIterations, starts.more_iterations = 0;
+  starts.iterations = kStartsAlone, starts.more_iterations = 0;
   return Fit(own, fixed, starts, &states).chi2 + TrueJumps(data, model.plant, options.noise_scale);
 }
 

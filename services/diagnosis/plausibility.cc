@@ -18,7 +18,6 @@ using Eigen::VectorXd;
 namespace {
 
 constexpr double kLeastSeconds = 0.5;  // of fitted recordings
-constexpr double kMovesBy = 20.0;      // stddev of the position: less is not a motion
 constexpr double kClose = 0.8;     // share that the URDF's torque must explain before its slope says anything
 constexpr double kFlipped = 0.35;  // |slope + 1| of an effort with the other sign
 constexpr double kDriven = 0.3;    // share of the power that is put in

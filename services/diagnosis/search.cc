@@ -7,7 +7,6 @@
 #include <set>
 
 #include "services/diagnosis/acceptance.h"
-#include "services/diagnosis/field_starts.h"
 #include "services/diagnosis/fit_ledger.h"
 #include "services/diagnosis/given_model.h"
 #include "services/diagnosis/held_out_judge.h"
@@ -17,6 +16,7 @@
 #include "services/diagnosis/swing_starts.h"
 #include "services/diagnosis/trace.h"
 #include "services/diagnosis/trials.h"
+#include "services/diagnosis/unnamed_forces.h"
 
 namespace rg::diagnosis {
 
@@ -32,6 +32,7 @@ constexpr int kSentBack = 3;          // times that recordings kept aside may re
 constexpr int kExchanged = 3;         // times that what is easily taken for each other changes places
 constexpr int kDeeper = 2;            // kinds beside a first one, before parameters are freed
 constexpr double kDeep = 0.5;         // of all work, after which none of that, nor a substitute, is begun
+constexpr size_t kBesideUnnamed = 3;  // names that are fitted beside a force without one
 constexpr double kPromise = 2.0;  // nats that a screen must promise of a law for a trial beside hidden states
 constexpr double kBetter = 1.0;   // nats: as many names need only be the better account
 
@@ -51,7 +52,11 @@ class Search {
         simplifier_(
             setting_, fits_, [this](const Candidate& a, const Candidate& b) { return Threshold(a, b); },
             [this](const Candidate& c) { return Threshold(c); },
-            [this](const Candidate& c) { return Explained(c); }) {
+            [this](const Candidate& c) { return Explained(c); }),
+        unnamed_(
+            setting_, fits_, given_, [this](const Candidate& c) { return Force(c); },
+            [this](const Candidate& a, const Candidate& b) { return Threshold(a, b); },
+            [this](const Candidate& c, Candidate* best) { LookBeside(c, kBesideUnnamed, best); }) {
     if (data.held_out != nullptr) judge_.emplace(*data.held_out, fits_.lifted(), trace_);
   }
 
@@ -93,7 +98,8 @@ class Search {
         break;
     }
     simplifier_.Prune(&best);
-    if (fits_.PerRow(best) > kExplained || OfPosition(best)) Flexible(&best, effects::kInf, kAny);
+    if ((fits_.PerRow(best) > kExplained || OfPosition(best)) && Flexible(&best, effects::kInf, kAny))
+      best = unnamed_.WithNames(best);
     if (judge_) SendBack(Better(out.nominal, out.calibrated), &best, &out.unseen_in);
     out.best = best;
     for (const auto& [key, c] : fits_.tried()) out.tried.push_back(c);
@@ -424,7 +430,7 @@ class Search {
     Tell("flexible", 0.3 + 0.15 * round_, KeyOf(best->specs));
     bool taken = false;
     // Free base parameters only where they are part of the account.
-    Unnamed(best->base, variables, [&](const Candidate& c) {
+    unnamed_.Try(best->base, variables, [&](const Candidate& c) {
       if (c.score > best->score + Threshold(*best) && fits_.PerRow(c) < worst) *best = c, taken = true;
       return taken && fits_.PerRow(*best) < kExplained;
     });
@@ -453,32 +459,12 @@ class Search {
     if (!MaySettle() || fits_.PerRow(named) < kExplained || fits_.Late()) return false;
     const double least = std::max(named.score, before.score) + Threshold(before);
     bool found = false;
-    Unnamed(false, kOfPlace, [&](const Candidate& c) {
+    unnamed_.Try(false, kOfPlace, [&](const Candidate& c) {
       found = MeetsSensors(c) && c.score > least && HoldsAside(c, Threshold(before));
       if (found) *out = c;
       return found;
     });
     return found;
-  }
-
-  // One unnamed force beside what the model is given, over each of the variables, with base parameters as
-  // given and, where `freed`, with free ones, until one is enough.
-  void Unnamed(bool freed, const std::vector<std::string>& variables,
-               const std::function<bool(const Candidate&)>& enough) {
-    for (const bool base : {false, true}) {
-      const Candidate* from = fits_.Known(given_, base);
-      if ((base && !freed) || from == nullptr || !from->fit.ok) continue;
-      const MissingForce force = Force(*from);
-      for (const std::string& variable : variables) {
-        const auto spec = variable == "position" && data_.n > 1
-                              ? FieldPairStart(data_, nominal_, scales_, force)
-                              : FieldStart(data_, nominal_, scales_, force, variable);
-        if (!spec) continue;
-        const std::vector<EffectSpec> specs = Joined(given_, {*spec});
-        const Candidate* done = fits_.Known(specs, base);
-        if (enough(done != nullptr ? *done : fits_.Evaluate(specs, base))) return;
-      }
-    }
   }
 
   // An account must hold on recordings kept aside, or what was tried and predicts them better takes its
@@ -495,12 +481,14 @@ class Search {
     const bool named = !best->specs.empty() && !FoundNothing(*best);
     for (int sent = 0; named && sent < kSentBack && !fits_.Late() && !judge.Holds(*best, Threshold(*best));
          ++sent) {
-      Unnamed(best->base, kAny, [](const Candidate&) { return false; });
+      unnamed_.Try(best->base, kAny, [](const Candidate&) { return false; });
+      if (const Candidate* nameless = unnamed_.Best(); sent == 0 && nameless != nullptr)
+        unnamed_.WithNames(Candidate(*nameless));
       const auto rival =
           judge.Better(*best, fits_.tried(), [&](const Candidate& c) { return Threshold(*best, c); });
       if (!rival) break;
       Tell("sent back", 0.9, KeyOf(best->specs) + "for " + KeyOf(rival->specs));
-      *best = *rival;
+      *best = HasUnnamed(*rival) ? unnamed_.WithoutCoarse(*rival) : *rival;
     }
     if (judge.Holds(*best, Threshold(*best))) {
       *unseen_in = -1;
@@ -556,6 +544,7 @@ class Search {
   Trace trace_;
   FitLedger fits_;
   Simplifier simplifier_;
+  UnnamedForces unnamed_;
   std::optional<HeldOutJudge> judge_;  // where recordings are kept aside
   int round_ = 0;
   bool nameless_ = false;  // an unnamed force alone is the account of all recordings

@@ -26,7 +26,7 @@ constexpr double kControl = 5e-3;      // s, of the imagined drive
 constexpr double kStiffness = 12.0;    // rad/s: its closed loop
 constexpr double kLeastPeriod = 5e-3;  // s between rows
 constexpr double kLost = 1.0;          // rad or m from the motion: the drive has lost it
-constexpr int kIterations = 3;
+constexpr int kToSeparate = 3;
 constexpr size_t kMostJoints = 6;
 
 struct Pair {
@@ -200,7 +200,7 @@ std::optional<ProposedMotion> ProposeMotion(const SearchResult& search, const Fi
   if (pairs.empty() || !search.best.fit.ok) return {};
   const std::vector<ProbeMotion> motions = ProbeMotions(nominal, data, scales, JointsOf(pairs, ids, nominal));
   LiftedOptions options;
-  options.iterations = kIterations, options.noise_scale = search.noise_scale, options.step_s = step_s;
+  options.iterations = kToSeparate, options.noise_scale = search.noise_scale, options.step_s = step_s;
   const auto trials = static_cast<int>(motions.size() * pairs.size() * 2);
   std::vector<double> nats(static_cast<size_t>(trials));
   sysid::ParallelFor(threads, trials, [&](int, int i) {

@@ -16,8 +16,8 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr double kTrust = 0.3;   // of the stddev of a start: what the balance knows, long windows bend little
-constexpr double kLeast = 0.02;  // nothing is known better than this, relatively
+constexpr double kTrust = 0.3;  // of the stddev of a start: what the balance knows, long windows bend little
+constexpr double kLeastKnown = 0.02;  // nothing is known better than this, relatively
 
 double DelayOf(const std::vector<EffectSpec>& specs, const std::string& joint) {
   for (const EffectSpec& s : specs) {
@@ -145,8 +145,8 @@ Candidate RefitByShooting(const FitData& data, const sim::Plant& nominal, const 
     if (known == options.spread.end()) continue;
     p.nominal = row.nominal;
     // Timing was found before everything else and stays: friction would bend it.
-    p.prior_stddev = timing ? kLeast * std::abs(row.nominal)
-                            : kTrust * std::max(known->second, kLeast * std::abs(row.nominal));
+    p.prior_stddev = timing ? kLeastKnown * std::abs(row.nominal)
+                            : kTrust * std::max(known->second, kLeastKnown * std::abs(row.nominal));
   }
   const sysid::FitSpace space(c.parameters);
   const VectorXd start_values = c.plant->parameters().Nominal();

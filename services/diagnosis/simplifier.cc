@@ -13,8 +13,8 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr double kPruned = 2.0;  // of all work, to take out what is not needed
-constexpr double kSmall = 0.01;  // of what all effects explain
+constexpr double kPruned = 2.0;       // of all work, to take out what is not needed
+constexpr double kSmallShare = 0.01;  // of what all effects explain
 
 }  // namespace
 
@@ -60,7 +60,8 @@ bool Simplifier::GivesWayToBodies(const std::vector<EffectSpec>& without, size_t
   static const std::set<std::string> kSaysMore = {"payload", "rotor_inertia", "torque_gain",
                                                   "gravity_misalignment", "encoder_offset"};
   const double strength = Strength(*best, i);
-  if (best->base || OfAllJoints(best->specs, i) || 0.5 * strength * strength > kSmall * explained_(*best))
+  if (best->base || OfAllJoints(best->specs, i) ||
+      0.5 * strength * strength > kSmallShare * explained_(*best))
     return false;
   if (fits_.Late(kPruned)) return false;
   const Candidate freed = fits_.Evaluate(without, true, best, 6, best);

@@ -3,13 +3,17 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
+#include <numeric>
 
+#include "common/base/check.h"
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
 
 namespace rg::diagnosis {
 
 using effects::EffectSpec;
+using Eigen::VectorXd;
 
 namespace {
 
@@ -17,8 +21,16 @@ constexpr Eigen::Index kEvery = 20;  // sample of a motion, to see how its link 
 constexpr double kPoint = 0.01;      // of its length, a radius of gyration that is none
 // Of the length of a point that swings alike: kShorter + kWide²/kShorter is one.
 constexpr double kShorter = 0.9, kWide = 0.3;
+constexpr double kSwing = 0.7;  // rad
 
 bool OnRod(const EffectSpec& e) { return e.options.count("form") > 0 && e.options.at("form") == "rod"; }
+
+// Of the link that a mass hangs on.
+model::Frame FrameOf(const model::RobotModel& model, const EffectSpec& mass) {
+  const bool last_link = SwingsOnLastLink({mass});
+  return *model.FindFrame(last_link ? model.link(model.joint(model.num_joints() - 1).child_link).name
+                                    : model.end_effector().name);
+}
 
 }  // namespace
 
@@ -39,7 +51,7 @@ bool SwingsOnLastLink(const std::vector<EffectSpec>& specs) {
   });
 }
 
-void WidenPoint(const sim::Plant& plant, Eigen::VectorXd* values) {
+void WidenPoint(const sim::Plant& plant, VectorXd* values) {
   const auto of = [&](const char* field) -> double& {
     return (*values)[plant.parameters().Find(std::string("sloshing_payload.*.") + field)];
   };
@@ -50,12 +62,76 @@ void WidenPoint(const sim::Plant& plant, Eigen::VectorXd* values) {
   of("length") *= kShorter;
 }
 
+EffectSpec LongerRod(EffectSpec rod, double times) {
+  auto& values = rod.values.begin()->second;
+  values.at("length") *= times, values.at("radius") *= times;
+  return rod;
+}
+
+std::vector<EffectSpec> EitherPlace(const EffectSpec& rod) {
+  EffectSpec other = rod;
+  other.options["point"] = SwingsOnLastLink({rod}) ? "end_effector" : "last_link";
+  return {rod, other};
+}
+
+std::vector<VectorXd> SwingsFrom(const sim::Plant& plant, const VectorXd& values, const VectorXd& start) {
+  const auto mass = std::find_if(plant.effects().begin(), plant.effects().end(),
+                                 [](const EffectSpec& e) { return e.id == "sloshing_payload" && OnRod(e); });
+  if (mass == plant.effects().end()) return {};
+  const model::RobotModel& model = plant.model();
+  const dynamics::Mechanism mechanism(model);
+  dynamics::Workspace workspace;
+  const Eigen::Vector3d gravity = plant.options().gravity;
+  const model::Pose pose =
+      dynamics::FramePose(mechanism, workspace, start.head(plant.num_joints()), FrameOf(model, *mass));
+  const Eigen::Vector3d down = (pose.rotation.transpose() * gravity).normalized();
+  // At φ the rod lies along R(φ)·(−e₃), e the hinge's axes.
+  const auto hinge = mass->options.find("hinge");
+  const int first = hinge == mass->options.end() ? 0 : hinge->second[0] - 'x';
+  const double along = down[first], across = down[(first + 1) % 3], back = -down[(first + 2) % 3];
+  const auto of = [&](const char* field) {
+    return values[plant.parameters().Find(std::string("sloshing_payload.*.") + field)];
+  };
+  const double length = of("length") + of("radius") * of("radius") / of("length");
+  const double rate = kSwing * std::sqrt(gravity.norm() / length);
+  const auto& names = plant.internal_state_names();
+  std::array<Eigen::Index, 2> angle{}, speed{};
+  for (size_t i = 0; i < 2; ++i) {
+    const std::string axis(1, "xyz"[(first + static_cast<int>(i)) % 3]);
+    const auto at = [&](const std::string& name) {
+      const auto found = std::find(names.begin(), names.end(), name);
+      RG_CHECK(found != names.end()) << name;
+      return 2 * plant.num_joints() + (found - names.begin());
+    };
+    angle[i] = at("position.swing_" + axis), speed[i] = at("velocity.swing_" + axis);
+  }
+  VectorXd still = start;
+  still[angle[0]] = std::atan2(across, back), still[angle[1]] = std::asin(std::clamp(-along, -1.0, 1.0));
+  still[speed[0]] = still[speed[1]] = 0;
+  std::vector<VectorXd> out = {still};
+  for (size_t i = 0; i < 2; ++i) {
+    for (const double side : {1.0, -1.0}) {
+      out.push_back(still), out.back()[angle[i]] += side * kSwing;
+      out.push_back(still), out.back()[speed[i]] = side * rate;
+    }
+  }
+  return out;
+}
+
+double Typically(const FitData& data, const std::vector<double>& window_chi2, double noise_scale,
+                 double share) {
+  if (window_chi2.empty()) return std::numeric_limits<double>::infinity();
+  std::vector<double> sorted = window_chi2;
+  std::sort(sorted.begin(), sorted.end());
+  sorted.resize(std::max<size_t>(1, static_cast<size_t>(share * static_cast<double>(sorted.size()))));
+  const double rows = data.Rows() / static_cast<double>(window_chi2.size());
+  return std::accumulate(sorted.begin(), sorted.end(), 0.0) /
+         (rows * static_cast<double>(sorted.size()) * noise_scale);
+}
+
 std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal, const EffectSpec& springs) {
   const model::RobotModel& model = nominal.model();
-  const std::string& link = SwingsOnLastLink({springs})
-                                ? model.link(model.joint(model.num_joints() - 1).child_link).name
-                                : model.end_effector().name;
-  const model::Frame frame = *model.FindFrame(link);
+  const model::Frame frame = FrameOf(model, springs);
   const dynamics::Mechanism mechanism(model);
   dynamics::Workspace workspace;
   const Eigen::Vector3d gravity = nominal.options().gravity;

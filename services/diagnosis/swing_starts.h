@@ -12,6 +12,24 @@ bool HasMassInSprings(const std::vector<effects::EffectSpec>& specs);
 // Whether one swings on the last link, not on the end effector.
 bool SwingsOnLastLink(const std::vector<effects::EffectSpec>& specs);
 
+// `rod` with a body that is so many times as long, of the same mass.
+effects::EffectSpec LongerRod(effects::EffectSpec rod, double times);
+// `rod` where it hangs, and at the same hinge of the other point.
+std::vector<effects::EffectSpec> EitherPlace(const effects::EffectSpec& rod);
+
+// States like `start` in which a rod may be, each a start of a fit that meets no more than one of them: it
+// hangs still, is off that by ±0.7 rad about either axis, or passes it at the speed of a swing so wide. Empty
+// where `plant` has no rod.
+std::vector<Eigen::VectorXd> SwingsFrom(const sim::Plant& plant, const Eigen::VectorXd& values,
+                                        const Eigen::VectorXd& start);
+
+// χ² per row, in units of the noise, of that share of windows that is met best: what a mass does where its
+// swings were found. Infinite without windows.
+double Typically(const FitData& data, const std::vector<double>& window_chi2, double noise_scale,
+                 double share);
+
+inline constexpr double kMet = 2.0;  // χ² per row below which a window's start is not looked for any further
+
 // A mass that is a point, as a fit may come to and none leads away from, in the values of `plant`: one that
 // is not small, and hangs and swings alike.
 void WidenPoint(const sim::Plant& plant, Eigen::VectorXd* values);

@@ -23,7 +23,6 @@ constexpr double kBlock = 1.0;        // s, shortest part left out
 constexpr int kMostBlocks = 12;
 constexpr double kStillShare = 0.05;  // of a joint's RMS speed
 constexpr int kHats = 8;
-constexpr double kTiltPrior = 0.6;  // m/s², of gravity's x and y
 
 // Hann weights over the fine grid.
 struct Window {
@@ -43,9 +42,9 @@ Window MakeWindow(double dt, double period) {
   return w;
 }
 
-class Maker {
+class BalanceMaker {
  public:
-  Maker(const FitData& data, const sim::Plant& plant, const MotionScales& scales)
+  BalanceMaker(const FitData& data, const sim::Plant& plant, const MotionScales& scales)
       : data_(data), plant_(plant), s_(scales) {
     out_.n = data.n;
     out_.base = FreeParameters(plant, scales, true);
@@ -259,7 +258,7 @@ class Maker {
 }  // namespace
 
 TorqueBalance MakeTorqueBalance(const FitData& data, const sim::Plant& plant, const MotionScales& scales) {
-  return Maker(data, plant, scales).Take();
+  return BalanceMaker(data, plant, scales).Take();
 }
 
 VectorXd TimedEffort(const FitData& data, const BalanceRows& rows, int joint, EffortTiming timing,

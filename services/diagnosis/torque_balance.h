@@ -18,6 +18,8 @@
 
 namespace rg::diagnosis {
 
+inline constexpr double kTiltPrior = 0.6;  // m/s², one standardised unit of gravity's columns
+
 // What an effect does to one joint per unit of coefficient.
 struct BalanceColumn {
   std::string effect;  // id; "offset": a constant force

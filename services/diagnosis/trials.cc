@@ -15,9 +15,9 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr size_t kNearest = 2;  // starts of a spring or play that are tried, for either place of the sensor
-constexpr size_t kRotors = 2;   // the largest, behind which a spring is tried
-constexpr size_t kSets = 6;     // of joints, and as many pairs of effects
+constexpr size_t kNearest = 2;   // starts of a spring or play that are tried, for either place of the sensor
+constexpr size_t kRotors = 2;    // the largest, behind which a spring is tried
+constexpr size_t kMostSets = 6;  // of joints, and as many pairs of effects
 constexpr double kHardlyLess = 0.9;  // of what a part of it leaves
 
 // Whether the model has this already.
@@ -94,7 +94,7 @@ class TrialBuilder {
   void Sets(const std::vector<Combination>& sets, double wanted) {
     size_t count = 0;
     for (const Combination& set : sets) {
-      if (set.gain < wanted || count == kSets) break;
+      if (set.gain < wanted || count == kMostSets) break;
       if (std::any_of(set.parts.begin(), set.parts.end(), [&](const Scored& h) { return Known(h); }))
         continue;
       out_.push_back(Together(set.parts, nominal_, scales_));

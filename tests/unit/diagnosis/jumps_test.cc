@@ -5,6 +5,7 @@
 #include <numeric>
 
 #include "services/diagnosis/fit_requests.h"
+#include "services/diagnosis/followed_fit.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {
@@ -50,6 +51,44 @@ TEST(Jumps, ATrueMassGoesOnFromWindowToWindow) {
   EXPECT_GT(swings.bare, 3.0);
   EXPECT_LT(swings.free, 1.05);
   EXPECT_LT(swings.counted, swings.free + 0.1);
+}
+
+EffectSpec Rod(double length) {
+  EffectSpec spec = MakeSpec("sloshing_payload", {},
+                             {{"mass", 0.05}, {"length", length}, {"damping", 1e-3}, {"radius", 0.01}});
+  spec.options = {{"form", "rod"}, {"hinge", "y"}};
+  return spec;
+}
+
+// Whether a mass on a rod goes on from window to window of an arm with `truth`, followed as its own law has
+// it.
+// `turned`: every other window has the same motion as angles of another branch.
+bool RodSwingsOn(const std::vector<EffectSpec>& truth, double length, uint64_t seed, bool turned = false) {
+  const auto p = testing::Prepare("arm2", truth, seed);
+  const FitSetting setting{p->data, p->nominal, p->scales};
+  const Candidate c = Unfitted(setting, {Rod(length)}, false);
+  const FitModel model{*c.plant, c.plant->parameters().Nominal(), {}};
+  LiftedOptions options;
+  double work = 0;
+  NodeStates states =
+      FollowedStates(p->data, model, options, InitialStates(p->data, model, options), true, &work);
+  for (size_t w = 1; turned && w < states.size(); w += 2) {
+    const Eigen::Index first = 2 * p->data.n;  // angle and rate about either axis
+    states[w].row(first).array() += 3 * M_PI;
+    states[w].row(first + 2) = (M_PI - states[w].row(first + 2).array()).matrix().eval();
+    states[w].row(first + 3) *= -1;
+  }
+  options.iterations = 0;
+  const FitResult fit = Fit(p->data, model, options, &states);
+  EXPECT_TRUE(fit.ok);
+  return SwingsOn(p->data, *c.plant, fit, options);
+}
+
+TEST(SwingsOn, OnlyOfAMassThatIsThere) {
+  EXPECT_TRUE(RodSwingsOn({Rod(0.12)}, 0.12, 45));
+  EXPECT_TRUE(RodSwingsOn({Rod(0.12)}, 0.12, 45, true));
+  EXPECT_FALSE(RodSwingsOn({Rod(0.12)}, 0.03, 45)) << "at four times its length's pace";
+  EXPECT_FALSE(RodSwingsOn({MakeSpec("coulomb_friction", {"shoulder"}, {{"coulomb", 0.2}})}, 0.12, 46));
 }
 
 }  // namespace

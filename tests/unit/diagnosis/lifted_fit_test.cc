@@ -4,6 +4,7 @@
 
 #include <tuple>
 
+#include "common/effects/effect_catalog.h"
 #include "services/diagnosis/fit_requests.h"
 #include "services/diagnosis/gram.h"
 #include "services/diagnosis/hypotheses.h"
@@ -29,6 +30,25 @@ FitResult FitEffects(const Prepared& p, std::vector<effects::EffectSpec> specs,
   RG_CHECK(plant.ok()) << plant.status().ToString();
   return Fit(p.data, {*plant, plant->parameters().Nominal(), FreeParameters(*plant, p.scales, false)},
              options);
+}
+
+// A joint that has all the effects it can have feels no push beside them.
+TEST(MakeProbe, LeavesOutAJointThatIsFull) {
+  const sim::Plant nominal = sysid::testing::LoadPlant("arm2");
+  std::vector<EffectSpec> specs = {MakeSpec("unknown_field_pair", {"shoulder", "elbow"})};
+  const auto stand = [&] { return sim::Plant::Create(nominal.shared_model(), nominal.options(), specs); };
+  for (const effects::EffectInfo& info : effects::Catalog()) {
+    if (info.scope != effects::Scope::kJoint || info.id == "external_disturbance") continue;
+    specs.push_back(MakeSpec(info.id, {"elbow"}));
+    if (!stand().ok()) specs.pop_back();
+  }
+  const auto full = stand();
+  ASSERT_TRUE(full.ok()) << full.status().ToString();
+  specs.push_back(MakeSpec("external_disturbance", {"elbow"}));
+  ASSERT_FALSE(stand().ok());
+  const Probe probe = MakeProbe({*full, full->parameters().Nominal(), {}}, true);
+  EXPECT_GE(probe.torque[0], 0);
+  EXPECT_EQ(probe.torque[1], -1);
 }
 
 TEST(Lineariser, ThePartOfAWindowIsItsFirstRows) {

@@ -79,6 +79,77 @@ TEST(RodStarts, SwingsAsTheSpringsDoAndTurnsAboutNoAxisThatGravityIsAlong) {
   EXPECT_EQ(rod.options.at("hinge"), "y");
 }
 
+// Friction holds the arm wherever it is put.
+TEST(SwingsFrom, BeginsAtRestWhereItHangsAndPassesThere) {
+  std::vector<EffectSpec> held;
+  const sim::Plant mico2 = sysid::testing::LoadPlant("mico2");
+  for (const std::string& joint : mico2.joint_names())
+    held.push_back(MakeSpec("coulomb_friction", {joint}, {{"coulomb", 1e3}}));
+  for (const char* hinge : {"x", "y", "z"}) {
+    std::vector<EffectSpec> effects = held;
+    effects.push_back(Rod(0.02, 0.12, 0.0));
+    effects.back().options["hinge"] = hinge;
+    const sim::Plant plant = sysid::testing::LoadPlant("mico2", effects);
+    const Eigen::Index n = plant.num_joints(), hidden = plant.num_states() - 2 * n;
+    Eigen::VectorXd x = Eigen::VectorXd::Zero(plant.num_states());
+    x.head(n) << 0.4, 2.5, 1.2, -0.7, 0.5, 0.9;
+    const Eigen::VectorXd values = plant.parameters().Nominal();
+    const std::vector<Eigen::VectorXd> starts = SwingsFrom(plant, values, x);
+    ASSERT_EQ(starts.size(), 9u);
+    // The widest that the rod is off its start within a second.
+    const auto swing = [&](const Eigen::VectorXd& start) {
+      sim::Simulator simulator(plant, {.step_s = 1e-3});
+      std::vector<double> times;
+      for (int k = 1; k <= 100; ++k) times.push_back(0.01 * k);
+      const auto command = sim::CommandSignal::Constant(Eigen::VectorXd::Zero(n));
+      const sim::Trajectory out = simulator.Simulate(
+          {start.head(n), start.segment(n, n), start.tail(hidden), 0.0, {}, {}}, command, times);
+      RG_CHECK(out.outcome.ok());
+      double widest = 0;
+      for (size_t i = 0; i < plant.internal_state_names().size(); ++i) {
+        if (plant.internal_state_names()[i].rfind("position.swing_", 0) != 0) continue;
+        const auto row = 2 * n + static_cast<Eigen::Index>(i);
+        widest = std::max(widest, (out.state.row(row).array() - starts[0][row]).abs().maxCoeff());
+      }
+      return widest;
+    };
+    EXPECT_LT(swing(starts[0]), 0.02) << hinge;
+    for (size_t i = 1; i < starts.size(); ++i) {
+      EXPECT_GT(swing(starts[i]), 0.4) << hinge << " " << i;
+      EXPECT_EQ(starts[i].head(2 * n), x.head(2 * n));
+    }
+  }
+  EXPECT_TRUE(SwingsFrom(mico2, {}, {}).empty());
+}
+
+TEST(LongerRod, HasItsMassAndSwingsSoMuchSlower) {
+  const EffectSpec rod = Rod(0.15, 0.12, 1e-3), longer = LongerRod(rod, 4.0);
+  const auto &of = rod.values.begin()->second, &now = longer.values.begin()->second;
+  EXPECT_EQ(now.at("mass"), of.at("mass"));
+  EXPECT_NEAR(now.at("length"), 4 * of.at("length"), 1e-12);
+  EXPECT_NEAR(now.at("radius"), 4 * of.at("radius"), 1e-12);
+}
+
+TEST(EitherPlace, IsTheToolAndTheLastLink) {
+  const std::vector<EffectSpec> places = EitherPlace(Rod(0.15, 0.12, 1e-3));
+  ASSERT_EQ(places.size(), 2u);
+  EXPECT_FALSE(SwingsOnLastLink({places[0]}));
+  EXPECT_TRUE(SwingsOnLastLink({places[1]}));
+  EXPECT_FALSE(SwingsOnLastLink({EitherPlace(places[1])[1]}));
+}
+
+TEST(Typically, IsNotLedByWindowsWhoseStartWasNotFound) {
+  const auto p = Prepare("arm2", {}, 13);
+  const double rows = p->data.Rows() / 10.0;
+  std::vector<double> chi2(10, 2.0 * rows);
+  chi2[1] = chi2[4] = chi2[9] = 1e6;
+  EXPECT_NEAR(Typically(p->data, chi2, 1.0, 0.7), 2.0, 1e-9);
+  EXPECT_NEAR(Typically(p->data, chi2, 2.0, 0.7), 1.0, 1e-9);
+  chi2[0] = 1e6;
+  EXPECT_GT(Typically(p->data, chi2, 1.0, 0.7), 100);
+  EXPECT_TRUE(std::isinf(Typically(p->data, {}, 1.0, 0.7)));
+}
+
 TEST(WidenPoint, HangsAndSwingsAlike) {
   const auto p = Prepare("arm2", {}, 13);
   EffectSpec rod = Rod(0.15, 0.12, 1e-3);
