@@ -4,6 +4,7 @@
 option(RG_TESTS "Build the tests" ON)
 option(RG_BENCHMARKS "Build the benchmarks under tests/benchmarks" ON)
 option(RG_WERROR "Treat warnings as errors" ON)
+option(RG_TOGETHER "Compile several sources as one where a target says so" ON)
 set(RG_SANITIZE "" CACHE STRING "Sanitizers to build with, e.g. address,undefined")
 
 set(CMAKE_CXX_STANDARD 20)
@@ -34,7 +35,7 @@ if(RG_SANITIZE)
 endif()
 
 function(rg_compile_together target)
-  set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 5)
+  set_target_properties(${target} PROPERTIES UNITY_BUILD ${RG_TOGETHER} UNITY_BUILD_BATCH_SIZE 5)
 endfunction()
 
 # rg_library(NAME SOURCES a.cc … [DEPS …] [PRIVATE_DEPS …] [TOGETHER])

@@ -51,7 +51,7 @@ Result<double> RunIteration(const std::string& robot, const std::string& robots_
                       "--workers", std::to_string(workers), "--robot", robot, "--dir", run},
                      std::string(folder) + "/run.log"));
   Result<double> seconds = CancelledError("interrupted");
-  const CancelToken& interrupted = CancelledByInterrupt();
+  const CancelToken& interrupted = CancelledByInterrupt({SIGINT, SIGTERM});
   while (!interrupted.cancelled()) {
     const Status child = children.Check();  // an end, good or bad, is reported as an error
     const auto text = ReadFile(run + "/run.json");
@@ -91,10 +91,11 @@ Status RunScaling(Context& context, const BenchArguments& arguments,
                   std::shared_ptr<const model::RobotModel> robot) {
   ProgressDisplay display(
       {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
-  RG_ASSIGN_OR_RETURN(const bench::Scaling scaling,
-                      bench::MeasureScaling(
-                          std::move(robot), arguments.options.quick, arguments.options.seed,
-                          [&](const ProgressUpdate& u) { display.Show(u); }, &CancelledByInterrupt()));
+  RG_ASSIGN_OR_RETURN(
+      const bench::Scaling scaling,
+      bench::MeasureScaling(
+          std::move(robot), arguments.options.quick, arguments.options.seed,
+          [&](const ProgressUpdate& u) { display.Show(u); }, &CancelledByInterrupt({SIGINT, SIGTERM})));
   display.Finish();
   RG_RETURN_IF_ERROR(WriteFileAtomically(arguments.scaling, bench::ScalingSvg(scaling)));
   if (context.json()) {
@@ -129,10 +130,10 @@ Status RunBenchCommand(Context& context, BenchArguments arguments) {
   ProgressDisplay display(
       {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
   const std::string load_before = LoadAverage();
-  RG_ASSIGN_OR_RETURN(const auto measurements,
-                      bench::RunBench(
-                          robot, arguments.options, RealClock(),
-                          [&](const ProgressUpdate& u) { display.Show(u); }, &CancelledByInterrupt()));
+  RG_ASSIGN_OR_RETURN(const auto measurements, bench::RunBench(
+                                                   robot, arguments.options, RealClock(),
+                                                   [&](const ProgressUpdate& u) { display.Show(u); },
+                                                   &CancelledByInterrupt({SIGINT, SIGTERM})));
   display.Finish();
   if (context.json()) {
     json out = bench::BenchJson(measurements);
@@ -168,7 +169,7 @@ void AddBenchCommand(CLI::App& app, Context& context) {
       ->excludes(only);
   command->callback([&context, arguments] {
     context.Failed(RunBenchCommand(context, *arguments));
-    if (CancelledByInterrupt().cancelled()) context.exit_code = kExitCancelled;
+    if (CancelledByInterrupt({SIGINT, SIGTERM}).cancelled()) context.exit_code = kExitCancelled;
   });
 }
 

@@ -1,7 +1,5 @@
 #include "services/cli/interrupt.h"
 
-#include <csignal>
-
 namespace rg::cli {
 namespace {
 
@@ -11,8 +9,8 @@ void CancelOnSignal(int) { on_interrupt.Cancel(); }
 
 }  // namespace
 
-CancelToken& CancelledByInterrupt() {
-  for (const int number : {SIGINT, SIGTERM}) std::signal(number, CancelOnSignal);
+CancelToken& CancelledByInterrupt(std::initializer_list<int> signals) {
+  for (const int number : signals) std::signal(number, CancelOnSignal);
   return on_interrupt;
 }
 

@@ -139,7 +139,8 @@ std::shared_ptr<const Candidate> FitLedger::Start(const Candidate* from, bool ba
 // For what differs little from an account: where that does not hold, its base parameters are still nearer
 // than those found without its effects.
 std::shared_ptr<const Candidate> FitLedger::Nearby(const Candidate* from, bool base) const {
-  const bool account = from != nullptr && from->fit.ok && from->base && !from->specs.empty();
+  const bool account =
+      from != nullptr && from->fit.ok && from->base && !from->specs.empty() && !HasRod(from->specs);
   return account && base && PerRow(*from) > kHolds ? ValuesOf(*from) : Start(from, base);
 }
 
@@ -167,7 +168,7 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   // While much is left a ripple's period is bent by it, and on some windows by little.
   if (c.fit.ok && PerRow(c) < (request.places.empty() ? kHolds : kExplained))
     c.fit.ok = Repeats(c, setting_.scales, PerRow(c), request.places.empty());
-  const bool stands = c.fit.ok && (!request.places.empty() || Stands(c));
+  const bool stands = c.fit.ok && (!request.places.empty() || Stands(&c));
   c.score = stands ? c.fit.evidence - StructurePrior(c.specs, c.base) : kNoScore;
   return c;
 }
@@ -323,10 +324,15 @@ void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, 
 }
 
 // A swinging mass takes in some of nearly anything, and nothing is found beside one that does not hold.
-bool FitLedger::Stands(const Candidate& c) const {
+bool FitLedger::Stands(Candidate* candidate) {
+  const Candidate& c = *candidate;
   if (!HasKind(c.specs, "sloshing_payload") || HasKind(setting_.nominal.effects(), "sloshing_payload"))
     return true;
-  return PerRow(c) < kHolds && (!HasRod(c.specs) || SwingsOn(setting_.data, *c.plant, c.fit, lifted_));
+  if (!(PerRow(c) < kHolds) || !HasRod(c.specs)) return PerRow(c) < kHolds;
+  const double before = c.fit.work;
+  const bool swings_on = SwingsOn(setting_.data, *c.plant, &candidate->fit, lifted_).value_or(true);
+  work_ += c.fit.work - before;
+  return swings_on;
 }
 
 void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
@@ -381,13 +387,16 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
   for (const double longer : {1.0, kLonger, 1 / kLonger}) {
     if (nearest.left < kExplained) break;
     const Hung rod = hang(Joined(specs, {LongerRod(hinges[0], longer)}));
-    const bool same = std::abs(rod.left - nearest.left) < kSameFit * nearest.left;  // by either length
+    // By either length: it is found, or the hinge is not this one.
+    const bool same = std::abs(rod.left - nearest.left) < kSameFit * nearest.left;
     if (rod.left < nearest.left) nearest = rod, times = longer;
-    if (same) break;
+    if (same && nearest.left - 1 < kSwings * missing) break;
   }
   // About any hinge a mass that is there explains some of what is missing.
   if (!(nearest.left - 1 < kSwings * missing)) return;
   for (const EffectSpec& hinge : hinges) {
+    // Hinges are different angles for one motion: where it is found about one, it is about the others.
+    if (&hinge != &hinges.front() && nearest.left < kExplained) break;
     for (const EffectSpec& rod : EitherPlace(LongerRod(hinge, times))) {
       if (nearest.in_all < kExplained || KeyOf({rod}) == KeyOf({LongerRod(hinges[0], times)})) continue;
       const Hung other = hang(Joined(specs, {rod}));
@@ -402,7 +411,7 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
     const Hung both = hang(Joined(Refreshed(*other), {rod}));
     if (both.in_all - 1 < kPartly * (nearest.in_all - 1)) nearest = both;
   }
-  if (nearest.specs.empty() || Known(nearest.specs, from.base) != nullptr) return;
+  if (Known(nearest.specs, from.base) != nullptr) return;
   const Candidate found = Evaluate(nearest.specs, from.base, &from);
   if (found.score > account->score) *account = found;
 }

@@ -81,7 +81,7 @@ class FitLedger {
   FitRequest WholeFit(const std::vector<effects::EffectSpec>& specs, bool base,
                       std::shared_ptr<const Candidate> from, int iterations = 6,
                       const Candidate* rival = nullptr) const;
-  bool Stands(const Candidate& c) const;
+  bool Stands(Candidate* c);
   void TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner);
   FitRequest Trial(const Candidate& from, bool base, std::shared_ptr<const Candidate> start) const;
   // Of a pool beside `from`'s effects, what is no worse than these alone.

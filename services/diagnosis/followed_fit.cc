@@ -81,8 +81,8 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
       FitResult best;
       // Whether none is needed any more.
       const auto met = [&] { return best.ok && best.chi2 < kMet * best.rows * options.noise_scale; };
-      const auto attempt = [&](const MatrixXd& start, int iterations) {
-        const FitResult fit = Alone(&one, window, model, alone, start, iterations);
+      const auto attempt = [&](const MatrixXd& start) {
+        const FitResult fit = Alone(&one, window, model, alone, start, kOneWindow);
         spent[static_cast<size_t>(c)] += fit.work;
         if (fit.ok && (!best.ok || fit.chi2 < best.chi2)) best = fit;
       };
@@ -95,11 +95,11 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
       VectorXd on = states[w].col(0);
       if (before != nullptr && FollowsOn(*before, window) &&
           GoesOn(data, simulator, *before, from, window.t.front(), &on))
-        attempt(carried(on), kOneWindow);
-      if (!met()) attempt(states[w], kOneWindow);
+        attempt(carried(on));
+      if (!met()) attempt(states[w]);
       if (anew && !met()) {
         std::vector<FitResult> looks;
-        for (const VectorXd& start : SwingsFrom(model.plant, model.values, states[w].col(0))) {
+        for (const VectorXd& start : SwingsFrom(simulator, states[w].col(0))) {
           looks.push_back(Alone(&one, window, model, alone, carried(start), kLook));
           spent[static_cast<size_t>(c)] += looks.back().work;
         }
@@ -107,7 +107,7 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
         std::stable_sort(looks.begin(), looks.end(),
                          [](const FitResult& a, const FitResult& b) { return a.chi2 < b.chi2; });
         for (size_t i = 0; i < std::min(kNearestSwings, looks.size()) && !met(); ++i)
-          attempt(looks[i].states[0], kOneWindow);
+          attempt(looks[i].states[0]);
       }
       if (best.ok) states[w] = best.states[0];
       if (best.ok && chi2 != nullptr) (*chi2)[w] = best.chi2;

@@ -97,11 +97,19 @@ FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd&
   NodeStates swinging;
   if (HasRod(c.specs))
     swinging = FollowedStates(held_out, model, free, InitialStates(held_out, model, free), true, &work);
-  const FitResult followed = Fit(held_out, model, free, swinging.empty() ? nullptr : &swinging);
-  if (!followed.ok) return Fit(held_out, model, options);
-  if (swings_on != nullptr && HasRod(c.specs))
-    *swings_on = Typically(held_out, followed.window_chi2, options.noise_scale, kMost) < kExplained &&
-                 SwingsOn(held_out, *c.plant, followed, free);
+  FitResult followed = Fit(held_out, model, free, swinging.empty() ? nullptr : &swinging);
+  if (!followed.ok) {
+    FitResult out = Fit(held_out, model, options);
+    out.work += followed.work + work;
+    return out;
+  }
+  if (swings_on != nullptr && HasRod(c.specs)) {
+    // Each window's own start takes some of the noise in.
+    const double rows = held_out.Rows() / static_cast<double>(held_out.windows.size());
+    const double met = kExplained * std::max(0.0, 1 - c.plant->num_states() / rows);
+    *swings_on = Typically(held_out, followed.window_chi2, options.noise_scale, kMost) < met &&
+                 SwingsOn(held_out, *c.plant, &followed, free).value_or(false);
+  }
   const NodeStates starts =
       Continued(held_out, *c.plant, values, followed, options, InitialStates(held_out, model, options));
   FitResult out = Fit(held_out, model, options, &starts);

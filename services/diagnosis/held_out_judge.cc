@@ -40,8 +40,9 @@ const HeldOut& HeldOutJudge::Of(const Candidate& c) {
 
 bool HeldOutJudge::Holds(const Candidate& account, double needed) {
   const HeldOut& own = Of(account);
-  return own.swings_on || own.short_of_noise < std::max({kOnePercent * own.scatter,
-                                                         0.5 * (kExplained - 1) * own.free, needed});
+  return (own.swings_on && !rod_given_) ||
+         own.short_of_noise <
+             std::max({kOnePercent * own.scatter, 0.5 * (kExplained - 1) * own.free, needed});
 }
 
 int HeldOutJudge::Refusing(const Candidate& account, double needed) {

@@ -18,8 +18,10 @@ namespace rg::diagnosis {
 class HeldOutJudge {
  public:
   // `options` may change between questions. Of the noise that they have all scores are.
-  HeldOutJudge(const FitData& held_out, const LiftedOptions& options, const Trace& trace)
-      : data_(held_out), options_(options), trace_(trace) {}
+  // `rod_given`: all models have a mass on a rod, whose swing speaks for none of them.
+  HeldOutJudge(const FitData& held_out, const LiftedOptions& options, const Trace& trace,
+               bool rod_given = false)
+      : data_(held_out), options_(options), trace_(trace), rod_given_(rod_given) {}
 
   // Whether an account predicts them as well as noise allows (beyond it in 1 % of sets), or to within
   // `needed` nats, or with errors that no motion shows; or a mass on a rod swings on through them.
@@ -53,6 +55,7 @@ class HeldOutJudge {
   const FitData& data_;
   const LiftedOptions& options_;
   const Trace& trace_;
+  bool rod_given_;
   std::map<Question, HeldOut> known_;
   double work_ = 0;
 };

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 
 #include "services/diagnosis/candidate.h"
 #include "services/diagnosis/lineariser.h"
@@ -164,11 +165,15 @@ FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
   return fit;
 }
 
-bool SwingsOn(const FitData& data, const sim::Plant& plant, const FitResult& fit,
-              const LiftedOptions& options) {
+std::optional<bool> SwingsOn(const FitData& data, const sim::Plant& plant, FitResult* fitted,
+                             const LiftedOptions& options) {
+  const FitResult& fit = *fitted;
   const std::vector<Ends> ends = AllEnds(data, plant, fit, options);
   const std::vector<long> mass = MassStates(plant);
   const double noise = 0.5 * OnePercentChi2(static_cast<double>(mass.size()));
+  sim::Simulator simulator(plant, {.integrator = options.integrator, .step_s = options.step_s});
+  simulator.SetParameters(fit.values);
+  fitted->work += Work(data, options, plant.num_states(), plant.num_states());
   const double rows = data.Rows() / static_cast<double>(data.windows.size());
   const auto met = [&](size_t w) { return fit.window_chi2[w] < kMet * options.noise_scale * rows; };
   int meetings = 0, both_met = 0, goes_on = 0;
@@ -177,12 +182,13 @@ bool SwingsOn(const FitData& data, const sim::Plant& plant, const FitResult& fit
     ++meetings;
     if (!met(w - 1) || !met(w)) continue;
     const MatrixXd& known = ends[w - 1].end_covariance;
-    const VectorXd hangs = SwingsFrom(plant, fit.values, fit.states[w].col(0))[0](mass);
+    const VectorXd hangs = SwingsFrom(simulator, fit.states[w].col(0))[0](mass);
     const double step = RodStepNats(ends[w - 1].end, known, ends[w]);
     const double swing = RodStepNats(hangs, known, ends[w]);
-    ++both_met, goes_on += step < std::max(noise, kOfItsSwing * swing);
+    ++both_met, goes_on += step < noise || (std::isfinite(swing) && step < kOfItsSwing * swing);
   }
-  return kEnough * both_met >= meetings && 2 * goes_on >= both_met;
+  if (meetings == 0) return std::nullopt;
+  return kEnough * both_met >= meetings && 2 * goes_on > both_met;
 }
 
 double TrueJumps(const FitData& data, const sim::Plant& plant, double noise_scale) {

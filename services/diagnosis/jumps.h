@@ -18,6 +18,8 @@
 // window steps as far as it swings.
 #pragma once
 
+#include <optional>
+
 #include "services/diagnosis/lifted_fit.h"
 
 namespace rg::diagnosis {
@@ -32,8 +34,8 @@ double TrueJumps(const FitData& data, const sim::Plant& plant, double noise_scal
 
 // Whether a mass on a rod goes on: most of its steps between windows that meet, and are met by the fit, are
 // no larger than 99 % of a true mass's, or than a tenth of its swing [nats]. One meeting in four must be of
-// windows that are met; without meetings it may go on.
-bool SwingsOn(const FitData& data, const sim::Plant& plant, const FitResult& fit,
-              const LiftedOptions& options);
+// windows that are met. Nothing where none meet. The fit's work grows by what this costs.
+std::optional<bool> SwingsOn(const FitData& data, const sim::Plant& plant, FitResult* fit,
+                             const LiftedOptions& options);
 
 }  // namespace rg::diagnosis

@@ -57,7 +57,8 @@ class Search {
             setting_, fits_, given_, [this](const Candidate& c) { return Force(c); },
             [this](const Candidate& a, const Candidate& b) { return Threshold(a, b); },
             [this](const Candidate& c, Candidate* best) { LookBeside(c, kBesideUnnamed, best); }) {
-    if (data.held_out != nullptr) judge_.emplace(*data.held_out, fits_.lifted(), trace_);
+    if (data.held_out != nullptr)
+      judge_.emplace(*data.held_out, fits_.lifted(), trace_, HasRod(nominal.effects()));
   }
 
   SearchResult Run() {

@@ -6,7 +6,6 @@
 #include <limits>
 #include <numeric>
 
-#include "common/base/check.h"
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
 
@@ -74,45 +73,23 @@ std::vector<EffectSpec> EitherPlace(const EffectSpec& rod) {
   return {rod, other};
 }
 
-std::vector<VectorXd> SwingsFrom(const sim::Plant& plant, const VectorXd& values, const VectorXd& start) {
-  const auto mass = std::find_if(plant.effects().begin(), plant.effects().end(),
-                                 [](const EffectSpec& e) { return e.id == "sloshing_payload" && OnRod(e); });
-  if (mass == plant.effects().end()) return {};
-  const model::RobotModel& model = plant.model();
-  const dynamics::Mechanism mechanism(model);
-  dynamics::Workspace workspace;
-  const Eigen::Vector3d gravity = plant.options().gravity;
-  const model::Pose pose =
-      dynamics::FramePose(mechanism, workspace, start.head(plant.num_joints()), FrameOf(model, *mass));
-  const Eigen::Vector3d down = (pose.rotation.transpose() * gravity).normalized();
-  // At φ the rod lies along R(φ)·(−e₃), e the hinge's axes.
-  const auto hinge = mass->options.find("hinge");
-  const int first = hinge == mass->options.end() ? 0 : hinge->second[0] - 'x';
-  const double along = down[first], across = down[(first + 1) % 3], back = -down[(first + 2) % 3];
+std::vector<VectorXd> SwingsFrom(const sim::Simulator& simulator, const VectorXd& start) {
+  const sim::Plant& plant = simulator.plant();
+  if (!HasRod(plant.effects())) return {};
+  const Eigen::Index n = plant.num_joints();
+  VectorXd still = start;
+  // Angle and rate about the first axis of the hinge, then about the second.
+  still.tail<4>() = simulator.MakeState(start.head(n), start.segment(n, n)).z.tail<4>();
   const auto of = [&](const char* field) {
-    return values[plant.parameters().Find(std::string("sloshing_payload.*.") + field)];
+    return simulator.parameters()[plant.parameters().Find(std::string("sloshing_payload.*.") + field)];
   };
   const double length = of("length") + of("radius") * of("radius") / of("length");
-  const double rate = kSwing * std::sqrt(gravity.norm() / length);
-  const auto& names = plant.internal_state_names();
-  std::array<Eigen::Index, 2> angle{}, speed{};
-  for (size_t i = 0; i < 2; ++i) {
-    const std::string axis(1, "xyz"[(first + static_cast<int>(i)) % 3]);
-    const auto at = [&](const std::string& name) {
-      const auto found = std::find(names.begin(), names.end(), name);
-      RG_CHECK(found != names.end()) << name;
-      return 2 * plant.num_joints() + (found - names.begin());
-    };
-    angle[i] = at("position.swing_" + axis), speed[i] = at("velocity.swing_" + axis);
-  }
-  VectorXd still = start;
-  still[angle[0]] = std::atan2(across, back), still[angle[1]] = std::asin(std::clamp(-along, -1.0, 1.0));
-  still[speed[0]] = still[speed[1]] = 0;
+  const double rate = kSwing * std::sqrt(plant.options().gravity.norm() / length);
   std::vector<VectorXd> out = {still};
-  for (size_t i = 0; i < 2; ++i) {
+  for (const Eigen::Index angle : {4, 2}) {
     for (const double side : {1.0, -1.0}) {
-      out.push_back(still), out.back()[angle[i]] += side * kSwing;
-      out.push_back(still), out.back()[speed[i]] = side * rate;
+      out.push_back(still), out.back()[still.size() - angle] += side * kSwing;
+      out.push_back(still), out.back()[still.size() - angle + 1] += side * rate;
     }
   }
   return out;
@@ -124,7 +101,7 @@ double Typically(const FitData& data, const std::vector<double>& window_chi2, do
   std::vector<double> sorted = window_chi2;
   std::sort(sorted.begin(), sorted.end());
   sorted.resize(std::max<size_t>(1, static_cast<size_t>(share * static_cast<double>(sorted.size()))));
-  const double rows = data.Rows() / static_cast<double>(window_chi2.size());
+  const double rows = data.Rows() / static_cast<double>(data.windows.size());
   return std::accumulate(sorted.begin(), sorted.end(), 0.0) /
          (rows * static_cast<double>(sorted.size()) * noise_scale);
 }

@@ -17,14 +17,12 @@ effects::EffectSpec LongerRod(effects::EffectSpec rod, double times);
 // `rod` where it hangs, and at the same hinge of the other point.
 std::vector<effects::EffectSpec> EitherPlace(const effects::EffectSpec& rod);
 
-// States like `start` in which a rod may be, each a start of a fit that meets no more than one of them: it
-// hangs still, is off that by ±0.7 rad about either axis, or passes it at the speed of a swing so wide. Empty
-// where `plant` has no rod.
-std::vector<Eigen::VectorXd> SwingsFrom(const sim::Plant& plant, const Eigen::VectorXd& values,
-                                        const Eigen::VectorXd& start);
+// States like `start` in which a rod may be: it hangs and does not turn, is off that by ±0.7 rad about either
+// axis, or passes it at the speed of a swing so wide. Empty where the plant has no rod.
+std::vector<Eigen::VectorXd> SwingsFrom(const sim::Simulator& simulator, const Eigen::VectorXd& start);
 
-// χ² per row, in units of the noise, of that share of windows that is met best: what a mass does where its
-// swings were found. Infinite without windows.
+// χ² per row, in units of the noise, of that share of windows that is met best, all of `data` or some: what a
+// mass does where its swings were found. Infinite without windows.
 double Typically(const FitData& data, const std::vector<double>& window_chi2, double noise_scale,
                  double share);
 

@@ -40,8 +40,11 @@ void UnnamedForces::Try(bool freed, const std::vector<std::string>& variables,
 
 const Candidate* UnnamedForces::Best() const {
   const Candidate* best = nullptr;
+  Candidate bare;
+  bare.specs = given_;
   for (const auto& [key, c] : fits_.tried()) {
-    if (!c.fit.ok || !HasUnnamed(c) || c.specs.size() != given_.size() + 1) continue;
+    const std::set<std::string> fresh = FreshKinds(bare, c);
+    if (!c.fit.ok || fresh.size() != 1 || !IsUnnamed(*fresh.begin())) continue;
     if (best == nullptr || c.score > best->score) best = &c;
   }
   return best;
@@ -67,7 +70,7 @@ Candidate UnnamedForces::WithoutCoarse(Candidate account) {
     const std::vector<EffectSpec> specs = WithoutKind(Refreshed(account), kind);
     const Candidate* known = fits_.Known(specs, account.base);
     const Candidate without = known != nullptr ? *known : fits_.Evaluate(specs, account.base, &account);
-    if (without.fit.ok && fits_.Excess(account) > kHalf * fits_.Excess(without)) account = without;
+    if (without.fit.ok && fits_.Excess(account) >= kHalf * fits_.Excess(without)) account = without;
   }
   return account;
 }
