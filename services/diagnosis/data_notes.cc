@@ -6,6 +6,7 @@
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
 #include "common/recordings/recording_set.h"
+#include "services/diagnosis/swing_starts.h"
 #include "services/diagnosis/words.h"
 #include "services/sysid/drive_signal.h"
 
@@ -150,6 +151,14 @@ class Notes {
 };
 
 }  // namespace
+
+std::string NoteOnFreeSwing(const std::vector<effects::EffectSpec>& effects, double before_rms,
+                            double after_rms) {
+  if (!HasRod(effects) || after_rms < before_rms) return "";
+  return "no sensor reads where a mass that swings freely is when a held-out window begins, so that held-out "
+         "errors "
+         "do not become smaller by it; it is believed because it swings on from each window to the next";
+}
 
 std::vector<StillJoint> StillJoints(const FitData& data, const sim::Plant& nominal,
                                     const MotionScales& scales) {

@@ -13,6 +13,11 @@ namespace rg::diagnosis {
 std::vector<std::string> NotesOn(const recordings::RecordingSet& set, const FitData& data,
                                  const sim::Plant& nominal, const MotionScales& scales);
 
+// Of a mass on a rod among `effects` that predicts recordings kept aside no better than the given model does
+// (RMS of their windows before and after): why that says nothing against it. Empty otherwise.
+std::string NoteOnFreeSwing(const std::vector<effects::EffectSpec>& effects, double before_rms,
+                            double after_rms);
+
 // A joint that moved by no more than its sensor's noise.
 struct StillJoint {
   int joint = 0;

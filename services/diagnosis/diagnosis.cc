@@ -117,6 +117,9 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   SayWhatToRecord(search, data, nominal, scales, options, threads, cancel, &result);
   if (progress) progress({"held-out recordings", 0.97, 1.0, result.verdict});
   JudgeHeldOut(set, nominal, search, data, options, threads, &result);
+  const std::string swing =
+      NoteOnFreeSwing(search.best.specs, result.holdout.before_rms, result.holdout.after_rms);
+  if (!swing.empty()) result.notes.push_back(swing);
   result.elapsed_s = clock.SteadySeconds() - start;
   return result;
 }

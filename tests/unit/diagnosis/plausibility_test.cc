@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "services/diagnosis/data_notes.h"
 #include "tests/unit/diagnosis/simulated_set.h"
 
 namespace rg::diagnosis {
@@ -117,6 +118,14 @@ recordings::RecordingSet EveryNth(recordings::RecordingSet set, int n) {
       m->conservativeResize(Eigen::NoChange, rows);
   }
   return set;
+}
+
+TEST(DataNotes, SayWhyAFreeSwingIsNotPredicted) {
+  effects::EffectSpec mass = effects::MakeSpec("sloshing_payload", {});
+  EXPECT_EQ(NoteOnFreeSwing({mass}, 0.1, 0.2), "");
+  mass.options["form"] = "rod";
+  EXPECT_THAT(NoteOnFreeSwing({mass}, 0.1, 0.2), HasSubstr("swings on from each window"));
+  EXPECT_EQ(NoteOnFreeSwing({mass}, 0.1, 0.05), "");
 }
 
 TEST(DataNotes, SayWhichEffectsARateIsTooLowFor) {
