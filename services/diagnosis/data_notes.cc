@@ -156,8 +156,8 @@ std::string NoteOnFreeSwing(const std::vector<effects::EffectSpec>& effects, dou
                             double after_rms) {
   if (!HasRod(effects) || after_rms < before_rms) return "";
   return "no sensor reads where a mass that swings freely is when a held-out window begins, so that held-out "
-         "errors "
-         "do not become smaller by it; it is believed because it swings on from each window to the next";
+         "errors do not become smaller by it; it is believed because it swings on from each window to the "
+         "next";
 }
 
 std::vector<StillJoint> StillJoints(const FitData& data, const sim::Plant& nominal,

@@ -16,6 +16,7 @@
 #include "services/diagnosis/plausibility.h"
 #include "services/diagnosis/search.h"
 #include "services/diagnosis/separating_motion.h"
+#include "services/diagnosis/swing_starts.h"
 #include "services/sysid/parallel.h"
 #include "services/sysid/sysid_on_set.h"
 
@@ -119,7 +120,7 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   JudgeHeldOut(set, nominal, search, data, options, threads, &result);
   const std::string swing =
       NoteOnFreeSwing(search.best.specs, result.holdout.before_rms, result.holdout.after_rms);
-  if (!swing.empty()) result.notes.push_back(swing);
+  if (!swing.empty() && !HasRod(nominal.effects())) result.notes.push_back(swing);
   result.elapsed_s = clock.SteadySeconds() - start;
   return result;
 }

@@ -57,13 +57,6 @@ const EffectSpec& SwingingMass(const TrialSpecs& specs) {
                        [](const EffectSpec& s) { return s.id == "sloshing_payload"; });
 }
 
-std::vector<uint32_t> EvenlySpread(size_t windows, size_t count) {
-  std::vector<uint32_t> out;
-  const size_t some = std::min(count, windows);
-  for (size_t i = 0; i < some; ++i) out.push_back(static_cast<uint32_t>(i * windows / some));
-  return out;
-}
-
 // Where another fit starts whose windows are not its own.
 std::shared_ptr<const Candidate> ValuesOf(Candidate c) {
   c.fit.states.clear(), c.fit.window_chi2.clear();

@@ -6,6 +6,7 @@
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/jumps.h"
 #include "services/diagnosis/swing_starts.h"
+#include "services/diagnosis/trials.h"
 
 namespace rg::diagnosis {
 
@@ -19,9 +20,8 @@ constexpr size_t kWindowsOnTheWay = 32;
 
 // As many of them as a fit needs to find its way.
 std::vector<NodeWindow> Spread(const std::vector<NodeWindow>& windows) {
-  if (windows.size() <= kWindowsOnTheWay) return windows;
   std::vector<NodeWindow> out;
-  for (size_t i = 0; i < kWindowsOnTheWay; ++i) out.push_back(windows[i * windows.size() / kWindowsOnTheWay]);
+  for (const uint32_t i : EvenlySpread(windows.size(), kWindowsOnTheWay)) out.push_back(windows[i]);
   return out;
 }
 

@@ -137,7 +137,7 @@ struct Followed {
     std::vector<size_t> order(data.windows.size());
     std::iota(order.begin(), order.end(), size_t{0});
     std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return chi2[a] < chi2[b]; });
-    const double met = kMet * options.noise_scale * data.Rows() / static_cast<double>(order.size());
+    const double met = kMet * options.noise_scale * RowsPerWindow(data);
     auto count = static_cast<size_t>(std::ceil(share * static_cast<double>(order.size())));
     while (count < order.size() && chi2[order[count]] < met) ++count;
     order.resize(count);

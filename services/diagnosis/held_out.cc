@@ -105,8 +105,7 @@ FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd&
   }
   if (swings_on != nullptr && HasRod(c.specs)) {
     // Each window's own start takes some of the noise in.
-    const double rows = held_out.Rows() / static_cast<double>(held_out.windows.size());
-    const double met = kExplained * std::max(0.0, 1 - c.plant->num_states() / rows);
+    const double met = kExplained * std::max(0.0, 1 - c.plant->num_states() / RowsPerWindow(held_out));
     *swings_on = Typically(held_out, followed.window_chi2, options.noise_scale, kMost) < met &&
                  SwingsOn(held_out, *c.plant, &followed, free).value_or(false);
   }

@@ -174,15 +174,15 @@ std::optional<bool> SwingsOn(const FitData& data, const sim::Plant& plant, FitRe
   sim::Simulator simulator(plant, {.integrator = options.integrator, .step_s = options.step_s});
   simulator.SetParameters(fit.values);
   fitted->work += Work(data, options, plant.num_states(), plant.num_states());
-  const double rows = data.Rows() / static_cast<double>(data.windows.size());
-  const auto met = [&](size_t w) { return fit.window_chi2[w] < kMet * options.noise_scale * rows; };
+  const double met_below = kMet * options.noise_scale * RowsPerWindow(data);
+  const auto met = [&](size_t w) { return fit.window_chi2[w] < met_below; };
   int meetings = 0, both_met = 0, goes_on = 0;
   for (size_t w = 1; w < ends.size(); ++w) {
     if (!Meet(data, ends, w)) continue;
     ++meetings;
     if (!met(w - 1) || !met(w)) continue;
     const MatrixXd& known = ends[w - 1].end_covariance;
-    const VectorXd hangs = SwingsFrom(simulator, fit.states[w].col(0))[0](mass);
+    const VectorXd hangs = HangingFrom(simulator, fit.states[w].col(0))(mass);
     const double step = RodStepNats(ends[w - 1].end, known, ends[w]);
     const double swing = RodStepNats(hangs, known, ends[w]);
     ++both_met, goes_on += step < noise || (std::isfinite(swing) && step < kOfItsSwing * swing);

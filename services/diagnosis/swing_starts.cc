@@ -73,13 +73,18 @@ std::vector<EffectSpec> EitherPlace(const EffectSpec& rod) {
   return {rod, other};
 }
 
-std::vector<VectorXd> SwingsFrom(const sim::Simulator& simulator, const VectorXd& start) {
-  const sim::Plant& plant = simulator.plant();
-  if (!HasRod(plant.effects())) return {};
-  const Eigen::Index n = plant.num_joints();
+VectorXd HangingFrom(const sim::Simulator& simulator, const VectorXd& start) {
+  const Eigen::Index n = simulator.plant().num_joints();
   VectorXd still = start;
   // Angle and rate about the first axis of the hinge, then about the second.
   still.tail<4>() = simulator.MakeState(start.head(n), start.segment(n, n)).z.tail<4>();
+  return still;
+}
+
+std::vector<VectorXd> SwingsFrom(const sim::Simulator& simulator, const VectorXd& start) {
+  const sim::Plant& plant = simulator.plant();
+  if (!HasRod(plant.effects())) return {};
+  const VectorXd still = HangingFrom(simulator, start);
   const auto of = [&](const char* field) {
     return simulator.parameters()[plant.parameters().Find(std::string("sloshing_payload.*.") + field)];
   };
@@ -95,15 +100,16 @@ std::vector<VectorXd> SwingsFrom(const sim::Simulator& simulator, const VectorXd
   return out;
 }
 
+double RowsPerWindow(const FitData& data) { return data.Rows() / static_cast<double>(data.windows.size()); }
+
 double Typically(const FitData& data, const std::vector<double>& window_chi2, double noise_scale,
                  double share) {
   if (window_chi2.empty()) return std::numeric_limits<double>::infinity();
   std::vector<double> sorted = window_chi2;
   std::sort(sorted.begin(), sorted.end());
   sorted.resize(std::max<size_t>(1, static_cast<size_t>(share * static_cast<double>(sorted.size()))));
-  const double rows = data.Rows() / static_cast<double>(data.windows.size());
   return std::accumulate(sorted.begin(), sorted.end(), 0.0) /
-         (rows * static_cast<double>(sorted.size()) * noise_scale);
+         (RowsPerWindow(data) * static_cast<double>(sorted.size()) * noise_scale);
 }
 
 std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal, const EffectSpec& springs) {

@@ -17,9 +17,13 @@ effects::EffectSpec LongerRod(effects::EffectSpec rod, double times);
 // `rod` where it hangs, and at the same hinge of the other point.
 std::vector<effects::EffectSpec> EitherPlace(const effects::EffectSpec& rod);
 
+// `start` with a rod that hangs and does not turn.
+Eigen::VectorXd HangingFrom(const sim::Simulator& simulator, const Eigen::VectorXd& start);
 // States like `start` in which a rod may be: it hangs and does not turn, is off that by ±0.7 rad about either
 // axis, or passes it at the speed of a swing so wide. Empty where the plant has no rod.
 std::vector<Eigen::VectorXd> SwingsFrom(const sim::Simulator& simulator, const Eigen::VectorXd& start);
+
+double RowsPerWindow(const FitData& data);  // on average
 
 // χ² per row, in units of the noise, of that share of windows that is met best, all of `data` or some: what a
 // mass does where its swings were found. Infinite without windows.

@@ -315,6 +315,13 @@ std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& 
   return out;
 }
 
+std::vector<uint32_t> EvenlySpread(size_t windows, size_t count) {
+  std::vector<uint32_t> out;
+  const size_t some = std::min(count, windows);
+  for (size_t i = 0; i < some; ++i) out.push_back(static_cast<uint32_t>(i * windows / some));
+  return out;
+}
+
 std::vector<uint32_t> SomeWindows(const std::vector<double>& chi2, size_t all, size_t wanted) {
   wanted = std::min(wanted, all);
   std::vector<uint32_t> places;

@@ -62,6 +62,9 @@ std::vector<TrialSpecs> PlainOnOneJoint(const TrialSpecs& specs, const sim::Plan
 std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& account,
                                       const sim::Plant& nominal, const MotionScales& scales);
 
+// The places of so many windows, or of all, evenly spread.
+std::vector<uint32_t> EvenlySpread(size_t windows, size_t count);
+
 // The windows, about `wanted` of `all`, on which trials are fitted: every so many. Where these hold less than
 // half of what is amiss (`chi2` of each window: a joint that saturates in three of sixty), every so much of
 // what is amiss and of the windows, in equal parts.
