@@ -133,6 +133,9 @@ bool Unseen(const Candidate& c, size_t i) {
 
 bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row, bool whole) {
   const auto& model = c.plant->model();
+  const double rows = c.fit.rows;
+  // Nats above what noise may leave, to its own scatter.
+  const double left = std::max(0.0, 0.5 * (chi2_per_row - 1) * rows - std::sqrt(0.5 * rows));
   bool seen_again = false, slow = false;
   for (size_t k = 0; k < c.parameters.size(); ++k) {
     const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
@@ -140,14 +143,14 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
     const int joint = model.FindJoint(p.owner);
     const double cycles = c.fit.theta[static_cast<long>(k)], lower = c.parameters[k].lower;
     const double range = scales.high[joint] - scales.low[joint];
-    const double error =
-        std::max(kSameRipple / std::max(1e-9, range), kOneInAHundred * c.fit.stddev[static_cast<long>(k)] *
-                                                          std::sqrt(std::max(1.0, chi2_per_row)));
+    const double stddev = c.fit.stddev[static_cast<long>(k)];
+    const double error = std::max(kSameRipple / std::max(1e-9, range),
+                                  kOneInAHundred * stddev * std::sqrt(std::max(1.0, chi2_per_row)));
     if (cycles < lower + 1e-6 * (1 + std::abs(lower))) return false;
     const double times = cycles * range / (2 * M_PI);
     const bool turns = model.joint(joint).is_revolute();
-    // What else is missing still bends it.
-    const double bent = chi2_per_row > kExplained ? kBent : 0.0;
+    // What else is missing still bends it: of little, by no more than takes off as many nats as are left.
+    const double bent = chi2_per_row > kExplained ? kBent : std::min(kBent, stddev * std::sqrt(2 * left));
     if (turns && std::abs(cycles - std::round(cycles)) > std::max(error, bent)) return false;
     // What was not seen to come again must be whole so sharply that no other curve would by chance.
     if (times >= kSeenAgain)
@@ -212,9 +215,12 @@ double Strength(const Candidate& c, size_t i) {
   for (size_t k = 0; k < order.size(); ++k) {
     const sysid::FitParameter& p = c.parameters[static_cast<size_t>(order[k])];
     weight[static_cast<long>(k)] = 1 / (p.prior_stddev * p.prior_stddev);
-    if (static_cast<long>(k) < n)
-      value[static_cast<long>(k)] =
-          c.fit.theta[order[k]] - (c.plant->parameters()[p.index].field == "gain" ? 1 : 0);
+    if (static_cast<long>(k) >= n) continue;
+    // The least lag that can be simulated is none.
+    const double none = c.plant->parameters()[p.index].field == "gain" ? 1
+                        : s.id == "actuator_lag"                       ? p.lower
+                                                                       : 0;
+    value[static_cast<long>(k)] = c.fit.theta[order[k]] - none;
   }
   Eigen::MatrixXd precision = c.fit.information(order, order);
   precision.diagonal() += weight;
@@ -297,6 +303,12 @@ bool HasUnnamed(const Candidate& c) {
 
 bool HasHiddenStates(const Candidate& c) {
   return c.plant != nullptr && c.plant->num_states() > 2 * c.plant->num_joints();
+}
+
+bool HasFreeStates(const Candidate& c) {
+  return HasHiddenStates(c) &&
+         std::any_of(c.plant->internal_state_names().begin(), c.plant->internal_state_names().end(),
+                     [](const std::string& name) { return name.rfind("lagged_torque.", 0) != 0; });
 }
 
 bool OfPosition(const Candidate& c) {

@@ -73,7 +73,8 @@ bool Unseen(const Candidate& c, size_t i);
 // must be known well, which few other curves would meet, unless a ripple on another joint did come round;
 // less than two fifths of a period is any slow curve. Beside a spring on its joint a ripple must come round
 // twice within what was recorded: less are two terms of any curve. What else is missing bends a number, by up
-// to a quarter. `whole`: fitted on all windows; some alone need not know the number so well.
+// to a quarter, and where it is little by no more than such a bend could gain from it. `whole`: fitted on all
+// windows; some alone need not know the number so well.
 bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row, bool whole);
 
 // Whether every Stribeck friction in it is what the name says: less at speed than at rest. One that grows
@@ -113,6 +114,8 @@ std::set<std::string> FreshKinds(const Candidate& before, const Candidate& c);
 bool HasUnnamed(const Candidate& c);
 // Whether it has states that no sensor reads: a motor, a bristle, a lag, a mount, a swinging mass.
 bool HasHiddenStates(const Candidate& c);
+// Whether any of these is not settled by the commands alone, as a lag's is.
+bool HasFreeStates(const Candidate& c);
 // Whether the account is of forces over position that may be parts of an unnamed one.
 bool OfPosition(const Candidate& c);
 

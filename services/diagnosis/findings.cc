@@ -47,13 +47,16 @@ std::vector<std::string> JointsOf(const std::vector<EffectSpec>& specs, const st
   return out;
 }
 
-// Evidence of the best tried candidate that lacks effect `id`, with the other findings kept where tried.
+// Evidence of the best tried candidate that lacks effect `id`, with the other findings kept where tried; less
+// what it predicts worse of recordings kept aside, where that was asked.
 double BestWithout(const SearchResult& s, const std::string& id) {
   double best = kNoScore;
   const size_t kinds = FreshKinds(Candidate{}, s.best).size();
   for (const Candidate& c : s.tried) {
     const bool more = (c.base && !s.best.base) || FreshKinds(Candidate{}, c).size() > kinds;
-    if (!HasKind(c.specs, id)) best = std::max(best, c.score - (more ? s.beside : 0.0));
+    if (HasKind(c.specs, id)) continue;
+    const double worse = c.held_out && s.best.held_out ? std::min(0.0, *c.held_out - *s.best.held_out) : 0.0;
+    best = std::max(best, c.score + worse - (more ? s.beside : 0.0));
   }
   return best;
 }

@@ -36,6 +36,7 @@ constexpr double kLonger = 2.2;       // times another rod's length, that is tri
 constexpr double kSameFit = 0.02;     // of χ², by which fits differ that came to the same
 constexpr size_t kBesideRod = 2;      // accounts without hidden states, that a rod is tried beside
 constexpr double kAstray = 10.0;      // times a trial's misfit, of the same on all windows
+constexpr double kNoNearer = 2.0;     // times what holds, of a rod's trial whose fit to all windows will not
 constexpr double kMuchWorse = 0.1;    // of a trial's misfit, that one in its place may leave more
 
 // Of trials like this the one that leaves least of the misfit, if that is no more than `least`.
@@ -298,10 +299,16 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   Candidate found = from;
   TakeBest(best, 1, &found);
   TrySprings(from, &found);
-  // Where another account leaves far less than the springs do there is no mass that swings; nor is one looked
-  // for beside a force without a name.
+  // Where another account leaves far less than the springs do, though it be refused as no effect of its name,
+  // there is no mass that swings; nor is one looked for beside a force without a name.
+  double least = PerRow(found);
+  for (const FitRequest& request : best) {
+    const Candidate* c = Known(request.specs, base);
+    if (c != nullptr && c->fit.rows > 0 && c->fit.chi2 > 0 && !HasMassInSprings(c->specs))
+      least = std::min(least, PerRow(*c));
+  }
   const bool may_swing = !HasUnnamed(from) && std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
-    return PerRow(found) - 1 > kPartly * (PerRow(*c) - 1);
+    return least - 1 > kPartly * (PerRow(*c) - 1);
   });
   if (may_swing) TryRod(from, swings, beside, &found);
   if (found.score > winner->score) *winner = found;
@@ -364,6 +371,7 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
 
   struct Hung {
     TrialSpecs specs;
+    TrialSpecs needed;  // without what stood for the rod and is about nothing beside it
     double left = std::numeric_limits<double>::infinity();    // typically
     double in_all = std::numeric_limits<double>::infinity();  // χ² per row, with windows whose start is lost
   };
@@ -372,7 +380,8 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
     request.specs = with;
     const Candidate c = Fitted(request, Made(request));
     trace_.Fit(c, "  rod");
-    return c.fit.ok ? Hung{Refreshed(c), typically(c.fit.window_chi2), PerRow(c)} : Hung{};
+    if (!c.fit.ok) return Hung{};
+    return Hung{Refreshed(c), StillNeeded(from, c), typically(c.fit.window_chi2), PerRow(c)};
   };
   const std::vector<EffectSpec> hinges = RodStarts(setting_.data, setting_.nominal, SwingingMass(specs));
   Hung nearest;
@@ -404,9 +413,14 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
     const Hung both = hang(Joined(Refreshed(*other), {rod}));
     if (both.in_all - 1 < kPartly * (nearest.in_all - 1)) nearest = both;
   }
-  if (Known(nearest.specs, from.base) != nullptr) return;
-  const Candidate found = Evaluate(nearest.specs, from.base, &from);
-  if (found.score > account->score) *account = found;
+  if (nearest.left > kNoNearer * kHolds) return;
+  for (const TrialSpecs& with : {nearest.needed, nearest.specs}) {
+    if (Known(with, from.base) != nullptr) continue;
+    const Candidate found = Evaluate(with, from.base, &from);
+    if (!(found.score > account->score)) continue;
+    *account = found;
+    if (PerRow(found) < kExplained) break;
+  }
 }
 
 void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner) {

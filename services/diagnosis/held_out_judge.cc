@@ -1,8 +1,10 @@
 #include "services/diagnosis/held_out_judge.h"
 
 #include <algorithm>
+#include <iterator>
 #include <set>
 
+#include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/separating_motion.h"
 
 namespace rg::diagnosis {
@@ -20,6 +22,25 @@ bool Nameless(const Candidate& c) {
 }
 
 std::string Key(const Candidate& c) { return KeyOf(c.specs, c.base); }
+
+// Whether `effect` in the place of `id` is a matter of which is likelier, and of no more than that: a richer
+// form, and states that no sensor reads, take more to be believed; all sensors late are all drives late.
+bool MayReplace(const std::string& id, const std::string& effect, const Candidate& c,
+                const Candidate& account) {
+  static const std::set<std::string> kOneClock = {"actuator_delay", "sensor_delay"};
+  const bool richer =
+      std::find(std::begin(kRicherFriction), std::end(kRicherFriction), effect) != std::end(kRicherFriction);
+  return !richer && !HasUnnamed(c) && (!HasFreeStates(c) || HasFreeStates(account)) &&
+         !(kOneClock.count(id) && kOneClock.count(effect)) && (!c.base || account.base) &&
+         c.specs.size() <= account.specs.size();
+}
+
+// Whether `a` predicts most windows better than `b`.
+bool MostBetter(const HeldOut& a, const HeldOut& b) {
+  long better = 0;
+  for (size_t w = 0; w < a.windows.size(); ++w) better += a.windows[w] > b.windows[w] ? 1 : -1;
+  return better > 0;
+}
 
 }  // namespace
 
@@ -90,14 +111,27 @@ std::optional<Candidate> HeldOutJudge::Better(const Candidate& account,
 }
 
 void HeldOutJudge::WeighRivals(SearchResult* search) {
-  search->best.held_out = Of(search->best).log_density;
-  std::set<std::string> ids;
-  for (const effects::EffectSpec& e : search->best.specs) ids.insert(e.id);
-  for (const std::string& id : ids) {
-    for (const Rival& rival : RivalsOf(*search, id)) {
-      Candidate& c = search->tried[static_cast<size_t>(rival.candidate - search->tried.data())];
-      if (c.fit.ok) c.held_out = Of(c).log_density;
+  Candidate& account = search->best;
+  while (true) {  // each is likelier than the one before: it ends
+    account.held_out = Of(account).log_density;
+    const Candidate* likelier = nullptr;
+    double most = kSeparable;
+    std::set<std::string> ids;
+    for (const effects::EffectSpec& e : account.specs) ids.insert(e.id);
+    for (const std::string& id : ids) {
+      for (const Rival& rival : RivalsOf(*search, id)) {
+        Candidate& c = search->tried[static_cast<size_t>(rival.candidate - search->tried.data())];
+        if (!c.fit.ok) continue;
+        c.held_out = Of(c).log_density;
+        const double fitted = c.score - (c.base && !account.base ? search->beside : 0.0) - account.score;
+        const double in_all = fitted + *c.held_out - *account.held_out;
+        if (in_all > most && MayReplace(id, rival.effect, c, account) && MostBetter(Of(c), Of(account)))
+          likelier = &c, most = in_all;
+      }
     }
+    if (likelier == nullptr) return;
+    trace_.Stage("likelier in all", Key(*likelier) + " by " + std::to_string(most));
+    account = *likelier;
   }
 }
 

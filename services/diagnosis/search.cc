@@ -34,6 +34,9 @@ constexpr int kDeeper = 2;            // kinds beside a first one, before parame
 constexpr double kDeep = 0.5;         // of all work, after which none of that, nor a substitute, is begun
 constexpr size_t kBesideUnnamed = 3;  // names that are fitted beside a force without one
 constexpr double kPromise = 2.0;  // nats that a screen must promise of a law for a trial beside hidden states
+constexpr double kNearly = 2.0;   // times an account's misfit, that one without hidden states may leave
+constexpr size_t kRivals = 2;     // of these, that are fitted with free base parameters too
+constexpr double kToWeigh = 1.3;  // of all work, to weigh what was tried
 constexpr double kBetter = 1.0;   // nats: as many names need only be the better account
 
 class Search {
@@ -113,10 +116,11 @@ class Search {
     out.threshold = Threshold(out.nominal, out.calibrated);
     out.beside = Threshold(best, out.calibrated);
     if (judge_ && !fits_.Cancelled()) judge_->WeighRivals(&out);
-    out.own_chi2 = OwnChi2(data_, FitModel{*best.plant, best.fit.values, {}}, best.fit.states, fits_.lifted(),
-                           Rng(options_.seed).Split(kOwnDraw));
+    const FitModel chosen{*out.best.plant, out.best.fit.values, {}};
+    out.own_chi2 =
+        OwnChi2(data_, chosen, out.best.fit.states, fits_.lifted(), Rng(options_.seed).Split(kOwnDraw));
     out.missing = Force(without);
-    out.remaining = Force(best);
+    out.remaining = Force(out.best);
     return out;
   }
 
@@ -251,7 +255,7 @@ class Search {
       // What one was taken for may have been for another's sake.
       for (int again = 0; again < kExchanged && Siblings(*best, &winner); ++again) {
       }
-      winner = InEitherWorld(winner, Threshold(*best));
+      winner = PlainlyFreed(*best, InEitherWorld(winner, Threshold(*best)));
     }
     const auto needs = [&](const Candidate& a, const Candidate& b) { return Threshold(a, b); };
     if (const Candidate* c = FewerNames(fits_.tried(), *best, winner, needs)) winner = Longer(*c, *c, *c);
@@ -387,6 +391,30 @@ class Search {
     return freed.score > plain.score + std::max(least, Threshold(plain, freed)) ? freed : plain;
   }
 
+  // States that no sensor reads follow some of what bodies do that are not as the URDF says: where an account
+  // with them does not hold, the best without them on the parameters as given, of as many names, have free
+  // ones too.
+  Candidate PlainlyFreed(const Candidate& before, const Candidate winner) {
+    if (!HasFreeStates(winner) || fits_.PerRow(winner) < kHolds) return winner;
+    const size_t names = FreshKinds(before, winner).size();
+    const Candidate* own = fits_.Known(winner.specs, false);
+    std::vector<Candidate> rivals;
+    for (const auto& [key, c] : fits_.tried()) {
+      const bool near = own != nullptr && c.fit.ok && !c.base && c.score > kNearly * own->score;
+      if (near && !HasFreeStates(c) && !HasUnnamed(c) && FreshKinds(before, c).size() <= names)
+        rivals.push_back(c);
+    }
+    std::sort(rivals.begin(), rivals.end(),
+              [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
+    if (rivals.size() > kRivals) rivals.resize(kRivals);
+    Candidate best = winner;
+    for (const Candidate& c : rivals) {
+      if (fits_.PerRow(best) < kExplained || fits_.Late(kToWeigh)) break;
+      best = Better(best, fits_.Evaluate(Refreshed(c), true, &c, 6, &best));
+    }
+    return best;
+  }
+
   // Fitted on, from where `from` is and with the values of `rival`: in either world where that brings more.
   Candidate Longer(const Candidate c, const Candidate from, const Candidate rival) {
     const Candidate longer = fits_.Evaluate(RefreshedFrom(c, rival), c.base, &from, 12, &rival);
@@ -480,10 +508,11 @@ class Search {
     if (fits_.PerRow(*best) < kExplained && !swings_on())
       *unseen_in = judge.Refusing(*best, Threshold(*best));
     const bool named = !best->specs.empty() && !FoundNothing(*best);
-    for (int sent = 0; named && sent < kSentBack && !fits_.Late() && !judge.Holds(*best, Threshold(*best));
+    for (int sent = 0;
+         named && sent < kSentBack && !fits_.Late(kToWeigh) && !judge.Holds(*best, Threshold(*best));
          ++sent) {
-      unnamed_.Try(best->base, kAny, [](const Candidate&) { return false; });
-      if (const Candidate* nameless = unnamed_.Best(); sent == 0 && nameless != nullptr)
+      if (!fits_.Late()) unnamed_.Try(best->base, kAny, [](const Candidate&) { return false; });
+      if (const Candidate* nameless = unnamed_.Best(); sent == 0 && nameless != nullptr && !fits_.Late())
         unnamed_.WithNames(Candidate(*nameless));
       const auto rival =
           judge.Better(*best, fits_.tried(), [&](const Candidate& c) { return Threshold(*best, c); });

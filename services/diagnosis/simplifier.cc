@@ -1,6 +1,7 @@
 #include "services/diagnosis/simplifier.h"
 
 #include <algorithm>
+#include <cmath>
 #include <iterator>
 #include <set>
 
@@ -15,6 +16,15 @@ namespace {
 
 constexpr double kPruned = 2.0;       // of all work, to take out what is not needed
 constexpr double kSmallShare = 0.01;  // of what all effects explain
+constexpr double kSmallGain = 0.01;   // of one: no URDF knows a mass better
+
+// Whether it scales efforts by no more than a mass of any URDF is off.
+bool IsSmallGain(const EffectSpec& s) {
+  if (s.id != "torque_gain") return false;
+  return std::all_of(s.joints.begin(), s.joints.end(), [&](const std::string& joint) {
+    return std::abs(s.values.at(joint).at("gain") - 1) < kSmallGain;
+  });
+}
 
 }  // namespace
 
@@ -38,7 +48,8 @@ void Simplifier::Prune(Candidate* best) {
   while (changed && best->specs.size() > 1 && !fits_.Late(kPruned)) {
     changed = false;
     for (size_t i = 0; i < best->specs.size() && !changed; ++i) {
-      const bool sure = SurelyThere(*best, i, beside_(*best));
+      // A force without a name follows what was missing when it was found: it is not sure beside names.
+      const bool sure = !IsUnnamed(best->specs[i].id) && SurelyThere(*best, i, beside_(*best));
       std::vector<EffectSpec> specs = Refreshed(*best);
       specs.erase(specs.begin() + static_cast<long>(i));
       if (!sure) {
@@ -54,18 +65,20 @@ void Simplifier::Prune(Candidate* best) {
 // What is small may stand for what the bodies differ by, as those of every URDF do: it gives way to them
 // where they are the better account, or leave no more while it is not worth its name beside them. Free base
 // parameters pay for differences of any size, which is why the better score is not asked of them; but what
-// says in one number what takes bodies many is no such rival of theirs. Worth its name beside them it
-// stays.
+// says in one number what takes bodies many is no such rival of theirs, unless it is a gain so near one that
+// a mass is off by as much. Worth its name beside them it stays.
 bool Simplifier::GivesWayToBodies(const std::vector<EffectSpec>& without, size_t i, Candidate* best) {
   static const std::set<std::string> kSaysMore = {"payload", "rotor_inertia", "torque_gain",
                                                   "gravity_misalignment", "encoder_offset"};
   const double strength = Strength(*best, i);
+  const EffectSpec effect = Refreshed(*best)[i];
+  const bool small_gain = IsSmallGain(effect);
   if (best->base || OfAllJoints(best->specs, i) ||
-      0.5 * strength * strength > kSmallShare * explained_(*best))
+      (!small_gain && 0.5 * strength * strength > kSmallShare * explained_(*best)))
     return false;
   if (fits_.Late(kPruned)) return false;
   const Candidate freed = fits_.Evaluate(without, true, best, 6, best);
-  const bool rival = kSaysMore.count(best->specs[i].id) == 0 && freed.fit.chi2 <= best->fit.chi2;
+  const bool rival = (small_gain || kSaysMore.count(effect.id) == 0) && freed.fit.chi2 <= best->fit.chi2;
   if (!freed.fit.ok || (!rival && freed.score < best->score + needed_(*best, freed))) return false;
   const Candidate both = fits_.Evaluate(Refreshed(*best), true, &freed, 6, best);
   if (both.score > freed.score + needed_(freed, both)) return false;
