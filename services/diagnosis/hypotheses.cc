@@ -250,31 +250,25 @@ std::vector<EffectSpec> Transmission(const std::string& effect, const std::strin
   return {std::move(spec)};
 }
 
-struct Faces {
-  double stiffness, damping;
-};
-
-std::vector<std::vector<EffectSpec>> PlayStarts(const std::string& sensor, int joint, double motor,
-                                                const Faces& faces, const sim::Plant& nominal,
+std::vector<std::vector<EffectSpec>> PlayStarts(const std::string& sensor, int joint,
+                                                const std::vector<double>& motors, const sim::Plant& nominal,
                                                 const MotionScales& s) {
-  const double range = std::max(0.05, s.high[joint] - s.low[joint]);
+  const double inertia = s.inertia[joint], range = std::max(0.05, s.high[joint] - s.low[joint]);
+  // Soft faces: how hard they are a fit finds out, but not where motor and link meet.
+  const double omega = 2 * M_PI * 12.0, k = omega * omega * inertia;
   const std::vector<double> coarse = {0.007, 0.02, 0.06, 0.16};
   const std::vector<double> fine = {0.005, 0.009, 0.016, 0.03, 0.055, 0.1, 0.18};
   std::vector<std::vector<EffectSpec>> out;
-  for (const double share : nominal.num_joints() <= kLightRobot ? fine : coarse) {
-    out.push_back(Transmission("backlash", sensor, nominal.joint_names()[static_cast<size_t>(joint)],
-                               {{"gap", share * range},
-                                {"contact_stiffness", faces.stiffness},
-                                {"contact_damping", faces.damping},
-                                {"motor_inertia", motor}}));
+  for (const double J : motors) {
+    for (const double share : nominal.num_joints() <= kLightRobot ? fine : coarse) {
+      out.push_back(Transmission("backlash", sensor, nominal.joint_names()[static_cast<size_t>(joint)],
+                                 {{"gap", share * range},
+                                  {"contact_stiffness", k},
+                                  {"contact_damping", 0.3 * std::sqrt(k * inertia)},
+                                  {"motor_inertia", J}}));
+    }
   }
   return out;
-}
-
-// How hard faces are a fit finds out, but not where motor and link meet.
-Faces SoftFaces(double inertia) {
-  const double omega = 2 * M_PI * 12.0, k = omega * omega * inertia;
-  return {k, 0.3 * std::sqrt(k * inertia)};
 }
 
 }  // namespace
@@ -286,13 +280,9 @@ std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effec
   std::vector<double> motors = {0.15 * inertia, 0.4 * inertia};
   // Below its resonance the motor moves with the link: what the screen takes for more inertia is the motor.
   if (added_inertia > 0.01 * inertia) motors.push_back(std::min(added_inertia, 2 * inertia));
+  if (effect == "backlash") return PlayStarts(sensor, joint, motors, nominal, s);
   std::vector<std::vector<EffectSpec>> out;
   for (const double J : motors) {
-    if (effect == "backlash") {
-      const auto plays = PlayStarts(sensor, joint, J, SoftFaces(inertia), nominal, s);
-      out.insert(out.end(), plays.begin(), plays.end());
-      continue;
-    }
     const double lighter = J * inertia / (J + inertia);
     for (const double hertz : {5.0, 9.0, 16.0, 30.0}) {
       const double omega = 2 * M_PI * hertz, k = omega * omega * lighter;
@@ -329,14 +319,7 @@ std::vector<std::vector<EffectSpec>> OtherTransmission(const EffectSpec& spec, c
                           {"damping", values.at("contact_damping")},
                           {"motor_inertia", values.at("motor_inertia")}})};
   }
-  // A spring may have been found that play's faces are, where these seldom part, or one that bends into them.
-  const int j = nominal.model().FindJoint(joint);
-  std::vector<std::vector<EffectSpec>> out;
-  for (const Faces& faces : {Faces{values.at("stiffness"), values.at("damping")}, SoftFaces(s.inertia[j])}) {
-    const auto plays = PlayStarts(sensor, j, values.at("motor_inertia"), faces, nominal, s);
-    out.insert(out.end(), plays.begin(), plays.end());
-  }
-  return out;
+  return PlayStarts(sensor, nominal.model().FindJoint(joint), {values.at("motor_inertia")}, nominal, s);
 }
 
 std::vector<std::vector<EffectSpec>> OtherGaps(const EffectSpec& spec) {
