@@ -21,7 +21,7 @@ namespace {
 constexpr int kMoreIterations = 14;   // of a fit that still falls
 constexpr double kHopeless = 2.0;     // times its rival's misfit, which a fit would not come to
 constexpr double kFallsFast = 0.1;    // of the cost in one iteration, for a trial to go on
-constexpr double kTrialShare = 0.3;   // of all work, that the trials of one screen may cost
+constexpr double kTrialShare = 0.3;   // of all work, that the trials of one screen, or of rods, may cost
 constexpr double kLookShare = 0.015;  // of all work, that the starts of one law on one joint may cost
 constexpr double kToTheEnd = 1.3;     // of all work, to weigh what is found
 constexpr double kInPlaceYet = 1.8;   // of all work, to try other laws in the place of what is found
@@ -301,7 +301,10 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   TrySprings(from, &found);
   // Where another account leaves far less than the springs do, though it be refused as no effect of its name,
   // there is no mass that swings; nor is one looked for beside a force without a name.
+  // So do free base parameters on a robot that is not as its URDF says: there it is looked for with these.
   double least = PerRow(found);
+  if (const Candidate* freed = base ? nullptr : Known(from.specs, true); freed != nullptr && freed->fit.ok)
+    least = std::min(least, PerRow(*freed));
   for (const FitRequest& request : best) {
     const Candidate* c = Known(request.specs, base);
     if (c != nullptr && c->fit.rows > 0 && c->fit.chi2 > 0 && !HasMassInSprings(c->specs))
@@ -367,7 +370,7 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
   const auto typically = [&](const std::vector<double>& window_chi2) {
     return Typically(setting_.data, window_chi2, lifted_.noise_scale, kTypically);
   };
-  const double missing = typically(before) - 1;
+  const double missing = typically(before) - 1, enough = work_ + kTrialShare * options_.work_limit;
 
   struct Hung {
     TrialSpecs specs;
@@ -376,7 +379,7 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
     double in_all = std::numeric_limits<double>::infinity();  // χ² per row, with windows whose start is lost
   };
   const auto hang = [&](const TrialSpecs& with) {
-    if (Late(kToTheEnd)) return Hung{};
+    if (Late(kToTheEnd) || work_ > enough) return Hung{};
     request.specs = with;
     const Candidate c = Fitted(request, Made(request));
     trace_.Fit(c, "  rod");

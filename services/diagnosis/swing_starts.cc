@@ -16,8 +16,9 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr Eigen::Index kEvery = 20;  // sample of a motion, to see how its link is turned
-constexpr double kPoint = 0.01;      // of its length, a radius of gyration that is none
+constexpr Eigen::Index kEvery = 20;                       // sample of a motion, to see how its link is turned
+constexpr double kShortestRod = 0.02, kLongestRod = 0.3;  // m, that a fit starts at
+constexpr double kPoint = 0.01;                           // of its length, a radius of gyration that is none
 // Of the length of a point that swings alike: kShorter + kWide²/kShorter is one.
 constexpr double kShorter = 0.9, kWide = 0.3;
 constexpr double kSwing = 0.7;  // rad
@@ -127,8 +128,9 @@ std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal
   }
   const auto& of = springs.values.begin()->second;
   // As a point it would swing with this length; a body that is not small does with L + r²/L, and from r = 0
-  // no fit leads away.
-  const double swings = of.at("mass") * gravity.norm() / of.at("stiffness");
+  // no fit leads away. Springs that take in what else is missing say metres: no tool carries that.
+  const double swings =
+      std::clamp(of.at("mass") * gravity.norm() / of.at("stiffness"), kShortestRod, kLongestRod);
   EffectSpec rod = effects::MakeSpec("sloshing_payload", {},
                                      {{"mass", of.at("mass")},
                                       {"length", kShorter * swings},

@@ -77,6 +77,29 @@ TEST(Candidate, IsStrongWhereOnlyTheSumOfItsPartsIsKnown) {
   EXPECT_EQ(StrongEffects(c).size(), 1u);
 }
 
+// A lag's time constant cannot be simulated down to zero.
+TEST(Candidate, IsWithoutALagAtTheLeastThatIsSimulated) {
+  const auto p = testing::Prepare("arm2", {}, 31);
+  Candidate c;
+  c.specs = {effects::MakeSpec("actuator_lag", {"shoulder"}), effects::MakeSpec("actuator_lag", {"elbow"})};
+  c.plant = std::make_shared<const sim::Plant>(
+      *sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), c.specs));
+  EXPECT_TRUE(HasHiddenStates(c));
+  EXPECT_FALSE(HasFreeStates(c)) << "the commands settle them";
+  c.parameters = FreeParameters(*c.plant, p->scales, false);
+  ASSERT_EQ(c.parameters.size(), 2u);
+  c.fit.ok = true, c.fit.values = c.plant->parameters().Nominal();
+  c.fit.theta = Eigen::Vector2d(c.parameters[0].lower, 0.02);
+  c.fit.information = Eigen::Matrix2d::Identity() / (1e-6 * 1e-6);
+  c.fit.stddev = Eigen::Vector2d(1e-6, 1e-6);
+  ASSERT_GT(c.parameters[0].lower, 100 * c.fit.stddev[0]);
+  EXPECT_LT(Strength(c, 0), kNothing);
+  const auto strong = StrongEffects(c);
+  ASSERT_EQ(strong.size(), 1u);
+  EXPECT_EQ(strong[0].joints[0], "elbow");
+  EXPECT_TRUE(HasFreeStates(Swinging()));
+}
+
 TEST(Candidate, IsRefreshedFromAnotherWhereBothHaveAnEffect) {
   Candidate before = Swinging(), c = Swinging();
   before.fit.ok = c.fit.ok = true;
@@ -92,8 +115,8 @@ TEST(Candidate, IsRefreshedFromAnotherWhereBothHaveAnEffect) {
 class Rippling : public ::testing::Test {
  protected:
   // `cycles` per turn, known to `error`, on a pendulum.
-  bool Repeats(double cycles, double error, bool spring = false, double chi2_per_row = 1.0,
-               bool whole = true) {
+  bool Repeats(double cycles, double error, bool spring = false, double chi2_per_row = 1.0, bool whole = true,
+               int rows = 0) {
     const std::string joint = p_->nominal.joint_names()[0];
     Candidate c;
     c.specs = {effects::MakeSpec("torque_ripple", {joint}, {{"amplitude", 0.1}, {"cycles_per_rev", cycles}})};
@@ -104,6 +127,7 @@ class Rippling : public ::testing::Test {
     c.parameters = FreeParameters(*c.plant, p_->scales, false);
     const auto count = static_cast<Eigen::Index>(c.parameters.size());
     c.fit.theta.setConstant(count, cycles), c.fit.stddev.setConstant(count, error);
+    c.fit.rows = rows;
     return diagnosis::Repeats(c, p_->scales, chi2_per_row, whole);
   }
   double Turns() const { return (p_->scales.high[0] - p_->scales.low[0]) / (2 * M_PI); }
@@ -118,6 +142,14 @@ TEST_F(Rippling, IsTheSameAfterEachTurn) {
   EXPECT_TRUE(Repeats(14.2, 0.01, false, 1.9)) << "what is left bends the period";
   EXPECT_FALSE(Repeats(14.4, 0.01, false, 1.9)) << "but not that far";
   EXPECT_FALSE(Repeats(14.2, 0.01, false, 1.05));
+}
+
+// Ten standard deviations take off 50 nats: as many are left of 5000 rows at 1.05 beyond the noise's scatter,
+// at 1.00 none are.
+TEST_F(Rippling, MayBeBentByWhatLittleIsLeft) {
+  EXPECT_TRUE(Repeats(14.1, 0.01, false, 1.05, true, 5000));
+  EXPECT_FALSE(Repeats(14.2, 0.01, false, 1.05, true, 5000)) << "no bend of 200 nats is there to be gained";
+  EXPECT_FALSE(Repeats(14.1, 0.01, false, 1.0, true, 5000));
 }
 
 TEST_F(Rippling, IsNoLessOneForWhatAnotherStepWouldBendIt) {

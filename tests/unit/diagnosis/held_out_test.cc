@@ -100,6 +100,30 @@ TEST_F(HeldOutTest, AJudgeExchangesALawForWhatPredictsBetter) {
   EXPECT_FALSE(judge.Better(right, tried, nothing).has_value());
 }
 
+// Fit and prediction together are the evidence of all recordings.
+TEST_F(HeldOutTest, AJudgePutsWhatIsLikelierInAllInTheBestsPlace) {
+  Candidate right = Fitted({MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.1}})});
+  Candidate wrong = Fitted({MakeSpec("viscous_friction", {Pivot()}, {{"viscous", 0.05}})});
+  const Trace trace(RealClock());
+  HeldOutJudge judge(*p_->data.held_out, options_, trace);
+  const auto chosen = [&](const Candidate& best, const Candidate& rival) {
+    SearchResult search;
+    search.best = best, search.tried = {best, rival};
+    judge.WeighRivals(&search);
+    EXPECT_TRUE(search.best.held_out.has_value());
+    return search.best.specs[0].id;
+  };
+  right.score = -1000, wrong.score = -980;
+  EXPECT_EQ(chosen(wrong, right), "coulomb_friction") << "what it predicts makes up for the fit";
+  EXPECT_EQ(chosen(right, wrong), "coulomb_friction");
+  right.score = -1e6;
+  EXPECT_EQ(chosen(wrong, right), "viscous_friction") << "this fit nothing makes up for";
+  Candidate richer = Fitted({MakeSpec("stribeck_friction", {Pivot()},
+                                      {{"coulomb", 0.1}, {"static", 0.11}, {"stribeck_velocity", 0.1}})});
+  richer.score = -1000;
+  EXPECT_EQ(chosen(wrong, richer), "viscous_friction") << "a richer form takes more to be believed";
+}
+
 TEST_F(HeldOutTest, OfStatesThatNoSensorReadsAJudgeAsksMore) {
   // Either leaves about a quarter of what the true law, of 0.15 N·m, explains.
   const Candidate without = AsGiven({});
