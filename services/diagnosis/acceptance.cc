@@ -4,12 +4,15 @@
 #include <cmath>
 #include <set>
 
+#include "services/diagnosis/hypotheses.h"
+
 namespace rg::diagnosis {
 
 using effects::EffectSpec;
 
 namespace {
 
+constexpr double kNearly = 2.0;      // times an account's misfit, that its plain rivals may leave
 constexpr double kFormError = 0.01;  // share of what effects explain that a neighbour's form may be worth
 constexpr double kAmplitude =
     1e-4;                          // the same whatever is left: 1 % of an amplitude is within any simulation
@@ -113,6 +116,21 @@ const Candidate* FewerNames(const std::map<std::string, Candidate>& tried, const
   }
   if (part == nullptr || other == nullptr) return part != nullptr ? part : other;
   return other->score > part->score + needed(*part, *other) ? other : part;
+}
+
+std::vector<Candidate> PlainRivals(const std::map<std::string, Candidate>& tried, const Candidate& before,
+                                   const Candidate& account, size_t most) {
+  std::vector<Candidate> out;
+  const auto own = tried.find(KeyOf(account.specs, false));
+  if (own == tried.end()) return out;
+  const size_t kinds = FreshKinds(before, account).size();
+  for (const auto& [key, c] : tried) {
+    if (!c.fit.ok || c.base || c.score < kNearly * own->second.score) continue;
+    if (!HasFreeStates(c) && !HasUnnamed(c) && FreshKinds(before, c).size() <= kinds) out.push_back(c);
+  }
+  std::sort(out.begin(), out.end(), [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
+  if (out.size() > most) out.resize(most);
+  return out;
 }
 
 }  // namespace rg::diagnosis

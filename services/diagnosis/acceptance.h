@@ -63,4 +63,10 @@ const Candidate* FewerNames(const std::map<std::string, Candidate>& tried, const
                             const Candidate& winner,
                             const std::function<double(const Candidate&, const Candidate&)>& needed);
 
+// Of what was tried on the parameters as given the `most` best that are named, add to `before` no more kinds
+// than `account` does, have no states that commands do not settle, and leave at most twice as much as it does
+// there.
+std::vector<Candidate> PlainRivals(const std::map<std::string, Candidate>& tried, const Candidate& before,
+                                   const Candidate& account, size_t most);
+
 }  // namespace rg::diagnosis

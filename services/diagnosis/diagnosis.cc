@@ -99,6 +99,9 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
       DiagnosisOptions rest = options;
       const double left = std::clamp(kBothSearches - search.work / options.work_limit, kLeastWork, 1.0);
       rest.work_limit = left * options.work_limit;
+      auto earlier = std::make_shared<Candidate>(search.best);
+      earlier->fit.states.clear(), earlier->fit.window_chi2.clear();  // of other windows
+      if (!earlier->specs.empty()) rest.earlier = std::move(earlier);
       search = search_effects(data, nominal, scales, rest, threads, clock, progress, cancel);
       result.notes.push_back(name + " shows what the recordings to fit do not: it was fitted too" +
                              (given.Holdout().size() < 2 ? ", another kept aside in its place" : ""));

@@ -6,6 +6,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -20,6 +21,7 @@
 namespace rg::diagnosis {
 
 class FitExecutor;
+struct Candidate;
 
 struct DiagnosisOptions {
   int threads = 0;            // 0: all
@@ -40,6 +42,8 @@ struct DiagnosisOptions {
   bool trust_effort = false;    // go on where an effort's sign or unit looks wrong
   // What to start from instead of the set's URDF (given_model.h): findings are what it lacks.
   std::optional<sim::ModelFile> model;
+  // What a search of fewer of the recordings came to, which the next one weighs first; null: none.
+  std::shared_ptr<const Candidate> earlier;
 };
 
 struct Region {

@@ -420,9 +420,9 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
   for (const TrialSpecs& with : {nearest.needed, nearest.specs}) {
     if (Known(with, from.base) != nullptr) continue;
     const Candidate found = Evaluate(with, from.base, &from);
-    if (!(found.score > account->score)) continue;
-    *account = found;
-    if (PerRow(found) < kExplained) break;
+    if (found.score > account->score) *account = found;
+    // Nor does one with a law more that is about nothing hold where this does not.
+    if (PerRow(found) < kExplained || !(PerRow(found) < kHolds)) break;
   }
 }
 

@@ -34,10 +34,10 @@ constexpr int kDeeper = 2;            // kinds beside a first one, before parame
 constexpr double kDeep = 0.5;         // of all work, after which none of that, nor a substitute, is begun
 constexpr size_t kBesideUnnamed = 3;  // names that are fitted beside a force without one
 constexpr double kPromise = 2.0;  // nats that a screen must promise of a law for a trial beside hidden states
-constexpr double kNearly = 2.0;   // times an account's misfit, that one without hidden states may leave
-constexpr size_t kRivals = 2;     // of these, that are fitted with free base parameters too
-constexpr double kToWeigh = 1.3;  // of all work, to weigh what was tried
-constexpr double kBetter = 1.0;   // nats: as many names need only be the better account
+constexpr size_t kPlainRivals = 2;  // without states of their own, that are fitted with free base parameters
+constexpr int kEarlier = 12;        // iterations, of what an earlier search came to
+constexpr double kToWeigh = 1.3;    // of all work, to weigh what was tried
+constexpr double kBetter = 1.0;     // nats: as many names need only be the better account
 
 class Search {
  public:
@@ -87,6 +87,8 @@ class Search {
                          : out.nominal;
     LowerNoise(&best, &out);
     features_ = MakeFeatures(data_, scales_);
+    if (const Candidate* c = options_.earlier.get())
+      earlier_ = fits_.Evaluate(Refreshed(*c), c->base, c, kEarlier, nullptr);
     for (round_ = 1; round_ <= options_.max_effects && !fits_.Late(); ++round_) {
       fits_.SetRound(round_);
       const bool added = AddOne(&best);
@@ -200,8 +202,14 @@ class Search {
     Tell("screen", 0.1 + 0.2 * round_, KeyOf(best->specs));
     Candidate winner = *best, deeper = *best;
     if (fits_.Known(best->specs, !best->base) == nullptr) fits_.Evaluate(Refreshed(*best), !best->base, best);
+    bool done = false;  // what an earlier search came to leaves nothing of these recordings either
+    if (round_ == 1 && earlier_) {
+      winner = Better(winner, *earlier_);
+      done = fits_.PerRow(*earlier_) < kExplained && winner.score > best->score + Threshold(*best, winner);
+      if (done) acceptance_.Note(Screened(*best, best->base), nominal_.joint_names());
+    }
     for (const bool base : {false, true}) {
-      if (fits_.Late()) break;
+      if (fits_.Late() || done) break;
       // Hidden states and unnamed forces fit nearly anything: an account with them has those with free
       // parameters as its rivals.
       const bool flexible = best->base && (HasUnnamed(winner) || HasHiddenStates(winner));
@@ -396,19 +404,8 @@ class Search {
   // ones too.
   Candidate PlainlyFreed(const Candidate& before, const Candidate winner) {
     if (!HasFreeStates(winner) || fits_.PerRow(winner) < kHolds) return winner;
-    const size_t names = FreshKinds(before, winner).size();
-    const Candidate* own = fits_.Known(winner.specs, false);
-    std::vector<Candidate> rivals;
-    for (const auto& [key, c] : fits_.tried()) {
-      const bool near = own != nullptr && c.fit.ok && !c.base && c.score > kNearly * own->score;
-      if (near && !HasFreeStates(c) && !HasUnnamed(c) && FreshKinds(before, c).size() <= names)
-        rivals.push_back(c);
-    }
-    std::sort(rivals.begin(), rivals.end(),
-              [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
-    if (rivals.size() > kRivals) rivals.resize(kRivals);
     Candidate best = winner;
-    for (const Candidate& c : rivals) {
+    for (const Candidate& c : PlainRivals(fits_.tried(), before, winner, kPlainRivals)) {
       if (fits_.PerRow(best) < kExplained || fits_.Late(kToWeigh)) break;
       best = Better(best, fits_.Evaluate(Refreshed(c), true, &c, 6, &best));
     }
@@ -577,7 +574,8 @@ class Search {
   UnnamedForces unnamed_;
   std::optional<HeldOutJudge> judge_;  // where recordings are kept aside
   int round_ = 0;
-  bool nameless_ = false;  // an unnamed force alone is the account of all recordings
+  std::optional<Candidate> earlier_;  // what a search of fewer recordings came to, on these
+  bool nameless_ = false;             // an unnamed force alone is the account of all recordings
   Acceptance acceptance_;
   std::vector<VectorXd> step_rule_;
   FeatureSet features_;
