@@ -301,10 +301,7 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   TrySprings(from, &found);
   // Where another account leaves far less than the springs do, though it be refused as no effect of its name,
   // there is no mass that swings; nor is one looked for beside a force without a name.
-  // So do free base parameters on a robot that is not as its URDF says: there it is looked for with these.
   double least = PerRow(found);
-  if (const Candidate* freed = base ? nullptr : Known(from.specs, true); freed != nullptr && freed->fit.ok)
-    least = std::min(least, PerRow(*freed));
   for (const FitRequest& request : best) {
     const Candidate* c = Known(request.specs, base);
     if (c != nullptr && c->fit.rows > 0 && c->fit.chi2 > 0 && !HasMassInSprings(c->specs))

@@ -66,9 +66,10 @@ class TrialBuilder {
     const std::vector<int> joints = JointsByGain();
     OtherForms();
     DryFriction(joints);
-    if (!Has("sloshing_payload")) Push(BodyStarts("sloshing_payload", nominal_, scales_));
-    if (!Has("base_flexibility") && (data_.n <= 2 || !from_.base || !from_.specs.empty()))
-      Push(BodyStarts("base_flexibility", nominal_, scales_));
+    for (const char* id : {"sloshing_payload", "base_flexibility"}) {
+      if (!Has(id) && (data_.n <= 2 || !from_.base || !from_.specs.empty()))
+        Push(BodyStarts(id, nominal_, scales_));
+    }
     MountBeside();
     Transmissions(joints);  // last, for they cost most
     return std::move(out_);
