@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include <memory>
 #include <set>
 
 #include "tests/unit/diagnosis/prepared_set.h"
@@ -56,6 +57,34 @@ TEST(Search, AnAccountWithHiddenStatesThatHoldsIsNotSoughtAmongFreeParameters) {
   // Its own twin, and what it is easily taken for.
   const std::set<std::string> timing = {"actuator_lag", "actuator_delay", "sensor_delay"};
   for (const std::string& kind : KindsBesideFreeParameters(r)) EXPECT_TRUE(timing.count(kind)) << kind;
+}
+
+// A search begins again with more recordings: it need not find anew what it had come to, nor believe it.
+TEST(Search, WhatAnEarlierSearchCameToIsWeighedFirst) {
+  auto p = testing::Prepare("arm2", {MakeSpec("coulomb_friction", {"elbow"}, {{"coulomb", 0.2}})}, 53);
+  const auto search = [&] {
+    return SearchEffects(p->data, p->nominal, p->scales, p->options, 2, RealClock(), nullptr, nullptr);
+  };
+  const SearchResult first = search();
+  ASSERT_EQ(first.best.specs.size(), 1u);
+  ASSERT_EQ(first.best.specs[0].id, "coulomb_friction");
+
+  auto earlier = std::make_shared<Candidate>(first.best);
+  earlier->fit.states.clear(), earlier->fit.window_chi2.clear();
+  p->options.earlier = earlier;
+  const SearchResult again = search();
+  ASSERT_EQ(again.best.specs.size(), 1u);
+  EXPECT_EQ(again.best.specs[0].id, "coulomb_friction");
+  EXPECT_LT(again.work, 0.5 * first.work);
+
+  auto wrong = std::make_shared<Candidate>();
+  wrong->specs = {MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.1}})};
+  wrong->plant = std::make_shared<const sim::Plant>(
+      *sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), wrong->specs));
+  p->options.earlier = wrong;
+  const SearchResult still = search();
+  ASSERT_EQ(still.best.specs.size(), 1u);
+  EXPECT_EQ(still.best.specs[0].id, "coulomb_friction");
 }
 
 }  // namespace
