@@ -72,7 +72,12 @@ Candidate UnnamedForces::WithoutCoarse(Candidate account) {
     const Candidate without = known != nullptr ? *known : fits_.Evaluate(specs, account.base, &account);
     if (without.fit.ok && fits_.Excess(account) >= kHalf * fits_.Excess(without)) account = without;
   }
-  return account;
+  // Found before the names it followed what they explain, and may be needed no more.
+  std::vector<EffectSpec> names = Refreshed(account);
+  std::erase_if(names, [](const EffectSpec& e) { return IsUnnamed(e.id); });
+  if (names.size() == account.specs.size() || names.size() <= given_.size()) return account;
+  const Candidate alone = fits_.Evaluate(names, account.base, &account);
+  return alone.fit.ok && account.score <= alone.score + needed_(alone, account) ? alone : account;
 }
 
 }  // namespace rg::diagnosis

@@ -38,7 +38,8 @@ class UnnamedForces {
   Candidate WithNames(const Candidate& unnamed);
 
   // An account with a force without a name has effects by name beside it that halve what would be left
-  // without them: its surface is coarse, and what else takes some of that is no effect.
+  // without them: its surface is coarse, and what else takes some of that is no effect. Where these do as
+  // well without it they are the account.
   Candidate WithoutCoarse(Candidate account);
 
  private:

@@ -17,11 +17,11 @@ constexpr char kPivot[] = "hinge";
 
 // A pendulum with a force over its position that no law of the catalogue has, and more.
 struct World {
-  explicit World(std::vector<EffectSpec> more) {
+  explicit World(std::vector<EffectSpec> more, bool nameless = true) {
     EffectSpec bump =
         MakeSpec("unknown_field", {kPivot}, {{"low", -1.5}, {"high", 1.5}, {"w3", 0.4}, {"w4", 0.5}});
     bump.options["variable"] = "position";
-    more.push_back(bump);
+    if (nameless) more.push_back(bump);
     p = testing::Prepare("pendulum", std::move(more), 61);
     setting = std::make_unique<FitSetting>(FitSetting{p->data, p->nominal, p->scales});
     ledger = std::make_unique<FitLedger>(*setting, p->options, 1, trace, nullptr);
@@ -82,6 +82,16 @@ TEST(UnnamedForces, KeepOnlyNamesThatHalveWhatIsLeftWithoutThem) {
   const Candidate kept = w.forces->WithoutCoarse(both);
   EXPECT_TRUE(HasKind(kept.specs, "sensor_delay"));
   EXPECT_FALSE(HasKind(kept.specs, "viscous_friction"));
+}
+
+TEST(UnnamedForces, GoWhereNamesDoAsWellWithoutThem) {
+  World w({MakeSpec("sensor_delay", {kPivot}, {{"delay", 0.02}})}, false);
+  const Candidate unnamed = *w.forces->Best();
+  const Candidate both = w.ledger->Evaluate(Joined(Refreshed(unnamed), {w.pool[0]}), false, &unnamed);
+  ASSERT_TRUE(HasUnnamed(both));
+  const Candidate kept = w.forces->WithoutCoarse(both);
+  EXPECT_FALSE(HasUnnamed(kept));
+  EXPECT_TRUE(HasKind(kept.specs, "sensor_delay"));
 }
 
 }  // namespace
