@@ -126,6 +126,7 @@ std::vector<Candidate> PlainRivals(const std::map<std::string, Candidate>& tried
   const size_t kinds = FreshKinds(before, account).size();
   for (const auto& [key, c] : tried) {
     if (!c.fit.ok || c.base || c.score < kNearly * own->second.score) continue;
+    if (!IsPart(before.specs, c.specs)) continue;
     if (!HasFreeStates(c) && !HasUnnamed(c) && FreshKinds(before, c).size() <= kinds) out.push_back(c);
   }
   std::sort(out.begin(), out.end(), [](const Candidate& a, const Candidate& b) { return a.score > b.score; });

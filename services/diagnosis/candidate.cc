@@ -150,7 +150,7 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
     const double times = cycles * range / (2 * M_PI);
     const bool turns = model.joint(joint).is_revolute();
     // What else is missing still bends it: of little, by no more than takes off as many nats as are left.
-    const double bent = chi2_per_row > kExplained ? kBent : std::min(kBent, stddev * std::sqrt(2 * left));
+    const double bent = chi2_per_row > kExplained ? kBent : std::min(stddev * std::sqrt(2 * left), kBent);
     if (turns && std::abs(cycles - std::round(cycles)) > std::max(error, bent)) return false;
     // What was not seen to come again must be whole so sharply that no other curve would by chance.
     if (times >= kSeenAgain)
@@ -243,6 +243,8 @@ std::vector<EffectSpec> StrongEffects(const Candidate& c) {
 std::vector<EffectSpec> StillNeeded(const Candidate& account, const Candidate& other) {
   const std::vector<EffectSpec> specs = Refreshed(other);
   if (!other.fit.ok) return specs;
+  // Of fewer windows each strength is known less.
+  const double seen = std::min(1.0, static_cast<double>(other.fit.rows) / std::max(1, account.fit.rows));
   std::vector<EffectSpec> out;
   for (size_t i = 0; i < specs.size(); ++i) {
     double before = 0;
@@ -251,7 +253,7 @@ std::vector<EffectSpec> StillNeeded(const Candidate& account, const Candidate& o
         before = Strength(account, k);
     }
     const double now = Strength(other, i);
-    if (now * now > kMostlyGone * before * before) out.push_back(specs[i]);
+    if (now * now > kMostlyGone * seen * before * before) out.push_back(specs[i]);
   }
   return out;
 }

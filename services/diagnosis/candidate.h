@@ -24,11 +24,15 @@ struct Candidate {
   std::shared_ptr<const sim::Plant> plant;
   std::vector<sysid::FitParameter> parameters;
   FitResult fit;
-  double score = 0;  // evidence with the structure's prior; kNoScore: no account at all
+  double score = 0;   // evidence with the structure's prior; kNoScore: no account at all
+  double docked = 0;  // that its score is less, for what it predicts worse of recordings kept aside
   int round = 0;
   std::optional<double>
       held_out;  // log density of recordings kept aside, where it was asked for (held_out.h)
 };
+
+// Its score by the fit alone.
+inline double FitScore(const Candidate& c) { return c.score + c.docked; }
 
 // −log prior odds: of a URDF that is off, of every kind of effect, every joint of it, every parameter beyond
 // its first.

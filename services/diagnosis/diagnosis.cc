@@ -101,7 +101,8 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
       rest.work_limit = left * options.work_limit;
       auto earlier = std::make_shared<Candidate>(search.best);
       earlier->fit.states.clear(), earlier->fit.window_chi2.clear();  // of other windows
-      if (!earlier->specs.empty()) rest.earlier = std::move(earlier);
+      // A force without a name knows nothing of where only the new recording goes.
+      if (!earlier->specs.empty() && !HasUnnamed(*earlier)) rest.earlier = std::move(earlier);
       search = search_effects(data, nominal, scales, rest, threads, clock, progress, cancel);
       result.notes.push_back(name + " shows what the recordings to fit do not: it was fitted too" +
                              (given.Holdout().size() < 2 ? ", another kept aside in its place" : ""));

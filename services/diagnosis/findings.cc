@@ -55,8 +55,9 @@ double BestWithout(const SearchResult& s, const std::string& id) {
   for (const Candidate& c : s.tried) {
     const bool more = (c.base && !s.best.base) || FreshKinds(Candidate{}, c).size() > kinds;
     if (HasKind(c.specs, id)) continue;
-    const double worse = c.held_out && s.best.held_out ? std::min(0.0, *c.held_out - *s.best.held_out) : 0.0;
-    best = std::max(best, c.score + worse - (more ? s.beside : 0.0));
+    const bool asked = c.held_out && s.best.held_out;
+    const double all = asked ? FitScore(c) + std::min(0.0, *c.held_out - *s.best.held_out) : c.score;
+    best = std::max(best, all - (more ? s.beside : 0.0));
   }
   return best;
 }
@@ -269,8 +270,9 @@ class Speaker {
       a.effect = effect;
       a.joints = JointsOf(c->specs, effect, r_.joints);
       // Where nothing was kept aside, and with a measured effort, whose scores are of parts left out: those.
-      const double fitted = c->score - (c->base && !s_.best.base ? s_.beside : 0.0) - s_.best.score;
       const bool weighed = c->held_out && s_.best.held_out;
+      const double fitted = (weighed ? FitScore(*c) - FitScore(s_.best) : c->score - s_.best.score) -
+                            (c->base && !s_.best.base ? s_.beside : 0.0);
       a.evidence = weighed ? *c->held_out - *s_.best.held_out : fitted;
       a.separable = (weighed ? fitted + a.evidence : fitted) < -kSeparable;
       a.experiment = ExperimentFor(id, effect, f->joints);

@@ -304,7 +304,7 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   double least = PerRow(found);
   for (const FitRequest& request : best) {
     const Candidate* c = Known(request.specs, base);
-    if (c != nullptr && c->fit.rows > 0 && c->fit.chi2 > 0 && !HasMassInSprings(c->specs))
+    if (c != nullptr && c->fit.rows > 0 && c->fit.chi2 > 0 && !HasMassInSprings(c->specs) && !HasUnnamed(*c))
       least = std::min(least, PerRow(*c));
   }
   const bool may_swing = !HasUnnamed(from) && std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
@@ -418,7 +418,7 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
     if (Known(with, from.base) != nullptr) continue;
     const Candidate found = Evaluate(with, from.base, &from);
     if (found.score > account->score) *account = found;
-    // Nor does one with a law more that is about nothing hold where this does not.
+    // A law more that is about nothing beside the rod will not make it hold.
     if (PerRow(found) < kExplained || !(PerRow(found) < kHolds)) break;
   }
 }

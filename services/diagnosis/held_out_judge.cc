@@ -38,6 +38,7 @@ bool MayReplace(const std::string& id, const std::string& effect, const Candidat
 // Whether `a` predicts most windows better than `b`.
 bool MostBetter(const HeldOut& a, const HeldOut& b) {
   long better = 0;
+  if (a.windows.size() != b.windows.size()) return false;
   for (size_t w = 0; w < a.windows.size(); ++w) better += a.windows[w] > b.windows[w] ? 1 : -1;
   return better > 0;
 }
@@ -105,7 +106,9 @@ std::optional<Candidate> HeldOutJudge::Better(const Candidate& account,
   const double reached = Of(*best).log_density;
   for (auto& [key, c] : tried) {
     const auto known = known_.find(About(c));
-    if (known != known_.end()) c.score += std::min(0.0, known->second.log_density - reached);
+    if (known == known_.end()) continue;
+    const double worse = std::max(0.0, reached - known->second.log_density);
+    c.score -= worse, c.docked += worse;
   }
   return best;
 }
@@ -123,8 +126,7 @@ void HeldOutJudge::WeighRivals(SearchResult* search) {
         Candidate& c = search->tried[static_cast<size_t>(rival.candidate - search->tried.data())];
         if (!c.fit.ok) continue;
         c.held_out = Of(c).log_density;
-        const double fitted = c.score - (c.base && !account.base ? search->beside : 0.0) - account.score;
-        const double in_all = fitted + *c.held_out - *account.held_out;
+        const double in_all = FitScore(c) + *c.held_out - FitScore(account) - *account.held_out;
         if (in_all > most && MayReplace(id, rival.effect, c, account) && MostBetter(Of(c), Of(account)))
           likelier = &c, most = in_all;
       }

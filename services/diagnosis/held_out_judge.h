@@ -37,8 +37,8 @@ class HeldOutJudge {
   // The recording, by its place among those kept aside, that `account` is furthest from; −1 where it holds.
   int Refusing(const Candidate& account, double needed);
   // Gives the best model, and what the findings' alternatives are (separating_motion.h), their log densities.
-  // An alternative that is likelier in all, by its fit and by what it predicts of most windows, takes the best
-  // one's place: the sum is the log evidence of all recordings.
+  // An alternative that is likelier in all, by its fit and by what it predicts of most windows, takes the
+  // best one's place: the sum is the log evidence of all recordings.
   void WeighRivals(SearchResult* search);
   // Done since this was asked last.
   double TakeWork() { return std::exchange(work_, 0.0); }

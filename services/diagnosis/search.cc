@@ -118,6 +118,8 @@ class Search {
     out.threshold = Threshold(out.nominal, out.calibrated);
     out.beside = Threshold(best, out.calibrated);
     if (judge_ && !fits_.Cancelled()) judge_->WeighRivals(&out);
+    out.beside = Threshold(out.best, out.calibrated);
+    if (out.unseen_in >= 0 && judge_->Holds(out.best, Threshold(out.best))) out.unseen_in = -1;
     const FitModel chosen{*out.best.plant, out.best.fit.values, {}};
     out.own_chi2 =
         OwnChi2(data_, chosen, out.best.fit.states, fits_.lifted(), Rng(options_.seed).Split(kOwnDraw));
@@ -202,11 +204,12 @@ class Search {
     Tell("screen", 0.1 + 0.2 * round_, KeyOf(best->specs));
     Candidate winner = *best, deeper = *best;
     if (fits_.Known(best->specs, !best->base) == nullptr) fits_.Evaluate(Refreshed(*best), !best->base, best);
-    bool done = false;  // what an earlier search came to leaves nothing of these recordings either
+    bool done = false;  // what an earlier search came to leaves nothing of these recordings
     if (round_ == 1 && earlier_) {
       winner = Better(winner, *earlier_);
-      done = fits_.PerRow(*earlier_) < kExplained && winner.score > best->score + Threshold(*best, winner);
+      done = fits_.PerRow(*earlier_) < kExplained;
       if (done) acceptance_.Note(Screened(*best, best->base), nominal_.joint_names());
+      done = done && winner.score > best->score + Threshold(*best, winner);
     }
     for (const bool base : {false, true}) {
       if (fits_.Late() || done) break;
@@ -407,7 +410,8 @@ class Search {
     Candidate best = winner;
     for (const Candidate& c : PlainRivals(fits_.tried(), before, winner, kPlainRivals)) {
       if (fits_.PerRow(best) < kExplained || fits_.Late(kToWeigh)) break;
-      best = Better(best, fits_.Evaluate(Refreshed(c), true, &c, 6, &best));
+      const Candidate freed = fits_.Evaluate(Refreshed(c), true, &c, 6, &best);
+      if (freed.score > std::max(best.score, c.score + Threshold(c, freed))) best = freed;
     }
     return best;
   }

@@ -59,7 +59,15 @@ Candidate UnnamedForces::WithNames(const Candidate& unnamed) {
     named = next;
   }
   if (!(fits_.Excess(named) < kRest * fits_.Excess(unnamed))) return unnamed;
-  return WithoutCoarse(std::move(named));
+  named = WithoutCoarse(std::move(named));
+  // Found before the names it followed what they explain, and may be needed no more.
+  std::vector<EffectSpec> names = Refreshed(named);
+  std::erase_if(names, [&](const EffectSpec& e) {
+    return IsUnnamed(e.id) && !Contains(given_, e.id, e.joints.empty() ? "" : e.joints[0]);
+  });
+  if (names.size() == named.specs.size() || names.size() <= given_.size()) return named;
+  const Candidate alone = fits_.Evaluate(names, named.base, &named);
+  return alone.fit.ok && named.score <= alone.score + needed_(alone, named) ? alone : named;
 }
 
 Candidate UnnamedForces::WithoutCoarse(Candidate account) {
@@ -72,12 +80,7 @@ Candidate UnnamedForces::WithoutCoarse(Candidate account) {
     const Candidate without = known != nullptr ? *known : fits_.Evaluate(specs, account.base, &account);
     if (without.fit.ok && fits_.Excess(account) >= kHalf * fits_.Excess(without)) account = without;
   }
-  // Found before the names it followed what they explain, and may be needed no more.
-  std::vector<EffectSpec> names = Refreshed(account);
-  std::erase_if(names, [](const EffectSpec& e) { return IsUnnamed(e.id); });
-  if (names.size() == account.specs.size() || names.size() <= given_.size()) return account;
-  const Candidate alone = fits_.Evaluate(names, account.base, &account);
-  return alone.fit.ok && account.score <= alone.score + needed_(alone, account) ? alone : account;
+  return account;
 }
 
 }  // namespace rg::diagnosis

@@ -33,13 +33,12 @@ class UnnamedForces {
   // Of those that were tried the best without names; null: none.
   const Candidate* Best() const;
 
-  // `unnamed` with the effects by name that take off nine tenths of what it leaves; itself where there are
-  // none.
+  // `unnamed` with the effects by name that take off nine tenths of what it leaves, or these alone where they
+  // do as well without it; itself where there are none.
   Candidate WithNames(const Candidate& unnamed);
 
   // An account with a force without a name has effects by name beside it that halve what would be left
-  // without them: its surface is coarse, and what else takes some of that is no effect. Where these do as
-  // well without it they are the account.
+  // without them: its surface is coarse, and what else takes some of that is no effect.
   Candidate WithoutCoarse(Candidate account);
 
  private:
