@@ -244,7 +244,9 @@ std::vector<EffectSpec> StillNeeded(const Candidate& account, const Candidate& o
   const std::vector<EffectSpec> specs = Refreshed(other);
   if (!other.fit.ok) return specs;
   // Of fewer windows each strength is known less.
-  const double seen = std::min(1.0, static_cast<double>(other.fit.rows) / std::max(1, account.fit.rows));
+  const double seen = other.fit.rows < account.fit.rows && other.fit.rows > 0
+                          ? static_cast<double>(other.fit.rows) / account.fit.rows
+                          : 1.0;
   std::vector<EffectSpec> out;
   for (size_t i = 0; i < specs.size(); ++i) {
     double before = 0;

@@ -222,6 +222,10 @@ TEST(Candidate, WhatStoodForAnotherLawIsNotNeededBesideIt) {
   ASSERT_EQ(left.size(), 1u);
   EXPECT_EQ(left[0].id, "viscous_friction");
   EXPECT_EQ(StillNeeded(account, with(0.005)).size(), 2u);
+  Candidate whole = account, few = with(0.015);
+  whole.fit.rows = 10000, few.fit.rows = 50;
+  few.fit.information *= 50.0 / 10000;
+  EXPECT_EQ(StillNeeded(whole, few).size(), 2u) << "of fewer windows what is as strong is known less";
   Candidate failed = with(-0.001);
   failed.fit.ok = false;
   EXPECT_EQ(StillNeeded(account, failed).size(), 2u) << "a fit that failed says nothing";
