@@ -71,9 +71,11 @@ struct Ends {
   bool ok = false;
 };
 
-// Inverse of a precision whose states have units of their own.
+// Inverse of a precision whose states have units of their own; what no row depends on (a lag's start, which
+// is not free) has no share in it.
 MatrixXd Inverse(const MatrixXd& precision) {
-  const VectorXd scale = precision.diagonal().cwiseSqrt().cwiseMax(1e-300).cwiseInverse();
+  const VectorXd stddev = precision.diagonal().cwiseSqrt();
+  const VectorXd scale = (stddev.array() > 0).select(stddev.cwiseInverse(), 0.0);
   MatrixXd scaled = scale.asDiagonal() * precision * scale.asDiagonal();
   scaled.diagonal().array() += kSingular;
   return scale.asDiagonal() * scaled.ldlt().solve(MatrixXd::Identity(scaled.rows(), scaled.cols())) *

@@ -195,6 +195,7 @@ size_t MoveStates(Lineariser& lin, int worker, int first, int last, const std::v
   struct Moved {
     int window;
     VectorXd e0, start;  // of the free directions, and what they move the start by
+    VectorXd tied;       // the start without that: what is not free goes with the parameters
     double share = 1.0;
   };
   std::vector<Moved> moved;
@@ -205,9 +206,12 @@ size_t MoveStates(Lineariser& lin, int worker, int first, int last, const std::v
       (*chi2)[w] = lin.WorstChi2(w);
       continue;
     }
-    moved.push_back({w, BestStart(linear[w], step, loose[w], (*states)[w].col(0)), {}});
-    moved.back().start = linear[w].E[0].rightCols(linear[w].J_e.cols()) * moved.back().e0;
-    windows.push_back(w), starts.push_back((*states)[w].col(0) + moved.back().start);
+    const VectorXd at = (*states)[w].col(0);
+    const MatrixXd& E = linear[w].E[0];
+    moved.push_back({w, BestStart(linear[w], step, loose[w], at), {}, {}});
+    moved.back().start = E.rightCols(at.size()) * moved.back().e0;
+    moved.back().tied = at + E.col(0) + E.middleCols(1, step.size()) * step;
+    windows.push_back(w), starts.push_back(moved.back().tied + moved.back().start);
   }
   const std::vector<double> full = lin.Simulated(worker, windows, starts);
   for (size_t i = 0; i < moved.size(); ++i) (*chi2)[moved[i].window] = full[i];
@@ -221,7 +225,7 @@ size_t MoveStates(Lineariser& lin, int worker, int first, int last, const std::v
       if (!((*chi2)[m.window] > kThrown * adopted[m.window])) continue;
       for (const double less : {0.4, 0.1, 0.0}) {
         shorter.push_back({&m, less});
-        windows.push_back(m.window), starts.push_back((*states)[m.window].col(0) + less * m.start);
+        windows.push_back(m.window), starts.push_back(m.tied + less * m.start);
       }
     }
     simulated += windows.size();

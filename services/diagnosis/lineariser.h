@@ -26,6 +26,8 @@ inline constexpr double kBroken = 1e12;
 // How long before a window hidden states are carried along the record, so that their settled start is
 // forgotten [s].
 inline constexpr double kSettleTime = 0.5;
+// Time constants of a lag, after which it has forgotten what it followed.
+inline constexpr double kForgets = 7.0;
 inline constexpr double kEarly = 0.4;  // of a window, in which starts are compared
 inline constexpr size_t kNearest = 8;  // of them, that are simulated to its end
 
@@ -117,6 +119,8 @@ struct Worker {
 };
 
 class Lineariser {
+  inline static const std::string kLagged = "lagged_torque.";
+
  public:
   Lineariser(const FitData& data, const FitModel& model, bool with_torque, const LiftedOptions& options)
       : data_(data), probe_(MakeProbe(model, with_torque)), options_(options) {
@@ -144,6 +148,12 @@ class Lineariser {
                          probe_.plant.parameters().Find("backlash." + joint + ".motor_inertia"),
                          static_cast<int>(at - internal.begin())});
       }
+    }
+    for (size_t i = 0; i < internal.size(); ++i) {
+      if (internal[i].rfind(kLagged, 0) != 0) continue;
+      const std::string joint = internal[i].substr(kLagged.size());
+      lags_.push_back({2 * n_ + static_cast<int>(i),
+                       probe_.plant.parameters().Find("actuator_lag." + joint + ".time_constant")});
     }
     FreeStarts(internal);
     sim::SimulatorOptions simulator;
@@ -175,6 +185,7 @@ class Lineariser {
     out->ok = true;
     MatrixXd E = MatrixXd::Zero(nx_, 1 + P_ + nx_), Ef = MatrixXd::Zero(nx_, C), next;
     E.rightCols(nx_) = starts_;
+    TieLags(window, states.col(0), &w, &E);
     if (keep) out->E.push_back(E);
     RunNodes(window, states, &w);
     int row = 0;
@@ -375,6 +386,27 @@ class Lineariser {
     }
   }
 
+  // What a lag is at a window's start follows from the commands before it, wherever the robot was then: that
+  // is no free direction of the start, but goes with the parameters. Of commands from before the recording
+  // nobody knows; there the start stays free. E: nx × (1 + P + nx), of the start `x0`.
+  void TieLags(const NodeWindow& window, const VectorXd& x0, Worker* w, MatrixXd* E) const {
+    double slowest = 0;
+    for (const Lag& lag : lags_) slowest = std::max(slowest, probe_.values[lag.time_constant]);
+    const double begin = window.t[0] - std::min(kSettleTime, kForgets * slowest);
+    if (lags_.empty() || begin < data_.fine[window.recording].t.front() || !(begin < window.t[0])) return;
+    const sim::CommandSignal& command = data_.recordings[window.recording].command;
+    const sim::State before = w->simulator.MakeState(window.q0.col(0), window.v0.col(0), begin, command);
+    w->times.assign(1, window.t[0]);
+    w->simulator.SimulateInto(before, command, w->times, w->request, &w->out);
+    if (!w->out.outcome.ok() || !w->out.dfinal_state.allFinite()) return;
+    for (const Lag& lag : lags_) {
+      auto row = E->row(lag.state);
+      row.setZero();
+      row[0] = w->out.state(lag.state, 0) - x0[lag.state];
+      row.segment(1, P_) = w->out.dfinal_state.row(lag.state).segment(nx_, P_);
+    }
+  }
+
   // One run from every node to the next, with sensitivities: the rows after a node, those before the next,
   // the next.
   void RunNodes(const NodeWindow& window, const MatrixXd& states, Worker* w) const {
@@ -515,6 +547,10 @@ class Lineariser {
     int joint, parameter, inertia, motor;  // place of the motor's position among the internal states
   };
   std::vector<Gap> gaps_;
+  struct Lag {
+    int state, time_constant;  // row of the state, place among the parameters
+  };
+  std::vector<Lag> lags_;
   std::vector<std::unique_ptr<Worker>> workers_;
 };
 

@@ -207,6 +207,49 @@ TEST(Windows, BeginWhereWhatALateDriveFollowsIsRecorded) {
   EXPECT_GE(last, 0);
 }
 
+// What a lag is where a window begins is no free start of its own, which could follow another law.
+TEST(LiftedFit, ALagStartsWhereCommandsBeforeTheWindowLeaveIt) {
+  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  const auto lag = [&](double seconds) {
+    return MakeSpec("actuator_lag", {joint}, {{"time_constant", seconds}});
+  };
+  const auto p = Prepare("pendulum", {lag(0.03)}, 5);
+  const FitResult fit = FitEffects(*p, {lag(0.01)}, {.iterations = 12});
+  ASSERT_TRUE(fit.ok);
+  EXPECT_NEAR(fit.theta[0], 0.03, 4 * fit.stddev[0] + 1e-4);
+  const auto plant = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), {lag(fit.theta[0])});
+  ASSERT_TRUE(plant.ok());
+  const FitModel model{*plant, fit.values, FreeParameters(*plant, p->scales, false)};
+  sim::Simulator simulator(*plant);
+  const auto filtered = [&](size_t w, double time_constant) {
+    Eigen::VectorXd values = fit.values;
+    values[model.parameters[0].index] = time_constant;
+    simulator.SetParameters(values);
+    const NodeWindow& window = p->data.windows[w];
+    const sim::CommandSignal& command = p->data.recordings[static_cast<size_t>(window.recording)].command;
+    const double begin = window.t[0] - 0.4;
+    return simulator
+        .Simulate(simulator.MakeState(window.q0.col(0), window.v0.col(0), begin, command), command,
+                  {window.t[0]})
+        .state(2, 0);
+  };
+  Lineariser lineariser(p->data, model, false, LiftedOptions{});
+  int tied = 0;
+  for (size_t w = 0; w < p->data.windows.size(); ++w) {
+    if (p->data.windows[w].t[0] < 0.45) continue;  // the record does not go back so far
+    EXPECT_NEAR(fit.states[w](2, 0), filtered(w, fit.theta[0]), 2e-3);
+    Linear linear;
+    lineariser.Run(0, static_cast<int>(w), fit.states[w], nullptr, nullptr, true, &linear);
+    ASSERT_TRUE(linear.ok);
+    EXPECT_EQ(linear.E[0].rightCols(3).row(2).norm(), 0.0);
+    const double h = 1e-4;
+    const double slope = (filtered(w, fit.theta[0] + h) - filtered(w, fit.theta[0] - h)) / (2 * h);
+    EXPECT_NEAR(linear.E[0](2, 1), slope, 0.02 * std::abs(slope) + 0.05);
+    ++tied;
+  }
+  EXPECT_GT(tied, 5);
+}
+
 // Hard faces bend a motion more between two nodes than a line says: on nodes of their own, off the
 // simulation, fits stay where they start.
 TEST(LiftedFit, FindsPlayBetweenHardFacesFromSoftOnes) {
