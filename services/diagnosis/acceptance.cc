@@ -134,4 +134,13 @@ std::vector<Candidate> PlainRivals(const std::map<std::string, Candidate>& tried
   return out;
 }
 
+const Candidate* BestFreed(const std::map<std::string, Candidate>& tried, const Candidate& before) {
+  const Candidate* best = nullptr;
+  for (const auto& [key, c] : tried) {
+    if (!c.fit.ok || !c.base || HasUnnamed(c) || FreshKinds(before, c).empty()) continue;
+    if (best == nullptr || c.score > best->score) best = &c;
+  }
+  return best;
+}
+
 }  // namespace rg::diagnosis

@@ -69,4 +69,7 @@ const Candidate* FewerNames(const std::map<std::string, Candidate>& tried, const
 std::vector<Candidate> PlainRivals(const std::map<std::string, Candidate>& tried, const Candidate& before,
                                    const Candidate& account, size_t most);
 
+// Of what was tried with free base parameters the best by name that has more than `before`; null: none.
+const Candidate* BestFreed(const std::map<std::string, Candidate>& tried, const Candidate& before);
+
 }  // namespace rg::diagnosis

@@ -26,6 +26,7 @@ struct Candidate {
   FitResult fit;
   double score = 0;   // evidence with the structure's prior; kNoScore: no account at all
   double docked = 0;  // that its score is less, for what it predicts worse of recordings kept aside
+  double form = 0;    // that its score is less, for what a richer form than needed may pretend
   int round = 0;
   std::optional<double>
       held_out;  // log density of recordings kept aside, where it was asked for (held_out.h)

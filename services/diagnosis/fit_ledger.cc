@@ -307,6 +307,9 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
     if (c != nullptr && c->fit.rows > 0 && c->fit.chi2 > 0 && !HasMassInSprings(c->specs) && !HasUnnamed(*c))
       least = std::min(least, PerRow(*c));
   }
+  // With free base parameters it is looked for beside these where they leave so much less.
+  if (const Candidate* c = base ? nullptr : Known(from.specs, true); c != nullptr && c->fit.ok)
+    least = std::min(least, PerRow(*c));
   const bool may_swing = !HasUnnamed(from) && std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
     return least - 1 > kPartly * (PerRow(*c) - 1);
   });

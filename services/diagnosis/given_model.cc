@@ -2,7 +2,6 @@
 
 #include <algorithm>
 
-#include "services/diagnosis/candidate.h"
 #include "services/sysid/sysid_on_set.h"
 
 namespace rg::diagnosis {
@@ -67,6 +66,22 @@ std::vector<EffectSpec> GivenEffects(const sim::Plant& given) {
     }
   }
   return out;
+}
+
+std::vector<EffectSpec> SeenEffects(const sim::Plant& given,
+                                    const std::function<Candidate(const std::vector<EffectSpec>&)>& fitted) {
+  std::vector<EffectSpec> effects = GivenEffects(given);
+  for (bool changed = !effects.empty(); changed;) {
+    const Candidate c = fitted(effects);
+    std::vector<EffectSpec> seen;
+    if (c.fit.theta.size() == 0) return {};  // it cannot be fitted: from the beginning
+    for (size_t i = 0; i < effects.size(); ++i) {
+      if (c.fit.ok || !Unseen(c, i)) seen.push_back(effects[i]);
+    }
+    changed = seen.size() < effects.size();
+    effects = std::move(seen);
+  }
+  return effects;
 }
 
 std::vector<EffectSpec> Beyond(const sim::Plant& given, const std::vector<EffectSpec>& specs) {

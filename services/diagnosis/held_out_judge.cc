@@ -23,14 +23,17 @@ bool Nameless(const Candidate& c) {
 
 std::string Key(const Candidate& c) { return KeyOf(c.specs, c.base); }
 
-// Whether `effect` in the place of `id` is a matter of which is likelier, and of no more than that: a richer
-// form, and states that no sensor reads, take more to be believed; all sensors late are all drives late.
+bool IsRicher(const std::string& effect) {
+  return std::find(std::begin(kRicherFriction), std::end(kRicherFriction), effect) !=
+         std::end(kRicherFriction);
+}
+
+// Whether `effect` in the place of `id` is a matter of which is likelier, and of no more than that: states
+// that no sensor reads take more to be believed; all sensors late are all drives late.
 bool MayReplace(const std::string& id, const std::string& effect, const Candidate& c,
                 const Candidate& account) {
   static const std::set<std::string> kOneClock = {"actuator_delay", "sensor_delay"};
-  const bool richer =
-      std::find(std::begin(kRicherFriction), std::end(kRicherFriction), effect) != std::end(kRicherFriction);
-  return !richer && !HasUnnamed(c) && (!HasFreeStates(c) || HasFreeStates(account)) &&
+  return !HasUnnamed(c) && (!HasFreeStates(c) || HasFreeStates(account)) &&
          !(kOneClock.count(id) && kOneClock.count(effect)) && (!c.base || account.base) &&
          c.specs.size() <= account.specs.size();
 }
@@ -113,12 +116,13 @@ std::optional<Candidate> HeldOutJudge::Better(const Candidate& account,
   return best;
 }
 
-void HeldOutJudge::WeighRivals(SearchResult* search) {
+void HeldOutJudge::WeighRivals(SearchResult* search,
+                               const std::function<double(const Candidate&, const Candidate&)>& needed) {
   Candidate& account = search->best;
   while (true) {  // each is likelier than the one before: it ends
     account.held_out = Of(account).log_density;
     const Candidate* likelier = nullptr;
-    double most = kSeparable;
+    double most = 0;
     std::set<std::string> ids;
     for (const effects::EffectSpec& e : account.specs) ids.insert(e.id);
     for (const std::string& id : ids) {
@@ -126,13 +130,15 @@ void HeldOutJudge::WeighRivals(SearchResult* search) {
         Candidate& c = search->tried[static_cast<size_t>(rival.candidate - search->tried.data())];
         if (!c.fit.ok) continue;
         c.held_out = Of(c).log_density;
-        const double in_all = FitScore(c) + *c.held_out - FitScore(account) - *account.held_out;
+        const double least =
+            IsRicher(rival.effect) ? std::max(kSeparable, needed(account, c) - c.form) : kSeparable;
+        const double in_all = FitScore(c) + *c.held_out - FitScore(account) - *account.held_out - least;
         if (in_all > most && MayReplace(id, rival.effect, c, account) && MostBetter(Of(c), Of(account)))
           likelier = &c, most = in_all;
       }
     }
     if (likelier == nullptr) return;
-    trace_.Stage("likelier in all", Key(*likelier) + " by " + std::to_string(most));
+    trace_.Stage("likelier in all", Key(*likelier) + " by " + std::to_string(most) + " more than it needs");
     account = *likelier;
   }
 }

@@ -38,8 +38,10 @@ class HeldOutJudge {
   int Refusing(const Candidate& account, double needed);
   // Gives the best model, and what the findings' alternatives are (separating_motion.h), their log densities.
   // An alternative that is likelier in all, by its fit and by what it predicts of most windows, takes the
-  // best one's place: the sum is the log evidence of all recordings.
-  void WeighRivals(SearchResult* search);
+  // best one's place: the sum is the log evidence of all recordings. A richer form of dry friction must
+  // bring what it needs in the best one's place, as in the fit.
+  void WeighRivals(SearchResult* search,
+                   const std::function<double(const Candidate&, const Candidate&)>& needed);
   // Done since this was asked last.
   double TakeWork() { return std::exchange(work_, 0.0); }
 

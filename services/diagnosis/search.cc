@@ -33,6 +33,7 @@ constexpr int kExchanged = 3;         // times that what is easily taken for eac
 constexpr int kDeeper = 2;            // kinds beside a first one, before parameters are freed
 constexpr double kDeep = 0.5;         // of all work, after which none of that, nor a substitute, is begun
 constexpr size_t kBesideUnnamed = 3;  // names that are fitted beside a force without one
+constexpr size_t kBesideRefused = 2;  // that are fitted beside what recordings kept aside refuse
 constexpr double kPromise = 2.0;  // nats that a screen must promise of a law for a trial beside hidden states
 constexpr size_t kPlainRivals = 2;  // without states of their own, that are fitted with free base parameters
 constexpr int kEarlier = 12;        // iterations, of what an earlier search came to
@@ -53,12 +54,10 @@ class Search {
         trace_(clock),
         fits_(setting_, options, threads, trace_, cancel),
         simplifier_(
-            setting_, fits_, [this](const Candidate& a, const Candidate& b) { return Threshold(a, b); },
-            [this](const Candidate& c) { return Threshold(c); },
+            setting_, fits_, needs_, [this](const Candidate& c) { return Threshold(c); },
             [this](const Candidate& c) { return Explained(c); }),
         unnamed_(
-            setting_, fits_, given_, [this](const Candidate& c) { return Force(c); },
-            [this](const Candidate& a, const Candidate& b) { return Threshold(a, b); },
+            setting_, fits_, given_, [this](const Candidate& c) { return Force(c); }, needs_,
             [this](const Candidate& c, Candidate* best) { LookBeside(c, kBesideUnnamed, best); }) {
     if (data.held_out != nullptr)
       judge_.emplace(*data.held_out, fits_.lifted(), trace_, HasRod(nominal.effects()));
@@ -74,7 +73,7 @@ class Search {
     fits_.SetNoiseScale(
         std::clamp(missing.chi2 / std::max(1.0, missing.rows - missing.unknowns), 1.0, kNoisiest));
     Tell("calibrate", 0.05, "");
-    StartFromGiven();
+    given_ = SeenEffects(nominal_, [this](const auto& specs) { return fits_.Evaluate(specs, true); });
     out.nominal = fits_.Evaluate(given_, false);
     out.calibrated = fits_.Calibrated(given_);
     if (fits_.PerRow(out.calibrated) > kHolds) {
@@ -117,7 +116,7 @@ class Search {
     const Candidate without = Better(out.nominal, out.calibrated);
     out.threshold = Threshold(out.nominal, out.calibrated);
     out.beside = Threshold(best, out.calibrated);
-    if (judge_ && !fits_.Cancelled()) judge_->WeighRivals(&out);
+    if (judge_ && !fits_.Cancelled()) judge_->WeighRivals(&out, needs_);
     out.beside = Threshold(out.best, out.calibrated);
     if (out.unseen_in >= 0 && judge_->Holds(out.best, Threshold(out.best))) out.unseen_in = -1;
     const FitModel chosen{*out.best.plant, out.best.fit.values, {}};
@@ -135,21 +134,6 @@ class Search {
   inline static const std::vector<std::string> kAny = {"position", "drag", "velocity"};
   static constexpr double kSegment = 0.05;    // s
   static constexpr uint64_t kOwnDraw = 1000;  // its stream of random numbers, beyond the rounds'
-
-  // The effects of the given model, without those of which these recordings show nothing.
-  void StartFromGiven() {
-    given_ = GivenEffects(nominal_);
-    for (bool changed = !given_.empty(); changed;) {
-      const Candidate c = fits_.Evaluate(given_, true);
-      std::vector<EffectSpec> seen;
-      if (c.fit.theta.size() == 0) given_.clear();  // it cannot be fitted: from the beginning
-      for (size_t i = 0; i < given_.size(); ++i) {
-        if (c.fit.ok || !Unseen(c, i)) seen.push_back(given_[i]);
-      }
-      changed = seen.size() < given_.size();
-      given_ = std::move(seen);
-    }
-  }
 
   // A model that fits better than any force on the old one could: the noise is less than was thought. All
   // scores are brought to it.
@@ -258,18 +242,20 @@ class Search {
         winner = deeper;
     }
     if (deeper.score > winner.score + Threshold(winner, deeper)) winner = deeper;
+    // Where a force without a name would be the account, two names may be that only together hold beside free
+    // base parameters.
+    if (HasUnnamed(winner) && !nameless_) {
+      if (const Candidate* c = BestFreed(fits_.tried(), *best)) winner = Better(winner, Deeper(*c));
+    }
     if (const Candidate* c = AsGoodAsFreed(*best); c != nullptr && KeyOf(winner.specs) == KeyOf(best->specs))
       winner = *c;
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
       Restart(&winner);
       simplifier_.DropNothing(&winner);
-      // What one was taken for may have been for another's sake.
-      for (int again = 0; again < kExchanged && Siblings(*best, &winner); ++again) {
-      }
+      Exchange(*best, &winner);
       winner = PlainlyFreed(*best, InEitherWorld(winner, Threshold(*best)));
     }
-    const auto needs = [&](const Candidate& a, const Candidate& b) { return Threshold(a, b); };
-    if (const Candidate* c = FewerNames(fits_.tried(), *best, winner, needs)) winner = Longer(*c, *c, *c);
+    if (const Candidate* c = FewerNames(fits_.tried(), *best, winner, needs_)) winner = Longer(*c, *c, *c);
     // Fits with hidden states or free base parameters end before they are done: the old model has another try
     // with the winner's values, or an addition would be credited with what a longer fit alone brings.
     const bool alike = best->base == winner.base;
@@ -497,9 +483,9 @@ class Search {
     return found;
   }
 
-  // An account must hold on recordings kept aside, or what was tried and predicts them better takes its
-  // place. One that explains less than half of what is missing there is none, however well it follows what it
-  // was fitted to.
+  // An account must hold on recordings kept aside, or what was tried, with what is found beside it, and
+  // predicts them better takes its place. One that explains less than half of what is missing there is none,
+  // however well it follows what it was fitted to.
   void SendBack(const Candidate& without, Candidate* best, int* unseen_in) {
     HeldOutJudge& judge = *judge_;
     // Where a mass hangs that swings freely is not known for long: what little is left there is no other law.
@@ -515,11 +501,15 @@ class Search {
       if (!fits_.Late()) unnamed_.Try(best->base, kAny, [](const Candidate&) { return false; });
       if (const Candidate* nameless = unnamed_.Best(); sent == 0 && nameless != nullptr && !fits_.Late())
         unnamed_.WithNames(Candidate(*nameless));
+      // What it lacks may be another name.
+      Candidate with = *best;
+      if (sent == 0 && !HasUnnamed(*best) && !fits_.Late()) LookBeside(*best, kBesideRefused, &with);
       const auto rival =
           judge.Better(*best, fits_.tried(), [&](const Candidate& c) { return Threshold(*best, c); });
       if (!rival) break;
       Tell("sent back", 0.9, KeyOf(best->specs) + "for " + KeyOf(rival->specs));
       *best = HasUnnamed(*rival) ? unnamed_.WithoutCoarse(*rival) : *rival;
+      if (!HasUnnamed(*best) && !fits_.Late()) Exchange(without, best);
     }
     if (judge.Holds(*best, Threshold(*best))) {
       *unseen_in = -1;
@@ -538,6 +528,13 @@ class Search {
 
   // Whether it leaves no more than the sensors' own noise; what is taken for noise may be what it leaves.
   bool MeetsSensors(const Candidate& c) const { return fits_.PerRow(c) * fits_.noise_scale() < kExplained; }
+
+  // What is easily taken for each other changes places until nothing is better: what one was taken for may
+  // have been for another's sake.
+  void Exchange(const Candidate& before, Candidate* winner) {
+    for (int again = 0; again < kExchanged && Siblings(before, winner); ++again) {
+    }
+  }
 
   // Whether a better account was found: the winner with each new kind of effect, or its newest, exchanged for
   // what it is easily taken for.
@@ -574,6 +571,8 @@ class Search {
   const ProgressFn& progress_;
   Trace trace_;
   FitLedger fits_;
+  const std::function<double(const Candidate&, const Candidate&)> needs_ =
+      [this](const Candidate& a, const Candidate& b) { return Threshold(a, b); };
   Simplifier simplifier_;
   UnnamedForces unnamed_;
   std::optional<HeldOutJudge> judge_;  // where recordings are kept aside

@@ -128,7 +128,8 @@ void Simplifier::Plainer(Candidate* best) {
     const double needed = id == "joint_elasticity" ? 1.0 : needed_(plain, *best);
     if (best->score >= plain.score + needed) continue;
     // What the form may pretend is not held for it when rivals are weighed.
-    fits_.tried()[KeyOf(best->specs, best->base)].score -= needed;
+    Candidate& form = fits_.tried()[KeyOf(best->specs, best->base)];
+    form.score -= needed, form.form += needed;
     *best = plain;
   }
 }

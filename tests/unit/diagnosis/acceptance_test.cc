@@ -135,5 +135,26 @@ TEST(FewerNames, AreAPartOfTheWholeUnlessAnotherLawIsWorthMore) {
   EXPECT_EQ(FewerNames(tried, none, both, needed), nullptr);
 }
 
+// Two names that only together hold beside free bodies are looked for from the better one.
+TEST(BestFreed, IsTheBestNameWithFreeBaseParameters) {
+  const auto scored = [](const char* effect, bool base, double score) {
+    Candidate c = Model({MakeSpec(effect, {"a"})}, base);
+    c.fit.ok = true, c.score = score;
+    return c;
+  };
+  std::map<std::string, Candidate> tried;
+  EXPECT_EQ(BestFreed(tried, Model({})), nullptr);
+  for (const Candidate& c : {scored("torque_gain", true, -40), scored("coulomb_friction", true, -90),
+                             scored("unknown_field", true, -10), scored("viscous_friction", false, -20)})
+    tried[KeyOf(c.specs, c.base)] = c;
+  Candidate alone = Model({}, true);
+  alone.fit.ok = true, alone.score = -5;
+  tried["+base"] = alone;
+  ASSERT_NE(BestFreed(tried, Model({})), nullptr);
+  EXPECT_EQ(BestFreed(tried, Model({}))->specs[0].id, "torque_gain");
+  EXPECT_EQ(BestFreed(tried, Model({MakeSpec("torque_gain", {"b"})}))->specs[0].id, "coulomb_friction")
+      << "of the kinds that are there already it is no more";
+}
+
 }  // namespace
 }  // namespace rg::diagnosis

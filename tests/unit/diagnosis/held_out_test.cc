@@ -106,10 +106,11 @@ TEST_F(HeldOutTest, AJudgePutsWhatIsLikelierInAllInTheBestsPlace) {
   Candidate wrong = Fitted({MakeSpec("viscous_friction", {Pivot()}, {{"viscous", 0.05}})});
   const Trace trace(RealClock());
   HeldOutJudge judge(*p_->data.held_out, options_, trace);
+  double needed = 0;
   const auto chosen = [&](const Candidate& best, const Candidate& rival) {
     SearchResult search;
     search.best = best, search.tried = {best, rival};
-    judge.WeighRivals(&search);
+    judge.WeighRivals(&search, [&](const Candidate&, const Candidate&) { return needed; });
     EXPECT_TRUE(search.best.held_out.has_value());
     return search.best.specs[0].id;
   };
@@ -120,8 +121,12 @@ TEST_F(HeldOutTest, AJudgePutsWhatIsLikelierInAllInTheBestsPlace) {
   EXPECT_EQ(chosen(wrong, right), "viscous_friction") << "this fit nothing makes up for";
   Candidate richer = Fitted({MakeSpec("stribeck_friction", {Pivot()},
                                       {{"coulomb", 0.1}, {"static", 0.11}, {"stribeck_velocity", 0.1}})});
-  richer.score = -1000;
-  EXPECT_EQ(chosen(wrong, richer), "viscous_friction") << "a richer form takes more to be believed";
+  richer.score = wrong.score;
+  EXPECT_EQ(chosen(wrong, richer), "stribeck_friction");
+  needed = 1e6;
+  EXPECT_EQ(chosen(wrong, richer), "viscous_friction") << "a richer form must bring what it needs";
+  richer.form = needed;
+  EXPECT_EQ(chosen(wrong, richer), "stribeck_friction") << "what its score is less by already";
 }
 
 TEST_F(HeldOutTest, OfStatesThatNoSensorReadsAJudgeAsksMore) {
