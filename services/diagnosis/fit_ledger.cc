@@ -402,7 +402,7 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
   for (const EffectSpec& hinge : hinges) {
     // Hinges are different angles for one motion: where it is found about one, it is about the others.
     if (&hinge != &hinges.front() && nearest.left < kExplained) break;
-    for (const EffectSpec& rod : EitherPlace(LongerRod(hinge, times))) {
+    for (const EffectSpec& rod : EitherPlace(setting_.data, setting_.nominal, LongerRod(hinge, times))) {
       if (nearest.in_all < kExplained || KeyOf({rod}) == KeyOf({LongerRod(hinges[0], times)})) continue;
       const Hung other = hang(Joined(specs, {rod}));
       if (other.left < nearest.left) nearest = other;

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <optional>
 
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
@@ -18,12 +19,33 @@ namespace {
 
 constexpr Eigen::Index kEvery = 20;                       // sample of a motion, to see how its link is turned
 constexpr double kShortestRod = 0.02, kLongestRod = 0.3;  // m, that a fit starts at
+constexpr double kAlike = 1e-3;                           // m, of which no rod knows where it hangs
+constexpr double kTurned = 1e-3;                          // rad
 constexpr double kPoint = 0.01;                           // of its length, a radius of gyration that is none
 // Of the length of a point that swings alike: kShorter + kWide²/kShorter is one.
 constexpr double kShorter = 0.9, kWide = 0.3;
 constexpr double kSwing = 0.7;  // rad
 
 bool OnRod(const EffectSpec& e) { return e.options.count("form") > 0 && e.options.at("form") == "rod"; }
+
+// What hangs on one of the frames swings as it would on the other: they are turned alike, and the way from
+// one to the other was the same all along the motions.
+bool MovedAlike(const FitData& data, const sim::Plant& nominal, const model::Frame& a,
+                const model::Frame& b) {
+  const dynamics::Mechanism mechanism(nominal.model());
+  dynamics::Workspace workspace;
+  std::optional<Eigen::Vector3d> first;
+  for (const FineMotion& fine : data.fine) {
+    for (Eigen::Index k = 0; k < fine.q.cols(); k += kEvery) {
+      const model::Pose to_a = dynamics::FramePose(mechanism, workspace, fine.q.col(k), a);
+      const model::Pose to_b = dynamics::FramePose(mechanism, workspace, fine.q.col(k), b);
+      const Eigen::Vector3d way = to_b.translation - to_a.translation;
+      if (!first) first = way;
+      if ((way - *first).norm() > kAlike || (to_a.rotation - to_b.rotation).norm() > kTurned) return false;
+    }
+  }
+  return true;
+}
 
 // Of the link that a mass hangs on.
 model::Frame FrameOf(const model::RobotModel& model, const EffectSpec& mass) {
@@ -68,9 +90,10 @@ EffectSpec LongerRod(EffectSpec rod, double times) {
   return rod;
 }
 
-std::vector<EffectSpec> EitherPlace(const EffectSpec& rod) {
+std::vector<EffectSpec> EitherPlace(const FitData& data, const sim::Plant& nominal, const EffectSpec& rod) {
   EffectSpec other = rod;
   other.options["point"] = SwingsOnLastLink({rod}) ? "end_effector" : "last_link";
+  if (MovedAlike(data, nominal, FrameOf(nominal.model(), rod), FrameOf(nominal.model(), other))) return {rod};
   return {rod, other};
 }
 

@@ -14,8 +14,10 @@ bool SwingsOnLastLink(const std::vector<effects::EffectSpec>& specs);
 
 // `rod` with a body that is so many times as long, of the same mass.
 effects::EffectSpec LongerRod(effects::EffectSpec rod, double times);
-// `rod` where it hangs, and at the same hinge of the other point.
-std::vector<effects::EffectSpec> EitherPlace(const effects::EffectSpec& rod);
+// `rod` where it hangs, and at the same hinge of the other point, unless both points were moved alike: below
+// an upright slide what hangs on either is one.
+std::vector<effects::EffectSpec> EitherPlace(const FitData& data, const sim::Plant& nominal,
+                                             const effects::EffectSpec& rod);
 
 // `start` with a rod that hangs and does not turn.
 Eigen::VectorXd HangingFrom(const sim::Simulator& simulator, const Eigen::VectorXd& start);

@@ -135,21 +135,48 @@ TEST(FewerNames, AreAPartOfTheWholeUnlessAnotherLawIsWorthMore) {
   EXPECT_EQ(FewerNames(tried, none, both, needed), nullptr);
 }
 
+Candidate Fitted(const char* effect, bool base, double score) {
+  Candidate c = Model({MakeSpec(effect, {"a"})}, base);
+  c.fit.ok = true, c.score = score;
+  return c;
+}
+
+std::map<std::string, Candidate> Ledger(const std::vector<Candidate>& candidates) {
+  std::map<std::string, Candidate> tried;
+  for (const Candidate& c : candidates) tried[KeyOf(c.specs, c.base)] = c;
+  return tried;
+}
+
+// What an account with states that no sensor reads may stand for beside wrong bodies.
+TEST(PlainRivals, AreNamesOnTheParametersAsGivenThatLeaveAtMostTwiceAsMuch) {
+  const Candidate account = Fitted("joint_elasticity", false, -100);
+  Candidate two = Fitted("torque_deadband", false, -110), refused = Fitted("rotor_inertia", false, -90);
+  two.specs.push_back(MakeSpec("torque_ripple", {"a"}));
+  refused.fit.ok = false;
+  const auto tried = Ledger({account, two, refused, Fitted("torque_gain", false, -150),
+                             Fitted("payload", false, -120), Fitted("coulomb_friction", false, -201),
+                             Fitted("unknown_field", false, -50), Fitted("viscous_friction", true, -80)});
+  const auto names = [&](size_t most) {
+    std::vector<std::string> out;
+    for (const Candidate& c : PlainRivals(tried, Model({}), account, most)) out.push_back(c.specs[0].id);
+    return out;
+  };
+  // No plant says here that a spring has states: it is its own rival.
+  EXPECT_EQ(names(9), (std::vector<std::string>{"joint_elasticity", "payload", "torque_gain"}));
+  EXPECT_EQ(names(2), (std::vector<std::string>{"joint_elasticity", "payload"})) << "the best of them";
+  EXPECT_TRUE(PlainRivals({}, Model({}), account, 9).empty()) << "the account was not tried as given";
+  EXPECT_TRUE(PlainRivals(tried, Model({MakeSpec("contact", {})}), account, 9).empty())
+      << "they have what was there before";
+}
+
 // Two names that only together hold beside free bodies are looked for from the better one.
 TEST(BestFreed, IsTheBestNameWithFreeBaseParameters) {
-  const auto scored = [](const char* effect, bool base, double score) {
-    Candidate c = Model({MakeSpec(effect, {"a"})}, base);
-    c.fit.ok = true, c.score = score;
-    return c;
-  };
-  std::map<std::string, Candidate> tried;
-  EXPECT_EQ(BestFreed(tried, Model({})), nullptr);
-  for (const Candidate& c : {scored("torque_gain", true, -40), scored("coulomb_friction", true, -90),
-                             scored("unknown_field", true, -10), scored("viscous_friction", false, -20)})
-    tried[KeyOf(c.specs, c.base)] = c;
   Candidate alone = Model({}, true);
   alone.fit.ok = true, alone.score = -5;
-  tried["+base"] = alone;
+  const auto tried =
+      Ledger({Fitted("torque_gain", true, -40), Fitted("coulomb_friction", true, -90),
+              Fitted("unknown_field", true, -10), Fitted("viscous_friction", false, -20), alone});
+  EXPECT_EQ(BestFreed({}, Model({})), nullptr);
   ASSERT_NE(BestFreed(tried, Model({})), nullptr);
   EXPECT_EQ(BestFreed(tried, Model({}))->specs[0].id, "torque_gain");
   EXPECT_EQ(BestFreed(tried, Model({MakeSpec("torque_gain", {"b"})}))->specs[0].id, "coulomb_friction")

@@ -132,12 +132,16 @@ TEST(LongerRod, HasItsMassAndSwingsSoMuchSlower) {
   EXPECT_NEAR(now.at("radius"), 4 * of.at("radius"), 1e-12);
 }
 
-TEST(EitherPlace, IsTheToolAndTheLastLink) {
-  const std::vector<EffectSpec> places = EitherPlace(Rod(0.15, 0.12, 1e-3));
+TEST(EitherPlace, IsTheToolAndTheLastLinkUnlessBothWereMovedAlike) {
+  const auto p = Prepare("arm2", {}, 13);
+  const std::vector<EffectSpec> places = EitherPlace(p->data, p->nominal, Rod(0.15, 0.12, 1e-3));
   ASSERT_EQ(places.size(), 2u);
   EXPECT_FALSE(SwingsOnLastLink({places[0]}));
   EXPECT_TRUE(SwingsOnLastLink({places[1]}));
-  EXPECT_FALSE(SwingsOnLastLink({EitherPlace(places[1])[1]}));
+  EXPECT_FALSE(SwingsOnLastLink({EitherPlace(p->data, p->nominal, places[1])[1]}));
+  // Where the last link hardly turns its tool is only further along.
+  for (FineMotion& fine : p->data.fine) fine.q.row(1) = -fine.q.row(0).array() + 0.3;
+  EXPECT_EQ(EitherPlace(p->data, p->nominal, places[1]).size(), 1u);
 }
 
 TEST(Typically, IsNotLedByWindowsWhoseStartWasNotFound) {
