@@ -137,7 +137,8 @@ std::vector<Candidate> PlainRivals(const std::map<std::string, Candidate>& tried
 const Candidate* BestFreed(const std::map<std::string, Candidate>& tried, const Candidate& before) {
   const Candidate* best = nullptr;
   for (const auto& [key, c] : tried) {
-    if (!c.fit.ok || !c.base || HasUnnamed(c) || FreshKinds(before, c).empty()) continue;
+    if (!c.fit.ok || !c.base || HasUnnamed(c) || c.score <= kNoScore) continue;
+    if (!IsPart(before.specs, c.specs) || FreshKinds(before, c).empty()) continue;
     if (best == nullptr || c.score > best->score) best = &c;
   }
   return best;

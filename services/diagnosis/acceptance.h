@@ -69,7 +69,8 @@ const Candidate* FewerNames(const std::map<std::string, Candidate>& tried, const
 std::vector<Candidate> PlainRivals(const std::map<std::string, Candidate>& tried, const Candidate& before,
                                    const Candidate& account, size_t most);
 
-// Of what was tried with free base parameters the best by name that has more than `before`; null: none.
+// Of what was tried with free base parameters the best by name that has all that `before` has and a kind
+// more; null: none.
 const Candidate* BestFreed(const std::map<std::string, Candidate>& tried, const Candidate& before);
 
 }  // namespace rg::diagnosis

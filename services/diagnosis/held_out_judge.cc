@@ -132,7 +132,7 @@ void HeldOutJudge::WeighRivals(SearchResult* search,
         c.held_out = Of(c).log_density;
         const double least =
             IsRicher(rival.effect) ? std::max(kSeparable, needed(account, c) - c.form) : kSeparable;
-        const double in_all = FitScore(c) + *c.held_out - FitScore(account) - *account.held_out - least;
+        const double in_all = InAll(c) - InAll(account) - least;
         if (in_all > most && MayReplace(id, rival.effect, c, account) && MostBetter(Of(c), Of(account)))
           likelier = &c, most = in_all;
       }

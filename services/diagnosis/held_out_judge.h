@@ -34,6 +34,8 @@ class HeldOutJudge {
   // Empty where there is none. The scores of what was asked and predicts worse than it then hold that too.
   std::optional<Candidate> Better(const Candidate& account, std::map<std::string, Candidate>& tried,
                                   const std::function<double(const Candidate&)>& needed);
+  // Log evidence of all recordings: of the fitted ones by the fit, of the others by what it predicts.
+  double InAll(const Candidate& c) { return FitScore(c) + Of(c).log_density; }
   // The recording, by its place among those kept aside, that `account` is furthest from; −1 where it holds.
   int Refusing(const Candidate& account, double needed);
   // Gives the best model, and what the findings' alternatives are (separating_motion.h), their log densities.

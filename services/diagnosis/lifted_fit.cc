@@ -384,7 +384,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       grams[w].setZero(P + 1, P + 1);
       grams[w].selfadjointView<Eigen::Lower>().rankUpdate(rest.transpose(), inverse_scale);
     });
-    result.work += Work(data, options, nx, nx + P);
+    result.work += Work(data, options, nx, nx + P) * (1 + W * lin.Memory() / data.Seconds());
     MatrixXd gram = MatrixXd::Zero(P + 1, P + 1);
     for (int w = 0; w < W; ++w) {
       if (linear[w].ok) gram += grams[w];
@@ -398,6 +398,10 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
         std::vector<int> windows;
         std::vector<VectorXd> starts;
         for (int w = g * W / groups; w < (g + 1) * W / groups; ++w) {
+          if (linear[w].ok) {  // what is not free starts as the parameters say
+            states[w].col(0) += linear[w].E[0].col(0);
+            linear[w].E[0].col(0).setZero();
+          }
           windows.push_back(w), starts.push_back(states[w].col(0));
         }
         const std::vector<double> own = lin.Simulated(worker, windows, starts);

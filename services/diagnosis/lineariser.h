@@ -28,6 +28,7 @@ inline constexpr double kBroken = 1e12;
 inline constexpr double kSettleTime = 0.5;
 // Time constants of a lag, after which it has forgotten what it followed.
 inline constexpr double kForgets = 7.0;
+inline constexpr double kGap = 2.5;    // sample periods between two rows, of which one is missing
 inline constexpr double kEarly = 0.4;  // of a window, in which starts are compared
 inline constexpr size_t kNearest = 8;  // of them, that are simulated to its end
 
@@ -154,6 +155,10 @@ class Lineariser {
       const std::string joint = internal[i].substr(kLagged.size());
       lags_.push_back({2 * n_ + static_cast<int>(i),
                        probe_.plant.parameters().Find("actuator_lag." + joint + ".time_constant")});
+    }
+    for (int i = 0; i < probe_.plant.parameters().size(); ++i) {
+      const sim::Parameter& p = probe_.plant.parameters()[i];
+      if (p.effect == "actuator_delay" && p.field == "delay") delays_.push_back(i);
     }
     FreeStarts(internal);
     sim::SimulatorOptions simulator;
@@ -302,6 +307,12 @@ class Lineariser {
       }
     }
   }
+  // How long before a window its lags are simulated, for what they are where it begins [s]; 0: they are not.
+  double Memory() const {
+    double slowest = 0;
+    for (const Lag& lag : lags_) slowest = std::max(slowest, probe_.values[lag.time_constant]);
+    return kForgets * slowest <= kSettleTime ? kForgets * slowest : 0.0;
+  }
   bool has_gaps() const { return !gaps_.empty(); }
   // In a gear with play the link may lie on either face or between them, at rest against the motor or on its
   // way, and no derivative leads from one to the other: of such starts the one whose simulation is nearest to
@@ -387,13 +398,13 @@ class Lineariser {
   }
 
   // What a lag is at a window's start follows from the commands before it, wherever the robot was then: that
-  // is no free direction of the start, but goes with the parameters. Of commands from before the recording
-  // nobody knows; there the start stays free. E: nx × (1 + P + nx), of the start `x0`.
+  // is no free direction of the start, but goes with the parameters. Where these were not all recorded, or a
+  // lag remembers too many of them, the start stays free. E: nx × (1 + P + nx), of the start `x0`.
   void TieLags(const NodeWindow& window, const VectorXd& x0, Worker* w, MatrixXd* E) const {
-    double slowest = 0;
-    for (const Lag& lag : lags_) slowest = std::max(slowest, probe_.values[lag.time_constant]);
-    const double begin = window.t[0] - std::min(kSettleTime, kForgets * slowest);
-    if (lags_.empty() || begin < data_.fine[window.recording].t.front() || !(begin < window.t[0])) return;
+    const double begin = window.t[0] - Memory();
+    double latest = 0;
+    for (const int delay : delays_) latest = std::max(latest, probe_.values[delay]);
+    if (!(begin < window.t[0]) || !Recorded(window.recording, begin - latest, window.t[0])) return;
     const sim::CommandSignal& command = data_.recordings[window.recording].command;
     const sim::State before = w->simulator.MakeState(window.q0.col(0), window.v0.col(0), begin, command);
     w->times.assign(1, window.t[0]);
@@ -405,6 +416,17 @@ class Lineariser {
       row[0] = w->out.state(lag.state, 0) - x0[lag.state];
       row.segment(1, P_) = w->out.dfinal_state.row(lag.state).segment(nx_, P_);
     }
+  }
+  // Whether the recording has all its rows from one time to the other.
+  bool Recorded(int recording, double from, double to) const {
+    const recordings::Recording& r = *data_.recordings[recording].recording;
+    const double* const end = r.t.data() + r.t.size();
+    const double* row = std::upper_bound(r.t.data(), end, from);
+    if (row == r.t.data()) return false;
+    for (; row != end && *row < to; ++row) {
+      if (*row - row[-1] > kGap * r.SamplePeriod()) return false;
+    }
+    return true;
   }
 
   // One run from every node to the next, with sensitivities: the rows after a node, those before the next,
@@ -551,6 +573,7 @@ class Lineariser {
     int state, time_constant;  // row of the state, place among the parameters
   };
   std::vector<Lag> lags_;
+  std::vector<int> delays_;  // of commands, places among the parameters
   std::vector<std::unique_ptr<Worker>> workers_;
 };
 

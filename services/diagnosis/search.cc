@@ -243,7 +243,7 @@ class Search {
     }
     if (deeper.score > winner.score + Threshold(winner, deeper)) winner = deeper;
     // Where a force without a name would be the account, two names may be that only together hold beside free
-    // base parameters.
+    // base parameters: they need only be the better one.
     if (HasUnnamed(winner) && !nameless_) {
       if (const Candidate* c = BestFreed(fits_.tried(), *best)) winner = Better(winner, Deeper(*c));
     }
@@ -509,7 +509,9 @@ class Search {
       if (!rival) break;
       Tell("sent back", 0.9, KeyOf(best->specs) + "for " + KeyOf(rival->specs));
       *best = HasUnnamed(*rival) ? unnamed_.WithoutCoarse(*rival) : *rival;
-      if (!HasUnnamed(*best) && !fits_.Late()) Exchange(without, best);
+      Candidate like = *best;
+      if (!HasUnnamed(like) && !fits_.Late()) Exchange(without, &like);
+      if (judge.InAll(like) > judge.InAll(*best)) *best = like;
     }
     if (judge.Holds(*best, Threshold(*best))) {
       *unseen_in = -1;

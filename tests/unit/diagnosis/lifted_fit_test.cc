@@ -250,6 +250,41 @@ TEST(LiftedFit, ALagStartsWhereCommandsBeforeTheWindowLeaveIt) {
   EXPECT_GT(tied, 5);
 }
 
+// A slow lag remembers commands from before half a second, and of a gap's nobody knows.
+TEST(LiftedFit, ALagWhoseCommandsWereNotAllRecordedStartsAnywhere) {
+  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  const auto lag = [&](double seconds) {
+    return MakeSpec("actuator_lag", {joint}, {{"time_constant", seconds}});
+  };
+  const auto p = Prepare("pendulum", {lag(0.2)}, 6);
+  const FitResult fit = FitEffects(*p, {lag(0.1)}, {.iterations = 12});
+  ASSERT_TRUE(fit.ok);
+  EXPECT_NEAR(fit.theta[0], 0.2, 4 * fit.stddev[0] + 1e-3);
+  EXPECT_NEAR(fit.chi2 / (fit.rows - 3.0 * static_cast<double>(p->data.windows.size())), 1.0, 0.1);
+
+  const auto free_starts = [&](double seconds) {
+    const auto plant = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), {lag(seconds)});
+    RG_CHECK(plant.ok());
+    const FitModel model{*plant, plant->parameters().Nominal(), FreeParameters(*plant, p->scales, false)};
+    const NodeStates states = InitialStates(p->data, model, LiftedOptions{});
+    Lineariser lineariser(p->data, model, false, LiftedOptions{});
+    size_t count = 0;
+    for (size_t w = 0; w < p->data.windows.size(); ++w) {
+      Linear linear;
+      lineariser.Run(0, static_cast<int>(w), states[w], nullptr, nullptr, true, &linear);
+      count += linear.E[0](2, 4) == 1.0;  // behind defect, time constant, position and speed
+    }
+    return count;
+  };
+  EXPECT_EQ(free_starts(0.2), p->data.windows.size());
+  EXPECT_EQ(free_starts(0.01), 0u);
+  auto gap = std::make_shared<recordings::Recording>(*p->data.recordings[0].recording);
+  const double start = p->data.windows[1].t[0];
+  for (double& t : gap->t) t -= t < start - 0.03 ? 0.1 : 0.0;
+  p->data.recordings[0].recording = gap.get();
+  EXPECT_EQ(free_starts(0.01), 1u);
+}
+
 // Hard faces bend a motion more between two nodes than a line says: on nodes of their own, off the
 // simulation, fits stay where they start.
 TEST(LiftedFit, FindsPlayBetweenHardFacesFromSoftOnes) {
