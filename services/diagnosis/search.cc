@@ -31,6 +31,7 @@ constexpr size_t kPromised = 3;       // by a screen, that are fitted without a 
 constexpr int kSentBack = 3;          // times that recordings kept aside may refuse an account
 constexpr int kExchanged = 3;         // times that what is easily taken for each other changes places
 constexpr int kDeeper = 2;            // kinds beside a first one, before parameters are freed
+constexpr size_t kFew = 2;            // names: many together do what bodies do
 constexpr double kDeep = 0.5;         // of all work, after which none of that, nor a substitute, is begun
 constexpr size_t kBesideUnnamed = 3;  // names that are fitted beside a force without one
 constexpr size_t kBesideRefused = 2;  // that are fitted beside what recordings kept aside refuse
@@ -462,10 +463,11 @@ class Search {
     return holds;
   }
 
-  // Whether an account by name on the parameters as given leaves nothing of the recordings, nor of those kept
-  // aside: then free parameters, which alone explain little, are no rival.
+  // Whether an account by few names on the parameters as given leaves nothing of the recordings, nor of those
+  // kept aside: then free parameters, which alone explain little, are no rival.
   bool Settled(const Candidate& before, const Candidate& named) {
     return MaySettle() && MeetsSensors(named) && !HasUnnamed(named) && fits_.PerRow(before) >= kHolds &&
+           FreshKinds(before, named).size() <= kFew &&
            named.score > before.score + Threshold(before, named) && HoldsAside(named, Threshold(before));
   }
 
@@ -501,8 +503,7 @@ class Search {
       if (!fits_.Late()) unnamed_.Try(best->base, kAny, [](const Candidate&) { return false; });
       if (const Candidate* nameless = unnamed_.Best(); sent == 0 && nameless != nullptr && !fits_.Late())
         unnamed_.WithNames(Candidate(*nameless));
-      // What it lacks may be another name.
-      Candidate with = *best;
+      Candidate with = *best;  // what it lacks may be another name
       if (sent == 0 && !HasUnnamed(*best) && !fits_.Late()) LookBeside(*best, kBesideRefused, &with);
       const auto rival =
           judge.Better(*best, fits_.tried(), [&](const Candidate& c) { return Threshold(*best, c); });
@@ -534,8 +535,7 @@ class Search {
   // What is easily taken for each other changes places until nothing is better: what one was taken for may
   // have been for another's sake.
   void Exchange(const Candidate& before, Candidate* winner) {
-    for (int again = 0; again < kExchanged && Siblings(before, winner); ++again) {
-    }
+    for (int left = kExchanged; left > 0 && Siblings(before, winner);) --left;
   }
 
   // Whether a better account was found: the winner with each new kind of effect, or its newest, exchanged for
