@@ -312,7 +312,7 @@ bool HasHiddenStates(const Candidate& c) {
 bool HasFreeStates(const Candidate& c) {
   return HasHiddenStates(c) &&
          std::any_of(c.plant->internal_state_names().begin(), c.plant->internal_state_names().end(),
-                     [](const std::string& name) { return name.rfind("lagged_torque.", 0) != 0; });
+                     [](const std::string& name) { return !name.starts_with(kLagState); });
 }
 
 bool OfPosition(const Candidate& c) {

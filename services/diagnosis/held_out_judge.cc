@@ -1,7 +1,6 @@
 #include "services/diagnosis/held_out_judge.h"
 
 #include <algorithm>
-#include <iterator>
 #include <set>
 
 #include "services/diagnosis/hypotheses.h"
@@ -22,11 +21,6 @@ bool Nameless(const Candidate& c) {
 }
 
 std::string Key(const Candidate& c) { return KeyOf(c.specs, c.base); }
-
-bool IsRicher(const std::string& effect) {
-  return std::find(std::begin(kRicherFriction), std::end(kRicherFriction), effect) !=
-         std::end(kRicherFriction);
-}
 
 // Whether `effect` in the place of `id` is a matter of which is likelier, and of no more than that: states
 // that no sensor reads take more to be believed; all sensors late are all drives late.
@@ -131,7 +125,7 @@ void HeldOutJudge::WeighRivals(SearchResult* search,
         if (!c.fit.ok) continue;
         c.held_out = Of(c).log_density;
         const double least =
-            IsRicher(rival.effect) ? std::max(kSeparable, needed(account, c) - c.form) : kSeparable;
+            IsRicherFriction(rival.effect) ? std::max(kSeparable, needed(account, c) - c.form) : kSeparable;
         const double in_all = InAll(c) - InAll(account) - least;
         if (in_all > most && MayReplace(id, rival.effect, c, account) && MostBetter(Of(c), Of(account)))
           likelier = &c, most = in_all;

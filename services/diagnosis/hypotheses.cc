@@ -471,6 +471,10 @@ std::vector<EffectSpec> Joined(std::vector<EffectSpec> specs, const std::vector<
   return specs;
 }
 
+bool IsRicherFriction(const std::string& effect) {
+  return effect != "coulomb_friction" && IsOneOf(DryFriction(), effect);
+}
+
 std::vector<std::string> SiblingsOf(const std::string& effect) {
   // A lag may stand beside a delay, and be taken for one; an unnamed force may be a spring's.
   static const Kinds kLate = {"actuator_delay", "actuator_lag", "sensor_delay"};

@@ -56,6 +56,7 @@ std::vector<effects::EffectSpec> Joined(std::vector<effects::EffectSpec> specs,
 inline constexpr const char* kRicherFriction[] = {"stribeck_friction", "asymmetric_friction",
                                                   "load_dependent_friction", "presliding_hysteresis",
                                                   "thermal_drift"};
+bool IsRicherFriction(const std::string& effect);
 // What an effect is easily taken for and can be exchanged with on the same joints; empty where nothing.
 std::vector<std::string> SiblingsOf(const std::string& effect);
 // `spec` as its sibling, of about the same strength.

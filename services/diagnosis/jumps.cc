@@ -74,8 +74,8 @@ struct Ends {
 // Inverse of a precision whose states have units of their own; what no row depends on (a lag's start, which
 // is not free) has no share in it.
 MatrixXd Inverse(const MatrixXd& precision) {
-  const VectorXd stddev = precision.diagonal().cwiseSqrt();
-  const VectorXd scale = (stddev.array() > 0).select(stddev.cwiseInverse(), 0.0);
+  const VectorXd root = precision.diagonal().cwiseSqrt();
+  const VectorXd scale = (root.array() > 0).select(root.cwiseInverse(), 0.0);
   MatrixXd scaled = scale.asDiagonal() * precision * scale.asDiagonal();
   scaled.diagonal().array() += kSingular;
   return scale.asDiagonal() * scaled.ldlt().solve(MatrixXd::Identity(scaled.rows(), scaled.cols())) *

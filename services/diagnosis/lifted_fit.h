@@ -16,6 +16,7 @@
 
 #include <Eigen/Core>
 #include <memory>
+#include <string_view>
 #include <vector>
 
 #include "common/base/rng.h"
@@ -72,6 +73,9 @@ struct LiftedOptions {
 // the same on every machine: steps times pairs of states times columns, the step itself counting as twenty.
 // Its time goes with that within a factor of 1.7 (robots of one to six joints, 25 to 500 Hz).
 double Work(const FitData& data, const LiftedOptions& options, long states, long columns);
+
+// How the names of lags' states begin, which commands alone settle; the joint's name follows.
+inline constexpr std::string_view kLagState = "lagged_torque.";
 
 struct FitResult {
   Eigen::VectorXd values;

@@ -28,7 +28,6 @@ inline constexpr double kBroken = 1e12;
 inline constexpr double kSettleTime = 0.5;
 // Time constants of a lag, after which it has forgotten what it followed.
 inline constexpr double kForgets = 7.0;
-inline constexpr double kGap = 2.5;    // sample periods between two rows, of which one is missing
 inline constexpr double kEarly = 0.4;  // of a window, in which starts are compared
 inline constexpr size_t kNearest = 8;  // of them, that are simulated to its end
 
@@ -120,8 +119,6 @@ struct Worker {
 };
 
 class Lineariser {
-  inline static const std::string kLagged = "lagged_torque.";
-
  public:
   Lineariser(const FitData& data, const FitModel& model, bool with_torque, const LiftedOptions& options)
       : data_(data), probe_(MakeProbe(model, with_torque)), options_(options) {
@@ -151,8 +148,8 @@ class Lineariser {
       }
     }
     for (size_t i = 0; i < internal.size(); ++i) {
-      if (internal[i].rfind(kLagged, 0) != 0) continue;
-      const std::string joint = internal[i].substr(kLagged.size());
+      if (!internal[i].starts_with(kLagState)) continue;
+      const std::string joint = internal[i].substr(kLagState.size());
       lags_.push_back({2 * n_ + static_cast<int>(i),
                        probe_.plant.parameters().Find("actuator_lag." + joint + ".time_constant")});
     }
@@ -419,14 +416,10 @@ class Lineariser {
   }
   // Whether the recording has all its rows from one time to the other.
   bool Recorded(int recording, double from, double to) const {
-    const recordings::Recording& r = *data_.recordings[recording].recording;
-    const double* const end = r.t.data() + r.t.size();
-    const double* row = std::upper_bound(r.t.data(), end, from);
-    if (row == r.t.data()) return false;
-    for (; row != end && *row < to; ++row) {
-      if (*row - row[-1] > kGap * r.SamplePeriod()) return false;
-    }
-    return true;
+    const auto& gaps = data_.fine[recording].gaps;
+    return from >= data_.recordings[recording].recording->t[0] &&
+           std::none_of(gaps.begin(), gaps.end(),
+                        [&](const auto& gap) { return gap.first < to && gap.second > from; });
   }
 
   // One run from every node to the next, with sensitivities: the rows after a node, those before the next,

@@ -68,6 +68,7 @@ void SmoothMotion::At(double t, VectorXd* q, VectorXd* v, VectorXd* a) const {
 
 namespace {
 
+constexpr double kGap = 2.5;    // sample periods between two rows, of which one is missing
 constexpr int kHarmonics = 12;  // of the sawtooth that a quantised reading's error is over position
 
 // The mean of rows [first, last] in the place of node k, whose own row is `row`.
@@ -220,6 +221,10 @@ FineMotion FineMotionOf(const recordings::Recording& rec, const sim::CommandSign
     motion.At(t, &q, &v, &a);
     out.q.col(k) = q, out.v.col(k) = v, out.a.col(k) = a;
     for (int j = 0; j < n; ++j) out.u(j, k) = command.Average(j, t - 0.5 * dt, t + 0.5 * dt);
+  }
+  const double longest = kGap * rec.SamplePeriod();
+  for (int row = 1; row < rec.rows(); ++row) {
+    if (rec.t[row] - rec.t[row - 1] > longest) out.gaps.emplace_back(rec.t[row - 1], rec.t[row]);
   }
   return out;
 }

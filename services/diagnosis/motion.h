@@ -3,6 +3,7 @@
 
 #include <Eigen/Core>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "common/recordings/noise.h"
@@ -49,6 +50,8 @@ bool FollowsOn(const NodeWindow& before, const NodeWindow& window);
 struct FineMotion {
   std::vector<double> t;       // F
   Eigen::MatrixXd q, v, a, u;  // n × F
+  std::vector<std::pair<double, double>>
+      gaps;  // from one row to the next [s], where rows between are missing
 };
 
 struct NodeOptions {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <numeric>
 #include <optional>
@@ -28,6 +29,13 @@ constexpr double kSwing = 0.7;  // rad
 
 bool OnRod(const EffectSpec& e) { return e.options.count("form") > 0 && e.options.at("form") == "rod"; }
 
+// Positions (n) as the robot had them.
+void AlongMotions(const FitData& data, const std::function<void(const VectorXd&)>& visit) {
+  for (const FineMotion& fine : data.fine) {
+    for (Eigen::Index k = 0; k < fine.q.cols(); k += kEvery) visit(fine.q.col(k));
+  }
+}
+
 // What hangs on one of the frames swings as it would on the other: they are turned alike, and the way from
 // one to the other was the same all along the motions.
 bool MovedAlike(const FitData& data, const sim::Plant& nominal, const model::Frame& a,
@@ -35,16 +43,15 @@ bool MovedAlike(const FitData& data, const sim::Plant& nominal, const model::Fra
   const dynamics::Mechanism mechanism(nominal.model());
   dynamics::Workspace workspace;
   std::optional<Eigen::Vector3d> first;
-  for (const FineMotion& fine : data.fine) {
-    for (Eigen::Index k = 0; k < fine.q.cols(); k += kEvery) {
-      const model::Pose to_a = dynamics::FramePose(mechanism, workspace, fine.q.col(k), a);
-      const model::Pose to_b = dynamics::FramePose(mechanism, workspace, fine.q.col(k), b);
-      const Eigen::Vector3d way = to_b.translation - to_a.translation;
-      if (!first) first = way;
-      if ((way - *first).norm() > kAlike || (to_a.rotation - to_b.rotation).norm() > kTurned) return false;
-    }
-  }
-  return true;
+  bool alike = true;
+  AlongMotions(data, [&](const VectorXd& q) {
+    const model::Pose to_a = dynamics::FramePose(mechanism, workspace, q, a);
+    const model::Pose to_b = dynamics::FramePose(mechanism, workspace, q, b);
+    const Eigen::Vector3d way = to_b.translation - to_a.translation;
+    if (!first) first = way;
+    alike = alike && (way - *first).norm() <= kAlike && (to_a.rotation - to_b.rotation).norm() <= kTurned;
+  });
+  return alike;
 }
 
 // Of the link that a mass hangs on.
@@ -143,12 +150,10 @@ std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal
   dynamics::Workspace workspace;
   const Eigen::Vector3d gravity = nominal.options().gravity;
   Eigen::Vector3d along = Eigen::Vector3d::Zero();
-  for (const FineMotion& fine : data.fine) {
-    for (Eigen::Index k = 0; k < fine.q.cols(); k += kEvery) {
-      const model::Pose pose = dynamics::FramePose(mechanism, workspace, fine.q.col(k), frame);
-      along += (pose.rotation.transpose() * gravity).cwiseAbs2();
-    }
-  }
+  AlongMotions(data, [&](const VectorXd& q) {
+    const model::Pose pose = dynamics::FramePose(mechanism, workspace, q, frame);
+    along += (pose.rotation.transpose() * gravity).cwiseAbs2();
+  });
   const auto& of = springs.values.begin()->second;
   // As a point it would swing with this length; a body that is not small does with L + r²/L, and from r = 0
   // no fit leads away. Springs that take in what else is missing say metres: no tool carries that.

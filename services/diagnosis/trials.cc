@@ -278,9 +278,8 @@ std::vector<TrialSpecs> PlainOnOneJoint(const TrialSpecs& specs, const sim::Plan
                                         const MotionScales& scales) {
   std::vector<TrialSpecs> out;
   for (size_t i = 0; i < specs.size(); ++i) {
-    const bool richer = std::count(std::begin(kRicherFriction), std::end(kRicherFriction), specs[i].id) > 0;
     const auto alike = [&](const EffectSpec& s) { return s.id == specs[i].id; };
-    if (!richer || std::count_if(specs.begin(), specs.end(), alike) < 2) continue;
+    if (!IsRicherFriction(specs[i].id) || std::count_if(specs.begin(), specs.end(), alike) < 2) continue;
     for (const char* id : {"coulomb_friction", "viscous_friction"}) {
       if (Contains(specs, id, specs[i].joints[0])) continue;
       out.push_back(specs);

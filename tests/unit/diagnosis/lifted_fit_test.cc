@@ -24,12 +24,23 @@ using effects::MakeSpec;
 using testing::Prepare;
 using testing::Prepared;
 
-FitResult FitEffects(const Prepared& p, std::vector<effects::EffectSpec> specs,
-                     const LiftedOptions& options = {}) {
+FitModel ModelOf(const Prepared& p, std::vector<effects::EffectSpec> specs) {
   auto plant = sim::Plant::Create(p.nominal.shared_model(), p.nominal.options(), std::move(specs));
   RG_CHECK(plant.ok()) << plant.status().ToString();
-  return Fit(p.data, {*plant, plant->parameters().Nominal(), FreeParameters(*plant, p.scales, false)},
-             options);
+  return {*plant, plant->parameters().Nominal(), FreeParameters(*plant, p.scales, false)};
+}
+
+FitResult FitEffects(const Prepared& p, std::vector<effects::EffectSpec> specs,
+                     const LiftedOptions& options = {}) {
+  return Fit(p.data, ModelOf(p, std::move(specs)), options);
+}
+
+EffectSpec LagOf(const sim::Plant& robot, double seconds) {
+  return MakeSpec("actuator_lag", {robot.joint_names()[0]}, {{"time_constant", seconds}});
+}
+
+std::unique_ptr<Prepared> Lagging(double seconds, uint64_t seed) {
+  return Prepare("pendulum", {LagOf(sysid::testing::LoadPlant("pendulum"), seconds)}, seed);
 }
 
 // A joint that has all the effects it can have feels no push beside them.
@@ -209,18 +220,12 @@ TEST(Windows, BeginWhereWhatALateDriveFollowsIsRecorded) {
 
 // What a lag is where a window begins is no free start of its own, which could follow another law.
 TEST(LiftedFit, ALagStartsWhereCommandsBeforeTheWindowLeaveIt) {
-  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
-  const auto lag = [&](double seconds) {
-    return MakeSpec("actuator_lag", {joint}, {{"time_constant", seconds}});
-  };
-  const auto p = Prepare("pendulum", {lag(0.03)}, 5);
-  const FitResult fit = FitEffects(*p, {lag(0.01)}, {.iterations = 12});
+  const auto p = Lagging(0.03, 5);
+  const FitResult fit = FitEffects(*p, {LagOf(p->nominal, 0.01)}, {.iterations = 12});
   ASSERT_TRUE(fit.ok);
   EXPECT_NEAR(fit.theta[0], 0.03, 4 * fit.stddev[0] + 1e-4);
-  const auto plant = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), {lag(fit.theta[0])});
-  ASSERT_TRUE(plant.ok());
-  const FitModel model{*plant, fit.values, FreeParameters(*plant, p->scales, false)};
-  sim::Simulator simulator(*plant);
+  const FitModel model = ModelOf(*p, {LagOf(p->nominal, fit.theta[0])});
+  sim::Simulator simulator(model.plant);
   const auto filtered = [&](size_t w, double time_constant) {
     Eigen::VectorXd values = fit.values;
     values[model.parameters[0].index] = time_constant;
@@ -252,20 +257,14 @@ TEST(LiftedFit, ALagStartsWhereCommandsBeforeTheWindowLeaveIt) {
 
 // A slow lag remembers commands from before half a second, and of a gap's nobody knows.
 TEST(LiftedFit, ALagWhoseCommandsWereNotAllRecordedStartsAnywhere) {
-  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
-  const auto lag = [&](double seconds) {
-    return MakeSpec("actuator_lag", {joint}, {{"time_constant", seconds}});
-  };
-  const auto p = Prepare("pendulum", {lag(0.2)}, 6);
-  const FitResult fit = FitEffects(*p, {lag(0.1)}, {.iterations = 12});
+  const auto p = Lagging(0.2, 6);
+  const FitResult fit = FitEffects(*p, {LagOf(p->nominal, 0.1)}, {.iterations = 12});
   ASSERT_TRUE(fit.ok);
   EXPECT_NEAR(fit.theta[0], 0.2, 4 * fit.stddev[0] + 1e-3);
   EXPECT_NEAR(fit.chi2 / (fit.rows - 3.0 * static_cast<double>(p->data.windows.size())), 1.0, 0.1);
 
   const auto free_starts = [&](double seconds) {
-    const auto plant = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), {lag(seconds)});
-    RG_CHECK(plant.ok());
-    const FitModel model{*plant, plant->parameters().Nominal(), FreeParameters(*plant, p->scales, false)};
+    const FitModel model = ModelOf(*p, {LagOf(p->nominal, seconds)});
     const NodeStates states = InitialStates(p->data, model, LiftedOptions{});
     Lineariser lineariser(p->data, model, false, LiftedOptions{});
     size_t count = 0;
@@ -278,10 +277,11 @@ TEST(LiftedFit, ALagWhoseCommandsWereNotAllRecordedStartsAnywhere) {
   };
   EXPECT_EQ(free_starts(0.2), p->data.windows.size());
   EXPECT_EQ(free_starts(0.01), 0u);
-  auto gap = std::make_shared<recordings::Recording>(*p->data.recordings[0].recording);
+  recordings::Recording gap = *p->data.recordings[0].recording;
   const double start = p->data.windows[1].t[0];
-  for (double& t : gap->t) t -= t < start - 0.03 ? 0.1 : 0.0;
-  p->data.recordings[0].recording = gap.get();
+  for (double& t : gap.t) t -= t < start - 0.03 ? 0.1 : 0.0;
+  p->data.fine[0] = FineMotionOf(gap, p->data.recordings[0].command, p->data.motions[0], p->data.nodes);
+  EXPECT_EQ(p->data.fine[0].gaps.size(), 1u);
   EXPECT_EQ(free_starts(0.01), 1u);
 }
 
