@@ -144,4 +144,17 @@ const Candidate* BestFreed(const std::map<std::string, Candidate>& tried, const 
   return best;
 }
 
+const Candidate* AsGoodAsFreed(const std::map<std::string, Candidate>& tried, const Candidate& freed,
+                               const std::function<double(const Candidate&, const Candidate&)>& needed) {
+  const Candidate* best = nullptr;
+  if (!freed.base) return best;
+  for (const auto& [key, c] : tried) {
+    // Hidden states and unnamed forces fit nearly anything: they have nothing to be forgiven.
+    if (!c.fit.ok || c.base || HasUnnamed(c) || HasHiddenStates(c)) continue;
+    if (KeyOf(c.specs) == KeyOf(freed.specs) || c.score <= freed.score + needed(freed, c)) continue;
+    if (best == nullptr || c.score > best->score) best = &c;
+  }
+  return best;
+}
+
 }  // namespace rg::diagnosis

@@ -411,9 +411,16 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
   // Without what else is missing it may not hold: most windows take that in, by a swing of their own, not
   // all.
   const EffectSpec rod = SwingingMass(nearest.specs);
+  std::vector<TrialSpecs> others;
   for (const auto& other : beside) {
+    // A held mass may have stood for the one that swings, which would leave it in the way.
+    const TrialSpecs free = WithoutKind(Refreshed(*other), "payload");
+    if (!free.empty() && free.size() < other->specs.size()) others.push_back(free);
+    others.push_back(Refreshed(*other));
+  }
+  for (const TrialSpecs& other : others) {
     if (nearest.in_all < kExplained) break;
-    const Hung both = hang(Joined(Refreshed(*other), {rod}));
+    const Hung both = hang(Joined(other, {rod}));
     if (both.in_all - 1 < kPartly * (nearest.in_all - 1)) nearest = both;
   }
   if (nearest.left > kNoNearer * kHolds) return;

@@ -97,7 +97,9 @@ std::optional<Candidate> HeldOutJudge::Better(const Candidate& account,
     if (behind > own.short_of_noise + kOnePercent * own.scatter) continue;
     const HeldOut& theirs = Of(*c);
     const double odds = theirs.log_density - own.log_density - behind;
-    if (PredictsMore(theirs, own) && odds > most) most = odds, best = *c;
+    // What strikes few windows is none the less refuted by one that holds throughout.
+    const bool refutes = odds > most && (PredictsMore(theirs, own) || Holds(*c, needed(*c)));
+    if (refutes) most = odds, best = *c;
   }
   if (!best) return best;
   const double reached = Of(*best).log_density;

@@ -248,8 +248,9 @@ class Search {
     if (HasUnnamed(winner) && !nameless_) {
       if (const Candidate* c = BestFreed(fits_.tried(), *best)) winner = Better(winner, Deeper(*c));
     }
-    if (const Candidate* c = AsGoodAsFreed(*best); c != nullptr && KeyOf(winner.specs) == KeyOf(best->specs))
-      winner = *c;
+    if (KeyOf(winner.specs) == KeyOf(best->specs) && FoundNothing(*best)) {
+      if (const Candidate* c = AsGoodAsFreed(fits_.tried(), *best, needs_)) winner = *c;
+    }
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
       Restart(&winner);
       simplifier_.DropNothing(&winner);
@@ -366,20 +367,6 @@ class Search {
     const bool holds = from.fit.ok && fits_.PerRow(from) < kHolds;
     const auto promised = Promised(from, screened, nominal_, scales_, holds, needed, kPromised);
     fits_.TryBest(from, pool, promised, from.base, count, winner);
-  }
-
-  // The best of all effects on the parameters as given that is as good an account as free ones alone; null:
-  // none, or these are not the account.
-  const Candidate* AsGoodAsFreed(const Candidate& best) {
-    const Candidate* out = nullptr;
-    for (const auto& [key, c] : fits_.tried()) {
-      const bool less = best.base && FoundNothing(best) && !c.base && c.fit.ok && !FoundNothing(c);
-      // Hidden states and unnamed forces fit nearly anything: they have nothing to be forgiven.
-      if (less && !HasUnnamed(c) && !HasHiddenStates(c) && c.score > best.score + Threshold(best, c) &&
-          (out == nullptr || c.score > out->score))
-        out = &c;
-    }
-    return out;
   }
 
   // With free base parameters or without, whichever is worth it; they must bring `least`.
@@ -504,7 +491,7 @@ class Search {
       if (const Candidate* nameless = unnamed_.Best(); sent == 0 && nameless != nullptr && !fits_.Late())
         unnamed_.WithNames(Candidate(*nameless));
       Candidate with = *best;  // what it lacks may be another name
-      if (sent == 0 && !HasUnnamed(*best) && !fits_.Late()) LookBeside(*best, kBesideRefused, &with);
+      if (sent == 0 && !HasUnnamed(*best) && !fits_.Late()) LookBesideRefused(*best, &with);
       const auto rival =
           judge.Better(*best, fits_.tried(), [&](const Candidate& c) { return Threshold(*best, c); });
       if (!rival) break;
@@ -521,6 +508,18 @@ class Search {
       *best = without;
     }
     fits_.AddWork(judge.TakeWork());
+  }
+
+  // What recordings kept aside refuse may lack a name, or have one that only these recordings bear out, in
+  // the place of another.
+  void LookBesideRefused(const Candidate refused, Candidate* with) {
+    LookBeside(refused, kBesideRefused, with);
+    for (const std::string& kind : FreshKinds(Candidate{}, refused)) {
+      if (fits_.Late()) return;
+      const std::vector<EffectSpec> specs = WithoutKind(Refreshed(refused), kind);
+      const Candidate from = fits_.Evaluate(specs, refused.base, &refused);
+      if (from.fit.ok) LookBeside(from, kBesideRefused, with);
+    }
   }
 
   // A winner that does not hold may lack another effect, or its fit got stuck on its way from base parameters
