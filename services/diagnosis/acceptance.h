@@ -73,8 +73,8 @@ std::vector<Candidate> PlainRivals(const std::map<std::string, Candidate>& tried
 // more; null: none.
 const Candidate* BestFreed(const std::map<std::string, Candidate>& tried, const Candidate& before);
 
-// Of what was tried on the parameters as given the best of what has more than the effects of `freed` that is
-// as good an account as these with free parameters; null: none, or `freed` has none that are free.
+// Of what was tried on the parameters as given the best that has other effects than `freed`, whose parameters
+// are free, and is as good an account; null: none, or these are not free.
 // needed(a, b): log evidence that b must bring in place of a.
 const Candidate* AsGoodAsFreed(const std::map<std::string, Candidate>& tried, const Candidate& freed,
                                const std::function<double(const Candidate&, const Candidate&)>& needed);

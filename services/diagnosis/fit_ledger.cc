@@ -413,9 +413,10 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
   const EffectSpec rod = SwingingMass(nearest.specs);
   std::vector<TrialSpecs> others;
   for (const auto& other : beside) {
-    // A held mass may have stood for the one that swings, which would leave it in the way.
+    // A held mass that was found may have stood for the one that swings, which would leave it in the way.
     const TrialSpecs free = WithoutKind(Refreshed(*other), "payload");
-    if (!free.empty() && free.size() < other->specs.size()) others.push_back(free);
+    const bool found = free.size() < other->specs.size() && !HasKind(setting_.nominal.effects(), "payload");
+    if (found && !free.empty()) others.push_back(free);
     others.push_back(Refreshed(*other));
   }
   for (const TrialSpecs& other : others) {

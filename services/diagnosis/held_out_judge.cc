@@ -97,9 +97,10 @@ std::optional<Candidate> HeldOutJudge::Better(const Candidate& account,
     if (behind > own.short_of_noise + kOnePercent * own.scatter) continue;
     const HeldOut& theirs = Of(*c);
     const double odds = theirs.log_density - own.log_density - behind;
-    // What strikes few windows is none the less refuted by one that holds throughout.
-    const bool refutes = odds > most && (PredictsMore(theirs, own) || Holds(*c, needed(*c)));
-    if (refutes) most = odds, best = *c;
+    if (!(odds > most)) continue;
+    // What strikes few windows is none the less refuted by names that hold throughout. A force without one
+    // pays nothing for its own fit, and windows may run away from what is true.
+    if (PredictsMore(theirs, own) || (!HasUnnamed(*c) && Holds(*c, needed(*c)))) most = odds, best = *c;
   }
   if (!best) return best;
   const double reached = Of(*best).log_density;

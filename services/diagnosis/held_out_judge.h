@@ -29,9 +29,9 @@ class HeldOutJudge {
   // Whether it takes off more than half of what `without` is short of noise by; with hidden states, nine
   // tenths.
   bool ExplainsMost(const Candidate& account, const Candidate& without);
-  // Of what was tried, beside an account that does not hold, the one that holds or predicts most windows
-  // better, and in all by so much more that it pays for what its own fit is worse and for what an addition
-  // needs; a force without a name pays the latter alone.
+  // Of what was tried, beside an account that does not hold, the one that predicts most windows better, or
+  // has names and holds, and in all by so much more that it pays for what its own fit is worse and for what
+  // an addition needs; a force without a name pays the latter alone.
   // Empty where there is none. The scores of what was asked and predicts worse than it then hold that too.
   std::optional<Candidate> Better(const Candidate& account, std::map<std::string, Candidate>& tried,
                                   const std::function<double(const Candidate&)>& needed);

@@ -34,7 +34,7 @@ constexpr int kDeeper = 2;            // kinds beside a first one, before parame
 constexpr size_t kFew = 2;            // names: many together do what bodies do
 constexpr double kDeep = 0.5;         // of all work, after which none of that, nor a substitute, is begun
 constexpr size_t kBesideUnnamed = 3;  // names that are fitted beside a force without one
-constexpr size_t kBesideRefused = 2;  // that are fitted beside what recordings kept aside refuse
+constexpr size_t kInPlace = 2;        // that are fitted in the place of a kind, or beside what is refused
 constexpr double kPromise = 2.0;  // nats that a screen must promise of a law for a trial beside hidden states
 constexpr size_t kPlainRivals = 2;  // without states of their own, that are fitted with free base parameters
 constexpr int kEarlier = 12;        // iterations, of what an earlier search came to
@@ -211,6 +211,7 @@ class Search {
                          (AtStake(*best) < Threshold(*best) ||
                           (round_ > 1 && own->score < best->score - 0.5 * data_.Rows()));
       const Candidate from = *own;
+      if (round_ == 1) looked_beside_.insert(KeyOf(from.specs, base));
       const ScreenResult screened = Screened(from, base);
       acceptance_.Note(screened, nominal_.joint_names());
       trace_.Screen(screened, base);
@@ -327,13 +328,8 @@ class Search {
     if (kinds.size() < 2 || HasUnnamed(*best) || MeetsSensors(*best)) return false;
     for (const std::string& kind : kinds) {
       if (fits_.Late(kDeep)) return false;
-      const std::vector<EffectSpec> specs = WithoutKind(Refreshed(*best), kind);
-      if (!substituted_.insert(KeyOf(specs, best->base)).second) continue;
-      const Candidate* known = fits_.Known(specs, best->base);
-      const Candidate from = known != nullptr ? *known : fits_.Evaluate(specs, best->base, best);
-      if (!from.fit.ok) continue;
       Candidate winner = *best;
-      LookBeside(from, 2, &winner);
+      LookWithout(*best, kind, &winner);
       if (KeyOf(winner.specs) == KeyOf(best->specs)) continue;
       const bool more = HasKind(given_, kind) || FreshKinds(Candidate{}, winner).size() > kinds.size();
       Tell("substitute", 0.1 + 0.2 * round_,
@@ -343,6 +339,15 @@ class Search {
       return true;
     }
     return false;
+  }
+
+  // Once beside each account without one of its kinds.
+  void LookWithout(const Candidate& account, const std::string& kind, Candidate* winner) {
+    const std::vector<EffectSpec> specs = WithoutKind(Refreshed(account), kind);
+    if (!looked_beside_.insert(KeyOf(specs, account.base)).second) return;
+    const Candidate* known = fits_.Known(specs, account.base);
+    const Candidate from = known != nullptr ? *known : fits_.Evaluate(specs, account.base, &account);
+    if (from.fit.ok) LookBeside(from, kInPlace, winner);
   }
 
   // A screen around `from`, which need not be the account at hand, and all that it gives tried: beside hidden
@@ -510,15 +515,11 @@ class Search {
     fits_.AddWork(judge.TakeWork());
   }
 
-  // What recordings kept aside refuse may lack a name, or have one that only these recordings bear out, in
-  // the place of another.
+  // It may lack a name, or have one that the fitted recordings alone bear out in the place of another.
   void LookBesideRefused(const Candidate refused, Candidate* with) {
-    LookBeside(refused, kBesideRefused, with);
+    LookBeside(refused, kInPlace, with);
     for (const std::string& kind : FreshKinds(Candidate{}, refused)) {
-      if (fits_.Late()) return;
-      const std::vector<EffectSpec> specs = WithoutKind(Refreshed(refused), kind);
-      const Candidate from = fits_.Evaluate(specs, refused.base, &refused);
-      if (from.fit.ok) LookBeside(from, kBesideRefused, with);
+      if (!fits_.Late()) LookWithout(refused, kind, with);
     }
   }
 
@@ -583,8 +584,8 @@ class Search {
   Acceptance acceptance_;
   std::vector<VectorXd> step_rule_;
   FeatureSet features_;
-  std::set<std::string> substituted_;  // what something was looked for beside, in the place of a kind
-  std::vector<EffectSpec> given_;      // that the model has which the search starts from
+  std::set<std::string> looked_beside_;  // what was screened in round one, or in the place of a kind
+  std::vector<EffectSpec> given_;        // that the model has which the search starts from
 };
 
 }  // namespace
