@@ -17,6 +17,7 @@
 #include "services/diagnosis/search.h"
 #include "services/diagnosis/separating_motion.h"
 #include "services/diagnosis/swing_starts.h"
+#include "services/diagnosis/words.h"
 #include "services/sysid/parallel.h"
 #include "services/sysid/sysid_on_set.h"
 
@@ -85,29 +86,49 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   const auto search_effects = EffortIsMeasured(data) ? SearchMeasuredEffort : SearchEffects;
   SearchResult search = search_effects(data, nominal, scales, options, threads, clock, progress, cancel);
 
-  // What only a recording kept aside shows can be found only there: it is fitted too.
+  DiagnosisOptions rest = options;
   std::optional<recordings::RecordingSet> exchanged;
+  // The search begins again and weighs first what the one before came to, with what that has left of the work
+  // for both, but enough to find a law.
+  const auto again = [&](std::shared_ptr<const Candidate> earlier) -> Status {
+    const recordings::RecordingSet& now = exchanged ? *exchanged : given;
+    RG_ASSIGN_OR_RETURN(data, PrepareData(now, nominal, rest));
+    data.held_out = PrepareHeldOut(now, data, nominal, rest);
+    scales = ScalesOf(data, nominal);
+    const double left = std::clamp(kBothSearches - search.work / options.work_limit, kLeastWork, 1.0);
+    rest.work_limit = left * options.work_limit;
+    rest.earlier = std::move(earlier);
+    search = search_effects(data, nominal, scales, rest, threads, clock, progress, cancel);
+    return Status::Ok();
+  };
+  const auto over_halves = [&]() -> Status {
+    while (search.over_halves != nullptr) {
+      rest.fit_window_s *= 0.5;
+      RG_RETURN_IF_ERROR(again(search.over_halves));
+    }
+    return Status::Ok();
+  };
+  RG_RETURN_IF_ERROR(over_halves());
+  // What only a recording kept aside shows can be found only there: it is fitted too.
   if (search.unseen_in >= 0 && !(cancel != nullptr && cancel->cancelled())) {
     const auto unseen = static_cast<size_t>(search.unseen_in);
     exchanged = WithFitted(given, data.held_out->places[unseen], data);
     const std::string name = data.held_out->recordings[unseen].recording->name;
     if (exchanged) {
-      RG_ASSIGN_OR_RETURN(data, PrepareData(*exchanged, nominal, options));
-      data.held_out = PrepareHeldOut(*exchanged, data, nominal, options);
-      scales = ScalesOf(data, nominal);
-      // What the first search has left of the work for both, but enough to find a law.
-      DiagnosisOptions rest = options;
-      const double left = std::clamp(kBothSearches - search.work / options.work_limit, kLeastWork, 1.0);
-      rest.work_limit = left * options.work_limit;
       auto earlier = std::make_shared<Candidate>(search.best);
       earlier->fit.states.clear(), earlier->fit.window_chi2.clear();  // of other windows
       // A force without a name knows nothing of where only the new recording goes.
-      if (!earlier->specs.empty() && !HasUnnamed(*earlier)) rest.earlier = std::move(earlier);
-      search = search_effects(data, nominal, scales, rest, threads, clock, progress, cancel);
+      const bool known = !earlier->specs.empty() && !HasUnnamed(*earlier);
+      RG_RETURN_IF_ERROR(again(known ? std::move(earlier) : nullptr));
+      RG_RETURN_IF_ERROR(over_halves());
       result.notes.push_back(name + " shows what the recordings to fit do not: it was fitted too" +
                              (given.Holdout().size() < 2 ? ", another kept aside in its place" : ""));
     }
   }
+  if (rest.fit_window_s < options.fit_window_s)
+    result.notes.push_back("a swinging mass cannot be followed for " + Number(1e3 * options.fit_window_s) +
+                           " ms everywhere: all was weighed over " + Number(1e3 * rest.fit_window_s) +
+                           " ms at a time");
   const recordings::RecordingSet& set = exchanged ? *exchanged : given;
 
   result.window_s = options.window_s;

@@ -37,6 +37,7 @@ constexpr double kSameFit = 0.02;     // of χ², by which fits differ that came
 constexpr size_t kBesideRod = 2;      // accounts without hidden states, that a rod is tried beside
 constexpr double kAstray = 10.0;      // times a trial's misfit, of the same on all windows
 constexpr double kNoNearer = 2.0;     // times what holds, of a rod's trial whose fit to all windows will not
+constexpr double kRowsPerState = 4;   // of a window, that its start is told by
 constexpr double kMuchWorse = 0.1;    // of a trial's misfit, that one in its place may leave more
 
 // Of trials like this the one that leaves least of the misfit, if that is no more than `least`.
@@ -56,6 +57,14 @@ std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::ve
 const EffectSpec& SwingingMass(const TrialSpecs& specs) {
   return *std::find_if(specs.begin(), specs.end(),
                        [](const EffectSpec& s) { return s.id == "sloshing_payload"; });
+}
+
+// The same with the mass on a rod about another axis.
+TrialSpecs About(const std::string& hinge, TrialSpecs specs) {
+  for (EffectSpec& s : specs) {
+    if (s.id == "sloshing_payload") s.options["hinge"] = hinge;
+  }
+  return specs;
 }
 
 // Where another fit starts whose windows are not its own.
@@ -78,7 +87,7 @@ FitLedger::FitLedger(const FitSetting& setting, const DiagnosisOptions& options,
 }
 
 bool FitLedger::Late(double limits) const {
-  return Cancelled() || work_ > limits * options_.work_limit ||
+  return Cancelled() || over_halves_ != nullptr || work_ > limits * options_.work_limit ||
          (options_.time_limit_s > 0 && trace_.Elapsed() > options_.time_limit_s);
 }
 
@@ -425,13 +434,50 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
     if (both.in_all - 1 < kPartly * (nearest.in_all - 1)) nearest = both;
   }
   if (nearest.left > kNoNearer * kHolds) return;
+  // Where it comes to lie along the hinge's first axis it can only swing about the other: windows in which it
+  // does so are met about the right hinge alone.
+  const std::string about = SwingingMass(nearest.specs).options.at("hinge");
+  for (const EffectSpec& hinge : hinges) {
+    if (nearest.in_all < kExplained) break;
+    if (hinge.options.at("hinge") == about) continue;
+    const Hung other = hang(About(hinge.options.at("hinge"), nearest.specs));
+    if (other.in_all - 1 < kPartly * (nearest.in_all - 1)) nearest = other;
+  }
+  Candidate found = from;
+  const auto on_all = [&](const TrialSpecs& with) {
+    const Candidate whole = Evaluate(with, from.base, &from);
+    if (whole.score > account->score) *account = whole;
+    if (!HasRod(found.specs) || PerRow(whole) < PerRow(found)) found = whole;
+  };
   for (const TrialSpecs& with : {nearest.needed, nearest.specs}) {
-    if (Known(with, from.base) != nullptr) continue;
-    const Candidate found = Evaluate(with, from.base, &from);
-    if (found.score > account->score) *account = found;
+    if (Known(with, from.base) == nullptr) on_all(with);
     // A law more that is about nothing beside the rod will not make it hold.
     if (PerRow(found) < kExplained || !(PerRow(found) < kHolds)) break;
   }
+  // Windows that follow on each other tell the hinge better than the few of a trial, whose starts may be
+  // lost.
+  const auto lost = [&](double holds) {  // some windows, where most are met
+    return HasRod(found.specs) && typically(found.fit.window_chi2) < kHolds && !(PerRow(found) < holds);
+  };
+  for (const EffectSpec& hinge : hinges) {
+    const TrialSpecs with = About(hinge.options.at("hinge"), Refreshed(found));
+    if (lost(kHolds) && Known(with, from.base) == nullptr && !Late() && work_ < enough) on_all(with);
+  }
+  if (lost(kExplained)) TryHalves(found);
+}
+
+void FitLedger::TryHalves(const Candidate& rod) {
+  FitData halves = setting_.data;
+  halves.nodes.window_s *= 0.5;
+  halves.windows = InPieces(halves.windows, halves.nodes.window_s, halves.noise);
+  if (RowsPerWindow(halves) < kRowsPerState * rod.plant->num_states()) return;
+  const FitSetting setting{halves, setting_.nominal, setting_.scales};
+  Candidate over = rod;
+  over.fit = MakeFit(setting, WholeFit(Refreshed(rod), rod.base, nullptr));
+  work_ += over.fit.work;
+  trace_.Fit(over, "  halves");
+  const double most = std::min(kHolds, 1 + kPartly * (PerRow(rod) - 1));
+  if (over.fit.ok && PerRow(over) < most) over_halves_ = ValuesOf(std::move(over));
 }
 
 void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner) {

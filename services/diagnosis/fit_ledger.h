@@ -23,6 +23,10 @@ class FitLedger {
             const CancelToken* cancel);
 
   bool Cancelled() const { return cancel_ != nullptr && cancel_->cancelled(); }
+  // A mass on a rod that most windows meet whole, and all over halves of them: what else is missing, or where
+  // it swings far, throws a few off for longer, and the search is another's, over windows of half the length.
+  // Null: none.
+  const std::shared_ptr<const Candidate>& over_halves() const { return over_halves_; }
   // Whether nothing new is begun; `limits`: times the work limit.
   bool Late(double limits = 1.0) const;
   double work() const { return work_; }
@@ -96,6 +100,7 @@ class FitLedger {
   Candidate Fitted(const FitRequest& request, FitResult fit);
   Candidate Tried(const FitRequest& request, FitResult fit);
   double TellingPiece(FitRequest trial);
+  void TryHalves(const Candidate& rod);
 
   const FitSetting& setting_;
   const DiagnosisOptions& options_;
@@ -107,6 +112,7 @@ class FitLedger {
   int round_ = 0;
   double work_ = 0;                          // of all fits so far
   std::shared_ptr<const Candidate> pieces_;  // base parameters from pieces, where whole windows are not met
+  std::shared_ptr<const Candidate> over_halves_;
   std::map<std::string, Candidate> tried_;
 };
 

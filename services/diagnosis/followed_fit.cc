@@ -99,7 +99,12 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
       if (!met()) attempt(states[w]);
       if (anew && !met()) {
         std::vector<FitResult> looks;
-        for (const VectorXd& start : SwingsFrom(simulator, states[w].col(0))) {
+        std::vector<VectorXd> starts = SwingsFrom(simulator, states[w].col(0));
+        if (before == nullptr) {
+          for (VectorXd& start : LetGo(data, simulator, window, states[w].col(0)))
+            starts.push_back(std::move(start));
+        }
+        for (const VectorXd& start : starts) {
           looks.push_back(Alone(&one, window, model, alone, carried(start), kLook));
           spent[static_cast<size_t>(c)] += looks.back().work;
         }

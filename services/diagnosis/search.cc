@@ -92,6 +92,7 @@ class Search {
     for (round_ = 1; round_ <= options_.max_effects && !fits_.Late(); ++round_) {
       fits_.SetRound(round_);
       const bool added = AddOne(&best);
+      if (EndsForHalves(&out)) return out;
       if (!added || nameless_) break;
       // What had seemed to leave nothing may have ended on its way.
       if (LowerNoise(&best, &out) && !MeetsSensors(best) && !fits_.Late()) {
@@ -107,6 +108,7 @@ class Search {
     if ((fits_.PerRow(best) > kExplained || OfPosition(best)) && Flexible(&best, effects::kInf, kAny))
       best = unnamed_.WithNames(best);
     if (judge_) SendBack(Better(out.nominal, out.calibrated), &best, &out.unseen_in);
+    if (EndsForHalves(&out)) return out;
     out.best = best;
     for (const auto& [key, c] : fits_.tried()) out.tried.push_back(c);
     std::sort(out.tried.begin(), out.tried.end(),
@@ -135,6 +137,11 @@ class Search {
   inline static const std::vector<std::string> kAny = {"position", "drag", "velocity"};
   static constexpr double kSegment = 0.05;    // s
   static constexpr uint64_t kOwnDraw = 1000;  // its stream of random numbers, beyond the rounds'
+
+  bool EndsForHalves(SearchResult* out) const {
+    out->over_halves = fits_.over_halves(), out->work = fits_.work();
+    return out->over_halves != nullptr;
+  }
 
   // A model that fits better than any force on the old one could: the noise is less than was thought. All
   // scores are brought to it.
@@ -228,6 +235,7 @@ class Search {
         continue;
       const double wanted = rival ? kRivalShare * (best->score - from.score) : 1.0;
       TryAround(from, screened, wanted, Threshold(*best), base ? 3 : 4, &winner);
+      if (fits_.over_halves() != nullptr) return false;
       if (base || (best->base && round_ > 1)) continue;
       for (const Candidate& start : Beginnings(*best, winner)) {
         deeper = Better(deeper, Deeper(start));

@@ -46,6 +46,9 @@ struct SearchResult {
   // Of the recordings kept aside (held_out) the one that shows what the fitted ones, which an account meets,
   // do not: a limit that only it reaches, a place where only it has been. −1: none.
   int unseen_in = -1;
+  // What needs windows of half the length to be told (FitLedger::over_halves): the search ended with it.
+  // Null: nothing does.
+  std::shared_ptr<const Candidate> over_halves;
   double own_chi2 = 0;     // of the best model, of recordings that it made itself (own_chi2.h)
   MissingForce missing;    // under the best model without effects
   MissingForce remaining;  // under the best model

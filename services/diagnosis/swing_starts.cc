@@ -26,6 +26,10 @@ constexpr double kPoint = 0.01;                           // of its length, a ra
 // Of the length of a point that swings alike: kShorter + kWide²/kShorter is one.
 constexpr double kShorter = 0.9, kWide = 0.3;
 constexpr double kSwing = 0.7;  // rad
+// Directions of a rod about its hinge: so many about the first axis, at three angles about the second.
+constexpr int kDirections = 8;
+constexpr double kAside = M_PI / 3;   // rad
+constexpr double kLongestFall = 0.2;  // s, after which it may be anywhere
 
 bool OnRod(const EffectSpec& e) { return e.options.count("form") > 0 && e.options.at("form") == "rod"; }
 
@@ -126,6 +130,27 @@ std::vector<VectorXd> SwingsFrom(const sim::Simulator& simulator, const VectorXd
     for (const double side : {1.0, -1.0}) {
       out.push_back(still), out.back()[still.size() - angle] += side * kSwing;
       out.push_back(still), out.back()[still.size() - angle + 1] += side * rate;
+    }
+  }
+  return out;
+}
+
+std::vector<VectorXd> LetGo(const FitData& data, sim::Simulator& simulator, const NodeWindow& window,
+                            const VectorXd& start) {
+  std::vector<VectorXd> out;
+  const auto r = static_cast<size_t>(window.recording);
+  const double begin = data.recordings[r].recording->t[0], to = window.t.front();
+  if (!HasRod(simulator.plant().effects()) || to - begin > kLongestFall) return out;
+  VectorXd q, v, a;
+  data.motions[r].At(begin, &q, &v, &a);
+  sim::State x = simulator.MakeState(q, v, begin);
+  for (const double second : {0.0, kAside, -kAside}) {
+    for (int i = 0; i < kDirections; ++i) {
+      x.z.tail<4>() << 2 * M_PI * i / kDirections, 0.0, second, 0.0;
+      const sim::Trajectory fall = simulator.Simulate(x, data.recordings[r].command, {to});
+      if (!fall.outcome.ok() || !fall.state.allFinite()) continue;
+      out.push_back(start);
+      out.back().tail<4>() = fall.state.col(0).tail<4>();
     }
   }
   return out;

@@ -25,6 +25,11 @@ Eigen::VectorXd HangingFrom(const sim::Simulator& simulator, const Eigen::Vector
 // axis, or passes it at the speed of a swing so wide. Empty where the plant has no rod.
 std::vector<Eigen::VectorXd> SwingsFrom(const sim::Simulator& simulator, const Eigen::VectorXd& start);
 
+// The same where `window` begins, of a rod that was let go where its recording does, in any direction of its
+// link.
+std::vector<Eigen::VectorXd> LetGo(const FitData& data, sim::Simulator& simulator, const NodeWindow& window,
+                                   const Eigen::VectorXd& start);
+
 double RowsPerWindow(const FitData& data);  // on average
 
 // χ² per row, in units of the noise, of that share of windows that is met best, all of `data` or some: what a

@@ -5,6 +5,7 @@
 
 #include <cmath>
 
+#include "common/dynamics/dynamics.h"
 #include "services/diagnosis/fit_ledger.h"
 #include "services/diagnosis/followed_fit.h"
 #include "services/diagnosis/hypotheses.h"
@@ -124,6 +125,58 @@ TEST(SwingsFrom, BeginsAtRestWhereItHangsAndPassesThere) {
   EXPECT_TRUE(SwingsFrom(sim::Simulator(mico2, {}), {}).empty());
 }
 
+// Friction holds the arm: what the mass falls by is what it moves with.
+TEST(LetGo, FallsFromRestInAnyDirectionUntilTheWindowBegins) {
+  constexpr double kLength = 0.12, kRadius = 0.01;
+  const auto p = Prepare("mico2", {}, 13);
+  recordings::Recording still = *p->data.recordings[0].recording;
+  const Eigen::VectorXd q = still.q.col(0);
+  still.q.colwise() = q, still.v.setZero();
+  FitData data = p->data;
+  data.recordings[0].recording = &still;
+  data.motions[0] = SmoothMotion(still, data.noise);
+  const NodeWindow& window = data.windows[0];
+  std::vector<EffectSpec> held;
+  for (const std::string& joint : p->nominal.joint_names())
+    held.push_back(MakeSpec("coulomb_friction", {joint}, {{"coulomb", 1e3}}));
+  const model::RobotModel& model = p->nominal.model();
+  const dynamics::Mechanism mechanism(model);
+  dynamics::Workspace workspace;
+  const Eigen::Matrix3d tool =
+      dynamics::FramePose(mechanism, workspace, q, *model.FindFrame(model.end_effector().name)).rotation;
+  const Eigen::Vector3d gravity = tool.transpose() * p->nominal.options().gravity;
+  for (const int hinge : {0, 1, 2}) {
+    std::vector<EffectSpec> effects = held;
+    effects.push_back(Rod(0.02, kLength, 0.0));
+    effects.back().options["hinge"] = std::string(1, "xyz"[hinge]);
+    const sim::Plant plant = sysid::testing::LoadPlant("mico2", effects);
+    sim::Simulator simulator(plant, {.step_s = 1e-3});
+    const Eigen::VectorXd x = Eigen::VectorXd::Constant(plant.num_states(), 0.3);
+    const std::vector<Eigen::VectorXd> starts = LetGo(data, simulator, window, x);
+    ASSERT_EQ(starts.size(), 24u);
+    // Of the unit vector along the rod, in the tool's axes.
+    const auto along = [&](double first, double second) {
+      Eigen::Vector3d out;
+      out[hinge] = -std::sin(second);
+      out[(hinge + 1) % 3] = std::cos(second) * std::sin(first);
+      out[(hinge + 2) % 3] = -std::cos(second) * std::cos(first);
+      return out;
+    };
+    for (size_t i = 0; i < starts.size(); ++i) {
+      EXPECT_EQ(starts[i].head(starts[i].size() - 4), x.head(x.size() - 4));
+      const Eigen::Vector4d rod = starts[i].tail<4>();
+      const double aside[] = {0.0, M_PI / 3, -M_PI / 3};
+      const Eigen::Vector3d from = along(M_PI / 4 * static_cast<double>(i % 8), aside[i / 8]);
+      const double first = std::pow(rod[1], 2), second = std::pow(rod[3], 2);
+      const double moves = 0.5 * kLength * kLength * (first * std::pow(std::cos(rod[2]), 2) + second) +
+                           0.5 * kRadius * kRadius * (first + second);
+      EXPECT_NEAR(moves, kLength * gravity.dot(along(rod[0], rod[2]) - from), 0.02) << hinge << " " << i;
+    }
+  }
+  sim::Simulator without(p->nominal, {});
+  EXPECT_TRUE(LetGo(data, without, window, Eigen::VectorXd::Zero(12)).empty());
+}
+
 TEST(LongerRod, HasItsMassAndSwingsSoMuchSlower) {
   const EffectSpec rod = Rod(0.15, 0.12, 1e-3), longer = LongerRod(rod, 4.0);
   const auto &of = rod.values.begin()->second, &now = longer.values.begin()->second;
@@ -223,6 +276,17 @@ TEST(FitLedger, AMassOnARodIsTriedBesideWhatElseIsMissing) {
   const Candidate& winner = best.candidate;
   EXPECT_TRUE(HasRod(winner.specs));
   EXPECT_TRUE(HasKind(winner.specs, "viscous_friction"));
+  EXPECT_LT(best.chi2_per_row, 1.1);
+}
+
+// Hinges are one to a mass that stays away from their first axes; where it comes along one it is held there.
+TEST(FitLedger, AMassThatComesAlongItsHingeIsFoundAboutTheRightOne) {
+  EffectSpec truth = Rod(0.02, 0.12, 1e-4);
+  truth.options["hinge"] = "z";
+  const auto p = Prepare("mico2", {truth}, 15);
+  const Best best = BestWithAMass(*p);
+  ASSERT_TRUE(HasRod(best.candidate.specs));
+  EXPECT_EQ(best.candidate.specs[0].options.at("hinge"), "z");
   EXPECT_LT(best.chi2_per_row, 1.1);
 }
 
