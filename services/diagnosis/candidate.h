@@ -32,6 +32,12 @@ struct Candidate {
       held_out;  // log density of recordings kept aside, where it was asked for (held_out.h)
 };
 
+// Without what belongs to the windows that it was fitted to.
+inline Candidate WithoutStates(Candidate c) {
+  c.fit.states.clear(), c.fit.window_chi2.clear();
+  return c;
+}
+
 // Its score by the fit alone.
 inline double FitScore(const Candidate& c) { return c.score + c.docked; }
 

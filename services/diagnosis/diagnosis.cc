@@ -25,8 +25,8 @@ namespace rg::diagnosis {
 
 namespace {
 
-constexpr double kBothSearches = 1.6;  // times the work limit, that two searches may take
-constexpr double kLeastWork = 0.6;     // times the work limit, that the second is given
+constexpr double kAllSearches = 1.6;  // times the work limit, that a search and those after it may take
+constexpr double kLeastWork = 0.6;    // times the work limit, that each further one is given
 
 // What to record next, where a class holds more than one effect: a motion that can be made, or that none was
 // found.
@@ -87,15 +87,18 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   SearchResult search = search_effects(data, nominal, scales, options, threads, clock, progress, cancel);
 
   DiagnosisOptions rest = options;
+  double spent = 0;
   std::optional<recordings::RecordingSet> exchanged;
-  // The search begins again and weighs first what the one before came to, with what that has left of the work
-  // for both, but enough to find a law.
+  // The search begins again and weighs first what the one before came to, with what is left of the work for
+  // all, but enough to find a law.
   const auto again = [&](std::shared_ptr<const Candidate> earlier) -> Status {
     const recordings::RecordingSet& now = exchanged ? *exchanged : given;
     RG_ASSIGN_OR_RETURN(data, PrepareData(now, nominal, rest));
-    data.held_out = PrepareHeldOut(now, data, nominal, rest);
+    // Judged over windows as long as ever, which a mass that begins anew in short ones does not meet.
+    data.held_out = PrepareHeldOut(now, data, nominal, options);
     scales = ScalesOf(data, nominal);
-    const double left = std::clamp(kBothSearches - search.work / options.work_limit, kLeastWork, 1.0);
+    spent += search.work;
+    const double left = std::clamp(kAllSearches - spent / options.work_limit, kLeastWork, 1.0);
     rest.work_limit = left * options.work_limit;
     rest.earlier = std::move(earlier);
     search = search_effects(data, nominal, scales, rest, threads, clock, progress, cancel);
@@ -115,17 +118,16 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
     exchanged = WithFitted(given, data.held_out->places[unseen], data);
     const std::string name = data.held_out->recordings[unseen].recording->name;
     if (exchanged) {
-      auto earlier = std::make_shared<Candidate>(search.best);
-      earlier->fit.states.clear(), earlier->fit.window_chi2.clear();  // of other windows
       // A force without a name knows nothing of where only the new recording goes.
-      const bool known = !earlier->specs.empty() && !HasUnnamed(*earlier);
-      RG_RETURN_IF_ERROR(again(known ? std::move(earlier) : nullptr));
+      const bool known = !search.best.specs.empty() && !HasUnnamed(search.best);
+      RG_RETURN_IF_ERROR(
+          again(known ? std::make_shared<const Candidate>(WithoutStates(search.best)) : nullptr));
       RG_RETURN_IF_ERROR(over_halves());
       result.notes.push_back(name + " shows what the recordings to fit do not: it was fitted too" +
                              (given.Holdout().size() < 2 ? ", another kept aside in its place" : ""));
     }
   }
-  if (rest.fit_window_s < options.fit_window_s)
+  if (rest.fit_window_s < options.fit_window_s && HasRod(search.best.specs))
     result.notes.push_back("a swinging mass cannot be followed for " + Number(1e3 * options.fit_window_s) +
                            " ms everywhere: all was weighed over " + Number(1e3 * rest.fit_window_s) +
                            " ms at a time");

@@ -32,8 +32,8 @@ struct DiagnosisOptions {
   uint64_t seed = 1;          // of simulated nulls and bootstraps
   // Of all fits together (Work in lifted_fit.h): a limit that is the same on every machine, two and a half to
   // six minutes of one core, which few sets take. What is found by then is weighed beyond it, up to twice.
-  // Where a recording kept aside must be fitted too a second search has what the first one leaves of 1.6
-  // times that.
+  // Where a recording kept aside must be fitted too, or windows halved, the search begins again with what is
+  // left of 1.6 times that, but 0.6 of it at least.
   double work_limit = 1.2e10;
   // No new fit starts later than this many seconds; 0: no such limit. What it cuts off depends on the
   // machine.
@@ -42,7 +42,8 @@ struct DiagnosisOptions {
   bool trust_effort = false;    // go on where an effort's sign or unit looks wrong
   // What to start from instead of the set's URDF (given_model.h): findings are what it lacks.
   std::optional<sim::ModelFile> model;
-  // What a search of fewer of the recordings came to, which the next one weighs first; null: none.
+  // What a search of fewer of the recordings, or over longer windows, came to, which the next one weighs
+  // first; null: none.
   std::shared_ptr<const Candidate> earlier;
 };
 

@@ -38,7 +38,8 @@ constexpr size_t kBesideRod = 2;      // accounts without hidden states, that a 
 constexpr double kAstray = 10.0;      // times a trial's misfit, of the same on all windows
 constexpr double kNoNearer = 2.0;     // times what holds, of a rod's trial whose fit to all windows will not
 constexpr double kRowsPerState = 4;   // of a window, that its start is told by
-constexpr double kMuchWorse = 0.1;    // of a trial's misfit, that one in its place may leave more
+constexpr double kShortestWindow = 0.2;  // s, that a search is made over
+constexpr double kMuchWorse = 0.1;       // of a trial's misfit, that one in its place may leave more
 
 // Of trials like this the one that leaves least of the misfit, if that is no more than `least`.
 std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::vector<RankedTrial>*> trials,
@@ -69,8 +70,7 @@ TrialSpecs About(const std::string& hinge, TrialSpecs specs) {
 
 // Where another fit starts whose windows are not its own.
 std::shared_ptr<const Candidate> ValuesOf(Candidate c) {
-  c.fit.states.clear(), c.fit.window_chi2.clear();
-  return std::make_shared<const Candidate>(std::move(c));
+  return std::make_shared<const Candidate>(WithoutStates(std::move(c)));
 }
 
 }  // namespace
@@ -322,7 +322,11 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   const bool may_swing = !HasUnnamed(from) && std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
     return least - 1 > kPartly * (PerRow(*c) - 1);
   });
-  if (may_swing) TryRod(from, swings, beside, &found);
+  if (may_swing) {
+    const std::optional<Candidate> lost = TryRod(from, swings, beside, &found);
+    const double least = std::min(PerRow(found), PerRow(*winner));
+    if (lost && !(PerRow(*lost) > least) && !Late()) TryHalves(*lost);
+  }
   if (found.score > winner->score) *winner = found;
 }
 
@@ -361,11 +365,13 @@ void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
   TakeBest(fits, 1, account);
 }
 
-void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<const Candidate>>& springs,
-                       const std::vector<std::shared_ptr<const Candidate>>& beside, Candidate* account) {
+std::optional<Candidate> FitLedger::TryRod(const Candidate& from,
+                                           const std::vector<std::shared_ptr<const Candidate>>& springs,
+                                           const std::vector<std::shared_ptr<const Candidate>>& beside,
+                                           Candidate* account) {
   for (const auto& trial : springs) {
     const Candidate* whole = Known(trial->specs, trial->base);
-    if (whole != nullptr && PerRow(*whole) < kExplained) return;
+    if (whole != nullptr && PerRow(*whole) < kExplained) return {};
   }
   // All windows tell its length better, unless its swing from one to the next led the fit astray.
   const Candidate& trial = *springs.front();
@@ -407,7 +413,7 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
     if (same && nearest.left - 1 < kSwings * missing) break;
   }
   // About any hinge a mass that is there explains some of what is missing.
-  if (!(nearest.left - 1 < kSwings * missing)) return;
+  if (!(nearest.left - 1 < kSwings * missing)) return {};
   for (const EffectSpec& hinge : hinges) {
     // Hinges are different angles for one motion: where it is found about one, it is about the others.
     if (&hinge != &hinges.front() && nearest.left < kExplained) break;
@@ -433,7 +439,7 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
     const Hung both = hang(Joined(other, {rod}));
     if (both.in_all - 1 < kPartly * (nearest.in_all - 1)) nearest = both;
   }
-  if (nearest.left > kNoNearer * kHolds) return;
+  if (nearest.left > kNoNearer * kHolds) return {};
   // Where it comes to lie along the hinge's first axis it can only swing about the other: windows in which it
   // does so are met about the right hinge alone.
   const std::string about = SwingingMass(nearest.specs).options.at("hinge");
@@ -443,41 +449,52 @@ void FitLedger::TryRod(const Candidate& from, const std::vector<std::shared_ptr<
     const Hung other = hang(About(hinge.options.at("hinge"), nearest.specs));
     if (other.in_all - 1 < kPartly * (nearest.in_all - 1)) nearest = other;
   }
-  Candidate found = from;
-  const auto on_all = [&](const TrialSpecs& with) {
-    const Candidate whole = Evaluate(with, from.base, &from);
+  std::optional<Candidate> best;
+  const auto weigh = [&](const TrialSpecs& with) {
+    const Candidate* known = Known(with, from.base);
+    const Candidate whole = known != nullptr ? *known : Evaluate(with, from.base, &from);
     if (whole.score > account->score) *account = whole;
-    if (!HasRod(found.specs) || PerRow(whole) < PerRow(found)) found = whole;
+    if (whole.fit.ok && (!best || PerRow(whole) < PerRow(*best))) best = whole;
   };
   for (const TrialSpecs& with : {nearest.needed, nearest.specs}) {
-    if (Known(with, from.base) == nullptr) on_all(with);
+    weigh(with);
     // A law more that is about nothing beside the rod will not make it hold.
-    if (PerRow(found) < kExplained || !(PerRow(found) < kHolds)) break;
+    if (best && (PerRow(*best) < kExplained || !(PerRow(*best) < kHolds))) break;
   }
+  // What is left is of few windows, where most are met.
+  const auto lost = [&] {
+    const double left = best ? typically(best->fit.window_chi2) : 0;
+    return best && left < kHolds && left - 1 < kPartly * (PerRow(*best) - 1);
+  };
   // Windows that follow on each other tell the hinge better than the few of a trial, whose starts may be
   // lost.
-  const auto lost = [&](double holds) {  // some windows, where most are met
-    return HasRod(found.specs) && typically(found.fit.window_chi2) < kHolds && !(PerRow(found) < holds);
-  };
   for (const EffectSpec& hinge : hinges) {
-    const TrialSpecs with = About(hinge.options.at("hinge"), Refreshed(found));
-    if (lost(kHolds) && Known(with, from.base) == nullptr && !Late() && work_ < enough) on_all(with);
+    if (!lost() || PerRow(*best) < kHolds || Late() || work_ > enough) break;
+    weigh(About(hinge.options.at("hinge"), Refreshed(*best)));
   }
-  if (lost(kExplained)) TryHalves(found);
+  return lost() && !(PerRow(*best) < kExplained) ? best : std::nullopt;
+}
+
+// Each window's own start takes some of the noise in.
+double FitLedger::PerFreeRow(const FitData& data, const Candidate& c) const {
+  const double starts = static_cast<double>(data.windows.size()) * c.plant->num_states();
+  return c.fit.chi2 / std::max(1.0, c.fit.rows - starts) / lifted_.noise_scale;
 }
 
 void FitLedger::TryHalves(const Candidate& rod) {
   FitData halves = setting_.data;
   halves.nodes.window_s *= 0.5;
+  if (halves.nodes.window_s < kShortestWindow) return;
   halves.windows = InPieces(halves.windows, halves.nodes.window_s, halves.noise);
-  if (RowsPerWindow(halves) < kRowsPerState * rod.plant->num_states()) return;
+  if (!(RowsPerWindow(halves) > kRowsPerState * rod.plant->num_states())) return;
   const FitSetting setting{halves, setting_.nominal, setting_.scales};
   Candidate over = rod;
   over.fit = MakeFit(setting, WholeFit(Refreshed(rod), rod.base, nullptr));
   work_ += over.fit.work;
   trace_.Fit(over, "  halves");
-  const double most = std::min(kHolds, 1 + kPartly * (PerRow(rod) - 1));
-  if (over.fit.ok && PerRow(over) < most) over_halves_ = ValuesOf(std::move(over));
+  const double most = std::min(kHolds, 1 + kPartly * (PerFreeRow(setting_.data, rod) - 1));
+  const bool holds = over.fit.ok && !Unseen(over) && PerFreeRow(halves, over) < most;
+  if (holds && !Cancelled()) over_halves_ = ValuesOf(std::move(over));
 }
 
 void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner) {

@@ -3,6 +3,7 @@
 
 #include <map>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
@@ -72,9 +73,11 @@ class FitLedger {
   void TrySprings(const Candidate& from, Candidate* account);
   // A rod in the place of springs for a mass, as trials found it on the tool and on the last link, the nearer
   // first: the rod that leaves least of trials with other lengths, hinges and places, alone and beside what
-  // the best of the other trials have.
-  void TryRod(const Candidate& from, const std::vector<std::shared_ptr<const Candidate>>& springs,
-              const std::vector<std::shared_ptr<const Candidate>>& beside, Candidate* account);
+  // the best of the other trials have. Returned where it meets most windows and not all.
+  std::optional<Candidate> TryRod(const Candidate& from,
+                                  const std::vector<std::shared_ptr<const Candidate>>& springs,
+                                  const std::vector<std::shared_ptr<const Candidate>>& beside,
+                                  Candidate* account);
   // The `count` of `starts` that are nearest to the record beside `from`'s effects.
   std::vector<TrialSpecs> Nearest(const Candidate& from, bool base, const std::vector<TrialSpecs>& starts,
                                   size_t count);
@@ -100,6 +103,7 @@ class FitLedger {
   Candidate Fitted(const FitRequest& request, FitResult fit);
   Candidate Tried(const FitRequest& request, FitResult fit);
   double TellingPiece(FitRequest trial);
+  double PerFreeRow(const FitData& data, const Candidate& c) const;
   void TryHalves(const Candidate& rod);
 
   const FitSetting& setting_;

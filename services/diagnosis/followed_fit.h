@@ -10,9 +10,9 @@
 namespace rg::diagnosis {
 
 // States of all windows, one after another: each starts as the end of the one before leaves it, or as it is
-// in `now`, or, where no such fit meets the record and `anew`, in one of the three nearest of SwingsFrom,
-// whichever comes nearest to the record, and is fitted alone, at the model's values. `work`: its cost is
-// added. `chi2`: of each window there, infinite where it has no fit.
+// in `now`, or, where no such fit meets the record and `anew`, in one of the three nearest of SwingsFrom
+// and LetGo, whichever comes nearest to the record, and is fitted alone, at the model's values. `work`: its
+// cost is added. `chi2`: of each window there, infinite where it has no fit.
 NodeStates FollowedStates(const FitData& data, const FitModel& model, const LiftedOptions& options,
                           NodeStates now, bool anew, double* work, std::vector<double>* chi2 = nullptr);
 

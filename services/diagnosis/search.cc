@@ -89,6 +89,7 @@ class Search {
     features_ = MakeFeatures(data_, scales_);
     if (const Candidate* c = options_.earlier.get())
       earlier_ = fits_.Evaluate(Refreshed(*c), c->base, c, kEarlier, nullptr);
+    if (earlier_ && fits_.Late()) best = Better(best, *earlier_);
     for (round_ = 1; round_ <= options_.max_effects && !fits_.Late(); ++round_) {
       fits_.SetRound(round_);
       const bool added = AddOne(&best);
@@ -107,7 +108,7 @@ class Search {
     simplifier_.Prune(&best);
     if ((fits_.PerRow(best) > kExplained || OfPosition(best)) && Flexible(&best, effects::kInf, kAny))
       best = unnamed_.WithNames(best);
-    if (judge_) SendBack(Better(out.nominal, out.calibrated), &best, &out.unseen_in);
+    if (judge_ && !EndsForHalves(&out)) SendBack(Better(out.nominal, out.calibrated), &best, &out.unseen_in);
     if (EndsForHalves(&out)) return out;
     out.best = best;
     for (const auto& [key, c] : fits_.tried()) out.tried.push_back(c);
@@ -587,7 +588,7 @@ class Search {
   UnnamedForces unnamed_;
   std::optional<HeldOutJudge> judge_;  // where recordings are kept aside
   int round_ = 0;
-  std::optional<Candidate> earlier_;  // what a search of fewer recordings came to, on these
+  std::optional<Candidate> earlier_;  // what an earlier search came to, on these recordings and windows
   bool nameless_ = false;             // an unnamed force alone is the account of all recordings
   Acceptance acceptance_;
   std::vector<VectorXd> step_rule_;

@@ -143,7 +143,7 @@ std::vector<VectorXd> LetGo(const FitData& data, sim::Simulator& simulator, cons
   if (!HasRod(simulator.plant().effects()) || to - begin > kLongestFall) return out;
   VectorXd q, v, a;
   data.motions[r].At(begin, &q, &v, &a);
-  sim::State x = simulator.MakeState(q, v, begin);
+  sim::State x = simulator.MakeState(q, v, begin, data.recordings[r].command);
   for (const double second : {0.0, kAside, -kAside}) {
     for (int i = 0; i < kDirections; ++i) {
       x.z.tail<4>() << 2 * M_PI * i / kDirections, 0.0, second, 0.0;
