@@ -18,10 +18,10 @@ using effects::EffectSpec;
 using effects::MakeSpec;
 using testing::Prepare;
 
-EffectSpec Rod(double mass, double length, double damping) {
+EffectSpec Rod(double mass, double length, double damping, const std::string& hinge = "y") {
   EffectSpec spec = MakeSpec("sloshing_payload", {},
                              {{"mass", mass}, {"length", length}, {"damping", damping}, {"radius", 0.01}});
-  spec.options = {{"form", "rod"}, {"hinge", "y"}};
+  spec.options = {{"form", "rod"}, {"hinge", hinge}};
   return spec;
 }
 
@@ -88,8 +88,7 @@ TEST(SwingsFrom, BeginsAtRestWhereItHangsAndPassesThere) {
     held.push_back(MakeSpec("coulomb_friction", {joint}, {{"coulomb", 1e3}}));
   for (const char* hinge : {"x", "y", "z"}) {
     std::vector<EffectSpec> effects = held;
-    effects.push_back(Rod(0.02, 0.12, 0.0));
-    effects.back().options["hinge"] = hinge;
+    effects.push_back(Rod(0.02, 0.12, 0.0, hinge));
     const sim::Plant plant = sysid::testing::LoadPlant("mico2", effects);
     const Eigen::Index n = plant.num_joints(), hidden = plant.num_states() - 2 * n;
     Eigen::VectorXd x = Eigen::VectorXd::Zero(plant.num_states());
@@ -147,8 +146,7 @@ TEST(LetGo, FallsFromRestInAnyDirectionUntilTheWindowBegins) {
   const Eigen::Vector3d gravity = tool.transpose() * p->nominal.options().gravity;
   for (const int hinge : {0, 1, 2}) {
     std::vector<EffectSpec> effects = held;
-    effects.push_back(Rod(0.02, kLength, 0.0));
-    effects.back().options["hinge"] = std::string(1, "xyz"[hinge]);
+    effects.push_back(Rod(0.02, kLength, 0.0, std::string(1, "xyz"[hinge])));
     const sim::Plant plant = sysid::testing::LoadPlant("mico2", effects);
     sim::Simulator simulator(plant, {.step_s = 1e-3});
     const Eigen::VectorXd x = Eigen::VectorXd::Constant(plant.num_states(), 0.3);
@@ -283,9 +281,7 @@ TEST(FitLedger, AMassOnARodIsTriedBesideWhatElseIsMissing) {
 
 // It swings over the top: the few windows in which it does are not met whole, and by no other account.
 TEST(FitLedger, AMassThatAFewWindowsDoNotMeetIsWeighedOverHalves) {
-  EffectSpec truth = Rod(0.02, 0.12, 1e-4);
-  truth.options["hinge"] = "z";
-  const auto p = Prepare("mico2", {truth}, 14);
+  const auto p = Prepare("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 14);
   const Best best = BestWithAMass(*p);
   EXPECT_FALSE(HasRod(best.candidate.specs));
   ASSERT_NE(best.over_halves, nullptr);
@@ -296,9 +292,7 @@ TEST(FitLedger, AMassThatAFewWindowsDoNotMeetIsWeighedOverHalves) {
 
 // Hinges are one to a mass that stays away from their first axes; where it comes along one it is held there.
 TEST(FitLedger, AMassThatComesAlongItsHingeIsFoundAboutTheRightOne) {
-  EffectSpec truth = Rod(0.02, 0.12, 1e-4);
-  truth.options["hinge"] = "z";
-  const auto p = Prepare("mico2", {truth}, 15);
+  const auto p = Prepare("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 15);
   const Best best = BestWithAMass(*p);
   ASSERT_TRUE(HasRod(best.candidate.specs));
   EXPECT_EQ(best.candidate.specs[0].options.at("hinge"), "z");
