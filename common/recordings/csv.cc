@@ -3,23 +3,19 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
-#include <cstring>
 #include <set>
 
 #include "common/base/file.h"
+#include "common/base/number_text.h"
+#include "common/recordings/angles.h"
+#include "common/recordings/csv_text.h"
+#include "common/recordings/time_stamps.h"
+#include "common/recordings/velocity_column.h"
 
 namespace rg::recordings {
 namespace {
 
 constexpr int kTooFewRowsToJudgeDigits = 20;
-
-std::string_view Trim(std::string_view field) {
-  while (!field.empty() && (field.front() == ' ' || field.front() == '\t')) field.remove_prefix(1);
-  while (!field.empty() && (field.back() == ' ' || field.back() == '\t' || field.back() == '\r')) {
-    field.remove_suffix(1);
-  }
-  return field;
-}
 
 // A piece of an untrusted file for a message: short and printable.
 std::string Shown(std::string_view field) {
@@ -45,7 +41,9 @@ struct Column {
   std::string joint;      // of the known kinds
   double* out = nullptr;  // where row 0 goes; null: ignored
   Eigen::Index stride = 1;
-  bool is_text = false;  // an other column that holds something else than numbers
+  bool is_text = false;                       // an other column that holds something else than numbers
+  Eigen::Index blanks = 0, first_blank = -1;  // fields that are empty or NaN
+  bool first_blank_is_nan = false;
 };
 
 Kind KindOf(std::string_view prefix) {
@@ -62,6 +60,7 @@ class CsvParser {
       : text_(text), source_(source), options_(options) {}
 
   Result<Recording> Parse() {
+    RG_RETURN_IF_ERROR(ChooseDialect());
     RG_RETURN_IF_ERROR(ReadHeader());
     RG_RETURN_IF_ERROR(ChooseJoints());
     RG_RETURN_IF_ERROR(ChooseKinds());
@@ -69,7 +68,8 @@ class CsvParser {
     RG_RETURN_IF_ERROR(ReadRows());
     RG_RETURN_IF_ERROR(CheckLastRowIsWhole());
     Finish();
-    RG_RETURN_IF_ERROR(CheckUnits(recording_, options_.robot));
+    RG_RETURN_IF_ERROR(LeaveOutBlankKinds());
+    RG_RETURN_IF_ERROR(CheckSignals());
     return std::move(recording_);
   }
 
@@ -77,41 +77,88 @@ class CsvParser {
   Status Error(const std::string& what) const { return InvalidError(source_ + ": " + what); }
   // Data row `row` counts from 0 inside and from 1 for people.
   std::string RowName(Eigen::Index row) const {
-    return "row " + std::to_string(row + 1) + " (line " + std::to_string(row + 2) + ")";
+    const int line = row < rows_ ? line_of_[static_cast<size_t>(row)] : lines_->line();
+    return "row " + std::to_string(row + 1) + " (line " + std::to_string(line) + ")";
   }
   Status FieldError(Eigen::Index row, const Column& column, const std::string& what) const {
     return Error(RowName(row) + ", column " + column.name + ": " + what);
   }
+  void Note(const std::string& what) { recording_.notes.push_back(what); }
 
-  std::string_view NextLine(bool* terminated) {
-    const size_t end = text_.find('\n', at_);
-    *terminated = end != std::string_view::npos;
-    const std::string_view line = text_.substr(at_, *terminated ? end - at_ : std::string_view::npos);
-    at_ = *terminated ? end + 1 : text_.size();
-    return line;
-  }
-
-  Status ReadHeader() {
-    if (text_.substr(0, 3) == "\xEF\xBB\xBF") text_.remove_prefix(3);
-    if (text_.find_first_not_of(" \t\r\n") == std::string_view::npos) return Error("the file is empty");
-    bool terminated = false;
-    std::string_view line = NextLine(&terminated);
-    std::set<std::string> seen;
-    while (true) {
-      const size_t comma = line.find(',');
-      RG_RETURN_IF_ERROR(AddColumn(Trim(line.substr(0, comma)), &seen));
-      if (comma == std::string_view::npos) break;
-      line.remove_prefix(comma + 1);
-    }
-    if (!seen.count("time")) return Error("row 0 (line 1): the header has no column time");
+  Status ChooseDialect() {
+    const std::string other = OtherFormatOf(text_);
+    if (!other.empty()) return Error(other);
+    dialect_ = options_.dialect.value_or(CsvDialect{GuessSeparator(text_), false});
+    lines_.emplace(text_, dialect_.separator);
     return Status::Ok();
   }
 
-  Status AddColumn(std::string_view name, std::set<std::string>* seen) {
-    if (name.size() >= 2 && name.front() == '"' && name.back() == '"') {
-      name = name.substr(1, name.size() - 2);
+  Status ReadHeader() {
+    if (lines_->AtEnd()) return Error("the file is empty");
+    std::vector<std::string_view> names;
+    do {
+      if (!lines_->Next(&names)) return lines_->status().ok() ? Error("the file is empty") : Unclosed();
+    } while (names.empty());
+    header_line_ = lines_->line();
+    if (lines_->header_was_comment()) Note("the header begins with '#', which was taken off");
+    if (names.size() > 1 && names.back().empty()) names.pop_back();  // a separator at the line's end
+    std::set<std::string> seen;
+    for (const std::string_view name : names) RG_RETURN_IF_ERROR(AddColumn(name, &seen));
+    if (!seen.count("time")) return NoTime();
+    return CheckDecimals();
+  }
+
+  Status Unclosed() const { return Error(lines_->status().message()); }
+
+  std::string HeaderName() const { return "header (line " + std::to_string(header_line_) + ")"; }
+
+  Status NoTime() const {
+    for (const Column& column : columns_) {
+      std::string lower = column.name;
+      std::transform(lower.begin(), lower.end(), lower.begin(),
+                     [](unsigned char c) { return std::tolower(c); });
+      for (const char* like : {"time", "t", "timestamp", "stamp", "__time", "time_s", "time [s]", "t_s"}) {
+        if (lower != like) continue;
+        return Error("row 0 (line " + std::to_string(header_line_) + "): the header has no column time; " +
+                     Shown(column.name) +
+                     " looks like it: name it time, or `realitygrad import` with a mapping");
+      }
     }
-    const std::string place = "header (line 1), column " + std::to_string(columns_.size() + 1);
+    return Error("row 0 (line " + std::to_string(header_line_) + "): the header has no column time");
+  }
+
+  // Fields by semicolons or tabs with decimal commas are read only where somebody says so.
+  Status CheckDecimals() {
+    if (options_.dialect || dialect_.separator == ',') return Status::Ok();
+    CsvText ahead = *lines_;
+    std::vector<std::string_view> fields;
+    double value = 0.0;
+    for (int row = 0; row < 20 && ahead.Next(&fields); ++row) {
+      for (const std::string_view field : fields) {
+        if (std::count(field.begin(), field.end(), ',') != 1) continue;
+        if (ParseNumber(field, &value) == NumberText::kOk ||
+            ParseNumber(WithPoint(field), &value) != NumberText::kOk)
+          continue;
+        const std::string name = dialect_.separator == ';' ? "semicolon" : "tab";
+        return Error("line " + std::to_string(ahead.line()) + ": " + Shown(field) +
+                     ": fields are separated by " + name +
+                     "s and numbers have decimal commas: read it with --csv-dialect " + name +
+                     ", or convert it: tr ',' '.' < FILE | tr '" + (dialect_.separator == ';' ? ";" : "\\t") +
+                     "' ',' > NEW");
+      }
+    }
+    Note(std::string("fields are separated by ") + (dialect_.separator == ';' ? "semicolons" : "tabs"));
+    return Status::Ok();
+  }
+
+  std::string_view WithPoint(std::string_view field) {
+    decimal_.assign(field);
+    std::replace(decimal_.begin(), decimal_.end(), ',', '.');
+    return decimal_;
+  }
+
+  Status AddColumn(std::string_view name, std::set<std::string>* seen) {
+    const std::string place = HeaderName() + ", column " + std::to_string(columns_.size() + 1);
     if (name.empty()) return Error(place + ": has no name");
     Column column;
     column.name = std::string(name);
@@ -150,10 +197,10 @@ class CsvParser {
         if (column.kind == Kind::kPosition) joints_.push_back(column.joint);
       }
     }
-    if (joints_.empty()) return Error("header (line 1): no column position.<joint>");
+    if (joints_.empty()) return Error(HeaderName() + ": no column position.<joint>");
     for (const std::string& joint : joints_) {
       if (!Find(Kind::kPosition, joint)) {
-        return Error("header (line 1): column position." + joint + " is missing");
+        return Error(HeaderName() + ": column position." + joint + " is missing");
       }
     }
     return Status::Ok();
@@ -173,20 +220,22 @@ class CsvParser {
       }
       const std::string name = kKindNames[static_cast<int>(kind)];
       if (there > 0 && !missing.empty()) {
-        return Error("header (line 1): column " + name + "." + missing + " is missing, other joints have " +
+        return Error(HeaderName() + ": column " + name + "." + missing + " is missing, other joints have " +
                      name);
       }
       has_[static_cast<int>(kind)] = there > 0;
     }
     if (options_.require_effort && !has_[static_cast<int>(Kind::kEffortCommand)] &&
         !has_[static_cast<int>(Kind::kEffortMeasured)]) {
-      return Error("header (line 1): no effort: neither effort_command.<joint> nor effort_measured.<joint>");
+      return Error(HeaderName() + ": no effort: neither effort_command.<joint> nor effort_measured.<joint>");
     }
     return Status::Ok();
   }
 
   void Allocate() {
-    const auto lines = std::count(text_.begin() + static_cast<std::ptrdiff_t>(at_), text_.end(), '\n') + 1;
+    const auto lines =
+        std::max(std::count(text_.begin(), text_.end(), '\n'), std::count(text_.begin(), text_.end(), '\r')) +
+        1;
     const auto n = static_cast<Eigen::Index>(joints_.size());
     Recording& r = recording_;
     r.t.resize(lines);
@@ -215,49 +264,48 @@ class CsvParser {
   }
 
   Status ReadRows() {
-    while (at_ < text_.size()) {
-      last_line_ = NextLine(&last_terminated_);
-      if (Trim(last_line_).empty()) {
-        if (text_.find_first_not_of(" \t\r\n", at_) == std::string_view::npos) break;
+    std::vector<std::string_view> fields;
+    while (lines_->Next(&fields)) {
+      if (fields.empty()) {
+        if (lines_->AtEnd()) break;
         return Error(RowName(rows_) + ": the line is empty");
       }
-      RG_RETURN_IF_ERROR(ReadRow(last_line_));
+      RG_RETURN_IF_ERROR(ReadRow(fields));
+      line_of_.push_back(lines_->line());
       ++rows_;
     }
+    if (!lines_->status().ok()) return Unclosed();
     if (rows_ == 0) return Error("no rows under the header");
     if (rows_ == 1) return Error("only one row under the header");
     return Status::Ok();
   }
 
-  Status ReadRow(std::string_view line) {
-    size_t fields = 0;
-    const char* at = line.data();
-    const char* const end = at + line.size();
-    while (true) {
-      const auto* comma = static_cast<const char*>(std::memchr(at, ',', static_cast<size_t>(end - at)));
-      const char* const stop = comma ? comma : end;
-      if (fields < columns_.size()) {
-        RG_RETURN_IF_ERROR(ReadField(columns_[fields], {at, static_cast<size_t>(stop - at)}));
-      }
-      ++fields;
-      if (!comma) break;
-      at = comma + 1;
-    }
-    if (fields != columns_.size()) return WrongFieldCount(fields);
+  Status ReadRow(std::vector<std::string_view>& fields) {
+    // A separator at the line's end is no field.
+    if (fields.size() == columns_.size() + 1 && fields.back().empty()) fields.pop_back();
+    const size_t count = std::min(fields.size(), columns_.size());
+    for (size_t i = 0; i < count; ++i) RG_RETURN_IF_ERROR(ReadField(columns_[i], fields[i]));
+    if (fields.size() != columns_.size()) return WrongFieldCount(fields.size());
     if (rows_ > 0 && !(recording_.t[rows_] > recording_.t[rows_ - 1])) return TimeError();
+    const size_t digits = CountDigits(fields.back());
+    if (!lines_->terminated()) {
+      last_field_ = std::string(fields.back());
+    } else {
+      fewest_digits_ = std::min(fewest_digits_, digits);
+    }
     return Status::Ok();
   }
 
-  bool IsLastLine() const { return text_.find_first_not_of(" \t\r\n", at_) == std::string_view::npos; }
-
   Status WrongFieldCount(size_t fields) const {
-    const std::string counts =
+    std::string counts =
         std::to_string(fields) + " of " + std::to_string(columns_.size()) + " fields are there";
     if (fields > columns_.size()) {
+      if (fields == 2 * columns_.size() && dialect_.separator == ',')
+        counts += ": decimal commas? Write numbers with points, or separate fields by semicolons";
       return Error(RowName(rows_) + ", column " + std::to_string(columns_.size() + 1) + ": " + counts);
     }
     return Error(RowName(rows_) + ", column " + columns_[fields].name + ": " +
-                 (IsLastLine() ? "the last row is truncated: " : "") + counts);
+                 (lines_->AtEnd() ? "the last row is truncated: " : "") + counts);
   }
 
   Status TimeError() const {
@@ -273,50 +321,58 @@ class CsvParser {
     return std::string(buffer, end.ptr);
   }
 
-  Status ReadField(Column& column, std::string_view raw) {
+  Status ReadField(Column& column, std::string_view field) {
     if (!column.out) return Status::Ok();
-    std::string_view field = Trim(raw);
-    if (!field.empty() && field.front() == '+') field.remove_prefix(1);
     double value = 0.0;
-    const auto [end, error] = std::from_chars(field.data(), field.data() + field.size(), value);
-    const bool is_number = error == std::errc() && end == field.data() + field.size();
-    if (column.kind == Kind::kOther) {
-      if (!is_number && !field.empty()) column.is_text = true;
-      value = is_number ? value : std::nan("");
-    } else if (!is_number) {
-      return BadField(column, field, error == std::errc::result_out_of_range);
-    } else if (!std::isfinite(value)) {
-      return FieldError(rows_, column, std::isnan(value) ? "NaN" : "not finite: " + Shown(field));
+    NumberText outcome = ParseNumber(field, &value);
+    if (outcome == NumberText::kNotANumber && dialect_.decimal_comma) {
+      outcome = ParseNumber(WithPoint(field), &value);
     }
+    if (column.kind == Kind::kOther) {
+      if (outcome == NumberText::kNotANumber) column.is_text = true;
+      if (outcome != NumberText::kOk && outcome != NumberText::kNotFinite) value = std::nan("");
+    } else if (outcome == NumberText::kEmpty || (outcome == NumberText::kNotFinite && std::isnan(value))) {
+      if (IsCut(column)) return Cut(column, field);
+      if (!IsOptional(column.kind)) return BlankField(column, rows_, outcome != NumberText::kEmpty);
+      if (column.blanks++ == 0) {
+        column.first_blank = rows_;
+        column.first_blank_is_nan = outcome != NumberText::kEmpty;
+      }
+      value = std::nan("");
+    } else if (outcome != NumberText::kOk) {
+      if (IsCut(column)) return Cut(column, field);
+      return FieldError(rows_, column,
+                        (outcome == NumberText::kNotFinite    ? "not finite: "
+                         : outcome == NumberText::kOutOfRange ? "out of a double's range: "
+                                                              : "not a number: ") +
+                            Shown(field));
+    }
+    if (column.kind == Kind::kTime) value /= options_.time_units_per_s;
     column.out[rows_ * column.stride] = value;
     return Status::Ok();
   }
 
-  Status BadField(const Column& column, std::string_view field, bool out_of_range) const {
-    if (!last_terminated_ && &column == &columns_.back()) {
-      return FieldError(rows_, column, "the last row is truncated at " + Shown(field));
-    }
-    if (field.empty()) return FieldError(rows_, column, "the field is empty");
-    return FieldError(rows_, column,
-                      (out_of_range ? "out of a double's range: " : "not a number: ") + Shown(field));
+  static bool IsOptional(Kind kind) {
+    return kind == Kind::kVelocity || kind == Kind::kEffortCommand || kind == Kind::kEffortMeasured;
+  }
+
+  Status BlankField(const Column& column, Eigen::Index row, bool is_nan) const {
+    return FieldError(row, column, is_nan ? "NaN" : "the field is empty");
+  }
+
+  // The file's last field, without a line end behind it.
+  bool IsCut(const Column& column) const { return !lines_->terminated() && &column == &columns_.back(); }
+  Status Cut(const Column& column, std::string_view field) const {
+    return FieldError(rows_, column, "the last row is truncated at " + Shown(field));
   }
 
   // A file that ends inside its last number still reads as a number. It gives itself away where that
   // number has fewer digits than all others of its column.
   Status CheckLastRowIsWhole() const {
-    if (last_terminated_ || rows_ < kTooFewRowsToJudgeDigits) return Status::Ok();
-    const auto last_field = [](std::string_view line) { return Trim(line.substr(line.rfind(',') + 1)); };
-    const std::string_view field = last_field(last_line_);
-    const size_t digits = CountDigits(field);
-    size_t fewest = std::string_view::npos;
-    std::string_view body = text_.substr(0, static_cast<size_t>(last_line_.data() - text_.data()));
-    body.remove_prefix(body.find('\n') + 1);
-    while (!body.empty()) {
-      const size_t end = body.find('\n');
-      fewest = std::min(fewest, CountDigits(last_field(body.substr(0, end))));
-      body.remove_prefix(end == std::string_view::npos ? body.size() : end + 1);
-    }
-    if (digits >= fewest && std::isdigit(static_cast<unsigned char>(field.empty() ? '0' : field.back()))) {
+    if (!last_field_ || rows_ < kTooFewRowsToJudgeDigits) return Status::Ok();
+    const std::string& field = *last_field_;
+    if (CountDigits(field) >= fewest_digits_ &&
+        std::isdigit(static_cast<unsigned char>(field.empty() ? '0' : field.back()))) {
       return Status::Ok();
     }
     return FieldError(rows_ - 1, columns_.back(),
@@ -346,20 +402,68 @@ class CsvParser {
         r.other[column.name].conservativeResize(rows_);
       }
     }
+  }
+
+  // Optional columns that are empty or NaN throughout are as if they were not there; a single such field is
+  // an error.
+  Status LeaveOutBlankKinds() {
+    for (const Kind kind : {Kind::kVelocity, Kind::kEffortCommand, Kind::kEffortMeasured}) {
+      int there = 0, blank = 0;
+      const Column* one = nullptr;
+      for (const std::string& joint : joints_) {
+        const Column* column = Find(kind, joint);
+        if (!column) continue;
+        ++there;
+        if (column->blanks == 0) continue;
+        if (column->blanks < rows_)
+          return BlankField(*column, column->first_blank, column->first_blank_is_nan);
+        ++blank;
+        one = column;
+      }
+      if (blank == 0) continue;
+      if (blank < there && kind != Kind::kVelocity)
+        return FieldError(0, *one, "the column is empty throughout, those of other joints are not");
+      Note("column " + one->name + " is empty throughout: " + kKindNames[static_cast<int>(kind)] +
+           " is left out");
+      MatrixOf(kind)->resize(0, 0);
+    }
+    Recording& r = recording_;
     r.drive =
         r.has_effort_command() || !r.has_effort_measured() ? EffortKind::kCommand : EffortKind::kMeasured;
+    if (options_.require_effort && r.drive_effort().size() == 0)
+      return Error(HeaderName() + ": no effort: the columns of effort are empty");
+    return Status::Ok();
+  }
+
+  Eigen::MatrixXd* MatrixOf(Kind kind) {
+    return kind == Kind::kVelocity        ? &recording_.v
+           : kind == Kind::kEffortCommand ? &recording_.effort_command
+                                          : &recording_.effort_measured;
+  }
+
+  // What the values themselves show: units, angles that wrap, velocities that stand still.
+  Status CheckSignals() {
+    if (!options_.time_unit_is_known) RG_RETURN_IF_ERROR(CheckTimeUnit(recording_, options_.sample_rate_hz));
+    const Status jump = UnwrapAngles(options_.robot, &recording_);
+    LeaveOutFrozenVelocity(&recording_);
+    RG_RETURN_IF_ERROR(CheckUnits(recording_, options_.robot));
+    return jump;
   }
 
   std::string_view text_;
   const std::string& source_;
   const CsvOptions& options_;
-  size_t at_ = 0;
+  CsvDialect dialect_;
+  std::optional<CsvText> lines_;
+  std::vector<int> line_of_;  // of each row
+  int header_line_ = 1;
+  std::string decimal_;
+  std::optional<std::string> last_field_;  // of a last row without line end
+  size_t fewest_digits_ = std::string::npos;
   std::vector<Column> columns_;
   std::vector<std::string> joints_;
   bool has_[6] = {};
   Eigen::Index rows_ = 0;
-  std::string_view last_line_;
-  bool last_terminated_ = true;
   Recording recording_;
 };
 

@@ -3,31 +3,28 @@
 // velocity is optional, at least one kind of effort is there (unless the caller waives it), other
 // columns are kept in Recording::other. A kind that is there is there for every joint.
 //
+// Read as it is: a byte order mark, CRLF, quotes, blanks, a '#' before the header, comment lines, a separator
+// at a line's end, fields separated by semicolons or tabs, empty fields of columns that are not used. Read
+// with a note in Recording::notes: optional columns that are empty throughout, angles that wrap (angles.h),
+// velocities that stand still while their positions move (velocity_column.h).
 // Every refusal is one line that names file, row (of data, and line of the file), column and value:
 // an empty file, a column twice or missing, a joint that the robot lacks, a field that is no number,
-// NaN or infinity, time that repeats or goes back, a truncated last row, units that are visibly
-// degrees or millimetres. CRLF and a UTF-8 byte order mark are accepted.
+// NaN or infinity, time that repeats or goes back or is visibly in another unit (time_stamps.h), a truncated
+// last row, units that are visibly degrees or millimetres, a joint that jumps, decimal commas unless a
+// dialect says that there are some.
 #pragma once
 
-#include <limits>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "common/base/status.h"
+#include "common/recordings/csv_text.h"
+#include "common/recordings/joint_info.h"
 #include "common/recordings/recording.h"
 
 namespace rg::recordings {
-
-// What the reader wants to know of a joint of the robot, to tell names and units.
-struct JointInfo {
-  enum class Type { kRevolute, kContinuous, kPrismatic };
-  std::string name;
-  Type type = Type::kRevolute;
-  double lower = -std::numeric_limits<double>::infinity();  // rad or m
-  double upper = std::numeric_limits<double>::infinity();
-  double velocity = std::numeric_limits<double>::infinity();  // rad/s or m/s
-};
 
 struct CsvOptions {
   // The joints wanted, in the order wanted; empty: those with a position column, in file order.
@@ -35,6 +32,10 @@ struct CsvOptions {
   // All joints of the robot. Empty: joint names and units are not checked.
   std::vector<JointInfo> robot;
   bool require_effort = true;
+  std::optional<CsvDialect> dialect;     // none: guessed from the header
+  double time_units_per_s = 1.0;         // of the column time: 1e9 for nanoseconds
+  bool time_unit_is_known = false;       // somebody said so: it is not checked
+  std::optional<double> sample_rate_hz;  // what is expected, to tell the unit of time
 };
 
 // `source_name` stands for the file in errors and becomes Recording::name. Recording::drive is the

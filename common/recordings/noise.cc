@@ -49,27 +49,42 @@ double SpreadOfDifferences(const Eigen::VectorXd& t, const Eigen::VectorXd& x, i
   return kMedianToStddev * Median(&differences);
 }
 
-// Whether the steps lie on multiples of g: at least 20 of them within 30 multiples, 95 % on the grid.
-bool LieOnGrid(const std::vector<double>& steps, double g) {
+constexpr double kMultiples[] = {2.5, 5.0, 10.0, 20.0, 30.0};  // of a grid's step, that are looked at
+
+// Whether the steps (sorted) lie on multiples of g: at least 20 of them within `most` multiples, 95 % on the
+// grid.
+bool LieOnGrid(const std::vector<double>& steps, double g, double most) {
   int on = 0, off = 0, small = 0;
   for (const double step : steps) {
     const double multiple = step / g;
-    if (multiple > 30.0) continue;
+    if (multiple > most) break;
     if (multiple < 0.5) ++small;
     (std::abs(multiple - std::round(multiple)) < 0.1 ? on : off)++;
   }
   return on + off >= 20 && on >= 19 * off && 2 * small < on;
 }
 
-double RefineGrid(const std::vector<double>& steps, double g) {
+// The step that fits those up to `most` multiples of g best.
+double RefineGrid(const std::vector<double>& steps, double g, double most) {
   double num = 0.0, den = 0.0;
   for (const double step : steps) {
     const double multiple = std::round(step / g);
-    if (multiple > 30.0) continue;
+    if (multiple > most) break;
     num += step * multiple;
     den += multiple * multiple;
   }
   return den > 0.0 ? num / den : g;
+}
+
+// The grid near g that the steps lie on, 0 if there is none. A file prints so few digits that one step alone
+// is hundredths off; further multiples count as the step is known better.
+double GridNear(const std::vector<double>& steps, double g) {
+  double most = 0.0;
+  for (const double multiples : kMultiples) {
+    g = RefineGrid(steps, g, multiples);
+    if (LieOnGrid(steps, g, multiples)) most = multiples;
+  }
+  return most == kMultiples[std::size(kMultiples) - 1] ? g : 0.0;
 }
 
 // The coarsest grid that the values lie on, 0 if none shows. A grid shows as steps between
@@ -87,9 +102,9 @@ double EstimateResolution(const Eigen::VectorXd& x) {
     if (g < 1.2 * last_tried) continue;
     if (++tried > 64) break;
     last_tried = g;
-    if (LieOnGrid(steps, g)) found = g;
+    if (const double grid = GridNear(steps, g); grid > 0.0) found = grid;
   }
-  return found > 0.0 ? RefineGrid(steps, found) : 0.0;
+  return found;
 }
 
 // How a local polynomial is laid round a row.

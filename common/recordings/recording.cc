@@ -56,6 +56,7 @@ Result<Recording> Reorder(const Recording& recording, const std::vector<std::str
   picked.v = PickRows(recording.v, rows);
   picked.effort_command = PickRows(recording.effort_command, rows);
   picked.effort_measured = PickRows(recording.effort_measured, rows);
+  picked.wrap_low = PickRows(recording.wrap_low, rows);
   return picked;
 }
 

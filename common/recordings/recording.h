@@ -7,6 +7,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <limits>
 #include <map>
 #include <string>
 #include <vector>
@@ -35,6 +36,14 @@ struct Recording {
   // empty or NaN is NaN here; a column that holds text is not here.
   std::map<std::string, Eigen::VectorXd> other;
   EffortKind drive = EffortKind::kCommand;  // the effort that drives the model; it is there
+  // What its reader did that a user wants to know, one line each.
+  std::vector<std::string> notes;
+  // Where the file's angles wrap: n, or empty where none do. Those of joint i lie in [low, low + 2π) in the
+  // file and are unwrapped in q; NaN: as in the file.
+  Eigen::VectorXd wrap_low;
+  // Windows of predictions are counted from this time; NaN: from the first row. Of a piece of a longer
+  // recording: that recording's first row (time_stamps.h).
+  double window_origin = std::numeric_limits<double>::quiet_NaN();
 
   int rows() const { return static_cast<int>(t.size()); }
   int n() const { return static_cast<int>(q.rows()); }

@@ -1,14 +1,17 @@
 #include "common/recordings/recording_set.h"
 
 #include <algorithm>
+#include <cmath>
 #include <filesystem>
 #include <set>
 
 #include "common/base/file.h"
+#include "common/base/printf.h"
 #include "common/model/robot_model.h"
 #include "common/model/urdf_document.h"
 #include "common/model/urdf_loader.h"
 #include "common/recordings/manifest.h"
+#include "common/recordings/time_stamps.h"
 
 namespace rg::recordings {
 
@@ -24,8 +27,16 @@ static JointInfo InfoOf(const model::Joint& joint) {
   return info;
 }
 
-CsvOptions CsvOptionsFor(const model::RobotModel& robot) {
+static CsvOptions OptionsOf(const ReadOptions& read) {
   CsvOptions options;
+  options.dialect = read.dialect;
+  options.time_unit_is_known = read.time_units_per_s.has_value();
+  options.time_units_per_s = read.time_units_per_s.value_or(1.0);
+  return options;
+}
+
+CsvOptions CsvOptionsFor(const model::RobotModel& robot, const ReadOptions& read) {
+  CsvOptions options = OptionsOf(read);
   for (const model::Joint& joint : robot.joints()) {
     options.joints.push_back(joint.name);
     options.robot.push_back(InfoOf(joint));
@@ -38,6 +49,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr int kHoldoutEvery = 4;
+constexpr int kFewestRows = 10;  // of a piece between gaps that a fit can use
 
 bool Contains(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();
@@ -124,7 +136,47 @@ bool ChooseHoldout(std::vector<Recording>& recordings) {
   return true;
 }
 
-Result<RecordingSet> LoadSet(const std::string& folder) {
+namespace {
+
+// Every recording by its pieces between gaps; what is too short to fit is left out unless nothing else is
+// there.
+void SplitRecordingsAtGaps(RecordingSet* set) {
+  std::vector<Recording> all;
+  for (Recording& r : set->recordings) {
+    const std::vector<Gap> gaps = FindGaps(r.t);
+    if (gaps.empty()) {
+      all.push_back(std::move(r));
+      continue;
+    }
+    double longest = 0.0;
+    for (const Gap& gap : gaps) longest = std::max(longest, gap.seconds);
+    std::vector<Recording> pieces = SplitAtGaps(r);
+    const auto is_short = [](const Recording& piece) { return piece.rows() < kFewestRows; };
+    const auto short_ones = std::count_if(pieces.begin(), pieces.end(), is_short);
+    if (short_ones < static_cast<long>(pieces.size())) std::erase_if(pieces, is_short);
+    set->warnings.push_back(r.name + ": " + std::to_string(gaps.size()) +
+                            (gaps.size() == 1 ? " gap" : " gaps") + ", the longest " +
+                            Printf("%.3g", longest) + " s: fits go round " +
+                            (gaps.size() == 1 ? "it" : "them") +
+                            (short_ones > 0 ? ", " + std::to_string(short_ones) + " pieces of less than " +
+                                                  std::to_string(kFewestRows) + " rows are left out"
+                                            : ""));
+    for (Recording& piece : pieces) all.push_back(std::move(piece));
+  }
+  set->recordings = std::move(all);
+}
+
+// What readers noted, said as warnings of the set; then gaps.
+void FinishReading(const ReadOptions& read, RecordingSet* set) {
+  for (Recording& r : set->recordings) {
+    for (const std::string& note : r.notes) set->warnings.push_back(r.name + ": " + note);
+  }
+  if (!read.keep_whole) SplitRecordingsAtGaps(set);
+}
+
+}  // namespace
+
+Result<RecordingSet> LoadSet(const std::string& folder, const ReadOptions& read) {
   const std::string manifest_path = (fs::path(folder) / "manifest.json").string();
   if (!fs::is_directory(folder)) return NotFoundError(folder + ": no such folder");
   RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(manifest_path));
@@ -137,9 +189,10 @@ Result<RecordingSet> LoadSet(const std::string& folder) {
   set.joint_info = robot.joints;
   for (const JointInfo& joint : robot.joints) set.joints.push_back(joint.name);
 
-  CsvOptions options;
+  CsvOptions options = OptionsOf(read);
   options.joints = set.joints;
   options.robot = robot.all;
+  options.sample_rate_hz = set.sample_rate_hz;
   for (const ManifestEntry& entry : manifest.recordings) {
     const std::string path = (fs::path(folder) / entry.file).string();
     RG_ASSIGN_OR_RETURN(Recording recording, LoadCsv(path, options));
@@ -149,6 +202,79 @@ Result<RecordingSet> LoadSet(const std::string& folder) {
     set.recordings.push_back(std::move(recording));
   }
   set.holdout_was_chosen = ChooseHoldout(set.recordings);
+  FinishReading(read, &set);
+  return set;
+}
+
+namespace {
+
+// The joints that a file has positions of, as far as the robot has them; CSV columns of others are refused.
+Result<std::vector<std::string>> JointsOfFile(const std::string& file, const CsvOptions& options) {
+  CsvOptions any = options;
+  any.joints.clear();
+  RG_ASSIGN_OR_RETURN(const Recording r, LoadCsv(file, any));
+  return r.joints;
+}
+
+// Rows up to `time` after the first, and those behind it, as two recordings of the same name.
+Result<std::vector<Recording>> CutInTime(const Recording& r, double time) {
+  const double duration = r.t[r.rows() - 1] - r.t[0];
+  if (std::isinf(time)) time = duration * 2.0 / 3.0;
+  const auto first =
+      static_cast<int>(std::upper_bound(r.t.data(), r.t.data() + r.rows(), r.t[0] + time) - r.t.data());
+  if (first < kFewestRows || r.rows() - first < kFewestRows) {
+    return InvalidError(r.name + ": --split-time " + Printf("%.3g", time) + ": leaves " +
+                        std::to_string(first) + " and " + std::to_string(r.rows() - first) + " rows of " +
+                        Printf("%.3g", duration) + " s, at least 10 are needed on either side");
+  }
+  std::vector<Recording> parts = {Slice(r, 0, first), Slice(r, first, r.rows() - first)};
+  parts[1].split = Split::kHoldout;
+  parts[1].notes.clear();
+  return parts;
+}
+
+}  // namespace
+
+Result<RecordingSet> SetFromFiles(const std::string& urdf_path, const std::vector<std::string>& files,
+                                  std::optional<double> split_time_s, const ReadOptions& read) {
+  if (files.empty()) return InvalidError("no recording was given");
+  if (files.size() == 1 && !split_time_s) {
+    return InvalidError(
+        files[0] +
+        ": a single recording leaves none to judge by: give another one, or keep its last third "
+        "aside with --split-time");
+  }
+  RecordingSet set;
+  set.folder = fs::path(files[0]).parent_path().string();
+  set.urdf_path = urdf_path;
+  RG_ASSIGN_OR_RETURN(set.urdf_text, ReadFile(urdf_path));
+  RG_ASSIGN_OR_RETURN(const model::RobotModel whole, model::ParseUrdf(set.urdf_text, urdf_path));
+  CsvOptions options = CsvOptionsFor(whole, read);
+  Manifest manifest;
+  manifest.robot = urdf_path;
+  manifest.settings.urdf_path = urdf_path;
+  RG_ASSIGN_OR_RETURN(manifest.joints, JointsOfFile(files[0], options));
+  RG_ASSIGN_OR_RETURN(const RobotView robot, ReadRobot(manifest, files[0], set.urdf_text));
+  set.joint_info = robot.joints;
+  for (const JointInfo& joint : robot.joints) set.joints.push_back(joint.name);
+  options.joints = set.joints;
+  options.robot = robot.all;
+  std::set<std::string> taken;
+  for (const std::string& file : files) {
+    RG_ASSIGN_OR_RETURN(Recording r, LoadCsv(file, options));
+    r.name = fs::path(file).filename().string();
+    if (taken.contains(r.name)) r.name = file;
+    taken.insert(r.name);
+    set.recordings.push_back(std::move(r));
+  }
+  set.holdout_was_chosen = true;
+  if (files.size() == 1) {
+    RG_ASSIGN_OR_RETURN(set.recordings, CutInTime(set.recordings[0], *split_time_s));
+  } else {
+    const size_t aside = std::max<size_t>(1, files.size() / 3);
+    for (size_t i = files.size() - aside; i < files.size(); ++i) set.recordings[i].split = Split::kHoldout;
+  }
+  FinishReading(read, &set);
   return set;
 }
 
@@ -199,9 +325,14 @@ Result<RecordingSet> MergeSets(std::vector<RecordingSet> sets) {
     TakeLarger(set.noise.position_resolution, &all.noise.position_resolution);
     if (all.sample_rate_hz != set.sample_rate_hz) all.sample_rate_hz.reset();
     const std::string folder = fs::path(set.folder).filename().string();
+    std::map<std::string, std::string> names;  // pieces of one recording keep one name
+    for (const Recording& r : set.recordings) {
+      if (names.contains(r.name)) continue;
+      names[r.name] = FreeName(r.name, folder.empty() ? std::to_string(i + 1) : folder, taken);
+      taken.insert(names[r.name]);
+    }
     for (Recording& r : set.recordings) {
-      r.name = FreeName(r.name, folder.empty() ? std::to_string(i + 1) : folder, taken);
-      taken.insert(r.name);
+      r.name = names[r.name];
       all.recordings.push_back(std::move(r));
     }
     all.warnings.insert(all.warnings.end(), set.warnings.begin(), set.warnings.end());
@@ -210,16 +341,18 @@ Result<RecordingSet> MergeSets(std::vector<RecordingSet> sets) {
   return all;
 }
 
-Result<RecordingSet> LoadSets(const std::vector<std::string>& folders) {
+Result<RecordingSet> LoadSets(const std::vector<std::string>& folders, const ReadOptions& read) {
   std::vector<RecordingSet> sets;
   for (const std::string& folder : folders) {
-    RG_ASSIGN_OR_RETURN(RecordingSet set, LoadSet(folder));
+    RG_ASSIGN_OR_RETURN(RecordingSet set, LoadSet(folder, read));
     sets.push_back(std::move(set));
   }
   return MergeSets(std::move(sets));
 }
 
-Status WriteSet(const std::string& folder, const RecordingSet& set) {
+Status WriteSet(const std::string& folder, const RecordingSet& given) {
+  RecordingSet set = given;
+  set.recordings = JoinPieces(std::move(set.recordings));
   for (const Recording& r : set.recordings) {
     RG_RETURN_IF_ERROR(WriteCsv((fs::path(folder) / r.name).string(), r));
   }

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstdint>
 #include <map>
 #include <optional>
 #include <string>
@@ -18,8 +19,16 @@ class RobotModel;
 
 namespace rg::recordings {
 
+// How files are read where their user says more than they do.
+struct ReadOptions {
+  std::optional<CsvDialect> dialect;       // --csv-dialect
+  std::optional<double> time_units_per_s;  // --time-unit; none: seconds, refused where they visibly are not
+  // Recordings with gaps stay one, and pieces too short to fit are kept: to write them again, or to show.
+  bool keep_whole = false;
+};
+
 // For a CSV by itself: every joint of the robot has columns.
-CsvOptions CsvOptionsFor(const model::RobotModel& robot);
+CsvOptions CsvOptionsFor(const model::RobotModel& robot, const ReadOptions& read = {});
 
 inline constexpr const char* kSetFormat = "realitygrad.recordings/1";
 
@@ -49,7 +58,8 @@ struct RecordingSet {
   bool effort_excludes_gravity = false;
   // The manifest had no holdout split, and LoadSet chose whole recordings for it.
   bool holdout_was_chosen = false;
-  // What was odd but not wrong, one line each: keys of the manifest that nobody knows.
+  // What was odd but not wrong, one line each: keys of the manifest that nobody knows, what was done to
+  // columns, gaps.
   std::vector<std::string> warnings;
   std::vector<Recording> recordings;  // in the manifest's order, joints in the order of `joints`
 
@@ -62,8 +72,15 @@ struct RecordingSet {
 
 // Reads and checks everything; the error names file, row, column and value. A set without a holdout
 // split gets one: every fourth recording of the manifest, or the last if there are two or three. A
-// set of one recording has no holdout.
-Result<RecordingSet> LoadSet(const std::string& folder);
+// set of one recording has no holdout. Recordings with gaps (time_stamps.h) become several of the same name,
+// one behind the other; pieces too short to fit are left out with a warning.
+Result<RecordingSet> LoadSet(const std::string& folder, const ReadOptions& read = {});
+
+// A set without a manifest: the URDF, and CSV files whose position columns name the joints. The last third of
+// the files, at least one, is kept aside. A single file is cut in time where `split_time_s` says: what comes
+// later than that after its first row is kept aside (infinity: its last third); without it, it is refused.
+Result<RecordingSet> SetFromFiles(const std::string& urdf_path, const std::vector<std::string>& files,
+                                  std::optional<double> split_time_s, const ReadOptions& read = {});
 
 // Marks recordings as holdout by the rule above if none is; true if it did.
 bool ChooseHoldout(std::vector<Recording>& recordings);
@@ -75,9 +92,10 @@ bool ChooseHoldout(std::vector<Recording>& recordings);
 Result<RecordingSet> MergeSets(std::vector<RecordingSet> sets);
 
 // LoadSet of one folder, or of several as one set.
-Result<RecordingSet> LoadSets(const std::vector<std::string>& folders);
+Result<RecordingSet> LoadSets(const std::vector<std::string>& folders, const ReadOptions& read = {});
 
-// Writes manifest.json, the URDF text as robot.urdf, and every recording, into `folder`.
+// Writes manifest.json, the URDF text as robot.urdf, and every recording, into `folder`. Pieces of one
+// recording (neighbours of the same name) become one file again.
 Status WriteSet(const std::string& folder, const RecordingSet& set);
 // The text of manifest.json for a set whose URDF lies in the folder as `robot_file`.
 std::string FormatManifest(const RecordingSet& set, const std::string& robot_file);

@@ -8,6 +8,8 @@
 
 namespace rg::recordings {
 
+struct Recording;
+
 struct Window {
   int first = 0;  // the restart row: the measured state there starts the simulation
   int last = 0;   // the last row predicted (the next window's restart row, or the recording's last)
@@ -17,5 +19,7 @@ struct Window {
 // t: K strictly increasing times; window_s > 0, infinity for one window over all. Windows that a gap
 // swallows are left out; a window has at least one predicted row; fewer than two rows give none.
 std::vector<Window> SplitIntoWindows(const Eigen::VectorXd& t, double window_s);
+// The same of a recording, or of a piece of one between gaps, whose windows are counted from window_origin.
+std::vector<Window> SplitIntoWindows(const Recording& recording, double window_s);
 
 }  // namespace rg::recordings

@@ -16,6 +16,7 @@
 #include "services/cli/model_source.h"
 #include "services/cli/packed_set.h"
 #include "services/cli/progress_display.h"
+#include "services/cli/set_arguments.h"
 #include "services/diagnosis/diagnosis.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/remote_fits.h"
@@ -26,7 +27,7 @@ namespace rg::cli {
 namespace {
 
 struct DiagnoseArguments {
-  std::vector<std::string> sets;
+  SetArguments sets;
   std::string out, svg, model;
   diagnosis::DiagnosisOptions options;
 };
@@ -71,7 +72,7 @@ std::string Next(const diagnosis::DiagnosisResult& r, const DiagnoseArguments& a
     return "next: open " + out + "/report.html; realitygrad predict --model " + out +
            "/model.json --recording REC.csv --out PRED.csv";
   std::string sets;
-  for (const std::string& set : arguments.sets) sets += set + " ";
+  for (const std::string& set : arguments.sets.sets) sets += set + " ";
   return "next: realitygrad submit rollout --trajectory " + out +
          "/motion.csv --out MORE; realitygrad diagnose " + sets + "MORE --out " + out + "2   (tells " +
          Joined(r.motion->effects) + " apart)";
@@ -90,7 +91,7 @@ Result<Workers> WithWorkers(const Context& context, const DiagnoseArguments& arg
   realitygrad::v1::ArtifactInfo info;
   info.set_kind(jobs::kArtifactRecordingSet);
   info.set_metadata_json(
-      nlohmann::json{{"name", std::filesystem::path(arguments.sets.front()).filename().string()}}.dump());
+      nlohmann::json{{"name", arguments.sets.name()}}.dump());
   RG_ASSIGN_OR_RETURN(std::string set, workers.client->PutArtifact(packed, info));
   jobs::FitInputs inputs;
   inputs.recordings = {std::move(set)};
@@ -103,7 +104,7 @@ Result<Workers> WithWorkers(const Context& context, const DiagnoseArguments& arg
 }
 
 Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
-  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSets(arguments.sets));
+  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, arguments.sets.Load());
   RG_RETURN_IF_ERROR(CheckWritable(arguments.out));
   diagnosis::DiagnosisOptions options = arguments.options;
   if (!arguments.model.empty()) {
@@ -145,10 +146,7 @@ void AddDiagnoseCommand(CLI::App& app, Context& context) {
   CLI::App* command =
       app.add_subcommand("diagnose", "Say which physics the model leaves out, from a recording set");
   auto& o = arguments->options;
-  command
-      ->add_option("SET", arguments->sets,
-                   "Folder of a recording set; several of one robot are diagnosed as one")
-      ->required();
+  arguments->sets.AddTo(command);
   command->add_option(
       "--model", arguments->model,
       "A model.json to start from, identified or diagnosed before, instead of the set's URDF");

@@ -9,12 +9,14 @@
 #include "common/model/robot_model.h"
 #include "common/model/urdf_loader.h"
 #include "common/recordings/csv.h"
+#include "common/recordings/manifest.h"
 #include "common/recordings/recording_set.h"
 #include "common/sim/model_file.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
 #include "services/cli/interrupt.h"
 #include "services/cli/progress_display.h"
+#include "services/cli/set_arguments.h"
 #include "services/report/sysid_page.h"
 #include "services/sysid/prediction.h"
 #include "services/sysid/sysid_on_set.h"
@@ -28,13 +30,14 @@ using nlohmann::json;
 // ---- sysid ----
 
 struct SysidArguments {
-  std::string set, out, model;
+  SetArguments set;
+  std::string out, model;
   std::string parametrisation = "log-cholesky", window_choice = "information";
   sysid::SysidOptions options;
 };
 
 Status Sysid(Context& context, SysidArguments& arguments) {
-  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSet(arguments.set));
+  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, arguments.set.Load());
   if (!arguments.model.empty()) {
     RG_ASSIGN_OR_RETURN(arguments.options.model, sim::LoadModelFile(arguments.model));
   }
@@ -72,6 +75,7 @@ struct PredictArguments {
   std::string model, recording, out;
   double window_s = 1.0;
   bool measured_restart = false;
+  ReadArguments read;
 };
 
 // What the simulation needs to know besides the model.
@@ -102,23 +106,28 @@ Result<PredictionModel> LoadModel(const std::string& path) {
   return PredictionModel{std::move(file), std::nullopt, false};
 }
 
-// What the manifest beside a recording says of its effort, if there is one.
-void TakeManifestBeside(const std::string& recording, PredictionModel* model) {
+// What the manifest beside a recording says of its effort and rate, if there is one.
+void TakeManifestBeside(const std::string& recording, PredictionModel* model, recordings::CsvOptions* csv) {
   const fs::path folder = fs::path(recording).parent_path();
-  if (!fs::exists((folder.empty() ? fs::path(".") : folder) / "manifest.json")) return;
-  const auto set = recordings::LoadSet(folder.empty() ? "." : folder.string());
-  if (!set.ok()) return;
-  if (!model->drive) model->drive = set->drive;
-  model->effort_excludes_gravity = model->effort_excludes_gravity || set->effort_excludes_gravity;
+  const std::string path = ((folder.empty() ? fs::path(".") : folder) / "manifest.json").string();
+  const auto text = ReadFile(path);
+  if (!text.ok()) return;
+  const auto manifest = recordings::ParseManifest(*text, path);
+  if (!manifest.ok()) return;
+  const recordings::RecordingSet& set = manifest->settings;
+  if (!model->drive) model->drive = set.drive;
+  model->effort_excludes_gravity = model->effort_excludes_gravity || set.effort_excludes_gravity;
+  csv->sample_rate_hz = set.sample_rate_hz;
 }
 
 Status Predict(Context& context, const PredictArguments& arguments) {
   if (!(arguments.window_s > 0)) return InvalidError("--window must be positive (s)");
+  RG_ASSIGN_OR_RETURN(const recordings::ReadOptions read, arguments.read.Options());
   RG_ASSIGN_OR_RETURN(PredictionModel model, LoadModel(arguments.model));
-  TakeManifestBeside(arguments.recording, &model);
-  RG_ASSIGN_OR_RETURN(
-      recordings::Recording recording,
-      recordings::LoadCsv(arguments.recording, recordings::CsvOptionsFor(model.file.plant.model())));
+  recordings::CsvOptions csv = recordings::CsvOptionsFor(model.file.plant.model(), read);
+  TakeManifestBeside(arguments.recording, &model, &csv);
+  RG_ASSIGN_OR_RETURN(recordings::Recording recording, recordings::LoadCsv(arguments.recording, csv));
+  for (const std::string& note : recording.notes) PrintNote("realitygrad: " + arguments.recording + ": " + note);
   if (model.drive && *model.drive == recordings::EffortKind::kMeasured && recording.has_effort_measured()) {
     recording.drive = recordings::EffortKind::kMeasured;
   }
@@ -129,7 +138,7 @@ Status Predict(Context& context, const PredictArguments& arguments) {
   const sysid::Prediction prediction =
       sysid::PredictRecording(model.file.plant, model.file.values, recording, options);
   RG_RETURN_IF_ERROR(WriteFileAtomically(
-      arguments.out, sysid::FormatPredictionCsv(prediction, model.file.plant.joint_names())));
+      arguments.out, sysid::FormatPredictionCsv(prediction, recording)));
   const sysid::PredictionError error = sysid::ErrorOf(prediction, recording);
   for (const std::string& failure : prediction.failures) PrintNote("realitygrad: " + failure);
   if (context.json()) {
@@ -157,7 +166,7 @@ void AddModelCommands(CLI::App& app, Context& context) {
   CLI::App* sysid_command =
       app.add_subcommand("sysid", "Identify a robot from a recording set, judged on held-out recordings");
   auto& o = sysid_arguments->options;
-  sysid_command->add_option("SET", sysid_arguments->set, "Folder of a recording set")->required();
+  sysid_arguments->set.AddTo(sysid_command);
   sysid_command->add_option("--out", sysid_arguments->out,
                             "Folder for model.json, sysid.json and report.html");
   sysid_command->add_option("--model", sysid_arguments->model,
@@ -203,6 +212,7 @@ void AddModelCommands(CLI::App& app, Context& context) {
   predict->add_option("--recording", predict_arguments->recording, "CSV")->required();
   predict->add_option("--window", predict_arguments->window_s, "Seconds")->capture_default_str();
   predict->add_option("--out", predict_arguments->out, "CSV of predictions")->required();
+  predict_arguments->read.AddTo(predict);
   predict->add_flag("--measured-restart", predict_arguments->measured_restart,
                     "Restart from the measured row itself, not from a filtered state");
   predict->callback([&context, predict_arguments] { context.Failed(Predict(context, *predict_arguments)); });

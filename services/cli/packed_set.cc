@@ -35,9 +35,9 @@ Result<std::string> Packed(const std::string& folder) {
 
 }  // namespace
 
-Result<std::string> PackedSet(const std::vector<std::string>& folders) {
-  if (folders.size() == 1) return Packed(folders.front());
-  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSets(folders));
+Result<std::string> PackedSet(const SetArguments& arguments) {
+  if (arguments.is_one_plain_folder()) return Packed(arguments.sets.front());
+  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, arguments.Load(/*keep_whole=*/true));
   rollouts::Bundle bundle = {{"manifest.json", recordings::FormatManifest(set, "robot.urdf")},
                              {"robot.urdf", set.urdf_text}};
   for (const recordings::Recording& recording : set.recordings)

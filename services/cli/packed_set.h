@@ -2,14 +2,15 @@
 #pragma once
 
 #include <string>
-#include <vector>
 
 #include "common/base/status.h"
+#include "services/cli/set_arguments.h"
 
 namespace rg::cli {
 
 // The bytes of one artefact; several sets of one robot become one, its splits as they are. A bad set is
-// refused here, by the line that its reader has for it.
-Result<std::string> PackedSet(const std::vector<std::string>& folders);
+// refused here, by the line that its reader has for it. One folder is packed as it is, all else is written
+// anew.
+Result<std::string> PackedSet(const SetArguments& arguments);
 
 }  // namespace rg::cli

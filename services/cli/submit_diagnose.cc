@@ -1,6 +1,5 @@
 // `submit diagnose`: a recording set on this machine, diagnosed by workers.
 #include <CLI/CLI.hpp>
-#include <filesystem>
 #include <memory>
 #include <nlohmann/json.hpp>
 
@@ -20,11 +19,10 @@ namespace rg::cli {
 namespace {
 
 namespace pb = ::realitygrad::v1;
-namespace fs = std::filesystem;
 using nlohmann::json;
 
 struct DiagnoseJobArguments {
-  std::vector<std::string> sets;
+  SetArguments sets;
   std::string out, request_id, model;
   jobs::DiagnoseOptions options;
   bool follow = false;
@@ -51,7 +49,7 @@ Status SubmitDiagnose(Context& context, const DiagnoseJobArguments& arguments) {
   RG_ASSIGN_OR_RETURN(const auto client, context.Connect());
   pb::ArtifactInfo info;
   info.set_kind(jobs::kArtifactRecordingSet);
-  info.set_metadata_json(json{{"name", fs::path(arguments.sets.front()).filename().string()}}.dump());
+  info.set_metadata_json(json{{"name", arguments.sets.name()}}.dump());
   RG_ASSIGN_OR_RETURN(const std::string set, client->PutArtifact(bundle, info));
   std::string model;
   if (!arguments.model.empty()) {
@@ -86,10 +84,7 @@ void AddSubmitDiagnose(CLI::App& submit, Context& context) {
   auto arguments = std::make_shared<DiagnoseJobArguments>();
   CLI::App* command = submit.add_subcommand(
       "diagnose", "Which physics a model leaves out, led by a worker's task, its fits on all workers");
-  command
-      ->add_option("SET", arguments->sets,
-                   "Folder of a recording set; several of one robot are diagnosed as one")
-      ->required();
+  arguments->sets.AddTo(command);
   command->add_option("--out", arguments->out,
                       "Wait, and write diagnosis.json, model.json, report.html here");
   command->add_option(

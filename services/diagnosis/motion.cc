@@ -135,7 +135,7 @@ std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& rec, int index
   const int n = rec.n();
   std::vector<NodeWindow> out;
   VectorXd q, v, a;
-  for (const recordings::Window& w : recordings::SplitIntoWindows(rec.t, options.window_s)) {
+  for (const recordings::Window& w : recordings::SplitIntoWindows(rec, options.window_s)) {
     NodeWindow window;
     window.recording = index;
     std::vector<int> row_of;

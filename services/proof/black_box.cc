@@ -177,7 +177,7 @@ MatrixXd BlackBox::Predict(const Recording& recording, double window_s) const {
   const int n = recording.n();
   MatrixXd out = recording.q;
   VectorXd u(n), q(n), v(n);
-  for (const recordings::Window& w : recordings::SplitIntoWindows(recording.t, window_s)) {
+  for (const recordings::Window& w : recordings::SplitIntoWindows(recording, window_s)) {
     const VectorXd start = recording.has_velocity() ? VectorXd(recording.v.col(w.first))
                                                     : recordings::EstimateStateCausal(recording, w.first).v;
     sim::State x = simulator.MakeState(recording.q.col(w.first), start, recording.t[w.first]);

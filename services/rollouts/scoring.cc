@@ -120,7 +120,7 @@ SimulationError ScoreSimulation(const sim::Plant& plant, const Eigen::VectorXd& 
   simulator.SetParameters(values);
   const sim::CommandSignal command = CommandOf(recording);
   std::vector<std::pair<int, int>> compared;  // first row, count
-  for (const auto& window : recordings::SplitIntoWindows(recording.t, options.window_s)) {
+  for (const auto& window : recordings::SplitIntoWindows(recording, options.window_s)) {
     RunWindow(recording, command, window, simulator, &error);
     compared.emplace_back(window.first + 1, window.rows());
   }

@@ -10,6 +10,8 @@
 
 #include "common/base/check.h"
 #include "common/dynamics/dynamics.h"
+#include "common/recordings/angles.h"
+#include "common/recordings/time_stamps.h"
 #include "common/recordings/velocity_lag.h"
 #include "common/recordings/windows.h"
 #include "services/sysid/drive_signal.h"
@@ -74,7 +76,7 @@ class Predictor {
     out.t = recording_.t;
     out.q = recording_.q;  // the first row, and a recording of one row
     out.restarts.push_back(0);
-    for (const recordings::Window& w : recordings::SplitIntoWindows(recording_.t, options_.window_s)) {
+    for (const recordings::Window& w : recordings::SplitIntoWindows(recording_, options_.window_s)) {
       if (w.first > 0) out.restarts.push_back(w.first);
       PredictWindow(w, &out);
     }
@@ -171,7 +173,20 @@ Prediction PredictRecording(const sim::Plant& plant, const VectorXd& values,
                             const recordings::Recording& recording, const PredictionOptions& options) {
   RG_CHECK(recording.n() == plant.num_joints() && recording.rows() >= 1);
   RG_CHECK(values.size() == plant.parameters().size());
-  return Predictor(plant, values, recording, options).Run();
+  Prediction all;
+  all.t = recording.t;
+  all.q = recording.q;
+  for (const recordings::Recording& piece : recordings::SplitAtGaps(recording)) {
+    const auto first = static_cast<int>(
+        std::lower_bound(recording.t.data(), recording.t.data() + recording.rows(), piece.t[0]) -
+        recording.t.data());
+    Prediction part = Predictor(plant, values, piece, options).Run();
+    all.q.middleCols(first, piece.rows()) = part.q;
+    all.measured.push_back(first);
+    for (const int row : part.restarts) all.restarts.push_back(first + row);
+    all.failures.insert(all.failures.end(), part.failures.begin(), part.failures.end());
+  }
+  return all;
 }
 
 PredictionError ErrorOf(const Prediction& prediction, const recordings::Recording& recording) {
@@ -179,28 +194,33 @@ PredictionError ErrorOf(const Prediction& prediction, const recordings::Recordin
   PredictionError error;
   const int K = recording.rows(), n = recording.n();
   error.joint_rms = VectorXd::Zero(n);
-  if (K < 2) return error;
-  const MatrixXd squares = (prediction.q - recording.q).cwiseAbs().cwiseMin(kErrorCap).cwiseAbs2();
-  error.rms = std::sqrt(squares.rightCols(K - 1).mean());
-  error.joint_rms = squares.rightCols(K - 1).rowwise().mean().cwiseSqrt();
+  const auto predicted = K - static_cast<int>(prediction.measured.size());
+  if (predicted < 1) return error;
+  MatrixXd squares = (prediction.q - recording.q).cwiseAbs().cwiseMin(kErrorCap).cwiseAbs2();
+  for (const int row : prediction.measured) squares.col(row).setZero();
+  const VectorXd of_joints = squares.rowwise().sum() / predicted;
+  error.rms = std::sqrt(of_joints.mean());
+  error.joint_rms = of_joints.cwiseSqrt();
   for (size_t w = 0; w < prediction.restarts.size(); ++w) {
     const int first = prediction.restarts[w] + 1;
-    const int last = w + 1 < prediction.restarts.size() ? prediction.restarts[w + 1] : K - 1;
+    int last = w + 1 < prediction.restarts.size() ? prediction.restarts[w + 1] : K - 1;
+    if (std::binary_search(prediction.measured.begin(), prediction.measured.end(), last)) --last;
     if (last >= first) error.windows.push_back(std::sqrt(squares.middleCols(first, last - first + 1).mean()));
   }
   error.median_window = Median(error.windows);
   return error;
 }
 
-std::string FormatPredictionCsv(const Prediction& prediction, const std::vector<std::string>& joints) {
+std::string FormatPredictionCsv(const Prediction& prediction, const recordings::Recording& recording) {
+  const MatrixXd q = recordings::InFilesWrapping(recording, prediction.q);
   std::string out = "time";
-  for (const std::string& joint : joints) out += ",position." + joint;
+  for (const std::string& joint : recording.joints) out += ",position." + joint;
   out += '\n';
   for (int k = 0; k < prediction.t.size(); ++k) {
     AppendNumber(prediction.t[k], &out);
-    for (int j = 0; j < prediction.q.rows(); ++j) {
+    for (int j = 0; j < q.rows(); ++j) {
       out += ',';
-      AppendNumber(prediction.q(j, k), &out);
+      AppendNumber(q(j, k), &out);
     }
     out += '\n';
   }

@@ -2,8 +2,9 @@
 //
 // With t0 the time of the first row and W the window, the simulation starts anew at the first row at or
 // after t0 + k·W (half a sample of tolerance) and runs the recorded effort open loop to the window's end.
-// A restart row carries the prediction of the window that ends there; the first row carries the measured
-// state. Nothing after a restart row is used for its state.
+// A restart row carries the prediction of the window that ends there; the first row, and the first row after
+// a gap (recordings/time_stamps.h), carry the measured state. Nothing after a restart row is used for its
+// state, and nothing before a gap for one behind it.
 //
 // The state at a restart: measured position and velocity, or better, a causal estimate from the rows up
 // to and including it. The estimate is an extended Kalman filter over the model itself: hidden states
@@ -45,6 +46,7 @@ struct Prediction {
   Eigen::VectorXd t;          // K
   Eigen::MatrixXd q;          // n × K
   std::vector<int> restarts;  // rows at which a window starts, 0 first
+  std::vector<int> measured;  // those of them that carry the measured state: 0, and the first after each gap
   // One line per window in which the simulation broke down; there the last finite position is repeated.
   std::vector<std::string> failures;
 };
@@ -57,14 +59,14 @@ Prediction PredictRecording(const sim::Plant& plant, const Eigen::VectorXd& valu
 inline constexpr double kErrorCap = 1e3;  // rad or m
 
 struct PredictionError {
-  double rms = 0.0;             // over all rows but the first, all joints
+  double rms = 0.0;             // over all rows that are predicted, all joints
   double median_window = 0.0;   // of `windows`
   Eigen::VectorXd joint_rms;    // n
   std::vector<double> windows;  // RMS of each window
 };
 PredictionError ErrorOf(const Prediction& prediction, const recordings::Recording& recording);
 
-// "time,position.<joint>…", one line per row.
-std::string FormatPredictionCsv(const Prediction& prediction, const std::vector<std::string>& joints);
+// "time,position.<joint>…", one line per row, angles in the wrapping of the recording's file.
+std::string FormatPredictionCsv(const Prediction& prediction, const recordings::Recording& recording);
 
 }  // namespace rg::sysid

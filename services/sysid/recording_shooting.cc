@@ -82,7 +82,7 @@ RecordingShooting::RecordingShooting(const sim::Plant& plant, const VectorXd& va
   for (const FitRecording& fit : recordings) {
     const recordings::Recording& rec = *fit.recording;
     const MatrixXd v = recordings::VelocityOrEstimate(rec);
-    for (const recordings::Window& w : recordings::SplitIntoWindows(rec.t, options.window_s)) {
+    for (const recordings::Window& w : recordings::SplitIntoWindows(rec, options.window_s)) {
       Window window;
       window.fit = &fit;
       window.start = rec.t[w.first];

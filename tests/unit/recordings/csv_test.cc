@@ -43,6 +43,18 @@ std::string ErrorOf(const std::string& text, const CsvOptions& options = TwoJoin
 
 constexpr const char* kHeader = "time,position.a,position.b,effort_command.a,effort_command.b\n";
 
+std::string FileOf(int rows, const std::function<double(double)>& position,
+                   const std::function<double(double)>* velocity = nullptr) {
+  std::string text = std::string("time,position.a,") + (velocity ? "velocity.a," : "") + "effort_command.a\n";
+  for (int k = 0; k < rows; ++k) {
+    const double t = 0.01 * k;
+    text += std::to_string(t) + "," + std::to_string(position(t));
+    if (velocity) text += "," + std::to_string((*velocity)(t));
+    text += "," + std::to_string(std::sin(3.0 * t)) + "\n";
+  }
+  return text;
+}
+
 TEST(ParseCsv, ReadsColumnsByNameInTheOrderWanted) {
   CsvOptions options;
   options.joints = {"b", "a"};
@@ -85,6 +97,108 @@ TEST(ParseCsv, LeavesOtherColumnsAloneEvenWithText) {
   ASSERT_TRUE(r.ok()) << r.status().ToString();
   EXPECT_EQ(r->other.count("mode"), 0u);
   EXPECT_EQ(r->other.at("note.zzz")[1], 2.0);
+}
+
+// As in a file that a spreadsheet wrote: byte order mark, quotes, CRLF, a separator at each line's end, empty
+// cells in columns that are not used, text with a comma.
+TEST(ParseCsv, ReadsASpreadsheetsFileAsIfItWerePlain) {
+  const auto r = ParseCsv(
+      "\xEF\xBB\xBF\"time\",\"position.a\",\"effort_command.a\",\"battery\",\"comment\",\"position_reference."
+      "a\"\r\n"
+      "0, 0.1997,\"0.43\",24.1,\"start, now\",\r\n0.01, +.1997, 4.3E-1,,,,\r\n0.02,0.2,1.,,,,\r\n",
+      "rec.csv", TwoJoints());
+  ASSERT_TRUE(r.ok()) << r.status().ToString();
+  EXPECT_EQ(r->rows(), 3);
+  EXPECT_EQ(r->q(0, 1), 0.1997);
+  EXPECT_EQ(r->effort_command(0, 0), 0.43);
+  EXPECT_EQ(r->effort_command(0, 2), 1.0);
+  EXPECT_EQ(r->other.count("comment"), 0u);
+  EXPECT_EQ(r->other.at("battery")[0], 24.1);
+}
+
+TEST(ParseCsv, DecimalCommasAreReadWhereADialectSaysSoAndElseExplained) {
+  const std::string text = "time;position.a;effort_command.a\n0,00;0,25;1\n0,01;-1,5e-1;2,5\n";
+  EXPECT_THAT(ErrorOf(text), AllOf(HasSubstr("line 2"), HasSubstr("decimal comma"),
+                                   HasSubstr("--csv-dialect semicolon"), HasSubstr("tr ',' '.'")));
+  CsvOptions options = TwoJoints();
+  options.dialect = CsvDialect{';', true};
+  const auto r = ParseCsv(text, "rec.csv", options);
+  ASSERT_TRUE(r.ok()) << r.status().ToString();
+  EXPECT_EQ(r->t[1], 0.01);
+  EXPECT_EQ(r->q(0, 1), -0.15);
+  EXPECT_EQ(r->effort_command(0, 1), 2.5);
+  EXPECT_THAT(ErrorOf("time,position.a,effort_command.a\n0,00,0,25,1,5\n"), HasSubstr("decimal commas?"));
+}
+
+TEST(ParseCsv, SemicolonsAndTabsWithDecimalPointsAreReadWithANote) {
+  for (const char* separator : {";", "\t"}) {
+    std::string text = "time,position.a,effort_command.a\n0,0.25,1\n0.01,0.5,2\n";
+    for (char& c : text) c = c == ',' ? *separator : c;
+    const auto r = ParseCsv(text, "rec.csv", TwoJoints());
+    ASSERT_TRUE(r.ok()) << r.status().ToString();
+    EXPECT_EQ(r->q(0, 1), 0.5);
+    ASSERT_EQ(r->notes.size(), 1u);
+    EXPECT_THAT(r->notes[0], HasSubstr("separated by"));
+  }
+}
+
+TEST(ParseCsv, AVelocityColumnThatIsEmptyThroughoutIsLeftOut) {
+  for (const char* blank : {"", "nan"}) {
+    const std::string b = blank;
+    const auto r =
+        ParseCsv("time,position.a,velocity.a,effort_command.a\n0,0," + b + ",0\n0.1,0," + b + ",0\n",
+                 "rec.csv", TwoJoints());
+    ASSERT_TRUE(r.ok()) << r.status().ToString();
+    EXPECT_FALSE(r->has_velocity());
+    EXPECT_THAT(r->notes.at(0), HasSubstr("velocity.a is empty throughout"));
+  }
+  EXPECT_THAT(ErrorOf("time,position.a,velocity.a,effort_command.a\n0,0,1,0\n0.1,0,,0\n"),
+              AllOf(HasSubstr("row 2 (line 3)"), HasSubstr("velocity.a"), HasSubstr("empty")));
+  EXPECT_THAT(ErrorOf("time,position.a,effort_command.a\n0,0,\n0.1,0,\n"), HasSubstr("no effort"));
+}
+
+TEST(ParseCsv, TellsTheLineOfARowBehindCommentsAndQuotedLineEnds) {
+  EXPECT_THAT(
+      ErrorOf("# a log\ntime,position.a,effort_command.a,note\n0,0,0,\"two\nlines\"\n# again\n0.1,x,0,\n"),
+      HasSubstr("row 2 (line 6), column position.a: not a number: 'x'"));
+}
+
+TEST(ParseCsv, EpochSecondsKeepTheirDigits) {
+  const auto r =
+      ParseCsv("time,position.a,effort_command.a\n1.607074831339118958e+09,0,0\n1607074831.349119,0,0\n",
+               "rec.csv", TwoJoints());
+  ASSERT_TRUE(r.ok()) << r.status().ToString();
+  EXPECT_EQ(r->t[0], 1607074831.339119);
+  EXPECT_EQ(r->t[1], 1607074831.349119);
+  EXPECT_THAT(FormatCsv(*r), HasSubstr("1607074831.349119,"));
+}
+
+TEST(ParseCsv, TimeInNanosecondsIsReadWhereItsUserSaysSo) {
+  std::string text = "time,position.a,effort_command.a\n";
+  for (int k = 0; k < 50; ++k)
+    text += std::to_string(1637836800000000000 + k * 10000000LL) + "," + std::to_string(std::sin(0.01 * k)) +
+            ",0\n";
+  EXPECT_THAT(ErrorOf(text), AllOf(HasSubstr("looks like nanoseconds"), HasSubstr("--time-unit ns")));
+  CsvOptions options = TwoJoints();
+  options.time_units_per_s = 1e9;
+  options.time_unit_is_known = true;
+  const auto r = ParseCsv(text, "rec.csv", options);
+  ASSERT_TRUE(r.ok()) << r.status().ToString();
+  EXPECT_EQ(r->t[0], 1637836800.0);
+  EXPECT_NEAR(r->SamplePeriod(), 0.01, 1e-6);
+}
+
+TEST(ParseCsv, SaysWhatABinaryFileIsAndWhichColumnMayBeTime) {
+  EXPECT_THAT(ErrorOf("#ROSBAG V2.0\n"), HasSubstr("`realitygrad import`"));
+  EXPECT_THAT(ErrorOf("Timestamp,position.a,effort_command.a\n0,0,0\n"),
+              HasSubstr("'Timestamp' looks like it"));
+}
+
+TEST(ParseCsv, AJointThatJumpsInDegreesIsRefusedForItsUnit) {
+  const auto wrapped = [](double t) { return std::fmod(170.0 + 40.0 * t, 360.0) - 180.0; };
+  CsvOptions options;
+  options.robot = {Revolute("a", -6.4, 6.4, 2.0)};
+  EXPECT_THAT(ErrorOf(FileOf(1000, wrapped), options), HasSubstr("degrees"));
 }
 
 struct BadFile {
@@ -143,18 +257,6 @@ INSTANTIATE_TEST_SUITE_P(
         BadFile{"zeros_at_the_end", kRows + std::string(10, '\0'), {"row 3"}},
         BadFile{"empty_line_within", kRows + "\n0.2,0,0,0,0\n", {"row 3", "empty"}}),
     [](const auto& info) { return info.param.name; });
-
-std::string FileOf(int rows, const std::function<double(double)>& position,
-                   const std::function<double(double)>* velocity = nullptr) {
-  std::string text = std::string("time,position.a,") + (velocity ? "velocity.a," : "") + "effort_command.a\n";
-  for (int k = 0; k < rows; ++k) {
-    const double t = 0.01 * k;
-    text += std::to_string(t) + "," + std::to_string(position(t));
-    if (velocity) text += "," + std::to_string((*velocity)(t));
-    text += "," + std::to_string(std::sin(3.0 * t)) + "\n";
-  }
-  return text;
-}
 
 TEST(ParseCsv, SeesAFileThatEndsInsideItsLastNumber) {
   const std::string whole = FileOf(40, [](double t) { return std::sin(t); });
@@ -229,10 +331,13 @@ TEST(CheckUnits, AcceptsManyTurnsOfAContinuousJoint) {
   EXPECT_TRUE(ParseCsv(FileOf(20000, [](double t) { return 1.8 * t; }), "rec.csv", options).ok());
 }
 
-TEST(CheckUnits, AcceptsPositionsSomewhatOutsideTheLimitsAndASingleGlitch) {
+TEST(CheckUnits, AcceptsPositionsSomewhatOutsideTheLimits) {
   EXPECT_TRUE(ParseCsv(FileOf(300, [](double t) { return 3.6 * std::sin(t); }), "rec.csv", TwoJoints()).ok());
+}
+
+TEST(ParseCsv, RefusesASingleGlitchByRowAndColumn) {
   const auto glitch = [](double t) { return t == 1.0 ? 150.0 : std::sin(t); };
-  EXPECT_TRUE(ParseCsv(FileOf(300, glitch), "rec.csv", TwoJoints()).ok());
+  EXPECT_THAT(ErrorOf(FileOf(300, glitch)), AllOf(HasSubstr("row 101, column position.a"), HasSubstr("150")));
 }
 
 TEST(CheckUnits, RefusesDegreesOfAContinuousJointWithoutAnyLimit) {

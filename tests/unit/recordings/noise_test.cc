@@ -3,6 +3,8 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdio>
+#include <cstdlib>
 
 #include "common/base/rng.h"
 #include "common/recordings/local_polynomial.h"
@@ -15,12 +17,12 @@ struct Signal {
 };
 
 // A motion of a few harmonics below 1.5 Hz, with jitter of the sampling times and missing rows.
-Signal Motion(Rng& rng, int rows, double period, double stddev, double jitter = 0.0,
+Signal Motion(Rng& rng, Eigen::Index rows, double period, double stddev, double jitter = 0.0,
               double resolution = 0.0) {
   Signal s;
   s.t = s.clean = s.rate = s.noisy = Eigen::VectorXd(rows);
   double time = 0.0;
-  for (int k = 0; k < rows; ++k) {
+  for (Eigen::Index k = 0; k < rows; ++k) {
     time += period * (1.0 + jitter * rng.Uniform(-1.0, 1.0)) + (k % 97 == 96 ? 3.0 * period : 0.0);
     s.t[k] = time;
     s.clean[k] = 0.8 * std::sin(2.0 * time) + 0.2 * std::sin(7.0 * time + 1.0);
@@ -62,6 +64,21 @@ TEST(EstimateNoise, FindsTheResolutionOfAnEncoder) {
   for (const double resolution : {1e-4, 3.8e-4, 1.4572366e-3}) {
     const Signal s = Motion(rng, 2000, 0.002, 2e-4, 0.1, resolution);
     EXPECT_NEAR(EstimateNoise(s.t, s.noisy).resolution, resolution, 1e-3 * resolution);
+  }
+}
+
+// The grid is a fifth of the noise, and its values are written with six digits: each is up to a two-hundredth
+// of a step off.
+TEST(EstimateNoise, FindsAFineGridThatTheFilePrintsWithSixDigits) {
+  for (const double step : {9.6e-5, 1.534e-3, 2.5e-5}) {
+    Rng rng(7);
+    Signal s = Motion(rng, 5000, 0.01, 4.9e-4);
+    for (Eigen::Index k = 0; k < s.noisy.size(); ++k) {
+      char text[32];
+      std::snprintf(text, sizeof text, "%.6g", 2.0 + step * std::round((s.noisy[k] - 2.0) / step));
+      s.noisy[k] = std::strtod(text, nullptr);
+    }
+    EXPECT_NEAR(EstimateNoise(s.t, s.noisy).resolution, step, 0.01 * step);
   }
 }
 

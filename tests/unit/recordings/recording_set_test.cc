@@ -3,9 +3,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <limits>
 
 #include "common/base/file.h"
 #include "common/base/ids.h"
@@ -74,6 +76,84 @@ std::string ErrorOf(const std::string& manifest, const std::string& csv = kCsv) 
   const auto set = Load(manifest, csv);
   EXPECT_EQ(set.status().message().find('\n'), std::string::npos);
   return set.ok() ? "accepted" : set.status().message();
+}
+
+// Rows at 100 Hz; rows in [gap, gap + 50) are missing, and time stands still for none of them.
+std::string LongCsv(int rows, int gap = -1) {
+  std::string text = "time,position.shoulder,position.elbow,effort_command.shoulder,effort_command.elbow\n";
+  for (int k = 0; k < rows; ++k) {
+    if (gap >= 0 && k >= gap && k < gap + 50) continue;
+    const std::string t = std::to_string(0.01 * k), q = std::to_string(std::sin(0.02 * k));
+    text += t + "," + q + "," + q + ",1,2\n";
+  }
+  return text;
+}
+
+TEST(LoadSet, RecordingsWithGapsAreFittedPieceByPieceAndWrittenWhole) {
+  Folder folder;
+  folder.Write("robot.urdf", kUrdf);
+  folder.Write("manifest.json",
+               ManifestText("", R"([{"file": "a.csv"}, {"file": "b.csv", "split": "holdout"}])"));
+  folder.Write("a.csv", LongCsv(300, 100));
+  folder.Write("b.csv", LongCsv(300, 5));
+  const auto set = LoadSet(folder.path());
+  ASSERT_TRUE(set.ok()) << set.status().ToString();
+  ASSERT_EQ(set->Fit().size(), 2u);
+  EXPECT_EQ(set->Fit()[0]->rows(), 100);
+  EXPECT_EQ(set->Fit()[1]->rows(), 150);
+  ASSERT_EQ(set->Holdout().size(), 1u) << "five rows are too short to fit";
+  EXPECT_EQ(set->Holdout()[0]->window_origin, 0.0);
+  EXPECT_THAT(set->warnings,
+              ::testing::Contains(HasSubstr("a.csv: 1 gap, the longest 0.51 s: fits go round it")));
+  EXPECT_THAT(set->warnings,
+              ::testing::Contains(HasSubstr("b.csv: 1 gap, the longest 0.51 s: fits go round it, 1 pieces")));
+  ReadOptions whole;
+  whole.keep_whole = true;
+  const auto kept = LoadSet(folder.path(), whole);
+  ASSERT_TRUE(kept.ok());
+  EXPECT_EQ(kept->recordings.size(), 2u);
+  Folder copy;
+  ASSERT_TRUE(WriteSet(copy.path(), *set).ok());
+  const auto again = LoadSet(copy.path());
+  ASSERT_TRUE(again.ok()) << again.status().ToString();
+  EXPECT_EQ(again->Fit()[1]->q, set->Fit()[1]->q);
+}
+
+TEST(SetFromFiles, TakesAUrdfAndFilesAndKeepsTheLastThirdAside) {
+  Folder folder;
+  folder.Write("arm.urdf", kUrdf);
+  std::vector<std::string> files;
+  for (const char* name : {"r1.csv", "r2.csv", "r3.csv", "r4.csv", "r5.csv", "r6.csv"}) {
+    folder.Write(name, LongCsv(100));
+    files.push_back(folder.path() + "/" + name);
+  }
+  const std::string urdf = folder.path() + "/arm.urdf";
+  const auto set = SetFromFiles(urdf, files, std::nullopt);
+  ASSERT_TRUE(set.ok()) << set.status().ToString();
+  EXPECT_EQ(set->joints, (std::vector<std::string>{"shoulder", "elbow"}));
+  EXPECT_EQ(set->Fit().size(), 4u);
+  EXPECT_EQ(set->Holdout()[0]->name, "r5.csv");
+  const auto two = SetFromFiles(urdf, {files[0], files[1]}, std::nullopt);
+  ASSERT_TRUE(two.ok());
+  EXPECT_EQ(two->Holdout().size(), 1u);
+}
+
+TEST(SetFromFiles, ASingleFileIsRefusedOrCutInTime) {
+  Folder folder;
+  folder.Write("arm.urdf", kUrdf);
+  folder.Write("r.csv", LongCsv(300));
+  const std::string urdf = folder.path() + "/arm.urdf", file = folder.path() + "/r.csv";
+  EXPECT_THAT(SetFromFiles(urdf, {file}, std::nullopt).status().message(),
+              AllOf(HasSubstr("r.csv"), HasSubstr("--split-time")));
+  const auto third = SetFromFiles(urdf, {file}, std::numeric_limits<double>::infinity());
+  ASSERT_TRUE(third.ok()) << third.status().ToString();
+  EXPECT_EQ(third->Fit()[0]->rows(), 200);
+  EXPECT_EQ(third->Holdout()[0]->rows(), 100);
+  const auto at = SetFromFiles(urdf, {file}, 0.5);
+  ASSERT_TRUE(at.ok());
+  EXPECT_EQ(at->Fit()[0]->rows(), 51);
+  EXPECT_THAT(SetFromFiles(urdf, {file}, 9.0).status().message(), HasSubstr("--split-time 9"));
+  EXPECT_THAT(SetFromFiles(urdf, {folder.path() + "/no.csv"}, 1.0).status().message(), HasSubstr("no.csv"));
 }
 
 TEST(LoadSet, PutsJointsInModelOrderWhateverTheManifestAndTheFileSay) {

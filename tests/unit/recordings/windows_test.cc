@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include "common/recordings/recording.h"
+
 #include <limits>
 
 namespace rg::recordings {
@@ -57,6 +59,17 @@ TEST(SplitIntoWindows, IsOneWindowForAnInfiniteLengthAndNoneForASingleRow) {
   ASSERT_EQ(windows.size(), 1u);
   EXPECT_EQ(windows[0].last, 49);
   EXPECT_TRUE(SplitIntoWindows(Grid(1, 0.04), 1.0).empty());
+}
+
+TEST(SplitIntoWindows, OfAPieceAreCountedFromTheRecordingsFirstRow) {
+  Recording r;
+  r.t = Eigen::VectorXd::LinSpaced(301, 7.3, 10.3);
+  r.window_origin = 5.0;
+  const auto windows = SplitIntoWindows(r, 1.0);
+  ASSERT_EQ(windows.size(), 4u);
+  EXPECT_EQ(windows[0].first, 0);
+  EXPECT_NEAR(r.t[windows[1].first], 8.0, 1e-9);
+  EXPECT_NEAR(r.t[windows[3].first], 10.0, 1e-9);
 }
 
 }  // namespace

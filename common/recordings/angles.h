@@ -1,0 +1,25 @@
+// Angles that an encoder wraps: 3.14, -3.14 one row later.
+#pragma once
+
+#include <vector>
+
+#include "common/base/status.h"
+#include "common/recordings/joint_info.h"
+#include "common/recordings/recording.h"
+
+namespace rg::recordings {
+
+// Unwraps positions of continuous joints that jump by a full turn, and of revolute joints whose limits are
+// almost a turn or more apart if the unwrapped motion lies within them. q changes, wrap_low says how the
+// file's angles lie, a note is added. The first row's angle stays as it is, unless only another turn keeps a
+// revolute joint within its limits.
+//
+// A step from row to row is a jump where it is more than 1 rad, and more than 200 rad/s² would make, from
+// what the steps beside it say. Across more than 0.1 s nothing is called a jump. Error: a jump that is no
+// turn (file, row, column, values). Joints without an entry in `robot` are not looked at.
+Status UnwrapAngles(const std::vector<JointInfo>& robot, Recording* recording);
+
+// Positions n × K in the wrapping of the recording's file (wrap_low).
+Eigen::MatrixXd InFilesWrapping(const Recording& recording, Eigen::MatrixXd q);
+
+}  // namespace rg::recordings

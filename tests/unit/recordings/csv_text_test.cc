@@ -1,0 +1,76 @@
+#include "common/recordings/csv_text.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace rg::recordings {
+namespace {
+
+using Rows = std::vector<std::vector<std::string>>;
+
+Rows RowsOf(const std::string& text, char separator = ',') {
+  CsvText lines(text, separator);
+  Rows rows;
+  std::vector<std::string_view> fields;
+  while (lines.Next(&fields)) rows.emplace_back(fields.begin(), fields.end());
+  EXPECT_TRUE(lines.status().ok()) << lines.status().ToString();
+  return rows;
+}
+
+TEST(CsvText, SplitsRowsWhateverEndsTheirLines) {
+  const Rows rows = {{"a", "b"}, {"1", "2"}};
+  for (const char* text : {"a,b\n1,2\n", "a,b\r\n1,2\r\n", "a,b\r1,2\r", "a,b\n1,2",
+                           "\xEF\xBB\xBF"
+                           "a,b\n1,2\n",
+                           " a ,\tb\n 1,2 \n"}) {
+    EXPECT_EQ(RowsOf(text), rows) << text;
+  }
+}
+
+TEST(CsvText, QuotesHoldSeparatorsLineEndsAndQuotes) {
+  EXPECT_EQ(RowsOf("\"a,b\",c\n\"say \"\"no\"\"\",\"two\nlines\"\n1,2\n"),
+            (Rows{{"a,b", "c"}, {"say \"no\"", "two\nlines"}, {"1", "2"}}));
+  EXPECT_EQ(RowsOf("1, \"x\" ,2\n"), (Rows{{"1", "x", "2"}}));
+  EXPECT_EQ(RowsOf("1,\"\",\n"), (Rows{{"1", "", ""}}));
+  EXPECT_EQ(RowsOf("1,5\" tube\n"), (Rows{{"1", "5\" tube"}}));
+}
+
+TEST(CsvText, CountsTheLinesOfAFileThatHasQuotedLineEndsAndComments) {
+  CsvText lines("# made by a logger\na,b\n\"x\ny\",1\n3,4\n", ',');
+  std::vector<std::string_view> fields;
+  std::vector<int> at;
+  while (lines.Next(&fields)) at.push_back(lines.line());
+  EXPECT_EQ(at, (std::vector<int>{2, 3, 5}));
+}
+
+TEST(CsvText, AHashBeforeTheHeaderIsTakenOff) {
+  EXPECT_EQ(RowsOf("# time,position.a\n0,1\n# a remark, in between\n1,2\n"),
+            (Rows{{"time", "position.a"}, {"0", "1"}, {"1", "2"}}));
+}
+
+TEST(CsvText, SaysWhereAQuoteIsNeverClosed) {
+  CsvText lines("a,b\n1,\"2\n3,4\n", ',');
+  std::vector<std::string_view> fields;
+  while (lines.Next(&fields)) {
+  }
+  EXPECT_THAT(lines.status().message(), ::testing::HasSubstr("line 2: a quote"));
+}
+
+TEST(CsvText, KnowsOtherFormatsByTheirFirstBytes) {
+  EXPECT_THAT(OtherFormatOf("#ROSBAG V2.0\n"), ::testing::HasSubstr("realitygrad import"));
+  EXPECT_THAT(OtherFormatOf("\x89MCAP0\r\n"), ::testing::HasSubstr("realitygrad import"));
+  EXPECT_THAT(OtherFormatOf("SQLite format 3"), ::testing::HasSubstr("realitygrad import"));
+  EXPECT_THAT(OtherFormatOf("PK\x03\x04"), ::testing::HasSubstr("spreadsheet"));
+  EXPECT_THAT(OtherFormatOf("\xFF\xFEt"), ::testing::HasSubstr("UTF-16"));
+  EXPECT_EQ(OtherFormatOf("time,position.a\n"), "");
+}
+
+TEST(CsvText, GuessesTheSeparatorFromTheHeader) {
+  EXPECT_EQ(GuessSeparator("time,position.a\n"), ',');
+  EXPECT_EQ(GuessSeparator("\xEF\xBB\xBFtime;position.a\n0,5;1\n"), ';');
+  EXPECT_EQ(GuessSeparator("time\tposition.a\n"), '\t');
+  EXPECT_FALSE(ParseCsvDialect("excel").ok());
+}
+
+}  // namespace
+}  // namespace rg::recordings
