@@ -9,6 +9,7 @@
 #include "common/base/number_text.h"
 #include "common/recordings/angles.h"
 #include "common/recordings/csv_text.h"
+#include "common/recordings/prescribed.h"
 #include "common/recordings/time_stamps.h"
 #include "common/recordings/velocity_column.h"
 
@@ -16,6 +17,7 @@ namespace rg::recordings {
 namespace {
 
 constexpr int kTooFewRowsToJudgeDigits = 20;
+constexpr const char* kHowToPrescribe = " (\"prescribed\" in the manifest: it moves as measured)";
 
 // A piece of an untrusted file for a message: short and printable.
 std::string Shown(std::string_view field) {
@@ -56,8 +58,13 @@ Kind KindOf(std::string_view prefix) {
 // One parse: header, layout, rows, checks. Each step returns the first thing wrong.
 class CsvParser {
  public:
-  CsvParser(std::string_view text, const std::string& source, const CsvOptions& options)
-      : text_(text), source_(source), options_(options) {}
+  // `ignored`: columns, by name, that are as if they were not there.
+  CsvParser(std::string_view text, const std::string& source, const CsvOptions& options,
+            std::set<std::string> ignored)
+      : text_(text), source_(source), options_(options), ignored_(std::move(ignored)) {}
+
+  // Optional columns that Parse found empty or NaN throughout: they are to be ignored.
+  const std::set<std::string>& blank_columns() const { return blank_columns_; }
 
   Result<Recording> Parse() {
     RG_RETURN_IF_ERROR(ChooseDialect());
@@ -67,8 +74,9 @@ class CsvParser {
     Allocate();
     RG_RETURN_IF_ERROR(ReadRows());
     RG_RETURN_IF_ERROR(CheckLastRowIsWhole());
+    RG_RETURN_IF_ERROR(FindBlankColumns());
+    if (!blank_columns_.empty()) return Error("columns are empty");
     Finish();
-    RG_RETURN_IF_ERROR(LeaveOutBlankKinds());
     RG_RETURN_IF_ERROR(CheckSignals());
     return std::move(recording_);
   }
@@ -167,6 +175,8 @@ class CsvParser {
     const std::string_view prefix = name.substr(0, dot);
     if (name == "time") {
       column.kind = Kind::kTime;
+    } else if (ignored_.count(column.name) > 0) {
+      column.kind = Kind::kOther;
     } else if (dot != std::string_view::npos && KindsOfJoints().count(prefix)) {
       column.kind = KindOf(prefix);
       column.joint = std::string(name.substr(dot + 1));
@@ -206,12 +216,14 @@ class CsvParser {
     return Status::Ok();
   }
 
-  // A kind is there for all the joints or for none of them.
+  // A kind is there for all the joints or for none of them, prescribed joints aside.
   Status ChooseKinds() {
+    ChoosePrescribed();
     for (const Kind kind : {Kind::kVelocity, Kind::kEffortCommand, Kind::kEffortMeasured}) {
       std::string missing;
       int there = 0;
       for (const std::string& joint : joints_) {
+        if (prescribed_.count(joint) > 0) continue;
         if (Find(kind, joint)) {
           ++there;
         } else if (missing.empty()) {
@@ -221,7 +233,7 @@ class CsvParser {
       const std::string name = kKindNames[static_cast<int>(kind)];
       if (there > 0 && !missing.empty()) {
         return Error(HeaderName() + ": column " + name + "." + missing + " is missing, other joints have " +
-                     name);
+                     name + (kind == Kind::kVelocity ? "" : kHowToPrescribe));
       }
       has_[static_cast<int>(kind)] = there > 0;
     }
@@ -230,6 +242,23 @@ class CsvParser {
       return Error(HeaderName() + ": no effort: neither effort_command.<joint> nor effort_measured.<joint>");
     }
     return Status::Ok();
+  }
+
+  void ChoosePrescribed() {
+    const auto driven = [&](const std::string& joint) {
+      return Find(Kind::kEffortCommand, joint) || Find(Kind::kEffortMeasured, joint);
+    };
+    const bool any = std::any_of(joints_.begin(), joints_.end(), driven);
+    for (const std::string& joint : joints_) {
+      const auto& named = options_.prescribed;
+      if (named ? std::find(named->begin(), named->end(), joint) != named->end() : any && !driven(joint))
+        prescribed_.insert(joint);
+    }
+    // What a file says of an effort that drives nothing is one more column.
+    for (Column& column : columns_) {
+      if (column.kind < Kind::kEffortCommand || prescribed_.count(column.joint) == 0) continue;
+      column.kind = Kind::kOther, column.joint.clear();
+    }
   }
 
   void Allocate() {
@@ -246,6 +275,10 @@ class CsvParser {
     const auto point = [&](Kind kind, Eigen::MatrixXd& x) {
       for (Eigen::Index i = 0; x.size() > 0 && i < n; ++i) {
         Column* column = Find(kind, joints_[static_cast<size_t>(i)]);
+        if (column == nullptr) {  // of a prescribed joint
+          x.row(i).setZero();
+          continue;
+        }
         column->out = &x(i, 0);
         column->stride = n;
       }
@@ -402,49 +435,37 @@ class CsvParser {
         r.other[column.name].conservativeResize(rows_);
       }
     }
-  }
-
-  // Optional columns that are empty or NaN throughout are as if they were not there; a single such field is
-  // an error.
-  Status LeaveOutBlankKinds() {
-    for (const Kind kind : {Kind::kVelocity, Kind::kEffortCommand, Kind::kEffortMeasured}) {
-      int there = 0, blank = 0;
-      const Column* one = nullptr;
-      for (const std::string& joint : joints_) {
-        const Column* column = Find(kind, joint);
-        if (!column) continue;
-        ++there;
-        if (column->blanks == 0) continue;
-        if (column->blanks < rows_)
-          return BlankField(*column, column->first_blank, column->first_blank_is_nan);
-        ++blank;
-        one = column;
-      }
-      if (blank == 0) continue;
-      if (blank < there && kind != Kind::kVelocity)
-        return FieldError(0, *one, "the column is empty throughout, those of other joints are not");
-      Note("column " + one->name + " is empty throughout: " + kKindNames[static_cast<int>(kind)] +
-           " is left out");
-      MatrixOf(kind)->resize(0, 0);
+    for (size_t i = 0; i < joints_.size(); ++i) {
+      if (prescribed_.count(joints_[i]) == 0) continue;
+      r.prescribed.push_back(static_cast<int>(i));
+      if (r.has_velocity() && !Find(Kind::kVelocity, joints_[i]))
+        r.without_velocity.push_back(static_cast<int>(i));
     }
-    Recording& r = recording_;
     r.drive =
         r.has_effort_command() || !r.has_effort_measured() ? EffortKind::kCommand : EffortKind::kMeasured;
-    if (options_.require_effort && r.drive_effort().size() == 0)
-      return Error(HeaderName() + ": no effort: the columns of effort are empty");
-    return Status::Ok();
   }
 
-  Eigen::MatrixXd* MatrixOf(Kind kind) {
-    return kind == Kind::kVelocity        ? &recording_.v
-           : kind == Kind::kEffortCommand ? &recording_.effort_command
-                                          : &recording_.effort_measured;
+  // A single field of an optional column that is empty or NaN is an error, all of them are not. One blank
+  // velocity column makes velocities of no use.
+  Status FindBlankColumns() {
+    bool velocity = false;
+    for (const Column& column : columns_) {
+      if (column.blanks == 0) continue;
+      if (column.blanks < rows_) return BlankField(column, column.first_blank, column.first_blank_is_nan);
+      blank_columns_.insert(column.name);
+      velocity = velocity || column.kind == Kind::kVelocity;
+    }
+    for (const Column& column : columns_) {
+      if (velocity && column.kind == Kind::kVelocity) blank_columns_.insert(column.name);
+    }
+    return Status::Ok();
   }
 
   // What the values themselves show: units, angles that wrap, velocities that stand still.
   Status CheckSignals() {
     if (!options_.time_unit_is_known) RG_RETURN_IF_ERROR(CheckTimeUnit(recording_, options_.sample_rate_hz));
     const Status jump = UnwrapAngles(options_.robot, &recording_);
+    FillVelocities(&recording_);
     LeaveOutFrozenVelocity(&recording_);
     RG_RETURN_IF_ERROR(CheckUnits(recording_, options_.robot));
     return jump;
@@ -453,6 +474,7 @@ class CsvParser {
   std::string_view text_;
   const std::string& source_;
   const CsvOptions& options_;
+  std::set<std::string> ignored_, blank_columns_;
   CsvDialect dialect_;
   std::optional<CsvText> lines_;
   std::vector<int> line_of_;  // of each row
@@ -462,6 +484,7 @@ class CsvParser {
   size_t fewest_digits_ = std::string::npos;
   std::vector<Column> columns_;
   std::vector<std::string> joints_;
+  std::set<std::string> prescribed_;
   bool has_[6] = {};
   Eigen::Index rows_ = 0;
   Recording recording_;
@@ -478,7 +501,18 @@ void AppendNumber(std::string* out, double value, int digits) {
 }  // namespace
 
 Result<Recording> ParseCsv(std::string_view text, const std::string& source_name, const CsvOptions& options) {
-  return CsvParser(text, source_name, options).Parse();
+  CsvParser parser(text, source_name, options, {});
+  auto recording = parser.Parse();
+  const std::set<std::string>& blank = parser.blank_columns();
+  if (blank.empty()) return recording;
+  CsvParser again(text, source_name, options, blank);
+  recording = again.Parse();
+  if (!recording.ok()) return recording;
+  std::string names;
+  for (const std::string& name : blank) names += (names.empty() ? "" : ", ") + name;
+  recording->notes.push_back(names + ": left out, " + (blank.size() == 1 ? "the column is" : "a column is") +
+                             " empty throughout");
+  return recording;
 }
 
 Result<Recording> LoadCsv(const std::string& path, const CsvOptions& options) {
@@ -492,9 +526,16 @@ std::string FormatCsv(const Recording& r, int digits) {
                                                                   {"velocity", &r.v},
                                                                   {"effort_command", &r.effort_command},
                                                                   {"effort_measured", &r.effort_measured}};
+  const auto written = [&](const Eigen::MatrixXd* x, Eigen::Index i) {
+    if (x == &r.v) {
+      const auto& without = r.without_velocity;
+      return std::find(without.begin(), without.end(), i) == without.end();
+    }
+    return x == &r.q || !r.IsPrescribed(static_cast<int>(i));
+  };
   for (const auto& [kind, x] : kinds) {
-    for (const std::string& joint : r.joints) {
-      if (x->size() > 0) out += std::string(",") + kind + "." + joint;
+    for (Eigen::Index i = 0; i < x->rows(); ++i) {
+      if (written(x, i)) out += std::string(",") + kind + "." + r.joints[static_cast<size_t>(i)];
     }
   }
   for (const auto& [name, column] : r.other) out += "," + name;
@@ -503,6 +544,7 @@ std::string FormatCsv(const Recording& r, int digits) {
     AppendNumber(&out, r.t[k], 0);
     for (const auto& [kind, x] : kinds) {
       for (Eigen::Index i = 0; i < x->rows(); ++i) {
+        if (!written(x, i)) continue;
         out += ',';
         AppendNumber(&out, (*x)(i, k), digits);
       }

@@ -1,7 +1,8 @@
 // Recordings as CSV: a header and SI units,
 //   time, position.<joint>…, velocity.<joint>…, effort_command.<joint>…, effort_measured.<joint>…
 // velocity is optional, at least one kind of effort is there (unless the caller waives it), other
-// columns are kept in Recording::other. A kind that is there is there for every joint.
+// columns are kept in Recording::other. A kind that is there is there for every joint, but for prescribed
+// ones: those named by the caller, or, where it names none, those without any effort where others have one.
 //
 // Read as it is: a byte order mark, CRLF, quotes, blanks, a '#' before the header, comment lines, a separator
 // at a line's end, fields separated by semicolons or tabs, empty fields of columns that are not used. Read
@@ -36,6 +37,8 @@ struct CsvOptions {
   double time_units_per_s = 1.0;         // of the column time: 1e9 for nanoseconds
   bool time_unit_is_known = false;       // somebody said so: it is not checked
   std::optional<double> sample_rate_hz;  // what is expected, to tell the unit of time
+  // Of `joints`, those that move as measured; nothing: those without an effort column.
+  std::optional<std::vector<std::string>> prescribed;
 };
 
 // `source_name` stands for the file in errors and becomes Recording::name. Recording::drive is the

@@ -11,6 +11,7 @@
 #include "common/model/urdf_document.h"
 #include "common/model/urdf_loader.h"
 #include "common/recordings/manifest.h"
+#include "common/recordings/prescribed.h"
 #include "common/recordings/time_stamps.h"
 
 namespace rg::recordings {
@@ -193,6 +194,7 @@ Result<RecordingSet> LoadSet(const std::string& folder, const ReadOptions& read)
   options.joints = set.joints;
   options.robot = robot.all;
   options.sample_rate_hz = set.sample_rate_hz;
+  if (set.prescribed_listed) options.prescribed = set.prescribed;
   for (const ManifestEntry& entry : manifest.recordings) {
     const std::string path = (fs::path(folder) / entry.file).string();
     RG_ASSIGN_OR_RETURN(Recording recording, LoadCsv(path, options));
@@ -201,6 +203,7 @@ Result<RecordingSet> LoadSet(const std::string& folder, const ReadOptions& read)
     recording.split = entry.split;
     set.recordings.push_back(std::move(recording));
   }
+  RG_RETURN_IF_ERROR(ResolvePrescribed(&set));
   set.holdout_was_chosen = ChooseHoldout(set.recordings);
   FinishReading(read, &set);
   return set;
@@ -267,6 +270,7 @@ Result<RecordingSet> SetFromFiles(const std::string& urdf_path, const std::vecto
     taken.insert(r.name);
     set.recordings.push_back(std::move(r));
   }
+  RG_RETURN_IF_ERROR(ResolvePrescribed(&set));
   set.holdout_was_chosen = true;
   if (files.size() == 1) {
     RG_ASSIGN_OR_RETURN(set.recordings, CutInTime(set.recordings[0], *split_time_s));
@@ -290,6 +294,8 @@ Status SameRobot(const RecordingSet& a, const RecordingSet& b) {
   if (a.locked != b.locked) return differ("\"locked\"");
   if (a.gravity != b.gravity) return differ("\"gravity\"");
   if (a.drive != b.drive) return differ("\"drive\"");
+  if (a.prescribed != b.prescribed) return differ("which joints are prescribed");
+  if (a.passive != b.passive) return differ("\"passive\"");
   if (a.effort_excludes_gravity != b.effort_excludes_gravity) return differ("\"effort_excludes_gravity\"");
   return Status::Ok();
 }

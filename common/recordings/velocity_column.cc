@@ -94,6 +94,7 @@ void LeaveOutFrozenVelocity(Recording* r) {
     r->notes.push_back("velocity." + r->joints[static_cast<size_t>(i)] + text +
                        " while its position moves: velocities are left out and estimated from positions");
     r->v.resize(0, 0);
+    r->without_velocity.clear();
     return;
   }
 }

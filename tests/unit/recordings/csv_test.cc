@@ -150,7 +150,7 @@ TEST(ParseCsv, AVelocityColumnThatIsEmptyThroughoutIsLeftOut) {
                  "rec.csv", TwoJoints());
     ASSERT_TRUE(r.ok()) << r.status().ToString();
     EXPECT_FALSE(r->has_velocity());
-    EXPECT_THAT(r->notes.at(0), HasSubstr("velocity.a is empty throughout"));
+    EXPECT_THAT(r->notes.at(0), HasSubstr("velocity.a: left out, the column is empty throughout"));
   }
   EXPECT_THAT(ErrorOf("time,position.a,velocity.a,effort_command.a\n0,0,1,0\n0.1,0,,0\n"),
               AllOf(HasSubstr("row 2 (line 3)"), HasSubstr("velocity.a"), HasSubstr("empty")));
@@ -234,8 +234,8 @@ INSTANTIATE_TEST_SUITE_P(
         BadFile{"unknown_joint_of_a_sensor",
                 "time,position.a,effort_command.a,torque_sensor.c\n",
                 {"torque_sensor.c"}},
-        BadFile{"effort_of_one_joint",
-                "time,position.a,position.b,effort_command.a\n0,0,0,0\n",
+        BadFile{"efforts_of_two_kinds",
+                "time,position.a,position.b,effort_command.a,effort_measured.b\n0,0,0,0,0\n",
                 {"effort_command.b is missing"}},
         BadFile{"time_back",
                 kRows + "0.05,0,0,0,0\n",
