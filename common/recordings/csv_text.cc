@@ -14,7 +14,7 @@ std::string_view WithoutMark(std::string_view text) {
 
 bool IsBlank(char c) { return c == ' ' || c == '\t' || c == '\r'; }
 
-std::string_view Trimmed(std::string_view field) {
+std::string_view WithoutBlanks(std::string_view field) {
   while (!field.empty() && IsBlank(field.front())) field.remove_prefix(1);
   while (!field.empty() && IsBlank(field.back())) field.remove_suffix(1);
   return field;
@@ -104,7 +104,7 @@ bool CsvText::Next(std::vector<std::string_view>* fields) {
     raw_ = text_.substr(begin, at_ - begin);
     return ok;
   }
-  if (!Trimmed(raw_).empty()) SplitPlain(fields);
+  if (!WithoutBlanks(raw_).empty()) SplitPlain(fields);
   return true;
 }
 
@@ -114,7 +114,7 @@ void CsvText::SplitPlain(std::vector<std::string_view>* fields) const {
   while (true) {
     const auto* next = static_cast<const char*>(std::memchr(at, separator_, static_cast<size_t>(end - at)));
     const char* const stop = next ? next : end;
-    fields->push_back(Trimmed({at, static_cast<size_t>(stop - at)}));
+    fields->push_back(WithoutBlanks({at, static_cast<size_t>(stop - at)}));
     if (!next) return;
     at = next + 1;
   }
@@ -149,12 +149,12 @@ bool CsvText::SplitQuoted(std::vector<std::string_view>* fields) {
       const size_t rest =
           std::min(text_.find_first_of(std::string{separator_, end_of_line_}, at_), text_.size());
       field += text_.substr(at_, rest - at_);
-      fields->push_back(Trimmed(field));
+      fields->push_back(WithoutBlanks(field));
       at_ = rest;
     } else {
       const size_t rest =
           std::min(text_.find_first_of(std::string{separator_, end_of_line_}, at_), text_.size());
-      fields->push_back(Trimmed(text_.substr(at_, rest - at_)));
+      fields->push_back(WithoutBlanks(text_.substr(at_, rest - at_)));
       at_ = rest;
     }
     terminated_ = at_ < text_.size() && text_[at_] == end_of_line_;

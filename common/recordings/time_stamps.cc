@@ -9,22 +9,22 @@
 namespace rg::recordings {
 namespace {
 
-struct Unit {
+struct TimeUnit {
   const char* flag;
   const char* name;
   double per_s;
 };
-constexpr std::array<Unit, 4> kUnits = {{{"s", "seconds", 1.0},
-                                         {"ms", "milliseconds", 1e3},
-                                         {"us", "microseconds", 1e6},
-                                         {"ns", "nanoseconds", 1e9}}};
+constexpr std::array<TimeUnit, 4> kTimeUnits = {{{"s", "seconds", 1.0},
+                                                 {"ms", "milliseconds", 1e3},
+                                                 {"us", "microseconds", 1e6},
+                                                 {"ns", "nanoseconds", 1e9}}};
 
 constexpr double kUsualPeriod = 0.005;                     // s, 200 Hz
 constexpr double kNearFactor = 30.0;                       // of a rate that is expected
 constexpr double kSlowestPeriod = 0.5;                     // s: slower logs are judged by their motion
 constexpr double kSmoothStep = 0.3;                        // RMS of steps over the positions' spread
 constexpr double kEpochFirst = 9.4e8, kEpochLast = 4.1e9;  // s: 2000 to 2100
-constexpr double kMinCorrelation = 0.9;
+constexpr double kGoTogether = 0.9;
 constexpr double kGapPeriods = 5.0, kGapSeconds = 0.1;
 
 // Measured velocity over the slope of positions, by the most telling joint; none where they do not go
@@ -32,7 +32,7 @@ constexpr double kGapPeriods = 5.0, kGapSeconds = 0.1;
 std::optional<double> VelocityToSlope(const Recording& r) {
   if (!r.has_velocity()) return std::nullopt;
   std::optional<double> ratio;
-  double best = kMinCorrelation;
+  double best = kGoTogether;
   for (int i = 0; i < r.n(); ++i) {
     double xx = 0.0, yy = 0.0, xy = 0.0;
     for (Eigen::Index k = 1; k + 1 < r.t.size(); ++k) {
@@ -49,17 +49,17 @@ std::optional<double> VelocityToSlope(const Recording& r) {
 
 bool Near(double a, double b, double factor) { return a < factor * b && b < factor * a; }
 
-const Unit* UnitOfRatio(double ratio, double factor) {
-  for (const Unit& unit : kUnits) {
+const TimeUnit* UnitOfRatio(double ratio, double factor) {
+  for (const TimeUnit& unit : kTimeUnits) {
     if (Near(ratio, unit.per_s, factor)) return &unit;
   }
   return nullptr;
 }
 
 // The unit that makes the rate most usual.
-const Unit& UnitOfPeriod(double period) {
-  return *std::min_element(kUnits.begin(), kUnits.end(), [&](const Unit& a, const Unit& b) {
-    const auto off = [&](const Unit& u) { return std::abs(std::log(period / u.per_s / kUsualPeriod)); };
+const TimeUnit& UnitOfPeriod(double period) {
+  return *std::min_element(kTimeUnits.begin(), kTimeUnits.end(), [&](const TimeUnit& a, const TimeUnit& b) {
+    const auto off = [&](const TimeUnit& u) { return std::abs(std::log(period / u.per_s / kUsualPeriod)); };
     return off(a) < off(b);
   });
 }
@@ -78,17 +78,17 @@ bool IsSmooth(const Recording& r) {
   return spread > 0.0 && std::sqrt(steps / spread) < kSmoothStep;
 }
 
-const Unit& UnitOf(const Recording& r, double period, std::optional<double> rate) {
-  const Unit& seconds = kUnits[0];
+const TimeUnit& UnitOf(const Recording& r, double period, std::optional<double> rate) {
+  const TimeUnit& seconds = kTimeUnits[0];
   if (rate) {
-    const Unit* unit = UnitOfRatio(period * *rate, kNearFactor);
+    const TimeUnit* unit = UnitOfRatio(period * *rate, kNearFactor);
     if (unit) return *unit;
   }
   if (const auto ratio = VelocityToSlope(r)) {
-    const Unit* unit = UnitOfRatio(*ratio, 3.0);
+    const TimeUnit* unit = UnitOfRatio(*ratio, 3.0);
     if (unit) return *unit;
   }
-  for (const Unit& unit : kUnits) {
+  for (const TimeUnit& unit : kTimeUnits) {
     const double epoch = r.t[0] / unit.per_s;
     if (unit.per_s > 1.0 && epoch > kEpochFirst && epoch < kEpochLast && period > kSlowestPeriod) return unit;
   }
@@ -98,7 +98,7 @@ const Unit& UnitOf(const Recording& r, double period, std::optional<double> rate
 }  // namespace
 
 Result<double> TimeUnitsPerSecond(const std::string& name) {
-  for (const Unit& unit : kUnits) {
+  for (const TimeUnit& unit : kTimeUnits) {
     if (name == unit.flag) return unit.per_s;
   }
   return InvalidError("--time-unit: '" + name + "', must be s, ms, us or ns");
@@ -107,7 +107,7 @@ Result<double> TimeUnitsPerSecond(const std::string& name) {
 Status CheckTimeUnit(const Recording& r, std::optional<double> rate) {
   const double period = r.SamplePeriod();
   if (!(period > 0.0)) return Status::Ok();
-  const Unit& unit = UnitOf(r, period, rate);
+  const TimeUnit& unit = UnitOf(r, period, rate);
   if (unit.per_s == 1.0) return Status::Ok();
   return InvalidError(r.name + ": row 1, column time: " + Printf("%.10g", r.t[0]) + ", rows " +
                       Printf("%.10g", period) + " apart: time looks like " + unit.name + " (" +

@@ -12,12 +12,12 @@ namespace {
 using Eigen::Index;
 using Eigen::VectorXd;
 
-constexpr double kBlock = 0.1;  // s over which slopes are taken; at least five rows
+constexpr double kSlopeBlock = 0.1;  // s over which slopes are taken; at least five rows
 constexpr int kBlockRows = 5;
-constexpr double kOtherSpeed = 0.3;  // of the RMS slope: differs clearly
-constexpr double kSteps = 3.0;       // of the sensor's step
-constexpr double kNoises = 10.0;     // of what the positions' noise makes of a slope
-constexpr double kShare = 0.1;       // of the moving blocks
+constexpr double kOtherSpeed = 0.3;   // of the RMS slope: differs clearly
+constexpr double kSensorSteps = 3.0;  // of the sensor's step
+constexpr double kNoiseSteps = 10.0;  // of what the positions' noise makes of a slope
+constexpr double kFrozenShare = 0.1;  // of the moving blocks
 
 // Robust spread of second differences, as noise of one position.
 double PositionNoise(const VectorXd& q) {
@@ -38,18 +38,18 @@ double SmallestStep(const VectorXd& v) {
   return std::isfinite(least) ? least : 0.0;
 }
 
-struct Block {
+struct SlopeBlock {
   double slope, seconds, value;
   bool still;  // one value throughout
 };
 
-std::vector<Block> BlocksOf(const VectorXd& t, const VectorXd& q, const VectorXd& v) {
-  std::vector<Block> out;
+std::vector<SlopeBlock> SlopeBlocks(const VectorXd& t, const VectorXd& q, const VectorXd& v) {
+  std::vector<SlopeBlock> out;
   Index start = 0;
   bool still = true;
   for (Index k = 1; k < t.size(); ++k) {
     still = still && v[k] == v[start];
-    if (t[k] - t[start] < kBlock || k - start < kBlockRows) continue;
+    if (t[k] - t[start] < kSlopeBlock || k - start < kBlockRows) continue;
     out.push_back({(q[k] - q[start]) / (t[k] - t[start]), t[k] - t[start], v[start], still});
     start = k;
     still = true;
@@ -59,16 +59,16 @@ std::vector<Block> BlocksOf(const VectorXd& t, const VectorXd& q, const VectorXd
 
 // Share of the moving blocks in which the column stands still at another speed.
 double FrozenShare(const VectorXd& t, const VectorXd& q, const VectorXd& v) {
-  const std::vector<Block> blocks = BlocksOf(t, q, v);
-  if (std::none_of(blocks.begin(), blocks.end(), [](const Block& b) { return b.still; })) return 0.0;
+  const std::vector<SlopeBlock> blocks = SlopeBlocks(t, q, v);
+  if (std::none_of(blocks.begin(), blocks.end(), [](const SlopeBlock& b) { return b.still; })) return 0.0;
   double squares = 0.0;
-  for (const Block& b : blocks) squares += b.slope * b.slope;
+  for (const SlopeBlock& b : blocks) squares += b.slope * b.slope;
   const double rms = std::sqrt(squares / static_cast<double>(blocks.size()));
   const double noise = PositionNoise(q), step = SmallestStep(v);
   double moving = 0.0, frozen = 0.0;
-  for (const Block& b : blocks) {
+  for (const SlopeBlock& b : blocks) {
     const double clear =
-        std::max({kOtherSpeed * rms, kSteps * step, kNoises * noise * std::sqrt(2.0) / b.seconds});
+        std::max({kOtherSpeed * rms, kSensorSteps * step, kNoiseSteps * noise * std::sqrt(2.0) / b.seconds});
     if (std::abs(b.slope) <= clear) continue;
     moving += 1.0;
     if (b.still && std::abs(b.slope - b.value) > clear) frozen += 1.0;
@@ -83,7 +83,7 @@ void LeaveOutFrozenVelocity(Recording* r) {
   for (int i = 0; i < r->n(); ++i) {
     const VectorXd v = r->v.row(i).transpose();
     const double share = FrozenShare(r->t, r->q.row(i).transpose(), v);
-    if (share <= kShare) continue;
+    if (share <= kFrozenShare) continue;
     const bool constant = (v.array() == v[0]).all();
     char text[96];
     if (constant && v[0] == 0.0) {
