@@ -5,6 +5,7 @@ option(RG_TESTS "Build the tests" ON)
 option(RG_BENCHMARKS "Build the benchmarks under tests/benchmarks" ON)
 option(RG_WERROR "Treat warnings as errors" ON)
 option(RG_TOGETHER "Compile several sources as one where a target says so" ON)
+option(RG_FUZZ "Build the libFuzzer programs of tests/fuzz (clang)" OFF)
 set(RG_SANITIZE "" CACHE STRING "Sanitizers to build with, e.g. address,undefined")
 
 set(CMAKE_CXX_STANDARD 20)

@@ -9,11 +9,12 @@ as_root() {
   else echo "deploy: needs root or sudo to install packages: $*" >&2; exit 1; fi
 }
 
-# install_packages [with-tests]: installs what is missing of deploy/packages; no network if nothing is.
+# install_packages [with-tests] [with-fuzzing]: installs what is missing of deploy/packages; no network if nothing is.
 install_packages() {
-  local wanted missing=()
-  if [ "${1:-}" = with-tests ]; then wanted=$(sed 's/^test://' deploy/packages)
-  else wanted=$(grep -v '^test:' deploy/packages); fi
+  local wanted missing=() kinds=()
+  case " $* " in *" with-tests "*) kinds+=(-e 's/^test://');; esac
+  case " $* " in *" with-fuzzing "*) kinds+=(-e 's/^fuzz://');; esac
+  wanted=$(sed "${kinds[@]}" -e '/^[a-z]*:/d' deploy/packages)
   for package in $(grep -v '^#' <<<"$wanted"); do
     dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' || missing+=("$package")
   done

@@ -69,7 +69,7 @@ Result<Recording> Reorder(const Recording& recording, const std::vector<std::str
   picked.v = PickRows(recording.v, rows);
   picked.effort_command = PickRows(recording.effort_command, rows);
   picked.effort_measured = PickRows(recording.effort_measured, rows);
-  picked.wrap_low = PickRows(recording.wrap_low, rows);
+  if (recording.wrap_low.size() > 0) picked.wrap_low = PickRows(recording.wrap_low, rows);
   picked.prescribed = PickedOf(recording.prescribed, rows);
   picked.without_velocity = PickedOf(recording.without_velocity, rows);
   return picked;
