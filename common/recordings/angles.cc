@@ -43,13 +43,12 @@ bool IsTurn(double excess, double dt) {
 
 struct Unwrapped {
   Row q;
-  int turns = 0;                     // steps that are one
   std::optional<Eigen::Index> jump;  // the first step that is a jump but no turn
   std::optional<Eigen::Index> first_turn;
 };
 
 Unwrapped Unwrap(const Eigen::VectorXd& t, const Row& q) {
-  Unwrapped out{q, 0, {}, {}};
+  Unwrapped out{q, {}, {}};
   double offset = 0.0;
   for (Eigen::Index k = 0; k + 1 < t.size(); ++k) {
     const double dt = t[k + 1] - t[k];
@@ -58,7 +57,6 @@ Unwrapped Unwrap(const Eigen::VectorXd& t, const Row& q) {
       if (std::abs(excess) > JumpFrom(dt) || dt > kLongestStep) {
         if (IsTurn(excess, dt)) {
           offset -= std::copysign(kTurn, excess);
-          ++out.turns;
           if (!out.first_turn) out.first_turn = k;
         } else if (dt <= kLongestStep && !out.jump) {
           out.jump = k;
@@ -68,11 +66,6 @@ Unwrapped Unwrap(const Eigen::VectorXd& t, const Row& q) {
     out.q[k + 1] = q[k + 1] + offset;
   }
   return out;
-}
-
-bool MayTurn(const JointInfo& joint) {
-  return joint.type == JointInfo::Type::kContinuous ||
-         (joint.type == JointInfo::Type::kRevolute && joint.upper - joint.lower > kTurn - kMargin);
 }
 
 // The turns to add so that q lies within the limits; none if no number of turns does.
@@ -108,19 +101,18 @@ Status UnwrapJoint(const JointInfo& joint, int i, Recording* r) {
     return JumpError(*r, joint, *unwrapped.jump, q,
                      "no arm moves so fast, and it is no full turn; correct the row or take it out");
   }
-  if (unwrapped.turns == 0) return Status::Ok();
-  const std::optional<int> turns = MayTurn(joint) ? TurnsIntoLimits(joint, unwrapped.q) : std::nullopt;
+  if (!unwrapped.first_turn) return Status::Ok();
+  const std::optional<int> turns = TurnsIntoLimits(joint, unwrapped.q);
   if (!turns) {
     return JumpError(*r, joint, *unwrapped.first_turn, q,
-                     "a full turn, but unwrapped it would leave the joint's limits " +
+                     "a full turn, but unwrapped the motion leaves the joint's limits " +
                          Printf("%.4g", joint.lower) + " to " + Printf("%.4g", joint.upper));
   }
   r->q.row(i) = (unwrapped.q.array() + *turns * kTurn).transpose();
   if (r->wrap_low.size() == 0)
     r->wrap_low = Eigen::VectorXd::Constant(r->n(), std::numeric_limits<double>::quiet_NaN());
   r->wrap_low[i] = WrapLow(q);
-  r->notes.push_back("position." + joint.name + " jumps by a full turn " + std::to_string(unwrapped.turns) +
-                     (unwrapped.turns == 1 ? " time" : " times") + " (an angle that wraps): unwrapped");
+  r->notes.push_back("position." + joint.name + " jumps by full turns (an angle that wraps): unwrapped");
   return Status::Ok();
 }
 

@@ -9,8 +9,8 @@
 
 namespace rg::recordings {
 
-// Unwraps positions of continuous joints that jump by a full turn, and of revolute joints whose limits are
-// almost a turn or more apart if the unwrapped motion lies within them. q changes, wrap_low says how the
+// Unwraps positions of continuous joints that jump by a full turn, and of revolute joints if the unwrapped
+// motion lies within their limits. q changes, wrap_low says how the
 // file's angles lie, a note is added. The first row's angle stays as it is, unless only another turn keeps a
 // revolute joint within its limits.
 //

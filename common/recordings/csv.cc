@@ -17,6 +17,7 @@ namespace rg::recordings {
 namespace {
 
 constexpr int kTooFewRowsToJudgeDigits = 20;
+constexpr const char* kTakeRowOut = "; take the row out, rows may be missing";
 constexpr const char* kHowToPrescribe = " (\"prescribed\" in the manifest: it moves as measured)";
 
 // A piece of an untrusted file for a message: short and printable.
@@ -167,7 +168,7 @@ class CsvParser {
 
   Status AddColumn(std::string_view name, std::set<std::string>* seen) {
     const std::string place = HeaderName() + ", column " + std::to_string(columns_.size() + 1);
-    if (name.empty()) return Error(place + ": has no name");
+    if (name.empty()) return Error(place + ": has no name; name it, whatever it holds");
     Column column;
     column.name = std::string(name);
     if (!seen->insert(column.name).second) return Error(place + ": " + column.name + " is there twice");
@@ -181,11 +182,19 @@ class CsvParser {
       column.kind = KindOf(prefix);
       column.joint = std::string(name.substr(dot + 1));
       if (!options_.robot.empty() && !RobotHas(column.joint)) {
-        return Error(place + ": " + column.name + ": the robot has no joint " + Shown(column.joint));
+        return Error(place + ": " + column.name + ": the robot has no joint " + Shown(column.joint) +
+                     "; it has " + JointNames());
       }
     }
     columns_.push_back(std::move(column));
     return Status::Ok();
+  }
+
+  std::string JointNames() const {
+    std::string names;
+    for (size_t i = 0; i < options_.robot.size() && i < 16; ++i)
+      names += (i == 0 ? "" : ", ") + options_.robot[i].name;
+    return names;
   }
 
   bool RobotHas(const std::string& joint) const {
@@ -210,7 +219,8 @@ class CsvParser {
     if (joints_.empty()) return Error(HeaderName() + ": no column position.<joint>");
     for (const std::string& joint : joints_) {
       if (!Find(Kind::kPosition, joint)) {
-        return Error(HeaderName() + ": column position." + joint + " is missing");
+        return Error(HeaderName() + ": column position." + joint +
+                     " is missing; leave the joint out of the manifest's joints if it was not recorded");
       }
     }
     return Status::Ok();
@@ -233,15 +243,30 @@ class CsvParser {
       const std::string name = kKindNames[static_cast<int>(kind)];
       if (there > 0 && !missing.empty()) {
         return Error(HeaderName() + ": column " + name + "." + missing + " is missing, other joints have " +
-                     name + (kind == Kind::kVelocity ? "" : kHowToPrescribe));
+                     name +
+                     (kind == Kind::kVelocity ? "; give it, or leave all of them out" : kHowToPrescribe));
       }
       has_[static_cast<int>(kind)] = there > 0;
     }
     if (options_.require_effort && !has_[static_cast<int>(Kind::kEffortCommand)] &&
         !has_[static_cast<int>(Kind::kEffortMeasured)]) {
-      return Error(HeaderName() + ": no effort: neither effort_command.<joint> nor effort_measured.<joint>");
+      return Error(HeaderName() + NoEffort());
     }
     return Status::Ok();
+  }
+
+  std::string NoEffort() const {
+    for (const Column& column : columns_) {
+      for (const char* commanded : {"position_reference.", "position_command.", "position_desired."}) {
+        if (column.name.rfind(commanded, 0) == 0)
+          return ": positions are commanded (" + column.name +
+                 ") and no effort is recorded: position-commanded drives are not modelled yet; record "
+                 "effort_command.<joint> or effort_measured.<joint>";
+      }
+    }
+    return ": no effort: neither effort_command.<joint> nor effort_measured.<joint>; without one nothing can "
+           "be told "
+           "of forces";
   }
 
   void ChoosePrescribed() {
@@ -301,7 +326,7 @@ class CsvParser {
     while (lines_->Next(&fields)) {
       if (fields.empty()) {
         if (lines_->AtEnd()) break;
-        return Error(RowName(rows_) + ": the line is empty");
+        return Error(RowName(rows_) + ": the line is empty; take it out");
       }
       RG_RETURN_IF_ERROR(ReadRow(fields));
       line_of_.push_back(lines_->line());
@@ -338,14 +363,16 @@ class CsvParser {
       return Error(RowName(rows_) + ", column " + std::to_string(columns_.size() + 1) + ": " + counts);
     }
     return Error(RowName(rows_) + ", column " + columns_[fields].name + ": " +
-                 (lines_->AtEnd() ? "the last row is truncated: " : "") + counts);
+                 (lines_->AtEnd() ? "the last row is truncated: " : "") + counts +
+                 "; complete the row, or take it out");
   }
 
   Status TimeError() const {
     const double now = recording_.t[rows_], before = recording_.t[rows_ - 1];
-    return Error(RowName(rows_) +
-                 ", column time: " + (now == before ? "time repeats: " : "time goes back: ") + Number(now) +
-                 " after " + Number(before));
+    return Error(
+        RowName(rows_) + ", column time: " + (now == before ? "time repeats: " : "time goes back: ") +
+        Number(now) + " after " + Number(before) +
+        (now == before ? "; take one of the rows out" : "; sort the rows, or give each run its own file"));
   }
 
   static std::string Number(double value) {
@@ -374,11 +401,14 @@ class CsvParser {
       value = std::nan("");
     } else if (outcome != NumberText::kOk) {
       if (IsCut(column)) return Cut(column, field);
-      return FieldError(rows_, column,
-                        (outcome == NumberText::kNotFinite    ? "not finite: "
-                         : outcome == NumberText::kOutOfRange ? "out of a double's range: "
-                                                              : "not a number: ") +
-                            Shown(field));
+      return FieldError(
+          rows_, column,
+          (outcome == NumberText::kNotFinite    ? "not finite: "
+           : outcome == NumberText::kOutOfRange ? "out of a double's range: "
+                                                : "not a number: ") +
+              Shown(field) +
+              (outcome == NumberText::kNotANumber ? "; SI units without their names, decimal points"
+                                                  : kTakeRowOut));
     }
     if (column.kind == Kind::kTime) value /= options_.time_units_per_s;
     column.out[rows_ * column.stride] = value;
@@ -390,13 +420,13 @@ class CsvParser {
   }
 
   Status BlankField(const Column& column, Eigen::Index row, bool is_nan) const {
-    return FieldError(row, column, is_nan ? "NaN" : "the field is empty");
+    return FieldError(row, column, std::string(is_nan ? "NaN" : "the field is empty") + kTakeRowOut);
   }
 
   // The file's last field, without a line end behind it.
   bool IsCut(const Column& column) const { return !lines_->terminated() && &column == &columns_.back(); }
   Status Cut(const Column& column, std::string_view field) const {
-    return FieldError(rows_, column, "the last row is truncated at " + Shown(field));
+    return FieldError(rows_, column, "the last row is truncated at " + Shown(field) + "; take it out");
   }
 
   // A file that ends inside its last number still reads as a number. It gives itself away where that
@@ -410,7 +440,7 @@ class CsvParser {
     }
     return FieldError(rows_ - 1, columns_.back(),
                       "the last row is truncated: no end of line, and " + Shown(field) +
-                          " has fewer digits than any other row");
+                          " has fewer digits than any other row; take it out");
   }
 
   static size_t CountDigits(std::string_view field) {

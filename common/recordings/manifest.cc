@@ -5,6 +5,8 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "common/base/printf.h"
+
 namespace rg::recordings {
 namespace {
 
@@ -59,7 +61,7 @@ class Fields {
     }
     const double number = value->get<double>();
     if (!std::isfinite(number) || number < above || (number == above && !or_equal)) {
-      Fail(field, Shown(*value) + ", must be " + (or_equal ? "at least " : "above ") + std::to_string(above));
+      Fail(field, Shown(*value) + ", must be " + (or_equal ? "at least " : "above ") + Printf("%g", above));
     }
     return number;
   }
@@ -148,7 +150,7 @@ std::optional<std::vector<std::string>> ReadSomeJoints(Fields& fields, const std
     const bool known = joint.is_string() && std::count(manifest.joints.begin(), manifest.joints.end(),
                                                        joint.get<std::string>()) > 0;
     if (!known) {
-      fields.Fail(place, Shown(joint) + " is not among joints");
+      fields.Fail(place, Shown(joint) + " is not among joints: it needs columns");
     } else if (std::count(some.begin(), some.end(), joint.get<std::string>()) > 0) {
       fields.Fail(place, Shown(joint) + " is there twice");
     } else {

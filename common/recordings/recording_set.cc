@@ -167,11 +167,29 @@ void SplitRecordingsAtGaps(RecordingSet* set) {
   set->recordings = std::move(all);
 }
 
-// What readers noted, said as warnings of the set; then gaps.
-void FinishReading(const ReadOptions& read, RecordingSet* set) {
-  for (Recording& r : set->recordings) {
-    for (const std::string& note : r.notes) set->warnings.push_back(r.name + ": " + note);
+// What readers noted, once each, with the recordings it is true of.
+void WarnOfNotes(RecordingSet* set) {
+  std::vector<std::string> notes;
+  std::map<std::string, std::vector<std::string>> of;
+  for (const Recording& r : set->recordings) {
+    for (const std::string& note : r.notes) {
+      if (!of.contains(note)) notes.push_back(note);
+      of[note].push_back(r.name);
+    }
   }
+  for (const std::string& note : notes) {
+    const std::vector<std::string>& names = of[note];
+    set->warnings.push_back((names.size() == 1 ? names[0]
+                             : names.size() == set->recordings.size()
+                                 ? "all recordings"
+                                 : names[0] + " and " + std::to_string(names.size() - 1) + " more") +
+                            ": " + note);
+  }
+}
+
+// Notes as warnings of the set; then gaps.
+void FinishReading(const ReadOptions& read, RecordingSet* set) {
+  WarnOfNotes(set);
   if (!read.keep_whole) SplitRecordingsAtGaps(set);
 }
 

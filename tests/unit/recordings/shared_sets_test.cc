@@ -39,7 +39,8 @@ Result<RecordingSet> Case(const std::string& name) { return LoadSet((Shared() / 
 
 TEST(SharedSets, CasesOfUsersReportsAreReadOrRefusedInOneLine) {
   if (!fs::exists(Shared() / "cases")) GTEST_SKIP() << "no cases beside the repository";
-  EXPECT_THAT(Case("09_time_stamps/set_epoch_ns").status().message(), HasSubstr("time looks like nanoseconds"));
+  EXPECT_THAT(Case("09_time_stamps/set_epoch_ns").status().message(),
+              HasSubstr("time looks like nanoseconds"));
   const auto gap = Case("09_time_stamps/set");
   ASSERT_TRUE(gap.ok()) << gap.status().ToString();
   EXPECT_THAT(gap->warnings, Contains(HasSubstr("gap")));
