@@ -169,6 +169,8 @@ class CsvParser {
   Status AddColumn(std::string_view name, std::set<std::string>* seen) {
     const std::string place = HeaderName() + ", column " + std::to_string(columns_.size() + 1);
     if (name.empty()) return Error(place + ": has no name; name it, whatever it holds");
+    if (std::any_of(name.begin(), name.end(), [](unsigned char c) { return c < ' ' || c == 0x7F; }))
+      return Error(place + ": the name " + Shown(name) + " holds line ends or other control characters");
     Column column;
     column.name = std::string(name);
     if (!seen->insert(column.name).second) return Error(place + ": " + column.name + " is there twice");
