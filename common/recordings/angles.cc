@@ -42,13 +42,14 @@ bool IsTurn(double excess, double dt) {
 }
 
 struct Unwrapped {
-  Row q;
+  Row q;                             // turns added
+  Row turns;                         // rad
   std::optional<Eigen::Index> jump;  // the first step that is a jump but no turn
   std::optional<Eigen::Index> first_turn;
 };
 
 Unwrapped Unwrap(const Eigen::VectorXd& t, const Row& q) {
-  Unwrapped out{q, {}, {}};
+  Unwrapped out{q, Row::Zero(q.size()), {}, {}};
   double offset = 0.0;
   for (Eigen::Index k = 0; k + 1 < t.size(); ++k) {
     const double dt = t[k + 1] - t[k];
@@ -63,6 +64,7 @@ Unwrapped Unwrap(const Eigen::VectorXd& t, const Row& q) {
         }
       }
     }
+    out.turns[k + 1] = offset;
     out.q[k + 1] = q[k + 1] + offset;
   }
   return out;
@@ -76,15 +78,6 @@ std::optional<int> TurnsIntoLimits(const JointInfo& joint, const Row& q) {
     if (low >= joint.lower - kMargin && high <= joint.upper + kMargin) return turns;
   }
   return std::nullopt;
-}
-
-// Where the file's angles lie: in [-π, π), [0, 2π), or from its smallest value on.
-double WrapLow(const Row& q) {
-  constexpr double kRounding = 1e-3;
-  for (const double low : {-std::numbers::pi, 0.0}) {
-    if (q.minCoeff() >= low - kRounding && q.maxCoeff() <= low + kTurn + kRounding) return low;
-  }
-  return q.minCoeff();
 }
 
 Status JumpError(const Recording& r, const JointInfo& joint, Eigen::Index k, const Row& q,
@@ -108,10 +101,9 @@ Status UnwrapJoint(const JointInfo& joint, int i, Recording* r) {
                      "a full turn, but unwrapped the motion leaves the joint's limits " +
                          Printf("%.4g", joint.lower) + " to " + Printf("%.4g", joint.upper));
   }
-  r->q.row(i) = (unwrapped.q.array() + *turns * kTurn).transpose();
-  if (r->wrap_low.size() == 0)
-    r->wrap_low = Eigen::VectorXd::Constant(r->n(), std::numeric_limits<double>::quiet_NaN());
-  r->wrap_low[i] = WrapLow(q);
+  if (r->turns_added.size() == 0) r->turns_added = Eigen::MatrixXd::Zero(r->n(), r->rows());
+  r->turns_added.row(i) = (unwrapped.turns.array() + *turns * kTurn).transpose();
+  r->q.row(i) += r->turns_added.row(i);
   r->notes.push_back("position." + joint.name + " jumps by full turns (an angle that wraps): unwrapped");
   return Status::Ok();
 }
@@ -130,11 +122,7 @@ Status UnwrapAngles(const std::vector<JointInfo>& robot, Recording* r) {
 }
 
 Eigen::MatrixXd InFilesWrapping(const Recording& r, Eigen::MatrixXd q) {
-  for (Eigen::Index i = 0; i < r.wrap_low.size(); ++i) {
-    if (std::isnan(r.wrap_low[i])) continue;
-    for (Eigen::Index k = 0; k < q.cols(); ++k)
-      q(i, k) -= kTurn * std::floor((q(i, k) - r.wrap_low[i]) / kTurn);
-  }
+  if (r.turns_added.size() > 0) q -= r.turns_added;
   return q;
 }
 

@@ -10,8 +10,8 @@
 namespace rg::recordings {
 
 // Unwraps positions of continuous joints that jump by a full turn, and of revolute joints if the unwrapped
-// motion lies within their limits. q changes, wrap_low says how the
-// file's angles lie, a note is added. The first row's angle stays as it is, unless only another turn keeps a
+// motion lies within their limits. q changes, turns_added says
+// by what, a note is added. The first row's angle stays as it is, unless only another turn keeps a
 // revolute joint within its limits.
 //
 // A step from row to row is a jump where it is more than 1 rad, and more than 200 rad/s² would make, from
@@ -19,7 +19,8 @@ namespace rg::recordings {
 // turn (file, row, column, values). Joints without an entry in `robot` are not looked at.
 Status UnwrapAngles(const std::vector<JointInfo>& robot, Recording* recording);
 
-// Positions n × K in the wrapping of the recording's file (wrap_low).
+// Positions n × K of the recording's rows in the wrapping of its file: the turns that were added there are
+// taken off again.
 Eigen::MatrixXd InFilesWrapping(const Recording& recording, Eigen::MatrixXd q);
 
 }  // namespace rg::recordings

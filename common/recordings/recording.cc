@@ -69,7 +69,7 @@ Result<Recording> Reorder(const Recording& recording, const std::vector<std::str
   picked.v = PickRows(recording.v, rows);
   picked.effort_command = PickRows(recording.effort_command, rows);
   picked.effort_measured = PickRows(recording.effort_measured, rows);
-  if (recording.wrap_low.size() > 0) picked.wrap_low = PickRows(recording.wrap_low, rows);
+  picked.turns_added = PickRows(recording.turns_added, rows);
   picked.prescribed = PickedOf(recording.prescribed, rows);
   picked.without_velocity = PickedOf(recording.without_velocity, rows);
   return picked;
@@ -84,6 +84,7 @@ Recording Slice(const Recording& recording, int first, int count) {
   part.v = PickCols(recording.v, first, count);
   part.effort_command = PickCols(recording.effort_command, first, count);
   part.effort_measured = PickCols(recording.effort_measured, first, count);
+  part.turns_added = PickCols(recording.turns_added, first, count);
   for (auto& [name, column] : part.other) column = Eigen::VectorXd(column.segment(first, count));
   return part;
 }

@@ -43,9 +43,9 @@ struct Recording {
   EffortKind drive = EffortKind::kCommand;  // the effort that drives the model; it is there
   // What its reader did that a user wants to know, one line each.
   std::vector<std::string> notes;
-  // Where the file's angles wrap: n, or empty where none do. Those of joint i lie in [low, low + 2π) in the
-  // file and are unwrapped in q; NaN: as in the file.
-  Eigen::VectorXd wrap_low;
+  // Where the file's angles wrap: n × K, the full turns [rad] that were added to make q; 0 × 0 where none
+  // were.
+  Eigen::MatrixXd turns_added;
   // Windows of predictions are counted from this time; NaN: from the first row. Of a piece of a longer
   // recording: that recording's first row (time_stamps.h).
   double window_origin = std::numeric_limits<double>::quiet_NaN();

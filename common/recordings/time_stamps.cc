@@ -111,9 +111,8 @@ Status CheckTimeUnit(const Recording& r, std::optional<double> rate) {
   if (unit.per_s == 1.0) return Status::Ok();
   return InvalidError(r.name + ": row 1, column time: " + Printf("%.10g", r.t[0]) + ", rows " +
                       Printf("%.10g", period) + " apart: time looks like " + unit.name + " (" +
-                      Printf("%.10g", unit.per_s / period) +
-                      " Hz), s is expected: read it with --time-unit " + unit.flag +
-                      ", or with --time-unit s if these are seconds");
+                      Printf("%.4g", unit.per_s / period) + " Hz), s is expected: read it with --time-unit " +
+                      unit.flag + ", or with --time-unit s if these are seconds");
 }
 
 double LongestStep(const Eigen::VectorXd& t) {
@@ -155,6 +154,15 @@ void AppendColumns(const Eigen::MatrixXd& more, Eigen::MatrixXd* x) {
   x->rightCols(more.cols()) = more;
 }
 
+// A piece without turns has zeros.
+void JoinTurns(const Recording& r, Eigen::Index before, Recording* whole) {
+  if (r.turns_added.size() == 0 && whole->turns_added.size() == 0) return;
+  Eigen::MatrixXd turns = Eigen::MatrixXd::Zero(whole->q.rows(), whole->q.cols());
+  if (whole->turns_added.size() > 0) turns.leftCols(before) = whole->turns_added;
+  if (r.turns_added.size() > 0) turns.rightCols(r.turns_added.cols()) = r.turns_added;
+  whole->turns_added = turns;
+}
+
 void AppendRows(const Eigen::VectorXd& more, Eigen::VectorXd* x) {
   const Eigen::Index before = x->size();
   x->conservativeResize(before + more.size());
@@ -177,7 +185,9 @@ std::vector<Recording> JoinPieces(std::vector<Recording> recordings) {
     }
     Recording& whole = out.back();
     AppendRows(r.t, &whole.t);
+    const Eigen::Index before = whole.q.cols();
     AppendColumns(r.q, &whole.q);
+    JoinTurns(r, before, &whole);
     AppendColumns(r.v, &whole.v);
     AppendColumns(r.effort_command, &whole.effort_command);
     AppendColumns(r.effort_measured, &whole.effort_measured);

@@ -10,6 +10,8 @@ using Eigen::VectorXd;
 
 namespace {
 
+constexpr double kNodesPerRow = 20.0;  // at most; from 5 Hz on nodes are a hundredth of a second apart
+
 // Three windows at least.
 Result<FitData> Prepared(const recordings::RecordingSet& set,
                          const std::vector<const recordings::Recording*>& recordings,
@@ -36,6 +38,9 @@ Result<FitData> Prepared(const recordings::RecordingSet& set,
                                         : sysid::DriveSignal(*rec)});
   }
   data.nodes.window_s = options.fit_window_s;
+  // Between rows that are far apart more nodes tell nothing, and memory is to follow the rows.
+  for (const sysid::FitRecording& r : data.recordings)
+    data.nodes.interval_s = std::max(data.nodes.interval_s, r.recording->SamplePeriod() / kNodesPerRow);
   for (size_t r = 0; r < data.recordings.size(); ++r) {
     data.motions.emplace_back(*data.recordings[r].recording, data.noise);
     auto windows = CutIntoNodes(*data.recordings[r].recording, static_cast<int>(r), data.motions[r],
