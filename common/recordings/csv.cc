@@ -7,11 +7,13 @@
 #include <set>
 
 #include "common/base/file.h"
+#include "common/recordings/prescribed.h"
 
 namespace rg::recordings {
 namespace {
 
 constexpr int kTooFewRowsToJudgeDigits = 20;
+constexpr const char* kHowToPrescribe = " (\"prescribed\" in the manifest: it moves as measured)";
 
 std::string_view Trim(std::string_view field) {
   while (!field.empty() && (field.front() == ' ' || field.front() == '\t')) field.remove_prefix(1);
@@ -159,12 +161,14 @@ class CsvParser {
     return Status::Ok();
   }
 
-  // A kind is there for all the joints or for none of them.
+  // A kind is there for all the joints or for none of them, prescribed joints aside.
   Status ChooseKinds() {
+    ChoosePrescribed();
     for (const Kind kind : {Kind::kVelocity, Kind::kEffortCommand, Kind::kEffortMeasured}) {
       std::string missing;
       int there = 0;
       for (const std::string& joint : joints_) {
+        if (prescribed_.count(joint) > 0) continue;
         if (Find(kind, joint)) {
           ++there;
         } else if (missing.empty()) {
@@ -174,7 +178,7 @@ class CsvParser {
       const std::string name = kKindNames[static_cast<int>(kind)];
       if (there > 0 && !missing.empty()) {
         return Error("header (line 1): column " + name + "." + missing + " is missing, other joints have " +
-                     name);
+                     name + (kind == Kind::kVelocity ? "" : kHowToPrescribe));
       }
       has_[static_cast<int>(kind)] = there > 0;
     }
@@ -183,6 +187,23 @@ class CsvParser {
       return Error("header (line 1): no effort: neither effort_command.<joint> nor effort_measured.<joint>");
     }
     return Status::Ok();
+  }
+
+  void ChoosePrescribed() {
+    const auto driven = [&](const std::string& joint) {
+      return Find(Kind::kEffortCommand, joint) || Find(Kind::kEffortMeasured, joint);
+    };
+    const bool any = std::any_of(joints_.begin(), joints_.end(), driven);
+    for (const std::string& joint : joints_) {
+      const auto& named = options_.prescribed;
+      if (named ? std::find(named->begin(), named->end(), joint) != named->end() : any && !driven(joint))
+        prescribed_.insert(joint);
+    }
+    // What a file says of an effort that drives nothing is one more column.
+    for (Column& column : columns_) {
+      if (column.kind < Kind::kEffortCommand || prescribed_.count(column.joint) == 0) continue;
+      column.kind = Kind::kOther, column.joint.clear();
+    }
   }
 
   void Allocate() {
@@ -197,6 +218,10 @@ class CsvParser {
     const auto point = [&](Kind kind, Eigen::MatrixXd& x) {
       for (Eigen::Index i = 0; x.size() > 0 && i < n; ++i) {
         Column* column = Find(kind, joints_[static_cast<size_t>(i)]);
+        if (column == nullptr) {  // of a prescribed joint
+          x.row(i).setZero();
+          continue;
+        }
         column->out = &x(i, 0);
         column->stride = n;
       }
@@ -346,6 +371,13 @@ class CsvParser {
         r.other[column.name].conservativeResize(rows_);
       }
     }
+    for (size_t i = 0; i < joints_.size(); ++i) {
+      if (prescribed_.count(joints_[i]) == 0) continue;
+      r.prescribed.push_back(static_cast<int>(i));
+      if (r.has_velocity() && !Find(Kind::kVelocity, joints_[i]))
+        r.without_velocity.push_back(static_cast<int>(i));
+    }
+    FillVelocities(&r);
     r.drive =
         r.has_effort_command() || !r.has_effort_measured() ? EffortKind::kCommand : EffortKind::kMeasured;
   }
@@ -356,6 +388,7 @@ class CsvParser {
   size_t at_ = 0;
   std::vector<Column> columns_;
   std::vector<std::string> joints_;
+  std::set<std::string> prescribed_;
   bool has_[6] = {};
   Eigen::Index rows_ = 0;
   std::string_view last_line_;
@@ -388,9 +421,16 @@ std::string FormatCsv(const Recording& r, int digits) {
                                                                   {"velocity", &r.v},
                                                                   {"effort_command", &r.effort_command},
                                                                   {"effort_measured", &r.effort_measured}};
+  const auto written = [&](const Eigen::MatrixXd* x, Eigen::Index i) {
+    if (x == &r.v) {
+      const auto& without = r.without_velocity;
+      return std::find(without.begin(), without.end(), i) == without.end();
+    }
+    return x == &r.q || !r.IsPrescribed(static_cast<int>(i));
+  };
   for (const auto& [kind, x] : kinds) {
-    for (const std::string& joint : r.joints) {
-      if (x->size() > 0) out += std::string(",") + kind + "." + joint;
+    for (Eigen::Index i = 0; i < x->rows(); ++i) {
+      if (written(x, i)) out += std::string(",") + kind + "." + r.joints[static_cast<size_t>(i)];
     }
   }
   for (const auto& [name, column] : r.other) out += "," + name;
@@ -399,6 +439,7 @@ std::string FormatCsv(const Recording& r, int digits) {
     AppendNumber(&out, r.t[k], 0);
     for (const auto& [kind, x] : kinds) {
       for (Eigen::Index i = 0; i < x->rows(); ++i) {
+        if (!written(x, i)) continue;
         out += ',';
         AppendNumber(&out, (*x)(i, k), digits);
       }

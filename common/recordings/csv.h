@@ -1,7 +1,8 @@
 // Recordings as CSV: a header and SI units,
 //   time, position.<joint>…, velocity.<joint>…, effort_command.<joint>…, effort_measured.<joint>…
 // velocity is optional, at least one kind of effort is there (unless the caller waives it), other
-// columns are kept in Recording::other. A kind that is there is there for every joint.
+// columns are kept in Recording::other. A kind that is there is there for every joint, but for prescribed
+// ones: those named by the caller, or, where it names none, those without any effort where others have one.
 //
 // Every refusal is one line that names file, row (of data, and line of the file), column and value:
 // an empty file, a column twice or missing, a joint that the robot lacks, a field that is no number,
@@ -10,6 +11,7 @@
 #pragma once
 
 #include <limits>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -35,6 +37,8 @@ struct CsvOptions {
   // All joints of the robot. Empty: joint names and units are not checked.
   std::vector<JointInfo> robot;
   bool require_effort = true;
+  // Of `joints`, those that move as measured; nothing: those without an effort column.
+  std::optional<std::vector<std::string>> prescribed;
 };
 
 // `source_name` stands for the file in errors and becomes Recording::name. Recording::drive is the

@@ -1,5 +1,6 @@
 #include "common/recordings/manifest.h"
 
+#include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <set>
@@ -135,6 +136,44 @@ void ReadLocked(Fields& fields, RecordingSet* set) {
   }
 }
 
+// Names among the manifest's joints; nothing where the field is missing.
+std::optional<std::vector<std::string>> ReadSomeJoints(Fields& fields, const std::string& field,
+                                                       const Manifest& manifest) {
+  const Json* list = fields.Array(field, false);
+  if (!list) return std::nullopt;
+  std::vector<std::string> some;
+  for (size_t i = 0; i < list->size(); ++i) {
+    const Json& joint = (*list)[i];
+    const std::string place = field + "[" + std::to_string(i) + "]";
+    const bool known = joint.is_string() && std::count(manifest.joints.begin(), manifest.joints.end(),
+                                                       joint.get<std::string>()) > 0;
+    if (!known) {
+      fields.Fail(place, Shown(joint) + " is not among joints");
+    } else if (std::count(some.begin(), some.end(), joint.get<std::string>()) > 0) {
+      fields.Fail(place, Shown(joint) + " is there twice");
+    } else {
+      some.push_back(joint.get<std::string>());
+    }
+  }
+  return some;
+}
+
+// Joints that move as measured, and joints without a drive: no joint is both.
+void ReadRoles(Fields& fields, Manifest* manifest) {
+  RecordingSet& set = manifest->settings;
+  const auto prescribed = ReadSomeJoints(fields, "prescribed", *manifest);
+  set.prescribed_listed = prescribed.has_value();
+  set.prescribed = prescribed.value_or(std::vector<std::string>{});
+  set.passive = ReadSomeJoints(fields, "passive", *manifest);
+  if (set.passive) std::sort(set.passive->begin(), set.passive->end());
+  if (set.prescribed.size() == manifest->joints.size() && !manifest->joints.empty())
+    fields.Fail("prescribed", "names every joint, nothing is left to model");
+  for (const std::string& joint : set.passive.value_or(std::vector<std::string>{})) {
+    if (std::count(set.prescribed.begin(), set.prescribed.end(), joint) > 0)
+      fields.Fail("passive", "'" + joint + "' is among prescribed too");
+  }
+}
+
 void ReadControl(Fields& fields, const std::string& source, Status* status, RecordingSet* set) {
   const Json* object = fields.Object("control");
   if (!object) return;
@@ -218,6 +257,7 @@ Result<Manifest> ParseManifest(std::string_view text, const std::string& source)
     if (manifest.settings.locked.count(joint))
       fields.Fail("locked." + joint, "is one of joints, cannot be locked");
   }
+  ReadRoles(fields, &manifest);
   manifest.settings.sample_rate_hz = fields.Number("sample_rate_hz", 0.0, false);
   ReadControl(fields, source, &status, &manifest.settings);
   ReadNoise(fields, source, &status, &manifest.settings);
@@ -248,6 +288,8 @@ std::string FormatManifest(const RecordingSet& set, const std::string& robot_fil
   noise("velocity_stddev", set.noise.velocity_stddev);
   noise("position_resolution", set.noise.position_resolution);
   if (set.drive) json["drive"] = *set.drive == EffortKind::kMeasured ? "effort_measured" : "effort_command";
+  if (set.prescribed_listed || !set.prescribed.empty()) json["prescribed"] = set.prescribed;
+  if (set.passive) json["passive"] = *set.passive;
   if (set.effort_excludes_gravity) json["effort_excludes_gravity"] = true;
   json["recordings"] = nlohmann::ordered_json::array();
   for (const Recording& r : set.recordings) {

@@ -12,12 +12,25 @@ Eigen::MatrixXd PickRows(const Eigen::MatrixXd& x, const std::vector<int>& rows)
   return picked;
 }
 
+// Of `some` old rows, where they are among the picked ones.
+std::vector<int> PickedOf(const std::vector<int>& some, const std::vector<int>& rows) {
+  std::vector<int> out;
+  for (size_t i = 0; i < rows.size(); ++i) {
+    if (std::find(some.begin(), some.end(), rows[i]) != some.end()) out.push_back(static_cast<int>(i));
+  }
+  return out;
+}
+
 Eigen::MatrixXd PickCols(const Eigen::MatrixXd& x, int first, int count) {
   if (x.size() == 0) return {};
   return x.middleCols(first, count);
 }
 
 }  // namespace
+
+bool Recording::IsPrescribed(int joint) const {
+  return std::binary_search(prescribed.begin(), prescribed.end(), joint);
+}
 
 Eigen::MatrixXd Recording::OtherKind(const std::string& kind) const {
   Eigen::MatrixXd all(n(), rows());
@@ -56,6 +69,8 @@ Result<Recording> Reorder(const Recording& recording, const std::vector<std::str
   picked.v = PickRows(recording.v, rows);
   picked.effort_command = PickRows(recording.effort_command, rows);
   picked.effort_measured = PickRows(recording.effort_measured, rows);
+  picked.prescribed = PickedOf(recording.prescribed, rows);
+  picked.without_velocity = PickedOf(recording.without_velocity, rows);
   return picked;
 }
 

@@ -34,6 +34,11 @@ struct Recording {
   // Columns of other kinds by their full header ("motor_current.elbow"), K each. A field that was
   // empty or NaN is NaN here; a column that holds text is not here.
   std::map<std::string, Eigen::VectorXd> other;
+  // Rows of joints that move as measured (prescribed), ascending: no effort drives them, theirs is 0, and
+  // nothing is predicted of them. Efforts that the file has of them are in `other`.
+  std::vector<int> prescribed;
+  // Of these, the ones without a velocity column where others have one: their v is the slope of q.
+  std::vector<int> without_velocity;
   EffortKind drive = EffortKind::kCommand;  // the effort that drives the model; it is there
 
   int rows() const { return static_cast<int>(t.size()); }
@@ -41,6 +46,7 @@ struct Recording {
   bool has_velocity() const { return v.size() > 0; }
   bool has_effort_command() const { return effort_command.size() > 0; }
   bool has_effort_measured() const { return effort_measured.size() > 0; }
+  bool IsPrescribed(int joint) const;
   // n × K: the effort that drives the model; 0 × 0 in a recording without effort.
   const Eigen::MatrixXd& drive_effort() const {
     return drive == EffortKind::kCommand ? effort_command : effort_measured;

@@ -9,6 +9,7 @@
 #include "common/model/urdf_document.h"
 #include "common/model/urdf_loader.h"
 #include "common/recordings/manifest.h"
+#include "common/recordings/prescribed.h"
 
 namespace rg::recordings {
 
@@ -140,6 +141,7 @@ Result<RecordingSet> LoadSet(const std::string& folder) {
   CsvOptions options;
   options.joints = set.joints;
   options.robot = robot.all;
+  if (set.prescribed_listed) options.prescribed = set.prescribed;
   for (const ManifestEntry& entry : manifest.recordings) {
     const std::string path = (fs::path(folder) / entry.file).string();
     RG_ASSIGN_OR_RETURN(Recording recording, LoadCsv(path, options));
@@ -148,6 +150,7 @@ Result<RecordingSet> LoadSet(const std::string& folder) {
     recording.split = entry.split;
     set.recordings.push_back(std::move(recording));
   }
+  RG_RETURN_IF_ERROR(ResolvePrescribed(&set));
   set.holdout_was_chosen = ChooseHoldout(set.recordings);
   return set;
 }
@@ -164,6 +167,8 @@ Status SameRobot(const RecordingSet& a, const RecordingSet& b) {
   if (a.locked != b.locked) return differ("\"locked\"");
   if (a.gravity != b.gravity) return differ("\"gravity\"");
   if (a.drive != b.drive) return differ("\"drive\"");
+  if (a.prescribed != b.prescribed) return differ("which joints are prescribed");
+  if (a.passive != b.passive) return differ("\"passive\"");
   if (a.effort_excludes_gravity != b.effort_excludes_gravity) return differ("\"effort_excludes_gravity\"");
   return Status::Ok();
 }

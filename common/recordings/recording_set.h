@@ -47,6 +47,13 @@ struct RecordingSet {
   std::optional<EffortKind> drive;  // what the manifest says; each recording's own choice is in it
   // The drive adds its own gravity compensation to the effort in the file.
   bool effort_excludes_gravity = false;
+  // Joints that move as measured, in the order of `joints`: the manifest's, or, where it lists none, those
+  // without an effort column in any recording. In each recording too.
+  std::vector<std::string> prescribed;
+  bool prescribed_listed = false;  // the manifest says which, none perhaps
+  // Joints without a drive, as the manifest lists them; nothing: whether an effort of zero throughout means
+  // that is for the model to say (services/sysid/joint_roles.h).
+  std::optional<std::vector<std::string>> passive;
   // The manifest had no holdout split, and LoadSet chose whole recordings for it.
   bool holdout_was_chosen = false;
   // What was odd but not wrong, one line each: keys of the manifest that nobody knows.

@@ -1,0 +1,181 @@
+#include "common/recordings/prescribed.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <filesystem>
+
+#include "common/base/file.h"
+#include "common/base/ids.h"
+#include "common/recordings/csv.h"
+
+namespace rg::recordings {
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+std::string Urdf() {
+  std::string text = R"(<robot name="three"><link name="link_0"/>)";
+  const char* joints[] = {"lift", "shoulder", "elbow"};
+  for (int k = 1; k <= 3; ++k) {
+    const std::string n = std::to_string(k);
+    text += "<link name=\"link_" + n + R"("><inertial><mass value="1"/><origin xyz="0 0 0.1"/>
+      <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>)";
+    text += std::string("<joint name=\"") + joints[k - 1] + "\" type=\"" +
+            (k == 1 ? "prismatic" : "continuous") + "\"><parent link=\"link_" + std::to_string(k - 1) +
+            "\"/><child link=\"link_" + n +
+            "\"/><axis xyz=\"0 1 0\"/><limit lower=\"-1\" upper=\"1\" effort=\"10\" velocity=\"5\"/></joint>";
+  }
+  return text + "</robot>";
+}
+
+// 41 rows of 10 ms in which every joint moves; which columns there are is the caller's.
+std::string Csv(const std::vector<std::string>& columns) {
+  std::string text = "time";
+  for (const std::string& c : columns) text += "," + c;
+  for (int k = 0; k <= 40; ++k) {
+    const double t = 0.01 * k;
+    text += "\n" + std::to_string(t);
+    for (const std::string& c : columns) {
+      const double value = c.starts_with("position")   ? 0.3 * std::sin(3 * t)
+                           : c.starts_with("velocity") ? 0.9 * std::cos(3 * t)
+                                                       : 2.0 + t;
+      text += "," + std::to_string(value);
+    }
+  }
+  return text + "\n";
+}
+
+const std::vector<std::string> kAllPositions = {"position.lift", "position.shoulder", "position.elbow"};
+
+std::vector<std::string> With(std::vector<std::string> columns, const std::vector<std::string>& more) {
+  columns.insert(columns.end(), more.begin(), more.end());
+  return columns;
+}
+
+const std::vector<std::string> kLiftIsHeld =
+    With(kAllPositions,
+         {"velocity.shoulder", "velocity.elbow", "effort_command.shoulder", "effort_command.elbow"});
+const std::vector<std::string> kAllDriven =
+    With(kAllPositions, {"effort_command.lift", "effort_command.shoulder", "effort_command.elbow"});
+
+class Folder {
+ public:
+  Folder(const std::string& extra, const std::string& a, const std::string& b)
+      : path_(fs::temp_directory_path() / ("rg_prescribed_" + RandomHex(6))) {
+    fs::create_directories(path_);
+    Write("robot.urdf", Urdf());
+    Write("manifest.json", R"({"format": "realitygrad.recordings/1", "robot": "robot.urdf",
+      "joints": ["lift", "shoulder", "elbow"], )" +
+                               extra + R"("recordings": [{"file": "a.csv"}, {"file": "b.csv"}]})");
+    Write("a.csv", a), Write("b.csv", b);
+  }
+  ~Folder() { fs::remove_all(path_); }
+  Result<RecordingSet> Load() const { return LoadSet(path_.string()); }
+
+ private:
+  void Write(const std::string& file, const std::string& text) const {
+    ASSERT_TRUE(WriteFileAtomically((path_ / file).string(), text).ok());
+  }
+  fs::path path_;
+};
+
+Result<RecordingSet> Load(const std::string& extra, const std::string& a, const std::string& b) {
+  return Folder(extra, a, b).Load();
+}
+
+std::string ErrorOf(const std::string& extra, const std::string& a, const std::string& b) {
+  const auto set = Load(extra, a, b);
+  return set.ok() ? "accepted" : set.status().message();
+}
+
+TEST(Prescribed, AreJointsWithoutAnyEffortWhereOthersHaveOne) {
+  const auto set = Load("", Csv(kLiftIsHeld), Csv(kLiftIsHeld));
+  ASSERT_TRUE(set.ok()) << set.status().ToString();
+  EXPECT_THAT(set->prescribed, ElementsAre("lift"));
+  EXPECT_FALSE(set->prescribed_listed);
+  for (const Recording& r : set->recordings) {
+    EXPECT_THAT(r.prescribed, ElementsAre(0));
+    EXPECT_TRUE(r.IsPrescribed(0));
+    EXPECT_FALSE(r.IsPrescribed(1));
+    EXPECT_EQ(r.effort_command.row(0).cwiseAbs().maxCoeff(), 0.0);
+    EXPECT_NEAR(r.effort_command(1, 10), 2.1, 1e-6);
+  }
+  EXPECT_THAT(NoteOnPrescribed(*set),
+              HasSubstr("lift moves as measured (prescribed): it has no effort column"));
+}
+
+TEST(Prescribed, TakeTheirVelocityFromPositionsWhereNoColumnGivesIt) {
+  const auto set = Load("", Csv(kLiftIsHeld), Csv(kLiftIsHeld));
+  ASSERT_TRUE(set.ok()) << set.status().ToString();
+  const Recording& r = set->recordings[0];
+  EXPECT_THAT(r.without_velocity, ElementsAre(0));
+  for (int k = 2; k + 2 < r.rows(); ++k) EXPECT_NEAR(r.v(0, k), 0.9 * std::cos(3 * r.t[k]), 5e-3) << k;
+}
+
+TEST(Prescribed, AreWhatTheManifestSaysWhereItSaysAnything) {
+  const auto listed = Load(R"("prescribed": ["lift"], )", Csv(kAllDriven), Csv(kAllDriven));
+  ASSERT_TRUE(listed.ok()) << listed.status().ToString();
+  EXPECT_THAT(listed->prescribed, ElementsAre("lift"));
+  EXPECT_EQ(listed->recordings[0].effort_command.row(0).cwiseAbs().maxCoeff(), 0.0);
+  EXPECT_NEAR(listed->recordings[0].other.at("effort_command.lift")[10], 2.1, 1e-6);
+  EXPECT_THAT(NoteOnPrescribed(*listed), HasSubstr("the manifest says so"));
+  const std::string held = Csv(With(kAllPositions, {"effort_command.shoulder", "effort_command.elbow"}));
+  EXPECT_THAT(ErrorOf(R"("prescribed": [], )", held, held),
+              HasSubstr("column effort_command.lift is missing, other joints have effort_command "
+                        "(\"prescribed\" in the manifest"));
+}
+
+TEST(Prescribed, AreNotJointsThatHaveAnEffortInSomeRecordingsOnly) {
+  EXPECT_THAT(ErrorOf("", Csv(kAllDriven), Csv(kLiftIsHeld)),
+              HasSubstr("b.csv: header (line 1): no effort of lift, which other recordings have"));
+}
+
+TEST(Prescribed, AreNamesOfJointsOnceAndNeverAll) {
+  const std::string csv = Csv(kAllDriven);
+  EXPECT_THAT(ErrorOf(R"("prescribed": ["lif"], )", csv, csv),
+              HasSubstr("manifest.json: prescribed[0]: \"lif\" is not among joints"));
+  EXPECT_THAT(ErrorOf(R"("prescribed": ["lift", "lift"], )", csv, csv),
+              HasSubstr("prescribed[1]: \"lift\" is there twice"));
+  EXPECT_THAT(ErrorOf(R"("prescribed": ["lift", "shoulder", "elbow"], )", csv, csv),
+              HasSubstr("prescribed: names every joint, nothing is left to model"));
+  EXPECT_THAT(ErrorOf(R"("prescribed": ["lift"], "passive": ["lift"], )", csv, csv),
+              HasSubstr("passive: 'lift' is among prescribed too"));
+  EXPECT_THAT(ErrorOf(R"("passive": ["wrist"], )", csv, csv),
+              HasSubstr("passive[0]: \"wrist\" is not among joints"));
+}
+
+TEST(Prescribed, AreTheSameAfterWritingAndReading) {
+  const auto set = Load(R"("passive": ["elbow"], )", Csv(kLiftIsHeld), Csv(kLiftIsHeld));
+  ASSERT_TRUE(set.ok()) << set.status().ToString();
+  const std::string folder = (fs::temp_directory_path() / ("rg_prescribed_" + RandomHex(6))).string();
+  ASSERT_TRUE(WriteSet(folder, *set).ok());
+  const auto again = LoadSet(folder);
+  fs::remove_all(folder);
+  ASSERT_TRUE(again.ok()) << again.status().ToString();
+  EXPECT_EQ(again->prescribed, set->prescribed);
+  EXPECT_EQ(again->passive, set->passive);
+  EXPECT_THAT(*again->passive, ElementsAre("elbow"));
+  EXPECT_EQ(again->recordings[0].without_velocity, set->recordings[0].without_velocity);
+  EXPECT_EQ(again->recordings[0].v, set->recordings[0].v);
+  EXPECT_EQ(again->recordings[0].other.count("effort_command.lift"), 0u);
+}
+
+TEST(Prescribed, FollowTheirRowsWhenJointsAreReordered) {
+  const auto set = Load("", Csv(kLiftIsHeld), Csv(kLiftIsHeld));
+  ASSERT_TRUE(set.ok());
+  const auto picked = Reorder(set->recordings[0], {"elbow", "lift"});
+  ASSERT_TRUE(picked.ok());
+  EXPECT_THAT(picked->prescribed, ElementsAre(1));
+  EXPECT_THAT(picked->without_velocity, ElementsAre(1));
+  const auto without = Reorder(set->recordings[0], {"elbow", "shoulder"});
+  ASSERT_TRUE(without.ok());
+  EXPECT_THAT(without->prescribed, IsEmpty());
+}
+
+}  // namespace
+}  // namespace rg::recordings
