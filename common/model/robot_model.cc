@@ -49,12 +49,29 @@ std::string_view JointTypeName(JointType type) {
 }
 
 RobotModel::RobotModel(Parts parts) : parts_(std::move(parts)) {
-  RG_CHECK(num_joints() <= kMaxBodies) << num_joints();
+  RG_CHECK(num_bodies() <= kMaxBodies) << num_bodies();
   RG_CHECK(parts_.end_effector >= 0 && parts_.end_effector < num_links());
-  for (int k = 0; k < num_joints(); ++k) RG_CHECK(joint(k).parent < k) << joint(k).name;
+  for (int k = 0; k < num_joints(); ++k) {
+    RG_CHECK(joint(k).parent < k || joint(k).parent >= num_joints()) << joint(k).name;
+  }
+  for (const Follower& f : parts_.followers) {
+    RG_CHECK(f.driver >= 0 && f.driver < num_joints() && f.multiplier != 0.0) << f.joint.name;
+  }
+  for (int b = 0; b < num_bodies(); ++b) {
+    int steps = 0;
+    for (int at = b; at >= 0; at = body_joint(at).parent) {
+      RG_CHECK(at < num_bodies() && ++steps <= num_bodies()) << body_joint(b).name;
+    }
+  }
 }
 
 int RobotModel::FindJoint(std::string_view name) const { return FindByName(parts_.joints, name); }
+int RobotModel::FindFollower(std::string_view name) const {
+  for (size_t i = 0; i < parts_.followers.size(); ++i) {
+    if (parts_.followers[i].joint.name == name) return static_cast<int>(i);
+  }
+  return -1;
+}
 int RobotModel::FindLink(std::string_view name) const { return FindByName(parts_.links, name); }
 
 std::optional<Frame> RobotModel::FindFrame(std::string_view link_name) const {
