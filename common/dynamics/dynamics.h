@@ -2,6 +2,9 @@
 //
 //   M(q) q̈ + c(q, v, g) = tau          n equations, joint order of RobotModel
 //
+// Joints that follow others (model::Follower) have no equation of their own: their bodies' forces are in
+// their drivers' (and these functions allocate then).
+//
 // Mechanism holds what is constant in a simulation (topology, inertias, gravity) and is shared by
 // threads; a Workspace is scratch for one thread. Nothing here allocates after both exist.
 // Spatial vectors are ordered angular first, linear second (Featherstone), in axes of W about W's
@@ -24,7 +27,7 @@
 namespace rg::dynamics {
 
 inline constexpr int kBodyParameters = 10;
-using BodyParameters = Eigen::Matrix<double, kBodyParameters, Eigen::Dynamic>;  // 10 × n, column = body
+using BodyParameters = Eigen::Matrix<double, kBodyParameters, Eigen::Dynamic>;  // 10 × bodies
 using LinkParametersMatrix = Eigen::Matrix<double, model::kLinkParameters, Eigen::Dynamic>;
 
 using VectorIn = Eigen::Ref<const Eigen::VectorXd>;
@@ -32,7 +35,7 @@ using VectorOut = Eigen::Ref<Eigen::VectorXd>;
 using MatrixOut = Eigen::Ref<Eigen::MatrixXd>;
 
 // Sum over the links of each moving body of the link's parameters, taken to the body's frame.
-// `links`: 10 × num_links, as RobotModel::NominalLinkParameters. Result 10 × n.
+// `links`: 10 × num_links, as RobotModel::NominalLinkParameters. Result 10 × num_bodies.
 BodyParameters LumpedInertias(const model::RobotModel& model, const LinkParametersMatrix& links);
 
 // d(φ of the body)/d(parameters of the link), 10 × 10, at `link`'s parameters; rows as φ, columns as
@@ -51,6 +54,7 @@ class Mechanism {
   Mechanism& operator=(const Mechanism&);
 
   int num_joints() const;
+  int num_bodies() const;
   const Eigen::Vector3d& gravity() const;
   void SetGravity(const Eigen::Vector3d& gravity_W);
   const BodyParameters& body_parameters() const;
@@ -110,7 +114,7 @@ void RneaGravityDerivative(const Mechanism& mechanism, Workspace& workspace, con
 void AbaDerivatives(const Mechanism& mechanism, Workspace& workspace, const VectorIn& q, const VectorIn& v,
                     const VectorIn& tau, VectorOut a, MatrixOut da_dq, MatrixOut da_dv, MatrixOut da_dtau);
 
-// Y with Rnea(q, v, a) = Y φ, n × 10n; column 10 k + i is parameter i of body k.
+// Y with Rnea(q, v, a) = Y φ, n × 10·bodies; column 10 k + i is parameter i of body k.
 void TorqueRegressor(const Mechanism& mechanism, Workspace& workspace, const VectorIn& q, const VectorIn& v,
                      const VectorIn& a, MatrixOut Y);
 

@@ -39,7 +39,7 @@ Vector10 LinkInBody(const model::Pose& X_BL, const model::LinkParameters& link) 
 BodyParameters LumpedInertias(const model::RobotModel& model, const LinkParametersMatrix& links) {
   RG_CHECK(links.cols() == model.num_links())
       << links.cols() << " columns for " << model.num_links() << " links";
-  BodyParameters out = BodyParameters::Zero(kBodyParameters, model.num_joints());
+  BodyParameters out = BodyParameters::Zero(kBodyParameters, model.num_bodies());
   for (int i = 0; i < model.num_links(); ++i) {
     const model::Link& link = model.link(i);
     if (link.body >= 0) out.col(link.body) += LinkInBody(link.X_BL, links.col(i));

@@ -79,7 +79,11 @@ struct EffectInfo {
   std::map<std::string, std::vector<std::string>> options;
   // Forms with words of their own; the row's own are of the others.
   std::vector<FormInfo> forms = {};
+  // Of another stage, but of the drive all the same: its rotor, the load on its gear.
+  bool of_drive = false;
 
+  // Whether it can only be where a drive is.
+  bool NeedsDrive() const { return stage == Stage::kActuator || stage == Stage::kTransmission || of_drive; }
   // Index into `parameters`, or -1.
   int FindParameter(std::string_view name) const;
   // Index into the values of an option of the spec's, the default's where it chooses none.

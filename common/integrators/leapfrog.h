@@ -37,14 +37,12 @@ StepResult LeapfrogStep(const StepProgram& program, const StepValues& values, co
 
   // First pass: everything at v.
   BiasHere(tree, v0, s);
-  dynamics::CompositeForces(tree, s.w);
-  dynamics::MassMatrix(tree, s.w);
-  UpdateEffectiveInertias(n, v0, values.stick_velocity, s);
+  MassMatrixHere(program, s);
+  UpdateEffectiveInertias(program, v0, values.stick_velocity, s);
   PointForces(program, values, v0, begin, end, false, s);
-  for (int i = 0; i < n; ++i) {
-    s.bias[i] = s.w.c[i] - s.E[i];
-    s.v1[i] = v0[i];
-  }
+  SetBias(program, s);
+  for (int i = 0; i < n; ++i) s.v1[i] = v0[i];
+  SetGivenVelocities(program, s.input.command, s.v1);
   SolveVelocity(c, false, s.failure.failed, s);
 
   // Further passes: the bias at the mean velocity, until what one more would change is negligible.
@@ -60,10 +58,8 @@ StepResult LeapfrogStep(const StepProgram& program, const StepValues& values, co
     for (int i = 0; i < n; ++i) s.mean[i] = Select(settled, s.mean[i], T(0.5) * (v0[i] + s.v1[i]));
     BiasHere(tree, s.mean, s);
     PointForces(program, values, s.mean, begin, end, directions != nullptr, s);
-    for (int i = 0; i < n; ++i) {
-      s.bias[i] = s.w.c[i] - s.E[i];
-      s.before[i] = s.v1[i];
-    }
+    SetBias(program, s);
+    for (int i = 0; i < n; ++i) s.before[i] = s.v1[i];
     SolveVelocity(c, true, settled, s);
     const T last = change;
     change = T(0.0);

@@ -20,19 +20,22 @@ void Acceleration(const LawContext<double, C>& c, bool derivatives, StepWorkspac
   dynamics::CopyIn(n, at.q, s.w.q);
   dynamics::Kinematics(tree, s.w);
   BiasHere(tree, at.v, s);
-  dynamics::CompositeForces(tree, s.w);
-  dynamics::MassMatrix(tree, s.w);
+  MassMatrixHere(*c.program, s);
   PointForces(*c.program, *c.values, at.v, at.t, at.t, derivatives, s);
-  Forces(c, at.v, s.force, s.slope, s.z1);
+  SetBias(*c.program, s);
+  FreeForces(c, at.v, s.force, s.slope, s.z1);
   LoadMass(n, 1.0, s, s.H);
   for (int i = 0; i < n; ++i) {
     s.H[i * C + i] += s.armature[i];
-    s.v1[i] = s.force[i] + s.E[i] - s.w.c[i];
+    s.v1[i] = s.force[i] - s.bias[i];
   }
+  SetApart<double, C>(*c.program, s.H);
+  DropBoundRows(*c.program, s.v1);
   int row = -1;
   s.failure.Add(Cholesky<double, C>(n, s.H, s.diagonal, &row), StepStatus::kMassMatrixNotPositive, row);
   if (s.failure.all()) return;
   CholeskySolve<double, C>(n, s.H, s.diagonal, s.v1);
+  FollowDrivers(*c.program, s.v1);
   for (int i = 0; i < n; ++i) s.failure.Add(!(math::Abs(s.v1[i]) < 1e300), StepStatus::kNonFinite, i);
 }
 
@@ -81,6 +84,7 @@ void StageSensitivity(const LawContext<double, C>& c, const Directions& directio
       s.B_v[source][i] += force[kCoupled][i] * (drive[kVelocity][source] + drive[kEndVelocity][source]);
     }
   }
+  BindStateMatrices(program, s);
   s.failure.Add(Invert<double, C>(n, s.inverse), StepStatus::kMassMatrixNotPositive, 0);
   for (int column = 0; column < directions.columns; ++column) {
     math::Row<double, C> rhs, end;

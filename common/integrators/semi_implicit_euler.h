@@ -26,14 +26,12 @@ StepResult SemiImplicitEulerStep(const StepProgram& program, const StepValues& v
   dynamics::CopyIn(n, q0, s.w.q);
   dynamics::Kinematics(tree, s.w);
   BiasHere(tree, v0, s);
-  dynamics::CompositeForces(tree, s.w);
-  dynamics::MassMatrix(tree, s.w);
-  UpdateEffectiveInertias(n, v0, values.stick_velocity, s);
+  MassMatrixHere(program, s);
+  UpdateEffectiveInertias(program, v0, values.stick_velocity, s);
   PointForces(program, values, v0, s.input.t, s.input.t + h, directions != nullptr, s);
-  for (int i = 0; i < n; ++i) {
-    s.bias[i] = s.w.c[i] - s.E[i];
-    s.v1[i] = v0[i];
-  }
+  SetBias(program, s);
+  for (int i = 0; i < n; ++i) s.v1[i] = v0[i];
+  SetGivenVelocities(program, s.input.command, s.v1);
   SolveVelocity(c, false, s.failure.failed, s);
   if (s.failure.all()) return s.failure.Result();
 

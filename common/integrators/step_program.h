@@ -43,6 +43,8 @@ struct JointProgram {
   int num_parameters = kFirstEffectParameter;
   int coupled_to = -1;  // joint whose drive torque reaches this one, or -1
   int sees = -1;        // joint whose position this one's law depends on, or -1; not beside coupled_to
+  // It moves as it is told: its command is not a torque but its velocity at the step's end.
+  bool prescribed = false;
 
   int num_locals() const { return kFirstState + num_states + num_parameters; }
 };
@@ -59,6 +61,7 @@ struct StepProgram {
   int num_states = 0;  // of z
   int max_states = 0;  // of one joint
   JointProgram joints[kMaxJoints];
+  bool all_free = true;  // no joint is prescribed or follows another one (tree.ties)
   LawOp ops[kMaxOps];
   int num_point_forces = 0;
   PointForce point_forces[kMaxPointForces];
@@ -85,7 +88,8 @@ struct StepInput {
   const double* z = nullptr;                // num_states
   const double* t = nullptr;                // 1
   const double* h = nullptr;                // 1
-  const double* command = nullptr;          // n, averages over the step (0 for joints without a drive)
+  const double* command = nullptr;          // n, averages over the step (0 for joints without a drive); end
+                                            // velocities of prescribed joints
   const double* command_weights = nullptr;  // per Directions::commands: d(average command)/d(column)
 };
 

@@ -54,6 +54,8 @@ void DirectForces(const LawContext<T, C>& c, const Directions& directions, const
     for (int k = 0; k < directions.num_body[b]; ++k) {
       const double* basis = directions.basis[b] + 10 * k;
       T* column = direct + (directions.first_body[b] + k) * C;
+      // Where a follower folds its rows into, which may be any.
+      for (int r = b + 1; r < n && program.tree.num_ties > 0; ++r) column[r] = T(0.0);
       for (int r = 0; r <= b; r += kWidth) {
         Pack<T> sum(0.0);
         for (int m = 0; m < 10; ++m) {
@@ -91,6 +93,33 @@ void DirectForces(const LawContext<T, C>& c, const Directions& directions, const
     for (int i = 0; i < n; ++i) {
       direct[point.column * C + i] = s.E_p[point.force * kMaxPointParameters + point.parameter][i];
     }
+  }
+  if (program.all_free) return;
+  for (int column = directions.first_direct; column < directions.columns; ++column) {
+    FoldForces(program, direct + column * C);
+    DropBoundRows(program, direct + column * C);
+  }
+}
+
+// The same for joints that are not free: followers with their drivers, prescribed ones not moved by anything.
+template <class T, int C, int N>
+RG_INLINE void BindStateMatrices(const StepProgram& program, StepWorkspace<T, C, N>& s) {
+  if (program.all_free) return;
+  const int n = s.Joints(program.tree);
+  for (math::Row<T, C>* A : {s.inverse, s.B_q, s.B_v}) {
+    FoldMatrix<T, C>(program, n, A);
+    for (int j = 0; j < n; ++j) {
+      for (int i = 0; i < n; ++i) {
+        if (program.joints[i].prescribed) A[j][i] = T(0.0);
+      }
+    }
+  }
+  for (int i = 0; i < n; ++i) {
+    if (program.joints[i].prescribed) s.inverse[i][i] = T(1.0);
+  }
+  for (int i = 0; i < program.tree.num_ties; ++i) {
+    const int k = program.tree.ties[i].follower;
+    s.inverse[k][k] = T(1.0);
   }
 }
 
@@ -140,6 +169,7 @@ Mask<T> StateMatrices(const LawContext<T, C>& c, const StepWeights<T>& weights, 
       s.B_v[source][i] += slope * s.gradients.drive[kVelocity][source];
     }
   }
+  BindStateMatrices(program, s);
   return Invert<T, C>(n, s.inverse);
 }
 

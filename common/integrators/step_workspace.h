@@ -2,6 +2,7 @@
 #pragma once
 
 #include "common/dynamics/kernels.h"
+#include "common/integrators/bound_joints.h"
 #include "common/integrators/joint_laws.h"
 #include "common/integrators/small_linear.h"
 #include "common/integrators/step_program.h"
@@ -111,6 +112,29 @@ void PointForces(const StepProgram& program, const StepValues& values, const T* 
 
 inline constexpr double kHeld = 1e9;  // a joint with so many times its inertia does not move
 
+// The mass matrix at the workspace's kinematics, of the free joints.
+template <class T, int C, int N>
+RG_INLINE void MassMatrixHere(const StepProgram& program, StepWorkspace<T, C, N>& s) {
+  dynamics::CompositeForces(program.tree, s.w);
+  dynamics::MassMatrix(program.tree, s.w);
+  FoldMatrix<T, C>(program, s.Joints(program.tree), s.w.M);
+}
+
+// s.bias = w.c less the point forces.
+template <class T, int C, int N>
+RG_INLINE void SetBias(const StepProgram& program, StepWorkspace<T, C, N>& s) {
+  for (int i = 0; i < s.Joints(program.tree); ++i) s.bias[i] = s.w.c[i] - s.E[i];
+  FoldForces(program, s.bias);
+}
+
+// Joint laws at end velocities v1, of the free joints.
+template <class T, int C>
+RG_INLINE void FreeForces(const LawContext<T, C>& c, const T* v1, T* force, T* slope, T* z1) {
+  Forces(c, v1, force, slope, z1);
+  FoldForces(*c.program, force);
+  FoldSlopes(*c.program, slope);
+}
+
 // w.M into H's lower triangle, scaled.
 template <class T, int C, int N>
 RG_INLINE void LoadMass(int n, T scale, const StepWorkspace<T, C, N>& s, T* H) {
@@ -122,7 +146,9 @@ RG_INLINE void LoadMass(int n, T scale, const StepWorkspace<T, C, N>& s, T* H) {
 // The inertia each joint's force sees, link plus rotor, joints that stick held: 1/(M⁻¹)_ii over the joints
 // that move. Also checks that M is positive definite.
 template <class T, int C, int N>
-RG_INLINE void UpdateEffectiveInertias(int n, const T* v, double stick_velocity, StepWorkspace<T, C, N>& s) {
+RG_INLINE void UpdateEffectiveInertias(const StepProgram& program, const T* v, double stick_velocity,
+                                       StepWorkspace<T, C, N>& s) {
+  const int n = s.Joints(program.tree);
   s.factored = false;
   LoadMass(n, T(1.0), s, s.H);
   const auto sticks = [&](int i) RG_LAMBDA_INLINE { return math::Abs(v[i]) <= T(stick_velocity); };
@@ -131,6 +157,7 @@ RG_INLINE void UpdateEffectiveInertias(int n, const T* v, double stick_velocity,
     s.mass[i] = inertia;
     s.H[i * C + i] = s.rough[i] ? math::Select(sticks(i), inertia * T(kHeld), inertia) : inertia;
   }
+  SetApart<T, C>(program, s.H);
   int row = -1;
   const math::Mask<T> bad = Cholesky<T, C>(n, s.H, s.diagonal, &row);
   s.failure.Add(bad, StepStatus::kMassMatrixNotPositive, row);
@@ -140,6 +167,10 @@ RG_INLINE void UpdateEffectiveInertias(int n, const T* v, double stick_velocity,
     for (int i = 0; i < n; ++i) {
       s.mass[i] = s.rough[i] ? math::Select(sticks(i), s.mass[i], seen[i]) : seen[i];
     }
+  }
+  for (int i = 0; i < program.tree.num_ties; ++i) {
+    const dynamics::Tie& tie = program.tree.ties[i];
+    s.mass[tie.follower] = s.mass[tie.driver] * T(1.0 / (tie.ratio * tie.ratio));
   }
 }
 

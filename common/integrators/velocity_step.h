@@ -51,9 +51,11 @@ RG_INLINE Mask<T> VelocityResidual(const LawContext<T, C>& c, const T* v1, const
   for (int i = 0; i < n; ++i) {
     residual[i] = inertial[i] + s.bias[i] - force[i];
     const T terms = TermSize(c, i, s.bias[i], force[i], slope[i], v1[i]);
+    if (c.program->joints[i].prescribed) continue;
     small = And(small,
                 math::Abs(residual[i]) <= T(1e-12) * terms + T(4e-16) * size[i] + Rounding(c, i, slope[i]));
   }
+  DropBoundRows(*c.program, residual);
   return small;
 }
 
@@ -100,14 +102,15 @@ struct LineSearch {
   }
 };
 
-// Solves for s.v1 from its present value, in the lanes that are not in `settled`; w.M and s.bias must be set.
+// Solves for s.v1 from its present value, which holds what is given (SetGivenVelocities), in the lanes that
+// are not in `settled`; w.M and s.bias must be set.
 // Afterwards s.v1, s.force, s.slope and s.z1 are those of the solution. `known`: s.force and s.slope are
 // already those at s.v1.
 template <class T, int C, int N>
 void SolveVelocity(const LawContext<T, C>& c, bool known, Mask<T> settled, StepWorkspace<T, C, N>& s) {
   const int n = s.Joints(c.program->tree);
   T residual[C] = {}, step[C] = {};
-  if (!known) Forces(c, s.v1, s.force, s.slope, s.z1);
+  if (!known) FreeForces(c, s.v1, s.force, s.slope, s.z1);
   Mask<T> done = Or(Or(settled, s.failure.failed), VelocityResidual(c, s.v1, s.force, s.slope, s, residual));
   for (int iteration = 0; iteration < kMaxNewton && !All(done); ++iteration) {
     // The slopes often are those of the last factor: of this step's first pass, or before an exact step.
@@ -122,6 +125,7 @@ void SolveVelocity(const LawContext<T, C>& c, bool known, Mask<T> settled, StepW
         s.H[i * C + i] -= s.slope[i];
         s.factored_slope[i] = s.slope[i];
       }
+      SetApart<T, C>(*c.program, s.H);
       s.factored = true;
       int row = -1;
       const Mask<T> bad = And(Cholesky<T, C>(n, s.H, s.diagonal, &row), Not(done));
@@ -141,7 +145,8 @@ void SolveVelocity(const LawContext<T, C>& c, bool known, Mask<T> settled, StepW
         s.trial[i] = Select(line.searching, s.v1[i] + line.at * step[i], s.trial[i]);
         still = And(still, And(s.trial[i] <= s.v1[i], s.trial[i] >= s.v1[i]));
       }
-      Forces(c, s.trial, s.trial_force, s.trial_slope, s.z1);
+      FollowDrivers(*c.program, s.trial);
+      FreeForces(c, s.trial, s.trial_force, s.trial_slope, s.z1);
       Mask<T> finished = VelocityResidual(c, s.trial, s.trial_force, s.trial_slope, s, residual);
       finished = Or(finished, still);
       if (!All(Or(finished, Not(line.searching)))) {

@@ -47,7 +47,7 @@ Outcome Simulator::Advance(State& x, const Eigen::VectorXd& u, double duration,
     std::fill_n(s.x.command_weights.doubles(), plan->commands().size(), 1.0);
   }
   SensitivityBuffers* buffers = plan == nullptr ? nullptr : &s.control_buffers;
-  for (int j = 0; j < s.n(); ++j) s.x.command[d.first_joint + j] = u[j];
+  for (int j = 0; j < s.n(); ++j) s.x.command[d.kernel[j]] = u[j];
   const long steps = StepsFor(duration, s.options.step_s);
   const double h = duration / static_cast<double>(steps);
   for (long i = 0; i < steps; ++i) {
@@ -55,12 +55,16 @@ Outcome Simulator::Advance(State& x, const Eigen::VectorXd& u, double duration,
     if (d.has_command_delay) {
       for (int j = 0; j < s.n(); ++j) {
         const double begin = t - s.Delay(j);
-        s.x.command[d.first_joint + j] = PieceAverage(x.commands.pieces_, j, x.time, u[j], begin, begin + h);
+        s.x.command[d.kernel[j]] = PieceAverage(x.commands.pieces_, j, x.time, u[j], begin, begin + h);
         if (plan != nullptr) {
           const double share = (begin + h - std::max(begin, x.time)) / h;
           s.x.command_weights.doubles()[j] = x.commands.pieces_.empty() ? 1.0 : std::clamp(share, 0.0, 1.0);
         }
       }
+    }
+    for (const int j : d.prescribed) {
+      const double now = s.x.v[d.kernel[j]];
+      s.x.command[d.kernel[j]] = now + (u[j] - now) / static_cast<double>(steps - i);
     }
     const Outcome outcome = s.Step(t, h, plan, buffers);
     if (!outcome.ok()) return outcome;

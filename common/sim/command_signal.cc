@@ -8,12 +8,6 @@
 
 namespace rg::sim {
 
-namespace {
-
-constexpr int kSteps = 8;  // from where even rows would have a time, before it is looked for
-
-}  // namespace
-
 Result<CommandSignal> CommandSignal::Create(std::vector<double> times, Eigen::MatrixXd values, Hold hold) {
   const auto count = static_cast<Eigen::Index>(times.size());
   if (count == 0) return InvalidError("a command signal without rows");
@@ -47,34 +41,21 @@ CommandSignal CommandSignal::Constant(const Eigen::VectorXd& u) {
   return Create({0.0}, u, Hold::kZeroOrder).value();
 }
 
-int CommandSignal::Segment(double t) const {
-  const int last = size() - 1;
-  if (!(t > times_.front())) return 0;
-  if (t >= times_.back()) return last;
-  // Rows are nearly even as a rule: a few steps from where they would be if they were.
-  int k = static_cast<int>(last * (t - times_.front()) / (times_.back() - times_.front()));
-  for (int step = 0; step < kSteps; ++step) {
-    if (t < times_[k]) {
-      --k;
-    } else if (k < last && t >= times_[k + 1]) {
-      ++k;
-    } else {
-      return k;
-    }
-  }
-  const auto next = std::upper_bound(times_.begin(), times_.end(), t);
-  return static_cast<int>(next - times_.begin()) - 1;
+CommandSignal CommandSignal::WithMotion(std::shared_ptr<const GivenMotion> motion) const {
+  CommandSignal out = *this;
+  out.motion_ = std::move(motion);
+  return out;
 }
 
 double CommandSignal::At(int joint, double t) const {
-  const int k = Segment(t);
+  const int k = SegmentAt(times_, t);
   if (hold_ == Hold::kZeroOrder || t <= times_[0] || k + 1 >= size()) return values_(joint, k);
   const double share = (t - times_[k]) / (times_[k + 1] - times_[k]);
   return values_(joint, k) + share * (values_(joint, k + 1) - values_(joint, k));
 }
 
 double CommandSignal::Integral(int joint, double t) const {
-  const int k = Segment(t);
+  const int k = SegmentAt(times_, t);
   const double since = t - times_[k];
   const double mean =
       hold_ == Hold::kZeroOrder ? values_(joint, k) : 0.5 * (values_(joint, k) + At(joint, t));
@@ -82,7 +63,7 @@ double CommandSignal::Integral(int joint, double t) const {
 }
 
 double CommandSignal::Average(int joint, double begin, double end) const {
-  const int first = Segment(begin);
+  const int first = SegmentAt(times_, begin);
   if (first + 1 >= size() || end <= times_[first + 1]) {  // inside one piece: exact, without cancellation
     if (hold_ == Hold::kZeroOrder) return values_(joint, first);
     if (begin >= times_[0]) return 0.5 * (At(joint, begin) + At(joint, end));

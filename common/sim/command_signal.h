@@ -7,12 +7,17 @@
 // The simulator takes averages over a step, shifted by the actuator delay T:
 //   ū = 1/h ∫_{t−T}^{t+h−T} u ds ,   dū/dT = (u(t−T) − u(t+h−T)) / h ,
 // so that a command that changes inside a step, and the delay itself, act smoothly.
+//
+// Joints that move as they are told (Plant::prescribed) have their motion beside it; their rows drive
+// nothing.
 #pragma once
 
 #include <Eigen/Core>
+#include <memory>
 #include <vector>
 
 #include "common/base/status.h"
+#include "common/sim/given_motion.h"
 
 namespace rg::sim {
 
@@ -25,6 +30,10 @@ class CommandSignal {
   static Result<CommandSignal> Create(std::vector<double> times, Eigen::MatrixXd values, Hold hold);
   // u for all times.
   static CommandSignal Constant(const Eigen::VectorXd& u);
+
+  // The same with the motion of prescribed joints (rows of it: joints of the signal), or without: null.
+  CommandSignal WithMotion(std::shared_ptr<const GivenMotion> motion) const;
+  const std::shared_ptr<const GivenMotion>& motion() const { return motion_; }
 
   int num_joints() const { return static_cast<int>(values_.rows()); }
   int size() const { return static_cast<int>(times_.size()); }
@@ -39,12 +48,11 @@ class CommandSignal {
   double Average(int joint, double begin, double end) const;
 
  private:
-  int Segment(double t) const;  // k with times[k] <= t < times[k+1], clipped to the rows
-
   std::vector<double> times_;
   Eigen::MatrixXd values_;    // n × K
   Eigen::MatrixXd integral_;  // n × K, ∫ from times[0] to times[k]
   Hold hold_ = Hold::kZeroOrder;
+  std::shared_ptr<const GivenMotion> motion_;
 };
 
 }  // namespace rg::sim

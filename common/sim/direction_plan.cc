@@ -16,14 +16,13 @@ bool UsedIn(const PlantData& plant, int parameter, std::initializer_list<Where> 
                      });
 }
 
+// The kernel joint that moves it.
 int BodyOf(const PlantData& plant, int parameter) {
+  const auto of = [&](int link) { return plant.PlaceOf(plant.tree_model->link(link).body); };
   for (const ParameterUse& use : plant.uses[parameter]) {
-    if (use.where == Where::kLink) return plant.tree_model->link(use.a).body;
-    if (use.where == Where::kRod) return plant.tree_model->link(plant.rod.link).body;
-    if (use.where == Where::kPayload) {
-      const int last = plant.first_joint + plant.num_joints() - 1;
-      return plant.tree_model->link(plant.tree_model->joint(last).child_link).body;
-    }
+    if (use.where == Where::kLink) return of(use.a);
+    if (use.where == Where::kRod) return of(plant.rod.link);
+    if (use.where == Where::kPayload) return of(plant.PayloadLink());
   }
   return -1;
 }
@@ -38,7 +37,7 @@ DirectionPlan::DirectionPlan(const PlantData& plant, Leading leading, std::vecto
   directions_.first_direct = leading_columns_;
   int next = leading_columns_;
   if (leading_.commands) {
-    for (int j = 0; j < n; ++j) commands_.push_back({plant.first_joint + j, next + j});
+    for (int j = 0; j < n; ++j) commands_.push_back({plant.kernel[j], next + j});
     next += n;
     leading_columns_ += n;
   }
@@ -72,7 +71,7 @@ DirectionPlan::DirectionPlan(const PlantData& plant, Leading leading, std::vecto
       } else if (use.where == Where::kPoint) {
         points_.push_back({use.a, use.b, own()});
       } else if (use.where == Where::kCommandDelay) {
-        commands_.push_back({plant.first_joint + use.a, own()});
+        commands_.push_back({plant.kernel[use.a], own()});
       }
     }
   }
@@ -150,13 +149,14 @@ void DirectionPlan::Start(const SensitivityLayout& layout, int lane, integrators
     *x = 0.0;
   if (!leading_.initial_state) return;
   double* column = s->columns;
+  // A prescribed joint's start is not free.
   const auto own = [&](int row, int joint) {
-    column[layout.Offset(row, joint, lane)] = 1.0;
+    if (!plant_.program.joints[joint].prescribed) column[layout.Offset(row, joint, lane)] = 1.0;
     column += size;
   };
   const int n = plant_.num_joints();
   for (int row = 0; row < 2; ++row) {
-    for (int i = 0; i < n; ++i) own(row, plant_.first_joint + i);
+    for (int i = 0; i < n; ++i) own(row, plant_.kernel[i]);
   }
   for (int i = 0; i < plant_.num_kernel_joints(); ++i) {
     for (int k = 0; k < plant_.program.joints[i].num_states; ++k) own(2 + k, i);

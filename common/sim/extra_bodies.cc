@@ -37,10 +37,17 @@ void AddFlexibleBase(model::RobotModel::Parts& parts) {
     base = target;
   }
   const model::Pose from_base = base.Inverse();
+  const auto onto_base = [&](model::Joint* joint) {
+    if (joint->parent < 0) joint->X_PB = from_base * joint->X_PB;
+    joint->parent += kBaseJoints;  // the base, -1, becomes the last of the two
+  };
   for (model::Joint joint : parts.joints) {
-    if (joint.parent < 0) joint.X_PB = from_base * joint.X_PB;
-    joint.parent += kBaseJoints;  // the base, -1, becomes the last of the two
+    onto_base(&joint);
     joints.push_back(std::move(joint));
+  }
+  for (model::Follower& follower : parts.followers) {
+    onto_base(&follower.joint);
+    follower.driver += kBaseJoints;
   }
   for (model::Link& link : parts.links) {
     if (link.body < 0) link.X_BL = from_base * link.X_BL;
@@ -49,10 +56,22 @@ void AddFlexibleBase(model::RobotModel::Parts& parts) {
   parts.joints = std::move(joints);
 }
 
+// Numbers for `count` more joints behind those there are: those of the followers' bodies grow.
+void MakeRoom(model::RobotModel::Parts& parts, int count) {
+  const int n = static_cast<int>(parts.joints.size());
+  const auto shift = [&](int* body) {
+    if (*body >= n) *body += count;
+  };
+  for (model::Joint& joint : parts.joints) shift(&joint.parent);
+  for (model::Follower& follower : parts.followers) shift(&follower.joint.parent);
+  for (model::Link& link : parts.links) shift(&link.body);
+}
+
 // `count` joints at the tool's origin, along or about its axes from the first one on; the last one carries
 // the mass, a link of its own in the tool's axes.
 void AddMovingMass(model::RobotModel::Parts& parts, int tool_link, model::JointType type, const char* name,
                    int first, int count) {
+  MakeRoom(parts, count);
   const model::Link& tool = parts.links[tool_link];
   model::Pose placement = tool.X_BL;  // of the tool's frame in the parent body
   int parent = tool.body;
@@ -84,6 +103,7 @@ std::shared_ptr<const model::RobotModel> WithExtraBodies(std::shared_ptr<const m
   parts.name = model->name();
   parts.urdf_text = model->urdf_text();
   parts.joints = model->joints();
+  parts.followers = model->followers();
   parts.links = model->links();
   parts.end_effector = model->FindLink(model->end_effector().name);
   if (extra.flexible_base) AddFlexibleBase(parts);

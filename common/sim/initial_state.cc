@@ -69,7 +69,7 @@ void Simulator::Impl::SettleInternalStates(const Eigen::VectorXd& position, cons
   const internal::PlantData& d = data();
   internal->setZero(d.num_internal_states());
   for (int i = 0; i < n(); ++i) {
-    const int k = d.first_joint + i;
+    const int k = d.kernel[i];
     const auto& joint = d.program.joints[k];
     SettleJoint(d.program, k, values.joint_parameters().data() + joint.first_parameter, position[i],
                 velocity[i], u[i], d.reference_mass[k], time, internal->data());

@@ -131,6 +131,12 @@ Result<ModelFile> Read(const json& root, const std::string& source) {
   if (!model.ok()) return model.status();
   PlantOptions plant_options;
   RG_ASSIGN_OR_RETURN(plant_options.gravity, ReadGravity(reader));
+  if (reader.Has("prescribed")) {
+    RG_ASSIGN_OR_RETURN(plant_options.prescribed, reader.Strings("prescribed"));
+  }
+  if (reader.Has("passive")) {
+    RG_ASSIGN_OR_RETURN(plant_options.passive, reader.Strings("passive"));
+  }
   RG_ASSIGN_OR_RETURN(const json list, reader.Get("effects", json::value_t::array, "a list"));
   std::vector<effects::EffectSpec> specs;
   for (size_t i = 0; i < list.size(); ++i) {
@@ -173,6 +179,8 @@ std::string ModelToJson(const Plant& plant, const Eigen::VectorXd& values, int v
                {"gravity", {gravity[0], gravity[1], gravity[2]}},
                {"effects", EffectsToJson(plant, values)},
                {"parameters", std::move(parameters)}};
+  if (!plant.options().prescribed.empty()) root["prescribed"] = plant.options().prescribed;
+  if (!plant.options().passive.empty()) root["passive"] = plant.options().passive;
   if (!plant.model().locked().empty()) root["locked"] = plant.model().locked();
   return root.dump(1, ' ', false, json::error_handler_t::replace) + "\n";
 }

@@ -129,7 +129,7 @@ void OutputWriter::SampleBefore(int j, int k, double offset) {
 }
 
 OutputWriter::State OutputWriter::Ends(int j, bool begin) const {
-  const int motor = impl_.data().sensors[j].motor_state, k = impl_.data().first_joint + j;
+  const int motor = impl_.data().sensors[j].motor_state, k = impl_.data().kernel[j];
   const auto at = [&](const double* x, int i) { return x[i * x_.lanes + lane_]; };
   if (motor >= 0) {
     const double* z = begin ? x_.begin_z : x_.z;
@@ -151,7 +151,7 @@ double OutputWriter::Value(int j, const Blend& b) const {
 // Σ weight · row of the sensitivities, in directions.
 const double* OutputWriter::DirectionRow(int j, const Blend& b) {
   const internal::PlantData& d = impl_.data();
-  const int count = plan_->num_directions(), motor = d.sensors[j].motor_state, k = d.first_joint + j;
+  const int count = plan_->num_directions(), motor = d.sensors[j].motor_state, k = d.kernel[j];
   const int row = motor >= 0 ? 2 + motor - d.program.joints[k].first_state : 0;
   std::fill_n(row_, count, 0.0);
   const auto add = [&](int which, double by_q, double by_v) {

@@ -49,10 +49,16 @@ void MoveInertia(const model::Pose& X_BL, const S* local, S* moved) {
 ParameterValues::ParameterValues(const PlantData& plant)
     : plant_(plant), joint_(plant.num_joint_parameters, 0.0), point_(plant.num_point_parameters, 0.0) {
   links_ = plant.tree_model->NominalLinkParameters();
-  const int last = plant.first_joint + plant.num_joints() - 1;
-  const model::Link& link = plant.tree_model->link(plant.tree_model->joint(last).child_link);
+  const model::Link& link = plant.tree_model->link(plant.PayloadLink());
   payload_body_ = link.body;
   payload_frame_ = link.X_BL;
+  // What the URDF says of a follower's own joint is no parameter.
+  for (int i = 0; i < plant.program.tree.num_ties; ++i) {
+    const int k = plant.program.tree.ties[i].follower;
+    const int first = plant.program.joints[k].first_parameter;
+    joint_[first + integrators::kDamping] = plant.KernelJoint(k).damping;
+    joint_[first + integrators::kFriction] = plant.KernelJoint(k).friction;
+  }
 }
 
 void ParameterValues::Set(const Eigen::VectorXd& values) {

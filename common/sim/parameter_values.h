@@ -16,14 +16,14 @@ class ParameterValues {
   void Set(const Eigen::VectorXd& values);
 
   const Eigen::VectorXd& values() const { return values_; }
-  const dynamics::BodyParameters& phi() const { return phi_; }  // 10 × kernel joints
+  const dynamics::BodyParameters& phi() const { return phi_; }  // 10 × bodies of the tree's model
   const Eigen::Vector3d& gravity() const { return gravity_; }
   const std::vector<double>& joint_parameters() const { return joint_; }
   const std::vector<double>& point_parameters() const { return point_; }
 
   // d gravity / d parameter.
   Eigen::Vector3d GravityDirection(int parameter) const;
-  // Body whose φ moves with the parameter, −1 if none does; d φ / d parameter.
+  // Body of the tree's model whose φ moves with the parameter, −1 if none does; d φ / d parameter.
   int InertiaDirection(int parameter, Eigen::Matrix<double, 10, 1>* direction) const;
 
  private:

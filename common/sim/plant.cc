@@ -29,6 +29,12 @@ const ParameterTable& Plant::parameters() const { return data_->table; }
 int Plant::num_joints() const { return data_->num_joints(); }
 int Plant::num_internal_states() const { return data_->num_internal_states(); }
 const std::vector<std::string>& Plant::joint_names() const { return data_->joint_names; }
+const std::vector<int>& Plant::prescribed() const { return data_->prescribed; }
+bool Plant::IsPrescribed(int joint) const { return data_->IsPrescribed(joint); }
+bool Plant::IsPassive(int joint) const { return data_->passive[static_cast<size_t>(joint)] != 0; }
+bool Plant::Takes(std::string_view effect, int joint) const {
+  return data_->Takes(*effects::FindEffect(effect), joint);
+}
 const std::vector<std::string>& Plant::internal_state_names() const { return data_->internal_state_names; }
 
 Result<Plant> Plant::WithEffect(effects::EffectSpec effect) const {

@@ -8,6 +8,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "common/base/status.h"
@@ -28,12 +29,18 @@ struct PlantOptions {
   Eigen::Vector3d gravity{0, 0, -9.81};  // m/s², base frame: the nominal of gravity.x|y|z
   // Nominal values of further base parameters, by name, where they are not the URDF's: as identified before.
   std::map<std::string, double> nominal;
+  // Joints that move as they are told: their motion comes with the command (CommandSignal::motion), its
+  // reaction on the others counts, and nothing acts on them.
+  std::vector<std::string> prescribed;
+  // Joints without a drive: none of its effects is there (EffectInfo::NeedsDrive).
+  std::vector<std::string> passive;
 };
 
 class Plant {
  public:
-  // Refuses what effects::ValidateSpec refuses, joints that the model lacks, the same effect twice on
-  // one joint, and combinations that are not defined (two elastic transmissions on one joint).
+  // Refuses what effects::ValidateSpec refuses, joints that the model lacks or that do not take the effect,
+  // the same effect twice on one joint, and combinations that are not defined (two elastic transmissions on
+  // one joint).
   static Result<Plant> Create(std::shared_ptr<const model::RobotModel> model,
                               const PlantOptions& options = {},
                               std::vector<effects::EffectSpec> effects = {});
@@ -48,6 +55,13 @@ class Plant {
   int num_internal_states() const;  // nz
   int num_states() const { return 2 * num_joints() + num_internal_states(); }
   const std::vector<std::string>& joint_names() const;
+  // Joints that move as they are told, ascending.
+  const std::vector<int>& prescribed() const;
+  bool IsPrescribed(int joint) const;
+  bool IsPassive(int joint) const;
+  // Whether the effect may act on the joint: nothing on a prescribed one, nothing of a drive on a passive
+  // one.
+  bool Takes(std::string_view effect, int joint) const;
   // "bristle.joint_2", "motor_position.joint_3": what z(k) is.
   const std::vector<std::string>& internal_state_names() const;
 

@@ -68,6 +68,7 @@ PlantBuilder::PlantBuilder(std::shared_ptr<const model::RobotModel> model, const
 std::shared_ptr<const PlantData> PlantBuilder::Take() { return std::move(data_); }
 
 Status PlantBuilder::Build() {
+  RG_RETURN_IF_ERROR(TakeRoles());
   RG_RETURN_IF_ERROR(CheckEffects());
   LayOutTree();
   AddBaseParameters();
@@ -78,6 +79,39 @@ Status PlantBuilder::Build() {
   return Status::Ok();
 }
 
+// Which joints move as they are told, and which have no drive.
+Status PlantBuilder::TakeRoles() {
+  PlantData& d = *data_;
+  d.passive.assign(static_cast<size_t>(d.model->num_joints()), 0);
+  for (const std::vector<std::string>* names : {&d.options.prescribed, &d.options.passive}) {
+    const bool prescribed = names == &d.options.prescribed;
+    for (const std::string& name : *names) {
+      const int joint = d.model->FindJoint(name);
+      if (joint < 0)
+        return InvalidError(std::string(prescribed ? "prescribed" : "passive") +
+                            ": the model has no moving joint " + name);
+      if (!prescribed) {
+        d.passive[static_cast<size_t>(joint)] = 1;
+      } else if (std::count(d.prescribed.begin(), d.prescribed.end(), joint) == 0) {
+        d.prescribed.push_back(joint);
+      }
+    }
+  }
+  std::sort(d.prescribed.begin(), d.prescribed.end());
+  return Status::Ok();
+}
+
+Status PlantBuilder::CheckRole(const EffectSpec& spec, const std::string& joint) const {
+  const EffectInfo& info = *effects::FindEffect(spec.id);
+  const int j = data_->model->FindJoint(joint);
+  // The first joint of such a pair is only looked at.
+  const bool seen = info.scope == effects::Scope::kJointPair && !info.NeedsDrive() && joint == spec.joints[0];
+  if (seen || data_->Takes(info, j)) return Status::Ok();
+  return InvalidError("effect " + spec.id + ": " + joint +
+                      (data_->IsPrescribed(j) ? " moves as it is told (prescribed), nothing acts on it"
+                                              : " has no drive (passive)"));
+}
+
 Status PlantBuilder::CheckEffects() const {
   const auto& specs = data_->effects;
   for (size_t i = 0; i < specs.size(); ++i) {
@@ -86,6 +120,7 @@ Status PlantBuilder::CheckEffects() const {
       if (data_->model->FindJoint(joint) < 0) {
         return InvalidError("effect " + specs[i].id + ": the model has no moving joint " + joint);
       }
+      RG_RETURN_IF_ERROR(CheckRole(specs[i], joint));
     }
     for (size_t j = 0; j < i; ++j) {
       if (specs[j].id != specs[i].id) continue;
@@ -123,15 +158,20 @@ void PlantBuilder::LayOutTree() {
   d.first_joint = extra.flexible_base ? kBaseJoints : 0;
   for (const auto& joint : d.model->joints()) d.joint_names.push_back(joint.name);
   const int n = d.num_joints();
+  for (int j = 0; j < n; ++j) d.kernel.push_back(d.PlaceOf(d.first_joint + j));
   for (int k = 0; k < d.num_kernel_joints(); ++k) {
-    if (k < d.first_joint || k >= d.first_joint + n) d.extra_joints.push_back(k);
+    const int own = d.program.tree.body[k];
+    const bool follows = own >= d.tree_model->num_joints();
+    if (!follows && (own < d.first_joint || own >= d.first_joint + n)) d.extra_joints.push_back(k);
   }
+  for (const int j : d.prescribed) d.program.joints[d.kernel[j]].prescribed = true;
+  d.program.all_free = d.prescribed.empty() && d.program.tree.num_ties == 0;
   ops_.resize(d.num_kernel_joints());
   joint_parameters_.assign(d.num_kernel_joints(), integrators::kFirstEffectParameter);
   d.command_delay.assign(n, -1);
   d.sensors.assign(n, {});
   const auto tool = d.tree_model->FindFrame(d.model->link(tool_link).name);
-  d.program.point_body = tool->body;
+  d.program.point_body = d.PlaceOf(tool->body);
   for (int i = 0; i < 3; ++i) d.program.point[i] = tool->X_BF.translation[i];
   if (extra.rod_hinge < 0) return;
   d.rod.hinge = extra.rod_hinge;
@@ -180,7 +220,7 @@ void PlantBuilder::AddBaseParameters() {
       const auto [nominal, lower, prior, unit] = values(joint);
       Add(Row(std::string(field) + "." + joint.name, kind, joint.name, field, unit, nominal, lower, kInfinity,
               prior),
-          {{Where::kLaw, data_->first_joint + j, local}});
+          {{Where::kLaw, data_->kernel[j], local}});
     }
   };
   using Values = std::tuple<double, double, double, const char*>;
@@ -191,8 +231,11 @@ void PlantBuilder::AddBaseParameters() {
   add_joints("friction", ParameterKind::kFriction, integrators::kFriction, [](const model::Joint& j) {
     return Values(j.friction, 0.0, std::max(j.friction, 0.1 * EffortScale(j)), j.is_revolute() ? "N*m" : "N");
   });
-  add_joints("force_gain", ParameterKind::kForceGain, integrators::kForceGain,
-             [](const model::Joint&) { return Values(1.0, -kInfinity, 0.2, "-"); });
+  // What a file says of an effort where there is no drive moves nothing.
+  add_joints("force_gain", ParameterKind::kForceGain, integrators::kForceGain, [&](const model::Joint& j) {
+    const bool passive = data_->passive[static_cast<size_t>(model.FindJoint(j.name))] != 0;
+    return Values(passive ? 0.0 : 1.0, -kInfinity, 0.2, "-");
+  });
 }
 
 Status PlantBuilder::AddEffect(const EffectSpec& spec) {
@@ -201,7 +244,7 @@ Status PlantBuilder::AddEffect(const EffectSpec& spec) {
   if (info.scope == effects::Scope::kJointPair) {
     const int from = data_->model->FindJoint(spec.joints[0]), to = data_->model->FindJoint(spec.joints[1]);
     const auto rows = AddRows(spec, kind, "*", to);
-    AddLaw(data_->first_joint + to, kind, 0, rows, data_->first_joint + from);
+    AddLaw(data_->kernel[to], kind, 0, rows, data_->kernel[from]);
     return Status::Ok();
   }
   if (spec.joints.empty()) {
@@ -253,7 +296,7 @@ void PlantBuilder::AddLaw(int kernel_joint, int kind, int option, const std::vec
 
 Status PlantBuilder::AddJointEffect(const EffectSpec& spec, int kind, int joint) {
   const EffectInfo& info = effects::Catalog()[kind];
-  const int k = data_->first_joint + joint;
+  const int k = data_->kernel[joint];
   const auto rows = AddRows(spec, kind, spec.joints.empty() ? "*" : data_->joint_names[joint], joint);
   JointSensor& sensor = data_->sensors[joint];
   switch (effects::TraitsOf(kind).role) {
@@ -331,7 +374,7 @@ void PlantBuilder::AddRobotEffect(const EffectSpec& spec, int kind) {
     case Role::kExtraBodies: {
       const bool base = info.id == "base_flexibility";
       for (const int k : d.extra_joints) {
-        if ((k < d.first_joint) == base) AddLaw(k, kind, FirstOption(info, spec), rows);
+        if ((d.program.tree.body[k] < d.first_joint) == base) AddLaw(k, kind, FirstOption(info, spec), rows);
       }
       if (!base) AddMovingMass(rows);
       return;
@@ -370,7 +413,7 @@ Status PlantBuilder::LayOutProgram() {
     joint.first_state = d.program.num_states;
     joint.first_parameter = d.num_joint_parameters;
     joint.num_parameters = joint_parameters_[k];
-    const std::string& name = d.tree_model->joint(k).name;
+    const std::string& name = d.KernelJoint(k).name;
     if (next_op + joint.num_ops > integrators::kMaxOps) return InvalidError("too many effects");
     for (const PendingOp& op : pending) {
       if (op.coupled_to >= 0) {
@@ -383,8 +426,8 @@ Status PlantBuilder::LayOutProgram() {
       if (op.phase < static_cast<int>(effects::Phase::kCoupling)) ++joint.num_actuator_ops;
       d.program.ops[next_op++] = {op.kind, op.first_parameter, joint.num_states, op.option};
       const auto& states = effects::TraitsOf(op.kind).state_names;
-      const int user = k - d.first_joint;
-      if (op.phase == static_cast<int>(effects::Phase::kTransmission) && user >= 0 && user < d.num_joints()) {
+      const auto user = std::find(d.kernel.begin(), d.kernel.end(), k) - d.kernel.begin();
+      if (op.phase == static_cast<int>(effects::Phase::kTransmission) && user < d.num_joints()) {
         if (joint.coupled_to >= 0) {
           return InvalidError("effect joint_coupling cannot end at " + name +
                               ", whose transmission is elastic");
@@ -404,7 +447,7 @@ Status PlantBuilder::LayOutProgram() {
   for (int k = 0; k < d.num_kernel_joints(); ++k) {
     const int source = d.program.joints[k].coupled_to;
     if (source >= 0 && d.program.joints[source].coupled_to >= 0) {
-      return InvalidError("effect joint_coupling: " + d.tree_model->joint(source).name +
+      return InvalidError("effect joint_coupling: " + d.KernelJoint(source).name +
                           " is both the end and the start of a coupling");
     }
   }
@@ -417,21 +460,21 @@ void PlantBuilder::NameInternalStates() {
     const integrators::JointProgram& joint = d.program.joints[k];
     for (int o = joint.first_op; o < joint.first_op + joint.num_ops; ++o) {
       for (const auto& state : effects::TraitsOf(d.program.ops[o].kind).state_names) {
-        d.internal_state_names.push_back(state + "." + d.tree_model->joint(k).name);
+        d.internal_state_names.push_back(state + "." + d.KernelJoint(k).name);
       }
     }
   }
   for (const int k : d.extra_joints) {
-    d.internal_state_names.push_back("position." + d.tree_model->joint(k).name);
-    d.internal_state_names.push_back("velocity." + d.tree_model->joint(k).name);
+    d.internal_state_names.push_back("position." + d.KernelJoint(k).name);
+    d.internal_state_names.push_back("velocity." + d.KernelJoint(k).name);
   }
 }
 
 // The median over a fixed set of poses of the inertia each joint's force sees, at nominal parameters.
 void PlantBuilder::SetReferenceMasses() {
   PlantData& d = *data_;
-  const int n = d.num_kernel_joints();
-  d.reference_mass.assign(n, 1.0);
+  const int n = d.tree_model->num_joints();
+  d.reference_mass.assign(d.num_kernel_joints(), 1.0);
   ParameterValues values(d);
   values.Set(d.table.Nominal());
   dynamics::Mechanism mechanism(*d.tree_model);
@@ -443,24 +486,28 @@ void PlantBuilder::SetReferenceMasses() {
   Eigen::VectorXd q(n);
   Eigen::MatrixXd M(n, n);
   for (int pose = 0; pose < kPoses; ++pose) {
-    for (int k = 0; k < n; ++k) {
-      const model::Joint& joint = d.tree_model->joint(k);
-      const bool extra = std::count(d.extra_joints.begin(), d.extra_joints.end(), k) > 0;
+    for (int j = 0; j < n; ++j) {
+      const model::Joint& joint = d.tree_model->joint(j);
+      const bool extra = std::count(d.extra_joints.begin(), d.extra_joints.end(), d.PlaceOf(j)) > 0;
       const double low = std::isfinite(joint.lower) ? joint.lower : -3.14;
       const double high = std::isfinite(joint.upper) ? joint.upper : 3.14;
-      q[k] = extra ? 0.0 : rng.Uniform(low, high);
+      q[j] = extra ? 0.0 : rng.Uniform(low, high);
     }
     dynamics::Crba(mechanism, workspace, q, M);
     const Eigen::MatrixXd inverse = M.inverse();
-    for (int k = 0; k < n; ++k) {
-      const double mass = 1.0 / inverse(k, k);
-      if (std::isfinite(mass) && mass > 0) seen[k].push_back(mass);
+    for (int j = 0; j < n; ++j) {
+      const double mass = 1.0 / inverse(j, j);
+      if (std::isfinite(mass) && mass > 0) seen[j].push_back(mass);
     }
   }
-  for (int k = 0; k < n; ++k) {
-    if (seen[k].empty()) continue;
-    std::nth_element(seen[k].begin(), seen[k].begin() + seen[k].size() / 2, seen[k].end());
-    d.reference_mass[k] = seen[k][seen[k].size() / 2];
+  for (int j = 0; j < n; ++j) {
+    if (seen[j].empty()) continue;
+    std::nth_element(seen[j].begin(), seen[j].begin() + seen[j].size() / 2, seen[j].end());
+    d.reference_mass[d.PlaceOf(j)] = seen[j][seen[j].size() / 2];
+  }
+  for (int i = 0; i < d.program.tree.num_ties; ++i) {
+    const dynamics::Tie& tie = d.program.tree.ties[i];
+    d.reference_mass[tie.follower] = d.reference_mass[tie.driver] / (tie.ratio * tie.ratio);
   }
 }
 

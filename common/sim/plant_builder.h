@@ -29,6 +29,8 @@ class PlantBuilder {
     int coupled_to;       // kernel joint, or -1
   };
 
+  Status TakeRoles();
+  Status CheckRole(const effects::EffectSpec& spec, const std::string& joint) const;
   Status CheckEffects() const;
   int ToolLink() const;
   void LayOutTree();

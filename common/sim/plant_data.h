@@ -1,6 +1,7 @@
 // How a plant is laid out for the step kernels. Private to this folder.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <memory>
 #include <string>
@@ -63,9 +64,13 @@ struct PlantData {
   std::vector<std::string> joint_names;
   std::vector<std::string> internal_state_names;
 
-  // Kernel joints: those that the base stands on, the robot's n, those that hang on it.
-  int first_joint = 0;            // kernel joint of joint 0
+  // Kernel joints, places in program.tree: those that the base stands on, the robot's n, those that follow
+  // one of them, those that hang on it.
+  int first_joint = 0;            // number of joint 0 among the tree's model's
+  std::vector<int> kernel;        // per joint: its kernel joint
   std::vector<int> extra_joints;  // kernel joints that effects add
+  std::vector<int> prescribed;    // joints, ascending
+  std::vector<char> passive;      // per joint
   integrators::StepProgram program;
   int num_joint_parameters = 0;
   int num_point_parameters = 0;
@@ -78,6 +83,19 @@ struct PlantData {
   int payload = -1;       // first parameter of the payload, or -1
   int gravity_turn = -1;  // first parameter of gravity_misalignment, or -1
   Rod rod;
+
+  // What the kernel's joint k is in the tree's model.
+  const model::Joint& KernelJoint(int k) const { return tree_model->body_joint(program.tree.body[k]); }
+  // Kernel joint of a body of the tree's model; -1 of the base.
+  int PlaceOf(int body) const { return body < 0 ? -1 : program.tree.place[body]; }
+  // The last joint's child link, which a payload is fixed to.
+  int PayloadLink() const { return tree_model->joint(first_joint + num_joints() - 1).child_link; }
+  bool IsPrescribed(int joint) const {
+    return std::binary_search(prescribed.begin(), prescribed.end(), joint);
+  }
+  bool Takes(const effects::EffectInfo& effect, int joint) const {
+    return !IsPrescribed(joint) && !(passive[static_cast<size_t>(joint)] && effect.NeedsDrive());
+  }
 
   int num_joints() const { return static_cast<int>(joint_names.size()); }
   int num_kernel_joints() const { return program.tree.n; }

@@ -27,7 +27,7 @@ void LookBack(Simulator::Impl& s, const State& x0, const CommandSignal& signal, 
   const double h = s.options.step_s;
   SensitivityBuffers* buffers = plan == nullptr ? nullptr : &s.buffers;
   const auto restart = [&] {
-    s.x.Load(s.data(), x0, 0);
+    s.x.LoadStart(s.data(), x0, signal, 0);
     s.step_count = 0;
     s.buffers.current = 0;
     if (plan != nullptr) plan->Start(s.buffers.layout, 0, &s.buffers.at[0]);
@@ -54,12 +54,17 @@ void Simulator::Impl::SetCommands(const CommandSignal& signal, double t, double 
   const internal::PlantData& d = data();
   for (int j = 0; j < n(); ++j) {
     const double from = t - Delay(j);
-    to->command[(d.first_joint + j) * to->lanes + lane] = signal.Average(j, from, from + h);
+    to->command[d.kernel[j] * to->lanes + lane] = signal.Average(j, from, from + h);
+  }
+  for (size_t i = 0; i < d.prescribed.size(); ++i) {
+    to->command[d.kernel[d.prescribed[i]] * to->lanes + lane] =
+        signal.motion()->At(static_cast<int>(i), t + h).v;
   }
   if (p == nullptr) return;
   double* weight = to->command_weights.doubles() + lane;
   for (const auto& command : p->commands()) {
-    const int j = command.joint - d.first_joint;
+    const auto j =
+        static_cast<int>(std::find(d.kernel.begin(), d.kernel.end(), command.joint) - d.kernel.begin());
     const double from = t - Delay(j);
     *weight = (signal.At(j, from) - signal.At(j, from + h)) / h;
     weight += to->lanes;
@@ -78,7 +83,7 @@ void Simulator::SimulateInto(const State& x0, const CommandSignal& signal, const
   Impl& s = *impl_;
   RG_CHECK(signal.num_joints() == s.n()) << signal.num_joints() << " commands for " << s.n() << " joints";
   RG_CHECK(std::is_sorted(times.begin(), times.end()) && (times.empty() || times[0] >= x0.time - 1e-9));
-  s.x.Load(s.data(), x0, 0);
+  s.x.LoadStart(s.data(), x0, signal, 0);
   s.step_count = 0;
   internal::DirectionPlan* plan = nullptr;
   if (request.any()) {
@@ -104,6 +109,7 @@ void Simulator::SimulateInto(const State& x0, const CommandSignal& signal, const
       SetCommands(s, signal, t, h, plan);
       out->outcome = s.Step(t, h, plan, buffers);
       if (!out->outcome.ok()) return;
+      s.x.SetGiven(s.data(), signal, t + h, 0);
       writer.AfterStep(t, h);
     }
     time = times[k];

@@ -148,7 +148,7 @@ void Simulator::SimulateWindows(const std::vector<SimulationWindow>& windows,
     while (next < windows.size()) {
       const auto k = static_cast<int>(next++);
       const SimulationWindow& w = windows[k];
-      r.x.Load(d, w.x0, lane);
+      r.x.LoadStart(d, w.x0, *w.command, lane);
       if (plan != nullptr) plan->Start(r.buffers.layout, lane, &r.buffers.at[0]);
       OutputWriter writer(s, r.x, lane, plan, plan == nullptr ? nullptr : &r.buffers, w.x0.time, *w.times,
                           &(*out)[k]);
@@ -182,8 +182,9 @@ void Simulator::SimulateWindows(const std::vector<SimulationWindow>& windows,
         alone.push_back(lanes[lane].window());
         lanes[lane].Stop();
         refill(lane);
-      } else if (!lanes[lane].Advance()) {
-        refill(lane);
+      } else {
+        r.x.SetGiven(d, *windows[lanes[lane].window()].command, r.t()[lane] + r.h()[lane], lane);
+        if (!lanes[lane].Advance()) refill(lane);
       }
     }
   }

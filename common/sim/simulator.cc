@@ -50,9 +50,10 @@ void KernelState::Load(const internal::PlantData& d, const State& x, int lane) {
   RG_CHECK(x.q.size() == n && x.v.size() == n && x.z.size() == d.num_internal_states())
       << x.q.size() << " " << x.v.size() << " " << x.z.size();
   for (int i = 0; i < n; ++i) {
-    q[(d.first_joint + i) * lanes + lane] = x.q[i];
-    v[(d.first_joint + i) * lanes + lane] = x.v[i];
+    q[d.kernel[i] * lanes + lane] = x.q[i];
+    v[d.kernel[i] * lanes + lane] = x.v[i];
   }
+  Follow(d, lane);
   int next = 0;
   for (; next < d.program.num_states; ++next) z[next * lanes + lane] = x.z[next];
   for (const int k : d.extra_joints) {
@@ -61,10 +62,39 @@ void KernelState::Load(const internal::PlantData& d, const State& x, int lane) {
   }
 }
 
+void KernelState::Follow(const internal::PlantData& d, int lane) {
+  for (int i = 0; i < d.program.tree.num_ties; ++i) {
+    const dynamics::Tie& tie = d.program.tree.ties[i];
+    q[tie.follower * lanes + lane] = tie.ratio * q[tie.driver * lanes + lane] + tie.offset;
+    v[tie.follower * lanes + lane] = tie.ratio * v[tie.driver * lanes + lane];
+  }
+}
+
+void KernelState::LoadStart(const internal::PlantData& d, const State& x, const CommandSignal& signal,
+                            int lane) {
+  Load(d, x, lane);
+  if (d.prescribed.empty()) return;
+  const GivenMotion* motion = signal.motion().get();
+  RG_CHECK(motion != nullptr && motion->joints() == d.prescribed)
+      << "the command brings no motion of the prescribed joints";
+  for (size_t i = 0; i < d.prescribed.size(); ++i) {
+    v[d.kernel[d.prescribed[i]] * lanes + lane] = motion->At(static_cast<int>(i), x.time).v;
+  }
+  SetGiven(d, signal, x.time, lane);
+}
+
+void KernelState::SetGiven(const internal::PlantData& d, const CommandSignal& signal, double t, int lane) {
+  if (d.prescribed.empty()) return;
+  for (size_t i = 0; i < d.prescribed.size(); ++i) {
+    q[d.kernel[d.prescribed[i]] * lanes + lane] = signal.motion()->At(static_cast<int>(i), t).q;
+  }
+  Follow(d, lane);
+}
+
 void KernelState::StoreStacked(const internal::PlantData& d, int lane, double* x) const {
   const int n = d.num_joints();
-  for (int i = 0; i < n; ++i) *x++ = q[(d.first_joint + i) * lanes + lane];
-  for (int i = 0; i < n; ++i) *x++ = v[(d.first_joint + i) * lanes + lane];
+  for (int i = 0; i < n; ++i) *x++ = q[d.kernel[i] * lanes + lane];
+  for (int i = 0; i < n; ++i) *x++ = v[d.kernel[i] * lanes + lane];
   for (int k = 0; k < d.program.num_states; ++k) *x++ = z[k * lanes + lane];
   for (const int k : d.extra_joints) {
     *x++ = q[k * lanes + lane];
@@ -74,8 +104,7 @@ void KernelState::StoreStacked(const internal::PlantData& d, int lane, double* x
 
 void KernelState::Store(const internal::PlantData& d, State* x) const {
   const int n = d.num_joints();
-  std::copy_n(q + d.first_joint, n, x->q.data());
-  std::copy_n(v + d.first_joint, n, x->v.data());
+  for (int i = 0; i < n; ++i) x->q[i] = q[d.kernel[i]], x->v[i] = v[d.kernel[i]];
   double* out = std::copy_n(z, d.program.num_states, x->z.data());
   for (const int k : d.extra_joints) {
     *out++ = q[k];
@@ -121,7 +150,8 @@ void Simulator::Impl::SetValues(const Eigen::VectorXd& p) {
   values.Set(p);
   ++version;
   for (int k = 0; k < data().num_kernel_joints(); ++k) {
-    for (int i = 0; i < 10; ++i) kernel_values.phi[k][i] = values.phi()(i, k);
+    const int body = data().program.tree.body[k];
+    for (int i = 0; i < 10; ++i) kernel_values.phi[k][i] = values.phi()(i, body);
   }
   for (int i = 0; i < 3; ++i) kernel_values.gravity[i] = values.gravity()[i];
   kernel_values.joint_parameters = values.joint_parameters().data();
@@ -146,7 +176,14 @@ Outcome Simulator::Impl::StepInParts(double t, double h, int halvings, internal:
            b == nullptr ? nullptr : b->direct, b == nullptr ? kNone : b->at[b->current],
            b == nullptr ? kNone : b->at[1 - b->current], output, scratch.data());
   if (result.status == StepStatus::kNotConverged && halvings < kMaxHalvings) {
+    double ends[integrators::kMaxJoints];
+    for (const int j : d.prescribed) {
+      double& end = x.command[d.kernel[j]];
+      ends[j] = end;
+      end = 0.5 * (x.v[d.kernel[j]] + end);
+    }
     const Outcome first = StepInParts(t, 0.5 * h, halvings + 1, p, b);
+    for (const int j : d.prescribed) x.command[d.kernel[j]] = ends[j];
     return first.ok() ? StepInParts(t + 0.5 * h, 0.5 * h, halvings + 1, p, b) : first;
   }
   if (result.status != StepStatus::kOk) {
@@ -157,12 +194,12 @@ Outcome Simulator::Impl::StepInParts(double t, double h, int halvings, internal:
                        : Outcome::Kind::kNotConverged;
     outcome.step = step_count;
     outcome.time = t;
-    outcome.joint = d.tree_model->joint(std::max(result.joint, 0)).name;
+    outcome.joint = d.KernelJoint(std::max(result.joint, 0)).name;
     // A state that is already not finite makes the mass matrix so.
     for (int i = 0; i < d.num_kernel_joints(); ++i) {
       if (std::isfinite(x.q[i]) && std::isfinite(x.v[i]) && std::isfinite(x.command[i])) continue;
       outcome.kind = Outcome::Kind::kNonFinite;
-      outcome.joint = d.tree_model->joint(i).name;
+      outcome.joint = d.KernelJoint(i).name;
       break;
     }
     return outcome;
@@ -229,6 +266,10 @@ Status Simulator::Supports(const Plant& plant, const SimulatorOptions& options) 
   if (!(options.step_s > 0) || !std::isfinite(options.step_s)) return InvalidError("step_s must be positive");
   if (!(options.stick_velocity > 0)) return InvalidError("stick_velocity must be positive");
   if (!(options.rk4_sign_width > 0)) return InvalidError("rk4_sign_width must be positive");
+  if (options.integrator == Integrator::kRk4 && !plant.prescribed().empty()) {
+    return InvalidError("rk4 cannot step joints that move as they are told (" +
+                        plant.joint_names()[plant.prescribed()[0]] + "); use leapfrog");
+  }
   if (options.integrator == Integrator::kRk4 && plant.data().program.num_states > 0) {
     return InvalidError("rk4 cannot step internal states (" + plant.internal_state_names()[0] +
                         "); use leapfrog");
@@ -248,11 +289,12 @@ bool Simulator::Acceleration(const State& x, const Eigen::VectorXd& u, Eigen::Ve
   Impl& s = *impl_;
   const internal::PlantData& d = s.data();
   s.x.Load(d, x, 0);
-  for (int i = 0; i < s.n(); ++i) s.x.command[d.first_joint + i] = u[i];
+  for (int i = 0; i < s.n(); ++i) s.x.command[d.kernel[i]] = u[i];
   const double instant = 0.0;
   const integrators::StepInput input{s.x.q, s.x.v, s.x.z, &x.time, &instant, s.x.command, nullptr};
   const auto result = s.kernels.acceleration(d.program, s.kernel_values, input, s.x.next_v, s.scratch.data());
-  *a = Eigen::Map<const Eigen::VectorXd>(s.x.next_v + d.first_joint, s.n());
+  a->resize(s.n());
+  for (int i = 0; i < s.n(); ++i) (*a)[i] = s.x.next_v[d.kernel[i]];
   return result.status == StepStatus::kOk;
 }
 

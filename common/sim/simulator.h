@@ -130,7 +130,9 @@ class Simulator {
   State MakeStateFromMeasurement(const Eigen::VectorXd& q, const Eigen::VectorXd& v, double time,
                                  const CommandSignal& command) const;
 
-  // u (n) held over [x.time, x.time + duration]; duration > 0. On failure x stays as it was.
+  // u (n) held over [x.time, x.time + duration]; duration > 0. On failure x stays as it was. Of a prescribed
+  // joint u is its velocity at the end, to which it goes evenly from x; its state is nothing's derivative
+  // there, nor has it any.
   Outcome Advance(State& x, const Eigen::VectorXd& u, double duration,
                   Linearization* linearization = nullptr);
 
@@ -138,7 +140,8 @@ class Simulator {
   void Measure(const State& x, Eigen::VectorXd* q, Eigen::VectorXd* v) const;
 
   // Runs from x0 (at x0.time) to the last output time. times: increasing, the first ≥ x0.time. Commands
-  // before x0.time come from the signal.
+  // before x0.time come from the signal. Prescribed joints move as the signal's motion says, which it must
+  // bring, from the start on: what x0 says of them does not count.
   Trajectory Simulate(const State& x0, const CommandSignal& command, const std::vector<double>& times,
                       const SensitivityRequest& request = {});
   // The same into a trajectory whose memory is used again.
@@ -154,7 +157,8 @@ class Simulator {
   // Runs that are taken at once: 1, 2, 4 or 8.
   int lanes() const;
 
-  // Joint accelerations (n) at a state under a held command: forces at the instantaneous velocity.
+  // Joint accelerations (n) at a state under a held command: forces at the instantaneous velocity. Prescribed
+  // joints are not accelerated.
   // Returns false where the mass matrix is not positive definite.
   bool Acceleration(const State& x, const Eigen::VectorXd& u, Eigen::VectorXd* a);
 

@@ -36,8 +36,15 @@ struct KernelState {
   KernelState(const internal::PlantData& plant, int lanes);
 
   void Load(const internal::PlantData& plant, const State& x, int lane);
+  // The same as a run under `signal` begins: prescribed joints are where they are told to be.
+  void LoadStart(const internal::PlantData& plant, const State& x, const CommandSignal& signal, int lane);
+  // Positions of prescribed joints, and of what follows them, as they are told at time t: no rounding of
+  // steps adds up.
+  void SetGiven(const internal::PlantData& plant, const CommandSignal& signal, double t, int lane);
   void Store(const internal::PlantData& plant, State* x) const;  // of lane 0
   void StoreStacked(const internal::PlantData& plant, int lane, double* x) const;
+  // Joints that follow others, from these.
+  void Follow(const internal::PlantData& plant, int lane);
   // The next state becomes the present one, the present one begin_*.
   void Shift();
   // A state and command of zero in one lane.
@@ -67,7 +74,7 @@ struct SensitivityBuffers {
   template <class F>
   void ForEachStateRow(const internal::PlantData& d, int lane, F f) const {
     for (int row = 0; row < 2; ++row) {
-      for (int j = 0; j < d.num_joints(); ++j) f(Row(current, row, d.first_joint + j, lane));
+      for (int j = 0; j < d.num_joints(); ++j) f(Row(current, row, d.kernel[j], lane));
     }
     for (int j = 0; j < d.num_kernel_joints(); ++j) {
       for (int k = 0; k < d.program.joints[j].num_states; ++k) f(Row(current, 2 + k, j, lane));
@@ -106,7 +113,8 @@ struct Simulator::Impl {
   internal::DirectionPlan& PlanFor(const SensitivityRequest& request);  // and buffers
   internal::DirectionPlan& ControlPlan();
   void SetValues(const Eigen::VectorXd& values);
-  // Average commands over [t, t + h] into one lane of `to`, and their derivative by the delays in the plan.
+  // Average commands over [t, t + h] into one lane of `to`, the velocities at its end of prescribed joints,
+  // and their derivative by the delays in the plan.
   void SetCommands(const CommandSignal& signal, double t, double h, const internal::DirectionPlan* plan,
                    int lane, KernelState* to) const;
 
