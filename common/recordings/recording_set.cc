@@ -68,8 +68,8 @@ Status CheckJointsExist(const Manifest& manifest, const std::string& manifest_pa
 Result<RobotView> ReadRobot(const Manifest& manifest, const std::string& manifest_path,
                             const std::string& urdf_text) {
   const std::string& path = manifest.settings.urdf_path;
-  RG_ASSIGN_OR_RETURN(const model::UrdfOutline outline, model::CheckUrdfDocument(urdf_text, path));
-  RG_RETURN_IF_ERROR(CheckJointsExist(manifest, manifest_path, outline.joints));
+  RG_ASSIGN_OR_RETURN(const model::UrdfDocument document, model::ReadUrdfDocument(urdf_text, path));
+  RG_RETURN_IF_ERROR(CheckJointsExist(manifest, manifest_path, document.JointNames()));
   model::LoadOptions options;
   options.joints = manifest.joints;
   options.locked = manifest.settings.locked;
@@ -77,9 +77,9 @@ Result<RobotView> ReadRobot(const Manifest& manifest, const std::string& manifes
   RobotView view;
   for (const model::Joint& joint : robot.joints()) view.joints.push_back(InfoOf(joint));
   view.all = view.joints;
-  // Columns of joints that are locked are no error.
-  for (const std::string& name : outline.joints) {
-    if (Contains(manifest.joints, name)) continue;
+  // Columns of joints that are locked or follow others are no error.
+  for (const std::string& name : document.JointNames()) {
+    if (robot.FindJoint(name) >= 0) continue;
     JointInfo info;
     info.name = name;
     view.all.push_back(info);

@@ -68,6 +68,7 @@ PlantBuilder::PlantBuilder(std::shared_ptr<const model::RobotModel> model, const
 std::shared_ptr<const PlantData> PlantBuilder::Take() { return std::move(data_); }
 
 Status PlantBuilder::Build() {
+  RG_RETURN_IF_ERROR(RefuseWhatIsNotSimulatedYet());
   RG_RETURN_IF_ERROR(CheckEffects());
   LayOutTree();
   AddBaseParameters();
@@ -75,6 +76,27 @@ Status PlantBuilder::Build() {
   RG_RETURN_IF_ERROR(LayOutProgram());
   NameInternalStates();
   SetReferenceMasses();
+  return Status::Ok();
+}
+
+// Models load with followers and with joints that meet no inertia; the kernels have neither.
+Status PlantBuilder::RefuseWhatIsNotSimulatedYet() const {
+  const model::RobotModel& model = *data_->model;
+  if (!model.followers().empty()) {
+    const model::Follower& f = model.followers().front();
+    return InvalidError("joint '" + f.joint.name + "' mimics the moving joint '" +
+                        model.joint(f.driver).name + "', which cannot be simulated yet: lock it");
+  }
+  for (const int k : model.joints_without_inertia()) {
+    const std::string& name = model.joint(k).name;
+    const auto is_its_rotor = [&](const EffectSpec& spec) {
+      return spec.id == "rotor_inertia" && std::count(spec.joints.begin(), spec.joints.end(), name) > 0;
+    };
+    if (std::any_of(data_->effects.begin(), data_->effects.end(), is_its_rotor)) continue;
+    return InvalidError(
+        "joint '" + name + "' moves link '" + model.link(model.joint(k).child_link).name +
+        "', which has no inertia about its axis: simulating it needs rotor_inertia of its drive");
+  }
   return Status::Ok();
 }
 

@@ -29,6 +29,7 @@ class PlantBuilder {
     int coupled_to;       // kernel joint, or -1
   };
 
+  Status RefuseWhatIsNotSimulatedYet() const;
   Status CheckEffects() const;
   int ToolLink() const;
   void LayOutTree();
