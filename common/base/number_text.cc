@@ -72,4 +72,9 @@ NumberText ParseNumbers(std::string_view text, std::span<double> values) {
   return count == values.size() ? NumberText::kOk : NumberText::kWrongCount;
 }
 
+std::string NumberToText(double value) {
+  char buffer[32];
+  return {buffer, std::to_chars(buffer, buffer + sizeof buffer, value).ptr};
+}
+
 }  // namespace rg

@@ -9,6 +9,7 @@
 #pragma once
 
 #include <span>
+#include <string>
 #include <string_view>
 
 namespace rg {
@@ -31,5 +32,8 @@ NumberText ParseNumber(std::string_view text, double* value);
 // Exactly `values.size()` numbers with blanks between them. Outcome of the first that is not kOk;
 // kWrongCount where all that are there are numbers. `values` holds all of them for kOk only.
 NumberText ParseNumbers(std::string_view text, std::span<double> values);
+
+// The shortest text that ParseNumber reads as `value`, for messages and files.
+std::string NumberToText(double value);
 
 }  // namespace rg

@@ -1,59 +1,24 @@
 #include "common/model/urdf_loader.h"
 
-#include <console_bridge/console.h>
-#include <urdf_parser/urdf_parser.h>
-
 #include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <mutex>
+#include <map>
 #include <utility>
 
 #include "common/base/file.h"
+#include "common/model/joint_inertia.h"
+#include "common/model/joint_motion.h"
+#include "common/model/urdf_comparison.h"
 #include "common/model/urdf_document.h"
+#include "common/model/urdf_xml.h"
 
 namespace rg::model {
 namespace {
 
 constexpr double kInf = std::numeric_limits<double>::infinity();
-
-// Keeps the last thing urdfdom says instead of printing it.
-class CapturedLog : public console_bridge::OutputHandler {
- public:
-  void log(const std::string& text, console_bridge::LogLevel level, const char*, int) override {
-    if (level >= console_bridge::CONSOLE_BRIDGE_LOG_ERROR) text_ = text;
-  }
-  const std::string& text() const { return text_; }
-
- private:
-  std::string text_;
-};
-
-Result<urdf::ModelInterfaceSharedPtr> ParseWithUrdfdom(const std::string& xml, const std::string& source) {
-  static std::mutex mutex;  // console_bridge's handler is one per process
-  std::lock_guard lock(mutex);
-  CapturedLog captured;
-  console_bridge::useOutputHandler(&captured);
-  urdf::ModelInterfaceSharedPtr parsed;
-  std::string thrown;
-  try {
-    parsed = urdf::parseURDF(xml);
-  } catch (const std::exception& e) {
-    thrown = e.what();
-  }
-  console_bridge::restorePreviousOutputHandler();
-  if (parsed != nullptr) return parsed;
-  const std::string& reason = thrown.empty() ? captured.text() : thrown;
-  return InvalidError(source + ": urdfdom: " + (reason.empty() ? "cannot parse the document" : reason));
-}
-
-Pose ToPose(const urdf::Pose& pose) {
-  const urdf::Rotation& r = pose.rotation;
-  const Eigen::Quaterniond quaternion = Eigen::Quaterniond(r.w, r.x, r.y, r.z).normalized();
-  return {quaternion.toRotationMatrix(), {pose.position.x, pose.position.y, pose.position.z}};
-}
 
 // Constant rotation R_LB of the body frame whose z is the joint's axis: identity for 0 0 1, else the
 // smallest turn that takes z to the axis (half a turn about x for 0 0 -1).
@@ -67,235 +32,238 @@ Eigen::Matrix3d AxisAlignment(const Eigen::Vector3d& axis) {
   return Eigen::Matrix3d::Identity() + hat + hat * hat / (1.0 + z);
 }
 
-LinkParameters ToParameters(const urdf::Inertial& inertial) {
-  const Pose origin = ToPose(inertial.origin);
-  Eigen::Matrix3d about_com;
-  about_com << inertial.ixx, inertial.ixy, inertial.ixz,  //
-      inertial.ixy, inertial.iyy, inertial.iyz,           //
-      inertial.ixz, inertial.iyz, inertial.izz;
-  if (!origin.rotation.isIdentity(0.0)) {
-    about_com = (origin.rotation * about_com * origin.rotation.transpose()).eval();
-  }
+LinkParameters ToParameters(const UrdfInertial& inertial) {
+  const Eigen::Matrix3d& R = inertial.origin.rotation;
+  Eigen::Matrix3d about_com = inertial.inertia;
+  if (!R.isIdentity(0.0)) about_com = (R * about_com * R.transpose()).eval();
   LinkParameters out;
-  out << inertial.mass, origin.translation, about_com(0, 0), about_com(1, 1), about_com(2, 2),
+  out << inertial.mass, inertial.origin.translation, about_com(0, 0), about_com(1, 1), about_com(2, 2),
       about_com(0, 1), about_com(0, 2), about_com(1, 2);
   return out;
 }
 
-bool CanMove(const urdf::Joint& joint) { return joint.type != urdf::Joint::FIXED; }
-
 class Loader {
  public:
-  Loader(const std::string& source, const LoadOptions& options, const UrdfOutline& outline,
-         const urdf::ModelInterface& urdf)
-      : source_(source), options_(options), outline_(outline), urdf_(urdf) {}
+  Loader(const std::string& source, const LoadOptions& options, const UrdfDocument& document)
+      : source_(source), options_(options), document_(document) {}
 
   Result<RobotModel> Run(const std::string& xml) {
-    RG_RETURN_IF_ERROR(CheckOptions());
-    parts_.name = outline_.robot_name;
+    parts_.name = document_.robot_name;
     parts_.urdf_text = xml;
     parts_.locked = options_.locked;
-    parts_.links.resize(outline_.links.size());
-    RG_RETURN_IF_ERROR(AddLink(urdf_.getRoot()->name, -1, Pose{}, 0));
+    parts_.warnings = document_.warnings;
+    RG_ASSIGN_OR_RETURN(motions_, MotionOfJoints(document_, source_, options_, &parts_.warnings));
+    RG_RETURN_IF_ERROR(AddLinks());
+    RG_RETURN_IF_ERROR(CheckFinite());
+    SetDrivers();
     if (parts_.joints.empty()) return InvalidError(source_ + ": no joint is left to move");
-    RG_RETURN_IF_ERROR(CheckMovingInertia());
+    RG_RETURN_IF_ERROR(CheckMovingMass());
+    parts_.joints_without_inertia = JointsWithoutInertia(parts_);
     CollectWarnings();
     RG_RETURN_IF_ERROR(ChooseEndEffector());
     return RobotModel(std::move(parts_));
   }
 
  private:
+  using Kind = JointMotion::Kind;
+
+  // A link's place: its pose in its body (in W for the base), and how many moving joints lie above it.
+  struct Place {
+    int link = -1;
+    int body = -1;
+    Pose X_BL;
+    int depth = 0;
+  };
+
   Status Error(const std::string& what) const { return InvalidError(source_ + ": " + what); }
+  int NumMoving(Kind kind) const {
+    return static_cast<int>(std::count_if(motions_.begin(), motions_.end(),
+                                          [&](const JointMotion& m) { return m.kind == kind; }));
+  }
 
-  Status CheckOptions() const {
-    for (const std::string& name : options_.joints) {
-      const auto joint = urdf_.getJoint(name);
-      if (joint == nullptr) return Error("joint '" + name + "' does not exist");
-      if (!CanMove(*joint)) return Error("joint '" + name + "' is fixed and cannot move");
-      if (options_.locked.contains(name)) return Error("joint '" + name + "' is both moving and locked");
-      if (std::count(options_.joints.begin(), options_.joints.end(), name) > 1) {
-        return Error("joint '" + name + "' is asked for twice");
-      }
-    }
-    for (const auto& [name, q] : options_.locked) {
-      const auto joint = urdf_.getJoint(name);
-      if (joint == nullptr) return Error("locked joint '" + name + "' does not exist");
-      if (!CanMove(*joint) && q != 0.0) return Error("locked joint '" + name + "' is fixed");
-      if (!std::isfinite(q)) return Error("locked joint '" + name + "': position is not finite");
+  // Depth first, siblings in the order of the document.
+  Status AddLinks() {
+    parts_.links.resize(document_.links.size());
+    depth_.resize(document_.links.size());
+    num_joints_ = NumMoving(Kind::kMoves);
+    struct ToAdd {
+      int joint;
+      Place parent;
+    };
+    std::vector<ToAdd> to_add;
+    const auto add = [&](const Place& place) {
+      AddLink(place);
+      const std::vector<int>& below = document_.child_joints[place.link];
+      for (auto j = below.rbegin(); j != below.rend(); ++j) to_add.push_back({*j, place});
+    };
+    add(Place{document_.root, -1, Pose{}, 0});
+    while (!to_add.empty()) {
+      const ToAdd next = to_add.back();
+      to_add.pop_back();
+      RG_ASSIGN_OR_RETURN(const Place child, AddJoint(next.joint, next.parent));
+      add(child);
     }
     return Status::Ok();
   }
 
-  bool Moves(const urdf::Joint& joint) const {
-    if (!CanMove(joint) || options_.locked.contains(joint.name)) return false;
-    return options_.joints.empty() ||
-           std::find(options_.joints.begin(), options_.joints.end(), joint.name) != options_.joints.end();
+  void AddLink(const Place& place) {
+    const UrdfLink& from = document_.links[place.link];
+    Link& link = parts_.links[place.link];
+    link.name = from.name;
+    link.body = place.body;
+    link.X_BL = place.X_BL;
+    link.has_inertial = from.inertial.has_value();
+    if (from.inertial) link.parameters = ToParameters(*from.inertial);
+    depth_[place.link] = place.depth;
   }
 
-  // Joints below a link, in the order of the document.
-  std::vector<urdf::JointSharedPtr> ChildJoints(const std::string& link) const {
-    std::vector<urdf::JointSharedPtr> out;
-    for (const std::string& name : outline_.joints) {
-      const auto joint = urdf_.joints_.at(name);
-      if (joint->parent_link_name == link) out.push_back(joint);
+  // The place of the joint's child link.
+  Result<Place> AddJoint(int j, const Place& parent) {
+    const UrdfJoint& from = document_.joints[j];
+    const JointMotion& motion = motions_[j];
+    const Pose X_BJ = parent.X_BL * from.origin;
+    if (motion.kind == Kind::kStands) {
+      return Place{from.child, parent.body, X_BJ * StandingMotion(from, motion.position), parent.depth};
     }
-    return out;
-  }
-
-  int LinkIndex(const std::string& name) const {
-    return static_cast<int>(std::find(outline_.links.begin(), outline_.links.end(), name) -
-                            outline_.links.begin());
-  }
-
-  // `X_BL`: the link's pose in body `body` (W for the base); `depth`: moving joints above it.
-  Status AddLink(const std::string& name, int body, const Pose& X_BL, int depth) {
-    const int index = LinkIndex(name);
-    Link& link = parts_.links[index];
-    link.name = name;
-    link.body = body;
-    link.X_BL = X_BL;
-    const auto urdf_link = urdf_.getLink(name);
-    if (urdf_link->inertial != nullptr) {
-      link.has_inertial = true;
-      link.parameters = ToParameters(*urdf_link->inertial);
+    if (parts_.joints.size() + parts_.followers.size() == kMaxBodies) {
+      const bool mimics = NumMoving(Kind::kFollows) > 0;
+      return Error("joint " + Quoted(from.name) + ": more than " + std::to_string(kMaxBodies) +
+                   " moving joints" + (mimics ? ", mimic joints included" : "") + " (lock some)");
     }
-    depth_.resize(parts_.links.size());
-    depth_[index] = depth;
-    for (const auto& joint : ChildJoints(name)) RG_RETURN_IF_ERROR(AddJoint(*joint, body, X_BL, depth));
-    return Status::Ok();
-  }
-
-  Status AddJoint(const urdf::Joint& urdf_joint, int parent_body, const Pose& X_BL, int depth) {
-    const Pose X_BJ = X_BL * ToPose(urdf_joint.parent_to_joint_origin_transform);
-    const Eigen::Vector3d axis =
-        Eigen::Vector3d(urdf_joint.axis.x, urdf_joint.axis.y, urdf_joint.axis.z).normalized();
-    if (!Moves(urdf_joint)) {
-      return AddLink(urdf_joint.child_link_name, parent_body, X_BJ * LockedMotion(urdf_joint, axis), depth);
-    }
-    if (urdf_joint.mimic != nullptr) {
-      return Error("joint '" + urdf_joint.name + "': mimics joint '" + urdf_joint.mimic->joint_name +
-                   "', which is not supported (lock it, or choose the joints that move)");
-    }
-    if (parts_.joints.size() == kMaxBodies) {
-      return Error("joint '" + urdf_joint.name + "': more than " + std::to_string(kMaxBodies) +
-                   " moving joints (lock some)");
-    }
-    const Eigen::Matrix3d R_LB = AxisAlignment(axis);
+    const Eigen::Matrix3d R_LB = AxisAlignment(from.axis);
     Joint joint;
-    joint.name = urdf_joint.name;
-    joint.type = urdf_joint.type == urdf::Joint::PRISMATIC    ? JointType::kPrismatic
-                 : urdf_joint.type == urdf::Joint::CONTINUOUS ? JointType::kContinuous
-                                                              : JointType::kRevolute;
-    joint.parent = parent_body;
-    joint.child_link = LinkIndex(urdf_joint.child_link_name);
-    joint.axis = axis;
+    joint.name = from.name;
+    joint.type = from.type;
+    joint.parent = parent.body;
+    joint.child_link = from.child;
+    joint.axis = from.axis;
     joint.X_PB = X_BJ * Pose{R_LB, Eigen::Vector3d::Zero()};
-    FillLimits(urdf_joint, joint);
-    parts_.joints.push_back(joint);
-    const int body = static_cast<int>(parts_.joints.size()) - 1;
-    return AddLink(urdf_joint.child_link_name, body, Pose{R_LB.transpose(), Eigen::Vector3d::Zero()},
-                   depth + 1);
+    FillLimits(from, joint);
+    const int body = Keep(j, std::move(joint));
+    return Place{from.child, body, Pose{R_LB.transpose(), Eigen::Vector3d::Zero()}, parent.depth + 1};
   }
 
-  Pose LockedMotion(const urdf::Joint& joint, const Eigen::Vector3d& axis) const {
-    const auto it = options_.locked.find(joint.name);
-    if (it == options_.locked.end() || it->second == 0.0) return Pose{};
-    if (joint.type == urdf::Joint::PRISMATIC) return {Eigen::Matrix3d::Identity(), axis * it->second};
-    return {Eigen::AngleAxisd(it->second, axis).toRotationMatrix(), Eigen::Vector3d::Zero()};
+  // The number of the joint's body.
+  int Keep(int j, Joint joint) {
+    const JointMotion& motion = motions_[j];
+    if (motion.kind == Kind::kMoves) {
+      number_of_[j] = static_cast<int>(parts_.joints.size());
+      parts_.joints.push_back(std::move(joint));
+      return number_of_[j];
+    }
+    parts_.followers.push_back({std::move(joint), motion.driver, motion.multiplier, motion.offset});
+    return num_joints_ + static_cast<int>(parts_.followers.size()) - 1;
   }
 
-  static void FillLimits(const urdf::Joint& from, Joint& to) {
+  // Followers may come before their drivers: from the document's numbers of joints to the model's.
+  void SetDrivers() {
+    for (Follower& follower : parts_.followers) follower.driver = number_of_.at(follower.driver);
+  }
+
+  static Pose StandingMotion(const UrdfJoint& joint, double q) {
+    if (joint.is_fixed || q == 0.0) return Pose{};
+    if (joint.type == JointType::kPrismatic) return {Eigen::Matrix3d::Identity(), joint.axis * q};
+    return {Eigen::AngleAxisd(q, joint.axis).toRotationMatrix(), Eigen::Vector3d::Zero()};
+  }
+
+  static void FillLimits(const UrdfJoint& from, Joint& to) {
     const bool bounded = to.type != JointType::kContinuous;
-    const bool has = from.limits != nullptr;
-    to.lower = bounded ? from.limits->lower : -kInf;
-    to.upper = bounded ? from.limits->upper : kInf;
-    to.effort = has ? from.limits->effort : kInf;
-    to.velocity = has ? from.limits->velocity : kInf;
-    to.damping = from.dynamics != nullptr ? from.dynamics->damping : 0.0;
-    to.friction = from.dynamics != nullptr ? from.dynamics->friction : 0.0;
+    to.lower = bounded ? from.lower : -kInf;
+    to.upper = bounded ? from.upper : kInf;
+    to.effort = from.effort.value_or(kInf);
+    to.velocity = from.velocity.value_or(kInf);
+    to.damping = from.damping;
+    to.friction = from.friction;
   }
 
-  // Inertia of a body's own links about its joint's axis (revolute) or mass (prismatic); for a body
-  // with children, whether anything behind it has mass.
-  Status CheckMovingInertia() const {
-    const int n = static_cast<int>(parts_.joints.size());
-    std::vector<double> mass(n, 0.0), about_axis(n, 0.0);
-    std::vector<bool> leaf(n, true);
+  // Finite numbers may still add up to infinity.
+  Status CheckFinite() const {
     for (const Link& link : parts_.links) {
-      if (link.body < 0) continue;
-      const Eigen::Vector3d com = link.X_BL.rotation * link.parameters.segment<3>(1) + link.X_BL.translation;
-      const Eigen::Matrix3d I =
-          link.X_BL.rotation * InertiaMatrix(link.parameters) * link.X_BL.rotation.transpose();
-      mass[link.body] += link.parameters[0];
-      about_axis[link.body] += I(2, 2) + link.parameters[0] * com.head<2>().squaredNorm();
-    }
-    for (int k = n - 1; k >= 0; --k) {
-      const Joint& joint = parts_.joints[k];
-      const std::string moved = "joint '" + joint.name + "' moves ";
-      if (mass[k] <= 0.0) {
-        return Error(moved + "nothing that has mass: link '" + parts_.links[joint.child_link].name +
-                     "' and what hangs on it have no <inertial> with mass above 0");
-      }
-      if (leaf[k] && joint.is_revolute() && about_axis[k] <= 0.0) {
-        return Error(moved + "link '" + parts_.links[joint.child_link].name +
-                     "', which has no inertia about its axis");
-      }
-      if (joint.parent >= 0) {
-        mass[joint.parent] += mass[k];
-        leaf[joint.parent] = false;
+      const bool finite =
+          link.parameters.allFinite() && link.X_BL.rotation.allFinite() && link.X_BL.translation.allFinite();
+      if (!finite) {
+        return Error("link " + Quoted(link.name) + ": its place or its inertia is out of a double's range");
       }
     }
+    for (const Joint& joint : parts_.joints) RG_RETURN_IF_ERROR(CheckFinite(joint));
+    for (const Follower& follower : parts_.followers) RG_RETURN_IF_ERROR(CheckFinite(follower.joint));
     return Status::Ok();
+  }
+  Status CheckFinite(const Joint& joint) const {
+    if (joint.X_PB.rotation.allFinite() && joint.X_PB.translation.allFinite()) return Status::Ok();
+    return Error("joint " + Quoted(joint.name) + ": its place is out of a double's range");
+  }
+
+  Status CheckMovingMass() const {
+    const bool any = std::any_of(parts_.links.begin(), parts_.links.end(),
+                                 [](const Link& link) { return link.body >= 0 && link.parameters[0] > 0.0; });
+    if (any) return Status::Ok();
+    return Error(
+        "nothing that moves has mass: no link that a joint moves has an <inertial> with mass above 0");
   }
 
   void CollectWarnings() {
     for (const Link& link : parts_.links) {
-      if (!link.has_inertial) continue;
-      const Eigen::Vector3d moments = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(
-                                          InertiaMatrix(link.parameters), Eigen::EigenvaluesOnly)
-                                          .eigenvalues();
-      const double tolerance = 1e-9 * moments.cwiseAbs().maxCoeff();
-      const std::string label = source_ + ": link '" + link.name + "': ";
-      if (moments[0] < -tolerance) {
-        parts_.warnings.push_back(label + "the inertia has a negative principal moment");
-      } else if (moments[0] + moments[1] < moments[2] - tolerance) {
-        parts_.warnings.push_back(label + "the inertia breaks the triangle inequality (no body has it)");
-      }
-      if (link.parameters[0] == 0.0 && moments.cwiseAbs().maxCoeff() > 0.0) {
-        parts_.warnings.push_back(label + "has inertia but no mass");
-      }
+      if (link.has_inertial) WarnOfInertia(link);
     }
     for (const Joint& joint : parts_.joints) {
-      const std::string label = source_ + ": joint '" + joint.name + "': ";
+      const std::string label = source_ + ": joint " + Quoted(joint.name) + ": ";
       if (joint.effort == 0.0) parts_.warnings.push_back(label + "the effort limit is 0");
       if (joint.velocity == 0.0) parts_.warnings.push_back(label + "the velocity limit is 0");
       if (joint.lower == joint.upper) parts_.warnings.push_back(label + "lower and upper limit are equal");
     }
+    for (const int k : parts_.joints_without_inertia) WarnOfMissingInertia(k);
+  }
+
+  void WarnOfInertia(const Link& link) {
+    const Eigen::Vector3d moments =
+        Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(InertiaMatrix(link.parameters), Eigen::EigenvaluesOnly)
+            .eigenvalues();
+    const double tolerance = 1e-9 * moments.cwiseAbs().maxCoeff();
+    const std::string label = source_ + ": link " + Quoted(link.name) + ": ";
+    if (moments[0] < -tolerance) {
+      parts_.warnings.push_back(label + "the inertia has a negative principal moment");
+    } else if (moments[0] + moments[1] < moments[2] - tolerance) {
+      parts_.warnings.push_back(label + "the inertia breaks the triangle inequality (no body has it)");
+    }
+    if (link.parameters[0] == 0.0 && moments.cwiseAbs().maxCoeff() > 0.0) {
+      parts_.warnings.push_back(label + "has inertia but no mass");
+    }
+  }
+
+  void WarnOfMissingInertia(int k) {
+    const Joint& joint = parts_.joints[k];
+    const bool has_mass = std::any_of(parts_.links.begin(), parts_.links.end(), [&](const Link& link) {
+      return link.body == k && link.parameters[0] > 0.0;
+    });
+    const std::string what = has_mass ? "no inertia about its axis" : "no mass";
+    parts_.warnings.push_back(source_ + ": joint " + Quoted(joint.name) + " moves link " +
+                              Quoted(parts_.links[joint.child_link].name) + ", which has " + what +
+                              ": simulating it needs its drive's rotor inertia");
   }
 
   Status ChooseEndEffector() {
-    if (!options_.end_effector.empty()) {
-      const int index = LinkIndex(options_.end_effector);
-      if (index == static_cast<int>(outline_.links.size())) {
-        return Error("end effector link '" + options_.end_effector + "' does not exist");
+    const int n = static_cast<int>(parts_.links.size());
+    int& chosen = parts_.end_effector;
+    for (int i = 0; i < n; ++i) {
+      if (options_.end_effector.empty()) {
+        if (!document_.child_joints[i].empty()) continue;
+        if (chosen < 0 || depth_[i] > depth_[chosen]) chosen = i;
+      } else if (parts_.links[i].name == options_.end_effector) {
+        chosen = i;
       }
-      parts_.end_effector = index;
-      return Status::Ok();
     }
-    int best = -1;
-    for (int i = 0; i < static_cast<int>(outline_.links.size()); ++i) {
-      if (!ChildJoints(outline_.links[i]).empty()) continue;
-      if (best < 0 || depth_[i] > depth_[best]) best = i;
-    }
-    parts_.end_effector = best;
-    return Status::Ok();
+    if (chosen >= 0) return Status::Ok();
+    return Error("end effector link " + Quoted(options_.end_effector) + " does not exist");
   }
 
   const std::string& source_;
   const LoadOptions& options_;
-  const UrdfOutline& outline_;
-  const urdf::ModelInterface& urdf_;
+  const UrdfDocument& document_;
+  std::vector<JointMotion> motions_;
   RobotModel::Parts parts_;
+  int num_joints_ = 0;            // n, known before the first is added
+  std::map<int, int> number_of_;  // of the document's joints that move
   std::vector<int> depth_;
 };
 
@@ -303,9 +271,10 @@ class Loader {
 
 Result<RobotModel> ParseUrdf(const std::string& xml, const std::string& source_name,
                              const LoadOptions& options) {
-  RG_ASSIGN_OR_RETURN(const UrdfOutline outline, CheckUrdfDocument(xml, source_name));
-  RG_ASSIGN_OR_RETURN(const urdf::ModelInterfaceSharedPtr urdf, ParseWithUrdfdom(xml, source_name));
-  return Loader(source_name, options, outline, *urdf).Run(xml);
+  RG_ASSIGN_OR_RETURN(const UrdfDocument document, ReadUrdfDocument(xml, source_name));
+  RG_ASSIGN_OR_RETURN(RobotModel model, Loader(source_name, options, document).Run(xml));
+  RG_RETURN_IF_ERROR(CompareWithDocument(model, source_name));
+  return model;
 }
 
 Result<RobotModel> LoadUrdf(const std::string& path, const LoadOptions& options) {

@@ -1,14 +1,21 @@
-// URDF text to RobotModel, through urdfdom, strict about what it cannot represent.
+// URDF text to RobotModel, strict about what it cannot represent, and silent about nothing.
 //
-// urdfdom accepts or drops some things silently (a second element of the same name, unknown
-// attributes, text after a number, a zero axis), so the document is examined first and refused in one
-// line that names the source, the element and the value:
+// All numbers come from this program's own reader of the document (urdf_document.h), in every locale;
+// the finished model is compared with the document once more, number by number (urdf_comparison.h).
+// What is refused is refused in one line that names the source, the element and the value:
 //   "arm.urdf: joint 'elbow': type 'floating' is not supported (revolute, continuous, prismatic, fixed)"
-// Refused: floating and planar joints, mimic joints (unless locked), loops and links with two parents,
-// several roots, duplicate names, numbers that are not finite, negative mass, a zero axis, a revolute
-// or prismatic joint without limits, moving bodies that nothing gives inertia, more than kMaxBodies
-// moving joints. Doubtful but representable values become RobotModel::warnings().
+// Refused: what ReadUrdfDocument refuses (no URDF at all, xacro, floating and planar joints, loops,
+// several roots, duplicate names, numbers that are none or not finite, negative masses, a zero axis,
+// missing limits), more than kMaxBodies moving bodies, a robot none of whose moving links has mass.
+// RobotModel::warnings() holds one line for each thing that is not read (urdf_leftovers.h) or doubtful.
 // Visuals, collisions, sensors, transmissions and materials are ignored.
+//
+// Mimic joints follow their drivers, through chains of mimics to a joint that is none:
+//   driver moves            the mimic is one of RobotModel::followers(), also where `joints` names only
+//                           the driver; where it names both, a warning says that the mimic follows
+//   driver stands at q      the mimic stands at multiplier · q + offset, and a warning says so
+//   mimic itself in `locked`  stands there; a warning says so where the driver would have it elsewhere
+// Refused: a driver that does not exist, a ring of mimics, a mimic in `joints` whose driver stands.
 #pragma once
 
 #include <map>
@@ -23,7 +30,7 @@ namespace rg::model {
 
 struct LoadOptions {
   // Joints that move. Empty: all revolute, continuous and prismatic joints that are not in `locked`.
-  // The rest are locked at their `locked` value, or at 0. The order here does not matter.
+  // The rest, but for mimics, are locked at their `locked` value, or at 0. The order does not matter.
   std::vector<std::string> joints;
   // Position at which a joint is locked [rad or m].
   std::map<std::string, double> locked;

@@ -36,12 +36,24 @@ static CsvOptions OptionsOf(const ReadOptions& read) {
   return options;
 }
 
+// All joints of the robot's URDF: those that move with all that is known of them, the others (fixed, locked
+// or following) by name, for their columns are no error.
+static std::vector<JointInfo> InfosOf(const model::RobotModel& robot) {
+  std::vector<JointInfo> infos;
+  for (const model::Joint& joint : robot.joints()) infos.push_back(InfoOf(joint));
+  const auto document = model::ReadUrdfDocument(robot.urdf_text(), robot.name());
+  if (!document.ok()) return infos;  // a model made without one
+  for (const std::string& name : document->JointNames()) {
+    if (robot.FindJoint(name) >= 0) continue;
+    infos.emplace_back().name = name;
+  }
+  return infos;
+}
+
 CsvOptions CsvOptionsFor(const model::RobotModel& robot, const ReadOptions& read) {
   CsvOptions options = OptionsOf(read);
-  for (const model::Joint& joint : robot.joints()) {
-    options.joints.push_back(joint.name);
-    options.robot.push_back(InfoOf(joint));
-  }
+  for (const model::Joint& joint : robot.joints()) options.joints.push_back(joint.name);
+  options.robot = InfosOf(robot);
   return options;
 }
 
@@ -60,6 +72,7 @@ bool Contains(const std::vector<std::string>& names, const std::string& name) {
 struct RobotView {
   std::vector<JointInfo> joints;  // the manifest's, in model order
   std::vector<JointInfo> all;     // and the URDF's other joints, names only
+  std::vector<std::string> warnings;
 };
 
 Status CheckJointsExist(const Manifest& manifest, const std::string& manifest_path,
@@ -81,22 +94,16 @@ Status CheckJointsExist(const Manifest& manifest, const std::string& manifest_pa
 Result<RobotView> ReadRobot(const Manifest& manifest, const std::string& manifest_path,
                             const std::string& urdf_text) {
   const std::string& path = manifest.settings.urdf_path;
-  RG_ASSIGN_OR_RETURN(const model::UrdfOutline outline, model::CheckUrdfDocument(urdf_text, path));
-  RG_RETURN_IF_ERROR(CheckJointsExist(manifest, manifest_path, outline.joints));
+  RG_ASSIGN_OR_RETURN(const model::UrdfDocument document, model::ReadUrdfDocument(urdf_text, path));
+  RG_RETURN_IF_ERROR(CheckJointsExist(manifest, manifest_path, document.JointNames()));
   model::LoadOptions options;
   options.joints = manifest.joints;
   options.locked = manifest.settings.locked;
   RG_ASSIGN_OR_RETURN(const model::RobotModel robot, model::ParseUrdf(urdf_text, path, options));
   RobotView view;
   for (const model::Joint& joint : robot.joints()) view.joints.push_back(InfoOf(joint));
-  view.all = view.joints;
-  // Columns of joints that are locked are no error.
-  for (const std::string& name : outline.joints) {
-    if (Contains(manifest.joints, name)) continue;
-    JointInfo info;
-    info.name = name;
-    view.all.push_back(info);
-  }
+  view.all = InfosOf(robot);
+  view.warnings = robot.warnings();
   return view;
 }
 
@@ -206,6 +213,7 @@ Result<RecordingSet> LoadSet(const std::string& folder, const ReadOptions& read)
   RG_ASSIGN_OR_RETURN(set.urdf_text, ReadFile(set.urdf_path));
   RG_ASSIGN_OR_RETURN(const RobotView robot, ReadRobot(manifest, manifest_path, set.urdf_text));
   set.joint_info = robot.joints;
+  set.warnings.insert(set.warnings.end(), robot.warnings.begin(), robot.warnings.end());
   for (const JointInfo& joint : robot.joints) set.joints.push_back(joint.name);
 
   CsvOptions options = OptionsOf(read);
@@ -229,11 +237,15 @@ Result<RecordingSet> LoadSet(const std::string& folder, const ReadOptions& read)
 
 namespace {
 
-// The joints that a file has positions of, as far as the robot has them; CSV columns of others are refused.
-Result<std::vector<std::string>> JointsOfFile(const std::string& file, const CsvOptions& options) {
+// The joints that a file has positions of, as far as they move by themselves in the robot.
+Result<std::vector<std::string>> JointsOfFile(const std::string& file, const model::RobotModel& robot,
+                                              const CsvOptions& options) {
   CsvOptions any = options;
   any.joints.clear();
-  RG_ASSIGN_OR_RETURN(const Recording r, LoadCsv(file, any));
+  any.require_effort = false;
+  RG_ASSIGN_OR_RETURN(Recording r, LoadCsv(file, any));
+  std::erase_if(r.joints, [&](const std::string& joint) { return robot.FindJoint(joint) < 0; });
+  if (r.joints.empty()) return InvalidError(file + ": no position column of a joint that moves");
   return r.joints;
 }
 
@@ -274,9 +286,10 @@ Result<RecordingSet> SetFromFiles(const std::string& urdf_path, const std::vecto
   Manifest manifest;
   manifest.robot = urdf_path;
   manifest.settings.urdf_path = urdf_path;
-  RG_ASSIGN_OR_RETURN(manifest.joints, JointsOfFile(files[0], options));
+  RG_ASSIGN_OR_RETURN(manifest.joints, JointsOfFile(files[0], whole, options));
   RG_ASSIGN_OR_RETURN(const RobotView robot, ReadRobot(manifest, files[0], set.urdf_text));
   set.joint_info = robot.joints;
+  set.warnings.insert(set.warnings.end(), robot.warnings.begin(), robot.warnings.end());
   for (const JointInfo& joint : robot.joints) set.joints.push_back(joint.name);
   options.joints = set.joints;
   options.robot = robot.all;

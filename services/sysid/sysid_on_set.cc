@@ -470,7 +470,6 @@ class Identification {
 
   void FillWarnings(const Fitted& f, SysidReport* report) const {
     report->warnings = set_.warnings;
-    for (const std::string& w : nominal_->model().warnings()) report->warnings.push_back(w);
     char residual[120];
     std::snprintf(
         residual, sizeof residual,

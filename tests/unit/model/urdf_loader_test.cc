@@ -7,6 +7,8 @@
 
 #include "common/base/file.h"
 #include "common/base/rng.h"
+#include "tests/support/base/comma_locale.h"
+#include "tests/support/model/urdf_text.h"
 
 namespace rg::model {
 namespace {
@@ -14,6 +16,9 @@ namespace {
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::StartsWith;
+using testing_support::JointXml;
+using testing_support::LinkXml;
+using testing_support::RobotXml;
 
 const LoadOptions kMicoArm = {.joints = {"joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6"},
                               .locked = {},
@@ -93,6 +98,45 @@ TEST(UrdfLoader, AllShippedRobotsLoad) {
   EXPECT_EQ(Load("arm7.urdf").end_effector().name, "tool");
 }
 
+TEST(UrdfLoader, LoadsTheSameWhereTheLocaleWritesCommas) {
+  const RobotModel before = Load("mico2.urdf");
+  const testing_support::CommaLocale comma;
+  ASSERT_TRUE(comma.is_c_locale_set()) << "install the package locales";
+  const RobotModel mico = Load("mico2.urdf");
+  EXPECT_EQ(mico.NominalLinkParameters(), before.NominalLinkParameters());
+  EXPECT_EQ(mico.UpperLimits(), before.UpperLimits());
+  ASSERT_EQ(mico.num_joints(), before.num_joints());
+  for (int k = 0; k < mico.num_joints(); ++k) {
+    EXPECT_EQ(mico.joint(k).X_PB.translation, before.joint(k).X_PB.translation);
+    EXPECT_EQ(mico.joint(k).X_PB.rotation, before.joint(k).X_PB.rotation);
+  }
+}
+
+TEST(UrdfLoader, ANumberWithAPlusLosesNothing) {
+  const auto with = [](const std::string& sign) {
+    const std::string inertial = "<inertial><origin xyz='" + sign + R"(4.0e-3	0
+ -.21 '/><mass value=" 2.4E+0 "/><inertia ixx="47.e-3" ixy="0" ixz="0" iyy=".046" iyz="0" izz="4E-03"/></inertial>)";
+    return ParseUrdf(RobotXml(LinkXml("a") + LinkXml("b", inertial) + JointXml("j", "revolute", "a", "b")),
+                     "a.urdf");
+  };
+  const auto plain = with(""), plus = with("+");
+  ASSERT_TRUE(plain.ok() && plus.ok()) << plus.status().message();
+  EXPECT_EQ(plus->NominalLinkParameters(), plain->NominalLinkParameters());
+  const LinkParameters b = plus->link(1).parameters;
+  EXPECT_EQ(b.head<4>(), Eigen::Vector4d(2.4, 0.004, 0.0, -0.21));
+  EXPECT_EQ(b.segment<3>(4), Eigen::Vector3d(0.047, 0.046, 0.004));
+}
+
+TEST(UrdfLoader, WhatIsOutOfRangeTogetherIsRefused) {
+  const std::string far = R"(<origin xyz="1e308 0 0"/>)";
+  const auto model =
+      ParseUrdf(RobotXml(LinkXml("a") + LinkXml("b") + LinkXml("c") + JointXml("f", "fixed", "a", "b", far) +
+                         JointXml("j", "continuous", "b", "c", far)),
+                "a.urdf");
+  ASSERT_FALSE(model.ok());
+  EXPECT_EQ(model.status().message(), "a.urdf: joint 'j': its place is out of a double's range");
+}
+
 TEST(UrdfLoader, TurnedInertialOriginIsTakenToLinkAxes) {
   const auto model = ParseUrdf(R"(<robot name="r"><link name="a"/><link name="b"><inertial>
       <origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/><mass value="2"/>
@@ -118,22 +162,6 @@ TEST(UrdfLoader, WarnsOfInertiaThatNoBodyHas) {
 
 // --- Refusals: the message is the contract. -------------------------------------------------------
 
-constexpr const char* kInertial =
-    R"(<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>)";
-
-std::string Robot(const std::string& body) {
-  return R"(<?xml version="1.0"?><robot name="r">)" + body + "</robot>";
-}
-std::string LinkXml(const std::string& name, const std::string& inside = kInertial) {
-  return "<link name=\"" + name + "\">" + inside + "</link>";
-}
-std::string JointXml(const std::string& name, const std::string& type, const std::string& parent,
-                     const std::string& child,
-                     const std::string& inside = R"(<limit lower="-1" upper="1" effort="1" velocity="1"/>)") {
-  return "<joint name=\"" + name + "\" type=\"" + type + "\"><parent link=\"" + parent +
-         "\"/><child link=\"" + child + "\"/>" + inside + "</joint>";
-}
-
 struct Refusal {
   const char* name;
   std::string xml;
@@ -157,38 +185,33 @@ INSTANTIATE_TEST_SUITE_P(
     Each, UrdfRefusal,
     testing::ValuesIn(std::vector<Refusal>{
         {"NotXml", "<robot name='r'><link name='a'>", "not well-formed XML"},
-        {"Empty", "", "not well-formed XML"},
-        {"NotARobot", "<sdf name='r'/>", "the root element is not <robot>"},
-        {"NoLinks", Robot(""), "<robot> has no links"},
-        {"NothingMoves", Robot(LinkXml("a")), "no joint is left to move"},
-        {"Floating", Robot(kTwo + JointXml("j", "floating", "a", "b")),
+        {"NoLinks", RobotXml(""), "<robot> has no links"},
+        {"NothingMoves", RobotXml(LinkXml("a")), "no joint is left to move"},
+        {"Floating", RobotXml(kTwo + JointXml("j", "floating", "a", "b")),
          "joint 'j': type 'floating' is not supported (revolute, continuous, prismatic, fixed)"},
-        {"Planar", Robot(kTwo + JointXml("j", "planar", "a", "b")),
+        {"Planar", RobotXml(kTwo + JointXml("j", "planar", "a", "b")),
          "joint 'j': type 'planar' is not supported"},
-        {"Mimic",
-         Robot(kTwo + LinkXml("c") + JointXml("j", "continuous", "a", "b") +
-               JointXml("k", "continuous", "b", "c", R"(<mimic joint="j" multiplier="2"/>)")),
-         "joint 'k': mimics joint 'j', which is not supported"},
         {"TwoParents",
-         Robot(kTwo + LinkXml("c") + JointXml("j", "continuous", "a", "c") +
-               JointXml("k", "continuous", "b", "c")),
+         RobotXml(kTwo + LinkXml("c") + JointXml("j", "continuous", "a", "c") +
+                  JointXml("k", "continuous", "b", "c")),
          "joint 'k': link 'c' already has the parent 'a': loops cannot be represented"},
-        {"Ring", Robot(kTwo + JointXml("j", "continuous", "a", "b") + JointXml("k", "continuous", "b", "a")),
+        {"Ring",
+         RobotXml(kTwo + JointXml("j", "continuous", "a", "b") + JointXml("k", "continuous", "b", "a")),
          "no root link: the joints form a loop"},
         {"DetachedRing",
-         Robot(kTwo + LinkXml("c") + JointXml("j", "continuous", "c", "b") +
-               JointXml("k", "continuous", "b", "c")),
+         RobotXml(kTwo + LinkXml("c") + JointXml("j", "continuous", "c", "b") +
+                  JointXml("k", "continuous", "b", "c")),
          "link 'b': is part of a loop of joints"},
-        {"TwoRoots", Robot(kTwo), "links 'a' and 'b' are both roots"},
-        {"LinkTwice", Robot(LinkXml("a") + LinkXml("a")), "link 'a': the name is used twice"},
+        {"TwoRoots", RobotXml(kTwo), "links 'a' and 'b' are both roots"},
+        {"LinkTwice", RobotXml(LinkXml("a") + LinkXml("a")), "link 'a': the name is used twice"},
         {"JointTwice",
-         Robot(kTwo + LinkXml("c") + JointXml("j", "continuous", "a", "b") +
-               JointXml("j", "continuous", "b", "c")),
+         RobotXml(kTwo + LinkXml("c") + JointXml("j", "continuous", "a", "b") +
+                  JointXml("j", "continuous", "b", "c")),
          "joint 'j': the name is used twice"},
-        {"NoSuchLink", Robot(LinkXml("a") + JointXml("j", "fixed", "a", "x")),
+        {"NoSuchLink", RobotXml(LinkXml("a") + JointXml("j", "fixed", "a", "x")),
          "joint 'j': child link 'x' does not exist"},
         {"NaNMass",
-         Robot(
+         RobotXml(
              LinkXml("a") +
              LinkXml(
                  "b",
@@ -196,7 +219,7 @@ INSTANTIATE_TEST_SUITE_P(
              JointXml("j", "continuous", "a", "b")),
          "link 'b': <mass value>: 'nan' is not finite"},
         {"NegativeMass",
-         Robot(
+         RobotXml(
              LinkXml("a") +
              LinkXml(
                  "b",
@@ -204,7 +227,7 @@ INSTANTIATE_TEST_SUITE_P(
              JointXml("j", "continuous", "a", "b")),
          "link 'b': <mass value>: '-2' is negative"},
         {"TextAfterNumber",
-         Robot(
+         RobotXml(
              LinkXml("a") +
              LinkXml(
                  "b",
@@ -212,43 +235,37 @@ INSTANTIATE_TEST_SUITE_P(
              JointXml("j", "continuous", "a", "b")),
          "link 'b': <mass value>: '2kg' is not a number"},
         {"NoInertiaEntry",
-         Robot(
+         RobotXml(
              LinkXml("a") +
              LinkXml(
                  "b",
                  R"(<inertial><mass value="2"/><inertia ixx="1" iyy="1" ixy="0" ixz="0" iyz="0"/></inertial>)") +
              JointXml("j", "continuous", "a", "b")),
          "link 'b': <inertia izz> is missing"},
-        {"MasslessLeaf", Robot(LinkXml("a") + LinkXml("b", "") + JointXml("j", "continuous", "a", "b")),
-         "joint 'j' moves nothing that has mass: link 'b'"},
-        {"PointMassOnAxis",
-         Robot(
-             LinkXml("a") +
-             LinkXml(
-                 "b",
-                 R"(<inertial><mass value="2"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>)") +
-             JointXml("j", "continuous", "a", "b")),
-         "joint 'j' moves link 'b', which has no inertia about its axis"},
-        {"ZeroAxis", Robot(kTwo + JointXml("j", "continuous", "a", "b", R"(<axis xyz="0 0 0"/>)")),
+        {"MasslessLeaf", RobotXml(LinkXml("a") + LinkXml("b", "") + JointXml("j", "continuous", "a", "b")),
+         "nothing that moves has mass: no link that a joint moves has an <inertial> with mass above 0"},
+        {"ZeroAxis", RobotXml(kTwo + JointXml("j", "continuous", "a", "b", R"(<axis xyz="0 0 0"/>)")),
          "joint 'j': <axis xyz>: '0 0 0' has no direction"},
-        {"ShortAxis", Robot(kTwo + JointXml("j", "continuous", "a", "b", R"(<axis xyz="0 1"/>)")),
+        {"ShortAxis", RobotXml(kTwo + JointXml("j", "continuous", "a", "b", R"(<axis xyz="0 1"/>)")),
          "joint 'j': <axis xyz>: '0 1' is not 3 numbers"},
-        {"NoLimits", Robot(kTwo + JointXml("j", "revolute", "a", "b", "")),
+        {"NoLimits", RobotXml(kTwo + JointXml("j", "revolute", "a", "b", "")),
          "joint 'j': a revolute joint needs <limit>"},
         {"LimitsSwapped",
-         Robot(kTwo + JointXml("j", "prismatic", "a", "b",
-                               R"(<limit lower="2" upper="1" effort="1" velocity="1"/>)")),
-         "joint 'j': <limit>: lower 2.000000 is above upper 1.000000"},
+         RobotXml(kTwo + JointXml("j", "prismatic", "a", "b",
+                                  R"(<limit lower="2" upper="1" effort="1" velocity="1"/>)")),
+         "joint 'j': <limit>: lower 2 is above upper 1"},
         {"NoEffort",
-         Robot(kTwo + JointXml("j", "revolute", "a", "b", R"(<limit lower="0" upper="1" velocity="1"/>)")),
+         RobotXml(kTwo + JointXml("j", "revolute", "a", "b", R"(<limit lower="0" upper="1" velocity="1"/>)")),
          "joint 'j': <limit effort> is missing"},
         {"NegativeDamping",
-         Robot(kTwo + JointXml("j", "continuous", "a", "b", R"(<dynamics damping="-1"/>)")),
-         "joint 'j': <dynamics damping>: is negative"},
-        {"InfiniteOrigin", Robot(kTwo + JointXml("j", "continuous", "a", "b", R"(<origin xyz="0 inf 0"/>)")),
+         RobotXml(kTwo + JointXml("j", "continuous", "a", "b", R"(<dynamics damping="-1"/>)")),
+         "joint 'j': <dynamics damping>: '-1' is negative"},
+        {"InfiniteOrigin",
+         RobotXml(kTwo + JointXml("j", "continuous", "a", "b", R"(<origin xyz="0 inf 0"/>)")),
          "joint 'j': <origin xyz>: '0 inf 0' is not finite"},
         {"OriginTwice",
-         Robot(kTwo + JointXml("j", "continuous", "a", "b", R"(<origin xyz="0 0 0"/><origin xyz="0 0 1"/>)")),
+         RobotXml(kTwo +
+                  JointXml("j", "continuous", "a", "b", R"(<origin xyz="0 0 0"/><origin xyz="0 0 1"/>)")),
          "joint 'j': <origin> is there twice"},
     }),
     [](const auto& info) { return std::string(info.param.name); });
@@ -294,15 +311,16 @@ TEST(UrdfLoader, RefusesSeventeenMovingJoints) {
     body += LinkXml("l" + std::to_string(i)) + JointXml("j" + std::to_string(i), "continuous",
                                                         "l" + std::to_string(i - 1), "l" + std::to_string(i));
   }
-  const auto model = ParseUrdf(Robot(body), "long.urdf");
+  const auto model = ParseUrdf(RobotXml(body), "long.urdf");
   ASSERT_FALSE(model.ok());
   EXPECT_EQ(model.status().message(), "long.urdf: joint 'j17': more than 16 moving joints (lock some)");
   EXPECT_TRUE(
-      ParseUrdf(Robot(body), "long.urdf", {.joints = {}, .locked = {{"j4", 0.5}}, .end_effector = ""}).ok());
+      ParseUrdf(RobotXml(body), "long.urdf", {.joints = {}, .locked = {{"j4", 0.5}}, .end_effector = ""})
+          .ok());
 }
 
 TEST(UrdfLoader, RefusesOptionsThatNameNothing) {
-  const std::string xml = Robot(kTwo + JointXml("j", "continuous", "a", "b"));
+  const std::string xml = RobotXml(kTwo + JointXml("j", "continuous", "a", "b"));
   const auto refuse = [&](const LoadOptions& options) {
     return ParseUrdf(xml, "r.urdf", options).status().message();
   };
