@@ -1,6 +1,7 @@
 // `sysid` and `predict`: work on files, without a service.
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
@@ -79,11 +80,14 @@ struct PredictionModel {
   sim::ModelFile file;
   std::optional<recordings::EffortKind> drive;
   bool effort_excludes_gravity = false;
+  // Joints that move as measured; nothing: those without an effort in the recording.
+  std::optional<std::vector<std::string>> prescribed;
 };
 
 Result<PredictionModel> NominalOf(const recordings::RecordingSet& set) {
   RG_ASSIGN_OR_RETURN(const sim::Plant plant, sysid::NominalPlant(set));
-  return PredictionModel{{plant, plant.parameters().Nominal(), 0}, set.drive, set.effort_excludes_gravity};
+  return PredictionModel{
+      {plant, plant.parameters().Nominal(), 0}, set.drive, set.effort_excludes_gravity, set.prescribed};
 }
 
 // A model.json, a recording set's folder, or a URDF.
@@ -96,29 +100,56 @@ Result<PredictionModel> LoadModel(const std::string& path) {
     RG_ASSIGN_OR_RETURN(model::RobotModel robot, model::LoadUrdf(path));
     RG_ASSIGN_OR_RETURN(const sim::Plant plant,
                         sim::Plant::Create(std::make_shared<const model::RobotModel>(std::move(robot))));
-    return PredictionModel{{plant, plant.parameters().Nominal(), 0}, std::nullopt, false};
+    return PredictionModel{{plant, plant.parameters().Nominal(), 0}, std::nullopt, false, std::nullopt};
   }
   RG_ASSIGN_OR_RETURN(sim::ModelFile file, sim::LoadModelFile(path));
-  return PredictionModel{std::move(file), std::nullopt, false};
+  const std::vector<std::string> told = file.plant.options().prescribed;
+  PredictionModel model{std::move(file), std::nullopt, false, std::nullopt};
+  if (!told.empty()) model.prescribed = told;
+  return model;
 }
 
-// What the manifest beside a recording says of its effort, if there is one.
+// What the manifest beside a recording says of its effort and its joints, if there is one.
 void TakeManifestBeside(const std::string& recording, PredictionModel* model) {
   const fs::path folder = fs::path(recording).parent_path();
   if (!fs::exists((folder.empty() ? fs::path(".") : folder) / "manifest.json")) return;
   const auto set = recordings::LoadSet(folder.empty() ? "." : folder.string());
   if (!set.ok()) return;
   if (!model->drive) model->drive = set->drive;
+  // Of another robot's set, or of one with other columns, nothing is taken.
+  if (set->joints == model->file.plant.joint_names()) model->prescribed = set->prescribed;
   model->effort_excludes_gravity = model->effort_excludes_gravity || set->effort_excludes_gravity;
+}
+
+std::string MoveAsMeasured(const recordings::Recording& recording) {
+  std::string names;
+  for (const int j : recording.prescribed)
+    names += (names.empty() ? "" : ", ") + recording.joints[static_cast<size_t>(j)];
+  return names + (recording.prescribed.size() == 1 ? " moves" : " move") +
+         " as measured (prescribed), no error counts " + (recording.prescribed.size() == 1 ? "it" : "them");
+}
+
+// The model's joints move as measured where the recording's do.
+Status TakeRoles(const recordings::Recording& recording, PredictionModel* model) {
+  const sim::Plant& plant = model->file.plant;
+  if (recording.prescribed == plant.prescribed()) return Status::Ok();
+  std::vector<std::string> prescribed, passive = plant.options().passive;
+  for (const int j : recording.prescribed) prescribed.push_back(recording.joints[static_cast<size_t>(j)]);
+  std::erase_if(passive, [&](const std::string& joint) {
+    return std::count(prescribed.begin(), prescribed.end(), joint) > 0;
+  });
+  RG_ASSIGN_OR_RETURN(model->file.plant, plant.WithRoles(prescribed, passive));
+  return Status::Ok();
 }
 
 Status Predict(Context& context, const PredictArguments& arguments) {
   if (!(arguments.window_s > 0)) return InvalidError("--window must be positive (s)");
   RG_ASSIGN_OR_RETURN(PredictionModel model, LoadModel(arguments.model));
   TakeManifestBeside(arguments.recording, &model);
-  RG_ASSIGN_OR_RETURN(
-      recordings::Recording recording,
-      recordings::LoadCsv(arguments.recording, recordings::CsvOptionsFor(model.file.plant.model())));
+  recordings::CsvOptions csv = recordings::CsvOptionsFor(model.file.plant.model());
+  csv.prescribed = model.prescribed;
+  RG_ASSIGN_OR_RETURN(recordings::Recording recording, recordings::LoadCsv(arguments.recording, csv));
+  RG_RETURN_IF_ERROR(TakeRoles(recording, &model));
   if (model.drive && *model.drive == recordings::EffortKind::kMeasured && recording.has_effort_measured()) {
     recording.drive = recordings::EffortKind::kMeasured;
   }
@@ -131,6 +162,7 @@ Status Predict(Context& context, const PredictArguments& arguments) {
   RG_RETURN_IF_ERROR(WriteFileAtomically(
       arguments.out, sysid::FormatPredictionCsv(prediction, model.file.plant.joint_names())));
   const sysid::PredictionError error = sysid::ErrorOf(prediction, recording);
+  if (!recording.prescribed.empty()) PrintNote("realitygrad: " + MoveAsMeasured(recording));
   for (const std::string& failure : prediction.failures) PrintNote("realitygrad: " + failure);
   if (context.json()) {
     std::vector<double> joints(error.joint_rms.data(), error.joint_rms.data() + error.joint_rms.size());
