@@ -2,6 +2,9 @@
 // are (recording_set.h), and their velocities where no column gives them.
 #pragma once
 
+#include <Eigen/Core>
+#include <string>
+
 #include "common/base/status.h"
 #include "common/recordings/recording.h"
 #include "common/recordings/recording_set.h"
@@ -15,6 +18,16 @@ void FillVelocities(Recording* recording);
 // is prescribed that has an effort in no recording while others have; one that has it in some of them is an
 // error that names a file without.
 Status ResolvePrescribed(RecordingSet* set);
+
+// The motion of prescribed joints at each row, m × K each, in the order of `prescribed`.
+struct SmoothMotionRows {
+  Eigen::MatrixXd q, v, a;
+};
+// By Rauch, Tung and Striebel's smoother over a motion whose acceleration wanders (white jerk), from
+// positions and, where they are measured, velocities, each with its own noise; how much it wanders is what
+// makes the rows likeliest. So the motion stays within the noise of what was measured, and its acceleration
+// is of use, which differences of noisy rows are not.
+SmoothMotionRows SmoothPrescribed(const Recording& recording);
 
 // "lift_joint moves as measured (prescribed): it has no effort column, others have"; empty: there is none.
 std::string NoteOnPrescribed(const RecordingSet& set);

@@ -43,6 +43,12 @@ Result<Plant> Plant::WithEffect(effects::EffectSpec effect) const {
   return Create(data_->model, data_->options, std::move(all));
 }
 
+Result<Plant> Plant::WithRoles(std::vector<std::string> prescribed, std::vector<std::string> passive) const {
+  PlantOptions options = data_->options;
+  options.prescribed = std::move(prescribed), options.passive = std::move(passive);
+  return Create(data_->model, options, data_->effects);
+}
+
 Plant Plant::WithoutEffect(const std::string& id) const {
   auto all = data_->effects;
   std::erase_if(all, [&](const effects::EffectSpec& spec) { return spec.id == id; });

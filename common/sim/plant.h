@@ -68,6 +68,8 @@ class Plant {
   // The same robot with one more effect, or without an effect (on all its joints).
   Result<Plant> WithEffect(effects::EffectSpec effect) const;
   Plant WithoutEffect(const std::string& id) const;
+  // The same robot and effects where these joints are prescribed and passive. The table has the same rows.
+  Result<Plant> WithRoles(std::vector<std::string> prescribed, std::vector<std::string> passive) const;
 
   // Values of this plant's table, taken from `other` by name, nominal where it has none.
   Eigen::VectorXd ValuesFrom(const ParameterTable& other, const Eigen::VectorXd& values) const;

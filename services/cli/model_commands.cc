@@ -1,6 +1,7 @@
 // `sysid` and `predict`: work on files, without a service.
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 
@@ -83,11 +84,14 @@ struct PredictionModel {
   sim::ModelFile file;
   std::optional<recordings::EffortKind> drive;
   bool effort_excludes_gravity = false;
+  // Joints that move as measured; nothing: those without an effort in the recording.
+  std::optional<std::vector<std::string>> prescribed;
 };
 
 Result<PredictionModel> NominalOf(const recordings::RecordingSet& set) {
   RG_ASSIGN_OR_RETURN(const sim::Plant plant, sysid::NominalPlant(set));
-  return PredictionModel{{plant, plant.parameters().Nominal(), 0}, set.drive, set.effort_excludes_gravity};
+  return PredictionModel{
+      {plant, plant.parameters().Nominal(), 0}, set.drive, set.effort_excludes_gravity, set.prescribed};
 }
 
 // A model.json, a recording set's folder, or a URDF.
@@ -100,13 +104,16 @@ Result<PredictionModel> LoadModel(const std::string& path) {
     RG_ASSIGN_OR_RETURN(model::RobotModel robot, model::LoadUrdf(path));
     RG_ASSIGN_OR_RETURN(const sim::Plant plant,
                         sim::Plant::Create(std::make_shared<const model::RobotModel>(std::move(robot))));
-    return PredictionModel{{plant, plant.parameters().Nominal(), 0}, std::nullopt, false};
+    return PredictionModel{{plant, plant.parameters().Nominal(), 0}, std::nullopt, false, std::nullopt};
   }
   RG_ASSIGN_OR_RETURN(sim::ModelFile file, sim::LoadModelFile(path));
-  return PredictionModel{std::move(file), std::nullopt, false};
+  const std::vector<std::string> told = file.plant.options().prescribed;
+  PredictionModel model{std::move(file), std::nullopt, false, std::nullopt};
+  if (!told.empty()) model.prescribed = told;
+  return model;
 }
 
-// What the manifest beside a recording says of its effort and rate, if there is one.
+// What the manifest beside a recording says of its effort, joints and rate, if there is one.
 void TakeManifestBeside(const std::string& recording, PredictionModel* model, recordings::CsvOptions* csv) {
   const fs::path folder = fs::path(recording).parent_path();
   const std::string path = ((folder.empty() ? fs::path(".") : folder) / "manifest.json").string();
@@ -118,6 +125,32 @@ void TakeManifestBeside(const std::string& recording, PredictionModel* model, re
   if (!model->drive) model->drive = set.drive;
   model->effort_excludes_gravity = model->effort_excludes_gravity || set.effort_excludes_gravity;
   csv->sample_rate_hz = set.sample_rate_hz;
+  // Of another robot's set, or of one with other columns, nothing is taken.
+  std::vector<std::string> joints = manifest->joints, own = model->file.plant.joint_names();
+  std::sort(joints.begin(), joints.end());
+  std::sort(own.begin(), own.end());
+  if (set.prescribed_listed && joints == own) model->prescribed = set.prescribed;
+}
+
+std::string MoveAsMeasured(const recordings::Recording& recording) {
+  std::string names;
+  for (const int j : recording.prescribed)
+    names += (names.empty() ? "" : ", ") + recording.joints[static_cast<size_t>(j)];
+  return names + (recording.prescribed.size() == 1 ? " moves" : " move") +
+         " as measured (prescribed), no error counts " + (recording.prescribed.size() == 1 ? "it" : "them");
+}
+
+// The model's joints move as measured where the recording's do.
+Status TakeRoles(const recordings::Recording& recording, PredictionModel* model) {
+  const sim::Plant& plant = model->file.plant;
+  if (recording.prescribed == plant.prescribed()) return Status::Ok();
+  std::vector<std::string> prescribed, passive = plant.options().passive;
+  for (const int j : recording.prescribed) prescribed.push_back(recording.joints[static_cast<size_t>(j)]);
+  std::erase_if(passive, [&](const std::string& joint) {
+    return std::count(prescribed.begin(), prescribed.end(), joint) > 0;
+  });
+  RG_ASSIGN_OR_RETURN(model->file.plant, plant.WithRoles(prescribed, passive));
+  return Status::Ok();
 }
 
 Status Predict(Context& context, const PredictArguments& arguments) {
@@ -126,8 +159,11 @@ Status Predict(Context& context, const PredictArguments& arguments) {
   RG_ASSIGN_OR_RETURN(PredictionModel model, LoadModel(arguments.model));
   recordings::CsvOptions csv = recordings::CsvOptionsFor(model.file.plant.model(), read);
   TakeManifestBeside(arguments.recording, &model, &csv);
+  csv.prescribed = model.prescribed;
   RG_ASSIGN_OR_RETURN(recordings::Recording recording, recordings::LoadCsv(arguments.recording, csv));
-  for (const std::string& note : recording.notes) PrintNote("realitygrad: " + arguments.recording + ": " + note);
+  for (const std::string& note : recording.notes)
+    PrintNote("realitygrad: " + arguments.recording + ": " + note);
+  RG_RETURN_IF_ERROR(TakeRoles(recording, &model));
   if (model.drive && *model.drive == recordings::EffortKind::kMeasured && recording.has_effort_measured()) {
     recording.drive = recordings::EffortKind::kMeasured;
   }
@@ -137,9 +173,9 @@ Status Predict(Context& context, const PredictArguments& arguments) {
   if (arguments.measured_restart) options.restart = sysid::RestartState::kMeasured;
   const sysid::Prediction prediction =
       sysid::PredictRecording(model.file.plant, model.file.values, recording, options);
-  RG_RETURN_IF_ERROR(WriteFileAtomically(
-      arguments.out, sysid::FormatPredictionCsv(prediction, recording)));
+  RG_RETURN_IF_ERROR(WriteFileAtomically(arguments.out, sysid::FormatPredictionCsv(prediction, recording)));
   const sysid::PredictionError error = sysid::ErrorOf(prediction, recording);
+  if (!recording.prescribed.empty()) PrintNote("realitygrad: " + MoveAsMeasured(recording));
   for (const std::string& failure : prediction.failures) PrintNote("realitygrad: " + failure);
   if (context.json()) {
     std::vector<double> joints(error.joint_rms.data(), error.joint_rms.data() + error.joint_rms.size());

@@ -136,6 +136,7 @@ class MeasuredSearch {
         for (const int c : chosen_.ColumnsOf(old, j)) other.features[j].erase(c);
       }
       const auto shapes = chosen_.ColumnsOf(kind, j);
+      if (shapes.empty()) continue;  // it does not take that
       other.features[j].insert(shapes[shapes.size() / 2]);
       const bool holds = chosen_.Admissible(other, j);
       if (!holds) other.features[j] = model().features[j];
@@ -257,7 +258,9 @@ class MeasuredSearch {
         f->t[w].clear();
         for (int k = 0; k < S; ++k) f->t[w].push_back(window.t.front() + span * (k + 0.5) / S);
       }
-      for (int j = 0; j < data_.n; ++j) FillStairs(window, j, S, with_effects[j], rest[j], w, out);
+      for (int j = 0; j < data_.n; ++j) {
+        if (!nominal_.IsPrescribed(j)) FillStairs(window, j, S, with_effects[j], rest[j], w, out);
+      }
     }
   }
 

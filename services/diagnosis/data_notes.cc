@@ -164,7 +164,7 @@ std::vector<StillJoint> StillJoints(const FitData& data, const sim::Plant& nomin
                                     const MotionScales& scales) {
   std::vector<StillJoint> out;
   for (int j = 0; j < data.n; ++j) {
-    if (!Moved(data, scales, j)) out.push_back({j, 0, 0, false});
+    if (!nominal.IsPrescribed(j) && !Moved(data, scales, j)) out.push_back({j, 0, 0, false});
   }
   if (out.empty()) return out;
   const dynamics::Mechanism mechanism = sysid::MechanismOf(nominal, nominal.parameters().Nominal());

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <map>
 #include <optional>
+#include <ranges>
 #include <set>
 
 #include "common/effects/effect_catalog.h"
@@ -38,8 +39,10 @@ void SayWhatToRecord(const SearchResult& search, const FitData& data, const sim:
     return std::any_of(f.alternatives.begin(), f.alternatives.end(), separates);
   });
   // With a measured effort rivals are weighed in the balance of torques, which has no sensors' noise to plan
-  // with.
-  if (!open || search.measured.active) return;
+  // with; joints that nothing drives as planned make no motions.
+  const auto undriven = [&](int j) { return nominal.IsPrescribed(j) || nominal.IsPassive(j); };
+  const auto joints = std::views::iota(0, nominal.num_joints());
+  if (!open || search.measured.active || std::any_of(joints.begin(), joints.end(), undriven)) return;
   result->motion =
       ProposeMotion(search, data, nominal, scales, result->findings, options.step_s, threads, cancel);
   for (Finding& f : result->findings) {

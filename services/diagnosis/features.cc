@@ -26,7 +26,8 @@ double Quantile(std::vector<double> x, double p) {
 // Everything about one joint over all recordings, one array per recording.
 class Builder {
  public:
-  Builder(const FitData& data, const MotionScales& scales) : data_(data), s_(scales) {}
+  Builder(const FitData& data, const sim::Plant& plant, const MotionScales& scales)
+      : data_(data), plant_(plant), s_(scales) {}
 
   FeatureSet Take() {
     for (int j = 0; j < data_.n; ++j) AddJoint(j);
@@ -45,6 +46,7 @@ class Builder {
   // coefficient_scale 0: the force's RMS is brought to half the joint's torque.
   void Add(const std::string& effect, const std::string& role, int j, double shape, const Law& law,
            double coefficient_scale = 0, int other = -1) {
+    if (!plant_.Takes(effect, j) || (other >= 0 && !plant_.Takes(effect, other))) return;
     Feature f{effect, role, j, other, shape, 1};
     std::vector<ArrayXd> values;
     double squares = 0, count = 0;
@@ -244,6 +246,7 @@ class Builder {
   }
 
   const FitData& data_;
+  const sim::Plant& plant_;
   const MotionScales& s_;
   FeatureSet out_;
   std::vector<std::vector<ArrayXd>> fine_;  // [feature][recording]
@@ -290,11 +293,16 @@ MotionScales ScalesOf(const FitData& data, const sim::Plant& plant) {
     dynamics::Crba(mechanism, workspace, first.q.col(first.q.cols() * k / 5), M);
     s.inertia += M.diagonal() / 5;
   }
+  VectorXd accelerations = VectorXd::Zero(n);
+  for (const FineMotion& m : data.fine) accelerations += m.a.cwiseAbs2().rowwise().sum();
+  for (int j = 0; j < n; ++j) {
+    if (plant.IsPassive(j)) s.torque[j] = std::max(1e-6, s.inertia[j] * std::sqrt(accelerations[j] / count));
+  }
   return s;
 }
 
-FeatureSet MakeFeatures(const FitData& data, const MotionScales& scales) {
-  return Builder(data, scales).Take();
+FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales) {
+  return Builder(data, plant, scales).Take();
 }
 
 }  // namespace rg::diagnosis

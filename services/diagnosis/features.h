@@ -20,8 +20,9 @@ struct Feature {
 
 // Typical sizes of a set of recordings, n each.
 struct MotionScales {
-  Eigen::VectorXd torque;  // RMS of the drive torque about its mean, plus a third of the mean's size
-  Eigen::VectorXd speed;   // RMS
+  Eigen::VectorXd torque;  // RMS of the drive torque about its mean, plus a third of the mean's size; without
+                           // a drive, RMS of what its inertia needs
+  Eigen::VectorXd speed;  // RMS
   Eigen::VectorXd top_speed;
   Eigen::VectorXd low, high;    // range of positions
   Eigen::VectorXd inertia;      // diag M at the middle of the motion
@@ -37,6 +38,7 @@ struct FeatureSet {
   std::vector<Feature> features;
   FeatureBlock block;  // standardised: a coefficient of 1 is one prior stddev
 };
-FeatureSet MakeFeatures(const FitData& data, const MotionScales& scales);
+// Of effects that the joints of `plant` take.
+FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales);
 
 }  // namespace rg::diagnosis

@@ -82,6 +82,7 @@ std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nomi
   std::optional<EffectSpec> best;
   double best_gain = -std::numeric_limits<double>::infinity();
   for (int on = 0; on < data.n; ++on) {
+    if (!nominal.Takes("unknown_field", on)) continue;
     const bool speed = variable == "velocity", drag = variable == "drag";
     const double low = speed ? -scales.top_speed[on] : scales.low[on];
     const double high = std::max(speed ? scales.top_speed[on] : scales.high[on], low + 1e-3);
@@ -120,6 +121,7 @@ std::optional<EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& 
                               std::max(scales.high[j], scales.low[j] + 1e-3));
   }
   for (int on = 0; on < n; ++on) {
+    if (!nominal.Takes("unknown_field_pair", on)) continue;
     const double size = SizeOn(samples, on);
     for (int other = 0; other < n; ++other) {
       if (other == on) continue;

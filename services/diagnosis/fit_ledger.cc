@@ -485,7 +485,7 @@ void FitLedger::TryHalves(const Candidate& rod) {
   FitData halves = setting_.data;
   halves.nodes.window_s *= 0.5;
   if (halves.nodes.window_s < kShortestWindow) return;
-  halves.windows = InPieces(halves.windows, halves.nodes.window_s, halves.noise);
+  halves.windows = InPieces(halves.windows, halves.nodes.window_s, halves.RowNoise());
   if (!(RowsPerWindow(halves) > kRowsPerState * rod.plant->num_states())) return;
   const FitSetting setting{halves, setting_.nominal, setting_.scales};
   Candidate over = rod;

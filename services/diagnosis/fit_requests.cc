@@ -67,7 +67,7 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
   for (double piece = hidden ? 0 : request.piece_s; piece > 0; piece *= kLongerPiece) {
     if (piece > kLongestPiece * data.nodes.window_s) break;
     FitData pieces = data;
-    pieces.windows = InPieces(Spread(data.windows), piece, data.noise);
+    pieces.windows = InPieces(Spread(data.windows), piece, data.RowNoise());
     LiftedOptions options = request.options;
     // On the way to longer ones nothing is gained by the last of them.
     if (!request.pieces_alone) options.still_falling = std::max(options.still_falling, kOnTheWay);

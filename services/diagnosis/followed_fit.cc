@@ -185,7 +185,7 @@ void ForEachPiece(const std::vector<NodeWindow>& windows, const std::vector<Node
 double FindOverPieces(const FitData& data, double piece_s, const LiftedOptions& options, FitModel* model,
                       NodeStates* states) {
   FitData pieces = data;
-  pieces.windows = InPieces(data.windows, piece_s, data.noise);
+  pieces.windows = InPieces(data.windows, piece_s, data.RowNoise());
   if (pieces.windows.empty()) return 0;
   Followed f{pieces, options, NodeStates(pieces.windows.size()), {}};
   ForEachPiece(data.windows, pieces.windows, [&](size_t w, Eigen::Index first, size_t p) {

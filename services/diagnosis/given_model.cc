@@ -43,6 +43,7 @@ Result<sim::Plant> GivenPlant(const recordings::RecordingSet& set,
     return InvalidError("the model has the joints" + have + ", the recordings" + want);
   }
   sim::PlantOptions options = model->plant.options();
+  options.prescribed = urdf.options().prescribed, options.passive = urdf.options().passive;
   const sim::ParameterTable& table = model->plant.parameters();
   for (int i = 0; i < table.size(); ++i) {
     if (table[i].kind == sim::ParameterKind::kEffect) continue;

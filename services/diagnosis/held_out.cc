@@ -128,7 +128,8 @@ HeldOut Predicted(const FitData& held_out, const Candidate& fitted, const Lifted
   for (const double chi2 : fit.window_chi2) out.windows.push_back(-0.5 * chi2 / options.noise_scale);
   const double misfit = 0.5 * fit.chi2 / options.noise_scale;
   out.log_density = -misfit;
-  out.free = std::max(0.0, held_out.Rows() - 2.0 * held_out.n * static_cast<double>(held_out.windows.size()));
+  out.free =
+      std::max(0.0, held_out.Rows() - 2.0 * held_out.judged() * static_cast<double>(held_out.windows.size()));
   out.scatter = std::sqrt(0.5 * out.free);
   if (fit.ok && P > 0 && fitted.fit.information.rows() == P) {
     const Learned learned = LearnedFrom(held_out, fitted, fit.states, restarts);

@@ -73,7 +73,7 @@ sim::CommandSignal Disturbed(const sim::CommandSignal& command, const MeasuredEf
     }
   }
   auto out = sim::CommandSignal::Create(command.times(), u, command.hold());
-  return out.ok() ? *out : command;
+  return out.ok() ? out->WithMotion(command.motion()) : command;
 }
 
 // What the augmented model would show if it were true: windows that it made itself, from the states where
@@ -109,11 +109,13 @@ double NoiseFloor(const std::vector<const recordings::Recording*>& recs, const J
           simulator.Simulate(simulator.MakeState(q, v, rec.t[first], recorded), recorded, times);
       if (!truth.outcome.ok() || !guess.outcome.ok()) continue;
       for (int j = 0; j < n; ++j) {
+        if (rec.IsPrescribed(j)) continue;
         const double sensor = noise.position_stddev[j] * noise.position_stddev[j];
         squares += (truth.position.row(j) - guess.position.row(j)).squaredNorm() +
                    sensor * static_cast<double>(times.size());
       }
-      count += static_cast<double>(n) * static_cast<double>(times.size());
+      count += (static_cast<double>(n) - static_cast<double>(rec.prescribed.size())) *
+               static_cast<double>(times.size());
     }
   }
   return std::sqrt(squares / std::max(1.0, count));

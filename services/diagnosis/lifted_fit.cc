@@ -19,10 +19,17 @@ namespace rg::diagnosis {
 
 constexpr int kStepAsColumns = 20;
 
+recordings::SensorNoise FitData::RowNoise() const {
+  recordings::SensorNoise out = noise;
+  for (const int j : prescribed)
+    out.position_stddev[j] = out.velocity_stddev[j] = std::numeric_limits<double>::infinity();
+  return out;
+}
+
 int FitData::Rows() const {
   int rows = 0;
   for (const NodeWindow& w : windows) {
-    for (const char m : w.measured) rows += m * n * (use_velocity ? 2 : 1);
+    for (const char m : w.measured) rows += m * judged() * (use_velocity ? 2 : 1);
   }
   return rows;
 }

@@ -41,8 +41,12 @@ struct FitData {
   std::vector<NodeWindow> windows;
   NodeOptions nodes;
   std::shared_ptr<const FitData> held_out;  // recordings that no fit sees; null: none
-  int Rows() const;                         // residual rows of all windows
-  double Seconds() const;                   // of motion in all windows
+  std::vector<int> prescribed;              // joints that are given: no residual is theirs
+  int judged() const { return n - static_cast<int>(prescribed.size()); }
+  // As rows are weighed: infinite for prescribed joints.
+  recordings::SensorNoise RowNoise() const;
+  int Rows() const;        // residual rows of all windows, of judged joints
+  double Seconds() const;  // of motion in all windows
 };
 
 // States at the nodes of every window: nx × (N + 1) each.

@@ -61,6 +61,7 @@ inline Probe MakeProbe(const FitModel& model, bool with_torque) {
   std::vector<Push> pushes;
   for (int j = 0; j < n; ++j) {
     const std::string& joint = model.plant.joint_names()[j];
+    if (model.plant.IsPrescribed(j)) continue;
     if (!Holds(model.plant, "external_disturbance", joint)) {
       pushes.push_back({effects::MakeSpec("external_disturbance", {joint},
                                           {{"start", -1e9}, {"end", 1e9}, {"torque", 0.0}}),

@@ -221,6 +221,12 @@ FineMotion FineMotionOf(const recordings::Recording& rec, const sim::CommandSign
     motion.At(t, &q, &v, &a);
     out.q.col(k) = q, out.v.col(k) = v, out.a.col(k) = a;
     for (int j = 0; j < n; ++j) out.u(j, k) = command.Average(j, t - 0.5 * dt, t + 0.5 * dt);
+    for (size_t i = 0; i < rec.prescribed.size(); ++i) {
+      const auto told = [&](double at) { return command.motion()->At(static_cast<int>(i), at); };
+      const int j = rec.prescribed[i];
+      out.q(j, k) = told(t).q, out.v(j, k) = told(t).v;
+      out.a(j, k) = (told(t + 0.5 * dt).v - told(t - 0.5 * dt).v) / dt;
+    }
   }
   const double longest = kGap * rec.SamplePeriod();
   for (int row = 1; row < rec.rows(); ++row) {

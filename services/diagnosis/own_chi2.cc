@@ -30,10 +30,14 @@ double OwnChi2(const FitData& data, const FitModel& model, const NodeStates& sta
     for (size_t node = 0; node < window.t.size(); ++node) {
       if (!window.measured[node]) continue;
       const auto k = static_cast<long>(node);
-      for (int j = 0; j < n; ++j, ++row)
-        window.q(j, k) -= (residual[row] - noise * stream.Normal()) * window.q_stddev(j, k);
-      for (int j = 0; data.use_velocity && j < n; ++j, ++row)
-        window.v(j, k) -= (residual[row] - noise * stream.Normal()) * window.v_stddev(j, k);
+      const auto move = [&](const MatrixXd& stddev, MatrixXd* rows) {
+        for (int j = 0; j < n; ++j, ++row) {
+          const double by = residual[row] - noise * stream.Normal();
+          if (std::isfinite(stddev(j, k))) (*rows)(j, k) -= by * stddev(j, k);
+        }
+      };
+      move(window.q_stddev, &window.q);
+      if (data.use_velocity) move(window.v_stddev, &window.v);
     }
   });
   LiftedOptions starts = options;

@@ -9,6 +9,7 @@
 #include "common/recordings/velocity_lag.h"
 #include "services/diagnosis/words.h"
 #include "services/sysid/drive_signal.h"
+#include "services/sysid/joint_roles.h"
 
 namespace rg::diagnosis {
 
@@ -20,7 +21,6 @@ namespace {
 constexpr double kLeastSeconds = 0.5;  // of fitted recordings
 constexpr double kClose = 0.8;     // share that the URDF's torque must explain before its slope says anything
 constexpr double kFlipped = 0.35;  // |slope + 1| of an effort with the other sign
-constexpr double kDriven = 0.3;    // share of the power that is put in
 constexpr double kOtherUnit = 20.0;   // factor that no gain error of a drive reaches
 constexpr double kWorthALag = 0.002;  // s
 constexpr double kWorthANote = 0.05;  // of the effort's variance
@@ -42,9 +42,10 @@ Status CheckMotion(const FitData& data, const sim::Plant& plant, const MotionSca
   }
   std::string widest;
   for (int j = 0; j < data.n; ++j) {
+    if (plant.IsPrescribed(j)) continue;
     const double range = scales.high[j] - scales.low[j];
     if (range >= kMovesBy * data.noise.position_stddev[j]) return Status::Ok();
-    widest += (j > 0 ? ", " : "") + plant.joint_names()[j] + " by " + Number(range);
+    widest += (widest.empty() ? "" : ", ") + plant.joint_names()[j] + " by " + Number(range);
   }
   return InvalidError("no joint moves by more than its sensor's noise (" + widest +
                       "): too little motion to say anything");
@@ -86,13 +87,15 @@ EffortMatch MatchOf(const Torques& t, int i, int j) {
 }
 
 // A joint without any effort can only lose energy; one whose needed torque does work was driven.
-std::string Undriven(const Torques& t, int j, bool revolute) {
-  if (t.u.col(j).cwiseAbs().maxCoeff() > 0) return "";
-  const Eigen::ArrayXd power = t.rigid.col(j).array() * t.v.col(j).array();
-  if (power.max(0.0).sum() < kDriven * power.abs().sum()) return "";
+std::string Undriven(const Torques& t, int j, const sim::Plant& plant) {
+  if (plant.IsPassive(j) || t.u.col(j).cwiseAbs().maxCoeff() > 0) return "";
+  if (sysid::WorkPutIn(t.rigid.col(j), t.v.col(j)) < sysid::kDriven) return "";
+  const bool revolute = plant.model().joint(j).is_revolute();
   return " is zero throughout, but the recorded motion needs " +
          Number(std::sqrt(t.rigid.col(j).array().square().mean())) + (revolute ? " N m" : " N") +
-         " (RMS) that does work: it is not what drove this joint";
+         " (RMS) that does work: it is not what drove this joint (\"passive\" in the manifest says that "
+         "nothing "
+         "did, \"prescribed\" that it moves as measured)";
 }
 
 // Two efforts that each follow the other joint's torque; the other joint, or -1.
@@ -110,8 +113,9 @@ int ExchangedWith(const Torques& t, const std::vector<EffortMatch>& own, int i) 
 // What is wrong with a joint's effort, as it follows the column's name; empty where nothing is.
 std::string Suspicion(const Torques& torques, const std::vector<EffortMatch>& match, int j,
                       const sim::Plant& plant) {
+  if (plant.IsPrescribed(j)) return "";
+  if (const std::string idle = Undriven(torques, j, plant); !idle.empty()) return idle;
   const bool revolute = plant.model().joint(j).is_revolute();
-  if (const std::string idle = Undriven(torques, j, revolute); !idle.empty()) return idle;
   if (const int other = ExchangedWith(torques, match, j); other >= 0)
     return " follows the torque that the URDF needs at " + plant.joint_names()[other] +
            ", and that joint's effort the torque of this one: the columns look exchanged";
@@ -153,11 +157,13 @@ Status CheckPlausible(const recordings::RecordingSet& set, const FitData& data, 
 std::vector<std::string> NotesOnMeasurement(const recordings::RecordingSet& set, const FitData& data,
                                             const sim::Plant& plant, const MeasuredEffort& measured) {
   std::vector<std::string> notes = set.warnings;
+  for (std::string& note : sysid::NotesOnRoles(set, plant)) notes.push_back(std::move(note));
   const auto& names = plant.joint_names();
   std::vector<std::string> late;
   double least = 1e9, most = 0;
   const recordings::VelocityLag lag = recordings::EstimateVelocityLag(*data.recordings[0].recording);
   for (int j = 0; j < data.n; ++j) {
+    if (plant.IsPrescribed(j)) continue;
     if (lag.error[j] <= 0 || lag.lag[j] < kWorthALag) continue;
     late.push_back(names[j]);
     least = std::min(least, lag.lag[j]), most = std::max(most, lag.lag[j]);

@@ -18,6 +18,7 @@ Result<FitData> Prepared(const recordings::RecordingSet& set,
                          const sim::Plant& nominal, const DiagnosisOptions& options) {
   FitData data;
   data.n = nominal.num_joints();
+  data.prescribed = nominal.prescribed();
   data.noise = recordings::EstimateSensorNoise(set);
   for (int j = 0; j < data.n; ++j) {
     const double step = data.noise.position_resolution[j];
@@ -44,10 +45,14 @@ Result<FitData> Prepared(const recordings::RecordingSet& set,
   for (size_t r = 0; r < data.recordings.size(); ++r) {
     data.motions.emplace_back(*data.recordings[r].recording, data.noise);
     auto windows = CutIntoNodes(*data.recordings[r].recording, static_cast<int>(r), data.motions[r],
-                                data.noise, data.nodes);
+                                data.RowNoise(), data.nodes);
     data.windows.insert(data.windows.end(), windows.begin(), windows.end());
     data.fine.push_back(
         FineMotionOf(*data.recordings[r].recording, data.recordings[r].command, data.motions[r], data.nodes));
+    // What a file says of an effort where there is no drive moves nothing.
+    for (int j = 0; j < data.n; ++j) {
+      if (nominal.IsPassive(j)) data.fine.back().u.row(j).setZero();
+    }
   }
   if (data.windows.size() < 3)
     return InvalidError("less than three windows of motion: too little to say anything");

@@ -14,11 +14,13 @@ constexpr int kNullDraws = 60;
 }  // namespace
 
 std::vector<effects::EffectSpec> WithProbes(const std::vector<effects::EffectSpec>& held,
-                                            const std::vector<std::string>& joints) {
+                                            const sim::Plant& plant) {
   std::vector<effects::EffectSpec> out = held;
-  for (const std::string& joint : joints) {
+  for (int j = 0; j < plant.num_joints(); ++j) {
+    const std::string& joint = plant.joint_names()[static_cast<size_t>(j)];
     for (const char* probe : {"encoder_offset", "sensor_delay"}) {
-      if (!Contains(held, probe, joint)) out.push_back(effects::MakeSpec(probe, {joint}));
+      if (plant.Takes(probe, j) && !Contains(held, probe, joint))
+        out.push_back(effects::MakeSpec(probe, {joint}));
     }
   }
   return out;
@@ -63,8 +65,7 @@ ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, b
                           std::vector<Eigen::VectorXd>* step_rule) {
   const sim::Plant& nominal = setting.nominal;
   const std::vector<EffectSpec> own = Refreshed(current);
-  auto plant =
-      sim::Plant::Create(nominal.shared_model(), nominal.options(), WithProbes(own, nominal.joint_names()));
+  auto plant = sim::Plant::Create(nominal.shared_model(), nominal.options(), WithProbes(own, nominal));
   if (!plant.ok()) return {};
   std::vector<sysid::FitParameter> parameters;
   auto columns = ScreenColumns(*plant, setting.scales, own, &parameters);
@@ -81,7 +82,7 @@ ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, b
   if (step_rule->empty()) *step_rule = StepRuleResiduals(setting.data, model, states, options);
   const Screen screen =
       MakeScreen(setting.data, model, states, features.block, options, *step_rule, kNullDraws, rng);
-  return ScoreHypotheses(screen, columns, features, setting.scales, base, setting.data.n);
+  return ScoreHypotheses(screen, columns, features, setting.scales, base, nominal);
 }
 
 }  // namespace rg::diagnosis

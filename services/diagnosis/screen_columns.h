@@ -12,9 +12,9 @@
 
 namespace rg::diagnosis {
 
-// `held` with an offset and a delay of the sensor on every joint that has none.
+// `held` with an offset and a delay of the sensor on every joint of `plant` that takes them and has none.
 std::vector<effects::EffectSpec> WithProbes(const std::vector<effects::EffectSpec>& held,
-                                            const std::vector<std::string>& joints);
+                                            const sim::Plant& plant);
 
 // `plant`: with sensors' offsets and delays on every joint, as probes; `held`: the effects that the model
 // has, whose columns are no hypotheses. `parameters`, one per column, are written.

@@ -45,8 +45,8 @@ const std::set<std::string>& PositiveEffects() {
 class Scorer {
  public:
   Scorer(const Screen& screen, const std::vector<ParameterColumn>& columns, const FeatureSet& features,
-         const MotionScales& scales, bool base_free, int n)
-      : columns_(columns), features_(features), scales_(scales), n_(n) {
+         const MotionScales& scales, bool base_free, const sim::Plant& plant)
+      : columns_(columns), features_(features), scales_(scales), plant_(plant), n_(plant.num_joints()) {
     Project(screen, base_free);
     MakeGroups();
   }
@@ -282,20 +282,28 @@ class Scorer {
     if (payload.columns.size() == 10) Push(payload);
   }
 
-  // The same effect on every joint: with one coefficient for all, or one each.
+  std::vector<int> Takers(const std::string& effect) const {
+    std::vector<int> out;
+    for (int j = 0; j < n_; ++j) {
+      if (plant_.Takes(effect, j)) out.push_back(j);
+    }
+    return out;
+  }
+
+  // The same effect on every joint that takes it: with one coefficient for all, or one each.
   void AllJointGroups() {
-    std::vector<int> all(n_);
-    for (int j = 0; j < n_; ++j) all[j] = j;
     for (const auto& [effect, role] : {std::pair<std::string, std::string>{"actuator_delay", "delay"},
                                        {"actuator_lag", "time_constant"},
                                        {"torque_gain", "gain"},
                                        {"viscous_friction", "viscous"},
                                        {"coulomb_friction", "coulomb"},
                                        {"rotor_inertia", "armature"}}) {
-      const auto shapes = Shapes(effect, role, 0);
+      const std::vector<int> all = Takers(effect);
+      if (all.size() < 2) continue;
+      const auto shapes = Shapes(effect, role, all[0]);
       for (const double s : shapes) {
         Group common{effect, all, {{}}, {}, s}, each{effect, all, {}, {}, s};
-        for (int j = 0; j < n_; ++j) {
+        for (const int j : all) {
           const int place = Find(effect, role, j, s);
           common.columns[0].push_back(place);
           each.columns.push_back({place});
@@ -308,7 +316,7 @@ class Scorer {
         if (s == 0) Push(each);
       }
     }
-    Group sensor{"sensor_delay", all, {{}}, {}};
+    Group sensor{"sensor_delay", Takers("sensor_delay"), {{}}, {}};
     for (size_t c = 0; c < columns_.size(); ++c) {
       if (columns_[c].effect == "sensor_delay") sensor.columns[0].push_back(place_[c]);
     }
@@ -522,6 +530,7 @@ class Scorer {
   const std::vector<ParameterColumn>& columns_;
   const FeatureSet& features_;
   const MotionScales& scales_;
+  const sim::Plant& plant_;
   int n_;
   int feature_start_ = 0;
   std::vector<int> place_;
@@ -535,8 +544,8 @@ class Scorer {
 
 ScreenResult ScoreHypotheses(const Screen& screen, const std::vector<ParameterColumn>& columns,
                              const FeatureSet& features, const MotionScales& scales, bool base_free,
-                             int joints) {
-  return Scorer(screen, columns, features, scales, base_free, joints).Run();
+                             const sim::Plant& plant) {
+  return Scorer(screen, columns, features, scales, base_free, plant).Run();
 }
 
 }  // namespace rg::diagnosis

@@ -45,8 +45,9 @@ struct ScreenResult {
   double null_gain = 0;            // exceeded by the best of all hypotheses in 2 % of recordings of the model
 };
 
+// Of what the joints of `plant` take.
 ScreenResult ScoreHypotheses(const Screen& screen, const std::vector<ParameterColumn>& columns,
                              const FeatureSet& features, const MotionScales& scales, bool base_free,
-                             int joints);
+                             const sim::Plant& plant);
 
 }  // namespace rg::diagnosis

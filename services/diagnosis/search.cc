@@ -86,7 +86,7 @@ class Search {
                          ? out.calibrated
                          : out.nominal;
     LowerNoise(&best, &out);
-    features_ = MakeFeatures(data_, scales_);
+    features_ = MakeFeatures(data_, nominal_, scales_);
     if (const Candidate* c = options_.earlier.get())
       earlier_ = fits_.Evaluate(Refreshed(*c), c->base, c, kEarlier, nullptr);
     if (earlier_ && fits_.Late()) best = Better(best, *earlier_);
@@ -188,7 +188,7 @@ class Search {
   bool FoundNothing(const Candidate& c) const { return KeyOf(c.specs) == KeyOf(given_); }
 
   double Noise(const Candidate& c) const {  // χ² that it alone leaves
-    return c.fit.rows - 2.0 * data_.n * static_cast<double>(data_.windows.size());
+    return c.fit.rows - 2.0 * data_.judged() * static_cast<double>(data_.windows.size());
   }
   // The most that any addition could bring: half of χ² above what noise alone leaves.
   double AtStake(const Candidate& c) const { return 0.5 * (c.fit.chi2 / fits_.noise_scale() - Noise(c)); }

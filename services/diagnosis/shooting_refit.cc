@@ -57,7 +57,7 @@ std::vector<sysid::FitRecording> Advanced(const FitData& data, const sim::Plant&
         u(j, static_cast<long>(k)) = gain[j] * r.command.At(j, t[k] - delay[j]);
     }
     auto shifted = sim::CommandSignal::Create(t, u, r.command.hold());
-    if (shifted.ok()) r.command = *shifted;
+    if (shifted.ok()) r.command = shifted->WithMotion(r.command.motion());
   }
   return out;
 }

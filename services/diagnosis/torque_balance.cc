@@ -92,6 +92,9 @@ class BalanceMaker {
         c.push_back({"unknown_field", "position", static_cast<double>(k)});
         c.push_back({"unknown_field", "velocity", static_cast<double>(k)});
       }
+      std::erase_if(c, [&](const BalanceColumn& column) {
+        return !plant_.Takes(column.effect == "offset" ? "unknown_field" : column.effect, j);
+      });
     }
   }
 
@@ -143,7 +146,8 @@ class BalanceMaker {
       const int block = first_block + std::min(blocks - 1, k * blocks / F);
       for (int j = 0; j < n; ++j) {
         const auto v = m.v.row(j).segment(first, count);
-        const bool still = v.cwiseAbs().minCoeff() < still_[j] || v.maxCoeff() * v.minCoeff() < 0;
+        const bool still =
+            plant_.IsPrescribed(j) || v.cwiseAbs().minCoeff() < still_[j] || v.maxCoeff() * v.minCoeff() < 0;
         Row row{m.t[k],
                 r,
                 block,
@@ -169,7 +173,7 @@ class BalanceMaker {
     dynamics::Workspace workspace;
     const int n = data_.n, B = static_cast<int>(out_.base.size());
     VectorXd tau(n);
-    MatrixXd Y(n, 10 * n), G(n, 3);
+    MatrixXd Y(n, 10 * mechanism.num_bodies()), G(n, 3);
     for (int k = 0; k < rigid->cols(); ++k) {
       dynamics::Rnea(mechanism, workspace, m.q.col(k), m.v.col(k), m.a.col(k), tau);
       dynamics::TorqueRegressor(mechanism, workspace, m.q.col(k), m.v.col(k), m.a.col(k), Y);

@@ -7,7 +7,8 @@
 // known. Motion comes from the local polynomials of motion.h; both sides then pass the same window (Hann, ±30
 // ms), so that they have lost the same frequencies, and are thinned to rows 20 ms apart. Rows in which a
 // joint may be stuck
-// (`still`) have no say on it: there friction is whatever it takes.
+// (`still`) have no say on it: there friction is whatever it takes. Nor have any of a prescribed joint, whose
+// effort nobody knows; its motion is in the others' rows.
 #pragma once
 
 #include <Eigen/Core>

@@ -33,6 +33,14 @@ bool AlreadyIn(const Candidate& from, const Scored& h, const sim::Plant& nominal
                      [&](const std::string& joint) { return Contains(from.specs, h.effect, joint); });
 }
 
+// What the effect can be exchanged with where it is.
+std::vector<std::string> SiblingsOn(const sim::Plant& nominal, const EffectSpec& s) {
+  std::vector<std::string> out = SiblingsOf(s.id);
+  std::erase_if(
+      out, [&](const std::string& id) { return !nominal.Takes(id, nominal.model().FindJoint(s.joints[0])); });
+  return out;
+}
+
 // The first start of each.
 TrialSpecs Together(const std::vector<Scored>& parts, const sim::Plant& nominal, const MotionScales& scales) {
   TrialSpecs out;
@@ -143,7 +151,7 @@ class TrialBuilder {
   // What the model has, by another law: what is left of a joint that sticks tells a screen little of it.
   void OtherForms() {
     for (const EffectSpec& s : from_.fit.ok ? Refreshed(from_) : TrialSpecs{}) {
-      for (const std::string& id : SiblingsOf(s.id)) {
+      for (const std::string& id : SiblingsOn(nominal_, s)) {
         if (id != s.id) Push({{Exchanged(s, id, nominal_, scales_)}});
       }
       if (SiblingsOf(s.id) == SiblingsOf("stribeck_friction")) Push(StribeckStarts(s, nominal_, scales_));
@@ -163,6 +171,7 @@ class TrialBuilder {
   void Transmissions(const std::vector<int>& joints) {
     const size_t springy = data_.n <= 2 ? 2 : from_.base ? 1 : 2;
     for (size_t i = 0; i < std::min(springy, joints.size()); ++i) {
+      if (!nominal_.Takes("joint_elasticity", joints[i])) continue;
       const std::string& name = nominal_.joint_names()[static_cast<size_t>(joints[i])];
       if (Contains(from_.specs, "joint_elasticity", name) || Contains(from_.specs, "backlash", name))
         continue;
@@ -265,7 +274,10 @@ std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id
                                   const MotionScales& scales) {
   std::vector<TrialSpecs> out;
   for (const std::string& sibling : SiblingsOf(id)) {
-    if (sibling == id) continue;
+    const bool taken = std::all_of(specs.begin(), specs.end(), [&](const EffectSpec& s) {
+      return s.id != id || nominal.Takes(sibling, nominal.model().FindJoint(s.joints[0]));
+    });
+    if (sibling == id || !taken) continue;
     TrialSpecs other;
     for (const EffectSpec& s : specs)
       other.push_back(s.id == id ? Exchanged(s, sibling, nominal, scales) : s);

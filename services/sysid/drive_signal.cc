@@ -6,6 +6,7 @@
 
 #include "common/base/check.h"
 #include "common/model/robot_model.h"
+#include "common/recordings/prescribed.h"
 
 namespace rg::sysid {
 namespace {
@@ -13,13 +14,23 @@ namespace {
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
+std::shared_ptr<const sim::GivenMotion> MotionOf(const recordings::Recording& recording) {
+  recordings::SmoothMotionRows rows = recordings::SmoothPrescribed(recording);
+  auto motion = sim::GivenMotion::Create(recording.prescribed,
+                                         {recording.t.data(), recording.t.data() + recording.t.size()},
+                                         std::move(rows.q), std::move(rows.v), std::move(rows.a));
+  RG_CHECK(motion.ok()) << recording.name << ": " << motion.status().ToString();
+  return std::make_shared<const sim::GivenMotion>(std::move(motion).value());
+}
+
 sim::CommandSignal Signal(const recordings::Recording& recording, MatrixXd effort) {
   const bool held = recording.drive == recordings::EffortKind::kCommand;
   std::vector<double> times(recording.t.data(), recording.t.data() + recording.t.size());
   auto signal = sim::CommandSignal::Create(std::move(times), std::move(effort),
                                            held ? sim::Hold::kZeroOrder : sim::Hold::kLinear);
   RG_CHECK(signal.ok()) << recording.name << ": " << signal.status().ToString();
-  return std::move(signal).value();
+  if (recording.prescribed.empty()) return std::move(signal).value();
+  return signal->WithMotion(MotionOf(recording));
 }
 
 double ValueOf(const sim::Plant& plant, const VectorXd& values, const std::string& name) {

@@ -11,7 +11,8 @@
 namespace rg::sysid {
 
 // The drive effort of a recording: commands hold to the next row, measured efforts are linear between
-// rows. RG_CHECKs that the recording has an effort (its loader holds that).
+// rows. RG_CHECKs that the recording has an effort (its loader holds that). Prescribed joints move as
+// measured, smoothed within the sensor's noise.
 sim::CommandSignal DriveSignal(const recordings::Recording& recording);
 
 // The same for a drive that adds its own gravity compensation to the effort in the file: the torque

@@ -21,7 +21,7 @@ FitParameter Row(const sim::Plant& plant, int index) {
 
 // The heaviest link of each moving body; a body whose links are all massless gives its first link.
 std::vector<int> PrincipalLinks(const model::RobotModel& model) {
-  std::vector<int> principal(model.num_joints(), -1);
+  std::vector<int> principal(model.num_bodies(), -1);
   for (int i = 0; i < model.num_links(); ++i) {
     const model::Link& link = model.link(i);
     if (link.body < 0 || !link.has_inertial) continue;
@@ -63,6 +63,12 @@ void AddLink(const sim::Plant& plant, const model::Link& link, std::vector<FitPa
   }
 }
 
+// Nothing on a prescribed joint shows.
+bool HasEquation(const sim::Plant& plant, int parameter) {
+  const int joint = plant.model().FindJoint(plant.parameters()[parameter].owner);
+  return joint < 0 || !plant.IsPrescribed(joint);
+}
+
 }  // namespace
 
 std::vector<FitParameter> InertialFitParameters(const sim::Plant& plant) {
@@ -75,9 +81,11 @@ std::vector<FitParameter> InertialFitParameters(const sim::Plant& plant) {
 
 std::vector<FitParameter> DeclaredJointFitParameters(const sim::Plant& plant) {
   std::vector<FitParameter> out;
-  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kDamping)) out.push_back(Row(plant, i));
+  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kDamping)) {
+    if (HasEquation(plant, i)) out.push_back(Row(plant, i));
+  }
   for (const int i : plant.parameters().OfKind(sim::ParameterKind::kFriction)) {
-    if (plant.parameters()[i].nominal != 0.0) out.push_back(Row(plant, i));
+    if (plant.parameters()[i].nominal != 0.0 && HasEquation(plant, i)) out.push_back(Row(plant, i));
   }
   return out;
 }

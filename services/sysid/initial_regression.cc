@@ -18,9 +18,7 @@ namespace {
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-struct Sample {
-  VectorXd q, v, a, effort;  // n each, smoothed
-};
+using Sample = MotionSample;
 
 // Local cubic at row `row`: weights of value, slope and second derivative on rows first … last.
 struct Cubic {
@@ -79,24 +77,6 @@ void AddSamples(const FitRecording& fit, const RegressionOptions& options, int s
     s.effort = effort.middleCols(c.first, c.last - c.first + 1) * c.weights.row(0).transpose();
     out->push_back(std::move(s));
   }
-}
-
-std::vector<Sample> CollectSamples(const std::vector<FitRecording>& recordings,
-                                   const RegressionOptions& options) {
-  double total = 0.0;
-  for (const FitRecording& fit : recordings) {
-    const double rate = 1.0 / std::max(1e-9, fit.recording->SamplePeriod());
-    total += fit.recording->rows() / std::max(1.0, rate / options.rate_hz);
-  }
-  const double thin = std::max(1.0, total / options.max_rows);
-  std::vector<Sample> samples;
-  for (const FitRecording& fit : recordings) {
-    const double rate = 1.0 / std::max(1e-9, fit.recording->SamplePeriod());
-    const int stride =
-        std::max(1, static_cast<int>(std::lround(std::max(1.0, rate / options.rate_hz) * thin)));
-    AddSamples(fit, options, stride, &samples);
-  }
-  return samples;
 }
 
 // What a parameter multiplies in its joint's torque balance (moved to the model's side).
@@ -183,7 +163,7 @@ class Regression {
   void FillRows(int s) {
     const Sample& x = samples_[s];
     VectorXd tau(n_);
-    MatrixXd Y(n_, 10 * n_);
+    MatrixXd Y(n_, 10 * mechanism_.num_bodies());
     dynamics::Rnea(mechanism_, workspace_, x.q, x.v, x.a, tau);
     dynamics::TorqueRegressor(mechanism_, workspace_, x.q, x.v, x.a, Y);
     auto J = J_.middleRows(s * n_, n_);
@@ -191,7 +171,7 @@ class Regression {
     AddJointTorques(x, &tau);
     for (int j = 0; j < n_; ++j) {
       r_[s * n_ + j] = tau[j];
-      used_[s * n_ + j] = std::abs(x.v[j]) > still_[j];
+      used_[s * n_ + j] = std::abs(x.v[j]) > still_[j] && !plant_.IsPrescribed(j);
     }
   }
 
@@ -281,12 +261,30 @@ class Regression {
 
 }  // namespace
 
+std::vector<MotionSample> SampleMotion(const std::vector<FitRecording>& recordings,
+                                       const RegressionOptions& options) {
+  double total = 0.0;
+  for (const FitRecording& fit : recordings) {
+    const double rate = 1.0 / std::max(1e-9, fit.recording->SamplePeriod());
+    total += fit.recording->rows() / std::max(1.0, rate / options.rate_hz);
+  }
+  const double thin = std::max(1.0, total / options.max_rows);
+  std::vector<Sample> samples;
+  for (const FitRecording& fit : recordings) {
+    const double rate = 1.0 / std::max(1e-9, fit.recording->SamplePeriod());
+    const int stride =
+        std::max(1, static_cast<int>(std::lround(std::max(1.0, rate / options.rate_hz) * thin)));
+    AddSamples(fit, options, stride, &samples);
+  }
+  return samples;
+}
+
 RegressionResult RegressInverseDynamics(const sim::Plant& plant, const VectorXd& values,
                                         const FitSpace& space, const VectorXd& theta,
                                         const std::vector<FitRecording>& recordings,
                                         const RegressionOptions& options) {
   RG_CHECK(values.size() == plant.parameters().size() && theta.size() == space.size());
-  std::vector<Sample> samples = CollectSamples(recordings, options);
+  std::vector<Sample> samples = SampleMotion(recordings, options);
   if (samples.size() < 10) {
     const VectorXd zero = VectorXd::Zero(plant.num_joints());
     return {theta, zero, 0};

@@ -5,7 +5,8 @@
 // Positions are smoothed by local cubics (value, slope and second derivative), the effort by the same
 // cubics, so that both have lost the same frequencies. Linear in all but the centres of mass: a few
 // Gauss-Newton steps. Rows in which a joint hardly moves have no say for that joint: what friction does
-// there is anything up to its level. Huber weights, the residual's scale per joint estimated on the way,
+// there is anything up to its level. Prescribed joints have no equation of their own; their motion is in the
+// others'. Huber weights, the residual's scale per joint estimated on the way,
 // priors and bounds of the fit space. No offset per joint: the model has none to predict with.
 // Parameters that this equation does not hold (delays, elasticity, …) keep their start value.
 //
@@ -29,6 +30,11 @@ struct FitRecording {
   sim::CommandSignal command;
 };
 
+// Motion and effort at one moment, all smoothed alike, n each.
+struct MotionSample {
+  Eigen::VectorXd q, v, a, effort;
+};
+
 struct RegressionOptions {
   double rate_hz = 50.0;      // rows are thinned to about this rate
   int max_rows = 3000;        // over all recordings
@@ -43,6 +49,10 @@ struct RegressionResult {
   Eigen::VectorXd torque_stddev;  // n, robust, of the residual
   int rows = 0;                   // rows used; 0: too little data, theta is the start
 };
+
+// Samples of the recordings, thinned.
+std::vector<MotionSample> SampleMotion(const std::vector<FitRecording>& recordings,
+                                       const RegressionOptions& options = {});
 
 // Starts at `theta`; the plant's other parameters are those of `values` (its whole table).
 RegressionResult RegressInverseDynamics(const sim::Plant& plant, const Eigen::VectorXd& values,

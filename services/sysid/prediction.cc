@@ -80,6 +80,7 @@ class Predictor {
       if (w.first > 0) out.restarts.push_back(w.first);
       PredictWindow(w, &out);
     }
+    for (const int j : recording_.prescribed) out.q.row(j) = recording_.q.row(j);
     return out;
   }
 
@@ -89,6 +90,12 @@ class Predictor {
     return [this](const VectorXd& q, VectorXd* torque) {
       dynamics::GravityTorque(*mechanism_, workspace_, q, *torque);
     };
+  }
+
+  // Prescribed joints in a command that is held up to `end`: their velocities there.
+  void TellPrescribed(double end, VectorXd* u) const {
+    for (size_t i = 0; i < recording_.prescribed.size(); ++i)
+      (*u)[recording_.prescribed[i]] = command_.motion()->At(static_cast<int>(i), end).v;
   }
 
   sim::State Restart(int row) {
@@ -124,12 +131,14 @@ class Predictor {
         for (int j = 0; j < n; ++j) u[j] = command_.Average(j, begin + k * dt, begin + (k + 1) * dt);
         dynamics::GravityTorque(*mechanism_, workspace_, x.q + 0.5 * dt * x.v, torque);
         u += torque;
+        TellPrescribed(begin + (k + 1) * dt, &u);
         const sim::Outcome outcome = simulator_.Advance(x, u, dt);
         if (!outcome.ok()) {
           Break(w, row, outcome.ToString(), q0, out);
           return;
         }
       }
+      PlacePrescribed(command_, recording_.t[row], &x);
       simulator_.Measure(x, &q, &v);
       out->q.col(row) = q;
     }
@@ -172,6 +181,7 @@ double Median(std::vector<double> x) {
 Prediction PredictRecording(const sim::Plant& plant, const VectorXd& values,
                             const recordings::Recording& recording, const PredictionOptions& options) {
   RG_CHECK(recording.n() == plant.num_joints() && recording.rows() >= 1);
+  RG_CHECK(recording.prescribed == plant.prescribed()) << recording.name;
   RG_CHECK(values.size() == plant.parameters().size());
   Prediction all;
   all.t = recording.t;
@@ -198,14 +208,17 @@ PredictionError ErrorOf(const Prediction& prediction, const recordings::Recordin
   if (predicted < 1) return error;
   MatrixXd squares = (prediction.q - recording.q).cwiseAbs().cwiseMin(kErrorCap).cwiseAbs2();
   for (const int row : prediction.measured) squares.col(row).setZero();
+  // Prescribed joints are right by themselves: their zeros are no part of a mean.
+  const double judged = std::sqrt(n / std::max(1.0, n - static_cast<double>(recording.prescribed.size())));
   const VectorXd of_joints = squares.rowwise().sum() / predicted;
-  error.rms = std::sqrt(of_joints.mean());
+  error.rms = judged * std::sqrt(of_joints.mean());
   error.joint_rms = of_joints.cwiseSqrt();
   for (size_t w = 0; w < prediction.restarts.size(); ++w) {
     const int first = prediction.restarts[w] + 1;
     int last = w + 1 < prediction.restarts.size() ? prediction.restarts[w + 1] : K - 1;
     if (std::binary_search(prediction.measured.begin(), prediction.measured.end(), last)) --last;
-    if (last >= first) error.windows.push_back(std::sqrt(squares.middleCols(first, last - first + 1).mean()));
+    if (last >= first)
+      error.windows.push_back(judged * std::sqrt(squares.middleCols(first, last - first + 1).mean()));
   }
   error.median_window = Median(error.windows);
   return error;

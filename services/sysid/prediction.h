@@ -51,7 +51,8 @@ struct Prediction {
   std::vector<std::string> failures;
 };
 
-// `values`: of the plant's table. The recording's joints are the plant's, in the plant's order.
+// `values`: of the plant's table. The recording's joints are the plant's, in the plant's order, and so are
+// its prescribed ones, which are written as measured.
 Prediction PredictRecording(const sim::Plant& plant, const Eigen::VectorXd& values,
                             const recordings::Recording& recording, const PredictionOptions& options = {});
 
@@ -59,7 +60,7 @@ Prediction PredictRecording(const sim::Plant& plant, const Eigen::VectorXd& valu
 inline constexpr double kErrorCap = 1e3;  // rad or m
 
 struct PredictionError {
-  double rms = 0.0;             // over all rows that are predicted, all joints
+  double rms = 0.0;             // over all rows that are predicted, all joints but prescribed ones
   double median_window = 0.0;   // of `windows`
   Eigen::VectorXd joint_rms;    // n
   std::vector<double> windows;  // RMS of each window

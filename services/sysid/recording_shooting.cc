@@ -176,6 +176,10 @@ void RecordingShooting::WriteResiduals(const Window& window, const sim::Trajecto
       r->segment(m + k * n_, n_) = (out.velocity.col(k) - window.v.col(k)).cwiseQuotient(scales_.velocity);
     }
   }
+  // Prescribed joints are given: what is left of their noise is no misfit.
+  for (const int j : window.fit->recording->prescribed) {
+    for (int row = j; row < r->size(); row += n_) (*r)[row] = 0.0;
+  }
 }
 
 void RecordingShooting::WriteJacobians(const Window& window, const sim::Trajectory& out, RowMatrix* dr_dtheta,

@@ -23,6 +23,15 @@ constexpr double kMaxExcess = 4.0;
 
 }  // namespace
 
+void PlacePrescribed(const sim::CommandSignal& command, double time, sim::State* x) {
+  if (command.motion() == nullptr) return;
+  const std::vector<int>& joints = command.motion()->joints();
+  for (size_t i = 0; i < joints.size(); ++i) {
+    const sim::GivenMotion::Point told = command.motion()->At(static_cast<int>(i), time);
+    x->q[joints[i]] = told.q, x->v[joints[i]] = told.v;
+  }
+}
+
 StateFilter::StateFilter(sim::Simulator* simulator, const recordings::Recording& recording,
                          const sim::CommandSignal& command, const recordings::SensorNoise& noise,
                          DriveTorque drive_torque)
@@ -63,6 +72,7 @@ void StateFilter::Start(int row) {
     x_.q[j] += shift;
     if (position_index_[j] != j) x_.z[position_index_[j] - 2 * n_] += shift;
   }
+  PlacePrescribed(command_, recording_.t[row], &x_);
   P_ = kInternalVariance * MatrixXd::Identity(nx_, nx_);
   P_.diagonal().head(n_) = position_variance_;
   P_.diagonal().segment(n_, n_).setConstant(kUnknownSpeed * kUnknownSpeed);
@@ -72,6 +82,7 @@ void StateFilter::Start(int row) {
     P_(position_index_[j], position_index_[j]) = position_variance_[j];
     P_(j, j) = kInternalVariance;
   }
+  for (const int j : recording_.prescribed) P_(j, j) = P_(n_ + j, n_ + j) = 0.0;
 }
 
 void StateFilter::PlaceSensors() {
@@ -115,9 +126,15 @@ bool StateFilter::Propagate(double begin, double end) {
       drive_torque_(x_.q + 0.5 * dt * x_.v, &torque);
       u += torque;
     }
+    if (command_.motion() != nullptr) {
+      for (size_t i = 0; i < recording_.prescribed.size(); ++i)
+        u[recording_.prescribed[i]] = command_.motion()->At(static_cast<int>(i), t + dt).v;
+    }
     if (!simulator_.Advance(x_, u, dt, &lin_).ok()) return false;
+    PlacePrescribed(command_, t + dt, &x_);
     P_ = lin_.A * P_ * lin_.A.transpose();
     for (int j = 0; j < n_; ++j) {
+      if (recording_.IsPrescribed(j)) continue;
       const double s = std::exp(2.0 * log_acceleration_[j]) * dt;
       P_(n_ + j, n_ + j) += s;
       P_(j, j) += s * dt * dt / 3.0;
@@ -133,6 +150,7 @@ void StateFilter::Correct(int row) {
   simulator_.Measure(x_, &q, &v);
   VectorXd excess = VectorXd::Zero(n_);
   for (int j = 0; j < n_; ++j) {  // innovations before anything is corrected
+    if (recording_.IsPrescribed(j)) continue;
     const double dq = recording_.q(j, row) - q[j];
     excess[j] = dq * dq / (P_(position_index_[j], position_index_[j]) + position_variance_[j]) - 1.0;
     if (!recording_.has_velocity()) continue;
@@ -141,6 +159,7 @@ void StateFilter::Correct(int row) {
                        dv * dv / (P_(velocity_index_[j], velocity_index_[j]) + velocity_variance_[j]) - 1.0);
   }
   for (int j = 0; j < n_; ++j) {
+    if (recording_.IsPrescribed(j)) continue;
     simulator_.Measure(x_, &q, &v);
     Update(position_index_[j], recording_.q(j, row), q[j], position_variance_[j]);
     if (!recording_.has_velocity()) continue;

@@ -20,6 +20,9 @@
 
 namespace rg::sysid {
 
+// Puts the prescribed joints of a state where the command's motion has them at `time`.
+void PlacePrescribed(const sim::CommandSignal& command, double time, sim::State* x);
+
 class StateFilter {
  public:
   // All outlive the filter. `gravity_torque` (or null) is added to the command at the filter's position:
@@ -30,6 +33,7 @@ class StateFilter {
               DriveTorque drive_torque = {});
 
   // Takes rows in up to and including `row` (not before the last call's) and returns the state there.
+  // Prescribed joints are where the command's motion says.
   const sim::State& StateAt(int row);
 
  private:

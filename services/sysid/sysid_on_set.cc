@@ -16,6 +16,7 @@
 #include "services/sysid/drive_signal.h"
 #include "services/sysid/fit_space.h"
 #include "services/sysid/initial_regression.h"
+#include "services/sysid/joint_roles.h"
 #include "services/sysid/parallel.h"
 #include "services/sysid/prediction.h"
 #include "services/sysid/shooting_fit.h"
@@ -102,7 +103,8 @@ class Identification {
     given_ = nominal.parameters().Nominal();
     if (options_.model) {
       RG_RETURN_IF_ERROR(CheckJoints(options_.model->plant, nominal));
-      nominal = options_.model->plant;
+      const sim::PlantOptions& roles = nominal.options();
+      RG_ASSIGN_OR_RETURN(nominal, options_.model->plant.WithRoles(roles.prescribed, roles.passive));
       given_ = options_.model->values;
     }
     nominal_.emplace(std::move(nominal));
@@ -205,11 +207,21 @@ class Identification {
   static void KeepPromising(std::vector<Fitted>* fitted) {
     double best = std::numeric_limits<double>::infinity();
     for (const Fitted& f : *fitted) {
-      if (f.torque_stddev.size() > 0) best = std::min(best, f.torque_stddev.array().log().mean());
+      if (f.torque_stddev.size() > 0) best = std::min(best, LogTorqueError(f));
     }
     std::erase_if(*fitted, [&](const Fitted& f) {
-      return f.torque_stddev.size() > 0 && f.torque_stddev.array().log().mean() > best + std::log(kMuchWorse);
+      return f.torque_stddev.size() > 0 && LogTorqueError(f) > best + std::log(kMuchWorse);
     });
+  }
+
+  // Mean over the joints that have an equation of their own.
+  static double LogTorqueError(const Fitted& f) {
+    double sum = 0.0;
+    for (int j = 0; j < f.torque_stddev.size(); ++j) {
+      if (!f.plant.IsPrescribed(j)) sum += std::log(f.torque_stddev[j]);
+    }
+    return sum / std::max<double>(1.0, static_cast<double>(f.torque_stddev.size()) -
+                                           static_cast<double>(f.plant.prescribed().size()));
   }
 
   void ChooseStepFor(const Fitted& f) {
@@ -234,7 +246,10 @@ class Identification {
       return effects::FindEffect(of)->family == "friction" && of != "viscous_friction" &&
              of != "quadratic_drag";
     };
-    std::vector<std::string> joints = nominal_->joint_names();
+    std::vector<std::string> joints;
+    for (int j = 0; j < nominal_->num_joints(); ++j) {
+      if (nominal_->Takes(id, j)) joints.push_back(nominal_->joint_names()[static_cast<size_t>(j)]);
+    }
     for (const effects::EffectSpec& spec : nominal_->effects()) {
       if (spec.id != id && !(dry(spec.id) && dry(id))) continue;
       for (const std::string& joint : spec.joints) std::erase(joints, joint);
@@ -470,6 +485,7 @@ class Identification {
 
   void FillWarnings(const Fitted& f, SysidReport* report) const {
     report->warnings = set_.warnings;
+    for (std::string& note : NotesOnRoles(set_, *nominal_)) report->warnings.push_back(std::move(note));
     char residual[120];
     std::snprintf(
         residual, sizeof residual,
@@ -527,7 +543,11 @@ Result<sim::Plant> NominalPlant(const recordings::RecordingSet& set) {
   RG_ASSIGN_OR_RETURN(model::RobotModel robot, model::ParseUrdf(set.urdf_text, set.urdf_path, load));
   sim::PlantOptions options;
   options.gravity = set.gravity;
-  return sim::Plant::Create(std::make_shared<const model::RobotModel>(std::move(robot)), options);
+  options.prescribed = set.prescribed;
+  auto shared = std::make_shared<const model::RobotModel>(std::move(robot));
+  RG_ASSIGN_OR_RETURN(const sim::Plant driven, sim::Plant::Create(shared, options));
+  options.passive = PassiveJoints(set, driven);
+  return sim::Plant::Create(std::move(shared), options);
 }
 
 Status CheckTimes(double window_s, double step_s) {

@@ -13,12 +13,12 @@ using testing::Prepared;
 
 ScreenResult Screened(const Prepared& p, const std::vector<sysid::FitParameter>& parameters,
                       const std::vector<ParameterColumn>& columns) {
-  const FeatureSet features = MakeFeatures(p.data, p.scales);
+  const FeatureSet features = MakeFeatures(p.data, p.nominal, p.scales);
   const FitModel model{p.nominal, p.nominal.parameters().Nominal(), parameters};
   const NodeStates states = InitialStates(p.data, model, {});
   const auto step_rule = StepRuleResiduals(p.data, model, states, {});
   const Screen screen = MakeScreen(p.data, model, states, features.block, {}, step_rule, 60, Rng(5));
-  return ScoreHypotheses(screen, columns, features, p.scales, false, p.data.n);
+  return ScoreHypotheses(screen, columns, features, p.scales, false, p.nominal);
 }
 
 bool Holds(const Combination& c, const std::string& effect, const std::vector<int>& joints) {
@@ -51,7 +51,7 @@ TEST(Screening, TheInjectedEffectScoresAboveTheNullAndNothingDoesWithoutIt) {
 
 TEST(Screening, DoesNotDependOnTheNumberOfThreads) {
   const auto p = Prepare("pendulum", {}, 21);
-  const FeatureSet features = MakeFeatures(p->data, p->scales);
+  const FeatureSet features = MakeFeatures(p->data, p->nominal, p->scales);
   const FitModel model{p->nominal, p->nominal.parameters().Nominal(), {}};
   const NodeStates states = InitialStates(p->data, model, {});
   const auto step_rule = StepRuleResiduals(p->data, model, states, {});
@@ -121,7 +121,7 @@ TEST(Screening, SeesAPayloadInTheLastLinksParameters) {
 TEST(Screening, HasADeadZoneThatNextToNoEffortLiesIn) {
   const auto p = Prepare("arm2", {}, 25);
   double least = 1e300, small = 0, rows = 0;
-  for (const Feature& f : MakeFeatures(p->data, p->scales).features) {
+  for (const Feature& f : MakeFeatures(p->data, p->nominal, p->scales).features) {
     if (f.effect == "torque_deadband" && f.joint == 0) least = std::min(least, f.shape);
   }
   for (const FineMotion& m : p->data.fine) {
