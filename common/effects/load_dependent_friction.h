@@ -36,6 +36,7 @@ struct LoadDependentFriction {
                           "presliding_hysteresis", "thermal_drift", "torque_gain"},
         .reference = "Bittencourt, Gunnarsson, J. Dyn. Sys. 134(5), 2012",
         .options = {},
+        .needs = {Need::kBothWays, Need::kLoad},
     };
   }
 

@@ -30,6 +30,7 @@ struct RotorInertia {
         .confused_with = {"parameters_only", "payload", "torque_gain"},
         .reference = "Featherstone, Rigid Body Dynamics Algorithms, 2008, section 9.6",
         .options = {},
+        .needs = {Need::kAcceleration},
     };
   }
 
