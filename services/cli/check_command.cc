@@ -10,6 +10,7 @@
 #include "common/recordings/recording_set.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
+#include "services/cli/set_arguments.h"
 #include "services/diagnosis/set_check.h"
 #include "services/diagnosis/words.h"
 #include "services/report/check_page.h"
@@ -18,14 +19,14 @@
 namespace rg::cli {
 namespace {
 
+using diagnosis::FileFigures;
 using diagnosis::JointFigures;
 using diagnosis::Listed;
 using diagnosis::Number;
-using diagnosis::RecordingFigures;
 using diagnosis::SetCheck;
 
 struct CheckArguments {
-  std::vector<std::string> sets;
+  SetArguments set;
   std::string html;
 };
 
@@ -47,7 +48,7 @@ std::string RobotLine(const recordings::RecordingSet& set, const sim::Plant& pla
 
 std::string RecordingsTable(const SetCheck& check) {
   TextTable table({"RECORDING", "SPLIT", ">SECONDS", ">ROWS", ">HZ", ">GAPS", ">MISSING", "COLUMNS"});
-  for (const RecordingFigures& f : check.survey.recordings) {
+  for (const FileFigures& f : check.survey.files) {
     std::string columns;
     for (const std::string& kind : f.columns) columns += (columns.empty() ? "" : ", ") + kind;
     table.AddRow({f.name, f.split == recordings::Split::kFit ? "fit" : "holdout", Number(f.duration),
@@ -79,7 +80,7 @@ std::string EffectsTable(const std::vector<diagnosis::EffectShows>& effects, int
 
 Status Check(Context& context, const CheckArguments& arguments) {
   const double start = RealClock().SteadySeconds();
-  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSets(arguments.sets));
+  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, arguments.set.Load());
   RG_ASSIGN_OR_RETURN(const sim::Plant plant, sysid::NominalPlant(set));
   RG_ASSIGN_OR_RETURN(const SetCheck check, diagnosis::CheckSet(set, plant, false));
   const std::vector<diagnosis::EffectShows> effects = diagnosis::WhatShows(check.survey, plant);
@@ -104,10 +105,7 @@ void AddCheckCommand(CLI::App& app, Context& context) {
   auto arguments = std::make_shared<CheckArguments>();
   CLI::App* command = app.add_subcommand(
       "check", "Say what a recording set holds, what it could show, and what is odd, without any search");
-  command
-      ->add_option("SET", arguments->sets,
-                   "Folder of a recording set; several of one robot are checked as one")
-      ->required();
+  arguments->set.AddTo(command);
   command->add_option("--html", arguments->html, "File for a page with everything that was measured");
   command->callback([&context, arguments] { context.Failed(Check(context, *arguments)); });
 }

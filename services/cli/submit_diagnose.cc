@@ -47,7 +47,7 @@ Status Fetch(coordinator::Client& client, const pb::GetJobReply& job, const std:
 
 // What the task would refuse after it has waited for a worker is refused here.
 Status WarnFirst(const Context& context, const DiagnoseJobArguments& arguments) {
-  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, recordings::LoadSets(arguments.sets));
+  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, arguments.sets.Load());
   std::optional<sim::ModelFile> model;
   if (!arguments.model.empty()) {
     RG_ASSIGN_OR_RETURN(model, sim::LoadModelFile(arguments.model));

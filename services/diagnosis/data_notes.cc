@@ -5,7 +5,7 @@
 
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
-#include "common/recordings/recording_set.h"
+#include "common/recordings/prescribed.h"
 #include "services/diagnosis/swing_starts.h"
 #include "services/diagnosis/what_shows.h"
 #include "services/diagnosis/words.h"
@@ -22,17 +22,17 @@ constexpr double kWorthMissing = 0.02;  // share of rows
 constexpr double kOtherRate = 1.5;      // factor between rates
 constexpr double kBeyond = 0.01;        // rad or m outside a limit
 constexpr double kFaster = 3.0, kStronger = 1.2;  // times a limit: URDFs' speeds are often a controller's
-constexpr size_t kNamedGaps = 3;
-constexpr double kNoisier = 3.0;      // times what the manifest says
-constexpr double kWorthALag = 0.002;  // s
-constexpr double kWorthANote = 0.05;  // of the effort's variance
+constexpr double kNoisier = 3.0;                  // times what the manifest says
+constexpr double kWorthALag = 0.002;              // s
+constexpr double kWorthANote = 0.05;              // of the effort's variance
 
 class Notes {
  public:
   Notes(const recordings::RecordingSet& set, const MotionSurvey& survey, const sim::Plant& plant)
       : set_(set), s_(survey), model_(plant.model()), out_(set.warnings) {
     out_.insert(out_.end(), model_.warnings().begin(), model_.warnings().end());
-    period_ = std::max(1e-9, s_.FirstToFit().period);
+    period_ = s_.FirstToFit().period;
+    if (const std::string note = recordings::NoteOnPrescribed(set); !note.empty()) Say(note);
   }
 
   std::vector<std::string> Take() {
@@ -138,23 +138,10 @@ class Notes {
 
   void Missing() {
     double missing = 0, rows = 0;
-    for (const RecordingFigures& f : s_.recordings) missing += f.missing, rows += f.rows;
+    for (const FileFigures& f : s_.files) missing += f.missing, rows += f.rows;
     if (missing >= kWorthMissing * (missing + rows))
       Say("about " + Number(100 * missing / (missing + rows)) +
           " % of the rows are missing: " + CommandsLost());
-    std::vector<std::string> gaps;
-    size_t count = 0;
-    for (const RecordingFigures& f : s_.recordings) {
-      for (const auto& [from, to] : f.gaps) {
-        if (++count <= kNamedGaps)
-          gaps.push_back(f.name + " for " + Number(to - from) + " s from " + Number(from - f.start) +
-                         " s on");
-      }
-    }
-    if (count > kNamedGaps) gaps.push_back(std::to_string(count - kNamedGaps) + " more");
-    if (count > 0)
-      Say((count == 1 ? "a gap without rows (" : "gaps without rows (") + Listed(gaps) +
-          "): fits and predictions begin anew behind it");
   }
 
   void Commands() {
@@ -199,7 +186,9 @@ class Notes {
           "\"holdout\"");
     if (!set_.holdout_was_chosen) return;
     std::vector<std::string> names;
-    for (const Recording* r : set_.Holdout()) names.push_back(r->name);
+    for (const FileFigures& f : s_.files) {
+      if (f.split == recordings::Split::kHoldout) names.push_back(f.name);
+    }
     Say("the manifest has no holdout split: " + Listed(names) + (names.size() == 1 ? " was" : " were") +
         " kept aside to judge by");
   }

@@ -81,7 +81,8 @@ class Weigher {
     if (!(weight.maxCoeff() > 0)) return out;
     Sum with, without, friction, any;
     for (int j = 0; j < s_.n; ++j) {
-      if (weight[j] < kLoaded * weight.maxCoeff() || !s_.joints[static_cast<size_t>(j)].moved) continue;
+      const JointFigures& f = s_.joints[static_cast<size_t>(j)];
+      if (weight[j] < kLoaded * weight.maxCoeff() || !f.moved || f.prescribed) continue;
       const VectorXd u = Column(j, &MotionSamples::u);
       if (!(u.cwiseAbs().maxCoeff() > 0)) continue;
       const VectorXd whole = Column(j, &MotionSamples::rigid), G = Column(j, &MotionSamples::gravity);

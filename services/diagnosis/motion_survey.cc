@@ -7,6 +7,7 @@
 
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
+#include "common/recordings/time_stamps.h"
 #include "common/recordings/velocity_lag.h"
 #include "services/diagnosis/motion.h"
 #include "services/diagnosis/words.h"
@@ -20,19 +21,16 @@ using recordings::Recording;
 
 namespace {
 
-constexpr double kGapPeriods = 5.0, kGapSeconds = 0.1;  // the longer of both is a gap
-constexpr double kBlock = 0.05;                         // s, over which a motion is told from noise
-constexpr double kBeyondNoise = 3.0;                    // stddev of a block's step
-constexpr double kHalfAverage = 0.015;                  // s, of the effort
-constexpr double kBetweenSamples = 0.02;                // s, at least
-constexpr long kMostSamples = 4000;                     // of a set
-constexpr double kMostWork = 2e7;  // rows that the samples' local polynomials read, over all joints
+constexpr double kBlock = 0.05;           // s, over which a motion is told from noise
+constexpr double kBeyondNoise = 3.0;      // stddev of a block's step
+constexpr double kHalfAverage = 0.015;    // s, of the effort
+constexpr double kBetweenSamples = 0.02;  // s, at least
+constexpr long kMostSamples = 4000;       // of a set
+constexpr double kMostWork = 2e7;         // rows that the samples' local polynomials read, over all joints
 constexpr int kLeastRows = 10;
 constexpr int kEdge = 3;       // rows at either end of a stretch without a gap, where accelerations are poor
 constexpr double kHeld = 0.5;  // of the torque needed
 constexpr double kLeastPositionNoise = 1e-6, kLeastVelocityNoise = 1e-5;
-
-double GapOf(double period) { return std::max(kGapPeriods * period, kGapSeconds); }
 
 std::vector<std::string> ColumnsOf(const Recording& r) {
   std::vector<std::string> out = {"position"};
@@ -45,22 +43,48 @@ std::vector<std::string> ColumnsOf(const Recording& r) {
   return out;
 }
 
-RecordingFigures FiguresOf(const Recording& r) {
-  RecordingFigures f;
+FileFigures FiguresOf(const Recording& r) {
+  FileFigures f;
   f.name = r.name, f.split = r.split, f.rows = r.rows();
-  f.period = r.SamplePeriod();
+  f.period = std::max(1e-9, r.SamplePeriod());
   f.start = r.t[0], f.duration = r.t[r.rows() - 1] - f.start;
   f.columns = ColumnsOf(r);
+  const double longest = recordings::LongestStep(r.t);
   for (int k = 1; k < r.rows(); ++k) {
     const double step = r.t[k] - r.t[k - 1];
-    f.longest_step = std::max(f.longest_step, step);
-    if (step > GapOf(f.period)) {
+    if (step > longest) {
       f.gaps.emplace_back(r.t[k - 1], r.t[k]);
     } else {
       f.missing += std::max(0.0, std::round(step / f.period) - 1);
     }
   }
   return f;
+}
+
+// `piece` is what comes behind `file` of the same recording.
+void Join(const FileFigures& piece, int longest_piece, FileFigures* file) {
+  file->gaps.emplace_back(file->start + file->duration, piece.start);
+  file->gaps.insert(file->gaps.end(), piece.gaps.begin(), piece.gaps.end());
+  if (piece.rows > longest_piece) file->period = piece.period;
+  file->duration = piece.start + piece.duration - file->start;
+  file->rows += piece.rows, file->missing += piece.missing;
+}
+
+std::vector<FileFigures> FilesOf(const recordings::RecordingSet& set) {
+  std::vector<FileFigures> out;
+  int longest = 0;
+  for (const Recording& r : set.recordings) {
+    const FileFigures piece = FiguresOf(r);
+    const bool goes_on = !out.empty() && out.back().name == r.name && out.back().split == r.split &&
+                         piece.start > out.back().start + out.back().duration;
+    if (goes_on) {
+      Join(piece, longest, &out.back());
+    } else {
+      out.push_back(piece);
+    }
+    longest = std::max(goes_on ? longest : 0, piece.rows);
+  }
+  return out;
 }
 
 // Rows of one recording's joint averaged over blocks, none of which spans a gap.
@@ -70,9 +94,9 @@ struct Blocks {
   std::vector<char> follows;  // on the block before, without a gap
 };
 
-Blocks BlocksOf(const Recording& r, int j, double period) {
+Blocks BlocksOf(const Recording& r, int j) {
   Blocks out;
-  const double longest = GapOf(period);
+  const double longest = recordings::LongestStep(r.t);
   bool follows = false;
   for (int first = 0; first < r.rows();) {
     int last = first;
@@ -110,8 +134,8 @@ class Surveyor {
       if (r.rows() < kLeastRows)
         return InvalidError(r.name + ": fewer than " + std::to_string(kLeastRows) +
                             " rows, too little to fit; leave it out of the manifest");
-      out_.recordings.push_back(FiguresOf(r));
     }
+    out_.files = FilesOf(set_);
     EstimateNoise();
     for (int j = 0; j < out_.n; ++j) out_.joints.push_back(JointOf(j));
     TakeSamples();
@@ -139,6 +163,7 @@ class Surveyor {
 
   JointFigures JointOf(int j) const {
     JointFigures f;
+    f.prescribed = set_.Fit().front()->IsPrescribed(j);
     f.low = std::numeric_limits<double>::infinity(), f.high = -f.low;
     f.temperature_low = f.temperature_high = std::nan("");
     double squares = 0, rows = 0;
@@ -177,7 +202,7 @@ class Surveyor {
     for (size_t i = 0; i < set_.recordings.size(); ++i) {
       const Recording& r = set_.recordings[i];
       const bool fitted = r.split == recordings::Split::kFit;
-      const Blocks blocks = BlocksOf(r, j, out_.recordings[i].period);
+      const Blocks blocks = BlocksOf(r, j);
       int last_way = 0;
       double moved_s = 0;
       for (size_t b = 0; b < blocks.t.size(); ++b) {
@@ -218,23 +243,20 @@ class Surveyor {
 
   void TakeSamples() {
     double seconds = 0, rows_per_second = 1;
-    for (const RecordingFigures& f : out_.recordings) {
+    for (const FileFigures& f : out_.files) {
       if (f.split != recordings::Split::kFit) continue;
       seconds += f.rows * f.period;
-      rows_per_second = std::max(rows_per_second, 1.0 / std::max(1e-9, f.period));
+      rows_per_second = std::max(rows_per_second, 1.0 / f.period);
     }
     const double window = 0.1 * rows_per_second;
     const double most = std::min<double>(kMostSamples, kMostWork / (window * out_.n));
     const double every = std::max(kBetweenSamples, seconds / most);
-    for (size_t i = 0; i < set_.recordings.size(); ++i) {
-      if (set_.recordings[i].split == recordings::Split::kFit)
-        out_.samples.push_back(SamplesOf(set_.recordings[i], out_.recordings[i].period, every));
-    }
+    for (const Recording* r : set_.Fit()) out_.samples.push_back(SamplesOf(*r, every));
   }
 
   // Rows k after which a sample is taken, in the middle of the row's interval.
-  static std::vector<int> Instants(const Recording& r, double period, double every) {
-    const double gap = GapOf(period);
+  static std::vector<int> Instants(const Recording& r, double every) {
+    const double gap = recordings::LongestStep(r.t), period = r.SamplePeriod();
     std::vector<int> out;
     int stretch = 0;                   // its first row
     const auto close = [&](int end) {  // rows [stretch, end]
@@ -252,8 +274,8 @@ class Surveyor {
     return out;
   }
 
-  MotionSamples SamplesOf(const Recording& r, double period, double every) {
-    const std::vector<int> rows = Instants(r, period, every);
+  MotionSamples SamplesOf(const Recording& r, double every) {
+    const std::vector<int> rows = Instants(r, every);
     const auto S = static_cast<Eigen::Index>(rows.size());
     const SmoothMotion motion(r, out_.noise);
     half_span_ = motion.half_span();
@@ -316,7 +338,7 @@ class Surveyor {
 
   // Of a local polynomial over `rows` positions or velocities: slope's and curvature's stddev.
   void SmoothingNoise(int j, JointFigures* f) {
-    const double period = std::max(1e-9, out_.FirstToFit().period), T = 2 * half_span_;
+    const double period = out_.FirstToFit().period, T = 2 * half_span_;
     const double rows = std::max(1.0, half_span_ / period);
     const double q = out_.noise.position_stddev[j] / std::sqrt(rows);
     double speed = 1.5 * q / half_span_, acceleration = std::sqrt(720.0) * q / (T * T);
@@ -344,9 +366,9 @@ long MotionSurvey::Samples() const {
   return count;
 }
 
-const RecordingFigures& MotionSurvey::FirstToFit() const {
-  return *std::find_if(recordings.begin(), recordings.end(),
-                       [](const RecordingFigures& f) { return f.split == recordings::Split::kFit; });
+const FileFigures& MotionSurvey::FirstToFit() const {
+  return *std::find_if(files.begin(), files.end(),
+                       [](const FileFigures& f) { return f.split == recordings::Split::kFit; });
 }
 
 recordings::SensorNoise WorkingNoise(recordings::SensorNoise noise, const recordings::NoiseSpec& given) {
@@ -368,7 +390,8 @@ Result<MotionSurvey> Survey(const recordings::RecordingSet& set, const sim::Plan
 std::vector<StillJoint> StillJoints(const MotionSurvey& survey) {
   std::vector<StillJoint> out;
   for (int j = 0; j < survey.n; ++j) {
-    if (survey.joints[static_cast<size_t>(j)].moved) continue;
+    const JointFigures& f = survey.joints[static_cast<size_t>(j)];
+    if (f.moved || f.prescribed) continue;
     StillJoint s;
     s.joint = j;
     for (const MotionSamples& m : survey.samples) {

@@ -13,14 +13,14 @@
 
 namespace rg::diagnosis {
 
-struct RecordingFigures {
+// Of one file: the pieces between its gaps together.
+struct FileFigures {
   std::string name;
   recordings::Split split = recordings::Split::kFit;
   int rows = 0;
-  double start = 0, duration = 0, period = 0;   // s; period: median between rows
+  double start = 0, duration = 0, period = 0;   // s; period: median between the rows of its longest piece
   std::vector<std::pair<double, double>> gaps;  // [s], from the last row before to the first after
   double missing = 0;                           // rows that the period would have had, gaps left out
-  double longest_step = 0;                      // s, between rows
   std::vector<std::string> columns;             // kinds: "position", "effort_command", "temperature"
 };
 
@@ -31,6 +31,7 @@ struct JointFigures {
   double peak_speed = 0;     // of all; measured, or over blocks of rows
   double peak_effort = 0;    // of all
   double effort_rms = 0;     // of all
+  bool prescribed = false;   // moves as measured: nothing is judged of it, its effort is 0 here
   bool moved = false;        // by kMovesBy of its noise
   double up = 0, down = 0;   // travel either way, beyond noise
   int reversals = 0;
@@ -57,16 +58,16 @@ struct MotionSamples {
 
 struct MotionSurvey {
   int n = 0;
-  recordings::SensorNoise noise;             // that fits and judgements go by
-  recordings::SensorNoise estimated;         // from the data, whatever the manifest says
-  Eigen::VectorXd speed_noise;               // n, of v in the samples
-  std::vector<RecordingFigures> recordings;  // the set's order
+  recordings::SensorNoise noise;      // that fits and judgements go by
+  recordings::SensorNoise estimated;  // from the data, whatever the manifest says
+  Eigen::VectorXd speed_noise;        // n, of v in the samples
+  std::vector<FileFigures> files;     // the set's order
   std::vector<JointFigures> joints;
   std::vector<MotionSamples> samples;  // of the recordings to fit
   Eigen::VectorXd velocity_lag;        // n, s, of the first recording to fit; 0 where none shows
 
   long Samples() const;
-  const RecordingFigures& FirstToFit() const;
+  const FileFigures& FirstToFit() const;
 };
 
 // What the manifest says of noise, quantisation added, and what it does not say from `estimated`; floored.
@@ -75,7 +76,7 @@ recordings::SensorNoise WorkingNoise(recordings::SensorNoise estimated, const re
 // kInvalid, with one line: no recording to fit, a recording without effort or of fewer than 10 rows.
 Result<MotionSurvey> Survey(const recordings::RecordingSet& set, const sim::Plant& plant);
 
-// A joint that moved by no more than its sensor's noise.
+// A joint that moved by no more than its sensor's noise, and is not prescribed.
 struct StillJoint {
   int joint = 0;
   double missed = 0, needed = 0;  // RMS: effort less the torque that the URDF needs there, and that torque

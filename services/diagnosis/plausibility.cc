@@ -17,6 +17,7 @@ using Eigen::VectorXd;
 namespace {
 
 constexpr double kLeastSeconds = 0.5;  // of fitted recordings
+constexpr long kLeastSamples = 20;     // of the motion, below which efforts say nothing
 constexpr double kClose = 0.8;     // share that the URDF's torque must explain before its slope says anything
 constexpr double kFlipped = 0.35;  // |slope + 1| of an effort with the other sign
 constexpr double kDriven = 0.3;    // share of the power that is put in
@@ -32,7 +33,7 @@ std::string Guess(double slope, bool revolute) {
 
 Status CheckMotion(const MotionSurvey& survey, const sim::Plant& plant) {
   double seconds = 0;
-  for (const RecordingFigures& f : survey.recordings) {
+  for (const FileFigures& f : survey.files) {
     if (f.split == recordings::Split::kFit) seconds += (f.rows - 1) * f.period;
   }
   if (seconds < kLeastSeconds) {
@@ -43,8 +44,9 @@ Status CheckMotion(const MotionSurvey& survey, const sim::Plant& plant) {
   std::string widest;
   for (int j = 0; j < survey.n; ++j) {
     const JointFigures& f = survey.joints[static_cast<size_t>(j)];
+    if (f.prescribed) continue;
     if (f.moved) return Status::Ok();
-    widest += (j > 0 ? ", " : "") + plant.joint_names()[j] + " by " + Number(f.high - f.low);
+    widest += (!widest.empty() ? ", " : "") + plant.joint_names()[j] + " by " + Number(f.high - f.low);
   }
   return InvalidError("no joint moves by more than its sensor's noise (" + widest +
                       "): too little motion to say anything");
@@ -131,11 +133,13 @@ std::vector<EffortMatch> MatchEfforts(const MotionSurvey& survey) {
 Status CheckPlausible(const recordings::RecordingSet& set, const MotionSurvey& survey,
                       const sim::Plant& plant, bool trust_effort, std::vector<std::string>* notes) {
   RG_RETURN_IF_ERROR(CheckMotion(survey, plant));
+  if (survey.Samples() < kLeastSamples) return Status::Ok();
   const Torques torques = TorquesOf(survey);
   const std::vector<EffortMatch> match = MatchEfforts(survey);
   const char* column =
       set.recordings[0].drive == recordings::EffortKind::kMeasured ? "effort_measured." : "effort_command.";
   for (int j = 0; j < survey.n; ++j) {
+    if (survey.joints[static_cast<size_t>(j)].prescribed) continue;
     const std::string suspicion = Suspicion(torques, match, j, plant);
     if (suspicion.empty()) continue;
     const std::string line = column + plant.joint_names()[j] + suspicion;

@@ -15,14 +15,14 @@ namespace {
 json OrNull(double x) { return std::isfinite(x) ? json(x) : json(nullptr); }
 json OrNull(const std::optional<double>& x) { return x ? json(*x) : json(nullptr); }
 
-json RecordingJson(const RecordingFigures& f) {
+json FileJson(const FileFigures& f) {
   json gaps = json::array();
   for (const auto& [start, end] : f.gaps) gaps.push_back({{"start", start}, {"end", end}});
   return {{"file", f.name},
           {"split", f.split == recordings::Split::kFit ? "fit" : "holdout"},
           {"rows", f.rows},
           {"duration_s", f.duration},
-          {"rate_hz", f.period > 0 ? 1 / f.period : 0},
+          {"rate_hz", 1 / f.period},
           {"gaps", gaps},
           {"missing_rows", f.missing},
           {"columns", f.columns}};
@@ -34,6 +34,7 @@ json JointJson(const recordings::RecordingSet& set, const sim::Plant& plant, con
   json out = {{"joint", joint.name},
               {"type", model::JointTypeName(joint.type)},
               {"moved", f.moved},
+              {"prescribed", f.prescribed},
               {"position",
                {{"low", f.low},
                 {"high", f.high},
@@ -84,7 +85,7 @@ json CheckJson(const recordings::RecordingSet& set, const sim::Plant& plant, con
       {"effects", json::array()},
       {"warnings", check.warnings},
       {"refusal", check.refusal.ok() ? json(nullptr) : json(check.refusal.message())}};
-  for (const RecordingFigures& f : check.survey.recordings) out["recordings"].push_back(RecordingJson(f));
+  for (const FileFigures& f : check.survey.files) out["recordings"].push_back(FileJson(f));
   for (int j = 0; j < check.survey.n; ++j) out["joints"].push_back(JointJson(set, plant, check.survey, j));
   for (const StillJoint& s : StillJoints(check.survey))
     out["joints"][static_cast<size_t>(s.joint)]["holds_against"] = s.withstood;

@@ -55,7 +55,7 @@ class Judge {
  public:
   Judge(const MotionSurvey& survey, const sim::Plant& plant)
       : s_(survey), plant_(plant), model_(plant.model()) {
-    period_ = std::max(1e-9, s_.FirstToFit().period);
+    period_ = s_.FirstToFit().period;
     Probe();
   }
 
@@ -92,6 +92,7 @@ class Judge {
   const JointFigures& Figures(int j) const { return s_.joints[static_cast<size_t>(j)]; }
 
   Judged OnJoint(const EffectInfo& info, int j) const {
+    if (Figures(j).prescribed) return Not("moves as measured");
     if (!Figures(j).moved) return Not("never moved");
     const bool driven =
         info.stage == effects::Stage::kActuator || info.stage == effects::Stage::kTransmission;

@@ -12,9 +12,9 @@ namespace rg::report {
 namespace {
 
 using diagnosis::EffectShows;
+using diagnosis::FileFigures;
 using diagnosis::JointFigures;
 using diagnosis::Listed;
-using diagnosis::RecordingFigures;
 using diagnosis::SetCheck;
 using recordings::Recording;
 using recordings::RecordingSet;
@@ -32,48 +32,44 @@ std::string Limits(const model::Joint& joint) {
              : "–";
 }
 
-// Where each row of each recording is drawn: one recording behind the other, gaps no wider than they need be.
+// Where each row of each piece of a recording is drawn: one behind the other, gaps no wider than they need
+// be.
 struct Axis {
-  std::vector<std::vector<double>> x;  // [recording][row]
+  std::vector<std::vector<double>> x;  // [piece][row]
   std::vector<Band> bands;
 };
 
 Axis AxisOf(const RecordingSet& set, const SetCheck& check) {
   Axis axis;
   double recorded = 0;
-  for (const RecordingFigures& f : check.survey.recordings) recorded += f.rows * f.period;
+  for (const FileFigures& f : check.survey.files) recorded += f.rows * f.period;
   const double widest = kWidestGap * recorded, between = 0.3 * widest;
   double at = 0;
   for (size_t i = 0; i < set.recordings.size(); ++i) {
     const Recording& r = set.recordings[i];
-    const RecordingFigures& f = check.survey.recordings[i];
-    const double begin = at;
-    size_t gap = 0;
-    std::vector<double> x = {at};
-    for (int k = 1; k < r.rows(); ++k) {
-      double step = r.t[k] - r.t[k - 1];
-      if (gap < f.gaps.size() && r.t[k] >= f.gaps[gap].second) {
-        step = std::min(step, widest), ++gap;
-        axis.bands.push_back({Band::Kind::kMissing, at, at + step});
-      }
-      at += step;
-      x.push_back(at);
+    const Recording* before = i > 0 ? &set.recordings[i - 1] : nullptr;
+    if (before != nullptr && before->name == r.name && before->split == r.split) {
+      const double gap = std::min(widest, r.t[0] - before->t[before->rows() - 1]);
+      axis.bands.push_back({Band::Kind::kMissing, at, at + gap});
+      at += gap;
+    } else if (before != nullptr) {
+      at += between;
     }
-    if (f.split == recordings::Split::kHoldout) axis.bands.push_back({Band::Kind::kAside, begin, at});
+    std::vector<double> x;
+    for (const double t : r.t) x.push_back(at + t - r.t[0]);
+    if (r.split == recordings::Split::kHoldout) axis.bands.push_back({Band::Kind::kAside, at, x.back()});
+    at = x.back();
     axis.x.push_back(std::move(x));
-    at += between;
   }
   return axis;
 }
 
-// Rows of one kind as drawn: the least and the most of each of some hundred buckets, NaN between recordings
-// and in gaps.
+// Rows of one kind as drawn: the least and the most of each of some hundred buckets, NaN between pieces.
 using RowOf = Eigen::VectorXd (*)(const Recording&, int joint);
 
 class Drawing {
  public:
-  Drawing(const RecordingSet& set, const SetCheck& check)
-      : set_(set), check_(check), axis_(AxisOf(set, check)) {
+  Drawing(const RecordingSet& set, const SetCheck& check) : set_(set), axis_(AxisOf(set, check)) {
     size_t rows = 0;
     for (const auto& x : axis_.x) rows += x.size();
     stride_ = std::max<size_t>(1, rows / kBuckets);
@@ -86,30 +82,15 @@ class Drawing {
     for (size_t i = 0; i < set_.recordings.size(); ++i) {
       const Eigen::VectorXd y = row(set_.recordings[i], joint);
       if (y.size() == 0) continue;
-      for (const auto& [begin, end] : Stretches(i)) {
-        for (size_t first = begin; first < end; first += stride_)
-          Bucket(y, i, first, std::min(first + stride_, end), &out);
-        Break(&out);
-      }
+      const size_t rows = axis_.x[i].size();
+      for (size_t first = 0; first < rows; first += stride_)
+        Bucket(y, i, first, std::min(first + stride_, rows), &out);
+      Break(&out);
     }
     return out;
   }
 
  private:
-  // Rows [begin, end) between gaps.
-  std::vector<std::pair<size_t, size_t>> Stretches(size_t recording) const {
-    std::vector<std::pair<size_t, size_t>> out;
-    const Eigen::VectorXd& t = set_.recordings[recording].t;
-    size_t begin = 0;
-    for (const auto& [from, to] : check_.survey.recordings[recording].gaps) {
-      const auto end = static_cast<size_t>(std::lower_bound(t.begin(), t.end(), to) - t.begin());
-      out.emplace_back(begin, end);
-      begin = end;
-    }
-    out.emplace_back(begin, static_cast<size_t>(t.size()));
-    return out;
-  }
-
   void Bucket(const Eigen::VectorXd& y, size_t recording, size_t first, size_t last, Series* out) const {
     size_t low = first, high = first;
     for (size_t k = first; k < last; ++k) {
@@ -128,7 +109,6 @@ class Drawing {
   }
 
   const RecordingSet& set_;
-  const SetCheck& check_;
   Axis axis_;
   size_t stride_ = 1;
 };
@@ -202,7 +182,7 @@ void Summary(const sim::Plant& plant, const SetCheck& check, const std::vector<E
              Page* page) {
   double seconds = 0;
   size_t gaps = 0;
-  for (const RecordingFigures& f : check.survey.recordings) seconds += f.duration, gaps += f.gaps.size();
+  for (const FileFigures& f : check.survey.files) seconds += f.duration, gaps += f.gaps.size();
   long moved = 0, shown = 0;
   for (const JointFigures& f : check.survey.joints) moved += f.moved ? 1 : 0;
   for (const EffectShows& e : effects) shown += e.shows ? 1 : 0;
@@ -214,7 +194,7 @@ void Summary(const sim::Plant& plant, const SetCheck& check, const std::vector<E
                         : std::to_string(odd) + " things about these recordings are worth knowing first.");
   if (!check.refusal.ok()) page->Note(check.refusal.message(), true);
   for (const std::string& warning : check.warnings) page->Note(warning);
-  page->Cards({{"recordings", std::to_string(check.survey.recordings.size()), FormatNumber(seconds) + " s"},
+  page->Cards({{"recordings", std::to_string(check.survey.files.size()), FormatNumber(seconds) + " s"},
                {"rows", FormatNumber(1 / check.survey.FirstToFit().period) + " Hz",
                 gaps == 0 ? "no gaps" : std::to_string(gaps) + " gaps"},
                {"joints", std::to_string(moved) + " of " + std::to_string(plant.num_joints()), "moved"},
@@ -227,7 +207,7 @@ void Recordings(const SetCheck& check, Page* page) {
               {},
               {},
               {0, 1, 7}};
-  for (const RecordingFigures& f : check.survey.recordings) {
+  for (const FileFigures& f : check.survey.files) {
     std::string columns;
     for (const std::string& kind : f.columns) columns += (columns.empty() ? "" : ", ") + kind;
     table.rows.push_back({f.name, f.split == recordings::Split::kFit ? "fit" : "holdout",
