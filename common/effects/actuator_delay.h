@@ -30,6 +30,7 @@ struct ActuatorDelay {
         .confused_with = {"actuator_lag", "sensor_delay"},
         .reference = "",
         .options = {},
+        .needs = {Need::kDenseRows, Need::kEffort},
     };
   }
 };

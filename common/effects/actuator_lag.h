@@ -33,6 +33,7 @@ struct ActuatorLag {
         .confused_with = {"actuator_delay", "sensor_delay"},
         .reference = "",
         .options = {},
+        .needs = {Need::kDenseRows, Need::kEffort},
     };
   }
 

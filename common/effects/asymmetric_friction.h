@@ -36,6 +36,7 @@ struct AsymmetricFriction {
                           "load_dependent_friction", "presliding_hysteresis", "thermal_drift"},
         .reference = "Janot, Gautier et al., EMPS, IFAC 2017",
         .options = {},
+        .needs = {Need::kBothWays},
     };
   }
 

@@ -44,6 +44,7 @@ struct Backlash {
         .confused_with = {"joint_elasticity", "base_flexibility", "presliding_hysteresis"},
         .reference = "Nordin, Gutman, Automatica 38(10), 2002",
         .options = {{"sensor", {"link", "motor"}}},
+        .needs = {Need::kResonances, Need::kEffortSign},
     };
   }
 

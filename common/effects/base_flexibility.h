@@ -34,6 +34,7 @@ struct BaseFlexibility {
         .confused_with = {"joint_elasticity", "backlash"},
         .reference = "",
         .options = {},
+        .needs = {Need::kResonances, Need::kAcceleration},
     };
   }
 

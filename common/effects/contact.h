@@ -39,6 +39,7 @@ struct Contact {
         .reference = "",
         .shows_over = Variable::kPosition,
         .options = {{"normal", {"z", "-z", "x", "-x", "y", "-y"}}, {"point", {"end_effector", "last_link"}}},
+        .needs = {Need::kTravel},
     };
   }
 

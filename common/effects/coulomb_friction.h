@@ -33,6 +33,7 @@ struct CoulombFriction {
                           "load_dependent_friction", "presliding_hysteresis", "thermal_drift"},
         .reference = "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",
         .options = {},
+        .needs = {Need::kBothWays},
     };
   }
 

@@ -73,6 +73,46 @@ std::string_view StageName(Stage stage) {
   return "unknown";
 }
 
+std::string_view NeedName(Need need) {
+  switch (need) {
+    case Need::kBothWays:
+      return "both_ways";
+    case Need::kManySpeeds:
+      return "many_speeds";
+    case Need::kSlowMotion:
+      return "slow_motion";
+    case Need::kDenseRows:
+      return "dense_rows";
+    case Need::kResonances:
+      return "resonances";
+    case Need::kAcceleration:
+      return "acceleration";
+    case Need::kTravel:
+      return "travel";
+    case Need::kPeriods:
+      return "periods";
+    case Need::kPosture:
+      return "posture";
+    case Need::kTilt:
+      return "tilt";
+    case Need::kLastMass:
+      return "last_mass";
+    case Need::kEffort:
+      return "effort";
+    case Need::kEffortSign:
+      return "effort_sign";
+    case Need::kPeakEffort:
+      return "peak_effort";
+    case Need::kLoad:
+      return "load";
+    case Need::kWarming:
+      return "warming";
+    case Need::kOtherEffort:
+      return "other_effort";
+  }
+  return "unknown";
+}
+
 std::string_view VariableName(Variable variable) {
   switch (variable) {
     case Variable::kVelocity:

@@ -25,6 +25,29 @@ std::string_view StageName(Stage stage);
 enum class Variable { kVelocity, kPosition, kEffort, kTime };
 std::string_view VariableName(Variable variable);  // "velocity", "position", "effort", "time"
 
+// What recordings must hold for an effect to show in them, of the joint that feels it (of any joint, for what
+// belongs to no joint). Thresholds are in services/diagnosis/what_shows.h.
+enum class Need {
+  kBothWays,      // it moves either way
+  kManySpeeds,    // slower and faster
+  kSlowMotion,    // some rows at a small part of its usual speed
+  kDenseRows,     // rows close enough for what lasts some hundredths of a second
+  kResonances,    // rows close enough for vibrations
+  kAcceleration,  // above its noise
+  kTravel,        // a range of positions
+  kPeriods,       // some periods of a ripple, passed slowly enough for the rows
+  kPosture,       // torques that change with its position
+  kTilt,          // torques that change with gravity's direction
+  kLastMass,      // torques that change with the last link's mass
+  kEffort,        // an effort that changes
+  kEffortSign,    // an effort of either sign
+  kPeakEffort,    // efforts up to the limit that is to be seen
+  kLoad,          // a load that changes while it moves
+  kWarming,       // time, and a temperature that changes where one is recorded
+  kOtherEffort,   // another joint's effort that is not in proportion to its own
+};
+std::string_view NeedName(Need need);  // "both_ways", "dense_rows", …
+
 // What the parameters belong to.
 enum class Scope {
   kJoint,         // one set per joint it acts on: "coulomb_friction.joint_2.coulomb"
@@ -81,6 +104,9 @@ struct EffectInfo {
   std::vector<FormInfo> forms = {};
   // Of another stage, but of the drive all the same: its rotor, the load on its gear.
   bool of_drive = false;
+  // All of them must be met. Beside them any effect needs a joint that moves, and one of the actuator or the
+  // transmission a drive.
+  std::vector<Need> needs = {};
 
   // Whether it can only be where a drive is.
   bool NeedsDrive() const { return stage == Stage::kActuator || stage == Stage::kTransmission || of_drive; }

@@ -32,6 +32,7 @@ struct EncoderOffset {
         .reference = "",
         .shows_over = Variable::kPosition,
         .options = {},
+        .needs = {Need::kPosture},
     };
   }
 

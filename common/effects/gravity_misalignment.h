@@ -37,6 +37,7 @@ struct GravityMisalignment {
         .reference = "",
         .shows_over = Variable::kPosition,
         .options = {},
+        .needs = {Need::kTilt},
     };
   }
 

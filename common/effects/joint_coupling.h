@@ -29,6 +29,7 @@ struct JointCoupling {
         .reference = "",
         .shows_over = Variable::kEffort,
         .options = {},
+        .needs = {Need::kOtherEffort},
     };
   }
 

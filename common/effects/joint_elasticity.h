@@ -41,6 +41,7 @@ struct JointElasticity {
         .confused_with = {"backlash", "base_flexibility", "presliding_hysteresis"},
         .reference = "Spong, J. Dyn. Sys. 109(4), 1987",
         .options = {{"sensor", {"link", "motor"}}},
+        .needs = {Need::kResonances, Need::kAcceleration},
     };
   }
 

@@ -37,6 +37,7 @@ struct LoadDependentFriction {
         .reference = "Bittencourt, Gunnarsson, J. Dyn. Sys. 134(5), 2012",
         .options = {},
         .of_drive = true,
+        .needs = {Need::kBothWays, Need::kLoad},
     };
   }
 

@@ -35,6 +35,7 @@ struct Payload {
         .reference = "",
         .shows_over = Variable::kPosition,
         .options = {},
+        .needs = {Need::kLastMass},
     };
   }
 

@@ -35,6 +35,7 @@ struct PositionSpring {
         .reference = "",
         .shows_over = Variable::kPosition,
         .options = {},
+        .needs = {Need::kTravel},
     };
   }
 

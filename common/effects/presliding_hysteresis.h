@@ -43,6 +43,7 @@ struct PreslidingHysteresis {
                           "load_dependent_friction", "thermal_drift", "joint_elasticity", "backlash"},
         .reference = "Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE TAC 40(3), 1995",
         .options = {},
+        .needs = {Need::kBothWays, Need::kDenseRows},
     };
   }
 

@@ -32,6 +32,7 @@ struct QuadraticDrag {
         .confused_with = {"viscous_friction"},
         .reference = "",
         .options = {},
+        .needs = {Need::kManySpeeds},
     };
   }
 

@@ -31,6 +31,7 @@ struct RotorInertia {
         .reference = "Featherstone, Rigid Body Dynamics Algorithms, 2008, section 9.6",
         .options = {},
         .of_drive = true,
+        .needs = {Need::kAcceleration},
     };
   }
 

@@ -29,6 +29,7 @@ struct SensorDelay {
         .confused_with = {"actuator_delay", "actuator_lag"},
         .reference = "",
         .options = {{"signal", {"both", "position", "velocity"}}},
+        .needs = {Need::kDenseRows},
     };
   }
 };

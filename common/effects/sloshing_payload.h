@@ -58,6 +58,7 @@ struct SloshingPayload {
                     {"point", {"end_effector", "last_link"}}},
         .forms = {{"form", "rod", "m*(L^2+r^2)*ddphi = -b*L^2*dphi + m*L x (g-a)",
                    "The last link carries {mass} that swings on a rod of {length}."}},
+        .needs = {Need::kDenseRows, Need::kAcceleration},
     };
   }
 

@@ -38,6 +38,7 @@ struct StribeckFriction {
                           "load_dependent_friction", "presliding_hysteresis", "thermal_drift"},
         .reference = "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",
         .options = {},
+        .needs = {Need::kBothWays, Need::kSlowMotion, Need::kDenseRows},
     };
   }
 

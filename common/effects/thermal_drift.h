@@ -35,6 +35,7 @@ struct ThermalDrift {
                           "load_dependent_friction", "presliding_hysteresis"},
         .reference = "",
         .options = {},
+        .needs = {Need::kBothWays, Need::kWarming},
     };
   }
 

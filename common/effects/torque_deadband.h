@@ -29,6 +29,7 @@ struct TorqueDeadband {
         .reference = "",
         .shows_over = Variable::kEffort,
         .options = {},
+        .needs = {Need::kEffortSign},
     };
   }
 

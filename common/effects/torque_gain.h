@@ -29,6 +29,7 @@ struct TorqueGain {
         .reference = "",
         .shows_over = Variable::kEffort,
         .options = {},
+        .needs = {Need::kEffort},
     };
   }
 

@@ -33,6 +33,7 @@ struct TorqueRipple {
         .reference = "",
         .shows_over = Variable::kPosition,
         .options = {},
+        .needs = {Need::kPeriods},
     };
   }
 

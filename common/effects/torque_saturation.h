@@ -28,6 +28,7 @@ struct TorqueSaturation {
         .reference = "",
         .shows_over = Variable::kEffort,
         .options = {},
+        .needs = {Need::kPeakEffort},
     };
   }
 

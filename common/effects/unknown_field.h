@@ -52,6 +52,7 @@ struct UnknownField {
                   {"variable", "drag", "tau = -dq*sum_i w_i*B((q-x_i)/D)",
                    "{joint} feels a drag that depends on where it is and has no name here.",
                    Variable::kPosition}},
+        .needs = {Need::kTravel},
     };
   }
 

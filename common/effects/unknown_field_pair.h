@@ -75,6 +75,7 @@ struct UnknownFieldPair {
         .reference = "",
         .shows_over = Variable::kPosition,
         .options = {},
+        .needs = {Need::kTravel},
     };
   }
 

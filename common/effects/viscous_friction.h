@@ -34,6 +34,7 @@ struct ViscousFriction {
                           "quadratic_drag"},
         .reference = "Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",
         .options = {},
+        .needs = {Need::kManySpeeds},
     };
   }
 

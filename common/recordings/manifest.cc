@@ -265,6 +265,7 @@ Result<Manifest> ParseManifest(std::string_view text, const std::string& source)
   ReadNoise(fields, source, &status, &manifest.settings);
   ReadDrive(fields, &manifest.settings);
   manifest.settings.effort_excludes_gravity = fields.Bool("effort_excludes_gravity", false);
+  manifest.settings.effort_excludes_gravity_given = json.contains("effort_excludes_gravity");
   ReadRecordings(fields, source, &status, &manifest);
   if (!status.ok()) return status;
   fields.WarnOfUnknown(&manifest.settings.warnings);
@@ -292,7 +293,8 @@ std::string FormatManifest(const RecordingSet& set, const std::string& robot_fil
   if (set.drive) json["drive"] = *set.drive == EffortKind::kMeasured ? "effort_measured" : "effort_command";
   if (set.prescribed_listed || !set.prescribed.empty()) json["prescribed"] = set.prescribed;
   if (set.passive) json["passive"] = *set.passive;
-  if (set.effort_excludes_gravity) json["effort_excludes_gravity"] = true;
+  if (set.effort_excludes_gravity || set.effort_excludes_gravity_given)
+    json["effort_excludes_gravity"] = set.effort_excludes_gravity;
   json["recordings"] = nlohmann::ordered_json::array();
   for (const Recording& r : set.recordings) {
     json["recordings"].push_back(

@@ -56,6 +56,7 @@ struct RecordingSet {
   std::optional<EffortKind> drive;  // what the manifest says; each recording's own choice is in it
   // The drive adds its own gravity compensation to the effort in the file.
   bool effort_excludes_gravity = false;
+  bool effort_excludes_gravity_given = false;  // the manifest says so, either way
   // Joints that move as measured, in the order of `joints`: the manifest's, or, where it lists none, those
   // without an effort column in any recording. In each recording too.
   std::vector<std::string> prescribed;

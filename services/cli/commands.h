@@ -26,6 +26,7 @@ void AddArtifactCommands(CLI::App& app, Context& context);   // artifacts …
 void AddSubmitCommands(CLI::App& app, Context& context);     // submit …
 void AddSubmitDiagnose(CLI::App& submit, Context& context);  // submit diagnose
 void AddModelCommands(CLI::App& app, Context& context);      // sysid, predict
+void AddCheckCommand(CLI::App& app, Context& context);       // check
 void AddDiagnoseCommand(CLI::App& app, Context& context);    // diagnose
 void AddProveCommand(CLI::App& app, Context& context);       // prove
 void AddEffectsCommand(CLI::App& app, Context& context);     // effects

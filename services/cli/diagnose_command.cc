@@ -1,6 +1,7 @@
 // `diagnose`: which physics the model leaves out, from a recording set.
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <filesystem>
 #include <memory>
 #include <nlohmann/json.hpp>
@@ -12,6 +13,7 @@
 #include "realitygrad/v1/artifact.pb.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
+#include "services/cli/early_warnings.h"
 #include "services/cli/interrupt.h"
 #include "services/cli/model_source.h"
 #include "services/cli/packed_set.h"
@@ -39,7 +41,8 @@ std::string Joined(const std::vector<std::string>& names) {
   return out;
 }
 
-std::string Told(const diagnosis::DiagnosisResult& r) {
+// `said`: notes that were said before the search.
+std::string Told(const diagnosis::DiagnosisResult& r, const std::vector<std::string>& said) {
   std::string text = r.verdict;
   for (const auto& f : r.findings) {
     char confidence[32];
@@ -59,7 +62,9 @@ std::string Told(const diagnosis::DiagnosisResult& r) {
     std::snprintf(line, sizeof line, " (%.3g nats expected)", r.motion->expected_nats);
     text += "\nrecord next: " + r.motion->description + line;
   }
-  for (const std::string& note : r.notes) text += "\nnote: " + note;
+  for (const std::string& note : r.notes) {
+    if (std::find(said.begin(), said.end(), note) == said.end()) text += "\nnote: " + note;
+  }
   return text;
 }
 
@@ -110,6 +115,7 @@ Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
   if (!arguments.model.empty()) {
     RG_ASSIGN_OR_RETURN(options.model, sim::LoadModelFile(arguments.model));
   }
+  RG_ASSIGN_OR_RETURN(const auto said, SayWarnings(context, set, options.model, options.trust_effort));
   Workers workers;
   if (!context.flags.coordinator.value.empty()) {
     RG_ASSIGN_OR_RETURN(workers, WithWorkers(context, arguments));
@@ -133,7 +139,7 @@ Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
   if (context.json()) {
     PrintJson("realitygrad.diagnosis/1", nlohmann::json::parse(diagnosis::DiagnosisJson(result)));
   } else if (!context.quiet()) {
-    Print(Told(result));
+    Print(Told(result, said));
     Print(Next(result, arguments));
   }
   return Status::Ok();

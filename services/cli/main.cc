@@ -65,6 +65,7 @@ int main(int argc, char** argv) {
   rg::cli::AddRunCommand(app, context);
   rg::cli::AddProveCommand(app, context);
   rg::cli::AddModelCommands(app, context);
+  rg::cli::AddCheckCommand(app, context);
   rg::cli::AddDiagnoseCommand(app, context);
   rg::cli::AddEffectsCommand(app, context);
   rg::cli::AddSubmitCommands(app, context);

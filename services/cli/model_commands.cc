@@ -15,6 +15,7 @@
 #include "common/sim/model_file.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
+#include "services/cli/early_warnings.h"
 #include "services/cli/interrupt.h"
 #include "services/cli/progress_display.h"
 #include "services/cli/set_arguments.h"
@@ -34,6 +35,7 @@ struct SysidArguments {
   SetArguments set;
   std::string out, model;
   std::string parametrisation = "log-cholesky", window_choice = "information";
+  bool trust_effort = false;
   sysid::SysidOptions options;
 };
 
@@ -43,6 +45,7 @@ Status Sysid(Context& context, SysidArguments& arguments) {
     RG_ASSIGN_OR_RETURN(arguments.options.model, sim::LoadModelFile(arguments.model));
   }
   RG_RETURN_IF_ERROR(CheckWritable(arguments.out));
+  RG_RETURN_IF_ERROR(SayWarnings(context, set, arguments.options.model, arguments.trust_effort).status());
   ProgressDisplay display(
       {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
   RG_ASSIGN_OR_RETURN(const sysid::SysidReport report,
@@ -228,6 +231,9 @@ void AddModelCommands(CLI::App& app, Context& context) {
   sysid_command->add_option("--seed", o.window_seed, "Of --window-choice random")->capture_default_str();
   sysid_command->add_option("--step", o.step_s, "Of the simulator [s]")->capture_default_str();
   sysid_command->add_option("--threads", o.threads, "0: all cores")->capture_default_str();
+  sysid_command->add_flag(
+      "--trust-effort", sysid_arguments->trust_effort,
+      "Go on where the sign or the unit of an effort looks wrong, or gravity is not in it");
   sysid_command->add_flag_callback(
       "--no-friction", [&o] { o.fit_joints = false; }, "Inertial parameters only");
   sysid_command->add_flag_callback(

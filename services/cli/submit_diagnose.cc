@@ -9,6 +9,7 @@
 #include "realitygrad/v1/control.pb.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
+#include "services/cli/early_warnings.h"
 #include "services/cli/job_view.h"
 #include "services/cli/model_source.h"
 #include "services/cli/packed_set.h"
@@ -44,7 +45,18 @@ Status Fetch(coordinator::Client& client, const pb::GetJobReply& job, const std:
   return Status::Ok();
 }
 
+// What the task would refuse after it has waited for a worker is refused here.
+Status WarnFirst(const Context& context, const DiagnoseJobArguments& arguments) {
+  RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, arguments.sets.Load());
+  std::optional<sim::ModelFile> model;
+  if (!arguments.model.empty()) {
+    RG_ASSIGN_OR_RETURN(model, sim::LoadModelFile(arguments.model));
+  }
+  return SayWarnings(context, set, model, false).status();
+}
+
 Status SubmitDiagnose(Context& context, const DiagnoseJobArguments& arguments) {
+  RG_RETURN_IF_ERROR(WarnFirst(context, arguments));
   RG_ASSIGN_OR_RETURN(const std::string bundle, PackedSet(arguments.sets));
   RG_ASSIGN_OR_RETURN(const auto client, context.Connect());
   pb::ArtifactInfo info;

@@ -14,9 +14,9 @@
 #include "services/diagnosis/findings.h"
 #include "services/diagnosis/given_model.h"
 #include "services/diagnosis/holdout.h"
-#include "services/diagnosis/plausibility.h"
 #include "services/diagnosis/search.h"
 #include "services/diagnosis/separating_motion.h"
+#include "services/diagnosis/set_check.h"
 #include "services/diagnosis/swing_starts.h"
 #include "services/diagnosis/words.h"
 #include "services/sysid/parallel.h"
@@ -77,6 +77,8 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   const double start = clock.SteadySeconds();
   const int threads = sysid::ChooseThreads(options.threads);
   RG_ASSIGN_OR_RETURN(sim::Plant nominal, GivenPlant(given, options.model));
+  RG_ASSIGN_OR_RETURN(SetCheck check, CheckSet(given, nominal, options.trust_effort));
+  RG_RETURN_IF_ERROR(check.refusal);
   RG_ASSIGN_OR_RETURN(FitData data, PrepareData(given, nominal, options));
   // The balance of torques is of rigid bodies, and finds effects beside them itself.
   if (EffortIsMeasured(data) && !nominal.effects().empty()) {
@@ -85,7 +87,7 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   data.held_out = PrepareHeldOut(given, data, nominal, options);
   MotionScales scales = ScalesOf(data, nominal);
   DiagnosisResult result;
-  RG_RETURN_IF_ERROR(CheckPlausible(given, data, nominal, scales, options.trust_effort, &result.notes));
+  result.notes = std::move(check.warnings);
   const auto search_effects = EffortIsMeasured(data) ? SearchMeasuredEffort : SearchEffects;
   SearchResult search = search_effects(data, nominal, scales, options, threads, clock, progress, cancel);
 
@@ -140,8 +142,7 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   result.robot = nominal.model().name();
   result.joints = nominal.joint_names();
   result.effort_measured = search.measured.active;
-  for (std::string& note : NotesOn(set, data, nominal, scales)) result.notes.push_back(std::move(note));
-  for (std::string& note : NotesOnMeasurement(set, data, nominal, search.measured))
+  for (std::string& note : NotesOnMeasurement(result.joints, search.measured))
     result.notes.push_back(std::move(note));
   Conclude(search, data, nominal, scales, &result);
   if (progress) progress({"what to record next", 0.96, 1.0, result.verdict});

@@ -284,6 +284,7 @@ MotionScales ScalesOf(const FitData& data, const sim::Plant& plant) {
     s.speed_noise[j] = data.use_velocity
                            ? std::min(data.noise.velocity_stddev[j] / std::sqrt(rows), from_positions)
                            : from_positions;
+    s.still.push_back(s.high[j] - s.low[j] < kMovesBy * data.noise.position_stddev[j]);
   }
   const dynamics::Mechanism mechanism(sysid::MechanismOf(plant, plant.parameters().Nominal()));
   dynamics::Workspace workspace;

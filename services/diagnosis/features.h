@@ -27,6 +27,7 @@ struct MotionScales {
   Eigen::VectorXd low, high;    // range of positions
   Eigen::VectorXd inertia;      // diag M at the middle of the motion
   Eigen::VectorXd speed_noise;  // of the smoothed velocity
+  std::vector<char> still;      // never moved by more than its noise: nothing is said of it
   double duration = 1;          // longest recording, s
 };
 MotionScales ScalesOf(const FitData& data, const sim::Plant& plant);

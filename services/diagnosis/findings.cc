@@ -8,7 +8,6 @@
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/confidence.h"
-#include "services/diagnosis/data_notes.h"
 #include "services/diagnosis/experiments.h"
 #include "services/diagnosis/findings_tables.h"
 #include "services/diagnosis/given_model.h"
@@ -76,12 +75,7 @@ class Speaker {
  public:
   Speaker(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
           const MotionScales& scales, DiagnosisResult* result)
-      : s_(search),
-        data_(data),
-        nominal_(nominal),
-        scales_(scales),
-        still_(StillJoints(data, nominal, scales)),
-        r_(*result) {}
+      : s_(search), data_(data), nominal_(nominal), scales_(scales), r_(*result) {}
 
   void Run() {
     Figures();
@@ -151,11 +145,10 @@ class Speaker {
     return left > 0.5 * excess;
   }
 
-  // Of a joint that never moved nothing is said but that, unless something held it.
+  // Of a joint that never moved only a note says what it held against.
   bool Silent(const std::string& joint) const {
-    return std::any_of(still_.begin(), still_.end(), [&](const StillJoint& still) {
-      return !still.held && nominal_.model().joint(still.joint).name == joint;
-    });
+    const int j = nominal_.model().FindJoint(joint);
+    return j >= 0 && scales_.still[static_cast<size_t>(j)];
   }
   bool OfStillJoints(const EffectSpec& e) const {
     return !e.joints.empty() &&
@@ -209,11 +202,6 @@ class Speaker {
     if (IsUnnamed(id) && !s_.measured.active) f.confidence = 1.0;
     FillParameters(id, &f);
     f.statement = StatementOf(id, f);
-    for (const StillJoint& still : still_) {
-      const std::string& name = nominal_.model().joint(still.joint).name;
-      if (std::find(f.joints.begin(), f.joints.end(), name) != f.joints.end())
-        f.statement += " " + name + " never moved: something else than its effort held it.";
-    }
     FillClass(id, &f);
     FillWhere(id, &f);
     return f;
@@ -458,7 +446,6 @@ class Speaker {
   const FitData& data_;
   const sim::Plant& nominal_;
   const MotionScales& scales_;
-  std::vector<StillJoint> still_;
   DiagnosisResult& r_;
   std::vector<EffectSpec> beyond_;  // effects that the given model has not
   VectorXd energy_;

@@ -4,11 +4,10 @@
 #include <algorithm>
 #include <cmath>
 
-#include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
-#include "common/recordings/velocity_lag.h"
+#include "services/diagnosis/gravity_in_effort.h"
+#include "services/diagnosis/motion.h"
 #include "services/diagnosis/words.h"
-#include "services/sysid/drive_signal.h"
 #include "services/sysid/joint_roles.h"
 
 namespace rg::diagnosis {
@@ -19,11 +18,10 @@ using Eigen::VectorXd;
 namespace {
 
 constexpr double kLeastSeconds = 0.5;  // of fitted recordings
+constexpr long kLeastSamples = 20;     // of the motion, below which efforts say nothing
 constexpr double kClose = 0.8;     // share that the URDF's torque must explain before its slope says anything
 constexpr double kFlipped = 0.35;  // |slope + 1| of an effort with the other sign
-constexpr double kOtherUnit = 20.0;   // factor that no gain error of a drive reaches
-constexpr double kWorthALag = 0.002;  // s
-constexpr double kWorthANote = 0.05;  // of the effort's variance
+constexpr double kOtherUnit = 20.0;  // factor that no gain error of a drive reaches
 
 std::string Guess(double slope, bool revolute) {
   const double factor = std::abs(slope);
@@ -33,43 +31,41 @@ std::string Guess(double slope, bool revolute) {
   return "it may be a raw current, or the motor's side of a gear; " + unit + " at the joint is expected";
 }
 
-Status CheckMotion(const FitData& data, const sim::Plant& plant, const MotionScales& scales) {
+Status CheckMotion(const MotionSurvey& survey, const sim::Plant& plant) {
   double seconds = 0;
-  for (const FineMotion& m : data.fine) seconds += m.t.back() - m.t.front();
+  for (const FileFigures& f : survey.files) {
+    if (f.split == recordings::Split::kFit) seconds += (f.rows - 1) * f.period;
+  }
   if (seconds < kLeastSeconds) {
-    return InvalidError("the fitted recordings are " + Number(seconds) +
-                        " s together: too little to say anything");
+    return InvalidError("the recordings to fit are " + Number(seconds) +
+                        " s together: too little to say anything; record at least " + Number(kLeastSeconds) +
+                        " s");
   }
   std::string widest;
-  for (int j = 0; j < data.n; ++j) {
-    if (plant.IsPrescribed(j)) continue;
-    const double range = scales.high[j] - scales.low[j];
-    if (range >= kMovesBy * data.noise.position_stddev[j]) return Status::Ok();
-    widest += (widest.empty() ? "" : ", ") + plant.joint_names()[j] + " by " + Number(range);
+  for (int j = 0; j < survey.n; ++j) {
+    const JointFigures& f = survey.joints[static_cast<size_t>(j)];
+    if (f.prescribed) continue;
+    if (f.moved) return Status::Ok();
+    widest += (!widest.empty() ? ", " : "") + plant.joint_names()[j] + " by " + Number(f.high - f.low);
   }
   return InvalidError("no joint moves by more than its sensor's noise (" + widest +
                       "): too little motion to say anything");
 }
 
-// Torques that the URDF needs for the recorded motion and the efforts in the file, thinned. rows × n each.
+// Torques that the effort must bring for the recorded motion, by the URDF, and the efforts in the file.
+// rows × n each.
 struct Torques {
   MatrixXd rigid, v, u;
 };
-Torques TorquesOf(const FitData& data, const sim::Plant& plant) {
-  const dynamics::Mechanism mechanism(sysid::MechanismOf(plant, plant.parameters().Nominal()));
-  dynamics::Workspace workspace;
-  constexpr int kStride = 8;
-  long rows = 0;
-  for (const FineMotion& m : data.fine) rows += (m.q.cols() + kStride - 1) / kStride;
-  Torques out{MatrixXd(rows, data.n), MatrixXd(rows, data.n), MatrixXd(rows, data.n)};
-  VectorXd tau(data.n);
+Torques TorquesOf(const MotionSurvey& survey) {
+  const long rows = survey.Samples();
+  Torques out{MatrixXd(rows, survey.n), MatrixXd(rows, survey.n), MatrixXd(rows, survey.n)};
   long row = 0;
-  for (const FineMotion& m : data.fine) {
-    for (long k = 0; k < m.q.cols(); k += kStride, ++row) {
-      dynamics::Rnea(mechanism, workspace, m.q.col(k), m.v.col(k), m.a.col(k), tau);
-      out.rigid.row(row) = tau.transpose(), out.v.row(row) = m.v.col(k).transpose();
-      out.u.row(row) = m.u.col(k).transpose();
-    }
+  for (const MotionSamples& m : survey.samples) {
+    const auto S = static_cast<long>(m.t.size());
+    out.rigid.middleRows(row, S) = m.needed.transpose(), out.v.middleRows(row, S) = m.v.transpose();
+    out.u.middleRows(row, S) = m.u.transpose();
+    row += S;
   }
   return out;
 }
@@ -130,63 +126,36 @@ std::string Suspicion(const Torques& torques, const std::vector<EffortMatch>& ma
 
 }  // namespace
 
-std::vector<EffortMatch> MatchEfforts(const FitData& data, const sim::Plant& plant) {
-  const Torques torques = TorquesOf(data, plant);
+std::vector<EffortMatch> MatchEfforts(const MotionSurvey& survey) {
+  const Torques torques = TorquesOf(survey);
   std::vector<EffortMatch> out;
-  for (int j = 0; j < data.n; ++j) out.push_back(MatchOf(torques, j, j));
+  for (int j = 0; j < survey.n; ++j) out.push_back(MatchOf(torques, j, j));
   return out;
 }
 
-Status CheckPlausible(const recordings::RecordingSet& set, const FitData& data, const sim::Plant& plant,
-                      const MotionScales& scales, bool trust_effort, std::vector<std::string>* notes) {
-  RG_RETURN_IF_ERROR(CheckMotion(data, plant, scales));
-  const Torques torques = TorquesOf(data, plant);
-  const std::vector<EffortMatch> match = MatchEfforts(data, plant);
+Status CheckPlausible(const recordings::RecordingSet& set, const MotionSurvey& survey,
+                      const sim::Plant& plant, bool trust_effort, std::vector<std::string>* notes) {
+  RG_RETURN_IF_ERROR(CheckMotion(survey, plant));
+  if (survey.Samples() < kLeastSamples) return Status::Ok();
+  const Torques torques = TorquesOf(survey);
+  const std::vector<EffortMatch> match = MatchEfforts(survey);
   const char* column =
       set.recordings[0].drive == recordings::EffortKind::kMeasured ? "effort_measured." : "effort_command.";
-  for (int j = 0; j < data.n; ++j) {
+  for (int j = 0; j < survey.n; ++j) {
+    if (survey.joints[static_cast<size_t>(j)].prescribed) continue;
     const std::string suspicion = Suspicion(torques, match, j, plant);
     if (suspicion.empty()) continue;
     const std::string line = column + plant.joint_names()[j] + suspicion;
     if (!trust_effort) return InvalidError(line + " (--trust-effort goes on all the same)");
     notes->push_back(line);
   }
+  const std::string gravity =
+      GravityContradiction(WeighGravity(survey, plant), set.effort_excludes_gravity, plant.joint_names());
+  if (gravity.empty()) return Status::Ok();
+  const bool denied = set.effort_excludes_gravity_given && !set.effort_excludes_gravity;
+  if (!trust_effort && !denied) return InvalidError(gravity);
+  notes->push_back(gravity);
   return Status::Ok();
-}
-
-std::vector<std::string> NotesOnMeasurement(const recordings::RecordingSet& set, const FitData& data,
-                                            const sim::Plant& plant, const MeasuredEffort& measured) {
-  std::vector<std::string> notes = set.warnings;
-  for (std::string& note : sysid::NotesOnRoles(set, plant)) notes.push_back(std::move(note));
-  const auto& names = plant.joint_names();
-  std::vector<std::string> late;
-  double least = 1e9, most = 0;
-  const recordings::VelocityLag lag = recordings::EstimateVelocityLag(*data.recordings[0].recording);
-  for (int j = 0; j < data.n; ++j) {
-    if (plant.IsPrescribed(j)) continue;
-    if (lag.error[j] <= 0 || lag.lag[j] < kWorthALag) continue;
-    late.push_back(names[j]);
-    least = std::min(least, lag.lag[j]), most = std::max(most, lag.lag[j]);
-  }
-  if (!late.empty()) {
-    notes.push_back("the velocities of " + Listed(late) + " lag the positions' slope by " +
-                    Number(1e3 * least) + " to " + Number(1e3 * most) +
-                    " ms: they are filtered, and were weighed accordingly");
-  }
-  if (!measured.active) return notes;
-  std::vector<std::string> early, rest;
-  for (const int j : measured.early) early.push_back(names[j]);
-  if (!early.empty()) {
-    notes.push_back(
-        "the effort of " + Listed(early) +
-        " lags the motion that it makes: it is filtered or stamped late (no effect can say that)");
-  }
-  for (int j = 0; j < data.n; ++j) {
-    if (measured.effort_share[j] > kWorthANote)
-      rest.push_back(names[j] + " " + Number(100 * measured.effort_share[j]) + " %");
-  }
-  if (!rest.empty()) notes.push_back("of the effort's variance the findings leave: " + Listed(rest));
-  return notes;
 }
 
 }  // namespace rg::diagnosis

@@ -4,8 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "services/diagnosis/features.h"
-#include "services/diagnosis/search.h"
+#include "services/diagnosis/motion_survey.h"
 
 namespace rg::diagnosis {
 
@@ -15,17 +14,14 @@ struct EffortMatch {
   double slope = 1;
   double share = 0;  // of what the other terms leave, that RNEA explains
 };
-std::vector<EffortMatch> MatchEfforts(const FitData& data, const sim::Plant& plant);
+std::vector<EffortMatch> MatchEfforts(const MotionSurvey& survey);
 
 // Refuses recordings in which nothing moves, and, unless `trust_effort`, efforts that follow the model
-// closely with the wrong sign or some other unit: one line that names joint, finding and a guess. With
-// `trust_effort` that line is appended to `notes` instead.
-Status CheckPlausible(const recordings::RecordingSet& set, const FitData& data, const sim::Plant& plant,
-                      const MotionScales& scales, bool trust_effort, std::vector<std::string>* notes);
-
-// What else a reader should know: velocities that lag their positions, efforts that lag the motion, what the
-// findings leave of a measured effort.
-std::vector<std::string> NotesOnMeasurement(const recordings::RecordingSet& set, const FitData& data,
-                                            const sim::Plant& plant, const MeasuredEffort& measured);
+// closely with the wrong sign or some other unit, or that leave gravity to the drive where the manifest does
+// not say so (gravity_in_effort.h): one line that names joint, finding, a guess and a remedy. With
+// `trust_effort`, or where the manifest itself says that the effort is all there is, that line is appended to
+// `notes` instead.
+Status CheckPlausible(const recordings::RecordingSet& set, const MotionSurvey& survey,
+                      const sim::Plant& plant, bool trust_effort, std::vector<std::string>* notes);
 
 }  // namespace rg::diagnosis

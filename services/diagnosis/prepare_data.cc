@@ -1,6 +1,4 @@
-#include <algorithm>
-#include <cmath>
-
+#include "services/diagnosis/motion_survey.h"
 #include "services/diagnosis/search.h"
 #include "services/sysid/drive_signal.h"
 
@@ -19,15 +17,7 @@ Result<FitData> Prepared(const recordings::RecordingSet& set,
   FitData data;
   data.n = nominal.num_joints();
   data.prescribed = nominal.prescribed();
-  data.noise = recordings::EstimateSensorNoise(set);
-  for (int j = 0; j < data.n; ++j) {
-    const double step = data.noise.position_resolution[j];
-    // The manifest's stddev is of the sensor before quantisation.
-    double variance = data.noise.position_stddev[j] * data.noise.position_stddev[j];
-    if (set.noise.position_stddev) variance += step * step / 12.0;
-    data.noise.position_stddev[j] = std::max(1e-6, std::sqrt(variance));
-    data.noise.velocity_stddev[j] = std::max(1e-5, data.noise.velocity_stddev[j]);
-  }
+  data.noise = WorkingNoise(recordings::EstimateSensorNoise(set), set.noise);
   const VectorXd values = nominal.parameters().Nominal();
   for (const recordings::Recording* rec : recordings) {
     if (rec->drive_effort().size() == 0) return InvalidError(rec->name + ": no effort drives the model");

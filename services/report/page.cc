@@ -52,6 +52,10 @@ json PlotData(const Plot& plot) {
   json data = {{"labels", {"x"}},        {"colors", json::array()}, {"styles", json::array()},
                {"xlabel", plot.x_label}, {"ylabel", plot.y_label},  {"logy", plot.log_y}};
   if (plot.y_high > plot.y_low) data["range"] = {plot.y_low, plot.y_high};
+  if (plot.breaks) data["breaks"] = true;
+  for (const Band& band : plot.bands)
+    data["bands"].push_back(
+        {Number(band.low), Number(band.high), band.kind == Band::Kind::kMissing ? "missing" : "aside"});
   int next = 0;
   for (const Series& s : plot.series) {
     data["labels"].push_back(s.name);

@@ -18,6 +18,12 @@ struct Series {
   int color = -1;  // index into the palette; -1: the next one
 };
 
+// A stretch of x that is shaded.
+struct Band {
+  enum class Kind { kMissing, kAside } kind = Kind::kMissing;
+  double low = 0.0, high = 0.0;
+};
+
 struct Plot {
   std::string title;
   std::string x_label;  // with unit: "time [s]"
@@ -27,6 +33,8 @@ struct Plot {
   bool log_y = false;
   bool tall = false;
   double y_low = 0.0, y_high = 0.0;  // range shown; equal: all there is
+  std::vector<Band> bands = {};
+  bool breaks = false;  // lines end at a NaN instead of going on behind it
 };
 
 struct Table {

@@ -1,0 +1,31 @@
+#include "services/diagnosis/set_check.h"
+
+#include <algorithm>
+
+#include "common/model/urdf_document.h"
+#include "services/diagnosis/data_notes.h"
+#include "services/diagnosis/plausibility.h"
+
+namespace rg::diagnosis {
+
+Result<SetCheck> CheckSet(const recordings::RecordingSet& set, const sim::Plant& plant, bool trust_effort) {
+  SetCheck check;
+  RG_ASSIGN_OR_RETURN(check.survey, Survey(set, plant));
+  check.warnings = NotesOn(set, check.survey, plant);
+  check.refusal = CheckPlausible(set, check.survey, plant, trust_effort, &check.warnings);
+  return check;
+}
+
+std::map<std::string, double> LockedJoints(const recordings::RecordingSet& set) {
+  std::map<std::string, double> out;
+  const auto outline = model::CheckUrdfDocument(set.urdf_text, set.urdf_path);
+  if (!outline.ok()) return set.locked;
+  for (const std::string& joint : outline->joints) {
+    if (std::find(set.joints.begin(), set.joints.end(), joint) != set.joints.end()) continue;
+    const auto at = set.locked.find(joint);
+    out[joint] = at == set.locked.end() ? 0.0 : at->second;
+  }
+  return out;
+}
+
+}  // namespace rg::diagnosis
