@@ -18,12 +18,13 @@ Result<SetCheck> CheckSet(const recordings::RecordingSet& set, const sim::Plant&
 
 std::map<std::string, double> LockedJoints(const recordings::RecordingSet& set) {
   std::map<std::string, double> out;
-  const auto outline = model::CheckUrdfDocument(set.urdf_text, set.urdf_path);
-  if (!outline.ok()) return set.locked;
-  for (const std::string& joint : outline->joints) {
-    if (std::find(set.joints.begin(), set.joints.end(), joint) != set.joints.end()) continue;
-    const auto at = set.locked.find(joint);
-    out[joint] = at == set.locked.end() ? 0.0 : at->second;
+  const auto document = model::ReadUrdfDocument(set.urdf_text, set.urdf_path);
+  if (!document.ok()) return set.locked;
+  for (const model::UrdfJoint& joint : document->joints) {
+    if (joint.is_fixed || joint.mimic) continue;
+    if (std::find(set.joints.begin(), set.joints.end(), joint.name) != set.joints.end()) continue;
+    const auto at = set.locked.find(joint.name);
+    out[joint.name] = at == set.locked.end() ? 0.0 : at->second;
   }
   return out;
 }
