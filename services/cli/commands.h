@@ -28,6 +28,7 @@ void AddSubmitDiagnose(CLI::App& submit, Context& context);  // submit diagnose
 void AddModelCommands(CLI::App& app, Context& context);      // sysid, predict
 void AddDiagnoseCommand(CLI::App& app, Context& context);    // diagnose
 void AddProveCommand(CLI::App& app, Context& context);       // prove
+void AddImportCommands(CLI::App& app, Context& context);     // import, export
 void AddEffectsCommand(CLI::App& app, Context& context);     // effects
 void AddRunCommand(CLI::App& app, Context& context);         // run
 void AddExperimentCommand(CLI::App& app, Context& context);  // experiment …

@@ -17,12 +17,13 @@ constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 constexpr double kSecond = 1e9;
 constexpr double kOtherHostNs = 0.05 * kSecond;
 constexpr double kDriftWorthALineNs = 2e6;
-constexpr double kMostDrift = 0.01;        // of a clock against another: more is no clock (simulated time)
+constexpr double kMostDrift = 0.01;  // of a clock against another: more is no clock (simulated time)
 constexpr int64_t kJumpBackNs = 1'000'000'000;
 constexpr size_t kClockPieces = 20;
 
 double Quantile(std::vector<double> values, double share) {
-  const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
+  const auto at =
+      values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
   std::nth_element(values.begin(), at, values.end());
   return *at;
 }
@@ -49,9 +50,11 @@ ClockLine FitClock(const Track& track) {
   std::vector<double> x(pieces), y(pieces), slopes;
   for (size_t p = 0; p < pieces; ++p) {
     const size_t begin = p * n / pieces, end = (p + 1) * n / pieces;
-    x[p] = 0.5 * (static_cast<double>(track.stamps_ns[begin]) + static_cast<double>(track.stamps_ns[end - 1]));
-    y[p] = Quantile({all.begin() + static_cast<std::ptrdiff_t>(begin), all.begin() + static_cast<std::ptrdiff_t>(end)},
-                    0.05);
+    x[p] =
+        0.5 * (static_cast<double>(track.stamps_ns[begin]) + static_cast<double>(track.stamps_ns[end - 1]));
+    y[p] = Quantile(
+        {all.begin() + static_cast<std::ptrdiff_t>(begin), all.begin() + static_cast<std::ptrdiff_t>(end)},
+        0.05);
     for (size_t q = 0; q < p; ++q)
       if (x[p] > x[q]) slopes.push_back((y[p] - y[q]) / (x[p] - x[q]));
   }
@@ -76,20 +79,23 @@ Status PutInOrder(const std::string& log_name, Track* track, std::vector<std::st
   }
   const std::string where = log_name + (track->topic.empty() ? "" : ": topic " + track->topic);
   if (furthest < -kJumpBackNs && track->clock != "log") {
-    return InvalidError(where + ": its stamps jump back by " + Printf("%.3f", -1e-9 * static_cast<double>(furthest)) +
-                        " s" + (track->clock.empty() ? "" : ": say \"clock\": \"log\" in the mapping"));
+    return InvalidError(where + ": its stamps jump back by " +
+                        Printf("%.3f", -1e-9 * static_cast<double>(furthest)) + " s" +
+                        (track->clock.empty() ? "" : ": say \"clock\": \"log\" in the mapping"));
   }
   std::vector<size_t> order(n);
   std::iota(order.begin(), order.end(), size_t{0});
   std::stable_sort(order.begin(), order.end(),
                    [&](size_t a, size_t b) { return track->stamps_ns[a] < track->stamps_ns[b]; });
-  const auto last = std::unique(order.begin(), order.end(),
-                                [&](size_t a, size_t b) { return track->stamps_ns[a] == track->stamps_ns[b]; });
+  const auto last = std::unique(order.begin(), order.end(), [&](size_t a, size_t b) {
+    return track->stamps_ns[a] == track->stamps_ns[b];
+  });
   const auto repeated = static_cast<size_t>(order.end() - last);
   order.erase(last, order.end());
   if (backwards > 0 && track->clock != "log")
     notes->push_back(where + ": " + std::to_string(backwards) + " stamps went back, sorted");
-  if (repeated > 0) notes->push_back(where + ": " + std::to_string(repeated) + " repeated stamps, the first of each kept");
+  if (repeated > 0)
+    notes->push_back(where + ": " + std::to_string(repeated) + " repeated stamps, the first of each kept");
   if (backwards == 0 && repeated == 0) return Status::Ok();
   const auto apply = [&](auto& values) {
     auto sorted = values;
@@ -136,7 +142,8 @@ enum class Missing { kNo, kOutside, kGap };
 double Between(const Series& s, size_t j, int64_t t, bool wraps) {
   double rise = s.values[j + 1] - s.values[j];
   if (wraps) rise = std::remainder(rise, 2.0 * std::numbers::pi);
-  return s.values[j] + rise * (static_cast<double>(t - s.stamps[j]) / static_cast<double>(s.stamps[j + 1] - s.stamps[j]));
+  return s.values[j] +
+         rise * (static_cast<double>(t - s.stamps[j]) / static_cast<double>(s.stamps[j + 1] - s.stamps[j]));
 }
 
 Missing SampleAt(const Series& s, int64_t t, const WantedColumn& column, double* value) {
@@ -148,7 +155,8 @@ Missing SampleAt(const Series& s, int64_t t, const WantedColumn& column, double*
   const bool is_last = after == s.stamps.end();
   if (is_last) {
     // A command holds for about a period; a measurement only where it was made.
-    const bool holds = column.hold == Hold::kZeroOrder && static_cast<double>(t - s.stamps[j]) <= 1.5 * s.period_ns;
+    const bool holds =
+        column.hold == Hold::kZeroOrder && static_cast<double>(t - s.stamps[j]) <= 1.5 * s.period_ns;
     return holds ? Missing::kNo : Missing::kOutside;
   }
   if (static_cast<double>(s.stamps[j + 1] - s.stamps[j]) > s.gap_ns) return Missing::kGap;
@@ -190,8 +198,8 @@ class Aligner {
       const auto& values = tracks_[place_[i].track].values[place_[i].column];
       const bool none = std::none_of(values.begin(), values.end(), [](double v) { return std::isfinite(v); });
       if (none && wanted_[i].IsRequired()) {
-        return Error((wanted_[i].topic.empty() ? "" : "topic " + wanted_[i].topic + ": ") + "field '" + wanted_[i].field +
-                     "': holds no number, but is mapped to " + wanted_[i].Name());
+        return Error((wanted_[i].topic.empty() ? "" : "topic " + wanted_[i].topic + ": ") + "field '" +
+                     wanted_[i].field + "': holds no number, but is mapped to " + wanted_[i].Name());
       }
       any_position = any_position || wanted_[i].kind == "position";
     }
@@ -223,8 +231,9 @@ class Aligner {
 
   Status CheckIsAClock(const std::optional<ClockLine>& line, const Track& track) const {
     if (!line || std::abs(line->slope) <= kMostDrift) return Status::Ok();
-    return Error("topic " + NameOf(track) + ": a second of its stamps takes " + Printf("%.3f", 1.0 + line->slope) +
-                 " s of the log's clock (simulated time?), so that topics with other clocks cannot be placed");
+    return Error(
+        "topic " + NameOf(track) + ": a second of its stamps takes " + Printf("%.3f", 1.0 + line->slope) +
+        " s of the log's clock (simulated time?), so that topics with other clocks cannot be placed");
   }
 
   Status MoveTrack(const std::optional<ClockLine>& base_line, Track* track) {
@@ -255,8 +264,10 @@ class Aligner {
   void NoteOffset(const ClockOffset& offset) {
     const Track& base = tracks_[base_track_];
     std::string note = log_name_ + ": topic " + offset.topic + " (clock " + offset.clock + ") is moved by " +
-                       Printf("%.6f", offset.offset_s) + " s to the clock of " + NameOf(base) + " (" + base.clock + ")";
-    if (offset.drift_s != 0.0) note += Printf(", and by %.1f ms more from its beginning to its end", 1e3 * offset.drift_s);
+                       Printf("%.6f", offset.offset_s) + " s to the clock of " + NameOf(base) + " (" +
+                       base.clock + ")";
+    if (offset.drift_s != 0.0)
+      note += Printf(", and by %.1f ms more from its beginning to its end", 1e3 * offset.drift_s);
     out_.notes.push_back(note);
   }
 
@@ -269,8 +280,8 @@ class Aligner {
     out_.use.resize(wanted_.size());
     for (size_t i = 0; i < wanted_.size(); ++i) {
       const WantedColumn& column = wanted_[i];
-      const Series series = SeriesOf(tracks_[place_[i].track], place_[i].column,
-                                     !column.IsRequired() && !column.topic.empty());
+      const Series series =
+          SeriesOf(tracks_[place_[i].track], place_[i].column, !column.IsRequired() && !column.topic.empty());
       out_.use[i] = {series.period_ns > 0.0 ? kSecond / series.period_ns : 0.0, series.stamps.size()};
       out_.columns[i].assign(rows, kNone);
       size_t in_gaps = 0;
@@ -306,7 +317,8 @@ class Aligner {
                            " rows lie outside the time that all columns share, left out");
     }
     for (const auto& [topic, count] : rows_in_gaps_of_) {
-      out_.notes.push_back(log_name_ + ": " + std::to_string(count) + " rows lie in gaps of " + topic + ", left out");
+      out_.notes.push_back(log_name_ + ": " + std::to_string(count) + " rows lie in gaps of " + topic +
+                           ", left out");
     }
     return Status::Ok();
   }
@@ -339,10 +351,11 @@ class Aligner {
       }
       const double period = PeriodNs(out_.stamps_ns);
       if (lags.empty() || Quantile(lags, 0.5) < 0.02 * period) continue;
-      out_.notes.push_back(log_name_ + ": commands of " + NameOf(track) + " come " +
-                           Printf("%.1f ms (median) before the row that takes them, of %.1f ms between rows: a delay of "
-                                  "that size is the import's",
-                                  1e-6 * Quantile(lags, 0.5), 1e-6 * period));
+      out_.notes.push_back(
+          log_name_ + ": commands of " + NameOf(track) + " come " +
+          Printf("%.1f ms (median) before the row that takes them, of %.1f ms between rows: a delay of "
+                 "that size is the import's",
+                 1e-6 * Quantile(lags, 0.5), 1e-6 * period));
     }
   }
 

@@ -33,9 +33,9 @@ struct ColumnUse {
 };
 
 struct Aligned {
-  std::vector<int64_t> stamps_ns;              // K, strictly increasing
-  std::vector<std::vector<double>> columns;    // by WantedColumn, K each; finite where required
-  std::vector<ColumnUse> use;                  // by WantedColumn
+  std::vector<int64_t> stamps_ns;            // K, strictly increasing
+  std::vector<std::vector<double>> columns;  // by WantedColumn, K each; finite where required
+  std::vector<ColumnUse> use;                // by WantedColumn
   size_t base_column = 0;
   std::vector<ClockOffset> offsets;
   std::vector<std::string> notes;

@@ -21,7 +21,8 @@ std::string JointList(const std::vector<RobotJoint>& robot) {
 }
 
 Quantity QuantityOf(const std::string& kind, bool prismatic) {
-  if (kind == "position" || kind == "position_reference") return prismatic ? Quantity::kLength : Quantity::kAngle;
+  if (kind == "position" || kind == "position_reference")
+    return prismatic ? Quantity::kLength : Quantity::kAngle;
   if (kind == "velocity" || kind == "velocity_reference")
     return prismatic ? Quantity::kVelocity : Quantity::kAngularVelocity;
   if (kind == "effort_command" || kind == "effort_measured" || kind == "torque_sensor")
@@ -74,8 +75,8 @@ class Resolver {
     column->offset = entry.offset;
     if (!entry.unit) return Status::Ok();
     if (wanted != Quantity::kOther && entry.unit->quantity != wanted) {
-      return InvalidError(path + ".unit: " + entry.unit->name + " is no unit of " + column->Name() + ", which is in " +
-                          SiName(wanted));
+      return InvalidError(path + ".unit: " + entry.unit->name + " is no unit of " + column->Name() +
+                          ", which is in " + SiName(wanted));
     }
     column->unit = entry.unit->name;
     column->factor = entry.scale * entry.unit->to_si;
@@ -96,7 +97,8 @@ std::string WithIndex(const std::string& field, const std::string& index) {
 }
 
 // The joints of "[*]", with the index that each has in the message.
-Result<std::vector<std::pair<std::string, std::string>>> StarJoints(const MapEntry& entry, const std::string& path,
+Result<std::vector<std::pair<std::string, std::string>>> StarJoints(const MapEntry& entry,
+                                                                    const std::string& path,
                                                                     const TopicInfo& topic,
                                                                     const std::vector<RobotJoint>& robot) {
   std::vector<std::pair<std::string, std::string>> joints;
@@ -113,8 +115,8 @@ Result<std::vector<std::pair<std::string, std::string>>> StarJoints(const MapEnt
   std::string names;
   for (const std::string& name : topic.names) names += (names.empty() ? "" : ", ") + name;
   return InvalidError(path + ".joint: *: topic " + topic.topic.name + " names none of the robot's joints (" +
-                      (names.empty() ? "its messages hold no names" : "it names " + names) + "; the robot has " +
-                      JointList(robot) + ")");
+                      (names.empty() ? "its messages hold no names" : "it names " + names) +
+                      "; the robot has " + JointList(robot) + ")");
 }
 
 }  // namespace
@@ -127,7 +129,8 @@ Result<std::vector<WantedColumn>> ResolveColumns(const ImportMap& map, const std
                                                  const Inventory& log, const std::string& log_name,
                                                  const std::vector<RobotJoint>& robot) {
   if (map.time) return InvalidError(map_name + ": time: is for CSV files, " + log_name + " is none");
-  const auto expand = [&](const MapEntry& entry, const std::string& path, std::vector<WantedColumn>* columns) {
+  const auto expand = [&](const MapEntry& entry, const std::string& path,
+                          std::vector<WantedColumn>* columns) {
     const TopicInfo* topic = log.Find(entry.topic);
     if (topic == nullptr) {
       return InvalidError(path + ".topic: " + log_name + " has no topic " + Shown(entry.topic));
@@ -163,15 +166,18 @@ Result<std::vector<WantedColumn>> ResolveCsvColumns(const ImportMap& map, const 
                                                     const std::vector<std::string>& header,
                                                     const std::string& csv_name,
                                                     const std::vector<RobotJoint>& robot) {
-  const auto expand = [&](const MapEntry& entry, const std::string& path, std::vector<WantedColumn>* columns) {
+  const auto expand = [&](const MapEntry& entry, const std::string& path,
+                          std::vector<WantedColumn>* columns) {
     if (!entry.topic.empty()) return InvalidError(path + ".topic: " + csv_name + " is a CSV, which has none");
-    if (!entry.clock.empty()) return InvalidError(path + ".clock: " + csv_name + " is a CSV: say \"time\" instead");
+    if (!entry.clock.empty())
+      return InvalidError(path + ".clock: " + csv_name + " is a CSV: say \"time\" instead");
     std::vector<std::string> fields = entry.fields;
     std::vector<std::string> joints = entry.joints;
     if (IsStar(entry)) {
       if (joints[0] == "*") return InvalidError(path + ".joint: * is for messages that name their joints");
       fields.clear();
-      for (size_t i = 0; i < joints.size(); ++i) fields.push_back(WithIndex(entry.fields[0], std::to_string(i)));
+      for (size_t i = 0; i < joints.size(); ++i)
+        fields.push_back(WithIndex(entry.fields[0], std::to_string(i)));
     }
     for (size_t i = 0; i < fields.size(); ++i) {
       if (std::find(header.begin(), header.end(), fields[i]) == header.end())

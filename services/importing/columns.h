@@ -18,16 +18,16 @@ struct RobotJoint {
 };
 
 struct WantedColumn {
-  size_t entry = 0;      // of the mapping
-  std::string topic;     // empty in a CSV
-  std::string field;     // a path, or a CSV's column
-  std::string joint;     // empty: of no joint
-  std::string kind;      // "position"
-  std::string clock;     // "header", "log" or a path; empty in a CSV
-  std::string unit;      // for people
+  size_t entry = 0;   // of the mapping
+  std::string topic;  // empty in a CSV
+  std::string field;  // a path, or a CSV's column
+  std::string joint;  // empty: of no joint
+  std::string kind;   // "position"
+  std::string clock;  // "header", "log" or a path; empty in a CSV
+  std::string unit;   // for people
   double factor = 1.0, offset = 0.0;
   Hold hold = Hold::kLinear;
-  bool wraps = false;    // an angle of a continuous joint: between neighbours the short way round is meant
+  bool wraps = false;  // an angle of a continuous joint: between neighbours the short way round is meant
 
   // "position.elbow"
   std::string Name() const { return joint.empty() ? kind : kind + "." + joint; }

@@ -6,6 +6,8 @@
 #include <limits>
 #include <set>
 
+#include "common/base/number_text.h"
+#include "common/recordings/csv_text.h"
 #include "services/importing/log.h"
 
 namespace rg::importing {
@@ -13,49 +15,10 @@ namespace {
 
 constexpr size_t kMaxColumns = 10000;
 constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
-
-std::string_view Trimmed(std::string_view text) {
-  const auto blank = [](char c) { return c == ' ' || c == '\t' || c == '\r'; };
-  while (!text.empty() && blank(text.front())) text.remove_prefix(1);
-  while (!text.empty() && blank(text.back())) text.remove_suffix(1);
-  return text;
-}
-
-// Takes one row off `text` into `fields` (views; quotes taken off, doubled quotes stay doubled).
-void TakeRow(std::string_view* text, char separator, std::vector<std::string_view>* fields) {
-  fields->clear();
-  size_t at = 0, start = 0;
-  bool quoted = false;
-  const auto close = [&](size_t end) {
-    std::string_view field = text->substr(start, end - start);
-    field = separator == '\t' ? field : Trimmed(field);
-    if (!field.empty() && field.back() == '\r') field.remove_suffix(1);
-    if (field.size() >= 2 && field.front() == '"' && field.back() == '"')
-      field = Trimmed(field.substr(1, field.size() - 2));
-    fields->push_back(field);
-    start = end + 1;
-  };
-  for (; at < text->size(); ++at) {
-    const char c = (*text)[at];
-    if (c == '"') quoted = !quoted;
-    if (c == separator && !quoted) close(at);
-    if (c == '\n') break;  // also inside quotes: a name with a line break is none
-  }
-  close(std::min(at, text->size()));
-  text->remove_prefix(std::min(at + 1, text->size()));
-}
-
-char SeparatorOf(std::string_view line) {
-  char best = ',';
-  for (const char c : {';', '\t'}) {
-    if (std::count(line.begin(), line.end(), c) > std::count(line.begin(), line.end(), best)) best = c;
-  }
-  return best;
-}
+constexpr long double kLastTimeNs = 4.5e18L;  // the year 2112; differences of two such times do not overflow
 
 // As text with a decimal point; `buffer` holds it where a comma had to go.
 std::string_view WithPoint(std::string_view field, char separator, char (&buffer)[64]) {
-  if (!field.empty() && field.front() == '+') field.remove_prefix(1);
   if (separator == ',' || field.size() >= sizeof buffer || field.find('.') != std::string_view::npos)
     return field;
   const size_t comma = field.find(',');
@@ -65,33 +28,50 @@ std::string_view WithPoint(std::string_view field, char separator, char (&buffer
   return {buffer, field.size()};
 }
 
-template <class T>
-bool ParseNumber(std::string_view field, char separator, T* value) {
+// False: text. Empty and NaN are numbers that are not there.
+bool ReadNumber(std::string_view field, char separator, double* value) {
+  char buffer[64];
+  *value = kNone;
+  const NumberText outcome = ParseNumber(WithPoint(field, separator, buffer), value);
+  return outcome != NumberText::kNotANumber;
+}
+
+// Nanoseconds exactly, where a double has not enough digits.
+bool ReadTime(std::string_view field, char separator, double unit_ns, int64_t* time_ns) {
   char buffer[64];
   field = WithPoint(field, separator, buffer);
-  const auto end = std::from_chars(field.data(), field.data() + field.size(), *value);
-  return !field.empty() && end.ec == std::errc() && end.ptr == field.data() + field.size();
+  if (!field.empty() && field.front() == '+') field.remove_prefix(1);
+  long double time = 0.0L;
+  const auto end = std::from_chars(field.data(), field.data() + field.size(), time);
+  const long double ns = time * static_cast<long double>(unit_ns);
+  if (field.empty() || end.ec != std::errc() || end.ptr != field.data() + field.size() ||
+      !(std::abs(ns) < kLastTimeNs)) {
+    return false;
+  }
+  *time_ns = std::llroundl(ns);
+  return true;
 }
 
 }  // namespace
 
 Result<CsvHeader> ReadCsvHeader(std::string_view text, const std::string& source) {
   CsvHeader header;
-  std::string_view rest = text;
-  if (rest.substr(0, 3) == "\xEF\xBB\xBF") rest.remove_prefix(3);
-  header.separator = SeparatorOf(rest.substr(0, rest.find('\n')));
+  header.separator = recordings::GuessSeparator(text);
+  recordings::CsvText rows(text, header.separator);
   std::vector<std::string_view> fields;
-  TakeRow(&rest, header.separator, &fields);
-  header.header_bytes = text.size() - rest.size();
-  while (fields.size() > 1 && fields.back().empty()) fields.pop_back();
+  const std::string line = source + ": header (line 1)";
+  if (!rows.Next(&fields))
+    return InvalidError(source + ": " + (rows.status().ok() ? "is empty" : rows.status().message()));
+  while (!fields.empty() && fields.back().empty()) fields.pop_back();
+  if (fields.empty()) return InvalidError(line + ": is empty");
   if (fields.size() > kMaxColumns)
-    return InvalidError(source + ": header (line 1): more than " + std::to_string(kMaxColumns) + " columns");
+    return InvalidError(line + ": more than " + std::to_string(kMaxColumns) + " columns");
   std::set<std::string_view> seen;
   double number = 0.0;
   for (size_t i = 0; i < fields.size(); ++i) {
-    const std::string place = source + ": header (line 1): column " + std::to_string(i + 1);
+    const std::string place = line + ": column " + std::to_string(i + 1);
     if (fields[i].empty()) return InvalidError(place + " has no name");
-    if (ParseNumber(fields[i], header.separator, &number))
+    if (ParseNumber(fields[i], &number) == NumberText::kOk)
       return InvalidError(place + ": " + Shown(fields[i]) + " is a number: the file has no header");
     if (!seen.insert(fields[i]).second)
       return InvalidError(place + ": " + Shown(fields[i]) + " is there twice");
@@ -101,39 +81,46 @@ Result<CsvHeader> ReadCsvHeader(std::string_view text, const std::string& source
 }
 
 Result<CsvTable> ReadCsvTable(std::string_view text, const CsvHeader& header, const std::string& source,
-                              size_t time_column, double time_unit_ns, const std::vector<size_t>& wanted) {
+                              size_t time_column, double time_unit_ns, const std::vector<size_t>& wanted,
+                              size_t most_rows) {
   CsvTable table;
   table.columns.resize(wanted.size());
+  table.is_text.assign(wanted.size(), false);
   const size_t count = header.columns.size();
-  text.remove_prefix(std::min(header.header_bytes, text.size()));
+  recordings::CsvText rows(text, header.separator);
   std::vector<std::string_view> fields;
-  for (size_t row = 1; !text.empty(); ++row) {
-    TakeRow(&text, header.separator, &fields);
-    const std::string_view whole = fields.size() == 1 ? fields[0] : "x";
-    if (whole.empty()) continue;  // an empty line
-    const std::string place =
-        source + ": row " + std::to_string(row) + " (line " + std::to_string(row + 1) + ")";
+  rows.Next(&fields);  // the header
+  for (size_t row = 1; row <= most_rows && rows.Next(&fields); ++row) {
     while (fields.size() > count && fields.back().empty()) fields.pop_back();
-    if (fields.size() < count && text.empty()) {
+    if (fields.empty()) {  // an empty line
+      --row;
+      continue;
+    }
+    const std::string place =
+        source + ": row " + std::to_string(row) + " (line " + std::to_string(rows.line()) + ")";
+    if (fields.size() < count && rows.AtEnd() && row > 1) {
       table.last_row_cut = true;
       break;
     }
     if (fields.size() != count)
       return InvalidError(place + ": " + std::to_string(fields.size()) + " of " + std::to_string(count) +
                           " fields");
-    long double time = 0.0;
-    if (!ParseNumber(fields[time_column], header.separator, &time) ||
-        !(std::abs(time * time_unit_ns) < 9.2e18L)) {
+    int64_t time_ns = 0;
+    if (!ReadTime(fields[time_column], header.separator, time_unit_ns, &time_ns)) {
       return InvalidError(place + ", column " + header.columns[time_column] + ": " +
                           Shown(fields[time_column]) + " is no time");
     }
-    table.time_ns.push_back(std::llroundl(time * static_cast<long double>(time_unit_ns)));
+    double time = 0.0;
+    ReadNumber(fields[time_column], header.separator, &time);
+    table.time_ns.push_back(time_ns);
+    table.time.push_back(time);
     for (size_t i = 0; i < wanted.size(); ++i) {
       double value = kNone;
-      if (!ParseNumber(fields[wanted[i]], header.separator, &value)) value = kNone;
+      if (!ReadNumber(fields[wanted[i]], header.separator, &value)) table.is_text[i] = true;
       table.columns[i].push_back(value);
     }
   }
+  if (!rows.status().ok()) return rows.status().WithPrefix(source);
   return table;
 }
 

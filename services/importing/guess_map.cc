@@ -43,7 +43,8 @@ bool HasWord(const std::vector<std::string>& words, std::initializer_list<const 
 // A part of a word counts too: "commands", "JointGroupEffortController".
 bool Contains(const std::string& text, std::initializer_list<const char*> some) {
   const std::string lower = Lower(text);
-  return std::any_of(some.begin(), some.end(), [&](const char* w) { return lower.find(w) != std::string::npos; });
+  return std::any_of(some.begin(), some.end(),
+                     [&](const char* w) { return lower.find(w) != std::string::npos; });
 }
 
 bool IsCommand(const std::string& name) {
@@ -51,7 +52,9 @@ bool IsCommand(const std::string& name) {
          HasWord(Words(name), {"cmd", "cmds", "ref", "des", "in"});
 }
 
-bool IsEffort(const std::string& name) { return Contains(name, {"effort", "torque"}) || HasWord(Words(name), {"tau"}); }
+bool IsEffort(const std::string& name) {
+  return Contains(name, {"effort", "torque"}) || HasWord(Words(name), {"tau"});
+}
 
 std::string Joined(const std::vector<std::string>& names) {
   std::string all;
@@ -149,7 +152,8 @@ class LogGuesser {
         taken.push_back(joint.name);
       }
       if (taken.empty()) {
-        Say(topic.info->topic.name + ": not taken, its joints are in " + source_.begin()->second->info->topic.name);
+        Say(topic.info->topic.name + ": not taken, its joints are in " +
+            source_.begin()->second->info->topic.name);
       } else {
         Say(topic.info->topic.name + ": states of " + Joined(taken) + ", the robot's joints by their names");
       }
@@ -158,11 +162,13 @@ class LogGuesser {
     if (!source_.empty() || !out_.map.entries.empty()) return Status::Ok();
     std::string names;
     for (const TopicInfo& info : log_.topics) {
-      if (info.topic.type == "sensor_msgs/JointState") names += (names.empty() ? "" : ", ") + Joined(info.names);
+      if (info.topic.type == "sensor_msgs/JointState")
+        names += (names.empty() ? "" : ", ") + Joined(info.names);
     }
     std::vector<std::string> joints;
     for (const RobotJoint& joint : robot_) joints.push_back(joint.name);
-    return InvalidError(log_name_ + ": no JointState names a joint of the robot (the robot has " + Joined(joints) +
+    return InvalidError(log_name_ + ": no JointState names a joint of the robot (the robot has " +
+                        Joined(joints) +
                         (names.empty() ? "; there is no JointState)" : "; the messages name " + names + ")") +
                         ": write a mapping");
   }
@@ -193,7 +199,8 @@ class LogGuesser {
       entry.column = kind;
       for (const RobotJoint& joint : robot_) {
         const auto source = source_.find(joint.name);
-        if (source == source_.end() || source->second != &topic || range_of(topic.Said(joint.name)).count == 0)
+        if (source == source_.end() || source->second != &topic ||
+            range_of(topic.Said(joint.name)).count == 0)
           continue;
         entry.fields.push_back(kind + "[" + topic.name_of.at(joint.name) + "]");
         if (kind == "effort_measured") entry.fields.back().replace(0, kind.size(), "effort");
@@ -220,8 +227,10 @@ class LogGuesser {
       any_motion = any_motion || (velocity.count > 0 && !velocity.all_zero());
     }
     if (source_.empty()) return;
-    if (all && any_motion) return AddEntries("velocity", [](const NamedJoint& said) { return said.velocity; });
-    Say(all ? "velocities are 0 throughout: not taken" : "velocities are not there for every joint: not taken");
+    if (all && any_motion)
+      return AddEntries("velocity", [](const NamedJoint& said) { return said.velocity; });
+    Say(all ? "velocities are 0 throughout: not taken"
+            : "velocities are not there for every joint: not taken");
   }
 
   void TakeMeasuredEfforts() {
@@ -238,7 +247,8 @@ class LogGuesser {
     }
     if (!source_.empty()) Say("the states' efforts are empty or 0 throughout: not taken");
     for (const TopicInfo& info : log_.topics) {
-      const bool kinova = info.topic.type == "kinova_msgs/JointAngles" || info.topic.type == "kinova_msgs/JointTorque";
+      const bool kinova =
+          info.topic.type == "kinova_msgs/JointAngles" || info.topic.type == "kinova_msgs/JointTorque";
       if (has_effort_ || !kinova || IsCommand(info.topic.name) || !IsEffort(info.topic.name)) continue;
       TakeKinova(info, "effort_measured", "N*m");
       has_effort_ = true;
@@ -248,7 +258,8 @@ class LogGuesser {
   void TakeCommandedEfforts() {
     for (const NamedTopic& topic : commands_) {
       bool effort = false;
-      for (const auto& [joint, name] : topic.name_of) effort = effort || topic.info->joints.at(name).effort.count > 0;
+      for (const auto& [joint, name] : topic.name_of)
+        effort = effort || topic.info->joints.at(name).effort.count > 0;
       if (!effort) {
         position_commands_.push_back(topic.info->topic.name);
       } else if (commanded_.empty()) {
@@ -287,7 +298,8 @@ class LogGuesser {
   void TakeUnnamedCommand(const TopicInfo& info) {
     const std::string& name = info.topic.name;
     const std::string& type = info.topic.type;
-    if (type.rfind("trajectory_msgs/", 0) == 0 || Contains(type, {"FollowJointTrajectory", "JointTrajectoryController"})) {
+    if (type.rfind("trajectory_msgs/", 0) == 0 ||
+        Contains(type, {"FollowJointTrajectory", "JointTrajectoryController"})) {
       position_commands_.push_back(name);
       return;
     }
@@ -328,7 +340,8 @@ class LogGuesser {
     if (!IsEffort(name)) Ask(name + ": does its name mean efforts? taken as effort_command");
     if (joints.size() > 1) {
       entry.note = "the order of the numbers is not in the message: the URDF's is assumed, check it";
-      Ask(name + ": the message does not say which number is which joint's; " + Joined(joints) + " is assumed");
+      Ask(name + ": the message does not say which number is which joint's; " + Joined(joints) +
+          " is assumed");
     }
     AddCommand(std::move(entry), "a list with a number for each joint: effort_command");
   }
@@ -369,7 +382,8 @@ class LogGuesser {
       std::string found;
       for (const RobotJoint& joint : robot_) {
         const std::string number = std::to_string(k);
-        const bool ends = joint.name == "joint" + number || EndsIn(joint.name, number) || EndsIn(joint.name, "joint" + number);
+        const bool ends = joint.name == "joint" + number || EndsIn(joint.name, number) ||
+                          EndsIn(joint.name, "joint" + number);
         if (!ends || Contains(joint.name, {"finger"})) continue;
         if (!found.empty()) return {};
         found = joint.name;
@@ -407,7 +421,9 @@ class LogGuesser {
 
   void TakeKinovaAngles() {
     for (const TopicInfo& info : log_.topics) {
-      if (info.topic.type != "kinova_msgs/JointAngles" || IsCommand(info.topic.name) || IsEffort(info.topic.name)) continue;
+      if (info.topic.type != "kinova_msgs/JointAngles" || IsCommand(info.topic.name) ||
+          IsEffort(info.topic.name))
+        continue;
       TakeKinova(info, "position", "deg");
       Ask(info.topic.name + ": are its angles degrees, as kinova's driver has them?");
       return;
@@ -420,7 +436,8 @@ class LogGuesser {
       return InvalidError(log_name_ + ": holds position commands (" + position_commands_[0] +
                           ") and no effort: position-commanded drives are not modelled yet");
     }
-    return InvalidError(log_name_ + ": holds no effort, commanded or measured: nothing says what drives the robot");
+    return InvalidError(log_name_ +
+                        ": holds no effort, commanded or measured: nothing says what drives the robot");
   }
 
   const Inventory& log_;
@@ -475,7 +492,8 @@ std::optional<std::pair<std::string, int>> Numbered(const std::string& name) {
 
 class CsvGuesser {
  public:
-  CsvGuesser(const std::vector<std::string>& header, const std::string& csv_name, const std::vector<RobotJoint>& robot)
+  CsvGuesser(const std::vector<std::string>& header, const std::string& csv_name,
+             const std::vector<RobotJoint>& robot)
       : header_(header), csv_name_(csv_name), robot_(robot) {}
 
   Result<GuessedMap> Guess(const std::vector<double>& first_times) {
@@ -494,7 +512,8 @@ class CsvGuesser {
   Status TakeTime(const std::vector<double>& first_times) {
     const size_t column = FindTimeColumn(header_);
     if (column == header_.size())
-      return InvalidError(csv_name_ + ": header (line 1): no column is a time by its name (time, __time, t, timestamp, "
+      return InvalidError(csv_name_ +
+                          ": header (line 1): no column is a time by its name (time, __time, t, timestamp, "
                           "stamp): say \"time\": {\"column\": …} in a mapping");
     out_.map.time = TimeColumn{header_[column], TimeUnitOf(header_[column], first_times)};
     if (out_.map.time->unit.empty()) out_.map.time->unit = "s";
@@ -537,7 +556,9 @@ class CsvGuesser {
     }
     for (const auto& [stem, columns] : groups) {
       const int first = columns.begin()->first, last = columns.rbegin()->first;
-      if (columns.size() != robot_.size() || first > 1 || last - first + 1 != static_cast<int>(columns.size())) continue;
+      if (columns.size() != robot_.size() || first > 1 ||
+          last - first + 1 != static_cast<int>(columns.size()))
+        continue;
       const std::string kind = KindOfName(stem);
       if (by_kind_.contains(kind)) {
         Ask("columns " + columns.begin()->second + " … look like " + kind + " too");
@@ -551,7 +572,8 @@ class CsvGuesser {
 
   Status Check() const {
     if (!by_kind_.contains("position")) {
-      return InvalidError(csv_name_ + ": header (line 1): no column holds a joint's name and position (the robot has " +
+      return InvalidError(csv_name_ +
+                          ": header (line 1): no column holds a joint's name and position (the robot has " +
                           Joints() + "): write a mapping");
     }
     if (by_kind_.contains("effort_command") || by_kind_.contains("effort_measured")) return Status::Ok();
@@ -559,7 +581,8 @@ class CsvGuesser {
       return InvalidError(csv_name_ + ": holds position commands (" + position_commands_ +
                           ") and no effort: position-commanded drives are not modelled yet");
     }
-    return InvalidError(csv_name_ + ": no column holds a joint's name and effort (or torque): write a mapping");
+    return InvalidError(csv_name_ +
+                        ": no column holds a joint's name and effort (or torque): write a mapping");
   }
 
   std::string Joints() const {
@@ -605,8 +628,8 @@ Result<GuessedMap> GuessCsvMap(const std::vector<std::string>& header, const std
 }
 
 size_t FindTimeColumn(const std::vector<std::string>& header) {
-  for (const char* name : {"__time", "time", "t", "timestamp", "stamp", "time_s", "time [s]", "seconds", "secs",
-                           "time_ns", "timestamp_ns", "time_us", "time_ms", "rosbagtimestamp"}) {
+  for (const char* name : {"__time", "time", "t", "timestamp", "stamp", "time_s", "time [s]", "seconds",
+                           "secs", "time_ns", "timestamp_ns", "time_us", "time_ms", "rosbagtimestamp"}) {
     for (size_t i = 0; i < header.size(); ++i) {
       if (Lower(header[i]) == name) return i;
     }

@@ -41,7 +41,7 @@ struct ImportedFile {
 struct NotTaken {
   std::string topic;  // or a CSV's column
   std::string type;
-  std::string why;    // "fields velocity, effort", "encoding protobuf is not read"
+  std::string why;  // "fields velocity, effort", "encoding protobuf is not read"
 };
 
 struct ImportReport {

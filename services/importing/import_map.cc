@@ -90,7 +90,8 @@ class MapParser {
   }
 
   // A text, or a list of texts that are there once each.
-  std::vector<std::string> Texts(const Json& object, const std::string& key, const std::string& path, bool required) {
+  std::vector<std::string> Texts(const Json& object, const std::string& key, const std::string& path,
+                                 bool required) {
     const auto found = object.find(key);
     if (found == object.end()) {
       if (required) Fail(path + key, "is missing");
@@ -165,7 +166,8 @@ class MapParser {
     }
     if (json.contains("hold")) {
       const std::string hold = Text(json, "hold", path, true);
-      if (hold != "linear" && hold != "zero_order") Fail(path + "hold", "'" + hold + "', must be linear or zero_order");
+      if (hold != "linear" && hold != "zero_order")
+        Fail(path + "hold", "'" + hold + "', must be linear or zero_order");
       entry.hold = hold == "linear" ? Hold::kLinear : Hold::kZeroOrder;
     }
     CheckEntry(entry, path);
@@ -177,15 +179,18 @@ class MapParser {
     const std::string& column = entry.column;
     if (!IsColumnName(column))
       Fail(path + "column", Shown(column) + " must be made of letters, digits and _, and not be time");
-    if (IsDrivenKind(column) && entry.joints.empty()) Fail(path + "joint", "is missing: a " + column + " is a joint's");
+    if (IsDrivenKind(column) && entry.joints.empty())
+      Fail(path + "joint", "is missing: a " + column + " is a joint's");
     if (entry.scale == 0.0) Fail(path + "scale", "0 makes every value 0");
     const bool star = entry.fields.size() == 1 && entry.fields[0].find("[*]") != std::string::npos;
     for (const std::string& field : entry.fields) {
       if (!star && field.find("[*]") != std::string::npos) Fail(path + "field", "[*] in a list of fields");
     }
     if (star && entry.joints.empty()) Fail(path + "joint", "is missing: [*] takes an element for each joint");
-    if (!star && entry.joints == std::vector<std::string>{"*"}) Fail(path + "joint", "* needs a field with [*]");
-    if (entry.joints.size() > 1 && std::find(entry.joints.begin(), entry.joints.end(), "*") != entry.joints.end())
+    if (!star && entry.joints == std::vector<std::string>{"*"})
+      Fail(path + "joint", "* needs a field with [*]");
+    if (entry.joints.size() > 1 &&
+        std::find(entry.joints.begin(), entry.joints.end(), "*") != entry.joints.end())
       Fail(path + "joint", "* in a list of joints");
     const size_t takes = std::max<size_t>(entry.joints.size(), 1);
     if (!star && entry.fields.size() != takes) {
@@ -195,7 +200,8 @@ class MapParser {
   }
 
   static bool IsDrivenKind(const std::string& column) {
-    return column == "position" || column == "velocity" || column == "effort_command" || column == "effort_measured";
+    return column == "position" || column == "velocity" || column == "effort_command" ||
+           column == "effort_measured";
   }
 
   std::string source_;
@@ -221,7 +227,8 @@ double TimeUnitNs(const std::string& unit) {
 Hold HoldOf(const MapEntry& entry) {
   if (entry.hold) return *entry.hold;
   const auto ends_in = [&](std::string_view end) {
-    return entry.column.size() >= end.size() && entry.column.compare(entry.column.size() - end.size(), end.size(), end) == 0;
+    return entry.column.size() >= end.size() &&
+           entry.column.compare(entry.column.size() - end.size(), end.size(), end) == 0;
   };
   return ends_in("_command") || ends_in("_reference") ? Hold::kZeroOrder : Hold::kLinear;
 }

@@ -5,7 +5,8 @@
 //   {"format": "realitygrad.import_map/1",
 //    "columns": [{"topic": "/joint_states", "field": "position[*]", "joint": "*", "column": "position"},
 //                {"topic": "/driver/in/joint_torque", "field": ["joint1", "joint2"],
-//                 "joint": ["joint_1", "joint_2"], "column": "effort_command", "unit": "N*m", "clock": "log"}],
+//                 "joint": ["joint_1", "joint_2"], "column": "effort_command", "unit": "N*m", "clock":
+//                 "log"}],
 //    "manifest": {"effort_excludes_gravity": true}}
 //
 // A column's value is raw · unit · scale + offset, in SI.
@@ -33,13 +34,13 @@ struct MapEntry {
   // "*": every joint of the robot that the message names. With one field "x[*]" and several joints, the
   // elements of these names, or, in a message without names, in this order. Empty: a column of no joint.
   std::vector<std::string> joints;
-  std::string column;         // "position", "velocity", "effort_command", "effort_measured", or any other kind
-  std::optional<Unit> unit;   // none: SI
+  std::string column;        // "position", "velocity", "effort_command", "effort_measured", or any other kind
+  std::optional<Unit> unit;  // none: SI
   double scale = 1.0;
-  double offset = 0.0;        // SI
-  std::string clock;          // "header", "log", a field that holds a time; empty: header where there is one
-  std::optional<Hold> hold;   // none: zero order for effort_command and references, linear for the rest
-  std::string note;           // anybody's words
+  double offset = 0.0;       // SI
+  std::string clock;         // "header", "log", a field that holds a time; empty: header where there is one
+  std::optional<Hold> hold;  // none: zero order for effort_command and references, linear for the rest
+  std::string note;          // anybody's words
 };
 
 struct TimeColumn {

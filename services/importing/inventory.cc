@@ -17,7 +17,8 @@ bool Has(const std::vector<std::string>& fields, const char* name) {
 }
 
 // What is looked at in the messages of a topic: those of these paths that its type has.
-const char* const kPaths[] = {"header.stamp", "name", "joint_names", "position", "velocity", "effort", "data"};
+const char* const kPaths[] = {"header.stamp", "name",   "joint_names", "position",
+                              "velocity",     "effort", "data"};
 enum Path { kStamp, kName, kJointNames, kPosition, kVelocity, kEffort, kData, kPathCount };
 
 class InventorySink final : public LogSink {
@@ -43,8 +44,9 @@ class InventorySink final : public LogSink {
   Status OnMessage(const Message& message) override {
     TopicInfo& info = inventory_.topics[message.topic];
     if (std::abs(static_cast<double>(message.log_ns)) > kLastTimeNs) {
-      return DataLossError(source_ + ": topic " + info.topic.name + ": message " + std::to_string(info.messages + 1) +
-                           ": time " + std::to_string(message.log_ns) + " ns is no time");
+      return DataLossError(source_ + ": topic " + info.topic.name + ": message " +
+                           std::to_string(info.messages + 1) + ": time " + std::to_string(message.log_ns) +
+                           " ns is no time");
     }
     if (info.messages == 0) info.first_ns = info.last_ns = message.log_ns;
     info.first_ns = std::min(info.first_ns, message.log_ns);
@@ -77,10 +79,16 @@ class InventorySink final : public LogSink {
     std::fill(std::begin(looker.place), std::end(looker.place), -1);
     std::vector<std::string> paths;
     const bool state = topic.type == "sensor_msgs/JointState";
-    const bool array = topic.type == "std_msgs/Float64MultiArray" || topic.type == "std_msgs/Float32MultiArray";
+    const bool array =
+        topic.type == "std_msgs/Float64MultiArray" || topic.type == "std_msgs/Float32MultiArray";
     const bool text = topic.type == "std_msgs/String" && topic.name.rfind("/realitygrad/", 0) == 0;
-    const bool wanted[kPathCount] = {Has(info.fields, "header"), state, !state && Has(info.fields, "joint_names"),
-                                     state, state, state, array || text};
+    const bool wanted[kPathCount] = {Has(info.fields, "header"),
+                                     state,
+                                     !state && Has(info.fields, "joint_names"),
+                                     state,
+                                     state,
+                                     state,
+                                     array || text};
     for (int i = 0; i < kPathCount; ++i) {
       if (!wanted[i] || !MessageDecoder::Make(topic, {kPaths[i]}).ok()) continue;
       looker.place[i] = static_cast<int>(paths.size());

@@ -31,15 +31,15 @@ struct NamedJoint {
 struct TopicInfo {
   Topic topic;
   uint64_t messages = 0;
-  int64_t first_ns = 0, last_ns = 0;   // log times
-  std::string unreadable;              // why no field of it can be read; empty if it can
-  std::vector<std::string> fields;     // the message's own
-  bool has_header = false;             // header.stamp
-  bool stamp_is_set = false;           // not 0 in some message
-  std::vector<std::string> names;      // of name or joint_names, in the order they came
+  int64_t first_ns = 0, last_ns = 0;         // log times
+  std::string unreadable;                    // why no field of it can be read; empty if it can
+  std::vector<std::string> fields;           // the message's own
+  bool has_header = false;                   // header.stamp
+  bool stamp_is_set = false;                 // not 0 in some message
+  std::vector<std::string> names;            // of name or joint_names, in the order they came
   std::map<std::string, NamedJoint> joints;  // JointState only
-  size_t list_length = 0;              // of data in a MultiArray, the longest
-  std::string text;                    // of a String of /realitygrad/…: the first
+  size_t list_length = 0;                    // of data in a MultiArray, the longest
+  std::string text;                          // of a String of /realitygrad/…: the first
 
   double rate_hz() const;  // mean over the log
 };

@@ -2,7 +2,8 @@
 //
 //   /joint_states               sensor_msgs/JointState: position, velocity if there, effort_measured if there
 //   /joint_command              sensor_msgs/JointState: effort_command, if there
-//   /realitygrad/columns        std_msgs/Float64MultiArray: all other columns; the label of its dimension is a
+//   /realitygrad/columns        std_msgs/Float64MultiArray: all other columns; the label of its dimension is
+//   a
 //                               JSON list of their names
 //   /realitygrad/manifest       std_msgs/String: manifest.json
 //   /realitygrad/urdf           std_msgs/String: robot.urdf
@@ -41,14 +42,16 @@ double SecondsOf(int64_t ns);
 bool IsSetBag(const Inventory& log);
 
 // The set that the bag is of (settings, URDF, joints) with its one recording.
-Result<recordings::RecordingSet> ReadSetBag(const LogFile& file, const Inventory& log, const ProgressFn& progress);
+Result<recordings::RecordingSet> ReadSetBag(const LogFile& file, const Inventory& log,
+                                            const ProgressFn& progress);
 
-// Writes one recording of `set`. The file is written beside `path` and renamed.
+// Writes one recording of `set` (bag_writer.cc, through librosbag-storage). The file is written beside `path`
+// and renamed. Error: times that ROS has no place for, two rows within 1 ns.
 Status WriteSetBag(const std::string& path, const recordings::RecordingSet& set,
-                   const recordings::Recording& recording);
+                   const recordings::Recording& recording, const std::string& manifest_json);
 
-// Every recording of the set as OUT/<name>.bag; returns the paths. Error: two recordings of one name.
+// Every recording of the set as FOLDER/<name>.bag; returns the paths. Error: two recordings of one name.
 Result<std::vector<std::string>> WriteSetBags(const std::string& folder, const recordings::RecordingSet& set,
-                                              const ProgressFn& progress);
+                                              const std::string& manifest_json, const ProgressFn& progress);
 
 }  // namespace rg::importing

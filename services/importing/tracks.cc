@@ -16,7 +16,7 @@ struct TopicReader {
   const TopicInfo* info = nullptr;
   std::vector<size_t> tracks;
   std::vector<std::string> paths;
-  std::vector<int> stamp_path;                 // per track; -1: the log's time
+  std::vector<int> stamp_path;                  // per track; -1: the log's time
   std::vector<std::vector<size_t>> value_path;  // per track and column
   std::optional<MessageDecoder> decoder;
 };
@@ -75,9 +75,11 @@ class TrackSink final : public LogSink {
 
   Result<std::vector<Track>> Finish() {
     for (const Track& track : tracks_) {
-      const bool unset = std::all_of(track.stamps_ns.begin(), track.stamps_ns.end(), [](int64_t s) { return s == 0; });
+      const bool unset =
+          std::all_of(track.stamps_ns.begin(), track.stamps_ns.end(), [](int64_t s) { return s == 0; });
       if (unset && !track.stamps_ns.empty() && track.clock != "log") {
-        return InvalidError(file_.name + ": topic " + track.topic + ": every stamp is 0: say \"clock\": \"log\" in the mapping");
+        return InvalidError(file_.name + ": topic " + track.topic +
+                            ": every stamp is 0: say \"clock\": \"log\" in the mapping");
       }
     }
     return std::move(tracks_);
@@ -112,7 +114,8 @@ class TrackSink final : public LogSink {
     const auto error = [&](const std::string& what) {
       return InvalidError(file_.name + ": topic " + track.topic + ": field '" + what);
     };
-    if (reader.stamp_path[k] >= 0 && decoder.kind(static_cast<size_t>(reader.stamp_path[k])) != FieldKind::kTime)
+    if (reader.stamp_path[k] >= 0 &&
+        decoder.kind(static_cast<size_t>(reader.stamp_path[k])) != FieldKind::kTime)
       return error(track.clock + "' is no time");
     for (const size_t path : reader.value_path[k]) {
       const FieldKind kind = decoder.kind(path);

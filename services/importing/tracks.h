@@ -15,10 +15,10 @@ namespace rg::importing {
 
 struct Track {
   std::string topic;
-  std::string clock;                // "header", "log", a path; empty in a CSV
-  std::vector<int64_t> stamps_ns;   // K, in the clock of the track
-  std::vector<int64_t> log_ns;      // K, or empty where the clock is the log's own
-  std::vector<size_t> columns;      // numbers of WantedColumns
+  std::string clock;                        // "header", "log", a path; empty in a CSV
+  std::vector<int64_t> stamps_ns;           // K, in the clock of the track
+  std::vector<int64_t> log_ns;              // K, or empty where the clock is the log's own
+  std::vector<size_t> columns;              // numbers of WantedColumns
   std::vector<std::vector<double>> values;  // one per column, K each, SI; NaN: not in that message
 };
 

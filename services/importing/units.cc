@@ -56,13 +56,20 @@ Result<Unit> ParseUnit(std::string_view name) {
 
 std::string SiName(Quantity quantity) {
   switch (quantity) {
-    case Quantity::kAngle: return "rad";
-    case Quantity::kLength: return "m";
-    case Quantity::kAngularVelocity: return "rad/s";
-    case Quantity::kVelocity: return "m/s";
-    case Quantity::kTorque: return "N*m";
-    case Quantity::kForce: return "N";
-    default: return "";
+    case Quantity::kAngle:
+      return "rad";
+    case Quantity::kLength:
+      return "m";
+    case Quantity::kAngularVelocity:
+      return "rad/s";
+    case Quantity::kVelocity:
+      return "m/s";
+    case Quantity::kTorque:
+      return "N*m";
+    case Quantity::kForce:
+      return "N";
+    default:
+      return "";
   }
 }
 
