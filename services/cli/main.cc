@@ -67,6 +67,7 @@ int main(int argc, char** argv) {
   rg::cli::AddModelCommands(app, context);
   rg::cli::AddCheckCommand(app, context);
   rg::cli::AddDiagnoseCommand(app, context);
+  rg::cli::AddImportCommands(app, context);
   rg::cli::AddEffectsCommand(app, context);
   rg::cli::AddSubmitCommands(app, context);
   rg::cli::AddJobCommands(app, context);
