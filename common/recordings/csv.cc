@@ -500,6 +500,7 @@ class CsvParser {
     FillVelocities(&recording_);
     LeaveOutFrozenVelocity(&recording_);
     RG_RETURN_IF_ERROR(CheckUnits(recording_, options_.robot));
+    TakeEpochOff(&recording_);
     return jump;
   }
 
@@ -573,7 +574,7 @@ std::string FormatCsv(const Recording& r, int digits) {
   for (const auto& [name, column] : r.other) out += "," + name;
   out += '\n';
   for (int k = 0; k < r.rows(); ++k) {
-    AppendNumber(&out, r.t[k], 0);
+    AppendNumber(&out, r.t[k] + r.time_offset, 0);
     for (const auto& [kind, x] : kinds) {
       for (Eigen::Index i = 0; i < x->rows(); ++i) {
         if (!written(x, i)) continue;

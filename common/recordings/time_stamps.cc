@@ -25,6 +25,7 @@ constexpr double kSlowestPeriod = 0.5;                     // s: slower logs are
 constexpr double kSmoothStep = 0.3;                        // RMS of steps over the positions' spread
 constexpr double kEpochFirst = 9.4e8, kEpochLast = 4.1e9;  // s: 2000 to 2100
 constexpr double kGoTogether = 0.9;
+constexpr double kEpochLike = 1e6;  // s
 constexpr double kGapPeriods = 5.0, kGapSeconds = 0.1;
 
 // Measured velocity over the slope of positions, by the most telling joint; none where they do not go
@@ -113,6 +114,12 @@ Status CheckTimeUnit(const Recording& r, std::optional<double> rate) {
                       Printf("%.10g", period) + " apart: time looks like " + unit.name + " (" +
                       Printf("%.4g", unit.per_s / period) + " Hz), s is expected: read it with --time-unit " +
                       unit.flag + ", or with --time-unit s if these are seconds");
+}
+
+void TakeEpochOff(Recording* r) {
+  if (r->rows() == 0 || std::abs(r->t[0]) < kEpochLike) return;
+  r->time_offset = std::floor(r->t[0]);
+  r->t.array() -= r->time_offset;
 }
 
 double LongestStep(const Eigen::VectorXd& t) {

@@ -18,6 +18,10 @@ Result<double> TimeUnitsPerSecond(const std::string& unit);
 // rate below 2 Hz of positions that hardly change from row to row.
 Status CheckTimeUnit(const Recording& recording, std::optional<double> sample_rate_hz);
 
+// Takes the whole seconds of the first stamp off where stamps count from an epoch (above 1e6 s): t and
+// time_offset. No digit is lost.
+void TakeEpochOff(Recording* recording);
+
 // Longest time between neighbouring rows that is no gap: max(5 sample periods, 0.1 s).
 double LongestStep(const Eigen::VectorXd& t);
 struct Gap {

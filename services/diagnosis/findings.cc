@@ -370,7 +370,8 @@ class Speaker {
     std::sort(loud.rbegin(), loud.rend());
     for (size_t i = 0; i < std::min<size_t>(4, loud.size()); ++i) {
       const NodeWindow& w = data_.windows[loud[i].second];
-      f->windows.push_back({data_.recordings[w.recording].recording->name, w.t.front(), w.t.back()});
+      const recordings::Recording& rec = *data_.recordings[w.recording].recording;
+      f->windows.push_back({rec.name, w.t.front() + rec.time_offset, w.t.back() + rec.time_offset});
     }
     f->summary +=
         ", most in " + (f->windows.empty() ? std::string("no window") : f->windows[0].recording) +

@@ -47,13 +47,13 @@ FileFigures FiguresOf(const Recording& r) {
   FileFigures f;
   f.name = r.name, f.split = r.split, f.rows = r.rows();
   f.period = std::max(1e-9, r.SamplePeriod());
-  f.start = r.t[0], f.duration = r.t[r.rows() - 1] - f.start;
+  f.start = r.t[0] + r.time_offset, f.duration = r.t[r.rows() - 1] - r.t[0];
   f.columns = ColumnsOf(r);
   const double longest = recordings::LongestStep(r.t);
   for (int k = 1; k < r.rows(); ++k) {
     const double step = r.t[k] - r.t[k - 1];
     if (step > longest) {
-      f.gaps.emplace_back(r.t[k - 1], r.t[k]);
+      f.gaps.emplace_back(r.t[k - 1] + r.time_offset, r.t[k] + r.time_offset);
     } else {
       f.missing += std::max(0.0, std::round(step / f.period) - 1);
     }

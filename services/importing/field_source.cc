@@ -110,10 +110,13 @@ class CdrSource final : public FieldSource {
   std::string_view Text() override {
     const uint32_t length = Count();
     const char* start = cdr_.getCurrentPosition();
-    if (!ok() || length > remaining() || (length > 0 && !cdr_.jump(length))) {
+    // The last character is read, not jumped over: Fast CDR aligns what follows by the size it read last.
+    if (!ok() || length > remaining() || (length > 1 && !cdr_.jump(length - 1))) {
       Fail();
       return {};
     }
+    char last = 0;
+    if (length > 0) Read(&last);
     const std::string_view text(start, length);
     return !text.empty() && text.back() == '\0' ? text.substr(0, text.size() - 1) : text;
   }

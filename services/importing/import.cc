@@ -406,10 +406,10 @@ Result<MapInUse> ChooseMap(const ImportOptions& options, const Source& first,
 }  // namespace
 
 Result<std::vector<RobotJoint>> RobotJoints(const std::string& urdf_text, const std::string& urdf_path) {
-  RG_ASSIGN_OR_RETURN(const model::UrdfOutline outline, model::CheckUrdfDocument(urdf_text, urdf_path));
+  RG_ASSIGN_OR_RETURN(const model::UrdfDocument document, model::ReadUrdfDocument(urdf_text, urdf_path));
   std::vector<RobotJoint> joints;
   Status why;
-  for (const std::string& name : outline.joints) {
+  for (const std::string& name : document.JointNames()) {
     model::LoadOptions options;
     options.joints = {name};
     const auto robot = model::ParseUrdf(urdf_text, urdf_path, options);

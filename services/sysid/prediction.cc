@@ -230,7 +230,7 @@ std::string FormatPredictionCsv(const Prediction& prediction, const recordings::
   for (const std::string& joint : recording.joints) out += ",position." + joint;
   out += '\n';
   for (int k = 0; k < prediction.t.size(); ++k) {
-    AppendNumber(prediction.t[k], &out);
+    AppendNumber(prediction.t[k] + recording.time_offset, &out);
     for (int j = 0; j < q.rows(); ++j) {
       out += ',';
       AppendNumber(q(j, k), &out);

@@ -47,7 +47,8 @@ class Bytes {
 };
 
 std::string CdrMessage(auto&& write) {
-  eprosima::fastcdr::FastBuffer buffer;
+  std::string zeros(1 << 16, '\0');  // Fast CDR leaves the bytes it aligns over as they are
+  eprosima::fastcdr::FastBuffer buffer(zeros.data(), zeros.size());
   eprosima::fastcdr::Cdr cdr(buffer, eprosima::fastcdr::Cdr::DEFAULT_ENDIAN, eprosima::fastcdr::Cdr::DDS_CDR);
   cdr.serialize_encapsulation();
   write(cdr);

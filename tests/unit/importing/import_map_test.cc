@@ -67,9 +67,11 @@ TEST(ImportMap, EveryMistakeIsOneLineWithFileAndField) {
   EXPECT_EQ(Refusal("{" + good + R"(, "unit": "grad"})").substr(0, 58),
             "map.json: columns[0].unit: unit 'grad' is not known (rad, ");
   EXPECT_EQ(Refusal("{" + good + R"(, "units": "rad"})"),
-            "map.json: columns[0].units: unknown key (known: topic, field, joint, column, unit, clock, scale, offset, "
+            "map.json: columns[0].units: unknown key (known: topic, field, joint, column, unit, clock, "
+            "scale, offset, "
             "hold, note)");
-  EXPECT_EQ(Refusal(R"({"topic": "/a", "joint": "j", "column": "position"})"), "map.json: columns[0].field: is missing");
+  EXPECT_EQ(Refusal(R"({"topic": "/a", "joint": "j", "column": "position"})"),
+            "map.json: columns[0].field: is missing");
   EXPECT_EQ(Refusal(R"({"field": "x", "column": "velocity"})"),
             "map.json: columns[0].joint: is missing: a velocity is a joint's");
   EXPECT_EQ(Refusal(R"({"field": ["x", "y"], "joint": ["j"], "column": "velocity"})"),
@@ -77,14 +79,19 @@ TEST(ImportMap, EveryMistakeIsOneLineWithFileAndField) {
   EXPECT_EQ(Refusal(R"({"field": "x", "joint": "*", "column": "velocity"})"),
             "map.json: columns[0].joint: * needs a field with [*]");
   EXPECT_THAT(Refusal("{" + good + R"(, "scale": 0})"), HasSubstr("columns[0].scale: 0 makes every value 0"));
-  EXPECT_THAT(Refusal("{" + good + R"(, "scale": "big"})"), HasSubstr("columns[0].scale: \"big\" is not a number"));
-  EXPECT_THAT(Refusal("{" + good + R"(, "hold": "first"})"), HasSubstr("columns[0].hold: 'first', must be linear or zero_order"));
-  EXPECT_THAT(Refusal(R"({"field": "x", "column": "a,b"})"), HasSubstr("columns[0].column: 'a,b' must be made of"));
+  EXPECT_THAT(Refusal("{" + good + R"(, "scale": "big"})"),
+              HasSubstr("columns[0].scale: \"big\" is not a number"));
+  EXPECT_THAT(Refusal("{" + good + R"(, "hold": "first"})"),
+              HasSubstr("columns[0].hold: 'first', must be linear or zero_order"));
+  EXPECT_THAT(Refusal(R"({"field": "x", "column": "a,b"})"),
+              HasSubstr("columns[0].column: 'a,b' must be made of"));
   EXPECT_THAT(Refusal(R"({"field": ["x", "x"], "joint": ["j", "k"], "column": "velocity"})"),
               HasSubstr("columns[0].field: \"x\" is there twice"));
   EXPECT_THAT(Refusal("", ""), HasSubstr("columns: is not a list of at least one column"));
-  EXPECT_THAT(Refusal("{" + good + "}", R"("time": {"column": "t", "unit": "h"}, )"), HasSubstr("time.unit: 'h' is not known"));
-  EXPECT_THAT(Refusal("{" + good + "}", R"("manifest": {"joints": []}, )"), HasSubstr("manifest.joints: is written by the import"));
+  EXPECT_THAT(Refusal("{" + good + "}", R"("time": {"column": "t", "unit": "h"}, )"),
+              HasSubstr("time.unit: 'h' is not known"));
+  EXPECT_THAT(Refusal("{" + good + "}", R"("manifest": {"joints": []}, )"),
+              HasSubstr("manifest.joints: is written by the import"));
   EXPECT_THAT(ParseImportMap("{", "map.json").status().message(), HasSubstr("map.json: not JSON"));
   EXPECT_THAT(ParseImportMap(R"({"format": "x", "columns": []})", "map.json").status().message(),
               HasSubstr("map.json: format: 'x' is not known"));
@@ -113,7 +120,8 @@ Result<std::vector<WantedColumn>> Resolved(const std::string& columns) {
 }
 
 TEST(ResolveColumns, AStarTakesTheRobotsJointsByTheNamesInTheMessages) {
-  const auto columns = Resolved(R"({"topic": "/a", "field": "position[*]", "joint": "*", "column": "position"})");
+  const auto columns =
+      Resolved(R"({"topic": "/a", "field": "position[*]", "joint": "*", "column": "position"})");
   ASSERT_TRUE(columns.ok()) << columns.status().ToString();
   ASSERT_EQ(columns->size(), 2u);
   EXPECT_EQ((*columns)[0].field, "position[elbow]");
@@ -126,7 +134,8 @@ TEST(ResolveColumns, AStarTakesTheRobotsJointsByTheNamesInTheMessages) {
 }
 
 TEST(ResolveColumns, AListOfJointsIsByPlaceWhereMessagesHaveNoNames) {
-  const auto columns = Resolved(R"({"topic": "/torque", "field": "data[*]", "joint": ["slide", "elbow"], "column": "x"})");
+  const auto columns =
+      Resolved(R"({"topic": "/torque", "field": "data[*]", "joint": ["slide", "elbow"], "column": "x"})");
   ASSERT_TRUE(columns.ok()) << columns.status().ToString();
   EXPECT_EQ((*columns)[1].field, "data[1]");
   EXPECT_EQ((*columns)[1].joint, "elbow");
@@ -141,8 +150,10 @@ TEST(ResolveColumns, MistakesAreOneLineWithTheEntry) {
             "m: columns[0].joint: the robot has no movable joint 'knee' (elbow, slide)");
   EXPECT_EQ(said(R"({"topic": "/a", "field": "x", "joint": "slide", "column": "position", "unit": "deg"})"),
             "m: columns[0].unit: deg is no unit of position.slide, which is in m");
-  EXPECT_EQ(said(R"({"topic": "/torque", "field": "x", "joint": "elbow", "column": "position", "clock": "header"})"),
-            "m: columns[0].clock: messages of /torque (kinova_msgs/JointTorque) have no header: use \"log\"");
+  EXPECT_EQ(
+      said(
+          R"({"topic": "/torque", "field": "x", "joint": "elbow", "column": "position", "clock": "header"})"),
+      "m: columns[0].clock: messages of /torque (kinova_msgs/JointTorque) have no header: use \"log\"");
   EXPECT_THAT(said(R"({"topic": "/a", "field": "x", "joint": "elbow", "column": "position"},
                       {"topic": "/a", "field": "y", "joint": "elbow", "column": "position"})"),
               HasSubstr("m: columns[1]: column position.elbow is mapped twice"));
@@ -153,7 +164,8 @@ TEST(ResolveColumns, MistakesAreOneLineWithTheEntry) {
 // ---- the files under deploy/examples ----
 
 TEST(ImportMapExamples, AreAcceptedAndFitTheirRobots) {
-  for (const auto& [name, urdf] : {std::pair{"import_mico2.json", "mico2.urdf"}, {"import_arm.json", "arm2.urdf"}}) {
+  for (const auto& [name, urdf] :
+       {std::pair{"import_mico2.json", "mico2.urdf"}, {"import_arm.json", "arm2.urdf"}}) {
     const std::string path = SourceDir() + "/deploy/examples/" + name;
     const auto text = ReadFile(path);
     ASSERT_TRUE(text.ok()) << text.status().ToString();
@@ -186,7 +198,8 @@ TEST(ImportMapSchema, HasTheKeysThatTheReaderHas) {
   EXPECT_THAT(keys(entry["properties"]), UnorderedElementsAreArray(MapEntryKeys()));
   EXPECT_EQ(schema["additionalProperties"], false);
   EXPECT_EQ(entry["additionalProperties"], false);
-  for (const auto& unit : entry["properties"]["unit"]["enum"]) EXPECT_TRUE(ParseUnit(unit.get<std::string>()).ok()) << unit;
+  for (const auto& unit : entry["properties"]["unit"]["enum"])
+    EXPECT_TRUE(ParseUnit(unit.get<std::string>()).ok()) << unit;
   EXPECT_EQ(schema["properties"]["format"]["const"], kImportMapFormat);
 }
 

@@ -20,12 +20,17 @@ using ::testing::IsEmpty;
 
 std::vector<LoggedMessage> Messages() {
   std::vector<LoggedMessage> messages;
-  for (int k = 0; k < 450; ++k) {
+  for (int64_t k = 0; k < 450; ++k) {
     const int64_t t = 1'700'000'000'000'000'000 + k * 10'000'007;
     messages.push_back({"/joint_states", "sensor_msgs/JointState", t,
-                        test::CdrJointState({t - 5, {"a", "b"}, {0.1 * k, -k}, {1, 2}, {3, 4}})});
+                        test::CdrJointState({t - 5,
+                                             {"a", "b"},
+                                             {0.1 * static_cast<double>(k), -1.0 * static_cast<double>(k)},
+                                             {1, 2},
+                                             {3, 4}})});
     if (k % 3 == 0)
-      messages.push_back({"/commands", "std_msgs/Float64MultiArray", t + 1, test::CdrArray({1.0 * k, 2.0})});
+      messages.push_back({"/commands", "std_msgs/Float64MultiArray", t + 1,
+                          test::CdrArray({1.0 * static_cast<double>(k), 2.0})});
   }
   return messages;
 }

@@ -23,7 +23,11 @@ std::vector<LoggedMessage> ThousandMessages() {
   for (int k = 0; k < 500; ++k) {
     const int64_t t = 1'700'000'000'000'000'000 + k * 10'000'007;
     messages.push_back({"/joint_states", "sensor_msgs/JointState", t,
-                        test::Ros1JointState({t - 5, {"a", "b"}, {0.1 * k, -k}, {1, 2}, {3, 4}})});
+                        test::Ros1JointState({t - 5,
+                                              {"a", "b"},
+                                              {0.1 * static_cast<double>(k), -1.0 * static_cast<double>(k)},
+                                              {1, 2},
+                                              {3, 4}})});
     messages.push_back({"/note", "std_msgs/String", t + 1, test::Ros1Text("message " + std::to_string(k))});
   }
   return messages;
@@ -92,7 +96,9 @@ TEST(Ros1Bag, FlippedBytesNeitherCrashNorHang) {
     damaged[at] = static_cast<char>(damaged[at] ^ (1 << (at % 8)));
     CollectedLog log;
     const Status status = ReadRos1Bag(damaged, "damaged.bag", log);
-    if (!status.ok()) EXPECT_THAT(status.message(), HasSubstr("damaged.bag"));
+    if (!status.ok()) {
+      EXPECT_THAT(status.message(), HasSubstr("damaged.bag"));
+    }
   }
 }
 

@@ -23,7 +23,11 @@ std::vector<LoggedMessage> Messages(int count, int64_t start = 0) {
   for (int k = 0; k < count; ++k) {
     const int64_t t = 1'700'000'000'000'000'000 + start + k * 10'000'007;
     messages.push_back({"/joint_states", "sensor_msgs/JointState", t,
-                        test::CdrJointState({t - 5, {"a", "b"}, {0.1 * k, -k}, {1, 2}, {3, 4}})});
+                        test::CdrJointState({t - 5,
+                                             {"a", "b"},
+                                             {0.1 * static_cast<double>(k), -1.0 * static_cast<double>(k)},
+                                             {1, 2},
+                                             {3, 4}})});
   }
   return messages;
 }

@@ -168,8 +168,10 @@ TEST(ParseCsv, EpochSecondsKeepTheirDigits) {
       ParseCsv("time,position.a,effort_command.a\n1.607074831339118958e+09,0,0\n1607074831.349119,0,0\n",
                "rec.csv", TwoJoints());
   ASSERT_TRUE(r.ok()) << r.status().ToString();
-  EXPECT_EQ(r->t[0], 1607074831.339119);
-  EXPECT_EQ(r->t[1], 1607074831.349119);
+  EXPECT_EQ(r->time_offset, 1607074831.0);
+  EXPECT_EQ(r->t[0] + r->time_offset, 1607074831.339119);
+  EXPECT_EQ(r->t[1] + r->time_offset, 1607074831.349119);
+  EXPECT_NEAR(r->t[0], 0.339119, 1e-6);
   EXPECT_THAT(FormatCsv(*r), HasSubstr("1607074831.349119,"));
 }
 
@@ -184,7 +186,7 @@ TEST(ParseCsv, TimeInNanosecondsIsReadWhereItsUserSaysSo) {
   options.time_unit_is_known = true;
   const auto r = ParseCsv(text, "rec.csv", options);
   ASSERT_TRUE(r.ok()) << r.status().ToString();
-  EXPECT_EQ(r->t[0], 1637836800.0);
+  EXPECT_EQ(r->t[0] + r->time_offset, 1637836800.0);
   EXPECT_NEAR(r->SamplePeriod(), 0.01, 1e-6);
 }
 
