@@ -4,12 +4,15 @@
 #include "common/model/urdf_loader.h"
 #include "common/recordings/csv.h"
 #include "common/recordings/manifest.h"
+#include "services/importing/mcap.h"
+#include "services/importing/ros1_bag.h"
+#include "tests/support/importing/collected_log.h"
 
 namespace rg::fuzz {
 namespace {
 
 void CheckOneLine(const Status& status) {
-  if (!status.ok()) RG_CHECK(status.message().find('\n') == std::string::npos) << status.message();
+  RG_CHECK(status.message().find('\n') == std::string::npos) << status.message();
 }
 
 recordings::CsvOptions TwoJoints() {
@@ -29,7 +32,7 @@ void ReadCsv(std::string_view bytes) {
   if (!recording.ok()) return;
   // What was read can be written and read again.
   const auto again = recordings::ParseCsv(recordings::FormatCsv(*recording), "again.csv", options);
-  if (again.ok()) RG_CHECK(again->rows() == recording->rows());
+  RG_CHECK(!again.ok() || again->rows() == recording->rows());
 }
 
 void ReadManifest(std::string_view bytes) {
@@ -40,10 +43,20 @@ void ReadUrdf(std::string_view bytes) {
   CheckOneLine(model::ParseUrdf(std::string(bytes), "fuzz.urdf").status());
 }
 
+void ReadBag(std::string_view bytes) {
+  importing::CollectedLog log;
+  CheckOneLine(importing::ReadRos1Bag(bytes, "fuzz.bag", log));
+}
+
+void ReadMcap(std::string_view bytes) {
+  importing::CollectedLog log;
+  CheckOneLine(importing::ReadMcap(bytes, "fuzz.mcap", log));
+}
+
 }  // namespace
 
 const std::vector<Reader>& Readers() {
-  static const std::vector<Reader> readers = {{"csv", ReadCsv}, {"manifest", ReadManifest}, {"urdf", ReadUrdf}};
+  static const std::vector<Reader> readers = {{"csv", ReadCsv}, {"manifest", ReadManifest}, {"urdf", ReadUrdf}, {"bag", ReadBag}, {"mcap", ReadMcap}};
   return readers;
 }
 

@@ -21,7 +21,7 @@ using ::testing::IsEmpty;
 std::vector<LoggedMessage> ThousandMessages() {
   std::vector<LoggedMessage> messages;
   for (int k = 0; k < 500; ++k) {
-    const int64_t t = 1'700'000'000'000'000'000 + k * 10'000'007;
+    const int64_t t = 1'700'000'000'000'000'000 + int64_t{k} * 10'000'007;
     messages.push_back({"/joint_states", "sensor_msgs/JointState", t,
                         test::Ros1JointState({t - 5,
                                               {"a", "b"},

@@ -21,7 +21,7 @@ using ::testing::HasSubstr;
 std::vector<LoggedMessage> Messages(int count, int64_t start = 0) {
   std::vector<LoggedMessage> messages;
   for (int k = 0; k < count; ++k) {
-    const int64_t t = 1'700'000'000'000'000'000 + start + k * 10'000'007;
+    const int64_t t = 1'700'000'000'000'000'000 + start + int64_t{k} * 10'000'007;
     messages.push_back({"/joint_states", "sensor_msgs/JointState", t,
                         test::CdrJointState({t - 5,
                                              {"a", "b"},
