@@ -44,12 +44,12 @@ void ReadUrdf(std::string_view bytes) {
 }
 
 void ReadBag(std::string_view bytes) {
-  importing::CollectedLog log;
+  test::CollectedLog log;
   CheckOneLine(importing::ReadRos1Bag(bytes, "fuzz.bag", log));
 }
 
 void ReadMcap(std::string_view bytes) {
-  importing::CollectedLog log;
+  test::CollectedLog log;
   CheckOneLine(importing::ReadMcap(bytes, "fuzz.mcap", log));
 }
 
