@@ -52,9 +52,10 @@ std::vector<effects::EffectSpec> Ordinary(const std::string& robot, double size)
   return out;
 }
 
+// Friction of a third of gravity's torque, as most arms have less; with as much as gravity nothing is said.
 TEST(GravityInEffort, IsFoundInTheDriveOfOrdinaryRobots) {
   for (const char* robot : {"arm2", "mico2", "pendulum"}) {
-    const double size = std::string(robot) == "pendulum" ? 0.1 : 1.0;
+    const double size = std::string(robot) == "pendulum" ? 0.1 : 0.3;
     const GravityEvidence e = EvidenceOf(InDrive(testing::MakeSet(robot, Ordinary(robot, size), 51)));
     EXPECT_EQ(e.side, GravitySide::kInDrive) << robot << " " << e.with << " " << e.without;
     EXPECT_GE(e.joints.size(), 1u);
@@ -63,13 +64,13 @@ TEST(GravityInEffort, IsFoundInTheDriveOfOrdinaryRobots) {
 
 // Its model of the arm need not be the URDF.
 TEST(GravityInEffort, IsFoundWhereTheDriveCompensatesATenthTooLittle) {
-  EXPECT_EQ(EvidenceOf(InDrive(testing::MakeSet("arm2", Ordinary("arm2", 1.0), 52), 0.9)).side,
+  EXPECT_EQ(EvidenceOf(InDrive(testing::MakeSet("arm2", Ordinary("arm2", 0.3), 52), 0.9)).side,
             GravitySide::kInDrive);
 }
 
 TEST(GravityInEffort, IsFoundInTheEffortOfOrdinaryRobots) {
   for (const char* robot : {"arm2", "mico2", "pendulum"}) {
-    const double size = std::string(robot) == "pendulum" ? 0.1 : 1.0;
+    const double size = std::string(robot) == "pendulum" ? 0.1 : 0.3;
     EXPECT_EQ(EvidenceOf(testing::MakeSet(robot, Ordinary(robot, size), 53)).side, GravitySide::kInEffort)
         << robot;
   }
@@ -163,7 +164,7 @@ TEST(GravityInEffort, AnExplicitFalseGoesOnWithANote) {
 }
 
 TEST(GravityInEffort, DeclaredButInTheEffortIsRefusedUnlessTrusted) {
-  auto set = testing::MakeSet("arm2", Ordinary("arm2", 1.0), 59);
+  auto set = testing::MakeSet("arm2", Ordinary("arm2", 0.3), 59);
   set.effort_excludes_gravity = set.effort_excludes_gravity_given = true;
   EXPECT_THAT(RefusalOf(set), HasSubstr("\"effort_excludes_gravity\": false"));
   EXPECT_EQ(RefusalOf(set, true), "");

@@ -43,7 +43,7 @@ TEST(MotionSurvey, SamplesCarryTheTorqueThatTheEffortWas) {
     missed += (m.u - m.needed).squaredNorm(), effort += m.u.squaredNorm(), gravity += m.gravity.squaredNorm();
     EXPECT_EQ((m.needed - m.rigid).norm(), 0);
   }
-  EXPECT_LT(missed, 0.01 * effort);
+  EXPECT_LT(missed, 0.02 * effort);
   EXPECT_GT(gravity, 0.1 * effort);
 }
 
@@ -60,11 +60,13 @@ TEST(MotionSurvey, TellsTravelReversalsAndSpeeds) {
                           [](double t) { return 0.5 * std::sin(2 * M_PI * 0.5 * t); });
   const JointFigures f = SurveyOf(set).joints[0];
   EXPECT_TRUE(f.moved);
-  EXPECT_NEAR(f.low, -0.5, 1e-3), EXPECT_NEAR(f.high, 0.5, 1e-3);
+  EXPECT_NEAR(f.low, -0.5, 1e-3);
+  EXPECT_NEAR(f.high, 0.5, 1e-3);
   EXPECT_NEAR(f.peak_speed, M_PI * 0.5, 0.02);
   EXPECT_NEAR(f.speed, M_PI * 0.5 / std::sqrt(2), 0.05);
   // 3 recordings of 4 s: 2 rad up and 2 rad down each second period.
-  EXPECT_NEAR(f.up, 6, 0.4), EXPECT_NEAR(f.down, 6, 0.4);
+  EXPECT_NEAR(f.up, 6, 0.4);
+  EXPECT_NEAR(f.down, 6, 0.4);
   EXPECT_EQ(f.reversals, 12);
   EXPECT_GT(f.fast, 3 * f.slow);
   EXPECT_GT(f.slow_rows, 5);
@@ -74,8 +76,11 @@ TEST(MotionSurvey, OneWayIsOneWay) {
   const auto set = Moving(testing::MakeSet("arm2", {}, 43), [](double t) { return 0.3 * t - 0.5; });
   const JointFigures f = SurveyOf(set).joints[0];
   EXPECT_NEAR(f.up, 3 * 1.2, 0.2);
-  EXPECT_EQ(f.down, 0), EXPECT_EQ(f.reversals, 0), EXPECT_EQ(f.slow_rows, 0);
-  EXPECT_NEAR(f.fast, 0.3, 0.03), EXPECT_NEAR(f.slow, 0.3, 0.03);
+  EXPECT_EQ(f.down, 0);
+  EXPECT_EQ(f.reversals, 0);
+  EXPECT_EQ(f.slow_rows, 0);
+  EXPECT_NEAR(f.fast, 0.3, 0.03);
+  EXPECT_NEAR(f.slow, 0.3, 0.03);
 }
 
 TEST(MotionSurvey, NoiseAloneIsNoMotion) {
@@ -138,7 +143,8 @@ TEST(MotionSurvey, CountsMissingRowsAndKnowsTemperatures) {
   const MotionSurvey s = SurveyOf(set);
   EXPECT_EQ(s.files[0].missing, 3);
   EXPECT_TRUE(s.files[0].gaps.empty());
-  EXPECT_EQ(s.joints[1].temperature_low, 30), EXPECT_EQ(s.joints[1].temperature_high, 34);
+  EXPECT_EQ(s.joints[1].temperature_low, 30);
+  EXPECT_EQ(s.joints[1].temperature_high, 34);
   EXPECT_TRUE(std::isnan(s.joints[0].temperature_low));
   EXPECT_THAT(s.files[0].columns, ::testing::Contains("temperature"));
 }

@@ -137,10 +137,30 @@ TEST(Prediction, CsvHasOneLinePerRowAndReadsBackExactly) {
   const sim::Plant cart = Cart();
   const auto rec = Rows({0, 0.1, 0.2}, {0.1, 0.2, 0.3}, {1, 1, 1});
   const std::string csv = FormatPredictionCsv(
-      PredictRecording(cart, cart.parameters().Nominal(), rec, Measured(1.0)), rec.joints);
+      PredictRecording(cart, cart.parameters().Nominal(), rec, Measured(1.0)), rec);
   EXPECT_EQ(csv.substr(0, csv.find('\n')), "time,position.x");
   EXPECT_EQ(std::count(csv.begin(), csv.end(), '\n'), 4);
   EXPECT_EQ(csv.substr(16, 6), "0,0.1\n");
+}
+
+TEST(Prediction, StartsAnewBehindAGapAndCountsNoErrorThere) {
+  const sim::Plant cart = Cart();
+  // Rows ten times a second, none between 0.4 and 3 s; the cart is somewhere else then.
+  std::vector<double> t, q, u;
+  for (int k = 0; k < 5; ++k) t.push_back(0.1 * k), q.push_back(0.0), u.push_back(0.0);
+  for (int k = 0; k < 5; ++k) t.push_back(3.0 + 0.1 * k), q.push_back(2.0), u.push_back(0.0);
+  auto rec = Rows(t, q, u);
+  rec.v = MatrixXd::Zero(1, rec.rows());
+  const Prediction p = PredictRecording(cart, cart.parameters().Nominal(), rec, Measured(10.0));
+  EXPECT_EQ(p.restarts, (std::vector<int>{0, 5}));
+  EXPECT_EQ(p.measured, (std::vector<int>{0, 5}));
+  EXPECT_EQ(p.q(0, 5), 2.0);
+  EXPECT_LT(ErrorOf(p, rec).rms, 1e-9);
+  EXPECT_EQ(ErrorOf(p, rec).windows.size(), 2u);
+  rec.turns_added = MatrixXd::Constant(1, rec.rows(), 1.0);
+  rec.time_offset = 1600000000;
+  const std::string csv = FormatPredictionCsv(p, rec);
+  EXPECT_NE(csv.find("1600000003,1\n"), std::string::npos) << csv;
 }
 
 TEST(Prediction, AWindowThatBreaksDownIsReportedAndStaysFinite) {
