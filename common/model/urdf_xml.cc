@@ -154,7 +154,9 @@ Status ParseUrdfXml(const std::string& xml, const std::string& source_name, TiXm
   if (Depth(xml) > kMaxDepth) {
     return InvalidError(prefix + "more than " + std::to_string(kMaxDepth) + " elements inside each other");
   }
-  document->Parse(xml.c_str());
+  // TinyXML steps over a broken UTF-8 letter by its announced length, past the end if it is the last one.
+  const std::string padded = xml + std::string(8, '\0');
+  document->Parse(padded.c_str());
   if (document->Error()) {
     return InvalidError(prefix + "row " + std::to_string(document->ErrorRow()) +
                         ": not well-formed XML: " + document->ErrorDesc());

@@ -177,6 +177,11 @@ class MjcfWriter {
 
 // What MuJoCo refuses or takes for something else.
 Status CheckMjcf(const Plant& plant, const ExportFigures& figures) {
+  if (!plant.model().followers().empty())
+    return InvalidError(
+        "joint " + plant.model().followers().front().joint.name +
+        " mimics a joint that moves: such a robot is not written as MJCF yet; lock its driver, or "
+        "export the URDF");
   for (int j = 0; j < plant.num_joints(); ++j) {
     const JointFigures& f = figures.joints[static_cast<size_t>(j)];
     const std::string& name = plant.joint_names()[static_cast<size_t>(j)];
