@@ -150,6 +150,7 @@ class Scorer {
   }
 
   void Push(Group g) {
+    if (g.columns.empty()) return;  // a prescribed joint has no features
     for (const auto& c : g.columns) {
       for (const int i : c) {
         if (i < 0) return;
