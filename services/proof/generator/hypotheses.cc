@@ -38,16 +38,8 @@ struct Draft {
   bool on_joints = true;
   std::vector<std::string> equivalents, acceptable;
 
-  // With its unit, which is given for a revolute joint: m for rad and N for N·m on a prismatic one.
-  json Value(int joint, double value, std::string unit) const {
-    if (s.prismatic[static_cast<size_t>(joint)]) {
-      for (const auto& [angular, linear] :
-           {std::pair<std::string, std::string>{"N*m", "N"}, {"rad", "m"}, {"kg*m^2", "kg"}}) {
-        if (const size_t at = unit.find(angular); at != std::string::npos)
-          unit.replace(at, angular.size(), linear);
-      }
-    }
-    return rg::proof::Value(value, unit.c_str());
+  json Value(int joint, double value, const char* unit) const {
+    return UnitValue(value, unit, s.prismatic[static_cast<size_t>(joint)]);
   }
   // Lengths that usual figures are stated for an arm's joint are shorter on one that moves little.
   double Reach(int joint) const { return std::min(1.0, s.amplitude[joint] / 0.4); }
@@ -340,6 +332,17 @@ StrengthRange StrengthsOf(const std::vector<std::string>& effects) {
     return OneOf(id, {"joint_elasticity", "backlash"});
   });
   return springy ? StrengthRange{0.3, 3} : StrengthRange{0.01, 8};
+}
+
+json UnitValue(double value, std::string unit, bool prismatic) {
+  if (prismatic) {
+    for (const auto& [angular, linear] :
+         {std::pair<std::string, std::string>{"N*m", "N"}, {"rad", "m"}, {"kg*m^2", "kg"}}) {
+      if (const size_t at = unit.find(angular); at != std::string::npos)
+        unit.replace(at, angular.size(), linear);
+    }
+  }
+  return {{"value", value}, {"unit", unit}};
 }
 
 json AddEffect(const std::string& id, double strength, const Scales& scales, Rng rng, Truth* truth) {

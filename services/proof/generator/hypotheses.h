@@ -38,6 +38,10 @@ struct StrengthRange {
 };
 StrengthRange StrengthsOf(const std::vector<std::string>& effects);
 
+// A figure of a label with its unit, which is given for a revolute joint: m for rad, N for N·m and kg for
+// kg·m² on a prismatic one.
+nlohmann::json UnitValue(double value, std::string unit, bool prismatic);
+
 // Adds effect `id` at `strength` (1: usual) to the truth; same rng, same joints and proportions.
 // The returned label entry is as in label.json: id, joints, localisation, parameters, equivalents.
 nlohmann::json AddEffect(const std::string& id, double strength, const Scales& scales, Rng rng, Truth* truth);

@@ -15,6 +15,53 @@ std::string Digits(int number) {
   return text;
 }
 
+struct OrdinaryRun {
+  std::string sets, labels, robots;
+  uint64_t seed = 1;
+  int first = 0, count = 1;
+  std::vector<std::string> kinds;
+  std::vector<double> rates;
+  std::vector<std::string> extras;  // of which one is added; empty: as drawn
+  bool declared = false;
+  double no_velocity = 0;
+};
+
+// Failures of a case are told and the next one is made. Code of the process.
+int MakeOrdinary(const OrdinaryRun& run) {
+  int failures = 0;
+  for (int i = run.first; i < run.first + run.count; ++i) {
+    rg::Rng rng = rg::Rng(run.seed).Split(static_cast<uint64_t>(i));
+    rg::proof::CaseRequest request;
+    request.name = "case_" + Digits(i);
+    request.seed = rng.Next();
+    request.robots = run.robots;
+    request.kind = run.kinds[rng.Index(run.kinds.size())];
+    request.rate_hz = run.rates[rng.Index(run.rates.size())];
+    request.declared = run.declared;
+    request.ordinary = run.declared ? rg::proof::DrawDeclared(rng.Split(0))
+                                    : rg::proof::DrawOrdinary(request.kind, request.rate_hz, rng.Split(0));
+    if (!run.extras.empty()) request.ordinary->extra = run.extras[rng.Index(run.extras.size())];
+    request.with_velocity = rng.Uniform() >= run.no_velocity;
+    const auto summary = rg::proof::MakeCase(request, run.sets, run.labels);
+    std::string drawn;
+    for (const std::string& id : rg::proof::GearEffects(*request.ordinary))
+      drawn += (drawn.empty() ? "" : "+") + id;
+    if (request.ordinary->wrong_bodies) drawn += "+parameters_only";
+    if (!request.ordinary->extra.empty()) drawn += "+" + request.ordinary->extra;
+    if (!summary.ok()) {
+      std::fprintf(stderr, "realitygrad-proof-generator: %s on %s: %s\n", drawn.c_str(), request.kind.c_str(),
+                   summary.status().message().c_str());
+      ++failures;
+      continue;
+    }
+    std::printf("%s  %-9s %4.0f Hz  %s  %s  nominal/oracle %.2f\n", request.name.c_str(),
+                request.kind.c_str(), request.rate_hz, run.declared ? "declared" : "ordinary", drawn.c_str(),
+                summary->ratio);
+    std::fflush(stdout);
+  }
+  return failures == 0 ? 0 : 1;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -23,14 +70,15 @@ int main(int argc, char** argv) {
   std::string sets = "proof/sets", labels = "proof/labels", robots = "deploy/robots";
   uint64_t seed = 1;
   int first = 0, count = 1;
+  bool ordinary = false, declared = false;
   std::vector<std::string> effects, robot_names = rg::proof::KnownRobots();
   std::vector<double> rates = {25, 50, 100, 250, 500};
   double weak = 0.15, pairs = 0.15, controls = 0.25, wrong_parameters = 0.2, no_velocity = 0.1, tuned = 0.15;
   app.add_option("--sets", sets, "Folder for the recording sets");
   app.add_option("--labels", labels, "Folder for labels and concealed recordings");
   app.add_option("--robots", robots, "Folder of mico2.urdf");
-  app.add_option("--robot", robot_names, "Robots to draw from");
-  app.add_option("--rate", rates, "Sample rates to draw from, Hz");
+  auto* robot_option = app.add_option("--robot", robot_names, "Robots to draw from");
+  auto* rate_option = app.add_option("--rate", rates, "Sample rates to draw from, Hz");
   app.add_option("--seed", seed, "Seed of the whole examination");
   app.add_option("--first", first, "Number of the first case");
   app.add_option("--count", count, "Cases to make")->check(CLI::PositiveNumber);
@@ -42,9 +90,19 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(0.0, 1.0));
   app.add_option("--tuned", tuned, "Share of effects whose URDF was tuned and hides part of them")
       ->check(CLI::Range(0.0, 1.0));
+  auto* ordinary_flag =
+      app.add_flag("--ordinary", ordinary, "Ordinary robots: friction, damping and rotors on every joint");
+  app.add_flag("--declared", declared, "Ordinary robots whose set declares all of it: controls")
+      ->excludes(ordinary_flag);
   app.add_option("--no-velocity", no_velocity, "Share of cases with positions only")
       ->check(CLI::Range(0.0, 1.0));
   CLI11_PARSE(app, argc, argv);
+  if (ordinary || declared) {
+    if (robot_option->empty()) robot_names = rg::proof::OrdinaryRobots();
+    if (rate_option->empty()) rates = rg::proof::OrdinaryRates();
+    return MakeOrdinary(
+        {sets, labels, robots, seed, first, count, robot_names, rates, effects, declared, no_velocity});
+  }
 
   int failures = 0;
   for (int i = first; i < first + count; ++i) {

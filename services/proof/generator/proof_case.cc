@@ -19,10 +19,12 @@
 #include "services/proof/generator/engine.h"
 #include "services/proof/generator/equivalents.h"
 #include "services/proof/generator/hypotheses.h"
+#include "services/proof/generator/ordinary.h"
 #include "services/proof/generator/references.h"
 #include "services/proof/generator/robots.h"
 #include "services/proof/generator/set_files.h"
 #include "services/proof/generator/tuning.h"
+#include "services/proof/generator/urdf_text.h"
 #include "services/proof/generator/visibility.h"
 
 namespace rg::proof {
@@ -35,6 +37,8 @@ using nlohmann::json;
 constexpr int kAttempts = 6;
 constexpr double kApart = 1e-9;  // of a joint's own inertia, that couples it to none
 constexpr double kNear = 1.05;   // strengths that need no telling apart
+// An ordinary robot's error without one of its effects, over that with all.
+constexpr double kPartShows = 1.3;
 
 // Everything a case is made from.
 class Maker {
@@ -53,7 +57,7 @@ class Maker {
   Truth Nominal() const { return Truth{std::vector<JointTruth>(joints_.size())}; }
   Track Record(const Truth& truth, const std::string& kind, double duration, uint64_t stream,
                bool regular) const;
-  Status MeasureScales();
+  Status MeasureScales(const Truth& truth);
   // `without`: leaves out the effect of this index.
   Truth Draw(double strength, bool wrong_parameters, json* effects, int without = -1) const;
   Motion TuningMotion(const Truth& truth) const;
@@ -77,6 +81,17 @@ class Maker {
   VectorXd Controller(const VectorXd& q, const VectorXd& v, const VectorXd& q_ref,
                       const VectorXd& v_ref) const;
 
+  // One effect of an ordinary robot and the robot without it.
+  struct Part {
+    std::string id;
+    Truth without;
+  };
+  Status MakeOrdinary(Truth* truth, json* effects);
+  Status ShowGears(Truth* truth) const;
+  Status AddOneThingMore(Truth* truth, json* effects);
+  Status KeepOrdinaryVisible(const Truth& truth, json* effects) const;
+  Status Declare(const Truth& truth);
+
   CaseRequest request_;
   Rng rng_;
   std::string original_urdf_, urdf_;                // of the robot without its effects; as handed out
@@ -85,6 +100,11 @@ class Maker {
   std::vector<Eigen::Index> at_;  // skeleton index of joint i
   ReferenceLimits limits_;
   VectorXd effort_;
+  Truth servo_;              // what the controller knows of the gears; no joint: nothing
+  double compensated_ = 0;   // share of their friction that it feeds forward
+  std::vector<Part> parts_;  // of an ordinary robot
+  Truth declared_;           // what the set declares beyond its URDF; no joint: nothing
+  std::string model_;        // of the set's model.json
   Scales scales_;
   SetStyle style_;
   Noise noise_{};
@@ -96,8 +116,15 @@ Status Maker::LoadRobot() {
   if (original_urdf_.empty()) {
     RG_ASSIGN_OR_RETURN(original_urdf_, DrawRobot(request_.kind, request_.robots, rng_.Split(2)));
   }
+  RG_ASSIGN_OR_RETURN(skeleton_, ParseBodies(original_urdf_));
+  if (request_.ordinary) {  // whose damping is part of what it is about
+    for (size_t i = 0; i < skeleton_->getNumJoints(); ++i) {
+      const auto* joint = skeleton_->getJoint(i);
+      if (joint->getNumDofs() == 1) original_urdf_ = WithLosses(original_urdf_, joint->getName(), 0, 0);
+    }
+    RG_ASSIGN_OR_RETURN(skeleton_, ParseBodies(original_urdf_));
+  }
   urdf_ = original_urdf_;
-  RG_ASSIGN_OR_RETURN(skeleton_, ParseBodies(urdf_));
   nominal_ = skeleton_;
   for (size_t i = 0; i < skeleton_->getNumJoints(); ++i) {
     auto* joint = skeleton_->getJoint(i);
@@ -197,7 +224,15 @@ VectorXd Maker::Controller(const VectorXd& q, const VectorXd& v, const VectorXd&
                            const VectorXd& v_ref) const {
   const VectorXd gravity = Gravity(q);
   const VectorXd wish = wn_ * wn_ * (q_ref - q) + 2 * 0.8 * wn_ * (v_ref - v);
-  const VectorXd torque = Select(skeleton_->getMassMatrix()) * wish + gravity;
+  VectorXd torque = Select(skeleton_->getMassMatrix()) * wish + gravity;
+  constexpr double kSlow = 0.05;  // rad/s or m/s, at which dry friction is not fed forward with a jump
+  for (size_t i = 0; i < servo_.joint.size(); ++i) {
+    const JointTruth& j = servo_.joint[i];
+    const auto at = static_cast<Eigen::Index>(i);
+    const double dry = 0.5 * (j.dry.coulomb_positive + j.dry.coulomb_negative);
+    torque[at] +=
+        j.armature * wish[at] + compensated_ * (j.viscous * v_ref[at] + dry * std::tanh(v_ref[at] / kSlow));
+  }
   return torque.cwiseMax(-effort_).cwiseMin(effort_);
 }
 
@@ -249,10 +284,10 @@ Track Maker::Record(const Truth& truth, const std::string& kind, double duration
   return track;
 }
 
-Status Maker::MeasureScales() {
+Status Maker::MeasureScales(const Truth& truth) {
   const int n = static_cast<int>(joints_.size());
-  const Track track = Record(Nominal(), "multisine", 7.0, 50, true);
-  if (!track.ok) return InternalError("the nominal robot ran away");
+  const Track track = Record(truth, "multisine", 7.0, 50, true);
+  if (!track.ok) return InternalError("the robot ran away");
   scales_.joints = joints_;
   scales_.links = links_;
   scales_.home = limits_.home;
@@ -519,16 +554,143 @@ RobotFacts Maker::Facts(const Truth& truth) const {
   return facts;
 }
 
+// Doubles what does not show of an effect on a joint, where it is not seen without it.
+Status Maker::ShowGears(Truth* truth) const {
+  constexpr int kDoublings = 3;
+  const int n = static_cast<int>(joints_.size());
+  for (int attempt = 0; attempt <= kDoublings; ++attempt) {
+    const Visibility seen = VisibilityOf(*truth);
+    if (!seen.track.ok) return InternalError("the true robot ran away");
+    std::vector<Truth> models;
+    std::vector<std::string> ids = GearEffects(*request_.ordinary);
+    if (!request_.ordinary->timing.empty()) ids.pop_back();  // on all joints at once
+    for (const std::string& id : ids)
+      for (int i = 0; i < n; ++i) models.push_back(WithoutGear(*truth, id, i));
+    const std::vector<bool> show = seen.ShowEach(*truth, models);
+    if (std::find(show.begin(), show.end(), false) == show.end()) return Status::Ok();
+    for (size_t k = 0; k < show.size(); ++k) {
+      const auto joints = static_cast<size_t>(n);
+      if (!show[k]) Strengthen(ids[k / joints], k % joints, truth);
+    }
+  }
+  return InternalError("friction or a rotor of a joint does not show");
+}
+
+// As strong as it must be to show, and as usual where it can.
+Status Maker::AddOneThingMore(Truth* truth, json* effects) {
+  const std::string& id = request_.ordinary->extra;
+  const Truth before = *truth;
+  Rng rng = rng_.Split(32);
+  const double usual = std::exp(rng.Uniform(-0.5, 0.5));
+  for (const double factor : {0.6, 1.2, 2.4, 4.8}) {
+    Truth with = before;
+    const auto entry = AddExtra(id, factor * usual, scales_, rng.Split(0), &with);
+    if (!entry) return InternalError(id + " fits no joint");
+    const Visibility seen = VisibilityOf(with);
+    if (!seen.track.ok) return InternalError("the true robot ran away");
+    const VectorXd load = seen.track.u.cwiseAbs().rowwise().mean();
+    std::vector<Truth> models = OrdinarySiblings(with, *entry, scales_, load);
+    for (const json& joint : (*entry)["joints"]) {  // on each of several
+      if ((*entry)["joints"].size() < 2 || !(*entry)["parameters"].contains(joint.get<std::string>()))
+        continue;
+      const auto at = static_cast<size_t>(std::find(joints_.begin(), joints_.end(), joint) - joints_.begin());
+      models.push_back(with);
+      models.back().joint[at] = before.joint[at];
+    }
+    models.push_back(before);
+    if (!seen.Shows(with, models) || !seen.StandsOut(with, before)) continue;
+    *truth = with;
+    effects->push_back(*entry);
+    parts_.push_back({id, before});
+    return Status::Ok();
+  }
+  return InternalError(id + " does not show beside friction and rotors");
+}
+
+// Names that the recordings do not tell from the label's become equivalents.
+Status Maker::KeepOrdinaryVisible(const Truth& truth, json* effects) const {
+  const Visibility seen = VisibilityOf(truth);
+  if (!seen.track.ok) return InternalError("the true robot ran away");
+  const VectorXd load = seen.track.u.cwiseAbs().rowwise().mean();
+  for (json& effect : *effects) {
+    const std::string id = effect["id"];
+    const bool law = OneOf(id, {"stribeck_friction", "asymmetric_friction"});
+    if (!law && !OneOf(id, {"actuator_lag", "actuator_delay"})) continue;
+    if (seen.Shows(truth, OrdinarySiblings(truth, effect, scales_, load))) continue;
+    effect["equivalents"].push_back(law                    ? "coulomb_friction"
+                                    : id == "actuator_lag" ? "actuator_delay"
+                                                           : "actuator_lag");
+  }
+  return Status::Ok();
+}
+
+// Puts friction and damping into the URDF that is handed out, and what a URDF has no words for into a model
+// file.
+Status Maker::Declare(const Truth& truth) {
+  json effects = json::array();
+  for (const json& entry : GearLabels(*request_.ordinary, scales_, truth)) {
+    if (!OneOf(entry["id"], {"rotor_inertia", "actuator_lag", "actuator_delay"})) continue;
+    json row = {{"effect", entry["id"]}, {"joints", entry["joints"]}, {"parameters", json::object()}};
+    for (const auto& [joint, figures] : entry["parameters"].items())
+      for (const auto& [name, figure] : figures.items()) row["parameters"][joint][name] = figure["value"];
+    effects.push_back(row);
+  }
+  for (size_t i = 0; i < joints_.size(); ++i)
+    urdf_ = WithLosses(urdf_, joints_[i], truth.joint[i].viscous, truth.joint[i].dry.coulomb_positive);
+  RG_ASSIGN_OR_RETURN(nominal_, ParseBodies(urdf_));
+  declared_ = truth;
+  for (JointTruth& j : declared_.joint) j.viscous = 0, j.dry = DryFriction{};
+  if (effects.empty()) return Status::Ok();
+  model_ = json{{"format", "realitygrad.model/1"},
+                {"version", 0},
+                {"robot", request_.kind},
+                {"urdf", urdf_},
+                {"joints", joints_},
+                {"gravity", {0, 0, -9.81}},
+                {"effects", effects},
+                {"parameters", json::object()}}
+               .dump(1);
+  return Status::Ok();
+}
+
+Status Maker::MakeOrdinary(Truth* truth, json* effects) {
+  const Ordinary& ordinary = *request_.ordinary;
+  Rng rng = rng_.Split(30);
+  *truth = Nominal(), *effects = json::array();
+  SetGears(ordinary, scales_, request_.rate_hz, rng.Split(0), truth);
+  servo_ = *truth;
+  compensated_ = rng.Uniform(0.3, 1.0);
+  RG_RETURN_IF_ERROR(ShowGears(truth));
+  servo_ = *truth;
+  if (request_.declared) return Declare(*truth);
+  RG_RETURN_IF_ERROR(MeasureScales(*truth));
+  json more = json::array();
+  if (ordinary.wrong_bodies) {
+    more.push_back(AddEffect("parameters_only", 1.0, scales_, rng_.Split(31), truth));
+    parts_.push_back({"parameters_only", *truth});
+    parts_.back().without.links.clear();
+  }
+  if (!ordinary.extra.empty()) RG_RETURN_IF_ERROR(AddOneThingMore(truth, &more));
+  *effects = GearLabels(ordinary, scales_, *truth);
+  for (Part& part : parts_)
+    if (part.id == "parameters_only") part.without = *truth, part.without.links.clear();
+  for (const json& effect : *effects) parts_.push_back({effect["id"], WithoutGear(*truth, effect["id"], -1)});
+  for (const json& entry : more) effects->push_back(entry);
+  return KeepOrdinaryVisible(*truth, effects);
+}
+
 Result<CaseSummary> Maker::Run(const std::string& sets_folder, const std::string& labels_folder) {
   RG_RETURN_IF_ERROR(LoadRobot());
   ChooseMotion();
-  RG_RETURN_IF_ERROR(MeasureScales());
+  RG_RETURN_IF_ERROR(MeasureScales(Nominal()));
   CaseSummary summary;
   json effects;
-  const bool control = request_.effects == std::vector<std::string>{"none"} ||
+  const bool control = request_.declared || request_.effects == std::vector<std::string>{"none"} ||
                        request_.effects == std::vector<std::string>{"parameters_only"};
   Truth truth;
-  if (control) {
+  if (request_.ordinary) {
+    RG_RETURN_IF_ERROR(MakeOrdinary(&truth, &effects));
+  } else if (control) {
     truth = Draw(1.0, false, &effects);
   } else {
     RG_ASSIGN_OR_RETURN(truth, SearchStrength(&effects, &summary.warning));
@@ -536,6 +698,8 @@ Result<CaseSummary> Maker::Run(const std::string& sets_folder, const std::string
   }
   const std::vector<PlannedRecording> plan = DrawPlan(rng_.Split(4));
   WindowSquares squares;
+  std::vector<Rival> rivals = {{nominal_, declared_.joint.empty() ? Nominal() : declared_, Start::kRow}};
+  for (const Part& part : parts_) rivals.push_back({skeleton_, part.without});
   std::vector<std::pair<std::string, std::string>> files;
   int hidden = 0;
   for (size_t r = 0; r < plan.size(); ++r) {
@@ -547,15 +711,24 @@ Result<CaseSummary> Maker::Run(const std::string& sets_folder, const std::string
     files.emplace_back((concealed ? labels_folder : sets_folder) + "/" + request_.name +
                            (concealed ? "/hidden" : "/rec") + number,
                        Csv(track, joints_, style_.with_velocity, concealed));
-    if (concealed) Compared().Add(truth, track, {{nominal_, Nominal(), Start::kRow}}, &squares);
+    if (concealed) Compared().Add(truth, track, rivals, &squares);
   }
   summary.nominal_rms = Rms(squares.rivals[0]), summary.oracle_rms = Rms(squares.oracle);
   summary.ratio = summary.nominal_rms / summary.oracle_rms;
   if (!control && !(summary.ratio > 1.3))
     return InternalError("the nominal model is as good as the true one");
+  json without = json::object();
+  for (size_t p = 0; p < parts_.size(); ++p) {
+    without[parts_[p].id] = Rms(squares.rivals[p + 1]);
+    if (!(without[parts_[p].id] > kPartShows * summary.oracle_rms) && parts_[p].id != "parameters_only")
+      return InternalError(parts_[p].id + " does not show beside the rest");
+  }
   AddEquivalents(Facts(truth), &effects);
   const json label = {{"name", request_.name},
                       {"robot", request_.kind},
+                      {"stratum", request_.declared   ? "declared"
+                                  : request_.ordinary ? "ordinary"
+                                                      : "plain"},
                       {"rate_hz", std::lround(request_.rate_hz)},
                       {"weak", request_.weak},
                       {"tuned", request_.tuned},
@@ -567,13 +740,15 @@ Result<CaseSummary> Maker::Run(const std::string& sets_folder, const std::string
                       {"effects", effects},
                       {"truth_dt", dt_},
                       {"warnings", summary.warning.empty() ? json::array() : json{summary.warning}}};
-  const json oracle_json = {{"window_s", 1},
-                            {"nominal_rms", summary.nominal_rms},
-                            {"oracle_rms", summary.oracle_rms},
-                            {"ratio", summary.ratio},
-                            {"recordings", json::array()}};
+  json oracle_json = {{"window_s", 1},
+                      {"nominal_rms", summary.nominal_rms},
+                      {"oracle_rms", summary.oracle_rms},
+                      {"ratio", summary.ratio},
+                      {"recordings", json::array()}};
+  if (!parts_.empty()) oracle_json["rms_without"] = without;
   const std::string set = sets_folder + "/" + request_.name, sealed = labels_folder + "/" + request_.name;
   files.emplace_back(set + "/robot.urdf", urdf_);
+  if (!model_.empty()) files.emplace_back(set + "/model.json", model_);
   files.emplace_back(set + "/manifest.json",
                      Manifest(style_, joints_, plan, noise_, request_.rate_hz).dump(1));
   files.emplace_back(sealed + "/oracle.json", oracle_json.dump(1));

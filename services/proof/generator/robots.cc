@@ -6,6 +6,7 @@
 #include <initializer_list>
 
 #include "common/base/file.h"
+#include "services/proof/generator/truth.h"
 #include "services/proof/generator/urdf_text.h"
 
 namespace rg::proof {
@@ -154,6 +155,11 @@ Result<std::string> DrawRobot(const std::string& kind, const std::string& folder
     return Urdf(kind,
                 Chain({z, y, z, -y, z, y, z}, {0.15, 0.2, 0.15, 0.2, 0.15, 0.12, 0.12},
                       {3.6, 3.4, 2.9, 2.6, 1.8, 1.3, 1.1}, z, rng),
+                rng);
+  if (kind == "arm6")
+    return Urdf(kind,
+                Chain({z, y, y, z, y, z}, {0.15, 0.35, 0.15, 0.18, 0.1, 0.08}, {4.2, 4.6, 1.9, 1.4, 0.8, 0.4},
+                      z, rng),
                 rng);
   if (kind == "arm4")
     return Urdf(kind, Chain({z, y, y, y}, {0.2, 0.3, 0.25, 0.15}, {3, 2.4, 1.6, 0.9}, z, rng), rng);

@@ -13,8 +13,9 @@ namespace rg::proof {
 // "mico2", "arm7", "arm4", "scara" (two upright axes and a lift), "arm2", "pendulum", "slide".
 const std::vector<std::string>& KnownRobots();
 
-// URDF of a robot of this kind. mico2 is read from `folder` and every second time has other masses and
-// inertias; all others are drawn. Error: an unknown name, a file that is not there.
+// URDF of a robot of this kind, or an "arm6", which only ordinary robots are. mico2 is read from `folder` and
+// every second time has other masses and inertias; all others are drawn. Error: an unknown name, a file that
+// is not there.
 Result<std::string> DrawRobot(const std::string& kind, const std::string& folder, Rng rng);
 
 // Whether EFFECTS' definition of `effect` says anything on a robot of this kind (a level slide meets no

@@ -163,7 +163,7 @@ std::string WithTuning(const std::string& urdf, const SkeletonPtr& nominal,
   }
   for (size_t i = 0; i < joints.size(); ++i) {
     const double declared = nominal->getJoint(joints[i])->getDof(0)->getDampingCoefficient();
-    if (tuning.damping[i] != declared) text = WithDamping(text, joints[i], tuning.damping[i]);
+    if (tuning.damping[i] != declared) text = WithLosses(text, joints[i], tuning.damping[i], 0);
   }
   return text;
 }

@@ -52,10 +52,11 @@ std::string WithInertial(const std::string& urdf, const std::string& link, const
   return span.found() ? Replaced(urdf, span, "<inertial>", "</inertial>", InertialText(inertial)) : urdf;
 }
 
-std::string WithDamping(const std::string& urdf, const std::string& joint, double damping) {
+std::string WithLosses(const std::string& urdf, const std::string& joint, double damping, double friction) {
   const Span span = Element(urdf, "joint", joint);
   return span.found() ? Replaced(urdf, span, "<dynamics", "/>",
-                                 "<dynamics damping=\"" + Exactly(damping) + "\" friction=\"0\"/>")
+                                 "<dynamics damping=\"" + Exactly(damping) + "\" friction=\"" +
+                                     Exactly(friction) + "\"/>")
                       : urdf;
 }
 

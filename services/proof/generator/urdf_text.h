@@ -1,4 +1,4 @@
-// Edits of a URDF's text: the inertial of a link, the damping of a joint.
+// Edits of a URDF's text: the inertial of a link, the damping and friction of a joint.
 #pragma once
 
 #include <Eigen/Core>
@@ -14,8 +14,9 @@ struct Inertial {
 
 std::string InertialText(const Inertial& inertial);
 
-// The text with another inertial (damping) of that link (joint); unchanged if it has none of that name.
+// The text with another inertial (damping, friction) of that link (joint); unchanged if it has none of that
+// name.
 std::string WithInertial(const std::string& urdf, const std::string& link, const Inertial& inertial);
-std::string WithDamping(const std::string& urdf, const std::string& joint, double damping);
+std::string WithLosses(const std::string& urdf, const std::string& joint, double damping, double friction);
 
 }  // namespace rg::proof

@@ -26,14 +26,20 @@ bool Visibility::StandsOut(const Truth& truth, const Truth& model) const {
   return Rms(squares.rivals[0]) > kVisible * Rms(squares.oracle);
 }
 
-bool Visibility::Shows(const Truth& truth, const std::vector<Truth>& models) const {
+std::vector<bool> Visibility::ShowEach(const Truth& truth, const std::vector<Truth>& models) const {
   std::vector<Rival> rivals;
   for (const Truth& model : models) rivals.push_back({compared.bodies(), model, Start::kTrue});
   WindowSquares squares;
   compared.Add(truth, track, rivals, &squares);
   const double count = static_cast<double>(joints.size());
-  return std::all_of(squares.rivals.begin(), squares.rivals.end(),
-                     [&](const auto& s) { return std::sqrt(count) * Rms(s) > kShows * noise; });
+  std::vector<bool> show;
+  for (const auto& s : squares.rivals) show.push_back(std::sqrt(count) * Rms(s) > kShows * noise);
+  return show;
+}
+
+bool Visibility::Shows(const Truth& truth, const std::vector<Truth>& models) const {
+  const std::vector<bool> show = ShowEach(truth, models);
+  return std::find(show.begin(), show.end(), false) == show.end();
 }
 
 bool Visibility::ShowsAsMore(const Truth& truth, const std::string& effect, size_t joint) const {

@@ -25,7 +25,9 @@ struct Visibility {
 
   // Whether a model is worse than the true one, both from the recorded rows.
   bool StandsOut(const Truth& truth, const Truth& model) const;
-  // Whether each of the models, from the true state, is off by more than the sensors' noise.
+  // Of each model whether it is off by more than the sensors' noise, from the true state.
+  std::vector<bool> ShowEach(const Truth& truth, const std::vector<Truth>& models) const;
+  // Whether all of them are.
   bool Shows(const Truth& truth, const std::vector<Truth>& models) const;
   // Whether `effect` shows as more than the simpler ones inside it; joint: any for an effect on none.
   bool ShowsAsMore(const Truth& truth, const std::string& effect, size_t joint) const;
