@@ -27,19 +27,24 @@ namespace {
 namespace fs = std::filesystem;
 using nlohmann::json;
 
-// Controls and effects outside the catalogue are numbered from here, so that each count may grow.
-constexpr int kFirstControl = 500, kFirstOutside = 800, kLast = 1000;
+// Controls, effects outside the catalogue, ordinary robots and controls that declare what these have are
+// numbered from here, so that each count may grow.
+constexpr int kFirstControl = 500, kFirstOutside = 800, kFirstOrdinary = 1000, kFirstDeclared = 1500,
+              kLast = 2000;
 constexpr int kCasesPerMaker = 4;
 
 const std::vector<std::string> kRobots = {"mico2", "arm7", "arm4", "scara", "arm2", "pendulum", "slide"};
+
+const std::vector<std::string> kDrawable = {"mico2", "arm7", "arm6",     "arm4",
+                                            "scara", "arm2", "pendulum", "slide"};
 
 struct ProveArguments {
   std::string out = "proof", markdown;
   std::vector<std::string> robots = kRobots;
   uint64_t seed = 1;
-  int cases = 100, controls = 60, outside = 20, jobs = 0;
+  int cases = 100, controls = 60, outside = 20, ordinary = 100, declared = 60, jobs = 0;
   double weak = 0.15, pairs = 0.2, wrong_parameters = 0.2, tuned = 0.15;
-  bool quick = false;
+  bool quick = false, make_only = false;
 
   std::string Sets() const { return out + "/sets"; }
   std::string Labels() const { return out + "/sealed"; }
@@ -47,7 +52,8 @@ struct ProveArguments {
   std::string Command() const {
     std::string text = "realitygrad prove --seed " + std::to_string(seed) + " --cases " +
                        std::to_string(cases) + " --controls " + std::to_string(controls) + " --outside " +
-                       std::to_string(outside);
+                       std::to_string(outside) + " --ordinary " + std::to_string(ordinary) + " --declared " +
+                       std::to_string(declared);
     std::string names;
     for (const std::string& robot : robots) names += (names.empty() ? "" : ",") + robot;
     return robots == kRobots ? text : text + " --robots " + names;
@@ -73,6 +79,7 @@ class Examiner {
     record.command = a_.Command();
     RG_ASSIGN_OR_RETURN(record.seal, Seal());
     if (!quiet_) PrintNote("sealed: SHA-256 of " + std::to_string(names_.size()) + " labels " + record.seal);
+    if (a_.make_only) return record;
     RG_RETURN_IF_ERROR(DiagnoseAll());
     RG_ASSIGN_OR_RETURN(const std::string opened, Seal());
     if (opened != record.seal) return DataLossError(a_.Labels() + ": labels changed during the examination");
@@ -81,6 +88,30 @@ class Examiner {
   }
 
  private:
+  // `pool` empty: any effect, with the shares that were asked for.
+  std::vector<std::string> Plain(const std::vector<std::string>& pool) const {
+    std::vector<std::string> flags;
+    const auto with = [&](const char* flag, double value) {
+      flags.insert(flags.end(), {flag, std::to_string(value)});
+    };
+    with("--controls", 0);
+    with("--weak", pool.empty() ? a_.weak : 0);
+    with("--pairs", pool.empty() ? a_.pairs : 0);
+    with("--wrong-parameters", pool.empty() ? a_.wrong_parameters : 0);
+    with("--tuned", pool.empty() ? a_.tuned : 0);
+    for (const std::string& effect : pool) flags.insert(flags.end(), {"--effect", effect});
+    for (const std::string& robot : a_.robots) flags.insert(flags.end(), {"--robot", robot});
+    return flags;
+  }
+
+  // Of the generator's own mixture of robots, if none were asked for.
+  std::vector<std::string> OfOrdinary(const std::string& kind) const {
+    std::vector<std::string> flags = {kind};
+    if (a_.robots == kRobots) return flags;
+    for (const std::string& robot : a_.robots) flags.insert(flags.end(), {"--robot", robot});
+    return flags;
+  }
+
   // One process of the generator per few cases: a case depends on seed and number alone. Runs that were
   // interrupted go on where they were.
   Status MakeSets() {
@@ -88,8 +119,8 @@ class Examiner {
     if (!fs::exists(maker))
       return FailedPreconditionError(maker + " is not there: it is built where DART is (libdart-dev)");
     std::vector<PooledProcess> makers;
-    // `pool` empty: any effect, with the shares that were asked for.
-    const auto add = [&](int first, int count, const std::vector<std::string>& pool) {
+    // `own`: flags of this kind of cases, beside where they go and which they are.
+    const auto add = [&](int first, int count, const std::vector<std::string>& own) {
       for (int i = first; i < first + count; i += kCasesPerMaker) {
         const int n = std::min(kCasesPerMaker, first + count - i);
         const std::string done = a_.out + "/logs/made-" + std::to_string(i) + "-" + std::to_string(n);
@@ -107,23 +138,16 @@ class Examiner {
                                             std::to_string(i),
                                             "--count",
                                             std::to_string(n)};
-        const auto with = [&command](const char* flag, double value) {
-          command.insert(command.end(), {flag, std::to_string(value)});
-        };
-        with("--controls", 0);
-        with("--weak", pool.empty() ? a_.weak : 0);
-        with("--pairs", pool.empty() ? a_.pairs : 0);
-        with("--wrong-parameters", pool.empty() ? a_.wrong_parameters : 0);
-        with("--tuned", pool.empty() ? a_.tuned : 0);
-        for (const std::string& effect : pool) command.insert(command.end(), {"--effect", effect});
-        for (const std::string& robot : a_.robots) command.insert(command.end(), {"--robot", robot});
+        command.insert(command.end(), own.begin(), own.end());
         makers.push_back({command, a_.out + "/logs/make-" + std::to_string(i) + ".log"});
         marks_.push_back(done);
       }
     };
-    add(0, a_.cases, {});
-    add(kFirstControl, a_.controls, {"none", "parameters_only"});
-    add(kFirstOutside, a_.outside, {"unknown_field"});
+    add(0, a_.cases, Plain({}));
+    add(kFirstControl, a_.controls, Plain({"none", "parameters_only"}));
+    add(kFirstOutside, a_.outside, Plain({"unknown_field"}));
+    add(kFirstOrdinary, a_.ordinary, OfOrdinary("--ordinary"));
+    add(kFirstDeclared, a_.declared, OfOrdinary("--declared"));
     size_t made = 0;
     RG_RETURN_IF_ERROR(RunPool(
         makers, a_.jobs,
@@ -158,9 +182,19 @@ class Examiner {
     for (const std::string& name : names_) {
       if (fs::exists(a_.Answers() + "/" + name + "/diagnosis.json")) continue;
       which.push_back(name);
-      diagnoses.push_back({{SiblingProgram("realitygrad"), "diagnose", a_.Sets() + "/" + name, "--out",
-                            a_.Answers() + "/" + name, "--threads", "1", "--output", "quiet"},
-                           a_.out + "/logs/" + name + ".log"});
+      std::vector<std::string> command = {SiblingProgram("realitygrad"),
+                                          "diagnose",
+                                          a_.Sets() + "/" + name,
+                                          "--out",
+                                          a_.Answers() + "/" + name,
+                                          "--threads",
+                                          "1",
+                                          "--output",
+                                          "quiet"};
+      // What the set declares that a URDF cannot say.
+      const std::string model = a_.Sets() + "/" + name + "/model.json";
+      if (fs::exists(model)) command.insert(command.end(), {"--model", model});
+      diagnoses.push_back({command, a_.out + "/logs/" + name + ".log"});
     }
     size_t done = names_.size() - diagnoses.size();
     return RunPool(
@@ -207,6 +241,7 @@ class Examiner {
 Status Prove(Context& context, ProveArguments& arguments) {
   if (arguments.quick) {
     arguments.cases = 3, arguments.controls = 2, arguments.outside = 1;
+    arguments.ordinary = arguments.declared = 1;
     arguments.robots = {"pendulum"};
   }
   if (arguments.jobs <= 0)
@@ -214,6 +249,18 @@ Status Prove(Context& context, ProveArguments& arguments) {
   RG_ASSIGN_OR_RETURN(const Settings settings, context.Resolve());
   Examiner examiner(context, arguments, RobotsFolder(settings));
   RG_ASSIGN_OR_RETURN(const proof::ProofRecord record, examiner.Run());
+  if (arguments.make_only) {
+    const json made = {{"command", record.command},
+                       {"seal", record.seal},
+                       {"sets", arguments.Sets()},
+                       {"labels", arguments.Labels()}};
+    if (context.json()) {
+      PrintJson("realitygrad.proof_sets/1", made);
+    } else {
+      Print("sets: " + arguments.Sets() + "\nlabels: " + arguments.Labels());
+    }
+    return Status::Ok();
+  }
   const std::string markdown = proof::Markdown(record), page = arguments.out + "/proof.html";
   json all = {{"command", record.command}, {"seal", record.seal}, {"cases", json::array()}};
   for (const proof::CaseMarks& c : record.cases) all["cases"].push_back(proof::ToJson(c));
@@ -243,18 +290,28 @@ void AddProveCommand(CLI::App& app, Context& context) {
   command->add_option("--seed", arguments->seed, "Of the whole examination")->capture_default_str();
   command->add_option("--cases", arguments->cases, "Sets with something concealed")
       ->capture_default_str()
-      ->check(CLI::Range(1, kFirstControl));
+      ->check(CLI::Range(0, kFirstControl));
   command
       ->add_option("--controls", arguments->controls, "Sets with nothing concealed, or wrong parameters only")
       ->capture_default_str()
       ->check(CLI::Range(0, kFirstOutside - kFirstControl));
   command->add_option("--outside", arguments->outside, "Further sets whose force is outside the catalogue")
       ->capture_default_str()
-      ->check(CLI::Range(0, kLast - kFirstOutside));
+      ->check(CLI::Range(0, kFirstOrdinary - kFirstOutside));
+  command
+      ->add_option("--ordinary", arguments->ordinary,
+                   "Ordinary robots: friction, damping and rotors on every joint, mostly one thing more")
+      ->capture_default_str()
+      ->check(CLI::Range(0, kFirstDeclared - kFirstOrdinary));
+  command
+      ->add_option("--declared", arguments->declared,
+                   "Controls: ordinary robots whose set declares all of it")
+      ->capture_default_str()
+      ->check(CLI::Range(0, kLast - kFirstDeclared));
   command->add_option("--robots", arguments->robots, "To draw from")
       ->delimiter(',')
       ->capture_default_str()
-      ->check(CLI::IsMember(kRobots));
+      ->check(CLI::IsMember(kDrawable));
   command->add_option("--jobs", arguments->jobs, "Sets at a time, one thread each; default: one per core");
   command->add_option("--weak", arguments->weak, "Share of weak effects")->check(CLI::Range(0.0, 1.0));
   command->add_option("--pairs", arguments->pairs, "Share of pairs")->check(CLI::Range(0.0, 1.0));
@@ -263,7 +320,9 @@ void AddProveCommand(CLI::App& app, Context& context) {
   command->add_option("--tuned", arguments->tuned, "Share whose URDF was tuned and hides part of the effect")
       ->check(CLI::Range(0.0, 1.0));
   command->add_option("--markdown", arguments->markdown, "Also write the tables to this file");
-  command->add_flag("--quick", arguments->quick, "Six sets of a pendulum");
+  command->add_flag("--quick", arguments->quick, "Eight sets of a pendulum");
+  command->add_flag("--make-only", arguments->make_only,
+                    "Write sets and labels, and diagnose nothing; the same command without it goes on");
   command->callback([&context, arguments] { context.Failed(Prove(context, *arguments)); });
 }
 

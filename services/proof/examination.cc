@@ -12,6 +12,7 @@ using nlohmann::json;
 namespace {
 
 constexpr double kCounts = 0.3;  // confidence at which a finding counts
+constexpr double kSure = 0.8;    // and at which a user acts on it
 
 bool SameFamily(const std::string& a, const std::string& b) {
   static const std::vector<std::set<std::string>> families = {
@@ -98,10 +99,11 @@ class Marker {
   }
 
   void Run() {
-    if (m_.kind == CaseKind::kControl) return Control();
+    if (m_.kind == CaseKind::kControl || m_.kind == CaseKind::kDeclared) return Control();
     First();
     F1();
     Joints();
+    if (m_.kind == CaseKind::kOrdinary) JointsF1();
     Parameters();
     for (const Said& s : said_) m_.calls.push_back({s.confidence, Holds(s)});
   }
@@ -126,6 +128,12 @@ class Marker {
       all_equivalent = all_equivalent && Best(s.effect) == 1.0;
     }
     const bool excused = physics && all_equivalent;
+    if (m_.kind == CaseKind::kDeclared) {
+      m_.false_alarm = !m_.diagnosed || m_.verdict != "no_mismatch" || !said_.empty();
+      m_.first = m_.f1 = m_.f1_or_unexplained = m_.false_alarm ? 0.0 : 1.0;
+      for (const Said& s : said_) m_.calls.push_back({s.confidence, false});
+      return;
+    }
     m_.false_alarm =
         !m_.diagnosed || ((m_.verdict == "unmodelled_physics" || m_.verdict == "unexplained") && !excused);
     m_.first = m_.verdict == wanted || (excused && !m_.false_alarm) ? 1.0 : m_.false_alarm ? 0.0 : 0.5;
@@ -201,11 +209,42 @@ class Marker {
     return exact.empty() ? family : exact;
   }
 
+  // Without the joints that may be named or left out.
+  static std::set<std::string> Due(const json& effect, std::set<std::string> joints) {
+    for (const std::string& optional : Strings(effect, "optional_joints")) joints.erase(optional);
+    return joints;
+  }
+
+  // Pairs of the label's effects on joints and the findings' joints; a finding that is no effect of the
+  // label's is wrong on all its joints, one that the label allows beside it is asked for none.
+  void JointsF1() {
+    double hits = 0, said = 0, truth = 0;
+    std::set<const Said*> counted;
+    for (const json& e : asked_) {
+      if (e.value("localisation", "") != "joints") continue;
+      std::set<std::string> of_findings;
+      for (const Said& s : said_) {
+        if (s.confidence < kCounts || NameMark(e, s.effect) < 1.0 || !counted.insert(&s).second) continue;
+        of_findings.insert(s.joints.begin(), s.joints.end());
+      }
+      const std::vector<std::string> joints = Strings(e, "joints");
+      const auto asked = Due(e, {joints.begin(), joints.end()}), named = Due(e, of_findings);
+      truth += static_cast<double>(asked.size()), said += static_cast<double>(named.size());
+      hits += static_cast<double>(
+          std::count_if(named.begin(), named.end(), [&](const auto& j) { return asked.count(j) > 0; }));
+    }
+    for (const Said& s : said_) {
+      if (s.confidence >= kCounts && counted.count(&s) == 0 && !Holds(s))
+        said += static_cast<double>(s.joints.size());
+    }
+    m_.joints_f1 = said + truth > 0 ? 2 * hits / (said + truth) : 1.0;
+  }
+
   // All of them; of a force outside the catalogue the label lists the joint it acts on and then those it
   // depends on, which a finding may leave out.
   static bool Right(const json& effect, const std::set<std::string>& said,
                     const std::set<std::string>& truth) {
-    if (!OutsideCatalogue(effect.at("id"))) return said == truth;
+    if (!OutsideCatalogue(effect.at("id"))) return Due(effect, said) == Due(effect, truth);
     return said.count(Strings(effect, "joints").front()) > 0 &&
            std::includes(truth.begin(), truth.end(), said.begin(), said.end());
   }
@@ -300,6 +339,10 @@ std::optional<double> PredictionMarks::recovered_by(double rms) const {
   return std::isfinite(rms) ? (nominal - rms) / (nominal - oracle) : 0.0;
 }
 
+double PredictionMarks::against_oracle() const {
+  return (std::isfinite(tool) ? tool : nominal) / std::max(1e-12, oracle);
+}
+
 Result<CaseMarks> Mark(const json& label, const json& diagnosis, const PredictionMarks& prediction) {
   CaseMarks m;
   try {
@@ -311,9 +354,12 @@ Result<CaseMarks> Mark(const json& label, const json& diagnosis, const Predictio
       m.truth.push_back(Listed(e.at("id"), Strings(e, "joints")));
     }
     const std::vector<json> asked = Asked(label);
+    const std::string stratum = label.value("stratum", "");
     const bool control = std::all_of(asked.begin(), asked.end(),
                                      [](const json& e) { return e.at("id") == "parameters_only"; });
-    m.kind = control                                                       ? CaseKind::kControl
+    m.kind = stratum == "declared"                                         ? CaseKind::kDeclared
+             : stratum == "ordinary"                                       ? CaseKind::kOrdinary
+             : control                                                     ? CaseKind::kControl
              : asked.size() > 1                                            ? CaseKind::kPair
              : OutsideCatalogue(asked.front().at("id").get<std::string>()) ? CaseKind::kOpen
                                                                            : CaseKind::kSingle;
@@ -361,6 +407,44 @@ Share ShareOf(double hits, int n) {
   return s;
 }
 
+namespace {
+
+// Whose rows are their own.
+bool IsOrdinary(const CaseMarks& c) { return c.kind == CaseKind::kOrdinary || c.kind == CaseKind::kDeclared; }
+
+OrdinarySummary SummariseOrdinary(const std::vector<CaseMarks>& cases) {
+  OrdinarySummary s;
+  double alarms = 0;
+  int declared = 0;
+  std::vector<double> errors, seconds;
+  for (const CaseMarks& c : cases) {
+    if (c.kind == CaseKind::kDeclared) ++declared, alarms += c.false_alarm;
+    if (c.kind != CaseKind::kOrdinary) continue;
+    ++s.cases;
+    s.f1 += c.f1, s.joints_f1 += c.joints_f1;
+    errors.push_back(c.prediction.against_oracle());
+    if (c.diagnosed) seconds.push_back(c.seconds);
+  }
+  if (s.cases > 0) s.f1 /= s.cases, s.joints_f1 /= s.cases;
+  s.against_oracle = Median(errors), s.seconds_median = Median(seconds);
+  if (!errors.empty()) s.against_oracle_worst = *std::max_element(errors.begin(), errors.end());
+  if (!seconds.empty()) s.seconds_max = *std::max_element(seconds.begin(), seconds.end());
+  s.false_alarms = ShareOf(alarms, declared);
+  return s;
+}
+
+void CountSure(const std::vector<CaseMarks>& cases, Summary* s) {
+  for (const CaseMarks& c : cases) {
+    SureFindings& sure = s->sure[static_cast<size_t>(c.kind)];
+    for (const auto& [confidence, holds] : c.calls) {
+      if (confidence < kSure) continue;
+      ++sure.n, sure.wrong += !holds;
+    }
+  }
+}
+
+}  // namespace
+
 Summary Summarise(const std::vector<CaseMarks>& cases) {
   Summary s;
   s.cases = static_cast<int>(cases.size());
@@ -368,12 +452,13 @@ Summary Summarise(const std::vector<CaseMarks>& cases) {
   int strong_n = 0, weak_n = 0, tuned_n = 0, joints_n = 0, controls = 0, open_n = 0;
   std::vector<double> errors, recovered, black_box, seconds, calibrated, findings;
   for (const CaseMarks& c : cases) {
-    if (c.kind != CaseKind::kControl && c.calibrated_alone) {
-      calibrated.push_back(*c.calibrated_alone), findings.push_back(*c.with_findings);
-    }
     s.undiagnosed += !c.diagnosed;
     verdicts += c.verdict_right;
     if (c.diagnosed) seconds.push_back(c.seconds);
+    if (IsOrdinary(c)) continue;
+    if (c.kind != CaseKind::kControl && c.calibrated_alone) {
+      calibrated.push_back(*c.calibrated_alone), findings.push_back(*c.with_findings);
+    }
     if (c.kind == CaseKind::kControl) ++controls, alarms += c.false_alarm;
     if (c.kind == CaseKind::kPair) {
       ++s.pairs;
@@ -409,6 +494,8 @@ Summary Summarise(const std::vector<CaseMarks>& cases) {
   s.seconds_median = Median(seconds);
   s.seconds_max = seconds.empty() ? 0 : *std::max_element(seconds.begin(), seconds.end());
   Calibrate(cases, &s);
+  s.ordinary = SummariseOrdinary(cases);
+  CountSure(cases, &s);
   return s;
 }
 
@@ -446,13 +533,17 @@ json PerEffect(const std::vector<CaseMarks>& cases) {
   return rows;
 }
 
+namespace {
+constexpr std::array<const char*, kCaseKinds> kKinds = {"control", "single",   "pair",
+                                                        "open",    "ordinary", "declared"};
+}  // namespace
+
 json ToJson(const CaseMarks& c) {
-  static const char* const kinds[] = {"control", "single", "pair", "open"};
   const auto share = c.prediction.recovered();
   return {{"name", c.name},
           {"robot", c.robot},
           {"rate_hz", c.rate_hz},
-          {"kind", kinds[static_cast<int>(c.kind)]},
+          {"kind", kKinds[static_cast<size_t>(c.kind)]},
           {"weak", c.weak},
           {"tuned", c.tuned},
           {"truth", c.truth},
@@ -466,6 +557,7 @@ json ToJson(const CaseMarks& c) {
           {"f1", c.f1},
           {"f1_or_unexplained", c.f1_or_unexplained},
           {"joints_exact", c.joints_exact ? json(*c.joints_exact) : json(nullptr)},
+          {"joints_f1", c.kind == CaseKind::kOrdinary ? json(c.joints_f1) : json(nullptr)},
           {"parameter_errors", c.parameter_errors},
           {"nominal_rms", NumberOrNull(c.prediction.nominal)},
           {"oracle_rms", NumberOrNull(c.prediction.oracle)},
@@ -484,7 +576,20 @@ json ToJson(const Summary& s) {
                     {"confidence", b.mean_confidence},
                     {"hit_rate", b.hit_rate}});
   }
+  json sure = json::object();
+  for (size_t kind = 0; kind < s.sure.size(); ++kind)
+    sure[kKinds[kind]] = {{"n", s.sure[kind].n}, {"wrong", s.sure[kind].wrong}};
+  const json ordinary = {{"cases", s.ordinary.cases},
+                         {"f1", s.ordinary.f1},
+                         {"joints_f1", s.ordinary.joints_f1},
+                         {"against_oracle", NumberOrNull(s.ordinary.against_oracle)},
+                         {"against_oracle_worst", NumberOrNull(s.ordinary.against_oracle_worst)},
+                         {"seconds_median", NumberOrNull(s.ordinary.seconds_median)},
+                         {"seconds_max", s.ordinary.seconds_max},
+                         {"false_alarms_declared", ShareJson(s.ordinary.false_alarms)}};
   return {{"cases", s.cases},
+          {"ordinary", ordinary},
+          {"sure_findings", sure},
           {"undiagnosed", s.undiagnosed},
           {"right_first", ShareJson(s.right_first)},
           {"right_first_or_unexplained", ShareJson(s.right_first_or_unexplained)},

@@ -4,9 +4,11 @@
 // A name is right when it is the effect of the label or one that the label calls equivalent (the data cannot
 // tell them apart), half right when it belongs to the same family (EFFECTS: friction, delay, transmission,
 // gain, body, base, fields), wrong otherwise. Findings below a confidence of 0.3 count for nothing but
-// calibration.
+// calibration. Of an ordinary robot, joints that the label calls optional may be named or left out; on a
+// control that declares all of its friction and rotors any finding is a false alarm.
 #pragma once
 
+#include <array>
 #include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -26,6 +28,8 @@ struct PredictionMarks {
   // 1 where the true model is reached, 0 at the nominal one; absent where there is no gap (< 1.3 × oracle).
   std::optional<double> recovered() const { return recovered_by(tool); }
   std::optional<double> recovered_by(double rms) const;
+  // Of the diagnosed model, without one of the nominal model, over the true one's.
+  double against_oracle() const;
 };
 
 // How far predictions are off, on the joint of the first concealed recording where the nominal model is off
@@ -35,7 +39,10 @@ struct CasePlot {
   std::vector<double> t, nominal, tool, black_box;  // s; rad or m, NaN where there is none
 };
 
-enum class CaseKind { kControl, kSingle, kPair, kOpen };  // open: the effect is outside the catalogue
+// open: the effect is outside the catalogue; ordinary: friction, damping and rotors on every joint; declared:
+// the same, all of which the set says.
+enum class CaseKind { kControl, kSingle, kPair, kOpen, kOrdinary, kDeclared };
+constexpr int kCaseKinds = 6;
 
 struct CaseMarks {
   std::string name, robot;
@@ -53,6 +60,7 @@ struct CaseMarks {
   double f1 = 0;                               // of the set of effects
   double f1_or_unexplained = 0;                // the same, where `unexplained` stands for what may be unnamed
   std::optional<bool> joints_exact;            // of the effects that act on joints
+  double joints_f1 = 0;                        // of the set of pairs (effect, joint) of an ordinary robot
   std::vector<double> parameter_errors;        // relative, of the parameters of rightly named effects
   std::vector<std::pair<double, bool>> calls;  // confidence of every finding, whether it holds
   std::vector<std::string> effects;            // ids of the label
@@ -79,6 +87,20 @@ struct ConfidenceBin {
   int n = 0;
 };
 
+// Findings that are stated with a confidence of 0.8 or more.
+struct SureFindings {
+  int n = 0, wrong = 0;
+};
+
+struct OrdinarySummary {  // means and, of the error over the true model's on concealed recordings, two
+                          // quantiles
+  int cases = 0;
+  double f1 = 0, joints_f1 = 0;
+  double against_oracle = 0, against_oracle_worst = 0;
+  double seconds_median = 0, seconds_max = 0;
+  Share false_alarms;  // on controls that declare all of it
+};
+
 struct Summary {
   int cases = 0, undiagnosed = 0;
   Share right_first;                 // single effects whose nominal error exceeds three times the floor
@@ -103,6 +125,8 @@ struct Summary {
   std::vector<ConfidenceBin> bins;
   double calibration_error = 0;  // Σ n·|confidence − hit rate| / Σ n
   double seconds_median = 0, seconds_max = 0;
+  OrdinarySummary ordinary;  // which no row above counts, but verdicts, confidence and times
+  std::array<SureFindings, kCaseKinds> sure;
 };
 Summary Summarise(const std::vector<CaseMarks>& cases);
 

@@ -26,6 +26,30 @@ std::string Text(const Share& s) {
 }
 std::string Count(const char* what, int n) { return std::string(" (") + what + std::to_string(n) + ")"; }
 
+std::string Sure(const Summary& s, CaseKind kind) {
+  const SureFindings& f = s.sure[static_cast<size_t>(kind)];
+  return std::to_string(f.wrong) + " of " + std::to_string(f.n);
+}
+
+std::vector<Line> OrdinaryLines(const Summary& s) {
+  const OrdinarySummary& o = s.ordinary;
+  const auto of = [&](const std::string& figure) { return o.cases == 0 ? "no case" : figure; };
+  return {
+      {"ordinary robots: F1 of the set of effects", "0.90", of(FormatNumber(o.f1) + Count("n = ", o.cases))},
+      {"ordinary robots: F1 of effects with their joints", "0.90", of(FormatNumber(o.joints_f1))},
+      {"ordinary robots: error on concealed recordings over the true model's, median / worst", "1.5 / 5",
+       of(FormatNumber(o.against_oracle) + " / " + FormatNumber(o.against_oracle_worst))},
+      {"ordinary robots: seconds per set on one thread, median / longest", "–",
+       of(FormatNumber(o.seconds_median) + " / " + FormatNumber(o.seconds_max))},
+      {"false alarms on controls that declare friction and rotors", "at most 5 %", Text(o.false_alarms)},
+      {"findings at confidence ≥ 0.8 that are wrong: singles / pairs / outside / controls / ordinary / "
+       "declared",
+       "at most 1 in 10",
+       Sure(s, CaseKind::kSingle) + " / " + Sure(s, CaseKind::kPair) + " / " + Sure(s, CaseKind::kOpen) +
+           " / " + Sure(s, CaseKind::kControl) + " / " + Sure(s, CaseKind::kOrdinary) + " / " +
+           Sure(s, CaseKind::kDeclared)}};
+}
+
 std::vector<Line> Lines(const Summary& s) {
   const auto of_pairs = [&](double f1) {
     return s.pairs == 0 ? "no case" : FormatNumber(f1) + Count("n = ", s.pairs);
@@ -160,7 +184,8 @@ std::vector<report::Miniature> Miniatures(const std::vector<CaseMarks>& cases) {
 
 std::vector<std::vector<std::string>> LineRows(const Summary& s) {
   std::vector<std::vector<std::string>> rows;
-  for (const Line& l : Lines(s)) rows.push_back({l.what, l.least, l.measured});
+  for (const auto& lines : {Lines(s), OrdinaryLines(s)})
+    for (const Line& l : lines) rows.push_back({l.what, l.least, l.measured});
   return rows;
 }
 

@@ -15,6 +15,7 @@ using nlohmann::json;
 constexpr double kLeastTorque = 0.2, kLeastInertia = 0.08;
 constexpr double kSpringyRate = 100;  // Hz
 constexpr double kLinkOverMotor = 0.7;
+constexpr double kShortest = 4e-3;        // s, time constant of a link's inertia and its damping alone
 constexpr double kReferenceSpeed = 0.15;  // rad/s or m/s, that damping is never stated at less than
 
 double LogUniform(double low, double high, Rng& rng) { return low * std::pow(high / low, rng.Uniform()); }
@@ -71,6 +72,22 @@ json Row(const std::string& id, const JointTruth& j, bool prismatic) {
   if (id == "actuator_lag") return {{"time_constant", value(j.lag, "s")}};
   if (id == "actuator_delay") return {{"delay", value(j.delay, "s")}};
   return nullptr;
+}
+
+// Joints that a right answer may name or leave out.
+void AddOptionalJoints(const Scales& scales, const Truth& truth, json* entry) {
+  const std::string id = (*entry)["id"];
+  std::vector<std::string> optional;
+  for (size_t i = 0; i < scales.joints.size(); ++i) {
+    const JointTruth& j = truth.joint[i];
+    // About its own axis the first link's inertia is the same as its rotor's.
+    const bool same_as_link = i == 0 && j.armature > 0 && !scales.prismatic[0];
+    if (id == "rotor_inertia" && same_as_link) (*entry)["also_acceptable"].push_back("parameters_only");
+    if ((id == "rotor_inertia" && (same_as_link || j.transmission.stiffness > 0)) ||
+        (id == "coulomb_friction" && j.dry.load_coefficient > 0))
+      optional.push_back(scales.joints[i]);
+  }
+  if (!optional.empty()) (*entry)["optional_joints"] = optional;
 }
 
 json LoadDependent(const Scales& scales, Rng& rng, Truth* truth, double strength) {
@@ -177,6 +194,8 @@ void SetGears(const Ordinary& ordinary, const Scales& scales, double rate_hz, Rn
     SetDry(ordinary.friction, dry * LogUniform(0.7, 1.4, rng) * gear, scales.velocity[i], rng, &j.dry);
     j.viscous = damped * LogUniform(0.7, 1.4, rng) * gear / speed;
     const double inertia = Floored(scales.inertia, i, kLeastInertia, scales.prismatic);
+    // A light link that no rotor steadies would be damped faster than the engine steps.
+    if (!ordinary.rotors) j.viscous = std::min(j.viscous, scales.inertia[i] / kShortest);
     if (ordinary.rotors) j.armature = rotor * LogUniform(0.7, 1.4, rng) * inertia;
     if (ordinary.timing == "actuator_lag") j.lag = late;
     if (ordinary.timing == "actuator_delay") j.delay = std::round(late * 1e4) * 1e-4;
@@ -231,11 +250,7 @@ json GearLabels(const Ordinary& ordinary, const Scales& scales, const Truth& tru
       entry["joints"].push_back(scales.joints[i]);
       entry["parameters"][scales.joints[i]] = row;
     }
-    // About its own axis the first link's inertia is the same.
-    if (id == "rotor_inertia" && truth.joint.front().armature > 0 && !scales.prismatic.front()) {
-      entry["also_acceptable"].push_back("parameters_only");
-      entry["optional_joints"] = {scales.joints.front()};
-    }
+    AddOptionalJoints(scales, truth, &entry);
     if (!entry["joints"].empty()) effects.push_back(entry);
   }
   return effects;

@@ -44,7 +44,8 @@ void Strengthen(const std::string& id, size_t joint, Truth* truth);
 Truth WithoutGear(const Truth& truth, const std::string& id, int joint);
 
 // Their entries in label.json, with the figures of the truth. A joint whose rotor is a motor behind a spring
-// is not one of rotor_inertia's, nor one whose friction grows with the load one of Coulomb's.
+// is not one of rotor_inertia's, nor one whose friction grows with the load one of Coulomb's: these, and a
+// first joint's rotor, which is also its link's inertia, are "optional_joints".
 nlohmann::json GearLabels(const Ordinary& ordinary, const Scales& scales, const Truth& truth);
 
 // Adds the one thing more to the truth, and returns its entry in the label. Nothing where it fits no joint: a

@@ -14,7 +14,8 @@ TEST(Prove, SealsDiagnosesMarksAndGoesOn) {
     GTEST_SKIP() << "SKIPPED: realitygrad-proof-generator is not built (libdart-dev)";
   const ScratchFolder scratch;
   const std::string command =
-      "prove --robots pendulum --seed 7 --cases 1 --controls 1 --outside 1 --jobs 2 --out p --markdown p.md "
+      "prove --robots pendulum --seed 7 --cases 1 --controls 1 --outside 1 --ordinary 1 --declared 1 --jobs "
+      "2 --out p --markdown p.md "
       "--output "
       "json";
   const Said said = RunProgram(scratch, command);
@@ -23,7 +24,9 @@ TEST(Prove, SealsDiagnosesMarksAndGoesOn) {
   EXPECT_EQ(proof["format"], "realitygrad.proof/1");
   EXPECT_EQ(proof["seal"].get<std::string>().size(), 64u);
   EXPECT_NE(said.err.find(proof["seal"].get<std::string>()), std::string::npos) << "sealed before all else";
-  ASSERT_EQ(proof["cases"].size(), 3u);
+  ASSERT_EQ(proof["cases"].size(), 5u);
+  EXPECT_EQ(proof["summary"]["ordinary"]["cases"], 1);
+  EXPECT_EQ(proof["summary"]["ordinary"]["false_alarms_declared"]["n"], 1);
   EXPECT_EQ(proof["summary"]["outside_catalogue"]["n"], 1);
   EXPECT_EQ(proof["summary"]["undiagnosed"], 0);
   for (const json& one : proof["cases"]) {
@@ -33,7 +36,7 @@ TEST(Prove, SealsDiagnosesMarksAndGoesOn) {
   const std::string page = ReadFile(scratch / "p/proof.html").value();
   size_t plots = 0;
   for (size_t at = 0; (at = page.find("class=\"mini", at)) != std::string::npos; ++at) ++plots;
-  EXPECT_EQ(plots, 1 + 3u) << "the grid and one of each case";
+  EXPECT_EQ(plots, 1 + 5u) << "the grid and one of each case";
   EXPECT_NE(ReadFile(scratch / "p.md").value().find("Every miss"), std::string::npos);
 
   const auto before = std::filesystem::last_write_time(scratch / "p/answers/case_000/diagnosis.json");
@@ -52,7 +55,7 @@ TEST(Prove, SealsDiagnosesMarksAndGoesOn) {
   EXPECT_NE(refused.err.find("case_000: no diagnosis: "), std::string::npos) << refused.err;
   const json marked = json::parse(refused.out);
   EXPECT_EQ(marked["summary"]["undiagnosed"], 1);
-  EXPECT_EQ(marked["cases"].size(), 3u);
+  EXPECT_EQ(marked["cases"].size(), 5u);
   EXPECT_EQ(marked["cases"][0]["right_first"], 0.0);
   EXPECT_NE(marked["cases"][0]["reason"].get<std::string>().find("rec_000.csv"), std::string::npos);
   EXPECT_TRUE(marked["cases"][1]["rms"].is_number());
