@@ -502,6 +502,7 @@ Summary Summarise(const std::vector<CaseMarks>& cases) {
 json PerEffect(const std::vector<CaseMarks>& cases) {
   std::map<std::string, std::vector<const CaseMarks*>> by_effect;
   for (const CaseMarks& c : cases) {
+    if (IsOrdinary(c)) continue;
     if (c.effects.empty()) by_effect["none"].push_back(&c);
     for (const std::string& id : c.effects) {
       if (id != "parameters_only" || c.kind == CaseKind::kControl) by_effect[id].push_back(&c);

@@ -130,7 +130,7 @@ struct Summary {
 };
 Summary Summarise(const std::vector<CaseMarks>& cases);
 
-// A row per effect: cases, first, f1, joints, parameter error, recovered.
+// A row per effect, ordinary robots left out: cases, first, f1, joints, parameter error, recovered.
 nlohmann::json PerEffect(const std::vector<CaseMarks>& cases);
 
 nlohmann::json ToJson(const CaseMarks& marks);

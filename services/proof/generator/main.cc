@@ -1,5 +1,6 @@
 // realitygrad-proof-generator: makes the cases of a blind examination (proof_case.h).
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <cstdio>
 
 #include "common/base/rng.h"
@@ -26,6 +27,25 @@ struct OrdinaryRun {
   double no_velocity = 0;
 };
 
+// Kind, rate and physics of a case. False: what is to be added suits none of a hundred drawings.
+bool DrawOrdinaryRobot(const OrdinaryRun& run, rg::Rng& rng, rg::proof::CaseRequest* request) {
+  const std::string extra = run.extras.empty() ? "" : run.extras[rng.Index(run.extras.size())];
+  for (uint64_t attempt = 0; attempt < 100; ++attempt) {
+    request->kind = run.kinds[rng.Index(run.kinds.size())];
+    request->rate_hz = run.rates[rng.Index(run.rates.size())];
+    if (run.declared) {
+      request->ordinary = rg::proof::DrawDeclared(rng.Split(attempt));
+      return true;
+    }
+    request->ordinary = rg::proof::DrawOrdinary(request->kind, request->rate_hz, rng.Split(attempt));
+    if (extra.empty()) return true;
+    request->ordinary->extra = extra;
+    const auto fitting = rg::proof::OrdinaryExtras(request->kind, request->rate_hz, *request->ordinary);
+    if (std::find(fitting.begin(), fitting.end(), extra) != fitting.end()) return true;
+  }
+  return false;
+}
+
 // Failures of a case are told and the next one is made. Code of the process.
 int MakeOrdinary(const OrdinaryRun& run) {
   int failures = 0;
@@ -35,12 +55,14 @@ int MakeOrdinary(const OrdinaryRun& run) {
     request.name = "case_" + Digits(i);
     request.seed = rng.Next();
     request.robots = run.robots;
-    request.kind = run.kinds[rng.Index(run.kinds.size())];
-    request.rate_hz = run.rates[rng.Index(run.rates.size())];
     request.declared = run.declared;
-    request.ordinary = run.declared ? rg::proof::DrawDeclared(rng.Split(0))
-                                    : rg::proof::DrawOrdinary(request.kind, request.rate_hz, rng.Split(0));
-    if (!run.extras.empty()) request.ordinary->extra = run.extras[rng.Index(run.extras.size())];
+    if (!DrawOrdinaryRobot(run, rng, &request)) {
+      std::fprintf(stderr,
+                   "realitygrad-proof-generator: %s (%s): on none of the robots at none of the rates\n",
+                   request.name.c_str(), request.ordinary->extra.c_str());
+      ++failures;
+      continue;
+    }
     request.with_velocity = rng.Uniform() >= run.no_velocity;
     const auto summary = rg::proof::MakeCase(request, run.sets, run.labels);
     std::string drawn;
@@ -82,7 +104,9 @@ int main(int argc, char** argv) {
   app.add_option("--seed", seed, "Seed of the whole examination");
   app.add_option("--first", first, "Number of the first case");
   app.add_option("--count", count, "Cases to make")->check(CLI::PositiveNumber);
-  app.add_option("--effect", effects, "Effects to draw from (default: all); given with '+' act together");
+  app.add_option("--effect", effects,
+                 "Effects to draw from (default: all); given with '+' act together. Of ordinary robots: the "
+                 "one thing more");
   app.add_option("--weak", weak, "Share of weak cases")->check(CLI::Range(0.0, 1.0));
   app.add_option("--pairs", pairs, "Share of cases with two effects")->check(CLI::Range(0.0, 1.0));
   app.add_option("--controls", controls, "Share of cases with nothing missing")->check(CLI::Range(0.0, 1.0));

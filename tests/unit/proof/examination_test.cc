@@ -157,6 +157,78 @@ TEST(Examination, AControlWithANameIsAFalseAlarm) {
   EXPECT_EQ(half.first, 0.5);
 }
 
+json Ordinary(std::vector<json> effects) {
+  json label = Label(std::move(effects));
+  label["stratum"] = "ordinary";
+  return label;
+}
+
+TEST(Examination, AnOrdinaryRobotIsMarkedByEffectsAndByTheirJoints) {
+  json rotor = Effect("rotor_inertia", {"shoulder", "elbow"});
+  rotor["optional_joints"] = {"shoulder"}, rotor["also_acceptable"] = {"parameters_only"};
+  const json label = Ordinary({Effect("coulomb_friction", {"shoulder", "elbow"}), rotor});
+  const auto marked = [&](const std::vector<json>& findings) {
+    return Marked(label, Diagnosis("unmodelled_physics", findings));
+  };
+  const json friction = Finding("coulomb_friction", {"shoulder", "elbow"});
+  for (const std::vector<std::string>& joints : {std::vector<std::string>{"shoulder", "elbow"}, {"elbow"}}) {
+    const CaseMarks right = marked({friction, Finding("rotor_inertia", joints)});
+    EXPECT_EQ(right.kind, CaseKind::kOrdinary);
+    EXPECT_EQ(right.f1, 1.0);
+    EXPECT_EQ(right.joints_f1, 1.0) << "the first joint's rotor is also its link's inertia";
+    EXPECT_TRUE(*right.joints_exact);
+  }
+  EXPECT_EQ(
+      marked({friction, Finding("rotor_inertia", {"elbow"}), Finding("parameters_only", {"l1"})}).joints_f1,
+      1.0);
+  EXPECT_NEAR(marked({friction}).joints_f1, 2 * 2.0 / (2 + 3), 1e-12);
+  EXPECT_NEAR(
+      marked({friction, Finding("rotor_inertia", {"elbow"}), Finding("torque_gain", {"elbow"})}).joints_f1,
+      2 * 3.0 / (4 + 3), 1e-12);
+  EXPECT_NEAR(marked({Finding("coulomb_friction", {"elbow"}), Finding("rotor_inertia", {"elbow"})}).joints_f1,
+              2 * 2.0 / (2 + 3), 1e-12);
+}
+
+TEST(Examination, OrdinaryRobotsHaveRowsOfTheirOwn) {
+  const json label = Ordinary({Effect("coulomb_friction", {"elbow"}), Effect("viscous_friction", {"elbow"})});
+  const json right = Diagnosis("unmodelled_physics", {Finding("coulomb_friction", {"elbow"}),
+                                                      Finding("viscous_friction", {"elbow"})}),
+             wrong =
+                 Diagnosis("unmodelled_physics", {Finding("payload", {}, 0.9), Finding("backlash", {}, 0.5)});
+  const Summary s = Summarise({Marked(label, right, {1.0, 0.1, 0.12}), Marked(label, right, {1.0, 0.1, 0.1}),
+                               Marked(label, wrong, {1.0, 0.1, 0.7}),
+                               Marked(label, json(nullptr), {1.0, 0.1, std::nan("")})});
+  EXPECT_EQ(s.ordinary.cases, 4);
+  EXPECT_NEAR(s.ordinary.f1, 0.5, 1e-12);
+  EXPECT_NEAR(s.ordinary.joints_f1, 0.5, 1e-12);
+  EXPECT_NEAR(s.ordinary.against_oracle, (1.2 + 7) / 2, 1e-9);
+  EXPECT_NEAR(s.ordinary.against_oracle_worst, 10, 1e-9) << "without a diagnosis the model is the one given";
+  EXPECT_EQ(s.pairs, 0);
+  EXPECT_EQ(s.joints.n, 0);
+  const SureFindings& sure = s.sure[static_cast<size_t>(CaseKind::kOrdinary)];
+  EXPECT_EQ(sure.n, 5);
+  EXPECT_EQ(sure.wrong, 1);
+  EXPECT_NE(Markdown({"prove", "00", {Marked(label, wrong)}}).find("0 of 0 / 1 of 1 / 0 of 0 |"),
+            std::string::npos);
+}
+
+TEST(Examination, AnyFindingOnADeclaredControlIsAFalseAlarm) {
+  json label = Label({}, {"no_mismatch"});
+  label["stratum"] = "declared";
+  const CaseMarks silent = Marked(label, Diagnosis("no_mismatch", {})),
+                  remark = Marked(label, Diagnosis("parameters_only", {Finding("parameters_only", {})})),
+                  named = Marked(
+                      label, Diagnosis("unmodelled_physics", {Finding("joint_coupling", {"elbow"}, 0.8)})),
+                  none = Marked(label, json(nullptr));
+  EXPECT_FALSE(silent.false_alarm);
+  EXPECT_TRUE(remark.false_alarm && named.false_alarm && none.false_alarm);
+  const Summary s = Summarise({silent, remark, named, none});
+  EXPECT_EQ(s.false_alarms.n, 0) << "the other controls have their own row";
+  EXPECT_EQ(s.ordinary.false_alarms.n, 4);
+  EXPECT_NEAR(s.ordinary.false_alarms.value, 0.75, 1e-12);
+  EXPECT_EQ(s.sure[static_cast<size_t>(CaseKind::kDeclared)].wrong, 2);
+}
+
 TEST(Examination, OutsideTheCatalogueANameIsWrongAndSilenceRight) {
   const json label = Label({Effect("unknown_field", {"elbow"})}, {"unexplained"});
   const CaseMarks open = Marked(label, Diagnosis("unexplained", {Finding("unknown_field", {"elbow"})}));
