@@ -1,6 +1,8 @@
 // `realitygrad prove` at its smallest: sets are made by the other engine, sealed, diagnosed and marked by
 // real processes, and a second run goes on instead of starting anew.
+#include <cmath>
 #include <nlohmann/json.hpp>
+#include <sstream>
 
 #include "tests/integration/cli/program.h"
 
@@ -8,6 +10,23 @@ namespace rg {
 namespace {
 
 using nlohmann::json;
+
+// The first column whose name begins so.
+std::vector<double> Column(const std::string& file, const std::string& begins) {
+  std::ifstream in(file);
+  std::string line, cell;
+  std::getline(in, line);
+  std::stringstream header(line);
+  int at = 0;
+  while (std::getline(header, cell, ',') && cell.rfind(begins, 0) != 0) ++at;
+  std::vector<double> out;
+  while (std::getline(in, line)) {
+    std::stringstream row(line);
+    for (int i = 0; i <= at; ++i) std::getline(row, cell, ',');
+    out.push_back(std::stod(cell));
+  }
+  return out;
+}
 
 TEST(Prove, SealsDiagnosesMarksAndGoesOn) {
   if (!std::filesystem::exists(BinDir() + "/realitygrad-proof-generator"))
@@ -82,13 +101,24 @@ TEST(Prove, MakesSetsAndLabelsAloneWhereThatIsAsked) {
   // What the set declares is what its recordings were made with, by the other engine.
   bool rotors = false;
   for (const char* name : {"case_1500", "case_1501"}) {
-    const std::string set = (scratch / "p/sets").string() + "/" + name;
+    const std::string set = scratch / ("p/sets/" + std::string(name)),
+                      sealed = scratch / ("p/sealed/" + std::string(name));
     const bool model = std::filesystem::exists(set + "/model.json");
     rotors = rotors || model;
-    const Said predicted = RunProgram(scratch, "predict --model " + set + (model ? "/model.json" : "") +
-                                                   " --recording p/sealed/" + name +
-                                                   "/hidden_000.csv --out predicted.csv --output json");
-    EXPECT_EQ(predicted.code, 0) << predicted.err;
+    double squares = 0;
+    size_t rows = 0;
+    for (const char* hidden : {"/hidden_000.csv", "/hidden_001.csv"}) {
+      const Said predicted = RunProgram(scratch, "predict --model " + set + (model ? "/model.json" : "") +
+                                                     " --recording " + sealed + hidden + " --out p.csv");
+      ASSERT_EQ(predicted.code, 0) << predicted.err;
+      const auto truth = Column(sealed + hidden, "true_position."),
+                 said_so = Column(scratch / "p.csv", "position.");
+      ASSERT_EQ(truth.size(), said_so.size());
+      for (size_t k = 1; k < truth.size(); ++k) squares += std::pow(truth[k] - said_so[k], 2), ++rows;
+    }
+    const json oracle = json::parse(ReadFile(sealed + "/oracle.json").value());
+    EXPECT_LT(std::sqrt(squares / static_cast<double>(rows)), 1.5 * oracle["oracle_rms"].get<double>())
+        << name;
   }
   EXPECT_TRUE(rotors);
 }
