@@ -6,9 +6,11 @@
 #include <optional>
 #include <set>
 
+#include "common/effects/effect_catalog.h"
 #include "services/diagnosis/acceptance.h"
 #include "services/diagnosis/fit_ledger.h"
 #include "services/diagnosis/given_model.h"
+#include "services/diagnosis/group_start.h"
 #include "services/diagnosis/held_out_judge.h"
 #include "services/diagnosis/own_chi2.h"
 #include "services/diagnosis/screen_columns.h"
@@ -27,6 +29,10 @@ namespace {
 
 constexpr double kRivalShare = 0.25;  // of what parameters explain, by the screen's linear estimate
 constexpr double kNoisiest = 4.0;     // variance over the sensors' own: more is motion that no force follows
+constexpr int kDriveIterations = 12;  // of fits that begin far off, with all joints' friction and rotors
+constexpr double kNear = 0.1;         // of what is amiss, that drives leave where more than they is missing
+constexpr double kLate = 0.01;        // s, where a fit of lags or delays begins
+const std::vector<std::string> kDriveGroup = {"viscous_friction", "coulomb_friction", "rotor_inertia"};
 constexpr size_t kPromised = 3;       // by a screen, that are fitted without a trial
 constexpr int kSentBack = 3;          // times that recordings kept aside may refuse an account
 constexpr int kExchanged = 3;         // times that what is easily taken for each other changes places
@@ -85,6 +91,7 @@ class Search {
     Candidate best = out.calibrated.score > out.nominal.score + Threshold(out.nominal, out.calibrated)
                          ? out.calibrated
                          : out.nominal;
+    if (fits_.PerRow(best) > kHolds && !fits_.Late()) BeginWithDrives(&best);
     LowerNoise(&best, &out);
     features_ = MakeFeatures(data_, nominal_, scales_);
     if (const Candidate* c = options_.earlier.get())
@@ -142,6 +149,44 @@ class Search {
   bool EndsForHalves(SearchResult* out) const {
     out->over_halves = fits_.over_halves(), out->work = fits_.work();
     return out->over_halves != nullptr;
+  }
+
+  // What all drives of one robot have in common, before single effects: where it brings the model within
+  // reach of the recordings, or most of the way, the search goes on from there.
+  void BeginWithDrives(Candidate* best) {
+    Tell("drives", 0.08, KeyOf(best->specs));
+    Candidate winner = *best;
+    winner.score = kNoScore;
+    for (const bool base : {false, true}) {
+      const Candidate start = RegressedGroup(data_, nominal_, scales_, kDriveGroup, base);
+      if (!start.fit.ok || start.specs.size() == given_.size() || fits_.Late()) continue;
+      winner = Better(winner, fits_.Evaluate(start.specs, base, base ? &start : nullptr, kDriveIterations));
+      if (fits_.PerRow(winner) < kHolds) break;
+    }
+    if (winner.score > kNoScore && fits_.PerRow(winner) > kExplained) winner = WithLateDrives(winner);
+    const bool near = winner.score > kNoScore && (fits_.PerRow(winner) < kHolds ||
+                                                  fits_.Excess(winner) < kNear * fits_.Excess(*best));
+    Tell("drives", 0.09, KeyOf(winner.specs) + (near ? " taken" : " left"));
+    if (near && winner.score > best->score + Threshold(*best, winner)) *best = winner;
+  }
+
+  // All of them late by a lag, by a delay, or not at all.
+  Candidate WithLateDrives(const Candidate punctual) {
+    Candidate best = punctual;
+    for (const char* id : {"actuator_lag", "actuator_delay"}) {
+      std::vector<EffectSpec> late;
+      for (int j = 0; j < data_.n; ++j) {
+        const std::string& joint = nominal_.joint_names()[static_cast<size_t>(j)];
+        if (nominal_.Takes(id, j)) late.push_back(effects::MakeSpec(id, {joint}, {{LateBy(id), kLate}}));
+      }
+      if (late.empty() || fits_.Late()) continue;
+      const std::vector<EffectSpec> specs = Joined(Refreshed(punctual), late);
+      best = Better(best, fits_.Evaluate(specs, punctual.base, &punctual, kDriveIterations));
+    }
+    return best;
+  }
+  static std::string LateBy(const std::string& id) {
+    return effects::FindEffect(id)->parameters.front().name;
   }
 
   // A model that fits better than any force on the old one could: the noise is less than was thought. All

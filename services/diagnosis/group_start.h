@@ -1,0 +1,22 @@
+// Where the search begins on an ordinary arm: geared drives are alike, so that dry and viscous friction and a
+// rotor are on every joint or on none. Found one at a time from a rigid model they are not: with one of
+// eighteen no fit comes near the recordings, and every score is out of its range of validity.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "services/diagnosis/candidate.h"
+#include "services/diagnosis/features.h"
+#include "services/diagnosis/lifted_fit.h"
+
+namespace rg::diagnosis {
+
+// `effects` on every joint that takes them and has no such effect yet (EffectInfo::family "friction" has one
+// dry law per joint), beside those of `nominal`, with start values from the regression of the inverse dynamics
+// along the recorded motion. `base`: free base parameters, regressed together. Levels below nothing are set to
+// a small one. Its fit is the regression's: `fit.values` only, and not `ok` where there are too few rows.
+Candidate RegressedGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                         const std::vector<std::string>& effects, bool base);
+
+}  // namespace rg::diagnosis
