@@ -74,6 +74,27 @@ function(rg_executable name)
   target_link_libraries(${name} PRIVATE ${A_DEPS})
 endfunction()
 
+# Programs of the name in build/…/first/ that do without what `realitygrad run` does not need: deploy/quickstart
+# builds them, target `first`, before the rest, target `programs`.
+#   rg_first_program(NAME SOURCES … DEPS …)  the smaller program
+#   rg_first_program(NAME SAME)              the program itself, by a link
+add_custom_target(first)
+add_custom_target(programs)
+function(rg_first_program name)
+  cmake_parse_arguments(A "SAME" "" "SOURCES;DEPS" ${ARGN})
+  add_dependencies(programs ${name})
+  if(A_SAME)
+    file(MAKE_DIRECTORY "${CMAKE_BINARY_DIR}/first")
+    file(CREATE_LINK "../bin/${name}" "${CMAKE_BINARY_DIR}/first/${name}" SYMBOLIC)
+    add_dependencies(first ${name})
+    return()
+  endif()
+  rg_executable(first-${name} SOURCES ${A_SOURCES} DEPS ${A_DEPS})
+  set_target_properties(first-${name} PROPERTIES OUTPUT_NAME ${name}
+    RUNTIME_OUTPUT_DIRECTORY "${CMAKE_BINARY_DIR}/first")
+  add_dependencies(first first-${name})
+endfunction()
+
 # rg_test(NAME SOURCES … DEPS … [LABELS …] [TIMEOUT s] [ENVIRONMENT …] [FULL] [TOGETHER n])
 # One ctest entry per GoogleTest program. FULL: only with `deploy/check --full` (label "full"). TOGETHER: as
 # for a library, 1 unless said.
