@@ -35,19 +35,27 @@ if(RG_SANITIZE)
   add_link_options(-fsanitize=${RG_SANITIZE})
 endif()
 
-function(rg_compile_together target)
-  set_target_properties(${target} PROPERTIES UNITY_BUILD ${RG_TOGETHER} UNITY_BUILD_BATCH_SIZE 5)
+# rg_compile_together(TARGET COUNT): COUNT sources of TARGET at a time are compiled as one, because what they
+# include and the templates they share cost most of their time (docs/figures.md). Names in their anonymous
+# namespaces must differ. Sources with COMPILE_OPTIONS or COMPILE_DEFINITIONS of their own stay apart.
+function(rg_compile_together target count)
+  if(RG_TOGETHER AND count GREATER 1)
+    set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE ${count})
+    if(CMAKE_CXX_COMPILER_ID STREQUAL GNU)  # says of a source among others what is meant for headers
+      target_compile_options(${target} PRIVATE -Wno-subobject-linkage)
+    endif()
+  endif()
 endfunction()
 
-# rg_library(NAME SOURCES a.cc … [DEPS …] [PRIVATE_DEPS …] [TOGETHER])
-# TOGETHER: several sources are compiled as one, where what they include costs most of their time. Names in
-# their anonymous namespaces must differ.
+# rg_library(NAME SOURCES a.cc … [DEPS …] [PRIVATE_DEPS …] [TOGETHER n])
+# TOGETHER: how many sources are compiled as one, 1 unless said. Eight Eigen-heavy sources take up to a minute and
+# 1.8 GB.
 function(rg_library name)
-  cmake_parse_arguments(A "TOGETHER" "" "SOURCES;DEPS;PRIVATE_DEPS" ${ARGN})
+  cmake_parse_arguments(A "" "TOGETHER" "SOURCES;DEPS;PRIVATE_DEPS" ${ARGN})
   if(A_SOURCES)
     add_library(${name} STATIC ${A_SOURCES})
     if(A_TOGETHER)
-      rg_compile_together(${name})
+      rg_compile_together(${name} ${A_TOGETHER})
     endif()
     target_include_directories(${name} PUBLIC ${CMAKE_SOURCE_DIR})
     target_link_libraries(${name} PUBLIC ${A_DEPS} PRIVATE ${A_PRIVATE_DEPS})
@@ -66,17 +74,38 @@ function(rg_executable name)
   target_link_libraries(${name} PRIVATE ${A_DEPS})
 endfunction()
 
-# rg_test(NAME SOURCES … DEPS … [LABELS …] [TIMEOUT s] [ENVIRONMENT …] [FULL] [TOGETHER])
+# Programs of the name in build/…/first/ that do without what `realitygrad run` does not need: deploy/quickstart
+# builds them, target `first`, before the rest, target `programs`.
+#   rg_first_program(NAME SOURCES … DEPS …)  the smaller program
+#   rg_first_program(NAME SAME)              the program itself, by a link
+add_custom_target(first)
+add_custom_target(programs)
+function(rg_first_program name)
+  cmake_parse_arguments(A "SAME" "" "SOURCES;DEPS" ${ARGN})
+  add_dependencies(programs ${name})
+  if(A_SAME)
+    file(MAKE_DIRECTORY "${CMAKE_BINARY_DIR}/first")
+    file(CREATE_LINK "../bin/${name}" "${CMAKE_BINARY_DIR}/first/${name}" SYMBOLIC)
+    add_dependencies(first ${name})
+    return()
+  endif()
+  rg_executable(first-${name} SOURCES ${A_SOURCES} DEPS ${A_DEPS})
+  set_target_properties(first-${name} PROPERTIES OUTPUT_NAME ${name}
+    RUNTIME_OUTPUT_DIRECTORY "${CMAKE_BINARY_DIR}/first")
+  add_dependencies(first first-${name})
+endfunction()
+
+# rg_test(NAME SOURCES … DEPS … [LABELS …] [TIMEOUT s] [ENVIRONMENT …] [FULL] [TOGETHER n])
 # One ctest entry per GoogleTest program. FULL: only with `deploy/check --full` (label "full"). TOGETHER: as
-# for a library.
+# for a library, 1 unless said.
 function(rg_test name)
   if(NOT RG_TESTS)
     return()
   endif()
-  cmake_parse_arguments(A "FULL;TOGETHER" "TIMEOUT" "SOURCES;DEPS;LABELS;ENVIRONMENT" ${ARGN})
+  cmake_parse_arguments(A "FULL" "TIMEOUT;TOGETHER" "SOURCES;DEPS;LABELS;ENVIRONMENT" ${ARGN})
   rg_executable(${name} SOURCES ${A_SOURCES} DEPS ${A_DEPS} GTest::gtest GTest::gmock GTest::gtest_main)
   if(A_TOGETHER)
-    rg_compile_together(${name})
+    rg_compile_together(${name} ${A_TOGETHER})
   endif()
   add_test(NAME ${name} COMMAND ${name} WORKING_DIRECTORY ${CMAKE_SOURCE_DIR})
   if(NOT A_TIMEOUT)

@@ -1,6 +1,7 @@
 # Shared by deploy/check and deploy/quickstart: packages and build. Sourced, not run.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
+source deploy/progress.sh
 
 say() { printf '\n== %s\n' "$*" >&2; }
 
@@ -24,12 +25,22 @@ install_packages() {
   as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
 }
 
-# build PRESET [cmake options… -- targets…]
+# How many compilers at once: one per core, but 1.7 GB of memory for each: the largest units take that.
+build_jobs() {
+  local cores fit
+  cores=$(nproc)
+  fit=$(awk '/^MemAvailable:/ {print int($2 / 1700000)}' /proc/meminfo)
+  [ "$fit" -lt 1 ] && fit=1
+  echo $((fit < cores ? fit : cores))
+}
+
+# build PRESET [cmake options… -- targets…]: shows how it goes, and the compiler's own words when something is wrong.
 build() {
-  local preset=$1; shift
+  local preset=$1 jobs; shift
   local options=() ; while [ $# -gt 0 ] && [ "$1" != -- ]; do options+=("$1"); shift; done
   [ "${1:-}" = -- ] && shift
-  say "building ($preset, $(nproc) cores)"
+  jobs=$(build_jobs)
+  say "building ($preset, $jobs at a time)${*:+: $*}"
   cmake --preset "$preset" "${options[@]}" >/dev/null
-  cmake --build "build/$preset" -j "$(nproc)" ${*:+--target "$@"} >&2
+  ninja -C "build/$preset" -j "$jobs" "$@" 2>&1 | show_progress building "$(ninja -C "build/$preset" -n "$@")" "$jobs"
 }

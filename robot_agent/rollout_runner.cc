@@ -21,10 +21,6 @@ using nlohmann::json;
 
 std::vector<double> ToVector(const Eigen::VectorXd& x) { return {x.data(), x.data() + x.size()}; }
 
-Eigen::VectorXd ToEigen(const std::vector<double>& x) {
-  return Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size()));
-}
-
 Status CheckSize(const char* what, const Eigen::VectorXd& x, int n) {
   if (x.size() == n) return Status::Ok();
   return InvalidError(std::string("rollout: ") + what + " has " + std::to_string(x.size()) + " entries for " +
@@ -142,6 +138,10 @@ Status GoToStart(Driver& driver, const RolloutInput& input, const ProgressFn& pr
 }
 
 }  // namespace
+
+Eigen::VectorXd ToEigen(const std::vector<double>& x) {
+  return Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size()));
+}
 
 Result<RolloutPlan> PlanRollout(const rollouts::RolloutSpec& spec, const AgentConfig& config,
                                 const sim::Plant& plant) {

@@ -25,6 +25,9 @@
 
 namespace rg::robot_agent {
 
+// Limits and poses of the configuration as what algorithms take.
+Eigen::VectorXd ToEigen(const std::vector<double>& x);
+
 struct RolloutPlan {
   rollouts::RolloutSpec spec;  // start and goal filled in
   SafetyLimits limits;

@@ -18,10 +18,6 @@ namespace {
 
 using nlohmann::json;
 
-Eigen::VectorXd ToEigen(const std::vector<double>& x) {
-  return Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size()));
-}
-
 // Start, goal and duration are the motion's; nothing is added to it.
 rollouts::RolloutSpec SpecOf(const rollouts::ReferenceMotion& motion, rollouts::RolloutSpec spec) {
   spec.start = motion.q.col(0);

@@ -24,7 +24,7 @@ namespace pb = realitygrad::v1;
 
 constexpr int kProgressEveryMs = 200;
 constexpr size_t kMaxCheckpointBytes = 64u << 20;
-constexpr size_t kMaxLineBytes = 8u << 10;
+constexpr size_t kMaxTextBytes = 8u << 10;
 
 // What the reading thread and the task share.
 class Link {
@@ -113,10 +113,10 @@ class Link {
       last_progress_ns_ = now;
       auto* report = message.mutable_progress();
       report->set_token(token_);
-      report->mutable_progress()->set_stage(CleanUtf8(progress_.stage, kMaxLineBytes));
+      report->mutable_progress()->set_stage(CleanUtf8(progress_.stage, kMaxTextBytes));
       report->mutable_progress()->set_done(progress_.done);
       report->mutable_progress()->set_total(progress_.total);
-      report->mutable_progress()->set_note(CleanUtf8(progress_.note, kMaxLineBytes));
+      report->mutable_progress()->set_note(CleanUtf8(progress_.note, kMaxTextBytes));
     }
     Send(message);
   }
@@ -165,7 +165,7 @@ class ChildContext final : public TaskContext {
     pb::TaskLogLine* out = message.mutable_log()->add_lines();
     out->set_wall_ns(RealClock().WallNanos());
     out->set_attempt(run_.assignment().attempt());
-    out->set_text(CleanUtf8(line, kMaxLineBytes));
+    out->set_text(CleanUtf8(line, kMaxTextBytes));
     link_.Send(message);
   }
   const std::string& scratch_folder() const override { return run_.scratch_folder(); }
@@ -293,7 +293,7 @@ void RunOne(Link& link, const TaskRegistry& registry, const pb::RunTask& run) {
     auto* failed = message.mutable_failed();
     failed->set_token(token);
     failed->set_code(static_cast<uint32_t>(outcome.code()));
-    failed->set_error(CleanUtf8(outcome.ToString(), kMaxLineBytes));
+    failed->set_error(CleanUtf8(outcome.ToString(), kMaxTextBytes));
     failed->set_retryable(TaskFailureIsRetryable(outcome.code()));
     for (std::string& sha256 : damaged) failed->add_damaged_inputs(std::move(sha256));
   }

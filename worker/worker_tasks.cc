@@ -12,7 +12,7 @@ namespace {
 
 namespace pb = realitygrad::v1;
 
-constexpr int64_t kSecond = 1'000'000'000;
+constexpr int64_t kNsPerSecond = 1'000'000'000;
 
 }  // namespace
 
@@ -93,7 +93,7 @@ void Worker::Start(uint64_t, Held& held) {
   held.executor = executor;
   held.stage = Stage::kRunning;
   if (held.assignment.timeout_s() > 0.0) {
-    held.deadline_ns = now() + static_cast<int64_t>(held.assignment.timeout_s() * kSecond);
+    held.deadline_ns = now() + static_cast<int64_t>(held.assignment.timeout_s() * kNsPerSecond);
   }
   const Status sent = executor->Run(run);
   if (sent.code() == StatusCode::kResourceExhausted) {  // too large a payload
@@ -199,7 +199,7 @@ void Worker::HandleExecutorEnd(Executor& executor) {
 void Worker::Interrupt(Held& held) {
   if (held.executor == nullptr || held.kill_at_ns > 0) return;
   held.executor->Cancel();
-  held.kill_at_ns = now() + static_cast<int64_t>(options_.cancel_grace_s * kSecond);
+  held.kill_at_ns = now() + static_cast<int64_t>(options_.cancel_grace_s * kNsPerSecond);
 }
 
 void Worker::EnforceDeadlines() {

@@ -18,7 +18,7 @@ using internal::ExportFigures;
 using internal::JointFigures;
 using model::Pose;
 
-const std::vector<internal::Coverage>& Covered() {
+const std::vector<internal::Coverage>& MjcfCovers() {
   static const std::vector<internal::Coverage> rows = {
       {"viscous_friction", nullptr},
       {"coulomb_friction", nullptr},
@@ -216,7 +216,7 @@ Result<ExportedModel> ExportMjcf(const Plant& plant, const VectorXd& values, dou
   RG_RETURN_IF_ERROR(CheckMjcf(plant, figures));
   ExportedModel out;
   out.text = MjcfWriter(plant, figures).Write(step_s);
-  out.left_out = internal::LeftOut(plant, values, "MJCF", Covered());
+  out.left_out = internal::LeftOut(plant, values, "MJCF", MjcfCovers());
   NoteInertias(plant, figures, &out.left_out);
   return out;
 }

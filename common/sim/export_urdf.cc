@@ -15,7 +15,7 @@ using internal::ExactNumber;
 using internal::ExportFigures;
 using internal::JointFigures;
 
-const std::vector<internal::Coverage>& Covered() {
+const std::vector<internal::Coverage>& UrdfCovers() {
   static const std::vector<internal::Coverage> rows = {
       {"viscous_friction", nullptr},
       {"coulomb_friction", nullptr},
@@ -112,7 +112,7 @@ Result<ExportedModel> ExportUrdf(const Plant& plant, const VectorXd& values) {
   ExportedModel out;
   out.text = printer.Str();
   NoteParameters(plant, values, figures, &out.left_out);
-  for (std::string& line : internal::LeftOut(plant, values, "URDF", Covered()))
+  for (std::string& line : internal::LeftOut(plant, values, "URDF", UrdfCovers()))
     out.left_out.push_back(std::move(line));
   return out;
 }

@@ -9,7 +9,7 @@
 namespace rg::store {
 namespace {
 
-constexpr std::string_view kColumns =
+constexpr std::string_view kArtifactColumns =
     "SELECT a.id, a.sha256, a.kind, a.version, a.size_bytes, a.chunks, a.created_ns, a.metadata_json,"
     " a.job_id, a.task_id FROM artifact a ";
 
@@ -56,7 +56,8 @@ Result<ArtifactStore::Row> ArtifactStore::Find(const std::string& sha256) {
   RG_RETURN_IF_ERROR(CheckSha256Text(sha256));
   Row row;
   {
-    RG_ASSIGN_OR_RETURN(Statement query, database_->Prepare(std::string(kColumns) + "WHERE a.sha256 = ?"));
+    RG_ASSIGN_OR_RETURN(Statement query,
+                        database_->Prepare(std::string(kArtifactColumns) + "WHERE a.sha256 = ?"));
     query.Bind(1, sha256);
     RG_ASSIGN_OR_RETURN(const bool found, query.Step());
     if (!found) return NotFoundError("artefact " + sha256 + ": not in the store");
@@ -69,7 +70,8 @@ Result<ArtifactStore::Row> ArtifactStore::Find(const std::string& sha256) {
 Result<ArtifactStore::Row> ArtifactStore::FindById(int64_t id) {
   Row row;
   {
-    RG_ASSIGN_OR_RETURN(Statement query, database_->Prepare(std::string(kColumns) + "WHERE a.id = ?"));
+    RG_ASSIGN_OR_RETURN(Statement query,
+                        database_->Prepare(std::string(kArtifactColumns) + "WHERE a.id = ?"));
     query.Bind(1, id);
     RG_ASSIGN_OR_RETURN(const bool found, query.Step());
     if (!found) return NotFoundError("artefact row " + std::to_string(id) + ": not in the store");
@@ -113,7 +115,7 @@ Result<std::vector<ArtifactInfo>> ArtifactStore::List(const ArtifactFilter& filt
   std::vector<Row> rows;
   {
     RG_ASSIGN_OR_RETURN(Statement query,
-                        database_->Prepare(std::string(kColumns) +
+                        database_->Prepare(std::string(kArtifactColumns) +
                                            "WHERE (?1 = '' OR a.kind = ?1) AND (?2 = '' OR a.id IN"
                                            " (SELECT artifact FROM artifact_producer WHERE job_id = ?2))"
                                            " ORDER BY a.id DESC LIMIT ?3"));

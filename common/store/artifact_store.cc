@@ -12,7 +12,7 @@ namespace rg::store {
 namespace {
 
 // Frozen. artifact.id is the id its upload was given; chunk k of it is row id * 2^20 + k.
-constexpr std::string_view kVersion1 = R"sql(
+constexpr std::string_view kArtifactsVersion1 = R"sql(
 CREATE TABLE artifact_upload (
   id INTEGER PRIMARY KEY AUTOINCREMENT,
   token TEXT NOT NULL);
@@ -87,7 +87,7 @@ std::string ChunkChecksum(std::string_view bytes) {
   return sum;
 }
 
-Module ArtifactStore::Schema() { return {"artifacts", {{1, kVersion1}}}; }
+Module ArtifactStore::Schema() { return {"artifacts", {{1, kArtifactsVersion1}}}; }
 
 Result<std::unique_ptr<ArtifactStore>> ArtifactStore::Open(Database* database, const Clock* clock,
                                                            ArtifactStoreOptions options) {

@@ -11,7 +11,7 @@ namespace rg::store {
 namespace {
 
 // Frozen.
-constexpr std::string_view kVersion1 = R"sql(
+constexpr std::string_view kParametersVersion1 = R"sql(
 CREATE TABLE parameter_version (
   id INTEGER PRIMARY KEY AUTOINCREMENT,
   robot TEXT NOT NULL,
@@ -30,7 +30,7 @@ CREATE TABLE parameter_version (
   UNIQUE (robot, version));
 )sql";
 
-constexpr std::string_view kColumns =
+constexpr std::string_view kParameterColumns =
     "SELECT id, robot, version, parent_version, source, recording_sha256, model_sha256, residual_before,"
     " residual_after, created_ns, job_id, note, values_json FROM parameter_version ";
 
@@ -148,7 +148,7 @@ Result<std::vector<ParameterValue>> ParseParameterValues(std::string_view json) 
   return values;
 }
 
-Module ParameterStore::Schema() { return {"parameters", {{1, kVersion1}}}; }
+Module ParameterStore::Schema() { return {"parameters", {{1, kParametersVersion1}}}; }
 
 Status ParameterStore::CheckNew(const ParameterVersion& version) {
   if (version.robot.empty()) return InvalidError("parameter version without a robot's name");
@@ -172,7 +172,7 @@ Result<ParameterVersion> ParameterStore::Add(const ParameterVersion& version, co
   RG_RETURN_IF_ERROR(database_->InTransaction([&]() -> Status {
     if (!key.empty()) {
       RG_ASSIGN_OR_RETURN(Statement query,
-                          database_->Prepare(std::string(kColumns) + "WHERE idempotency_key = ?"));
+                          database_->Prepare(std::string(kParameterColumns) + "WHERE idempotency_key = ?"));
       query.Bind(1, key);
       auto earlier = ReadOne(&query, "");
       if (!earlier.ok() && earlier.status().code() != StatusCode::kNotFound) return earlier.status();
@@ -229,7 +229,7 @@ Result<std::vector<std::string>> ParameterStore::Robots() {
 }
 
 Result<std::vector<ParameterVersion>> ParameterStore::History(const std::string& robot, int limit) {
-  RG_ASSIGN_OR_RETURN(Statement query, database_->Prepare(std::string(kColumns) +
+  RG_ASSIGN_OR_RETURN(Statement query, database_->Prepare(std::string(kParameterColumns) +
                                                           "WHERE robot = ? ORDER BY version DESC LIMIT ?"));
   query.Bind(1, robot).Bind(2, limit > 0 ? limit : -1);
   std::vector<ParameterVersion> versions;
@@ -239,7 +239,7 @@ Result<std::vector<ParameterVersion>> ParameterStore::History(const std::string&
 
 Result<ParameterVersion> ParameterStore::Show(const std::string& robot, int version) {
   RG_ASSIGN_OR_RETURN(Statement query,
-                      database_->Prepare(std::string(kColumns) +
+                      database_->Prepare(std::string(kParameterColumns) +
                                          "WHERE robot = ?1 AND version = CASE ?2 WHEN 0"
                                          " THEN (SELECT max(version) FROM parameter_version WHERE robot = ?1)"
                                          " ELSE ?2 END"));

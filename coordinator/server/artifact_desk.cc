@@ -10,7 +10,6 @@ namespace pb = realitygrad::v1;
 using Json = nlohmann::json;
 using transport::Is;
 using transport::MakeReply;
-using transport::Message;
 using transport::Sender;
 using transport::Unpack;
 
@@ -155,7 +154,8 @@ Result<pb::DiffParametersReply> Diff(store::ParameterStore& parameters,
 
 // Unpacks, calls, and packs the reply or the error.
 template <class Body, class Store, class Function>
-Message Serve(const Sender& self, const Message& request, Store& store, Function function) {
+transport::Message Serve(const Sender& self, const transport::Message& request, Store& store,
+                         Function function) {
   auto body = Unpack<Body>(request);
   if (!body.ok()) return MakeErrorReply(self, request, body.status());
   auto reply = function(store, *body);
@@ -163,18 +163,20 @@ Message Serve(const Sender& self, const Message& request, Store& store, Function
   return MakeReply(self, request, *reply);
 }
 
-Message OrError(const Sender& self, const Message& request, Result<Message> reply) {
+transport::Message OrError(const Sender& self, const transport::Message& request,
+                           Result<transport::Message> reply) {
   return reply.ok() ? *std::move(reply) : MakeErrorReply(self, request, reply.status());
 }
 
 }  // namespace
 
-bool ArtifactDesk::Writes(const Message& request) {
+bool ArtifactDesk::Writes(const transport::Message& request) {
   return Is<pb::PutArtifactRequest>(request) || Is<pb::GcArtifactsRequest>(request) ||
          Is<pb::PinArtifactRequest>(request);
 }
 
-std::optional<Message> ArtifactDesk::Answer(const Sender& self, const Message& request) {
+std::optional<transport::Message> ArtifactDesk::Answer(const Sender& self,
+                                                       const transport::Message& request) {
   if (Is<pb::PutArtifactRequest>(request)) return OrError(self, request, Put(self, request));
   if (Is<pb::GetArtifactRequest>(request)) return OrError(self, request, Get(self, request));
   if (Is<pb::ShowArtifactRequest>(request)) {
@@ -207,7 +209,7 @@ std::optional<Message> ArtifactDesk::Answer(const Sender& self, const Message& r
   return std::nullopt;
 }
 
-Result<Message> ArtifactDesk::Put(const Sender& self, const Message& request) {
+Result<transport::Message> ArtifactDesk::Put(const Sender& self, const transport::Message& request) {
   RG_ASSIGN_OR_RETURN(const auto body, Unpack<pb::PutArtifactRequest>(request));
   const std::string key = request.envelope.sender_id() + "/" + body.upload_id();
   pb::PutArtifactReply reply;
@@ -252,7 +254,7 @@ Result<Message> ArtifactDesk::Put(const Sender& self, const Message& request) {
   return MakeReply(self, request, reply);
 }
 
-Result<Message> ArtifactDesk::Get(const Sender& self, const Message& request) {
+Result<transport::Message> ArtifactDesk::Get(const Sender& self, const transport::Message& request) {
   RG_ASSIGN_OR_RETURN(const auto body, Unpack<pb::GetArtifactRequest>(request));
   RG_ASSIGN_OR_RETURN(const auto info, artifacts_->Info(body.sha256()));
   const int64_t limit = body.limit_bytes() == 0
@@ -268,7 +270,7 @@ Result<Message> ArtifactDesk::Get(const Sender& self, const Message& request) {
   reply.set_offset(body.offset());
   reply.set_size_bytes(static_cast<uint64_t>(info.size_bytes));
   if (body.offset() == 0) *reply.mutable_info() = ToProto(info);
-  Message message = MakeReply(self, request, reply);
+  transport::Message message = MakeReply(self, request, reply);
   message.attachment = std::move(bytes);
   return message;
 }

@@ -18,6 +18,9 @@ namespace rg::cli {
 
 class Context;
 
+// All that the program has: every_command.cc for realitygrad, first_commands.cc for first/realitygrad.
+void AddCommands(CLI::App& app, Context& context);
+
 void AddJobCommands(CLI::App& app, Context& context);        // jobs, job …, workers, explain
 void AddParameterCommands(CLI::App& app, Context& context);  // params …
 void AddExportCommand(CLI::App& params, Context& context);   // params export

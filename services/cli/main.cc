@@ -62,21 +62,7 @@ int main(int argc, char** argv) {
     context.output = *format;
   });
   AddServiceHelp(app);
-  rg::cli::AddRunCommand(app, context);
-  rg::cli::AddProveCommand(app, context);
-  rg::cli::AddModelCommands(app, context);
-  rg::cli::AddCheckCommand(app, context);
-  rg::cli::AddDiagnoseCommand(app, context);
-  rg::cli::AddImportCommands(app, context);
-  rg::cli::AddEffectsCommand(app, context);
-  rg::cli::AddSubmitCommands(app, context);
-  rg::cli::AddJobCommands(app, context);
-  rg::cli::AddParameterCommands(app, context);
-  rg::cli::AddPolicyCommands(app, context);
-  rg::cli::AddArtifactCommands(app, context);
-  rg::cli::AddExperimentCommand(app, context);
-  rg::cli::AddBenchCommand(app, context);
-  rg::cli::AddSystemCommands(app, context);
+  rg::cli::AddCommands(app, context);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -16,6 +16,7 @@
 #include "services/cli/interrupt.h"
 #include "services/cli/process_pool.h"
 #include "services/cli/progress_display.h"
+#include "services/cli/proof_generator.h"
 #include "services/cli/robot_profile.h"
 #include "services/proof/concealed.h"
 #include "services/proof/examination.h"
@@ -115,9 +116,7 @@ class Examiner {
   // One process of the generator per few cases: a case depends on seed and number alone. Runs that were
   // interrupted go on where they were.
   Status MakeSets() {
-    const std::string maker = SiblingProgram("realitygrad-proof-generator");
-    if (!fs::exists(maker))
-      return FailedPreconditionError(maker + " is not there: it is built where DART is (libdart-dev)");
+    const std::string maker = SiblingProgram(kProofGenerator);
     std::vector<PooledProcess> makers;
     // `own`: flags of this kind of cases, beside where they go and which they are.
     const auto add = [&](int first, int count, const std::vector<std::string>& own) {
@@ -246,6 +245,9 @@ Status Prove(Context& context, ProveArguments& arguments) {
   }
   if (arguments.jobs <= 0)
     arguments.jobs = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
+  if (const std::string maker = SiblingProgram(kProofGenerator); !fs::exists(maker))
+    return FailedPreconditionError(
+        maker + " is not there: it needs DART. This makes it: " + HowToGetProofGenerator());
   RG_ASSIGN_OR_RETURN(const Settings settings, context.Resolve());
   Examiner examiner(context, arguments, RobotsFolder(settings));
   RG_ASSIGN_OR_RETURN(const proof::ProofRecord record, examiner.Run());

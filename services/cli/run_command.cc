@@ -142,6 +142,8 @@ void Run(Context& context, RunArguments& arguments) {
                 " job show");
     while (status.ok() && static_cast<int>(run.results.size()) < run.iterations) {
       status = RunIteration(service, profile, &run, quiet);
+      if (status.ok() && !quiet && static_cast<int>(run.results.size()) < run.iterations)
+        PrintNote(IterationsTable(run.results));
       if (!status.ok() && !Interrupted()) {
         if (const Status child = service.Check(); !child.ok()) status = child;
       }

@@ -9,6 +9,7 @@
 #include "realitygrad/v1/control.pb.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
+#include "services/cli/proof_generator.h"
 #include "services/cli/robot_profile.h"
 
 namespace rg::cli {
@@ -55,6 +56,13 @@ Finding CheckProgram(const std::string& name) {
   const bool there = fs::exists(path);
   return {"program " + name, there ? path : path + " is missing: build it, or install it beside realitygrad",
           there, true};
+}
+
+Finding CheckProofGenerator() {
+  const std::string path = SiblingProgram(kProofGenerator);
+  const bool there = fs::exists(path);
+  return {std::string("program ") + kProofGenerator,
+          there ? path : "only `prove` needs it; this makes it: " + HowToGetProofGenerator(), there, false};
 }
 
 Finding CheckRobots(const Settings& settings) {
@@ -108,6 +116,7 @@ void Doctor(Context& context) {
                                          CheckProgram("realitygrad-worker"),
                                          CheckProgram("realitygrad-agent"),
                                          CheckProgram("realitygrad-simulated-robot"),
+                                         CheckProofGenerator(),
                                          CheckRobots(*settings),
                                          CheckScratch(),
                                          CheckProcessor(),

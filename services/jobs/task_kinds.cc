@@ -1,25 +1,16 @@
 #include "services/jobs/task_kinds.h"
 
-#include "services/jobs/adopt_task.h"
 #include "services/jobs/diagnose_task.h"
 #include "services/jobs/fit_task.h"
-#include "services/jobs/identify_tasks.h"
 #include "services/jobs/kinds.h"
-#include "services/jobs/learning_tasks.h"
 #include "worker/task_registry.h"
 
 namespace rg::jobs {
 
 void RegisterWorkerKinds(worker::TaskRegistry* registry) {
-  registry->Register(kKindTrajectories, RunTrajectories);
-  registry->Register(kKindTrain, RunTrain);
-  registry->Register(kKindAggregate, RunAggregate);
-  registry->Register(kKindExamine, RunExamine);
-  registry->Register(kKindIdentify, RunIdentify);
-  registry->Register(kKindConclude, RunConclude);
+  RegisterIterationKinds(registry);
   registry->Register(kKindDiagnose, RunDiagnose);
   registry->Register(kKindFit, MakeFitTask());
-  registry->Register(kKindAdopt, RunAdopt);
 }
 
 }  // namespace rg::jobs

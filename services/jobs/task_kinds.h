@@ -7,7 +7,9 @@ class TaskRegistry;
 
 namespace rg::jobs {
 
-// trajectories, train, identify, conclude: everything that any worker can do.
+// trajectories, train, identify, conclude …: what an iteration without --diagnose takes.
+void RegisterIterationKinds(worker::TaskRegistry* registry);
+// Everything that any worker can do.
 void RegisterWorkerKinds(worker::TaskRegistry* registry);
 
 }  // namespace rg::jobs

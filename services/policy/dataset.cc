@@ -7,7 +7,7 @@
 namespace rg::policy {
 namespace {
 
-constexpr std::string_view kFormat = "realitygrad.dataset/1";
+constexpr std::string_view kDatasetFormat = "realitygrad.dataset/1";
 
 Status CheckFinite(const Eigen::MatrixXf& values, const char* what) {
   if (values.allFinite()) return Status::Ok();
@@ -77,7 +77,7 @@ Status Append(Dataset* dataset, const Dataset& more) {
 }
 
 std::string SerializeDataset(const Dataset& d) {
-  ByteWriter out(kFormat);
+  ByteWriter out(kDatasetFormat);
   out.Put(static_cast<uint32_t>(d.inputs.rows()));
   out.Put(static_cast<uint32_t>(d.outputs.rows()));
   out.Array(d.trajectory.data(), d.trajectory.size());
@@ -87,7 +87,7 @@ std::string SerializeDataset(const Dataset& d) {
 }
 
 Result<Dataset> ParseDataset(std::string_view bytes, const std::string& source) {
-  RG_ASSIGN_OR_RETURN(ByteReader in, ByteReader::Open(bytes, kFormat, source));
+  RG_ASSIGN_OR_RETURN(ByteReader in, ByteReader::Open(bytes, kDatasetFormat, source));
   uint32_t input_size = 0, output_size = 0;
   std::vector<float> inputs, outputs;
   Dataset d;

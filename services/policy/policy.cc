@@ -9,7 +9,7 @@
 namespace rg::policy {
 namespace {
 
-constexpr std::string_view kFormat = "realitygrad.policy/1";
+constexpr std::string_view kPolicyFormat = "realitygrad.policy/1";
 constexpr uint32_t kMaxLayers = 16;
 
 int FirstNotFinite(std::span<const double> values) {
@@ -137,7 +137,7 @@ EvaluateOutcome Policy::Evaluate(std::span<const double> in, std::span<double> o
 
 std::string SerializePolicy(const Policy& policy) {
   const Policy::Parts& p = policy.parts();
-  ByteWriter out(kFormat);
+  ByteWriter out(kPolicyFormat);
   out.Put(static_cast<uint32_t>(p.joints.size()));
   for (const std::string& joint : p.joints) out.Text(joint);
   out.Put(static_cast<int32_t>(p.encoding.inputs));
@@ -157,7 +157,7 @@ std::string SerializePolicy(const Policy& policy) {
 }
 
 Result<Policy> ParsePolicy(std::string_view bytes, const std::string& source) {
-  RG_ASSIGN_OR_RETURN(ByteReader in, ByteReader::Open(bytes, kFormat, source));
+  RG_ASSIGN_OR_RETURN(ByteReader in, ByteReader::Open(bytes, kPolicyFormat, source));
   Policy::Parts p;
   uint32_t joints = 0;
   RG_RETURN_IF_ERROR(in.Get(&joints));

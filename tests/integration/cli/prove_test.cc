@@ -1,5 +1,6 @@
 // `realitygrad prove` at its smallest: sets are made by the other engine, sealed, diagnosed and marked by
 // real processes, and a second run goes on instead of starting anew.
+#include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <sstream>
@@ -26,6 +27,22 @@ std::vector<double> Column(const std::string& file, const std::string& begins) {
     out.push_back(std::stod(cell));
   }
   return out;
+}
+
+TEST(Prove, WithoutItsGeneratorSaysTheCommandThatMakesItAndLeavesNothing) {
+  const ScratchFolder scratch;
+  std::filesystem::copy_file(BinDir() + "/realitygrad", scratch / "realitygrad");
+  const std::string command =
+      "cd " + scratch.path() + " && ./realitygrad prove --quick --out p >out 2>err; test $? = 1";
+  EXPECT_EQ(std::system(command.c_str()), 0);
+  const std::string said = ReadFile(scratch / "err").value();
+  EXPECT_EQ(std::count(said.begin(), said.end(), '\n'), 1) << said;
+  EXPECT_NE(said.find("apt-get install -y libdart-dev libdart-utils-urdf-dev && cmake -S "),
+            std::string::npos)
+      << said;
+  EXPECT_NE(said.find("--target realitygrad-proof-generator\n"), std::string::npos) << said;
+  EXPECT_EQ(ReadFile(scratch / "out").value(), "");
+  EXPECT_FALSE(std::filesystem::exists(scratch / "p"));
 }
 
 TEST(Prove, SealsDiagnosesMarksAndGoesOn) {

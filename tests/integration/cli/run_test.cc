@@ -65,7 +65,8 @@ TEST(Run, ClosesTheGapOfTheFirstIterationAndKeepsEverything) {
 
 TEST(Run, StoppedByCtrlCGoesOnWhereItWas) {
   const ScratchFolder scratch;
-  const std::string program = BinDir() + "/realitygrad";
+  // Begun with the programs that deploy/quickstart builds first, gone on with by the complete ones.
+  const std::string program = BinDir() + "/../first/realitygrad";
   const pid_t pid = fork();
   if (pid == 0) {
     if (chdir(scratch.path().c_str()) != 0) _exit(9);
@@ -89,6 +90,15 @@ TEST(Run, StoppedByCtrlCGoesOnWhereItWas) {
   EXPECT_EQ(json::parse(again.out)["iterations"].size(), 1u);
   // One job, not two: the second start found the first one's.
   EXPECT_EQ(json::parse(RunProgram(scratch, "--coordinator r jobs --output json").out)["jobs"].size(), 1u);
+}
+
+TEST(FirstPrograms, RunAnIterationByThemselves) {
+  const ScratchFolder scratch;
+  const std::string command = "cd " + scratch.path() + " && " + BinDir() +
+                              "/../first/realitygrad run --iterations 1 --dir r --output quiet" + kSmall +
+                              " 2>err";
+  EXPECT_EQ(std::system(command.c_str()), 0) << ReadFile(scratch / "err").value();
+  EXPECT_TRUE(std::filesystem::exists(scratch / "r/report.html"));
 }
 
 TEST(Run, RefusesImpossibleOptionsBeforeAnythingStarts) {

@@ -1,0 +1,24 @@
+// The commands of `realitygrad`, in the order of its help.
+#include "services/cli/commands.h"
+
+namespace rg::cli {
+
+void AddCommands(CLI::App& app, Context& context) {
+  AddRunCommand(app, context);
+  AddProveCommand(app, context);
+  AddModelCommands(app, context);
+  AddCheckCommand(app, context);
+  AddDiagnoseCommand(app, context);
+  AddImportCommands(app, context);
+  AddEffectsCommand(app, context);
+  AddSubmitCommands(app, context);
+  AddJobCommands(app, context);
+  AddParameterCommands(app, context);
+  AddPolicyCommands(app, context);
+  AddArtifactCommands(app, context);
+  AddExperimentCommand(app, context);
+  AddBenchCommand(app, context);
+  AddSystemCommands(app, context);
+}
+
+}  // namespace rg::cli
