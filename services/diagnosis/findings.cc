@@ -234,9 +234,11 @@ class Speaker {
     }
   }
 
+  // One sentence: what a joint or two have in their effect's own words, what more have as a list.
   std::string StatementOf(const std::string& id, const Finding& f) const {
     std::map<std::string, std::map<std::string, double>> by_owner;
     for (const ParameterEstimate& p : f.parameters) by_owner[p.owner][p.name] = p.value;
+    if (by_owner.size() >= kManyJoints && by_owner.count("*") == 0) return StatementOfMany(id, f);
     std::string text;
     for (const auto& [owner, values] : by_owner) {
       const int joint = nominal_.model().FindJoint(owner);
@@ -249,6 +251,22 @@ class Speaker {
     if (f.effect == "unknown_field" && f.parameters.empty())
       return effects::Sentence(SpecOf(id, "*"), Listed(f.joints), false, {});
     return text.empty() ? effects::FindEffect(id)->title + "." : text;
+  }
+
+  // "Coulomb friction that the model does not have on all 6 joints: joint_1 1.23 N*m, …".
+  std::string StatementOfMany(const std::string& id, const Finding& f) const {
+    std::string list;
+    for (const std::string& joint : f.joints) {
+      std::string values;
+      for (const ParameterEstimate& p : f.parameters) {
+        if (p.owner != joint) continue;
+        values += (values.empty() ? " " : " / ") + Number(p.value) + (p.unit == "-" ? "" : " " + p.unit);
+      }
+      list += (list.empty() ? "" : ", ") + joint + values;
+    }
+    const std::string count = std::to_string(f.joints.size());
+    return effects::FindEffect(id)->title + " that the model does not have on " +
+           (f.joints.size() == r_.joints.size() ? "all " + count : count) + " joints: " + list + ".";
   }
 
   void FillClass(const std::string& id, Finding* f) {

@@ -31,6 +31,7 @@ constexpr double kRivalShare = 0.25;  // of what parameters explain, by the scre
 constexpr double kNoisiest = 4.0;     // variance over the sensors' own: more is motion that no force follows
 constexpr int kDriveIterations = 12;  // of fits that begin far off, with all joints' friction and rotors
 constexpr double kNear = 0.1;         // of what is amiss, that drives leave where more than they is missing
+constexpr double kSomething = 0.5;    // the same, of friction and rotors that have to do with it at all
 constexpr double kLate = 0.01;        // s, where a fit of lags or delays begins
 const std::vector<std::string> kDriveGroup = {"viscous_friction", "coulomb_friction", "rotor_inertia"};
 constexpr size_t kPromised = 3;       // by a screen, that are fitted without a trial
@@ -152,21 +153,24 @@ class Search {
   }
 
   // What all drives of one robot have in common, before single effects: where it brings the model within
-  // reach of the recordings, or most of the way, the search goes on from there.
+  // reach of the recordings, or most of the way, the search goes on from there. Free base parameters, and
+  // drives that are late, only beside what explains something.
   void BeginWithDrives(Candidate* best) {
     Tell("drives", 0.08, KeyOf(best->specs));
     Candidate winner = *best;
-    winner.score = kNoScore;
     for (const bool base : {false, true}) {
       const Candidate start = RegressedGroup(data_, nominal_, scales_, kDriveGroup, base);
       if (!start.fit.ok || start.specs.size() == given_.size() || fits_.Late()) continue;
-      winner = Better(winner, fits_.Evaluate(start.specs, base, base ? &start : nullptr, kDriveIterations));
+      const Candidate c = fits_.Evaluate(start.specs, base, base ? &start : nullptr, kDriveIterations);
+      if (!(fits_.Excess(c) < kSomething * fits_.Excess(*best))) break;
+      winner = Better(winner, c);
       if (fits_.PerRow(winner) < kHolds) break;
     }
-    if (winner.score > kNoScore && fits_.PerRow(winner) > kExplained) winner = WithLateDrives(winner);
-    const bool near = winner.score > kNoScore && (fits_.PerRow(winner) < kHolds ||
-                                                  fits_.Excess(winner) < kNear * fits_.Excess(*best));
-    Tell("drives", 0.09, KeyOf(winner.specs) + (near ? " taken" : " left"));
+    if (winner.specs.size() == best->specs.size()) return;
+    if (fits_.PerRow(winner) > kExplained) winner = WithLateDrives(winner);
+    const bool near =
+        fits_.PerRow(winner) < kHolds || fits_.Excess(winner) < kNear * fits_.Excess(*best);
+    Tell("drives", 0.09, KeyOf(winner.specs) + (near ? "taken" : "left"));
     if (near && winner.score > best->score + Threshold(*best, winner)) *best = winner;
   }
 

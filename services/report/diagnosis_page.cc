@@ -23,31 +23,9 @@ std::string Joined(const std::vector<std::string>& parts) {
   return out;
 }
 
-std::string Unit(std::string unit) {
-  for (size_t at; (at = unit.find('*')) != std::string::npos;) unit.replace(at, 1, "·");
-  return unit;
-}
-
-// One sentence for a finding: its statement, or, where it acts on many joints, their values in a row.
-std::string Sentence(const Finding& f) {
-  if (f.joints.size() <= 2 || f.effect == "parameters_only" || f.parameters.empty()) return f.statement;
-  std::string name = f.effect;
-  std::replace(name.begin(), name.end(), '_', ' ');
-  name[0] = static_cast<char>(std::toupper(name[0]));
-  std::string text =
-      name + " on " + std::to_string(f.joints.size()) + " joints that the model does not have: ";
-  std::string last;
-  for (const std::string& joint : f.joints) {
-    std::string values;
-    for (const auto& p : f.parameters) {
-      if (p.owner == joint)
-        values +=
-            (values.empty() ? "" : " / ") + FormatNumber(p.value) + (p.unit == "-" ? "" : " " + Unit(p.unit));
-    }
-    text += (last.empty() ? "" : ", ") + joint + (values.empty() ? "" : " " + values);
-    last = joint;
-  }
-  return text + ".";
+std::string WithDots(std::string units) {
+  for (size_t at; (at = units.find('*')) != std::string::npos;) units.replace(at, 1, "·");
+  return units;
 }
 
 // "coulomb_friction (joint_1, joint_2) + payload" with long lists of joints counted.
@@ -68,7 +46,7 @@ std::string ShortName(const std::string& name) {
 
 // The sentence with how sure it is, and with what it may be instead.
 std::string Claim(const Finding& f, bool motion) {
-  std::string text = Sentence(f) + " (confidence " + FormatNumber(f.confidence, 2) + ")";
+  std::string text = WithDots(f.statement) + " (confidence " + FormatNumber(f.confidence, 2) + ")";
   if (f.effect_class.size() < 2) return text;
   const std::vector<std::string> others(f.effect_class.begin() + 1, f.effect_class.end());
   return text + " Or it is " + Joined(others) + ": these recordings cannot tell" +
