@@ -46,6 +46,7 @@ class PlantBuilder {
   void Add(Parameter row, std::vector<ParameterUse> uses);
   Status LayOutProgram();
   void NameInternalStates();
+  double RotorOf(int joint, const Eigen::MatrixXd& M) const;
   void SetReferenceMasses();
 
   std::shared_ptr<PlantData> data_;

@@ -20,6 +20,7 @@
 #include "services/diagnosis/swing_starts.h"
 #include "services/diagnosis/words.h"
 #include "services/sysid/parallel.h"
+#include "services/sysid/rotor_start.h"
 #include "services/sysid/sysid_on_set.h"
 
 namespace rg::diagnosis {
@@ -152,6 +153,10 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   const std::string swing =
       NoteOnFreeSwing(search.best.specs, result.holdout.before_rms, result.holdout.after_rms);
   if (!swing.empty() && !HasRod(nominal.effects())) result.notes.push_back(swing);
+  if (result.plant) {
+    for (std::string& note : sysid::NotesOnRotors(*result.plant, result.values))
+      result.notes.push_back(std::move(note));
+  }
   result.elapsed_s = clock.SteadySeconds() - start;
   return result;
 }
