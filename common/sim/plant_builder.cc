@@ -69,7 +69,6 @@ std::shared_ptr<const PlantData> PlantBuilder::Take() { return std::move(data_);
 
 Status PlantBuilder::Build() {
   RG_RETURN_IF_ERROR(TakeRoles());
-  RG_RETURN_IF_ERROR(CheckInertia());
   RG_RETURN_IF_ERROR(CheckEffects());
   LayOutTree();
   AddBaseParameters();
@@ -115,23 +114,6 @@ Status PlantBuilder::CheckRole(const EffectSpec& spec, const std::string& joint)
                        : data_->passive[static_cast<size_t>(j)]
                            ? " has no drive (passive)"
                            : " has its rotor inertia as the parameter armature." + joint));
-}
-
-// A model loads with joints that meet no inertia; what moves them must have some.
-Status PlantBuilder::CheckInertia() const {
-  const model::RobotModel& model = *data_->model;
-  for (const int k : model.joints_without_inertia()) {
-    if (data_->IsPrescribed(k)) continue;
-    const std::string& name = model.joint(k).name;
-    const auto is_its_rotor = [&](const EffectSpec& spec) {
-      return spec.id == "rotor_inertia" && std::count(spec.joints.begin(), spec.joints.end(), name) > 0;
-    };
-    if (std::any_of(data_->effects.begin(), data_->effects.end(), is_its_rotor)) continue;
-    return InvalidError(
-        "joint '" + name + "' moves link '" + model.link(model.joint(k).child_link).name +
-        "', which has no inertia about its axis: simulating it needs rotor_inertia of its drive");
-  }
-  return Status::Ok();
 }
 
 Status PlantBuilder::CheckEffects() const {

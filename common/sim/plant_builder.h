@@ -31,7 +31,6 @@ class PlantBuilder {
 
   Status TakeRoles();
   Status CheckRole(const effects::EffectSpec& spec, const std::string& joint) const;
-  Status CheckInertia() const;
   Status CheckEffects() const;
   int ToolLink() const;
   void LayOutTree();

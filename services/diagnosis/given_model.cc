@@ -57,7 +57,8 @@ Result<sim::Plant> GivenPlant(const recordings::RecordingSet& set,
 
 bool GivenRuns(const sim::Plant& given, const std::optional<sim::ModelFile>& model) {
   if (model) return sysid::Runs(model->plant, model->values);
-  return given.model().joints_without_inertia().empty();
+  const auto& without = given.model().joints_without_inertia();
+  return std::ranges::all_of(without, [&](int j) { return given.IsPrescribed(j); });
 }
 
 std::vector<EffectSpec> GivenEffects(const sim::Plant& given) {

@@ -65,7 +65,8 @@ double FromEfforts(const std::vector<MotionSample>& samples, const dynamics::Mec
 std::vector<std::string> JointsThatDoNotRun(const sim::Plant& plant, const VectorXd& values) {
   std::vector<std::string> out;
   for (const int i : plant.parameters().OfKind(sim::ParameterKind::kArmature)) {
-    if (!(values[i] > 0)) out.push_back(plant.parameters()[i].owner);
+    const bool given = plant.IsPrescribed(plant.model().FindJoint(plant.parameters()[i].owner));
+    if (!given && !(values[i] > 0)) out.push_back(plant.parameters()[i].owner);
   }
   return out;
 }

@@ -12,7 +12,8 @@
 
 namespace rg::sysid {
 
-// Whether the plant can be simulated at these values: every such rotor inertia is positive.
+// Whether the plant can be simulated at these values: every such rotor inertia is positive, but for
+// those of prescribed joints.
 bool Runs(const sim::Plant& plant, const Eigen::VectorXd& values);
 // The joints that keep it from it.
 std::vector<std::string> JointsThatDoNotRun(const sim::Plant& plant, const Eigen::VectorXd& values);
