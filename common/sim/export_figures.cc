@@ -108,6 +108,8 @@ ExportFigures FiguresOf(const Plant& plant, const VectorXd& values) {
     JointFigures& joint = out.joints[static_cast<size_t>(j)];
     joint.damping = ValueOf(plant, values, "damping." + name);
     joint.friction = ValueOf(plant, values, "friction." + name);
+    if (const int rotor = plant.parameters().Find("armature." + name); rotor >= 0)
+      joint.armature = values[rotor];
     joint.gain = ValueOf(plant, values, "force_gain." + name);
     for (const effects::EffectSpec& spec : plant.effects()) {
       for (const std::string& at : spec.joints) {

@@ -4,7 +4,8 @@
 //
 // Names:  gravity.x|y|z           mass.<link>         com_x|y|z.<link>
 //         inertia_xx|yy|zz|xy|xz|yz.<link>            damping.<joint>   friction.<joint>
-//         force_gain.<joint>      <effect id>.<joint>.<parameter>   <effect id>.*.<parameter>
+//         force_gain.<joint>      armature.<joint> of joints whose links have no inertia about their axis
+//         <effect id>.<joint>.<parameter>   <effect id>.*.<parameter>
 #pragma once
 
 #include <Eigen/Core>
@@ -25,6 +26,7 @@ enum class ParameterKind {
   kDamping,       // URDF-declared viscous damping d: tau = -d v
   kFriction,      // URDF-declared Coulomb friction
   kForceGain,     // the paper's P_d: tau = P_d u
+  kArmature,      // rotor inertia where the links bring none, nominal 0: the URDF does not tell it
   kEffect,
 };
 

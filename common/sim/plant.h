@@ -60,7 +60,7 @@ class Plant {
   bool IsPrescribed(int joint) const;
   bool IsPassive(int joint) const;
   // Whether the effect may act on the joint: nothing on a prescribed one, nothing of a drive on a passive
-  // one.
+  // one, no rotor inertia where it is a base parameter (ParameterKind::kArmature).
   bool Takes(std::string_view effect, int joint) const;
   // "bristle.joint_2", "motor_position.joint_3": what z(k) is.
   const std::vector<std::string>& internal_state_names() const;

@@ -69,7 +69,6 @@ std::shared_ptr<const PlantData> PlantBuilder::Take() { return std::move(data_);
 
 Status PlantBuilder::Build() {
   RG_RETURN_IF_ERROR(TakeRoles());
-  RG_RETURN_IF_ERROR(CheckInertia());
   RG_RETURN_IF_ERROR(CheckEffects());
   LayOutTree();
   AddBaseParameters();
@@ -99,6 +98,8 @@ Status PlantBuilder::TakeRoles() {
     }
   }
   std::sort(d.prescribed.begin(), d.prescribed.end());
+  d.without_inertia.assign(static_cast<size_t>(d.model->num_joints()), 0);
+  for (const int joint : d.model->joints_without_inertia()) d.without_inertia[static_cast<size_t>(joint)] = 1;
   return Status::Ok();
 }
 
@@ -110,24 +111,9 @@ Status PlantBuilder::CheckRole(const EffectSpec& spec, const std::string& joint)
   if (seen || data_->Takes(info, j)) return Status::Ok();
   return InvalidError("effect " + spec.id + ": " + joint +
                       (data_->IsPrescribed(j) ? " moves as it is told (prescribed), nothing acts on it"
-                                              : " has no drive (passive)"));
-}
-
-// A model loads with joints that meet no inertia; what moves them must have some.
-Status PlantBuilder::CheckInertia() const {
-  const model::RobotModel& model = *data_->model;
-  for (const int k : model.joints_without_inertia()) {
-    if (data_->IsPrescribed(k)) continue;
-    const std::string& name = model.joint(k).name;
-    const auto is_its_rotor = [&](const EffectSpec& spec) {
-      return spec.id == "rotor_inertia" && std::count(spec.joints.begin(), spec.joints.end(), name) > 0;
-    };
-    if (std::any_of(data_->effects.begin(), data_->effects.end(), is_its_rotor)) continue;
-    return InvalidError(
-        "joint '" + name + "' moves link '" + model.link(model.joint(k).child_link).name +
-        "', which has no inertia about its axis: simulating it needs rotor_inertia of its drive");
-  }
-  return Status::Ok();
+                       : data_->passive[static_cast<size_t>(j)]
+                           ? " has no drive (passive)"
+                           : " has its rotor inertia as the parameter armature." + joint));
 }
 
 Status PlantBuilder::CheckEffects() const {
@@ -254,6 +240,14 @@ void PlantBuilder::AddBaseParameters() {
     const bool passive = data_->passive[static_cast<size_t>(model.FindJoint(j.name))] != 0;
     return Values(passive ? 0.0 : 1.0, -kInfinity, 0.2, "-");
   });
+  for (const int j : model.joints_without_inertia()) {
+    const model::Joint& joint = model.joint(j);
+    const int row = data_->table.size();
+    Add(Row("armature." + joint.name, ParameterKind::kArmature, joint.name, "armature",
+            joint.is_revolute() ? "kg*m^2" : "kg", 0.0, 0.0, kInfinity, 0.1),
+        {});
+    AddLaw(data_->kernel[j], effects::KindOf("rotor_inertia"), 0, {row});
+  }
 }
 
 Status PlantBuilder::AddEffect(const EffectSpec& spec) {
@@ -488,6 +482,13 @@ void PlantBuilder::NameInternalStates() {
   }
 }
 
+// What such a joint's rotor is taken for: its nominal value, or a small part of what others carry.
+double PlantBuilder::RotorOf(int joint, const Eigen::MatrixXd& M) const {
+  constexpr double kSmall = 0.01;
+  const double nominal = data_->table[data_->table.Find("armature." + data_->joint_names[joint])].nominal;
+  return nominal > 0 ? nominal : std::max(1e-9, kSmall * M.diagonal().maxCoeff());
+}
+
 // The median over a fixed set of poses of the inertia each joint's force sees, at nominal parameters.
 void PlantBuilder::SetReferenceMasses() {
   PlantData& d = *data_;
@@ -512,6 +513,8 @@ void PlantBuilder::SetReferenceMasses() {
       q[j] = extra ? 0.0 : rng.Uniform(low, high);
     }
     dynamics::Crba(mechanism, workspace, q, M);
+    for (const int j : d.model->joints_without_inertia())
+      M(d.first_joint + j, d.first_joint + j) += RotorOf(j, M);
     const Eigen::MatrixXd inverse = M.inverse();
     for (int j = 0; j < n; ++j) {
       const double mass = 1.0 / inverse(j, j);

@@ -31,7 +31,6 @@ class PlantBuilder {
 
   Status TakeRoles();
   Status CheckRole(const effects::EffectSpec& spec, const std::string& joint) const;
-  Status CheckInertia() const;
   Status CheckEffects() const;
   int ToolLink() const;
   void LayOutTree();
@@ -46,6 +45,7 @@ class PlantBuilder {
   void Add(Parameter row, std::vector<ParameterUse> uses);
   Status LayOutProgram();
   void NameInternalStates();
+  double RotorOf(int joint, const Eigen::MatrixXd& M) const;
   void SetReferenceMasses();
 
   std::shared_ptr<PlantData> data_;

@@ -71,6 +71,8 @@ struct PlantData {
   std::vector<int> extra_joints;  // kernel joints that effects add
   std::vector<int> prescribed;    // joints, ascending
   std::vector<char> passive;      // per joint
+  // Per joint: its links have no inertia about its axis, and a rotor's is a base parameter.
+  std::vector<char> without_inertia;
   integrators::StepProgram program;
   int num_joint_parameters = 0;
   int num_point_parameters = 0;
@@ -94,7 +96,9 @@ struct PlantData {
     return std::binary_search(prescribed.begin(), prescribed.end(), joint);
   }
   bool Takes(const effects::EffectInfo& effect, int joint) const {
-    return !IsPrescribed(joint) && !(passive[static_cast<size_t>(joint)] && effect.NeedsDrive());
+    const auto j = static_cast<size_t>(joint);
+    if (IsPrescribed(joint) || (passive[j] && effect.NeedsDrive())) return false;
+    return !(without_inertia[j] && effect.FindParameter("armature") >= 0);
   }
 
   int num_joints() const { return static_cast<int>(joint_names.size()); }

@@ -52,11 +52,12 @@ std::string Told(const diagnosis::DiagnosisResult& r, const std::vector<std::str
       text += "\n    cannot be told from " + Joined({f.effect_class.begin() + 1, f.effect_class.end()}) +
               " in these recordings";
   }
-  char line[200];
+  char line[200], before[40];
+  std::snprintf(before, sizeof before, "%.4g as given", r.holdout.before_rms);
+  if (std::isnan(r.holdout.before_rms)) std::snprintf(before, sizeof before, "the model as given cannot run");
   std::snprintf(line, sizeof line,
-                "\nheld-out RMS: %.4g as given, %.4g calibrated, %.4g with the findings, floor %.4g (%.1f s)",
-                r.holdout.before_rms, r.holdout.calibrated_rms, r.holdout.after_rms,
-                r.holdout.noise_floor_rms, r.elapsed_s);
+                "\nheld-out RMS: %s, %.4g calibrated, %.4g with the findings, floor %.4g (%.1f s)", before,
+                r.holdout.calibrated_rms, r.holdout.after_rms, r.holdout.noise_floor_rms, r.elapsed_s);
   text += line;
   if (r.motion) {
     std::snprintf(line, sizeof line, " (%.3g nats expected)", r.motion->expected_nats);

@@ -43,9 +43,11 @@ json JsonOf(const EffectInfo& info) {
               {"family", info.family},
               {"reference", info.reference},
               {"options", info.options},
+              {"needs", json::array()},
               {"parameters", json::array()},
               {"forms", json::array()},
               {"confused_with", json::array()}};
+  for (const effects::Need need : info.needs) out["needs"].push_back(effects::NeedName(need));
   for (const ParameterInfo& p : info.parameters) {
     out["parameters"].push_back({{"name", p.name},
                                  {"symbol", p.symbol},

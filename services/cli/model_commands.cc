@@ -21,6 +21,7 @@
 #include "services/cli/set_arguments.h"
 #include "services/report/sysid_page.h"
 #include "services/sysid/prediction.h"
+#include "services/sysid/rotor_start.h"
 #include "services/sysid/sysid_on_set.h"
 
 namespace rg::cli {
@@ -156,6 +157,16 @@ Status TakeRoles(const recordings::Recording& recording, PredictionModel* model)
   return Status::Ok();
 }
 
+Status CheckRuns(const std::string& path, const sim::ModelFile& model) {
+  const std::vector<std::string> joints = sysid::JointsThatDoNotRun(model.plant, model.values);
+  if (joints.empty()) return Status::Ok();
+  return InvalidError(
+      path + ": joint '" + joints[0] +
+      "' moves a link without inertia about its axis, and the inertia of its drive's rotor is "
+      "not known: `realitygrad sysid SET --out DIR` finds it, DIR/model.json can be predicted "
+      "with");
+}
+
 Status Predict(Context& context, const PredictArguments& arguments) {
   if (!(arguments.window_s > 0)) return InvalidError("--window must be positive (s)");
   RG_ASSIGN_OR_RETURN(const recordings::ReadOptions read, arguments.read.Options());
@@ -167,6 +178,7 @@ Status Predict(Context& context, const PredictArguments& arguments) {
   for (const std::string& note : recording.notes)
     PrintNote("realitygrad: " + arguments.recording + ": " + note);
   RG_RETURN_IF_ERROR(TakeRoles(recording, &model));
+  RG_RETURN_IF_ERROR(CheckRuns(arguments.model, model.file));
   if (model.drive && *model.drive == recordings::EffortKind::kMeasured && recording.has_effort_measured()) {
     recording.drive = recordings::EffortKind::kMeasured;
   }

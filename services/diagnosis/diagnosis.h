@@ -125,6 +125,8 @@ struct HoldoutRecording {
   double before_median = 0, calibrated_median = 0, after_median = 0;
 };
 
+// What is of the model as given is NaN (improvements too) where that cannot be simulated, and its plots
+// empty.
 struct HoldoutFit {
   double before_rms = 0, calibrated_rms = 0, after_rms = 0, noise_floor_rms = 0;
   double improvement_low = 0, improvement_high = 0;

@@ -5,6 +5,7 @@
 #include <functional>
 
 #include "common/dynamics/dynamics.h"
+#include "common/model/robot_model.h"
 #include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
@@ -294,6 +295,8 @@ MotionScales ScalesOf(const FitData& data, const sim::Plant& plant) {
     dynamics::Crba(mechanism, workspace, first.q.col(first.q.cols() * k / 5), M);
     s.inertia += M.diagonal() / 5;
   }
+  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kArmature))
+    s.inertia[plant.model().FindJoint(plant.parameters()[i].owner)] += plant.parameters()[i].nominal;
   VectorXd accelerations = VectorXd::Zero(n);
   for (const FineMotion& m : data.fine) accelerations += m.a.cwiseAbs2().rowwise().sum();
   for (int j = 0; j < n; ++j) {

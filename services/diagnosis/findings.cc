@@ -447,7 +447,8 @@ class Speaker {
     int moved = 0;
     for (size_t k = 0; k < c.parameters.size(); ++k) {
       const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
-      if (p.kind == sim::ParameterKind::kEffect) continue;
+      // A rotor that the URDF cannot tell is no finding.
+      if (p.kind == sim::ParameterKind::kEffect || p.kind == sim::ParameterKind::kArmature) continue;
       const double value = c.fit.theta[static_cast<long>(k)], sd = c.fit.stddev[static_cast<long>(k)];
       f.parameters.push_back({p.owner, p.field, p.unit, value, sd});
       moved += std::abs(value - p.nominal) > 3 * sd;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "services/sysid/rotor_start.h"
 #include "services/sysid/sysid_on_set.h"
 
 namespace rg::diagnosis {
@@ -35,7 +36,7 @@ std::vector<EffectSpec> EffectsOf(const sim::ModelFile& model) {
 Result<sim::Plant> GivenPlant(const recordings::RecordingSet& set,
                               const std::optional<sim::ModelFile>& model) {
   RG_ASSIGN_OR_RETURN(sim::Plant urdf, sysid::NominalPlant(set));
-  if (!model) return urdf;
+  if (!model) return sysid::WithRotors(set, urdf, urdf.parameters().Nominal());
   if (model->plant.joint_names() != urdf.joint_names()) {
     std::string have, want;
     for (const std::string& joint : model->plant.joint_names()) have += " " + joint;
@@ -49,7 +50,15 @@ Result<sim::Plant> GivenPlant(const recordings::RecordingSet& set,
     if (table[i].kind == sim::ParameterKind::kEffect) continue;
     if (model->values[i] != table[i].nominal) options.nominal[table[i].name] = model->values[i];
   }
-  return sim::Plant::Create(model->plant.shared_model(), options, EffectsOf(*model));
+  RG_ASSIGN_OR_RETURN(const sim::Plant given,
+                      sim::Plant::Create(model->plant.shared_model(), options, EffectsOf(*model)));
+  return sysid::WithRotors(set, given, given.parameters().Nominal());
+}
+
+bool GivenRuns(const sim::Plant& given, const std::optional<sim::ModelFile>& model) {
+  if (model) return sysid::Runs(model->plant, model->values);
+  const auto& without = given.model().joints_without_inertia();
+  return std::ranges::all_of(without, [&](int j) { return given.IsPrescribed(j); });
 }
 
 std::vector<EffectSpec> GivenEffects(const sim::Plant& given) {

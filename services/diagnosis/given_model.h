@@ -12,10 +12,14 @@
 
 namespace rg::diagnosis {
 
-// A plant whose nominal values, of base parameters and effects alike, are the model's. kInvalid: its joints
-// are not those of the recordings.
+// A plant whose nominal values, of base parameters and effects alike, are the model's, and in which rotors
+// that the URDF cannot tell have inertias to start from (sysid/rotor_start.h). kInvalid: its joints are not
+// those of the recordings.
 Result<sim::Plant> GivenPlant(const recordings::RecordingSet& set,
                               const std::optional<sim::ModelFile>& model);
+
+// Whether what was given, from which `given` was made, can be simulated.
+bool GivenRuns(const sim::Plant& given, const std::optional<sim::ModelFile>& model);
 
 // Its effects, each on one joint or on the robot as a whole, as hypotheses are.
 std::vector<effects::EffectSpec> GivenEffects(const sim::Plant& given);

@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "common/sim/simulator.h"
+#include "services/diagnosis/given_model.h"
 #include "services/sysid/drive_signal.h"
 #include "services/sysid/parallel.h"
 #include "services/sysid/prediction.h"
@@ -16,6 +18,7 @@ using Eigen::VectorXd;
 namespace {
 
 constexpr int kBootstraps = 400;
+constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
 struct Judged {
   double rms = 0;
@@ -55,6 +58,12 @@ Judged Judge(const std::vector<const recordings::Recording*>& recs, const sim::P
   out.rms = PooledRms(out.windows, out.weights);
   out.errors = std::move(errors);
   return out;
+}
+
+void MakeUnknown(Judged* judged) {
+  judged->rms = kUnknown;
+  for (double& x : judged->windows) x = kUnknown;
+  for (sysid::PredictionError& e : judged->errors) e.rms = e.median_window = kUnknown;
 }
 
 // The command with what the balance of torques cannot explain added: an effort's noise, of the size and the
@@ -151,7 +160,10 @@ void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal
   prediction.simulator.step_s = options.step_s;
   prediction.noise = data.noise;
   prediction.effort_excludes_gravity = set.effort_excludes_gravity;
-  const Judged before = Judge(recs, nominal, nominal.parameters().Nominal(), prediction, threads);
+  // What cannot be simulated is not judged.
+  const bool runs = GivenRuns(nominal, options.model);
+  Judged before = Judge(recs, nominal, nominal.parameters().Nominal(), prediction, threads);
+  if (!runs) MakeUnknown(&before);
   const Judged calibrated =
       Judge(recs, *search.calibrated.plant, search.calibrated.fit.values, prediction, threads);
   const Judged after = Judge(recs, *result->plant, result->values, prediction, threads);
@@ -179,12 +191,15 @@ void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal
     gains.push_back(before2 > 0 ? 1.0 - std::sqrt(after2 / before2) : 0.0);
   }
   std::sort(gains.begin(), gains.end());
-  if (!gains.empty()) {
+  if (!runs) {
+    h.improvement_low = h.improvement_high = kUnknown;
+  } else if (!gains.empty()) {
     h.improvement_low = gains[static_cast<size_t>(0.025 * gains.size())];
     h.improvement_high = gains[static_cast<size_t>(0.975 * gains.size())];
   }
   for (size_t i = 0; i < recs.size() && i < 2; ++i) {
     result->holdout_plots.push_back(PlotOf(*recs[i], before.predictions[i], after.predictions[i]));
+    if (!runs) result->holdout_plots.back().before.resize(0, 0);
   }
 }
 

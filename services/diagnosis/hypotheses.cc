@@ -409,6 +409,7 @@ std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const M
       out.back().prior_stddev = 0.5 * std::abs(p.nominal);
     }
   }
+  for (auto& p : sysid::RotorFitParameters(plant)) out.push_back(std::move(p));
   for (int i = 0; i < plant.parameters().size(); ++i) {
     const sim::Parameter& p = plant.parameters()[i];
     if (p.kind != sim::ParameterKind::kEffect || Fixed(p)) continue;

@@ -43,8 +43,9 @@ std::vector<std::vector<effects::EffectSpec>> BodyStarts(const std::string& effe
 // A mount from soft to stiff, in steps from each of which a fit finds the next.
 std::vector<std::vector<effects::EffectSpec>> MountStarts(const MotionScales& scales);
 
-// Free parameters of a plant: all parameters of its effects with priors in units of the motion, and, with
-// `base`, the inertial parameters with priors around the URDF.
+// Free parameters of a plant: all parameters of its effects with priors in units of the motion, rotor
+// inertias that the URDF cannot tell (sysid/rotor_start.h), and, with `base`, the inertial parameters with
+// priors around the URDF.
 std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const MotionScales& scales,
                                                 bool base);
 

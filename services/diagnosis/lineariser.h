@@ -28,8 +28,9 @@ inline constexpr double kBroken = 1e12;
 inline constexpr double kSettleTime = 0.5;
 // Time constants of a lag, after which it has forgotten what it followed.
 inline constexpr double kForgets = 7.0;
-inline constexpr double kEarly = 0.4;  // of a window, in which starts are compared
-inline constexpr size_t kNearest = 8;  // of them, that are simulated to its end
+inline constexpr double kEarly = 0.4;    // of a window, in which starts are compared
+inline constexpr double kAlways = 1e15;  // s, epoch seconds and nanoseconds included
+inline constexpr size_t kNearest = 8;    // of them, that are simulated to its end
 
 // A plant that can feel a torque on each joint, for the columns B.
 struct Probe {
@@ -64,7 +65,7 @@ inline Probe MakeProbe(const FitModel& model, bool with_torque) {
     if (model.plant.IsPrescribed(j)) continue;
     if (!Holds(model.plant, "external_disturbance", joint)) {
       pushes.push_back({effects::MakeSpec("external_disturbance", {joint},
-                                          {{"start", -1e9}, {"end", 1e9}, {"torque", 0.0}}),
+                                          {{"start", -kAlways}, {"end", kAlways}, {"torque", 0.0}}),
                         "external_disturbance." + joint + ".torque", j});
     } else if (!Holds(model.plant, "torque_ripple", joint)) {
       pushes.push_back({effects::MakeSpec("torque_ripple", {joint},

@@ -38,7 +38,7 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const Motion
     const sim::Parameter& row = plant.parameters()[p.index];
     ParameterColumn c;
     c.prior_stddev = p.prior_stddev;
-    c.base = row.kind != sim::ParameterKind::kEffect;
+    c.base = row.kind != sim::ParameterKind::kEffect && row.kind != sim::ParameterKind::kArmature;
     // One joint does not tell a payload from its link.
     c.last_link = c.base && row.owner == last && model.num_joints() > 1 && !has("payload", "");
     if (c.last_link) c.role = row.field;

@@ -184,7 +184,10 @@ class BalanceMaker {
         VectorXd column = VectorXd::Zero(n);
         if (joint >= 0) {
           const double v = m.v(joint, k);
-          column[joint] = p.kind == sim::ParameterKind::kDamping ? v : v > 0 ? 1.0 : -1.0;
+          column[joint] = p.kind == sim::ParameterKind::kDamping    ? v
+                          : p.kind == sim::ParameterKind::kArmature ? m.a(joint, k)
+                          : v > 0                                   ? 1.0
+                                                                    : -1.0;
         } else if (link >= 0 && plant_.model().link(link).body >= 0) {
           for (int f = 0; f < model::kLinkParameters; ++f) {
             if (p.field == model::kLinkParameterNames[f])
@@ -198,6 +201,7 @@ class BalanceMaker {
         const sim::Parameter& p = plant_.parameters()[i];
         const int j = plant_.model().FindJoint(p.owner);
         if (p.kind == sim::ParameterKind::kDamping) tau[j] += values[i] * m.v(j, k);
+        if (p.kind == sim::ParameterKind::kArmature) tau[j] += values[i] * m.a(j, k);
         if (p.kind == sim::ParameterKind::kFriction) tau[j] += values[i] * (m.v(j, k) > 0 ? 1.0 : -1.0);
       }
       rigid->col(k) = tau;

@@ -94,9 +94,8 @@ class Judge {
   Judged OnJoint(const EffectInfo& info, int j) const {
     if (Figures(j).prescribed) return Not("moves as measured");
     if (!Figures(j).moved) return Not("never moved");
-    const bool driven =
-        info.stage == effects::Stage::kActuator || info.stage == effects::Stage::kTransmission;
-    if (driven && !(Figures(j).peak_effort > 0)) return Not("no effort drives it");
+    if (info.NeedsDrive() && (plant_.IsPassive(j) || !(Figures(j).peak_effort > 0)))
+      return Not("no effort drives it");
     if (info.scope == Scope::kJointPair && Others(j) == 0) return Not("no other joint moves");
     Judged out;
     for (const Need need : info.needs) {

@@ -43,6 +43,12 @@ std::vector<std::string> Strings(const json& object, const char* key) {
   return out;
 }
 
+// `otherwise` also where it is null: of a model that cannot be simulated.
+double NumberOr(const json& object, const char* key, double otherwise) {
+  const auto at = object.find(key);
+  return at != object.end() && at->is_number() ? at->get<double>() : otherwise;
+}
+
 bool Has(const std::vector<std::string>& list, const std::string& x) {
   return std::find(list.begin(), list.end(), x) != list.end();
 }
@@ -376,10 +382,11 @@ Result<CaseMarks> Mark(const json& label, const json& diagnosis, const Predictio
     }
     const json holdout =
         m.diagnosed ? diagnosis.value(json::json_pointer("/fit/holdout"), json::object()) : json::object();
-    const double before = holdout.value("before_rms", 0.0), floor = holdout.value("noise_floor_rms", 0.0);
+    const double before = NumberOr(holdout, "before_rms", 0.0),
+                 floor = NumberOr(holdout, "noise_floor_rms", 0.0);
     if (before > 1.3 * floor && floor > 0) {
-      m.calibrated_alone = (before - holdout.value("calibrated_rms", before)) / (before - floor);
-      m.with_findings = (before - holdout.value("after_rms", before)) / (before - floor);
+      m.calibrated_alone = (before - NumberOr(holdout, "calibrated_rms", before)) / (before - floor);
+      m.with_findings = (before - NumberOr(holdout, "after_rms", before)) / (before - floor);
     }
     m.verdict_right = Has(Strings(label, "verdict"), m.verdict);
     Marker(label, diagnosis, &m).Run();

@@ -77,14 +77,16 @@ void Summary(const DiagnosisResult& r, Page* page) {
   for (const Finding& f : r.findings) page->Lead(Claim(f, r.motion.has_value()));
   const auto& h = r.holdout;
   const std::string unit = ErrorUnit(r);
+  const bool runs = !std::isnan(h.before_rms);
   page->Cards(
-      {{"error before", FormatNumber(h.before_rms) + unit,
+      {{"error before", runs ? FormatNumber(h.before_rms) + unit : "cannot run",
         h.judged_on_fit ? "model as given, the fitted recordings" : "model as given, held-out recordings"},
        {"calibrated", FormatNumber(h.calibrated_rms) + unit, "rigid-body parameters alone"},
        {"after", FormatNumber(h.after_rms) + unit, "augmented model"},
        {"noise floor", FormatNumber(h.noise_floor_rms) + unit, "if the augmented model were true"},
-       {"improvement", Percent(1 - h.after_rms / std::max(1e-300, h.before_rms)),
-        "95 %: " + Percent(h.improvement_low) + " to " + Percent(h.improvement_high)}});
+       runs ? Card{"improvement", Percent(1 - h.after_rms / std::max(1e-300, h.before_rms)),
+                   "95 %: " + Percent(h.improvement_low) + " to " + Percent(h.improvement_high)}
+            : Card{"improvement", "–", "the model as given cannot be simulated"}});
   if (h.judged_on_fit) page->Note("The set has no held-out recording: errors are of the fitted ones.", true);
   for (const std::string& note : r.notes) page->Note(note, true);
 }
@@ -253,9 +255,9 @@ void BeforeAfter(const DiagnosisResult& r, Page* page) {
              "RMS error of the joint positions.",
              {0}};
   for (const auto& h : r.holdout.recordings) {
-    each.rows.push_back({h.name, FormatNumber(h.before_rms), FormatNumber(h.calibrated_rms),
-                         FormatNumber(h.after_rms), FormatNumber(h.before_median),
-                         FormatNumber(h.after_median)});
+    const auto before = [](double x) { return std::isnan(x) ? std::string("cannot run") : FormatNumber(x); };
+    each.rows.push_back({h.name, before(h.before_rms), FormatNumber(h.calibrated_rms),
+                         FormatNumber(h.after_rms), before(h.before_median), FormatNumber(h.after_median)});
   }
   if (each.rows.size() > 1) page->AddTable(each);
   std::vector<Plot> plots;
@@ -264,9 +266,11 @@ void BeforeAfter(const DiagnosisResult& r, Page* page) {
       plots.push_back({r.joints[joint] + ", " + h.recording,
                        "time [s]",
                        "position [" + r.units[joint] + "]",
-                       {{"measured", h.t, RowOf(h.measured, joint)},
-                        {"before", h.t, RowOf(h.before, joint), SeriesStyle::kDashed},
-                        {"after", h.t, RowOf(h.after, joint)}}});
+                       {{"measured", h.t, RowOf(h.measured, joint)}, {"after", h.t, RowOf(h.after, joint)}}});
+      if (h.before.size() > 0) {
+        auto& series = plots.back().series;
+        series.insert(series.begin() + 1, {"before", h.t, RowOf(h.before, joint), SeriesStyle::kDashed});
+      }
       FitAxis(RowOf(h.measured, joint), &plots.back());
       if (plots.size() >= 6) break;
     }

@@ -43,13 +43,18 @@ void Summary(const SysidReport& r, Page* page) {
     page->Lead("Stopped before a fit was found that predicts " + kind + " better than the model as given.");
   } else if (r.chosen == "nominal") {
     page->Lead("The model as given predicts " + kind + " as well as any fit: it was left alone.");
+  } else if (std::isnan(r.before_rms)) {
+    page->Lead("The model as given cannot be simulated; errors on " + kind + " are " +
+               FormatNumber(r.after_rms) + " (RMS) by fitting: " + r.chosen + ".");
   } else {
     page->Lead("Errors on " + kind + " fall from " + FormatNumber(r.before_rms) + " to " +
                FormatNumber(r.after_rms) + " (RMS) by fitting: " + r.chosen + ".");
   }
   const sysid::IdentifiabilityReport& id = r.identifiability;
   std::vector<Card> cards{
-      {"error before", FormatNumber(r.before_rms), "median window " + FormatNumber(r.before_median)},
+      std::isnan(r.before_rms) ? Card{"error before", "cannot run", "the model as given"}
+                               : Card{"error before", FormatNumber(r.before_rms),
+                                      "median window " + FormatNumber(r.before_median)},
       {"error after", FormatNumber(r.after_rms), "median window " + FormatNumber(r.after_median)}};
   if (!id.parameters.empty()) {
     cards.push_back({"determined", std::to_string(id.determined), "combinations, by the data"});
@@ -71,7 +76,10 @@ std::vector<double> Thinned(const Eigen::VectorXd& x) {
 // Joints by what identification gained on them.
 std::vector<int> JointsByGain(const SysidReport& r) {
   Eigen::VectorXd gain = Eigen::VectorXd::Zero(static_cast<Eigen::Index>(r.joints.size()));
-  for (const sysid::HoldoutScore& h : r.holdout) gain += h.before_joint_rms - h.after_joint_rms;
+  for (const sysid::HoldoutScore& h : r.holdout) {
+    gain -= h.after_joint_rms;
+    if (h.before_joint_rms.allFinite()) gain += h.before_joint_rms;
+  }
   std::vector<int> order(r.joints.size());
   std::iota(order.begin(), order.end(), 0);
   std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return gain[a] > gain[b]; });
@@ -88,15 +96,19 @@ Plot TracePlot(const SysidReport& r, const sysid::HoldoutTrace& trace, int joint
   Plot plot{r.joints[static_cast<size_t>(joint)] + ", " + trace.recording,
             "time [s]",
             "position [" + PositionUnit(r, joint) + "]",
-            {{"measured", t, measured},
-             {"before", t, Thinned(trace.before.row(joint)), SeriesStyle::kDashed},
-             {"after", t, Thinned(trace.after.row(joint))}}};
+            {{"measured", t, measured}, {"after", t, Thinned(trace.after.row(joint))}}};
+  if (trace.before.size() > 0) {
+    plot.series.insert(plot.series.begin() + 1,
+                       {"before", t, Thinned(trace.before.row(joint)), SeriesStyle::kDashed});
+  }
   const auto [low, high] = std::minmax_element(measured.begin(), measured.end());
   const double room = 0.6 * std::max(1e-9, *high - *low);
   plot.y_low = *low - room;
   plot.y_high = *high + room;
   return plot;
 }
+
+std::string BeforeOf(double x) { return std::isnan(x) ? "cannot run" : FormatNumber(x); }
 
 void BeforeAfter(const SysidReport& r, Page* page) {
   page->Heading(r.judged_on_fit ? "Before and after"
@@ -108,8 +120,8 @@ void BeforeAfter(const SysidReport& r, Page* page) {
               "RMS error of the joint positions [rad or m].",
               {0}};
   for (const sysid::HoldoutScore& h : r.holdout) {
-    table.rows.push_back({h.recording, FormatNumber(h.before_rms), FormatNumber(h.after_rms),
-                          FormatNumber(h.before_median), FormatNumber(h.after_median)});
+    table.rows.push_back({h.recording, BeforeOf(h.before_rms), FormatNumber(h.after_rms),
+                          BeforeOf(h.before_median), FormatNumber(h.after_median)});
   }
   page->AddTable(table);
   const std::vector<int> joints = JointsByGain(r);

@@ -12,6 +12,7 @@ namespace {
 constexpr double kMassShare = 0.25, kMassLower = 0.1, kMassUpper = 4.0;
 constexpr double kComShare = 0.25, kComFloor = 0.005, kComBound = 6.0;           // of r, m, stddev
 constexpr double kInertiaShare = 0.5, kInertiaArm = 0.01, kInertiaLower = 0.02;  // of max I, m, of nominal
+constexpr double kRotorPrior = 3.0, kRotorLower = 0.01, kRotorUpper = 100.0;     // of the start
 constexpr double kInertiaBound = 8.0;                                            // stddev
 
 FitParameter Row(const sim::Plant& plant, int index) {
@@ -86,6 +87,18 @@ std::vector<FitParameter> DeclaredJointFitParameters(const sim::Plant& plant) {
   }
   for (const int i : plant.parameters().OfKind(sim::ParameterKind::kFriction)) {
     if (plant.parameters()[i].nominal != 0.0 && HasEquation(plant, i)) out.push_back(Row(plant, i));
+  }
+  return out;
+}
+
+std::vector<FitParameter> RotorFitParameters(const sim::Plant& plant) {
+  std::vector<FitParameter> out;
+  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kArmature)) {
+    if (!HasEquation(plant, i)) continue;
+    FitParameter p = Row(plant, i);
+    p.prior_stddev = kRotorPrior * p.nominal;
+    p.lower = kRotorLower * p.nominal, p.upper = kRotorUpper * p.nominal;
+    out.push_back(std::move(p));
   }
   return out;
 }

@@ -33,6 +33,9 @@ struct FitParameter {
 std::vector<FitParameter> InertialFitParameters(const sim::Plant& plant);
 // damping.<joint> (and friction.<joint> where the URDF declares any) of every joint.
 std::vector<FitParameter> DeclaredJointFitParameters(const sim::Plant& plant);
+// armature.<joint> where the links bring no inertia, around their nominal values, which are positive
+// (rotor_start.h).
+std::vector<FitParameter> RotorFitParameters(const sim::Plant& plant);
 // All parameters of one effect, or of all effects when `effect` is empty.
 std::vector<FitParameter> EffectFitParameters(const sim::Plant& plant, const std::string& effect = {});
 // By name. Error: the closest existing name.

@@ -84,6 +84,7 @@ double JointColumn(const sim::Parameter& p, double v, double a, double u) {
   if (p.kind == sim::ParameterKind::kDamping) return v;
   if (p.kind == sim::ParameterKind::kFriction) return v > 0.0 ? 1.0 : -1.0;
   if (p.kind == sim::ParameterKind::kForceGain) return -u;
+  if (p.kind == sim::ParameterKind::kArmature) return a;
   if (p.effect == "viscous_friction") return v;
   if (p.effect == "coulomb_friction") return v > 0.0 ? 1.0 : -1.0;
   if (p.effect == "asymmetric_friction") {
@@ -97,9 +98,9 @@ double JointColumn(const sim::Parameter& p, double v, double a, double u) {
 
 bool HasJointColumn(const sim::Parameter& p) {
   return p.kind == sim::ParameterKind::kDamping || p.kind == sim::ParameterKind::kFriction ||
-         p.kind == sim::ParameterKind::kForceGain || p.effect == "viscous_friction" ||
-         p.effect == "coulomb_friction" || p.effect == "asymmetric_friction" ||
-         p.effect == "quadratic_drag" || p.effect == "rotor_inertia";
+         p.kind == sim::ParameterKind::kForceGain || p.kind == sim::ParameterKind::kArmature ||
+         p.effect == "viscous_friction" || p.effect == "coulomb_friction" ||
+         p.effect == "asymmetric_friction" || p.effect == "quadratic_drag" || p.effect == "rotor_inertia";
 }
 
 class Regression {

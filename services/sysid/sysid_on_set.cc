@@ -19,6 +19,7 @@
 #include "services/sysid/joint_roles.h"
 #include "services/sysid/parallel.h"
 #include "services/sysid/prediction.h"
+#include "services/sysid/rotor_start.h"
 #include "services/sysid/shooting_fit.h"
 
 namespace rg::sysid {
@@ -52,10 +53,11 @@ struct Fitted {
   std::vector<PredictionError> holdout = {};
 };
 
-std::vector<Candidate> Candidates(const SysidOptions& options) {
+// Where the model as given cannot be simulated (`runs`), the simplest one has what that needs.
+std::vector<Candidate> Candidates(const SysidOptions& options, bool runs) {
   const std::vector<std::string> coulomb = {"viscous_friction", "coulomb_friction", "rotor_inertia"};
   const std::vector<std::string> asymmetric = {"viscous_friction", "asymmetric_friction", "rotor_inertia"};
-  std::vector<Candidate> out{{"nominal", {}, false}};
+  std::vector<Candidate> out{{runs ? "nominal" : "nominal + rotors that the URDF lacks", {}, false}};
   if (options.fit_inertial) out.push_back({"inertial", {}, true});
   if (options.fit_joints) out.push_back({"viscous + coulomb + rotor", coulomb, false});
   if (options.fit_joints && options.fit_inertial) {
@@ -77,7 +79,7 @@ class Identification {
     const double start = clock_.SteadySeconds();
     RG_RETURN_IF_ERROR(Prepare());
     std::vector<Fitted> fitted;
-    for (const Candidate& candidate : Candidates(options_)) {
+    for (const Candidate& candidate : Candidates(options_, runs_)) {
       if (!fitted.empty() && stop_.ShouldStop()) break;
       RG_ASSIGN_OR_RETURN(Fitted f, Start(candidate));
       fitted.push_back(std::move(f));
@@ -107,6 +109,10 @@ class Identification {
       RG_ASSIGN_OR_RETURN(nominal, options_.model->plant.WithRoles(roles.prescribed, roles.passive));
       given_ = options_.model->values;
     }
+    runs_ = Runs(nominal, given_);
+    RG_ASSIGN_OR_RETURN(nominal, WithRotors(set_, nominal, given_));
+    for (const int i : nominal.parameters().OfKind(sim::ParameterKind::kArmature))
+      given_[i] = nominal.parameters()[i].nominal;
     nominal_.emplace(std::move(nominal));
     const VectorXd& values = given_;
     for (const recordings::Recording* rec : set_.Fit()) {
@@ -165,7 +171,7 @@ class Identification {
 
   // By what they would tell the richest candidate of its parameters.
   Result<std::vector<FitWindow>> MostInformative(const std::vector<FitWindow>& candidates) const {
-    const Candidate richest = Candidates(options_).back();
+    const Candidate richest = Candidates(options_, runs_).back();
     RG_ASSIGN_OR_RETURN(const sim::Plant plant, PlantOf(richest));
     const FitSpace space(ParametersOf(plant, richest), options_.consistent_inertias);
     WindowInformationOptions information;
@@ -261,6 +267,9 @@ class Identification {
   std::vector<FitParameter> ParametersOf(const sim::Plant& plant, const Candidate& candidate) const {
     std::vector<FitParameter> out;
     if (candidate.inertial) out = InertialFitParameters(plant);
+    if (candidate.inertial || !candidate.effects.empty() || !runs_) {
+      for (FitParameter& p : RotorFitParameters(plant)) out.push_back(std::move(p));
+    }
     if (candidate.inertial || !candidate.effects.empty()) {
       for (FitParameter& p : DeclaredJointFitParameters(plant)) {
         if (p.nominal != 0.0) out.push_back(std::move(p));
@@ -439,6 +448,9 @@ class Identification {
     return all[all.size() / 2];
   }
 
+  // Of the model as given, where it can be simulated.
+  double Before(double x) const { return runs_ ? x : std::numeric_limits<double>::quiet_NaN(); }
+
   SysidReport Report(const std::vector<Fitted>& fitted) const {
     const Fitted& nominal = fitted.front();
     const Fitted& best = fitted[Choose(fitted)];
@@ -448,22 +460,24 @@ class Identification {
     report.window_s = options_.window_s;
     report.step_s = simulator_.step_s;
     report.judged_on_fit = judged_on_fit_;
-    report.before_rms = nominal.score.holdout_rms;
+    report.before_rms = Before(nominal.score.holdout_rms);
     report.after_rms = best.score.holdout_rms;
-    report.before_median = MedianOfWindows(nominal.holdout);
+    report.before_median = Before(MedianOfWindows(nominal.holdout));
     report.after_median = MedianOfWindows(best.holdout);
-    report.fit_before_rms = nominal.score.fit_rms;
+    report.fit_before_rms = Before(nominal.score.fit_rms);
     report.fit_after_rms = best.score.fit_rms;
     report.chosen = best.score.name;
     for (const Fitted& f : fitted) report.candidates.push_back(f.score);
     for (size_t i = 0; i < judged_.size(); ++i) {
       const PredictionError &before = nominal.holdout[i], &after = best.holdout[i];
-      report.holdout.push_back({judged_[i]->name, before.rms, after.rms, before.median_window,
-                                after.median_window, before.joint_rms, after.joint_rms});
+      report.holdout.push_back(
+          {judged_[i]->name, Before(before.rms), after.rms, Before(before.median_window), after.median_window,
+           VectorXd(before.joint_rms.unaryExpr([&](double x) { return Before(x); })), after.joint_rms});
     }
     for (size_t i = 0; i < std::min(kTraces, judged_.size()); ++i) {
       const recordings::Recording& rec = *judged_[i];
-      report.traces.push_back({rec.name, rec.t, rec.q, Predict(nominal, rec).q, Predict(best, rec).q});
+      const MatrixXd before = runs_ ? Predict(nominal, rec).q : MatrixXd();
+      report.traces.push_back({rec.name, rec.t, rec.q, before, Predict(best, rec).q});
     }
     report.window_choice = options_.window_choice;
     report.windows = windows_;
@@ -485,6 +499,8 @@ class Identification {
 
   void FillWarnings(const Fitted& f, SysidReport* report) const {
     report->warnings = set_.warnings;
+    for (std::string& note : NotesOnRotors(f.plant, f.fit.values))
+      report->warnings.push_back(std::move(note));
     for (std::string& note : NotesOnRoles(set_, *nominal_)) report->warnings.push_back(std::move(note));
     char residual[120];
     std::snprintf(
@@ -528,6 +544,7 @@ class Identification {
   std::vector<std::string> window_recordings_;
   std::vector<const recordings::Recording*> judged_;
   bool judged_on_fit_ = false;
+  bool runs_ = true;  // the model as given can be simulated
   struct {
     double candidate = 0.0, candidates = 1.0;
   } position_;  // for progress

@@ -52,6 +52,7 @@ struct SysidOptions {
 };
 
 // A held-out recording as measured and as both models tell it, in windows restarted from measured states.
+// `before` is empty where the model as given cannot be simulated (rotor_start.h).
 struct HoldoutTrace {
   std::string recording;
   Eigen::VectorXd t;                        // K
@@ -81,8 +82,10 @@ struct SysidReport {
   std::string robot;
   std::vector<std::string> joints;
   double window_s = 1.0;
-  double step_s = 0.0;                             // that the simulator took
-  double before_rms = 0.0, after_rms = 0.0;        // all held-out recordings together
+  double step_s = 0.0;  // that the simulator took
+  // All held-out recordings together. Everything `before` is NaN where the model as given cannot be
+  // simulated.
+  double before_rms = 0.0, after_rms = 0.0;
   double before_median = 0.0, after_median = 0.0;  // medians over windows
   double fit_before_rms = 0.0, fit_after_rms = 0.0;
   bool judged_on_fit = false;  // the set has no holdout: the figures are of the fitted recordings

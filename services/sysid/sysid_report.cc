@@ -16,6 +16,8 @@ std::string Ratio(double before, double after) {
   return after > 0.0 && std::isfinite(before / after) ? Printf("%.1f times less", before / after) : "";
 }
 
+std::string Before(double x) { return std::isnan(x) ? "cannot run" : Printf("%.5g", x); }
+
 // JSON has no NaN or infinity.
 json Number(double x) { return std::isfinite(x) ? json(x) : json(); }
 
@@ -77,11 +79,11 @@ std::string FormatSysid(const SysidReport& report) {
                 report.judged_on_fit ? "fitted recording" : "held-out recording", "before rms", "after rms",
                 "before median", "after median");
   for (const HoldoutScore& h : report.holdout) {
-    out += Printf("%-36s %12.5g %12.5g %14.5g %14.5g\n", h.recording.c_str(), h.before_rms, h.after_rms,
-                  h.before_median, h.after_median);
+    out += Printf("%-36s %12s %12.5g %14s %14.5g\n", h.recording.c_str(), Before(h.before_rms).c_str(),
+                  h.after_rms, Before(h.before_median).c_str(), h.after_median);
   }
-  out += Printf("%-36s %12.5g %12.5g %14.5g %14.5g  ", "all", report.before_rms, report.after_rms,
-                report.before_median, report.after_median) +
+  out += Printf("%-36s %12s %12.5g %14s %14.5g  ", "all", Before(report.before_rms).c_str(), report.after_rms,
+                Before(report.before_median).c_str(), report.after_median) +
          Ratio(report.before_rms, report.after_rms) + "\n";
   for (size_t i = 0; i < report.windows.size(); ++i) {
     const FitWindow& w = report.windows[i];

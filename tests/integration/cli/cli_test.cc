@@ -1,7 +1,10 @@
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <nlohmann/json.hpp>
+#include <sstream>
+#include <vector>
 
 #include "tests/integration/cli/program.h"
 
@@ -77,8 +80,16 @@ TEST(Effects, ListsTheCatalogueAndTellsOfOne) {
   const json all = json::parse(RunProgram(scratch, "effects --output json").out);
   EXPECT_EQ(all["format"], "realitygrad.effects/1");
   EXPECT_GE(all["effects"].size(), 28u);
-  for (const json& effect : all["effects"])
+  for (const json& effect : all["effects"]) {
     EXPECT_NE(table.out.find(effect["id"].get<std::string>()), std::string::npos) << effect["id"];
+    ASSERT_TRUE(effect["needs"].is_array()) << effect["id"];
+    if (effect["id"] == "load_dependent_friction") {
+      EXPECT_EQ(effect["needs"], json({"both_ways", "load"}));
+    }
+    if (effect["id"] == "external_disturbance") {
+      EXPECT_TRUE(effect["needs"].empty());
+    }
+  }
   const Said one = RunProgram(scratch, "effects coulomb_friction");
   for (const char* part : {"Coulomb friction", "-c*sign(dq)", "N*m or N", "stribeck_friction", "slow ramps"})
     EXPECT_NE(one.out.find(part), std::string::npos) << one.out;
@@ -176,6 +187,40 @@ void ExpectRefused(const ScratchFolder& scratch, const PendulumSet& set, const s
   EXPECT_EQ(std::count(said.err.begin(), said.err.end(), '\n'), 1) << said.err;
   EXPECT_NE(said.err.find(said_of), std::string::npos) << said.err;
   EXPECT_FALSE(std::filesystem::exists(scratch / "result")) << said_of;
+}
+
+// Lines that begin so, without it.
+std::vector<std::string> LinesOf(const std::string& text, const std::string& prefix) {
+  std::vector<std::string> out;
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line);) {
+    if (line.starts_with(prefix)) out.push_back(line.substr(prefix.size()));
+  }
+  return out;
+}
+
+TEST(Check, SaysTheWarningsThatADiagnosisSaysFirst) {
+  const ScratchFolder scratch;
+  PendulumSet set(scratch);
+  // A key that nobody knows, and a gap.
+  set.manifest = Replaced(set.manifest, R"("joints")", R"("nois": 1, "joints")");
+  set.manifest = Replaced(set.manifest, R"({"file": "a.csv"})", R"({"file": "a.csv"}, {"file": "b.csv"})");
+  set.Write();
+  const size_t from = set.csv.find("\n1.000,"), to = set.csv.find("\n1.400,");
+  ASSERT_TRUE(from != std::string::npos && to != std::string::npos);
+  ASSERT_TRUE(WriteFileAtomically(set.folder + "/b.csv", set.csv).ok());
+  ASSERT_TRUE(WriteFileAtomically(set.folder + "/a.csv", set.csv.substr(0, from) + set.csv.substr(to)).ok());
+  const Said check = RunProgram(scratch, "check set --output json");
+  ASSERT_EQ(check.code, 0) << check.err;
+  const std::vector<std::string> warnings = json::parse(check.out)["warnings"];
+  ASSERT_GE(warnings.size(), 2u);
+  EXPECT_TRUE(std::ranges::any_of(warnings, [](const auto& w) { return w.find("nois") != w.npos; }));
+  const Said diagnosis = RunProgram(scratch, "diagnose set --out result --threads 1");
+  ASSERT_EQ(diagnosis.code, 0) << diagnosis.err;
+  const std::vector<std::string> said = LinesOf(diagnosis.err, "note: ");
+  ASSERT_GE(said.size(), warnings.size()) << diagnosis.err;
+  EXPECT_EQ(std::vector(said.begin(), said.begin() + static_cast<long>(warnings.size())), warnings);
+  EXPECT_EQ(LinesOf(RunProgram(scratch, "check set").out, "note: "), warnings);
 }
 
 TEST(Diagnose, BadInputIsOneLineAndLeavesNothing) {

@@ -91,7 +91,8 @@ TEST(Plausibility, RefusesHalfASecond) {
 TEST(Plausibility, AnEffortThatIsZeroWhileItsJointIsDrivenIsNotBelieved) {
   const auto set = testing::MakeSet("arm2", {}, 27);
   EXPECT_THAT(ErrorOf(Scaled(set, 1, 0.0)),
-              AllOf(HasSubstr("effort_command.elbow is zero"), HasSubstr("does work")));
+              AllOf(HasSubstr("effort_command.elbow is zero"), HasSubstr("does work"),
+                    HasSubstr("\"passive\" in the manifest says that nothing did")));
 }
 
 TEST(Plausibility, EffortsInEachOthersColumnsAreSuspected) {

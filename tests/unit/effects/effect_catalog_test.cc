@@ -100,6 +100,21 @@ TEST(Catalog, RowsAreComplete) {
   }
 }
 
+TEST(Catalog, EveryRowButAPushSaysWhatRecordingsMustHoldForIt) {
+  std::set<std::string_view> names;
+  for (const EffectInfo& info : Catalog()) {
+    std::set<Need> needs(info.needs.begin(), info.needs.end());
+    EXPECT_EQ(needs.size(), info.needs.size()) << info.id << " names a need twice";
+    // A push may come at any time, whatever the robot does.
+    EXPECT_EQ(needs.empty(), info.id == "external_disturbance") << info.id;
+    for (const Need need : needs) {
+      EXPECT_NE(NeedName(need), "unknown") << info.id;
+      names.insert(NeedName(need));
+    }
+  }
+  EXPECT_EQ(names.size(), static_cast<size_t>(Need::kOtherEffort) + 1) << "a need that no effect has";
+}
+
 TEST(Sentence, FillsInJointValuesAndUnits) {
   const std::string text = Sentence(MakeSpec("coulomb_friction"), "joint_2", false, {{"coulomb", 0.84}});
   EXPECT_EQ(

@@ -275,6 +275,19 @@ TEST(Examination, TheBaselineIsWhatParametersAloneRecover) {
   EXPECT_NEAR(Summarise({m}).calibrated_alone, 0.5, 1e-12);
 }
 
+TEST(Examination, AModelThatCannotBeSimulatedHasNoBaseline) {
+  json diagnosis = Diagnosis("unmodelled_physics", {Finding("coulomb_friction", {"elbow"})});
+  diagnosis["fit"]["holdout"] = {{"before_rms", nullptr},
+                                 {"calibrated_rms", 0.6},
+                                 {"after_rms", 0.1},
+                                 {"noise_floor_rms", 0.1},
+                                 {"improvement_ci95", {nullptr, nullptr}}};
+  const CaseMarks m = Marked(Label({Effect("coulomb_friction", {"elbow"})}), diagnosis);
+  EXPECT_EQ(m.first, 1.0);
+  EXPECT_FALSE(m.calibrated_alone.has_value());
+  EXPECT_FALSE(m.with_findings.has_value());
+}
+
 TEST(ProofText, PrintsEveryMissAndTheSeal) {
   ProofRecord record{"realitygrad prove --seed 1", "abc123", {}};
   record.cases.push_back(Marked(Label({Effect("coulomb_friction", {"elbow"})}),

@@ -8,6 +8,7 @@
 
 #include "common/base/file.h"
 #include "common/base/ids.h"
+#include "common/base/rng.h"
 #include "common/recordings/csv.h"
 
 namespace rg::recordings {
@@ -175,6 +176,55 @@ TEST(Prescribed, FollowTheirRowsWhenJointsAreReordered) {
   const auto without = Reorder(set->recordings[0], {"elbow", "shoulder"});
   ASSERT_TRUE(without.ok());
   EXPECT_THAT(without->prescribed, IsEmpty());
+}
+
+// A lift that moves from rest to rest, read by an encoder of 0.5 mm at uneven times, with rows missing.
+Recording NoisyLift(bool velocity) {
+  Recording r;
+  r.joints = {"lift", "elbow"};
+  Rng rng(3);
+  std::vector<double> times;
+  for (double t = 0; t < 6; t += 0.01 * rng.Uniform(0.8, 1.2)) {
+    if (t < 2.0 || t > 2.07) times.push_back(t);
+  }
+  const auto K = static_cast<Eigen::Index>(times.size());
+  r.t = Eigen::Map<const Eigen::VectorXd>(times.data(), K);
+  r.q.setZero(2, K), r.effort_command.setZero(2, K);
+  if (velocity) r.v.setZero(2, K);
+  for (Eigen::Index k = 0; k < K; ++k) {
+    r.q(0, k) = 0.3 * std::sin(1.7 * r.t[k]) + 0.1 * std::sin(4.3 * r.t[k]) + 5e-4 * rng.Normal();
+    if (velocity)
+      r.v(0, k) = 0.51 * std::cos(1.7 * r.t[k]) + 0.43 * std::cos(4.3 * r.t[k]) + 5e-3 * rng.Normal();
+  }
+  r.prescribed = {0};
+  return r;
+}
+
+TEST(SmoothPrescribed, StaysWithinTheNoiseAndHasAnAccelerationOfUse) {
+  for (const bool velocity : {false, true}) {
+    const Recording r = NoisyLift(velocity);
+    const SmoothMotionRows rows = SmoothPrescribed(r);
+    ASSERT_EQ(rows.q.rows(), 1);
+    double q = 0, v = 0, a = 0, left = 0, difference = 0;
+    const Eigen::Index K = r.t.size();
+    for (Eigen::Index k = 20; k + 20 < K; ++k) {
+      const double t = r.t[k];
+      q += std::pow(rows.q(0, k) - 0.3 * std::sin(1.7 * t) - 0.1 * std::sin(4.3 * t), 2);
+      v += std::pow(rows.v(0, k) - 0.51 * std::cos(1.7 * t) - 0.43 * std::cos(4.3 * t), 2);
+      const double truth = -0.867 * std::sin(1.7 * t) - 1.849 * std::sin(4.3 * t);
+      a += std::pow(rows.a(0, k) - truth, 2);
+      left += std::pow(rows.q(0, k) - r.q(0, k), 2);
+      const double before = (r.q(0, k) - r.q(0, k - 1)) / (t - r.t[k - 1]);
+      const double after = (r.q(0, k + 1) - r.q(0, k)) / (r.t[k + 1] - t);
+      difference += std::pow(2 * (after - before) / (r.t[k + 1] - r.t[k - 1]) - truth, 2);
+    }
+    const double n = static_cast<double>(K - 40);
+    EXPECT_LT(std::sqrt(q / n), 2.5e-4) << velocity;
+    EXPECT_NEAR(std::sqrt(left / n), 5e-4, 1e-4) << "neither follows the noise nor loses the motion";
+    EXPECT_LT(std::sqrt(v / n), 5e-3) << velocity;
+    EXPECT_LT(std::sqrt(a / n), 0.12) << velocity;
+    EXPECT_GT(std::sqrt(difference / n), 5.0) << "what differences of rows would say";
+  }
 }
 
 }  // namespace

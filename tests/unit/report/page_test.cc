@@ -44,6 +44,21 @@ TEST(Page, SeriesOnDifferentGridsAreMergedByX) {
   EXPECT_TRUE(rows[2][2].is_null()) << "NaN must be a gap";
 }
 
+TEST(Page, ShadesStretchesAndBreaksLinesWhereAsked) {
+  Page page("t", "s");
+  Plot plot{"p", "x", "y", {{"a", {0, 1, 2}, {5, std::nan(""), 6}}}};
+  page.AddPlot(plot);
+  plot.bands = {{Band::Kind::kMissing, 0.5, 1.5}, {Band::Kind::kAside, 1.5, 2.0}};
+  plot.breaks = true;
+  page.AddPlot(plot);
+  const std::string html = page.Html();
+  EXPECT_FALSE(PlotJson(html, 0).contains("bands"));
+  EXPECT_FALSE(PlotJson(html, 0).contains("breaks"));
+  const auto shaded = PlotJson(html, 1);
+  EXPECT_EQ(shaded["bands"], nlohmann::json::parse(R"([[0.5, 1.5, "missing"], [1.5, 2.0, "aside"]])"));
+  EXPECT_TRUE(shaded["breaks"].get<bool>());
+}
+
 TEST(FormatNumber, KeepsSignificantDigits) {
   EXPECT_EQ(FormatNumber(0.012345), "0.0123");
   EXPECT_EQ(FormatNumber(123.456), "123");

@@ -118,6 +118,9 @@ inline recordings::Recording MakeRecording(const sim::Plant& plant, const Eigen:
   };
   const dynamics::Mechanism mechanism = MechanismOf(plant, values);
   dynamics::Workspace workspace;
+  Eigen::VectorXd rotors = Eigen::VectorXd::Zero(n);  // where the links bring no inertia
+  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kArmature))
+    rotors[plant.model().FindJoint(plant.parameters()[i].owner)] = values[i];
   sim::Simulator simulator(plant, {.step_s = options.step_s});
   simulator.SetParameters(values);
   Eigen::VectorXd q, v, a, u(n), mq(n), mv(n);
@@ -132,7 +135,9 @@ inline recordings::Recording MakeRecording(const sim::Plant& plant, const Eigen:
   if (options.with_velocity) rec.v.resize(n, K);
   for (int k = 0; k < K; ++k) {
     reference(k * dt, &q, &v, &a);
-    dynamics::Rnea(mechanism, workspace, x.q, x.v, a + 60.0 * (q - x.q) + 12.0 * (v - x.v), u);
+    const Eigen::VectorXd wanted = a + 60.0 * (q - x.q) + 12.0 * (v - x.v);
+    dynamics::Rnea(mechanism, workspace, x.q, x.v, wanted, u);
+    u += rotors.cwiseProduct(wanted);
     simulator.Measure(x, &mq, &mv);
     rec.t[k] = k * dt;
     for (int j = 0; j < n; ++j) {
