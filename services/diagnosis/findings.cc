@@ -26,6 +26,7 @@ namespace {
 
 constexpr double kMuchOfTheEffort = 0.25;  // of its variance
 constexpr double kSameDelay = 0.05;  // of itself: less between two joints is a twentieth of what it shows by
+constexpr size_t kManyJoints = 3;    // whose values are said in a list
 constexpr double kLittle = 0.1;      // of what parameters explain
 constexpr double kSecond = 0.3;      // of what a force on one joint explains, for another on a second joint
 
@@ -408,6 +409,8 @@ class Speaker {
       worth = energy.replicate(1, data_.n) + energy.transpose().replicate(data_.n, 1);
       worth.diagonal() = energy;
     }
+    for (const int j : data_.prescribed) worth.row(j).setConstant(-effects::kInf);
+    for (const int j : data_.prescribed) worth.col(j).setConstant(-effects::kInf);
     int first = 0, second = 0;
     worth.diagonal().maxCoeff(&first);
     worth.row(first).maxCoeff(&second);

@@ -13,9 +13,10 @@
 namespace rg::diagnosis {
 
 // `effects` on every joint that takes them and has no such effect yet (EffectInfo::family "friction" has one
-// dry law per joint), beside those of `nominal`, with start values from the regression of the inverse dynamics
-// along the recorded motion. `base`: free base parameters, regressed together. Levels below nothing are set to
-// a small one. Its fit is the regression's: `fit.values` only, and not `ok` where there are too few rows.
+// dry law per joint), beside those of `nominal`, with start values from the regression of the inverse
+// dynamics along the recorded motion. `base`: free base parameters, regressed together. Levels below nothing
+// are set to a small one. Its fit is the regression's: `fit.values` only, and not `ok` where there are too
+// few rows.
 Candidate RegressedGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                          const std::vector<std::string>& effects, bool base);
 

@@ -168,8 +168,7 @@ class Search {
     }
     if (winner.specs.size() == best->specs.size()) return;
     if (fits_.PerRow(winner) > kExplained) winner = WithLateDrives(winner);
-    const bool near =
-        fits_.PerRow(winner) < kHolds || fits_.Excess(winner) < kNear * fits_.Excess(*best);
+    const bool near = fits_.PerRow(winner) < kHolds || fits_.Excess(winner) < kNear * fits_.Excess(*best);
     Tell("drives", 0.09, KeyOf(winner.specs) + (near ? "taken" : "left"));
     if (near && winner.score > best->score + Threshold(*best, winner)) *best = winner;
   }

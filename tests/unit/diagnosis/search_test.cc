@@ -6,6 +6,7 @@
 #include <memory>
 #include <set>
 
+#include "services/diagnosis/group_start.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {
@@ -85,6 +86,50 @@ TEST(Search, WhatAnEarlierSearchCameToIsWeighedFirst) {
   const SearchResult still = search();
   ASSERT_EQ(still.best.specs.size(), 1u);
   EXPECT_EQ(still.best.specs[0].id, "coulomb_friction");
+}
+
+// No single one of six brings a fit near such recordings.
+TEST(Search, FrictionAndRotorsOfAllJointsAreFoundTogether) {
+  const auto on = [](const char* id, const char* name, double shoulder, double elbow) {
+    EffectSpec spec = MakeSpec(id, {"shoulder", "elbow"});
+    spec.values = {{"shoulder", {{name, shoulder}}}, {"elbow", {{name, elbow}}}};
+    return spec;
+  };
+  const std::vector<EffectSpec> truth = {on("viscous_friction", "viscous", 0.5, 0.25),
+                                         on("coulomb_friction", "coulomb", 0.6, 0.3),
+                                         on("rotor_inertia", "armature", 0.06, 0.03)};
+  const auto p = testing::Prepare("arm2", truth, 54);
+  const Candidate start = RegressedGroup(p->data, p->nominal, p->scales,
+                                         {"viscous_friction", "coulomb_friction", "rotor_inertia"}, false);
+  ASSERT_TRUE(start.fit.ok);
+  EXPECT_EQ(start.specs.size(), 6u);
+  const SearchResult r =
+      SearchEffects(p->data, p->nominal, p->scales, p->options, 2, RealClock(), nullptr, nullptr);
+  EXPECT_LT(r.best.fit.chi2 / r.best.fit.rows, kExplained);
+  std::set<std::string> found;
+  for (const EffectSpec& s : r.best.specs) {
+    ASSERT_EQ(s.joints.size(), 1u);
+    found.insert(s.id + " " + s.joints[0]);
+    for (const EffectSpec& t : truth) {
+      if (t.id != s.id) continue;
+      const auto& [name, value] = *t.values.at(s.joints[0]).begin();
+      const double is =
+          r.best.fit.values[r.best.plant->parameters().Find(s.id + "." + s.joints[0] + "." + name)];
+      EXPECT_NEAR(is, value, 0.05 * value) << s.id << " " << s.joints[0];
+    }
+  }
+  // The rotor of the first joint is its link's inertia.
+  for (const char* name : {"viscous_friction shoulder", "viscous_friction elbow", "coulomb_friction shoulder",
+                           "coulomb_friction elbow", "rotor_inertia elbow"})
+    EXPECT_TRUE(found.count(name)) << name;
+}
+
+TEST(Search, AGroupLeavesAloneWhatAJointHas) {
+  auto p = testing::Prepare("arm2", {}, 55);
+  p->nominal = *p->nominal.WithEffect(MakeSpec("coulomb_friction", {"elbow"}, {{"coulomb", 0.3}}));
+  const Candidate start = RegressedGroup(p->data, p->nominal, p->scales, {"coulomb_friction"}, false);
+  ASSERT_EQ(start.specs.size(), 2u);
+  EXPECT_NE(start.specs[0].joints, start.specs[1].joints);
 }
 
 }  // namespace
