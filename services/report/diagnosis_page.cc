@@ -108,7 +108,7 @@ void FindingsTable(const DiagnosisResult& r, Page* page) {
     if (f.effect == "parameters_only" || f.effect == "unknown_field") continue;
     for (const auto& p : f.parameters) {
       values.rows.push_back({f.effect, p.owner, p.name, FormatNumber(p.value, 4), FormatNumber(p.stddev, 2),
-                             p.unit == "-" ? "" : Unit(p.unit)});
+                             p.unit == "-" ? "" : WithDots(p.unit)});
     }
   }
   page->Heading("What is missing");
@@ -364,7 +364,7 @@ void Absorbed(const DiagnosisResult& r, Page* page) {
     const double moved = Moved(row);
     if (table.rows.size() >= 12 || std::abs(moved) < kWorthARow) break;
     table.rows.push_back({row.name, FormatNumber(row.nominal, 4), FormatNumber(row.calibrated, 4),
-                          FormatNumber(row.final, 4), FormatNumber(moved, 2), Unit(row.unit)});
+                          FormatNumber(row.final, 4), FormatNumber(moved, 2), WithDots(row.unit)});
   }
   if (!table.rows.empty()) page->AddTable(table);
 }
