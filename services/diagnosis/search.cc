@@ -92,7 +92,7 @@ class Search {
     Candidate best = out.calibrated.score > out.nominal.score + Threshold(out.nominal, out.calibrated)
                          ? out.calibrated
                          : out.nominal;
-    if (fits_.PerRow(best) > kHolds && !fits_.Late()) BeginWithDrives(&best);
+    if (fits_.PerRow(best) > kHolds && !fits_.Late()) BeginWithDrives(out.nominal, out.calibrated, &best);
     LowerNoise(&best, &out);
     features_ = MakeFeatures(data_, nominal_, scales_);
     if (const Candidate* c = options_.earlier.get())
@@ -155,14 +155,14 @@ class Search {
   // What all drives of one robot have in common, before single effects: where it brings the model within
   // reach of the recordings, or most of the way, the search goes on from there. Free base parameters, and
   // drives that are late, only beside what explains something.
-  void BeginWithDrives(Candidate* best) {
+  void BeginWithDrives(const Candidate& plain, const Candidate& freed, Candidate* best) {
     Tell("drives", 0.08, KeyOf(best->specs));
     Candidate winner = *best;
     for (const bool base : {false, true}) {
       const Candidate start = RegressedGroup(data_, nominal_, scales_, kDriveGroup, base);
       if (!start.fit.ok || start.specs.size() == given_.size() || fits_.Late()) continue;
       const Candidate c = fits_.Evaluate(start.specs, base, base ? &start : nullptr, kDriveIterations);
-      if (!(fits_.Excess(c) < kSomething * fits_.Excess(*best))) break;
+      if (!(fits_.Excess(c) < kSomething * fits_.Excess(base ? freed : plain))) break;
       winner = Better(winner, c);
       if (fits_.PerRow(winner) < kHolds) break;
     }
