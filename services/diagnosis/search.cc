@@ -32,6 +32,7 @@ constexpr double kNoisiest = 4.0;     // variance over the sensors' own: more is
 constexpr int kDriveIterations = 12;  // of fits that begin far off, with all joints' friction and rotors
 constexpr double kNear = 0.1;         // of what is amiss, that drives leave where more than they is missing
 constexpr double kSomething = 0.5;    // the same, of friction and rotors that have to do with it at all
+constexpr double kClearly = 10.0;     // stddev from nothing, of a loss that drives have
 constexpr double kLate = 0.01;        // s, where a fit of lags or delays begins
 const std::vector<std::string> kDriveGroup = {"viscous_friction", "coulomb_friction", "rotor_inertia"};
 constexpr size_t kPromised = 3;       // by a screen, that are fitted without a trial
@@ -92,7 +93,8 @@ class Search {
     Candidate best = out.calibrated.score > out.nominal.score + Threshold(out.nominal, out.calibrated)
                          ? out.calibrated
                          : out.nominal;
-    if (fits_.PerRow(best) > kHolds && !fits_.Late()) BeginWithDrives(out.nominal, out.calibrated, &best);
+    if (options_.earlier == nullptr && fits_.PerRow(best) > kHolds && !fits_.Late())
+      BeginWithDrives(out.nominal, out.calibrated, &best);
     LowerNoise(&best, &out);
     features_ = MakeFeatures(data_, nominal_, scales_);
     if (const Candidate* c = options_.earlier.get())
@@ -157,6 +159,7 @@ class Search {
   // drives that are late, only beside what explains something.
   void BeginWithDrives(const Candidate& plain, const Candidate& freed, Candidate* best) {
     Tell("drives", 0.08, KeyOf(best->specs));
+    const std::map<std::string, Candidate> before = fits_.tried();
     Candidate winner = *best;
     for (const bool base : {false, true}) {
       const Candidate start = RegressedGroup(data_, nominal_, scales_, kDriveGroup, base);
@@ -166,11 +169,26 @@ class Search {
       winner = Better(winner, c);
       if (fits_.PerRow(winner) < kHolds) break;
     }
-    if (winner.specs.size() == best->specs.size()) return;
-    if (fits_.PerRow(winner) > kExplained) winner = WithLateDrives(winner);
+    const bool more = winner.specs.size() > best->specs.size();
+    if (more && fits_.PerRow(winner) > kExplained) winner = WithLateDrives(winner);
     const bool near = fits_.PerRow(winner) < kHolds || fits_.Excess(winner) < kNear * fits_.Excess(*best);
-    Tell("drives", 0.09, KeyOf(winner.specs) + (near ? "taken" : "left"));
-    if (near && winner.score > best->score + Threshold(*best, winner)) *best = winner;
+    const bool take =
+        more && near && OfAllDrives(winner) && winner.score > best->score + Threshold(*best, winner);
+    Tell("drives", 0.09, KeyOf(winner.specs) + (take ? "taken" : "left"));
+    if (take) *best = winner;
+    if (!take) fits_.tried() = before;  // no rival of what is found one by one
+  }
+
+  // Whether two kinds of loss at least are clearly there on at least half of the joints: one effect on one
+  // joint, or drives that are late and nothing else, is found as such.
+  bool OfAllDrives(const Candidate& c) const {
+    std::map<std::string, int> joints;
+    for (size_t i = 0; i < c.specs.size(); ++i) {
+      const bool loss = std::count(kDriveGroup.begin(), kDriveGroup.end(), c.specs[i].id) > 0;
+      if (loss && Strength(c, i) > kClearly) ++joints[c.specs[i].id];
+    }
+    return std::count_if(joints.begin(), joints.end(),
+                         [&](const auto& kind) { return 2 * kind.second >= data_.judged(); }) >= 2;
   }
 
   // All of them late by a lag, by a delay, or not at all.
