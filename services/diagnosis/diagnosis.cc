@@ -17,7 +17,6 @@
 #include "services/diagnosis/search.h"
 #include "services/diagnosis/separating_motion.h"
 #include "services/diagnosis/set_check.h"
-#include "services/diagnosis/standing_joints.h"
 #include "services/diagnosis/swing_starts.h"
 #include "services/diagnosis/words.h"
 #include "services/sysid/parallel.h"
@@ -73,18 +72,14 @@ std::optional<recordings::RecordingSet> WithFitted(const recordings::RecordingSe
 
 }  // namespace
 
-Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& whole, const DiagnosisOptions& options,
+Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const DiagnosisOptions& options,
                                  const Clock& clock, const ProgressFn& progress, const CancelToken* cancel) {
   RG_RETURN_IF_ERROR(sysid::CheckTimes(options.window_s, options.step_s));
   const double start = clock.SteadySeconds();
   const int threads = sysid::ChooseThreads(options.threads);
-  RG_ASSIGN_OR_RETURN(sim::Plant nominal, GivenPlant(whole, options.model));
-  RG_ASSIGN_OR_RETURN(SetCheck check, CheckSet(whole, nominal, options.trust_effort));
+  RG_ASSIGN_OR_RETURN(sim::Plant nominal, GivenPlant(given, options.model));
+  RG_ASSIGN_OR_RETURN(SetCheck check, CheckSet(given, nominal, options.trust_effort));
   RG_RETURN_IF_ERROR(check.refusal);
-  const sim::Plant as_given = nominal;
-  const std::vector<int> standing = StandingJoints(whole, nominal);
-  const recordings::RecordingSet given = WithStanding(whole, standing);
-  nominal = WithStanding(nominal, standing);
   RG_ASSIGN_OR_RETURN(FitData data, PrepareData(given, nominal, options));
   // The balance of torques is of rigid bodies, and finds effects beside them itself.
   if (EffortIsMeasured(data) && !nominal.effects().empty()) {
@@ -159,7 +154,6 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& whole, const Di
       NoteOnFreeSwing(search.best.specs, result.holdout.before_rms, result.holdout.after_rms);
   if (!swing.empty() && !HasRod(nominal.effects())) result.notes.push_back(swing);
   if (result.plant) {
-    result.plant = WithRolesOf(*result.plant, as_given);
     for (std::string& note : sysid::NotesOnRotors(*result.plant, result.values))
       result.notes.push_back(std::move(note));
   }

@@ -5,7 +5,6 @@
 
 #include "services/diagnosis/given_model.h"
 #include "services/diagnosis/search.h"
-#include "services/diagnosis/standing_joints.h"
 #include "services/jobs/diagnosis_inputs.h"
 #include "services/jobs/fit_messages.h"
 #include "services/jobs/kinds.h"
@@ -31,13 +30,10 @@ struct ReadySet {
 Result<std::unique_ptr<ReadySet>> Prepare(const worker::TaskInput& input, bool rollouts,
                                           const pb::FitBatch& batch, std::string key) {
   RG_ASSIGN_OR_RETURN(recordings::RecordingSet set, SetToDiagnose(input, rollouts));
-  RG_ASSIGN_OR_RETURN(const auto model, ModelToDiagnose(input, rollouts));
-  RG_ASSIGN_OR_RETURN(const sim::Plant given, diagnosis::GivenPlant(set, model));
-  // As where the batch was made, which nobody tells: Diagnose.
-  const std::vector<int> standing = diagnosis::StandingJoints(set, given);
-  set = diagnosis::WithStanding(std::move(set), standing);
   if (batch.recordings_size() > 0) set.KeepForFit({batch.recordings().begin(), batch.recordings().end()});
-  auto ready = std::make_unique<ReadySet>(std::move(set), diagnosis::WithStanding(given, standing));
+  RG_ASSIGN_OR_RETURN(const auto model, ModelToDiagnose(input, rollouts));
+  RG_ASSIGN_OR_RETURN(sim::Plant nominal, diagnosis::GivenPlant(set, model));
+  auto ready = std::make_unique<ReadySet>(std::move(set), std::move(nominal));
   diagnosis::DiagnosisOptions options;
   options.fit_window_s = batch.fit_window_s();
   RG_ASSIGN_OR_RETURN(ready->data, diagnosis::PrepareData(ready->set, ready->nominal, options));

@@ -9,7 +9,6 @@
 
 #include "services/diagnosis/diagnosis.h"
 #include "services/diagnosis/search.h"
-#include "services/diagnosis/standing_joints.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/simulated_set.h"
 #include "tests/unit/sysid/roles_of_joints.h"
@@ -125,65 +124,6 @@ void ExpectFrictionOfTheFreeJoint(double start) {
 
 TEST(PassiveJoint, HasFrictionAndNothingOfADrive) { ExpectFrictionOfTheFreeJoint(0.0); }
 TEST(PassiveJoint, HasItUnderEpochSecondsToo) { ExpectFrictionOfTheFreeJoint(1.607e9); }
-
-// arm2 that holds its elbow at 0.4 rad with its brake, while the drive pulls on that with up to `pull` N·m:
-// of play there nothing shows. Coulomb friction of 0.9 N·m on the shoulder.
-recordings::RecordingSet ArmOnABrake(double pull) {
-  const auto full = sysid::testing::SetOf(*ReadFile(sysid::testing::RobotPath("arm2")), {}, {}, 81, 4.0);
-  auto model = model::LoadUrdf(sysid::testing::RobotPath("arm2"), {.locked = {{"elbow", 0.4}}});
-  RG_CHECK(model.ok()) << model.status().ToString();
-  const auto truth = *sim::Plant::Create(std::make_shared<const model::RobotModel>(*model), {},
-                                         {MakeSpec("coulomb_friction", {"shoulder"}, {{"coulomb", 0.9}})});
-  recordings::RecordingSet set = full;
-  Rng rng(82);
-  for (size_t k = 0; k < set.recordings.size(); ++k) {
-    recordings::Recording& r = set.recordings[k];
-    const sysid::testing::MakeOptions make = {
-        .duration_s = 4.0, .position_noise = 3e-4, .velocity_noise = 5e-3, .amplitude = 1.2};
-    const auto moving = sysid::testing::MakeRecording(truth, truth.parameters().Nominal(), 83 + k, make);
-    RG_CHECK(moving.rows() == r.rows());
-    r.q.row(0) = moving.q.row(0), r.v.row(0) = moving.v.row(0);
-    r.effort_command.row(0) = moving.effort_command.row(0);
-    for (int i = 0; i < r.rows(); ++i) {
-      r.q(1, i) = 0.4 + 3e-4 * rng.Normal(), r.v(1, i) = 5e-3 * rng.Normal();
-      r.effort_command(1, i) = pull * std::sin(3.0 * r.t[i]);
-    }
-  }
-  return set;
-}
-
-TEST(StandingJoint, HasABoundInANoteAndCostsNoSearch) {
-  const auto set = ArmOnABrake(1.2);
-  const DiagnosisResult r = Diagnosed(set);
-  ASSERT_EQ(r.findings.size(), 1u) << r.verdict;
-  EXPECT_EQ(r.findings[0].effect, "coulomb_friction");
-  EXPECT_THAT(r.findings[0].joints, ElementsAre("shoulder"));
-  EXPECT_NEAR(Value(r.findings[0], "shoulder", "coulomb"), 0.9, 0.05);
-  EXPECT_THAT(Tried(r), Not(Contains(HasSubstr("elbow"))));
-  EXPECT_THAT(r.notes, Contains(HasSubstr("elbow never moved: it holds against at least")));
-  EXPECT_THAT(r.notes, Not(Contains(HasSubstr("prescribed"))));
-  ASSERT_TRUE(r.plant);
-  EXPECT_TRUE(r.plant->prescribed().empty()) << "the model is of a joint with a drive again";
-  EXPECT_LT(r.holdout.after_rms, 2 * r.holdout.noise_floor_rms);
-}
-
-TEST(StandingJoint, IsOneThatMovedInNoRecordingAndNeverTheLastOne) {
-  auto set = ArmOnABrake(1.2);
-  const sim::Plant nominal = *sysid::NominalPlant(set);
-  EXPECT_THAT(StandingJoints(set, nominal), ElementsAre(1));
-  EXPECT_TRUE(StandingJoints(set, *nominal.WithRoles({"elbow"}, {})).empty());
-  const auto played = *nominal.WithEffect(MakeSpec("viscous_friction", {"elbow"}, {{"viscous", 0.1}}));
-  EXPECT_TRUE(StandingJoints(set, played).empty()) << "the model that is given knows something of it";
-  EXPECT_TRUE(StandingJoints(set, *nominal.WithRoles({"shoulder"}, {})).empty()) << "nothing would be left";
-  const auto held = WithStanding(set, {1});
-  EXPECT_THAT(held.prescribed, ElementsAre("elbow"));
-  EXPECT_TRUE(held.recordings[0].IsPrescribed(1));
-  EXPECT_EQ(held.recordings[0].effort_command.row(1).cwiseAbs().maxCoeff(), 0.0);
-  EXPECT_THAT(WithStanding(nominal, {1}).prescribed(), ElementsAre(1));
-  EXPECT_TRUE(WithRolesOf(WithStanding(nominal, {1}), nominal).prescribed().empty());
-  set.recordings.back().q.row(1).array() += 0.1;
-  EXPECT_TRUE(StandingJoints(set, nominal).empty()) << "it stood elsewhere in the recording kept aside";
-}
 
 TEST(LinkWithoutInertia, IsCalibratedAndNoFindingByItself) {
   const auto set = sysid::testing::SetOf(sysid::testing::ArmWithFlange(),
