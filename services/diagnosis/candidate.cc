@@ -271,17 +271,21 @@ bool AddsNothing(const Candidate& before, const Candidate& c) {
   return any;
 }
 
-bool OfAllJoints(const std::vector<EffectSpec>& specs, size_t i) {
+bool OfAllJoints(const Candidate& c, size_t i) {
   static const std::set<std::string> kShared = {"actuator_delay", "actuator_lag", "sensor_delay"};
-  return kShared.count(specs[i].id) > 0 &&
-         std::count_if(specs.begin(), specs.end(), [&](const EffectSpec& s) { return s.id == specs[i].id; }) >
-             1;
+  const std::string& id = c.specs[i].id;
+  const auto joints =
+      std::count_if(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) { return s.id == id; });
+  const effects::EffectInfo* info = effects::FindEffect(id);
+  const bool loss = info != nullptr && (info->family == "friction" || info->id == "rotor_inertia");
+  return (kShared.count(id) > 0 && joints > 1) ||
+         (loss && joints >= kManyJoints && 2 * joints > c.plant->num_joints());
 }
 
 bool SurelyThere(const Candidate& c, size_t i, double needed) {
   const double strength = Strength(c, i);
   if (strength <= 4.0 || c.specs[i].id == "torque_saturation") return false;
-  return OfAllJoints(c.specs, i) || 0.5 * strength * strength > 2 * needed;
+  return OfAllJoints(c, i) || 0.5 * strength * strength > 2 * needed;
 }
 
 std::vector<EffectSpec> RefreshedFrom(const Candidate& before, const Candidate& c) {

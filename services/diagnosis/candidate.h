@@ -106,9 +106,11 @@ std::vector<effects::EffectSpec> StrongEffects(const Candidate& c);
 std::vector<effects::EffectSpec> StillNeeded(const Candidate& account, const Candidate& other);
 // Whether all that `c` has and `before` has not is about nothing.
 bool AddsNothing(const Candidate& before, const Candidate& c);
-// Whether specs[i] is one joint's share of a delay or lag that other joints have too: those are of what
-// drives or reads all joints, and none is asked to be worth a name.
-bool OfAllJoints(const std::vector<effects::EffectSpec>& specs, size_t i);
+// Whether effect i is one joint's share of what all drives have: a delay or lag that another joint has too,
+// or friction or a rotor on more than half of the joints, three at least. Drives of one robot are alike: none
+// is asked to be worth a name.
+bool OfAllJoints(const Candidate& c, size_t i);
+inline constexpr long kManyJoints = 3;
 
 // Whether a fit without effect i is not worth its cost: its strength is not within a few stddev of nothing,
 // nor, unless it is of all joints, of what needs `needed` nats. A limit's strength is not known: it is

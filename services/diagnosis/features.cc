@@ -299,8 +299,9 @@ MotionScales ScalesOf(const FitData& data, const sim::Plant& plant) {
     s.inertia[plant.model().FindJoint(plant.parameters()[i].owner)] += plant.parameters()[i].nominal;
   VectorXd accelerations = VectorXd::Zero(n);
   for (const FineMotion& m : data.fine) accelerations += m.a.cwiseAbs2().rowwise().sum();
+  s.acceleration = (accelerations / count).cwiseSqrt().cwiseMax(1e-3);
   for (int j = 0; j < n; ++j) {
-    if (plant.IsPassive(j)) s.torque[j] = std::max(1e-6, s.inertia[j] * std::sqrt(accelerations[j] / count));
+    if (plant.IsPassive(j)) s.torque[j] = std::max(1e-6, s.inertia[j] * s.acceleration[j]);
   }
   return s;
 }

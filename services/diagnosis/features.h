@@ -22,7 +22,8 @@ struct Feature {
 struct MotionScales {
   Eigen::VectorXd torque;  // RMS of the drive torque about its mean, plus a third of the mean's size; without
                            // a drive, RMS of what its inertia needs
-  Eigen::VectorXd speed;  // RMS
+  Eigen::VectorXd speed;         // RMS
+  Eigen::VectorXd acceleration;  // RMS
   Eigen::VectorXd top_speed;
   Eigen::VectorXd low, high;    // range of positions
   Eigen::VectorXd inertia;      // diag M at the middle of the motion

@@ -54,6 +54,13 @@ std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::ve
   return out;
 }
 
+// Whether `specs` are one of the accounts and something beside it.
+bool HoldsOneOf(const std::vector<TrialSpecs>& accounts, const TrialSpecs& specs) {
+  return std::any_of(accounts.begin(), accounts.end(), [&](const TrialSpecs& account) {
+    return account.size() < specs.size() && IsPart(account, specs);
+  });
+}
+
 // The one among these effects.
 const EffectSpec& SwingingMass(const TrialSpecs& specs) {
   return *std::find_if(specs.begin(), specs.end(),
@@ -239,10 +246,11 @@ FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::v
   const auto batch = fits_.Start(setting_, trials);
   const double on_windows = Fitted(trials[0], batch->Take(0)).score;
   const double on_pieces = trial.pieces_alone ? Fitted(trials[1], batch->Take(1)).score : on_windows;
-  bool met = false;
+  std::vector<TrialSpecs> met;
   for (size_t i = 2; i < trials.size() && !Late() && work_ <= enough; ++i) {
-    // Where a law of what is recorded meets it, hidden states have no part.
-    if (met && HasHiddenStates(Unfitted(setting_, trials[i].specs, base))) continue;
+    // Where a law of what is recorded meets it, hidden states have no part, nor anything more beside it.
+    if (!met.empty() && HasFreeStates(Unfitted(setting_, trials[i].specs, base))) continue;
+    if (HoldsOneOf(met, trials[i].specs)) continue;
     const Candidate c = Fitted(trials[i], batch->Take(i));
     const bool whole = HasHiddenStates(c);
     const double before = whole ? on_windows : on_pieces;
@@ -252,8 +260,9 @@ FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::v
     auto& list = whole && trial.pieces_alone ? out.hidden : out.ranked;
     if (better)
       list.push_back({c.score / std::min(before, -1.0), Excess(c), std::make_shared<const Candidate>(c)});
-    met = met || (better && !whole && !trial.pieces_alone && !HasUnnamed(c) &&
-                  lifted_.noise_scale * PerRow(c) < kExplained && PerRow(from) > kExplained);
+    if (better && !HasFreeStates(c) && !trial.pieces_alone && !HasUnnamed(c) &&
+        lifted_.noise_scale * PerRow(c) < kExplained && PerRow(from) > kExplained)
+      met.push_back(c.specs);
   }
   return out;
 }
@@ -333,9 +342,13 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
 // Fits them on all windows, at least so many however much work is done.
 void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner) {
   const auto batch = fits_.Start(setting_, requests);
+  std::vector<TrialSpecs> met;  // what leaves nothing: nothing is fitted beside it
   for (size_t i = 0; i < requests.size() && !Cancelled() && (i < least || !Late(kToTheEnd)); ++i) {
+    if (HoldsOneOf(met, requests[i].specs)) continue;
     const Candidate c = Tried(requests[i], batch->Take(i));
     if (c.score > winner->score) *winner = c;
+    if (c.fit.ok && !HasFreeStates(c) && !HasUnnamed(c) && lifted_.noise_scale * PerRow(c) < kExplained)
+      met.push_back(c.specs);
   }
 }
 

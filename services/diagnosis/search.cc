@@ -8,9 +8,9 @@
 
 #include "common/effects/effect_catalog.h"
 #include "services/diagnosis/acceptance.h"
+#include "services/diagnosis/drive_search.h"
 #include "services/diagnosis/fit_ledger.h"
 #include "services/diagnosis/given_model.h"
-#include "services/diagnosis/group_start.h"
 #include "services/diagnosis/held_out_judge.h"
 #include "services/diagnosis/own_chi2.h"
 #include "services/diagnosis/screen_columns.h"
@@ -28,13 +28,9 @@ using Eigen::VectorXd;
 namespace {
 
 constexpr double kRivalShare = 0.25;  // of what parameters explain, by the screen's linear estimate
+constexpr double kNearlyAll = 0.9;    // of what is left
+constexpr double kMostly = 0.5;       // of what is left
 constexpr double kNoisiest = 4.0;     // variance over the sensors' own: more is motion that no force follows
-constexpr int kDriveIterations = 12;  // of fits that begin far off, with all joints' friction and rotors
-constexpr double kNear = 0.1;         // of what is amiss, that drives leave where more than they is missing
-constexpr double kSomething = 0.5;    // the same, of friction and rotors that have to do with it at all
-constexpr double kClearly = 10.0;     // stddev from nothing, of a loss that drives have
-constexpr double kLate = 0.01;        // s, where a fit of lags or delays begins
-const std::vector<std::string> kDriveGroup = {"viscous_friction", "coulomb_friction", "rotor_inertia"};
 constexpr size_t kPromised = 3;       // by a screen, that are fitted without a trial
 constexpr int kSentBack = 3;          // times that recordings kept aside may refuse an account
 constexpr int kExchanged = 3;         // times that what is easily taken for each other changes places
@@ -42,6 +38,7 @@ constexpr int kDeeper = 2;            // kinds beside a first one, before parame
 constexpr size_t kFew = 2;            // names: many together do what bodies do
 constexpr double kDeep = 0.5;         // of all work, after which none of that, nor a substitute, is begun
 constexpr size_t kBesideUnnamed = 3;  // names that are fitted beside a force without one
+constexpr size_t kBesideDrives = 3;   // that are fitted beside the losses of all drives
 constexpr size_t kInPlace = 2;        // that are fitted in the place of a kind, or beside what is refused
 constexpr double kPromise = 2.0;  // nats that a screen must promise of a law for a trial beside hidden states
 constexpr size_t kPlainRivals = 2;  // without states of their own, that are fitted with free base parameters
@@ -65,6 +62,8 @@ class Search {
         simplifier_(
             setting_, fits_, needs_, [this](const Candidate& c) { return Threshold(c); },
             [this](const Candidate& c) { return Explained(c); }),
+        drives_(setting_, fits_, given_, needs_,
+                [this](const Candidate& c, Candidate* best) { TakePromised(c, best); }),
         unnamed_(
             setting_, fits_, given_, [this](const Candidate& c) { return Force(c); }, needs_,
             [this](const Candidate& c, Candidate* best) { LookBeside(c, kBesideUnnamed, best); }) {
@@ -81,6 +80,7 @@ class Search {
                                                 scales_.torque, stair, fits_.lifted());
     fits_.SetNoiseScale(
         std::clamp(missing.chi2 / std::max(1.0, missing.rows - missing.unknowns), 1.0, kNoisiest));
+    features_ = MakeFeatures(data_, nominal_, scales_);
     Tell("calibrate", 0.05, "");
     given_ = SeenEffects(nominal_, [this](const auto& specs) { return fits_.Evaluate(specs, true); });
     out.nominal = fits_.Evaluate(given_, false);
@@ -93,10 +93,13 @@ class Search {
     Candidate best = out.calibrated.score > out.nominal.score + Threshold(out.nominal, out.calibrated)
                          ? out.calibrated
                          : out.nominal;
-    if (options_.earlier == nullptr && fits_.PerRow(best) > kHolds && !fits_.Late())
-      BeginWithDrives(out.nominal, out.calibrated, &best);
+    if (options_.earlier == nullptr && fits_.PerRow(best) > kHolds && !fits_.Late()) {
+      Tell("drives", 0.08, KeyOf(best.specs));
+      if (const auto drives = drives_.Run(out.nominal, out.calibrated)) best = *drives, of_drives_ = true;
+      if (of_drives_ && MeetsSensors(best)) simplifier_.Run(&best);
+      Tell("drives", 0.09, KeyOf(best.specs));
+    }
     LowerNoise(&best, &out);
-    features_ = MakeFeatures(data_, nominal_, scales_);
     if (const Candidate* c = options_.earlier.get())
       earlier_ = fits_.Evaluate(Refreshed(*c), c->base, c, kEarlier, nullptr);
     if (earlier_ && fits_.Late()) best = Better(best, *earlier_);
@@ -115,7 +118,10 @@ class Search {
       if ((round_ == 1 || OfPosition(best)) && Flexible(&best, std::max(kExplained, nothing), kOfPlace))
         break;
     }
-    simplifier_.Prune(&best);
+    if (of_drives_)
+      simplifier_.Run(&best);
+    else
+      simplifier_.Prune(&best);
     if ((fits_.PerRow(best) > kExplained || OfPosition(best)) && Flexible(&best, effects::kInf, kAny))
       best = unnamed_.WithNames(best);
     if (judge_ && !EndsForHalves(&out)) SendBack(Better(out.nominal, out.calibrated), &best, &out.unseen_in);
@@ -152,62 +158,6 @@ class Search {
   bool EndsForHalves(SearchResult* out) const {
     out->over_halves = fits_.over_halves(), out->work = fits_.work();
     return out->over_halves != nullptr;
-  }
-
-  // What all drives of one robot have in common, before single effects: where it brings the model within
-  // reach of the recordings, or most of the way, the search goes on from there. Free base parameters, and
-  // drives that are late, only beside what explains something.
-  void BeginWithDrives(const Candidate& plain, const Candidate& freed, Candidate* best) {
-    Tell("drives", 0.08, KeyOf(best->specs));
-    const std::map<std::string, Candidate> before = fits_.tried();
-    Candidate winner = *best;
-    for (const bool base : {false, true}) {
-      const Candidate start = RegressedGroup(data_, nominal_, scales_, kDriveGroup, base);
-      if (!start.fit.ok || start.specs.size() == given_.size() || fits_.Late()) continue;
-      const Candidate c = fits_.Evaluate(start.specs, base, base ? &start : nullptr, kDriveIterations);
-      if (!(fits_.Excess(c) < kSomething * fits_.Excess(base ? freed : plain))) break;
-      winner = Better(winner, c);
-      if (fits_.PerRow(winner) < kHolds) break;
-    }
-    const bool more = winner.specs.size() > best->specs.size();
-    if (more && fits_.PerRow(winner) > kExplained) winner = WithLateDrives(winner);
-    const bool near = fits_.PerRow(winner) < kHolds || fits_.Excess(winner) < kNear * fits_.Excess(*best);
-    const bool take =
-        more && near && OfAllDrives(winner) && winner.score > best->score + Threshold(*best, winner);
-    Tell("drives", 0.09, KeyOf(winner.specs) + (take ? "taken" : "left"));
-    if (take) *best = winner;
-    if (!take) fits_.tried() = before;  // no rival of what is found one by one
-  }
-
-  // Whether two kinds of loss at least are clearly there on at least half of the joints: one effect on one
-  // joint, or drives that are late and nothing else, is found as such.
-  bool OfAllDrives(const Candidate& c) const {
-    std::map<std::string, int> joints;
-    for (size_t i = 0; i < c.specs.size(); ++i) {
-      const bool loss = std::count(kDriveGroup.begin(), kDriveGroup.end(), c.specs[i].id) > 0;
-      if (loss && Strength(c, i) > kClearly) ++joints[c.specs[i].id];
-    }
-    return std::count_if(joints.begin(), joints.end(),
-                         [&](const auto& kind) { return 2 * kind.second >= data_.judged(); }) >= 2;
-  }
-
-  // All of them late by a lag, by a delay, or not at all.
-  Candidate WithLateDrives(const Candidate punctual) {
-    Candidate best = punctual;
-    for (const char* id : {"actuator_lag", "actuator_delay"}) {
-      std::vector<EffectSpec> late;
-      for (int j = 0; j < data_.n; ++j) {
-        const std::string& joint = nominal_.joint_names()[static_cast<size_t>(j)];
-        if (nominal_.Takes(id, j)) late.push_back(effects::MakeSpec(id, {joint}, {{LateBy(id), kLate}}));
-      }
-      if (late.empty() || fits_.Late()) continue;
-      const std::vector<EffectSpec> specs = Joined(Refreshed(punctual), late);
-      best = Better(best, fits_.Evaluate(specs, punctual.base, &punctual, kDriveIterations));
-    }
-    return best;
-  }
-  static std::string LateBy(const std::string& id) {
-    return effects::FindEffect(id)->parameters.front().name;
   }
 
   // A model that fits better than any force on the old one could: the noise is less than was thought. All
@@ -249,7 +199,16 @@ class Search {
   // Log evidence that the effects of a candidate bring.
   double Explained(const Candidate& c) const {
     const Candidate* without = fits_.Known(given_, c.base);
-    return FoundNothing(c) || without == nullptr ? 0.0 : c.score - without->score;
+    if (FoundNothing(c) || without == nullptr) return 0.0;
+    return std::min(c.score - without->score, Worth(c));
+  }
+  // What it would lose around itself: a model without its effects may be as far off as it likes, and says
+  // nothing of what an error in their amplitudes makes.
+  static double Worth(const Candidate& c) {
+    if (!c.fit.ok || c.fit.information.size() == 0) return effects::kInf;
+    double nats = 0;
+    for (size_t i = 0; i < c.specs.size(); ++i) nats += 0.5 * std::pow(Strength(c, i), 2);
+    return nats;
   }
   bool FoundNothing(const Candidate& c) const { return KeyOf(c.specs) == KeyOf(given_); }
 
@@ -262,7 +221,6 @@ class Search {
   bool AddOne(Candidate* best) {
     Tell("screen", 0.1 + 0.2 * round_, KeyOf(best->specs));
     Candidate winner = *best, deeper = *best;
-    if (fits_.Known(best->specs, !best->base) == nullptr) fits_.Evaluate(Refreshed(*best), !best->base, best);
     bool done = false;  // what an earlier search came to leaves nothing of these recordings
     if (round_ == 1 && earlier_) {
       winner = Better(winner, *earlier_);
@@ -278,7 +236,9 @@ class Search {
       if (base && !flexible && fits_.PerRow(winner) < kExplained &&
           winner.score > best->score + Threshold(*best, winner))
         break;
-      const Candidate* own = base == best->base ? best : fits_.Known(best->specs, !best->base);
+      if (base != best->base && fits_.Known(best->specs, base) == nullptr)
+        fits_.Evaluate(Refreshed(*best), base, best);
+      const Candidate* own = base == best->base ? best : fits_.Known(best->specs, base);
       if (own == nullptr || !own->fit.ok) continue;
       // Parameters explain much: only what explains it as well with less is of interest.
       const bool rival = !base && best->base &&
@@ -300,7 +260,11 @@ class Search {
       if (base && round_ > 1 && !flexible && found && fits_.PerRow(from) < kHolds &&
           from.score + best_gain < winner.score)
         continue;
-      const double wanted = rival ? kRivalShare * (best->score - from.score) : 1.0;
+      double wanted = rival ? kRivalShare * (best->score - from.score) : 1.0;
+      // Where a screen around a model that holds promises all that is left, hypotheses of which it promises
+      // little, or nothing, are no rivals.
+      if (fits_.PerRow(from) < kHolds && best_gain > kNearlyAll * AtStake(from))
+        wanted = std::max(wanted, kRivalShare * best_gain);
       TryAround(from, screened, wanted, Threshold(*best), base ? 3 : 4, &winner);
       if (fits_.over_halves() != nullptr) return false;
       if (base || (best->base && round_ > 1)) continue;
@@ -436,6 +400,13 @@ class Search {
     TryAround(from, screened, wanted, needed, count, winner);
   }
 
+  // What a screen around `from` promises, which need not hold, and nothing that it cannot see.
+  void TakePromised(const Candidate& from, Candidate* winner) {
+    const ScreenResult screened = Screened(from, from.base);
+    trace_.Screen(screened, from.base);
+    TryAround(from, screened, kPromise, Threshold(from), kBesideDrives, winner);
+  }
+
   // Trials of what may be added to `from`; the best of them and of `winner`.
   void TryAround(const Candidate& from, const ScreenResult& screened, double wanted, double needed,
                  size_t count, Candidate* winner) {
@@ -443,14 +414,44 @@ class Search {
       return fits_.Nearest(from, from.base, starts, most);
     };
     const auto force = [&] { return Force(from); };
-    const auto pool = Trials(data_, nominal_, scales_, from, screened, wanted, force, nearest);
     const bool holds = from.fit.ok && fits_.PerRow(from) < kHolds;
     const auto promised = Promised(from, screened, nominal_, scales_, holds, needed, kPromised);
-    fits_.TryBest(from, pool, promised, from.base, count, winner);
+    const auto try_pool = [&](double least) {
+      const auto pool = Trials(data_, nominal_, scales_, from, screened, least, force, nearest);
+      fits_.TryBest(from, pool, promised, from.base, count, winner);
+    };
+    // What the screen promises most from comes first: where a law of what is recorded leaves nothing, what no
+    // screen sees is not looked for.
+    if (wanted <= 1.0 && MostPromised(screened) > kMostly * AtStake(from)) {
+      try_pool(kPromise);
+      if (LeavesNothing(from, *winner, needed) || TakesMost(from, *winner)) return;
+    }
+    try_pool(wanted);
+  }
+  // Whether what was found beside `from` leaves nothing, by laws of what is recorded.
+  bool LeavesNothing(const Candidate& from, const Candidate& found, double needed) const {
+    return found.score > from.score + needed && MeetsSensors(found) && !HasUnnamed(found) &&
+           !HasFreeStates(found);
+  }
+  // Whether it takes most of what the losses of all drives leave. What else is missing is then looked for
+  // beside it, and not among what no screen sees.
+  bool TakesMost(const Candidate& from, const Candidate& found) const {
+    return of_drives_ && found.fit.ok && fits_.Excess(found) < kMostly * fits_.Excess(from);
+  }
+  static double MostPromised(const ScreenResult& screened) {
+    double most = 0;
+    for (const Scored& h : screened.hypotheses) {
+      if (!IsUnnamed(h.effect)) most = std::max(most, h.gain);
+    }
+    for (const auto* list : {&screened.sets, &screened.pairs}) {
+      for (const Combination& c : *list) most = std::max(most, c.gain);
+    }
+    return most;
   }
 
   // With free base parameters or without, whichever is worth it; they must bring `least`.
   Candidate InEitherWorld(const Candidate& c, double least) {
+    if (!c.base && AtStake(c) < least) return c;  // there is not so much left
     const Candidate twin = fits_.Evaluate(Refreshed(c), !c.base, &c, 6, &c);
     const Candidate &plain = c.base ? twin : c, &freed = c.base ? c : twin;
     return freed.score > plain.score + std::max(least, Threshold(plain, freed)) ? freed : plain;
@@ -651,10 +652,12 @@ class Search {
   const std::function<double(const Candidate&, const Candidate&)> needs_ =
       [this](const Candidate& a, const Candidate& b) { return Threshold(a, b); };
   Simplifier simplifier_;
+  DriveSearch drives_;
   UnnamedForces unnamed_;
   std::optional<HeldOutJudge> judge_;  // where recordings are kept aside
   int round_ = 0;
   std::optional<Candidate> earlier_;  // what an earlier search came to, on these recordings and windows
+  bool of_drives_ = false;            // the losses of all drives were found together
   bool nameless_ = false;             // an unnamed force alone is the account of all recordings
   Acceptance acceptance_;
   std::vector<VectorXd> step_rule_;

@@ -54,7 +54,7 @@ void Simplifier::Prune(Candidate* best) {
       specs.erase(specs.begin() + static_cast<long>(i));
       if (!sure) {
         const Candidate c = fits_.Evaluate(specs, best->base, best, 4, best);
-        const double worth = OfAllJoints(best->specs, i) ? 0.0 : needed_(c, *best);
+        const double worth = OfAllJoints(*best, i) ? 0.0 : needed_(c, *best);
         if (best->score < c.score + worth) *best = c, changed = true;
       }
       if (!changed) changed = GivesWayToBodies(specs, i, best);
@@ -73,7 +73,7 @@ bool Simplifier::GivesWayToBodies(const std::vector<EffectSpec>& without, size_t
   const double strength = Strength(*best, i);
   const EffectSpec effect = Refreshed(*best)[i];
   const bool small_gain = IsSmallGain(effect);
-  if (best->base || OfAllJoints(best->specs, i) ||
+  if (best->base || OfAllJoints(*best, i) ||
       (!small_gain && 0.5 * strength * strength > kSmallShare * explained_(*best)))
     return false;
   if (fits_.Late(kPruned)) return false;

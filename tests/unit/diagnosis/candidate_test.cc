@@ -254,16 +254,21 @@ TEST(Candidate, StribeckFrictionThatGrowsWithSpeedIsNone) {
   EXPECT_FALSE(Drops(c));
 }
 
-TEST(Candidate, AJointsShareOfADelayIsOfAllButOfOtherEffectsItsOwn) {
-  const std::vector<effects::EffectSpec> specs = {
-      effects::MakeSpec("rotor_inertia", {"a"}), effects::MakeSpec("rotor_inertia", {"b"}),
-      effects::MakeSpec("coulomb_friction", {"a"}), effects::MakeSpec("actuator_delay", {"a"}),
-      effects::MakeSpec("actuator_delay", {"b"})};
-  EXPECT_FALSE(OfAllJoints(specs, 0));
-  EXPECT_FALSE(OfAllJoints(specs, 2));
-  EXPECT_TRUE(OfAllJoints(specs, 3));
-  EXPECT_TRUE(OfAllJoints(specs, 4));
-  EXPECT_FALSE(OfAllJoints({specs[2], specs[3]}, 1));
+TEST(Candidate, DrivesShareDelaysAndLossesOfMostJoints) {
+  const auto arm = testing::Prepare("mico2", {}, 31);
+  const auto& names = arm->nominal.joint_names();
+  Candidate c;
+  const auto add = [&](const char* id, size_t joints) {
+    for (size_t j = 0; j < joints; ++j) c.specs.push_back(effects::MakeSpec(id, {names[j]}));
+  };
+  c.plant = std::make_shared<const sim::Plant>(arm->nominal);
+  add("actuator_delay", 2), add("rotor_inertia", 4), add("coulomb_friction", 3), add("torque_gain", 6);
+  EXPECT_TRUE(OfAllJoints(c, 0)) << "a delay of two";
+  EXPECT_TRUE(OfAllJoints(c, 2)) << "rotors on four of six";
+  EXPECT_FALSE(OfAllJoints(c, 6)) << "friction on three of six";
+  EXPECT_FALSE(OfAllJoints(c, 9)) << "gains are no loss";
+  c.specs = {effects::MakeSpec("actuator_delay", {names[0]})};
+  EXPECT_FALSE(OfAllJoints(c, 0)) << "a delay of one";
 }
 
 }  // namespace

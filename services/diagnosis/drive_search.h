@@ -1,0 +1,50 @@
+// The first step of a search on a robot that neither world comes near to: what all of its drives lack, at
+// once. Viscous and dry friction and a rotor on every joint, drives that are late by a lag or a delay or not
+// at all, another law of dry friction on all of them, and free base parameters where these do not come near.
+#pragma once
+
+#include <functional>
+#include <optional>
+#include <vector>
+
+#include "services/diagnosis/fit_ledger.h"
+
+namespace rg::diagnosis {
+
+class DriveSearch {
+ public:
+  // given: effects that the model has from its user. needed(a, b): log evidence that b must bring in the
+  // place of a. beside(c, best): takes what a screen around c promises beside it where that is better than
+  // `best`.
+  DriveSearch(const FitSetting& setting, FitLedger& fits, const std::vector<effects::EffectSpec>& given,
+              std::function<double(const Candidate&, const Candidate&)> needed,
+              std::function<void(const Candidate&, Candidate*)> beside)
+      : setting_(setting),
+        fits_(fits),
+        given_(given),
+        needed_(std::move(needed)),
+        beside_(std::move(beside)) {}
+
+  // The best of them, where it brings the model within reach of the recordings, or most of the way, and is of
+  // all drives; else none, and no fit of it is kept, for no such model is a rival of what is found one by
+  // one. plain, freed: the given effects alone, on the parameters as given and on free ones.
+  std::optional<Candidate> Run(const Candidate& plain, const Candidate& freed);
+
+ private:
+  Candidate Losses(bool base);
+  Candidate Seen(const Candidate& c, bool base);
+  void Late(Candidate* best);
+  void OtherDryLaw(Candidate* best);
+  void Freed(Candidate* best);
+  bool OfAllDrives(const Candidate& c) const;
+  // χ² per row in units of the sensors' own noise, beyond what noise alone leaves.
+  bool LeavesSomething(const Candidate& c) const;
+
+  const FitSetting& setting_;
+  FitLedger& fits_;
+  const std::vector<effects::EffectSpec>& given_;
+  std::function<double(const Candidate&, const Candidate&)> needed_;
+  std::function<void(const Candidate&, Candidate*)> beside_;
+};
+
+}  // namespace rg::diagnosis
