@@ -1,6 +1,7 @@
 #include "services/diagnosis/drive_search.h"
 
 #include <algorithm>
+#include <cmath>
 #include <map>
 #include <set>
 #include <string>
@@ -16,14 +17,17 @@ using effects::EffectSpec;
 namespace {
 
 constexpr int kIterations = 12;      // of fits that begin far off
-constexpr double kNear = 0.1;        // of what is amiss, that drives leave where more than they is missing
+constexpr double kNear = 0.2;        // of what is amiss, that drives leave where more than they is missing
+constexpr double kCloser = 0.1;      // the same, above which free base parameters or one thing more are tried
 constexpr double kUseful = 0.5;      // the same, of friction and rotors that have to do with it at all
 constexpr double kWorthwhile = 0.8;  // of what is left, that friction which drops with speed leaves
 constexpr double kClearly = 10.0;    // stddev from nothing, of a loss that drives have
 constexpr double kLateBy = 0.01;     // s, where a fit of lags or delays begins
 constexpr const char* kDry = "coulomb_friction";
 constexpr const char* kDropping = "stribeck_friction";
+constexpr const char* kEitherWay = "asymmetric_friction";
 const std::vector<std::string> kLosses = {"viscous_friction", kDry, "rotor_inertia"};
+constexpr const char* kTiming = "timing";  // the family of
 constexpr const char* kTimings[] = {"actuator_lag", "actuator_delay"};
 
 bool IsLoss(const std::string& id) {
@@ -44,20 +48,21 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
   const std::map<std::string, Candidate> before = fits_.tried();
   const Candidate& without = freed.score > plain.score ? freed : plain;
   Candidate best = Losses(false);
-  const bool useful = fits_.Excess(best) < kUseful * fits_.Excess(plain);
+  const bool useful = best.plant != nullptr && best.fit.rows > 0 && Left(best) < kUseful * Left(plain);
   if (useful) {
     Late(&best);
     OtherDryLaw(&best);
   }
-  const auto near = [&] { return fits_.Excess(best) < kNear * fits_.Excess(without); };
+  const auto leaves = [&](double share) { return Left(best) > share * Left(without); };
   const Candidate drives = best;
-  if (useful && !near()) Freed(&best);
-  if (useful && !near() && drives.fit.ok && !fits_.Late()) {
+  if (useful && leaves(kCloser)) Freed(&best);
+  if (useful && leaves(kCloser) && drives.fit.ok && !fits_.Late()) {
     Candidate with = drives;
     beside_(drives, &with);
-    if (fits_.Excess(with) < kUseful * fits_.Excess(best)) best = with;
+    if (Left(with) < kUseful * Left(best)) best = with;
   }
-  if (near() && best.fit.ok && OfAllDrives(best) && best.score > without.score + needed_(without, best))
+  if (useful && !leaves(kNear) && best.fit.ok && OfAllDrives(best) &&
+      best.score > without.score + needed_(without, best))
     return best;
   fits_.tried() = before;
   return std::nullopt;
@@ -83,12 +88,16 @@ Candidate DriveSearch::Seen(const Candidate& c, bool base) {
   return fits_.Evaluate(seen, base, &all, kIterations);
 }
 
-// All of them late by a lag, by a delay, or not at all. What takes little of what is left stands for
-// something else that is missing, and would be in its way.
+// What takes little of what is left stands for something else that is missing, and would be in its way.
 void DriveSearch::Late(Candidate* best) {
-  const Candidate punctual = *best;
+  if (!LeavesSomething(*best)) return;
+  const Candidate now = *best, start = AsStart(*best);
+  std::vector<EffectSpec> punctual = Refreshed(start);
+  std::erase_if(punctual, [&](const EffectSpec& s) {
+    return effects::FindEffect(s.id)->family == kTiming &&
+           !Contains(given_, s.id, s.joints.empty() ? "" : s.joints[0]);
+  });
   for (const char* id : kTimings) {
-    if (!LeavesSomething(punctual) || fits_.Late()) return;
     std::vector<EffectSpec> late;
     for (int j = 0; j < setting_.data.n; ++j) {
       const std::string& joint = setting_.nominal.joint_names()[static_cast<size_t>(j)];
@@ -96,23 +105,34 @@ void DriveSearch::Late(Candidate* best) {
         late.push_back(
             effects::MakeSpec(id, {joint}, {{effects::FindEffect(id)->parameters[0].name, kLateBy}}));
     }
-    if (late.empty()) continue;
-    const Candidate start = AsStart(punctual);
-    const Candidate c =
-        Seen(fits_.Evaluate(Joined(Refreshed(start), late), best->base, &start, kIterations), best->base);
-    if (c.score > best->score && fits_.Excess(c) < kUseful * fits_.Excess(punctual)) *best = c;
+    const std::vector<EffectSpec> specs = Joined(punctual, late);
+    if (late.empty() || KeyOf(specs) == KeyOf(now.specs) || fits_.Late()) continue;
+    const Candidate c = Seen(fits_.Evaluate(specs, now.base, &start, kIterations), now.base);
+    if (c.score > best->score && Left(c) < kUseful * Left(now)) *best = c;
   }
 }
 
-// Friction that drops with speed on all joints, as gears have it. Laws that hold a constant force in them
-// would stand for a mass that is missing.
+// Another law of dry friction on all joints: one that drops with speed, as gears have it, or one that differs
+// by direction. The latter holds a constant force, and stands for masses that differ from the URDF's: it is
+// left to the search where free base parameters leave about as little.
 void DriveSearch::OtherDryLaw(Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
-  std::vector<TrialSpecs> others = Exchanges(Refreshed(*best), kDry, setting_.nominal, setting_.scales);
-  std::erase_if(others, [](const TrialSpecs& o) { return !HasKind(o, kDropping); });
-  Candidate other = *best;
-  fits_.TryInPlace(others, &other);
-  if (fits_.Excess(other) < kWorthwhile * fits_.Excess(*best)) *best = other;
+  const std::vector<TrialSpecs> laws = Exchanges(Refreshed(*best), kDry, setting_.nominal, setting_.scales);
+  const auto with = [&](const char* id) {
+    std::vector<TrialSpecs> others = laws;
+    std::erase_if(others, [&](const TrialSpecs& o) { return !HasKind(o, id); });
+    Candidate other = *best;
+    fits_.TryInPlace(others, &other);
+    return other;
+  };
+  const Candidate drops = with(kDropping);
+  const Candidate either_way = with(kEitherWay);
+  if (Left(either_way) < kUseful * Left(drops)) {
+    const Candidate bodies = fits_.Evaluate(Refreshed(*best), true, best, kIterations);
+    if (!(Left(bodies) < Left(either_way) / kUseful)) *best = either_way;
+  } else if (Left(drops) < kWorthwhile * Left(*best)) {
+    *best = drops;
+  }
 }
 
 // Base parameters, where drives alone do not come near.
@@ -122,16 +142,18 @@ void DriveSearch::Freed(Candidate* best) {
   if (c.score > best->score + needed_(*best, c)) *best = c;
 }
 
-bool DriveSearch::LeavesSomething(const Candidate& c) const {
-  return !(fits_.noise_scale() * fits_.PerRow(c) < kExplained);
-}
+double DriveSearch::Left(const Candidate& c) { return std::max(0.0, c.fit.chi2 - c.fit.rows); }
+
+bool DriveSearch::LeavesSomething(const Candidate& c) { return !(c.fit.chi2 < kExplained * c.fit.rows); }
 
 // Whether two kinds of loss at least are clearly there on at least half of the joints: one effect on one
 // joint, or drives that are late and nothing else, is found as such.
 bool DriveSearch::OfAllDrives(const Candidate& c) const {
+  // What is left makes errors larger than noise does.
+  const double clearly = kClearly * std::sqrt(std::max(1.0, c.fit.chi2 / c.fit.rows));
   std::map<std::string, int> joints;
   for (size_t i = 0; i < c.specs.size(); ++i) {
-    if (IsLoss(c.specs[i].id) && Strength(c, i) > kClearly) ++joints[c.specs[i].id];
+    if (IsLoss(c.specs[i].id) && Strength(c, i) > clearly) ++joints[c.specs[i].id];
   }
   return std::count_if(joints.begin(), joints.end(),
                        [&](const auto& kind) { return 2 * kind.second >= setting_.data.judged(); }) >= 2;

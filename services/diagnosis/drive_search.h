@@ -30,15 +30,20 @@ class DriveSearch {
   // one. plain, freed: the given effects alone, on the parameters as given and on free ones.
   std::optional<Candidate> Run(const Candidate& plain, const Candidate& freed);
 
+  // All drives late by a lag or by a delay, in the place of what else is late, where that leaves half of what
+  // `best` does at most.
+  void Late(Candidate* best);
+
  private:
   Candidate Losses(bool base);
   Candidate Seen(const Candidate& c, bool base);
-  void Late(Candidate* best);
   void OtherDryLaw(Candidate* best);
   void Freed(Candidate* best);
   bool OfAllDrives(const Candidate& c) const;
-  // χ² per row in units of the sensors' own noise, beyond what noise alone leaves.
-  bool LeavesSomething(const Candidate& c) const;
+  // χ² beyond noise, of the sensors' own noise: what the search takes for noise so far may be what is
+  // missing.
+  static double Left(const Candidate& c);
+  static bool LeavesSomething(const Candidate& c);
 
   const FitSetting& setting_;
   FitLedger& fits_;

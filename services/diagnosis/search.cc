@@ -108,6 +108,7 @@ class Search {
       const bool added = AddOne(&best);
       if (EndsForHalves(&out)) return out;
       if (!added || nameless_) break;
+      if (of_drives_) drives_.Late(&best);
       // What had seemed to leave nothing may have ended on its way.
       if (LowerNoise(&best, &out) && !MeetsSensors(best) && !fits_.Late()) {
         if (Siblings(Candidate{}, &best)) simplifier_.Run(&best);
@@ -118,10 +119,14 @@ class Search {
       if ((round_ == 1 || OfPosition(best)) && Flexible(&best, std::max(kExplained, nothing), kOfPlace))
         break;
     }
-    if (of_drives_)
+    if (of_drives_) {
+      // On an ordinary robot more is missing as a rule: what is in the place of something else is not looked
+      // for before nothing more is found.
+      SubstituteAll(&best);
       simplifier_.Run(&best);
-    else
+    } else {
       simplifier_.Prune(&best);
+    }
     if ((fits_.PerRow(best) > kExplained || OfPosition(best)) && Flexible(&best, effects::kInf, kAny))
       best = unnamed_.WithNames(best);
     if (judge_ && !EndsForHalves(&out)) SendBack(Better(out.nominal, out.calibrated), &best, &out.unseen_in);
@@ -317,7 +322,7 @@ class Search {
       if (!same && justified.score < best->score + Threshold(*best, justified)) return false;
       *best = justified;
       simplifier_.Run(best);
-      SubstituteAll(best);
+      if (!of_drives_) SubstituteAll(best);
     }
     return accept;
   }
@@ -367,6 +372,7 @@ class Search {
     if (kinds.size() < 2 || HasUnnamed(*best) || MeetsSensors(*best)) return false;
     for (const std::string& kind : kinds) {
       if (fits_.Late(kDeep)) return false;
+      if (of_drives_ && OfAllJoints(*best, kind)) continue;
       Candidate winner = *best;
       LookWithout(*best, kind, &winner);
       if (KeyOf(winner.specs) == KeyOf(best->specs)) continue;
@@ -376,6 +382,13 @@ class Search {
       if (winner.score <= best->score + (more ? Threshold(*best, winner) : kBetter)) continue;
       *best = winner;
       return true;
+    }
+    return false;
+  }
+
+  static bool OfAllJoints(const Candidate& c, const std::string& kind) {
+    for (size_t i = 0; i < c.specs.size(); ++i) {
+      if (c.specs[i].id == kind && diagnosis::OfAllJoints(c, i)) return true;
     }
     return false;
   }
