@@ -113,8 +113,8 @@ void DriveSearch::Late(Candidate* best) {
 }
 
 // Another law of dry friction on all joints: one that drops with speed, as gears have it, or one that differs
-// by direction. The latter holds a constant force, and stands for masses that differ from the URDF's: it is
-// left to the search where free base parameters leave about as little.
+// by direction. The latter holds a constant force, and stands for masses that differ from the URDF's: these
+// take its place where free base parameters leave about as little, and drives may then be seen to be late.
 void DriveSearch::OtherDryLaw(Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
   const std::vector<TrialSpecs> laws = Exchanges(Refreshed(*best), kDry, setting_.nominal, setting_.scales);
@@ -129,7 +129,13 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
   const Candidate either_way = with(kEitherWay);
   if (Left(either_way) < kUseful * Left(drops)) {
     const Candidate bodies = fits_.Evaluate(Refreshed(*best), true, best, kIterations);
-    if (!(Left(bodies) < Left(either_way) / kUseful)) *best = either_way;
+    const bool as_little = Left(bodies) < Left(either_way) / kUseful;
+    if (!as_little) *best = either_way;
+    if (as_little && Left(bodies) < kUseful * Left(*best) &&
+        bodies.score > best->score + needed_(*best, bodies)) {
+      *best = bodies;
+      Late(best);
+    }
   } else if (Left(drops) < kWorthwhile * Left(*best)) {
     *best = drops;
   }
