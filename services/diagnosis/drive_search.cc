@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <set>
 #include <string>
 
 #include "common/effects/effect_catalog.h"
@@ -47,7 +46,7 @@ Candidate AsStart(Candidate c) {
 std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidate& freed) {
   const std::map<std::string, Candidate> before = fits_.tried();
   const Candidate& without = freed.score > plain.score ? freed : plain;
-  Candidate best = Losses(false);
+  Candidate best = Losses();
   const bool useful = best.plant != nullptr && best.fit.rows > 0 && Left(best) < kUseful * Left(plain);
   if (useful) {
     Late(&best);
@@ -69,10 +68,10 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
 }
 
 // From the regression of the inverse dynamics.
-Candidate DriveSearch::Losses(bool base) {
-  const Candidate start = RegressedGroup(setting_.data, setting_.nominal, setting_.scales, kLosses, base);
+Candidate DriveSearch::Losses() {
+  const Candidate start = RegressedGroup(setting_.data, setting_.nominal, setting_.scales, kLosses, false);
   if (!start.fit.ok || start.specs.size() == given_.size() || fits_.Late()) return {};
-  return Seen(fits_.Evaluate(start.specs, base, base ? &start : nullptr, kIterations), base);
+  return Seen(fits_.Evaluate(start.specs, false, nullptr, kIterations), false);
 }
 
 // Without the losses that these recordings show nothing of, which would have the whole refused.
@@ -129,7 +128,7 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
   const Candidate either_way = with(kEitherWay);
   if (Left(either_way) < kUseful * Left(drops)) {
     const Candidate bodies = fits_.Evaluate(Refreshed(*best), true, best, kIterations);
-    const bool as_little = Left(bodies) < Left(either_way) / kUseful;
+    const bool as_little = bodies.fit.ok && Left(bodies) < Left(either_way) / kUseful;
     if (!as_little) *best = either_way;
     if (as_little && Left(bodies) < kUseful * Left(*best) &&
         bodies.score > best->score + needed_(*best, bodies)) {

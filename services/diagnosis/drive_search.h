@@ -5,6 +5,7 @@
 
 #include <functional>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "services/diagnosis/fit_ledger.h"
@@ -35,7 +36,7 @@ class DriveSearch {
   void Late(Candidate* best);
 
  private:
-  Candidate Losses(bool base);
+  Candidate Losses();
   Candidate Seen(const Candidate& c, bool base);
   void OtherDryLaw(Candidate* best);
   void Freed(Candidate* best);
