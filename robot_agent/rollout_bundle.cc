@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "common/model/urdf_loader.h"
+#include "common/recordings/command_time.h"
 #include "common/recordings/csv.h"
 #include "common/recordings/recording_set.h"
 #include "robot_agent/safety/monitor.h"
@@ -61,6 +62,10 @@ Recording MakeRecording(const std::vector<const Sample*>& rows, const std::vecto
     recording.effort_measured.col(k) = Eigen::Map<const Eigen::VectorXd>(sample.effort.data(), n);
     recording.effort_command.col(k) = Eigen::Map<const Eigen::VectorXd>(sample.command.data(), n);
   }
+  Eigen::VectorXd sent_at(count);
+  for (Eigen::Index k = 0; k < count; ++k)
+    sent_at[k] = 1e-9 * static_cast<double>(rows[k]->time_ns - rows[0]->stamp_ns);
+  recording.other[recordings::kCommandTime] = sent_at;
   for (Eigen::Index i = 0; with_sent && i < n; ++i) {
     Eigen::VectorXd column(count);
     for (Eigen::Index k = 0; k < count; ++k) column[k] = rows[k]->sent[i];

@@ -64,6 +64,12 @@ void AddRolloutFlags(CLI::App* command, jobs::IterationOptions* options) {
   command->add_option("--goal-position", o.goal_position, "Goal of the end effector x,y,z [m]")
       ->delimiter(',');
   command->add_option("--controller", o.controller, "policy or mpc")->capture_default_str();
+  command
+      ->add_option("--excitation", o.excitation,
+                   "Torques on top of the controller's in the rollout's first half, as a share of each "
+                   "joint's limit; default: as the agent is configured, and with --diagnose 0.15 while the "
+                   "rollouts so far tell too little of a joint")
+      ->check(CLI::Range(0.0, 1.0));
 }
 
 void AddIdentifyFlags(CLI::App* command, jobs::IterationOptions* options) {

@@ -30,6 +30,11 @@ struct RunArguments {
   bool resume = false, lock_step = false;
 };
 
+// Whether there is a joint whose friction and inertia the rollouts so far cannot show.
+bool TellTooLittle(const std::vector<json>& results) {
+  return results.empty() || !results.back().at("diagnosis").value("quiet_joints", json::array()).empty();
+}
+
 Status RunIteration(LocalService& service, const RobotProfile& profile, RunState* run, bool quiet) {
   jobs::IterationOptions options = run->options;
   options.iteration = static_cast<int>(run->results.size()) + 1;
@@ -41,6 +46,8 @@ Status RunIteration(LocalService& service, const RobotProfile& profile, RunState
     inputs.model = run->results.back().at("model").get<std::string>();
   }
   if (options.diagnosis.on) {
+    if (options.rollout.excitation < 0 && TellTooLittle(run->results))
+      options.rollout.excitation = jobs::kLoopExcitation;
     RG_ASSIGN_OR_RETURN(inputs.nominal, ChooseModel(service.client(), profile, "nominal"));
     for (const json& before : run->results) {
       inputs.identified = before.at("identified_model").get<std::string>();

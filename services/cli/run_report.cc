@@ -44,6 +44,7 @@ const ResultRow kRows[] = {
     {"rollout: distance to goal at the end", "rad", "/rollout/goal_error/joint_norm", "–"},
     {"  distance covered at the start", "rad", "/rollout/goal_error/start_norm", "–"},
     {"  end effector to goal", "m", "/rollout/goal_error/tip_distance_m", "–"},
+    {"  excitation, share of the torque limits", "", "/rollout/excitation", "–"},
     {"  time", "s", "/seconds/rollout", "6"},
     {"simulation: residual before", "rad²", "/identification/before/residual", "350155"},
     {"  residual after", "rad²", "/identification/after/residual", "28.9, then 12.3"},

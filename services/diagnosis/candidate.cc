@@ -26,7 +26,33 @@ constexpr double kSharp = 0.1;        // cycles per turn: one other curve in fiv
 constexpr double kBent = 0.25;        // cycles per turn, off a whole number, that other effects make
 constexpr double kMostlyGone = 0.01;  // of the nats that an effect was worth
 constexpr double kUnseen = 0.7;       // posterior over prior stddev of the best known parameter
+constexpr double kAlike = 0.2;        // of its fellows' typical strength, that a drive's own may be
 constexpr double kFieldPrior = 6.0;   // what an unnamed force pays beside
+
+// Fields of which an effect is about nothing where they are zero (a gain: one).
+const std::set<std::string> kStrengths = {"viscous",
+                                          "coulomb",
+                                          "coulomb_positive",
+                                          "coulomb_negative",
+                                          "static",
+                                          "load_coefficient",
+                                          "delay",
+                                          "quadratic",
+                                          "time_constant",
+                                          "gain",
+                                          "deadband",
+                                          "amplitude",
+                                          "mass",
+                                          "armature",
+                                          "tilt",
+                                          "offset",
+                                          "initial",
+                                          "stiffness",
+                                          "final",
+                                          "torque",
+                                          "coefficient",
+                                          "gap",
+                                          "cubic"};
 
 // Of the effect in this form.
 double ParametersOf(const EffectSpec& spec) {
@@ -109,7 +135,7 @@ std::vector<EffectSpec> Refreshed(const Candidate& c) {
 
 bool Unseen(const Candidate& c) {
   for (size_t i = 0; i < c.specs.size(); ++i) {
-    if (Unseen(c, i)) return true;
+    if (Unseen(c, i) && !LikeItsFellows(c, i)) return true;
   }
   return false;
 }
@@ -173,29 +199,6 @@ bool Drops(const Candidate& c) {
 }
 
 double Strength(const Candidate& c, size_t i) {
-  static const std::set<std::string> kStrengths = {"viscous",
-                                                   "coulomb",
-                                                   "coulomb_positive",
-                                                   "coulomb_negative",
-                                                   "static",
-                                                   "load_coefficient",
-                                                   "quadratic",
-                                                   "delay",
-                                                   "time_constant",
-                                                   "gain",
-                                                   "deadband",
-                                                   "amplitude",
-                                                   "armature",
-                                                   "mass",
-                                                   "tilt",
-                                                   "offset",
-                                                   "stiffness",
-                                                   "initial",
-                                                   "final",
-                                                   "torque",
-                                                   "coefficient",
-                                                   "gap",
-                                                   "cubic"};
   const EffectSpec& s = c.specs[i];
   // The effect's strengths, and what else is free beside its shape, which is held.
   std::vector<long> own, rest;
@@ -235,7 +238,7 @@ std::vector<EffectSpec> StrongEffects(const Candidate& c) {
   const std::vector<EffectSpec> all = Refreshed(c);
   std::vector<EffectSpec> out;
   for (size_t i = 0; i < all.size(); ++i) {
-    if (Strength(c, i) > kNothing) out.push_back(all[i]);
+    if (Strength(c, i) > kNothing || LikeItsFellows(c, i)) out.push_back(all[i]);
   }
   return out;
 }
@@ -282,7 +285,34 @@ bool OfAllJoints(const Candidate& c, size_t i) {
          (loss && joints >= kManyJoints && 2 * joints > c.plant->num_joints());
 }
 
+bool LikeItsFellows(const Candidate& c, size_t i) {
+  if (!OfAllJoints(c, i) || c.specs[i].joints.size() != 1) return false;
+  // Of its first parameter that is a strength, in stddevs of its prior.
+  const auto strength = [&](size_t of, double* error) {
+    const EffectSpec& s = c.specs[of];
+    for (size_t k = 0; k < c.parameters.size(); ++k) {
+      const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+      if (p.effect != s.id || p.owner != s.joints[0] || kStrengths.count(p.field) == 0) continue;
+      *error = c.fit.stddev[static_cast<long>(k)] / c.parameters[k].prior_stddev;
+      return c.fit.theta[static_cast<long>(k)] / c.parameters[k].prior_stddev;
+    }
+    return 0.0;
+  };
+  std::vector<double> fellows;
+  double error = 0;
+  for (size_t k = 0; k < c.specs.size(); ++k) {
+    if (k == i || c.specs[k].id != c.specs[i].id || c.specs[k].joints.size() != 1 || Unseen(c, k)) continue;
+    fellows.push_back(strength(k, &error));
+  }
+  if (2 * fellows.size() < static_cast<size_t>(c.plant->num_joints())) return false;
+  const auto middle = fellows.begin() + static_cast<long>(fellows.size() / 2);
+  std::nth_element(fellows.begin(), middle, fellows.end());
+  const double own = strength(i, &error);
+  return own + 2 * error > kAlike * *middle;
+}
+
 bool SurelyThere(const Candidate& c, size_t i, double needed) {
+  if (LikeItsFellows(c, i)) return true;
   const double strength = Strength(c, i);
   if (strength <= 4.0 || c.specs[i].id == "torque_saturation") return false;
   return OfAllJoints(c, i) || 0.5 * strength * strength > 2 * needed;

@@ -32,6 +32,12 @@ struct Candidate {
       held_out;  // log density of recordings kept aside, where it was asked for (held_out.h)
 };
 
+// To another estimate of how much noisier the recordings are than their sensors: evidence and information.
+inline void Rescale(double before, double scale, Candidate* c) {
+  c->score -= 0.5 * (1.0 / scale - 1.0 / before) * c->fit.chi2;
+  c->fit.information *= before / scale;
+}
+
 // Without what belongs to the windows that it was fitted to.
 inline Candidate WithoutStates(Candidate c) {
   c.fit.states.clear(), c.fit.window_chi2.clear();
@@ -110,6 +116,10 @@ bool AddsNothing(const Candidate& before, const Candidate& c);
 // or friction or a rotor on more than half of the joints, three at least. Drives of one robot are alike: none
 // is asked to be worth a name.
 bool OfAllJoints(const Candidate& c, size_t i);
+// Whether effect i, one of a kind that most joints have, may be as strong on its joint as it typically is on
+// the others, measured by what the motion of each leads one to expect: drives of one robot are alike, and a
+// joint whose motion tells little of its own is taken to be like them.
+bool LikeItsFellows(const Candidate& c, size_t i);
 inline constexpr long kManyJoints = 3;
 
 // Whether a fit without effect i is not worth its cost: its strength is not within a few stddev of nothing,

@@ -47,14 +47,14 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
   const std::map<std::string, Candidate> before = fits_.tried();
   const Candidate& without = freed.score > plain.score ? freed : plain;
   Candidate best = Losses();
-  const bool useful = best.plant != nullptr && best.fit.rows > 0 && Left(best) < kUseful * Left(plain);
+  const bool useful = best.plant != nullptr && Left(best) < kUseful * Left(plain);
   if (useful) {
     Late(&best);
     OtherDryLaw(&best);
   }
   const auto leaves = [&](double share) { return Left(best) > share * Left(without); };
   const Candidate drives = best;
-  if (useful && leaves(kCloser)) Freed(&best);
+  if (useful) Freed(&best);
   if (useful && leaves(kCloser) && drives.fit.ok && !fits_.Late()) {
     Candidate with = drives;
     beside_(drives, &with);
@@ -80,8 +80,8 @@ Candidate DriveSearch::Seen(const Candidate& c, bool base) {
   if (c.fit.ok || !all.fit.ok || fits_.Late()) return c;
   std::vector<EffectSpec> seen = Refreshed(all);
   for (size_t i = seen.size(); i-- > 0;) {
-    if (i >= given_.size() && (Unseen(all, i) || Strength(all, i) < kNothing))
-      seen.erase(seen.begin() + static_cast<long>(i));
+    const bool weak = Unseen(all, i) || Strength(all, i) < kNothing;
+    if (!IsGiven(seen[i]) && weak && !LikeItsFellows(all, i)) seen.erase(seen.begin() + static_cast<long>(i));
   }
   if (seen.empty() || seen.size() == c.specs.size()) return c;
   return fits_.Evaluate(seen, base, &all, kIterations);
@@ -93,8 +93,7 @@ void DriveSearch::Late(Candidate* best) {
   const Candidate now = *best, start = AsStart(*best);
   std::vector<EffectSpec> punctual = Refreshed(start);
   std::erase_if(punctual, [&](const EffectSpec& s) {
-    return effects::FindEffect(s.id)->family == kTiming &&
-           !Contains(given_, s.id, s.joints.empty() ? "" : s.joints[0]);
+    return effects::FindEffect(s.id)->family == kTiming && !IsGiven(s);
   });
   for (const char* id : kTimings) {
     std::vector<EffectSpec> late;
@@ -127,27 +126,44 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
   const Candidate drops = with(kDropping);
   const Candidate either_way = with(kEitherWay);
   if (Left(either_way) < kUseful * Left(drops)) {
-    const Candidate bodies = fits_.Evaluate(Refreshed(*best), true, best, kIterations);
-    const bool as_little = bodies.fit.ok && Left(bodies) < Left(either_way) / kUseful;
-    if (!as_little) *best = either_way;
-    if (as_little && Left(bodies) < kUseful * Left(*best) &&
-        bodies.score > best->score + needed_(*best, bodies)) {
+    const Candidate bodies = WithFreeBase(*best);
+    if (!(Left(bodies) < Left(either_way) / kUseful)) {
+      *best = either_way;
+      return;
+    }
+    if (Left(bodies) < kUseful * Left(*best) && bodies.score > best->score + needed_(*best, bodies)) {
       *best = bodies;
       Late(best);
+      return;
     }
-  } else if (Left(drops) < kWorthwhile * Left(*best)) {
-    *best = drops;
   }
+  if (Left(drops) < kWorthwhile * Left(*best)) *best = drops;
 }
 
-// Base parameters, where drives alone do not come near.
+Candidate DriveSearch::WithFreeBase(const Candidate& c) {
+  const std::vector<EffectSpec> specs = Refreshed(c);
+  const Candidate* known = fits_.Known(specs, true);
+  return known != nullptr ? *known : fits_.Evaluate(specs, true, &c, kIterations);
+}
+
+// Base parameters, with which drives may be seen to be late, where they take half of what is left: no URDF
+// has them all right.
 void DriveSearch::Freed(Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
-  const Candidate c = fits_.Evaluate(Refreshed(*best), true, best, kIterations);
-  if (c.score > best->score + needed_(*best, c)) *best = c;
+  Candidate c = WithFreeBase(*best);
+  if (!c.fit.ok) return;
+  Late(&c);
+  if (c.score > best->score + needed_(*best, c) && Left(c) < kUseful * Left(*best)) *best = c;
 }
 
-double DriveSearch::Left(const Candidate& c) { return std::max(0.0, c.fit.chi2 - c.fit.rows); }
+bool DriveSearch::IsGiven(const EffectSpec& s) const {
+  return Contains(given_, s.id, s.joints.empty() ? "" : s.joints[0]);
+}
+
+double DriveSearch::Left(const Candidate& c) {
+  const bool fitted = c.fit.rows > 0 && c.fit.chi2 > 0;
+  return fitted ? std::max(0.0, c.fit.chi2 - c.fit.rows) : effects::kInf;
+}
 
 bool DriveSearch::LeavesSomething(const Candidate& c) { return !(c.fit.chi2 < kExplained * c.fit.rows); }
 
@@ -155,7 +171,7 @@ bool DriveSearch::LeavesSomething(const Candidate& c) { return !(c.fit.chi2 < kE
 // joint, or drives that are late and nothing else, is found as such.
 bool DriveSearch::OfAllDrives(const Candidate& c) const {
   // What is left makes errors larger than noise does.
-  const double clearly = kClearly * std::sqrt(std::max(1.0, c.fit.chi2 / c.fit.rows));
+  const double clearly = kClearly * std::sqrt(std::max(1.0, fits_.PerRow(c)));
   std::map<std::string, int> joints;
   for (size_t i = 0; i < c.specs.size(); ++i) {
     if (IsLoss(c.specs[i].id) && Strength(c, i) > clearly) ++joints[c.specs[i].id];

@@ -40,9 +40,11 @@ class DriveSearch {
   Candidate Seen(const Candidate& c, bool base);
   void OtherDryLaw(Candidate* best);
   void Freed(Candidate* best);
+  Candidate WithFreeBase(const Candidate& c);
+  bool IsGiven(const effects::EffectSpec& s) const;
   bool OfAllDrives(const Candidate& c) const;
   // χ² beyond noise, of the sensors' own noise: what the search takes for noise so far may be what is
-  // missing.
+  // missing. Infinite of a fit that failed.
   static double Left(const Candidate& c);
   static bool LeavesSomething(const Candidate& c);
 

@@ -99,9 +99,8 @@ bool FitLedger::Late(double limits) const {
 }
 
 void FitLedger::SetNoiseScale(double scale) {
-  const double change = 0.5 * (1.0 / scale - 1.0 / lifted_.noise_scale);
+  for (auto& [key, c] : tried_) Rescale(lifted_.noise_scale, scale, &c);
   lifted_.noise_scale = scale;
-  for (auto& [key, c] : tried_) c.score -= change * c.fit.chi2;
 }
 
 const Candidate* FitLedger::Known(const std::vector<EffectSpec>& specs, bool base) const {
@@ -325,13 +324,18 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
     if (c != nullptr && c->fit.rows > 0 && c->fit.chi2 > 0 && !HasMassInSprings(c->specs) && !HasUnnamed(*c))
       least = std::min(least, PerRow(*c));
   }
+  const auto may_swing = [&] {
+    return !HasUnnamed(from) && std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
+      return least - 1 > kPartly * (PerRow(*c) - 1);
+    });
+  };
   // With free base parameters it is looked for beside these where they leave so much less.
-  if (const Candidate* c = base ? nullptr : Known(from.specs, true); c != nullptr && c->fit.ok)
-    least = std::min(least, PerRow(*c));
-  const bool may_swing = !HasUnnamed(from) && std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
-    return least - 1 > kPartly * (PerRow(*c) - 1);
-  });
-  if (may_swing) {
+  if (!base && may_swing() && !Late()) {
+    const Candidate* known = Known(from.specs, true);
+    const Candidate freed = known != nullptr ? *known : Evaluate(Refreshed(from), true, &from);
+    if (freed.fit.ok) least = std::min(least, PerRow(freed));
+  }
+  if (may_swing()) {
     const std::optional<Candidate> lost = TryRod(from, swings, beside, &found);
     const double least = std::min(PerRow(found), PerRow(*winner));
     if (lost && !(PerRow(*lost) > least) && !Late()) TryHalves(*lost);

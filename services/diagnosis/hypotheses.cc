@@ -154,7 +154,8 @@ Prior PriorOf(const sim::Parameter& p, int joint, const MotionScales& s, const s
     return {p.nominal, 0.1 * p.nominal + 0.5, std::max(2.0, kLeastRipple * 2 * M_PI / range), 300};
   if (f == "phase" || f == "azimuth") return {p.nominal, 2};
   // Seen through its gear a light link's rotor is many times the link: what half the torque would turn.
-  if (f == "armature") return {0, std::max(inertia, joint >= 0 ? 0.5 * torque / s.acceleration[joint] : 0.0)};
+  const bool moves = joint >= 0 && s.still[static_cast<size_t>(joint)] == 0;
+  if (f == "armature") return {0, std::max(inertia, moves ? 0.5 * torque / s.acceleration[joint] : 0.0)};
   if (f == "offset") return {0, 0.1};
   if (f == "tilt") return {0, 0.1, -1.5, 1.5};
   if (f == "coefficient") return {0, 0.5 * torque / std::max(1e-9, s.torque.maxCoeff()) + 0.1, -3, 3};

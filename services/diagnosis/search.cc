@@ -96,6 +96,8 @@ class Search {
     if (options_.earlier == nullptr && fits_.PerRow(best) > kHolds && !fits_.Late()) {
       Tell("drives", 0.08, KeyOf(best.specs));
       if (const auto drives = drives_.Run(out.nominal, out.calibrated)) best = *drives, of_drives_ = true;
+      step_rule_.clear();  // of an account that may be forgotten
+      LowerNoise(&best, &out);
       if (of_drives_ && MeetsSensors(best)) simplifier_.Run(&best);
       Tell("drives", 0.09, KeyOf(best.specs));
     }
@@ -112,7 +114,7 @@ class Search {
       // What had seemed to leave nothing may have ended on its way.
       if (LowerNoise(&best, &out) && !MeetsSensors(best) && !fits_.Late()) {
         if (Siblings(Candidate{}, &best)) simplifier_.Run(&best);
-        SubstituteAll(&best);
+        if (!of_drives_) SubstituteAll(&best);
       }
       // What little a surface leaves is its own coarseness, and no further name.
       const double nothing = 0.98 + 0.02 * std::min(fits_.PerRow(out.nominal), fits_.PerRow(out.calibrated));
@@ -170,10 +172,10 @@ class Search {
   bool LowerNoise(Candidate* best, SearchResult* out) {
     const double own = best->fit.chi2 / std::max(1.0, Noise(*best));
     const double scale = std::max(1.0, std::min(fits_.noise_scale(), own));
-    const double change = 0.5 * (1.0 / scale - 1.0 / fits_.noise_scale());
-    if (change < 1e-3) return false;
+    if (0.5 * (1.0 / scale - 1.0 / fits_.noise_scale()) < 1e-3) return false;
+    const double before = fits_.noise_scale();
     fits_.SetNoiseScale(scale);
-    for (Candidate* c : {best, &out->nominal, &out->calibrated}) c->score -= change * c->fit.chi2;
+    for (Candidate* c : {best, &out->nominal, &out->calibrated}) Rescale(before, scale, c);
     return true;
   }
 
@@ -268,8 +270,9 @@ class Search {
       double wanted = rival ? kRivalShare * (best->score - from.score) : 1.0;
       // Where a screen around a model that holds promises all that is left, hypotheses of which it promises
       // little, or nothing, are no rivals.
-      if (fits_.PerRow(from) < kHolds && best_gain > kNearlyAll * AtStake(from))
-        wanted = std::max(wanted, kRivalShare * best_gain);
+      const double named_gain = MostPromised(screened);
+      if (fits_.PerRow(from) < kHolds && named_gain > kNearlyAll * AtStake(from))
+        wanted = std::max(wanted, kRivalShare * named_gain);
       TryAround(from, screened, wanted, Threshold(*best), base ? 3 : 4, &winner);
       if (fits_.over_halves() != nullptr) return false;
       if (base || (best->base && round_ > 1)) continue;
@@ -436,8 +439,10 @@ class Search {
     // What the screen promises most from comes first: where a law of what is recorded leaves nothing, what no
     // screen sees is not looked for.
     if (wanted <= 1.0 && MostPromised(screened) > kMostly * AtStake(from)) {
+      const double before = winner->score;
       try_pool(kPromise);
-      if (LeavesNothing(from, *winner, needed) || TakesMost(from, *winner)) return;
+      const bool better = winner->score > before;
+      if (better && (LeavesNothing(from, *winner, needed) || TakesMost(from, *winner))) return;
     }
     try_pool(wanted);
   }

@@ -16,6 +16,7 @@ namespace {
 
 constexpr double kPruned = 2.0;       // of all work, to take out what is not needed
 constexpr double kSmallShare = 0.01;  // of what all effects explain
+constexpr size_t kManyGains = 3;      // joints, from which gains are rather what the bodies have
 constexpr double kSmallGain = 0.01;   // of one: no URDF knows a mass better
 
 // Whether it scales efforts by no more than a mass of any URDF is off.
@@ -29,6 +30,7 @@ bool IsSmallGain(const EffectSpec& s) {
 }  // namespace
 
 void Simplifier::Run(Candidate* best) {
+  GainsGiveWay(best);
   Prune(best);
   Plainer(best);
   OwnLaws(best);
@@ -84,6 +86,21 @@ bool Simplifier::GivesWayToBodies(const std::vector<EffectSpec>& without, size_t
   if (both.score > freed.score + needed_(freed, both)) return false;
   Replace(freed, best);
   return true;
+}
+
+// Gains of most drives that are all off say what masses say that are all off, but for friction and rotors,
+// which are free too. Of the two the masses are the likelier: they take the gains' place where they leave no
+// more.
+void Simplifier::GainsGiveWay(Candidate* best) {
+  const TrialSpecs specs = WithoutKind(Refreshed(*best), "torque_gain");
+  const size_t gains = best->specs.size() - specs.size();
+  const bool of_most = gains >= kManyGains && 2 * gains > static_cast<size_t>(best->plant->num_joints());
+  if (!of_most || best->base || fits_.Late(kPruned) || HasKind(setting_.nominal.effects(), "torque_gain"))
+    return;
+  const Candidate* known = fits_.Known(specs, true);
+  const Candidate bodies = known != nullptr ? *known : fits_.Evaluate(specs, true, best, 12);
+  const double more = 0.5 * (bodies.fit.chi2 - best->fit.chi2) / fits_.noise_scale();
+  if (bodies.fit.ok && more < 1) Replace(bodies, best);
 }
 
 // By what is the likelier account though its score may be less: nor is the old one found again.

@@ -34,6 +34,7 @@ class Simplifier {
 
  private:
   bool GivesWayToBodies(const std::vector<effects::EffectSpec>& without, size_t i, Candidate* best);
+  void GainsGiveWay(Candidate* best);
   void Replace(const Candidate& by, Candidate* best);
   TrialSpecs PlainForm(const Candidate& c, const std::string& id) const;
   void Plainer(Candidate* best);

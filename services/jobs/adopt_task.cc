@@ -196,6 +196,8 @@ Result<worker::TaskOutputs> RunAdopt(const worker::TaskInput& input, worker::Tas
   if (refined) fitted["diagnosed and identified"] = ErrorJson(refined_all);
   json brought = Shortened(diagnosis);
   brought["rollouts"] = rollouts.all.size();
+  const json about = json::parse(said->metadata_json, nullptr, false);
+  brought["quiet_joints"] = about.is_object() ? about.value("quiet_joints", json::array()) : json::array();
   brought["window_s"] = kWindow_s;
   brought["unseen"] = unseen;
   brought["all_rollouts"] = fitted;

@@ -33,14 +33,14 @@ FitInputs FitInputsOf(const worker::TaskInput& input, const pb::DiagnosePayload&
 
 // A loop goes on with the model it has where its rollouts say too little.
 Result<worker::TaskOutputs> NotDiagnosed(const worker::TaskInput& input, const Status& why,
-                                         worker::TaskContext& context) {
+                                         const json& quiet, worker::TaskContext& context) {
   context.Log(why.message());
   RG_ASSIGN_OR_RETURN(const worker::InputArtifact* model, input.Require(kInputModel));
   const json said = {{"format", "realitygrad.diagnosis/1"},
                      {"verdict", "not_diagnosed"},
                      {"findings", json::array()},
                      {"note", why.message()}};
-  const json summary = {{"verdict", "not_diagnosed"}, {"note", why.message()}};
+  const json summary = {{"verdict", "not_diagnosed"}, {"note", why.message()}, {"quiet_joints", quiet}};
   worker::TaskOutputs outputs;
   outputs.artifacts.push_back({kOutputDiagnosis, kArtifactDiagnosis, said.dump(), summary.dump()});
   outputs.artifacts.push_back({kOutputModel, kArtifactModel, model->bytes, "{}"});
@@ -77,7 +77,9 @@ Result<worker::TaskOutputs> RunDiagnose(const worker::TaskInput& input, worker::
                 " by this one");
   }
   if (context.cancelled()) return CancelledError("diagnosis was cancelled");
-  if (!outcome.ok() && payload.rollouts()) return NotDiagnosed(input, outcome.status(), context);
+  json quiet = json::array();
+  if (payload.rollouts() && set.ok() && options.model) quiet = QuietJoints(*set, options.model->plant);
+  if (!outcome.ok() && payload.rollouts()) return NotDiagnosed(input, outcome.status(), quiet, context);
   if (!outcome.ok()) return outcome.status();
   const diagnosis::DiagnosisResult& result = *outcome;
   const std::string said = diagnosis::DiagnosisJson(result);
@@ -86,8 +88,10 @@ Result<worker::TaskOutputs> RunDiagnose(const worker::TaskInput& input, worker::
   for (const json& f : parsed.at("findings"))
     names.push_back(
         {{"effect", f.at("effect")}, {"joints", f.at("joints")}, {"confidence", f.at("confidence")}});
-  const json summary = {
-      {"verdict", parsed.at("verdict")}, {"findings", names}, {"holdout", parsed.at("fit").at("holdout")}};
+  const json summary = {{"verdict", parsed.at("verdict")},
+                        {"findings", names},
+                        {"holdout", parsed.at("fit").at("holdout")},
+                        {"quiet_joints", quiet}};
   worker::TaskOutputs outputs;
   outputs.artifacts.push_back({kOutputDiagnosis, kArtifactDiagnosis, said, summary.dump()});
   outputs.artifacts.push_back({kOutputModel, kArtifactModel, sim::ModelToJson(*result.plant, result.values),

@@ -1,5 +1,8 @@
 #include "services/jobs/diagnosis_inputs.h"
 
+#include <algorithm>
+
+#include "services/diagnosis/set_check.h"
 #include "services/jobs/kinds.h"
 #include "services/rollouts/recording_bundle.h"
 
@@ -47,6 +50,20 @@ Result<std::optional<sim::ModelFile>> ModelToDiagnose(const worker::TaskInput& i
     if (table[i].kind != sim::ParameterKind::kEffect) model.values[i] = table[i].nominal;
   }
   return std::optional<sim::ModelFile>(std::move(model));
+}
+
+std::vector<std::string> QuietJoints(const recordings::RecordingSet& set, const sim::Plant& plant) {
+  const auto check = diagnosis::CheckSet(set, plant, true);
+  if (!check.ok()) return plant.joint_names();
+  std::vector<std::string> quiet;
+  for (const diagnosis::EffectShows& effect : diagnosis::WhatShows(check->survey, plant)) {
+    if (effect.effect != "viscous_friction" && effect.effect != "rotor_inertia") continue;
+    for (const std::string& joint : plant.joint_names()) {
+      const bool shows = effect.shows && std::count(effect.joints.begin(), effect.joints.end(), joint) > 0;
+      if (!shows && std::count(quiet.begin(), quiet.end(), joint) == 0) quiet.push_back(joint);
+    }
+  }
+  return quiet;
 }
 
 }  // namespace rg::jobs

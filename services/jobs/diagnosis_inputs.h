@@ -19,4 +19,7 @@ Result<recordings::RecordingSet> SetToDiagnose(const worker::TaskInput& input, b
 // have absorbed what it lacks, and are the URDF's again.
 Result<std::optional<sim::ModelFile>> ModelToDiagnose(const worker::TaskInput& input, bool rollouts);
 
+// Joints of which the set's recordings cannot show viscous friction or a rotor's inertia: they hardly moved.
+std::vector<std::string> QuietJoints(const recordings::RecordingSet& set, const sim::Plant& plant);
+
 }  // namespace rg::jobs

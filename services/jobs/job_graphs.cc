@@ -198,6 +198,7 @@ void AppendRollout(const IterationOptions& options, const IterationInputs& input
   payload.mutable_goal_position()->Assign(o.goal_position.begin(), o.goal_position.end());
   payload.set_reach_s(o.reach_s);
   payload.set_controller(o.controller);
+  if (o.excitation >= 0) payload.set_excitation(o.excitation);
   payload.mutable_start_q()->Assign(options.home.begin(), options.home.end());
   payload.mutable_peak_torque()->Assign(options.peak_torque.begin(), options.peak_torque.end());
   pb::TaskSpec* task = AddTask(job, "rollout", kStageRollout, kKindRollout, payload);
@@ -369,6 +370,8 @@ Status Validate(const IterationOptions& o) {
   RG_RETURN_IF_ERROR(InRange("rollout duration [s]", o.rollout.duration_s, 0.2, 600.0));
   RG_RETURN_IF_ERROR(InRange("rollout rate [Hz]", o.rollout.rate_hz, 5.0, 1000.0));
   RG_RETURN_IF_ERROR(OneOf("controller", o.rollout.controller, {"policy", "mpc"}));
+  if (o.rollout.excitation >= 0)
+    RG_RETURN_IF_ERROR(InRange("excitation", o.rollout.excitation, 0.0, 1.0));
   if (!o.rollout.goal_q.empty() && !o.home.empty() && o.rollout.goal_q.size() != o.home.size()) {
     return InvalidError("goal has " + std::to_string(o.rollout.goal_q.size()) + " numbers, must have " +
                         std::to_string(o.home.size()) + ", one per joint");

@@ -49,6 +49,8 @@ struct RolloutOptions {
   std::vector<double> goal_position;  // task space
   double reach_s = 1.0;               // a drawn goal lies within 0.6 · v_max · reach_s of the start
   std::string controller = "policy";  // "mpc"; "trajectory": IterationInputs::motion, a rollout's only
+  // Torques on top of the controller's, as a share of each joint's limit; negative: as the agent is configured.
+  double excitation = -1.0;
 };
 
 struct IdentifyOptions {
@@ -67,6 +69,7 @@ struct IdentifyOptions {
 
 // Whether each rollout is diagnosed, and the model of the next iteration is what that found, identified
 // further. Identification alone goes on beside it, for comparison.
+inline constexpr double kLoopExcitation = 0.15;  // RolloutOptions::excitation, where rollouts tell too little
 struct LoopDiagnosisOptions {
   bool on = false;
   double budget_s = 60.0;  // no new round of the search for effects starts later

@@ -34,7 +34,8 @@ json OptionsToJson(const IterationOptions& o) {
             {"goal_q", o.rollout.goal_q},
             {"goal_position", o.rollout.goal_position},
             {"reach_s", o.rollout.reach_s},
-            {"controller", o.rollout.controller}}},
+            {"controller", o.rollout.controller},
+            {"excitation", o.rollout.excitation}}},
           {"identify",
            {{"chains", o.identify.chains},
             {"rounds", o.identify.rounds},
@@ -73,6 +74,7 @@ IterationOptions OptionsFromJson(const json& j) {
       r.at("goal_q").get_to(o.rollout.goal_q);
   r.at("goal_position").get_to(o.rollout.goal_position), r.at("reach_s").get_to(o.rollout.reach_s),
       r.at("controller").get_to(o.rollout.controller);
+  o.rollout.excitation = r.value("excitation", o.rollout.excitation);
   i.at("chains").get_to(o.identify.chains), i.at("rounds").get_to(o.identify.rounds),
       i.at("budget_s").get_to(o.identify.budget_s);
   i.at("hops").get_to(o.identify.hops), i.at("whole_recording").get_to(o.identify.whole_recording),

@@ -33,6 +33,7 @@ rollouts::RolloutSpec SpecOf(const pb::RolloutPayload& payload, std::string id) 
   spec.goal_seed = payload.seed();
   spec.robot_seed = payload.seed();
   if (payload.reach_s() > 0) spec.goal_reach_s = payload.reach_s();
+  if (payload.has_excitation()) spec.excitation = payload.excitation();
   return spec;
 }
 

@@ -271,5 +271,36 @@ TEST(Candidate, DrivesShareDelaysAndLossesOfMostJoints) {
   EXPECT_FALSE(OfAllJoints(c, 0)) << "a delay of one";
 }
 
+TEST(Candidate, AJointThatTellsLittleIsTakenToBeLikeItsFellows) {
+  const auto arm = testing::Prepare("mico2", {}, 31);
+  Candidate c;
+  for (const std::string& joint : arm->nominal.joint_names())
+    c.specs.push_back(effects::MakeSpec("viscous_friction", {joint}));
+  const auto plant = sim::Plant::Create(arm->nominal.shared_model(), arm->nominal.options(), c.specs);
+  ASSERT_TRUE(plant.ok()) << plant.status().ToString();
+  c.plant = std::make_shared<const sim::Plant>(*plant);
+  c.parameters = FreeParameters(*c.plant, arm->scales, false);
+  ASSERT_EQ(c.parameters.size(), 6u);
+  Eigen::VectorXd prior(6);
+  for (long k = 0; k < 6; ++k) prior[k] = c.parameters[static_cast<size_t>(k)].prior_stddev;
+  c.fit.theta = 0.5 * prior, c.fit.stddev = 0.01 * prior;
+  c.fit.information = (0.01 * prior).cwiseAbs2().cwiseInverse().asDiagonal();
+  const auto last = [&](double value, double stddev) {
+    c.fit.theta[5] = value * prior[5], c.fit.stddev[5] = stddev * prior[5];
+    c.fit.information(5, 5) = std::pow(stddev * prior[5], -2);
+  };
+  last(0.0, 0.9);
+  EXPECT_TRUE(LikeItsFellows(c, 5)) << "nothing is known of it";
+  EXPECT_FALSE(Unseen(c)) << "the others are known";
+  EXPECT_EQ(StrongEffects(c).size(), 6u);
+  last(0.0, 0.01);
+  EXPECT_FALSE(LikeItsFellows(c, 5)) << "it is known to have none";
+  EXPECT_EQ(StrongEffects(c).size(), 5u);
+  last(0.45, 0.3);
+  EXPECT_TRUE(SurelyThere(c, 5, 100.0)) << "as strong as the others, if less well known";
+  c.fit.stddev = 0.9 * prior;
+  EXPECT_TRUE(Unseen(c)) << "nothing is known of any";
+}
+
 }  // namespace
 }  // namespace rg::diagnosis

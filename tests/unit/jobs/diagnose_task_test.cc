@@ -68,6 +68,13 @@ TEST(DiagnoseTask, ALoopGoesOnWithItsModelWhereRolloutsSayTooLittle) {
   }
 }
 
+TEST(DiagnoseTask, SaysWhichJointsTheRolloutsTellTooLittleOf) {
+  worker::RecordingTaskContext context("");
+  const auto done = RunDiagnose(Input(true, {12}), context);
+  ASSERT_TRUE(done.ok()) << done.status().ToString();
+  EXPECT_EQ(json::parse(done->artifacts[0].metadata_json).at("quiet_joints"), json({"shoulder", "elbow"}));
+}
+
 TEST(DiagnoseTask, WhoAskedForADiagnosisIsToldThatThereIsNone) {
   worker::RecordingTaskContext context("");
   EXPECT_NE(RunDiagnose(Input(false, {5}), context).status().message().find("fewer than 10 rows"),

@@ -171,6 +171,7 @@ TEST(Rollout, ABaseThatAddsGravityRunsTheSameControllers) {
   EXPECT_LT(result.goal_error.joint_norm, 0.5 * result.goal_error.start_norm);
   const auto bundle = rollouts::UnpackBundle(result.bundle).value();
   EXPECT_THAT(bundle.at(kRecordingFile), HasSubstr("effort_sent.joint_2"));
+  EXPECT_THAT(bundle.at(kRecordingFile), HasSubstr("command_time"));
 }
 
 TEST(Rollout, SilencePutsTheArmInPositionMode) {
