@@ -1,9 +1,23 @@
-// The column of Recording::other that says when a row's command was sent [s, as the column time]: a controller
-// needs a while to answer the state that a row holds, and until then the command before is in force.
+// When commands took effect.
 #pragma once
+
+#include <Eigen/Core>
+
+#include "common/recordings/recording.h"
 
 namespace rg::recordings {
 
+// The column of Recording::other that says when a row's command was sent [s, as the column time]: a
+// controller needs a while to answer the state that a row holds, and until then the command before is in
+// force.
 inline constexpr const char* kCommandTime = "command_time";
+
+// K, increasing: that column where all of it is at or after its row and before the next but one; else the
+// rows' own times.
+const Eigen::VectorXd& CommandTimes(const Recording& recording);
+
+// Whether no joint moves in the first row: |v| within three stddevs of the velocities' noise. Without
+// measured velocities nothing says that one does.
+bool StartsAtRest(const Recording& recording);
 
 }  // namespace rg::recordings

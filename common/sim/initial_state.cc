@@ -2,6 +2,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "common/base/check.h"
 #include "common/dynamics/dynamics.h"
@@ -91,7 +92,9 @@ State Simulator::MakeState(const Eigen::VectorXd& q, const Eigen::VectorXd& v, d
 State Simulator::MakeState(const Eigen::VectorXd& q, const Eigen::VectorXd& v, double time,
                            const CommandSignal& command) const {
   Eigen::VectorXd u(q.size());
-  for (int i = 0; i < u.size(); ++i) u[i] = command.At(i, time - impl_->Delay(i));
+  // Of a command that changes at this instant the drive has followed the one before.
+  const auto before = [](double t) { return std::nextafter(t, -std::numeric_limits<double>::infinity()); };
+  for (int i = 0; i < u.size(); ++i) u[i] = command.At(i, before(time - impl_->Delay(i)));
   return MakeState(q, v, time, &u);
 }
 

@@ -14,6 +14,7 @@ namespace {
 using nlohmann::json;
 
 constexpr const char* kFormat = "realitygrad.model/1";
+constexpr const char *kHeld = "held", *kFirstCommand = "first command";  // before_recordings
 
 // The effects with the values that they have now, for people and as nominal values; a value that a fit has
 // taken outside its physical bounds stands in "parameters" only.
@@ -160,12 +161,20 @@ Result<ModelFile> Read(const json& root, const std::string& source) {
     if (!root["version"].is_number_integer()) return reader.Wrong("version", "must be an integer");
     version = root["version"].get<int>();
   }
-  return ModelFile{std::move(plant).value(), std::move(values), version};
+  bool held_before = true;
+  if (reader.Has("before_recordings")) {
+    RG_ASSIGN_OR_RETURN(const std::string before, reader.String("before_recordings"));
+    held_before = before == kHeld;
+    if (!held_before && before != kFirstCommand)
+      return reader.Wrong("before_recordings",
+                          std::string("must be \"") + kHeld + "\" or \"" + kFirstCommand + "\"");
+  }
+  return ModelFile{std::move(plant).value(), std::move(values), version, held_before};
 }
 
 }  // namespace
 
-std::string ModelToJson(const Plant& plant, const Eigen::VectorXd& values, int version) {
+std::string ModelToJson(const Plant& plant, const Eigen::VectorXd& values, int version, bool held_before) {
   RG_CHECK(values.size() == plant.parameters().size()) << values.size();
   json parameters = json::object();
   for (int i = 0; i < values.size(); ++i) parameters[plant.parameters()[i].name] = values[i];
@@ -179,6 +188,7 @@ std::string ModelToJson(const Plant& plant, const Eigen::VectorXd& values, int v
                {"gravity", {gravity[0], gravity[1], gravity[2]}},
                {"effects", EffectsToJson(plant, values)},
                {"parameters", std::move(parameters)}};
+  if (!held_before) root["before_recordings"] = kFirstCommand;
   if (!plant.options().prescribed.empty()) root["prescribed"] = plant.options().prescribed;
   if (!plant.options().passive.empty()) root["passive"] = plant.options().passive;
   if (!plant.model().locked().empty()) root["locked"] = plant.model().locked();
@@ -196,9 +206,9 @@ Result<ModelFile> LoadModelFile(const std::string& path) {
   return ModelFromJson(text, path);
 }
 
-Status SaveModelFile(const std::string& path, const Plant& plant, const Eigen::VectorXd& values,
-                     int version) {
-  return WriteFileAtomically(path, ModelToJson(plant, values, version));
+Status SaveModelFile(const std::string& path, const Plant& plant, const Eigen::VectorXd& values, int version,
+                     bool held_before) {
+  return WriteFileAtomically(path, ModelToJson(plant, values, version, held_before));
 }
 
 }  // namespace rg::sim

@@ -185,6 +185,7 @@ Status Predict(Context& context, const PredictArguments& arguments) {
   sysid::PredictionOptions options;
   options.window_s = arguments.window_s;
   options.effort_excludes_gravity = model.effort_excludes_gravity;
+  options.held_before = model.file.held_before;
   if (arguments.measured_restart) options.restart = sysid::RestartState::kMeasured;
   const sysid::Prediction prediction =
       sysid::PredictRecording(model.file.plant, model.file.values, recording, options);

@@ -164,6 +164,7 @@ struct DiagnosisResult {
 
   std::optional<sim::Plant> plant;  // augmented
   Eigen::VectorXd values;
+  bool held_before = true;  // sim::ModelFile
 };
 
 Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& set, const DiagnosisOptions& options,

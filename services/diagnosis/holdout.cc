@@ -147,6 +147,16 @@ HoldoutPlot PlotOf(const recordings::Recording& rec, const sysid::Prediction& be
   return plot;
 }
 
+// Whether the fitted recordings are told better where late drives follow what held the robot before each
+// begins, or the recording's first command.
+bool HeldBefore(const std::vector<const recordings::Recording*>& fitted, const sim::Plant& plant,
+                const VectorXd& values, sysid::PredictionOptions options, int threads) {
+  options.held_before = true;
+  const double held = Judge(fitted, plant, values, options, threads).rms;
+  options.held_before = false;
+  return !(Judge(fitted, plant, values, options, threads).rms < held);
+}
+
 }  // namespace
 
 void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal, const SearchResult& search,
@@ -160,12 +170,15 @@ void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal
   prediction.simulator.step_s = options.step_s;
   prediction.noise = data.noise;
   prediction.effort_excludes_gravity = set.effort_excludes_gravity;
+  if (!result->plant->effects().empty())
+    result->held_before = HeldBefore(set.Fit(), *result->plant, result->values, prediction, threads);
   // What cannot be simulated is not judged.
   const bool runs = GivenRuns(nominal, options.model);
   Judged before = Judge(recs, nominal, nominal.parameters().Nominal(), prediction, threads);
   if (!runs) MakeUnknown(&before);
   const Judged calibrated =
       Judge(recs, *search.calibrated.plant, search.calibrated.fit.values, prediction, threads);
+  prediction.held_before = result->held_before;
   const Judged after = Judge(recs, *result->plant, result->values, prediction, threads);
   HoldoutFit& h = result->holdout;
   h.before_rms = before.rms, h.calibrated_rms = calibrated.rms, h.after_rms = after.rms;

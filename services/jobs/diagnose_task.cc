@@ -94,7 +94,7 @@ Result<worker::TaskOutputs> RunDiagnose(const worker::TaskInput& input, worker::
                         {"quiet_joints", quiet}};
   worker::TaskOutputs outputs;
   outputs.artifacts.push_back({kOutputDiagnosis, kArtifactDiagnosis, said, summary.dump()});
-  outputs.artifacts.push_back({kOutputModel, kArtifactModel, sim::ModelToJson(*result.plant, result.values),
+  outputs.artifacts.push_back({kOutputModel, kArtifactModel, sim::ModelToJson(*result.plant, result.values, 0, result.held_before),
                                json{{"robot", result.robot}}.dump()});
   outputs.artifacts.push_back({kOutputReport, kArtifactReport, report::DiagnosisPage(result), "{}"});
   if (result.motion) {

@@ -308,7 +308,7 @@ void AppendDiagnosis(const IterationOptions& options, const IterationInputs& inp
   payload.set_rollouts(true);
   pb::TaskSpec* task = AddTask(job, "diagnosis", kStageDiagnose, kKindDiagnose, payload);
   task->set_weight(20.0 * options.diagnosis.budget_s);
-  AddStageOutputs(task, kInputModel, kStageConclude, kOutputModel);
+  AddArtifact(task, kInputModel, inputs.nominal);
   AddRollouts(inputs, task);
 }
 

@@ -60,10 +60,11 @@ CasePlot PlotOf(const recordings::Recording& recording, const recordings::Record
   return plot;
 }
 
-Predictor PredictorOf(const sim::Plant& plant, const Eigen::VectorXd& values) {
-  return [&plant, &values](const recordings::Recording& recording) {
+Predictor PredictorOf(const sim::Plant& plant, const Eigen::VectorXd& values, bool held_before = true) {
+  return [&plant, &values, held_before](const recordings::Recording& recording) {
     sysid::PredictionOptions options;
     options.window_s = kWindow;
+    options.held_before = held_before;
     return sysid::PredictRecording(plant, values, recording, options).q;
   };
 }
@@ -76,7 +77,7 @@ Status Predict(const std::string& label_folder, const recordings::RecordingSet& 
   const auto nothing = [](const recordings::Recording&) { return Eigen::MatrixXd(); };
   const std::vector<Predictor> predictors = {
       PredictorOf(nominal, nominal_values),
-      model ? PredictorOf(model->plant, model->values) : Predictor(nothing),
+      model ? PredictorOf(model->plant, model->values, model->held_before) : Predictor(nothing),
       box.ok() ? Predictor([&](const recordings::Recording& r) { return box->Predict(r, kWindow); })
                : Predictor(nothing)};
   std::vector<Squares> all(predictors.size());

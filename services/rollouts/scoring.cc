@@ -8,8 +8,10 @@
 
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
+#include "common/recordings/command_time.h"
 #include "common/recordings/noise.h"
 #include "common/recordings/windows.h"
+#include "common/sim/holding_command.h"
 
 namespace rg::rollouts {
 namespace {
@@ -18,7 +20,8 @@ using recordings::Recording;
 
 sim::CommandSignal CommandOf(const Recording& recording) {
   const bool command = recording.drive == recordings::EffortKind::kCommand;
-  std::vector<double> times(recording.t.data(), recording.t.data() + recording.t.size());
+  const Eigen::VectorXd& at = command ? recordings::CommandTimes(recording) : recording.t;
+  std::vector<double> times(at.data(), at.data() + at.size());
   auto signal = sim::CommandSignal::Create(std::move(times), recording.drive_effort(),
                                            command ? sim::Hold::kZeroOrder : sim::Hold::kLinear);
   return std::move(signal).value();  // readers of recordings refuse what Create refuses
@@ -118,7 +121,10 @@ SimulationError ScoreSimulation(const sim::Plant& plant, const Eigen::VectorXd& 
   error.joint_rms_each = Eigen::VectorXd::Zero(n);
   sim::Simulator simulator(plant, options.simulator);
   simulator.SetParameters(values);
-  const sim::CommandSignal command = CommandOf(recording);
+  sim::CommandSignal command = CommandOf(recording);
+  if (recordings::StartsAtRest(recording))
+    command =
+        sim::HeldBefore(command, sim::HoldingCommand(simulator, recording.q.col(0), command.values().col(0)));
   std::vector<std::pair<int, int>> compared;  // first row, count
   for (const auto& window : recordings::SplitIntoWindows(recording, options.window_s)) {
     RunWindow(recording, command, window, simulator, &error);

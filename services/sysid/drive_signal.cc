@@ -24,22 +24,9 @@ std::shared_ptr<const sim::GivenMotion> MotionOf(const recordings::Recording& re
   return std::make_shared<const sim::GivenMotion>(std::move(motion).value());
 }
 
-// When each row's command was sent, where the recording says so (column command_time): at or after the row it
-// answers, in order, and not two rows late. Else the row's own time.
-const VectorXd& CommandTimes(const recordings::Recording& recording) {
-  const auto column = recording.other.find(recordings::kCommandTime);
-  if (column == recording.other.end() || column->second.size() != recording.t.size()) return recording.t;
-  const VectorXd& sent = column->second;
-  for (Eigen::Index k = 0; k < sent.size(); ++k) {
-    const bool in_order = sent[k] >= recording.t[k] && (k == 0 || sent[k] > sent[k - 1]);
-    if (!in_order || (k + 2 < sent.size() && sent[k] > recording.t[k + 2])) return recording.t;
-  }
-  return sent;
-}
-
 sim::CommandSignal Signal(const recordings::Recording& recording, MatrixXd effort) {
   const bool held = recording.drive == recordings::EffortKind::kCommand;
-  const VectorXd& at = held ? CommandTimes(recording) : recording.t;
+  const VectorXd& at = held ? recordings::CommandTimes(recording) : recording.t;
   std::vector<double> times(at.data(), at.data() + at.size());
   auto signal = sim::CommandSignal::Create(std::move(times), std::move(effort),
                                            held ? sim::Hold::kZeroOrder : sim::Hold::kLinear);

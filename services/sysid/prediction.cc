@@ -11,9 +11,11 @@
 #include "common/base/check.h"
 #include "common/dynamics/dynamics.h"
 #include "common/recordings/angles.h"
+#include "common/recordings/command_time.h"
 #include "common/recordings/time_stamps.h"
 #include "common/recordings/velocity_lag.h"
 #include "common/recordings/windows.h"
+#include "common/sim/holding_command.h"
 #include "services/sysid/drive_signal.h"
 #include "services/sysid/state_filter.h"
 
@@ -66,6 +68,8 @@ class Predictor {
           options.drive_values.size() > 0 ? options.drive_values : plant.parameters().Nominal();
       mechanism_.emplace(MechanismOf(plant, drive));
     }
+    if (options.held_before && recordings::StartsAtRest(recording))
+      command_ = sim::HeldBefore(command_, Holding());
     if (options.restart == RestartState::kFiltered) {
       filter_.emplace(&filter_simulator_, recording, command_, NoiseOf(recording, options), DriveTorque());
     }
@@ -90,6 +94,14 @@ class Predictor {
     return [this](const VectorXd& q, VectorXd* torque) {
       dynamics::GravityTorque(*mechanism_, workspace_, q, *torque);
     };
+  }
+
+  // The command that held the robot in the first row, what the drive adds by itself taken off.
+  VectorXd Holding() {
+    VectorXd own = VectorXd::Zero(recording_.n()), u = command_.values().col(0);
+    const VectorXd q = recording_.q.col(0);
+    if (mechanism_) dynamics::GravityTorque(*mechanism_, workspace_, q, own);
+    return sim::HoldingCommand(simulator_, q, u + own) - own;
   }
 
   // Prescribed joints in a command that is held up to `end`: their velocities there.

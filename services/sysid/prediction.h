@@ -40,6 +40,8 @@ struct PredictionOptions {
   recordings::SensorNoise noise;
   bool effort_excludes_gravity = false;  // the drive adds its own, with `drive_values` of the plant
   Eigen::VectorXd drive_values;          // empty: the plant's nominal values
+  // What late drives follow before a recording of a robot at rest: the command that held it (sim::ModelFile).
+  bool held_before = true;
 };
 
 struct Prediction {

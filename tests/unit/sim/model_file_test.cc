@@ -51,6 +51,13 @@ TEST(ModelFile, ReadsBackTheSameModel) {
             b.Simulate(b.MakeState(q, v), command, {0.2}).state);
 }
 
+TEST(ModelFile, SaysWhatDrivesFollowBeforeARecording) {
+  const Plant plant = WithEffects();
+  const Eigen::VectorXd values = plant.parameters().Nominal();
+  EXPECT_TRUE(ModelFromJson(ModelToJson(plant, values), "m.json")->held_before);
+  EXPECT_FALSE(ModelFromJson(ModelToJson(plant, values, 0, false), "m.json")->held_before);
+}
+
 std::string Refusal(const std::function<void(nlohmann::json&)>& change) {
   const Plant plant = WithEffects();
   auto root = nlohmann::json::parse(ModelToJson(plant, plant.parameters().Nominal()));
