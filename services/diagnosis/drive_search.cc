@@ -22,6 +22,7 @@ constexpr double kUseful = 0.5;      // the same, of friction and rotors that ha
 constexpr double kWorthwhile = 0.8;  // of what is left, that friction which drops with speed leaves
 constexpr double kClearly = 10.0;    // stddev from nothing, of a loss that drives have
 constexpr double kLateBy = 0.01;     // s, where a fit of lags or delays begins
+constexpr double kLittleLate = 0.004;  // s, the same of one beside the other
 constexpr const char* kDry = "coulomb_friction";
 constexpr const char* kDropping = "stribeck_friction";
 constexpr const char* kEitherWay = "asymmetric_friction";
@@ -89,25 +90,37 @@ Candidate DriveSearch::Seen(const Candidate& c, bool base) {
 
 // What takes little of what is left stands for something else that is missing, and would be in its way.
 void DriveSearch::Late(Candidate* best) {
-  if (!LeavesSomething(*best)) return;
+  if (!LeavesSomething(*best) || (HasKind(best->specs, kTimings[0]) && HasKind(best->specs, kTimings[1])))
+    return;
   const Candidate now = *best, start = AsStart(*best);
   std::vector<EffectSpec> punctual = Refreshed(start);
   std::erase_if(punctual, [&](const EffectSpec& s) {
     return effects::FindEffect(s.id)->family == kTiming && !IsGiven(s);
   });
+  std::string taken;
   for (const char* id : kTimings) {
-    std::vector<EffectSpec> late;
-    for (int j = 0; j < setting_.data.n; ++j) {
-      const std::string& joint = setting_.nominal.joint_names()[static_cast<size_t>(j)];
-      if (setting_.nominal.Takes(id, j) && !Contains(given_, id, joint))
-        late.push_back(
-            effects::MakeSpec(id, {joint}, {{effects::FindEffect(id)->parameters[0].name, kLateBy}}));
-    }
-    const std::vector<EffectSpec> specs = Joined(punctual, late);
+    const std::vector<EffectSpec> late = OnAll(id, kLateBy), specs = Joined(punctual, late);
     if (late.empty() || KeyOf(specs) == KeyOf(now.specs) || fits_.Late()) continue;
     const Candidate c = Seen(fits_.Evaluate(specs, now.base, &start, kIterations), now.base);
-    if (c.score > best->score && Left(c) < kUseful * Left(now)) *best = c;
+    if (c.score > best->score && Left(c) < kUseful * Left(now)) *best = c, taken = id;
   }
+  if (taken.empty() || !LeavesSomething(*best) || fits_.Late()) return;
+  // A lag, and a little delay before it.
+  const Candidate one = *best;
+  const std::vector<EffectSpec> other = OnAll(taken == kTimings[0] ? kTimings[1] : kTimings[0], kLittleLate);
+  const Candidate both =
+      Seen(fits_.Evaluate(Joined(Refreshed(one), other), one.base, &one, kIterations), one.base);
+  if (both.score > one.score + needed_(one, both)) *best = both;
+}
+
+std::vector<EffectSpec> DriveSearch::OnAll(const char* id, double late) const {
+  std::vector<EffectSpec> out;
+  for (int j = 0; j < setting_.data.n; ++j) {
+    const std::string& joint = setting_.nominal.joint_names()[static_cast<size_t>(j)];
+    if (setting_.nominal.Takes(id, j) && !Contains(given_, id, joint))
+      out.push_back(effects::MakeSpec(id, {joint}, {{effects::FindEffect(id)->parameters[0].name, late}}));
+  }
+  return out;
 }
 
 // Another law of dry friction on all joints: one that drops with speed, as gears have it, or one that differs

@@ -32,7 +32,7 @@ class DriveSearch {
   std::optional<Candidate> Run(const Candidate& plain, const Candidate& freed);
 
   // All drives late by a lag or by a delay, in the place of what else is late, where that leaves half of what
-  // `best` does at most.
+  // `best` does at most; by both where more is left and both are worth it.
   void Late(Candidate* best);
 
  private:
@@ -42,6 +42,7 @@ class DriveSearch {
   void Freed(Candidate* best);
   Candidate WithFreeBase(const Candidate& c);
   bool IsGiven(const effects::EffectSpec& s) const;
+  std::vector<effects::EffectSpec> OnAll(const char* id, double late) const;
   bool OfAllDrives(const Candidate& c) const;
   // χ² beyond noise, of the sensors' own noise: what the search takes for noise so far may be what is
   // missing. Infinite of a fit that failed.

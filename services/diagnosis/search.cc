@@ -105,7 +105,10 @@ class Search {
     if (const Candidate* c = options_.earlier.get())
       earlier_ = fits_.Evaluate(Refreshed(*c), c->base, c, kEarlier, nullptr);
     if (earlier_ && fits_.Late()) best = Better(best, *earlier_);
+    std::set<std::string> begun_at;
     for (round_ = 1; round_ <= options_.max_effects && !fits_.Late(); ++round_) {
+      // A round that begins where another did ends where that did: what it added was taken out again.
+      if (!begun_at.insert(KeyOf(best.specs, best.base)).second) break;
       fits_.SetRound(round_);
       const bool added = AddOne(&best);
       if (EndsForHalves(&out)) return out;

@@ -111,8 +111,13 @@ bool Better(const Error& a, const Error& b) { return a.windows < b.windows && a.
 // fitted to.
 constexpr double kWorthItsStructure = 0.8;
 
+// Where its error in windows is less than half, more of it in open loop over a whole rollout is no objection:
+// that is what identification alone was fitted to, and an arm held by friction drifts on from any error at
+// its start.
+constexpr double kFarBetter = 0.5;
+
 // What goes on: identification alone, unless the diagnosed model, further identified where that is better,
-// has clearly less error in windows and no more in open loop.
+// has clearly less error in windows and no more in open loop, or far less in windows.
 Choice Choose(const sim::ModelFile& identified, const Error& identified_all, const sim::ModelFile& diagnosed,
               const Error& diagnosed_all, const std::optional<sim::ModelFile>& refined,
               const Error& refined_all) {
@@ -121,7 +126,8 @@ Choice Choose(const sim::ModelFile& identified, const Error& identified_all, con
   if (refined && (Better(refined_all, diagnosed_all) || !std::isfinite(diagnosed_all.windows)))
     choice = {"diagnosed and identified", &*refined}, error = refined_all;
   const bool pays = error.windows < kWorthItsStructure * identified_all.windows &&
-                    error.open_loop <= identified_all.open_loop;
+                    (error.open_loop <= identified_all.open_loop ||
+                     (std::isfinite(error.open_loop) && error.windows < kFarBetter * identified_all.windows));
   return pays ? choice : Choice{"identified", &identified};
 }
 
