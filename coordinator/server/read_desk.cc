@@ -11,6 +11,8 @@
 #include "common/store/database.h"
 #include "common/store/parameter_store.h"
 #include "coordinator/server/artifact_desk.h"
+#include "coordinator/server/history.h"
+#include "coordinator/store/schema.h"
 #include "realitygrad/v1/control.pb.h"
 
 namespace rg::coordinator {
@@ -19,6 +21,7 @@ namespace {
 namespace pb = realitygrad::v1;
 using transport::Is;
 
+constexpr size_t kPageBytes = 8u << 20;
 constexpr size_t kMaxWaiting = 1024;
 constexpr size_t kMaxAnswerBytes = 64u << 20;  // made and not taken yet: then it pauses
 
@@ -27,6 +30,7 @@ struct Reader {
   std::unique_ptr<store::Database> database;
   std::unique_ptr<store::ArtifactStore> artifacts;
   std::unique_ptr<store::ParameterStore> parameters;
+  std::unique_ptr<JobStore> jobs;
   std::unique_ptr<ArtifactDesk> desk;
 
   Status Open(const std::string& path, const Clock* clock, std::function<bool()> stop) {
@@ -34,10 +38,12 @@ struct Reader {
     store::DatabaseOptions options;
     options.path = path;
     options.read_only = true;
-    RG_ASSIGN_OR_RETURN(database, store::Database::Open(options, {store::ArtifactStore::Schema(),
-                                                                  store::ParameterStore::Schema()}));
+    RG_ASSIGN_OR_RETURN(
+        database, store::Database::Open(options, {store::ArtifactStore::Schema(),
+                                                  store::ParameterStore::Schema(), CoordinatorSchema()}));
     RG_ASSIGN_OR_RETURN(artifacts, store::ArtifactStore::Open(database.get(), clock));
     parameters = std::make_unique<store::ParameterStore>(database.get(), clock);
+    jobs = std::make_unique<JobStore>(database.get());
     desk = std::make_unique<ArtifactDesk>(artifacts.get(), parameters.get(), clock);
     desk->set_stop(std::move(stop));
     return Status::Ok();
@@ -63,6 +69,24 @@ Result<pb::BackupReply> BackUp(store::Database& database, const pb::BackupReques
   return reply;
 }
 
+template <class Reply>
+transport::Message Pack(const transport::Sender& self, const transport::Message& request,
+                        const Result<Reply>& reply) {
+  return reply.ok() ? transport::MakeReply(self, request, *reply)
+                    : transport::MakeErrorReply(self, request, reply.status());
+}
+
+std::optional<transport::Message> Answer(Reader& reader, const transport::Sender& self,
+                                         const transport::Message& request) {
+  if (const auto body = transport::Unpack<pb::BackupRequest>(request); body.ok())
+    return Pack(self, request, BackUp(*reader.database, *body));
+  if (const auto body = transport::Unpack<pb::GetLogsRequest>(request); body.ok())
+    return Pack(self, request, ReadLogs(*reader.jobs, *body, kPageBytes));
+  if (const auto body = transport::Unpack<pb::ListEventsRequest>(request); body.ok())
+    return Pack(self, request, ReadEvents(*reader.jobs, *body, kPageBytes));
+  return reader.desk->Answer(self, request);
+}
+
 }  // namespace
 
 ReadDesk::ReadDesk(std::string database_path, transport::Sender self, const Clock* clock,
@@ -82,13 +106,15 @@ ReadDesk::~ReadDesk() {
 
 bool ReadDesk::IsLong(const transport::Message& request) {
   return Is<pb::VerifyArtifactsRequest>(request) || Is<pb::ArtifactLineageRequest>(request) ||
-         Is<pb::ListArtifactsRequest>(request) || Is<pb::BackupRequest>(request);
+         Is<pb::BackupRequest>(request);
 }
 
 bool ReadDesk::IsShort(const transport::Message& request) {
   return Is<pb::GetArtifactRequest>(request) || Is<pb::ShowArtifactRequest>(request) ||
-         Is<pb::ListRobotsRequest>(request) || Is<pb::ParameterHistoryRequest>(request) ||
-         Is<pb::ShowParametersRequest>(request) || Is<pb::DiffParametersRequest>(request);
+         Is<pb::ListArtifactsRequest>(request) || Is<pb::ListRobotsRequest>(request) ||
+         Is<pb::ParameterHistoryRequest>(request) || Is<pb::ShowParametersRequest>(request) ||
+         Is<pb::DiffParametersRequest>(request) || Is<pb::GetLogsRequest>(request) ||
+         Is<pb::ListEventsRequest>(request);
 }
 
 Status ReadDesk::Add(transport::Message request) {
@@ -131,16 +157,8 @@ void ReadDesk::Work() {
       busy_ = true;
     }
     const Status opened = reader.Open(path_, clock_, [this] { return stop_.load(); });
-    std::optional<transport::Message> answer;
-    if (!opened.ok()) {
-      answer = transport::MakeErrorReply(self_, request, opened);
-    } else if (const auto backup = transport::Unpack<pb::BackupRequest>(request); backup.ok()) {
-      const auto done = BackUp(*reader.database, *backup);
-      answer = done.ok() ? transport::MakeReply(self_, request, *done)
-                         : transport::MakeErrorReply(self_, request, done.status());
-    } else {
-      answer = reader.desk->Answer(self_, request);
-    }
+    std::optional<transport::Message> answer =
+        opened.ok() ? Answer(reader, self_, request) : transport::MakeErrorReply(self_, request, opened);
     {
       const std::lock_guard lock(mutex_);
       busy_ = false;

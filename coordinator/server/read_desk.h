@@ -1,5 +1,6 @@
-// Answers requests that only read artefacts and parameters, on a thread of its own with a connection of its
-// own: a check of the whole store, or a long lineage, keeps nobody else waiting. It sees what is committed.
+// Answers requests that only read artefacts, parameters, logs or events, on a thread of its own with a
+// connection of its own: a check of the whole store, or a long lineage, keeps nobody else waiting. It sees
+// what is committed.
 #pragma once
 
 #include <atomic>
@@ -24,7 +25,7 @@ class ReadDesk {
   ~ReadDesk();  // breaks off what is under way
 
   static bool IsLong(const transport::Message& request);   // may take seconds or minutes
-  static bool IsShort(const transport::Message& request);  // milliseconds, but there are many
+  static bool IsShort(const transport::Message& request);  // a page or a piece, but there are many
 
   // In order. kResourceExhausted: too many wait already.
   Status Add(transport::Message request);

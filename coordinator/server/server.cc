@@ -186,8 +186,10 @@ bool Server::MayJudge(int64_t steady_ns) const {
 void Server::TryToRecover() {
   const int64_t steady = clock_->SteadyNanos();
   if (steady < next_try_ns_) return;
+  constexpr int64_t kRoomBytes = 1 << 20;
   const AppendEvent note{clock_->WallNanos(), 0, "", "", "coordinator.recovered", trouble_};
-  const Status written = database_->InTransaction([&] { return jobs_->Apply({note}, {}); });
+  Status written = jobs_->ProbeRoom(kRoomBytes);
+  if (written.ok()) written = database_->InTransaction([&] { return jobs_->Apply({note}, {}); });
   if (!written.ok()) {
     next_try_ns_ = steady + try_interval_ns_;
     return;
@@ -298,6 +300,7 @@ void Server::SendBatch() {
   queries_.clear();
   TakeReaderAnswers();
   AnswerWatchers();
+  overviews_.clear();
   for (transport::Message& message : std::exchange(outbox_, {})) SendReply(std::move(message));
 }
 

@@ -147,16 +147,17 @@ class Server {
   void HandleAction(const transport::Message& message);
   void HandleDrain(const transport::Message& message);
   void HandleWrite(const transport::Message& message);
+  // False: it was answered with an error.
+  bool NameTheJob(transport::Message& message);
   // True: a thread answers it.
   bool LeaveToReaders(transport::Message& message);
   void TakeReaderAnswers();
   transport::Message AnswerQuery(const transport::Message& message);
   Result<pb::ListJobsReply> ListJobs(const pb::ListJobsRequest& request);
   Result<pb::GetJobReply> GetJob(const pb::GetJobRequest& request);
-  Result<pb::GetLogsReply> GetLogs(const pb::GetLogsRequest& request);
+  const pb::GetJobReply& OverviewOf(const Job& job);
   Result<pb::ListWorkersReply> ListWorkers(const pb::ListWorkersRequest& request);
   Result<pb::ExplainReply> ExplainTask(const pb::ExplainRequest& request);
-  Result<pb::ListEventsReply> ListEvents(const pb::ListEventsRequest& request);
   Result<pb::StatusReply> DescribeSelf(const pb::StatusRequest& request);
   void AnswerWatchers();
   Result<const Job*> RequireJob(JobId id) const;
@@ -181,6 +182,7 @@ class Server {
   ResultsByToken results_;
   std::vector<transport::Message> queries_;  // answered after the commit
   std::vector<transport::Message> outbox_;
+  std::map<JobId, pb::GetJobReply> overviews_;
   std::vector<transport::Message> promises_;  // replies that may leave only when the batch is durable
   std::optional<store::Transaction> transaction_;
   Status poison_;  // not Ok: a write of this batch failed outside a result

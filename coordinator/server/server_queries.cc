@@ -2,6 +2,7 @@
 #include <algorithm>
 
 #include "coordinator/core/explain.h"
+#include "coordinator/server/history.h"
 #include "coordinator/server/job_compiler.h"
 #include "coordinator/server/server.h"
 #include "coordinator/server/views.h"
@@ -60,6 +61,7 @@ void Server::HandleRequest(transport::Message message) {
   if (Is<pb::JobActionRequest>(message)) return HandleAction(message);
   if (Is<pb::DrainWorkerRequest>(message)) return HandleDrain(message);
   if (ArtifactDesk::Writes(message)) return HandleWrite(message);
+  if (Is<pb::GetLogsRequest>(message) && !NameTheJob(message)) return;
   if (LeaveToReaders(message)) return;
   if (Is<pb::GetJobRequest>(message) && watchers_.size() < kMaxWatchers) {
     auto body = Unpack<pb::GetJobRequest>(message);
@@ -78,6 +80,16 @@ void Server::HandleWrite(const transport::Message& message) {
   if (!begun.ok()) return Reply(MakeErrorReply(self_, message, begun));
   promises_.push_back(*artifact_desk_->Answer(self_, message));
   space_was_freed_ = space_was_freed_ || Is<pb::GcArtifactsRequest>(message);
+}
+
+// "The newest job" is known here, and that there is such a job; readers know the database only.
+bool Server::NameTheJob(transport::Message& message) {
+  auto body = Unpack<pb::GetLogsRequest>(message);
+  const auto job = body.ok() ? RequireJob(body->job()) : Result<const Job*>(body.status());
+  if (!job.ok()) return Reply(MakeErrorReply(self_, message, job.status())), false;
+  body->set_job((*job)->id);
+  body->SerializeToString(message.envelope.mutable_payload());
+  return true;
 }
 
 bool Server::LeaveToReaders(transport::Message& message) {
@@ -228,7 +240,8 @@ transport::Message Server::AnswerQuery(const transport::Message& message) {
     return Serve<pb::ListJobsRequest>(self_, message, [this](const auto& b) { return ListJobs(b); });
   }
   if (Is<pb::GetLogsRequest>(message)) {
-    return Serve<pb::GetLogsRequest>(self_, message, [this](const auto& b) { return GetLogs(b); });
+    return Serve<pb::GetLogsRequest>(
+        self_, message, [this](const auto& b) { return ReadLogs(*jobs_, b, options_.page_bytes); });
   }
   if (Is<pb::ListWorkersRequest>(message)) {
     return Serve<pb::ListWorkersRequest>(self_, message, [this](const auto& b) { return ListWorkers(b); });
@@ -237,7 +250,8 @@ transport::Message Server::AnswerQuery(const transport::Message& message) {
     return Serve<pb::ExplainRequest>(self_, message, [this](const auto& b) { return ExplainTask(b); });
   }
   if (Is<pb::ListEventsRequest>(message)) {
-    return Serve<pb::ListEventsRequest>(self_, message, [this](const auto& b) { return ListEvents(b); });
+    return Serve<pb::ListEventsRequest>(
+        self_, message, [this](const auto& b) { return ReadEvents(*jobs_, b, options_.page_bytes); });
   }
   if (Is<pb::StatusRequest>(message)) {
     return Serve<pb::StatusRequest>(self_, message, [this](const auto& b) { return DescribeSelf(b); });
@@ -285,46 +299,31 @@ Result<pb::ListJobsReply> Server::ListJobs(const pb::ListJobsRequest& request) {
   return reply;
 }
 
+// Counted once per batch, however many watch the job.
+const pb::GetJobReply& Server::OverviewOf(const Job& job) {
+  const auto [known, is_new] = overviews_.try_emplace(job.id);
+  pb::GetJobReply& overview = known->second;
+  if (!is_new) return overview;
+  const auto under_way = WeightUnderWay(state_);
+  const auto weight = under_way.find(job.id);
+  *overview.mutable_job() =
+      SummaryOf(job, weight == under_way.end() ? 0.0 : weight->second, clock_->WallNanos());
+  overview.set_spec_json(job.plan->spec_json);
+  FillStages(state_, job, &overview);
+  return overview;
+}
+
 Result<pb::GetJobReply> Server::GetJob(const pb::GetJobRequest& request) {
   RG_ASSIGN_OR_RETURN(const Job* job, RequireJob(request.job()));
-  const auto under_way = WeightUnderWay(state_);
-  const auto weight = under_way.find(job->id);
   pb::GetJobReply reply;
-  *reply.mutable_job() =
-      SummaryOf(*job, weight == under_way.end() ? 0.0 : weight->second, clock_->WallNanos());
   if (request.first_task() == 0) {
-    reply.set_spec_json(job->plan->spec_json);
-    FillStages(state_, *job, &reply);
+    reply = OverviewOf(*job);
+  } else {
+    *reply.mutable_job() = SummaryOf(*job, 0.0, clock_->WallNanos());
   }
   if (request.with_tasks() || request.with_attempts()) {
     RG_RETURN_IF_ERROR(FillTasks(state_, *job, request.with_attempts(), request.first_task(),
                                  options_.page_bytes, *jobs_, &reply));
-  }
-  return reply;
-}
-
-Result<pb::GetLogsReply> Server::GetLogs(const pb::GetLogsRequest& request) {
-  RG_ASSIGN_OR_RETURN(const Job* job, RequireJob(request.job()));
-  TaskId first = MakeTaskId(job->id, 0), last = MakeTaskId(job->id, kMaxTasksPerJob - 1);
-  if (!request.task().empty()) {
-    const int64_t index = FindTask(*job, request.task());
-    if (index < 0)
-      return NotFoundError("job " + std::to_string(job->id) + " has no task '" + request.task() + "'");
-    first = last = MakeTaskId(job->id, static_cast<uint32_t>(index));
-  }
-  RG_ASSIGN_OR_RETURN(const auto lines,
-                      jobs_->Logs(first, last, request.after_sequence(), LimitOf(request.limit(), 1000)));
-  pb::GetLogsReply reply;
-  size_t bytes = 0;
-  for (const LogRow& line : lines) {
-    if (bytes > options_.page_bytes) break;  // the next page begins after the last sequence
-    bytes += line.text.size() + job->plan_of(IndexOf(line.task)).name.size() + 32;
-    pb::TaskLogLine* out = reply.add_lines();
-    out->set_wall_ns(line.wall_ns);
-    out->set_attempt(line.attempt);
-    out->set_text(line.text);
-    out->set_sequence(line.sequence);
-    out->set_task(job->plan_of(IndexOf(line.task)).name);
   }
   return reply;
 }
@@ -371,26 +370,6 @@ Result<pb::ExplainReply> Server::ExplainTask(const pb::ExplainRequest& request) 
   reply.set_state(static_cast<pb::TaskState>(PhaseOf(job->tasks[static_cast<size_t>(index)].status)));
   for (const std::string& reason : explanation.reasons) reply.add_reasons(reason);
   reply.set_placeable(explanation.placeable);
-  return reply;
-}
-
-Result<pb::ListEventsReply> Server::ListEvents(const pb::ListEventsRequest& request) {
-  RG_ASSIGN_OR_RETURN(const auto rows,
-                      jobs_->Events(request.job(), request.after_id(), LimitOf(request.limit(), 1000)));
-  pb::ListEventsReply reply;
-  size_t bytes = 0;
-  for (const EventRow& row : rows) {
-    if (bytes > options_.page_bytes) break;  // the next page begins after the last id
-    bytes += row.event.detail.size() + row.event.task.size() + row.event.worker.size() + 64;
-    pb::EventRecord* out = reply.add_events();
-    out->set_id(row.id);
-    out->set_wall_ns(row.event.wall_ns);
-    out->set_job(row.event.job);
-    out->set_task(row.event.task);
-    out->set_worker(row.event.worker);
-    out->set_kind(row.event.kind);
-    out->set_detail(row.event.detail);
-  }
   return reply;
 }
 

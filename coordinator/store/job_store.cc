@@ -255,6 +255,19 @@ Status JobStore::AppendLog(const LogRow& row) {
   return Status::Ok();
 }
 
+Status JobStore::ProbeRoom(int64_t bytes) {
+  constexpr TaskId kNoTask = -1;
+  RG_RETURN_IF_ERROR(db_->InTransaction([&]() -> Status {
+    RG_ASSIGN_OR_RETURN(auto fill, db_->Prepare("INSERT OR REPLACE INTO checkpoints (task, token, sequence, "
+                                                "bytes) VALUES (?, 0, 0, zeroblob(?))"));
+    return fill.Bind(1, kNoTask).Bind(2, bytes).Run();
+  }));
+  return db_->InTransaction([&]() -> Status {
+    RG_ASSIGN_OR_RETURN(auto clear, db_->Prepare("DELETE FROM checkpoints WHERE task = ?"));
+    return clear.Bind(1, kNoTask).Run();
+  });
+}
+
 Status JobStore::TrimLog(TaskId task) {
   RG_ASSIGN_OR_RETURN(
       auto trim, db_->Prepare("DELETE FROM task_logs WHERE task=?1 AND sequence <= (SELECT sequence FROM "

@@ -51,6 +51,7 @@ struct LogRow {
   int64_t wall_ns = 0;
   uint64_t sequence = 0;
   std::string text;
+  std::string name;  // of the task; only where it is read
 };
 struct EventRow {
   int64_t id = 0;
@@ -89,6 +90,10 @@ class JobStore {
   // Keeps about the newest kMaxLogLines of each task.
   static constexpr int kMaxLogLines = 4000;
   Status AppendLog(const LogRow& row);
+  // Whether there is room for about so many bytes more: they are written, durably, and removed again.
+  Status ProbeRoom(int64_t bytes);
+  // kNotFound: the job has no task of that name.
+  Result<TaskId> FindTask(JobId job, const std::string& name);
   Result<std::vector<LogRow>> Logs(TaskId first, TaskId last, uint64_t after_sequence, int limit);
   // job 0: all.
   Result<std::vector<EventRow>> Events(JobId job, int64_t after_id, int limit);

@@ -217,18 +217,27 @@ Result<std::string> JobStore::Checkpoint(TaskId task) {
   return found ? std::string(row.Blob(0)) : std::string();
 }
 
+Result<TaskId> JobStore::FindTask(JobId job, const std::string& name) {
+  RG_ASSIGN_OR_RETURN(auto row, db_->Prepare("SELECT id FROM tasks WHERE id BETWEEN ? AND ? AND name = ?"));
+  row.Bind(1, MakeTaskId(job, 0)).Bind(2, MakeTaskId(job, kMaxTasksPerJob - 1)).Bind(3, name);
+  RG_ASSIGN_OR_RETURN(const bool found, row.Step());
+  if (!found) return NotFoundError("job " + std::to_string(job) + " has no task '" + name + "'");
+  return row.Int(0);
+}
+
 Result<std::vector<LogRow>> JobStore::Logs(TaskId first, TaskId last, uint64_t after_sequence, int limit) {
   // One task: by its index. A whole job: by sequence, which is the order people read in.
   RG_ASSIGN_OR_RETURN(auto rows,
-                      db_->Prepare("SELECT task, attempt, wall_ns, sequence, text FROM task_logs "
-                                   "WHERE task BETWEEN ? AND ? AND sequence > ? ORDER BY sequence LIMIT ?"));
+                      db_->Prepare("SELECT l.task, l.attempt, l.wall_ns, l.sequence, l.text, t.name FROM "
+                                   "task_logs l JOIN tasks t ON t.id = l.task WHERE l.task BETWEEN ? AND ? "
+                                   "AND l.sequence > ? ORDER BY l.sequence LIMIT ?"));
   rows.Bind(1, first).Bind(2, last).Bind(3, static_cast<int64_t>(after_sequence)).Bind(4, limit);
   std::vector<LogRow> lines;
   while (true) {
     RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
     if (!more) return lines;
     lines.push_back({rows.Int(0), static_cast<uint32_t>(rows.Int(1)), rows.Int(2),
-                     static_cast<uint64_t>(rows.Int(3)), rows.Text(4)});
+                     static_cast<uint64_t>(rows.Int(3)), rows.Text(4), rows.Text(5)});
   }
 }
 

@@ -433,6 +433,29 @@ TEST(Service, AllJobsAreReachedHoweverManyThereAre) {
   EXPECT_EQ(all->back().id(), 1);
 }
 
+TEST(Service, LogsAndEventsComeFromTheReadersByNameAndPage) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "one", "count", R"({"to": 3, "step_seconds": 0.01})");
+  AddTask(&job, "two", "count", R"({"to": 2, "step_seconds": 0.01})");
+  const auto reply = RunJob(service, job);
+  ASSERT_EQ(reply.job().state(), pb::JOB_STATE_SUCCEEDED);
+  const auto all = service.client().Logs(0);  // the newest job
+  ASSERT_TRUE(all.ok()) << all.status().ToString();
+  EXPECT_EQ(all->lines_size(), 5);
+  const auto of_two = service.client().Logs(reply.job().id(), "two");
+  ASSERT_EQ(of_two->lines_size(), 2);
+  EXPECT_EQ(of_two->lines(0).task(), "two");
+  EXPECT_EQ(service.client().Logs(reply.job().id(), "", all->lines(3).sequence())->lines_size(), 1);
+  EXPECT_EQ(service.client().Logs(99).status().message(), "there is no job 99");
+  EXPECT_EQ(service.client().Logs(reply.job().id(), "three").status().code(), StatusCode::kNotFound);
+  const auto events = service.client().Events(reply.job().id());
+  ASSERT_TRUE(events.ok());
+  ASSERT_EQ(events->size(), 2u);
+  EXPECT_EQ(service.client().Events(reply.job().id(), events->front().id())->size(), 1u);
+}
+
 TEST(Service, ABackupIsMadeWhileItWorks) {
   Service service;
   service.StartWorker("a");
