@@ -6,7 +6,9 @@
 
 #include <CLI/CLI.hpp>
 #include <atomic>
+#include <chrono>
 #include <cstdio>
+#include <filesystem>
 
 #include "common/base/file.h"
 #include "common/base/ids.h"
@@ -87,17 +89,20 @@ std::string Endpoint(const std::string& listen) {
   return colon != std::string::npos && listen.substr(colon) == ":0" ? listen.substr(0, colon) + ":*" : listen;
 }
 
-// The list of allowed keys as it is now, looked at several times a second: revoking takes effect at once.
+// The list of allowed keys as it is now, looked at several times a second: revoking takes effect at once. A
+// file that is just being written, or is gone while somebody edits it, revokes nobody.
 class KeyWatch {
  public:
-  KeyWatch(const std::string& path, transport::Context& context) : file_(path), context_(context) {}
+  KeyWatch(const std::string& path, transport::Context& context)
+      : path_(path), file_(path), context_(context) {}
 
-  // Also where it is the same as before; `server` may be null before there is one.
+  // `server` is null before there is one.
   Status Look(Server* server) {
     constexpr int64_t kIntervalNs = 200'000'000;
     const int64_t now = RealClock().SteadyNanos();
     if (server != nullptr && now < due_ns_) return Status::Ok();
     due_ns_ = now + kIntervalNs;
+    if (server != nullptr && !IsAtRest()) return Status::Ok();
     RG_ASSIGN_OR_RETURN(const auto allowed, file_.Changed());
     if (!allowed) return Status::Ok();
     spdlog::info("{} keys may connect", allowed->size());
@@ -107,6 +112,14 @@ class KeyWatch {
   }
 
  private:
+  bool IsAtRest() const {
+    constexpr auto kRest = std::chrono::milliseconds(100);
+    std::error_code error;
+    const auto written = std::filesystem::last_write_time(path_, error);
+    return !error && std::filesystem::file_time_type::clock::now() - written > kRest;
+  }
+
+  const std::string path_;
   transport::AllowListFile file_;
   transport::Context& context_;
   int64_t due_ns_ = 0;
