@@ -139,11 +139,6 @@ std::vector<transport::Message> ReadDesk::TakeAnswers() {
   return taken;
 }
 
-size_t ReadDesk::under_way() const {
-  const std::lock_guard lock(mutex_);
-  return waiting_.size() + (busy_ ? 1 : 0) + answers_.size();
-}
-
 void ReadDesk::Work() {
   Reader reader;
   while (true) {
@@ -154,14 +149,12 @@ void ReadDesk::Work() {
       if (stop_) return;
       request = std::move(waiting_.front());
       waiting_.pop_front();
-      busy_ = true;
     }
     const Status opened = reader.Open(path_, clock_, [this] { return stop_.load(); });
     std::optional<transport::Message> answer =
         opened.ok() ? Answer(reader, self_, request) : transport::MakeErrorReply(self_, request, opened);
     {
       const std::lock_guard lock(mutex_);
-      busy_ = false;
       if (!answer) continue;
       answer_bytes_ += answer->envelope.payload().size() + answer->attachment.size();
       answers_.push_back(*std::move(answer));

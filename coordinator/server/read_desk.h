@@ -30,8 +30,6 @@ class ReadDesk {
   // In order. kResourceExhausted: too many wait already.
   Status Add(transport::Message request);
   std::vector<transport::Message> TakeAnswers();
-  // Requests that have no answer yet.
-  size_t under_way() const;
 
  private:
   void Work();
@@ -45,7 +43,6 @@ class ReadDesk {
   std::deque<transport::Message> waiting_;
   std::vector<transport::Message> answers_;
   size_t answer_bytes_ = 0;
-  bool busy_ = false;
   std::atomic<bool> stop_ = false;  // written under the mutex
   std::thread thread_;
 };
