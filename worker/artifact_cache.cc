@@ -33,8 +33,8 @@ Result<ArtifactCache> ArtifactCache::Open(const std::string& folder, uint64_t li
   return cache;
 }
 
-std::string ArtifactCache::PathOf(const std::string& sha256) const {
-  return folder_ + "/" + sha256.substr(0, 2) + "/" + sha256;
+std::string ArtifactCache::PathIn(const std::string& folder, const std::string& sha256) {
+  return folder + "/" + sha256.substr(0, 2) + "/" + sha256;
 }
 
 void ArtifactCache::Note(const std::string& sha256, uint64_t size) {
@@ -61,13 +61,20 @@ bool ArtifactCache::Find(const std::string& sha256, std::string* path) {
 Result<std::string> ArtifactCache::Insert(const std::string& sha256, std::string_view bytes) {
   if (Sha256Hex(bytes) != sha256)
     return DataLossError("artefact " + sha256 + ": the bytes do not match the hash");
-  const std::string path = PathOf(sha256);
-  RG_RETURN_IF_ERROR(WriteFileAtomically(path, bytes));
-  Note(sha256, bytes.size());
+  RG_RETURN_IF_ERROR(Write(folder_, sha256, bytes));
+  Took(sha256, bytes.size());
+  return PathOf(sha256);
+}
+
+Status ArtifactCache::Write(const std::string& folder, const std::string& sha256, std::string_view bytes) {
+  return WriteFileAtomically(PathIn(folder, sha256), bytes);
+}
+
+void ArtifactCache::Took(const std::string& sha256, uint64_t bytes) {
+  Note(sha256, bytes);
   Hold(sha256);
   MakeRoom();
   Release(sha256);
-  return path;
 }
 
 void ArtifactCache::Remove(const std::string& sha256) {

@@ -19,18 +19,25 @@ class ArtifactCache {
 
   // The file, if it is here; counts as a use.
   bool Find(const std::string& sha256, std::string* path);
-  // kDataLoss if the bytes do not match the hash. Evicts others, never those that are held.
+  // kDataLoss if the bytes do not match the hash. Evicts others, never those that are held. The two halves of
+  // it are below: what takes long, and what must be done by the cache's own thread.
   Result<std::string> Insert(const std::string& sha256, std::string_view bytes);
+  // From any thread: the file is there, whole and synced, when it returns. The caller has checked the hash.
+  static Status Write(const std::string& folder, const std::string& sha256, std::string_view bytes);
+  // Such a file is part of the cache from now on.
+  void Took(const std::string& sha256, uint64_t bytes);
   // Damaged or no longer wanted.
   void Remove(const std::string& sha256);
   // While a task uses it. Counted.
   void Hold(const std::string& sha256) { held_.insert(sha256); }
   void Release(const std::string& sha256);
   uint64_t bytes() const { return bytes_; }
+  const std::string& folder() const { return folder_; }
 
  private:
   ArtifactCache(std::string folder, uint64_t limit) : folder_(std::move(folder)), limit_(limit) {}
-  std::string PathOf(const std::string& sha256) const;
+  static std::string PathIn(const std::string& folder, const std::string& sha256);
+  std::string PathOf(const std::string& sha256) const { return PathIn(folder_, sha256); }
   void Note(const std::string& sha256, uint64_t size);
   void MakeRoom();
 

@@ -4,11 +4,12 @@
 
 #include "common/base/file.h"
 #include "coordinator/client/transfer.h"
+#include "worker/artifact_cache.h"
 
 namespace rg::worker {
 
-Transfers::Transfers(int threads, Connect connect, int wake_fd)
-    : connect_(std::move(connect)), wake_fd_(wake_fd) {
+Transfers::Transfers(int threads, Connect connect, std::string cache_folder, int wake_fd)
+    : connect_(std::move(connect)), cache_folder_(std::move(cache_folder)), wake_fd_(wake_fd) {
   clients_.resize(static_cast<size_t>(threads), nullptr);
   for (int i = 0; i < threads; ++i) threads_.emplace_back([this, i] { Work(i); });
 }
@@ -59,7 +60,7 @@ void Transfers::Work(int thread) {
       queue_.pop_front();
     }
     TransferResult result =
-        client.ok() ? RunOne(std::move(transfer), **client) : TransferResult{transfer, client.status(), ""};
+        client.ok() ? RunOne(std::move(transfer), **client) : TransferResult{transfer, client.status(), 0};
     {
       const std::lock_guard lock(mutex_);
       results_.push_back(std::move(result));
@@ -73,8 +74,9 @@ TransferResult Transfers::RunOne(Transfer transfer, transport::RequestClient& cl
   TransferResult result;
   if (transfer.kind == Transfer::Kind::kFetch) {
     auto bytes = coordinator::FetchArtifact(client, transfer.sha256);
-    result.status = bytes.status();
-    if (bytes.ok()) result.bytes = *std::move(bytes);
+    result.status =
+        bytes.ok() ? ArtifactCache::Write(cache_folder_, transfer.sha256, *bytes) : bytes.status();
+    if (bytes.ok()) result.bytes = bytes->size();
   } else {
     auto bytes = ReadFile(transfer.path);
     result.status = bytes.ok() ? coordinator::UploadArtifact(client, *bytes, transfer.info) : bytes.status();

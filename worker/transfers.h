@@ -1,5 +1,5 @@
 // Fetching inputs and uploading outputs beside the worker's loop, so that heartbeats never wait for
-// bytes. Each thread has a connection of its own.
+// bytes: not for their way, nor for their hash, nor for the disk. Each thread has a connection of its own.
 #pragma once
 
 #include <atomic>
@@ -28,14 +28,14 @@ struct Transfer {
 struct TransferResult {
   Transfer transfer;
   Status status;
-  std::string bytes;  // fetched
+  uint64_t bytes = 0;  // of a fetched artefact, which is in the cache's folder by now, checked and synced
 };
 
 class Transfers {
  public:
   using Connect = std::function<Result<std::unique_ptr<transport::RequestClient>>(int thread)>;
   // `wake_fd` is an eventfd that becomes readable when a result is there.
-  Transfers(int threads, Connect connect, int wake_fd);
+  Transfers(int threads, Connect connect, std::string cache_folder, int wake_fd);
   ~Transfers();  // breaks off what is under way
 
   void Add(Transfer transfer);
@@ -48,6 +48,7 @@ class Transfers {
   TransferResult RunOne(Transfer transfer, transport::RequestClient& client);
 
   Connect connect_;
+  const std::string cache_folder_;
   int wake_fd_;
   std::mutex mutex_;
   std::condition_variable wake_;

@@ -68,7 +68,8 @@ Status Worker::Connect() {
   RG_ASSIGN_OR_RETURN(socket_, transport::ConnectDealer(*context_, options_.coordinator, dealer));
   transfer_fd_ = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
   transfers_ = std::make_unique<Transfers>(
-      kTransferThreads, [this](int thread) { return ConnectForTransfers(thread); }, transfer_fd_);
+      kTransferThreads, [this](int thread) { return ConnectForTransfers(thread); }, cache_.folder(),
+      transfer_fd_);
   last_word_ns_ = last_busy_ns_ = now();
   return Status::Ok();
 }
@@ -276,6 +277,7 @@ void Worker::Handle(const pb::CoordinatorMessage& message) {
       HandleReply(message.result_reply());
       break;
     case pb::CoordinatorMessage::kHeartbeatReply:
+      NoteTrouble(message.heartbeat_reply().trouble());
       if (message.heartbeat_reply().known()) break;
       joined_ = false;
       next_beat_ns_ = 0;
@@ -327,6 +329,7 @@ void Worker::HandleReply(const pb::TaskResultReply& reply) {
     }
     return;
   }
+  if (reply.try_again()) return NoteTrouble(reply.reason());  // it is sent again when it is due
   if (!reply.accepted() && !held.revoked)
     spdlog::warn("result of {} was refused: {}", held.assignment.name(), reply.reason());
   if (held.stage == Stage::kReporting) return Forget(reply.token());
@@ -343,6 +346,16 @@ void Worker::HandleRevoke(const pb::TaskRevoke& revoke) {
   held.revoked = true;
   if (held.stage != Stage::kRunning) return Forget(revoke.token());
   Interrupt(held);
+}
+
+void Worker::NoteTrouble(const std::string& trouble) {
+  if (trouble.empty() == trouble_.empty()) return;
+  trouble_ = trouble;
+  if (trouble.empty()) {
+    spdlog::info("the coordinator takes results again");
+  } else {
+    spdlog::warn("the coordinator takes nothing new, results wait here: {}", trouble);
+  }
 }
 
 void Worker::Forget(uint64_t token) {

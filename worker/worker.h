@@ -83,6 +83,7 @@ class Worker {
   void Handle(const realitygrad::v1::CoordinatorMessage& message);
   void Take(const realitygrad::v1::TaskAssignment& assignment);
   void HandleReply(const realitygrad::v1::TaskResultReply& reply);
+  void NoteTrouble(const std::string& trouble);
   void HandleRevoke(const realitygrad::v1::TaskRevoke& revoke);
   void Send(const realitygrad::v1::WorkerMessage& message);
   void SendHello();
@@ -123,6 +124,7 @@ class Worker {
 
   bool joined_ = false, draining_ = false, stop_now_ = false;
   std::string refused_;
+  std::string trouble_;  // of the coordinator, as it said last
   int signals_ = 0;
   int64_t drain_since_ns_ = 0, last_word_ns_ = 0, last_busy_ns_ = 0, next_beat_ns_ = 0, logs_due_ns_ = 0;
   int64_t heartbeat_ns_ = 2'000'000'000;

@@ -25,7 +25,7 @@ void Worker::TakeTransferResults() {
     const uint64_t token = result.transfer.token;
     const bool is_fetch = result.transfer.kind == Transfer::Kind::kFetch;
     Status status = result.status;
-    if (is_fetch && status.ok()) status = cache_.Insert(result.transfer.sha256, result.bytes).status();
+    if (is_fetch && status.ok()) cache_.Took(result.transfer.sha256, result.bytes);
     const auto found = held_.find(token);
     if (found == held_.end()) continue;
     Held& held = found->second;

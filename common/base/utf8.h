@@ -14,4 +14,11 @@ bool IsUtf8(std::string_view text);
 // `max_bytes` between characters.
 std::string CleanUtf8(std::string_view text, size_t max_bytes = std::string::npos);
 
+// Valid UTF-8 without control characters and without those that reorder or break lines: nothing that a
+// terminal obeys instead of showing it. What names and labels must be.
+bool IsPlainText(std::string_view text);
+// `text` as a terminal may show it: what IsPlainText forbids becomes visible ("\x1b", "\u202e"). Line ends
+// and tabs stay with `keep_lines`.
+std::string VisibleText(std::string_view text, bool keep_lines = false);
+
 }  // namespace rg

@@ -114,12 +114,15 @@ Result<std::string> ArtifactStore::Resolve(std::string_view beginning) {
 Result<std::vector<ArtifactInfo>> ArtifactStore::List(const ArtifactFilter& filter) {
   std::vector<Row> rows;
   {
-    RG_ASSIGN_OR_RETURN(Statement query,
-                        database_->Prepare(std::string(kArtifactColumns) +
-                                           "WHERE (?1 = '' OR a.kind = ?1) AND (?2 = '' OR a.id IN"
-                                           " (SELECT artifact FROM artifact_producer WHERE job_id = ?2))"
-                                           " ORDER BY a.id DESC LIMIT ?3"));
+    RG_ASSIGN_OR_RETURN(
+        Statement query,
+        database_->Prepare(std::string(kArtifactColumns) +
+                           "WHERE (?1 = '' OR a.kind = ?1) AND (?2 = '' OR a.id IN"
+                           " (SELECT artifact FROM artifact_producer WHERE job_id = ?2))"
+                           " AND (?4 = '' OR a.id < (SELECT id FROM artifact WHERE sha256 = ?4))"
+                           " ORDER BY a.id DESC LIMIT ?3"));
     query.Bind(1, filter.kind).Bind(2, filter.job_id).Bind(3, filter.limit > 0 ? filter.limit : -1);
+    query.Bind(4, filter.before_sha256);
     RG_RETURN_IF_ERROR(ForEachRow(&query, [&] { rows.push_back(ReadRow<Row>(query)); }));
   }
   std::vector<ArtifactInfo> infos;
@@ -270,13 +273,15 @@ Result<Lineage> ArtifactStore::TraceLineage(const std::string& sha256, const Lin
 
 // ---- verification ----
 
-Status ArtifactStore::VerifyRow(const Row& row, VerifyReport* report) {
+Status ArtifactStore::VerifyRow(const Row& row, const std::function<bool()>& stop, VerifyReport* report) {
   const auto damaged = [&](std::string what) {
+    if (!Contains(row.info.sha256)) return;  // removed meanwhile
     report->damaged.push_back({row.info.sha256, row.info.kind, std::move(what)});
   };
   Sha256 hash;
   int64_t size = 0;
   for (int64_t chunk = 0; chunk < row.chunks; ++chunk) {
+    if (stop && stop()) return CancelledError("the check was broken off");
     const auto bytes = ReadChunk(row.info, row.id, chunk);
     if (!bytes.ok() && bytes.status().code() != StatusCode::kDataLoss) return bytes.status();
     if (!bytes.ok()) {
@@ -297,7 +302,8 @@ Status ArtifactStore::VerifyRow(const Row& row, VerifyReport* report) {
   return Status::Ok();
 }
 
-Result<VerifyReport> ArtifactStore::Verify(const std::vector<std::string>& sha256s) {
+Result<VerifyReport> ArtifactStore::Verify(const std::vector<std::string>& sha256s,
+                                           const std::function<bool()>& stop) {
   VerifyReport report;
   std::vector<int64_t> ids;
   if (sha256s.empty()) {
@@ -309,9 +315,11 @@ Result<VerifyReport> ArtifactStore::Verify(const std::vector<std::string>& sha25
     ids.push_back(row.id);
   }
   for (const int64_t id : ids) {
-    RG_ASSIGN_OR_RETURN(const Row row, FindById(id));
+    const auto row = FindById(id);
+    if (row.status().code() == StatusCode::kNotFound) continue;  // removed meanwhile
+    RG_RETURN_IF_ERROR(row.status());
     ++report.checked;
-    RG_RETURN_IF_ERROR(VerifyRow(row, &report));
+    RG_RETURN_IF_ERROR(VerifyRow(*row, stop, &report));
   }
   return report;
 }
@@ -342,13 +350,18 @@ Status ArtifactStore::UnpinAll(const std::string& owner) {
 }
 
 Result<std::vector<int64_t>> ArtifactStore::CollectableIds(const GcOptions& options) {
+  std::string referred = "SELECT ''";
+  for (const std::string& select : options.references) referred += " UNION " + select;
+  // Descendants mostly have higher ids: they go first, so that a part of the work leaves no gap.
   RG_ASSIGN_OR_RETURN(
       Statement query,
-      database_->Prepare("WITH RECURSIVE kept (id) AS ("
+      database_->Prepare("WITH RECURSIVE referred (sha256) AS (" + referred +
+                         "), kept (id) AS ("
                          "  SELECT artifact FROM artifact_pin"
                          "  UNION SELECT id FROM artifact WHERE touched_ns > ?"
+                         "  UNION SELECT a.id FROM artifact a JOIN referred r ON r.sha256 = a.sha256"
                          "  UNION SELECT l.parent FROM artifact_parent l JOIN kept ON l.child = kept.id)"
-                         " SELECT id FROM artifact WHERE id NOT IN kept ORDER BY id"));
+                         " SELECT id FROM artifact WHERE id NOT IN kept ORDER BY id DESC"));
   query.Bind(1, clock_->WallNanos() - options.older_than_ns);
   std::vector<int64_t> ids;
   RG_RETURN_IF_ERROR(ForEachRow(&query, [&] { ids.push_back(query.Int(0)); }));
@@ -368,15 +381,20 @@ Status ArtifactStore::RemoveArtifact(int64_t id) {
 Result<GcReport> ArtifactStore::Gc(const GcOptions& options) {
   GcReport report;
   RG_RETURN_IF_ERROR(database_->InTransaction([&]() -> Status {
-    RG_ASSIGN_OR_RETURN(const std::vector<int64_t> ids, CollectableIds(options));
-    for (const int64_t id : ids) {
-      RG_ASSIGN_OR_RETURN(Row row, FindById(id));
+    RG_ASSIGN_OR_RETURN(std::vector<int64_t> ids, CollectableIds(options));
+    for (size_t i = 0; i < ids.size(); ++i) {
+      RG_ASSIGN_OR_RETURN(Row row, FindById(ids[i]));
       report.bytes += row.info.size_bytes;
       report.removed.push_back(std::move(row.info));
+      const bool full = (options.max_bytes > 0 && report.bytes >= options.max_bytes) ||
+                        (options.max_count > 0 && static_cast<int64_t>(i) + 1 >= options.max_count);
+      report.more = full && i + 1 < ids.size();
+      if (full) ids.resize(i + 1);
     }
     if (options.dry_run) return Status::Ok();
     // All links first: whatever descends from a collectable artefact is collectable too.
-    RG_ASSIGN_OR_RETURN(Statement unlink, database_->Prepare("DELETE FROM artifact_parent WHERE child = ?"));
+    RG_ASSIGN_OR_RETURN(Statement unlink,
+                        database_->Prepare("DELETE FROM artifact_parent WHERE child = ?1 OR parent = ?1"));
     for (const int64_t id : ids) {
       unlink.Bind(1, id);
       RG_RETURN_IF_ERROR(unlink.Run());

@@ -53,9 +53,10 @@ struct PutResult {
 };
 
 struct ArtifactFilter {
-  std::string kind;    // empty: any
-  std::string job_id;  // empty: any; otherwise produced by it, first or again
-  int limit = 0;       // 0: all
+  std::string kind;                // empty: any
+  std::string job_id;              // empty: any; otherwise produced by it, first or again
+  int limit = 0;                   // 0: all
+  std::string before_sha256 = {};  // only what is older than this one; empty: from the newest
 };
 
 struct LineageOptions {
@@ -89,11 +90,18 @@ struct VerifyReport {
 struct GcOptions {
   int64_t older_than_ns = 0;  // age since the last put of the same bytes; younger artefacts stay
   bool dry_run = false;
+  // Who else refers to artefacts: SELECTs of one column of hashes from other modules' tables
+  // (ParameterStore::kReferences). What they name stays.
+  std::vector<std::string> references = {};
+  // One call removes (or lists) at most about so many bytes and artefacts; 0: all.
+  int64_t max_bytes = 0;
+  int64_t max_count = 0;
 };
 
 struct GcReport {
   std::vector<ArtifactInfo> removed;  // or would be (dry_run)
   int64_t bytes = 0;
+  bool more = false;  // there are others: a limit was reached
 };
 
 class ArtifactStore;
@@ -184,15 +192,18 @@ class ArtifactStore {
   Result<std::vector<ArtifactInfo>> List(const ArtifactFilter& filter = {});  // newest first
   Result<Lineage> TraceLineage(const std::string& sha256, const LineageOptions& options = {});
 
-  // Checks bytes, hashes and sizes of the given artefacts, or of all. Damage is a finding, not an error.
-  Result<VerifyReport> Verify(const std::vector<std::string>& sha256s = {});
+  // Checks bytes, hashes and sizes of the given artefacts, or of all. Damage is a finding, not an error; so
+  // is nothing that is removed meanwhile. kCancelled once `stop` says so (asked after every chunk).
+  Result<VerifyReport> Verify(const std::vector<std::string>& sha256s = {},
+                              const std::function<bool()>& stop = {});
 
   // A pinned artefact and all its ancestors survive Gc. `owner` is who wants it: "job:17", "user".
   Status Pin(const std::string& sha256, const std::string& owner);
   Status Unpin(const std::string& sha256, const std::string& owner);
   Status UnpinAll(const std::string& owner);
   // Removes artefacts that are old enough and that nothing kept descends from or refers to. Kept are:
-  // pinned and young ones, those a parameter version refers to, and the ancestors of all of these.
+  // pinned and young ones, those that GcOptions::references name, and the ancestors of all of these.
+  // Outside of a transaction the file shrinks too (else: Database::ReleaseFreePages after the commit).
   Result<GcReport> Gc(const GcOptions& options);
 
   struct Totals {
@@ -234,7 +245,7 @@ class ArtifactStore {
   Result<std::vector<int64_t>> Neighbours(int64_t id, bool parents);
   Result<std::vector<int64_t>> CollectableIds(const GcOptions& options);
   Status RemoveArtifact(int64_t id);
-  Status VerifyRow(const Row& row, VerifyReport* report);
+  Status VerifyRow(const Row& row, const std::function<bool()>& stop, VerifyReport* report);
 
   Database* database_;
   const Clock* clock_;

@@ -31,6 +31,7 @@ StatusCode CodeOf(int extended) {
     case SQLITE_NOTADB:
       return StatusCode::kDataLoss;
     case SQLITE_IOERR:
+      if (extended == SQLITE_IOERR_SHMSIZE) return StatusCode::kResourceExhausted;  // of the shared index
       return extended == SQLITE_IOERR_SHORT_READ || extended == SQLITE_IOERR_DATA ? StatusCode::kDataLoss
                                                                                   : StatusCode::kInternal;
     case SQLITE_READONLY:
@@ -101,7 +102,7 @@ struct Database::Impl {
   bool TransactionIsLost() const { return depth > 0 && sqlite3_get_autocommit(database->getHandle()) != 0; }
   Status AllowWrite(std::string_view sql) {
     if (TransactionIsLost())
-      return AbortedError(options.path + ": the transaction was rolled back: " + lost.message());
+      return Status(lost.code(), options.path + ": the transaction was rolled back: " + lost.message());
     return hook ? hook(WriteKind::kStatement, sql) : Status::Ok();
   }
   Status Note(Status error) {
@@ -344,7 +345,7 @@ Status Database::Execute(std::string_view sql) {
 Result<Transaction> Database::Begin() {
   const int depth = impl_->depth + 1;
   if (impl_->TransactionIsLost())
-    return AbortedError(path() + ": the transaction was rolled back: " + impl_->lost.message());
+    return Status(impl_->lost.code(), path() + ": the transaction was rolled back: " + impl_->lost.message());
   RG_RETURN_IF_ERROR(impl_->Raw(depth == 1 ? "BEGIN IMMEDIATE" : "SAVEPOINT rg_" + std::to_string(depth)));
   impl_->depth = depth;
   return Transaction(this, depth);
@@ -390,11 +391,28 @@ Status Database::ReleaseFreePages(int pages) {
   return vacuum.Run();
 }
 
+Result<int64_t> Database::FreePages() {
+  RG_ASSIGN_OR_RETURN(Statement count, Prepare("PRAGMA freelist_count"));
+  RG_ASSIGN_OR_RETURN(const bool row, count.Step());
+  return row ? count.Int(0) : 0;
+}
+
+Status Database::CheckpointPassively() {
+  RG_ASSIGN_OR_RETURN(Statement checkpoint, Prepare("PRAGMA wal_checkpoint(PASSIVE)"));
+  return checkpoint.Run();
+}
+
 Status Database::BackupTo(const std::string& path) {
   if (std::filesystem::exists(path)) return AlreadyExistsError(path + ": is there already");
   RG_ASSIGN_OR_RETURN(Statement vacuum, Prepare("VACUUM INTO ?"));
   vacuum.Bind(1, path);
-  return vacuum.Run();
+  RG_RETURN_IF_ERROR(vacuum.Run());
+  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  const bool synced = fd >= 0 && ::fsync(fd) == 0;
+  if (fd >= 0) ::close(fd);
+  if (!synced) return InternalError(path + ": the copy could not be synced");
+  SyncFolderOf(path);
+  return Status::Ok();
 }
 
 }  // namespace rg::store

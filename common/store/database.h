@@ -129,9 +129,13 @@ class Database {
   Status CheckIntegrity();
   // Moves the WAL into the database file and truncates it.
   Status Checkpoint();
-  // Gives up to `pages` freed pages back to the file system (0: all).
+  // Gives up to `pages` freed pages back to the file system (0: all). The file is shorter when the
+  // write-ahead log was moved into it (Checkpoint).
   Status ReleaseFreePages(int pages = 0);
-  // A consistent copy of the whole database at `path`, while it is in use.
+  Result<int64_t> FreePages();
+  // As much of the WAL into the file as can be done without waiting for anybody.
+  Status CheckpointPassively();
+  // A consistent copy of the whole database at `path`, while it is in use; on the disk when it returns.
   Status BackupTo(const std::string& path);
 
   void set_write_hook(WriteHook hook);

@@ -57,6 +57,9 @@ struct ParameterDiff {
 
 class ParameterStore {
  public:
+  // The artefacts that versions refer to, for GcOptions::references.
+  static constexpr const char* kReferences =
+      "SELECT recording_sha256 FROM parameter_version UNION SELECT model_sha256 FROM parameter_version";
   // Refers to the tables of ArtifactStore::Schema(): give that to Database::Open before this one.
   static Module Schema();
   ParameterStore(Database* database, const Clock* clock) : database_(database), clock_(clock) {}

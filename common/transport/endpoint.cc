@@ -1,5 +1,7 @@
 #include "common/transport/endpoint.h"
 
+#include <arpa/inet.h>
+#include <netinet/in.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
@@ -13,8 +15,16 @@ namespace {
 
 bool StartsWith(const std::string& text, const char* prefix) { return text.rfind(prefix, 0) == 0; }
 
+// Addresses are parsed: a name may begin as one does and be another host's ("127.evil.com").
 bool IsLoopbackHost(const std::string& host) {
-  return host == "localhost" || host == "lo" || host == "[::1]" || host == "::1" || StartsWith(host, "127.");
+  if (host == "localhost" || host == "lo") return true;
+  in_addr v4;
+  constexpr unsigned kLoopbackNet = 127;
+  if (::inet_pton(AF_INET, host.c_str(), &v4) == 1) return (ntohl(v4.s_addr) >> 24) == kLoopbackNet;
+  const bool bracketed = host.size() > 2 && host.front() == '[' && host.back() == ']';
+  in6_addr v6;
+  return ::inet_pton(AF_INET6, (bracketed ? host.substr(1, host.size() - 2) : host).c_str(), &v6) == 1 &&
+         IN6_IS_ADDR_LOOPBACK(&v6);
 }
 
 bool SomebodyListens(const std::string& path) {

@@ -24,7 +24,9 @@ struct Credentials {
   // The peer's key is on the allow-list (CURVE). False on local sockets, where `role` is the claim.
   bool authenticated = false;
   pb::Role role = pb::ROLE_UNSPECIFIED;
-  std::string name;  // of the key on the allow-list; empty on local sockets
+  std::string name;     // of the key on the allow-list; empty on local sockets
+  bool robots = false;  // the key may have robots moved
+  bool may_move_robots() const { return robots || !authenticated; }
 };
 
 struct Message {

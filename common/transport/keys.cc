@@ -88,11 +88,14 @@ Status WriteSecretFile(const std::string& path, const std::string& text) {
 
 // ---- AllowList ----
 
-Status AllowList::Add(const std::string& public_key, pb::Role role, const std::string& name) {
+Status AllowList::Add(const std::string& public_key, pb::Role role, const std::string& name, bool robots) {
   RG_RETURN_IF_ERROR(CheckKeyText(public_key));
   RG_RETURN_IF_ERROR(CheckName(name));
   if (RoleName(role) == "unknown") return InvalidError("key of \"" + name + "\": no role");
-  if (!entries_.emplace(public_key, Entry{role, name}).second)
+  if (robots && role != pb::ROLE_OPERATOR)
+    return InvalidError("key of \"" + name + "\": the right to robots is an operator's, not a " +
+                        std::string(RoleName(role)) + "'s");
+  if (!entries_.emplace(public_key, Entry{role, name, robots}).second)
     return AlreadyExistsError("public key " + public_key + ": already allowed, as \"" +
                               entries_[public_key].name + "\"");
   return Status::Ok();
@@ -122,21 +125,23 @@ Result<AllowList> AllowList::Parse(std::string_view text, const std::string& sou
   for (std::string line; std::getline(lines, line);) {
     const std::string where = source + ": line " + std::to_string(++number);
     std::istringstream words(line);
-    std::string role_name, key, name, rest;
+    std::string role_name, key, name, right, rest;
     if (!(words >> role_name) || role_name[0] == '#') continue;
-    if (!(words >> key >> name) || words >> rest)
-      return InvalidError(where + ": must be <role> <public key> <name>");
+    const bool complete = static_cast<bool>(words >> key >> name);
+    if (!complete || (words >> right && (right != "robots" || words >> rest)))
+      return InvalidError(where + ": must be <role> <public key> <name> [robots]");
     auto role = ParseRole(role_name);
     if (!role.ok()) return role.status().WithPrefix(where);
-    RG_RETURN_IF_ERROR(list.Add(key, *role, name).WithPrefix(where));
+    RG_RETURN_IF_ERROR(list.Add(key, *role, name, !right.empty()).WithPrefix(where));
   }
   return list;
 }
 
 std::string AllowList::Format() const {
-  std::string text = "# Who may connect: <role> <public key> <name>\n";
+  std::string text = "# Who may connect: <role> <public key> <name> [robots]\n";
   for (const Row& row : Rows())
-    text += std::string(RoleName(row.entry.role)) + " " + row.public_key + " " + row.entry.name + "\n";
+    text += std::string(RoleName(row.entry.role)) + " " + row.public_key + " " + row.entry.name +
+            (row.entry.robots ? " robots\n" : "\n");
   return text;
 }
 
@@ -204,12 +209,15 @@ Result<AllowList> LoadAllowList(const std::string& path) {
 }
 
 Status AllowKey(const std::string& path, const std::string& public_key, pb::Role role,
-                const std::string& name) {
+                const std::string& name, bool robots) {
   RG_ASSIGN_OR_RETURN(AllowList list, LoadAllowList(path));
+  const AllowList::Entry* known = list.Find(public_key);
+  if (known != nullptr && known->role == role && known->name == name && known->robots != robots)
+    list.Remove(public_key);
   for (const AllowList::Row& row : list.Rows())
     if (row.entry.name == name && row.public_key != public_key)
       return AlreadyExistsError(path + ": another key is allowed as \"" + name + "\"; revoke it first");
-  RG_RETURN_IF_ERROR(list.Add(public_key, role, name).WithPrefix(path));
+  RG_RETURN_IF_ERROR(list.Add(public_key, role, name, robots).WithPrefix(path));
   return WriteFileAtomically(path, list.Format());
 }
 

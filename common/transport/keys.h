@@ -3,8 +3,9 @@
 // A key folder, by default ~/.config/realitygrad/keys:
 //   coordinator.key   secret, mode 0600          coordinator.pub   public half
 //   worker-a.key      ...                        worker-a.pub
-//   allowed_keys      one line per peer: <role> <public key> <name>     ('#' starts a comment line)
-// The role belongs to the key: what a peer says of itself counts for nothing on such a socket.
+//   allowed_keys      one line per peer: <role> <public key> <name> [robots]   ('#' starts a comment line)
+// The role belongs to the key: what a peer says of itself counts for nothing on such a socket. So does the
+// right to have robots moved ("robots"; for operators): without it a key submits no rollouts.
 #pragma once
 
 #include <optional>
@@ -37,10 +38,12 @@ class AllowList {
   struct Entry {
     pb::Role role = pb::ROLE_UNSPECIFIED;
     std::string name;
+    bool robots = false;
+    bool operator==(const Entry&) const = default;
   };
 
   // kInvalid: not a Z85 key, no role, empty name or one with spaces. kAlreadyExists: the key is there.
-  Status Add(const std::string& public_key, pb::Role role, const std::string& name);
+  Status Add(const std::string& public_key, pb::Role role, const std::string& name, bool robots = false);
   bool Remove(const std::string& public_key);
   const Entry* Find(const std::string& public_key) const;  // null: unknown
   size_t size() const { return entries_.size(); }
@@ -75,9 +78,10 @@ Result<std::vector<NamedKey>> ListKeys(const std::string& folder);
 
 // An absent allowed_keys file is an empty list: nobody may come.
 Result<AllowList> LoadAllowList(const std::string& path);
-// Adds to, or removes from, an allowed_keys file (written whole, atomically).
+// Adds to, or removes from, an allowed_keys file (written whole, atomically). A key that is there already
+// is given the right to robots, or loses it.
 Status AllowKey(const std::string& path, const std::string& public_key, pb::Role role,
-                const std::string& name);
+                const std::string& name, bool robots = false);
 Status RevokeKey(const std::string& path, const std::string& name_or_public_key);
 
 // An allowed_keys file that may change while a server runs: ask now and then.

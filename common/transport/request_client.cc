@@ -42,7 +42,9 @@ Status RequestClient::WaitForServer() {
     const int64_t left_ms = (deadline - clock_.SteadyNanos() + 999'999) / 1'000'000;
     // In slices, because a refusal shows in the link's state and not as writable.
     if (socket_->WaitWritable(std::clamp<int64_t>(left_ms, 0, 100), wake_fd_)) return Status::Ok();
-    if (left_ms <= 0) return UnavailableError(server_ + ": nobody answers there");
+    if (left_ms > 0) continue;
+    const std::string hint = socket_->LinkHint();
+    return UnavailableError(server_ + ": nobody answers there" + (hint.empty() ? "" : " (" + hint + ")"));
   }
 }
 

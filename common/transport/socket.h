@@ -54,6 +54,8 @@ class Socket {
 
   // kPermissionDenied: the other end has refused our key. Ok: connected, or still trying.
   virtual Status LinkError() { return Status::Ok(); }
+  // What may be the matter while nobody answers; empty: nothing is known. Not sure enough for an error.
+  virtual std::string LinkHint() { return {}; }
 
   const SocketMetrics& metrics() const { return metrics_; }
 

@@ -112,7 +112,7 @@ void ZmqSocket::Impl::Authenticate(zmq::message_t* frame, RawMessage* raw) {
   const char* user = zmq_msg_gets(frame->handle(), "User-Id");
   const AllowList::Entry* entry = user ? allowed->Find(user) : nullptr;
   raw->key_revoked = entry == nullptr;
-  if (entry) raw->credentials = {true, entry->role, entry->name};
+  if (entry) raw->credentials = {true, entry->role, entry->name, entry->robots};
 }
 
 bool ZmqSocket::Impl::ReceiveRaw(RawMessage* raw, Part* part) {
@@ -164,10 +164,8 @@ void ZmqSocket::Impl::NoteEvent(uint16_t event, uint32_t value) {
       return NoteRefusal(encrypted ? "that is no encrypted socket, or the wrong server key was given"
                                    : "that is an encrypted socket and we have no key");
     case ZMQ_EVENT_HANDSHAKE_FAILED_NO_DETAIL:
-      if (++silent_handshakes >= kSilentHandshakes)
-        NoteRefusal(encrypted
-                        ? "the connection ends in the handshake: is the server's public key the right one?"
-                        : "the connection ends in the handshake: is that an encrypted socket?");
+      if (++silent_handshakes >= kSilentHandshakes && !encrypted)
+        NoteRefusal("the connection ends in the handshake: is that an encrypted socket?");
       return;
     case ZMQ_EVENT_DISCONNECTED:
       if (link == LinkState::kConnected) link = LinkState::kConnecting;
@@ -218,6 +216,12 @@ LinkState ZmqSocket::link() {
 
 Status ZmqSocket::LinkError() {
   return link() == LinkState::kRefused ? PermissionDeniedError(impl_->refusal) : Status::Ok();
+}
+
+std::string ZmqSocket::LinkHint() {
+  if (link() == LinkState::kConnected || impl_->silent_handshakes == 0) return {};
+  return "the connection ends in the handshake: is the server's public key the right one, and ours on its "
+         "allow-list?";
 }
 
 Status ZmqSocket::Send(const Message& message) {
@@ -372,6 +376,7 @@ Result<std::unique_ptr<ZmqSocket>> ConnectDealer(Context& context, const std::st
     impl->socket.set(zmq::sockopt::routing_id,
                      options.routing_id.empty() ? RandomHex(8) : options.routing_id);
     impl->socket.set(zmq::sockopt::immediate, options.queue_while_disconnected ? 0 : 1);
+    impl->socket.set(zmq::sockopt::handshake_ivl, options.handshake_ms);
     impl->socket.set(zmq::sockopt::reconnect_ivl, 50);
     impl->socket.set(zmq::sockopt::reconnect_ivl_max, 2000);
     if (options.key) {

@@ -66,11 +66,15 @@ struct DealerOptions {
   ReceiveLimits limits;
   int high_water_messages = 10'000;
   int linger_ms = 0;
+  // A connection whose handshake gets no answer for so long is made anew: the other end may know our key by
+  // then, to which it says nothing before.
+  int handshake_ms = 3'000;
   // True: messages wait for a connection. False: Send says kUnavailable while there is none.
   bool queue_while_disconnected = false;
 };
 
-// What is known of a dealer's connection. kRefused: our key, or that we have none, in the last answer.
+// What is known of a dealer's connection. kRefused: that we have no key, in the last answer. A key that the
+// other end does not know gets no answer: that looks like a wrong server key, and like nobody there.
 enum class LinkState { kConnecting, kConnected, kRefused };
 
 class ZmqSocket : public Socket {
@@ -85,6 +89,7 @@ class ZmqSocket : public Socket {
   const std::string& endpoint() const;
   LinkState link();  // dealers only
   Status LinkError() override;
+  std::string LinkHint() override;
   // For a Poller: the ZeroMQ socket itself.
   void* handle();
 

@@ -75,12 +75,32 @@ Result<std::vector<pb::JobSummary>> Client::ListJobs(const pb::ListJobsRequest& 
   return ToVector(reply.jobs());
 }
 
+Result<std::vector<pb::JobSummary>> Client::ListAllJobs(pb::ListJobsRequest request) {
+  constexpr uint32_t kPage = 1'000;
+  std::vector<pb::JobSummary> all;
+  request.set_limit(kPage);
+  while (true) {
+    RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::ListJobsReply>(request));
+    all.insert(all.end(), reply.jobs().begin(), reply.jobs().end());
+    if (!reply.more() || reply.jobs().empty()) return all;
+    request.set_before_id(all.back().id());
+  }
+}
+
 Result<pb::GetJobReply> Client::GetJob(int64_t id, bool with_tasks, bool with_attempts) {
   pb::GetJobRequest request;
   request.set_job(id);
   request.set_with_tasks(with_tasks);
   request.set_with_attempts(with_attempts);
-  return Call<pb::GetJobReply>(request);
+  RG_ASSIGN_OR_RETURN(pb::GetJobReply all, Call<pb::GetJobReply>(request));
+  request.set_job(all.job().id());  // the newest may be another one by now
+  while (all.next_task() > 0) {
+    request.set_first_task(all.next_task());
+    RG_ASSIGN_OR_RETURN(pb::GetJobReply page, Call<pb::GetJobReply>(request));
+    for (pb::TaskInfo& task : *page.mutable_tasks()) *all.add_tasks() = std::move(task);
+    all.set_next_task(page.next_task());
+  }
+  return all;
 }
 
 Result<pb::GetJobReply> Client::WatchJob(int64_t id, uint64_t after_revision, uint32_t wait_ms,
@@ -160,6 +180,12 @@ Result<std::vector<pb::EventRecord>> Client::Events(int64_t job, int64_t after_i
   return ToVector(reply.events());
 }
 
+Result<pb::BackupReply> Client::Backup(const std::string& name) {
+  pb::BackupRequest request;
+  request.set_name(name);
+  return Call<pb::BackupReply>(request);
+}
+
 // --- workers, coordinator
 
 Result<std::vector<pb::WorkerInfo>> Client::Workers() {
@@ -182,9 +208,14 @@ Result<std::vector<pb::ArtifactInfo>> Client::ListArtifacts(const std::string& k
   pb::ListArtifactsRequest request;
   request.set_kind(kind);
   if (job > 0) request.set_job_id(std::to_string(job));
-  request.set_limit(limit);
-  RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::ListArtifactsReply>(request));
-  return ToVector(reply.artifacts());
+  std::vector<pb::ArtifactInfo> all;
+  while (true) {
+    request.set_limit(limit == 0 ? 0 : limit - static_cast<uint32_t>(all.size()));
+    RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::ListArtifactsReply>(request));
+    all.insert(all.end(), reply.artifacts().begin(), reply.artifacts().end());
+    if (!reply.more() || reply.artifacts().empty() || all.size() == limit) return all;
+    request.set_before_sha256(all.back().sha256());
+  }
 }
 
 Result<pb::ArtifactInfo> Client::ShowArtifact(const std::string& sha256_or_prefix) {
@@ -220,11 +251,20 @@ Result<pb::VerifyArtifactsReply> Client::VerifyArtifacts(const std::vector<std::
   return Call<pb::VerifyArtifactsReply>(request);
 }
 
-Result<pb::GcArtifactsReply> Client::CollectGarbage(int64_t older_than_ns, bool dry_run) {
+Result<pb::GcArtifactsReply> Client::CollectGarbage(int64_t older_than_ns, bool dry_run,
+                                                    int64_t forget_ended_ns) {
   pb::GcArtifactsRequest request;
   request.set_older_than_ns(older_than_ns);
   request.set_dry_run(dry_run);
-  return Call<pb::GcArtifactsReply>(request);
+  request.set_forget_ended_ns(forget_ended_ns);
+  pb::GcArtifactsReply all;
+  while (true) {
+    RG_ASSIGN_OR_RETURN(pb::GcArtifactsReply part, Call<pb::GcArtifactsReply>(request));
+    for (pb::ArtifactInfo& info : *part.mutable_removed()) *all.add_removed() = std::move(info);
+    all.set_bytes(all.bytes() + part.bytes());
+    all.set_more(part.more());
+    if (dry_run || !part.more()) return all;
+  }
 }
 
 Status Client::Pin(const std::string& sha256, const std::string& owner, bool unpin) {

@@ -59,7 +59,9 @@ class Client {
   // Durable when it returns. The same request id always gives the same job; empty: a random one.
   Result<int64_t> Submit(const pb::JobSpec& job, std::string request_id = {});
   Result<std::vector<pb::JobSummary>> ListJobs(const pb::ListJobsRequest& request = {});
-  // id 0: the newest job.
+  // Page after page, all that match; request.limit counts for nothing.
+  Result<std::vector<pb::JobSummary>> ListAllJobs(pb::ListJobsRequest request = {});
+  // id 0: the newest job. Fetched in pages, given as one.
   Result<pb::GetJobReply> GetJob(int64_t id, bool with_tasks = true, bool with_attempts = false);
   // Answers when the job changed since `after_revision`, or after `wait_ms`.
   Result<pb::GetJobReply> WatchJob(int64_t id, uint64_t after_revision, uint32_t wait_ms,
@@ -75,6 +77,9 @@ class Client {
   // Why does this job, or this task of it, wait?
   Result<pb::ExplainReply> Explain(int64_t job, const std::string& task = {});
   Result<std::vector<pb::EventRecord>> Events(int64_t job = 0, int64_t after_id = 0, uint32_t limit = 0);
+
+  // A copy of the database under this name beside it, made while it is in use.
+  Result<pb::BackupReply> Backup(const std::string& name);
 
   // --- workers, coordinator
   Result<std::vector<pb::WorkerInfo>> Workers();
@@ -92,7 +97,10 @@ class Client {
   Result<pb::ArtifactLineageReply> Lineage(const std::string& sha256, bool ancestors = true,
                                            bool descendants = false);
   Result<pb::VerifyArtifactsReply> VerifyArtifacts(const std::vector<std::string>& sha256s = {});
-  Result<pb::GcArtifactsReply> CollectGarbage(int64_t older_than_ns, bool dry_run);
+  // What nothing refers to, in several calls. `forget_ended_ns`: jobs that ended longer ago no longer keep
+  // what they refer to; 0: every job does.
+  Result<pb::GcArtifactsReply> CollectGarbage(int64_t older_than_ns, bool dry_run,
+                                              int64_t forget_ended_ns = 0);
   Status Pin(const std::string& sha256, const std::string& owner, bool unpin = false);
 
   // --- parameter history

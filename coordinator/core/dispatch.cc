@@ -48,13 +48,14 @@ void Turn::GiveTo(Worker& worker, Job& job, uint32_t index) {
   lease.attempt = number;
   lease.worker = worker.name;
   lease.instance = worker.instance;
+  lease.key = worker.key;
   lease.deadline_ns = now_.steady_ns + s_.options.lease_ns();
   lease.started_wall_ns = now_.wall_ns;
   if (task.started_ns == 0) task.started_ns = now_.wall_ns;
   SetStatus(s_, job, index, TaskLeased{token});
   worker.leases.insert(token);
   ++s_.counters.attempts_started;
-  Store(InsertAttempt{lease.task, number, token, worker.name, worker.instance, now_.wall_ns});
+  Store(InsertAttempt{lease.task, number, token, worker.name, worker.instance, worker.key, now_.wall_ns});
   PersistTask(job, index);
   Send(Assign{worker.instance, lease.task, token, number});
 }

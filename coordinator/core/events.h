@@ -17,7 +17,8 @@ struct Submit {
   std::shared_ptr<const JobPlan> plan;  // checked by CompileJob
   std::shared_ptr<const TaskSpecs> specs;
   ReplyTo reply_to = 0;
-  Token lease = 0;  // under which plan->parent submits it; 0: a client does
+  Token lease = 0;      // under which plan->parent submits it; 0: a client does
+  std::string content;  // as JobPlan::content; empty: not compared
 };
 enum class JobCommand { kCancel, kPause, kResume, kRetry };
 struct CommandJob {
@@ -32,6 +33,7 @@ struct DrainWorker {
 };
 
 // `instance` names the process that speaks, new with every start.
+// `key` is the name of the key it came with; empty on a local socket.
 struct WorkerJoined {
   std::string name;
   std::string instance;
@@ -43,6 +45,7 @@ struct WorkerJoined {
   std::string host;
   int64_t pid = 0;
   std::string version;
+  std::string key;
 };
 struct WorkerBeat {
   std::string instance;
@@ -92,6 +95,10 @@ using Row = std::variant<InsertJob, UpdateJob, UpdateTask, InsertAttempt, GrantA
 struct Welcome {
   std::string instance;
 };
+struct RefuseWorker {  // it may not join under this name
+  std::string instance;
+  std::string reason;
+};
 struct Assign {
   std::string instance;
   TaskId task = 0;
@@ -129,8 +136,8 @@ struct AnswerClient {
   bool already_known = false;
 };
 
-using Message =
-    std::variant<Welcome, Assign, GrantStart, Revoke, AnswerResult, AnswerBeat, TellDrain, AnswerClient>;
+using Message = std::variant<Welcome, RefuseWorker, Assign, GrantStart, Revoke, AnswerResult, AnswerBeat,
+                             TellDrain, AnswerClient>;
 
 // The rows must be durable before any of the messages leaves.
 struct Actions {

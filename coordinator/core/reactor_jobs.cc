@@ -32,6 +32,14 @@ std::string AlreadyIs(const Job& job) {
 void Turn::Handle(const Submit& event) {
   const auto known = s_.job_by_request.find(event.request_id);
   if (known != s_.job_by_request.end()) {
+    const std::string& content = s_.jobs.at(known->second).plan->content;
+    if (!event.content.empty() && !content.empty() && event.content != content) {
+      Send(AnswerClient{event.reply_to, Verdict::kFailedPrecondition,
+                        "this request id was used for job " + std::to_string(known->second) +
+                            ", which asked for something else: choose another id",
+                        known->second, false});
+      return;
+    }
     Send(AnswerClient{event.reply_to, Verdict::kOk, "", known->second, true});
     return;
   }

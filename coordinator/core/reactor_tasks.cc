@@ -145,9 +145,11 @@ void Turn::Handle(const Failed& event) {
 void Turn::AfterFailure(Job& job, uint32_t index, const Failed& event, const Lease& lease) {
   Task& task = job.tasks[index];
   const TaskPlan& plan = job.plan_of(index);
+  const bool began = plan.at_most_once && lease.granted;
+  const std::string no_repeat = event.error + " (runs at most once: `retry` lets it run again)";
   if (event.outcome == Outcome::kLost || event.outcome == Outcome::kCancelled) {
-    Requeue(job, index, event.error);  // given back before it did anything
-    return;
+    if (began) return FailTask(job, index, no_repeat, false);
+    return Requeue(job, index, event.error);  // given back before it did anything
   }
   if (Worker* worker = s_.FindWorkerByInstance(lease.instance)) ++worker->tasks_failed;
   if (event.outcome == Outcome::kCrashed) {
@@ -161,10 +163,7 @@ void Turn::AfterFailure(Job& job, uint32_t index, const Failed& event, const Lea
     FailTask(job, index, event.error, false);
     return;
   }
-  if (plan.at_most_once && lease.granted) {
-    FailTask(job, index, event.error + " (runs at most once: `retry` lets it run again)", false);
-    return;
-  }
+  if (began) return FailTask(job, index, no_repeat, false);
   Requeue(job, index, event.error);
 }
 

@@ -25,11 +25,34 @@ void Turn::Handle(const DrainWorker& event) {
   Send(AnswerClient{event.reply_to, Verdict::kOk, "", 0, false});
 }
 
-void Turn::Handle(const WorkerJoined& event) {
-  const auto known = s_.workers.find(event.name);
-  if (known != s_.workers.end() && known->second.instance != event.instance) {
-    RemoveWorker(event.name, "replaced by a new process of the same name");
+// A process that was killed and started again comes as another instance while the first is not yet known
+// to be lost: it waits. Two that live would evict each other for ever: the second is told to go.
+bool Turn::MayHaveName(const WorkerJoined& event) {
+  const auto refuse = [&](const std::string& why) {
+    Send(RefuseWorker{event.instance, "the worker name '" + event.name + "' " + why});
+    return false;
+  };
+  for (const auto& [token, lease] : s_.leases) {
+    if (lease.worker == event.name && lease.key != event.key)
+      return refuse("belongs to another key, '" + lease.key + "'");
   }
+  const auto found = s_.workers.find(event.name);
+  if (found == s_.workers.end()) return true;
+  Worker& holder = found->second;
+  if (holder.key != event.key) return refuse("belongs to another key, '" + holder.key + "'");
+  if (!holder.connected || holder.instance == event.instance) return true;
+  constexpr size_t kMaxRivals = 16;
+  if (holder.rivals.size() >= kMaxRivals && holder.rivals.count(event.instance) == 0) return false;
+  const int64_t since = holder.rivals.emplace(event.instance, now_.steady_ns).first->second;
+  // Later by a whole interval: a last word of a dead process may still have been on its way.
+  if (holder.last_seen_ns < since + s_.options.heartbeat_ns) return false;
+  holder.rivals.erase(event.instance);
+  return refuse("is taken by a process that is at work (host " + holder.host + ", pid " +
+                std::to_string(holder.pid) + "): give this one another --name");
+}
+
+void Turn::Handle(const WorkerJoined& event) {
+  if (!MayHaveName(event)) return;
   const auto other_name = s_.worker_by_instance.find(event.instance);
   if (other_name != s_.worker_by_instance.end() && other_name->second != event.name) {
     RemoveWorker(other_name->second, "joined again as " + event.name);
@@ -39,6 +62,8 @@ void Turn::Handle(const WorkerJoined& event) {
   const bool was_draining = !is_new && worker.draining;
   worker.name = event.name;
   worker.instance = event.instance;
+  worker.key = event.key;
+  worker.rivals.clear();
   worker.host = event.host;
   worker.pid = event.pid;
   worker.version = event.version;

@@ -126,6 +126,7 @@ void RestoreLease(State& state, const OpenAttempt& attempt, Now now) {
   lease.attempt = attempt.number;
   lease.worker = attempt.worker;
   lease.instance = attempt.instance;
+  lease.key = attempt.key;
   lease.granted = attempt.granted;
   lease.restored = true;
   const bool uncertain = std::holds_alternative<TaskUncertain>(status);
@@ -280,6 +281,39 @@ State Restore(const StoredState& stored, const Options& options, Now now) {
   return state;
 }
 
+void KeepWorkers(const State& before, State& after, Now now) {
+  after.counters = before.counters;
+  after.revision += before.revision;
+  after.workers = before.workers;
+  after.worker_by_instance = before.worker_by_instance;
+  for (auto& [name, worker] : after.workers) {
+    worker.leases.clear();
+    worker.classes.clear();
+    for (uint32_t c = 0; c < after.classes.size(); ++c) {
+      if (CanRun(worker, after.classes[c])) worker.classes.push_back(c);
+    }
+  }
+  for (auto& [token, lease] : after.leases) {
+    Worker* worker = after.FindWorkerByInstance(lease.instance);
+    const Job& job = after.jobs.at(JobOf(lease.task));
+    const bool runs = std::holds_alternative<TaskLeased>(job.tasks[IndexOf(lease.task)].status);
+    if (worker == nullptr || !worker->connected || !runs) continue;
+    worker->winding_down.erase(token);  // it was revoked in the batch that came to nothing
+    worker->leases.insert(token);
+    lease.restored = false;
+    lease.deadline_ns = now.steady_ns + after.options.restart_grace_ns();
+    if (const auto old = before.leases.find(token); old != before.leases.end()) {
+      lease.progress_stage = old->second.progress_stage;
+      lease.progress_done = old->second.progress_done;
+      lease.progress_total = old->second.progress_total;
+      lease.progress_note = old->second.progress_note;
+    }
+  }
+  for (auto& [name, worker] : after.workers) {
+    std::erase_if(worker.winding_down, [&](Token token) { return token > after.last_token; });
+  }
+}
+
 StoredState Describe(const State& state) {
   StoredState out;
   out.last_token = state.last_token;
@@ -293,7 +327,7 @@ StoredState Describe(const State& state) {
   }
   for (const auto& [token, lease] : state.leases) {
     out.open_attempts.push_back(
-        {lease.task, token, lease.attempt, lease.worker, lease.instance, lease.granted});
+        {lease.task, token, lease.attempt, lease.worker, lease.instance, lease.key, lease.granted});
   }
   std::sort(out.open_attempts.begin(), out.open_attempts.end(),
             [](const OpenAttempt& a, const OpenAttempt& b) { return a.token < b.token; });
@@ -307,7 +341,8 @@ std::vector<std::string> Differences(const StoredState& a, const StoredState& b)
   for (size_t j = 0; j < a.jobs.size(); ++j) {
     const StoredJob &x = a.jobs[j], &y = b.jobs[j];
     const std::string where = "job " + std::to_string(x.job);
-    if (x.job != y.job || x.request_id != y.request_id || x.plan->parent != y.plan->parent)
+    if (x.job != y.job || x.request_id != y.request_id || x.plan->parent != y.plan->parent ||
+        x.plan->content != y.plan->content)
       found.push_back(where + ": identity");
     if (x.record.phase != y.record.phase || x.record.reason != y.record.reason)
       found.push_back(where + ": phase");
@@ -318,7 +353,7 @@ std::vector<std::string> Differences(const StoredState& a, const StoredState& b)
   }
   const auto same_attempt = [](const OpenAttempt& x, const OpenAttempt& y) {
     return x.task == y.task && x.token == y.token && x.number == y.number && x.worker == y.worker &&
-           x.instance == y.instance && x.granted == y.granted;
+           x.instance == y.instance && x.key == y.key && x.granted == y.granted;
   };
   if (!std::equal(a.open_attempts.begin(), a.open_attempts.end(), b.open_attempts.begin(),
                   b.open_attempts.end(), same_attempt)) {

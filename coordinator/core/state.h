@@ -77,6 +77,7 @@ struct Lease {
   uint32_t attempt = 0;
   std::string worker;
   std::string instance;
+  std::string key;       // of the worker
   bool granted = false;  // at-most-once only: it was allowed to start
   int64_t deadline_ns = 0;
   bool restored = false;  // from before a restart, not confirmed by its worker yet
@@ -107,6 +108,10 @@ struct SchedulingClass {
 struct Worker {
   std::string name;
   std::string instance;
+  std::string key;  // only this key may have the name
+  // Other processes that would like to have the name, and since when. They wait in silence until this
+  // one is lost, and are refused when it has been heard of since.
+  std::map<std::string, int64_t> rivals;
   std::string host;
   std::string version;
   int64_t pid = 0;
@@ -182,6 +187,10 @@ void SetStatus(State& state, Job& job, uint32_t index, TaskStatus status);
 uint32_t CountOpenParents(const Job& job, uint32_t index);
 bool CanRun(const Worker& worker, const SchedulingClass& cls);
 TaskRecord RecordOf(const Job& job, uint32_t index);
+
+// After the state was read back in the middle of work (nothing of the last batch became durable): the
+// workers of `before` are still there, with those of their leases that still hold.
+void KeepWorkers(const State& before, State& after, Now now);
 
 // The state a store describes. Leases from before wait Options::restart_grace_ns for their workers.
 State Restore(const StoredState& stored, const Options& options, Now now);

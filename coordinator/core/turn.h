@@ -62,6 +62,8 @@ class Turn {
   void AfterFailure(Job& job, uint32_t index, const Failed& event, const Lease& lease);
 
   // --- workers
+  // Whether this process may have the name now; if it never may, it is told.
+  bool MayHaveName(const WorkerJoined& event);
   void RemoveWorker(const std::string& name, const std::string& why);
   void RenewOrRevoke(Worker& worker, const std::vector<Token>& held);
   void LoseLeasesOf(const std::string& name, const std::string& instance_to_keep,

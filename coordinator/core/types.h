@@ -88,6 +88,7 @@ struct JobPlan {
   std::map<std::string, std::string> labels;
   // The task that submitted it while it ran; 0: a client did. Such a job is over when the task is.
   TaskId parent = 0;
+  std::string content;  // hash of what was asked for, without who asked; empty: not known (older rows)
   std::vector<TaskPlan> tasks;
 };
 // Opaque to the core: one serialised specification per task. Not kept in memory.
@@ -141,6 +142,7 @@ struct InsertAttempt {
   Token token = 0;
   std::string worker;
   std::string instance;
+  std::string key;  // with which the worker came; empty: without one
   int64_t wall_ns = 0;
 };
 struct GrantAttempt {  // the at-most-once attempt may start: from here on it may have run
@@ -186,6 +188,7 @@ struct OpenAttempt {
   uint32_t number = 0;
   std::string worker;
   std::string instance;
+  std::string key;
   bool granted = false;
 };
 struct StoredJob {

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <nlohmann/json.hpp>
 
+#include "coordinator/store/job_store.h"
+
 namespace rg::coordinator {
 namespace {
 
@@ -51,10 +53,16 @@ Result<pb::ListArtifactsReply> List(store::ArtifactStore& artifacts,
   store::ArtifactFilter filter;
   filter.kind = request.kind();
   filter.job_id = request.job_id();
-  filter.limit = request.limit() == 0 ? 1000 : static_cast<int>(request.limit());
+  constexpr uint32_t kPage = 1000, kLongestPage = 10'000;
+  filter.limit = static_cast<int>(request.limit() == 0 ? kPage : std::min(request.limit(), kLongestPage)) + 1;
+  filter.before_sha256 = request.before_sha256();
+  if (!filter.before_sha256.empty()) RG_RETURN_IF_ERROR(artifacts.Info(filter.before_sha256).status());
   RG_ASSIGN_OR_RETURN(const auto found, artifacts.List(filter));
   pb::ListArtifactsReply reply;
-  for (const auto& info : found) *reply.add_artifacts() = ToProto(info);
+  for (const auto& info : found) {
+    if (reply.artifacts_size() + 1 == filter.limit) return reply.set_more(true), reply;
+    *reply.add_artifacts() = ToProto(info);
+  }
   return reply;
 }
 
@@ -76,9 +84,10 @@ Result<pb::ArtifactLineageReply> Lineage(store::ArtifactStore& artifacts,
 }
 
 Result<pb::VerifyArtifactsReply> Verify(store::ArtifactStore& artifacts,
-                                        const pb::VerifyArtifactsRequest& request) {
+                                        const pb::VerifyArtifactsRequest& request,
+                                        const std::function<bool()>& stop) {
   RG_ASSIGN_OR_RETURN(const auto report,
-                      artifacts.Verify({request.sha256().begin(), request.sha256().end()}));
+                      artifacts.Verify({request.sha256().begin(), request.sha256().end()}, stop));
   pb::VerifyArtifactsReply reply;
   reply.set_checked(static_cast<uint64_t>(report.checked));
   reply.set_bytes(static_cast<uint64_t>(report.bytes));
@@ -91,14 +100,22 @@ Result<pb::VerifyArtifactsReply> Verify(store::ArtifactStore& artifacts,
   return reply;
 }
 
-Result<pb::GcArtifactsReply> Gc(store::ArtifactStore& artifacts, const pb::GcArtifactsRequest& request) {
+Result<pb::GcArtifactsReply> Gc(store::ArtifactStore& artifacts, const pb::GcArtifactsRequest& request,
+                                int64_t wall_ns) {
+  constexpr int64_t kMaxBytes = 256 << 20, kMaxListed = 20'000, kMaxRemoved = 2'000;
   store::GcOptions options;
   options.older_than_ns = request.older_than_ns();
   options.dry_run = request.dry_run();
+  options.max_bytes = options.dry_run ? 0 : kMaxBytes;
+  options.max_count = options.dry_run ? kMaxListed : kMaxRemoved;
+  const int64_t forget_ns = request.forget_ended_ns();
+  options.references = JobStore::ArtifactReferences(forget_ns > 0 ? wall_ns - forget_ns : 0);
+  options.references.push_back(store::ParameterStore::kReferences);
   RG_ASSIGN_OR_RETURN(const auto report, artifacts.Gc(options));
   pb::GcArtifactsReply reply;
   for (const auto& info : report.removed) *reply.add_removed() = ToProto(info);
   reply.set_bytes(static_cast<uint64_t>(report.bytes));
+  reply.set_more(report.more);
   return reply;
 }
 
@@ -189,10 +206,14 @@ std::optional<transport::Message> ArtifactDesk::Answer(const Sender& self,
     return Serve<pb::ArtifactLineageRequest>(self, request, *artifacts_, Lineage);
   }
   if (Is<pb::VerifyArtifactsRequest>(request)) {
-    return Serve<pb::VerifyArtifactsRequest>(self, request, *artifacts_, Verify);
+    return Serve<pb::VerifyArtifactsRequest>(
+        self, request, *artifacts_,
+        [this](auto& artifacts, const auto& body) { return Verify(artifacts, body, stop_); });
   }
   if (Is<pb::GcArtifactsRequest>(request))
-    return Serve<pb::GcArtifactsRequest>(self, request, *artifacts_, Gc);
+    return Serve<pb::GcArtifactsRequest>(
+        self, request, *artifacts_,
+        [this](auto& artifacts, const auto& body) { return Gc(artifacts, body, clock_->WallNanos()); });
   if (Is<pb::PinArtifactRequest>(request))
     return Serve<pb::PinArtifactRequest>(self, request, *artifacts_, Pin);
   if (Is<pb::ListRobotsRequest>(request))

@@ -2,6 +2,7 @@
 // server's open transaction; the reply may leave only after it committed.
 #pragma once
 
+#include <functional>
 #include <map>
 #include <optional>
 #include <string>
@@ -25,6 +26,8 @@ class ArtifactDesk {
   // The reply, or nothing if the request is not one of this desk's.
   std::optional<transport::Message> Answer(const transport::Sender& self, const transport::Message& request);
 
+  // Long checks ask it whether to break off.
+  void set_stop(std::function<bool()> stop) { stop_ = std::move(stop); }
   // After a rollback: what uploads had written may be gone.
   void ForgetUploads() { uploads_.clear(); }
   // Uploads that nobody has continued for a while.
@@ -41,6 +44,7 @@ class ArtifactDesk {
   store::ArtifactStore* artifacts_;
   store::ParameterStore* parameters_;
   const Clock* clock_;
+  std::function<bool()> stop_;
   std::map<std::string, Upload> uploads_;  // by peer and upload id
 };
 

@@ -6,7 +6,9 @@
 
 #include <CLI/CLI.hpp>
 #include <atomic>
+#include <chrono>
 #include <cstdio>
+#include <filesystem>
 
 #include "common/base/file.h"
 #include "common/base/ids.h"
@@ -21,11 +23,10 @@ constexpr int kExitError = 1;
 constexpr int kExitUsage = 2;
 
 std::atomic<bool> stop{false};
-std::atomic<bool> reload{false};
 int wake_fd = -1;
 
 void OnSignal(int number) {
-  (number == SIGHUP ? reload : stop).store(true);
+  if (number != SIGHUP) stop.store(true);  // a changed list of keys is seen by itself
   const uint64_t one = 1;
   [[maybe_unused]] const ssize_t written = write(wake_fd, &one, sizeof(one));
 }
@@ -45,6 +46,7 @@ struct Flags {
   int64_t heartbeat_ms = 2000;
   double uncertain_s = 30.0;
   int64_t max_message_mb = 128;
+  std::vector<std::string> robot_kinds, may_submit;
 };
 
 void AddFlags(CLI::App& app, Flags& f) {
@@ -71,6 +73,13 @@ void AddFlags(CLI::App& app, Flags& f) {
   app.add_option("--allowed-keys", f.allowed_path,
                  "who may connect, one '<role> <public key> <name>' per line")
       ->envname("REALITYGRAD_ALLOWED_KEYS");
+  app.add_option("--robot-kind", f.robot_kinds,
+                 "kind of tasks that move a robot, besides 'rollout': at most once, by agents only, for "
+                 "operators with the right to robots")
+      ->group("Kinds of your own");
+  app.add_option("--may-submit", f.may_submit,
+                 "'KIND:OTHER': a task of KIND may submit tasks of kind OTHER, besides diagnose:fit")
+      ->group("Kinds of your own");
   app.add_option("--log-level", f.log_level, "debug, info, warn, error");
 }
 
@@ -80,15 +89,56 @@ std::string Endpoint(const std::string& listen) {
   return colon != std::string::npos && listen.substr(colon) == ":0" ? listen.substr(0, colon) + ":*" : listen;
 }
 
-Status AllowKeys(transport::Context& context, const std::string& path) {
-  RG_ASSIGN_OR_RETURN(auto allowed, transport::LoadAllowList(path));
-  spdlog::info("{} keys may connect", allowed.size());
-  context.SetAllowList(std::move(allowed));
-  return Status::Ok();
+// The list of allowed keys as it is now, looked at several times a second: revoking takes effect at once. A
+// file that is just being written, or is gone while somebody edits it, revokes nobody.
+class KeyWatch {
+ public:
+  KeyWatch(const std::string& path, transport::Context& context)
+      : path_(path), file_(path), context_(context) {}
+
+  // `server` is null before there is one.
+  Status Look(Server* server) {
+    constexpr int64_t kIntervalNs = 200'000'000;
+    const int64_t now = RealClock().SteadyNanos();
+    if (server != nullptr && now < due_ns_) return Status::Ok();
+    due_ns_ = now + kIntervalNs;
+    if (server != nullptr && !IsAtRest()) return Status::Ok();
+    RG_ASSIGN_OR_RETURN(const auto allowed, file_.Changed());
+    if (!allowed) return Status::Ok();
+    spdlog::info("{} keys may connect", allowed->size());
+    context_.SetAllowList(*allowed);
+    if (server != nullptr) server->SetAllowedKeys(*allowed);
+    return Status::Ok();
+  }
+
+ private:
+  bool IsAtRest() const {
+    constexpr auto kRest = std::chrono::milliseconds(100);
+    std::error_code error;
+    const auto written = std::filesystem::last_write_time(path_, error);
+    return !error && std::filesystem::file_time_type::clock::now() - written > kRest;
+  }
+
+  const std::string path_;
+  transport::AllowListFile file_;
+  transport::Context& context_;
+  int64_t due_ns_ = 0;
+};
+
+Result<Policy> PolicyOf(const Flags& flags) {
+  Policy policy;
+  policy.robot_kinds.insert(flags.robot_kinds.begin(), flags.robot_kinds.end());
+  for (const std::string& pair : flags.may_submit) {
+    const size_t colon = pair.find(':');
+    if (colon == 0 || colon == std::string::npos || colon + 1 == pair.size())
+      return InvalidError("--may-submit '" + pair + "': must be KIND:OTHER");
+    policy.may_submit[pair.substr(0, colon)].insert(pair.substr(colon + 1));
+  }
+  return policy;
 }
 
 Result<transport::RouterOptions> PrepareRouter(const Flags& flags, const transport::Sender& self,
-                                               transport::Context& context) {
+                                               KeyWatch& keys) {
   transport::RouterOptions options;
   options.self = self;
   options.allow_plain_loopback = flags.key_path.empty();
@@ -101,7 +151,7 @@ Result<transport::RouterOptions> PrepareRouter(const Flags& flags, const transpo
   if (flags.key_path.empty()) return options;
   RG_ASSIGN_OR_RETURN(const auto key, transport::LoadKeyFile(flags.key_path));
   options.server_key = key.keys;
-  RG_RETURN_IF_ERROR(AllowKeys(context, flags.allowed_path));
+  RG_RETURN_IF_ERROR(keys.Look(nullptr));
   return options;
 }
 
@@ -114,24 +164,26 @@ Status Announce(const Flags& flags, const std::string& endpoint) {
 Status Serve(const Flags& flags) {
   transport::Context context;
   const transport::Sender self{"coordinator-" + RandomHex(6), pb::ROLE_COORDINATOR};
-  RG_ASSIGN_OR_RETURN(const auto router_options, PrepareRouter(flags, self, context));
+  KeyWatch keys(flags.allowed_path, context);
+  RG_ASSIGN_OR_RETURN(const auto router_options, PrepareRouter(flags, self, keys));
   RG_ASSIGN_OR_RETURN(auto router, transport::BindRouter(context, Endpoint(flags.listen), router_options));
   const std::string endpoint = router->endpoint();
   ServerOptions options;
   options.database_path = flags.database;
+  RG_ASSIGN_OR_RETURN(options.policy, PolicyOf(flags));
   options.core.heartbeat_ns = flags.heartbeat_ms * 1'000'000;
   options.core.uncertain_ns = static_cast<int64_t>(flags.uncertain_s * 1e9);
   RG_ASSIGN_OR_RETURN(auto server, Server::Open(options, std::move(router), self, &RealClock()));
   RG_RETURN_IF_ERROR(Announce(flags, endpoint));
   spdlog::info("{} jobs in {}", server->state().jobs.size(), flags.database);
   while (!stop.load()) {
-    if (reload.exchange(false) && !flags.allowed_path.empty()) {
-      const Status allowed = AllowKeys(context, flags.allowed_path);
+    if (!flags.allowed_path.empty()) {
+      const Status allowed = keys.Look(server.get());
       if (!allowed.ok()) spdlog::error("the list of allowed keys stays as it was: {}", allowed.ToString());
     }
     uint64_t count;
     [[maybe_unused]] const ssize_t drained = read(wake_fd, &count, sizeof(count));
-    server->RunOnce(1'000, wake_fd);
+    RG_RETURN_IF_ERROR(server->RunOnce(1'000, wake_fd));
   }
   server->Finish();
   return Status::Ok();

@@ -1,10 +1,16 @@
 #include "coordinator/server/job_compiler.h"
 
+#include <google/protobuf/io/coded_stream.h>
+#include <google/protobuf/io/zero_copy_stream_impl_lite.h>
+
 #include <algorithm>
 #include <map>
 #include <unordered_map>
 
+#include "common/base/hash.h"
+#include "common/base/utf8.h"
 #include "common/store/artifact_store.h"
+#include "coordinator/server/policy.h"
 
 namespace rg::coordinator {
 namespace {
@@ -16,10 +22,12 @@ constexpr size_t kMaxNameBytes = 200;
 
 class Compiler {
  public:
-  Compiler(const pb::JobSpec& spec, TaskId parent) : spec_(spec), parent_(parent) {}
+  Compiler(const pb::JobSpec& spec, TaskId parent, const std::set<std::string>& robot_kinds)
+      : spec_(spec), parent_(parent), robot_kinds_(robot_kinds) {}
 
   Result<CompiledJob> Run() {
     RG_RETURN_IF_ERROR(CheckSize());
+    RG_RETURN_IF_ERROR(CheckHeadIsPlain());
     RG_RETURN_IF_ERROR(IndexNames());
     auto plan = std::make_shared<JobPlan>();
     auto specs = std::make_shared<TaskSpecs>();
@@ -28,8 +36,10 @@ class Compiler {
     for (const pb::TaskSpec& task : spec_.tasks()) {
       TaskPlan& out = plan->tasks.emplace_back();
       const Status status = CompileTask(task, out);
-      if (!status.ok()) return status.WithPrefix("task '" + task.name() + "'");
-      specs->push_back(task.SerializeAsString());
+      if (!status.ok()) return status.WithPrefix("task '" + VisibleText(task.name()) + "'");
+      pb::TaskSpec stored = task;
+      stored.set_at_most_once(out.at_most_once);
+      specs->push_back(stored.SerializeAsString());
     }
     RG_RETURN_IF_ERROR(CheckNoCycle(*plan));
     return CompiledJob{plan, specs};
@@ -45,6 +55,26 @@ class Compiler {
     return Status::Ok();
   }
 
+  Status CheckHeadIsPlain() const {
+    RG_RETURN_IF_ERROR(CheckPlain("the job's kind", spec_.kind()));
+    RG_RETURN_IF_ERROR(CheckPlain("the job's name", spec_.name()));
+    RG_RETURN_IF_ERROR(CheckPlain("the job's submitter", spec_.submitted_by()));
+    for (const std::string& tag : spec_.tags()) RG_RETURN_IF_ERROR(CheckPlain("a tag of the job", tag));
+    for (const auto& [key, value] : spec_.labels()) {
+      RG_RETURN_IF_ERROR(CheckPlain("a label of the job", key));
+      RG_RETURN_IF_ERROR(CheckPlain("the label " + key + " of the job", value));
+    }
+    return Status::Ok();
+  }
+
+  static Status CheckTaskIsPlain(const pb::TaskSpec& task) {
+    RG_RETURN_IF_ERROR(CheckPlain("its name", task.name()));
+    RG_RETURN_IF_ERROR(CheckPlain("its stage", task.stage()));
+    RG_RETURN_IF_ERROR(CheckPlain("its kind", task.kind()));
+    for (const std::string& tag : task.required_tags()) RG_RETURN_IF_ERROR(CheckPlain("its tag", tag));
+    return Status::Ok();
+  }
+
   Status IndexNames() {
     for (int i = 0; i < spec_.tasks_size(); ++i) {
       const pb::TaskSpec& task = spec_.tasks(i);
@@ -53,7 +83,7 @@ class Compiler {
                             std::to_string(kMaxNameBytes) + " characters");
       }
       if (!by_name_.emplace(task.name(), static_cast<uint32_t>(i)).second) {
-        return InvalidError("two tasks are named '" + task.name() + "'");
+        return InvalidError("two tasks are named '" + VisibleText(task.name()) + "'");
       }
       by_stage_[StageOf(task)].push_back(static_cast<uint32_t>(i));
     }
@@ -76,6 +106,7 @@ class Compiler {
   }
 
   Status CompileTask(const pb::TaskSpec& task, TaskPlan& out) {
+    RG_RETURN_IF_ERROR(CheckTaskIsPlain(task));
     if (task.kind().empty()) return InvalidError("it has no kind");
     if (!(task.weight() >= 0.0))
       return InvalidError("weight " + std::to_string(task.weight()) + " is below 0");
@@ -93,7 +124,7 @@ class Compiler {
     out.priority = spec_.priority() + task.priority();
     out.max_attempts = task.max_attempts() == 0 ? 3 : task.max_attempts();
     out.crash_limit = task.crash_limit() == 0 ? 3 : task.crash_limit();
-    out.at_most_once = task.at_most_once();
+    out.at_most_once = robot_kinds_.count(task.kind()) > 0;
     out.weight = task.weight() == 0.0 ? 1.0 : task.weight();
     return CollectParents(task, out);
   }
@@ -176,14 +207,30 @@ class Compiler {
 
   const pb::JobSpec& spec_;
   const TaskId parent_;
+  const std::set<std::string>& robot_kinds_;
   std::unordered_map<std::string, uint32_t> by_name_;
   std::unordered_map<std::string, std::vector<uint32_t>> by_stage_;
 };
 
 }  // namespace
 
-Result<CompiledJob> CompileJob(const pb::JobSpec& spec, TaskId parent) {
-  return Compiler(spec, parent).Run();
+Result<CompiledJob> CompileJob(const pb::JobSpec& spec, TaskId parent,
+                               const std::set<std::string>& robot_kinds) {
+  return Compiler(spec, parent, robot_kinds).Run();
+}
+
+std::string ContentOf(const pb::JobSpec& spec) {
+  pb::JobSpec asked = spec;
+  asked.clear_submitted_by();
+  asked.clear_spec_json();
+  std::string bytes;
+  {
+    google::protobuf::io::StringOutputStream stream(&bytes);
+    google::protobuf::io::CodedOutputStream coded(&stream);
+    coded.SetSerializationDeterministic(true);  // the order of labels
+    RG_CHECK(asked.SerializeToCodedStream(&coded));
+  }
+  return Sha256Hex(bytes);
 }
 
 }  // namespace rg::coordinator

@@ -3,6 +3,8 @@
 #pragma once
 
 #include <memory>
+#include <set>
+#include <string>
 
 #include "common/base/status.h"
 #include "coordinator/core/types.h"
@@ -17,7 +19,12 @@ struct CompiledJob {
 
 // kInvalid, naming task, field, value and limit: no tasks or too many, a name twice, an unknown task
 // or stage in an input, a cycle, an input without a source, a hash that is none, a negative weight.
-// `parent`: the task that submits it (JobPlan::parent).
-Result<CompiledJob> CompileJob(const realitygrad::v1::JobSpec& spec, TaskId parent = 0);
+// Names and labels with characters that a terminal would obey are refused too.
+// `parent`: the task that submits it (JobPlan::parent). Tasks of `robot_kinds` run at most once, others as
+// often as it takes, whatever the specification says.
+Result<CompiledJob> CompileJob(const realitygrad::v1::JobSpec& spec, TaskId parent = 0,
+                               const std::set<std::string>& robot_kinds = {});
+// What JobPlan::content is: a hash of all of it but who submitted it, and how it is shown.
+std::string ContentOf(const realitygrad::v1::JobSpec& spec);
 
 }  // namespace rg::coordinator

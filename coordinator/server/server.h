@@ -1,9 +1,18 @@
 // The coordinator's shell. One thread receives a batch of messages, lets the core handle each, writes
-// all that follows in one transaction, and only then sends: what anybody can see is durable. A commit
-// that fails (disk full) is as if the batch had never come: the state is loaded again from the
-// database, nothing is answered, and peers repeat themselves.
+// all that follows in one transaction, and only then sends: what anybody can see is durable.
+//
+// A full disk: the batch that could not be kept is as if it had never come, and whoever sent a part of it is
+// told so. The state is read back, workers and leases stay. Until something can be written again, which is
+// tried now and then, reads are answered, submits and other changes are refused ("disk full"), and workers
+// keep their results. Any other failure of a commit (an fsync that fails may have lost what came before),
+// or a state that cannot be read back, ends it: RunOnce says why.
+//
+// What only reads artefacts goes on in threads of its own (read_desk.h). After a stall of this thread, or of
+// the whole process, leases are judged only when what waits in the queue was read, and workers had the time
+// to speak.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <deque>
 #include <map>
@@ -18,9 +27,12 @@
 #include "common/store/artifact_store.h"
 #include "common/store/database.h"
 #include "common/store/parameter_store.h"
+#include "common/transport/keys.h"
 #include "common/transport/socket.h"
 #include "coordinator/core/reactor.h"
 #include "coordinator/server/artifact_desk.h"
+#include "coordinator/server/policy.h"
+#include "coordinator/server/read_desk.h"
 #include "coordinator/server/worker_desk.h"
 #include "coordinator/store/job_store.h"
 #include "realitygrad/v1/control.pb.h"
@@ -35,6 +47,10 @@ struct ServerOptions {
   size_t max_batch_bytes = 32u << 20;
   uint64_t inline_limit = 256u << 10;  // outputs up to this travel inside TaskFinished
   size_t max_log_line_bytes = 8u << 10;
+  size_t max_reply_bytes = 48u << 20;  // a larger one is refused in its place; clients take 64 MiB
+  size_t page_bytes = 8u << 20;        // about as much of a long list is in one reply
+  Policy policy;
+  std::string vfs;  // of the database: the seam for fault tests
 };
 
 class Server {
@@ -46,8 +62,11 @@ class Server {
   ~Server();
 
   // One batch: waits at most `timeout_ms` for the first message; `wake_fd` (an eventfd, or -1)
-  // interrupts the waiting.
-  void RunOnce(int64_t timeout_ms, int wake_fd = -1);
+  // interrupts the waiting, and is written when the server itself has something to do. An error: the
+  // process must end; nothing that was acknowledged is lost.
+  Status RunOnce(int64_t timeout_ms, int wake_fd = -1);
+  // Who may connect, whenever that changes: the sessions of those who may no longer are over.
+  void SetAllowedKeys(const transport::AllowList& allowed);
   // Before a clean stop: writes what waits for the next transaction.
   void Finish();
 
@@ -66,6 +85,8 @@ class Server {
   struct Peer {
     std::string routing_id;
     std::string key_name;  // of the key it came with
+    pb::Role role = pb::ROLE_UNSPECIFIED;
+    int64_t last_seen_ns = 0;
   };
   struct PendingReply {  // of a request whose answer the core gives
     transport::Message request;
@@ -79,22 +100,37 @@ class Server {
 
   Now now() const { return {clock_->SteadyNanos(), clock_->WallNanos()}; }
   // --- one batch
+  void NoteStall(int64_t waited_ms);
   void ReceiveBatch();
   void Handle(transport::Message message);
   Status CommitBatch();
-  void DiscardBatch(const Status& why);
+  // Ok: it goes on, as far as a full disk lets it.
+  Status DiscardBatch(const Status& why);
+  void RefuseBatch(const Status& why);
   void SendBatch();
+  void SendReply(transport::Message message);
   void TickIfDue();
+  bool MayJudge(int64_t steady_ns) const;
+  void TryToRecover();
+  void ReleaseSpace();
+  void ForgetSilentPeers(int64_t steady_ns);
   bool NeedsCommit() const;
+  Status Trouble() const { return ResourceExhaustedError(trouble_); }
   Status EnsureTransaction();
   // --- workers
   void HandleWorker(const transport::Message& message);
+  // The message's body if its sender may speak for the instance it names.
+  std::optional<pb::WorkerMessage> AdmitWorker(const transport::Message& message);
+  void HandleHello(const pb::WorkerMessage& body, const transport::Message& message);
+  void PutOff(const pb::WorkerMessage& body, const std::string& instance);
+  void RefuseJoining(const std::string& instance, const std::string& why);
   void HandleFinished(const pb::TaskFinished& finished, const std::string& instance);
   void HandleLog(const pb::TaskLogReport& report, const std::string& instance);
   void HandleCheckpoint(const pb::TaskCheckpointReport& report, const std::string& instance);
   void FlushLogs();
   void SendToWorker(const std::string& instance, const pb::CoordinatorMessage& message);
   void Translate(const Welcome& m);
+  void Translate(const RefuseWorker& m) { RefuseJoining(m.instance, m.reason); }
   void Translate(const Assign& m);
   void Translate(const GrantStart& m);
   void Translate(const Revoke& m);
@@ -107,15 +143,21 @@ class Server {
   void HandleSubmit(const transport::Message& message);
   // The task under whose lease a worker asks for a change; 0: a client asks.
   Result<TaskId> TaskAsking(const transport::Message& message) const;
+  std::string KindOf(TaskId task) const;  // empty: of no task
   void HandleAction(const transport::Message& message);
   void HandleDrain(const transport::Message& message);
+  void HandleWrite(const transport::Message& message);
+  // False: it was answered with an error.
+  bool NameTheJob(transport::Message& message);
+  // True: a thread answers it.
+  bool LeaveToReaders(transport::Message& message);
+  void TakeReaderAnswers();
   transport::Message AnswerQuery(const transport::Message& message);
   Result<pb::ListJobsReply> ListJobs(const pb::ListJobsRequest& request);
   Result<pb::GetJobReply> GetJob(const pb::GetJobRequest& request);
-  Result<pb::GetLogsReply> GetLogs(const pb::GetLogsRequest& request);
+  const pb::GetJobReply& OverviewOf(const Job& job);
   Result<pb::ListWorkersReply> ListWorkers(const pb::ListWorkersRequest& request);
   Result<pb::ExplainReply> ExplainTask(const pb::ExplainRequest& request);
-  Result<pb::ListEventsReply> ListEvents(const pb::ListEventsRequest& request);
   Result<pb::StatusReply> DescribeSelf(const pb::StatusRequest& request);
   void AnswerWatchers();
   Result<const Job*> RequireJob(JobId id) const;
@@ -131,6 +173,7 @@ class Server {
   std::unique_ptr<JobStore> jobs_;
   std::unique_ptr<ArtifactDesk> artifact_desk_;
   std::unique_ptr<WorkerDesk> worker_desk_;
+  std::unique_ptr<ReadDesk> short_reads_, long_reads_;  // none for a database in memory
   State state_;
   int64_t started_ns_ = 0;
 
@@ -139,18 +182,31 @@ class Server {
   ResultsByToken results_;
   std::vector<transport::Message> queries_;  // answered after the commit
   std::vector<transport::Message> outbox_;
+  std::map<JobId, pb::GetJobReply> overviews_;
+  std::vector<transport::Message> promises_;  // replies that may leave only when the batch is durable
   std::optional<store::Transaction> transaction_;
-  bool poisoned_ = false;  // a write of this batch failed outside a result
-  std::string poison_;
+  Status poison_;  // not Ok: a write of this batch failed outside a result
+  bool space_was_freed_ = false;
+
+  // While the disk is full:
+  std::string trouble_;  // "disk full: …"; empty: all is well
+  int64_t next_try_ns_ = 0, try_interval_ns_ = 0, well_since_ns_ = 0;
 
   std::vector<Event> deferred_;  // found out while sending; handled with the next batch
   std::vector<LogRow> logs_;     // not written yet
-  int64_t logs_due_ns_ = 0, tick_due_ns_ = 0;
+  int64_t logs_due_ns_ = 0, tick_due_ns_ = 0, peers_due_ns_ = 0;
+  int64_t last_turn_ns_ = 0;         // steady time of the last batch
+  int64_t judge_after_ns_ = 0;       // leases are not judged before
+  int64_t last_grace_ns_ = -1;       // when a stall last gave the workers time; -1: never
+  int64_t undrained_since_ns_ = -1;  // the socket has had more than was read since; -1: it has not
+  bool freed_pages_wait_ = false;    // the file can be made shorter
+  std::atomic<int> wake_fd_ = -1;
   std::unordered_map<std::string, Peer> peer_by_instance_;
   std::map<ReplyTo, PendingReply> pending_;
   ReplyTo last_reply_ = 0;
   std::vector<Watcher> watchers_;
-  uint64_t batches_ = 0, commits_ = 0, failed_commits_ = 0, ignored_messages_ = 0, log_lines_dropped_ = 0;
+  uint64_t batches_ = 0, commits_ = 0, failed_commits_ = 0, ignored_messages_ = 0, log_lines_dropped_ = 0,
+           stalls_ = 0;
 };
 
 }  // namespace rg::coordinator

@@ -2,6 +2,7 @@
 #include <algorithm>
 
 #include "coordinator/core/explain.h"
+#include "coordinator/server/history.h"
 #include "coordinator/server/job_compiler.h"
 #include "coordinator/server/server.h"
 #include "coordinator/server/views.h"
@@ -34,22 +35,6 @@ bool IsWorker(const transport::Message& message) {
   return message.credentials.role == pb::ROLE_WORKER || message.credentials.role == pb::ROLE_AGENT;
 }
 
-// Who may change something, who may put artefacts, who may only look. A worker may submit and cancel under a
-// lease: jobs of the task that it runs (Server::TaskAsking).
-Status CheckRole(const transport::Message& message) {
-  const pb::Role role = message.credentials.role;
-  const bool is_change = Is<pb::SubmitRequest>(message) || Is<pb::JobActionRequest>(message) ||
-                         Is<pb::DrainWorkerRequest>(message) || Is<pb::GcArtifactsRequest>(message) ||
-                         Is<pb::PinArtifactRequest>(message);
-  const bool is_upload = Is<pb::PutArtifactRequest>(message);
-  const bool is_of_a_task = message.envelope.fencing_token() != 0 &&
-                            (Is<pb::SubmitRequest>(message) || Is<pb::JobActionRequest>(message));
-  if (role == pb::ROLE_OPERATOR || (!is_change && !is_upload) ||
-      (IsWorker(message) && (is_upload || is_of_a_task)))
-    return Status::Ok();
-  return PermissionDeniedError("the role " + std::string(transport::RoleName(role)) + " may not do this");
-}
-
 int LimitOf(uint32_t asked, int normally) {
   return asked == 0 ? normally : static_cast<int>(std::min(asked, 1'000'000u));
 }
@@ -67,16 +52,17 @@ transport::Message Serve(const transport::Sender& self, const transport::Message
 }  // namespace
 
 void Server::HandleRequest(transport::Message message) {
-  const Status allowed = CheckRole(message);
+  const Status allowed = CheckRequest(message);
   if (!allowed.ok()) return Reply(MakeErrorReply(self_, message, allowed));
+  const bool is_job = Is<pb::SubmitRequest>(message) || Is<pb::JobActionRequest>(message);
+  const bool is_change = is_job || Is<pb::DrainWorkerRequest>(message) || ArtifactDesk::Writes(message);
+  if (is_change && !trouble_.empty()) return Reply(MakeErrorReply(self_, message, Trouble()));
   if (Is<pb::SubmitRequest>(message)) return HandleSubmit(message);
   if (Is<pb::JobActionRequest>(message)) return HandleAction(message);
   if (Is<pb::DrainWorkerRequest>(message)) return HandleDrain(message);
-  if (ArtifactDesk::Writes(message)) {
-    const Status begun = EnsureTransaction();
-    if (!begun.ok()) return Reply(MakeErrorReply(self_, message, begun));
-    return Reply(*artifact_desk_->Answer(self_, message));
-  }
+  if (ArtifactDesk::Writes(message)) return HandleWrite(message);
+  if (Is<pb::GetLogsRequest>(message) && !NameTheJob(message)) return;
+  if (LeaveToReaders(message)) return;
   if (Is<pb::GetJobRequest>(message) && watchers_.size() < kMaxWatchers) {
     auto body = Unpack<pb::GetJobRequest>(message);
     if (body.ok() && body->wait_ms() > 0) {
@@ -89,6 +75,45 @@ void Server::HandleRequest(transport::Message message) {
   queries_.push_back(std::move(message));
 }
 
+void Server::HandleWrite(const transport::Message& message) {
+  const Status begun = EnsureTransaction();
+  if (!begun.ok()) return Reply(MakeErrorReply(self_, message, begun));
+  promises_.push_back(*artifact_desk_->Answer(self_, message));
+  space_was_freed_ = space_was_freed_ || Is<pb::GcArtifactsRequest>(message);
+}
+
+// "The newest job" is known here, and that there is such a job; readers know the database only.
+bool Server::NameTheJob(transport::Message& message) {
+  auto body = Unpack<pb::GetLogsRequest>(message);
+  const auto job = body.ok() ? RequireJob(body->job()) : Result<const Job*>(body.status());
+  if (!job.ok()) return Reply(MakeErrorReply(self_, message, job.status())), false;
+  body->set_job((*job)->id);
+  body->SerializeToString(message.envelope.mutable_payload());
+  return true;
+}
+
+bool Server::LeaveToReaders(transport::Message& message) {
+  ReadDesk* desk = ReadDesk::IsLong(message)    ? long_reads_.get()
+                   : ReadDesk::IsShort(message) ? short_reads_.get()
+                                                : nullptr;
+  if (desk == nullptr) return false;
+  const transport::Message head = MakeErrorReply(self_, message, Status::Ok());  // peer and id, for a refusal
+  const Status added = desk->Add(std::move(message));
+  if (!added.ok()) Reply(MakeErrorReply(self_, head, added));
+  return true;
+}
+
+void Server::TakeReaderAnswers() {
+  for (ReadDesk* desk : {short_reads_.get(), long_reads_.get()}) {
+    if (desk == nullptr) continue;
+    for (transport::Message& answer : desk->TakeAnswers()) Reply(std::move(answer));
+  }
+}
+
+std::string Server::KindOf(TaskId task) const {
+  return task == 0 ? "" : state_.jobs.at(JobOf(task)).plan_of(IndexOf(task)).kind;
+}
+
 void Server::HandleSubmit(const transport::Message& message) {
   auto body = Unpack<pb::SubmitRequest>(message);
   if (!body.ok()) return Reply(MakeErrorReply(self_, message, body.status()));
@@ -97,8 +122,11 @@ void Server::HandleSubmit(const transport::Message& message) {
   }
   const auto parent = TaskAsking(message);
   if (!parent.ok()) return Reply(MakeErrorReply(self_, message, parent.status()));
+  const Status allowed = CheckSubmit(options_.policy, message.credentials, KindOf(*parent), body->job());
+  if (!allowed.ok()) return Reply(MakeErrorReply(self_, message, allowed));
   Submit event;
   event.request_id = body->request_id();
+  event.content = ContentOf(body->job());
   if (*parent != 0) {
     const Job& job = state_.jobs.at(JobOf(*parent));
     event.request_id = "task " + std::to_string(*parent) + ": " + event.request_id;
@@ -108,11 +136,13 @@ void Server::HandleSubmit(const transport::Message& message) {
                                           std::to_string(job.id));
   }
   if (state_.job_by_request.count(event.request_id) == 0) {
-    auto compiled = CompileJob(body->job(), *parent);
+    auto compiled = CompileJob(body->job(), *parent, options_.policy.robot_kinds);
     if (!compiled.ok()) return Reply(MakeErrorReply(self_, message, compiled.status()));
     const Status inputs = worker_desk_->CheckArtifactsExist(body->job());
     if (!inputs.ok()) return Reply(MakeErrorReply(self_, message, inputs));
-    event.plan = compiled->plan;
+    auto plan = std::make_shared<JobPlan>(*compiled->plan);
+    plan->content = event.content;
+    event.plan = std::move(plan);
     event.specs = compiled->specs;
   }
   event.reply_to = ++last_reply_;
@@ -144,6 +174,12 @@ void Server::HandleAction(const transport::Message& message) {
       (job == nullptr || job->plan->parent != *task || body->action() != pb::JOB_ACTION_CANCEL)) {
     return Reply(MakeErrorReply(
         self_, message, PermissionDeniedError("a task may cancel what it has submitted, and nothing else")));
+  }
+  const Status plain = CheckPlain("the reason", body->reason());
+  if (!plain.ok()) return Reply(MakeErrorReply(self_, message, plain));
+  if (body->action() == pb::JOB_ACTION_RETRY && job != nullptr) {
+    const Status allowed = CheckRetry(options_.policy, message.credentials, *job->plan);
+    if (!allowed.ok()) return Reply(MakeErrorReply(self_, message, allowed));
   }
   event.reason = body->reason();
   switch (body->action()) {
@@ -204,7 +240,8 @@ transport::Message Server::AnswerQuery(const transport::Message& message) {
     return Serve<pb::ListJobsRequest>(self_, message, [this](const auto& b) { return ListJobs(b); });
   }
   if (Is<pb::GetLogsRequest>(message)) {
-    return Serve<pb::GetLogsRequest>(self_, message, [this](const auto& b) { return GetLogs(b); });
+    return Serve<pb::GetLogsRequest>(
+        self_, message, [this](const auto& b) { return ReadLogs(*jobs_, b, options_.page_bytes); });
   }
   if (Is<pb::ListWorkersRequest>(message)) {
     return Serve<pb::ListWorkersRequest>(self_, message, [this](const auto& b) { return ListWorkers(b); });
@@ -213,11 +250,14 @@ transport::Message Server::AnswerQuery(const transport::Message& message) {
     return Serve<pb::ExplainRequest>(self_, message, [this](const auto& b) { return ExplainTask(b); });
   }
   if (Is<pb::ListEventsRequest>(message)) {
-    return Serve<pb::ListEventsRequest>(self_, message, [this](const auto& b) { return ListEvents(b); });
+    return Serve<pb::ListEventsRequest>(
+        self_, message, [this](const auto& b) { return ReadEvents(*jobs_, b, options_.page_bytes); });
   }
   if (Is<pb::StatusRequest>(message)) {
     return Serve<pb::StatusRequest>(self_, message, [this](const auto& b) { return DescribeSelf(b); });
   }
+  if (Is<pb::BackupRequest>(message))
+    return MakeErrorReply(self_, message, FailedPreconditionError("the database is in memory"));
   if (auto reply = artifact_desk_->Answer(self_, message)) return *std::move(reply);
   return MakeErrorReply(self_, message,
                         InvalidError("a coordinator does not answer " + message.envelope.type()));
@@ -235,52 +275,55 @@ Result<pb::ListJobsReply> Server::ListJobs(const pb::ListJobsRequest& request) {
   const auto wanted = [](const auto& list, const auto& value) {
     return list.empty() || std::find(list.begin(), list.end(), value) != list.end();
   };
+  const auto labelled = [&](const JobPlan& plan) {
+    return std::all_of(request.labels().begin(), request.labels().end(), [&](const auto& label) {
+      const auto found = plan.labels.find(label.first);
+      return found != plan.labels.end() && (label.second.empty() || label.second == found->second);
+    });
+  };
   pb::ListJobsReply reply;
-  for (auto it = state_.jobs.rbegin(); it != state_.jobs.rend() && reply.jobs_size() < limit; ++it) {
+  size_t bytes = 0;
+  auto it = request.before_id() > 0 ? std::make_reverse_iterator(state_.jobs.lower_bound(request.before_id()))
+                                    : state_.jobs.rbegin();
+  for (; it != state_.jobs.rend(); ++it) {
     const Job& job = it->second;
     if (request.ids().empty() && JobOf(job.plan->parent) != request.parent_job()) continue;
-    if (!wanted(request.ids(), job.id) || !wanted(request.states(), static_cast<int>(job.record.phase)))
+    if (!wanted(request.ids(), job.id) || !wanted(request.states(), static_cast<int>(job.record.phase)) ||
+        job.record.submitted_ns < request.since_ns() || !labelled(*job.plan))
       continue;
+    if (reply.jobs_size() >= limit || bytes > options_.page_bytes) return reply.set_more(true), reply;
     const auto weight = under_way.find(job.id);
     *reply.add_jobs() = SummaryOf(job, weight == under_way.end() ? 0.0 : weight->second, clock_->WallNanos());
+    bytes += reply.jobs(reply.jobs_size() - 1).ByteSizeLong();
   }
   return reply;
+}
+
+// Counted once per batch, however many watch the job.
+const pb::GetJobReply& Server::OverviewOf(const Job& job) {
+  const auto [known, is_new] = overviews_.try_emplace(job.id);
+  pb::GetJobReply& overview = known->second;
+  if (!is_new) return overview;
+  const auto under_way = WeightUnderWay(state_);
+  const auto weight = under_way.find(job.id);
+  *overview.mutable_job() =
+      SummaryOf(job, weight == under_way.end() ? 0.0 : weight->second, clock_->WallNanos());
+  overview.set_spec_json(job.plan->spec_json);
+  FillStages(state_, job, &overview);
+  return overview;
 }
 
 Result<pb::GetJobReply> Server::GetJob(const pb::GetJobRequest& request) {
   RG_ASSIGN_OR_RETURN(const Job* job, RequireJob(request.job()));
-  const auto under_way = WeightUnderWay(state_);
-  const auto weight = under_way.find(job->id);
   pb::GetJobReply reply;
-  *reply.mutable_job() =
-      SummaryOf(*job, weight == under_way.end() ? 0.0 : weight->second, clock_->WallNanos());
-  reply.set_spec_json(job->plan->spec_json);
-  FillStages(state_, *job, &reply);
+  if (request.first_task() == 0) {
+    reply = OverviewOf(*job);
+  } else {
+    *reply.mutable_job() = SummaryOf(*job, 0.0, clock_->WallNanos());
+  }
   if (request.with_tasks() || request.with_attempts()) {
-    RG_RETURN_IF_ERROR(FillTasks(state_, *job, request.with_attempts(), *jobs_, &reply));
-  }
-  return reply;
-}
-
-Result<pb::GetLogsReply> Server::GetLogs(const pb::GetLogsRequest& request) {
-  RG_ASSIGN_OR_RETURN(const Job* job, RequireJob(request.job()));
-  TaskId first = MakeTaskId(job->id, 0), last = MakeTaskId(job->id, kMaxTasksPerJob - 1);
-  if (!request.task().empty()) {
-    const int64_t index = FindTask(*job, request.task());
-    if (index < 0)
-      return NotFoundError("job " + std::to_string(job->id) + " has no task '" + request.task() + "'");
-    first = last = MakeTaskId(job->id, static_cast<uint32_t>(index));
-  }
-  RG_ASSIGN_OR_RETURN(const auto lines,
-                      jobs_->Logs(first, last, request.after_sequence(), LimitOf(request.limit(), 1000)));
-  pb::GetLogsReply reply;
-  for (const LogRow& line : lines) {
-    pb::TaskLogLine* out = reply.add_lines();
-    out->set_wall_ns(line.wall_ns);
-    out->set_attempt(line.attempt);
-    out->set_text(line.text);
-    out->set_sequence(line.sequence);
-    out->set_task(job->plan_of(IndexOf(line.task)).name);
+    RG_RETURN_IF_ERROR(FillTasks(state_, *job, request.with_attempts(), request.first_task(),
+                                 options_.page_bytes, *jobs_, &reply));
   }
   return reply;
 }
@@ -330,29 +373,13 @@ Result<pb::ExplainReply> Server::ExplainTask(const pb::ExplainRequest& request) 
   return reply;
 }
 
-Result<pb::ListEventsReply> Server::ListEvents(const pb::ListEventsRequest& request) {
-  RG_ASSIGN_OR_RETURN(const auto rows,
-                      jobs_->Events(request.job(), request.after_id(), LimitOf(request.limit(), 1000)));
-  pb::ListEventsReply reply;
-  for (const EventRow& row : rows) {
-    pb::EventRecord* out = reply.add_events();
-    out->set_id(row.id);
-    out->set_wall_ns(row.event.wall_ns);
-    out->set_job(row.event.job);
-    out->set_task(row.event.task);
-    out->set_worker(row.event.worker);
-    out->set_kind(row.event.kind);
-    out->set_detail(row.event.detail);
-  }
-  return reply;
-}
-
 Result<pb::StatusReply> Server::DescribeSelf(const pb::StatusRequest&) {
   pb::StatusReply reply;
   reply.set_instance(self_.id);
   reply.set_version(options_.version);
   reply.set_started_ns(started_ns_);
   reply.set_database(options_.database_path);
+  reply.set_trouble(trouble_);
   for (const auto& [name, worker] : state_.workers) {
     if (!worker.connected) continue;
     reply.set_workers(reply.workers() + 1);
@@ -391,7 +418,8 @@ Result<pb::StatusReply> Server::DescribeSelf(const pb::StatusRequest&) {
                                                        {"messages_sent_total", m.sent},
                                                        {"messages_dropped_total", m.dropped()},
                                                        {"messages_ignored_total", ignored_messages_},
-                                                       {"log_lines_dropped_total", log_lines_dropped_}};
+                                                       {"log_lines_dropped_total", log_lines_dropped_},
+                                                       {"stalls_total", stalls_}};
   for (const auto& [name, value] : counters) (*reply.mutable_counters())[name] = static_cast<double>(value);
   return reply;
 }

@@ -32,8 +32,7 @@ double EstimateSecondsLeft(const Job& job, double progress, int64_t wall_ns) {
   return elapsed * (1.0 - progress) / progress;
 }
 
-Status FillTask(const State& state, const Job& job, uint32_t index, bool with_attempts, JobStore& store,
-                pb::TaskInfo* out) {
+void FillTask(const State& state, const Job& job, uint32_t index, const TaskRows& rows, pb::TaskInfo* out) {
   const Task& task = job.tasks[index];
   const TaskPlan& plan = job.plan_of(index);
   const TaskId id = MakeTaskId(job.id, index);
@@ -51,24 +50,24 @@ Status FillTask(const State& state, const Job& job, uint32_t index, bool with_at
     out->set_worker(lease->worker);
     FillProgress(*lease, out->mutable_progress());
   }
-  if (task.attempts == 0 && PhaseOf(task.status) != TaskPhase::kCancelled) return Status::Ok();
-  RG_ASSIGN_OR_RETURN(const TaskDetail detail, store.Detail(id));
-  out->set_reason(detail.reason);
-  out->set_started_ns(detail.started_ns);
-  out->set_finished_ns(detail.finished_ns);
-  out->set_summary_json(detail.summary_json);
-  RG_ASSIGN_OR_RETURN(const auto outputs, store.Outputs(id));
-  for (const OutputRow& row : outputs) {
-    pb::TaskOutput* output = out->add_outputs();
-    output->set_name(row.name);
-    output->set_kind(row.kind);
-    output->set_sha256(row.sha256);
-    output->set_size(static_cast<uint64_t>(row.size));
-    output->set_metadata_json(row.metadata_json);
+  if (const auto detail = rows.details.find(id); detail != rows.details.end()) {
+    out->set_reason(detail->second.reason);
+    out->set_started_ns(detail->second.started_ns);
+    out->set_finished_ns(detail->second.finished_ns);
+    out->set_summary_json(detail->second.summary_json);
   }
-  if (!with_attempts) return Status::Ok();
-  RG_ASSIGN_OR_RETURN(const auto attempts, store.Attempts(id));
-  for (const AttemptRow& row : attempts) {
+  const auto [first_output, last_output] = rows.outputs.equal_range(id);
+  for (auto it = first_output; it != last_output; ++it) {
+    pb::TaskOutput* output = out->add_outputs();
+    output->set_name(it->second.name);
+    output->set_kind(it->second.kind);
+    output->set_sha256(it->second.sha256);
+    output->set_size(static_cast<uint64_t>(it->second.size));
+    output->set_metadata_json(it->second.metadata_json);
+  }
+  const auto [first_attempt, last_attempt] = rows.attempts.equal_range(id);
+  for (auto it = first_attempt; it != last_attempt; ++it) {
+    const AttemptRow& row = it->second;
     pb::AttemptInfo* attempt = out->add_attempt_list();
     attempt->set_number(row.number);
     attempt->set_token(row.token);
@@ -78,7 +77,6 @@ Status FillTask(const State& state, const Job& job, uint32_t index, bool with_at
     attempt->set_outcome(static_cast<pb::AttemptOutcome>(row.outcome));
     attempt->set_error(row.error);
   }
-  return Status::Ok();
 }
 
 }  // namespace
@@ -176,10 +174,20 @@ void FillStages(const State& state, const Job& job, pb::GetJobReply* reply) {
   }
 }
 
-Status FillTasks(const State& state, const Job& job, bool with_attempts, JobStore& store,
-                 pb::GetJobReply* reply) {
-  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
-    RG_RETURN_IF_ERROR(FillTask(state, job, i, with_attempts, store, reply->add_tasks()));
+Status FillTasks(const State& state, const Job& job, bool with_attempts, uint32_t first, size_t max_bytes,
+                 JobStore& store, pb::GetJobReply* reply) {
+  constexpr uint32_t kRowsAtOnce = 1000;
+  const auto count = static_cast<uint32_t>(job.tasks.size());
+  size_t bytes = 0;
+  for (uint32_t begin = first; begin < count; begin += kRowsAtOnce) {
+    const uint32_t end = std::min(count, begin + kRowsAtOnce);
+    RG_ASSIGN_OR_RETURN(const TaskRows rows, store.ReadTasks(MakeTaskId(job.id, begin),
+                                                             MakeTaskId(job.id, end - 1), with_attempts));
+    for (uint32_t i = begin; i < end; ++i) {
+      if (bytes > max_bytes) return reply->set_next_task(i), Status::Ok();
+      FillTask(state, job, i, rows, reply->add_tasks());
+      bytes += reply->tasks(reply->tasks_size() - 1).ByteSizeLong();
+    }
   }
   return Status::Ok();
 }

@@ -20,8 +20,9 @@ std::map<JobId, double> WeightUnderWay(const State& state);
 pb::JobSummary SummaryOf(const Job& job, double weight_under_way, int64_t wall_ns);
 pb::WorkerInfo InfoOf(const Worker& worker, const State& state, int64_t steady_ns);
 void FillStages(const State& state, const Job& job, pb::GetJobReply* reply);
-Status FillTasks(const State& state, const Job& job, bool with_attempts, JobStore& store,
-                 pb::GetJobReply* reply);
+// From task `first` on, until the reply has about `max_bytes`; the next page is in reply->next_task().
+Status FillTasks(const State& state, const Job& job, bool with_attempts, uint32_t first, size_t max_bytes,
+                 JobStore& store, pb::GetJobReply* reply);
 // Index of the task of that name; -1: none.
 int64_t FindTask(const Job& job, const std::string& name);
 

@@ -171,7 +171,7 @@ Result<pb::TaskAssignment> WorkerDesk::Assemble(const State& state, const Assign
   out.set_name(spec.name());
   out.set_kind(spec.kind());
   out.set_payload(spec.payload());
-  out.set_at_most_once(spec.at_most_once());
+  out.set_at_most_once(job->plan_of(IndexOf(assign.task)).at_most_once);
   out.set_timeout_s(spec.timeout_s());
   out.set_job_name(job->plan->name);
   RG_ASSIGN_OR_RETURN(auto inputs, ResolveInputs(*job, IndexOf(assign.task), spec));

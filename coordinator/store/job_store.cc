@@ -2,6 +2,8 @@
 
 #include <nlohmann/json.hpp>
 
+#include "realitygrad/v1/job.pb.h"
+
 namespace rg::coordinator {
 namespace {
 
@@ -36,8 +38,8 @@ Status JobStore::Apply(const std::vector<Row>& rows, const ResultsByToken& resul
 Status JobStore::ApplyOne(const InsertJob& row) {
   RG_ASSIGN_OR_RETURN(auto insert,
                       db_->Prepare("INSERT INTO jobs (id, request_id, kind, name, submitted_by, spec_json, "
-                                   "priority, tags_json, labels_json, phase, submitted_ns, parent) "
-                                   "VALUES (?,?,?,?,?,?,?,?,?,?,?,?)"));
+                                   "priority, tags_json, labels_json, phase, submitted_ns, parent, content, "
+                                   "inputs_listed) VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,1)"));
   const JobPlan& plan = *row.plan;
   insert.Bind(1, row.job)
       .Bind(2, row.request_id)
@@ -49,15 +51,65 @@ Status JobStore::ApplyOne(const InsertJob& row) {
       .Bind(8, Json(plan.tags).dump())
       .Bind(9, Json(plan.labels).dump());
   insert.Bind(10, static_cast<int>(JobPhase::kQueued)).Bind(11, row.submitted_ns).Bind(12, plan.parent);
+  insert.Bind(13, plan.content);
   RG_RETURN_IF_ERROR(insert.Run());
   for (uint32_t i = 0; i < plan.tasks.size(); ++i) {
     const TaskId id = MakeTaskId(row.job, i);
     RG_RETURN_IF_ERROR(InsertTask(id, plan.tasks[i]));
     if (row.specs == nullptr) continue;
+    RG_RETURN_IF_ERROR(InsertInputs(row.job, (*row.specs)[i]));
     RG_ASSIGN_OR_RETURN(auto spec, db_->Prepare("INSERT INTO task_specs (task, spec) VALUES (?,?)"));
     RG_RETURN_IF_ERROR(spec.Bind(1, id).BindBlob(2, (*row.specs)[i]).Run());
   }
   return Status::Ok();
+}
+
+Status JobStore::InsertInputs(JobId job, std::string_view spec) {
+  realitygrad::v1::TaskSpec task;
+  if (!task.ParseFromArray(spec.data(), static_cast<int>(spec.size())))
+    return DataLossError("job " + std::to_string(job) + ": a task's specification does not parse");
+  for (const auto& input : task.inputs()) {
+    if (!input.has_artifact()) continue;
+    RG_ASSIGN_OR_RETURN(auto insert, db_->Prepare("INSERT OR IGNORE INTO job_inputs VALUES (?,?)"));
+    RG_RETURN_IF_ERROR(insert.Bind(1, job).Bind(2, input.artifact()).Run());
+  }
+  return Status::Ok();
+}
+
+Status JobStore::ListMissingInputs() {
+  std::vector<JobId> jobs;
+  {
+    RG_ASSIGN_OR_RETURN(auto rows, db_->Prepare("SELECT id FROM jobs WHERE inputs_listed=0 ORDER BY id"));
+    while (true) {
+      RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
+      if (!more) break;
+      jobs.push_back(rows.Int(0));
+    }
+  }
+  for (const JobId job : jobs) {
+    RG_RETURN_IF_ERROR(db_->InTransaction([&]() -> Status {
+      RG_ASSIGN_OR_RETURN(auto rows, db_->Prepare("SELECT spec FROM task_specs WHERE task BETWEEN ? AND ?"));
+      rows.Bind(1, MakeTaskId(job, 0)).Bind(2, MakeTaskId(job, kMaxTasksPerJob - 1));
+      while (true) {
+        RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
+        if (!more) break;
+        RG_RETURN_IF_ERROR(InsertInputs(job, rows.Blob(0)));
+      }
+      RG_ASSIGN_OR_RETURN(auto done, db_->Prepare("UPDATE jobs SET inputs_listed=1 WHERE id=?"));
+      return done.Bind(1, job).Run();
+    }));
+  }
+  return Status::Ok();
+}
+
+std::vector<std::string> JobStore::ArtifactReferences(int64_t ended_before_ns) {
+  const std::string counts = "(finished_ns = 0 OR finished_ns >= " + std::to_string(ended_before_ns) + ")";
+  const std::string jobs = "(SELECT id FROM jobs WHERE " + counts + ")";
+  const std::string index_bits = std::to_string(kTaskIndexBits);
+  return {"SELECT sha256 FROM job_inputs WHERE job IN " + jobs,
+          "SELECT sha256 FROM outputs WHERE (task >> " + index_bits + ") IN " + jobs,
+          "SELECT a2.sha256 FROM artifact a2 JOIN artifact_producer p ON p.artifact = a2.id JOIN jobs j ON "
+          "j.id = CAST(p.job_id AS INTEGER) WHERE j.finished_ns = 0"};
 }
 
 Status JobStore::InsertTask(TaskId id, const TaskPlan& plan) {
@@ -108,11 +160,12 @@ Status JobStore::ApplyOne(const UpdateTask& row) {
 }
 
 Status JobStore::ApplyOne(const InsertAttempt& row) {
-  RG_ASSIGN_OR_RETURN(auto insert,
-                      db_->Prepare("INSERT INTO attempts (token, task, number, worker, instance, leased_ns) "
-                                   "VALUES (?,?,?,?,?,?)"));
+  RG_ASSIGN_OR_RETURN(
+      auto insert,
+      db_->Prepare("INSERT INTO attempts (token, task, number, worker, instance, leased_ns, key) "
+                   "VALUES (?,?,?,?,?,?,?)"));
   insert.Bind(1, static_cast<int64_t>(row.token)).Bind(2, row.task).Bind(3, static_cast<int64_t>(row.number));
-  return insert.Bind(4, row.worker).Bind(5, row.instance).Bind(6, row.wall_ns).Run();
+  return insert.Bind(4, row.worker).Bind(5, row.instance).Bind(6, row.wall_ns).Bind(7, row.key).Run();
 }
 
 Status JobStore::ApplyOne(const GrantAttempt& row) {
@@ -200,6 +253,19 @@ Status JobStore::AppendLog(const LogRow& row) {
   constexpr int kTrimEvery = 500;
   if (++log_lines_[row.task] % kTrimEvery == 0) return TrimLog(row.task);
   return Status::Ok();
+}
+
+Status JobStore::ProbeRoom(int64_t bytes) {
+  constexpr TaskId kNoTask = -1;
+  RG_RETURN_IF_ERROR(db_->InTransaction([&]() -> Status {
+    RG_ASSIGN_OR_RETURN(auto fill, db_->Prepare("INSERT OR REPLACE INTO checkpoints (task, token, sequence, "
+                                                "bytes) VALUES (?, 0, 0, zeroblob(?))"));
+    return fill.Bind(1, kNoTask).Bind(2, bytes).Run();
+  }));
+  return db_->InTransaction([&]() -> Status {
+    RG_ASSIGN_OR_RETURN(auto clear, db_->Prepare("DELETE FROM checkpoints WHERE task = ?"));
+    return clear.Bind(1, kNoTask).Run();
+  });
 }
 
 Status JobStore::TrimLog(TaskId task) {

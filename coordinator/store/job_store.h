@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <string>
 #include <unordered_map>
@@ -38,12 +39,19 @@ struct AttemptRow {
   int64_t leased_ns = 0, finished_ns = 0;
   Outcome outcome = Outcome::kOpen;
 };
+// Of a range of tasks; outputs and attempts in their order.
+struct TaskRows {
+  std::unordered_map<TaskId, TaskDetail> details;
+  std::multimap<TaskId, OutputRow> outputs;
+  std::multimap<TaskId, AttemptRow> attempts;
+};
 struct LogRow {
   TaskId task = 0;
   uint32_t attempt = 0;
   int64_t wall_ns = 0;
   uint64_t sequence = 0;
   std::string text;
+  std::string name;  // of the task; only where it is read
 };
 struct EventRow {
   int64_t id = 0;
@@ -64,10 +72,16 @@ class JobStore {
   // In order. Results of CommitResult rows are taken from `results`.
   Status Apply(const std::vector<Row>& rows, const ResultsByToken& results);
 
+  // Jobs from before there was a list of inputs get theirs.
+  Status ListMissingInputs();
+  // The artefacts that jobs refer to, for store::GcOptions::references: inputs, outputs, and what tasks of
+  // jobs under way have uploaded. Jobs that ended before `ended_before_ns` (wall time) do not count.
+  static std::vector<std::string> ArtifactReferences(int64_t ended_before_ns);
+
   Result<std::string> Spec(TaskId task);  // serialised TaskSpec
   Result<std::vector<OutputRow>> Outputs(TaskId task);
-  Result<TaskDetail> Detail(TaskId task);
-  Result<std::vector<AttemptRow>> Attempts(TaskId task);
+  // Everything about the tasks from `first` to `last`, in one query per table.
+  Result<TaskRows> ReadTasks(TaskId first, TaskId last, bool with_attempts);
 
   // An older checkpoint of a newer lease's task, or an earlier one of the same lease, is ignored.
   Status SaveCheckpoint(TaskId task, Token token, uint64_t sequence, std::string_view bytes);
@@ -76,6 +90,10 @@ class JobStore {
   // Keeps about the newest kMaxLogLines of each task.
   static constexpr int kMaxLogLines = 4000;
   Status AppendLog(const LogRow& row);
+  // Whether there is room for about so many bytes more: they are written, durably, and removed again.
+  Status ProbeRoom(int64_t bytes);
+  // kNotFound: the job has no task of that name.
+  Result<TaskId> FindTask(JobId job, const std::string& name);
   Result<std::vector<LogRow>> Logs(TaskId first, TaskId last, uint64_t after_sequence, int limit);
   // job 0: all.
   Result<std::vector<EventRow>> Events(JobId job, int64_t after_id, int limit);
@@ -96,6 +114,7 @@ class JobStore {
   Status ApplyOne(const ReopenTasks& row);
   Status ApplyOne(const AppendEvent& row);
   Status InsertTask(TaskId id, const TaskPlan& plan);
+  Status InsertInputs(JobId job, std::string_view spec);
   Status TrimLog(TaskId task);
 
   store::Database* db_;

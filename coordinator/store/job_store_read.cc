@@ -47,7 +47,7 @@ Status JobStore::LoadJobs(StoredState* out, std::vector<std::shared_ptr<JobPlan>
   RG_ASSIGN_OR_RETURN(
       auto rows,
       db_->Prepare("SELECT id, request_id, kind, name, submitted_by, spec_json, priority, tags_json, "
-                   "labels_json, phase, reason, submitted_ns, started_ns, finished_ns, parent "
+                   "labels_json, phase, reason, submitted_ns, started_ns, finished_ns, parent, content "
                    "FROM jobs ORDER BY id"));
   while (true) {
     RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
@@ -71,6 +71,7 @@ Status JobStore::LoadJobs(StoredState* out, std::vector<std::shared_ptr<JobPlan>
     job.record = {static_cast<JobPhase>(rows.Int(9)), rows.Text(10), rows.Int(11), rows.Int(12),
                   rows.Int(13)};
     plan->parent = rows.Int(14);
+    plan->content = rows.Text(15);
     if (plan->parent < 0 || JobOf(plan->parent) >= job.job)
       return DataLossError("job " + std::to_string(job.job) + ": submitted by a task of a later job");
     job.plan = plan;
@@ -134,15 +135,15 @@ Status JobStore::LoadOpenAttempts(StoredState* out) {
   RG_ASSIGN_OR_RETURN(auto last, db_->Prepare("SELECT COALESCE(MAX(token), 0) FROM attempts"));
   RG_ASSIGN_OR_RETURN(const bool has_row, last.Step());
   if (has_row) out->last_token = static_cast<Token>(last.Int(0));
-  RG_ASSIGN_OR_RETURN(auto rows,
-                      db_->Prepare("SELECT task, token, number, worker, instance, granted_ns FROM attempts "
-                                   "WHERE outcome=0 ORDER BY token"));
+  RG_ASSIGN_OR_RETURN(
+      auto rows, db_->Prepare("SELECT task, token, number, worker, instance, key, granted_ns FROM attempts "
+                              "WHERE outcome=0 ORDER BY token"));
   while (true) {
     RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
     if (!more) return Status::Ok();
     out->open_attempts.push_back({rows.Int(0), static_cast<Token>(rows.Int(1)),
                                   static_cast<uint32_t>(rows.Int(2)), rows.Text(3), rows.Text(4),
-                                  rows.Int(5) != 0});
+                                  rows.Text(5), rows.Int(6) != 0});
   }
 }
 
@@ -172,34 +173,41 @@ Result<std::vector<OutputRow>> JobStore::Outputs(TaskId task) {
   }
 }
 
-Result<TaskDetail> JobStore::Detail(TaskId task) {
-  RG_ASSIGN_OR_RETURN(
-      auto row, db_->Prepare("SELECT reason, started_ns, finished_ns, COALESCE(summary_json, '') FROM tasks "
-                             "LEFT JOIN results ON results.task = tasks.id WHERE tasks.id=?"));
-  row.Bind(1, task);
-  RG_ASSIGN_OR_RETURN(const bool found, row.Step());
-  if (!found) return NotFoundError("there is no task " + std::to_string(task));
-  return TaskDetail{row.Text(0), row.Int(1), row.Int(2), row.Text(3)};
-}
-
-Result<std::vector<AttemptRow>> JobStore::Attempts(TaskId task) {
-  RG_ASSIGN_OR_RETURN(auto rows,
-                      db_->Prepare("SELECT number, token, worker, error, leased_ns, finished_ns, outcome "
-                                   "FROM attempts WHERE task=? ORDER BY token"));
-  rows.Bind(1, task);
-  std::vector<AttemptRow> attempts;
-  while (true) {
-    RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
-    if (!more) return attempts;
-    AttemptRow& attempt = attempts.emplace_back();
-    attempt.number = static_cast<uint32_t>(rows.Int(0));
-    attempt.token = static_cast<Token>(rows.Int(1));
-    attempt.worker = rows.Text(2);
-    attempt.error = rows.Text(3);
-    attempt.leased_ns = rows.Int(4);
-    attempt.finished_ns = rows.Int(5);
-    attempt.outcome = static_cast<Outcome>(rows.Int(6));
-  }
+Result<TaskRows> JobStore::ReadTasks(TaskId first, TaskId last, bool with_attempts) {
+  TaskRows out;
+  const auto each = [&](std::string_view sql, const auto& take) -> Status {
+    RG_ASSIGN_OR_RETURN(auto rows, db_->Prepare(sql));
+    rows.Bind(1, first).Bind(2, last);
+    while (true) {
+      RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
+      if (!more) return Status::Ok();
+      take(rows);
+    }
+  };
+  RG_RETURN_IF_ERROR(
+      each("SELECT tasks.id, reason, started_ns, finished_ns, COALESCE(summary_json, '') FROM tasks "
+           "LEFT JOIN results ON results.task = tasks.id WHERE tasks.id BETWEEN ? AND ?",
+           [&](const store::Statement& row) {
+             out.details[row.Int(0)] = {row.Text(1), row.Int(2), row.Int(3), row.Text(4)};
+           }));
+  RG_RETURN_IF_ERROR(
+      each("SELECT task, name, kind, sha256, metadata_json, size FROM outputs "
+           "WHERE task BETWEEN ? AND ? ORDER BY task, position",
+           [&](const store::Statement& row) {
+             out.outputs.emplace(row.Int(0),
+                                 OutputRow{row.Text(1), row.Text(2), row.Text(3), row.Text(4), row.Int(5)});
+           }));
+  if (!with_attempts) return out;
+  RG_RETURN_IF_ERROR(
+      each("SELECT task, number, token, worker, error, leased_ns, finished_ns, outcome FROM attempts "
+           "WHERE task BETWEEN ? AND ? ORDER BY task, token",
+           [&](const store::Statement& row) {
+             out.attempts.emplace(
+                 row.Int(0),
+                 AttemptRow{static_cast<uint32_t>(row.Int(1)), static_cast<Token>(row.Int(2)), row.Text(3),
+                            row.Text(4), row.Int(5), row.Int(6), static_cast<Outcome>(row.Int(7))});
+           }));
+  return out;
 }
 
 Result<std::string> JobStore::Checkpoint(TaskId task) {
@@ -209,18 +217,27 @@ Result<std::string> JobStore::Checkpoint(TaskId task) {
   return found ? std::string(row.Blob(0)) : std::string();
 }
 
+Result<TaskId> JobStore::FindTask(JobId job, const std::string& name) {
+  RG_ASSIGN_OR_RETURN(auto row, db_->Prepare("SELECT id FROM tasks WHERE id BETWEEN ? AND ? AND name = ?"));
+  row.Bind(1, MakeTaskId(job, 0)).Bind(2, MakeTaskId(job, kMaxTasksPerJob - 1)).Bind(3, name);
+  RG_ASSIGN_OR_RETURN(const bool found, row.Step());
+  if (!found) return NotFoundError("job " + std::to_string(job) + " has no task '" + name + "'");
+  return row.Int(0);
+}
+
 Result<std::vector<LogRow>> JobStore::Logs(TaskId first, TaskId last, uint64_t after_sequence, int limit) {
   // One task: by its index. A whole job: by sequence, which is the order people read in.
   RG_ASSIGN_OR_RETURN(auto rows,
-                      db_->Prepare("SELECT task, attempt, wall_ns, sequence, text FROM task_logs "
-                                   "WHERE task BETWEEN ? AND ? AND sequence > ? ORDER BY sequence LIMIT ?"));
+                      db_->Prepare("SELECT l.task, l.attempt, l.wall_ns, l.sequence, l.text, t.name FROM "
+                                   "task_logs l JOIN tasks t ON t.id = l.task WHERE l.task BETWEEN ? AND ? "
+                                   "AND l.sequence > ? ORDER BY l.sequence LIMIT ?"));
   rows.Bind(1, first).Bind(2, last).Bind(3, static_cast<int64_t>(after_sequence)).Bind(4, limit);
   std::vector<LogRow> lines;
   while (true) {
     RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
     if (!more) return lines;
     lines.push_back({rows.Int(0), static_cast<uint32_t>(rows.Int(1)), rows.Int(2),
-                     static_cast<uint64_t>(rows.Int(3)), rows.Text(4)});
+                     static_cast<uint64_t>(rows.Int(3)), rows.Text(4), rows.Text(5)});
   }
 }
 

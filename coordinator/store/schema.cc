@@ -110,8 +110,24 @@ constexpr std::string_view kVersion2 = R"sql(
 ALTER TABLE jobs ADD COLUMN parent INTEGER NOT NULL DEFAULT 0;
 )sql";
 
+// With which key a worker took a lease; what a job asked for (a hash), to tell a repeat from another job
+// under the same request id; which artefacts jobs need, so that none of them is collected.
+constexpr std::string_view kVersion3 = R"sql(
+ALTER TABLE attempts ADD COLUMN key TEXT NOT NULL DEFAULT '';
+ALTER TABLE jobs ADD COLUMN content TEXT NOT NULL DEFAULT '';
+-- The artefacts that the tasks of a job name as inputs; complete where jobs.inputs_listed is set.
+ALTER TABLE jobs ADD COLUMN inputs_listed INTEGER NOT NULL DEFAULT 0;
+CREATE TABLE job_inputs (
+  job INTEGER NOT NULL,
+  sha256 TEXT NOT NULL,
+  PRIMARY KEY (job, sha256)
+) WITHOUT ROWID;
+)sql";
+
 }  // namespace
 
-store::Module CoordinatorSchema() { return {"coordinator", {{1, kVersion1}, {2, kVersion2}}}; }
+store::Module CoordinatorSchema() {
+  return {"coordinator", {{1, kVersion1}, {2, kVersion2}, {3, kVersion3}}};
+}
 
 }  // namespace rg::coordinator

@@ -41,8 +41,9 @@ struct ArtifactArguments {
   std::string hash, kind, out;
   int64_t job = 0;
   uint32_t limit = 0;
-  bool descendants = false, yes = false;
-  double older_than_days = 30;
+  bool descendants = false, yes = false, dry_run = false;
+  double older_than_days = 30, forget_days = 0;
+  std::string owner = "user";
 };
 
 template <class Body>
@@ -158,19 +159,48 @@ Status Verify(Context& context, const ArtifactArguments& arguments, coordinator:
 }
 
 Status Gc(Context& context, const ArtifactArguments& arguments, coordinator::Client& client) {
-  RG_ASSIGN_OR_RETURN(
-      const auto report,
-      client.CollectGarbage(static_cast<int64_t>(arguments.older_than_days * 86400e9), !arguments.yes));
+  const bool dry_run = arguments.dry_run || !arguments.yes;
+  RG_ASSIGN_OR_RETURN(const auto report,
+                      client.CollectGarbage(static_cast<int64_t>(arguments.older_than_days * 86400e9),
+                                            dry_run, static_cast<int64_t>(arguments.forget_days * 86400e9)));
   if (context.json()) {
     json removed = json::array();
     for (const auto& a : report.removed()) removed.push_back(InfoJson(a));
-    PrintJson("realitygrad.gc/1",
-              {{"dry_run", !arguments.yes}, {"bytes", report.bytes()}, {"removed", removed}});
+    PrintJson("realitygrad.gc/1", {{"dry_run", dry_run},
+                                   {"bytes", report.bytes()},
+                                   {"complete", !report.more()},
+                                   {"removed", removed}});
     return Status::Ok();
   }
-  Print(std::string(arguments.yes ? "removed " : "would remove ") + std::to_string(report.removed_size()) +
-        " artefacts, " + Bytes(report.bytes()) + (arguments.yes ? "" : "; say --yes to do it"));
+  if (context.quiet()) {
+    for (const auto& a : report.removed()) Print(a.sha256());
+    return Status::Ok();
+  }
+  Print(std::string(dry_run ? "would remove " : "removed ") + std::to_string(report.removed_size()) +
+        (report.more() ? " artefacts and more, " : " artefacts, ") + Bytes(report.bytes()) +
+        (dry_run ? "; say --yes to do it" : ""));
   return Status::Ok();
+}
+
+Status PinOrUnpin(Context& context, const ArtifactArguments& arguments, coordinator::Client& client,
+                  bool unpin) {
+  RG_ASSIGN_OR_RETURN(const auto info, client.ShowArtifact(arguments.hash));
+  RG_RETURN_IF_ERROR(client.Pin(info.sha256(), arguments.owner, unpin));
+  RG_ASSIGN_OR_RETURN(const auto now, client.ShowArtifact(info.sha256()));
+  if (context.json()) {
+    PrintJson("realitygrad.artifact/1", InfoJson(now));
+  } else if (!context.quiet()) {
+    PrintNote(now.sha256().substr(0, 12) +
+              (unpin ? " is no longer kept for " : " and what it was made from are kept for ") +
+              arguments.owner);
+  }
+  return Status::Ok();
+}
+Status Pin(Context& context, const ArtifactArguments& arguments, coordinator::Client& client) {
+  return PinOrUnpin(context, arguments, client, false);
+}
+Status Unpin(Context& context, const ArtifactArguments& arguments, coordinator::Client& client) {
+  return PinOrUnpin(context, arguments, client, true);
 }
 
 }  // namespace
@@ -202,11 +232,25 @@ void AddArtifactCommands(CLI::App& app, Context& context) {
   lineage->add_flag("--descendants", lineage_arguments->descendants, "What was made from it instead");
   auto [verify, verify_arguments] = add("verify", "Check bytes against hashes", Verify);
   verify->add_option("HASH", verify_arguments->hash, hash_help);
-  auto [gc, gc_arguments] = add("gc", "Remove what nothing kept descends from", Gc);
+  for (const auto& [name, help, function] :
+       {std::tuple{"pin", "Keep it, and what it was made from, whatever is collected", &Pin},
+        std::tuple{"unpin", "No longer", &Unpin}}) {
+    auto [pin, pin_arguments] = add(name, help, function);
+    pin->add_option("HASH", pin_arguments->hash, hash_help)->required();
+    pin->add_option("--owner", pin_arguments->owner, "Who wants it kept")->capture_default_str();
+  }
+  auto [gc, gc_arguments] =
+      add("gc", "Remove what no job, parameter version or pin refers to, and nothing kept descends from", Gc);
   gc->add_option("--older-than-days", gc_arguments->older_than_days, "Only older ones")
       ->check(CLI::Range(0.0, 100000.0))
       ->capture_default_str();
-  gc->add_flag("--yes", gc_arguments->yes, "Really remove; otherwise it only says what it would");
+  gc->add_option("--forget-jobs-days", gc_arguments->forget_days,
+                 "Jobs that ended longer ago no longer keep what they refer to (0: every job does)")
+      ->check(CLI::Range(0.0, 100000.0));
+  CLI::Option* yes =
+      gc->add_flag("--yes", gc_arguments->yes, "Really remove; otherwise it only says what it would");
+  gc->add_flag("--dry-run", gc_arguments->dry_run, "Only say what it would remove (as without --yes)")
+      ->excludes(yes);
 }
 
 }  // namespace rg::cli

@@ -16,6 +16,7 @@ void AddCommands(CLI::App& app, Context& context) {
   AddParameterCommands(app, context);
   AddPolicyCommands(app, context);
   AddArtifactCommands(app, context);
+  AddBackupCommands(app, context);
   AddExperimentCommand(app, context);
   AddBenchCommand(app, context);
   AddSystemCommands(app, context);

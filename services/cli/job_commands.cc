@@ -1,5 +1,6 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <ctime>
 #include <nlohmann/json.hpp>
 
 #include "common/base/clock.h"
@@ -27,7 +28,7 @@ Result<std::vector<int64_t>> ParseSelector(const std::string& text, coordinator:
   std::vector<int64_t> ids;
   if (text == "last") return std::vector<int64_t>{0};
   if (text == "all") {
-    RG_ASSIGN_OR_RETURN(const auto jobs, client.ListJobs());
+    RG_ASSIGN_OR_RETURN(const auto jobs, client.ListAllJobs());
     for (const auto& job : jobs) {
       if (wanted == nullptr || wanted(job.state())) ids.push_back(job.id());
     }
@@ -46,12 +47,75 @@ Result<std::vector<int64_t>> ParseSelector(const std::string& text, coordinator:
   return ids;
 }
 
-// `of`: what tasks of this job submitted; 0: what clients did.
-void ListJobs(Context& context, int64_t of) {
+struct ListArguments {
+  int64_t of = 0;  // what tasks of this job submitted; 0: what clients did
+  std::vector<std::string> states, labels;
+  std::string since;
+  uint32_t limit = 100;
+  int64_t before = 0;
+};
+
+Result<pb::JobState> ParseJobState(const std::string& text) {
+  std::string names;
+  for (int state = pb::JobState_MIN + 1; state <= pb::JobState_MAX; ++state) {
+    if (JobStateText(state) == text) return static_cast<pb::JobState>(state);
+    names += (names.empty() ? "" : ", ") + JobStateText(state);
+  }
+  return InvalidError("--state '" + text + "': must be one of " + names);
+}
+
+// "90s", "15m", "36h", "7d": so long ago; or a day or moment in UTC: 2026-03-01, 2026-03-01T08:30:00.
+Result<int64_t> ParseSince(const std::string& text) {
+  double amount = 0.0;
+  char unit = 0, rest = 0;
+  const std::string units = "smhd";
+  constexpr double kSeconds[] = {1.0, 60.0, 3600.0, 86400.0};
+  if (std::sscanf(text.c_str(), "%lf%c%c", &amount, &unit, &rest) == 2 && amount >= 0.0 && amount < 1e8 &&
+      units.find(unit) != std::string::npos) {
+    return RealClock().WallNanos() - static_cast<int64_t>(1e9 * amount * kSeconds[units.find(unit)]);
+  }
+  for (const char* format : {"%Y-%m-%d", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%dT%H:%M:%SZ"}) {
+    std::tm moment{};
+    const char* end = strptime(text.c_str(), format, &moment);
+    constexpr int64_t kNanos = 1'000'000'000, kLast = INT64_MAX / kNanos;  // 2262
+    if (end != nullptr && *end == 0) return std::clamp<int64_t>(timegm(&moment), 0, kLast) * kNanos;
+  }
+  return InvalidError(
+      "--since '" + text +
+      "': must be a time ago (90s, 15m, 36h, 7d) or a moment (2026-03-01, 2026-03-01T08:30:00)");
+}
+
+Result<pb::ListJobsRequest> ListRequest(const ListArguments& arguments) {
+  pb::ListJobsRequest request;
+  request.set_parent_job(arguments.of);
+  request.set_limit(arguments.limit);
+  request.set_before_id(arguments.before);
+  for (const std::string& text : arguments.states) {
+    RG_ASSIGN_OR_RETURN(const pb::JobState state, ParseJobState(text));
+    request.add_states(state);
+  }
+  for (const std::string& label : arguments.labels) {
+    const size_t equals = label.find('=');
+    if (equals == 0) return InvalidError("--label '" + label + "': must be NAME or NAME=VALUE");
+    (*request.mutable_labels())[label.substr(0, equals)] =
+        equals == std::string::npos ? "" : label.substr(equals + 1);
+  }
+  if (!arguments.since.empty()) {
+    RG_ASSIGN_OR_RETURN(const int64_t since, ParseSince(arguments.since));
+    request.set_since_ns(since);
+  }
+  return request;
+}
+
+void ListJobs(Context& context, const ListArguments& arguments) {
+  const auto wanted = ListRequest(arguments);
+  if (context.Failed(context.Usage(wanted.status()))) return;
+  const pb::ListJobsRequest& request = *wanted;
+  const int64_t of = arguments.of;
+  const bool filtered = !arguments.states.empty() || !arguments.labels.empty() || !arguments.since.empty() ||
+                        arguments.before != 0;
   auto client = context.Connect();
   if (context.Failed(client.status())) return;
-  pb::ListJobsRequest request;
-  request.set_parent_job(of);
   const auto jobs = (*client)->ListJobs(request);
   if (context.Failed(jobs.status())) return;
   if (context.quiet()) {
@@ -62,6 +126,7 @@ void ListJobs(Context& context, int64_t of) {
     PrintJson("realitygrad.jobs/1", {{"jobs", list}});
   } else {
     Print(!jobs->empty() ? JobsTable(*jobs)
+          : filtered     ? "no such job"
           : of != 0      ? "no task of job " + std::to_string(of) + " submitted a job"
                          : "no jobs yet: submit one with `realitygrad submit iteration`");
   }
@@ -176,6 +241,49 @@ void ShowLogs(Context& context, const JobArguments& arguments) {
   WithJobs(context, arguments, "realitygrad.logs/1", "realitygrad.logs-of-jobs/1", show);
 }
 
+struct EventArguments {
+  int64_t job = 0, after = 0;
+  uint32_t limit = 0;
+};
+
+void ListEvents(Context& context, const EventArguments& arguments) {
+  auto client = context.Connect();
+  if (context.Failed(client.status())) return;
+  json list = json::array();
+  TextTable table({">ID", "TIME", ">JOB", "TASK", "WORKER", "EVENT", "DETAIL"});
+  int64_t after = arguments.after;
+  uint32_t count = 0;
+  while (arguments.limit == 0 || count < arguments.limit) {
+    const auto page =
+        (*client)->Events(arguments.job, after, arguments.limit == 0 ? 0 : arguments.limit - count);
+    if (context.Failed(page.status())) return;
+    if (page->empty()) break;
+    for (const pb::EventRecord& event : *page) {
+      after = event.id();
+      ++count;
+      if (context.quiet()) Print(std::to_string(event.id()));
+      if (context.json()) {
+        list.push_back({{"id", event.id()},
+                        {"time", FormatWallTime(event.wall_ns())},
+                        {"job", event.job() == 0 ? json(nullptr) : json(event.job())},
+                        {"task", event.task()},
+                        {"worker", event.worker()},
+                        {"event", event.kind()},
+                        {"detail", event.detail()}});
+      } else {
+        table.AddRow({std::to_string(event.id()), TimeText(event.wall_ns()),
+                      event.job() == 0 ? "–" : std::to_string(event.job()), event.task(), event.worker(),
+                      event.kind(), event.detail()});
+      }
+    }
+  }
+  if (context.json()) {
+    PrintJson("realitygrad.events/1", {{"events", list}});
+  } else if (!context.quiet()) {
+    Print(table.empty() ? "nothing happened" : table.ToString());
+  }
+}
+
 void Explain(Context& context, const JobArguments& arguments) {
   const auto explain = [&](coordinator::Client& client, int64_t id) -> json {
     const auto reply = client.Explain(id, arguments.task);
@@ -220,9 +328,26 @@ void DrainWorker(Context& context, const std::string& name) {
 
 void AddJobCommands(CLI::App& app, Context& context) {
   CLI::App* jobs = app.add_subcommand("jobs", "List jobs");
-  auto of = std::make_shared<int64_t>(0);
-  jobs->add_option("--of", *of, "Those that tasks of this job submitted")->check(CLI::PositiveNumber);
-  jobs->callback([&context, of] { ListJobs(context, *of); });
+  auto list = std::make_shared<ListArguments>();
+  jobs->add_option("--of", list->of, "Those that tasks of this job submitted")->check(CLI::PositiveNumber);
+  jobs->add_option("--state", list->states,
+                   "queued, running, paused, succeeded, failed or cancelled; several");
+  jobs->add_option("--label", list->labels, "NAME or NAME=VALUE; all of several");
+  jobs->add_option("--since", list->since, "Submitted since: 90s, 15m, 36h, 7d ago, or 2026-03-01");
+  jobs->add_option("--limit", list->limit, "At most so many, the newest")
+      ->check(CLI::Range(1, 10'000))
+      ->capture_default_str();
+  jobs->add_option("--before", list->before, "Only jobs older than this one: the next page")
+      ->check(CLI::PositiveNumber);
+  jobs->callback([&context, list] { ListJobs(context, *list); });
+
+  CLI::App* events = app.add_subcommand("events", "What happened: submits, ends, losses, refusals");
+  auto event_arguments = std::make_shared<EventArguments>();
+  events->add_option("--job", event_arguments->job, "Only of this job")->check(CLI::PositiveNumber);
+  events->add_option("--after", event_arguments->after, "Only later than the event of this id");
+  events->add_option("--limit", event_arguments->limit, "At most so many, the oldest first (0: all)")
+      ->capture_default_str();
+  events->callback([&context, event_arguments] { ListEvents(context, *event_arguments); });
   app.add_subcommand("workers", "List workers and what they do")->callback([&context] {
     ListWorkers(context);
   });

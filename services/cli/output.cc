@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/check.h"
+#include "common/base/utf8.h"
 
 namespace rg::cli {
 
@@ -50,6 +51,7 @@ TextTable::TextTable(std::vector<std::string> columns) {
 
 void TextTable::AddRow(std::vector<std::string> cells) {
   RG_CHECK(cells.size() == columns_.size());
+  for (std::string& cell : cells) cell = VisibleText(cell);
   rows_.push_back(std::move(cells));
 }
 
@@ -85,16 +87,22 @@ void PrintJson(std::string_view format, nlohmann::json value) {
   Print(out.dump(2));
 }
 
+namespace {
+
+void WriteLines(std::string_view text, std::FILE* out) {
+  const std::string visible = VisibleText(text, true);
+  std::fwrite(visible.data(), 1, visible.size(), out);
+  if (visible.empty() || visible.back() != '\n') std::fputc('\n', out);
+}
+
+}  // namespace
+
 void Print(std::string_view text) {
-  std::fwrite(text.data(), 1, text.size(), stdout);
-  if (text.empty() || text.back() != '\n') std::fputc('\n', stdout);
+  WriteLines(text, stdout);
   std::fflush(stdout);
 }
 
-void PrintNote(std::string_view text) {
-  std::fwrite(text.data(), 1, text.size(), stderr);
-  if (text.empty() || text.back() != '\n') std::fputc('\n', stderr);
-}
+void PrintNote(std::string_view text) { WriteLines(text, stderr); }
 
 int Fail(const Status& status) {
   PrintNote("realitygrad: " + status.ToString());

@@ -50,8 +50,10 @@ class TextTable {
 
 // One JSON value with its schema version first: {"format": "realitygrad.jobs/1", …}.
 void PrintJson(std::string_view format, nlohmann::json value);
-void Print(std::string_view text);      // stdout, newline added
-void PrintNote(std::string_view text);  // stderr, newline added
+// stdout (stderr), newline added. Names, logs and reasons came from anybody: what a terminal would obey is
+// shown instead (VisibleText), line ends and tabs stay.
+void Print(std::string_view text);
+void PrintNote(std::string_view text);
 // "realitygrad: invalid: …" on stderr; returns the exit code to end with.
 int Fail(const Status& status);
 

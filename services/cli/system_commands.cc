@@ -136,7 +136,7 @@ void Doctor(Context& context) {
 
 struct KeyArguments {
   std::string name, role = "operator", folder;
-  bool overwrite = false;
+  bool overwrite = false, robots = false;
 };
 
 std::string FolderOf(const KeyArguments& a) {
@@ -162,11 +162,14 @@ Status ListKeys(Context& context, const KeyArguments& a) {
   RG_ASSIGN_OR_RETURN(const auto keys, transport::ListKeys(FolderOf(a)));
   RG_ASSIGN_OR_RETURN(const auto allowed, transport::LoadAllowList(FolderOf(a) + "/allowed_keys"));
   json list = json::array();
-  TextTable table({"NAME", "ROLE", "ALLOWED", "PUBLIC KEY"});
+  TextTable table({"NAME", "ROLE", "ALLOWED", "ROBOTS", "PUBLIC KEY"});
   const auto add = [&](const std::string& name, const std::string& role, bool is_allowed,
                        const std::string& key) {
-    list.push_back({{"name", name}, {"role", role}, {"allowed", is_allowed}, {"public_key", key}});
-    table.AddRow({name, role, is_allowed ? "yes" : "no", key});
+    const auto* entry = allowed.Find(key);
+    const bool robots = entry != nullptr && entry->robots;
+    list.push_back(
+        {{"name", name}, {"role", role}, {"allowed", is_allowed}, {"robots", robots}, {"public_key", key}});
+    table.AddRow({name, role, is_allowed ? "yes" : "no", robots ? "yes" : "–", key});
   };
   for (const auto& key : keys) {
     add(key.name, std::string(transport::RoleName(key.role)), allowed.Find(key.keys.public_key) != nullptr,
@@ -187,7 +190,8 @@ Status ListKeys(Context& context, const KeyArguments& a) {
 
 Status AllowKey(Context&, const KeyArguments& a) {
   RG_ASSIGN_OR_RETURN(const auto key, transport::LoadPublicKeyFile(FolderOf(a) + "/" + a.name + ".pub"));
-  return transport::AllowKey(FolderOf(a) + "/allowed_keys", key.keys.public_key, key.role, key.name);
+  return transport::AllowKey(FolderOf(a) + "/allowed_keys", key.keys.public_key, key.role, key.name,
+                             a.robots);
 }
 
 Status RevokeKey(Context&, const KeyArguments& a) {
@@ -210,8 +214,10 @@ void AddKeyCommands(CLI::App& app, Context& context) {
       ->capture_default_str();
   generate->add_flag("--overwrite", arguments->overwrite, "Replace an existing pair");
   add("list", "Pairs of the folder and who is let in", false, ListKeys);
-  add("allow", "Let the holder of a key in", true, AllowKey);
-  add("revoke", "Never again", true, RevokeKey);
+  auto [allow, allow_arguments] = add("allow", "Let the holder of a key in", true, AllowKey);
+  allow->add_flag("--robots", allow_arguments->robots,
+                  "An operator may have robots moved: submit rollouts and retry them");
+  add("revoke", "Never again, at once", true, RevokeKey);
 }
 
 }  // namespace

@@ -202,7 +202,6 @@ void AppendRollout(const IterationOptions& options, const IterationInputs& input
   payload.mutable_start_q()->Assign(options.home.begin(), options.home.end());
   payload.mutable_peak_torque()->Assign(options.peak_torque.begin(), options.peak_torque.end());
   pb::TaskSpec* task = AddTask(job, "rollout", kStageRollout, kKindRollout, payload);
-  task->set_at_most_once(true);
   task->set_max_attempts(1);
   task->set_weight(20.0 * o.duration_s);
   task->add_required_tags("robot:" + options.robot);

@@ -57,7 +57,7 @@ class Bench {
     RG_CHECK(server.ok()) << server.status().ToString();
     server_ = *std::move(server);
     thread_ = std::thread([this] {
-      while (!stop_.load()) server_->RunOnce(20);
+      while (!stop_.load()) RG_CHECK(server_->RunOnce(20).ok());
     });
   }
   ~Bench() {

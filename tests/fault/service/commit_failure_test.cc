@@ -1,132 +1,250 @@
-// A disk that refuses commits: nobody is told what was not kept, and nothing is lost once it recovers.
+// A disk that takes nothing: reads go on, nobody is told what was not kept, everybody is told why, nothing
+// is lost, and it recovers by itself. A disk that may have lost something ends the coordinator.
 #include <gtest/gtest.h>
+#include <sqlite3.h>
 
-#include "common/transport/fake_transport.h"
-#include "coordinator/core/invariants.h"
-#include "coordinator/server/server.h"
-#include "realitygrad/v1/worker.pb.h"
-#include "tests/support/service/processes.h"
+#include <filesystem>
+
+#include "common/base/ids.h"
+#include "tests/support/fault_vfs/fault_vfs.h"
+#include "tests/support/service/server_bench.h"
 
 namespace rg::testing {
 namespace {
 
-using transport::MakeEvent;
-using transport::MakeRequest;
-using transport::Message;
-using transport::Unpack;
+class FullDisk : public ::testing::Test {
+ protected:
+  FullDisk()
+      : client_(bench_.Connect("client", pb::ROLE_OPERATOR)),
+        worker_(bench_.Connect("w1", pb::ROLE_WORKER)) {}
 
-class Bench {
- public:
-  Bench() : network_({}, Rng(1), &clock_) {
-    coordinator::ServerOptions options;
-    options.database_path = ":memory:";
-    auto server =
-        coordinator::Server::Open(options, network_.Bind("c"), {"c", pb::ROLE_COORDINATOR}, &clock_);
-    EXPECT_TRUE(server.ok()) << server.status().ToString();
-    server_ = *std::move(server);
-    client_ = network_.Connect("c", "client", Credentials(pb::ROLE_OPERATOR));
-    worker_ = network_.Connect("c", "worker", Credentials(pb::ROLE_WORKER));
-  }
-
-  static transport::Credentials Credentials(pb::Role role) {
-    transport::Credentials credentials;
-    credentials.role = role;
-    return credentials;
-  }
-
-  void Turn() {
-    clock_.Advance(10'000'000);
-    server_->RunOnce(0);
-    const auto broken = coordinator::BrokenInvariants(server_->state());
-    EXPECT_TRUE(broken.empty()) << broken.front();
-    clock_.Advance(10'000'000);
-  }
-  void Submit(const std::string& request_id) {
-    pb::SubmitRequest request;
-    request.set_request_id(request_id);
-    AddTask(request.mutable_job(), "t", "echo");
-    EXPECT_TRUE(
-        client_->Send(MakeRequest(transport::Sender{"client", pb::ROLE_OPERATOR}, request, request_id)).ok());
-  }
-  void FromWorker(const pb::WorkerMessage& message) {
-    EXPECT_TRUE(worker_->Send(MakeEvent(transport::Sender{"w1", pb::ROLE_WORKER}, message)).ok());
-  }
-  void Hello() {
-    pb::WorkerMessage message;
-    message.mutable_hello()->set_name("w");
-    message.mutable_hello()->set_slots(1);
-    message.mutable_hello()->add_kinds("echo");
-    FromWorker(message);
-  }
-  void FailCommits(bool fail) {
-    server_->database().set_write_hook([fail](store::WriteKind kind, std::string_view) {
-      return fail && kind == store::WriteKind::kCommit ? ResourceExhaustedError("disk full") : Status::Ok();
+  void FailCommits(const Status& with) {
+    bench_.server_->database().set_write_hook([with](store::WriteKind kind, std::string_view) {
+      return kind == store::WriteKind::kCommit ? with : Status::Ok();
     });
   }
-  std::vector<pb::CoordinatorMessage> WorkerMail() {
-    std::vector<pb::CoordinatorMessage> mail;
-    Message message;
-    while (worker_->Receive(&message)) mail.push_back(*Unpack<pb::CoordinatorMessage>(message));
-    return mail;
+  void Fill() { FailCommits(ResourceExhaustedError("no space left")); }
+  void MakeRoom() { FailCommits(Status::Ok()); }
+  Status Turn() { return bench_.Turn(); }
+  // Until it has looked whether there is room.
+  void WaitForRecovery() {
+    bench_.Pass(1.1);
+    ASSERT_TRUE(Turn().ok());
+  }
+  std::string Trouble() {
+    client_->Ask(pb::StatusRequest());
+    EXPECT_TRUE(Turn().ok());
+    const auto status = client_->Reply<pb::StatusReply>();
+    EXPECT_TRUE(status.ok()) << status.status().ToString();
+    return status.ok() ? status->trouble() : "";
+  }
+  // The worker has joined and holds the only task of job 1.
+  pb::TaskAssignment Begin() {
+    client_->Submit(OneTask(), "r1");
+    worker_->Hello({"echo"});
+    EXPECT_TRUE(Turn().ok());
+    EXPECT_TRUE(client_->Reply<pb::SubmitReply>().ok());
+    const auto assignment = AssignmentIn(worker_->Mail());
+    EXPECT_NE(assignment.token(), 0u);
+    return assignment;
   }
 
-  FakeClock clock_;
-  transport::FakeNetwork network_;
-  std::unique_ptr<coordinator::Server> server_;
-  std::unique_ptr<transport::Socket> client_, worker_;
+  ServerBench bench_;
+  std::unique_ptr<Peer> client_, worker_;
 };
 
-TEST(CommitFailure, ASubmitThatWasNotKeptIsNotAcknowledged) {
-  Bench bench;
-  bench.FailCommits(true);
-  bench.Submit("r1");
-  bench.Turn();
-  Message reply;
-  EXPECT_FALSE(bench.client_->Receive(&reply));
-  EXPECT_TRUE(bench.server_->state().jobs.empty());
-  bench.FailCommits(false);
-  bench.Submit("r1");  // the client repeats itself
-  bench.Turn();
-  ASSERT_TRUE(bench.client_->Receive(&reply));
-  EXPECT_EQ(Unpack<pb::SubmitReply>(reply)->job(), 1);
+TEST_F(FullDisk, ASubmitThatWasNotKeptIsRefusedWithTheReasonAndTakenLater) {
+  Fill();
+  client_->Submit(OneTask(), "r1");
+  ASSERT_TRUE(Turn().ok());
+  const auto refused = client_->Reply<pb::SubmitReply>();
+  EXPECT_EQ(refused.status().code(), StatusCode::kResourceExhausted);
+  EXPECT_EQ(refused.status().message(), "disk full: no space left");
+  EXPECT_TRUE(bench_.state().jobs.empty());
+  MakeRoom();
+  WaitForRecovery();
+  client_->Submit(OneTask(), "r1");
+  ASSERT_TRUE(Turn().ok());
+  EXPECT_EQ(client_->Reply<pb::SubmitReply>()->job(), 1);
 }
 
-TEST(CommitFailure, AResultThatWasNotKeptIsAskedForAgain) {
-  Bench bench;
-  bench.Submit("r1");
-  bench.Hello();
-  bench.Turn();
-  uint64_t token = 0;
-  int64_t task = 0;
-  for (const auto& mail : bench.WorkerMail()) {
-    if (mail.has_assign()) token = mail.assign().token(), task = mail.assign().task();
+TEST_F(FullDisk, ReadsGoOnAndEveryChangeIsRefused) {
+  Begin();
+  Fill();
+  client_->Submit(OneTask(), "r2");
+  ASSERT_TRUE(Turn().ok());
+  client_->Reply<pb::SubmitReply>().status().ok();
+  for (int i = 0; i < 3; ++i) {
+    client_->Ask(pb::ListJobsRequest());
+    client_->Submit(OneTask(), "r3");
+    pb::JobActionRequest cancel;
+    cancel.set_job(1);
+    cancel.set_action(pb::JOB_ACTION_CANCEL);
+    client_->Ask(cancel);
+    pb::PutArtifactRequest put;
+    put.set_upload_id("u");
+    client_->Ask(put);
+    ASSERT_TRUE(Turn().ok());
+    int refused = 0, read = 0;
+    for (int reply = 0; reply < 4; ++reply) {
+      const auto got = client_->Reply<pb::ListJobsReply>();
+      refused += got.status().code() == StatusCode::kResourceExhausted;
+      read += got.ok() && got->jobs_size() == 1;
+    }
+    EXPECT_EQ(refused, 3);
+    EXPECT_EQ(read, 1);
   }
-  ASSERT_NE(token, 0u);
-  pb::WorkerMessage finished;
-  finished.mutable_finished()->set_token(token);
-  finished.mutable_finished()->set_task(task);
-  bench.FailCommits(true);
-  bench.FromWorker(finished);
-  bench.Turn();
-  EXPECT_TRUE(bench.WorkerMail().empty());
-  bench.FailCommits(false);
-  bench.FromWorker(finished);
-  bench.Turn();
-  bool accepted = false;
-  for (const auto& mail : bench.WorkerMail()) accepted = accepted || mail.result_reply().accepted();
-  EXPECT_TRUE(accepted);
-  EXPECT_EQ(bench.server_->state().jobs.at(1).record.phase, coordinator::JobPhase::kSucceeded);
+  EXPECT_EQ(Trouble(), "disk full: no space left");
+  EXPECT_EQ(bench_.state().jobs.at(1).record.phase, coordinator::JobPhase::kRunning);
 }
 
-TEST(CommitFailure, NoAssignmentLeavesBeforeItIsKept) {
-  Bench bench;
-  bench.Hello();
-  bench.Turn();
-  bench.WorkerMail();
-  bench.FailCommits(true);
-  bench.Submit("r1");
-  bench.Turn();
-  EXPECT_TRUE(bench.WorkerMail().empty());
+TEST_F(FullDisk, AResultStaysWithItsWorkerUntilThereIsRoom) {
+  const auto assignment = Begin();
+  Fill();
+  for (int i = 0; i < 2; ++i) {  // the batch that fails, and one that is put off
+    worker_->Tell(FinishedMessage(assignment));
+    ASSERT_TRUE(Turn().ok());
+    const auto mail = worker_->Mail();
+    ASSERT_EQ(mail.size(), 1u);
+    EXPECT_TRUE(mail[0].result_reply().try_again());
+    EXPECT_FALSE(mail[0].result_reply().accepted());
+    EXPECT_EQ(mail[0].result_reply().reason(), "disk full: no space left");
+  }
+  MakeRoom();
+  WaitForRecovery();
+  worker_->Mail();
+  worker_->Tell(FinishedMessage(assignment));
+  ASSERT_TRUE(Turn().ok());
+  ASSERT_EQ(worker_->Mail().size(), 1u);
+  EXPECT_EQ(bench_.state().jobs.at(1).record.phase, coordinator::JobPhase::kSucceeded);
+  EXPECT_EQ(Trouble(), "");
+}
+
+TEST_F(FullDisk, WorkersAndLeasesOutliveItHoweverLongItLasts) {
+  const auto assignment = Begin();
+  Fill();
+  client_->Submit(OneTask(), "r2");
+  ASSERT_TRUE(Turn().ok());
+  for (int i = 0; i < 30; ++i) {  // ten leases long
+    bench_.Pass(1.3);
+    worker_->Beat({assignment.token()});
+    ASSERT_TRUE(Turn().ok());
+    for (const auto& mail : worker_->Mail()) {
+      EXPECT_TRUE(mail.heartbeat_reply().known());
+      EXPECT_EQ(mail.heartbeat_reply().trouble(), "disk full: no space left");
+    }
+  }
+  MakeRoom();
+  bench_.Pass(40.0);  // it asks less and less often
+  worker_->Beat({assignment.token()});
+  ASSERT_TRUE(Turn().ok());
+  worker_->Beat({assignment.token()});
+  ASSERT_TRUE(Turn().ok());
+  bench_.Pass(2.5);
+  worker_->Beat({assignment.token()});
+  ASSERT_TRUE(Turn().ok());
+  EXPECT_EQ(bench_.state().counters.workers_lost, 0u);
+  EXPECT_EQ(bench_.state().counters.attempts_lost, 0u);
+  EXPECT_EQ(bench_.state().leases.count(assignment.token()), 1u);
+}
+
+TEST_F(FullDisk, NoAssignmentLeavesBeforeItIsKeptAndWhatWaitsIsGivenOutAfterwards) {
+  worker_->Hello({"echo"});
+  pb::JobSpec waits = OneTask();
+  client_->Submit(waits, "r1");
+  Fill();
+  ASSERT_TRUE(Turn().ok());
+  EXPECT_EQ(AssignmentIn(worker_->Mail()).token(), 0u);
+  MakeRoom();
+  WaitForRecovery();
+  client_->Submit(waits, "r1");
+  ASSERT_TRUE(Turn().ok());
+  worker_->Hello({"echo"});  // it says so until it is welcome
+  ASSERT_TRUE(Turn().ok());
+  EXPECT_NE(AssignmentIn(worker_->Mail()).token(), 0u);
+}
+
+TEST_F(FullDisk, AnFsyncThatFailedEndsTheCoordinator) {
+  client_->Submit(OneTask(), "r1");
+  FailCommits(InternalError("disk I/O error"));
+  const Status end = Turn();
+  EXPECT_EQ(end.code(), StatusCode::kInternal);
+  EXPECT_EQ(end.message(), "a change could not be made durable: disk I/O error");
+  EXPECT_EQ(client_->Reply<pb::SubmitReply>().status().message(), "no reply");
+}
+
+TEST_F(FullDisk, AStateThatCannotBeReadBackEndsTheCoordinator) {
+  Begin();
+  ASSERT_TRUE(bench_.server_->database().Execute("UPDATE jobs SET tags_json = 'no list'").ok());
+  Fill();
+  client_->Submit(OneTask(), "r2");
+  const Status end = Turn();
+  EXPECT_EQ(end.code(), StatusCode::kDataLoss);
+  EXPECT_NE(end.message().find("disk full: no space left, and the state cannot be read back"),
+            std::string::npos)
+      << end.message();
+}
+
+// SQLite itself meets the full disk, at every one of its writes in turn.
+TEST(DiskFull, AtAnyWriteEverySubmitIsEitherKeptOrRefused) {
+  constexpr int kWrites = 40;
+  int refused = 0;
+  for (int nth = 1; nth <= kWrites; ++nth) {
+    testing_support::FaultVfs vfs;
+    const std::string folder = "/tmp/rg-full-" + RandomHex(6);
+    std::filesystem::create_directories(folder);
+    coordinator::ServerOptions options;
+    options.database_path = folder + "/service.db";
+    options.vfs = vfs.name();
+    {
+      ServerBench bench(options);
+      const auto client = bench.Connect("client", pb::ROLE_OPERATOR);
+      vfs.FailAt(nth, SQLITE_FULL, 3);
+      std::set<std::string> kept;
+      for (int i = 0; i < 12; ++i) {
+        const std::string id = "r" + std::to_string(i);
+        client->Submit(OneTask(), id);
+        ASSERT_TRUE(bench.Turn().ok());
+        const auto reply = client->Reply<pb::SubmitReply>();
+        if (reply.ok()) {
+          kept.insert(id);
+        } else {
+          ++refused;
+          EXPECT_EQ(reply.status().code(), StatusCode::kResourceExhausted);
+          EXPECT_EQ(reply.status().message().rfind("disk full", 0), 0u) << reply.status().message();
+        }
+        bench.Pass(1.1);
+      }
+      EXPECT_GE(kept.size(), 8u) << "it recovers";
+      EXPECT_EQ(bench.state().jobs.size(), kept.size());
+      bench.server_.reset();
+      const auto again = coordinator::Server::Open(options, bench.network_.Bind("d"),
+                                                   {"d", pb::ROLE_COORDINATOR}, &bench.clock_);
+      ASSERT_TRUE(again.ok()) << again.status().ToString();
+      for (const std::string& id : kept) EXPECT_EQ((*again)->state().job_by_request.count(id), 1u) << id;
+      EXPECT_EQ((*again)->state().jobs.size(), kept.size());
+    }
+    std::filesystem::remove_all(folder);
+  }
+  EXPECT_GT(refused, 5);
+}
+
+TEST(DiskFull, AnFsyncErrorOfTheDiskEndsTheCoordinatorInOneLine) {
+  testing_support::FaultVfs vfs;
+  const std::string folder = "/tmp/rg-fsync-" + RandomHex(6);
+  std::filesystem::create_directories(folder);
+  coordinator::ServerOptions options;
+  options.database_path = folder + "/service.db";
+  options.vfs = vfs.name();
+  ServerBench bench(options);
+  const auto client = bench.Connect("client", pb::ROLE_OPERATOR);
+  vfs.FailAt(1, SQLITE_IOERR_FSYNC, 1000);
+  client->Submit(OneTask(), "r");
+  const Status end = bench.Turn();
+  EXPECT_EQ(end.code(), StatusCode::kInternal);
+  EXPECT_EQ(end.message().find('\n'), std::string::npos);
+  EXPECT_EQ(end.message().rfind("a change could not be made durable", 0), 0u) << end.message();
+  std::filesystem::remove_all(folder);
 }
 
 }  // namespace

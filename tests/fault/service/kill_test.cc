@@ -141,16 +141,16 @@ TEST(WorkerStop, ALateResultIsRefusedAndCounted) {
 
 TEST(AtMostOnce, ALostRolloutIsNotRunAgainWithoutConsent) {
   Service service;
-  service.StartWorker("a");
+  service.StartAgent("a");
   const std::string path = service.folder() + "/runs";
   pb::JobSpec job;
-  AddTask(&job, "t", "append", R"({"seconds": 30, "path": ")" + path + "\"}")->set_at_most_once(true);
+  AddTask(&job, "t", "rollout", R"({"seconds": 30, "path": ")" + path + "\"}");
   const auto id = service.client().Submit(job);
   const double end = RealClock().SteadySeconds() + 20.0;
   while (ReadLines(path).empty() && RealClock().SteadySeconds() < end) SleepMs(10);
   ASSERT_EQ(ReadLines(path).size(), 1u);
   service.worker("a").KillNow();
-  service.StartWorker("b");
+  service.StartAgent("b");
   ASSERT_TRUE(service.WaitForTask(*id, "t", pb::TASK_STATE_UNCERTAIN));
   EXPECT_NE(service.client().Explain(*id)->reasons(0).find("may have run on a"), std::string::npos);
   ASSERT_EQ(WaitForEnd(service, *id), pb::JOB_STATE_FAILED);
@@ -162,10 +162,10 @@ TEST(AtMostOnce, ALostRolloutIsNotRunAgainWithoutConsent) {
 
 TEST(AtMostOnce, ACoordinatorKilledMeanwhileChangesNothing) {
   Service service;
-  service.StartWorker("a");
+  service.StartAgent("a");
   const std::string path = service.folder() + "/runs";
   pb::JobSpec job;
-  AddTask(&job, "t", "append", R"({"seconds": 1.5, "path": ")" + path + "\"}")->set_at_most_once(true);
+  AddTask(&job, "t", "rollout", R"({"seconds": 1.5, "path": ")" + path + "\"}");
   const auto id = service.client().Submit(job);
   const double end = RealClock().SteadySeconds() + 20.0;
   while (ReadLines(path).empty() && RealClock().SteadySeconds() < end) SleepMs(10);

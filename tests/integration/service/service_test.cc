@@ -2,7 +2,14 @@
 #include <gtest/gtest.h>
 #include <signal.h>
 
+#include <chrono>
+#include <thread>
+
+#include "common/base/clock.h"
+#include "common/base/file.h"
 #include "common/base/hash.h"
+#include "common/store/artifact_store.h"
+#include "common/store/database.h"
 #include "tests/support/service/processes.h"
 
 namespace rg::testing {
@@ -281,7 +288,7 @@ TEST(Service, APausedJobStartsNothingUntilItIsResumed) {
 TEST(Service, ExplainsWhyATaskWaits) {
   Service service;
   pb::JobSpec job;
-  AddTask(&job, "t", "echo")->add_required_tags("robot:none");
+  AddTask(&job, "t", "echo")->add_required_tags("cell:none");
   AddInput(AddTask(&job, "u", "echo"), "in", "t");
   const auto id = service.client().Submit(job);
   ASSERT_TRUE(id.ok());
@@ -290,9 +297,9 @@ TEST(Service, ExplainsWhyATaskWaits) {
   ASSERT_TRUE(service.WaitForWorkers(1));
   const auto placed = service.client().Explain(*id);
   EXPECT_FALSE(placed->placeable());
-  EXPECT_NE(placed->reasons(0).find("robot:none"), std::string::npos) << placed->reasons(0);
+  EXPECT_NE(placed->reasons(0).find("cell:none"), std::string::npos) << placed->reasons(0);
   EXPECT_NE(service.client().Explain(*id, "u")->reasons(0).find("parents: t"), std::string::npos);
-  service.StartWorker("b", 1, {"--tag", "robot:none"});
+  service.StartWorker("b", 1, {"--tag", "cell:none"});
   EXPECT_EQ(service.client().WaitForJob(*id, kPatience)->job().state(), pb::JOB_STATE_SUCCEEDED);
 }
 
@@ -326,6 +333,146 @@ TEST(Service, ASubmitIsIdempotentByItsRequestId) {
   EXPECT_EQ(*first, *second);
   EXPECT_NE(*service.client().Submit(job, "another"), *first);
   EXPECT_EQ(service.client().ListJobs()->size(), 2u);
+}
+
+TEST(Service, CollectingGarbageTakesNothingThatAJobRefersTo) {
+  Service service;
+  pb::ArtifactInfo info;
+  info.set_kind("data");
+  const auto input = service.client().PutArtifact("an input", info);
+  const auto loose = service.client().PutArtifact(std::string(3'000'000, 'l'), info);
+  ASSERT_TRUE(input.ok() && loose.ok());
+  pb::JobSpec job;
+  pb::InputSpec* in = AddTask(&job, "first", "echo", R"({"text": "1"})")->add_inputs();
+  in->set_name("in");
+  in->set_artifact(*input);
+  AddTask(&job, "gate", "sleep", R"({"seconds": 0.2})");
+  pb::TaskSpec* second = AddTask(&job, "second", "echo", R"({"text": "2"})");
+  AddInput(second, "from first", "first");
+  second->add_after("gate");
+  *second->add_inputs() = *in;
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(id.ok());
+  const auto would = service.client().CollectGarbage(0, true);
+  ASSERT_TRUE(would.ok()) << would.status().ToString();
+  ASSERT_EQ(would->removed_size(), 1);
+  EXPECT_EQ(would->removed(0).sha256(), *loose);
+  EXPECT_TRUE(service.client().ShowArtifact(*loose).ok()) << "a dry run";
+  EXPECT_EQ(service.client().CollectGarbage(0, false)->removed_size(), 1);  // nothing has run yet
+  service.StartWorker("a", 2);
+  ASSERT_TRUE(service.WaitForTask(*id, "first", pb::TASK_STATE_SUCCEEDED));
+  EXPECT_EQ(service.client().CollectGarbage(0, false)->removed_size(), 0);
+  const auto end = service.client().WaitForJob(*id, kPatience);
+  ASSERT_TRUE(end.ok());
+  EXPECT_EQ(end->job().state(), pb::JOB_STATE_SUCCEEDED) << end->job().reason();
+  EXPECT_EQ(service.client().CollectGarbage(0, false)->removed_size(), 0) << "nor once it is over";
+  const std::string result = FindTask(*service.client().GetJob(*id), "second")->outputs(0).sha256();
+  EXPECT_EQ(*service.client().GetArtifact(result), "21an inputan input");
+  ASSERT_TRUE(service.client().Pin(result, "user").ok());
+  EXPECT_EQ(service.client().CollectGarbage(0, false, 1)->removed_size(), 1) << "what the gate said, no more";
+  EXPECT_TRUE(service.client().ShowArtifact(*input).ok()) << "it made a pinned one";
+  ASSERT_TRUE(service.client().Pin(result, "user", true).ok());
+  EXPECT_GE(service.client().CollectGarbage(0, false, 1)->removed_size(), 3)
+      << "unless old jobs are forgotten";
+}
+
+TEST(Service, TheSecondWorkerOfANameEndsInOneLineAndTheFirstWorksOn) {
+  Service service;
+  service.StartWorker("a");
+  ASSERT_TRUE(service.WaitForWorkers(1));
+  pb::JobSpec job;
+  AddTask(&job, "t", "sleep", R"({"seconds": 1.5})");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(service.WaitForProgress(*id, "t"));
+  const std::string log = service.folder() + "/second.log";
+  Process second({BinFolder() + "/synthetic_worker", "--coordinator", service.endpoint(), "--name", "a",
+                  "--folder", service.folder() + "/second"},
+                 log);
+  EXPECT_EQ(second.WaitForExit(kPatience), 1);
+  EXPECT_NE(ReadFile(log)->find("the worker name 'a' is taken by a process that is at work"),
+            std::string::npos)
+      << *ReadFile(log);
+  ASSERT_EQ(service.client().WaitForJob(*id, kPatience)->job().state(), pb::JOB_STATE_SUCCEEDED);
+  EXPECT_EQ(service.client().GetJob(*id)->tasks(0).attempts(), 1u);
+  EXPECT_EQ(service.Counter("workers_lost_total"), 0.0);
+  service.worker("a").KillNow();  // and the same name comes back after a kill
+  service.StartWorker("a");
+  pb::JobSpec after;
+  AddTask(&after, "u", "echo");
+  EXPECT_EQ(RunJob(service, after).job().state(), pb::JOB_STATE_SUCCEEDED);
+}
+
+TEST(Service, ACoordinatorThatWasStoppedLosesNoWorker) {
+  Service service;
+  service.StartWorker("a");
+  service.StartWorker("b");
+  ASSERT_TRUE(service.WaitForWorkers(2));
+  pb::JobSpec job;
+  for (int i = 0; i < 2; ++i) AddTask(&job, "t" + std::to_string(i), "sleep", R"({"seconds": 3})");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(service.WaitForProgress(*id, "t0") && service.WaitForProgress(*id, "t1"));
+  service.coordinator().Signal(SIGSTOP);  // two leases long
+  std::this_thread::sleep_for(std::chrono::milliseconds(1'600));
+  service.coordinator().Signal(SIGCONT);
+  ASSERT_EQ(service.client().WaitForJob(*id, kPatience)->job().state(), pb::JOB_STATE_SUCCEEDED);
+  EXPECT_EQ(service.Counter("workers_lost_total"), 0.0) << service.Logs();
+  EXPECT_EQ(service.Counter("attempts_lost_total"), 0.0);
+  EXPECT_GE(service.Counter("stalls_total"), 1.0);
+}
+
+TEST(Service, AllJobsAreReachedHoweverManyThereAre) {
+  Service service;
+  pb::JobSpec job;
+  AddTask(&job, "t", "echo");
+  constexpr size_t kJobs = 230;
+  for (size_t i = 0; i < kJobs; ++i) ASSERT_TRUE(service.client().Submit(job).ok());
+  EXPECT_EQ(service.client().ListJobs()->size(), 100u);
+  const auto all = service.client().ListAllJobs();
+  ASSERT_TRUE(all.ok());
+  ASSERT_EQ(all->size(), kJobs);
+  EXPECT_EQ(all->back().id(), 1);
+}
+
+TEST(Service, LogsAndEventsComeFromTheReadersByNameAndPage) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "one", "count", R"({"to": 3, "step_seconds": 0.01})");
+  AddTask(&job, "two", "count", R"({"to": 2, "step_seconds": 0.01})");
+  const auto reply = RunJob(service, job);
+  ASSERT_EQ(reply.job().state(), pb::JOB_STATE_SUCCEEDED);
+  const auto all = service.client().Logs(0);  // the newest job
+  ASSERT_TRUE(all.ok()) << all.status().ToString();
+  EXPECT_EQ(all->lines_size(), 5);
+  const auto of_two = service.client().Logs(reply.job().id(), "two");
+  ASSERT_EQ(of_two->lines_size(), 2);
+  EXPECT_EQ(of_two->lines(0).task(), "two");
+  EXPECT_EQ(service.client().Logs(reply.job().id(), "", all->lines(3).sequence())->lines_size(), 1);
+  EXPECT_EQ(service.client().Logs(99).status().message(), "there is no job 99");
+  EXPECT_EQ(service.client().Logs(reply.job().id(), "three").status().code(), StatusCode::kNotFound);
+  const auto events = service.client().Events(reply.job().id());
+  ASSERT_TRUE(events.ok());
+  ASSERT_EQ(events->size(), 2u);
+  EXPECT_EQ(service.client().Events(reply.job().id(), events->front().id())->size(), 1u);
+}
+
+TEST(Service, ABackupIsMadeWhileItWorks) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "t", "echo", R"({"text": "kept"})");
+  const auto reply = RunJob(service, job);
+  const auto backup = service.client().Backup("copy.db");
+  ASSERT_TRUE(backup.ok()) << backup.status().ToString();
+  EXPECT_GT(backup->bytes(), 10'000u);
+  EXPECT_EQ(service.client().Backup("copy.db").status().code(), StatusCode::kAlreadyExists);
+  EXPECT_EQ(service.client().Backup("../copy.db").status().code(), StatusCode::kInvalid);
+  const auto copy =
+      store::Database::Open({.path = backup->path(), .read_only = true}, {store::ArtifactStore::Schema()});
+  ASSERT_TRUE(copy.ok()) << copy.status().ToString();
+  EXPECT_TRUE((*copy)->CheckIntegrity().ok());
+  const auto artifacts = store::ArtifactStore::Open(copy->get(), &RealClock());
+  EXPECT_EQ(*(*artifacts)->Get(FindTask(reply, "t")->outputs(0).sha256()), "kept");
 }
 
 TEST(Service, TwoWorkersShareTheWorkAndOneThatJoinsLateGetsSome) {

@@ -236,6 +236,39 @@ TEST_F(ThreeHosts, APartitionedWorkersTaskFinishesElsewhereAndItsLateResultIsRef
   })) << Logs();
 }
 
+TEST_F(ThreeHosts, ARevokedKeysSessionEndsAtOnceAndItsTaskGoesElsewhere) {
+  const VisitHost here(hosts_->Name(3));
+  ASSERT_TRUE(here.ok());
+  auto client = Connect("operator");
+  auto a = StartWorker(2, "a");
+  pb::JobSpec job;
+  AddTask(&job, "t", "sleep", R"({"seconds": 2})");
+  const auto id = client->Submit(job);
+  ASSERT_TRUE(id.ok()) << id.status().ToString();
+  const auto worker_of_t = [&] { return client->GetJob(*id)->tasks(0).worker(); };
+  const auto until = [](const std::function<bool()>& holds) {
+    const double end = RealClock().SteadySeconds() + kPatience;
+    while (!holds() && RealClock().SteadySeconds() < end)
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    return holds();
+  };
+  ASSERT_TRUE(until([&] { return worker_of_t() == "a"; })) << Logs();
+  auto b = StartWorker(3, "b");
+  ASSERT_TRUE(until([&] { return client->CoordinatorStatus()->workers() == 2; }));
+  std::filesystem::rename(folder_ + "/allowed_keys", folder_ + "/being_edited");
+  std::this_thread::sleep_for(std::chrono::milliseconds(600));
+  EXPECT_EQ(client->CoordinatorStatus()->workers(), 2u) << "a file that is gone for a moment revokes nobody";
+  std::filesystem::rename(folder_ + "/being_edited", folder_ + "/allowed_keys");
+  ASSERT_TRUE(transport::RevokeKey(folder_ + "/allowed_keys", "a").ok());
+  ASSERT_TRUE(until([&] { return worker_of_t() == "b"; })) << Logs();
+  EXPECT_EQ(client->CoordinatorStatus()->counters().at("workers_lost_total"), 0.0)
+      << "not because it was silent";
+  EXPECT_EQ(client->WaitForJob(*id, kPatience)->job().state(), pb::JOB_STATE_SUCCEEDED);
+  EXPECT_EQ(client->CoordinatorStatus()->workers(), 1u) << "nor does it come back";
+  EXPECT_EQ(Connect("stranger")->ListJobs().status().code(), StatusCode::kUnavailable)
+      << "an unknown key sees a time-out";
+}
+
 TEST_F(ThreeHosts, KeysDecideWhoMayDoWhat) {
   const VisitHost here(hosts_->Name(2));
   ASSERT_TRUE(here.ok());

@@ -92,7 +92,8 @@ void Service::StartCoordinator() {
   coordinator_ = std::make_unique<Process>(
       std::vector<std::string>{BinFolder() + "/realitygrad-coordinator", "--listen", endpoint(), "--db",
                                folder_ + "/service.db", "--heartbeat-ms", std::to_string(heartbeat_ms_),
-                               "--address-file", address_file, "--uncertain-s", "3"},
+                               "--address-file", address_file, "--uncertain-s", "3", "--may-submit",
+                               "lead:sleep", "--may-submit", "sleep:sleep"},
       folder_ + "/coordinator.log");
   RG_CHECK(WaitUntil(20.0, [&] { return std::filesystem::exists(address_file); })) << Logs();
 }
@@ -103,18 +104,18 @@ void Service::KillCoordinator() {
 }
 
 Process& Service::StartWorker(const std::string& name, int slots, const std::vector<std::string>& more) {
-  std::vector<std::string> arguments = {BinFolder() + "/synthetic_worker",
-                                        "--coordinator",
-                                        endpoint(),
-                                        "--name",
-                                        name,
-                                        "--slots",
-                                        std::to_string(slots),
-                                        "--folder",
-                                        folder_ + "/worker-" + name,
-                                        "--cancel-grace",
-                                        "0.3"};
-  arguments.insert(arguments.end(), more.begin(), more.end());
+  std::vector<std::string> flags = {"--slots", std::to_string(slots)};
+  flags.insert(flags.end(), more.begin(), more.end());
+  return StartProgram(name, flags);
+}
+
+Process& Service::StartAgent(const std::string& name) { return StartProgram(name, {"--robot", "one"}); }
+
+Process& Service::StartProgram(const std::string& name, const std::vector<std::string>& flags) {
+  std::vector<std::string> arguments = {
+      BinFolder() + "/synthetic_worker", "--coordinator",  endpoint(), "--name", name, "--folder",
+      folder_ + "/worker-" + name,       "--cancel-grace", "0.3"};
+  arguments.insert(arguments.end(), flags.begin(), flags.end());
   workers_[name] = std::make_unique<Process>(arguments, folder_ + "/" + name + ".log");
   return *workers_[name];
 }

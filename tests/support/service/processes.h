@@ -45,6 +45,8 @@ class Service {
   Process& coordinator() { return *coordinator_; }
   // `more` are further flags.
   Process& StartWorker(const std::string& name, int slots = 1, const std::vector<std::string>& more = {});
+  // One that runs the kind "rollout".
+  Process& StartAgent(const std::string& name);
   Process& worker(const std::string& name) { return *workers_.at(name); }
 
   coordinator::Client& client() { return *client_; }
@@ -61,6 +63,8 @@ class Service {
   std::string Logs() const;
 
  private:
+  Process& StartProgram(const std::string& name, const std::vector<std::string>& flags);
+
   std::string folder_;
   int heartbeat_ms_;
   int starts_ = 0;

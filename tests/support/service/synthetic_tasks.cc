@@ -172,4 +172,12 @@ worker::TaskRegistry SyntheticTasks() {
   return registry;
 }
 
+void AddSyntheticRobotTasks(worker::TaskRegistry* registry) { registry->Register("rollout", Append); }
+
+worker::TaskRegistry SyntheticRobotTasks() {
+  worker::TaskRegistry registry;
+  AddSyntheticRobotTasks(&registry);
+  return registry;
+}
+
 }  // namespace rg::testing

@@ -11,6 +11,8 @@
 //   blob     {"bytes", "seed"}        output "out": that many bytes, always the same
 //   append   {"path", "line"}         appends a line to a file: shows how often a task really ran
 //   parameters {"robot", "value"}     output "out" of kind parameters
+//   lead     {"parts", "seconds", "leave"}  submits a job of "sleep" tasks and waits for what they say
+//   rollout  as append                of agents only: the kind that moves a robot
 #pragma once
 
 #include "worker/task_registry.h"
@@ -18,5 +20,7 @@
 namespace rg::testing {
 
 worker::TaskRegistry SyntheticTasks();
+worker::TaskRegistry SyntheticRobotTasks();
+void AddSyntheticRobotTasks(worker::TaskRegistry* registry);
 
 }  // namespace rg::testing

@@ -29,5 +29,30 @@ TEST(Utf8, IsCutBetweenCharacters) {
   EXPECT_EQ(CleanUtf8("a··", 0), "");
 }
 
+TEST(PlainText, IsWhatATerminalShowsAndDoesNotObey) {
+  for (const char* good : {"", "arm 7", "Mico², größer", "名前"}) EXPECT_TRUE(IsPlainText(good)) << good;
+  for (const char* bad : {"\x1b]0;title\x07", "a\nb", "tab\t", "\x7f",
+                          "\xc2\x9b"
+                          "31m",
+                          "\xe2\x80\xae"
+                          "reversed",
+                          "\xe2\x80\xa8", "\xff"})
+    EXPECT_FALSE(IsPlainText(bad)) << VisibleText(bad);
+}
+
+TEST(VisibleText, ShowsWhatATerminalWouldObey) {
+  EXPECT_EQ(VisibleText("\x1b[31mred\x1b[0m"), "\\x1b[31mred\\x1b[0m");
+  EXPECT_EQ(VisibleText("\xc2\x9b"
+                        "31m"),
+            "\\x9b31m");
+  EXPECT_EQ(VisibleText("a\xe2\x80\xae"
+                        "b\xff"),
+            "a\\u202eb\\xff");
+  EXPECT_EQ(VisibleText("größer"), "größer");
+  EXPECT_EQ(VisibleText("a\tb\r\nc"), "a\\x09b\\x0d\\x0ac");
+  EXPECT_EQ(VisibleText("a\tb\r\nc", true), "a\tb\\x0d\nc");
+  EXPECT_TRUE(IsPlainText(VisibleText("\x1b\xff\n")));
+}
+
 }  // namespace
 }  // namespace rg

@@ -44,5 +44,17 @@ TEST(OutputFormat, UnknownNamesAreRefused) {
   EXPECT_EQ(ParseOutputFormat("xml").status().message(), "--output is 'xml', must be table, json or quiet");
 }
 
+TEST(TextTable, ACellCannotSpeakToTheTerminal) {
+  TextTable table({"NAME", "STATE"});
+  table.AddRow({"\x1b]0;owned\x07job\nid", "done"});
+  EXPECT_EQ(table.ToString(), "NAME                       STATE\n\\x1b]0;owned\\x07job\\x0aid  done\n");
+}
+
+TEST(Print, ShowsWhatATerminalWouldObey) {
+  ::testing::internal::CaptureStdout();
+  Print("a log line\x1b[2J\nand\tanother");
+  EXPECT_EQ(::testing::internal::GetCapturedStdout(), "a log line\\x1b[2J\nand\tanother\n");
+}
+
 }  // namespace
 }  // namespace rg::cli

@@ -3,9 +3,11 @@
 
 #include <gtest/gtest.h>
 
+#include "common/store/artifact_store.h"
 #include "common/store/database.h"
 #include "coordinator/core/reactor.h"
 #include "coordinator/store/schema.h"
+#include "realitygrad/v1/job.pb.h"
 #include "tests/unit/coordinator/memory_store.h"
 #include "tests/unit/coordinator/plans.h"
 
@@ -44,8 +46,8 @@ Event RandomEvent(Rng& rng, const State& state, int n) {
       return CommandJob{job, rng.Index(3) == 0 ? JobCommand::kPause : JobCommand::kResume, "r", 0};
     case 3:
     case 4:
-      return WorkerJoined{
-          "w" + instance, instance, 3, {"robot:one"}, {"work", "other"}, {token}, false, "h", 1, "v"};
+      return WorkerJoined{"w" + instance, instance, 3, {"robot:one"}, {"work", "other"}, {token},
+                          false,          "h",      1, "v",           "k" + instance};
     case 5:
       return StartRequested{holder, token};
     case 6:
@@ -106,7 +108,10 @@ TEST(JobStore, APlanSurvivesAsItWas) {
   plan->tasks[1].required_tags = {"robot:one", "x y"};
   plan->tasks[1].weight = 2.5;
   plan->tasks[1].at_most_once = true;
-  auto specs = std::make_shared<TaskSpecs>(TaskSpecs{"one", std::string("t\0o", 3)});
+  realitygrad::v1::TaskSpec one, two;
+  one.set_payload("one");
+  two.set_payload(std::string("t\0o", 3));
+  auto specs = std::make_shared<TaskSpecs>(TaskSpecs{one.SerializeAsString(), two.SerializeAsString()});
   ASSERT_TRUE(store.Apply({InsertJob{1, "r", 5, plan, specs}}, {}).ok());
   const auto loaded = store.Load();
   ASSERT_TRUE(loaded.ok());
@@ -171,6 +176,29 @@ TEST(JobStore, LogsAreBoundedPerTask) {
   EXPECT_LE(lines->size(), static_cast<size_t>(JobStore::kMaxLogLines) + 500);
   EXPECT_EQ(lines->back().wall_ns, JobStore::kMaxLogLines + 1499);
   EXPECT_EQ(store.Logs(8, 8, 0, 10)->size(), 1u);
+}
+
+TEST(JobStore, JobsFromBeforeThereWasAListOfInputsGetTheirs) {
+  auto database =
+      *store::Database::Open({.path = ":memory:"}, {store::ArtifactStore::Schema(), CoordinatorSchema()});
+  JobStore store(database.get());
+  realitygrad::v1::TaskSpec spec;
+  const std::string hash(64, 'a');
+  spec.add_inputs()->set_artifact(hash);
+  auto specs = std::make_shared<TaskSpecs>(TaskSpecs{spec.SerializeAsString()});
+  const auto plan = MakePlan({MakeTask("t")});
+  ASSERT_TRUE(store.Apply({InsertJob{1, "r", 5, plan, specs}}, {}).ok());
+  ASSERT_TRUE(database->Execute("DELETE FROM job_inputs; UPDATE jobs SET inputs_listed=0").ok());
+  ASSERT_TRUE(store.ListMissingInputs().ok());
+  const auto referred = [&](int64_t ended_before_ns) {
+    auto rows = *database->Prepare(JobStore::ArtifactReferences(ended_before_ns)[0]);
+    return *rows.Step() ? rows.Text(0) : "";
+  };
+  EXPECT_EQ(referred(0), hash);
+  EXPECT_EQ(referred(1'000'000), hash) << "it has not ended";
+  ASSERT_TRUE(database->Execute("UPDATE jobs SET finished_ns=10").ok());
+  EXPECT_EQ(referred(10), hash);
+  EXPECT_EQ(referred(11), "");
 }
 
 }  // namespace

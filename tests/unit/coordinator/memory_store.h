@@ -41,7 +41,7 @@ class MemoryStore {
   void ApplyOne(const UpdateJob& row) { jobs_.at(row.job).record = row.record; }
   void ApplyOne(const UpdateTask& row) { TaskOf(row.task) = row.record; }
   void ApplyOne(const InsertAttempt& row) {
-    open_[row.token] = {row.task, row.token, row.number, row.worker, row.instance, false};
+    open_[row.token] = {row.task, row.token, row.number, row.worker, row.instance, row.key, false};
     last_token_ = std::max(last_token_, row.token);
   }
   void ApplyOne(const GrantAttempt& row) { open_.at(row.token).granted = true; }

@@ -28,8 +28,17 @@ class Reactor : public ::testing::Test {
   }
   void Join(const std::string& name, uint32_t slots = 1, std::vector<Token> held = {},
             std::vector<std::string> tags = {}) {
-    last_ = Do(WorkerJoined{
-        name, name + "#1", slots, std::move(tags), {"work", "other"}, std::move(held), false, "h", 1, "v"});
+    last_ = Do(WorkerJoined{name,
+                            name + "#1",
+                            slots,
+                            std::move(tags),
+                            {"work", "other"},
+                            std::move(held),
+                            false,
+                            "h",
+                            1,
+                            "v",
+                            ""});
   }
   JobId SubmitJob(std::vector<TaskPlan> tasks, int32_t priority = 0) {
     last_ = Do(Submit{"r" + std::to_string(++requests_), MakePlan(std::move(tasks), priority), nullptr, 1});
@@ -324,14 +333,127 @@ TEST_F(Reactor, ADrainingWorkerGetsNothingNew) {
   EXPECT_NE(Explain(state_, state_.jobs.at(1), 0).reasons.at(0).find("draining"), std::string::npos);
 }
 
-TEST_F(Reactor, ASecondProcessOfTheSameNameReplacesTheFirst) {
+WorkerJoined Process(const std::string& name, int number, const std::string& key = "") {
+  return {name, name + "#" + std::to_string(number), 1, {}, {"work"}, {}, false, "h", number, "v", key};
+}
+
+TEST_F(Reactor, TheSecondOfTwoLivingProcessesOfOneNameIsRefusedInOneLine) {
   Join("a");
   SubmitJob({MakeTask("t")});
-  last_ = Do(WorkerJoined{"a", "a#2", 1, {}, {"work"}, {}, false, "h", 2, "v"});
+  std::vector<RefuseWorker> refused;
+  for (int half = 0; half < 8; ++half) {  // both speak twice per interval
+    Pass(0.5);
+    Do(WorkerBeat{"a#1", {1}, false});
+    last_ = Do(Process("a", 2));
+    EXPECT_TRUE(Sent<Welcome>(last_).empty());
+    for (const RefuseWorker& m : Sent<RefuseWorker>(last_)) refused.push_back(m);
+    Do(Tick{});
+  }
+  ASSERT_FALSE(refused.empty());
+  EXPECT_EQ(refused[0].instance, "a#2");
+  EXPECT_NE(refused[0].reason.find("'a' is taken by a process that is at work (host h, pid 1)"),
+            std::string::npos)
+      << refused[0].reason;
+  EXPECT_EQ(Phase(1, 0), TaskPhase::kLeased) << "the first keeps its work";
+  EXPECT_EQ(state_.workers.at("a").instance, "a#1");
+}
+
+TEST_F(Reactor, AProcessThatWasKilledAndStartedAgainJoinsWhenTheFirstIsKnownToBeLost) {
+  Join("a");
+  SubmitJob({MakeTask("t")});
+  Pass(0.1);
+  EXPECT_TRUE(Do(Process("a", 2)).messages.empty()) << "the first may be alive";
+  Do(WorkerBeat{"a#1", {1}, false});  // was on its way when the first died
+  Pass(1.2);
+  EXPECT_TRUE(Do(Process("a", 2)).messages.empty());
+  Pass(1.0);
+  Do(Tick{});
+  last_ = Do(Process("a", 2));
+  ASSERT_EQ(Sent<Welcome>(last_).size(), 1u);
   ASSERT_EQ(Sent<Assign>(last_).size(), 1u);
   EXPECT_EQ(Sent<Assign>(last_)[0].instance, "a#2");
   last_ = Do(Finished{"a#1", MakeTaskId(1, 0), 1});
   EXPECT_FALSE(Sent<AnswerResult>(last_).at(0).accepted);
+}
+
+TEST_F(Reactor, AKeyEvictsNoNameOfAnotherKeyNotEvenAfterARestart) {
+  Do(Process("a", 1, "anna"));
+  SubmitJob({MakeTask("t")});
+  const auto refusal = [&] {
+    last_ = Do(Process("a", 2, "mallory"));
+    EXPECT_TRUE(Sent<Welcome>(last_).empty());
+    return Sent<RefuseWorker>(last_).empty() ? "" : Sent<RefuseWorker>(last_)[0].reason;
+  };
+  EXPECT_NE(refusal().find("another key, 'anna'"), std::string::npos);
+  state_ = Restore(store_.Load(), state_.options, {ns_, 0});
+  EXPECT_NE(refusal().find("another key, 'anna'"), std::string::npos) << "of a lease that may come back";
+  Do(WorkerJoined{"a", "a#1", 1, {}, {"work"}, {1}, false, "h", 1, "v", "anna"});
+  EXPECT_EQ(Phase(1, 0), TaskPhase::kLeased);
+  Pass(2.5);
+  Do(Tick{});
+  EXPECT_NE(refusal().find("another key, 'anna'"), std::string::npos) << "of a worker that was just lost";
+}
+
+TEST_F(Reactor, ARolloutThatBeganIsNotBegunAgainHoweverItsAttemptEnded) {
+  for (const Outcome outcome :
+       {Outcome::kLost, Outcome::kCancelled, Outcome::kFailed, Outcome::kCrashed, Outcome::kTimedOut}) {
+    TaskPlan rollout = MakeTask("rollout");
+    rollout.at_most_once = true;
+    const std::string name = "w" + std::to_string(static_cast<int>(outcome));
+    Join(name);
+    const JobId job = SubmitJob({rollout});
+    const Assign assign = Sent<Assign>(last_).at(0);
+    Do(StartRequested{assign.instance, assign.token});
+    last_ = Do(Failed{assign.instance, assign.task, assign.token, outcome, "over", true});
+    EXPECT_TRUE(Sent<Assign>(last_).empty()) << name;
+    EXPECT_EQ(Phase(job), JobPhase::kFailed) << name;
+    EXPECT_NE(state_.jobs.at(job).record.reason.find("`retry` lets it run again"), std::string::npos);
+    last_ = Do(CommandJob{job, JobCommand::kRetry, "", 9});
+    EXPECT_EQ(Sent<Assign>(last_).size(), 1u) << "with consent";
+    Do(CommandJob{job, JobCommand::kCancel, "", 9});
+    Do(WorkerLeft{assign.instance});
+  }
+}
+
+TEST_F(Reactor, ARolloutThatWasGivenBackBeforeItBeganGoesToAnother) {
+  TaskPlan rollout = MakeTask("rollout");
+  rollout.at_most_once = true;
+  Join("a");
+  SubmitJob({rollout});
+  last_ = Do(Failed{"a#1", MakeTaskId(1, 0), 1, Outcome::kLost, "given back: its worker is draining", true});
+  EXPECT_EQ(Sent<Assign>(last_).size(), 1u);
+}
+
+TEST_F(Reactor, ARequestIdStandsForOneContent) {
+  const auto submit = [&](const std::string& content) {
+    auto plan = std::make_shared<JobPlan>(*MakePlan({MakeTask("t")}));
+    plan->content = content;
+    return Sent<AnswerClient>(Do(Submit{"same", plan, nullptr, 1, 0, content})).at(0);
+  };
+  const AnswerClient first = submit("abc");
+  EXPECT_EQ(submit("abc").job, first.job);
+  state_ = Restore(store_.Load(), state_.options, {ns_, 0});
+  const AnswerClient other = submit("abd");
+  EXPECT_EQ(other.verdict, Verdict::kFailedPrecondition);
+  EXPECT_NE(other.error.find("was used for job 1, which asked for something else"), std::string::npos);
+  EXPECT_EQ(state_.jobs.size(), 1u);
+}
+
+TEST_F(Reactor, ABatchThatCameToNothingCostsNoWorkerAndNoLease) {
+  Join("a", 2);
+  SubmitJob({MakeTask("t"), MakeTask("u", {{0, false}})});
+  State before = state_;
+  On(Finished{"a#1", MakeTaskId(1, 0), 1}, state_, {ns_, 0});  // its rows are not kept
+  State after = Restore(store_.Load(), state_.options, {ns_, 0});
+  KeepWorkers(state_, after, {ns_, 0});
+  state_ = std::move(after);
+  for (const std::string& line : BrokenInvariants(state_)) ADD_FAILURE() << line;
+  EXPECT_EQ(Phase(1, 0), TaskPhase::kLeased);
+  EXPECT_TRUE(state_.workers.at("a").connected);
+  EXPECT_EQ(state_.workers.at("a").leases, std::set<Token>{1});
+  last_ = Do(Finished{"a#1", MakeTaskId(1, 0), 1});
+  EXPECT_TRUE(Sent<AnswerResult>(last_).at(0).accepted);
+  EXPECT_EQ(Sent<Assign>(last_).size(), 1u) << "the child";
 }
 
 TEST_F(Reactor, MessagesFromNobodyAndAboutNothingDoNoHarm) {

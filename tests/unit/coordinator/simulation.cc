@@ -84,6 +84,7 @@ void Simulation::DeliverToCoordinator() {
   state_.counters.results_refused = 0;
   const bool kill = chaos() && rng_.Uniform() < options_.restart;
   if (kill && rng_.Index(2) == 0) return RestartCoordinator();
+  if (chaos() && rng_.Uniform() < options_.disk_full) return LoseTheBatch();
   Commit(actions);
   if (kill) return RestartCoordinator();
   for (Message& message : actions.messages) SendDown(std::move(message));
@@ -112,6 +113,15 @@ void Simulation::RestartCoordinator() {
     if (client.acknowledged && state_.FindJob(client.job) == nullptr)
       Complain("an acknowledged submit was lost");
   }
+}
+
+// The commit failed: as if the batch had never come, but the workers are still there.
+void Simulation::LoseTheBatch() {
+  ++facts_.lost_batches;
+  State fresh = Restore(store_.Load(), CoreOptions(), now());
+  KeepWorkers(state_, fresh, now());
+  state_ = std::move(fresh);
+  CheckNow("after a full disk");
 }
 
 void Simulation::DeliverToPeers() {
@@ -204,7 +214,8 @@ void Simulation::StepWorker(SimWorker& worker) {
                         false,
                         "host",
                         1,
-                        "test"});
+                        "test",
+                        ""});
   } else {
     SendUp(WorkerBeat{worker.instance, HeldTokens(worker), false});
   }
@@ -222,8 +233,13 @@ void Simulation::Progress(SimWorker& worker) {
     SubmitParts(token, held);
     if (ms_ < held.done_at_ms) continue;
     const double dice = rng_.Uniform();
-    held.state = dice < options_.task_failure + options_.task_crash ? Held::kFailed : Held::kFinished;
-    held.outcome = dice < options_.task_failure ? Outcome::kFailed : Outcome::kCrashed;
+    const double crash = options_.task_failure + options_.task_crash;
+    const double given_back = crash + options_.task_given_back;
+    held.state = dice < given_back ? Held::kFailed : Held::kFinished;
+    held.outcome = dice < options_.task_failure      ? Outcome::kFailed
+                   : dice < crash                    ? Outcome::kCrashed
+                   : dice < (crash + given_back) / 2 ? Outcome::kLost
+                                                     : Outcome::kCancelled;
     if (held.state == Held::kFinished) SendUp(Finished{worker.instance, held.task, token});
     if (held.state == Held::kFailed)
       SendUp(Failed{worker.instance, held.task, token, held.outcome, "chaos", true});
@@ -307,6 +323,14 @@ void Simulation::Receive(const AnswerBeat& m) {
 
 void Simulation::Receive(const Welcome& m) {
   if (SimWorker* worker = FindInstance(m.instance)) worker->joined = true;
+}
+
+void Simulation::Receive(const RefuseWorker& m) {
+  SimWorker* worker = FindInstance(m.instance);
+  if (worker == nullptr) return;
+  worker->alive = false;  // it leaves with an error, and is started again
+  worker->held.clear();
+  worker->wake_ms = ms_ + 1000;
 }
 
 void Simulation::Receive(const AnswerClient& m) {

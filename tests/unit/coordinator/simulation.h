@@ -21,9 +21,10 @@ struct SimulationOptions {
   int64_t calm_ms = 150'000;  // by the end of which every job must be over
   double drop = 0.05, repeat = 0.05;
   int64_t delay_max_ms = 300;
-  double worker_death = 0.006, worker_freeze = 0.006, restart = 0.01;  // per worker (coordinator) and step
-  double command = 0.02;                                               // per step
-  double task_failure = 0.1, task_crash = 0.05;                        // per attempt
+  double worker_death = 0.006, worker_freeze = 0.006, restart = 0.01;    // per worker (coordinator) and step
+  double command = 0.02;                                                 // per step
+  double disk_full = 0.004;                                              // per step: one batch is lost
+  double task_failure = 0.1, task_crash = 0.05, task_given_back = 0.03;  // per attempt
 };
 
 class Simulation {
@@ -34,6 +35,7 @@ class Simulation {
 
   struct Facts {
     uint64_t events = 0, restarts = 0, deaths = 0, freezes = 0, refused = 0, commits = 0, uncertain = 0;
+    uint64_t lost_batches = 0;
     uint64_t succeeded = 0, failed = 0, cancelled = 0;
     uint64_t of_tasks = 0;  // jobs that tasks submitted
   };
@@ -73,6 +75,7 @@ class Simulation {
   void DeliverToCoordinator();
   void Commit(Actions& actions);
   void RestartCoordinator();
+  void LoseTheBatch();
   void DeliverToPeers();
   void StepWorker(SimWorker& worker);
   void StartWorker(SimWorker& worker);
@@ -88,6 +91,7 @@ class Simulation {
   void Receive(const AnswerBeat& m);
   void Receive(const AnswerClient& m);
   void Receive(const Welcome& m);
+  void Receive(const RefuseWorker& m);
   void Receive(const TellDrain&) {}
   SimWorker* FindInstance(const std::string& instance);
   std::vector<Token> HeldTokens(const SimWorker& worker) const;

@@ -151,7 +151,6 @@ TEST(JobGraphs, RolloutRunsAtMostOnceAndOnlyBesideItsRobot) {
   for (const pb::TaskSpec& task : job.tasks()) {
     if (task.kind() != kKindRollout) continue;
     ++rollouts;
-    EXPECT_TRUE(task.at_most_once());
     EXPECT_EQ(task.max_attempts(), 1u);
     ASSERT_EQ(task.required_tags_size(), 1);
     EXPECT_EQ(task.required_tags(0), "robot:mico2");

@@ -276,6 +276,48 @@ TEST_F(ArtifactStoreTest, GcKeepsPinnedYoungAndAllTheirAncestors) {
   EXPECT_TRUE(database_->CheckIntegrity().ok());
 }
 
+TEST_F(ArtifactStoreTest, GcKeepsWhatParametersAndOthersReferToAndItsAncestors) {
+  const std::string urdf = PutOk("urdf", {.kind = "model"});
+  const std::string recording = PutOk("recording", {.kind = "recording", .parents = {urdf}});
+  const std::string model = PutOk("model", {.kind = "model", .parents = {recording}});
+  const std::string input = PutOk("input", {.kind = "data"});
+  const std::string loose = PutOk("loose", {.kind = "data"});
+  ParameterStore parameters(database_.get(), &clock_);
+  ASSERT_TRUE(parameters.Add({.robot = "arm", .model_sha256 = model, .values = {{"m", 1.0, {}}}}, "k").ok());
+  clock_.Advance(1);
+  const auto removed = store_->Gc({.references = {ParameterStore::kReferences, "SELECT '" + input + "'"}});
+  ASSERT_TRUE(removed.ok()) << removed.status().ToString();
+  ASSERT_EQ(removed->removed.size(), 1u);
+  EXPECT_EQ(removed->removed[0].sha256, loose);
+  for (const auto& kept : {urdf, recording, model, input}) EXPECT_TRUE(store_->Get(kept).ok());
+}
+
+TEST_F(ArtifactStoreTest, GcGoesInPartsAndTheFileShrinks) {
+  constexpr size_t kBytes = 100'000;
+  for (uint64_t i = 0; i < 20; ++i) PutOk(SomeBytes(kBytes, i), {.kind = "data"});
+  const std::string kept = PutOk("kept", {.kind = "model"});
+  ASSERT_TRUE(store_->Pin(kept, "user").ok());
+  clock_.Advance(1);
+  ASSERT_TRUE(database_->Checkpoint().ok());
+  const auto before = std::filesystem::file_size(database_->path());
+  EXPECT_GT(before, 20 * kBytes);
+  int calls = 0;
+  size_t removed = 0;
+  for (bool more = true; more; ++calls) {
+    const auto report = store_->Gc({.max_bytes = 5 * kBytes});
+    ASSERT_TRUE(report.ok());
+    removed += report->removed.size();
+    more = report->more;
+  }
+  EXPECT_EQ(removed, 20u);
+  EXPECT_EQ(calls, 4);
+  EXPECT_EQ(*database_->FreePages(), 0);
+  ASSERT_TRUE(database_->CheckpointPassively().ok());
+  EXPECT_LT(std::filesystem::file_size(database_->path()), before / 5);
+  EXPECT_TRUE(store_->Get(kept).ok());
+  EXPECT_TRUE(database_->CheckIntegrity().ok());
+}
+
 TEST_F(ArtifactStoreTest, PuttingOldBytesAgainMakesThemYoung) {
   PutOk("old", {.kind = "data"});
   clock_.Advance(3600'000'000'000);

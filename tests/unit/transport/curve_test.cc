@@ -21,8 +21,9 @@ class CurveTest : public testing::Test {
   }
   std::unique_ptr<ZmqSocket> Connect(const KeyPair& key, const std::string& server_key,
                                      const Sender& self = kWorker) {
-    auto dealer = ConnectDealer(client_context_, router_->endpoint(),
-                                {.self = self, .key = key, .server_public_key = server_key});
+    auto dealer =
+        ConnectDealer(client_context_, router_->endpoint(),
+                      {.self = self, .key = key, .server_public_key = server_key, .handshake_ms = 400});
     EXPECT_TRUE(dealer.ok()) << dealer.status().ToString();
     return std::move(*dealer);
   }
@@ -48,11 +49,11 @@ TEST_F(CurveTest, AllowedKeyComesInWithItsRole) {
   EXPECT_EQ(server_context_.handshakes().accepted, 1u);
 }
 
-TEST_F(CurveTest, UnknownKeyIsRefusedByTheAllowList) {
+TEST_F(CurveTest, AnUnknownKeyIsToldNothing) {
   auto dealer = Connect(GenerateKeyPair(), server_.public_key);
-  EXPECT_TRUE(Eventually([&] { return dealer->link() == LinkState::kRefused; }));
-  EXPECT_EQ(dealer->LinkError().code(), StatusCode::kPermissionDenied);
-  EXPECT_THAT(dealer->LinkError().message(), HasSubstr("allow-list"));
+  EXPECT_TRUE(Eventually([&] { return server_context_.handshakes().refused >= 2; })) << "it tries again";
+  EXPECT_EQ(dealer->link(), LinkState::kConnecting);
+  EXPECT_TRUE(dealer->LinkError().ok()) << dealer->LinkError().ToString();
   EXPECT_EQ(dealer->Send(Ask("x")).code(), StatusCode::kUnavailable);
   EXPECT_GE(server_context_.handshakes().refused, 1u);
   EXPECT_EQ(server_context_.handshakes().accepted, 0u);
@@ -61,7 +62,7 @@ TEST_F(CurveTest, UnknownKeyIsRefusedByTheAllowList) {
 TEST_F(CurveTest, WrongServerKeyNeverConnects) {
   auto dealer = Connect(worker_, GenerateKeyPair().public_key);
   EXPECT_FALSE(dealer->WaitWritable(300));
-  EXPECT_TRUE(Eventually([&] { return dealer->link() == LinkState::kRefused; }));
+  EXPECT_TRUE(Eventually([&] { return !dealer->LinkHint().empty(); }));
   EXPECT_EQ(server_context_.handshakes().accepted, 0u);
 }
 
@@ -104,19 +105,20 @@ TEST_F(CurveTest, RevokedKeyIsRefusedOnAStandingConnection) {
 TEST_F(CurveTest, NewlyAllowedKeyComesInWithoutARestart) {
   const KeyPair late = GenerateKeyPair();
   auto dealer = Connect(late, server_.public_key);
-  ASSERT_TRUE(Eventually([&] { return dealer->link() == LinkState::kRefused; }));
+  ASSERT_TRUE(Eventually([&] { return server_context_.handshakes().refused >= 1; }));
   ASSERT_TRUE(allowed_.Add(late.public_key, pb::ROLE_WORKER, "late").ok());
   server_context_.SetAllowList(allowed_);
   EXPECT_TRUE(dealer->WaitWritable(5000));
   EXPECT_EQ(dealer->link(), LinkState::kConnected);
 }
 
-TEST_F(CurveTest, AClientWithAnUnknownKeyIsToldSoAtOnce) {
+TEST_F(CurveTest, AClientWithAnUnknownKeySeesATimeOutAsIfNobodyWereThere) {
   RequestClient client(Connect(GenerateKeyPair(), server_.public_key), kWorker, "coordinator", RealClock(),
-                       {.connect_timeout_ms = 60'000});
+                       {.connect_timeout_ms = 900});
   const auto reply = client.Call(Ask("x"));
-  EXPECT_EQ(reply.status().code(), StatusCode::kPermissionDenied);
-  EXPECT_THAT(reply.status().message(), HasSubstr("allow-list"));
+  EXPECT_EQ(reply.status().code(), StatusCode::kUnavailable);
+  EXPECT_THAT(reply.status().message(), HasSubstr("nobody answers there"));
+  EXPECT_THAT(reply.status().message(), HasSubstr("ours on its allow-list?")) << "our own guess helps people";
 }
 
 TEST(Curve, EncryptedSocketWithoutAnAllowListIsRefused) {

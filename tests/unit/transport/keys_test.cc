@@ -86,6 +86,23 @@ TEST_F(KeysTest, AllowListFileKeepsWhoIsAllowedAndForgetsWhoIsRevoked) {
   EXPECT_EQ(RevokeKey(path, "host7").code(), StatusCode::kNotFound);
 }
 
+TEST_F(KeysTest, TheRightToRobotsIsGivenToOperatorsOneByOne) {
+  const std::string path = folder_ + "/allowed_keys";
+  const std::string anna = GenerateKeyPair().public_key, ben = GenerateKeyPair().public_key;
+  ASSERT_TRUE(AllowKey(path, anna, pb::ROLE_OPERATOR, "anna").ok());
+  ASSERT_TRUE(AllowKey(path, ben, pb::ROLE_OPERATOR, "ben", true).ok());
+  EXPECT_FALSE(LoadAllowList(path)->Find(anna)->robots);
+  EXPECT_TRUE(LoadAllowList(path)->Find(ben)->robots);
+  ASSERT_TRUE(AllowKey(path, anna, pb::ROLE_OPERATOR, "anna", true).ok()) << "given later";
+  ASSERT_TRUE(AllowKey(path, ben, pb::ROLE_OPERATOR, "ben").ok()) << "taken back";
+  EXPECT_TRUE(LoadAllowList(path)->Find(anna)->robots);
+  EXPECT_FALSE(LoadAllowList(path)->Find(ben)->robots);
+  EXPECT_THAT(AllowKey(path, GenerateKeyPair().public_key, pb::ROLE_VIEWER, "v", true).message(),
+              HasSubstr("an operator's, not a viewer's"));
+  EXPECT_THAT(AllowList::Parse("operator " + anna + " anna everything\n", "f").status().message(),
+              HasSubstr("[robots]"));
+}
+
 TEST_F(KeysTest, BadAllowListsNameTheLine) {
   const std::string key = GenerateKeyPair().public_key;
   EXPECT_THAT(AllowList::Parse("# c\nworker short a\n", "f").status().message(), HasSubstr("f: line 2"));

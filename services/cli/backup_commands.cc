@@ -1,0 +1,63 @@
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+
+#include "common/base/clock.h"
+#include "common/store/artifact_store.h"
+#include "common/store/parameter_store.h"
+#include "common/store/restore.h"
+#include "coordinator/client/client.h"
+#include "services/cli/commands.h"
+#include "services/cli/context.h"
+
+namespace rg::cli {
+namespace {
+
+// 2026-03-01T08-30-00.backup.db
+std::string DefaultName() {
+  std::string name = FormatWallTime(RealClock().WallNanos()).substr(0, 19);
+  std::replace(name.begin(), name.end(), ':', '-');
+  return name + ".backup.db";
+}
+
+void Backup(Context& context, const std::string& name) {
+  auto client = context.Connect();
+  if (context.Failed(client.status())) return;
+  const auto made = (*client)->Backup(name.empty() ? DefaultName() : name);
+  if (context.Failed(made.status())) return;
+  if (context.json()) {
+    PrintJson("realitygrad.backup/1", {{"path", made->path()}, {"bytes", made->bytes()}});
+  } else {
+    Print(made->path());
+  }
+}
+
+void Restore(Context& context, const store::RestoreOptions& options) {
+  const Status done =
+      RestoreDatabase(options, {store::ArtifactStore::Schema(), store::ParameterStore::Schema()});
+  if (context.Failed(done)) return;
+  if (context.json()) {
+    PrintJson("realitygrad.restore/1", {{"path", options.path}});
+  } else if (!context.quiet()) {
+    PrintNote(options.path + " is as it was when the backup was made; start a coordinator with --db " +
+              options.path);
+  }
+}
+
+}  // namespace
+
+void AddBackupCommands(CLI::App& app, Context& context) {
+  auto name = std::make_shared<std::string>();
+  CLI::App* backup = app.add_subcommand("backup", "Copy the coordinator's database while it works");
+  backup->add_option("--name", *name, "Of the file, which is made beside the database (default: the time)");
+  backup->callback([&context, name] { Backup(context, *name); });
+
+  auto options = std::make_shared<store::RestoreOptions>();
+  CLI::App* restore =
+      app.add_subcommand("restore", "Make a backup a database again; no coordinator may run on it");
+  restore->add_option("BACKUP", options->backup, "The file")->required();
+  restore->add_option("--db", options->path, "The database")->required();
+  restore->add_flag("--overwrite", options->overwrite, "Move a database that is there aside");
+  restore->callback([&context, options] { Restore(context, *options); });
+}
+
+}  // namespace rg::cli

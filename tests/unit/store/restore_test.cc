@@ -1,0 +1,57 @@
+#include "common/store/restore.h"
+
+#include <gmock/gmock.h>
+
+#include "common/base/file.h"
+#include "tests/unit/store/store_fixture.h"
+
+namespace rg::store {
+namespace {
+
+using testing::HasSubstr;
+
+class RestoreTest : public StoreTest {
+ protected:
+  Status Restore(const std::string& backup, bool overwrite = false) {
+    return RestoreDatabase({backup, folder_ / "store.db", overwrite}, AllModules());
+  }
+};
+
+TEST_F(RestoreTest, GivesBackWhatWasThereWhenTheBackupWasMade) {
+  const std::string before = PutOk(SomeBytes(50'000), {.kind = "data"});
+  ASSERT_TRUE(database_->BackupTo(folder_ / "backup.db").ok());
+  const std::string after = PutOk("later", {.kind = "data"});
+  EXPECT_EQ(Restore(folder_ / "backup.db", true).code(), StatusCode::kUnavailable) << "it is being written";
+  Close();
+  EXPECT_THAT(Restore(folder_ / "backup.db").message(), HasSubstr("--overwrite moves it aside"));
+  ASSERT_TRUE(Restore(folder_ / "backup.db", true).ok());
+  Reopen();
+  EXPECT_EQ(*store_->Get(before), SomeBytes(50'000));
+  EXPECT_FALSE(store_->Contains(after));
+  PutOk("it can be written", {.kind = "data"});
+  EXPECT_TRUE(database_->CheckIntegrity().ok());
+  const auto old = Database::Open({.path = folder_ / "store.db.before-restore"}, AllModules());
+  ASSERT_TRUE(old.ok()) << old.status().ToString();
+  EXPECT_TRUE((*ArtifactStore::Open(old->get(), &clock_))->Contains(after)) << "nothing is thrown away";
+}
+
+TEST_F(RestoreTest, ADamagedOrForeignBackupChangesNothing) {
+  const std::string sha = PutOk(SomeBytes(300'000), {.kind = "data"});
+  ASSERT_TRUE(database_->BackupTo(folder_ / "backup.db").ok());
+  Close();
+  std::string bytes = *ReadFile(folder_ / "backup.db");
+  for (size_t i = 8192; i < 3 * 8192; ++i) bytes[i] = static_cast<char>(~bytes[i]);
+  ASSERT_TRUE(WriteFileAtomically(folder_ / "damaged.db", bytes).ok());
+  ASSERT_TRUE(WriteFileAtomically(folder_ / "foreign.db", "not a database").ok());
+  for (const char* name : {"damaged.db", "foreign.db", "missing.db", "store.db"}) {
+    const Status refused = Restore(folder_ / name, true);
+    EXPECT_FALSE(refused.ok()) << name;
+    EXPECT_THAT(refused.message(), HasSubstr(name));
+  }
+  Reopen();
+  EXPECT_EQ(*store_->Get(sha), SomeBytes(300'000));
+  EXPECT_FALSE(std::filesystem::exists(folder_ / "store.db.before-restore"));
+}
+
+}  // namespace
+}  // namespace rg::store
