@@ -1,10 +1,10 @@
 // What stands beside one robot: its driver, its boxes, its start pose.
 //
 // realitygrad.agent/1, JSON: "format", "name" ("mico2": the worker's tag robot:<name>), "driver"
-// ("simulated"), "simulated" {"truth": path relative to this file, "lock_step": bool, "socket": path of
-// a robot started by hand}, "start_pose" [n], "pose_tolerance", "pose_timeout_s", "limits" (see
-// safety/limits.h; what is absent comes from the model), "velocity_source" ("measured" | "differenced"),
-// "excitation" (share of the torque limits, see RolloutSpec).
+// ("simulated" | "kinova"), "kinova" {} (drivers/kinova/kinova_options.h), "simulated" {"truth": path
+// relative to this file, "lock_step": bool, "socket": path of a robot started by hand}, "start_pose" [n],
+// "pose_tolerance", "pose_timeout_s", "limits" (see safety/limits.h; what is absent comes from the model),
+// "velocity_source" ("measured" | "differenced"), "excitation" (share of the torque limits, see RolloutSpec).
 #pragma once
 
 #include <memory>
@@ -15,6 +15,7 @@
 #include "common/model/robot_model.h"
 #include "robot_agent/control_loop.h"
 #include "robot_agent/drivers/driver.h"
+#include "robot_agent/drivers/kinova/kinova_options.h"
 #include "robot_agent/drivers/simulated_driver.h"
 #include "robot_agent/safety/limits.h"
 
@@ -24,6 +25,7 @@ struct AgentConfig {
   std::string name;
   std::string driver = "simulated";
   SimulatedDriverOptions simulated;
+  kinova::KinovaOptions kinova;
   std::vector<double> start_pose;
   double pose_tolerance = 0.05;  // rad (m), per joint
   double pose_timeout_s = 60.0;
