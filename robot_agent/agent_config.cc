@@ -66,6 +66,7 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
   if (!(config.excitation >= 0.0 && config.excitation <= 1.0))
     return InvalidError("excitation is " + std::to_string(config.excitation) + ", needs 0 to 1");
   if (config.driver == "kinova") {
+    RG_RETURN_IF_ERROR(kinova::CheckKinovaIsBuilt());
     RG_ASSIGN_OR_RETURN(config.kinova,
                         kinova::ParseKinovaOptions(root.value("kinova", json::object()).dump(), config.name));
     return config;

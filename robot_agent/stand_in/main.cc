@@ -163,12 +163,20 @@ class Offers {
     const double now = RealClock().SteadySeconds();
     if (first_torque_ < 0.0) first_torque_ = now;
     if (stopped_ || now - first_torque_ < config_.lost_at_start_s) return;
+    ++torques_taken_;
     interface_.Push([&](KinovaBase& base) { base.SendTorque(Values(message, n_)); });
   }
 
   bool SetMode(kinova_msgs::SetTorqueControlModeRequest& request,
                kinova_msgs::SetTorqueControlModeResponse&) {
-    interface_.Call([&](KinovaBase& base) { base.SetTorqueMode(request.state != 0); });
+    interface_.Call([&](KinovaBase& base) {
+      const double seconds = base.seconds_in_torque_mode();
+      base.SetTorqueMode(request.state != 0);
+      std::cerr << "stand-in: " << (base.in_torque_mode() ? "torque mode" : "position mode") << ", asked for "
+                << (request.state != 0 ? "torque" : "position") << " mode after " << torques_taken_
+                << " torques in " << seconds << " s\n";
+      torques_taken_ = 0;
+    });
     return true;
   }
   bool SetParameters(kinova_msgs::SetTorqueControlParametersRequest&,
@@ -243,6 +251,7 @@ class Offers {
   ros::NodeHandle node_;
   std::vector<std::string> names_;
   double first_torque_ = -1.0;
+  int torques_taken_ = 0;
   std::atomic<bool> stopped_{false};
   ros::Publisher states_, angles_, torques_, commands_;
   ros::Subscriber wanted_;

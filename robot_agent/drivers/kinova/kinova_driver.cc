@@ -65,12 +65,16 @@ KinovaDriver::KinovaDriver(KinovaOptions options, std::unique_ptr<ArmLink> link)
 }
 
 KinovaDriver::~KinovaDriver() {
-  bool streaming = false;
-  {
+  const auto is = [this](bool KinovaDriver::*flag) {
     const std::lock_guard lock(mutex_);
-    streaming = streaming_;
-  }
-  if (streaming) (void)Hold().ok();
+    return this->*flag;
+  };
+  if (is(&KinovaDriver::streaming_)) (void)Hold().ok();
+  const int64_t give_up = NowNanos() + Nanos(options_.farewell_s);
+  while (sender_.joinable() && is(&KinovaDriver::position_mode_owed_) && NowNanos() < give_up)
+    SleepUntilSteady(NowNanos() + Nanos(0.02));
+  if (is(&KinovaDriver::position_mode_owed_))
+    spdlog::error("the arm never confirmed position mode: it may float under its own gravity compensation");
   ended_ = true;
   if (sender_.joinable()) sender_.join();
   link_.reset();
@@ -86,6 +90,7 @@ Status KinovaDriver::Connect(double timeout_s) {
   RG_RETURN_IF_ERROR(AwaitFirstState(left()));
   RG_RETURN_IF_ERROR(CheckRate(left()));
   RG_RETURN_IF_ERROR(AwaitHeard(left()));
+  RG_RETURN_IF_ERROR(PositionMode().WithPrefix("position mode"));
   {
     const std::lock_guard lock(mutex_);
     health_.connected = true;

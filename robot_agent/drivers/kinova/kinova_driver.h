@@ -1,6 +1,7 @@
 // A Kinova arm of the first generations (Mico², Jaco²) through kinova-ros, in torque mode.
 //
-//   Connect      master there -> states arrive, plausible, often enough -> torques are heard
+//   Connect      master there -> states arrive, plausible, often enough -> torques are heard -> position mode
+//                (an agent that died may have left the arm floating)
 //   MoveToPose   the first time Prepare: position mode -> zero pose -> torque sensors zeroed and checked ->
 //                torque mode proved -> test torque of every joint -> position mode; then the pose, by action
 //   EnterTorqueMode   torque mode, proved by a test torque of one joint (a refusal is silent)
@@ -44,7 +45,8 @@ struct JointResponse {
 class KinovaDriver final : public Driver {
  public:
   KinovaDriver(KinovaOptions options, std::unique_ptr<ArmLink> link);
-  ~KinovaDriver() override;  // a moving arm is held first
+  // Position mode first; where the arm is away, it is waited for up to options.farewell_s.
+  ~KinovaDriver() override;
 
   Status Connect(double timeout_s) override;
   const DriverInfo& info() const override { return info_; }

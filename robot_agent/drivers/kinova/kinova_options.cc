@@ -12,19 +12,11 @@ namespace {
 
 using nlohmann::json;
 
-const std::set<std::string> kFields = {"robot_type",
-                                       "robot_name",
-                                       "master",
-                                       "joints",
-                                       "zero_pose_deg",
-                                       "zero_limit_nm",
-                                       "test_torque_nm",
-                                       "least_rate_hz",
-                                       "outage_s",
-                                       "command_timeout_s",
-                                       "service_timeout_s",
-                                       "test_motion_rad",
-                                       "torque_mode_attempts"};
+const std::set<std::string> kFields = {"robot_type",      "robot_name",          "master",
+                                       "joints",          "zero_pose_deg",       "zero_limit_nm",
+                                       "test_torque_nm",  "least_rate_hz",       "outage_s",
+                                       "farewell_s",      "command_timeout_s",   "service_timeout_s",
+                                       "test_motion_rad", "torque_mode_attempts"};
 
 Status ReadNumber(const json& root, const char* field, double least, double most, double* value) {
   *value = root.value(field, *value);
@@ -93,6 +85,7 @@ Result<KinovaOptions> Read(const json& root, const std::string& robot) {
   RG_RETURN_IF_ERROR(ReadNumber(root, "outage_s", 0.2, 10, &options.outage_s));
   RG_RETURN_IF_ERROR(ReadNumber(root, "command_timeout_s", 0.02, 0.25, &options.command_timeout_s));
   RG_RETURN_IF_ERROR(ReadNumber(root, "service_timeout_s", 0.1, 60, &options.service_timeout_s));
+  RG_RETURN_IF_ERROR(ReadNumber(root, "farewell_s", 0, 600, &options.farewell_s));
   double attempts = options.torque_mode_attempts;
   RG_RETURN_IF_ERROR(ReadNumber(root, "torque_mode_attempts", 1, 10, &attempts));
   options.torque_mode_attempts = static_cast<int>(attempts);

@@ -11,7 +11,9 @@
 //   motion that counts as an answer (0.02) "least_rate_hz"       of states (20) "outage_s"            no
 //   state for this long: the arm is lost (1) "command_timeout_s"   no command of the controller for this
 //   long: zero added torque is sent (0.12) "service_timeout_s"   what a service may take (3)
-//   "torque_mode_attempts" how often torque mode is asked for before the refusal is believed (3)
+//   "farewell_s"          how long the end of a rollout waits for an arm that is away, to put it into
+//   position mode (10) "torque_mode_attempts" how often torque mode is asked for before the refusal is
+//   believed (3)
 #pragma once
 
 #include <string>
@@ -38,6 +40,7 @@ struct KinovaOptions {
   double outage_s = 1.0;
   double command_timeout_s = 0.12;
   double service_timeout_s = 3.0;
+  double farewell_s = 10.0;
   int torque_mode_attempts = 3;
 
   int n() const { return static_cast<int>(joints.size()); }

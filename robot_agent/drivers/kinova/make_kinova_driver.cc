@@ -7,12 +7,20 @@
 
 namespace rg::robot_agent::kinova {
 
+Status CheckKinovaIsBuilt() {
+#ifdef RG_WITH_ROS
+  return Status::Ok();
+#else
+  return FailedPreconditionError(
+      "driver \"kinova\" is not in this build: install what `realitygrad doctor` names and build again");
+#endif
+}
+
 Result<std::unique_ptr<Driver>> MakeKinovaDriver([[maybe_unused]] const KinovaOptions& options) {
 #ifdef RG_WITH_ROS
   return std::unique_ptr<Driver>(std::make_unique<KinovaDriver>(options, MakeRosArmLink(options)));
 #else
-  return FailedPreconditionError(
-      "driver \"kinova\" is not in this build: install what `realitygrad doctor` names and build again");
+  return CheckKinovaIsBuilt();
 #endif
 }
 

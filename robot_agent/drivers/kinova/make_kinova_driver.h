@@ -8,6 +8,8 @@
 
 namespace rg::robot_agent::kinova {
 
+// kFailedPrecondition: this build has no ROS.
+Status CheckKinovaIsBuilt();
 Result<std::unique_ptr<Driver>> MakeKinovaDriver(const KinovaOptions& options);
 
 }  // namespace rg::robot_agent::kinova

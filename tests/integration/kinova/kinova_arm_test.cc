@@ -49,7 +49,25 @@ double Drive(KinovaDriver& driver, int joint, double torque,
   return 1e-9 * static_cast<double>(driver.NowNanos() - start);
 }
 
-class KinovaArm : public RosTest {};
+class KinovaArm : public RosTest {
+ protected:
+  static std::string StandInSaid() { return ReadFile(*folder_ + "/stand_in.log").value(); }
+  // The line of the last change of mode.
+  static std::string LastMode() {
+    const std::string said = StandInSaid();
+    const size_t at = said.rfind("stand-in: ", said.rfind(", asked for "));
+    return said.substr(at, said.find('\n', at) - at);
+  }
+  // Torques per second that the stand-in took in its last torque mode.
+  static double TorqueRate() {
+    int torques = 0;
+    double seconds = 0.0;
+    const std::string line = LastMode();
+    const size_t at = line.find("after ");
+    std::sscanf(line.c_str() + std::min(at, line.size()), "after %d torques in %lf s", &torques, &seconds);
+    return seconds > 0 ? torques / seconds : 0.0;
+  }
+};
 
 TEST_F(KinovaArm, GoesThroughTheWholeSequenceWithEveryQuirkOfTheStandIn) {
   const Child arm = StartStandIn([](json&) {});  // unzeroed sensors, turns, one refusal
@@ -89,6 +107,8 @@ TEST_F(KinovaArm, GoesThroughTheWholeSequenceWithEveryQuirkOfTheStandIn) {
   ASSERT_TRUE(driver->ReadState(&state).ok());
   EXPECT_EQ(state.mode, Mode::kPosition);
   EXPECT_FALSE(driver->SendTorque(zero).ok());
+  // A command every 40 ms reached the arm about four times.
+  EXPECT_GT(TorqueRate(), 40.0) << StandInSaid();
 }
 
 TEST_F(KinovaArm, ATorqueModeRefusedInSilenceIsFoundOut) {
@@ -159,6 +179,40 @@ TEST_F(KinovaArm, AnOutageEndsTorqueModeAndTheDriverComesBackByItself) {
   EXPECT_EQ(driver->EnterTorqueMode(zero).code(), StatusCode::kFailedPrecondition) << "not prepared again";
   const Status moved = driver->MoveToPose(kStart, kTolerance, 30.0);
   EXPECT_TRUE(moved.ok()) << moved.ToString();
+}
+
+TEST_F(KinovaArm, AnArmThatWasAwayWhenTheRolloutEndedIsNotLeftFloating) {
+  const Child arm = StartStandIn(Mild);
+  auto driver = MakeDriver(Options());
+  ASSERT_TRUE(driver->Connect(20.0).ok());
+  ASSERT_TRUE(driver->MoveToPose(kStart, kTolerance, 30.0).ok());
+  const double zero[6] = {};
+  ASSERT_TRUE(driver->EnterTorqueMode(zero).ok());
+  EXPECT_THAT(LastMode(), HasSubstr("stand-in: torque mode"));
+  arm.Signal(SIGUSR1);  // its services are gone for more than a second
+  std::this_thread::sleep_for(std::chrono::milliseconds(100));
+  driver.reset();
+  EXPECT_THAT(LastMode(), HasSubstr("stand-in: position mode"));
+}
+
+TEST_F(KinovaArm, AServiceThatHangsDoesNotHoldTheCaller) {
+  const Child arm = StartStandIn(Mild);
+  const auto driver = MakeDriver(Options({{"service_timeout_s", 0.5}, {"outage_s", 5.0}}));
+  ASSERT_TRUE(driver->Connect(20.0).ok());
+  arm.Signal(SIGSTOP);
+  const Status held = driver->Hold();
+  arm.Signal(SIGCONT);
+  EXPECT_EQ(held.code(), StatusCode::kUnavailable);
+  EXPECT_THAT(held.message(), HasSubstr("did not answer within"));
+}
+
+TEST_F(KinovaArm, SensorsThatDoNotReadZeroAfterZeroingAreNamed) {
+  const Child arm = StartStandIn(Mild);
+  const auto driver = MakeDriver(Options({{"zero_limit_nm", 0.01}}));  // below the sensors' noise
+  ASSERT_TRUE(driver->Connect(20.0).ok());
+  const Status refused = driver->MoveToPose(kStart, kTolerance, 30.0);
+  EXPECT_EQ(refused.code(), StatusCode::kFailedPrecondition);
+  EXPECT_THAT(refused.message(), HasSubstr("the torque sensor of joint_"));
 }
 
 TEST_F(KinovaArm, AFallBackToPositionModeIsSeenThoughTheArmSaysNothing) {
