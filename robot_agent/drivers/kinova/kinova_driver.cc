@@ -19,7 +19,8 @@ constexpr double kProbeBox = 0.2;      // rad: no joint goes further during a te
 constexpr double kStateTimeout = 0.3;  // s, between states while torques are tested
 constexpr int kReportsForRate = 25;
 constexpr int kPoseAttempts = 5;
-constexpr double kStrongRatio = 1.5;         // of the test torque's most: no joint in torque mode resists it
+constexpr double kAfterState = 0.012;  // s; what states come late by, and half of what is left of a period
+constexpr double kStrongRatio = 1.5;   // of the test torque's most: no joint in torque mode resists it
 constexpr double kZeroPoseTolerance = 0.06;  // rad: the arm's driver is content with 2°
 
 int64_t Nanos(double seconds) { return std::llround(1e9 * seconds); }
@@ -452,12 +453,23 @@ Status KinovaDriver::EnterProved(const JointArray& first) {
       tested + " (zero its torque sensors; keep joints away from their limits)");
 }
 
+Status KinovaDriver::AwaitPhase() {
+  RobotState state;
+  RG_RETURN_IF_ERROR(ReadState(&state));
+  const JointArray torque = Command();
+  RG_RETURN_IF_ERROR(AwaitState(state.sequence, options_.outage_s, &state));
+  SleepUntilSteady(NowNanos() + Nanos(kAfterState));
+  Stream(torque, true);
+  return Status::Ok();
+}
+
 Status KinovaDriver::EnterTorqueMode(const double* first) {
   if (!sender_.joinable()) return UnavailableError("the arm is not connected");
   if (!prepared_) return FailedPreconditionError("the arm is not prepared: MoveToPose first");
   JointArray torque{};
   std::copy_n(first, options_.n(), torque.begin());
   RG_RETURN_IF_ERROR(EnterProved(torque));
+  RG_RETURN_IF_ERROR(AwaitPhase());
   const std::lock_guard lock(mutex_);
   motion_watch_.Restart();
   watch_motion_ = true;
@@ -479,6 +491,11 @@ void KinovaDriver::Stream(const JointArray& tau, bool fresh) {
   command_ = tau;
   if (fresh) commanded_ns_ = NowNanos();
   streaming_ = !lost_;
+}
+
+JointArray KinovaDriver::Command() const {
+  const std::lock_guard lock(mutex_);
+  return command_;
 }
 
 void KinovaDriver::StopStream() {

@@ -79,6 +79,9 @@ class KinovaDriver final : public Driver {
   // A refusal by silence is kFailedPrecondition with *silent set; any other error ends the attempt for good.
   Status TryTorqueMode(const JointArray& first, bool* silent, std::string* tested);
   Status TestJoint(int joint, const JointArray& base, ProbeEnd* end, double* reached, double* drift);
+  // Returns a little after a state came. A control loop that begins then at the rate of the states finds a
+  // new one at each of its ticks; begun anywhere, it would miss those that come a little late.
+  Status AwaitPhase();
   Status JudgeTest(int joint, ProbeEnd end, double reached, double drift) const;
   // No joint leaves ± speed · for_s during for_s. kDeadlineExceeded: not within at_most_s.
   Status AwaitStill(double speed, double for_s, double at_most_s);
@@ -89,6 +92,7 @@ class KinovaDriver final : public Driver {
   void OnReport(const Result<JointReport>& report);
   void TakeReport(const JointReport& report);
   void Stream(const JointArray& tau, bool fresh);
+  JointArray Command() const;
   void StopStream();
   void SendForEver();
   void SendOnce(int64_t now_ns);
