@@ -250,6 +250,26 @@ TEST_F(KinovaArm, ACallerThatFallsSilentLeavesTheArmInPositionMode) {
   EXPECT_EQ(driver->SendTorque(strong).code(), StatusCode::kFailedPrecondition);
 }
 
+TEST_F(KinovaArm, AnotherModelOfTheFamilyIsFoundByItsPrefix) {
+  const Child arm = StartStandIn([](json& config) {
+    Mild(config);
+    config["robot_type"] = "j2n6s300";
+    config["robot_name"] = "left";
+  });
+  const auto driver = MakeDriver(Options({{"robot_type", "j2n6s300"},
+                                          {"robot_name", "left"},
+                                          {"joints", {"a", "b", "c", "d", "e", "f"}},
+                                          {"zero_pose_deg", {0, 180, 180, 0, 0, 0}},
+                                          {"test_torque_nm", {4, 8, 4, 2, 2, 2}}}));
+  const Status connected = driver->Connect(20.0);
+  ASSERT_TRUE(connected.ok()) << connected.ToString();
+  EXPECT_EQ(driver->info().joints[5], "f");
+  RobotState state;
+  ASSERT_TRUE(driver->ReadState(&state).ok());
+  EXPECT_NEAR(state.q[1], 3.0, 0.02);
+  EXPECT_THAT(StandInSaid(), HasSubstr("/left_driver"));
+}
+
 TEST_F(KinovaArm, AnArmThatIsNotThereIsNamed) {
   const auto driver = MakeDriver(Options({{"robot_name", "nobody"}}));
   const Status lost = driver->Connect(0.3);
