@@ -7,6 +7,7 @@
 #include <set>
 
 #include "common/base/file.h"
+#include "robot_agent/drivers/kinova/make_kinova_driver.h"
 
 namespace rg::robot_agent {
 namespace {
@@ -40,12 +41,20 @@ Status ReadSimulated(const json& object, const std::string& folder, SimulatedDri
   return Status::Ok();
 }
 
+Status ReadReplay(const json& object, const std::string& folder, ReplayOptions* options) {
+  RG_RETURN_IF_ERROR(CheckKeys(object, {"set", "recording", "lock_step"}, "replay: "));
+  options->folder = Resolve(folder, object.at("set").get<std::string>());
+  options->recording = object.value("recording", "");
+  options->lock_step = object.value("lock_step", false);
+  return Status::Ok();
+}
+
 Result<AgentConfig> Read(const json& root, const std::string& folder) {
-  RG_RETURN_IF_ERROR(
-      CheckKeys(root,
-                {"format", "name", "driver", "simulated", "start_pose", "pose_tolerance", "pose_timeout_s",
-                 "settle_s", "connect_timeout_s", "limits", "velocity_source", "excitation"},
-                ""));
+  RG_RETURN_IF_ERROR(CheckKeys(
+      root,
+      {"format", "name", "driver", "simulated", "kinova", "replay", "start_pose", "pose_tolerance",
+       "pose_timeout_s", "settle_s", "connect_timeout_s", "limits", "velocity_source", "excitation"},
+      ""));
   if (root.at("format") != "realitygrad.agent/1")
     return InvalidError("format is " + root.at("format").dump() + ", needs realitygrad.agent/1");
   AgentConfig config;
@@ -64,8 +73,19 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
   config.excitation = root.value("excitation", 0.0);
   if (!(config.excitation >= 0.0 && config.excitation <= 1.0))
     return InvalidError("excitation is " + std::to_string(config.excitation) + ", needs 0 to 1");
+  if (config.driver == "kinova") {
+    RG_RETURN_IF_ERROR(kinova::CheckKinovaIsBuilt());
+    RG_ASSIGN_OR_RETURN(config.kinova,
+                        kinova::ParseKinovaOptions(root.value("kinova", json::object()).dump(), config.name));
+    return config;
+  }
+  if (config.driver == "replay") {
+    config.replay.robot = config.name;
+    RG_RETURN_IF_ERROR(ReadReplay(root.at("replay"), folder, &config.replay));
+    return config;
+  }
   if (config.driver != "simulated")
-    return InvalidError("driver \"" + config.driver + "\" is not in this build (simulated)");
+    return InvalidError("driver is \"" + config.driver + "\", needs simulated, kinova or replay");
   RG_RETURN_IF_ERROR(ReadSimulated(root.at("simulated"), folder, &config.simulated));
   return config;
 }
@@ -114,8 +134,9 @@ Result<SafetyLimits> LimitsFor(const AgentConfig& config, const model::RobotMode
 }
 
 Result<std::unique_ptr<Driver>> MakeDriver(const AgentConfig& config, uint64_t robot_seed) {
-  if (config.driver != "simulated")
-    return InvalidError("driver \"" + config.driver + "\" is not in this build");
+  if (config.driver == "kinova") return kinova::MakeKinovaDriver(config.kinova);
+  if (config.driver == "replay")
+    return std::unique_ptr<Driver>(std::make_unique<ReplayDriver>(config.replay));
   SimulatedDriverOptions options = config.simulated;
   options.seed = robot_seed;
   return std::unique_ptr<Driver>(std::make_unique<SimulatedDriver>(std::move(options)));

@@ -1,10 +1,11 @@
 // What stands beside one robot: its driver, its boxes, its start pose.
 //
 // realitygrad.agent/1, JSON: "format", "name" ("mico2": the worker's tag robot:<name>), "driver"
-// ("simulated"), "simulated" {"truth": path relative to this file, "lock_step": bool, "socket": path of
-// a robot started by hand}, "start_pose" [n], "pose_tolerance", "pose_timeout_s", "limits" (see
-// safety/limits.h; what is absent comes from the model), "velocity_source" ("measured" | "differenced"),
-// "excitation" (share of the torque limits, see RolloutSpec).
+// ("simulated" | "kinova" | "replay"), "kinova" {} (drivers/kinova/kinova_options.h), "replay" {"set":
+// folder, relative, "recording": its name, default the first, "lock_step"}, "simulated" {"truth": path
+// relative to this file, "lock_step": bool, "socket": path of a robot started by hand}, "start_pose" [n],
+// "pose_tolerance", "pose_timeout_s", "limits" (see safety/limits.h; what is absent comes from the model),
+// "velocity_source" ("measured" | "differenced"), "excitation" (share of the torque limits, see RolloutSpec).
 #pragma once
 
 #include <memory>
@@ -15,6 +16,8 @@
 #include "common/model/robot_model.h"
 #include "robot_agent/control_loop.h"
 #include "robot_agent/drivers/driver.h"
+#include "robot_agent/drivers/kinova/kinova_options.h"
+#include "robot_agent/drivers/replay/replay_driver.h"
 #include "robot_agent/drivers/simulated_driver.h"
 #include "robot_agent/safety/limits.h"
 
@@ -24,6 +27,8 @@ struct AgentConfig {
   std::string name;
   std::string driver = "simulated";
   SimulatedDriverOptions simulated;
+  kinova::KinovaOptions kinova;
+  ReplayOptions replay;
   std::vector<double> start_pose;
   double pose_tolerance = 0.05;  // rad (m), per joint
   double pose_timeout_s = 60.0;

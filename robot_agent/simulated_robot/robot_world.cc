@@ -17,6 +17,14 @@ sim::SimulatorOptions PhysicsOptions(const RobotTruth& truth) {
 
 int64_t Nanos(double seconds) { return std::llround(1e9 * seconds); }
 
+dynamics::Mechanism BelievedArm(const RobotTruth& truth) {
+  if (truth.compensation == GravityCompensation::kNominal)
+    return MechanismAt(truth.plant, truth.plant.parameters().Nominal());
+  if (truth.compensation == GravityCompensation::kGiven)
+    return MechanismAt(truth.plant, truth.compensation_values);
+  return MechanismAt(truth.plant, truth.values);
+}
+
 // Rest to rest with zero acceleration at both ends: 10 s³ - 15 s⁴ + 6 s⁵.
 constexpr double kPeakOfMinimumJerk = 1.875;
 
@@ -30,9 +38,7 @@ RobotWorld::RobotWorld(const RobotTruth& truth, uint64_t seed)
       latency_ns_(Nanos(truth.latency_s)),
       simulator_(truth.plant, PhysicsOptions(truth)),
       true_arm_(MechanismAt(truth.plant, truth.values)),
-      base_arm_(truth.compensation == GravityCompensation::kNominal
-                    ? MechanismAt(truth.plant, truth.plant.parameters().Nominal())
-                    : true_arm_),
+      base_arm_(BelievedArm(truth)),
       noise_(seed),
       command_(Eigen::VectorXd::Zero(n_)),
       gravity_(n_),
@@ -131,6 +137,12 @@ void RobotWorld::CheckSilence() {
   if (mode_ != Mode::kTorque || time_ns_ - last_heard_ns_ <= Nanos(truth_.silence_timeout_s)) return;
   command_.setZero();
   if (truth_.silence_action == SilenceAction::kPositionMode) Hold();
+}
+
+Eigen::VectorXd RobotWorld::BelievedGravity(const Eigen::VectorXd& q) {
+  Eigen::VectorXd gravity(n_);
+  dynamics::GravityTorque(base_arm_, workspace_, q, gravity);
+  return gravity;
 }
 
 Eigen::VectorXd RobotWorld::TorqueControl() {

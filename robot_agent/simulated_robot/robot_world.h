@@ -46,6 +46,10 @@ class RobotWorld {
 
   // For tests and reports: what really is, and what went wrong with the physics (empty: nothing).
   const sim::State& true_state() const { return x_; }
+  // The joint torque that a perfect sensor in the drive shows, filtered (n), and what the base's compensation
+  // believes gravity takes at q (n).
+  const Eigen::VectorXd& effort() const { return effort_; }
+  Eigen::VectorXd BelievedGravity(const Eigen::VectorXd& q);
   const std::string& failure() const { return failure_; }
 
  private:

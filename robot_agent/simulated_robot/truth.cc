@@ -64,9 +64,11 @@ Result<effects::EffectSpec> ReadEffect(const json& entry) {
 
 Result<std::vector<effects::EffectSpec>> ReadEffects(const json& root) {
   std::vector<effects::EffectSpec> effects;
-  for (const auto& entry : root.value("effects", json::array())) {
-    RG_ASSIGN_OR_RETURN(effects::EffectSpec spec, ReadEffect(entry));
-    effects.push_back(std::move(spec));
+  for (const char* list : {"effects", "more_effects"}) {
+    for (const auto& entry : root.value(list, json::array())) {
+      RG_ASSIGN_OR_RETURN(effects::EffectSpec spec, ReadEffect(entry));
+      effects.push_back(std::move(spec));
+    }
   }
   return effects;
 }
@@ -105,15 +107,16 @@ Result<sim::Plant> ReadPlant(const json& root, const std::string& path) {
                             std::move(effects));
 }
 
-Status ReadParameters(const json& root, const sim::Plant& plant, Eigen::VectorXd* values) {
-  const json departures = root.value("parameters", json::object());
+Status ReadParameters(const json& root, const std::string& list, const sim::Plant& plant,
+                      Eigen::VectorXd* values) {
+  const json departures = root.value(list, json::object());
   for (const auto& [name, departure] : departures.items()) {
-    RG_RETURN_IF_ERROR(CheckKeys(departure, {"scale", "add", "value"}, "parameters." + name + ": "));
+    RG_RETURN_IF_ERROR(CheckKeys(departure, {"scale", "add", "value"}, list + "." + name + ": "));
     RG_ASSIGN_OR_RETURN(const int index, plant.parameters().IndexOf(name));
     if (departure.contains("value")) (*values)[index] = departure["value"].get<double>();
     (*values)[index] = (*values)[index] * departure.value("scale", 1.0) + departure.value("add", 0.0);
   }
-  return plant.parameters().Validate(*values).WithPrefix("parameters");
+  return plant.parameters().Validate(*values).WithPrefix(list);
 }
 
 Status ReadBase(const json& root, RobotTruth* truth) {
@@ -122,8 +125,14 @@ Status ReadBase(const json& root, RobotTruth* truth) {
     truth->compensation = GravityCompensation::kNominal;
   } else if (compensation == "true") {
     truth->compensation = GravityCompensation::kTrue;
+  } else if (compensation == "given") {
+    truth->compensation = GravityCompensation::kGiven;
+    truth->compensation_values = truth->plant.parameters().Nominal();
+    RG_RETURN_IF_ERROR(
+        ReadParameters(root, "compensation_parameters", truth->plant, &truth->compensation_values));
   } else if (compensation != "none") {
-    return InvalidError("gravity_compensation is \"" + compensation + "\", needs none, nominal or true");
+    return InvalidError("gravity_compensation is \"" + compensation +
+                        "\", needs none, nominal, true or given");
   }
   if (!root.contains("silence")) return Status::Ok();
   const json& silence = root.at("silence");
@@ -166,12 +175,29 @@ Status ReadSensors(const json& root, RobotTruth* truth) {
 }
 
 Result<RobotTruth> ReadTruth(const json& root, const std::string& path) {
-  RG_RETURN_IF_ERROR(
-      CheckKeys(root,
-                {"format", "robot", "model", "urdf", "joints", "locked", "gravity", "parameters", "effects",
-                 "torque_limit", "gravity_compensation", "silence", "position_controller", "initial_pose",
-                 "sensors", "command_latency_s", "step_s", "physics_step_s"},
-                ""));
+  RG_RETURN_IF_ERROR(CheckKeys(root,
+                               {"format",
+                                "robot",
+                                "based_on",
+                                "more_effects",
+                                "compensation_parameters",
+                                "model",
+                                "urdf",
+                                "joints",
+                                "locked",
+                                "gravity",
+                                "parameters",
+                                "effects",
+                                "torque_limit",
+                                "gravity_compensation",
+                                "silence",
+                                "position_controller",
+                                "initial_pose",
+                                "sensors",
+                                "command_latency_s",
+                                "step_s",
+                                "physics_step_s"},
+                               ""));
   if (root.at("format") != "realitygrad.robot_truth/1")
     return InvalidError("format is " + root.at("format").dump() + ", needs realitygrad.robot_truth/1");
   std::optional<sim::ModelFile> model;
@@ -184,7 +210,7 @@ Result<RobotTruth> ReadTruth(const json& root, const std::string& path) {
   }
   RobotTruth truth{
       .robot = root.at("robot").get<std::string>(), .plant = model->plant, .values = model->values};
-  RG_RETURN_IF_ERROR(ReadParameters(root, truth.plant, &truth.values));
+  RG_RETURN_IF_ERROR(ReadParameters(root, "parameters", truth.plant, &truth.values));
   RG_ASSIGN_OR_RETURN(truth.torque_limit, ReadVector(root, "torque_limit", truth.n(), 0));
   RG_ASSIGN_OR_RETURN(truth.initial_pose, ReadVector(root, "initial_pose", truth.n(), -1e3));
   RG_RETURN_IF_ERROR(ReadBase(root, &truth));
@@ -198,10 +224,35 @@ Result<RobotTruth> ReadTruth(const json& root, const std::string& path) {
 
 }  // namespace
 
-Result<RobotTruth> LoadRobotTruth(const std::string& path) {
+namespace {
+
+// The file's fields over those of the one it is based on; paths of that one become relative to this one.
+Result<json> LoadFields(const std::string& path) {
   RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
+  json root = json::parse(text);
+  if (!root.contains("based_on")) return root;
+  const auto folder = std::filesystem::path(path).parent_path();
+  const auto other = folder / root.at("based_on").get<std::string>();
+  RG_ASSIGN_OR_RETURN(const std::string other_text, ReadFile(other.string()));
+  json fields = json::parse(other_text);
+  if (fields.contains("based_on"))
+    return InvalidError("based_on: " + other.string() + " is based on another");
+  for (const char* file : {"urdf", "model"}) {
+    if (fields.contains(file))
+      fields[file] =
+          std::filesystem::absolute(other.parent_path() / fields[file].get<std::string>()).string();
+  }
+  for (const auto& [key, value] : root.items()) fields[key] = value;
+  return fields;
+}
+
+}  // namespace
+
+Result<RobotTruth> LoadRobotTruth(const std::string& path) {
   try {
-    auto truth = ReadTruth(json::parse(text), path);
+    const auto fields = LoadFields(path);
+    if (!fields.ok()) return fields.status().WithPrefix(path);
+    auto truth = ReadTruth(*fields, path);
     if (!truth.ok()) return truth.status().WithPrefix(path);
     return truth;
   } catch (const json::exception& error) {

@@ -5,15 +5,19 @@
 //   "urdf"                  path, relative to the truth file; "joints" (the moving ones), "locked" {joint: q}
 //   "model"                 instead of these, relative too: a model.json (of a diagnosis, an identification);
 //                           "parameters" and "effects" then come on top of what it holds
+//   "based_on"              another truth file, relative: its fields stand where this one is silent
 //   "gravity"               [3], default (0, 0, -9.81)
 //   "parameters"            {"<name of the plant's parameter table>": {"scale": s} | {"add": d} | {"value":
 //   x}}:
 //                           wrong masses, inertias, …, as departures from the URDF
 //   "effects"               [{"effect": id, "joints": [...], "parameters": {name: x | [x per joint]},
 //                           "options": {…}}]; ids and names of the effect catalogue
+//   "more_effects"          the same, after "effects" (with "based_on": after the other file's)
 //   "torque_limit"          [n] what the drives can give, N·m
 //   "gravity_compensation"  "none": a command is the whole torque (the base's gravity model is nulled);
-//                           "nominal" | "true": the base adds g(q) of the URDF's | of the true masses
+//                           "nominal" | "true": the base adds g(q) of the URDF's | of the true masses |
+//                           ("given") of
+//   "compensation_parameters"  departures from the URDF, as in "parameters": what the base believes
 //   "silence"               {"timeout_s": 0.25, "action": "position_mode" | "zero_torque"}: what the base
 //                           does when commands stop coming in torque mode
 //   "position_controller"   {"stiffness": [n] N·m/rad, "damping": [n] N·m·s/rad, "speed": [n] rad/s}
@@ -37,7 +41,7 @@
 
 namespace rg::robot_agent {
 
-enum class GravityCompensation { kNone, kNominal, kTrue };
+enum class GravityCompensation { kNone, kNominal, kTrue, kGiven };
 enum class SilenceAction { kPositionMode, kZeroTorque };
 
 struct RobotTruth {
@@ -46,6 +50,7 @@ struct RobotTruth {
   Eigen::VectorXd values;  // of plant.parameters(): the hidden truth
   Eigen::VectorXd torque_limit;
   GravityCompensation compensation = GravityCompensation::kNone;
+  Eigen::VectorXd compensation_values;  // of plant.parameters(); kGiven only
   double silence_timeout_s = 0.25;
   SilenceAction silence_action = SilenceAction::kPositionMode;
   Eigen::VectorXd stiffness, damping, speed;  // position control

@@ -16,6 +16,7 @@
 #include "realitygrad/v1/control.pb.h"
 #include "services/cli/context.h"
 #include "services/cli/job_view.h"
+#include "services/cli/ros_stand_in.h"
 #include "services/jobs/job_graphs.h"
 #include "services/jobs/kinds.h"
 
@@ -61,9 +62,15 @@ LocalService::LocalService() = default;
 LocalService::~LocalService() {
   interrupted_client = nullptr;
   children_.StopAll(15.0);  // a rollout under way is finished, recorded and handed in
+  arm_.StopAll(5.0);
   std::error_code error;
   if (!address_file_.empty()) fs::remove(address_file_, error);
   if (!socket_folder_.empty()) fs::remove_all(socket_folder_, error);
+}
+
+Status LocalService::Check() {
+  RG_RETURN_IF_ERROR(children_.Check());
+  return arm_.Check();
 }
 
 Status LocalService::StartPrograms(const LocalServiceOptions& options) {
@@ -97,7 +104,7 @@ Status LocalService::AwaitWorkers(size_t count) {
   const double deadline = RealClock().SteadySeconds() + 20.0;
   size_t seen = 0;
   while (RealClock().SteadySeconds() < deadline && !interrupted) {
-    RG_RETURN_IF_ERROR(children_.Check());
+    RG_RETURN_IF_ERROR(Check());
     const auto workers = client_->Workers();
     seen = 0;
     if (workers.ok()) {
@@ -119,6 +126,8 @@ Status LocalService::Start(const LocalServiceOptions& options) {
   std::error_code error;
   fs::create_directories(options.folder + "/logs", error);
   if (error) return InternalError(options.folder + "/logs: cannot create: " + error.message());
+  if (!options.stand_in.empty())
+    RG_RETURN_IF_ERROR(StartRosStandIn({options.folder, options.stand_in, options.seed}, &arm_));
   RG_RETURN_IF_ERROR(StartPrograms(options));
   coordinator::ClientOptions client;
   client.address = address_;

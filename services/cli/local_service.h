@@ -26,6 +26,8 @@ struct LocalServiceOptions {
   std::string agent_config;  // file; the agent of a simulated robot
   int workers = 1;
   bool lock_step = false;  // the simulated robot does not wait for real time
+  std::string stand_in;    // file, realitygrad.stand_in/1; empty: no ROS master, no stand-in
+  uint64_t seed = 1;       // of the stand-in
 };
 
 class LocalService {
@@ -38,12 +40,13 @@ class LocalService {
   coordinator::Client& client() { return *client_; }
   const std::string& address() const { return address_; }
   // Ok while all programs are running.
-  Status Check() { return children_.Check(); }
+  Status Check();
 
  private:
   Status StartPrograms(const LocalServiceOptions& options);
   Status AwaitWorkers(size_t count);
 
+  ChildProcesses arm_;  // the stand-in and its ROS master: stopped after the agent
   ChildProcesses children_;
   std::unique_ptr<coordinator::Client> client_;
   std::string address_, socket_folder_, address_file_;

@@ -14,6 +14,7 @@
 #include "services/cli/local_service.h"
 #include "services/cli/model_source.h"
 #include "services/cli/robot_profile.h"
+#include "services/cli/ros_stand_in.h"
 #include "services/cli/run_report.h"
 #include "services/cli/run_state.h"
 
@@ -84,6 +85,33 @@ Status MakeFolder(const RunArguments& arguments, RunState* run) {
   return Status::Ok();
 }
 
+std::string AgentConfigOf(const RobotProfile& profile, const RunState& run) {
+  return profile.folder + "/" + profile.name + (run.stand_in ? "_kinova_agent.json" : "_agent.json");
+}
+
+std::string StandInConfigOf(const RobotProfile& profile) {
+  return profile.folder + "/" + profile.name + "_stand_in.json";
+}
+
+Status CheckDriver(const Context& context, const RunArguments& arguments, const RobotProfile& profile) {
+  const RunState& run = arguments.run;
+  if (run.driver != "simulated" && run.driver != "kinova")
+    return context.Usage(InvalidError("--driver is " + run.driver + ", must be simulated or kinova"));
+  const bool kinova = run.driver == "kinova";
+  if (kinova && !run.stand_in)
+    return context.Usage(
+        InvalidError("--driver kinova needs --stand-in: a real arm has an agent of its own beside it "
+                     "(docs/kinova.md)"));
+  if (run.stand_in && !kinova) return context.Usage(InvalidError("--stand-in needs --driver kinova"));
+  if (!kinova) return Status::Ok();
+  if (arguments.lock_step)
+    return context.Usage(InvalidError("--lock-step is for the simulated robot: ROS runs in real time"));
+  for (const std::string& file : {AgentConfigOf(profile, run), StandInConfigOf(profile)})
+    if (!fs::exists(file))
+      return InvalidError("robot '" + run.robot + "' has no stand-in: " + file + " is not there");
+  return CheckRosStandIn();
+}
+
 // The folder is made last: what is refused leaves nothing.
 Status Prepare(const Context& context, RunArguments* arguments, RobotProfile* profile) {
   RunState& run = arguments->run;
@@ -99,6 +127,7 @@ Status Prepare(const Context& context, RunArguments* arguments, RobotProfile* pr
     return InvalidError("robot '" + run.robot +
                         "' has no simulated robot: 'truth' is missing in its profile");
   RG_RETURN_IF_ERROR(LoadRobot(*profile).status());
+  RG_RETURN_IF_ERROR(CheckDriver(context, *arguments, *profile));
   if (run.iterations < 1)
     return context.Usage(
         InvalidError("--iterations is " + std::to_string(run.iterations) + ", must be at least 1"));
@@ -139,11 +168,14 @@ void Run(Context& context, RunArguments& arguments) {
     LocalService service;
     if (!quiet)
       PrintNote("run " + run.folder + ": coordinator, " + std::to_string(run.workers) +
-                " workers and the agent of a simulated " + run.robot);
+                (run.stand_in ? " workers, a ROS master, the stand-in of a " + run.robot + " and its agent"
+                              : " workers and the agent of a simulated " + run.robot));
     status = service.Start({.folder = run.folder,
-                            .agent_config = profile.folder + "/" + profile.name + "_agent.json",
+                            .agent_config = AgentConfigOf(profile, run),
                             .workers = run.workers,
-                            .lock_step = arguments.lock_step});
+                            .lock_step = arguments.lock_step,
+                            .stand_in = run.stand_in ? StandInConfigOf(profile) : "",
+                            .seed = run.options.seed});
     if (status.ok() && !quiet)
       PrintNote("look in from another terminal: realitygrad --coordinator " + service.address() +
                 " job show");
@@ -186,6 +218,12 @@ void AddRunCommand(CLI::App& app, Context& context) {
                       "Folder of the run; default: the next number in " + arguments->parent);
   command->add_flag("--resume", arguments->resume,
                     "Go on with the run in --dir, or the newest unfinished one");
+  command
+      ->add_option("--driver", arguments->run.driver,
+                   "How the agent reaches the arm: simulated or kinova (ROS 1)")
+      ->capture_default_str();
+  command->add_flag("--stand-in", arguments->run.stand_in,
+                    "With --driver kinova: start a ROS master and a stand-in for kinova-ros and its arm");
   command->add_flag("--lock-step", arguments->lock_step, "The simulated robot does not wait for real time");
   AddTrajectoryFlags(command, &arguments->run.options);
   AddTrainFlags(command, &arguments->run.options);

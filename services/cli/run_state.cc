@@ -51,9 +51,10 @@ Result<std::string> UnfinishedRunFolder(const std::string& parent) {
 }
 
 Status SaveRun(const RunState& run) {
-  const json file = {{"format", kFormat},      {"id", run.id},
-                     {"robot", run.robot},     {"iterations", run.iterations},
-                     {"workers", run.workers}, {"options", jobs::OptionsToJson(run.options)},
+  const json file = {{"format", kFormat},        {"id", run.id},
+                     {"robot", run.robot},       {"driver", run.driver},
+                     {"stand_in", run.stand_in}, {"iterations", run.iterations},
+                     {"workers", run.workers},   {"options", jobs::OptionsToJson(run.options)},
                      {"results", run.results}};
   return WriteFileAtomically(run.File("run.json"), file.dump());
 }
@@ -68,6 +69,7 @@ Result<RunState> LoadRun(const std::string& folder) {
     RunState run;
     run.folder = folder;
     file.at("id").get_to(run.id), file.at("robot").get_to(run.robot);
+    run.driver = file.value("driver", run.driver), run.stand_in = file.value("stand_in", false);
     file.at("iterations").get_to(run.iterations), file.at("workers").get_to(run.workers);
     run.options = jobs::OptionsFromJson(file.at("options"));
     run.results = file.at("results").get<std::vector<json>>();

@@ -20,6 +20,8 @@ struct RunState {
   std::string folder;
   std::string id;  // request ids of its jobs begin with it
   std::string robot = "mico2";
+  std::string driver = "simulated";  // or "kinova"
+  bool stand_in = false;             // of the kinova
   int iterations = 2;
   int workers = 0;
   jobs::IterationOptions options;

@@ -65,6 +65,19 @@ Finding CheckProofGenerator() {
           there ? path : "only `prove` needs it; this makes it: " + HowToGetProofGenerator(), there, false};
 }
 
+// RG_ROS_MISSING: the packages that were missing when this was built.
+Finding CheckKinovaDriver() {
+  const std::string missing = RG_ROS_MISSING;
+  if (!missing.empty())
+    return {"driver kinova", "not built; it needs: " + missing + " (then cmake and build again)", false,
+            false};
+  const bool master = fs::exists("/usr/bin/rosmaster");
+  return {"driver kinova",
+          master ? "built in; its stand-in needs /usr/bin/rosmaster, which is there"
+                 : "built in; its stand-in needs /usr/bin/rosmaster: install python3-rosmaster",
+          true, false};
+}
+
 Finding CheckRobots(const Settings& settings) {
   const std::string folder = RobotsFolder(settings);
   const auto profiles = ListRobotProfiles(folder);
@@ -117,6 +130,7 @@ void Doctor(Context& context) {
                                          CheckProgram("realitygrad-agent"),
                                          CheckProgram("realitygrad-simulated-robot"),
                                          CheckProofGenerator(),
+                                         CheckKinovaDriver(),
                                          CheckRobots(*settings),
                                          CheckScratch(),
                                          CheckProcessor(),

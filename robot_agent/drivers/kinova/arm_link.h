@@ -1,0 +1,41 @@
+// The arm's topics, services and action as the driver uses them, without ROS's types: the driver's
+// sequence knows nothing of roscpp, and roscpp nothing of the sequence.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/base/status.h"
+#include "robot_agent/drivers/kinova/joint_report.h"
+#include "robot_agent/drivers/kinova/kinova_options.h"
+#include "robot_agent/drivers/kinova/units.h"
+
+namespace rg::robot_agent::kinova {
+
+enum class ArmService { kTorqueMode, kPositionMode, kZeroTorques, kTorqueParameters };
+
+class ArmLink {
+ public:
+  // A report, or why a message was none.
+  using Listener = std::function<void(const Result<JointReport>&)>;
+
+  virtual ~ArmLink() = default;  // the listener is not called after it
+
+  // Fails at once if there is no master (kUnavailable). The listener is called from the link's thread.
+  virtual Status Open(Listener listener) = 0;
+  // Whether the arm's driver listens to torques: what is sent earlier is lost.
+  virtual bool TorquesAreHeard() const = 0;
+  // Does not wait. Any thread.
+  virtual void PublishTorque(const JointArray& tau) = 0;
+  // kUnavailable: it is not offered, failed, or took longer than `timeout_s`. One thread at a time.
+  virtual Status Call(ArmService service, double timeout_s) = 0;
+  // Raw angles, all joints; kAborted: the arm's driver gave up on the way, kDeadlineExceeded: cancelled.
+  virtual Status MoveTo(const std::vector<Degrees>& pose, double timeout_s) = 0;
+  // The arm's driver's parameter status_interval_seconds, s.
+  virtual std::optional<double> StatusInterval() const = 0;
+};
+
+}  // namespace rg::robot_agent::kinova

@@ -1,0 +1,107 @@
+#include "robot_agent/drivers/kinova/kinova_options.h"
+
+#include <cmath>
+#include <cstdio>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "robot_agent/drivers/kinova/joint_report.h"
+
+namespace rg::robot_agent::kinova {
+namespace {
+
+using nlohmann::json;
+
+const std::set<std::string> kFields = {"robot_type",      "robot_name",          "master",
+                                       "joints",          "zero_pose_deg",       "zero_limit_nm",
+                                       "test_torque_nm",  "least_rate_hz",       "outage_s",
+                                       "farewell_s",      "command_timeout_s",   "service_timeout_s",
+                                       "test_motion_rad", "torque_mode_attempts"};
+
+Status ReadNumber(const json& root, const char* field, double least, double most, double* value) {
+  *value = root.value(field, *value);
+  if (std::isfinite(*value) && *value >= least && *value <= most) return Status::Ok();
+  char text[160];
+  std::snprintf(text, sizeof text, "%s is %g, needs %g to %g", field, *value, least, most);
+  return InvalidError(text);
+}
+
+Status CheckVector(const char* field, const std::vector<double>& values, int n, double least, double most) {
+  if (static_cast<int>(values.size()) != n)
+    return InvalidError(std::string(field) + " has " + std::to_string(values.size()) + " entries for " +
+                        std::to_string(n) + " joints");
+  for (const double value : values) {
+    if (std::isfinite(value) && value >= least && value <= most) continue;
+    char text[160];
+    std::snprintf(text, sizeof text, "%s holds %g, needs %g to %g", field, value, least, most);
+    return InvalidError(text);
+  }
+  return Status::Ok();
+}
+
+// Joints 2 and 3 of an arm of six, 2, 4 and 6 of one of seven have stops.
+std::vector<bool> ContinuousJoints(int n) {
+  if (n == 7) return {true, false, true, false, true, false, true};
+  std::vector<bool> continuous(n, true);
+  continuous[1] = continuous[2] = false;
+  return continuous;
+}
+
+// Known by heart for the Mico² only; of another arm the laboratory says them.
+void TakeDefaults(KinovaOptions* options) {
+  if (options->robot_type.rfind("m1n6", 0) != 0) return;
+  options->zero_pose_deg = {0, 180, 180, 0, 0, 0};
+  options->test_torque_nm = {2, 4, 2, 1, 1, 1};
+}
+
+Result<KinovaOptions> Read(const json& root, const std::string& robot) {
+  for (const auto& [key, value] : root.items())
+    if (!kFields.contains(key)) return InvalidError("unknown field \"" + key + "\"");
+  KinovaOptions options;
+  options.robot = robot;
+  options.robot_type = root.value("robot_type", options.robot_type);
+  RG_ASSIGN_OR_RETURN(const int n, JointsOfType(options.robot_type));
+  options.robot_name = root.value("robot_name", options.robot_type);
+  options.master_uri = root.value("master", "");
+  options.continuous = ContinuousJoints(n);
+  for (int i = 1; i <= n; ++i) options.joints.push_back("joint_" + std::to_string(i));
+  options.joints = root.value("joints", options.joints);
+  if (options.n() != n)
+    return InvalidError("joints has " + std::to_string(options.n()) + " names, a " + options.robot_type +
+                        " has " + std::to_string(n));
+  TakeDefaults(&options);
+  for (const char* field : {"zero_pose_deg", "test_torque_nm"}) {
+    auto& values = *field == 'z' ? options.zero_pose_deg : options.test_torque_nm;
+    values = root.value(field, values);
+    if (values.empty())
+      return InvalidError(std::string(field) + " is missing: it is known for the Mico² only, a " +
+                          options.robot_type + " needs it here");
+  }
+  RG_RETURN_IF_ERROR(CheckVector("zero_pose_deg", options.zero_pose_deg, n, -720, 720));
+  RG_RETURN_IF_ERROR(CheckVector("test_torque_nm", options.test_torque_nm, n, 0.05, 20));
+  RG_RETURN_IF_ERROR(ReadNumber(root, "zero_limit_nm", 0.01, 20, &options.zero_limit_nm));
+  RG_RETURN_IF_ERROR(ReadNumber(root, "test_motion_rad", 0.005, 0.1, &options.test_motion_rad));
+  RG_RETURN_IF_ERROR(ReadNumber(root, "least_rate_hz", 5, 1000, &options.least_rate_hz));
+  RG_RETURN_IF_ERROR(ReadNumber(root, "outage_s", 0.2, 10, &options.outage_s));
+  RG_RETURN_IF_ERROR(ReadNumber(root, "command_timeout_s", 0.02, 0.25, &options.command_timeout_s));
+  RG_RETURN_IF_ERROR(ReadNumber(root, "service_timeout_s", 0.1, 60, &options.service_timeout_s));
+  RG_RETURN_IF_ERROR(ReadNumber(root, "farewell_s", 0, 600, &options.farewell_s));
+  double attempts = options.torque_mode_attempts;
+  RG_RETURN_IF_ERROR(ReadNumber(root, "torque_mode_attempts", 1, 10, &attempts));
+  options.torque_mode_attempts = static_cast<int>(attempts);
+  return options;
+}
+
+}  // namespace
+
+Result<KinovaOptions> ParseKinovaOptions(const std::string& text, const std::string& robot) {
+  try {
+    auto options = Read(json::parse(text), robot);
+    if (!options.ok()) return options.status().WithPrefix("kinova");
+    return options;
+  } catch (const json::exception& error) {
+    return InvalidError(std::string("kinova: ") + error.what());
+  }
+}
+
+}  // namespace rg::robot_agent::kinova
