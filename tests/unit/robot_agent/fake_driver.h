@@ -51,14 +51,17 @@ class FakeDriver final : public Driver {
     state.mode = Mode::kPosition;
     return lost ? UnavailableError("lost") : Status::Ok();
   }
-  Status MoveToPose(const double*, double, double) override { return Status::Ok(); }
+  Status StartMove(const double*) override {
+    ++moves;
+    return Status::Ok();
+  }
 
   DriverInfo info_;
   int64_t now_ = 1'000'000'000;
   int tick = -1;  // of the control loop: the number of SleepUntil calls so far, from 0
   int64_t oversleep_ns = 0;
   bool lost = false, refuse = false;
-  int holds = 0;
+  int holds = 0, moves = 0;
   RobotState state;
   std::vector<double> entered;
   std::vector<std::array<double, 2>> sent = std::vector<std::array<double, 2>>(4096);
