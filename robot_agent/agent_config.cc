@@ -3,22 +3,26 @@
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
-#include <numbers>
 #include <set>
 
 #include "common/base/file.h"
+#include "common/model/urdf_loader.h"
 
 namespace rg::robot_agent {
 namespace {
 
 using nlohmann::json;
 
-constexpr double kLimitMargin = 0.02;   // rad (m)
-constexpr double kVelocityRatio = 1.5;  // of the URDF's limit
-constexpr double kVelocityWithoutLimit = 5.0;
+constexpr double kLimitMargin = 0.02;  // rad (m)
 
 std::string Resolve(const std::string& folder, const std::string& path) {
   return path.empty() ? path : (std::filesystem::path(folder) / path).lexically_normal().string();
+}
+
+std::vector<std::string> JointNames(const model::RobotModel& model) {
+  std::vector<std::string> names;
+  for (const auto& joint : model.joints()) names.push_back(joint.name);
+  return names;
 }
 
 Status CheckKeys(const json& object, const std::set<std::string>& known, const std::string& where) {
@@ -40,12 +44,65 @@ Status ReadSimulated(const json& object, const std::string& folder, SimulatedDri
   return Status::Ok();
 }
 
+Status ReadArm(const json& root, const std::string& folder, AgentConfig* config) {
+  if (!root.contains("urdf"))
+    return InvalidError(
+        "\"urdf\" is missing: the arm's own kinematics and gravity, which no job's model replaces");
+  model::LoadOptions options;
+  options.joints = root.value("joints", options.joints);
+  options.locked = root.value("locked", options.locked);
+  options.end_effector = root.value("end_effector", options.end_effector);
+  config->gravity = root.value("gravity", config->gravity);
+  if (config->gravity.size() != 3) return InvalidError("gravity needs three numbers");
+  RG_ASSIGN_OR_RETURN(auto arm,
+                      model::LoadUrdf(Resolve(folder, root.at("urdf").get<std::string>()), options));
+  if (arm.num_joints() > kMaxJoints)
+    return InvalidError("urdf: " + std::to_string(arm.num_joints()) + " joints, at most " +
+                        std::to_string(kMaxJoints));
+  config->arm = std::make_shared<const model::RobotModel>(std::move(arm));
+  return Status::Ok();
+}
+
+Status CheckPositive(const char* field, double value) {
+  if (std::isfinite(value) && value > 0.0) return Status::Ok();
+  return InvalidError(std::string(field) + " is " + std::to_string(value) + ", needs a positive number");
+}
+
+Status ReadFence(const json& root, AgentConfig* config) {
+  RG_RETURN_IF_ERROR(CheckPositive("max_rate_hz", config->max_rate_hz));
+  RG_RETURN_IF_ERROR(CheckPositive("max_duration_s", config->max_duration_s));
+  RG_RETURN_IF_ERROR(CheckPositive("min_free_mb", config->min_free_mb));
+  RG_RETURN_IF_ERROR(CheckPositive("pose_tolerance", config->pose_tolerance));
+  RG_RETURN_IF_ERROR(CheckPositive("pose_timeout_s", config->pose_timeout_s));
+  if (!root.contains("limits"))
+    return InvalidError("\"limits\" is missing: the boxes that the arm has to stay in");
+  RG_ASSIGN_OR_RETURN(config->limits, ParseLimits(root["limits"].dump(), "limits"));
+  return ValidateLimits(config->limits, JointNames(*config->arm), config->start_pose);
+}
+
 Result<AgentConfig> Read(const json& root, const std::string& folder) {
-  RG_RETURN_IF_ERROR(
-      CheckKeys(root,
-                {"format", "name", "driver", "simulated", "start_pose", "pose_tolerance", "pose_timeout_s",
-                 "settle_s", "connect_timeout_s", "limits", "velocity_source", "excitation"},
-                ""));
+  RG_RETURN_IF_ERROR(CheckKeys(root,
+                               {"format",
+                                "name",
+                                "driver",
+                                "simulated",
+                                "start_pose",
+                                "pose_tolerance",
+                                "pose_timeout_s",
+                                "settle_s",
+                                "connect_timeout_s",
+                                "limits",
+                                "velocity_source",
+                                "excitation",
+                                "urdf",
+                                "joints",
+                                "locked",
+                                "end_effector",
+                                "gravity",
+                                "max_rate_hz",
+                                "max_duration_s",
+                                "min_free_mb"},
+                               ""));
   if (root.at("format") != "realitygrad.agent/1")
     return InvalidError("format is " + root.at("format").dump() + ", needs realitygrad.agent/1");
   AgentConfig config;
@@ -56,7 +113,9 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
   config.pose_timeout_s = root.value("pose_timeout_s", config.pose_timeout_s);
   config.settle_s = root.value("settle_s", config.settle_s);
   config.connect_timeout_s = root.value("connect_timeout_s", config.connect_timeout_s);
-  config.limits_json = root.value("limits", json::object()).dump();
+  config.max_rate_hz = root.value("max_rate_hz", config.max_rate_hz);
+  config.max_duration_s = root.value("max_duration_s", config.max_duration_s);
+  config.min_free_mb = root.value("min_free_mb", config.min_free_mb);
   const std::string source = root.value("velocity_source", "measured");
   if (source != "measured" && source != "differenced")
     return InvalidError("velocity_source is \"" + source + "\", needs measured or differenced");
@@ -67,22 +126,21 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
   if (config.driver != "simulated")
     return InvalidError("driver \"" + config.driver + "\" is not in this build (simulated)");
   RG_RETURN_IF_ERROR(ReadSimulated(root.at("simulated"), folder, &config.simulated));
+  RG_RETURN_IF_ERROR(ReadArm(root, folder, &config));
+  RG_RETURN_IF_ERROR(ReadFence(root, &config));
   return config;
 }
 
-SafetyLimits LimitsOfModel(const model::RobotModel& model, const std::vector<double>& start) {
-  SafetyLimits limits;
-  for (int i = 0; i < model.num_joints(); ++i) {
-    const auto& joint = model.joint(i);
-    const bool bounded = std::isfinite(joint.lower) && std::isfinite(joint.upper);
-    const double middle = i < static_cast<int>(start.size()) ? start[i] : 0.0;
-    limits.lower.push_back(bounded ? joint.lower + kLimitMargin : middle - 2 * std::numbers::pi);
-    limits.upper.push_back(bounded ? joint.upper - kLimitMargin : middle + 2 * std::numbers::pi);
-    limits.velocity.push_back(std::isfinite(joint.velocity) ? kVelocityRatio * joint.velocity
-                                                            : kVelocityWithoutLimit);
-    limits.torque.push_back(joint.effort);
+// What a job's model may ask for. Its speed limits are those of the arm's position mode; how fast a rollout
+// may be is the configuration's alone.
+TighterLimits AskedBy(const model::RobotModel& model) {
+  TighterLimits asked;
+  for (const auto& joint : model.joints()) {
+    asked.lower.push_back(joint.lower + kLimitMargin);
+    asked.upper.push_back(joint.upper - kLimitMargin);
+    asked.torque.push_back(joint.effort);
   }
-  return limits;
+  return asked;
 }
 
 }  // namespace
@@ -105,11 +163,17 @@ Result<AgentConfig> LoadAgentConfig(const std::string& path) {
 
 Result<SafetyLimits> LimitsFor(const AgentConfig& config, const model::RobotModel& model,
                                const std::vector<double>& start) {
-  std::vector<std::string> joints;
-  for (const auto& joint : model.joints()) joints.push_back(joint.name);
-  RG_ASSIGN_OR_RETURN(SafetyLimits limits,
-                      ParseLimits(config.limits_json, LimitsOfModel(model, start), config.name));
-  RG_RETURN_IF_ERROR(ValidateLimits(limits, joints, start));
+  const std::vector<std::string> joints = JointNames(model), own = JointNames(*config.arm);
+  if (joints != own) {
+    std::string ours, theirs;
+    for (const auto& name : own) ours += " " + name;
+    for (const auto& name : joints) theirs += " " + name;
+    return InvalidError("the arm of agent " + config.name + " has the joints" + ours + ", the job's model" +
+                        theirs);
+  }
+  const auto limits = Tighten(config.limits, AskedBy(model), joints);
+  if (!limits.ok()) return limits.status().WithPrefix("with the limits of the job's model");
+  RG_RETURN_IF_ERROR(ValidateLimits(*limits, joints, start));
   return limits;
 }
 

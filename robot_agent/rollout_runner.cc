@@ -10,8 +10,10 @@
 #include "common/base/file.h"
 #include "common/base/log.h"
 #include "common/model/robot_model.h"
-#include "robot_agent/arm_model.h"
 #include "robot_agent/controllers.h"
+#include "robot_agent/safety/latch.h"
+#include "robot_agent/safety/own_arm.h"
+#include "robot_agent/safety/watched_move.h"
 #include "services/trajectories/inverse_kinematics.h"
 
 namespace rg::robot_agent {
@@ -83,11 +85,16 @@ std::string MetadataOf(const DriverInfo& info, const RolloutInput& input, const 
 
 std::string EndOf(const ControlLoopResult& loop, const std::vector<std::string>& joints) {
   return json{{"end_reason", EndReasonName(loop.trip.reason)},
-              {"detail", DescribeTrip(loop.trip, joints)},
+              {"detail", loop.refusal.empty() ? DescribeTrip(loop.trip, joints) : loop.refusal},
               {"ended_after_s", loop.duration_s},
               {"commands", loop.commands},
               {"saturated_samples", loop.saturated_samples},
-              {"held", loop.held},
+              {"held", loop.stop.confirmed},
+              {"stop",
+               {{"confirmed", loop.stop.confirmed},
+                {"attempts", loop.stop.attempts},
+                {"took_s", loop.stop.took_s},
+                {"why", loop.stop.why}}},
               {"jitter", json::parse(loop.jitter.ToJson())}}
       .dump();
 }
@@ -129,12 +136,39 @@ Result<Eigen::VectorXd> GoalByInverseKinematics(const sim::Plant& plant, const r
   return found.q;
 }
 
-Status GoToStart(Driver& driver, const RolloutInput& input, const ProgressFn& progress) {
+MoveOutcome GoToStart(Driver& driver, ArmModel& arm, const RolloutInput& input, const ProgressFn& progress,
+                      const CancelToken& stop) {
   if (progress) progress({"rollout", 0.0, input.plan.spec.duration_s, "to the start pose"});
-  const Status moved = driver.MoveToPose(input.plan.spec.start.data(), input.config.pose_tolerance,
-                                         input.config.pose_timeout_s);
-  if (!moved.ok()) return moved.WithPrefix("start pose");
-  return driver.SleepUntil(driver.NowNanos() + std::llround(1e9 * input.config.settle_s));
+  MoveOptions options;
+  options.tolerance = input.config.pose_tolerance;
+  options.timeout_s = input.config.pose_timeout_s;
+  options.settle_s = input.config.settle_s;
+  return MoveUnderWatch(driver, arm, input.config.limits, input.plan.spec.start.data(), options, stop);
+}
+
+// The stop is known to have worked, or the arm is latched. Safe stop first, words second.
+void CloseLatch(Latch& latch, const StopReport& stop, const std::string& id, const Clock& clock) {
+  const std::string now = FormatWallTime(clock.WallNanos());
+  const Status written = stop.confirmed ? latch.EndMotion() : latch.Set(id, stop.why, now);
+  if (!stop.confirmed) spdlog::error("rollout {}: the stop was not confirmed: {}; latched", id, stop.why);
+  if (!written.ok()) spdlog::error("rollout {}: {}", id, written.ToString());
+}
+
+// An arm that is a process of its driver's is gone with it, and its successor begins at rest.
+Status CheckLatch(Latch& latch, const AgentConfig& config) {
+  const Status clear = latch.CheckClear();
+  if (clear.ok() || !config.arm_ends_with_driver()) return clear;
+  spdlog::warn("{}; that simulated arm is gone, cleared", clear.message());
+  return latch.Clear();
+}
+
+// A command has to come well before the arm counts the agent as silent.
+Status CheckRate(const DriverInfo& info, const rollouts::RolloutSpec& spec) {
+  if (info.silence_timeout_s <= 0 || 2.0 / spec.rate_hz <= info.silence_timeout_s) return Status::Ok();
+  return InvalidError("rollout: rate_hz is " + std::to_string(spec.rate_hz) + "; the arm " + info.robot +
+                      " takes silence of " + std::to_string(info.silence_timeout_s) +
+                      " s for a lost agent and needs at least " +
+                      std::to_string(2.0 / info.silence_timeout_s));
 }
 
 }  // namespace
@@ -168,15 +202,28 @@ Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spoo
                                  const ProgressFn& progress, const CancelToken& stop, const Clock& clock) {
   const std::string& id = input.plan.spec.id;
   if (std::filesystem::exists(spool.ReadyPath(id))) return AlreadyThere(spool, input);
+  Latch latch(spool.folder());
+  RG_RETURN_IF_ERROR(CheckLatch(latch, input.config));
   RG_RETURN_IF_ERROR(driver.Connect(input.config.connect_timeout_s));
   RG_RETURN_IF_ERROR(CheckJoints(driver.info(), input.plant));
-  RG_RETURN_IF_ERROR(GoToStart(driver, input, progress));
+  RG_RETURN_IF_ERROR(CheckRate(driver.info(), input.plan.spec));
+  OwnArm arm(*input.config.arm, Eigen::Map<const Eigen::Vector3d>(input.config.gravity.data()));
   if (stop.cancelled()) return CancelledError("stopped before the rollout began");
+  RG_RETURN_IF_ERROR(latch.BeginMotion(id, FormatWallTime(clock.WallNanos())));
+  const MoveOutcome moved = GoToStart(driver, arm, input, progress, stop);
+  if (!moved.status.ok()) {
+    CloseLatch(latch, moved.stop, id, clock);
+    return moved.status.WithPrefix("start pose");
+  }
 
   const int n = input.plant.num_joints();
   const std::string active = spool.ActivePath(id);
-  RG_ASSIGN_OR_RETURN(auto recorder, Recorder::Start(active, MetadataOf(driver.info(), input, clock), n, {}));
-  PlantArmModel arm(input.plant, input.values);
+  auto started = Recorder::Start(active, MetadataOf(driver.info(), input, clock), n, {});
+  if (!started.ok()) {
+    CloseLatch(latch, StopArm(driver), id, clock);
+    return started.status();
+  }
+  auto recorder = *std::move(started);
   ControlLoopOptions options;
   options.rate_hz = input.plan.spec.rate_hz;
   options.duration_s = input.plan.spec.duration_s;
@@ -187,6 +234,7 @@ Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spoo
                                options.duration_s, input.plan.spec.goal_seed);
   const ControlLoopResult loop =
       RunControlLoop(driver, controller, arm, input.plan.limits, options, *recorder, stop, clock);
+  CloseLatch(latch, loop.stop, id, clock);
   const Status recorded = recorder->Finish(EndOf(loop, driver.info().joints));
   if (!recorded.ok()) spdlog::error("recording {}: {}", id, recorded.ToString());
   recorder.reset();

@@ -1,7 +1,10 @@
 // One rollout, from wherever the arm is to a recording in the spool.
 //
-//   connect -> start pose (position mode) -> settle -> torque mode -> control loop -> hold -> spool
+//   connect -> start pose (position mode) -> settle -> torque mode -> control loop -> stop -> spool
 //
+// Everything from the first motion on is watched by the safety monitor, with the agent's own limits and
+// kinematics, and ends in StopArm; a stop that was not confirmed latches (safety/latch.h), and a latched arm
+// does not move.
 // Who calls it: the executor of the task kind `rollout`, a test, or a program; one thread. What is
 // durable when it returns a result: the bundle, in the spool's ready folder under spec.id. A repeat with
 // the same id moves nothing: the bundle that is there is returned (a robot never runs a rollout twice).
@@ -40,9 +43,8 @@ Result<RolloutPlan> PlanRollout(const rollouts::RolloutSpec& spec, const AgentCo
 struct RolloutInput {
   const RolloutPlan& plan;
   const AgentConfig& config;
-  const sim::Plant& plant;        // the believed model …
-  const Eigen::VectorXd& values;  // … at these parameters: gravity compensation, end effector
-  Controller& controller;         // for plan.spec.goal
+  const sim::Plant& plant;  // the believed model: joints, URDF and gravity for the recording
+  Controller& controller;   // for plan.spec.goal
   std::string controller_name = "policy";
   std::string policy_sha256, model_sha256;  // into the metadata
 };

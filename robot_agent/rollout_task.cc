@@ -118,7 +118,6 @@ Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::s
   const RolloutInput rollout{.plan = plan,
                              .config = config,
                              .plant = model.plant,
-                             .values = model.values,
                              .controller = *controller,
                              .controller_name = input.controller,
                              .policy_sha256 = input.policy_bytes.empty() ? "" : Sha256Hex(input.policy_bytes),

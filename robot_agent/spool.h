@@ -24,6 +24,7 @@ class Spool {
   static Result<std::unique_ptr<Spool>> Open(const std::string& folder);
   ~Spool();
 
+  const std::string& folder() const { return folder_; }
   std::string ActivePath(const std::string& id) const;
   std::string ReadyPath(const std::string& id) const;
 

@@ -2,7 +2,10 @@
 #include <gtest/gtest.h>
 
 #include <cstdlib>
+#include <filesystem>
+#include <nlohmann/json.hpp>
 
+#include "common/base/file.h"
 #include "robot_agent/agent_program.h"
 
 namespace rg::robot_agent {
@@ -46,6 +49,29 @@ TEST(AgentSettings, AMissingOrWrongConfigIsOneClearLine) {
                   .status()
                   .message(),
               HasSubstr("robot.json: unknown field \"nmae\""));
+}
+
+// Nothing of the fence has a default that somebody else could fill in.
+TEST(AgentSettings, WhatTheFenceNeedsIsAskedForByName) {
+  const std::string folder = std::filesystem::path(ConfigPath()).parent_path().string();
+  const auto good = nlohmann::json::parse(ReadFile(ConfigPath()).value());
+  ASSERT_TRUE(ParseAgentConfig(good.dump(), folder, "robot.json").ok());
+  for (const char* field : {"urdf", "limits"}) {
+    auto json = good;
+    json.erase(field);
+    EXPECT_THAT(ParseAgentConfig(json.dump(), folder, "robot.json").status().message(),
+                HasSubstr("robot.json: \"" + std::string(field) + "\" is missing"));
+  }
+  for (const char* field : {"lower", "upper", "velocity", "torque", "torque_rate", "task_box"}) {
+    auto json = good;
+    json["limits"].erase(field);
+    EXPECT_THAT(ParseAgentConfig(json.dump(), folder, "robot.json").status().message(),
+                HasSubstr("robot.json: limits: \"" + std::string(field) + "\" is missing"));
+  }
+  auto json = good;
+  json["limits"]["torque"][2] = -3;
+  EXPECT_THAT(ParseAgentConfig(json.dump(), folder, "robot.json").status().message(),
+              HasSubstr("torque of joint_3 is -3"));
 }
 
 }  // namespace

@@ -68,7 +68,6 @@ struct Rig {
     const RolloutInput input{.plan = plan,
                              .config = config,
                              .plant = plant,
-                             .values = values,
                              .controller = controller,
                              .controller_name = "spring",
                              .policy_sha256 = "",

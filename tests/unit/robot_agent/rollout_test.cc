@@ -8,6 +8,9 @@
 #include "common/recordings/csv.h"
 #include "common/sim/model_file.h"
 #include "robot_agent/rollout_task.h"
+#include "robot_agent/safety/latch.h"
+#include "robot_agent/safety/own_arm.h"
+#include "robot_agent/safety/watched_move.h"
 #include "services/policy/policy.h"
 #include "services/rollouts/recording_bundle.h"
 #include "tests/unit/robot_agent/rig.h"
@@ -304,18 +307,20 @@ TEST(RolloutTask, AMotionOutsideTheAgentsBoxesMovesNothing) {
   input.model_json = sim::ModelToJson(rig.plant, rig.values);
   input.controller = "trajectory";
   input.spec = rig.spec;
-  const auto refusal = [&](double width, const std::string& limits) {
+  const SafetyLimits good = rig.config.limits;
+  const auto refusal = [&](double width, const std::function<void(SafetyLimits&)>& change) {
     input.motion_csv = SwingCsv(width);
-    rig.config.limits_json = limits;
+    rig.config.limits = good;
+    change(rig.config.limits);
     return RunRolloutTask(rig.config, rig.folder, input, {}, rig.stop).status().message();
   };
-  const std::string velocity = R"({"velocity": [1, 1, 1, 1, 0.3, 1]})";
-  EXPECT_THAT(refusal(0.4, velocity), HasSubstr("motion: joint_5 has velocity"));
-  const std::string box = R"({"lower": [-6, 1, 1, -6, -6, -6], "upper": [6, 5, 5, 6, 0.2, 6]})";
-  EXPECT_THAT(refusal(0.4, box), HasSubstr("motion: joint_5 has position"));
-  EXPECT_THAT(refusal(0.4, R"({"torque": [30, 30, 30, 6, 0.001, 6]})"),
+  EXPECT_THAT(refusal(0.4, [](SafetyLimits& l) { l.velocity[4] = 0.3; }),
+              HasSubstr("motion: joint_5 has velocity"));
+  EXPECT_THAT(refusal(0.4, [](SafetyLimits& l) { l.upper[4] = 0.2; }),
+              HasSubstr("motion: joint_5 has position"));
+  EXPECT_THAT(refusal(0.4, [](SafetyLimits& l) { l.torque[4] = 0.001; }),
               HasSubstr("joint_5 needs a torque of"));
-  EXPECT_THAT(refusal(0.4, R"({"task_box": {"lower": [-2, -2, 0], "upper": [2, 2, 0.3]}})"),
+  EXPECT_THAT(refusal(0.4, [](SafetyLimits& l) { l.task.upper[2] = 0.3; }),
               HasSubstr("the end effector has z ="));
   input.motion_csv = "";
   EXPECT_THAT(RunRolloutTask(rig.config, rig.folder, input, {}, rig.stop).status().message(),
@@ -335,6 +340,118 @@ TEST(Rollout, PlansRefuseGoalsOutsideTheBoxAndKeepTheGivenOnes) {
   EXPECT_LT((tip.col(0) - rig.spec.goal_position).norm(), 1e-3);
   rig.spec.goal_position = Eigen::Vector3d(3, 0, 0);
   EXPECT_FALSE(PlanRollout(rig.spec, rig.config, rig.plant).ok());
+}
+
+// A job's model says that joint_2 may go anywhere, with any torque, and that the arm is ten times as long.
+TEST(Rollout, ABadModelDoesNotMoveTheFence) {
+  Rig rig(true);
+  std::string urdf = ReadFile(SourceDir() + "/deploy/robots/mico2.urdf").value();
+  const auto replace = [&](const std::string& from, const std::string& to) {
+    const size_t at = urdf.find(from);
+    ASSERT_NE(at, std::string::npos) << from;
+    urdf.replace(at, from.size(), to);
+  };
+  replace("lower=\"0.8726646259971648\" upper=\"5.410520681182422\" effort=\"80\"",
+          "lower=\"-90\" upper=\"90\" effort=\"8000\"");
+  auto model = model::ParseUrdf(urdf, "bad.urdf",
+                                {.joints = rig.plant.joint_names(), .locked = {}, .end_effector = ""});
+  const auto bad =
+      sim::Plant::Create(std::make_shared<const model::RobotModel>(std::move(model).value())).value();
+  const RolloutPlan plan = PlanRollout(rig.spec, rig.config, bad).value();
+  EXPECT_EQ(LimitsToJson(plan.limits), LimitsToJson(rig.config.limits));
+  replace("lower=\"-90\" upper=\"90\"", "lower=\"2\" upper=\"4\"");
+  auto narrow = model::ParseUrdf(urdf, "narrow.urdf",
+                                 {.joints = rig.plant.joint_names(), .locked = {}, .end_effector = ""});
+  const SafetyLimits limits = LimitsFor(rig.config, narrow.value(), rig.config.start_pose).value();
+  EXPECT_EQ(limits.lower[1], 2.02) << "what is tighter counts";
+  EXPECT_EQ(limits.upper[1], 3.98);
+}
+
+TEST(Rollout, HomingStopsAtOnceWhenItIsCancelledAndTheArmIsAtRest) {
+  Rig rig(true);
+  rig.config.start_pose = {2.0, M_PI, M_PI, 0, 0, 0};
+  const RolloutPlan plan = rig.Plan();
+  auto controller = rig.ToGoal(plan);
+  const auto driver = rig.Driver();
+  ASSERT_TRUE(driver->Connect(5).ok());
+  RobotState before, after;
+  ASSERT_TRUE(driver->ReadState(&before).ok());
+  OwnArm arm(*rig.config.arm, Eigen::Vector3d(0, 0, -9.81));
+  MoveOptions options;
+  options.timeout_s = 30;
+  // Stops when the arm has come half a radian.
+  class Halfway final : public ArmModel {
+   public:
+    Halfway(OwnArm& arm, CancelToken& stop) : arm_(arm), stop_(stop) {}
+    void GravityTorque(const double* q, double* tau) override { arm_.GravityTorque(q, tau); }
+    void Tip(const double* q, double* position) override {
+      arm_.Tip(q, position);
+      if (q[0] > 0.5) stop_.Cancel();
+    }
+    OwnArm& arm_;
+    CancelToken& stop_;
+  } halfway(arm, rig.stop);
+  const MoveOutcome moved =
+      MoveUnderWatch(*driver, halfway, rig.config.limits, rig.config.start_pose.data(), options, rig.stop);
+  EXPECT_EQ(moved.status.code(), StatusCode::kCancelled);
+  EXPECT_TRUE(moved.stop.confirmed) << moved.stop.why;
+  ASSERT_TRUE(driver->ReadState(&after).ok());
+  EXPECT_GT(after.q[0], 0.4);
+  EXPECT_LT(after.q[0], 0.8) << "it went on after the stop";
+  EXPECT_EQ(after.mode, Mode::kPosition);
+}
+
+TEST(Rollout, HomingThroughAForbiddenPlaceIsStoppedByTheMonitor) {
+  Rig rig(true);
+  rig.config.start_pose = {2.0, M_PI, M_PI, 0, 0, 0};
+  rig.config.limits.upper[0] = 2.1;
+  const RolloutPlan plan = rig.Plan();
+  rig.config.limits.upper[0] = 1.0;  // the fence is narrower than where it is sent
+  auto controller = rig.ToGoal(plan);
+  const auto driver = rig.Driver();
+  const auto result = rig.Run(*driver, plan, controller);
+  EXPECT_THAT(result.status().message(), HasSubstr("start pose: position_limit: joint_1"));
+  RobotState state;
+  ASSERT_TRUE(driver->ReadState(&state).ok());
+  EXPECT_LT(state.q[0], 1.1);
+  EXPECT_FALSE(Latch(rig.folder).Read().has_value()) << "it was seen at rest";
+}
+
+TEST(Rollout, AStopThatWasNotConfirmedLatchesUntilAPersonClearsIt) {
+  Rig rig(true);
+  const RolloutPlan plan = rig.Plan();
+  const auto driver = rig.Driver();
+  bool killed = false;
+  auto controller = rig.ToGoal(plan, [&](double t) {
+    if (t > 0.5 && !killed) killed = driver->InjectFault(Fault::kDie).ok();
+  });
+  rig.config.simulated.socket_path = "/an/arm/that/outlives/its/driver";
+  const RolloutResult result = rig.Run(*driver, plan, controller).value();
+  EXPECT_EQ(result.reason, EndReason::kDriverLost);
+  EXPECT_EQ(nlohmann::json::parse(result.rollout_json)["stop"]["confirmed"], false);
+  rig.spec.id = "rollout-2";
+  const RolloutPlan next = rig.Plan();
+  auto calm = rig.ToGoal(next);
+  const SimulatedDriverOptions child{.truth_path = rig.config.simulated.truth_path, .lock_step = true};
+  rig.spool.reset();
+  rig.spool = Spool::Open(rig.folder).value();  // the agent was started again
+  SimulatedDriver untouched(child);
+  const Status refused = rig.Run(untouched, next, calm).status();
+  EXPECT_EQ(refused.code(), StatusCode::kFailedPrecondition);
+  EXPECT_THAT(refused.message(), HasSubstr("realitygrad agent clear"));
+  EXPECT_EQ(untouched.pid(), -1) << "nobody spoke to the arm";
+  ASSERT_TRUE(Latch(rig.folder).Clear().ok());
+  SimulatedDriver again(child);
+  EXPECT_EQ(rig.Run(again, next, calm).value().reason, EndReason::kCompleted);
+  EXPECT_FALSE(Latch(rig.folder).Read().has_value());
+}
+
+TEST(Rollout, ARateThatTheArmWouldTakeForSilenceIsRefused) {
+  Rig rig(true);
+  rig.spec.rate_hz = 5;
+  const RolloutPlan plan = rig.Plan();
+  auto controller = rig.ToGoal(plan);
+  EXPECT_THAT(rig.Run(*rig.Driver(), plan, controller).status().message(), HasSubstr("rate_hz is 5"));
 }
 
 TEST(Rollout, MissingProgramAndMissingTruthAreUnavailableNotACrash) {
