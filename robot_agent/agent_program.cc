@@ -3,6 +3,7 @@
 #include <cstdlib>
 #include <iostream>
 #include <memory>
+#include <nlohmann/json.hpp>
 
 #include "common/base/hash.h"
 #include "common/base/log.h"
@@ -88,15 +89,32 @@ Result<std::unique_ptr<coordinator::Client>> ConnectFor(const AgentSettings& set
   return coordinator::Client::Connect(options);
 }
 
+// Job, task and what it was made from, as if it had come as the task's output.
+realitygrad::v1::ArtifactInfo InfoOf(coordinator::Client& client, const std::string& metadata_json) {
+  realitygrad::v1::ArtifactInfo info;
+  info.set_kind(rollouts::kBundleKind);
+  info.set_metadata_json(metadata_json);
+  const auto metadata = nlohmann::json::parse(metadata_json, nullptr, false);
+  if (!metadata.is_object()) return info;
+  const auto text = [&](const char* name) {
+    return metadata.contains(name) && metadata[name].is_string() ? metadata[name].get<std::string>()
+                                                                 : std::string();
+  };
+  info.set_job_id(text("job"));
+  info.set_task_id(text("task"));
+  for (const char* parent : {"model_sha256", "policy_sha256"}) {
+    const std::string sha256 = text(parent);
+    if (!sha256.empty() && client.ShowArtifact(sha256).ok()) info.add_parents(sha256);
+  }
+  return info;
+}
+
 Status DeliverTo(coordinator::Client& client, const std::string& bundle, const std::string& metadata_json) {
   const std::string sha256 = Sha256Hex(bundle);
   const auto known = client.ShowArtifact(sha256);
   if (known.ok()) return Status::Ok();
   if (known.status().code() != StatusCode::kNotFound) return known.status();
-  realitygrad::v1::ArtifactInfo info;
-  info.set_kind(rollouts::kBundleKind);
-  info.set_metadata_json(metadata_json);
-  return client.PutArtifact(bundle, info).status();
+  return client.PutArtifact(bundle, InfoOf(client, metadata_json)).status();
 }
 
 // Best effort: what cannot be sent stays where it is.

@@ -29,6 +29,12 @@ Status CheckSize(const char* what, const Eigen::VectorXd& x, int n) {
                       std::to_string(n) + " joints");
 }
 
+Status CheckMost(const char* field, double value, double most) {
+  if (value <= most) return Status::Ok();
+  return InvalidError(std::string("rollout: ") + field + " is " + std::to_string(value) +
+                      ", this agent's configuration allows max_" + field + " " + std::to_string(most));
+}
+
 Status CheckInBox(const model::RobotModel& model, const SafetyLimits& limits, const Eigen::VectorXd& goal) {
   for (int i = 0; i < model.num_joints(); ++i)
     if (goal[i] < limits.lower[i] || goal[i] > limits.upper[i])
@@ -77,6 +83,8 @@ std::string MetadataOf(const DriverInfo& info, const RolloutInput& input, const 
               {"excitation", spec.excitation},
               {"policy_sha256", input.policy_sha256},
               {"model_sha256", input.model_sha256},
+              {"job", input.job_id},
+              {"task", input.task_id},
               {"limits", json::parse(LimitsToJson(input.plan.limits))},
               {"noise", NoiseOf(info)},
               {"started", FormatWallTime(clock.WallNanos())}}
@@ -114,9 +122,8 @@ RolloutResult ResultOf(const FinishedRollout& finished, std::string bundle, std:
   return result;
 }
 
-// A rollout of that id is in the spool already, finished or just salvaged.
-Result<RolloutResult> AlreadyThere(Spool& spool, const RolloutInput& input) {
-  const std::string path = spool.ReadyPath(input.plan.spec.id);
+// A rollout of that id is in the spool already, finished or just salvaged, delivered or not.
+Result<RolloutResult> AlreadyThere(const std::string& path, const RolloutInput& input) {
   RG_ASSIGN_OR_RETURN(std::string bytes, ReadFile(path));
   RG_ASSIGN_OR_RETURN(rollouts::Bundle bundle, rollouts::UnpackBundle(bytes));
   FinishedRollout finished{.bundle = bundle, .recording = {}, .rollout_json = bundle["rollout.json"]};
@@ -144,6 +151,26 @@ MoveOutcome GoToStart(Driver& driver, ArmModel& arm, const RolloutInput& input, 
   options.timeout_s = input.config.pose_timeout_s;
   options.settle_s = input.config.settle_s;
   return MoveUnderWatch(driver, arm, input.config.limits, input.plan.spec.start.data(), options, stop);
+}
+
+// Nothing that was lost makes an arm move twice.
+Status CheckNeverBegun(const Spool& spool, const std::string& id) {
+  const auto line = spool.Begun(id);
+  if (!line) return Status::Ok();
+  return AlreadyExistsError("rollout " + *line +
+                            " began on this arm and is never begun again; its recording is no "
+                            "longer in the spool " +
+                            spool.folder() +
+                            " (the store has it, or look in broken/): "
+                            "submit it as a new job");
+}
+
+double SamplesOf(const rollouts::RolloutSpec& spec) { return spec.rate_hz * spec.duration_s + 64.0; }
+
+// The recording, its bundle as text, and what the disk's owner wants left.
+Status CheckRoom(const Spool& spool, const RolloutInput& input, int n) {
+  const double bytes = SamplesOf(input.plan.spec) * static_cast<double>(Recorder::SampleBytes(n));
+  return spool.CheckRoom(4e-6 * bytes + input.config.min_free_mb);
 }
 
 // The stop is known to have worked, or the arm is latched. Safe stop first, words second.
@@ -179,6 +206,9 @@ Eigen::VectorXd ToEigen(const std::vector<double>& x) {
 
 Result<RolloutPlan> PlanRollout(const rollouts::RolloutSpec& spec, const AgentConfig& config,
                                 const sim::Plant& plant) {
+  RG_RETURN_IF_ERROR(rollouts::CheckSpec(spec));
+  RG_RETURN_IF_ERROR(CheckMost("rate_hz", spec.rate_hz, config.max_rate_hz));
+  RG_RETURN_IF_ERROR(CheckMost("duration_s", spec.duration_s, config.max_duration_s));
   const model::RobotModel& model = plant.model();
   const int n = plant.num_joints();
   RolloutPlan plan{.spec = spec, .limits = {}};
@@ -201,7 +231,11 @@ Result<RolloutPlan> PlanRollout(const rollouts::RolloutSpec& spec, const AgentCo
 Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spool& spool,
                                  const ProgressFn& progress, const CancelToken& stop, const Clock& clock) {
   const std::string& id = input.plan.spec.id;
-  if (std::filesystem::exists(spool.ReadyPath(id))) return AlreadyThere(spool, input);
+  RG_RETURN_IF_ERROR(rollouts::CheckSpec(input.plan.spec));
+  if (const auto path = spool.FinishedPath(id)) return AlreadyThere(*path, input);
+  RG_RETURN_IF_ERROR(CheckNeverBegun(spool, id));
+  const int n = input.plant.num_joints();
+  RG_RETURN_IF_ERROR(CheckRoom(spool, input, n));
   Latch latch(spool.folder());
   RG_RETURN_IF_ERROR(CheckLatch(latch, input.config));
   RG_RETURN_IF_ERROR(driver.Connect(input.config.connect_timeout_s));
@@ -216,12 +250,16 @@ Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spoo
     return moved.status.WithPrefix("start pose");
   }
 
-  const int n = input.plant.num_joints();
   const std::string active = spool.ActivePath(id);
-  auto started = Recorder::Start(active, MetadataOf(driver.info(), input, clock), n, {});
-  if (!started.ok()) {
+  auto started = Recorder::Start(
+      active, MetadataOf(driver.info(), input, clock), n,
+      {.reserve_bytes = static_cast<uint64_t>(SamplesOf(input.plan.spec)) * Recorder::SampleBytes(n)});
+  const Status marked =
+      started.ok() ? spool.MarkBegun(id, FormatWallTime(clock.WallNanos())) : started.status();
+  if (!marked.ok()) {
     CloseLatch(latch, StopArm(driver), id, clock);
-    return started.status();
+    if (started.ok()) std::filesystem::remove(active);
+    return marked;
   }
   auto recorder = *std::move(started);
   ControlLoopOptions options;

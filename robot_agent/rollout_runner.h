@@ -7,9 +7,10 @@
 // does not move.
 // Who calls it: the executor of the task kind `rollout`, a test, or a program; one thread. What is
 // durable when it returns a result: the bundle, in the spool's ready folder under spec.id. A repeat with
-// the same id moves nothing: the bundle that is there is returned (a robot never runs a rollout twice).
-// A stop of any kind is a result with its reason; an error means that the arm was not moved under
-// torque (unreachable, wrong joints, start pose not reached) or that the recording could not be kept.
+// the same id moves nothing: the bundle that is there is returned, or, where it is gone, kAlreadyExists. An
+// arm never begins a rollout twice, whatever was lost in between (Spool::MarkBegun). A stop of any kind is a
+// result with its reason; an error means that the arm was not moved under torque (unreachable, wrong joints,
+// start pose not reached) or that the recording could not be kept.
 #pragma once
 
 #include <functional>
@@ -46,7 +47,7 @@ struct RolloutInput {
   const sim::Plant& plant;  // the believed model: joints, URDF and gravity for the recording
   Controller& controller;   // for plan.spec.goal
   std::string controller_name = "policy";
-  std::string policy_sha256, model_sha256;  // into the metadata
+  std::string policy_sha256, model_sha256, job_id, task_id;  // into the metadata: the recording's lineage
 };
 
 struct RolloutResult {

@@ -18,6 +18,8 @@ namespace {
 
 using nlohmann::json;
 
+constexpr double kLockWait = 10.0;  // s, for who finishes a dead process's recordings
+
 // Start, goal and duration are the motion's; nothing is added to it.
 rollouts::RolloutSpec SpecOf(const rollouts::ReferenceMotion& motion, rollouts::RolloutSpec spec) {
   spec.start = motion.q.col(0);
@@ -103,7 +105,8 @@ RolloutTaskOutput OutputOf(const RolloutResult& result) {
 Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::string& spool_folder,
                                          const RolloutTaskInput& input, const ProgressFn& progress,
                                          const CancelToken& stop) {
-  RG_ASSIGN_OR_RETURN(const auto spool, Spool::Open(spool_folder));
+  RG_RETURN_IF_ERROR(rollouts::CheckSpec(input.spec));  // its id becomes a path
+  RG_ASSIGN_OR_RETURN(const auto spool, Spool::Open(spool_folder, kLockWait));
   SalvageRecordings(*spool);
   RG_ASSIGN_OR_RETURN(const sim::ModelFile model, sim::ModelFromJson(input.model_json, "model"));
   std::optional<rollouts::ReferenceMotion> motion;
@@ -121,7 +124,9 @@ Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::s
                              .controller = *controller,
                              .controller_name = input.controller,
                              .policy_sha256 = input.policy_bytes.empty() ? "" : Sha256Hex(input.policy_bytes),
-                             .model_sha256 = Sha256Hex(input.model_json)};
+                             .model_sha256 = Sha256Hex(input.model_json),
+                             .job_id = input.job_id,
+                             .task_id = input.task_id};
   RG_ASSIGN_OR_RETURN(const RolloutResult result,
                       RunRollout(*driver, rollout, *spool, progress, stop, RealClock()));
   return OutputOf(result);

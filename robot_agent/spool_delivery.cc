@@ -27,16 +27,11 @@ int SalvageRecordings(Spool& spool) {
 }
 
 Result<int> DeliverSpool(const std::string& spool_folder, const BundleDeliverer& deliver) {
-  RG_ASSIGN_OR_RETURN(const auto spool, Spool::Open(spool_folder));
-  SalvageRecordings(*spool);
+  if (const auto idle = Spool::Open(spool_folder); idle.ok()) SalvageRecordings(**idle);
+  RG_ASSIGN_OR_RETURN(const auto spool, Spool::OpenToDeliver(spool_folder));
   return spool->Deliver([&](const std::string& id, const std::string& bundle) {
     return deliver(id, bundle, MetadataOfBundle(bundle));
   });
-}
-
-Status ForgetDelivered(const std::string& spool_folder, const std::string& id) {
-  RG_ASSIGN_OR_RETURN(const auto spool, Spool::Open(spool_folder));
-  return spool->Delivered(id);
 }
 
 }  // namespace rg::robot_agent

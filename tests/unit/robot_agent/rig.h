@@ -71,7 +71,9 @@ struct Rig {
                              .controller = controller,
                              .controller_name = "spring",
                              .policy_sha256 = "",
-                             .model_sha256 = ""};
+                             .model_sha256 = "",
+                             .job_id = "",
+                             .task_id = ""};
     return RunRollout(driver, input, *spool, {}, stop, RealClock());
   }
 

@@ -11,6 +11,7 @@
 #include "robot_agent/safety/latch.h"
 #include "robot_agent/safety/own_arm.h"
 #include "robot_agent/safety/watched_move.h"
+#include "robot_agent/spool_delivery.h"
 #include "services/policy/policy.h"
 #include "services/rollouts/recording_bundle.h"
 #include "tests/unit/robot_agent/rig.h"
@@ -70,6 +71,38 @@ TEST(Rollout, AnotherCallWithTheSameIdMovesNothing) {
   EXPECT_EQ(again.bundle, first.bundle);
   EXPECT_EQ(again.goal_error.joint_norm, first.goal_error.joint_norm);
   EXPECT_EQ(untouched->pid(), -1);
+}
+
+TEST(Rollout, WhatBeganIsNeverBegunAgainThoughItsRecordingWasDeliveredOrLost) {
+  Rig rig(true);
+  const RolloutPlan plan = rig.Plan();
+  auto controller = rig.ToGoal(plan);
+  const RolloutResult first = rig.Run(*rig.Driver(), plan, controller).value();
+  rig.spool.reset();
+  const auto take = [](auto&, auto&, auto&) { return Status::Ok(); };
+  ASSERT_EQ(DeliverSpool(rig.folder, take).value(), 1);  // the upload that the worker did not live to see
+  rig.spool = Spool::Open(rig.folder).value();
+  const auto untouched = rig.Driver();
+  const RolloutResult again = rig.Run(*untouched, plan, controller).value();
+  EXPECT_TRUE(again.was_there);
+  EXPECT_EQ(again.bundle, first.bundle);
+  std::filesystem::remove_all(rig.folder + "/sent");
+  const Status refused = rig.Run(*untouched, plan, controller).status();
+  EXPECT_EQ(refused.code(), StatusCode::kAlreadyExists);
+  EXPECT_THAT(refused.message(), HasSubstr("never begun again"));
+  EXPECT_EQ(untouched->pid(), -1);
+}
+
+TEST(Rollout, AFullDiskStopsANewRolloutBeforeTheArmIsTouched) {
+  Rig rig(true);
+  rig.config.min_free_mb = 1e12;
+  const RolloutPlan plan = rig.Plan();
+  auto controller = rig.ToGoal(plan);
+  const auto driver = rig.Driver();
+  const Status refused = rig.Run(*driver, plan, controller).status();
+  EXPECT_EQ(refused.code(), StatusCode::kResourceExhausted);
+  EXPECT_THAT(refused.message(), HasSubstr("make room"));
+  EXPECT_EQ(driver->pid(), -1);
 }
 
 TEST(Rollout, ExcitationMovesJointsThatTheControllerLeavesAtRest) {
@@ -250,6 +283,31 @@ TEST(RolloutTask, WhatCannotRunIsRefusedBeforeTheRobotIsTouched) {
   input.model_json = "{}";
   EXPECT_FALSE(run().ok());
   EXPECT_TRUE(Spool::Open(rig.folder).value()->Active().empty());
+}
+
+TEST(RolloutTask, NamesRatesAndDurationsAreCheckedBeforeTheyBecomeAnything) {
+  Rig rig(true);
+  rig.spool.reset();
+  RolloutTaskInput input;
+  input.model_json = sim::ModelToJson(rig.plant, rig.values);
+  input.policy_bytes = IdlePolicy(rig.plant.joint_names());
+  const auto refusal = [&](const std::function<void(rollouts::RolloutSpec&)>& change) {
+    input.spec = rig.spec;
+    change(input.spec);
+    return RunRolloutTask(rig.config, rig.folder, input, {}, rig.stop).status().message();
+  };
+  EXPECT_THAT(refusal([](auto& s) { s.id = "job1-../../../x-aa"; }), HasSubstr("id \"job1-../../../x-aa\""));
+  EXPECT_THAT(refusal([](auto& s) { s.rate_hz = 2000; }), HasSubstr("rate_hz is 2000"));
+  EXPECT_THAT(refusal([](auto& s) { s.duration_s = std::nan(""); }), HasSubstr("duration_s is nan"));
+  rig.config.max_rate_hz = 50;
+  EXPECT_THAT(refusal([](auto& s) { s.rate_hz = 51; }), HasSubstr("max_rate_hz 50"));
+  rig.config.max_duration_s = 3;
+  EXPECT_THAT(refusal([](auto& s) { s.duration_s = 4; }), HasSubstr("max_duration_s 3"));
+  int files = 0;
+  for (const char* part : {"active", "ready", "sent"})
+    for ([[maybe_unused]] const auto& entry : std::filesystem::directory_iterator(rig.folder + "/" + part))
+      ++files;
+  EXPECT_EQ(files, 0);
 }
 
 TEST(RolloutTask, ThePapersControllerRunsLiveOnTheBelievedModel) {
