@@ -154,6 +154,7 @@ class Loop {
     sample_.command = command_;
     sample_.sent = sent_;
     recorder_.Record(sample_);
+    if (options_.observer != nullptr) options_.observer->OnSample(sample_, result_.jitter);
   }
 
   Driver& driver_;

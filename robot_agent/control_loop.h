@@ -30,11 +30,20 @@ enum class VelocitySource {
   kDifferenced,  // the monitor's own, see SafetyMonitor::Velocity; zero before there are two positions
 };
 
+// Somebody who looks on, in the control cycle: no allocation, no lock, bounded time.
+class LoopObserver {
+ public:
+  virtual ~LoopObserver() = default;
+  virtual void OnState(const RobotState& state) = 0;  // in a move
+  virtual void OnSample(const Sample& sample, const JitterReport& jitter) = 0;
+};
+
 struct ControlLoopOptions {
   double rate_hz = 25.0;
   double duration_s = 6.0;
   VelocitySource velocity_source = VelocitySource::kMeasured;
   StopOptions stop;
+  LoopObserver* observer = nullptr;
 };
 
 struct ControlLoopResult {

@@ -150,6 +150,8 @@ MoveOutcome GoToStart(Driver& driver, ArmModel& arm, const RolloutInput& input, 
   options.tolerance = input.config.pose_tolerance;
   options.timeout_s = input.config.pose_timeout_s;
   options.settle_s = input.config.settle_s;
+  if (input.observer != nullptr)
+    options.on_state = [&input](const RobotState& state) { input.observer->OnState(state); };
   return MoveUnderWatch(driver, arm, input.config.limits, input.plan.spec.start.data(), options, stop);
 }
 
@@ -198,6 +200,29 @@ Status CheckRate(const DriverInfo& info, const rollouts::RolloutSpec& spec) {
                       std::to_string(2.0 / info.silence_timeout_s));
 }
 
+// From where the arm stands. Never a result: what was computed was not what moved it.
+Status DryRun(Driver& driver, ArmModel& arm, const RolloutInput& input, const Spool& spool,
+              const CancelToken& stop, const Clock& clock) {
+  const std::string path = spool.folder() + "/dry_run.rec";
+  std::filesystem::remove(path);
+  const int n = input.plant.num_joints();
+  RG_ASSIGN_OR_RETURN(const auto recorder,
+                      Recorder::Start(path, MetadataOf(driver.info(), input, clock), n, {}));
+  ControlLoopOptions options;
+  options.rate_hz = input.plan.spec.rate_hz;
+  options.duration_s = input.plan.spec.duration_s;
+  options.velocity_source = input.config.velocity_source;
+  options.observer = input.observer;
+  const ControlLoopResult loop =
+      RunControlLoop(driver, input.controller, arm, input.plan.limits, options, *recorder, stop, clock);
+  RG_RETURN_IF_ERROR(recorder->Finish(EndOf(loop, driver.info().joints)));
+  const std::string detail = DescribeTrip(loop.trip, driver.info().joints);
+  return FailedPreconditionError("dry run: " + std::to_string(loop.commands) +
+                                 " commands were computed and none was sent, it ended with " +
+                                 std::string(EndReasonName(loop.trip.reason)) +
+                                 (detail.empty() ? "" : " (" + detail + ")") + "; they are in " + path);
+}
+
 }  // namespace
 
 Eigen::VectorXd ToEigen(const std::vector<double>& x) {
@@ -243,6 +268,7 @@ Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spoo
   RG_RETURN_IF_ERROR(CheckRate(driver.info(), input.plan.spec));
   OwnArm arm(*input.config.arm, Eigen::Map<const Eigen::Vector3d>(input.config.gravity.data()));
   if (stop.cancelled()) return CancelledError("stopped before the rollout began");
+  if (input.config.dry_run) return DryRun(driver, arm, input, spool, stop, clock);
   RG_RETURN_IF_ERROR(latch.BeginMotion(id, FormatWallTime(clock.WallNanos())));
   const MoveOutcome moved = GoToStart(driver, arm, input, progress, stop);
   if (!moved.status.ok()) {
@@ -266,6 +292,7 @@ Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spoo
   options.rate_hz = input.plan.spec.rate_hz;
   options.duration_s = input.plan.spec.duration_s;
   options.velocity_source = input.config.velocity_source;
+  options.observer = input.observer;
   if (progress) progress({"rollout", 0.0, options.duration_s, "running"});
   ExcitedController controller(input.controller,
                                input.plan.spec.excitation * ToEigen(input.plan.limits.torque),

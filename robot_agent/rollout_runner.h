@@ -46,6 +46,7 @@ struct RolloutInput {
   const AgentConfig& config;
   const sim::Plant& plant;  // the believed model: joints, URDF and gravity for the recording
   Controller& controller;   // for plan.spec.goal
+  LoopObserver* observer = nullptr;
   std::string controller_name = "policy";
   std::string policy_sha256, model_sha256, job_id, task_id;  // into the metadata: the recording's lineage
 };

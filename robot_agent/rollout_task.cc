@@ -7,7 +7,9 @@
 #include "common/base/clock.h"
 #include "common/base/hash.h"
 #include "common/sim/model_file.h"
+#include "robot_agent/board.h"
 #include "robot_agent/controllers.h"
+#include "robot_agent/dry_run_driver.h"
 #include "robot_agent/rollout_runner.h"
 #include "robot_agent/spool_delivery.h"
 #include "services/rollouts/reference_motion.h"
@@ -79,6 +81,17 @@ Result<std::unique_ptr<Controller>> MakeController(const RolloutTaskInput& input
   return std::unique_ptr<Controller>(std::move(controller));
 }
 
+// A real arm without an agent beside it would not hear a stop.
+Status CheckArmed(const AgentConfig& config, const Result<std::unique_ptr<Board>>& board) {
+  if (board.ok()) {
+    if ((*board)->armed()) return Status::Ok();
+    return FailedPreconditionError("the arm " + config.name + " is disarmed: realitygrad agent arm");
+  }
+  if (config.arm_ends_with_driver() && board.status().code() == StatusCode::kNotFound) return Status::Ok();
+  return FailedPreconditionError("no agent runs beside the arm " + config.name +
+                                 ", a stop would not be heard: " + board.status().message());
+}
+
 RolloutTaskOutput OutputOf(const RolloutResult& result) {
   const json rollout = json::parse(result.rollout_json);
   const json jitter = rollout.value("jitter", json::object());
@@ -117,19 +130,35 @@ Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::s
   }
   RG_ASSIGN_OR_RETURN(const RolloutPlan plan, PlanRollout(spec, config, model.plant));
   RG_ASSIGN_OR_RETURN(const auto controller, MakeController(input, model, plan, motion));
-  RG_ASSIGN_OR_RETURN(const auto driver, MakeDriver(config, plan.spec.robot_seed));
-  const RolloutInput rollout{.plan = plan,
-                             .config = config,
-                             .plant = model.plant,
-                             .controller = *controller,
-                             .controller_name = input.controller,
-                             .policy_sha256 = input.policy_bytes.empty() ? "" : Sha256Hex(input.policy_bytes),
-                             .model_sha256 = Sha256Hex(input.model_json),
-                             .job_id = input.job_id,
-                             .task_id = input.task_id};
-  RG_ASSIGN_OR_RETURN(const RolloutResult result,
-                      RunRollout(*driver, rollout, *spool, progress, stop, RealClock()));
-  return OutputOf(result);
+  RG_ASSIGN_OR_RETURN(auto driver, MakeDriver(config, plan.spec.robot_seed));
+  if (config.dry_run) driver = std::make_unique<DryRunDriver>(std::move(driver));
+  RolloutInput rollout{.plan = plan,
+                       .config = config,
+                       .plant = model.plant,
+                       .controller = *controller,
+                       .controller_name = input.controller,
+                       .policy_sha256 = input.policy_bytes.empty() ? "" : Sha256Hex(input.policy_bytes),
+                       .model_sha256 = Sha256Hex(input.model_json),
+                       .job_id = input.job_id,
+                       .task_id = input.task_id};
+  const auto board = Board::Open(spool_folder);
+  RG_RETURN_IF_ERROR(CheckArmed(config, board));
+  if (!board.ok()) {
+    RG_ASSIGN_OR_RETURN(const RolloutResult result,
+                        RunRollout(*driver, rollout, *spool, progress, stop, RealClock()));
+    return OutputOf(result);
+  }
+  const StopListener listener(**board, stop);
+  BoardPublisher publisher(**board, plan.spec.id, model.plant.joint_names(), plan.limits, plan.spec.rate_hz,
+                           config.dry_run);
+  rollout.observer = &publisher;
+  const auto result = RunRollout(*driver, rollout, *spool, progress, listener.token(), RealClock());
+  if (!result.ok()) {
+    publisher.SetEnd(std::string(StatusCodeName(result.status().code())), result.status().message());
+    return result.status();
+  }
+  publisher.SetEnd(std::string(EndReasonName(result->reason)), result->detail);
+  return OutputOf(*result);
 }
 
 }  // namespace rg::robot_agent

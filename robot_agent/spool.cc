@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
 #include <cstdio>
 #include <cstring>
 #include <filesystem>
@@ -98,9 +99,14 @@ Status Spool::Commit(const std::string& id, const std::string& bundle) {
   return Status::Ok();
 }
 
-int Spool::Deliver(const Deliverer& deliver) {
+int Spool::Deliver(const Deliverer& deliver, double least_age_s) {
   int delivered = 0;
+  const auto now = fs::file_time_type::clock::now();
   for (const std::string& id : IdsByTime(folder_ + "/ready", kReadySuffix)) {
+    std::error_code gone;
+    const auto written = fs::last_write_time(ReadyPath(id), gone);
+    if (gone) continue;
+    if (least_age_s > 0.0 && std::chrono::duration<double>(now - written).count() < least_age_s) continue;
     const auto bundle = ReadFile(ReadyPath(id));
     const Status status = bundle.ok() ? deliver(id, *bundle) : bundle.status();
     if (!status.ok() && status.code() != StatusCode::kAlreadyExists) {

@@ -55,7 +55,7 @@ class Spool {
   // nobody is there to take any, all stay. Anything else: it stays, and Deliver goes on with the next one.
   // Returns how many left.
   using Deliverer = std::function<Status(const std::string& id, const std::string& bundle)>;
-  int Deliver(const Deliverer& deliver);
+  int Deliver(const Deliverer& deliver, double least_age_s = 0.0);
   // The bundle has reached its receiver: it goes to sent/, of which the newest kKeptSent stay.
   static constexpr size_t kKeptSent = 32;
   Status Delivered(const std::string& id);

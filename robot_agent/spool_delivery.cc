@@ -26,12 +26,14 @@ int SalvageRecordings(Spool& spool) {
   return static_cast<int>(ids.size());
 }
 
-Result<int> DeliverSpool(const std::string& spool_folder, const BundleDeliverer& deliver) {
+Result<int> DeliverSpool(const std::string& spool_folder, const BundleDeliverer& deliver,
+                         double least_age_s) {
   if (const auto idle = Spool::Open(spool_folder); idle.ok()) SalvageRecordings(**idle);
   RG_ASSIGN_OR_RETURN(const auto spool, Spool::OpenToDeliver(spool_folder));
-  return spool->Deliver([&](const std::string& id, const std::string& bundle) {
+  const auto with_metadata = [&](const std::string& id, const std::string& bundle) {
     return deliver(id, bundle, MetadataOfBundle(bundle));
-  });
+  };
+  return spool->Deliver(with_metadata, least_age_s);
 }
 
 }  // namespace rg::robot_agent

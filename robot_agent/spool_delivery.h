@@ -19,6 +19,7 @@ int SalvageRecordings(Spool& spool);
 // else delivers.
 using BundleDeliverer =
     std::function<Status(const std::string& id, const std::string& bundle, const std::string& metadata_json)>;
-Result<int> DeliverSpool(const std::string& spool_folder, const BundleDeliverer& deliver);
+Result<int> DeliverSpool(const std::string& spool_folder, const BundleDeliverer& deliver,
+                         double least_age_s = 0.0);
 
 }  // namespace rg::robot_agent

@@ -59,6 +59,7 @@ class WatchedMove {
     seen_.operator_stop = stop_.cancelled();
     if (seen_.has_state) arm_.Tip(seen_.state.q.data(), tip_);
     seen_.tip = seen_.has_state ? tip_ : nullptr;
+    if (read.ok() && options_.on_state) options_.on_state(seen_.state);
     if (monitor_.OnMove(seen_, under_way) == Action::kCommand) return Status::Ok();
     const Trip& trip = monitor_.trip();
     if (trip.reason == EndReason::kOperatorStop) return CancelledError("stopped on the way");

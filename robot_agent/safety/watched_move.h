@@ -2,6 +2,8 @@
 // that is heard at once. Ends like everything else: at rest and seen to be, or by StopArm.
 #pragma once
 
+#include <functional>
+
 #include "common/base/progress.h"
 #include "common/base/status.h"
 #include "robot_agent/drivers/driver.h"
@@ -17,6 +19,7 @@ struct MoveOptions {
   double timeout_s = 60.0;
   double settle_s = 0.3;  // watched at rest after it arrived
   StopOptions stop;
+  std::function<void(const RobotState&)> on_state;  // may be empty
 };
 
 struct MoveOutcome {

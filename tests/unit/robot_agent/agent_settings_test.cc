@@ -42,6 +42,20 @@ TEST(AgentSettings, AnExecutorChildFindsThemInTheEnvironment) {
   EXPECT_THAT(settings.worker_arguments, ElementsAre("agent", "--executor-fd", "7"));
 }
 
+TEST(AgentSettings, ArmedAndDryRunAreSaidOnTheCommandLine) {
+  const auto read = [](std::vector<std::string> more) {
+    std::vector<std::string> words{"agent", "--config", ConfigPath()};
+    words.insert(words.end(), more.begin(), more.end());
+    return ReadAgentSettings(words).value();
+  };
+  EXPECT_FALSE(read({}).armed.has_value());
+  EXPECT_EQ(read({"--arm"}).armed, true);
+  EXPECT_EQ(read({"--disarmed"}).armed, false);
+  EXPECT_FALSE(read({}).config.dry_run);
+  EXPECT_TRUE(read({"--dry-run"}).config.dry_run);
+  EXPECT_THAT(read({"--dry-run", "--arm"}).worker_arguments, ElementsAre("agent"));
+}
+
 TEST(AgentSettings, AMissingOrWrongConfigIsOneClearLine) {
   EXPECT_THAT(ReadAgentSettings({"agent"}).status().message(), HasSubstr("--config"));
   EXPECT_FALSE(ReadAgentSettings({"agent", "--config", "/nonexistent"}).ok());

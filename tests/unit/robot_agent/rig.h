@@ -69,6 +69,7 @@ struct Rig {
                              .config = config,
                              .plant = plant,
                              .controller = controller,
+                             .observer = nullptr,
                              .controller_name = "spring",
                              .policy_sha256 = "",
                              .model_sha256 = "",

@@ -1,12 +1,14 @@
 // Whole rollouts against the simulated robot in its own process, in lock-step.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <nlohmann/json.hpp>
 
 #include "common/base/hash.h"
 #include "common/recordings/csv.h"
 #include "common/sim/model_file.h"
+#include "robot_agent/board.h"
 #include "robot_agent/rollout_task.h"
 #include "robot_agent/safety/latch.h"
 #include "robot_agent/safety/own_arm.h"
@@ -308,6 +310,63 @@ TEST(RolloutTask, NamesRatesAndDurationsAreCheckedBeforeTheyBecomeAnything) {
     for ([[maybe_unused]] const auto& entry : std::filesystem::directory_iterator(rig.folder + "/" + part))
       ++files;
   EXPECT_EQ(files, 0);
+}
+
+struct TaskRig : Rig {
+  TaskRig() : Rig(true) {
+    spool.reset();
+    input.model_json = sim::ModelToJson(plant, values);
+    input.policy_bytes = IdlePolicy(plant.joint_names());
+    input.spec = spec;
+  }
+  RolloutTaskInput input;
+};
+
+TEST(RolloutTask, AStopByTheAgentEndsItAndNothingBeginsBeforeItIsArmedAgain) {
+  TaskRig rig;
+  auto board = Board::Create(rig.folder).value();
+  const auto refused = RunRolloutTask(rig.config, rig.folder, rig.input, {}, rig.stop).status();
+  EXPECT_EQ(refused.code(), StatusCode::kFailedPrecondition);
+  EXPECT_THAT(refused.message(), HasSubstr("realitygrad agent arm"));
+  board->Arm(true);
+  board->Beat(RealClock().SteadyNanos() + 3'600'000'000'000);
+  rig.input.spec.duration_s = 300;  // stopped long before
+  bool saw_motion = false;
+  const auto listen = [&](const ProgressUpdate& update) {
+    if (update.note != "running") return;
+    saw_motion = board->mover() == getpid() && board->Read().phase != Phase::kIdle;
+    board->AskStop();
+  };
+  const auto output = RunRolloutTask(rig.config, rig.folder, rig.input, listen, rig.stop).value();
+  const auto rollout = nlohmann::json::parse(output.metadata_json);
+  EXPECT_EQ(rollout["end_reason"], "operator_stop");
+  EXPECT_EQ(rollout["stop"]["confirmed"], true);
+  EXPECT_TRUE(saw_motion);
+  EXPECT_EQ(board->mover(), 0);
+  EXPECT_EQ(std::string(board->Read().last_reason), "operator_stop");
+  EXPECT_NEAR(board->Read().q[1], M_PI, 0.5);
+  EXPECT_FALSE(board->armed());
+}
+
+TEST(RolloutTask, AnArmThatOutlivesItsDriverNeedsAnAgentBesideIt) {
+  TaskRig rig;
+  rig.config.simulated.socket_path = rig.folder + "/robot.sock";
+  const auto refused = RunRolloutTask(rig.config, rig.folder, rig.input, {}, rig.stop).status();
+  EXPECT_THAT(refused.message(), HasSubstr("a stop would not be heard"));
+}
+
+TEST(RolloutTask, ADryRunComputesAndSendsNothing) {
+  TaskRig rig;
+  rig.config.dry_run = true;
+  rig.input.spec.duration_s = 0.5;
+  const auto outcome = RunRolloutTask(rig.config, rig.folder, rig.input, {}, rig.stop).status();
+  EXPECT_EQ(outcome.code(), StatusCode::kFailedPrecondition) << "it is no recording";
+  EXPECT_THAT(outcome.message(), HasSubstr("commands were computed and none was sent"));
+  const RawRecording raw = ReadRawRecording(rig.folder + "/dry_run.rec").value();
+  EXPECT_GE(raw.samples.size(), 3u);
+  for (const Sample& sample : raw.samples)
+    for (int i = 0; i < 6; ++i) EXPECT_NEAR(sample.q[i], raw.samples[0].q[i], 0.003) << "it moved";
+  EXPECT_TRUE(Spool::Open(rig.folder).value()->Ready().empty());
 }
 
 TEST(RolloutTask, ThePapersControllerRunsLiveOnTheBelievedModel) {
