@@ -74,7 +74,9 @@ std::string MetadataOf(const DriverInfo& info, const RolloutInput& input, const 
               {"gravity", {gravity.x(), gravity.y(), gravity.z()}},
               {"rate_hz", spec.rate_hz},
               {"duration_s", spec.duration_s},
-              {"torque_convention", "whole joint torque, gravity included"},
+              {"torque_convention", info.adds_gravity_compensation
+                                        ? "what the arm was handed; its base adds gravity compensation"
+                                        : "whole joint torque, gravity included"},
               {"adds_gravity_compensation", info.adds_gravity_compensation},
               {"start", ToVector(spec.start)},
               {"goal", ToVector(spec.goal)},

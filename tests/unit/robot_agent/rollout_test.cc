@@ -208,8 +208,38 @@ TEST(Rollout, ABaseThatAddsGravityRunsTheSameControllers) {
   EXPECT_EQ(result.reason, EndReason::kCompleted) << result.detail;
   EXPECT_LT(result.goal_error.joint_norm, 0.5 * result.goal_error.start_norm);
   const auto bundle = rollouts::UnpackBundle(result.bundle).value();
-  EXPECT_THAT(bundle.at(kRecordingFile), HasSubstr("effort_sent.joint_2"));
   EXPECT_THAT(bundle.at(kRecordingFile), HasSubstr("command_time"));
+  EXPECT_THAT(bundle.at(kRecordingFile), HasSubstr("effort_asked.joint_2"));
+  // The recording says that it lacks gravity, and with it the torque is the one that was asked for.
+  const auto set = rollouts::LoadBundle(result.bundle).value();
+  const auto whole = rollouts::LoadBundleOfWholeTorques(result.bundle).value();
+  EXPECT_TRUE(set.effort_excludes_gravity);
+  EXPECT_FALSE(whole.effort_excludes_gravity);
+  const auto asked = whole.recordings[0].other.at("effort_asked.joint_2");
+  const Eigen::VectorXd handed = set.recordings[0].effort_command.row(1);
+  const Eigen::VectorXd with_gravity = whole.recordings[0].effort_command.row(1);
+  EXPECT_GT((asked - handed).cwiseAbs().maxCoeff(), 1.0);
+  EXPECT_LT((asked - with_gravity).cwiseAbs().maxCoeff(), 0.35);  // gravity between two rows, not at one
+}
+
+// What drives the arm is what it was handed plus the gravity of *its* masses. Sets that say different things
+// about it are not mixed.
+TEST(Rollout, RecordingsOfBothConventionsAreNotMixed) {
+  std::vector<recordings::RecordingSet> sets;
+  for (const char* compensation : {"none", "true"}) {
+    Rig rig(true);
+    auto json = nlohmann::json::parse(ReadFile(rig.config.simulated.truth_path).value());
+    json["gravity_compensation"] = compensation;
+    json["urdf"] = SourceDir() + "/deploy/robots/mico2.urdf";
+    rig.config.simulated.truth_path = rig.folder + "/truth.json";
+    ASSERT_TRUE(WriteFileAtomically(rig.config.simulated.truth_path, json.dump()).ok());
+    const RolloutPlan plan = rig.Plan();
+    auto controller = rig.ToGoal(plan);
+    sets.push_back(rollouts::LoadBundle(rig.Run(*rig.Driver(), plan, controller).value().bundle).value());
+    sets.back().folder = compensation;
+    EXPECT_TRUE(sets.back().effort_excludes_gravity_given);
+  }
+  EXPECT_THAT(recordings::MergeSets(sets).status().message(), HasSubstr("effort_excludes_gravity"));
 }
 
 TEST(Rollout, SilencePutsTheArmInPositionMode) {
