@@ -158,7 +158,10 @@ Result<AgentConfig> ParseAgentConfig(const std::string& text, const std::string&
 
 Result<AgentConfig> LoadAgentConfig(const std::string& path) {
   RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
-  return ParseAgentConfig(text, std::filesystem::path(path).parent_path().string(), path);
+  RG_ASSIGN_OR_RETURN(AgentConfig config,
+                      ParseAgentConfig(text, std::filesystem::path(path).parent_path().string(), path));
+  config.path = path;
+  return config;
 }
 
 Result<SafetyLimits> LimitsFor(const AgentConfig& config, const model::RobotModel& model,

@@ -42,6 +42,7 @@ struct AgentConfig {
   VelocitySource velocity_source = VelocitySource::kMeasured;
   // The arm is a child process of its driver: with the driver gone there is none that could move.
   bool arm_ends_with_driver() const { return driver == "simulated" && simulated.socket_path.empty(); }
+  std::string path;         // of the file; empty: none
   bool dry_run = false;     // not of the file: --dry-run
   double excitation = 0.0;  // where the rollout's specification leaves it open
 };

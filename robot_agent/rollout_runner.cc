@@ -11,6 +11,7 @@
 #include "common/base/log.h"
 #include "common/model/robot_model.h"
 #include "robot_agent/controllers.h"
+#include "robot_agent/guard/guard_driver.h"
 #include "robot_agent/safety/latch.h"
 #include "robot_agent/safety/own_arm.h"
 #include "robot_agent/safety/watched_move.h"
@@ -177,6 +178,16 @@ Status CheckRoom(const Spool& spool, const RolloutInput& input, int n) {
   return spool.CheckRoom(4e-6 * bytes + input.config.min_free_mb);
 }
 
+// The loop only sees that the arm left its mode: the guard knows why.
+void AskGuard(const GuardDriver& guard, Trip* trip) {
+  const bool symptom = trip->reason == EndReason::kModeLost || trip->reason == EndReason::kDriverLost ||
+                       trip->reason == EndReason::kMissedDeadlines;
+  if (!symptom || guard.trip().reason == EndReason::kNone) return;
+  const int64_t at_ns = trip->at_ns;
+  *trip = guard.trip();
+  trip->at_ns = at_ns;
+}
+
 // The stop is known to have worked, or the arm is latched. Safe stop first, words second.
 void CloseLatch(Latch& latch, const StopReport& stop, const std::string& id, const Clock& clock) {
   const std::string now = FormatWallTime(clock.WallNanos());
@@ -299,8 +310,9 @@ Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spoo
   ExcitedController controller(input.controller,
                                input.plan.spec.excitation * ToEigen(input.plan.limits.torque),
                                options.duration_s, input.plan.spec.goal_seed);
-  const ControlLoopResult loop =
+  ControlLoopResult loop =
       RunControlLoop(driver, controller, arm, input.plan.limits, options, *recorder, stop, clock);
+  if (input.guard != nullptr) AskGuard(*input.guard, &loop.trip);
   CloseLatch(latch, loop.stop, id, clock);
   const Status recorded = recorder->Finish(EndOf(loop, driver.info().joints));
   if (!recorded.ok()) spdlog::error("recording {}: {}", id, recorded.ToString());

@@ -29,6 +29,8 @@
 
 namespace rg::robot_agent {
 
+class GuardDriver;
+
 // Limits and poses of the configuration as what algorithms take.
 Eigen::VectorXd ToEigen(const std::vector<double>& x);
 
@@ -47,6 +49,7 @@ struct RolloutInput {
   const sim::Plant& plant;  // the believed model: joints, URDF and gravity for the recording
   Controller& controller;   // for plan.spec.goal
   LoopObserver* observer = nullptr;
+  const GuardDriver* guard = nullptr;  // the driver, if it is one
   std::string controller_name = "policy";
   std::string policy_sha256, model_sha256, job_id, task_id;  // into the metadata: the recording's lineage
 };

@@ -1,6 +1,7 @@
 #include "robot_agent/rollout_task.h"
 
 #include <cstdio>
+#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <optional>
 
@@ -10,6 +11,7 @@
 #include "robot_agent/board.h"
 #include "robot_agent/controllers.h"
 #include "robot_agent/dry_run_driver.h"
+#include "robot_agent/guard/guard_driver.h"
 #include "robot_agent/rollout_runner.h"
 #include "robot_agent/spool_delivery.h"
 #include "services/rollouts/reference_motion.h"
@@ -92,6 +94,34 @@ Status CheckArmed(const AgentConfig& config, const Result<std::unique_ptr<Board>
                                  ", a stop would not be heard: " + board.status().message());
 }
 
+std::string GuardProgram() {
+  std::error_code error;
+  const auto self = std::filesystem::read_symlink("/proc/self/exe", error);
+  return (self.parent_path() / "realitygrad-guard").string();
+}
+
+// Beside an agent the arm is the guard's. Without one (tests, tools) it is a simulated arm's own driver.
+Result<std::unique_ptr<Driver>> DriverFor(const AgentConfig& config, const rollouts::RolloutSpec& spec,
+                                          const std::string& spool_folder, bool beside_agent,
+                                          const GuardDriver** guard) {
+  if (config.dry_run || !beside_agent || config.path.empty()) {
+    RG_ASSIGN_OR_RETURN(auto driver, MakeDriver(config, spec.robot_seed));
+    if (!config.dry_run) return driver;
+    return std::unique_ptr<Driver>(std::make_unique<DryRunDriver>(std::move(driver)));
+  }
+  std::vector<std::string> arguments = {GuardProgram(),
+                                        "--config",
+                                        config.path,
+                                        "--spool",
+                                        spool_folder,
+                                        "--seed",
+                                        std::to_string(spec.robot_seed)};
+  if (config.simulated.lock_step) arguments.push_back("--lock-step");
+  RG_ASSIGN_OR_RETURN(auto guarded, GuardDriver::Start(std::move(arguments), 1.0 / spec.rate_hz));
+  *guard = guarded.get();
+  return std::unique_ptr<Driver>(std::move(guarded));
+}
+
 RolloutTaskOutput OutputOf(const RolloutResult& result) {
   const json rollout = json::parse(result.rollout_json);
   const json jitter = rollout.value("jitter", json::object());
@@ -130,8 +160,10 @@ Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::s
   }
   RG_ASSIGN_OR_RETURN(const RolloutPlan plan, PlanRollout(spec, config, model.plant));
   RG_ASSIGN_OR_RETURN(const auto controller, MakeController(input, model, plan, motion));
-  RG_ASSIGN_OR_RETURN(auto driver, MakeDriver(config, plan.spec.robot_seed));
-  if (config.dry_run) driver = std::make_unique<DryRunDriver>(std::move(driver));
+  const auto board = Board::Open(spool_folder);
+  RG_RETURN_IF_ERROR(CheckArmed(config, board));
+  const GuardDriver* guard = nullptr;
+  RG_ASSIGN_OR_RETURN(const auto driver, DriverFor(config, plan.spec, spool_folder, board.ok(), &guard));
   RolloutInput rollout{.plan = plan,
                        .config = config,
                        .plant = model.plant,
@@ -141,8 +173,7 @@ Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::s
                        .model_sha256 = Sha256Hex(input.model_json),
                        .job_id = input.job_id,
                        .task_id = input.task_id};
-  const auto board = Board::Open(spool_folder);
-  RG_RETURN_IF_ERROR(CheckArmed(config, board));
+  rollout.guard = guard;
   if (!board.ok()) {
     RG_ASSIGN_OR_RETURN(const RolloutResult result,
                         RunRollout(*driver, rollout, *spool, progress, stop, RealClock()));

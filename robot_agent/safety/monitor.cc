@@ -12,7 +12,7 @@ constexpr std::string_view kNames[] = {
     "torque_limit",  "task_space_limit", "controller_nan",   "robot_nan",
     "stale_state",   "impossible_state", "missed_deadlines", "driver_lost",
     "operator_stop", "recorder_failed",  "mode_lost",        "interrupted",
-    "not_started",   "frozen_state"};
+    "not_started",   "frozen_state",     "controller_hung"};
 
 constexpr int64_t kFutureTolerance = 5'000'000;  // a stamp this far ahead of now is still a rounding
 
@@ -317,6 +317,9 @@ std::string DescribeTrip(const Trip& trip, const std::vector<std::string>& joint
       else
         std::snprintf(text, sizeof text, "%.0f deadlines missed in a row, limit %.0f", trip.value,
                       trip.limit);
+      return text;
+    case EndReason::kControllerHung:
+      std::snprintf(text, sizeof text, "no command came for %.3g s, limit %.3g s", trip.value, trip.limit);
       return text;
     case EndReason::kModeLost:
       return "the arm left its mode by itself";

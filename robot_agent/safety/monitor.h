@@ -37,10 +37,11 @@ enum class EndReason : uint16_t {
   kDriverLost = 11,
   kOperatorStop = 12,
   kRecorderFailed = 13,
-  kModeLost = 14,     // the arm left torque mode by itself
-  kInterrupted = 15,  // the recording process died; found when the recording was salvaged
-  kNotStarted = 16,   // the start pose or torque mode was not reached
-  kFrozenState = 17,  // stamps advance, positions do not, and the arm should be moving
+  kModeLost = 14,        // the arm left torque mode by itself
+  kInterrupted = 15,     // the recording process died; found when the recording was salvaged
+  kNotStarted = 16,      // the start pose or torque mode was not reached
+  kFrozenState = 17,     // stamps advance, positions do not, and the arm should be moving
+  kControllerHung = 18,  // no command came in time (guard/guard.h)
 };
 std::string_view EndReasonName(EndReason reason);    // "completed", "position_limit", …
 EndReason EndReasonFromName(std::string_view name);  // kNone if unknown

@@ -284,7 +284,7 @@ TEST_F(Monitor, TheFirstTorqueIsRefusedNotLimited) {
 }
 
 TEST(EndReasons, NamesAreReadBack) {
-  for (int r = 0; r <= static_cast<int>(EndReason::kFrozenState); ++r)
+  for (int r = 0; r <= static_cast<int>(EndReason::kControllerHung); ++r)
     EXPECT_EQ(EndReasonFromName(EndReasonName(static_cast<EndReason>(r))), static_cast<EndReason>(r));
 }
 

@@ -70,6 +70,7 @@ struct Rig {
                              .plant = plant,
                              .controller = controller,
                              .observer = nullptr,
+                             .guard = nullptr,
                              .controller_name = "spring",
                              .policy_sha256 = "",
                              .model_sha256 = "",
