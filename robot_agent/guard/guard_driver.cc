@@ -68,11 +68,12 @@ Status GuardDriver::Ask(GuardRequest request, const double* values, double timeo
   request_.request = request;
   request_.sequence = ++sequence_;
   if (values != nullptr) std::copy_n(values, info_.joints.size(), request_.values.begin());
-  if (!socket_.Send(&request_, sizeof request_).ok()) return Lost("the guard is gone");
+  if (!socket_.Send(&request_, sizeof request_).ok())
+    return Lost("realitygrad-guard ended (its messages are above)");
   const auto received = socket_.Receive(&reply_, sizeof reply_, timeout_s);
   if (received.code == StatusCode::kDeadlineExceeded) return Lost("the guard does not answer");
   if (received.code != StatusCode::kOk || received.bytes != sizeof reply_ || reply_.magic != kGuardMagic)
-    return Lost("the guard is gone");
+    return Lost("realitygrad-guard ended (its messages are above)");
   time_ns_ = reply_.time_ns;
   if (reply_.code == StatusCode::kOk) return Status::Ok();
   return Status(reply_.code, reply_.text);

@@ -14,6 +14,12 @@ constexpr std::string_view kNames[] = {
     "operator_stop", "recorder_failed",  "mode_lost",        "interrupted",
     "not_started",   "frozen_state",     "controller_hung"};
 
+// From `last` towards gravity, not beyond it: letting go is never held up.
+bool Releases(double last, double tau, double gravity) {
+  const double before = last - gravity, after = tau - gravity;
+  return before * after >= 0.0 && std::abs(after) <= std::abs(before);
+}
+
 constexpr int64_t kFutureTolerance = 5'000'000;  // a stamp this far ahead of now is still a rounding
 
 }  // namespace
@@ -91,7 +97,8 @@ Action SafetyMonitor::LimitCommand(double* tau, const double* gravity, int64_t n
     const double most = limits_.torque[i];
     const double step = limits_.torque_rate[i] * std::max(dt, period_s_);
     double limited = std::clamp(tau[i], -most, most);
-    if (has_last_) limited = std::clamp(limited, last_[i] - step, last_[i] + step);
+    if (has_last_ && !(gravity != nullptr && Releases(last_[i], limited, gravity[i])))
+      limited = std::clamp(limited, last_[i] - step, last_[i] + step);
     saturated |= limited != tau[i];
     tau[i] = limited;
   }

@@ -96,7 +96,8 @@ class SafetyMonitor {
   // Torque mode.
   Action OnTick(const Observation& seen);
   // Only after OnTick returned kCommand. tau (n), in place: limited to ±torque and to torque_rate since the
-  // last one. kCommand: send it; otherwise it tripped (NaN, far beyond the limit) and tau must not be sent.
+  // last one, but for what only comes nearer to `gravity` (n, may be null). kCommand: send it; otherwise it
+  // tripped (NaN, far beyond the limit) and tau must not be sent.
   Action LimitCommand(double* tau, const double* gravity, int64_t now_ns);
 
   // n, differenced over velocity_window_s; false: too few positions were seen.

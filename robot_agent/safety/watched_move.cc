@@ -37,6 +37,7 @@ class WatchedMove {
     while (true) {
       RG_RETURN_IF_ERROR(Look(true));
       if (!seen_.state.moving && Distance() <= options_.tolerance) break;
+      RG_RETURN_IF_ERROR(CheckNotStalled());
       if (driver_.NowNanos() >= give_up)
         return DeadlineExceededError("the pose was not reached within " + std::to_string(options_.timeout_s) +
                                      " s, still " + std::to_string(Distance()) + " rad away");
@@ -48,6 +49,15 @@ class WatchedMove {
       RG_RETURN_IF_ERROR(Look(false));
     }
     return Status::Ok();
+  }
+
+  // An arm that was stopped by somebody else (its base, a guard, a person) does not wait for the time-out.
+  Status CheckNotStalled() {
+    const int64_t now = driver_.NowNanos();
+    if (seen_.state.moving || last_moved_ns_ == 0) last_moved_ns_ = now;
+    if (1e-9 * static_cast<double>(now - last_moved_ns_) < options_.stall_s) return Status::Ok();
+    return FailedPreconditionError("the arm stopped by itself, " + std::to_string(Distance()) +
+                                   " rad short of the pose");
   }
 
   // Not ok: the monitor tripped.
@@ -85,6 +95,7 @@ class WatchedMove {
   Observation seen_;
   double tip_[3] = {};
   bool reached_ = true;
+  int64_t last_moved_ns_ = 0;
 };
 
 }  // namespace

@@ -18,13 +18,15 @@ struct MoveOptions {
   double tolerance = 0.05;  // rad (m), per joint
   double timeout_s = 60.0;
   double settle_s = 0.3;  // watched at rest after it arrived
+  double stall_s = 3.0;   // the arm says that it does not move, and is not there
   StopOptions stop;
   std::function<void(const RobotState&)> on_state;  // may be empty
 };
 
 struct MoveOutcome {
   // Ok: there, and at rest. kCancelled: stopped by the operator; kDeadlineExceeded: not there in time;
-  // kFailedPrecondition: the monitor tripped, in words; else the driver's own error.
+  // kFailedPrecondition: the monitor tripped, in words, or the arm stopped short by itself; else the driver's
+  // own error.
   Status status;
   Trip trip;
   StopReport stop;  // of a move that did not arrive

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <limits>
+#include <utility>
 
 namespace rg::robot_agent {
 namespace {
@@ -188,6 +189,25 @@ TEST_F(Monitor, CommandsAreLimitedCountedAndFarBeyondTheLimitTrip) {
   EXPECT_EQ(monitor.LimitCommand(wild, nullptr, seen_.now_ns), Action::kZeroAdded);
   EXPECT_EQ(monitor.trip().reason, EndReason::kTorqueLimit);
   EXPECT_EQ(monitor.trip().joint, 1);
+}
+
+TEST_F(Monitor, ATorqueIsBuiltUpAtItsRateAndLetGoAtOnce) {
+  limits_.torque_rate = {25, 25};  // 1 N·m per tick
+  SafetyMonitor monitor(limits_, 2, 0.04);
+  const double gravity[2] = {2, -1};
+  double tau[2] = {2, -1};
+  const auto after = [&](double a, double b) {
+    monitor.OnTick(Next());
+    tau[0] = a, tau[1] = b;
+    monitor.LimitCommand(tau, gravity, seen_.now_ns);
+    return std::pair(tau[0], tau[1]);
+  };
+  EXPECT_EQ(after(2, -1), std::pair(2.0, -1.0));
+  EXPECT_EQ(after(9, -5), std::pair(3.0, -2.0));
+  EXPECT_EQ(after(9, -5), std::pair(4.0, -3.0));
+  EXPECT_EQ(after(2, -1), std::pair(2.0, -1.0)) << "zero added torque is not held up";
+  EXPECT_EQ(after(4, -1), std::pair(3.0, -1.0));
+  EXPECT_EQ(after(-9, -1), std::pair(2.0, -1.0)) << "through gravity it is a torque the other way";
 }
 
 TEST_F(Monitor, NotANumberFromTheControllerTrips) {
