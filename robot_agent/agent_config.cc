@@ -7,6 +7,7 @@
 
 #include "common/base/file.h"
 #include "common/model/urdf_loader.h"
+#include "robot_agent/safety/own_arm.h"
 
 namespace rg::robot_agent {
 namespace {
@@ -68,6 +69,47 @@ Status CheckPositive(const char* field, double value) {
   return InvalidError(std::string(field) + " is " + std::to_string(value) + ", needs a positive number");
 }
 
+Result<Eigen::Vector3d> ReadPoint(const json& object, const char* field, const std::string& name) {
+  const auto point = object.at(field).get<std::vector<double>>();
+  if (point.size() != 3 || !std::isfinite(point[0] + point[1] + point[2]))
+    return InvalidError("capsules: " + name + ": " + field + " needs three finite numbers");
+  return Eigen::Vector3d(point[0], point[1], point[2]);
+}
+
+Result<int> FindPart(const CapsuleSet& parts, const std::string& name) {
+  for (size_t i = 0; i < parts.capsules.size(); ++i)
+    if (parts.capsules[i].name == name) return static_cast<int>(i);
+  return InvalidError("apart: there is no capsule \"" + name + "\"");
+}
+
+Status ReadParts(const json& root, AgentConfig* config) {
+  if (root.contains("capsules") != root.contains("apart"))
+    return InvalidError("\"capsules\" and \"apart\" go together");
+  for (const json& object : root.value("capsules", json::array())) {
+    RG_RETURN_IF_ERROR(CheckKeys(object, {"name", "link", "from", "to", "radius"}, "capsules: "));
+    Capsule part;
+    object.at("name").get_to(part.name);
+    object.at("link").get_to(part.link);
+    object.at("radius").get_to(part.radius);
+    RG_ASSIGN_OR_RETURN(part.from, ReadPoint(object, "from", part.name));
+    RG_ASSIGN_OR_RETURN(part.to, ReadPoint(object, "to", part.name));
+    RG_RETURN_IF_ERROR(CheckPositive(("capsules: " + part.name + ": radius").c_str(), part.radius));
+    if (!config->arm->FindFrame(part.link))
+      return InvalidError("capsules: " + part.name + ": the URDF has no link \"" + part.link + "\"");
+    if (FindPart(config->parts, part.name).ok())
+      return InvalidError("capsules: \"" + part.name + "\" is there twice");
+    config->parts.capsules.push_back(std::move(part));
+  }
+  for (const json& names : root.value("apart", json::array())) {
+    const auto two = names.get<std::vector<std::string>>();
+    if (two.size() != 2 || two[0] == two[1]) return InvalidError("apart: needs pairs of two names");
+    RG_ASSIGN_OR_RETURN(const int a, FindPart(config->parts, two[0]));
+    RG_ASSIGN_OR_RETURN(const int b, FindPart(config->parts, two[1]));
+    config->parts.apart.emplace_back(a, b);
+  }
+  return Status::Ok();
+}
+
 Status ReadFence(const json& root, AgentConfig* config) {
   RG_RETURN_IF_ERROR(CheckPositive("max_rate_hz", config->max_rate_hz));
   RG_RETURN_IF_ERROR(CheckPositive("max_duration_s", config->max_duration_s));
@@ -77,7 +119,14 @@ Status ReadFence(const json& root, AgentConfig* config) {
   if (!root.contains("limits"))
     return InvalidError("\"limits\" is missing: the boxes that the arm has to stay in");
   RG_ASSIGN_OR_RETURN(config->limits, ParseLimits(root["limits"].dump(), "limits"));
-  return ValidateLimits(config->limits, JointNames(*config->arm), config->start_pose);
+  RG_RETURN_IF_ERROR(ValidateLimits(config->limits, JointNames(*config->arm), config->start_pose));
+  RG_RETURN_IF_ERROR(ReadParts(root, config));
+  OwnArm arm(*config->arm, Eigen::Map<const Eigen::Vector3d>(config->gravity.data()), config->parts);
+  int pair = -1;
+  const double clearance = arm.Clearance(config->start_pose.data(), &pair);
+  if (clearance > 0.0) return Status::Ok();
+  return InvalidError("apart: in the start pose the parts of pair " + std::to_string(pair + 1) + " are " +
+                      std::to_string(clearance) + " m apart, which is a collision");
 }
 
 Result<AgentConfig> Read(const json& root, const std::string& folder) {
@@ -101,7 +150,9 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
                                 "gravity",
                                 "max_rate_hz",
                                 "max_duration_s",
-                                "min_free_mb"},
+                                "min_free_mb",
+                                "capsules",
+                                "apart"},
                                ""));
   if (root.at("format") != "realitygrad.agent/1")
     return InvalidError("format is " + root.at("format").dump() + ", needs realitygrad.agent/1");

@@ -20,6 +20,7 @@
 #include "robot_agent/control_loop.h"
 #include "robot_agent/drivers/driver.h"
 #include "robot_agent/drivers/simulated_driver.h"
+#include "robot_agent/safety/capsules.h"
 #include "robot_agent/safety/limits.h"
 
 namespace rg::robot_agent {
@@ -35,6 +36,7 @@ struct AgentConfig {
   double connect_timeout_s = 10.0;
   std::shared_ptr<const model::RobotModel> arm;  // of "urdf"
   std::vector<double> gravity = {0.0, 0.0, -9.81};
+  CapsuleSet parts;
   SafetyLimits limits;            // validated
   double max_rate_hz = 1000.0;    // of a rollout's control cycle
   double max_duration_s = 600.0;  // of a rollout

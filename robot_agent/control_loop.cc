@@ -100,6 +100,7 @@ class Loop {
     if (result_.entered) result_.jitter.state_age.Add(seen_.now_ns - seen_.state.stamp_ns);
     arm_.Tip(seen_.state.q.data(), tip_);
     seen_.tip = tip_;
+    seen_.clearance = arm_.Clearance(seen_.state.q.data(), &seen_.nearest_pair);
     arm_.GravityTorque(seen_.state.q.data(), zero_added_.data());
     seen_.gravity = zero_added_.data();
   }

@@ -23,7 +23,7 @@ Status RunGuard(const GuardFlags& flags) {
   RG_ASSIGN_OR_RETURN(AgentConfig config, LoadAgentConfig(flags.config));
   config.simulated.lock_step |= flags.lock_step;
   RG_ASSIGN_OR_RETURN(const auto driver, MakeDriver(config, flags.seed));
-  OwnArm arm(*config.arm, Eigen::Map<const Eigen::Vector3d>(config.gravity.data()));
+  OwnArm arm(*config.arm, Eigen::Map<const Eigen::Vector3d>(config.gravity.data()), config.parts);
   const PacketSocket socket(flags.socket_fd);
   GuardOptions options;
   options.latch_folder = flags.spool;

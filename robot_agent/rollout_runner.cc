@@ -279,7 +279,8 @@ Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spoo
   RG_RETURN_IF_ERROR(driver.Connect(input.config.connect_timeout_s));
   RG_RETURN_IF_ERROR(CheckJoints(driver.info(), input.plant));
   RG_RETURN_IF_ERROR(CheckRate(driver.info(), input.plan.spec));
-  OwnArm arm(*input.config.arm, Eigen::Map<const Eigen::Vector3d>(input.config.gravity.data()));
+  OwnArm arm(*input.config.arm, Eigen::Map<const Eigen::Vector3d>(input.config.gravity.data()),
+             input.config.parts);
   if (stop.cancelled()) return CancelledError("stopped before the rollout began");
   if (input.config.dry_run) return DryRun(driver, arm, input, spool, stop, clock);
   RG_RETURN_IF_ERROR(latch.BeginMotion(id, FormatWallTime(clock.WallNanos())));

@@ -137,6 +137,7 @@ bool Guard::Look() {
   arm_.Tip(seen_.state.q.data(), tip_);
   arm_.GravityTorque(seen_.state.q.data(), gravity_.data());
   seen_.tip = tip_;
+  seen_.clearance = arm_.Clearance(seen_.state.q.data(), &seen_.nearest_pair);
   seen_.gravity = gravity_.data();
   return read.ok();
 }

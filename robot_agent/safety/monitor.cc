@@ -12,7 +12,7 @@ constexpr std::string_view kNames[] = {
     "torque_limit",  "task_space_limit", "controller_nan",   "robot_nan",
     "stale_state",   "impossible_state", "missed_deadlines", "driver_lost",
     "operator_stop", "recorder_failed",  "mode_lost",        "interrupted",
-    "not_started",   "frozen_state",     "controller_hung"};
+    "not_started",   "frozen_state",     "controller_hung",  "self_collision"};
 
 // From `last` towards gravity, not beyond it: letting go is never held up.
 bool Releases(double last, double tau, double gravity) {
@@ -200,6 +200,7 @@ void SafetyMonitor::WidenToStart(const Observation& seen) {
     move_tip_lower_[i] = x < lower ? x - kOutsideSlack : lower;
     move_tip_upper_[i] = x > upper ? x + kOutsideSlack : upper;
   }
+  move_clearance_ = seen.clearance < 0.0 ? seen.clearance - kOutsideSlack : 0.0;
   has_start_ = true;
 }
 
@@ -241,6 +242,9 @@ void SafetyMonitor::CheckBoxes(const Observation& seen) {
     if (has_velocity_ && std::abs(v) > limits_.velocity[i])
       Raise(seen, EndReason::kVelocityLimit, i, v, limits_.velocity[i]);
   }
+  const double nearest = moving_ ? move_clearance_ : 0.0;
+  if (!(seen.clearance >= nearest))
+    Raise(seen, EndReason::kSelfCollision, seen.nearest_pair, seen.clearance, nearest);
   if (!limits_.task.enabled || seen.tip == nullptr) return;
   for (int i = 0; i < 3; ++i) {
     const double x = seen.tip[i];
@@ -324,6 +328,11 @@ std::string DescribeTrip(const Trip& trip, const std::vector<std::string>& joint
       else
         std::snprintf(text, sizeof text, "%.0f deadlines missed in a row, limit %.0f", trip.value,
                       trip.limit);
+      return text;
+    case EndReason::kSelfCollision:
+      std::snprintf(text, sizeof text,
+                    "parts of the arm that have to stay apart (pair %d) are %.4g m apart, limit %.4g m",
+                    trip.joint + 1, trip.value, trip.limit);
       return text;
     case EndReason::kControllerHung:
       std::snprintf(text, sizeof text, "no command came for %.3g s, limit %.3g s", trip.value, trip.limit);

@@ -13,6 +13,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <string_view>
 
@@ -42,6 +43,7 @@ enum class EndReason : uint16_t {
   kNotStarted = 16,      // the start pose or torque mode was not reached
   kFrozenState = 17,     // stamps advance, positions do not, and the arm should be moving
   kControllerHung = 18,  // no command came in time (guard/guard.h)
+  kSelfCollision = 19,   // parts of the arm that have to stay apart overlap
 };
 std::string_view EndReasonName(EndReason reason);    // "completed", "position_limit", …
 EndReason EndReasonFromName(std::string_view name);  // kNone if unknown
@@ -54,7 +56,9 @@ struct Observation {
   RobotState state;                 // the newest one
   const double* tip = nullptr;      // 3, end effector at state.q, base frame; null: not computed
   const double* gravity = nullptr;  // n, torque that holds the arm at state.q; null: not computed
-  int missed = 0;                   // deadlines missed since the last tick (0: on time)
+  double clearance = std::numeric_limits<double>::infinity();  // see ArmModel::Clearance
+  int nearest_pair = -1;
+  int missed = 0;  // deadlines missed since the last tick (0: on time)
   bool operator_stop = false;
   bool recorder_ok = true;
   bool time_up = false;
@@ -68,7 +72,7 @@ enum class Action : uint8_t {
 
 struct Trip {
   EndReason reason = EndReason::kNone;
-  int joint = -1;  // -1: none in particular; for the task box 0, 1, 2 = x, y, z
+  int joint = -1;  // -1: none in particular; task box: 0, 1, 2 = x, y, z; parts: the pair
   double value = 0.0, limit = 0.0;
   int64_t at_ns = 0;
 };
@@ -150,7 +154,7 @@ class SafetyMonitor {
   // Moves only: how far out the arm may be, see OnMove.
   bool has_start_ = false;
   JointArray move_lower_{}, move_upper_{};
-  double move_tip_lower_[3] = {}, move_tip_upper_[3] = {};
+  double move_tip_lower_[3] = {}, move_tip_upper_[3] = {}, move_clearance_ = 0.0;
   bool moving_ = false;
   bool has_last_ = false;  // a command was allowed
   JointArray last_{};

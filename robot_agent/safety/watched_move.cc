@@ -67,7 +67,10 @@ class WatchedMove {
     seen_.connected = reached_ && read.ok();
     seen_.has_state |= read.ok();
     seen_.operator_stop = stop_.cancelled();
-    if (seen_.has_state) arm_.Tip(seen_.state.q.data(), tip_);
+    if (seen_.has_state) {
+      arm_.Tip(seen_.state.q.data(), tip_);
+      seen_.clearance = arm_.Clearance(seen_.state.q.data(), &seen_.nearest_pair);
+    }
     seen_.tip = seen_.has_state ? tip_ : nullptr;
     if (read.ok() && options_.on_state) options_.on_state(seen_.state);
     if (monitor_.OnMove(seen_, under_way) == Action::kCommand) return Status::Ok();

@@ -78,6 +78,23 @@ TEST_F(Monitor, EveryBoxTripsWithJointValueAndLimit) {
   EXPECT_EQ(trip.joint, 2);
 }
 
+TEST_F(Monitor, PartsThatOverlapTripAndWhereTheyAreIsNotANumberToo) {
+  EXPECT_EQ(TripOf([](Observation& o) { o.clearance = 0.001; }).reason, EndReason::kNone);
+  const Trip trip = TripOf([](Observation& o) { o.clearance = -0.01, o.nearest_pair = 1; });
+  EXPECT_EQ(trip.reason, EndReason::kSelfCollision);
+  EXPECT_EQ(DescribeTrip(trip, {}),
+            "parts of the arm that have to stay apart (pair 2) are -0.01 m apart, limit 0 m");
+  EXPECT_EQ(TripOf([](Observation& o) { o.clearance = kNan; }).reason, EndReason::kSelfCollision);
+  seen_.state.mode = Mode::kPosition;
+  seen_.clearance = -0.05;  // it stands there already: it may come out, not go in
+  SafetyMonitor monitor(limits_, 2);
+  EXPECT_EQ(monitor.OnMove(Next(), true), Action::kCommand);
+  seen_.clearance = -0.04;
+  EXPECT_EQ(monitor.OnMove(Next(), true), Action::kCommand);
+  seen_.clearance = -0.08;
+  EXPECT_EQ(monitor.OnMove(Next(), true), Action::kHold);
+}
+
 TEST_F(Monitor, NotANumberFromTheRobotTripsAndHoldsAtOnceBecauseGravityIsUnknown) {
   for (auto field : {&RobotState::q, &RobotState::v, &RobotState::effort}) {
     const Trip trip = TripOf([&](Observation& o) { (o.state.*field)[1] = kNan; });
@@ -304,7 +321,7 @@ TEST_F(Monitor, TheFirstTorqueIsRefusedNotLimited) {
 }
 
 TEST(EndReasons, NamesAreReadBack) {
-  for (int r = 0; r <= static_cast<int>(EndReason::kControllerHung); ++r)
+  for (int r = 0; r <= static_cast<int>(EndReason::kSelfCollision); ++r)
     EXPECT_EQ(EndReasonFromName(EndReasonName(static_cast<EndReason>(r))), static_cast<EndReason>(r));
 }
 
