@@ -174,11 +174,11 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
   config.excitation = root.value("excitation", 0.0);
   if (!(config.excitation >= 0.0 && config.excitation <= 1.0))
     return InvalidError("excitation is " + std::to_string(config.excitation) + ", needs 0 to 1");
+  RG_RETURN_IF_ERROR(ReadArm(root, folder, &config));  // whatever the driver is
+  RG_RETURN_IF_ERROR(ReadFence(root, &config));
   if (config.driver != "simulated")
     return InvalidError("driver \"" + config.driver + "\" is not in this build (simulated)");
   RG_RETURN_IF_ERROR(ReadSimulated(root.at("simulated"), folder, &config.simulated));
-  RG_RETURN_IF_ERROR(ReadArm(root, folder, &config));
-  RG_RETURN_IF_ERROR(ReadFence(root, &config));
   return config;
 }
 

@@ -95,9 +95,11 @@ class Driver {
   virtual Status Hold() = 0;
 
   // Position mode; begins to ramp to q (n) within the arm's speed limits and returns as soon as the arm has
-  // accepted it. States measured from then on carry `moving` until it is there and at rest; Hold ends it. The
-  // agent moves the arm by this call alone, with every state judged on the way (safety/guarded_arm.h): an arm
-  // whose driver lacks it does not move.
+  // accepted it. States measured from then on carry `moving` until it is there and at rest; Hold ends it.
+  // What an arm needs before its first motion (sensors zeroed, small test torques) is part of its first move,
+  // `moving` throughout; its states may say torque mode meanwhile, and Hold ends that too. The agent moves
+  // the arm by this call alone, with every state judged on the way (safety/watched_move.h): an arm whose
+  // driver lacks it does not move.
   virtual Status StartMove(const double* q) {
     (void)q;
     return FailedPreconditionError("this driver cannot move to a pose while it is watched");

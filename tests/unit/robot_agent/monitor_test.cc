@@ -261,6 +261,21 @@ TEST_F(Monitor, AMoveIsJudgedLikeARolloutAndEndsInPositionMode) {
   EXPECT_EQ(trip_of([](Observation& o) { o.state.q[1] = 2.01; }), EndReason::kPositionLimit);
 }
 
+TEST_F(Monitor, AMoveMayPrepareTheArmWithTestTorques) {
+  seen_.state.mode = Mode::kPosition;
+  SafetyMonitor monitor(limits_, 2);
+  EXPECT_EQ(monitor.OnMove(Next(), true), Action::kCommand);
+  seen_.state.mode = Mode::kTorque;
+  seen_.state.moving = true;
+  EXPECT_EQ(monitor.OnMove(Next(), true), Action::kCommand);
+  seen_.state.q[0] = 0.05;  // 1.25 rad/s, limit 1
+  EXPECT_EQ(monitor.OnMove(Next(), true), Action::kHold);
+  EXPECT_EQ(monitor.trip().reason, EndReason::kVelocityLimit);
+  SafetyMonitor running(limits_, 2);
+  seen_.state.mode = Mode::kPosition;
+  EXPECT_NE(running.OnTick(Next()), Action::kCommand) << "a rollout is in torque mode, moving or not";
+}
+
 TEST_F(Monitor, AMoveMayComeBackIntoTheBoxButGoNoFurtherOut) {
   seen_.state.mode = Mode::kPosition;
   seen_.state.q[1] = 2.3;
