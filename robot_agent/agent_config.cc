@@ -3,23 +3,28 @@
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
-#include <numbers>
 #include <set>
 
 #include "common/base/file.h"
+#include "common/model/urdf_loader.h"
 #include "robot_agent/drivers/kinova/make_kinova_driver.h"
+#include "robot_agent/safety/own_arm.h"
 
 namespace rg::robot_agent {
 namespace {
 
 using nlohmann::json;
 
-constexpr double kLimitMargin = 0.02;   // rad (m)
-constexpr double kVelocityRatio = 1.5;  // of the URDF's limit
-constexpr double kVelocityWithoutLimit = 5.0;
+constexpr double kLimitMargin = 0.02;  // rad (m)
 
 std::string Resolve(const std::string& folder, const std::string& path) {
   return path.empty() ? path : (std::filesystem::path(folder) / path).lexically_normal().string();
+}
+
+std::vector<std::string> JointNames(const model::RobotModel& model) {
+  std::vector<std::string> names;
+  for (const auto& joint : model.joints()) names.push_back(joint.name);
+  return names;
 }
 
 Status CheckKeys(const json& object, const std::set<std::string>& known, const std::string& where) {
@@ -49,12 +54,117 @@ Status ReadReplay(const json& object, const std::string& folder, ReplayOptions* 
   return Status::Ok();
 }
 
+Status ReadArm(const json& root, const std::string& folder, AgentConfig* config) {
+  if (!root.contains("urdf"))
+    return InvalidError(
+        "\"urdf\" is missing: the arm's own kinematics and gravity, which no job's model replaces");
+  model::LoadOptions options;
+  options.joints = root.value("joints", options.joints);
+  options.locked = root.value("locked", options.locked);
+  options.end_effector = root.value("end_effector", options.end_effector);
+  config->gravity = root.value("gravity", config->gravity);
+  if (config->gravity.size() != 3) return InvalidError("gravity needs three numbers");
+  RG_ASSIGN_OR_RETURN(auto arm,
+                      model::LoadUrdf(Resolve(folder, root.at("urdf").get<std::string>()), options));
+  if (arm.num_joints() > kMaxJoints)
+    return InvalidError("urdf: " + std::to_string(arm.num_joints()) + " joints, at most " +
+                        std::to_string(kMaxJoints));
+  config->arm = std::make_shared<const model::RobotModel>(std::move(arm));
+  return Status::Ok();
+}
+
+Status CheckPositive(const char* field, double value) {
+  if (std::isfinite(value) && value > 0.0) return Status::Ok();
+  return InvalidError(std::string(field) + " is " + std::to_string(value) + ", needs a positive number");
+}
+
+Result<Eigen::Vector3d> ReadPoint(const json& object, const char* field, const std::string& name) {
+  const auto point = object.at(field).get<std::vector<double>>();
+  if (point.size() != 3 || !std::isfinite(point[0] + point[1] + point[2]))
+    return InvalidError("capsules: " + name + ": " + field + " needs three finite numbers");
+  return Eigen::Vector3d(point[0], point[1], point[2]);
+}
+
+Result<int> FindPart(const CapsuleSet& parts, const std::string& name) {
+  for (size_t i = 0; i < parts.capsules.size(); ++i)
+    if (parts.capsules[i].name == name) return static_cast<int>(i);
+  return InvalidError("apart: there is no capsule \"" + name + "\"");
+}
+
+Status ReadParts(const json& root, AgentConfig* config) {
+  if (root.contains("capsules") != root.contains("apart"))
+    return InvalidError("\"capsules\" and \"apart\" go together");
+  for (const json& object : root.value("capsules", json::array())) {
+    RG_RETURN_IF_ERROR(CheckKeys(object, {"name", "link", "from", "to", "radius"}, "capsules: "));
+    Capsule part;
+    object.at("name").get_to(part.name);
+    object.at("link").get_to(part.link);
+    object.at("radius").get_to(part.radius);
+    RG_ASSIGN_OR_RETURN(part.from, ReadPoint(object, "from", part.name));
+    RG_ASSIGN_OR_RETURN(part.to, ReadPoint(object, "to", part.name));
+    RG_RETURN_IF_ERROR(CheckPositive(("capsules: " + part.name + ": radius").c_str(), part.radius));
+    if (!config->arm->FindFrame(part.link))
+      return InvalidError("capsules: " + part.name + ": the URDF has no link \"" + part.link + "\"");
+    if (FindPart(config->parts, part.name).ok())
+      return InvalidError("capsules: \"" + part.name + "\" is there twice");
+    config->parts.capsules.push_back(std::move(part));
+  }
+  for (const json& names : root.value("apart", json::array())) {
+    const auto two = names.get<std::vector<std::string>>();
+    if (two.size() != 2 || two[0] == two[1]) return InvalidError("apart: needs pairs of two names");
+    RG_ASSIGN_OR_RETURN(const int a, FindPart(config->parts, two[0]));
+    RG_ASSIGN_OR_RETURN(const int b, FindPart(config->parts, two[1]));
+    config->parts.apart.emplace_back(a, b);
+  }
+  return Status::Ok();
+}
+
+Status ReadFence(const json& root, AgentConfig* config) {
+  RG_RETURN_IF_ERROR(CheckPositive("max_rate_hz", config->max_rate_hz));
+  RG_RETURN_IF_ERROR(CheckPositive("max_duration_s", config->max_duration_s));
+  RG_RETURN_IF_ERROR(CheckPositive("min_free_mb", config->min_free_mb));
+  RG_RETURN_IF_ERROR(CheckPositive("pose_tolerance", config->pose_tolerance));
+  RG_RETURN_IF_ERROR(CheckPositive("pose_timeout_s", config->pose_timeout_s));
+  if (!root.contains("limits"))
+    return InvalidError("\"limits\" is missing: the boxes that the arm has to stay in");
+  RG_ASSIGN_OR_RETURN(config->limits, ParseLimits(root["limits"].dump(), "limits"));
+  RG_RETURN_IF_ERROR(ValidateLimits(config->limits, JointNames(*config->arm), config->start_pose));
+  RG_RETURN_IF_ERROR(ReadParts(root, config));
+  OwnArm arm(*config->arm, Eigen::Map<const Eigen::Vector3d>(config->gravity.data()), config->parts);
+  int pair = -1;
+  const double clearance = arm.Clearance(config->start_pose.data(), &pair);
+  if (clearance > 0.0) return Status::Ok();
+  return InvalidError("apart: in the start pose the parts of pair " + std::to_string(pair + 1) + " are " +
+                      std::to_string(clearance) + " m apart, which is a collision");
+}
+
 Result<AgentConfig> Read(const json& root, const std::string& folder) {
-  RG_RETURN_IF_ERROR(CheckKeys(
-      root,
-      {"format", "name", "driver", "simulated", "kinova", "replay", "start_pose", "pose_tolerance",
-       "pose_timeout_s", "settle_s", "connect_timeout_s", "limits", "velocity_source", "excitation"},
-      ""));
+  RG_RETURN_IF_ERROR(CheckKeys(root,
+                               {"format",
+                                "name",
+                                "driver",
+                                "simulated",
+                                "kinova",
+                                "replay",
+                                "start_pose",
+                                "pose_tolerance",
+                                "pose_timeout_s",
+                                "settle_s",
+                                "connect_timeout_s",
+                                "limits",
+                                "velocity_source",
+                                "excitation",
+                                "urdf",
+                                "joints",
+                                "locked",
+                                "end_effector",
+                                "gravity",
+                                "max_rate_hz",
+                                "max_duration_s",
+                                "min_free_mb",
+                                "capsules",
+                                "apart"},
+                               ""));
   if (root.at("format") != "realitygrad.agent/1")
     return InvalidError("format is " + root.at("format").dump() + ", needs realitygrad.agent/1");
   AgentConfig config;
@@ -65,7 +175,9 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
   config.pose_timeout_s = root.value("pose_timeout_s", config.pose_timeout_s);
   config.settle_s = root.value("settle_s", config.settle_s);
   config.connect_timeout_s = root.value("connect_timeout_s", config.connect_timeout_s);
-  config.limits_json = root.value("limits", json::object()).dump();
+  config.max_rate_hz = root.value("max_rate_hz", config.max_rate_hz);
+  config.max_duration_s = root.value("max_duration_s", config.max_duration_s);
+  config.min_free_mb = root.value("min_free_mb", config.min_free_mb);
   const std::string source = root.value("velocity_source", "measured");
   if (source != "measured" && source != "differenced")
     return InvalidError("velocity_source is \"" + source + "\", needs measured or differenced");
@@ -73,6 +185,8 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
   config.excitation = root.value("excitation", 0.0);
   if (!(config.excitation >= 0.0 && config.excitation <= 1.0))
     return InvalidError("excitation is " + std::to_string(config.excitation) + ", needs 0 to 1");
+  RG_RETURN_IF_ERROR(ReadArm(root, folder, &config));  // whatever the driver is
+  RG_RETURN_IF_ERROR(ReadFence(root, &config));
   if (config.driver == "kinova") {
     RG_RETURN_IF_ERROR(kinova::CheckKinovaIsBuilt());
     RG_ASSIGN_OR_RETURN(config.kinova,
@@ -90,19 +204,16 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
   return config;
 }
 
-SafetyLimits LimitsOfModel(const model::RobotModel& model, const std::vector<double>& start) {
-  SafetyLimits limits;
-  for (int i = 0; i < model.num_joints(); ++i) {
-    const auto& joint = model.joint(i);
-    const bool bounded = std::isfinite(joint.lower) && std::isfinite(joint.upper);
-    const double middle = i < static_cast<int>(start.size()) ? start[i] : 0.0;
-    limits.lower.push_back(bounded ? joint.lower + kLimitMargin : middle - 2 * std::numbers::pi);
-    limits.upper.push_back(bounded ? joint.upper - kLimitMargin : middle + 2 * std::numbers::pi);
-    limits.velocity.push_back(std::isfinite(joint.velocity) ? kVelocityRatio * joint.velocity
-                                                            : kVelocityWithoutLimit);
-    limits.torque.push_back(joint.effort);
+// What a job's model may ask for. Its speed limits are those of the arm's position mode; how fast a rollout
+// may be is the configuration's alone.
+TighterLimits AskedBy(const model::RobotModel& model) {
+  TighterLimits asked;
+  for (const auto& joint : model.joints()) {
+    asked.lower.push_back(joint.lower + kLimitMargin);
+    asked.upper.push_back(joint.upper - kLimitMargin);
+    asked.torque.push_back(joint.effort);
   }
-  return limits;
+  return asked;
 }
 
 }  // namespace
@@ -120,16 +231,25 @@ Result<AgentConfig> ParseAgentConfig(const std::string& text, const std::string&
 
 Result<AgentConfig> LoadAgentConfig(const std::string& path) {
   RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
-  return ParseAgentConfig(text, std::filesystem::path(path).parent_path().string(), path);
+  RG_ASSIGN_OR_RETURN(AgentConfig config,
+                      ParseAgentConfig(text, std::filesystem::path(path).parent_path().string(), path));
+  config.path = path;
+  return config;
 }
 
 Result<SafetyLimits> LimitsFor(const AgentConfig& config, const model::RobotModel& model,
                                const std::vector<double>& start) {
-  std::vector<std::string> joints;
-  for (const auto& joint : model.joints()) joints.push_back(joint.name);
-  RG_ASSIGN_OR_RETURN(SafetyLimits limits,
-                      ParseLimits(config.limits_json, LimitsOfModel(model, start), config.name));
-  RG_RETURN_IF_ERROR(ValidateLimits(limits, joints, start));
+  const std::vector<std::string> joints = JointNames(model), own = JointNames(*config.arm);
+  if (joints != own) {
+    std::string ours, theirs;
+    for (const auto& name : own) ours += " " + name;
+    for (const auto& name : joints) theirs += " " + name;
+    return InvalidError("the arm of agent " + config.name + " has the joints" + ours + ", the job's model" +
+                        theirs);
+  }
+  const auto limits = Tighten(config.limits, AskedBy(model), joints);
+  if (!limits.ok()) return limits.status().WithPrefix("with the limits of the job's model");
+  RG_RETURN_IF_ERROR(ValidateLimits(*limits, joints, start));
   return limits;
 }
 

@@ -1,11 +1,15 @@
-// What stands beside one robot: its driver, its boxes, its start pose.
+// What stands beside one robot: its driver, its arm, its boxes, its start pose. The fence (limits,
+// kinematics, gravity) comes from here and from nowhere else; see docs/safety.md.
 //
 // realitygrad.agent/1, JSON: "format", "name" ("mico2": the worker's tag robot:<name>), "driver"
 // ("simulated" | "kinova" | "replay"), "kinova" {} (drivers/kinova/kinova_options.h), "replay" {"set":
 // folder, relative, "recording": its name, default the first, "lock_step"}, "simulated" {"truth": path
-// relative to this file, "lock_step": bool, "socket": path of a robot started by hand}, "start_pose" [n],
-// "pose_tolerance", "pose_timeout_s", "limits" (see safety/limits.h; what is absent comes from the model),
-// "velocity_source" ("measured" | "differenced"), "excitation" (share of the torque limits, see RolloutSpec).
+// relative to this file, "lock_step": bool, "socket": path of a robot started by hand}, "urdf" (path relative
+// to this file), "joints" (those that move; absent: all), "locked" {joint: q}, "end_effector" (a link;
+// absent: the URDF's), "gravity" [3] (absent: 0, 0, -9.81), "start_pose" [n], "pose_tolerance",
+// "pose_timeout_s", "limits" (see safety/limits.h; each has to be there), "max_rate_hz", "max_duration_s" (of
+// a rollout), "velocity_source" ("measured" | "differenced": what the controller gets), "excitation" (share
+// of the torque limits, see RolloutSpec), "min_free_mb" (of the spool's disk).
 #pragma once
 
 #include <memory>
@@ -19,6 +23,7 @@
 #include "robot_agent/drivers/kinova/kinova_options.h"
 #include "robot_agent/drivers/replay/replay_driver.h"
 #include "robot_agent/drivers/simulated_driver.h"
+#include "robot_agent/safety/capsules.h"
 #include "robot_agent/safety/limits.h"
 
 namespace rg::robot_agent {
@@ -34,8 +39,18 @@ struct AgentConfig {
   double pose_timeout_s = 60.0;
   double settle_s = 0.3;  // at rest in the start pose before torque mode
   double connect_timeout_s = 10.0;
-  std::string limits_json = "{}";
+  std::shared_ptr<const model::RobotModel> arm;  // of "urdf"
+  std::vector<double> gravity = {0.0, 0.0, -9.81};
+  CapsuleSet parts;
+  SafetyLimits limits;            // validated
+  double max_rate_hz = 1000.0;    // of a rollout's control cycle
+  double max_duration_s = 600.0;  // of a rollout
+  double min_free_mb = 64.0;      // a rollout does not begin with less on the spool's disk
   VelocitySource velocity_source = VelocitySource::kMeasured;
+  // The arm is a child process of its driver: with the driver gone there is none that could move.
+  bool arm_ends_with_driver() const { return driver == "simulated" && simulated.socket_path.empty(); }
+  std::string path;         // of the file; empty: none
+  bool dry_run = false;     // not of the file: --dry-run
   double excitation = 0.0;  // where the rollout's specification leaves it open
 };
 
@@ -44,9 +59,8 @@ Result<AgentConfig> ParseAgentConfig(const std::string& json, const std::string&
                                      const std::string& source);
 Result<AgentConfig> LoadAgentConfig(const std::string& path);
 
-// Position: the model's limits less 0.02, start ± 2π for continuous joints; velocity: 1.5 times the
-// model's limit; torque: the model's effort limit. Then what limits_json says; validated with the start
-// pose (`start`, n).
+// The agent's limits, made tighter by what a job's model says: its position limits less 0.02, its effort
+// limits. Never wider, whatever the model says. Checked with the start pose (`start`, n).
 Result<SafetyLimits> LimitsFor(const AgentConfig& config, const model::RobotModel& model,
                                const std::vector<double>& start);
 

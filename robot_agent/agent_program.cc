@@ -3,12 +3,15 @@
 #include <cstdlib>
 #include <iostream>
 #include <memory>
+#include <nlohmann/json.hpp>
 
 #include "common/base/hash.h"
 #include "common/base/log.h"
 #include "common/transport/keys.h"
 #include "coordinator/client/client.h"
+#include "robot_agent/agent_commands.h"
 #include "robot_agent/spool_delivery.h"
+#include "robot_agent/supervisor.h"
 #include "services/rollouts/recording_bundle.h"
 #include "worker/task_registry.h"
 #include "worker/worker_main.h"
@@ -19,6 +22,7 @@ namespace {
 constexpr char kConfigVariable[] = "REALITYGRAD_AGENT_CONFIG";
 constexpr char kSpoolVariable[] = "REALITYGRAD_AGENT_SPOOL";
 constexpr char kLockStepVariable[] = "REALITYGRAD_AGENT_LOCK_STEP";
+constexpr char kDryRunVariable[] = "REALITYGRAD_AGENT_DRY_RUN";
 constexpr char kDefaultCoordinator[] = "tcp://127.0.0.1:7341";
 
 constexpr char kHelp[] =
@@ -26,7 +30,13 @@ constexpr char kHelp[] =
     "  --config FILE               what stands beside the robot, realitygrad.agent/1 (required)\n"
     "  --spool FOLDER              recordings being made or waiting for the coordinator (default: "
     "realitygrad-spool)\n"
-    "  --lock-step                 a simulated robot runs as fast as it can, not in real time\n\n";
+    "  --lock-step                 a simulated robot runs as fast as it can, not in real time\n"
+    "  --arm, --disarmed           rollouts may begin at once, or only after `realitygrad agent arm` "
+    "(default: a\n"
+    "                              simulated arm is armed, any other is not)\n"
+    "  --dry-run                   states are read and torques computed and shown; nothing is sent to the "
+    "arm\n"
+    "While it runs: realitygrad agent status|watch|arm|disarm|stop|clear (--help says more)\n\n";
 
 std::string Environment(const char* name, const std::string& otherwise = "") {
   const char* value = std::getenv(name);
@@ -55,6 +65,14 @@ void ReadFlags(const std::vector<std::string>& arguments, AgentSettings* setting
       settings->lock_step = true;
       continue;
     }
+    if (arguments[i] == "--arm" || arguments[i] == "--disarmed") {
+      settings->armed = arguments[i] == "--arm";
+      continue;
+    }
+    if (arguments[i] == "--dry-run") {
+      settings->dry_run = true;
+      continue;
+    }
     // Passed on, but of interest here too.
     std::string ignored;
     if (TakeValue(arguments, "--executor-fd", &i, &ignored)) settings->is_executor = true;
@@ -70,6 +88,7 @@ void TellExecutors(const AgentSettings& settings) {
   setenv(kConfigVariable, settings.config_path.c_str(), 1);
   setenv(kSpoolVariable, settings.spool_folder.c_str(), 1);
   setenv(kLockStepVariable, settings.lock_step ? "1" : "0", 1);
+  setenv(kDryRunVariable, settings.dry_run ? "1" : "0", 1);
 }
 
 Result<std::unique_ptr<coordinator::Client>> ConnectFor(const AgentSettings& settings) {
@@ -88,19 +107,36 @@ Result<std::unique_ptr<coordinator::Client>> ConnectFor(const AgentSettings& set
   return coordinator::Client::Connect(options);
 }
 
+// Job, task and what it was made from, as if it had come as the task's output.
+realitygrad::v1::ArtifactInfo InfoOf(coordinator::Client& client, const std::string& metadata_json) {
+  realitygrad::v1::ArtifactInfo info;
+  info.set_kind(rollouts::kBundleKind);
+  info.set_metadata_json(metadata_json);
+  const auto metadata = nlohmann::json::parse(metadata_json, nullptr, false);
+  if (!metadata.is_object()) return info;
+  const auto text = [&](const char* name) {
+    return metadata.contains(name) && metadata[name].is_string() ? metadata[name].get<std::string>()
+                                                                 : std::string();
+  };
+  info.set_job_id(text("job"));
+  info.set_task_id(text("task"));
+  for (const char* parent : {"model_sha256", "policy_sha256"}) {
+    const std::string sha256 = text(parent);
+    if (!sha256.empty() && client.ShowArtifact(sha256).ok()) info.add_parents(sha256);
+  }
+  return info;
+}
+
 Status DeliverTo(coordinator::Client& client, const std::string& bundle, const std::string& metadata_json) {
   const std::string sha256 = Sha256Hex(bundle);
   const auto known = client.ShowArtifact(sha256);
   if (known.ok()) return Status::Ok();
   if (known.status().code() != StatusCode::kNotFound) return known.status();
-  realitygrad::v1::ArtifactInfo info;
-  info.set_kind(rollouts::kBundleKind);
-  info.set_metadata_json(metadata_json);
-  return client.PutArtifact(bundle, info).status();
+  return client.PutArtifact(bundle, InfoOf(client, metadata_json)).status();
 }
 
-// Best effort: what cannot be sent stays where it is.
-void EmptySpool(const AgentSettings& settings) {
+// Best effort: what cannot be sent stays where it is, and so does what is younger than `least_age_s`.
+void EmptySpool(const AgentSettings& settings, double least_age_s) {
   std::unique_ptr<coordinator::Client> client;
   const auto deliver = [&](const std::string& id, const std::string& bundle, const std::string& metadata) {
     if (client == nullptr) {
@@ -110,7 +146,7 @@ void EmptySpool(const AgentSettings& settings) {
     if (sent.ok()) spdlog::info("the store has recording {}; it left the spool", id);
     return sent;
   };
-  const auto delivered = DeliverSpool(settings.spool_folder, deliver);
+  const auto delivered = DeliverSpool(settings.spool_folder, deliver, least_age_s);
   if (!delivered.ok()) spdlog::warn("spool {}: {}", settings.spool_folder, delivered.status().ToString());
 }
 
@@ -132,6 +168,7 @@ Result<AgentSettings> ReadAgentSettings(const std::vector<std::string>& argument
   settings.config_path = Environment(kConfigVariable);
   settings.spool_folder = Environment(kSpoolVariable, "realitygrad-spool");
   settings.lock_step = Environment(kLockStepVariable) == "1";
+  settings.dry_run = Environment(kDryRunVariable) == "1";
   settings.coordinator = Environment("REALITYGRAD_COORDINATOR", kDefaultCoordinator);
   settings.key_path = Environment("REALITYGRAD_KEY");
   settings.server_key_path = Environment("REALITYGRAD_SERVER_KEY");
@@ -139,11 +176,13 @@ Result<AgentSettings> ReadAgentSettings(const std::vector<std::string>& argument
   if (settings.config_path.empty()) return InvalidError("realitygrad-agent: needs --config FILE");
   RG_ASSIGN_OR_RETURN(settings.config, LoadAgentConfig(settings.config_path));
   settings.config.simulated.lock_step |= settings.lock_step;
+  settings.config.dry_run = settings.dry_run;
   return settings;
 }
 
 int AgentProgramMain(int argc, char** argv, const KindRegistrar& register_kinds) {
   const std::vector<std::string> arguments(argv, argv + argc);
+  if (const auto code = RunAgentCommand(arguments)) return *code;
   for (const auto& word : arguments) {
     if (word != "--help" && word != "-h") continue;
     std::cout << kHelp;
@@ -157,10 +196,17 @@ int AgentProgramMain(int argc, char** argv, const KindRegistrar& register_kinds)
   if (settings->is_executor) return RunWorker(*settings, register_kinds);
   TellExecutors(*settings);
   InitLogging("realitygrad-agent");
-  EmptySpool(*settings);
-  const int code = RunWorker(*settings, register_kinds);
-  EmptySpool(*settings);
-  return code;
+  const bool simulated = settings->config.arm_ends_with_driver();
+  SupervisorOptions options;
+  options.spool_folder = settings->spool_folder;
+  options.robot = settings->config.name;
+  options.driver = settings->config.driver;
+  options.armed = settings->armed.value_or(simulated);
+  options.arm_ends_with_driver = simulated;
+  options.dry_run = settings->dry_run;
+  return Supervise(
+      options, [&] { return RunWorker(*settings, register_kinds); },
+      [&](double least_age_s) { EmptySpool(*settings, least_age_s); });
 }
 
 }  // namespace rg::robot_agent

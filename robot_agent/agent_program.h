@@ -8,14 +8,18 @@
 //   --config FILE   realitygrad.agent/1 (deploy/robots/mico2_agent.json)
 //   --spool FOLDER  recordings that are being made or wait for the coordinator
 //   --lock-step     a simulated robot runs as fast as it can instead of in real time
+//   --arm | --disarmed | --dry-run
+// or one word: status, watch, arm, disarm, stop, clear (agent_commands.h).
 // Executor children, which get none of these flags, find them in the environment.
 //
-// Recordings reach the store as outputs of their tasks. What a crash left in the spool is sent when the
-// program starts and when it ends, by hash, so that nothing is lost and nothing kept twice; a recording
-// that the store has leaves the spool then.
+// The first process is the supervisor (supervisor.h), the worker its child. Recordings reach the store as
+// outputs of their tasks. What stays in the spool, because there was no coordinator or a crash, is sent when
+// the program starts, while it lives and when it ends, by hash, so that nothing is lost and nothing kept
+// twice.
 #pragma once
 
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -37,7 +41,8 @@ int AgentProgramMain(int argc, char** argv, const KindRegistrar& register_kinds)
 struct AgentSettings {
   AgentConfig config;
   std::string config_path, spool_folder;
-  bool lock_step = false;
+  bool lock_step = false, dry_run = false;
+  std::optional<bool> armed;  // said on the command line
   bool is_executor = false;
   std::vector<std::string> worker_arguments;           // for worker::AgentMain, argv[0] first
   std::string coordinator, key_path, server_key_path;  // seen on the way, for the spool

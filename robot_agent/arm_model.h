@@ -4,7 +4,7 @@
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
 #include "common/sim/plant.h"
-#include "robot_agent/controller.h"
+#include "robot_agent/safety/arm.h"
 
 namespace rg::robot_agent {
 

@@ -21,7 +21,7 @@ class Loop {
         n_(static_cast<int>(driver.info().joints.size())),
         period_ns_(std::llround(1e9 / options.rate_hz)),
         last_tick_(std::llround(options.duration_s * options.rate_hz)),
-        monitor_(limits, n_) {
+        monitor_(limits, n_, 1.0 / options.rate_hz) {
     result_.jitter.period_s = 1.0 / options.rate_hz;
     result_.jitter.lock_step = driver.info().lock_step;
   }
@@ -30,7 +30,7 @@ class Loop {
     if (!Enter()) return NotStarted();
     while (Cycle()) {
     }
-    result_.held = driver_.Hold().ok();
+    result_.stop = StopArm(driver_, options_.stop);
     result_.trip = monitor_.trip();
     result_.saturated_samples = monitor_.saturated_samples();
     result_.duration_s = 1e-9 * static_cast<double>(result_.trip.at_ns - start_ns_);
@@ -40,21 +40,25 @@ class Loop {
   }
 
  private:
-  // Torque mode with gravity carried, so that nothing moves before the first command.
+  // Torque mode with gravity carried, so that nothing moves before the first command. Neither a state outside
+  // the boxes nor a torque beyond the limits gets that far.
   bool Enter() {
-    if (!driver_.ReadState(&seen_.state).ok()) return false;
-    arm_.GravityTorque(seen_.state.q.data(), zero_added_.data());
+    Observe(true);
+    if (monitor_.CheckFirst(seen_, zero_added_.data()) != Action::kCommand) return false;
     JointArray handed = zero_added_;
     Hand(zero_added_, zero_added_, &handed);
-    if (!driver_.EnterTorqueMode(handed.data()).ok()) return false;
+    result_.entered = true;
+    const Status entered = driver_.EnterTorqueMode(handed.data());
     start_ns_ = driver_.NowNanos();
-    return true;
+    if (!entered.ok()) result_.refusal = entered.message();
+    return entered.ok();
   }
 
   ControlLoopResult NotStarted() {
-    result_.held = driver_.Hold().ok();
-    result_.trip.reason = EndReason::kNotStarted;
-    result_.trip.at_ns = start_ns_ = driver_.NowNanos();
+    result_.stop = StopArm(driver_, options_.stop);
+    result_.trip = monitor_.trip();
+    start_ns_ = driver_.NowNanos();
+    if (result_.trip.reason == EndReason::kNone) result_.trip = {EndReason::kNotStarted, -1, 0, 0, start_ns_};
     return result_;
   }
 
@@ -91,32 +95,28 @@ class Loop {
     new_state_ = read && (tick_ == 0 || seen_.state.sequence != known);
     seen_.operator_stop = stop_.cancelled();
     seen_.recorder_ok = recorder_.ok();
-    seen_.time_up = tick_ >= last_tick_;
+    seen_.time_up = result_.entered && tick_ >= last_tick_;
     if (!seen_.has_state) return;
-    result_.jitter.state_age.Add(seen_.now_ns - seen_.state.stamp_ns);
+    if (result_.entered) result_.jitter.state_age.Add(seen_.now_ns - seen_.state.stamp_ns);
     arm_.Tip(seen_.state.q.data(), tip_);
     seen_.tip = tip_;
+    seen_.clearance = arm_.Clearance(seen_.state.q.data(), &seen_.nearest_pair);
     arm_.GravityTorque(seen_.state.q.data(), zero_added_.data());
-    if (new_state_) UpdateVelocity();
+    seen_.gravity = zero_added_.data();
   }
 
-  void UpdateVelocity() {
-    const double dt = 1e-9 * static_cast<double>(seen_.state.stamp_ns - previous_stamp_ns_);
-    for (int i = 0; i < n_; ++i) {
-      const bool differenced = options_.velocity_source == VelocitySource::kDifferenced;
-      const double difference = has_previous_ && dt > 0 ? (seen_.state.q[i] - previous_q_[i]) / dt : 0.0;
-      velocity_[i] = differenced ? difference : seen_.state.v[i];
-    }
-    previous_q_ = seen_.state.q;
-    previous_stamp_ns_ = seen_.state.stamp_ns;
-    has_previous_ = true;
+  void ChooseVelocity() {
+    velocity_ = seen_.state.v;
+    if (options_.velocity_source == VelocitySource::kDifferenced && !monitor_.Velocity(velocity_.data()))
+      velocity_.fill(0.0);
   }
 
   Action Compute() {
     const double t = 1e-9 * static_cast<double>(seen_.now_ns - start_ns_);
     const uint64_t saturated = monitor_.saturated_samples();
+    ChooseVelocity();
     controller_.Command(t, seen_.state.q.data(), velocity_.data(), command_.data());
-    const Action action = monitor_.LimitCommand(command_.data(), seen_.now_ns);
+    const Action action = monitor_.LimitCommand(command_.data(), zero_added_.data(), seen_.now_ns);
     saturated_ = monitor_.saturated_samples() != saturated;
     return action;
   }
@@ -155,6 +155,7 @@ class Loop {
     sample_.command = command_;
     sample_.sent = sent_;
     recorder_.Record(sample_);
+    if (options_.observer != nullptr) options_.observer->OnSample(sample_, result_.jitter);
   }
 
   Driver& driver_;
@@ -174,10 +175,8 @@ class Loop {
   int64_t start_ns_ = 0, tick_ = 0, sent_ns_ = 0;
   Observation seen_;
   bool new_state_ = false, saturated_ = false;
-  bool has_previous_ = false;
-  int64_t previous_stamp_ns_ = 0;
   double tip_[3] = {};
-  JointArray previous_q_{}, velocity_{}, command_{}, sent_{}, zero_added_{};
+  JointArray velocity_{}, command_{}, sent_{}, zero_added_{};
   Sample sample_;
 };
 

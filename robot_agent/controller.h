@@ -1,5 +1,4 @@
-// What produces torques during a rollout, and what the loop knows of the arm. Both are called in the
-// control cycle: no allocation, no lock, bounded time.
+// What produces torques during a rollout. Called in the control cycle: no allocation, no lock, bounded time.
 #pragma once
 
 #include <functional>
@@ -24,14 +23,6 @@ class FunctionController final : public Controller {
 
  private:
   Function function_;
-};
-
-// The believed model, as far as the loop needs it.
-class ArmModel {
- public:
-  virtual ~ArmModel() = default;
-  virtual void GravityTorque(const double* q, double* tau) = 0;  // n -> n [N·m], holds the arm at rest
-  virtual void Tip(const double* q, double* position) = 0;       // n -> 3 [m], end effector, base frame
 };
 
 }  // namespace rg::robot_agent

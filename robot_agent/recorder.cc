@@ -103,6 +103,15 @@ Result<std::unique_ptr<Recorder>> Recorder::Start(const std::string& path, const
   std::filesystem::create_directories(std::filesystem::path(path).parent_path(), ignored);
   const int file = open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_APPEND | O_CLOEXEC, 0644);
   if (file < 0) return UnavailableError("cannot create " + path + ": " + std::strerror(errno));
+  if (options.reserve_bytes > 0 &&
+      fallocate(file, FALLOC_FL_KEEP_SIZE, 0, static_cast<off_t>(options.reserve_bytes)) != 0 &&
+      errno != EOPNOTSUPP && errno != ENOSYS) {
+    const std::string why = std::strerror(errno);
+    close(file);
+    unlink(path.c_str());
+    return ResourceExhaustedError("cannot reserve " + std::to_string(options.reserve_bytes) + " bytes for " +
+                                  path + ": " + why);
+  }
   std::unique_ptr<Recorder> recorder(new Recorder(file, joints, options));
   recorder->Append(kMetadata, metadata_json);
   recorder->Sync();
@@ -118,6 +127,8 @@ Recorder::~Recorder() {
   StopThread();
   close(file_);
 }
+
+uint64_t Recorder::SampleBytes(int joints) { return kHeader + kSampleHead + 5 * sizeof(double) * joints; }
 
 void Recorder::Record(const Sample& sample) {
   if (!ring_.Push(sample)) ok_.store(false, std::memory_order_relaxed);

@@ -47,6 +47,9 @@ struct RecorderOptions {
   double poll_s = 0.02;
   double sync_s = 0.2;
   size_t ring_capacity = 1024;  // samples; at 25 Hz forty seconds of a stuck disk
+  // Disk space that is taken before the rollout begins, so that a disk that fills up meanwhile does not cut
+  // it off; 0: none. Too little is kResourceExhausted at Start.
+  uint64_t reserve_bytes = 0;
 };
 
 class Recorder {
@@ -60,6 +63,9 @@ class Recorder {
   void Record(const Sample& sample);
   // False once a sample was dropped or a write failed: the rollout must stop.
   bool ok() const { return ok_.load(std::memory_order_relaxed); }
+
+  // Of one sample on disk.
+  static uint64_t SampleBytes(int joints);
 
   // Drains, appends the end record, syncs, closes. The error is the first write that failed.
   Status Finish(const std::string& end_json);

@@ -44,8 +44,10 @@ std::vector<const Sample*> ChooseRows(const RawRecording& raw, int n, EndReason 
   return rows;
 }
 
+// `arm_adds_gravity`: what drives the arm is what it was handed plus a gravity that only its base knows. The
+// command column is then what it was handed, and the manifest says so.
 Recording MakeRecording(const std::vector<const Sample*>& rows, const std::vector<std::string>& joints,
-                        bool with_sent) {
+                        bool arm_adds_gravity) {
   const auto n = static_cast<Eigen::Index>(joints.size());
   const auto count = static_cast<Eigen::Index>(rows.size());
   Recording recording;
@@ -60,16 +62,17 @@ Recording MakeRecording(const std::vector<const Sample*>& rows, const std::vecto
     recording.q.col(k) = Eigen::Map<const Eigen::VectorXd>(sample.q.data(), n);
     recording.v.col(k) = Eigen::Map<const Eigen::VectorXd>(sample.v.data(), n);
     recording.effort_measured.col(k) = Eigen::Map<const Eigen::VectorXd>(sample.effort.data(), n);
-    recording.effort_command.col(k) = Eigen::Map<const Eigen::VectorXd>(sample.command.data(), n);
+    const JointArray& handed = arm_adds_gravity ? sample.sent : sample.command;
+    recording.effort_command.col(k) = Eigen::Map<const Eigen::VectorXd>(handed.data(), n);
   }
   Eigen::VectorXd sent_at(count);
   for (Eigen::Index k = 0; k < count; ++k)
     sent_at[k] = 1e-9 * static_cast<double>(rows[k]->time_ns - rows[0]->stamp_ns);
   recording.other[recordings::kCommandTime] = sent_at;
-  for (Eigen::Index i = 0; with_sent && i < n; ++i) {
+  for (Eigen::Index i = 0; arm_adds_gravity && i < n; ++i) {
     Eigen::VectorXd column(count);
-    for (Eigen::Index k = 0; k < count; ++k) column[k] = rows[k]->sent[i];
-    recording.other["effort_sent." + joints[i]] = column;
+    for (Eigen::Index k = 0; k < count; ++k) column[k] = rows[k]->command[i];
+    recording.other["effort_asked." + joints[i]] = column;
   }
   return recording;
 }
@@ -90,6 +93,8 @@ std::string MakeManifest(const json& metadata, const Recording& recording) {
   if (metadata.contains("locked")) set.locked = metadata["locked"].get<std::map<std::string, double>>();
   const double rate = metadata.at("rate_hz").get<double>();
   set.sample_rate_hz = set.control_rate_hz = rate;
+  set.effort_excludes_gravity = metadata.value("adds_gravity_compensation", false);
+  set.effort_excludes_gravity_given = true;
   const json noise = metadata.value("noise", json::object());
   if (noise.contains("position_stddev")) set.noise.position_stddev = noise["position_stddev"].get<double>();
   if (noise.contains("velocity_stddev")) set.noise.velocity_stddev = noise["velocity_stddev"].get<double>();

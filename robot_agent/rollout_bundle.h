@@ -9,6 +9,11 @@
 // command beside it was sent "mean_command_delay_s" later. A tick without a new state is left out (a
 // policy then repeats its command). After the controller's last command one more row holds the
 // state it led to, unless the state itself was what ended the rollout.
+//
+// Gravity. The manifest says whose it is. "effort_excludes_gravity": false: effort_command is the whole joint
+// torque. true: the arm's base added its own gravity compensation, effort_command is what it was handed, and
+// effort_asked is what the controller asked for (with the gravity of the agent's URDF, which is not what
+// acted).
 #pragma once
 
 #include <string>

@@ -10,8 +10,11 @@
 #include "common/base/file.h"
 #include "common/base/log.h"
 #include "common/model/robot_model.h"
-#include "robot_agent/arm_model.h"
 #include "robot_agent/controllers.h"
+#include "robot_agent/guard/guard_driver.h"
+#include "robot_agent/safety/latch.h"
+#include "robot_agent/safety/own_arm.h"
+#include "robot_agent/safety/watched_move.h"
 #include "services/trajectories/inverse_kinematics.h"
 
 namespace rg::robot_agent {
@@ -25,6 +28,12 @@ Status CheckSize(const char* what, const Eigen::VectorXd& x, int n) {
   if (x.size() == n) return Status::Ok();
   return InvalidError(std::string("rollout: ") + what + " has " + std::to_string(x.size()) + " entries for " +
                       std::to_string(n) + " joints");
+}
+
+Status CheckMost(const char* field, double value, double most) {
+  if (value <= most) return Status::Ok();
+  return InvalidError(std::string("rollout: ") + field + " is " + std::to_string(value) +
+                      ", this agent's configuration allows max_" + field + " " + std::to_string(most));
 }
 
 Status CheckInBox(const model::RobotModel& model, const SafetyLimits& limits, const Eigen::VectorXd& goal) {
@@ -66,7 +75,9 @@ std::string MetadataOf(const DriverInfo& info, const RolloutInput& input, const 
               {"gravity", {gravity.x(), gravity.y(), gravity.z()}},
               {"rate_hz", spec.rate_hz},
               {"duration_s", spec.duration_s},
-              {"torque_convention", "whole joint torque, gravity included"},
+              {"torque_convention", info.adds_gravity_compensation
+                                        ? "what the arm was handed; its base adds gravity compensation"
+                                        : "whole joint torque, gravity included"},
               {"adds_gravity_compensation", info.adds_gravity_compensation},
               {"start", ToVector(spec.start)},
               {"goal", ToVector(spec.goal)},
@@ -75,6 +86,8 @@ std::string MetadataOf(const DriverInfo& info, const RolloutInput& input, const 
               {"excitation", spec.excitation},
               {"policy_sha256", input.policy_sha256},
               {"model_sha256", input.model_sha256},
+              {"job", input.job_id},
+              {"task", input.task_id},
               {"limits", json::parse(LimitsToJson(input.plan.limits))},
               {"noise", NoiseOf(info)},
               {"started", FormatWallTime(clock.WallNanos())}}
@@ -83,11 +96,16 @@ std::string MetadataOf(const DriverInfo& info, const RolloutInput& input, const 
 
 std::string EndOf(const ControlLoopResult& loop, const std::vector<std::string>& joints) {
   return json{{"end_reason", EndReasonName(loop.trip.reason)},
-              {"detail", DescribeTrip(loop.trip, joints)},
+              {"detail", loop.refusal.empty() ? DescribeTrip(loop.trip, joints) : loop.refusal},
               {"ended_after_s", loop.duration_s},
               {"commands", loop.commands},
               {"saturated_samples", loop.saturated_samples},
-              {"held", loop.held},
+              {"held", loop.stop.confirmed},
+              {"stop",
+               {{"confirmed", loop.stop.confirmed},
+                {"attempts", loop.stop.attempts},
+                {"took_s", loop.stop.took_s},
+                {"why", loop.stop.why}}},
               {"jitter", json::parse(loop.jitter.ToJson())}}
       .dump();
 }
@@ -107,9 +125,8 @@ RolloutResult ResultOf(const FinishedRollout& finished, std::string bundle, std:
   return result;
 }
 
-// A rollout of that id is in the spool already, finished or just salvaged.
-Result<RolloutResult> AlreadyThere(Spool& spool, const RolloutInput& input) {
-  const std::string path = spool.ReadyPath(input.plan.spec.id);
+// A rollout of that id is in the spool already, finished or just salvaged, delivered or not.
+Result<RolloutResult> AlreadyThere(const std::string& path, const RolloutInput& input) {
   RG_ASSIGN_OR_RETURN(std::string bytes, ReadFile(path));
   RG_ASSIGN_OR_RETURN(rollouts::Bundle bundle, rollouts::UnpackBundle(bytes));
   FinishedRollout finished{.bundle = bundle, .recording = {}, .rollout_json = bundle["rollout.json"]};
@@ -129,12 +146,94 @@ Result<Eigen::VectorXd> GoalByInverseKinematics(const sim::Plant& plant, const r
   return found.q;
 }
 
-Status GoToStart(Driver& driver, const RolloutInput& input, const ProgressFn& progress) {
+MoveOutcome GoToStart(Driver& driver, ArmModel& arm, const RolloutInput& input, const ProgressFn& progress,
+                      const CancelToken& stop) {
   if (progress) progress({"rollout", 0.0, input.plan.spec.duration_s, "to the start pose"});
-  const Status moved = driver.MoveToPose(input.plan.spec.start.data(), input.config.pose_tolerance,
-                                         input.config.pose_timeout_s);
-  if (!moved.ok()) return moved.WithPrefix("start pose");
-  return driver.SleepUntil(driver.NowNanos() + std::llround(1e9 * input.config.settle_s));
+  MoveOptions options;
+  options.tolerance = input.config.pose_tolerance;
+  options.timeout_s = input.config.pose_timeout_s;
+  options.settle_s = input.config.settle_s;
+  if (input.observer != nullptr)
+    options.on_state = [&input](const RobotState& state) { input.observer->OnState(state); };
+  return MoveUnderWatch(driver, arm, input.config.limits, input.plan.spec.start.data(), options, stop);
+}
+
+// Nothing that was lost makes an arm move twice.
+Status CheckNeverBegun(const Spool& spool, const std::string& id) {
+  const auto line = spool.Begun(id);
+  if (!line) return Status::Ok();
+  return AlreadyExistsError("rollout " + *line +
+                            " began on this arm and is never begun again; its recording is no "
+                            "longer in the spool " +
+                            spool.folder() +
+                            " (the store has it, or look in broken/): "
+                            "submit it as a new job");
+}
+
+double SamplesOf(const rollouts::RolloutSpec& spec) { return spec.rate_hz * spec.duration_s + 64.0; }
+
+// The recording, its bundle as text, and what the disk's owner wants left.
+Status CheckRoom(const Spool& spool, const RolloutInput& input, int n) {
+  const double bytes = SamplesOf(input.plan.spec) * static_cast<double>(Recorder::SampleBytes(n));
+  return spool.CheckRoom(4e-6 * bytes + input.config.min_free_mb);
+}
+
+// The loop only sees that the arm left its mode: the guard knows why.
+void AskGuard(const GuardDriver& guard, Trip* trip) {
+  const bool symptom = trip->reason == EndReason::kModeLost || trip->reason == EndReason::kDriverLost ||
+                       trip->reason == EndReason::kMissedDeadlines;
+  if (!symptom || guard.trip().reason == EndReason::kNone) return;
+  const int64_t at_ns = trip->at_ns;
+  *trip = guard.trip();
+  trip->at_ns = at_ns;
+}
+
+// The stop is known to have worked, or the arm is latched. Safe stop first, words second.
+void CloseLatch(Latch& latch, const StopReport& stop, const std::string& id, const Clock& clock) {
+  const std::string now = FormatWallTime(clock.WallNanos());
+  const Status written = stop.confirmed ? latch.EndMotion() : latch.Set(id, stop.why, now);
+  if (!stop.confirmed) spdlog::error("rollout {}: the stop was not confirmed: {}; latched", id, stop.why);
+  if (!written.ok()) spdlog::error("rollout {}: {}", id, written.ToString());
+}
+
+// An arm that is a process of its driver's is gone with it, and its successor begins at rest.
+Status CheckLatch(Latch& latch, const AgentConfig& config) {
+  const Status clear = latch.CheckClear();
+  if (clear.ok() || !config.arm_ends_with_driver()) return clear;
+  spdlog::warn("{}; that simulated arm is gone, cleared", clear.message());
+  return latch.Clear();
+}
+
+// A command has to come well before the arm counts the agent as silent.
+Status CheckRate(const DriverInfo& info, const rollouts::RolloutSpec& spec) {
+  if (info.silence_timeout_s <= 0 || 2.0 / spec.rate_hz <= info.silence_timeout_s) return Status::Ok();
+  return InvalidError("rollout: rate_hz is " + std::to_string(spec.rate_hz) + "; the arm " + info.robot +
+                      " takes silence of " + std::to_string(info.silence_timeout_s) +
+                      " s for a lost agent and needs at least " +
+                      std::to_string(2.0 / info.silence_timeout_s));
+}
+
+// From where the arm stands. Never a result: what was computed was not what moved it.
+Status DryRun(Driver& driver, ArmModel& arm, const RolloutInput& input, const Spool& spool,
+              const CancelToken& stop, const Clock& clock) {
+  const std::string path = spool.folder() + "/dry_run.rec";
+  std::filesystem::remove(path);
+  const int n = input.plant.num_joints();
+  RG_ASSIGN_OR_RETURN(const auto recorder,
+                      Recorder::Start(path, MetadataOf(driver.info(), input, clock), n, {}));
+  ControlLoopOptions options;
+  options.rate_hz = input.plan.spec.rate_hz;
+  options.duration_s = input.plan.spec.duration_s;
+  options.velocity_source = input.config.velocity_source;
+  options.observer = input.observer;
+  const ControlLoopResult loop =
+      RunControlLoop(driver, input.controller, arm, input.plan.limits, options, *recorder, stop, clock);
+  RG_RETURN_IF_ERROR(recorder->Finish(EndOf(loop, driver.info().joints)));
+  const std::string detail = DescribeTrip(loop.trip, driver.info().joints);
+  return FailedPreconditionError("dry run: " + std::to_string(loop.commands) +
+                                 " commands were computed and none was sent, it ended with " +
+                                 std::string(EndReasonName(loop.trip.reason)) +
+                                 (detail.empty() ? "" : " (" + detail + ")") + "; they are in " + path);
 }
 
 }  // namespace
@@ -145,6 +244,9 @@ Eigen::VectorXd ToEigen(const std::vector<double>& x) {
 
 Result<RolloutPlan> PlanRollout(const rollouts::RolloutSpec& spec, const AgentConfig& config,
                                 const sim::Plant& plant) {
+  RG_RETURN_IF_ERROR(rollouts::CheckSpec(spec));
+  RG_RETURN_IF_ERROR(CheckMost("rate_hz", spec.rate_hz, config.max_rate_hz));
+  RG_RETURN_IF_ERROR(CheckMost("duration_s", spec.duration_s, config.max_duration_s));
   const model::RobotModel& model = plant.model();
   const int n = plant.num_joints();
   RolloutPlan plan{.spec = spec, .limits = {}};
@@ -167,26 +269,52 @@ Result<RolloutPlan> PlanRollout(const rollouts::RolloutSpec& spec, const AgentCo
 Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spool& spool,
                                  const ProgressFn& progress, const CancelToken& stop, const Clock& clock) {
   const std::string& id = input.plan.spec.id;
-  if (std::filesystem::exists(spool.ReadyPath(id))) return AlreadyThere(spool, input);
+  RG_RETURN_IF_ERROR(rollouts::CheckSpec(input.plan.spec));
+  if (const auto path = spool.FinishedPath(id)) return AlreadyThere(*path, input);
+  RG_RETURN_IF_ERROR(CheckNeverBegun(spool, id));
+  const int n = input.plant.num_joints();
+  RG_RETURN_IF_ERROR(CheckRoom(spool, input, n));
+  Latch latch(spool.folder());
+  RG_RETURN_IF_ERROR(CheckLatch(latch, input.config));
   RG_RETURN_IF_ERROR(driver.Connect(input.config.connect_timeout_s));
   RG_RETURN_IF_ERROR(CheckJoints(driver.info(), input.plant));
-  RG_RETURN_IF_ERROR(GoToStart(driver, input, progress));
+  RG_RETURN_IF_ERROR(CheckRate(driver.info(), input.plan.spec));
+  OwnArm arm(*input.config.arm, Eigen::Map<const Eigen::Vector3d>(input.config.gravity.data()),
+             input.config.parts);
   if (stop.cancelled()) return CancelledError("stopped before the rollout began");
+  if (input.config.dry_run) return DryRun(driver, arm, input, spool, stop, clock);
+  RG_RETURN_IF_ERROR(latch.BeginMotion(id, FormatWallTime(clock.WallNanos())));
+  const MoveOutcome moved = GoToStart(driver, arm, input, progress, stop);
+  if (!moved.status.ok()) {
+    CloseLatch(latch, moved.stop, id, clock);
+    return moved.status.WithPrefix("start pose");
+  }
 
-  const int n = input.plant.num_joints();
   const std::string active = spool.ActivePath(id);
-  RG_ASSIGN_OR_RETURN(auto recorder, Recorder::Start(active, MetadataOf(driver.info(), input, clock), n, {}));
-  PlantArmModel arm(input.plant, input.values);
+  auto started = Recorder::Start(
+      active, MetadataOf(driver.info(), input, clock), n,
+      {.reserve_bytes = static_cast<uint64_t>(SamplesOf(input.plan.spec)) * Recorder::SampleBytes(n)});
+  const Status marked =
+      started.ok() ? spool.MarkBegun(id, FormatWallTime(clock.WallNanos())) : started.status();
+  if (!marked.ok()) {
+    CloseLatch(latch, StopArm(driver), id, clock);
+    if (started.ok()) std::filesystem::remove(active);
+    return marked;
+  }
+  auto recorder = *std::move(started);
   ControlLoopOptions options;
   options.rate_hz = input.plan.spec.rate_hz;
   options.duration_s = input.plan.spec.duration_s;
   options.velocity_source = input.config.velocity_source;
+  options.observer = input.observer;
   if (progress) progress({"rollout", 0.0, options.duration_s, "running"});
   ExcitedController controller(input.controller,
                                input.plan.spec.excitation * ToEigen(input.plan.limits.torque),
                                options.duration_s, input.plan.spec.goal_seed);
-  const ControlLoopResult loop =
+  ControlLoopResult loop =
       RunControlLoop(driver, controller, arm, input.plan.limits, options, *recorder, stop, clock);
+  if (input.guard != nullptr) AskGuard(*input.guard, &loop.trip);
+  CloseLatch(latch, loop.stop, id, clock);
   const Status recorded = recorder->Finish(EndOf(loop, driver.info().joints));
   if (!recorded.ok()) spdlog::error("recording {}: {}", id, recorded.ToString());
   recorder.reset();

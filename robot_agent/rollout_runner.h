@@ -1,12 +1,16 @@
 // One rollout, from wherever the arm is to a recording in the spool.
 //
-//   connect -> start pose (position mode) -> settle -> torque mode -> control loop -> hold -> spool
+//   connect -> start pose (position mode) -> settle -> torque mode -> control loop -> stop -> spool
 //
+// Everything from the first motion on is watched by the safety monitor, with the agent's own limits and
+// kinematics, and ends in StopArm; a stop that was not confirmed latches (safety/latch.h), and a latched arm
+// does not move.
 // Who calls it: the executor of the task kind `rollout`, a test, or a program; one thread. What is
 // durable when it returns a result: the bundle, in the spool's ready folder under spec.id. A repeat with
-// the same id moves nothing: the bundle that is there is returned (a robot never runs a rollout twice).
-// A stop of any kind is a result with its reason; an error means that the arm was not moved under
-// torque (unreachable, wrong joints, start pose not reached) or that the recording could not be kept.
+// the same id moves nothing: the bundle that is there is returned, or, where it is gone, kAlreadyExists. An
+// arm never begins a rollout twice, whatever was lost in between (Spool::MarkBegun). A stop of any kind is a
+// result with its reason; an error means that the arm was not moved under torque (unreachable, wrong joints,
+// start pose not reached) or that the recording could not be kept.
 #pragma once
 
 #include <functional>
@@ -25,6 +29,8 @@
 
 namespace rg::robot_agent {
 
+class GuardDriver;
+
 // Limits and poses of the configuration as what algorithms take.
 Eigen::VectorXd ToEigen(const std::vector<double>& x);
 
@@ -40,11 +46,12 @@ Result<RolloutPlan> PlanRollout(const rollouts::RolloutSpec& spec, const AgentCo
 struct RolloutInput {
   const RolloutPlan& plan;
   const AgentConfig& config;
-  const sim::Plant& plant;        // the believed model …
-  const Eigen::VectorXd& values;  // … at these parameters: gravity compensation, end effector
-  Controller& controller;         // for plan.spec.goal
+  const sim::Plant& plant;  // the believed model: joints, URDF and gravity for the recording
+  Controller& controller;   // for plan.spec.goal
+  LoopObserver* observer = nullptr;
+  const GuardDriver* guard = nullptr;  // the driver, if it is one
   std::string controller_name = "policy";
-  std::string policy_sha256, model_sha256;  // into the metadata
+  std::string policy_sha256, model_sha256, job_id, task_id;  // into the metadata: the recording's lineage
 };
 
 struct RolloutResult {

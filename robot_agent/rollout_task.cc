@@ -1,13 +1,17 @@
 #include "robot_agent/rollout_task.h"
 
 #include <cstdio>
+#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <optional>
 
 #include "common/base/clock.h"
 #include "common/base/hash.h"
 #include "common/sim/model_file.h"
+#include "robot_agent/board.h"
 #include "robot_agent/controllers.h"
+#include "robot_agent/dry_run_driver.h"
+#include "robot_agent/guard/guard_driver.h"
 #include "robot_agent/rollout_runner.h"
 #include "robot_agent/spool_delivery.h"
 #include "services/rollouts/reference_motion.h"
@@ -17,6 +21,8 @@ namespace rg::robot_agent {
 namespace {
 
 using nlohmann::json;
+
+constexpr double kLockWait = 10.0;  // s, for who finishes a dead process's recordings
 
 // Start, goal and duration are the motion's; nothing is added to it.
 rollouts::RolloutSpec SpecOf(const rollouts::ReferenceMotion& motion, rollouts::RolloutSpec spec) {
@@ -77,6 +83,45 @@ Result<std::unique_ptr<Controller>> MakeController(const RolloutTaskInput& input
   return std::unique_ptr<Controller>(std::move(controller));
 }
 
+// A real arm without an agent beside it would not hear a stop.
+Status CheckArmed(const AgentConfig& config, const Result<std::unique_ptr<Board>>& board) {
+  if (board.ok()) {
+    if ((*board)->armed()) return Status::Ok();
+    return FailedPreconditionError("the arm " + config.name + " is disarmed: realitygrad agent arm");
+  }
+  if (config.arm_ends_with_driver() && board.status().code() == StatusCode::kNotFound) return Status::Ok();
+  return FailedPreconditionError("no agent runs beside the arm " + config.name +
+                                 ", a stop would not be heard: " + board.status().message());
+}
+
+std::string GuardProgram() {
+  std::error_code error;
+  const auto self = std::filesystem::read_symlink("/proc/self/exe", error);
+  return (self.parent_path() / "realitygrad-guard").string();
+}
+
+// Beside an agent the arm is the guard's. Without one (tests, tools) it is a simulated arm's own driver.
+Result<std::unique_ptr<Driver>> DriverFor(const AgentConfig& config, const rollouts::RolloutSpec& spec,
+                                          const std::string& spool_folder, bool beside_agent,
+                                          const GuardDriver** guard) {
+  if (config.dry_run || !beside_agent || config.path.empty()) {
+    RG_ASSIGN_OR_RETURN(auto driver, MakeDriver(config, spec.robot_seed));
+    if (!config.dry_run) return driver;
+    return std::unique_ptr<Driver>(std::make_unique<DryRunDriver>(std::move(driver)));
+  }
+  std::vector<std::string> arguments = {GuardProgram(),
+                                        "--config",
+                                        config.path,
+                                        "--spool",
+                                        spool_folder,
+                                        "--seed",
+                                        std::to_string(spec.robot_seed)};
+  if (config.simulated.lock_step) arguments.push_back("--lock-step");
+  RG_ASSIGN_OR_RETURN(auto guarded, GuardDriver::Start(std::move(arguments), 1.0 / spec.rate_hz));
+  *guard = guarded.get();
+  return std::unique_ptr<Driver>(std::move(guarded));
+}
+
 RolloutTaskOutput OutputOf(const RolloutResult& result) {
   const json rollout = json::parse(result.rollout_json);
   const json jitter = rollout.value("jitter", json::object());
@@ -103,7 +148,8 @@ RolloutTaskOutput OutputOf(const RolloutResult& result) {
 Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::string& spool_folder,
                                          const RolloutTaskInput& input, const ProgressFn& progress,
                                          const CancelToken& stop) {
-  RG_ASSIGN_OR_RETURN(const auto spool, Spool::Open(spool_folder));
+  RG_RETURN_IF_ERROR(rollouts::CheckSpec(input.spec));  // its id becomes a path
+  RG_ASSIGN_OR_RETURN(const auto spool, Spool::Open(spool_folder, kLockWait));
   SalvageRecordings(*spool);
   RG_ASSIGN_OR_RETURN(const sim::ModelFile model, sim::ModelFromJson(input.model_json, "model"));
   std::optional<rollouts::ReferenceMotion> motion;
@@ -114,18 +160,36 @@ Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::s
   }
   RG_ASSIGN_OR_RETURN(const RolloutPlan plan, PlanRollout(spec, config, model.plant));
   RG_ASSIGN_OR_RETURN(const auto controller, MakeController(input, model, plan, motion));
-  RG_ASSIGN_OR_RETURN(const auto driver, MakeDriver(config, plan.spec.robot_seed));
-  const RolloutInput rollout{.plan = plan,
-                             .config = config,
-                             .plant = model.plant,
-                             .values = model.values,
-                             .controller = *controller,
-                             .controller_name = input.controller,
-                             .policy_sha256 = input.policy_bytes.empty() ? "" : Sha256Hex(input.policy_bytes),
-                             .model_sha256 = Sha256Hex(input.model_json)};
-  RG_ASSIGN_OR_RETURN(const RolloutResult result,
-                      RunRollout(*driver, rollout, *spool, progress, stop, RealClock()));
-  return OutputOf(result);
+  const auto board = Board::Open(spool_folder);
+  RG_RETURN_IF_ERROR(CheckArmed(config, board));
+  const GuardDriver* guard = nullptr;
+  RG_ASSIGN_OR_RETURN(const auto driver, DriverFor(config, plan.spec, spool_folder, board.ok(), &guard));
+  RolloutInput rollout{.plan = plan,
+                       .config = config,
+                       .plant = model.plant,
+                       .controller = *controller,
+                       .controller_name = input.controller,
+                       .policy_sha256 = input.policy_bytes.empty() ? "" : Sha256Hex(input.policy_bytes),
+                       .model_sha256 = Sha256Hex(input.model_json),
+                       .job_id = input.job_id,
+                       .task_id = input.task_id};
+  rollout.guard = guard;
+  if (!board.ok()) {
+    RG_ASSIGN_OR_RETURN(const RolloutResult result,
+                        RunRollout(*driver, rollout, *spool, progress, stop, RealClock()));
+    return OutputOf(result);
+  }
+  const StopListener listener(**board, stop);
+  BoardPublisher publisher(**board, plan.spec.id, model.plant.joint_names(), plan.limits, plan.spec.rate_hz,
+                           config.dry_run);
+  rollout.observer = &publisher;
+  const auto result = RunRollout(*driver, rollout, *spool, progress, listener.token(), RealClock());
+  if (!result.ok()) {
+    publisher.SetEnd(std::string(StatusCodeName(result.status().code())), result.status().message());
+    return result.status();
+  }
+  publisher.SetEnd(std::string(EndReasonName(result->reason)), result->detail);
+  return OutputOf(*result);
 }
 
 }  // namespace rg::robot_agent

@@ -18,6 +18,7 @@ struct RolloutTaskInput {
   std::string model_json;    // realitygrad.model/1: the belief
   std::string policy_bytes;  // for controller "policy"
   rollouts::RolloutSpec spec;
+  std::string job_id, task_id;        // where the recording belongs, should it travel alone
   std::string controller = "policy";  // "mpc", "trajectory"
   // For controller "trajectory": the motion (services/rollouts/reference_motion.h), which then says start,
   // goal and duration, whatever `spec` says of them. It is checked against the agent's boxes before anything

@@ -2,12 +2,16 @@
 
 #include <fcntl.h>
 #include <sys/file.h>
+#include <sys/statvfs.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
+#include <cstdio>
 #include <cstring>
 #include <filesystem>
+#include <fstream>
 
 #include "common/base/file.h"
 #include "common/base/log.h"
@@ -18,6 +22,31 @@ namespace {
 namespace fs = std::filesystem;
 constexpr const char* kActiveSuffix = ".rec";
 constexpr const char* kReadySuffix = ".tar";
+
+// Oldest first; ids of the same age in their order.
+std::vector<std::string> IdsByTime(const fs::path& folder, const std::string& suffix) {
+  std::vector<std::pair<fs::file_time_type, std::string>> found;
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(folder, error)) {
+    if (entry.path().extension() != suffix) continue;
+    std::error_code gone;
+    const auto time = fs::last_write_time(entry.path(), gone);
+    if (!gone) found.emplace_back(time, entry.path().stem().string());
+  }
+  std::sort(found.begin(), found.end());
+  std::vector<std::string> ids;
+  for (auto& [time, id] : found) ids.push_back(std::move(id));
+  return ids;
+}
+
+// Waits for the lock by asking again: whoever has it has it for a moment.
+bool TakeLock(int file, double wait_s) {
+  for (double waited = 0.0;; waited += 0.02) {
+    if (flock(file, LOCK_EX | LOCK_NB) == 0) return true;
+    if (waited >= wait_s) return false;
+    usleep(20'000);
+  }
+}
 
 std::vector<std::string> IdsIn(const fs::path& folder, const std::string& suffix) {
   std::vector<std::string> ids;
@@ -30,16 +59,25 @@ std::vector<std::string> IdsIn(const fs::path& folder, const std::string& suffix
 
 }  // namespace
 
-Result<std::unique_ptr<Spool>> Spool::Open(const std::string& folder) {
+Result<std::unique_ptr<Spool>> Spool::Open(const std::string& folder, double wait_s) {
+  return OpenWith(folder, "lock", wait_s);
+}
+
+Result<std::unique_ptr<Spool>> Spool::OpenToDeliver(const std::string& folder) {
+  return OpenWith(folder, "delivery.lock", 0.0);
+}
+
+Result<std::unique_ptr<Spool>> Spool::OpenWith(const std::string& folder, const char* lock_name,
+                                               double wait_s) {
   std::error_code error;
-  for (const char* part : {"active", "ready", "broken"}) {
+  for (const char* part : {"active", "ready", "sent", "broken"}) {
     fs::create_directories(fs::path(folder) / part, error);
     if (error) return UnavailableError("cannot make the spool folder " + folder + ": " + error.message());
   }
-  const std::string lock_path = folder + "/lock";
+  const std::string lock_path = folder + "/" + lock_name;
   const int lock = open(lock_path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
   if (lock < 0) return UnavailableError("cannot open " + lock_path + ": " + std::strerror(errno));
-  if (flock(lock, LOCK_EX | LOCK_NB) != 0) {
+  if (!TakeLock(lock, wait_s)) {
     close(lock);
     return FailedPreconditionError("another agent uses the spool folder " + folder);
   }
@@ -61,9 +99,14 @@ Status Spool::Commit(const std::string& id, const std::string& bundle) {
   return Status::Ok();
 }
 
-int Spool::Deliver(const Deliverer& deliver) {
+int Spool::Deliver(const Deliverer& deliver, double least_age_s) {
   int delivered = 0;
-  for (const std::string& id : Ready()) {
+  const auto now = fs::file_time_type::clock::now();
+  for (const std::string& id : IdsByTime(folder_ + "/ready", kReadySuffix)) {
+    std::error_code gone;
+    const auto written = fs::last_write_time(ReadyPath(id), gone);
+    if (gone) continue;
+    if (least_age_s > 0.0 && std::chrono::duration<double>(now - written).count() < least_age_s) continue;
     const auto bundle = ReadFile(ReadyPath(id));
     const Status status = bundle.ok() ? deliver(id, *bundle) : bundle.status();
     if (!status.ok() && status.code() != StatusCode::kAlreadyExists) {
@@ -77,9 +120,64 @@ int Spool::Deliver(const Deliverer& deliver) {
 }
 
 Status Spool::Delivered(const std::string& id) {
-  const std::string path = ReadyPath(id);
-  if (unlink(path.c_str()) == 0 || errno == ENOENT) return Status::Ok();
-  return UnavailableError("cannot remove " + path + ": " + std::strerror(errno));
+  const std::string from = ReadyPath(id), to = folder_ + "/sent/" + id + kReadySuffix;
+  if (rename(from.c_str(), to.c_str()) != 0 && errno != ENOENT)
+    return UnavailableError("cannot move " + from + " to " + to + ": " + std::strerror(errno));
+  PruneSent();
+  return Status::Ok();
+}
+
+void Spool::PruneSent() const {
+  const std::vector<std::string> ids = IdsByTime(folder_ + "/sent", kReadySuffix);
+  for (size_t i = 0; i + kKeptSent < ids.size(); ++i)
+    unlink((folder_ + "/sent/" + ids[i] + kReadySuffix).c_str());
+}
+
+std::optional<std::string> Spool::FinishedPath(const std::string& id) const {
+  // Ready first, and again after sent: it may be on its way from one to the other.
+  for (const std::string& path : {ReadyPath(id), folder_ + "/sent/" + id + kReadySuffix, ReadyPath(id)}) {
+    std::error_code error;
+    if (fs::exists(path, error)) return path;
+  }
+  return std::nullopt;
+}
+
+Status Spool::MarkBegun(const std::string& id, const std::string& now) {
+  const std::string path = folder_ + "/begun.txt";
+  const int file = open(path.c_str(), O_RDWR | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
+  if (file < 0) return UnavailableError("cannot open " + path + ": " + std::strerror(errno));
+  // A line that a power cut tore is ended first; its rollout had not begun.
+  const off_t size = lseek(file, 0, SEEK_END);
+  char last = '\n';
+  if (size > 0 && pread(file, &last, 1, size - 1) != 1) last = ' ';
+  const std::string line = (last == '\n' ? "" : "\n") + id + " " + now + "\n";
+  const bool kept =
+      write(file, line.data(), line.size()) == static_cast<ssize_t>(line.size()) && fsync(file) == 0;
+  const int error = errno;
+  close(file);
+  if (kept) return Status::Ok();
+  return ResourceExhaustedError("cannot write " + path +
+                                ", so the rollout does not begin: " + std::strerror(error));
+}
+
+std::optional<std::string> Spool::Begun(const std::string& id) const {
+  std::ifstream file(folder_ + "/begun.txt");
+  for (std::string line; std::getline(file, line);)
+    if (line.rfind(id + " ", 0) == 0 || line == id) return line;
+  return std::nullopt;
+}
+
+Status Spool::CheckRoom(double megabytes) const {
+  struct statvfs disk {};
+  if (statvfs(folder_.c_str(), &disk) != 0)
+    return UnavailableError("cannot look at the disk of " + folder_ + ": " + std::strerror(errno));
+  const double free = 1e-6 * static_cast<double>(disk.f_bavail) * static_cast<double>(disk.f_frsize);
+  if (free >= megabytes) return Status::Ok();
+  char text[160];
+  std::snprintf(text, sizeof text, ": %.0f MB are free, a rollout needs %.0f MB; %zu recordings wait here",
+                free, megabytes, Ready().size());
+  return ResourceExhaustedError("the disk of the spool " + folder_ + text +
+                                " for the coordinator: let it take them, or make room");
 }
 
 std::vector<std::string> Spool::Salvage(const Finisher& finish) {

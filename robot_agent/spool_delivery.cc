@@ -26,17 +26,14 @@ int SalvageRecordings(Spool& spool) {
   return static_cast<int>(ids.size());
 }
 
-Result<int> DeliverSpool(const std::string& spool_folder, const BundleDeliverer& deliver) {
-  RG_ASSIGN_OR_RETURN(const auto spool, Spool::Open(spool_folder));
-  SalvageRecordings(*spool);
-  return spool->Deliver([&](const std::string& id, const std::string& bundle) {
+Result<int> DeliverSpool(const std::string& spool_folder, const BundleDeliverer& deliver,
+                         double least_age_s) {
+  if (const auto idle = Spool::Open(spool_folder); idle.ok()) SalvageRecordings(**idle);
+  RG_ASSIGN_OR_RETURN(const auto spool, Spool::OpenToDeliver(spool_folder));
+  const auto with_metadata = [&](const std::string& id, const std::string& bundle) {
     return deliver(id, bundle, MetadataOfBundle(bundle));
-  });
-}
-
-Status ForgetDelivered(const std::string& spool_folder, const std::string& id) {
-  RG_ASSIGN_OR_RETURN(const auto spool, Spool::Open(spool_folder));
-  return spool->Delivered(id);
+  };
+  return spool->Deliver(with_metadata, least_age_s);
 }
 
 }  // namespace rg::robot_agent

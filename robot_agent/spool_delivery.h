@@ -14,13 +14,12 @@ class Spool;
 // Makes bundles of what a dead process left in the spool; how many.
 int SalvageRecordings(Spool& spool);
 
-// Opens the spool, finishes what a dead process left, and hands every bundle that waits to `deliver` with
-// its metadata. Returns how many were taken; kFailedPrecondition: a rollout is running, come later.
+// Finishes what a dead process left, unless a rollout is running, and hands every bundle that waits to
+// `deliver` with its metadata, the oldest first. Returns how many were taken; kFailedPrecondition: somebody
+// else delivers.
 using BundleDeliverer =
     std::function<Status(const std::string& id, const std::string& bundle, const std::string& metadata_json)>;
-Result<int> DeliverSpool(const std::string& spool_folder, const BundleDeliverer& deliver);
-
-// After the coordinator has committed the task's output: the spool need not keep it. Idempotent.
-Status ForgetDelivered(const std::string& spool_folder, const std::string& id);
+Result<int> DeliverSpool(const std::string& spool_folder, const BundleDeliverer& deliver,
+                         double least_age_s = 0.0);
 
 }  // namespace rg::robot_agent

@@ -94,9 +94,19 @@ class Driver {
   // and repeatedly; a lost arm gives kUnavailable (it then stops by its own silence timeout).
   virtual Status Hold() = 0;
 
-  // Position mode; ramps to q (n) within the arm's speed limits, returns when there (within
-  // `tolerance`, per joint) and at rest. kDeadlineExceeded, then the arm holds where it is.
-  virtual Status MoveToPose(const double* q, double tolerance, double timeout_s) = 0;
+  // Position mode; begins to ramp to q (n) within the arm's speed limits and returns as soon as the arm has
+  // accepted it. States measured from then on carry `moving` until it is there and at rest; Hold ends it.
+  // What an arm needs before its first motion (sensors zeroed, small test torques) is part of its first move,
+  // `moving` throughout; its states may say torque mode meanwhile, and Hold ends that too. The agent moves
+  // the arm by this call alone, with every state judged on the way (safety/watched_move.h): an arm whose
+  // driver lacks it does not move.
+  virtual Status StartMove(const double* q) {
+    (void)q;
+    return FailedPreconditionError("this driver cannot move to a pose while it is watched");
+  }
+  // The same, returns when there (within `tolerance`, per joint) and at rest. kDeadlineExceeded, then the arm
+  // holds where it is. Nobody watches: for trials by hand and tests.
+  virtual Status MoveToPose(const double* q, double tolerance, double timeout_s);
 };
 
 }  // namespace rg::robot_agent

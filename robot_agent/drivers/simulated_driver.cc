@@ -156,22 +156,10 @@ Status SimulatedDriver::SendTorque(const double* tau) {
 
 Status SimulatedDriver::Hold() { return Ask(Request(MessageType::kHold, nullptr), MessageType::kAck); }
 
-Status SimulatedDriver::MoveToPose(const double* q, double tolerance, double timeout_s) {
+Status SimulatedDriver::StartMove(const double* q) {
   RG_RETURN_IF_ERROR(Ask(Request(MessageType::kMoveTo, q), MessageType::kAck));
-  const uint64_t from = last_.sequence;
-  const int64_t give_up = NowNanos() + std::llround(1e9 * timeout_s);
-  double worst = 0.0;
-  while (NowNanos() < give_up) {
-    RobotState state;
-    RG_RETURN_IF_ERROR(AwaitStateFrom(from, 1.0, &state));
-    worst = 0.0;
-    for (int i = 0; i < joints(); ++i) worst = std::max(worst, std::abs(state.q[i] - q[i]));
-    if (!state.moving && worst <= tolerance) return Status::Ok();
-    RG_RETURN_IF_ERROR(SleepUntil(NowNanos() + 20'000'000));
-  }
-  RG_RETURN_IF_ERROR(Hold());
-  return DeadlineExceededError("the pose was not reached within " + std::to_string(timeout_s) + " s, still " +
-                               std::to_string(worst) + " rad away");
+  RobotState ignored;
+  return AwaitStateFrom(last_.sequence, 1.0, &ignored);  // so that `moving` is of this move
 }
 
 Status SimulatedDriver::InjectFault(Fault fault, double strength) {

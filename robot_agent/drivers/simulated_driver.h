@@ -1,7 +1,7 @@
 // Drives the program realitygrad-simulated-robot over a socket: started by this driver as a child on a
 // socket pair, or by hand with --socket PATH. Real time or lock-step (see robot_protocol.h).
 //
-// In lock-step the robot's time passes only inside SleepUntil, EnterTorqueMode and MoveToPose, so a
+// In lock-step the robot's time passes only inside SleepUntil, EnterTorqueMode and StartMove, so a
 // rollout takes as long as its computation and is the same for the same seed.
 #pragma once
 
@@ -40,7 +40,7 @@ class SimulatedDriver final : public Driver {
   Status EnterTorqueMode(const double* first) override;
   Status SendTorque(const double* tau) override;
   Status Hold() override;
-  Status MoveToPose(const double* q, double tolerance, double timeout_s) override;
+  Status StartMove(const double* q) override;
 
   // For tests; the robot must run with --allow-faults.
   Status InjectFault(Fault fault, double strength = 0.0);

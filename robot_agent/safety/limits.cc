@@ -1,5 +1,6 @@
 #include "robot_agent/safety/limits.h"
 
+#include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <set>
@@ -62,6 +63,7 @@ Status CheckTaskBox(const TaskBox& box) {
 }
 
 Status ReadTaskBox(const json& value, TaskBox* box) {
+  if (value.is_null()) return Status::Ok();
   const auto lower = value.at("lower").get<std::vector<double>>();
   const auto upper = value.at("upper").get<std::vector<double>>();
   if (lower.size() != 3 || upper.size() != 3)
@@ -71,7 +73,29 @@ Status ReadTaskBox(const json& value, TaskBox* box) {
   return Status::Ok();
 }
 
+struct RequiredField {
+  const char* name;
+  const char* what;
+};
+constexpr RequiredField kRequired[] = {
+    {"lower", "the lowest position of each joint, rad (m)"},
+    {"upper", "the highest position of each joint, rad (m)"},
+    {"velocity", "the largest speed of each joint, rad/s (m/s)"},
+    {"torque", "the largest torque of each joint, N·m (N)"},
+    {"torque_rate", "how fast the torque of each joint may change, N·m/s (N/s)"},
+    {"task_box",
+     "where the end effector may be, {\"lower\": [3], \"upper\": [3]} in m, or null for anywhere"}};
+
+Status CheckAllThere(const json& root) {
+  if (!root.is_object()) return InvalidError("must be an object");
+  for (const auto& field : kRequired)
+    if (!root.contains(field.name))
+      return InvalidError("\"" + std::string(field.name) + "\" is missing: " + field.what);
+  return Status::Ok();
+}
+
 Status ReadFields(const json& root, SafetyLimits* limits) {
+  RG_RETURN_IF_ERROR(CheckAllThere(root));
   for (const auto& [key, value] : root.items()) {
     if (key == "lower") {
       value.get_to(limits->lower);
@@ -81,6 +105,14 @@ Status ReadFields(const json& root, SafetyLimits* limits) {
       value.get_to(limits->velocity);
     } else if (key == "torque") {
       value.get_to(limits->torque);
+    } else if (key == "torque_rate") {
+      value.get_to(limits->torque_rate);
+    } else if (key == "velocity_window_s") {
+      value.get_to(limits->velocity_window_s);
+    } else if (key == "freeze_s") {
+      value.get_to(limits->freeze_s);
+    } else if (key == "freeze_start_s") {
+      value.get_to(limits->freeze_start_s);
     } else if (key == "task_box") {
       RG_RETURN_IF_ERROR(ReadTaskBox(value, &limits->task));
     } else if (key == "torque_trip_ratio") {
@@ -113,13 +145,18 @@ Status ValidateLimits(const SafetyLimits& limits, const std::vector<std::string>
   RG_RETURN_IF_ERROR(CheckSize("upper", limits.upper, n));
   RG_RETURN_IF_ERROR(CheckSize("velocity", limits.velocity, n));
   RG_RETURN_IF_ERROR(CheckSize("torque", limits.torque, n));
+  RG_RETURN_IF_ERROR(CheckSize("torque_rate", limits.torque_rate, n));
   if (!start.empty()) RG_RETURN_IF_ERROR(CheckSize("start pose", start, n));
   RG_RETURN_IF_ERROR(CheckPositionBox(limits, joints, start));
   RG_RETURN_IF_ERROR(CheckPositive("velocity", limits.velocity, joints));
   RG_RETURN_IF_ERROR(CheckPositive("torque", limits.torque, joints));
+  RG_RETURN_IF_ERROR(CheckPositive("torque_rate", limits.torque_rate, joints));
   RG_RETURN_IF_ERROR(CheckTaskBox(limits.task));
   RG_RETURN_IF_ERROR(CheckAtLeast("torque_trip_ratio", limits.torque_trip_ratio, 1.0));
   RG_RETURN_IF_ERROR(CheckAtLeast("stale_s", limits.stale_s, 1e-3));
+  RG_RETURN_IF_ERROR(CheckAtLeast("velocity_window_s", limits.velocity_window_s, 1e-3));
+  RG_RETURN_IF_ERROR(CheckAtLeast("freeze_s", limits.freeze_s, 1e-3));
+  RG_RETURN_IF_ERROR(CheckAtLeast("freeze_start_s", limits.freeze_start_s, limits.freeze_s));
   RG_RETURN_IF_ERROR(CheckAtLeast("jump_ratio", limits.jump_ratio, 1.0));
   RG_RETURN_IF_ERROR(CheckAtLeast("jump_tolerance", limits.jump_tolerance, 0.0));
   RG_RETURN_IF_ERROR(CheckAtLeast("max_consecutive_missed", limits.max_consecutive_missed, 1));
@@ -127,9 +164,8 @@ Status ValidateLimits(const SafetyLimits& limits, const std::vector<std::string>
   return CheckAtLeast("zero_torque_s", limits.zero_torque_s, 0.0);
 }
 
-Result<SafetyLimits> ParseLimits(const std::string& text, const SafetyLimits& defaults,
-                                 const std::string& source) {
-  SafetyLimits limits = defaults;
+Result<SafetyLimits> ParseLimits(const std::string& text, const std::string& source) {
+  SafetyLimits limits;
   try {
     const Status status = ReadFields(json::parse(text), &limits);
     if (!status.ok()) return status.WithPrefix(source);
@@ -144,15 +180,57 @@ std::string LimitsToJson(const SafetyLimits& limits) {
             {"upper", limits.upper},
             {"velocity", limits.velocity},
             {"torque", limits.torque},
+            {"torque_rate", limits.torque_rate},
             {"torque_trip_ratio", limits.torque_trip_ratio},
             {"stale_s", limits.stale_s},
+            {"velocity_window_s", limits.velocity_window_s},
+            {"freeze_s", limits.freeze_s},
+            {"freeze_start_s", limits.freeze_start_s},
             {"jump_ratio", limits.jump_ratio},
             {"jump_tolerance", limits.jump_tolerance},
             {"max_consecutive_missed", limits.max_consecutive_missed},
             {"max_missed_share", limits.max_missed_share},
             {"zero_torque_s", limits.zero_torque_s}};
+  root["task_box"] = nullptr;
   if (limits.task.enabled) root["task_box"] = {{"lower", limits.task.lower}, {"upper", limits.task.upper}};
   return root.dump();
+}
+
+namespace {
+
+Status CheckAsked(const char* field, const std::vector<double>& asked,
+                  const std::vector<std::string>& joints) {
+  if (asked.empty()) return Status::Ok();
+  RG_RETURN_IF_ERROR(CheckSize(field, asked, joints.size()));
+  for (size_t i = 0; i < joints.size(); ++i)
+    if (std::isnan(asked[i]))
+      return InvalidError(std::string("the job's ") + field + " limit of " + joints[i] + " is not a number");
+  return Status::Ok();
+}
+
+void TakeSmaller(const std::vector<double>& asked, std::vector<double>* own) {
+  for (size_t i = 0; i < asked.size(); ++i) (*own)[i] = std::min((*own)[i], asked[i]);
+}
+
+void TakeLarger(const std::vector<double>& asked, std::vector<double>* own) {
+  for (size_t i = 0; i < asked.size(); ++i) (*own)[i] = std::max((*own)[i], asked[i]);
+}
+
+}  // namespace
+
+Result<SafetyLimits> Tighten(const SafetyLimits& own, const TighterLimits& asked,
+                             const std::vector<std::string>& joints) {
+  RG_RETURN_IF_ERROR(CheckAsked("lower", asked.lower, joints));
+  RG_RETURN_IF_ERROR(CheckAsked("upper", asked.upper, joints));
+  RG_RETURN_IF_ERROR(CheckAsked("velocity", asked.velocity, joints));
+  RG_RETURN_IF_ERROR(CheckAsked("torque", asked.torque, joints));
+  SafetyLimits tighter = own;
+  TakeLarger(asked.lower, &tighter.lower);
+  TakeSmaller(asked.upper, &tighter.upper);
+  TakeSmaller(asked.velocity, &tighter.velocity);
+  TakeSmaller(asked.torque, &tighter.torque);
+  RG_RETURN_IF_ERROR(ValidateLimits(tighter, joints, {}));
+  return tighter;
 }
 
 }  // namespace rg::robot_agent

@@ -96,6 +96,7 @@ Status LocalService::StartPrograms(const LocalServiceOptions& options) {
                                     file("spool"),
                                     "--folder",
                                     file("cache/agent")};
+  agent.push_back("--arm");  // it is simulated, or a stand-in
   if (options.lock_step) agent.push_back("--lock-step");
   return children_.Start("agent", agent, file("logs/agent.log"));
 }

@@ -33,7 +33,9 @@ int BecomeService(char** argv) {
 
 void AddServiceHelp(CLI::App& app) {
   app.add_subcommand("coordinator", "Run the coordinator (realitygrad coordinator --help)");
-  app.add_subcommand("agent", "Run the agent beside a robot (realitygrad agent --help)");
+  app.add_subcommand("agent",
+                     "Run the agent beside a robot (realitygrad agent --help), or tell it: agent "
+                     "status|watch|arm|disarm|stop|clear");
 }
 
 }  // namespace

@@ -128,6 +128,7 @@ void Doctor(Context& context) {
   const std::vector<Finding> findings = {CheckProgram("realitygrad-coordinator"),
                                          CheckProgram("realitygrad-worker"),
                                          CheckProgram("realitygrad-agent"),
+                                         CheckProgram("realitygrad-guard"),
                                          CheckProgram("realitygrad-simulated-robot"),
                                          CheckProofGenerator(),
                                          CheckKinovaDriver(),

@@ -70,7 +70,7 @@ struct Rollouts {
 Result<Rollouts> RolloutsOf(const worker::TaskInput& input) {
   Rollouts out;
   for (const worker::InputArtifact* artifact : input.All(kInputRecording)) {
-    auto set = rollouts::LoadBundle(artifact->bytes);
+    auto set = rollouts::LoadBundleOfWholeTorques(artifact->bytes);
     if (!set.ok()) return set.status().WithPrefix("recording " + artifact->sha256.substr(0, 12));
     if (!set->recordings.empty()) out.sets.push_back(std::move(*set));
   }

@@ -23,7 +23,7 @@ using nlohmann::json;
 
 Result<recordings::Recording> RecordingOf(const worker::TaskInput& input) {
   RG_ASSIGN_OR_RETURN(const worker::InputArtifact* artifact, input.Require(kInputRecording));
-  auto set = rollouts::LoadBundle(artifact->bytes);
+  auto set = rollouts::LoadBundleOfWholeTorques(artifact->bytes);
   if (!set.ok()) return set.status().WithPrefix("recording " + artifact->sha256.substr(0, 12));
   if (set->recordings.empty()) {
     return InvalidError("recording " + artifact->sha256.substr(0, 12) +

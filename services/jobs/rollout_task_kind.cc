@@ -54,6 +54,8 @@ void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::strin
         const worker::InputArtifact* policy = input.Find(kInputPolicy);
         robot_agent::RolloutTaskInput task;
         task.model_json = model->bytes;
+        task.job_id = std::to_string(input.job);
+        task.task_id = std::to_string(input.task);
         if (!payload.controller().empty()) task.controller = payload.controller();
         if (policy != nullptr) task.policy_bytes = policy->bytes;
         const worker::InputArtifact* motion = input.Find(kInputMotion);

@@ -6,6 +6,8 @@
 
 #include "common/base/file.h"
 #include "common/base/ids.h"
+#include "common/dynamics/dynamics.h"
+#include "common/model/urdf_loader.h"
 
 namespace rg::rollouts {
 namespace {
@@ -119,6 +121,40 @@ Result<recordings::RecordingSet> LoadBundle(std::string_view bytes) {
       extracted.ok() ? recordings::LoadSet(folder.string()) : Result<recordings::RecordingSet>(extracted);
   std::error_code ignored;
   fs::remove_all(folder, ignored);
+  return set;
+}
+
+namespace {
+
+// A command is held to the next row, so gravity is taken between the two.
+void AddGravity(const dynamics::Mechanism& mechanism, recordings::Recording* recording) {
+  dynamics::Workspace workspace;
+  Eigen::VectorXd gravity(recording->n());
+  for (int k = 0; k < recording->rows(); ++k) {
+    Eigen::VectorXd q = recording->q.col(k);
+    if (k + 1 < recording->rows()) q = 0.5 * (q + recording->q.col(k + 1));
+    dynamics::GravityTorque(mechanism, workspace, q, gravity);
+    recording->effort_command.col(k) += gravity;
+  }
+}
+
+}  // namespace
+
+Result<recordings::RecordingSet> LoadBundleOfWholeTorques(std::string_view bytes) {
+  RG_ASSIGN_OR_RETURN(recordings::RecordingSet set, LoadBundle(bytes));
+  if (!set.effort_excludes_gravity) return set;
+  model::LoadOptions options;
+  options.joints = set.joints;
+  options.locked = set.locked;
+  RG_ASSIGN_OR_RETURN(const model::RobotModel model, model::ParseUrdf(set.urdf_text, "robot.urdf", options));
+  dynamics::Mechanism mechanism(model);
+  mechanism.SetGravity(set.gravity);
+  for (auto& recording : set.recordings) {
+    if (recording.n() != model.num_joints() || !recording.has_effort_command())
+      return InvalidError(recording.name + ": needs an effort_command of every joint of the model");
+    AddGravity(mechanism, &recording);
+  }
+  set.effort_excludes_gravity = false;
   return set;
 }
 

@@ -34,4 +34,9 @@ Status ExtractBundle(std::string_view bytes, const std::string& folder);
 // and removes it.
 Result<recordings::RecordingSet> LoadBundle(std::string_view bytes);
 
+// The same with efforts that are whole joint torques: where the manifest says that the drive adds its own
+// gravity compensation, the gravity torque of the bundle's URDF is added, as sysid does on files
+// (services/sysid/drive_signal.h), and the set says so no more. For algorithms that take a recording alone.
+Result<recordings::RecordingSet> LoadBundleOfWholeTorques(std::string_view bytes);
+
 }  // namespace rg::rollouts

@@ -36,9 +36,11 @@ Status CheckId(const std::string& id) {
   return InvalidError("rollout spec: id \"" + id + "\" needs 1 to 80 letters, digits, '-', '_' or '.'");
 }
 
-Status Check(const RolloutSpec& spec) {
+}  // namespace
+
+Status CheckSpec(const RolloutSpec& spec) {
   RG_RETURN_IF_ERROR(CheckId(spec.id));
-  RG_RETURN_IF_ERROR(CheckRange("rate_hz", spec.rate_hz, 1, 500));
+  RG_RETURN_IF_ERROR(CheckRange("rate_hz", spec.rate_hz, 1, 1000));
   RG_RETURN_IF_ERROR(CheckRange("duration_s", spec.duration_s, 0.1, 600));
   RG_RETURN_IF_ERROR(CheckRange("goal_reach_s", spec.goal_reach_s, 1e-3, 600));
   RG_RETURN_IF_ERROR(CheckRange("excitation", spec.excitation, -1, 1));
@@ -49,8 +51,6 @@ Status Check(const RolloutSpec& spec) {
     return InvalidError("rollout spec: goal_position needs three finite numbers");
   return Status::Ok();
 }
-
-}  // namespace
 
 Result<RolloutSpec> ParseSpec(const std::string& text) {
   static const std::set<std::string> kKnown{"format",       "id",         "rate_hz",       "duration_s",
@@ -76,7 +76,7 @@ Result<RolloutSpec> ParseSpec(const std::string& text) {
   } catch (const json::exception& error) {
     return InvalidError(std::string("rollout spec: ") + error.what());
   }
-  RG_RETURN_IF_ERROR(Check(spec));
+  RG_RETURN_IF_ERROR(CheckSpec(spec));
   return spec;
 }
 

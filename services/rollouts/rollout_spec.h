@@ -34,6 +34,9 @@ struct RolloutSpec {
 
 // {"format", "id", "rate_hz", "duration_s", "start"?, "goal"?, "goal_position"?, "goal_seed", "goal_reach_s",
 // "excitation", "robot_seed"}; ranges are checked, unknown fields refused.
+// Plain id (80 letters, digits, '-', '_', '.'; it becomes the name of files), rate 1 to 1000 Hz, duration 0.1
+// to 600 s, finite numbers. Whoever takes a specification from elsewhere than ParseSpec checks it with this.
+Status CheckSpec(const RolloutSpec& spec);
 Result<RolloutSpec> ParseSpec(const std::string& json);
 std::string SpecToJson(const RolloutSpec& spec);
 

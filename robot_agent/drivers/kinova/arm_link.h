@@ -32,8 +32,11 @@ class ArmLink {
   virtual void PublishTorque(const JointArray& tau) = 0;
   // kUnavailable: it is not offered, failed, or took longer than `timeout_s`. One thread at a time.
   virtual Status Call(ArmService service, double timeout_s) = 0;
-  // Raw angles, all joints; kAborted: the arm's driver gave up on the way, kDeadlineExceeded: cancelled.
+  // Raw angles, all joints; kAborted: the arm's driver gave up on the way, or it was cancelled;
+  // kDeadlineExceeded: not there in time.
   virtual Status MoveTo(const std::vector<Degrees>& pose, double timeout_s) = 0;
+  // Ends a MoveTo that another thread waits in. Any thread.
+  virtual void CancelMove() = 0;
   // The arm's driver's parameter status_interval_seconds, s.
   virtual std::optional<double> StatusInterval() const = 0;
 };

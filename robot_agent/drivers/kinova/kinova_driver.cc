@@ -22,6 +22,8 @@ constexpr int kPoseAttempts = 5;
 constexpr double kAfterState = 0.012;  // s; what states come late by, and half of what is left of a period
 constexpr double kStrongRatio = 1.5;   // of the test torque's most: no joint in torque mode resists it
 constexpr double kZeroPoseTolerance = 0.06;  // rad: the arm's driver is content with 2°
+constexpr double kPoseTolerance = 0.06;      // rad, of a move
+constexpr double kPoseTimeout = 60.0;        // s, on the way to one pose
 
 int64_t Nanos(double seconds) { return std::llround(1e9 * seconds); }
 
@@ -70,7 +72,8 @@ KinovaDriver::~KinovaDriver() {
     const std::lock_guard lock(mutex_);
     return this->*flag;
   };
-  if (is(&KinovaDriver::streaming_)) (void)Hold().ok();
+  EndMove();
+  if (is(&KinovaDriver::streaming_)) (void)HoldNow().ok();
   const int64_t give_up = NowNanos() + Nanos(options_.farewell_s);
   while (sender_.joinable() && is(&KinovaDriver::position_mode_owed_) && NowNanos() < give_up)
     SleepUntilSteady(NowNanos() + Nanos(0.02));
@@ -179,7 +182,7 @@ void KinovaDriver::TakeReport(const JointReport& report) {
     health_.last_error = "the arm stands still against its torques: it has left torque mode";
   }
   state_.mode = streaming_ && !mode_lost_ ? Mode::kTorque : Mode::kPosition;
-  state_.moving = moving_;
+  state_.moving = moving_ || under_way_;
   has_state_ = true;
 }
 
@@ -220,6 +223,7 @@ Status KinovaDriver::AwaitStill(double speed, double for_s, double at_most_s) {
   RG_RETURN_IF_ERROR(ReadState(&anchor));
   now = anchor;
   while (true) {
+    RG_RETURN_IF_ERROR(CheckNotStopped());
     RG_RETURN_IF_ERROR(AwaitState(now.sequence, options_.outage_s, &now));
     double furthest = 0.0;
     for (int i = 0; i < options_.n(); ++i) furthest = std::max(furthest, std::abs(now.q[i] - anchor.q[i]));
@@ -238,7 +242,7 @@ Status KinovaDriver::PositionMode() {
   return link_->Call(ArmService::kPositionMode, options_.service_timeout_s);
 }
 
-Status KinovaDriver::Hold() {
+Status KinovaDriver::HoldNow() {
   if (!sender_.joinable()) return UnavailableError("the arm is not connected");
   {
     const std::lock_guard lock(mutex_);
@@ -261,6 +265,53 @@ Status KinovaDriver::Hold() {
   return UnavailableError("position mode is not confirmed: " + still.message());
 }
 
+Status KinovaDriver::Hold() {
+  EndMove();
+  return HoldNow();
+}
+
+// The arm stops at once, by position mode, which also ends its way to a pose; its thread notices and ends.
+void KinovaDriver::EndMove() {
+  if (!mover_.joinable()) return;
+  stop_move_ = true;
+  bool under_way = false;
+  {
+    const std::lock_guard lock(mutex_);
+    under_way = under_way_;
+    if (under_way) command_ = {};
+  }
+  if (under_way) {
+    link_->CancelMove();
+    (void)PositionMode().ok();  // confirmed by the caller
+  }
+  mover_.join();
+  stop_move_ = false;
+}
+
+Status KinovaDriver::CheckNotStopped() const {
+  return stop_move_ ? CancelledError("the move was stopped") : Status::Ok();
+}
+
+Status KinovaDriver::StartMove(const double* q) {
+  if (!sender_.joinable()) return UnavailableError("the arm is not connected");
+  EndMove();
+  {
+    const std::lock_guard lock(mutex_);
+    if (lost_) return LostError();
+    under_way_ = state_.moving = true;
+  }
+  JointArray pose{};
+  std::copy_n(q, options_.n(), pose.begin());
+  mover_ = std::thread([this, pose] {
+    const Status moved = MoveToPose(pose.data(), kPoseTolerance, kPoseTimeout);
+    if (!moved.ok()) spdlog::error("the way to the pose: {}", moved.message());
+    const std::lock_guard lock(mutex_);
+    if (!moved.ok()) health_.last_error = moved.message();
+    under_way_ = false;
+  });
+  return Status::Ok();
+}
+
 Status KinovaDriver::MoveToPose(const double* q, double tolerance, double timeout_s) {
   if (!sender_.joinable()) return UnavailableError("the arm is not connected");
   if (!prepared_) RG_RETURN_IF_ERROR(Prepare(timeout_s));
@@ -268,7 +319,7 @@ Status KinovaDriver::MoveToPose(const double* q, double tolerance, double timeou
 }
 
 Status KinovaDriver::GoTo(const double* q, double tolerance, double timeout_s) {
-  RG_RETURN_IF_ERROR(Hold());
+  RG_RETURN_IF_ERROR(HoldNow());
   const int64_t give_up = NowNanos() + Nanos(timeout_s);
   const auto moving = [this](bool on) {
     const std::lock_guard lock(mutex_);
@@ -281,10 +332,12 @@ Status KinovaDriver::GoTo(const double* q, double tolerance, double timeout_s) {
       const std::lock_guard lock(mutex_);
       for (int i = 0; i < options_.n(); ++i) pose.push_back(ToDegrees(unwrappers_[i].Raw({q[i]})));
     }
+    RG_RETURN_IF_ERROR(CheckNotStopped());
     moving(true);
     moved = link_->MoveTo(pose, std::max(0.1, 1e-9 * static_cast<double>(give_up - NowNanos())));
     if (moved.ok()) moved = AwaitStill(kStillSpeed, 0.2, 2.0);
     moving(false);
+    RG_RETURN_IF_ERROR(CheckNotStopped());
     if (moved.code() == StatusCode::kUnavailable) return moved;
     RobotState state;
     RG_RETURN_IF_ERROR(ReadState(&state));
@@ -292,7 +345,7 @@ Status KinovaDriver::GoTo(const double* q, double tolerance, double timeout_s) {
     for (int i = 0; i < options_.n(); ++i) worst = std::max(worst, std::abs(state.q[i] - q[i]));
     if (moved.ok() && worst <= tolerance) return Status::Ok();
     if (NowNanos() < give_up && attempt < kPoseAttempts) continue;
-    RG_RETURN_IF_ERROR(Hold());
+    RG_RETURN_IF_ERROR(HoldNow());
     return DeadlineExceededError(Text("the pose was not reached, still %.3g rad away", worst) +
                                  (moved.ok() ? "" : ": " + moved.message()));
   }
@@ -304,9 +357,10 @@ Status KinovaDriver::Prepare(double timeout_s) {
   std::vector<double> pose;
   for (const double degrees : options_.zero_pose_deg) pose.push_back(ToRadians(Degrees{degrees}).value);
   RG_RETURN_IF_ERROR(GoTo(pose.data(), kZeroPoseTolerance, timeout_s).WithPrefix("zero pose"));
+  RG_RETURN_IF_ERROR(CheckNotStopped());
   RG_RETURN_IF_ERROR(ZeroSensors());
   const Status tested = TestAllJoints();
-  const Status held = Hold();
+  const Status held = HoldNow();
   RG_RETURN_IF_ERROR(tested);
   RG_RETURN_IF_ERROR(held);
   prepared_ = true;
@@ -358,6 +412,7 @@ Status KinovaDriver::TestJoint(int joint, const JointArray& base, ProbeEnd* end,
   Status status;
   do {
     status = AwaitState(state.sequence, kStateTimeout, &state);
+    if (status.ok()) status = CheckNotStopped();
     if (!status.ok()) break;
     *end = probe.Step(1e-9 * static_cast<double>(state.stamp_ns), state.q[joint]);
     JointArray command = base;
@@ -435,13 +490,14 @@ Status KinovaDriver::TryTorqueMode(const JointArray& first, bool* silent, std::s
 Status KinovaDriver::EnterProved(const JointArray& first) {
   std::string tested;
   for (int attempt = 0; attempt < options_.torque_mode_attempts; ++attempt) {
+    RG_RETURN_IF_ERROR(CheckNotStopped());
     bool silent = false;
     const Status entered = TryTorqueMode(first, &silent, &tested);
     if (entered.ok()) {
       Stream(first, true);
       return AwaitStill(0.1, 0.08, 0.5).code() == StatusCode::kUnavailable ? LostError() : Status::Ok();
     }
-    RG_RETURN_IF_ERROR(Hold());
+    RG_RETURN_IF_ERROR(HoldNow());
     if (!silent) return entered;
     spdlog::warn("torque mode was refused in silence, attempt {} of {}", attempt + 1,
                  options_.torque_mode_attempts);

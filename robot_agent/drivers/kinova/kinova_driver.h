@@ -2,16 +2,17 @@
 //
 //   Connect      master there -> states arrive, plausible, often enough -> torques are heard -> position mode
 //                (an agent that died may have left the arm floating)
-//   MoveToPose   the first time Prepare: position mode -> zero pose -> torque sensors zeroed and checked ->
-//                torque mode proved -> test torque of every joint -> position mode; then the pose, by action
+//   StartMove    the first time Prepare: position mode -> zero pose -> torque sensors zeroed and checked ->
+//                torque mode proved -> test torque of every joint -> position mode; then the pose, by action.
+//                All of it in a thread of its own, `moving` throughout, ended by Hold
 //   EnterTorqueMode   torque mode, proved by a test torque of one joint (a refusal is silent)
 //   SendTorque   the command in force; a thread re-sends it at 100 Hz
 //   Hold         zero added torque, position mode, confirmed by an arm that stands still
 //
 // info().adds_gravity_compensation is true: torques are added to the arm's own compensation.
 //
-// Threads: the caller's; the link's, which takes states; and the sender's. When the caller falls silent
-// for command_timeout_s the sender sends zero added torque, half a second later it asks for position
+// Threads: the caller's; the link's, which takes states; a move's; and the sender's. When the caller falls
+// silent for command_timeout_s the sender sends zero added torque, half a second later it asks for position
 // mode and stops. No state for outage_s: the arm is lost, every call says kUnavailable, nothing is sent (the
 // arm then falls to zero added torque by itself); when states are back, the sender asks for position mode,
 // and with that confirmed the driver is usable again, Prepare included.
@@ -57,15 +58,21 @@ class KinovaDriver final : public Driver {
   Status EnterTorqueMode(const double* first) override;
   Status SendTorque(const double* tau) override;
   Status Hold() override;
+  Status StartMove(const double* q) override;
   Status MoveToPose(const double* q, double tolerance, double timeout_s) override;
 
-  // Zero pose, sensors, test torques; MoveToPose calls it once per connection. `timeout_s` is for the way to
+  // Zero pose, sensors, test torques; a move calls it once per connection. `timeout_s` is for the way to
   // the zero pose.
   Status Prepare(double timeout_s);
   // Of the last Prepare, n.
   const std::vector<JointResponse>& responses() const { return responses_; }
 
  private:
+  // Hold, of whoever calls: the move's own thread too.
+  Status HoldNow();
+  // Ends a move that is under way, and waits for its thread.
+  void EndMove();
+  Status CheckNotStopped() const;
   Status AwaitFirstState(double timeout_s);
   Status CheckRate(double timeout_s);
   Status AwaitHeard(double timeout_s);
@@ -119,13 +126,14 @@ class KinovaDriver final : public Driver {
   std::vector<Unwrapper> unwrappers_;
   MotionWatch motion_watch_;
   bool streaming_ = false, mode_lost_ = false, moving_ = false, watch_motion_ = false;
+  bool under_way_ = false;  // a move's thread runs
   bool position_mode_owed_ = false;
   JointArray command_{};
   int64_t commanded_ns_ = 0;
   int64_t next_try_ns_ = 0;  // of the sender to get position mode
 
-  std::atomic<bool> ended_ = false;
-  std::thread sender_;
+  std::atomic<bool> ended_ = false, stop_move_ = false;
+  std::thread sender_, mover_;
   std::mutex services_;            // one call at a time
   std::unique_ptr<ArmLink> link_;  // gone first: its listener uses what is above
 };

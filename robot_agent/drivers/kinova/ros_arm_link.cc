@@ -176,6 +176,8 @@ class RosArmLink final : public ArmLink {
                         state.getText());
   }
 
+  void CancelMove() override { move_->cancelAllGoals(); }
+
   std::optional<double> StatusInterval() const override {
     double interval = 0.0;
     if (ros::param::get(node_ + "/status_interval_seconds", interval)) return interval;

@@ -12,6 +12,8 @@
 namespace rg::robot_agent {
 namespace {
 
+constexpr double kStartTolerance = 0.05;  // rad or m, of a move to where the recording begins
+
 Result<recordings::Recording> Choose(const recordings::RecordingSet& set, const std::string& name) {
   std::string known;
   for (const auto& recording : set.recordings) {
@@ -122,6 +124,9 @@ Status ReplayDriver::Hold() {
   mode_ = Mode::kPosition;
   return Status::Ok();
 }
+
+// It is where the recording begins, or nowhere near.
+Status ReplayDriver::StartMove(const double* q) { return MoveToPose(q, kStartTolerance, 0.0); }
 
 Status ReplayDriver::MoveToPose(const double* q, double tolerance, double) {
   RG_RETURN_IF_ERROR(Hold());

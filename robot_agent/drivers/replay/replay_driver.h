@@ -37,6 +37,7 @@ class ReplayDriver final : public Driver {
   Status EnterTorqueMode(const double* first) override;
   Status SendTorque(const double* tau) override;
   Status Hold() override;
+  Status StartMove(const double* q) override;
   Status MoveToPose(const double* q, double tolerance, double timeout_s) override;
 
  private:

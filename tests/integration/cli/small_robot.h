@@ -59,7 +59,14 @@ inline void WriteSmallRobot(const ScratchFolder& scratch, const nlohmann::json& 
                                  {"start_pose", home},
                                  {"pose_tolerance", 0.2},
                                  {"excitation", excitation},
-                                 {"limits", {{"velocity", {6, 8}}}}}
+                                 {"urdf", "arm.urdf"},
+                                 {"limits",
+                                  {{"lower", {-2.78, -2.48}},
+                                   {"upper", {2.78, 2.48}},
+                                   {"velocity", {6, 8}},
+                                   {"torque", {80, 40}},
+                                   {"torque_rate", {4000, 2000}},
+                                   {"task_box", nullptr}}}}
                                 .dump());
 }
 

@@ -56,7 +56,12 @@ const std::map<std::string, std::set<std::string>>& Arrows() {
                             {"coordinator/client", "services/jobs", "services/bench", "services/importing"})},
       {"coordinator", wire},
       {"worker", with(wire, {"coordinator/client", "services/jobs"})},
-      {"robot_agent", with(with(algorithms, wire), {"worker", "coordinator/client", "services/jobs"})},
+      {"robot_agent/drivers", dynamics},
+      {"robot_agent/safety", with(dynamics, {"robot_agent/drivers"})},  // no controller, policy or job
+      {"robot_agent/guard", with(dynamics, {"robot_agent/drivers", "robot_agent/safety"})},
+      {"robot_agent",
+       with(with(algorithms, wire), {"worker", "coordinator/client", "services/jobs", "robot_agent/drivers",
+                                     "robot_agent/safety", "robot_agent/guard"})},
   };
   return arrows;
 }

@@ -2,7 +2,10 @@
 #include <gtest/gtest.h>
 
 #include <cstdlib>
+#include <filesystem>
+#include <nlohmann/json.hpp>
 
+#include "common/base/file.h"
 #include "robot_agent/agent_program.h"
 
 namespace rg::robot_agent {
@@ -39,6 +42,20 @@ TEST(AgentSettings, AnExecutorChildFindsThemInTheEnvironment) {
   EXPECT_THAT(settings.worker_arguments, ElementsAre("agent", "--executor-fd", "7"));
 }
 
+TEST(AgentSettings, ArmedAndDryRunAreSaidOnTheCommandLine) {
+  const auto read = [](std::vector<std::string> more) {
+    std::vector<std::string> words{"agent", "--config", ConfigPath()};
+    words.insert(words.end(), more.begin(), more.end());
+    return ReadAgentSettings(words).value();
+  };
+  EXPECT_FALSE(read({}).armed.has_value());
+  EXPECT_EQ(read({"--arm"}).armed, true);
+  EXPECT_EQ(read({"--disarmed"}).armed, false);
+  EXPECT_FALSE(read({}).config.dry_run);
+  EXPECT_TRUE(read({"--dry-run"}).config.dry_run);
+  EXPECT_THAT(read({"--dry-run", "--arm"}).worker_arguments, ElementsAre("agent"));
+}
+
 TEST(AgentSettings, AMissingOrWrongConfigIsOneClearLine) {
   EXPECT_THAT(ReadAgentSettings({"agent"}).status().message(), HasSubstr("--config"));
   EXPECT_FALSE(ReadAgentSettings({"agent", "--config", "/nonexistent"}).ok());
@@ -46,6 +63,29 @@ TEST(AgentSettings, AMissingOrWrongConfigIsOneClearLine) {
                   .status()
                   .message(),
               HasSubstr("robot.json: unknown field \"nmae\""));
+}
+
+// Nothing of the fence has a default that somebody else could fill in.
+TEST(AgentSettings, WhatTheFenceNeedsIsAskedForByName) {
+  const std::string folder = std::filesystem::path(ConfigPath()).parent_path().string();
+  const auto good = nlohmann::json::parse(ReadFile(ConfigPath()).value());
+  ASSERT_TRUE(ParseAgentConfig(good.dump(), folder, "robot.json").ok());
+  for (const char* field : {"urdf", "limits"}) {
+    auto json = good;
+    json.erase(field);
+    EXPECT_THAT(ParseAgentConfig(json.dump(), folder, "robot.json").status().message(),
+                HasSubstr("robot.json: \"" + std::string(field) + "\" is missing"));
+  }
+  for (const char* field : {"lower", "upper", "velocity", "torque", "torque_rate", "task_box"}) {
+    auto json = good;
+    json["limits"].erase(field);
+    EXPECT_THAT(ParseAgentConfig(json.dump(), folder, "robot.json").status().message(),
+                HasSubstr("robot.json: limits: \"" + std::string(field) + "\" is missing"));
+  }
+  auto json = good;
+  json["limits"]["torque"][2] = -3;
+  EXPECT_THAT(ParseAgentConfig(json.dump(), folder, "robot.json").status().message(),
+              HasSubstr("torque of joint_3 is -3"));
 }
 
 }  // namespace

@@ -19,6 +19,7 @@ SafetyLimits TwoJointLimits() {
   limits.upper = {1, 1};
   limits.velocity = {2, 2};
   limits.torque = {10, 10};
+  limits.torque_rate = {1000, 1000};
   return limits;
 }
 
@@ -115,8 +116,9 @@ TEST_F(ControlLoop, LostDriverEndsTheRolloutAndHoldIsStillTried) {
   driver_.script = [](FakeDriver& d) { d.lost = d.tick == 20; };
   const Outcome outcome = Run(2.0, Constant);
   EXPECT_EQ(outcome.result.trip.reason, EndReason::kDriverLost);
-  EXPECT_EQ(driver_.holds, 1);
-  EXPECT_FALSE(outcome.result.held);
+  EXPECT_EQ(driver_.holds, 3);
+  EXPECT_FALSE(outcome.result.stop.confirmed);
+  EXPECT_EQ(outcome.result.stop.attempts, 3);
   EXPECT_GE(outcome.recording.samples.size(), 19u);
 }
 
@@ -167,6 +169,78 @@ TEST_F(ControlLoop, DifferencedVelocityComesFromPositionsAndTheirStamps) {
     if (t > 0.1) seen = v[0];
   });
   EXPECT_NEAR(seen, 0.5, 1e-9);
+}
+
+TEST_F(ControlLoop, TheFirstTorqueIsCheckedBeforeItIsSent) {
+  limits_.torque = {10, 1.5};  // gravity of joint b is 2
+  const Outcome outcome = Run(2.0, Constant);
+  EXPECT_EQ(outcome.result.trip.reason, EndReason::kTorqueLimit);
+  EXPECT_EQ(outcome.result.trip.joint, 1);
+  EXPECT_TRUE(driver_.entered.empty()) << "torque mode was asked for";
+  EXPECT_FALSE(outcome.result.entered);
+  EXPECT_EQ(driver_.sent_count, 0u);
+}
+
+TEST_F(ControlLoop, AnArmOutsideItsBoxesNeverEntersTorqueMode) {
+  driver_.state.q[0] = 1.1;
+  const Outcome outcome = Run(2.0, Constant);
+  EXPECT_EQ(outcome.result.trip.reason, EndReason::kPositionLimit);
+  EXPECT_TRUE(driver_.entered.empty());
+  driver_.state.q[0] = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_EQ(Run(2.0, Constant).result.trip.reason, EndReason::kRobotNan);
+  EXPECT_TRUE(driver_.entered.empty());
+}
+
+TEST_F(ControlLoop, TheMonitorDoesNotBelieveTheArmsVelocity) {
+  driver_.script = [](FakeDriver& d) {
+    d.state.v[0] = 0.0;  // says so, and moves at 2.5 rad/s, limit 2, from the tenth tick on
+    if (d.tick > 10) d.state.q[0] += 2.5 * 0.04;
+  };
+  limits_.jump_ratio = 3;
+  const Outcome outcome = Run(2.0, Constant);
+  EXPECT_EQ(outcome.result.trip.reason, EndReason::kVelocityLimit);
+  EXPECT_NEAR(outcome.result.trip.value, 2.5, 1e-9);
+  EXPECT_EQ(outcome.result.commands, 11u) << "the first state that shows it stops the arm";
+}
+
+TEST_F(ControlLoop, ALyingVelocityOfTheArmStopsNothing) {
+  driver_.script = [](FakeDriver& d) { d.state.v[0] = 6.28; };
+  EXPECT_EQ(Run(1.0, Constant).result.trip.reason, EndReason::kCompleted);
+}
+
+TEST_F(ControlLoop, PositionsThatFreezeWhileTheArmMovesStopIt) {
+  driver_.state.q[1] = 0.2;
+  driver_.script = [](FakeDriver& d) {
+    d.state.q[1] = 0.2;
+    if (d.tick <= 10) d.state.q[0] = 0.5 * 0.04 * d.tick;
+  };
+  const Outcome outcome = Run(2.0, Constant);
+  EXPECT_EQ(outcome.result.trip.reason, EndReason::kFrozenState);
+  EXPECT_LT(outcome.result.duration_s, 0.4 + 0.12 + 0.08) << "within two periods of the limit";
+}
+
+TEST_F(ControlLoop, AStopThatCannotBeSeenIsNotConfirmed) {
+  driver_.script = [](FakeDriver& d) {
+    if (d.state.mode == Mode::kPosition) d.state.q[0] += 0.05 * 0.02;  // it creeps on at 0.05 rad/s
+  };
+  const Outcome outcome = Run(0.4, Constant);
+  EXPECT_EQ(outcome.result.trip.reason, EndReason::kCompleted);
+  EXPECT_FALSE(outcome.result.stop.confirmed);
+  EXPECT_EQ(driver_.holds, 3);
+  EXPECT_NEAR(outcome.result.stop.worst_speed, 0.05, 1e-3);
+}
+
+TEST_F(ControlLoop, CommandsThatChangeTooFastAreLimited) {
+  limits_.torque_rate = {50, 50};  // 2 N·m per tick
+  const Outcome outcome = Run(0.4, [](double t, const double*, const double*, double* tau) {
+    tau[0] = t < 0.1 ? 1.0 : 7.0;
+    tau[1] = 2.0;
+  });
+  EXPECT_EQ(driver_.sent[2][0], 1.0);
+  EXPECT_NEAR(driver_.sent[3][0], 3.0, 1e-9);
+  EXPECT_NEAR(driver_.sent[4][0], 5.0, 1e-9);
+  EXPECT_EQ(driver_.sent[5][0], 7.0);
+  EXPECT_EQ(outcome.result.saturated_samples, 2u);
 }
 
 TEST_F(ControlLoop, SaturationIsCountedAndMarkedInTheRecording) {

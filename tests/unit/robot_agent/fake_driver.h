@@ -7,6 +7,7 @@
 
 #include "robot_agent/controller.h"
 #include "robot_agent/drivers/driver.h"
+#include "robot_agent/safety/arm.h"
 
 namespace rg::robot_agent {
 
@@ -16,6 +17,8 @@ class FakeDriver final : public Driver {
     info_.robot = "fake";
     info_.joints = {"a", "b"};
     info_.lock_step = true;
+    state.stamp_ns = now_ - 5'000'000;
+    state.sequence = 1;
   }
   Status Connect(double) override { return Status::Ok(); }
   const DriverInfo& info() const override { return info_; }
@@ -28,6 +31,7 @@ class FakeDriver final : public Driver {
     ++tick;
     state.stamp_ns = now_ - 5'000'000;
     ++state.sequence;
+    state.q[1] += state.sequence % 2 ? 1e-7 : -1e-7;  // the noise of a real sensor
     if (script) script(*this);
     return Status::Ok();
   }
@@ -51,14 +55,17 @@ class FakeDriver final : public Driver {
     state.mode = Mode::kPosition;
     return lost ? UnavailableError("lost") : Status::Ok();
   }
-  Status MoveToPose(const double*, double, double) override { return Status::Ok(); }
+  Status StartMove(const double*) override {
+    ++moves;
+    return Status::Ok();
+  }
 
   DriverInfo info_;
   int64_t now_ = 1'000'000'000;
   int tick = -1;  // of the control loop: the number of SleepUntil calls so far, from 0
   int64_t oversleep_ns = 0;
   bool lost = false, refuse = false;
-  int holds = 0;
+  int holds = 0, moves = 0;
   RobotState state;
   std::vector<double> entered;
   std::vector<std::array<double, 2>> sent = std::vector<std::array<double, 2>>(4096);

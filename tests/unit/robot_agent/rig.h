@@ -68,11 +68,14 @@ struct Rig {
     const RolloutInput input{.plan = plan,
                              .config = config,
                              .plant = plant,
-                             .values = values,
                              .controller = controller,
+                             .observer = nullptr,
+                             .guard = nullptr,
                              .controller_name = "spring",
                              .policy_sha256 = "",
-                             .model_sha256 = ""};
+                             .model_sha256 = "",
+                             .job_id = "",
+                             .task_id = ""};
     return RunRollout(driver, input, *spool, {}, stop, RealClock());
   }
 

@@ -1,13 +1,19 @@
 // Whole rollouts against the simulated robot in its own process, in lock-step.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <nlohmann/json.hpp>
 
 #include "common/base/hash.h"
 #include "common/recordings/csv.h"
 #include "common/sim/model_file.h"
+#include "robot_agent/board.h"
 #include "robot_agent/rollout_task.h"
+#include "robot_agent/safety/latch.h"
+#include "robot_agent/safety/own_arm.h"
+#include "robot_agent/safety/watched_move.h"
+#include "robot_agent/spool_delivery.h"
 #include "services/policy/policy.h"
 #include "services/rollouts/recording_bundle.h"
 #include "tests/unit/robot_agent/rig.h"
@@ -67,6 +73,38 @@ TEST(Rollout, AnotherCallWithTheSameIdMovesNothing) {
   EXPECT_EQ(again.bundle, first.bundle);
   EXPECT_EQ(again.goal_error.joint_norm, first.goal_error.joint_norm);
   EXPECT_EQ(untouched->pid(), -1);
+}
+
+TEST(Rollout, WhatBeganIsNeverBegunAgainThoughItsRecordingWasDeliveredOrLost) {
+  Rig rig(true);
+  const RolloutPlan plan = rig.Plan();
+  auto controller = rig.ToGoal(plan);
+  const RolloutResult first = rig.Run(*rig.Driver(), plan, controller).value();
+  rig.spool.reset();
+  const auto take = [](auto&, auto&, auto&) { return Status::Ok(); };
+  ASSERT_EQ(DeliverSpool(rig.folder, take).value(), 1);  // the upload that the worker did not live to see
+  rig.spool = Spool::Open(rig.folder).value();
+  const auto untouched = rig.Driver();
+  const RolloutResult again = rig.Run(*untouched, plan, controller).value();
+  EXPECT_TRUE(again.was_there);
+  EXPECT_EQ(again.bundle, first.bundle);
+  std::filesystem::remove_all(rig.folder + "/sent");
+  const Status refused = rig.Run(*untouched, plan, controller).status();
+  EXPECT_EQ(refused.code(), StatusCode::kAlreadyExists);
+  EXPECT_THAT(refused.message(), HasSubstr("never begun again"));
+  EXPECT_EQ(untouched->pid(), -1);
+}
+
+TEST(Rollout, AFullDiskStopsANewRolloutBeforeTheArmIsTouched) {
+  Rig rig(true);
+  rig.config.min_free_mb = 1e12;
+  const RolloutPlan plan = rig.Plan();
+  auto controller = rig.ToGoal(plan);
+  const auto driver = rig.Driver();
+  const Status refused = rig.Run(*driver, plan, controller).status();
+  EXPECT_EQ(refused.code(), StatusCode::kResourceExhausted);
+  EXPECT_THAT(refused.message(), HasSubstr("make room"));
+  EXPECT_EQ(driver->pid(), -1);
 }
 
 TEST(Rollout, ExcitationMovesJointsThatTheControllerLeavesAtRest) {
@@ -170,8 +208,38 @@ TEST(Rollout, ABaseThatAddsGravityRunsTheSameControllers) {
   EXPECT_EQ(result.reason, EndReason::kCompleted) << result.detail;
   EXPECT_LT(result.goal_error.joint_norm, 0.5 * result.goal_error.start_norm);
   const auto bundle = rollouts::UnpackBundle(result.bundle).value();
-  EXPECT_THAT(bundle.at(kRecordingFile), HasSubstr("effort_sent.joint_2"));
   EXPECT_THAT(bundle.at(kRecordingFile), HasSubstr("command_time"));
+  EXPECT_THAT(bundle.at(kRecordingFile), HasSubstr("effort_asked.joint_2"));
+  // The recording says that it lacks gravity, and with it the torque is the one that was asked for.
+  const auto set = rollouts::LoadBundle(result.bundle).value();
+  const auto whole = rollouts::LoadBundleOfWholeTorques(result.bundle).value();
+  EXPECT_TRUE(set.effort_excludes_gravity);
+  EXPECT_FALSE(whole.effort_excludes_gravity);
+  const auto asked = whole.recordings[0].other.at("effort_asked.joint_2");
+  const Eigen::VectorXd handed = set.recordings[0].effort_command.row(1);
+  const Eigen::VectorXd with_gravity = whole.recordings[0].effort_command.row(1);
+  EXPECT_GT((asked - handed).cwiseAbs().maxCoeff(), 1.0);
+  EXPECT_LT((asked - with_gravity).cwiseAbs().maxCoeff(), 0.35);  // gravity between two rows, not at one
+}
+
+// What drives the arm is what it was handed plus the gravity of *its* masses. Sets that say different things
+// about it are not mixed.
+TEST(Rollout, RecordingsOfBothConventionsAreNotMixed) {
+  std::vector<recordings::RecordingSet> sets;
+  for (const char* compensation : {"none", "true"}) {
+    Rig rig(true);
+    auto json = nlohmann::json::parse(ReadFile(rig.config.simulated.truth_path).value());
+    json["gravity_compensation"] = compensation;
+    json["urdf"] = SourceDir() + "/deploy/robots/mico2.urdf";
+    rig.config.simulated.truth_path = rig.folder + "/truth.json";
+    ASSERT_TRUE(WriteFileAtomically(rig.config.simulated.truth_path, json.dump()).ok());
+    const RolloutPlan plan = rig.Plan();
+    auto controller = rig.ToGoal(plan);
+    sets.push_back(rollouts::LoadBundle(rig.Run(*rig.Driver(), plan, controller).value().bundle).value());
+    sets.back().folder = compensation;
+    EXPECT_TRUE(sets.back().effort_excludes_gravity_given);
+  }
+  EXPECT_THAT(recordings::MergeSets(sets).status().message(), HasSubstr("effort_excludes_gravity"));
 }
 
 TEST(Rollout, SilencePutsTheArmInPositionMode) {
@@ -249,6 +317,88 @@ TEST(RolloutTask, WhatCannotRunIsRefusedBeforeTheRobotIsTouched) {
   EXPECT_TRUE(Spool::Open(rig.folder).value()->Active().empty());
 }
 
+TEST(RolloutTask, NamesRatesAndDurationsAreCheckedBeforeTheyBecomeAnything) {
+  Rig rig(true);
+  rig.spool.reset();
+  RolloutTaskInput input;
+  input.model_json = sim::ModelToJson(rig.plant, rig.values);
+  input.policy_bytes = IdlePolicy(rig.plant.joint_names());
+  const auto refusal = [&](const std::function<void(rollouts::RolloutSpec&)>& change) {
+    input.spec = rig.spec;
+    change(input.spec);
+    return RunRolloutTask(rig.config, rig.folder, input, {}, rig.stop).status().message();
+  };
+  EXPECT_THAT(refusal([](auto& s) { s.id = "job1-../../../x-aa"; }), HasSubstr("id \"job1-../../../x-aa\""));
+  EXPECT_THAT(refusal([](auto& s) { s.rate_hz = 2000; }), HasSubstr("rate_hz is 2000"));
+  EXPECT_THAT(refusal([](auto& s) { s.duration_s = std::nan(""); }), HasSubstr("duration_s is nan"));
+  rig.config.max_rate_hz = 50;
+  EXPECT_THAT(refusal([](auto& s) { s.rate_hz = 51; }), HasSubstr("max_rate_hz 50"));
+  rig.config.max_duration_s = 3;
+  EXPECT_THAT(refusal([](auto& s) { s.duration_s = 4; }), HasSubstr("max_duration_s 3"));
+  int files = 0;
+  for (const char* part : {"active", "ready", "sent"})
+    for ([[maybe_unused]] const auto& entry : std::filesystem::directory_iterator(rig.folder + "/" + part))
+      ++files;
+  EXPECT_EQ(files, 0);
+}
+
+struct TaskRig : Rig {
+  TaskRig() : Rig(true) {
+    spool.reset();
+    input.model_json = sim::ModelToJson(plant, values);
+    input.policy_bytes = IdlePolicy(plant.joint_names());
+    input.spec = spec;
+  }
+  RolloutTaskInput input;
+};
+
+TEST(RolloutTask, AStopByTheAgentEndsItAndNothingBeginsBeforeItIsArmedAgain) {
+  TaskRig rig;
+  auto board = Board::Create(rig.folder).value();
+  const auto refused = RunRolloutTask(rig.config, rig.folder, rig.input, {}, rig.stop).status();
+  EXPECT_EQ(refused.code(), StatusCode::kFailedPrecondition);
+  EXPECT_THAT(refused.message(), HasSubstr("realitygrad agent arm"));
+  board->Arm(true);
+  board->Beat(RealClock().SteadyNanos() + 3'600'000'000'000);
+  rig.input.spec.duration_s = 300;  // stopped long before
+  bool saw_motion = false;
+  const auto listen = [&](const ProgressUpdate& update) {
+    if (update.note != "running") return;
+    saw_motion = board->mover() == getpid() && board->Read().phase != Phase::kIdle;
+    board->AskStop();
+  };
+  const auto output = RunRolloutTask(rig.config, rig.folder, rig.input, listen, rig.stop).value();
+  const auto rollout = nlohmann::json::parse(output.metadata_json);
+  EXPECT_EQ(rollout["end_reason"], "operator_stop");
+  EXPECT_EQ(rollout["stop"]["confirmed"], true);
+  EXPECT_TRUE(saw_motion);
+  EXPECT_EQ(board->mover(), 0);
+  EXPECT_EQ(std::string(board->Read().last_reason), "operator_stop");
+  EXPECT_NEAR(board->Read().q[1], M_PI, 0.5);
+  EXPECT_FALSE(board->armed());
+}
+
+TEST(RolloutTask, AnArmThatOutlivesItsDriverNeedsAnAgentBesideIt) {
+  TaskRig rig;
+  rig.config.simulated.socket_path = rig.folder + "/robot.sock";
+  const auto refused = RunRolloutTask(rig.config, rig.folder, rig.input, {}, rig.stop).status();
+  EXPECT_THAT(refused.message(), HasSubstr("a stop would not be heard"));
+}
+
+TEST(RolloutTask, ADryRunComputesAndSendsNothing) {
+  TaskRig rig;
+  rig.config.dry_run = true;
+  rig.input.spec.duration_s = 0.5;
+  const auto outcome = RunRolloutTask(rig.config, rig.folder, rig.input, {}, rig.stop).status();
+  EXPECT_EQ(outcome.code(), StatusCode::kFailedPrecondition) << "it is no recording";
+  EXPECT_THAT(outcome.message(), HasSubstr("commands were computed and none was sent"));
+  const RawRecording raw = ReadRawRecording(rig.folder + "/dry_run.rec").value();
+  EXPECT_GE(raw.samples.size(), 3u);
+  for (const Sample& sample : raw.samples)
+    for (int i = 0; i < 6; ++i) EXPECT_NEAR(sample.q[i], raw.samples[0].q[i], 0.003) << "it moved";
+  EXPECT_TRUE(Spool::Open(rig.folder).value()->Ready().empty());
+}
+
 TEST(RolloutTask, ThePapersControllerRunsLiveOnTheBelievedModel) {
   Rig rig(true);
   rig.spool.reset();
@@ -304,18 +454,20 @@ TEST(RolloutTask, AMotionOutsideTheAgentsBoxesMovesNothing) {
   input.model_json = sim::ModelToJson(rig.plant, rig.values);
   input.controller = "trajectory";
   input.spec = rig.spec;
-  const auto refusal = [&](double width, const std::string& limits) {
+  const SafetyLimits good = rig.config.limits;
+  const auto refusal = [&](double width, const std::function<void(SafetyLimits&)>& change) {
     input.motion_csv = SwingCsv(width);
-    rig.config.limits_json = limits;
+    rig.config.limits = good;
+    change(rig.config.limits);
     return RunRolloutTask(rig.config, rig.folder, input, {}, rig.stop).status().message();
   };
-  const std::string velocity = R"({"velocity": [1, 1, 1, 1, 0.3, 1]})";
-  EXPECT_THAT(refusal(0.4, velocity), HasSubstr("motion: joint_5 has velocity"));
-  const std::string box = R"({"lower": [-6, 1, 1, -6, -6, -6], "upper": [6, 5, 5, 6, 0.2, 6]})";
-  EXPECT_THAT(refusal(0.4, box), HasSubstr("motion: joint_5 has position"));
-  EXPECT_THAT(refusal(0.4, R"({"torque": [30, 30, 30, 6, 0.001, 6]})"),
+  EXPECT_THAT(refusal(0.4, [](SafetyLimits& l) { l.velocity[4] = 0.3; }),
+              HasSubstr("motion: joint_5 has velocity"));
+  EXPECT_THAT(refusal(0.4, [](SafetyLimits& l) { l.upper[4] = 0.2; }),
+              HasSubstr("motion: joint_5 has position"));
+  EXPECT_THAT(refusal(0.4, [](SafetyLimits& l) { l.torque[4] = 0.001; }),
               HasSubstr("joint_5 needs a torque of"));
-  EXPECT_THAT(refusal(0.4, R"({"task_box": {"lower": [-2, -2, 0], "upper": [2, 2, 0.3]}})"),
+  EXPECT_THAT(refusal(0.4, [](SafetyLimits& l) { l.task.upper[2] = 0.3; }),
               HasSubstr("the end effector has z ="));
   input.motion_csv = "";
   EXPECT_THAT(RunRolloutTask(rig.config, rig.folder, input, {}, rig.stop).status().message(),
@@ -335,6 +487,118 @@ TEST(Rollout, PlansRefuseGoalsOutsideTheBoxAndKeepTheGivenOnes) {
   EXPECT_LT((tip.col(0) - rig.spec.goal_position).norm(), 1e-3);
   rig.spec.goal_position = Eigen::Vector3d(3, 0, 0);
   EXPECT_FALSE(PlanRollout(rig.spec, rig.config, rig.plant).ok());
+}
+
+// A job's model says that joint_2 may go anywhere, with any torque, and that the arm is ten times as long.
+TEST(Rollout, ABadModelDoesNotMoveTheFence) {
+  Rig rig(true);
+  std::string urdf = ReadFile(SourceDir() + "/deploy/robots/mico2.urdf").value();
+  const auto replace = [&](const std::string& from, const std::string& to) {
+    const size_t at = urdf.find(from);
+    ASSERT_NE(at, std::string::npos) << from;
+    urdf.replace(at, from.size(), to);
+  };
+  replace("lower=\"0.8726646259971648\" upper=\"5.410520681182422\" effort=\"80\"",
+          "lower=\"-90\" upper=\"90\" effort=\"8000\"");
+  auto model = model::ParseUrdf(urdf, "bad.urdf",
+                                {.joints = rig.plant.joint_names(), .locked = {}, .end_effector = ""});
+  const auto bad =
+      sim::Plant::Create(std::make_shared<const model::RobotModel>(std::move(model).value())).value();
+  const RolloutPlan plan = PlanRollout(rig.spec, rig.config, bad).value();
+  EXPECT_EQ(LimitsToJson(plan.limits), LimitsToJson(rig.config.limits));
+  replace("lower=\"-90\" upper=\"90\"", "lower=\"2\" upper=\"4\"");
+  auto narrow = model::ParseUrdf(urdf, "narrow.urdf",
+                                 {.joints = rig.plant.joint_names(), .locked = {}, .end_effector = ""});
+  const SafetyLimits limits = LimitsFor(rig.config, narrow.value(), rig.config.start_pose).value();
+  EXPECT_EQ(limits.lower[1], 2.02) << "what is tighter counts";
+  EXPECT_EQ(limits.upper[1], 3.98);
+}
+
+TEST(Rollout, HomingStopsAtOnceWhenItIsCancelledAndTheArmIsAtRest) {
+  Rig rig(true);
+  rig.config.start_pose = {2.0, M_PI, M_PI, 0, 0, 0};
+  const RolloutPlan plan = rig.Plan();
+  auto controller = rig.ToGoal(plan);
+  const auto driver = rig.Driver();
+  ASSERT_TRUE(driver->Connect(5).ok());
+  RobotState before, after;
+  ASSERT_TRUE(driver->ReadState(&before).ok());
+  OwnArm arm(*rig.config.arm, Eigen::Vector3d(0, 0, -9.81));
+  MoveOptions options;
+  options.timeout_s = 30;
+  // Stops when the arm has come half a radian.
+  class Halfway final : public ArmModel {
+   public:
+    Halfway(OwnArm& arm, CancelToken& stop) : arm_(arm), stop_(stop) {}
+    void GravityTorque(const double* q, double* tau) override { arm_.GravityTorque(q, tau); }
+    void Tip(const double* q, double* position) override {
+      arm_.Tip(q, position);
+      if (q[0] > 0.5) stop_.Cancel();
+    }
+    OwnArm& arm_;
+    CancelToken& stop_;
+  } halfway(arm, rig.stop);
+  const MoveOutcome moved =
+      MoveUnderWatch(*driver, halfway, rig.config.limits, rig.config.start_pose.data(), options, rig.stop);
+  EXPECT_EQ(moved.status.code(), StatusCode::kCancelled);
+  EXPECT_TRUE(moved.stop.confirmed) << moved.stop.why;
+  ASSERT_TRUE(driver->ReadState(&after).ok());
+  EXPECT_GT(after.q[0], 0.4);
+  EXPECT_LT(after.q[0], 0.8) << "it went on after the stop";
+  EXPECT_EQ(after.mode, Mode::kPosition);
+}
+
+TEST(Rollout, HomingThroughAForbiddenPlaceIsStoppedByTheMonitor) {
+  Rig rig(true);
+  rig.config.start_pose = {2.0, M_PI, M_PI, 0, 0, 0};
+  rig.config.limits.upper[0] = 2.1;
+  const RolloutPlan plan = rig.Plan();
+  rig.config.limits.upper[0] = 1.0;  // the fence is narrower than where it is sent
+  auto controller = rig.ToGoal(plan);
+  const auto driver = rig.Driver();
+  const auto result = rig.Run(*driver, plan, controller);
+  EXPECT_THAT(result.status().message(), HasSubstr("start pose: position_limit: joint_1"));
+  RobotState state;
+  ASSERT_TRUE(driver->ReadState(&state).ok());
+  EXPECT_LT(state.q[0], 1.1);
+  EXPECT_FALSE(Latch(rig.folder).Read().has_value()) << "it was seen at rest";
+}
+
+TEST(Rollout, AStopThatWasNotConfirmedLatchesUntilAPersonClearsIt) {
+  Rig rig(true);
+  const RolloutPlan plan = rig.Plan();
+  const auto driver = rig.Driver();
+  bool killed = false;
+  auto controller = rig.ToGoal(plan, [&](double t) {
+    if (t > 0.5 && !killed) killed = driver->InjectFault(Fault::kDie).ok();
+  });
+  rig.config.simulated.socket_path = "/an/arm/that/outlives/its/driver";
+  const RolloutResult result = rig.Run(*driver, plan, controller).value();
+  EXPECT_EQ(result.reason, EndReason::kDriverLost);
+  EXPECT_EQ(nlohmann::json::parse(result.rollout_json)["stop"]["confirmed"], false);
+  rig.spec.id = "rollout-2";
+  const RolloutPlan next = rig.Plan();
+  auto calm = rig.ToGoal(next);
+  const SimulatedDriverOptions child{.truth_path = rig.config.simulated.truth_path, .lock_step = true};
+  rig.spool.reset();
+  rig.spool = Spool::Open(rig.folder).value();  // the agent was started again
+  SimulatedDriver untouched(child);
+  const Status refused = rig.Run(untouched, next, calm).status();
+  EXPECT_EQ(refused.code(), StatusCode::kFailedPrecondition);
+  EXPECT_THAT(refused.message(), HasSubstr("realitygrad agent clear"));
+  EXPECT_EQ(untouched.pid(), -1) << "nobody spoke to the arm";
+  ASSERT_TRUE(Latch(rig.folder).Clear().ok());
+  SimulatedDriver again(child);
+  EXPECT_EQ(rig.Run(again, next, calm).value().reason, EndReason::kCompleted);
+  EXPECT_FALSE(Latch(rig.folder).Read().has_value());
+}
+
+TEST(Rollout, ARateThatTheArmWouldTakeForSilenceIsRefused) {
+  Rig rig(true);
+  rig.spec.rate_hz = 5;
+  const RolloutPlan plan = rig.Plan();
+  auto controller = rig.ToGoal(plan);
+  EXPECT_THAT(rig.Run(*rig.Driver(), plan, controller).status().message(), HasSubstr("rate_hz is 5"));
 }
 
 TEST(Rollout, MissingProgramAndMissingTruthAreUnavailableNotACrash) {

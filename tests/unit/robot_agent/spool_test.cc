@@ -2,7 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <filesystem>
+#include <fstream>
 #include <map>
 
 #include "common/base/file.h"
@@ -66,6 +68,65 @@ TEST_F(SpoolFolder, LeftoversOfADeadProcessBecomeReady) {
   EXPECT_EQ(ReadFile(spool->ReadyPath("dead")).value(), "bundle");
   EXPECT_TRUE(spool->Active().empty());
   EXPECT_TRUE(std::filesystem::exists(folder_ + "/broken/junk.rec"));
+}
+
+TEST_F(SpoolFolder, DeliversInTheOrderOfTimeNotOfNames) {
+  auto spool = Spool::Open(folder_).value();
+  for (const char* id : {"c", "a", "b"}) {
+    ASSERT_TRUE(spool->Commit(id, "x").ok());
+    // Files of one millisecond have an order too.
+    static int64_t later = 0;
+    std::filesystem::last_write_time(
+        spool->ReadyPath(id), std::filesystem::file_time_type::clock::now() + std::chrono::seconds(++later));
+  }
+  std::string order;
+  EXPECT_EQ(spool->Deliver([&](const std::string& id, auto&) { return order += id, Status::Ok(); }), 3);
+  EXPECT_EQ(order, "cab");
+}
+
+TEST_F(SpoolFolder, DeliveredBundlesAreThereForAWhileAndThenPruned) {
+  auto spool = Spool::Open(folder_).value();
+  const int count = static_cast<int>(Spool::kKeptSent) + 3;
+  for (int k = 0; k < count; ++k) {
+    const std::string id = "r" + std::to_string(k);
+    ASSERT_TRUE(spool->Commit(id, "x").ok());
+    std::filesystem::last_write_time(spool->ReadyPath(id),
+                                     std::filesystem::file_time_type::clock::now() + std::chrono::seconds(k));
+  }
+  EXPECT_EQ(spool->Deliver([](auto&, auto&) { return Status::Ok(); }), count);
+  EXPECT_TRUE(spool->Ready().empty());
+  EXPECT_FALSE(spool->FinishedPath("r2").has_value());
+  ASSERT_TRUE(spool->FinishedPath("r3").has_value());
+  EXPECT_EQ(ReadFile(*spool->FinishedPath("r3")).value(), "x");
+}
+
+TEST_F(SpoolFolder, WhatHasBegunIsRememberedForGoodAlsoAfterATornLine) {
+  auto spool = Spool::Open(folder_).value();
+  EXPECT_FALSE(spool->Begun("one").has_value());
+  ASSERT_TRUE(spool->MarkBegun("one", "2026-01-01").ok());
+  EXPECT_EQ(spool->Begun("one").value(), "one 2026-01-01");
+  EXPECT_FALSE(spool->Begun("on").has_value());
+  spool.reset();
+  std::ofstream(folder_ + "/begun.txt", std::ios::app) << "tw";  // the power went
+  spool = Spool::Open(folder_).value();
+  EXPECT_FALSE(spool->Begun("two").has_value());
+  ASSERT_TRUE(spool->MarkBegun("three", "2026-01-02").ok());
+  EXPECT_TRUE(spool->Begun("one").has_value());
+  EXPECT_EQ(spool->Begun("three").value(), "three 2026-01-02");
+}
+
+TEST_F(SpoolFolder, ADiskWithoutRoomIsSaidSo) {
+  auto spool = Spool::Open(folder_).value();
+  EXPECT_TRUE(spool->CheckRoom(0.0).ok());
+  const Status full = spool->CheckRoom(1e12);
+  EXPECT_EQ(full.code(), StatusCode::kResourceExhausted);
+  EXPECT_NE(full.message().find("a rollout needs"), std::string::npos) << full.message();
+}
+
+TEST_F(SpoolFolder, WhoDeliversKeepsNobodyFromRunningARollout) {
+  auto delivering = Spool::OpenToDeliver(folder_).value();
+  EXPECT_EQ(Spool::OpenToDeliver(folder_).status().code(), StatusCode::kFailedPrecondition);
+  EXPECT_TRUE(Spool::Open(folder_).ok());
 }
 
 TEST_F(SpoolFolder, OneProcessAtATime) {

@@ -114,7 +114,9 @@ TEST_F(Replay, RefusesAnotherStartAndAnUnknownRecording) {
 
 TEST_F(Replay, IsADriverOfTheAgentsConfiguration) {
   const auto config = ParseAgentConfig(R"({"format": "realitygrad.agent/1", "name": "p", "driver": "replay",
-      "start_pose": [1.0], "replay": {"set": ".", "recording": "second.csv", "lock_step": true}})",
+      "start_pose": [1.0], "urdf": "robot.urdf", "limits": {"lower": [-3], "upper": [3], "velocity": [5],
+      "torque": [5], "torque_rate": [500], "task_box": null},
+      "replay": {"set": ".", "recording": "second.csv", "lock_step": true}})",
                                        folder_, "agent.json");
   ASSERT_TRUE(config.ok()) << config.status().ToString();
   const auto driver = MakeDriver(*config, 1).value();

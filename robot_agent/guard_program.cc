@@ -1,0 +1,52 @@
+// realitygrad-guard: stands between the agent and its arm (guard/guard.h). Started by the agent.
+#include <signal.h>
+
+#include <CLI/CLI.hpp>
+#include <cstdio>
+
+#include "common/base/log.h"
+#include "robot_agent/agent_config.h"
+#include "robot_agent/guard/guard.h"
+#include "robot_agent/safety/own_arm.h"
+
+namespace rg::robot_agent {
+namespace {
+
+struct GuardFlags {
+  std::string config, spool;
+  uint64_t seed = 1;
+  int socket_fd = -1;
+  bool lock_step = false;
+};
+
+Status RunGuard(const GuardFlags& flags) {
+  RG_ASSIGN_OR_RETURN(AgentConfig config, LoadAgentConfig(flags.config));
+  config.simulated.lock_step |= flags.lock_step;
+  RG_ASSIGN_OR_RETURN(const auto driver, MakeDriver(config, flags.seed));
+  OwnArm arm(*config.arm, Eigen::Map<const Eigen::Vector3d>(config.gravity.data()), config.parts);
+  const PacketSocket socket(flags.socket_fd);
+  GuardOptions options;
+  options.latch_folder = flags.spool;
+  Guard(*driver, arm, config.limits, socket, options).Run();
+  return Status::Ok();
+}
+
+}  // namespace
+}  // namespace rg::robot_agent
+
+int main(int argc, char** argv) {
+  rg::robot_agent::GuardFlags flags;
+  CLI::App app("Stands between realitygrad-agent, which starts it, and its arm.", "realitygrad-guard");
+  app.add_option("--config", flags.config, "realitygrad.agent/1")->required();
+  app.add_option("--spool", flags.spool, "the agent's folder, for its latch");
+  app.add_option("--seed", flags.seed, "of a simulated robot's sensor noise");
+  app.add_option("--socket-fd", flags.socket_fd, "serve the agent on this open socket")->required();
+  app.add_flag("--lock-step", flags.lock_step, "a simulated robot waits for the agent");
+  CLI11_PARSE(app, argc, argv);
+  for (const int number : {SIGINT, SIGTERM, SIGHUP, SIGPIPE}) signal(number, SIG_IGN);
+  rg::InitLogging("realitygrad-guard");
+  const rg::Status status = rg::robot_agent::RunGuard(flags);
+  if (status.ok()) return 0;
+  spdlog::error("{}", status.ToString());
+  return 1;
+}

@@ -1,0 +1,121 @@
+#include "robot_agent/safety/stop.h"
+
+#include <algorithm>
+#include <array>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <thread>
+
+namespace rg::robot_agent {
+namespace {
+
+constexpr int64_t kLook = 20'000'000;  // ns between looks at the state
+constexpr double kNoSpeed = -1.0;
+
+int64_t Nanos(double seconds) { return std::llround(1e9 * seconds); }
+
+// The speed of the fastest joint, differenced over at least the baseline.
+class SpeedWatch {
+ public:
+  SpeedWatch(int n, double baseline_s) : n_(n), baseline_ns_(Nanos(baseline_s)) {}
+
+  // Negative: not known yet.
+  double Take(const RobotState& state) {
+    if (count_ > 0 && state.stamp_ns <= Past(0).stamp_ns) return speed_;
+    newest_ = (newest_ + 1) % kHistory;
+    history_[newest_] = {state.stamp_ns, state.q};
+    count_ = std::min(count_ + 1, kHistory);
+    for (int back = 1; back < count_; ++back) {
+      const int64_t dt = state.stamp_ns - Past(back).stamp_ns;
+      if (dt < baseline_ns_) continue;
+      speed_ = 0.0;
+      for (int i = 0; i < n_; ++i) {
+        const double v = std::abs(state.q[i] - Past(back).q[i]) / (1e-9 * static_cast<double>(dt));
+        speed_ = std::isfinite(v) ? std::max(speed_, v) : INFINITY;
+      }
+      break;
+    }
+    return speed_;
+  }
+
+ private:
+  static constexpr int kHistory = 64;
+  struct Position {
+    int64_t stamp_ns = 0;
+    JointArray q{};
+  };
+  const Position& Past(int back) const { return history_[(newest_ + kHistory - back) % kHistory]; }
+
+  const int n_;
+  const int64_t baseline_ns_;
+  std::array<Position, kHistory> history_{};
+  int count_ = 0, newest_ = 0;
+  double speed_ = kNoSpeed;
+};
+
+// A driver that lost its arm does not wait: then the machine's clock does.
+void Wait(Driver& driver) {
+  if (driver.SleepUntil(driver.NowNanos() + kLook).ok()) return;
+  std::this_thread::sleep_for(std::chrono::nanoseconds(kLook));
+}
+
+// Looks until the arm was at rest in position mode for long enough; false: not within attempt_s.
+bool SeenAtRest(Driver& driver, const StopOptions& options, StopReport* report) {
+  SpeedWatch watch(static_cast<int>(driver.info().joints.size()), options.baseline_s);
+  const int looks = static_cast<int>(std::ceil(1e9 * options.attempt_s / static_cast<double>(kLook)));
+  int64_t rest_since = 0;
+  bool resting = false;
+  report->why = "no state arrived";
+  for (int look = 0; look <= looks; ++look) {
+    RobotState state;
+    const Status read = driver.ReadState(&state);
+    if (!read.ok()) {
+      report->why = read.message();
+      resting = false;
+    } else {
+      report->worst_speed = watch.Take(state);
+      const bool slow = report->worst_speed >= 0.0 && report->worst_speed < options.at_rest;
+      const bool good = slow && state.mode == Mode::kPosition;
+      if (good && !resting) rest_since = state.stamp_ns;
+      resting = good;
+      if (resting && state.stamp_ns - rest_since >= Nanos(options.at_rest_s)) return true;
+      char text[120];
+      std::snprintf(text, sizeof text, "the arm moves at %.3g rad/s, limit %.3g", report->worst_speed,
+                    options.at_rest);
+      if (state.mode != Mode::kPosition)
+        report->why = "the arm stays in torque mode";
+      else if (report->worst_speed < 0.0)
+        report->why = "the stamps of its states do not advance";
+      else if (!slow)
+        report->why = text;
+      else
+        report->why = "it was not at rest for long enough";
+    }
+    Wait(driver);
+  }
+  return false;
+}
+
+}  // namespace
+
+StopReport StopArm(Driver& driver, const StopOptions& options) {
+  StopReport report;
+  report.worst_speed = kNoSpeed;
+  const int64_t begin = driver.NowNanos();
+  while (!report.confirmed && report.attempts < options.attempts) {
+    ++report.attempts;
+    const Status held = driver.Hold();
+    if (held.ok()) {
+      report.confirmed = SeenAtRest(driver, options, &report);
+    } else {
+      report.why = held.message();
+      Wait(driver);
+    }
+  }
+  report.took_s = 1e-9 * static_cast<double>(driver.NowNanos() - begin);
+  if (report.confirmed) report.why.clear();
+  return report;
+}
+
+}  // namespace rg::robot_agent

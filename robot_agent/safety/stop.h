@@ -1,0 +1,34 @@
+// The one way in which an arm is stopped. Every end comes here: a rollout that completed, a limit, an
+// operator, a cancelled job, a lost driver, a signal, a drain. In torque mode the caller has sent zero added
+// torque before (SafetyMonitor); here the arm goes to position mode, and that is believed only when it can be
+// seen: the call returned, and the differenced speed of every joint stays below at_rest for at_rest_s.
+// Otherwise the call is repeated; what is not confirmed in the end is for the caller to latch (latch.h).
+//
+// Nothing interrupts it. Waits in the driver's time, by the machine's clock where the driver is lost.
+#pragma once
+
+#include <string>
+
+#include "robot_agent/drivers/driver.h"
+
+namespace rg::robot_agent {
+
+struct StopOptions {
+  double at_rest = 0.02;    // rad/s (m/s)
+  double at_rest_s = 0.3;   // without a break
+  double baseline_s = 0.1;  // positions so far apart are differenced
+  double attempt_s = 1.5;   // for the arm to come to rest, each attempt
+  int attempts = 3;
+};
+
+struct StopReport {
+  bool confirmed = false;
+  int attempts = 0;
+  double took_s = 0.0;     // until confirmed or given up, driver's time
+  double worst_speed = 0;  // of the last look, rad/s; negative: none was possible
+  std::string why;         // not confirmed: what was seen
+};
+
+StopReport StopArm(Driver& driver, const StopOptions& options = {});
+
+}  // namespace rg::robot_agent
