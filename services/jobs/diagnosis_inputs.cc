@@ -55,13 +55,14 @@ Result<std::optional<sim::ModelFile>> ModelToDiagnose(const worker::TaskInput& i
 std::vector<std::string> QuietJoints(const recordings::RecordingSet& set, const sim::Plant& plant) {
   const auto check = diagnosis::CheckSet(set, plant, true);
   if (!check.ok()) return plant.joint_names();
+  const std::vector<diagnosis::EffectShows> effects = diagnosis::WhatShows(check->survey, plant);
   std::vector<std::string> quiet;
-  for (const diagnosis::EffectShows& effect : diagnosis::WhatShows(check->survey, plant)) {
-    if (effect.effect != "viscous_friction" && effect.effect != "rotor_inertia") continue;
-    for (const std::string& joint : plant.joint_names()) {
-      const bool shows = effect.shows && std::count(effect.joints.begin(), effect.joints.end(), joint) > 0;
-      if (!shows && std::count(quiet.begin(), quiet.end(), joint) == 0) quiet.push_back(joint);
-    }
+  for (const std::string& joint : plant.joint_names()) {
+    const auto hidden = [&](const diagnosis::EffectShows& effect) {
+      return (effect.effect == "viscous_friction" || effect.effect == "rotor_inertia") &&
+             std::count(effect.joints.begin(), effect.joints.end(), joint) == 0;
+    };
+    if (std::any_of(effects.begin(), effects.end(), hidden)) quiet.push_back(joint);
   }
   return quiet;
 }

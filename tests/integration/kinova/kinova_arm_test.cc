@@ -157,6 +157,30 @@ TEST_F(KinovaArm, AJointThatDoesNotMoveIsRefusedWithTheTorqueReached) {
   EXPECT_THAT(refused.message(), HasSubstr("joint_1 did not move at 2.00 N·m above gravity"));
 }
 
+TEST_F(KinovaArm, AMoveIsSeenOnItsWayAndEndedByHold) {
+  const Child arm = StartStandIn(Mild);
+  const auto driver = MakeDriver(Options());
+  ASSERT_TRUE(driver->Connect(20.0).ok());
+  RobotState first, state;
+  ASSERT_TRUE(driver->ReadState(&first).ok());
+  ASSERT_TRUE(driver->StartMove(kStart).ok());
+  for (int i = 0; i < 1000 && std::abs(state.q[0] - first.q[0]) < 0.03; ++i) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    ASSERT_TRUE(driver->ReadState(&state).ok());
+    EXPECT_TRUE(state.moving);
+  }
+  ASSERT_GE(std::abs(state.q[0] - first.q[0]), 0.03) << "it never set off";
+  const Status held = driver->Hold();
+  EXPECT_TRUE(held.ok()) << held.ToString();
+  ASSERT_TRUE(driver->ReadState(&first).ok());
+  std::this_thread::sleep_for(std::chrono::milliseconds(500));
+  ASSERT_TRUE(driver->ReadState(&state).ok());
+  EXPECT_FALSE(state.moving);
+  EXPECT_EQ(state.mode, Mode::kPosition);
+  EXPECT_NEAR(state.q[0], first.q[0], 0.01);
+  EXPECT_GT(std::abs(state.q[0] - kStart[0]), 0.05) << "it was stopped on its way";
+}
+
 TEST_F(KinovaArm, AnOutageEndsTorqueModeAndTheDriverComesBackByItself) {
   const Child arm = StartStandIn(Mild);
   const auto driver = MakeDriver(Options());

@@ -57,6 +57,7 @@ const std::map<std::string, std::set<std::string>>& Arrows() {
       {"coordinator", wire},
       {"worker", with(wire, {"coordinator/client", "services/jobs"})},
       {"robot_agent/drivers", dynamics},
+      {"robot_agent/drivers/replay", with(dynamics, {"common/recordings", "robot_agent/drivers"})},
       {"robot_agent/safety", with(dynamics, {"robot_agent/drivers"})},  // no controller, policy or job
       {"robot_agent/guard", with(dynamics, {"robot_agent/drivers", "robot_agent/safety"})},
       {"robot_agent",
