@@ -107,17 +107,27 @@ struct Choice {
 
 bool Better(const Error& a, const Error& b) { return a.windows < b.windows && a.open_loop <= b.open_loop; }
 
-// By this much less error in windows more structure is worth having: the rollouts so far are what both were
-// fitted to.
+// By this much less error more structure is worth having: the rollouts so far are what both were fitted to.
 constexpr double kWorthItsStructure = 0.8;
-
-// Where its error in windows is less than half, more of it in open loop over a whole rollout is no objection:
-// that is what identification alone was fitted to, and an arm held by friction drifts on from any error at
-// its start.
+// So much less of one of the two errors outweighs more of the other: in open loop a whole rollout drifts on
+// from any error at its start where friction holds the arm, which identification alone is fitted to and
+// windows are not.
 constexpr double kFarBetter = 0.5;
+constexpr double kAboutTheSame = 1.1;
 
-// What goes on: identification alone, unless the diagnosed model, further identified where that is better,
-// has clearly less error in windows and no more in open loop, or far less in windows.
+// Whether `with`, of more structure, is worth it beside `plain`: clearly better in windows and no worse in
+// open loop, or far better in one of them.
+bool Pays(const Error& with, const Error& plain) {
+  if (!std::isfinite(with.windows) || !std::isfinite(with.open_loop)) return false;
+  const auto share = [](double a, double b) { return std::isfinite(b) && b > 0 ? a / b : 0.0; };
+  const double windows = share(with.windows, plain.windows),
+               open_loop = share(with.open_loop, plain.open_loop);
+  return (windows < kWorthItsStructure && open_loop <= 1) || windows < kFarBetter ||
+         (open_loop < kFarBetter && windows < kAboutTheSame);
+}
+
+// What goes on: identification alone, unless the diagnosed model pays, further identified where that is
+// better.
 Choice Choose(const sim::ModelFile& identified, const Error& identified_all, const sim::ModelFile& diagnosed,
               const Error& diagnosed_all, const std::optional<sim::ModelFile>& refined,
               const Error& refined_all) {
@@ -125,10 +135,7 @@ Choice Choose(const sim::ModelFile& identified, const Error& identified_all, con
   Error error = diagnosed_all;
   if (refined && (Better(refined_all, diagnosed_all) || !std::isfinite(diagnosed_all.windows)))
     choice = {"diagnosed and identified", &*refined}, error = refined_all;
-  const bool pays = error.windows < kWorthItsStructure * identified_all.windows &&
-                    (error.open_loop <= identified_all.open_loop ||
-                     (std::isfinite(error.open_loop) && error.windows < kFarBetter * identified_all.windows));
-  return pays ? choice : Choice{"identified", &identified};
+  return Pays(error, identified_all) ? choice : Choice{"identified", &identified};
 }
 
 // Everything that is not as the URDF has it.
