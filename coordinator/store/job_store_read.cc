@@ -227,10 +227,11 @@ Result<TaskId> JobStore::FindTask(JobId job, const std::string& name) {
 
 Result<std::vector<LogRow>> JobStore::Logs(TaskId first, TaskId last, uint64_t after_sequence, int limit) {
   // One task: by its index. A whole job: by sequence, which is the order people read in.
-  RG_ASSIGN_OR_RETURN(auto rows,
-                      db_->Prepare("SELECT l.task, l.attempt, l.wall_ns, l.sequence, l.text, t.name FROM "
-                                   "task_logs l JOIN tasks t ON t.id = l.task WHERE l.task BETWEEN ? AND ? "
-                                   "AND l.sequence > ? ORDER BY l.sequence LIMIT ?"));
+  RG_ASSIGN_OR_RETURN(
+      auto rows,
+      db_->Prepare("SELECT l.task, l.attempt, l.wall_ns, l.sequence, l.text, coalesce(t.name, '') FROM "
+                   "task_logs l LEFT JOIN tasks t ON t.id = l.task WHERE l.task BETWEEN ? AND ? "
+                   "AND l.sequence > ? ORDER BY l.sequence LIMIT ?"));
   rows.Bind(1, first).Bind(2, last).Bind(3, static_cast<int64_t>(after_sequence)).Bind(4, limit);
   std::vector<LogRow> lines;
   while (true) {
