@@ -18,6 +18,8 @@ namespace rg::diagnosis {
 // of its like; side remarks (`parameters_only` beside a name) are no surer than the names before them.
 // Findings end sorted: surest first, side remarks last. `measured`: the search over a measured effort, which
 // judges names by what they explain on parts left out and keeps them beside `unexplained`.
-void Calibrate(const std::string& verdict, bool measured, std::vector<Finding>* findings);
+// `joints`: of the robot. On an ordinary one, with two losses of drives on most joints, what drives share is surer
+// than many names are elsewhere.
+void Calibrate(const std::string& verdict, bool measured, int joints, std::vector<Finding>* findings);
 
 }  // namespace rg::diagnosis

@@ -81,7 +81,7 @@ class Speaker {
   void Run() {
     Figures();
     Verdict();
-    Calibrate(r_.verdict, s_.measured.active, &r_.findings);
+    Calibrate(r_.verdict, s_.measured.active, static_cast<int>(r_.joints.size()), &r_.findings);
     r_.ledger = LedgerOf(s_);
     r_.candidates = CandidateRows(s_);
     r_.force_plots = ForcePlots(s_, data_);

@@ -15,35 +15,54 @@ Finding Named(const std::string& effect, double confidence, double rival = -100)
 
 TEST(Confidence, NoOddsMakeAFindingSurerThanItsLikeWereRight) {
   std::vector<Finding> one = {Named("coulomb_friction", 0.999)};
-  Calibrate("unmodelled_physics", false, &one);
+  Calibrate("unmodelled_physics", false, 2, &one);
   EXPECT_LT(one[0].confidence, 0.97);
   std::vector<Finding> doubtful = {Named("coulomb_friction", 0.4)};
-  Calibrate("unmodelled_physics", false, &doubtful);
+  Calibrate("unmodelled_physics", false, 2, &doubtful);
   EXPECT_EQ(doubtful[0].confidence, 0.4) << "poor odds stay poor";
 }
 
 TEST(Confidence, ANearRivalAndManyNamesLowerIt) {
   std::vector<Finding> near = {Named("coulomb_friction", 1, -2)};
-  Calibrate("unmodelled_physics", false, &near);
+  Calibrate("unmodelled_physics", false, 2, &near);
   std::vector<Finding> many = {Named("coulomb_friction", 1), Named("payload", 1), Named("torque_gain", 1)};
-  Calibrate("unmodelled_physics", false, &many);
+  Calibrate("unmodelled_physics", false, 2, &many);
   EXPECT_LE(near[0].confidence, 0.6);
   EXPECT_LE(many[0].confidence, 0.5);
 }
 
+TEST(Confidence, WhatDrivesShareIsSurerThanManyNamesElsewhere) {
+  const auto on = [](const std::string& effect, std::vector<std::string> joints) {
+    Finding f = Named(effect, 1);
+    f.joints = std::move(joints);
+    return f;
+  };
+  std::vector<Finding> arm = {on("viscous_friction", {"a", "b", "c"}),
+                              on("coulomb_friction", {"a", "b", "c"}), on("actuator_lag", {"a", "b", "c"}),
+                              on("position_spring", {"b"})};
+  Calibrate("unmodelled_physics", false, 3, &arm);
+  for (int i = 0; i < 3; ++i) EXPECT_NEAR(arm[i].confidence, 0.9, 0.05) << arm[i].effect;
+  EXPECT_EQ(arm[3].effect, "position_spring");
+  EXPECT_LT(arm[3].confidence, 0.7);
+  std::vector<Finding> few = {on("viscous_friction", {"a"}), on("coulomb_friction", {"a"}),
+                              on("actuator_lag", {"a", "b", "c"})};
+  Calibrate("unmodelled_physics", false, 3, &few);
+  EXPECT_LE(few[0].confidence, 0.5) << "losses of one joint are no habit of drives";
+}
+
 TEST(Confidence, BesideWhatHasNoNameANameIsHardlyClaimed) {
   std::vector<Finding> both = {Named("torque_ripple", 1), Named("unknown_field", 1)};
-  Calibrate("unexplained", false, &both);
+  Calibrate("unexplained", false, 2, &both);
   EXPECT_EQ(both[0].effect, "unknown_field");
   EXPECT_LT(both[1].confidence, 0.3);
   std::vector<Finding> measured = {Named("coulomb_friction", 1), Named("unknown_field", 1)};
-  Calibrate("unexplained", true, &measured);
+  Calibrate("unexplained", true, 2, &measured);
   EXPECT_EQ(measured[0].effect, "coulomb_friction") << "a real arm's friction holds whatever else remains";
 }
 
 TEST(Confidence, ASideRemarkComesLastAndIsNoSurerThanTheName) {
   std::vector<Finding> f = {Named("parameters_only", 1), Named("coulomb_friction", 0.7)};
-  Calibrate("unmodelled_physics", false, &f);
+  Calibrate("unmodelled_physics", false, 2, &f);
   EXPECT_EQ(f[1].effect, "parameters_only");
   EXPECT_LE(f[1].confidence, f[0].confidence);
 }
