@@ -237,7 +237,7 @@ TEST(KilledExecutor, LeavesAGuardThatStopsTheArm) {
   const double killed = RealClock().SteadySeconds();
   int status = 0;
   waitpid(child, &status, 0);
-  if (!moved) GTEST_SKIP() << "this machine left the loop no processor";
+  ASSERT_TRUE(moved) << "the rollout never began";
   EXPECT_TRUE(latched_meanwhile);
   EXPECT_TRUE(soon([&] { return !Latch(rig.folder).Read().has_value(); })) << "nobody stopped the arm";
   std::printf("seen at rest %.2f s after the kill\n", RealClock().SteadySeconds() - killed);
