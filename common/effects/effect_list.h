@@ -27,6 +27,7 @@
 #include "common/effects/thermal_drift.h"
 #include "common/effects/torque_deadband.h"
 #include "common/effects/torque_gain.h"
+#include "common/effects/torque_offset.h"
 #include "common/effects/torque_ripple.h"
 #include "common/effects/torque_saturation.h"
 #include "common/effects/unknown_field.h"
@@ -44,7 +45,7 @@ struct TypeList {
 using EffectList =
     TypeList<ViscousFriction, CoulombFriction, StribeckFriction, AsymmetricFriction, LoadDependentFriction,
              QuadraticDrag, PreslidingHysteresis, JointElasticity, Backlash, ActuatorDelay, ActuatorLag,
-             TorqueGain, TorqueDeadband, TorqueSaturation, TorqueRipple, RotorInertia, Payload,
+             TorqueGain, TorqueDeadband, TorqueSaturation, TorqueOffset, TorqueRipple, RotorInertia, Payload,
              GravityMisalignment, EncoderOffset, SensorDelay, PositionSpring, ThermalDrift,
              ExternalDisturbance, Contact, JointCoupling, BaseFlexibility, SloshingPayload, UnknownField,
              UnknownFieldPair>;

@@ -131,6 +131,23 @@ void Simulator::RecordState(State* x, double duration) {
   }
 }
 
+void Simulator::Correct(State& x, const Eigen::VectorXd& dx) const {
+  const int n = impl_->n();
+  RG_CHECK(dx.size() == 2 * n + x.z.size());
+  x.q += dx.head(n);
+  x.v += dx.segment(n, n);
+  x.z += dx.tail(x.z.size());
+  for (StateHistory::Sample& past : x.states.samples_) {
+    for (int j = 0; j < n; ++j) {
+      const int motor = impl_->data().sensors[j].motor_state;
+      const double dq = motor >= 0 ? dx[2 * n + motor] : dx[j],
+                   dv = motor >= 0 ? dx[2 * n + motor + 1] : dx[n + j];
+      past.q[j] += dq - (x.time - past.time) * dv;
+      past.v[j] += dv;
+    }
+  }
+}
+
 void Simulator::Measure(const State& x, Eigen::VectorXd* q, Eigen::VectorXd* v) const {
   const internal::PlantData& d = impl_->data();
   *q = x.q;

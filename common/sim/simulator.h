@@ -139,6 +139,10 @@ class Simulator {
   // What the sensors say of a state: encoder offsets, sensor delays, motor-side encoders. q, v: n.
   void Measure(const State& x, Eigen::VectorXd* q, Eigen::VectorXd* v) const;
 
+  // Adds dx (q, v, z) to a state that an estimator found to be off, and to its past, which sensors that are late
+  // still report: dq − age·dv to a position, dv to a velocity of that age.
+  void Correct(State& x, const Eigen::VectorXd& dx) const;
+
   // Runs from x0 (at x0.time) to the last output time. times: increasing, the first ≥ x0.time. Commands
   // before x0.time come from the signal. Prescribed joints move as the signal's motion says, which it must
   // bring, from the start on: what x0 says of them does not count.

@@ -116,10 +116,11 @@ class MeasuredSearch {
     }
     for (const std::string& effect : effects) out->tried.push_back(Judged(Without(model(), effect)));
     for (const std::string& kind : kRefinedKinds) Exchange(kind, out);
-    if (effects.count("offset") > 0) {
-      BalanceModel tilted = Without(model(), "offset");
+    if (effects.count("torque_offset") > 0) {
+      BalanceModel tilted = Without(model(), "torque_offset");
       tilted.tilt = true;
       out->tried.push_back(Judged(tilted));
+      ByDirection(out);
     }
     OtherTiming(out);
     Gains(cost, out);
@@ -145,6 +146,35 @@ class MeasuredSearch {
     if (changed) out->tried.push_back(Judged(other));
   }
 
+  // Coulomb friction with an effort whose zero is off is friction that depends on the direction: −(c − o)
+  // forwards, +(c + o) backwards. No data tell the two apart.
+  void ByDirection(SearchResult* out) const {
+    Candidate c = out->best;
+    for (EffectSpec& s : c.specs) {
+      if (s.id != "coulomb_friction") continue;
+      const auto zero = std::find_if(c.specs.begin(), c.specs.end(), [&](const EffectSpec& e) {
+        return e.id == "torque_offset" && e.joints == s.joints;
+      });
+      if (zero == c.specs.end()) continue;
+      const double level = s.values.at(s.joints[0]).at("coulomb"),
+                   offset = zero->values.at(s.joints[0]).at("offset");
+      if (std::abs(offset) >= level) continue;
+      s = effects::MakeSpec("asymmetric_friction", s.joints,
+                            {{"coulomb_positive", level - offset}, {"coulomb_negative", level + offset}});
+    }
+    std::erase_if(c.specs, [&](const EffectSpec& e) {
+      return e.id == "torque_offset" && Contains(c.specs, "asymmetric_friction", e.joints[0]);
+    });
+    Alternative(c, out);
+  }
+  void Alternative(Candidate c, SearchResult* out) const {
+    const auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), c.specs);
+    if (!plant.ok()) return;
+    c.plant = std::make_shared<const sim::Plant>(*plant);
+    c.fit.values = plant->parameters().Nominal();
+    out->tried.push_back(std::move(c));
+  }
+
   // Delay and lag are told apart by the data or not; a late sensor is the same balance as a late drive.
   void OtherTiming(SearchResult* out) const {
     if (chosen_.timing_gain() <= 0) return;
@@ -159,12 +189,8 @@ class MeasuredSearch {
                                      : "actuator_delay",
                               s.joints, {{lag ? "time_constant" : "delay", seconds}});
       }
-      const auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), c.specs);
-      if (!plant.ok()) continue;
-      c.plant = std::make_shared<const sim::Plant>(*plant);
-      c.fit.values = plant->parameters().Nominal();
       if (!sensor) c.score += chosen_.other_timing_gain();
-      out->tried.push_back(c);
+      Alternative(c, out);
     }
   }
 
@@ -172,16 +198,15 @@ class MeasuredSearch {
   void Gains(double cost, SearchResult* out) const {
     const BalanceSolution s = fit().Solve(model());
     for (const std::string& kind : chosen_.KindsOf(model())) {
-      const std::string own = kind == "asymmetric_friction" ? "offset" : kind;
       BalanceModel less = model();
       if (kind == "gravity_misalignment") less.tilt = false;
       for (int j = 0; j < data_.n; ++j) {
         const auto specs = chosen_.SpecsOfJoint(model(), s, j);
         if (std::none_of(specs.begin(), specs.end(), [&](const EffectSpec& e) { return e.id == kind; }))
           continue;
-        for (const int c : chosen_.ColumnsOf(own, j)) less.features[j].erase(c);
+        for (const int c : chosen_.ColumnsOf(kind, j)) less.features[j].erase(c);
         if (kind != "position_spring") continue;
-        for (const int c : chosen_.ColumnsOf("offset", j)) less.features[j].erase(c);
+        for (const int c : chosen_.ColumnsOf("torque_offset", j)) less.features[j].erase(c);
       }
       const bool timing = kind == "actuator_delay" || kind == "actuator_lag";
       out->measured.gain[kind] = timing ? chosen_.timing_gain() : fit().LeaveOut(less).sum() - cost;

@@ -15,19 +15,19 @@ using Eigen::VectorXd;
 const std::vector<std::string> kPlainKinds = {"viscous_friction",    "coulomb_friction", "rotor_inertia",
                                               "quadratic_drag",      "torque_gain",      "position_spring",
                                               "gravity_misalignment"};
-const std::vector<std::string> kRefinedKinds = {"offset", "stribeck_friction", "load_dependent_friction",
+const std::vector<std::string> kRefinedKinds = {"stribeck_friction", "load_dependent_friction",
                                                 "thermal_drift"};
 
 namespace {
 
-constexpr double kRareErrors = 3.0;  // of what few have
-constexpr double kWorthAName = 0.1;  // of what remains on its joint
-constexpr double kSamples = 1.5;     // timing finer than this many samples is the recorder's business
+constexpr const char* kZero = "torque_offset";  // a constant force: an effort whose zero is off
+constexpr double kRareErrors = 3.0;             // of what few have
+constexpr double kWorthAName = 0.1;             // of what remains on its joint
+constexpr double kSamples = 1.5;  // timing finer than this many samples is the recorder's business
 constexpr double kTimingStep = 0.004, kEarliest = -0.032, kLatest = 0.048;  // s
 
 bool Common(const std::string& kind) {
-  return kind == "viscous_friction" || kind == "coulomb_friction" || kind == "rotor_inertia" ||
-         kind == "offset";
+  return kind == "viscous_friction" || kind == "coulomb_friction" || kind == "rotor_inertia" || kind == kZero;
 }
 
 bool Positive(const std::string& effect) {
@@ -93,7 +93,7 @@ void BalanceSelection::Pass(int j, const JointTiming& timing) {
 BalanceModel BalanceSelection::Flexible(BalanceModel m) const {
   for (int j = 0; j < data_.n; ++j) {
     for (const char* e :
-         {"viscous_friction", "coulomb_friction", "offset", "rotor_inertia", "unknown_field"}) {
+         {"viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia", "unknown_field"}) {
       for (const int c : ColumnsOf(e, j)) m.features[j].insert(c);
     }
   }
@@ -103,7 +103,7 @@ BalanceModel BalanceSelection::Flexible(BalanceModel m) const {
 void BalanceSelection::FindTiming() {
   BalanceModel all = model_;
   for (int j = 0; j < data_.n; ++j) {
-    for (const char* e : {"viscous_friction", "coulomb_friction", "offset", "rotor_inertia"}) {
+    for (const char* e : {"viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia"}) {
       for (const int c : ColumnsOf(e, j)) all.features[j].insert(c);
     }
   }
@@ -180,7 +180,7 @@ std::vector<BalanceModel> BalanceSelection::With(const BalanceModel& m, const st
     BalanceModel with = m;
     with.features[j].insert(c);
     if (effect == "position_spring") {
-      for (const int o : ColumnsOf("offset", j)) with.features[j].insert(o);
+      for (const int o : ColumnsOf(kZero, j)) with.features[j].insert(o);
     }
     out.push_back(with);
     if (!shapes) break;
@@ -195,9 +195,7 @@ bool BalanceSelection::Admissible(const BalanceModel& m, int j) const {
   }
   const double level = Coefficient(s, "coulomb_friction", j);
   if (Has(m, "stribeck_friction", j) && Coefficient(s, "stribeck_friction", j) <= 0) return false;
-  if (Has(m, "thermal_drift", j) && level + Coefficient(s, "thermal_drift", j) <= 0) return false;
-  return !(Has(m, "offset", j) && !Has(m, "position_spring", j) &&
-           std::abs(Coefficient(s, "offset", j)) > level);
+  return !(Has(m, "thermal_drift", j) && level + Coefficient(s, "thermal_drift", j) <= 0);
 }
 
 // Whether an addition on joint j is real and takes a part of what remains there that is worth a name.
@@ -217,7 +215,7 @@ bool BalanceSelection::TiltPays(const BlockCosts& before, Gain* gain) const {
   BalanceModel tilted = model_, rival = model_;
   tilted.tilt = true;
   for (int j = 0; j < data_.n; ++j) {
-    for (const int c : ColumnsOf("offset", j)) rival.features[j].insert(c);
+    for (const int c : ColumnsOf(kZero, j)) rival.features[j].insert(c);
   }
   BalanceModel both = rival;
   both.tilt = true;
@@ -241,7 +239,7 @@ BalanceSelection::Trial BalanceSelection::TryKind(const std::string& kind, const
     BlockCosts from = before;
     if (kind == "position_spring") {
       BalanceModel rival = model_;
-      for (const int o : ColumnsOf("offset", j)) rival.features[j].insert(o);
+      for (const int o : ColumnsOf(kZero, j)) rival.features[j].insert(o);
       from = fit_.LeaveOut(rival);
     }
     double best = 0;
@@ -304,7 +302,9 @@ bool BalanceSelection::Refined(int j) const {
 bool BalanceSelection::AddRefinement() {
   const BlockCosts before = fit_.LeaveOut(model_);
   Trial best;
-  for (const std::string& kind : kRefinedKinds) {
+  std::vector<std::string> kinds = kRefinedKinds;
+  kinds.push_back(kZero);
+  for (const std::string& kind : kinds) {
     const Trial t = TryKind(kind, before);
     if (t.nats > best.nats && static_cast<int>(KindsOf(t.model).size()) <= max_effects_) best = t;
   }

@@ -15,8 +15,9 @@ namespace rg::diagnosis {
 
 inline constexpr double kErrors = 2.0;  // standard errors over blocks, of what nearly every drive has
 
-// Plain laws, and finer forms of dry friction; "offset" beside Coulomb friction is friction that depends on
-// the direction.
+// Plain laws, and finer forms of dry friction. A constant force is looked for after the plain laws, and said
+// as an effort whose zero is off: with Coulomb friction it is friction that depends on the direction,
+// exactly.
 extern const std::vector<std::string> kPlainKinds, kRefinedKinds;
 
 // How motion lies behind effort on one joint; kDelay with 0 s: it does not.

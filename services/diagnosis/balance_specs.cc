@@ -31,7 +31,7 @@ std::vector<EffectSpec> BalanceSelection::SpecsOfJoint(const BalanceModel& m, co
   // u = (rigid + friction)/g: every other coefficient is of the effort's scale.
   const double gain = std::clamp(1.0 / std::max(0.1, 1.0 - Coefficient(s, "torque_gain", j)), 0.05, 8.0);
   const auto value = [&](const std::string& effect) { return gain * Coefficient(s, effect, j); };
-  const double level = value("coulomb_friction"), offset = value("offset"),
+  const double level = value("coulomb_friction"), offset = value("torque_offset"),
                small = kLeastLevel * scales_.torque[j];
   for (const auto& [id, name] : {std::pair<std::string, std::string>{"viscous_friction", "viscous"},
                                  {"rotor_inertia", "armature"},
@@ -59,13 +59,10 @@ std::vector<EffectSpec> BalanceSelection::SpecsOfJoint(const BalanceModel& m, co
     add("thermal_drift", {{"initial", std::max(small, level + value("thermal_drift"))},
                           {"final", std::max(small, level)},
                           {"time_constant", ShapeOf(balance_, m, "thermal_drift", j)}});
-  } else if (Has(m, "offset", j) && !spring) {
-    // The force is −(c − o) forwards and +(c + o) backwards.
-    add("asymmetric_friction", {{"coulomb_positive", std::max(small, level - offset)},
-                                {"coulomb_negative", std::max(small, level + offset)}});
   } else if (Has(m, "coulomb_friction", j)) {
     add("coulomb_friction", {{"coulomb", std::max(small, level)}});
   }
+  if (Has(m, "torque_offset", j) && !spring) add("torque_offset", {{"offset", offset}});
   std::erase_if(specs, [&](const EffectSpec& e) {
     const Status valid = effects::ValidateSpec(e);
     if (!valid.ok()) trace_("  left out: " + valid.ToString());
@@ -112,7 +109,7 @@ std::map<std::string, double> BalanceSelection::Spread() const {
       }
       return variance;
     };
-    const double level = of("coulomb_friction"), offset = of("offset");
+    const double level = of("coulomb_friction"), offset = of("torque_offset");
     const double timing = timing_[j].seconds > 0 ? timing_[j].stddev * timing_[j].stddev : 0.0;
     const std::map<std::string, double> variances = {
         {"viscous_friction.viscous", of("viscous_friction")},
@@ -121,8 +118,7 @@ std::map<std::string, double> BalanceSelection::Spread() const {
         {"torque_gain.gain", of("torque_gain")},
         {"position_spring.stiffness", of("position_spring")},
         {"coulomb_friction.coulomb", level},
-        {"asymmetric_friction.coulomb_positive", level + offset},
-        {"asymmetric_friction.coulomb_negative", level + offset},
+        {"torque_offset.offset", offset},
         {"stribeck_friction.coulomb", level},
         {"stribeck_friction.static", level + of("stribeck_friction")},
         {"load_dependent_friction.coulomb", level},

@@ -26,6 +26,7 @@ constexpr double kLittleLate = 0.004;  // s, the same of one beside the other
 constexpr const char* kDry = "coulomb_friction";
 constexpr const char* kDropping = "stribeck_friction";
 constexpr const char* kEitherWay = "asymmetric_friction";
+constexpr const char* kZero = "torque_offset";
 const std::vector<std::string> kLosses = {"viscous_friction", kDry, "rotor_inertia"};
 constexpr const char* kTiming = "timing";  // the family of
 constexpr const char* kTimings[] = {"actuator_lag", "actuator_delay"};
@@ -125,7 +126,9 @@ std::vector<EffectSpec> DriveSearch::OnAll(const char* id, double late) const {
 
 // Another law of dry friction on all joints: one that drops with speed, as gears have it, or one that differs
 // by direction. The latter holds a constant force, and stands for masses that differ from the URDF's: these
-// take its place where free base parameters leave about as little, and drives may then be seen to be late.
+// take its place where free base parameters leave about as little, and drives may then be seen to be late. So
+// do efforts whose zero is off, where no more than half of the joints need one: what differs by direction is
+// a habit of gears, and then of most.
 void DriveSearch::OtherDryLaw(Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
   const std::vector<TrialSpecs> laws = Exchanges(Refreshed(*best), kDry, setting_.nominal, setting_.scales);
@@ -139,9 +142,10 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
   const Candidate drops = with(kDropping);
   const Candidate either_way = with(kEitherWay);
   if (Left(either_way) < kUseful * Left(drops)) {
+    const Candidate zeros = WithZeros(*best, either_way);
     const Candidate bodies = WithFreeBase(*best);
     if (!(Left(bodies) < Left(either_way) / kUseful)) {
-      *best = either_way;
+      *best = zeros.fit.ok && Left(zeros) < Left(either_way) / kUseful ? zeros : either_way;
       return;
     }
     if (Left(bodies) < kUseful * Left(*best) && bodies.score > best->score + needed_(*best, bodies)) {
@@ -151,6 +155,26 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
     }
   }
   if (Left(drops) < kWorthwhile * Left(*best)) *best = drops;
+}
+
+// Where dry friction that differs by direction does so on half of the joints at most: the same as constant
+// forces there; else none.
+Candidate DriveSearch::WithZeros(const Candidate& c, const Candidate& either_way) {
+  Candidate start = AsStart(c);
+  start.specs = Refreshed(start);
+  for (const EffectSpec& s : Refreshed(AsStart(either_way))) {
+    if (s.id != kEitherWay || Contains(start.specs, kZero, s.joints[0])) continue;
+    const std::map<std::string, double>& level = s.values.at(s.joints[0]);
+    const double offset = 0.5 * (level.at("coulomb_negative") - level.at("coulomb_positive"));
+    start.specs.push_back(effects::MakeSpec(kZero, s.joints, {{"offset", offset}}));
+  }
+  if (fits_.Late()) return {};
+  Candidate zeros = fits_.Evaluate(start.specs, c.base, &c, kIterations);
+  const std::vector<EffectSpec> strong = StrongEffects(AsStart(zeros));
+  const auto count =
+      std::count_if(strong.begin(), strong.end(), [](const EffectSpec& s) { return s.id == kZero; });
+  if (count == 0 || 2 * count > setting_.data.judged() || fits_.Late()) return {};
+  return strong.size() == zeros.specs.size() ? zeros : fits_.Evaluate(strong, c.base, &zeros, kIterations);
 }
 
 Candidate DriveSearch::WithFreeBase(const Candidate& c) {

@@ -41,6 +41,7 @@ class DriveSearch {
   void OtherDryLaw(Candidate* best);
   void Freed(Candidate* best);
   Candidate WithFreeBase(const Candidate& c);
+  Candidate WithZeros(const Candidate& c, const Candidate& either_way);
   bool IsGiven(const effects::EffectSpec& s) const;
   std::vector<effects::EffectSpec> OnAll(const char* id, double late) const;
   bool OfAllDrives(const Candidate& c) const;

@@ -121,6 +121,8 @@ class Builder {
   void AddActuator(int j) {
     Add(
         "torque_gain", "gain", j, 0, [](const FineMotion& m, int i) -> ArrayXd { return Row(m.u, i); }, 0.3);
+    Add("torque_offset", "offset", j, 0,
+        [](const FineMotion& m, int) -> ArrayXd { return ArrayXd::Ones(m.q.cols()); });
     std::vector<double> size;
     for (const FineMotion& m : data_.fine) {
       for (int k = 0; k < m.u.cols(); ++k) size.push_back(std::abs(m.u(j, k)));
@@ -184,8 +186,6 @@ class Builder {
   void AddPosition(int j) {
     const double middle = 0.5 * (s_.low[j] + s_.high[j]),
                  half = std::max(1e-3, 0.5 * (s_.high[j] - s_.low[j]));
-    Add("position_spring", "constant", j, 0,
-        [](const FineMotion& m, int) -> ArrayXd { return ArrayXd::Ones(m.q.cols()); });
     Add("position_spring", "stiffness", j, middle,
         [middle](const FineMotion& m, int i) -> ArrayXd { return -(Row(m.q, i) - middle); });
     Add("position_spring", "cubic", j, middle,

@@ -60,6 +60,7 @@ EffectSpec JointSpec(const Scored& h, int joint, const std::vector<double>& c, c
   }
   if (h.effect == "torque_gain")
     return MakeSpec(h.effect, {name}, {{"gain", std::clamp(1.0 + c[0], 0.2, 4.0)}});
+  if (h.effect == "torque_offset") return MakeSpec(h.effect, {name}, {{"offset", c[0]}});
   if (h.effect == "torque_deadband")
     return MakeSpec(h.effect, {name}, {{"deadband", Positive(c[0] * h.shape, kSmall)}});
   if (h.effect == "torque_saturation") return MakeSpec(h.effect, {name}, {{"limit", h.shape}});
@@ -156,7 +157,7 @@ Prior PriorOf(const sim::Parameter& p, int joint, const MotionScales& s, const s
   // Seen through its gear a light link's rotor is many times the link: what half the torque would turn.
   const bool moves = joint >= 0 && s.still[static_cast<size_t>(joint)] == 0;
   if (f == "armature") return {0, std::max(inertia, moves ? 0.5 * torque / s.acceleration[joint] : 0.0)};
-  if (f == "offset") return {0, 0.1};
+  if (f == "offset") return {0, e == "encoder_offset" ? 0.1 : 0.5 * torque};
   if (f == "tilt") return {0, 0.1, -1.5, 1.5};
   if (f == "coefficient") return {0, 0.5 * torque / std::max(1e-9, s.torque.maxCoeff()) + 0.1, -3, 3};
   if (e == "position_spring") {

@@ -174,15 +174,9 @@ class Scorer {
   }
 
   void JointGroups(int j) {
-    for (const char* e :
-         {"viscous_friction", "quadratic_drag", "coulomb_friction", "rotor_inertia", "torque_gain"}) {
-      const std::string role = std::string(e) == "viscous_friction"   ? "viscous"
-                               : std::string(e) == "quadratic_drag"   ? "quadratic"
-                               : std::string(e) == "coulomb_friction" ? "coulomb"
-                               : std::string(e) == "rotor_inertia"    ? "armature"
-                                                                      : "gain";
-      Push(Single(e, role, j));
-    }
+    for (const char* e : {"viscous_friction", "quadratic_drag", "coulomb_friction", "rotor_inertia",
+                          "torque_gain", "torque_offset"})
+      Push(Single(e, effects::FindEffect(e)->parameters[0].name, j));
     const int coulomb = Find("coulomb_friction", "coulomb", j, 0);
     Push({"asymmetric_friction",
           {j},
@@ -230,8 +224,7 @@ class Scorer {
     if (!middle.empty()) {
       Push({"position_spring",
             {j},
-            {{Find("position_spring", "constant", j, 0)},
-             {Find("position_spring", "stiffness", j, middle[0])}},
+            {{Find("torque_offset", "offset", j, 0)}, {Find("position_spring", "stiffness", j, middle[0])}},
             {},
             middle[0]});
     }

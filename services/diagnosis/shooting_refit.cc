@@ -75,7 +75,7 @@ std::vector<EffectSpec> Plain(const std::vector<EffectSpec>& specs) {
     } else if (s.id == "thermal_drift") {
       out.push_back(effects::MakeSpec("coulomb_friction", s.joints, {{"coulomb", value("final")}}));
     } else if (s.id == "viscous_friction" || s.id == "coulomb_friction" || s.id == "asymmetric_friction" ||
-               s.id == "quadratic_drag" || s.id == "rotor_inertia") {
+               s.id == "quadratic_drag" || s.id == "rotor_inertia" || s.id == "torque_offset") {
       out.push_back(s);
     }
   }

@@ -70,8 +70,8 @@ void Simplifier::Prune(Candidate* best) {
 // says in one number what takes bodies many is no such rival of theirs, unless it is a gain so near one that
 // a mass is off by as much. Worth its name beside them it stays.
 bool Simplifier::GivesWayToBodies(const std::vector<EffectSpec>& without, size_t i, Candidate* best) {
-  static const std::set<std::string> kSaysMore = {"payload", "rotor_inertia", "torque_gain",
-                                                  "gravity_misalignment", "encoder_offset"};
+  static const std::set<std::string> kSaysMore = {
+      "payload", "rotor_inertia", "torque_gain", "gravity_misalignment", "encoder_offset", "torque_offset"};
   const double strength = Strength(*best, i);
   const EffectSpec effect = Refreshed(*best)[i];
   const bool small_gain = IsSmallGain(effect);

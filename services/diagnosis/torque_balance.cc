@@ -78,7 +78,7 @@ class BalanceMaker {
       auto& c = out_.columns[j];
       c = {{"viscous_friction", "viscous"},
            {"coulomb_friction", "coulomb"},
-           {"offset", "offset"},
+           {"torque_offset", "offset"},
            {"rotor_inertia", "armature"},
            {"quadratic_drag", "quadratic"},
            {"torque_gain", "gain"},
@@ -92,9 +92,7 @@ class BalanceMaker {
         c.push_back({"unknown_field", "position", static_cast<double>(k)});
         c.push_back({"unknown_field", "velocity", static_cast<double>(k)});
       }
-      std::erase_if(c, [&](const BalanceColumn& column) {
-        return !plant_.Takes(column.effect == "offset" ? "unknown_field" : column.effect, j);
-      });
+      std::erase_if(c, [&](const BalanceColumn& column) { return !plant_.Takes(column.effect, j); });
     }
   }
 
@@ -106,7 +104,7 @@ class BalanceMaker {
     const ArrayXd sign = v.sign();
     if (c.effect == "viscous_friction") return -v;
     if (c.effect == "coulomb_friction") return -sign;
-    if (c.effect == "offset") return ArrayXd::Ones(v.size());
+    if (c.effect == "torque_offset") return ArrayXd::Ones(v.size());
     if (c.effect == "rotor_inertia") return -m.a.row(j).transpose().array();
     if (c.effect == "quadratic_drag") return -v * v.abs();
     if (c.effect == "position_spring") return -(m.q.row(j).transpose().array() - c.shape);

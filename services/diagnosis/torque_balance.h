@@ -23,7 +23,7 @@ inline constexpr double kTiltPrior = 0.6;  // m/s², one standardised unit of gr
 
 // What an effect does to one joint per unit of coefficient.
 struct BalanceColumn {
-  std::string effect;  // id; "offset": a constant force
+  std::string effect;  // id
   std::string role;
   double shape = 0;
   double scale = 1;  // coefficient in SI = scale · standardised one (prior stddev 1)

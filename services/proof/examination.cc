@@ -21,6 +21,7 @@ bool SameFamily(const std::string& a, const std::string& b) {
       {"actuator_delay", "actuator_lag", "sensor_delay"},
       {"joint_elasticity", "backlash"},
       {"torque_gain", "torque_saturation", "torque_deadband"},
+      {"torque_offset", "asymmetric_friction"},
       {"payload", "sloshing_payload", "parameters_only"},
       {"gravity_misalignment", "encoder_offset", "base_flexibility"},
       {"rotor_inertia", "parameters_only"},

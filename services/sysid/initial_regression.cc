@@ -93,6 +93,7 @@ double JointColumn(const sim::Parameter& p, double v, double a, double u) {
   }
   if (p.effect == "quadratic_drag") return v * std::abs(v);
   if (p.effect == "rotor_inertia") return a;
+  if (p.effect == "torque_offset") return -1.0;
   return 0.0;
 }
 
@@ -100,7 +101,8 @@ bool HasJointColumn(const sim::Parameter& p) {
   return p.kind == sim::ParameterKind::kDamping || p.kind == sim::ParameterKind::kFriction ||
          p.kind == sim::ParameterKind::kForceGain || p.kind == sim::ParameterKind::kArmature ||
          p.effect == "viscous_friction" || p.effect == "coulomb_friction" ||
-         p.effect == "asymmetric_friction" || p.effect == "quadratic_drag" || p.effect == "rotor_inertia";
+         p.effect == "asymmetric_friction" || p.effect == "quadratic_drag" || p.effect == "rotor_inertia" ||
+         p.effect == "torque_offset";
 }
 
 class Regression {

@@ -46,6 +46,7 @@ StateFilter::StateFilter(sim::Simulator* simulator, const recordings::Recording&
   RG_CHECK(position_variance_.size() == n_ && velocity_variance_.size() == n_);
   log_acceleration_ = VectorXd::Constant(n_, std::log(kStartAcceleration));
   PlaceSensors();
+  FindLatePositions();
 }
 
 const sim::State& StateFilter::StateAt(int row) {
@@ -105,6 +106,20 @@ void StateFilter::PlaceSensors() {
   }
 }
 
+void StateFilter::FindLatePositions() {
+  const sim::ParameterTable& table = simulator_.plant().parameters();
+  late_.setZero(n_);
+  for (const effects::EffectSpec& e : simulator_.plant().effects()) {
+    const auto signal = e.options.find("signal");
+    if (e.id != "sensor_delay" || (signal != e.options.end() && signal->second == "velocity")) continue;
+    for (const std::string& joint : e.joints) {
+      const int j = simulator_.plant().model().FindJoint(joint);
+      const int delay = table.Find(e.id + "." + joint + "." + "delay");
+      if (j >= 0 && delay >= 0) late_[j] = std::max(0.0, simulator_.parameters()[delay]);
+    }
+  }
+}
+
 void StateFilter::Step(int row) {
   if (!Propagate(recording_.t[row - 1], recording_.t[row])) {
     Start(row);
@@ -152,7 +167,7 @@ void StateFilter::Correct(int row) {
   for (int j = 0; j < n_; ++j) {  // innovations before anything is corrected
     if (recording_.IsPrescribed(j)) continue;
     const double dq = recording_.q(j, row) - q[j];
-    excess[j] = dq * dq / (P_(position_index_[j], position_index_[j]) + position_variance_[j]) - 1.0;
+    excess[j] = dq * dq / (PositionVariance(j) + position_variance_[j]) - 1.0;
     if (!recording_.has_velocity()) continue;
     const double dv = recording_.v(j, row) - v[j];
     excess[j] = 0.5 * (excess[j] +
@@ -161,10 +176,11 @@ void StateFilter::Correct(int row) {
   for (int j = 0; j < n_; ++j) {
     if (recording_.IsPrescribed(j)) continue;
     simulator_.Measure(x_, &q, &v);
-    Update(position_index_[j], recording_.q(j, row), q[j], position_variance_[j]);
+    Update(position_index_[j], velocity_index_[j], -late_[j], recording_.q(j, row) - q[j],
+           position_variance_[j]);
     if (!recording_.has_velocity()) continue;
     simulator_.Measure(x_, &q, &v);
-    Update(velocity_index_[j], recording_.v(j, row), v[j], velocity_variance_[j]);
+    Update(velocity_index_[j], position_index_[j], 0.0, recording_.v(j, row) - v[j], velocity_variance_[j]);
   }
   for (int j = 0; j < n_; ++j) {
     log_acceleration_[j] = std::clamp(log_acceleration_[j] + kAdaptation * std::min(excess[j], kMaxExcess),
@@ -172,15 +188,18 @@ void StateFilter::Correct(int row) {
   }
 }
 
-// One scalar measurement of state `index`; sensor effects are in `predicted`, their slope is taken as 1.
-void StateFilter::Update(int index, double measured, double predicted, double variance) {
-  const double S = P_(index, index) + variance;
-  const VectorXd gain = P_.col(index) / S;
-  const VectorXd dx = gain * (measured - predicted);
-  x_.q += dx.head(n_);
-  x_.v += dx.segment(n_, n_);
-  if (nx_ > 2 * n_) x_.z += dx.tail(nx_ - 2 * n_);
-  const Eigen::RowVectorXd row = P_.row(index);
+// Of what joint j's encoder sees, by the state's own: an old position is q − T·q̇ to first order.
+double StateFilter::PositionVariance(int j) const {
+  const int q = position_index_[j], v = velocity_index_[j];
+  return P_(q, q) - 2 * late_[j] * P_(q, v) + late_[j] * late_[j] * P_(v, v);
+}
+
+// One scalar measurement of x[index] + slope·x[other].
+void StateFilter::Update(int index, int other, double slope, double innovation, double variance) {
+  const Eigen::RowVectorXd row = P_.row(index) + slope * P_.row(other);
+  const double S = row[index] + slope * row[other] + variance;
+  const VectorXd gain = row.transpose() / S;
+  simulator_.Correct(x_, gain * innovation);
   P_ -= gain * row;
   P_ = 0.5 * (P_ + P_.transpose()).eval();
 }

@@ -42,7 +42,9 @@ class StateFilter {
   bool Propagate(double begin, double end);
   void Correct(int row);
   void PlaceSensors();
-  void Update(int index, double measured, double predicted, double variance);
+  void FindLatePositions();
+  double PositionVariance(int joint) const;
+  void Update(int index, int other, double slope, double innovation, double variance);
 
   sim::Simulator& simulator_;
   const recordings::Recording& recording_;
@@ -52,6 +54,7 @@ class StateFilter {
   int n_, nx_;
   // Per joint: the place in (q, v, z) of what its encoder sees; the motor's where it sits there.
   std::vector<int> position_index_, velocity_index_;
+  Eigen::VectorXd late_;  // s, by which a joint's position is old
   int row_ = -1;
   sim::State x_;
   sim::Linearization lin_;

@@ -186,6 +186,7 @@ std::vector<Case> Cases() {
   one("torque_gain", {{"gain", 1.2}});
   one("torque_deadband", {{"deadband", 0.05}}, 1e-5);
   one("torque_saturation", {{"limit", 0.4}});
+  one("torque_offset", {{"offset", 0.3}});
   one("torque_ripple", {{"amplitude", 0.3}, {"cycles_per_rev", 11}, {"phase", 0.4}});
   one("rotor_inertia", {{"armature", 0.15}});
   one("payload", {{"mass", 0.7}, {"com_x", 0.1}, {"com_y", -0.05}, {"com_z", 0.02}});

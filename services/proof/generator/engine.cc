@@ -186,7 +186,7 @@ void Engine::TakeOverTwist(const Transmission& its, const Transmission& own, int
   }
 }
 
-// command -> delay -> gain -> dead band -> limit -> ripple -> lag
+// command -> delay -> gain -> dead band -> limit -> offset and ripple -> lag
 VectorXd Engine::Drive(const VectorXd& command) {
   commands_.push_back(command);
   commands_.pop_front();
@@ -196,7 +196,7 @@ VectorXd Engine::Drive(const VectorXd& command) {
     const size_t back = static_cast<size_t>(std::lround(j.delay / dt_));
     double u = commands_[commands_.size() - 1 - back][i] * j.gain;
     if (j.deadband > 0) u = std::abs(u) < j.deadband ? 0.0 : u - std::copysign(j.deadband, u);
-    u = std::clamp(u, -j.saturation, j.saturation);
+    u = std::clamp(u, -j.saturation, j.saturation) + j.torque_offset;
     if (j.ripple_amplitude > 0) {
       const double angle = j.transmission.stiffness > 0 ? motor_q_[i] : q_[dof_[i]];
       u += j.ripple_amplitude * std::sin(j.ripple_cycles * angle + j.ripple_phase);

@@ -40,6 +40,9 @@ void OneJoint(const RobotFacts& facts, json* effects) {
   for (json& e : *effects) {
     const std::string id = e["id"];
     if (facts.linear) {
+      // On a level slide gravity's share is a constant force.
+      if (id == "gravity_misalignment" || id == "torque_offset")
+        Join({"gravity_misalignment", "torque_offset"}, &e);
       if (id != "payload" && id != "rotor_inertia" && id != "torque_gain" && id != "parameters_only")
         continue;
       Join({"parameters_only", "torque_gain"}, &e);
@@ -84,7 +87,8 @@ void AddEquivalents(const RobotFacts& facts, json* effects) {
 
 bool Hides(const RobotFacts& facts, const json& effects) {
   if (facts.joints == 1 && facts.linear)
-    return Has(effects, "gravity_misalignment") && Has(effects, "position_spring");
+    return (Has(effects, "gravity_misalignment") || Has(effects, "torque_offset")) &&
+           Has(effects, "position_spring");
   const auto on_first = [&](const char* id) {
     return std::any_of(effects.begin(), effects.end(), [&](const json& e) {
       const auto& joints = e["joints"];

@@ -175,6 +175,9 @@ void Actuator(const std::string& id, Draft& d) {
     } else if (id == "torque_saturation") {
       j.saturation = 1.5 * d.s.peak_torque[i] / (1.0 + d.x);
       row = {{"limit", d.Value(i, j.saturation, "N*m")}};
+    } else if (id == "torque_offset") {
+      j.torque_offset = (stronger ? 1 : -1) * d.x * 0.4 * (0.3 * d.s.torque[i] + 0.7 * d.s.motion_torque[i]);
+      row = {{"offset", d.Value(i, j.torque_offset, "N*m")}};
     } else if (id == "torque_ripple") {
       j.ripple_amplitude = d.x * 0.5 * (0.3 * d.s.torque[i] + 0.7 * d.s.motion_torque[i]);
       j.ripple_cycles = std::round((4 + static_cast<double>(d.rng.Index(14))) / d.Reach(i));
@@ -310,6 +313,7 @@ const std::vector<std::string>& KnownEffects() {
                                                "torque_gain",
                                                "torque_deadband",
                                                "torque_saturation",
+                                               "torque_offset",
                                                "torque_ripple",
                                                "rotor_inertia",
                                                "payload",

@@ -159,6 +159,7 @@ std::vector<std::string> OrdinaryExtras(const std::string& kind, double rate_hz,
   if (kind == "pendulum" || kind == "slide") return extras;
   extras.push_back("payload");
   if (ordinary.wrong_bodies) return extras;
+  if (ordinary.friction != "asymmetric_friction") extras.push_back("torque_offset");
   extras.insert(extras.end(), {"joint_coupling", "gravity_misalignment", "torque_gain", "encoder_offset"});
   return extras;
 }

@@ -191,12 +191,19 @@ bool CanPair(const std::string& a, const std::string& b, const std::string& kind
   if (a == b) return false;
   if (both({"coulomb_friction", "stribeck_friction", "asymmetric_friction", "load_dependent_friction",
             "thermal_drift", "presliding_hysteresis"}) ||
-      both({"actuator_delay", "sensor_delay"}) || both({"joint_elasticity", "backlash"})) {
+      both({"torque_offset", "position_spring"}) || both({"actuator_delay", "sensor_delay"}) ||
+      both({"joint_elasticity", "backlash"})) {
     return false;
   }
+  // Dry friction of either direction and a constant force are friction that depends on the direction.
+  const auto dry = [](const std::string& id) {
+    return OneOf(id, {"coulomb_friction", "stribeck_friction", "asymmetric_friction",
+                      "load_dependent_friction", "thermal_drift", "presliding_hysteresis"});
+  };
+  if ((a == "torque_offset" && dry(b)) || (b == "torque_offset" && dry(a))) return false;
   const bool one_joint = kind == "pendulum" || kind == "slide";
   return !one_joint || !(both({"payload", "rotor_inertia", "torque_gain"}) ||
-                         both({"encoder_offset", "gravity_misalignment", "payload"}));
+                         both({"encoder_offset", "gravity_misalignment", "torque_offset", "payload"}));
 }
 
 }  // namespace rg::proof

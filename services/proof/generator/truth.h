@@ -42,7 +42,7 @@ struct JointTruth {
   DryFriction dry;
   Bristle bristle;
   Transmission transmission;
-  double delay = 0, lag = 0, gain = 1, deadband = 0;
+  double delay = 0, lag = 0, gain = 1, deadband = 0, torque_offset = 0;
   double saturation = std::numeric_limits<double>::infinity();
   double ripple_amplitude = 0, ripple_cycles = 0, ripple_phase = 0;
   double encoder_offset = 0, sensor_delay = 0;

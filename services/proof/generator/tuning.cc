@@ -64,10 +64,11 @@ LinkChange ChangeOf(const VectorXd& theta, size_t link) {
 }
 
 TunedPart PartThatHides(const std::string& effect) {
-  static const char* const in_bodies[] = {"torque_gain",      "payload",           "rotor_inertia",
-                                          "sloshing_payload", "position_spring",   "gravity_misalignment",
-                                          "encoder_offset",   "torque_saturation", "joint_coupling",
-                                          "contact",          "base_flexibility",  "unknown_field"};
+  static const char* const in_bodies[] = {"torque_gain",      "payload",         "rotor_inertia",
+                                          "sloshing_payload", "position_spring", "gravity_misalignment",
+                                          "torque_offset",    "encoder_offset",  "torque_saturation",
+                                          "joint_coupling",   "contact",         "base_flexibility",
+                                          "unknown_field"};
   return std::any_of(std::begin(in_bodies), std::end(in_bodies), [&](const char* x) { return effect == x; })
              ? TunedPart::kBodies
              : TunedPart::kDamping;

@@ -53,14 +53,13 @@ int DryJoints(const DiagnosisResult& r) {
   return static_cast<int>(joints.size());
 }
 
-// Janot, Gautier, Brunot 2019: 20.4 N, 203.5 N·s/m, an offset of −3.2 N; asymmetric in the variant of 2017.
-TEST(RealRobots, EmpsSlideHasItsFrictionAndItsAsymmetry) {
+// Janot, Gautier, Brunot 2019: 20.4 N, 203.5 N·s/m, an offset of −3.2 N on the effort's side; asymmetric in the
+// variant of 2017.
+TEST(RealRobots, EmpsSlideHasItsFrictionAndItsOffset) {
   RG_DIAGNOSE_SET("real/emps");
   EXPECT_EQ(r.verdict, "unmodelled_physics");
-  const double forward = Value(r, "asymmetric_friction", "slide", "coulomb_positive"),
-               back = Value(r, "asymmetric_friction", "slide", "coulomb_negative");
-  EXPECT_NEAR(0.5 * (forward + back), 20.4, 2.0);
-  EXPECT_NEAR(0.5 * (forward - back), -3.2, 1.0);
+  EXPECT_NEAR(Value(r, "coulomb_friction", "slide", "coulomb"), 20.4, 2.0);
+  EXPECT_NEAR(Value(r, "torque_offset", "slide", "offset"), 3.2, 1.0);
   EXPECT_NEAR(Value(r, "viscous_friction", "slide", "viscous"), 203.5, 25.0);
   EXPECT_LT(r.holdout.after_rms, 0.05 * r.holdout.before_rms);
   EXPECT_LT(r.holdout.after_rms, 0.2 * r.holdout.calibrated_rms);

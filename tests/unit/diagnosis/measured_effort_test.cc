@@ -128,16 +128,24 @@ TEST(MeasuredEffort, OfAGivenModelOnlyTheBaseParametersCount) {
   EXPECT_EQ(from.values, alone.values);
 }
 
-TEST(MeasuredEffort, TellsFrictionThatDependsOnTheDirection) {
+// Friction that depends on the direction is the same as Coulomb friction and an effort whose zero is off,
+// which is what is said.
+TEST(MeasuredEffort, TellsAnEffortWhoseZeroIsOff) {
   const auto name = sysid::testing::LoadPlant("slide").joint_names()[0];
-  const auto r = Diagnosed(MeasuredSet(
-      "slide",
-      {MakeSpec("asymmetric_friction", {name}, {{"coulomb_positive", 6.0}, {"coulomb_negative", 14.0}})},
-      61));
-  const Finding* f = Find(r, "asymmetric_friction");
-  ASSERT_NE(f, nullptr);
-  EXPECT_NEAR(Value(*f, name, "coulomb_positive"), 6.0, 1.5);
-  EXPECT_NEAR(Value(*f, name, "coulomb_negative"), 14.0, 1.5);
+  const auto asymmetric =
+      MakeSpec("asymmetric_friction", {name}, {{"coulomb_positive", 6.0}, {"coulomb_negative", 14.0}});
+  const std::vector<effects::EffectSpec> offset = {MakeSpec("coulomb_friction", {name}, {{"coulomb", 10.0}}),
+                                                   MakeSpec("torque_offset", {name}, {{"offset", 4.0}})};
+  for (const auto& truth : {std::vector<effects::EffectSpec>{asymmetric}, offset}) {
+    const auto r = Diagnosed(MeasuredSet("slide", truth, 61));
+    const Finding *zero = Find(r, "torque_offset"), *dry = Find(r, "coulomb_friction");
+    ASSERT_NE(zero, nullptr);
+    ASSERT_NE(dry, nullptr);
+    EXPECT_NEAR(Value(*zero, name, "offset"), 4.0, 1.0);
+    EXPECT_NEAR(Value(*dry, name, "coulomb"), 10.0, 1.5);
+    EXPECT_NE(std::find(zero->effect_class.begin(), zero->effect_class.end(), "asymmetric_friction"),
+              zero->effect_class.end());
+  }
 }
 
 // The same physics, whatever it is called and however it is cut.

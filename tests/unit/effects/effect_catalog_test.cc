@@ -28,6 +28,7 @@ const std::map<std::string, std::vector<std::string>> kContract = {
     {"torque_gain", {"gain"}},
     {"torque_deadband", {"deadband"}},
     {"torque_saturation", {"limit"}},
+    {"torque_offset", {"offset"}},
     {"torque_ripple", {"amplitude", "cycles_per_rev", "phase"}},
     {"rotor_inertia", {"armature"}},
     {"payload", {"mass", "com_x", "com_y", "com_z"}},

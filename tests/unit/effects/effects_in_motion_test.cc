@@ -51,6 +51,7 @@ TEST(EffectsOff, ChangeNothing) {
       {"torque_gain", {}},
       {"torque_deadband", {}},
       {"torque_saturation", {}},
+      {"torque_offset", {}},
       {"torque_ripple", {}},
       {"rotor_inertia", {}},
       {"payload", {}},

@@ -117,6 +117,58 @@ TEST(Prediction, AWrongModelDoesNotMisleadTheFilter) {
   EXPECT_LT(ErrorOf(PredictRecording(plant, wrong, rec, filtered), rec).rms, 1.05 * plain);
 }
 
+effects::EffectSpec With(effects::EffectSpec spec, const std::string& option, const std::string& value) {
+  spec.options[option] = value;
+  return spec;
+}
+
+// Where a window begins, what no sensor reads (a lag, a bristle, a motor) and what sensors read late is found
+// from the rows before, as well as a state that they read.
+TEST(Prediction, TheTrueModelOfWhatHasAMemoryPredictsAsWellAsOneWithout) {
+  using effects::MakeSpec;
+  const std::string j = "elbow";
+  const auto spring =
+      MakeSpec("joint_elasticity", {j}, {{"stiffness", 60}, {"damping", 0.2}, {"motor_inertia", 0.02}});
+  const auto play = MakeSpec("backlash", {j},
+                             {{"gap", 0.02},
+                              {"contact_stiffness", 200},
+                              {"contact_damping", 0.5},
+                              {"motor_inertia", 0.02},
+                              {"motor_viscous", 0.05}});
+  const auto late = MakeSpec("sensor_delay", {j}, {{"delay", 0.03}});
+  const std::vector<std::pair<std::string, effects::EffectSpec>> cases = {
+      {"lag", MakeSpec("actuator_lag", {j}, {{"time_constant", 0.04}})},
+      {"delay", MakeSpec("actuator_delay", {j}, {{"delay", 0.03}})},
+      {"bristle", MakeSpec("presliding_hysteresis", {j},
+                           {{"bristle_stiffness", 20}, {"coulomb", 0.3}, {"bristle_damping", 0.2}})},
+      {"spring, link", With(spring, "sensor", "link")},
+      {"spring, motor", With(spring, "sensor", "motor")},
+      {"play, link", With(play, "sensor", "link")},
+      {"play, motor", With(play, "sensor", "motor")},
+      {"late", late},
+      {"late position", With(late, "signal", "position")},
+      {"late velocity", With(late, "signal", "velocity")}};
+  const auto error = [&](const std::vector<effects::EffectSpec>& effects, bool with_velocity) {
+    const sim::Plant plant = testing::LoadPlant("arm2", effects);
+    const VectorXd values = plant.parameters().Nominal();
+    const auto rec = testing::MakeRecording(plant, values, 5,
+                                            {.duration_s = 10.0,
+                                             .position_noise = 3e-4,
+                                             .velocity_noise = 0.005,
+                                             .with_velocity = with_velocity});
+    PredictionOptions options;
+    options.noise.position_stddev = VectorXd::Constant(2, 3e-4);
+    if (with_velocity) options.noise.velocity_stddev = VectorXd::Constant(2, 0.005);
+    return ErrorOf(PredictRecording(plant, values, rec, options), rec).rms;
+  };
+  for (const bool with_velocity : {true, false}) {
+    const double without = error({}, with_velocity);
+    for (const auto& [name, spec] : cases)
+      EXPECT_LT(error({spec}, with_velocity), 3 * without)
+          << name << (with_velocity ? "" : ", positions only");
+  }
+}
+
 TEST(Prediction, DriveThatAddsItsOwnGravityTorqueHoldsTheArmUnderNoCommand) {
   const sim::Plant plant = testing::LoadPlant("arm2");
   const VectorXd values = plant.parameters().Nominal();
@@ -136,8 +188,8 @@ TEST(Prediction, DriveThatAddsItsOwnGravityTorqueHoldsTheArmUnderNoCommand) {
 TEST(Prediction, CsvHasOneLinePerRowAndReadsBackExactly) {
   const sim::Plant cart = Cart();
   const auto rec = Rows({0, 0.1, 0.2}, {0.1, 0.2, 0.3}, {1, 1, 1});
-  const std::string csv = FormatPredictionCsv(
-      PredictRecording(cart, cart.parameters().Nominal(), rec, Measured(1.0)), rec);
+  const std::string csv =
+      FormatPredictionCsv(PredictRecording(cart, cart.parameters().Nominal(), rec, Measured(1.0)), rec);
   EXPECT_EQ(csv.substr(0, csv.find('\n')), "time,position.x");
   EXPECT_EQ(std::count(csv.begin(), csv.end(), '\n'), 4);
   EXPECT_EQ(csv.substr(16, 6), "0,0.1\n");
