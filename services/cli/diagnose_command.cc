@@ -16,10 +16,12 @@
 #include "services/cli/early_warnings.h"
 #include "services/cli/interrupt.h"
 #include "services/cli/model_source.h"
+#include "services/cli/output.h"
 #include "services/cli/packed_set.h"
 #include "services/cli/progress_display.h"
 #include "services/cli/set_arguments.h"
 #include "services/diagnosis/diagnosis.h"
+#include "services/diagnosis/told_in_tables.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/remote_fits.h"
 #include "services/report/diagnosis_page.h"
@@ -27,6 +29,8 @@
 
 namespace rg::cli {
 namespace {
+
+constexpr size_t kJointsInASentence = 2;
 
 struct DiagnoseArguments {
   SetArguments sets;
@@ -41,9 +45,27 @@ std::string Joined(const std::vector<std::string>& names) {
   return out;
 }
 
+// A column per parameter, for more joints than a sentence names; else empty.
+std::string ValuesOfJoints(const diagnosis::DiagnosisResult& r) {
+  const diagnosis::JointTable values = diagnosis::ParametersOfJoints(r);
+  if (values.columns.empty() || values.joints.size() <= kJointsInASentence) return "";
+  std::vector<std::string> columns = {"joint"};
+  for (const std::string& column : values.columns) columns.push_back(">" + column);
+  TextTable table(columns);
+  for (size_t j = 0; j < values.joints.size(); ++j) {
+    std::vector<std::string> row = {values.joints[j]};
+    row.insert(row.end(), values.cells[j].begin(), values.cells[j].end());
+    table.AddRow(row);
+  }
+  std::string text = table.ToString();
+  while (!text.empty() && text.back() == '\n') text.pop_back();
+  return "\n" + text;
+}
+
 // `said`: notes that were said before the search.
 std::string Told(const diagnosis::DiagnosisResult& r, const std::vector<std::string>& said) {
-  std::string text = r.verdict;
+  const std::string gap = diagnosis::GapInWords(r);
+  std::string text = r.verdict + (gap.empty() ? "" : ": " + gap);
   for (const auto& f : r.findings) {
     char confidence[32];
     std::snprintf(confidence, sizeof confidence, " (%.2f)", f.confidence);
@@ -52,6 +74,7 @@ std::string Told(const diagnosis::DiagnosisResult& r, const std::vector<std::str
       text += "\n    cannot be told from " + Joined({f.effect_class.begin() + 1, f.effect_class.end()}) +
               " in these recordings";
   }
+  text += ValuesOfJoints(r);
   char line[200], before[40];
   std::snprintf(before, sizeof before, "%.4g as given", r.holdout.before_rms);
   if (std::isnan(r.holdout.before_rms)) std::snprintf(before, sizeof before, "the model as given cannot run");
@@ -96,8 +119,7 @@ Result<Workers> WithWorkers(const Context& context, const DiagnoseArguments& arg
   RG_ASSIGN_OR_RETURN(workers.client, context.Connect());
   realitygrad::v1::ArtifactInfo info;
   info.set_kind(jobs::kArtifactRecordingSet);
-  info.set_metadata_json(
-      nlohmann::json{{"name", arguments.sets.name()}}.dump());
+  info.set_metadata_json(nlohmann::json{{"name", arguments.sets.name()}}.dump());
   RG_ASSIGN_OR_RETURN(std::string set, workers.client->PutArtifact(packed, info));
   jobs::FitInputs inputs;
   inputs.recordings = {std::move(set)};

@@ -254,20 +254,27 @@ class Speaker {
     return text.empty() ? effects::FindEffect(id)->title + "." : text;
   }
 
-  // "Coulomb friction that the model does not have on all 6 joints: joint_1 1.23 N*m, …".
+  // "Coulomb friction that the model does not have on all 6 joints: coulomb 0.12 to 1.94 N*m.": what each
+  // joint has is in a table.
   std::string StatementOfMany(const std::string& id, const Finding& f) const {
-    std::string list;
-    for (const std::string& joint : f.joints) {
-      std::string values;
+    std::vector<std::string> ranges;
+    for (const auto& info : effects::FindEffect(id)->parameters) {
+      double least = effects::kInf, most = -effects::kInf;
+      std::string unit;
       for (const ParameterEstimate& p : f.parameters) {
-        if (p.owner != joint) continue;
-        values += (values.empty() ? " " : " / ") + Number(p.value) + (p.unit == "-" ? "" : " " + p.unit);
+        if (p.name == info.name)
+          least = std::min(least, p.value), most = std::max(most, p.value), unit = p.unit;
       }
-      list += (list.empty() ? "" : ", ") + joint + values;
+      if (least > most) continue;
+      const std::string from = Number(least), to = Number(most);
+      ranges.push_back(info.name + " " + (from == to ? from : from + " to " + to) +
+                       (unit == "-" ? "" : " " + unit));
     }
     const std::string count = std::to_string(f.joints.size());
     return effects::FindEffect(id)->title + " that the model does not have on " +
-           (f.joints.size() == r_.joints.size() ? "all " + count : count) + " joints: " + list + ".";
+           (f.joints.size() == r_.joints.size() ? "all " + count
+                                                : count + " of " + std::to_string(r_.joints.size())) +
+           " joints: " + Listed(ranges) + ".";
   }
 
   void FillClass(const std::string& id, Finding* f) {

@@ -7,6 +7,7 @@
 #include <map>
 #include <set>
 
+#include "common/effects/effect_catalog.h"
 #include "services/diagnosis/candidate.h"
 
 namespace rg::diagnosis {

@@ -166,7 +166,11 @@ std::vector<Rival> RivalsOf(const SearchResult& search, const std::string& id) {
   std::map<std::string, const Candidate*> best;
   for (const Candidate& c : search.tried) {
     const std::set<std::string> theirs = Ids(c.specs);
-    if (theirs.count(id) || theirs.size() != mine.size()) continue;
+    // One law in the place of two is a rival where it is as likely: Coulomb friction with an effort whose
+    // zero is off is friction that depends on the direction.
+    const bool alike = theirs.size() == mine.size() ||
+                       (theirs.size() < mine.size() && c.score > search.best.score - kSeparable);
+    if (theirs.count(id) || !alike) continue;
     std::vector<std::string> extra;
     std::set_difference(theirs.begin(), theirs.end(), mine.begin(), mine.end(), std::back_inserter(extra));
     if (extra.size() != 1) continue;

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdio>
 
+#include "services/diagnosis/told_in_tables.h"
 #include "services/report/page.h"
 
 namespace rg::report {
@@ -74,6 +75,8 @@ void Summary(const DiagnosisResult& r, Page* page) {
   } else if (r.findings.empty()) {
     page->Lead("Something is missing that was not found.");
   }
+  if (const std::string gap = diagnosis::GapInWords(r); !gap.empty())
+    page->Lead("The model with what was found " + gap + ".");
   for (const Finding& f : r.findings) page->Lead(Claim(f, r.motion.has_value()));
   const auto& h = r.holdout;
   const std::string unit = ErrorUnit(r);
@@ -98,6 +101,9 @@ void FindingsTable(const DiagnosisResult& r, Page* page) {
               {},
               {0, 1, 3, 4}};
   Table values{{"effect", "owner", "parameter", "value", "stddev", "unit"}, {}, {}, {0, 1, 2, 5}};
+  const auto of_joint = [&](const std::string& owner) {
+    return std::find(r.joints.begin(), r.joints.end(), owner) != r.joints.end();
+  };
   for (const Finding& f : r.findings) {
     const std::vector<std::string> others(f.effect_class.begin() + (f.effect_class.empty() ? 0 : 1),
                                           f.effect_class.end());
@@ -107,6 +113,7 @@ void FindingsTable(const DiagnosisResult& r, Page* page) {
     // Base parameters stand below, weights of a force without a name say nothing by themselves.
     if (f.effect == "parameters_only" || f.effect == "unknown_field") continue;
     for (const auto& p : f.parameters) {
+      if (of_joint(p.owner)) continue;  // in the table of joints
       values.rows.push_back({f.effect, p.owner, p.name, FormatNumber(p.value, 4), FormatNumber(p.stddev, 2),
                              p.unit == "-" ? "" : WithDots(p.unit)});
     }
@@ -114,6 +121,15 @@ void FindingsTable(const DiagnosisResult& r, Page* page) {
   page->Heading("What is missing");
   page->AddTable(table);
   if (!values.rows.empty()) page->AddTable(values);
+  const diagnosis::JointTable joints = diagnosis::ParametersOfJoints(r);
+  if (joints.columns.empty()) return;
+  Table of_joints{{"joint"}, {}, {}, {0}};
+  of_joints.columns.insert(of_joints.columns.end(), joints.columns.begin(), joints.columns.end());
+  for (size_t j = 0; j < joints.joints.size(); ++j) {
+    of_joints.rows.push_back({joints.joints[j]});
+    of_joints.rows.back().insert(of_joints.rows.back().end(), joints.cells[j].begin(), joints.cells[j].end());
+  }
+  page->AddTable(of_joints);
 }
 
 // Joints worth a plot: those of the findings, else the loudest.

@@ -3,6 +3,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cmath>
+
+#include "services/diagnosis/told_in_tables.h"
+
 namespace rg::report {
 namespace {
 
@@ -57,6 +61,31 @@ TEST(DiagnosisPage, SaysInItsFirstSentenceWhatElseItMayBeAndHowToFindOut) {
   const std::string html = DiagnosisPage(r);
   EXPECT_THAT(html, HasSubstr("cannot tell; motion.csv would"));
   EXPECT_THAT(html, HasSubstr("submit rollout --trajectory motion.csv"));
+}
+
+TEST(DiagnosisPage, HasARowPerJointAndAColumnPerParameter) {
+  diagnosis::DiagnosisResult r = OneFinding();
+  r.findings[0].parameters = {{"elbow", "delay", "s", 0.0112, 0.00021}};
+  diagnosis::Finding f;
+  f.effect = "coulomb_friction", f.joints = {"shoulder", "elbow"};
+  f.parameters = {{"shoulder", "coulomb", "N*m", 1.25, 0.032}, {"elbow", "coulomb", "N*m", 0.4, 0.5}};
+  r.findings.push_back(f);
+  const diagnosis::JointTable table = diagnosis::ParametersOfJoints(r);
+  EXPECT_EQ(table.columns,
+            (std::vector<std::string>{"Actuator delay: delay [s]", "Coulomb friction: coulomb [N·m]"}));
+  EXPECT_EQ(table.cells[0], (std::vector<std::string>{"–", "1.250 ± 0.032"}));
+  EXPECT_EQ(table.cells[1], (std::vector<std::string>{"0.01120 ± 0.00021", "0.40 ± 0.50"}));
+  EXPECT_THAT(DiagnosisPage(r), HasSubstr("1.250 ± 0.032"));
+}
+
+TEST(DiagnosisPage, SaysHowMuchOfTheGapIsClosedAndWhatRemains) {
+  diagnosis::DiagnosisResult r = OneFinding();
+  r.holdout.noise_floor_rms = 0.002;
+  EXPECT_EQ(diagnosis::GapInWords(r), "explains 95 % of the error; 2 × the noise floor remains");
+  r.holdout.before_rms = std::nan("");
+  EXPECT_EQ(diagnosis::GapInWords(r), "the remaining error is 2 × the noise floor");
+  r.verdict = "no_mismatch";
+  EXPECT_EQ(diagnosis::GapInWords(r), "");
 }
 
 TEST(DiagnosisPage, SaysWhenErrorsAreOfTheFittedRecordings) {
