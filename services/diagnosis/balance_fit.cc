@@ -9,6 +9,14 @@ namespace rg::diagnosis {
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
+namespace {
+
+// Stddevs of the last link's own prior, of what it may carry: its mass, and where that is.
+constexpr double kLoad = 10.0, kLoadsPlace = 3.0;
+constexpr size_t kFirstMoments = 4;
+
+}  // namespace
+
 BalanceFit::BalanceFit(const TorqueBalance& balance)
     : balance_(balance),
       base_(balance.tilt + 2),
@@ -50,6 +58,21 @@ void BalanceFit::SetResponse(int joint, const VectorXd& y) {
   }
 }
 
+double BalanceFit::PriorPrecision(const BalanceModel& model, int base) const {
+  if (!model.payload) return 1.0;
+  for (size_t i = 0; i < balance_.last_link.size(); ++i) {
+    if (balance_.last_link[i] == base) return std::pow(i == 0 ? kLoad : kLoadsPlace, -2);
+  }
+  return 1.0;
+}
+
+double BalanceFit::PriorCost(const BalanceModel& model) const {
+  const BalanceSolution s = Solve(model);
+  double cost = 0;
+  for (int i = 0; i < base_; ++i) cost += 0.5 * PriorPrecision(model, i) * s.base[i] * s.base[i];
+  return cost;
+}
+
 VectorXd BalanceFit::Stacked(const BalanceSolution& s, int joint) const {
   VectorXd x(base_ + s.features[joint].size());
   x << s.base, s.features[joint];
@@ -63,13 +86,17 @@ double BalanceFit::Cost(const Gram& g, const VectorXd& x) const {
 BalanceSolution BalanceFit::Solve(const BalanceModel& model, int without_block) const {
   std::vector<std::pair<int, int>> unknowns;  // joint (−1: base), column
   for (int i = 0; i < base_; ++i) {
-    if (i < balance_.tilt ? model.base : model.tilt) unknowns.push_back({-1, i});
+    const bool carried = model.payload && balance_.IsOfLastLink(i);
+    if (i < balance_.tilt ? model.base || carried : model.tilt) unknowns.push_back({-1, i});
   }
   for (int j = 0; j < balance_.n; ++j) {
     for (const int c : model.features[j]) unknowns.push_back({j, c});
   }
   const int U = static_cast<int>(unknowns.size());
   MatrixXd H = MatrixXd::Identity(U, U);
+  for (int u = 0; u < U; ++u) {
+    if (unknowns[u].first < 0) H(u, u) = PriorPrecision(model, unknowns[u].second);
+  }
   VectorXd g = VectorXd::Zero(U);
   for (int j = 0; j < balance_.n; ++j) {
     Gram sum;

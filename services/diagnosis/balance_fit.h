@@ -18,6 +18,7 @@ namespace rg::diagnosis {
 struct BalanceModel {
   bool base = true;
   bool tilt = false;
+  bool payload = false;  // what the last link carries, which no prior of that link holds near nothing
   std::vector<std::set<int>> features;  // per joint
 };
 
@@ -41,6 +42,7 @@ class BalanceFit {
 
   BalanceSolution Solve(const BalanceModel& model, int without_block = -1) const;
   BlockCosts LeaveOut(const BalanceModel& model) const;
+  double PriorCost(const BalanceModel& model) const;  // nats, of its base parameters fitted to all parts
   Eigen::VectorXd Residual(const BalanceSolution& solution, int joint) const;
   // Stddev of the features' standardised coefficients by leaving out blocks (jackknife).
   std::vector<Eigen::VectorXd> Jackknife(const BalanceModel& model) const;
@@ -57,6 +59,7 @@ class BalanceFit {
     double yy = 0;
     double rows = 0;
   };
+  double PriorPrecision(const BalanceModel& model, int base) const;
   double Cost(const Gram& g, const Eigen::VectorXd& x) const;
   Eigen::VectorXd Stacked(const BalanceSolution& s, int joint) const;
 

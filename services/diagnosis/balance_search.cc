@@ -18,6 +18,8 @@ using Eigen::VectorXd;
 
 namespace {
 
+constexpr double kLeastErrors = 1.0;  // stddevs from nothing
+
 class MeasuredSearch {
  public:
   MeasuredSearch(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
@@ -248,7 +250,7 @@ class MeasuredSearch {
     const auto specs = chosen_.SpecsOf(model());
     const double score = out->best.score, chi2 = out->best.fit.chi2;
     const int rows = out->best.fit.rows;
-    out->best = Refit(specs, model().base);
+    out->best = WithoutNothing(Refit(specs, model().base));
     out->best.score = score, out->best.fit.chi2 = chi2, out->best.fit.rows = rows;
     out->calibrated.parameters = FreeParameters(nominal_, scales_, true);
     out->tried.push_back(out->best);
@@ -259,6 +261,23 @@ class MeasuredSearch {
     out->threshold = out->null_gain + kEffectPrior;
     Forces(out);
   }
+  // Without the losses that came to nothing in the simulator.
+  Candidate WithoutNothing(const Candidate& c) const {
+    std::vector<EffectSpec> left = Refreshed(c);
+    std::erase_if(left, [&](const EffectSpec& s) {
+      const effects::EffectInfo& info = *effects::FindEffect(s.id);
+      if (info.parameters.size() != 1 || (info.family != "friction" && info.family != "inertia"))
+        return false;
+      const std::string name = s.id + "." + s.joints[0] + "." + info.parameters[0].name;
+      for (size_t i = 0; i < c.parameters.size(); ++i) {
+        const auto k = static_cast<long>(i);
+        if (c.parameters[i].name == name) return c.fit.theta[k] < kLeastErrors * c.fit.stddev[k];
+      }
+      return false;
+    });
+    return left.size() == c.specs.size() ? c : Refit(left, c.base);
+  }
+
   // Missing force along the recordings with base parameters taken off, and what the findings leave of it.
   void Forces(SearchResult* out) const {
     const BalanceSolution s = fit().Solve(model());

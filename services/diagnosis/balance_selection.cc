@@ -6,6 +6,7 @@
 
 #include "common/model/robot_model.h"
 #include "services/diagnosis/candidate.h"
+#include "services/diagnosis/hypotheses.h"
 
 namespace rg::diagnosis {
 
@@ -22,8 +23,11 @@ namespace {
 
 constexpr const char* kZero = "torque_offset";  // a constant force: an effort whose zero is off
 constexpr double kRareErrors = 3.0;             // of what few have
-constexpr double kWorthAName = 0.1;             // of what remains on its joint
-constexpr double kSamples = 1.5;  // timing finer than this many samples is the recorder's business
+constexpr const char* kLosses[] = {"viscous_friction", "coulomb_friction", "rotor_inertia"};
+constexpr double kLeastLoad = 0.1;   // of the last link's own mass
+constexpr double kReach = 0.4;       // m, from the last link's origin to its load's centre of mass
+constexpr double kWorthAName = 0.1;  // of what remains on its joint
+constexpr double kSamples = 1.5;     // timing finer than this many samples is the recorder's business
 constexpr double kTimingStep = 0.004, kEarliest = -0.032, kLatest = 0.048;  // s
 
 bool Common(const std::string& kind) {
@@ -151,8 +155,12 @@ void BalanceSelection::FindTiming() {
                       share > kWorthAName && std::abs(delay[j].seconds) > kSamples * period;
     if (seen && delay[j].seconds < 0) early_.push_back(j);
     if (seen && delay[j].seconds > 0) {
-      const double of_lag = GainOf(shifted, lagged, j).nats;
-      timing_[j] = of_lag > 0 ? lag[j] : delay[j];
+      const Gain as_lag = GainOf(shifted, lagged, j);
+      const double of_lag = as_lag.nats;
+      std::snprintf(line, sizeof line, "  %s: as a lag %.1f ± %.1f nats more", nominal_.joint_names()[j].c_str(),
+                    as_lag.nats, as_lag.stddev);
+      trace_(line);
+      timing_[j] = as_lag.Beyond(1.0) ? lag[j] : delay[j];
       timing_gain_ += gain.nats + std::max(0.0, of_lag);
       other_timing_gain_ -= std::abs(of_lag);
     }
@@ -164,11 +172,107 @@ void BalanceSelection::Select(const CancelToken* cancel) {
   // What no law of position and velocity explains is noise, in size and in correlation.
   fit_.SetNoiseFrom(Flexible(model_));
   const auto cancelled = [&] { return cancel != nullptr && cancel->cancelled(); };
+  BeginWithLosses();
+  TryPayload();
   while (!cancelled() && AddKind()) {
   }
   while (!cancelled() && AddRefinement()) {
   }
   Prune();
+}
+
+// What all geared drives have, on every joint at once: found one at a time no loss comes near, for the base
+// parameters bend into what the others leave. A kind that does not pay on all together is left to be found by
+// itself; of what stays a joint's share need not be worth a name.
+void BalanceSelection::BeginWithLosses() {
+  BalanceModel all = model_;
+  for (int j = 0; j < data_.n; ++j) {
+    for (const char* e : kLosses) {
+      for (const int c : ColumnsOf(e, j)) all.features[j].insert(c);
+    }
+  }
+  RepairSigns(&all);
+  if (!PaysTogether(fit_.LeaveOut(model_), fit_.LeaveOut(all))) return;
+  for (bool changed = true; changed;) {
+    changed = false;
+    const BlockCosts with = fit_.LeaveOut(all);
+    for (const char* e : kLosses) {
+      BalanceModel less = all;
+      for (int j = 0; j < data_.n; ++j) {
+        for (const int c : ColumnsOf(e, j)) less.features[j].erase(c);
+      }
+      if (less.features == all.features || PaysTogether(fit_.LeaveOut(less), with)) continue;
+      all = less, changed = true;
+      break;
+    }
+  }
+  model_ = all;
+  losses_ = all.features;
+  trace_("  drives: " + StateOf(model_));
+}
+
+// What has the wrong sign goes, the worst first.
+void BalanceSelection::RepairSigns(BalanceModel* m) const {
+  for (bool changed = true; changed;) {
+    changed = false;
+    const BalanceSolution s = fit_.Solve(*m);
+    double worst = 0;
+    int joint = -1, column = -1;
+    for (int j = 0; j < data_.n; ++j) {
+      for (const int c : m->features[j]) {
+        if (!Positive(balance_.columns[j][c].effect) || s.features[j][c] >= worst) continue;
+        worst = s.features[j][c], joint = j, column = c;
+      }
+    }
+    if (joint >= 0) m->features[joint].erase(column), changed = true;
+  }
+}
+
+// Whether an addition to several joints is real: on most of the parts left out, joint by joint, and by more
+// nats than chance. Parts differ (one joint moves alone in one, all in another), so that the sum's error says
+// nothing.
+bool BalanceSelection::PaysTogether(const BlockCosts& before, const BlockCosts& after) const {
+  double better = 0, cells = 0;
+  for (Eigen::Index b = 0; b < before.rows(); ++b) {
+    for (Eigen::Index j = 0; j < before.cols(); ++j) {
+      if (before(b, j) == 0 && after(b, j) == 0) continue;
+      ++cells;
+      better += after(b, j) < before(b, j) ? 1 : -1;
+    }
+  }
+  return cells > 0 && better > kErrors * std::sqrt(cells) &&
+         (before - after).sum() > kEffectPrior + LogHypotheses();
+}
+
+// A load of the last link, which the prior of that link's own parameters would share out among all bodies: it
+// is one thing, where the bodies need far less to be changed beside it and nothing is predicted worse.
+void BalanceSelection::TryPayload() {
+  if (balance_.last_link.size() != model::kLinkParameters || data_.n < 2) return;
+  BalanceModel loaded = model_;
+  loaded.payload = true;
+  const double worse = std::max(0.0, -GainOf(fit_.LeaveOut(model_), fit_.LeaveOut(loaded)).nats);
+  const double spared = fit_.PriorCost(model_) - fit_.PriorCost(loaded) - worse;
+  if (spared < kEffectPrior + kJointPrior || !PayloadOf(loaded)) return;
+  model_ = loaded;
+  trace_("  + payload: " + std::to_string(spared) + " nats; " + StateOf(model_));
+}
+
+// Of a mass that the hand may carry: heavier than what a URDF's link is off by, and within reach of it.
+std::optional<EffectSpec> BalanceSelection::PayloadOf(const BalanceModel& m) const {
+  if (!m.payload) return std::nullopt;
+  const BalanceSolution s = fit_.Solve(m);
+  Scored payload;
+  payload.effect = "payload";
+  for (const int i : balance_.last_link)
+    payload.coefficients.push_back(balance_.base[i].prior_stddev * s.base[i]);
+  const EffectSpec spec = SpecsFor(payload, nominal_, scales_).front().front();
+  const auto& values = spec.values.at("*");
+  const double own = nominal_.parameters()[balance_.base[balance_.last_link[0]].index].nominal;
+  const double mass = payload.coefficients[0];
+  const double out = std::sqrt(std::pow(values.at("com_x"), 2) + std::pow(values.at("com_y"), 2) +
+                               std::pow(values.at("com_z"), 2));
+  if (mass < kLeastLoad * own || out > kReach) return std::nullopt;
+  return spec;
 }
 
 // Models with `effect` on joint j in addition; several where it has shapes.
@@ -327,7 +431,8 @@ void BalanceSelection::Prune() {
         BalanceModel less = model_;
         less.features[j].erase(c);
         const Gain gain = GainOf(fit_.LeaveOut(less), with);
-        if (gain.Beyond(kErrors) && gain.nats > LogHypotheses()) continue;
+        const bool habit = !losses_.empty() && losses_[j].count(c) > 0;
+        if (habit ? gain.nats > 0 : gain.Beyond(kErrors) && gain.nats > LogHypotheses()) continue;
         trace_("  − " + effect + " " + nominal_.joint_names()[j]);
         model_ = less;
         changed = true;
@@ -337,8 +442,10 @@ void BalanceSelection::Prune() {
   }
   BalanceModel given = model_;
   given.base = false;
-  const Gain base = GainOf(fit_.LeaveOut(given), fit_.LeaveOut(model_));
-  if (!(base.Beyond(kErrors) && base.nats > LogHypotheses())) model_ = given;
+  const BlockCosts without = fit_.LeaveOut(given), free = fit_.LeaveOut(model_);
+  const Gain base = GainOf(without, free);
+  const bool clearly = base.Beyond(kErrors) && base.nats > LogHypotheses();
+  if (!clearly && !PaysTogether(without, free)) model_ = given;
   trace_(std::string("  base parameters ") + (model_.base ? "free: " : "as given: ") +
          std::to_string(base.nats) + " ± " + std::to_string(base.stddev) + " nats");
 }

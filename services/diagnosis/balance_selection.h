@@ -3,6 +3,7 @@
 
 #include <functional>
 #include <map>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
@@ -56,6 +57,7 @@ class BalanceSelection {
   std::vector<effects::EffectSpec> SpecsOf(const BalanceModel& m) const;
   std::vector<effects::EffectSpec> SpecsOfJoint(const BalanceModel& m, const BalanceSolution& s,
                                                 int joint) const;
+  std::optional<effects::EffectSpec> PayloadOf(const BalanceModel& m) const;
   std::set<std::string> KindsOf(const BalanceModel& m) const;
   // How far leaving out parts of the recordings moves an effect's parameters, by their names.
   std::map<std::string, double> Spread() const;
@@ -70,6 +72,10 @@ class BalanceSelection {
             Gain* gain) const;
   bool TiltPays(const BlockCosts& before, Gain* gain) const;
   Trial TryKind(const std::string& kind, const BlockCosts& before) const;
+  void BeginWithLosses();
+  void RepairSigns(BalanceModel* m) const;
+  bool PaysTogether(const BlockCosts& before, const BlockCosts& after) const;
+  void TryPayload();
   bool AddKind();
   bool DropNegative(int joint);
   bool Refined(int joint) const;
@@ -85,6 +91,8 @@ class BalanceSelection {
   TorqueBalance balance_;
   BalanceFit fit_;
   BalanceModel model_;
+  std::vector<std::set<int>>
+      losses_;  // per joint, columns of what all drives have; empty: nothing of the kind
   std::vector<JointTiming> timing_;
   std::vector<int> early_;
   double timing_gain_ = 0, other_timing_gain_ = 0;

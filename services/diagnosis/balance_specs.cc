@@ -82,6 +82,7 @@ std::vector<EffectSpec> BalanceSelection::SpecsOf(const BalanceModel& m) const {
     specs.push_back(effects::MakeSpec(delay ? "actuator_delay" : "actuator_lag", {nominal_.joint_names()[j]},
                                       {{delay ? "delay" : "time_constant", timing.seconds}}));
   }
+  if (const auto payload = PayloadOf(m)) specs.push_back(*payload);
   if (m.tilt) {
     const double gx = kTiltPrior * s.base[balance_.tilt], gy = kTiltPrior * s.base[balance_.tilt + 1];
     const double g = std::max(1e-6, nominal_.options().gravity.norm());

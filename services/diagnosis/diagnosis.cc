@@ -70,6 +70,12 @@ std::optional<recordings::RecordingSet> WithFitted(const recordings::RecordingSe
   return out;
 }
 
+constexpr double kWorse = 1.1;  // times: less may be the windows' scatter
+
+bool WorseThanCalibrated(const HoldoutFit& h) {
+  return !h.judged_on_fit && h.after_rms > kWorse * h.calibrated_rms;
+}
+
 }  // namespace
 
 Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const DiagnosisOptions& options,
@@ -150,6 +156,18 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   SayWhatToRecord(search, data, nominal, scales, options, threads, cancel, &result);
   if (progress) progress({"held-out recordings", 0.97, 1.0, result.verdict});
   JudgeHeldOut(set, nominal, search, data, options, threads, &result);
+  if (WorseThanCalibrated(result.holdout) && !search.best.specs.empty()) {
+    result.notes.push_back("what was found (" + KeyOf(search.best.specs) +
+                           ") predicts the recordings kept aside worse than " +
+                           "calibrated parameters alone (" + Number(result.holdout.after_rms) + " for " +
+                           Number(result.holdout.calibrated_rms) +
+                           "): the model given has these alone, and was so chosen on recordings kept aside");
+    search.best = search.calibrated;
+    result.findings.clear();
+    result.holdout = {}, result.holdout_plots.clear();
+    Conclude(search, data, nominal, scales, &result);
+    JudgeHeldOut(set, nominal, search, data, options, threads, &result);
+  }
   const std::string swing =
       NoteOnFreeSwing(search.best.specs, result.holdout.before_rms, result.holdout.after_rms);
   if (!swing.empty() && !HasRod(nominal.effects())) result.notes.push_back(swing);

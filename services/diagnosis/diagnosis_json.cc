@@ -99,7 +99,8 @@ Status WriteDiagnosis(const std::string& folder, const DiagnosisResult& r, const
   std::filesystem::create_directories(folder, error);
   if (error) return UnavailableError(folder + ": " + error.message());
   RG_RETURN_IF_ERROR(WriteFileAtomically(folder + "/diagnosis.json", DiagnosisJson(r) + "\n"));
-  if (r.plant) RG_RETURN_IF_ERROR(sim::SaveModelFile(folder + "/model.json", *r.plant, r.values, 0, r.held_before));
+  if (r.plant)
+    RG_RETURN_IF_ERROR(sim::SaveModelFile(folder + "/model.json", *r.plant, r.values, 0, r.held_before));
   if (r.motion) {
     RG_RETURN_IF_ERROR(WriteFileAtomically(folder + "/motion.csv", MotionCsv(r)));
   } else {

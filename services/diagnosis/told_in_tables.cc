@@ -25,10 +25,15 @@ std::string WithError(double value, double stddev) {
   return text;
 }
 
-std::string ColumnOf(const Finding& f, const ParameterEstimate& p) {
+// "coulomb [N·m]", with the effect where another has a parameter of that name too.
+std::string ColumnOf(const std::vector<Finding>& findings, const Finding& f, const ParameterEstimate& p) {
   std::string unit = p.unit == "-" ? "" : " [" + p.unit + "]";
   for (size_t at; (at = unit.find('*')) != std::string::npos;) unit.replace(at, 1, "·");
-  return effects::FindEffect(f.effect)->title + ": " + p.name + unit;
+  const bool shared = std::any_of(findings.begin(), findings.end(), [&](const Finding& g) {
+    return g.effect != f.effect && std::any_of(g.parameters.begin(), g.parameters.end(),
+                                               [&](const ParameterEstimate& q) { return q.name == p.name; });
+  });
+  return p.name + unit + (shared ? " of " + f.effect : "");
 }
 
 }  // namespace
@@ -58,7 +63,7 @@ JointTable ParametersOfJoints(const DiagnosisResult& r) {
     for (const ParameterEstimate& p : f.parameters) {
       const auto at = std::find(r.joints.begin(), r.joints.end(), p.owner);
       if (at == r.joints.end()) continue;
-      const std::string name = ColumnOf(f, p);
+      const std::string name = ColumnOf(r.findings, f, p);
       auto column = std::find(out.columns.begin(), out.columns.end(), name);
       if (column == out.columns.end()) {
         column = out.columns.insert(column, name);

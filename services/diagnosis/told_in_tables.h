@@ -15,7 +15,7 @@ std::string GapInWords(const DiagnosisResult& result);
 // What the findings say of joints: a row per joint, a column per parameter with its unit, cells "0.84 ±
 // 0.02", "–" where the joint has none. No column: no finding has a parameter of a joint.
 struct JointTable {
-  std::vector<std::string> columns;  // "coulomb friction: coulomb [N·m]"
+  std::vector<std::string> columns;  // "coulomb [N·m]"
   std::vector<std::string> joints;
   std::vector<std::vector<std::string>> cells;  // joint × column
 };

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <numeric>
 
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
@@ -19,7 +20,7 @@ namespace {
 
 constexpr double kHalfWindow = 0.03;  // s
 constexpr double kRowStep = 0.02;     // s
-constexpr double kBlock = 1.0;        // s, shortest part left out
+constexpr double kPiece = 1.0;        // s, of what is left out together
 constexpr int kMostBlocks = 12;
 constexpr double kStillShare = 0.05;  // of a joint's RMS speed
 constexpr int kHats = 8;
@@ -49,23 +50,31 @@ class BalanceMaker {
     out_.n = data.n;
     out_.base = FreeParameters(plant, scales, true);
     out_.tilt = static_cast<int>(out_.base.size());
+    const model::RobotModel& robot = plant.model();
+    const std::string& last = robot.link(robot.joint(robot.num_joints() - 1).child_link).name;
+    for (const auto field : model::kLinkParameterNames) {
+      for (size_t i = 0; i < out_.base.size(); ++i) {
+        const sim::Parameter& p = plant.parameters()[out_.base[i].index];
+        if (p.owner == last && p.field == field) out_.last_link.push_back(static_cast<int>(i));
+      }
+    }
     out_.joints.resize(data.n);
     still_ = (kStillShare * s_.speed).cwiseMax(3.0 * s_.speed_noise);
     MakeColumns();
   }
 
   TorqueBalance Take() {
-    int first_block = 0;
-    double total = 0;
-    for (const FineMotion& m : data_.fine) total += m.t.back() - m.t.front();
-    const double block = std::max(kBlock, total / kMostBlocks);
+    // Parts that are left out together hold a piece of every recording in turn: recordings differ in what
+    // they move, and a model that has not seen one motion at all says little of what it lacks there.
+    std::vector<int> pieces;
+    for (const FineMotion& m : data_.fine)
+      pieces.push_back(std::max(1, static_cast<int>(std::lround((m.t.back() - m.t.front()) / kPiece))));
+    out_.blocks = std::min(kMostBlocks, std::accumulate(pieces.begin(), pieces.end(), 0));
+    int first_piece = 0;
     for (size_t r = 0; r < data_.fine.size(); ++r) {
-      const double span = data_.fine[r].t.back() - data_.fine[r].t.front();
-      const int blocks = std::max(1, static_cast<int>(std::lround(span / block)));
-      AddRecording(static_cast<int>(r), first_block, blocks);
-      first_block += blocks;
+      AddRecording(static_cast<int>(r), first_piece, pieces[r]);
+      first_piece += pieces[r];
     }
-    out_.blocks = first_block;
     Flush();
     Standardise();
     return std::move(out_);
@@ -123,7 +132,7 @@ class BalanceMaker {
     return -sign * (-t / c.shape).exp();
   }
 
-  void AddRecording(int r, int first_block, int blocks) {
+  void AddRecording(int r, int first_piece, int pieces) {
     const FineMotion& m = data_.fine[r];
     const int F = static_cast<int>(m.t.size()), n = data_.n;
     const double dt = m.t[1] - m.t[0];
@@ -141,7 +150,7 @@ class BalanceMaker {
     const Eigen::Map<const VectorXd> w(window.weight.data(), static_cast<long>(window.weight.size()));
     for (int k = window.half; k + window.half < F; k += stride) {
       const int first = k - window.half, count = 2 * window.half + 1;
-      const int block = first_block + std::min(blocks - 1, k * blocks / F);
+      const int block = (first_piece + std::min(pieces - 1, k * pieces / F)) % out_.blocks;
       for (int j = 0; j < n; ++j) {
         const auto v = m.v.row(j).segment(first, count);
         const bool still =

@@ -12,6 +12,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <string>
 #include <vector>
 
@@ -43,9 +44,15 @@ struct TorqueBalance {
   int n = 0;
   int blocks = 0;  // parts of the recordings that are left out in turn
   std::vector<sysid::FitParameter> base;
+  std::vector<int>
+      last_link;  // places in `base` of the last link's parameters, mass first as in LinkParameters
   int tilt = -1;  // first of two columns of `base` that stand for gravity's x and y; after the parameters
   std::vector<std::vector<BalanceColumn>> columns;  // per joint
   std::vector<BalanceRows> joints;
+
+  bool IsOfLastLink(int i) const {
+    return std::find(last_link.begin(), last_link.end(), i) != last_link.end();
+  }
 };
 
 enum class EffortTiming { kDelay, kLag };

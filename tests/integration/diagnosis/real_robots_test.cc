@@ -77,6 +77,16 @@ TEST(RealRobots, Ur10eHasFrictionAndRotorsOnAllItsJoints) {
   EXPECT_LT(r.holdout.after_rms, 0.03);
 }
 
+TEST(RealRobots, Gen3HasFrictionAndDampingOnAllItsJointsAndAToolInItsHand) {
+  RG_DIAGNOSE_SET("real/kinova_gen3");
+  EXPECT_EQ(r.verdict, "unmodelled_physics");
+  EXPECT_EQ(DryJoints(r), 7);
+  EXPECT_NEAR(Value(r, "viscous_friction", "joint_1", "viscous"), 3.3, 1.0);
+  EXPECT_NEAR(Value(r, "viscous_friction", "joint_7", "viscous"), 1.1, 0.4);
+  EXPECT_NEAR(Value(r, "payload", "*", "mass"), 0.9, 0.3);
+  EXPECT_LT(r.holdout.after_rms, 0.3 * r.holdout.calibrated_rms);
+}
+
 TEST(RealRobots, PandaLacksFriction) {
   RG_DIAGNOSE_SET("real/franka_panda");
   EXPECT_EQ(r.verdict, "unmodelled_physics");

@@ -71,8 +71,7 @@ TEST(DiagnosisPage, HasARowPerJointAndAColumnPerParameter) {
   f.parameters = {{"shoulder", "coulomb", "N*m", 1.25, 0.032}, {"elbow", "coulomb", "N*m", 0.4, 0.5}};
   r.findings.push_back(f);
   const diagnosis::JointTable table = diagnosis::ParametersOfJoints(r);
-  EXPECT_EQ(table.columns,
-            (std::vector<std::string>{"Actuator delay: delay [s]", "Coulomb friction: coulomb [N·m]"}));
+  EXPECT_EQ(table.columns, (std::vector<std::string>{"delay [s]", "coulomb [N·m]"}));
   EXPECT_EQ(table.cells[0], (std::vector<std::string>{"–", "1.250 ± 0.032"}));
   EXPECT_EQ(table.cells[1], (std::vector<std::string>{"0.01120 ± 0.00021", "0.40 ± 0.50"}));
   EXPECT_THAT(DiagnosisPage(r), HasSubstr("1.250 ± 0.032"));
