@@ -20,6 +20,7 @@ constexpr double kNear = 0.2;        // of what is amiss, that drives leave wher
 constexpr double kCloser = 0.1;      // the same, above which free base parameters or one thing more are tried
 constexpr double kUseful = 0.5;      // the same, of friction and rotors that have to do with it at all
 constexpr double kWorthwhile = 0.8;  // of what is left, that friction which drops with speed leaves
+constexpr int kThingsBeside = 3;     // that are looked for before the drives are given up
 constexpr double kClearly = 10.0;    // stddev from nothing, of a loss that drives have
 constexpr double kLateBy = 0.01;     // s, where a fit of lags or delays begins
 constexpr double kLittleLate = 0.004;  // s, the same of one beside the other
@@ -50,17 +51,20 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
   const Candidate& without = freed.score > plain.score ? freed : plain;
   Candidate best = Losses();
   const bool useful = best.plant != nullptr && Left(best) < kUseful * Left(plain);
-  if (useful) {
+  const auto leaves = [&](double share) { return Left(best) > share * Left(without); };
+  // What is missing beside the drives hides what they have: each time it takes half, they are looked at
+  // again.
+  for (int more = 0; useful && more < kThingsBeside; ++more) {
     Late(&best);
     OtherDryLaw(&best);
-  }
-  const auto leaves = [&](double share) { return Left(best) > share * Left(without); };
-  const Candidate drives = best;
-  if (useful) Freed(&best);
-  if (useful && leaves(kCloser) && drives.fit.ok && !fits_.Late()) {
+    const Candidate drives = best;
+    Freed(&best);
+    if (!leaves(kCloser) || !drives.fit.ok || fits_.Late()) break;
     Candidate with = drives;
     beside_(drives, &with);
-    if (Left(with) < kUseful * Left(best)) best = with;
+    if (!(Left(with) < kUseful * Left(best)) && !fits_.Late()) transmission_(drives, &with);
+    if (!(Left(with) < kUseful * Left(best))) break;
+    best = with;
   }
   if (useful && !leaves(kNear) && best.fit.ok && OfAllDrives(best) &&
       best.score > without.score + needed_(without, best))

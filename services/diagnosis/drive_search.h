@@ -16,15 +16,17 @@ class DriveSearch {
  public:
   // given: effects that the model has from its user. needed(a, b): log evidence that b must bring in the
   // place of a. beside(c, best): takes what a screen around c promises beside it where that is better than
-  // `best`.
+  // `best`. transmission: the same of a spring or play.
   DriveSearch(const FitSetting& setting, FitLedger& fits, const std::vector<effects::EffectSpec>& given,
               std::function<double(const Candidate&, const Candidate&)> needed,
-              std::function<void(const Candidate&, Candidate*)> beside)
+              std::function<void(const Candidate&, Candidate*)> beside,
+              std::function<void(const Candidate&, Candidate*)> transmission)
       : setting_(setting),
         fits_(fits),
         given_(given),
         needed_(std::move(needed)),
-        beside_(std::move(beside)) {}
+        beside_(std::move(beside)),
+        transmission_(std::move(transmission)) {}
 
   // The best of them, where it brings the model within reach of the recordings, or most of the way, and is of
   // all drives; else none, and no fit of it is kept, for no such model is a rival of what is found one by
@@ -54,7 +56,7 @@ class DriveSearch {
   FitLedger& fits_;
   const std::vector<effects::EffectSpec>& given_;
   std::function<double(const Candidate&, const Candidate&)> needed_;
-  std::function<void(const Candidate&, Candidate*)> beside_;
+  std::function<void(const Candidate&, Candidate*)> beside_, transmission_;
 };
 
 }  // namespace rg::diagnosis

@@ -62,8 +62,10 @@ class Search {
         simplifier_(
             setting_, fits_, needs_, [this](const Candidate& c) { return Threshold(c); },
             [this](const Candidate& c) { return Explained(c); }),
-        drives_(setting_, fits_, given_, needs_,
-                [this](const Candidate& c, Candidate* best) { TakePromised(c, best); }),
+        drives_(
+            setting_, fits_, given_, needs_,
+            [this](const Candidate& c, Candidate* best) { TakePromised(c, best); },
+            [this](const Candidate& c, Candidate* best) { TakeTransmission(c, best); }),
         unnamed_(
             setting_, fits_, given_, [this](const Candidate& c) { return Force(c); }, needs_,
             [this](const Candidate& c, Candidate* best) { LookBeside(c, kBesideUnnamed, best); }) {
@@ -424,6 +426,15 @@ class Search {
     const ScreenResult screened = Screened(from, from.base);
     trace_.Screen(screened, from.base);
     TryAround(from, screened, kPromise, Threshold(from), kBesideDrives, winner);
+  }
+
+  // A spring or play where the screen around `from` finds most, which it cannot promise.
+  void TakeTransmission(const Candidate& from, Candidate* winner) {
+    const auto nearest = [&](const auto& starts, size_t most) {
+      return fits_.Nearest(from, from.base, starts, most);
+    };
+    const auto pool = TransmissionTrials(data_, nominal_, scales_, from, Screened(from, from.base), nearest);
+    fits_.TryBest(from, pool, {}, from.base, kBesideDrives, winner);
   }
 
   // Trials of what may be added to `from`; the best of them and of `winner`.

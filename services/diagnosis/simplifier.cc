@@ -34,6 +34,7 @@ void Simplifier::Run(Candidate* best) {
   Prune(best);
   Plainer(best);
   OwnLaws(best);
+  ByDirection(best);
   FirstRotor(best);
 }
 
@@ -166,6 +167,34 @@ void Simplifier::FirstRotor(Candidate* best) {
   const Candidate body = fits_.Evaluate(specs, true, best, 6, best);
   const double more = 0.5 * (body.fit.chi2 - best->fit.chi2) / fits_.noise_scale();
   if (body.fit.ok && more < 1) Replace(body, best);
+}
+
+// Coulomb friction and a constant force, on each joint that has either, are one law: friction that depends on
+// the direction.
+void Simplifier::ByDirection(Candidate* best) {
+  static constexpr const char *kDry = "coulomb_friction", *kZero = "torque_offset",
+                              *kEither = "asymmetric_friction";
+  if (!HasKind(best->specs, kZero) || !best->fit.ok || fits_.Late(kPruned)) return;
+  const TrialSpecs specs = Refreshed(*best);
+  TrialSpecs merged;
+  for (const EffectSpec& s : specs) {
+    if (s.id != kDry && s.id != kZero) {
+      merged.push_back(s);
+      continue;
+    }
+    const auto other = std::find_if(specs.begin(), specs.end(), [&](const EffectSpec& o) {
+      return o.id == (s.id == kDry ? kZero : kDry) && o.joints == s.joints;
+    });
+    if (other == specs.end()) return;
+    if (s.id == kZero) continue;
+    const double level = s.values.at(s.joints[0]).at("coulomb"),
+                 offset = other->values.at(s.joints[0]).at("offset");
+    merged.push_back(effects::MakeSpec(kEither, s.joints,
+                                       {{"coulomb_positive", std::max(0.0, level - offset)},
+                                        {"coulomb_negative", std::max(0.0, level + offset)}}));
+  }
+  const Candidate c = fits_.Evaluate(merged, best->base, best, 6, best);
+  if (c.fit.ok && c.score > best->score) *best = c;
 }
 
 // A richer form on several joints may bend into what is plain on one of them, and one kind of effect costs

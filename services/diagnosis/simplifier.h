@@ -39,6 +39,7 @@ class Simplifier {
   TrialSpecs PlainForm(const Candidate& c, const std::string& id) const;
   void Plainer(Candidate* best);
   void FirstRotor(Candidate* best);
+  void ByDirection(Candidate* best);
   void OwnLaws(Candidate* best);
 
   const FitSetting& setting_;

@@ -79,7 +79,12 @@ class TrialBuilder {
         Push(BodyStarts(id, nominal_, scales_));
     }
     MountBeside();
-    Transmissions(joints);  // last, for they cost most
+    Transmissions(joints, data_.n <= 2 ? 2 : from_.base ? 1 : 2);  // last, for they cost most
+    return std::move(out_);
+  }
+
+  std::vector<TrialSpecs> OfTransmission() {
+    Transmissions(JointsByGain(), 1);
     return std::move(out_);
   }
 
@@ -168,8 +173,7 @@ class TrialBuilder {
     }
   }
 
-  void Transmissions(const std::vector<int>& joints) {
-    const size_t springy = data_.n <= 2 ? 2 : from_.base ? 1 : 2;
+  void Transmissions(const std::vector<int>& joints, size_t springy) {
     for (size_t i = 0; i < std::min(springy, joints.size()); ++i) {
       if (!nominal_.Takes("joint_elasticity", joints[i])) continue;
       const std::string& name = nominal_.joint_names()[static_cast<size_t>(joints[i])];
@@ -208,6 +212,12 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
                                const Candidate& from, const ScreenResult& screened, double wanted,
                                const std::function<MissingForce()>& force, const Nearest& nearest) {
   return TrialBuilder(data, nominal, scales, from, screened, nearest).Run(wanted, force);
+}
+
+std::vector<TrialSpecs> TransmissionTrials(const FitData& data, const sim::Plant& nominal,
+                                           const MotionScales& scales, const Candidate& from,
+                                           const ScreenResult& screened, const Nearest& nearest) {
+  return TrialBuilder(data, nominal, scales, from, screened, nearest).OfTransmission();
 }
 
 std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& screened,

@@ -26,6 +26,11 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
                                const Candidate& from, const ScreenResult& screened, double wanted,
                                const std::function<MissingForce()>& force, const Nearest& nearest);
 
+// Springs and play of the one joint on which the screen finds most, beside what `from` has.
+std::vector<TrialSpecs> TransmissionTrials(const FitData& data, const sim::Plant& nominal,
+                                           const MotionScales& scales, const Candidate& from,
+                                           const ScreenResult& screened, const Nearest& nearest);
+
 // What a screen around a model that `holds` gives more than `needed` nats beyond what its structure costs,
 // best first and `count` at most. There the screen is exact to first order, and of all windows: a small
 // effect that a few of them do not pay for is worth its fit. Around one that does not hold only effects that
