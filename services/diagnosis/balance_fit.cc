@@ -25,23 +25,33 @@ BalanceFit::BalanceFit(const TorqueBalance& balance)
   y_.resize(balance.n);
   gram_.assign(balance.blocks, std::vector<Gram>(balance.n));
   for (int j = 0; j < balance.n; ++j) {
+    FillGram(j);
     const BalanceRows& rows = balance.joints[j];
-    MatrixXd X(rows.base.rows(), rows.base.cols() + rows.features.cols());
-    X << rows.base, rows.features;
-    for (int b = 0; b < balance.blocks; ++b) {
-      Gram& g = gram_[b][j];
-      g.xx.setZero(X.cols(), X.cols()), g.xy.setZero(X.cols());
-      std::vector<int> members;
-      for (size_t k = 0; k < rows.block.size(); ++k) {
-        if (rows.block[k] == b && !rows.still[k]) members.push_back(static_cast<int>(k));
-      }
-      g.rows = static_cast<double>(members.size());
-      if (!members.empty()) g.xx = X(members, Eigen::all).transpose() * X(members, Eigen::all);
-    }
     SetResponse(j, rows.rigid - rows.effort);
     const VectorXd y = Moving(y_[j], j);
     variance_[j] = std::max(1e-300, y.squaredNorm() / std::max<double>(1.0, static_cast<double>(y.size())));
   }
+}
+
+void BalanceFit::FillGram(int j) {
+  const BalanceRows& rows = balance_.joints[j];
+  MatrixXd X(rows.base.rows(), rows.base.cols() + rows.features.cols());
+  X << rows.base, rows.features;
+  for (int b = 0; b < balance_.blocks; ++b) {
+    Gram& g = gram_[b][j];
+    g.xx.setZero(X.cols(), X.cols()), g.xy.setZero(X.cols());
+    std::vector<int> members;
+    for (size_t k = 0; k < rows.block.size(); ++k) {
+      if (rows.block[k] == b && !rows.still[k]) members.push_back(static_cast<int>(k));
+    }
+    g.rows = static_cast<double>(members.size());
+    if (!members.empty()) g.xx = X(members, Eigen::all).transpose() * X(members, Eigen::all);
+  }
+}
+
+void BalanceFit::TakeColumns(int joint) {
+  FillGram(joint);
+  SetResponse(joint, VectorXd(y_[joint]));
 }
 
 void BalanceFit::SetResponse(int joint, const VectorXd& y) {

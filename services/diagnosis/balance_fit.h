@@ -37,6 +37,8 @@ class BalanceFit {
 
   // y per joint: rigid − effort.
   void SetResponse(int joint, const Eigen::VectorXd& y);
+  // After columns were appended to a joint of the balance.
+  void TakeColumns(int joint);
   // Variance and correlation of the residual per joint, from this model's residuals.
   void SetNoiseFrom(const BalanceModel& model);
 
@@ -59,6 +61,7 @@ class BalanceFit {
     double yy = 0;
     double rows = 0;
   };
+  void FillGram(int joint);
   double PriorPrecision(const BalanceModel& model, int base) const;
   double Cost(const Gram& g, const Eigen::VectorXd& x) const;
   Eigen::VectorXd Stacked(const BalanceSolution& s, int joint) const;

@@ -24,10 +24,14 @@ namespace {
 constexpr const char* kZero = "torque_offset";  // a constant force: an effort whose zero is off
 constexpr double kRareErrors = 3.0;             // of what few have
 constexpr const char* kLosses[] = {"viscous_friction", "coulomb_friction", "rotor_inertia"};
-constexpr double kLeastLoad = 0.1;   // of the last link's own mass
-constexpr double kReach = 0.4;       // m, from the last link's origin to its load's centre of mass
-constexpr double kWorthAName = 0.1;  // of what remains on its joint
-constexpr double kSamples = 1.5;     // timing finer than this many samples is the recorder's business
+constexpr double kPeriods = 2.0;      // of a ripple, that the joint passes at least: less is no ripple
+constexpr double kRippleStep = 2.0;   // of 1/range, between numbers of cycles that are looked at
+constexpr double kMostRipples = 400;  // numbers of cycles
+constexpr double kPassed = 0.8;       // of the averaging's first zero, at the joint's usual speed
+constexpr double kLeastLoad = 0.1;    // of the last link's own mass
+constexpr double kReach = 0.4;        // m, from the last link's origin to its load's centre of mass
+constexpr double kWorthAName = 0.1;   // of what remains on its joint
+constexpr double kSamples = 1.5;      // timing finer than this many samples is the recorder's business
 constexpr double kTimingStep = 0.004, kEarliest = -0.032, kLatest = 0.048;  // s
 
 bool Common(const std::string& kind) {
@@ -157,8 +161,8 @@ void BalanceSelection::FindTiming() {
     if (seen && delay[j].seconds > 0) {
       const Gain as_lag = GainOf(shifted, lagged, j);
       const double of_lag = as_lag.nats;
-      std::snprintf(line, sizeof line, "  %s: as a lag %.1f ± %.1f nats more", nominal_.joint_names()[j].c_str(),
-                    as_lag.nats, as_lag.stddev);
+      std::snprintf(line, sizeof line, "  %s: as a lag %.1f ± %.1f nats more",
+                    nominal_.joint_names()[j].c_str(), as_lag.nats, as_lag.stddev);
       trace_(line);
       timing_[j] = as_lag.Beyond(1.0) ? lag[j] : delay[j];
       timing_gain_ += gain.nats + std::max(0.0, of_lag);
@@ -178,6 +182,7 @@ void BalanceSelection::Select(const CancelToken* cancel) {
   }
   while (!cancelled() && AddRefinement()) {
   }
+  for (int j = 0; j < data_.n && !cancelled(); ++j) TryRipple(j);
   Prune();
 }
 
@@ -255,6 +260,54 @@ void BalanceSelection::TryPayload() {
   if (spared < kEffectPrior + kJointPrior || !PayloadOf(loaded)) return;
   model_ = loaded;
   trace_("  + payload: " + std::to_string(spared) + " nats; " + StateOf(model_));
+}
+
+// Torque that varies with the joint's position, at the number of cycles that takes most off what remains.
+void BalanceSelection::TryRipple(int j) {
+  const double range = scales_.high[j] - scales_.low[j];
+  if (!nominal_.Takes("torque_ripple", j) || scales_.still[static_cast<size_t>(j)] || !(range > 0)) return;
+  const BalanceRows& rows = balance_.joints[j];
+  const VectorXd left = fit_.Residual(fit_.Solve(model_), j);
+  // Energy that a wave takes off the rows in which the joint moves.
+  const auto energy = [&](double cycles) {
+    const Eigen::Matrix2Xd wave = RippleWave(rows, cycles, balance_.half_window_s);
+    Eigen::Matrix2d xx = 1e-12 * Eigen::Matrix2d::Identity();
+    Eigen::Vector2d xy = Eigen::Vector2d::Zero();
+    for (long k = 0; k < left.size(); ++k) {
+      if (rows.still[static_cast<size_t>(k)]) continue;
+      xx += wave.col(k) * wave.col(k).transpose();
+      xy += left[k] * wave.col(k);
+    }
+    return xy.dot(xx.ldlt().solve(xy));
+  };
+  const double lowest = std::max(2.0, kPeriods * 2 * M_PI / range), step = kRippleStep / range;
+  const double highest =
+      lowest + std::min(kMostRipples * step, kPassed * M_PI / (balance_.half_window_s * scales_.speed[j]));
+  double best = lowest, most = 0, count = 0;
+  for (double cycles = lowest; cycles < highest; cycles += step, ++count) {
+    const double e = energy(cycles);
+    if (e > most) most = e, best = cycles;
+  }
+  for (double by = step / 2; by > step / 20; by /= 2) {
+    for (const double cycles : {best - by, best + by}) {
+      const double e = energy(cycles);
+      if (cycles > 0 && e > most) most = e, best = cycles;
+    }
+  }
+  if (count < 1) return;
+  balance_.AddRipple(j, best, 0.5 * scales_.torque[j]);
+  fit_.TakeColumns(j);
+  BalanceModel with = model_;
+  const int columns = static_cast<int>(balance_.columns[j].size());
+  with.features[j].insert({columns - 2, columns - 1});
+  Gain gain;
+  const BlockCosts before = fit_.LeaveOut(model_), after = fit_.LeaveOut(with);
+  if (!Pays("torque_ripple", before, after, j, &gain) ||
+      gain.nats < LogHypotheses() + std::log(count) + kEffectPrior)
+    return;
+  model_ = with;
+  trace_("  + torque_ripple on " + nominal_.joint_names()[j] + ", " + std::to_string(best) +
+         " per turn: " + std::to_string(gain.nats) + " nats; " + StateOf(model_));
 }
 
 // Of a mass that the hand may carry: heavier than what a URDF's link is off by, and within reach of it.

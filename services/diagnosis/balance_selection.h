@@ -76,6 +76,7 @@ class BalanceSelection {
   void RepairSigns(BalanceModel* m) const;
   bool PaysTogether(const BlockCosts& before, const BlockCosts& after) const;
   void TryPayload();
+  void TryRipple(int joint);
   bool AddKind();
   bool DropNegative(int joint);
   bool Refined(int joint) const;

@@ -62,6 +62,20 @@ std::vector<EffectSpec> BalanceSelection::SpecsOfJoint(const BalanceModel& m, co
   } else if (Has(m, "coulomb_friction", j)) {
     add("coulomb_friction", {{"coulomb", std::max(small, level)}});
   }
+  if (Has(m, "torque_ripple", j)) {
+    const auto of = [&](const char* role) {
+      double sum = 0;
+      for (const int c : m.features[j]) {
+        const BalanceColumn& column = balance_.columns[j][c];
+        if (column.effect == "torque_ripple" && column.role == role)
+          sum += gain * s.features[j][c] * column.scale;
+      }
+      return sum;
+    };
+    add("torque_ripple", {{"amplitude", std::hypot(of("sin"), of("cos"))},
+                          {"cycles_per_rev", ShapeOf(balance_, m, "torque_ripple", j)},
+                          {"phase", std::atan2(of("cos"), of("sin"))}});
+  }
   if (Has(m, "torque_offset", j) && !spring) add("torque_offset", {{"offset", offset}});
   std::erase_if(specs, [&](const EffectSpec& e) {
     const Status valid = effects::ValidateSpec(e);

@@ -58,6 +58,7 @@ class BalanceMaker {
         if (p.owner == last && p.field == field) out_.last_link.push_back(static_cast<int>(i));
       }
     }
+    out_.half_window_s = std::max(kHalfWindow, data.recordings[0].recording->SamplePeriod());
     out_.joints.resize(data.n);
     still_ = (kStillShare * s_.speed).cwiseMax(3.0 * s_.speed_noise);
     MakeColumns();
@@ -161,6 +162,8 @@ class BalanceMaker {
                 still,
                 base[j].middleCols(first, count) * w,
                 features[j].middleCols(first, count) * w,
+                m.q.row(j).segment(first, count).dot(w),
+                m.v.row(j).segment(first, count).dot(w),
                 rigid.row(j).segment(first, count).dot(w),
                 m.u.row(j).segment(first, count).dot(w)};
         rows_[j].push_back(std::move(row));
@@ -225,12 +228,12 @@ class BalanceMaker {
       BalanceRows& o = out_.joints[j];
       o.base.resize(R, static_cast<long>(out_.base.size()) + 2);
       o.features.resize(R, static_cast<long>(out_.columns[j].size()));
-      o.rigid.resize(R), o.effort.resize(R);
+      o.rigid.resize(R), o.effort.resize(R), o.q.resize(R), o.v.resize(R);
       for (long k = 0; k < R; ++k) {
         const Row& row = rows_[j][static_cast<size_t>(k)];
         o.base.row(k) = row.base.transpose();
         o.features.row(k) = row.features.transpose();
-        o.rigid[k] = row.rigid, o.effort[k] = row.effort;
+        o.rigid[k] = row.rigid, o.effort[k] = row.effort, o.q[k] = row.q, o.v[k] = row.v;
         o.t.push_back(row.t), o.recording.push_back(row.recording), o.block.push_back(row.block);
         o.still.push_back(row.still);
       }
@@ -260,7 +263,7 @@ class BalanceMaker {
     int recording, block;
     bool still;
     VectorXd base, features;
-    double rigid, effort;
+    double q, v, rigid, effort;
   };
   const FitData& data_;
   const sim::Plant& plant_;
@@ -271,6 +274,34 @@ class BalanceMaker {
 };
 
 }  // namespace
+
+void TorqueBalance::AddRipple(int joint, double cycles, double unit) {
+  BalanceRows& rows = joints[static_cast<size_t>(joint)];
+  const Eigen::Matrix2Xd wave = RippleWave(rows, cycles, half_window_s);
+  rows.features.conservativeResize(Eigen::NoChange, rows.features.cols() + 2);
+  for (int i = 0; i < 2; ++i) {
+    double squares = 0, count = 1e-300;
+    for (long k = 0; k < wave.cols(); ++k) {
+      if (!rows.still[static_cast<size_t>(k)]) squares += wave(i, k) * wave(i, k), ++count;
+    }
+    const double rms = std::sqrt(squares / count), scale = rms > 0 ? unit / rms : 0.0;
+    rows.features.col(rows.features.cols() - 2 + i) = scale * wave.row(i).transpose();
+    columns[static_cast<size_t>(joint)].push_back({"torque_ripple", i == 0 ? "sin" : "cos", cycles, scale});
+  }
+}
+
+Eigen::Matrix2Xd RippleWave(const BalanceRows& rows, double cycles, double half_window_s) {
+  Eigen::Matrix2Xd out(2, rows.q.size());
+  for (long k = 0; k < rows.q.size(); ++k) {
+    // What a Hann window leaves of a wave that passes at this speed.
+    const double x = cycles * rows.v[k] * half_window_s, sinc = std::abs(x) > 1e-6 ? std::sin(x) / x : 1.0;
+    const double pole = 1 - std::pow(x / M_PI, 2);
+    const double left = std::abs(pole) > 1e-6 ? sinc / pole : 0.5;
+    out(0, k) = left * std::sin(cycles * rows.q[k]);
+    out(1, k) = left * std::cos(cycles * rows.q[k]);
+  }
+  return out;
+}
 
 TorqueBalance MakeTorqueBalance(const FitData& data, const sim::Plant& plant, const MotionScales& scales) {
   return BalanceMaker(data, plant, scales).Take();

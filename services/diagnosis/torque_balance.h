@@ -35,6 +35,7 @@ struct BalanceRows {
   Eigen::MatrixXd features;  // R × F, standardised
   Eigen::VectorXd rigid;     // R, RNEA of the URDF
   Eigen::VectorXd effort;    // R
+  Eigen::VectorXd q, v;      // R, the joint's own, averaged as all else
   std::vector<double> t;     // R
   std::vector<int> recording, block;
   std::vector<char> still;
@@ -50,10 +51,18 @@ struct TorqueBalance {
   std::vector<std::vector<BalanceColumn>> columns;  // per joint
   std::vector<BalanceRows> joints;
 
+  double half_window_s = 0;  // of what rows are averaged over
+
+  // Appends what a ripple of so many cycles per revolution does to a joint, as two columns ("sin", "cos") of
+  // which a coefficient of 1 makes a force of RMS `unit`.
+  void AddRipple(int joint, double cycles, double unit);
   bool IsOfLastLink(int i) const {
     return std::find(last_link.begin(), last_link.end(), i) != last_link.end();
   }
 };
+
+// sin and cos of so many cycles per revolution along the rows, less what the averaging takes off.
+Eigen::Matrix2Xd RippleWave(const BalanceRows& rows, double cycles, double half_window_s);
 
 enum class EffortTiming { kDelay, kLag };
 
