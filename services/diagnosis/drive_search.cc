@@ -20,7 +20,7 @@ constexpr double kNear = 0.2;        // of what is amiss, that drives leave wher
 constexpr double kCloser = 0.1;      // the same, above which free base parameters or one thing more are tried
 constexpr double kUseful = 0.5;      // the same, of friction and rotors that have to do with it at all
 constexpr double kWorthwhile = 0.8;  // of what is left, that friction which drops with speed leaves
-constexpr int kThingsBeside = 3;     // that are looked for before the drives are given up
+constexpr int kThingsBeside = 4;     // that are looked for before the drives are given up
 constexpr double kClearly = 10.0;    // stddev from nothing, of a loss that drives have
 constexpr double kLateBy = 0.01;     // s, where a fit of lags or delays begins
 constexpr double kLittleLate = 0.004;  // s, the same of one beside the other
@@ -47,7 +47,7 @@ Candidate AsStart(Candidate c) {
 }  // namespace
 
 std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidate& freed) {
-  const std::map<std::string, Candidate> before = fits_.tried();
+  const std::map<std::string, Candidate> kept = fits_.tried();
   const Candidate& without = freed.score > plain.score ? freed : plain;
   Candidate best = Losses();
   const bool useful = best.plant != nullptr && Left(best) < kUseful * Left(plain);
@@ -55,11 +55,15 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
   // What is missing beside the drives hides what they have: each time it takes half, they are looked at
   // again.
   for (int more = 0; useful && more < kThingsBeside; ++more) {
+    const double before = Left(best);
     Late(&best);
     OtherDryLaw(&best);
     const Candidate drives = best;
     Freed(&best);
-    if (!leaves(kCloser) || !drives.fit.ok || fits_.Late()) break;
+    if (!drives.fit.ok || fits_.Late()) break;
+    // Two things may each take less than half while the other is missing.
+    if (LeavesSomething(best) && (Left(best) < kUseful * before || TakeNearest(kept, &best))) continue;
+    if (!leaves(kCloser)) break;
     Candidate with = drives;
     beside_(drives, &with);
     if (!(Left(with) < kUseful * Left(best)) && !fits_.Late()) transmission_(drives, &with);
@@ -69,8 +73,21 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
   if (useful && !leaves(kNear) && best.fit.ok && OfAllDrives(best) &&
       best.score > without.score + needed_(without, best))
     return best;
-  fits_.tried() = before;
+  fits_.tried() = kept;
   return std::nullopt;
+}
+
+// Of what was tried here the nearest, where it takes a fifth off what `best` leaves.
+bool DriveSearch::TakeNearest(const std::map<std::string, Candidate>& before, Candidate* best) const {
+  const Candidate* nearest = best;
+  for (const auto& [key, c] : fits_.tried()) {
+    if (before.count(key) == 0 && c.fit.ok && Left(c) < Left(*nearest)) nearest = &c;
+  }
+  if (!(Left(*nearest) < kWorthwhile * Left(*best)) ||
+      nearest->score < best->score + needed_(*best, *nearest))
+    return false;
+  *best = Candidate(*nearest);
+  return true;
 }
 
 // From the regression of the inverse dynamics.
@@ -106,7 +123,9 @@ void DriveSearch::Late(Candidate* best) {
   for (const char* id : kTimings) {
     const std::vector<EffectSpec> late = OnAll(id, kLateBy), specs = Joined(punctual, late);
     if (late.empty() || KeyOf(specs) == KeyOf(now.specs) || fits_.Late()) continue;
-    const Candidate c = Seen(fits_.Evaluate(specs, now.base, &start, kIterations), now.base);
+    const Candidate* known = fits_.Known(specs, now.base);
+    const Candidate c =
+        Seen(known != nullptr ? *known : fits_.Evaluate(specs, now.base, &start, kIterations), now.base);
     if (c.score > best->score && Left(c) < kUseful * Left(now)) *best = c, taken = id;
   }
   if (taken.empty() || !LeavesSomething(*best) || fits_.Late()) return;

@@ -4,7 +4,9 @@
 #pragma once
 
 #include <functional>
+#include <map>
 #include <optional>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -41,6 +43,7 @@ class DriveSearch {
   Candidate Losses();
   Candidate Seen(const Candidate& c, bool base);
   void OtherDryLaw(Candidate* best);
+  bool TakeNearest(const std::map<std::string, Candidate>& before, Candidate* best) const;
   void Freed(Candidate* best);
   Candidate WithFreeBase(const Candidate& c);
   Candidate WithZeros(const Candidate& c, const Candidate& either_way);
