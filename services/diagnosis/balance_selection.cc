@@ -28,6 +28,7 @@ constexpr double kPeriods = 2.0;      // of a ripple, that the joint passes at l
 constexpr double kRippleStep = 2.0;   // of 1/range, between numbers of cycles that are looked at
 constexpr double kMostRipples = 400;  // numbers of cycles
 constexpr double kPassed = 0.8;       // of the averaging's first zero, at the joint's usual speed
+constexpr double kMostOfLoad = 0.8;   // of the torque, that friction may take
 constexpr double kLeastLoad = 0.1;    // of the last link's own mass
 constexpr double kReach = 0.4;        // m, from the last link's origin to its load's centre of mass
 constexpr double kWorthAName = 0.1;   // of what remains on its joint
@@ -352,6 +353,10 @@ bool BalanceSelection::Admissible(const BalanceModel& m, int j) const {
   }
   const double level = Coefficient(s, "coulomb_friction", j);
   if (Has(m, "stribeck_friction", j) && Coefficient(s, "stribeck_friction", j) <= 0) return false;
+  // All of the torque and no level of its own is no friction.
+  if (Has(m, "load_dependent_friction", j) &&
+      (level <= 0 || Coefficient(s, "load_dependent_friction", j) > kMostOfLoad))
+    return false;
   return !(Has(m, "thermal_drift", j) && level + Coefficient(s, "thermal_drift", j) <= 0);
 }
 

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "services/diagnosis/balance_selection.h"
+#include "services/diagnosis/hypotheses.h"
 
 namespace rg::diagnosis {
 
@@ -29,7 +30,8 @@ std::vector<EffectSpec> BalanceSelection::SpecsOfJoint(const BalanceModel& m, co
     specs.push_back(effects::MakeSpec(id, {joint}, std::move(values)));
   };
   // u = (rigid + friction)/g: every other coefficient is of the effort's scale.
-  const double gain = std::clamp(1.0 / std::max(0.1, 1.0 - Coefficient(s, "torque_gain", j)), 0.05, 8.0);
+  const double gain = std::clamp(1.0 / std::max(1 / kMostGain, 1.0 - Coefficient(s, "torque_gain", j)),
+                                 1 / kMostGain, kMostGain);
   const auto value = [&](const std::string& effect) { return gain * Coefficient(s, effect, j); };
   const double level = value("coulomb_friction"), offset = value("torque_offset"),
                small = kLeastLevel * scales_.torque[j];

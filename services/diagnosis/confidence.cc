@@ -32,11 +32,14 @@ bool IsLoss(const Finding& f) {
   return info != nullptr && (info->family == "friction" || info->id == "rotor_inertia");
 }
 
+bool IsTiming(const Finding& f) {
+  const effects::EffectInfo* info = effects::FindEffect(f.effect);
+  return info != nullptr && info->family == "timing";
+}
+
 // A law that drives share, on most joints.
 bool OfDrives(const Finding& f, int joints) {
-  const effects::EffectInfo* info = effects::FindEffect(f.effect);
-  return info != nullptr && (IsLoss(f) || info->family == "timing") &&
-         2 * static_cast<int>(f.joints.size()) > joints;
+  return (IsLoss(f) || IsTiming(f)) && 2 * static_cast<int>(f.joints.size()) > joints;
 }
 
 // Of one of three names and more, none of them beside what has none.
@@ -52,7 +55,9 @@ double HitRate(const Finding& f, const std::string& verdict, bool measured, int 
   if (f.effect == "parameters_only") return alone ? kParameters : kParametersBeside;
   if (f.effect == "unknown_field") return kUnknown;
   if (verdict == "unexplained" && !measured) return kBeside;
-  const double rate = names <= 1 ? kAlone : measured ? kMeasured : names == 2 ? kTwo : many;
+  // Losses and late drives every arm has; what few have is no surer than beside other losses.
+  const double of_measured = IsLoss(f) || IsTiming(f) ? kMeasured : kBesideDrives;
+  const double rate = names <= 1 ? kAlone : measured ? of_measured : names == 2 ? kTwo : many;
   const bool rival = std::any_of(f.alternatives.begin(), f.alternatives.end(),
                                  [](const Alternative& a) { return !a.separable; });
   return rival ? std::min(rate, kRival) : rate;

@@ -59,7 +59,7 @@ EffectSpec JointSpec(const Scored& h, int joint, const std::vector<double>& c, c
                      {"bristle_damping", 0.2 * std::sqrt(level / h.shape * s.inertia[joint])}});
   }
   if (h.effect == "torque_gain")
-    return MakeSpec(h.effect, {name}, {{"gain", std::clamp(1.0 + c[0], 0.2, 4.0)}});
+    return MakeSpec(h.effect, {name}, {{"gain", std::clamp(1.0 + c[0], 0.2, kMostGain)}});
   if (h.effect == "torque_offset") return MakeSpec(h.effect, {name}, {{"offset", c[0]}});
   if (h.effect == "torque_deadband")
     return MakeSpec(h.effect, {name}, {{"deadband", Positive(c[0] * h.shape, kSmall)}});
@@ -149,7 +149,7 @@ Prior PriorOf(const sim::Parameter& p, int joint, const MotionScales& s, const s
   if (f == "delay") return {0, 0.03, 0, 0.4};
   if (e == "thermal_drift") return {p.nominal, 0.5 * s.duration, 0.03 * s.duration, 4 * s.duration};
   if (e == "actuator_lag") return {0, 0.03, 5e-4, 0.4};
-  if (f == "gain") return {1, 0.3, 0.05, 8};
+  if (f == "gain") return {1, 0.3, 1 / kMostGain, kMostGain};
   if (f == "limit") return {p.nominal, torque, 1e-3 * torque, 50 * torque};
   if (f == "cycles_per_rev")
     return {p.nominal, 0.1 * p.nominal + 0.5, std::max(2.0, kLeastRipple * 2 * M_PI / range), 300};

@@ -54,6 +54,7 @@ std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const M
 std::vector<effects::EffectSpec> Joined(std::vector<effects::EffectSpec> specs,
                                         const std::vector<effects::EffectSpec>& added);
 // Forms of dry friction beyond the plain one.
+inline constexpr double kMostGain = 300.0;  // of a reducer that was left out, and of a unit
 inline constexpr const char* kRicherFriction[] = {"stribeck_friction", "asymmetric_friction",
                                                   "load_dependent_friction", "presliding_hysteresis",
                                                   "thermal_drift"};

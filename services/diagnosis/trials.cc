@@ -84,7 +84,7 @@ class TrialBuilder {
   }
 
   std::vector<TrialSpecs> OfTransmission() {
-    Transmissions(JointsByGain(), 1);
+    Transmissions(JointsByGain(), data_.n <= 2 ? 2 : 1);
     return std::move(out_);
   }
 
