@@ -30,7 +30,7 @@ struct TorqueOffset {
         .reference = "",
         .shows_over = Variable::kEffort,
         .options = {},
-        .needs = {},
+        .needs = {Need::kBothWays},
     };
   }
 

@@ -175,7 +175,7 @@ TEST(ProofOrdinary, TwoThirdsHaveOneThingMoreAndAThirdOfControlsNoRotors) {
   EXPECT_NEAR(late / double{kDraws}, 0.55, 0.07);
   EXPECT_NEAR(wrong / double{kDraws}, 0.2, 0.06);
   EXPECT_NEAR(rotorless / double{kDraws}, 1.0 / 3, 0.07);
-  EXPECT_EQ(extras.size(), 10u);
+  EXPECT_EQ(extras.size(), 11u);
   EXPECT_EQ(laws.size(), 3u);
 }
 
