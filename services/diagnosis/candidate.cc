@@ -19,6 +19,8 @@ constexpr double kShapePrior =
 // A drive's command waits for its bus and cycle more often than a sensor's reading does; where both are on
 // all joints nothing but the first moments of a recording tells them apart.
 constexpr double kSensorDelayPrior = 2.0;
+constexpr double kOffsetPrior =
+    2.0;  // a dead band, whose effort keeps its sign, a tilt and a wrong zero are constant forces, too
 constexpr double kLeast = 1.3;        // times the least that a mass or a gap may be
 constexpr double kSameRipple = 0.02;  // rad, from one end of a motion to the other: 1 % of an amplitude
 constexpr double kSeenAgain = 0.75;   // periods over all that was recorded: nearly all of a ripple
@@ -74,6 +76,7 @@ double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
     cost += kJointPrior;
     if (!field) cost += kShapePrior * (ParametersOf(s) - 1.0);
     if (s.id == "sensor_delay") cost += kSensorDelayPrior;
+    if (s.id == "torque_offset") cost += kOffsetPrior;
     if (field) cost += kFieldPrior;
   }
   return cost + kEffectPrior * static_cast<double>(ids.size());
