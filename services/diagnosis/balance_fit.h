@@ -19,11 +19,13 @@ struct BalanceModel {
   bool base = true;
   bool tilt = false;
   std::vector<std::set<int>> features;  // per joint
+  std::set<int> drive;                  // columns of the fit's BalanceDrive
 };
 
 struct BalanceSolution {
   Eigen::VectorXd base;                   // B + 2, standardised, 0 where not in
   std::vector<Eigen::VectorXd> features;  // per joint: F, standardised, 0 where not in
+  Eigen::VectorXd drive;                  // of BalanceDrive, standardised, 0 where not in
   Eigen::VectorXd energy;                 // n, mean square of the residual
 };
 
@@ -36,14 +38,18 @@ class BalanceFit {
 
   // y per joint: rigid − effort.
   void SetResponse(int joint, const Eigen::VectorXd& y);
+  // The drive whose columns models may have; rows in which it may be stuck have no say on its joints. Costs
+  // of fits with different drives are those of different rows.
+  void SetDrive(BalanceDrive drive);
+  const BalanceDrive& drive() const { return drive_; }
   // Variance and correlation of the residual per joint, from this model's residuals.
   void SetNoiseFrom(const BalanceModel& model);
 
   BalanceSolution Solve(const BalanceModel& model, int without_block = -1) const;
   BlockCosts LeaveOut(const BalanceModel& model) const;
   Eigen::VectorXd Residual(const BalanceSolution& solution, int joint) const;
-  // Stddev of the features' standardised coefficients by leaving out blocks (jackknife).
-  std::vector<Eigen::VectorXd> Jackknife(const BalanceModel& model) const;
+  // Stddev of the features' and the drive's standardised coefficients by leaving out blocks (jackknife).
+  BalanceSolution Jackknife(const BalanceModel& model) const;
   double Variance(int joint) const { return variance_[joint]; }
   double Correlation(int joint) const { return correlation_[joint]; }
   int EffectiveRows() const;
@@ -52,16 +58,21 @@ class BalanceFit {
 
  private:
   struct Gram {
-    Eigen::MatrixXd xx;  // columns: base, features
+    Eigen::MatrixXd xx;  // columns: base, features, drive
     Eigen::VectorXd xy;
     double yy = 0;
     double rows = 0;
   };
+  void FillColumns(int joint);
+  void FillResponse(int joint);
+  Eigen::MatrixXd DriveOn(int joint) const;  // R × 3; empty on joints that are not the drive's
+  bool Still(int joint, size_t row) const;
   double Cost(const Gram& g, const Eigen::VectorXd& x) const;
   Eigen::VectorXd Stacked(const BalanceSolution& s, int joint) const;
 
   const TorqueBalance& balance_;
   int base_ = 0;
+  BalanceDrive drive_;
   std::vector<Eigen::VectorXd> y_;
   std::vector<std::vector<Gram>> gram_;  // [block][joint]
   Eigen::VectorXd variance_, correlation_;

@@ -79,6 +79,7 @@ class MeasuredSearch {
     c.score = -cost;
     c.score -= kEffectPrior * static_cast<double>(chosen_.KindsOf(m).size());
     for (const auto& f : m.features) c.score -= kJointPrior * static_cast<double>(f.size());
+    c.score -= kJointPrior * static_cast<double>(m.drive.size());
     return c;
   }
 
@@ -115,6 +116,7 @@ class MeasuredSearch {
       for (const int c : model().features[j]) effects.insert(chosen_.balance().columns[j][c].effect);
     }
     for (const std::string& effect : effects) out->tried.push_back(Judged(Without(model(), effect)));
+    if (!model().drive.empty()) out->tried.push_back(Judged(chosen_.Uncoupled()));
     for (const std::string& kind : kRefinedKinds) Exchange(kind, out);
     if (effects.count("offset") > 0) {
       BalanceModel tilted = Without(model(), "offset");
@@ -173,7 +175,7 @@ class MeasuredSearch {
     const BalanceSolution s = fit().Solve(model());
     for (const std::string& kind : chosen_.KindsOf(model())) {
       const std::string own = kind == "asymmetric_friction" ? "offset" : kind;
-      BalanceModel less = model();
+      BalanceModel less = kind == "joint_coupling" ? chosen_.Uncoupled() : model();
       if (kind == "gravity_misalignment") less.tilt = false;
       for (int j = 0; j < data_.n; ++j) {
         const auto specs = chosen_.SpecsOfJoint(model(), s, j);
@@ -245,7 +247,7 @@ class MeasuredSearch {
     std::vector<VectorXd> with_effects, rest;
     for (int j = 0; j < data_.n; ++j) {
       BalanceSolution bare = s;
-      bare.features[j].setZero();
+      bare.features[j].setZero(), bare.drive.setZero();
       with_effects.push_back(fit().Residual(bare, j));
       rest.push_back(fit().Residual(s, j));
     }

@@ -51,6 +51,7 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
   const bool useful = best.plant != nullptr && Left(best) < kUseful * Left(plain);
   if (useful) {
     Late(&best);
+    Couple(&best);
     OtherDryLaw(&best);
   }
   const auto leaves = [&](double share) { return Left(best) > share * Left(without); };

@@ -38,6 +38,7 @@ class DriveSearch {
  private:
   Candidate Losses();
   Candidate Seen(const Candidate& c, bool base);
+  void Couple(Candidate* best);
   void OtherDryLaw(Candidate* best);
   void Freed(Candidate* best);
   Candidate WithFreeBase(const Candidate& c);
