@@ -1,6 +1,17 @@
-// Torque of one joint's drive that reaches another joint (wrist gears, belts, tendons).
+// What couples two drives: one's torque that reaches another joint (gears, belts, tendons), or a motor of a
+// wrist that turns with two joints.
 //
-//   tau_j += κ·tau_i,   joints listed as i, j;  tau_i after the actuator stage        κ [–]
+//   joints listed as i, j; κ [–]; option "form":
+//
+//   "torque"     τ_j += κ·τ_i,  τ_i after the actuator stage
+//   "kinematic"  motor j turns with  w = q̇_j + κ·q̇_i,  and so do its friction and its rotor:
+//                τ_j += f,  τ_i += κ·f,  f = −d·w − c·sign(w) − J·ẇ
+//                viscous d [N·m·s/rad], coulomb c [N·m], armature J [kg·m²], all ≥ 0; the drive sticks where
+//                w = 0, whatever its joints do
+//
+// The kinematic form has one law over w (JointLaw), solved with those of the joints (StepProgram::drives). It
+// loses c·|w| + d·w², stores J·w²/2, and neither where the joints move so that w = 0. The motor's torque
+// itself stays on joint j: efforts are joint torques.
 #pragma once
 
 #include "common/effects/effect.h"
@@ -13,8 +24,13 @@ inline namespace RG_ISA {
 struct JointCoupling {
   static constexpr Role kRole = Role::kJointLaw;
   static constexpr Phase kPhase = Phase::kCoupling;
+  static constexpr int kKinematic = 1;                             // of option "form"
+  enum Parameter { kCoefficient, kViscous, kCoulomb, kArmature };  // their order
+  static constexpr int kInertiaParameter = kArmature;              // this parameter is law.inertia
+  static constexpr bool WritesFriction(int option) { return option == kKinematic; }
 
   static EffectInfo Info() {
+    using Only = ParameterInfo::Only;
     return {
         .id = "joint_coupling",
         .title = "Coupled joints",
@@ -23,20 +39,39 @@ struct JointCoupling {
         .equation = "tau_j += kappa*tau_i",
         .sentence = "{coefficient} times the torque of the first joint of {joint} reaches the second.",
         .parameters = {{"coefficient", "kappa", "-", "-", -kInf, kInf, 0, 0.1, false, false,
-                        "share that reaches the second joint"}},
+                        "share that reaches the second joint, or of the first joint's motion in its motor's"},
+                       {"viscous", "d", "N*m*s/rad", "N*s/m", 0, kInf, 0, 0.1, true, false,
+                        "viscous coefficient of the second joint's drive", Only::kBoth, "kinematic"},
+                       {"coulomb", "c", "N*m", "N", 0, kInf, 0, 0.1, true, false,
+                        "Coulomb level of the second joint's drive", Only::kBoth, "kinematic"},
+                       {"armature", "J", "kg*m^2", "kg", 0, kInf, 0, 0.1, false, false,
+                        "reflected inertia of the second joint's rotor", Only::kBoth, "kinematic"}},
         .family = "coupling",
         .confused_with = {"unknown_field", "torque_gain"},
         .reference = "",
         .shows_over = Variable::kEffort,
-        .options = {},
+        .options = {{"form", {"torque", "kinematic"}}},
+        .forms = {{"form", "kinematic",
+                   "tau_j += f, tau_i += kappa*f, f = -d*w - c*sign(w) - J*dw, w = dq_j + kappa*dq_i",
+                   "The motor of the second joint of {joint} turns with it and with {coefficient} times the "
+                   "first: its friction ({viscous}, {coulomb}) and its rotor ({armature}) act on both.",
+                   Variable::kVelocity}},
         .needs = {Need::kOtherEffort},
     };
   }
 
-  // On the program of joint j; law.coupled is tau_i.
+  // Torque form: on the program of joint j; law.coupled is tau_i. Kinematic form: on that of the drive, whose
+  // velocity is w.
   template <class S>
   static void Apply(const S* p, JointLaw<S>& law) {
-    law.drive += p[0] * law.coupled;
+    if (law.option == kKinematic) {
+      law.viscous += p[kViscous];
+      law.level_positive += p[kCoulomb];
+      law.level_negative += p[kCoulomb];
+      law.inertia += p[kArmature];
+    } else {
+      law.drive += p[kCoefficient] * law.coupled;
+    }
   }
 };
 

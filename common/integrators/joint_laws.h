@@ -6,6 +6,7 @@
 #pragma once
 
 #include "common/effects/effect_list.h"
+#include "common/integrators/coupled_drives.h"
 #include "common/integrators/step_program.h"
 #include "common/math/lanes.h"
 
@@ -23,7 +24,7 @@ struct Scheme {
   bool instantaneous;  // no step: force at (q, v), for explicit integrators
 };
 
-// StepInput as the kernel's scalars, in the workspace (arrays of C joints, 64-byte aligned).
+// StepInput as the kernel's scalars, in the workspace (arrays of C laws, 64-byte aligned).
 template <class T, int C>
 struct StepState {
   alignas(64) T q[C] = {};
@@ -33,28 +34,34 @@ struct StepState {
   const T* command_weights;
   T t, h, inverse_h;
 
-  void Load(const StepInput& input, int n) {
+  void Load(const StepProgram& program, const StepValues& values, const StepInput& input, int n) {
     const auto at = [](const double* p) { return reinterpret_cast<const T*>(p); };
     for (int i = 0; i < n; ++i) {
       q[i] = at(input.q)[i];
       v[i] = at(input.v)[i];
       command[i] = at(input.command)[i];
     }
+    SetDrives(program, values);
     z = at(input.z);
     command_weights = at(input.command_weights);
     t = *at(input.t);
     h = *at(input.h);
     inverse_h = T(1.0) / h;
   }
+  // Where coupled drives are, after a change of q or v.
+  RG_INLINE void SetDrives(const StepProgram& program, const StepValues& values) {
+    integrators::SetDrives(program, values, q);
+    integrators::SetDrives(program, values, v);
+  }
 };
 
-// Joints whose laws are evaluated in one register.
+// Joints (or coupled drives) whose laws are evaluated in one register.
 template <class T>
 struct LawPack {
   static constexpr int kWidth = math::kPackWidth<T>;
   int joints[kWidth];  // those past `count` repeat the first
   int count = 0;
-  bool in_place = false;  // the joints are a whole aligned register of the robot's joints, or its last
+  bool in_place = false;  // the joints are a whole aligned register of the robot's laws, or its last
   bool rough = false;     // whether any friction level may differ from zero
 };
 
@@ -116,7 +123,7 @@ template <class T, int C>
 void MakeLawPacks(const StepProgram& program, const StepValues& values, const bool* rough,
                   LawPacks<T, C>* out) {
   constexpr int kWidth = LawPack<T>::kWidth;
-  const int n = program.tree.n;
+  const int n = program.num_laws();
   out->count = 0;
   for (const bool coupled : {false, true}) {
     if (coupled) out->num_uncoupled = out->count;
@@ -163,7 +170,7 @@ struct LawContext {
   const StepValues* values;
   const StepState<T, C>* input;
   Scheme scheme;
-  const T* mass;  // n, inertia each joint's force sees
+  const T* mass;  // per law, inertia its force sees
   const LawPacks<T, C>* packs;
 };
 
@@ -298,8 +305,8 @@ RG_INLINE Pack<T> StateOf(const LawContext<T, C>& c, const LawPack<T>& pack, int
   }
 }
 
-// Forces F (n) and slopes dF/dv1 (n) at end velocities v1; z1 (num_states) is written too. force, slope, v1:
-// 64-byte aligned, C.
+// Forces F and slopes dF/dv1 of each law at end velocities v1; z1 (num_states) is written too. force, slope,
+// v1: 64-byte aligned, C.
 template <class T, int C>
 void Forces(const LawContext<T, C>& c, const T* v1, T* force, T* slope, T* z1) {
   using P = Pack<T>;

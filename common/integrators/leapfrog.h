@@ -25,7 +25,7 @@ StepResult LeapfrogStep(const StepProgram& program, const StepValues& values, co
                         const Sensitivity& to, const StepOutput& output, StepWorkspace<T, C, N>& s) {
   const dynamics::Tree& tree = program.tree;
   const int n = s.Joints(tree);
-  s.input.Load(input, n);
+  s.input.Load(program, values, input, n);
   s.failure = {};
   const T h = s.input.h, begin = s.input.t, end = begin + h;
   const T *q0 = s.input.q, *v0 = s.input.v;
@@ -38,7 +38,7 @@ StepResult LeapfrogStep(const StepProgram& program, const StepValues& values, co
   // First pass: everything at v.
   BiasHere(tree, v0, s);
   MassMatrixHere(program, s);
-  UpdateEffectiveInertias(program, v0, values.stick_velocity, s);
+  UpdateEffectiveInertias(program, values, v0, s);
   PointForces(program, values, v0, begin, end, false, s);
   SetBias(program, s);
   for (int i = 0; i < n; ++i) s.v1[i] = v0[i];

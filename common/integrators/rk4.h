@@ -29,6 +29,9 @@ void Acceleration(const LawContext<double, C>& c, bool derivatives, StepWorkspac
     s.H[i * C + i] += s.armature[i];
     s.v1[i] = s.force[i] - s.bias[i];
   }
+  ForEachDrive<double>(*c.program, *c.values, [&](const DriveRow<double>& r) {
+    AddDriveSquare<double, C>(r, s.armature[r.law], s.H);
+  });
   SetApart<double, C>(*c.program, s.H);
   DropBoundRows(*c.program, s.v1);
   int row = -1;
@@ -36,6 +39,7 @@ void Acceleration(const LawContext<double, C>& c, bool derivatives, StepWorkspac
   if (s.failure.all()) return;
   CholeskySolve<double, C>(n, s.H, s.diagonal, s.v1);
   FollowDrivers(*c.program, s.v1);
+  SetDrives(*c.program, *c.values, s.v1);
   for (int i = 0; i < n; ++i) s.failure.Add(!(math::Abs(s.v1[i]) < 1e300), StepStatus::kNonFinite, i);
 }
 
@@ -52,7 +56,7 @@ void StageSensitivity(const LawContext<double, C>& c, const Directions& directio
   Gradients(c, directions, c.input->v, &s.gradients);
   auto& force = s.gradients.force;
   // The laws saw no acceleration: a rotor inertia's own derivative is −a.
-  for (int i = 0; i < n; ++i) {
+  for (int i = 0; i < program.num_laws(); ++i) {
     const JointProgram& joint = program.joints[i];
     for (int k = joint.first_op; k < joint.first_op + joint.num_ops; ++k) {
       effects::WithEffectType(program.ops[k].kind, [&]<class E>() {
@@ -63,6 +67,12 @@ void StageSensitivity(const LawContext<double, C>& c, const Directions& directio
       });
     }
   }
+  ForEachDrive<double>(program, *c.values, [&](const DriveRow<double>& r) {
+    s.force[r.law] -= s.armature[r.law] * s.v1[r.law];
+    s.by_ratio[r.law - program.tree.n] =
+        (force[kEndVelocity][r.law] + force[kVelocity][r.law]) * c.input->v[r.other] +
+        force[kPosition][r.law] * c.input->q[r.other] - s.armature[r.law] * s.v1[r.other];
+  });
   DirectForces(c, directions, s, direct);
   for (int i = 0; i < n; ++i) {
     for (int j = 0; j < n; ++j) {
@@ -84,6 +94,11 @@ void StageSensitivity(const LawContext<double, C>& c, const Directions& directio
       s.B_v[source][i] += force[kCoupled][i] * (drive[kVelocity][source] + drive[kEndVelocity][source]);
     }
   }
+  ForEachDrive<double>(program, *c.values, [&](const DriveRow<double>& r) {
+    AddDriveSquare<double, C>(r, s.armature[r.law], s.inverse);
+    AddDriveSquare<double, C>(r, force[kPosition][r.law], s.B_q);
+    AddDriveSquare<double, C>(r, force[kVelocity][r.law] + force[kEndVelocity][r.law], s.B_v);
+  });
   BindStateMatrices(program, s);
   s.failure.Add(Invert<double, C>(n, s.inverse), StepStatus::kMassMatrixNotPositive, 0);
   for (int column = 0; column < directions.columns; ++column) {
@@ -104,7 +119,7 @@ StepResult Rk4Step(const StepProgram& program, const StepValues& values, const S
                    const Directions* directions, double* direct, const Sensitivity& from,
                    const Sensitivity& to, const StepOutput& output, StepWorkspace<double, C, N>& s) {
   const int n = s.Joints(program.tree);
-  s.input.Load(input, n);
+  s.input.Load(program, values, input, n);
   const StepState<double, C> start = s.input;
   const double h = start.h;
   constexpr double kNode[4] = {0.0, 0.5, 0.5, 1.0};
@@ -128,6 +143,7 @@ StepResult Rk4Step(const StepProgram& program, const StepValues& values, const S
       s.input.q[i] = start.q[i] + shift * previous_v[i];
       s.input.v[i] = start.v[i] + shift * previous_a[i];
     }
+    s.input.SetDrives(program, values);
     s.input.t = start.t + shift;
     const LawContext<double, C> c{&program, &values, &s.input, {false, true}, s.mass, &s.laws};
     Acceleration(c, directions != nullptr, s);

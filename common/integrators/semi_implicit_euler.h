@@ -17,7 +17,7 @@ StepResult SemiImplicitEulerStep(const StepProgram& program, const StepValues& v
                                  const Sensitivity& to, const StepOutput& output, StepWorkspace<T, C, N>& s) {
   const dynamics::Tree& tree = program.tree;
   const int n = s.Joints(tree);
-  s.input.Load(input, n);
+  s.input.Load(program, values, input, n);
   s.failure = {};
   const T h = s.input.h;
   const T *q0 = s.input.q, *v0 = s.input.v;
@@ -27,7 +27,7 @@ StepResult SemiImplicitEulerStep(const StepProgram& program, const StepValues& v
   dynamics::Kinematics(tree, s.w);
   BiasHere(tree, v0, s);
   MassMatrixHere(program, s);
-  UpdateEffectiveInertias(program, v0, values.stick_velocity, s);
+  UpdateEffectiveInertias(program, values, v0, s);
   PointForces(program, values, v0, s.input.t, s.input.t + h, directions != nullptr, s);
   SetBias(program, s);
   for (int i = 0; i < n; ++i) s.v1[i] = v0[i];

@@ -41,12 +41,12 @@ const Table& Kernels(math::Isa isa) {
 
 }  // namespace
 
-const StepKernels& GetStepKernels(int n, math::Isa isa) {
-  return n <= kSmallCapacity ? Kernels(isa).small[n] : Kernels(isa).large;
+const StepKernels& GetStepKernels(const StepProgram& program, math::Isa isa) {
+  return program.num_laws() <= kSmallCapacity ? Kernels(isa).small[program.tree.n] : Kernels(isa).large;
 }
 
-const StepKernels* GetLaneStepKernels(int n, math::Isa isa) {
-  return n <= kSmallCapacity ? &Kernels(isa).lanes[n] : nullptr;
+const StepKernels* GetLaneStepKernels(const StepProgram& program, math::Isa isa) {
+  return program.num_laws() <= kSmallCapacity ? &Kernels(isa).lanes[program.tree.n] : nullptr;
 }
 
 }  // namespace rg::integrators

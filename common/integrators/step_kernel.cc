@@ -43,7 +43,7 @@ StepKernels MakeKernels() {
     k.acceleration = [](const StepProgram& program, const StepValues& values, const StepInput& input,
                         double* a, void* scratch) {
       StepWorkspace<T, C, N>& s = In<T, C, N>(scratch);
-      s.input.Load(input, program.tree.n);
+      s.input.Load(program, values, input, program.tree.n);
       const LawContext<T, C> c{&program, &values, &s.input, {false, true}, s.mass, &s.laws};
       Acceleration(c, false, s);
       for (int i = 0; i < program.tree.n; ++i) a[i] = s.v1[i];

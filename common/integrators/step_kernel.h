@@ -19,7 +19,7 @@ using StepFunction = StepResult (*)(const StepProgram& program, const StepValues
 
 struct StepKernels {
   int lanes;             // windows that a step takes side by side (StepInput)
-  int capacity;          // most joints
+  int capacity;          // most laws
   size_t scratch_bytes;  // to be aligned to 64
   // Makes a zeroed block of scratch_bytes a workspace, then takes over program and values; again after
   // each change of either.
@@ -33,14 +33,14 @@ struct StepKernels {
                              double* a, void* scratch);
 };
 
-// Plants of up to so many joints have kernels of this capacity, those of six and seven with the number of
+// Plants of up to so many laws (joints and coupled drives) have kernels of this capacity, those of six and seven with the number of
 // joints known to the compiler.
 inline constexpr int kSmallCapacity = 8;
 
-// For plants of n joints on an instruction set that the processor has.
-const StepKernels& GetStepKernels(int n, math::Isa isa);
-// As many windows side by side as a register of the processor holds; null for plants with too many joints. A
+// For a plant's program on an instruction set that the processor has.
+const StepKernels& GetStepKernels(const StepProgram& program, math::Isa isa);
+// As many windows side by side as a register of the processor holds; null for plants with too many laws. A
 // window's result does not depend, not by a bit, on what the other lanes hold.
-const StepKernels* GetLaneStepKernels(int n, math::Isa isa);
+const StepKernels* GetLaneStepKernels(const StepProgram& program, math::Isa isa);
 
 }  // namespace rg::integrators

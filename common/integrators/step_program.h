@@ -16,6 +16,7 @@ inline constexpr int kMaxJoints = dynamics::kMaxBodies;
 inline constexpr int kMaxOps = 160;    // effect × joint
 inline constexpr int kMaxLocals = 64;  // variables of one joint's law
 inline constexpr int kMaxStates = 6;   // internal states of one joint
+inline constexpr int kMaxDrives = 2;   // that turn with two joints
 inline constexpr int kMaxPointForces = 4;
 inline constexpr int kMaxPointParameters = 8;
 
@@ -56,17 +57,29 @@ struct PointForce {
   int first_parameter = 0;  // into StepValues::point_parameters
 };
 
+// A drive that turns with w = v_joint + κ·v_other (coupled_drives.h).
+struct CoupledDrive {
+  int joint = -1;
+  int other = -1;
+  int ratio = 0;  // κ's place among its law's parameters
+};
+
 struct StepProgram {
   dynamics::Tree tree;
   int num_states = 0;  // of z
   int max_states = 0;  // of one joint
+  // Laws: those of the joints, then those of the coupled drives, which are not among the tree's bodies.
   JointProgram joints[kMaxJoints];
+  int num_drives = 0;
+  CoupledDrive drives[kMaxDrives];
   bool all_free = true;  // no joint is prescribed or follows another one (tree.ties)
   LawOp ops[kMaxOps];
   int num_point_forces = 0;
   PointForce point_forces[kMaxPointForces];
   int point_body = -1;  // body the forces act on, and the point in its frame
   double point[3] = {0, 0, 0};
+
+  int num_laws() const { return tree.n + num_drives; }
 };
 
 struct StepValues {
@@ -74,7 +87,7 @@ struct StepValues {
   double gravity[3];
   const double* joint_parameters = nullptr;
   const double* point_parameters = nullptr;
-  double reference_mass[kMaxJoints];  // constants of the plant, see effects/joint_law.h
+  double reference_mass[kMaxJoints];  // per law; constants of the plant, see effects/joint_law.h
   double stick_velocity = 1e-6;
   double rk4_sign_width = 1e-2;
 };

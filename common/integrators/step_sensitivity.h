@@ -34,6 +34,22 @@ RG_INLINE ColumnRows<T, C> ColumnOf(const StepProgram& program, const Sensitivit
   return {reinterpret_cast<T*>(s.columns) + static_cast<long>(column) * (2 + program.max_states) * C};
 }
 
+// Direct effect of a local variable of a coupled drive's law on the generalised force: R df + dR f.
+template <class T, int C, int N>
+void AddDriveDirect(const LawContext<T, C>& c, const StepWorkspace<T, C, N>& s, int law, int local, T weight,
+                    T* column) {
+  const int d = law - s.Joints(c.program->tree);
+  const JointProgram& program = c.program->joints[law];
+  const bool by_ratio = local == kFirstState + program.num_states + c.program->drives[d].ratio;
+  ForEachDrive<T>(*c.program, *c.values, [&](const DriveRow<T>& r) RG_LAMBDA_INLINE {
+    if (r.law != law) return;
+    const T force = weight * (by_ratio ? s.by_ratio[d] : s.gradients.force[local][law]);
+    column[r.joint] += force;
+    column[r.other] += r.ratio * force;
+    if (by_ratio) column[r.other] += weight * s.force[law];
+  });
+}
+
 // Direct effect of every direction on the generalised force, [column][C] into `direct`; only columns that
 // have one are written (the rest stays zero). With coupling, of the source's parameters too.
 template <class T, int C, int N>
@@ -73,6 +89,7 @@ void DirectForces(const LawContext<T, C>& c, const Directions& directions, const
   for (int k = 0; k < directions.num_commands; ++k) clear(directions.commands[k].column);
   const bool coupling = c.packs->num_uncoupled < c.packs->count;
   const auto add = [&](int joint, int local, int column, T weight) RG_LAMBDA_INLINE {
+    if (joint >= n) return AddDriveDirect(c, s, joint, local, weight, direct + column * C);
     direct[column * C + joint] += weight * s.gradients.force[local][joint];
     if (!coupling) return;
     for (int j = 0; j < n; ++j) {
@@ -169,6 +186,11 @@ Mask<T> StateMatrices(const LawContext<T, C>& c, const StepWeights<T>& weights, 
       s.B_v[source][i] += slope * s.gradients.drive[kVelocity][source];
     }
   }
+  ForEachDrive<T>(program, *c.values, [&](const DriveRow<T>& r) RG_LAMBDA_INLINE {
+    AddDriveSquare<T, C>(r, -force[kEndVelocity][r.law], s.inverse);
+    AddDriveSquare<T, C>(r, force[kPosition][r.law], s.B_q);
+    AddDriveSquare<T, C>(r, force[kVelocity][r.law], s.B_v);
+  });
   BindStateMatrices(program, s);
   return Invert<T, C>(n, s.inverse);
 }
@@ -326,6 +348,12 @@ RG_INLINE void Sensitivities(const LawContext<T, C>& c, const Directions& direct
   dynamics::Derivatives(tree, s.w);
   dynamics::Regressor(tree, s.w);
   Gradients(c, directions, s.v1, &s.gradients);
+  ForEachDrive<T>(*c.program, *c.values, [&](const DriveRow<T>& r) RG_LAMBDA_INLINE {
+    const auto& by = s.gradients.force;
+    s.by_ratio[r.law - tree.n] = by[kEndVelocity][r.law] * s.v1[r.other] +
+                                 by[kVelocity][r.law] * c.input->v[r.other] +
+                                 by[kPosition][r.law] * c.input->q[r.other];
+  });
   DirectForces(c, directions, s, reinterpret_cast<T*>(direct));
   s.failure.Add(StateMatrices(c, weights, s), StepStatus::kMassMatrixNotPositive, 0);
   if (s.failure.all()) return;

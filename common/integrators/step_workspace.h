@@ -3,6 +3,7 @@
 
 #include "common/dynamics/kernels.h"
 #include "common/integrators/bound_joints.h"
+#include "common/integrators/coupled_drives.h"
 #include "common/integrators/joint_laws.h"
 #include "common/integrators/small_linear.h"
 #include "common/integrators/step_program.h"
@@ -37,17 +38,17 @@ struct StepWorkspace {
   LawPacks<T, C> laws;
   StepState<T, C> input;
 
-  // Set by Prepare from program and values.
+  // Set by Prepare from program and values; of joints and coupled drives.
   T gravity[3];
-  bool rough[C];  // whether the joint has friction levels
+  bool rough[C];  // whether the law has friction levels
   bool any_rough;
-  T armature[C];          // rotor inertia at the joint
-  alignas(64) T mass[C];  // inertia a joint's force sees, for reversals
+  T armature[C];          // rotor inertia in the law
+  alignas(64) T mass[C];  // inertia a law's force sees, for reversals
 
   // Of the step being taken.
   StepFailure<T> failure;
   alignas(64) T bias[C];             // c(q, v, g) less the point forces
-  alignas(64) T force[C], slope[C];  // joint laws at the current v1
+  alignas(64) T force[C], slope[C];  // at the current v1; coupled drives' own behind the joints'
   alignas(64) T trial_force[C], trial_slope[C];
   alignas(64) T v1[C], trial[C];
   T mean[C], half[C], before[C];
@@ -63,6 +64,7 @@ struct StepWorkspace {
 
   // For sensitivities.
   LawGradients<T, C> gradients;
+  T by_ratio[kMaxDrives];          // of a coupled drive's own force by κ, the joints moving as they do
   math::Row<T, C> inverse[C];      // H⁻¹ by columns
   math::Row<T, C> B_q[C], B_v[C];  // what dq0 and dv0 are multiplied with; later H⁻¹ times that
 };
@@ -78,7 +80,7 @@ void Prepare(const StepProgram& program, const StepValues& values, StepWorkspace
   }
   for (int i = 0; i < 3; ++i) s.gravity[i] = T(values.gravity[i]);
   s.any_rough = false;
-  for (int i = 0; i < n; ++i) {
+  for (int i = 0; i < program.num_laws(); ++i) {
     const JointProgram& joint = program.joints[i];
     const double* p = values.joint_parameters + joint.first_parameter;
     // What the ops write at rest tells whether they are friction and how much inertia they add.
@@ -92,13 +94,17 @@ void Prepare(const StepProgram& program, const StepValues& values, StepWorkspace
     bool friction_op = false;
     for (int k = joint.first_op; k < joint.first_op + joint.num_ops; ++k) {
       effects::WithEffectType(program.ops[k].kind, [&]<class E>() {
-        if constexpr (requires { E::kFriction; }) friction_op = true;
+        if constexpr (requires { E::WritesFriction(0); }) {
+          friction_op |= E::WritesFriction(program.ops[k].option);
+        } else if constexpr (requires { E::kFriction; }) {
+          friction_op = true;
+        }
       });
     }
     s.armature[i] = T(law.inertia);
     s.rough[i] = friction_op || p[kFriction] != 0.0;
     s.mass[i] = T(values.reference_mass[i]);
-    s.E[i] = T(0.0);
+    if (i < n) s.E[i] = T(0.0);
     s.any_rough |= s.rough[i];
   }
   MakeLawPacks(program, values, s.rough, &s.laws);
@@ -111,6 +117,9 @@ void PointForces(const StepProgram& program, const StepValues& values, const T* 
                  bool derivatives, StepWorkspace<T, C, N>& s);
 
 inline constexpr double kHeld = 1e9;  // a joint with so many times its inertia does not move
+// A coupled drive neither; less, for it stands off the diagonal too, where its joints' inertia is a
+// difference.
+inline constexpr double kHeldDrive = 1e6;
 
 // The mass matrix at the workspace's kinematics, of the free joints.
 template <class T, int C, int N>
@@ -127,10 +136,11 @@ RG_INLINE void SetBias(const StepProgram& program, StepWorkspace<T, C, N>& s) {
   FoldForces(program, s.bias);
 }
 
-// Joint laws at end velocities v1, of the free joints.
+// Laws at end velocities v1 (of all laws), on the free joints.
 template <class T, int C>
 RG_INLINE void FreeForces(const LawContext<T, C>& c, const T* v1, T* force, T* slope, T* z1) {
   Forces(c, v1, force, slope, z1);
+  AddDriveForces(*c.program, *c.values, force);
   FoldForces(*c.program, force);
   FoldSlopes(*c.program, slope);
 }
@@ -143,20 +153,50 @@ RG_INLINE void LoadMass(int n, T scale, const StepWorkspace<T, C, N>& s, T* H) {
   }
 }
 
-// The inertia each joint's force sees, link plus rotor, joints that stick held: 1/(M⁻¹)_ii over the joints
-// that move. Also checks that M is positive definite.
+// The coupled drives' part of that: their rotors into H, those that stick held. s.mass: of one that sticks.
+template <class T, int C, int N, class Sticks>
+RG_INLINE void AddDriveInertias(const StepProgram& program, const StepValues& values, const Sticks& sticks,
+                                StepWorkspace<T, C, N>& s) {
+  ForEachDrive<T>(program, values, [&](const DriveRow<T>& r) RG_LAMBDA_INLINE {
+    const T rotor = s.armature[r.law];
+    s.mass[r.law] = s.w.M[r.joint][r.joint] + s.armature[r.joint] + rotor;
+    const T held = math::Select(sticks(r.law), s.mass[r.law] * T(kHeldDrive), rotor);
+    AddDriveSquare<T, C>(r, s.rough[r.law] ? held : rotor, s.H);
+  });
+}
+
+// s.mass of the coupled drives, 1/(Rᵀ H⁻¹ R), from H's factor.
+template <class T, int C, int N, class Sticks>
+RG_INLINE void SetDriveMasses(const StepProgram& program, const StepValues& values, const Sticks& sticks,
+                              StepWorkspace<T, C, N>& s) {
+  const int n = s.Joints(program.tree);
+  ForEachDrive<T>(program, values, [&](const DriveRow<T>& r) RG_LAMBDA_INLINE {
+    T x[C];
+    for (int i = 0; i < n; ++i) x[i] = T(0.0);
+    x[r.joint] = T(1.0);
+    x[r.other] = r.ratio;
+    DropBoundRows(program, x);
+    CholeskySolve<T, C>(n, s.H, s.diagonal, x);
+    const T seen = T(1.0) / r.Of(x);
+    s.mass[r.law] = s.rough[r.law] ? math::Select(sticks(r.law), s.mass[r.law], seen) : seen;
+  });
+}
+
+// The inertia each law's force sees, link plus rotor, what sticks held: 1/(M⁻¹)_ii over the joints that move.
+// v: of all laws. Also checks that M is positive definite.
 template <class T, int C, int N>
-RG_INLINE void UpdateEffectiveInertias(const StepProgram& program, const T* v, double stick_velocity,
+RG_INLINE void UpdateEffectiveInertias(const StepProgram& program, const StepValues& values, const T* v,
                                        StepWorkspace<T, C, N>& s) {
   const int n = s.Joints(program.tree);
   s.factored = false;
   LoadMass(n, T(1.0), s, s.H);
-  const auto sticks = [&](int i) RG_LAMBDA_INLINE { return math::Abs(v[i]) <= T(stick_velocity); };
+  const auto sticks = [&](int i) RG_LAMBDA_INLINE { return math::Abs(v[i]) <= T(values.stick_velocity); };
   for (int i = 0; i < n; ++i) {
     const T inertia = s.H[i * C + i] + s.armature[i];
     s.mass[i] = inertia;
     s.H[i * C + i] = s.rough[i] ? math::Select(sticks(i), inertia * T(kHeld), inertia) : inertia;
   }
+  AddDriveInertias(program, values, sticks, s);
   SetApart<T, C>(program, s.H);
   int row = -1;
   const math::Mask<T> bad = Cholesky<T, C>(n, s.H, s.diagonal, &row);
@@ -167,6 +207,7 @@ RG_INLINE void UpdateEffectiveInertias(const StepProgram& program, const T* v, d
     for (int i = 0; i < n; ++i) {
       s.mass[i] = s.rough[i] ? math::Select(sticks(i), s.mass[i], seen[i]) : seen[i];
     }
+    SetDriveMasses(program, values, sticks, s);
   }
   for (int i = 0; i < program.tree.num_ties; ++i) {
     const dynamics::Tie& tie = program.tree.ties[i];

@@ -1,6 +1,7 @@
 // The implicit velocity step: find v1 with
 //
-//   M·(v1 − v0)/h + bias = F(v1),   F_i a scalar law of v1_i alone, falling with it (effects/joint_law.h)
+//   M·(v1 − v0)/h + bias = F(v1),   F_i a scalar law of v1_i alone, falling with it (effects/joint_law.h),
+//                                   and R f(Rᵀ v1) of drives that turn with two joints (coupled_drives.h)
 //
 // This is the stationarity of a strictly convex function of v1 (M positive definite, F monotone), so
 // Newton's method with an exact line search converges from anywhere; away from reversals it takes one
@@ -27,6 +28,18 @@ RG_INLINE T Rounding(const LawContext<T, C>& c, int i, T slope) {
   return T(4e-15) * math::Abs(slope) * math::Abs(c.input->q[i]) * c.input->inverse_h + T(1e-300);
 }
 
+// The same of what coupled drives add to joint i's equation.
+template <class T, int C>
+RG_INLINE T DriveTermSize(const LawContext<T, C>& c, int i, const T* force, const T* slope, const T* v1) {
+  T size(0.0);
+  ForEachDrive<T>(*c.program, *c.values, [&](const DriveRow<T>& r) RG_LAMBDA_INLINE {
+    const T own = TermSize(c, r.law, T(0.0), force[r.law], slope[r.law], v1[r.law]);
+    if (r.joint == i) size += own;
+    if (r.other == i) size += math::Abs(r.ratio) * own;
+  });
+  return size;
+}
+
 // residual = M (v1 − v0)/h + bias − F, and whether it vanishes against the size of its terms.
 template <class T, int C, int N>
 RG_INLINE Mask<T> VelocityResidual(const LawContext<T, C>& c, const T* v1, const T* force, const T* slope,
@@ -50,7 +63,8 @@ RG_INLINE Mask<T> VelocityResidual(const LawContext<T, C>& c, const T* v1, const
   Mask<T> small = true;
   for (int i = 0; i < n; ++i) {
     residual[i] = inertial[i] + s.bias[i] - force[i];
-    const T terms = TermSize(c, i, s.bias[i], force[i], slope[i], v1[i]);
+    const T terms =
+        TermSize(c, i, s.bias[i], force[i], slope[i], v1[i]) + DriveTermSize(c, i, force, slope, v1);
     if (c.program->joints[i].prescribed) continue;
     small = And(small,
                 math::Abs(residual[i]) <= T(1e-12) * terms + T(4e-16) * size[i] + Rounding(c, i, slope[i]));
@@ -66,10 +80,16 @@ RG_INLINE Mask<T> Affine(const LawContext<T, C>& c, const T* v1, const StepWorks
                          const T* step, const T* residual) {
   Mask<T> affine = true;
   for (int i = 0; i < s.Joints(c.program->tree); ++i) {
-    const T size = TermSize(c, i, s.bias[i], s.trial_force[i], s.trial_slope[i], v1[i]);
+    const T size = TermSize(c, i, s.bias[i], s.trial_force[i], s.trial_slope[i], v1[i]) +
+                   DriveTermSize(c, i, s.trial_force, s.trial_slope, v1);
     affine = And(affine, math::Abs((s.trial_slope[i] - s.slope[i]) * step[i]) <= T(1e-12) * size + T(1e-300));
     affine = And(affine, math::Abs(residual[i]) <= T(1e-8) * size + T(1e-300));
   }
+  ForEachDrive<T>(*c.program, *c.values, [&](const DriveRow<T>& r) RG_LAMBDA_INLINE {
+    const T size = TermSize(c, r.law, T(0.0), s.trial_force[r.law], s.trial_slope[r.law], v1[r.law]);
+    const T turned = (s.trial_slope[r.law] - s.slope[r.law]) * r.Of(step);
+    affine = And(affine, math::Abs(turned) <= T(1e-12) * size + T(1e-300));
+  });
   return affine;
 }
 
@@ -104,12 +124,15 @@ struct LineSearch {
 
 // Solves for s.v1 from its present value, which holds what is given (SetGivenVelocities), in the lanes that
 // are not in `settled`; w.M and s.bias must be set.
-// Afterwards s.v1, s.force, s.slope and s.z1 are those of the solution. `known`: s.force and s.slope are
-// already those at s.v1.
+// Afterwards s.v1, s.force, s.slope (of all laws) and s.z1 are those of the solution. `known`: s.force and
+// s.slope are already those at s.v1.
 template <class T, int C, int N>
 void SolveVelocity(const LawContext<T, C>& c, bool known, Mask<T> settled, StepWorkspace<T, C, N>& s) {
-  const int n = s.Joints(c.program->tree);
+  const StepProgram& program = *c.program;
+  const StepValues& values = *c.values;
+  const int n = s.Joints(program.tree), laws = n + program.num_drives;
   T residual[C] = {}, step[C] = {};
+  if (!known) SetDrives(program, values, s.v1);
   if (!known) FreeForces(c, s.v1, s.force, s.slope, s.z1);
   Mask<T> done = Or(Or(settled, s.failure.failed), VelocityResidual(c, s.v1, s.force, s.slope, s, residual));
   for (int iteration = 0; iteration < kMaxNewton && !All(done); ++iteration) {
@@ -119,13 +142,20 @@ void SolveVelocity(const LawContext<T, C>& c, bool known, Mask<T> settled, StepW
       same = And(same, And(s.slope[i] <= s.factored_slope[i], s.slope[i] >= s.factored_slope[i]));
       step[i] = -residual[i];
     }
+    for (int k = n; k < laws; ++k) {
+      same = And(same, And(s.slope[k] <= s.factored_slope[k], s.slope[k] >= s.factored_slope[k]));
+    }
     if (!All(Or(same, done))) {
       LoadMass(n, c.input->inverse_h, s, s.H);
       for (int i = 0; i < n; ++i) {
         s.H[i * C + i] -= s.slope[i];
         s.factored_slope[i] = s.slope[i];
       }
-      SetApart<T, C>(*c.program, s.H);
+      ForEachDrive<T>(program, values, [&](const DriveRow<T>& r) RG_LAMBDA_INLINE {
+        AddDriveSquare<T, C>(r, -s.slope[r.law], s.H);
+        s.factored_slope[r.law] = s.slope[r.law];
+      });
+      SetApart<T, C>(program, s.H);
       s.factored = true;
       int row = -1;
       const Mask<T> bad = And(Cholesky<T, C>(n, s.H, s.diagonal, &row), Not(done));
@@ -145,7 +175,8 @@ void SolveVelocity(const LawContext<T, C>& c, bool known, Mask<T> settled, StepW
         s.trial[i] = Select(line.searching, s.v1[i] + line.at * step[i], s.trial[i]);
         still = And(still, And(s.trial[i] <= s.v1[i], s.trial[i] >= s.v1[i]));
       }
-      FollowDrivers(*c.program, s.trial);
+      FollowDrivers(program, s.trial);
+      SetDrives(program, values, s.trial);
       FreeForces(c, s.trial, s.trial_force, s.trial_slope, s.z1);
       Mask<T> finished = VelocityResidual(c, s.trial, s.trial_force, s.trial_slope, s, residual);
       finished = Or(finished, still);
@@ -162,6 +193,11 @@ void SolveVelocity(const LawContext<T, C>& c, bool known, Mask<T> settled, StepW
       s.force[i] = s.trial_force[i];
       s.slope[i] = s.trial_slope[i];
       s.failure.Add(Not(Or(done, math::Abs(s.v1[i]) < T(1e300))), StepStatus::kNonFinite, i);
+    }
+    for (int k = n; k < laws; ++k) {
+      s.v1[k] = s.trial[k];
+      s.force[k] = s.trial_force[k];
+      s.slope[k] = s.trial_slope[k];
     }
     done = Or(found, s.failure.failed);
   }

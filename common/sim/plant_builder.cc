@@ -1,15 +1,12 @@
 #include "common/sim/plant_builder.h"
 
-#include <Eigen/LU>
-
 #include <algorithm>
 #include <cmath>
 #include <set>
 #include <utility>
 
 #include "common/base/check.h"
-#include "common/base/rng.h"
-#include "common/dynamics/dynamics.h"
+#include "common/effects/joint_coupling.h"
 #include "common/effects/joint_law.h"
 #include "common/effects/sloshing_payload.h"
 #include "common/integrators/step_kernel.h"
@@ -20,6 +17,7 @@ namespace {
 
 using effects::EffectInfo;
 using effects::EffectSpec;
+using effects::JointCoupling;
 using effects::Role;
 using Where = ParameterUse::Where;
 
@@ -32,6 +30,12 @@ double EffortScale(const model::Joint& joint) {
 // The only option of most effects that have one.
 int FirstOption(const EffectInfo& info, const EffectSpec& spec) {
   return info.options.empty() ? 0 : info.Option(info.options.begin()->first, spec);
+}
+
+// Whether it is a drive that turns with two joints.
+bool IsDrive(const EffectSpec& spec) {
+  const EffectInfo& info = *effects::FindEffect(spec.id);
+  return info.id == "joint_coupling" && info.Option("form", spec) == JointCoupling::kKinematic;
 }
 
 ExtraBodies ExtraBodiesOf(const std::vector<EffectSpec>& effects) {
@@ -70,7 +74,7 @@ std::shared_ptr<const PlantData> PlantBuilder::Take() { return std::move(data_);
 Status PlantBuilder::Build() {
   RG_RETURN_IF_ERROR(TakeRoles());
   RG_RETURN_IF_ERROR(CheckEffects());
-  LayOutTree();
+  RG_RETURN_IF_ERROR(LayOutTree());
   AddBaseParameters();
   for (const EffectSpec& spec : data_->effects) RG_RETURN_IF_ERROR(AddEffect(spec));
   RG_RETURN_IF_ERROR(LayOutProgram());
@@ -153,7 +157,7 @@ int PlantBuilder::ToolLink() const {
   return model.FindLink(model.end_effector().name);
 }
 
-void PlantBuilder::LayOutTree() {
+Status PlantBuilder::LayOutTree() {
   PlantData& d = *data_;
   const ExtraBodies extra = ExtraBodiesOf(d.effects);
   const int tool_link = ToolLink();
@@ -170,18 +174,38 @@ void PlantBuilder::LayOutTree() {
   }
   for (const int j : d.prescribed) d.program.joints[d.kernel[j]].prescribed = true;
   d.program.all_free = d.prescribed.empty() && d.program.tree.num_ties == 0;
-  ops_.resize(d.num_kernel_joints());
-  joint_parameters_.assign(d.num_kernel_joints(), integrators::kFirstEffectParameter);
+  RG_RETURN_IF_ERROR(LayOutDrives());
+  ops_.resize(d.program.num_laws());
+  joint_parameters_.assign(d.program.num_laws(), integrators::kFirstEffectParameter);
   d.command_delay.assign(n, -1);
   d.sensors.assign(n, {});
   const auto tool = d.tree_model->FindFrame(d.model->link(tool_link).name);
   d.program.point_body = d.PlaceOf(tool->body);
   for (int i = 0; i < 3; ++i) d.program.point[i] = tool->X_BF.translation[i];
-  if (extra.rod_hinge < 0) return;
+  if (extra.rod_hinge < 0) return Status::Ok();
   d.rod.hinge = extra.rod_hinge;
   d.rod.link = d.tree_model->num_links() - 1;
   d.rod.tool = *d.model->FindFrame(d.model->link(tool_link).name);
   d.rod.arm = std::make_shared<const dynamics::Mechanism>(*d.model);
+  return Status::Ok();
+}
+
+// Drives that turn with two joints.
+Status PlantBuilder::LayOutDrives() {
+  PlantData& d = *data_;
+  for (const EffectSpec& spec : d.effects) {
+    if (!IsDrive(spec)) continue;
+    const int from = d.model->FindJoint(spec.joints[0]), to = d.model->FindJoint(spec.joints[1]);
+    if (d.program.num_laws() == integrators::kMaxJoints || d.program.num_drives == integrators::kMaxDrives) {
+      return InvalidError("effect joint_coupling, form kinematic: no room beside " +
+                          std::to_string(d.program.tree.n) + " moving bodies, at most " +
+                          std::to_string(integrators::kMaxJoints - 1));
+    }
+    d.program.drives[d.program.num_drives++] = {
+        d.kernel[to], d.kernel[from],
+        int{integrators::kFirstEffectParameter} + int{JointCoupling::kCoefficient}};
+  }
+  return Status::Ok();
 }
 
 void PlantBuilder::Add(Parameter row, std::vector<ParameterUse> uses) {
@@ -253,6 +277,10 @@ void PlantBuilder::AddBaseParameters() {
 Status PlantBuilder::AddEffect(const EffectSpec& spec) {
   const int kind = effects::KindOf(spec.id);
   const EffectInfo& info = effects::Catalog()[kind];
+  if (IsDrive(spec)) {
+    AddDrive(spec, kind);
+    return Status::Ok();
+  }
   if (info.scope == effects::Scope::kJointPair) {
     const int from = data_->model->FindJoint(spec.joints[0]), to = data_->model->FindJoint(spec.joints[1]);
     const auto rows = AddRows(spec, kind, "*", to);
@@ -266,6 +294,15 @@ Status PlantBuilder::AddEffect(const EffectSpec& spec) {
   for (const auto& name : spec.joints)
     RG_RETURN_IF_ERROR(AddJointEffect(spec, kind, data_->model->FindJoint(name)));
   return Status::Ok();
+}
+
+void PlantBuilder::AddDrive(const EffectSpec& spec, int kind) {
+  const PlantData& d = *data_;
+  const int to = d.model->FindJoint(spec.joints[1]);
+  for (int drive = 0; drive < d.program.num_drives; ++drive) {
+    if (d.program.drives[drive].joint == d.kernel[to])
+      AddLaw(d.program.tree.n + drive, kind, JointCoupling::kKinematic, AddRows(spec, kind, "*", to));
+  }
 }
 
 std::vector<int> PlantBuilder::AddRows(const EffectSpec& spec, int kind, const std::string& owner,
@@ -296,12 +333,11 @@ std::vector<int> PlantBuilder::AddRows(const EffectSpec& spec, int kind, const s
   return rows;
 }
 
-void PlantBuilder::AddLaw(int kernel_joint, int kind, int option, const std::vector<int>& rows,
-                          int coupled_to) {
-  int& next = joint_parameters_[kernel_joint];
-  ops_[kernel_joint].push_back({effects::TraitsOf(kind).phase, kind, option, next, coupled_to});
+void PlantBuilder::AddLaw(int law, int kind, int option, const std::vector<int>& rows, int coupled_to) {
+  int& next = joint_parameters_[law];
+  ops_[law].push_back({effects::TraitsOf(kind).phase, kind, option, next, coupled_to});
   for (const int row : rows) {
-    if (row >= 0) data_->uses[row].push_back({Where::kLaw, kernel_joint, next});
+    if (row >= 0) data_->uses[row].push_back({Where::kLaw, law, next});
     ++next;
   }
 }
@@ -415,7 +451,7 @@ void PlantBuilder::AddMovingMass(const std::vector<int>& rows) {
 Status PlantBuilder::LayOutProgram() {
   PlantData& d = *data_;
   int next_op = 0;
-  for (int k = 0; k < d.num_kernel_joints(); ++k) {
+  for (int k = 0; k < d.program.num_laws(); ++k) {
     auto& pending = ops_[k];
     std::stable_sort(pending.begin(), pending.end(),
                      [](const PendingOp& a, const PendingOp& b) { return a.phase < b.phase; });
@@ -425,7 +461,7 @@ Status PlantBuilder::LayOutProgram() {
     joint.first_state = d.program.num_states;
     joint.first_parameter = d.num_joint_parameters;
     joint.num_parameters = joint_parameters_[k];
-    const std::string& name = d.KernelJoint(k).name;
+    const std::string& name = d.LawName(k);
     if (next_op + joint.num_ops > integrators::kMaxOps) return InvalidError("too many effects");
     for (const PendingOp& op : pending) {
       if (op.coupled_to >= 0) {
@@ -440,7 +476,7 @@ Status PlantBuilder::LayOutProgram() {
       const auto& states = effects::TraitsOf(op.kind).state_names;
       const auto user = std::find(d.kernel.begin(), d.kernel.end(), k) - d.kernel.begin();
       if (op.phase == static_cast<int>(effects::Phase::kTransmission) && user < d.num_joints()) {
-        if (joint.coupled_to >= 0) {
+        if (joint.coupled_to >= 0 || d.HasCoupledDrive(k)) {
           return InvalidError("effect joint_coupling cannot end at " + name +
                               ", whose transmission is elastic");
         }
@@ -479,56 +515,6 @@ void PlantBuilder::NameInternalStates() {
   for (const int k : d.extra_joints) {
     d.internal_state_names.push_back("position." + d.KernelJoint(k).name);
     d.internal_state_names.push_back("velocity." + d.KernelJoint(k).name);
-  }
-}
-
-// What such a joint's rotor is taken for: its nominal value, or a small part of what others carry.
-double PlantBuilder::RotorOf(int joint, const Eigen::MatrixXd& M) const {
-  constexpr double kSmall = 0.01;
-  const double nominal = data_->table[data_->table.Find("armature." + data_->joint_names[joint])].nominal;
-  return nominal > 0 ? nominal : std::max(1e-9, kSmall * M.diagonal().maxCoeff());
-}
-
-// The median over a fixed set of poses of the inertia each joint's force sees, at nominal parameters.
-void PlantBuilder::SetReferenceMasses() {
-  PlantData& d = *data_;
-  const int n = d.tree_model->num_joints();
-  d.reference_mass.assign(d.num_kernel_joints(), 1.0);
-  ParameterValues values(d);
-  values.Set(d.table.Nominal());
-  dynamics::Mechanism mechanism(*d.tree_model);
-  mechanism.SetBodyParameters(values.phi());
-  dynamics::Workspace workspace;
-  constexpr int kPoses = 33;
-  std::vector<std::vector<double>> seen(n);
-  Rng rng(0x5eedULL);
-  Eigen::VectorXd q(n);
-  Eigen::MatrixXd M(n, n);
-  for (int pose = 0; pose < kPoses; ++pose) {
-    for (int j = 0; j < n; ++j) {
-      const model::Joint& joint = d.tree_model->joint(j);
-      const bool extra = std::count(d.extra_joints.begin(), d.extra_joints.end(), d.PlaceOf(j)) > 0;
-      const double low = std::isfinite(joint.lower) ? joint.lower : -3.14;
-      const double high = std::isfinite(joint.upper) ? joint.upper : 3.14;
-      q[j] = extra ? 0.0 : rng.Uniform(low, high);
-    }
-    dynamics::Crba(mechanism, workspace, q, M);
-    for (const int j : d.model->joints_without_inertia())
-      M(d.first_joint + j, d.first_joint + j) += RotorOf(j, M);
-    const Eigen::MatrixXd inverse = M.inverse();
-    for (int j = 0; j < n; ++j) {
-      const double mass = 1.0 / inverse(j, j);
-      if (std::isfinite(mass) && mass > 0) seen[j].push_back(mass);
-    }
-  }
-  for (int j = 0; j < n; ++j) {
-    if (seen[j].empty()) continue;
-    std::nth_element(seen[j].begin(), seen[j].begin() + seen[j].size() / 2, seen[j].end());
-    d.reference_mass[d.PlaceOf(j)] = seen[j][seen[j].size() / 2];
-  }
-  for (int i = 0; i < d.program.tree.num_ties; ++i) {
-    const dynamics::Tie& tie = d.program.tree.ties[i];
-    d.reference_mass[tie.follower] = d.reference_mass[tie.driver] / (tie.ratio * tie.ratio);
   }
 }
 

@@ -8,6 +8,7 @@
 
 #include "common/base/status.h"
 #include "common/effects/effect_catalog.h"
+#include "common/sim/parameter_values.h"
 #include "common/sim/plant_data.h"
 
 namespace rg::sim::internal {
@@ -33,24 +34,27 @@ class PlantBuilder {
   Status CheckRole(const effects::EffectSpec& spec, const std::string& joint) const;
   Status CheckEffects() const;
   int ToolLink() const;
-  void LayOutTree();
+  Status LayOutTree();
   void AddBaseParameters();
   Status AddEffect(const effects::EffectSpec& spec);
+  Status LayOutDrives();
+  void AddDrive(const effects::EffectSpec& spec, int kind);
   Status AddJointEffect(const effects::EffectSpec& spec, int kind, int joint);
   void AddRobotEffect(const effects::EffectSpec& spec, int kind);
   void AddMovingMass(const std::vector<int>& rows);
   // Adds the effect's rows for one owner; returns the index of each, -1 for those that do not apply.
   std::vector<int> AddRows(const effects::EffectSpec& spec, int kind, const std::string& owner, int joint);
-  void AddLaw(int kernel_joint, int kind, int option, const std::vector<int>& rows, int coupled_to = -1);
+  void AddLaw(int law, int kind, int option, const std::vector<int>& rows, int coupled_to = -1);
   void Add(Parameter row, std::vector<ParameterUse> uses);
   Status LayOutProgram();
   void NameInternalStates();
   double RotorOf(int joint, const Eigen::MatrixXd& M) const;
+  double DriveMobility(int k, const ParameterValues& values, const Eigen::MatrixXd& inverse) const;
   void SetReferenceMasses();
 
   std::shared_ptr<PlantData> data_;
-  std::vector<std::vector<PendingOp>> ops_;  // per kernel joint
-  std::vector<int> joint_parameters_;        // per kernel joint: number so far
+  std::vector<std::vector<PendingOp>> ops_;  // per law
+  std::vector<int> joint_parameters_;        // per law: number so far
   std::map<std::string, int> extra_;         // name of an extra joint -> kernel joint
 };
 

@@ -21,7 +21,7 @@ struct ParameterUse {
   enum class Where {
     kGravity,       // a: axis
     kLink,          // a: link of the tree's model, b: component of model::LinkParameters
-    kLaw,           // a: kernel joint, b: parameter of its law
+    kLaw,           // a: law (of a kernel joint or a coupled drive), b: its parameter
     kPoint,         // a: point force, b: parameter
     kPayload,       // b: parameter of the payload
     kRod,           // b: mass, length or radius of a mass on a rod
@@ -76,7 +76,7 @@ struct PlantData {
   integrators::StepProgram program;
   int num_joint_parameters = 0;
   int num_point_parameters = 0;
-  std::vector<double> reference_mass;  // per kernel joint
+  std::vector<double> reference_mass;  // per law
 
   std::vector<int> command_delay;  // per joint: parameter, or -1
   std::vector<JointSensor> sensors;
@@ -88,6 +88,16 @@ struct PlantData {
 
   // What the kernel's joint k is in the tree's model.
   const model::Joint& KernelJoint(int k) const { return tree_model->body_joint(program.tree.body[k]); }
+  // Whose law is number k: a kernel joint's, or that of the drive of one.
+  const std::string& LawName(int k) const {
+    const int drive = k - num_kernel_joints();
+    return KernelJoint(drive < 0 ? k : program.drives[drive].joint).name;
+  }
+  // Whether kernel joint k's motor turns with another joint too.
+  bool HasCoupledDrive(int k) const {
+    return std::any_of(program.drives, program.drives + program.num_drives,
+                       [k](const integrators::CoupledDrive& drive) { return drive.joint == k; });
+  }
   // Kernel joint of a body of the tree's model; -1 of the base.
   int PlaceOf(int body) const { return body < 0 ? -1 : program.tree.place[body]; }
   // The last joint's child link, which a payload is fixed to.
@@ -98,7 +108,8 @@ struct PlantData {
   bool Takes(const effects::EffectInfo& effect, int joint) const {
     const auto j = static_cast<size_t>(joint);
     if (IsPrescribed(joint) || (passive[j] && effect.NeedsDrive())) return false;
-    return !(without_inertia[j] && effect.FindParameter("armature") >= 0);
+    const int armature = effect.FindParameter("armature");
+    return !(without_inertia[j] && armature >= 0 && effect.parameters[armature].form.empty());
   }
 
   int num_joints() const { return static_cast<int>(joint_names.size()); }

@@ -95,7 +95,7 @@ class Lane {
 
 LaneRunner* Simulator::Impl::Lanes() {
   const integrators::StepKernels* found =
-      integrators::GetLaneStepKernels(data().num_kernel_joints(), options.isa);
+      integrators::GetLaneStepKernels(data().program, options.isa);
   if (found == nullptr || options.integrator == Integrator::kRk4 || data().has_sensor_delay) return nullptr;
   if (!lanes) lanes.reset(new LaneRunner(data(), options, *found));
   if (lanes->version != version) {
@@ -107,7 +107,7 @@ LaneRunner* Simulator::Impl::Lanes() {
 
 int Simulator::lanes() const {
   const integrators::StepKernels* found =
-      integrators::GetLaneStepKernels(impl_->data().num_kernel_joints(), impl_->options.isa);
+      integrators::GetLaneStepKernels(impl_->data().program, impl_->options.isa);
   const bool side_by_side =
       found != nullptr && impl_->options.integrator != Integrator::kRk4 && !impl_->data().has_sensor_delay;
   return side_by_side ? found->lanes : 1;

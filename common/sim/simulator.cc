@@ -132,7 +132,7 @@ Eigen::VectorXd State::Stacked() const {
 Simulator::Impl::Impl(const Plant& p, const SimulatorOptions& o)
     : plant(p),
       options(o),
-      kernels(integrators::GetStepKernels(p.data().num_kernel_joints(), o.isa)),
+      kernels(integrators::GetStepKernels(p.data().program, o.isa)),
       values(plant.data()),
       x(p.data(), 1) {
   const internal::PlantData& d = data();

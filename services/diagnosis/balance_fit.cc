@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace rg::diagnosis {
 
@@ -25,7 +26,7 @@ BalanceFit::BalanceFit(const TorqueBalance& balance)
   y_.resize(balance.n);
   gram_.assign(balance.blocks, std::vector<Gram>(balance.n));
   for (int j = 0; j < balance.n; ++j) {
-    FillGram(j);
+    FillColumns(j);
     const BalanceRows& rows = balance.joints[j];
     SetResponse(j, rows.rigid - rows.effort);
     const VectorXd y = Moving(y_[j], j);
@@ -33,16 +34,29 @@ BalanceFit::BalanceFit(const TorqueBalance& balance)
   }
 }
 
-void BalanceFit::FillGram(int j) {
+MatrixXd BalanceFit::DriveOn(int joint) const {
+  if (joint != drive_.joint && joint != drive_.other) return {};
+  return joint == drive_.joint ? drive_.columns : MatrixXd(drive_.ratio * drive_.columns);
+}
+
+bool BalanceFit::Still(int joint, size_t row) const {
+  return balance_.joints[joint].still[row] ||
+         ((joint == drive_.joint || joint == drive_.other) && drive_.still[row]);
+}
+
+void BalanceFit::FillColumns(int j) {
   const BalanceRows& rows = balance_.joints[j];
-  MatrixXd X(rows.base.rows(), rows.base.cols() + rows.features.cols());
-  X << rows.base, rows.features;
+  MatrixXd X =
+      MatrixXd::Zero(rows.base.rows(), rows.base.cols() + rows.features.cols() + BalanceDrive::kColumns);
+  X.leftCols(rows.base.cols()) = rows.base;
+  X.middleCols(rows.base.cols(), rows.features.cols()) = rows.features;
+  if (const MatrixXd drive = DriveOn(j); drive.size() > 0) X.rightCols(drive.cols()) = drive;
   for (int b = 0; b < balance_.blocks; ++b) {
     Gram& g = gram_[b][j];
     g.xx.setZero(X.cols(), X.cols()), g.xy.setZero(X.cols());
     std::vector<int> members;
     for (size_t k = 0; k < rows.block.size(); ++k) {
-      if (rows.block[k] == b && !rows.still[k]) members.push_back(static_cast<int>(k));
+      if (rows.block[k] == b && !Still(j, k)) members.push_back(static_cast<int>(k));
     }
     g.rows = static_cast<double>(members.size());
     if (!members.empty()) g.xx = X(members, Eigen::all).transpose() * X(members, Eigen::all);
@@ -50,20 +64,27 @@ void BalanceFit::FillGram(int j) {
 }
 
 void BalanceFit::TakeColumns(int joint) {
-  FillGram(joint);
-  SetResponse(joint, VectorXd(y_[joint]));
+  FillColumns(joint);
+  FillResponse(joint);
 }
 
 void BalanceFit::SetResponse(int joint, const VectorXd& y) {
   y_[joint] = y;
+  FillResponse(joint);
+}
+
+void BalanceFit::FillResponse(int joint) {
   const BalanceRows& rows = balance_.joints[joint];
+  const VectorXd& y = y_[joint];
+  const MatrixXd drive = DriveOn(joint);
   for (auto& blocks : gram_) blocks[joint].xy.setZero(), blocks[joint].yy = 0;
   for (size_t k = 0; k < rows.block.size(); ++k) {
-    if (rows.still[k]) continue;
+    if (Still(joint, k)) continue;
     Gram& g = gram_[rows.block[k]][joint];
     const auto row = static_cast<long>(k);
     g.xy.head(base_) += y[row] * rows.base.row(row).transpose();
-    g.xy.tail(rows.features.cols()) += y[row] * rows.features.row(row).transpose();
+    g.xy.segment(base_, rows.features.cols()) += y[row] * rows.features.row(row).transpose();
+    if (drive.size() > 0) g.xy.tail(drive.cols()) += y[row] * drive.row(row).transpose();
     g.yy += y[row] * y[row];
   }
 }
@@ -83,9 +104,16 @@ double BalanceFit::PriorCost(const BalanceModel& model) const {
   return cost;
 }
 
+void BalanceFit::SetDrive(BalanceDrive drive) {
+  std::set<int> joints = {drive_.joint, drive_.other, drive.joint, drive.other};
+  joints.erase(-1);
+  drive_ = std::move(drive);
+  for (const int j : joints) FillColumns(j), FillResponse(j);
+}
+
 VectorXd BalanceFit::Stacked(const BalanceSolution& s, int joint) const {
-  VectorXd x(base_ + s.features[joint].size());
-  x << s.base, s.features[joint];
+  VectorXd x(base_ + s.features[joint].size() + s.drive.size());
+  x << s.base, s.features[joint], s.drive;
   return x;
 }
 
@@ -94,7 +122,7 @@ double BalanceFit::Cost(const Gram& g, const VectorXd& x) const {
 }
 
 BalanceSolution BalanceFit::Solve(const BalanceModel& model, int without_block) const {
-  std::vector<std::pair<int, int>> unknowns;  // joint (−1: base), column
+  std::vector<std::pair<int, int>> unknowns;  // joint (−1: base, −2: the drive), column
   for (int i = 0; i < base_; ++i) {
     const bool carried = model.payload && balance_.IsOfLastLink(i);
     if (i < balance_.tilt ? model.base || carried : model.tilt) unknowns.push_back({-1, i});
@@ -102,15 +130,17 @@ BalanceSolution BalanceFit::Solve(const BalanceModel& model, int without_block) 
   for (int j = 0; j < balance_.n; ++j) {
     for (const int c : model.features[j]) unknowns.push_back({j, c});
   }
+  for (const int c : model.drive) unknowns.push_back({-2, c});
   const int U = static_cast<int>(unknowns.size());
   MatrixXd H = MatrixXd::Identity(U, U);
   for (int u = 0; u < U; ++u) {
-    if (unknowns[u].first < 0) H(u, u) = PriorPrecision(model, unknowns[u].second);
+    if (unknowns[u].first == -1) H(u, u) = PriorPrecision(model, unknowns[u].second);
   }
   VectorXd g = VectorXd::Zero(U);
   for (int j = 0; j < balance_.n; ++j) {
     Gram sum;
-    const long columns = base_ + static_cast<long>(balance_.columns[j].size());
+    const int features = static_cast<int>(balance_.columns[j].size());
+    const long columns = base_ + features + BalanceDrive::kColumns;
     sum.xx.setZero(columns, columns), sum.xy.setZero(columns);
     for (int b = 0; b < balance_.blocks; ++b) {
       if (b != without_block) sum.xx += gram_[b][j].xx, sum.xy += gram_[b][j].xy;
@@ -120,6 +150,8 @@ BalanceSolution BalanceFit::Solve(const BalanceModel& model, int without_block) 
     for (int u = 0; u < U; ++u) {
       if (unknowns[u].first == -1) mine.push_back(u), place.push_back(unknowns[u].second);
       if (unknowns[u].first == j) mine.push_back(u), place.push_back(base_ + unknowns[u].second);
+      if (unknowns[u].first == -2 && (j == drive_.joint || j == drive_.other))
+        mine.push_back(u), place.push_back(base_ + features + unknowns[u].second);
     }
     for (size_t a = 0; a < mine.size(); ++a) {
       g[mine[a]] += weight * sum.xy[place[a]];
@@ -131,8 +163,11 @@ BalanceSolution BalanceFit::Solve(const BalanceModel& model, int without_block) 
   s.base.setZero(base_);
   for (int j = 0; j < balance_.n; ++j)
     s.features.push_back(VectorXd::Zero(static_cast<long>(balance_.columns[j].size())));
-  for (int u = 0; u < U; ++u)
-    (unknowns[u].first < 0 ? s.base : s.features[unknowns[u].first])[unknowns[u].second] = x[u];
+  s.drive.setZero(BalanceDrive::kColumns);
+  for (int u = 0; u < U; ++u) {
+    const auto [of, column] = unknowns[u];
+    (of == -1 ? s.base : of == -2 ? s.drive : s.features[of])[column] = x[u];
+  }
   s.energy.setZero(balance_.n);
   for (int j = 0; j < balance_.n; ++j) {
     double sum = 0, rows = 0;
@@ -157,13 +192,15 @@ BlockCosts BalanceFit::LeaveOut(const BalanceModel& model) const {
 
 VectorXd BalanceFit::Residual(const BalanceSolution& s, int joint) const {
   const BalanceRows& rows = balance_.joints[joint];
-  return y_[joint] - rows.base * s.base - rows.features * s.features[joint];
+  VectorXd rest = y_[joint] - rows.base * s.base - rows.features * s.features[joint];
+  if (const MatrixXd drive = DriveOn(joint); drive.size() > 0) rest -= drive * s.drive;
+  return rest;
 }
 
 VectorXd BalanceFit::Moving(const VectorXd& x, int joint) const {
   std::vector<double> out;
   for (long k = 0; k < x.size(); ++k) {
-    if (!balance_.joints[joint].still[static_cast<size_t>(k)]) out.push_back(x[k]);
+    if (!Still(joint, static_cast<size_t>(k))) out.push_back(x[k]);
   }
   return Eigen::Map<const VectorXd>(out.data(), static_cast<long>(out.size()));
 }
@@ -189,16 +226,24 @@ void BalanceFit::SetNoiseFrom(const BalanceModel& model) {
   }
 }
 
-std::vector<VectorXd> BalanceFit::Jackknife(const BalanceModel& model) const {
+BalanceSolution BalanceFit::Jackknife(const BalanceModel& model) const {
   const BalanceSolution all = Solve(model);
-  std::vector<VectorXd> sum;
-  for (const VectorXd& f : all.features) sum.push_back(VectorXd::Zero(f.size()));
-  for (int b = 0; b < balance_.blocks; ++b) {
-    const BalanceSolution s = Solve(model, b);
-    for (int j = 0; j < balance_.n; ++j) sum[j] += (s.features[j] - all.features[j]).cwiseAbs2();
-  }
+  BalanceSolution sum = all;
+  const auto each = [&](const BalanceSolution& s, auto f) {
+    f(s.base, all.base, &sum.base), f(s.drive, all.drive, &sum.drive);
+    for (int j = 0; j < balance_.n; ++j) f(s.features[j], all.features[j], &sum.features[j]);
+  };
+  const auto clear = [](const VectorXd&, const VectorXd&, VectorXd* out) { out->setZero(); };
+  const auto add = [](const VectorXd& x, const VectorXd& mean, VectorXd* out) {
+    *out += (x - mean).cwiseAbs2();
+  };
   const double factor = (balance_.blocks - 1.0) / std::max(1, balance_.blocks);
-  for (VectorXd& v : sum) v = (factor * v).cwiseSqrt();
+  const auto root = [&](const VectorXd&, const VectorXd&, VectorXd* out) {
+    *out = (factor * *out).cwiseSqrt();
+  };
+  each(all, clear);
+  for (int b = 0; b < balance_.blocks; ++b) each(Solve(model, b), add);
+  each(all, root);
   return sum;
 }
 

@@ -20,11 +20,13 @@ struct BalanceModel {
   bool tilt = false;
   bool payload = false;  // what the last link carries, which no prior of that link holds near nothing
   std::vector<std::set<int>> features;  // per joint
+  std::set<int> drive;                  // columns of the fit's BalanceDrive
 };
 
 struct BalanceSolution {
   Eigen::VectorXd base;                   // B + 2, standardised, 0 where not in
   std::vector<Eigen::VectorXd> features;  // per joint: F, standardised, 0 where not in
+  Eigen::VectorXd drive;                  // of BalanceDrive, standardised, 0 where not in
   Eigen::VectorXd energy;                 // n, mean square of the residual
 };
 
@@ -39,6 +41,10 @@ class BalanceFit {
   void SetResponse(int joint, const Eigen::VectorXd& y);
   // After columns were appended to a joint of the balance.
   void TakeColumns(int joint);
+  // The drive whose columns models may have; rows in which it may be stuck have no say on its joints. Costs
+  // of fits with different drives are those of different rows.
+  void SetDrive(BalanceDrive drive);
+  const BalanceDrive& drive() const { return drive_; }
   // Variance and correlation of the residual per joint, from this model's residuals.
   void SetNoiseFrom(const BalanceModel& model);
 
@@ -46,8 +52,8 @@ class BalanceFit {
   BlockCosts LeaveOut(const BalanceModel& model) const;
   double PriorCost(const BalanceModel& model) const;  // nats, of its base parameters fitted to all parts
   Eigen::VectorXd Residual(const BalanceSolution& solution, int joint) const;
-  // Stddev of the features' standardised coefficients by leaving out blocks (jackknife).
-  std::vector<Eigen::VectorXd> Jackknife(const BalanceModel& model) const;
+  // Stddev of the features' and the drive's standardised coefficients by leaving out blocks (jackknife).
+  BalanceSolution Jackknife(const BalanceModel& model) const;
   double Variance(int joint) const { return variance_[joint]; }
   double Correlation(int joint) const { return correlation_[joint]; }
   int EffectiveRows() const;
@@ -56,18 +62,22 @@ class BalanceFit {
 
  private:
   struct Gram {
-    Eigen::MatrixXd xx;  // columns: base, features
+    Eigen::MatrixXd xx;  // columns: base, features, drive
     Eigen::VectorXd xy;
     double yy = 0;
     double rows = 0;
   };
-  void FillGram(int joint);
   double PriorPrecision(const BalanceModel& model, int base) const;
+  void FillColumns(int joint);
+  void FillResponse(int joint);
+  Eigen::MatrixXd DriveOn(int joint) const;  // R × 3; empty on joints that are not the drive's
+  bool Still(int joint, size_t row) const;
   double Cost(const Gram& g, const Eigen::VectorXd& x) const;
   Eigen::VectorXd Stacked(const BalanceSolution& s, int joint) const;
 
   const TorqueBalance& balance_;
   int base_ = 0;
+  BalanceDrive drive_;
   std::vector<Eigen::VectorXd> y_;
   std::vector<std::vector<Gram>> gram_;  // [block][joint]
   Eigen::VectorXd variance_, correlation_;

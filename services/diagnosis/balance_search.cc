@@ -81,6 +81,7 @@ class MeasuredSearch {
     c.score = -cost;
     c.score -= kEffectPrior * static_cast<double>(chosen_.KindsOf(m).size());
     for (const auto& f : m.features) c.score -= kJointPrior * static_cast<double>(f.size());
+    c.score -= kJointPrior * static_cast<double>(m.drive.size());
     return c;
   }
 
@@ -117,6 +118,7 @@ class MeasuredSearch {
       for (const int c : model().features[j]) effects.insert(chosen_.balance().columns[j][c].effect);
     }
     for (const std::string& effect : effects) out->tried.push_back(Judged(Without(model(), effect)));
+    if (!model().drive.empty()) out->tried.push_back(Judged(chosen_.Uncoupled()));
     for (const std::string& kind : kRefinedKinds) Exchange(kind, out);
     if (effects.count("torque_offset") > 0) {
       BalanceModel tilted = Without(model(), "torque_offset");
@@ -200,7 +202,7 @@ class MeasuredSearch {
   void Gains(double cost, SearchResult* out) const {
     const BalanceSolution s = fit().Solve(model());
     for (const std::string& kind : chosen_.KindsOf(model())) {
-      BalanceModel less = model();
+      BalanceModel less = kind == "joint_coupling" ? chosen_.Uncoupled() : model();
       if (kind == "gravity_misalignment") less.tilt = false;
       for (int j = 0; j < data_.n; ++j) {
         const auto specs = chosen_.SpecsOfJoint(model(), s, j);
@@ -289,7 +291,7 @@ class MeasuredSearch {
     std::vector<VectorXd> with_effects, rest;
     for (int j = 0; j < data_.n; ++j) {
       BalanceSolution bare = s;
-      bare.features[j].setZero();
+      bare.features[j].setZero(), bare.drive.setZero();
       with_effects.push_back(fit().Residual(bare, j));
       rest.push_back(fit().Residual(s, j));
     }

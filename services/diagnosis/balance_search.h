@@ -5,11 +5,12 @@
 // is the measure: what a hypothesis explains on parts of the recordings that it was not fitted to, in units
 // of what remains and with the remainder's own correlation (balance_fit.h). In turn
 //   1. how late motion follows effort, since delay, damping and friction confound until it is fixed;
-//   2. kinds of effects, each on the joints where it pays, base parameters free throughout;
-//   3. refinements of dry friction (direction, Stribeck, load, warming);
-//   4. what does not pay goes, base parameters too;
-//   5. the chosen model is fitted in the simulator, where friction really sticks, by multiple shooting;
-//   6. what a free force over position and velocity would still explain: the ceiling.
+//   2. whether a wrist's motor turns with two joints, beside plain laws on all;
+//   3. kinds of effects, each on the joints where it pays, base parameters free throughout;
+//   4. refinements of dry friction (direction, Stribeck, load, warming);
+//   5. what does not pay goes, base parameters too;
+//   6. the chosen model is fitted in the simulator, where friction really sticks, by multiple shooting;
+//   7. what a free force over position and velocity would still explain: the ceiling.
 // A name must gain more than three standard errors over blocks, more nats than chance over all hypotheses,
 // and a tenth of what remains on its joint: real arms show a little of everything.
 #pragma once

@@ -110,12 +110,7 @@ BalanceModel BalanceSelection::Flexible(BalanceModel m) const {
 }
 
 void BalanceSelection::FindTiming() {
-  BalanceModel all = model_;
-  for (int j = 0; j < data_.n; ++j) {
-    for (const char* e : {"viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia"}) {
-      for (const int c : ColumnsOf(e, j)) all.features[j].insert(c);
-    }
-  }
+  const BalanceModel all = PlainOnAll();
   fit_.SetNoiseFrom(all);
   const BlockCosts plain = fit_.LeaveOut(all);
   std::vector<double> grid;
@@ -176,6 +171,8 @@ void BalanceSelection::FindTiming() {
 void BalanceSelection::Select(const CancelToken* cancel) {
   // What no law of position and velocity explains is noise, in size and in correlation.
   fit_.SetNoiseFrom(Flexible(model_));
+  FindDrive();
+  if (!model_.drive.empty()) fit_.SetNoiseFrom(Flexible(model_));
   const auto cancelled = [&] { return cancel != nullptr && cancel->cancelled(); };
   BeginWithLosses();
   TryPayload();
@@ -480,7 +477,8 @@ bool BalanceSelection::AddRefinement() {
 void BalanceSelection::Prune() {
   bool changed = true;
   while (changed) {
-    changed = false;
+    changed = PruneDrive();
+    if (changed) continue;
     const BlockCosts with = fit_.LeaveOut(model_);
     for (int j = 0; j < data_.n && !changed; ++j) {
       for (const int c : model_.features[j]) {

@@ -1,4 +1,4 @@
-// Which effects the balance of torques asks for, on which joints: steps 1 to 4 of balance_search.h.
+// Which effects the balance of torques asks for, on which joints: steps 1 to 5 of balance_search.h.
 #pragma once
 
 #include <functional>
@@ -43,6 +43,9 @@ class BalanceSelection {
   BalanceFit& fit() { return fit_; }
   const BalanceFit& fit() const { return fit_; }
   const BalanceModel& model() const { return model_; }
+  double ratio_stddev() const { return ratio_stddev_; }  // of the drive's κ
+  // The chosen model without a drive that turns with two joints, plain friction and rotors in its place.
+  BalanceModel Uncoupled() const;
   const std::vector<JointTiming>& timing() const { return timing_; }
   double timing_gain() const { return timing_gain_; }              // nats
   double other_timing_gain() const { return other_timing_gain_; }  // of lags for delays and the reverse
@@ -51,6 +54,7 @@ class BalanceSelection {
   // Columns of an effect on a joint, whether a model has any of them, and their coefficients' sum in SI.
   std::vector<int> ColumnsOf(const std::string& effect, int joint) const;
   bool Has(const BalanceModel& m, const std::string& effect, int joint) const;
+  double Scale(const BalanceSolution& s, int joint) const;
   double Coefficient(const BalanceSolution& s, const std::string& effect, int joint) const;
   bool Admissible(const BalanceModel& m, int joint) const;
   // A model's effects as the simulator has them, timing included.
@@ -65,6 +69,13 @@ class BalanceSelection {
 
  private:
   struct Trial;
+  void FindDrive();
+  BalanceModel PlainOnAll() const;
+  BalanceModel WithDrive(BalanceModel m) const;
+  double DrivePays(const BalanceModel& rival, std::string* line) const;
+  double FittedGain(const BalanceModel& rival) const;
+  void RefineRatio(const BalanceModel& rival);
+  bool PruneDrive();
   void Pass(int joint, const JointTiming& timing);
   BalanceModel Flexible(BalanceModel m) const;
   std::vector<BalanceModel> With(const BalanceModel& m, const std::string& effect, int joint) const;
@@ -97,6 +108,7 @@ class BalanceSelection {
   std::vector<JointTiming> timing_;
   std::vector<int> early_;
   double timing_gain_ = 0, other_timing_gain_ = 0;
+  double ratio_stddev_ = 0;
 };
 
 }  // namespace rg::diagnosis

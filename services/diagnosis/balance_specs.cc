@@ -22,6 +22,11 @@ double ShapeOf(const TorqueBalance& balance, const BalanceModel& m, const std::s
 
 }  // namespace
 
+// u = (rigid + friction)/g: every coefficient but the gain's own is of the effort's scale.
+double BalanceSelection::Scale(const BalanceSolution& s, int joint) const {
+  return std::clamp(1.0 / std::max(0.1, 1.0 - Coefficient(s, "torque_gain", joint)), 0.05, 8.0);
+}
+
 std::vector<EffectSpec> BalanceSelection::SpecsOfJoint(const BalanceModel& m, const BalanceSolution& s,
                                                        int j) const {
   std::vector<EffectSpec> specs;
@@ -29,9 +34,7 @@ std::vector<EffectSpec> BalanceSelection::SpecsOfJoint(const BalanceModel& m, co
   const auto add = [&](const std::string& id, std::map<std::string, double> values) {
     specs.push_back(effects::MakeSpec(id, {joint}, std::move(values)));
   };
-  // u = (rigid + friction)/g: every other coefficient is of the effort's scale.
-  const double gain = std::clamp(1.0 / std::max(1 / kMostGain, 1.0 - Coefficient(s, "torque_gain", j)),
-                                 1 / kMostGain, kMostGain);
+  const double gain = Scale(s, j);
   const auto value = [&](const std::string& effect) { return gain * Coefficient(s, effect, j); };
   const double level = value("coulomb_friction"), offset = value("torque_offset"),
                small = kLeastLevel * scales_.torque[j];
@@ -99,6 +102,18 @@ std::vector<EffectSpec> BalanceSelection::SpecsOf(const BalanceModel& m) const {
                                       {{delay ? "delay" : "time_constant", timing.seconds}}));
   }
   if (const auto payload = PayloadOf(m)) specs.push_back(*payload);
+  if (!m.drive.empty()) {
+    const BalanceDrive& drive = fit_.drive();
+    const double gain = Scale(s, drive.joint);
+    const auto value = [&](int c) { return std::max(0.0, gain * s.drive[c] * drive.scale[c]); };
+    const auto& names = nominal_.joint_names();
+    specs.push_back(effects::MakeSpec("joint_coupling", {names[drive.other], names[drive.joint]},
+                                      {{"coefficient", drive.ratio},
+                                       {"viscous", value(BalanceDrive::kViscous)},
+                                       {"coulomb", value(BalanceDrive::kCoulomb)},
+                                       {"armature", value(BalanceDrive::kRotor)}}));
+    specs.back().options["form"] = "kinematic";
+  }
   if (m.tilt) {
     const double gx = kTiltPrior * s.base[balance_.tilt], gy = kTiltPrior * s.base[balance_.tilt + 1];
     const double g = std::max(1e-6, nominal_.options().gravity.norm());
@@ -117,12 +132,13 @@ std::set<std::string> BalanceSelection::KindsOf(const BalanceModel& m) const {
 
 std::map<std::string, double> BalanceSelection::Spread() const {
   std::map<std::string, double> out;
-  const auto spread = fit_.Jackknife(model_);
+  const BalanceSolution spread = fit_.Jackknife(model_);
   for (int j = 0; j < data_.n; ++j) {
     const auto of = [&](const std::string& effect) {
       double variance = 0;
       for (const int c : ColumnsOf(effect, j)) {
-        if (model_.features[j].count(c)) variance += std::pow(spread[j][c] * balance_.columns[j][c].scale, 2);
+        if (model_.features[j].count(c))
+          variance += std::pow(spread.features[j][c] * balance_.columns[j][c].scale, 2);
       }
       return variance;
     };
@@ -149,6 +165,12 @@ std::map<std::string, double> BalanceSelection::Spread() const {
       const size_t dot = name.find('.');
       out[name.substr(0, dot) + "." + nominal_.joint_names()[j] + name.substr(dot)] = std::sqrt(variance);
     }
+  }
+  if (!model_.drive.empty()) {
+    const char* const names[] = {"viscous", "coulomb", "armature"};
+    for (const int c : model_.drive)
+      out[std::string("joint_coupling.*.") + names[c]] = spread.drive[c] * fit_.drive().scale[c];
+    out["joint_coupling.*.coefficient"] = ratio_stddev_;
   }
   return out;
 }

@@ -57,6 +57,7 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
   for (int more = 0; useful && more < kThingsBeside; ++more) {
     const double before = Left(best);
     Late(&best);
+    Couple(&best);
     OtherDryLaw(&best);
     const Candidate drives = best;
     Freed(&best);

@@ -42,6 +42,7 @@ class DriveSearch {
  private:
   Candidate Losses();
   Candidate Seen(const Candidate& c, bool base);
+  void Couple(Candidate* best);
   void OtherDryLaw(Candidate* best);
   bool TakeNearest(const std::map<std::string, Candidate>& before, Candidate* best) const;
   void Freed(Candidate* best);

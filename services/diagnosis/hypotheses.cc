@@ -159,6 +159,8 @@ Prior PriorOf(const sim::Parameter& p, int joint, const MotionScales& s, const s
   if (f == "armature") return {0, std::max(inertia, moves ? 0.5 * torque / s.acceleration[joint] : 0.0)};
   if (f == "offset") return {0, e == "encoder_offset" ? 0.1 : 0.5 * torque};
   if (f == "tilt") return {0, 0.1, -1.5, 1.5};
+  if (f == "coefficient" && plant.parameters().Find("joint_coupling.*.coulomb") >= 0)  // form kinematic
+    return {p.nominal, std::max(0.1, 0.5 * std::abs(p.nominal)), -10, 10};
   if (f == "coefficient") return {0, 0.5 * torque / std::max(1e-9, s.torque.maxCoeff()) + 0.1, -3, 3};
   if (e == "position_spring") {
     if (f == "stiffness") return {0, torque / range};
@@ -187,6 +189,15 @@ Prior PriorOf(const sim::Parameter& p, int joint, const MotionScales& s, const s
   if (f[0] == 'w') return {0, 0.5 * torque};
   // Stiffnesses and dampings: as likely half as twice the start.
   return {p.nominal, std::max(1e-6, p.nominal), 0.02 * p.nominal, 50 * p.nominal};
+}
+
+// The joint whose size a parameter goes with, or -1: of a drive that turns with two joints, its own.
+int JointOf(const sim::Parameter& p, const sim::Plant& plant) {
+  if (p.effect != "joint_coupling" || p.field == "coefficient") return plant.model().FindJoint(p.owner);
+  for (const EffectSpec& spec : plant.effects()) {
+    if (spec.id == p.effect) return plant.model().FindJoint(spec.joints.back());
+  }
+  return -1;
 }
 
 bool Fixed(const sim::Parameter& p) { return IsUnnamed(p.effect) && p.field[0] != 'w'; }
@@ -416,7 +427,7 @@ std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const M
   for (int i = 0; i < plant.parameters().size(); ++i) {
     const sim::Parameter& p = plant.parameters()[i];
     if (p.kind != sim::ParameterKind::kEffect || Fixed(p)) continue;
-    const Prior prior = PriorOf(p, plant.model().FindJoint(p.owner), s, plant);
+    const Prior prior = PriorOf(p, JointOf(p, plant), s, plant);
     sysid::FitParameter row{i,
                             p.name,
                             p.unit,
@@ -448,6 +459,11 @@ bool IsOneOf(const Kinds& kinds, const std::string& id) {
 
 bool IsTransmission(const std::string& id) { return id == "joint_elasticity" || id == "backlash"; }
 
+bool IsCoupledDrive(const EffectSpec& s) {
+  const auto form = s.options.find("form");
+  return s.id == "joint_coupling" && form != s.options.end() && form->second == "kinematic";
+}
+
 // Whether a joint has one of them at most.
 bool Exclusive(const std::string& a, const std::string& b) {
   static const std::vector<Kinds> kGroups = {DryFriction(),
@@ -465,6 +481,9 @@ std::vector<EffectSpec> Joined(std::vector<EffectSpec> specs, const std::vector<
     std::erase_if(specs, [&](const EffectSpec& old) {
       // Nor does a coupling end at a joint behind a spring.
       if (old.id == "joint_coupling" && IsTransmission(s.id)) return old.joints.back() == s.joints.front();
+      // Where a drive turns with two joints, its own losses are no longer its joint's.
+      if (IsCoupledDrive(s) && old.joints.size() == 1 && old.joints.front() == s.joints.back())
+        return IsOneOf(DryFriction(), old.id) || old.id == "viscous_friction" || old.id == "rotor_inertia";
       if (old.joints != s.joints) return false;
       // A motor behind a spring or play brings its own inertia.
       if (old.id == "rotor_inertia" && IsTransmission(s.id)) return true;

@@ -40,7 +40,26 @@ double GainOf(const std::vector<EffectSpec>& specs, const std::string& joint) {
   return 1.0;
 }
 
-// The recordings as a plant without delays and gains would have to be driven.
+// A drive that turns with two joints, taken off the efforts along the recorded motion.
+void TakeOffDrive(const FineMotion& m, const sim::Plant& plant, const std::vector<EffectSpec>& specs,
+                  const std::vector<double>& t, Eigen::MatrixXd* u) {
+  for (const EffectSpec& s : specs) {
+    if (s.id != "joint_coupling" || s.options.count("form") == 0) continue;
+    const int other = plant.model().FindJoint(s.joints[0]), joint = plant.model().FindJoint(s.joints[1]);
+    const auto& values = s.values.at("*");
+    const double ratio = values.at("coefficient");
+    for (size_t k = 0; k < t.size(); ++k) {
+      const auto at = std::clamp<long>(std::lround((t[k] - m.t[0]) / (m.t[1] - m.t[0])), 0, m.v.cols() - 1);
+      const double w = m.v(joint, at) + ratio * m.v(other, at), dw = m.a(joint, at) + ratio * m.a(other, at);
+      const double force =
+          values.at("viscous") * w + values.at("coulomb") * ((w > 0) - (w < 0)) + values.at("armature") * dw;
+      (*u)(joint, static_cast<long>(k)) -= force;
+      (*u)(other, static_cast<long>(k)) -= ratio * force;
+    }
+  }
+}
+
+// The recordings as a plant without delays, gains and coupled drives would have to be driven.
 std::vector<sysid::FitRecording> Advanced(const FitData& data, const sim::Plant& plant,
                                           const std::vector<EffectSpec>& specs) {
   std::vector<sysid::FitRecording> out = data.recordings;
@@ -49,13 +68,15 @@ std::vector<sysid::FitRecording> Advanced(const FitData& data, const sim::Plant&
     delay[j] = DelayOf(specs, plant.joint_names()[j]);
     gain[j] = GainOf(specs, plant.joint_names()[j]);
   }
-  for (sysid::FitRecording& r : out) {
+  for (size_t i = 0; i < out.size(); ++i) {
+    sysid::FitRecording& r = out[i];
     const std::vector<double>& t = r.command.times();
     Eigen::MatrixXd u = r.command.values();
     for (int j = 0; j < data.n; ++j) {
       for (size_t k = 0; k < t.size(); ++k)
         u(j, static_cast<long>(k)) = gain[j] * r.command.At(j, t[k] - delay[j]);
     }
+    TakeOffDrive(data.fine[i], plant, specs, t, &u);
     auto shifted = sim::CommandSignal::Create(t, u, r.command.hold());
     if (shifted.ok()) r.command = shifted->WithMotion(r.command.motion());
   }

@@ -307,6 +307,43 @@ TorqueBalance MakeTorqueBalance(const FitData& data, const sim::Plant& plant, co
   return BalanceMaker(data, plant, scales).Take();
 }
 
+BalanceDrive MakeBalanceDrive(const FitData& data, const TorqueBalance& balance, const MotionScales& scales,
+                              int other, int joint, double ratio) {
+  const BalanceRows& rows = balance.joints[joint];
+  BalanceDrive out;
+  out.other = other, out.joint = joint, out.ratio = ratio;
+  out.columns.resize(static_cast<long>(rows.t.size()), BalanceDrive::kColumns);
+  double squares = 0, count = 1e-300;
+  for (const FineMotion& m : data.fine) {
+    squares += (m.v.row(joint) + ratio * m.v.row(other)).squaredNorm();
+    count += static_cast<double>(m.t.size());
+  }
+  const double noise = std::hypot(scales.speed_noise[joint], ratio * scales.speed_noise[other]);
+  const double still = std::max(kStillShare * std::sqrt(squares / count), 3.0 * noise);
+  for (size_t k = 0; k < rows.t.size(); ++k) {
+    const FineMotion& m = data.fine[rows.recording[k]];
+    const double dt = m.t[1] - m.t[0];
+    const Window window = MakeWindow(dt, data.recordings[rows.recording[k]].recording->SamplePeriod());
+    const long first = std::lround((rows.t[k] - m.t[0]) / dt) - window.half, length = 2 * window.half + 1;
+    const auto sum = [&](const MatrixXd& x) {
+      return (x.row(joint).segment(first, length) + ratio * x.row(other).segment(first, length))
+          .array()
+          .eval();
+    };
+    const Eigen::Map<const ArrayXd> weight(window.weight.data(), length);
+    const ArrayXd w = sum(m.v).transpose(), dw = sum(m.a).transpose();
+    out.columns.row(static_cast<long>(k)) << -(w * weight).sum(), -(w.sign() * weight).sum(),
+        -(dw * weight).sum();
+    out.still.push_back(w.abs().minCoeff() < still || w.maxCoeff() * w.minCoeff() < 0);
+  }
+  for (int c = 0; c < BalanceDrive::kColumns; ++c) {
+    const double rms = std::sqrt(out.columns.col(c).squaredNorm() / std::max<double>(1.0, rows.t.size()));
+    out.scale[c] = rms > 0 ? 0.5 * scales.torque[joint] / rms : 0.0;
+    out.columns.col(c) *= out.scale[c];
+  }
+  return out;
+}
+
 VectorXd TimedEffort(const FitData& data, const BalanceRows& rows, int joint, EffortTiming timing,
                      double seconds) {
   VectorXd out(rows.effort.size());

@@ -63,10 +63,24 @@ struct TorqueBalance {
 
 // sin and cos of so many cycles per revolution along the rows, less what the averaging takes off.
 Eigen::Matrix2Xd RippleWave(const BalanceRows& rows, double cycles, double half_window_s);
+// A drive that turns with w = q̇_joint + κ·q̇_other (effects/joint_coupling.h, form kinematic) and what it does
+// per unit of its coefficients, which are the same on both joints' rows: −w, −sign(w), −ẇ on the joint's, κ
+// times that on the other's.
+struct BalanceDrive {
+  static constexpr int kViscous = 0, kCoulomb = 1, kRotor = 2, kColumns = 3;
+  int other = -1, joint = -1;  // -1: there is none
+  double ratio = 0;            // κ
+  double scale[kColumns] = {1, 1, 1};
+  Eigen::MatrixXd columns;  // R × 3 of the joint's rows, standardised; the other's are κ times these
+  std::vector<char> still;  // R: it may be stuck
+};
 
 enum class EffortTiming { kDelay, kLag };
 
 TorqueBalance MakeTorqueBalance(const FitData& data, const sim::Plant& plant, const MotionScales& scales);
+
+BalanceDrive MakeBalanceDrive(const FitData& data, const TorqueBalance& balance, const MotionScales& scales,
+                              int other, int joint, double ratio);
 
 // The effort rows of joint j as they would be if the drive passed its effort on `seconds` late (negative:
 // early), or through a first-order lag.

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <tuple>
 
 #include "common/effects/effect_catalog.h"
 #include "common/math/gradient_check.h"
@@ -228,6 +229,31 @@ std::vector<Case> Cases() {
                    "arm2",
                    {MakeSpec("joint_coupling", {"shoulder", "elbow"}, {{"coefficient", 0.3}}),
                     MakeSpec("actuator_lag", {"shoulder"}, {{"time_constant", 0.01}})}});
+  const auto wrist = [](std::vector<std::string> joints, double ratio) {
+    EffectSpec spec =
+        MakeSpec("joint_coupling", std::move(joints),
+                 {{"coefficient", ratio}, {"viscous", 0.4}, {"coulomb", 0.2}, {"armature", 0.1}});
+    spec.options["form"] = "kinematic";
+    return spec;
+  };
+  cases.push_back(
+      {"kinematic_coupling",
+       "arm2",
+       {wrist({"shoulder", "elbow"}, 0.6), MakeSpec("coulomb_friction", {"elbow"}, {{"coulomb", 0.2}}),
+        MakeSpec("joint_elasticity", {"shoulder"}, {{"stiffness", 2000}, {"motor_inertia", 0.2}})}});
+  // The motor's own joint before the other one.
+  cases.push_back(
+      {"kinematic_coupling_mico2",
+       "mico2",
+       {wrist({"joint_6", "joint_5"}, -0.7), MakeSpec("viscous_friction", all, {{"viscous", 0.2}}),
+        MakeSpec("actuator_delay", all, {{"delay", 0.004}})},
+       5e-6});
+  // Eight moving bodies and the drive: the kernels of larger robots.
+  cases.push_back({"kinematic_coupling_on_a_soft_base",
+                   "mico2",
+                   {wrist({"joint_5", "joint_6"}, 1.0), MakeSpec("viscous_friction", all, {{"viscous", 0.2}}),
+                    MakeSpec("base_flexibility", {}, {{"stiffness", 3000}, {"damping", 10}})},
+                   5e-6});
   std::map<std::string, double> surface = {
       {"low", -1.0}, {"high", 2.0}, {"other_low", -1.5}, {"other_high", 1.5}};
   for (int i = 0; i < 36; ++i)
@@ -257,20 +283,25 @@ std::vector<Case> Cases() {
 INSTANTIATE_TEST_SUITE_P(Catalogue, GradientTest, ::testing::ValuesIn(Cases()),
                          [](const auto& info) { return info.param.name; });
 
-class IntegratorGradientTest : public ::testing::TestWithParam<Integrator> {};
+using IntegratorAndForm = std::tuple<Integrator, const char*>;
+class IntegratorGradientTest : public ::testing::TestWithParam<IntegratorAndForm> {};
 
 TEST_P(IntegratorGradientTest, MatchesCentralDifferences) {
   const std::vector<std::string> joints = {"shoulder", "elbow"};
+  const auto [integrator, form] = GetParam();
+  EffectSpec coupling = MakeSpec("joint_coupling", joints, {{"coefficient", 0.2}});
+  coupling.options["form"] = form;
+  if (form == std::string("kinematic"))
+    coupling.values["*"] = {{"coefficient", 0.4}, {"viscous", 0.5}, {"coulomb", 0.2}, {"armature", 0.15}};
   const Plant plant = rg::testing::MakePlant(
       "arm2", {MakeSpec("viscous_friction", joints, {{"viscous", 0.8}}),
                MakeSpec("coulomb_friction", joints, {{"coulomb", 0.3}}),
                MakeSpec("rotor_inertia", joints, {{"armature", 0.1}}),
-               MakeSpec("position_spring", joints, {{"stiffness", 4}}),
-               MakeSpec("joint_coupling", joints, {{"coefficient", 0.2}}),
+               MakeSpec("position_spring", joints, {{"stiffness", 4}}), coupling,
                MakeSpec("external_disturbance", {},
                         {{"start", -1}, {"end", 1}, {"force_x", 3.0}, {"force_z", -2.0}})});
   SimulatorOptions options;
-  options.integrator = GetParam();
+  options.integrator = integrator;
   options.step_s = 4e-3;
   Simulator simulator(plant, options);
   const CommandSignal command = Commands(2, 3.0, Hold::kZeroOrder);
@@ -298,8 +329,9 @@ TEST_P(IntegratorGradientTest, MatchesCentralDifferences) {
 }
 
 INSTANTIATE_TEST_SUITE_P(All, IntegratorGradientTest,
-                         ::testing::Values(Integrator::kSemiImplicitEuler, Integrator::kLeapfrog,
-                                           Integrator::kRk4));
+                         ::testing::Combine(::testing::Values(Integrator::kSemiImplicitEuler,
+                                                              Integrator::kLeapfrog, Integrator::kRk4),
+                                            ::testing::Values("torque", "kinematic")));
 
 TEST(GradientCases, CoverEveryEffectOfTheCatalogue) {
   for (const auto& info : effects::Catalog()) {

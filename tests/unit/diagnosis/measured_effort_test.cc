@@ -3,7 +3,6 @@
 
 #include <regex>
 
-#include "common/base/rng.h"
 #include "services/diagnosis/diagnosis.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/simulated_set.h"
@@ -14,7 +13,6 @@ namespace {
 using effects::MakeSpec;
 
 constexpr double kEffortNoise = 0.03;  // of the effort's RMS
-constexpr double kCorrelation = 0.05;  // s
 
 recordings::RecordingSet MeasuredSet(const std::string& robot, std::vector<effects::EffectSpec> effects,
                                      uint64_t seed, double effort_noise = kEffortNoise) {
@@ -22,24 +20,7 @@ recordings::RecordingSet MeasuredSet(const std::string& robot, std::vector<effec
   set.noise = {};
   // What the URDF declares is calibrated: take it away, so that all damping is an effect.
   set.urdf_text = std::regex_replace(set.urdf_text, std::regex("damping=\"[0-9.]+\""), "damping=\"0\"");
-  Rng rng(seed + 99);
-  for (recordings::Recording& rec : set.recordings) {
-    Eigen::MatrixXd u = rec.effort_command;
-    for (int k = 1; k < rec.rows(); ++k)
-      u.col(k) = 0.5 * (rec.effort_command.col(k - 1) + rec.effort_command.col(k));
-    for (int j = 0; j < rec.n(); ++j) {
-      const double size = effort_noise * std::sqrt(u.row(j).squaredNorm() / rec.rows());
-      const double keep = std::exp(-rec.SamplePeriod() / kCorrelation);
-      double state = 0;
-      for (int k = 0; k < rec.rows(); ++k) {
-        state = keep * state + std::sqrt(1 - keep * keep) * size * rng.Normal();
-        u(j, k) += state;
-      }
-    }
-    rec.effort_measured = u;
-    rec.effort_command.resize(0, 0);
-    rec.drive = recordings::EffortKind::kMeasured;
-  }
+  testing::MeasureEffort(seed + 99, effort_noise, &set);
   return set;
 }
 

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "common/base/rng.h"
 #include "common/recordings/recording_set.h"
 #include "tests/unit/sysid/simulated_recordings.h"
 
@@ -52,6 +53,30 @@ inline recordings::RecordingSet MakeSet(const std::string& robot, std::vector<ef
     set.recordings.push_back(std::move(rec));
   }
   return set;
+}
+
+// Makes commanded efforts measured ones: averages between rows, with a noise of their own that is correlated
+// over 50 ms. effort_noise: of each effort's RMS.
+inline void MeasureEffort(uint64_t seed, double effort_noise, recordings::RecordingSet* set) {
+  constexpr double kCorrelation = 0.05;  // s
+  Rng rng(seed);
+  for (recordings::Recording& rec : set->recordings) {
+    Eigen::MatrixXd u = rec.effort_command;
+    for (int k = 1; k < rec.rows(); ++k)
+      u.col(k) = 0.5 * (rec.effort_command.col(k - 1) + rec.effort_command.col(k));
+    for (int j = 0; j < rec.n(); ++j) {
+      const double size = effort_noise * std::sqrt(u.row(j).squaredNorm() / rec.rows());
+      const double keep = std::exp(-rec.SamplePeriod() / kCorrelation);
+      double state = 0;
+      for (int k = 0; k < rec.rows(); ++k) {
+        state = keep * state + std::sqrt(1 - keep * keep) * size * rng.Normal();
+        u(j, k) += state;
+      }
+    }
+    rec.effort_measured = u;
+    rec.effort_command.resize(0, 0);
+    rec.drive = recordings::EffortKind::kMeasured;
+  }
 }
 
 }  // namespace rg::diagnosis::testing

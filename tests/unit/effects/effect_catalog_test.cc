@@ -39,7 +39,7 @@ const std::map<std::string, std::vector<std::string>> kContract = {
     {"thermal_drift", {"initial", "final", "time_constant"}},
     {"external_disturbance", {"start", "end", "force_x", "torque"}},
     {"contact", {"stiffness", "damping", "height"}},
-    {"joint_coupling", {"coefficient"}},
+    {"joint_coupling", {"coefficient", "viscous", "coulomb", "armature"}},
     {"base_flexibility", {"stiffness", "damping"}},
     {"sloshing_payload", {"mass", "length", "stiffness"}},
     {"unknown_field", {}},
@@ -73,6 +73,24 @@ TEST(SloshingPayload, SaysWhichOfItsFormsItIs) {
   EXPECT_TRUE(ValidateSpec(rod).ok());
   rod.values["*"]["stiffness"] = 40;
   EXPECT_FALSE(ValidateSpec(rod).ok()) << "a rod has no springs";
+}
+
+TEST(JointCoupling, SaysWhichOfItsFormsItIs) {
+  EffectSpec spec = MakeSpec("joint_coupling", {"joint_5", "joint_6"}, {{"coefficient", 0.3}});
+  EXPECT_EQ(Equation(spec), "tau_j += kappa*tau_i");
+  EXPECT_EQ(ShowsOver(spec), Variable::kEffort);
+  EXPECT_TRUE(ValidateSpec(spec).ok());
+  spec.values["*"]["coulomb"] = 2.0;
+  EXPECT_THAT(ValidateSpec(spec).message(), HasSubstr("coulomb needs option form kinematic"));
+  spec.options["form"] = "kinematic";
+  EXPECT_TRUE(ValidateSpec(spec).ok());
+  EXPECT_THAT(Equation(spec), HasSubstr("w = dq_j + kappa*dq_i"));
+  EXPECT_EQ(ShowsOver(spec), Variable::kVelocity);
+  EXPECT_EQ(
+      Sentence(spec, "joint_5 and joint_6", false,
+               {{"coefficient", 1}, {"viscous", 0.5}, {"coulomb", 2}, {"armature", 0.1}}),
+      "The motor of the second joint of joint_5 and joint_6 turns with it and with 1 times the first: its "
+      "friction (0.5 N*m*s/rad, 2 N*m) and its rotor (0.1 kg*m^2) act on both.");
 }
 
 TEST(Catalog, RowsAreComplete) {

@@ -279,6 +279,13 @@ TEST(PrescribedJoint, TakesNoEffectsAndAPassiveOneNoneOfADrive) {
   for (const char* id : {"viscous_friction", "coulomb_friction", "encoder_offset", "position_spring"})
     EXPECT_EQ(refusal(MakeSpec(id, {"joint_4"})), "") << id;
   EXPECT_EQ(refusal(MakeSpec("torque_gain", {"joint_1"})), "");
+  for (const auto& [joints, why] : {std::pair<std::vector<std::string>, const char*>{
+                                        {"joint_1", "joint_2"}, "joint_2 moves as it is told"},
+                                    {{"joint_5", "joint_4"}, "joint_4 has no drive (passive)"}}) {
+    auto wrist = MakeSpec("joint_coupling", joints, {{"coulomb", 1.0}});
+    wrist.options["form"] = "kinematic";
+    EXPECT_THAT(refusal(wrist), HasSubstr(why));
+  }
   EXPECT_EQ(refusal(MakeSpec("unknown_field_pair", {"joint_2", "joint_1"})), "") << "it is only looked at";
   const Plant plant = Plant::Create(LoadRobot("mico2"), options).value();
   EXPECT_TRUE(plant.IsPrescribed(1) && plant.IsPassive(3) && !plant.IsPassive(1));

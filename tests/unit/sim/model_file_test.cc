@@ -51,6 +51,20 @@ TEST(ModelFile, ReadsBackTheSameModel) {
             b.Simulate(b.MakeState(q, v), command, {0.2}).state);
 }
 
+TEST(ModelFile, KeepsTheFormOfACoupling) {
+  auto wrist = MakeSpec("joint_coupling", {"shoulder", "elbow"},
+                        {{"coefficient", 0.9}, {"viscous", 0.2}, {"coulomb", 0.3}, {"armature", 0.04}});
+  wrist.options["form"] = "kinematic";
+  const Plant plant = rg::testing::MakePlant("arm2", {wrist});
+  const auto file = ModelFromJson(ModelToJson(plant, plant.parameters().Nominal()), "model.json");
+  ASSERT_TRUE(file.ok()) << file.status().ToString();
+  EXPECT_EQ(file->values, plant.parameters().Nominal());
+  ASSERT_EQ(file->plant.effects().size(), 1u);
+  EXPECT_EQ(file->plant.effects()[0].options, wrist.options);
+  EXPECT_EQ(file->plant.effects()[0].joints, wrist.joints);
+  EXPECT_GE(file->plant.parameters().Find("joint_coupling.*.armature"), 0);
+}
+
 TEST(ModelFile, SaysWhatDrivesFollowBeforeARecording) {
   const Plant plant = WithEffects();
   const Eigen::VectorXd values = plant.parameters().Nominal();

@@ -65,6 +65,11 @@ TEST(Plant, RefusesBadEffectsByName) {
   auto option = MakeSpec("joint_elasticity", {"elbow"});
   option.options["sensor"] = "moon";
   EXPECT_THAT(Refusal({option}), HasSubstr("option sensor cannot be moon"));
+  auto wrist = MakeSpec("joint_coupling", {"shoulder", "elbow"}, {{"coefficient", 1.0}});
+  wrist.options["form"] = "kinematic";
+  EXPECT_THAT(Refusal({wrist, MakeSpec("joint_elasticity", {"elbow"})}),
+              HasSubstr("cannot end at elbow, whose transmission is elastic"));
+  EXPECT_THAT(Refusal({wrist, MakeSpec("joint_coupling", {"elbow", "shoulder"})}), HasSubstr("stands twice"));
 }
 
 TEST(Plant, CarriesValuesOverByName) {
