@@ -18,7 +18,7 @@ using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
 constexpr double kInf = std::numeric_limits<double>::infinity();
-constexpr double kRounding = 1e-9;  // of poses and axes, which the model composes
+constexpr double kPoseRounding = 1e-9;  // of poses and axes, which the model composes
 
 // The attribute of a child element; null where either is missing.
 const char* Text(const TiXmlElement& element, const char* child, const char* attribute) {
@@ -225,17 +225,17 @@ class Comparison {
     } else if (!IsFixed(element) && q != 0.0) {
       R = R * Eigen::AngleAxisd(q, Axis(element)).toRotationMatrix();
     }
-    RG_RETURN_IF_ERROR(Same(label, "<origin xyz>", xyz, X.translation, kRounding * (1.0 + reach)));
+    RG_RETURN_IF_ERROR(Same(label, "<origin xyz>", xyz, X.translation, kPoseRounding * (1.0 + reach)));
     for (int i = 0; i < 3; ++i) {
       RG_RETURN_IF_ERROR(Same(label, "<origin rpy>, column " + std::to_string(i + 1) + " of the rotation",
-                              R.col(i), X.rotation.col(i), kRounding));
+                              R.col(i), X.rotation.col(i), kPoseRounding));
     }
     return Status::Ok();
   }
 
   Status CompareMovingJoint(const TiXmlElement& element, const std::string& label, int body) const {
     const Joint& joint = model_.body_joint(body);
-    RG_RETURN_IF_ERROR(Same(label, "<axis xyz>", Axis(element), joint.axis, kRounding));
+    RG_RETURN_IF_ERROR(Same(label, "<axis xyz>", Axis(element), joint.axis, kPoseRounding));
     const bool bounded = joint.type != JointType::kContinuous;
     struct Field {
       const char *child, *attribute;
