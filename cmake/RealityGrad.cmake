@@ -95,31 +95,53 @@ function(rg_first_program name)
   add_dependencies(first first-${name})
 endfunction()
 
-# rg_test(NAME SOURCES … DEPS … [LABELS …] [TIMEOUT s] [ENVIRONMENT …] [FULL] [TOGETHER n])
-# One ctest entry per GoogleTest program. FULL: only with `deploy/check --full` (label "full"). TOGETHER: as
-# for a library, 1 unless said.
+# rg_test(NAME SOURCES … DEPS … [LABELS …] [TIMEOUT s] [COST s] [SHARDS n] [ENVIRONMENT …] [FULL]
+#   [TOGETHER n])
+# One ctest entry per GoogleTest program. FULL: only with `deploy/check --full` (label "full"). COST: about what it
+# takes, for programs of more than ten seconds: ctest begins with the longest, so that no core is idle at the end.
+# SHARDS: a long program is n entries of ctest, NAME_1 to NAME_n, each with its share of the tests; COST is of one.
+# TOGETHER: as for a library, 5 unless said.
 function(rg_test name)
   if(NOT RG_TESTS)
     return()
   endif()
-  cmake_parse_arguments(A "FULL" "TIMEOUT;TOGETHER" "SOURCES;DEPS;LABELS;ENVIRONMENT" ${ARGN})
+  cmake_parse_arguments(A "FULL" "TIMEOUT;COST;SHARDS;TOGETHER" "SOURCES;DEPS;LABELS;ENVIRONMENT" ${ARGN})
   rg_executable(${name} SOURCES ${A_SOURCES} DEPS ${A_DEPS} GTest::gtest GTest::gmock GTest::gtest_main)
-  if(A_TOGETHER)
+  list(LENGTH A_SOURCES sources)
+  if(NOT A_TOGETHER)
+    set(A_TOGETHER 5)
+  endif()
+  if(sources GREATER 1)
     rg_compile_together(${name} ${A_TOGETHER})
   endif()
-  add_test(NAME ${name} COMMAND ${name} WORKING_DIRECTORY ${CMAKE_SOURCE_DIR})
   if(NOT A_TIMEOUT)
     set(A_TIMEOUT 600)
   endif()
   if(A_FULL)
     list(APPEND A_LABELS full)
   endif()
-  set_tests_properties(${name} PROPERTIES TIMEOUT ${A_TIMEOUT}
-    ENVIRONMENT "RG_SOURCE_DIR=${CMAKE_SOURCE_DIR};RG_BIN_DIR=${CMAKE_BINARY_DIR}/bin;${A_ENVIRONMENT}"
-    SKIP_REGULAR_EXPRESSION "\\[  SKIPPED \\].*ALL")
-  if(A_LABELS)
-    set_tests_properties(${name} PROPERTIES LABELS "${A_LABELS}")
+  if(NOT A_SHARDS)
+    set(A_SHARDS 1)
   endif()
+  foreach(shard RANGE 1 ${A_SHARDS})
+    set(entry ${name})
+    set(share "")
+    if(A_SHARDS GREATER 1)
+      set(entry ${name}_${shard})
+      math(EXPR index "${shard} - 1")
+      set(share "GTEST_TOTAL_SHARDS=${A_SHARDS};GTEST_SHARD_INDEX=${index}")
+    endif()
+    add_test(NAME ${entry} COMMAND ${name} WORKING_DIRECTORY ${CMAKE_SOURCE_DIR})
+    set_tests_properties(${entry} PROPERTIES TIMEOUT ${A_TIMEOUT}
+      ENVIRONMENT "RG_SOURCE_DIR=${CMAKE_SOURCE_DIR};RG_BIN_DIR=${CMAKE_BINARY_DIR}/bin;${A_ENVIRONMENT};${share}"
+      SKIP_REGULAR_EXPRESSION "\\[  SKIPPED \\].*ALL")
+    if(A_COST)
+      set_tests_properties(${entry} PROPERTIES COST ${A_COST})
+    endif()
+    if(A_LABELS)
+      set_tests_properties(${entry} PROPERTIES LABELS "${A_LABELS}")
+    endif()
+  endforeach()
 endfunction()
 
 # rg_benchmark(NAME SOURCES … DEPS …): a Google Benchmark program, never part of ctest's verdict.

@@ -42,5 +42,5 @@ build() {
   jobs=$(build_jobs)
   say "building ($preset, $jobs at a time)${*:+: $*}"
   cmake --preset "$preset" "${options[@]}" >/dev/null
-  ninja -C "build/$preset" -j "$jobs" "$@" 2>&1 | show_progress building "$(ninja -C "build/$preset" -n "$@")" "$jobs"
+  ninja -C "build/$preset" -j "$jobs" "$@" 2>&1 | show_progress building "$(build_plan "build/$preset" "$@")" "$jobs"
 }

@@ -1,6 +1,6 @@
 # How a build goes, on stderr: how much is done and about how long the rest takes. Sourced, not run.
 #
-#   ninja … 2>&1 | show_progress TITLE "$(ninja -n …)" CORES
+#   ninja -C FOLDER … 2>&1 | show_progress TITLE "$(build_plan FOLDER …)" CORES
 #
 # On a terminal one line that redraws itself, elsewhere a line every tenth. A job counts as much as build_costs
 # says of its target, so that few slow jobs do not mislead; the time left follows the pace so far, and at first
@@ -9,6 +9,14 @@
 costs_file=${BASH_SOURCE[0]%/*}/build_costs
 
 now_ms() { local t=${EPOCHREALTIME/[.,]/}; echo $((t / 1000)); }
+
+# build_plan FOLDER [targets…]: what ninja will do, as its status lines. `ninja -n` on build.ninja itself stops at the
+# globs that CMake checks first, and knows of none of the jobs behind them; a copy of it is not checked.
+build_plan() {
+  local folder=$1; shift
+  cp "$folder/build.ninja" "$folder/plan.ninja"
+  ninja -C "$folder" -f plan.ninja -n "$@"
+}
 
 # next_line TEXT_VARIABLE: true with a line, 1 at the end, more than 128 when none came for a second.
 next_line() { IFS= read -r -t 1 "$1"; }

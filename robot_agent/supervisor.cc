@@ -29,7 +29,7 @@ namespace {
 using nlohmann::json;
 
 constexpr int kBeatMs = 100;
-constexpr int kExitError = 1;
+constexpr int kExitFailed = 1;
 constexpr unsigned kOrphanPatience = 30;  // s
 
 json JointsOf(const ArmStatus& status) {
@@ -122,7 +122,7 @@ class Supervisor {
       if (waiting[0].revents & POLLIN) TakeSignals();
       PushWorker();
       int how = 0;
-      if (waitpid(worker_, &how, WNOHANG) == worker_) return WIFEXITED(how) ? WEXITSTATUS(how) : kExitError;
+      if (waitpid(worker_, &how, WNOHANG) == worker_) return WIFEXITED(how) ? WEXITSTATUS(how) : kExitFailed;
     }
   }
 
@@ -193,7 +193,7 @@ class DeliveryThread {
 [[noreturn]] void BecomeWorker(pid_t parent, const sigset_t& mask, const std::function<int()>& run_worker) {
   setpgid(0, 0);
   prctl(PR_SET_PDEATHSIG, SIGTERM);
-  if (getppid() != parent) _exit(kExitError);
+  if (getppid() != parent) _exit(kExitFailed);
   sigprocmask(SIG_SETMASK, &mask, nullptr);
   std::thread([parent] {
     while (getppid() == parent) sleep(1);
@@ -242,7 +242,7 @@ int Supervise(const SupervisorOptions& options, const std::function<int()>& run_
               const std::function<void(double)>& deliver) {
   const auto fail = [](const Status& status) {
     spdlog::error("{}", status.message());
-    return kExitError;
+    return kExitFailed;
   };
   const auto lock = LockAgent(options.spool_folder);
   if (!lock.ok()) return fail(lock.status());

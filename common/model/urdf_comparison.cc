@@ -18,7 +18,7 @@ using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
 constexpr double kInf = std::numeric_limits<double>::infinity();
-constexpr double kRounding = 1e-9;  // of poses and axes, which the model composes
+constexpr double kPoseRounding = 1e-9;  // of poses and axes, which the model composes
 
 // The attribute of a child element; null where either is missing.
 const char* Text(const TiXmlElement& element, const char* child, const char* attribute) {
@@ -158,23 +158,46 @@ class Comparison {
     return Status::Ok();
   }
 
-  // Where a joint that does not move stands: by name, or with the joint that it mimics.
+  // Where a joint that does not move stands: by name, or with the joint that it mimics. NaN: nowhere. What is known of
+  // one joint of a chain is kept for the others.
   double StandsAt(const std::string& name) const {
-    double scale = 1.0, sum = 0.0;
-    std::string at = name;
-    for (size_t steps = 0; steps <= joint_elements_.size(); ++steps) {
-      const auto locked = model_.locked().find(at);
-      if (locked != model_.locked().end()) return scale * locked->second + sum;
-      const auto element = joint_elements_.find(at);
+    struct Step {
+      std::string joint;
+      double multiplier, offset;
+    };
+    std::vector<Step> steps;
+    double at = std::nan("");
+    for (std::string joint = name; steps.size() <= joint_elements_.size();) {
+      const auto locked = model_.locked().find(joint);
+      const auto known = stands_at_.find(joint);
+      const auto element = joint_elements_.find(joint);
+      if (locked != model_.locked().end()) {
+        at = locked->second;
+        break;
+      }
+      if (known != stands_at_.end()) {
+        at = known->second;
+        break;
+      }
       if (element == joint_elements_.end()) break;
       const char* driver = IsFixed(*element->second) ? nullptr : Text(*element->second, "mimic", "joint");
-      if (driver == nullptr) return sum;
-      sum += scale * Number(*element->second, "mimic", "offset", 0.0);
-      scale *= Number(*element->second, "mimic", "multiplier", 1.0);
-      if (scale == 0.0) return sum;
-      at = driver;
+      if (driver == nullptr) {
+        at = 0.0;
+        break;
+      }
+      steps.push_back({joint, Number(*element->second, "mimic", "multiplier", 1.0),
+                       Number(*element->second, "mimic", "offset", 0.0)});
+      if (steps.back().multiplier == 0.0) {
+        at = 0.0;
+        break;
+      }
+      joint = driver;
     }
-    return std::nan("");
+    for (auto step = steps.rbegin(); step != steps.rend(); ++step) {
+      at = step->multiplier * at + step->offset;
+      stands_at_[step->joint] = at;
+    }
+    return at;
   }
 
   static bool IsFixed(const TiXmlElement& joint) {
@@ -225,17 +248,17 @@ class Comparison {
     } else if (!IsFixed(element) && q != 0.0) {
       R = R * Eigen::AngleAxisd(q, Axis(element)).toRotationMatrix();
     }
-    RG_RETURN_IF_ERROR(Same(label, "<origin xyz>", xyz, X.translation, kRounding * (1.0 + reach)));
+    RG_RETURN_IF_ERROR(Same(label, "<origin xyz>", xyz, X.translation, kPoseRounding * (1.0 + reach)));
     for (int i = 0; i < 3; ++i) {
       RG_RETURN_IF_ERROR(Same(label, "<origin rpy>, column " + std::to_string(i + 1) + " of the rotation",
-                              R.col(i), X.rotation.col(i), kRounding));
+                              R.col(i), X.rotation.col(i), kPoseRounding));
     }
     return Status::Ok();
   }
 
   Status CompareMovingJoint(const TiXmlElement& element, const std::string& label, int body) const {
     const Joint& joint = model_.body_joint(body);
-    RG_RETURN_IF_ERROR(Same(label, "<axis xyz>", Axis(element), joint.axis, kRounding));
+    RG_RETURN_IF_ERROR(Same(label, "<axis xyz>", Axis(element), joint.axis, kPoseRounding));
     const bool bounded = joint.type != JointType::kContinuous;
     struct Field {
       const char *child, *attribute;
@@ -286,6 +309,7 @@ class Comparison {
   const std::string& source_;
   std::map<std::string, int> link_of_, body_of_;
   std::map<std::string, const TiXmlElement*> joint_elements_;
+  mutable std::map<std::string, double> stands_at_;  // mimics looked at so far
 };
 
 }  // namespace

@@ -1,5 +1,7 @@
 #include "common/recordings/prescribed.h"
 
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
@@ -19,6 +21,7 @@ using Eigen::VectorXd;
 constexpr double kLeastPosition = 1e-7, kLeastVelocity = 1e-6;  // stddev: no sensor is better
 constexpr double kAnySpeed = 1e2, kAnyAcceleration = 1e4;  // stddev of a motion of which nothing is known
 constexpr int kRowsToChoose = 4000;
+constexpr double kVarianceHeld = 0.99;
 constexpr double kSlowest = -1.0, kFastest = 8.0,
                  kFiner = 0.5;  // powers of ten of the jerk's intensity, its step
 
@@ -100,48 +103,131 @@ double LikeliestIntensity(const Track& track) {
   return best;
 }
 
-// 3 × K.
-Eigen::Matrix3Xd Smooth(const Track& track) {
-  const Pass pass = Forward(track, LikeliestIntensity(track));
+// What the smoother says of one joint: x_k given x_{k+1} is x̄_k + gain_k·(x_{k+1} − ahead_{k+1}) and `left_k` about it.
+struct Smoothed {
+  Eigen::Matrix3Xd x;                    // 3 × K, given all rows
+  std::vector<Matrix3d> P;               // of it
+  std::vector<Matrix3d> gain, left;      // of all rows but the last
+  std::vector<Vector3d> filtered, ahead;
+};
+
+Smoothed Smooth(const Track& track) {
+  Pass pass = Forward(track, LikeliestIntensity(track));
   const Eigen::Index K = track.t.size();
-  Eigen::Matrix3Xd out(3, K);
-  Vector3d x = pass.x.back();
-  out.col(K - 1) = x;
+  Smoothed out;
+  out.x.resize(3, K);
+  out.P.resize(static_cast<size_t>(K));
+  out.gain.resize(static_cast<size_t>(K) - 1), out.left.resize(static_cast<size_t>(K) - 1);
+  out.x.col(K - 1) = pass.x.back(), out.P.back() = pass.P.back();
   for (Eigen::Index row = K - 2; row >= 0; --row) {
     const auto k = static_cast<size_t>(row);
     const Matrix3d F = Transition(track.t[row + 1] - track.t[row]);
-    const Matrix3d gain = pass.P[k] * F.transpose() * pass.P_ahead[k + 1].inverse();
-    x = pass.x[k] + gain * (x - pass.ahead[k + 1]);
-    out.col(row) = x;
+    const Matrix3d& gain = out.gain[k] = pass.P[k] * F.transpose() * pass.P_ahead[k + 1].inverse();
+    out.x.col(row) = pass.x[k] + gain * (out.x.col(row + 1) - pass.ahead[k + 1]);
+    out.left[k] = pass.P[k] - gain * pass.P_ahead[k + 1] * gain.transpose();
+    out.P[k] = out.left[k] + gain * out.P[k + 1] * gain.transpose();
   }
+  out.filtered = std::move(pass.x), out.ahead = std::move(pass.ahead);
   return out;
+}
+
+// Rows of the recording's i-th prescribed joint, with what its sensors' noise is.
+Track TrackOf(const Recording& r, Eigen::Index i, const VelocityLag& late) {
+  const int j = r.prescribed[static_cast<size_t>(i)];
+  Track track{r.t, r.q.row(j).transpose(), {}};
+  const SignalNoise noise = EstimateNoise(r.t, track.q);
+  const double q_stddev = std::max({kLeastPosition, noise.stddev, noise.resolution / std::sqrt(12.0)});
+  track.q_variance = q_stddev * q_stddev;
+  const bool measured = r.has_velocity() && std::find(r.without_velocity.begin(), r.without_velocity.end(),
+                                                      j) == r.without_velocity.end();
+  if (measured) {
+    track.v = r.v.row(j).transpose();
+    const double v_stddev =
+        std::max(kLeastVelocity, std::hypot(EstimateNoise(r.t, track.v).stddev, late.error[j]));
+    track.v_variance = v_stddev * v_stddev;
+  }
+  return track;
+}
+
+std::vector<Smoothed> SmoothedJoints(const Recording& r) {
+  std::vector<Smoothed> out;
+  if (r.prescribed.empty()) return out;
+  const VelocityLag late = EstimateVelocityLag(r);
+  for (Eigen::Index i = 0; i < std::ssize(r.prescribed); ++i) out.push_back(Smooth(TrackOf(r, i, late)));
+  return out;
+}
+
+SmoothMotionRows RowsFor(Eigen::Index joints, Eigen::Index rows) {
+  return {Eigen::MatrixXd(joints, rows), Eigen::MatrixXd(joints, rows), Eigen::MatrixXd(joints, rows)};
+}
+
+void SetJoint(Eigen::Index i, const Eigen::Matrix3Xd& x, SmoothMotionRows* to) {
+  to->q.row(i) = x.row(0), to->v.row(i) = x.row(1), to->a.row(i) = x.row(2);
+}
+
+// A draw from N(0, P); P may be singular, or not quite positive by rounding.
+Vector3d DrawnFrom(const Matrix3d& P, Rng& rng) {
+  const Eigen::LDLT<Matrix3d> ldlt(P);
+  Vector3d z = ldlt.vectorD().cwiseMax(0.0).cwiseSqrt();
+  for (double& entry : z) entry *= rng.Normal();
+  return ldlt.transpositionsP().transpose() * Vector3d(ldlt.matrixL() * z);
 }
 
 }  // namespace
 
-SmoothMotionRows SmoothPrescribed(const Recording& r) {
-  const auto m = static_cast<Eigen::Index>(r.prescribed.size());
-  SmoothMotionRows out{Eigen::MatrixXd(m, r.rows()), Eigen::MatrixXd(m, r.rows()),
-                       Eigen::MatrixXd(m, r.rows())};
-  if (m == 0) return out;
-  const VelocityLag late = EstimateVelocityLag(r);
-  for (Eigen::Index i = 0; i < m; ++i) {
-    const int j = r.prescribed[static_cast<size_t>(i)];
-    Track track{r.t, r.q.row(j).transpose(), {}};
-    const SignalNoise noise = EstimateNoise(r.t, track.q);
-    const double q_stddev = std::max({kLeastPosition, noise.stddev, noise.resolution / std::sqrt(12.0)});
-    track.q_variance = q_stddev * q_stddev;
-    const bool measured = r.has_velocity() && std::find(r.without_velocity.begin(), r.without_velocity.end(),
-                                                        j) == r.without_velocity.end();
-    if (measured) {
-      track.v = r.v.row(j).transpose();
-      const double v_stddev =
-          std::max(kLeastVelocity, std::hypot(EstimateNoise(r.t, track.v).stddev, late.error[j]));
-      track.v_variance = v_stddev * v_stddev;
+struct PrescribedDoubt::Joint {
+  Smoothed smoothed;
+};
+
+PrescribedDoubt::PrescribedDoubt(const Recording& recording) {
+  for (Smoothed& joint : SmoothedJoints(recording)) joints_.push_back({std::move(joint)});
+}
+PrescribedDoubt::~PrescribedDoubt() = default;
+PrescribedDoubt::PrescribedDoubt(PrescribedDoubt&&) noexcept = default;
+
+WaysToDiffer PrescribedDoubt::Ways(int i, int first, int last) const {
+  const Smoothed& s = joints_[static_cast<size_t>(i)].smoothed;
+  const Eigen::Index rows = last - first + 1;
+  // Cov(x_k, a_l) of all rows k, l here: backwards from the diagonal, Cov(x_k, x_l) = gain_k·Cov(x_{k+1}, x_l) for k < l.
+  Eigen::MatrixXd q(rows, rows), v(rows, rows), a(rows, rows);
+  for (Eigen::Index l = 0; l < rows; ++l) {
+    Matrix3d C = s.P[static_cast<size_t>(first + l)];
+    for (Eigen::Index k = l; k >= 0; --k) {
+      if (k < l) C = s.gain[static_cast<size_t>(first + k)] * C;
+      q(k, l) = C(0, 2), v(k, l) = C(1, 2), a(k, l) = a(l, k) = C(2, 2);
+      q(l, k) = C(2, 0), v(l, k) = C(2, 1);
     }
-    const Eigen::Matrix3Xd x = Smooth(track);
-    out.q.row(i) = x.row(0), out.v.row(i) = x.row(1), out.a.row(i) = x.row(2);
   }
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(a);
+  const double all = eigen.eigenvalues().cwiseMax(0.0).sum();
+  Eigen::Index count = 0;
+  for (double held = 0; count < rows && held < kVarianceHeld * all; ++count)
+    held += eigen.eigenvalues()[rows - 1 - count];
+  const VectorXd size = eigen.eigenvalues().tail(count).cwiseSqrt();
+  const Eigen::MatrixXd along = eigen.eigenvectors().rightCols(count) * size.cwiseInverse().asDiagonal();
+  return {q * along, v * along, a * along};
+}
+
+SmoothMotionRows PrescribedDoubt::Draw(Rng& rng) const {
+  const auto m = std::ssize(joints_);
+  SmoothMotionRows out = RowsFor(m, m == 0 ? 0 : joints_[0].smoothed.x.cols());
+  for (Eigen::Index i = 0; i < m; ++i) {
+    const Smoothed& s = joints_[static_cast<size_t>(i)].smoothed;
+    Eigen::Matrix3Xd x = s.x;
+    x.col(x.cols() - 1) += DrawnFrom(s.P.back(), rng);
+    for (Eigen::Index row = x.cols() - 2; row >= 0; --row) {
+      const auto k = static_cast<size_t>(row);
+      x.col(row) = s.filtered[k] + s.gain[k] * (x.col(row + 1) - s.ahead[k + 1]) + DrawnFrom(s.left[k], rng);
+    }
+    SetJoint(i, x, &out);
+  }
+  return out;
+}
+
+SmoothMotionRows SmoothPrescribed(const Recording& r) {
+  const std::vector<Smoothed> joints = SmoothedJoints(r);
+  SmoothMotionRows out = RowsFor(std::ssize(joints), r.rows());
+  for (Eigen::Index i = 0; i < std::ssize(joints); ++i) SetJoint(i, joints[static_cast<size_t>(i)].x, &out);
   return out;
 }
 

@@ -65,7 +65,8 @@ class MjcfWriter {
 
   std::string Write(double step_s) {
     root_.SetAttribute("model", robot_.name());
-    TiXmlElement compiler("compiler"), option("option"), world("worldbody"), actuators("actuator");
+    TiXmlElement compiler("compiler"), option("option"), world("worldbody"), equality("equality"),
+        actuators("actuator");
     compiler.SetAttribute("angle", "radian");
     compiler.SetAttribute("autolimits", "true");
     const Eigen::Vector3d& g = figures_.gravity;
@@ -81,7 +82,10 @@ class MjcfWriter {
       }
     }
     for (int j = 0; j < robot_.num_joints(); ++j) actuators.InsertEndChild(Actuator(j));
-    for (const TiXmlElement& part : {compiler, option, world, actuators}) root_.InsertEndChild(part);
+    for (const model::Follower& follower : robot_.followers()) equality.InsertEndChild(Tie(follower));
+    for (const TiXmlElement& part : {compiler, option, world, equality, actuators}) {
+      if (part.ValueStr() != "equality" || !part.NoChildren()) root_.InsertEndChild(part);
+    }
     TiXmlDocument document;
     document.InsertEndChild(root_);
     TiXmlPrinter printer;
@@ -98,7 +102,7 @@ class MjcfWriter {
     if (p < 0) return link.X_BL;
     const Pose X_PB = robot_.link(p).X_BL.Inverse();
     if (link.body == robot_.link(p).body) return X_PB * link.X_BL;
-    return X_PB * robot_.joint(link.body).X_PB * link.X_BL;
+    return X_PB * robot_.body_joint(link.body).X_PB * link.X_BL;
   }
 
   TiXmlElement Body(int l) const {
@@ -117,7 +121,13 @@ class MjcfWriter {
       body.InsertEndChild(inertial);
     }
     for (int j = 0; j < robot_.num_joints(); ++j) {
-      if (robot_.joint(j).child_link == l) body.InsertEndChild(Joint(j));
+      if (robot_.joint(j).child_link == l)
+        body.InsertEndChild(Joint(robot_.joint(j), figures_.joints[static_cast<size_t>(j)]));
+    }
+    for (const model::Follower& follower : robot_.followers()) {
+      if (follower.joint.child_link != l) continue;
+      body.InsertEndChild(Joint(
+          follower.joint, {.damping = follower.joint.damping, .friction = follower.joint.friction}));
     }
     AddChildren(l, &body);
     return body;
@@ -129,9 +139,7 @@ class MjcfWriter {
     }
   }
 
-  TiXmlElement Joint(int j) const {
-    const model::Joint& joint = robot_.joint(j);
-    const JointFigures& f = figures_.joints[static_cast<size_t>(j)];
+  static TiXmlElement Joint(const model::Joint& joint, const JointFigures& f) {
     TiXmlElement out("joint");
     out.SetAttribute("name", joint.name);
     out.SetAttribute("type", joint.is_revolute() ? "hinge" : "slide");
@@ -145,6 +153,15 @@ class MjcfWriter {
       out.SetAttribute("stiffness", ExactNumber(f.stiffness));
       out.SetAttribute("springref", ExactNumber(f.spring_ref));
     }
+    return out;
+  }
+
+  // A mimic: q of joint1 is a polynomial of joint2's.
+  TiXmlElement Tie(const model::Follower& follower) const {
+    TiXmlElement out("joint");
+    out.SetAttribute("joint1", follower.joint.name);
+    out.SetAttribute("joint2", robot_.joint(follower.driver).name);
+    out.SetAttribute("polycoef", Numbers({follower.offset, follower.multiplier, 0, 0, 0}));
     return out;
   }
 
@@ -177,11 +194,6 @@ class MjcfWriter {
 
 // What MuJoCo refuses or takes for something else.
 Status CheckMjcf(const Plant& plant, const ExportFigures& figures) {
-  if (!plant.model().followers().empty())
-    return InvalidError(
-        "joint " + plant.model().followers().front().joint.name +
-        " mimics a joint that moves: such a robot is not written as MJCF yet; lock its driver, or "
-        "export the URDF");
   for (int j = 0; j < plant.num_joints(); ++j) {
     const JointFigures& f = figures.joints[static_cast<size_t>(j)];
     const std::string& name = plant.joint_names()[static_cast<size_t>(j)];
@@ -218,6 +230,10 @@ Result<ExportedModel> ExportMjcf(const Plant& plant, const VectorXd& values, dou
   out.text = MjcfWriter(plant, figures).Write(step_s);
   out.left_out = internal::LeftOut(plant, values, "MJCF", MjcfCovers());
   NoteInertias(plant, figures, &out.left_out);
+  for (const model::Follower& follower : plant.model().followers())
+    out.left_out.push_back("joint " + follower.joint.name + ": mimics " +
+                           plant.joint_names()[static_cast<size_t>(follower.driver)] +
+                           " by a soft constraint in MuJoCo (<equality>), exactly here");
   return out;
 }
 

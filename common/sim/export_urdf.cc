@@ -2,9 +2,13 @@
 
 #include <tinyxml.h>
 
+#include <algorithm>
 #include <cmath>
+#include <string>
+#include <string_view>
 
 #include "common/base/check.h"
+#include "common/base/number_text.h"
 #include "common/sim/export_figures.h"
 
 namespace rg::sim {
@@ -35,6 +39,32 @@ TiXmlElement* Child(TiXmlElement* parent, const char* name) {
 
 void Set(TiXmlElement* element, const char* attribute, double value) {
   element->SetAttribute(attribute, ExactNumber(value));
+}
+
+constexpr const char* kNumeric[] = {"xyz",   "rpy",   "value",  "ixx",      "ixy",     "ixz",      "iyy",        "iyz",   "izz",
+                                   "lower", "upper", "effort", "velocity", "damping", "friction", "multiplier", "offset"};
+
+// Numbers as every reader takes them: some lose a whole element over a sign, a tab or a point without a digit. What is
+// no list of numbers stays as it is.
+void SpellPlainly(TiXmlElement* element) {
+  for (const char* attribute : kNumeric) {
+    const char* text = element->Attribute(attribute);
+    if (text == nullptr) continue;
+    constexpr std::string_view kBlank = " \t\r\n";
+    std::string plain;
+    bool numbers = true;
+    for (std::string_view rest(text); numbers;) {
+      rest.remove_prefix(std::min(rest.find_first_not_of(kBlank), rest.size()));
+      if (rest.empty()) break;
+      const std::string_view word = rest.substr(0, rest.find_first_of(kBlank));
+      double value = 0;
+      numbers = ParseNumber(word, &value) == NumberText::kOk;
+      plain += (plain.empty() ? "" : " ") + ExactNumber(value);
+      rest.remove_prefix(word.size());
+    }
+    if (numbers && !plain.empty()) element->SetAttribute(attribute, plain);
+  }
+  for (TiXmlElement* e = element->FirstChildElement(); e != nullptr; e = e->NextSiblingElement()) SpellPlainly(e);
 }
 
 void WriteInertial(const Eigen::Ref<const VectorXd>& p, bool had_inertial, TiXmlElement* link) {
@@ -82,6 +112,11 @@ void NoteParameters(const Plant& plant, const VectorXd& values, const ExportFigu
                         ExactNumber(figures.gravity[1]) + ", " + ExactNumber(figures.gravity[2]) +
                         ") m/s²: no place in URDF; set it in the simulator that loads it");
   }
+  for (const int i : plant.parameters().OfKind(ParameterKind::kArmature)) {
+    if (values[i] != 0)
+      left_out->push_back(plant.parameters()[i].name + " " + ExactNumber(values[i]) + " " + plant.parameters()[i].unit +
+                          ": no place in URDF; give it to the simulator that loads it");
+  }
   std::string gains;
   for (const std::string& joint : plant.joint_names()) {
     const double gain = values[plant.parameters().Find("force_gain." + joint)];
@@ -105,6 +140,9 @@ Result<ExportedModel> ExportUrdf(const Plant& plant, const VectorXd& values) {
   if (document.Error() || document.RootElement() == nullptr)
     return InternalError("the model's URDF text is not well-formed XML: " +
                          std::string(document.ErrorDesc()));
+  for (TiXmlElement* e = document.RootElement()->FirstChildElement(); e != nullptr; e = e->NextSiblingElement()) {
+    if (e->ValueStr() == "link" || e->ValueStr() == "joint") SpellPlainly(e);
+  }
   WriteRobot(plant, figures, document.RootElement());
   TiXmlPrinter printer;
   printer.SetIndent("  ");

@@ -16,7 +16,7 @@ namespace {
 
 constexpr double kInstant = 1e-3;    // s: over which a robot is let go
 constexpr double kAtRest = 1e-5;     // rad/s or m/s after it
-constexpr int kSteps = 8;            // of Newton's method
+constexpr int kNewtonSteps = 8;            // of Newton's method
 constexpr double kPush = 0.02;       // of the largest command, to see how a joint answers
 constexpr double kLeastPush = 1e-3;  // N·m or N
 constexpr double kDamping = 1e-10;   // of the normal equations: joints that stick answer nothing
@@ -33,7 +33,7 @@ VectorXd LetGo(Simulator& simulator, const VectorXd& q, const VectorXd& u) {
 VectorXd HoldingCommand(Simulator& simulator, const VectorXd& q, const VectorXd& u) {
   const double push = std::max(kLeastPush, kPush * u.cwiseAbs().maxCoeff());
   VectorXd held = u;
-  for (int step = 0; step < kSteps; ++step) {
+  for (int step = 0; step < kNewtonSteps; ++step) {
     const VectorXd v = LetGo(simulator, q, held);
     if (!v.allFinite()) return u;
     if (v.cwiseAbs().maxCoeff() < kAtRest) return held;

@@ -30,6 +30,19 @@ Result<std::string> LatestModel(coordinator::Client& client, const std::string& 
   return version->model_sha256();
 }
 
+// A driven link without inertia moves by its drive's rotor alone, which only recordings tell.
+Status CheckRuns(const sim::Plant& plant, const std::string& urdf) {
+  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kArmature)) {
+    const sim::Parameter& rotor = plant.parameters()[i];
+    if (rotor.nominal > 0) continue;
+    return InvalidError(urdf + ": the link on joint '" + rotor.owner +
+                        "' has no inertia about its axis and cannot be simulated: give it an <inertial>, or the model "
+                        "that `realitygrad sysid` makes of recordings, with the rotor inertia of its drive (" +
+                        rotor.name + ")");
+  }
+  return Status::Ok();
+}
+
 }  // namespace
 
 Result<std::shared_ptr<const model::RobotModel>> LoadRobot(const RobotProfile& profile) {
@@ -47,6 +60,7 @@ Result<std::shared_ptr<const model::RobotModel>> LoadRobot(const RobotProfile& p
 Result<std::string> NominalModelJson(const RobotProfile& profile) {
   RG_ASSIGN_OR_RETURN(auto robot, LoadRobot(profile));
   RG_ASSIGN_OR_RETURN(const sim::Plant plant, sim::Plant::Create(robot));
+  RG_RETURN_IF_ERROR(CheckRuns(plant, profile.urdf));
   return sim::ModelToJson(plant, plant.parameters().Nominal());
 }
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "common/recordings/prescribed.h"
 #include "common/sim/simulator.h"
 #include "services/diagnosis/given_model.h"
 #include "services/sysid/drive_signal.h"
@@ -85,6 +86,15 @@ sim::CommandSignal Disturbed(const sim::CommandSignal& command, const MeasuredEf
   return out.ok() ? out->WithMotion(command.motion()) : command;
 }
 
+// The command with a motion of prescribed joints that may as well be the true one.
+sim::CommandSignal OtherwiseMoved(const sim::CommandSignal& command, const recordings::Recording& rec, Rng rng) {
+  if (rec.prescribed.empty()) return command;
+  recordings::SmoothMotionRows drawn = recordings::PrescribedDoubt(rec).Draw(rng);
+  auto motion = sim::GivenMotion::Create(rec.prescribed, {rec.t.data(), rec.t.data() + rec.rows()},
+                                         std::move(drawn.q), std::move(drawn.v), std::move(drawn.a));
+  return motion.ok() ? command.WithMotion(std::make_shared<const sim::GivenMotion>(*std::move(motion))) : command;
+}
+
 // What the augmented model would show if it were true: windows that it made itself, from the states where
 // they start, measured with the sensors' noise and predicted again.
 double NoiseFloor(const std::vector<const recordings::Recording*>& recs, const Judged& after,
@@ -97,7 +107,7 @@ double NoiseFloor(const std::vector<const recordings::Recording*>& recs, const J
   for (size_t i = 0; i < recs.size(); ++i) {
     const recordings::Recording& rec = *recs[i];
     const sim::CommandSignal command = sysid::DriveSignal(rec);
-    const sim::CommandSignal recorded = Disturbed(command, effort, &rng);
+    const sim::CommandSignal recorded = Disturbed(OtherwiseMoved(command, rec, rng.Split(i)), effort, &rng);
     const auto& restarts = after.predictions[i].restarts;
     // A filter over some rows knows the state better than one row does.
     const double rows = 3.0;

@@ -217,6 +217,10 @@ class Lineariser {
       if (keep) out->E.push_back(E);
     }
     RG_CHECK(row == M) << row << " " << M;
+    if (window.factor.size() > 0) {
+      const auto L = window.factor.triangularView<Eigen::Lower>();
+      L.solveInPlace(out->J), L.solveInPlace(out->J_e), L.solveInPlace(out->r);
+    }
     if (!out->J.allFinite() || !out->J_e.allFinite() || !out->r.allFinite()) out->ok = false;
   }
 
@@ -247,7 +251,8 @@ class Lineariser {
     return sums;
   }
 
-  // (y − ŷ)/σ of a window simulated from x_0, rows in the order of Run.
+  // (y − ŷ)/σ of a window simulated from x_0, rows in the order of Run; where the motion of prescribed joints is in
+  // doubt, what is left of it when rows are made independent.
   VectorXd Residuals(int worker, int index, const VectorXd& x0) {
     Worker& w = *workers_[worker];
     w.runs.resize(1), w.run_times.resize(1);
@@ -491,6 +496,8 @@ class Lineariser {
       at += count;
     }
     residuals.conservativeResize(row);
+    if (window.factor.size() > 0)
+      window.factor.topLeftCorner(row, row).triangularView<Eigen::Lower>().solveInPlace(residuals);
     return residuals;
   }
   void SetState(const VectorXd& stacked, double time, sim::State* x) const {

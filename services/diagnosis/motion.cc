@@ -176,6 +176,24 @@ std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& rec, int index
   return out;
 }
 
+void SetFactor(NodeWindow* window) {
+  const Eigen::Index n = window->q.rows(), kinds = window->v_doubt.size() > 0 ? 2 : 1;
+  const auto nodes = std::count(window->measured.begin(), window->measured.end(), char{1});
+  MatrixXd S(nodes * n * kinds, window->q_doubt.cols());
+  Eigen::Index row = 0;
+  for (Eigen::Index k = 0; k < std::ssize(window->t); ++k) {
+    if (!window->measured[static_cast<size_t>(k)]) continue;
+    for (Eigen::Index kind = 0; kind < kinds; ++kind, row += n) {
+      const MatrixXd& doubt = kind == 0 ? window->q_doubt : window->v_doubt;
+      const MatrixXd& stddev = kind == 0 ? window->q_stddev : window->v_stddev;
+      S.middleRows(row, n) = stddev.col(k).cwiseInverse().asDiagonal() * doubt.middleRows(n * k, n);
+    }
+  }
+  MatrixXd covariance = S * S.transpose();
+  covariance.diagonal().array() += 1.0;
+  window->factor = covariance.llt().matrixL();
+}
+
 std::vector<NodeWindow> InPieces(const std::vector<NodeWindow>& windows, double piece_s,
                                  const recordings::SensorNoise& noise) {
   std::vector<NodeWindow> out;
@@ -199,6 +217,12 @@ std::vector<NodeWindow> InPieces(const std::vector<NodeWindow>& windows, double 
       piece.q_row = w.q_row.middleCols(first, count), piece.v_row = w.v_row.middleCols(first, count);
       piece.q0 = w.q0.middleCols(first, count), piece.v0 = w.v0.middleCols(first, count);
       LeaveRow(noise, 0, &piece), LeaveRow(noise, count - 1, &piece);
+      if (w.factor.size() > 0) {
+        const Eigen::Index n = w.q.rows();
+        piece.q_doubt = w.q_doubt.middleRows(n * first, n * count);
+        piece.v_doubt = w.v_doubt.middleRows(n * first, n * count);
+        SetFactor(&piece);
+      }
       out.push_back(std::move(piece));
       first = last;
     }

@@ -41,6 +41,9 @@ struct NodeWindow {
   Eigen::MatrixXd q_stddev, v_stddev;              // n × (N + 1) of it
   Eigen::MatrixXd q_row, v_row;                    // n × (N + 1): its own row alone
   Eigen::MatrixXd q0, v0;                          // n × (N + 1): the smooth motion
+  // What the doubt about the motion of prescribed joints does to the others (prescribed_doubt.h), none where empty:
+  // n·(N + 1) × ways, node by node; and a lower factor of the covariance of the residuals, each divided by its stddev.
+  Eigen::MatrixXd q_doubt, v_doubt, factor;
 };
 
 // Whether `window` begins where `before` ends, in the same recording: nodes need not divide a window's rows.
@@ -66,6 +69,8 @@ struct NodeOptions {
 std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& recording, int index,
                                      const SmoothMotion& motion, const recordings::SensorNoise& noise,
                                      const NodeOptions& options);
+// Its factor, from its doubts and the stddevs of its rows; empty v_doubt: positions alone are rows.
+void SetFactor(NodeWindow* window);
 // The same nodes in windows of about `piece_s`, but never less than three measured nodes. Where a piece
 // begins or ends within a window, a node is its own row alone.
 std::vector<NodeWindow> InPieces(const std::vector<NodeWindow>& windows, double piece_s,

@@ -23,17 +23,18 @@ double OwnChi2(const FitData& data, const FitModel& model, const NodeStates& sta
   const int n = data.n;
   sysid::ParallelFor(options.threads, static_cast<int>(own.windows.size()), [&](int worker, int w) {
     NodeWindow& window = own.windows[w];
-    const VectorXd residual = other.Residuals(worker, w, states[w].col(0));
-    if (!residual.allFinite()) return;
+    VectorXd by = other.Residuals(worker, w, states[w].col(0));
+    if (!by.allFinite()) return;
     Rng stream = rng.Split(static_cast<uint64_t>(w));
+    for (double& row : by) row -= noise * stream.Normal();
+    if (window.factor.size() > 0) by = (window.factor.triangularView<Eigen::Lower>() * by).eval();
     long row = 0;
     for (size_t node = 0; node < window.t.size(); ++node) {
       if (!window.measured[node]) continue;
       const auto k = static_cast<long>(node);
       const auto move = [&](const MatrixXd& stddev, MatrixXd* rows) {
         for (int j = 0; j < n; ++j, ++row) {
-          const double by = residual[row] - noise * stream.Normal();
-          if (std::isfinite(stddev(j, k))) (*rows)(j, k) -= by * stddev(j, k);
+          if (std::isfinite(stddev(j, k))) (*rows)(j, k) -= by[row] * stddev(j, k);
         }
       };
       move(window.q_stddev, &window.q);

@@ -1,4 +1,5 @@
 #include "services/diagnosis/motion_survey.h"
+#include "services/diagnosis/prescribed_doubt.h"
 #include "services/diagnosis/search.h"
 #include "services/sysid/drive_signal.h"
 
@@ -46,6 +47,7 @@ Result<FitData> Prepared(const recordings::RecordingSet& set,
   }
   if (data.windows.size() < 3)
     return InvalidError("less than three windows of motion: too little to say anything");
+  AddPrescribedDoubt(nominal, options.threads, &data);
   return data;
 }
 

@@ -192,4 +192,10 @@ Result<std::vector<WantedColumn>> ResolveCsvColumns(const ImportMap& map, const 
   return Resolver(map, map_name, robot).Resolve(expand);
 }
 
+std::string Joined(const std::vector<std::string>& names) {
+  std::string all;
+  for (const std::string& name : names) all += (all.empty() ? "" : ", ") + name;
+  return all;
+}
+
 }  // namespace rg::importing

@@ -45,4 +45,7 @@ Result<std::vector<WantedColumn>> ResolveCsvColumns(const ImportMap& map, const 
                                                     const std::string& csv_name,
                                                     const std::vector<RobotJoint>& robot);
 
+// The names with commas between them.
+std::string Joined(const std::vector<std::string>& names);
+
 }  // namespace rg::importing

@@ -14,7 +14,7 @@ namespace rg::importing {
 namespace {
 
 constexpr size_t kMaxColumns = 10000;
-constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+constexpr double kEmptyCell = std::numeric_limits<double>::quiet_NaN();
 constexpr long double kLastTimeNs = 4.5e18L;  // the year 2112; differences of two such times do not overflow
 
 // As text with a decimal point; `buffer` holds it where a comma had to go.
@@ -31,7 +31,7 @@ std::string_view WithPoint(std::string_view field, char separator, char (&buffer
 // False: text. Empty and NaN are numbers that are not there.
 bool ReadNumber(std::string_view field, char separator, double* value) {
   char buffer[64];
-  *value = kNone;
+  *value = kEmptyCell;
   const NumberText outcome = ParseNumber(WithPoint(field, separator, buffer), value);
   return outcome != NumberText::kNotANumber;
 }
@@ -115,7 +115,7 @@ Result<CsvTable> ReadCsvTable(std::string_view text, const CsvHeader& header, co
     table.time_ns.push_back(time_ns);
     table.time.push_back(time);
     for (size_t i = 0; i < wanted.size(); ++i) {
-      double value = kNone;
+      double value = kEmptyCell;
       if (!ReadNumber(fields[wanted[i]], header.separator, &value)) table.is_text[i] = true;
       table.columns[i].push_back(value);
     }

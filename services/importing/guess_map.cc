@@ -56,12 +56,6 @@ bool IsEffort(const std::string& name) {
   return Contains(name, {"effort", "torque"}) || HasWord(Words(name), {"tau"});
 }
 
-std::string Joined(const std::vector<std::string>& names) {
-  std::string all;
-  for (const std::string& name : names) all += (all.empty() ? "" : ", ") + name;
-  return all;
-}
-
 bool EndsIn(const std::string& text, const std::string& end) {
   if (text.size() <= end.size() || text.compare(text.size() - end.size(), end.size(), end) != 0) return false;
   const char before = text[text.size() - end.size() - 1];

@@ -38,12 +38,6 @@ bool IsCsv(const LogFile& file) {
   return file.containers.size() == 1 && file.containers[0] == Container::kCsv;
 }
 
-std::string Joined(const std::vector<std::string>& names) {
-  std::string all;
-  for (const std::string& name : names) all += (all.empty() ? "" : ", ") + name;
-  return all;
-}
-
 // ---- one file: opened, looked through, read ----
 
 // A log, or a CSV, before its columns are read.

@@ -9,7 +9,7 @@
 namespace rg::importing {
 namespace {
 
-constexpr std::string_view kMagic("\x89MCAP0\r\n", 8);
+constexpr std::string_view kMcapMagic("\x89MCAP0\r\n", 8);
 
 enum Opcode : uint8_t { kSchema = 3, kChannel = 4, kMessage = 5, kChunk = 6, kDataEnd = 0x0F, kFooter = 2 };
 
@@ -35,7 +35,7 @@ class McapReader {
 
   Status Read() {
     ByteCursor file(bytes_);
-    file.Bytes(kMagic.size());
+    file.Bytes(kMcapMagic.size());
     while (!file.at_end()) {
       const uint64_t at = file.position();
       const uint8_t opcode = file.Number<uint8_t>();
@@ -177,7 +177,7 @@ class McapReader {
 
 }  // namespace
 
-bool LooksLikeMcap(std::string_view bytes) { return bytes.substr(0, kMagic.size()) == kMagic; }
+bool LooksLikeMcap(std::string_view bytes) { return bytes.substr(0, kMcapMagic.size()) == kMcapMagic; }
 
 Status ReadMcap(std::string_view bytes, const std::string& source_name, LogSink& sink,
                 const ReadLimits& limits) {

@@ -8,7 +8,7 @@
 namespace rg::importing {
 namespace {
 
-constexpr std::string_view kMagic = "#ROSBAG V";
+constexpr std::string_view kBagMagic = "#ROSBAG V";
 constexpr std::string_view kVersion2 = "#ROSBAG V2.0\n";
 
 enum Op : uint8_t {
@@ -177,13 +177,13 @@ class BagReader {
 
 }  // namespace
 
-bool LooksLikeRos1Bag(std::string_view bytes) { return bytes.substr(0, kMagic.size()) == kMagic; }
+bool LooksLikeRos1Bag(std::string_view bytes) { return bytes.substr(0, kBagMagic.size()) == kBagMagic; }
 
 Status ReadRos1Bag(std::string_view bytes, const std::string& source_name, LogSink& sink,
                    const ReadLimits& limits) {
   if (!LooksLikeRos1Bag(bytes)) return InvalidError(source_name + ": is not a ROS 1 bag");
   if (bytes.substr(0, kVersion2.size()) != kVersion2) {
-    return InvalidError(source_name + ": bag format " + Shown(bytes.substr(kMagic.size(), 3)) +
+    return InvalidError(source_name + ": bag format " + Shown(bytes.substr(kBagMagic.size(), 3)) +
                         ", this program reads 2.0: convert it with 'rosbag fix'");
   }
   return BagReader(bytes, source_name, sink, limits).Read();

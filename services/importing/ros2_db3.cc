@@ -12,7 +12,7 @@
 namespace rg::importing {
 namespace {
 
-constexpr std::string_view kMagic("SQLite format 3\0", 16);
+constexpr std::string_view kSqliteMagic("SQLite format 3\0", 16);
 // Virtual machine instructions in which a row must come: far more than a plain table takes.
 constexpr int kMaxInstructionsPerRow = 50'000'000;
 constexpr int kMaxBlobBytes = 256 << 20;
@@ -229,7 +229,7 @@ uint64_t FileBytes(sqlite3* database) {
 
 }  // namespace
 
-bool LooksLikeSqlite(std::string_view bytes) { return bytes.substr(0, kMagic.size()) == kMagic; }
+bool LooksLikeSqlite(std::string_view bytes) { return bytes.substr(0, kSqliteMagic.size()) == kSqliteMagic; }
 
 Status ReadDb3(const std::string& path, bool compressed, LogSink& sink, const ReadLimits& limits) {
   auto database = Open(AsUri(path), path);

@@ -45,7 +45,7 @@ Needed NeededTorques(const recordings::RecordingSet& set, const sim::Plant& nomi
   return out;
 }
 
-std::string Listed(const std::vector<std::string>& names) {
+std::string Joined(const std::vector<std::string>& names) {
   std::string out;
   for (const std::string& name : names) out += (out.empty() ? "" : ", ") + name;
   return out;
@@ -102,7 +102,7 @@ std::vector<std::string> NotesOnRoles(const recordings::RecordingSet& set, const
   }
   if (passive.empty()) return out;
   const bool one = passive.size() == 1;
-  out.push_back(Listed(passive) + (one ? " has" : " have") + " no drive (passive): " +
+  out.push_back(Joined(passive) + (one ? " has" : " have") + " no drive (passive): " +
                 (set.passive ? "the manifest says so"
                              : std::string(one ? "its" : "their") +
                                    " effort is zero throughout, and the rigid bodies move so without one"));

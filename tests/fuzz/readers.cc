@@ -6,6 +6,7 @@
 #include "common/recordings/manifest.h"
 #include "services/importing/mcap.h"
 #include "services/importing/ros1_bag.h"
+#include "services/importing/ros2_db3.h"
 #include "tests/support/importing/collected_log.h"
 
 namespace rg::fuzz {
@@ -53,10 +54,17 @@ void ReadMcap(std::string_view bytes) {
   CheckOneLine(importing::ReadMcap(bytes, "fuzz.mcap", log));
 }
 
+void ReadDb3(std::string_view bytes) {
+  for (const bool compressed : {false, true}) {
+    test::CollectedLog log;
+    CheckOneLine(importing::ReadDb3Bytes(bytes, "fuzz.db3", compressed, log));
+  }
+}
+
 }  // namespace
 
 const std::vector<Reader>& Readers() {
-  static const std::vector<Reader> readers = {{"csv", ReadCsv}, {"manifest", ReadManifest}, {"urdf", ReadUrdf}, {"bag", ReadBag}, {"mcap", ReadMcap}};
+  static const std::vector<Reader> readers = {{"csv", ReadCsv}, {"manifest", ReadManifest}, {"urdf", ReadUrdf}, {"bag", ReadBag}, {"mcap", ReadMcap}, {"db3", ReadDb3}};
   return readers;
 }
 

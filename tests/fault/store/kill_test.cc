@@ -16,13 +16,13 @@ namespace {
 
 constexpr int64_t kChunk = 4096;
 
-struct Opened {
+struct StoreOnDisk {
   std::unique_ptr<Database> database;
   std::unique_ptr<ArtifactStore> store;
 };
 
-Result<Opened> OpenStore(const std::string& path) {
-  Opened opened;
+Result<StoreOnDisk> OpenStore(const std::string& path) {
+  StoreOnDisk opened;
   RG_ASSIGN_OR_RETURN(opened.database, Database::Open({.path = path, .writer_wait_ms = 5000}, AllModules()));
   RG_ASSIGN_OR_RETURN(opened.store,
                       ArtifactStore::Open(opened.database.get(), &RealClock(), {.chunk_bytes = kChunk}));

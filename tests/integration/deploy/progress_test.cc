@@ -170,6 +170,25 @@ TEST_F(Progress, NothingToDoSaysNothing) {
   EXPECT_EQ(Show("4 other\n", {}, {{0.1, "ninja: no work to do."}}), "@100\n");
 }
 
+// A build of four jobs whose CMake looks for new files first, as this project's does.
+TEST_F(Progress, ThePlanHasTheJobsBehindTheGlobs) {
+  Write("CMakeLists.txt", R"(cmake_minimum_required(VERSION 3.25)
+project(plan NONE)
+file(GLOB found CONFIGURE_DEPENDS ${CMAKE_SOURCE_DIR}/*.in)
+foreach(job 1 2 3 4)
+  add_custom_command(OUTPUT ${job}.out COMMAND ${CMAKE_COMMAND} -E touch ${job}.out COMMENT "job ${job}")
+  list(APPEND all ${job}.out)
+endforeach()
+add_custom_target(everything ALL DEPENDS ${all})
+)");
+  const std::string build = (folder_ / "build").string();
+  const std::string script = "cmake -G Ninja -S " + folder_.string() + " -B " + build + " >/dev/null && source " + Source() +
+                             "/deploy/progress.sh && build_plan " + build + " >" + (folder_ / "planned").string();
+  ASSERT_EQ(std::system(("bash -c '" + script + "'").c_str()), 0);
+  const std::string planned = ReadFile(folder_ / "planned").value();
+  for (const char* job : {"job 1\n", "job 2\n", "job 3\n", "job 4\n"}) EXPECT_THAT(planned, testing::HasSubstr(job));
+}
+
 // Every name in deploy/build_costs is a target of this build.
 TEST_F(Progress, CostsNameTargetsThatExist) {
   const char* bin = std::getenv("RG_BIN_DIR");

@@ -80,10 +80,25 @@ TEST(PrescribedJoint, CountsInNoRowsOfTheFits) {
   EXPECT_EQ(data.Rows(), 2 * measured);
   const FitResult fit = Fit(data, FitModel{nominal, nominal.parameters().Nominal(), {}}, {.iterations = 3});
   ASSERT_TRUE(fit.ok);
-  // The sensors' noise of the other joint, and what the smoothed motion's own doubt does to it, which no row's
-  // noise counts.
-  EXPECT_GT(fit.chi2 / fit.rows, 0.85);
-  EXPECT_LT(fit.chi2 / fit.rows, 2.5);
+  // The sensors' noise of the other joint, and what the smoothed motion's own doubt does to it: without that 1.8.
+  EXPECT_NEAR(fit.chi2 / fit.rows, 1.0, 0.15);
+}
+
+// Doubt about the motion of one joint is noise of the other, of every row and kind: pieces of a window have their part of it.
+TEST(PrescribedJoint, IsInDoubtInPiecesOfWindowsToo) {
+  auto set = testing::MakeSet("arm2", {}, 54);
+  Prescribe(&set, 0);
+  const sim::Plant nominal = *sysid::NominalPlant(set);
+  FitData data = *PrepareData(set, nominal, {});
+  for (const NodeWindow& w : data.windows) {
+    ASSERT_GT(w.q_doubt.cols(), 0);
+    EXPECT_TRUE(w.q_doubt.allFinite() && w.factor.allFinite());
+    EXPECT_TRUE(w.q_doubt.topRows(2).isZero(0)) << "a window's start is free";
+  }
+  data.windows = InPieces(data.windows, 0.25, data.RowNoise());
+  const FitResult fit = Fit(data, FitModel{nominal, nominal.parameters().Nominal(), {}}, {.iterations = 3});
+  ASSERT_TRUE(fit.ok);
+  EXPECT_NEAR(fit.chi2 / fit.rows, 1.0, 0.15);
 }
 
 TEST(PrescribedJoint, BesideAMeasuredEffortIsInTheBalanceOfTheOthers) {

@@ -21,7 +21,7 @@ struct Surveyed {
   MotionSurvey survey;
 };
 
-Surveyed SurveyOf(const recordings::RecordingSet& set) {
+Surveyed SurveyedWithPlant(const recordings::RecordingSet& set) {
   const auto plant = sysid::NominalPlant(set);
   RG_CHECK(plant.ok()) << plant.status().ToString();
   auto survey = Survey(set, *plant);
@@ -31,7 +31,7 @@ Surveyed SurveyOf(const recordings::RecordingSet& set) {
 
 // Two joints that do all that any effect asks for.
 const Surveyed& Rich() {
-  static const Surveyed& rich = *new Surveyed(SurveyOf(testing::MakeSet("arm2", {}, 61)));
+  static const Surveyed& rich = *new Surveyed(SurveyedWithPlant(testing::MakeSet("arm2", {}, 61)));
   return rich;
 }
 
@@ -175,7 +175,7 @@ TEST(WhatShows, NoGravityShowsNoTilt) {
   // The axes of this arm are along y.
   auto set = testing::MakeSet("arm2", {}, 62);
   set.gravity = {0, 0, 0};
-  const Surveyed at = SurveyOf(set);
+  const Surveyed at = SurveyedWithPlant(set);
   EXPECT_FALSE(Of(WhatShows(at.survey, at.plant), "gravity_misalignment").shows);
   EXPECT_TRUE(Of(WhatShows(Rich().survey, Rich().plant), "gravity_misalignment").shows);
 }

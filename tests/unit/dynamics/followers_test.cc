@@ -34,7 +34,7 @@ std::vector<Pair> Pairs() {
 }
 
 template <class F>
-void ForRandomStates(F check) {
+void ForRandomTrees(F check) {
   for (const Pair& pair : Pairs()) {
     const auto bound = Bind(pair.free, pair.bindings);
     const auto [G, g0] = rg::testing::UnboundOf(pair.free, pair.bindings);
@@ -46,7 +46,7 @@ void ForRandomStates(F check) {
 }
 
 TEST(Followers, TorquesAreTheFreeRobotsFoldedOntoTheDrivers) {
-  ForRandomStates([](const Mechanism& m, Workspace& w, const Mechanism& free, Workspace& wf,
+  ForRandomTrees([](const Mechanism& m, Workspace& w, const Mechanism& free, Workspace& wf,
                      const MatrixXd& G, const VectorXd& g0, const RandomState& s) {
     VectorXd tau(G.cols()), full(G.rows());
     Rnea(m, w, s.q, s.v, s.a, tau);
@@ -59,7 +59,7 @@ TEST(Followers, TorquesAreTheFreeRobotsFoldedOntoTheDrivers) {
 }
 
 TEST(Followers, MassMatrixIsFoldedFromBothSides) {
-  ForRandomStates([](const Mechanism& m, Workspace& w, const Mechanism& free, Workspace& wf,
+  ForRandomTrees([](const Mechanism& m, Workspace& w, const Mechanism& free, Workspace& wf,
                      const MatrixXd& G, const VectorXd& g0, const RandomState& s) {
     const long n = G.cols(), N = G.rows();
     MatrixXd M(n, n), twin(n, n), full(N, N);
@@ -79,7 +79,7 @@ TEST(Followers, MassMatrixIsFoldedFromBothSides) {
 }
 
 TEST(Followers, RegressorTimesParametersIsTheTorque) {
-  ForRandomStates([](const Mechanism& m, Workspace& w, const Mechanism& free, Workspace&, const MatrixXd& G,
+  ForRandomTrees([](const Mechanism& m, Workspace& w, const Mechanism& free, Workspace&, const MatrixXd& G,
                      const VectorXd&, const RandomState& s) {
     ASSERT_EQ(m.num_bodies(), free.num_joints());
     MatrixXd Y(G.cols(), 10 * m.num_bodies());
@@ -92,7 +92,7 @@ TEST(Followers, RegressorTimesParametersIsTheTorque) {
 }
 
 TEST(Followers, DerivativesMatchCentralDifferences) {
-  ForRandomStates([](const Mechanism& m, Workspace& w, const Mechanism&, Workspace&, const MatrixXd& G,
+  ForRandomTrees([](const Mechanism& m, Workspace& w, const Mechanism&, Workspace&, const MatrixXd& G,
                      const VectorXd&, const RandomState& s) {
     const long n = G.cols();
     MatrixXd by_q(n, n), by_v(n, n), by_g(n, 3);

@@ -16,7 +16,7 @@ using testing_support::LinkXml;
 using testing_support::MimicXml;
 using testing_support::RobotXml;
 
-RobotModel Load(const std::string& xml) {
+RobotModel Parsed(const std::string& xml) {
   auto model = ParseUrdf(xml, "a.urdf");
   RG_CHECK(model.ok()) << model.status().message();
   return std::move(model).value();
@@ -40,7 +40,7 @@ std::string ArmWithFlange(const std::string& flange) {
 }
 
 TEST(JointInertia, AFlangeWithoutInertialIsFoundAndSaid) {
-  const RobotModel model = Load(ArmWithFlange(""));
+  const RobotModel model = Parsed(ArmWithFlange(""));
   EXPECT_THAT(model.joints_without_inertia(), ElementsAre(1));
   EXPECT_THAT(model.warnings(),
               ElementsAre("a.urdf: joint 'j6' moves link 'flange', which has no mass: simulating it "
@@ -48,7 +48,7 @@ TEST(JointInertia, AFlangeWithoutInertialIsFoundAndSaid) {
 }
 
 TEST(JointInertia, APointMassOnTheAxisIsFoundAndSaid) {
-  const RobotModel model = Load(ArmWithFlange(Inertial(0.3, "0 0 .05", "0", "0", "0")));
+  const RobotModel model = Parsed(ArmWithFlange(Inertial(0.3, "0 0 .05", "0", "0", "0")));
   EXPECT_THAT(model.joints_without_inertia(), ElementsAre(1));
   EXPECT_THAT(model.warnings(),
               ElementsAre("a.urdf: joint 'j6' moves link 'flange', which has no inertia about its "
@@ -58,16 +58,16 @@ TEST(JointInertia, APointMassOnTheAxisIsFoundAndSaid) {
 TEST(JointInertia, RoundingOfATurnedInertiaIsNone) {
   // A thin rod along z, given in turned axes: about z its inertia is 0 only to rounding.
   const RobotModel model =
-      Load(ArmWithFlange(Inertial(0.3, "0 0 .05", ".02", "0", ".02", "1.5707963267948966 0 .3")));
+      Parsed(ArmWithFlange(Inertial(0.3, "0 0 .05", ".02", "0", ".02", "1.5707963267948966 0 .3")));
   EXPECT_NE(model.link(2).parameters[6], 0.0);
   EXPECT_LT(std::abs(model.link(2).parameters[6]), 1e-16);
   EXPECT_THAT(model.joints_without_inertia(), ElementsAre(1));
 }
 
 TEST(JointInertia, ASmallInertiaIsOne) {
-  EXPECT_THAT(Load(ArmWithFlange(Inertial(0.01, "0 0 0", "1e-7", "1e-7", "1e-8"))).joints_without_inertia(),
+  EXPECT_THAT(Parsed(ArmWithFlange(Inertial(0.01, "0 0 0", "1e-7", "1e-7", "1e-8"))).joints_without_inertia(),
               IsEmpty());
-  EXPECT_THAT(Load(ArmWithFlange(Inertial(0.01, "1e-3 0 0", "0", "0", "0"))).joints_without_inertia(),
+  EXPECT_THAT(Parsed(ArmWithFlange(Inertial(0.01, "1e-3 0 0", "0", "0", "0"))).joints_without_inertia(),
               IsEmpty());
 }
 
@@ -75,7 +75,7 @@ TEST(JointInertia, TheLinksOfAFixedJointCount) {
   const std::string xml = RobotXml(
       LinkXml("base") + LinkXml("flange", "") + LinkXml("tool", Inertial(1, "0 0 0", "1", "1", "1")) +
       JointXml("j6", "continuous", "base", "flange", kAboutZ) + JointXml("f", "fixed", "flange", "tool"));
-  EXPECT_THAT(Load(xml).joints_without_inertia(), IsEmpty());
+  EXPECT_THAT(Parsed(xml).joints_without_inertia(), IsEmpty());
 }
 
 TEST(JointInertia, AMasslessLinkBetweenTwoAxesIsFineUnlessTheyAreOne) {
@@ -85,9 +85,9 @@ TEST(JointInertia, AMasslessLinkBetweenTwoAxesIsFineUnlessTheyAreOne) {
                     JointXml("outer", "continuous", "base", "ring", kAboutZ) +
                     JointXml("inner", "continuous", "ring", "tool", "<axis xyz='" + second_axis + "'/>"));
   };
-  EXPECT_THAT(Load(gimbal("1 0 0")).joints_without_inertia(), IsEmpty());
-  EXPECT_THAT(Load(gimbal("0 0 1")).joints_without_inertia(), ElementsAre(0));
-  EXPECT_THAT(Load(gimbal("0 0 -2")).joints_without_inertia(), ElementsAre(0));
+  EXPECT_THAT(Parsed(gimbal("1 0 0")).joints_without_inertia(), IsEmpty());
+  EXPECT_THAT(Parsed(gimbal("0 0 1")).joints_without_inertia(), ElementsAre(0));
+  EXPECT_THAT(Parsed(gimbal("0 0 -2")).joints_without_inertia(), ElementsAre(0));
 }
 
 TEST(JointInertia, ASlideNeedsMassAndNoInertia) {
@@ -96,9 +96,9 @@ TEST(JointInertia, ASlideNeedsMassAndNoInertia) {
                     JointXml("j", "continuous", "base", "arm", "") +
                     JointXml("slide", "prismatic", "arm", "carriage"));
   };
-  EXPECT_THAT(Load(slide("")).joints_without_inertia(), ElementsAre(1));
-  EXPECT_THAT(Load(slide(Inertial(0, "0 0 0", "1", "1", "1"))).joints_without_inertia(), ElementsAre(1));
-  EXPECT_THAT(Load(slide(Inertial(1, "0 0 0", "0", "0", "0"))).joints_without_inertia(), IsEmpty());
+  EXPECT_THAT(Parsed(slide("")).joints_without_inertia(), ElementsAre(1));
+  EXPECT_THAT(Parsed(slide(Inertial(0, "0 0 0", "1", "1", "1"))).joints_without_inertia(), ElementsAre(1));
+  EXPECT_THAT(Parsed(slide(Inertial(1, "0 0 0", "0", "0", "0"))).joints_without_inertia(), IsEmpty());
 }
 
 TEST(JointInertia, AFollowersInertiaIsItsDrivers) {
@@ -108,8 +108,8 @@ TEST(JointInertia, AFollowersInertiaIsItsDrivers) {
                     JointXml("d", "continuous", "a", "left", kAboutZ) +
                     JointXml("m", "continuous", "a", "right", kAboutZ + MimicXml("d", "multiplier='-1'")));
   };
-  EXPECT_THAT(Load(hand(Inertial(1, ".1 0 0", "0", "0", "0"))).joints_without_inertia(), IsEmpty());
-  const RobotModel none = Load(hand(""));
+  EXPECT_THAT(Parsed(hand(Inertial(1, ".1 0 0", "0", "0", "0"))).joints_without_inertia(), IsEmpty());
+  const RobotModel none = Parsed(hand(""));
   ASSERT_EQ(none.followers().size(), 1u);
   EXPECT_THAT(none.joints_without_inertia(), ElementsAre(none.FindJoint("d")));
 }

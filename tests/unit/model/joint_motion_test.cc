@@ -27,7 +27,7 @@ std::string Hand(const std::vector<std::pair<std::string, std::string>>& joints)
   return RobotXml(body);
 }
 
-Result<RobotModel> Load(const std::string& xml, const std::vector<std::string>& joints = {},
+Result<RobotModel> TryParse(const std::string& xml, const std::vector<std::string>& joints = {},
                         const std::map<std::string, double>& locked = {}) {
   return ParseUrdf(xml, "a.urdf", {.joints = joints, .locked = locked, .end_effector = ""});
 }
@@ -43,7 +43,7 @@ double StandsAt(const RobotModel& model, const std::string& link) {
 TEST(JointMotion, AMimicOfAMovingJointIsAFollower) {
   for (const std::vector<std::string>& joints : {std::vector<std::string>{}, {"d", "e"}}) {
     const auto model =
-        Load(Hand({{"m", MimicXml("d", "multiplier='-2' offset='.5'")}, {"e", ""}, {"d", ""}}), joints);
+        TryParse(Hand({{"m", MimicXml("d", "multiplier='-2' offset='.5'")}, {"e", ""}, {"d", ""}}), joints);
     ASSERT_TRUE(model.ok()) << model.status().message();
     EXPECT_EQ(model->num_joints(), 2);
     EXPECT_EQ(model->num_bodies(), 3);
@@ -60,14 +60,14 @@ TEST(JointMotion, AMimicOfAMovingJointIsAFollower) {
 }
 
 TEST(JointMotion, AMultiplierOf1AndAnOffsetOf0AreTheDefault) {
-  const auto model = Load(Hand({{"d", ""}, {"m", MimicXml("d")}}));
+  const auto model = TryParse(Hand({{"d", ""}, {"m", MimicXml("d")}}));
   ASSERT_TRUE(model.ok());
   EXPECT_EQ(model->followers()[0].multiplier, 1.0);
   EXPECT_EQ(model->followers()[0].offset, 0.0);
 }
 
 TEST(JointMotion, ChainsOfMimicsLeadToTheirDriver) {
-  const auto model = Load(Hand({{"third", MimicXml("second", "multiplier='3' offset='1'")},
+  const auto model = TryParse(Hand({{"third", MimicXml("second", "multiplier='3' offset='1'")},
                                 {"first", MimicXml("d", "multiplier='2' offset='.25'")},
                                 {"second", MimicXml("first", "multiplier='-1' offset='.5'")},
                                 {"d", ""}}));
@@ -84,7 +84,7 @@ TEST(JointMotion, JointsMayHangOnFollowersAndFollowersOnThem) {
                                    JointXml("m", "continuous", "base", "a", MimicXml("d")) +
                                    JointXml("d", "continuous", "a", "b", "") +
                                    JointXml("m2", "continuous", "b", "c", MimicXml("d")));
-  const auto model = Load(xml);
+  const auto model = TryParse(xml);
   ASSERT_TRUE(model.ok()) << model.status().message();
   EXPECT_EQ(model->joint(0).parent, 1);  // m's body
   EXPECT_EQ(model->followers()[0].joint.parent, -1);
@@ -102,7 +102,7 @@ TEST(JointMotion, AMimicOfAStandingJointStandsWithItAndIsSaid) {
       JointXml(
           "gripper_right_mimic", "continuous", "forearm", "right",
           R"(<origin xyz="0.02 0 -0.32"/><axis xyz="0 1 0"/><mimic joint="gripper_joint" multiplier="-1" offset="0.05"/>)"));
-  const auto model = Load(xml, {"elbow"}, {{"gripper_joint", 0.8}});
+  const auto model = TryParse(xml, {"elbow"}, {{"gripper_joint", 0.8}});
   ASSERT_TRUE(model.ok()) << model.status().message();
   EXPECT_EQ(model->num_bodies(), 1);
   const Pose X_FR = model->FindFrame("forearm")->X_BF.Inverse() * model->FindFrame("right")->X_BF;
@@ -115,7 +115,7 @@ TEST(JointMotion, AMimicOfAStandingJointStandsWithItAndIsSaid) {
 }
 
 TEST(JointMotion, ADriverWithoutColumnsStandsAt0AndItsMimicAtTheOffset) {
-  const auto model = Load(Hand({{"e", ""},
+  const auto model = TryParse(Hand({{"e", ""},
                                 {"d", ""},
                                 {"m", MimicXml("d", "multiplier='7' offset='.25'")},
                                 {"m2", MimicXml("m", "multiplier='2'")}}),
@@ -135,13 +135,13 @@ TEST(JointMotion, APrismaticMimicOfAnAngleStandsAtItsWay) {
                JointXml("m", "prismatic", "base", "b",
                         "<axis xyz='0 0 2'/><limit lower='0' upper='1' effort='1' velocity='1'/>" +
                             MimicXml("d", "multiplier='.1' offset='.02'")));
-  const auto model = Load(xml, {"e"}, {{"d", 0.5}});
+  const auto model = TryParse(xml, {"e"}, {{"d", 0.5}});
   ASSERT_TRUE(model.ok()) << model.status().message();
   EXPECT_NEAR((model->FindFrame("b")->X_BF.translation - Eigen::Vector3d(0, 0, 0.07)).norm(), 0.0, 1e-15);
 }
 
 TEST(JointMotion, AMultiplierOf0StandsAtTheOffset) {
-  const auto model = Load(Hand({{"d", ""}, {"m", MimicXml("d", "multiplier='0' offset='.3'")}}));
+  const auto model = TryParse(Hand({{"d", ""}, {"m", MimicXml("d", "multiplier='0' offset='.3'")}}));
   ASSERT_TRUE(model.ok()) << model.status().message();
   EXPECT_EQ(model->num_bodies(), 1);
   EXPECT_NEAR(StandsAt(*model, "on_m"), 0.3, 1e-15);
@@ -151,13 +151,13 @@ TEST(JointMotion, AMultiplierOf0StandsAtTheOffset) {
 
 TEST(JointMotion, ALockedMimicStandsWhereItIsLockedAndAContradictionIsSaid) {
   const std::string xml = Hand({{"e", ""}, {"d", ""}, {"m", MimicXml("d", "offset='.1'")}});
-  auto model = Load(xml, {}, {{"m", 0.4}});
+  auto model = TryParse(xml, {}, {{"m", 0.4}});
   ASSERT_TRUE(model.ok()) << model.status().message();
   EXPECT_EQ(model->num_joints(), 2);
   EXPECT_NEAR(StandsAt(*model, "on_m"), 0.4, 1e-15);
   EXPECT_THAT(model->warnings(),
               ElementsAre("a.urdf: joint 'm' is locked at 0.4, although it mimics joint 'd', which moves"));
-  model = Load(xml, {"e"}, {{"d", 0.2}, {"m", 0.4}});
+  model = TryParse(xml, {"e"}, {{"d", 0.2}, {"m", 0.4}});
   ASSERT_TRUE(model.ok()) << model.status().message();
   EXPECT_NEAR(StandsAt(*model, "on_m"), 0.4, 1e-15);
   ASSERT_EQ(model->warnings().size(), 1u);
@@ -165,13 +165,13 @@ TEST(JointMotion, ALockedMimicStandsWhereItIsLockedAndAContradictionIsSaid) {
       model->warnings()[0],
       testing::StartsWith("a.urdf: joint 'm' is locked at 0.4, although it mimics joint 'd', which would "
                           "have it at 0.3"));
-  model = Load(xml, {"e"}, {{"d", 0.25}, {"m", 0.35}});
+  model = TryParse(xml, {"e"}, {{"d", 0.25}, {"m", 0.35}});
   ASSERT_TRUE(model.ok());
   EXPECT_THAT(model->warnings(), IsEmpty());
 }
 
 TEST(JointMotion, AMimicAmongTheJointsFollowsAllTheSameAndIsSaid) {
-  const auto model = Load(Hand({{"d", ""}, {"m", MimicXml("d")}}), {"m", "d"});
+  const auto model = TryParse(Hand({{"d", ""}, {"m", MimicXml("d")}}), {"m", "d"});
   ASSERT_TRUE(model.ok()) << model.status().message();
   EXPECT_EQ(model->num_joints(), 1);
   EXPECT_EQ(model->followers().size(), 1u);
@@ -181,18 +181,18 @@ TEST(JointMotion, AMimicAmongTheJointsFollowsAllTheSameAndIsSaid) {
 }
 
 TEST(JointMotion, WhatCannotFollowIsRefusedByName) {
-  EXPECT_EQ(ErrorOf(Load(Hand({{"d", ""}, {"m", MimicXml("x")}}))),
+  EXPECT_EQ(ErrorOf(TryParse(Hand({{"d", ""}, {"m", MimicXml("x")}}))),
             "a.urdf: joint 'm' mimics joint 'x', which does not exist");
-  EXPECT_TRUE(Load(Hand({{"d", ""}, {"m", MimicXml("x")}}), {}, {{"m", 0.1}}).ok());
-  EXPECT_EQ(ErrorOf(Load(Hand({{"d", ""}, {"m", MimicXml("m")}}))), "a.urdf: joint 'm' mimics itself");
+  EXPECT_TRUE(TryParse(Hand({{"d", ""}, {"m", MimicXml("x")}}), {}, {{"m", 0.1}}).ok());
+  EXPECT_EQ(ErrorOf(TryParse(Hand({{"d", ""}, {"m", MimicXml("m")}}))), "a.urdf: joint 'm' mimics itself");
   EXPECT_EQ(
-      ErrorOf(Load(Hand({{"d", ""}, {"p", MimicXml("q")}, {"q", MimicXml("r")}, {"r", MimicXml("q")}}))),
+      ErrorOf(TryParse(Hand({{"d", ""}, {"p", MimicXml("q")}, {"q", MimicXml("r")}, {"r", MimicXml("q")}}))),
       "a.urdf: joint 'q' mimics itself, through other mimic joints");
   EXPECT_EQ(
-      ErrorOf(Load(Hand({{"d", ""}, {"e", ""}, {"m", MimicXml("d")}}), {"e", "m"})),
+      ErrorOf(TryParse(Hand({{"d", ""}, {"e", ""}, {"m", MimicXml("d")}}), {"e", "m"})),
       "a.urdf: joint 'm' cannot move: it mimics joint 'd', which stands (name that among the joints that "
       "move)");
-  EXPECT_EQ(ErrorOf(Load(Hand({{"d", ""},
+  EXPECT_EQ(ErrorOf(TryParse(Hand({{"d", ""},
                                {"m", MimicXml("d", "multiplier='1e200'")},
                                {"k", MimicXml("m", "multiplier='1e200'")}}))),
             "a.urdf: joint 'k': <mimic>: its position is out of a double's range");
@@ -201,9 +201,9 @@ TEST(JointMotion, WhatCannotFollowIsRefusedByName) {
 TEST(JointMotion, FollowersCountAmongTheBodies) {
   std::vector<std::pair<std::string, std::string>> joints = {{"d", ""}};
   for (int i = 1; i <= 16; ++i) joints.push_back({"m" + std::to_string(i), MimicXml("d")});
-  EXPECT_EQ(ErrorOf(Load(Hand(joints))),
+  EXPECT_EQ(ErrorOf(TryParse(Hand(joints))),
             "a.urdf: joint 'm16': more than 16 moving joints, mimic joints included (lock some)");
-  EXPECT_TRUE(Load(Hand(joints), {}, {{"m3", 0.0}}).ok());
+  EXPECT_TRUE(TryParse(Hand(joints), {}, {{"m3", 0.0}}).ok());
 }
 
 TEST(JointMotion, LongChainsTakeNoStack) {
@@ -213,7 +213,7 @@ TEST(JointMotion, LongChainsTakeNoStack) {
     body += LinkXml("l" + n, "") +
             JointXml("j" + n, "continuous", "l" + before, "l" + n, MimicXml("j" + before, "multiplier='.5'"));
   }
-  const auto model = Load(RobotXml(body), {"j0"}, {{"j1", 0.0}});
+  const auto model = TryParse(RobotXml(body), {"j0"}, {{"j1", 0.0}});
   ASSERT_TRUE(model.ok()) << model.status().message();
   EXPECT_EQ(model->num_links(), 20002);
   EXPECT_EQ(model->num_bodies(), 1);

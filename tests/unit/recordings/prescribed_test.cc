@@ -227,5 +227,40 @@ TEST(SmoothPrescribed, StaysWithinTheNoiseAndHasAnAccelerationOfUse) {
   }
 }
 
+// The ways in which it may differ, what it may have been as well, and how far it was off speak of one distribution.
+TEST(PrescribedDoubt, WaysAndDrawsSpreadAsFarAsTheTruthIsOff) {
+  for (const bool velocity : {false, true}) {
+    const Recording r = NoisyLift(velocity);
+    const SmoothMotionRows smooth = SmoothPrescribed(r);
+    const PrescribedDoubt doubt(r);
+    const int first = 60, last = 180;
+    const WaysToDiffer ways = doubt.Ways(0, first, last);
+    ASSERT_EQ(ways.a.rows(), last - first + 1);
+    EXPECT_LE(ways.a.cols(), ways.a.rows());
+    Rng rng(9);
+    constexpr int kDraws = 200;
+    double q = 0, v = 0, a = 0, off_q = 0, off_v = 0;
+    for (int draw = 0; draw < kDraws; ++draw) {
+      const SmoothMotionRows other = doubt.Draw(rng);
+      q += (other.q - smooth.q).middleCols(first, ways.q.rows()).squaredNorm() / kDraws;
+      v += (other.v - smooth.v).middleCols(first, ways.v.rows()).squaredNorm() / kDraws;
+      a += (other.a - smooth.a).middleCols(first, ways.a.rows()).squaredNorm() / kDraws;
+    }
+    for (int k = first; k <= last; ++k) {
+      const double t = r.t[k];
+      off_q += std::pow(smooth.q(0, k) - 0.3 * std::sin(1.7 * t) - 0.1 * std::sin(4.3 * t), 2);
+      off_v += std::pow(smooth.v(0, k) - 0.51 * std::cos(1.7 * t) - 0.43 * std::cos(4.3 * t), 2);
+    }
+    EXPECT_NEAR(ways.a.squaredNorm() / a, 0.99, 0.05) << velocity;
+    // What positions know is more than accelerations: the ways of these hold less of the position's doubt.
+    EXPECT_LT(ways.q.squaredNorm(), 1.05 * q);
+    EXPECT_LT(ways.v.squaredNorm(), 1.05 * v);
+    EXPECT_GT(off_q, q / 4) << velocity;
+    EXPECT_LT(off_q, q * 4) << velocity;
+    EXPECT_GT(off_v, v / 4) << velocity;
+    EXPECT_LT(off_v, v * 4) << velocity;
+  }
+}
+
 }  // namespace
 }  // namespace rg::recordings

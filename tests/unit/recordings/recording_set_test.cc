@@ -72,7 +72,7 @@ Result<RecordingSet> Load(const std::string& manifest, const std::string& csv = 
   return LoadSet(folder.path());
 }
 
-std::string ErrorOf(const std::string& manifest, const std::string& csv = kCsv) {
+std::string SetError(const std::string& manifest, const std::string& csv = kCsv) {
   const auto set = Load(manifest, csv);
   EXPECT_EQ(set.status().message().find('\n'), std::string::npos);
   return set.ok() ? "accepted" : set.status().message();
@@ -197,44 +197,44 @@ TEST(LoadSet, ReadsEverySettingOfTheManifest) {
 
 TEST(LoadSet, NamesTheFieldOfTheManifestThatIsWrong) {
   const std::string twice = R"([{"file": "a.csv"}, {"file": "a.csv", "split": "holdout"}])";
-  EXPECT_THAT(ErrorOf("{"), HasSubstr("manifest.json: not JSON"));
-  EXPECT_THAT(ErrorOf("[]"), HasSubstr("not a JSON object"));
-  EXPECT_THAT(ErrorOf("{}"), HasSubstr("format: is missing"));
-  EXPECT_THAT(ErrorOf(R"({"format": "realitygrad.recordings/2"})"),
+  EXPECT_THAT(SetError("{"), HasSubstr("manifest.json: not JSON"));
+  EXPECT_THAT(SetError("[]"), HasSubstr("not a JSON object"));
+  EXPECT_THAT(SetError("{}"), HasSubstr("format: is missing"));
+  EXPECT_THAT(SetError(R"({"format": "realitygrad.recordings/2"})"),
               AllOf(HasSubstr("format"), HasSubstr("recordings/2"), HasSubstr("recordings/1")));
-  EXPECT_THAT(ErrorOf(ManifestText("", "{}")), HasSubstr("recordings: {} is not a list"));
-  EXPECT_THAT(ErrorOf(ManifestText("", "[]")), HasSubstr("recordings: is empty"));
-  EXPECT_THAT(ErrorOf(ManifestText("", R"([{"file": "a.csv", "split": "test"}])")),
+  EXPECT_THAT(SetError(ManifestText("", "{}")), HasSubstr("recordings: {} is not a list"));
+  EXPECT_THAT(SetError(ManifestText("", "[]")), HasSubstr("recordings: is empty"));
+  EXPECT_THAT(SetError(ManifestText("", R"([{"file": "a.csv", "split": "test"}])")),
               AllOf(HasSubstr("recordings[0].split"), HasSubstr("'test'")));
-  EXPECT_THAT(ErrorOf(ManifestText("", R"([{"split": "fit"}])")),
+  EXPECT_THAT(SetError(ManifestText("", R"([{"split": "fit"}])")),
               HasSubstr("recordings[0].file: is missing"));
-  EXPECT_THAT(ErrorOf(ManifestText("", twice)), AllOf(HasSubstr("recordings[1].file"), HasSubstr("twice")));
-  EXPECT_THAT(ErrorOf(ManifestText("", R"([{"file": "z.csv"}])")), HasSubstr("z.csv"));
-  EXPECT_THAT(ErrorOf(ManifestText(R"(, "gravity": [0, 0])")), HasSubstr("gravity"));
-  EXPECT_THAT(ErrorOf(ManifestText(R"(, "gravity": [0, 0, "g"])")), HasSubstr("gravity[2]"));
-  EXPECT_THAT(ErrorOf(ManifestText(R"(, "sample_rate_hz": 0)")), HasSubstr("sample_rate_hz"));
-  EXPECT_THAT(ErrorOf(ManifestText(R"(, "sample_rate_hz": "100")")), HasSubstr("sample_rate_hz"));
-  EXPECT_THAT(ErrorOf(ManifestText(R"(, "noise": {"position_stddev": -1})")),
+  EXPECT_THAT(SetError(ManifestText("", twice)), AllOf(HasSubstr("recordings[1].file"), HasSubstr("twice")));
+  EXPECT_THAT(SetError(ManifestText("", R"([{"file": "z.csv"}])")), HasSubstr("z.csv"));
+  EXPECT_THAT(SetError(ManifestText(R"(, "gravity": [0, 0])")), HasSubstr("gravity"));
+  EXPECT_THAT(SetError(ManifestText(R"(, "gravity": [0, 0, "g"])")), HasSubstr("gravity[2]"));
+  EXPECT_THAT(SetError(ManifestText(R"(, "sample_rate_hz": 0)")), HasSubstr("sample_rate_hz"));
+  EXPECT_THAT(SetError(ManifestText(R"(, "sample_rate_hz": "100")")), HasSubstr("sample_rate_hz"));
+  EXPECT_THAT(SetError(ManifestText(R"(, "noise": {"position_stddev": -1})")),
               HasSubstr("noise.position_stddev"));
-  EXPECT_THAT(ErrorOf(ManifestText(R"(, "control": {"hold": "spline"})")), HasSubstr("control.hold"));
-  EXPECT_THAT(ErrorOf(ManifestText(R"(, "drive": "current")")), HasSubstr("drive"));
-  EXPECT_THAT(ErrorOf(ManifestText(R"(, "effort_excludes_gravity": 1)")),
+  EXPECT_THAT(SetError(ManifestText(R"(, "control": {"hold": "spline"})")), HasSubstr("control.hold"));
+  EXPECT_THAT(SetError(ManifestText(R"(, "drive": "current")")), HasSubstr("drive"));
+  EXPECT_THAT(SetError(ManifestText(R"(, "effort_excludes_gravity": 1)")),
               HasSubstr("effort_excludes_gravity"));
-  EXPECT_THAT(ErrorOf(ManifestText(R"(, "locked": {"wrist": 0})")), AllOf(HasSubstr("locked.wrist")));
-  EXPECT_THAT(ErrorOf(ManifestText("", "[]", R"(["elbow", "wrist"])")), HasSubstr("recordings"));
+  EXPECT_THAT(SetError(ManifestText(R"(, "locked": {"wrist": 0})")), AllOf(HasSubstr("locked.wrist")));
+  EXPECT_THAT(SetError(ManifestText("", "[]", R"(["elbow", "wrist"])")), HasSubstr("recordings"));
 }
 
 TEST(LoadSet, RefusesJointsThatTheRobotLacks) {
   const std::string one = R"([{"file": "a.csv"}])";
-  EXPECT_THAT(ErrorOf(ManifestText("", one, R"(["elbow", "wrist"])")),
+  EXPECT_THAT(SetError(ManifestText("", one, R"(["elbow", "wrist"])")),
               AllOf(HasSubstr("manifest.json: joints[1]"), HasSubstr("'wrist'")));
-  EXPECT_THAT(ErrorOf(ManifestText("", one, R"(["elbow", "elbow"])")), HasSubstr("joints[1]"));
-  EXPECT_THAT(ErrorOf(ManifestText(), "time,position.wrist,position.elbow,position.shoulder\n0,0,0,0\n"),
+  EXPECT_THAT(SetError(ManifestText("", one, R"(["elbow", "elbow"])")), HasSubstr("joints[1]"));
+  EXPECT_THAT(SetError(ManifestText(), "time,position.wrist,position.elbow,position.shoulder\n0,0,0,0\n"),
               AllOf(HasSubstr("a.csv"), HasSubstr("column 2"), HasSubstr("position.wrist")));
 }
 
 TEST(LoadSet, RefusesARecordingWithoutTheEffortThatDrives) {
-  EXPECT_THAT(ErrorOf(ManifestText(R"(, "drive": "effort_measured")")),
+  EXPECT_THAT(SetError(ManifestText(R"(, "drive": "effort_measured")")),
               AllOf(HasSubstr("a.csv"), HasSubstr("effort_measured.shoulder")));
 }
 

@@ -17,7 +17,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kUrdf = R"(<robot name="two">
+constexpr const char* kArmUrdf = R"(<robot name="two">
 <link name="base"/>
 <link name="upper"><inertial><origin xyz="0 0 0.1"/><mass value="1"/>
 <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -49,7 +49,7 @@ std::string Csv() {
 }
 
 struct Files {
-  std::string urdf = kUrdf, manifest = kManifest, csv = Csv();
+  std::string urdf = kArmUrdf, manifest = kManifest, csv = Csv();
 };
 
 // Replaces the first occurrence; a test of a replacement that finds nothing tests nothing.

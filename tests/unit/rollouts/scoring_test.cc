@@ -12,7 +12,7 @@ namespace {
 
 using recordings::Recording;
 
-std::shared_ptr<const model::RobotModel> Arm() {
+std::shared_ptr<const model::RobotModel> SharedArm() {
   const std::string root = std::getenv("RG_SOURCE_DIR");
   return std::make_shared<const model::RobotModel>(
       model::LoadUrdf(root + "/deploy/robots/arm2.urdf").value());
@@ -40,7 +40,7 @@ Recording Simulated(const sim::Plant& plant, const Eigen::VectorXd& values, int 
 }
 
 TEST(ScoreGoal, MeasuresTheEndAndTheWay) {
-  const auto model = Arm();
+  const auto model = SharedArm();
   Recording recording;
   recording.t = Eigen::Vector3d(0, 1, 2);
   recording.q = Eigen::MatrixXd::Zero(2, 3);
@@ -57,7 +57,7 @@ TEST(ScoreGoal, MeasuresTheEndAndTheWay) {
 }
 
 TEST(ScoreSimulation, TheTrueParametersScoreZeroAndOthersDoNot) {
-  const sim::Plant plant = sim::Plant::Create(Arm()).value();
+  const sim::Plant plant = sim::Plant::Create(SharedArm()).value();
   const Eigen::VectorXd truth = plant.parameters().Nominal();
   const Recording recording = Simulated(plant, truth, 26);
   const SimulationError exact = ScoreSimulation(plant, truth, recording);
@@ -73,7 +73,7 @@ TEST(ScoreSimulation, TheTrueParametersScoreZeroAndOthersDoNot) {
 }
 
 TEST(ScoreSimulation, RestartsMakeAWrongModelLookBetter) {
-  const sim::Plant plant = sim::Plant::Create(Arm()).value();
+  const sim::Plant plant = sim::Plant::Create(SharedArm()).value();
   const Eigen::VectorXd truth = plant.parameters().Nominal();
   const Recording recording = Simulated(plant, truth, 51);
   Eigen::VectorXd wrong = truth;

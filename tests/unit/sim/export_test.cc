@@ -142,6 +142,39 @@ TEST(ExportUrdf, SaysInOneLineEachWhatItCannotHold) {
   EXPECT_EQ(exported->left_out[2], "rotor_inertia (joint_1, joint_2): no place in URDF; left out");
 }
 
+TEST(ExportUrdf, SaysThatTheRotorOfABareFlangeHasNoPlace) {
+  const std::string urdf = R"(<robot name="r"><link name="base"/><link name="arm"><inertial><mass value="2"/>
+      <inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="flange"/>
+    <joint name="slide" type="prismatic"><parent link="base"/><child link="arm"/><axis xyz="1 0 0"/>
+      <limit lower="-1" upper="1" effort="9" velocity="1"/></joint>
+    <joint name="wrist" type="continuous"><parent link="arm"/><child link="flange"/><axis xyz="0 0 1"/></joint></robot>)";
+  auto model = model::ParseUrdf(urdf, "r.urdf", {});
+  ASSERT_TRUE(model.ok()) << model.status().ToString();
+  const Plant plant = Plant::Create(std::make_shared<const model::RobotModel>(std::move(model).value())).value();
+  VectorXd p = plant.parameters().Nominal();
+  SetValue(plant, "armature.wrist", 0.004, &p);
+  const auto exported = ExportUrdf(plant, p);
+  ASSERT_TRUE(exported.ok()) << exported.status().ToString();
+  ASSERT_EQ(exported->left_out.size(), 1u);
+  EXPECT_EQ(exported->left_out[0].find("armature.wrist 0.004 kg*m^2: no place in URDF"), 0u) << exported->left_out[0];
+}
+
+TEST(ExportUrdf, SpellsNumbersAsEveryReaderTakesThem) {
+  const std::string urdf = "<robot name=\"r\"><link name=\"base\"/><link name=\"arm\"><inertial><origin xyz=\" .1\t+0\n3. \"/>"
+                           "<mass value=\"+2.5E+0\"/><inertia ixx=\".1\" iyy=\"1.e-1\" izz=\"+.1\" ixy=\"-.0\" ixz=\"0.\" iyz=\"0\"/>"
+                           "</inertial></link><joint name=\"hinge\" type=\"revolute\"><parent link=\"base\"/><child link=\"arm\"/>"
+                           "<origin xyz=\"+1 .5\n0\" rpy=\"0.\t0 0\"/><axis xyz=\"0 0 +1\"/>"
+                           "<limit lower=\"-1.\" upper=\"+1e0\" effort=\"4e1\" velocity=\".5\"/></joint></robot>";
+  auto model = model::ParseUrdf(urdf, "r.urdf", {});
+  ASSERT_TRUE(model.ok()) << model.status().ToString();
+  const Plant plant = Plant::Create(std::make_shared<const model::RobotModel>(std::move(model).value())).value();
+  const auto exported = ExportUrdf(plant, plant.parameters().Nominal());
+  ASSERT_TRUE(exported.ok()) << exported.status().ToString();
+  for (const char* plain : {"xyz=\"0.1 0 3\"", "value=\"2.5\"", "xyz=\"1 0.5 0\"", "rpy=\"0 0 0\"", "xyz=\"0 0 1\"",
+                            "lower=\"-1\"", "upper=\"1\"", "effort=\"40\"", "velocity=\"0.5\""})
+    EXPECT_NE(exported->text.find(plain), std::string::npos) << plain << " in\n" << exported->text;
+}
+
 TEST(ExportUrdf, RefusesANegativeMassByName) {
   const Plant plant = testing::MakePlant("arm2");
   VectorXd p = plant.parameters().Nominal();
@@ -318,6 +351,46 @@ TEST(ExportMjcf, BodiesStandWhereTheModelHasTheirLinks) {
       EXPECT_LT((theirs.linear() - ours.rotation).norm(), 1e-12) << robot << " " << link.name;
     }
   }
+}
+
+// A finger that closes against its fellow: the mimic is a joint of its own, tied to its driver.
+TEST(ExportMjcf, AMimicIsAJointThatAnEqualityTiesToItsDriver) {
+  const std::string finger = R"(<inertial><origin xyz="0 0 .1"/><mass value=".2"/>
+      <inertia ixx="1e-3" iyy="1e-3" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>)";
+  const std::string urdf = R"(<robot name="hand"><link name="palm"/><link name="left">)" + finger +
+                           R"(</link><link name="right">)" + finger + R"(</link>
+    <joint name="drive" type="revolute"><parent link="palm"/><child link="left"/><origin xyz="0 .05 0"/>
+      <axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="5" velocity="3"/></joint>
+    <joint name="mimic" type="revolute"><parent link="palm"/><child link="right"/><origin xyz="0 -.05 0"/>
+      <axis xyz="1 0 0"/><limit lower="-2" upper="2" effort="5" velocity="3"/>
+      <dynamics damping=".02" friction=".01"/><mimic joint="drive" multiplier="-1.5" offset=".2"/></joint></robot>)";
+  auto model = model::ParseUrdf(urdf, "hand.urdf", {});
+  ASSERT_TRUE(model.ok()) << model.status().ToString();
+  const Plant plant = Plant::Create(std::make_shared<const model::RobotModel>(std::move(model).value())).value();
+  const auto exported = ExportMjcf(plant, plant.parameters().Nominal());
+  ASSERT_TRUE(exported.ok()) << exported.status().ToString();
+  const Mjcf mjcf(exported->text);
+  const TiXmlElement* tie = mjcf.Root()->FirstChildElement("equality")->FirstChildElement("joint");
+  EXPECT_STREQ(tie->Attribute("joint1"), "mimic");
+  EXPECT_STREQ(tie->Attribute("joint2"), "drive");
+  EXPECT_EQ(Numbers(tie, "polycoef"), (std::vector<double>{0.2, -1.5, 0, 0, 0}));
+  const TiXmlElement* joint = Mjcf::Find(mjcf.Root(), "joint", "mimic");
+  ASSERT_NE(joint, nullptr);
+  EXPECT_EQ(Number(joint, "damping"), 0.02);
+  EXPECT_EQ(Number(joint, "frictionloss"), 0.01);
+  EXPECT_EQ(Mjcf::Find(mjcf.Root()->FirstChildElement("actuator"), "general", "mimic"), nullptr);
+  dynamics::Mechanism mechanism(plant.model());
+  dynamics::Workspace w;
+  const VectorXd q = VectorXd::Constant(1, 0.3);
+  for (const model::Link& link : plant.model().links()) {
+    const model::Pose ours = dynamics::FramePose(mechanism, w, q, {link.body, link.X_BL});
+    Eigen::Isometry3d theirs;
+    ASSERT_TRUE(PoseOf(mjcf.Root()->FirstChildElement("worldbody"), link.name, {{"drive", 0.3}, {"mimic", 0.2 - 1.5 * 0.3}},
+                       Eigen::Isometry3d::Identity(), &theirs));
+    EXPECT_LT((theirs.translation() - ours.translation).norm(), 1e-12) << link.name;
+    EXPECT_LT((theirs.linear() - ours.rotation).norm(), 1e-12) << link.name;
+  }
+  EXPECT_NE(exported->left_out.back().find("joint mimic: mimics drive"), std::string::npos);
 }
 
 TEST(ExportMjcf, NamesAnInertiaThatMuJoCoWouldRefuse) {

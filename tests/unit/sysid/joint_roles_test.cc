@@ -41,7 +41,7 @@ recordings::RecordingSet MakeSet(const testing::MakeOptions& make) {
 
 const testing::MakeOptions kNoisy = {.duration_s = 8.0, .position_noise = 3e-4, .velocity_noise = 5e-3};
 
-double Of(const SysidReport& report, const std::string& name) {
+double FittedValue(const SysidReport& report, const std::string& name) {
   const int i = report.plant->parameters().Find(name);
   return i < 0 ? -1.0 : report.values[i];
 }
@@ -98,9 +98,9 @@ TEST(PrescribedJoints, LeaveIdentificationToTheOthers) {
     const auto report = SysidOnSet(set, {.threads = 1}, RealClock());
     ASSERT_TRUE(report.ok()) << report.status().ToString();
     EXPECT_LT(report->after_rms, 0.1 * report->before_rms);
-    const double plain = Of(*report, "coulomb_friction.elbow.coulomb");
-    const double by_direction = 0.5 * (Of(*report, "asymmetric_friction.elbow.coulomb_positive") +
-                                       Of(*report, "asymmetric_friction.elbow.coulomb_negative"));
+    const double plain = FittedValue(*report, "coulomb_friction.elbow.coulomb");
+    const double by_direction = 0.5 * (FittedValue(*report, "asymmetric_friction.elbow.coulomb_positive") +
+                                       FittedValue(*report, "asymmetric_friction.elbow.coulomb_negative"));
     EXPECT_NEAR(std::max(plain, by_direction), 0.4, 0.06) << report->chosen;
     for (const ParameterVerdict& p : report->identifiability.parameters)
       EXPECT_THAT(p.name, Not(HasSubstr(".shoulder"))) << "nothing on it can be known";

@@ -1,0 +1,2 @@
+#define RG_JSON_PARTS template
+#include <nlohmann/json.hpp>
