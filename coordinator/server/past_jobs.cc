@@ -74,6 +74,24 @@ Status AddTasks(JobStore& store, const JobRow& row, const pb::GetJobRequest& req
   return Status::Ok();
 }
 
+// The task of that name; without one the first that failed, else the first.
+Result<pb::TaskInfo> TaskOfInterest(JobStore& store, const JobRow& row, const std::string& name) {
+  RG_ASSIGN_OR_RETURN(const uint32_t unarchived, store.FirstUnarchived(row.job));
+  pb::TaskInfo first;
+  for (uint32_t begin = 0; begin < row.total; begin += kTogether) {
+    const uint32_t end = std::min(row.total, begin + kTogether);
+    RG_ASSIGN_OR_RETURN(pb::GetJobReply page, ReadThousand(store, MakeTaskId(row.job, begin),
+                                                           MakeTaskId(row.job, end - 1), begin < unarchived));
+    for (pb::TaskInfo& task : *page.mutable_tasks()) {
+      const bool is_meant = name.empty() ? task.state() == pb::TASK_STATE_FAILED : task.name() == name;
+      if (is_meant) return task;
+      if (begin == 0 && first.name().empty()) first = std::move(task);
+    }
+  }
+  if (name.empty()) return first;
+  return NotFoundError("job " + std::to_string(row.job) + " has no task '" + name + "'");
+}
+
 }  // namespace
 
 Result<pb::GetJobReply> DescribePastJob(JobStore& store, const pb::GetJobRequest& request,
@@ -92,21 +110,15 @@ Result<pb::GetJobReply> DescribePastJob(JobStore& store, const pb::GetJobRequest
 
 Result<pb::ExplainReply> ExplainPastTask(JobStore& store, const pb::ExplainRequest& request) {
   RG_ASSIGN_OR_RETURN(const JobRow row, store.FindJob(request.job()));
+  RG_ASSIGN_OR_RETURN(const pb::TaskInfo task, TaskOfInterest(store, row, request.task()));
   pb::ExplainReply reply;
-  TaskPhase phase = row.record.phase == JobPhase::kSucceeded ? TaskPhase::kSucceeded
-                    : row.record.phase == JobPhase::kFailed  ? TaskPhase::kFailed
-                                                             : TaskPhase::kCancelled;
-  if (!request.task().empty() && row.archived_ns == 0) {
-    RG_ASSIGN_OR_RETURN(const TaskId id, store.FindTask(row.job, request.task()));
-    RG_ASSIGN_OR_RETURN(const auto tasks, store.ReadPlans(id, id));
-    if (!tasks.empty()) phase = tasks.front().record.phase;
-  }
-  reply.set_task(request.task());
-  reply.set_state(static_cast<pb::TaskState>(phase));
+  reply.set_task(task.name());
+  reply.set_state(task.state());
+  reply.set_placeable(true);
   const std::string why = row.record.reason.empty() ? "" : ": " + row.record.reason;
-  reply.add_reasons(phase == TaskPhase::kSucceeded ? "it is done"
-                    : phase == TaskPhase::kFailed  ? "it failed" + why
-                                                   : "it was cancelled" + why);
+  reply.add_reasons(task.state() == pb::TASK_STATE_SUCCEEDED ? "it is done"
+                    : task.state() == pb::TASK_STATE_FAILED  ? "it failed" + why
+                                                             : "it was cancelled" + why);
   return reply;
 }
 

@@ -87,6 +87,8 @@ std::optional<transport::Message> Answer(Reader& reader, const transport::Sender
     return Pack(self, request, ReadEvents(*reader.jobs, *body, kPageBytes));
   if (const auto body = transport::Unpack<pb::GetJobRequest>(request); body.ok())
     return Pack(self, request, DescribePastJob(*reader.jobs, *body, kPageBytes));
+  if (const auto body = transport::Unpack<pb::ExplainRequest>(request); body.ok())
+    return Pack(self, request, ExplainPastTask(*reader.jobs, *body));
   return reader.desk->Answer(self, request);
 }
 

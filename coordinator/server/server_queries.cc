@@ -66,6 +66,7 @@ void Server::HandleRequest(transport::Message message) {
   if (Is<pb::ArchiveJobsRequest>(message)) return HandleArchive(message);
   if (Is<pb::GetLogsRequest>(message) && !NameTheJob<pb::GetLogsRequest>(message)) return;
   if (Is<pb::GetJobRequest>(message) && !NameTheJob<pb::GetJobRequest>(message)) return;
+  if (Is<pb::ExplainRequest>(message) && !NameTheJob<pb::ExplainRequest>(message)) return;
   if (LeaveToReaders(message)) return;
   if (Is<pb::GetJobRequest>(message) && watchers_.size() < kMaxWatchers) {
     auto body = Unpack<pb::GetJobRequest>(message);
@@ -109,8 +110,10 @@ bool Server::NameTheJob(transport::Message& message) {
 
 // A job that is over is told from its rows.
 bool Server::IsOfThePast(const transport::Message& message) const {
-  const auto body = Unpack<pb::GetJobRequest>(message);
-  return body.ok() && state_.FindJob(body->job()) == nullptr;
+  JobId job = 0;
+  if (const auto show = Unpack<pb::GetJobRequest>(message); show.ok()) job = show->job();
+  if (const auto explain = Unpack<pb::ExplainRequest>(message); explain.ok()) job = explain->job();
+  return job != 0 && state_.FindJob(job) == nullptr;
 }
 
 bool Server::LeaveToReaders(transport::Message& message) {

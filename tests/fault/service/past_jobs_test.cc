@@ -204,6 +204,12 @@ TEST_F(PastJobs, AnArchivedJobIsShownAsBeforeAndIsNotRunAgain) {
   before.mutable_job()->set_archived_ns(after.job().archived_ns());
   EXPECT_EQ(after.SerializeAsString(), before.SerializeAsString());
   EXPECT_EQ(Show(1, false).tasks(1).attempt_list_size(), 0);
+  pb::ExplainRequest why;
+  why.set_job(2);
+  EXPECT_EQ(Call<pb::ExplainReply>(why)->task(), "t0");
+  EXPECT_NE(Call<pb::ExplainReply>(why)->reasons(0).find("it was told to"), std::string::npos);
+  why.set_task("t1");
+  EXPECT_EQ(Call<pb::ExplainReply>(why)->state(), pb::TASK_STATE_CANCELLED);
   {
     auto left = *bench_->server_->database().Prepare(
         "SELECT (SELECT count(*) FROM tasks) + (SELECT count(*) FROM attempts) + (SELECT count(*) FROM "
