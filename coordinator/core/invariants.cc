@@ -122,6 +122,10 @@ class Inspection {
     for (const auto& [name, worker] : s_.workers) {
       Expect(worker.connected || worker.leases.empty(),
              [&] { return "worker " + name + " is lost but holds leases"; });
+      for (const uint32_t id : worker.classes) {
+        Expect(CanRun(worker, s_.classes[id]),
+               [&] { return "worker " + name + " is offered what it cannot run"; });
+      }
       for (const Token token : worker.leases) {
         const auto lease = s_.leases.find(token);
         Expect(lease != s_.leases.end() && lease->second.instance == worker.instance, [&] {

@@ -206,8 +206,9 @@ bool State::Holds(TaskId task, Token token) const {
   return leased != nullptr && leased->token == token;
 }
 
+// A class that is free has no kind, whatever a worker says it runs.
 bool CanRun(const Worker& worker, const SchedulingClass& cls) {
-  return worker.kinds.count(cls.kind) > 0 &&
+  return !cls.kind.empty() && worker.kinds.count(cls.kind) > 0 &&
          std::all_of(cls.tags.begin(), cls.tags.end(),
                      [&](const std::string& tag) { return worker.tags.count(tag) > 0; });
 }

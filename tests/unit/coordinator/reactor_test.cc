@@ -533,5 +533,17 @@ TEST_F(Reactor, AJobThatLeftMemoryLeavesNothingBehind) {
   EXPECT_TRUE(Sent<AnswerResult>(Do(repeat)).at(0).accepted);
 }
 
+TEST_F(Reactor, AWorkerOfNoKindIsNotOfferedWhatTakesAFreePlace) {
+  Join("a", 1);
+  SubmitJob({MakeTask("t")});
+  const Assign task = Sent<Assign>(last_).at(0);
+  Do(Finished{"a#1", task.task, task.token});
+  Retire(state_, 1);
+  Do(WorkerJoined{"b", "b#1", 1, {}, {""}, {}, false, "h", 1, "v", ""});
+  Do(WorkerLeft{"a#1"});
+  SubmitJob({MakeTask("t")});
+  EXPECT_TRUE(Sent<Assign>(last_).empty());
+}
+
 }  // namespace
 }  // namespace rg::coordinator
