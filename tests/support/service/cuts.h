@@ -1,10 +1,12 @@
 // Kills at named points and power cuts of a coordinator that runs under tests/support/sync_shim.
 #pragma once
 
+#include <algorithm>
 #include <cstdlib>
 #include <filesystem>
 #include <string>
 
+#include "common/base/file.h"
 #include "tests/support/service/processes.h"
 
 namespace rg::testing {
@@ -24,19 +26,24 @@ class UnderShim {
   UnderShim(const UnderShim&) = delete;
 };
 
+// How many of the longer one's bytes are other in the shorter one, or not there.
+inline int64_t DifferentBytes(const std::string& a, const std::string& b) {
+  const std::string x = ReadFile(a).value(), y = ReadFile(b).value();
+  int64_t different = static_cast<int64_t>(std::max(x.size(), y.size()) - std::min(x.size(), y.size()));
+  for (size_t i = 0; i < std::min(x.size(), y.size()); ++i) different += x[i] != y[i];
+  return different;
+}
+
 // The database as a machine finds it that lost power: what was never synced is gone. The program that had it
 // open must be dead. How many bytes of its files were lost.
 inline int64_t RestoreSynced(const std::string& database) {
   namespace fs = std::filesystem;
   int64_t lost = 0;
   for (const std::string& file : {database, database + "-wal"}) {
-    std::error_code error;
-    const auto now = fs::file_size(file, error);
     if (!fs::exists(file + ".synced")) {
-      fs::remove(file, error);
+      fs::remove(file);
     } else {
-      const auto synced = fs::file_size(file + ".synced");
-      if (!error && now > synced) lost += static_cast<int64_t>(now - synced);
+      if (fs::exists(file)) lost += DifferentBytes(file, file + ".synced");
       fs::copy_file(file + ".synced", file, fs::copy_options::overwrite_existing);
     }
   }
