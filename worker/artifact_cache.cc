@@ -1,6 +1,7 @@
 #include "worker/artifact_cache.h"
 
 #include <algorithm>
+#include <chrono>
 #include <filesystem>
 #include <vector>
 
@@ -11,6 +12,14 @@ namespace rg::worker {
 
 namespace fs = std::filesystem;
 
+namespace {
+
+bool IsOld(fs::file_time_type written) {
+  return fs::file_time_type::clock::now() - written > std::chrono::hours(24);
+}
+
+}  // namespace
+
 Result<ArtifactCache> ArtifactCache::Open(const std::string& folder, uint64_t limit_bytes) {
   ArtifactCache cache(folder, limit_bytes);
   std::error_code error;
@@ -20,8 +29,12 @@ Result<ArtifactCache> ArtifactCache::Open(const std::string& folder, uint64_t li
   for (auto it = fs::recursive_directory_iterator(folder, error); !error && it != fs::end(it);
        it.increment(error)) {
     std::error_code ignored;
-    if (it->is_regular_file(ignored) && it->path().filename().string().size() == 64) {
+    if (!it->is_regular_file(ignored)) continue;
+    const std::string name = it->path().filename().string();
+    if (name.size() == 64) {
       files.emplace_back(it->last_write_time(ignored), it->path());
+    } else if (name.find(".part") == 64 && IsOld(it->last_write_time(ignored))) {
+      fs::remove(it->path(), ignored);  // of a transfer that nobody has taken up
     }
   }
   std::sort(files.begin(), files.end());

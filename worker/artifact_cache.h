@@ -24,6 +24,8 @@ class ArtifactCache {
   Result<std::string> Insert(const std::string& sha256, std::string_view bytes);
   // From any thread: the file is there, whole and synced, when it returns. The caller has checked the hash.
   static Status Write(const std::string& folder, const std::string& sha256, std::string_view bytes);
+  // Where the file of an artefact is, or goes.
+  static std::string PathIn(const std::string& folder, const std::string& sha256);
   // Such a file is part of the cache from now on.
   void Took(const std::string& sha256, uint64_t bytes);
   // Damaged or no longer wanted.
@@ -36,7 +38,6 @@ class ArtifactCache {
 
  private:
   ArtifactCache(std::string folder, uint64_t limit) : folder_(std::move(folder)), limit_(limit) {}
-  static std::string PathIn(const std::string& folder, const std::string& sha256);
   std::string PathOf(const std::string& sha256) const { return PathIn(folder_, sha256); }
   void Note(const std::string& sha256, uint64_t size);
   void MakeRoom();

@@ -2,7 +2,6 @@
 
 #include <unistd.h>
 
-#include "common/base/file.h"
 #include "coordinator/client/transfer.h"
 #include "worker/artifact_cache.h"
 
@@ -73,13 +72,12 @@ void Transfers::Work(int thread) {
 TransferResult Transfers::RunOne(Transfer transfer, transport::RequestClient& client) {
   TransferResult result;
   if (transfer.kind == Transfer::Kind::kFetch) {
-    auto bytes = coordinator::FetchArtifact(client, transfer.sha256);
-    result.status =
-        bytes.ok() ? ArtifactCache::Write(cache_folder_, transfer.sha256, *bytes) : bytes.status();
-    if (bytes.ok()) result.bytes = bytes->size();
+    const auto size = coordinator::FetchArtifactToFile(client, transfer.sha256,
+                                                       ArtifactCache::PathIn(cache_folder_, transfer.sha256));
+    result.status = size.status();
+    if (size.ok()) result.bytes = *size;
   } else {
-    auto bytes = ReadFile(transfer.path);
-    result.status = bytes.ok() ? coordinator::UploadArtifact(client, *bytes, transfer.info) : bytes.status();
+    result.status = coordinator::UploadArtifactFile(client, transfer.path, transfer.info);
   }
   result.transfer = std::move(transfer);
   return result;

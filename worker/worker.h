@@ -59,6 +59,7 @@ class Worker {
     int open_transfers = 0;
     std::vector<std::string> input_paths;
     Executor* executor = nullptr;
+    int64_t queued_ns = 0;     // since when it waits for a slot; 0: it does not
     int64_t deadline_ns = 0;   // of the run; 0: none
     int64_t kill_at_ns = 0;    // after a cancel; 0: not cancelled
     int64_t next_send_ns = 0;  // start request or result, again until answered
@@ -107,6 +108,7 @@ class Worker {
                      bool retryable);
   void Interrupt(Held& held);
   void EnforceDeadlines();
+  void GiveBackWhatWaits();
   void GiveBackEverything(const std::string& why);
   void Forget(uint64_t token);
   void AddLog(uint64_t token, const std::string& text, int64_t wall_ns);

@@ -64,8 +64,20 @@ void Worker::StartQueued() {
     if (held.stage != Stage::kQueued) continue;
     const auto running = std::count_if(executors_.begin(), executors_.end(),
                                        [](const auto& executor) { return executor->token() != 0; });
-    if (running >= static_cast<long>(options_.slots)) return;
+    if (running >= static_cast<long>(options_.slots)) return GiveBackWhatWaits();
     Start(token, held);
+  }
+}
+
+// Tasks that were given ahead because they are short, behind one that is not: others may have a slot free.
+void Worker::GiveBackWhatWaits() {
+  constexpr int64_t kLongNs = 1'000'000'000;
+  for (auto& [token, held] : held_) {
+    if (held.stage != Stage::kQueued) continue;
+    if (held.queued_ns == 0) held.queued_ns = now();
+    if (now() - held.queued_ns < kLongNs) continue;
+    held.gave_back = true;
+    ReportFailure(held, pb::ATTEMPT_OUTCOME_LOST, "given back: it waited behind another task", true);
   }
 }
 

@@ -2,6 +2,8 @@
 
 #include <sodium.h>
 
+#include <cstring>
+
 #include "common/base/check.h"
 #include "common/base/sha256_blocks.h"
 
@@ -39,6 +41,16 @@ std::string Sha256::FinishHex() {
   char hex[2 * crypto_hash_sha256_BYTES + 1];
   sodium_bin2hex(hex, sizeof hex, digest, sizeof digest);
   return hex;
+}
+
+std::string Sha256::Save() const {
+  return std::string(reinterpret_cast<const char*>(state_.data()), sizeof(crypto_hash_sha256_state));
+}
+
+bool Sha256::Restore(std::string_view saved) {
+  if (saved.size() != sizeof(crypto_hash_sha256_state)) return false;
+  std::memcpy(state_.data(), saved.data(), saved.size());
+  return true;
 }
 
 std::string Sha256Hex(std::string_view bytes) {

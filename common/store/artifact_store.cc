@@ -52,6 +52,16 @@ CREATE TABLE artifact_pin (
 CREATE INDEX artifact_pin_by_owner ON artifact_pin (owner, artifact);
 )sql";
 
+// Uploads that may be taken up: how far they are, always at the end of a chunk, and their hash so far.
+constexpr std::string_view kArtifactsVersion2 = R"sql(
+ALTER TABLE artifact_upload ADD COLUMN name TEXT NOT NULL DEFAULT '';
+ALTER TABLE artifact_upload ADD COLUMN size_bytes INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE artifact_upload ADD COLUMN chunks INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE artifact_upload ADD COLUMN hash_state BLOB;
+ALTER TABLE artifact_upload ADD COLUMN touched_ns INTEGER NOT NULL DEFAULT 0;
+CREATE UNIQUE INDEX artifact_upload_by_name ON artifact_upload (name) WHERE name <> '';
+)sql";
+
 Status CheckKind(const std::string& kind) {
   const auto allowed = [](char c) {
     return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '_' || c == '-' || c == '.';
@@ -87,27 +97,35 @@ std::string ChunkChecksum(std::string_view bytes) {
   return sum;
 }
 
-Module ArtifactStore::Schema() { return {"artifacts", {{1, kArtifactsVersion1}}}; }
+Module ArtifactStore::Schema() { return {"artifacts", {{1, kArtifactsVersion1}, {2, kArtifactsVersion2}}}; }
 
 Result<std::unique_ptr<ArtifactStore>> ArtifactStore::Open(Database* database, const Clock* clock,
                                                            ArtifactStoreOptions options) {
   RG_CHECK(options.chunk_bytes >= 1 && options.chunk_bytes <= (64 << 20));
   RG_CHECK(sodium_init() >= 0);
   std::unique_ptr<ArtifactStore> store(new ArtifactStore(database, clock, options));
-  if (!database->read_only()) RG_RETURN_IF_ERROR(store->SweepUploads());
+  if (!database->read_only()) RG_RETURN_IF_ERROR(store->SweepUploads(true));
   return store;
 }
 
-Status ArtifactStore::SweepUploads() {
+Status ArtifactStore::SweepUploads(bool all) {
   std::vector<int64_t> remains;
   {
-    RG_ASSIGN_OR_RETURN(Statement query, database_->Prepare("SELECT id FROM artifact_upload"));
+    RG_ASSIGN_OR_RETURN(Statement query,
+                        database_->Prepare("SELECT id FROM artifact_upload WHERE touched_ns < ?1"
+                                           " AND name <> '' OR ?2 AND (name = '' OR chunks = 0)"));
+    query.Bind(1, clock_->WallNanos() - options_.keep_uploads_ns).Bind(2, all ? 1 : 0);
     RG_RETURN_IF_ERROR(ForEachRow(&query, [&] { remains.push_back(query.Int(0)); }));
   }
   if (remains.empty()) return Status::Ok();
   return database_->InTransaction([&]() -> Status {
-    for (const int64_t id : remains) RG_RETURN_IF_ERROR(DropChunks(id));
-    return database_->Execute("DELETE FROM artifact_upload");
+    for (const int64_t id : remains) {
+      RG_RETURN_IF_ERROR(DropChunks(id));
+      RG_ASSIGN_OR_RETURN(Statement drop, database_->Prepare("DELETE FROM artifact_upload WHERE id = ?"));
+      drop.Bind(1, id);
+      RG_RETURN_IF_ERROR(drop.Run());
+    }
+    return Status::Ok();
   });
 }
 
@@ -136,6 +154,35 @@ Result<ArtifactWriter> ArtifactStore::BeginPut() {
   return ArtifactWriter(this, id, token);
 }
 
+Result<ArtifactWriter> ArtifactStore::ResumePut(const std::string& name) {
+  {
+    RG_ASSIGN_OR_RETURN(Statement query,
+                        database_->Prepare("SELECT id, token, size_bytes, chunks, hash_state FROM "
+                                           "artifact_upload WHERE name = ?"));
+    query.Bind(1, name);
+    RG_ASSIGN_OR_RETURN(const bool found, query.Step());
+    if (found) {
+      ArtifactWriter writer(this, query.Int(0), query.Text(1), name);
+      writer.size_bytes_ = query.Int(2);
+      writer.next_chunk_ = query.Int(3);
+      const bool is_ours = writer.next_chunk_ == 0 || writer.hash_.Restore(query.Blob(4));
+      query.Reset();
+      if (is_ours) {
+        RG_RETURN_IF_ERROR(DropChunks(writer.id_, writer.next_chunk_));  // written after the last save
+        return writer;
+      }
+      writer.Abandon();  // of another build
+    }
+  }
+  RG_ASSIGN_OR_RETURN(ArtifactWriter writer, BeginPut());
+  RG_ASSIGN_OR_RETURN(Statement note,
+                      database_->Prepare("UPDATE artifact_upload SET name = ?, touched_ns = ? WHERE id = ?"));
+  note.Bind(1, name).Bind(2, clock_->WallNanos()).Bind(3, writer.id_);
+  RG_RETURN_IF_ERROR(note.Run());
+  writer.name_ = name;
+  return writer;
+}
+
 Status ArtifactStore::CheckUpload(int64_t id, const std::string& token) {
   RG_ASSIGN_OR_RETURN(Statement query,
                       database_->Prepare("SELECT 1 FROM artifact_upload WHERE id = ? AND token = ?"));
@@ -156,10 +203,10 @@ Status ArtifactStore::WriteChunk(int64_t id, int64_t chunk, std::string_view byt
   return insert.Run();
 }
 
-Status ArtifactStore::DropChunks(int64_t id) {
+Status ArtifactStore::DropChunks(int64_t id, int64_t from) {
   RG_ASSIGN_OR_RETURN(Statement drop,
                       database_->Prepare("DELETE FROM artifact_chunk WHERE id >= ? AND id < ?"));
-  drop.Bind(1, ChunkId(id, 0)).Bind(2, ChunkId(id + 1, 0));
+  drop.Bind(1, ChunkId(id, from)).Bind(2, ChunkId(id + 1, 0));
   return drop.Run();
 }
 
@@ -261,7 +308,21 @@ Status ArtifactStore::AddLinks(int64_t id, const std::string& sha256, const Arti
 
 // ---- ArtifactWriter ----
 
-ArtifactWriter::~ArtifactWriter() { Abandon(); }
+ArtifactWriter::~ArtifactWriter() {
+  if (name_.empty()) Abandon();
+}
+
+// Only at the end of a chunk: what is pending would be lost with this process.
+Status ArtifactWriter::SaveProgress() {
+  if (name_.empty() || !pending_.empty()) return Status::Ok();
+  RG_ASSIGN_OR_RETURN(Statement save, store_.store->database_->Prepare(
+                                          "UPDATE artifact_upload SET size_bytes = ?, chunks = ?, "
+                                          "hash_state = ?, touched_ns = ? WHERE id = ?"));
+  const std::string state = hash_.Save();
+  save.Bind(1, size_bytes_).Bind(2, next_chunk_).BindBlob(3, state);
+  save.Bind(4, store_.store->clock_->WallNanos()).Bind(5, id_);
+  return save.Run();
+}
 
 void ArtifactWriter::Abandon() {
   if (ArtifactStore* store = std::exchange(store_.store, nullptr)) {
@@ -289,7 +350,7 @@ Status ArtifactWriter::Append(std::string_view bytes) {
       RG_RETURN_IF_ERROR(
           store.WriteChunk(id_, next_chunk_++, std::string_view(pending_).substr(at, chunk_bytes)));
     pending_.erase(0, at);
-    return Status::Ok();
+    return SaveProgress();
   });
   if (!written.ok()) Abandon();
   return written;

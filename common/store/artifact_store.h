@@ -107,7 +107,8 @@ struct GcReport {
 class ArtifactStore;
 
 // A streaming put. Append and Commit join an open transaction or make their own. Abandoned when
-// destroyed uncommitted.
+// destroyed uncommitted, but for one with a name (ArtifactStore::ResumePut): what of that is durable waits
+// for whoever goes on.
 class ArtifactWriter {
  public:
   ArtifactWriter(ArtifactWriter&&) noexcept = default;
@@ -121,11 +122,13 @@ class ArtifactWriter {
   Result<PutResult> Commit(const ArtifactSpec& spec, std::string_view expected_sha256 = {});
   void Abandon();
   int64_t size_bytes() const { return size_bytes_; }
+  const std::string& name() const { return name_; }
 
  private:
   friend class ArtifactStore;
-  ArtifactWriter(ArtifactStore* store, int64_t id, std::string token)
-      : store_(store), id_(id), token_(std::move(token)) {}
+  ArtifactWriter(ArtifactStore* store, int64_t id, std::string token, std::string name = {})
+      : store_(store), id_(id), token_(std::move(token)), name_(std::move(name)) {}
+  Status SaveProgress();
 
   // Moves with the writer: the moved-from one owns nothing.
   struct Owner {
@@ -136,6 +139,7 @@ class ArtifactWriter {
   Owner store_;
   int64_t id_;
   std::string token_;  // tells this upload from a later one that got the same id after a rollback
+  std::string name_;   // empty: nobody can take it up
   int64_t next_chunk_ = 0;
   int64_t size_bytes_ = 0;
   std::string pending_;  // less than a chunk
@@ -165,6 +169,8 @@ class ArtifactReader {
 struct ArtifactStoreOptions {
   int64_t chunk_bytes = 1 << 20;                  // of one row; 1 .. 64 MiB
   int64_t max_artifact_bytes = int64_t{4} << 30;  // larger ones are refused
+  // An upload with a name that nobody went on with for so long is swept at the next Open.
+  int64_t keep_uploads_ns = 86'400'000'000'000;
 };
 
 class ArtifactStore {
@@ -178,6 +184,8 @@ class ArtifactStore {
 
   Result<PutResult> Put(std::string_view bytes, const ArtifactSpec& spec);
   Result<ArtifactWriter> BeginPut();
+  // The upload of that name where it was when it was last durable, or a new one. One writer per name.
+  Result<ArtifactWriter> ResumePut(const std::string& name);
 
   bool Contains(const std::string& sha256);
   Result<ArtifactInfo> Info(const std::string& sha256);
@@ -206,6 +214,10 @@ class ArtifactStore {
   // Outside of a transaction the file shrinks too (else: Database::ReleaseFreePages after the commit).
   Result<GcReport> Gc(const GcOptions& options);
 
+  // Uploads that nobody goes on with any more. `all`: also those that cannot be taken up, for when no writer
+  // is there (Open).
+  Status SweepUploads(bool all = false);
+
   struct Totals {
     int64_t artifacts = 0;
     int64_t bytes = 0;
@@ -226,13 +238,12 @@ class ArtifactStore {
   };
 
   // Uploads (artifact_store.cc).
-  Status SweepUploads();
   Result<int64_t> NextId();
   Status CheckUpload(int64_t id, const std::string& token);
   Status WriteChunk(int64_t id, int64_t chunk, std::string_view bytes);
   Status CheckChunks(int64_t id, int64_t chunks, int64_t size);
   Status DropUpload(int64_t id, const std::string& token);
-  Status DropChunks(int64_t id);
+  Status DropChunks(int64_t id, int64_t from = 0);
   Status InsertArtifact(int64_t id, int64_t chunks, int64_t size, const std::string& sha256,
                         const ArtifactSpec& spec);
   Result<bool> NoteExisting(const std::string& sha256, const ArtifactSpec& spec);

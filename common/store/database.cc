@@ -291,6 +291,27 @@ Status SetUpConnection(Database* database, const DatabaseOptions& options) {
                            "; PRAGMA wal_autocheckpoint = 4000; PRAGMA journal_size_limit = 67108864");
 }
 
+// A copy beside the file before its tables are changed. One that is there already was made before an attempt
+// that came to nothing.
+Status BackUpBeforeMigration(Database* database, const std::vector<Module>& modules) {
+  RG_ASSIGN_OR_RETURN(const std::string pending, PendingMigration(database, modules));
+  if (pending.empty()) return Status::Ok();
+  const std::string copy = database->path() + ".before-" + pending, part = copy + ".part";
+  std::error_code error;
+  if (std::filesystem::exists(copy, error)) return Status::Ok();
+  std::filesystem::remove(part, error);
+  const Status copied = database->BackupTo(part);
+  if (copied.ok()) std::filesystem::rename(part, copy, error);
+  if (copied.ok() && !error) {
+    SyncFolderOf(copy);
+    return Status::Ok();
+  }
+  const std::string why = copied.ok() ? error.message() : copied.message();
+  std::filesystem::remove(part, error);
+  return Status(copied.ok() ? StatusCode::kInternal : copied.code(),
+                database->path() + ": no copy could be made before its tables are changed: " + why);
+}
+
 }  // namespace
 
 Result<std::unique_ptr<Database>> Database::Open(const DatabaseOptions& options,
@@ -315,6 +336,7 @@ Result<std::unique_ptr<Database>> Database::Open(const DatabaseOptions& options,
   sqlite3_extended_result_codes(impl->database->getHandle(), 1);
   std::unique_ptr<Database> database(new Database(std::move(impl)));
   RG_RETURN_IF_ERROR(SetUpConnection(database.get(), options));
+  if (!options.read_only && exists) RG_RETURN_IF_ERROR(BackUpBeforeMigration(database.get(), modules));
   RG_RETURN_IF_ERROR(options.read_only ? CheckSchema(database.get(), modules)
                                        : MigrateAll(database.get(), modules));
   if (on_disk && !exists) SyncFolderOf(options.path);

@@ -97,6 +97,19 @@ Status MigrateAll(Database* database, const std::vector<Module>& modules) {
   });
 }
 
+Result<std::string> PendingMigration(Database* database, const std::vector<Module>& modules) {
+  RG_ASSIGN_OR_RETURN(const bool has_table, HasSchemaTable(database));
+  std::string pending;
+  for (const Module& module : modules) {
+    if (!has_table) break;
+    RG_ASSIGN_OR_RETURN(const int installed, database->ModuleVersion(module.name));
+    const auto known = static_cast<int>(module.migrations.size());
+    if (installed == 0 || installed >= known) continue;
+    pending += (pending.empty() ? "" : "-") + module.name + "-" + std::to_string(known);
+  }
+  return pending;
+}
+
 Status CheckSchema(Database* database, const std::vector<Module>& modules) {
   for (const Module& module : modules) CheckModuleIsWellFormed(module);
   RG_RETURN_IF_ERROR(CheckIsOurs(database));

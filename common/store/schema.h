@@ -15,6 +15,9 @@ inline constexpr int kApplicationId = 0x52476462;
 // Refuses a file that is no database of this project, a module newer than the program, and a
 // migration that was edited after it was applied; then applies what is missing, all or nothing.
 Status MigrateAll(Database* database, const std::vector<Module>& modules);
+// What is older in the file than the program knows it: "coordinator-4" for a step to that version; empty:
+// nothing is, or it is no database of this project yet.
+Result<std::string> PendingMigration(Database* database, const std::vector<Module>& modules);
 // The checks only, for readers: every module must be there at the version of the program.
 Status CheckSchema(Database* database, const std::vector<Module>& modules);
 

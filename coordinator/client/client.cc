@@ -236,6 +236,19 @@ Result<std::string> Client::PutArtifact(std::string_view bytes, pb::ArtifactInfo
   return info.sha256();
 }
 
+Result<uint64_t> Client::GetArtifactFile(const std::string& sha256, const std::string& path) {
+  return FetchArtifactToFile(*requests_, sha256, path);
+}
+
+Result<std::string> Client::PutArtifactFile(const std::string& path, pb::ArtifactInfo info) {
+  uint64_t size = 0;
+  RG_ASSIGN_OR_RETURN(const std::string sha256, Sha256OfFile(path, &size));
+  info.set_sha256(sha256);
+  info.set_size_bytes(size);
+  RG_RETURN_IF_ERROR(UploadArtifactFile(*requests_, path, info));
+  return sha256;
+}
+
 Result<pb::ArtifactLineageReply> Client::Lineage(const std::string& sha256, bool ancestors,
                                                  bool descendants) {
   pb::ArtifactLineageRequest request;
@@ -262,6 +275,20 @@ Result<pb::GcArtifactsReply> Client::CollectGarbage(int64_t older_than_ns, bool 
     RG_ASSIGN_OR_RETURN(pb::GcArtifactsReply part, Call<pb::GcArtifactsReply>(request));
     for (pb::ArtifactInfo& info : *part.mutable_removed()) *all.add_removed() = std::move(info);
     all.set_bytes(all.bytes() + part.bytes());
+    all.set_more(part.more());
+    if (dry_run || !part.more()) return all;
+  }
+}
+
+Result<pb::ArchiveJobsReply> Client::ArchiveJobs(int64_t older_than_ns, bool dry_run) {
+  pb::ArchiveJobsRequest request;
+  request.set_older_than_ns(older_than_ns);
+  request.set_dry_run(dry_run);
+  pb::ArchiveJobsReply all;
+  while (true) {
+    RG_ASSIGN_OR_RETURN(const auto part, Call<pb::ArchiveJobsReply>(request));
+    all.mutable_jobs()->MergeFrom(part.jobs());
+    all.set_tasks(all.tasks() + part.tasks());
     all.set_more(part.more());
     if (dry_run || !part.more()) return all;
   }

@@ -78,6 +78,9 @@ class Client {
   Result<pb::ExplainReply> Explain(int64_t job, const std::string& task = {});
   Result<std::vector<pb::EventRecord>> Events(int64_t job = 0, int64_t after_id = 0, uint32_t limit = 0);
 
+  // Jobs that ended longer ago out of the way, in several calls (control.proto).
+  Result<pb::ArchiveJobsReply> ArchiveJobs(int64_t older_than_ns, bool dry_run);
+
   // A copy of the database under this name beside it, made while it is in use.
   Result<pb::BackupReply> Backup(const std::string& name);
 
@@ -94,6 +97,10 @@ class Client {
   Result<std::string> GetArtifact(const std::string& sha256);
   // Kind and metadata from `info`; returns the hash. In pieces; a repeat is harmless.
   Result<std::string> PutArtifact(std::string_view bytes, pb::ArtifactInfo info);
+  // The same between the store and a file, a piece at a time in memory; a repeat after a kill of either side
+  // goes on where that was (coordinator/client/transfer.h).
+  Result<uint64_t> GetArtifactFile(const std::string& sha256, const std::string& path);
+  Result<std::string> PutArtifactFile(const std::string& path, pb::ArtifactInfo info);
   Result<pb::ArtifactLineageReply> Lineage(const std::string& sha256, bool ancestors = true,
                                            bool descendants = false);
   Result<pb::VerifyArtifactsReply> VerifyArtifacts(const std::vector<std::string>& sha256s = {});

@@ -7,21 +7,40 @@
 
 namespace rg::coordinator {
 
+uint32_t AheadPerSlot(const SchedulingClass& cls) {
+  constexpr double kAheadSeconds = 0.02;  // of work that waits at the worker
+  constexpr double kMost = 16.0;
+  if (cls.seconds < 0.0 || cls.seconds > kAheadSeconds) return 0;
+  return static_cast<uint32_t>(std::min(kMost, kAheadSeconds / std::max(cls.seconds, 1e-6)));
+}
+
+// Free slots first, everywhere; then what is short is given ahead.
 void Turn::Dispatch() {
+  FillSlots(false);
+  FillSlots(true);
+}
+
+void Turn::FillSlots(bool ahead) {
+  const bool anything = std::any_of(s_.classes.begin(), s_.classes.end(), [&](const SchedulingClass& cls) {
+    return !cls.ready.empty() && (!ahead || AheadPerSlot(cls) > 0);
+  });
+  if (!anything) return;
   std::vector<Worker*> open;
   for (auto& [name, worker] : s_.workers) {
-    if (worker.accepts_work()) open.push_back(&worker);
+    if (ahead ? worker.connected && !worker.draining : worker.accepts_work()) open.push_back(&worker);
   }
   const auto emptier = [](const Worker* a, const Worker* b) {
     return uint64_t{a->busy()} * b->slots < uint64_t{b->busy()} * a->slots;
   };
   while (!open.empty()) {
     std::stable_sort(open.begin(), open.end(), emptier);
-    std::erase_if(open, [this](Worker* worker) { return !AssignOneTo(*worker) || !worker->accepts_work(); });
+    std::erase_if(open, [&](Worker* worker) {
+      return !AssignOneTo(*worker, ahead) || (!ahead && !worker->accepts_work());
+    });
   }
 }
 
-bool Turn::AssignOneTo(Worker& worker) {
+bool Turn::AssignOneTo(Worker& worker, bool ahead) {
   SchedulingClass* best = nullptr;
   for (const uint32_t id : worker.classes) {
     SchedulingClass& cls = s_.classes[id];
@@ -30,8 +49,12 @@ bool Turn::AssignOneTo(Worker& worker) {
   }
   if (best == nullptr) return false;
   const TaskId task = best->ready.begin()->task;
+  Job& job = *s_.FindJob(JobOf(task));
+  if (ahead &&
+      (worker.busy() >= worker.slots * (1 + AheadPerSlot(*best)) || job.plan_of(IndexOf(task)).at_most_once))
+    return false;
   best->ready.erase(best->ready.begin());
-  GiveTo(worker, *s_.FindJob(JobOf(task)), IndexOf(task));
+  GiveTo(worker, job, IndexOf(task));
   return true;
 }
 

@@ -19,6 +19,9 @@ struct Submit {
   ReplyTo reply_to = 0;
   Token lease = 0;      // under which plan->parent submits it; 0: a client does
   std::string content;  // as JobPlan::content; empty: not compared
+  // A job that is over and not in memory had this request id already, and that content.
+  JobId known = 0;
+  std::string known_content = {};
 };
 enum class JobCommand { kCancel, kPause, kResume, kRetry };
 struct CommandJob {
@@ -72,6 +75,8 @@ struct Finished {
   std::string instance;
   TaskId task = 0;
   Token token = 0;
+  double seconds = -1.0;  // that it ran; negative: not said
+  Token committed = 0;    // of a task whose job is not in memory: under which lease it was committed
 };
 struct Failed {
   std::string instance;

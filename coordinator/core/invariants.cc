@@ -50,10 +50,11 @@ class Inspection {
   void CheckParent(const Job& job) {
     if (job.plan->parent == 0) return;
     const auto where = [&] { return "job " + std::to_string(job.id); };
+    if (IsFinal(job.record.phase)) return;  // its parent may have left memory
     const Job* parent = s_.FindJob(JobOf(job.plan->parent));
     Expect(parent != nullptr && parent->id < job.id && IndexOf(job.plan->parent) < parent->tasks.size(),
            [&] { return where() + " was submitted by a task that there is not"; });
-    if (parent == nullptr || IsFinal(job.record.phase)) return;
+    if (parent == nullptr) return;
     Expect(!s_.IsSettled(job.plan->parent),
            [&] { return where() + " goes on though the task that submitted it is over"; });
   }
@@ -121,6 +122,10 @@ class Inspection {
     for (const auto& [name, worker] : s_.workers) {
       Expect(worker.connected || worker.leases.empty(),
              [&] { return "worker " + name + " is lost but holds leases"; });
+      for (const uint32_t id : worker.classes) {
+        Expect(CanRun(worker, s_.classes[id]),
+               [&] { return "worker " + name + " is offered what it cannot run"; });
+      }
       for (const Token token : worker.leases) {
         const auto lease = s_.leases.find(token);
         Expect(lease != s_.leases.end() && lease->second.instance == worker.instance, [&] {
@@ -131,15 +136,22 @@ class Inspection {
   }
 
   void CheckQueues() {
-    size_t queued = 0;
+    size_t queued = 0, in_classes = 0, in_jobs = 0;
+    for (const auto& [id, job] : s_.jobs) in_jobs += job.tasks.size();
     for (const SchedulingClass& cls : s_.classes) {
       queued += cls.ready.size();
+      in_classes += cls.tasks;
       for (const auto& entry : cls.ready) {
         const Job* job = s_.FindJob(JobOf(entry.task));
         Expect(job != nullptr && std::holds_alternative<TaskReady>(job->tasks[IndexOf(entry.task)].status),
                [&] { return std::string("a task is queued but not ready"); });
       }
     }
+    Expect(in_classes == in_jobs, [&] { return std::string("tasks of scheduling classes: count"); });
+    Expect(s_.class_index.size() + s_.free_classes.size() == s_.classes.size(),
+           [&] { return std::string("a scheduling class is neither used nor free"); });
+    Expect(s_.job_by_request.size() == s_.jobs.size(),
+           [&] { return std::string("request ids and jobs in memory: count"); });
     size_t ready = 0;
     for (const auto& [id, job] : s_.jobs) {
       if (job.record.phase == JobPhase::kPaused) continue;

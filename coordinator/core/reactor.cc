@@ -4,13 +4,20 @@
 
 namespace rg::coordinator {
 
-void React(const Event& event, State& state, Now now, Actions& actions) {
+void Absorb(const Event& event, State& state, Now now, Actions& actions) {
   Turn turn(state, now, actions);
   std::visit([&](const auto& e) { turn.Handle(e); }, event);
-  if (state.dispatch_needed) {
-    state.dispatch_needed = false;
-    turn.Dispatch();
-  }
+}
+
+void DispatchIfNeeded(State& state, Now now, Actions& actions) {
+  if (!state.dispatch_needed) return;
+  state.dispatch_needed = false;
+  Turn(state, now, actions).Dispatch();
+}
+
+void React(const Event& event, State& state, Now now, Actions& actions) {
+  Absorb(event, state, now, actions);
+  DispatchIfNeeded(state, now, actions);
 }
 
 void Turn::Note(const std::string& kind, JobId job, const std::string& task, const std::string& worker,

@@ -12,6 +12,9 @@ namespace rg::coordinator {
 
 // Appends what follows from the event; free slots are filled before it returns.
 void React(const Event& event, State& state, Now now, Actions& actions);
+// The two halves of it, for a batch of events that fills free slots once, at its end.
+void Absorb(const Event& event, State& state, Now now, Actions& actions);
+void DispatchIfNeeded(State& state, Now now, Actions& actions);
 inline Actions On(const Event& event, State& state, Now now) {
   Actions actions;
   React(event, state, now, actions);

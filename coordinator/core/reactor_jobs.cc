@@ -30,17 +30,19 @@ std::string AlreadyIs(const Job& job) {
 }  // namespace
 
 void Turn::Handle(const Submit& event) {
-  const auto known = s_.job_by_request.find(event.request_id);
-  if (known != s_.job_by_request.end()) {
-    const std::string& content = s_.jobs.at(known->second).plan->content;
+  const auto in_memory = s_.job_by_request.find(event.request_id);
+  const JobId known = in_memory != s_.job_by_request.end() ? in_memory->second : event.known;
+  if (known != 0) {
+    const Job* job = s_.FindJob(known);
+    const std::string& content = job != nullptr ? job->plan->content : event.known_content;
     if (!event.content.empty() && !content.empty() && event.content != content) {
       Send(AnswerClient{event.reply_to, Verdict::kFailedPrecondition,
-                        "this request id was used for job " + std::to_string(known->second) +
+                        "this request id was used for job " + std::to_string(known) +
                             ", which asked for something else: choose another id",
-                        known->second, false});
+                        known, false});
       return;
     }
-    Send(AnswerClient{event.reply_to, Verdict::kOk, "", known->second, true});
+    Send(AnswerClient{event.reply_to, Verdict::kOk, "", known, true});
     return;
   }
   if (event.lease != 0 && !s_.Holds(event.plan->parent, event.lease)) {
@@ -55,6 +57,7 @@ void Turn::Handle(const Submit& event) {
   job.record.submitted_ns = now_.wall_ns;
   IndexJob(s_, job);
   s_.job_by_request.emplace(event.request_id, job.id);
+  if (event.plan->parent == 0) s_.newest_of_clients = job.id;
   ++s_.counters.jobs_submitted;
   Store(InsertJob{job.id, event.request_id, now_.wall_ns, event.plan, event.specs});
   Note("job.submitted", job.id, "", "", event.plan->submitted_by);
@@ -200,6 +203,7 @@ void Turn::CloseJob(Job& job, JobPhase phase, const std::string& reason) {
   Store(CloseTasks{job.id, reason, now_.wall_ns});
   job.record.finished_ns = now_.wall_ns;
   SetJobPhase(job, phase, reason);
+  s_.ended.push_back(job.id);
   (phase == JobPhase::kCancelled ? s_.counters.jobs_cancelled : s_.counters.jobs_failed)++;
   Note(phase == JobPhase::kCancelled ? "job.cancelled" : "job.failed", job.id, "", "", reason);
   for (uint32_t i = 0; i < job.tasks.size(); ++i) CloseJobsOf(MakeTaskId(job.id, i));
@@ -209,8 +213,9 @@ void Turn::CloseJobsOf(TaskId task) {
   const auto found = s_.jobs_of_task.find(task);
   if (found == s_.jobs_of_task.end()) return;
   for (const JobId id : found->second) {
-    Job& job = s_.jobs.at(id);
-    if (!IsFinal(job.record.phase)) CloseJob(job, JobPhase::kCancelled, "the task that submitted it is over");
+    Job* job = s_.FindJob(id);
+    if (job != nullptr && !IsFinal(job->record.phase))
+      CloseJob(*job, JobPhase::kCancelled, "the task that submitted it is over");
   }
 }
 
@@ -218,6 +223,7 @@ void Turn::CloseJobIfSettled(Job& job) {
   if (IsFinal(job.record.phase) || job.settled() < job.tasks.size()) return;
   job.record.finished_ns = now_.wall_ns;
   SetJobPhase(job, JobPhase::kSucceeded, "");
+  s_.ended.push_back(job.id);
   ++s_.counters.jobs_succeeded;
   Note("job.succeeded", job.id, "", "", "");
 }
@@ -226,7 +232,7 @@ void Turn::SetJobPhase(Job& job, JobPhase phase, const std::string& reason) {
   job.record.phase = phase;
   job.record.reason = reason;
   job.revision = ++s_.revision;
-  Store(UpdateJob{job.id, job.record});
+  Store(UpdateJob{job.id, job.record, CountsOf(job)});
 }
 
 }  // namespace rg::coordinator

@@ -41,16 +41,24 @@ void Turn::Handle(const Progressed& event) {
 void Turn::Handle(const Finished& event) {
   const Lease* lease = s_.FindLease(event.token, event.instance);
   if (lease == nullptr) {
-    RefuseResult(event.instance, event.task, event.token);
+    RefuseResult(event);
     return;
   }
   Job& job = *s_.FindJob(JobOf(lease->task));
   const uint32_t index = IndexOf(lease->task);
   const std::string instance = event.instance;
+  NoteSeconds(job, index, event.seconds);
   EndLease(event.token, Outcome::kSucceeded, "");
   if (Worker* worker = s_.FindWorkerByInstance(instance)) ++worker->tasks_done;
   CommitTask(job, index, event.token);
   Send(AnswerResult{instance, event.token, true, ""});
+}
+
+void Turn::NoteSeconds(const Job& job, uint32_t index, double seconds) {
+  if (seconds < 0.0) return;
+  double& known = s_.classes[job.tasks[index].scheduling_class].seconds;
+  constexpr double kFall = 0.2;
+  known = seconds > known ? seconds : known + kFall * (seconds - known);
 }
 
 void Turn::CommitTask(Job& job, uint32_t index, Token token) {
@@ -100,18 +108,20 @@ bool Turn::CancelDescendants(Job& job, uint32_t index) {
   return job_is_lost;
 }
 
-void Turn::RefuseResult(const std::string& instance, TaskId task_id, Token token) {
+void Turn::RefuseResult(const Finished& event) {
+  const std::string& instance = event.instance;
+  const TaskId task_id = event.task;
+  const Token token = event.token;
   if (Worker* worker = s_.FindWorkerByInstance(instance)) worker->winding_down.erase(token);
   s_.dispatch_needed = true;
   const Job* job = s_.FindJob(JobOf(task_id));
   const uint32_t index = IndexOf(task_id);
   const bool known = job != nullptr && index < job->tasks.size();
-  if (known) {
-    const auto* done = std::get_if<TaskSucceeded>(&job->tasks[index].status);
-    if (done != nullptr && done->token == token) {  // a repeat of what was committed
-      Send(AnswerResult{instance, token, true, ""});
-      return;
-    }
+  const auto* done = known ? std::get_if<TaskSucceeded>(&job->tasks[index].status) : nullptr;
+  if ((done != nullptr && done->token == token) ||
+      (!known && token != 0 && event.committed == token)) {  // a repeat of what was committed
+    Send(AnswerResult{instance, token, true, ""});
+    return;
   }
   ++s_.counters.results_refused;
   const std::string reason = "the lease " + std::to_string(token) + " is no longer valid";
@@ -149,6 +159,8 @@ void Turn::AfterFailure(Job& job, uint32_t index, const Failed& event, const Lea
   const std::string no_repeat = event.error + " (runs at most once: `retry` lets it run again)";
   if (event.outcome == Outcome::kLost || event.outcome == Outcome::kCancelled) {
     if (began) return FailTask(job, index, no_repeat, false);
+    constexpr double kLong = 1.0;  // it may have waited behind a task that was expected to be short
+    NoteSeconds(job, index, kLong);
     return Requeue(job, index, event.error);  // given back before it did anything
   }
   if (Worker* worker = s_.FindWorkerByInstance(lease.instance)) ++worker->tasks_failed;

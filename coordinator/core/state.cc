@@ -20,13 +20,29 @@ uint32_t InternClass(State& state, const TaskPlan& plan) {
   auto key = std::make_pair(plan.kind, std::move(tags));
   const auto found = state.class_index.find(key);
   if (found != state.class_index.end()) return found->second;
-  const auto id = static_cast<uint32_t>(state.classes.size());
-  state.classes.push_back({key.first, key.second, {}});
+  auto id = static_cast<uint32_t>(state.classes.size());
+  if (state.free_classes.empty()) {
+    state.classes.emplace_back();
+  } else {
+    id = state.free_classes.back();
+    state.free_classes.pop_back();
+  }
+  state.classes[id] = {key.first, key.second, {}};
   for (auto& [name, worker] : state.workers) {
-    if (CanRun(worker, state.classes.back())) worker.classes.push_back(id);
+    if (CanRun(worker, state.classes[id])) worker.classes.push_back(id);
   }
   state.class_index.emplace(std::move(key), id);
   return id;
+}
+
+// Kinds and tags that nobody uses any more must not pile up.
+void LeaveClass(State& state, uint32_t id) {
+  SchedulingClass& cls = state.classes[id];
+  if (--cls.tasks > 0) return;
+  state.class_index.erase({cls.kind, cls.tags});
+  cls = {};
+  state.free_classes.push_back(id);
+  for (auto& [name, worker] : state.workers) std::erase(worker.classes, id);
 }
 
 void IndexChildren(Job& job) {
@@ -177,14 +193,10 @@ Lease* State::FindLease(Token token, const std::string& instance) {
 }
 
 bool State::IsSettled(TaskId task) const {
-  const TaskPhase phase = PhaseOf(jobs.at(JobOf(task)).tasks.at(IndexOf(task)).status);
+  const Job* job = FindJob(JobOf(task));
+  if (job == nullptr || IsFinal(job->record.phase)) return true;  // over, with everything of it
+  const TaskPhase phase = PhaseOf(job->tasks.at(IndexOf(task)).status);
   return phase == TaskPhase::kSucceeded || phase == TaskPhase::kFailed || phase == TaskPhase::kCancelled;
-}
-
-JobId State::NewestOfClients() const {
-  const auto newest = std::find_if(jobs.rbegin(), jobs.rend(),
-                                   [](const auto& entry) { return entry.second.plan->parent == 0; });
-  return newest == jobs.rend() ? 0 : newest->first;
 }
 
 bool State::Holds(TaskId task, Token token) const {
@@ -194,8 +206,9 @@ bool State::Holds(TaskId task, Token token) const {
   return leased != nullptr && leased->token == token;
 }
 
+// A class that is free has no kind, whatever a worker says it runs.
 bool CanRun(const Worker& worker, const SchedulingClass& cls) {
-  return worker.kinds.count(cls.kind) > 0 &&
+  return !cls.kind.empty() && worker.kinds.count(cls.kind) > 0 &&
          std::all_of(cls.tags.begin(), cls.tags.end(),
                      [&](const std::string& tag) { return worker.tags.count(tag) > 0; });
 }
@@ -210,6 +223,7 @@ void IndexJob(State& state, Job& job) {
     if (is_new) job.stages.push_back(plans[i].stage);
     job.tasks[i].stage = stage->second;
     job.tasks[i].scheduling_class = InternClass(state, plans[i]);
+    ++state.classes[job.tasks[i].scheduling_class].tasks;
     job.tasks[i].status = TaskWaiting{static_cast<uint32_t>(plans[i].parents.size())};
     job.weight_total += plans[i].weight;
   }
@@ -260,22 +274,50 @@ TaskRecord RecordOf(const Job& job, uint32_t index) {
   return record;
 }
 
+JobCounts CountsOf(const Job& job) {
+  if (job.record.phase == JobPhase::kSucceeded) return {job.succeeded, job.failed + job.uncertain, 1.0};
+  const double total = std::max(job.weight_total, 1e-12);
+  return {job.succeeded, job.failed + job.uncertain, std::clamp(job.weight_done / total, 0.0, 1.0)};
+}
+
+void Retire(State& state, JobId id) {
+  const auto found = state.jobs.find(id);
+  if (found == state.jobs.end() || !IsFinal(found->second.record.phase)) return;
+  const Job& job = found->second;
+  if (const auto known = state.job_by_request.find(job.request_id);
+      known != state.job_by_request.end() && known->second == id)
+    state.job_by_request.erase(known);
+  const TaskId first = MakeTaskId(id, 0), last = MakeTaskId(id, kMaxTasksPerJob - 1);
+  state.jobs_of_task.erase(state.jobs_of_task.lower_bound(first), state.jobs_of_task.upper_bound(last));
+  if (const auto siblings = state.jobs_of_task.find(job.plan->parent); siblings != state.jobs_of_task.end()) {
+    std::erase(siblings->second, id);
+    if (siblings->second.empty()) state.jobs_of_task.erase(siblings);
+  }
+  for (const Task& task : job.tasks) LeaveClass(state, task.scheduling_class);
+  state.jobs.erase(found);
+}
+
+Job& Recall(State& state, const StoredJob& stored) {
+  Job& job = state.jobs[stored.job];
+  job.id = stored.job;
+  job.request_id = stored.request_id;
+  job.plan = stored.plan;
+  job.record = stored.record;
+  job.revision = ++state.revision;
+  IndexJob(state, job);
+  for (uint32_t i = 0; i < job.tasks.size(); ++i) RestoreTask(state, job, i, stored.tasks[i]);
+  RestoreReadiness(state, job);
+  state.job_by_request.emplace(stored.request_id, stored.job);
+  return job;
+}
+
 State Restore(const StoredState& stored, const Options& options, Now now) {
   State state;
   state.options = options;
   state.last_token = stored.last_token;
-  for (const StoredJob& from : stored.jobs) {
-    Job& job = state.jobs[from.job];
-    job.id = from.job;
-    job.request_id = from.request_id;
-    job.plan = from.plan;
-    job.record = from.record;
-    IndexJob(state, job);
-    for (uint32_t i = 0; i < job.tasks.size(); ++i) RestoreTask(state, job, i, from.tasks[i]);
-    RestoreReadiness(state, job);
-    state.job_by_request.emplace(from.request_id, from.job);
-    state.last_job = std::max(state.last_job, from.job);
-  }
+  state.last_job = stored.last_job;
+  state.newest_of_clients = stored.newest_of_clients;
+  for (const StoredJob& from : stored.jobs) Recall(state, from);
   for (const OpenAttempt& attempt : stored.open_attempts) RestoreLease(state, attempt, now);
   state.dispatch_needed = false;  // nobody is there yet
   return state;
@@ -317,7 +359,10 @@ void KeepWorkers(const State& before, State& after, Now now) {
 StoredState Describe(const State& state) {
   StoredState out;
   out.last_token = state.last_token;
+  out.last_job = state.last_job;
+  out.newest_of_clients = state.newest_of_clients;
   for (const auto& [id, job] : state.jobs) {
+    if (IsFinal(job.record.phase)) continue;  // about to leave
     StoredJob& to = out.jobs.emplace_back();
     to.job = id;
     to.request_id = job.request_id;
@@ -337,6 +382,8 @@ StoredState Describe(const State& state) {
 std::vector<std::string> Differences(const StoredState& a, const StoredState& b) {
   std::vector<std::string> found;
   if (a.last_token != b.last_token) found.push_back("last token");
+  if (a.last_job != b.last_job) found.push_back("last job");
+  if (a.newest_of_clients != b.newest_of_clients) found.push_back("newest job of clients");
   if (a.jobs.size() != b.jobs.size()) return found.push_back("number of jobs"), found;
   for (size_t j = 0; j < a.jobs.size(); ++j) {
     const StoredJob &x = a.jobs[j], &y = b.jobs[j];

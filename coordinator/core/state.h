@@ -1,5 +1,6 @@
-// Everything the coordinator knows, as an index in memory: all of it but what is marked volatile
-// comes back from the store after a restart (Restore). Owned by one thread.
+// What is live, as an index in memory: all of it but what is marked volatile comes back from the store after
+// a restart (Restore). A job that is over leaves it (Retire) once that is durable; the store goes on knowing
+// it, and gives it back for a retry (Recall). Owned by one thread.
 #pragma once
 
 #include <compare>
@@ -102,6 +103,10 @@ struct SchedulingClass {
     }
   };
   std::set<Entry> ready;
+  uint64_t tasks = 0;  // of jobs in memory; 0: the class may be reused for another
+  // How long its tasks run, as far as was seen lately; rises at once, falls slowly. Negative: not known.
+  // Volatile.
+  double seconds = -1.0;
 };
 
 // Volatile: workers introduce themselves again after a restart.
@@ -131,6 +136,11 @@ struct Worker {
   bool accepts_work() const { return connected && !draining && busy() < slots; }
 };
 
+// How many tasks of this class a worker is given beyond each of its slots, to have the next one at hand: an
+// assignment takes some milliseconds to become durable. None of a class whose tasks are long or unknown,
+// which would wait behind another while a slot elsewhere is free.
+uint32_t AheadPerSlot(const SchedulingClass& cls);
+
 struct Options {
   int64_t heartbeat_ns = 2'000'000'000;
   int64_t lease_ns() const { return 2 * heartbeat_ns; }
@@ -157,11 +167,14 @@ struct State {
   std::unordered_map<std::string, std::string> worker_by_instance;
   std::deque<SchedulingClass> classes;
   std::map<std::pair<std::string, std::vector<std::string>>, uint32_t> class_index;
+  std::vector<uint32_t> free_classes;
   JobId last_job = 0;
+  JobId newest_of_clients = 0;  // the newest job that a client submitted, in memory or not; 0: none
   Token last_token = 0;
   uint64_t revision = 0;
   Counters counters;             // volatile
   bool dispatch_needed = false;  // within one event
+  std::vector<JobId> ended;      // since the shell last looked: to be retired; volatile
 
   Job* FindJob(JobId id);
   const Job* FindJob(JobId id) const;
@@ -170,12 +183,15 @@ struct State {
   Lease* FindLease(Token token, const std::string& instance);
   // Succeeded, failed or cancelled.
   bool IsSettled(TaskId task) const;
-  // The newest job that a client submitted; 0: none.
-  JobId NewestOfClients() const;
   // Whether the task runs, as far as anybody knows, under this lease.
   bool Holds(TaskId task, Token token) const;
 };
 
+// Takes a job that is over out of memory; what is durable of it must be so before. Nothing if it is not over.
+void Retire(State& state, JobId id);
+// Puts one back, over as it is, to be commanded. Without its tasks it can only be told that it is over.
+Job& Recall(State& state, const StoredJob& stored);
+JobCounts CountsOf(const Job& job);
 // Builds the job's index from its plan: all tasks waiting, scheduling classes made.
 void IndexJob(State& state, Job& job);
 // Inserts a ready task into, or removes it from, its class. Tasks of paused jobs are in no queue.

@@ -46,6 +46,7 @@ class Turn {
 
   // --- tasks
   void PersistTask(const Job& job, uint32_t index, const std::string& reason = {});
+  void NoteSeconds(const Job& job, uint32_t index, double seconds);
   void CommitTask(Job& job, uint32_t index, Token token);
   void ReleaseChildren(Job& job, uint32_t index);
   // Returns whether the job is lost with this task.
@@ -54,7 +55,7 @@ class Turn {
   void Requeue(Job& job, uint32_t index, const std::string& reason);
   // Gives the task up for good; the job fails unless every way on from it is optional.
   void FailTask(Job& job, uint32_t index, const std::string& reason, bool set_aside);
-  void RefuseResult(const std::string& instance, TaskId task, Token token);
+  void RefuseResult(const Finished& event);
   // Removes the lease and closes its attempt.
   void EndLease(Token token, Outcome outcome, const std::string& error);
   // The worker can no longer be trusted to hold this lease.
@@ -73,7 +74,8 @@ class Turn {
   void FindExpiredLeases();
 
   // --- dispatch
-  bool AssignOneTo(Worker& worker);
+  void FillSlots(bool ahead);
+  bool AssignOneTo(Worker& worker, bool ahead);
   void GiveTo(Worker& worker, Job& job, uint32_t index);
 
   void Note(const std::string& kind, JobId job, const std::string& task, const std::string& worker,

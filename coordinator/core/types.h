@@ -111,9 +111,15 @@ struct JobRecord {
   int64_t started_ns = 0;
   int64_t finished_ns = 0;
 };
+// What a listing says of a job that has left memory.
+struct JobCounts {
+  uint32_t succeeded = 0, failed = 0;  // tasks
+  double progress = 0.0;               // 0 to 1, by weight
+};
 struct UpdateJob {
   JobId job = 0;
   JobRecord record;
+  JobCounts counts;
 };
 
 // Waiting and ready are told apart by the parents' phases, not by what is stored.
@@ -199,9 +205,11 @@ struct StoredJob {
   std::vector<TaskRecord> tasks;
 };
 struct StoredState {
-  std::vector<StoredJob> jobs;  // by id
+  std::vector<StoredJob> jobs;  // by id; those that are not over
   std::vector<OpenAttempt> open_attempts;
   Token last_token = 0;
+  JobId last_job = 0;
+  JobId newest_of_clients = 0;  // 0: there is none
 };
 
 }  // namespace rg::coordinator

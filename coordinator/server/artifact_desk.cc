@@ -19,6 +19,7 @@ constexpr int64_t kDefaultPiece = 1 << 20;
 constexpr int64_t kLargestPiece = 4 << 20;
 constexpr int64_t kIdleUploadNs = 300'000'000'000;
 constexpr size_t kMaxUploads = 256;
+constexpr size_t kMaxUploadId = 256;
 
 store::ArtifactSpec SpecOf(const pb::ArtifactInfo& info) {
   store::ArtifactSpec spec;
@@ -232,7 +233,8 @@ std::optional<transport::Message> ArtifactDesk::Answer(const Sender& self,
 
 Result<transport::Message> ArtifactDesk::Put(const Sender& self, const transport::Message& request) {
   RG_ASSIGN_OR_RETURN(const auto body, Unpack<pb::PutArtifactRequest>(request));
-  const std::string key = request.envelope.sender_id() + "/" + body.upload_id();
+  // Whoever comes with the same key goes on with it; without keys, everybody on this machine is one.
+  const std::string key = request.credentials.name + "/" + body.upload_id();
   pb::PutArtifactReply reply;
   if (body.has_info() && (body.offset() == 0 || body.last())) {  // it may be here already
     RG_RETURN_IF_ERROR(store::CheckSha256Text(body.info().sha256()));
@@ -241,7 +243,10 @@ Result<transport::Message> ArtifactDesk::Put(const Sender& self, const transport
         request.credentials.role != pb::ROLE_OPERATOR;  // of a task: bytes are what matters
     if (stored.ok() &&
         (AddsNothing(*stored, SpecOf(body.info())) || (is_output && stored->kind != body.info().kind()))) {
-      uploads_.erase(key);
+      if (const auto upload = uploads_.find(key); upload != uploads_.end()) {
+        upload->second.writer.Abandon();
+        uploads_.erase(upload);
+      }
       reply.set_committed(true);
       reply.set_existed(true);
       reply.set_next_offset(static_cast<uint64_t>(stored->size_bytes));
@@ -250,9 +255,9 @@ Result<transport::Message> ArtifactDesk::Put(const Sender& self, const transport
   }
   auto upload = uploads_.find(key);
   if (upload == uploads_.end()) {
-    if (body.offset() != 0) return MakeReply(self, request, reply);  // from the start, please
     if (uploads_.size() >= kMaxUploads) return ResourceExhaustedError("too many uploads at once");
-    RG_ASSIGN_OR_RETURN(auto writer, artifacts_->BeginPut());
+    if (body.upload_id().size() > kMaxUploadId) return InvalidError("the upload's id is too long");
+    RG_ASSIGN_OR_RETURN(auto writer, artifacts_->ResumePut(key));
     upload = uploads_.emplace(key, Upload{std::move(writer), 0}).first;
   }
   upload->second.last_ns = clock_->SteadyNanos();

@@ -44,7 +44,8 @@ struct Flags {
   std::string database = "realitygrad.db";
   std::string address_file, key_path, allowed_path, log_level;
   int64_t heartbeat_ms = 2000;
-  double uncertain_s = 30.0;
+  double uncertain_s = 30.0, archive_days = 30.0;
+  int64_t archive_above = 2'000'000;
   int64_t max_message_mb = 128;
   std::vector<std::string> robot_kinds, may_submit;
 };
@@ -64,6 +65,15 @@ void AddFlags(CLI::App& app, Flags& f) {
       ->capture_default_str();
   app.add_option("--uncertain-s", f.uncertain_s, "how long an at-most-once task waits for its lost worker")
       ->check(CLI::Range(0.0, 1e6))
+      ->capture_default_str();
+  app.add_option(
+         "--archive-days", f.archive_days,
+         "jobs that ended so long ago are archived: still shown, but without logs and events (0: never)")
+      ->check(CLI::Range(0.0, 1e5))
+      ->capture_default_str();
+  app.add_option("--archive-above", f.archive_above,
+                 "the oldest jobs are archived while more tasks of ended jobs than this are not (0: never)")
+      ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
   app.add_option("--max-message-mb", f.max_message_mb, "larger messages are dropped")
       ->check(CLI::Range(1, 1024))
@@ -143,7 +153,7 @@ Result<transport::RouterOptions> PrepareRouter(const Flags& flags, const transpo
   options.self = self;
   options.allow_plain_loopback = flags.key_path.empty();
   options.limits.max_message_bytes = static_cast<size_t>(flags.max_message_mb) << 20;
-  constexpr int kHighWater = 100'000;
+  constexpr int kHighWater = 10'000;
   options.high_water_messages = kHighWater;
   if (flags.key_path.empty() != flags.allowed_path.empty()) {
     return InvalidError("--key and --allowed-keys go together");
@@ -172,10 +182,13 @@ Status Serve(const Flags& flags) {
   options.database_path = flags.database;
   RG_ASSIGN_OR_RETURN(options.policy, PolicyOf(flags));
   options.core.heartbeat_ns = flags.heartbeat_ms * 1'000'000;
+  constexpr double kNsPerDay = 86'400e9;
+  options.archive_after_ns = static_cast<int64_t>(flags.archive_days * kNsPerDay);
+  options.archive_above_tasks = flags.archive_above;
   options.core.uncertain_ns = static_cast<int64_t>(flags.uncertain_s * 1e9);
   RG_ASSIGN_OR_RETURN(auto server, Server::Open(options, std::move(router), self, &RealClock()));
   RG_RETURN_IF_ERROR(Announce(flags, endpoint));
-  spdlog::info("{} jobs in {}", server->state().jobs.size(), flags.database);
+  spdlog::info("{} jobs under way in {}", server->state().jobs.size(), flags.database);
   while (!stop.load()) {
     if (!flags.allowed_path.empty()) {
       const Status allowed = keys.Look(server.get());

@@ -26,7 +26,7 @@ Status CheckRequest(const transport::Message& message) {
   const bool is_job = Is<pb::SubmitRequest>(message) || Is<pb::JobActionRequest>(message);
   const bool is_change = is_job || Is<pb::DrainWorkerRequest>(message) ||
                          Is<pb::GcArtifactsRequest>(message) || Is<pb::PinArtifactRequest>(message) ||
-                         Is<pb::BackupRequest>(message);
+                         Is<pb::BackupRequest>(message) || Is<pb::ArchiveJobsRequest>(message);
   const bool is_upload = Is<pb::PutArtifactRequest>(message);
   if (!is_change && !is_upload) return Status::Ok();
   if (IsWorker(role) && (is_upload || (is_job && message.envelope.fencing_token() != 0))) return Status::Ok();

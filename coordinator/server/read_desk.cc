@@ -12,6 +12,7 @@
 #include "common/store/parameter_store.h"
 #include "coordinator/server/artifact_desk.h"
 #include "coordinator/server/history.h"
+#include "coordinator/server/past_jobs.h"
 #include "coordinator/store/schema.h"
 #include "realitygrad/v1/control.pb.h"
 
@@ -84,6 +85,10 @@ std::optional<transport::Message> Answer(Reader& reader, const transport::Sender
     return Pack(self, request, ReadLogs(*reader.jobs, *body, kPageBytes));
   if (const auto body = transport::Unpack<pb::ListEventsRequest>(request); body.ok())
     return Pack(self, request, ReadEvents(*reader.jobs, *body, kPageBytes));
+  if (const auto body = transport::Unpack<pb::GetJobRequest>(request); body.ok())
+    return Pack(self, request, DescribePastJob(*reader.jobs, *body, kPageBytes));
+  if (const auto body = transport::Unpack<pb::ExplainRequest>(request); body.ok())
+    return Pack(self, request, ExplainPastTask(*reader.jobs, *body));
   return reader.desk->Answer(self, request);
 }
 

@@ -15,6 +15,7 @@ constexpr int64_t kMaxTickNs = 250'000'000;
 constexpr int64_t kLogDelayNs = 250'000'000;
 constexpr size_t kMaxPendingLogs = 20'000;
 constexpr int64_t kTryAgainNs = 1'000'000'000, kTryAgainMaxNs = 30'000'000'000;
+constexpr size_t kMaxPeers = 100'000;  // names of processes are theirs to choose
 constexpr int64_t kForgetPeerNs = 3'600'000'000'000;
 
 int64_t TickInterval(const Options& core) {
@@ -106,13 +107,15 @@ Status Server::RunOnce(int64_t timeout_ms, int wake_fd) {
   socket_->Wait(wait_ms, wake_fd);
   NoteStall(wait_ms);
   if (trouble_.empty()) {
-    for (const Event& event : std::exchange(deferred_, {})) React(event, state_, now(), actions_);
+    for (const Event& event : std::exchange(deferred_, {})) Absorb(event, state_, now(), actions_);
   }
   ReceiveBatch();
   TickIfDue();
+  if (trouble_.empty()) DispatchIfNeeded(state_, now(), actions_);
   const Status committed = CommitBatch();
   if (!committed.ok()) RG_RETURN_IF_ERROR(DiscardBatch(committed));
   SendBatch();
+  RetireEnded();
   ReleaseSpace();
   return Status::Ok();
 }
@@ -171,8 +174,9 @@ void Server::TickIfDue() {
   ForgetSilentPeers(steady);
   artifact_desk_->DropIdleUploads();
   if (!trouble_.empty()) return TryToRecover();
+  ArchiveIfDue(steady);
   if (!MayJudge(steady)) return;
-  React(Tick{}, state_, now(), actions_);
+  Absorb(Tick{}, state_, now(), actions_);
 }
 
 // A beat may be among what was not read yet; only a coordinator that never gets to the end of its queue does
@@ -199,12 +203,14 @@ void Server::TryToRecover() {
   well_since_ns_ = steady;
   judge_after_ns_ = steady + options_.core.heartbeat_ns;
   state_.dispatch_needed = true;
-  React(Progressed{}, state_, now(), actions_);  // of nothing: what waits is given out
+  Absorb(Progressed{}, state_, now(), actions_);  // of nothing: what waits is given out
 }
 
 void Server::ForgetSilentPeers(int64_t steady_ns) {
   if (steady_ns < peers_due_ns_) return;
   peers_due_ns_ = steady_ns + kForgetPeerNs / 4;
+  const Status swept = artifacts_->SweepUploads();
+  if (!swept.ok()) spdlog::warn("uploads that were given up stay for now: {}", swept.ToString());
   std::erase_if(peer_by_instance_, [&](const auto& entry) {
     return steady_ns - entry.second.last_seen_ns > kForgetPeerNs &&
            state_.FindWorkerByInstance(entry.first) == nullptr;
@@ -346,6 +352,7 @@ std::optional<pb::WorkerMessage> Server::AdmitWorker(const transport::Message& m
   auto body = transport::Unpack<pb::WorkerMessage>(message);
   const std::string& instance = message.envelope.sender_id();
   if (!body.ok() || !IsWorkerRole(message) || instance.empty()) return std::nullopt;
+  if (peer_by_instance_.size() >= kMaxPeers && peer_by_instance_.count(instance) == 0) return std::nullopt;
   const auto [peer, is_new] = peer_by_instance_.try_emplace(
       instance, Peer{message.peer, message.credentials.name, message.credentials.role, 0});
   // Another key's worker may not speak for it.
@@ -380,7 +387,7 @@ void Server::HandleWorker(const transport::Message& message) {
     ++ignored_messages_;
     return;
   }
-  React(*event, state_, now(), actions_);
+  Absorb(*event, state_, now(), actions_);
   if (body->has_bye()) peer_by_instance_.erase(instance);
 }
 
@@ -394,7 +401,7 @@ void Server::HandleHello(const pb::WorkerMessage& body, const transport::Message
     return;
   }
   std::get<WorkerJoined>(*event).key = message.credentials.name;
-  React(*event, state_, now(), actions_);
+  Absorb(*event, state_, now(), actions_);
 }
 
 void Server::RefuseJoining(const std::string& instance, const std::string& why) {
@@ -423,8 +430,14 @@ void Server::PutOff(const pb::WorkerMessage& body, const std::string& instance) 
 
 void Server::HandleFinished(const pb::TaskFinished& finished, const std::string& instance) {
   const Lease* lease = state_.FindLease(finished.token(), instance);
-  if (lease == nullptr)
-    return React(Finished{instance, finished.task(), finished.token()}, state_, now(), actions_);
+  if (lease == nullptr) {
+    Finished event{instance, finished.task(), finished.token()};
+    if (state_.FindJob(JobOf(finished.task())) == nullptr) {  // a repeat, perhaps, of what is over
+      const auto committed = jobs_->CommittedToken(finished.task());
+      if (committed.ok()) event.committed = *committed;
+    }
+    return Absorb(event, state_, now(), actions_);
+  }
   const auto missing = worker_desk_->MissingOutputs(finished);
   if (!missing.empty()) {
     pb::CoordinatorMessage answer;
@@ -437,7 +450,8 @@ void Server::HandleFinished(const pb::TaskFinished& finished, const std::string&
   auto stored = worker_desk_->StoreOutputs(state_, *lease, finished);
   if (stored.ok()) {
     results_[finished.token()] = *std::move(stored);
-    return React(Finished{instance, lease->task, finished.token()}, state_, now(), actions_);
+    return Absorb(Finished{instance, lease->task, finished.token(), finished.seconds()}, state_, now(),
+                  actions_);
   }
   const StatusCode code = stored.status().code();
   if (code == StatusCode::kResourceExhausted || code == StatusCode::kUnavailable ||
@@ -446,8 +460,8 @@ void Server::HandleFinished(const pb::TaskFinished& finished, const std::string&
     actions_.messages.emplace_back(AnswerResult{instance, finished.token(), false, ""});
     return;
   }
-  React(Failed{instance, lease->task, finished.token(), Outcome::kFailed, stored.status().ToString(), false},
-        state_, now(), actions_);
+  Absorb(Failed{instance, lease->task, finished.token(), Outcome::kFailed, stored.status().ToString(), false},
+         state_, now(), actions_);
 }
 
 void Server::HandleLog(const pb::TaskLogReport& report, const std::string& instance) {

@@ -15,6 +15,7 @@
 #include <atomic>
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
@@ -50,6 +51,11 @@ struct ServerOptions {
   size_t max_reply_bytes = 48u << 20;  // a larger one is refused in its place; clients take 64 MiB
   size_t page_bytes = 8u << 20;        // about as much of a long list is in one reply
   Policy policy;
+  // Jobs that ended longer ago are archived by themselves; 0: none is.
+  int64_t archive_after_ns = int64_t{30} * 86'400 * 1'000'000'000;
+  // And the oldest of those that are over, while more tasks of such jobs than this are not archived; 0: any
+  // number may be.
+  int64_t archive_above_tasks = 2'000'000;
   std::string vfs;  // of the database: the seam for fault tests
 };
 
@@ -114,6 +120,14 @@ class Server {
   void TryToRecover();
   void ReleaseSpace();
   void ForgetSilentPeers(int64_t steady_ns);
+  // --- what is over (retention.cc)
+  // The job in memory, from its rows if it is over; with its tasks or without. kNotFound.
+  Result<Job*> BringBack(JobId id, bool with_tasks);
+  void RetireEnded();
+  void ArchiveIfDue(int64_t steady_ns);
+  Status Apart(const std::function<Status()>& body);
+  void HandleArchive(const transport::Message& message);
+  Result<pb::ArchiveJobsReply> ArchiveSome(const pb::ArchiveJobsRequest& request);
   bool NeedsCommit() const;
   Status Trouble() const { return ResourceExhaustedError(trouble_); }
   Status EnsureTransaction();
@@ -147,8 +161,12 @@ class Server {
   void HandleAction(const transport::Message& message);
   void HandleDrain(const transport::Message& message);
   void HandleWrite(const transport::Message& message);
-  // False: it was answered with an error.
+  // The job that is meant (0: the newest that a client submitted), in memory or not. kNotFound: none yet.
+  Result<JobId> MeantJob(JobId id) const;
+  // Puts it into a request of this type. False: it was answered with an error.
+  template <class Body>
   bool NameTheJob(transport::Message& message);
+  bool IsOfThePast(const transport::Message& message) const;
   // True: a thread answers it.
   bool LeaveToReaders(transport::Message& message);
   void TakeReaderAnswers();
@@ -160,7 +178,7 @@ class Server {
   Result<pb::ExplainReply> ExplainTask(const pb::ExplainRequest& request);
   Result<pb::StatusReply> DescribeSelf(const pb::StatusRequest& request);
   void AnswerWatchers();
-  Result<const Job*> RequireJob(JobId id) const;
+  pb::JobSummary Summary(JobId id);
   void Reply(transport::Message reply) { outbox_.push_back(std::move(reply)); }
 
   ServerOptions options_;
@@ -200,6 +218,7 @@ class Server {
   int64_t last_grace_ns_ = -1;       // when a stall last gave the workers time; -1: never
   int64_t undrained_since_ns_ = -1;  // the socket has had more than was read since; -1: it has not
   bool freed_pages_wait_ = false;    // the file can be made shorter
+  int64_t archive_due_ns_ = 0;
   std::atomic<int> wake_fd_ = -1;
   std::unordered_map<std::string, Peer> peer_by_instance_;
   std::map<ReplyTo, PendingReply> pending_;

@@ -4,6 +4,7 @@
 #include "coordinator/core/explain.h"
 #include "coordinator/server/history.h"
 #include "coordinator/server/job_compiler.h"
+#include "coordinator/server/past_jobs.h"
 #include "coordinator/server/server.h"
 #include "coordinator/server/views.h"
 
@@ -55,13 +56,17 @@ void Server::HandleRequest(transport::Message message) {
   const Status allowed = CheckRequest(message);
   if (!allowed.ok()) return Reply(MakeErrorReply(self_, message, allowed));
   const bool is_job = Is<pb::SubmitRequest>(message) || Is<pb::JobActionRequest>(message);
-  const bool is_change = is_job || Is<pb::DrainWorkerRequest>(message) || ArtifactDesk::Writes(message);
+  const bool is_change = is_job || Is<pb::DrainWorkerRequest>(message) || ArtifactDesk::Writes(message) ||
+                         Is<pb::ArchiveJobsRequest>(message);
   if (is_change && !trouble_.empty()) return Reply(MakeErrorReply(self_, message, Trouble()));
   if (Is<pb::SubmitRequest>(message)) return HandleSubmit(message);
   if (Is<pb::JobActionRequest>(message)) return HandleAction(message);
   if (Is<pb::DrainWorkerRequest>(message)) return HandleDrain(message);
   if (ArtifactDesk::Writes(message)) return HandleWrite(message);
-  if (Is<pb::GetLogsRequest>(message) && !NameTheJob(message)) return;
+  if (Is<pb::ArchiveJobsRequest>(message)) return HandleArchive(message);
+  if (Is<pb::GetLogsRequest>(message) && !NameTheJob<pb::GetLogsRequest>(message)) return;
+  if (Is<pb::GetJobRequest>(message) && !NameTheJob<pb::GetJobRequest>(message)) return;
+  if (Is<pb::ExplainRequest>(message) && !NameTheJob<pb::ExplainRequest>(message)) return;
   if (LeaveToReaders(message)) return;
   if (Is<pb::GetJobRequest>(message) && watchers_.size() < kMaxWatchers) {
     auto body = Unpack<pb::GetJobRequest>(message);
@@ -82,19 +87,39 @@ void Server::HandleWrite(const transport::Message& message) {
   space_was_freed_ = space_was_freed_ || Is<pb::GcArtifactsRequest>(message);
 }
 
-// "The newest job" is known here, and that there is such a job; readers know the database only.
+Result<JobId> Server::MeantJob(JobId id) const {
+  if (id != 0) return id;
+  if (state_.newest_of_clients != 0) return state_.newest_of_clients;
+  return NotFoundError("there is no job yet");
+}
+
+// "The newest job" is known here, and whether there is such a job; readers know the database only.
+template <class Body>
 bool Server::NameTheJob(transport::Message& message) {
-  auto body = Unpack<pb::GetLogsRequest>(message);
-  const auto job = body.ok() ? RequireJob(body->job()) : Result<const Job*>(body.status());
+  auto body = Unpack<Body>(message);
+  auto job = body.ok() ? MeantJob(body->job()) : Result<JobId>(body.status());
+  if (job.ok() && state_.FindJob(*job) == nullptr) {
+    const auto row = jobs_->FindJob(*job);
+    if (!row.ok()) job = row.status();
+  }
   if (!job.ok()) return Reply(MakeErrorReply(self_, message, job.status())), false;
-  body->set_job((*job)->id);
+  body->set_job(*job);
   body->SerializeToString(message.envelope.mutable_payload());
   return true;
+}
+
+// A job that is over is told from its rows.
+bool Server::IsOfThePast(const transport::Message& message) const {
+  JobId job = 0;
+  if (const auto show = Unpack<pb::GetJobRequest>(message); show.ok()) job = show->job();
+  if (const auto explain = Unpack<pb::ExplainRequest>(message); explain.ok()) job = explain->job();
+  return job != 0 && state_.FindJob(job) == nullptr;
 }
 
 bool Server::LeaveToReaders(transport::Message& message) {
   ReadDesk* desk = ReadDesk::IsLong(message)    ? long_reads_.get()
                    : ReadDesk::IsShort(message) ? short_reads_.get()
+                   : IsOfThePast(message)       ? short_reads_.get()
                                                 : nullptr;
   if (desk == nullptr) return false;
   const transport::Message head = MakeErrorReply(self_, message, Status::Ok());  // peer and id, for a refusal
@@ -135,7 +160,13 @@ void Server::HandleSubmit(const transport::Message& message) {
     body->mutable_job()->set_submitted_by("task " + job.plan_of(IndexOf(*parent)).name + " of job " +
                                           std::to_string(job.id));
   }
-  if (state_.job_by_request.count(event.request_id) == 0) {
+  if (const auto over = jobs_->FindRequest(event.request_id); over.ok()) {
+    event.known = over->job;
+    event.known_content = over->plan->content;
+  } else if (over.status().code() != StatusCode::kNotFound) {
+    return Reply(MakeErrorReply(self_, message, over.status()));
+  }
+  if (event.known == 0 && state_.job_by_request.count(event.request_id) == 0) {
     auto compiled = CompileJob(body->job(), *parent, options_.policy.robot_kinds);
     if (!compiled.ok()) return Reply(MakeErrorReply(self_, message, compiled.status()));
     const Status inputs = worker_desk_->CheckArtifactsExist(body->job());
@@ -147,7 +178,7 @@ void Server::HandleSubmit(const transport::Message& message) {
   }
   event.reply_to = ++last_reply_;
   pending_[event.reply_to] = {message, true, false};
-  React(event, state_, now(), actions_);
+  Absorb(event, state_, now(), actions_);
 }
 
 Result<TaskId> Server::TaskAsking(const transport::Message& message) const {
@@ -168,8 +199,12 @@ void Server::HandleAction(const transport::Message& message) {
   const auto task = TaskAsking(message);
   if (!task.ok()) return Reply(MakeErrorReply(self_, message, task.status()));
   CommandJob event;
-  event.job = body->job() == 0 ? state_.NewestOfClients() : body->job();
-  const Job* job = state_.FindJob(event.job);
+  const auto meant = MeantJob(body->job());
+  if (!meant.ok()) return Reply(MakeErrorReply(self_, message, meant.status()));
+  event.job = *meant;
+  const auto found = BringBack(event.job, body->action() == pb::JOB_ACTION_RETRY);
+  if (!found.ok()) return Reply(MakeErrorReply(self_, message, found.status()));
+  const Job* job = *found;
   if (*task != 0 &&
       (job == nullptr || job->plan->parent != *task || body->action() != pb::JOB_ACTION_CANCEL)) {
     return Reply(MakeErrorReply(
@@ -200,7 +235,7 @@ void Server::HandleAction(const transport::Message& message) {
   }
   event.reply_to = ++last_reply_;
   pending_[event.reply_to] = {message, false, false};
-  React(event, state_, now(), actions_);
+  Absorb(event, state_, now(), actions_);
 }
 
 void Server::HandleDrain(const transport::Message& message) {
@@ -208,7 +243,7 @@ void Server::HandleDrain(const transport::Message& message) {
   if (!body.ok()) return Reply(MakeErrorReply(self_, message, body.status()));
   const ReplyTo reply_to = ++last_reply_;
   pending_[reply_to] = {message, false, true};
-  React(DrainWorker{body->worker(), reply_to}, state_, now(), actions_);
+  Absorb(DrainWorker{body->worker(), reply_to}, state_, now(), actions_);
 }
 
 void Server::Translate(const AnswerClient& m) {
@@ -226,7 +261,7 @@ void Server::Translate(const AnswerClient& m) {
   }
   if (pending.is_drain) return Reply(MakeReply(self_, pending.request, pb::DrainWorkerReply()));
   pb::JobActionReply reply;
-  *reply.mutable_job() = SummaryOf(state_.jobs.at(m.job), 0.0, clock_->WallNanos());
+  *reply.mutable_job() = Summary(m.job);
   Reply(MakeReply(self_, pending.request, reply));
 }
 
@@ -263,39 +298,43 @@ transport::Message Server::AnswerQuery(const transport::Message& message) {
                         InvalidError("a coordinator does not answer " + message.envelope.type()));
 }
 
-Result<const Job*> Server::RequireJob(JobId id) const {
-  const Job* job = state_.FindJob(id == 0 ? state_.NewestOfClients() : id);
-  if (job != nullptr) return job;
-  return NotFoundError(id == 0 ? "there is no job yet" : "there is no job " + std::to_string(id));
+pb::JobSummary Server::Summary(JobId id) {
+  const Job* job = state_.FindJob(id);
+  if (job != nullptr && !job->tasks.empty()) return SummaryOf(*job, 0.0, clock_->WallNanos());
+  const auto row = jobs_->FindJob(id);
+  return row.ok() ? SummaryOf(*row) : pb::JobSummary();
 }
 
+// Rows tell which jobs there are; of those in memory, which are not over, it tells more.
 Result<pb::ListJobsReply> Server::ListJobs(const pb::ListJobsRequest& request) {
   const auto under_way = WeightUnderWay(state_);
   const int limit = LimitOf(request.limit(), 100);
-  const auto wanted = [](const auto& list, const auto& value) {
-    return list.empty() || std::find(list.begin(), list.end(), value) != list.end();
-  };
   const auto labelled = [&](const JobPlan& plan) {
     return std::all_of(request.labels().begin(), request.labels().end(), [&](const auto& label) {
       const auto found = plan.labels.find(label.first);
       return found != plan.labels.end() && (label.second.empty() || label.second == found->second);
     });
   };
+  JobFilter filter;
+  filter.ids.assign(request.ids().begin(), request.ids().end());
+  for (const int state : request.states()) filter.phases.push_back(static_cast<JobPhase>(state));
+  filter.parent_job = request.parent_job();
+  filter.before = request.before_id();
+  filter.since_ns = request.since_ns();
   pb::ListJobsReply reply;
   size_t bytes = 0;
-  auto it = request.before_id() > 0 ? std::make_reverse_iterator(state_.jobs.lower_bound(request.before_id()))
-                                    : state_.jobs.rbegin();
-  for (; it != state_.jobs.rend(); ++it) {
-    const Job& job = it->second;
-    if (request.ids().empty() && JobOf(job.plan->parent) != request.parent_job()) continue;
-    if (!wanted(request.ids(), job.id) || !wanted(request.states(), static_cast<int>(job.record.phase)) ||
-        job.record.submitted_ns < request.since_ns() || !labelled(*job.plan))
-      continue;
-    if (reply.jobs_size() >= limit || bytes > options_.page_bytes) return reply.set_more(true), reply;
-    const auto weight = under_way.find(job.id);
-    *reply.add_jobs() = SummaryOf(job, weight == under_way.end() ? 0.0 : weight->second, clock_->WallNanos());
+  RG_RETURN_IF_ERROR(jobs_->ListJobs(filter, [&](const JobRow& row) {
+    if (!labelled(*row.plan)) return true;
+    if (reply.jobs_size() >= limit || bytes > options_.page_bytes) return reply.set_more(true), false;
+    const Job* job = state_.FindJob(row.job);
+    const auto weight = under_way.find(row.job);
+    *reply.add_jobs() =
+        job == nullptr || IsFinal(job->record.phase)
+            ? SummaryOf(row)
+            : SummaryOf(*job, weight == under_way.end() ? 0.0 : weight->second, clock_->WallNanos());
     bytes += reply.jobs(reply.jobs_size() - 1).ByteSizeLong();
-  }
+    return true;
+  }));
   return reply;
 }
 
@@ -314,7 +353,13 @@ const pb::GetJobReply& Server::OverviewOf(const Job& job) {
 }
 
 Result<pb::GetJobReply> Server::GetJob(const pb::GetJobRequest& request) {
-  RG_ASSIGN_OR_RETURN(const Job* job, RequireJob(request.job()));
+  RG_ASSIGN_OR_RETURN(const JobId id, MeantJob(request.job()));
+  const Job* job = state_.FindJob(id);
+  if (job == nullptr || (job->tasks.empty() && IsFinal(job->record.phase))) {
+    pb::GetJobRequest past = request;
+    past.set_job(id);
+    return DescribePastJob(*jobs_, past, options_.page_bytes);
+  }
   pb::GetJobReply reply;
   if (request.first_task() == 0) {
     reply = OverviewOf(*job);
@@ -337,7 +382,13 @@ Result<pb::ListWorkersReply> Server::ListWorkers(const pb::ListWorkersRequest&) 
 }
 
 Result<pb::ExplainReply> Server::ExplainTask(const pb::ExplainRequest& request) {
-  RG_ASSIGN_OR_RETURN(const Job* job, RequireJob(request.job()));
+  RG_ASSIGN_OR_RETURN(const JobId id, MeantJob(request.job()));
+  const Job* job = state_.FindJob(id);
+  if (job == nullptr || job->tasks.empty()) {
+    pb::ExplainRequest past = request;
+    past.set_job(id);
+    return ExplainPastTask(*jobs_, past);
+  }
   int64_t index = FindTask(*job, request.task());
   if (!request.task().empty() && index < 0) {
     return NotFoundError("job " + std::to_string(job->id) + " has no task '" + request.task() + "'");
@@ -429,7 +480,7 @@ Result<pb::StatusReply> Server::DescribeSelf(const pb::StatusRequest&) {
 void Server::AnswerWatchers() {
   const int64_t steady = clock_->SteadyNanos();
   std::erase_if(watchers_, [&](const Watcher& watcher) {
-    const Job* job = state_.FindJob(watcher.body.job() == 0 ? state_.NewestOfClients() : watcher.body.job());
+    const Job* job = state_.FindJob(watcher.body.job());
     const bool is_over = job == nullptr || IsFinal(job->record.phase);
     const bool changed =
         job != nullptr && job->revision > watcher.body.after_revision() && steady >= watcher.earliest_ns;

@@ -23,6 +23,22 @@ void FillProgress(const Lease& lease, pb::TaskProgress* out) {
   out->set_note(lease.progress_note);
 }
 
+void FillSummary(JobId id, const JobPlan& plan, const JobRecord& record, pb::JobSummary* out) {
+  out->set_id(id);
+  out->set_kind(plan.kind);
+  out->set_name(plan.name);
+  out->set_submitted_by(plan.submitted_by);
+  out->set_state(static_cast<pb::JobState>(record.phase));
+  out->set_reason(record.reason);
+  out->set_priority(plan.priority);
+  for (const std::string& tag : plan.tags) out->add_tags(tag);
+  out->mutable_labels()->insert(plan.labels.begin(), plan.labels.end());
+  out->set_submitted_ns(record.submitted_ns);
+  out->set_started_ns(record.started_ns);
+  out->set_finished_ns(record.finished_ns);
+  if (plan.parent != 0) out->set_parent_job(JobOf(plan.parent));
+}
+
 // By the rate so far, once there is one.
 double EstimateSecondsLeft(const Job& job, double progress, int64_t wall_ns) {
   constexpr double kTooEarly = 0.02;
@@ -32,24 +48,29 @@ double EstimateSecondsLeft(const Job& job, double progress, int64_t wall_ns) {
   return elapsed * (1.0 - progress) / progress;
 }
 
-void FillTask(const State& state, const Job& job, uint32_t index, const TaskRows& rows, pb::TaskInfo* out) {
-  const Task& task = job.tasks[index];
-  const TaskPlan& plan = job.plan_of(index);
-  const TaskId id = MakeTaskId(job.id, index);
+}  // namespace
+
+std::map<JobId, double> WeightUnderWay(const State& state) {
+  std::map<JobId, double> sums;
+  for (const auto& [token, lease] : state.leases) {
+    const Job* job = state.FindJob(JobOf(lease.task));
+    if (job != nullptr) sums[job->id] += job->plan_of(IndexOf(lease.task)).weight * FractionOf(lease);
+  }
+  return sums;
+}
+
+void FillTask(TaskId id, const TaskPlan& plan, const TaskRecord& record, const TaskRows& rows,
+              pb::TaskInfo* out) {
   out->set_id(id);
-  out->set_job(job.id);
+  out->set_job(JobOf(id));
   out->set_name(plan.name);
   out->set_stage(plan.stage);
   out->set_kind(plan.kind);
-  out->set_state(static_cast<pb::TaskState>(PhaseOf(task.status)));
-  out->set_attempts(task.attempts);
+  out->set_state(static_cast<pb::TaskState>(record.phase));
+  out->set_attempts(record.attempts);
   out->set_at_most_once(plan.at_most_once);
   for (const std::string& tag : plan.required_tags) out->add_required_tags(tag);
-  if (const auto* failed = std::get_if<TaskFailed>(&task.status)) out->set_set_aside(failed->set_aside);
-  if (const Lease* lease = LeaseOf(state, task)) {
-    out->set_worker(lease->worker);
-    FillProgress(*lease, out->mutable_progress());
-  }
+  out->set_set_aside(record.set_aside);
   if (const auto detail = rows.details.find(id); detail != rows.details.end()) {
     out->set_reason(detail->second.reason);
     out->set_started_ns(detail->second.started_ns);
@@ -79,32 +100,22 @@ void FillTask(const State& state, const Job& job, uint32_t index, const TaskRows
   }
 }
 
-}  // namespace
-
-std::map<JobId, double> WeightUnderWay(const State& state) {
-  std::map<JobId, double> sums;
-  for (const auto& [token, lease] : state.leases) {
-    const Job* job = state.FindJob(JobOf(lease.task));
-    if (job != nullptr) sums[job->id] += job->plan_of(IndexOf(lease.task)).weight * FractionOf(lease);
-  }
-  return sums;
+pb::JobSummary SummaryOf(const JobRow& row) {
+  pb::JobSummary out;
+  FillSummary(row.job, *row.plan, row.record, &out);
+  out.set_tasks_total(row.total);
+  out.set_tasks_done(row.counts.succeeded);
+  out.set_tasks_failed(row.counts.failed);
+  out.set_progress(row.counts.progress);
+  out.set_eta_s(IsFinal(row.record.phase) ? 0.0 : -1.0);
+  out.set_revision(1);
+  out.set_archived_ns(row.archived_ns);
+  return out;
 }
 
 pb::JobSummary SummaryOf(const Job& job, double weight_under_way, int64_t wall_ns) {
   pb::JobSummary out;
-  const JobPlan& plan = *job.plan;
-  out.set_id(job.id);
-  out.set_kind(plan.kind);
-  out.set_name(plan.name);
-  out.set_submitted_by(plan.submitted_by);
-  out.set_state(static_cast<pb::JobState>(job.record.phase));
-  out.set_reason(job.record.reason);
-  out.set_priority(plan.priority);
-  for (const std::string& tag : plan.tags) out.add_tags(tag);
-  out.mutable_labels()->insert(plan.labels.begin(), plan.labels.end());
-  out.set_submitted_ns(job.record.submitted_ns);
-  out.set_started_ns(job.record.started_ns);
-  out.set_finished_ns(job.record.finished_ns);
+  FillSummary(job.id, *job.plan, job.record, &out);
   out.set_tasks_total(static_cast<uint32_t>(job.tasks.size()));
   out.set_tasks_done(job.succeeded);
   out.set_tasks_running(job.leased);
@@ -115,7 +126,6 @@ pb::JobSummary SummaryOf(const Job& job, double weight_under_way, int64_t wall_n
   out.set_progress(std::clamp(progress, 0.0, 1.0));
   out.set_eta_s(EstimateSecondsLeft(job, out.progress(), wall_ns));
   out.set_revision(job.revision);
-  if (plan.parent != 0) out.set_parent_job(JobOf(plan.parent));
   return out;
 }
 
@@ -174,6 +184,19 @@ void FillStages(const State& state, const Job& job, pb::GetJobReply* reply) {
   }
 }
 
+namespace {
+
+void FillLiveTask(const State& state, const Job& job, uint32_t index, const TaskRows& rows,
+                  pb::TaskInfo* out) {
+  FillTask(MakeTaskId(job.id, index), job.plan_of(index), RecordOf(job, index), rows, out);
+  if (const Lease* lease = LeaseOf(state, job.tasks[index])) {
+    out->set_worker(lease->worker);
+    FillProgress(*lease, out->mutable_progress());
+  }
+}
+
+}  // namespace
+
 Status FillTasks(const State& state, const Job& job, bool with_attempts, uint32_t first, size_t max_bytes,
                  JobStore& store, pb::GetJobReply* reply) {
   constexpr uint32_t kRowsAtOnce = 1000;
@@ -185,7 +208,7 @@ Status FillTasks(const State& state, const Job& job, bool with_attempts, uint32_
                                                              MakeTaskId(job.id, end - 1), with_attempts));
     for (uint32_t i = begin; i < end; ++i) {
       if (bytes > max_bytes) return reply->set_next_task(i), Status::Ok();
-      FillTask(state, job, i, rows, reply->add_tasks());
+      FillLiveTask(state, job, i, rows, reply->add_tasks());
       bytes += reply->tasks(reply->tasks_size() - 1).ByteSizeLong();
     }
   }

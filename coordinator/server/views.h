@@ -17,6 +17,10 @@ namespace pb = realitygrad::v1;
 // Weight of what running tasks have done so far, per job.
 std::map<JobId, double> WeightUnderWay(const State& state);
 
+// From its rows alone, of a job that is not in memory.
+pb::JobSummary SummaryOf(const JobRow& row);
+void FillTask(TaskId id, const TaskPlan& plan, const TaskRecord& record, const TaskRows& rows,
+              pb::TaskInfo* out);
 pb::JobSummary SummaryOf(const Job& job, double weight_under_way, int64_t wall_ns);
 pb::WorkerInfo InfoOf(const Worker& worker, const State& state, int64_t steady_ns);
 void FillStages(const State& state, const Job& job, pb::GetJobReply* reply);

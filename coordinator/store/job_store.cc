@@ -39,7 +39,7 @@ Status JobStore::ApplyOne(const InsertJob& row) {
   RG_ASSIGN_OR_RETURN(auto insert,
                       db_->Prepare("INSERT INTO jobs (id, request_id, kind, name, submitted_by, spec_json, "
                                    "priority, tags_json, labels_json, phase, submitted_ns, parent, content, "
-                                   "inputs_listed) VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,1)"));
+                                   "inputs_listed, tasks_total) VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,1,?)"));
   const JobPlan& plan = *row.plan;
   insert.Bind(1, row.job)
       .Bind(2, row.request_id)
@@ -51,7 +51,7 @@ Status JobStore::ApplyOne(const InsertJob& row) {
       .Bind(8, Json(plan.tags).dump())
       .Bind(9, Json(plan.labels).dump());
   insert.Bind(10, static_cast<int>(JobPhase::kQueued)).Bind(11, row.submitted_ns).Bind(12, plan.parent);
-  insert.Bind(13, plan.content);
+  insert.Bind(13, plan.content).Bind(14, static_cast<int64_t>(plan.tasks.size()));
   RG_RETURN_IF_ERROR(insert.Run());
   for (uint32_t i = 0; i < plan.tasks.size(); ++i) {
     const TaskId id = MakeTaskId(row.job, i);
@@ -108,6 +108,7 @@ std::vector<std::string> JobStore::ArtifactReferences(int64_t ended_before_ns) {
   const std::string index_bits = std::to_string(kTaskIndexBits);
   return {"SELECT sha256 FROM job_inputs WHERE job IN " + jobs,
           "SELECT sha256 FROM outputs WHERE (task >> " + index_bits + ") IN " + jobs,
+          "SELECT sha256 FROM archived_outputs WHERE job IN " + jobs,
           "SELECT a2.sha256 FROM artifact a2 JOIN artifact_producer p ON p.artifact = a2.id JOIN jobs j ON "
           "j.id = CAST(p.job_id AS INTEGER) WHERE j.finished_ns = 0"};
 }
@@ -132,12 +133,15 @@ Status JobStore::InsertTask(TaskId id, const TaskPlan& plan) {
 }
 
 Status JobStore::ApplyOne(const UpdateJob& row) {
-  RG_ASSIGN_OR_RETURN(
-      auto update, db_->Prepare("UPDATE jobs SET phase=?, reason=?, started_ns=?, finished_ns=? WHERE id=?"));
+  RG_ASSIGN_OR_RETURN(auto update,
+                      db_->Prepare("UPDATE jobs SET phase=?, reason=?, started_ns=?, finished_ns=?, "
+                                   "tasks_succeeded=?, tasks_failed=?, progress=? WHERE id=?"));
   update.Bind(1, static_cast<int>(row.record.phase))
       .Bind(2, row.record.reason)
       .Bind(3, row.record.started_ns);
-  RG_RETURN_IF_ERROR(update.Bind(4, row.record.finished_ns).Bind(5, row.job).Run());
+  update.Bind(4, row.record.finished_ns).Bind(5, static_cast<int64_t>(row.counts.succeeded));
+  update.Bind(6, static_cast<int64_t>(row.counts.failed)).Bind(7, row.counts.progress).Bind(8, row.job);
+  RG_RETURN_IF_ERROR(update.Run());
   if (row.record.phase != JobPhase::kCancelled) return Status::Ok();
   RG_ASSIGN_OR_RETURN(auto forget, db_->Prepare("DELETE FROM checkpoints WHERE task BETWEEN ? AND ?"));
   return forget.Bind(1, MakeTaskId(row.job, 0)).Bind(2, MakeTaskId(row.job, kMaxTasksPerJob - 1)).Run();
@@ -266,6 +270,11 @@ Status JobStore::ProbeRoom(int64_t bytes) {
     RG_ASSIGN_OR_RETURN(auto clear, db_->Prepare("DELETE FROM checkpoints WHERE task = ?"));
     return clear.Bind(1, kNoTask).Run();
   });
+}
+
+void JobStore::ForgetLogCounts(JobId job) {
+  log_lines_.erase(log_lines_.lower_bound(MakeTaskId(job, 0)),
+                   log_lines_.upper_bound(MakeTaskId(job, kMaxTasksPerJob - 1)));
 }
 
 Status JobStore::TrimLog(TaskId task) {

@@ -1,4 +1,5 @@
 // The reading half of JobStore.
+#include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "coordinator/store/job_store.h"
@@ -32,27 +33,74 @@ Result<std::vector<ParentEdge>> UnpackParents(std::string_view bytes, uint32_t t
   return parents;
 }
 
+constexpr std::string_view kTaskColumns =
+    "SELECT id, name, stage, kind, tags, parents, priority, max_attempts, crash_limit, at_most_once, weight, "
+    "phase, attempts, failures, crashes, losses, token, set_aside, started_ns, finished_ns FROM tasks "
+    "WHERE id BETWEEN ? AND ? ORDER BY id";
+
+Status TakeTask(const store::Statement& row, uint32_t count, TaskPlan* plan, TaskRecord* record) {
+  plan->name = row.Text(1);
+  plan->stage = row.Text(2);
+  plan->kind = row.Text(3);
+  plan->required_tags = SplitLines(row.Text(4));
+  auto parents = UnpackParents(row.Blob(5), count);
+  if (!parents.ok()) return parents.status().WithPrefix("task " + std::to_string(row.Int(0)));
+  plan->parents = *std::move(parents);
+  plan->priority = static_cast<int32_t>(row.Int(6));
+  plan->max_attempts = static_cast<uint32_t>(row.Int(7));
+  plan->crash_limit = static_cast<uint32_t>(row.Int(8));
+  plan->at_most_once = row.Int(9) != 0;
+  plan->weight = row.Real(10);
+  record->phase = static_cast<TaskPhase>(row.Int(11));
+  record->attempts = static_cast<uint32_t>(row.Int(12));
+  record->failures = static_cast<uint32_t>(row.Int(13));
+  record->crashes = static_cast<uint32_t>(row.Int(14));
+  record->losses = static_cast<uint32_t>(row.Int(15));
+  record->token = static_cast<Token>(row.Int(16));
+  record->set_aside = row.Int(17) != 0;
+  record->started_ns = row.Int(18);
+  record->finished_ns = row.Int(19);
+  return Status::Ok();
+}
+
 }  // namespace
 
 Result<StoredState> JobStore::Load() {
   StoredState out;
   std::vector<std::shared_ptr<JobPlan>> plans;
-  RG_RETURN_IF_ERROR(LoadJobs(&out, &plans));
-  RG_RETURN_IF_ERROR(LoadTasks(&out, plans));
+  RG_RETURN_IF_ERROR(ReadJobs("WHERE phase IN (1, 2, 3) ORDER BY id", {}, [&](JobRow row) {
+    auto plan = std::make_shared<JobPlan>(*row.plan);
+    out.jobs.push_back({row.job, row.request_id, row.record, plan, {}});
+    plans.push_back(std::move(plan));
+    return true;
+  }));
+  for (size_t j = 0; j < plans.size(); ++j) RG_RETURN_IF_ERROR(LoadTasks(&out.jobs[j], plans[j].get()));
   RG_RETURN_IF_ERROR(LoadOpenAttempts(&out));
+  RG_RETURN_IF_ERROR(LoadHighWater(&out));
   return out;
 }
 
-Status JobStore::LoadJobs(StoredState* out, std::vector<std::shared_ptr<JobPlan>>* plans) {
+Result<StoredJob> JobStore::LoadJob(JobId job, bool with_tasks) {
+  RG_ASSIGN_OR_RETURN(const JobRow row, FindJob(job));
+  auto plan = std::make_shared<JobPlan>(*row.plan);
+  StoredJob out{row.job, row.request_id, row.record, plan, {}};
+  if (with_tasks) RG_RETURN_IF_ERROR(LoadTasks(&out, plan.get()));
+  return out;
+}
+
+Status JobStore::ReadJobs(std::string_view where, const std::function<void(store::Statement&)>& bind,
+                          const std::function<bool(JobRow)>& take) {
   RG_ASSIGN_OR_RETURN(
-      auto rows,
-      db_->Prepare("SELECT id, request_id, kind, name, submitted_by, spec_json, priority, tags_json, "
-                   "labels_json, phase, reason, submitted_ns, started_ns, finished_ns, parent, content "
-                   "FROM jobs ORDER BY id"));
+      auto rows, db_->Prepare("SELECT id, request_id, kind, name, submitted_by, spec_json, priority, "
+                              "tags_json, labels_json, phase, reason, submitted_ns, started_ns, finished_ns, "
+                              "parent, content, tasks_total, tasks_succeeded, tasks_failed, progress, "
+                              "archived_ns FROM jobs " +
+                              std::string(where)));
+  if (bind) bind(rows);
   while (true) {
     RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
     if (!more) return Status::Ok();
-    StoredJob& job = out->jobs.emplace_back();
+    JobRow job;
     job.job = rows.Int(0);
     job.request_id = rows.Text(1);
     auto plan = std::make_shared<JobPlan>();
@@ -74,67 +122,141 @@ Status JobStore::LoadJobs(StoredState* out, std::vector<std::shared_ptr<JobPlan>
     plan->content = rows.Text(15);
     if (plan->parent < 0 || JobOf(plan->parent) >= job.job)
       return DataLossError("job " + std::to_string(job.job) + ": submitted by a task of a later job");
-    job.plan = plan;
-    plans->push_back(std::move(plan));
+    job.plan = std::move(plan);
+    job.total = static_cast<uint32_t>(rows.Int(16));
+    job.counts = {static_cast<uint32_t>(rows.Int(17)), static_cast<uint32_t>(rows.Int(18)), rows.Real(19)};
+    job.archived_ns = rows.Int(20);
+    if (!take(std::move(job))) return Status::Ok();
   }
 }
 
-Status JobStore::LoadTasks(StoredState* out, const std::vector<std::shared_ptr<JobPlan>>& plans) {
-  std::unordered_map<JobId, size_t> positions;
-  for (size_t j = 0; j < out->jobs.size(); ++j) positions[out->jobs[j].job] = j;
-  RG_ASSIGN_OR_RETURN(auto counts, db_->Prepare("SELECT COUNT(*) FROM tasks WHERE id BETWEEN ? AND ?"));
-  for (size_t j = 0; j < out->jobs.size(); ++j) {
-    StoredJob& job = out->jobs[j];
-    counts.Bind(1, MakeTaskId(job.job, 0)).Bind(2, MakeTaskId(job.job, kMaxTasksPerJob - 1));
-    RG_ASSIGN_OR_RETURN(const bool has_row, counts.Step());
-    const auto count = static_cast<size_t>(has_row ? counts.Int(0) : 0);
-    counts.Reset();
-    job.tasks.resize(count);
-    plans[j]->tasks.resize(count);
+Status JobStore::ListJobs(const JobFilter& filter, const std::function<bool(const JobRow&)>& take) {
+  const auto list = [](const auto& items) {
+    Json numbers = Json::array();
+    for (const auto item : items) numbers.push_back(static_cast<int64_t>(item));
+    return numbers.dump();
+  };
+  std::string where = "WHERE submitted_ns >= ?1 AND id < ?2";
+  if (!filter.phases.empty()) where += " AND phase IN (SELECT value FROM json_each(?3))";
+  if (!filter.ids.empty()) {
+    where += " AND id IN (SELECT value FROM json_each(?4))";
+  } else if (filter.parent_job == 0 && !filter.any_parent) {
+    where += " AND parent = 0";
+  } else if (filter.parent_job != 0) {
+    where += " AND parent > 0 AND parent BETWEEN ?5 AND ?6";
   }
-  RG_ASSIGN_OR_RETURN(
-      auto rows, db_->Prepare("SELECT id, name, stage, kind, tags, parents, priority, max_attempts, "
-                              "crash_limit, at_most_once, weight, phase, attempts, failures, crashes, "
-                              "losses, token, set_aside, started_ns, finished_ns FROM tasks ORDER BY id"));
+  const auto bind = [&](store::Statement& rows) {
+    rows.Bind(1, filter.since_ns).Bind(2, filter.before > 0 ? filter.before : INT64_MAX);
+    if (!filter.phases.empty()) rows.Bind(3, list(filter.phases));
+    if (!filter.ids.empty()) rows.Bind(4, list(filter.ids));
+    if (!filter.ids.empty() || filter.parent_job == 0) return;
+    rows.Bind(5, MakeTaskId(filter.parent_job, 0))
+        .Bind(6, MakeTaskId(filter.parent_job, kMaxTasksPerJob - 1));
+  };
+  return ReadJobs(where + " ORDER BY id DESC", bind, [&](const JobRow& row) { return take(row); });
+}
+
+Result<JobRow> JobStore::FindJob(JobId id) {
+  JobRow found;
+  RG_RETURN_IF_ERROR(ReadJobs(
+      "WHERE id = ?", [&](store::Statement& rows) { rows.Bind(1, id); },
+      [&](JobRow row) {
+        found = std::move(row);
+        return false;
+      }));
+  if (found.job != 0) return found;
+  return NotFoundError("there is no job " + std::to_string(id));
+}
+
+Result<JobRow> JobStore::FindRequest(const std::string& request_id) {
+  JobRow found;
+  RG_RETURN_IF_ERROR(ReadJobs(
+      "WHERE request_id = ?", [&](store::Statement& rows) { rows.Bind(1, request_id); },
+      [&](JobRow row) {
+        found = std::move(row);
+        return false;
+      }));
+  if (found.job != 0) return found;
+  return NotFoundError("there is no job of the request '" + request_id + "'");
+}
+
+Result<Token> JobStore::CommittedToken(TaskId task) {
+  RG_ASSIGN_OR_RETURN(auto row, db_->Prepare("SELECT token FROM results WHERE task=?"));
+  row.Bind(1, task);
+  RG_ASSIGN_OR_RETURN(const bool found, row.Step());
+  return found ? static_cast<Token>(row.Int(0)) : Token{0};
+}
+
+Status JobStore::LoadTasks(StoredJob* job, JobPlan* plan) {
+  const TaskId first = MakeTaskId(job->job, 0), last = MakeTaskId(job->job, kMaxTasksPerJob - 1);
+  RG_ASSIGN_OR_RETURN(auto counts, db_->Prepare("SELECT COUNT(*) FROM tasks WHERE id BETWEEN ? AND ?"));
+  counts.Bind(1, first).Bind(2, last);
+  RG_ASSIGN_OR_RETURN(const bool has_row, counts.Step());
+  const auto count = static_cast<size_t>(has_row ? counts.Int(0) : 0);
+  job->tasks.resize(count);
+  plan->tasks.resize(count);
+  RG_ASSIGN_OR_RETURN(auto rows, db_->Prepare(kTaskColumns));
+  rows.Bind(1, first).Bind(2, last);
   while (true) {
     RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
     if (!more) return Status::Ok();
-    const TaskId id = rows.Int(0);
-    const auto found = positions.find(JobOf(id));
-    if (found == positions.end() || IndexOf(id) >= out->jobs[found->second].tasks.size()) {
-      return DataLossError("task " + std::to_string(id) + " belongs to no job");
-    }
-    StoredJob& job = out->jobs[found->second];
-    TaskPlan& plan = plans[found->second]->tasks[IndexOf(id)];
-    plan.name = rows.Text(1);
-    plan.stage = rows.Text(2);
-    plan.kind = rows.Text(3);
-    plan.required_tags = SplitLines(rows.Text(4));
-    auto parents = UnpackParents(rows.Blob(5), static_cast<uint32_t>(job.tasks.size()));
-    if (!parents.ok()) return parents.status().WithPrefix("task " + std::to_string(id));
-    plan.parents = *std::move(parents);
-    plan.priority = static_cast<int32_t>(rows.Int(6));
-    plan.max_attempts = static_cast<uint32_t>(rows.Int(7));
-    plan.crash_limit = static_cast<uint32_t>(rows.Int(8));
-    plan.at_most_once = rows.Int(9) != 0;
-    plan.weight = rows.Real(10);
-    TaskRecord& record = job.tasks[IndexOf(id)];
-    record.phase = static_cast<TaskPhase>(rows.Int(11));
-    record.attempts = static_cast<uint32_t>(rows.Int(12));
-    record.failures = static_cast<uint32_t>(rows.Int(13));
-    record.crashes = static_cast<uint32_t>(rows.Int(14));
-    record.losses = static_cast<uint32_t>(rows.Int(15));
-    record.token = static_cast<Token>(rows.Int(16));
-    record.set_aside = rows.Int(17) != 0;
-    record.started_ns = rows.Int(18);
-    record.finished_ns = rows.Int(19);
+    const uint32_t index = IndexOf(rows.Int(0));
+    if (index >= count)
+      return DataLossError("task " + std::to_string(rows.Int(0)) + ": one before it is missing in its job");
+    RG_RETURN_IF_ERROR(TakeTask(rows, static_cast<uint32_t>(count), &plan->tasks[index], &job->tasks[index]));
   }
 }
 
+Result<std::vector<StoredTask>> JobStore::ReadPlans(TaskId first, TaskId last) {
+  RG_ASSIGN_OR_RETURN(auto rows, db_->Prepare(kTaskColumns));
+  rows.Bind(1, first).Bind(2, last);
+  std::vector<StoredTask> tasks;
+  while (true) {
+    RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
+    if (!more) return tasks;
+    StoredTask& task = tasks.emplace_back();
+    task.task = rows.Int(0);
+    RG_RETURN_IF_ERROR(TakeTask(rows, kMaxTasksPerJob, &task.plan, &task.record));
+  }
+}
+
+Result<std::vector<StageRow>> JobStore::Stages(JobId job) {
+  RG_ASSIGN_OR_RETURN(
+      auto rows,
+      db_->Prepare("SELECT stage, COUNT(*), SUM(phase = 4), SUM(phase IN (5, 7)), SUM(weight), "
+                   "SUM(CASE phase WHEN 4 THEN weight ELSE 0 END), COALESCE(MIN(NULLIF(started_ns, 0)), 0), "
+                   "MAX(finished_ns) FROM tasks WHERE id BETWEEN ? AND ? GROUP BY stage ORDER BY MIN(id)"));
+  rows.Bind(1, MakeTaskId(job, 0)).Bind(2, MakeTaskId(job, kMaxTasksPerJob - 1));
+  std::vector<StageRow> stages;
+  while (true) {
+    RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
+    if (!more) return stages;
+    stages.push_back({rows.Text(0), static_cast<uint32_t>(rows.Int(1)), static_cast<uint32_t>(rows.Int(2)),
+                      static_cast<uint32_t>(rows.Int(3)), rows.Real(4), rows.Real(5), rows.Int(6),
+                      rows.Int(7)});
+  }
+}
+
+// Above everything that was ever given, though it may have been deleted since.
+Status JobStore::LoadHighWater(StoredState* out) {
+  const auto number = [&](std::string_view sql) -> Result<int64_t> {
+    RG_ASSIGN_OR_RETURN(auto row, db_->Prepare(sql));
+    RG_ASSIGN_OR_RETURN(const bool found, row.Step());
+    return found ? row.Int(0) : 0;
+  };
+  constexpr const char* kMark = "SELECT COALESCE(MAX(value), 0) FROM high_water WHERE name = ";
+  RG_ASSIGN_OR_RETURN(const int64_t token, number("SELECT COALESCE(MAX(token), 0) FROM attempts"));
+  RG_ASSIGN_OR_RETURN(const int64_t token_mark, number(std::string(kMark) + "'token'"));
+  RG_ASSIGN_OR_RETURN(const int64_t job, number("SELECT COALESCE(MAX(id), 0) FROM jobs"));
+  RG_ASSIGN_OR_RETURN(const int64_t job_mark, number(std::string(kMark) + "'job'"));
+  RG_ASSIGN_OR_RETURN(out->newest_of_clients,
+                      number("SELECT id FROM jobs WHERE parent = 0 ORDER BY id DESC LIMIT 1"));
+  out->last_token = static_cast<Token>(std::max(token, token_mark));
+  out->last_job = std::max(job, job_mark);
+  return Status::Ok();
+}
+
 Status JobStore::LoadOpenAttempts(StoredState* out) {
-  RG_ASSIGN_OR_RETURN(auto last, db_->Prepare("SELECT COALESCE(MAX(token), 0) FROM attempts"));
-  RG_ASSIGN_OR_RETURN(const bool has_row, last.Step());
-  if (has_row) out->last_token = static_cast<Token>(last.Int(0));
   RG_ASSIGN_OR_RETURN(
       auto rows, db_->Prepare("SELECT task, token, number, worker, instance, key, granted_ns FROM attempts "
                               "WHERE outcome=0 ORDER BY token"));

@@ -124,10 +124,53 @@ CREATE TABLE job_inputs (
 ) WITHOUT ROWID;
 )sql";
 
+// What a listing says of jobs that have left memory; the way to those that have not; archived jobs: their
+// tasks as replies of a thousand each, in place of their rows.
+constexpr std::string_view kVersion4 = R"sql(
+ALTER TABLE jobs ADD COLUMN tasks_total INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN tasks_succeeded INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN tasks_failed INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN progress REAL NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN archived_ns INTEGER NOT NULL DEFAULT 0;
+UPDATE jobs SET tasks_total = (SELECT count(*) FROM tasks WHERE tasks.id BETWEEN jobs.id << 24 AND
+  (jobs.id << 24) + 16777215);
+UPDATE jobs SET
+  tasks_succeeded = (SELECT count(*) FROM tasks WHERE tasks.id BETWEEN jobs.id << 24 AND
+    (jobs.id << 24) + 16777215 AND phase = 4),
+  tasks_failed = (SELECT count(*) FROM tasks WHERE tasks.id BETWEEN jobs.id << 24 AND
+    (jobs.id << 24) + 16777215 AND phase IN (5, 7)),
+  progress = (SELECT coalesce(sum(CASE phase WHEN 4 THEN weight ELSE 0 END) / max(sum(weight), 1e-12), 0)
+    FROM tasks WHERE tasks.id BETWEEN jobs.id << 24 AND (jobs.id << 24) + 16777215)
+  WHERE phase IN (4, 5, 6);
+UPDATE jobs SET progress = 1 WHERE phase = 4;
+CREATE INDEX jobs_live ON jobs (phase) WHERE phase IN (1, 2, 3);
+CREATE INDEX jobs_of_tasks ON jobs (parent) WHERE parent > 0;
+CREATE INDEX jobs_to_archive ON jobs (finished_ns) WHERE finished_ns > 0 AND archived_ns = 0;
+CREATE TABLE archived_jobs (
+  job INTEGER PRIMARY KEY,
+  overview BLOB NOT NULL,      -- realitygrad.v1.GetJobReply without tasks
+  next_task INTEGER NOT NULL   -- tasks before it are in archived_tasks, the rows of the others still there
+);
+CREATE TABLE archived_tasks (
+  first INTEGER PRIMARY KEY,   -- id of the first task
+  tasks BLOB NOT NULL          -- realitygrad.v1.GetJobReply with tasks only
+);
+CREATE TABLE archived_outputs (
+  job INTEGER NOT NULL,
+  sha256 TEXT NOT NULL,
+  PRIMARY KEY (job, sha256)
+) WITHOUT ROWID;
+-- Numbers that must never be given again, whatever was deleted.
+CREATE TABLE high_water (
+  name TEXT PRIMARY KEY,       -- 'job', 'token'
+  value INTEGER NOT NULL
+) WITHOUT ROWID;
+)sql";
+
 }  // namespace
 
 store::Module CoordinatorSchema() {
-  return {"coordinator", {{1, kVersion1}, {2, kVersion2}, {3, kVersion3}}};
+  return {"coordinator", {{1, kVersion1}, {2, kVersion2}, {3, kVersion3}, {4, kVersion4}}};
 }
 
 }  // namespace rg::coordinator

@@ -2,7 +2,6 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/clock.h"
-#include "common/base/file.h"
 #include "coordinator/client/client.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
@@ -84,20 +83,20 @@ Status Show(Context& context, const ArtifactArguments& arguments, coordinator::C
 
 Status Get(Context& context, const ArtifactArguments& arguments, coordinator::Client& client) {
   RG_ASSIGN_OR_RETURN(const auto info, client.ShowArtifact(arguments.hash));
-  RG_ASSIGN_OR_RETURN(const std::string bytes, client.GetArtifact(info.sha256()));
   if (arguments.out == "-") {
+    RG_ASSIGN_OR_RETURN(const std::string bytes, client.GetArtifact(info.sha256()));
     std::fwrite(bytes.data(), 1, bytes.size(), stdout);
     return Status::Ok();
   }
   const std::string path =
       arguments.out.empty() ? info.kind() + "-" + info.sha256().substr(0, 12) : arguments.out;
-  RG_RETURN_IF_ERROR(WriteFileAtomically(path, bytes));
+  RG_ASSIGN_OR_RETURN(const uint64_t size, client.GetArtifactFile(info.sha256(), path));
   if (context.json()) {
     json written = InfoJson(info);
     written["out"] = path;
     PrintJson("realitygrad.artifact/1", written);
   } else if (!context.quiet())
-    PrintNote("wrote " + path + " (" + Bytes(bytes.size()) + ", " + info.kind() + ")");
+    PrintNote("wrote " + path + " (" + Bytes(size) + ", " + info.kind() + ")");
   return Status::Ok();
 }
 

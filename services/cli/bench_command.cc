@@ -19,6 +19,8 @@
 #include "services/cli/model_source.h"
 #include "services/cli/progress_display.h"
 #include "services/cli/robot_profile.h"
+#include "services/cli/service_bench.h"
+#include "services/cli/simulated_workers.h"
 #include "services/report/page.h"
 
 namespace rg::cli {
@@ -149,6 +151,83 @@ Status RunBenchCommand(Context& context, BenchArguments arguments) {
   return Status::Ok();
 }
 
+json ServiceBenchJson(const std::vector<bench::Measurement>& measurements) {
+  json out, notes, samples, targets;
+  for (const bench::Measurement& m : measurements) {
+    out[m.key] = m.value ? json(*m.value) : json(nullptr);
+    notes[m.key] = m.note;
+    samples[m.key] = m.samples;
+    for (const ServiceRow& row : ServiceRows()) {
+      if (m.key == row.key) targets[m.key] = {{row.at_least ? "at_least" : "at_most", row.target}};
+    }
+  }
+  out["notes"] = notes, out["samples"] = samples, out["targets"] = targets;
+  return out;
+}
+
+std::string ServiceBenchTable(const std::vector<bench::Measurement>& measurements) {
+  TextTable table({"FIGURE", ">MEASURED", ">TARGET", "UNIT", "KEY"});
+  std::string notes;
+  for (const bench::Measurement& m : measurements) {
+    for (const ServiceRow& row : ServiceRows()) {
+      if (m.key != row.key) continue;
+      table.AddRow({row.what, m.value ? report::FormatNumber(*m.value) : "–",
+                    (row.at_least ? "≥ " : "≤ ") + report::FormatNumber(row.target), row.unit, row.key});
+    }
+    notes += m.key + ": " + m.note + "\n";
+  }
+  return table.ToString() + notes;
+}
+
+Status RunServiceBenchCommand(Context& context, const ServiceBenchOptions& options) {
+  ProgressDisplay display(
+      {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
+  const std::string load_before = LoadAverage();
+  RG_ASSIGN_OR_RETURN(const auto measurements, RunServiceBench(
+                                                   options, [&](const ProgressUpdate& u) { display.Show(u); },
+                                                   &CancelledByInterrupt({SIGINT, SIGTERM})));
+  display.Finish();
+  if (context.json()) {
+    json out = ServiceBenchJson(measurements);
+    out["load_average"] = {{"before", load_before}, {"after", LoadAverage()}};
+    PrintJson("realitygrad.bench_service/1", out);
+  } else if (!context.quiet()) {
+    Print(ServiceBenchTable(measurements));
+    Print("load average " + load_before + " before, " + LoadAverage() + " after.");
+  }
+  return Status::Ok();
+}
+
+void AddServiceBench(CLI::App* bench, Context& context) {
+  auto options = std::make_shared<ServiceBenchOptions>();
+  CLI::App* service = bench->add_subcommand(
+      "service", "The service on this machine: tasks per second, dispatch, restart, workers, artefacts");
+  service->add_option("--only", options->only, "Keys, separated by commas")->delimiter(',');
+  service->add_flag("--quick", options->quick, "Smaller loads");
+  service->add_option("--workers", options->workers, "Of the row `workers`")
+      ->check(CLI::Range(2, 5'000))
+      ->capture_default_str();
+  service->callback([&context, options] {
+    context.Failed(RunServiceBenchCommand(context, *options));
+    if (CancelledByInterrupt({SIGINT, SIGTERM}).cancelled()) context.exit_code = kExitCancelled;
+  });
+  auto workers = std::make_shared<SimulatedWorkersOptions>();
+  CLI::App* simulated = bench->add_subcommand("simulated-workers", "What `bench service` starts")->group("");
+  simulated->add_option("--coordinator", workers->coordinator)->required();
+  simulated->add_option("--key", workers->key_file);
+  simulated->add_option("--server-key", workers->server_key_file);
+  simulated->add_option("--prefix", workers->prefix);
+  simulated->add_option("--count", workers->count);
+  simulated->add_option("--slots", workers->slots);
+  simulated->add_option("--seconds", workers->seconds);
+  simulated->add_option("--summary-bytes", workers->summary_bytes);
+  simulated->add_option("--output-bytes", workers->output_bytes);
+  simulated->add_option("--delays", workers->delays_file);
+  simulated->callback([&context, workers] {
+    context.Failed(RunSimulatedWorkers(*workers, CancelledByInterrupt({SIGINT, SIGTERM})));
+  });
+}
+
 }  // namespace
 
 void AddBenchCommand(CLI::App& app, Context& context) {
@@ -167,7 +246,9 @@ void AddBenchCommand(CLI::App& app, Context& context) {
       ->add_option("--scaling", arguments->scaling,
                    "Instead: how a Jacobian's cost grows with length and parameters; the plot's file (SVG)")
       ->excludes(only);
-  command->callback([&context, arguments] {
+  AddServiceBench(command, context);
+  command->callback([&context, arguments, command] {
+    if (!command->get_subcommands().empty()) return;
     context.Failed(RunBenchCommand(context, *arguments));
     if (CancelledByInterrupt({SIGINT, SIGTERM}).cancelled()) context.exit_code = kExitCancelled;
   });

@@ -29,6 +29,8 @@ class ChildProcesses {
   // SIGTERM to all but the first, which the others may still need, and to it when they have ended;
   // SIGKILL to those still there after `grace_s`.
   void StopAll(double grace_s);
+  // Of the first that was started; -1: there is none, or it has ended.
+  pid_t first_pid() const { return children_.empty() ? -1 : children_.front().pid; }
 
  private:
   struct Child {

@@ -5,6 +5,7 @@
 
 #include "common/base/clock.h"
 #include "coordinator/client/client.h"
+#include "services/cli/archive_command.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
 #include "services/cli/job_view.h"
@@ -339,7 +340,10 @@ void AddJobCommands(CLI::App& app, Context& context) {
       ->capture_default_str();
   jobs->add_option("--before", list->before, "Only jobs older than this one: the next page")
       ->check(CLI::PositiveNumber);
-  jobs->callback([&context, list] { ListJobs(context, *list); });
+  AddArchiveCommand(jobs, context);
+  jobs->callback([&context, list, jobs] {
+    if (jobs->get_subcommands().empty()) ListJobs(context, *list);
+  });
 
   CLI::App* events = app.add_subcommand("events", "What happened: submits, ends, losses, refusals");
   auto event_arguments = std::make_shared<EventArguments>();

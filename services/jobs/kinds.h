@@ -14,6 +14,7 @@ inline constexpr char kKindConclude[] = "conclude";
 inline constexpr char kKindDiagnose[] = "diagnose";
 inline constexpr char kKindFit[] = "fit";
 inline constexpr char kKindAdopt[] = "adopt";
+inline constexpr char kKindNothing[] = "nothing";  // what a task costs by itself: `bench service`
 
 inline constexpr char kStageTrajectories[] = "trajectories";
 inline constexpr char kStagePolicy[] = "policy";

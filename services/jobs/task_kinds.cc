@@ -11,6 +11,10 @@ void RegisterWorkerKinds(worker::TaskRegistry* registry) {
   RegisterIterationKinds(registry);
   registry->Register(kKindDiagnose, RunDiagnose);
   registry->Register(kKindFit, MakeFitTask());
+  registry->Register(kKindNothing,
+                     [](const worker::TaskInput&, worker::TaskContext&) -> Result<worker::TaskOutputs> {
+                       return worker::TaskOutputs();
+                     });
 }
 
 }  // namespace rg::jobs

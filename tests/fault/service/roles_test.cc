@@ -82,8 +82,7 @@ TEST(Roles, RolloutsAreSubmittedAndRetriedOnlyWithTheRightToRobots) {
   retry.set_job(assignment.job());
   retry.set_action(pb::JOB_ACTION_RETRY);
   bench.Pass(0.1);
-  for (int attempts = 0;
-       bench.state().jobs.at(assignment.job()).record.phase != coordinator::JobPhase::kFailed; ++attempts) {
+  for (int attempts = 0; bench.state().FindJob(assignment.job()) != nullptr; ++attempts) {  // not over
     ASSERT_LT(attempts, 5);
     const auto again = AssignmentIn(agent->Mail());
     failed.mutable_failed()->set_token(again.token());

@@ -87,7 +87,9 @@ Service::~Service() {
   std::filesystem::remove_all(folder_, ignored);
 }
 
-void Service::StartCoordinator() {
+void Service::StartCoordinator() { RG_CHECK(TryStartCoordinator()) << Logs(); }
+
+bool Service::TryStartCoordinator() {
   const std::string address_file = folder_ + "/address" + std::to_string(++starts_);
   coordinator_ = std::make_unique<Process>(
       std::vector<std::string>{BinFolder() + "/realitygrad-coordinator", "--listen", endpoint(), "--db",
@@ -95,7 +97,9 @@ void Service::StartCoordinator() {
                                "--address-file", address_file, "--uncertain-s", "3", "--may-submit",
                                "lead:sleep", "--may-submit", "sleep:sleep"},
       folder_ + "/coordinator.log");
-  RG_CHECK(WaitUntil(20.0, [&] { return std::filesystem::exists(address_file); })) << Logs();
+  const auto listens = [&] { return std::filesystem::exists(address_file); };
+  WaitUntil(60.0, [&] { return listens() || coordinator_->WaitForExit(0.0) >= 0; });
+  return listens();
 }
 
 void Service::KillCoordinator() {

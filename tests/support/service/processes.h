@@ -40,8 +40,9 @@ class Service {
   explicit Service(int heartbeat_ms = 400);
   ~Service();
 
-  void StartCoordinator();  // again after a kill: on the same endpoint and database
-  void KillCoordinator();   // kill -9
+  void StartCoordinator();     // again after a kill: on the same endpoint and database
+  bool TryStartCoordinator();  // false: it ended before it listened
+  void KillCoordinator();      // kill -9
   Process& coordinator() { return *coordinator_; }
   // `more` are further flags.
   Process& StartWorker(const std::string& name, int slots = 1, const std::vector<std::string>& more = {});

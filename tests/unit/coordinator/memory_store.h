@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "coordinator/core/events.h"
+#include "coordinator/core/state.h"
 
 namespace rg::coordinator {
 
@@ -17,10 +18,40 @@ class MemoryStore {
 
   StoredState Load() const {
     StoredState out;
-    for (const auto& [id, job] : jobs_) out.jobs.push_back(job);
+    for (const auto& [id, job] : jobs_) {
+      if (!IsFinal(job.record.phase)) out.jobs.push_back(job);
+      if (job.plan->parent == 0) out.newest_of_clients = id;
+      out.last_job = id;
+    }
     for (const auto& [token, attempt] : open_) out.open_attempts.push_back(attempt);
     out.last_token = last_token_;
     return out;
+  }
+  // All that ever were, over or not.
+  const std::map<JobId, StoredJob>& jobs() const { return jobs_; }
+  const StoredJob* Find(JobId id) const {
+    const auto found = jobs_.find(id);
+    return found == jobs_.end() ? nullptr : &found->second;
+  }
+
+  // What the shell looks up for the core before it hands it an event: of jobs that are not in memory.
+  void Complete(Event& event, State& state) const {
+    if (auto* submit = std::get_if<Submit>(&event)) {
+      const auto known = job_by_request_.find(submit->request_id);
+      if (known == job_by_request_.end()) return;
+      submit->known = known->second;
+      submit->known_content = jobs_.at(known->second).plan->content;
+    } else if (auto* finished = std::get_if<Finished>(&event)) {
+      const StoredJob* job = Find(JobOf(finished->task));
+      if (job == nullptr || IndexOf(finished->task) >= job->tasks.size()) return;
+      const TaskRecord& task = job->tasks[IndexOf(finished->task)];
+      if (task.phase == TaskPhase::kSucceeded) finished->committed = task.token;
+    } else if (auto* command = std::get_if<CommandJob>(&event)) {
+      const StoredJob* job = Find(command->job);
+      if (job == nullptr || state.FindJob(command->job) != nullptr) return;
+      state.ended.push_back(command->job);
+      Recall(state, *job);
+    }
   }
 
   // How often each task's result was committed, and which events were noted how often.
@@ -32,6 +63,7 @@ class MemoryStore {
 
   void ApplyOne(const InsertJob& row) {
     StoredJob& job = jobs_[row.job];
+    job_by_request_[row.request_id] = row.job;
     job.job = row.job;
     job.request_id = row.request_id;
     job.record.submitted_ns = row.submitted_ns;
@@ -67,6 +99,7 @@ class MemoryStore {
   void ApplyOne(const AppendEvent& row) { ++notes[row.kind]; }
 
   std::map<JobId, StoredJob> jobs_;
+  std::map<std::string, JobId> job_by_request_;
   std::map<Token, OpenAttempt> open_;
   Token last_token_ = 0;
 };

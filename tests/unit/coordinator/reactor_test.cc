@@ -75,7 +75,7 @@ TEST_F(Reactor, ATaskSubmitsUnderItsLeaseAndWhatItSubmitsEndsWithIt) {
   const AnswerClient made = submit("parts", lead.token);
   ASSERT_EQ(made.verdict, Verdict::kOk);
   EXPECT_EQ(Phase(made.job, 0), TaskPhase::kLeased);
-  EXPECT_EQ(state_.NewestOfClients(), job);
+  EXPECT_EQ(state_.newest_of_clients, job);
   Pass(3);
   Do(Tick{});  // the worker is lost, and both leases with it
   EXPECT_EQ(submit("more", lead.token).verdict, Verdict::kFailedPrecondition) << "of a lease that was lost";
@@ -467,6 +467,82 @@ TEST_F(Reactor, MessagesFromNobodyAndAboutNothingDoNoHarm) {
   Do(WorkerLeft{"ghost"});
   Do(CommandJob{77, JobCommand::kCancel, "", 1});
   EXPECT_EQ(Phase(1), JobPhase::kQueued);
+}
+
+TEST_F(Reactor, ShortTasksAreGivenAheadOfAFreeSlotAndLongOnesAreNot) {
+  Join("a", 1);
+  SubmitJob(std::vector<TaskPlan>(40, MakeTask("t")));
+  std::vector<Assign> assigned = Sent<Assign>(last_);
+  ASSERT_EQ(assigned.size(), 1u) << "nobody knows how long they take";
+  assigned = Sent<Assign>(Do(Finished{"a#1", assigned[0].task, assigned[0].token, 0.004}));
+  EXPECT_EQ(assigned.size(), 1u + 5u) << "a slot's worth and 20 ms of work";
+  Join("b", 1);
+  EXPECT_EQ(Sent<Assign>(last_).size(), 6u);
+  assigned = Sent<Assign>(Do(Finished{"a#1", assigned[0].task, assigned[0].token, 3.0}));
+  EXPECT_TRUE(assigned.empty()) << "one took long: what is there will do";
+}
+
+TEST_F(Reactor, ATaskThatWaitedBehindAnotherGoesBackWithoutPenalty) {
+  Join("a", 1);
+  const JobId job = SubmitJob(std::vector<TaskPlan>(3, MakeTask("t")));
+  Assign first = Sent<Assign>(last_).at(0);
+  const auto more = Sent<Assign>(Do(Finished{"a#1", first.task, first.token, 0.001}));
+  ASSERT_EQ(more.size(), 2u);
+  Join("b", 1);
+  const auto actions = Do(Failed{"a#1", more[1].task, more[1].token, Outcome::kLost, "it waited", true});
+  const auto moved = Sent<Assign>(actions);
+  ASSERT_EQ(moved.size(), 1u);
+  EXPECT_EQ(moved[0].instance, "b#1");
+  EXPECT_EQ(state_.jobs.at(job).tasks[2].failures, 0u);
+  EXPECT_EQ(state_.jobs.at(job).tasks[2].losses, 0u);
+}
+
+TEST_F(Reactor, WhatMustNotRunTwiceIsNeverGivenAhead) {
+  Join("a", 1);
+  TaskPlan once = MakeTask("once");
+  once.at_most_once = true;
+  SubmitJob({once, once, once});
+  const Assign first = Sent<Assign>(last_).at(0);
+  EXPECT_EQ(Sent<Assign>(Do(Finished{"a#1", first.task, first.token, 0.001})).size(), 1u);
+}
+
+TEST_F(Reactor, AJobThatLeftMemoryLeavesNothingBehind) {
+  Join("a", 1);
+  TaskPlan tagged = MakeTask("t");
+  tagged.required_tags = {"rare"};
+  Join("b", 1, {}, {"rare"});
+  SubmitJob({tagged});
+  const Assign task = Sent<Assign>(last_).at(0);
+  Do(Finished{task.instance, task.task, task.token});
+  ASSERT_EQ(state_.ended, std::vector<JobId>{1});
+  Retire(state_, 1);
+  EXPECT_TRUE(state_.jobs.empty());
+  EXPECT_TRUE(state_.job_by_request.empty());
+  EXPECT_TRUE(state_.class_index.empty());
+  EXPECT_TRUE(state_.workers.at("b").classes.empty());
+  EXPECT_TRUE(BrokenInvariants(state_).empty());
+  SubmitJob({MakeTask("t")});
+  EXPECT_EQ(state_.classes.size(), 1u) << "its place is taken again";
+  // Its request is still known, and the last word of its task too: the shell looks them up.
+  Submit again{"r1", MakePlan({tagged}), nullptr, 1};
+  again.known = 1;
+  EXPECT_TRUE(Sent<AnswerClient>(Do(again)).at(0).already_known);
+  Finished repeat{task.instance, task.task, task.token};
+  EXPECT_FALSE(Sent<AnswerResult>(Do(repeat)).at(0).accepted);
+  repeat.committed = task.token;
+  EXPECT_TRUE(Sent<AnswerResult>(Do(repeat)).at(0).accepted);
+}
+
+TEST_F(Reactor, AWorkerOfNoKindIsNotOfferedWhatTakesAFreePlace) {
+  Join("a", 1);
+  SubmitJob({MakeTask("t")});
+  const Assign task = Sent<Assign>(last_).at(0);
+  Do(Finished{"a#1", task.task, task.token});
+  Retire(state_, 1);
+  Do(WorkerJoined{"b", "b#1", 1, {}, {""}, {}, false, "h", 1, "v", ""});
+  Do(WorkerLeft{"a#1"});
+  SubmitJob({MakeTask("t")});
+  EXPECT_TRUE(Sent<Assign>(last_).empty());
 }
 
 }  // namespace

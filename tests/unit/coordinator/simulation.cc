@@ -49,9 +49,7 @@ Simulation::Simulation(uint64_t seed, const SimulationOptions& options) : option
 std::vector<std::string> Simulation::Run() {
   while (ms_ < options_.calm_ms && broken_.empty()) {
     Step();
-    if (!chaos() && up_.empty() && down_.empty() && ms_ > options_.chaos_ms + 20'000 &&
-        std::all_of(state_.jobs.begin(), state_.jobs.end(),
-                    [](const auto& entry) { return IsFinal(entry.second.record.phase); })) {
+    if (!chaos() && up_.empty() && down_.empty() && ms_ > options_.chaos_ms + 20'000 && state_.jobs.empty()) {
       break;
     }
   }
@@ -72,10 +70,16 @@ void Simulation::Step() {
 // One batch: every event is handled, then the rows are committed, then the messages leave. A kill
 // may come before the commit (nothing happened) or between commit and sending (messages are lost).
 void Simulation::DeliverToCoordinator() {
+  if (chaos() && ms_ >= stalled_until_ms_ && rng_.Uniform() < options_.stall) {
+    stalled_until_ms_ = ms_ + 500 + static_cast<int64_t>(rng_.Index(8000));
+    ++facts_.stalls;
+  }
+  if (ms_ < stalled_until_ms_) return;  // what comes meanwhile waits, and is read before leases are judged
   Actions actions;
   auto due = TakeDue(up_, ms_);
   due.push_back({ms_, Tick{}});
   for (ToCoordinator& item : due) {
+    store_.Complete(item.event, state_);
     React(item.event, state_, now(), actions);
     ++facts_.events;
     CheckNow("after an event");
@@ -91,8 +95,12 @@ void Simulation::DeliverToCoordinator() {
 }
 
 void Simulation::Commit(Actions& actions) {
-  if (actions.rows.empty()) return;
+  if (actions.rows.empty()) {  // a job was brought back for nothing
+    for (const JobId id : std::exchange(state_.ended, {})) Retire(state_, id);
+    return;
+  }
   store_.Apply(actions.rows);
+  for (const JobId id : std::exchange(state_.ended, {})) Retire(state_, id);
   for (const auto& [task, count] : store_.commits) {
     if (count > 1) Complain("task " + std::to_string(task) + " was committed twice");
   }
@@ -110,7 +118,7 @@ void Simulation::RestartCoordinator() {
   state_ = Restore(store_.Load(), CoreOptions(), now());
   CheckNow("after a restart");
   for (const Client& client : clients_) {
-    if (client.acknowledged && state_.FindJob(client.job) == nullptr)
+    if (client.acknowledged && store_.Find(client.job) == nullptr)
       Complain("an acknowledged submit was lost");
   }
 }
@@ -151,6 +159,11 @@ void Simulation::SendDown(Message message) {
 // --- harm ----------------------------------------------------------------------------------------
 
 void Simulation::MaybeHarm() {
+  if (rng_.Uniform() < options_.clock_jump) {
+    constexpr int64_t kHourNs = 3'600'000'000'000;
+    wall_offset_ns_ += static_cast<int64_t>(rng_.Index(48)) * kHourNs - 24 * kHourNs;
+    ++facts_.clock_jumps;
+  }
   for (SimWorker& worker : workers_) {
     if (worker.alive && rng_.Uniform() < options_.worker_death) {
       worker.alive = false;
@@ -240,7 +253,9 @@ void Simulation::Progress(SimWorker& worker) {
                    : dice < crash                    ? Outcome::kCrashed
                    : dice < (crash + given_back) / 2 ? Outcome::kLost
                                                      : Outcome::kCancelled;
-    if (held.state == Held::kFinished) SendUp(Finished{worker.instance, held.task, token});
+    // As if it had been so short that others of its kind are given ahead, or not.
+    const double seconds = 0.001 * static_cast<double>(rng_.Index(30));
+    if (held.state == Held::kFinished) SendUp(Finished{worker.instance, held.task, token, seconds});
     if (held.state == Held::kFailed)
       SendUp(Failed{worker.instance, held.task, token, held.outcome, "chaos", true});
   }
@@ -248,7 +263,7 @@ void Simulation::Progress(SimWorker& worker) {
 
 // Now and then a task of a client's job submits one of its own, with every attempt the same one.
 void Simulation::SubmitParts(Token token, Held& held) {
-  const Job* job = state_.FindJob(JobOf(held.task));
+  const StoredJob* job = store_.Find(JobOf(held.task));
   if (held.asked_for_parts || job == nullptr || job->plan->parent != 0) return;
   held.asked_for_parts = true;
   if (rng_.Index(3) != 0) return;
@@ -284,8 +299,7 @@ void Simulation::Receive(const Assign& m) {
   if (worker == nullptr || worker->held.count(m.token) || worker->finished_before.count(m.token)) return;
   Held& held = worker->held[m.token];
   held.task = m.task;
-  const Job* job = state_.FindJob(JobOf(m.task));
-  held.at_most_once = job->plan_of(IndexOf(m.task)).at_most_once;
+  held.at_most_once = store_.Find(JobOf(m.task))->plan->tasks[IndexOf(m.task)].at_most_once;
   if (held.at_most_once) {
     SendUp(StartRequested{worker->instance, m.token});
   } else {
@@ -358,7 +372,7 @@ void Simulation::CheckAtTheEnd() {
   for (const Client& client : clients_) {
     if (!client.acknowledged) Complain("a submit was never acknowledged");
   }
-  for (const auto& [id, job] : state_.jobs) {
+  for (const auto& [id, job] : store_.jobs()) {
     const JobPhase phase = job.record.phase;
     if (!IsFinal(phase)) Complain("job " + std::to_string(id) + " never ended");
     if (cancelled_.count(id) && phase != JobPhase::kCancelled) Complain("a cancelled job came back");
@@ -367,7 +381,7 @@ void Simulation::CheckAtTheEnd() {
      : phase == JobPhase::kFailed  ? facts_.failed
                                    : facts_.cancelled)++;
     for (uint32_t i = 0; i < job.tasks.size(); ++i) {
-      const bool succeeded = std::holds_alternative<TaskSucceeded>(job.tasks[i].status);
+      const bool succeeded = job.tasks[i].phase == TaskPhase::kSucceeded;
       const auto commits = store_.commits.find(MakeTaskId(id, i));
       if (succeeded != (commits != store_.commits.end())) Complain("success and committed result disagree");
     }
@@ -378,6 +392,9 @@ void Simulation::CheckAtTheEnd() {
     }
   }
   if (!state_.leases.empty()) Complain("a lease is left over");
+  if (!state_.jobs.empty() || !state_.job_by_request.empty() || !state_.jobs_of_task.empty() ||
+      !state_.class_index.empty())
+    Complain("something of jobs that are over is left in memory");
   for (const auto& [kind, count] : store_.notes) facts_.uncertain += kind == "task.found" ? count : 0;
 }
 

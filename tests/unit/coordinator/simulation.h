@@ -1,6 +1,7 @@
 // A whole service in memory, under a seed: the reactor with its store, workers that die, freeze and
 // come back, a network that drops, repeats, delays and reorders, clients that repeat themselves, a
-// coordinator that is killed before or after it committed. Same seed, same history.
+// coordinator that is killed before or after it committed, stalls, or finds its disk full, a wall clock that
+// jumps. Same seed, same history.
 #pragma once
 
 #include <map>
@@ -24,6 +25,8 @@ struct SimulationOptions {
   double worker_death = 0.006, worker_freeze = 0.006, restart = 0.01;    // per worker (coordinator) and step
   double command = 0.02;                                                 // per step
   double disk_full = 0.004;                                              // per step: one batch is lost
+  double stall = 0.004;                                                  // of the coordinator, per step
+  double clock_jump = 0.002;                                             // of the wall clock, per step
   double task_failure = 0.1, task_crash = 0.05, task_given_back = 0.03;  // per attempt
 };
 
@@ -35,7 +38,7 @@ class Simulation {
 
   struct Facts {
     uint64_t events = 0, restarts = 0, deaths = 0, freezes = 0, refused = 0, commits = 0, uncertain = 0;
-    uint64_t lost_batches = 0;
+    uint64_t lost_batches = 0, stalls = 0, clock_jumps = 0;
     uint64_t succeeded = 0, failed = 0, cancelled = 0;
     uint64_t of_tasks = 0;  // jobs that tasks submitted
   };
@@ -101,12 +104,15 @@ class Simulation {
   void CheckNow(const char* when);
   void CheckAtTheEnd();
   void Complain(const std::string& what);
-  Now now() const { return {ms_ * 1'000'000, 1'000'000'000'000 + ms_ * 1'000'000}; }
+  Now now() const { return {ms_ * 1'000'000, kWallStartNs + wall_offset_ns_ + ms_ * 1'000'000}; }
   bool chaos() const { return ms_ < options_.chaos_ms; }
+
+  static constexpr int64_t kWallStartNs = 1'700'000'000'000'000'000;
 
   SimulationOptions options_;
   Rng rng_;
   int64_t ms_ = 0;
+  int64_t stalled_until_ms_ = 0, wall_offset_ns_ = 0;
   State state_;
   MemoryStore store_;
   std::vector<SimWorker> workers_;

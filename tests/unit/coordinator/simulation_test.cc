@@ -22,6 +22,7 @@ void Play(uint64_t first_seed, uint64_t count, const SimulationOptions& options,
     const auto& f = simulation.facts();
     sum->events += f.events, sum->restarts += f.restarts, sum->deaths += f.deaths, sum->refused += f.refused;
     sum->commits += f.commits, sum->succeeded += f.succeeded, sum->failed += f.failed;
+    sum->stalls += f.stalls, sum->clock_jumps += f.clock_jumps;
     sum->of_tasks += f.of_tasks, sum->lost_batches += f.lost_batches;
     sum->cancelled += f.cancelled, sum->freezes += f.freezes, sum->uncertain += f.uncertain;
   }
@@ -33,6 +34,8 @@ TEST(Simulation, NoHistoryOfKillsAndLossesBreaksAPromise) {
   // The histories must have met what they are for.
   EXPECT_GT(sum.restarts, 100u);
   EXPECT_GT(sum.lost_batches, 100u);
+  EXPECT_GT(sum.stalls, 100u);
+  EXPECT_GT(sum.clock_jumps, 100u);
   EXPECT_GT(sum.deaths, 100u);
   EXPECT_GT(sum.refused, 10u);
   EXPECT_GT(sum.succeeded, 100u);
