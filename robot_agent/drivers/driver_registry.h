@@ -1,6 +1,5 @@
 // Drivers beside the built-in ones, by the name that a configuration's "driver" says. A program for another arm
-// registers its own before anything else (deploy/examples/new_robot, docs/new-robot.md); realitygrad-agent and
-// realitygrad-guard are then its own too.
+// registers its own before anything else; realitygrad-agent and realitygrad-guard are then its own too.
 #pragma once
 
 #include <functional>
