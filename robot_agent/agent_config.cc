@@ -138,9 +138,30 @@ Status ReadFence(const json& root, AgentConfig* config) {
                       std::to_string(clearance) + " m apart, which is a collision");
 }
 
+Status ReadFirstRollouts(const json& root, AgentConfig* config) {
+  rollouts::FirstRollouts& first = config->first_rollouts;
+  if (config->driver != "simulated" && config->driver != "replay") first = {.duration_s = 2.0, .speed = 0.4};
+  if (!root.contains("first_rollouts")) return Status::Ok();
+  if (root["first_rollouts"].is_null()) {
+    first = {};
+    return Status::Ok();
+  }
+  const json& object = root["first_rollouts"];
+  RG_RETURN_IF_ERROR(CheckKeys(object, {"duration_s", "speed"}, "first_rollouts: "));
+  object.at("duration_s").get_to(first.duration_s);
+  object.at("speed").get_to(first.speed);
+  RG_RETURN_IF_ERROR(CheckPositive("first_rollouts: duration_s", first.duration_s));
+  RG_RETURN_IF_ERROR(CheckPositive("first_rollouts: speed", first.speed));
+  if (first.speed <= 1.0) return Status::Ok();
+  return InvalidError("first_rollouts: speed is " + std::to_string(first.speed) + ", needs at most 1");
+}
+
 Result<AgentConfig> Read(const json& root, const std::string& folder) {
+  const std::string driver = root.value("driver", "simulated");
+  const bool own = FindDriver(driver) != nullptr;
   RG_RETURN_IF_ERROR(CheckKeys(root,
-                               {"format",
+                               {own ? driver : "format",
+                                "format",
                                 "name",
                                 "driver",
                                 "simulated",
@@ -162,6 +183,7 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
                                 "max_rate_hz",
                                 "max_duration_s",
                                 "min_free_mb",
+                                "first_rollouts",
                                 "capsules",
                                 "apart"},
                                ""));
@@ -170,7 +192,7 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
   AgentConfig config;
   root.at("name").get_to(config.name);
   root.at("start_pose").get_to(config.start_pose);
-  config.driver = root.value("driver", config.driver);
+  config.driver = driver;
   config.pose_tolerance = root.value("pose_tolerance", config.pose_tolerance);
   config.pose_timeout_s = root.value("pose_timeout_s", config.pose_timeout_s);
   config.settle_s = root.value("settle_s", config.settle_s);
@@ -185,6 +207,7 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
   config.excitation = root.value("excitation", 0.0);
   if (!(config.excitation >= 0.0 && config.excitation <= 1.0))
     return InvalidError("excitation is " + std::to_string(config.excitation) + ", needs 0 to 1");
+  RG_RETURN_IF_ERROR(ReadFirstRollouts(root, &config));
   RG_RETURN_IF_ERROR(ReadArm(root, folder, &config));  // whatever the driver is
   RG_RETURN_IF_ERROR(ReadFence(root, &config));
   if (config.driver == "kinova") {
@@ -198,8 +221,13 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
     RG_RETURN_IF_ERROR(ReadReplay(root.at("replay"), folder, &config.replay));
     return config;
   }
+  if (own) {
+    config.own = {root.value(driver, json::object()).dump(), folder, config.name};
+    return config;
+  }
   if (config.driver != "simulated")
-    return InvalidError("driver is \"" + config.driver + "\", needs simulated, kinova or replay");
+    return InvalidError("driver is \"" + config.driver + "\", needs simulated, kinova or replay" +
+                        (RegisteredDrivers().empty() ? "" : ", or " + RegisteredDrivers()));
   RG_RETURN_IF_ERROR(ReadSimulated(root.at("simulated"), folder, &config.simulated));
   return config;
 }
@@ -257,6 +285,7 @@ Result<std::unique_ptr<Driver>> MakeDriver(const AgentConfig& config, uint64_t r
   if (config.driver == "kinova") return kinova::MakeKinovaDriver(config.kinova);
   if (config.driver == "replay")
     return std::unique_ptr<Driver>(std::make_unique<ReplayDriver>(config.replay));
+  if (const DriverMaker* maker = FindDriver(config.driver)) return (*maker)(config.own);
   SimulatedDriverOptions options = config.simulated;
   options.seed = robot_seed;
   return std::unique_ptr<Driver>(std::make_unique<SimulatedDriver>(std::move(options)));

@@ -20,11 +20,13 @@
 #include "common/model/robot_model.h"
 #include "robot_agent/control_loop.h"
 #include "robot_agent/drivers/driver.h"
+#include "robot_agent/drivers/driver_registry.h"
 #include "robot_agent/drivers/kinova/kinova_options.h"
 #include "robot_agent/drivers/replay/replay_driver.h"
 #include "robot_agent/drivers/simulated_driver.h"
 #include "robot_agent/safety/capsules.h"
 #include "robot_agent/safety/limits.h"
+#include "services/rollouts/trust.h"
 
 namespace rg::robot_agent {
 
@@ -34,6 +36,7 @@ struct AgentConfig {
   SimulatedDriverOptions simulated;
   kinova::KinovaOptions kinova;
   ReplayOptions replay;
+  DriverRequest own;  // for a driver of drivers/driver_registry.h
   std::vector<double> start_pose;
   double pose_tolerance = 0.05;  // rad (m), per joint
   double pose_timeout_s = 60.0;
@@ -51,6 +54,9 @@ struct AgentConfig {
   bool arm_ends_with_driver() const { return driver == "simulated" && simulated.socket_path.empty(); }
   std::string path;         // of the file; empty: none
   bool dry_run = false;     // not of the file: --dry-run
+  // Short and slow at first. "first_rollouts": {"duration_s": 2, "speed": 0.4} or null; where it is not said, this
+  // for an arm that is neither simulated nor replayed.
+  rollouts::FirstRollouts first_rollouts;
   double excitation = 0.0;  // where the rollout's specification leaves it open
 };
 

@@ -22,6 +22,7 @@ namespace {
 constexpr char kConfigVariable[] = "REALITYGRAD_AGENT_CONFIG";
 constexpr char kSpoolVariable[] = "REALITYGRAD_AGENT_SPOOL";
 constexpr char kLockStepVariable[] = "REALITYGRAD_AGENT_LOCK_STEP";
+constexpr char kTrustedVariable[] = "REALITYGRAD_AGENT_TRUSTED";
 constexpr char kDryRunVariable[] = "REALITYGRAD_AGENT_DRY_RUN";
 constexpr char kDefaultCoordinator[] = "tcp://127.0.0.1:7341";
 
@@ -34,6 +35,7 @@ constexpr char kHelp[] =
     "  --arm, --disarmed           rollouts may begin at once, or only after `realitygrad agent arm` "
     "(default: a\n"
     "                              simulated arm is armed, any other is not)\n"
+    "  --trusted                   rollouts are not short and slow at first: the arm is a stand-in\n"
     "  --dry-run                   states are read and torques computed and shown; nothing is sent to the "
     "arm\n"
     "While it runs: realitygrad agent status|watch|arm|disarm|stop|clear (--help says more)\n\n";
@@ -69,6 +71,10 @@ void ReadFlags(const std::vector<std::string>& arguments, AgentSettings* setting
       settings->armed = arguments[i] == "--arm";
       continue;
     }
+    if (arguments[i] == "--trusted") {
+      settings->trusted = true;
+      continue;
+    }
     if (arguments[i] == "--dry-run") {
       settings->dry_run = true;
       continue;
@@ -88,6 +94,7 @@ void TellExecutors(const AgentSettings& settings) {
   setenv(kConfigVariable, settings.config_path.c_str(), 1);
   setenv(kSpoolVariable, settings.spool_folder.c_str(), 1);
   setenv(kLockStepVariable, settings.lock_step ? "1" : "0", 1);
+  setenv(kTrustedVariable, settings.trusted ? "1" : "0", 1);
   setenv(kDryRunVariable, settings.dry_run ? "1" : "0", 1);
 }
 
@@ -169,6 +176,7 @@ Result<AgentSettings> ReadAgentSettings(const std::vector<std::string>& argument
   settings.spool_folder = Environment(kSpoolVariable, "realitygrad-spool");
   settings.lock_step = Environment(kLockStepVariable) == "1";
   settings.dry_run = Environment(kDryRunVariable) == "1";
+  settings.trusted = Environment(kTrustedVariable) == "1";
   settings.coordinator = Environment("REALITYGRAD_COORDINATOR", kDefaultCoordinator);
   settings.key_path = Environment("REALITYGRAD_KEY");
   settings.server_key_path = Environment("REALITYGRAD_SERVER_KEY");
@@ -177,6 +185,7 @@ Result<AgentSettings> ReadAgentSettings(const std::vector<std::string>& argument
   RG_ASSIGN_OR_RETURN(settings.config, LoadAgentConfig(settings.config_path));
   settings.config.simulated.lock_step |= settings.lock_step;
   settings.config.dry_run = settings.dry_run;
+  if (settings.trusted) settings.config.first_rollouts = {};
   return settings;
 }
 

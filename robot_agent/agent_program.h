@@ -8,7 +8,7 @@
 //   --config FILE   realitygrad.agent/1 (deploy/robots/mico2_agent.json)
 //   --spool FOLDER  recordings that are being made or wait for the coordinator
 //   --lock-step     a simulated robot runs as fast as it can instead of in real time
-//   --arm | --disarmed | --dry-run
+//   --arm | --disarmed | --dry-run | --trusted
 // or one word: status, watch, arm, disarm, stop, clear (agent_commands.h).
 // Executor children, which get none of these flags, find them in the environment.
 //
@@ -41,7 +41,7 @@ int AgentProgramMain(int argc, char** argv, const KindRegistrar& register_kinds)
 struct AgentSettings {
   AgentConfig config;
   std::string config_path, spool_folder;
-  bool lock_step = false, dry_run = false;
+  bool lock_step = false, dry_run = false, trusted = false;
   std::optional<bool> armed;  // said on the command line
   bool is_executor = false;
   std::vector<std::string> worker_arguments;           // for worker::AgentMain, argv[0] first

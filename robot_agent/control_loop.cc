@@ -2,9 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
+
+#include "robot_agent/realtime.h"
 
 namespace rg::robot_agent {
 namespace {
+
+constexpr int64_t kLate = 2'000'000;  // ns, of JitterReport::late_2ms
 
 class Loop {
  public:
@@ -27,6 +32,9 @@ class Loop {
   }
 
   ControlLoopResult Run() {
+    // A robot that waits for the loop needs no priority.
+    std::optional<RealtimeScope> on_time;
+    if (!driver_.info().lock_step) result_.jitter.realtime = on_time.emplace(kLoopPriority).grant();
     if (!Enter()) return NotStarted();
     while (Cycle()) {
     }
@@ -80,6 +88,7 @@ class Loop {
   int CountMissed() {
     const int64_t late = driver_.NowNanos() - (start_ns_ + tick_ * period_ns_);
     result_.jitter.lateness.Add(late);
+    result_.jitter.late_2ms += late > kLate;
     if (late * 2 <= period_ns_) return 0;
     const int64_t left_out = late / period_ns_;
     tick_ += left_out;

@@ -45,6 +45,7 @@ nlohmann::json Summary(const DurationHistogram& h) {
           {"p50", h.PercentileUs(50)},
           {"p90", h.PercentileUs(90)},
           {"p99", h.PercentileUs(99)},
+          {"p999", h.PercentileUs(99.9)},
           {"max", h.max_us()}};
 }
 }  // namespace
@@ -54,9 +55,11 @@ std::string JitterReport::ToJson() const {
                         {"lock_step", lock_step},
                         {"ticks", ticks},
                         {"missed_deadlines", missed_deadlines},
+                        {"late_2ms", late_2ms},
                         {"lateness_us", Summary(lateness)},
                         {"cycle_us", Summary(cycle)},
-                        {"state_age_us", Summary(state_age)}}
+                        {"state_age_us", Summary(state_age)},
+                        {"realtime", nlohmann::json::parse(realtime.ToJson())}}
       .dump();
 }
 

@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <string>
 
+#include "robot_agent/realtime.h"
+
 namespace rg::robot_agent {
 
 // Histogram over [0, 2^26) µs, eight buckets per power of two: percentiles are upper bounds, at most
@@ -33,11 +35,14 @@ struct JitterReport {
   bool lock_step = false;         // the robot's time waited for the loop: lateness is zero by construction
   uint64_t ticks = 0;             // control cycles run
   uint64_t missed_deadlines = 0;  // commands later than half a period, and ticks left out
+  uint64_t late_2ms = 0;          // ticks that began more than 2 ms late
   DurationHistogram lateness;     // wake-up after its tick
   DurationHistogram cycle;        // from wake-up to the command being sent, machine time
   DurationHistogram state_age;    // age of the state used, driver's time
+  RealtimeGrant realtime;         // of the thread that ran the cycles
 
-  // {"period_s", "ticks", "missed_deadlines", "lateness_us": {"p50", "p99", "max"}, "cycle_us": …}
+  // {"period_s", "ticks", "missed_deadlines", "late_2ms", "lateness_us": {"p50", "p99", "p999", "max"},
+  // "cycle_us": …, "realtime": {"memory_locked", "fifo_priority", "why"}}
   std::string ToJson() const;
 };
 

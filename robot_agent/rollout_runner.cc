@@ -84,6 +84,7 @@ std::string MetadataOf(const DriverInfo& info, const RolloutInput& input, const 
               {"goal_seed", spec.goal_seed},
               {"controller", input.controller_name},
               {"excitation", spec.excitation},
+              {"trust", input.plan.trust},
               {"policy_sha256", input.policy_sha256},
               {"model_sha256", input.model_sha256},
               {"job", input.job_id},
@@ -243,23 +244,26 @@ Eigen::VectorXd ToEigen(const std::vector<double>& x) {
 }
 
 Result<RolloutPlan> PlanRollout(const rollouts::RolloutSpec& spec, const AgentConfig& config,
-                                const sim::Plant& plant) {
+                                const sim::Plant& plant, double trust) {
   RG_RETURN_IF_ERROR(rollouts::CheckSpec(spec));
   RG_RETURN_IF_ERROR(CheckMost("rate_hz", spec.rate_hz, config.max_rate_hz));
   RG_RETURN_IF_ERROR(CheckMost("duration_s", spec.duration_s, config.max_duration_s));
   const model::RobotModel& model = plant.model();
   const int n = plant.num_joints();
-  RolloutPlan plan{.spec = spec, .limits = {}};
+  RolloutPlan plan{.spec = spec, .limits = {}, .trust = trust};
+  const double speed = config.first_rollouts.SpeedOf(trust);
+  plan.spec.duration_s = config.first_rollouts.DurationOf(spec.duration_s, trust);
   if (plan.spec.excitation < 0) plan.spec.excitation = config.excitation;
   if (plan.spec.start.size() == 0) plan.spec.start = ToEigen(config.start_pose);
   RG_RETURN_IF_ERROR(CheckSize("start", plan.spec.start, n));
   RG_ASSIGN_OR_RETURN(plan.limits, LimitsFor(config, model, ToVector(plan.spec.start)));
+  for (double& limit : plan.limits.velocity) limit *= speed;
   if (plan.spec.goal.size() == 0 && plan.spec.goal_position.size() == 3) {
     RG_ASSIGN_OR_RETURN(plan.spec.goal, GoalByInverseKinematics(plant, plan.spec));
   } else if (plan.spec.goal.size() == 0) {
     Rng rng(spec.goal_seed);
     plan.spec.goal = rollouts::SampleGoal(model, plan.spec.start, ToEigen(plan.limits.lower),
-                                          ToEigen(plan.limits.upper), spec.goal_reach_s, rng);
+                                          ToEigen(plan.limits.upper), speed * spec.goal_reach_s, rng);
   }
   RG_RETURN_IF_ERROR(CheckSize("goal", plan.spec.goal, n));
   RG_RETURN_IF_ERROR(CheckInBox(model, plan.limits, plan.spec.goal));

@@ -37,11 +37,13 @@ Eigen::VectorXd ToEigen(const std::vector<double>& x);
 struct RolloutPlan {
   rollouts::RolloutSpec spec;  // start and goal filled in
   SafetyLimits limits;
+  double trust = 1.0;
 };
 // Start (the agent's if the spec has none), limits, goal: given, by inverse kinematics, or sampled by
-// goal_seed. Depends on nothing but its arguments. The goal lies inside the position box.
+// goal_seed. Depends on nothing but its arguments. The goal lies inside the position box. With less than full `trust`
+// (services/rollouts/trust.h) the rollout is shorter, its velocity limits and the reach of a drawn goal are smaller.
 Result<RolloutPlan> PlanRollout(const rollouts::RolloutSpec& spec, const AgentConfig& config,
-                                const sim::Plant& plant);
+                                const sim::Plant& plant, double trust = 1.0);
 
 struct RolloutInput {
   const RolloutPlan& plan;

@@ -158,7 +158,7 @@ Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::s
     RG_ASSIGN_OR_RETURN(motion, rollouts::ParseMotion(input.motion_csv, "motion", model.plant.model()));
     spec = SpecOf(*motion, std::move(spec));
   }
-  RG_ASSIGN_OR_RETURN(const RolloutPlan plan, PlanRollout(spec, config, model.plant));
+  RG_ASSIGN_OR_RETURN(const RolloutPlan plan, PlanRollout(spec, config, model.plant, input.trust));
   RG_ASSIGN_OR_RETURN(const auto controller, MakeController(input, model, plan, motion));
   const auto board = Board::Open(spool_folder);
   RG_RETURN_IF_ERROR(CheckArmed(config, board));

@@ -18,6 +18,7 @@ struct RolloutTaskInput {
   std::string model_json;    // realitygrad.model/1: the belief
   std::string policy_bytes;  // for controller "policy"
   rollouts::RolloutSpec spec;
+  double trust = 1.0;  // services/rollouts/trust.h
   std::string job_id, task_id;        // where the recording belongs, should it travel alone
   std::string controller = "policy";  // "mpc", "trajectory"
   // For controller "trajectory": the motion (services/rollouts/reference_motion.h), which then says start,

@@ -19,6 +19,7 @@
 
 #include "common/base/clock.h"
 #include "common/base/log.h"
+#include "robot_agent/drivers/kinova/arm_session.h"
 #include "robot_agent/local_socket.h"
 #include "robot_agent/safety/latch.h"
 #include "robot_agent/spool.h"
@@ -93,9 +94,15 @@ json StatusOf(const SupervisorOptions& options, const Board& board) {
 
 std::string Refusal(const Status& status) { return json{{"ok", false}, {"error", status.message()}}.dump(); }
 
+// Whoever arms, disarms or clears an arm stands beside it and may have touched it.
+void ForgetSession(const SupervisorOptions& options) {
+  kinova::SessionFile(options.spool_folder + "/" + kinova::kSessionFile).Forget();
+}
+
 Status ArmIt(const SupervisorOptions& options, Board& board) {
   if (board.mover() == 0 && !options.arm_ends_with_driver)
     RG_RETURN_IF_ERROR(Latch(options.spool_folder).CheckClear());
+  ForgetSession(options);
   board.Arm(true);
   return Status::Ok();
 }
@@ -226,10 +233,12 @@ std::string AnswerRequest(const SupervisorOptions& options, Board& board, const 
     done = ArmIt(options, board);
   } else if (line == "disarm") {
     board.Arm(false);  // whoever moves the arm stops it
+    ForgetSession(options);
   } else if (line == "stop") {
     board.AskStop();
   } else if (line == "clear") {
     done = ClearIt(options, board);
+    ForgetSession(options);
   } else {
     done = InvalidError("unknown request \"" + line + "\", knows status, arm, disarm, stop, clear");
   }
@@ -248,6 +257,7 @@ int Supervise(const SupervisorOptions& options, const std::function<int()>& run_
   if (!lock.ok()) return fail(lock.status());
   auto board = Board::Create(options.spool_folder);
   if (!board.ok()) return fail(board.status());
+  ForgetSession(options);
   (*board)->Arm(options.armed);
   auto socket = LocalSocket::Listen(options.spool_folder);
   if (!socket.ok()) return fail(socket.status());

@@ -85,8 +85,11 @@ PacketSocket::Received PacketSocket::Receive(void* bytes, size_t capacity, doubl
     if (errno == EINTR) continue;
     if (errno != EAGAIN && errno != EWOULDBLOCK) return {StatusCode::kUnavailable, 0};
     if (timeout_s <= 0) return {StatusCode::kDeadlineExceeded, 0};
+    // In nanoseconds: a guard's patience is not rounded up to the next millisecond.
+    const auto nanos = static_cast<int64_t>(std::ceil(1e9 * timeout_s));
+    const timespec at_most{nanos / 1'000'000'000, nanos % 1'000'000'000};
     pollfd waiting{file_, POLLIN, 0};
-    const int ready = poll(&waiting, 1, static_cast<int>(std::ceil(1e3 * timeout_s)));
+    const int ready = ppoll(&waiting, 1, &at_most, nullptr);
     if (ready == 0) return {StatusCode::kDeadlineExceeded, 0};
     if (ready < 0 && errno != EINTR) return {StatusCode::kUnavailable, 0};
   }

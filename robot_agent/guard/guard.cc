@@ -240,6 +240,7 @@ void Guard::Raise(EndReason reason) {
 // Zero added torque for its time where the state can be trusted, then position mode.
 void Guard::Stop() {
   stop_pending_ = false;
+  zero_torque_after_s_ = -1.0;
   const bool torque = doing_ == Doing::kTorque;
   doing_ = Doing::kNothing;
   const int64_t until = driver_.NowNanos() + std::llround(1e9 * limits_.zero_torque_s);
@@ -251,8 +252,9 @@ void Guard::Stop() {
     if (!good) break;
     JointArray zero = gravity_;
     if (driver_.info().adds_gravity_compensation) zero.fill(0.0);
-    if (!driver_.SendTorque(zero.data()).ok() || !driver_.SleepUntil(driver_.NowNanos() + kSettled).ok())
-      break;
+    if (!driver_.SendTorque(zero.data()).ok()) break;
+    if (zero_torque_after_s_ < 0.0) zero_torque_after_s_ = SecondsSince(last_word_ns_);
+    if (!driver_.SleepUntil(driver_.NowNanos() + kSettled).ok()) break;
   }
   stop_ = StopArm(driver_, options_.stop);
 }

@@ -3,7 +3,7 @@
 // added torque, then StopArm) when
 //
 //   a state, a first torque or a command is not allowed             the monitor's reasons
-//   no command came for almost two periods of the control cycle     controller_hung
+//   no command came for 1.75 periods of the control cycle           controller_hung
 //   nobody asked for half a second while the arm is on its way      controller_hung
 //   the agent's process is gone                                     driver_lost is what its successor would
 //   see
@@ -30,7 +30,9 @@ namespace rg::robot_agent {
 
 struct GuardOptions {
   std::string latch_folder;    // empty: the agent's own business only
-  double hang_periods = 1.9;   // so that the arm has its zero torque before two are over
+  // So that the arm has its zero torque before two periods are over, though the guard wakes up a little late: a
+  // quarter of a period is left for that.
+  double hang_periods = 1.75;
   double first_periods = 5.0;  // for the first command: a controller may have to wake up
   double move_silence_s = 0.5;
   StopOptions stop;
@@ -45,6 +47,8 @@ class Guard {
   void Run();
   const Trip& trip() const { return trip_; }
   const StopReport& last_stop() const { return stop_; }
+  // From the agent's last word to the zero torque of the last stop, s; negative: it had none.
+  double zero_torque_after_s() const { return zero_torque_after_s_; }
 
  private:
   void Answer(const GuardMessage& request);
@@ -82,6 +86,7 @@ class Guard {
   std::string motion_;  // the latch's entry when it began
   Trip trip_;
   StopReport stop_;
+  double zero_torque_after_s_ = -1.0;
 };
 
 }  // namespace rg::robot_agent

@@ -7,7 +7,7 @@
 namespace rg::robot_agent {
 namespace {
 
-constexpr int64_t kLook = 20'000'000;  // ns
+constexpr int64_t kWatchEvery = 20'000'000;  // ns
 
 class WatchedMove {
  public:
@@ -41,11 +41,11 @@ class WatchedMove {
       if (driver_.NowNanos() >= give_up)
         return DeadlineExceededError("the pose was not reached within " + std::to_string(options_.timeout_s) +
                                      " s, still " + std::to_string(Distance()) + " rad away");
-      reached_ = driver_.SleepUntil(driver_.NowNanos() + kLook).ok();
+      reached_ = driver_.SleepUntil(driver_.NowNanos() + kWatchEvery).ok();
     }
     const int64_t settled = driver_.NowNanos() + std::llround(1e9 * options_.settle_s);
     while (driver_.NowNanos() < settled) {
-      reached_ = driver_.SleepUntil(std::min(settled, driver_.NowNanos() + kLook)).ok();
+      reached_ = driver_.SleepUntil(std::min(settled, driver_.NowNanos() + kWatchEvery)).ok();
       RG_RETURN_IF_ERROR(Look(false));
     }
     return Status::Ok();

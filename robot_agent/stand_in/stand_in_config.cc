@@ -1,11 +1,11 @@
 #include "robot_agent/stand_in/stand_in_config.h"
 
-#include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <set>
 
 #include "common/base/file.h"
+#include "robot_agent/drivers/json_fields.h"
 #include "robot_agent/drivers/kinova/joint_report.h"
 
 namespace rg::robot_agent::stand_in {
@@ -30,21 +30,6 @@ const std::set<std::string> kFields = {"format",
                                        "outage_s",
                                        "outages_per_s",
                                        "leave_torque_mode_s"};
-
-Status ReadNumber(const json& root, const char* field, double least, double most, double* value) {
-  *value = root.value(field, *value);
-  if (std::isfinite(*value) && *value >= least && *value <= most) return Status::Ok();
-  return InvalidError(std::string(field) + " is " + std::to_string(*value) + ", needs " +
-                      std::to_string(least) + " to " + std::to_string(most));
-}
-
-template <class T>
-Status ReadVector(const json& root, const char* field, int n, T otherwise, std::vector<T>* values) {
-  *values = root.value(field, std::vector<T>(n, otherwise));
-  if (static_cast<int>(values->size()) == n) return Status::Ok();
-  return InvalidError(std::string(field) + " has " + std::to_string(values->size()) + " entries for " +
-                      std::to_string(n) + " joints");
-}
 
 Result<StandInConfig> Read(const json& root, const std::string& folder) {
   for (const auto& [key, value] : root.items())

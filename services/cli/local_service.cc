@@ -96,7 +96,9 @@ Status LocalService::StartPrograms(const LocalServiceOptions& options) {
                                     file("spool"),
                                     "--folder",
                                     file("cache/agent")};
-  agent.push_back("--arm");  // it is simulated, or a stand-in
+  // It is simulated, or a stand-in.
+  agent.push_back("--arm");
+  agent.push_back("--trusted");
   if (options.lock_step) agent.push_back("--lock-step");
   return children_.Start("agent", agent, file("logs/agent.log"));
 }

@@ -1,10 +1,17 @@
 #include "services/jobs/rollout_task_kind.h"
 
+#include <cstdio>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "coordinator/client/client.h"
+#include "realitygrad/v1/parameters.pb.h"
 #include "realitygrad/v1/payloads.pb.h"
 #include "robot_agent/rollout_task.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/task_support.h"
 #include "services/rollouts/recording_bundle.h"
+#include "services/rollouts/trust.h"
 #include "worker/task_registry.h"
 
 namespace rg::jobs {
@@ -37,6 +44,37 @@ rollouts::RolloutSpec SpecOf(const pb::RolloutPayload& payload, std::string id) 
   return spec;
 }
 
+// From the oldest version on, each recording once. What another kind of driver did (a simulated arm of the same name)
+// says nothing of this one.
+double TrustIn(coordinator::Client& client, const std::string& robot, const std::string& driver) {
+  constexpr uint32_t kVersions = 64;
+  const auto history = client.ParameterHistory(robot, kVersions);
+  double trust = 0.0;
+  std::set<std::string> counted;
+  for (size_t i = history.ok() ? history->size() : 0; i-- > 0;) {
+    const std::string& sha256 = (*history)[i].recording_sha256();
+    if (sha256.empty() || !counted.insert(sha256).second) continue;
+    const auto info = client.ShowArtifact(sha256);
+    if (!info.ok()) continue;
+    const auto said = nlohmann::json::parse(info->metadata_json(), nullptr, false);
+    if (said.is_object() && said.value("driver", "") == driver)
+      trust = rollouts::TrustAfter(trust, said.value("end_reason", ""), said.value("held", false));
+  }
+  return trust;
+}
+
+// Without a coordinator to ask: none.
+double TrustOf(const robot_agent::AgentConfig& config, worker::TaskContext& context) {
+  if (!config.first_rollouts.on()) return 1.0;
+  const auto client = context.Coordinator();
+  const double trust = client.ok() ? TrustIn(**client, config.name, config.driver) : 0.0;
+  char text[120];
+  std::snprintf(text, sizeof text, "trust in %s is %.2f of 1: at most %.0f %% of its speed", config.name.c_str(),
+                trust, 100 * config.first_rollouts.SpeedOf(trust));
+  context.Log(text);
+  return trust;
+}
+
 }  // namespace
 
 void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::string& spool_folder,
@@ -53,6 +91,7 @@ void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::strin
         RG_ASSIGN_OR_RETURN(const worker::InputArtifact* model, input.Require(kInputModel));
         const worker::InputArtifact* policy = input.Find(kInputPolicy);
         robot_agent::RolloutTaskInput task;
+        task.trust = TrustOf(config, context);
         task.model_json = model->bytes;
         task.job_id = std::to_string(input.job);
         task.task_id = std::to_string(input.task);

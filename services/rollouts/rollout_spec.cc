@@ -111,8 +111,4 @@ Eigen::VectorXd SampleGoal(const model::RobotModel& model, const Eigen::VectorXd
   return goal;
 }
 
-double ScheduledDuration(const DurationSchedule& schedule, int iteration) {
-  return std::min(schedule.full_s, schedule.first_s * std::pow(schedule.growth, std::max(iteration, 0)));
-}
-
 }  // namespace rg::rollouts

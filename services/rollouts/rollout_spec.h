@@ -47,12 +47,4 @@ Eigen::VectorXd SampleGoal(const model::RobotModel& model, const Eigen::VectorXd
                            const Eigen::VectorXd& lower, const Eigen::VectorXd& upper, double reach_s,
                            Rng& rng);
 
-// First rollouts are short and grow: first_s · growth^iteration, at most full_s.
-struct DurationSchedule {
-  double first_s = 6.0;  // > 0
-  double growth = 2.0;   // ≥ 1
-  double full_s = 6.0;   // ≥ first_s
-};
-double ScheduledDuration(const DurationSchedule& schedule, int iteration);
-
 }  // namespace rg::rollouts

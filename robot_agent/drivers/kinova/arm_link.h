@@ -37,6 +37,8 @@ class ArmLink {
   virtual Status MoveTo(const std::vector<Degrees>& pose, double timeout_s) = 0;
   // Ends a MoveTo that another thread waits in. Any thread.
   virtual void CancelMove() = 0;
+  // Names the arm's driver as long as it runs, and is another when it was started again; empty: unknown.
+  virtual std::string RunOfDriver() const = 0;
   // The arm's driver's parameter status_interval_seconds, s.
   virtual std::optional<double> StatusInterval() const = 0;
 };

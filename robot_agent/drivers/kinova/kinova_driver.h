@@ -4,6 +4,7 @@
 //                (an agent that died may have left the arm floating)
 //   StartMove    the first time Prepare: position mode -> zero pose -> torque sensors zeroed and checked ->
 //                torque mode proved -> test torque of every joint -> position mode; then the pose, by action.
+//                Where a session before did all that (arm_session.h) the zero pose and the sensors are checked.
 //                All of it in a thread of its own, `moving` throughout, ended by Hold
 //   EnterTorqueMode   torque mode, proved by a test torque of one joint (a refusal is silent)
 //   SendTorque   the command in force; a thread re-sends it at 100 Hz
@@ -23,11 +24,14 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <string>
 #include <thread>
 #include <vector>
 
 #include "robot_agent/drivers/driver.h"
+#include "robot_agent/drivers/driver_time.h"
 #include "robot_agent/drivers/kinova/arm_link.h"
+#include "robot_agent/drivers/kinova/arm_session.h"
 #include "robot_agent/drivers/kinova/clock_map.h"
 #include "robot_agent/drivers/kinova/kinova_options.h"
 #include "robot_agent/drivers/kinova/motion_watch.h"
@@ -37,15 +41,10 @@
 
 namespace rg::robot_agent::kinova {
 
-// What a joint's test torque showed.
-struct JointResponse {
-  double torque_nm = 0.0;  // at which it moved, above gravity
-  double drift_rad_per_s = 0.0;
-};
-
 class KinovaDriver final : public Driver {
  public:
-  KinovaDriver(KinovaOptions options, std::unique_ptr<ArmLink> link);
+  KinovaDriver(KinovaOptions options, std::unique_ptr<ArmLink> link,
+               std::shared_ptr<DriverTime> time = MachineTime());
   // Position mode first; where the arm is away, it is waited for up to options.farewell_s.
   ~KinovaDriver() override;
 
@@ -77,7 +76,11 @@ class KinovaDriver final : public Driver {
   Status CheckRate(double timeout_s);
   Status AwaitHeard(double timeout_s);
   Status GoTo(const double* q, double tolerance, double timeout_s);
+  bool GoOnWithSession();
+  void KeepSession() const;
+  uint32_t NewestNumber() const;
   Status ZeroSensors();
+  Status CheckSensors();
   // The joint whose sensor reads most, over ten states.
   Status WorstEffort(int* joint, double* effort);
   Status TestAllJoints();
@@ -107,6 +110,8 @@ class KinovaDriver final : public Driver {
   Status LostError() const;
 
   const KinovaOptions options_;
+  const std::shared_ptr<DriverTime> time_;
+  const SessionFile session_;
   const std::vector<std::string> ros_names_;
   DriverInfo info_;
   std::vector<JointResponse> responses_;

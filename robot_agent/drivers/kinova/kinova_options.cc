@@ -1,10 +1,9 @@
 #include "robot_agent/drivers/kinova/kinova_options.h"
 
-#include <cmath>
-#include <cstdio>
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "robot_agent/drivers/json_fields.h"
 #include "robot_agent/drivers/kinova/joint_report.h"
 
 namespace rg::robot_agent::kinova {
@@ -16,28 +15,7 @@ const std::set<std::string> kFields = {"robot_type",      "robot_name",         
                                        "joints",          "zero_pose_deg",       "zero_limit_nm",
                                        "test_torque_nm",  "least_rate_hz",       "outage_s",
                                        "farewell_s",      "command_timeout_s",   "service_timeout_s",
-                                       "test_motion_rad", "torque_mode_attempts"};
-
-Status ReadNumber(const json& root, const char* field, double least, double most, double* value) {
-  *value = root.value(field, *value);
-  if (std::isfinite(*value) && *value >= least && *value <= most) return Status::Ok();
-  char text[160];
-  std::snprintf(text, sizeof text, "%s is %g, needs %g to %g", field, *value, least, most);
-  return InvalidError(text);
-}
-
-Status CheckVector(const char* field, const std::vector<double>& values, int n, double least, double most) {
-  if (static_cast<int>(values.size()) != n)
-    return InvalidError(std::string(field) + " has " + std::to_string(values.size()) + " entries for " +
-                        std::to_string(n) + " joints");
-  for (const double value : values) {
-    if (std::isfinite(value) && value >= least && value <= most) continue;
-    char text[160];
-    std::snprintf(text, sizeof text, "%s holds %g, needs %g to %g", field, value, least, most);
-    return InvalidError(text);
-  }
-  return Status::Ok();
-}
+                                       "test_motion_rad", "torque_mode_attempts", "prepare_every_s"};
 
 // Joints 2 and 3 of an arm of six, 2, 4 and 6 of one of seven have stops.
 std::vector<bool> ContinuousJoints(int n) {
@@ -77,8 +55,8 @@ Result<KinovaOptions> Read(const json& root, const std::string& robot) {
       return InvalidError(std::string(field) + " is missing: it is known for the Mico² only, a " +
                           options.robot_type + " needs it here");
   }
-  RG_RETURN_IF_ERROR(CheckVector("zero_pose_deg", options.zero_pose_deg, n, -720, 720));
-  RG_RETURN_IF_ERROR(CheckVector("test_torque_nm", options.test_torque_nm, n, 0.05, 20));
+  RG_RETURN_IF_ERROR(CheckNumbers("zero_pose_deg", options.zero_pose_deg, n, -720, 720));
+  RG_RETURN_IF_ERROR(CheckNumbers("test_torque_nm", options.test_torque_nm, n, 0.05, 20));
   RG_RETURN_IF_ERROR(ReadNumber(root, "zero_limit_nm", 0.01, 20, &options.zero_limit_nm));
   RG_RETURN_IF_ERROR(ReadNumber(root, "test_motion_rad", 0.005, 0.1, &options.test_motion_rad));
   RG_RETURN_IF_ERROR(ReadNumber(root, "least_rate_hz", 5, 1000, &options.least_rate_hz));
@@ -86,6 +64,7 @@ Result<KinovaOptions> Read(const json& root, const std::string& robot) {
   RG_RETURN_IF_ERROR(ReadNumber(root, "command_timeout_s", 0.02, 0.25, &options.command_timeout_s));
   RG_RETURN_IF_ERROR(ReadNumber(root, "service_timeout_s", 0.1, 60, &options.service_timeout_s));
   RG_RETURN_IF_ERROR(ReadNumber(root, "farewell_s", 0, 600, &options.farewell_s));
+  RG_RETURN_IF_ERROR(ReadNumber(root, "prepare_every_s", 0, 1e5, &options.prepare_every_s));
   double attempts = options.torque_mode_attempts;
   RG_RETURN_IF_ERROR(ReadNumber(root, "torque_mode_attempts", 1, 10, &attempts));
   options.torque_mode_attempts = static_cast<int>(attempts);

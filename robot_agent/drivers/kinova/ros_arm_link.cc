@@ -178,6 +178,15 @@ class RosArmLink final : public ArmLink {
 
   void CancelMove() override { move_->cancelAllGoals(); }
 
+  // The address that it has with the master, on a port of its own.
+  std::string RunOfDriver() const override {
+    XmlRpc::XmlRpcValue request, response, payload;
+    request[0] = ros::this_node::getName();
+    request[1] = node_;
+    if (!ros::master::execute("lookupNode", request, response, payload, false)) return "";
+    return payload.getType() == XmlRpc::XmlRpcValue::TypeString ? static_cast<std::string>(payload) : "";
+  }
+
   std::optional<double> StatusInterval() const override {
     double interval = 0.0;
     if (ros::param::get(node_ + "/status_interval_seconds", interval)) return interval;

@@ -1,5 +1,5 @@
-// The driver `kinova` against a real ROS master and the stand-in: the whole sequence, and for each
-// countermeasure the fault that it is there for.
+// The driver `kinova` against a real ROS master and the stand-in: the whole sequence, and what only real topics
+// and services show. The rest of its countermeasures is in tests/unit/robot_agent/kinova, without waiting.
 #include <gmock/gmock.h>
 
 #include <chrono>
@@ -58,6 +58,13 @@ class KinovaArm : public RosTest {
     const size_t at = said.rfind("stand-in: ", said.rfind(", asked for "));
     return said.substr(at, said.find('\n', at) - at);
   }
+  // How often torque mode was entered.
+  static int TorqueModes() {
+    const std::string said = StandInSaid(), line = "stand-in: torque mode, asked for torque";
+    int count = 0;
+    for (size_t at = said.find(line); at != std::string::npos; at = said.find(line, at + 1)) ++count;
+    return count;
+  }
   // Torques per second that the stand-in took in its last torque mode.
   static double TorqueRate() {
     int torques = 0;
@@ -71,7 +78,9 @@ class KinovaArm : public RosTest {
 
 TEST_F(KinovaArm, GoesThroughTheWholeSequenceWithEveryQuirkOfTheStandIn) {
   const Child arm = StartStandIn([](json&) {});  // unzeroed sensors, turns, one refusal
-  const auto driver = MakeDriver(Options());
+  KinovaOptions options = Options();
+  options.session_path = *folder_ + "/" + kSessionFile;
+  auto driver = MakeDriver(options);
   const Status connected = driver->Connect(20.0);
   ASSERT_TRUE(connected.ok()) << connected.ToString();
   EXPECT_TRUE(driver->info().adds_gravity_compensation);
@@ -107,21 +116,18 @@ TEST_F(KinovaArm, GoesThroughTheWholeSequenceWithEveryQuirkOfTheStandIn) {
   ASSERT_TRUE(driver->ReadState(&state).ok());
   EXPECT_EQ(state.mode, Mode::kPosition);
   EXPECT_FALSE(driver->SendTorque(zero).ok());
+  const int modes = TorqueModes();
   // A command every 40 ms reached the arm about four times.
   EXPECT_GT(TorqueRate(), 40.0) << StandInSaid();
-}
 
-TEST_F(KinovaArm, ATorqueModeRefusedInSilenceIsFoundOut) {
-  const Child arm = StartStandIn([](json& config) {
-    Mild(config);
-    config["refuse_torque_mode"] = -1;
-  });
-  const auto driver = MakeDriver(Options({{"torque_mode_attempts", 1}}));
+  // The next rollout's driver finds the same arm prepared.
+  driver = MakeDriver(options);
   ASSERT_TRUE(driver->Connect(20.0).ok());
-  const Status refused = driver->MoveToPose(kStart, kTolerance, 30.0);
-  EXPECT_EQ(refused.code(), StatusCode::kFailedPrecondition);
-  EXPECT_THAT(refused.message(), HasSubstr("refused torque mode in silence"));
-  EXPECT_THAT(refused.message(), HasSubstr("joint_1 at 2.00 N·m"));
+  const Status again = driver->MoveToPose(kStart, kTolerance, 30.0);
+  EXPECT_TRUE(again.ok()) << again.ToString();
+  EXPECT_GT(driver->responses()[5].torque_nm, 0.05);
+  EXPECT_THAT(LastMode(), HasSubstr("stand-in: position mode, asked for position mode")) << StandInSaid();
+  EXPECT_EQ(TorqueModes(), modes) << "torques were tested again";
 }
 
 TEST_F(KinovaArm, StatesTooRareAreRefusedWithTheParameterToSet) {
@@ -133,57 +139,9 @@ TEST_F(KinovaArm, StatesTooRareAreRefusedWithTheParameterToSet) {
   EXPECT_THAT(refused.message(), HasSubstr("status_interval_seconds is 0.1"));
 }
 
-TEST_F(KinovaArm, AWrongSignIsRefusedByItsJoint) {
-  const Child arm = StartStandIn([](json& config) {
-    Mild(config);
-    config["torque_sign"] = {1, 1, -1, 1, 1, 1};
-  });
-  const auto driver = MakeDriver(Options());
-  ASSERT_TRUE(driver->Connect(20.0).ok());
-  const Status refused = driver->MoveToPose(kStart, kTolerance, 30.0);
-  EXPECT_EQ(refused.code(), StatusCode::kFailedPrecondition);
-  EXPECT_THAT(refused.message(), HasSubstr("joint_3 moved against its torque"));
-}
-
-TEST_F(KinovaArm, AJointThatDoesNotMoveIsRefusedWithTheTorqueReached) {
-  const Child arm = StartStandIn([](json& config) {
-    Mild(config);
-    config["torque_sign"] = {0, 1, 1, 1, 1, 1};
-  });
-  const auto driver = MakeDriver(Options());
-  ASSERT_TRUE(driver->Connect(20.0).ok());
-  const Status refused = driver->MoveToPose(kStart, kTolerance, 30.0);
-  EXPECT_EQ(refused.code(), StatusCode::kFailedPrecondition);
-  EXPECT_THAT(refused.message(), HasSubstr("joint_1 did not move at 2.00 N·m above gravity"));
-}
-
-TEST_F(KinovaArm, AMoveIsSeenOnItsWayAndEndedByHold) {
+TEST_F(KinovaArm, AnOutageEndsTorqueModeTheDriverComesBackAndNeverLeavesTheArmFloating) {
   const Child arm = StartStandIn(Mild);
-  const auto driver = MakeDriver(Options());
-  ASSERT_TRUE(driver->Connect(20.0).ok());
-  RobotState first, state;
-  ASSERT_TRUE(driver->ReadState(&first).ok());
-  ASSERT_TRUE(driver->StartMove(kStart).ok());
-  for (int i = 0; i < 1000 && std::abs(state.q[0] - first.q[0]) < 0.03; ++i) {
-    std::this_thread::sleep_for(std::chrono::milliseconds(10));
-    ASSERT_TRUE(driver->ReadState(&state).ok());
-    EXPECT_TRUE(state.moving);
-  }
-  ASSERT_GE(std::abs(state.q[0] - first.q[0]), 0.03) << "it never set off";
-  const Status held = driver->Hold();
-  EXPECT_TRUE(held.ok()) << held.ToString();
-  ASSERT_TRUE(driver->ReadState(&first).ok());
-  std::this_thread::sleep_for(std::chrono::milliseconds(500));
-  ASSERT_TRUE(driver->ReadState(&state).ok());
-  EXPECT_FALSE(state.moving);
-  EXPECT_EQ(state.mode, Mode::kPosition);
-  EXPECT_NEAR(state.q[0], first.q[0], 0.01);
-  EXPECT_GT(std::abs(state.q[0] - kStart[0]), 0.05) << "it was stopped on its way";
-}
-
-TEST_F(KinovaArm, AnOutageEndsTorqueModeAndTheDriverComesBackByItself) {
-  const Child arm = StartStandIn(Mild);
-  const auto driver = MakeDriver(Options());
+  auto driver = MakeDriver(Options());
   ASSERT_TRUE(driver->Connect(20.0).ok());
   ASSERT_TRUE(driver->MoveToPose(kStart, kTolerance, 30.0).ok());
   const double zero[6] = {};
@@ -202,18 +160,11 @@ TEST_F(KinovaArm, AnOutageEndsTorqueModeAndTheDriverComesBackByItself) {
   EXPECT_EQ(state.mode, Mode::kPosition);
   EXPECT_EQ(driver->EnterTorqueMode(zero).code(), StatusCode::kFailedPrecondition) << "not prepared again";
   const Status moved = driver->MoveToPose(kStart, kTolerance, 30.0);
-  EXPECT_TRUE(moved.ok()) << moved.ToString();
-}
+  ASSERT_TRUE(moved.ok()) << moved.ToString();
 
-TEST_F(KinovaArm, AnArmThatWasAwayWhenTheRolloutEndedIsNotLeftFloating) {
-  const Child arm = StartStandIn(Mild);
-  auto driver = MakeDriver(Options());
-  ASSERT_TRUE(driver->Connect(20.0).ok());
-  ASSERT_TRUE(driver->MoveToPose(kStart, kTolerance, 30.0).ok());
-  const double zero[6] = {};
   ASSERT_TRUE(driver->EnterTorqueMode(zero).ok());
   EXPECT_THAT(LastMode(), HasSubstr("stand-in: torque mode"));
-  arm.Signal(SIGUSR1);  // its services are gone for more than a second
+  arm.Signal(SIGUSR1);  // away again when the rollout ends: its services are gone for more than a second
   std::this_thread::sleep_for(std::chrono::milliseconds(100));
   driver.reset();
   EXPECT_THAT(LastMode(), HasSubstr("stand-in: position mode"));
@@ -228,50 +179,6 @@ TEST_F(KinovaArm, AServiceThatHangsDoesNotHoldTheCaller) {
   arm.Signal(SIGCONT);
   EXPECT_EQ(held.code(), StatusCode::kUnavailable);
   EXPECT_THAT(held.message(), HasSubstr("did not answer within"));
-}
-
-TEST_F(KinovaArm, SensorsThatDoNotReadZeroAfterZeroingAreNamed) {
-  const Child arm = StartStandIn(Mild);
-  const auto driver = MakeDriver(Options({{"zero_limit_nm", 0.01}}));  // below the sensors' noise
-  ASSERT_TRUE(driver->Connect(20.0).ok());
-  const Status refused = driver->MoveToPose(kStart, kTolerance, 30.0);
-  EXPECT_EQ(refused.code(), StatusCode::kFailedPrecondition);
-  EXPECT_THAT(refused.message(), HasSubstr("the torque sensor of joint_"));
-}
-
-TEST_F(KinovaArm, AFallBackToPositionModeIsSeenThoughTheArmSaysNothing) {
-  const Child arm = StartStandIn(Mild);
-  const auto driver = MakeDriver(Options());
-  ASSERT_TRUE(driver->Connect(20.0).ok());
-  ASSERT_TRUE(driver->MoveToPose(kStart, kTolerance, 30.0).ok());
-  const double zero[6] = {};
-  ASSERT_TRUE(driver->EnterTorqueMode(zero).ok());
-  arm.Signal(SIGUSR2);
-  std::this_thread::sleep_for(std::chrono::milliseconds(100));
-  RobotState state;
-  Drive(*driver, 5, 2.0, [&](const RobotState& s) { return s.mode == Mode::kPosition; });
-  ASSERT_TRUE(driver->ReadState(&state).ok());
-  EXPECT_EQ(state.mode, Mode::kPosition);
-  EXPECT_THAT(driver->health().last_error, HasSubstr("left torque mode"));
-}
-
-TEST_F(KinovaArm, ACallerThatFallsSilentLeavesTheArmInPositionMode) {
-  const Child arm = StartStandIn(Mild);
-  const auto driver = MakeDriver(Options());
-  ASSERT_TRUE(driver->Connect(20.0).ok());
-  ASSERT_TRUE(driver->MoveToPose(kStart, kTolerance, 30.0).ok());
-  const double zero[6] = {}, strong[6] = {0, 0, 0, 0, 0, 1.5};
-  ASSERT_TRUE(driver->EnterTorqueMode(zero).ok());
-  ASSERT_TRUE(driver->SendTorque(strong).ok());
-  RobotState state;
-  for (int i = 0; i < 500; ++i) {
-    std::this_thread::sleep_for(std::chrono::milliseconds(10));
-    ASSERT_TRUE(driver->ReadState(&state).ok());
-    if (state.mode == Mode::kPosition) break;
-  }
-  EXPECT_EQ(state.mode, Mode::kPosition);
-  EXPECT_THAT(driver->health().last_error, HasSubstr("no command for too long"));
-  EXPECT_EQ(driver->SendTorque(strong).code(), StatusCode::kFailedPrecondition);
 }
 
 TEST_F(KinovaArm, AnotherModelOfTheFamilyIsFoundByItsPrefix) {

@@ -56,6 +56,30 @@ TEST(AgentSettings, ArmedAndDryRunAreSaidOnTheCommandLine) {
   EXPECT_THAT(read({"--dry-run", "--arm"}).worker_arguments, ElementsAre("agent"));
 }
 
+TEST(AgentSettings, FirstRolloutsAreShortAndSlowWhereTheArmIsReal) {
+  const std::string folder = std::filesystem::path(ConfigPath()).parent_path().string();
+  auto json = nlohmann::json::parse(ReadFile(ConfigPath()).value());
+  const auto read = [&] { return ParseAgentConfig(json.dump(), folder, "robot.json"); };
+  EXPECT_FALSE(read()->first_rollouts.on()) << "a simulated arm";
+  json["first_rollouts"] = {{"duration_s", 1.5}, {"speed", 0.3}};
+  EXPECT_EQ(read()->first_rollouts.duration_s, 1.5);
+  EXPECT_EQ(read()->first_rollouts.speed, 0.3);
+  json["first_rollouts"]["speed"] = 1.2;
+  EXPECT_THAT(read().status().message(), HasSubstr("first_rollouts: speed is 1.2"));
+  json["first_rollouts"]["speed"] = 0;
+  EXPECT_THAT(read().status().message(), HasSubstr("first_rollouts: speed is 0"));
+  json["first_rollouts"] = {{"duration", 1}};
+  EXPECT_THAT(read().status().message(), HasSubstr("first_rollouts: unknown field \"duration\""));
+  json.erase("first_rollouts");
+  json["driver"] = "kinova";
+  if (const auto kinova = read(); kinova.ok()) {
+    EXPECT_EQ(kinova->first_rollouts.duration_s, 2.0);
+    EXPECT_EQ(kinova->first_rollouts.speed, 0.4);
+    json["first_rollouts"] = nullptr;
+    EXPECT_FALSE(read()->first_rollouts.on());
+  }
+}
+
 TEST(AgentSettings, AMissingOrWrongConfigIsOneClearLine) {
   EXPECT_THAT(ReadAgentSettings({"agent"}).status().message(), HasSubstr("--config"));
   EXPECT_FALSE(ReadAgentSettings({"agent", "--config", "/nonexistent"}).ok());

@@ -47,6 +47,23 @@ TEST(Rollout, ReachesTheGoalAndLeavesARecordingSet) {
   EXPECT_EQ(rollout["jitter"]["missed_deadlines"], 0);
 }
 
+TEST(Rollout, TheFirstOnesAreShorterSlowerAndNearer) {
+  Rig rig(true);
+  rig.config.first_rollouts = {.duration_s = 1.0, .speed = 0.4};
+  const RolloutPlan full = PlanRollout(rig.spec, rig.config, rig.plant).value();
+  const RolloutPlan first = PlanRollout(rig.spec, rig.config, rig.plant, 0.0).value();
+  const RolloutPlan later = PlanRollout(rig.spec, rig.config, rig.plant, 0.5).value();
+  EXPECT_EQ(full.spec.duration_s, 2.0);
+  EXPECT_EQ(first.spec.duration_s, 1.0);
+  EXPECT_EQ(later.spec.duration_s, 1.5);
+  for (int i = 0; i < 6; ++i) {
+    EXPECT_DOUBLE_EQ(first.limits.velocity[i], 0.4 * full.limits.velocity[i]);
+    EXPECT_DOUBLE_EQ(later.limits.velocity[i], 0.7 * full.limits.velocity[i]);
+  }
+  EXPECT_NEAR((first.spec.goal - first.spec.start).norm(), 0.4 * (full.spec.goal - full.spec.start).norm(), 1e-9);
+  EXPECT_EQ(first.limits.upper, full.limits.upper);
+}
+
 TEST(Rollout, SameSeedSameRecordingOtherSeedAnother) {
   std::string csv[3];
   for (int k = 0; k < 3; ++k) {

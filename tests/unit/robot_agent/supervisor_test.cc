@@ -13,6 +13,7 @@
 #include "common/base/file.h"
 #include "common/base/ids.h"
 #include "robot_agent/agent_commands.h"
+#include "robot_agent/drivers/kinova/arm_session.h"
 #include "robot_agent/local_socket.h"
 #include "robot_agent/safety/latch.h"
 
@@ -228,6 +229,19 @@ TEST(AgentCommands, TheStatusShowsJointsAgainstTheirLimitsAndWhatToDo) {
   EXPECT_THAT(text, HasSubstr("LATCHED since noon"));
   EXPECT_THAT(text, HasSubstr("last end: velocity_limit (joint_1: fast)"));
   EXPECT_THAT(text, HasSubstr("2 waiting"));
+}
+
+// Whoever does one of these stands beside the arm and may have touched it: its preparation is done again.
+TEST_F(AgentFolder, ArmDisarmAndClearEndTheArmsSession) {
+  const auto board = Board::Create(folder_).value();
+  const kinova::SessionFile session(folder_ + "/" + kinova::kSessionFile);
+  for (const char* word : {"arm", "disarm", "clear"}) {
+    ASSERT_TRUE(session.Write({.prepared_ns = 1, .arm = "a", .number = 1, .responses = {}}).ok());
+    AnswerRequest(options_, *board, "status");
+    EXPECT_TRUE(session.Read().has_value());
+    AnswerRequest(options_, *board, word);
+    EXPECT_FALSE(session.Read().has_value()) << word;
+  }
 }
 
 }  // namespace

@@ -73,12 +73,5 @@ TEST(GoalSampling, SameSeedSameGoal) {
   EXPECT_NE(goal, SampleGoal(model, start, lower, upper, 1, c));
 }
 
-TEST(DurationSchedules, GrowToTheFullTime) {
-  const DurationSchedule schedule{.first_s = 1.5, .growth = 2.0, .full_s = 6.0};
-  EXPECT_EQ(ScheduledDuration(schedule, 0), 1.5);
-  EXPECT_EQ(ScheduledDuration(schedule, 1), 3.0);
-  EXPECT_EQ(ScheduledDuration(schedule, 5), 6.0);
-}
-
 }  // namespace
 }  // namespace rg::rollouts

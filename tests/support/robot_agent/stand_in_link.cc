@@ -1,0 +1,216 @@
+#include "tests/support/robot_agent/stand_in_link.h"
+
+#include <algorithm>
+#include <cmath>
+#include <condition_variable>
+#include <mutex>
+#include <thread>
+
+#include "robot_agent/drivers/kinova/driver_text.h"
+
+namespace rg::robot_agent::stand_in {
+namespace {
+
+using kinova::ArmService;
+using kinova::Degrees;
+using kinova::JointReport;
+using kinova::Nanos;
+
+constexpr double kReached = 2.0, kStallTime = 1.5, kStallWay = 1.0;  // as main.cc's
+constexpr int kCalls = 9;
+
+class StandInLink final : public kinova::ArmLink {
+ public:
+  explicit StandInLink(StandInArm& arm) : arm_(arm), time_(*arm.time) {}
+  ~StandInLink() override {
+    ended_ = true;
+    if (node_thread_.joinable()) time_.Join(node_thread_);
+  }
+
+  Status Open(Listener listener) override {
+    listener_ = std::move(listener);
+    node_thread_ = time_.Start([this] { Serve(); });
+    return Status::Ok();
+  }
+
+  bool TorquesAreHeard() const override { return !away_; }
+
+  void PublishTorque(const JointArray& tau) override {
+    if (away_) return;
+    const std::lock_guard lock(queue_);
+    pending_ = tau;
+    has_pending_ = true;
+  }
+
+  Status Call(ArmService service, double timeout_s) override {
+    const int64_t give_up = time_.NowNanos() + Nanos(timeout_s);
+    const bool hangs =
+        arm_.faults.hang_after_s > 0 && arm_.base->seconds_in_torque_mode() > arm_.faults.hang_after_s;
+    if (hangs) time_.SleepUntil(give_up);
+    if (away_ || hangs) return UnavailableError("service is not offered or failed");
+    const auto node = time_.Lock(node_);
+    Spend(1);
+    if (time_.NowNanos() > give_up) return UnavailableError("service did not answer");
+    Do(service);
+    return Status::Ok();
+  }
+
+  Status MoveTo(const std::vector<Degrees>& pose, double timeout_s) override {
+    cancelled_ = false;
+    if (away_) return UnavailableError("joints_action is not offered");
+    const int64_t give_up = time_.NowNanos() + Nanos(timeout_s);
+    arm_.base->MoveTo(pose);
+    std::vector<Degrees> before = Now().Angles();
+    int64_t moved_at = time_.NowNanos();
+    while (time_.NowNanos() < give_up) {
+      time_.SleepUntil(time_.NowNanos() + 100'000'000);
+      if (away_) return AbortedError("LOST");
+      const std::vector<Degrees> now = Now().Angles();
+      double far = 0.0, way = 0.0;
+      for (size_t i = 0; i < now.size(); ++i) {
+        const double off = now[i].value - pose[i].value;
+        far = std::max(far, std::abs(off - 360.0 * std::round(off / 360.0)));
+        way = std::max(way, std::abs(now[i].value - before[i].value));
+      }
+      if (way > kStallWay) before = now, moved_at = time_.NowNanos();
+      if (cancelled_ || time_.NowNanos() - moved_at > Nanos(kStallTime)) {
+        arm_.base->Stop();
+        return AbortedError(cancelled_ ? "PREEMPTED" : "ABORTED");
+      }
+      if (far <= kReached) return Status::Ok();
+    }
+    arm_.base->Stop();
+    return DeadlineExceededError("the pose was not reached in time");
+  }
+
+  void CancelMove() override { cancelled_ = true; }
+  std::string RunOfDriver() const override { return "run " + std::to_string(arm_.run); }
+  std::optional<double> StatusInterval() const override { return arm_.interval_s; }
+
+ private:
+  KinovaBase& Now() {
+    arm_.base->AdvanceTo(time_.NowNanos() - arm_.epoch_ns);
+    return *arm_.base;
+  }
+
+  void Spend(int calls) { time_.SleepUntil(time_.NowNanos() + Nanos(calls * arm_.config.call_s)); }
+
+  void Do(ArmService service) {
+    KinovaBase& base = Now();
+    const bool was = base.in_torque_mode();
+    if (service == ArmService::kZeroTorques) base.ZeroTorques(), ++arm_.zeroed;
+    if (service == ArmService::kTorqueMode) base.SetTorqueMode(true);
+    if (service == ArmService::kPositionMode && was && arm_.faults.ignored_position_modes > 0) {
+      --arm_.faults.ignored_position_modes;
+    } else if (service == ArmService::kPositionMode) {
+      base.SetTorqueMode(false);
+    }
+    arm_.torque_modes += !was && base.in_torque_mode();
+  }
+
+  // The node's thread.
+  void Serve() {
+    int64_t next = time_.NowNanos();
+    while (!ended_) {
+      // In short steps, as its queue of callbacks is looked at.
+      const int64_t due = next + Nanos(arm_.random.Uniform(0.0, arm_.config.jitter_s));
+      while (!ended_ && time_.NowNanos() < due) {
+        time_.SleepUntil(std::min(due, time_.NowNanos() + 2'000'000));
+        TakeTorque();
+      }
+      Tick();
+      TakeTorque();
+      if (Now().in_torque_mode()) arm_.torque_mode_s += arm_.interval_s;
+      if (arm_.fall_back_wanted.exchange(false)) Now().Stop();
+      if (OutageIsDue()) BeAway();
+      next = std::max(next + Nanos(arm_.interval_s), time_.NowNanos());
+    }
+  }
+
+  void Tick() {
+    const auto node = time_.Lock(node_);
+    Spend(1);
+    JointReport report;
+    const std::vector<Degrees> angles = Positions();
+    report.stamp_ns = time_.NowNanos() + 7'000'000'000;  // a clock of its own
+    Spend(2);
+    const std::vector<Degrees> velocities = Now().Velocities();
+    Spend(1);
+    const std::vector<double> torques = Now().Torques();
+    for (size_t i = 0; i < angles.size(); ++i) {
+      report.q[i] = kinova::ToRadians(angles[i]).value;
+      report.v[i] = kinova::ToRadians(velocities[i]).value;
+      report.effort[i] = torques[i];
+    }
+    report.number = arm_.number++;
+    report.received_ns = time_.NowNanos();
+    if (arm_.random.Uniform() >= arm_.faults.lost_states) listener_(report);
+    Spend(kCalls - 4);
+  }
+
+  std::vector<Degrees> Positions() {
+    const bool frozen = arm_.faults.freeze_after_s > 0 &&
+                        arm_.base->seconds_in_torque_mode() > arm_.faults.freeze_after_s;
+    if (!frozen || last_.empty()) last_ = Now().Angles();
+    return last_;
+  }
+
+  void TakeTorque() {
+    JointArray tau;
+    {
+      const std::lock_guard lock(queue_);
+      if (!std::exchange(has_pending_, false)) return;
+      tau = pending_;
+    }
+    if (first_torque_ns_ < 0) first_torque_ns_ = time_.NowNanos();
+    if (time_.NowNanos() - first_torque_ns_ < Nanos(arm_.config.lost_at_start_s)) return;
+    const std::vector<double> sent(tau.begin(), tau.begin() + arm_.base->joints());
+    ++arm_.torques;
+    for (const double torque : sent) arm_.most_torque_nm = std::max(arm_.most_torque_nm, std::abs(torque));
+    Now().SendTorque(sent);
+  }
+
+  bool OutageIsDue() {
+    const double in_torque = arm_.base->seconds_in_torque_mode();
+    const bool timed =
+        arm_.config.outage_after_s > 0 && !arm_.outage_done && in_torque > arm_.config.outage_after_s;
+    arm_.outage_done |= timed;
+    return timed || arm_.outage_wanted.exchange(false) ||
+           arm_.random.Uniform() < arm_.config.outages_per_s * arm_.interval_s;
+  }
+
+  void BeAway() {
+    ++arm_.outages;
+    away_ = true;
+    time_.SleepUntil(time_.NowNanos() + Nanos(arm_.config.outage_s));
+    away_ = false;
+    first_torque_ns_ = -1;
+    arm_.number = 0;
+  }
+
+  StandInArm& arm_;
+  DriverTime& time_;
+  Listener listener_;
+  std::thread node_thread_;
+  std::mutex node_, queue_;
+  std::atomic<bool> ended_{false}, away_{false}, cancelled_{false};
+  JointArray pending_{};
+  bool has_pending_ = false;
+  int64_t first_torque_ns_ = -1;
+  std::vector<Degrees> last_;
+};
+
+}  // namespace
+
+StandInArm::StandInArm(const StandInConfig& the_config, const LinkFaults& the_faults, uint64_t seed,
+                       std::shared_ptr<DriverTime> the_time)
+    : config(the_config),
+      faults(the_faults),
+      time(std::move(the_time)),
+      epoch_ns(time->NowNanos()),
+      random(seed),
+      base(KinovaBase::Create(config, seed).value()) {}
+
+std::unique_ptr<kinova::ArmLink> LinkTo(StandInArm& arm) { return std::make_unique<StandInLink>(arm); }
+
+}  // namespace rg::robot_agent::stand_in
