@@ -30,6 +30,15 @@ CREATE TABLE parameter_version (
   UNIQUE (robot, version));
 )sql";
 
+// Frozen. A robot's current version, where somebody has chosen one; else the latest is current.
+constexpr std::string_view kParametersVersion2 = R"sql(
+CREATE TABLE parameter_current (
+  robot TEXT PRIMARY KEY,
+  version INTEGER NOT NULL,
+  promoted_ns INTEGER NOT NULL,
+  FOREIGN KEY (robot, version) REFERENCES parameter_version (robot, version)) WITHOUT ROWID;
+)sql";
+
 constexpr std::string_view kParameterColumns =
     "SELECT id, robot, version, parent_version, source, recording_sha256, model_sha256, residual_before,"
     " residual_after, created_ns, job_id, note, values_json FROM parameter_version ";
@@ -148,7 +157,9 @@ Result<std::vector<ParameterValue>> ParseParameterValues(std::string_view json) 
   return values;
 }
 
-Module ParameterStore::Schema() { return {"parameters", {{1, kParametersVersion1}}}; }
+Module ParameterStore::Schema() {
+  return {"parameters", {{1, kParametersVersion1}, {2, kParametersVersion2}}};
+}
 
 Status ParameterStore::CheckNew(const ParameterVersion& version) {
   if (version.robot.empty()) return InvalidError("parameter version without a robot's name");
@@ -246,6 +257,29 @@ Result<ParameterVersion> ParameterStore::Show(const std::string& robot, int vers
   query.Bind(1, robot).Bind(2, version);
   return ReadOne(&query, "parameters of " + robot +
                              (version == 0 ? ": none" : ": no version " + std::to_string(version)));
+}
+
+Status ParameterStore::Promote(const std::string& robot, int version) {
+  return database_->InTransaction([&]() -> Status {
+    RG_RETURN_IF_ERROR(Show(robot, version).status());
+    RG_ASSIGN_OR_RETURN(
+        Statement statement,
+        database_->Prepare(
+            version == 0 ? "DELETE FROM parameter_current WHERE robot = ?1"
+                         : "INSERT INTO parameter_current (robot, version, promoted_ns) VALUES (?1, ?2, ?3)"
+                           " ON CONFLICT (robot) DO UPDATE SET version = ?2, promoted_ns = ?3"));
+    statement.Bind(1, robot);
+    if (version != 0) statement.Bind(2, version).Bind(3, clock_->WallNanos());
+    return statement.Run();
+  });
+}
+
+Result<int> ParameterStore::Promoted(const std::string& robot) {
+  RG_ASSIGN_OR_RETURN(Statement query,
+                      database_->Prepare("SELECT version FROM parameter_current WHERE robot = ?"));
+  query.Bind(1, robot);
+  RG_ASSIGN_OR_RETURN(const bool found, query.Step());
+  return found ? static_cast<int>(query.Int(0)) : 0;
 }
 
 Result<ParameterDiff> ParameterStore::Diff(const std::string& robot, int from_version, int to_version) {

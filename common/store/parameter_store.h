@@ -77,6 +77,11 @@ class ParameterStore {
   Result<ParameterVersion> Show(const std::string& robot, int version = 0);
   Result<ParameterVersion> Latest(const std::string& robot) { return Show(robot, 0); }
   Result<ParameterDiff> Diff(const std::string& robot, int from_version, int to_version);
+  // Makes `version` the robot's current one, until another is chosen; 0: from now on the latest is current again.
+  // kNotFound: no such version.
+  Status Promote(const std::string& robot, int version);
+  // The version that was chosen; 0: none was, the latest is current.
+  Result<int> Promoted(const std::string& robot);
 
  private:
   Status CheckNew(const ParameterVersion& version);

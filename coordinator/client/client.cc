@@ -325,6 +325,30 @@ Result<pb::ParameterVersion> Client::Parameters(const std::string& robot, uint32
   return reply.version();
 }
 
+Result<pb::ParameterHistoryReply> Client::ParameterHistoryAndCurrent(const std::string& robot,
+                                                                     uint32_t limit) {
+  pb::ParameterHistoryRequest request;
+  request.set_robot(robot);
+  request.set_limit(limit);
+  return Call<pb::ParameterHistoryReply>(request);
+}
+
+Result<pb::ParameterVersion> Client::CurrentParameters(const std::string& robot) {
+  pb::ShowParametersRequest request;
+  request.set_robot(robot);
+  request.set_current(true);
+  RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::ShowParametersReply>(request));
+  return reply.version();
+}
+
+Result<uint32_t> Client::PromoteParameters(const std::string& robot, uint32_t version) {
+  pb::PromoteParametersRequest request;
+  request.set_robot(robot);
+  request.set_version(version);
+  RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::PromoteParametersReply>(request));
+  return reply.current();
+}
+
 Result<pb::DiffParametersReply> Client::DiffParameters(const std::string& robot, uint32_t from, uint32_t to) {
   pb::DiffParametersRequest request;
   request.set_robot(robot);

@@ -113,6 +113,12 @@ class Client {
   // --- parameter history
   Result<std::vector<std::string>> Robots();
   Result<std::vector<pb::ParameterVersion>> ParameterHistory(const std::string& robot, uint32_t limit = 0);
+  // The same, and which version is current.
+  Result<pb::ParameterHistoryReply> ParameterHistoryAndCurrent(const std::string& robot, uint32_t limit = 0);
+  // What `--model latest` means: the promoted version, else the latest.
+  Result<pb::ParameterVersion> CurrentParameters(const std::string& robot);
+  // Returns the version that is current then. 0: the latest, also of those to come.
+  Result<uint32_t> PromoteParameters(const std::string& robot, uint32_t version);
   Result<pb::ParameterVersion> Parameters(const std::string& robot, uint32_t version = 0);
   Result<pb::DiffParametersReply> DiffParameters(const std::string& robot, uint32_t from, uint32_t to = 0);
 

@@ -140,13 +140,31 @@ Result<pb::ParameterHistoryReply> History(store::ParameterStore& parameters,
                       parameters.History(request.robot(), static_cast<int>(request.limit())));
   pb::ParameterHistoryReply reply;
   for (const auto& version : versions) *reply.add_versions() = ToProto(version);
+  RG_ASSIGN_OR_RETURN(const int promoted, parameters.Promoted(request.robot()));
+  const int latest = versions.empty() ? 0 : versions.front().version;
+  reply.set_current(static_cast<uint32_t>(promoted != 0 ? promoted : latest));
+  return reply;
+}
+
+Result<pb::PromoteParametersReply> Promote(store::ParameterStore& parameters,
+                                           const pb::PromoteParametersRequest& request) {
+  RG_RETURN_IF_ERROR(parameters.Promote(request.robot(), static_cast<int>(request.version())));
+  pb::PromoteParametersReply reply;
+  reply.set_current(request.version());
+  if (request.version() == 0) {
+    RG_ASSIGN_OR_RETURN(const auto latest, parameters.Latest(request.robot()));
+    reply.set_current(static_cast<uint32_t>(latest.version));
+  }
   return reply;
 }
 
 Result<pb::ShowParametersReply> ShowParameters(store::ParameterStore& parameters,
                                                const pb::ShowParametersRequest& request) {
-  RG_ASSIGN_OR_RETURN(const auto version,
-                      parameters.Show(request.robot(), static_cast<int>(request.version())));
+  int number = static_cast<int>(request.version());
+  if (request.current()) {
+    RG_ASSIGN_OR_RETURN(number, parameters.Promoted(request.robot()));
+  }
+  RG_ASSIGN_OR_RETURN(const auto version, parameters.Show(request.robot(), number));
   pb::ShowParametersReply reply;
   *reply.mutable_version() = ToProto(version);
   return reply;
@@ -190,7 +208,7 @@ transport::Message OrError(const Sender& self, const transport::Message& request
 
 bool ArtifactDesk::Writes(const transport::Message& request) {
   return Is<pb::PutArtifactRequest>(request) || Is<pb::GcArtifactsRequest>(request) ||
-         Is<pb::PinArtifactRequest>(request);
+         Is<pb::PinArtifactRequest>(request) || Is<pb::PromoteParametersRequest>(request);
 }
 
 std::optional<transport::Message> ArtifactDesk::Answer(const Sender& self,
@@ -224,6 +242,9 @@ std::optional<transport::Message> ArtifactDesk::Answer(const Sender& self,
   }
   if (Is<pb::ShowParametersRequest>(request)) {
     return Serve<pb::ShowParametersRequest>(self, request, *parameters_, ShowParameters);
+  }
+  if (Is<pb::PromoteParametersRequest>(request)) {
+    return Serve<pb::PromoteParametersRequest>(self, request, *parameters_, Promote);
   }
   if (Is<pb::DiffParametersRequest>(request)) {
     return Serve<pb::DiffParametersRequest>(self, request, *parameters_, Diff);

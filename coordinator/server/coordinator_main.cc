@@ -14,7 +14,9 @@
 #include "common/base/ids.h"
 #include "common/base/log.h"
 #include "common/transport/zmq_socket.h"
+#include "coordinator/autoscale/autoscaler.h"
 #include "coordinator/server/server.h"
+#include "coordinator/web/web_server.h"
 
 namespace rg::coordinator {
 namespace {
@@ -48,6 +50,8 @@ struct Flags {
   int64_t archive_above = 2'000'000;
   int64_t max_message_mb = 128;
   std::vector<std::string> robot_kinds, may_submit;
+  web::WebFlags web;
+  autoscale::Flags autoscale;
 };
 
 void AddFlags(CLI::App& app, Flags& f) {
@@ -91,6 +95,8 @@ void AddFlags(CLI::App& app, Flags& f) {
                  "'KIND:OTHER': a task of KIND may submit tasks of kind OTHER, besides diagnose:fit")
       ->group("Kinds of your own");
   app.add_option("--log-level", f.log_level, "debug, info, warn, error");
+  web::AddWebFlags(app, f.web);
+  autoscale::AddFlags(app, f.autoscale);
 }
 
 // The system chooses a port for tcp://…:*; people write 0.
@@ -106,6 +112,9 @@ class KeyWatch {
   KeyWatch(const std::string& path, transport::Context& context)
       : path_(path), file_(path), context_(context) {}
 
+  // The page in this process comes in as a viewer, with a key of this run.
+  const transport::KeyPair& page_key() const { return page_key_; }
+
   // `server` is null before there is one.
   Status Look(Server* server) {
     constexpr int64_t kIntervalNs = 200'000'000;
@@ -113,9 +122,10 @@ class KeyWatch {
     if (server != nullptr && now < due_ns_) return Status::Ok();
     due_ns_ = now + kIntervalNs;
     if (server != nullptr && !IsAtRest()) return Status::Ok();
-    RG_ASSIGN_OR_RETURN(const auto allowed, file_.Changed());
+    RG_ASSIGN_OR_RETURN(auto allowed, file_.Changed());
     if (!allowed) return Status::Ok();
     spdlog::info("{} keys may connect", allowed->size());
+    RG_RETURN_IF_ERROR(allowed->Add(page_key_.public_key, pb::ROLE_VIEWER, "web-page"));
     context_.SetAllowList(*allowed);
     if (server != nullptr) server->SetAllowedKeys(*allowed);
     return Status::Ok();
@@ -132,6 +142,7 @@ class KeyWatch {
   const std::string path_;
   transport::AllowListFile file_;
   transport::Context& context_;
+  const transport::KeyPair page_key_ = transport::GenerateKeyPair();
   int64_t due_ns_ = 0;
 };
 
@@ -171,6 +182,28 @@ Status Announce(const Flags& flags, const std::string& endpoint) {
   return flags.address_file.empty() ? Status::Ok() : WriteFileAtomically(flags.address_file, endpoint + "\n");
 }
 
+// What stands beside the coordinator, in threads of its own, and is a viewer to it.
+struct Beside {
+  std::unique_ptr<autoscale::Autoscaler> autoscaler;
+  std::unique_ptr<web::WebServer> page;
+};
+
+Result<Beside> StartBeside(const Flags& flags, const std::string& endpoint,
+                           const transport::RouterOptions& router, const KeyWatch& keys) {
+  std::optional<transport::KeyPair> key;
+  std::string server_key;
+  if (router.server_key) key = keys.page_key(), server_key = router.server_key->public_key;
+  Beside beside;
+  RG_ASSIGN_OR_RETURN(beside.autoscaler,
+                      autoscale::Autoscaler::Start(flags.autoscale, endpoint, flags.database,
+                                                   web::ViewerOf(endpoint, key, server_key)));
+  std::function<std::string()> more_status;
+  if (beside.autoscaler) more_status = [scaler = beside.autoscaler.get()] { return scaler->StatusJson(); };
+  RG_ASSIGN_OR_RETURN(
+      beside.page, web::WebServer::Start(flags.web, web::ViewerOf(endpoint, key, server_key), more_status));
+  return beside;
+}
+
 Status Serve(const Flags& flags) {
   transport::Context context;
   const transport::Sender self{"coordinator-" + RandomHex(6), pb::ROLE_COORDINATOR};
@@ -187,6 +220,7 @@ Status Serve(const Flags& flags) {
   options.archive_above_tasks = flags.archive_above;
   options.core.uncertain_ns = static_cast<int64_t>(flags.uncertain_s * 1e9);
   RG_ASSIGN_OR_RETURN(auto server, Server::Open(options, std::move(router), self, &RealClock()));
+  RG_ASSIGN_OR_RETURN(const Beside beside, StartBeside(flags, endpoint, router_options, keys));
   RG_RETURN_IF_ERROR(Announce(flags, endpoint));
   spdlog::info("{} jobs under way in {}", server->state().jobs.size(), flags.database);
   while (!stop.load()) {

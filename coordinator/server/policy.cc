@@ -3,6 +3,7 @@
 #include "common/base/utf8.h"
 #include "realitygrad/v1/artifact.pb.h"
 #include "realitygrad/v1/control.pb.h"
+#include "realitygrad/v1/parameters.pb.h"
 
 namespace rg::coordinator {
 namespace {
@@ -26,7 +27,8 @@ Status CheckRequest(const transport::Message& message) {
   const bool is_job = Is<pb::SubmitRequest>(message) || Is<pb::JobActionRequest>(message);
   const bool is_change = is_job || Is<pb::DrainWorkerRequest>(message) ||
                          Is<pb::GcArtifactsRequest>(message) || Is<pb::PinArtifactRequest>(message) ||
-                         Is<pb::BackupRequest>(message) || Is<pb::ArchiveJobsRequest>(message);
+                         Is<pb::PromoteParametersRequest>(message) || Is<pb::BackupRequest>(message) ||
+                         Is<pb::ArchiveJobsRequest>(message);
   const bool is_upload = Is<pb::PutArtifactRequest>(message);
   if (!is_change && !is_upload) return Status::Ok();
   if (IsWorker(role) && (is_upload || (is_job && message.envelope.fencing_token() != 0))) return Status::Ok();

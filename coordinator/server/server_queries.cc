@@ -2,6 +2,7 @@
 #include <algorithm>
 
 #include "coordinator/core/explain.h"
+#include "coordinator/server/demand.h"
 #include "coordinator/server/history.h"
 #include "coordinator/server/job_compiler.h"
 #include "coordinator/server/past_jobs.h"
@@ -449,6 +450,7 @@ Result<pb::StatusReply> Server::DescribeSelf(const pb::StatusRequest&) {
   reply.set_tasks_waiting(waiting);
   reply.set_tasks_ready(ready);
   reply.set_tasks_leased(leased);
+  AddDemand(state_, options_.policy, &reply);
   const Counters& c = state_.counters;
   const transport::SocketMetrics& m = socket_->metrics();
   const std::pair<const char*, uint64_t> counters[] = {{"jobs_submitted_total", c.jobs_submitted},

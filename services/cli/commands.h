@@ -22,8 +22,12 @@ class Context;
 void AddCommands(CLI::App& app, Context& context);
 
 void AddJobCommands(CLI::App& app, Context& context);        // jobs, job …, workers, explain
+void AddLogCommand(CLI::App& job, Context& context);         // job logs
+void AddDescribeCommand(CLI::App& job, Context& context);    // job describe
 void AddParameterCommands(CLI::App& app, Context& context);  // params …
 void AddExportCommand(CLI::App& params, Context& context);   // params export
+void AddPromoteCommand(CLI::App& params, Context& context);  // params promote
+void AddPlotCommand(CLI::App& params, Context& context);     // params plot
 void AddPolicyCommands(CLI::App& app, Context& context);     // policy …
 void AddArtifactCommands(CLI::App& app, Context& context);   // artifacts …
 void AddBackupCommands(CLI::App& app, Context& context);     // backup, restore
@@ -39,10 +43,9 @@ void AddRunCommand(CLI::App& app, Context& context);         // run
 void AddExperimentCommand(CLI::App& app, Context& context);  // experiment …
 void AddBenchCommand(CLI::App& app, Context& context);       // bench
 void AddSystemCommands(CLI::App& app, Context& context);     // doctor, config, keys
+void AddCompletionCommand(CLI::App& app);                    // completion
 
 // The robot named, or the only one that has parameters.
 Result<std::string> ChooseRobot(coordinator::Client& client, const std::string& named);
-// "last", "5": the id a client call takes (0 is the newest).
-long ParseJobId(const std::string& text, Context& context);
 
 }  // namespace rg::cli

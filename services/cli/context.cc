@@ -170,7 +170,12 @@ Status Context::Usage(Status status) const {
 }
 
 std::string RobotsFolder(const Settings& settings) {
-  return settings.robots.value.empty() ? std::string(RG_ROBOTS_FOLDER) : settings.robots.value;
+  if (!settings.robots.value.empty()) return settings.robots.value;
+  // Of an installed program: ../share beside its bin/.
+  std::error_code error;
+  const fs::path self = fs::read_symlink("/proc/self/exe", error);
+  const fs::path installed = self.parent_path().parent_path() / "share" / "realitygrad" / "robots";
+  return !error && fs::is_directory(installed, error) ? installed.string() : std::string(RG_ROBOTS_FOLDER);
 }
 
 std::string SiblingProgram(const std::string& name) {

@@ -20,6 +20,7 @@ void AddCommands(CLI::App& app, Context& context) {
   AddExperimentCommand(app, context);
   AddBenchCommand(app, context);
   AddSystemCommands(app, context);
+  AddCompletionCommand(app);
 }
 
 }  // namespace rg::cli

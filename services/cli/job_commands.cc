@@ -1,14 +1,23 @@
+#include <unistd.h>
+
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <chrono>
+#include <cstdio>
 #include <ctime>
+#include <map>
 #include <nlohmann/json.hpp>
+#include <thread>
 
 #include "common/base/clock.h"
 #include "coordinator/client/client.h"
 #include "services/cli/archive_command.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
+#include "services/cli/job_selector.h"
 #include "services/cli/job_view.h"
+#include "services/cli/live_view.h"
+#include "services/cli/progress_display.h"
 
 namespace rg::cli {
 namespace {
@@ -19,34 +28,9 @@ using nlohmann::json;
 struct JobArguments {
   std::string id = "last";
   std::string task, reason;
-  bool tasks = false;
+  bool tasks = false, plain = false;
   double timeout_s = -1.0;
 };
-
-// "5", "1-10", "1,3", "all", "last" -> ids; 0 stands for the newest.
-Result<std::vector<int64_t>> ParseSelector(const std::string& text, coordinator::Client& client,
-                                           bool (*wanted)(pb::JobState)) {
-  std::vector<int64_t> ids;
-  if (text == "last") return std::vector<int64_t>{0};
-  if (text == "all") {
-    RG_ASSIGN_OR_RETURN(const auto jobs, client.ListAllJobs());
-    for (const auto& job : jobs) {
-      if (wanted == nullptr || wanted(job.state())) ids.push_back(job.id());
-    }
-    return ids;
-  }
-  for (const std::string& part : CLI::detail::split(text, ',')) {
-    long low = 0, high = 0;
-    char dash = 0, rest = 0;
-    const int fields = std::sscanf(part.c_str(), "%ld%c%ld%c", &low, &dash, &high, &rest);
-    if (fields == 1) high = low;
-    if ((fields != 1 && !(fields == 3 && dash == '-')) || low < 1 || high < low || high - low > 100000) {
-      return InvalidError("job selector '" + text + "': must be a number, 1-10, 1,3, all or last");
-    }
-    for (long id = low; id <= high; ++id) ids.push_back(id);
-  }
-  return ids;
-}
 
 struct ListArguments {
   int64_t of = 0;  // what tasks of this job submitted; 0: what clients did
@@ -54,6 +38,8 @@ struct ListArguments {
   std::string since;
   uint32_t limit = 100;
   int64_t before = 0;
+  bool watch = false;
+  double timeout_s = -1.0;
 };
 
 Result<pb::JobState> ParseJobState(const std::string& text) {
@@ -108,32 +94,65 @@ Result<pb::ListJobsRequest> ListRequest(const ListArguments& arguments) {
   return request;
 }
 
-void ListJobs(Context& context, const ListArguments& arguments) {
-  const auto wanted = ListRequest(arguments);
-  if (context.Failed(context.Usage(wanted.status()))) return;
-  const pb::ListJobsRequest& request = *wanted;
-  const int64_t of = arguments.of;
+std::string JobsText(const std::vector<pb::JobSummary>& jobs, const ListArguments& arguments) {
   const bool filtered = !arguments.states.empty() || !arguments.labels.empty() || !arguments.since.empty() ||
                         arguments.before != 0;
-  auto client = context.Connect();
-  if (context.Failed(client.status())) return;
-  const auto jobs = (*client)->ListJobs(request);
-  if (context.Failed(jobs.status())) return;
+  return !jobs.empty()       ? JobsTable(jobs)
+         : filtered          ? "no such job"
+         : arguments.of != 0 ? "no task of job " + std::to_string(arguments.of) + " submitted a job"
+                             : "no jobs yet: submit one with `realitygrad submit iteration`";
+}
+
+void ShowJobs(const Context& context, const std::vector<pb::JobSummary>& jobs,
+              const ListArguments& arguments) {
   if (context.quiet()) {
-    for (const auto& job : *jobs) Print(std::to_string(job.id()));
+    for (const auto& job : jobs) Print(std::to_string(job.id()));
   } else if (context.json()) {
     json list = json::array();
-    for (const auto& job : *jobs) list.push_back(JobJson(job));
+    for (const auto& job : jobs) list.push_back(JobJson(job));
     PrintJson("realitygrad.jobs/1", {{"jobs", list}});
   } else {
-    Print(!jobs->empty() ? JobsTable(*jobs)
-          : filtered     ? "no such job"
-          : of != 0      ? "no task of job " + std::to_string(of) + " submitted a job"
-                         : "no jobs yet: submit one with `realitygrad submit iteration`");
+    Print(JobsText(jobs, arguments));
   }
 }
 
-using WantedState = bool (*)(pb::JobState);
+// Shows the list again whenever it is another; on a terminal in its place, with JSON a line for each job that
+// changed.
+Status WatchJobs(const Context& context, coordinator::Client& client, const pb::ListJobsRequest& request,
+                 const ListArguments& arguments) {
+  const double end = RealClock().SteadySeconds() + arguments.timeout_s;
+  std::map<int64_t, uint64_t> revisions;
+  std::string shown;
+  while (true) {
+    RG_ASSIGN_OR_RETURN(const auto jobs, client.ListJobs(request));
+    for (const auto& job : jobs) {
+      const auto [known, is_new] = revisions.try_emplace(job.id(), job.revision());
+      if (!is_new && known->second == job.revision()) continue;
+      known->second = job.revision();
+      if (context.json()) Print(JobJson(job).dump(-1, ' ', false, json::error_handler_t::replace));
+      if (context.quiet()) Print(std::to_string(job.id()));
+    }
+    const std::string text = JobsText(jobs, arguments);
+    if (!context.json() && !context.quiet() && text != shown) {
+      if (isatty(STDOUT_FILENO) == 1) std::fputs("\033[H\033[2J", stdout);
+      Print(text);
+      shown = text;
+    }
+    std::fflush(stdout);
+    if (arguments.timeout_s >= 0 && RealClock().SteadySeconds() > end) return Status::Ok();
+    std::this_thread::sleep_for(std::chrono::milliseconds(500));
+  }
+}
+
+void ListJobs(Context& context, const ListArguments& arguments) {
+  const auto request = ListRequest(arguments);
+  if (context.Failed(context.Usage(request.status()))) return;
+  auto client = context.Connect();
+  if (context.Failed(client.status())) return;
+  if (arguments.watch) return context.Failed(WatchJobs(context, **client, *request, arguments)), void();
+  const auto jobs = (*client)->ListJobs(*request);
+  if (!context.Failed(jobs.status())) ShowJobs(context, *jobs, arguments);
+}
 
 // Calls `body` for every job that `arguments.id` selects; "all" leaves out those in no `wanted` state.
 // Of the exit codes the highest is kept. The JSON values that the bodies give become one: the value
@@ -179,7 +198,9 @@ void ShowJob(Context& context, const JobArguments& arguments) {
 
 void WatchJob(Context& context, const JobArguments& arguments) {
   const auto watch = [&](coordinator::Client& client, int64_t id) -> json {
-    const auto job = FollowJob(client, id, arguments.timeout_s, context.quiet());
+    const bool draws = !arguments.plain && !context.quiet() && StderrIsTerminal();
+    const auto job = draws ? WatchLive(client, id, arguments.timeout_s)
+                           : FollowJob(client, id, arguments.timeout_s, context.quiet());
     if (context.Failed(job.status())) return nullptr;
     context.exit_code = coordinator::ExitCodeOf(job->job().state());
     if (context.json()) return JobDetailsJson(*job);
@@ -214,32 +235,6 @@ void ActOnJob(Context& context, const JobArguments& arguments, pb::JobAction act
     return nullptr;
   };
   WithJobs(context, arguments, "realitygrad.job/1", "realitygrad.jobs/1", act, StatesFor(action));
-}
-
-void ShowLogs(Context& context, const JobArguments& arguments) {
-  const auto show = [&](coordinator::Client& client, int64_t id) -> json {
-    uint64_t after = 0;
-    json list = json::array();
-    while (true) {
-      const auto reply = client.Logs(id, arguments.task, after);
-      if (context.Failed(reply.status())) return nullptr;
-      for (const pb::TaskLogLine& line : reply->lines()) {
-        after = line.sequence();
-        if (context.json()) {
-          list.push_back({{"time", FormatWallTime(line.wall_ns())},
-                          {"task", line.task()},
-                          {"attempt", line.attempt()},
-                          {"text", line.text()}});
-        } else {
-          Print(FormatWallTime(line.wall_ns()) + "  " + line.task() + "#" + std::to_string(line.attempt()) +
-                "  " + line.text());
-        }
-      }
-      if (reply->lines_size() == 0) break;
-    }
-    return context.json() ? json{{"lines", list}} : json(nullptr);
-  };
-  WithJobs(context, arguments, "realitygrad.logs/1", "realitygrad.logs-of-jobs/1", show);
 }
 
 struct EventArguments {
@@ -341,6 +336,8 @@ void AddJobCommands(CLI::App& app, Context& context) {
   jobs->add_option("--before", list->before, "Only jobs older than this one: the next page")
       ->check(CLI::PositiveNumber);
   AddArchiveCommand(jobs, context);
+  CLI::Option* watch_jobs = jobs->add_flag("--watch", list->watch, "Go on: show what changes, until Ctrl-C");
+  jobs->add_option("--timeout", list->timeout_s, "With --watch: seconds, then it ends")->needs(watch_jobs);
   jobs->callback([&context, list, jobs] {
     if (jobs->get_subcommands().empty()) ListJobs(context, *list);
   });
@@ -377,6 +374,7 @@ void AddJobCommands(CLI::App& app, Context& context) {
                                    std::pair{"wait", "The same; the exit code says how it ended"}}) {
     auto [watch, watch_arguments] = add(name, help, WatchJob);
     watch->add_option("--timeout", watch_arguments->timeout_s, "Seconds to wait at the most");
+    watch->add_flag("--plain", watch_arguments->plain, "A line for each stage, also on a terminal");
   }
   struct Act {
     const char *name, *help;
@@ -392,8 +390,8 @@ void AddJobCommands(CLI::App& app, Context& context) {
             [action = act.action](Context& c, const JobArguments& a) { ActOnJob(c, a, action); });
     command->add_option("--reason", arguments->reason, "Kept with the job");
   }
-  auto [logs, logs_arguments] = add("logs", "What its tasks said", ShowLogs);
-  logs->add_option("--task", logs_arguments->task, "Only this task");
+  AddLogCommand(*job, context);
+  AddDescribeCommand(*job, context);
   auto [explain, explain_arguments] = add("explain", "Why does it wait?", Explain);
   explain->add_option("--task", explain_arguments->task, "This task; default: the first that waits");
 }

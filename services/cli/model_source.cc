@@ -23,8 +23,9 @@ Result<std::string> Upload(coordinator::Client& client, const std::string& model
   return client.PutArtifact(model_json, info);
 }
 
-Result<std::string> LatestModel(coordinator::Client& client, const std::string& robot) {
-  const auto version = client.Parameters(robot);
+// Of the robot's current version: the promoted one, else the latest. Empty: it has none.
+Result<std::string> CurrentModel(coordinator::Client& client, const std::string& robot) {
+  const auto version = client.CurrentParameters(robot);
   if (!version.ok() && version.status().code() == StatusCode::kNotFound) return std::string();
   if (!version.ok()) return version.status();
   return version->model_sha256();
@@ -67,8 +68,8 @@ Result<std::string> NominalModelJson(const RobotProfile& profile) {
 Result<std::string> ChooseModel(coordinator::Client& client, const RobotProfile& profile,
                                 const std::string& choice) {
   if (choice == "latest") {
-    RG_ASSIGN_OR_RETURN(const std::string latest, LatestModel(client, profile.name));
-    if (!latest.empty()) return latest;
+    RG_ASSIGN_OR_RETURN(const std::string current, CurrentModel(client, profile.name));
+    if (!current.empty()) return current;
   }
   if (choice == "latest" || choice == "nominal") {
     RG_ASSIGN_OR_RETURN(const std::string nominal, NominalModelJson(profile));

@@ -1,4 +1,6 @@
 #include <CLI/CLI.hpp>
+#include <cmath>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "common/base/clock.h"
@@ -56,8 +58,9 @@ json VersionJson(const pb::ParameterVersion& v) {
 }
 
 struct ParameterArguments {
-  std::string robot;
+  std::string robot, to_robot, job;
   unsigned version = 0, to = 0, limit = 0;
+  bool all = false;
 };
 
 template <class Body>
@@ -69,26 +72,54 @@ void WithRobot(Context& context, const ParameterArguments& arguments, const Body
   body(**client, *robot);
 }
 
+// Of one robot: what it made, or only what one job made.
+Result<pb::ParameterHistoryReply> HistoryOf(coordinator::Client& client, const std::string& robot,
+                                            const ParameterArguments& arguments) {
+  RG_ASSIGN_OR_RETURN(auto history, client.ParameterHistoryAndCurrent(robot, arguments.limit));
+  if (arguments.job.empty()) return history;
+  pb::ParameterHistoryReply of_job;
+  of_job.set_current(history.current());
+  for (const auto& version : history.versions()) {
+    if (version.job_id() == arguments.job) *of_job.add_versions() = version;
+  }
+  return of_job;
+}
+
 void History(Context& context, const ParameterArguments& arguments) {
-  WithRobot(context, arguments, [&](coordinator::Client& client, const std::string& robot) {
-    const auto versions = client.ParameterHistory(robot, arguments.limit);
-    if (context.Failed(versions.status())) return;
+  const auto show = [&](coordinator::Client& client, const std::string& robot) -> json {
+    const auto history = HistoryOf(client, robot, arguments);
+    if (context.Failed(history.status())) return nullptr;
     if (context.json()) {
       json list = json::array();
-      for (const auto& v : *versions) list.push_back(VersionJson(v));
-      return PrintJson("realitygrad.parameter-history/1", {{"robot", robot}, {"versions", list}});
+      for (const auto& v : history->versions()) list.push_back(VersionJson(v));
+      return {{"robot", robot}, {"current", history->current()}, {"versions", list}};
     }
     TextTable table(
         {">VERSION", ">FROM", "SOURCE", ">RESIDUAL BEFORE", ">AFTER", "RECORDING", "JOB", "CREATED", "NOTE"});
-    for (const auto& v : *versions) {
-      table.AddRow({std::to_string(v.version()),
+    for (const auto& v : history->versions()) {
+      table.AddRow({std::to_string(v.version()) + (v.version() == history->current() ? "*" : ""),
                     v.parent_version() ? std::to_string(v.parent_version()) : "–", SourceText(v.source()),
                     v.has_residual_before() ? Number(v.residual_before()) : "–",
                     v.has_residual_after() ? Number(v.residual_after()) : "–",
                     v.recording_sha256().substr(0, 12), v.job_id(), TimeText(v.created_ns()), v.note()});
     }
-    Print(robot + "\n" + table.ToString());
-  });
+    Print(robot + " (* is current)\n" + table.ToString());
+    return nullptr;
+  };
+  if (!arguments.all) {
+    return WithRobot(context, arguments, [&](coordinator::Client& client, const std::string& robot) {
+      const json history = show(client, robot);
+      if (!history.is_null()) PrintJson("realitygrad.parameter-history/1", history);
+    });
+  }
+  auto client = context.Connect();
+  if (context.Failed(client.status())) return;
+  const auto robots = (*client)->Robots();
+  if (context.Failed(robots.status())) return;
+  json all = json::array();
+  for (const std::string& robot : *robots) all.push_back(show(**client, robot));
+  if (context.json() && context.exit_code == kExitOk)
+    PrintJson("realitygrad.parameter-histories/1", {{"robots", all}});
 }
 
 void Show(Context& context, const ParameterArguments& arguments) {
@@ -105,9 +136,43 @@ void Show(Context& context, const ParameterArguments& arguments) {
   });
 }
 
+// Between two robots nothing but the names says which parameters are the same.
+Result<pb::DiffParametersReply> DiffOfRobots(coordinator::Client& client, const std::string& robot,
+                                             const ParameterArguments& arguments) {
+  pb::DiffParametersReply diff;
+  RG_ASSIGN_OR_RETURN(*diff.mutable_from(), client.Parameters(robot, arguments.version));
+  RG_ASSIGN_OR_RETURN(*diff.mutable_to(), client.Parameters(arguments.to_robot, arguments.to));
+  std::map<std::string, pb::ParameterValue> old;
+  for (const auto& value : diff.from().values()) old[value.name()] = value;
+  for (const auto& value : diff.to().values()) {
+    const auto found = old.find(value.name());
+    if (found != old.end() && found->second.value() == value.value()) {
+      old.erase(found);
+      continue;
+    }
+    auto* row = diff.add_rows();
+    row->set_name(value.name());
+    row->set_to(value.value());
+    if (found == old.end()) continue;
+    row->set_from(found->second.value());
+    const double spread = std::hypot(found->second.stddev(), value.stddev());
+    if (spread > 0.0) row->set_sigmas(std::abs(value.value() - found->second.value()) / spread);
+    old.erase(found);
+  }
+  for (const auto& value : diff.from().values()) {
+    if (old.count(value.name()) == 0) continue;
+    auto* row = diff.add_rows();
+    row->set_name(value.name());
+    row->set_from(value.value());
+  }
+  return diff;
+}
+
 void Diff(Context& context, const ParameterArguments& arguments) {
   WithRobot(context, arguments, [&](coordinator::Client& client, const std::string& robot) {
-    const auto diff = client.DiffParameters(robot, arguments.version, arguments.to);
+    const auto diff = arguments.to_robot.empty()
+                          ? client.DiffParameters(robot, arguments.version, arguments.to)
+                          : DiffOfRobots(client, robot, arguments);
     if (context.Failed(diff.status())) return;
     if (context.json()) {
       json rows = json::array();
@@ -129,6 +194,7 @@ void Diff(Context& context, const ParameterArguments& arguments) {
                     row.has_sigmas() ? Number(row.sigmas()) : "–"});
     }
     Print(robot + ": version " + std::to_string(diff->from().version()) + " to " +
+          (arguments.to_robot.empty() ? "" : arguments.to_robot + "'s ") +
           std::to_string(diff->to().version()) + "\n" +
           (table.empty() ? std::string("no difference\n") : table.ToString()));
   });
@@ -158,11 +224,16 @@ void AddParameterCommands(CLI::App& app, Context& context) {
   };
   auto [history, history_arguments] = add("history", "Every version, newest first", History);
   history->add_option("--limit", history_arguments->limit, "At most so many");
+  history->add_option("--job", history_arguments->job, "Only what this job made");
+  history->add_flag("--all", history_arguments->all, "Of every robot");
   auto [show, show_arguments] = add("show", "One version's values", Show);
   show->add_option("VERSION", show_arguments->version, "Default: the latest");
   auto [diff, diff_arguments] = add("diff", "What changed between two versions", Diff);
   diff->add_option("FROM", diff_arguments->version)->required()->check(CLI::Range(1u, 1'000'000'000u));
   diff->add_option("TO", diff_arguments->to, "Default: the latest");
+  diff->add_option("--to-robot", diff_arguments->to_robot, "TO is a version of this robot instead");
+  AddPromoteCommand(*params, context);
+  AddPlotCommand(*params, context);
   AddExportCommand(*params, context);
 }
 

@@ -72,7 +72,8 @@ void Process::KillNow() {
   ended_ = true;
 }
 
-Service::Service(int heartbeat_ms) : heartbeat_ms_(heartbeat_ms) {
+Service::Service(int heartbeat_ms, std::vector<std::string> more)
+    : heartbeat_ms_(heartbeat_ms), more_(std::move(more)) {
   folder_ = "/tmp/rg-service-" + RandomHex(6);
   std::filesystem::create_directories(folder_);
   StartCoordinator();
@@ -91,12 +92,23 @@ void Service::StartCoordinator() { RG_CHECK(TryStartCoordinator()) << Logs(); }
 
 bool Service::TryStartCoordinator() {
   const std::string address_file = folder_ + "/address" + std::to_string(++starts_);
-  coordinator_ = std::make_unique<Process>(
-      std::vector<std::string>{BinFolder() + "/realitygrad-coordinator", "--listen", endpoint(), "--db",
-                               folder_ + "/service.db", "--heartbeat-ms", std::to_string(heartbeat_ms_),
-                               "--address-file", address_file, "--uncertain-s", "3", "--may-submit",
-                               "lead:sleep", "--may-submit", "sleep:sleep"},
-      folder_ + "/coordinator.log");
+  std::vector<std::string> arguments = {BinFolder() + "/realitygrad-coordinator",
+                                        "--listen",
+                                        endpoint(),
+                                        "--db",
+                                        folder_ + "/service.db",
+                                        "--heartbeat-ms",
+                                        std::to_string(heartbeat_ms_),
+                                        "--address-file",
+                                        address_file,
+                                        "--uncertain-s",
+                                        "3",
+                                        "--may-submit",
+                                        "lead:sleep",
+                                        "--may-submit",
+                                        "sleep:sleep"};
+  arguments.insert(arguments.end(), more_.begin(), more_.end());
+  coordinator_ = std::make_unique<Process>(arguments, folder_ + "/coordinator.log");
   const auto listens = [&] { return std::filesystem::exists(address_file); };
   WaitUntil(60.0, [&] { return listens() || coordinator_->WaitForExit(0.0) >= 0; });
   return listens();

@@ -37,7 +37,8 @@ class Process {
 
 class Service {
  public:
-  explicit Service(int heartbeat_ms = 400);
+  // `more` are further flags of the coordinator.
+  explicit Service(int heartbeat_ms = 400, std::vector<std::string> more = {});
   ~Service();
 
   void StartCoordinator();     // again after a kill: on the same endpoint and database
@@ -68,6 +69,7 @@ class Service {
 
   std::string folder_;
   int heartbeat_ms_;
+  std::vector<std::string> more_;
   int starts_ = 0;
   std::unique_ptr<Process> coordinator_;
   std::map<std::string, std::unique_ptr<Process>> workers_;

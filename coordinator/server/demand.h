@@ -1,0 +1,13 @@
+// What there is to do for workers, class by class: the one figure by which they are added and taken away.
+#pragma once
+
+#include "coordinator/core/state.h"
+#include "coordinator/server/policy.h"
+#include "realitygrad/v1/control.pb.h"
+
+namespace rg::coordinator {
+
+// As many steps as there are classes and leases.
+void AddDemand(const State& state, const Policy& policy, realitygrad::v1::StatusReply* reply);
+
+}  // namespace rg::coordinator

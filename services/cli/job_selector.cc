@@ -1,0 +1,41 @@
+#include "services/cli/job_selector.h"
+
+#include <CLI/CLI.hpp>
+#include <cstdio>
+
+#include "coordinator/client/client.h"
+
+namespace rg::cli {
+
+namespace pb = ::realitygrad::v1;
+
+Result<std::vector<int64_t>> ParseSelector(const std::string& text, coordinator::Client& client,
+                                           WantedState wanted) {
+  std::vector<int64_t> ids;
+  if (text == "last") return std::vector<int64_t>{0};
+  if (text == "all") {
+    RG_ASSIGN_OR_RETURN(const auto jobs, client.ListAllJobs());
+    for (const auto& job : jobs) {
+      if (wanted == nullptr || wanted(job.state())) ids.push_back(job.id());
+    }
+    return ids;
+  }
+  for (const std::string& part : CLI::detail::split(text, ',')) {
+    long low = 0, high = 0;
+    char dash = 0, rest = 0;
+    const int fields = std::sscanf(part.c_str(), "%ld%c%ld%c", &low, &dash, &high, &rest);
+    if (fields == 1) high = low;
+    if ((fields != 1 && !(fields == 3 && dash == '-')) || low < 1 || high < low || high - low > 100000) {
+      return InvalidError("job selector '" + text + "': must be a number, 1-10, 1,3, all or last");
+    }
+    for (long id = low; id <= high; ++id) ids.push_back(id);
+  }
+  return ids;
+}
+
+bool IsOver(pb::JobState state) {
+  return state == pb::JOB_STATE_SUCCEEDED || state == pb::JOB_STATE_FAILED ||
+         state == pb::JOB_STATE_CANCELLED;
+}
+
+}  // namespace rg::cli
