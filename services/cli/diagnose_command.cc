@@ -38,7 +38,7 @@ struct DiagnoseArguments {
   diagnosis::DiagnosisOptions options;
 };
 
-std::string Joined(const std::vector<std::string>& names) {
+std::string ListOfNames(const std::vector<std::string>& names) {
   std::string out;
   for (size_t i = 0; i < names.size(); ++i)
     out += (i == 0 ? "" : i + 1 == names.size() ? " and " : ", ") + names[i];
@@ -71,7 +71,7 @@ std::string Told(const diagnosis::DiagnosisResult& r, const std::vector<std::str
     std::snprintf(confidence, sizeof confidence, " (%.2f)", f.confidence);
     text += "\n  " + f.effect + confidence + ": " + f.statement;
     if (f.effect_class.size() > 1)
-      text += "\n    cannot be told from " + Joined({f.effect_class.begin() + 1, f.effect_class.end()}) +
+      text += "\n    cannot be told from " + ListOfNames({f.effect_class.begin() + 1, f.effect_class.end()}) +
               " in these recordings";
   }
   text += ValuesOfJoints(r);
@@ -104,7 +104,7 @@ std::string Next(const diagnosis::DiagnosisResult& r, const DiagnoseArguments& a
   for (const std::string& set : arguments.sets.sets) sets += set + " ";
   return "next: realitygrad submit rollout --trajectory " + out +
          "/motion.csv --out MORE; realitygrad diagnose " + sets + "MORE --out " + out + "2   (tells " +
-         Joined(r.motion->effects) + " apart)";
+         ListOfNames(r.motion->effects) + " apart)";
 }
 
 // Fits as tasks of a coordinator's workers.

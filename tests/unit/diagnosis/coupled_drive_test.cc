@@ -134,7 +134,7 @@ recordings::RecordingSet MeasuredArm(std::optional<double> ratio, uint64_t seed)
   return set;
 }
 
-DiagnosisResult Diagnosed(const recordings::RecordingSet& set) {
+DiagnosisResult DiagnosedDrive(const recordings::RecordingSet& set) {
   DiagnosisOptions options;
   options.threads = 2;
   auto result = Diagnose(set, options, RealClock());
@@ -144,7 +144,7 @@ DiagnosisResult Diagnosed(const recordings::RecordingSet& set) {
 
 TEST(CoupledDriveOfAWrist, IsNamedWithBothJointsItsRatioAndItsFriction) {
   for (const double ratio : {1.0, -0.7}) {
-    const DiagnosisResult r = Diagnosed(MeasuredArm(ratio, 7));
+    const DiagnosisResult r = DiagnosedDrive(MeasuredArm(ratio, 7));
     const auto found = std::find_if(r.findings.begin(), r.findings.end(),
                                     [](const Finding& f) { return f.effect == "joint_coupling"; });
     ASSERT_NE(found, r.findings.end()) << ratio;
@@ -167,7 +167,8 @@ TEST(CoupledDriveOfAWrist, IsNamedWithBothJointsItsRatioAndItsFriction) {
 
 TEST(CoupledDriveOfAWrist, IsNotNamedWhereEveryDriveTurnsWithItsOwnJoint) {
   for (const uint64_t seed : {7, 8, 9}) {
-    for (const Finding& f : Diagnosed(MeasuredArm({}, seed)).findings) EXPECT_NE(f.effect, "joint_coupling");
+    for (const Finding& f : DiagnosedDrive(MeasuredArm({}, seed)).findings)
+      EXPECT_NE(f.effect, "joint_coupling");
   }
 }
 
