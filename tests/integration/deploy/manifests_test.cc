@@ -108,7 +108,7 @@ void ExpectASoundPod(const YAML::Node& owner, const std::string& name) {
       if (container["args"]) ExpectItsFlags(Words(container["args"]), name);
       for (const char* probe : {"startupProbe", "readinessProbe", "livenessProbe"}) {
         for (const char* how : {"httpGet", "tcpSocket"}) {
-          if (container[probe][how]) {
+          if (container[probe] && container[probe][how]) {
             EXPECT_EQ(ports.count(container[probe][how]["port"].as<std::string>()), 1u) << name;
           }
         }
@@ -204,7 +204,7 @@ TEST(Systemd, VerifiesTheUnits) {
     // The programs of this build instead of installed ones; users that a package makes.
     std::string unit = *ReadFile(entry.path().string());
     unit = std::regex_replace(unit, std::regex("/usr/bin/"), std::string(bin ? bin : ".") + "/");
-    unit = std::regex_replace(unit, std::regex("(User|Group)=.*\n"), "");
+    unit = std::regex_replace(unit, std::regex("\n(User|Group)=[^\n]*"), "");
     ASSERT_TRUE(WriteFileAtomically((folder / entry.path().filename()).string(), unit).ok());
     const std::string said =
         OutputOf("systemd-analyze verify --man=no " + (folder / entry.path().filename()).string());

@@ -115,7 +115,7 @@ TEST_P(Migration, ACopyIsMadeBeforeAndOpensWithTheOldTables) {
   ASSERT_NE(Open(), nullptr);
   const auto copies = Copies();
   ASSERT_EQ(copies.size(), 1u);
-  EXPECT_EQ(copies[0].rfind("service.db.before-artifacts-2-coordinator-", 0), 0u) << copies[0];
+  EXPECT_EQ(copies[0].rfind("service.db.before-artifacts-2-parameters-2-coordinator-", 0), 0u) << copies[0];
   const auto old = store::Database::Open({.path = folder_ + "/" + copies[0], .read_only = true}, {});
   ASSERT_TRUE(old.ok()) << old.status().ToString();
   EXPECT_EQ(*(*old)->ModuleVersion("coordinator"), GetParam());
