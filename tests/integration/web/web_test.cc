@@ -257,7 +257,8 @@ class InABrowser : public WebPage {
 TEST_F(InABrowser, AJobMovesFromSubmittedToDone) {
   browser_->Open(url());
   ASSERT_TRUE(browser_->WaitFor("document.querySelector('#link.live')", kPatience)) << service_.Logs();
-  const int64_t id = Submit("<img src=x onerror=alert(1)>", 4, 0.3);
+  // Long enough for a page that asks once a second to see it run.
+  const int64_t id = Submit("<img src=x onerror=alert(1)>", 4, 2.0);
   const std::string row = "[data-job=\"" + std::to_string(id) + "\"]";
   ASSERT_TRUE(browser_->WaitFor("document.querySelector('" + row + " .badge.queued')", kPatience));
   EXPECT_NE(browser_->Text(row).find("<img src=x"), std::string::npos) << "names are text";
