@@ -1,0 +1,8 @@
+// realitygrad-guard with one driver more.
+#include "bench_arm_driver.h"
+#include "robot_agent/guard_program.h"
+
+int main(int argc, char** argv) {
+  rg::robot_agent::RegisterDriver("bench_arm", bench_arm::MakeBenchArm);
+  return rg::robot_agent::GuardProgramMain(argc, argv);
+}
