@@ -1,5 +1,6 @@
-// The whole loop through real ROS topics with a diagnosis after each rollout: what the stand-in hides is named, and the
-// second iteration is better than the first. About six minutes: with `deploy/check --full` only.
+// The whole loop through real ROS topics with a diagnosis after each rollout: what the stand-in hides is
+// named, and the second iteration is better than the first. About six minutes: with `deploy/check --full`
+// only.
 #include <map>
 #include <nlohmann/json.hpp>
 
@@ -35,8 +36,8 @@ TEST(RunKinovaDiagnosed, NamesWhatTheStandInHidesAndTheSecondIterationIsBetter) 
     EXPECT_EQ(iteration["rollout"]["end_reason"], "completed");
     const auto names = NamesOf(iteration);
     const auto said_so = " in " + json(names).dump();
-    // A Coulomb force and a dead band of the torques look alike where a joint never rests under a small torque: each
-    // joint's is in one of the two.
+    // A Coulomb force and a dead band of the torques look alike where a joint never rests under a small
+    // torque: each joint's is in one of the two.
     EXPECT_TRUE(names.contains("torque_deadband")) << said_so;
     EXPECT_GE(names.contains("torque_deadband") ? names.at("torque_deadband") : 0, 3u) << said_so;
     EXPECT_TRUE(names.contains("coulomb_friction") || names.contains("stribeck_friction")) << said_so;
@@ -47,15 +48,19 @@ TEST(RunKinovaDiagnosed, NamesWhatTheStandInHidesAndTheSecondIterationIsBetter) 
   const auto second = NamesOf(iterations[1]);
   EXPECT_TRUE(second.contains("parameters_only") || second.contains("payload")) << json(second).dump();
 
-  const auto goal = [&](int k, const char* what) { return iterations[k]["rollout"]["goal_error"][what].get<double>(); };
+  const auto goal = [&](int k, const char* what) {
+    return iterations[k]["rollout"]["goal_error"][what].get<double>();
+  };
   EXPECT_LT(goal(1, "tip_distance_m"), 0.5 * goal(0, "tip_distance_m"));
   EXPECT_LT(goal(1, "joint_norm"), 0.5 * goal(0, "joint_norm"));
   // What the models made before a rollout predict of it; null: the simulation broke down.
   const json& unseen = iterations[1]["diagnosis"]["unseen"];
   const double diagnosed = unseen["diagnosed"]["window_rms"].get<double>();
-  for (const char* other : {"identified", "nominal"})
-    if (unseen[other]["window_rms"].is_number())
+  for (const char* other : {"identified", "nominal"}) {
+    if (unseen[other]["window_rms"].is_number()) {
       EXPECT_LT(diagnosed, unseen[other]["window_rms"].get<double>()) << other;
+    }
+  }
   std::printf("tip %.1f -> %.1f mm, joints %.3f -> %.3f rad, unseen windows %.4f rad\n",
               1e3 * goal(0, "tip_distance_m"), 1e3 * goal(1, "tip_distance_m"), goal(0, "joint_norm"),
               goal(1, "joint_norm"), diagnosed);
