@@ -43,6 +43,8 @@ const EffectInfo* FindEffect(std::string_view id) {
   return kind < 0 ? nullptr : &Catalog()[kind];
 }
 
+bool ScalesEffort(std::string_view id) { return id == "torque_gain"; }
+
 const EffectTraits& TraitsOf(int kind) {
   static const auto& all = *new std::vector<EffectTraits>(AllTraits(EffectList{}));
   return all[kind];

@@ -15,4 +15,8 @@ inline constexpr const char* kClockExperiment =
     "no motion can: command and reading stamped by one clock, or a step of the command whose effect another "
     "sensor sees at once";
 
+// Of a robot whose masses and efforts are known up to one factor.
+inline constexpr const char* kScaleExperiment =
+    "no motion can: a known mass in the hand, or a force gauge against the tool";
+
 }  // namespace rg::diagnosis

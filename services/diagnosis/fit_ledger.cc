@@ -6,6 +6,7 @@
 #include <initializer_list>
 #include <limits>
 #include <set>
+#include <sstream>
 
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/jumps.h"
@@ -75,6 +76,20 @@ TrialSpecs About(const std::string& hinge, TrialSpecs specs) {
   return specs;
 }
 
+// A trial and the model beside which it is made.
+std::string TrialKey(const Candidate& from, const FitRequest& trial) {
+  std::ostringstream key;
+  key.precision(17);
+  key << KeyOf(from.specs, from.base) << '|' << from.score << '|' << trial.piece_s << trial.pieces_alone << '|'
+      << KeyOf(trial.specs, trial.base);
+  for (const EffectSpec& s : trial.specs) {
+    for (const auto& [joint, values] : s.values) {
+      for (const auto& [name, value] : values) key << ' ' << value;
+    }
+  }
+  return key.str();
+}
+
 // Where another fit starts whose windows are not its own.
 std::shared_ptr<const Candidate> ValuesOf(Candidate c) {
   return std::make_shared<const Candidate>(WithoutStates(std::move(c)));
@@ -101,6 +116,7 @@ bool FitLedger::Late(double limits) const {
 void FitLedger::SetNoiseScale(double scale) {
   for (auto& [key, c] : tried_) Rescale(lifted_.noise_scale, scale, &c);
   lifted_.noise_scale = scale;
+  trials_.clear();
 }
 
 const Candidate* FitLedger::Known(const std::vector<EffectSpec>& specs, bool base) const {
@@ -242,15 +258,27 @@ FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::v
     trials.push_back(trial);
   }
   const double enough = work_ + kTrialShare * options_.work_limit;
-  const auto batch = fits_.Start(setting_, trials);
-  const double on_windows = Fitted(trials[0], batch->Take(0)).score;
-  const double on_pieces = trial.pieces_alone ? Fitted(trials[1], batch->Take(1)).score : on_windows;
+  std::vector<FitRequest> fresh;
+  std::map<std::string, size_t> places;  // among these
+  for (const FitRequest& t : trials) {
+    const std::string key = TrialKey(from, t);
+    if (trials_.count(key) == 0 && places.emplace(key, fresh.size()).second) fresh.push_back(t);
+  }
+  const auto batch = fits_.Start(setting_, fresh);
+  const auto fitted = [&](size_t i) {
+    const std::string key = TrialKey(from, trials[i]);
+    const auto known = trials_.find(key);
+    if (known != trials_.end()) return known->second;
+    return trials_.emplace(key, Fitted(trials[i], batch->Take(places.at(key)))).first->second;
+  };
+  const double on_windows = fitted(0).score;
+  const double on_pieces = trial.pieces_alone ? fitted(1).score : on_windows;
   std::vector<TrialSpecs> met;
   for (size_t i = 2; i < trials.size() && !Late() && work_ <= enough; ++i) {
     // Where a law of what is recorded meets it, hidden states have no part, nor anything more beside it.
     if (!met.empty() && HasFreeStates(Unfitted(setting_, trials[i].specs, base))) continue;
     if (HoldsOneOf(met, trials[i].specs)) continue;
-    const Candidate c = Fitted(trials[i], batch->Take(i));
+    const Candidate c = fitted(i);
     const bool whole = HasHiddenStates(c);
     const double before = whole ? on_windows : on_pieces;
     const bool better = c.fit.ok && c.score >= before;

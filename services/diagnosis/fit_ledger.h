@@ -33,7 +33,7 @@ class FitLedger {
   double work() const { return work_; }
   double work_share() const { return work_ / options_.work_limit; }
   void AddWork(double work) { work_ += work; }
-  void SetRound(int round) { round_ = round; }
+  void SetRound(int round) { round_ = round, trials_.clear(); }
 
   const LiftedOptions& lifted() const { return lifted_; }
   double noise_scale() const { return lifted_.noise_scale; }
@@ -118,6 +118,7 @@ class FitLedger {
   std::shared_ptr<const Candidate> pieces_;  // base parameters from pieces, where whole windows are not met
   std::shared_ptr<const Candidate> over_halves_;
   std::map<std::string, Candidate> tried_;
+  std::map<std::string, Candidate> trials_;  // of this round, by what was asked for: made once
 };
 
 }  // namespace rg::diagnosis

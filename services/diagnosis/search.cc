@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <map>
 #include <optional>
 #include <set>
 
@@ -37,6 +38,7 @@ constexpr int kExchanged = 3;         // times that what is easily taken for eac
 constexpr int kDeeper = 2;            // kinds beside a first one, before parameters are freed
 constexpr size_t kFew = 2;            // names: many together do what bodies do
 constexpr double kDeep = 0.5;         // of all work, after which none of that, nor a substitute, is begun
+constexpr size_t kByLaws = 3;         // that are fitted before hidden states are looked for
 constexpr size_t kBesideUnnamed = 3;  // names that are fitted beside a force without one
 constexpr size_t kBesideDrives = 3;   // that are fitted beside the losses of all drives
 constexpr size_t kInPlace = 2;        // that are fitted in the place of a kind, or beside what is refused
@@ -195,11 +197,18 @@ class Search {
                                 kSegment, fits_.lifted());
   }
 
+  // Once a round around each.
   ScreenResult Screened(const Candidate& current, bool base) {
     const Candidate* values = base ? fits_.pieces() : nullptr;
     if (fits_.PerRow(current) < kHolds) values = &current;
-    return ScreenAround(setting_, current, base, values, features_, fits_.lifted(),
-                        Rng(options_.seed).Split(static_cast<uint64_t>(round_)), &step_rule_);
+    const std::string key = KeyOf(current.specs, base) + std::to_string(current.score);
+    if (screened_round_ != round_) screens_.clear(), screened_round_ = round_;
+    const auto known = screens_.find(key);
+    if (known != screens_.end()) return known->second;
+    const ScreenResult screened =
+        ScreenAround(setting_, current, base, values, features_, fits_.lifted(),
+                     Rng(options_.seed).Split(static_cast<uint64_t>(round_)), &step_rule_);
+    return screens_.emplace(key, screened).first->second;
   }
 
   double Threshold(const Candidate& best) const {
@@ -240,6 +249,7 @@ class Search {
       if (done) acceptance_.Note(Screened(*best, best->base), nominal_.joint_names());
       done = done && winner.score > best->score + Threshold(*best, winner);
     }
+    done = done || (round_ == 1 && ByLaws(*best, &winner));
     for (const bool base : {false, true}) {
       if (fits_.Late() || done) break;
       // Hidden states and unnamed forces fit nearly anything: an account with them has those with free
@@ -333,6 +343,22 @@ class Search {
       if (!of_drives_) SubstituteAll(best);
     }
     return accept;
+  }
+
+  // Laws of what is recorded come first, on the parameters as given or with free ones: where they leave
+  // nothing, hidden states, which cost far more and fit nearly anything, are not looked for.
+  bool ByLaws(const Candidate& before, Candidate* winner) {
+    for (const bool base : {false, true}) {
+      const Candidate* own = fits_.Known(before.specs, base);
+      if (own == nullptr || !own->fit.ok || AtStake(*own) < Threshold(before) || fits_.Late()) continue;
+      const Candidate from = *own;
+      const ScreenResult screened = Screened(from, base);
+      acceptance_.Note(screened, nominal_.joint_names());
+      if (!(MostPromised(screened) > kMostly * AtStake(from))) continue;
+      TryPool(from, screened, kPromise, Threshold(before), kByLaws, winner);
+      if (LeavesNothing(before, *winner, Threshold(before, *winner))) return true;
+    }
+    return false;
   }
 
   // Accounts by name on the parameters as given that something may be missing beside: the best, and the best
@@ -440,25 +466,27 @@ class Search {
   // Trials of what may be added to `from`; the best of them and of `winner`.
   void TryAround(const Candidate& from, const ScreenResult& screened, double wanted, double needed,
                  size_t count, Candidate* winner) {
+    // What the screen promises most from comes first: where a law of what is recorded leaves nothing, what no
+    // screen sees is not looked for.
+    if (wanted <= 1.0 && MostPromised(screened) > kMostly * AtStake(from)) {
+      const double before = winner->score;
+      TryPool(from, screened, kPromise, needed, count, winner);
+      const bool better = winner->score > before;
+      if (better && (LeavesNothing(from, *winner, needed) || TakesMost(from, *winner))) return;
+    }
+    TryPool(from, screened, wanted, needed, count, winner);
+  }
+  // The same of what the screen gives `least` nats at least; where that is 1 or less, also what it cannot see.
+  void TryPool(const Candidate& from, const ScreenResult& screened, double least, double needed, size_t count,
+               Candidate* winner) {
     const auto nearest = [&](const auto& starts, size_t most) {
       return fits_.Nearest(from, from.base, starts, most);
     };
     const auto force = [&] { return Force(from); };
     const bool holds = from.fit.ok && fits_.PerRow(from) < kHolds;
     const auto promised = Promised(from, screened, nominal_, scales_, holds, needed, kPromised);
-    const auto try_pool = [&](double least) {
-      const auto pool = Trials(data_, nominal_, scales_, from, screened, least, force, nearest);
-      fits_.TryBest(from, pool, promised, from.base, count, winner);
-    };
-    // What the screen promises most from comes first: where a law of what is recorded leaves nothing, what no
-    // screen sees is not looked for.
-    if (wanted <= 1.0 && MostPromised(screened) > kMostly * AtStake(from)) {
-      const double before = winner->score;
-      try_pool(kPromise);
-      const bool better = winner->score > before;
-      if (better && (LeavesNothing(from, *winner, needed) || TakesMost(from, *winner))) return;
-    }
-    try_pool(wanted);
+    const auto pool = Trials(data_, nominal_, scales_, from, screened, least, force, nearest);
+    fits_.TryBest(from, pool, promised, from.base, count, winner);
   }
   // Whether what was found beside `from` leaves nothing, by laws of what is recorded.
   bool LeavesNothing(const Candidate& from, const Candidate& found, double needed) const {
@@ -694,6 +722,8 @@ class Search {
   Acceptance acceptance_;
   std::vector<VectorXd> step_rule_;
   FeatureSet features_;
+  std::map<std::string, ScreenResult> screens_;  // of one round
+  int screened_round_ = 0;
   std::set<std::string> looked_beside_;  // what was screened in round one, or in the place of a kind
   std::vector<EffectSpec> given_;        // that the model has which the search starts from
 };

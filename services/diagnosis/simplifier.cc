@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <map>
 #include <set>
 
 #include "common/model/robot_model.h"
@@ -16,6 +17,7 @@ namespace {
 
 constexpr double kPruned = 2.0;       // of all work, to take out what is not needed
 constexpr double kSmallShare = 0.01;  // of what all effects explain
+constexpr int kMergeIterations = 12;
 constexpr size_t kManyGains = 3;      // joints, from which gains are rather what the bodies have
 constexpr double kSmallGain = 0.01;   // of one: no URDF knows a mass better
 
@@ -170,30 +172,37 @@ void Simplifier::FirstRotor(Candidate* best) {
 }
 
 // Coulomb friction and a constant force, on each joint that has either, are one law: friction that depends on
-// the direction.
+// the direction. So are they where the force is gravity's, of a base that is tilted, on joints that no pose
+// turns against it.
 void Simplifier::ByDirection(Candidate* best) {
   static constexpr const char *kDry = "coulomb_friction", *kZero = "torque_offset",
-                              *kEither = "asymmetric_friction";
-  if (!HasKind(best->specs, kZero) || !best->fit.ok || fits_.Late(kPruned)) return;
+                              *kTilt = "gravity_misalignment", *kEither = "asymmetric_friction";
+  if (!best->fit.ok || !HasKind(best->specs, kDry) || fits_.Late(kPruned)) return;
   const TrialSpecs specs = Refreshed(*best);
+  std::map<std::string, double> level, offset;  // by joint
+  for (const EffectSpec& s : specs) {
+    if (s.id == kDry) level[s.joints[0]] = s.values.at(s.joints[0]).at("coulomb");
+    if (s.id == kZero) offset[s.joints[0]] = s.values.at(s.joints[0]).at("offset");
+  }
+  const bool everywhere = std::all_of(offset.begin(), offset.end(),
+                                      [&](const auto& o) { return level.count(o.first) > 0; }) &&
+                          offset.size() == level.size();
+  const bool tilted = offset.empty() && HasKind(best->specs, kTilt);
+  if (!everywhere && !tilted) return;
   TrialSpecs merged;
   for (const EffectSpec& s : specs) {
-    if (s.id != kDry && s.id != kZero) {
+    if (s.id == kZero || s.id == kTilt) continue;
+    if (s.id != kDry) {
       merged.push_back(s);
       continue;
     }
-    const auto other = std::find_if(specs.begin(), specs.end(), [&](const EffectSpec& o) {
-      return o.id == (s.id == kDry ? kZero : kDry) && o.joints == s.joints;
-    });
-    if (other == specs.end()) return;
-    if (s.id == kZero) continue;
-    const double level = s.values.at(s.joints[0]).at("coulomb"),
-                 offset = other->values.at(s.joints[0]).at("offset");
+    const double dry = level[s.joints[0]], constant = offset[s.joints[0]];
     merged.push_back(effects::MakeSpec(kEither, s.joints,
-                                       {{"coulomb_positive", std::max(0.0, level - offset)},
-                                        {"coulomb_negative", std::max(0.0, level + offset)}}));
+                                       {{"coulomb_positive", std::max(0.0, dry - constant)},
+                                        {"coulomb_negative", std::max(0.0, dry + constant)}}));
   }
-  const Candidate c = fits_.Evaluate(merged, best->base, best, 6, best);
+  // What a tilt pulls with is not known here: that fit begins at the recorded motion.
+  const Candidate c = fits_.Evaluate(merged, best->base, tilted ? nullptr : best, kMergeIterations, best);
   if (c.fit.ok && c.score > best->score) *best = c;
 }
 
