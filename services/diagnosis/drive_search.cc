@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <set>
 #include <string>
 
 #include "common/effects/effect_catalog.h"
@@ -54,11 +55,14 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
   const auto leaves = [&](double share) { return Left(best) > share * Left(without); };
   // What is missing beside the drives hides what they have: each time it takes half, they are looked at
   // again.
+  std::set<std::string> looked_at;  // with their scores
   for (int more = 0; useful && more < kThingsBeside; ++more) {
     const double before = Left(best);
     Late(&best);
-    Couple(&best);
-    OtherDryLaw(&best);
+    if (looked_at.insert(KeyOf(best.specs, best.base) + std::to_string(best.score)).second) {
+      Couple(&best);
+      OtherDryLaw(&best);
+    }
     const Candidate drives = best;
     Freed(&best);
     if (!drives.fit.ok || fits_.Late()) break;

@@ -249,7 +249,8 @@ class Search {
       if (done) acceptance_.Note(Screened(*best, best->base), nominal_.joint_names());
       done = done && winner.score > best->score + Threshold(*best, winner);
     }
-    done = done || (round_ == 1 && ByLaws(*best, &winner));
+    // Beside the losses of all drives that was done when these were found.
+    done = done || (round_ == 1 && !of_drives_ && ByLaws(*best, &winner));
     for (const bool base : {false, true}) {
       if (fits_.Late() || done) break;
       // Hidden states and unnamed forces fit nearly anything: an account with them has those with free

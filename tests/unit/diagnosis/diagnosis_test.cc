@@ -188,6 +188,25 @@ TEST(Diagnose, NamesBothOfTwoEffects) {
   EXPECT_EQ(names, (std::set<std::string>{"coulomb_friction", "torque_ripple"}));
 }
 
+// With free masses and losses a factor on one of two drives is its inverse on the other.
+TEST(Diagnose, OfAGainBesideOtherMassesItSaysThatTheOtherDriveMayHaveIt) {
+  recordings::RecordingSet set =
+      testing::MakeSet("arm2", {MakeSpec("torque_gain", {"elbow"}, {{"gain", 0.9}})}, 20);
+  const std::string mass = "<mass value=\"1.1\"/>";
+  const size_t at = set.urdf_text.find(mass);
+  ASSERT_NE(at, std::string::npos);
+  set.urdf_text.replace(at, mass.size(), "<mass value=\"1.3\"/>");
+  const DiagnosisResult r = Diagnosed(set);
+  ASSERT_EQ(r.findings.size(), 2u);
+  ASSERT_EQ(r.findings[0].effect, "torque_gain");
+  EXPECT_LE(r.findings[0].confidence, 0.5);
+  const std::string other = r.findings[0].joints[0] == "elbow" ? "shoulder" : "elbow";
+  const auto& rivals = r.findings[0].alternatives;
+  EXPECT_TRUE(std::any_of(rivals.begin(), rivals.end(), [&](const Alternative& a) {
+    return a.effect == "torque_gain" && a.joints == std::vector<std::string>{other} && !a.separable;
+  }));
+}
+
 TEST(Diagnose, DragBesideDryFrictionIsNoFrictionThatGrowsWithSpeed) {
   const DiagnosisResult r =
       Diagnosed(testing::MakeSet("pendulum",

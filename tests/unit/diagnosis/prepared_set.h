@@ -20,9 +20,7 @@ struct Prepared {
   DiagnosisOptions options;
 };
 
-inline std::unique_ptr<Prepared> Prepare(const std::string& robot, std::vector<effects::EffectSpec> effects,
-                                         uint64_t seed, const Sampling& sampling = {}) {
-  recordings::RecordingSet set = MakeSet(robot, std::move(effects), seed, 4.0, sampling);
+inline std::unique_ptr<Prepared> Prepare(recordings::RecordingSet set) {
   auto nominal = sysid::NominalPlant(set);
   RG_CHECK(nominal.ok()) << nominal.status().ToString();
   auto out = std::make_unique<Prepared>(Prepared{std::move(set), *nominal, {}, {}, {}});
@@ -31,6 +29,11 @@ inline std::unique_ptr<Prepared> Prepare(const std::string& robot, std::vector<e
   out->data = *data;
   out->scales = ScalesOf(out->data, out->nominal);
   return out;
+}
+
+inline std::unique_ptr<Prepared> Prepare(const std::string& robot, std::vector<effects::EffectSpec> effects,
+                                         uint64_t seed, const Sampling& sampling = {}) {
+  return Prepare(MakeSet(robot, std::move(effects), seed, 4.0, sampling));
 }
 
 }  // namespace rg::diagnosis::testing

@@ -3,10 +3,16 @@
 
 #include <gtest/gtest.h>
 
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
 #include <memory>
 #include <set>
 
+#include "services/diagnosis/fit_ledger.h"
 #include "services/diagnosis/group_start.h"
+#include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/simplifier.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {
@@ -170,6 +176,64 @@ TEST(Search, FrictionAndRotorsOfAllJointsAreFoundTogether) {
   for (const char* name : {"viscous_friction shoulder", "viscous_friction elbow", "coulomb_friction shoulder",
                            "coulomb_friction elbow", "rotor_inertia elbow"})
     EXPECT_TRUE(found.count(name)) << name;
+}
+
+// A URDF with other masses, and a law of what is recorded: it is not looked for among hidden states, which
+// would follow some of both.
+TEST(Search, ALawBesideOtherMassesIsFoundBeforeHiddenStates) {
+  recordings::RecordingSet set =
+      testing::MakeSet("arm2", {MakeSpec("quadratic_drag", {"elbow"}, {{"quadratic", 0.1}})}, 58);
+  const std::string mass = "<mass value=\"1.1\"/>";
+  const size_t at = set.urdf_text.find(mass);
+  ASSERT_NE(at, std::string::npos);
+  set.urdf_text.replace(at, mass.size(), "<mass value=\"1.3\"/>");
+  const auto p = testing::Prepare(std::move(set));
+  const SearchResult r =
+      SearchEffects(p->data, p->nominal, p->scales, p->options, 2, RealClock(), nullptr, nullptr);
+  EXPECT_LT(r.best.fit.chi2 / r.best.fit.rows, kExplained);
+  EXPECT_TRUE(r.best.base);
+  EXPECT_EQ(Found(r), (std::set<std::string>{"quadratic_drag elbow"}));
+  for (const Candidate& c : r.tried) EXPECT_FALSE(HasHiddenStates(c)) << KeyOf(c.specs);
+}
+
+// No pose turns a rail against gravity: that its base is tilted is no other thing than friction that depends
+// on the direction.
+TEST(Search, DryFrictionUnderATiltOnARailIsFrictionByDirection) {
+  constexpr char kRail[] = R"(<robot name="rail">
+    <link name="base"/>
+    <link name="carriage"><inertial><mass value="2"/>
+      <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+    <joint name="slide" type="prismatic"><parent link="base"/><child link="carriage"/><axis xyz="1 0 0"/>
+      <limit lower="-0.6" upper="0.6" effort="50" velocity="1"/><dynamics damping="2"/></joint>
+  </robot>)";
+  const std::string root = ::testing::TempDir() + "rail";
+  std::filesystem::create_directories(root + "/deploy/robots");
+  std::ofstream(root + "/deploy/robots/rail.urdf") << kRail;
+  const char* given = std::getenv("RG_SOURCE_DIR");
+  const std::string before = given == nullptr ? "." : given;
+  setenv("RG_SOURCE_DIR", root.c_str(), 1);
+  const auto p = testing::Prepare(
+      "rail",
+      {MakeSpec("asymmetric_friction", {"slide"}, {{"coulomb_positive", 1.0}, {"coulomb_negative", 2.0}})},
+      59);
+  setenv("RG_SOURCE_DIR", before.c_str(), 1);
+  const FitSetting setting{p->data, p->nominal, p->scales};
+  const FakeClock clock;
+  const Trace trace(clock);
+  FitLedger fits(setting, p->options, 1, trace, nullptr);
+  Candidate best =
+      fits.Evaluate({MakeSpec("coulomb_friction", {"slide"}, {{"coulomb", 1.5}}),
+                     MakeSpec("gravity_misalignment", {}, {{"tilt", 0.02}, {"azimuth", 0.0}})},
+                    false, nullptr, 12);
+  ASSERT_TRUE(best.fit.ok);
+  ASSERT_LT(fits.PerRow(best), kExplained);
+  Simplifier(
+      setting, fits, [](const Candidate&, const Candidate&) { return 5.0; },
+      [](const Candidate&) { return 5.0; }, [](const Candidate&) { return 1000.0; })
+      .Run(&best);
+  ASSERT_EQ(best.specs.size(), 1u);
+  EXPECT_EQ(best.specs[0].id, "asymmetric_friction");
+  EXPECT_LT(fits.PerRow(best), kExplained);
 }
 
 TEST(Search, AGroupLeavesAloneWhatAJointHas) {
