@@ -20,6 +20,7 @@ constexpr int kIterations = 12;      // of fits that begin far off
 constexpr double kNear = 0.2;        // of what is amiss, that drives leave where more than they is missing
 constexpr double kCloser = 0.1;      // the same, above which free base parameters or one thing more are tried
 constexpr double kUseful = 0.5;      // the same, of friction and rotors that have to do with it at all
+constexpr double kShown = 0.85;      // of the regression's residual, that losses leave where they are
 constexpr double kWorthwhile = 0.8;  // of what is left, that friction which drops with speed leaves
 constexpr int kThingsBeside = 4;     // that are looked for before the drives are given up
 constexpr double kClearly = 10.0;    // stddev from nothing, of a loss that drives have
@@ -48,6 +49,7 @@ Candidate AsStart(Candidate c) {
 }  // namespace
 
 std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidate& freed) {
+  if (!LossesShow()) return std::nullopt;
   const std::map<std::string, Candidate> kept = fits_.tried();
   const Candidate& without = freed.score > plain.score ? freed : plain;
   Candidate best = Losses();
@@ -80,6 +82,20 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
     return best;
   fits_.tried() = kept;
   return std::nullopt;
+}
+
+// Whether the regression of the inverse dynamics has something to gain by them, on half of the joints at
+// least. In the simulator they would follow some of whatever else is missing.
+bool DriveSearch::LossesShow() const {
+  const Eigen::VectorXd left =
+      LeftByGroup(setting_.data, setting_.nominal, setting_.scales, kLosses);
+  int joints = 0;
+  for (int j = 0; j < setting_.data.n; ++j) {
+    const auto& prescribed = setting_.data.prescribed;
+    const bool judged = std::count(prescribed.begin(), prescribed.end(), j) == 0;
+    if (judged && left[j] < kShown) ++joints;
+  }
+  return 2 * joints >= setting_.data.judged();
 }
 
 // Of what was tried here the nearest, where it takes a fifth off what `best` leaves.

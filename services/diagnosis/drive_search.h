@@ -40,6 +40,7 @@ class DriveSearch {
   void Late(Candidate* best);
 
  private:
+  bool LossesShow() const;
   Candidate Losses();
   Candidate Seen(const Candidate& c, bool base);
   void Couple(Candidate* best);

@@ -40,10 +40,9 @@ VectorXd Startable(const sim::Plant& plant, const std::vector<sysid::FitParamete
   return values;
 }
 
-}  // namespace
-
-Candidate RegressedGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                         const std::vector<std::string>& effects, bool base) {
+// `torque_stddev`: of what the regression leaves, by joint.
+Candidate Regressed(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                    const std::vector<std::string>& effects, bool base, VectorXd* torque_stddev) {
   Candidate c;
   c.base = base, c.specs = nominal.effects();
   for (const std::string& id : effects) {
@@ -64,12 +63,29 @@ Candidate RegressedGroup(const FitData& data, const sim::Plant& nominal, const M
   const auto found = sysid::RegressInverseDynamics(*c.plant, start, space, theta, data.recordings);
   c.fit.ok = found.rows > 0 && found.theta.allFinite();
   if (!c.fit.ok) return c;
+  *torque_stddev = found.torque_stddev;
   c.fit.theta = found.theta;
   c.fit.values = Startable(*c.plant, c.parameters, space.Values(found.theta, start));
   c.fit.chi2 = effects::kInf;  // not of the simulator
   c.fit.rows = data.Rows();
   c.specs = Refreshed(c);
   return c;
+}
+
+}  // namespace
+
+Candidate RegressedGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                         const std::vector<std::string>& effects, bool base) {
+  VectorXd left;
+  return Regressed(data, nominal, scales, effects, base, &left);
+}
+
+VectorXd LeftByGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                     const std::vector<std::string>& effects) {
+  VectorXd without, with;
+  const bool ok = Regressed(data, nominal, scales, {}, true, &without).fit.ok &&
+                  Regressed(data, nominal, scales, effects, true, &with).fit.ok;
+  return ok ? VectorXd(with.cwiseQuotient(without)) : VectorXd(VectorXd::Ones(data.n));
 }
 
 }  // namespace rg::diagnosis

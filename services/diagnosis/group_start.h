@@ -20,4 +20,10 @@ namespace rg::diagnosis {
 Candidate RegressedGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                          const std::vector<std::string>& effects, bool base);
 
+// What `effects` on every joint leave of the residual torque of that regression with free base parameters, by
+// joint: the ratio of its robust scales with and without them, n. About 1 where they have nothing to do with
+// what is missing, and where the regression cannot be made.
+Eigen::VectorXd LeftByGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                            const std::vector<std::string>& effects);
+
 }  // namespace rg::diagnosis

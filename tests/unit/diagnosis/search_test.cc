@@ -150,6 +150,20 @@ TEST(Search, OneThingMoreIsFoundBesideTheLossesOfAllDrives) {
   EXPECT_LE(found.size(), 7u);
 }
 
+// The regression tells whether the losses of drives have to do with what is missing at all.
+TEST(Search, LossesTakeOfTheRegressionOnlyWhatIsTheirs) {
+  const std::vector<std::string> losses = {"viscous_friction", "coulomb_friction", "rotor_inertia"};
+  const auto left = [&](std::vector<EffectSpec> truth) {
+    const auto p = testing::Prepare("arm2", std::move(truth), 60);
+    return LeftByGroup(p->data, p->nominal, p->scales, losses);
+  };
+  const Eigen::VectorXd theirs = left(LossesOfBoth());
+  EXPECT_LT(theirs.maxCoeff(), 0.6) << theirs.transpose();
+  const Eigen::VectorXd of_others = left(
+      {MakeSpec("position_spring", {"elbow"}, {{"stiffness", 6.0}, {"cubic", 0.0}, {"center", 0.4}})});
+  EXPECT_GT(of_others.minCoeff(), 0.85) << of_others.transpose();
+}
+
 // No single one of six brings a fit near such recordings.
 TEST(Search, FrictionAndRotorsOfAllJointsAreFoundTogether) {
   const std::vector<EffectSpec> truth = LossesOfBoth();
