@@ -6,7 +6,6 @@
 #include <initializer_list>
 #include <limits>
 #include <set>
-#include <sstream>
 
 #include "services/diagnosis/hypotheses.h"
 #include "services/diagnosis/jumps.h"
@@ -76,20 +75,6 @@ TrialSpecs About(const std::string& hinge, TrialSpecs specs) {
   return specs;
 }
 
-// A trial and the model beside which it is made.
-std::string TrialKey(const Candidate& from, const FitRequest& trial) {
-  std::ostringstream key;
-  key.precision(17);
-  key << KeyOf(from.specs, from.base) << '|' << from.score << '|' << trial.piece_s << trial.pieces_alone << '|'
-      << KeyOf(trial.specs, trial.base);
-  for (const EffectSpec& s : trial.specs) {
-    for (const auto& [joint, values] : s.values) {
-      for (const auto& [name, value] : values) key << ' ' << value;
-    }
-  }
-  return key.str();
-}
-
 // Where another fit starts whose windows are not its own.
 std::shared_ptr<const Candidate> ValuesOf(Candidate c) {
   return std::make_shared<const Candidate>(WithoutStates(std::move(c)));
@@ -101,9 +86,9 @@ FitLedger::FitLedger(const FitSetting& setting, const DiagnosisOptions& options,
                      const Trace& trace, const CancelToken* cancel)
     : setting_(setting),
       options_(options),
-      fits_(options.fits == nullptr ? local_ : *options.fits),
       trace_(trace),
-      cancel_(cancel) {
+      cancel_(cancel),
+      made_(options.fits == nullptr ? local_ : *options.fits) {
   lifted_.threads = threads;
   lifted_.step_s = options.step_s;
 }
@@ -116,7 +101,7 @@ bool FitLedger::Late(double limits) const {
 void FitLedger::SetNoiseScale(double scale) {
   for (auto& [key, c] : tried_) Rescale(lifted_.noise_scale, scale, &c);
   lifted_.noise_scale = scale;
-  trials_.clear();
+  made_.Forget();
 }
 
 const Candidate* FitLedger::Known(const std::vector<EffectSpec>& specs, bool base) const {
@@ -124,7 +109,7 @@ const Candidate* FitLedger::Known(const std::vector<EffectSpec>& specs, bool bas
   return it == tried_.end() ? nullptr : &it->second;
 }
 
-FitResult FitLedger::Made(const FitRequest& request) { return fits_.Start(setting_, {request})->Take(0); }
+FitResult FitLedger::Made(const FitRequest& request) { return made_.Start(setting_, {request})->Take(0); }
 
 Candidate FitLedger::Evaluate(const std::vector<EffectSpec>& specs, bool base, const Candidate* from,
                               int iterations, const Candidate* rival) {
@@ -213,7 +198,7 @@ std::vector<TrialSpecs> FitLedger::Nearest(const Candidate& from, bool base,
   const FitRequest look{Refreshed(from), base, lifted_, {}, 0, false, Start(&from, base)};
   const double enough = work_ + kLookShare * options_.work_limit;
   const auto late = [&] { return Late(kToTheEnd) || work_ > enough; };
-  return NearestStarts(fits_, setting_, look, from.fit.window_chi2, starts, count, late, &work_);
+  return NearestStarts(made_, setting_, look, from.fit.window_chi2, starts, count, late, &work_);
 }
 
 // Some windows, few iterations, on while they pay.
@@ -258,19 +243,8 @@ FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::v
     trials.push_back(trial);
   }
   const double enough = work_ + kTrialShare * options_.work_limit;
-  std::vector<FitRequest> fresh;
-  std::map<std::string, size_t> places;  // among these
-  for (const FitRequest& t : trials) {
-    const std::string key = TrialKey(from, t);
-    if (trials_.count(key) == 0 && places.emplace(key, fresh.size()).second) fresh.push_back(t);
-  }
-  const auto batch = fits_.Start(setting_, fresh);
-  const auto fitted = [&](size_t i) {
-    const std::string key = TrialKey(from, trials[i]);
-    const auto known = trials_.find(key);
-    if (known != trials_.end()) return known->second;
-    return trials_.emplace(key, Fitted(trials[i], batch->Take(places.at(key)))).first->second;
-  };
+  const auto batch = made_.Start(setting_, trials);
+  const auto fitted = [&](size_t i) { return Fitted(trials[i], batch->Take(i)); };
   const double on_windows = fitted(0).score;
   const double on_pieces = trial.pieces_alone ? fitted(1).score : on_windows;
   std::vector<TrialSpecs> met;
@@ -373,7 +347,7 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
 
 // Fits them on all windows, at least so many however much work is done.
 void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner) {
-  const auto batch = fits_.Start(setting_, requests);
+  const auto batch = made_.Start(setting_, requests);
   std::vector<TrialSpecs> met;  // what leaves nothing: nothing is fitted beside it
   for (size_t i = 0; i < requests.size() && !Cancelled() && (i < least || !Late(kToTheEnd)); ++i) {
     if (HoldsOneOf(met, requests[i].specs)) continue;
@@ -553,7 +527,7 @@ void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* win
   }
   std::vector<RankedTrial> ranked;
   {
-    const auto batch = fits_.Start(setting_, trials);
+    const auto batch = made_.Start(setting_, trials);
     const double own = Fitted(trials[0], batch->Take(0)).score;
     const double least = own - std::max(5.0, kMuchWorse * std::abs(own));
     for (size_t i = 1; i < trials.size() && !Late(kInPlaceYet); ++i) {

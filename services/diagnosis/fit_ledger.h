@@ -11,6 +11,7 @@
 #include "common/base/progress.h"
 #include "services/diagnosis/diagnosis.h"
 #include "services/diagnosis/fit_requests.h"
+#include "services/diagnosis/remembered_fits.h"
 #include "services/diagnosis/trace.h"
 #include "services/diagnosis/trials.h"
 
@@ -33,7 +34,7 @@ class FitLedger {
   double work() const { return work_; }
   double work_share() const { return work_ / options_.work_limit; }
   void AddWork(double work) { work_ += work; }
-  void SetRound(int round) { round_ = round, trials_.clear(); }
+  void SetRound(int round) { round_ = round, made_.Forget(); }
 
   const LiftedOptions& lifted() const { return lifted_; }
   double noise_scale() const { return lifted_.noise_scale; }
@@ -109,7 +110,6 @@ class FitLedger {
   const FitSetting& setting_;
   const DiagnosisOptions& options_;
   LocalFits local_;
-  FitExecutor& fits_;  // who makes the fits
   const Trace& trace_;
   const CancelToken* cancel_;
   LiftedOptions lifted_;
@@ -118,7 +118,7 @@ class FitLedger {
   std::shared_ptr<const Candidate> pieces_;  // base parameters from pieces, where whole windows are not met
   std::shared_ptr<const Candidate> over_halves_;
   std::map<std::string, Candidate> tried_;
-  std::map<std::string, Candidate> trials_;  // of this round, by what was asked for: made once
+  RememberedFits made_;  // of this round
 };
 
 }  // namespace rg::diagnosis

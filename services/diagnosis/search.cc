@@ -249,8 +249,7 @@ class Search {
       if (done) acceptance_.Note(Screened(*best, best->base), nominal_.joint_names());
       done = done && winner.score > best->score + Threshold(*best, winner);
     }
-    // Beside the losses of all drives that was done when these were found.
-    done = done || (round_ == 1 && !of_drives_ && ByLaws(*best, &winner));
+    done = done || (round_ == 1 && ByLaws(*best, &winner));
     for (const bool base : {false, true}) {
       if (fits_.Late() || done) break;
       // Hidden states and unnamed forces fit nearly anything: an account with them has those with free
@@ -347,9 +346,11 @@ class Search {
   }
 
   // Laws of what is recorded come first, on the parameters as given or with free ones: where they leave
-  // nothing, hidden states, which cost far more and fit nearly anything, are not looked for.
+  // nothing, hidden states, which cost far more and fit nearly anything, are not looked for. Whether base
+  // parameters are free beside the losses of all drives was decided when these were found.
   bool ByLaws(const Candidate& before, Candidate* winner) {
     for (const bool base : {false, true}) {
+      if (of_drives_ && base != before.base) continue;
       const Candidate* own = fits_.Known(before.specs, base);
       if (own == nullptr || !own->fit.ok || AtStake(*own) < Threshold(before) || fits_.Late()) continue;
       const Candidate from = *own;

@@ -40,6 +40,41 @@ TEST_F(FitLedgerTest, OtherLawsAreFittedInItsPlaceOnlyWhereATrialDoesNotRefuseTh
   EXPECT_LE(ledger_.tried().size(), 3u);  // with Coulomb friction itself
 }
 
+// Counts what is asked of it.
+class CountedFits final : public FitExecutor {
+ public:
+  std::unique_ptr<FitBatch> Start(const FitSetting& setting, std::vector<FitRequest> requests) override {
+    asked += requests.size();
+    return local_.Start(setting, std::move(requests));
+  }
+  size_t asked = 0;
+
+ private:
+  LocalFits local_;
+};
+
+TEST_F(FitLedgerTest, TheSameFitIsMadeOnceAndAnotherStartIsAnotherFit) {
+  CountedFits counted;
+  RememberedFits fits(counted);
+  const auto request = [&](double level) {
+    return FitRequest{{MakeSpec("coulomb_friction", {joint_}, {{"coulomb", level}})}, false, ledger_.lifted(),
+                      {}, 0, false, nullptr};
+  };
+  const FitResult first = fits.Start(setting_, {request(0.2)})->Take(0);
+  const auto batch = fits.Start(setting_, {request(0.3), request(0.2), request(0.3)});
+  EXPECT_EQ(counted.asked, 2u);
+  const FitResult again = batch->Take(1);
+  EXPECT_GT(first.work, 0);
+  EXPECT_EQ(again.work, 0);
+  EXPECT_EQ(again.values, first.values);
+  EXPECT_EQ(again.chi2, first.chi2);
+  EXPECT_GT(batch->Take(2).work, 0);
+  EXPECT_EQ(batch->Take(0).work, 0);
+  fits.Forget();
+  fits.Start(setting_, {request(0.2)});
+  EXPECT_EQ(counted.asked, 3u);
+}
+
 // A fit may end before it is done: others that go on from there would be credited with the rest of its way.
 TEST(FitLedger, WhatIsAtHandIsFittedOnBeforeAnotherTakesItsPlace) {
   const auto p =
