@@ -8,6 +8,7 @@
 #include <cstdlib>
 #include <iostream>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <set>
 
 #include "common/base/clock.h"
@@ -130,22 +131,43 @@ Result<std::string> ClearLatch(const Words& words) {
 
 volatile std::sig_atomic_t watching = 1;
 
+// The terminal's other screen, without a cursor, as long as it lives.
+class Screen {
+ public:
+  Screen() { std::cout << "\033[?1049h\033[?25l"; }
+  ~Screen() { std::cout << "\033[?25h\033[?1049l" << std::flush; }
+  // Line over line: nothing flickers.
+  void Draw(const std::string& text) {
+    std::string drawn = "\033[H";
+    for (const char c : text) drawn += c == '\n' ? "\033[K\n" : std::string(1, c);
+    std::cout << drawn << "\033[J" << std::flush;
+  }
+};
+
+// On a terminal it outlives the agent, which may be started again; in a pipe it ends with it.
 int Watch(const Words& words) {
   std::signal(SIGINT, [](int) { watching = 0; });
-  const bool screen = words.output == "table" && isatty(STDOUT_FILENO);
+  std::signal(SIGTERM, [](int) { watching = 0; });
+  std::optional<Screen> screen;
   while (watching) {
     const auto text = Ask(words, "status");
-    if (!text.ok()) return Fail(text.status());
-    if (screen) std::cout << "\033[H\033[2J";
-    Show(words, *text);
+    if (!screen && !text.ok()) return Fail(text.status());
+    if (!screen && words.output == "table" && isatty(STDOUT_FILENO)) screen.emplace();
+    if (!screen) {
+      Show(words, *text);
+    } else {
+      const std::string now = FormatWallTime(RealClock().WallNanos()).substr(11, 8);
+      screen->Draw(now + " UTC, Ctrl-C ends the watching, not the agent\n\n" +
+                   (text.ok() ? StatusText(*text) : text.status().message() + "\n"));
+    }
     usleep(static_cast<useconds_t>(1e6 * words.every_s));
   }
   return kExitOk;
 }
 
-// "[....|.....]": where `value` is between the ends; '!' outside.
+// "[....#....]": where `value` is between the ends; '!' outside.
 std::string Bar(double value, double lower, double upper) {
-  constexpr int kWidth = 21;
+  constexpr int kWidth = 13;
   std::string bar(kWidth, '.');
   if (!(upper > lower)) return "[" + bar + "]";
   const double share = (value - lower) / (upper - lower);
@@ -154,22 +176,41 @@ std::string Bar(double value, double lower, double upper) {
   return "[" + bar + "]";
 }
 
+// "[###.....]": how much of its limit; '!' beyond.
+std::string Share(double value, double limit) {
+  constexpr int kWidth = 8;
+  if (!(limit > 0.0) || !std::isfinite(value)) return "[" + std::string(kWidth, '.') + "]";
+  const double share = std::abs(value) / limit;
+  const int filled = std::clamp(static_cast<int>(std::ceil(share * kWidth - 0.5)), 0, kWidth);
+  return "[" + std::string(filled, share <= 1.0 ? '#' : '!') + std::string(kWidth - filled, '.') + "]";
+}
+
 double Number(const json& object, const char* name) {
   return object.contains(name) && object[name].is_number() ? object[name].get<double>() : std::nan("");
 }
 
+// Fits a terminal of 80 columns.
 std::string JointLines(const json& status) {
   std::string text;
   if (!status.contains("joints") || status["joints"].empty()) return text;
-  text += Printf("  %-16s %-23s %9s  %9s of %-7s %9s of %s\n", "joint", "position", "rad", "rad/s", "limit",
-                 "N·m", "limit");
+  text += "joint       position in its box  rad  speed        rad/s  torque         N·m\n";
   for (const json& joint : status["joints"]) {
-    const double q = Number(joint, "q"), lower = Number(joint, "lower"), upper = Number(joint, "upper");
-    text += Printf("  %-16s %-23s %9.4f  %9.4f of %-7.3g %9.3f of %.3g\n", joint.value("name", "").c_str(),
-                   Bar(q, lower, upper).c_str(), q, Number(joint, "v"), Number(joint, "velocity"),
-                   Number(joint, "command"), Number(joint, "torque"));
+    const double q = Number(joint, "q"), v = Number(joint, "v"), torque = Number(joint, "command");
+    text += Printf("%-11.11s %s %8.4f  %s %7.3f  %s %7.2f\n", joint.value("name", "").c_str(),
+                   Bar(q, Number(joint, "lower"), Number(joint, "upper")).c_str(), q,
+                   Share(v, Number(joint, "velocity")).c_str(), v,
+                   Share(torque, Number(joint, "torque")).c_str(), torque);
   }
   return text;
+}
+
+std::string RolloutLines(const json& status) {
+  const std::string rollout = status.value("rollout", "");
+  if (rollout.empty()) return "";
+  std::string text = (status.value("phase", "") == "idle" ? "last rollout " : "rollout ") + rollout + "\n";
+  return text + Printf("  %.4g Hz, %.0f cycles, %.0f late; latest wake-up %.2f ms, state %.1f ms old\n",
+                       Number(status, "rate_hz"), Number(status, "ticks"), Number(status, "missed_deadlines"),
+                       1e-3 * Number(status, "lateness_max_us"), 1e-3 * Number(status, "state_age_us"));
 }
 
 }  // namespace
@@ -179,24 +220,22 @@ std::string StatusText(const std::string& status_json) {
   if (!status.is_object()) return "no status\n";
   const json none = json::object();
   const json spool = status.value("spool", none), end = status.value("last_end", none);
+  const std::string phase = status.value("phase", "?");
+  const double seen = Number(status, "seen_s_ago");
   std::string text;
-  text += Printf("%s (%s): %s%s, %s, %s mode\n", status.value("robot", "?").c_str(),
+  text += Printf("%s (%s): %s%s, %s, %s mode", status.value("robot", "?").c_str(),
                  status.value("driver", "?").c_str(), status.value("armed", false) ? "armed" : "disarmed",
-                 status.value("dry_run", false) ? ", dry run" : "", status.value("phase", "?").c_str(),
+                 status.value("dry_run", false) ? ", dry run" : "", phase.c_str(),
                  status.value("mode", "?").c_str());
+  // An arm at rest is not asked for its state.
+  if (phase == "idle" && std::isfinite(seen)) text += Printf(" when seen %.0f s ago", seen);
+  text += "\n";
   if (status.value("latched", false)) {
     const json latch = status.value("latch", none);
-    text += "LATCHED since " + latch.value("since", "?") + ", rollout " + latch.value("rollout", "?") + ": " +
+    text += "LATCHED since " + latch.value("since", "?") + ", rollout " + latch.value("rollout", "?") + ":\n  " +
             latch.value("reason", "?") + "\n  look at the arm, then: realitygrad agent clear\n";
   }
-  if (const std::string rollout = status.value("rollout", ""); !rollout.empty())
-    text += Printf(
-        "rollout %s: %.4g Hz, %.0f cycles, %.0f deadlines missed, latest wake-up %.0f us, state %.1f ms "
-        "old\n",
-        rollout.c_str(), Number(status, "rate_hz"), Number(status, "ticks"),
-        Number(status, "missed_deadlines"), Number(status, "lateness_max_us"),
-        1e-3 * Number(status, "state_age_us"));
-  text += JointLines(status);
+  text += RolloutLines(status) + JointLines(status);
   if (const std::string reason = end.value("reason", ""); !reason.empty())
     text += "last end: " + reason +
             (end.value("detail", "").empty() ? "" : " (" + end.value("detail", "") + ")") + "\n";

@@ -172,6 +172,7 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
                                 "pose_timeout_s",
                                 "settle_s",
                                 "connect_timeout_s",
+                                "start_attempts",
                                 "limits",
                                 "velocity_source",
                                 "excitation",
@@ -197,6 +198,9 @@ Result<AgentConfig> Read(const json& root, const std::string& folder) {
   config.pose_timeout_s = root.value("pose_timeout_s", config.pose_timeout_s);
   config.settle_s = root.value("settle_s", config.settle_s);
   config.connect_timeout_s = root.value("connect_timeout_s", config.connect_timeout_s);
+  config.start_attempts = root.value("start_attempts", config.start_attempts);
+  if (config.start_attempts < 1 || config.start_attempts > 10)
+    return InvalidError("start_attempts is " + std::to_string(config.start_attempts) + ", needs 1 to 10");
   config.max_rate_hz = root.value("max_rate_hz", config.max_rate_hz);
   config.max_duration_s = root.value("max_duration_s", config.max_duration_s);
   config.min_free_mb = root.value("min_free_mb", config.min_free_mb);

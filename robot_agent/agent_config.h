@@ -7,7 +7,8 @@
 // relative to this file, "lock_step": bool, "socket": path of a robot started by hand}, "urdf" (path relative
 // to this file), "joints" (those that move; absent: all), "locked" {joint: q}, "end_effector" (a link;
 // absent: the URDF's), "gravity" [3] (absent: 0, 0, -9.81), "start_pose" [n], "pose_tolerance",
-// "pose_timeout_s", "limits" (see safety/limits.h; each has to be there), "max_rate_hz", "max_duration_s" (of
+// "pose_timeout_s", "start_attempts" (how often an arm that was away before the first torque of a rollout is
+// prepared; 3), "limits" (see safety/limits.h; each has to be there), "max_rate_hz", "max_duration_s" (of
 // a rollout), "velocity_source" ("measured" | "differenced": what the controller gets), "excitation" (share
 // of the torque limits, see RolloutSpec), "min_free_mb" (of the spool's disk).
 #pragma once
@@ -42,6 +43,8 @@ struct AgentConfig {
   double pose_timeout_s = 60.0;
   double settle_s = 0.3;  // at rest in the start pose before torque mode
   double connect_timeout_s = 10.0;
+  int start_attempts = 3;  // 1 to 10
+  StopOptions stop;        // not of the file
   std::shared_ptr<const model::RobotModel> arm;  // of "urdf"
   std::vector<double> gravity = {0.0, 0.0, -9.81};
   CapsuleSet parts;

@@ -58,7 +58,7 @@ class Loop {
     result_.entered = true;
     const Status entered = driver_.EnterTorqueMode(handed.data());
     start_ns_ = driver_.NowNanos();
-    if (!entered.ok()) result_.refusal = entered.message();
+    result_.refusal = entered;
     return entered.ok();
   }
 
@@ -124,6 +124,7 @@ class Loop {
     const double t = 1e-9 * static_cast<double>(seen_.now_ns - start_ns_);
     const uint64_t saturated = monitor_.saturated_samples();
     ChooseVelocity();
+    result_.began = true;
     controller_.Command(t, seen_.state.q.data(), velocity_.data(), command_.data());
     const Action action = monitor_.LimitCommand(command_.data(), zero_added_.data(), seen_.now_ns);
     saturated_ = monitor_.saturated_samples() != saturated;

@@ -53,7 +53,9 @@ struct ControlLoopResult {
   uint64_t commands = 0;    // of the controller, sent
   double duration_s = 0.0;  // from the first command to the trip
   bool entered = false;     // torque mode was asked for: the arm may have been under torque
-  std::string refusal;      // the driver's, if it did not enter torque mode
+  // The controller was asked for its first torque. Not before: what the arm did was its preparation.
+  bool began = false;
+  Status refusal;  // the driver's, if it did not enter torque mode
   StopReport stop;
 };
 

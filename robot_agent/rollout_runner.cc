@@ -62,7 +62,9 @@ json NoiseOf(const DriverInfo& info) {
   return noise;
 }
 
-std::string MetadataOf(const DriverInfo& info, const RolloutInput& input, const Clock& clock) {
+// `setbacks`: how the arm was away before this, one line each.
+std::string MetadataOf(const DriverInfo& info, const RolloutInput& input,
+                       const std::vector<std::string>& setbacks, const Clock& clock) {
   const auto& spec = input.plan.spec;
   const Eigen::Vector3d gravity = input.plant.options().gravity;
   return json{{"format", rollouts::kRolloutFormat},
@@ -91,13 +93,18 @@ std::string MetadataOf(const DriverInfo& info, const RolloutInput& input, const 
               {"task", input.task_id},
               {"limits", json::parse(LimitsToJson(input.plan.limits))},
               {"noise", NoiseOf(info)},
+              {"setbacks", setbacks},
               {"started", FormatWallTime(clock.WallNanos())}}
       .dump();
 }
 
+std::string DetailOf(const ControlLoopResult& loop, const std::vector<std::string>& joints) {
+  return loop.refusal.ok() ? DescribeTrip(loop.trip, joints) : loop.refusal.message();
+}
+
 std::string EndOf(const ControlLoopResult& loop, const std::vector<std::string>& joints) {
   return json{{"end_reason", EndReasonName(loop.trip.reason)},
-              {"detail", loop.refusal.empty() ? DescribeTrip(loop.trip, joints) : loop.refusal},
+              {"detail", DetailOf(loop, joints)},
               {"ended_after_s", loop.duration_s},
               {"commands", loop.commands},
               {"saturated_samples", loop.saturated_samples},
@@ -154,6 +161,7 @@ MoveOutcome GoToStart(Driver& driver, ArmModel& arm, const RolloutInput& input, 
   options.tolerance = input.config.pose_tolerance;
   options.timeout_s = input.config.pose_timeout_s;
   options.settle_s = input.config.settle_s;
+  options.stop = input.config.stop;
   if (input.observer != nullptr)
     options.on_state = [&input](const RobotState& state) { input.observer->OnState(state); };
   return MoveUnderWatch(driver, arm, input.config.limits, input.plan.spec.start.data(), options, stop);
@@ -221,7 +229,7 @@ Status DryRun(Driver& driver, ArmModel& arm, const RolloutInput& input, const Sp
   std::filesystem::remove(path);
   const int n = input.plant.num_joints();
   RG_ASSIGN_OR_RETURN(const auto recorder,
-                      Recorder::Start(path, MetadataOf(driver.info(), input, clock), n, {}));
+                      Recorder::Start(path, MetadataOf(driver.info(), input, {}, clock), n, {}));
   ControlLoopOptions options;
   options.rate_hz = input.plan.spec.rate_hz;
   options.duration_s = input.plan.spec.duration_s;
@@ -235,6 +243,115 @@ Status DryRun(Driver& driver, ArmModel& arm, const RolloutInput& input, const Sp
                                  " commands were computed and none was sent, it ended with " +
                                  std::string(EndReasonName(loop.trip.reason)) +
                                  (detail.empty() ? "" : " (" + detail + ")") + "; they are in " + path);
+}
+
+// One way to the start pose and through the control loop.
+struct Attempt {
+  Status failed;  // the rollout did not begin
+  bool away = false;  // because the arm could not be reached for a while
+  StopReport stop;
+  ControlLoopResult loop;
+  std::unique_ptr<Recorder> recorder;  // where it began
+};
+
+// The arm, its driver or this machine was not there for a moment: nothing that the arm did.
+bool WasAway(EndReason reason, const Status& failed) {
+  return reason == EndReason::kStaleState || reason == EndReason::kDriverLost ||
+         reason == EndReason::kControllerHung || failed.code() == StatusCode::kUnavailable;
+}
+
+EndReason ReasonOf(const Trip& own, const GuardDriver* guard) {
+  return own.reason == EndReason::kNone && guard != nullptr ? guard->trip().reason : own.reason;
+}
+
+Status StartRecording(const Driver& driver, const RolloutInput& input, const Spool& spool,
+                      const std::vector<std::string>& setbacks, const Clock& clock, Attempt* attempt) {
+  const int n = input.plant.num_joints();
+  const uint64_t room = static_cast<uint64_t>(SamplesOf(input.plan.spec)) * Recorder::SampleBytes(n);
+  RG_ASSIGN_OR_RETURN(attempt->recorder, Recorder::Start(spool.ActivePath(input.plan.spec.id),
+                                                         MetadataOf(driver.info(), input, setbacks, clock), n,
+                                                         {.reserve_bytes = room}));
+  return Status::Ok();
+}
+
+ControlLoopResult RunLoop(Driver& driver, ArmModel& arm, const RolloutInput& input, Recorder& recorder,
+                          const ProgressFn& progress, const CancelToken& stop, const Clock& clock) {
+  const auto& spec = input.plan.spec;
+  ControlLoopOptions options;
+  options.rate_hz = spec.rate_hz;
+  options.duration_s = spec.duration_s;
+  options.velocity_source = input.config.velocity_source;
+  options.observer = input.observer;
+  options.stop = input.config.stop;
+  if (progress) progress({"rollout", 0.0, options.duration_s, "running"});
+  ExcitedController controller(input.controller, spec.excitation * ToEigen(input.plan.limits.torque),
+                               options.duration_s, spec.goal_seed);
+  ControlLoopResult loop =
+      RunControlLoop(driver, controller, arm, input.plan.limits, options, recorder, stop, clock);
+  if (input.guard != nullptr) AskGuard(*input.guard, &loop.trip);
+  return loop;
+}
+
+// Nothing was sent that its controller asked for: it may begin later, and there is nothing to keep.
+void TakeBackBeginning(Spool& spool, const std::string& id, Attempt* attempt) {
+  attempt->recorder.reset();
+  std::filesystem::remove(spool.ActivePath(id));
+  const Status marked = spool.MarkNotBegun(id);
+  if (!marked.ok()) spdlog::error("rollout {} did not begin, but counts as begun: {}", id, marked.message());
+}
+
+Attempt TryRollout(Driver& driver, ArmModel& arm, const RolloutInput& input, Spool& spool,
+                   const std::vector<std::string>& setbacks, const ProgressFn& progress,
+                   const CancelToken& stop, const Clock& clock) {
+  const std::string& id = input.plan.spec.id;
+  Attempt attempt;
+  const MoveOutcome moved = GoToStart(driver, arm, input, progress, stop);
+  attempt.failed = moved.status.WithPrefix("start pose");
+  attempt.stop = moved.stop;
+  attempt.away = WasAway(ReasonOf(moved.trip, input.guard), moved.status);
+  if (!attempt.failed.ok()) return attempt;
+  attempt.failed = StartRecording(driver, input, spool, setbacks, clock, &attempt);
+  if (attempt.failed.ok()) attempt.failed = spool.MarkBegun(id, FormatWallTime(clock.WallNanos()));
+  if (!attempt.failed.ok()) {
+    attempt.stop = StopArm(driver, input.config.stop);
+    if (attempt.recorder != nullptr) TakeBackBeginning(spool, id, &attempt);
+    return attempt;
+  }
+  attempt.loop = RunLoop(driver, arm, input, *attempt.recorder, progress, stop, clock);
+  attempt.stop = attempt.loop.stop;
+  if (attempt.loop.began) return attempt;
+  const EndReason reason = attempt.loop.trip.reason;
+  const std::string detail = DetailOf(attempt.loop, driver.info().joints);
+  const std::string words = "the rollout did not begin: " + std::string(EndReasonName(reason)) +
+                            (detail.empty() ? "" : " (" + detail + ")");
+  attempt.away = WasAway(reason == EndReason::kNotStarted ? ReasonOf({}, input.guard) : reason, attempt.loop.refusal);
+  attempt.failed = reason == EndReason::kOperatorStop ? CancelledError(words)
+                   : attempt.away                     ? UnavailableError(words)
+                                                      : FailedPreconditionError(words);
+  TakeBackBeginning(spool, id, &attempt);
+  return attempt;
+}
+
+// An arm that was away before the rollout's first torque is stopped, and prepared again when it is back. A rollout that
+// began is not begun again.
+Attempt TryUntilItBegins(Driver& driver, ArmModel& arm, const RolloutInput& input, Spool& spool,
+                         const ProgressFn& progress, const CancelToken& stop, const Clock& clock) {
+  const int most = input.config.start_attempts;
+  std::vector<std::string> setbacks;
+  while (true) {
+    Attempt attempt = TryRollout(driver, arm, input, spool, setbacks, progress, stop, clock);
+    if (attempt.failed.ok() || !attempt.away) return attempt;
+    setbacks.push_back(attempt.failed.message());
+    const auto times = static_cast<int>(setbacks.size());
+    const std::string count = std::to_string(times) + " of " + std::to_string(most);
+    if (!attempt.stop.confirmed || stop.cancelled() || times >= most) {
+      attempt.failed = Status(attempt.failed.code(), attempt.failed.message() + " (attempt " + count + ")");
+      return attempt;
+    }
+    spdlog::warn("the arm was away before the rollout began, attempt {}: {}; it is at rest, and prepared again", count,
+                 setbacks.back());
+    if (progress) progress({"rollout", 0.0, input.plan.spec.duration_s, "the arm was away: prepared again"});
+  }
 }
 
 }  // namespace
@@ -288,49 +405,21 @@ Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spoo
   if (stop.cancelled()) return CancelledError("stopped before the rollout began");
   if (input.config.dry_run) return DryRun(driver, arm, input, spool, stop, clock);
   RG_RETURN_IF_ERROR(latch.BeginMotion(id, FormatWallTime(clock.WallNanos())));
-  const MoveOutcome moved = GoToStart(driver, arm, input, progress, stop);
-  if (!moved.status.ok()) {
-    CloseLatch(latch, moved.stop, id, clock);
-    return moved.status.WithPrefix("start pose");
-  }
-
-  const std::string active = spool.ActivePath(id);
-  auto started = Recorder::Start(
-      active, MetadataOf(driver.info(), input, clock), n,
-      {.reserve_bytes = static_cast<uint64_t>(SamplesOf(input.plan.spec)) * Recorder::SampleBytes(n)});
-  const Status marked =
-      started.ok() ? spool.MarkBegun(id, FormatWallTime(clock.WallNanos())) : started.status();
-  if (!marked.ok()) {
-    CloseLatch(latch, StopArm(driver), id, clock);
-    if (started.ok()) std::filesystem::remove(active);
-    return marked;
-  }
-  auto recorder = *std::move(started);
-  ControlLoopOptions options;
-  options.rate_hz = input.plan.spec.rate_hz;
-  options.duration_s = input.plan.spec.duration_s;
-  options.velocity_source = input.config.velocity_source;
-  options.observer = input.observer;
-  if (progress) progress({"rollout", 0.0, options.duration_s, "running"});
-  ExcitedController controller(input.controller,
-                               input.plan.spec.excitation * ToEigen(input.plan.limits.torque),
-                               options.duration_s, input.plan.spec.goal_seed);
-  ControlLoopResult loop =
-      RunControlLoop(driver, controller, arm, input.plan.limits, options, *recorder, stop, clock);
-  if (input.guard != nullptr) AskGuard(*input.guard, &loop.trip);
-  CloseLatch(latch, loop.stop, id, clock);
-  const Status recorded = recorder->Finish(EndOf(loop, driver.info().joints));
+  const Attempt attempt = TryUntilItBegins(driver, arm, input, spool, progress, stop, clock);
+  CloseLatch(latch, attempt.stop, id, clock);
+  if (!attempt.failed.ok()) return attempt.failed;
+  const ControlLoopResult& loop = attempt.loop;
+  const Status recorded = attempt.recorder->Finish(EndOf(loop, driver.info().joints));
   if (!recorded.ok()) spdlog::error("recording {}: {}", id, recorded.ToString());
-  recorder.reset();
 
-  RG_ASSIGN_OR_RETURN(const RawRecording raw, ReadRawRecording(active));
+  RG_ASSIGN_OR_RETURN(const RawRecording raw, ReadRawRecording(spool.ActivePath(id)));
   RG_ASSIGN_OR_RETURN(const FinishedRollout finished, FinishRollout(raw));
   std::string bundle = rollouts::PackBundle(finished.bundle);
   RG_RETURN_IF_ERROR(spool.Commit(id, bundle));
   RolloutResult result = ResultOf(finished, std::move(bundle), spool.ReadyPath(id), input);
   result.jitter = loop.jitter;
   if (progress)
-    progress({"rollout", loop.duration_s, options.duration_s, std::string(EndReasonName(result.reason))});
+    progress({"rollout", loop.duration_s, input.plan.spec.duration_s, std::string(EndReasonName(result.reason))});
   return result;
 }
 

@@ -1,16 +1,19 @@
 // One rollout, from wherever the arm is to a recording in the spool.
 //
 //   connect -> start pose (position mode) -> settle -> torque mode -> control loop -> stop -> spool
+//              ^ an arm that was away before the controller's first torque: stopped, and again from here when it
+//                is back, config.start_attempts times in all
 //
 // Everything from the first motion on is watched by the safety monitor, with the agent's own limits and
 // kinematics, and ends in StopArm; a stop that was not confirmed latches (safety/latch.h), and a latched arm
-// does not move.
+// does not move. A rollout begins with the first torque that its controller is asked for.
 // Who calls it: the executor of the task kind `rollout`, a test, or a program; one thread. What is
 // durable when it returns a result: the bundle, in the spool's ready folder under spec.id. A repeat with
 // the same id moves nothing: the bundle that is there is returned, or, where it is gone, kAlreadyExists. An
-// arm never begins a rollout twice, whatever was lost in between (Spool::MarkBegun). A stop of any kind is a
-// result with its reason; an error means that the arm was not moved under torque (unreachable, wrong joints,
-// start pose not reached) or that the recording could not be kept.
+// arm never begins a rollout twice, whatever was lost in between (Spool::MarkBegun). How a rollout ended that
+// began is a result with its reason; an error means that it did not begin (unreachable, wrong joints, start pose not
+// reached, torque mode refused), there is no recording of it and it may be asked for again, or that the recording
+// could not be kept.
 #pragma once
 
 #include <functional>

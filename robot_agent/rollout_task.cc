@@ -14,6 +14,7 @@
 #include "robot_agent/guard/guard_driver.h"
 #include "robot_agent/rollout_runner.h"
 #include "robot_agent/spool_delivery.h"
+#include "services/rollouts/recording_bundle.h"
 #include "services/rollouts/reference_motion.h"
 #include "services/trajectories/reference_tracking.h"
 
@@ -139,7 +140,7 @@ RolloutTaskOutput OutputOf(const RolloutResult& result) {
                              {"lateness_p99_us", jitter.value("lateness_us", none).value("p99", 0.0)}}
                             .dump();
   output.bundle = result.bundle;
-  output.usable = result.usable();
+  output.usable = rollouts::CheckRows(result.bundle, 2);
   return output;
 }
 

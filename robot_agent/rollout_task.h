@@ -35,7 +35,8 @@ struct RolloutTaskOutput {
   // {"end_reason", "rows", "ended_after_s", "goal_joint_norm", "goal_tip_m", "missed_deadlines",
   // "cycle_p99_us", "lateness_p99_us"}: the task's summary.
   std::string summary_json;
-  bool usable = false;  // false: it ended before there were two rows; the bundle tells why
+  // Not ok: it ended before there were two rows, and this tells why in one line. The recording counts all the same.
+  Status usable;
 };
 
 // `stop`: cancelled by the operator or the coordinator: the arm stops as defined, the recording counts.

@@ -22,6 +22,7 @@ namespace {
 namespace fs = std::filesystem;
 constexpr const char* kActiveSuffix = ".rec";
 constexpr const char* kReadySuffix = ".tar";
+constexpr std::string_view kNotBegun = "not begun";  // in place of the time
 
 // Oldest first; ids of the same age in their order.
 std::vector<std::string> IdsByTime(const fs::path& folder, const std::string& suffix) {
@@ -143,28 +144,36 @@ std::optional<std::string> Spool::FinishedPath(const std::string& id) const {
 }
 
 Status Spool::MarkBegun(const std::string& id, const std::string& now) {
+  return AppendToBegun(id + " " + now).WithPrefix("the rollout does not begin");
+}
+
+Status Spool::MarkNotBegun(const std::string& id) { return AppendToBegun(id + " " + std::string(kNotBegun)); }
+
+Status Spool::AppendToBegun(const std::string& text) const {
   const std::string path = folder_ + "/begun.txt";
   const int file = open(path.c_str(), O_RDWR | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
   if (file < 0) return UnavailableError("cannot open " + path + ": " + std::strerror(errno));
-  // A line that a power cut tore is ended first; its rollout had not begun.
+  // A line that a power cut tore is ended first; nothing was done on the strength of it.
   const off_t size = lseek(file, 0, SEEK_END);
   char last = '\n';
   if (size > 0 && pread(file, &last, 1, size - 1) != 1) last = ' ';
-  const std::string line = (last == '\n' ? "" : "\n") + id + " " + now + "\n";
+  const std::string line = (last == '\n' ? "" : "\n") + text + "\n";
   const bool kept =
       write(file, line.data(), line.size()) == static_cast<ssize_t>(line.size()) && fsync(file) == 0;
   const int error = errno;
   close(file);
   if (kept) return Status::Ok();
-  return ResourceExhaustedError("cannot write " + path +
-                                ", so the rollout does not begin: " + std::strerror(error));
+  return ResourceExhaustedError("cannot write " + path + ": " + std::strerror(error));
 }
 
 std::optional<std::string> Spool::Begun(const std::string& id) const {
   std::ifstream file(folder_ + "/begun.txt");
-  for (std::string line; std::getline(file, line);)
-    if (line.rfind(id + " ", 0) == 0 || line == id) return line;
-  return std::nullopt;
+  std::optional<std::string> begun;
+  for (std::string line; std::getline(file, line);) {
+    if (line == id + " " + std::string(kNotBegun)) begun.reset();
+    else if (line.rfind(id + " ", 0) == 0 || line == id) begun = line;
+  }
+  return begun;
 }
 
 Status Spool::CheckRoom(double megabytes) const {

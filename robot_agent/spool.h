@@ -1,6 +1,7 @@
 // Recordings on this disk, and which rollouts have begun.
 //
-//   <folder>/begun.txt             one line per rollout that began, before its first torque; never forgotten
+//   <folder>/begun.txt             one line per rollout that began, before its first torque; never forgotten. One
+//                                  that then did not begin has a second line
 //   <folder>/active/<id>.rec       being recorded (recorder.h), or left by a crash
 //   <folder>/ready/<id>.tar        finished bundles, waiting to be delivered
 //   <folder>/sent/<id>.tar         delivered ones, the newest few, for a task that asks for its result again
@@ -40,6 +41,9 @@ class Spool {
 
   // At most once: durable when it returns ok, and only then may the rollout begin.
   Status MarkBegun(const std::string& id, const std::string& now);
+  // It was marked, and the process that marked it knows that the arm got no torque of it: it may begin later. Where
+  // this cannot be written it counts as begun.
+  Status MarkNotBegun(const std::string& id);
   // The line of a rollout that has begun, at any time and in any process.
   std::optional<std::string> Begun(const std::string& id) const;
   // Where a finished bundle is, delivered or not.
@@ -66,6 +70,7 @@ class Spool {
   std::vector<std::string> Salvage(const Finisher& finish);
 
  private:
+  Status AppendToBegun(const std::string& text) const;
   static Result<std::unique_ptr<Spool>> OpenWith(const std::string& folder, const char* lock_name,
                                                  double wait_s);
   void PruneSent() const;

@@ -104,7 +104,10 @@ class Driver {
     (void)q;
     return FailedPreconditionError("this driver cannot move to a pose while it is watched");
   }
-  // The same, returns when there (within `tolerance`, per joint) and at rest. kDeadlineExceeded, then the arm
+  // How the last StartMove ended, once a state without `moving` was read after it: what the driver knows of a way
+  // that it gave up. Ok: it knows of nothing.
+  virtual Status MoveEnd() { return Status::Ok(); }
+  // StartMove, returns when there (within `tolerance`, per joint) and at rest. kDeadlineExceeded, then the arm
   // holds where it is. Nobody watches: for trials by hand and tests.
   virtual Status MoveToPose(const double* q, double tolerance, double timeout_s);
 };

@@ -19,7 +19,8 @@ double SecondsSince(int64_t then_ns) {
 }
 
 void SetText(const std::string& text, GuardMessage* reply) {
-  const size_t count = std::min(text.size(), sizeof reply->text - 1);
+  size_t count = std::min(text.size(), sizeof reply->text - 1);
+  while (count < text.size() && count > 0 && (text[count] & 0xC0) == 0x80) --count;  // no half of a character
   std::memcpy(reply->text, text.data(), count);
   reply->text[count] = '\0';
 }
@@ -83,6 +84,10 @@ void Guard::Answer(const GuardMessage& request) {
       break;
     case GuardRequest::kStartMove:
       done = StartMove(request);
+      break;
+    case GuardRequest::kMoveEnd:
+      done = Refused();
+      if (done.ok()) done = driver_.MoveEnd();
       break;
     case GuardRequest::kEnter:
       done = Enter(request);

@@ -128,6 +128,7 @@ Status GuardDriver::SendTorque(const double* tau) {
 }
 
 Status GuardDriver::Hold() { return Ask(GuardRequest::kHold, nullptr, kReplyTimeout); }
+Status GuardDriver::MoveEnd() { return Ask(GuardRequest::kMoveEnd, nullptr, kReplyTimeout); }
 Status GuardDriver::StartMove(const double* q) { return Ask(GuardRequest::kStartMove, q, kReplyTimeout); }
 
 }  // namespace rg::robot_agent

@@ -33,6 +33,7 @@ class GuardDriver final : public Driver {
   Status SendTorque(const double* tau) override;
   Status Hold() override;
   Status StartMove(const double* q) override;
+  Status MoveEnd() override;
 
   // What the guard stopped the arm for; kNone: nothing.
   const Trip& trip() const { return reply_.trip; }

@@ -23,6 +23,7 @@ enum class GuardRequest : uint32_t {
   kTorque = 6,      // values = torque handed, sequence, deadline_ns
   kHold = 7,
   kBye = 8,
+  kMoveEnd = 9,
 };
 
 struct GuardMessage {
@@ -36,7 +37,7 @@ struct GuardMessage {
   StatusCode code = StatusCode::kOk;
   RobotState state;
   Trip trip;  // what the guard stopped the arm for; kNone: nothing so far
-  char text[200] = {};
+  char text[400] = {};
 };
 
 }  // namespace rg::robot_agent

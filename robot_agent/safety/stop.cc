@@ -54,10 +54,44 @@ class SpeedWatch {
   double speed_ = kNoSpeed;
 };
 
-// A driver that lost its arm does not wait: then the machine's clock does.
+// A driver that lost its arm may not wait: then the machine's clock does.
 void Wait(Driver& driver) {
-  if (driver.SleepUntil(driver.NowNanos() + kLook).ok()) return;
+  const int64_t until = driver.NowNanos() + kLook;
+  if (driver.SleepUntil(until).ok() || driver.NowNanos() >= until) return;
   std::this_thread::sleep_for(std::chrono::nanoseconds(kLook));
+}
+
+// By the driver's time, by the machine's clock where that stands still.
+class Patience {
+ public:
+  Patience(Driver& driver, double seconds)
+      : driver_(driver),
+        limit_(Nanos(seconds)),
+        driver_begin_(driver.NowNanos()),
+        machine_begin_(std::chrono::steady_clock::now()) {}
+
+  bool Over() const {
+    const int64_t passed = driver_.NowNanos() - driver_begin_;
+    if (passed > 0) return passed >= limit_;
+    return std::chrono::steady_clock::now() - machine_begin_ >= std::chrono::nanoseconds(limit_);
+  }
+
+ private:
+  Driver& driver_;
+  const int64_t limit_, driver_begin_;
+  const std::chrono::steady_clock::time_point machine_begin_;
+};
+
+// Asks again and again for one attempt's time: an arm that is away for a moment hears it when it is back.
+bool HoldIsTaken(Driver& driver, const StopOptions& options, StopReport* report) {
+  const Patience patience(driver, options.attempt_s);
+  while (true) {
+    const Status held = driver.Hold();
+    if (held.ok()) return true;
+    report->why = held.message();
+    if (patience.Over()) return false;
+    Wait(driver);
+  }
 }
 
 // Looks until the arm was at rest in position mode for long enough; false: not within attempt_s.
@@ -105,13 +139,7 @@ StopReport StopArm(Driver& driver, const StopOptions& options) {
   const int64_t begin = driver.NowNanos();
   while (!report.confirmed && report.attempts < options.attempts) {
     ++report.attempts;
-    const Status held = driver.Hold();
-    if (held.ok()) {
-      report.confirmed = SeenAtRest(driver, options, &report);
-    } else {
-      report.why = held.message();
-      Wait(driver);
-    }
+    report.confirmed = HoldIsTaken(driver, options, &report) && SeenAtRest(driver, options, &report);
   }
   report.took_s = 1e-9 * static_cast<double>(driver.NowNanos() - begin);
   if (report.confirmed) report.why.clear();

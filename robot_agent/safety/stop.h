@@ -2,7 +2,8 @@
 // operator, a cancelled job, a lost driver, a signal, a drain. In torque mode the caller has sent zero added
 // torque before (SafetyMonitor); here the arm goes to position mode, and that is believed only when it can be
 // seen: the call returned, and the differenced speed of every joint stays below at_rest for at_rest_s.
-// Otherwise the call is repeated; what is not confirmed in the end is for the caller to latch (latch.h).
+// Otherwise the call is repeated; what is not confirmed in the end is for the caller to latch (latch.h). An arm
+// that is away (a driver that starts again) is asked until it is back, attempts · attempt_s at the least.
 //
 // Nothing interrupts it. Waits in the driver's time, by the machine's clock where the driver is lost.
 #pragma once
@@ -17,7 +18,7 @@ struct StopOptions {
   double at_rest = 0.02;    // rad/s (m/s)
   double at_rest_s = 0.3;   // without a break
   double baseline_s = 0.1;  // positions so far apart are differenced
-  double attempt_s = 1.5;   // for the arm to come to rest, each attempt
+  double attempt_s = 1.5;   // each attempt: for the arm to take the call, then to come to rest
   int attempts = 3;
 };
 

@@ -51,8 +51,10 @@ class WatchedMove {
     return Status::Ok();
   }
 
-  // An arm that was stopped by somebody else (its base, a guard, a person) does not wait for the time-out.
+  // An arm that gave up by itself or was stopped by somebody else (its base, a guard, a person) does not wait for
+  // the time-out.
   Status CheckNotStalled() {
+    if (!seen_.state.moving) RG_RETURN_IF_ERROR(driver_.MoveEnd());
     const int64_t now = driver_.NowNanos();
     if (seen_.state.moving || last_moved_ns_ == 0) last_moved_ns_ = now;
     if (1e-9 * static_cast<double>(now - last_moved_ns_) < options_.stall_s) return Status::Ok();

@@ -70,11 +70,13 @@ struct Rollouts {
 Result<Rollouts> RolloutsOf(const worker::TaskInput& input) {
   Rollouts out;
   for (const worker::InputArtifact* artifact : input.All(kInputRecording)) {
+    const Status rows = rollouts::CheckRows(artifact->bytes, rollouts::kLeastRows);
+    if (rows.code() == StatusCode::kFailedPrecondition) continue;  // it ended at once
     auto set = rollouts::LoadBundleOfWholeTorques(artifact->bytes);
     if (!set.ok()) return set.status().WithPrefix("recording " + artifact->sha256.substr(0, 12));
-    if (!set->recordings.empty()) out.sets.push_back(std::move(*set));
+    out.sets.push_back(std::move(*set));
   }
-  if (out.sets.empty()) return InvalidError(input.task_name + ": no rollout holds rows");
+  if (out.sets.empty()) return InvalidError(input.task_name + ": no rollout holds enough rows");
   for (const auto& set : out.sets) out.all.push_back(&set.recordings.front());
   return out;
 }

@@ -19,22 +19,24 @@ void HoldOut(recordings::RecordingSet* set) {
   }
 }
 
-constexpr int kLeastRows = 10;
-
 }  // namespace
 
 Result<recordings::RecordingSet> SetToDiagnose(const worker::TaskInput& input, bool rollouts) {
   RG_RETURN_IF_ERROR(input.Require(kInputRecording).status());
   std::vector<recordings::RecordingSet> sets;
+  Status short_ones;  // the newest of them
   for (const worker::InputArtifact* artifact : input.All(kInputRecording)) {
+    const Status rows = rg::rollouts::CheckRows(artifact->bytes, rg::rollouts::kLeastRows);
+    if (rollouts && rows.code() == StatusCode::kFailedPrecondition) {  // it ended at once
+      short_ones = rows;
+      continue;
+    }
     auto set = rg::rollouts::LoadBundle(artifact->bytes);
     if (!set.ok()) return set.status().WithPrefix("recording set " + artifact->sha256.substr(0, 12));
-    // It ended at once.
-    if (rollouts && (set->recordings.empty() || set->recordings.front().rows() < kLeastRows)) continue;
     set->folder = "set" + std::to_string(sets.size() + 1);
     sets.push_back(std::move(*set));
   }
-  if (sets.empty()) return InvalidError("no rollout so far holds " + std::to_string(kLeastRows) + " rows");
+  if (sets.empty()) return short_ones;
   RG_ASSIGN_OR_RETURN(recordings::RecordingSet all, recordings::MergeSets(std::move(sets)));
   if (rollouts) HoldOut(&all);
   return all;

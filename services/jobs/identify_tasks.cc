@@ -23,12 +23,11 @@ using nlohmann::json;
 
 Result<recordings::Recording> RecordingOf(const worker::TaskInput& input) {
   RG_ASSIGN_OR_RETURN(const worker::InputArtifact* artifact, input.Require(kInputRecording));
+  const std::string name = "recording " + artifact->sha256.substr(0, 12);
+  if (const Status rows = rollouts::CheckRows(artifact->bytes, rollouts::kLeastRows); !rows.ok())
+    return rows.WithPrefix(name);
   auto set = rollouts::LoadBundleOfWholeTorques(artifact->bytes);
-  if (!set.ok()) return set.status().WithPrefix("recording " + artifact->sha256.substr(0, 12));
-  if (set->recordings.empty()) {
-    return InvalidError("recording " + artifact->sha256.substr(0, 12) +
-                        " holds no usable rows: the rollout ended at once (see its metadata)");
-  }
+  if (!set.ok()) return set.status().WithPrefix(name);
   return set->recordings.front();
 }
 

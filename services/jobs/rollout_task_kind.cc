@@ -105,6 +105,7 @@ void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::strin
                             robot_agent::RunRolloutTask(config, spool_folder, task, context.progress_fn(),
                                                         context.cancel_token()));
         context.Log(done.summary_json);
+        RG_RETURN_IF_ERROR(done.usable);  // its recording goes to the store from the spool
         worker::TaskOutputs outputs;
         outputs.artifacts.push_back({kOutputRecording, kArtifactRecording, done.bundle, done.metadata_json});
         outputs.summary_json = done.summary_json;

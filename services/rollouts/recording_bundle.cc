@@ -3,6 +3,7 @@
 #include <cstdio>
 #include <cstring>
 #include <filesystem>
+#include <nlohmann/json.hpp>
 
 #include "common/base/file.h"
 #include "common/base/ids.h"
@@ -113,7 +114,27 @@ Status ExtractBundle(std::string_view bytes, const std::string& folder) {
   return Status::Ok();
 }
 
+Status CheckRows(std::string_view bytes, int least) {
+  RG_ASSIGN_OR_RETURN(const Bundle bundle, UnpackBundle(bytes));
+  const auto file = bundle.find("rollout.json");
+  const auto rollout = file == bundle.end() ? nlohmann::json() : nlohmann::json::parse(file->second, nullptr, false);
+  if (!rollout.is_object() || !rollout.contains("rows") || !rollout["rows"].is_number_integer()) return Status::Ok();
+  const int rows = rollout["rows"].get<int>();
+  if (rows >= least) return Status::Ok();
+  const auto text = [&](const char* key) {
+    return rollout.contains(key) && rollout[key].is_string() ? rollout[key].get<std::string>() : "";
+  };
+  char end[120] = "";
+  if (rollout.contains("ended_after_s") && rollout["ended_after_s"].is_number())
+    std::snprintf(end, sizeof end, " after %.3g s", rollout["ended_after_s"].get<double>());
+  const std::string detail = text("detail").empty() ? "" : " (" + text("detail") + ")";
+  return FailedPreconditionError("the rollout ended with " + text("end_reason") + detail + end + " and left " +
+                                 std::to_string(rows) + (rows == 1 ? " row" : " rows") +
+                                 ", nothing can be identified from fewer than " + std::to_string(least));
+}
+
 Result<recordings::RecordingSet> LoadBundle(std::string_view bytes) {
+  RG_RETURN_IF_ERROR(CheckRows(bytes, 2));
   namespace fs = std::filesystem;
   const fs::path folder = fs::temp_directory_path() / ("realitygrad-" + RandomHex(8));
   const Status extracted = ExtractBundle(bytes, folder.string());

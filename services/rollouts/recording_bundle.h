@@ -30,8 +30,13 @@ Result<Bundle> UnpackBundle(std::string_view bytes);
 
 // The files into `folder` (made if needed), ready for recordings::LoadSet.
 Status ExtractBundle(std::string_view bytes, const std::string& folder);
+// kFailedPrecondition where the bundle's rollout left fewer rows than `least`: how it ended, in one line. Ok where
+// the bundle does not say.
+Status CheckRows(std::string_view bytes, int least);
+inline constexpr int kLeastRows = 10;  // what can be identified from
+
 // The set that the bundle holds; unpacks to a folder of its own under the system's temporary folder
-// and removes it.
+// and removes it. A rollout that left no two rows: CheckRows.
 Result<recordings::RecordingSet> LoadBundle(std::string_view bytes);
 
 // The same with efforts that are whole joint torques: where the manifest says that the drive adds its own

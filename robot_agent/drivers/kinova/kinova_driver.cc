@@ -278,6 +278,7 @@ Status KinovaDriver::StartMove(const double* q) {
     const std::lock_guard lock(mutex_);
     if (lost_) return LostError();
     under_way_ = state_.moving = true;
+    move_end_ = Status::Ok();
   }
   JointArray pose{};
   std::copy_n(q, options_.n(), pose.begin());
@@ -286,9 +287,15 @@ Status KinovaDriver::StartMove(const double* q) {
     if (!moved.ok()) spdlog::error("the way to the pose: {}", moved.message());
     const std::lock_guard lock(mutex_);
     if (!moved.ok()) health_.last_error = moved.message();
+    move_end_ = moved;
     under_way_ = false;
   });
   return Status::Ok();
+}
+
+Status KinovaDriver::MoveEnd() {
+  const std::lock_guard lock(mutex_);
+  return move_end_;
 }
 
 Status KinovaDriver::MoveToPose(const double* q, double tolerance, double timeout_s) {

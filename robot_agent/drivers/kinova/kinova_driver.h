@@ -58,6 +58,7 @@ class KinovaDriver final : public Driver {
   Status SendTorque(const double* tau) override;
   Status Hold() override;
   Status StartMove(const double* q) override;
+  Status MoveEnd() override;
   Status MoveToPose(const double* q, double tolerance, double timeout_s) override;
 
   // Zero pose, sensors, test torques; a move calls it once per connection. `timeout_s` is for the way to
@@ -132,6 +133,7 @@ class KinovaDriver final : public Driver {
   MotionWatch motion_watch_;
   bool streaming_ = false, mode_lost_ = false, moving_ = false, watch_motion_ = false;
   bool under_way_ = false;  // a move's thread runs
+  Status move_end_;
   bool position_mode_owed_ = false;
   JointArray command_{};
   int64_t commanded_ns_ = 0;

@@ -238,10 +238,11 @@ void CheckOutcome(const Scenario& scenario, const Seen& first, Verdict* v) {
   const auto is = [&](std::initializer_list<const char*> reasons) {
     return std::any_of(reasons.begin(), reasons.end(), [&](const char* r) { return v->reason == r; });
   };
+  // The spring that stands for a policy is too fast for some goals: then the fence was first.
+  if (first.begins > 0 && is({"velocity_limit"})) return;
   switch (scenario.fault) {
     case Trouble::kNone:
-      // The spring that stands for a policy is too fast for some goals.
-      expect(is({"completed", "velocity_limit"}), "a rollout without a fault completes");
+      expect(is({"completed"}), "a rollout without a fault completes");
       break;
     case Trouble::kWrongSign:
     case Trouble::kDeadJoint:

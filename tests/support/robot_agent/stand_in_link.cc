@@ -37,9 +37,10 @@ class StandInLink final : public kinova::ArmLink {
 
   void PublishTorque(const JointArray& tau) override {
     if (away_) return;
-    const std::lock_guard lock(queue_);
     pending_ = tau;
     has_pending_ = true;
+    // Where the node is busy it takes the newest one afterwards.
+    if (const std::unique_lock idle(node_, std::try_to_lock); idle.owns_lock()) TakeTorque();
   }
 
   Status Call(ArmService service, double timeout_s) override {
@@ -52,6 +53,7 @@ class StandInLink final : public kinova::ArmLink {
     Spend(1);
     if (time_.NowNanos() > give_up) return UnavailableError("service did not answer");
     Do(service);
+    TakeTorque();
     return Status::Ok();
   }
 
@@ -112,14 +114,9 @@ class StandInLink final : public kinova::ArmLink {
   void Serve() {
     int64_t next = time_.NowNanos();
     while (!ended_) {
-      // In short steps, as its queue of callbacks is looked at.
-      const int64_t due = next + Nanos(arm_.random.Uniform(0.0, arm_.config.jitter_s));
-      while (!ended_ && time_.NowNanos() < due) {
-        time_.SleepUntil(std::min(due, time_.NowNanos() + 2'000'000));
-        TakeTorque();
-      }
+      time_.SleepUntil(next + Nanos(arm_.random.Uniform(0.0, arm_.config.jitter_s)));
+      if (ended_) return;
       Tick();
-      TakeTorque();
       if (Now().in_torque_mode()) arm_.torque_mode_s += arm_.interval_s;
       if (arm_.fall_back_wanted.exchange(false)) Now().Stop();
       if (OutageIsDue()) BeAway();
@@ -146,6 +143,7 @@ class StandInLink final : public kinova::ArmLink {
     report.received_ns = time_.NowNanos();
     if (arm_.random.Uniform() >= arm_.faults.lost_states) listener_(report);
     Spend(kCalls - 4);
+    TakeTorque();
   }
 
   std::vector<Degrees> Positions() {
@@ -156,12 +154,8 @@ class StandInLink final : public kinova::ArmLink {
   }
 
   void TakeTorque() {
-    JointArray tau;
-    {
-      const std::lock_guard lock(queue_);
-      if (!std::exchange(has_pending_, false)) return;
-      tau = pending_;
-    }
+    if (!std::exchange(has_pending_, false)) return;
+    const JointArray tau = pending_;
     if (first_torque_ns_ < 0) first_torque_ns_ = time_.NowNanos();
     if (time_.NowNanos() - first_torque_ns_ < Nanos(arm_.config.lost_at_start_s)) return;
     const std::vector<double> sent(tau.begin(), tau.begin() + arm_.base->joints());
@@ -192,7 +186,7 @@ class StandInLink final : public kinova::ArmLink {
   DriverTime& time_;
   Listener listener_;
   std::thread node_thread_;
-  std::mutex node_, queue_;
+  std::mutex node_;  // busy with a call; all else: one thread of this time runs at a time
   std::atomic<bool> ended_{false}, away_{false}, cancelled_{false};
   JointArray pending_{};
   bool has_pending_ = false;

@@ -42,7 +42,7 @@ class VirtualTime final : public DriverTime {
             const std::function<bool()>& done) override {
     while (!done() && NowNanos() < deadline_ns) {
       lock.unlock();
-      SleepUntil(std::min(deadline_ns, NowNanos() + kLook));
+      SleepUntil(std::min(deadline_ns, WhenSomebodyActs()));
       lock.lock();
     }
     return done();
@@ -51,7 +51,7 @@ class VirtualTime final : public DriverTime {
   std::unique_lock<std::mutex> Lock(std::mutex& mutex) override {
     std::unique_lock lock(mutex, std::try_to_lock);
     while (!lock.owns_lock()) {
-      SleepUntil(NowNanos() + kLook);
+      SleepUntil(WhenSomebodyActs());
       (void)lock.try_lock();
     }
     return lock;
@@ -89,11 +89,20 @@ class VirtualTime final : public DriverTime {
       const std::lock_guard lock(mutex_);
       return *ended;
     };
-    while (!has_ended()) SleepUntil(NowNanos() + kLook);
+    while (!has_ended()) SleepUntil(WhenSomebodyActs());
     thread.join();
   }
 
  private:
+  // Nothing changes before somebody else wakes. At the least a look's time, so that two that wait for the same do not
+  // wait for each other.
+  int64_t WhenSomebodyActs() const {
+    const std::lock_guard lock(mutex_);
+    int64_t next = INT64_MAX;
+    for (const Sleeper* sleeper : sleepers_) next = std::min(next, sleeper->wake_ns);
+    return std::max(next == INT64_MAX ? now_ : next, now_ + kLook);
+  }
+
   static constexpr int64_t kLook = 1'000'000;
   struct Sleeper {
     int64_t wake_ns = 0;

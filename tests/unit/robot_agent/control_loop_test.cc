@@ -113,10 +113,11 @@ TEST_F(ControlLoop, StateThatStopsComingEndsTheRollout) {
 }
 
 TEST_F(ControlLoop, LostDriverEndsTheRolloutAndHoldIsStillTried) {
+  options_.stop.attempt_s = 0.05;
   driver_.script = [](FakeDriver& d) { d.lost = d.tick == 20; };
   const Outcome outcome = Run(2.0, Constant);
   EXPECT_EQ(outcome.result.trip.reason, EndReason::kDriverLost);
-  EXPECT_EQ(driver_.holds, 3);
+  EXPECT_GE(driver_.holds, 3);
   EXPECT_FALSE(outcome.result.stop.confirmed);
   EXPECT_EQ(outcome.result.stop.attempts, 3);
   EXPECT_GE(outcome.recording.samples.size(), 19u);

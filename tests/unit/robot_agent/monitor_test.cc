@@ -76,6 +76,14 @@ TEST_F(Monitor, EveryBoxTripsWithJointValueAndLimit) {
   trip = TripOf([&](Observation& o) { o.tip = out; });
   EXPECT_EQ(trip.reason, EndReason::kTaskSpaceLimit);
   EXPECT_EQ(trip.joint, 2);
+  for (int axis = 0; axis < 3; ++axis) {
+    double below[3] = {0, 0, 0};
+    below[axis] = limits_.task.lower[axis] - 0.01;
+    trip = TripOf([&](Observation& o) { o.tip = below; });
+    EXPECT_EQ(trip.reason, EndReason::kTaskSpaceLimit);
+    EXPECT_EQ(trip.joint, axis);
+    EXPECT_EQ(trip.limit, limits_.task.lower[axis]);
+  }
 }
 
 TEST_F(Monitor, PartsThatOverlapTripAndWhereTheyAreIsNotANumberToo) {

@@ -29,6 +29,7 @@ struct Rig {
     config.simulated.lock_step = lock_step;
     config.simulated.allow_faults = true;
     config.simulated.reply_timeout_s = 0.5;
+    config.stop.attempt_s = 0.6;  // for an arm that is gone for good
     spec.id = "rollout-1";
     spec.duration_s = 2.0;
     spec.goal_seed = 4;

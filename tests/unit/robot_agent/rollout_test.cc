@@ -301,7 +301,7 @@ TEST(RolloutTask, TakesTheBytesOfModelAndPolicyAndGivesTheBundleWithItsFigures) 
   std::vector<std::string> notes;
   const auto listen = [&](const ProgressUpdate& update) { notes.push_back(update.note); };
   const RolloutTaskOutput output = RunRolloutTask(rig.config, rig.folder, input, listen, rig.stop).value();
-  EXPECT_TRUE(output.usable);
+  EXPECT_TRUE(output.usable.ok());
   const auto summary = nlohmann::json::parse(output.summary_json);
   EXPECT_EQ(summary["end_reason"], "completed") << output.summary_json;
   EXPECT_EQ(summary["rows"], 51);
@@ -426,7 +426,7 @@ TEST(RolloutTask, ThePapersControllerRunsLiveOnTheBelievedModel) {
   input.spec.duration_s = 1.0;
   const RolloutTaskOutput output = RunRolloutTask(rig.config, rig.folder, input, {}, rig.stop).value();
   EXPECT_EQ(nlohmann::json::parse(output.metadata_json)["controller"], "mpc");
-  EXPECT_TRUE(output.usable);
+  EXPECT_TRUE(output.usable.ok());
 }
 
 // joint_5 swings by `width` rad and comes back, in 3 s, from the candle pose.

@@ -115,6 +115,18 @@ TEST_F(SpoolFolder, WhatHasBegunIsRememberedForGoodAlsoAfterATornLine) {
   EXPECT_EQ(spool->Begun("three").value(), "three 2026-01-02");
 }
 
+TEST_F(SpoolFolder, WhatWasMarkedAndDidNotBeginMayBeginLater) {
+  auto spool = Spool::Open(folder_).value();
+  ASSERT_TRUE(spool->MarkBegun("one", "2026-01-01").ok());
+  ASSERT_TRUE(spool->MarkBegun("one-more", "2026-01-01").ok());
+  ASSERT_TRUE(spool->MarkNotBegun("one").ok());
+  EXPECT_FALSE(spool->Begun("one").has_value());
+  EXPECT_TRUE(spool->Begun("one-more").has_value());
+  ASSERT_TRUE(spool->MarkBegun("one", "2026-01-02").ok());
+  spool = nullptr;
+  EXPECT_EQ(Spool::Open(folder_).value()->Begun("one").value(), "one 2026-01-02");
+}
+
 TEST_F(SpoolFolder, ADiskWithoutRoomIsSaidSo) {
   auto spool = Spool::Open(folder_).value();
   EXPECT_TRUE(spool->CheckRoom(0.0).ok());

@@ -8,6 +8,7 @@
 
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <sstream>
 
 #include "common/base/clock.h"
 #include "common/base/file.h"
@@ -224,11 +225,13 @@ TEST(AgentCommands, TheStatusShowsJointsAgainstTheirLimitsAndWhatToDo) {
                        {"spool", {{"folder", "/tmp/s"}, {"recording", 0}, {"waiting", 2}, {"broken", 0}}}};
   const std::string text = StatusText(status.dump());
   EXPECT_THAT(text, HasSubstr("mico2 (kinova): armed, rollout, torque mode"));
-  EXPECT_THAT(text, HasSubstr("[..........#..........]"));
-  EXPECT_THAT(text, HasSubstr("[....................!]"));
+  EXPECT_THAT(text, HasSubstr("joint_1     [......#......]   0.0000  [#.......]   0.100  [#.......]    2.00\n"));
+  EXPECT_THAT(text, HasSubstr("[............!]"));
   EXPECT_THAT(text, HasSubstr("LATCHED since noon"));
   EXPECT_THAT(text, HasSubstr("last end: velocity_limit (joint_1: fast)"));
   EXPECT_THAT(text, HasSubstr("2 waiting"));
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line);) EXPECT_LE(line.size(), 80u) << line;
 }
 
 // Whoever does one of these stands beside the arm and may have touched it: its preparation is done again.

@@ -25,6 +25,24 @@ TEST(RecordingBundle, AnyTarCanOpenIt) {
   std::filesystem::remove_all(folder);
 }
 
+TEST(RecordingBundle, ARolloutThatEndedTooEarlySaysHowInOneLine) {
+  const auto of = [](const std::string& rollout) { return PackBundle({{"rollout.json", rollout}, {"manifest.json", "{}"}}); };
+  const std::string early = of(R"({"rows": 0, "end_reason": "stale_state", "detail": "newest state is 0.774 s old",
+                                   "ended_after_s": 0.04})");
+  const Status refused = CheckRows(early, 2);
+  EXPECT_EQ(refused.code(), StatusCode::kFailedPrecondition);
+  EXPECT_EQ(refused.message(),
+            "the rollout ended with stale_state (newest state is 0.774 s old) after 0.04 s and left 0 rows, nothing "
+            "can be identified from fewer than 2");
+  EXPECT_EQ(LoadBundle(early).status().message(), refused.message());
+  EXPECT_EQ(LoadBundleOfWholeTorques(early).status().message(), refused.message());
+  EXPECT_TRUE(CheckRows(of(R"({"rows": 10, "end_reason": "completed"})"), kLeastRows).ok());
+  EXPECT_EQ(CheckRows(of(R"({"rows": 9, "end_reason": "operator_stop"})"), kLeastRows).message(),
+            "the rollout ended with operator_stop and left 9 rows, nothing can be identified from fewer than 10");
+  EXPECT_TRUE(CheckRows(of("{}"), kLeastRows).ok()) << "no rollout";
+  EXPECT_EQ(CheckRows("torn", 2).code(), StatusCode::kDataLoss);
+}
+
 TEST(RecordingBundle, EveryTruncationIsRefused) {
   const std::string bytes = PackBundle(kBundle);
   for (size_t cut = 0; cut + 1024 < bytes.size(); cut += 37)

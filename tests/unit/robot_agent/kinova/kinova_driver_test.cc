@@ -90,8 +90,11 @@ TEST_F(SimulatedSession, GoesThroughTheWholeSequenceWithEveryQuirk) {
   const Status entered = driver->EnterTorqueMode(kZero);
   ASSERT_TRUE(entered.ok()) << entered.ToString();
   ASSERT_TRUE(driver->ReadState(&state).ok());
-  const double before = state.q[5];
+  const double before = state.q[5], began = Now();
+  const int torques = arm_->torques;
   Drive(*driver, 5, 1.5, 5.0, [&](const RobotState& s) { return s.q[5] > before + 0.3; });
+  // A command every 40 ms is sent at 100 Hz, and reaches an arm that listens for a third of the time twice.
+  EXPECT_GT((arm_->torques - torques) / (Now() - began), 40.0);
   ASSERT_TRUE(driver->ReadState(&state).ok());
   EXPECT_GT(state.q[5], before + 0.3);
   EXPECT_EQ(state.mode, Mode::kTorque);
