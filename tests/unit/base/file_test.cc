@@ -38,7 +38,7 @@ TEST(File, WhatNeverEndsOrIsNoFileIsRefused) {
   const std::string folder = TempFolder();
   ASSERT_EQ(::mkfifo((folder + "/pipe").c_str(), 0600), 0);
   std::filesystem::create_symlink("loop", folder + "/loop");
-  for (const std::string path : {folder + "/pipe", std::string("/dev/zero"), folder, folder + "/loop"}) {
+  for (const std::string& path : {folder + "/pipe", std::string("/dev/zero"), folder, folder + "/loop"}) {
     const Status status = ReadFile(path).status();
     EXPECT_FALSE(status.ok()) << path;
     EXPECT_NE(status.message().find(path), std::string::npos) << status.message();

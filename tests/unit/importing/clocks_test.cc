@@ -20,7 +20,7 @@ using ::testing::AllOf;
 using ::testing::Contains;
 using ::testing::HasSubstr;
 
-constexpr const char* kUrdf = R"(<robot name="one"><link name="base"/>
+constexpr const char* kOneJoint = R"(<robot name="one"><link name="base"/>
 <link name="rod"><inertial><origin xyz="0 0 0.1"/><mass value="1"/>
 <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
 <joint name="pivot" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint></robot>)";
@@ -67,7 +67,7 @@ std::vector<test::LoggedMessage> Messages() {
 TEST(Clocks, TopicsOfThreeClocksComeToTheTimeBaseOfThePositions) {
   const fs::path folder = fs::temp_directory_path() / ("rg_clocks_" + RandomHex(6));
   fs::create_directories(folder);
-  ASSERT_TRUE(WriteFileAtomically((folder / "arm.urdf").string(), kUrdf).ok());
+  ASSERT_TRUE(WriteFileAtomically((folder / "arm.urdf").string(), kOneJoint).ok());
   ASSERT_TRUE(WriteFileAtomically((folder / "map.json").string(), kMap).ok());
   ASSERT_TRUE(WriteFileAtomically((folder / "log.mcap").string(), test::McapBytes(Messages())).ok());
   ImportOptions options;
