@@ -33,10 +33,24 @@ Status WriteAll(int fd, std::string_view bytes, const std::string& path) {
   return ::fsync(fd) == 0 ? Status::Ok() : ErrnoError(path, "cannot sync");
 }
 
+// Devices and pipes that nobody writes into never end; what a shell hands over as /dev/fd/N does.
+Status CheckReadable(const std::string& path) {
+  std::error_code error;
+  const auto type = std::filesystem::status(path, error).type();
+  using std::filesystem::file_type;
+  if (type == file_type::directory) return InvalidError(path + ": is a folder, not a file");
+  const bool handed_over =
+      path.starts_with("/dev/fd/") || path.starts_with("/proc/self/fd/") || path == "/dev/stdin";
+  const bool endless = type == file_type::character || type == file_type::block ||
+                       type == file_type::socket || (type == file_type::fifo && !handed_over);
+  if (endless) return InvalidError(path + ": is a device or a pipe, not a file");
+  return Status::Ok();
+}
+
 }  // namespace
 
 Result<std::string> ReadFile(const std::string& path) {
-  if (std::filesystem::is_directory(path)) return InvalidError(path + ": is a folder, not a file");
+  RG_RETURN_IF_ERROR(CheckReadable(path));
   std::ifstream in(path, std::ios::binary);
   if (!in) return NotFoundError(path + ": cannot open: " + std::strerror(errno));
   std::ostringstream bytes;

@@ -23,6 +23,8 @@ Eigen::Matrix3d FromRpy(const Eigen::Vector3d& rpy) {
       .toRotationMatrix();
 }
 
+constexpr double kMostMass = 1e6, kMostLength = 1e7, kMostInertia = 1e9;  // kg, m, kg m^2
+
 class DocumentReader {
  public:
   explicit DocumentReader(const std::string& source_name) : source_(source_name) {}
@@ -110,6 +112,14 @@ class DocumentReader {
                  Tag(element, attribute) + ": " + Quoted(element.Attribute(attribute)) + " is negative");
   }
 
+  // What would overflow in the dynamics, and is no robot.
+  Status NotBeyond(const TiXmlElement& element, const char* attribute, const std::string& label, double value,
+                   double most) const {
+    if (std::abs(value) <= most) return Status::Ok();
+    return Error(label, Tag(element, attribute) + ": " + Quoted(element.Attribute(attribute)) +
+                            " is beyond any robot (SI units: kg, m, kg m^2)");
+  }
+
   Status ReadQuaternion(const TiXmlElement& origin, const std::string& label, Eigen::Matrix3d* rotation) {
     if (origin.Attribute("rpy") != nullptr) {
       return Error(label, "<origin> has both rpy and quat_xyzw");
@@ -134,6 +144,8 @@ class DocumentReader {
     if (origin == nullptr) return Status::Ok();
     Eigen::Vector3d rpy = Eigen::Vector3d::Zero();
     RG_RETURN_IF_ERROR(Numbers(*origin, "xyz", label, {pose->translation.data(), 3}));
+    RG_RETURN_IF_ERROR(
+        NotBeyond(*origin, "xyz", label, pose->translation.cwiseAbs().maxCoeff(), kMostLength));
     RG_RETURN_IF_ERROR(Numbers(*origin, "rpy", label, {rpy.data(), 3}));
     pose->rotation = FromRpy(rpy);
     if (rpy.cwiseAbs().maxCoeff() > 2.0 * M_PI + 0.01) {
@@ -147,7 +159,8 @@ class DocumentReader {
   Status ReadMass(const TiXmlElement& mass, const std::string& label, double* value) const {
     RG_RETURN_IF_ERROR(Required(mass, "value", label));
     RG_RETURN_IF_ERROR(Number(mass, "value", label, value));
-    return NotNegative(mass, "value", label, *value);
+    RG_RETURN_IF_ERROR(NotNegative(mass, "value", label, *value));
+    return NotBeyond(mass, "value", label, *value, kMostMass);
   }
 
   Status ReadInertia(const TiXmlElement& inertia, const std::string& label, Eigen::Matrix3d* I) const {
@@ -156,6 +169,7 @@ class DocumentReader {
       RG_RETURN_IF_ERROR(Required(inertia, entry, label));
       RG_RETURN_IF_ERROR(Number(inertia, entry, label, &(*I)(row, column)));
       if (row == column) RG_RETURN_IF_ERROR(NotNegative(inertia, entry, label, (*I)(row, row)));
+      RG_RETURN_IF_ERROR(NotBeyond(inertia, entry, label, (*I)(row, column), kMostInertia));
       (*I)(column, row) = (*I)(row, column);
     }
     return Status::Ok();
@@ -192,7 +206,8 @@ class DocumentReader {
     static const std::map<std::string, JointType> kMoving = {{"revolute", JointType::kRevolute},
                                                              {"continuous", JointType::kContinuous},
                                                              {"prismatic", JointType::kPrismatic}};
-    const std::string type = element.Attribute("type") == nullptr ? "" : element.Attribute("type");
+    RG_RETURN_IF_ERROR(Required(element, "type", label));
+    const std::string type = element.Attribute("type");
     const auto moving = kMoving.find(type);
     joint->is_fixed = type == "fixed";
     if (moving != kMoving.end()) joint->type = moving->second;

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "common/base/file.h"
+#include "common/base/number_text.h"
 #include "common/model/joint_inertia.h"
 #include "common/model/joint_motion.h"
 #include "common/model/urdf_comparison.h"
@@ -41,6 +42,10 @@ LinkParameters ToParameters(const UrdfInertial& inertial) {
       about_com(0, 1), about_com(0, 2), about_com(1, 2);
   return out;
 }
+
+constexpr double kManyTurns = 30.0,
+                 kNoLimit = 1e4;   // rad; beyond the second, a URDF says that there is no limit
+constexpr double kHeavy = 2000.0;  // kg
 
 class Loader {
  public:
@@ -210,6 +215,11 @@ class Loader {
       const std::string label = source_ + ": joint " + Quoted(joint.name) + ": ";
       if (joint.effort == 0.0) parts_.warnings.push_back(label + "the effort limit is 0");
       if (joint.velocity == 0.0) parts_.warnings.push_back(label + "the velocity limit is 0");
+      const double furthest = std::max(std::abs(joint.lower), std::abs(joint.upper));
+      if (joint.type == JointType::kRevolute && furthest > kManyTurns && furthest < kNoLimit) {
+        parts_.warnings.push_back(label + "limits " + NumberToText(joint.lower) + " to " +
+                                  NumberToText(joint.upper) + " are many turns: URDF wants radians");
+      }
       if (joint.lower == joint.upper) parts_.warnings.push_back(label + "lower and upper limit are equal");
     }
     for (const int k : parts_.joints_without_inertia) WarnOfMissingInertia(k);
@@ -225,6 +235,10 @@ class Loader {
       parts_.warnings.push_back(label + "the inertia has a negative principal moment");
     } else if (moments[0] + moments[1] < moments[2] - tolerance) {
       parts_.warnings.push_back(label + "the inertia breaks the triangle inequality (no body has it)");
+    }
+    if (link.parameters[0] > kHeavy) {
+      parts_.warnings.push_back(label + "a mass of " + NumberToText(link.parameters[0]) +
+                                " kg: URDF wants kg");
     }
     if (link.parameters[0] == 0.0 && moments.cwiseAbs().maxCoeff() > 0.0) {
       parts_.warnings.push_back(label + "has inertia but no mass");

@@ -41,6 +41,11 @@ std::string NotXml(std::string_view xml) {
   if (StartsWithNoCase(start, "<!doctype html") || StartsWithNoCase(start, "<html")) {
     return "is an HTML page, not a URDF: download the raw file";
   }
+  if (xml.starts_with("\x1F\x8B")) return "is compressed: gunzip it first";
+  if (xml.find("<!ENTITY") != std::string_view::npos) {
+    return "declares entities (<!ENTITY>), which are not expanded here; expand them: xmllint --noent FILE > "
+           "NEW";
+  }
   if (const size_t nul = xml.find('\0'); nul != std::string_view::npos) {
     return "is a binary file, not a URDF (byte " + std::to_string(nul + 1) + " is 0)";
   }
@@ -103,16 +108,26 @@ std::string XacroCommand(const std::string& source) {
   return "xacro " + source + " > " + plain + (is_new ? ".urdf" : "_expanded.urdf");
 }
 
+// Where "$(arg x)" is other programs' own.
+bool IsOthers(const std::string& tag) {
+  for (const char* name : {"visual", "collision", "gazebo", "transmission", "ros2_control", "sensor"}) {
+    if (tag == name) return true;
+  }
+  return false;
+}
+
 // The first place that only xacro can read, "row 7: <xacro:macro>"; empty: there is none.
-std::string XacroPlace(const TiXmlElement& element) {
+std::string XacroPlace(const TiXmlElement& element, bool others = false) {
   const std::string row = "row " + std::to_string(element.Row()) + ": ";
   if (element.ValueStr().starts_with("xacro:")) return row + "<" + element.ValueStr() + ">";
+  others = others || IsOthers(element.ValueStr());
   for (const TiXmlAttribute* a = element.FirstAttribute(); a != nullptr; a = a->Next()) {
-    if (a->ValueStr().find("${") == std::string::npos) continue;
-    return row + "<" + element.ValueStr() + " " + a->NameTStr() + "> is " + Quoted(a->ValueStr());
+    const std::string& value = a->ValueStr();
+    if (value.find("${") == std::string::npos && (others || value.find("$(") == std::string::npos)) continue;
+    return row + "<" + element.ValueStr() + " " + a->NameTStr() + "> is " + Quoted(value);
   }
   for (const TiXmlElement* e = element.FirstChildElement(); e != nullptr; e = e->NextSiblingElement()) {
-    if (std::string place = XacroPlace(*e); !place.empty()) return place;
+    if (std::string place = XacroPlace(*e, others); !place.empty()) return place;
   }
   return "";
 }

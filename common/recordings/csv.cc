@@ -8,7 +8,9 @@
 #include "common/base/file.h"
 #include "common/base/number_text.h"
 #include "common/recordings/angles.h"
+#include "common/recordings/csv_advice.h"
 #include "common/recordings/csv_text.h"
+#include "common/recordings/odd_values.h"
 #include "common/recordings/prescribed.h"
 #include "common/recordings/time_stamps.h"
 #include "common/recordings/velocity_column.h"
@@ -17,6 +19,7 @@ namespace rg::recordings {
 namespace {
 
 constexpr int kTooFewRowsToJudgeDigits = 20;
+constexpr int kLookedAhead = 20, kFewRepeats = 3;  // rows
 constexpr const char* kTakeRowOut = "; take the row out, rows may be missing";
 constexpr const char* kHowToPrescribe = " (\"prescribed\" in the manifest: it moves as measured)";
 
@@ -26,6 +29,11 @@ std::string Shown(std::string_view field) {
   for (const char c : field.substr(0, 40)) shown += (c >= ' ' && c <= '~') ? c : '?';
   if (field.size() > 40) shown += "...";
   return shown + "'";
+}
+
+bool IsNumber(std::string_view field) {
+  double value = 0.0;
+  return ParseNumber(field, &value) == NumberText::kOk;
 }
 
 enum class Kind { kTime, kPosition, kVelocity, kEffortCommand, kEffortMeasured, kOther };
@@ -44,9 +52,11 @@ struct Column {
   std::string joint;      // of the known kinds
   double* out = nullptr;  // where row 0 goes; null: ignored
   Eigen::Index stride = 1;
+  bool is_nameless = false;                   // not read
   bool is_text = false;                       // an other column that holds something else than numbers
   Eigen::Index blanks = 0, first_blank = -1;  // fields that are empty or NaN
   bool first_blank_is_nan = false;
+  std::string first_blank_field;
 };
 
 Kind KindOf(std::string_view prefix) {
@@ -109,8 +119,11 @@ class CsvParser {
       if (!lines_->Next(&names)) return lines_->status().ok() ? Error("the file is empty") : Unclosed();
     } while (names.empty());
     header_line_ = lines_->line();
-    if (lines_->header_was_comment()) Note("the header begins with '#', which was taken off");
-    if (names.size() > 1 && names.back().empty()) names.pop_back();  // a separator at the line's end
+    if (lines_->header_was_comment()) Note("the header begins as a comment, whose mark was taken off");
+    while (names.size() > 1 && names.back().empty()) names.pop_back();  // separators at the line's end
+    if (std::all_of(names.begin(), names.end(), IsNumber))
+      return Error("row 0 (line " + std::to_string(header_line_) +
+                   "): the first line holds numbers, the header is missing");
     std::set<std::string> seen;
     for (const std::string_view name : names) RG_RETURN_IF_ERROR(AddColumn(name, &seen));
     if (!seen.count("time")) return NoTime();
@@ -122,18 +135,14 @@ class CsvParser {
   std::string HeaderName() const { return "header (line " + std::to_string(header_line_) + ")"; }
 
   Status NoTime() const {
-    for (const Column& column : columns_) {
-      std::string lower = column.name;
-      std::transform(lower.begin(), lower.end(), lower.begin(),
-                     [](unsigned char c) { return std::tolower(c); });
-      for (const char* like : {"time", "t", "timestamp", "stamp", "__time", "time_s", "time [s]", "t_s"}) {
-        if (lower != like) continue;
-        return Error("row 0 (line " + std::to_string(header_line_) + "): the header has no column time; " +
-                     Shown(column.name) +
-                     " looks like it: name it time, or `realitygrad import` with a mapping");
-      }
-    }
-    return Error("row 0 (line " + std::to_string(header_line_) + "): the header has no column time");
+    return Error("row 0 (line " + std::to_string(header_line_) + "): the header has no column time" +
+                 NoTimeAdvice(Names()));
+  }
+
+  std::vector<std::string> Names() const {
+    std::vector<std::string> names;
+    for (const Column& column : columns_) names.push_back(column.name);
+    return names;
   }
 
   // Fields by semicolons or tabs with decimal commas are read only where somebody says so.
@@ -168,7 +177,11 @@ class CsvParser {
 
   Status AddColumn(std::string_view name, std::set<std::string>* seen) {
     const std::string place = HeaderName() + ", column " + std::to_string(columns_.size() + 1);
-    if (name.empty()) return Error(place + ": has no name; name it, whatever it holds");
+    if (name.empty()) {  // as the index that pandas writes
+      columns_.emplace_back().is_nameless = true;
+      Note("column " + std::to_string(columns_.size()) + " has no name: left alone");
+      return Status::Ok();
+    }
     if (std::any_of(name.begin(), name.end(), [](unsigned char c) { return c < ' ' || c == 0x7F; }))
       return Error(place + ": the name " + Shown(name) + " holds line ends or other control characters");
     Column column;
@@ -185,17 +198,16 @@ class CsvParser {
       column.joint = std::string(name.substr(dot + 1));
       if (!options_.robot.empty() && !RobotHas(column.joint)) {
         return Error(place + ": " + column.name + ": the robot has no joint " + Shown(column.joint) +
-                     "; it has " + JointNames());
+                     UnknownJointAdvice(column.joint, JointNames()));
       }
     }
     columns_.push_back(std::move(column));
     return Status::Ok();
   }
 
-  std::string JointNames() const {
-    std::string names;
-    for (size_t i = 0; i < options_.robot.size() && i < 16; ++i)
-      names += (i == 0 ? "" : ", ") + options_.robot[i].name;
+  std::vector<std::string> JointNames() const {
+    std::vector<std::string> names;
+    for (const JointInfo& info : options_.robot) names.push_back(info.name);
     return names;
   }
 
@@ -221,8 +233,10 @@ class CsvParser {
     if (joints_.empty()) return Error(HeaderName() + ": no column position.<joint>");
     for (const std::string& joint : joints_) {
       if (!Find(Kind::kPosition, joint)) {
-        return Error(HeaderName() + ": column position." + joint +
-                     " is missing; leave the joint out of the manifest's joints if it was not recorded");
+        return Error(
+            HeaderName() + ": column position." + joint + " is missing" +
+            MissingColumnAdvice(Names(), joint, {"pos", "q", "angle", "actual"}, "position." + joint,
+                                "; leave the joint out of the manifest's joints if it was not recorded"));
       }
     }
     return Status::Ok();
@@ -266,9 +280,11 @@ class CsvParser {
                  "effort_command.<joint> or effort_measured.<joint>";
       }
     }
-    return ": no effort: neither effort_command.<joint> nor effort_measured.<joint>; without one nothing can "
-           "be told "
-           "of forces";
+    const std::string advice =
+        MissingColumnAdvice(Names(), joints_[0], {"effort", "torque", "tau", "force", "u", "cmd"},
+                            "effort_command." + joints_[0] + " or effort_measured." + joints_[0], "");
+    return ": no effort: neither effort_command.<joint> nor effort_measured.<joint>" +
+           (advice.empty() ? "; without one nothing can be told of forces" : advice);
   }
 
   void ChoosePrescribed() {
@@ -289,9 +305,10 @@ class CsvParser {
   }
 
   void Allocate() {
-    const auto lines =
-        std::max(std::count(text_.begin(), text_.end(), '\n'), std::count(text_.begin(), text_.end(), '\r')) +
-        1;
+    // A row has a separator less than columns: lines that are none take no memory.
+    const auto ends =
+        std::count_if(text_.begin(), text_.end(), [](char c) { return c == '\n' || c == '\r'; }) + 1;
+    const auto lines = std::min<long>(ends, static_cast<long>(text_.size() / columns_.size()) + 2);
     const auto n = static_cast<Eigen::Index>(joints_.size());
     Recording& r = recording_;
     r.t.resize(lines);
@@ -316,7 +333,7 @@ class CsvParser {
     point(Kind::kEffortMeasured, r.effort_measured);
     for (Column& column : columns_) {
       if (column.kind == Kind::kTime) column.out = r.t.data();
-      if (column.kind != Kind::kOther) continue;
+      if (column.kind != Kind::kOther || column.is_nameless) continue;
       Eigen::VectorXd& values = r.other[column.name];
       values.resize(lines);
       column.out = values.data();
@@ -341,8 +358,9 @@ class CsvParser {
   }
 
   Status ReadRow(std::vector<std::string_view>& fields) {
-    // A separator at the line's end is no field.
-    if (fields.size() == columns_.size() + 1 && fields.back().empty()) fields.pop_back();
+    // Separators at the line's end are no fields.
+    while (fields.size() > columns_.size() && fields.back().empty()) fields.pop_back();
+    RG_RETURN_IF_ERROR(CheckIsNoHeader(fields));
     const size_t count = std::min(fields.size(), columns_.size());
     for (size_t i = 0; i < count; ++i) RG_RETURN_IF_ERROR(ReadField(columns_[i], fields[i]));
     if (fields.size() != columns_.size()) return WrongFieldCount(fields.size());
@@ -354,6 +372,19 @@ class CsvParser {
       fewest_digits_ = std::min(fewest_digits_, digits);
     }
     return Status::Ok();
+  }
+
+  // A second header, or a row of units under the first.
+  Status CheckIsNoHeader(const std::vector<std::string_view>& fields) const {
+    if (fields.size() < 2 || fields[0].empty() || BeginsAsNumber(fields[0])) return Status::Ok();
+    if (fields[0] == columns_[0].name && fields[1] == columns_[1].name)
+      return Error(RowName(rows_) + ": the header again: give each run its own file");
+    if (rows_ > 0 || std::any_of(fields.begin(), fields.end(), IsNumber)) return Status::Ok();
+    return Error(RowName(rows_) + ": " + Shown(fields[0]) + ", " + Shown(fields[1]) +
+                 ": no numbers (units?); take the line out");
+  }
+  static bool BeginsAsNumber(std::string_view field) {
+    return field[0] == '-' || field[0] == '+' || field[0] == '.' || (field[0] >= '0' && field[0] <= '9');
   }
 
   Status WrongFieldCount(size_t fields) const {
@@ -371,10 +402,33 @@ class CsvParser {
 
   Status TimeError() const {
     const double now = recording_.t[rows_], before = recording_.t[rows_ - 1];
+    if (const int more = RepeatsAhead(now); now == before && more > kFewRepeats) {
+      return Error(
+          RowName(rows_) + ", column time: time repeats: " + Number(now) + " after " + Number(before) +
+          ", and in " + std::to_string(more) + " of the next " + std::to_string(kLookedAhead) +
+          " rows: its stamps have too few digits, or rows of several messages share one; write more digits "
+          "(%.9f) or one row for each stamp");
+    }
     return Error(
         RowName(rows_) + ", column time: " + (now == before ? "time repeats: " : "time goes back: ") +
         Number(now) + " after " + Number(before) +
         (now == before ? "; take one of the rows out" : "; sort the rows, or give each run its own file"));
+  }
+
+  // Of the rows behind this one, those with the time of the row before them.
+  int RepeatsAhead(double before) const {
+    CsvText ahead = *lines_;
+    std::vector<std::string_view> fields;
+    size_t column = 0;
+    while (columns_[column].kind != Kind::kTime) ++column;
+    int repeats = 0;
+    for (int row = 0; row < kLookedAhead && ahead.Next(&fields); ++row) {
+      double now = 0.0;
+      if (fields.size() <= column || ParseNumber(fields[column], &now) != NumberText::kOk) continue;
+      now /= options_.time_units_per_s;
+      repeats += now == before, before = now;
+    }
+    return repeats;
   }
 
   static std::string Number(double value) {
@@ -390,27 +444,26 @@ class CsvParser {
     if (outcome == NumberText::kNotANumber && dialect_.decimal_comma) {
       outcome = ParseNumber(WithPoint(field), &value);
     }
+    if (outcome == NumberText::kNotANumber && MeansMissing(field)) outcome = NumberText::kEmpty;
     if (column.kind == Kind::kOther) {
       if (outcome == NumberText::kNotANumber) column.is_text = true;
       if (outcome != NumberText::kOk && outcome != NumberText::kNotFinite) value = std::nan("");
     } else if (outcome == NumberText::kEmpty || (outcome == NumberText::kNotFinite && std::isnan(value))) {
       if (IsCut(column)) return Cut(column, field);
-      if (!IsOptional(column.kind)) return BlankField(column, rows_, outcome != NumberText::kEmpty);
+      if (!IsOptional(column.kind)) return BlankField(column, rows_, field, outcome != NumberText::kEmpty);
       if (column.blanks++ == 0) {
-        column.first_blank = rows_;
+        column.first_blank = rows_, column.first_blank_field = std::string(field);
         column.first_blank_is_nan = outcome != NumberText::kEmpty;
       }
       value = std::nan("");
     } else if (outcome != NumberText::kOk) {
       if (IsCut(column)) return Cut(column, field);
-      return FieldError(
-          rows_, column,
-          (outcome == NumberText::kNotFinite    ? "not finite: "
-           : outcome == NumberText::kOutOfRange ? "out of a double's range: "
-                                                : "not a number: ") +
-              Shown(field) +
-              (outcome == NumberText::kNotANumber ? "; SI units without their names, decimal points"
-                                                  : kTakeRowOut));
+      return FieldError(rows_, column,
+                        (outcome == NumberText::kNotFinite    ? "not finite: "
+                         : outcome == NumberText::kOutOfRange ? "out of a double's range: "
+                                                              : "not a number: ") +
+                            Shown(field) +
+                            (outcome == NumberText::kNotANumber ? WhyNoNumber(field) : kTakeRowOut));
     }
     if (column.kind == Kind::kTime) value /= options_.time_units_per_s;
     column.out[rows_ * column.stride] = value;
@@ -421,8 +474,12 @@ class CsvParser {
     return kind == Kind::kVelocity || kind == Kind::kEffortCommand || kind == Kind::kEffortMeasured;
   }
 
-  Status BlankField(const Column& column, Eigen::Index row, bool is_nan) const {
-    return FieldError(row, column, std::string(is_nan ? "NaN" : "the field is empty") + kTakeRowOut);
+  Status BlankField(const Column& column, Eigen::Index row, std::string_view field, bool is_nan) const {
+    return FieldError(row, column,
+                      (is_nan          ? "NaN"
+                       : field.empty() ? "the field is empty"
+                                       : Shown(field)) +
+                          kTakeRowOut);
   }
 
   // The file's last field, without a line end behind it.
@@ -460,7 +517,7 @@ class CsvParser {
       if (x->size() > 0) x->conservativeResize(Eigen::NoChange, rows_);
     }
     for (const Column& column : columns_) {
-      if (column.kind != Kind::kOther) continue;
+      if (column.kind != Kind::kOther || column.is_nameless) continue;
       if (column.is_text) {
         r.other.erase(column.name);
       } else {
@@ -483,7 +540,8 @@ class CsvParser {
     bool velocity = false;
     for (const Column& column : columns_) {
       if (column.blanks == 0) continue;
-      if (column.blanks < rows_) return BlankField(column, column.first_blank, column.first_blank_is_nan);
+      if (column.blanks < rows_)
+        return BlankField(column, column.first_blank, column.first_blank_field, column.first_blank_is_nan);
       blank_columns_.insert(column.name);
       velocity = velocity || column.kind == Kind::kVelocity;
     }
@@ -500,6 +558,7 @@ class CsvParser {
     FillVelocities(&recording_);
     LeaveOutFrozenVelocity(&recording_);
     RG_RETURN_IF_ERROR(CheckUnits(recording_, options_.robot));
+    RG_RETURN_IF_ERROR(CheckOddValues(recording_));
     TakeEpochOff(&recording_);
     return jump;
   }
@@ -523,14 +582,6 @@ class CsvParser {
   Recording recording_;
 };
 
-void AppendNumber(std::string* out, double value, int digits) {
-  char buffer[40];
-  const auto end =
-      digits > 0 ? std::to_chars(buffer, buffer + sizeof buffer, value, std::chars_format::general, digits)
-                 : std::to_chars(buffer, buffer + sizeof buffer, value);
-  out->append(buffer, end.ptr);
-}
-
 }  // namespace
 
 Result<Recording> ParseCsv(std::string_view text, const std::string& source_name, const CsvOptions& options) {
@@ -551,48 +602,6 @@ Result<Recording> ParseCsv(std::string_view text, const std::string& source_name
 Result<Recording> LoadCsv(const std::string& path, const CsvOptions& options) {
   RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
   return ParseCsv(text, path, options);
-}
-
-std::string FormatCsv(const Recording& r, int digits) {
-  std::string out = "time";
-  const std::pair<const char*, const Eigen::MatrixXd*> kinds[] = {{"position", &r.q},
-                                                                  {"velocity", &r.v},
-                                                                  {"effort_command", &r.effort_command},
-                                                                  {"effort_measured", &r.effort_measured}};
-  const auto written = [&](const Eigen::MatrixXd* x, Eigen::Index i) {
-    if (x == &r.v) {
-      const auto& without = r.without_velocity;
-      return std::find(without.begin(), without.end(), i) == without.end();
-    }
-    return x == &r.q || !r.IsPrescribed(static_cast<int>(i));
-  };
-  for (const auto& [kind, x] : kinds) {
-    for (Eigen::Index i = 0; i < x->rows(); ++i) {
-      if (written(x, i)) out += std::string(",") + kind + "." + r.joints[static_cast<size_t>(i)];
-    }
-  }
-  for (const auto& [name, column] : r.other) out += "," + name;
-  out += '\n';
-  for (int k = 0; k < r.rows(); ++k) {
-    AppendNumber(&out, r.t[k] + r.time_offset, 0);
-    for (const auto& [kind, x] : kinds) {
-      for (Eigen::Index i = 0; i < x->rows(); ++i) {
-        if (!written(x, i)) continue;
-        out += ',';
-        AppendNumber(&out, (*x)(i, k), digits);
-      }
-    }
-    for (const auto& [name, column] : r.other) {
-      out += ',';
-      if (!std::isnan(column[k])) AppendNumber(&out, column[k], digits);
-    }
-    out += '\n';
-  }
-  return out;
-}
-
-Status WriteCsv(const std::string& path, const Recording& recording, int digits) {
-  return WriteFileAtomically(path, FormatCsv(recording, digits));
 }
 
 }  // namespace rg::recordings

@@ -33,9 +33,63 @@ Result<CsvDialect> ParseCsvDialect(const std::string& name) {
   return InvalidError("--csv-dialect: '" + name + "', must be comma, semicolon or tab");
 }
 
+namespace {
+
+bool IsComment(std::string_view line) {
+  return StartsWith(line, "#") || StartsWith(line, "%") || StartsWith(line, "//");
+}
+
+// "sep=;", as spreadsheets write it before the header.
+bool NamesSeparator(std::string_view line) {
+  return StartsWith(line, "sep=") && WithoutBlanks(line).size() <= 5;
+}
+
+std::string_view LineAt(std::string_view text, size_t at, char end_of_line) {
+  const size_t end = text.find(end_of_line, at);
+  return text.substr(at, end == std::string_view::npos ? end : end - at);
+}
+
+bool BeginsWithNumber(std::string_view line) {
+  line = WithoutBlanks(line);
+  if (StartsWith(line, "\"")) line.remove_prefix(1);
+  if (StartsWith(line, "-") || StartsWith(line, "+")) line.remove_prefix(1);
+  return !line.empty() && (line[0] == '.' || (line[0] >= '0' && line[0] <= '9'));
+}
+
+long CountOf(std::string_view line, char c) { return std::count(line.begin(), line.end(), c); }
+
+// The first line that is no comment and not blank.
+std::string_view FirstRow(std::string_view text, char end_of_line) {
+  for (size_t at = 0; at < text.size();) {
+    const std::string_view line = LineAt(text, at, end_of_line);
+    if (!WithoutBlanks(line).empty() && !IsComment(line) && !NamesSeparator(line)) return line;
+    at += line.size() + 1;
+  }
+  return {};
+}
+
+// Whether a comment before the first row is the header: as many fields as that row, which is one of numbers.
+bool IsHeaderComment(std::string_view line, std::string_view row, char separator) {
+  const long fields = CountOf(line, separator), more = CountOf(row, separator) - fields;
+  return fields > 0 && BeginsWithNumber(row) && (more == 0 || more == 1);
+}
+
+}  // namespace
+
 char GuessSeparator(std::string_view text) {
   text = WithoutMark(text);
-  const std::string_view header = text.substr(0, text.find_first_of("\r\n"));
+  const char end_of_line = text.find('\n') == std::string_view::npos ? '\r' : '\n';
+  const std::string_view first = LineAt(text, 0, end_of_line);
+  if (NamesSeparator(first)) return WithoutBlanks(first).size() > 4 ? first[4] : '\t';
+  const std::string_view header = FirstRow(text, end_of_line);
+  for (size_t at = 0; at < text.size();) {
+    const std::string_view line = LineAt(text, at, end_of_line);
+    if (!IsComment(line) && !WithoutBlanks(line).empty()) break;
+    for (const char separator : {',', ';', '\t'}) {
+      if (IsComment(line) && IsHeaderComment(line, header, separator)) return separator;
+    }
+    at += line.size() + 1;
+  }
   for (const char separator : {',', ';', '\t'}) {
     if (header.find(separator) != std::string_view::npos) return separator;
   }
@@ -50,38 +104,57 @@ std::string OtherFormatOf(std::string_view bytes) {
     return "is an SQLite database: `realitygrad import` reads it if it is a ROS 2 bag";
   if (StartsWith(bytes, "PK\x03\x04"sv)) return "is a ZIP archive or a spreadsheet: save it as CSV (UTF-8)";
   if (StartsWith(bytes, "\x1F\x8B"sv)) return "is compressed: gunzip it first";
+  if (StartsWith(bytes, "\x28\xB5\x2F\xFD"sv)) return "is compressed: unzstd it first";
   if (StartsWith(bytes, "\xFF\xFE"sv) || StartsWith(bytes, "\xFE\xFF"sv))
     return "is UTF-16 text: save it as UTF-8";
+  if (StartsWith(bytes, "version https://git-lfs"sv))
+    return "is a git-lfs pointer, the file itself was not fetched: run git lfs pull";
+  const std::string_view start = bytes.substr(std::min(bytes.find_first_not_of(" \t\r\n"), bytes.size()));
+  if (StartsWith(start, "<"sv)) return "is HTML or XML, no CSV: download the file itself";
+  if (StartsWith(start, "{"sv) || StartsWith(start, "["sv))
+    return "is JSON, no CSV: write a header and a row for each time";
   if (bytes.substr(0, bytes.find_first_of("\r\n")).substr(0, 256).find('\0') != std::string_view::npos)
-    return "is no text: it holds zero bytes";
+    return "is no text: it holds zero bytes (UTF-16 without its mark? Save it as UTF-8)";
   return "";
 }
 
+// Comments before the first row are read here, once: whether one of them is the header depends on that row.
 CsvText::CsvText(std::string_view text, char separator) : text_(WithoutMark(text)), separator_(separator) {
   if (text_.find('\n') == std::string_view::npos) end_of_line_ = '\r';
+  const std::string_view row = FirstRow(text_, end_of_line_);
+  while (at_ < text_.size() && !hash_header_) {
+    const std::string_view line = LineAt(text_, at_, end_of_line_);
+    const bool comment = IsComment(line);
+    if (!comment && !(at_ == 0 && NamesSeparator(line)) && !WithoutBlanks(line).empty()) return;
+    hash_header_ = comment && IsHeaderComment(line, row, separator_);
+    if (hash_header_) {
+      at_ += line[0] == '/' ? 2 : 1;
+    } else {
+      TakeLine();
+    }
+  }
 }
 
 bool CsvText::AtEnd() const { return text_.find_first_not_of(" \t\r\n", at_) == std::string_view::npos; }
 
+// In a file with LF a CR that nothing like it follows ends a line, too.
 std::string_view CsvText::TakeLine() {
-  const size_t end = text_.find(end_of_line_, at_);
+  size_t end = text_.find(end_of_line_, at_);
+  std::string_view line = text_.substr(at_, end == std::string_view::npos ? end : end - at_);
+  const size_t cr = line.find('\r');
+  if (cr + 1 < line.size() && line.find_first_not_of('\r', cr) != std::string_view::npos) {
+    line = line.substr(0, cr);
+    end = at_ + cr;
+  }
   terminated_ = end != std::string_view::npos;
-  const std::string_view line = text_.substr(at_, terminated_ ? end - at_ : std::string_view::npos);
   at_ = terminated_ ? end + 1 : text_.size();
   line_ = next_line_++;
   return line;
 }
 
-// True if a line was skipped. A '#' before the first row makes a header, where that row has more than one
-// field.
+// True if a line was skipped.
 bool CsvText::SkipComments() {
-  if (at_ >= text_.size() || text_[at_] != '#') return false;
-  const std::string_view line = text_.substr(at_, text_.find(end_of_line_, at_) - at_);
-  if (first_ && line.find(separator_) != std::string_view::npos) {
-    hash_header_ = true;
-    ++at_;
-    return false;
-  }
+  if (at_ >= text_.size() || (first_ && hash_header_) || !IsComment(text_.substr(at_, 2))) return false;
   TakeLine();
   return true;
 }

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <nlohmann/json.hpp>
 #include <set>
 
@@ -11,6 +12,9 @@ namespace rg::recordings {
 namespace {
 
 using Json = nlohmann::json;
+
+constexpr double kLeastGravity = 1.5,
+                 kMostGravity = 12.0;  // m/s^2: between the Moon's and more than the Earth's
 
 std::string Shown(const Json& value) {
   const std::string text = value.dump(-1, ' ', true, Json::error_handler_t::replace);
@@ -125,6 +129,14 @@ void ReadGravity(Fields& fields, RecordingSet* set) {
       return fields.Fail(place, Shown(g) + " is not a number");
     set->gravity[static_cast<Eigen::Index>(i)] = g.get<double>();
   }
+  const double size = set->gravity.norm();
+  if (size > 0 && (size < kLeastGravity || size > kMostGravity))
+    set->warnings.push_back("gravity in the manifest is " + Printf("%g", size) +
+                            " m/s^2; on Earth it is 9.81");
+  if (set->gravity.z() > 0.5 * size)
+    set->warnings.push_back(
+        "gravity in the manifest points up (+z of the URDF's base): a robot that hangs from a ceiling, or a "
+        "sign");
 }
 
 void ReadLocked(Fields& fields, RecordingSet* set) {
@@ -219,30 +231,59 @@ void ReadRecordings(Fields& fields, const std::string& source, Status* status, M
   std::set<std::string> seen;
   for (size_t i = 0; i < list->size() && fields.ok(); ++i) {
     const std::string place = "recordings[" + std::to_string(i) + "]";
-    if (!(*list)[i].is_object()) return fields.Fail(place, Shown((*list)[i]) + " is not an object");
+    if (!(*list)[i].is_object())
+      return fields.Fail(
+          place,
+          Shown((*list)[i]) + " is not an object; write {\"file\": \"rec_000.csv\", \"split\": \"fit\"}");
     Fields entry((*list)[i], source, place + ".", status);
     ManifestEntry read;
     read.file = entry.String("file", "", true);
     const std::string split = entry.String("split", "fit", false);
     if (split != "fit" && split != "holdout") entry.Fail("split", "'" + split + "', must be fit or holdout");
     read.split = split == "holdout" ? Split::kHoldout : Split::kFit;
-    if (!seen.insert(read.file).second) entry.Fail("file", "'" + read.file + "' is there twice");
+    if (!seen.insert(std::filesystem::path(read.file).lexically_normal().string()).second)
+      entry.Fail("file", "'" + read.file + "' is there twice");
     manifest->recordings.push_back(read);
     entry.WarnOfUnknown(&manifest->settings.warnings);
+  }
+}
+
+// No key twice: which of the values was meant, nobody knows.
+Result<Json> ParseJson(std::string_view text, const std::string& source) {
+  if (text.substr(0, 2) == "\xFF\xFE" || text.substr(0, 2) == "\xFE\xFF")
+    return InvalidError(source + ": is UTF-16 text: save it as UTF-8");
+  if (text.substr(0, 3) == "\xEF\xBB\xBF") text.remove_prefix(3);
+  if (text.find_first_not_of(" \t\r\n") == std::string_view::npos)
+    return InvalidError(source + ": the file is empty");
+  std::vector<std::set<std::string>> keys;
+  std::string twice;
+  const auto watch = [&](int depth, Json::parse_event_t event, Json& parsed) {
+    const auto at = static_cast<size_t>(depth);
+    if (event == Json::parse_event_t::object_start) {
+      keys.resize(at + 1);
+      keys[at].clear();
+    } else if (event == Json::parse_event_t::key && at >= 1 && at <= keys.size() &&
+               !keys[at - 1].insert(parsed.get<std::string>()).second && twice.empty()) {
+      twice = parsed.get<std::string>();
+    }
+    return true;
+  };
+  try {
+    Json json = Json::parse(text, watch);
+    if (!twice.empty()) return InvalidError(source + ": " + Shown(twice) + ": the key is there twice");
+    return json;
+  } catch (const Json::exception& e) {
+    std::string what = e.what();
+    what = what.substr(0, what.find('\n'));
+    if (what.starts_with('[') && what.find("] ") != std::string::npos) what.erase(0, what.find("] ") + 2);
+    return InvalidError(source + ": not JSON: " + what);
   }
 }
 
 }  // namespace
 
 Result<Manifest> ParseManifest(std::string_view text, const std::string& source) {
-  if (text.substr(0, 3) == "\xEF\xBB\xBF") text.remove_prefix(3);
-  Json json;
-  try {
-    json = Json::parse(text);
-  } catch (const Json::exception& e) {
-    const std::string what = e.what();
-    return InvalidError(source + ": not JSON: " + what.substr(0, what.find('\n')));
-  }
+  RG_ASSIGN_OR_RETURN(const Json json, ParseJson(text, source));
   if (!json.is_object()) return InvalidError(source + ": not a JSON object");
   Status status;
   Manifest manifest;

@@ -103,11 +103,12 @@ double LikeliestIntensity(const Track& track) {
   return best;
 }
 
-// What the smoother says of one joint: x_k given x_{k+1} is x̄_k + gain_k·(x_{k+1} − ahead_{k+1}) and `left_k` about it.
+// What the smoother says of one joint: x_k given x_{k+1} is x̄_k + gain_k·(x_{k+1} − ahead_{k+1}) and `left_k`
+// about it.
 struct Smoothed {
-  Eigen::Matrix3Xd x;                    // 3 × K, given all rows
-  std::vector<Matrix3d> P;               // of it
-  std::vector<Matrix3d> gain, left;      // of all rows but the last
+  Eigen::Matrix3Xd x;                // 3 × K, given all rows
+  std::vector<Matrix3d> P;           // of it
+  std::vector<Matrix3d> gain, left;  // of all rows but the last
   std::vector<Vector3d> filtered, ahead;
 };
 
@@ -188,7 +189,8 @@ PrescribedDoubt::PrescribedDoubt(PrescribedDoubt&&) noexcept = default;
 WaysToDiffer PrescribedDoubt::Ways(int i, int first, int last) const {
   const Smoothed& s = joints_[static_cast<size_t>(i)].smoothed;
   const Eigen::Index rows = last - first + 1;
-  // Cov(x_k, a_l) of all rows k, l here: backwards from the diagonal, Cov(x_k, x_l) = gain_k·Cov(x_{k+1}, x_l) for k < l.
+  // Cov(x_k, a_l) of all rows k, l here: backwards from the diagonal, Cov(x_k, x_l) = gain_k·Cov(x_{k+1},
+  // x_l) for k < l.
   Eigen::MatrixXd q(rows, rows), v(rows, rows), a(rows, rows);
   for (Eigen::Index l = 0; l < rows; ++l) {
     Matrix3d C = s.P[static_cast<size_t>(first + l)];

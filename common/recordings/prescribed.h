@@ -31,20 +31,22 @@ struct SmoothMotionRows {
 // is of use, which differences of noisy rows are not.
 SmoothMotionRows SmoothPrescribed(const Recording& recording);
 
-// Ways in which the true motion of one joint may differ from the smooth one: columns, independent of each other, each
-// as large as its standard deviation; rows × ways each.
+// Ways in which the true motion of one joint may differ from the smooth one: columns, independent of each
+// other, each as large as its standard deviation; rows × ways each.
 struct WaysToDiffer {
   Eigen::MatrixXd q, v, a;
 };
 
-// How well the smooth motion of prescribed joints is known: the joint distribution of all rows, as the smoother has it.
+// How well the smooth motion of prescribed joints is known: the joint distribution of all rows, as the
+// smoother has it.
 class PrescribedDoubt {
  public:
   explicit PrescribedDoubt(const Recording& recording);
   ~PrescribedDoubt();
   PrescribedDoubt(PrescribedDoubt&&) noexcept;
 
-  // Of recording.prescribed[i] in rows [first, last]; all but a hundredth of the acceleration's variance there.
+  // Of recording.prescribed[i] in rows [first, last]; all but a hundredth of the acceleration's variance
+  // there.
   WaysToDiffer Ways(int i, int first, int last) const;
   // A motion that may as well be the true one.
   SmoothMotionRows Draw(Rng& rng) const;

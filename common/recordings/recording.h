@@ -28,8 +28,8 @@ struct Recording {
   Split split = Split::kFit;
   std::vector<std::string> joints;  // n names, the order of the rows below
   Eigen::VectorXd t;                // K, s; the file's stamps less time_offset
-  // Whole seconds that were taken off the stamps of a file that counts from an epoch, so that effects over time
-  // have small numbers; t + time_offset are the file's stamps to the last digit. 0 elsewhere.
+  // Whole seconds that were taken off the stamps of a file that counts from an epoch, so that effects over
+  // time have small numbers; t + time_offset are the file's stamps to the last digit. 0 elsewhere.
   double time_offset = 0.0;
   Eigen::MatrixXd q;                // n × K
   Eigen::MatrixXd v;                // n × K, or 0 × 0: not measured

@@ -10,6 +10,7 @@
 #include "common/model/robot_model.h"
 #include "common/model/urdf_document.h"
 #include "common/model/urdf_loader.h"
+#include "common/recordings/csv_advice.h"
 #include "common/recordings/manifest.h"
 #include "common/recordings/prescribed.h"
 #include "common/recordings/time_stamps.h"
@@ -62,7 +63,8 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr int kHoldoutEvery = 4;
-constexpr int kFewestRows = 10;  // of a piece between gaps that a fit can use
+constexpr double kBeyondLimit = 0.35;  // rad or m
+constexpr int kFewestRows = 10;        // of a piece between gaps that a fit can use
 
 bool Contains(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();
@@ -79,7 +81,7 @@ Status CheckJointsExist(const Manifest& manifest, const std::string& manifest_pa
                         const std::vector<std::string>& known) {
   const auto error = [&](const std::string& field, const std::string& joint) {
     return InvalidError(manifest_path + ": " + field + ": the robot (" + manifest.robot + ") has no joint '" +
-                        joint + "'");
+                        joint + "'" + UnknownJointAdvice(joint, known));
   };
   for (size_t i = 0; i < manifest.joints.size(); ++i) {
     if (!Contains(known, manifest.joints[i]))
@@ -104,6 +106,17 @@ Result<RobotView> ReadRobot(const Manifest& manifest, const std::string& manifes
   for (const model::Joint& joint : robot.joints()) view.joints.push_back(InfoOf(joint));
   view.all = InfosOf(robot);
   view.warnings = robot.warnings();
+  for (const model::UrdfJoint& joint : document.joints) {
+    const auto locked = manifest.settings.locked.find(joint.name);
+    if (locked == manifest.settings.locked.end() || joint.is_fixed ||
+        joint.type == model::JointType::kContinuous)
+      continue;
+    if (locked->second >= joint.lower - kBeyondLimit && locked->second <= joint.upper + kBeyondLimit)
+      continue;
+    view.warnings.push_back("\"locked\" has " + joint.name + " at " + Printf("%g", locked->second) +
+                            ", outside the URDF's limits " + Printf("%.4g", joint.lower) + " to " +
+                            Printf("%.4g", joint.upper) + ": positions are in rad, or m");
+  }
   return view;
 }
 
@@ -194,17 +207,49 @@ void WarnOfNotes(RecordingSet* set) {
   }
 }
 
+// Efforts that one recording has as 0 throughout and another does not.
+void WarnOfSilentEfforts(RecordingSet* set) {
+  for (size_t j = 0; j < set->joints.size(); ++j) {
+    std::vector<std::string> silent;
+    for (const Recording& r : set->recordings) {
+      if (r.drive_effort().size() > 0 && r.drive_effort().row(static_cast<Eigen::Index>(j)).isZero(0.0))
+        silent.push_back(r.name);
+    }
+    if (silent.empty() || silent.size() == set->recordings.size()) continue;
+    set->warnings.push_back(
+        silent[0] + (silent.size() > 1 ? " and " + std::to_string(silent.size() - 1) + " more" : "") +
+        ": the effort of " + set->joints[j] + " is 0 throughout, in other recordings it is not");
+  }
+}
+
 // Notes as warnings of the set; then gaps.
 void FinishReading(const ReadOptions& read, RecordingSet* set) {
   WarnOfNotes(set);
+  WarnOfSilentEfforts(set);
   if (!read.keep_whole) SplitRecordingsAtGaps(set);
+}
+
+// A manifest from Windows may write data\\rec.csv.
+std::string PathOf(const std::string& folder, const std::string& file) {
+  std::error_code error;
+  const fs::path path = fs::path(folder) / file;
+  if (file.find('\\') == std::string::npos || fs::exists(path, error)) return path.string();
+  std::string with_slashes = file;
+  std::replace(with_slashes.begin(), with_slashes.end(), '\\', '/');
+  return (fs::path(folder) / with_slashes).string();
 }
 
 }  // namespace
 
 Result<RecordingSet> LoadSet(const std::string& folder, const ReadOptions& read) {
   const std::string manifest_path = (fs::path(folder) / "manifest.json").string();
-  if (!fs::is_directory(folder)) return NotFoundError(folder + ": no such folder");
+  std::error_code error;
+  if (!fs::is_directory(folder, error)) return NotFoundError(folder + ": no such folder");
+  if (!fs::exists(manifest_path, error) && !fs::is_symlink(manifest_path, error)) {
+    return NotFoundError(folder +
+                         ": has no manifest.json (docs/recordings.md); without one, give the files: --urdf " +
+                         "arm.urdf a.csv b.csv ...");
+  }
   RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(manifest_path));
   RG_ASSIGN_OR_RETURN(Manifest manifest, ParseManifest(text, manifest_path));
   RecordingSet set = manifest.settings;
@@ -222,7 +267,7 @@ Result<RecordingSet> LoadSet(const std::string& folder, const ReadOptions& read)
   options.sample_rate_hz = set.sample_rate_hz;
   if (set.prescribed_listed) options.prescribed = set.prescribed;
   for (const ManifestEntry& entry : manifest.recordings) {
-    const std::string path = (fs::path(folder) / entry.file).string();
+    const std::string path = PathOf(folder, entry.file);
     RG_ASSIGN_OR_RETURN(Recording recording, LoadCsv(path, options));
     RG_RETURN_IF_ERROR(ChooseDrive(set, path, &recording));
     recording.name = entry.file;
@@ -294,7 +339,10 @@ Result<RecordingSet> SetFromFiles(const std::string& urdf_path, const std::vecto
   options.joints = set.joints;
   options.robot = robot.all;
   std::set<std::string> taken;
+  std::set<std::string> given;
   for (const std::string& file : files) {
+    if (!given.insert(fs::path(file).lexically_normal().string()).second)
+      return InvalidError(file + ": is given twice");
     RG_ASSIGN_OR_RETURN(Recording r, LoadCsv(file, options));
     r.name = fs::path(file).filename().string();
     if (taken.contains(r.name)) r.name = file;

@@ -21,8 +21,10 @@ constexpr double kFastTypical = 5.0;      // the same of the median speed
 constexpr double kFastUndeclared = 60.0;  // rad/s, for joints without a speed limit: 570 turns a minute
 constexpr double kUnitsTravelled = 12.0;  // less in a whole recording is no motion in degrees or millimetres
 constexpr double kBlockSeconds = 0.1;     // motion is compared with velocity over such blocks
+constexpr double kOtherUnit = 3.0;        // times the rate of position, and more
+constexpr double kRpm = 30.0 / std::numbers::pi;
 constexpr size_t kMinBlocks = 10;
-constexpr double kMinCorrelation = 0.9;
+constexpr double kMinCorrelation = 0.9, kExchanged = 0.98;
 
 struct Unit {
   double per_si;  // file value / SI value
@@ -154,6 +156,36 @@ double VelocityToRate(const Motion& motion) {
   return std::copysign(std::sqrt(yy / xx), xy);
 }
 
+double Correlation(const std::vector<double>& x, const std::vector<double>& y) {
+  double xx = 0.0, yy = 0.0, xy = 0.0;
+  for (size_t i = 0; i < x.size(); ++i) xx += x[i] * x[i], yy += y[i] * y[i], xy += x[i] * y[i];
+  return xx > 0.0 && yy > 0.0 ? xy / std::sqrt(xx * yy) : 0.0;
+}
+
+// Columns of two joints that stand in each other's place.
+Status CheckExchanged(const Recording& r) {
+  if (!r.has_velocity() || r.n() < 2) return Status::Ok();
+  std::vector<Motion> motions;
+  for (int i = 0; i < r.n(); ++i) {
+    const Eigen::ArrayXd q = r.q.row(i).transpose().array(), v = r.v.row(i).transpose().array();
+    motions.push_back(MotionOverBlocks(r.t, q, &v));
+  }
+  if (motions[0].moved.size() < kMinBlocks) return Status::Ok();
+  const auto follows = [&](size_t i, size_t j) {
+    return Correlation(motions[i].moved, motions[j].integrated);
+  };
+  for (size_t i = 0; i < motions.size(); ++i) {
+    for (size_t j = i + 1; j < motions.size(); ++j) {
+      if (follows(i, j) < kExchanged || follows(j, i) < kExchanged || follows(i, i) > kMinCorrelation ||
+          follows(j, j) > kMinCorrelation)
+        continue;
+      return InvalidError(r.name + ": columns velocity." + r.joints[i] + " and velocity." + r.joints[j] +
+                          ": each follows the other joint's position: the columns look exchanged");
+    }
+  }
+  return Status::Ok();
+}
+
 Status CheckVelocityAgainstRate(const std::string& place, const JointInfo& joint, const Motion& motion) {
   const Unit unit = SuspectOf(joint);
   const double ratio = VelocityToRate(motion);
@@ -165,7 +197,14 @@ Status CheckVelocityAgainstRate(const std::string& place, const JointInfo& joint
   if (near(ratio, 1e3))
     return InvalidError(place + "column time: " + times + "time is visibly in milliseconds, s is expected");
   const bool velocity_is_wrong = near(ratio, unit.per_si), position_is_wrong = near(ratio, 1.0 / unit.per_si);
-  if (!velocity_is_wrong && !position_is_wrong) return Status::Ok();
+  if (!velocity_is_wrong && !position_is_wrong) {
+    if (std::abs(ratio) < kOtherUnit && std::abs(ratio) > 1.0 / kOtherUnit) return Status::Ok();
+    const bool turns = joint.type != JointInfo::Type::kPrismatic && near(ratio, kRpm);
+    return InvalidError(place + "columns position." + joint.name + " and velocity." + joint.name + ": " +
+                        times +
+                        (turns ? "velocity is visibly in turns a minute, rad/s is expected"
+                               : "one of them is in another unit, or of the other side of a gear"));
+  }
   return InvalidError(place + "row 1 (line 2), column " + (velocity_is_wrong ? "velocity." : "position.") +
                       joint.name + ": " + times + (velocity_is_wrong ? "velocity" : "position") +
                       " is visibly in " + unit.wrong + ", " + unit.length + " is expected");
@@ -191,6 +230,7 @@ Status CheckJoint(const std::string& place, const JointInfo& joint, const Record
 }  // namespace
 
 Status CheckUnits(const Recording& recording, const std::vector<JointInfo>& robot) {
+  RG_RETURN_IF_ERROR(CheckExchanged(recording));
   for (int i = 0; i < recording.n(); ++i) {
     for (const JointInfo& joint : robot) {
       if (joint.name != recording.joints[static_cast<size_t>(i)]) continue;

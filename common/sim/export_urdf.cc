@@ -73,6 +73,7 @@ void WriteInertial(const Eigen::Ref<const VectorXd>& p, bool had_inertial, TiXml
   TiXmlElement* origin = Child(inertial, "origin");
   origin->SetAttribute("xyz", ExactNumber(p[1]) + " " + ExactNumber(p[2]) + " " + ExactNumber(p[3]));
   origin->SetAttribute("rpy", "0 0 0");
+  origin->RemoveAttribute("quat_xyzw");  // the inertia is given along the link's axes
   Set(Child(inertial, "mass"), "value", p[0]);
   TiXmlElement* inertia = Child(inertial, "inertia");
   const char* const names[] = {"ixx", "iyy", "izz", "ixy", "ixz", "iyz"};

@@ -75,6 +75,12 @@ int main(int argc, char** argv) {
                                  : error.what();
     std::fprintf(stderr, "realitygrad: usage: %s (--help says more)\n", what.c_str());
     return rg::cli::kExitUsage;
+  } catch (const std::bad_alloc&) {
+    std::fprintf(stderr, "realitygrad: resource exhausted: out of memory\n");
+    return rg::cli::kExitError;
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "realitygrad: internal: %s\n", error.what());
+    return rg::cli::kExitError;
   }
   return context.exit_code;
 }

@@ -100,7 +100,8 @@ Result<PredictionModel> NominalOf(const recordings::RecordingSet& set) {
 
 // A model.json, a recording set's folder, or a URDF.
 Result<PredictionModel> LoadModel(const std::string& path) {
-  if (fs::is_directory(path)) {
+  std::error_code error;
+  if (fs::is_directory(path, error)) {
     RG_ASSIGN_OR_RETURN(const auto set, recordings::LoadSet(path));
     return NominalOf(set);
   }

@@ -65,16 +65,17 @@ void SetArguments::AddTo(CLI::App* command) {
 Result<recordings::RecordingSet> SetArguments::Load(bool keep_whole) const {
   RG_ASSIGN_OR_RETURN(recordings::ReadOptions options, read.Options());
   options.keep_whole = keep_whole;
+  std::error_code error;
   if (urdf.empty()) {
     for (const std::string& set : sets) {
-      if (fs::is_regular_file(set))
+      if (fs::is_regular_file(set, error))
         return InvalidError(set + ": a file, not a recording set's folder: give the robot with --urdf FILE");
     }
     if (!split_time.empty()) return InvalidError("--split-time is for a single CSV file with --urdf");
     return recordings::LoadSets(sets, options);
   }
   for (const std::string& file : sets) {
-    if (fs::is_directory(file))
+    if (fs::is_directory(file, error))
       return InvalidError(file + ": a folder, but --urdf is for CSV files; a recording set names its robot");
   }
   RG_ASSIGN_OR_RETURN(const std::optional<double> split, SplitTime(split_time));

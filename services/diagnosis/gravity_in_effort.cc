@@ -25,6 +25,8 @@ constexpr double kSeen = 0.7;      // of what friction alone leaves: more, and t
 constexpr double kNothing = 0.15;  // of gravity's torque, that friction alone leaves of a slow motion
 constexpr double kNowhere = 0.8;   // of that, that gravity of any size still leaves
 constexpr double kLeastGain = 0.4, kMostGain = 2.5;
+constexpr double kSure = 4.0;  // standard deviations
+constexpr int kBlocks = 10;    // of rows, to estimate them by
 constexpr long kLeastSamples = 50;
 
 struct Explained {
@@ -53,6 +55,15 @@ VectorXd NonNegative(const MatrixXd& X, const VectorXd& y) {
   return best;
 }
 
+// Of one joint, by all that may be in its effort at once.
+struct GravityCoefficient {
+  double gain = 0;  // of the motion's torque
+  double beyond_least =
+      0;  // gravity's coefficient less kLeastGain times the motion's gain: below 0, gravity is not there
+  double stddev = 0;
+  double left_without = 0;  // of the effort, that everything but gravity leaves
+};
+
 class Weigher {
  public:
   Weigher(const MotionSurvey& survey, const sim::Plant& plant) : s_(survey) {
@@ -80,6 +91,7 @@ class Weigher {
       weight[j] = std::sqrt(Column(j, &MotionSamples::gravity).squaredNorm() / static_cast<double>(samples));
     if (!(weight.maxCoeff() > 0)) return out;
     Sum with, without, friction, any;
+    int absent = 0, present = 0;
     for (int j = 0; j < s_.n; ++j) {
       const JointFigures& f = s_.joints[static_cast<size_t>(j)];
       if (weight[j] < kLoaded * weight.maxCoeff() || !f.moved || f.prescribed) continue;
@@ -90,11 +102,16 @@ class Weigher {
       without.Add(Explain(j, u, whole - G, kLeastGain), weight[j]);
       friction.Add(Explain(j, u, VectorXd::Zero(u.size()), 0), weight[j]);
       any.Add(Explain(j, u, whole, 0), weight[j]);
+      const GravityCoefficient c = Weigh(j, u, whole - G, G);
+      present += c.beyond_least > kSure * c.stddev;
+      absent += c.beyond_least < -kSure * c.stddev && c.gain > kLeastGain && c.gain < kMostGain &&
+                c.left_without < kExplains;
       out.joints.push_back(j);
     }
     if (out.joints.empty()) return out;
     out.with = with.Rms(), out.without = without.Rms();
-    if (Follows(without, with, friction) || Slow(friction, any)) out.side = GravitySide::kInDrive;
+    if (Follows(without, with, friction) || Slow(friction, any) || (absent > 0 && present == 0))
+      out.side = GravitySide::kInDrive;
     if (Follows(with, without, friction)) out.side = GravitySide::kInEffort;
     return out;
   }
@@ -148,20 +165,58 @@ class Weigher {
     const VectorXd rotor =
         torque.isZero(0) ? VectorXd::Zero(u.size()) : VectorXd(kMostRotor * inertia_[j] * a);
     X << torque, torque + rotor, v, (v.array() / width).tanh().matrix();
+    VectorXd c;
+    const std::vector<long> kept = FitMostRows(X, u, &c);
+    const VectorXd left = u(kept) - X(kept, Eigen::all) * c;
+    return {least + c[0] + c[1], Rms(left)};
+  }
+
+  // Motion, rotor, gravity, viscous and Coulomb friction at once: what gravity's coefficient is beside the
+  // motion's.
+  GravityCoefficient Weigh(int j, const VectorXd& effort, const VectorXd& motion,
+                           const VectorXd& gravity) const {
+    const VectorXd v = Column(j, &MotionSamples::v), a = Column(j, &MotionSamples::a);
+    const double width = std::max(1e-9, 1.5 * s_.speed_noise[j]);
+    MatrixXd X(effort.size(), 5);
+    X << motion, motion + kMostRotor * inertia_[j] * a, gravity, v, (v.array() / width).tanh().matrix();
+    VectorXd c;
+    const std::vector<long> kept = FitMostRows(X, effort, &c);
+    const auto contrast = [](const VectorXd& c) { return c[2] - kLeastGain * (c[0] + c[1]); };
+    GravityCoefficient out;
+    out.gain = c[0] + c[1];
+    out.beyond_least = contrast(c);
+    // The spread over rows left out a block at a time: neighbours are not independent.
+    const long rows = static_cast<long>(kept.size());
+    VectorXd of(kBlocks);
+    for (int block = 0; block < kBlocks; ++block) {
+      std::vector<long> rest(kept.begin(), kept.begin() + rows * block / kBlocks);
+      rest.insert(rest.end(), kept.begin() + rows * (block + 1) / kBlocks, kept.end());
+      of[block] = contrast(NonNegative(X(rest, Eigen::all), effort(rest)));
+    }
+    out.stddev = std::sqrt((of.array() - of.mean()).square().sum() * (kBlocks - 1) / kBlocks);
+    X.col(2).setZero();
+    const std::vector<long> without = FitMostRows(X, effort, &c);
+    out.left_without = Rms(effort(without) - X(without, Eigen::all) * c) / Rms(effort(without));
+    return out;
+  }
+
+  static double Rms(const VectorXd& x) { return std::sqrt(x.squaredNorm() / static_cast<double>(x.size())); }
+
+  // Least squares of all but the worst tenth of the rows, which are returned in their order.
+  static std::vector<long> FitMostRows(const MatrixXd& X, const VectorXd& u, VectorXd* c) {
     std::vector<long> kept(static_cast<size_t>(u.size()));
-    std::iota(kept.begin(), kept.end(), 0L);
-    VectorXd c = NonNegative(X, u);
+    *c = NonNegative(X, u);
     for (int round = 0; round < 2; ++round) {
-      const VectorXd left = (u - X * c).cwiseAbs();
-      std::iota(kept.begin(), kept.end(), 0L);
+      const VectorXd left = (u - X * *c).cwiseAbs();
       kept.resize(static_cast<size_t>(u.size()));
+      std::iota(kept.begin(), kept.end(), 0L);
       const auto end = kept.begin() + static_cast<long>(kKept * static_cast<double>(kept.size()));
       std::nth_element(kept.begin(), end, kept.end(), [&](long a, long b) { return left[a] < left[b]; });
       kept.resize(static_cast<size_t>(end - kept.begin()));
-      c = NonNegative(X(kept, Eigen::all), u(kept));
+      *c = NonNegative(X(kept, Eigen::all), u(kept));
     }
-    const VectorXd left = u(kept) - X(kept, Eigen::all) * c;
-    return {least + c[0] + c[1], std::sqrt(left.squaredNorm() / static_cast<double>(kept.size()))};
+    std::sort(kept.begin(), kept.end());
+    return kept;
   }
 
   const MotionSurvey& s_;

@@ -55,6 +55,8 @@ bool ReadTime(std::string_view field, char separator, double unit_ns, int64_t* t
 }  // namespace
 
 Result<CsvHeader> ReadCsvHeader(std::string_view text, const std::string& source) {
+  if (const std::string other = recordings::OtherFormatOf(text); !other.empty())
+    return InvalidError(source + ": " + other);
   CsvHeader header;
   header.separator = recordings::GuessSeparator(text);
   recordings::CsvText rows(text, header.separator);

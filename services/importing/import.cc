@@ -250,7 +250,8 @@ void TellNotTakenOfCsv(const Source& source, const MapInUse& use, const std::vec
 std::string RecordingName(const std::string& path, std::set<std::string>* taken) {
   fs::path file(path);
   if (file.filename().empty()) file = file.parent_path();  // a folder with a slash behind it
-  std::string stem = fs::is_directory(file) ? file.filename().string() : file.stem().string();
+  std::error_code error;
+  std::string stem = fs::is_directory(file, error) ? file.filename().string() : file.stem().string();
   for (char& c : stem) {
     const bool plain = std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '_' || c == '-' || c == '.';
     if (!plain) c = '_';
@@ -259,6 +260,16 @@ std::string RecordingName(const std::string& path, std::set<std::string>* taken)
   std::string name = stem + ".csv";
   for (int k = 2; !taken->insert(name).second; ++k) name = stem + "_" + std::to_string(k) + ".csv";
   return name;
+}
+
+// A recording that is fitted cannot be one to judge by.
+Status CheckNoneTwice(const std::vector<std::string>& files) {
+  std::set<std::string> seen;
+  for (const std::string& file : files) {
+    if (!seen.insert(fs::path(file).lexically_normal().string()).second)
+      return InvalidError(file + ": is given twice");
+  }
+  return Status::Ok();
 }
 
 // The last third of the files is kept aside.
@@ -430,6 +441,7 @@ Result<GuessReport> Guess(const ImportOptions& options, const ProgressFn& progre
 
 Result<ImportReport> Import(const ImportOptions& options, const ProgressFn& progress) {
   RG_RETURN_IF_ERROR(CheckOut(options.out));
+  RG_RETURN_IF_ERROR(CheckNoneTwice(options.files));
   RG_ASSIGN_OR_RETURN(Source source, OpenSource(options.files[0], progress));
   if (options.map.empty() && !IsCsv(source.file) && IsSetBag(source.inventory))
     return ImportSetBags(options, source, progress);

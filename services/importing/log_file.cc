@@ -77,12 +77,13 @@ BagMetadata ParseMetadata(std::string_view text) {
 Result<LogFile> OpenFolder(const std::string& path) {
   LogFile file{path, {}, {}, false};
   const fs::path metadata_path = fs::path(path) / "metadata.yaml";
-  if (fs::exists(metadata_path)) {
+  std::error_code error;
+  if (fs::exists(metadata_path, error)) {
     RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(metadata_path.string()));
     const BagMetadata metadata = ParseMetadata(text);
     for (std::string name : metadata.files) {
       // Old versions wrote the path from where the recording was started.
-      if (!fs::exists(fs::path(path) / name)) name = fs::path(name).filename().string();
+      if (!fs::exists(fs::path(path) / name, error)) name = fs::path(name).filename().string();
       file.parts.push_back((fs::path(path) / name).string());
     }
     file.compressed_messages =
@@ -90,7 +91,7 @@ Result<LogFile> OpenFolder(const std::string& path) {
     if (file.parts.empty())
       return InvalidError(metadata_path.string() + ": relative_file_paths: names no file");
   } else {
-    for (const auto& entry : fs::directory_iterator(path)) {
+    for (const auto& entry : fs::directory_iterator(path, error)) {
       const std::string extension = entry.path().extension();
       if (extension == ".db3" || extension == ".mcap") file.parts.push_back(entry.path().string());
     }
@@ -130,12 +131,12 @@ class PartSink final : public LogSink {
 }  // namespace
 
 Result<MappedFile> MappedFile::Open(const std::string& path) {
-  const int descriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  const int descriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
   if (descriptor < 0) return NotFoundError(path + ": " + std::strerror(errno));
   struct stat about {};
   if (::fstat(descriptor, &about) != 0 || !S_ISREG(about.st_mode)) {
     ::close(descriptor);
-    return InvalidError(path + ": is not a file");
+    return InvalidError(path + ": is a folder, a device or a pipe, not a file");
   }
   const auto size = static_cast<size_t>(about.st_size);
   void* data = size == 0 ? nullptr : ::mmap(nullptr, size, PROT_READ, MAP_PRIVATE, descriptor, 0);
@@ -173,10 +174,11 @@ Result<Container> ContainerOf(const std::string& path) {
 
 Result<LogFile> OpenLog(const std::string& path) {
   LogFile file{path, {path}, {}, false};
-  if (fs::is_directory(path)) {
+  std::error_code error;
+  if (fs::is_directory(path, error)) {
     RG_ASSIGN_OR_RETURN(file, OpenFolder(path));
-  } else if (!fs::exists(path)) {
-    return NotFoundError(path + ": no such file");
+  } else if (!fs::exists(path, error)) {
+    return NotFoundError(path + ": " + (error ? error.message() : "no such file"));
   }
   for (const std::string& part : file.parts) {
     RG_ASSIGN_OR_RETURN(const Container container, ContainerOf(part));

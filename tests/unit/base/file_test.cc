@@ -1,6 +1,7 @@
 #include "common/base/file.h"
 
 #include <gtest/gtest.h>
+#include <sys/stat.h>
 
 #include <filesystem>
 
@@ -31,6 +32,18 @@ TEST(File, FailuresNameThePath) {
   EXPECT_EQ(ReadFile("/nowhere/x.csv").status().code(), StatusCode::kNotFound);
   EXPECT_NE(ReadFile("/nowhere/x.csv").status().message().find("/nowhere/x.csv"), std::string::npos);
   EXPECT_FALSE(WriteFileAtomically("/proc/rg/x", "y").ok());
+}
+
+TEST(File, WhatNeverEndsOrIsNoFileIsRefused) {
+  const std::string folder = TempFolder();
+  ASSERT_EQ(::mkfifo((folder + "/pipe").c_str(), 0600), 0);
+  std::filesystem::create_symlink("loop", folder + "/loop");
+  for (const std::string& path : {folder + "/pipe", std::string("/dev/zero"), folder, folder + "/loop"}) {
+    const Status status = ReadFile(path).status();
+    EXPECT_FALSE(status.ok()) << path;
+    EXPECT_NE(status.message().find(path), std::string::npos) << status.message();
+  }
+  std::filesystem::remove_all(folder);
 }
 
 }  // namespace

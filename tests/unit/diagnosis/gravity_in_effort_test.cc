@@ -1,4 +1,5 @@
-// Whether the effort carries gravity: of robots that do and do not, with all that ordinary robots have beside.
+// Whether the effort carries gravity: of robots that do and do not, with all that ordinary robots have
+// beside.
 #include "services/diagnosis/gravity_in_effort.h"
 
 #include <gmock/gmock.h>
@@ -13,9 +14,9 @@ namespace rg::diagnosis {
 namespace {
 
 using effects::MakeSpec;
+using recordings::RecordingSet;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
-using recordings::RecordingSet;
 
 // The drive adds `share` of the torque that holds the arm by its own model, and leaves it out of the file.
 RecordingSet InDrive(RecordingSet set, double share = 1.0) {
@@ -52,13 +53,24 @@ std::vector<effects::EffectSpec> Ordinary(const std::string& robot, double size)
   return out;
 }
 
-// Friction of a third of gravity's torque, as most arms have less; with as much as gravity nothing is said.
+// Friction of a third of gravity's torque, as most arms have less.
 TEST(GravityInEffort, IsFoundInTheDriveOfOrdinaryRobots) {
   for (const char* robot : {"arm2", "mico2", "pendulum"}) {
     const double size = std::string(robot) == "pendulum" ? 0.1 : 0.3;
     const GravityEvidence e = EvidenceOf(InDrive(testing::MakeSet(robot, Ordinary(robot, size), 51)));
     EXPECT_EQ(e.side, GravitySide::kInDrive) << robot << " " << e.with << " " << e.without;
     EXPECT_GE(e.joints.size(), 1u);
+  }
+}
+
+TEST(GravityInEffort, IsFoundInTheDriveWhereFrictionIsAsLargeAsGravity) {
+  for (const char* robot : {"arm2", "mico2"}) {
+    const auto set = testing::MakeSet(robot, Ordinary(robot, 1.0), 51);
+    const GravityEvidence in_drive = EvidenceOf(InDrive(set)), in_effort = EvidenceOf(set);
+    EXPECT_EQ(in_drive.side, GravitySide::kInDrive)
+        << robot << " " << in_drive.with << " " << in_drive.without;
+    EXPECT_NE(in_effort.side, GravitySide::kInDrive)
+        << robot << " " << in_effort.with << " " << in_effort.without;
   }
 }
 

@@ -3,6 +3,7 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/stat.h>
 
 #include <cmath>
 #include <filesystem>
@@ -154,6 +155,28 @@ TEST(Import, PositionsWithoutAnyEffortAreRefusedAndNothingIsWritten) {
   EXPECT_EQ(report.status().message().find('\n'), std::string::npos);
   EXPECT_THAT(report.status().message(), HasSubstr("effort"));
   EXPECT_FALSE(fs::exists(folder / "set"));
+}
+
+TEST(Import, FilesThatAreNoneAndFilesGivenTwiceAreRefused) {
+  const Folder folder;
+  ASSERT_TRUE(WriteFileAtomically(folder / "arm.urdf", kUrdf).ok());
+  ASSERT_TRUE(WriteFileAtomically(folder / "a.csv", Csv(0.0)).ok());
+  fs::create_symlink("loop.csv", folder / "loop.csv");
+  ASSERT_EQ(::mkfifo((folder / "pipe.csv").c_str(), 0600), 0);
+  ImportOptions options;
+  options.urdf = folder / "arm.urdf";
+  options.out = folder / "set";
+  for (const auto& files : std::vector<std::vector<std::string>>{{folder / "loop.csv"},
+                                                                 {folder / "pipe.csv"},
+                                                                 {folder / "arm.urdf"},
+                                                                 {folder / "a.csv", folder / "./a.csv"}}) {
+    options.files = files;
+    const auto report = Import(options, {});
+    ASSERT_FALSE(report.ok()) << files.back();
+    EXPECT_THAT(report.status().message(), HasSubstr(files.back()));
+    EXPECT_EQ(report.status().message().find('\n'), std::string::npos);
+    EXPECT_FALSE(fs::exists(folder / "set"));
+  }
 }
 
 }  // namespace

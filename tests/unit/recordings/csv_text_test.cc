@@ -48,6 +48,33 @@ TEST(CsvText, AHashBeforeTheHeaderIsTakenOff) {
             (Rows{{"time", "position.a"}, {"0", "1"}, {"1", "2"}}));
 }
 
+TEST(CsvText, CommentsOfOtherKindsAreCommentsAndNoHeader) {
+  const Rows rows = {{"time", "position.a"}, {"0", "1"}, {"1", "2"}};
+  for (const char* text :
+       {"# a log, of Tuesday; ours\ntime,position.a\n0,1\n1,2\n",
+        "% made by Octave\ntime,position.a\n0,1\n1,2\n",
+        "// a remark\ntime,position.a\n0,1\n// another\n1,2\n# the end\n",
+        "sep=,\ntime,position.a\n0,1\n1,2\n", "# first\n\n# second\n% time,position.a\n0,1\n1,2\n"}) {
+    Rows read = RowsOf(text, GuessSeparator(text));
+    std::erase(read, std::vector<std::string>{});
+    EXPECT_EQ(read, rows) << text;
+  }
+  EXPECT_EQ(GuessSeparator("# one, two\ntime;position.a\n0,5;1\n"), ';');
+  EXPECT_EQ(GuessSeparator("sep=;\ntime,x;position.a\n"), ';');
+  EXPECT_EQ(GuessSeparator("# time;position.a\n0,5;1,5\n"), ';');
+}
+
+TEST(CsvText, LineEndsMayDifferWithinAFile) {
+  EXPECT_EQ(RowsOf("a,b\r1,2\r3,4\n5,6\r\n"), (Rows{{"a", "b"}, {"1", "2"}, {"3", "4"}, {"5", "6"}}));
+}
+
+TEST(CsvText, AMillionCommentLinesTakeOneLookEach) {
+  std::string text;
+  for (int k = 0; k < 1000000; ++k) text += "# x, y\n";
+  EXPECT_EQ(RowsOf(text + "time,position.a\n0,1\n").size(), 2u);
+  EXPECT_EQ(GuessSeparator(text + "time;position.a\n0;1\n"), ';');
+}
+
 TEST(CsvText, SaysWhereAQuoteIsNeverClosed) {
   CsvText lines("a,b\n1,\"2\n3,4\n", ',');
   std::vector<std::string_view> fields;

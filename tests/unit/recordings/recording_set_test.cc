@@ -178,6 +178,43 @@ TEST(LoadSet, WarnsOfKeysThatNobodyKnowsAndOfNoOther) {
                                                              HasSubstr("control.rate: unknown key")));
 }
 
+TEST(LoadSet, WarnsOfWhatAManifestHardlyMeans) {
+  const auto up = Load(ManifestText(R"(, "gravity": [0, 0, 9.81])"));
+  ASSERT_TRUE(up.ok()) << up.status().ToString();
+  EXPECT_THAT(up->warnings, ::testing::ElementsAre(HasSubstr("points up")));
+  EXPECT_THAT(Load(ManifestText(R"(, "gravity": [0, 0, -981])"))->warnings,
+              ::testing::ElementsAre(HasSubstr("981")));
+  EXPECT_THAT(Load(ManifestText(R"(, "gravity": [0, 0, 0])"))->warnings, ::testing::IsEmpty());
+  EXPECT_THAT(Load(ManifestText(R"(, "locked": {"finger": 20})"))->warnings,
+              ::testing::ElementsAre(AllOf(HasSubstr("finger at 20"), HasSubstr("0 to 0.05"))));
+}
+
+TEST(LoadSet, ReadsPathsAsWindowsWritesThem) {
+  Folder folder;
+  folder.Write("robot.urdf", kUrdf);
+  folder.Write("manifest.json", ManifestText("", R"([{"file": "data\\a.csv"}])"));
+  folder.Write("data/a.csv", kCsv);
+  const auto set = LoadSet(folder.path());
+  ASSERT_TRUE(set.ok()) << set.status().ToString();
+  EXPECT_EQ(set->recordings[0].rows(), 3);
+}
+
+TEST(LoadSet, SaysWhichRecordingLacksAnEffortThatOthersHave) {
+  Folder folder;
+  folder.Write("robot.urdf", kUrdf);
+  folder.Write("manifest.json",
+               ManifestText("", R"([{"file": "a.csv"}, {"file": "b.csv", "split": "holdout"}])"));
+  folder.Write("a.csv", kCsv);
+  std::string silent = kCsv;
+  for (size_t at; (at = silent.find(",2,1,")) != std::string::npos;) silent.replace(at, 5, ",2,0,");
+  folder.Write("b.csv", silent);
+  const auto set = LoadSet(folder.path());
+  ASSERT_TRUE(set.ok()) << set.status().ToString();
+  EXPECT_THAT(
+      set->warnings,
+      ::testing::ElementsAre("b.csv: the effort of shoulder is 0 throughout, in other recordings it is not"));
+}
+
 TEST(LoadSet, ReadsEverySettingOfTheManifest) {
   const auto set = Load(ManifestText(
       R"(, "gravity": [1, 2, 3], "sample_rate_hz": 100, "control": {"rate_hz": 50, "hold": "linear"},

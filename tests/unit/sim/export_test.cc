@@ -175,6 +175,21 @@ TEST(ExportUrdf, SpellsNumbersAsEveryReaderTakesThem) {
     EXPECT_NE(exported->text.find(plain), std::string::npos) << plain << " in\n" << exported->text;
 }
 
+TEST(ExportUrdf, AnInertialTurnedByAQuaternionGoesOutAlongTheLinksAxes) {
+  const std::string urdf = "<robot name=\"r\"><link name=\"base\"/><link name=\"arm\"><inertial>"
+                           "<origin xyz=\"0 0 1\" quat_xyzw=\"0 0 0.70710678118654752 0.70710678118654752\"/><mass value=\"2\"/>"
+                           "<inertia ixx=\"1\" iyy=\"2\" izz=\"2.5\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial></link>"
+                           "<joint name=\"hinge\" type=\"continuous\"><parent link=\"base\"/><child link=\"arm\"/></joint></robot>";
+  auto model = model::ParseUrdf(urdf, "r.urdf", {});
+  ASSERT_TRUE(model.ok()) << model.status().ToString();
+  const Plant plant = Plant::Create(std::make_shared<const model::RobotModel>(std::move(model).value())).value();
+  const auto exported = ExportUrdf(plant, plant.parameters().Nominal());
+  ASSERT_TRUE(exported.ok()) << exported.status().ToString();
+  const auto back = model::ParseUrdf(exported->text, "back.urdf", {});
+  ASSERT_TRUE(back.ok()) << back.status().ToString();
+  EXPECT_LT((back->link(1).parameters - plant.model().link(1).parameters).norm(), 1e-12);
+}
+
 TEST(ExportUrdf, RefusesANegativeMassByName) {
   const Plant plant = testing::MakePlant("arm2");
   VectorXd p = plant.parameters().Nominal();
