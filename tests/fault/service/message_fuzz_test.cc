@@ -1,0 +1,130 @@
+// Messages of hostile or broken peers of every role against the decoder and all handlers, in this process and
+// under a clock that jumps, so that leases expire between them: under sanitizers nothing is found, the server
+// goes on, and its promises hold. In batches, each a server of its own under its own seed.
+//
+// RG_MESSAGES says how many (deploy/fuzz_messages: 10,000,000). With RG_PROGRESS=FILE batches that are done are
+// noted there, and a run that was broken off goes on with the next.
+#include <gtest/gtest.h>
+
+#include <cstdlib>
+#include <fstream>
+
+#include "common/transport/frames.h"
+#include "tests/support/service/hostile.h"
+#include "tests/support/service/server_bench.h"
+
+namespace rg::testing {
+namespace {
+
+constexpr uint64_t kPerBatch = 2'000;
+
+uint64_t Asked() {
+  const char* asked = std::getenv("RG_MESSAGES");
+  return asked != nullptr ? std::strtoull(asked, nullptr, 10) : 20'000;
+}
+
+class Batch {
+ public:
+  explicit Batch(uint64_t seed) : rng_(seed) {
+    const std::tuple<const char*, pb::Role, bool> peers[] = {
+        {"viewer", pb::ROLE_VIEWER, false}, {"w1", pb::ROLE_WORKER, false},     {"w2", pb::ROLE_WORKER, false},
+        {"agent", pb::ROLE_AGENT, true},    {"op", pb::ROLE_OPERATOR, false},   {"chief", pb::ROLE_OPERATOR, true},
+        {"any", pb::ROLE_UNSPECIFIED, false}};
+    for (const auto& [name, role, robots] : peers) {
+      transport::Credentials credentials;
+      credentials.authenticated = role != pb::ROLE_UNSPECIFIED;  // on a local socket anybody claims any role
+      credentials.role = role;
+      if (credentials.authenticated) credentials.name = name;
+      credentials.robots = robots;
+      peers_.push_back({role, credentials, bench_.network_.Connect("c", name, credentials, kWide)});
+    }
+  }
+
+  void Run() {
+    for (uint64_t sent = 0; sent < kPerBatch && !::testing::Test::HasFailure();) {
+      for (uint64_t n = 1 + rng_.Index(16); n > 0; --n, ++sent) SendOne();
+      if (rng_.Index(20) == 0) bench_.Pass(5.0 * rng_.Uniform());
+      const Status turned = bench_.Turn();  // looks at the promises too
+      ASSERT_TRUE(turned.ok()) << turned.ToString();
+      for (Peer& peer : peers_) {
+        transport::Message reply;
+        while (peer.socket->Receive(&reply)) ++replies_;
+      }
+    }
+  }
+  uint64_t replies() const { return replies_; }
+  uint64_t attempts() const { return bench_.state().counters.attempts_started; }
+  uint64_t jobs() const { return bench_.state().counters.jobs_submitted; }
+
+ private:
+  struct Peer {
+    pb::Role role;
+    transport::Credentials credentials;
+    std::unique_ptr<transport::Socket> socket;
+  };
+  static constexpr size_t kMostBytes = 1 << 20;
+  static inline const transport::ReceiveLimits kWide{.max_message_bytes = 64u << 20, .known_types = {}};
+
+  void SendOne() {
+    Peer& peer = peers_[rng_.Index(peers_.size())];
+    const pb::Role claim =
+        peer.role == pb::ROLE_UNSPECIFIED ? static_cast<pb::Role>(rng_.Index(7)) : peer.role;
+    const transport::Message message = HostileMessage(claim, rng_);
+    if (rng_.Index(4) == 0) DecodeOne(peer, message);
+    (void)peer.socket->Send(message);
+  }
+  // Its bytes on the wire, changed, as they would come off a socket.
+  void DecodeOne(const Peer& peer, const transport::Message& message) {
+    auto frames = transport::ToFrames(message, kWide);
+    if (!frames.ok()) return;
+    const std::string envelope = Mutate(std::move(frames->envelope), rng_);
+    transport::RawMessage raw;
+    raw.peer = "p";
+    raw.envelope = envelope;
+    raw.attachment = frames->attachment;
+    raw.frame_count = rng_.Index(4);
+    raw.total_bytes = envelope.size() + frames->attachment.size();
+    raw.credentials = peer.credentials;
+    raw.key_revoked = rng_.Index(50) == 0;
+    transport::SocketMetrics metrics;
+    transport::Message out;
+    std::optional<transport::Message> refusal;
+    const bool taken = transport::FromFrames(raw, {"c", pb::ROLE_COORDINATOR}, {.max_message_bytes = kMostBytes, .known_types = {}},
+                                             &metrics, &out, &refusal);
+    EXPECT_EQ(taken ? 0u : 1u, metrics.dropped());
+    EXPECT_FALSE(taken && raw.key_revoked);
+    if (taken && peer.credentials.authenticated) EXPECT_EQ(out.credentials.role, peer.role);
+  }
+
+  Rng rng_;
+  ServerBench bench_;
+  std::vector<Peer> peers_;
+  uint64_t replies_ = 0;
+};
+
+TEST(MessageFuzz, DecoderAndHandlersTakeWhateverComes) {
+  const char* progress = std::getenv("RG_PROGRESS");
+  uint64_t first = 0;
+  if (progress != nullptr) std::ifstream(progress) >> first;
+  const uint64_t batches = (Asked() + kPerBatch - 1) / kPerBatch;
+  uint64_t replies = 0, attempts = 0, jobs = 0;
+  for (uint64_t b = first; b < batches; ++b) {
+    Batch batch(b + 1);
+    batch.Run();
+    ASSERT_FALSE(HasFailure()) << "batch " << b;
+    replies += batch.replies(), attempts += batch.attempts(), jobs += batch.jobs();
+    if (progress != nullptr && b % 10 == 9) std::ofstream(progress, std::ios::trunc) << b + 1 << "\n";
+  }
+  if (progress != nullptr) std::ofstream(progress, std::ios::trunc) << "0\n";
+  std::printf("%llu messages, %llu replies, %llu jobs, %llu attempts\n",
+              static_cast<unsigned long long>((batches - first) * kPerBatch),
+              static_cast<unsigned long long>(replies), static_cast<unsigned long long>(jobs),
+              static_cast<unsigned long long>(attempts));
+  if (batches - first < 10) return;
+  // They must have had consequences.
+  EXPECT_GT(jobs, batches - first);
+  EXPECT_GT(attempts, (batches - first) / 4);
+}
+
+}  // namespace
+}  // namespace rg::testing
