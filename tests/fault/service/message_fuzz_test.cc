@@ -89,11 +89,14 @@ class Batch {
     transport::SocketMetrics metrics;
     transport::Message out;
     std::optional<transport::Message> refusal;
-    const bool taken = transport::FromFrames(raw, {"c", pb::ROLE_COORDINATOR}, {.max_message_bytes = kMostBytes, .known_types = {}},
-                                             &metrics, &out, &refusal);
+    const transport::ReceiveLimits limits{.max_message_bytes = kMostBytes, .known_types = {}};
+    const bool taken =
+        transport::FromFrames(raw, {"c", pb::ROLE_COORDINATOR}, limits, &metrics, &out, &refusal);
     EXPECT_EQ(taken ? 0u : 1u, metrics.dropped());
     EXPECT_FALSE(taken && raw.key_revoked);
-    if (taken && peer.credentials.authenticated) EXPECT_EQ(out.credentials.role, peer.role);
+    if (taken && peer.credentials.authenticated) {
+      EXPECT_EQ(out.credentials.role, peer.role);
+    }
   }
 
   Rng rng_;
