@@ -551,11 +551,10 @@ TEST(Service, AJobComesAfterOthersOverARestartAndFailsWhereOneDoes) {
   pb::JobSpec bad, third;
   AddTask(&bad, "t", "fail", R"({"code": 1})");
   AddTask(&third, "t", "echo");
-  ASSERT_TRUE(service.client().Act(*service.client().Submit(bad), pb::JOB_ACTION_PAUSE).ok());
-  third.add_after_jobs(service.client().GetJob(0)->job().id());
+  bad.add_after_jobs(*service.client().Submit(slow));
+  third.add_after_jobs(*service.client().Submit(bad));
   const auto doomed = service.client().Submit(third);
-  ASSERT_TRUE(doomed.ok());
-  ASSERT_TRUE(service.client().Act(third.after_jobs(0), pb::JOB_ACTION_RESUME).ok());
+  ASSERT_TRUE(doomed.ok()) << doomed.status().ToString();
   const auto end = service.client().WaitForJob(*doomed, kPatience);
   EXPECT_EQ(end->job().state(), pb::JOB_STATE_FAILED);
   EXPECT_NE(end->job().reason().find("comes after it"), std::string::npos) << end->job().reason();
