@@ -17,6 +17,7 @@
 #include "coordinator/autoscale/autoscaler.h"
 #include "coordinator/server/server.h"
 #include "coordinator/web/web_server.h"
+#include "google/protobuf/stubs/logging.h"
 
 namespace rg::coordinator {
 namespace {
@@ -266,6 +267,7 @@ int CoordinatorMain(int argc, char** argv) {
     return app.exit(error) == 0 ? 0 : kExitUsage;
   }
   InitLogging("realitygrad-coordinator", flags.log_level);
+  google::protobuf::SetLogHandler(nullptr);  // bytes of peers that do not parse are counted; they must not fill the log
   CatchSignals();
   const Status status = Serve(flags);
   if (status.ok()) return 0;

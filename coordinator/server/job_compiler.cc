@@ -20,6 +20,7 @@ namespace pb = realitygrad::v1;
 constexpr uint32_t kMaxAttempts = 1000;
 constexpr size_t kMaxNameBytes = 200;
 constexpr int kMaxJobsBefore = 1000;
+constexpr double kMaxSeconds = 1e9, kMaxWeight = 1e12;
 
 class Compiler {
  public:
@@ -72,8 +73,7 @@ class Compiler {
   // When it may start, and for how long it may run.
   Status CheckTerms() const {
     RG_RETURN_IF_ERROR(CheckPriority(spec_.priority()));
-    constexpr double kMaxLimitS = 1e9;
-    if (!(spec_.time_limit_s() >= 0.0 && spec_.time_limit_s() <= kMaxLimitS))
+    if (!(spec_.time_limit_s() >= 0.0 && spec_.time_limit_s() <= kMaxSeconds))
       return InvalidError("the job's time limit of " + std::to_string(spec_.time_limit_s()) +
                           " s is not between 0 and 1e9");
     if (spec_.after_jobs().empty()) return Status::Ok();
@@ -130,11 +130,11 @@ class Compiler {
   Status CompileTask(const pb::TaskSpec& task, TaskPlan& out) {
     RG_RETURN_IF_ERROR(CheckTaskIsPlain(task));
     if (task.kind().empty()) return InvalidError("it has no kind");
-    if (!(task.weight() >= 0.0))
-      return InvalidError("weight " + std::to_string(task.weight()) + " is below 0");
+    if (!(task.weight() >= 0.0 && task.weight() <= kMaxWeight))
+      return InvalidError("weight " + std::to_string(task.weight()) + " is not between 0 and 1e12");
     RG_RETURN_IF_ERROR(CheckPriority(task.priority()));
-    if (!(task.timeout_s() >= 0.0))
-      return InvalidError("timeout_s " + std::to_string(task.timeout_s()) + " is below 0");
+    if (!(task.timeout_s() >= 0.0 && task.timeout_s() <= kMaxSeconds))
+      return InvalidError("timeout_s " + std::to_string(task.timeout_s()) + " is not between 0 and 1e9");
     if (task.max_attempts() > kMaxAttempts) {
       return InvalidError("max_attempts " + std::to_string(task.max_attempts()) + " is above " +
                           std::to_string(kMaxAttempts));

@@ -470,9 +470,9 @@ void Server::HandleFinished(const pb::TaskFinished& finished, const std::string&
   if (!begun.ok()) return poison_ = begun, void();
   auto stored = worker_desk_->StoreOutputs(state_, *lease, finished);
   if (stored.ok()) {
+    const double seconds = stored->seconds;
     results_[finished.token()] = *std::move(stored);
-    return Absorb(Finished{instance, lease->task, finished.token(), finished.seconds()}, state_, now(),
-                  actions_);
+    return Absorb(Finished{instance, lease->task, finished.token(), seconds}, state_, now(), actions_);
   }
   const StatusCode code = stored.status().code();
   if (code == StatusCode::kResourceExhausted || code == StatusCode::kUnavailable ||

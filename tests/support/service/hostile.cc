@@ -3,7 +3,6 @@
 #include <memory>
 
 #include "google/protobuf/descriptor.h"
-#include "google/protobuf/message.h"
 #include "realitygrad/v1/artifact.pb.h"
 #include "realitygrad/v1/control.pb.h"
 #include "realitygrad/v1/parameters.pb.h"
@@ -13,9 +12,6 @@ namespace rg::testing {
 
 namespace pb = realitygrad::v1;
 
-namespace {
-
-// A message of this type with fields that may make sense, or not.
 void Fill(google::protobuf::Message* message, Rng& rng, int depth) {
   using Field = google::protobuf::FieldDescriptor;
   const auto* reflection = message->GetReflection();
@@ -71,6 +67,8 @@ void Fill(google::protobuf::Message* message, Rng& rng, int depth) {
     }
   }
 }
+
+namespace {
 
 const char* const kRequests[] = {
     "SubmitRequest",         "ListJobsRequest",      "GetJobRequest",           "GetLogsRequest",

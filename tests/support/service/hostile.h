@@ -5,8 +5,12 @@
 
 #include "common/base/rng.h"
 #include "common/transport/envelope.h"
+#include "google/protobuf/message.h"
 
 namespace rg::testing {
+
+// Half of the fields, with values that may make sense, or not.
+void Fill(google::protobuf::Message* message, Rng& rng, int depth);
 
 // Some bytes changed, left out or put in; the end cut off.
 std::string Mutate(std::string bytes, Rng& rng);
