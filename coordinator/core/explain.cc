@@ -77,9 +77,14 @@ Explanation Explain(const State& state, const Job& job, uint32_t index) {
     case TaskPhase::kWaiting:
       ExplainParents(job, index, &out);
       break;
-    case TaskPhase::kReady:
-      ExplainPlacement(state, job, index, &out);
+    case TaskPhase::kReady: {
+      Explanation placement;
+      ExplainPlacement(state, job, index, &placement);
+      out.placeable = placement.placeable;
+      if (!job.is_held())  // else who is busy is not why
+        out.reasons.insert(out.reasons.end(), placement.reasons.begin(), placement.reasons.end());
       break;
+    }
     case TaskPhase::kLeased: {
       const Lease& lease = state.leases.at(std::get<TaskLeased>(task.status).token);
       out.reasons.push_back("it runs on " + lease.worker + ", attempt " + std::to_string(lease.attempt));

@@ -52,7 +52,9 @@ json TaskJson(const pb::TaskInfo& task, int64_t wall_ns) {
           {"state", Lower(pb::TaskState_Name(task.state()), sizeof("TASK_STATE_") - 1)},
           {"reason", task.reason()},
           {"attempts", task.attempts()},
-          {"worker", task.worker()},
+          {"worker", task.worker().empty() && task.attempt_list_size() > 0
+                         ? task.attempt_list(task.attempt_list_size() - 1).worker()
+                         : task.worker()},
           {"progress", ProgressText(task.progress())},
           {"seconds", SecondsJson(task.started_ns(), task.finished_ns(), wall_ns)},
           {"outputs", outputs}};

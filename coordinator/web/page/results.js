@@ -6,7 +6,7 @@
   function residuals(history) {
     var rows = history.versions.filter(function (v) { return v.residual_after !== null || v.residual_before !== null; })
       .map(function (v) { return [v.version, v.residual_before, v.residual_after]; }).sort(function (a, b) { return a[0] - b[0]; });
-    if (!rows.length) { return null; }
+    if (rows.length < 2) { return null; }  // the table says it
     var positive = rows.every(function (r) { return (r[1] === null || r[1] > 0) && (r[2] === null || r[2] > 0); });
     return makePlot({ title: 'Residual by iteration', labels: ['version', 'before', 'after'], rows: rows, log: positive, xlabel: 'version', ylabel: 'residual' });
   }

@@ -143,7 +143,7 @@ TEST_F(JobCommands, ASubmitSaysWhenItMayStartAndForHowLong) {
   EXPECT_EQ(job["after"], json::array({before}));
   EXPECT_EQ(job["waits_for"], json::array({before}));
   EXPECT_EQ(job["time_limit_s"], 90.0);
-  EXPECT_EQ(job["labels"], json({{"arm", "left"}, {"x", "1"}}));
+  EXPECT_EQ(job["labels"], json({{"arm", "left"}, {"robot", "mico2"}, {"x", "1"}}));
   EXPECT_EQ(RunJson("jobs --label arm=left")["jobs"].size(), 1u);
   EXPECT_NE(Run("job explain " + id).out.find("comes after " + std::to_string(before)), std::string::npos);
   EXPECT_NE(Run("job show " + id).out.find("comes after job " + std::to_string(before)), std::string::npos);
@@ -179,7 +179,7 @@ TEST_F(JobCommands, CompletionKnowsCommandsFlagsAndJobsInABash) {
   EXPECT_EQ(complete(program + " job logs " + std::to_string(id)), std::to_string(id) + "\n");
   EXPECT_EQ(complete(program + " params prom"), "promote\n");
   EXPECT_EQ(complete(program + " job prio"), "priority\n");
-  EXPECT_EQ(complete(program + " submit train --time"), "--timeout\n--time-limit\n");
+  EXPECT_EQ(complete(program + " submit train --time"), "--time-limit\n--timeout\n");
 }
 
 TEST_F(JobCommands, CompletionIsAScriptThatZshTakes) {

@@ -49,7 +49,8 @@ TEST_F(JobTerms, AJobStartsWhenAllThatItComesAfterSucceeded) {
   EXPECT_EQ(Phase(third), JobPhase::kQueued);
   End(one, true);
   EXPECT_TRUE(Sent<Assign>(last_).empty()) << "the other one runs still";
-  EXPECT_NE(Explain(state_, state_.jobs.at(third), 0).reasons.at(0).find("job comes after 2"), std::string::npos);
+  const std::vector<std::string> why = Explain(state_, state_.jobs.at(third), 0).reasons;
+  EXPECT_EQ(why, std::vector<std::string>{"its job comes after 1, 2, which are not over"});
   End(two, true);
   ASSERT_EQ(Sent<Assign>(last_).size(), 1u);
   EXPECT_EQ(JobOf(Sent<Assign>(last_)[0].task), third);
