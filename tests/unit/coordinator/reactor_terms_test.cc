@@ -50,7 +50,7 @@ TEST_F(JobTerms, AJobStartsWhenAllThatItComesAfterSucceeded) {
   End(one, true);
   EXPECT_TRUE(Sent<Assign>(last_).empty()) << "the other one runs still";
   const std::vector<std::string> why = Explain(state_, state_.jobs.at(third), 0).reasons;
-  EXPECT_EQ(why, std::vector<std::string>{"its job comes after 1, 2, which are not over"});
+  EXPECT_EQ(why, std::vector<std::string>{"its job comes after 2, which is not over"});
   End(two, true);
   ASSERT_EQ(Sent<Assign>(last_).size(), 1u);
   EXPECT_EQ(JobOf(Sent<Assign>(last_)[0].task), third);
