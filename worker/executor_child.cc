@@ -6,6 +6,7 @@
 #include <condition_variable>
 #include <deque>
 #include <exception>
+#include <filesystem>
 #include <mutex>
 #include <thread>
 
@@ -134,6 +135,13 @@ class Link {
   int64_t last_progress_ns_ = 0;
 };
 
+// Only where it is wanted: on a busy disk a folder made and removed costs more than a short task. What cannot
+// be made shows when something is written there.
+void MakeFolder(const std::string& path) {
+  std::error_code ignored;
+  std::filesystem::create_directories(path, ignored);
+}
+
 class ChildContext final : public TaskContext {
  public:
   ChildContext(Link& link, const pb::RunTask& run) : link_(link), run_(run) {}
@@ -168,7 +176,10 @@ class ChildContext final : public TaskContext {
     out->set_text(CleanUtf8(line, kMaxTextBytes));
     link_.Send(message);
   }
-  const std::string& scratch_folder() const override { return run_.scratch_folder(); }
+  const std::string& scratch_folder() const override {
+    MakeFolder(run_.scratch_folder());
+    return run_.scratch_folder();
+  }
   Result<std::shared_ptr<coordinator::Client>> Coordinator() override {
     const pb::Access& access = run_.access();
     coordinator::ClientOptions options;
@@ -263,6 +274,7 @@ Status PackOutputs(const pb::RunTask& run, TaskOutputs outputs, pb::ExecutorFini
       to->mutable_output()->set_inline_bytes(std::move(from.bytes));
       continue;
     }
+    MakeFolder(run.scratch_folder());
     to->set_path(run.scratch_folder() + "/.output-" + std::to_string(i));
     RG_RETURN_IF_ERROR(WriteFileAtomically(to->path(), from.bytes));
   }

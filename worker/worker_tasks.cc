@@ -2,7 +2,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <filesystem>
 
 #include "common/base/log.h"
 #include "worker/worker.h"
@@ -82,13 +81,9 @@ void Worker::GiveBackWhatWaits() {
 }
 
 void Worker::Start(uint64_t, Held& held) {
-  std::error_code error;
-  std::filesystem::create_directories(held.scratch, error);
-  Executor* executor = error ? nullptr : IdleExecutor();
-  if (executor == nullptr) {
-    const std::string why = error ? held.scratch + ": " + error.message() : "no executor could be started";
-    return ReportFailure(held, pb::ATTEMPT_OUTCOME_FAILED, why, true);
-  }
+  Executor* executor = IdleExecutor();
+  if (executor == nullptr)
+    return ReportFailure(held, pb::ATTEMPT_OUTCOME_FAILED, "no executor could be started", true);
   pb::RunTask run;
   *run.mutable_assignment() = held.assignment;
   for (const std::string& path : held.input_paths) run.add_input_paths(path);

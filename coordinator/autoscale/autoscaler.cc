@@ -95,8 +95,6 @@ Result<SlurmOptions> OptionsOf(const Flags& flags, const std::string& endpoint, 
                     "--patience",
                     text(flags.patience_s)};
   for (const std::string& tag : flags.tags) options.worker.insert(options.worker.end(), {"--tag", tag});
-  if (flags.worker_key.empty() != flags.server_key.empty())
-    return InvalidError("--autoscale-worker-key and --autoscale-server-key go together");
   if (!flags.worker_key.empty())
     options.worker.insert(options.worker.end(),
                           {"--key", flags.worker_key, "--server-key", flags.server_key});
@@ -155,6 +153,13 @@ Result<Stored> LoadOrMake(const std::string& path) {
 
 Status Save(const std::string& path, const Stored& stored) {
   return WriteFileAtomically(path, ToJson(stored).dump(1) + "\n");
+}
+
+Status Autoscaler::Check(const Flags& flags, const std::string& endpoint) {
+  if (flags.manager.empty()) return Status::Ok();
+  if (flags.worker_key.empty() != flags.server_key.empty())
+    return InvalidError("--autoscale-worker-key and --autoscale-server-key go together");
+  return AddressForWorkers(flags, endpoint).status();
 }
 
 Result<std::unique_ptr<Autoscaler>> Autoscaler::Start(const Flags& flags, const std::string& endpoint,

@@ -47,6 +47,8 @@ Status Save(const std::string& path, const Stored& stored);
 
 class Autoscaler {
  public:
+  // What can be told of the flags before anything is begun. kInvalid.
+  static Status Check(const Flags& flags, const std::string& endpoint);
   // Null if the flags want none. Tries out whether the cluster would take such an allocation: kInvalid if
   // not.
   static Result<std::unique_ptr<Autoscaler>> Start(const Flags& flags, const std::string& endpoint,

@@ -154,6 +154,15 @@ Result<pb::JobSummary> Client::Act(int64_t id, pb::JobAction action, const std::
   return reply.job();
 }
 
+Result<pb::JobSummary> Client::SetPriority(int64_t id, int32_t priority) {
+  pb::JobActionRequest request;
+  request.set_job(id);
+  request.set_action(pb::JOB_ACTION_PRIORITY);
+  request.set_priority(priority);
+  RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::JobActionReply>(request));
+  return reply.job();
+}
+
 Result<pb::GetLogsReply> Client::Logs(int64_t job, const std::string& task, uint64_t after_sequence,
                                       uint32_t limit) {
   pb::GetLogsRequest request;

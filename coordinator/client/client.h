@@ -72,6 +72,7 @@ class Client {
                                      const std::function<void(const pb::GetJobReply&)>& on_change = {},
                                      double patience_s = 60.0);
   Result<pb::JobSummary> Act(int64_t id, pb::JobAction action, const std::string& reason = {});
+  Result<pb::JobSummary> SetPriority(int64_t id, int32_t priority);
   Result<pb::GetLogsReply> Logs(int64_t job, const std::string& task = {}, uint64_t after_sequence = 0,
                                 uint32_t limit = 0);
   // Why does this job, or this task of it, wait?

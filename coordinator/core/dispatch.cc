@@ -61,6 +61,7 @@ bool Turn::AssignOneTo(Worker& worker, bool ahead) {
 void Turn::GiveTo(Worker& worker, Job& job, uint32_t index) {
   if (job.record.phase == JobPhase::kQueued) {
     job.record.started_ns = now_.wall_ns;
+    StartTheClock(job);
     SetJobPhase(job, JobPhase::kRunning, "");
   }
   Task& task = job.tasks[index];

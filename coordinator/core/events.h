@@ -22,13 +22,17 @@ struct Submit {
   // A job that is over and not in memory had this request id already, and that content.
   JobId known = 0;
   std::string known_content = {};
+  JobId unmet = 0;  // of the jobs that it comes after and that are not in memory, one that did not succeed
 };
-enum class JobCommand { kCancel, kPause, kResume, kRetry };
+enum class JobCommand { kCancel, kPause, kResume, kRetry, kPriority };
 struct CommandJob {
   JobId job = 0;
   JobCommand command = JobCommand::kCancel;
   std::string reason;
   ReplyTo reply_to = 0;
+  int32_t priority = 0;  // kPriority
+  // kRetry: of the jobs that it comes after and that are not in memory, one that did not succeed; 0: none.
+  JobId unmet = 0;
 };
 struct DrainWorker {
   std::string worker;

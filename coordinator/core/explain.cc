@@ -24,6 +24,18 @@ void ExplainParents(const Job& job, uint32_t index, Explanation* out) {
   out->reasons.push_back("it waits for " + std::to_string(open.size()) + " of its parents: " + names);
 }
 
+void ExplainJobsBefore(const Job& job, Explanation* out) {
+  constexpr size_t kNamed = 3;
+  std::vector<std::string> names;
+  for (const JobId id : job.waits_for) {
+    if (names.size() < kNamed) names.push_back(std::to_string(id));
+  }
+  std::string text = "its job comes after " + Join(names);
+  if (job.waits_for.size() > kNamed)
+    text += " and " + std::to_string(job.waits_for.size() - kNamed) + " more";
+  out->reasons.push_back(text + (job.waits_for.size() == 1 ? ", which is" : ", which are") + " not over");
+}
+
 void ExplainPlacement(const State& state, const Job& job, uint32_t index, Explanation* out) {
   const SchedulingClass& cls = state.classes[job.tasks[index].scheduling_class];
   uint32_t connected = 0, able = 0, draining = 0, busy = 0;
@@ -60,13 +72,19 @@ Explanation Explain(const State& state, const Job& job, uint32_t index) {
   Explanation out;
   const Task& task = job.tasks[index];
   if (job.record.phase == JobPhase::kPaused) out.reasons.push_back("its job is paused");
+  if (!job.waits_for.empty()) ExplainJobsBefore(job, &out);
   switch (PhaseOf(task.status)) {
     case TaskPhase::kWaiting:
       ExplainParents(job, index, &out);
       break;
-    case TaskPhase::kReady:
-      ExplainPlacement(state, job, index, &out);
+    case TaskPhase::kReady: {
+      Explanation placement;
+      ExplainPlacement(state, job, index, &placement);
+      out.placeable = placement.placeable;
+      if (!job.is_held())  // else who is busy is not why
+        out.reasons.insert(out.reasons.end(), placement.reasons.begin(), placement.reasons.end());
       break;
+    }
     case TaskPhase::kLeased: {
       const Lease& lease = state.leases.at(std::get<TaskLeased>(task.status).token);
       out.reasons.push_back("it runs on " + lease.worker + ", attempt " + std::to_string(lease.attempt));

@@ -44,6 +44,7 @@ class Inspection {
            [&] { return where() + ": counts"; });
     Expect(job.settled() + open == job.tasks.size(), [&] { return where() + ": settled count"; });
     CheckParent(job);
+    CheckJobsBefore(job, leased);
   }
 
   // A job that a task submitted goes on for as long as that may still run, and no longer.
@@ -57,6 +58,24 @@ class Inspection {
     if (parent == nullptr) return;
     Expect(!s_.IsSettled(job.plan->parent),
            [&] { return where() + " goes on though the task that submitted it is over"; });
+  }
+
+  void CheckJobsBefore(const Job& job, uint32_t leased) {
+    const auto where = [&] { return "job " + std::to_string(job.id); };
+    Expect(job.waits_for.empty() || leased == 0, [&] { return where() + " runs before those it comes after"; });
+    Expect(!IsFinal(job.record.phase) || job.waits_for.empty(), [&] { return where() + " is over but waits"; });
+    for (const JobId id : job.waits_for) {
+      const Job* before = s_.FindJob(id);
+      const auto index = s_.jobs_waiting_for.find(id);
+      Expect(before != nullptr && !IsFinal(before->record.phase),
+             [&] { return where() + " waits for job " + std::to_string(id) + ", which is over"; });
+      Expect(index != s_.jobs_waiting_for.end() && index->second.count(job.id) > 0,
+             [&] { return where() + " would not be told of the end of job " + std::to_string(id); });
+    }
+    if (IsFinal(job.record.phase)) return;
+    const bool counts = job.plan->time_limit_ns != 0 && job.record.started_ns != 0;
+    Expect(counts == (job.deadline_ns != 0) && counts == (job.record.deadline_ns != 0),
+           [&] { return where() + ": time limit"; });
   }
 
   void CheckTask(const Job& job, uint32_t index) {
@@ -145,6 +164,8 @@ class Inspection {
         const Job* job = s_.FindJob(JobOf(entry.task));
         Expect(job != nullptr && std::holds_alternative<TaskReady>(job->tasks[IndexOf(entry.task)].status),
                [&] { return std::string("a task is queued but not ready"); });
+        Expect(job == nullptr || job->priority_of(IndexOf(entry.task)) == entry.priority,
+               [&] { return std::string("a task is queued under another priority than its own"); });
       }
     }
     Expect(in_classes == in_jobs, [&] { return std::string("tasks of scheduling classes: count"); });
@@ -154,10 +175,17 @@ class Inspection {
            [&] { return std::string("request ids and jobs in memory: count"); });
     size_t ready = 0;
     for (const auto& [id, job] : s_.jobs) {
-      if (job.record.phase == JobPhase::kPaused) continue;
+      if (job.is_held()) continue;
       for (const Task& task : job.tasks) ready += std::holds_alternative<TaskReady>(task.status);
     }
     Expect(queued == ready, [&] { return std::string("a ready task is in no queue"); });
+    for (const auto& [before, waiting] : s_.jobs_waiting_for) {
+      for (const JobId id : waiting) {
+        const Job* job = s_.FindJob(id);
+        Expect(job != nullptr && job->waits_for.count(before) > 0,
+               [&] { return "job " + std::to_string(id) + " does not wait for job " + std::to_string(before); });
+      }
+    }
     Expect(!s_.dispatch_needed, [&] { return std::string("dispatch was left undone"); });
   }
 

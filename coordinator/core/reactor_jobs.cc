@@ -1,3 +1,4 @@
+#include <cstdio>
 #include <vector>
 
 #include "coordinator/core/turn.h"
@@ -50,12 +51,18 @@ void Turn::Handle(const Submit& event) {
                       "the lease " + std::to_string(event.lease) + " is no longer valid", 0, false});
     return;
   }
+  if (const JobId unmet = UnmetOf(*event.plan, event.unmet); unmet != 0) {
+    Send(AnswerClient{event.reply_to, Verdict::kFailedPrecondition,
+                      "job " + std::to_string(unmet) + " did not succeed: nothing can come after it", 0, false});
+    return;
+  }
   Job& job = s_.jobs[++s_.last_job];
   job.id = s_.last_job;
   job.request_id = event.request_id;
   job.plan = event.plan;
   job.record.submitted_ns = now_.wall_ns;
   IndexJob(s_, job);
+  AwaitJobs(s_, job);
   s_.job_by_request.emplace(event.request_id, job.id);
   if (event.plan->parent == 0) s_.newest_of_clients = job.id;
   ++s_.counters.jobs_submitted;
@@ -65,6 +72,17 @@ void Turn::Handle(const Submit& event) {
     if (event.plan->tasks[i].parents.empty()) Enqueue(s_, job, i);
   }
   Send(AnswerClient{event.reply_to, Verdict::kOk, "", job.id, false});
+}
+
+// A job that `plan` comes after and that is over without success; 0: none. Of those not in memory the shell
+// has said so.
+JobId Turn::UnmetOf(const JobPlan& plan, JobId not_in_memory) const {
+  for (const JobId id : plan.after_jobs) {
+    const Job* before = s_.FindJob(id);
+    const bool is_over = before != nullptr && IsFinal(before->record.phase);
+    if (is_over && before->record.phase != JobPhase::kSucceeded) return id;
+  }
+  return not_in_memory;
 }
 
 void Turn::Handle(const CommandJob& event) {
@@ -87,7 +105,15 @@ void Turn::Handle(const CommandJob& event) {
       verdict = Resume(*job, &error);
       break;
     case JobCommand::kRetry:
-      verdict = Retry(*job, &error);
+      verdict = Retry(*job, event.unmet, &error);
+      break;
+    case JobCommand::kPriority:
+      if (IsFinal(job->record.phase)) {
+        error = AlreadyIs(*job) + ": its priority no longer matters";
+        verdict = Verdict::kFailedPrecondition;
+      } else {
+        SetPriority(*job, event.priority);
+      }
       break;
   }
   Send(AnswerClient{event.reply_to, verdict, error, event.job, false});
@@ -109,9 +135,7 @@ Verdict Turn::Pause(Job& job, std::string* error) {
     *error = AlreadyIs(job) + ": nothing to pause";
     return Verdict::kFailedPrecondition;
   }
-  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
-    if (std::holds_alternative<TaskReady>(job.tasks[i].status)) Dequeue(s_, job, i);
-  }
+  DequeueAll(job);
   SetJobPhase(job, JobPhase::kPaused, "");
   Note("job.paused", job.id, "", "", "");
   return Verdict::kOk;
@@ -124,16 +148,14 @@ Verdict Turn::Resume(Job& job, std::string* error) {
     return Verdict::kFailedPrecondition;
   }
   SetJobPhase(job, job.record.started_ns > 0 ? JobPhase::kRunning : JobPhase::kQueued, "");
-  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
-    if (std::holds_alternative<TaskReady>(job.tasks[i].status)) Enqueue(s_, job, i);
-  }
+  EnqueueAll(job);
   Note("job.resumed", job.id, "", "", "");
   return Verdict::kOk;
 }
 
 // A failed job starts again where it failed. In a running one it is the consent that tasks which may
 // have run already are run again.
-Verdict Turn::Retry(Job& job, std::string* error) {
+Verdict Turn::Retry(Job& job, JobId unmet, std::string* error) {
   if (!IsFinal(job.record.phase) && job.uncertain > 0) {
     ConsentToUncertain(job);
     return Verdict::kOk;
@@ -147,6 +169,12 @@ Verdict Turn::Retry(Job& job, std::string* error) {
              " that submitted it is over";
     return Verdict::kFailedPrecondition;
   }
+  unmet = UnmetOf(*job.plan, unmet);
+  if (unmet != 0) {
+    *error = "job " + std::to_string(unmet) + ", which job " + std::to_string(job.id) +
+             " comes after, did not succeed: retry that one first";
+    return Verdict::kFailedPrecondition;
+  }
   std::vector<uint32_t> reopened;
   for (uint32_t i = 0; i < job.tasks.size(); ++i) {
     if (std::holds_alternative<TaskSucceeded>(job.tasks[i].status)) continue;
@@ -156,7 +184,9 @@ Verdict Turn::Retry(Job& job, std::string* error) {
     reopened.push_back(i);
   }
   job.record.finished_ns = 0;
-  SetJobPhase(job, JobPhase::kRunning, "");
+  AwaitJobs(s_, job);
+  if (job.record.started_ns > 0) StartTheClock(job);
+  SetJobPhase(job, job.record.started_ns > 0 ? JobPhase::kRunning : JobPhase::kQueued, "");
   Store(ReopenTasks{job.id});
   Note("job.retried", job.id, "", "", std::to_string(reopened.size()) + " tasks again");
   for (const uint32_t i : reopened) {
@@ -200,6 +230,7 @@ void Turn::CloseJob(Job& job, JobPhase phase, const std::string& reason) {
     RevokeFrom(s_.leases.at(token).instance, token, reason);
     EndLease(token, Outcome::kCancelled, reason);
   }
+  StopAwaiting(s_, job);
   Store(CloseTasks{job.id, reason, now_.wall_ns});
   job.record.finished_ns = now_.wall_ns;
   SetJobPhase(job, phase, reason);
@@ -207,6 +238,7 @@ void Turn::CloseJob(Job& job, JobPhase phase, const std::string& reason) {
   (phase == JobPhase::kCancelled ? s_.counters.jobs_cancelled : s_.counters.jobs_failed)++;
   Note(phase == JobPhase::kCancelled ? "job.cancelled" : "job.failed", job.id, "", "", reason);
   for (uint32_t i = 0; i < job.tasks.size(); ++i) CloseJobsOf(MakeTaskId(job.id, i));
+  TellJobsAfter(job);
 }
 
 void Turn::CloseJobsOf(TaskId task) {
@@ -226,6 +258,85 @@ void Turn::CloseJobIfSettled(Job& job) {
   s_.ended.push_back(job.id);
   ++s_.counters.jobs_succeeded;
   Note("job.succeeded", job.id, "", "", "");
+  TellJobsAfter(job);
+}
+
+// A long line of jobs that each come after the one before ends here, not in a stack as deep.
+void Turn::TellJobsAfter(Job& ended) {
+  ended_.push_back(ended.id);
+  if (ended_.size() > 1) return;  // whoever empties the list is further up
+  for (; !ended_.empty(); ended_.pop_front()) {
+    const Job& before = *s_.FindJob(ended_.front());
+    const auto waiting = s_.jobs_waiting_for.find(before.id);
+    if (waiting == s_.jobs_waiting_for.end()) continue;
+    const std::set<JobId> after = waiting->second;
+    for (const JobId id : after) {
+      Job& job = *s_.FindJob(id);
+      if (before.record.phase != JobPhase::kSucceeded) {
+        CloseJob(job, JobPhase::kFailed, AlreadyIs(before) + ", and this one comes after it");
+        continue;
+      }
+      waiting->second.erase(id);
+      job.waits_for.erase(before.id);
+      job.revision = ++s_.revision;
+      if (job.waits_for.empty()) EnqueueAll(job);
+    }
+    s_.jobs_waiting_for.erase(before.id);
+  }
+}
+
+void Turn::DequeueAll(Job& job) {
+  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
+    if (std::holds_alternative<TaskReady>(job.tasks[i].status)) Dequeue(s_, job, i);
+  }
+}
+
+void Turn::EnqueueAll(Job& job) {
+  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
+    if (std::holds_alternative<TaskReady>(job.tasks[i].status)) Enqueue(s_, job, i);
+  }
+}
+
+void Turn::SetPriority(Job& job, int32_t priority) {
+  const int32_t by = priority - (job.plan->priority + job.record.priority_shift);
+  if (by == 0) return;
+  std::vector<JobId> family = {job.id};
+  for (size_t k = 0; k < family.size(); ++k) {
+    const TaskId first = MakeTaskId(family[k], 0), last = MakeTaskId(family[k], kMaxTasksPerJob - 1);
+    for (auto of = s_.jobs_of_task.lower_bound(first); of != s_.jobs_of_task.end() && of->first <= last; ++of)
+      family.insert(family.end(), of->second.begin(), of->second.end());
+    Job& one = *s_.FindJob(family[k]);
+    if (!IsFinal(one.record.phase)) ShiftPriority(one, by);
+  }
+}
+
+void Turn::ShiftPriority(Job& job, int32_t by) {
+  DequeueAll(job);
+  job.record.priority_shift += by;
+  EnqueueAll(job);
+  SetJobPhase(job, job.record.phase, job.record.reason);
+  Note("job.priority", job.id, "", "", std::to_string(job.plan->priority + job.record.priority_shift));
+}
+
+void Turn::StartTheClock(Job& job) {
+  if (job.plan->time_limit_ns == 0) return;
+  job.deadline_ns = now_.steady_ns + job.plan->time_limit_ns;
+  job.record.deadline_ns = now_.wall_ns + job.plan->time_limit_ns;
+}
+
+void Turn::EndOverdueJobs() {
+  std::vector<JobId> overdue;
+  for (const auto& [id, job] : s_.jobs) {
+    if (!IsFinal(job.record.phase) && job.deadline_ns != 0 && job.deadline_ns < now_.steady_ns)
+      overdue.push_back(id);
+  }
+  for (const JobId id : overdue) {
+    Job& job = *s_.FindJob(id);
+    if (IsFinal(job.record.phase)) continue;  // it went with one before
+    char limit[32];
+    std::snprintf(limit, sizeof limit, "%g", 1e-9 * static_cast<double>(job.plan->time_limit_ns));
+    CloseJob(job, JobPhase::kFailed, "its time limit of " + std::string(limit) + " s is over");
+  }
 }
 
 void Turn::SetJobPhase(Job& job, JobPhase phase, const std::string& reason) {

@@ -154,6 +154,7 @@ void Turn::Handle(const WorkerLeft& event) {
 void Turn::Handle(const Tick&) {
   FindLostWorkers();
   FindExpiredLeases();
+  EndOverdueJobs();
 }
 
 void Turn::FindLostWorkers() {

@@ -1,6 +1,7 @@
 #include "coordinator/core/state.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "common/base/check.h"
 
@@ -231,16 +232,33 @@ void IndexJob(State& state, Job& job) {
   IndexChildren(job);
 }
 
+void AwaitJobs(State& state, Job& job) {
+  for (const JobId id : job.plan->after_jobs) {
+    const Job* before = state.FindJob(id);
+    if (before == nullptr || IsFinal(before->record.phase)) continue;
+    job.waits_for.insert(id);
+    state.jobs_waiting_for[id].insert(job.id);
+  }
+}
+
+void StopAwaiting(State& state, Job& job) {
+  for (const JobId id : std::exchange(job.waits_for, {})) {
+    const auto waiting = state.jobs_waiting_for.find(id);
+    waiting->second.erase(job.id);
+    if (waiting->second.empty()) state.jobs_waiting_for.erase(waiting);
+  }
+}
+
 void Enqueue(State& state, Job& job, uint32_t index) {
   SetStatus(state, job, index, TaskReady{});
-  if (job.record.phase == JobPhase::kPaused) return;
-  const int32_t priority = job.plan_of(index).priority;
+  if (job.is_held()) return;
+  const int32_t priority = job.priority_of(index);
   state.classes[job.tasks[index].scheduling_class].ready.insert({priority, MakeTaskId(job.id, index)});
   state.dispatch_needed = true;
 }
 
 void Dequeue(State& state, Job& job, uint32_t index) {
-  const int32_t priority = job.plan_of(index).priority;
+  const int32_t priority = job.priority_of(index);
   state.classes[job.tasks[index].scheduling_class].ready.erase({priority, MakeTaskId(job.id, index)});
 }
 
@@ -305,6 +323,7 @@ Job& Recall(State& state, const StoredJob& stored) {
   job.record = stored.record;
   job.revision = ++state.revision;
   IndexJob(state, job);
+  if (!IsFinal(job.record.phase)) AwaitJobs(state, job);
   for (uint32_t i = 0; i < job.tasks.size(); ++i) RestoreTask(state, job, i, stored.tasks[i]);
   RestoreReadiness(state, job);
   state.job_by_request.emplace(stored.request_id, stored.job);
@@ -317,7 +336,13 @@ State Restore(const StoredState& stored, const Options& options, Now now) {
   state.last_token = stored.last_token;
   state.last_job = stored.last_job;
   state.newest_of_clients = stored.newest_of_clients;
-  for (const StoredJob& from : stored.jobs) Recall(state, from);
+  for (const StoredJob& from : stored.jobs) {
+    Job& job = Recall(state, from);
+    if (job.record.deadline_ns == 0) continue;
+    // The clock on the wall may have been set meanwhile: never more than the whole limit is left.
+    const int64_t left = job.record.deadline_ns - now.wall_ns;
+    job.deadline_ns = now.steady_ns + std::clamp<int64_t>(left, 0, job.plan->time_limit_ns);
+  }
   for (const OpenAttempt& attempt : stored.open_attempts) RestoreLease(state, attempt, now);
   state.dispatch_needed = false;  // nobody is there yet
   return state;
@@ -393,6 +418,10 @@ std::vector<std::string> Differences(const StoredState& a, const StoredState& b)
       found.push_back(where + ": identity");
     if (x.record.phase != y.record.phase || x.record.reason != y.record.reason)
       found.push_back(where + ": phase");
+    if (x.record.priority_shift != y.record.priority_shift) found.push_back(where + ": priority");
+    if (x.record.deadline_ns != y.record.deadline_ns || x.plan->time_limit_ns != y.plan->time_limit_ns)
+      found.push_back(where + ": time limit");
+    if (x.plan->after_jobs != y.plan->after_jobs) found.push_back(where + ": jobs before it");
     if (x.tasks.size() != y.tasks.size()) return found.push_back(where + ": number of tasks"), found;
     for (size_t i = 0; i < x.tasks.size(); ++i) {
       if (!Same(x.tasks[i], y.tasks[i])) found.push_back(where + " task " + std::to_string(i));

@@ -67,10 +67,15 @@ struct Job {
   std::vector<std::string> stages;  // in order of first appearance
   uint32_t succeeded = 0, failed = 0, cancelled = 0, leased = 0, uncertain = 0;  // counts of tasks
   double weight_total = 0.0, weight_done = 0.0;
-  uint64_t revision = 1;  // volatile, grows with every change
+  std::set<JobId> waits_for;  // those of plan->after_jobs that are not over
+  int64_t deadline_ns = 0;    // steady time; 0: none
+  uint64_t revision = 1;      // volatile, grows with every change
 
   uint32_t settled() const { return succeeded + failed + cancelled; }
   const TaskPlan& plan_of(uint32_t index) const { return plan->tasks[index]; }
+  int32_t priority_of(uint32_t index) const { return plan_of(index).priority + record.priority_shift; }
+  // Nothing of it may start: its ready tasks are in no queue.
+  bool is_held() const { return record.phase == JobPhase::kPaused || !waits_for.empty(); }
 };
 
 struct Lease {
@@ -162,6 +167,7 @@ struct State {
   std::map<JobId, Job> jobs;
   std::unordered_map<std::string, JobId> job_by_request;
   std::map<TaskId, std::vector<JobId>> jobs_of_task;  // JobPlan::parent, the other way round
+  std::map<JobId, std::set<JobId>> jobs_waiting_for;  // Job::waits_for, the other way round
   std::unordered_map<Token, Lease> leases;            // leased and uncertain tasks
   std::map<std::string, Worker> workers;              // by name
   std::unordered_map<std::string, std::string> worker_by_instance;
@@ -194,7 +200,11 @@ Job& Recall(State& state, const StoredJob& stored);
 JobCounts CountsOf(const Job& job);
 // Builds the job's index from its plan: all tasks waiting, scheduling classes made.
 void IndexJob(State& state, Job& job);
-// Inserts a ready task into, or removes it from, its class. Tasks of paused jobs are in no queue.
+// From now on it waits for those of the jobs it comes after that are in memory and not over.
+void AwaitJobs(State& state, Job& job);
+// It waits for none any more.
+void StopAwaiting(State& state, Job& job);
+// Inserts a ready task into, or removes it from, its class. Tasks of jobs that are held are in no queue.
 void Enqueue(State& state, Job& job, uint32_t index);
 void Dequeue(State& state, Job& job, uint32_t index);
 // Sets the status and keeps the job's counts and revision.

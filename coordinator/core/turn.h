@@ -2,6 +2,7 @@
 // Private to coordinator/core; the steps are grouped by file: jobs, tasks, workers, dispatch.
 #pragma once
 
+#include <deque>
 #include <string>
 
 #include "coordinator/core/events.h"
@@ -35,8 +36,20 @@ class Turn {
   Verdict Cancel(Job& job, const std::string& reason, std::string* error);
   Verdict Pause(Job& job, std::string* error);
   Verdict Resume(Job& job, std::string* error);
-  Verdict Retry(Job& job, std::string* error);
+  JobId UnmetOf(const JobPlan& plan, JobId not_in_memory) const;
+  Verdict Retry(Job& job, JobId unmet, std::string* error);
   void ConsentToUncertain(Job& job);
+  // Of this job and, by as much, of those that its tasks have submitted.
+  void SetPriority(Job& job, int32_t priority);
+  void ShiftPriority(Job& job, int32_t by);
+  // Takes what is ready out of the queues, or puts it in.
+  void DequeueAll(Job& job);
+  void EnqueueAll(Job& job);
+  // From now on its time limit counts.
+  void StartTheClock(Job& job);
+  void EndOverdueJobs();
+  // Those that come after it may start, or fail.
+  void TellJobsAfter(Job& ended);
   // Ends the job and everything of it that is not settled.
   void CloseJob(Job& job, JobPhase phase, const std::string& reason);
   void CloseJobIfSettled(Job& job);
@@ -92,6 +105,7 @@ class Turn {
   State& s_;
   Now now_;
   Actions& out_;
+  std::deque<JobId> ended_;  // jobs that others come after, which are still to be told
 };
 
 }  // namespace rg::coordinator

@@ -89,6 +89,8 @@ struct JobPlan {
   // The task that submitted it while it ran; 0: a client did. Such a job is over when the task is.
   TaskId parent = 0;
   std::string content;  // hash of what was asked for, without who asked; empty: not known (older rows)
+  int64_t time_limit_ns = 0;      // from its first start to its end; 0: none
+  std::vector<JobId> after_jobs;  // earlier ones, which must have succeeded before anything of it starts
   std::vector<TaskPlan> tasks;
 };
 // Opaque to the core: one serialised specification per task. Not kept in memory.
@@ -110,6 +112,8 @@ struct JobRecord {
   int64_t submitted_ns = 0;
   int64_t started_ns = 0;
   int64_t finished_ns = 0;
+  int32_t priority_shift = 0;  // added to the priorities of the plan: the job's was changed later
+  int64_t deadline_ns = 0;     // wall time at which it fails; 0: it has not started, or has no limit
 };
 // What a listing says of a job that has left memory.
 struct JobCounts {

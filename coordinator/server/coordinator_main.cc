@@ -17,6 +17,7 @@
 #include "coordinator/autoscale/autoscaler.h"
 #include "coordinator/server/server.h"
 #include "coordinator/web/web_server.h"
+#include "google/protobuf/stubs/logging.h"
 
 namespace rg::coordinator {
 namespace {
@@ -183,44 +184,61 @@ Status Announce(const Flags& flags, const std::string& endpoint) {
 }
 
 // What stands beside the coordinator, in threads of its own, and is a viewer to it.
-struct Beside {
-  std::unique_ptr<autoscale::Autoscaler> autoscaler;
-  std::unique_ptr<web::WebServer> page;
+class Beside {
+ public:
+  Beside(const Flags& flags, const std::string& endpoint, const transport::RouterOptions& router,
+         const KeyWatch& keys)
+      : flags_(flags), endpoint_(endpoint) {
+    const bool encrypted = router.server_key.has_value();
+    viewer_ = web::ViewerOf(endpoint, encrypted ? std::optional(keys.page_key()) : std::nullopt,
+                            encrypted ? router.server_key->public_key : "");
+  }
+
+  // Refuses what cannot be, before there is a database.
+  Status Prepare() {
+    RG_RETURN_IF_ERROR(autoscale::Autoscaler::Check(flags_.autoscale, endpoint_));
+    std::function<std::string()> more_status;
+    if (!flags_.autoscale.manager.empty()) more_status = [this] { return autoscaler_->StatusJson(); };
+    RG_ASSIGN_OR_RETURN(page_, web::WebServer::Bind(flags_.web, viewer_, more_status));
+    return Status::Ok();
+  }
+  Status Start() {
+    RG_ASSIGN_OR_RETURN(autoscaler_,
+                        autoscale::Autoscaler::Start(flags_.autoscale, endpoint_, flags_.database, viewer_));
+    return page_ ? page_->Start() : Status::Ok();
+  }
+  void Stop() {
+    page_.reset();
+    autoscaler_.reset();
+  }
+
+ private:
+  const Flags& flags_;
+  const std::string endpoint_;
+  ClientOptions viewer_;
+  std::unique_ptr<autoscale::Autoscaler> autoscaler_;
+  std::unique_ptr<web::WebServer> page_;  // shows the one above
 };
 
-Result<Beside> StartBeside(const Flags& flags, const std::string& endpoint,
-                           const transport::RouterOptions& router, const KeyWatch& keys) {
-  std::optional<transport::KeyPair> key;
-  std::string server_key;
-  if (router.server_key) key = keys.page_key(), server_key = router.server_key->public_key;
-  Beside beside;
-  RG_ASSIGN_OR_RETURN(beside.autoscaler,
-                      autoscale::Autoscaler::Start(flags.autoscale, endpoint, flags.database,
-                                                   web::ViewerOf(endpoint, key, server_key)));
-  std::function<std::string()> more_status;
-  if (beside.autoscaler) more_status = [scaler = beside.autoscaler.get()] { return scaler->StatusJson(); };
-  RG_ASSIGN_OR_RETURN(
-      beside.page, web::WebServer::Start(flags.web, web::ViewerOf(endpoint, key, server_key), more_status));
-  return beside;
-}
-
 Status Serve(const Flags& flags) {
+  ServerOptions options;
+  RG_ASSIGN_OR_RETURN(options.policy, PolicyOf(flags));
   transport::Context context;
   const transport::Sender self{"coordinator-" + RandomHex(6), pb::ROLE_COORDINATOR};
   KeyWatch keys(flags.allowed_path, context);
   RG_ASSIGN_OR_RETURN(const auto router_options, PrepareRouter(flags, self, keys));
   RG_ASSIGN_OR_RETURN(auto router, transport::BindRouter(context, Endpoint(flags.listen), router_options));
   const std::string endpoint = router->endpoint();
-  ServerOptions options;
+  Beside beside(flags, endpoint, router_options, keys);
+  RG_RETURN_IF_ERROR(beside.Prepare());
   options.database_path = flags.database;
-  RG_ASSIGN_OR_RETURN(options.policy, PolicyOf(flags));
   options.core.heartbeat_ns = flags.heartbeat_ms * 1'000'000;
   constexpr double kNsPerDay = 86'400e9;
   options.archive_after_ns = static_cast<int64_t>(flags.archive_days * kNsPerDay);
   options.archive_above_tasks = flags.archive_above;
   options.core.uncertain_ns = static_cast<int64_t>(flags.uncertain_s * 1e9);
   RG_ASSIGN_OR_RETURN(auto server, Server::Open(options, std::move(router), self, &RealClock()));
-  RG_ASSIGN_OR_RETURN(const Beside beside, StartBeside(flags, endpoint, router_options, keys));
+  RG_RETURN_IF_ERROR(beside.Start());
   RG_RETURN_IF_ERROR(Announce(flags, endpoint));
   spdlog::info("{} jobs under way in {}", server->state().jobs.size(), flags.database);
   while (!stop.load()) {
@@ -232,6 +250,7 @@ Status Serve(const Flags& flags) {
     [[maybe_unused]] const ssize_t drained = read(wake_fd, &count, sizeof(count));
     RG_RETURN_IF_ERROR(server->RunOnce(1'000, wake_fd));
   }
+  beside.Stop();
   server->Finish();
   return Status::Ok();
 }
@@ -248,6 +267,7 @@ int CoordinatorMain(int argc, char** argv) {
     return app.exit(error) == 0 ? 0 : kExitUsage;
   }
   InitLogging("realitygrad-coordinator", flags.log_level);
+  google::protobuf::SetLogHandler(nullptr);  // bytes of peers that do not parse are counted; they must not fill the log
   CatchSignals();
   const Status status = Serve(flags);
   if (status.ok()) return 0;

@@ -19,6 +19,8 @@ namespace pb = realitygrad::v1;
 
 constexpr uint32_t kMaxAttempts = 1000;
 constexpr size_t kMaxNameBytes = 200;
+constexpr int kMaxJobsBefore = 1000;
+constexpr double kMaxSeconds = 1e9, kMaxWeight = 1e12;
 
 class Compiler {
  public:
@@ -28,6 +30,7 @@ class Compiler {
   Result<CompiledJob> Run() {
     RG_RETURN_IF_ERROR(CheckSize());
     RG_RETURN_IF_ERROR(CheckHeadIsPlain());
+    RG_RETURN_IF_ERROR(CheckTerms());
     RG_RETURN_IF_ERROR(IndexNames());
     auto plan = std::make_shared<JobPlan>();
     auto specs = std::make_shared<TaskSpecs>();
@@ -67,6 +70,22 @@ class Compiler {
     return Status::Ok();
   }
 
+  // When it may start, and for how long it may run.
+  Status CheckTerms() const {
+    RG_RETURN_IF_ERROR(CheckPriority(spec_.priority()));
+    if (!(spec_.time_limit_s() >= 0.0 && spec_.time_limit_s() <= kMaxSeconds))
+      return InvalidError("the job's time limit of " + std::to_string(spec_.time_limit_s()) +
+                          " s is not between 0 and 1e9");
+    if (spec_.after_jobs().empty()) return Status::Ok();
+    if (parent_ != 0) return InvalidError("a job that a task submits may not come after others");
+    if (spec_.after_jobs_size() > kMaxJobsBefore)
+      return InvalidError("a job may come after at most " + std::to_string(kMaxJobsBefore) + " others");
+    for (const JobId id : spec_.after_jobs()) {
+      if (id <= 0) return InvalidError("there is no job " + std::to_string(id) + " to come after");
+    }
+    return Status::Ok();
+  }
+
   static Status CheckTaskIsPlain(const pb::TaskSpec& task) {
     RG_RETURN_IF_ERROR(CheckPlain("its name", task.name()));
     RG_RETURN_IF_ERROR(CheckPlain("its stage", task.stage()));
@@ -101,6 +120,9 @@ class Compiler {
     plan.parent = parent_;
     plan.spec_json = spec_.spec_json();
     plan.priority = spec_.priority();
+    plan.time_limit_ns = static_cast<int64_t>(1e9 * spec_.time_limit_s());
+    const std::set<JobId> after(spec_.after_jobs().begin(), spec_.after_jobs().end());
+    plan.after_jobs.assign(after.begin(), after.end());
     plan.tags.assign(spec_.tags().begin(), spec_.tags().end());
     plan.labels.insert(spec_.labels().begin(), spec_.labels().end());
   }
@@ -108,10 +130,11 @@ class Compiler {
   Status CompileTask(const pb::TaskSpec& task, TaskPlan& out) {
     RG_RETURN_IF_ERROR(CheckTaskIsPlain(task));
     if (task.kind().empty()) return InvalidError("it has no kind");
-    if (!(task.weight() >= 0.0))
-      return InvalidError("weight " + std::to_string(task.weight()) + " is below 0");
-    if (!(task.timeout_s() >= 0.0))
-      return InvalidError("timeout_s " + std::to_string(task.timeout_s()) + " is below 0");
+    if (!(task.weight() >= 0.0 && task.weight() <= kMaxWeight))
+      return InvalidError("weight " + std::to_string(task.weight()) + " is not between 0 and 1e12");
+    RG_RETURN_IF_ERROR(CheckPriority(task.priority()));
+    if (!(task.timeout_s() >= 0.0 && task.timeout_s() <= kMaxSeconds))
+      return InvalidError("timeout_s " + std::to_string(task.timeout_s()) + " is not between 0 and 1e9");
     if (task.max_attempts() > kMaxAttempts) {
       return InvalidError("max_attempts " + std::to_string(task.max_attempts()) + " is above " +
                           std::to_string(kMaxAttempts));
@@ -213,6 +236,12 @@ class Compiler {
 };
 
 }  // namespace
+
+Status CheckPriority(int32_t priority) {
+  if (priority >= -kMaxPriority && priority <= kMaxPriority) return Status::Ok();
+  return InvalidError("the priority " + std::to_string(priority) + " is not between -" +
+                      std::to_string(kMaxPriority) + " and " + std::to_string(kMaxPriority));
+}
 
 Result<CompiledJob> CompileJob(const pb::JobSpec& spec, TaskId parent,
                                const std::set<std::string>& robot_kinds) {

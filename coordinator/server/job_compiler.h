@@ -17,6 +17,11 @@ struct CompiledJob {
   std::shared_ptr<const TaskSpecs> specs;
 };
 
+// Of jobs and tasks, as clients ask for them.
+constexpr int32_t kMaxPriority = 1'000'000;
+// kInvalid outside of ±kMaxPriority.
+Status CheckPriority(int32_t priority);
+
 // kInvalid, naming task, field, value and limit: no tasks or too many, a name twice, an unknown task
 // or stage in an input, a cycle, an input without a source, a hash that is none, a negative weight.
 // Names and labels with characters that a terminal would obey are refused too.

@@ -250,6 +250,7 @@ Status Server::CommitBatch() {
   RG_RETURN_IF_ERROR(transaction_->Commit());
   transaction_.reset();
   ++commits_;
+  durable_counters_ = state_.counters;
   freed_pages_wait_ = freed_pages_wait_ || space_was_freed_;
   return Status::Ok();
 }
@@ -267,11 +268,31 @@ Status Server::DiscardBatch(const Status& why) {
   trouble_ =
       (why.code() == StatusCode::kResourceExhausted ? "disk full: " : "database busy: ") + why.message();
   spdlog::error("{}; nothing new is taken until there is room", trouble_);
+  const std::vector<Row> undone = std::move(actions_.rows);
   RefuseBatch(Trouble());
   poison_ = Status::Ok();
   artifact_desk_->ForgetUploads();
   const Status loaded = LoadState();
-  return loaded.ok() ? loaded : loaded.WithPrefix(trouble_ + ", and the state cannot be read back");
+  if (!loaded.ok()) return loaded.WithPrefix(trouble_ + ", and the state cannot be read back");
+  UncountBatch(undone);
+  return Status::Ok();
+}
+
+void Server::UncountBatch(const std::vector<Row>& undone) {
+  const uint64_t workers_lost = state_.counters.workers_lost;  // they stay so, whatever was written
+  state_.counters = durable_counters_;
+  state_.counters.workers_lost = workers_lost;
+  for (const Row& row : undone) {
+    const auto* ended = std::get_if<FinishAttempt>(&row);
+    const auto lease = ended == nullptr ? state_.leases.end() : state_.leases.find(ended->token);
+    if (lease == state_.leases.end()) continue;
+    Worker* worker = state_.FindWorkerByInstance(lease->second.instance);
+    if (worker == nullptr) continue;
+    const bool failed = ended->outcome == Outcome::kFailed || ended->outcome == Outcome::kCrashed ||
+                        ended->outcome == Outcome::kTimedOut;
+    if (ended->outcome == Outcome::kSucceeded && worker->tasks_done > 0) --worker->tasks_done;
+    if (failed && worker->tasks_failed > 0) --worker->tasks_failed;
+  }
 }
 
 // Whoever asked for a part of the batch learns that it was not kept.
@@ -449,9 +470,9 @@ void Server::HandleFinished(const pb::TaskFinished& finished, const std::string&
   if (!begun.ok()) return poison_ = begun, void();
   auto stored = worker_desk_->StoreOutputs(state_, *lease, finished);
   if (stored.ok()) {
+    const double seconds = stored->seconds;
     results_[finished.token()] = *std::move(stored);
-    return Absorb(Finished{instance, lease->task, finished.token(), finished.seconds()}, state_, now(),
-                  actions_);
+    return Absorb(Finished{instance, lease->task, finished.token(), seconds}, state_, now(), actions_);
   }
   const StatusCode code = stored.status().code();
   if (code == StatusCode::kResourceExhausted || code == StatusCode::kUnavailable ||

@@ -112,6 +112,8 @@ class Server {
   Status CommitBatch();
   // Ok: it goes on, as far as a full disk lets it.
   Status DiscardBatch(const Status& why);
+  // Of what was counted in the batch that came to nothing: it will be counted again.
+  void UncountBatch(const std::vector<Row>& undone);
   void RefuseBatch(const Status& why);
   void SendBatch();
   void SendReply(transport::Message message);
@@ -157,6 +159,7 @@ class Server {
   void HandleSubmit(const transport::Message& message);
   // The task under whose lease a worker asks for a change; 0: a client asks.
   Result<TaskId> TaskAsking(const transport::Message& message) const;
+  Result<JobId> FindUnmet(const JobPlan& plan);
   std::string KindOf(TaskId task) const;  // empty: of no task
   void HandleAction(const transport::Message& message);
   void HandleDrain(const transport::Message& message);
@@ -224,6 +227,7 @@ class Server {
   std::map<ReplyTo, PendingReply> pending_;
   ReplyTo last_reply_ = 0;
   std::vector<Watcher> watchers_;
+  Counters durable_counters_;  // as of the last commit
   uint64_t batches_ = 0, commits_ = 0, failed_commits_ = 0, ignored_messages_ = 0, log_lines_dropped_ = 0,
            stalls_ = 0;
 };

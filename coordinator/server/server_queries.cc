@@ -157,7 +157,8 @@ void Server::HandleSubmit(const transport::Message& message) {
     const Job& job = state_.jobs.at(JobOf(*parent));
     event.request_id = "task " + std::to_string(*parent) + ": " + event.request_id;
     event.lease = message.envelope.fencing_token();
-    body->mutable_job()->set_priority(job.plan_of(IndexOf(*parent)).priority);
+    body->mutable_job()->set_priority(
+        std::clamp(job.priority_of(IndexOf(*parent)), -kMaxPriority, kMaxPriority));
     body->mutable_job()->set_submitted_by("task " + job.plan_of(IndexOf(*parent)).name + " of job " +
                                           std::to_string(job.id));
   }
@@ -172,6 +173,9 @@ void Server::HandleSubmit(const transport::Message& message) {
     if (!compiled.ok()) return Reply(MakeErrorReply(self_, message, compiled.status()));
     const Status inputs = worker_desk_->CheckArtifactsExist(body->job());
     if (!inputs.ok()) return Reply(MakeErrorReply(self_, message, inputs));
+    const auto unmet = FindUnmet(*compiled->plan);
+    if (!unmet.ok()) return Reply(MakeErrorReply(self_, message, unmet.status()));
+    event.unmet = *unmet;
     auto plan = std::make_shared<JobPlan>(*compiled->plan);
     plan->content = event.content;
     event.plan = std::move(plan);
@@ -180,6 +184,17 @@ void Server::HandleSubmit(const transport::Message& message) {
   event.reply_to = ++last_reply_;
   pending_[event.reply_to] = {message, true, false};
   Absorb(event, state_, now(), actions_);
+}
+
+// Of the jobs that it comes after, one that has left memory without success; 0: none. kNotFound: there never
+// was such a job.
+Result<JobId> Server::FindUnmet(const JobPlan& plan) {
+  for (const JobId id : plan.after_jobs) {
+    if (state_.FindJob(id) != nullptr) continue;
+    RG_ASSIGN_OR_RETURN(const JobRow row, jobs_->FindJob(id));
+    if (row.record.phase != JobPhase::kSucceeded) return id;
+  }
+  return JobId{0};
 }
 
 Result<TaskId> Server::TaskAsking(const transport::Message& message) const {
@@ -216,6 +231,9 @@ void Server::HandleAction(const transport::Message& message) {
   if (body->action() == pb::JOB_ACTION_RETRY && job != nullptr) {
     const Status allowed = CheckRetry(options_.policy, message.credentials, *job->plan);
     if (!allowed.ok()) return Reply(MakeErrorReply(self_, message, allowed));
+    const auto unmet = FindUnmet(*job->plan);
+    if (!unmet.ok()) return Reply(MakeErrorReply(self_, message, unmet.status()));
+    event.unmet = *unmet;
   }
   event.reason = body->reason();
   switch (body->action()) {
@@ -231,6 +249,13 @@ void Server::HandleAction(const transport::Message& message) {
     case pb::JOB_ACTION_RETRY:
       event.command = JobCommand::kRetry;
       break;
+    case pb::JOB_ACTION_PRIORITY: {
+      const Status sensible = CheckPriority(body->priority());
+      if (!sensible.ok()) return Reply(MakeErrorReply(self_, message, sensible));
+      event.command = JobCommand::kPriority;
+      event.priority = body->priority();
+      break;
+    }
     default:
       return Reply(MakeErrorReply(self_, message, InvalidError("unknown action")));
   }
@@ -443,8 +468,9 @@ Result<pb::StatusReply> Server::DescribeSelf(const pb::StatusRequest&) {
     if (IsFinal(job.record.phase)) continue;
     leased += job.leased;
     for (const Task& task : job.tasks) {
-      waiting += std::holds_alternative<TaskWaiting>(task.status);
-      ready += std::holds_alternative<TaskReady>(task.status);
+      const bool is_ready = std::holds_alternative<TaskReady>(task.status);
+      ready += is_ready && !job.is_held();
+      waiting += std::holds_alternative<TaskWaiting>(task.status) || (is_ready && job.is_held());
     }
   }
   reply.set_tasks_waiting(waiting);

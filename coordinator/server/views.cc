@@ -30,7 +30,10 @@ void FillSummary(JobId id, const JobPlan& plan, const JobRecord& record, pb::Job
   out->set_submitted_by(plan.submitted_by);
   out->set_state(static_cast<pb::JobState>(record.phase));
   out->set_reason(record.reason);
-  out->set_priority(plan.priority);
+  out->set_priority(plan.priority + record.priority_shift);
+  out->mutable_after_jobs()->Assign(plan.after_jobs.begin(), plan.after_jobs.end());
+  out->set_time_limit_s(1e-9 * static_cast<double>(plan.time_limit_ns));
+  out->set_deadline_ns(record.deadline_ns);
   for (const std::string& tag : plan.tags) out->add_tags(tag);
   out->mutable_labels()->insert(plan.labels.begin(), plan.labels.end());
   out->set_submitted_ns(record.submitted_ns);
@@ -116,6 +119,7 @@ pb::JobSummary SummaryOf(const JobRow& row) {
 pb::JobSummary SummaryOf(const Job& job, double weight_under_way, int64_t wall_ns) {
   pb::JobSummary out;
   FillSummary(job.id, *job.plan, job.record, &out);
+  out.mutable_waits_for()->Assign(job.waits_for.begin(), job.waits_for.end());
   out.set_tasks_total(static_cast<uint32_t>(job.tasks.size()));
   out.set_tasks_done(job.succeeded);
   out.set_tasks_running(job.leased);

@@ -1,6 +1,7 @@
 #include "coordinator/server/worker_desk.h"
 
 #include <algorithm>
+#include <cmath>
 #include <set>
 
 #include "common/base/hash.h"
@@ -64,8 +65,9 @@ std::optional<Event> WorkerDesk::ToEvent(const pb::WorkerMessage& message, const
       return StartRequested{instance, message.start_request().token()};
     case pb::WorkerMessage::kProgress: {
       const auto& p = message.progress().progress();
-      return Progressed{instance,  message.progress().token(), p.stage(), p.done(),
-                        p.total(), Shortened(p.note())};
+      const bool sensible = std::isfinite(p.done()) && std::isfinite(p.total());
+      return Progressed{instance, message.progress().token(), p.stage(), sensible ? p.done() : 0.0,
+                        sensible ? p.total() : 0.0, Shortened(p.note())};
     }
     case pb::WorkerMessage::kFinished:
       return Finished{instance, message.finished().task(), message.finished().token()};
@@ -94,7 +96,8 @@ std::vector<std::string> WorkerDesk::MissingOutputs(const pb::TaskFinished& fini
 Result<ResultRow> WorkerDesk::StoreOutputs(const State& state, const Lease& lease,
                                            const pb::TaskFinished& finished) {
   ResultRow result;
-  result.seconds = finished.seconds();
+  // A number that is none would be no number in the database either, which wants one.
+  result.seconds = std::isfinite(finished.seconds()) ? std::max(0.0, finished.seconds()) : 0.0;
   if (!finished.summary_json().empty()) result.summary_json = finished.summary_json();
   if (result.summary_json.size() > kMaxSummaryBytes) {
     return InvalidError("summary of " + std::to_string(result.summary_json.size()) +

@@ -39,7 +39,8 @@ Status JobStore::ApplyOne(const InsertJob& row) {
   RG_ASSIGN_OR_RETURN(auto insert,
                       db_->Prepare("INSERT INTO jobs (id, request_id, kind, name, submitted_by, spec_json, "
                                    "priority, tags_json, labels_json, phase, submitted_ns, parent, content, "
-                                   "inputs_listed, tasks_total) VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,1,?)"));
+                                   "inputs_listed, tasks_total, time_limit_ns, after_json) VALUES "
+                                   "(?,?,?,?,?,?,?,?,?,?,?,?,?,1,?,?,?)"));
   const JobPlan& plan = *row.plan;
   insert.Bind(1, row.job)
       .Bind(2, row.request_id)
@@ -52,6 +53,7 @@ Status JobStore::ApplyOne(const InsertJob& row) {
       .Bind(9, Json(plan.labels).dump());
   insert.Bind(10, static_cast<int>(JobPhase::kQueued)).Bind(11, row.submitted_ns).Bind(12, plan.parent);
   insert.Bind(13, plan.content).Bind(14, static_cast<int64_t>(plan.tasks.size()));
+  insert.Bind(15, plan.time_limit_ns).Bind(16, Json(plan.after_jobs).dump());
   RG_RETURN_IF_ERROR(insert.Run());
   for (uint32_t i = 0; i < plan.tasks.size(); ++i) {
     const TaskId id = MakeTaskId(row.job, i);
@@ -135,12 +137,14 @@ Status JobStore::InsertTask(TaskId id, const TaskPlan& plan) {
 Status JobStore::ApplyOne(const UpdateJob& row) {
   RG_ASSIGN_OR_RETURN(auto update,
                       db_->Prepare("UPDATE jobs SET phase=?, reason=?, started_ns=?, finished_ns=?, "
-                                   "tasks_succeeded=?, tasks_failed=?, progress=? WHERE id=?"));
+                                   "tasks_succeeded=?, tasks_failed=?, progress=?, priority_shift=?, deadline_ns=? "
+                                   "WHERE id=?"));
   update.Bind(1, static_cast<int>(row.record.phase))
       .Bind(2, row.record.reason)
       .Bind(3, row.record.started_ns);
   update.Bind(4, row.record.finished_ns).Bind(5, static_cast<int64_t>(row.counts.succeeded));
-  update.Bind(6, static_cast<int64_t>(row.counts.failed)).Bind(7, row.counts.progress).Bind(8, row.job);
+  update.Bind(6, static_cast<int64_t>(row.counts.failed)).Bind(7, row.counts.progress);
+  update.Bind(8, row.record.priority_shift).Bind(9, row.record.deadline_ns).Bind(10, row.job);
   RG_RETURN_IF_ERROR(update.Run());
   if (row.record.phase != JobPhase::kCancelled) return Status::Ok();
   RG_ASSIGN_OR_RETURN(auto forget, db_->Prepare("DELETE FROM checkpoints WHERE task BETWEEN ? AND ?"));

@@ -94,7 +94,7 @@ Status JobStore::ReadJobs(std::string_view where, const std::function<void(store
       auto rows, db_->Prepare("SELECT id, request_id, kind, name, submitted_by, spec_json, priority, "
                               "tags_json, labels_json, phase, reason, submitted_ns, started_ns, finished_ns, "
                               "parent, content, tasks_total, tasks_succeeded, tasks_failed, progress, "
-                              "archived_ns FROM jobs " +
+                              "archived_ns, priority_shift, time_limit_ns, deadline_ns, after_json FROM jobs " +
                               std::string(where)));
   if (bind) bind(rows);
   while (true) {
@@ -110,14 +110,18 @@ Status JobStore::ReadJobs(std::string_view where, const std::function<void(store
     plan->spec_json = rows.Text(5);
     plan->priority = static_cast<int32_t>(rows.Int(6));
     const Json tags = Json::parse(rows.Text(7), nullptr, false),
-               labels = Json::parse(rows.Text(8), nullptr, false);
-    if (!tags.is_array() || !labels.is_object()) {
-      return DataLossError("job " + std::to_string(job.job) + ": tags or labels do not parse");
+               labels = Json::parse(rows.Text(8), nullptr, false),
+               after = Json::parse(rows.Text(24), nullptr, false);
+    if (!tags.is_array() || !labels.is_object() || !after.is_array()) {
+      return DataLossError("job " + std::to_string(job.job) +
+                           ": tags, labels or the jobs before it do not parse");
     }
     plan->tags = tags.get<std::vector<std::string>>();
     plan->labels = labels.get<std::map<std::string, std::string>>();
-    job.record = {static_cast<JobPhase>(rows.Int(9)), rows.Text(10), rows.Int(11), rows.Int(12),
-                  rows.Int(13)};
+    plan->after_jobs = after.get<std::vector<JobId>>();
+    plan->time_limit_ns = rows.Int(22);
+    job.record = {static_cast<JobPhase>(rows.Int(9)),       rows.Text(10), rows.Int(11), rows.Int(12), rows.Int(13),
+                  static_cast<int32_t>(rows.Int(21)), rows.Int(23)};
     plan->parent = rows.Int(14);
     plan->content = rows.Text(15);
     if (plan->parent < 0 || JobOf(plan->parent) >= job.job)

@@ -167,10 +167,18 @@ CREATE TABLE high_water (
 ) WITHOUT ROWID;
 )sql";
 
+// A priority that was changed later (added to those of the job's tasks), time limits, jobs after others.
+constexpr std::string_view kVersion5 = R"sql(
+ALTER TABLE jobs ADD COLUMN priority_shift INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN time_limit_ns INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN deadline_ns INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE jobs ADD COLUMN after_json TEXT NOT NULL DEFAULT '[]';
+)sql";
+
 }  // namespace
 
 store::Module CoordinatorSchema() {
-  return {"coordinator", {{1, kVersion1}, {2, kVersion2}, {3, kVersion3}, {4, kVersion4}}};
+  return {"coordinator", {{1, kVersion1}, {2, kVersion2}, {3, kVersion3}, {4, kVersion4}, {5, kVersion5}}};
 }
 
 }  // namespace rg::coordinator

@@ -139,7 +139,7 @@ Result<std::string> Feed::Job(int64_t id) {
   return OnceJson("job " + std::to_string(id), kTasksNs, [&](Client& client) -> Result<json> {
     RG_ASSIGN_OR_RETURN(auto reply, client.WatchJob(id, 0, 0));
     if (reply.job().tasks_total() <= kMaxTasks) {
-      RG_ASSIGN_OR_RETURN(reply, client.WatchJob(id, 0, 0, true));
+      RG_ASSIGN_OR_RETURN(reply, client.GetJob(id, true, true));
     }
     return JobDetailsJson(reply, clock_->WallNanos());
   });

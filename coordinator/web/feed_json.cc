@@ -52,7 +52,9 @@ json TaskJson(const pb::TaskInfo& task, int64_t wall_ns) {
           {"state", Lower(pb::TaskState_Name(task.state()), sizeof("TASK_STATE_") - 1)},
           {"reason", task.reason()},
           {"attempts", task.attempts()},
-          {"worker", task.worker()},
+          {"worker", task.worker().empty() && task.attempt_list_size() > 0
+                         ? task.attempt_list(task.attempt_list_size() - 1).worker()
+                         : task.worker()},
           {"progress", ProgressText(task.progress())},
           {"seconds", SecondsJson(task.started_ns(), task.finished_ns(), wall_ns)},
           {"outputs", outputs}};
@@ -103,8 +105,13 @@ json JobJson(const pb::JobSummary& job, int64_t wall_ns) {
           {"priority", job.priority()},
           {"parent_job", job.parent_job() == 0 ? json(nullptr) : json(job.parent_job())},
           {"labels", std::map<std::string, std::string>(job.labels().begin(), job.labels().end())},
+          {"waits_for", std::vector<int64_t>(job.waits_for().begin(), job.waits_for().end())},
+          {"time_limit_s", job.time_limit_s()},
+          {"deadline", TimeJson(job.deadline_ns())},
           {"submitted", TimeJson(job.submitted_ns())},
+          {"started", TimeJson(job.started_ns())},
           {"finished", TimeJson(job.finished_ns())},
+          {"waited_s", SecondsJson(job.submitted_ns(), job.started_ns(), wall_ns)},
           {"seconds", SecondsJson(job.started_ns(), job.finished_ns(), wall_ns)},
           {"tasks",
            {{"total", job.tasks_total()},

@@ -153,6 +153,7 @@ struct WebServer::Impl {
   std::thread thread;
   std::atomic<bool> over = false;
   int port = 0;
+  std::string address_file;
 };
 
 httplib::Server::HandlerResponse WebServer::Impl::Admit(const httplib::Request& request,
@@ -285,8 +286,8 @@ void WebServer::Impl::SetUp() {
   AddFiles();
 }
 
-Result<std::unique_ptr<WebServer>> WebServer::Start(const WebFlags& flags, const ClientOptions& viewer,
-                                                    std::function<std::string()> more_status) {
+Result<std::unique_ptr<WebServer>> WebServer::Bind(const WebFlags& flags, const ClientOptions& viewer,
+                                                   std::function<std::string()> more_status) {
   const bool by_default = flags.listen.empty();
   if (flags.listen == "off" || (by_default && viewer.address.rfind("tcp://", 0) != 0))
     return std::unique_ptr<WebServer>();
@@ -306,23 +307,28 @@ Result<std::unique_ptr<WebServer>> WebServer::Start(const WebFlags& flags, const
                                                                      : -1;
   if (impl->port <= 0) {
     const std::string what =
-        "the web page cannot listen on " + address.host + ":" + std::to_string(address.port);
+        "--web: the web page cannot listen on " + address.host + ":" + std::to_string(address.port);
     if (!by_default) return UnavailableError(what);
     spdlog::warn("{}; it is left out (--web chooses another)", what);
     return std::unique_ptr<WebServer>();
   }
-  impl->thread =
-      std::thread([server = impl.get()] { server->http.listen_after_bind(), server->over = true; });
-  std::unique_ptr<WebServer> server(new WebServer(std::move(impl)));
-  if (!flags.address_file.empty())
-    RG_RETURN_IF_ERROR(WriteFileAtomically(flags.address_file, server->url() + "\n"));
-  spdlog::info("web page at {}", server->url());
-  return server;
+  impl->address_file = flags.address_file;
+  return std::unique_ptr<WebServer>(new WebServer(std::move(impl)));
+}
+
+Status WebServer::Start() {
+  impl_->thread =
+      std::thread([server = impl_.get()] { server->http.listen_after_bind(), server->over = true; });
+  if (!impl_->address_file.empty())
+    RG_RETURN_IF_ERROR(WriteFileAtomically(impl_->address_file, url() + "\n"));
+  spdlog::info("web page at {}", url());
+  return Status::Ok();
 }
 
 WebServer::WebServer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 
 WebServer::~WebServer() {
+  if (!impl_->thread.joinable()) return;
   // stop() only works once the loop has begun.
   while (!impl_->http.is_running() && !impl_->over) std::this_thread::yield();
   impl_->http.stop();

@@ -28,11 +28,13 @@ void AddWebFlags(CLI::App& app, WebFlags& flags);
 
 class WebServer {
  public:
-  // Null if the flags want none. `viewer`: how it asks the coordinator (ViewerOf). `more_status`: what else
-  // the status shows, a JSON object. kInvalid: the flags make no sense (an address that others reach, without
-  // a token); kUnavailable: the address is not to be had.
-  static Result<std::unique_ptr<WebServer>> Start(const WebFlags& flags, const ClientOptions& viewer,
-                                                  std::function<std::string()> more_status = {});
+  // Takes its address; answers nobody yet. Null if the flags want none. `viewer`: how it asks the coordinator
+  // (ViewerOf). `more_status`: what else the status shows, a JSON object. kInvalid: the flags make no sense (an
+  // address that others reach, without a token); kUnavailable: the address is not to be had.
+  static Result<std::unique_ptr<WebServer>> Bind(const WebFlags& flags, const ClientOptions& viewer,
+                                                 std::function<std::string()> more_status = {});
+  // From now on it answers. Once.
+  Status Start();
   ~WebServer();  // answers what is under way, then stops
 
   std::string url() const;

@@ -91,6 +91,13 @@ std::string Text(const Description& d) {
   std::string out = JobDetails(d.job, true);
   out += "\nname      " + (job.name().empty() ? "–" : job.name()) + "\npriority  " +
          std::to_string(job.priority()) + "\nlabels    " + Labels(job) + "\n";
+  if (job.after_jobs_size() > 0) {
+    out += "after     ";
+    for (const int64_t id : job.after_jobs()) out += std::to_string(id) + " ";
+    out += "\n";
+  }
+  if (job.time_limit_s() > 0.0)
+    out += "limit     " + FormatSeconds(job.time_limit_s()) + ", until " + TimeText(job.deadline_ns()) + "\n";
   if (job.parent_job() != 0) out += "of job    " + std::to_string(job.parent_job()) + "\n";
   if (spec.is_object() && !spec.empty()) out += "asked for " + spec.dump() + "\n";
   out += Troubles(d.job) + Outputs(d.job);

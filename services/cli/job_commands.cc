@@ -29,6 +29,7 @@ struct JobArguments {
   std::string id = "last";
   std::string task, reason;
   bool tasks = false, plain = false;
+  int priority = 0;
   double timeout_s = -1.0;
 };
 
@@ -237,6 +238,19 @@ void ActOnJob(Context& context, const JobArguments& arguments, pb::JobAction act
   WithJobs(context, arguments, "realitygrad.job/1", "realitygrad.jobs/1", act, StatesFor(action));
 }
 
+void SetPriority(Context& context, const JobArguments& arguments) {
+  const auto set = [&](coordinator::Client& client, int64_t id) -> json {
+    const auto job = client.SetPriority(id, arguments.priority);
+    if (context.Failed(job.status())) return nullptr;
+    if (context.json()) return JobJson(*job);
+    if (!context.quiet())
+      Print("job " + std::to_string(job->id()) + " has priority " + std::to_string(job->priority()));
+    return nullptr;
+  };
+  WithJobs(context, arguments, "realitygrad.job/1", "realitygrad.jobs/1", set,
+           StatesFor(pb::JOB_ACTION_PRIORITY));
+}
+
 struct EventArguments {
   int64_t job = 0, after = 0;
   uint32_t limit = 0;
@@ -390,6 +404,10 @@ void AddJobCommands(CLI::App& app, Context& context) {
             [action = act.action](Context& c, const JobArguments& a) { ActOnJob(c, a, action); });
     command->add_option("--reason", arguments->reason, "Kept with the job");
   }
+  auto [priority, priority_arguments] =
+      add("priority", "Change when its turn comes: what has not started, and what its tasks submit", SetPriority);
+  priority->get_option("ID")->required();
+  priority->add_option("PRIORITY", priority_arguments->priority, "Higher first")->required();
   AddLogCommand(*job, context);
   AddDescribeCommand(*job, context);
   auto [explain, explain_arguments] = add("explain", "Why does it wait?", Explain);

@@ -111,6 +111,10 @@ json JobJson(const pb::JobSummary& job) {
           {"reason", job.reason()},
           {"submitted_by", job.submitted_by()},
           {"priority", job.priority()},
+          {"after", std::vector<int64_t>(job.after_jobs().begin(), job.after_jobs().end())},
+          {"waits_for", std::vector<int64_t>(job.waits_for().begin(), job.waits_for().end())},
+          {"time_limit_s", job.time_limit_s() == 0.0 ? json(nullptr) : json(job.time_limit_s())},
+          {"deadline", TimeJson(job.deadline_ns())},
           {"parent_job", job.parent_job() == 0 ? json(nullptr) : json(job.parent_job())},
           {"labels", std::map<std::string, std::string>(job.labels().begin(), job.labels().end())},
           {"submitted", TimeJson(job.submitted_ns())},
@@ -184,6 +188,8 @@ std::string JobDetails(const pb::GetJobReply& reply, bool with_tasks) {
     out += job.finished_ns() != 0 ? ", took " : ", running for ";
     out += FormatSeconds(Seconds(job.started_ns(), job.finished_ns()));
   }
+  for (int i = 0; i < job.waits_for_size(); ++i)
+    out += (i == 0 ? ", comes after job " : ", ") + std::to_string(job.waits_for(i));
   if (job.finished_ns() == 0 && job.eta_s() >= 0) out += ", ETA " + FormatSeconds(job.eta_s());
   out += "\n\n" + StagesTable(reply);
   if (with_tasks) out += "\n" + TasksTable(reply);

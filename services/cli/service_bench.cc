@@ -7,6 +7,7 @@
 #include <atomic>
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
 #include <fstream>
 #include <functional>
 #include <map>
@@ -82,6 +83,7 @@ class ServiceBench {
     if (key == "executor_tasks_per_s") return ThroughExecutors();
     if (key == "dispatch_p99_ms") return Dispatch();
     if (key == "restart_1m_s" || key == "restart_1m_mib") return Restart();
+    if (key == "archived_bytes_per_task") return Archive();
     if (key == "workers") return ManyWorkers();
     return Artifact();
   }
@@ -105,6 +107,7 @@ class ServiceBench {
   Status ThroughExecutors();
   Status Dispatch();
   Status Restart();
+  Status Archive();
   Status ManyWorkers();
   Status Artifact();
 
@@ -226,6 +229,40 @@ Status ServiceBench::Restart() {
   return Status::Ok();
 }
 
+Status ServiceBench::Archive() {
+  const int64_t ended = options_.quick ? 9'900 : 99'000;
+  RG_ASSIGN_OR_RETURN(auto rig, MakeRig());
+  rig->StopCoordinator();
+  RG_RETURN_IF_ERROR(FillServiceDatabase(rig->database(), ended, 1));
+  const auto bytes = [&] {
+    std::error_code error;
+    return static_cast<double>(std::filesystem::file_size(rig->database(), error));
+  };
+  const double before = bytes();
+  RG_RETURN_IF_ERROR(rig->StartCoordinator().status());
+  const double begin = Now();
+  RG_RETURN_IF_ERROR(rig->client().ArchiveJobs(0, false).status());
+  const double seconds = Now() - begin;
+  RG_ASSIGN_OR_RETURN(const auto jobs, rig->client().ListAllJobs());
+  for (const auto& job : jobs) {
+    if (job.finished_ns() != 0 && job.archived_ns() == 0)
+      return InternalError("job " + std::to_string(job.id()) + " is not archived");
+  }
+  // What is free is given back in parts.
+  constexpr double kStillS = 2.0, kPatienceS = 120.0;
+  double after = before;
+  for (double changed = Now(); Now() < changed + kStillS && Now() < begin + kPatienceS; usleep(50'000)) {
+    RG_RETURN_IF_ERROR(rig->Check());
+    if (const double size = bytes(); size < after) after = size, changed = Now();
+  }
+  const double count = static_cast<double>(ended);
+  Note("archived_bytes_per_task", after / count, static_cast<int>(ended),
+       Text("%ld ended tasks with an attempt and a result of 1 KiB each in 99 jobs; the file was %.0f MiB, %.0f B a "
+            "task, and %.0f MiB after `jobs archive`, which took %.1f s",
+            static_cast<long>(ended), before / (1 << 20), before / count, after / (1 << 20), seconds));
+  return Status::Ok();
+}
+
 Status ServiceBench::ManyWorkers() {
   const int wanted = options_.workers;
   constexpr int kTasksEach = 20;
@@ -299,6 +336,7 @@ const std::vector<ServiceRow>& ServiceRows() {
       {"dispatch_p99_ms", "submit to worker at 1,000 tasks/s, p99", "ms", 50, false},
       {"restart_1m_s", "restart with a million tasks known", "s", 2, false},
       {"restart_1m_mib", "  memory after it", "MiB", 512, false},
+      {"archived_bytes_per_task", "file per ended task, archived", "B", 1'500, false},
       {"workers", "workers on one coordinator", "", 500, true},
       {"artifact_mb_per_s", "an artefact of 1 GiB, up and down", "MB/s", 60, true}};
   return rows;

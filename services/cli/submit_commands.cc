@@ -13,6 +13,7 @@
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
 #include "services/cli/iteration_flags.h"
+#include "services/cli/job_terms.h"
 #include "services/cli/job_view.h"
 #include "services/cli/model_source.h"
 #include "services/cli/robot_profile.h"
@@ -31,11 +32,11 @@ using nlohmann::json;
 
 struct SubmitArguments {
   jobs::IterationOptions options;
-  std::string robot = "mico2", model = "latest", policy, recording, name, request_id;
+  std::string robot = "mico2", model = "latest", policy, recording, request_id;
   std::string trajectory, out;  // of a rollout
   std::vector<std::string> shards;
   int64_t shards_of_job = 0;
-  int priority = 0;
+  JobTerms terms;
   bool wait = false, follow = false, dry_run = false;
   double timeout_s = -1;
 };
@@ -154,8 +155,7 @@ Status Submit(Context& context, const std::string& what, Compile compile, Submit
   RG_ASSIGN_OR_RETURN(const auto inputs, FindInputs(*client, profile, what, arguments));
   pb::JobSpec job = compile(arguments.options, inputs);
   job.set_submitted_by(UserAtHost());
-  job.set_priority(arguments.priority);
-  if (!arguments.name.empty()) job.set_name(arguments.name);
+  RG_RETURN_IF_ERROR(context.Usage(arguments.terms.Apply(*client, &job)));
   if (arguments.dry_run) return PrintGraph(context, job);
   RG_ASSIGN_OR_RETURN(const int64_t id, client->Submit(job, arguments.request_id));
   if (!arguments.wait && !arguments.follow && arguments.out.empty()) {
@@ -193,8 +193,7 @@ void AddSubmitCommands(CLI::App& app, Context& context) {
     command->add_option("--model", arguments->model, "latest, nominal, a model.json, or an artefact")
         ->capture_default_str();
     command->add_option("--seed", arguments->options.seed)->capture_default_str();
-    command->add_option("--name", arguments->name, "For people");
-    command->add_option("--priority", arguments->priority, "Higher first")->capture_default_str();
+    arguments->terms.AddTo(command);
     command->add_option("--request-id", arguments->request_id, "The same id never makes a second job");
     command->add_flag("--wait", arguments->wait, "Until it ends; the exit code says how");
     command->add_flag("--follow", arguments->follow, "The same, with progress");

@@ -10,6 +10,7 @@
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
 #include "services/cli/early_warnings.h"
+#include "services/cli/job_terms.h"
 #include "services/cli/job_view.h"
 #include "services/cli/model_source.h"
 #include "services/cli/packed_set.h"
@@ -26,6 +27,7 @@ struct DiagnoseJobArguments {
   SetArguments sets;
   std::string out, request_id, model;
   jobs::DiagnoseOptions options;
+  JobTerms terms;
   bool follow = false;
 };
 
@@ -67,8 +69,9 @@ Status SubmitDiagnose(Context& context, const DiagnoseJobArguments& arguments) {
   if (!arguments.model.empty()) {
     RG_ASSIGN_OR_RETURN(model, PutModelFile(*client, arguments.model));
   }
-  RG_ASSIGN_OR_RETURN(const int64_t id, client->Submit(jobs::CompileDiagnose(arguments.options, set, model),
-                                                       arguments.request_id));
+  pb::JobSpec job = jobs::CompileDiagnose(arguments.options, set, model);
+  RG_RETURN_IF_ERROR(context.Usage(arguments.terms.Apply(*client, &job)));
+  RG_ASSIGN_OR_RETURN(const int64_t id, client->Submit(job, arguments.request_id));
   if (!arguments.follow && arguments.out.empty()) {
     if (context.json()) {
       PrintJson("realitygrad.submitted/1", {{"job", id}});
@@ -107,6 +110,7 @@ void AddSubmitDiagnose(CLI::App& submit, Context& context) {
   command->add_option("--threads", arguments->options.threads, "0: all cores of the worker")
       ->capture_default_str();
   command->add_option("--seed", arguments->options.seed)->capture_default_str();
+  arguments->terms.AddTo(command);
   command->add_option("--request-id", arguments->request_id, "The same id never makes a second job");
   command->add_flag("--follow", arguments->follow, "Until it ends, with progress");
   command->callback([&context, arguments] { context.Failed(SubmitDiagnose(context, *arguments)); });

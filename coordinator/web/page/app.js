@@ -51,6 +51,10 @@ var page = (function () {
     if (s < 172800) { return Math.floor(s / 3600) + ' h ' + String(Math.floor(s % 3600 / 60)).padStart(2, '0') + ' min'; }
     return Math.round(s / 86400) + ' days';
   }
+  // A job's kind and name in one, without saying a word twice.
+  function what(job) {
+    return !job.name || job.name === job.kind ? job.kind : job.name.indexOf(job.kind) === 0 ? job.name : job.kind + ' · ' + job.name;
+  }
   function moment(text) { return text ? text.slice(0, 19).replace('T', ' ') : '–'; }
   function number(x) {
     if (x === null || x === undefined) { return '–'; }
@@ -135,6 +139,6 @@ var page = (function () {
   document.addEventListener('DOMContentLoaded', function () { show(); watchStatus(); });
   return {
     add: function (view) { views[view.path] = view; }, el: el, table: table, badge: badge, bar: bar, duration: duration, moment: moment,
-    number: number, bytes: bytes, artifact: artifact, ask: ask, live: live, replace: replace
+    what: what, number: number, bytes: bytes, artifact: artifact, ask: ask, live: live, replace: replace
   };
 })();

@@ -6,7 +6,7 @@
   function residuals(history) {
     var rows = history.versions.filter(function (v) { return v.residual_after !== null || v.residual_before !== null; })
       .map(function (v) { return [v.version, v.residual_before, v.residual_after]; }).sort(function (a, b) { return a[0] - b[0]; });
-    if (!rows.length) { return null; }
+    if (rows.length < 2) { return null; }  // the table says it
     var positive = rows.every(function (r) { return (r[1] === null || r[1] > 0) && (r[2] === null || r[2] > 0); });
     return makePlot({ title: 'Residual by iteration', labels: ['version', 'before', 'after'], rows: rows, log: positive, xlabel: 'version', ylabel: 'residual' });
   }
@@ -30,6 +30,15 @@
     });
   }
 
+  // Of a single version: a table, those that the data tell most of first.
+  function valueTable(wanted) {
+    var relative = function (p) { return p.stddevs[0] ? p.stddevs[0] / Math.max(Math.abs(p.values[0]), 1e-9) : Infinity; };
+    wanted.sort(function (a, b) { return relative(a) === relative(b) ? 0 : relative(a) - relative(b); });
+    return page.table([{ name: 'Parameter' }, { name: 'Value', num: true }, { name: 'Standard deviation', num: true }], wanted.map(function (p) {
+      return { attributes: { 'data-parameter': p.name }, cells: [p.name, page.number(p.values[0]), p.stddevs[0] ? page.number(p.stddevs[0]) : ''] };
+    }));
+  }
+
   function drawParameters(root, robots, robot) {
     var history = el('div#history'), plots = el('div.plots#parameter-plots'), residual = el('div.plots#residuals'), shown = 12, values = null;
     var search = el('input', { type: 'search', placeholder: 'parameter, e.g. damping', 'aria-label': 'parameters to plot', oninput: function () { draw(); } });
@@ -38,15 +47,20 @@
     function draw() {
       if (!values) { return; }
       var wanted = values.parameters.filter(function (p) { return p.name.toLowerCase().indexOf(search.value.toLowerCase()) >= 0; });
+      var single = values.versions.length < 2;
+      heading.textContent = single ? 'Values of the only version' : 'Values by version, with a standard deviation to each side; those that moved most first';
+      plots.className = single ? '' : 'plots';
+      if (single) { more.hidden = true; return replace(plots, valueTable(wanted)); }
       wanted.sort(function (a, b) { return travel(b) - travel(a); });
       var cut = wanted.slice(0, shown);
       replace(plots, cut.map(function (p) { return parameterPlot(values, p); }).reduce(function (f, n) { f.append(n); return f; }, document.createDocumentFragment()));
       more.hidden = wanted.length <= shown;
       more.textContent = 'more of ' + wanted.length;
     }
+    var heading = el('h2');
     var more = el('button', { hidden: '', onclick: function () { shown += 24; draw(); } }, 'more');
     replace(root, el('h1', null, 'Parameters'), el('div.tools', null, choose, search), residual,
-      el('h2', null, 'Values by version, with a standard deviation to each side; those that moved most first'), plots, el('div.tools', null, more), el('h2', null, 'History'), history);
+      heading, plots, el('div.tools', null, more), el('h2', null, 'History'), history);
     page.live(function () { return '/api/history?robot=' + encodeURIComponent(robot); }, function (value, error) {
       if (error) { return replace(history, el('p.note.bad', null, error)); }
       var plot = residuals(value);

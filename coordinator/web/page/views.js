@@ -5,16 +5,18 @@
 
   function failure(root, error) { replace(root, el('p.note.bad', null, error)); }
 
+  function comesAfter(job) { return job.waits_for.length ? 'comes after job ' + job.waits_for.join(', ') : ''; }
+
   function jobRow(job) {
     var share = job.tasks.total ? job.tasks.failed / job.tasks.total : 0;
     return {
       attributes: { 'data-job': job.id },
-      cells: [el('a', { href: '#/job/' + job.id }, String(job.id)), job.kind + (job.name ? ' · ' + job.name : ''), page.badge(job.state),
+      cells: [el('a', { href: '#/job/' + job.id }, String(job.id)), page.what(job), page.badge(job.state),
         page.bar(job.progress, 0, share), job.tasks.done + '/' + job.tasks.total + (job.tasks.running ? ' (' + job.tasks.running + ' running)' : ''),
-        job.finished ? '' : job.eta_s === null ? '' : page.duration(job.eta_s), page.moment(job.submitted), job.reason]
+        job.finished ? '' : job.eta_s === null ? '' : page.duration(job.eta_s), page.moment(job.submitted), job.reason || comesAfter(job)]
     };
   }
-  var jobColumns = [{ name: 'Job', num: true }, { name: 'What' }, { name: 'State' }, { name: 'Progress' }, { name: 'Tasks' }, { name: 'ETA' }, { name: 'Submitted' }, { name: 'Reason' }];
+  var jobColumns = [{ name: 'Job', num: true }, { name: 'What' }, { name: 'State' }, { name: 'Progress' }, { name: 'Tasks' }, { name: 'ETA' }, { name: 'Submitted' }, { name: 'Note' }];
 
   page.add({
     path: 'jobs', title: 'Jobs',
@@ -68,12 +70,29 @@
     task.outputs.forEach(function (o) { outputs.push(page.artifact(o.sha256, o.name), ' '); });
     return {
       attributes: { 'data-task': task.name },
-      cells: [task.name, task.stage, page.badge(task.state), task.attempts, task.worker, task.seconds === null ? '' : page.duration(task.seconds),
+      cells: [task.name, task.stage, page.badge(task.state), task.attempts || '', task.worker, task.seconds === null ? '' : page.duration(task.seconds),
         task.progress || task.reason, outputs.length ? el('span', null, outputs) : '']
     };
   }
   var taskColumns = [{ name: 'Task' }, { name: 'Stage' }, { name: 'State' }, { name: 'Attempts', num: true }, { name: 'Worker' }, { name: 'Time' }, { name: 'Note' }, { name: 'Outputs' }];
   var rank = { uncertain: 0, leased: 1, failed: 2, ready: 3, waiting: 4, succeeded: 5, cancelled: 6 };
+
+  // Of many tasks in one state the first few, and the others where somebody asks for them.
+  function taskTable(sorted, open, redraw) {
+    var kShown = 12, seen = {}, shown = sorted.filter(function (task) {
+      seen[task.state] = (seen[task.state] || 0) + 1;
+      return open.all || seen[task.state] <= kShown;
+    });
+    var hidden = Object.keys(seen).filter(function (s) { return seen[s] > kShown; }).map(function (s) { return (seen[s] - kShown) + ' more ' + s; });
+    return el('div', null, page.table(taskColumns, shown.map(taskRow)), hidden.length && !open.all ?
+      el('div.tools', null, el('button', { onclick: function () { open.all = true; redraw(); } }, hidden.join(', '))) : null);
+  }
+
+  function whenAndHowLong(job) {
+    if (!job.started) { return [page.duration(job.waited_s), 'waits since']; }
+    if (job.finished || job.eta_s === null) { return [page.duration(job.seconds), job.finished ? 'took' : 'took so far']; }
+    return [page.duration(job.eta_s), 'to go, about'];
+  }
 
   function followLogs(box, id) {
     var after = 0, lines = [];
@@ -90,25 +109,31 @@
   page.add({
     path: 'job', title: 'Job', under: 'jobs',
     draw: function (root, id) {
+      var open = { all: false };
       var head = el('div'), stages = el('div#stages'), tasks = el('div#tasks'), children = el('div'), events = el('div'), logs = el('pre#logs', { tabindex: 0 }, 'Nothing was said yet.');
       replace(root, head, stages, el('h2', null, 'Tasks'), tasks, children, el('h2', null, 'Logs'), logs, el('h2', null, 'Events'), events);
       page.live(function () { return '/api/job?id=' + id; }, function (job, error) {
         if (error) { return failure(head, error); }
-        replace(head, el('h1', null, 'Job ' + job.id + ' · ' + job.kind + (job.name ? ' · ' + job.name : '')),
+        var time = whenAndHowLong(job);
+        replace(head, el('h1', null, 'Job ' + job.id + ' · ' + page.what(job)),
           el('div.tools', null, page.badge(job.state), el('span.soft', null, 'submitted ' + page.moment(job.submitted) + ' by ' + (job.submitted_by || '?') + ', priority ' + job.priority),
             job.parent_job ? el('a', { href: '#/job/' + job.parent_job }, 'of job ' + job.parent_job) : null,
             Object.keys(job.labels).map(function (k) { return el('code', null, k + '=' + job.labels[k]); })),
           job.reason ? el('p.note.bad', null, job.reason) : null,
+          comesAfter(job) ? el('p.note', null, 'It ' + comesAfter(job) + '.') : null,
+          job.time_limit_s ? el('p.soft', null, 'Time limit ' + page.duration(job.time_limit_s) + (job.deadline ? ', until ' + page.moment(job.deadline) : ' from its start') + '.') : null,
           el('div.cards', null,
             el('div.card', null, el('b', null, Math.round(100 * job.progress) + ' %'), el('span', null, 'done, by weight')),
             el('div.card', null, el('b', null, job.tasks.done + ' / ' + job.tasks.total), el('span', null, 'tasks')),
             el('div.card', null, el('b', null, job.tasks.running), el('span', null, 'running')),
-            el('div.card', null, el('b', null, job.finished || job.eta_s === null ? page.duration(job.seconds) : page.duration(job.eta_s)), el('span', null, job.finished || job.eta_s === null ? 'took so far' : 'to go, about')),
+            el('div.card', null, el('b', null, time[0]), el('span', null, time[1])),
             job.best_residual !== null ? el('div.card', null, el('b', null, page.number(job.best_residual)), el('span', null, 'best residual so far')) : null));
         replace(stages, el('h2', null, 'Stages'), job.stages.map(stageRow).reduce(function (d, s) { d.append(s); return d; }, el('div')));
         var sorted = job.task_list.slice().sort(function (a, b) { return rank[a.state] - rank[b.state]; });
-        replace(tasks, job.task_list.length ? page.table(taskColumns, sorted.map(taskRow)) :
-          el('p.soft', null, job.tasks.total + ' tasks: too many to list here; realitygrad job show ' + job.id + ' --tasks does.'));
+        (function redraw() {
+          replace(tasks, job.task_list.length ? taskTable(sorted, open, redraw) :
+            el('p.soft', null, job.tasks.total + ' tasks: too many to list here; realitygrad job show ' + job.id + ' --tasks does.'));
+        })();
       });
       page.live(function () { return '/api/jobs?of=' + id; }, function (value, error) {
         if (error || !value.jobs.length) { return; }

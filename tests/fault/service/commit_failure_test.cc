@@ -122,6 +122,32 @@ TEST_F(FullDisk, AResultStaysWithItsWorkerUntilThereIsRoom) {
   EXPECT_EQ(Trouble(), "");
 }
 
+TEST_F(FullDisk, WhatCameToNothingIsNotCounted) {
+  const auto assignment = Begin();
+  Fill();
+  worker_->Tell(FinishedMessage(assignment));
+  ASSERT_TRUE(Turn().ok());
+  worker_->Mail();
+  const auto counted = [&] {
+    client_->Ask(pb::StatusRequest());
+    client_->Ask(pb::ListWorkersRequest());
+    EXPECT_TRUE(Turn().ok());
+    const auto status = client_->Reply<pb::StatusReply>();
+    const auto workers = client_->Reply<pb::ListWorkersReply>();
+    EXPECT_TRUE(status.ok() && workers.ok());
+    const auto& counters = status->counters();
+    return std::vector<double>{counters.at("jobs_submitted_total"), counters.at("jobs_succeeded_total"),
+                               counters.at("tasks_committed_total"), counters.at("attempts_started_total"),
+                               static_cast<double>(workers->workers(0).tasks_done())};
+  };
+  EXPECT_EQ(counted(), (std::vector<double>{1, 0, 0, 1, 0}));
+  MakeRoom();
+  WaitForRecovery();
+  worker_->Tell(FinishedMessage(assignment));
+  ASSERT_TRUE(Turn().ok());
+  EXPECT_EQ(counted(), (std::vector<double>{1, 1, 1, 1, 1}));
+}
+
 TEST_F(FullDisk, WorkersAndLeasesOutliveItHoweverLongItLasts) {
   const auto assignment = Begin();
   Fill();

@@ -16,7 +16,7 @@ TEST(BenchService, MeasuresAndSaysWhat) {
   const ScratchFolder scratch;
   const Said said = RunProgram(
       scratch,
-      "bench service --quick --workers 20 --only dispatch_p99_ms,restart_1m_s,workers --output json");
+      "bench service --quick --workers 20 --only dispatch_p99_ms,restart_1m_s,workers,archived_bytes_per_task --output json");
   ASSERT_EQ(said.code, 0) << said.err;
   const json figures = json::parse(said.out, nullptr, false);
   ASSERT_TRUE(figures.is_object()) << said.out;
@@ -27,6 +27,9 @@ TEST(BenchService, MeasuresAndSaysWhat) {
     EXPECT_FALSE(figures.at("notes").at(key).get<std::string>().empty());
   }
   EXPECT_EQ(figures.at("targets").at("dispatch_p99_ms"), json({{"at_most", 50.0}}));
+  ASSERT_TRUE(figures.at("archived_bytes_per_task").is_number())
+      << figures.at("notes").at("archived_bytes_per_task");
+  EXPECT_GT(figures.at("archived_bytes_per_task"), 1'000.0) << "each has a result of 1 KiB";
   EXPECT_FALSE(figures.contains("tasks_per_s")) << "not asked for";
 }
 

@@ -132,6 +132,29 @@ TEST_F(JobCommands, ThePromotedVersionIsCurrentUntilTheLatestIsAgain) {
   EXPECT_FALSE(std::filesystem::exists(scratch_ / "q.html"));
 }
 
+TEST_F(JobCommands, ASubmitSaysWhenItMayStartAndForHowLong) {
+  const int64_t before = SubmitOne("echo", "{}");
+  const Said said = Run("submit trajectories --model nominal --trajectories 4 --name n --label arm=left --label x=1 "
+                        "--priority 3 --time-limit 90 --after " + std::to_string(before) + " --output quiet");
+  ASSERT_EQ(said.code, 0) << said.err;
+  const std::string id = said.out.substr(0, said.out.find('\n'));
+  json job = RunJson("job show " + id);
+  EXPECT_EQ(job["priority"], 3);
+  EXPECT_EQ(job["after"], json::array({before}));
+  EXPECT_EQ(job["waits_for"], json::array({before}));
+  EXPECT_EQ(job["time_limit_s"], 90.0);
+  EXPECT_EQ(job["labels"], json({{"arm", "left"}, {"robot", "mico2"}, {"x", "1"}}));
+  EXPECT_EQ(RunJson("jobs --label arm=left")["jobs"].size(), 1u);
+  EXPECT_NE(Run("job explain " + id).out.find("comes after " + std::to_string(before)), std::string::npos);
+  EXPECT_NE(Run("job show " + id).out.find("comes after job " + std::to_string(before)), std::string::npos);
+  EXPECT_NE(Run("job describe " + id).out.find("limit     1 min 30 s"), std::string::npos);
+  EXPECT_EQ(RunJson("job priority " + id + " -4")["priority"], -4);
+  EXPECT_EQ(Run("job priority " + id).code, 2) << "which one is to be said";
+  EXPECT_EQ(Run("submit trajectories --model nominal --label wrong").code, 2);
+  EXPECT_EQ(Run("submit trajectories --model nominal --time-limit -1").code, 2);
+  EXPECT_EQ(Run("submit trajectories --model nominal --after soon").code, 2);
+}
+
 TEST_F(JobCommands, CompletionKnowsCommandsFlagsAndJobsInABash) {
   const int64_t id = SubmitOne("echo", "{}");
   const std::string script = scratch_ / "completion.bash";
@@ -155,6 +178,8 @@ TEST_F(JobCommands, CompletionKnowsCommandsFlagsAndJobsInABash) {
   EXPECT_EQ(complete(program + " --output js"), "json\n");
   EXPECT_EQ(complete(program + " job logs " + std::to_string(id)), std::to_string(id) + "\n");
   EXPECT_EQ(complete(program + " params prom"), "promote\n");
+  EXPECT_EQ(complete(program + " job prio"), "priority\n");
+  EXPECT_EQ(complete(program + " submit train --time"), "--time-limit\n--timeout\n");
 }
 
 TEST_F(JobCommands, CompletionIsAScriptThatZshTakes) {

@@ -2,8 +2,12 @@
 #include <gtest/gtest.h>
 #include <signal.h>
 
+#include <chrono>
 #include <filesystem>
+#include <functional>
+#include <thread>
 
+#include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/ids.h"
 #include "tests/support/service/processes.h"
@@ -22,6 +26,12 @@ class Programs : public ::testing::Test {
     std::filesystem::remove(folder_ + "/log");
     return Process(arguments, folder_ + "/log").WaitForExit(kPatience);
   }
+  static bool WaitFor(const std::function<bool()>& holds) {
+    const double end = RealClock().SteadySeconds() + kPatience;
+    while (!holds() && RealClock().SteadySeconds() < end)
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    return holds();
+  }
   std::string Said() const { return *ReadFile(folder_ + "/log"); }
   std::string folder_;
 };
@@ -33,6 +43,29 @@ TEST_F(Programs, AWrongFlagIsUsage) {
   EXPECT_EQ(Run({"synthetic_worker", "--key", folder_ + "/none"}), 2);
   EXPECT_NE(Said().find("--server-key"), std::string::npos) << Said();
   EXPECT_EQ(Run({"realitygrad-coordinator", "--help"}), 0);
+}
+
+TEST_F(Programs, WhatIsRefusedLeavesNoDatabaseBehind) {
+  Process page({BinFolder() + "/realitygrad-coordinator", "--listen", "ipc://" + folder_ + "/p", "--db",
+                folder_ + "/page.db", "--web", "127.0.0.1:0", "--web-address-file", folder_ + "/url"},
+               folder_ + "/page.log");
+  ASSERT_TRUE(WaitFor([&] { return std::filesystem::exists(folder_ + "/url"); }));
+  const std::string taken = ReadFile(folder_ + "/url")->substr(sizeof("http://") - 1);
+  const std::vector<std::vector<std::string>> wrong = {
+      {"--web", "here"},
+      {"--web", "0.0.0.0:0"},
+      {"--web", taken.substr(0, taken.find('\n'))},
+      {"--may-submit", "nonsense"},
+      {"--autoscale", "slurm", "--autoscale-worker-key", "k"}};
+  for (const auto& flags : wrong) {
+    std::vector<std::string> arguments = {"realitygrad-coordinator", "--listen", "ipc://" + folder_ + "/s",
+                                          "--db", folder_ + "/a.db"};
+    arguments.insert(arguments.end(), flags.begin(), flags.end());
+    const int code = Run(arguments);
+    EXPECT_TRUE(code == 1 || code == 2) << code << Said();
+    EXPECT_NE(Said().find(flags[0]), std::string::npos) << Said();
+    EXPECT_FALSE(std::filesystem::exists(folder_ + "/a.db")) << flags[1];
+  }
 }
 
 TEST_F(Programs, NothingListensOnAPublicAddressWithoutKeys) {

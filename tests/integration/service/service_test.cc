@@ -3,6 +3,7 @@
 #include <signal.h>
 
 #include <chrono>
+#include <filesystem>
 #include <thread>
 
 #include "common/base/clock.h"
@@ -504,6 +505,99 @@ TEST(Service, HigherPriorityGoesFirst) {
   ASSERT_TRUE(service.client().WaitForJob(*h, kPatience).ok());
   EXPECT_LT(service.client().GetJob(*h, true, true)->tasks(0).attempt_list(0).token(),
             service.client().GetJob(*l, true, true)->tasks(0).attempt_list(0).token());
+}
+
+TEST(Service, APriorityChangedLaterDecidesWhoIsNext) {
+  Service service;
+  pb::JobSpec job;
+  AddTask(&job, "t", "echo");
+  const auto first = service.client().Submit(job), second = service.client().Submit(job);
+  ASSERT_TRUE(service.client().SetPriority(*second, 7).ok());
+  service.KillCoordinator();
+  service.StartCoordinator();
+  EXPECT_EQ(service.client().GetJob(*second)->job().priority(), 7) << "over a restart";
+  EXPECT_EQ(service.client().SetPriority(*second, 1'000'001).status().code(), StatusCode::kInvalid);
+  service.StartWorker("a");
+  ASSERT_TRUE(service.client().WaitForJob(*first, kPatience).ok());
+  ASSERT_TRUE(service.client().WaitForJob(*second, kPatience).ok());
+  EXPECT_LT(service.client().GetJob(*second, true, true)->tasks(0).attempt_list(0).token(),
+            service.client().GetJob(*first, true, true)->tasks(0).attempt_list(0).token());
+  EXPECT_EQ(service.client().SetPriority(*second, 3).status().code(), StatusCode::kFailedPrecondition);
+}
+
+TEST(Service, AJobComesAfterOthersOverARestartAndFailsWhereOneDoes) {
+  Service service;
+  service.StartWorker("a", 2);
+  pb::JobSpec slow, after;
+  AddTask(&slow, "t", "sleep", R"({"seconds": 1.0})");
+  AddTask(&after, "t", "echo");
+  const auto before = service.client().Submit(slow);
+  after.add_after_jobs(*before);
+  const auto id = service.client().Submit(after);
+  ASSERT_TRUE(id.ok()) << id.status().ToString();
+  service.KillCoordinator();
+  service.StartCoordinator();
+  const auto waiting = service.client().GetJob(*id);
+  ASSERT_EQ(waiting->job().after_jobs_size(), 1);
+  if (service.client().GetJob(*before)->job().state() != pb::JOB_STATE_SUCCEEDED) {
+    EXPECT_EQ(waiting->job().state(), pb::JOB_STATE_QUEUED);
+    EXPECT_EQ(waiting->job().waits_for(0), *before);
+  }
+  ASSERT_EQ(service.client().WaitForJob(*id, kPatience)->job().state(), pb::JOB_STATE_SUCCEEDED);
+  const auto early = service.client().GetJob(*before), late = service.client().GetJob(*id);
+  EXPECT_GE(late->job().started_ns(), early->job().finished_ns());
+  EXPECT_TRUE(service.client().Submit(after).ok()) << "after one that is over and out of memory";
+
+  pb::JobSpec bad, third;
+  AddTask(&bad, "t", "fail", R"({"code": 1})");
+  AddTask(&third, "t", "echo");
+  bad.add_after_jobs(*service.client().Submit(slow));
+  third.add_after_jobs(*service.client().Submit(bad));
+  const auto doomed = service.client().Submit(third);
+  ASSERT_TRUE(doomed.ok()) << doomed.status().ToString();
+  const auto end = service.client().WaitForJob(*doomed, kPatience);
+  EXPECT_EQ(end->job().state(), pb::JOB_STATE_FAILED);
+  EXPECT_NE(end->job().reason().find("comes after it"), std::string::npos) << end->job().reason();
+  EXPECT_EQ(service.client().Act(*doomed, pb::JOB_ACTION_RETRY).status().code(),
+            StatusCode::kFailedPrecondition);
+  EXPECT_EQ(service.client().Submit(third).status().code(), StatusCode::kFailedPrecondition);
+  third.set_after_jobs(0, 99);
+  EXPECT_EQ(service.client().Submit(third).status().code(), StatusCode::kNotFound);
+}
+
+TEST(Service, AJobPastItsTimeLimitFailsAndWhatRunsIsStopped) {
+  Service service;
+  service.StartWorker("a");
+  pb::JobSpec job;
+  AddTask(&job, "t", "sleep", R"({"seconds": 600})");
+  job.set_time_limit_s(1.0);
+  const auto end = RunJob(service, job);
+  EXPECT_EQ(end.job().state(), pb::JOB_STATE_FAILED);
+  EXPECT_EQ(end.job().reason(), "its time limit of 1 s is over");
+  EXPECT_GE(end.job().finished_ns() - end.job().started_ns(), 1'000'000'000);
+  pb::JobSpec quick;
+  AddTask(&quick, "t", "echo");
+  EXPECT_EQ(RunJob(service, quick).job().state(), pb::JOB_STATE_SUCCEEDED) << "its slot is free again";
+}
+
+TEST(Service, ATaskHasAScratchFolderOnlyWhereItWantsOne) {
+  Service service;
+  service.StartWorker("a", 1);
+  ASSERT_TRUE(service.WaitForWorkers(1));
+  pb::JobSpec job;
+  AddTask(&job, "t", "sleep", R"({"seconds": 60})");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(service.WaitForProgress(*id, "t"));
+  const std::string scratch = service.folder() + "/worker-a/scratch";
+  const auto folders = [&] {
+    std::error_code error;
+    int count = 0;
+    for ([[maybe_unused]] const auto& entry : std::filesystem::recursive_directory_iterator(scratch, error))
+      ++count;
+    return count;
+  };
+  EXPECT_EQ(folders(), 0) << "a folder made and removed costs more than a short task";
+  ASSERT_TRUE(service.client().Act(*id, pb::JOB_ACTION_CANCEL).ok());
 }
 
 }  // namespace

@@ -15,52 +15,15 @@
 #include "common/base/file.h"
 #include "common/base/ids.h"
 #include "common/transport/keys.h"
+#include "tests/integration/three_hosts/hosts.h"
 #include "tests/support/service/processes.h"
 
 namespace rg::testing {
 namespace {
 
 constexpr double kPatience = 60.0;
+constexpr char kNetwork[] = "10.77.31.";
 constexpr char kAddress[] = "tcp://10.77.31.1:7341";
-
-bool Shell(const std::string& command) { return std::system((command + " >/dev/null 2>&1").c_str()) == 0; }
-
-// Three namespaces h1..h3 (10.77.31.1..3), and a fourth that holds the bridge between them.
-class Hosts {
- public:
-  Hosts() : prefix_("rg" + RandomHex(3)) {
-    ok_ = Shell("ip netns add " + Name(0)) && Shell("ip -n " + Name(0) + " link add br0 type bridge") &&
-          Shell("ip -n " + Name(0) + " link set br0 up");
-    for (int i = 1; i <= 3 && ok_; ++i) ok_ = AddHost(i);
-  }
-  ~Hosts() {
-    for (int i = 0; i <= 3; ++i) Shell("ip netns del " + Name(i));
-  }
-  bool ok() const { return ok_; }
-  std::string Name(int host) const { return prefix_ + "h" + std::to_string(host); }
-  // Pulls the host's cable, or puts it back.
-  void Plug(int host, bool in) const {
-    Shell("ip -n " + Name(0) + " link set port" + std::to_string(host) + (in ? " up" : " down"));
-  }
-  std::vector<std::string> On(int host, std::vector<std::string> arguments) const {
-    std::vector<std::string> all = {"ip", "netns", "exec", Name(host)};
-    all.insert(all.end(), arguments.begin(), arguments.end());
-    return all;
-  }
-
- private:
-  bool AddHost(int host) {
-    const std::string name = Name(host), number = std::to_string(host);
-    return Shell("ip netns add " + name) &&
-           Shell("ip -n " + name + " link add eth0 type veth peer name port" + number + " netns " +
-                 Name(0)) &&
-           Shell("ip -n " + Name(0) + " link set port" + number + " master br0 up") &&
-           Shell("ip -n " + name + " addr add 10.77.31." + number + "/24 dev eth0") &&
-           Shell("ip -n " + name + " link set eth0 up") && Shell("ip -n " + name + " link set lo up");
-  }
-  std::string prefix_;
-  bool ok_ = false;
-};
 
 // While it lives, this thread and the threads it starts are on that host.
 class VisitHost {
@@ -84,9 +47,8 @@ class VisitHost {
 class ThreeHosts : public ::testing::Test {
  protected:
   void SetUp() override {
-    if (geteuid() != 0) GTEST_SKIP() << "needs root to make network namespaces";
-    if (!Shell("ip -V")) GTEST_SKIP() << "the program ip (iproute2) is missing";
-    hosts_ = std::make_unique<Hosts>();
+    if (!Hosts::WhyNot().empty()) GTEST_SKIP() << Hosts::WhyNot();
+    hosts_ = std::make_unique<Hosts>(kNetwork);
     if (!hosts_->ok()) GTEST_SKIP() << "this kernel or container does not let us make network namespaces";
     folder_ = "/tmp/rg-hosts-" + RandomHex(6);
     std::filesystem::create_directories(folder_);

@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <limits>
+
 namespace rg::coordinator {
 namespace {
 
@@ -74,6 +76,26 @@ TEST(CompileJob, RefusesWhatCannotRunAndNamesIt) {
   pb::JobSpec hash;
   Add(&hash, "a")->add_inputs()->set_artifact("xyz");
   ExpectRefused(hash, "task 'a'");
+  const double nan = std::numeric_limits<double>::quiet_NaN(), infinity = std::numeric_limits<double>::infinity();
+  for (const double none : {-1.0, nan, infinity}) {
+    pb::JobSpec weight, timeout, limit;
+    Add(&weight, "a")->set_weight(none);
+    Add(&timeout, "a")->set_timeout_s(none);
+    Add(&limit, "a");
+    limit.set_time_limit_s(none);
+    ExpectRefused(weight, "weight");
+    ExpectRefused(timeout, "timeout_s");
+    ExpectRefused(limit, "time limit");
+  }
+  pb::JobSpec priority, after;
+  Add(&priority, "a")->set_priority(1'000'001);
+  ExpectRefused(priority, "priority 1000001");
+  Add(&after, "a");
+  after.add_after_jobs(0);
+  ExpectRefused(after, "no job 0");
+  after.set_after_jobs(0, 5);
+  const auto of_task = CompileJob(after, MakeTaskId(3, 0));
+  EXPECT_EQ(of_task.status().code(), StatusCode::kInvalid) << "its task would wait for itself";
 }
 
 }  // namespace

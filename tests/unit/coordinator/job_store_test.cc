@@ -34,13 +34,27 @@ Event RandomEvent(Rng& rng, const State& state, int n) {
   switch (rng.Index(14)) {
     case 0: {
       Submit submit{"r" + std::to_string(rng.Index(6)), RandomPlan(rng), nullptr, 0};
-      if (task == 0) return submit;
-      auto plan = std::make_shared<JobPlan>(*submit.plan);  // by the task that holds the lease
+      auto plan = std::make_shared<JobPlan>(*submit.plan);
+      if (task == 0) {
+        for (const auto& [id, known] : state.jobs) {
+          if (rng.Index(3) == 0) plan->after_jobs.push_back(id);
+        }
+        if (rng.Index(3) == 0) plan->time_limit_ns = static_cast<int64_t>(1 + rng.Index(30)) * 1'000'000'000;
+        submit.plan = plan;
+        return submit;
+      }
+      // By the task that holds the lease.
       plan->parent = task;
       submit.plan = plan, submit.lease = token;
       return submit;
     }
-    case 1:
+    case 1: {
+      if (rng.Index(4) != 0) break;
+      CommandJob change{job, JobCommand::kPriority, "r", 0};
+      change.priority = static_cast<int32_t>(rng.Index(9)) - 4;
+      return change;
+    }
+    case 13:
       return CommandJob{job, rng.Index(3) == 0 ? JobCommand::kCancel : JobCommand::kRetry, "r", 0};
     case 2:
       return CommandJob{job, rng.Index(3) == 0 ? JobCommand::kPause : JobCommand::kResume, "r", 0};
@@ -59,8 +73,9 @@ Event RandomEvent(Rng& rng, const State& state, int n) {
     case 8:
       return Tick{};
     default:
-      return Finished{holder, task, token};
+      break;
   }
+  return Finished{holder, task, token};
 }
 
 TEST(JobStore, GivesBackTheStateAfterAnyHistory) {
@@ -107,6 +122,8 @@ TEST(JobStore, APlanSurvivesAsItWas) {
   plan->kind = "iteration";
   plan->tags = {"a", "b"};
   plan->labels = {{"robot", "mico2"}};
+  plan->time_limit_ns = 90'000'000'000;
+  plan->after_jobs = {3, 17};
   plan->tasks = {MakeTask("first"), MakeTask("second", {{0, true}})};
   plan->tasks[1].required_tags = {"robot:one", "x y"};
   plan->tasks[1].weight = 2.5;
@@ -121,6 +138,8 @@ TEST(JobStore, APlanSurvivesAsItWas) {
   const JobPlan& back = *loaded->jobs.at(0).plan;
   EXPECT_EQ(back.tags, plan->tags);
   EXPECT_EQ(back.labels, plan->labels);
+  EXPECT_EQ(back.time_limit_ns, plan->time_limit_ns);
+  EXPECT_EQ(back.after_jobs, plan->after_jobs);
   EXPECT_EQ(back.tasks[1].required_tags, plan->tasks[1].required_tags);
   EXPECT_EQ(back.tasks[1].weight, 2.5);
   EXPECT_TRUE(back.tasks[1].at_most_once);

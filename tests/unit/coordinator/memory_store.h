@@ -38,7 +38,7 @@ class MemoryStore {
   void Complete(Event& event, State& state) const {
     if (auto* submit = std::get_if<Submit>(&event)) {
       const auto known = job_by_request_.find(submit->request_id);
-      if (known == job_by_request_.end()) return;
+      if (known == job_by_request_.end()) return submit->unmet = UnmetOf(*submit->plan, state), void();
       submit->known = known->second;
       submit->known_content = jobs_.at(known->second).plan->content;
     } else if (auto* finished = std::get_if<Finished>(&event)) {
@@ -48,7 +48,9 @@ class MemoryStore {
       if (task.phase == TaskPhase::kSucceeded) finished->committed = task.token;
     } else if (auto* command = std::get_if<CommandJob>(&event)) {
       const StoredJob* job = Find(command->job);
-      if (job == nullptr || state.FindJob(command->job) != nullptr) return;
+      if (job == nullptr) return;
+      command->unmet = UnmetOf(*job->plan, state);
+      if (state.FindJob(command->job) != nullptr) return;
       state.ended.push_back(command->job);
       Recall(state, *job);
     }
@@ -59,6 +61,13 @@ class MemoryStore {
   std::map<std::string, int> notes;
 
  private:
+  // Of the jobs that it comes after, one that has left memory without success.
+  JobId UnmetOf(const JobPlan& plan, const State& state) const {
+    for (const JobId id : plan.after_jobs) {
+      if (state.FindJob(id) == nullptr && jobs_.at(id).record.phase != JobPhase::kSucceeded) return id;
+    }
+    return 0;
+  }
   TaskRecord& TaskOf(TaskId task) { return jobs_.at(JobOf(task)).tasks.at(IndexOf(task)); }
 
   void ApplyOne(const InsertJob& row) {

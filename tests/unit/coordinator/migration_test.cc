@@ -115,7 +115,8 @@ TEST_P(Migration, ACopyIsMadeBeforeAndOpensWithTheOldTables) {
   ASSERT_NE(Open(), nullptr);
   const auto copies = Copies();
   ASSERT_EQ(copies.size(), 1u);
-  EXPECT_EQ(copies[0].rfind("service.db.before-artifacts-2-parameters-2-coordinator-", 0), 0u) << copies[0];
+  const std::string changed = GetParam() < 4 ? "artifacts-2-parameters-2-coordinator-" : "coordinator-";
+  EXPECT_EQ(copies[0].rfind("service.db.before-" + changed, 0), 0u) << copies[0];
   const auto old = store::Database::Open({.path = folder_ + "/" + copies[0], .read_only = true}, {});
   ASSERT_TRUE(old.ok()) << old.status().ToString();
   EXPECT_EQ(*(*old)->ModuleVersion("coordinator"), GetParam());
@@ -123,7 +124,7 @@ TEST_P(Migration, ACopyIsMadeBeforeAndOpensWithTheOldTables) {
   EXPECT_EQ(Copies().size(), 1u) << "only when something is changed";
 }
 
-INSTANTIATE_TEST_SUITE_P(FromVersion, Migration, ::testing::Values(1, 2, 3),
+INSTANTIATE_TEST_SUITE_P(FromVersion, Migration, ::testing::Values(1, 2, 3, 4),
                          [](const auto& info) { return "V" + std::to_string(info.param); });
 
 }  // namespace

@@ -84,6 +84,10 @@ void Simulation::DeliverToCoordinator() {
     ++facts_.events;
     CheckNow("after an event");
   }
+  for (const auto& [id, job] : state_.jobs) {
+    if (!IsFinal(job.record.phase) && job.deadline_ns != 0 && job.deadline_ns < now().steady_ns)
+      Complain("job " + std::to_string(id) + " goes on past its time limit");
+  }
   facts_.refused += state_.counters.results_refused;
   state_.counters.results_refused = 0;
   const bool kill = chaos() && rng_.Uniform() < options_.restart;
@@ -99,7 +103,7 @@ void Simulation::Commit(Actions& actions) {
     for (const JobId id : std::exchange(state_.ended, {})) Retire(state_, id);
     return;
   }
-  store_.Apply(actions.rows);
+  CheckStarts(actions.rows);
   for (const JobId id : std::exchange(state_.ended, {})) Retire(state_, id);
   for (const auto& [task, count] : store_.commits) {
     if (count > 1) Complain("task " + std::to_string(task) + " was committed twice");
@@ -110,6 +114,21 @@ void Simulation::Commit(Actions& actions) {
   for (const std::string& difference :
        Differences(Describe(state_), Describe(Restore(store_.Load(), state_.options, now())))) {
     Complain("a restart would change: " + difference);
+  }
+}
+
+// Applies them, and looks at what starts: everything that its job comes after must have succeeded.
+void Simulation::CheckStarts(const std::vector<Row>& rows) {
+  for (const Row& row : rows) {
+    store_.Apply({row});
+    facts_.overdue += std::holds_alternative<UpdateJob>(row) &&
+                      std::get<UpdateJob>(row).record.reason.rfind("its time limit", 0) == 0;
+    const auto* attempt = std::get_if<InsertAttempt>(&row);
+    if (attempt == nullptr) continue;
+    for (const JobId before : store_.Find(JobOf(attempt->task))->plan->after_jobs) {
+      if (store_.Find(before)->record.phase != JobPhase::kSucceeded)
+        Complain("a task started before job " + std::to_string(before) + ", which its job comes after");
+    }
   }
 }
 
@@ -182,21 +201,41 @@ void Simulation::MaybeCommand() {
   const Client& client = clients_[rng_.Index(clients_.size())];
   if (!client.acknowledged) return;
   const auto commands = {JobCommand::kPause, JobCommand::kResume, JobCommand::kResume,
-                         JobCommand::kRetry, JobCommand::kRetry,  JobCommand::kCancel};
+                         JobCommand::kRetry, JobCommand::kRetry,  JobCommand::kCancel,
+                         JobCommand::kPriority};
   const JobCommand command = *(commands.begin() + static_cast<long>(rng_.Index(commands.size())));
   if (command == JobCommand::kRetry) ++retries_[client.job];
   const ReplyTo reply = command == JobCommand::kCancel ? kCommandBase + static_cast<ReplyTo>(client.job) : 0;
-  SendUp(CommandJob{client.job, command, "chaos", reply});
+  CommandJob event{client.job, command, "chaos", reply};
+  event.priority = static_cast<int32_t>(rng_.Index(11)) - 5;
+  facts_.reprioritised += command == JobCommand::kPriority;
+  SendUp(event);
 }
 
 void Simulation::ResubmitUnacknowledged() {
   for (size_t i = 0; i < clients_.size(); ++i) {
-    const Client& client = clients_[i];
+    Client& client = clients_[i];
     const bool due = ms_ % 1000 == 0 && ms_ > static_cast<int64_t>(i) * 3000;
+    if (!client.acknowledged && due) ChooseTerms(client);
     if (!client.acknowledged && due) SendUp(Submit{client.request_id, client.plan, nullptr, i + 1});
     // What was paused in the chaos is resumed after it.
     if (client.acknowledged && !chaos() && due) SendUp(CommandJob{client.job, JobCommand::kResume, "", 0});
   }
+}
+
+// When it asks for the first time: a time limit, and jobs that it knows of to come after.
+void Simulation::ChooseTerms(Client& client) {
+  if (std::exchange(client.has_terms, true)) return;
+  auto plan = std::make_shared<JobPlan>(*client.plan);
+  constexpr int64_t kLeastNs = 3'000'000'000, kMostMs = 20'000;
+  if (rng_.Index(5) == 0)
+    plan->time_limit_ns = kLeastNs + static_cast<int64_t>(rng_.Index(kMostMs)) * 1'000'000;
+  for (const Client& other : clients_) {
+    if (other.acknowledged && rng_.Index(3) == 0) plan->after_jobs.push_back(other.job);
+  }
+  std::sort(plan->after_jobs.begin(), plan->after_jobs.end());
+  facts_.after_others += !plan->after_jobs.empty();
+  client.plan = plan;
 }
 
 // --- workers ---------------------------------------------------------------------------------------
@@ -357,6 +396,12 @@ void Simulation::Receive(const AnswerClient& m) {
   }
   if (m.reply_to == 0) return;
   Client& client = clients_[m.reply_to - 1];
+  if (m.verdict != Verdict::kOk) {  // what it was to come after did not succeed: then without
+    auto plan = std::make_shared<JobPlan>(*client.plan);
+    plan->after_jobs.clear();
+    client.plan = plan;
+    return;
+  }
   if (client.acknowledged && client.job != m.job) Complain("a repeated submit made a second job");
   client.acknowledged = true;
   client.job = m.job;

@@ -41,6 +41,7 @@ class Simulation {
     uint64_t lost_batches = 0, stalls = 0, clock_jumps = 0;
     uint64_t succeeded = 0, failed = 0, cancelled = 0;
     uint64_t of_tasks = 0;  // jobs that tasks submitted
+    uint64_t after_others = 0, overdue = 0, reprioritised = 0;
   };
   const Facts& facts() const { return facts_; }
 
@@ -70,7 +71,7 @@ class Simulation {
   struct Client {
     std::string request_id;
     std::shared_ptr<const JobPlan> plan;
-    bool acknowledged = false;
+    bool has_terms = false, acknowledged = false;
     JobId job = 0;
   };
 
@@ -87,6 +88,8 @@ class Simulation {
   void MaybeHarm();
   void MaybeCommand();
   void ResubmitUnacknowledged();
+  void ChooseTerms(Client& client);
+  void CheckStarts(const std::vector<Row>& rows);
   void Receive(const Assign& m);
   void Receive(const GrantStart& m);
   void Receive(const Revoke& m);

@@ -23,6 +23,7 @@ void Play(uint64_t first_seed, uint64_t count, const SimulationOptions& options,
     sum->events += f.events, sum->restarts += f.restarts, sum->deaths += f.deaths, sum->refused += f.refused;
     sum->commits += f.commits, sum->succeeded += f.succeeded, sum->failed += f.failed;
     sum->stalls += f.stalls, sum->clock_jumps += f.clock_jumps;
+    sum->after_others += f.after_others, sum->overdue += f.overdue, sum->reprioritised += f.reprioritised;
     sum->of_tasks += f.of_tasks, sum->lost_batches += f.lost_batches;
     sum->cancelled += f.cancelled, sum->freezes += f.freezes, sum->uncertain += f.uncertain;
   }
@@ -43,6 +44,9 @@ TEST(Simulation, NoHistoryOfKillsAndLossesBreaksAPromise) {
   EXPECT_GT(sum.cancelled, 100u);
   EXPECT_GT(sum.uncertain, 0u);
   EXPECT_GT(sum.of_tasks, 100u);
+  EXPECT_GT(sum.after_others, 100u);
+  EXPECT_GT(sum.overdue, 20u);
+  EXPECT_GT(sum.reprioritised, 100u);
   std::printf("%llu events, %llu restarts, %llu deaths, %llu freezes, %llu refused, %llu commits\n",
               static_cast<unsigned long long>(sum.events), static_cast<unsigned long long>(sum.restarts),
               static_cast<unsigned long long>(sum.deaths), static_cast<unsigned long long>(sum.freezes),
