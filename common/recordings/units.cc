@@ -203,7 +203,8 @@ Status CheckVelocityAgainstRate(const std::string& place, const JointInfo& joint
     return InvalidError(place + "columns position." + joint.name + " and velocity." + joint.name + ": " +
                         times +
                         (turns ? "velocity is visibly in turns a minute, rad/s is expected"
-                               : "one of them is in another unit, or of the other side of a gear"));
+                               : "one of them is in another unit, or of the other side of a gear; convert it, or take "
+                               "the velocity columns out"));
   }
   return InvalidError(place + "row 1 (line 2), column " + (velocity_is_wrong ? "velocity." : "position.") +
                       joint.name + ": " + times + (velocity_is_wrong ? "velocity" : "position") +

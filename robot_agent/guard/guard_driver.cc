@@ -20,7 +20,7 @@ namespace rg::robot_agent {
 namespace {
 
 constexpr int kGuardSocket = 3;         // the file on which the guard finds its end
-constexpr double kReplyTimeout = 8.0;   // s; a stop of the guard's own takes up to that
+constexpr double kReplyTimeout = 15.0;  // s; a stop of the guard's own is tried three times
 constexpr double kEnterTimeout = 40.0;  // s; an arm that refuses in silence is asked and tested several times
 constexpr double kCommandLife = 2.0;    // periods
 

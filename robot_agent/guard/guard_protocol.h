@@ -12,7 +12,7 @@
 
 namespace rg::robot_agent {
 
-inline constexpr uint32_t kGuardMagic = 0x31475247;  // "GRG1"
+inline constexpr uint32_t kGuardMagic = 0x32475247;  // "GRG2"
 
 enum class GuardRequest : uint32_t {
   kConnect = 1,  // number = time-out; the reply is followed by a packet with InfoToJson

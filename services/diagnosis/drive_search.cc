@@ -87,8 +87,7 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
 // Whether the regression of the inverse dynamics has something to gain by them, on half of the joints at
 // least. In the simulator they would follow some of whatever else is missing.
 bool DriveSearch::LossesShow() const {
-  const Eigen::VectorXd left =
-      LeftByGroup(setting_.data, setting_.nominal, setting_.scales, kLosses);
+  const Eigen::VectorXd left = LeftByGroup(setting_.data, setting_.nominal, setting_.scales, kLosses);
   int joints = 0;
   for (int j = 0; j < setting_.data.n; ++j) {
     const auto& prescribed = setting_.data.prescribed;

@@ -30,12 +30,13 @@ class Key {
   std::string text_;
 };
 
-// Of all that a request's result depends on. A start is known by its values and by where its first and last
-// windows begin: all of its states would be megabytes.
+// Of all that a request's result depends on. A start is known by its values, its misfit and its first and
+// last windows: all of its states would be megabytes.
 std::string KeyOf(const FitRequest& request) {
   Key key;
   key.Add(diagnosis::KeyOf(request.specs, request.base));
   for (const effects::EffectSpec& s : request.specs) {
+    key.Add(s.id);
     for (const auto& [owner, values] : s.values) {
       key.Add(owner);
       for (const auto& [name, value] : values) key.Add(name), key.Add(value);

@@ -44,7 +44,7 @@ constexpr size_t kBesideDrives = 3;   // that are fitted beside the losses of al
 constexpr size_t kInPlace = 2;        // that are fitted in the place of a kind, or beside what is refused
 constexpr double kPromise = 2.0;  // nats that a screen must promise of a law for a trial beside hidden states
 constexpr size_t kPlainRivals = 2;  // without states of their own, that are fitted with free base parameters
-constexpr int kEarlier = 12;        // iterations, of what an earlier search came to
+constexpr int kEarlier = 12;        // iterations, of what an earlier search came to, or begins elsewhere
 constexpr double kToWeigh = 1.3;    // of all work, to weigh what was tried
 constexpr double kBetter = 1.0;     // nats: as many names need only be the better account
 
@@ -182,6 +182,7 @@ class Search {
     if (0.5 * (1.0 / scale - 1.0 / fits_.noise_scale()) < 1e-3) return false;
     const double before = fits_.noise_scale();
     fits_.SetNoiseScale(scale);
+    screens_.clear();
     for (Candidate* c : {best, &out->nominal, &out->calibrated}) Rescale(before, scale, c);
     return true;
   }
@@ -189,6 +190,11 @@ class Search {
   void Tell(const std::string& stage, double done, const std::string& note) const {
     if (progress_) progress_({stage, done, 1.0, note});
     trace_.Stage(stage, note + " after work " + std::to_string(fits_.work_share()));
+  }
+  static Candidate Nothing() {
+    Candidate c;
+    c.score = kNoScore;
+    return c;
   }
   static const Candidate& Better(const Candidate& a, const Candidate& b) { return b.score > a.score ? b : a; }
   MissingForce Force(const Candidate& c) {
@@ -201,7 +207,8 @@ class Search {
   ScreenResult Screened(const Candidate& current, bool base) {
     const Candidate* values = base ? fits_.pieces() : nullptr;
     if (fits_.PerRow(current) < kHolds) values = &current;
-    const std::string key = KeyOf(current.specs, base) + std::to_string(current.score);
+    const std::string key =
+        KeyOf(current.specs, base) + std::to_string(current.score) + ' ' + std::to_string(current.fit.chi2);
     if (screened_round_ != round_) screens_.clear(), screened_round_ = round_;
     const auto known = screens_.find(key);
     if (known != screens_.end()) return known->second;
@@ -349,16 +356,20 @@ class Search {
   // nothing, hidden states, which cost far more and fit nearly anything, are not looked for. Whether base
   // parameters are free beside the losses of all drives was decided when these were found.
   bool ByLaws(const Candidate& before, Candidate* winner) {
+    Candidate found = *winner;
     for (const bool base : {false, true}) {
       if (of_drives_ && base != before.base) continue;
-      const Candidate* own = fits_.Known(before.specs, base);
+      const Candidate* own = base == before.base ? &before : fits_.Known(before.specs, base);
       if (own == nullptr || !own->fit.ok || AtStake(*own) < Threshold(before) || fits_.Late()) continue;
       const Candidate from = *own;
       const ScreenResult screened = Screened(from, base);
       acceptance_.Note(screened, nominal_.joint_names());
+      trace_.Screen(screened, base);
       if (!(MostPromised(screened) > kMostly * AtStake(from))) continue;
-      TryPool(from, screened, kPromise, Threshold(before), kByLaws, winner);
-      if (LeavesNothing(before, *winner, Threshold(before, *winner))) return true;
+      TryPool(from, screened, kPromise, Threshold(before), kByLaws, &found);
+      if (!LeavesNothing(before, found, Threshold(before, found))) continue;
+      *winner = found;
+      return true;
     }
     return false;
   }
@@ -478,6 +489,7 @@ class Search {
     }
     TryPool(from, screened, wanted, needed, count, winner);
   }
+
   // The same of what the screen gives `least` nats at least; where that is 1 or less, also what it cannot see.
   void TryPool(const Candidate& from, const ScreenResult& screened, double least, double needed, size_t count,
                Candidate* winner) {
@@ -490,6 +502,7 @@ class Search {
     const auto pool = Trials(data_, nominal_, scales_, from, screened, least, force, nearest);
     fits_.TryBest(from, pool, promised, from.base, count, winner);
   }
+
   // Whether what was found beside `from` leaves nothing, by laws of what is recorded.
   bool LeavesNothing(const Candidate& from, const Candidate& found, double needed) const {
     return found.score > from.score + needed && MeetsSensors(found) && !HasUnnamed(found) &&
@@ -511,11 +524,31 @@ class Search {
     return most;
   }
 
+  // Free base parameters make a gain of one of two drives the same as its inverse on the other, which may need none.
+  Candidate OtherDrivesGain(const Candidate& c) {
+    std::vector<EffectSpec> specs = Refreshed(c);
+    const auto gain = std::find_if(specs.begin(), specs.end(),
+                                   [](const EffectSpec& s) { return effects::ScalesEffort(s.id); });
+    if (gain == specs.end() || gain->joints.size() != 1 || data_.judged() != 2 || fits_.Late()) return Nothing();
+    for (int j = 0; j < data_.n; ++j) {
+      const std::string& other = nominal_.joint_names()[static_cast<size_t>(j)];
+      const bool judged = std::count(data_.prescribed.begin(), data_.prescribed.end(), j) == 0;
+      if (!judged || other == gain->joints[0] || Contains(specs, gain->id, other)) continue;
+      std::map<std::string, double> values = gain->values.at(gain->joints[0]);
+      for (auto& [name, value] : values) value = 1 / value;
+      *gain = effects::MakeSpec(gain->id, {other}, values);
+      Candidate plain = fits_.Evaluate(specs, false, nullptr, kEarlier, &c);
+      if (!plain.fit.ok) plain.score = kNoScore;
+      return plain;
+    }
+    return Nothing();
+  }
+
   // With free base parameters or without, whichever is worth it; they must bring `least`.
   Candidate InEitherWorld(const Candidate& c, double least) {
     if (!c.base && AtStake(c) < least) return c;  // there is not so much left
     const Candidate twin = fits_.Evaluate(Refreshed(c), !c.base, &c, 6, &c);
-    const Candidate &plain = c.base ? twin : c, &freed = c.base ? c : twin;
+    const Candidate plain = c.base ? Better(twin, OtherDrivesGain(c)) : c, freed = c.base ? c : twin;
     return freed.score > plain.score + std::max(least, Threshold(plain, freed)) ? freed : plain;
   }
 

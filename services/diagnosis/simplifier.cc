@@ -172,8 +172,8 @@ void Simplifier::FirstRotor(Candidate* best) {
 }
 
 // Coulomb friction and a constant force, on each joint that has either, are one law: friction that depends on
-// the direction. So are they where the force is gravity's, of a base that is tilted, on joints that no pose
-// turns against it.
+// the direction. So are they where the force is gravity's, of a base that is tilted, on a rail that no pose
+// turns against it; on other joints the score tells the two apart.
 void Simplifier::ByDirection(Candidate* best) {
   static constexpr const char *kDry = "coulomb_friction", *kZero = "torque_offset",
                               *kTilt = "gravity_misalignment", *kEither = "asymmetric_friction";
@@ -191,7 +191,7 @@ void Simplifier::ByDirection(Candidate* best) {
   if (!everywhere && !tilted) return;
   TrialSpecs merged;
   for (const EffectSpec& s : specs) {
-    if (s.id == kZero || s.id == kTilt) continue;
+    if (s.id == kZero || (tilted && s.id == kTilt)) continue;
     if (s.id != kDry) {
       merged.push_back(s);
       continue;

@@ -221,10 +221,10 @@ TEST(Search, DryFrictionUnderATiltOnARailIsFrictionByDirection) {
       <limit lower="-0.6" upper="0.6" effort="50" velocity="1"/><dynamics damping="2"/></joint>
   </robot>)";
   const std::string root = ::testing::TempDir() + "rail";
-  std::filesystem::create_directories(root + "/deploy/robots");
-  std::ofstream(root + "/deploy/robots/rail.urdf") << kRail;
   const char* given = std::getenv("RG_SOURCE_DIR");
   const std::string before = given == nullptr ? "." : given;
+  std::filesystem::create_directories(root + "/deploy/robots");
+  std::ofstream(root + "/deploy/robots/rail.urdf") << kRail;
   setenv("RG_SOURCE_DIR", root.c_str(), 1);
   const auto p = testing::Prepare(
       "rail",

@@ -3,7 +3,11 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <atomic>
+#include <chrono>
 #include <nlohmann/json.hpp>
+#include <stop_token>
+#include <thread>
 
 #include "common/base/hash.h"
 #include "common/recordings/csv.h"
@@ -378,13 +382,17 @@ TEST(RolloutTask, AStopByTheAgentEndsItAndNothingBeginsBeforeItIsArmedAgain) {
   board->Arm(true);
   board->Beat(RealClock().SteadyNanos() + 3'600'000'000'000);
   rig.input.spec.duration_s = 300;  // stopped long before
-  bool saw_motion = false;
-  const auto listen = [&](const ProgressUpdate& update) {
-    if (update.note != "running") return;
-    saw_motion = board->mover() == getpid() && board->Read().phase != Phase::kIdle;
+  std::atomic<bool> saw_motion = false;
+  // Not before the controller has the arm: a rollout that did not begin is none.
+  std::jthread person([&](const std::stop_token& over) {
+    for (ArmStatus now = board->Read(); now.phase != Phase::kRollout || now.ticks < 10; now = board->Read()) {
+      if (over.stop_requested()) return;
+      std::this_thread::sleep_for(std::chrono::milliseconds(2));
+    }
+    saw_motion = board->mover() == getpid();
     board->AskStop();
-  };
-  const auto output = RunRolloutTask(rig.config, rig.folder, rig.input, listen, rig.stop).value();
+  });
+  const auto output = RunRolloutTask(rig.config, rig.folder, rig.input, {}, rig.stop).value();
   const auto rollout = nlohmann::json::parse(output.metadata_json);
   EXPECT_EQ(rollout["end_reason"], "operator_stop");
   EXPECT_EQ(rollout["stop"]["confirmed"], true);
