@@ -90,9 +90,7 @@ bool DriveSearch::LossesShow() const {
   const Eigen::VectorXd left = LeftByGroup(setting_.data, setting_.nominal, setting_.scales, kLosses);
   int joints = 0;
   for (int j = 0; j < setting_.data.n; ++j) {
-    const auto& prescribed = setting_.data.prescribed;
-    const bool judged = std::count(prescribed.begin(), prescribed.end(), j) == 0;
-    if (judged && left[j] < kShown) ++joints;
+    if (setting_.data.Judged(j) && left[j] < kShown) ++joints;
   }
   return 2 * joints >= setting_.data.judged();
 }

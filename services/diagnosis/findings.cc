@@ -303,14 +303,12 @@ class Speaker {
   // Where masses and losses are free all efforts may be scaled: a factor on one of two drives and its inverse
   // on the other are the same motion.
   void AddScaledOther(const std::string& id, Finding* f) const {
-    if (!s_.best.base || !effects::ScalesEffort(id) || f->joints.size() != 1 || data_.judged() != 2) return;
+    if (!s_.best.base || !effects::ScalesEffort(id) || f->joints.size() != 1) return;
+    const int other = data_.OtherOfTwo(nominal_.model().FindJoint(f->joints[0]));
+    if (other < 0) return;
     Alternative a;
     a.effect = id;
-    for (int j = 0; j < data_.n; ++j) {
-      const std::string& joint = r_.joints[static_cast<size_t>(j)];
-      if (std::count(data_.prescribed.begin(), data_.prescribed.end(), j) == 0 && joint != f->joints[0])
-        a.joints = {joint};
-    }
+    a.joints = {r_.joints[static_cast<size_t>(other)]};
     a.separable = a.by_motion = false;
     a.experiment = kScaleExperiment;
     f->alternatives.push_back(a);

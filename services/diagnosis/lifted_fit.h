@@ -15,6 +15,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <memory>
 #include <string_view>
 #include <vector>
@@ -43,6 +44,16 @@ struct FitData {
   std::shared_ptr<const FitData> held_out;  // recordings that no fit sees; null: none
   std::vector<int> prescribed;              // joints that are given: no residual is theirs
   int judged() const { return n - static_cast<int>(prescribed.size()); }
+  bool Judged(int joint) const {
+    return std::find(prescribed.begin(), prescribed.end(), joint) == prescribed.end();
+  }
+  // The other of two judged joints; -1 where there are not two, or the joint is none of them.
+  int OtherOfTwo(int joint) const {
+    for (int j = 0; judged() == 2 && joint >= 0 && Judged(joint) && j < n; ++j) {
+      if (j != joint && Judged(j)) return j;
+    }
+    return -1;
+  }
   // As rows are weighed: infinite for prescribed joints.
   recordings::SensorNoise RowNoise() const;
   int Rows() const;        // residual rows of all windows, of judged joints

@@ -191,11 +191,6 @@ class Search {
     if (progress_) progress_({stage, done, 1.0, note});
     trace_.Stage(stage, note + " after work " + std::to_string(fits_.work_share()));
   }
-  static Candidate Nothing() {
-    Candidate c;
-    c.score = kNoScore;
-    return c;
-  }
   static const Candidate& Better(const Candidate& a, const Candidate& b) { return b.score > a.score ? b : a; }
   MissingForce Force(const Candidate& c) {
     const FitModel model{*c.plant, c.fit.values, {}};
@@ -529,19 +524,18 @@ class Search {
     std::vector<EffectSpec> specs = Refreshed(c);
     const auto gain = std::find_if(specs.begin(), specs.end(),
                                    [](const EffectSpec& s) { return effects::ScalesEffort(s.id); });
-    if (gain == specs.end() || gain->joints.size() != 1 || data_.judged() != 2 || fits_.Late()) return Nothing();
-    for (int j = 0; j < data_.n; ++j) {
-      const std::string& other = nominal_.joint_names()[static_cast<size_t>(j)];
-      const bool judged = std::count(data_.prescribed.begin(), data_.prescribed.end(), j) == 0;
-      if (!judged || other == gain->joints[0] || Contains(specs, gain->id, other)) continue;
-      std::map<std::string, double> values = gain->values.at(gain->joints[0]);
-      for (auto& [name, value] : values) value = 1 / value;
-      *gain = effects::MakeSpec(gain->id, {other}, values);
-      Candidate plain = fits_.Evaluate(specs, false, nullptr, kEarlier, &c);
-      if (!plain.fit.ok) plain.score = kNoScore;
-      return plain;
-    }
-    return Nothing();
+    Candidate none;
+    none.score = kNoScore;
+    if (gain == specs.end() || gain->joints.size() != 1 || fits_.Late()) return none;
+    const int other = data_.OtherOfTwo(nominal_.model().FindJoint(gain->joints[0]));
+    if (other < 0) return none;
+    const std::string& joint = nominal_.joint_names()[static_cast<size_t>(other)];
+    if (Contains(specs, gain->id, joint)) return none;
+    std::map<std::string, double> values = gain->values.at(gain->joints[0]);
+    for (auto& [name, value] : values) value = 1 / value;
+    *gain = effects::MakeSpec(gain->id, {joint}, values);
+    const Candidate plain = fits_.Evaluate(specs, false, nullptr, kEarlier, &c);
+    return plain.fit.ok ? plain : none;
   }
 
   // With free base parameters or without, whichever is worth it; they must bring `least`.
