@@ -59,8 +59,10 @@ void DriveSearch::Couple(Candidate* best) {
   }
   for (const TrialSpecs& start : fits_.Nearest(now, now.base, starts, kFitted)) {
     if (fits_.Late()) return;
+    const std::vector<EffectSpec> coupled = Joined(specs, start);
+    if (!fits_.MayLeaveLess(now, coupled, now.base, kMayBeUseful)) continue;
     const Candidate c =
-        Seen(fits_.Evaluate(Joined(specs, start), now.base, &now, kCoupledIterations), now.base);
+        Seen(fits_.Evaluate(coupled, now.base, &now, kCoupledIterations), now.base);
     if (c.fit.ok && Left(c) < kHalf * Left(now) && c.score > best->score) *best = c;
   }
 }

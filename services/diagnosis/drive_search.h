@@ -56,6 +56,8 @@ class DriveSearch {
   // missing. Infinite of a fit that failed.
   static double Left(const Candidate& c);
   static bool LeavesSomething(const Candidate& c);
+  // Of what is left on some windows, that what is to halve it on all leaves at most.
+  static constexpr double kMayBeUseful = 0.8;
 
   const FitSetting& setting_;
   FitLedger& fits_;

@@ -516,6 +516,20 @@ void FitLedger::TryHalves(const Candidate& rod) {
   if (holds && !Cancelled()) over_halves_ = ValuesOf(std::move(over));
 }
 
+bool FitLedger::MayLeaveLess(const Candidate& account, const std::vector<EffectSpec>& specs, bool base,
+                             double share) {
+  FitRequest trial = Trial(account, account.base, Nearby(&account, account.base));
+  const Candidate own = Fitted(trial, Made(trial));
+  if (base != account.base) trial = Trial(account, base, Nearby(&account, base));
+  trial.specs = specs;
+  const Candidate other = Fitted(trial, Made(trial));
+  trace_.Fit(other, "  <");
+  for (const Candidate* c : {&own, &other}) {
+    if (!(c->fit.chi2 > 0) || c->fit.rows == 0) return true;
+  }
+  return other.fit.chi2 - other.fit.rows < share * (own.fit.chi2 - own.fit.rows);
+}
+
 void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner) {
   if (others.empty()) return;
   const bool base = winner->base;

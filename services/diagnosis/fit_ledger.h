@@ -68,6 +68,10 @@ class FitLedger {
   // and `promised` without a trial, fitted on all; the best of them and of `winner`.
   void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool,
                const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner);
+  // Whether `specs` in the place of `account`'s effects, fitted to some windows, leave less than `share` of what
+  // the account leaves there beyond the sensors' own noise. Where either fails it may be so.
+  bool MayLeaveLess(const Candidate& account, const std::vector<effects::EffectSpec>& specs, bool base,
+                    double share);
   // Of `others`, each in the place of `winner`'s effects, what trials do not find worse, fitted on all.
   void TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner);
   // Springs behind the rotors that `account` adds to `from`, before free base parameters make up for them.

@@ -136,6 +136,7 @@ class Search {
     } else {
       simplifier_.Prune(&best);
     }
+    ExchangeEarlier(&best);
     if ((fits_.PerRow(best) > kExplained || OfPosition(best)) && Flexible(&best, effects::kInf, kAny))
       best = unnamed_.WithNames(best);
     if (judge_ && !EndsForHalves(&out)) SendBack(Better(out.nominal, out.calibrated), &best, &out.unseen_in);
@@ -254,9 +255,9 @@ class Search {
     done = done || (round_ == 1 && ByLaws(*best, &winner));
     for (const bool base : {false, true}) {
       if (fits_.Late() || done) break;
-      // Hidden states and unnamed forces fit nearly anything: an account with them has those with free
-      // parameters as its rivals.
-      const bool flexible = best->base && (HasUnnamed(winner) || HasHiddenStates(winner));
+      // Hidden states that the commands alone do not settle, and unnamed forces, fit nearly anything: an account
+      // with them has those with free parameters as its rivals.
+      const bool flexible = best->base && (HasUnnamed(winner) || HasFreeStates(winner));
       if (base && !flexible && fits_.PerRow(winner) < kExplained &&
           winner.score > best->score + Threshold(*best, winner))
         break;
@@ -670,6 +671,11 @@ class Search {
       Candidate like = *best;
       if (!HasUnnamed(like) && !fits_.Late()) Exchange(without, &like);
       if (judge.InAll(like) > judge.InAll(*best)) *best = like;
+      // What the account before had for the sake of something else may be about nothing beside it.
+      if (!fits_.Late(kToWeigh)) {
+        simplifier_.Run(best);
+        *best = InEitherWorld(*best, Threshold(*best));
+      }
     }
     if (judge.Holds(*best, Threshold(*best))) {
       *unseen_in = -1;
@@ -701,6 +707,12 @@ class Search {
   // have been for another's sake.
   void Exchange(const Candidate& before, Candidate* winner) {
     for (int left = kExchanged; left > 0 && Siblings(before, winner);) --left;
+  }
+
+  // What was taken for one of several alike while other things were missing is weighed again beside them.
+  void ExchangeEarlier(Candidate* best) {
+    if (HasUnnamed(*best) || FreshKinds(Candidate{}, *best).size() < 2 || fits_.Late(kToWeigh)) return;
+    if (Siblings(Candidate{}, best)) simplifier_.Run(best);
   }
 
   // Whether a better account was found: the winner with each new kind of effect, or its newest, exchanged for
