@@ -21,7 +21,6 @@ constexpr double kNear = 0.2;        // of what is amiss, that drives leave wher
 constexpr double kCloser = 0.1;      // the same, above which free base parameters or one thing more are tried
 constexpr double kUseful = 0.5;      // the same, of friction and rotors that have to do with it at all
 constexpr double kShown = 0.85;      // of the regression's residual, that losses leave where they are
-constexpr double kShownAlone = 0.97;  // of what the others leave, that one kind of loss leaves where it is
 constexpr double kWorthwhile = 0.8;  // of what is left, that friction which drops with speed leaves
 constexpr int kThingsBeside = 4;     // that are looked for before the drives are given up
 constexpr double kClearly = 10.0;    // stddev from nothing, of a loss that drives have
@@ -86,25 +85,14 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
 }
 
 // Whether the regression of the inverse dynamics has something to gain by them, on half of the joints at
-// least, and by two kinds of them beside the others; on one joint, where they resemble each other, by one. In
-// the simulator they would follow some of whatever else is missing.
+// least. In the simulator they would follow some of whatever else is missing.
 bool DriveSearch::LossesShow() const {
-  const auto on_half = [&](const Eigen::VectorXd& left, double least) {
-    int joints = 0;
-    for (int j = 0; j < setting_.data.n; ++j) joints += setting_.data.Judged(j) && left[j] < least;
-    return 2 * joints >= setting_.data.judged();
-  };
-  const auto left_by = [&](const std::vector<std::string>& effects) {
-    return LeftByGroup(setting_.data, setting_.nominal, setting_.scales, effects);
-  };
-  const Eigen::VectorXd left = left_by(kLosses);
-  if (!on_half(left, kShown)) return false;
-  const auto kinds = std::count_if(kLosses.begin(), kLosses.end(), [&](const std::string& kind) {
-    std::vector<std::string> others = kLosses;
-    std::erase(others, kind);
-    return on_half(left.cwiseQuotient(left_by(others)), kShownAlone);
-  });
-  return kinds >= std::min(2, setting_.data.judged());
+  const Eigen::VectorXd left = LeftByGroup(setting_.data, setting_.nominal, setting_.scales, kLosses);
+  int joints = 0;
+  for (int j = 0; j < setting_.data.n; ++j) {
+    if (setting_.data.Judged(j) && left[j] < kShown) ++joints;
+  }
+  return 2 * joints >= setting_.data.judged();
 }
 
 // Of what was tried here the nearest, where it takes a fifth off what `best` leaves.

@@ -456,11 +456,17 @@ class Search {
     TryAround(from, screened, wanted, needed, count, winner);
   }
 
-  // What a screen around `from` promises, which need not hold, and nothing that it cannot see.
+  // What a screen around `from` promises, which need not hold, and nothing that it cannot see. A force without
+  // a name follows some of anything while more is missing: it is for what no name takes half of.
   void TakePromised(const Candidate& from, Candidate* winner) {
     const ScreenResult screened = Screened(from, from.base);
     trace_.Screen(screened, from.base);
-    TryAround(from, screened, kPromise, Threshold(from), kBesideDrives, winner);
+    ScreenResult named = screened;
+    std::erase_if(named.hypotheses, [](const Scored& h) { return IsUnnamed(h.effect); });
+    for (const ScreenResult& promised : {named, screened}) {
+      TryAround(from, promised, kPromise, Threshold(from), kBesideDrives, winner);
+      if (fits_.Excess(*winner) < kMostly * fits_.Excess(from)) return;
+    }
   }
 
   // A spring or play where the screen around `from` finds most, which it cannot promise.
