@@ -194,7 +194,11 @@ void Worker::SendBeatIfDue() {
   next_beat_ns_ = now() + (joined_ ? heartbeat_ns_ / 2 : std::min(heartbeat_ns_ / 2, kHelloAgainNs));
   if (!joined_) return SendHello();
   pb::WorkerMessage message;
-  for (const auto& [token, held] : held_) message.mutable_heartbeat()->add_held_tokens(token);
+  for (const auto& [token, held] : held_) {
+    message.mutable_heartbeat()->add_held_tokens(token);
+    const bool is_over = held.stage == Stage::kUploading || held.stage == Stage::kReporting;
+    if (is_over) message.mutable_heartbeat()->add_finished_tokens(token);
+  }
   message.mutable_heartbeat()->set_draining(draining_);
   message.mutable_heartbeat()->set_cache_bytes(cache_.bytes());
   Send(message);

@@ -72,6 +72,7 @@ Explanation Explain(const State& state, const Job& job, uint32_t index) {
   Explanation out;
   const Task& task = job.tasks[index];
   if (job.record.phase == JobPhase::kPaused) out.reasons.push_back("its job is paused");
+  if (job.is_overdue) out.reasons.push_back("the time limit of its job is over");
   if (!job.waits_for.empty()) ExplainJobsBefore(job, &out);
   switch (PhaseOf(task.status)) {
     case TaskPhase::kWaiting:

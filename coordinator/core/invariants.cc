@@ -76,6 +76,7 @@ class Inspection {
     const bool counts = job.plan->time_limit_ns != 0 && job.record.started_ns != 0;
     Expect(counts == (job.deadline_ns != 0) && counts == (job.record.deadline_ns != 0),
            [&] { return where() + ": time limit"; });
+    Expect(!job.is_overdue || counts, [&] { return where() + " is overdue without a time limit"; });
   }
 
   void CheckTask(const Job& job, uint32_t index) {

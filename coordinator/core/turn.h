@@ -42,12 +42,12 @@ class Turn {
   // Of this job and, by as much, of those that its tasks have submitted.
   void SetPriority(Job& job, int32_t priority);
   void ShiftPriority(Job& job, int32_t by);
-  // Takes what is ready out of the queues, or puts it in.
-  void DequeueAll(Job& job);
+  // Puts what is ready into the queues.
   void EnqueueAll(Job& job);
   // From now on its time limit counts.
   void StartTheClock(Job& job);
   void EndOverdueJobs();
+  bool MayYetCount(const Job& job, const Lease& lease) const;
   // Those that come after it may start, or fail.
   void TellJobsAfter(Job& ended);
   // Ends the job and everything of it that is not settled.
@@ -80,6 +80,7 @@ class Turn {
   bool MayHaveName(const WorkerJoined& event);
   void RemoveWorker(const std::string& name, const std::string& why);
   void RenewOrRevoke(Worker& worker, const std::vector<Token>& held);
+  void NoteNamed(const WorkerBeat& beat);
   void LoseLeasesOf(const std::string& name, const std::string& instance_to_keep,
                     const std::vector<Token>& held, const std::string& why);
   void RevokeFrom(const std::string& instance, Token token, const std::string& reason);
