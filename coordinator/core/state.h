@@ -71,6 +71,8 @@ struct Job {
   int64_t deadline_ns = 0;    // steady time; 0: none
   bool is_overdue = false;    // its time limit is over; nothing of it starts, what was finished may yet come
   uint64_t revision = 1;      // volatile, grows with every change
+  // By task that failed: the worker that it failed on last. Volatile.
+  std::map<uint32_t, std::string> failed_on;
 
   uint32_t settled() const { return succeeded + failed + cancelled; }
   const TaskPlan& plan_of(uint32_t index) const { return plan->tasks[index]; }

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <deque>
+#include <set>
 #include <string>
 
 #include "coordinator/core/events.h"
@@ -90,6 +91,10 @@ class Turn {
   // --- dispatch
   void FillSlots(bool ahead);
   bool AssignOneTo(Worker& worker, bool ahead);
+  bool IsForOthers(const SchedulingClass& cls, TaskId task, const Worker& worker) const;
+  std::set<SchedulingClass::Entry>::const_iterator FirstFor(const Worker& worker, const SchedulingClass& cls) const;
+  // How many of its tasks a worker is given now beyond each of its slots.
+  uint32_t AheadNow(const SchedulingClass& cls) const;
   void GiveTo(Worker& worker, Job& job, uint32_t index);
 
   void Note(const std::string& kind, JobId job, const std::string& task, const std::string& worker,
@@ -106,6 +111,7 @@ class Turn {
   State& s_;
   Now now_;
   Actions& out_;
+  uint32_t slots_of_all_ = 0;  // of the workers that take work
   std::deque<JobId> ended_;  // jobs that others come after, which are still to be told
 };
 

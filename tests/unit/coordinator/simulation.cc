@@ -351,8 +351,8 @@ void Simulation::Progress(SimWorker& worker) {
                    : dice < crash                    ? Outcome::kCrashed
                    : dice < (crash + given_back) / 2 ? Outcome::kLost
                                                      : Outcome::kCancelled;
-    // As if it had been so short that others of its kind are given ahead, or not.
-    const double seconds = 0.001 * static_cast<double>(rng_.Index(30));
+    // As if it had been so short that others of its kind are given ahead, or so while there are many, or not.
+    const double seconds = 0.001 * static_cast<double>(rng_.Index(rng_.Index(2) == 0 ? 30 : 1500));
     if (held.state == Held::kFinished) SendUp(Finished{worker.instance, held.task, token, seconds});
     if (held.state == Held::kFailed)
       SendUp(Failed{worker.instance, held.task, token, held.outcome, "chaos", true});
