@@ -118,8 +118,8 @@ TEST(WorkerKill, ACoordinatorKilledMeanwhileKeepsWhatATaskHasSubmitted) {
 // A job of two tasks with a time limit that runs out while the coordinator is away.
 class LimitPassedMeanwhile : public ::testing::Test {
  protected:
-  static constexpr int kHeartbeatMs = 2000;  // at its second one after the restart a worker must know
-  static constexpr double kLimit = 3.0;
+  static constexpr int kHeartbeatMs = 1000;  // at its second one after the restart a worker must know
+  static constexpr double kLimit = 2.0;
   LimitPassedMeanwhile() {
     service_.StartWorker("a");
     pb::JobSpec job;
@@ -144,7 +144,7 @@ TEST_F(LimitPassedMeanwhile, WhatWasFinishedCountsAndTheRestIsDoneByARetry) {
   service_.StartCoordinator();
   ASSERT_EQ(WaitForEnd(service_, id_), pb::JOB_STATE_FAILED);
   const auto ended = service_.client().GetJob(id_);
-  EXPECT_EQ(ended->job().reason(), "its time limit of 3 s is over");
+  EXPECT_EQ(ended->job().reason(), "its time limit of 2 s is over");
   EXPECT_EQ(FindTask(*ended, "first")->state(), pb::TASK_STATE_SUCCEEDED) << service_.Logs();
   EXPECT_EQ(FindTask(*ended, "second")->attempts(), 0u) << "nothing begins after the limit";
   ASSERT_TRUE(service_.client().Act(id_, pb::JOB_ACTION_RETRY).ok());
@@ -156,7 +156,7 @@ TEST_F(LimitPassedMeanwhile, WhatStillRunsIsStopped) {
   service_.StartCoordinator();
   ASSERT_EQ(WaitForEnd(service_, id_), pb::JOB_STATE_FAILED);
   const auto ended = service_.client().GetJob(id_);
-  EXPECT_EQ(ended->job().reason(), "its time limit of 3 s is over");
+  EXPECT_EQ(ended->job().reason(), "its time limit of 2 s is over");
   EXPECT_EQ(FindTask(*ended, "first")->state(), pb::TASK_STATE_CANCELLED);
   pb::JobSpec quick;
   AddTask(&quick, "t", "echo");
