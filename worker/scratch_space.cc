@@ -19,7 +19,9 @@ namespace {
 
 constexpr char kLock[] = ".lock";
 
-int OpenLock(const std::string& path, int flags) { return ::open(path.c_str(), O_RDWR | O_CLOEXEC | flags, 0600); }
+int OpenLock(const std::string& path, int flags) {
+  return ::open(path.c_str(), O_RDWR | O_CLOEXEC | flags, 0600);
+}
 
 // False if a living process has it.
 bool TakeLock(int lock) { return ::flock(lock, LOCK_EX | LOCK_NB) == 0; }

@@ -24,8 +24,9 @@ void Turn::Dispatch() {
   FillSlots(true);
 }
 
-// Of tasks that run for less than a second one is at hand for each slot while there are many: whoever has a slot
-// free meanwhile finds another, and none waits behind one that takes unexpectedly long (workers give it back).
+// Of tasks that run for less than a second one is at hand for each slot while there are many: whoever has a
+// slot free meanwhile finds another, and none waits behind one that takes unexpectedly long (workers give it
+// back).
 uint32_t Turn::AheadNow(const SchedulingClass& cls) const {
   constexpr double kShort = 1.0;
   const uint32_t always = AheadPerSlot(cls);

@@ -84,7 +84,8 @@ Explanation Explain(const State& state, const Job& job, uint32_t index) {
       out.placeable = placement.placeable;
       const auto failed = job.failed_on.find(index);
       if (failed != job.failed_on.end() && out.placeable)
-        out.reasons.push_back("it failed on " + failed->second + ", which gets it again only while no other can run it");
+        out.reasons.push_back("it failed on " + failed->second +
+                              ", which gets it again only while no other can run it");
       if (!job.is_held())  // else who is busy is not why
         out.reasons.insert(out.reasons.end(), placement.reasons.begin(), placement.reasons.end());
       break;

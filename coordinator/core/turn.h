@@ -92,7 +92,8 @@ class Turn {
   void FillSlots(bool ahead);
   bool AssignOneTo(Worker& worker, bool ahead);
   bool IsForOthers(const SchedulingClass& cls, TaskId task, const Worker& worker) const;
-  std::set<SchedulingClass::Entry>::const_iterator FirstFor(const Worker& worker, const SchedulingClass& cls) const;
+  std::set<SchedulingClass::Entry>::const_iterator FirstFor(const Worker& worker,
+                                                            const SchedulingClass& cls) const;
   // How many of its tasks a worker is given now beyond each of its slots.
   uint32_t AheadNow(const SchedulingClass& cls) const;
   void GiveTo(Worker& worker, Job& job, uint32_t index);
@@ -112,7 +113,7 @@ class Turn {
   Now now_;
   Actions& out_;
   uint32_t slots_of_all_ = 0;  // of the workers that take work
-  std::deque<JobId> ended_;  // jobs that others come after, which are still to be told
+  std::deque<JobId> ended_;    // jobs that others come after, which are still to be told
 };
 
 }  // namespace rg::coordinator

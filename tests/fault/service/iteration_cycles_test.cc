@@ -1,10 +1,10 @@
-// kill -9 of coordinator, worker or agent while an iteration of a small robot runs: trajectories, policy, rollout
-// and identification by the real programs. Every job ends, what it planned and learnt is what an undisturbed one
-// does to the bit, nothing is committed twice, and no rollout runs again without consent. In batches, each a
-// service of its own under its own seed.
+// kill -9 of coordinator, worker or agent while an iteration of a small robot runs: trajectories, policy,
+// rollout and identification by the real programs. Every job ends, what it planned and learnt is what an
+// undisturbed one does to the bit, nothing is committed twice, and no rollout runs again without consent. In
+// batches, each a service of its own under its own seed.
 //
-// RG_ITERATION_CYCLES says how many kills (the suite `full`: 1,000). With RG_PROGRESS=FILE batches that are done
-// are noted there, and a run that was broken off goes on with the next.
+// RG_ITERATION_CYCLES says how many kills (the suite `full`: 1,000). With RG_PROGRESS=FILE batches that are
+// done are noted there, and a run that was broken off goes on with the next.
 #include <gtest/gtest.h>
 
 #include <chrono>
@@ -32,7 +32,8 @@ constexpr int kCyclesPerBatch = 20;
 constexpr uint64_t kLongestPauseMs = 1'500;
 const char kIteration[] =
     "submit iteration --robot ./small.robot.json --model nominal --trajectories 8 --shard-size 2 --epochs 3 "
-    "--aggregations 0 --examination 0 --rollout-seconds 2 --identify-seconds 0 --hops 1 --rounds 2 --chains 2 "
+    "--aggregations 0 --examination 0 --rollout-seconds 2 --identify-seconds 0 --hops 1 --rounds 2 --chains "
+    "2 "
     "--output quiet";
 
 int Asked(int normally) {
@@ -53,16 +54,18 @@ class Laboratory {
     EXPECT_TRUE(service_.WaitForWorkers(3)) << Logs();
   }
   void StartProgram(const std::string& name) {
-    std::vector<std::string> arguments = {"--coordinator", service_.endpoint(), "--name", name, "--folder",
-                                          scratch_ / name};
+    std::vector<std::string> arguments = {"--coordinator", service_.endpoint(), "--name", name,
+                                          "--folder",      scratch_ / name};
     if (name == "agent") {
-      for (const std::string& more : {std::string("--config"), scratch_ / "small_agent.json", std::string("--spool"),
-                                      scratch_ / "spool", std::string("--lock-step"), std::string("--trusted")})
+      for (const std::string& more :
+           {std::string("--config"), scratch_ / "small_agent.json", std::string("--spool"),
+            scratch_ / "spool", std::string("--lock-step"), std::string("--trusted")})
         arguments.push_back(more);
     } else {
       arguments.insert(arguments.end(), {"--slots", "1"});
     }
-    arguments.insert(arguments.begin(), BinFolder() + (name == "agent" ? "/realitygrad-agent" : "/realitygrad-worker"));
+    arguments.insert(arguments.begin(),
+                     BinFolder() + (name == "agent" ? "/realitygrad-agent" : "/realitygrad-worker"));
     programs_[name] = std::make_unique<Process>(arguments, scratch_ / (name + ".log"));
   }
   void Kill(const std::string& name) { programs_.at(name)->KillNow(); }
@@ -94,7 +97,8 @@ class Laboratory {
     std::string text = service_.Logs();
     for (const auto& [name, program] : programs_) {
       const auto log = ReadFile(scratch_ / (name + ".log"));
-      if (log.ok()) text += "--- " + name + "\n" + log->substr(log->size() - std::min<size_t>(log->size(), 2'000));
+      if (log.ok())
+        text += "--- " + name + "\n" + log->substr(log->size() - std::min<size_t>(log->size(), 2'000));
     }
     return text;
   }
@@ -141,7 +145,8 @@ class Batch {
  private:
   coordinator::Client& client() { return laboratory_.service().client(); }
 
-  // Each in turn: two workers, the agent, the coordinator at a named point of its file work and twice as it comes.
+  // Each in turn: two workers, the agent, the coordinator at a named point of its file work and twice as it
+  // comes.
   void KillOne() {
     if (victims_.empty()) {
       victims_ = {0, 1, 2, 3, 4, 5};
@@ -172,12 +177,13 @@ class Batch {
 
   void KeepAJobRunning() {
     const auto reply = client().GetJob(jobs_.back());
-    ASSERT_TRUE(reply.ok()) << "an acknowledged job is gone: " << reply.status().ToString() << laboratory_.Logs();
+    ASSERT_TRUE(reply.ok()) << "an acknowledged job is gone: " << reply.status().ToString()
+                            << laboratory_.Logs();
     if (reply->job().state() == pb::JOB_STATE_SUCCEEDED) jobs_.push_back(laboratory_.Submit());
     if (reply->job().state() == pb::JOB_STATE_FAILED) Consent(*reply);
   }
-  // A rollout whose agent was killed may have moved the robot, and a task whose worker was lost again and again is
-  // set aside: a person says that they may run again. Nothing else may fail.
+  // A rollout whose agent was killed may have moved the robot, and a task whose worker was lost again and
+  // again is set aside: a person says that they may run again. Nothing else may fail.
   void Consent(const pb::GetJobReply& job) {
     const std::string& reason = job.job().reason();
     const bool of_a_kill = reason.find("`retry` lets it run again") != std::string::npos ||
@@ -217,7 +223,8 @@ class Batch {
     for (; *begun->Step(); ++rollouts) {
       constexpr int kTaskIndexBits = 24;
       const int64_t job = begun->Int(0) >> kTaskIndexBits;
-      EXPECT_LE(begun->Int(1), 1 + consents_[job]) << "the rollout of job " << job << " ran again without consent";
+      EXPECT_LE(begun->Int(1), 1 + consents_[job])
+          << "the rollout of job " << job << " ran again without consent";
     }
     EXPECT_EQ(rollouts, static_cast<int>(jobs_.size()));
   }
@@ -260,8 +267,11 @@ TEST(IterationCycles, NothingAcknowledgedIsLostOrCommittedTwiceAndResultsAreThos
     done.Note(batch);
   }
   done.Forget();
-  std::printf("%d kills (coordinator %d, of them %d at named points, workers %d, agent %d), %d iterations, %d consents\n",
-              played, kills["coordinator"], kills["at named points"], kills["worker"], kills["agent"], jobs, consents);
+  std::printf(
+      "%d kills (coordinator %d, of them %d at named points, workers %d, agent %d), %d iterations, %d "
+      "consents\n",
+      played, kills["coordinator"], kills["at named points"], kills["worker"], kills["agent"], jobs,
+      consents);
 }
 
 }  // namespace
