@@ -37,25 +37,31 @@ Result<std::unique_ptr<Worker>> Worker::Open(WorkerOptions options, const Clock*
   if (options.slots == 0) options.slots = std::max(1u, std::thread::hardware_concurrency());
   if (options.folder.empty()) options.folder = DefaultFolder();
   RG_ASSIGN_OR_RETURN(auto cache, ArtifactCache::Open(options.folder + "/cache", options.cache_bytes));
-  std::unique_ptr<Worker> worker(new Worker(std::move(options), clock, std::move(cache)));
+  std::string instance = options.name + "-" + RandomHex(6);
+  std::string scratch_name = instance;
+  std::replace(scratch_name.begin(), scratch_name.end(), '/', '_');
+  RG_ASSIGN_OR_RETURN(auto scratch, ScratchSpace::Open(options.folder + "/scratch", scratch_name));
+  std::unique_ptr<Worker> worker(
+      new Worker(std::move(options), clock, std::move(instance), std::move(cache), std::move(scratch)));
   RG_RETURN_IF_ERROR(worker->Connect());
   return worker;
 }
 
-Worker::Worker(WorkerOptions options, const Clock* clock, ArtifactCache cache)
-    : options_(std::move(options)), clock_(clock), cache_(std::move(cache)) {
-  instance_ = options_.name + "-" + RandomHex(6);
+Worker::Worker(WorkerOptions options, const Clock* clock, std::string instance, ArtifactCache cache,
+               ScratchSpace scratch)
+    : options_(std::move(options)),
+      clock_(clock),
+      cache_(std::move(cache)),
+      scratch_(std::move(scratch)),
+      instance_(std::move(instance)) {
   self_.id = instance_;
   self_.role = options_.is_agent ? pb::ROLE_AGENT : pb::ROLE_WORKER;
-  scratch_root_ = options_.folder + "/scratch/" + instance_;
 }
 
 Worker::~Worker() {
-  executors_.clear();
+  executors_.clear();  // before what they write to
   transfers_.reset();
   if (transfer_fd_ >= 0) close(transfer_fd_);
-  std::error_code ignored;
-  std::filesystem::remove_all(scratch_root_, ignored);
 }
 
 Status Worker::Connect() {
@@ -194,7 +200,11 @@ void Worker::SendBeatIfDue() {
   next_beat_ns_ = now() + (joined_ ? heartbeat_ns_ / 2 : std::min(heartbeat_ns_ / 2, kHelloAgainNs));
   if (!joined_) return SendHello();
   pb::WorkerMessage message;
-  for (const auto& [token, held] : held_) message.mutable_heartbeat()->add_held_tokens(token);
+  for (const auto& [token, held] : held_) {
+    message.mutable_heartbeat()->add_held_tokens(token);
+    const bool is_over = held.stage == Stage::kUploading || held.stage == Stage::kReporting;
+    if (is_over) message.mutable_heartbeat()->add_finished_tokens(token);
+  }
   message.mutable_heartbeat()->set_draining(draining_);
   message.mutable_heartbeat()->set_cache_bytes(cache_.bytes());
   Send(message);
@@ -299,7 +309,7 @@ void Worker::Take(const pb::TaskAssignment& assignment) {
   if (held_.count(token) > 0 || done_tokens_.count(token) > 0) return;
   Held& held = held_[token];
   held.assignment = assignment;
-  held.scratch = scratch_root_ + "/" + std::to_string(token);
+  held.scratch = scratch_.path() + "/" + std::to_string(token);
   spdlog::debug("task {} of job {}, attempt {}", assignment.name(), assignment.job(), assignment.attempt());
   if (draining_) {
     held.gave_back = true;

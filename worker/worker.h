@@ -17,6 +17,7 @@
 #include "realitygrad/v1/worker.pb.h"
 #include "worker/artifact_cache.h"
 #include "worker/executor.h"
+#include "worker/scratch_space.h"
 #include "worker/transfers.h"
 
 namespace rg::worker {
@@ -69,7 +70,8 @@ class Worker {
   };
   using HeldMap = std::map<uint64_t, Held>;
 
-  Worker(WorkerOptions options, const Clock* clock, ArtifactCache cache);
+  Worker(WorkerOptions options, const Clock* clock, std::string instance, ArtifactCache cache,
+         ScratchSpace scratch);
   Status Connect();
   Result<std::unique_ptr<transport::RequestClient>> ConnectForTransfers(int thread);
   int64_t now() const { return clock_->SteadyNanos(); }
@@ -116,13 +118,13 @@ class Worker {
   WorkerOptions options_;
   const Clock* clock_;
   ArtifactCache cache_;
+  ScratchSpace scratch_;
   std::string instance_;
   transport::Sender self_;
   std::unique_ptr<transport::Context> context_;
   std::unique_ptr<transport::ZmqSocket> socket_;
   int transfer_fd_ = -1;
   std::unique_ptr<Transfers> transfers_;
-  std::string scratch_root_;
 
   bool joined_ = false, draining_ = false, stop_now_ = false;
   std::string refused_;

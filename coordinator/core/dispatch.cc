@@ -17,12 +17,26 @@ uint32_t AheadPerSlot(const SchedulingClass& cls) {
 // Free slots first, everywhere; then what is short is given ahead.
 void Turn::Dispatch() {
   FillSlots(false);
+  slots_of_all_ = 0;
+  for (const auto& [name, worker] : s_.workers) {
+    if (worker.connected && !worker.draining) slots_of_all_ += worker.slots;
+  }
   FillSlots(true);
+}
+
+// Of tasks that run for less than a second one is at hand for each slot while there are many: whoever has a
+// slot free meanwhile finds another, and none waits behind one that takes unexpectedly long (workers give it
+// back).
+uint32_t Turn::AheadNow(const SchedulingClass& cls) const {
+  constexpr double kShort = 1.0;
+  const uint32_t always = AheadPerSlot(cls);
+  const bool are_many = cls.ready.size() > slots_of_all_;
+  return always > 0 ? always : cls.seconds >= 0.0 && cls.seconds < kShort && are_many ? 1 : 0;
 }
 
 void Turn::FillSlots(bool ahead) {
   const bool anything = std::any_of(s_.classes.begin(), s_.classes.end(), [&](const SchedulingClass& cls) {
-    return !cls.ready.empty() && (!ahead || AheadPerSlot(cls) > 0);
+    return !cls.ready.empty() && (!ahead || AheadNow(cls) > 0);
   });
   if (!anything) return;
   std::vector<Worker*> open;
@@ -40,20 +54,45 @@ void Turn::FillSlots(bool ahead) {
   }
 }
 
+// Whether the task failed on this worker and another one can try it: what is wrong may be the worker (a full
+// disk, a library that is missing), which would fail one task after another and so be free for the next.
+bool Turn::IsForOthers(const SchedulingClass& cls, TaskId task, const Worker& worker) const {
+  const Job& job = *s_.FindJob(JobOf(task));
+  const auto failed = job.failed_on.find(IndexOf(task));
+  if (failed == job.failed_on.end() || failed->second != worker.name) return false;
+  return std::any_of(s_.workers.begin(), s_.workers.end(), [&](const auto& other) {
+    return other.first != worker.name && other.second.connected && !other.second.draining &&
+           CanRun(other.second, cls);
+  });
+}
+
+// The first task of the class for this worker, or the end. Looks at a few: the others wait for their turn.
+std::set<SchedulingClass::Entry>::const_iterator Turn::FirstFor(const Worker& worker,
+                                                                const SchedulingClass& cls) const {
+  constexpr int kLooks = 64;
+  int looks = 0;
+  for (auto entry = cls.ready.begin(); entry != cls.ready.end() && looks < kLooks; ++entry, ++looks) {
+    if (!IsForOthers(cls, entry->task, worker)) return entry;
+  }
+  return cls.ready.end();
+}
+
 bool Turn::AssignOneTo(Worker& worker, bool ahead) {
   SchedulingClass* best = nullptr;
+  std::set<SchedulingClass::Entry>::const_iterator first;
   for (const uint32_t id : worker.classes) {
     SchedulingClass& cls = s_.classes[id];
-    if (cls.ready.empty()) continue;
-    if (best == nullptr || *cls.ready.begin() < *best->ready.begin()) best = &cls;
+    const auto candidate = FirstFor(worker, cls);
+    if (candidate == cls.ready.end()) continue;
+    if (best == nullptr || *candidate < *first) best = &cls, first = candidate;
   }
   if (best == nullptr) return false;
-  const TaskId task = best->ready.begin()->task;
+  const TaskId task = first->task;
   Job& job = *s_.FindJob(JobOf(task));
   if (ahead &&
-      (worker.busy() >= worker.slots * (1 + AheadPerSlot(*best)) || job.plan_of(IndexOf(task)).at_most_once))
+      (worker.busy() >= worker.slots * (1 + AheadNow(*best)) || job.plan_of(IndexOf(task)).at_most_once))
     return false;
-  best->ready.erase(best->ready.begin());
+  best->ready.erase(first);
   GiveTo(worker, job, IndexOf(task));
   return true;
 }

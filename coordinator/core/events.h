@@ -58,6 +58,7 @@ struct WorkerBeat {
   std::string instance;
   std::vector<Token> held;
   bool draining = false;
+  std::vector<Token> finished = {};  // of those held: no longer run, what they came to is on its way
 };
 struct WorkerLeft {
   std::string instance;

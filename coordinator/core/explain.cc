@@ -72,6 +72,7 @@ Explanation Explain(const State& state, const Job& job, uint32_t index) {
   Explanation out;
   const Task& task = job.tasks[index];
   if (job.record.phase == JobPhase::kPaused) out.reasons.push_back("its job is paused");
+  if (job.is_overdue) out.reasons.push_back("the time limit of its job is over");
   if (!job.waits_for.empty()) ExplainJobsBefore(job, &out);
   switch (PhaseOf(task.status)) {
     case TaskPhase::kWaiting:
@@ -81,6 +82,10 @@ Explanation Explain(const State& state, const Job& job, uint32_t index) {
       Explanation placement;
       ExplainPlacement(state, job, index, &placement);
       out.placeable = placement.placeable;
+      const auto failed = job.failed_on.find(index);
+      if (failed != job.failed_on.end() && out.placeable)
+        out.reasons.push_back("it failed on " + failed->second +
+                              ", which gets it again only while no other can run it");
       if (!job.is_held())  // else who is busy is not why
         out.reasons.insert(out.reasons.end(), placement.reasons.begin(), placement.reasons.end());
       break;

@@ -62,8 +62,10 @@ class Inspection {
 
   void CheckJobsBefore(const Job& job, uint32_t leased) {
     const auto where = [&] { return "job " + std::to_string(job.id); };
-    Expect(job.waits_for.empty() || leased == 0, [&] { return where() + " runs before those it comes after"; });
-    Expect(!IsFinal(job.record.phase) || job.waits_for.empty(), [&] { return where() + " is over but waits"; });
+    Expect(job.waits_for.empty() || leased == 0,
+           [&] { return where() + " runs before those it comes after"; });
+    Expect(!IsFinal(job.record.phase) || job.waits_for.empty(),
+           [&] { return where() + " is over but waits"; });
     for (const JobId id : job.waits_for) {
       const Job* before = s_.FindJob(id);
       const auto index = s_.jobs_waiting_for.find(id);
@@ -76,6 +78,7 @@ class Inspection {
     const bool counts = job.plan->time_limit_ns != 0 && job.record.started_ns != 0;
     Expect(counts == (job.deadline_ns != 0) && counts == (job.record.deadline_ns != 0),
            [&] { return where() + ": time limit"; });
+    Expect(!job.is_overdue || counts, [&] { return where() + " is overdue without a time limit"; });
   }
 
   void CheckTask(const Job& job, uint32_t index) {
@@ -126,7 +129,7 @@ class Inspection {
 
   void CheckLeases() {
     for (const auto& [token, lease] : s_.leases) {
-      const auto where = [&] { return "lease " + std::to_string(token); };
+      const auto where = [token = token] { return "lease " + std::to_string(token); };
       Expect(token <= s_.last_token, [&] { return where() + " is from the future"; });
       const Job* job = s_.FindJob(JobOf(lease.task));
       Expect(job != nullptr && IndexOf(lease.task) < job->tasks.size(),
@@ -140,14 +143,14 @@ class Inspection {
   void CheckWorkers() {
     for (const auto& [name, worker] : s_.workers) {
       Expect(worker.connected || worker.leases.empty(),
-             [&] { return "worker " + name + " is lost but holds leases"; });
+             [&name = name] { return "worker " + name + " is lost but holds leases"; });
       for (const uint32_t id : worker.classes) {
         Expect(CanRun(worker, s_.classes[id]),
-               [&] { return "worker " + name + " is offered what it cannot run"; });
+               [&name = name] { return "worker " + name + " is offered what it cannot run"; });
       }
       for (const Token token : worker.leases) {
         const auto lease = s_.leases.find(token);
-        Expect(lease != s_.leases.end() && lease->second.instance == worker.instance, [&] {
+        Expect(lease != s_.leases.end() && lease->second.instance == worker.instance, [&name = name, token] {
           return "worker " + name + " holds lease " + std::to_string(token) + ", which is not its own";
         });
       }
@@ -182,8 +185,9 @@ class Inspection {
     for (const auto& [before, waiting] : s_.jobs_waiting_for) {
       for (const JobId id : waiting) {
         const Job* job = s_.FindJob(id);
-        Expect(job != nullptr && job->waits_for.count(before) > 0,
-               [&] { return "job " + std::to_string(id) + " does not wait for job " + std::to_string(before); });
+        Expect(job != nullptr && job->waits_for.count(before) > 0, [id, before = before] {
+          return "job " + std::to_string(id) + " does not wait for job " + std::to_string(before);
+        });
       }
     }
     Expect(!s_.dispatch_needed, [&] { return std::string("dispatch was left undone"); });

@@ -1,4 +1,5 @@
 #include <cstdio>
+#include <set>
 #include <vector>
 
 #include "coordinator/core/turn.h"
@@ -135,7 +136,7 @@ Verdict Turn::Pause(Job& job, std::string* error) {
     *error = AlreadyIs(job) + ": nothing to pause";
     return Verdict::kFailedPrecondition;
   }
-  DequeueAll(job);
+  DequeueAll(s_, job);
   SetJobPhase(job, JobPhase::kPaused, "");
   Note("job.paused", job.id, "", "", "");
   return Verdict::kOk;
@@ -285,12 +286,6 @@ void Turn::TellJobsAfter(Job& ended) {
   }
 }
 
-void Turn::DequeueAll(Job& job) {
-  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
-    if (std::holds_alternative<TaskReady>(job.tasks[i].status)) Dequeue(s_, job, i);
-  }
-}
-
 void Turn::EnqueueAll(Job& job) {
   for (uint32_t i = 0; i < job.tasks.size(); ++i) {
     if (std::holds_alternative<TaskReady>(job.tasks[i].status)) Enqueue(s_, job, i);
@@ -311,7 +306,7 @@ void Turn::SetPriority(Job& job, int32_t priority) {
 }
 
 void Turn::ShiftPriority(Job& job, int32_t by) {
-  DequeueAll(job);
+  DequeueAll(s_, job);
   job.record.priority_shift += by;
   EnqueueAll(job);
   SetJobPhase(job, job.record.phase, job.record.reason);
@@ -319,24 +314,41 @@ void Turn::ShiftPriority(Job& job, int32_t by) {
 }
 
 void Turn::StartTheClock(Job& job) {
+  job.is_overdue = false;
   if (job.plan->time_limit_ns == 0) return;
   job.deadline_ns = now_.steady_ns + job.plan->time_limit_ns;
   job.record.deadline_ns = now_.wall_ns + job.plan->time_limit_ns;
 }
 
+// A limit ends what still runs. What was finished before it, or while nobody was here to take it, counts however
+// long its way takes: the job goes on without anything new until all who hold something of it have spoken.
 void Turn::EndOverdueJobs() {
   std::vector<JobId> overdue;
-  for (const auto& [id, job] : s_.jobs) {
-    if (!IsFinal(job.record.phase) && job.deadline_ns != 0 && job.deadline_ns < now_.steady_ns)
-      overdue.push_back(id);
+  for (auto& [id, job] : s_.jobs) {
+    if (IsFinal(job.record.phase) || job.deadline_ns == 0) continue;
+    if (!job.is_overdue && job.deadline_ns >= now_.steady_ns) continue;
+    HoldOverdue(s_, job);
+    overdue.push_back(id);
+  }
+  if (overdue.empty()) return;
+  std::set<JobId> may_yet_count;
+  for (const auto& [token, lease] : s_.leases) {
+    const Job& job = *s_.FindJob(JobOf(lease.task));
+    if (job.is_overdue && MayYetCount(job, lease)) may_yet_count.insert(job.id);
   }
   for (const JobId id : overdue) {
     Job& job = *s_.FindJob(id);
-    if (IsFinal(job.record.phase)) continue;  // it went with one before
+    if (may_yet_count.count(id) > 0 || IsFinal(job.record.phase)) continue;  // or it went with one before
     char limit[32];
     std::snprintf(limit, sizeof limit, "%g", 1e-9 * static_cast<double>(job.plan->time_limit_ns));
     CloseJob(job, JobPhase::kFailed, "its time limit of " + std::string(limit) + " s is over");
   }
+}
+
+// Whether the task may have been finished in time: its worker says that it no longer runs, or has not named it
+// since. A heartbeat that comes within an interval of the limit may have been on its way before.
+bool Turn::MayYetCount(const Job& job, const Lease& lease) const {
+  return lease.finished || lease.named_ns < job.deadline_ns + s_.options.heartbeat_ns;
 }
 
 void Turn::SetJobPhase(Job& job, JobPhase phase, const std::string& reason) {

@@ -64,6 +64,7 @@ void Turn::NoteSeconds(const Job& job, uint32_t index, double seconds) {
 void Turn::CommitTask(Job& job, uint32_t index, Token token) {
   SetStatus(s_, job, index, TaskSucceeded{token});
   job.tasks[index].finished_ns = now_.wall_ns;
+  job.failed_on.erase(index);
   ++s_.counters.tasks_committed;
   PersistTask(job, index);
   Store(CommitResult{MakeTaskId(job.id, index), token, now_.wall_ns});
@@ -164,6 +165,7 @@ void Turn::AfterFailure(Job& job, uint32_t index, const Failed& event, const Lea
     return Requeue(job, index, event.error);  // given back before it did anything
   }
   if (Worker* worker = s_.FindWorkerByInstance(lease.instance)) ++worker->tasks_failed;
+  job.failed_on[index] = lease.worker;
   if (event.outcome == Outcome::kCrashed) {
     ++s_.counters.executors_crashed;
     if (++task.crashes >= plan.crash_limit) {

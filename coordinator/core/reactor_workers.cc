@@ -139,7 +139,18 @@ void Turn::Handle(const WorkerBeat& event) {
   std::erase_if(worker->winding_down, [&](Token token) { return !Holds(event.held, token); });
   if (worker->winding_down.size() != before) s_.dispatch_needed = true;
   RenewOrRevoke(*worker, event.held);
+  NoteNamed(event);
   Send(AnswerBeat{event.instance, true});
+}
+
+// What the worker says of its leases besides that they live.
+void Turn::NoteNamed(const WorkerBeat& beat) {
+  for (const Token token : beat.held) {
+    if (Lease* lease = s_.FindLease(token, beat.instance)) lease->named_ns = now_.steady_ns;
+  }
+  for (const Token token : beat.finished) {
+    if (Lease* lease = s_.FindLease(token, beat.instance)) lease->finished = true;
+  }
 }
 
 void Turn::Handle(const WorkerLeft& event) {

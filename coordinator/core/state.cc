@@ -262,6 +262,19 @@ void Dequeue(State& state, Job& job, uint32_t index) {
   state.classes[job.tasks[index].scheduling_class].ready.erase({priority, MakeTaskId(job.id, index)});
 }
 
+void DequeueAll(State& state, Job& job) {
+  for (uint32_t i = 0; i < job.tasks.size(); ++i) {
+    if (std::holds_alternative<TaskReady>(job.tasks[i].status)) Dequeue(state, job, i);
+  }
+}
+
+void HoldOverdue(State& state, Job& job) {
+  if (job.is_overdue) return;
+  DequeueAll(state, job);
+  job.is_overdue = true;
+  job.revision = ++state.revision;
+}
+
 void SetStatus(State& state, Job& job, uint32_t index, TaskStatus status) {
   Count(job, index, -1);
   job.tasks[index].status = status;
@@ -342,6 +355,7 @@ State Restore(const StoredState& stored, const Options& options, Now now) {
     // The clock on the wall may have been set meanwhile: never more than the whole limit is left.
     const int64_t left = job.record.deadline_ns - now.wall_ns;
     job.deadline_ns = now.steady_ns + std::clamp<int64_t>(left, 0, job.plan->time_limit_ns);
+    if (left <= 0) HoldOverdue(state, job);
   }
   for (const OpenAttempt& attempt : stored.open_attempts) RestoreLease(state, attempt, now);
   state.dispatch_needed = false;  // nobody is there yet

@@ -69,13 +69,16 @@ struct Job {
   double weight_total = 0.0, weight_done = 0.0;
   std::set<JobId> waits_for;  // those of plan->after_jobs that are not over
   int64_t deadline_ns = 0;    // steady time; 0: none
+  bool is_overdue = false;    // its time limit is over; nothing of it starts, what was finished may yet come
   uint64_t revision = 1;      // volatile, grows with every change
+  // By task that failed: the worker that it failed on last. Volatile.
+  std::map<uint32_t, std::string> failed_on;
 
   uint32_t settled() const { return succeeded + failed + cancelled; }
   const TaskPlan& plan_of(uint32_t index) const { return plan->tasks[index]; }
   int32_t priority_of(uint32_t index) const { return plan_of(index).priority + record.priority_shift; }
   // Nothing of it may start: its ready tasks are in no queue.
-  bool is_held() const { return record.phase == JobPhase::kPaused || !waits_for.empty(); }
+  bool is_held() const { return record.phase == JobPhase::kPaused || !waits_for.empty() || is_overdue; }
 };
 
 struct Lease {
@@ -88,6 +91,8 @@ struct Lease {
   int64_t deadline_ns = 0;
   bool restored = false;  // from before a restart, not confirmed by its worker yet
   // Volatile:
+  int64_t named_ns = 0;   // when a heartbeat last named it; 0: none has, since a restart
+  bool finished = false;  // and said that it no longer runs: what it came to is on its way
   int64_t started_wall_ns = 0;
   std::string progress_stage;
   double progress_done = 0.0;
@@ -207,6 +212,10 @@ void StopAwaiting(State& state, Job& job);
 // Inserts a ready task into, or removes it from, its class. Tasks of jobs that are held are in no queue.
 void Enqueue(State& state, Job& job, uint32_t index);
 void Dequeue(State& state, Job& job, uint32_t index);
+// Of all its ready tasks.
+void DequeueAll(State& state, Job& job);
+// From now on nothing of it starts: its time limit is over.
+void HoldOverdue(State& state, Job& job);
 // Sets the status and keeps the job's counts and revision.
 void SetStatus(State& state, Job& job, uint32_t index, TaskStatus status);
 // How many parents the task still has to wait for, from their statuses.

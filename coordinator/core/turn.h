@@ -3,6 +3,7 @@
 #pragma once
 
 #include <deque>
+#include <set>
 #include <string>
 
 #include "coordinator/core/events.h"
@@ -42,12 +43,12 @@ class Turn {
   // Of this job and, by as much, of those that its tasks have submitted.
   void SetPriority(Job& job, int32_t priority);
   void ShiftPriority(Job& job, int32_t by);
-  // Takes what is ready out of the queues, or puts it in.
-  void DequeueAll(Job& job);
+  // Puts what is ready into the queues.
   void EnqueueAll(Job& job);
   // From now on its time limit counts.
   void StartTheClock(Job& job);
   void EndOverdueJobs();
+  bool MayYetCount(const Job& job, const Lease& lease) const;
   // Those that come after it may start, or fail.
   void TellJobsAfter(Job& ended);
   // Ends the job and everything of it that is not settled.
@@ -80,6 +81,7 @@ class Turn {
   bool MayHaveName(const WorkerJoined& event);
   void RemoveWorker(const std::string& name, const std::string& why);
   void RenewOrRevoke(Worker& worker, const std::vector<Token>& held);
+  void NoteNamed(const WorkerBeat& beat);
   void LoseLeasesOf(const std::string& name, const std::string& instance_to_keep,
                     const std::vector<Token>& held, const std::string& why);
   void RevokeFrom(const std::string& instance, Token token, const std::string& reason);
@@ -89,6 +91,11 @@ class Turn {
   // --- dispatch
   void FillSlots(bool ahead);
   bool AssignOneTo(Worker& worker, bool ahead);
+  bool IsForOthers(const SchedulingClass& cls, TaskId task, const Worker& worker) const;
+  std::set<SchedulingClass::Entry>::const_iterator FirstFor(const Worker& worker,
+                                                            const SchedulingClass& cls) const;
+  // How many of its tasks a worker is given now beyond each of its slots.
+  uint32_t AheadNow(const SchedulingClass& cls) const;
   void GiveTo(Worker& worker, Job& job, uint32_t index);
 
   void Note(const std::string& kind, JobId job, const std::string& task, const std::string& worker,
@@ -105,7 +112,8 @@ class Turn {
   State& s_;
   Now now_;
   Actions& out_;
-  std::deque<JobId> ended_;  // jobs that others come after, which are still to be told
+  uint32_t slots_of_all_ = 0;  // of the workers that take work
+  std::deque<JobId> ended_;    // jobs that others come after, which are still to be told
 };
 
 }  // namespace rg::coordinator

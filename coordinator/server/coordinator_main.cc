@@ -6,9 +6,9 @@
 
 #include <CLI/CLI.hpp>
 #include <atomic>
-#include <chrono>
 #include <cstdio>
 #include <filesystem>
+#include <utility>
 
 #include "common/base/file.h"
 #include "common/base/ids.h"
@@ -133,17 +133,19 @@ class KeyWatch {
   }
 
  private:
-  bool IsAtRest() const {
-    constexpr auto kRest = std::chrono::milliseconds(100);
+  // It was written when it had been at the last look. What the clock says now does not matter: it may have
+  // been set back, and a key that was revoked before that must be out.
+  bool IsAtRest() {
     std::error_code error;
     const auto written = std::filesystem::last_write_time(path_, error);
-    return !error && std::filesystem::file_time_type::clock::now() - written > kRest;
+    return std::exchange(written_, written) == written && !error;
   }
 
   const std::string path_;
   transport::AllowListFile file_;
   transport::Context& context_;
   const transport::KeyPair page_key_ = transport::GenerateKeyPair();
+  std::filesystem::file_time_type written_;
   int64_t due_ns_ = 0;
 };
 
@@ -267,7 +269,8 @@ int CoordinatorMain(int argc, char** argv) {
     return app.exit(error) == 0 ? 0 : kExitUsage;
   }
   InitLogging("realitygrad-coordinator", flags.log_level);
-  google::protobuf::SetLogHandler(nullptr);  // bytes of peers that do not parse are counted; they must not fill the log
+  google::protobuf::SetLogHandler(
+      nullptr);  // bytes of peers that do not parse are counted; they must not fill the log
   CatchSignals();
   const Status status = Serve(flags);
   if (status.ok()) return 0;

@@ -461,7 +461,7 @@ Result<pb::StatusReply> Server::DescribeSelf(const pb::StatusRequest&) {
     if (!worker.connected) continue;
     reply.set_workers(reply.workers() + 1);
     reply.set_slots(reply.slots() + worker.slots);
-    reply.set_slots_busy(reply.slots_busy() + worker.busy());
+    reply.set_slots_busy(reply.slots_busy() + std::min(worker.busy(), worker.slots));
   }
   uint64_t waiting = 0, ready = 0, leased = 0;
   for (const auto& [id, job] : state_.jobs) {

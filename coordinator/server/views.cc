@@ -141,7 +141,7 @@ pb::WorkerInfo InfoOf(const Worker& worker, const State& state, int64_t steady_n
   for (const std::string& tag : worker.tags) out.add_tags(tag);
   for (const std::string& kind : worker.kinds) out.add_kinds(kind);
   out.set_slots(worker.slots);
-  out.set_busy(worker.busy());
+  out.set_busy(std::min(worker.busy(), worker.slots));  // what is at hand for later takes no slot
   out.set_draining(worker.draining);
   out.set_connected(worker.connected);
   out.set_last_seen_s(1e-9 * static_cast<double>(steady_ns - worker.last_seen_ns));

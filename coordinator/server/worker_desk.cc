@@ -57,7 +57,10 @@ std::optional<Event> WorkerDesk::ToEvent(const pb::WorkerMessage& message, const
       return FromHello(message.hello(), instance);
     case pb::WorkerMessage::kHeartbeat: {
       const auto& beat = message.heartbeat();
-      return WorkerBeat{instance, {beat.held_tokens().begin(), beat.held_tokens().end()}, beat.draining()};
+      return WorkerBeat{instance,
+                        {beat.held_tokens().begin(), beat.held_tokens().end()},
+                        beat.draining(),
+                        {beat.finished_tokens().begin(), beat.finished_tokens().end()}};
     }
     case pb::WorkerMessage::kBye:
       return WorkerLeft{instance};

@@ -5,8 +5,8 @@
 #   tests/benchmarks/service/worker_scaling.sh BIN [ROUNDS]     from the source tree; BIN holds realitygrad
 #
 # One line per job and number of workers: the time from the first task's start to the last one's end, the
-# tasks' own time, the share of leased time that is not theirs (leasing, fetching, uploading, committing), and
-# the share of the workers' time in which there was no task left for one of them.
+# tasks' own time, the share of the workers' time that is not theirs, from the first start to each one's last end
+# (leasing, fetching, uploading, committing), and the share in which there was no task left for one of them.
 # One line per round and job: how much faster two workers were. Other work on the machine shows in both.
 set -euo pipefail
 bin=$(realpath "$1")
@@ -20,8 +20,8 @@ trap 'kill "${pids[@]}" 2>/dev/null; wait; rm -rf "$folder"' EXIT
 "$bin/realitygrad" run --iterations 1 --workers 2 --identify-seconds 5 --dir "$folder/run" >"$folder/run.log" 2>&1 ||
   { cat "$folder/run.log"; exit 1; }
 
-# Of a stage's tasks: time from the first start to the last end, leased time, the tasks' own. A task's keys come
-# in alphabetical order.
+# Of a stage's tasks: time from the first start to the last end, the sum over workers of that to each one's last
+# end, the tasks' own. A task's keys come in alphabetical order.
 tasks_of() {
   awk -v stage="\"$1\"," '
     function seconds(stamp) { split(substr(stamp, 13), part, ":"); return part[1] * 3600 + part[2] * 60 + part[3] }
@@ -31,11 +31,13 @@ tasks_of() {
       started = seconds($2)
       if (finished < started) finished += 86400
       if (first == "" || started < first) first = started
-      if (finished > last) last = finished
-      leased += finished - started
     }
     /"seconds":/ && ours { own += $2 }
-    END { print last - first, leased, own }' "$2"
+    /"worker":/ && ours {
+      if (finished > last) last = finished
+      if (finished > ends[$2]) ends[$2] = finished
+    }
+    END { for (w in ends) busy += ends[w] - first; print last - first, busy, own }' "$2"
 }
 
 measure() {  # WORKERS NAME STAGE SUBMIT-ARGUMENTS…: prints what tasks_of does
@@ -65,10 +67,10 @@ for round in $(seq "$rounds"); do
     [ $job = identification ] && arguments=(identify --identify-seconds 0 --hops 1 --chains 16 --rounds 1)
     times=()
     for workers in 1 2; do
-      read -r wall leased own <<<"$(measure $workers $job $job "${arguments[@]}")"
-      awk -v j=$job -v w=$workers -v t="$wall" -v l="$leased" -v o="$own" 'BEGIN {
+      read -r wall busy own <<<"$(measure $workers $job $job "${arguments[@]}")"
+      awk -v j=$job -v w=$workers -v t="$wall" -v b="$busy" -v o="$own" 'BEGIN {
         printf "%-14s %d workers %6.2f s, tasks %6.2f s, scheduling %3.1f %%, idle at the end %3.1f %%\n", \
-          j, w, t, o, 100 * (1 - o / l), 100 * (1 - l / (w * t)) }'
+          j, w, t, o, 100 * (1 - o / b), 100 * (1 - b / (w * t)) }'
       times+=("$wall")
     done
     awk -v r="$round" -v j=$job -v a="${times[0]}" -v b="${times[1]}" 'BEGIN {

@@ -8,12 +8,12 @@
 
 #include <chrono>
 #include <cstdlib>
-#include <fstream>
 #include <set>
 #include <thread>
 
 #include "common/base/rng.h"
 #include "common/store/database.h"
+#include "tests/support/base/batches_done.h"
 #include "tests/support/service/cuts.h"
 #include "tests/support/service/processes.h"
 
@@ -34,36 +34,6 @@ int Asked(const char* name, int normally) {
 }
 
 void SleepMs(uint64_t ms) { std::this_thread::sleep_for(std::chrono::milliseconds(ms)); }
-
-// Batches of earlier runs that are done.
-class Progress {
- public:
-  explicit Progress(const std::string& suite) : suite_(suite) {
-    const char* file = std::getenv("RG_PROGRESS");
-    if (file == nullptr) return;
-    path_ = file;
-    std::ifstream in(path_);
-    for (std::string line; std::getline(in, line);) done_.insert(line);
-  }
-  bool IsDone(int batch) const { return done_.count(Line(batch)) > 0; }
-  void Note(int batch) {
-    done_.insert(Line(batch));
-    if (!path_.empty()) std::ofstream(path_, std::ios::app) << Line(batch) << std::endl;
-  }
-  // All are: the next run begins anew.
-  void Forget() {
-    if (path_.empty()) return;
-    std::ofstream out(path_, std::ios::trunc);
-    for (const std::string& line : done_) {
-      if (line.rfind(suite_ + " ", 0) != 0) out << line << "\n";
-    }
-  }
-
- private:
-  std::string Line(int batch) const { return suite_ + " " + std::to_string(batch); }
-  std::string suite_, path_;
-  std::set<std::string> done_;
-};
 
 class Batch {
  public:
@@ -188,20 +158,20 @@ void RunBatches(const std::string& suite, int cycles, bool cuts) {
 #ifdef RG_SANITIZED
   GTEST_SKIP() << "ALL: a sanitizer's runtime does not go with a preloaded library";
 #endif
-  Progress progress(suite);
+  BatchesDone done(suite);
   int64_t lost = 0;
   int named = 0, batch = 0, played = 0;
   for (int left = cycles; left > 0; left -= kCyclesPerBatch, ++batch) {
-    if (progress.IsDone(batch)) continue;
+    if (done.Find(batch)) continue;
     Batch one(1000 + static_cast<uint64_t>(batch) + (cuts ? 500'000 : 0), cuts);
     one.Run(std::min(left, kCyclesPerBatch));
     if (::testing::Test::HasFailure()) return;
     lost += one.lost_bytes();
     named += one.named();
     played += std::min(left, kCyclesPerBatch);
-    progress.Note(batch);
+    done.Note(batch);
   }
-  progress.Forget();
+  done.Forget();
   std::printf("%d cycles, %d of them at named points, %lld bytes lost with the power\n", played, named,
               static_cast<long long>(lost));
 }

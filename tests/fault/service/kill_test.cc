@@ -115,6 +115,54 @@ TEST(WorkerKill, ACoordinatorKilledMeanwhileKeepsWhatATaskHasSubmitted) {
   EXPECT_EQ(parts->front().state(), pb::JOB_STATE_SUCCEEDED);
 }
 
+// A job of two tasks with a time limit that runs out while the coordinator is away.
+class LimitPassedMeanwhile : public ::testing::Test {
+ protected:
+  static constexpr int kHeartbeatMs = 1000;  // at its second one after the restart a worker must know
+  static constexpr double kLimit = 2.0;
+  LimitPassedMeanwhile() {
+    service_.StartWorker("a");
+    pb::JobSpec job;
+    AddTask(&job, "first", "sleep", R"({"seconds": 600, "until": ")" + go() + "\"}");
+    AddInput(AddTask(&job, "second", "echo"), "in", "first");
+    job.set_time_limit_s(kLimit);
+    const double begin = RealClock().SteadySeconds();
+    id_ = *service_.client().Submit(job);
+    EXPECT_TRUE(service_.WaitForProgress(id_, "first")) << service_.Logs();
+    service_.KillCoordinator();
+    while (RealClock().SteadySeconds() < begin + kLimit + 0.5) SleepMs(20);
+  }
+  std::string go() const { return service_.folder() + "/go"; }
+
+  Service service_{kHeartbeatMs};
+  int64_t id_ = 0;
+};
+
+TEST_F(LimitPassedMeanwhile, WhatWasFinishedCountsAndTheRestIsDoneByARetry) {
+  std::ofstream(go()) << "\n";
+  SleepMs(500);
+  service_.StartCoordinator();
+  ASSERT_EQ(WaitForEnd(service_, id_), pb::JOB_STATE_FAILED);
+  const auto ended = service_.client().GetJob(id_);
+  EXPECT_EQ(ended->job().reason(), "its time limit of 2 s is over");
+  EXPECT_EQ(FindTask(*ended, "first")->state(), pb::TASK_STATE_SUCCEEDED) << service_.Logs();
+  EXPECT_EQ(FindTask(*ended, "second")->attempts(), 0u) << "nothing begins after the limit";
+  ASSERT_TRUE(service_.client().Act(id_, pb::JOB_ACTION_RETRY).ok());
+  ASSERT_EQ(WaitForEnd(service_, id_), pb::JOB_STATE_SUCCEEDED);
+  EXPECT_EQ(FindTask(*service_.client().GetJob(id_), "first")->attempts(), 1u);
+}
+
+TEST_F(LimitPassedMeanwhile, WhatStillRunsIsStopped) {
+  service_.StartCoordinator();
+  ASSERT_EQ(WaitForEnd(service_, id_), pb::JOB_STATE_FAILED);
+  const auto ended = service_.client().GetJob(id_);
+  EXPECT_EQ(ended->job().reason(), "its time limit of 2 s is over");
+  EXPECT_EQ(FindTask(*ended, "first")->state(), pb::TASK_STATE_CANCELLED);
+  pb::JobSpec quick;
+  AddTask(&quick, "t", "echo");
+  EXPECT_EQ(WaitForEnd(service_, *service_.client().Submit(quick)), pb::JOB_STATE_SUCCEEDED) << "its slot is free";
+}
+
 TEST(WorkerStop, ALateResultIsRefusedAndCounted) {
   Service service;
   service.StartWorker("a");

@@ -10,6 +10,7 @@
 #include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/ids.h"
+#include "common/transport/keys.h"
 #include "tests/support/service/processes.h"
 
 namespace rg::testing {
@@ -101,6 +102,36 @@ TEST_F(Programs, SignalsStopThemCleanly) {
   EXPECT_TRUE(service.WaitForTask(*id, "t", pb::TASK_STATE_READY)) << "its task goes back at once";
   service.coordinator().Signal(SIGTERM);
   EXPECT_EQ(service.coordinator().WaitForExit(kPatience), 0);
+}
+
+TEST_F(Programs, ARevokedKeyIsOutAlsoWhereTheClockWasSetBack) {
+  const auto own = transport::GenerateKeyFiles(folder_, "coordinator", pb::ROLE_COORDINATOR);
+  const auto alice = transport::GenerateKeyFiles(folder_, "alice", pb::ROLE_OPERATOR);
+  ASSERT_TRUE(own.ok() && alice.ok());
+  const std::string allowed = folder_ + "/allowed", next = folder_ + "/next", address = folder_ + "/address";
+  ASSERT_TRUE(transport::AllowKey(allowed, alice->keys.public_key, pb::ROLE_OPERATOR, "alice").ok());
+  const Process program(
+      {BinFolder() + "/realitygrad-coordinator", "--listen", "tcp://127.0.0.1:0", "--db", folder_ + "/a.db",
+       "--key", folder_ + "/coordinator.key", "--allowed-keys", allowed, "--address-file", address},
+      folder_ + "/log");
+  ASSERT_TRUE(WaitFor([&] { return std::filesystem::exists(address); })) << Said();
+  coordinator::ClientOptions options;
+  options.address = ReadFile(address)->substr(0, ReadFile(address)->find('\n'));
+  options.key = transport::LoadKeyFile(folder_ + "/alice.key")->keys;
+  options.server_public_key = own->keys.public_key;
+  options.attempts = 1;
+  const auto client = coordinator::Client::Connect(options);
+  ASSERT_TRUE(client.ok() && (*client)->CoordinatorStatus().ok()) << Said();
+  // Written an hour from now, as the clock has it that was right then.
+  std::filesystem::copy_file(allowed, next);
+  ASSERT_TRUE(transport::RevokeKey(next, "alice").ok());
+  std::filesystem::last_write_time(next,
+                                   std::filesystem::file_time_type::clock::now() + std::chrono::hours(1));
+  std::filesystem::rename(next, allowed);
+  options.attempt_timeout_ms = 1'000;
+  const auto is_out = [&] { return !(*coordinator::Client::Connect(options))->CoordinatorStatus().ok(); };
+  EXPECT_TRUE(WaitFor(is_out)) << Said();
+  EXPECT_TRUE(is_out()) << "not because it was slow";
 }
 
 TEST_F(Programs, AnIdleWorkerLeavesIfItWasToldTo) {

@@ -40,12 +40,16 @@ Result<TaskOutputs> Echo(const TaskInput& input, TaskContext&) {
   return One(text);
 }
 
+// For `seconds`, or until there is the file `until`.
 Result<TaskOutputs> Sleep(const TaskInput& input, TaskContext& context) {
-  const double seconds = Options(input).value("seconds", 1.0);
+  const json options = Options(input);
+  const double seconds = options.value("seconds", 1.0);
+  const std::string until = options.value("until", "");
   const double begin = RealClock().SteadySeconds();
   double elapsed = 0.0;
   while ((elapsed = RealClock().SteadySeconds() - begin) < seconds) {
     if (context.cancelled()) return CancelledError("told to stop");
+    if (!until.empty() && access(until.c_str(), F_OK) == 0) break;
     context.Progress({"sleeping", elapsed, seconds, ""});
     SleepFor(std::min(0.02, seconds - elapsed));
   }

@@ -141,11 +141,121 @@ TEST_F(JobTerms, ATimeLimitCountsFromTheStartOnTheSteadyClockAndOverRestarts) {
   EXPECT_EQ(left_after(-day_ns), 60'000'000'000) << "never more than the limit";
   EXPECT_EQ(left_after(day_ns), 0);
   beat(2.5);
+  EXPECT_EQ(Phase(job), JobPhase::kRunning) << "this heartbeat may have been on its way before the limit";
+  beat(2.0);
   EXPECT_EQ(Phase(job), JobPhase::kFailed);
   EXPECT_EQ(state_.jobs.at(job).record.reason, "its time limit of 60 s is over");
   EXPECT_EQ(Sent<Revoke>(last_).size(), 2u);
   EXPECT_EQ(Command(job, JobCommand::kRetry).verdict, Verdict::kOk);
   EXPECT_EQ(state_.jobs.at(job).deadline_ns, ns_ + 60'000'000'000) << "a retry has the whole limit again";
+}
+
+// A job of two tasks, the second after the first, with a limit of a minute; the first has been running since.
+class TimeLimit : public JobTerms {
+ protected:
+  void Begin() {
+    TaskPlan second = MakeTask("second");
+    second.parents = {{0, false}};
+    auto plan = std::make_shared<JobPlan>(*MakePlan({MakeTask("first"), second}));
+    plan->time_limit_ns = 60'000'000'000;
+    Join("a", 1);
+    last_ = Do(Submit{"limited", plan, nullptr, 1});
+    first_ = Sent<Assign>(last_).at(0);
+    start_ns_ = ns_;
+  }
+  // To this many seconds after the start; the coordinator and the worker are well on the way.
+  void GoTo(double seconds) {
+    while (ns_ < start_ns_ + static_cast<int64_t>(1e9 * seconds)) {
+      Pass(0.5);
+      Beat(false);
+    }
+  }
+  void Beat(bool finished) {
+    WorkerBeat beat{"a#1", {first_.token}, false};
+    if (finished) beat.finished = {first_.token};
+    Do(beat);
+    last_ = Do(Tick{});
+  }
+  // The coordinator is killed now and comes back at this moment, and so does the worker.
+  void BeAwayUntil(double seconds) {
+    ns_ = start_ns_ + static_cast<int64_t>(1e9 * seconds);
+    state_ = Restore(store_.Load(), state_.options, {ns_, 1'000 + ns_});
+    last_ = Do(Tick{});
+    Join("a", 1, {first_.token});
+  }
+  AnswerResult Finish() {
+    last_ = Do(Finished{"a#1", first_.task, first_.token});
+    return Sent<AnswerResult>(last_).at(0);
+  }
+
+  Assign first_;
+  int64_t start_ns_ = 0;
+};
+
+TEST_F(TimeLimit, WhatWasFinishedWhileTheCoordinatorWasAwayCountsAndNothingElseBegins) {
+  Begin();
+  GoTo(30.0);
+  BeAwayUntil(90.0);
+  EXPECT_EQ(Phase(1), JobPhase::kRunning) << "who holds something of it has not said yet how far it is";
+  Pass(1.5);
+  Beat(true);
+  EXPECT_EQ(Phase(1), JobPhase::kRunning);
+  const std::vector<std::string> why = Explain(state_, state_.jobs.at(1), 1).reasons;
+  EXPECT_EQ(why.at(0), "the time limit of its job is over");
+  EXPECT_TRUE(Finish().accepted);
+  EXPECT_EQ(Phase(1, 0), TaskPhase::kSucceeded);
+  EXPECT_TRUE(Sent<Assign>(last_).empty()) << "its limit is over";
+  Do(Tick{});
+  EXPECT_EQ(Phase(1), JobPhase::kFailed);
+  EXPECT_EQ(Command(1, JobCommand::kRetry).verdict, Verdict::kOk);
+  EXPECT_EQ(IndexOf(Sent<Assign>(last_).at(0).task), 1u) << "what counted is not done again";
+}
+
+TEST_F(TimeLimit, AJobWhoseLastResultWasFinishedInTimeSucceeds) {
+  Begin();
+  ASSERT_TRUE(Finish().accepted);
+  first_ = Sent<Assign>(last_).at(0);
+  GoTo(59.0);
+  for (int i = 0; i < 30; ++i) {  // a minute for its outputs to be brought here
+    Pass(1.0);
+    Beat(true);
+  }
+  EXPECT_EQ(Phase(1), JobPhase::kRunning);
+  EXPECT_TRUE(Finish().accepted);
+  EXPECT_EQ(Phase(1), JobPhase::kSucceeded);
+}
+
+TEST_F(TimeLimit, WhatStillRunsAfterAnAbsenceIsStopped) {
+  Begin();
+  GoTo(30.0);
+  BeAwayUntil(90.0);
+  Beat(false);
+  Pass(1.5);
+  Beat(false);
+  EXPECT_EQ(Phase(1), JobPhase::kFailed);
+  EXPECT_EQ(Sent<Revoke>(last_).size(), 1u);
+  EXPECT_FALSE(Finish().accepted);
+}
+
+TEST_F(TimeLimit, AWorkerThatIsLostKeepsNoJobBeyondItsLimit) {
+  Begin();
+  GoTo(60.0);
+  Beat(true);
+  Pass(3.0);
+  Do(Tick{});
+  EXPECT_EQ(Phase(1), JobPhase::kFailed);
+  EXPECT_EQ(state_.jobs.at(1).record.reason, "its time limit of 60 s is over");
+}
+
+TEST_F(TimeLimit, NothingOfAJobStartsAfterARestartBeyondItsLimit) {
+  Begin();
+  Do(WorkerLeft{"a#1"});
+  ns_ += 90'000'000'000;
+  state_ = Restore(store_.Load(), state_.options, {ns_, 1'000 + ns_});
+  Join("b", 1);
+  EXPECT_TRUE(Sent<Assign>(last_).empty());
+  Do(Tick{});
+  EXPECT_EQ(Phase(1), JobPhase::kFailed);
 }
 
 }  // namespace

@@ -3,6 +3,10 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <deque>
+#include <map>
+
 #include "tests/unit/coordinator/reactor_fixture.h"
 
 namespace rg::coordinator {
@@ -430,6 +434,34 @@ TEST_F(Reactor, ShortTasksAreGivenAheadOfAFreeSlotAndLongOnesAreNot) {
   EXPECT_TRUE(assigned.empty()) << "one took long: what is there will do";
 }
 
+// By the clock of two workers that take half a second for each: what they have at hand, first one first.
+TEST_F(Reactor, OneOfTheTasksBelowASecondIsAtHandWhileThereAreManyAndNoneWaitsAtTheEnd) {
+  Join("a", 1), Join("b", 1);
+  constexpr uint32_t kTasks = 12;
+  SubmitJob(std::vector<TaskPlan>(kTasks, MakeTask("t")));
+  std::map<std::string, std::deque<Assign>> at;
+  uint32_t ahead = 0, done = 0;
+  const auto take = [&](const Actions& actions) {
+    for (const Assign& assign : Sent<Assign>(actions)) {
+      const bool has_work = !at[assign.instance].empty();
+      ahead += has_work;
+      EXPECT_FALSE(has_work && IndexOf(assign.task) >= kTasks - 2) << "one of the last two waits behind another";
+      at[assign.instance].push_back(assign);
+    }
+  };
+  take(last_);
+  EXPECT_EQ(ahead, 0u) << "nobody knows how long they take";
+  for (; done < kTasks; ++done) {
+    const std::string worker = at[done % 2 == 0 ? "a#1" : "b#1"].empty() ? "b#1" : done % 2 == 0 ? "a#1" : "b#1";
+    ASSERT_FALSE(at[worker].empty()) << "it has nothing to do after " << done;
+    const Assign first = at[worker].front();
+    at[worker].pop_front();
+    take(Do(Finished{worker, first.task, first.token, 0.5}));
+  }
+  EXPECT_GE(ahead, kTasks - 6) << "but for the first two and the last ones";
+  EXPECT_EQ(Phase(1), JobPhase::kSucceeded);
+}
+
 TEST_F(Reactor, ATaskThatWaitedBehindAnotherGoesBackWithoutPenalty) {
   Join("a", 1);
   const JobId job = SubmitJob(std::vector<TaskPlan>(3, MakeTask("t")));
@@ -443,6 +475,44 @@ TEST_F(Reactor, ATaskThatWaitedBehindAnotherGoesBackWithoutPenalty) {
   EXPECT_EQ(moved[0].instance, "b#1");
   EXPECT_EQ(state_.jobs.at(job).tasks[2].failures, 0u);
   EXPECT_EQ(state_.jobs.at(job).tasks[2].losses, 0u);
+}
+
+TEST_F(Reactor, AWorkerOnWhichEverythingFailsFailsNoJobWhileThereIsAnother) {
+  Join("ill", 2), Join("well", 1);
+  const JobId job = SubmitJob(std::vector<TaskPlan>(20, MakeTask("t")));
+  std::deque<Assign> open;
+  const auto take = [&](const Actions& actions) {
+    for (const Assign& assign : Sent<Assign>(actions)) open.push_back(assign);
+  };
+  take(last_);
+  for (int i = 0; i < 200 && !open.empty(); ++i) {
+    // The ill one fails at once, the other one takes its time.
+    const auto at_ill = std::find_if(open.begin(), open.end(), [](const Assign& a) { return a.instance == "ill#1"; });
+    const auto next = at_ill != open.end() ? at_ill : open.begin();
+    const Assign assign = *next;
+    open.erase(next);
+    take(assign.instance == "ill#1"
+             ? Do(Failed{"ill#1", assign.task, assign.token, Outcome::kFailed, "disk full", true})
+             : Do(Finished{"well#1", assign.task, assign.token, 5.0}));
+  }
+  EXPECT_EQ(Phase(job), JobPhase::kSucceeded);
+  EXPECT_EQ(state_.jobs.at(job).failed_on.size(), 0u);
+  for (uint32_t i = 0; i < 20; ++i) EXPECT_LE(state_.jobs.at(job).tasks[i].failures, 1u) << i;
+}
+
+TEST_F(Reactor, ATaskThatFailedIsTriedAgainWhereItFailedIfThereIsNobodyElse) {
+  Join("a", 1);
+  SubmitJob({MakeTask("t")});
+  const Assign first = Sent<Assign>(last_).at(0);
+  const auto fail = [&](const Assign& a) {
+    return Sent<Assign>(Do(Failed{"a#1", a.task, a.token, Outcome::kFailed, "no", true}));
+  };
+  const auto again = fail(first);
+  ASSERT_EQ(again.size(), 1u);
+  Join("b", 1);
+  const auto third = fail(again[0]);
+  ASSERT_EQ(third.size(), 1u);
+  EXPECT_EQ(third[0].instance, "b#1");
 }
 
 TEST_F(Reactor, WhatMustNotRunTwiceIsNeverGivenAhead) {

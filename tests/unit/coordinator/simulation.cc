@@ -49,7 +49,7 @@ Simulation::Simulation(uint64_t seed, const SimulationOptions& options) : option
 std::vector<std::string> Simulation::Run() {
   while (ms_ < options_.calm_ms && broken_.empty()) {
     Step();
-    if (!chaos() && up_.empty() && down_.empty() && ms_ > options_.chaos_ms + 20'000 && state_.jobs.empty()) {
+    if (!chaos() && !is_away_ && up_.empty() && down_.empty() && ms_ > options_.chaos_ms + 20'000 && state_.jobs.empty()) {
       break;
     }
   }
@@ -74,20 +74,14 @@ void Simulation::DeliverToCoordinator() {
     stalled_until_ms_ = ms_ + 500 + static_cast<int64_t>(rng_.Index(8000));
     ++facts_.stalls;
   }
-  if (ms_ < stalled_until_ms_) return;  // what comes meanwhile waits, and is read before leases are judged
+  if (ms_ < stalled_until_ms_ || ms_ < away_until_ms_) return;
+  if (std::exchange(is_away_, false)) ComeBack();
   Actions actions;
   auto due = TakeDue(up_, ms_);
-  due.push_back({ms_, Tick{}});
-  for (ToCoordinator& item : due) {
-    store_.Complete(item.event, state_);
-    React(item.event, state_, now(), actions);
-    ++facts_.events;
-    CheckNow("after an event");
-  }
-  for (const auto& [id, job] : state_.jobs) {
-    if (!IsFinal(job.record.phase) && job.deadline_ns != 0 && job.deadline_ns < now().steady_ns)
-      Complain("job " + std::to_string(id) + " goes on past its time limit");
-  }
+  // What waited during a stall is read, and workers get an interval to speak, before anything is judged.
+  const bool judges = ms_ >= stalled_until_ms_ + kHeartbeatMs;
+  for (ToCoordinator& item : due) Handle(item.event, actions);
+  if (judges) Judge(actions);
   facts_.refused += state_.counters.results_refused;
   state_.counters.results_refused = 0;
   const bool kill = chaos() && rng_.Uniform() < options_.restart;
@@ -96,6 +90,56 @@ void Simulation::DeliverToCoordinator() {
   Commit(actions);
   if (kill) return RestartCoordinator();
   for (Message& message : actions.messages) SendDown(std::move(message));
+}
+
+void Simulation::Handle(Event& event, Actions& actions) {
+  store_.Complete(event, state_);
+  const uint64_t commits = state_.counters.tasks_committed;
+  const auto* finished = std::get_if<Finished>(&event);
+  const Job* job = finished == nullptr ? nullptr : state_.FindJob(JobOf(finished->task));
+  const bool is_overdue = job != nullptr && job->is_overdue;
+  React(event, state_, now(), actions);
+  facts_.counted_overdue += is_overdue && state_.counters.tasks_committed > commits;
+  ++facts_.events;
+  CheckNow("after an event");
+}
+
+// Leases and time limits. A job goes on past its limit only for what was finished in time, and for as long as
+// that, or the word of whoever holds something of it, may take to arrive.
+void Simulation::Judge(Actions& actions) {
+  constexpr int64_t kLongestWayMs = 30'000;
+  const std::set<JobId> owed = FinishedInTime();
+  Event tick = Tick{};
+  Handle(tick, actions);
+  for (const auto& [id, job] : state_.jobs) {
+    if (IsFinal(job.record.phase)) {
+      if (owed.count(id) > 0 && job.record.reason.rfind("its time limit", 0) == 0)
+        Complain("job " + std::to_string(id) + " was ended though something of it was finished in time");
+    } else if (job.deadline_ns != 0 && job.deadline_ns < now().steady_ns) {
+      if (!job.is_overdue) Complain("job " + std::to_string(id) + " goes on past its time limit");
+      if (job.deadline_ns + kLongestWayMs * 1'000'000 < now().steady_ns)
+        Complain("job " + std::to_string(id) + " goes on long past its time limit");
+    }
+  }
+}
+
+// Jobs past their limit of which a living worker holds, under a good lease, what it had finished before that.
+std::set<JobId> Simulation::FinishedInTime() const {
+  std::set<JobId> jobs;
+  for (const SimWorker& worker : workers_) {
+    if (!worker.alive || options_.delay_max_ms > kHeartbeatMs) continue;
+    const Worker* known = const_cast<State&>(state_).FindWorkerByInstance(worker.instance);
+    if (known != nullptr && now().steady_ns - known->last_seen_ns > state_.options.lease_ns()) continue;
+    for (const auto& [token, held] : worker.held) {
+      const auto lease = state_.leases.find(token);
+      if (held.state != Held::kFinished || lease == state_.leases.end()) continue;
+      if (lease->second.instance != worker.instance || lease->second.deadline_ns < now().steady_ns) continue;
+      const Job& job = state_.jobs.at(JobOf(held.task));
+      const bool in_time = held.ended_ms * 1'000'000 <= job.deadline_ns;
+      if (job.deadline_ns != 0 && job.deadline_ns < now().steady_ns && in_time) jobs.insert(job.id);
+    }
+  }
+  return jobs;
 }
 
 void Simulation::Commit(Actions& actions) {
@@ -132,8 +176,18 @@ void Simulation::CheckStarts(const std::vector<Row>& rows) {
   }
 }
 
+// At once, or after a while.
 void Simulation::RestartCoordinator() {
   ++facts_.restarts;
+  is_away_ = true;
+  state_ = State{};
+  if (rng_.Index(2) == 0) return ComeBack();
+  constexpr uint64_t kLongestMs = 12'000;
+  away_until_ms_ = ms_ + static_cast<int64_t>(rng_.Index(kLongestMs));
+}
+
+void Simulation::ComeBack() {
+  is_away_ = false;
   state_ = Restore(store_.Load(), CoreOptions(), now());
   CheckNow("after a restart");
   for (const Client& client : clients_) {
@@ -269,7 +323,11 @@ void Simulation::StepWorker(SimWorker& worker) {
                         "test",
                         ""});
   } else {
-    SendUp(WorkerBeat{worker.instance, HeldTokens(worker), false});
+    WorkerBeat beat{worker.instance, HeldTokens(worker), false};
+    for (const auto& [token, held] : worker.held) {
+      if (held.state != Held::kRunning) beat.finished.push_back(token);
+    }
+    SendUp(std::move(beat));
   }
   for (const auto& [token, held] : worker.held) {  // again, until it is answered
     if (held.at_most_once && !held.started) SendUp(StartRequested{worker.instance, token});
@@ -288,12 +346,13 @@ void Simulation::Progress(SimWorker& worker) {
     const double crash = options_.task_failure + options_.task_crash;
     const double given_back = crash + options_.task_given_back;
     held.state = dice < given_back ? Held::kFailed : Held::kFinished;
+    held.ended_ms = ms_;
     held.outcome = dice < options_.task_failure      ? Outcome::kFailed
                    : dice < crash                    ? Outcome::kCrashed
                    : dice < (crash + given_back) / 2 ? Outcome::kLost
                                                      : Outcome::kCancelled;
-    // As if it had been so short that others of its kind are given ahead, or not.
-    const double seconds = 0.001 * static_cast<double>(rng_.Index(30));
+    // As if it had been so short that others of its kind are given ahead, or so while there are many, or not.
+    const double seconds = 0.001 * static_cast<double>(rng_.Index(rng_.Index(2) == 0 ? 30 : 1500));
     if (held.state == Held::kFinished) SendUp(Finished{worker.instance, held.task, token, seconds});
     if (held.state == Held::kFailed)
       SendUp(Failed{worker.instance, held.task, token, held.outcome, "chaos", true});

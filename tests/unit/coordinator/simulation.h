@@ -1,7 +1,7 @@
 // A whole service in memory, under a seed: the reactor with its store, workers that die, freeze and
 // come back, a network that drops, repeats, delays and reorders, clients that repeat themselves, a
-// coordinator that is killed before or after it committed, stalls, or finds its disk full, a wall clock that
-// jumps. Same seed, same history.
+// coordinator that is killed before or after it committed and is away for a while, stalls, or finds its disk
+// full, a wall clock that jumps. Same seed, same history.
 #pragma once
 
 #include <map>
@@ -42,6 +42,13 @@ class Simulation {
     uint64_t succeeded = 0, failed = 0, cancelled = 0;
     uint64_t of_tasks = 0;  // jobs that tasks submitted
     uint64_t after_others = 0, overdue = 0, reprioritised = 0;
+    uint64_t counted_overdue = 0;  // results that came after the limit of their job
+    static constexpr uint64_t Facts::* kAll[] = {
+        &Facts::events,        &Facts::restarts, &Facts::deaths,        &Facts::freezes,
+        &Facts::refused,       &Facts::commits,  &Facts::uncertain,     &Facts::lost_batches,
+        &Facts::stalls,        &Facts::clock_jumps, &Facts::succeeded,  &Facts::failed,
+        &Facts::cancelled,     &Facts::of_tasks, &Facts::after_others,  &Facts::overdue,
+        &Facts::reprioritised, &Facts::counted_overdue};
   };
   const Facts& facts() const { return facts_; }
 
@@ -49,7 +56,7 @@ class Simulation {
   struct Held {
     TaskId task = 0;
     bool at_most_once = false, started = false, revoked = false, asked_for_parts = false;
-    int64_t done_at_ms = 0;
+    int64_t done_at_ms = 0, ended_ms = 0;
     enum { kRunning, kFinished, kFailed } state = kRunning;
     Outcome outcome = Outcome::kSucceeded;
   };
@@ -78,7 +85,11 @@ class Simulation {
   void Step();
   void DeliverToCoordinator();
   void Commit(Actions& actions);
+  void Handle(Event& event, Actions& actions);
+  void Judge(Actions& actions);
+  std::set<JobId> FinishedInTime() const;
   void RestartCoordinator();
+  void ComeBack();
   void LoseTheBatch();
   void DeliverToPeers();
   void StepWorker(SimWorker& worker);
@@ -115,7 +126,8 @@ class Simulation {
   SimulationOptions options_;
   Rng rng_;
   int64_t ms_ = 0;
-  int64_t stalled_until_ms_ = 0, wall_offset_ns_ = 0;
+  int64_t stalled_until_ms_ = 0, away_until_ms_ = 0, wall_offset_ns_ = 0;
+  bool is_away_ = false;
   State state_;
   MemoryStore store_;
   std::vector<SimWorker> workers_;
