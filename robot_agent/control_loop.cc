@@ -63,9 +63,10 @@ class Loop {
   }
 
   ControlLoopResult NotStarted() {
+    start_ns_ = driver_.NowNanos();
     result_.stop = StopArm(driver_, options_.stop);
     result_.trip = monitor_.trip();
-    start_ns_ = driver_.NowNanos();
+    Note(Action::kHold);
     if (result_.trip.reason == EndReason::kNone) result_.trip = {EndReason::kNotStarted, -1, 0, 0, start_ns_};
     return result_;
   }

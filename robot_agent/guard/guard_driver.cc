@@ -20,8 +20,7 @@ namespace rg::robot_agent {
 namespace {
 
 constexpr int kGuardSocket = 3;         // the file on which the guard finds its end
-constexpr double kReplyTimeout = 15.0;  // s; a stop of the guard's own is tried three times
-constexpr double kEnterTimeout = 40.0;  // s; an arm that refuses in silence is asked and tested several times
+constexpr double kReplyTimeout = kLongestCall;  // s; a stop of the guard's own is tried three times
 constexpr double kCommandLife = 2.0;    // periods
 
 }  // namespace
@@ -43,7 +42,7 @@ Result<std::unique_ptr<GuardDriver>> GuardDriver::Start(std::vector<std::string>
   const int error = posix_spawn(&pid, argv[0], &actions, &attributes, argv.data(), environ);
   posix_spawn_file_actions_destroy(&actions);
   posix_spawnattr_destroy(&attributes);
-  if (error != 0) return UnavailableError("cannot start " + arguments[0] + ": " + std::strerror(error));
+  if (error != 0) return FailedPreconditionError("cannot start " + arguments[0] + ": " + std::strerror(error));
   auto driver = std::make_unique<GuardDriver>(std::move(pair.first), period_s);
   driver->pid_ = pid;
   return driver;
@@ -118,7 +117,7 @@ Status GuardDriver::ReadState(RobotState* state) {
 
 Status GuardDriver::EnterTorqueMode(const double* first) {
   request_.number = period_s_;
-  return Ask(GuardRequest::kEnter, first, kEnterTimeout);
+  return Ask(GuardRequest::kEnter, first, kLongestEntry);
 }
 
 Status GuardDriver::SendTorque(const double* tau) {

@@ -99,6 +99,9 @@ class KinovaDriver final : public Driver {
   // Waits for a state newer than `sequence`.
   Status AwaitState(uint64_t sequence, double timeout_s, RobotState* state);
   Status PositionMode();
+  Status Ask(ArmService service);
+  // Of something that failed: an outage, if the arm is away now; else its refusal.
+  Status RefusedOrAway(const Status& failed);
 
   void OnReport(const Result<JointReport>& report);
   void TakeReport(const JointReport& report);

@@ -62,7 +62,7 @@ Result<KinovaOptions> Read(const json& root, const std::string& robot) {
   RG_RETURN_IF_ERROR(ReadNumber(root, "least_rate_hz", 5, 1000, &options.least_rate_hz));
   RG_RETURN_IF_ERROR(ReadNumber(root, "outage_s", 0.2, 10, &options.outage_s));
   RG_RETURN_IF_ERROR(ReadNumber(root, "command_timeout_s", 0.02, 0.25, &options.command_timeout_s));
-  RG_RETURN_IF_ERROR(ReadNumber(root, "service_timeout_s", 0.1, 60, &options.service_timeout_s));
+  RG_RETURN_IF_ERROR(ReadNumber(root, "service_timeout_s", 0.1, 3, &options.service_timeout_s));
   RG_RETURN_IF_ERROR(ReadNumber(root, "farewell_s", 0, 600, &options.farewell_s));
   RG_RETURN_IF_ERROR(ReadNumber(root, "prepare_every_s", 0, 1e5, &options.prepare_every_s));
   double attempts = options.torque_mode_attempts;

@@ -13,7 +13,7 @@
 //   "least_rate_hz"        of states (20)
 //   "outage_s"             no state for this long: the arm is lost (1)
 //   "command_timeout_s"    no command of the controller for this long: zero added torque is sent (0.12)
-//   "service_timeout_s"    what a service may take (3)
+//   "service_timeout_s"    what a service may take (3, the most: a stop asks two, after two others, see kLongestCall)
 //   "farewell_s"           how long the end of a rollout waits for an arm that is away, to put it into position
 //                          mode (10)
 //   "torque_mode_attempts" how often torque mode is asked for before the refusal is believed (3)

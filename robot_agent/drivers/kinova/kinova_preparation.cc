@@ -83,11 +83,8 @@ Status KinovaDriver::WorstEffort(int* joint, double* effort) {
 }
 
 Status KinovaDriver::ZeroSensors() {
-  {
-    const auto lock = time_->Lock(services_);
-    RG_RETURN_IF_ERROR(link_->Call(ArmService::kTorqueParameters, options_.service_timeout_s));
-    RG_RETURN_IF_ERROR(link_->Call(ArmService::kZeroTorques, options_.service_timeout_s));
-  }
+  RG_RETURN_IF_ERROR(Ask(ArmService::kTorqueParameters));
+  RG_RETURN_IF_ERROR(Ask(ArmService::kZeroTorques));
   const Status zero = CheckSensors();
   if (zero.code() != StatusCode::kFailedPrecondition) return zero;
   return FailedPreconditionError(zero.message() +
@@ -176,11 +173,7 @@ Status KinovaDriver::TestAllJoints() {
 Status KinovaDriver::TryTorqueMode(const JointArray& first, bool* silent, std::string* tested) {
   *silent = false;
   Stream(first, true);
-  {
-    const auto lock = time_->Lock(services_);
-    RG_RETURN_IF_ERROR(
-        link_->Call(ArmService::kTorqueMode, options_.service_timeout_s).WithPrefix("torque mode"));
-  }
+  RG_RETURN_IF_ERROR(Ask(ArmService::kTorqueMode).WithPrefix("torque mode"));
   tested->clear();
   for (int joint = 0; joint < std::min(2, options_.n()); ++joint) {
     ProbeEnd end = ProbeEnd::kGoingOn;
@@ -201,7 +194,7 @@ Status KinovaDriver::EnterProved(const JointArray& first) {
     const Status entered = TryTorqueMode(first, &silent, &tested);
     if (entered.ok()) {
       Stream(first, true);
-      return AwaitStill(0.1, 0.08, 0.5).code() == StatusCode::kUnavailable ? LostError() : Status::Ok();
+      return IsOutage(AwaitStill(0.1, 0.08, 0.5)) ? LostError() : Status::Ok();
     }
     RG_RETURN_IF_ERROR(HoldNow());
     if (!silent) return entered;
@@ -226,7 +219,7 @@ Status KinovaDriver::AwaitPhase() {
 }
 
 Status KinovaDriver::EnterTorqueMode(const double* first) {
-  if (!sender_.joinable()) return UnavailableError("the arm is not connected");
+  if (!sender_.joinable()) return FailedPreconditionError("the arm is not connected");
   if (!prepared_) return FailedPreconditionError("the arm is not prepared: MoveToPose first");
   JointArray torque{};
   std::copy_n(first, options_.n(), torque.begin());

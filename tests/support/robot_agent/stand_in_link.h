@@ -20,6 +20,9 @@ struct LinkFaults {
   double freeze_after_s = 0.0;     // in torque mode: from then on positions stay, stamps advance (0: never)
   double hang_after_s = 0.0;       // in torque mode: from then on services do not answer in time (0: never)
   int ignored_position_modes = 0;  // position mode is asked for so often in vain, while in torque mode
+  int failing_torque_modes = 0;    // the service answers so often that it failed
+  double creeps_s = 0.0;           // joint 6, after torque mode
+  bool away = false;               // sends no states and offers nothing
 };
 
 // The arm and what is seen of it from outside; outlives the links to it.

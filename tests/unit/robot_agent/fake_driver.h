@@ -52,6 +52,7 @@ class FakeDriver final : public Driver {
   }
   Status Hold() override {
     ++holds;
+    now_ += hold_takes_ns;
     state.mode = Mode::kPosition;
     return lost ? UnavailableError("lost") : Status::Ok();
   }
@@ -59,13 +60,15 @@ class FakeDriver final : public Driver {
     ++moves;
     return Status::Ok();
   }
+  Status MoveEnd() override { return move_end; }
 
   DriverInfo info_;
   int64_t now_ = 1'000'000'000;
   int tick = -1;  // of the control loop: the number of SleepUntil calls so far, from 0
-  int64_t oversleep_ns = 0;
+  int64_t oversleep_ns = 0, hold_takes_ns = 0;
   bool lost = false, refuse = false;
   int holds = 0, moves = 0;
+  Status move_end;
   RobotState state;
   std::vector<double> entered;
   std::vector<std::array<double, 2>> sent = std::vector<std::array<double, 2>>(4096);
