@@ -30,10 +30,13 @@
 
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "common/base/progress.h"
 #include "common/base/status.h"
 
 namespace rg::robot_agent {
@@ -99,7 +102,8 @@ class Driver {
   virtual Status ReadState(RobotState* state) = 0;
 
   // Position mode -> torque mode with `first` (n) as the command in force from the first instant.
-  // kFailedPrecondition: the arm did not enter it.
+  // kFailedPrecondition: the arm did not enter it. kCancelled: whoever is heeded (HeedStop) asked for a stop meanwhile;
+  // what comes next is Hold.
   virtual Status EnterTorqueMode(const double* first) = 0;
   // tau (n): what the arm is handed, see the convention above. Holds until the next command.
   virtual Status SendTorque(const double* tau) = 0;
@@ -124,6 +128,24 @@ class Driver {
   // StartMove, returns when there (within `tolerance`, per joint) and at rest. kDeadlineExceeded, then the arm
   // holds where it is. Nobody watches: for trials by hand and tests.
   virtual Status MoveToPose(const double* q, double tolerance, double timeout_s);
+
+  // What may take long (EnterTorqueMode) ends soon after `stop` was cancelled. Not owned; null: nobody is heeded. The
+  // caller's thread, while no call is under way.
+  void HeedStop(const CancelToken* stop) { stop_ = stop; }
+  // Called in EnterTorqueMode with each state that arrives while the mode is proved; not ok ends that with its status.
+  // Empty: nobody looks.
+  using EntryWatch = std::function<Status()>;
+  void WatchEntry(EntryWatch watch) { entry_watch_ = std::move(watch); }
+  // Somebody beside the arm asked for a stop by a means of the driver's own, as a topic; it stays so.
+  virtual bool StopWanted() const { return false; }
+
+ protected:
+  bool stop_asked() const { return stop_ != nullptr && stop_->cancelled(); }
+  Status JudgeEntry() const { return entry_watch_ ? entry_watch_() : Status::Ok(); }
+
+ private:
+  EntryWatch entry_watch_;
+  const CancelToken* stop_ = nullptr;
 };
 
 // Waits so long in the driver's time; by the machine's clock where a driver that lost its arm may not wait.

@@ -39,8 +39,8 @@ constexpr double LongestStop(const StopOptions& options = {}) {
   return options.attempts * (2 * options.attempt_s + options.call_s + kLastLooks);
 }
 
-// The longest from the word that ends a rollout to the end of its task, s: an entry into torque mode is not
-// interrupted, the arm is stopped, the recording is finished. Whoever could end the task's process meanwhile (the
+// The longest from the word that ends a rollout to the end of its task, s: an entry into torque mode whose guard does
+// not answer is given up, the arm is stopped, the recording is finished. Whoever could end the task's process meanwhile (the
 // worker after a cancel, the agent after a second signal) waits for this.
 constexpr double LongestEnd(const StopOptions& options = {}) {
   constexpr double kRecording = 10.0;

@@ -41,6 +41,8 @@ class ArmLink {
   virtual Status MoveTo(const std::vector<Degrees>& pose, double timeout_s, const std::atomic<bool>& stop) = 0;
   // Ends the way of a MoveTo that another thread waits in, whose `stop` is set already. Any thread.
   virtual void CancelMove() = 0;
+  // Something was published on KinovaOptions::stop_topic since Open. Any thread.
+  virtual bool StopAsked() const = 0;
   // Names the arm's driver as long as it runs, and is another when it was started again; empty: unknown.
   virtual std::string RunOfDriver() const = 0;
   // The arm's driver's parameter status_interval_seconds, s.

@@ -206,7 +206,7 @@ Status KinovaDriver::AwaitStill(double speed, double for_s, double at_most_s) {
   RG_RETURN_IF_ERROR(ReadState(&anchor));
   now = anchor;
   while (true) {
-    RG_RETURN_IF_ERROR(CheckNotStopped());
+    if (stop_move_) return CheckNotStopped();
     RG_RETURN_IF_ERROR(AwaitState(now.sequence, options_.outage_s, &now));
     double furthest = 0.0;
     for (int i = 0; i < options_.n(); ++i) furthest = std::max(furthest, std::abs(now.q[i] - anchor.q[i]));
@@ -294,7 +294,7 @@ void KinovaDriver::EndMove() {
 }
 
 Status KinovaDriver::CheckNotStopped() const {
-  return stop_move_ ? CancelledError("the move was stopped") : Status::Ok();
+  return stop_move_ || stop_asked() || link_->StopAsked() ? CancelledError("stopped") : Status::Ok();
 }
 
 Status KinovaDriver::StartMove(const double* q) {

@@ -116,6 +116,7 @@ Status KinovaDriver::TestJoint(int joint, const JointArray& base, ProbeEnd* end,
   do {
     status = AwaitState(state.sequence, kStateTimeout, &state);
     if (status.ok()) status = CheckNotStopped();
+    if (status.ok()) status = JudgeEntry();
     if (!status.ok()) break;
     *end = probe.Step(1e-9 * static_cast<double>(state.stamp_ns), state.q[joint]);
     JointArray command = base;
@@ -196,6 +197,7 @@ Status KinovaDriver::EnterProved(const JointArray& first) {
       Stream(first, true);
       return IsOutage(AwaitStill(0.1, 0.08, 0.5)) ? LostError() : Status::Ok();
     }
+    RG_RETURN_IF_ERROR(CheckNotStopped());  // the stop is the caller's
     RG_RETURN_IF_ERROR(HoldNow());
     if (!silent) return entered;
     spdlog::warn("torque mode was refused in silence, attempt {} of {}", attempt + 1,

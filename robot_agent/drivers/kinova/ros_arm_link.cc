@@ -9,6 +9,7 @@
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 #include <sensor_msgs/JointState.h>
+#include <std_msgs/Empty.h>
 
 #include <cmath>
 #include <condition_variable>
@@ -110,6 +111,7 @@ class RosArmLink final : public ArmLink {
       : n_(options.n()),
         master_(MasterOf(options)),
         node_("/" + options.robot_name + "_driver"),
+        stop_topic_(options.stop_topic),
         names_(RosJointNames(options.robot_name, n_)) {}
 
   ~RosArmLink() override { Close(); }
@@ -122,6 +124,7 @@ class RosArmLink final : public ArmLink {
     handle_->setCallbackQueue(&queue_);
     states_ = handle_->subscribe(node_ + "/out/joint_state", 8, &RosArmLink::OnState, this,
                                  ros::TransportHints().tcpNoDelay());
+    stops_ = handle_->subscribe(stop_topic_, 1, &RosArmLink::OnStop, this);
     torques_ = handle_->advertise<kinova_msgs::JointTorque>(node_ + "/in/joint_torque", 1);
     move_ = std::make_unique<MoveClient>(*handle_, node_ + "/joints_action/joint_angles", false);
     spinner_ = std::make_unique<ros::AsyncSpinner>(1, &queue_);
@@ -191,6 +194,8 @@ class RosArmLink final : public ArmLink {
     move_->cancelAllGoals();
   }
 
+  bool StopAsked() const override { return stop_asked_; }
+
   // The address that it has with the master, on a port of its own.
   std::string RunOfDriver() const override {
     XmlRpc::XmlRpcValue request, response, payload;
@@ -212,6 +217,7 @@ class RosArmLink final : public ArmLink {
     spinner_.reset();
     move_.reset();
     states_.shutdown();
+    stops_.shutdown();
     torques_.shutdown();
   }
 
@@ -247,6 +253,8 @@ class RosArmLink final : public ArmLink {
     return NotFoundError("service " + name + " is not offered");
   }
 
+  void OnStop(const std_msgs::Empty::ConstPtr&) { stop_asked_ = true; }
+
   void OnState(const sensor_msgs::JointState::ConstPtr& message) {
     JointReport report;
     report.received_ns = RealClock().SteadyNanos();
@@ -262,12 +270,13 @@ class RosArmLink final : public ArmLink {
   }
 
   const int n_;
-  const std::string master_, node_;
+  const std::string master_, node_, stop_topic_;
   const std::vector<std::string> names_;
   Listener listener_;
   ros::CallbackQueue queue_;
   std::unique_ptr<ros::NodeHandle> handle_;
-  ros::Subscriber states_;
+  ros::Subscriber states_, stops_;
+  std::atomic<bool> stop_asked_{false};
   ros::Publisher torques_;
   std::unique_ptr<MoveClient> move_;
   std::mutex goals_;  // none is sent after they were cancelled

@@ -93,6 +93,7 @@ class StandInLink final : public kinova::ArmLink {
   }
 
   void CancelMove() override {}  // MoveTo looks
+  bool StopAsked() const override { return arm_.stop_published; }
   std::string RunOfDriver() const override { return "run " + std::to_string(arm_.run); }
   std::optional<double> StatusInterval() const override { return arm_.interval_s; }
 

@@ -40,7 +40,7 @@ struct StandInArm {
   int run = 1;          // of the arm's driver
   uint32_t number = 0;  // of its next state
   bool outage_done = false;
-  std::atomic<bool> outage_wanted{false}, fall_back_wanted{false};
+  std::atomic<bool> outage_wanted{false}, fall_back_wanted{false}, stop_published{false};
   // What reached it.
   double most_torque_nm = 0.0, torque_mode_s = 0.0;
   int torque_modes = 0, torques = 0, outages = 0, zeroed = 0;

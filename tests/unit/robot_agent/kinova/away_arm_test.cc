@@ -141,6 +141,39 @@ TEST_F(AwayArm, WhileItsTorqueModeIsProvedIsPreparedAgain) {
   ExpectCompletedAfter(result, "the rollout did not begin: not_started");
 }
 
+// Not when the proof is over, 1.6 s later: the arm is under test torques meanwhile.
+TEST_F(AwayArm, AStopIsHeardWhileItsTorqueModeIsProved) {
+  int64_t asked_ns = 0;
+  std::thread person;
+  const auto stopped = Run([&](const std::string& note) {
+    if (note != "running") return;
+    person = time_->Start([&, when = time_->NowNanos() + 300'000'000] {
+      time_->SleepUntil(when);
+      EXPECT_TRUE(arm_->base->in_torque_mode());
+      asked_ns = time_->NowNanos();
+      rig_.stop.Cancel();
+      while (arm_->base->in_torque_mode()) time_->SleepUntil(time_->NowNanos() + 1'000'000);
+      EXPECT_LT(time_->NowNanos() - asked_ns, 200'000'000);
+    });
+  });
+  time_->Join(person);
+  EXPECT_EQ(stopped.status().code(), StatusCode::kCancelled);
+  EXPECT_THAT(stopped.status().message(), HasSubstr("the rollout did not begin: operator_stop"));
+  EXPECT_EQ(begins_, 0);
+  EXPECT_FALSE(Latch(rig_.folder).Read().has_value());
+  EXPECT_EQ(rig_.spool->Ready(), std::vector<std::string>{"rollout-1+not-begun-1"});
+}
+
+TEST_F(AwayArm, AStopOnItsTopicEndsTheProofOfItsTorqueModeAndIsSeenThrough) {
+  const auto stopped = Run([&](const std::string& note) {
+    if (note == "running") arm_->stop_published = true;
+  });
+  EXPECT_FALSE(stopped.ok());
+  EXPECT_EQ(begins_, 0);
+  EXPECT_FALSE(arm_->base->in_torque_mode());
+  EXPECT_FALSE(Latch(rig_.folder).Read().has_value());
+}
+
 TEST_F(AwayArm, EachTimeIsGivenUpInOneLineAndMayBeAskedForAgain) {
   const auto refused = Run([this](const std::string& note) {
     if (note == "running") GoAwayIn(0.3);
