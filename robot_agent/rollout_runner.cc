@@ -194,7 +194,7 @@ Status CheckRoom(const Spool& spool, const RolloutInput& input, int n) {
 // The loop only sees that the arm left its mode: the guard knows why.
 void AskGuard(const GuardDriver& guard, Trip* trip) {
   const bool symptom = trip->reason == EndReason::kModeLost || trip->reason == EndReason::kDriverLost ||
-                       trip->reason == EndReason::kMissedDeadlines;
+                       trip->reason == EndReason::kMissedDeadlines || trip->reason == EndReason::kNotStarted;
   if (!symptom || guard.trip().reason == EndReason::kNone) return;
   const int64_t at_ns = trip->at_ns;
   *trip = guard.trip();

@@ -115,8 +115,8 @@ Status KinovaDriver::TestJoint(int joint, const JointArray& base, ProbeEnd* end,
   Status status;
   do {
     status = AwaitState(state.sequence, kStateTimeout, &state);
+    if (status.ok()) status = JudgeEntry();  // first: a guard knows who asked for a stop
     if (status.ok()) status = CheckNotStopped();
-    if (status.ok()) status = JudgeEntry();
     if (!status.ok()) break;
     *end = probe.Step(1e-9 * static_cast<double>(state.stamp_ns), state.q[joint]);
     JointArray command = base;
