@@ -1,5 +1,7 @@
 #include "robot_agent/agent_commands.h"
 
+#include <poll.h>
+#include <termios.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -28,7 +30,7 @@ constexpr double kStopPatience = 10.0;  // s
 constexpr char kUsage[] =
     "realitygrad agent WORD [--spool FOLDER] [--output table|json]\n"
     "  status   how the arm, the agent and its spool are\n"
-    "  watch    the same, again and again [--every SECONDS]\n"
+    "  watch    the same, again and again [--every SECONDS]; the space bar is `stop`\n"
     "  arm      rollouts may begin\n"
     "  disarm   none may; one under way is stopped\n"
     "  stop     stop the arm now, wait until it was seen at rest, and disarm\n"
@@ -134,14 +136,33 @@ volatile std::sig_atomic_t watching = 1;
 // The terminal's other screen, without a cursor, as long as it lives.
 class Screen {
  public:
-  Screen() { std::cout << "\033[?1049h\033[?25l"; }
-  ~Screen() { std::cout << "\033[?25h\033[?1049l" << std::flush; }
+  Screen() {
+    std::cout << "\033[?1049h\033[?25l";
+    hears_keys_ = tcgetattr(STDIN_FILENO, &before_) == 0;
+    termios keys = before_;
+    keys.c_lflag &= ~static_cast<tcflag_t>(ICANON | ECHO);
+    if (hears_keys_) tcsetattr(STDIN_FILENO, TCSANOW, &keys);
+  }
+  ~Screen() {
+    if (hears_keys_) tcsetattr(STDIN_FILENO, TCSANOW, &before_);
+    std::cout << "\033[?25h\033[?1049l" << std::flush;
+  }
+  // Waits so long for the space bar; other keys end the waiting.
+  bool StopKey(double seconds) const {
+    pollfd key{hears_keys_ ? STDIN_FILENO : -1, POLLIN, 0};
+    char pressed = 0;
+    return poll(&key, 1, static_cast<int>(1e3 * seconds)) > 0 && read(STDIN_FILENO, &pressed, 1) == 1 && pressed == ' ';
+  }
   // Line over line: nothing flickers.
   void Draw(const std::string& text) {
     std::string drawn = "\033[H";
     for (const char c : text) drawn += c == '\n' ? "\033[K\n" : std::string(1, c);
     std::cout << drawn << "\033[J" << std::flush;
   }
+
+ private:
+  termios before_{};
+  bool hears_keys_ = false;
 };
 
 // On a terminal it outlives the agent, which may be started again; in a pipe it ends with it.
@@ -157,10 +178,14 @@ int Watch(const Words& words) {
       Show(words, *text);
     } else {
       const std::string now = FormatWallTime(RealClock().WallNanos()).substr(11, 8);
-      screen->Draw(now + " UTC, Ctrl-C ends the watching, not the agent\n\n" +
+      screen->Draw(now + " UTC, space bar: stop the arm; Ctrl-C ends the watching, not the agent\n\n" +
                    (text.ok() ? StatusText(*text) : text.status().message() + "\n"));
     }
-    usleep(static_cast<useconds_t>(1e6 * words.every_s));
+    if (!screen) {
+      usleep(static_cast<useconds_t>(1e6 * words.every_s));
+    } else if (screen->StopKey(words.every_s)) {
+      (void)Ask(words, "stop").ok();  // the next picture says how it went
+    }
   }
   return kExitOk;
 }

@@ -8,7 +8,7 @@
 // to this file), "joints" (those that move; absent: all), "locked" {joint: q}, "end_effector" (a link;
 // absent: the URDF's), "gravity" [3] (absent: 0, 0, -9.81), "start_pose" [n], "pose_tolerance",
 // "pose_timeout_s", "start_attempts" (how often an arm that was away before the first torque of a rollout is
-// prepared; 3), "limits" (see safety/limits.h; each has to be there), "max_rate_hz", "max_duration_s" (of
+// connected to or prepared; 3), "limits" (see safety/limits.h; each has to be there), "max_rate_hz", "max_duration_s" (of
 // a rollout), "velocity_source" ("measured" | "differenced": what the controller gets), "excitation" (share
 // of the torque limits, see RolloutSpec), "min_free_mb" (of the spool's disk).
 #pragma once

@@ -56,17 +56,21 @@ class Loop {
     JointArray handed = zero_added_;
     Hand(zero_added_, zero_added_, &handed);
     result_.entered = true;
+    driver_.HeedStop(&stop_);
     const Status entered = driver_.EnterTorqueMode(handed.data());
+    driver_.HeedStop(nullptr);
     start_ns_ = driver_.NowNanos();
     result_.refusal = entered;
     return entered.ok();
   }
 
   ControlLoopResult NotStarted() {
+    start_ns_ = driver_.NowNanos();
     result_.stop = StopArm(driver_, options_.stop);
     result_.trip = monitor_.trip();
-    start_ns_ = driver_.NowNanos();
-    if (result_.trip.reason == EndReason::kNone) result_.trip = {EndReason::kNotStarted, -1, 0, 0, start_ns_};
+    Note(Action::kHold);
+    const EndReason why = stop_.cancelled() ? EndReason::kOperatorStop : EndReason::kNotStarted;
+    if (result_.trip.reason == EndReason::kNone) result_.trip = {why, -1, 0, 0, start_ns_};
     return result_;
   }
 

@@ -22,6 +22,9 @@ namespace {
 
 using nlohmann::json;
 
+constexpr double kAway = 1.0;   // s before an arm that is away is connected to again
+constexpr double kLook = 0.05;  // s between looks at a stop meanwhile
+
 std::vector<double> ToVector(const Eigen::VectorXd& x) { return {x.data(), x.data() + x.size()}; }
 
 Status CheckSize(const char* what, const Eigen::VectorXd& x, int n) {
@@ -105,6 +108,7 @@ std::string DetailOf(const ControlLoopResult& loop, const std::vector<std::strin
 std::string EndOf(const ControlLoopResult& loop, const std::vector<std::string>& joints) {
   return json{{"end_reason", EndReasonName(loop.trip.reason)},
               {"detail", DetailOf(loop, joints)},
+              {"began", loop.began},
               {"ended_after_s", loop.duration_s},
               {"commands", loop.commands},
               {"saturated_samples", loop.saturated_samples},
@@ -190,7 +194,7 @@ Status CheckRoom(const Spool& spool, const RolloutInput& input, int n) {
 // The loop only sees that the arm left its mode: the guard knows why.
 void AskGuard(const GuardDriver& guard, Trip* trip) {
   const bool symptom = trip->reason == EndReason::kModeLost || trip->reason == EndReason::kDriverLost ||
-                       trip->reason == EndReason::kMissedDeadlines;
+                       trip->reason == EndReason::kMissedDeadlines || trip->reason == EndReason::kNotStarted;
   if (!symptom || guard.trip().reason == EndReason::kNone) return;
   const int64_t at_ns = trip->at_ns;
   *trip = guard.trip();
@@ -257,7 +261,7 @@ struct Attempt {
 // The arm, its driver or this machine was not there for a moment: nothing that the arm did.
 bool WasAway(EndReason reason, const Status& failed) {
   return reason == EndReason::kStaleState || reason == EndReason::kDriverLost ||
-         reason == EndReason::kControllerHung || failed.code() == StatusCode::kUnavailable;
+         reason == EndReason::kControllerHung || IsOutage(failed);
 }
 
 EndReason ReasonOf(const Trip& own, const GuardDriver* guard) {
@@ -292,12 +296,17 @@ ControlLoopResult RunLoop(Driver& driver, ArmModel& arm, const RolloutInput& inp
   return loop;
 }
 
-// Nothing was sent that its controller asked for: it may begin later, and there is nothing to keep.
-void TakeBackBeginning(Spool& spool, const std::string& id, Attempt* attempt) {
+Status KeepRecording(Spool& spool, const std::string& id, const std::string& end, Recorder& recorder) {
+  RG_RETURN_IF_ERROR(recorder.Finish(end));
+  RG_ASSIGN_OR_RETURN(const std::string bundle, FinishFile(spool.ActivePath(id)));
+  return spool.CommitNotBegun(id, bundle);
+}
+
+// Nothing was sent that its controller asked for: it may begin later. Why it did not is recorded, and kept.
+void TakeBackBeginning(Spool& spool, const std::string& id, const std::string& end, Attempt* attempt) {
+  const Status kept = KeepRecording(spool, id, end, *attempt->recorder);
   attempt->recorder.reset();
-  std::filesystem::remove(spool.ActivePath(id));
-  const Status marked = spool.MarkNotBegun(id);
-  if (!marked.ok()) spdlog::error("rollout {} did not begin, but counts as begun: {}", id, marked.message());
+  if (!kept.ok()) spdlog::error("rollout {} did not begin, but counts as begun: {}", id, kept.message());
 }
 
 Attempt TryRollout(Driver& driver, ArmModel& arm, const RolloutInput& input, Spool& spool,
@@ -309,12 +318,19 @@ Attempt TryRollout(Driver& driver, ArmModel& arm, const RolloutInput& input, Spo
   attempt.failed = moved.status.WithPrefix("start pose");
   attempt.stop = moved.stop;
   attempt.away = WasAway(ReasonOf(moved.trip, input.guard), moved.status);
-  if (!attempt.failed.ok()) return attempt;
+  if (!attempt.failed.ok()) {
+    if (attempt.away) attempt.failed = UnavailableError(attempt.failed.message());
+    return attempt;
+  }
   attempt.failed = StartRecording(driver, input, spool, setbacks, clock, &attempt);
   if (attempt.failed.ok()) attempt.failed = spool.MarkBegun(id, FormatWallTime(clock.WallNanos()));
   if (!attempt.failed.ok()) {
     attempt.stop = StopArm(driver, input.config.stop);
-    if (attempt.recorder != nullptr) TakeBackBeginning(spool, id, &attempt);
+    ControlLoopResult none;
+    none.trip.reason = EndReason::kNotStarted;
+    none.refusal = attempt.failed;
+    none.stop = attempt.stop;
+    if (attempt.recorder != nullptr) TakeBackBeginning(spool, id, EndOf(none, driver.info().joints), &attempt);
     return attempt;
   }
   attempt.loop = RunLoop(driver, arm, input, *attempt.recorder, progress, stop, clock);
@@ -328,29 +344,49 @@ Attempt TryRollout(Driver& driver, ArmModel& arm, const RolloutInput& input, Spo
   attempt.failed = reason == EndReason::kOperatorStop ? CancelledError(words)
                    : attempt.away                     ? UnavailableError(words)
                                                       : FailedPreconditionError(words);
-  TakeBackBeginning(spool, id, &attempt);
+  TakeBackBeginning(spool, id, EndOf(attempt.loop, driver.info().joints), &attempt);
   return attempt;
+}
+
+// How the arm was away before the rollout began, and whether it is tried again.
+struct Setbacks {
+  const int most;
+  std::vector<std::string> lines = {};
+
+  // Ok: once more, with what is said to whoever listens; else what the attempt failed with, and which one it was.
+  Status Next(const Status& failed, bool may_go_on, const char* note, const RolloutInput& input,
+              const ProgressFn& progress) {
+    lines.push_back(failed.message());
+    const std::string count = std::to_string(lines.size()) + " of " + std::to_string(most);
+    if (!may_go_on || static_cast<int>(lines.size()) >= most)
+      return Status(failed.code(), failed.message() + " (attempt " + count + ")");
+    spdlog::warn("{}, attempt {}: {}", note, count, failed.message());
+    if (progress) progress({"rollout", 0.0, input.plan.spec.duration_s, note});
+    return Status::Ok();
+  }
+};
+
+Status ConnectUntilThere(Driver& driver, const RolloutInput& input, Setbacks* setbacks,
+                         const ProgressFn& progress, const CancelToken& stop) {
+  while (true) {
+    const Status connected = driver.Connect(input.config.connect_timeout_s);
+    if (!IsOutage(connected)) return connected;
+    RG_RETURN_IF_ERROR(setbacks->Next(connected.WithPrefix("connecting"), !stop.cancelled(),
+                                      "the arm was away: connecting again", input, progress));
+    for (double waited = 0.0; waited < kAway && !stop.cancelled(); waited += kLook) Pause(driver, kLook);
+  }
 }
 
 // An arm that was away before the rollout's first torque is stopped, and prepared again when it is back. A rollout that
 // began is not begun again.
-Attempt TryUntilItBegins(Driver& driver, ArmModel& arm, const RolloutInput& input, Spool& spool,
+Attempt TryUntilItBegins(Driver& driver, ArmModel& arm, const RolloutInput& input, Spool& spool, Setbacks* setbacks,
                          const ProgressFn& progress, const CancelToken& stop, const Clock& clock) {
-  const int most = input.config.start_attempts;
-  std::vector<std::string> setbacks;
   while (true) {
-    Attempt attempt = TryRollout(driver, arm, input, spool, setbacks, progress, stop, clock);
+    Attempt attempt = TryRollout(driver, arm, input, spool, setbacks->lines, progress, stop, clock);
     if (attempt.failed.ok() || !attempt.away) return attempt;
-    setbacks.push_back(attempt.failed.message());
-    const auto times = static_cast<int>(setbacks.size());
-    const std::string count = std::to_string(times) + " of " + std::to_string(most);
-    if (!attempt.stop.confirmed || stop.cancelled() || times >= most) {
-      attempt.failed = Status(attempt.failed.code(), attempt.failed.message() + " (attempt " + count + ")");
-      return attempt;
-    }
-    spdlog::warn("the arm was away before the rollout began, attempt {}: {}; it is at rest, and prepared again", count,
-                 setbacks.back());
-    if (progress) progress({"rollout", 0.0, input.plan.spec.duration_s, "the arm was away: prepared again"});
+    attempt.failed = setbacks->Next(attempt.failed, attempt.stop.confirmed && !stop.cancelled(),
+                                    "the arm was away: prepared again", input, progress);
+    if (!attempt.failed.ok()) return attempt;
   }
 }
 
@@ -397,7 +433,8 @@ Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spoo
   RG_RETURN_IF_ERROR(CheckRoom(spool, input, n));
   Latch latch(spool.folder());
   RG_RETURN_IF_ERROR(CheckLatch(latch, input.config));
-  RG_RETURN_IF_ERROR(driver.Connect(input.config.connect_timeout_s));
+  Setbacks setbacks{.most = input.config.start_attempts};
+  RG_RETURN_IF_ERROR(ConnectUntilThere(driver, input, &setbacks, progress, stop));
   RG_RETURN_IF_ERROR(CheckJoints(driver.info(), input.plant));
   RG_RETURN_IF_ERROR(CheckRate(driver.info(), input.plan.spec));
   OwnArm arm(*input.config.arm, Eigen::Map<const Eigen::Vector3d>(input.config.gravity.data()),
@@ -405,7 +442,7 @@ Result<RolloutResult> RunRollout(Driver& driver, const RolloutInput& input, Spoo
   if (stop.cancelled()) return CancelledError("stopped before the rollout began");
   if (input.config.dry_run) return DryRun(driver, arm, input, spool, stop, clock);
   RG_RETURN_IF_ERROR(latch.BeginMotion(id, FormatWallTime(clock.WallNanos())));
-  const Attempt attempt = TryUntilItBegins(driver, arm, input, spool, progress, stop, clock);
+  const Attempt attempt = TryUntilItBegins(driver, arm, input, spool, &setbacks, progress, stop, clock);
   CloseLatch(latch, attempt.stop, id, clock);
   if (!attempt.failed.ok()) return attempt.failed;
   const ControlLoopResult& loop = attempt.loop;

@@ -1,8 +1,9 @@
 // One rollout, from wherever the arm is to a recording in the spool.
 //
 //   connect -> start pose (position mode) -> settle -> torque mode -> control loop -> stop -> spool
-//              ^ an arm that was away before the controller's first torque: stopped, and again from here when it
-//                is back, config.start_attempts times in all
+//   ^          ^ an arm that was away before the controller's first torque: stopped, and again from here when it
+//   |            is back, config.start_attempts times in all
+//   an arm, driver or master that is away meanwhile: the same, without a stop
 //
 // Everything from the first motion on is watched by the safety monitor, with the agent's own limits and
 // kinematics, and ends in StopArm; a stop that was not confirmed latches (safety/latch.h), and a latched arm
@@ -12,8 +13,8 @@
 // the same id moves nothing: the bundle that is there is returned, or, where it is gone, kAlreadyExists. An
 // arm never begins a rollout twice, whatever was lost in between (Spool::MarkBegun). How a rollout ended that
 // began is a result with its reason; an error means that it did not begin (unreachable, wrong joints, start pose not
-// reached, torque mode refused), there is no recording of it and it may be asked for again, or that the recording
-// could not be kept.
+// reached, torque mode refused) and may be asked for again, or that the recording could not be kept. What was recorded
+// of one that did not begin is kept beside it, with its reason (Spool::CommitNotBegun).
 #pragma once
 
 #include <functional>

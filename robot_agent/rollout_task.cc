@@ -185,6 +185,7 @@ Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::s
                            config.dry_run);
   rollout.observer = &publisher;
   const auto result = RunRollout(*driver, rollout, *spool, progress, listener.token(), RealClock());
+  if (guard != nullptr && guard->trip().reason == EndReason::kOperatorStop) (*board)->Arm(false);  // as any other stop
   if (!result.ok()) {
     publisher.SetEnd(std::string(StatusCodeName(result.status().code())), result.status().message());
     return result.status();

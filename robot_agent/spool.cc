@@ -147,7 +147,15 @@ Status Spool::MarkBegun(const std::string& id, const std::string& now) {
   return AppendToBegun(id + " " + now).WithPrefix("the rollout does not begin");
 }
 
-Status Spool::MarkNotBegun(const std::string& id) { return AppendToBegun(id + " " + std::string(kNotBegun)); }
+// '+' is in no rollout's id.
+Status Spool::CommitNotBegun(const std::string& id, const std::string& bundle) {
+  std::string name;
+  for (int attempt = 1; name.empty() || FinishedPath(name); ++attempt)
+    name = id + "+not-begun-" + std::to_string(attempt);
+  RG_RETURN_IF_ERROR(Commit(name, bundle));
+  unlink(ActivePath(id).c_str());
+  return AppendToBegun(id + " " + std::string(kNotBegun));
+}
 
 Status Spool::AppendToBegun(const std::string& text) const {
   const std::string path = folder_ + "/begun.txt";

@@ -3,7 +3,8 @@
 //   <folder>/begun.txt             one line per rollout that began, before its first torque; never forgotten. One
 //                                  that then did not begin has a second line
 //   <folder>/active/<id>.rec       being recorded (recorder.h), or left by a crash
-//   <folder>/ready/<id>.tar        finished bundles, waiting to be delivered
+//   <folder>/ready/<id>.tar        finished bundles, waiting to be delivered; <id>+not-begun-<k> of attempts that came
+//                                  to nothing
 //   <folder>/sent/<id>.tar         delivered ones, the newest few, for a task that asks for its result again
 //
 // A bundle becomes ready by one rename, so it is there whole or not at all. It leaves when a delivery
@@ -41,9 +42,10 @@ class Spool {
 
   // At most once: durable when it returns ok, and only then may the rollout begin.
   Status MarkBegun(const std::string& id, const std::string& now);
-  // It was marked, and the process that marked it knows that the arm got no torque of it: it may begin later. Where
-  // this cannot be written it counts as begun.
-  Status MarkNotBegun(const std::string& id);
+  // It was marked, and the process that marked it knows that the arm got no torque of it: the recording of the attempt
+  // becomes ready under a name of its own, and the rollout may begin later. Where this cannot be written it counts as
+  // begun.
+  Status CommitNotBegun(const std::string& id, const std::string& bundle);
   // The line of a rollout that has begun, at any time and in any process.
   std::optional<std::string> Begun(const std::string& id) const;
   // Where a finished bundle is, delivered or not.

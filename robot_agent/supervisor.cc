@@ -31,7 +31,7 @@ using nlohmann::json;
 
 constexpr int kBeatMs = 100;
 constexpr int kExitFailed = 1;
-constexpr unsigned kOrphanPatience = 30;  // s
+constexpr auto kOrphanPatience = static_cast<unsigned>(LongestEnd());  // s
 
 json JointsOf(const ArmStatus& status) {
   json joints = json::array();

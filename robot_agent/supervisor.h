@@ -3,7 +3,7 @@
 //
 //   first SIGTERM           drain: the rollout under way is finished and handed in
 //   SIGINT, a second signal the arm is stopped (board.h), whatever else happens; only when it has been seen
-//                           at rest, or after kStopPatience, is the worker told to go at once
+//                           at rest, or after stop_patience_s, is the worker told to go at once
 //   the agent is killed     the executor misses its beat and stops the arm; the worker drains
 //
 // Requests of the local socket, one word each: status, arm, disarm, stop, clear; answers are JSON objects
@@ -15,6 +15,7 @@
 
 #include "common/base/status.h"
 #include "robot_agent/board.h"
+#include "robot_agent/safety/stop.h"
 
 namespace rg::robot_agent {
 
@@ -24,7 +25,7 @@ struct SupervisorOptions {
   bool armed = false;  // from the start
   bool arm_ends_with_driver = false;
   bool dry_run = false;
-  double stop_patience_s = 10.0;  // for a stop to be seen through
+  double stop_patience_s = LongestEnd();  // for a stop to be seen through
   double delivery_every_s = 2.0, delivery_age_s = 30.0;
 };
 

@@ -35,8 +35,9 @@ bool TaskFailureIsRetryable(StatusCode code) {
   }
 }
 
-void TaskRegistry::Register(std::string kind, TaskFunction function) {
+void TaskRegistry::Register(std::string kind, TaskFunction function, double least_grace_s) {
   RG_CHECK(function != nullptr) << "task kind " << kind << " without a function";
+  if (least_grace_s > 0.0) least_grace_s_[kind] = least_grace_s;
   const bool inserted = functions_.emplace(kind, std::move(function)).second;
   RG_CHECK(inserted) << "task kind " << kind << " registered twice";
 }

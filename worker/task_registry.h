@@ -115,13 +115,16 @@ bool TaskFailureIsRetryable(StatusCode code);
 
 class TaskRegistry {
  public:
-  // The kind must be new (RG_CHECK).
-  void Register(std::string kind, TaskFunction function);
+  // The kind must be new (RG_CHECK). `least_grace_s`: what a cancelled task of it needs to return, where that is more
+  // than other kinds are given.
+  void Register(std::string kind, TaskFunction function, double least_grace_s = 0.0);
   const TaskFunction* Find(std::string_view kind) const;  // null: not registered
   std::vector<std::string> kinds() const;                 // sorted
+  const std::map<std::string, double, std::less<>>& least_grace_s() const { return least_grace_s_; }
 
  private:
   std::map<std::string, TaskFunction, std::less<>> functions_;
+  std::map<std::string, double, std::less<>> least_grace_s_;
 };
 
 // A context for calling a task function directly, in tests: it records what the function said.

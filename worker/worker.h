@@ -32,6 +32,7 @@ struct WorkerOptions {
   uint64_t cache_bytes = uint64_t{8} << 30;
   double drain_timeout_s = 0.0;  // on SIGTERM, for what runs; 0: as long as it takes
   double cancel_grace_s = 5.0;   // for a cancelled task to return before its executor is killed
+  std::map<std::string, double, std::less<>> least_grace_s;  // of kinds that need more, whatever is asked for
   double patience_s = 0.0;       // without a coordinator for that long it gives up; 0: never
   double idle_exit_s = 0.0;      // leaves when it had nothing to do for that long; 0: never
   bool is_agent = false;         // speaks as the agent beside a robot

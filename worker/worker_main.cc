@@ -60,7 +60,7 @@ void AddFlags(CLI::App& app, Flags& flags, bool is_agent) {
   app.add_option("--cache-gb", flags.cache_gb, "limit of the cache")->capture_default_str();
   app.add_option("--drain-timeout", o.drain_timeout_s,
                  "seconds for what runs after SIGTERM (0: as long as it takes)");
-  app.add_option("--cancel-grace", o.cancel_grace_s, "seconds for a cancelled task to return")
+  app.add_option("--cancel-grace", o.cancel_grace_s, "seconds for a cancelled task to return (a rollout has as many as its stop may take)")
       ->capture_default_str();
   app.add_option("--patience", o.patience_s, "seconds without a coordinator before it gives up (0: never)");
   app.add_option("--idle-exit", o.idle_exit_s, "seconds without work before it leaves (0: never)");
@@ -111,6 +111,7 @@ int Main(int argc, char** argv, const TaskRegistry& registry, bool is_agent) {
   if (!keys.ok()) return ExitCodeOf(keys);
   WorkerOptions& options = flags.options;
   options.kinds = registry.kinds();
+  options.least_grace_s = registry.least_grace_s();
   options.is_agent = is_agent;
   options.cache_bytes = static_cast<uint64_t>(flags.cache_gb * 1e9);
   options.executor_arguments = {argv[0]};

@@ -206,7 +206,10 @@ void Worker::HandleExecutorEnd(Executor& executor) {
 void Worker::Interrupt(Held& held) {
   if (held.executor == nullptr || held.kill_at_ns > 0) return;
   held.executor->Cancel();
-  held.kill_at_ns = now() + static_cast<int64_t>(options_.cancel_grace_s * kNsPerSecond);
+  const auto least = options_.least_grace_s.find(held.assignment.kind());
+  const double grace_s =
+      std::max(options_.cancel_grace_s, least == options_.least_grace_s.end() ? 0.0 : least->second);
+  held.kill_at_ns = now() + static_cast<int64_t>(grace_s * kNsPerSecond);
 }
 
 void Worker::EnforceDeadlines() {

@@ -1,7 +1,9 @@
 #include "robot_agent/drivers/driver.h"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
+#include <thread>
 
 namespace rg::robot_agent {
 
@@ -20,6 +22,12 @@ Status Driver::MoveToPose(const double* q, double tolerance, double timeout_s) {
   RG_RETURN_IF_ERROR(Hold());
   return DeadlineExceededError("the pose was not reached within " + std::to_string(timeout_s) + " s, still " +
                                std::to_string(worst) + " rad away");
+}
+
+void Pause(Driver& driver, double seconds) {
+  const int64_t length = std::llround(1e9 * seconds), until = driver.NowNanos() + length;
+  if (driver.SleepUntil(until).ok() || driver.NowNanos() >= until) return;
+  std::this_thread::sleep_for(std::chrono::nanoseconds(length));
 }
 
 }  // namespace rg::robot_agent

@@ -22,19 +22,31 @@
 //    (ControlLoopOptions::velocity_source) whether to use it or to difference positions;
 //  - silence longer than info().silence_timeout_s puts the arm at zero added torque or in position mode;
 //  - degrees, turns and wrapped angles end inside the driver.
+//
+// Errors. kUnavailable is an outage and nothing else (IsOutage): no state arrives, the arm's driver or its master is
+// not there. An arm that is there and does not do what it was asked has refused, whatever the cause:
+// kFailedPrecondition. Only an outage is waited for and tried again.
 #pragma once
 
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "common/base/progress.h"
 #include "common/base/status.h"
 
 namespace rg::robot_agent {
 
 inline constexpr int kMaxJoints = 16;
+// What a call takes at the most, s: entering torque mode, where an arm may have to be asked and tested several times;
+// any other one (Hold of an arm whose services hang). Who waits for an arm waits for this.
+inline constexpr double kLongestEntry = 40.0;
+inline constexpr double kLongestCall = 15.0;
+
 using JointArray = std::array<double, kMaxJoints>;  // the first n entries count
 
 enum class Mode : uint16_t { kPosition = 0, kTorque = 1 };
@@ -68,11 +80,15 @@ struct DriverHealth {
   std::string last_error;
 };
 
+// A call failed because the arm was away: it may be asked again when it is back.
+inline bool IsOutage(const Status& status) { return status.code() == StatusCode::kUnavailable; }
+
 class Driver {
  public:
   virtual ~Driver() = default;
 
-  // Reaches the arm and learns info(); kUnavailable or kDeadlineExceeded if it does not answer.
+  // Reaches the arm and learns info(); kDeadlineExceeded if it is there and does not answer. After an outage it may
+  // be called again.
   virtual Status Connect(double timeout_s) = 0;
   virtual const DriverInfo& info() const = 0;  // valid after Connect
   virtual DriverHealth health() const = 0;
@@ -86,12 +102,14 @@ class Driver {
   virtual Status ReadState(RobotState* state) = 0;
 
   // Position mode -> torque mode with `first` (n) as the command in force from the first instant.
-  // kFailedPrecondition: the arm did not enter it.
+  // kFailedPrecondition: the arm did not enter it. kCancelled: whoever is heeded (HeedStop) asked for a stop meanwhile;
+  // what comes next is Hold.
   virtual Status EnterTorqueMode(const double* first) = 0;
   // tau (n): what the arm is handed, see the convention above. Holds until the next command.
   virtual Status SendTorque(const double* tau) = 0;
   // The stop every end of a rollout comes to: position mode at the present position. Safe in any mode
-  // and repeatedly; a lost arm gives kUnavailable (it then stops by its own silence timeout).
+  // and repeatedly; a lost arm gives kUnavailable (it then stops by its own silence timeout), one that goes on moving
+  // kFailedPrecondition.
   virtual Status Hold() = 0;
 
   // Position mode; begins to ramp to q (n) within the arm's speed limits and returns as soon as the arm has
@@ -110,6 +128,27 @@ class Driver {
   // StartMove, returns when there (within `tolerance`, per joint) and at rest. kDeadlineExceeded, then the arm
   // holds where it is. Nobody watches: for trials by hand and tests.
   virtual Status MoveToPose(const double* q, double tolerance, double timeout_s);
+
+  // What may take long (EnterTorqueMode) ends soon after `stop` was cancelled. Not owned; null: nobody is heeded. The
+  // caller's thread, while no call is under way.
+  void HeedStop(const CancelToken* stop) { stop_ = stop; }
+  // Called in EnterTorqueMode with each state that arrives while the mode is proved; not ok ends that with its status.
+  // Empty: nobody looks.
+  using EntryWatch = std::function<Status()>;
+  void WatchEntry(EntryWatch watch) { entry_watch_ = std::move(watch); }
+  // Somebody beside the arm asked for a stop by a means of the driver's own, as a topic; it stays so.
+  virtual bool StopWanted() const { return false; }
+
+ protected:
+  bool stop_asked() const { return stop_ != nullptr && stop_->cancelled(); }
+  Status JudgeEntry() const { return entry_watch_ ? entry_watch_() : Status::Ok(); }
+
+ private:
+  EntryWatch entry_watch_;
+  const CancelToken* stop_ = nullptr;
 };
+
+// Waits so long in the driver's time; by the machine's clock where a driver that lost its arm may not wait.
+void Pause(Driver& driver, double seconds);
 
 }  // namespace rg::robot_agent

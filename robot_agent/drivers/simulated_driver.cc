@@ -39,7 +39,7 @@ Result<pid_t> Spawn(const std::vector<std::string>& arguments, int socket_file) 
   pid_t pid = -1;
   const int error = posix_spawn(&pid, argv[0], &actions, nullptr, argv.data(), environ);
   posix_spawn_file_actions_destroy(&actions);
-  if (error != 0) return UnavailableError("cannot start " + arguments[0] + ": " + std::strerror(error));
+  if (error != 0) return FailedPreconditionError("cannot start " + arguments[0] + ": " + std::strerror(error));
   return pid;
 }
 
@@ -100,7 +100,7 @@ Status SimulatedDriver::Greet(double timeout_s) {
     return DeadlineExceededError("the simulated robot did not answer within " + std::to_string(timeout_s) +
                                  " s");
   if (received.code != StatusCode::kOk)
-    return UnavailableError("the simulated robot ended before it answered (see its messages above)");
+    return FailedPreconditionError("the simulated robot ended before it answered (see its messages above)");
   std::memcpy(&last_, buffer.data(), sizeof last_);
   RG_RETURN_IF_ERROR(CheckMessage(last_, received.bytes));
   if (last_.type != MessageType::kInfo) return InvalidError("the simulated robot did not introduce itself");

@@ -1,8 +1,14 @@
 #include "robot_agent/guard/guard.h"
 
+#include <poll.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
 #include <algorithm>
+#include <cerrno>
 #include <cmath>
 #include <cstring>
+#include <thread>
 
 #include "common/base/clock.h"
 #include "robot_agent/drivers/robot_protocol.h"
@@ -17,6 +23,29 @@ constexpr int64_t kSettled = 20'000'000;  // ns between the zero torques of a st
 double SecondsSince(int64_t then_ns) {
   return 1e-9 * static_cast<double>(RealClock().SteadyNanos() - then_ns);
 }
+
+// Cancels `stop` as soon as the agent says something, or is gone; takes nothing from the socket.
+class WordWatch {
+ public:
+  WordWatch(int socket, CancelToken& stop)
+      : over_(eventfd(0, EFD_CLOEXEC)), thread_([this, socket, &stop] { Watch(socket, stop); }) {}
+  ~WordWatch() {
+    eventfd_write(over_, 1);
+    thread_.join();
+    close(over_);
+  }
+
+ private:
+  void Watch(int socket, CancelToken& stop) const {
+    pollfd waiting[2] = {{socket, POLLIN, 0}, {over_, POLLIN, 0}};
+    while (poll(waiting, 2, -1) < 0 && errno == EINTR) {
+    }
+    if (waiting[0].revents != 0) stop.Cancel();
+  }
+
+  const int over_;
+  std::thread thread_;
+};
 
 void SetText(const std::string& text, GuardMessage* reply) {
   size_t count = std::min(text.size(), sizeof reply->text - 1);
@@ -44,7 +73,7 @@ void Guard::Run() {
     const bool good =
         received.code == StatusCode::kOk && received.bytes == sizeof request && request.magic == kGuardMagic;
     if (good && request.request == GuardRequest::kBye) return LeaveAlone();
-    if (good) Answer(request);
+    if (good && request.request != GuardRequest::kStopEntry) Answer(request);
     if (Patience() <= 0.0) Raise(EndReason::kControllerHung);
     if (stop_pending_) Stop();
   }
@@ -137,6 +166,7 @@ bool Guard::Look() {
   const Status read = driver_.ReadState(&seen_.state);
   seen_.now_ns = driver_.NowNanos();
   seen_.connected = read.ok();
+  seen_.operator_stop = driver_.StopWanted();
   seen_.has_state |= read.ok();
   if (!seen_.has_state) return false;
   arm_.Tip(seen_.state.q.data(), tip_);
@@ -196,10 +226,33 @@ Status Guard::Enter(const GuardMessage& request) {
   doing_ = Doing::kTorque;
   commanded_ = false;
   motion_ = LatchedMotion();
-  const Status entered = driver_.EnterTorqueMode(request.values.data());
+  const Status entered = EnterUnlessStopped(request.values.data());
   last_word_ns_ = RealClock().SteadyNanos();
   if (!entered.ok()) stop_pending_ = true;
   return entered;
+}
+
+Status Guard::EnterUnlessStopped(const double* first) {
+  CancelToken stop;
+  SafetyMonitor monitor(limits_, n_);
+  const WordWatch watch(socket_.file(), stop);
+  driver_.HeedStop(&stop);
+  driver_.WatchEntry([&] { return JudgeEntry(monitor); });
+  const Status entered = driver_.EnterTorqueMode(first);
+  driver_.WatchEntry({});
+  driver_.HeedStop(nullptr);
+  return entered;
+}
+
+// As of a move: the arm is under test torques, and its states may say either mode. It may stand still: that is what the
+// proof is about.
+Status Guard::JudgeEntry(SafetyMonitor& monitor) {
+  Look();
+  seen_.state.moving = true;
+  if (monitor.OnMove(seen_, false) == Action::kCommand) return Status::Ok();
+  trip_ = monitor.trip();
+  stop_pending_ = true;
+  return Refused();
 }
 
 Status Guard::Torque(const GuardMessage& request) {

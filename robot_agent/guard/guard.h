@@ -4,11 +4,15 @@
 //
 //   a state, a first torque or a command is not allowed             the monitor's reasons
 //   no command came for 1.75 periods of the control cycle           controller_hung
+//   somebody asks for it by a means of the driver's own           operator_stop
 //   nobody asked for half a second while the arm is on its way      controller_hung
 //   the agent's process is gone                                     driver_lost is what its successor would
 //   see
 //
-// and then refuses everything but ReadState, SleepUntil and Hold until the next StartMove. If the agent is
+// An entry into torque mode, which takes seconds where the arm has to prove it, is judged state by state as a move is,
+// and ends when the agent says anything meanwhile, or is gone.
+//
+// After a stop it refuses everything but ReadState, SleepUntil and Hold until the next StartMove. If the agent is
 // gone, it sees to the latch: taken away if the arm was seen at rest, else set. In lock-step the robot's time
 // stands still while nobody asks, so nothing hangs.
 //
@@ -56,6 +60,8 @@ class Guard {
   Status ReadState(GuardMessage* reply);
   Status StartMove(const GuardMessage& request);
   Status Enter(const GuardMessage& request);
+  Status EnterUnlessStopped(const double* first);
+  Status JudgeEntry(SafetyMonitor& monitor);
   Status Torque(const GuardMessage& request);
   Status Hold();
   Status Refused() const;

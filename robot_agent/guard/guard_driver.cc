@@ -20,8 +20,8 @@ namespace rg::robot_agent {
 namespace {
 
 constexpr int kGuardSocket = 3;         // the file on which the guard finds its end
-constexpr double kReplyTimeout = 15.0;  // s; a stop of the guard's own is tried three times
-constexpr double kEnterTimeout = 40.0;  // s; an arm that refuses in silence is asked and tested several times
+constexpr double kReplyTimeout = kLongestCall;  // s; a stop of the guard's own is tried three times
+constexpr double kListen = 0.005;       // s between looks at a stop while torque mode is entered
 constexpr double kCommandLife = 2.0;    // periods
 
 }  // namespace
@@ -43,7 +43,7 @@ Result<std::unique_ptr<GuardDriver>> GuardDriver::Start(std::vector<std::string>
   const int error = posix_spawn(&pid, argv[0], &actions, &attributes, argv.data(), environ);
   posix_spawn_file_actions_destroy(&actions);
   posix_spawnattr_destroy(&attributes);
-  if (error != 0) return UnavailableError("cannot start " + arguments[0] + ": " + std::strerror(error));
+  if (error != 0) return FailedPreconditionError("cannot start " + arguments[0] + ": " + std::strerror(error));
   auto driver = std::make_unique<GuardDriver>(std::move(pair.first), period_s);
   driver->pid_ = pid;
   return driver;
@@ -65,14 +65,25 @@ Status GuardDriver::Lost(const char* what) {
 }
 
 Status GuardDriver::Ask(GuardRequest request, const double* values, double timeout_s) {
+  RG_RETURN_IF_ERROR(Tell(request, values));
+  const Status answer = Await(timeout_s);
+  return answered_ ? answer : Lost("the guard does not answer");
+}
+
+Status GuardDriver::Tell(GuardRequest request, const double* values) {
   if (lost_) return UnavailableError(health_.last_error);
   request_.request = request;
   request_.sequence = ++sequence_;
   if (values != nullptr) std::copy_n(values, info_.joints.size(), request_.values.begin());
   if (!socket_.Send(&request_, sizeof request_).ok())
     return Lost("realitygrad-guard ended (its messages are above)");
+  return Status::Ok();
+}
+
+Status GuardDriver::Await(double timeout_s) {
   const auto received = socket_.Receive(&reply_, sizeof reply_, timeout_s);
-  if (received.code == StatusCode::kDeadlineExceeded) return Lost("the guard does not answer");
+  answered_ = received.code != StatusCode::kDeadlineExceeded;
+  if (!answered_) return DeadlineExceededError("no answer yet");
   if (received.code != StatusCode::kOk || received.bytes != sizeof reply_ || reply_.magic != kGuardMagic)
     return Lost("realitygrad-guard ended (its messages are above)");
   time_ns_ = reply_.time_ns;
@@ -118,7 +129,16 @@ Status GuardDriver::ReadState(RobotState* state) {
 
 Status GuardDriver::EnterTorqueMode(const double* first) {
   request_.number = period_s_;
-  return Ask(GuardRequest::kEnter, first, kEnterTimeout);
+  RG_RETURN_IF_ERROR(Tell(GuardRequest::kEnter, first));
+  bool stopped = false;
+  for (double waited = 0.0; waited < kLongestEntry; waited += kListen) {
+    const Status answer = Await(kListen);
+    if (answered_) return answer;
+    if (stopped || !stop_asked()) continue;
+    stopped = true;
+    RG_RETURN_IF_ERROR(Tell(GuardRequest::kStopEntry, nullptr));
+  }
+  return Lost("the guard does not answer");
 }
 
 Status GuardDriver::SendTorque(const double* tau) {

@@ -41,6 +41,9 @@ class GuardDriver final : public Driver {
 
  private:
   Status Ask(GuardRequest request, const double* values, double timeout_s);
+  Status Tell(GuardRequest request, const double* values);
+  // kDeadlineExceeded: no reply within that; the guard may be asked on.
+  Status Await(double timeout_s);
   Status Lost(const char* what);
 
   PacketSocket socket_;
@@ -51,7 +54,7 @@ class GuardDriver final : public Driver {
   GuardMessage request_, reply_;
   uint64_t sequence_ = 0;
   int64_t time_ns_ = 0;  // lock-step
-  bool lost_ = false;
+  bool lost_ = false, answered_ = false;
 };
 
 }  // namespace rg::robot_agent

@@ -24,6 +24,7 @@ enum class GuardRequest : uint32_t {
   kHold = 7,
   kBye = 8,
   kMoveEnd = 9,
+  kStopEntry = 10,  // while kEnter is under way, which then ends; no reply of its own
 };
 
 struct GuardMessage {

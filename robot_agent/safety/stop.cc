@@ -5,12 +5,11 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
-#include <thread>
 
 namespace rg::robot_agent {
 namespace {
 
-constexpr int64_t kLook = 20'000'000;  // ns between looks at the state
+constexpr double kLook = 0.02;  // s between looks at the state
 constexpr double kNoSpeed = -1.0;
 
 int64_t Nanos(double seconds) { return std::llround(1e9 * seconds); }
@@ -54,13 +53,6 @@ class SpeedWatch {
   double speed_ = kNoSpeed;
 };
 
-// A driver that lost its arm may not wait: then the machine's clock does.
-void Wait(Driver& driver) {
-  const int64_t until = driver.NowNanos() + kLook;
-  if (driver.SleepUntil(until).ok() || driver.NowNanos() >= until) return;
-  std::this_thread::sleep_for(std::chrono::nanoseconds(kLook));
-}
-
 // By the driver's time, by the machine's clock where that stands still.
 class Patience {
  public:
@@ -90,14 +82,14 @@ bool HoldIsTaken(Driver& driver, const StopOptions& options, StopReport* report)
     if (held.ok()) return true;
     report->why = held.message();
     if (patience.Over()) return false;
-    Wait(driver);
+    Pause(driver, kLook);
   }
 }
 
 // Looks until the arm was at rest in position mode for long enough; false: not within attempt_s.
 bool SeenAtRest(Driver& driver, const StopOptions& options, StopReport* report) {
   SpeedWatch watch(static_cast<int>(driver.info().joints.size()), options.baseline_s);
-  const int looks = static_cast<int>(std::ceil(1e9 * options.attempt_s / static_cast<double>(kLook)));
+  const int looks = static_cast<int>(std::ceil(options.attempt_s / kLook));
   int64_t rest_since = 0;
   bool resting = false;
   report->why = "no state arrived";
@@ -126,7 +118,7 @@ bool SeenAtRest(Driver& driver, const StopOptions& options, StopReport* report) 
       else
         report->why = "it was not at rest for long enough";
     }
-    Wait(driver);
+    Pause(driver, kLook);
   }
   return false;
 }

@@ -20,6 +20,7 @@ struct StopOptions {
   double baseline_s = 0.1;  // positions so far apart are differenced
   double attempt_s = 1.5;   // each attempt: for the arm to take the call, then to come to rest
   int attempts = 3;
+  double call_s = kLongestCall;  // the longest that one call of the driver takes
 };
 
 struct StopReport {
@@ -31,5 +32,19 @@ struct StopReport {
 };
 
 StopReport StopArm(Driver& driver, const StopOptions& options = {});
+
+// The longest that StopArm takes, s.
+constexpr double LongestStop(const StopOptions& options = {}) {
+  constexpr double kLastLooks = 0.1;
+  return options.attempts * (2 * options.attempt_s + options.call_s + kLastLooks);
+}
+
+// The longest from the word that ends a rollout to the end of its task, s: an entry into torque mode whose guard does
+// not answer is given up, the arm is stopped, the recording is finished. Whoever could end the task's process meanwhile (the
+// worker after a cancel, the agent after a second signal) waits for this.
+constexpr double LongestEnd(const StopOptions& options = {}) {
+  constexpr double kRecording = 10.0;
+  return kLongestEntry + LongestStop(options) + kRecording;
+}
 
 }  // namespace rg::robot_agent

@@ -36,6 +36,7 @@ class WatchedMove {
     const int64_t give_up = driver_.NowNanos() + std::llround(1e9 * options_.timeout_s);
     while (true) {
       RG_RETURN_IF_ERROR(Look(true));
+      if (!seen_.state.moving) RG_RETURN_IF_ERROR(driver_.MoveEnd());
       if (!seen_.state.moving && Distance() <= options_.tolerance) break;
       RG_RETURN_IF_ERROR(CheckNotStalled());
       if (driver_.NowNanos() >= give_up)
@@ -54,7 +55,6 @@ class WatchedMove {
   // An arm that gave up by itself or was stopped by somebody else (its base, a guard, a person) does not wait for
   // the time-out.
   Status CheckNotStalled() {
-    if (!seen_.state.moving) RG_RETURN_IF_ERROR(driver_.MoveEnd());
     const int64_t now = driver_.NowNanos();
     if (seen_.state.moving || last_moved_ns_ == 0) last_moved_ns_ = now;
     if (1e-9 * static_cast<double>(now - last_moved_ns_) < options_.stall_s) return Status::Ok();

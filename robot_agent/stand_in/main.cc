@@ -15,6 +15,7 @@
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 #include <sensor_msgs/JointState.h>
+#include <std_msgs/Empty.h>
 #include <signal.h>
 #include <time.h>
 
@@ -41,7 +42,7 @@ constexpr double kStallWay = 1.0;   // degrees of motion
 constexpr int kFingerJoints = 4;
 
 std::atomic<bool> stop{false};
-std::atomic<bool> outage_wanted{false}, fall_back_wanted{false};  // by SIGUSR1, SIGUSR2
+std::atomic<bool> outage_wanted{false}, fall_back_wanted{false}, stop_wanted{false};  // SIGUSR1, SIGUSR2, SIGHUP
 
 void SleepFor(double seconds) {
   const auto nanos = static_cast<int64_t>(1e9 * seconds);
@@ -104,6 +105,9 @@ class Interface {
 // Everything that the node offers; an error of the interface takes all of it away.
 class Offers {
  public:
+  // As a person would, from anywhere.
+  void PublishStop() { stops_.publish(std_msgs::Empty()); }
+
   Offers(const StandInConfig& config, Interface& interface, int joints, double interval_s, Rng& random)
       : config_(config), interface_(interface), n_(joints), random_(random), node_("~") {
     names_ = kinova::RosJointNames(config.robot_name, n_);
@@ -113,6 +117,7 @@ class Offers {
     angles_ = node_.advertise<kinova_msgs::JointAngles>("out/joint_angles", 2);
     torques_ = node_.advertise<kinova_msgs::JointAngles>("out/joint_torques", 2);
     commands_ = node_.advertise<kinova_msgs::JointAngles>("out/joint_command", 2);
+    stops_ = node_.advertise<std_msgs::Empty>("/realitygrad/stop", 1);
     wanted_ = node_.subscribe("in/joint_torque", 1, &Offers::OnTorque, this);
     OfferServices();
     moves_ = std::make_unique<Moves>(
@@ -253,7 +258,7 @@ class Offers {
   double first_torque_ = -1.0;
   int torques_taken_ = 0;
   std::atomic<bool> stopped_{false};
-  ros::Publisher states_, angles_, torques_, commands_;
+  ros::Publisher states_, angles_, torques_, commands_, stops_;
   ros::Subscriber wanted_;
   std::vector<ros::ServiceServer> services_;
   std::unique_ptr<Moves> moves_;
@@ -300,6 +305,7 @@ Status Serve(const StandInConfig& config, uint64_t seed) {
     const double torque_s =
         interface.Push([](KinovaBase& b) { return b.failure().empty() ? b.seconds_in_torque_mode() : -1.0; });
     if (torque_s < 0.0) return InternalError("physics: " + base.failure());
+    if (stop_wanted.exchange(false)) offers->PublishStop();
     if (fall_back_wanted.exchange(false)) interface.Push([](KinovaBase& b) { b.Stop(); });
     if (!outages.Due(torque_s) && !outage_wanted.exchange(false)) continue;
     std::cerr << "stand-in: an error of the arm's interface\n";
@@ -328,7 +334,8 @@ int main(int argc, char** argv) {
                  "sets the node's parameter status_interval_seconds, as kinova_robot.launch does from "
                  "feedback_publish_rate");
   app.footer(
-      "SIGUSR1: an error of the arm's interface now. SIGUSR2: the base falls back to position mode now.");
+      "SIGUSR1: an error of the arm's interface now. SIGUSR2: the base falls back to position mode now. "
+      "SIGHUP: somebody publishes on /realitygrad/stop.");
   CLI11_PARSE(app, argc, argv);
   const auto config = stand_in::LoadStandInConfig(path);
   if (!config.ok()) {
@@ -338,6 +345,7 @@ int main(int argc, char** argv) {
   for (const int number : {SIGINT, SIGTERM}) signal(number, [](int) { stand_in::stop = true; });
   signal(SIGUSR1, [](int) { stand_in::outage_wanted = true; });
   signal(SIGUSR2, [](int) { stand_in::fall_back_wanted = true; });
+  signal(SIGHUP, [](int) { stand_in::stop_wanted = true; });
   ros::init(ros::M_string(), config.value().robot_name + "_driver",
             ros::init_options::NoSigintHandler | ros::init_options::NoRosout);
   if (!ros::master::check()) {

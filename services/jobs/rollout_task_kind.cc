@@ -110,7 +110,8 @@ void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::strin
         outputs.artifacts.push_back({kOutputRecording, kArtifactRecording, done.bundle, done.metadata_json});
         outputs.summary_json = done.summary_json;
         return outputs;
-      });
+      },
+      robot_agent::LongestEnd(config.stop));
 }
 
 }  // namespace rg::jobs

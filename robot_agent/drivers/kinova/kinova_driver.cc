@@ -15,6 +15,7 @@ constexpr int kPoseAttempts = 5;
 constexpr double kStrongRatio = 1.5;     // of the test torque's most: no joint in torque mode resists it
 constexpr double kPoseTolerance = 0.06;  // rad, of a move
 constexpr double kPoseTimeout = 60.0;    // s, on the way to one pose
+constexpr double kSilence = 0.3;         // s without a state: who refuses something is there, and sends them
 
 MotionWatchOptions WatchOptions(const KinovaOptions& options) {
   MotionWatchOptions watch;
@@ -65,6 +66,10 @@ KinovaDriver::~KinovaDriver() {
 Status KinovaDriver::Connect(double timeout_s) {
   if (sender_.joinable()) return FailedPreconditionError("the arm is connected already");
   RG_RETURN_IF_ERROR(link_->Open([this](const Result<JointReport>& report) { OnReport(report); }));
+  {
+    const std::lock_guard lock(mutex_);
+    has_state_ = false;  // of an arm that was away since
+  }
   const int64_t give_up = NowNanos() + Nanos(timeout_s);
   const auto left = [&] { return std::max(0.0, 1e-9 * static_cast<double>(give_up - NowNanos())); };
   RG_RETURN_IF_ERROR(AwaitFirstState(left()));
@@ -97,9 +102,11 @@ Status KinovaDriver::CheckRate(double timeout_s) {
   rate_.Restart();
   time_->Wait(lock, arrived_, NowNanos() + Nanos(std::min(timeout_s, 1.5)),
               [&] { return rate_.intervals() >= kReportsForRate; });
-  const double hz = rate_.hz();
+  const double hz = rate_.hz(), otherwise = rate_.hz_without_longest();
   lock.unlock();
   if (hz >= options_.least_rate_hz) return Status::Ok();
+  if (hz == 0.0 || otherwise >= options_.least_rate_hz)
+    return UnavailableError("the arm's driver fell silent while its states were counted");
   const auto interval = link_->StatusInterval();
   return FailedPreconditionError(
       Text("states arrive at %.1f Hz, torque control needs %.4g: start kinova_robot.launch with "
@@ -199,7 +206,7 @@ Status KinovaDriver::AwaitStill(double speed, double for_s, double at_most_s) {
   RG_RETURN_IF_ERROR(ReadState(&anchor));
   now = anchor;
   while (true) {
-    RG_RETURN_IF_ERROR(CheckNotStopped());
+    if (stop_move_) return CheckNotStopped();
     RG_RETURN_IF_ERROR(AwaitState(now.sequence, options_.outage_s, &now));
     double furthest = 0.0;
     for (int i = 0; i < options_.n(); ++i) furthest = std::max(furthest, std::abs(now.q[i] - anchor.q[i]));
@@ -213,13 +220,31 @@ Status KinovaDriver::AwaitStill(double speed, double for_s, double at_most_s) {
 
 // ---- position mode ----
 
-Status KinovaDriver::PositionMode() {
-  const auto lock = time_->Lock(services_);
-  return link_->Call(ArmService::kPositionMode, options_.service_timeout_s);
+Status KinovaDriver::PositionMode() { return Ask(ArmService::kPositionMode); }
+
+Status KinovaDriver::Ask(ArmService service) {
+  Status asked;
+  {
+    const auto lock = time_->Lock(services_);
+    asked = link_->Call(service, options_.service_timeout_s);
+  }
+  return asked.ok() ? asked : RefusedOrAway(asked);
+}
+
+// By the states that go on or do not: what a service or an action says is the same in both cases.
+Status KinovaDriver::RefusedOrAway(const Status& failed) {
+  if (IsOutage(failed)) return failed;
+  const int64_t failed_ns = NowNanos();
+  RobotState state;
+  do {
+    const Status there = AwaitState(state.sequence, kSilence, &state);
+    if (!there.ok()) return Status(there.code(), failed.message() + ", and " + there.message());
+  } while (state.stamp_ns < failed_ns);
+  return FailedPreconditionError(failed.message());
 }
 
 Status KinovaDriver::HoldNow() {
-  if (!sender_.joinable()) return UnavailableError("the arm is not connected");
+  if (!sender_.joinable()) return FailedPreconditionError("the arm is not connected");
   bool surprised = false;
   {
     const std::lock_guard lock(mutex_);
@@ -241,7 +266,8 @@ Status KinovaDriver::HoldNow() {
   if (still.ok()) return still;
   const std::lock_guard lock(mutex_);
   position_mode_owed_ = true;
-  return UnavailableError("position mode is not confirmed: " + still.message());
+  const std::string words = "position mode is not confirmed: " + still.message();
+  return IsOutage(still) ? UnavailableError(words) : FailedPreconditionError(words);
 }
 
 Status KinovaDriver::Hold() {
@@ -268,11 +294,11 @@ void KinovaDriver::EndMove() {
 }
 
 Status KinovaDriver::CheckNotStopped() const {
-  return stop_move_ ? CancelledError("the move was stopped") : Status::Ok();
+  return stop_move_ || stop_asked() || link_->StopAsked() ? CancelledError("stopped") : Status::Ok();
 }
 
 Status KinovaDriver::StartMove(const double* q) {
-  if (!sender_.joinable()) return UnavailableError("the arm is not connected");
+  if (!sender_.joinable()) return FailedPreconditionError("the arm is not connected");
   EndMove();
   {
     const std::lock_guard lock(mutex_);
@@ -299,7 +325,7 @@ Status KinovaDriver::MoveEnd() {
 }
 
 Status KinovaDriver::MoveToPose(const double* q, double tolerance, double timeout_s) {
-  if (!sender_.joinable()) return UnavailableError("the arm is not connected");
+  if (!sender_.joinable()) return FailedPreconditionError("the arm is not connected");
   if (!prepared_) RG_RETURN_IF_ERROR(Prepare(timeout_s));
   return GoTo(q, tolerance, timeout_s);
 }
@@ -320,11 +346,12 @@ Status KinovaDriver::GoTo(const double* q, double tolerance, double timeout_s) {
     }
     RG_RETURN_IF_ERROR(CheckNotStopped());
     moving(true);
-    moved = link_->MoveTo(pose, std::max(0.1, 1e-9 * static_cast<double>(give_up - NowNanos())));
+    moved = link_->MoveTo(pose, std::max(0.1, 1e-9 * static_cast<double>(give_up - NowNanos())), stop_move_);
     if (moved.ok()) moved = AwaitStill(kStillSpeed, 0.2, 2.0);
     moving(false);
     RG_RETURN_IF_ERROR(CheckNotStopped());
-    if (moved.code() == StatusCode::kUnavailable) return moved;
+    if (moved.code() == StatusCode::kNotFound) return RefusedOrAway(moved);
+    if (IsOutage(moved)) return moved;
     RobotState state;
     RG_RETURN_IF_ERROR(ReadState(&state));
     double worst = 0.0;

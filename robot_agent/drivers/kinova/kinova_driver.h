@@ -59,6 +59,7 @@ class KinovaDriver final : public Driver {
   Status Hold() override;
   Status StartMove(const double* q) override;
   Status MoveEnd() override;
+  bool StopWanted() const override { return link_->StopAsked(); }
   Status MoveToPose(const double* q, double tolerance, double timeout_s) override;
 
   // Zero pose, sensors, test torques; a move calls it once per connection. `timeout_s` is for the way to
@@ -94,11 +95,15 @@ class KinovaDriver final : public Driver {
   // new one at each of its ticks; begun anywhere, it would miss those that come a little late.
   Status AwaitPhase();
   Status JudgeTest(int joint, ProbeEnd end, double reached, double drift) const;
-  // No joint leaves ± speed · for_s during for_s. kDeadlineExceeded: not within at_most_s.
+  // No joint leaves ± speed · for_s during for_s. kDeadlineExceeded: not within at_most_s. Part of every stop: only a
+  // move that Hold ends is not waited for.
   Status AwaitStill(double speed, double for_s, double at_most_s);
   // Waits for a state newer than `sequence`.
   Status AwaitState(uint64_t sequence, double timeout_s, RobotState* state);
   Status PositionMode();
+  Status Ask(ArmService service);
+  // Of something that failed: an outage, if the arm is away now; else its refusal.
+  Status RefusedOrAway(const Status& failed);
 
   void OnReport(const Result<JointReport>& report);
   void TakeReport(const JointReport& report);

@@ -11,7 +11,7 @@ namespace {
 
 using nlohmann::json;
 
-const std::set<std::string> kFields = {"robot_type",      "robot_name",          "master",
+const std::set<std::string> kFields = {"stop_topic",      "robot_type",      "robot_name",          "master",
                                        "joints",          "zero_pose_deg",       "zero_limit_nm",
                                        "test_torque_nm",  "least_rate_hz",       "outage_s",
                                        "farewell_s",      "command_timeout_s",   "service_timeout_s",
@@ -41,6 +41,9 @@ Result<KinovaOptions> Read(const json& root, const std::string& robot) {
   RG_ASSIGN_OR_RETURN(const int n, JointsOfType(options.robot_type));
   options.robot_name = root.value("robot_name", options.robot_type);
   options.master_uri = root.value("master", "");
+  options.stop_topic = root.value("stop_topic", options.stop_topic);
+  if (options.stop_topic.empty() || options.stop_topic[0] != '/')
+    return InvalidError("stop_topic is \"" + options.stop_topic + "\", needs a name that begins with /");
   options.continuous = ContinuousJoints(n);
   for (int i = 1; i <= n; ++i) options.joints.push_back("joint_" + std::to_string(i));
   options.joints = root.value("joints", options.joints);
@@ -62,7 +65,7 @@ Result<KinovaOptions> Read(const json& root, const std::string& robot) {
   RG_RETURN_IF_ERROR(ReadNumber(root, "least_rate_hz", 5, 1000, &options.least_rate_hz));
   RG_RETURN_IF_ERROR(ReadNumber(root, "outage_s", 0.2, 10, &options.outage_s));
   RG_RETURN_IF_ERROR(ReadNumber(root, "command_timeout_s", 0.02, 0.25, &options.command_timeout_s));
-  RG_RETURN_IF_ERROR(ReadNumber(root, "service_timeout_s", 0.1, 60, &options.service_timeout_s));
+  RG_RETURN_IF_ERROR(ReadNumber(root, "service_timeout_s", 0.1, 3, &options.service_timeout_s));
   RG_RETURN_IF_ERROR(ReadNumber(root, "farewell_s", 0, 600, &options.farewell_s));
   RG_RETURN_IF_ERROR(ReadNumber(root, "prepare_every_s", 0, 1e5, &options.prepare_every_s));
   double attempts = options.torque_mode_attempts;

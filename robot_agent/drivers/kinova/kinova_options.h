@@ -4,6 +4,7 @@
 //   "robot_type"           as for kinova_bringup: "m1n6s200" (default), "j2n6s300", "j2n7s300", …
 //   "robot_name"           the prefix of its topics; default: the type
 //   "master"               "http://HOST:11311"; default: the environment's ROS_MASTER_URI
+//   "stop_topic"           of std_msgs/Empty: whatever is published there stops the arm ("/realitygrad/stop")
 //   "joints"               the model's names of the arm's joints in their order; default: joint_1, joint_2, …
 //   "zero_pose_deg"        where gravity does not load the torque sensors; default: Mico² [0, 180, 180, 0, 0, 0]
 //   "zero_limit_nm"        what a sensor may still read there once it is zeroed (1)
@@ -13,7 +14,7 @@
 //   "least_rate_hz"        of states (20)
 //   "outage_s"             no state for this long: the arm is lost (1)
 //   "command_timeout_s"    no command of the controller for this long: zero added torque is sent (0.12)
-//   "service_timeout_s"    what a service may take (3)
+//   "service_timeout_s"    what a service may take (3, the most: a stop asks two, after two others, see kLongestCall)
 //   "farewell_s"           how long the end of a rollout waits for an arm that is away, to put it into position
 //                          mode (10)
 //   "torque_mode_attempts" how often torque mode is asked for before the refusal is believed (3)
@@ -34,6 +35,7 @@ struct KinovaOptions {
   std::string robot_type = "m1n6s200";
   std::string robot_name;  // filled in
   std::string master_uri;  // empty: the environment's
+  std::string stop_topic = "/realitygrad/stop";
   std::vector<std::string> joints;
   std::vector<bool> continuous;  // by the type
   std::vector<double> zero_pose_deg, test_torque_nm;

@@ -83,11 +83,8 @@ Status KinovaDriver::WorstEffort(int* joint, double* effort) {
 }
 
 Status KinovaDriver::ZeroSensors() {
-  {
-    const auto lock = time_->Lock(services_);
-    RG_RETURN_IF_ERROR(link_->Call(ArmService::kTorqueParameters, options_.service_timeout_s));
-    RG_RETURN_IF_ERROR(link_->Call(ArmService::kZeroTorques, options_.service_timeout_s));
-  }
+  RG_RETURN_IF_ERROR(Ask(ArmService::kTorqueParameters));
+  RG_RETURN_IF_ERROR(Ask(ArmService::kZeroTorques));
   const Status zero = CheckSensors();
   if (zero.code() != StatusCode::kFailedPrecondition) return zero;
   return FailedPreconditionError(zero.message() +
@@ -118,6 +115,7 @@ Status KinovaDriver::TestJoint(int joint, const JointArray& base, ProbeEnd* end,
   Status status;
   do {
     status = AwaitState(state.sequence, kStateTimeout, &state);
+    if (status.ok()) status = JudgeEntry();  // first: a guard knows who asked for a stop
     if (status.ok()) status = CheckNotStopped();
     if (!status.ok()) break;
     *end = probe.Step(1e-9 * static_cast<double>(state.stamp_ns), state.q[joint]);
@@ -176,11 +174,7 @@ Status KinovaDriver::TestAllJoints() {
 Status KinovaDriver::TryTorqueMode(const JointArray& first, bool* silent, std::string* tested) {
   *silent = false;
   Stream(first, true);
-  {
-    const auto lock = time_->Lock(services_);
-    RG_RETURN_IF_ERROR(
-        link_->Call(ArmService::kTorqueMode, options_.service_timeout_s).WithPrefix("torque mode"));
-  }
+  RG_RETURN_IF_ERROR(Ask(ArmService::kTorqueMode).WithPrefix("torque mode"));
   tested->clear();
   for (int joint = 0; joint < std::min(2, options_.n()); ++joint) {
     ProbeEnd end = ProbeEnd::kGoingOn;
@@ -201,8 +195,9 @@ Status KinovaDriver::EnterProved(const JointArray& first) {
     const Status entered = TryTorqueMode(first, &silent, &tested);
     if (entered.ok()) {
       Stream(first, true);
-      return AwaitStill(0.1, 0.08, 0.5).code() == StatusCode::kUnavailable ? LostError() : Status::Ok();
+      return IsOutage(AwaitStill(0.1, 0.08, 0.5)) ? LostError() : Status::Ok();
     }
+    RG_RETURN_IF_ERROR(CheckNotStopped());  // the stop is the caller's
     RG_RETURN_IF_ERROR(HoldNow());
     if (!silent) return entered;
     spdlog::warn("torque mode was refused in silence, attempt {} of {}", attempt + 1,
@@ -226,7 +221,7 @@ Status KinovaDriver::AwaitPhase() {
 }
 
 Status KinovaDriver::EnterTorqueMode(const double* first) {
-  if (!sender_.joinable()) return UnavailableError("the arm is not connected");
+  if (!sender_.joinable()) return FailedPreconditionError("the arm is not connected");
   if (!prepared_) return FailedPreconditionError("the arm is not prepared: MoveToPose first");
   JointArray torque{};
   std::copy_n(first, options_.n(), torque.begin());

@@ -18,4 +18,15 @@ double RateEstimate::hz() const {
   return newest > oldest ? 1e9 * n / static_cast<double>(newest - oldest) : 0.0;
 }
 
+double RateEstimate::hz_without_longest() const {
+  const int n = intervals();
+  int64_t sum = 0, longest = 0;
+  for (int k = 0; k < n; ++k) {
+    const int64_t interval = times_[(count_ - 1 - k) % times_.size()] - times_[(count_ - 2 - k) % times_.size()];
+    sum += interval;
+    longest = std::max(longest, interval);
+  }
+  return sum > longest ? 1e9 * (n - 1) / static_cast<double>(sum - longest) : 0.0;
+}
+
 }  // namespace rg::robot_agent::kinova

@@ -14,6 +14,8 @@ class RateEstimate {
   int intervals() const;
   // Mean over those intervals, Hz; 0: fewer than two messages.
   double hz() const;
+  // The same without the longest of them: what the rate is beside one silence.
+  double hz_without_longest() const;
 
   static constexpr int kMost = 63;
 

@@ -9,7 +9,9 @@
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 #include <sensor_msgs/JointState.h>
+#include <std_msgs/Empty.h>
 
+#include <cmath>
 #include <condition_variable>
 #include <cstdlib>
 #include <deque>
@@ -20,6 +22,9 @@
 
 namespace rg::robot_agent::kinova {
 namespace {
+
+constexpr double kSlice = 0.02;          // s between looks at a stop on the way to a pose
+constexpr double kCancelPatience = 0.4;  // s
 
 using MoveClient = actionlib::SimpleActionClient<kinova_msgs::ArmJointAnglesAction>;
 
@@ -106,22 +111,20 @@ class RosArmLink final : public ArmLink {
       : n_(options.n()),
         master_(MasterOf(options)),
         node_("/" + options.robot_name + "_driver"),
+        stop_topic_(options.stop_topic),
         names_(RosJointNames(options.robot_name, n_)) {}
 
-  ~RosArmLink() override {
-    if (spinner_) spinner_->stop();
-    move_.reset();
-    states_.shutdown();
-    torques_.shutdown();
-  }
+  ~RosArmLink() override { Close(); }
 
   Status Open(Listener listener) override {
+    Close();
     RG_RETURN_IF_ERROR(StartNode(master_));
     listener_ = std::move(listener);
     handle_ = std::make_unique<ros::NodeHandle>();
     handle_->setCallbackQueue(&queue_);
     states_ = handle_->subscribe(node_ + "/out/joint_state", 8, &RosArmLink::OnState, this,
                                  ros::TransportHints().tcpNoDelay());
+    stops_ = handle_->subscribe(stop_topic_, 1, &RosArmLink::OnStop, this);
     torques_ = handle_->advertise<kinova_msgs::JointTorque>(node_ + "/in/joint_torque", 1);
     move_ = std::make_unique<MoveClient>(*handle_, node_ + "/joints_action/joint_angles", false);
     spinner_ = std::make_unique<ros::AsyncSpinner>(1, &queue_);
@@ -156,17 +159,27 @@ class RosArmLink final : public ArmLink {
     return InternalError("unknown service");
   }
 
-  Status MoveTo(const std::vector<Degrees>& pose, double timeout_s) override {
+  Status MoveTo(const std::vector<Degrees>& pose, double timeout_s, const std::atomic<bool>& stop) override {
     const double give_up = RealClock().SteadySeconds() + timeout_s;
-    if (!move_->waitForServer(ros::Duration(timeout_s)))
-      return UnavailableError(node_ + "/joints_action/joint_angles is not offered");
+    while (!stop && !move_->waitForServer(ros::Duration(kSlice)))
+      if (RealClock().SteadySeconds() > give_up)
+        return NotFoundError(node_ + "/joints_action/joint_angles is not offered");
     kinova_msgs::ArmJointAnglesGoal goal;
     float* const fields[] = {&goal.angles.joint1, &goal.angles.joint2, &goal.angles.joint3,
                              &goal.angles.joint4, &goal.angles.joint5, &goal.angles.joint6,
                              &goal.angles.joint7};
     for (int i = 0; i < n_; ++i) *fields[i] = static_cast<float>(pose[i].value);
-    move_->sendGoal(goal);
-    if (!move_->waitForResult(ros::Duration(std::max(0.01, give_up - RealClock().SteadySeconds())))) {
+    {
+      const std::lock_guard lock(goals_);
+      if (stop) return AbortedError("stopped before the way to the pose began");
+      move_->sendGoal(goal);
+    }
+    double stopped_at = INFINITY;
+    while (!move_->waitForResult(ros::Duration(kSlice))) {
+      const double now = RealClock().SteadySeconds();
+      if (stop) stopped_at = std::min(stopped_at, now);
+      if (now > stopped_at + kCancelPatience) return AbortedError("stopped; the arm's driver does not answer");
+      if (now < give_up) continue;
       move_->cancelGoal();
       return DeadlineExceededError("the pose was not reached within " + std::to_string(timeout_s) + " s");
     }
@@ -176,7 +189,12 @@ class RosArmLink final : public ArmLink {
                         state.getText());
   }
 
-  void CancelMove() override { move_->cancelAllGoals(); }
+  void CancelMove() override {
+    const std::lock_guard lock(goals_);
+    move_->cancelAllGoals();
+  }
+
+  bool StopAsked() const override { return stop_asked_; }
 
   // The address that it has with the master, on a port of its own.
   std::string RunOfDriver() const override {
@@ -194,28 +212,48 @@ class RosArmLink final : public ArmLink {
   }
 
  private:
+  void Close() {
+    if (spinner_) spinner_->stop();
+    spinner_.reset();
+    move_.reset();
+    states_.shutdown();
+    stops_.shutdown();
+    torques_.shutdown();
+  }
+
   template <class Service>
   Status CallNamed(const std::string& name, Service service, double timeout_s) {
     struct Outcome {
       std::mutex mutex;
-      bool good = false;
+      Status status;
     };
     const auto outcome = std::make_shared<Outcome>();
     const std::string full = node_ + "/in/" + name;
     const bool done = services_.Run(
         [full, service, outcome]() mutable {
-          const bool good = ros::service::exists(full, false) && ros::service::call(full, service);
+          const Status called = CallIfOffered(full, service);
           const std::lock_guard lock(outcome->mutex);
-          outcome->good = good;
+          outcome->status = called;
         },
         timeout_s);
     if (!done)
-      return UnavailableError("service " + full + " did not answer within " + std::to_string(timeout_s) +
-                              " s");
+      return DeadlineExceededError("service " + full + " did not answer within " + std::to_string(timeout_s) +
+                                   " s");
     const std::lock_guard lock(outcome->mutex);
-    if (outcome->good) return Status::Ok();
-    return UnavailableError("service " + full + " is not offered or failed");
+    return outcome->status;
   }
+
+  template <class Service>
+  static Status CallIfOffered(const std::string& name, Service& service) {
+    if (ros::service::exists(name, false)) {
+      if (ros::service::call(name, service)) return Status::Ok();
+      return FailedPreconditionError("service " + name + " failed");
+    }
+    if (!ros::master::check()) return UnavailableError("the ROS master is away");
+    return NotFoundError("service " + name + " is not offered");
+  }
+
+  void OnStop(const std_msgs::Empty::ConstPtr&) { stop_asked_ = true; }
 
   void OnState(const sensor_msgs::JointState::ConstPtr& message) {
     JointReport report;
@@ -232,14 +270,16 @@ class RosArmLink final : public ArmLink {
   }
 
   const int n_;
-  const std::string master_, node_;
+  const std::string master_, node_, stop_topic_;
   const std::vector<std::string> names_;
   Listener listener_;
   ros::CallbackQueue queue_;
   std::unique_ptr<ros::NodeHandle> handle_;
-  ros::Subscriber states_;
+  ros::Subscriber states_, stops_;
+  std::atomic<bool> stop_asked_{false};
   ros::Publisher torques_;
   std::unique_ptr<MoveClient> move_;
+  std::mutex goals_;  // none is sent after they were cancelled
   std::unique_ptr<ros::AsyncSpinner> spinner_;
   ServiceThread services_;
 };

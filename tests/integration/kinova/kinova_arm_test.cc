@@ -25,9 +25,11 @@ void Mild(json& config) {
 
 // Times are wide: the machine may be busy with other tests, and none of them is about speed.
 KinovaOptions Options(const json& fields = json::object()) {
-  json all = {{"least_rate_hz", 14}, {"command_timeout_s", 0.25}, {"service_timeout_s", 10}};
+  json all = {{"least_rate_hz", 14}, {"command_timeout_s", 0.25}};
   all.update(fields);
-  return ParseKinovaOptions(all.dump(), "mico2").value();
+  KinovaOptions options = ParseKinovaOptions(all.dump(), "mico2").value();
+  if (!fields.contains("service_timeout_s")) options.service_timeout_s = 10;  // more than a configuration may say
+  return options;
 }
 
 std::unique_ptr<KinovaDriver> MakeDriver(const KinovaOptions& options) {
@@ -207,6 +209,37 @@ TEST_F(KinovaArm, AnArmThatIsNotThereIsNamed) {
   EXPECT_EQ(lost.code(), StatusCode::kUnavailable);
   EXPECT_THAT(lost.message(), HasSubstr("/nobody_driver/out/joint_state"));
   EXPECT_THAT(lost.message(), HasSubstr("kinova_robotName:=nobody"));
+}
+
+TEST_F(KinovaArm, AStopOnItsTopicIsHeard) {
+  const Child arm = StartStandIn(Mild);
+  const auto driver = MakeDriver(Options());
+  ASSERT_TRUE(driver->Connect(20.0).ok());
+  EXPECT_FALSE(driver->StopWanted());
+  for (int i = 0; i < 1200 && !driver->StopWanted(); ++i) {
+    if (i % 20 == 0) arm.Signal(SIGHUP);  // what is published before it is subscribed to is lost
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  }
+  EXPECT_TRUE(driver->StopWanted());
+  EXPECT_EQ(driver->MoveToPose(kStart, kTolerance, 30.0).code(), StatusCode::kCancelled);
+  EXPECT_TRUE(driver->Hold().ok()) << "the stop itself is not stopped";
+}
+
+// A stop must not wait for an action server that is away, nor may the arm set out when it is back.
+TEST_F(KinovaArm, AWayToAPoseThatNobodyOffersEndsWithTheStop) {
+  const auto link = MakeRosArmLink(Options());
+  ASSERT_TRUE(link->Open([](const Result<JointReport>&) {}).ok());
+  std::atomic<bool> stop = false;
+  std::thread person([&] {
+    std::this_thread::sleep_for(std::chrono::milliseconds(200));
+    stop = true;
+    link->CancelMove();
+  });
+  const auto before = std::chrono::steady_clock::now();
+  const Status moved = link->MoveTo(std::vector<Degrees>(6), 600.0, stop);
+  person.join();
+  EXPECT_EQ(moved.code(), StatusCode::kAborted) << moved.ToString();
+  EXPECT_LT(std::chrono::steady_clock::now() - before, std::chrono::seconds(60));
 }
 
 // In a process of its own: this one has its master already.

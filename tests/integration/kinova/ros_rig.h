@@ -103,8 +103,13 @@ class RosTest : public ::testing::Test {
     setenv("ROS_IP", "127.0.0.1", 1);
     setenv("ROS_HOME", folder_->c_str(), 1);
     setenv("ROS_LOG_DIR", folder_->c_str(), 1);
-    master_ = new Child({"/usr/bin/python3", kRosMaster, "--core", "-p", std::to_string(port_)},
-                        *folder_ + "/master.log");
+    master_ = new Child;
+    StartMaster();
+  }
+  // On the port of the one before it.
+  static void StartMaster() {
+    *master_ = Child({"/usr/bin/python3", kRosMaster, "--core", "-p", std::to_string(port_)},
+                     *folder_ + "/master.log");
     for (int i = 0; i < 1000 && !Answers(port_); ++i) usleep(20'000);
   }
   static void TearDownTestSuite() {

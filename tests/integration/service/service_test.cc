@@ -268,6 +268,23 @@ TEST(Service, CancelIsFinalAndStopsWhatRuns) {
   EXPECT_EQ(RunJob(service, after).job().state(), pb::JOB_STATE_SUCCEEDED);
 }
 
+// Its worker gives a cancelled task 0.3 s; this kind has more, as a rollout whose arm is being stopped.
+TEST(Service, ACancelledTaskOfAKindThatNeedsLongerIsNotKilled) {
+  Service service;
+  service.StartWorker("a");
+  const std::string path = service.folder() + "/stopped";
+  pb::JobSpec job;
+  AddTask(&job, "arm", "stop_slowly", R"({"needs": 1.5, "path": ")" + path + R"("})");
+  const auto id = service.client().Submit(job);
+  ASSERT_TRUE(id.ok());
+  ASSERT_TRUE(service.WaitForTask(*id, "arm", pb::TASK_STATE_LEASED));
+  std::this_thread::sleep_for(std::chrono::milliseconds(300));
+  ASSERT_TRUE(service.client().Act(*id, pb::JOB_ACTION_CANCEL, "not needed").ok());
+  for (int i = 0; i < 400 && !std::filesystem::exists(path); ++i)
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  EXPECT_TRUE(std::filesystem::exists(path)) << service.Logs();
+}
+
 TEST(Service, APausedJobStartsNothingUntilItIsResumed) {
   Service service;
   pb::JobSpec job;

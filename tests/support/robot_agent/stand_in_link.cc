@@ -18,6 +18,7 @@ using kinova::Nanos;
 
 constexpr double kReached = 2.0, kStallTime = 1.5, kStallWay = 1.0;  // as main.cc's
 constexpr int kCalls = 9;
+constexpr double kCreep = 6.0;  // degrees/s
 
 class StandInLink final : public kinova::ArmLink {
  public:
@@ -29,11 +30,11 @@ class StandInLink final : public kinova::ArmLink {
 
   Status Open(Listener listener) override {
     listener_ = std::move(listener);
-    node_thread_ = time_.Start([this] { Serve(); });
+    if (!node_thread_.joinable()) node_thread_ = time_.Start([this] { Serve(); });
     return Status::Ok();
   }
 
-  bool TorquesAreHeard() const override { return !away_; }
+  bool TorquesAreHeard() const override { return !away_ && !arm_.faults.away; }
 
   void PublishTorque(const JointArray& tau) override {
     if (away_) return;
@@ -48,19 +49,25 @@ class StandInLink final : public kinova::ArmLink {
     const bool hangs =
         arm_.faults.hang_after_s > 0 && arm_.base->seconds_in_torque_mode() > arm_.faults.hang_after_s;
     if (hangs) time_.SleepUntil(give_up);
-    if (away_ || hangs) return UnavailableError("service is not offered or failed");
+    if (away_ || arm_.faults.away) return NotFoundError("service is not offered");
+    if (hangs) return DeadlineExceededError("service did not answer");
     const auto node = time_.Lock(node_);
     Spend(1);
-    if (time_.NowNanos() > give_up) return UnavailableError("service did not answer");
+    if (time_.NowNanos() > give_up) return DeadlineExceededError("service did not answer");
+    if (service == ArmService::kTorqueMode && arm_.faults.failing_torque_modes > 0) {
+      --arm_.faults.failing_torque_modes;
+      return FailedPreconditionError("service failed");
+    }
     Do(service);
     TakeTorque();
     return Status::Ok();
   }
 
-  Status MoveTo(const std::vector<Degrees>& pose, double timeout_s) override {
-    cancelled_ = false;
-    if (away_) return UnavailableError("joints_action is not offered");
+  Status MoveTo(const std::vector<Degrees>& pose, double timeout_s, const std::atomic<bool>& stop) override {
     const int64_t give_up = time_.NowNanos() + Nanos(timeout_s);
+    while (away_ && !stop && time_.NowNanos() < give_up) time_.SleepUntil(time_.NowNanos() + 20'000'000);
+    if (stop) return AbortedError("stopped before the way to the pose began");
+    if (away_) return NotFoundError("joints_action is not offered");
     arm_.base->MoveTo(pose);
     std::vector<Degrees> before = Now().Angles();
     int64_t moved_at = time_.NowNanos();
@@ -75,9 +82,9 @@ class StandInLink final : public kinova::ArmLink {
         way = std::max(way, std::abs(now[i].value - before[i].value));
       }
       if (way > kStallWay) before = now, moved_at = time_.NowNanos();
-      if (cancelled_ || time_.NowNanos() - moved_at > Nanos(kStallTime)) {
+      if (stop || time_.NowNanos() - moved_at > Nanos(kStallTime)) {
         arm_.base->Stop();
-        return AbortedError(cancelled_ ? "PREEMPTED" : "ABORTED");
+        return AbortedError(stop ? "PREEMPTED" : "ABORTED");
       }
       if (far <= kReached) return Status::Ok();
     }
@@ -85,7 +92,8 @@ class StandInLink final : public kinova::ArmLink {
     return DeadlineExceededError("the pose was not reached in time");
   }
 
-  void CancelMove() override { cancelled_ = true; }
+  void CancelMove() override {}  // MoveTo looks
+  bool StopAsked() const override { return arm_.stop_published; }
   std::string RunOfDriver() const override { return "run " + std::to_string(arm_.run); }
   std::optional<double> StatusInterval() const override { return arm_.interval_s; }
 
@@ -106,6 +114,7 @@ class StandInLink final : public kinova::ArmLink {
       --arm_.faults.ignored_position_modes;
     } else if (service == ArmService::kPositionMode) {
       base.SetTorqueMode(false);
+      if (was) creeps_from_ns_ = time_.NowNanos();
     }
     arm_.torque_modes += !was && base.in_torque_mode();
   }
@@ -141,7 +150,7 @@ class StandInLink final : public kinova::ArmLink {
     }
     report.number = arm_.number++;
     report.received_ns = time_.NowNanos();
-    if (arm_.random.Uniform() >= arm_.faults.lost_states) listener_(report);
+    if (arm_.random.Uniform() >= arm_.faults.lost_states && !arm_.faults.away) listener_(report);
     Spend(kCalls - 4);
     TakeTorque();
   }
@@ -150,7 +159,10 @@ class StandInLink final : public kinova::ArmLink {
     const bool frozen = arm_.faults.freeze_after_s > 0 &&
                         arm_.base->seconds_in_torque_mode() > arm_.faults.freeze_after_s;
     if (!frozen || last_.empty()) last_ = Now().Angles();
-    return last_;
+    std::vector<Degrees> seen = last_;
+    const double crept_s = creeps_from_ns_ < 0 ? 0.0 : 1e-9 * static_cast<double>(time_.NowNanos() - creeps_from_ns_);
+    seen[5].value += kCreep * std::min(crept_s, arm_.faults.creeps_s);
+    return seen;
   }
 
   void TakeTorque() {
@@ -187,10 +199,10 @@ class StandInLink final : public kinova::ArmLink {
   Listener listener_;
   std::thread node_thread_;
   std::mutex node_;  // busy with a call; all else: one thread of this time runs at a time
-  std::atomic<bool> ended_{false}, away_{false}, cancelled_{false};
+  std::atomic<bool> ended_{false}, away_{false};
   JointArray pending_{};
   bool has_pending_ = false;
-  int64_t first_torque_ns_ = -1;
+  int64_t first_torque_ns_ = -1, creeps_from_ns_ = -1;
   std::vector<Degrees> last_;
 };
 

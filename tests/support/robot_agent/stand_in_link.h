@@ -20,6 +20,9 @@ struct LinkFaults {
   double freeze_after_s = 0.0;     // in torque mode: from then on positions stay, stamps advance (0: never)
   double hang_after_s = 0.0;       // in torque mode: from then on services do not answer in time (0: never)
   int ignored_position_modes = 0;  // position mode is asked for so often in vain, while in torque mode
+  int failing_torque_modes = 0;    // the service answers so often that it failed
+  double creeps_s = 0.0;           // joint 6, after torque mode
+  bool away = false;               // sends no states and offers nothing
 };
 
 // The arm and what is seen of it from outside; outlives the links to it.
@@ -37,7 +40,7 @@ struct StandInArm {
   int run = 1;          // of the arm's driver
   uint32_t number = 0;  // of its next state
   bool outage_done = false;
-  std::atomic<bool> outage_wanted{false}, fall_back_wanted{false};
+  std::atomic<bool> outage_wanted{false}, fall_back_wanted{false}, stop_published{false};
   // What reached it.
   double most_torque_nm = 0.0, torque_mode_s = 0.0;
   int torque_modes = 0, torques = 0, outages = 0, zeroed = 0;

@@ -118,6 +118,12 @@ Result<TaskOutputs> Append(const TaskInput& input, TaskContext&) {
   return written ? Result<TaskOutputs>(One(line)) : Result<TaskOutputs>(InternalError("short write"));
 }
 
+Result<TaskOutputs> StopSlowly(const TaskInput& input, TaskContext& context) {
+  while (!context.cancelled()) SleepFor(0.01);
+  SleepFor(Options(input).value("needs", 0.0));
+  return Append(input, context);
+}
+
 Result<TaskOutputs> Parameters(const TaskInput& input, TaskContext&) {
   const json options = Options(input);
   const json metadata = {
@@ -168,6 +174,7 @@ worker::TaskRegistry SyntheticTasks() {
   registry.Register("crash", Crash);
   registry.Register("garble", Garble);
   registry.Register("hang", Hang);
+  registry.Register("stop_slowly", StopSlowly, 60.0);
   registry.Register("count", Count);
   registry.Register("blob", Blob);
   registry.Register("append", Append);

@@ -6,6 +6,7 @@
 //   crash    {"until"}                kills its process on attempts <= until (absent: always)
 //   garble   {}                       prints, logs and fails with bytes that are no text
 //   hang     {}                       neither returns nor looks whether it is cancelled
+//   stop_slowly {"path", "needs"}     when it is cancelled it needs so many seconds, then is "append"; has 60 s of grace
 //   count    {"to", "step_seconds"}   counts with a checkpoint per step; output "out": where it began,
 //                                     the attempt, and the end
 //   blob     {"bytes", "seed"}        output "out": that many bytes, always the same

@@ -231,6 +231,19 @@ TEST_F(ControlLoop, AStopThatCannotBeSeenIsNotConfirmed) {
   EXPECT_NEAR(outcome.result.stop.worst_speed, 0.05, 1e-3);
 }
 
+// What a stop is waited for by those who could end its process: an arm whose every call hangs, and that never rests.
+TEST_F(ControlLoop, NoStopTakesLongerThanItsBound) {
+  const StopOptions options;
+  driver_.hold_takes_ns = std::llround(1e9 * options.call_s);
+  driver_.script = [](FakeDriver& d) { d.state.q[0] += 0.01; };
+  const StopReport restless = StopArm(driver_, options);
+  EXPECT_FALSE(restless.confirmed);
+  EXPECT_EQ(restless.attempts, options.attempts);
+  EXPECT_GT(restless.took_s, options.attempts * options.call_s);
+  EXPECT_LT(restless.took_s, LongestStop(options));
+  EXPECT_GT(LongestEnd(options), kLongestEntry + LongestStop(options));
+}
+
 TEST_F(ControlLoop, CommandsThatChangeTooFastAreLimited) {
   limits_.torque_rate = {50, 50};  // 2 N·m per tick
   const Outcome outcome = Run(0.4, [](double t, const double*, const double*, double* tau) {

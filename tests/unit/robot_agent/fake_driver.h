@@ -1,8 +1,10 @@
 // A robot of two joints in memory: time passes only in SleepUntil, states and faults are scripted.
 #pragma once
 
+#include <chrono>
 #include <functional>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "robot_agent/controller.h"
@@ -43,6 +45,12 @@ class FakeDriver final : public Driver {
   Status EnterTorqueMode(const double* first) override {
     entered.assign(first, first + 2);
     if (refuse) return FailedPreconditionError("refused");
+    for (int k = 0; slow_entry && k < 30'000; ++k) {
+      if (stop_asked()) return CancelledError("stopped");
+      if (script) script(*this);
+      if (const Status judged = JudgeEntry(); !judged.ok()) return judged;
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
     state.mode = Mode::kTorque;
     return Status::Ok();
   }
@@ -52,6 +60,7 @@ class FakeDriver final : public Driver {
   }
   Status Hold() override {
     ++holds;
+    now_ += hold_takes_ns;
     state.mode = Mode::kPosition;
     return lost ? UnavailableError("lost") : Status::Ok();
   }
@@ -59,13 +68,16 @@ class FakeDriver final : public Driver {
     ++moves;
     return Status::Ok();
   }
+  Status MoveEnd() override { return move_end; }
+  bool StopWanted() const override { return stop_wanted; }
 
   DriverInfo info_;
   int64_t now_ = 1'000'000'000;
   int tick = -1;  // of the control loop: the number of SleepUntil calls so far, from 0
-  int64_t oversleep_ns = 0;
-  bool lost = false, refuse = false;
+  int64_t oversleep_ns = 0, hold_takes_ns = 0;
+  bool lost = false, refuse = false, slow_entry = false, stop_wanted = false;
   int holds = 0, moves = 0;
+  Status move_end;
   RobotState state;
   std::vector<double> entered;
   std::vector<std::array<double, 2>> sent = std::vector<std::array<double, 2>>(4096);

@@ -10,6 +10,7 @@
 
 #include "common/base/ids.h"
 #include "robot_agent/control_loop.h"
+#include "robot_agent/drivers/robot_protocol.h"
 #include "robot_agent/guard/guard_driver.h"
 #include "robot_agent/safety/latch.h"
 #include "tests/unit/robot_agent/fake_driver.h"
@@ -98,6 +99,89 @@ TEST_F(GuardedArm, AWholeRolloutIsTheSameAsWithoutIt) {
   }
   EXPECT_EQ(sent[0], sent[1]);
   EXPECT_GT(sent[1].size(), 20u);
+}
+
+// An arm that proves torque mode takes seconds, and moves meanwhile.
+TEST_F(GuardedArm, AStopIsHeardWhileTorqueModeIsEntered) {
+  GuardDriver& agent = Start();
+  arm_.slow_entry = true;
+  CancelToken stop;
+  agent.HeedStop(&stop);
+  std::thread person([&stop] {
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    stop.Cancel();
+  });
+  const double first[2] = {1, 2};
+  const Status entered = agent.EnterTorqueMode(first);
+  person.join();
+  EXPECT_EQ(entered.code(), StatusCode::kCancelled) << entered.ToString();
+  EXPECT_EQ(agent.SleepUntil(agent.NowNanos()).code(), StatusCode::kOk) << "it answers as before";
+  End();
+  EXPECT_TRUE(guard_->last_stop().confirmed) << guard_->last_stop().why;
+  EXPECT_GE(arm_.holds, 1);
+}
+
+TEST_F(GuardedArm, StatesAreJudgedWhileTorqueModeIsEntered) {
+  GuardDriver& agent = Start();
+  arm_.slow_entry = true;
+  arm_.script = [](FakeDriver& d) {
+    if (d.holds > 0) return;
+    d.now_ += 40'000'000, d.state.stamp_ns += 40'000'000, ++d.state.sequence;
+    d.state.q[0] += 0.04;  // 1 rad/s; its box ends at 1
+  };
+  const double first[2] = {1, 2};
+  const Status entered = agent.EnterTorqueMode(first);
+  EXPECT_EQ(entered.code(), StatusCode::kAborted) << entered.ToString();
+  EXPECT_EQ(agent.trip().reason, EndReason::kPositionLimit);
+  End();
+  EXPECT_LT(arm_.state.q[0], 1.09);
+  EXPECT_TRUE(guard_->last_stop().confirmed) << guard_->last_stop().why;
+}
+
+TEST_F(GuardedArm, AnAgentThatIsGoneWhileTorqueModeIsEnteredEndsIt) {
+  arm_.slow_entry = true;
+  auto pair = PacketSocket::Pair().value();
+  Guard guard(arm_, model_, limits_, pair.second, options_);
+  std::thread serving([&guard] { guard.Run(); });
+  GuardMessage request, reply;
+  request.request = GuardRequest::kConnect;
+  ASSERT_TRUE(pair.first.Send(&request, sizeof request).ok());
+  std::string text(kMaxInfoText, '\0');
+  ASSERT_EQ(pair.first.Receive(&reply, sizeof reply, 20.0).code, StatusCode::kOk);
+  ASSERT_EQ(pair.first.Receive(text.data(), text.size(), 20.0).code, StatusCode::kOk);
+  request.request = GuardRequest::kEnter;
+  request.number = 0.04;
+  request.values = {1, 2};
+  ASSERT_TRUE(pair.first.Send(&request, sizeof request).ok());
+  std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  pair.first.Close();
+  serving.join();
+  EXPECT_TRUE(guard.last_stop().confirmed) << guard.last_stop().why;
+  EXPECT_GE(arm_.holds, 1);
+  EXPECT_EQ(arm_.state.mode, Mode::kPosition);
+}
+
+// A topic, say. Under torque and on the way to a pose.
+TEST_F(GuardedArm, AStopByTheDriversOwnMeansIsAStop) {
+  GuardDriver& agent = Start();
+  EnterAndSend(3);
+  arm_.stop_wanted = true;
+  const double tau[2] = {3, -4};
+  ASSERT_TRUE(agent.SleepUntil(agent.NowNanos() + 40'000'000).ok());
+  EXPECT_EQ(agent.SendTorque(tau).code(), StatusCode::kAborted);
+  EXPECT_EQ(agent.trip().reason, EndReason::kOperatorStop);
+  EXPECT_EQ(agent.EnterTorqueMode(tau).code(), StatusCode::kAborted);
+  const double pose[2] = {0.5, 0};
+  EXPECT_EQ(agent.StartMove(pose).code(), StatusCode::kAborted);
+  EXPECT_EQ(arm_.moves, 0);
+  arm_.stop_wanted = false;
+  ASSERT_TRUE(agent.StartMove(pose).ok());
+  arm_.stop_wanted = true;
+  RobotState state;
+  (void)agent.ReadState(&state).ok();
+  EXPECT_EQ(agent.MoveEnd().code(), StatusCode::kAborted);
+  End();
+  EXPECT_TRUE(guard_->last_stop().confirmed) << guard_->last_stop().why;
 }
 
 TEST_F(GuardedArm, AFirstTorqueBeyondItsLimitsDoesNotReachTheArm) {

@@ -116,6 +116,34 @@ TEST(Rollout, WhatBeganIsNeverBegunAgainThoughItsRecordingWasDeliveredOrLost) {
   EXPECT_EQ(untouched->pid(), -1);
 }
 
+// Its first torque is not allowed: the rollout does not begin, and what is recorded of it stays.
+TEST(Rollout, OneThatTripsBeforeItsFirstTorqueKeepsItsRecordingAndMayBeginLater) {
+  Rig rig(true);
+  const RolloutPlan plan = rig.Plan();
+  RolloutPlan weak = plan;
+  weak.limits.torque.assign(6, 1e-6);
+  auto controller = rig.ToGoal(plan);
+  const Status refused = rig.Run(*rig.Driver(), weak, controller).status();
+  EXPECT_EQ(refused.code(), StatusCode::kFailedPrecondition);
+  EXPECT_THAT(refused.message(), HasSubstr("the rollout did not begin: torque_limit"));
+  ASSERT_EQ(rig.spool->Ready(), std::vector<std::string>{"rollout-1+not-begun-1"});
+  const auto bundle = rollouts::UnpackBundle(ReadFile(rig.spool->ReadyPath("rollout-1+not-begun-1")).value()).value();
+  const auto said = nlohmann::json::parse(bundle.at("rollout.json"));
+  EXPECT_EQ(said["id"], "rollout-1");
+  EXPECT_EQ(said["began"], false);
+  EXPECT_EQ(said["end_reason"], "torque_limit");
+  EXPECT_THAT(said["detail"].get<std::string>(), HasSubstr("joint_"));
+  EXPECT_EQ(said["stop"]["confirmed"], true);
+  EXPECT_EQ(said["samples"], 1) << "the state that it was judged by";
+  EXPECT_TRUE(rig.spool->Active().empty());
+  EXPECT_FALSE(rig.spool->Begun("rollout-1").has_value());
+  const auto again = rig.Run(*rig.Driver(), plan, controller);
+  ASSERT_TRUE(again.ok()) << again.status().ToString();
+  EXPECT_EQ(again->reason, EndReason::kCompleted);
+  EXPECT_EQ(nlohmann::json::parse(again->rollout_json)["began"], true);
+  EXPECT_EQ(rig.spool->Ready(), (std::vector<std::string>{"rollout-1", "rollout-1+not-begun-1"}));
+}
+
 TEST(Rollout, AFullDiskStopsANewRolloutBeforeTheArmIsTouched) {
   Rig rig(true);
   rig.config.min_free_mb = 1e12;
@@ -626,12 +654,12 @@ TEST(Rollout, ARateThatTheArmWouldTakeForSilenceIsRefused) {
   EXPECT_THAT(rig.Run(*rig.Driver(), plan, controller).status().message(), HasSubstr("rate_hz is 5"));
 }
 
-TEST(Rollout, MissingProgramAndMissingTruthAreUnavailableNotACrash) {
+TEST(Rollout, MissingProgramAndMissingTruthAreAnErrorNotACrash) {
   Rig rig(true);
   const RolloutPlan plan = rig.Plan();
   auto controller = rig.ToGoal(plan);
   rig.config.simulated.program = "/nonexistent/robot";
-  EXPECT_EQ(rig.Run(*rig.Driver(), plan, controller).status().code(), StatusCode::kUnavailable);
+  EXPECT_EQ(rig.Run(*rig.Driver(), plan, controller).status().code(), StatusCode::kFailedPrecondition);
   rig.config.simulated.program = "";
   rig.config.simulated.truth_path = "/nonexistent/truth.json";
   EXPECT_FALSE(rig.Run(*rig.Driver(), plan, controller).ok());

@@ -119,7 +119,10 @@ TEST_F(SpoolFolder, WhatWasMarkedAndDidNotBeginMayBeginLater) {
   auto spool = Spool::Open(folder_).value();
   ASSERT_TRUE(spool->MarkBegun("one", "2026-01-01").ok());
   ASSERT_TRUE(spool->MarkBegun("one-more", "2026-01-01").ok());
-  ASSERT_TRUE(spool->MarkNotBegun("one").ok());
+  ASSERT_TRUE(spool->CommitNotBegun("one", "why it did not").ok());
+  ASSERT_TRUE(spool->CommitNotBegun("one", "why it did not again").ok());
+  EXPECT_EQ(spool->Ready(), (std::vector<std::string>{"one+not-begun-1", "one+not-begun-2"}));
+  EXPECT_FALSE(spool->FinishedPath("one").has_value());
   EXPECT_FALSE(spool->Begun("one").has_value());
   EXPECT_TRUE(spool->Begun("one-more").has_value());
   ASSERT_TRUE(spool->MarkBegun("one", "2026-01-02").ok());

@@ -2,13 +2,16 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <fcntl.h>
 #include <signal.h>
+#include <stdlib.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <sstream>
+#include <thread>
 
 #include "common/base/clock.h"
 #include "common/base/file.h"
@@ -103,6 +106,36 @@ TEST_F(AgentFolder, ArmsDisarmsAndTellsHowItIsWithoutACoordinator) {
   EXPECT_EQ(Command({"status"}), 6) << "no agent";
 }
 
+TEST_F(AgentFolder, TheSpaceBarStopsTheArmWhereSomebodyWatches) {
+  options_.armed = true;
+  const pid_t agent = Start([] { return pause(), 0; });
+  const int terminal = posix_openpt(O_RDWR | O_NOCTTY);
+  ASSERT_TRUE(terminal >= 0 && grantpt(terminal) == 0 && unlockpt(terminal) == 0);
+  const std::string name = ptsname(terminal);
+  const pid_t watcher = fork();
+  if (watcher == 0) {
+    const int end = open(name.c_str(), O_RDWR);
+    dup2(end, 0), dup2(end, 1);
+    _exit(RunAgentCommand({"realitygrad", "watch", "--spool", folder_, "--every", "0.05"}).value());
+  }
+  std::thread reading([terminal] {
+    for (char text[4096]; read(terminal, text, sizeof text) > 0;) {
+    }
+  });
+  EXPECT_EQ(Ask("status")["armed"], true);
+  EXPECT_TRUE(Soon([&] {
+    (void)!write(terminal, "x ", 2);  // before the terminal listens to single keys they wait for the end of a line
+    usleep(50'000);
+    return Ask("status")["armed"] == false;
+  }));
+  kill(watcher, SIGTERM);
+  EXPECT_EQ(End(watcher), 0);
+  reading.join();
+  close(terminal);
+  kill(agent, SIGTERM);
+  End(agent);
+}
+
 TEST_F(AgentFolder, AnArmThatIsLatchedIsNotArmedUntilSomebodyCleared) {
   Latch latch(folder_);
   ASSERT_TRUE(latch.Set("rollout-7", "the arm moves at 0.3 rad/s", "then").ok());
@@ -151,6 +184,9 @@ TEST_F(AgentFolder, AFirstSigtermLetsTheRolloutFinish) {
   kill(pid, SIGTERM);
   EXPECT_EQ(End(pid), 5);
 }
+
+// Of an arm that is away, 9 s and more.
+TEST(SupervisorOptions, WaitForTheLongestStop) { EXPECT_GE(SupervisorOptions().stop_patience_s, LongestEnd()); }
 
 TEST_F(AgentFolder, AWorkerThatDoesNotStopIsLeftAfterALongWhile) {
   options_.armed = true;

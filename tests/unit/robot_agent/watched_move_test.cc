@@ -65,6 +65,15 @@ TEST_F(WatchedMoves, AnArmThatStopsShortIsNotWaitedForUntilTheTimeOut) {
   EXPECT_GE(driver_.holds, 1);
 }
 
+// As a preparation that fails beside the start pose.
+TEST_F(WatchedMoves, AWayThatTheDriverGaveUpIsNoArrivalThoughItEndsAtThePose) {
+  Ramp(0.5);
+  driver_.move_end = FailedPreconditionError("joint b is deaf");
+  const MoveOutcome moved = Go();
+  EXPECT_EQ(moved.status.code(), StatusCode::kFailedPrecondition);
+  EXPECT_THAT(moved.status.message(), HasSubstr("joint b is deaf"));
+}
+
 TEST_F(WatchedMoves, OneThatIsTooSlowIsStoppedAtTheTimeOut) {
   options_.timeout_s = 0.4;
   Ramp(0.5);

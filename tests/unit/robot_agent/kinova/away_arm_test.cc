@@ -99,11 +99,79 @@ TEST_F(AwayArm, OnTheWayToTheStartPoseIsPreparedAgain) {
   ExpectCompletedAfter(result, "start pose: ");
 }
 
+// In the first of these its states are counted: what came is too rare for a rate, and says nothing of the arm.
+TEST_F(AwayArm, WhileItIsConnectedToIsConnectedToAgain) {
+  for (const double seconds : {0.1, 0.6, 1.08}) {
+    SCOPED_TRACE(seconds);
+    rig_.spec.id = "rollout-away-" + std::to_string(seconds);
+    arm_ = std::make_unique<StandInArm>(arm_->config, stand_in::LinkFaults{}, 1, time_);
+    begins_ = 0;
+    GoAwayIn(seconds);
+    const auto result = Run([](const std::string&) {});
+    if (seconds == 0.1) {
+      ExpectCompletedAfter(result, "connecting: the arm's driver fell silent");
+      continue;
+    }
+    ASSERT_TRUE(result.ok()) << result.status().ToString();
+    EXPECT_EQ(result->reason, EndReason::kCompleted) << result->detail;
+    EXPECT_EQ(begins_, 1);
+  }
+}
+
+TEST_F(AwayArm, ThatIsAwayEachTimeItIsConnectedToIsGivenUpInOneLine) {
+  rig_.config.connect_timeout_s = 2.0;
+  int again = 0;
+  arm_->faults.away = true;
+  const auto refused = Run([&](const std::string& note) { again += note == "the arm was away: connecting again"; });
+  EXPECT_EQ(refused.status().code(), StatusCode::kUnavailable);
+  EXPECT_THAT(refused.status().message(), HasSubstr("connecting: no state on /m1n6s200_driver/out/joint_state"));
+  EXPECT_THAT(refused.status().message(), HasSubstr("(attempt 3 of 3)"));
+  EXPECT_EQ(again, 2);
+  EXPECT_FALSE(Latch(rig_.folder).Read().has_value()) << "nothing moved";
+  arm_->faults.away = false;
+  const auto there = Run([](const std::string&) {});
+  ASSERT_TRUE(there.ok()) << there.status().ToString();
+  EXPECT_EQ(there->reason, EndReason::kCompleted);
+}
+
 TEST_F(AwayArm, WhileItsTorqueModeIsProvedIsPreparedAgain) {
   const auto result = Run([this](const std::string& note) {
     if (note == "running" && arm_->outages == 0) GoAwayIn(0.3);
   });
   ExpectCompletedAfter(result, "the rollout did not begin: not_started");
+}
+
+// Not when the proof is over, 1.6 s later: the arm is under test torques meanwhile.
+TEST_F(AwayArm, AStopIsHeardWhileItsTorqueModeIsProved) {
+  int64_t asked_ns = 0;
+  std::thread person;
+  const auto stopped = Run([&](const std::string& note) {
+    if (note != "running") return;
+    person = time_->Start([&, when = time_->NowNanos() + 300'000'000] {
+      time_->SleepUntil(when);
+      EXPECT_TRUE(arm_->base->in_torque_mode());
+      asked_ns = time_->NowNanos();
+      rig_.stop.Cancel();
+      while (arm_->base->in_torque_mode()) time_->SleepUntil(time_->NowNanos() + 1'000'000);
+      EXPECT_LT(time_->NowNanos() - asked_ns, 200'000'000);
+    });
+  });
+  time_->Join(person);
+  EXPECT_EQ(stopped.status().code(), StatusCode::kCancelled);
+  EXPECT_THAT(stopped.status().message(), HasSubstr("the rollout did not begin: operator_stop"));
+  EXPECT_EQ(begins_, 0);
+  EXPECT_FALSE(Latch(rig_.folder).Read().has_value());
+  EXPECT_EQ(rig_.spool->Ready(), std::vector<std::string>{"rollout-1+not-begun-1"});
+}
+
+TEST_F(AwayArm, AStopOnItsTopicEndsTheProofOfItsTorqueModeAndIsSeenThrough) {
+  const auto stopped = Run([&](const std::string& note) {
+    if (note == "running") arm_->stop_published = true;
+  });
+  EXPECT_FALSE(stopped.ok());
+  EXPECT_EQ(begins_, 0);
+  EXPECT_FALSE(arm_->base->in_torque_mode());
+  EXPECT_FALSE(Latch(rig_.folder).Read().has_value());
 }
 
 TEST_F(AwayArm, EachTimeIsGivenUpInOneLineAndMayBeAskedForAgain) {
@@ -118,7 +186,12 @@ TEST_F(AwayArm, EachTimeIsGivenUpInOneLineAndMayBeAskedForAgain) {
   EXPECT_FALSE(Latch(rig_.folder).Read().has_value());
   EXPECT_FALSE(rig_.spool->Begun("rollout-1").has_value());
   EXPECT_TRUE(rig_.spool->Active().empty());
-  EXPECT_TRUE(rig_.spool->Ready().empty());
+  const std::vector<std::string> kept = rig_.spool->Ready();
+  EXPECT_EQ(kept.size(), 3u) << "a recording with its reason is never removed";
+  for (const std::string& name : kept) {
+    const auto bundle = rollouts::UnpackBundle(ReadFile(rig_.spool->ReadyPath(name)).value()).value();
+    EXPECT_EQ(json::parse(bundle.at("rollout.json"))["end_reason"], "not_started") << name;
+  }
   const auto again = Run([](const std::string&) {});
   ASSERT_TRUE(again.ok()) << again.status().ToString();
   EXPECT_EQ(again->reason, EndReason::kCompleted);
@@ -137,6 +210,26 @@ TEST_F(AwayArm, OnceTheRolloutHasBegunItIsNotBegunAgain) {
   ASSERT_TRUE(again.ok());
   EXPECT_TRUE(again->was_there);
   EXPECT_EQ(begins_, 1);
+}
+
+// Its states go on: it was there, and did not do what it was asked.
+TEST_F(AwayArm, ARefusalIsNoOutageAndNotTriedAgain) {
+  struct Refusal {
+    stand_in::LinkFaults faults;
+    const char* words;
+  };
+  const Refusal refusals[] = {{{.failing_torque_modes = 1}, "start pose: torque mode: service failed"},
+                              {{.creeps_s = 3.0}, "start pose: position mode is not confirmed: the arm still moves"}};
+  for (const Refusal& refusal : refusals) {
+    arm_ = std::make_unique<StandInArm>(arm_->config, refusal.faults, 1, time_);
+    int ways = 0;
+    const auto refused = Run([&](const std::string& note) { ways += note == "to the start pose"; });
+    EXPECT_EQ(refused.status().code(), StatusCode::kFailedPrecondition);
+    EXPECT_THAT(refused.status().message(), HasSubstr(refusal.words));
+    EXPECT_EQ(ways, 1) << refusal.words;
+    EXPECT_FALSE(Latch(rig_.folder).Read().has_value());
+  }
+  EXPECT_EQ(begins_, 0);
 }
 
 TEST_F(AwayArm, AJointThatDoesNotAnswerIsNoReasonToTryAgain) {
