@@ -6,8 +6,11 @@
 // even for a zero-order hold.
 #pragma once
 
+#include <algorithm>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -32,6 +35,24 @@ struct ActuatorDelay {
         .options = {},
         .needs = {Need::kDenseRows, Need::kEffort},
     };
+  }
+
+  static Inference Inferred() {
+    return {
+        .terms = {{Regressor::kDelayed, {"delay"}, true}},
+        .coefficient = Inference::Near::kOne,
+        .common = true,
+        .slot = Slot::kDelay,
+        .probe = Probe::kChirp,
+        .starts = [](const Found& f) -> std::vector<Start> {
+          return {{{{"delay", std::clamp(f.c[0] * f.shape, 1e-3, 0.3)}}}};
+        },
+        .of_strength = [](double, double seconds, const JointSize&) -> Values {
+          return {{"delay", seconds}};
+        },
+        .prior = [](const std::string&, double, const EffectSpec&, const JointSize&) -> std::optional<Prior> {
+          return Prior{0, 0.03, 0, 0.4};
+        }};
   }
 };
 

@@ -6,8 +6,11 @@
 //   τ(h) = u + (τ₀ − u)·e^{−h/T},   mean over the step = u + (τ₀ − u)·(1 − e^{−h/T})·T/h.
 #pragma once
 
+#include <algorithm>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -35,6 +38,23 @@ struct ActuatorLag {
         .options = {},
         .needs = {Need::kDenseRows, Need::kEffort},
     };
+  }
+
+  static Inference Inferred() {
+    return {
+        .terms = {{Regressor::kLagging, {"time_constant"}, true}},
+        .coefficient = Inference::Near::kOne,
+        .common = true,
+        .probe = Probe::kChirp,
+        .starts = [](const Found& f) -> std::vector<Start> {
+          return {{{{"time_constant", std::clamp(f.c[0] * f.shape, 2e-3, 0.3)}}}};
+        },
+        .of_strength = [](double, double seconds, const JointSize&) -> Values {
+          return {{"time_constant", seconds}};
+        },
+        .prior = [](const std::string&, double, const EffectSpec&, const JointSize&) -> std::optional<Prior> {
+          return Prior{0, 0.03, 5e-4, 0.4};
+        }};
   }
 
   template <class S>

@@ -7,6 +7,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -38,6 +39,16 @@ struct AsymmetricFriction {
         .options = {},
         .needs = {Need::kBothWays},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kForwards, {"coulomb_positive"}, true},
+                      {Regressor::kBackwards, {"coulomb_negative"}, true}},
+            .slot = Slot::kDryFriction,
+            .probe = Probe::kSpeeds,
+            .of_strength = [](double level, double, const JointSize&) -> Values {
+              return {{"coulomb_positive", level}, {"coulomb_negative", level}};
+            }};
   }
 
   template <class S>

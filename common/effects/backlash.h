@@ -9,8 +9,11 @@
 // Ref: Nordin, Gutman, Automatica 38(10), 2002.
 #pragma once
 
+#include <cmath>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -46,6 +49,42 @@ struct Backlash {
         .options = {{"sensor", {"link", "motor"}}},
         .needs = {Need::kResonances, Need::kEffortSign},
     };
+  }
+
+  static Inference Inferred() {
+    return {.slot = Slot::kTransmission,
+            .probe = Probe::kSlowRamps,
+            .blind = Gaps,
+            .instead =
+                [](const Values& spring, Blind with) {
+                  with.rotors = {spring.at("motor_inertia")};
+                  return Gaps(with);
+                },
+            .stays = "gap",
+            .prior = [](const std::string& field, double, const EffectSpec&,
+                        const JointSize& joint) -> std::optional<Prior> {
+              if (field == "gap") return Prior{0, 0.05, 1e-5, 0.5};
+              if (field == "motor_viscous") return Prior{0, 0.2 * joint.torque / joint.speed};
+              if (field == "motor_inertia")
+                return Prior{0.3 * joint.inertia, joint.inertia, 0.002 * joint.inertia, 10 * joint.inertia};
+              return {};
+            }};
+  }
+  // Soft faces: how hard they are a fit finds out, but not where motor and link meet.
+  static std::vector<Start> Gaps(const Blind& b) {
+    static const std::vector<double> kCoarse = {0.007, 0.02, 0.06, 0.16};
+    static const std::vector<double> kFine = {0.005, 0.009, 0.016, 0.03, 0.055, 0.1, 0.18};
+    std::vector<Start> out;
+    const double inertia = b.joint.inertia, omega = 2 * M_PI * 12.0, k = omega * omega * inertia;
+    for (const double J : b.rotors) {
+      for (const double share : b.fine ? kFine : kCoarse) {
+        out.push_back({{{"gap", share * b.joint.Range()},
+                        {"contact_stiffness", k},
+                        {"contact_damping", 0.3 * std::sqrt(k * inertia)},
+                        {"motor_inertia", J}}});
+      }
+    }
+    return out;
   }
 
   template <class S>

@@ -9,6 +9,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -36,6 +37,19 @@ struct BaseFlexibility {
         .options = {},
         .needs = {Need::kResonances, Need::kAcceleration},
     };
+  }
+
+  static Inference Inferred() {
+    return {.probe = Probe::kVibration,
+            .blind =
+                [](const Blind& b) {
+                  std::vector<Start> out;
+                  const double k = 15 * b.joint.torque;
+                  for (const double factor : {1.0, 2.5, 6.0, 15.0})
+                    out.push_back({{{"stiffness", k * factor}, {"damping", 0.02 * k * factor}}});
+                  return out;
+                },
+            .chained = true};
   }
 
   // On the program of each of the two joints.

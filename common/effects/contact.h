@@ -12,6 +12,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -41,6 +42,14 @@ struct Contact {
         .options = {{"normal", {"z", "-z", "x", "-x", "y", "-y"}}, {"point", {"end_effector", "last_link"}}},
         .needs = {Need::kTravel},
     };
+  }
+
+  static Inference Inferred() {
+    return {.prior = [](const std::string& field, double nominal, const EffectSpec&,
+                        const JointSize&) -> std::optional<Prior> {
+      if (field != "height") return {};
+      return Prior{nominal, 0.2};
+    }};
   }
 
   // Force along the normal at distance x from the base's (or the joint's) origin.

@@ -7,6 +7,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -35,6 +36,16 @@ struct CoulombFriction {
         .options = {},
         .needs = {Need::kBothWays},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kDirection, {"coulomb"}, true}},
+            .of_every_drive = true,
+            .slot = Slot::kDryFriction,
+            .probe = Probe::kSpeeds,
+            .of_strength = [](double level, double, const JointSize&) -> Values {
+              return {{"coulomb", level}};
+            }};
   }
 
   template <class S>

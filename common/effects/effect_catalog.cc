@@ -1,6 +1,7 @@
 #include "common/effects/effect_catalog.h"
 
 #include "common/effects/effect_list.h"
+#include "common/effects/inference.h"
 
 namespace rg::effects {
 namespace {
@@ -14,6 +15,19 @@ EffectTraits Traits() {
   return traits;
 }
 
+template <class E>
+Inference Inferred() {
+  if constexpr (requires { E::Inferred(); }) {
+    return E::Inferred();
+  } else {
+    return {};
+  }
+}
+
+template <class... E>
+std::vector<Inference> AllInferred(TypeList<E...>) {
+  return {Inferred<E>()...};
+}
 template <class... E>
 std::vector<EffectInfo> Rows(TypeList<E...>) {
   return {E::Info()...};
@@ -43,11 +57,16 @@ const EffectInfo* FindEffect(std::string_view id) {
   return kind < 0 ? nullptr : &Catalog()[kind];
 }
 
-bool ScalesEffort(std::string_view id) { return id == "torque_gain"; }
-
 const EffectTraits& TraitsOf(int kind) {
   static const auto& all = *new std::vector<EffectTraits>(AllTraits(EffectList{}));
   return all[kind];
+}
+
+const Inference& InferenceOf(std::string_view id) {
+  static const auto& all = *new std::vector<Inference>(AllInferred(EffectList{}));
+  static const Inference none;
+  const int kind = KindOf(id);
+  return kind < 0 ? none : all[static_cast<size_t>(kind)];
 }
 
 }  // namespace rg::effects

@@ -18,9 +18,6 @@ const std::vector<EffectInfo>& Catalog();
 // The row with this id, or nullptr.
 const EffectInfo* FindEffect(std::string_view id);
 
-// Whether the effect multiplies the effort of its joint.
-bool ScalesEffort(std::string_view id);
-
 // What the simulator needs to know beside the row.
 struct EffectTraits {
   Role role;

@@ -8,6 +8,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -34,6 +35,13 @@ struct EncoderOffset {
         .options = {},
         .needs = {Need::kPosture},
     };
+  }
+
+  static Inference Inferred() {
+    return {
+        .prior = [](const std::string&, double, const EffectSpec&, const JointSize&) -> std::optional<Prior> {
+          return Prior{0, 0.1};
+        }};
   }
 
   template <class S>

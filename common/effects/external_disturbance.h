@@ -9,6 +9,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -42,6 +43,19 @@ struct ExternalDisturbance {
         .shows_over = Variable::kTime,
         .options = {{"point", {"end_effector", "last_link"}}},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kPulse, {"torque"}}},
+            .starts = [](const Found& f) -> std::vector<Start> {
+              return {{{{"start", f.shape}, {"end", f.shape_end}, {"torque", f.c[0]}}}};
+            },
+            .prior = [](const std::string& field, double nominal, const EffectSpec&,
+                        const JointSize& joint) -> std::optional<Prior> {
+              if (field == "torque") return Prior{0, joint.torque};
+              if (field == "start" || field == "end") return Prior{nominal, 0.4};
+              return Prior{0, 0.5 * joint.torque / 0.3};
+            }};
   }
 
   template <class S>

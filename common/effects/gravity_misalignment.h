@@ -7,8 +7,12 @@
 // At a = 0 the azimuth has no effect and no derivative.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -39,6 +43,27 @@ struct GravityMisalignment {
         .options = {},
         .needs = {Need::kTilt},
     };
+  }
+
+  static Inference Inferred() {
+    return {.starts = Towards,
+            .prior = [](const std::string& field, double nominal, const EffectSpec&,
+                        const JointSize&) -> std::optional<Prior> {
+              return field == "tilt" ? Prior{0, 0.1, -1.5, 1.5} : Prior{nominal, 2};
+            }};
+  }
+  // A gravity change (g_x, g_y) is a tilt of |g_xy|/|g| towards its direction.
+  static std::vector<Start> Towards(const Found& f) {
+    const double tilt = std::clamp(std::hypot(f.c[0], f.c[1]) / std::max(1e-6, f.gravity), 1e-3, 1.2);
+    const double azimuth = std::atan2(f.c[1], f.c[0]);
+    std::vector<Start> out = {{{{"tilt", tilt}, {"azimuth", azimuth}}}};
+    // To first order a planar arm does not feel the tilt about the line in its plane: only the cosine, and
+    // the gradient there is zero.
+    if (f.joints <= 2 && tilt < 0.3) {
+      const double more = std::max(0.05, 1.5 * tilt), turn = std::acos(tilt / more);
+      out.push_back({{{"tilt", more}, {"azimuth", azimuth + turn}}});
+    }
+    return out;
   }
 
   template <class S>

@@ -14,8 +14,12 @@
 // itself stays on joint j: efforts are joint torques.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -58,6 +62,17 @@ struct JointCoupling {
                    Variable::kVelocity}},
         .needs = {Need::kOtherEffort},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kOtherEffort, {"coefficient"}}},
+            .prior = [](const std::string& field, double nominal, const EffectSpec& spec,
+                        const JointSize& joint) -> std::optional<Prior> {
+              if (field != "coefficient") return {};
+              if (spec.options.count("form") > 0 && spec.options.at("form") == "kinematic")
+                return Prior{nominal, std::max(0.1, 0.5 * std::abs(nominal)), -10, 10};
+              return Prior{0, 0.5 * joint.torque / std::max(1e-9, joint.torque) + 0.1, -3, 3};
+            }};
   }
 
   // Torque form: on the program of joint j; law.coupled is tau_i. Kinematic form: on that of the drive, whose

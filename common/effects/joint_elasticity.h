@@ -9,8 +9,11 @@
 // Ref: Spong, J. Dyn. Sys. 109(4), 1987.
 #pragma once
 
+#include <cmath>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -43,6 +46,36 @@ struct JointElasticity {
         .options = {{"sensor", {"link", "motor"}}},
         .needs = {Need::kResonances, Need::kAcceleration},
     };
+  }
+
+  static Inference Inferred() {
+    return {.slot = Slot::kTransmission,
+            .probe = Probe::kVibration,
+            .blind = Springs,
+            .instead = [](const Values& play, Blind) -> std::vector<Start> {
+              return {{{{"stiffness", play.at("contact_stiffness")},
+                        {"damping", play.at("contact_damping")},
+                        {"motor_inertia", play.at("motor_inertia")}}}};
+            },
+            .rotor = "motor_inertia",
+            .prior = [](const std::string& field, double, const EffectSpec&,
+                        const JointSize& joint) -> std::optional<Prior> {
+              if (field != "motor_inertia") return {};
+              return Prior{0.3 * joint.inertia, joint.inertia, 0.002 * joint.inertia, 10 * joint.inertia};
+            }};
+  }
+  // From soft to stiff.
+  static std::vector<Start> Springs(const Blind& b) {
+    std::vector<Start> out;
+    const double inertia = b.joint.inertia;
+    for (const double J : b.rotors) {
+      const double lighter = J * inertia / (J + inertia);
+      for (const double hertz : {5.0, 9.0, 16.0, 30.0}) {
+        const double omega = 2 * M_PI * hertz, k = omega * omega * lighter;
+        out.push_back({{{"stiffness", k}, {"damping", 0.2 * std::sqrt(k * lighter)}, {"motor_inertia", J}}});
+      }
+    }
+    return out;
   }
 
   template <class S>

@@ -8,6 +8,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -39,6 +40,23 @@ struct LoadDependentFriction {
         .of_drive = true,
         .needs = {Need::kBothWays, Need::kLoad},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kDirection, {"coulomb"}, true},
+                      {Regressor::kUnderLoad, {"load_coefficient"}, true}},
+            .slot = Slot::kDryFriction,
+            .probe = Probe::kLoads,
+            .of_strength = [](double level, double, const JointSize& joint) -> Values {
+              return {{"coulomb", 0.5 * level}, {"load_coefficient", 0.5 * level / joint.torque}};
+            },
+            .prior = [](const std::string& field, double, const EffectSpec&,
+                        const JointSize&) -> std::optional<Prior> {
+              if (field != "load_coefficient") return {};
+              return Prior{0, 0.3, 0, 2};
+            },
+            // All of the torque and no level of its own is no friction.
+            .plausible = [](const std::vector<double>& c) { return c[0] > 0 && c[1] <= 0.8; }};
   }
 
   template <class S>

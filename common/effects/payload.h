@@ -5,8 +5,11 @@
 // The same as a change of the last link's parameters; its own name because a gripper holds things.
 #pragma once
 
+#include <algorithm>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -37,6 +40,33 @@ struct Payload {
         .options = {},
         .needs = {Need::kLastMass},
     };
+  }
+
+  static Inference Inferred() {
+    return {.probe = Probe::kReversals,
+            .starts = Inside,
+            .blind = [](const Blind& b) -> std::vector<Start> {
+              // From the middle of the last link's own mass.
+              return {{{{"mass", 0.1 * b.joint.last_mass},
+                        {"com_x", b.last_link[1]},
+                        {"com_y", b.last_link[2]},
+                        {"com_z", b.last_link[3]}}}};
+            },
+            .prior = [](const std::string& field, double, const EffectSpec&,
+                        const JointSize& joint) -> std::optional<Prior> {
+              if (field == "mass") return Prior{0, 0.5 * joint.last_mass};
+              return Prior{0, 0.15, -1, 1};
+            }};
+  }
+  // Changes of the last link's mass and centre of mass as a body of their own, in that link's frame.
+  static std::vector<Start> Inside(const Found& f) {
+    const double mass = std::max(f.c[0], 0.01 * f.joint.last_mass);
+    double com[3];
+    for (int i = 0; i < 3; ++i) {
+      const double moment = f.last_link[0] * f.c[static_cast<size_t>(i) + 1] + f.c[0] * f.last_link[i + 1];
+      com[i] = std::clamp(moment / mass, -0.3, 0.3);
+    }
+    return {{{{"mass", mass}, {"com_x", com[0]}, {"com_y", com[1]}, {"com_z", com[2]}}}};
   }
 
   // phi: m, m·c (3), I_xx, I_xy, I_xz, I_yy, I_yz, I_zz about the origin of the link's frame.

@@ -5,8 +5,12 @@
 // Taken at the step's mean position, so a stiff one does not force small steps. Conservative.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -37,6 +41,28 @@ struct PositionSpring {
         .options = {},
         .needs = {Need::kTravel},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kConstant}, {Regressor::kPosition, {"stiffness"}}},
+            .slot = Slot::kPositionForce,
+            .starts = [](const Found& f) -> std::vector<Start> {
+              const double k = f.c[1], center = std::abs(k) > 1e-9 ? f.shape + f.c[0] / k : f.shape;
+              return {{{{"stiffness", k}, {"cubic", 0.0}, {"center", std::clamp(center, f.low, f.high)}}}};
+            },
+            .of_strength = [](double, double, const JointSize& joint) -> Values {
+              const double range = std::max(0.05, joint.high - joint.low);
+              return {{"stiffness", 0.3 * joint.torque / range},
+                      {"cubic", 0.0},
+                      {"center", 0.5 * (joint.low + joint.high)}};
+            },
+            .prior = [](const std::string& field, double nominal, const EffectSpec&,
+                        const JointSize& joint) -> std::optional<Prior> {
+              const double torque = joint.torque, range = joint.Range();
+              if (field == "stiffness") return Prior{0, torque / range};
+              if (field == "cubic") return Prior{0, torque / range / range / range};
+              return Prior{nominal, 1.0, nominal - 3, nominal + 3};
+            }};
   }
 
   template <class S>

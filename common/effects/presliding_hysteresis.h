@@ -10,8 +10,12 @@
 // Ref: Canudas de Wit, Olsson, Åström, Lischinsky, IEEE TAC 40(3), 1995.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -45,6 +49,30 @@ struct PreslidingHysteresis {
         .options = {},
         .needs = {Need::kBothWays, Need::kDenseRows},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kBristle, {"coulomb"}, true}},
+            .slot = Slot::kDryFriction,
+            .probe = Probe::kSlowRamps,
+            .starts = [](const Found& f) -> std::vector<Start> {
+              const double level = std::max(f.c[0], f.least_share * f.joint.torque);
+              return {{{{"coulomb", level},
+                        {"bristle_stiffness", level / f.shape},
+                        {"bristle_damping", 0.2 * std::sqrt(level / f.shape * f.joint.inertia)}}}};
+            },
+            .of_strength = [](double level, double, const JointSize& joint) -> Values {
+              const double stiffness = level / 0.02;
+              return {{"coulomb", level},
+                      {"bristle_stiffness", stiffness},
+                      {"bristle_damping", 0.3 * std::sqrt(stiffness * joint.inertia)}};
+            },
+            .prior = [](const std::string& field, double nominal, const EffectSpec&,
+                        const JointSize&) -> std::optional<Prior> {
+              if (field == "bristle_stiffness") return Prior{nominal, nominal, 0.1 * nominal, 50 * nominal};
+              if (field == "bristle_damping") return Prior{0, std::max(1e-6, 2 * nominal)};
+              return {};
+            }};
   }
 
   template <class S>

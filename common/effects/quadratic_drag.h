@@ -7,6 +7,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -34,6 +35,10 @@ struct QuadraticDrag {
         .options = {},
         .needs = {Need::kManySpeeds},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kSquaredVelocity, {"quadratic"}, true}}, .probe = Probe::kSpeeds};
   }
 
   template <class S>

@@ -7,6 +7,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -33,6 +34,12 @@ struct RotorInertia {
         .of_drive = true,
         .needs = {Need::kAcceleration},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kAcceleration, {"armature"}, true}},
+            .of_every_drive = true,
+            .probe = Probe::kReversals};
   }
 
   template <class S>

@@ -5,8 +5,11 @@
 // With option "signal" = "position" or "velocity" only that one is late.
 #pragma once
 
+#include <algorithm>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -31,6 +34,25 @@ struct SensorDelay {
         .options = {{"signal", {"both", "position", "velocity"}}},
         .needs = {Need::kDenseRows},
     };
+  }
+
+  static Inference Inferred() {
+    return {
+        .common = true,
+        .slot = Slot::kDelay,
+        .probe = Probe::kChirp,
+        .starts = [](const Found& f) -> std::vector<Start> {
+          return {{{{"delay", std::clamp(f.c[0], 1e-3, 0.3)}}}};
+        },
+        .of_strength = [](double, double seconds, const JointSize&) -> Values {
+          return {{"delay", seconds}};
+        },
+        .prior = [](const std::string&, double, const EffectSpec&, const JointSize&) -> std::optional<Prior> {
+          return Prior{0, 0.03, 0, 0.4};
+        },
+        // A drive's command waits for its bus and cycle more often than a reading does; where both are on
+        // all joints nothing but the first moments of a recording tells them apart.
+        .rare = 2.0};
   }
 };
 

@@ -19,8 +19,11 @@
 // does not, for gravity alone says where it hangs. Adds three bodies to the tree, or two.
 #pragma once
 
+#include <cmath>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -60,6 +63,37 @@ struct SloshingPayload {
                    "The last link carries {mass} that swings on a rod of {length}."}},
         .needs = {Need::kDenseRows, Need::kAcceleration},
     };
+  }
+
+  static Inference Inferred() {
+    return {.blind = Hung,
+            .prior = [](const std::string& field, double, const EffectSpec& spec,
+                        const JointSize& joint) -> std::optional<Prior> {
+              if (field == "mass")
+                return Prior{0, joint.last_mass, 1e-4 * joint.last_mass, 20 * joint.last_mass};
+              if (field == "radius") return Prior{0, 0.05};
+              const auto form = spec.options.find("form");
+              if (field != "damping" || form == spec.options.end() || form->second != "rod") return {};
+              // What swings on a rod may swing for long: of the damping that is critical where it hangs.
+              const double critical = 2 * ValueOf(spec, "mass") * std::sqrt(9.81 / ValueOf(spec, "length"));
+              return Prior{0, 0.1 * critical};
+            },
+            .swings = true};
+  }
+  // A pendulum's k/m is g/L, whatever its mass; fits find the mass from a small one, not from a large one.
+  static std::vector<Start> Hung(const Blind& b) {
+    struct Guess {
+      double share, length;
+      bool last_link;
+    };
+    std::vector<Start> out;
+    for (const Guess g : {Guess{0.02, 0.05, true}, Guess{0.05, 0.1, true}, Guess{0.03, 0.07, false}}) {
+      if (b.end_effector_is_last && g.last_link && g.share > 0.03) continue;
+      const double mass = g.share * b.joint.last_mass, k = mass * 9.81 / g.length;
+      out.push_back({{{"mass", mass}, {"stiffness", k}, {"damping", 0.05 * std::sqrt(k * mass)}}});
+      if (!b.end_effector_is_last && g.last_link) out.back().options["point"] = "last_link";
+    }
+    return out;
   }
 
   // On the program of each of the three joints, or of the hinge's two.

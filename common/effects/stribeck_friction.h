@@ -9,6 +9,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -40,6 +41,25 @@ struct StribeckFriction {
         .options = {},
         .needs = {Need::kBothWays, Need::kSlowMotion, Need::kDenseRows},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kDirection, {"coulomb", "static"}, true}, {Regressor::kSlowly, {"static"}}},
+            .shape = "stribeck_velocity",
+            .slot = Slot::kDryFriction,
+            .probe = Probe::kSlowRamps,
+            .of_strength = [](double level, double, const JointSize& joint) -> Values {
+              return {{"coulomb", 0.9 * level},
+                      {"static", 1.2 * level},
+                      {"stribeck_velocity", 0.2 * joint.speed}};
+            },
+            .prior = [](const std::string& field, double nominal, const EffectSpec&,
+                        const JointSize& joint) -> std::optional<Prior> {
+              if (field != "stribeck_velocity") return {};
+              return Prior{nominal, 0.5 * joint.speed, 0.02 * joint.speed, 3 * joint.speed};
+            },
+            // A level that grows with speed is drag.
+            .plausible = [](const std::vector<double>& c) { return c[1] > 0; }};
   }
 
   template <class S>

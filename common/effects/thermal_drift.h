@@ -7,6 +7,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -37,6 +38,23 @@ struct ThermalDrift {
         .options = {},
         .needs = {Need::kBothWays, Need::kWarming},
     };
+  }
+
+  static Inference Inferred() {
+    return {
+        .terms = {{Regressor::kDirection, {"initial", "final"}, true}, {Regressor::kWarmingUp, {"initial"}}},
+        .shape = "time_constant",
+        .slot = Slot::kDryFriction,
+        .probe = Probe::kRepeats,
+        .of_strength = [](double level, double, const JointSize& joint) -> Values {
+          return {{"initial", 1.1 * level}, {"final", 0.9 * level}, {"time_constant", 0.4 * joint.duration}};
+        },
+        .prior = [](const std::string& field, double nominal, const EffectSpec&,
+                    const JointSize& joint) -> std::optional<Prior> {
+          if (field != "time_constant") return {};
+          return Prior{nominal, 0.5 * joint.duration, 0.03 * joint.duration, 4 * joint.duration};
+        },
+        .plausible = [](const std::vector<double>& c) { return c[0] + c[1] > 0; }};
   }
 
   template <class S>

@@ -3,8 +3,11 @@
 //   tau = 0 for |u| < δ,   u − δ·sign(u) beyond        δ [N·m] ≥ 0
 #pragma once
 
+#include <algorithm>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -31,6 +34,14 @@ struct TorqueDeadband {
         .options = {},
         .needs = {Need::kEffortSign},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kInBand, {}, true}},
+            .coefficient = Inference::Near::kOneOrBelowFirst,  // a band that every effort exceeds
+            .starts = [](const Found& f) -> std::vector<Start> {
+              return {{{{"deadband", std::max(f.c[0] * f.shape, f.least)}}}};
+            }};
   }
 
   template <class S>

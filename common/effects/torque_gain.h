@@ -3,8 +3,11 @@
 //   tau = g·u        g [–], nominal 1
 #pragma once
 
+#include <algorithm>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -13,6 +16,7 @@ inline namespace RG_ISA {
 struct TorqueGain {
   static constexpr Role kRole = Role::kJointLaw;
   static constexpr Phase kPhase = Phase::kGain;
+  static constexpr double kMost = 300.0;  // of a reducer that was left out, and of a unit
 
   static EffectInfo Info() {
     return {
@@ -31,6 +35,19 @@ struct TorqueGain {
         .options = {},
         .needs = {Need::kEffort},
     };
+  }
+
+  static Inference Inferred() {
+    return {
+        .terms = {{Regressor::kEffort, {"gain"}}},
+        .common = true,
+        .probe = Probe::kReversals,
+        .starts = [](const Found& f) -> std::vector<Start> {
+          return {{{{"gain", std::clamp(1.0 + f.c[0], 0.2, kMost)}}}};
+        },
+        .prior = [](const std::string&, double, const EffectSpec&, const JointSize&) -> std::optional<Prior> {
+          return Prior{1, 0.3, 1 / kMost, kMost};
+        }};
   }
 
   template <class S>

@@ -5,6 +5,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -32,6 +33,12 @@ struct TorqueOffset {
         .options = {},
         .needs = {Need::kBothWays},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kConstant, {"offset"}}},
+            // A dead band whose effort keeps its sign, a tilt and a wrong zero are constant forces, too.
+            .rare = 2.0};
   }
 
   template <class S>

@@ -5,8 +5,12 @@
 // For a prismatic joint n counts cycles per 2π m.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -15,6 +19,8 @@ inline namespace RG_ISA {
 struct TorqueRipple {
   static constexpr Role kRole = Role::kJointLaw;
   static constexpr Phase kPhase = Phase::kRipple;
+
+  static constexpr double kLeastPeriods = 0.4;  // over all that was recorded of its joint, that tell it
 
   static EffectInfo Info() {
     return {
@@ -35,6 +41,23 @@ struct TorqueRipple {
         .options = {},
         .needs = {Need::kPeriods},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kSine}, {Regressor::kCosine}},
+            .shape = "cycles_per_rev",
+            .starts = [](const Found& f) -> std::vector<Start> {
+              return {{{{"amplitude", std::hypot(f.c[0], f.c[1])},
+                        {"cycles_per_rev", f.shape},
+                        {"phase", std::atan2(f.c[1], f.c[0])}}}};
+            },
+            .prior = [](const std::string& field, double nominal, const EffectSpec&,
+                        const JointSize& joint) -> std::optional<Prior> {
+              if (field == "phase") return Prior{nominal, 2};
+              if (field != "cycles_per_rev") return {};
+              return Prior{nominal, 0.1 * nominal + 0.5,
+                           std::max(2.0, kLeastPeriods * 2 * M_PI / joint.Range()), 300};
+            }};
   }
 
   template <class S>

@@ -5,6 +5,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -30,6 +31,16 @@ struct TorqueSaturation {
         .options = {},
         .needs = {Need::kPeakEffort},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kBeyond, {}, true}},
+            .shape = "limit",
+            .coefficient = Inference::Near::kOneOrBelowLast,
+            .prior = [](const std::string&, double nominal, const EffectSpec&,
+                        const JointSize& joint) -> std::optional<Prior> {
+              return Prior{nominal, joint.torque, 1e-3 * joint.torque, 50 * joint.torque};
+            }};
   }
 
   template <class S>

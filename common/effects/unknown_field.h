@@ -11,6 +11,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -19,6 +20,8 @@ inline namespace RG_ISA {
 struct UnknownField {
   static constexpr Role kRole = Role::kJointLaw;
   static constexpr Phase kPhase = Phase::kLoad;
+
+  static constexpr double kRare = 6.0;
 
   static EffectInfo Info() {
     return {
@@ -54,6 +57,25 @@ struct UnknownField {
                    Variable::kPosition}},
         .needs = {Need::kTravel},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kPositionPiece}, {Regressor::kVelocityPiece}},
+            .pieces = true,
+            .unnamed = true,
+            .slot = Slot::kPositionForce,
+            .starts = [](const Found& f) -> std::vector<Start> {
+              Start start{{{"low", f.joint.low}, {"high", f.joint.high}}, {{"variable", "position"}}};
+              for (size_t i = 0; i < f.c.size() && i < kNodes; ++i)
+                start.values["w" + std::to_string(i)] = f.c[i];
+              return {start};
+            },
+            .prior = [](const std::string&, double, const EffectSpec& spec,
+                        const JointSize& joint) -> std::optional<Prior> {
+              if (spec.options.count("variable") == 0 || spec.options.at("variable") != "drag") return {};
+              return Prior{0, 0.5 * joint.torque / joint.speed, 0};
+            },
+            .rare = kRare};
   }
 
   static constexpr int kNodes = 8;

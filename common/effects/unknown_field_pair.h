@@ -8,8 +8,12 @@
 // outside the nodes. Linear in w. Joints: the one that is seen, the one that feels the force.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 #include "common/effects/unknown_field.h"
 
@@ -77,6 +81,21 @@ struct UnknownFieldPair {
         .options = {},
         .needs = {Need::kTravel},
     };
+  }
+
+  static Inference Inferred() {
+    return {.unnamed = true,
+            .prior = [](const std::string&, double, const EffectSpec& spec,
+                        const JointSize&) -> std::optional<Prior> {
+              double squares = 0, count = 0;  // of the weights that it starts with
+              for (const auto& [owner, values] : spec.values) {
+                for (const auto& [name, value] : values) {
+                  if (name[0] == 'w') squares += value * value, ++count;
+                }
+              }
+              return Prior{0, 2 * std::max(1e-9, std::sqrt(squares / std::max(1.0, count)))};
+            },
+            .rare = UnknownField::kRare};
   }
 
   static constexpr int kNodes = 6;

@@ -7,6 +7,7 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/effect_role.h"
+#include "common/effects/inference.h"
 #include "common/effects/joint_law.h"
 
 namespace rg::effects {
@@ -36,6 +37,15 @@ struct ViscousFriction {
         .options = {},
         .needs = {Need::kManySpeeds},
     };
+  }
+
+  static Inference Inferred() {
+    return {.terms = {{Regressor::kVelocity, {"viscous"}, true}},
+            .of_every_drive = true,
+            .probe = Probe::kSpeeds,
+            .of_strength = [](double level, double, const JointSize& joint) -> Values {
+              return {{"viscous", level / joint.speed}};
+            }};
   }
 
   template <class S>

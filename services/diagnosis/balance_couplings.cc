@@ -9,6 +9,7 @@
 
 namespace rg::diagnosis {
 
+using effects::Regressor;
 using Eigen::VectorXd;
 
 namespace {
@@ -81,11 +82,8 @@ double BalanceSelection::DrivePays(const BalanceModel& rival, std::string* line)
 
 BalanceModel BalanceSelection::PlainOnAll() const {
   BalanceModel m = model_;
-  for (int j = 0; j < data_.n; ++j) {
-    for (const char* e : {"viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia"}) {
-      for (const int c : ColumnsOf(e, j)) m.features[j].insert(c);
-    }
-  }
+  using enum Regressor;
+  for (int j = 0; j < data_.n; ++j) Insert({kVelocity, kDirection, kConstant, kAcceleration}, j, &m);
   return m;
 }
 
@@ -93,10 +91,7 @@ BalanceModel BalanceSelection::Uncoupled() const {
   BalanceModel m = model_;
   m.drive.clear();
   for (const int j : {fit_.drive().other, fit_.drive().joint}) {
-    if (j < 0) continue;
-    for (const char* e : {"viscous_friction", "coulomb_friction", "rotor_inertia"}) {
-      for (const int c : ColumnsOf(e, j)) m.features[j].insert(c);
-    }
+    if (j >= 0) Insert({Regressor::kVelocity, Regressor::kDirection, Regressor::kAcceleration}, j, &m);
   }
   return m;
 }
@@ -115,12 +110,12 @@ double BalanceSelection::FittedGain(const BalanceModel& rival) const {
 // On each pair of neighbouring joints the best κ of a grid, and of those that pay the one that pays most.
 void BalanceSelection::FindDrive() {
   const BalanceModel rival = PlainOnAll();
+  const std::string& coupling = effects::LawOf(Regressor::kOtherEffort).id;
   BalanceDrive best;
   double most = 0;
   for (int j = 0; j < data_.n; ++j) {
     const int other = nominal_.model().joint(j).parent;
-    if (other < 0 || other >= data_.n || !nominal_.Takes("joint_coupling", j) ||
-        !nominal_.Takes("joint_coupling", other))
+    if (other < 0 || other >= data_.n || !nominal_.Takes(coupling, j) || !nominal_.Takes(coupling, other))
       continue;
     BalanceDrive here;
     double gained = 0;

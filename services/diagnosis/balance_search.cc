@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <map>
+#include <set>
 
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
@@ -14,6 +16,7 @@
 namespace rg::diagnosis {
 
 using effects::EffectSpec;
+using effects::Regressor;
 using Eigen::VectorXd;
 
 namespace {
@@ -91,10 +94,8 @@ class MeasuredSearch {
     m.features.resize(n);
     return m;
   }
-  BalanceModel Without(BalanceModel m, const std::string& effect) const {
-    for (int j = 0; j < data_.n; ++j) {
-      for (const int c : chosen_.ColumnsOf(effect, j)) m.features[j].erase(c);
-    }
+  BalanceModel Without(BalanceModel m, Regressor law) const {
+    for (int j = 0; j < data_.n; ++j) chosen_.Erase(law, j, &m);
     return m;
   }
   Candidate Judged(const BalanceModel& m) const { return Compared(m, fit().LeaveOut(m).sum()); }
@@ -113,15 +114,22 @@ class MeasuredSearch {
       out->tried.push_back(c);
     }
     out->best = Compared(model(), cost);
-    std::set<std::string> effects;
+    std::map<std::string, std::set<Regressor>> laws;  // by the effect that they are
     for (int j = 0; j < data_.n; ++j) {
-      for (const int c : model().features[j]) effects.insert(chosen_.balance().columns[j][c].effect);
+      for (const int c : model().features[j]) {
+        const Regressor law = chosen_.balance().columns[j][c].regressor;
+        laws[effects::LawOf(law).id].insert(law);
+      }
     }
-    for (const std::string& effect : effects) out->tried.push_back(Judged(Without(model(), effect)));
+    for (const auto& [effect, own] : laws) {
+      BalanceModel less = model();
+      for (const Regressor law : own) less = Without(less, law);
+      out->tried.push_back(Judged(less));
+    }
     if (!model().drive.empty()) out->tried.push_back(Judged(chosen_.Uncoupled()));
-    for (const std::string& kind : kRefinedKinds) Exchange(kind, out);
-    if (effects.count("torque_offset") > 0) {
-      BalanceModel tilted = Without(model(), "torque_offset");
+    for (const Regressor law : kFinerLaws) Exchange(law, out);
+    if (laws.count(effects::LawOf(Regressor::kConstant).id) > 0) {
+      BalanceModel tilted = Without(model(), Regressor::kConstant);
       tilted.tilt = true;
       out->tried.push_back(Judged(tilted));
       ByDirection(out);
@@ -132,15 +140,13 @@ class MeasuredSearch {
   }
 
   // The model with dry friction of another form on every joint that has any.
-  void Exchange(const std::string& kind, SearchResult* out) const {
+  void Exchange(Regressor finer, SearchResult* out) const {
     BalanceModel other = model();
     bool changed = false;
     for (int j = 0; j < data_.n; ++j) {
-      if (!chosen_.Has(model(), "coulomb_friction", j) || chosen_.Has(model(), kind, j)) continue;
-      for (const std::string& old : kRefinedKinds) {
-        for (const int c : chosen_.ColumnsOf(old, j)) other.features[j].erase(c);
-      }
-      const auto shapes = chosen_.ColumnsOf(kind, j);
+      if (!chosen_.Has(model(), Regressor::kDirection, j) || chosen_.Has(model(), finer, j)) continue;
+      for (const Regressor old : kFinerLaws) chosen_.Erase(old, j, &other);
+      const auto shapes = chosen_.ColumnsOf(finer, j);
       if (shapes.empty()) continue;  // it does not take that
       other.features[j].insert(shapes[shapes.size() / 2]);
       const bool holds = chosen_.Admissible(other, j);
@@ -153,21 +159,25 @@ class MeasuredSearch {
   // Coulomb friction with an effort whose zero is off is friction that depends on the direction: −(c − o)
   // forwards, +(c + o) backwards. No data tell the two apart.
   void ByDirection(SearchResult* out) const {
+    const effects::EffectInfo &plain = effects::LawOf(Regressor::kDirection),
+                              &constant = effects::LawOf(Regressor::kConstant),
+                              &either = effects::LawOf(Regressor::kForwards);
     Candidate c = out->best;
     for (EffectSpec& s : c.specs) {
-      if (s.id != "coulomb_friction") continue;
+      if (s.id != plain.id) continue;
       const auto zero = std::find_if(c.specs.begin(), c.specs.end(), [&](const EffectSpec& e) {
-        return e.id == "torque_offset" && e.joints == s.joints;
+        return e.id == constant.id && e.joints == s.joints;
       });
       if (zero == c.specs.end()) continue;
-      const double level = s.values.at(s.joints[0]).at("coulomb"),
-                   offset = zero->values.at(s.joints[0]).at("offset");
+      const double level = s.values.at(s.joints[0]).at(plain.parameters[0].name),
+                   offset = zero->values.at(s.joints[0]).at(constant.parameters[0].name);
       if (std::abs(offset) >= level) continue;
-      s = effects::MakeSpec("asymmetric_friction", s.joints,
-                            {{"coulomb_positive", level - offset}, {"coulomb_negative", level + offset}});
+      s = effects::MakeSpec(
+          either.id, s.joints,
+          {{either.parameters[0].name, level - offset}, {either.parameters[1].name, level + offset}});
     }
     std::erase_if(c.specs, [&](const EffectSpec& e) {
-      return e.id == "torque_offset" && Contains(c.specs, "asymmetric_friction", e.joints[0]);
+      return e.id == constant.id && Contains(c.specs, either.id, e.joints[0]);
     });
     Alternative(c, out);
   }
@@ -182,16 +192,16 @@ class MeasuredSearch {
   // Delay and lag are told apart by the data or not; a late sensor is the same balance as a late drive.
   void OtherTiming(SearchResult* out) const {
     if (chosen_.timing_gain() <= 0) return;
+    const effects::EffectInfo &delay = effects::LawOf(Regressor::kDelayed),
+                              &lag = effects::LawOf(Regressor::kLagging),
+                              &late_sensor = effects::EffectOf(effects::Role::kSensorDelay);
     for (const bool sensor : {false, true}) {
       Candidate c = out->best;
       for (EffectSpec& s : c.specs) {
-        if (s.id != "actuator_delay" && s.id != "actuator_lag") continue;
+        if (s.id != delay.id && s.id != lag.id) continue;
         const double seconds = s.values.begin()->second.begin()->second;
-        const bool lag = !sensor && s.id == "actuator_delay";
-        s = effects::MakeSpec(sensor ? "sensor_delay"
-                              : lag  ? "actuator_lag"
-                                     : "actuator_delay",
-                              s.joints, {{lag ? "time_constant" : "delay", seconds}});
+        const effects::EffectInfo& other = sensor ? late_sensor : s.id == delay.id ? lag : delay;
+        s = effects::MakeSpec(other.id, s.joints, {{other.parameters[0].name, seconds}});
       }
       if (!sensor) c.score += chosen_.other_timing_gain();
       Alternative(c, out);
@@ -202,18 +212,21 @@ class MeasuredSearch {
   void Gains(double cost, SearchResult* out) const {
     const BalanceSolution s = fit().Solve(model());
     for (const std::string& kind : chosen_.KindsOf(model())) {
-      BalanceModel less = kind == "joint_coupling" ? chosen_.Uncoupled() : model();
-      if (kind == "gravity_misalignment") less.tilt = false;
+      const bool coupling = kind == effects::LawOf(Regressor::kOtherEffort).id;
+      BalanceModel less = coupling ? chosen_.Uncoupled() : model();
+      if (kind == effects::EffectOf(effects::Role::kGravity).id) less.tilt = false;
       for (int j = 0; j < data_.n; ++j) {
         const auto specs = chosen_.SpecsOfJoint(model(), s, j);
         if (std::none_of(specs.begin(), specs.end(), [&](const EffectSpec& e) { return e.id == kind; }))
           continue;
-        for (const int c : chosen_.ColumnsOf(kind, j)) less.features[j].erase(c);
-        if (kind != "position_spring") continue;
-        for (const int c : chosen_.ColumnsOf("torque_offset", j)) less.features[j].erase(c);
+        // What a plainer law needs too stays.
+        const auto& terms = effects::InferenceOf(kind).terms;
+        for (const effects::Term& t : terms) {
+          const bool own = effects::LawOf(t.regressor).id == kind;
+          if (own || t.regressor == Regressor::kConstant) chosen_.Erase(t.regressor, j, &less);
+        }
       }
-      const bool timing = kind == "actuator_delay" || kind == "actuator_lag";
-      out->measured.gain[kind] = timing ? chosen_.timing_gain() : fit().LeaveOut(less).sum() - cost;
+      out->measured.gain[kind] = IsTiming(kind) ? chosen_.timing_gain() : fit().LeaveOut(less).sum() - cost;
     }
   }
 
@@ -221,7 +234,7 @@ class MeasuredSearch {
   void Ceiling(SearchResult* out, double cost) {
     BalanceModel free = model();
     for (int j = 0; j < data_.n; ++j) {
-      for (const int c : chosen_.ColumnsOf("unknown_field", j)) free.features[j].insert(c);
+      chosen_.Insert({Regressor::kPositionPiece, Regressor::kVelocityPiece}, j, &free);
     }
     const BlockCosts now = fit().LeaveOut(model()), ceiling = fit().LeaveOut(free);
     out->measured.active = true;
@@ -268,8 +281,7 @@ class MeasuredSearch {
     std::vector<EffectSpec> left = Refreshed(c);
     std::erase_if(left, [&](const EffectSpec& s) {
       const effects::EffectInfo& info = *effects::FindEffect(s.id);
-      if (info.parameters.size() != 1 || (info.family != "friction" && info.family != "inertia"))
-        return false;
+      if (info.parameters.size() != 1 || !IsLossOfDrives(s.id)) return false;
       const std::string name = s.id + "." + s.joints[0] + "." + info.parameters[0].name;
       for (size_t i = 0; i < c.parameters.size(); ++i) {
         const auto k = static_cast<long>(i);

@@ -1,9 +1,11 @@
 #include "services/diagnosis/balance_selection.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
 
+#include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/candidate.h"
 #include "services/diagnosis/hypotheses.h"
@@ -11,43 +13,50 @@
 namespace rg::diagnosis {
 
 using effects::EffectSpec;
+using effects::Regressor;
 using Eigen::VectorXd;
 
-const std::vector<std::string> kPlainKinds = {"viscous_friction",    "coulomb_friction", "rotor_inertia",
-                                              "quadratic_drag",      "torque_gain",      "position_spring",
-                                              "gravity_misalignment"};
-const std::vector<std::string> kRefinedKinds = {"stribeck_friction", "load_dependent_friction",
-                                                "thermal_drift"};
+const std::vector<Regressor> kPlainLaws = {Regressor::kVelocity,     Regressor::kDirection,
+                                           Regressor::kAcceleration, Regressor::kSquaredVelocity,
+                                           Regressor::kEffort,       Regressor::kPosition};
+const std::vector<Regressor> kFinerLaws = {Regressor::kSlowly, Regressor::kUnderLoad, Regressor::kWarmingUp};
 
 namespace {
 
-constexpr const char* kZero = "torque_offset";  // a constant force: an effort whose zero is off
-constexpr double kRareErrors = 3.0;             // of what few have
-constexpr const char* kLosses[] = {"viscous_friction", "coulomb_friction", "rotor_inertia"};
+constexpr double kRareErrors = 3.0;  // of what few have
+// What all geared drives have.
+constexpr Regressor kLosses[] = {Regressor::kVelocity, Regressor::kDirection, Regressor::kAcceleration};
 constexpr double kPeriods = 2.0;      // of a ripple, that the joint passes at least: less is no ripple
 constexpr double kRippleStep = 2.0;   // of 1/range, between numbers of cycles that are looked at
 constexpr double kMostRipples = 400;  // numbers of cycles
 constexpr double kPassed = 0.8;       // of the averaging's first zero, at the joint's usual speed
-constexpr double kMostOfLoad = 0.8;   // of the torque, that friction may take
 constexpr double kLeastLoad = 0.1;    // of the last link's own mass
 constexpr double kReach = 0.4;        // m, from the last link's origin to its load's centre of mass
 constexpr double kWorthAName = 0.1;   // of what remains on its joint
 constexpr double kSamples = 1.5;      // timing finer than this many samples is the recorder's business
 constexpr double kTimingStep = 0.004, kEarliest = -0.032, kLatest = 0.048;  // s
 
-bool Common(const std::string& kind) {
-  return kind == "viscous_friction" || kind == "coulomb_friction" || kind == "rotor_inertia" || kind == kZero;
+bool IsFiner(Regressor law) {
+  return std::find(kFinerLaws.begin(), kFinerLaws.end(), law) != kFinerLaws.end();
 }
 
-bool Positive(const std::string& effect) {
-  return effect == "viscous_friction" || effect == "coulomb_friction" || effect == "rotor_inertia" ||
-         effect == "quadratic_drag" || effect == "load_dependent_friction";
+// What nearly every drive has: losses, and an effort whose zero is off.
+bool Common(Regressor law) {
+  return law == Regressor::kConstant ||
+         std::find(std::begin(kLosses), std::end(kLosses), law) != std::end(kLosses);
+}
+
+// Whether the law's own coefficient is.
+bool Positive(Regressor law) {
+  const auto& terms = effects::InferenceOf(effects::LawOf(law).id).terms;
+  return std::any_of(terms.begin(), terms.end(),
+                     [&](const effects::Term& t) { return t.regressor == law && t.positive; });
 }
 
 }  // namespace
 
 struct BalanceSelection::Trial {
-  std::string kind;
+  std::string effect;
   BalanceModel model;
   double nats = 0;
   std::vector<int> joints;
@@ -72,24 +81,41 @@ double BalanceSelection::LogHypotheses() const {
   return std::log(count);
 }
 
-std::vector<int> BalanceSelection::ColumnsOf(const std::string& effect, int joint) const {
+std::vector<int> BalanceSelection::ColumnsOf(Regressor law, int joint) const {
   std::vector<int> out;
   const auto& all = balance_.columns[joint];
   for (size_t c = 0; c < all.size(); ++c) {
-    if (all[c].effect == effect) out.push_back(static_cast<int>(c));
+    if (all[c].regressor == law) out.push_back(static_cast<int>(c));
   }
   return out;
 }
 
-bool BalanceSelection::Has(const BalanceModel& m, const std::string& effect, int joint) const {
-  const auto columns = ColumnsOf(effect, joint);
+void BalanceSelection::Insert(std::initializer_list<Regressor> laws, int joint, BalanceModel* m) const {
+  for (const Regressor law : laws) {
+    for (const int c : ColumnsOf(law, joint)) m->features[joint].insert(c);
+  }
+}
+
+void BalanceSelection::Erase(Regressor law, int joint, BalanceModel* m) const {
+  for (const int c : ColumnsOf(law, joint)) m->features[joint].erase(c);
+}
+
+bool BalanceSelection::Has(const BalanceModel& m, Regressor law, int joint) const {
+  const auto columns = ColumnsOf(law, joint);
   return std::any_of(columns.begin(), columns.end(), [&](int c) { return m.features[joint].count(c) > 0; });
 }
 
-double BalanceSelection::Coefficient(const BalanceSolution& s, const std::string& effect, int joint) const {
+double BalanceSelection::Coefficient(const BalanceSolution& s, Regressor law, int joint) const {
   double sum = 0;
-  for (const int c : ColumnsOf(effect, joint)) sum += s.features[joint][c] * balance_.columns[joint][c].scale;
+  for (const int c : ColumnsOf(law, joint)) sum += s.features[joint][c] * balance_.columns[joint][c].scale;
   return sum;
+}
+
+std::vector<double> BalanceSelection::Coefficients(const BalanceSolution& s, const effects::Inference& effect,
+                                                   int joint) const {
+  std::vector<double> out;
+  for (const effects::Term& t : effect.terms) out.push_back(Coefficient(s, t.regressor, joint));
+  return out;
 }
 
 void BalanceSelection::Pass(int j, const JointTiming& timing) {
@@ -100,12 +126,9 @@ void BalanceSelection::Pass(int j, const JointTiming& timing) {
 }
 
 BalanceModel BalanceSelection::Flexible(BalanceModel m) const {
-  for (int j = 0; j < data_.n; ++j) {
-    for (const char* e :
-         {"viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia", "unknown_field"}) {
-      for (const int c : ColumnsOf(e, j)) m.features[j].insert(c);
-    }
-  }
+  using enum Regressor;
+  for (int j = 0; j < data_.n; ++j)
+    Insert({kVelocity, kDirection, kConstant, kAcceleration, kPositionPiece, kVelocityPiece}, j, &m);
   return m;
 }
 
@@ -189,21 +212,15 @@ void BalanceSelection::Select(const CancelToken* cancel) {
 // itself; of what stays a joint's share need not be worth a name.
 void BalanceSelection::BeginWithLosses() {
   BalanceModel all = model_;
-  for (int j = 0; j < data_.n; ++j) {
-    for (const char* e : kLosses) {
-      for (const int c : ColumnsOf(e, j)) all.features[j].insert(c);
-    }
-  }
+  for (int j = 0; j < data_.n; ++j) Insert({kLosses[0], kLosses[1], kLosses[2]}, j, &all);
   RepairSigns(&all);
   if (!PaysTogether(fit_.LeaveOut(model_), fit_.LeaveOut(all))) return;
   for (bool changed = true; changed;) {
     changed = false;
     const BlockCosts with = fit_.LeaveOut(all);
-    for (const char* e : kLosses) {
+    for (const Regressor loss : kLosses) {
       BalanceModel less = all;
-      for (int j = 0; j < data_.n; ++j) {
-        for (const int c : ColumnsOf(e, j)) less.features[j].erase(c);
-      }
+      for (int j = 0; j < data_.n; ++j) Erase(loss, j, &less);
       if (less.features == all.features || PaysTogether(fit_.LeaveOut(less), with)) continue;
       all = less, changed = true;
       break;
@@ -223,7 +240,7 @@ void BalanceSelection::RepairSigns(BalanceModel* m) const {
     int joint = -1, column = -1;
     for (int j = 0; j < data_.n; ++j) {
       for (const int c : m->features[j]) {
-        if (!Positive(balance_.columns[j][c].effect) || s.features[j][c] >= worst) continue;
+        if (!Positive(balance_.columns[j][c].regressor) || s.features[j][c] >= worst) continue;
         worst = s.features[j][c], joint = j, column = c;
       }
     }
@@ -263,7 +280,8 @@ void BalanceSelection::TryPayload() {
 // Torque that varies with the joint's position, at the number of cycles that takes most off what remains.
 void BalanceSelection::TryRipple(int j) {
   const double range = scales_.high[j] - scales_.low[j];
-  if (!nominal_.Takes("torque_ripple", j) || scales_.still[static_cast<size_t>(j)] || !(range > 0)) return;
+  const std::string& ripple = effects::LawOf(Regressor::kSine).id;
+  if (!nominal_.Takes(ripple, j) || scales_.still[static_cast<size_t>(j)] || !(range > 0)) return;
   const BalanceRows& rows = balance_.joints[j];
   const VectorXd left = fit_.Residual(fit_.Solve(model_), j);
   // Energy that a wave takes off the rows in which the joint moves.
@@ -300,11 +318,11 @@ void BalanceSelection::TryRipple(int j) {
   with.features[j].insert({columns - 2, columns - 1});
   Gain gain;
   const BlockCosts before = fit_.LeaveOut(model_), after = fit_.LeaveOut(with);
-  if (!Pays("torque_ripple", before, after, j, &gain) ||
+  if (!Pays(Regressor::kSine, before, after, j, &gain) ||
       gain.nats < LogHypotheses() + std::log(count) + kEffectPrior)
     return;
   model_ = with;
-  trace_("  + torque_ripple on " + nominal_.joint_names()[j] + ", " + std::to_string(best) +
+  trace_("  + " + ripple + " on " + nominal_.joint_names()[j] + ", " + std::to_string(best) +
          " per turn: " + std::to_string(gain.nats) + " nats; " + StateOf(model_));
 }
 
@@ -313,7 +331,7 @@ std::optional<EffectSpec> BalanceSelection::PayloadOf(const BalanceModel& m) con
   if (!m.payload) return std::nullopt;
   const BalanceSolution s = fit_.Solve(m);
   Scored payload;
-  payload.effect = "payload";
+  payload.effect = effects::EffectOf(effects::Role::kBodyInertia).id;
   for (const int i : balance_.last_link)
     payload.coefficients.push_back(balance_.base[i].prior_stddev * s.base[i]);
   const EffectSpec spec = SpecsFor(payload, nominal_, scales_).front().front();
@@ -326,19 +344,14 @@ std::optional<EffectSpec> BalanceSelection::PayloadOf(const BalanceModel& m) con
   return spec;
 }
 
-// Models with `effect` on joint j in addition; several where it has shapes.
-std::vector<BalanceModel> BalanceSelection::With(const BalanceModel& m, const std::string& effect,
-                                                 int j) const {
+// Models with a law on joint j in addition; several where it has shapes.
+std::vector<BalanceModel> BalanceSelection::With(const BalanceModel& m, Regressor law, int j) const {
   std::vector<BalanceModel> out;
-  const bool shapes = effect == "stribeck_friction" || effect == "thermal_drift";
-  for (const int c : ColumnsOf(effect, j)) {
+  for (const int c : ColumnsOf(law, j)) {
     BalanceModel with = m;
     with.features[j].insert(c);
-    if (effect == "position_spring") {
-      for (const int o : ColumnsOf(kZero, j)) with.features[j].insert(o);
-    }
+    if (law == Regressor::kPosition) Insert({Regressor::kConstant}, j, &with);
     out.push_back(with);
-    if (!shapes) break;
   }
   return out;
 }
@@ -346,23 +359,20 @@ std::vector<BalanceModel> BalanceSelection::With(const BalanceModel& m, const st
 bool BalanceSelection::Admissible(const BalanceModel& m, int j) const {
   const BalanceSolution s = fit_.Solve(m);
   for (const int c : m.features[j]) {
-    if (Positive(balance_.columns[j][c].effect) && s.features[j][c] <= 0) return false;
+    if (Positive(balance_.columns[j][c].regressor) && s.features[j][c] <= 0) return false;
   }
-  const double level = Coefficient(s, "coulomb_friction", j);
-  if (Has(m, "stribeck_friction", j) && Coefficient(s, "stribeck_friction", j) <= 0) return false;
-  // All of the torque and no level of its own is no friction.
-  if (Has(m, "load_dependent_friction", j) &&
-      (level <= 0 || Coefficient(s, "load_dependent_friction", j) > kMostOfLoad))
-    return false;
-  return !(Has(m, "thermal_drift", j) && level + Coefficient(s, "thermal_drift", j) <= 0);
+  return std::all_of(kFinerLaws.begin(), kFinerLaws.end(), [&](Regressor law) {
+    const effects::Inference& effect = effects::InferenceOf(effects::LawOf(law).id);
+    return !Has(m, law, j) || effect.plausible(Coefficients(s, effect, j));
+  });
 }
 
 // Whether an addition on joint j is real and takes a part of what remains there that is worth a name.
-bool BalanceSelection::Pays(const std::string& kind, const BlockCosts& before, const BlockCosts& after, int j,
+bool BalanceSelection::Pays(Regressor law, const BlockCosts& before, const BlockCosts& after, int j,
                             Gain* gain) const {
   *gain = GainOf(before, after);
   const Gain own = GainOf(before, after, j);
-  const double errors = Common(kind) ? kErrors : kRareErrors;
+  const double errors = Common(law) ? kErrors : kRareErrors;
   return gain->Beyond(errors) && own.Beyond(errors) && gain->nats > LogHypotheses() + kJointPrior &&
          own.nats > kWorthAName * before.col(j).sum();
 }
@@ -373,9 +383,7 @@ bool BalanceSelection::TiltPays(const BlockCosts& before, Gain* gain) const {
   if (model_.tilt) return false;
   BalanceModel tilted = model_, rival = model_;
   tilted.tilt = true;
-  for (int j = 0; j < data_.n; ++j) {
-    for (const int c : ColumnsOf(kZero, j)) rival.features[j].insert(c);
-  }
+  for (int j = 0; j < data_.n; ++j) Insert({Regressor::kConstant}, j, &rival);
   BalanceModel both = rival;
   both.tilt = true;
   *gain = GainOf(before, fit_.LeaveOut(tilted));
@@ -384,27 +392,27 @@ bool BalanceSelection::TiltPays(const BlockCosts& before, Gain* gain) const {
          beside.nats > LogHypotheses() && gain->nats > kWorthAName * before.sum();
 }
 
-BalanceSelection::Trial BalanceSelection::TryKind(const std::string& kind, const BlockCosts& before) const {
-  Trial trial{kind, model_, 0, {}};
-  if (kind == "gravity_misalignment") {
-    Gain gain;
-    if (!TiltPays(before, &gain)) return trial;
-    trial.model.tilt = true, trial.nats = gain.nats, trial.joints = {0};
-    return trial;
-  }
-  const bool refinement = std::find(kRefinedKinds.begin(), kRefinedKinds.end(), kind) != kRefinedKinds.end();
+BalanceSelection::Trial BalanceSelection::TryTilt(const BlockCosts& before) const {
+  Trial trial{effects::EffectOf(effects::Role::kGravity).id, model_, 0, {}};
+  Gain gain;
+  if (TiltPays(before, &gain)) trial.model.tilt = true, trial.nats = gain.nats;
+  return trial;
+}
+
+BalanceSelection::Trial BalanceSelection::TryLaw(Regressor law, const BlockCosts& before) const {
+  Trial trial{effects::LawOf(law).id, model_, 0, {}};
   for (int j = 0; j < data_.n; ++j) {
-    if (refinement ? Refined(j) : Has(model_, kind, j)) continue;
+    if (IsFiner(law) ? Refined(j) : Has(model_, law, j)) continue;
     BlockCosts from = before;
-    if (kind == "position_spring") {
+    if (law == Regressor::kPosition) {
       BalanceModel rival = model_;
-      for (const int o : ColumnsOf(kZero, j)) rival.features[j].insert(o);
+      Insert({Regressor::kConstant}, j, &rival);
       from = fit_.LeaveOut(rival);
     }
     double best = 0;
-    for (const BalanceModel& with : With(model_, kind, j)) {
+    for (const BalanceModel& with : With(model_, law, j)) {
       Gain gain;
-      if (!Pays(kind, from, fit_.LeaveOut(with), j, &gain) || gain.nats <= best || !Admissible(with, j))
+      if (!Pays(law, from, fit_.LeaveOut(with), j, &gain) || gain.nats <= best || !Admissible(with, j))
         continue;
       best = gain.nats;
       trial.model.features[j] = with.features[j];
@@ -418,22 +426,23 @@ bool BalanceSelection::AddKind() {
   const BlockCosts before = fit_.LeaveOut(model_);
   const size_t kinds = KindsOf(model_).size();
   Trial best;
-  for (const std::string& kind : kPlainKinds) {
-    const Trial t = TryKind(kind, before);
-    if (t.nats <= best.nats) continue;
+  const auto consider = [&](const Trial& t) {
+    if (t.nats <= best.nats) return;
     const size_t after = KindsOf(t.model).size();
-    if (static_cast<int>(after) > max_effects_) continue;
-    if (after > kinds && t.nats < kEffectPrior + LogHypotheses()) continue;
+    if (static_cast<int>(after) > max_effects_) return;
+    if (after > kinds && t.nats < kEffectPrior + LogHypotheses()) return;
     best = t;
-  }
-  if (best.joints.empty()) return false;
+  };
+  for (const Regressor law : kPlainLaws) consider(TryLaw(law, before));
+  consider(TryTilt(before));
+  if (best.nats <= 0) return false;
   model_ = best.model;
   // Together they may not all hold.
   for (const int j : best.joints) {
-    while (best.kind != "gravity_misalignment" && !Admissible(model_, j) && DropNegative(j)) {
+    while (!Admissible(model_, j) && DropNegative(j)) {
     }
   }
-  std::string line = "  + " + best.kind + " on";
+  std::string line = "  + " + best.effect + (best.joints.empty() ? "" : " on");
   for (const int j : best.joints) line += " " + nominal_.joint_names()[j];
   trace_(line + ": " + std::to_string(best.nats) + " nats; " + StateOf(model_));
   return true;
@@ -443,33 +452,32 @@ bool BalanceSelection::DropNegative(int j) {
   const BalanceSolution s = fit_.Solve(model_);
   int worst = -1;
   for (const int c : model_.features[j]) {
-    const std::string& effect = balance_.columns[j][c].effect;
-    const bool finer = std::find(kRefinedKinds.begin(), kRefinedKinds.end(), effect) != kRefinedKinds.end();
-    if (Positive(effect) && s.features[j][c] <= 0) worst = c;
-    if (finer && worst < 0) worst = c;
+    const Regressor law = balance_.columns[j][c].regressor;
+    if (Positive(law) && s.features[j][c] <= 0) worst = c;
+    if (IsFiner(law) && worst < 0) worst = c;
   }
   return worst >= 0 && model_.features[j].erase(worst) > 0;
 }
 
 // Nothing finer can be said of dry friction on joint j: there is none, or one finer form is in.
 bool BalanceSelection::Refined(int j) const {
-  return !Has(model_, "coulomb_friction", j) ||
-         std::any_of(kRefinedKinds.begin(), kRefinedKinds.end(),
-                     [&](const std::string& kind) { return Has(model_, kind, j); });
+  return !Has(model_, Regressor::kDirection, j) ||
+         std::any_of(kFinerLaws.begin(), kFinerLaws.end(),
+                     [&](Regressor law) { return Has(model_, law, j); });
 }
 
 bool BalanceSelection::AddRefinement() {
   const BlockCosts before = fit_.LeaveOut(model_);
   Trial best;
-  std::vector<std::string> kinds = kRefinedKinds;
-  kinds.push_back(kZero);
-  for (const std::string& kind : kinds) {
-    const Trial t = TryKind(kind, before);
+  std::vector<Regressor> laws = kFinerLaws;
+  laws.push_back(Regressor::kConstant);
+  for (const Regressor law : laws) {
+    const Trial t = TryLaw(law, before);
     if (t.nats > best.nats && static_cast<int>(KindsOf(t.model).size()) <= max_effects_) best = t;
   }
   if (best.joints.empty()) return false;
   model_ = best.model;
-  trace_("  refined: " + best.kind + ", " + std::to_string(best.nats) + " nats; " + StateOf(model_));
+  trace_("  refined: " + best.effect + ", " + std::to_string(best.nats) + " nats; " + StateOf(model_));
   return true;
 }
 
@@ -482,14 +490,14 @@ void BalanceSelection::Prune() {
     const BlockCosts with = fit_.LeaveOut(model_);
     for (int j = 0; j < data_.n && !changed; ++j) {
       for (const int c : model_.features[j]) {
-        const std::string effect = balance_.columns[j][c].effect;
-        if (effect == "coulomb_friction" && Refined(j)) continue;  // its finer form stands on it
+        const Regressor law = balance_.columns[j][c].regressor;
+        if (law == Regressor::kDirection && Refined(j)) continue;  // its finer form stands on it
         BalanceModel less = model_;
         less.features[j].erase(c);
         const Gain gain = GainOf(fit_.LeaveOut(less), with);
         const bool habit = !losses_.empty() && losses_[j].count(c) > 0;
         if (habit ? gain.nats > 0 : gain.Beyond(kErrors) && gain.nats > LogHypotheses()) continue;
-        trace_("  − " + effect + " " + nominal_.joint_names()[j]);
+        trace_("  − " + effects::LawOf(law).id + " " + nominal_.joint_names()[j]);
         model_ = less;
         changed = true;
         break;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <functional>
+#include <initializer_list>
 #include <map>
 #include <optional>
 #include <set>
@@ -10,16 +11,17 @@
 
 #include "common/base/progress.h"
 #include "common/effects/effect.h"
+#include "common/effects/inference.h"
 #include "services/diagnosis/balance_fit.h"
 
 namespace rg::diagnosis {
 
 inline constexpr double kErrors = 2.0;  // standard errors over blocks, of what nearly every drive has
 
-// Plain laws, and finer forms of dry friction. A constant force is looked for after the plain laws, and said
-// as an effort whose zero is off: with Coulomb friction it is friction that depends on the direction,
-// exactly.
-extern const std::vector<std::string> kPlainKinds, kRefinedKinds;
+// Plain laws, and what makes dry friction of finer form. A constant force is looked for after the plain laws,
+// and said as an effort whose zero is off: with Coulomb friction it is friction that depends on the
+// direction, exactly.
+extern const std::vector<effects::Regressor> kPlainLaws, kFinerLaws;
 
 // How motion lies behind effort on one joint; kDelay with 0 s: it does not.
 struct JointTiming {
@@ -51,14 +53,20 @@ class BalanceSelection {
   double other_timing_gain() const { return other_timing_gain_; }  // of lags for delays and the reverse
   const std::vector<int>& early() const { return early_; }         // joints whose effort lags their motion
 
-  // Columns of an effect on a joint, whether a model has any of them, and their coefficients' sum in SI.
-  std::vector<int> ColumnsOf(const std::string& effect, int joint) const;
-  bool Has(const BalanceModel& m, const std::string& effect, int joint) const;
+  // Columns of a law on a joint, whether a model has any of them, and their coefficients' sum in SI.
+  std::vector<int> ColumnsOf(effects::Regressor law, int joint) const;
+  void Insert(std::initializer_list<effects::Regressor> laws, int joint, BalanceModel* m) const;
+  void Erase(effects::Regressor law, int joint, BalanceModel* m) const;
+  bool Has(const BalanceModel& m, effects::Regressor law, int joint) const;
   double Scale(const BalanceSolution& s, int joint) const;
-  double Coefficient(const BalanceSolution& s, const std::string& effect, int joint) const;
+  double Coefficient(const BalanceSolution& s, effects::Regressor law, int joint) const;
+  std::vector<double> Coefficients(const BalanceSolution& s, const effects::Inference& effect,
+                                   int joint) const;
   bool Admissible(const BalanceModel& m, int joint) const;
   // A model's effects as the simulator has them, timing included.
   std::vector<effects::EffectSpec> SpecsOf(const BalanceModel& m) const;
+  effects::EffectSpec SpecOf(effects::Regressor law, const BalanceModel& m, const BalanceSolution& s,
+                             int joint) const;
   std::vector<effects::EffectSpec> SpecsOfJoint(const BalanceModel& m, const BalanceSolution& s,
                                                 int joint) const;
   std::optional<effects::EffectSpec> PayloadOf(const BalanceModel& m) const;
@@ -78,11 +86,12 @@ class BalanceSelection {
   bool PruneDrive();
   void Pass(int joint, const JointTiming& timing);
   BalanceModel Flexible(BalanceModel m) const;
-  std::vector<BalanceModel> With(const BalanceModel& m, const std::string& effect, int joint) const;
-  bool Pays(const std::string& kind, const BlockCosts& before, const BlockCosts& after, int joint,
+  std::vector<BalanceModel> With(const BalanceModel& m, effects::Regressor law, int joint) const;
+  bool Pays(effects::Regressor law, const BlockCosts& before, const BlockCosts& after, int joint,
             Gain* gain) const;
   bool TiltPays(const BlockCosts& before, Gain* gain) const;
-  Trial TryKind(const std::string& kind, const BlockCosts& before) const;
+  Trial TryTilt(const BlockCosts& before) const;
+  Trial TryLaw(effects::Regressor law, const BlockCosts& before) const;
   void BeginWithLosses();
   void RepairSigns(BalanceModel* m) const;
   bool PaysTogether(const BlockCosts& before, const BlockCosts& after) const;

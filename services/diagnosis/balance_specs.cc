@@ -2,86 +2,83 @@
 #include <algorithm>
 #include <cmath>
 
+#include "common/effects/effect_catalog.h"
 #include "services/diagnosis/balance_selection.h"
 #include "services/diagnosis/hypotheses.h"
 
 namespace rg::diagnosis {
 
 using effects::EffectSpec;
+using effects::Regressor;
 
 namespace {
 
 constexpr double kLeastLevel = 1e-3;  // of the joint's usual torque: a friction that starts at 0 stays there
 
-double ShapeOf(const TorqueBalance& balance, const BalanceModel& m, const std::string& effect, int joint) {
-  for (const int c : m.features[joint]) {
-    if (balance.columns[joint][c].effect == effect) return balance.columns[joint][c].shape;
+// Laws by which effects are told, those that others' terms stand beside after those; the first of an effect
+// whose terms are taken is that effect.
+constexpr Regressor kTold[] = {Regressor::kVelocity,  Regressor::kAcceleration, Regressor::kSquaredVelocity,
+                               Regressor::kEffort,    Regressor::kPosition,     Regressor::kSlowly,
+                               Regressor::kUnderLoad, Regressor::kWarmingUp,    Regressor::kDirection,
+                               Regressor::kSine,      Regressor::kConstant};
+
+// The terms that no plainer law has of the effect that a law tells: of a wave two, either of which may be
+// gone.
+std::vector<Regressor> OwnTerms(Regressor law) {
+  const std::string& effect = effects::LawOf(law).id;
+  std::vector<Regressor> out;
+  for (const effects::Term& t : effects::InferenceOf(effect).terms) {
+    if (effects::LawOf(t.regressor).id == effect) out.push_back(t.regressor);
   }
-  return 1.0;
+  return out;
+}
+
+const effects::EffectInfo& EffectOf(EffortTiming timing) {
+  return effects::LawOf(timing == EffortTiming::kDelay ? Regressor::kDelayed : Regressor::kLagging);
 }
 
 }  // namespace
 
 // u = (rigid + friction)/g: every coefficient but the gain's own is of the effort's scale.
 double BalanceSelection::Scale(const BalanceSolution& s, int joint) const {
-  return std::clamp(1.0 / std::max(0.1, 1.0 - Coefficient(s, "torque_gain", joint)), 0.05, 8.0);
+  return std::clamp(1.0 / std::max(0.1, 1.0 - Coefficient(s, Regressor::kEffort, joint)), 0.05, 8.0);
+}
+
+// The effect that a law tells, from its terms' coefficients.
+EffectSpec BalanceSelection::SpecOf(Regressor law, const BalanceModel& m, const BalanceSolution& s,
+                                    int j) const {
+  const effects::EffectInfo& effect = effects::LawOf(law);
+  const std::vector<std::string> joint = {nominal_.joint_names()[j]};
+  const double gain = Scale(s, j), middle = 0.5 * (scales_.low[j] + scales_.high[j]),
+               range = scales_.high[j] - scales_.low[j];
+  if (law == Regressor::kEffort)
+    return effects::MakeSpec(effect.id, joint, {{effect.parameters[0].name, gain}});
+  std::vector<double> c = Coefficients(s, effects::InferenceOf(effect.id), j);
+  // A share of the torque is of no scale.
+  for (double& x : c) x *= &x == &c.back() && law == Regressor::kUnderLoad ? 1.0 : gain;
+  effects::Found found{c};
+  const std::vector<Regressor> own = OwnTerms(law);
+  for (const int column : m.features[j]) {
+    const BalanceColumn& of = balance_.columns[j][column];
+    if (std::find(own.begin(), own.end(), of.regressor) != own.end()) found.shape = of.shape;
+  }
+  found.joint = SizeOf(scales_, nominal_, j);
+  found.least = 0, found.least_share = kLeastLevel;
+  found.low = middle - 10 * range, found.high = middle + 10 * range;
+  return effects::MakeSpec(effect.id, joint, effects::StartsOf(effect, found).front().values);
 }
 
 std::vector<EffectSpec> BalanceSelection::SpecsOfJoint(const BalanceModel& m, const BalanceSolution& s,
                                                        int j) const {
   std::vector<EffectSpec> specs;
-  const std::string& joint = nominal_.joint_names()[j];
-  const auto add = [&](const std::string& id, std::map<std::string, double> values) {
-    specs.push_back(effects::MakeSpec(id, {joint}, std::move(values)));
-  };
-  const double gain = Scale(s, j);
-  const auto value = [&](const std::string& effect) { return gain * Coefficient(s, effect, j); };
-  const double level = value("coulomb_friction"), offset = value("torque_offset"),
-               small = kLeastLevel * scales_.torque[j];
-  for (const auto& [id, name] : {std::pair<std::string, std::string>{"viscous_friction", "viscous"},
-                                 {"rotor_inertia", "armature"},
-                                 {"quadratic_drag", "quadratic"}}) {
-    if (Has(m, id, j)) add(id, {{name, std::max(0.0, value(id))}});
+  std::set<Regressor> taken;
+  for (const Regressor law : kTold) {
+    const std::vector<Regressor> own = OwnTerms(law);
+    const bool has = std::any_of(own.begin(), own.end(), [&](Regressor r) { return Has(m, r, j); });
+    if (!has || taken.count(law) > 0) continue;
+    specs.push_back(SpecOf(law, m, s, j));
+    for (const effects::Term& t : effects::InferenceOf(specs.back().id).terms) taken.insert(t.regressor);
   }
-  if (Has(m, "torque_gain", j)) add("torque_gain", {{"gain", gain}});
-  const bool spring = Has(m, "position_spring", j);
-  if (spring) {
-    const double k = value("position_spring"), middle = 0.5 * (scales_.low[j] + scales_.high[j]);
-    const double range = scales_.high[j] - scales_.low[j];
-    const double center = std::clamp(middle + offset / k, middle - 10 * range, middle + 10 * range);
-    add("position_spring",
-        {{"stiffness", k}, {"cubic", 0.0}, {"center", std::isfinite(center) ? center : middle}});
-  }
-  if (Has(m, "stribeck_friction", j)) {
-    add("stribeck_friction", {{"coulomb", std::max(small, level)},
-                              {"static", std::max(small, level + value("stribeck_friction"))},
-                              {"stribeck_velocity", ShapeOf(balance_, m, "stribeck_friction", j)}});
-  } else if (Has(m, "load_dependent_friction", j)) {
-    add("load_dependent_friction",
-        {{"coulomb", std::max(small, level)},
-         {"load_coefficient", std::max(0.0, Coefficient(s, "load_dependent_friction", j))}});
-  } else if (Has(m, "thermal_drift", j)) {
-    add("thermal_drift", {{"initial", std::max(small, level + value("thermal_drift"))},
-                          {"final", std::max(small, level)},
-                          {"time_constant", ShapeOf(balance_, m, "thermal_drift", j)}});
-  } else if (Has(m, "coulomb_friction", j)) {
-    add("coulomb_friction", {{"coulomb", std::max(small, level)}});
-  }
-  if (Has(m, "torque_ripple", j)) {
-    const auto of = [&](const char* role) {
-      double sum = 0;
-      for (const int c : m.features[j]) {
-        const BalanceColumn& column = balance_.columns[j][c];
-        if (column.effect == "torque_ripple" && column.role == role)
-          sum += gain * s.features[j][c] * column.scale;
-      }
-      return sum;
-    };
-    add("torque_ripple", {{"amplitude", std::hypot(of("sin"), of("cos"))},
-                          {"cycles_per_rev", ShapeOf(balance_, m, "torque_ripple", j)},
-                          {"phase", std::atan2(of("cos"), of("sin"))}});
-  }
-  if (Has(m, "torque_offset", j) && !spring) add("torque_offset", {{"offset", offset}});
   std::erase_if(specs, [&](const EffectSpec& e) {
     const Status valid = effects::ValidateSpec(e);
     if (!valid.ok()) trace_("  left out: " + valid.ToString());
@@ -97,9 +94,9 @@ std::vector<EffectSpec> BalanceSelection::SpecsOf(const BalanceModel& m) const {
     for (EffectSpec& e : SpecsOfJoint(m, s, j)) specs.push_back(std::move(e));
     const JointTiming& timing = timing_[j];
     if (timing.seconds <= 0) continue;
-    const bool delay = timing.kind == EffortTiming::kDelay;
-    specs.push_back(effects::MakeSpec(delay ? "actuator_delay" : "actuator_lag", {nominal_.joint_names()[j]},
-                                      {{delay ? "delay" : "time_constant", timing.seconds}}));
+    const effects::EffectInfo& late = EffectOf(timing.kind);
+    specs.push_back(
+        effects::MakeSpec(late.id, {nominal_.joint_names()[j]}, {{late.parameters[0].name, timing.seconds}}));
   }
   if (const auto payload = PayloadOf(m)) specs.push_back(*payload);
   if (!m.drive.empty()) {
@@ -107,19 +104,15 @@ std::vector<EffectSpec> BalanceSelection::SpecsOf(const BalanceModel& m) const {
     const double gain = Scale(s, drive.joint);
     const auto value = [&](int c) { return std::max(0.0, gain * s.drive[c] * drive.scale[c]); };
     const auto& names = nominal_.joint_names();
-    specs.push_back(effects::MakeSpec("joint_coupling", {names[drive.other], names[drive.joint]},
-                                      {{"coefficient", drive.ratio},
-                                       {"viscous", value(BalanceDrive::kViscous)},
-                                       {"coulomb", value(BalanceDrive::kCoulomb)},
-                                       {"armature", value(BalanceDrive::kRotor)}}));
-    specs.back().options["form"] = "kinematic";
+    specs.push_back(CoupledDrive(
+        names[drive.other], names[drive.joint], drive.ratio,
+        {value(BalanceDrive::kViscous), value(BalanceDrive::kCoulomb), value(BalanceDrive::kRotor)}));
   }
   if (m.tilt) {
-    const double gx = kTiltPrior * s.base[balance_.tilt], gy = kTiltPrior * s.base[balance_.tilt + 1];
-    const double g = std::max(1e-6, nominal_.options().gravity.norm());
-    specs.push_back(effects::MakeSpec(
-        "gravity_misalignment", {},
-        {{"tilt", std::clamp(std::hypot(gx, gy) / g, 1e-3, 1.2)}, {"azimuth", std::atan2(gy, gx)}}));
+    Scored tilt;
+    tilt.effect = effects::EffectOf(effects::Role::kGravity).id;
+    for (const int axis : {0, 1}) tilt.coefficients.push_back(kTiltPrior * s.base[balance_.tilt + axis]);
+    specs.push_back(SpecsFor(tilt, nominal_, scales_).front().front());
   }
   return specs;
 }
@@ -134,43 +127,35 @@ std::map<std::string, double> BalanceSelection::Spread() const {
   std::map<std::string, double> out;
   const BalanceSolution spread = fit_.Jackknife(model_);
   for (int j = 0; j < data_.n; ++j) {
-    const auto of = [&](const std::string& effect) {
-      double variance = 0;
-      for (const int c : ColumnsOf(effect, j)) {
+    const std::string& joint = nominal_.joint_names()[j];
+    const auto variance = [&](Regressor law) {
+      double sum = 0;
+      for (const int c : ColumnsOf(law, j)) {
         if (model_.features[j].count(c))
-          variance += std::pow(spread.features[j][c] * balance_.columns[j][c].scale, 2);
+          sum += std::pow(spread.features[j][c] * balance_.columns[j][c].scale, 2);
       }
-      return variance;
+      return sum;
     };
-    const double level = of("coulomb_friction"), offset = of("torque_offset");
-    const double timing = timing_[j].seconds > 0 ? timing_[j].stddev * timing_[j].stddev : 0.0;
-    const std::map<std::string, double> variances = {
-        {"viscous_friction.viscous", of("viscous_friction")},
-        {"quadratic_drag.quadratic", of("quadratic_drag")},
-        {"rotor_inertia.armature", of("rotor_inertia")},
-        {"torque_gain.gain", of("torque_gain")},
-        {"position_spring.stiffness", of("position_spring")},
-        {"coulomb_friction.coulomb", level},
-        {"torque_offset.offset", offset},
-        {"stribeck_friction.coulomb", level},
-        {"stribeck_friction.static", level + of("stribeck_friction")},
-        {"load_dependent_friction.coulomb", level},
-        {"load_dependent_friction.load_coefficient", of("load_dependent_friction")},
-        {"thermal_drift.initial", level + of("thermal_drift")},
-        {"thermal_drift.final", level},
-        {"actuator_delay.delay", timing},
-        {"actuator_lag.time_constant", timing}};
-    for (const auto& [name, variance] : variances) {
-      if (variance <= 0) continue;
-      const size_t dot = name.find('.');
-      out[name.substr(0, dot) + "." + nominal_.joint_names()[j] + name.substr(dot)] = std::sqrt(variance);
+    for (const effects::EffectInfo& effect : effects::Catalog()) {
+      for (const effects::ParameterInfo& p : effect.parameters) {
+        double sum = 0;
+        for (const effects::Term& t : effects::InferenceOf(effect.id).terms) {
+          if (std::count(t.adds_to.begin(), t.adds_to.end(), p.name) > 0) sum += variance(t.regressor);
+        }
+        if (sum > 0) out[effect.id + "." + joint + "." + p.name] = std::sqrt(sum);
+      }
+    }
+    for (const EffortTiming timing : {EffortTiming::kDelay, EffortTiming::kLag}) {
+      const effects::EffectInfo& late = EffectOf(timing);
+      if (timing_[j].seconds > 0 && timing_[j].stddev > 0)
+        out[late.id + "." + joint + "." + late.parameters[0].name] = timing_[j].stddev;
     }
   }
   if (!model_.drive.empty()) {
     const char* const names[] = {"viscous", "coulomb", "armature"};
-    for (const int c : model_.drive)
-      out[std::string("joint_coupling.*.") + names[c]] = spread.drive[c] * fit_.drive().scale[c];
-    out["joint_coupling.*.coefficient"] = ratio_stddev_;
+    const std::string drive = effects::LawOf(Regressor::kOtherEffort).id + ".*.";
+    for (const int c : model_.drive) out[drive + names[c]] = spread.drive[c] * fit_.drive().scale[c];
+    out[drive + "coefficient"] = ratio_stddev_;
   }
   return out;
 }

@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "common/effects/effect_catalog.h"
+#include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 
 namespace rg::diagnosis {
@@ -15,13 +16,8 @@ namespace {
 
 constexpr double kBasePrior = 1.0;  // −log odds of a URDF that is off
 constexpr double kShapePrior =
-    1.0;  // of each parameter beyond the first: what the data do not show costs too
-// A drive's command waits for its bus and cycle more often than a sensor's reading does; where both are on
-// all joints nothing but the first moments of a recording tells them apart.
-constexpr double kSensorDelayPrior = 2.0;
-constexpr double kOffsetPrior =
-    2.0;  // a dead band, whose effort keeps its sign, a tilt and a wrong zero are constant forces, too
-constexpr double kLeast = 1.3;        // times the least that a mass or a gap may be
+    1.0;                        // of each parameter beyond the first: what the data do not show costs too
+constexpr double kLeast = 1.3;  // times the least that a mass or a gap may be
 constexpr double kSameRipple = 0.02;  // rad, from one end of a motion to the other: 1 % of an amplitude
 constexpr double kSeenAgain = 0.75;   // periods over all that was recorded: nearly all of a ripple
 constexpr double kSharp = 0.1;        // cycles per turn: one other curve in five is as near to a whole number
@@ -29,7 +25,6 @@ constexpr double kBent = 0.25;        // cycles per turn, off a whole number, th
 constexpr double kMostlyGone = 0.01;  // of the nats that an effect was worth
 constexpr double kUnseen = 0.7;       // posterior over prior stddev of the best known parameter
 constexpr double kAlike = 0.2;        // of its fellows' typical strength, that a drive's own may be
-constexpr double kFieldPrior = 6.0;   // what an unnamed force pays beside
 
 // Fields of which an effect is about nothing where they are zero (a gain: one).
 const std::set<std::string> kStrengths = {"viscous",
@@ -75,19 +70,32 @@ double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
     const bool field = IsUnnamed(s.id);
     cost += kJointPrior;
     if (!field) cost += kShapePrior * (ParametersOf(s) - 1.0);
-    if (s.id == "sensor_delay") cost += kSensorDelayPrior;
-    if (s.id == "torque_offset") cost += kOffsetPrior;
-    if (field) cost += kFieldPrior;
+    cost += effects::InferenceOf(s.id).rare;
   }
   return cost + kEffectPrior * static_cast<double>(ids.size());
 }
 
-bool IsUnnamed(const std::string& id) { return id == "unknown_field" || id == "unknown_field_pair"; }
+bool IsUnnamed(const std::string& id) { return effects::InferenceOf(id).unnamed; }
+
+bool IsTiming(const std::string& id) {
+  const effects::EffectInfo* info = effects::FindEffect(id);
+  return info != nullptr && info->family == "timing";
+}
+
+bool IsOfPosition(const std::string& id) {
+  const effects::EffectInfo* info = effects::FindEffect(id);
+  return info != nullptr && info->family == "position" && info->scope == effects::Scope::kJoint;
+}
+
+bool IsLossOfDrives(const std::string& id) {
+  const effects::EffectInfo* info = effects::FindEffect(id);
+  return info != nullptr && (info->family == "friction" || info->family == "inertia");
+}
 
 std::string FieldVariable(const std::vector<EffectSpec>& specs, const std::string& joint) {
   for (const EffectSpec& s : specs) {
-    if (s.id != "unknown_field" || !Contains({s}, s.id, joint)) continue;
     const effects::EffectInfo& info = *effects::FindEffect(s.id);
+    if (!IsUnnamed(s.id) || info.options.count("variable") == 0 || !Contains({s}, s.id, joint)) continue;
     return info.options.at("variable")[static_cast<size_t>(info.Option("variable", s))];
   }
   return "";
@@ -96,7 +104,7 @@ std::string FieldVariable(const std::vector<EffectSpec>& specs, const std::strin
 bool Contains(const std::vector<EffectSpec>& specs, const std::string& id, const std::string& joint) {
   for (const EffectSpec& s : specs) {
     if (s.id != id) continue;
-    if (s.joints.empty() || joint.empty() || id == "joint_coupling") {
+    if (s.joints.empty() || joint.empty() || id == effects::LawOf(effects::Regressor::kOtherEffort).id) {
       if (s.joints.empty()) return true;
       continue;
     }
@@ -125,7 +133,8 @@ std::vector<EffectSpec> Refreshed(const Candidate& c) {
   std::vector<EffectSpec> specs = c.specs;
   for (EffectSpec& s : specs) {
     std::vector<std::string> owners = s.joints;
-    if (s.joints.empty() || s.id == "joint_coupling" || s.id == "unknown_field_pair") owners = {"*"};
+    const bool pair = effects::FindEffect(s.id)->scope == effects::Scope::kJointPair;
+    if (s.joints.empty() || pair) owners = {"*"};
     for (const std::string& owner : owners) {
       for (const auto& info : effects::FindEffect(s.id)->parameters) {
         const int at = c.plant->parameters().Find(s.id + "." + owner + "." + info.name);
@@ -168,7 +177,7 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
   bool seen_again = false, slow = false;
   for (size_t k = 0; k < c.parameters.size(); ++k) {
     const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
-    if (p.effect != "torque_ripple" || p.field != "cycles_per_rev") continue;
+    if (p.field != "cycles_per_rev") continue;
     const int joint = model.FindJoint(p.owner);
     const double cycles = c.fit.theta[static_cast<long>(k)], lower = c.parameters[k].lower;
     const double range = scales.high[joint] - scales.low[joint];
@@ -186,7 +195,8 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
       seen_again = true;
     else if (!turns || (whole && error > kSharp))
       slow = true;
-    if (times < 2 && Contains(c.specs, "position_spring", p.owner)) return false;
+    if (times < 2 && Contains(c.specs, effects::LawOf(effects::Regressor::kPosition).id, p.owner))
+      return false;
   }
   // A robot whose drives ripple does so on other joints too.
   return seen_again || !slow;
@@ -195,7 +205,7 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
 bool Drops(const Candidate& c) {
   const auto& parameters = c.plant->parameters();
   return std::all_of(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) {
-    if (s.id != "stribeck_friction") return true;
+    if (s.id != effects::LawOf(effects::Regressor::kSlowly).id) return true;
     const std::string name = s.id + "." + s.joints[0] + ".";
     return c.fit.values[parameters.Find(name + "static")] >= c.fit.values[parameters.Find(name + "coulomb")];
   });
@@ -223,9 +233,9 @@ double Strength(const Candidate& c, size_t i) {
     weight[static_cast<long>(k)] = 1 / (p.prior_stddev * p.prior_stddev);
     if (static_cast<long>(k) >= n) continue;
     // The least lag that can be simulated is none.
-    const double none = c.plant->parameters()[p.index].field == "gain" ? 1
-                        : s.id == "actuator_lag"                       ? p.lower
-                                                                       : 0;
+    const double none = c.plant->parameters()[p.index].field == "gain"            ? 1
+                        : s.id == effects::LawOf(effects::Regressor::kLagging).id ? p.lower
+                                                                                  : 0;
     value[static_cast<long>(k)] = c.fit.theta[order[k]] - none;
   }
   Eigen::MatrixXd precision = c.fit.information(order, order);
@@ -278,14 +288,11 @@ bool AddsNothing(const Candidate& before, const Candidate& c) {
 }
 
 bool OfAllJoints(const Candidate& c, size_t i) {
-  static const std::set<std::string> kShared = {"actuator_delay", "actuator_lag", "sensor_delay"};
   const std::string& id = c.specs[i].id;
   const auto joints =
       std::count_if(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) { return s.id == id; });
-  const effects::EffectInfo* info = effects::FindEffect(id);
-  const bool loss = info != nullptr && (info->family == "friction" || info->id == "rotor_inertia");
-  return (kShared.count(id) > 0 && joints > 1) ||
-         (loss && joints >= kManyJoints && 2 * joints > c.plant->num_joints());
+  return (IsTiming(id) && joints > 1) ||
+         (IsLossOfDrives(id) && joints >= kManyJoints && 2 * joints > c.plant->num_joints());
 }
 
 bool LikeItsFellows(const Candidate& c, size_t i) {
@@ -317,7 +324,7 @@ bool LikeItsFellows(const Candidate& c, size_t i) {
 bool SurelyThere(const Candidate& c, size_t i, double needed) {
   if (LikeItsFellows(c, i)) return true;
   const double strength = Strength(c, i);
-  if (strength <= 4.0 || c.specs[i].id == "torque_saturation") return false;
+  if (strength <= 4.0 || c.specs[i].id == effects::LawOf(effects::Regressor::kBeyond).id) return false;
   return OfAllJoints(c, i) || 0.5 * strength * strength > 2 * needed;
 }
 
@@ -353,9 +360,7 @@ bool HasFreeStates(const Candidate& c) {
 }
 
 bool OfPosition(const Candidate& c) {
-  return std::any_of(c.specs.begin(), c.specs.end(), [](const EffectSpec& e) {
-    return e.id == "unknown_field" || e.id == "position_spring" || e.id == "torque_ripple";
-  });
+  return std::any_of(c.specs.begin(), c.specs.end(), [](const EffectSpec& e) { return IsOfPosition(e.id); });
 }
 
 }  // namespace rg::diagnosis

@@ -57,8 +57,12 @@ inline constexpr double kExplained = 1.1;  // χ² per row: errors a twentieth a
 inline constexpr double kOnePercent = 2.326;     // stddev that one of a hundred normal variables exceeds
 inline constexpr double kOneInAHundred = 2.576;  // the same to either side
 
-// Whether the effect is a force without a name.
+// Whether the effect is a force without a name; lateness; a force on a joint over its position; what a drive
+// loses or its rotor.
 bool IsUnnamed(const std::string& id);
+bool IsTiming(const std::string& id);
+bool IsOfPosition(const std::string& id);
+bool IsLossOfDrives(const std::string& id);
 
 // What the unnamed force on the joint is over: "position", "velocity", …, or "drag"; empty: there is none
 // that is over one variable.

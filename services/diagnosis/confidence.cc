@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "common/effects/effect_catalog.h"
+#include "services/diagnosis/candidate.h"
 
 namespace rg::diagnosis {
 namespace {
@@ -25,27 +25,20 @@ constexpr double kUnknown = 0.8;           // something without a name: 49 of 61
 constexpr double kParameters = 0.95;       // parameters alone: 88 of 92
 constexpr double kParametersBeside = 0.9;  // beside a name: 87 of 97
 
-bool IsName(const Finding& f) { return f.effect != "parameters_only" && f.effect != "unknown_field"; }
+bool IsName(const Finding& f) { return f.effect != "parameters_only" && !IsUnnamed(f.effect); }
 
-bool IsLoss(const Finding& f) {
-  const effects::EffectInfo* info = effects::FindEffect(f.effect);
-  return info != nullptr && (info->family == "friction" || info->id == "rotor_inertia");
-}
-
-bool IsTiming(const Finding& f) {
-  const effects::EffectInfo* info = effects::FindEffect(f.effect);
-  return info != nullptr && info->family == "timing";
-}
+bool IsOfDrive(const Finding& f) { return IsLossOfDrives(f.effect) || IsTiming(f.effect); }
 
 // A law that drives share, on most joints.
 bool OfDrives(const Finding& f, int joints) {
-  return (IsLoss(f) || IsTiming(f)) && 2 * static_cast<int>(f.joints.size()) > joints;
+  return IsOfDrive(f) && 2 * static_cast<int>(f.joints.size()) > joints;
 }
 
 // Of one of three names and more, none of them beside what has none.
 double RateOfMany(const Finding& f, const std::vector<Finding>& findings, int joints) {
-  const auto losses = std::count_if(findings.begin(), findings.end(),
-                                    [&](const Finding& g) { return IsLoss(g) && OfDrives(g, joints); });
+  const auto losses = std::count_if(findings.begin(), findings.end(), [&](const Finding& g) {
+    return IsLossOfDrives(g.effect) && OfDrives(g, joints);
+  });
   if (losses < 2) return kMany;
   return OfDrives(f, joints) ? kOfDrives : kBesideDrives;
 }
@@ -53,10 +46,10 @@ double RateOfMany(const Finding& f, const std::vector<Finding>& findings, int jo
 double HitRate(const Finding& f, const std::string& verdict, bool measured, int names, bool alone,
                double many) {
   if (f.effect == "parameters_only") return alone ? kParameters : kParametersBeside;
-  if (f.effect == "unknown_field") return kUnknown;
+  if (IsUnnamed(f.effect)) return kUnknown;
   if (verdict == "unexplained" && !measured) return kBeside;
   // Losses and late drives every arm has; what few have is no surer than beside other losses.
-  const double of_measured = IsLoss(f) || IsTiming(f) ? kMeasured : kBesideDrives;
+  const double of_measured = IsOfDrive(f) ? kMeasured : kBesideDrives;
   const double rate = names <= 1 ? kAlone : measured ? of_measured : names == 2 ? kTwo : many;
   const bool rival = std::any_of(f.alternatives.begin(), f.alternatives.end(),
                                  [](const Alternative& a) { return !a.separable; });

@@ -8,6 +8,7 @@
 namespace rg::diagnosis {
 
 using effects::EffectSpec;
+using effects::Regressor;
 
 namespace {
 
@@ -16,26 +17,17 @@ constexpr size_t kFitted = 2;  // starts that are worth a whole fit
 constexpr int kCoupledIterations = 12;
 constexpr double kStartRatios[] = {1.0, -1.0, 0.5, -0.5, 2.0, -2.0};  // the fit finds what lies between
 
-double ValueOn(const std::vector<EffectSpec>& specs, const std::string& id, const std::string& joint,
-               const std::string& parameter) {
+// Of the plain law's effect on a joint, its one parameter.
+double ValueOn(const std::vector<EffectSpec>& specs, Regressor law, const std::string& joint) {
+  const effects::EffectInfo& effect = effects::LawOf(law);
   for (const EffectSpec& s : specs) {
-    if (s.id != id || !Contains({s}, id, joint)) continue;
+    if (s.id != effect.id || !Contains({s}, effect.id, joint)) continue;
     const auto owner = s.values.find(joint);
-    if (owner != s.values.end() && owner->second.count(parameter)) return owner->second.at(parameter);
+    if (owner == s.values.end()) continue;
+    const auto value = owner->second.find(effect.parameters[0].name);
+    if (value != owner->second.end()) return value->second;
   }
   return 0;
-}
-
-// The plain losses of `joint` as those of a drive that turns with `other` too.
-EffectSpec Coupled(const std::vector<EffectSpec>& specs, const std::string& other, const std::string& joint,
-                   double ratio) {
-  EffectSpec out = effects::MakeSpec("joint_coupling", {other, joint},
-                                     {{"coefficient", ratio},
-                                      {"viscous", ValueOn(specs, "viscous_friction", joint, "viscous")},
-                                      {"coulomb", ValueOn(specs, "coulomb_friction", joint, "coulomb")},
-                                      {"armature", ValueOn(specs, "rotor_inertia", joint, "armature")}});
-  out.options["form"] = "kinematic";
-  return out;
 }
 
 }  // namespace
@@ -43,19 +35,23 @@ EffectSpec Coupled(const std::vector<EffectSpec>& specs, const std::string& othe
 // One drive's losses moved to the motion of its joint and of the one before it, where that leaves half of
 // what is left at most.
 void DriveSearch::Couple(Candidate* best) {
-  if (!best->fit.ok || !LeavesSomething(*best) || HasKind(best->specs, "joint_coupling") || fits_.Late())
-    return;
+  const std::string &coupling = effects::LawOf(Regressor::kOtherEffort).id,
+                    &dry = effects::LawOf(Regressor::kDirection).id;
+  if (!best->fit.ok || !LeavesSomething(*best) || HasKind(best->specs, coupling) || fits_.Late()) return;
   const Candidate now = *best;
   const std::vector<EffectSpec> specs = Refreshed(now);
   const auto& names = setting_.nominal.joint_names();
   std::vector<TrialSpecs> starts;
   for (int j = 0; j < setting_.data.n; ++j) {
     const int other = setting_.nominal.model().joint(j).parent;
-    const bool fits =
-        other >= 0 && other < setting_.data.n && Contains(specs, "coulomb_friction", names[j]) &&
-        setting_.nominal.Takes("joint_coupling", j) && setting_.nominal.Takes("joint_coupling", other);
-    if (!fits || Contains(given_, "coulomb_friction", names[j])) continue;
-    for (const double ratio : kStartRatios) starts.push_back({Coupled(specs, names[other], names[j], ratio)});
+    const bool fits = other >= 0 && other < setting_.data.n && Contains(specs, dry, names[j]) &&
+                      setting_.nominal.Takes(coupling, j) && setting_.nominal.Takes(coupling, other);
+    if (!fits || Contains(given_, dry, names[j])) continue;
+    const DriveLosses losses = {ValueOn(specs, Regressor::kVelocity, names[j]),
+                                ValueOn(specs, Regressor::kDirection, names[j]),
+                                ValueOn(specs, Regressor::kAcceleration, names[j])};
+    for (const double ratio : kStartRatios)
+      starts.push_back({CoupledDrive(names[other], names[j], ratio, losses)});
   }
   for (const TrialSpecs& start : fits_.Nearest(now, now.base, starts, kFitted)) {
     if (fits_.Late()) return;

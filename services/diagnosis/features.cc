@@ -2,14 +2,17 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
 
 #include "common/dynamics/dynamics.h"
+#include "common/effects/effect_catalog.h"
+#include "common/effects/torque_ripple.h"
 #include "common/model/robot_model.h"
+#include "services/diagnosis/regressors.h"
 #include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
 
+using effects::Regressor;
 using Eigen::ArrayXd;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
@@ -24,208 +27,168 @@ double Quantile(std::vector<double> x, double p) {
   return x[std::min(x.size() - 1, static_cast<size_t>(p * static_cast<double>(x.size())))];
 }
 
-// Everything about one joint over all recordings, one array per recording.
+// What each regressor's column is looked for at, joint by joint.
 class Builder {
  public:
   Builder(const FitData& data, const sim::Plant& plant, const MotionScales& scales)
       : data_(data), plant_(plant), s_(scales) {}
 
   FeatureSet Take() {
+    for (int j = 0; j < data_.n; ++j) {
+      motions_.push_back({});
+      for (const FineMotion& m : data_.fine) motions_.back().push_back(Smooth(m, j));
+    }
     for (int j = 0; j < data_.n; ++j) AddJoint(j);
     Standardise();
     return std::move(out_);
   }
 
  private:
-  using Law = std::function<ArrayXd(const FineMotion&, int joint)>;
+  using Shapes = std::vector<RegressorShape>;
 
-  ArrayXd Sign(const FineMotion& m, int j) const {
+  JointMotion Smooth(const FineMotion& m, int j) const {
+    JointMotion out = MotionOf(m, m.u, j);
     const double width = std::max(1e-9, 1.5 * s_.speed_noise[j]);
-    return (m.v.row(j).transpose().array() / width).tanh();
+    out.direction = (m.v.row(j).transpose().array() / width).tanh();
+    return out;
   }
 
-  // coefficient_scale 0: the force's RMS is brought to half the joint's torque.
-  void Add(const std::string& effect, const std::string& role, int j, double shape, const Law& law,
-           double coefficient_scale = 0, int other = -1) {
-    if (!plant_.Takes(effect, j) || (other >= 0 && !plant_.Takes(effect, other))) return;
-    Feature f{effect, role, j, other, shape, 1};
+  void AddJoint(int j) {
+    using enum Regressor;
+    // Regressors in one bracket share their shapes.
+    static const std::vector<std::vector<Regressor>> kOwn = {
+        {kVelocity}, {kSquaredVelocity}, {kDirection},     {kForwards},          {kBackwards},
+        {kSlowly},   {kUnderLoad},       {kWarmingUp},     {kBristle},           {kEffort},
+        {kConstant}, {kInBand},          {kBeyond},        {kDelayed, kLagging}, {kOtherEffort},
+        {kPosition}, {kSine, kCosine},   {kPositionPiece}, {kAcceleration},      {kPulse}};
+    for (const auto& alike : kOwn) {
+      for (const RegressorShape& shape : ShapesOf(alike.front(), j)) {
+        for (const Regressor r : alike) {
+          for (int other = 0; r == kOtherEffort && other < data_.n; ++other) {
+            if (other != j) Add(r, j, shape, other);
+          }
+          if (r != kOtherEffort) Add(r, j, shape, -1);
+          if (r == kPosition) AddUnused(j, shape);  // without it blocks of the Gram shift: last bits
+        }
+      }
+    }
+  }
+
+  Shapes ShapesOf(Regressor r, int j) const {
+    using enum Regressor;
+    const double middle = 0.5 * (s_.low[j] + s_.high[j]),
+                 half = std::max(1e-3, 0.5 * (s_.high[j] - s_.low[j]));
+    Shapes out;
+    const auto at = [&](const std::vector<double>& xs, double unit) {
+      for (const double x : xs) out.push_back({x * unit, 0});
+    };
+    switch (r) {
+      case kSlowly:
+        at({0.1, 0.25, 0.5}, s_.speed[j]);
+        break;
+      case kWarmingUp:
+        at({0.15, 0.4, 1.0}, s_.duration);
+        break;
+      case kBristle:
+        at({0.01, 0.03, 0.08}, 1);
+        break;
+      case kInBand: {
+        // The first is a band that next to no effort lies in, however small: a force against the command's
+        // sign.
+        const double least = EffortQuantile(j, 0.03);
+        at({kNextToNone * least, least, EffortQuantile(j, 0.1), EffortQuantile(j, 0.2),
+            EffortQuantile(j, 0.35)},
+           1);
+        break;
+      }
+      case kBeyond:
+        for (const double p : {0.6, 0.75, 0.88, 0.96}) out.push_back({EffortQuantile(j, p), 0});
+        break;
+      case kDelayed:
+      case kLagging:
+        at({0.005, 0.012, 0.025, 0.045}, 1);
+        break;
+      case kPosition:
+        at({middle}, 1);
+        break;
+      case kSine:
+      case kCosine: {
+        const double lowest = std::max(2.0, effects::TorqueRipple::kLeastPeriods * M_PI / half);
+        const double step = std::max(std::min(1.0, 0.9 / half), 0.5);
+        const double highest = std::min(40.0, 200.0 / std::max(0.1, s_.top_speed[j]));
+        const int count = static_cast<int>(std::min(48.0, (highest - lowest) / step));
+        for (int k = 0; k < count; ++k) out.push_back({lowest + step * k, 0});
+        break;
+      }
+      case kPositionPiece: {
+        const double spacing = 2 * half / 7;
+        for (int k = 0; k < 8; ++k) out.push_back({s_.low[j] + spacing * k, spacing});
+        break;
+      }
+      case kPulse: {
+        const int bins = std::clamp(static_cast<int>(s_.duration / 0.4), 4, 24);
+        for (int k = 0; k < bins; ++k) out.push_back({s_.duration * k / bins, s_.duration * (k + 1) / bins});
+        break;
+      }
+      default:
+        out.push_back({});
+    }
+    return out;
+  }
+
+  double EffortQuantile(int j, double p) const {
+    std::vector<double> size;
+    for (const JointMotion& m : motions_[static_cast<size_t>(j)]) {
+      for (const double u : m.effort) size.push_back(std::abs(u));
+    }
+    return Quantile(std::move(size), p);
+  }
+
+  // The coefficient of one unit of prior; 0: the force's RMS is brought to half the joint's torque.
+  double UnitOf(Regressor r, int j, int other) const {
+    using Near = effects::Inference::Near;
+    if (r == Regressor::kEffort) return 0.3;
+    if (r == Regressor::kPulse) return s_.torque[j];
+    if (r == Regressor::kOtherEffort) return 0.5 * s_.torque[j] / std::max(1e-9, s_.torque[other]);
+    return effects::InferenceOf(effects::LawOf(r).id).coefficient == Near::kAny ? 0.0 : 1.0;
+  }
+
+  void AddUnused(int j, const RegressorShape& shape) {
+    if (!plant_.Takes(effects::LawOf(Regressor::kPosition).id, j)) return;
+    Feature f{Regressor::kOtherEffort, j, -1, shape.x, 1};
     std::vector<ArrayXd> values;
     double squares = 0, count = 0;
-    for (const FineMotion& m : data_.fine) {
-      values.push_back(law(m, j));
+    for (const JointMotion& m : motions_[static_cast<size_t>(j)]) {
+      values.push_back(-(m.q - shape.x).cube());
       squares += values.back().square().sum();
       count += static_cast<double>(values.back().size());
     }
     const double rms = std::sqrt(squares / std::max(1.0, count));
     if (!(rms > 1e-12) || !std::isfinite(rms)) return;
-    f.scale = coefficient_scale > 0 ? coefficient_scale : 0.5 * s_.torque[j] / rms;
+    f.scale = 0.5 * s_.torque[j] / rms;
     for (ArrayXd& v : values) v *= f.scale;
     out_.features.push_back(f);
     fine_.push_back(std::move(values));
   }
 
-  static ArrayXd Row(const MatrixXd& m, int j) { return m.row(j).transpose().array(); }
-
-  void AddJoint(int j) {
-    AddFriction(j);
-    AddActuator(j);
-    AddPosition(j);
-    Add("rotor_inertia", "armature", j, 0,
-        [](const FineMotion& m, int i) -> ArrayXd { return -Row(m.a, i); });
-    AddTime(j);
-  }
-
-  void AddFriction(int j) {
-    Add("viscous_friction", "viscous", j, 0,
-        [](const FineMotion& m, int i) -> ArrayXd { return -Row(m.v, i); });
-    Add("quadratic_drag", "quadratic", j, 0,
-        [](const FineMotion& m, int i) -> ArrayXd { return -Row(m.v, i) * Row(m.v, i).abs(); });
-    Add("coulomb_friction", "coulomb", j, 0,
-        [this](const FineMotion& m, int i) -> ArrayXd { return -Sign(m, i); });
-    Add("asymmetric_friction", "coulomb_positive", j, 0,
-        [this](const FineMotion& m, int i) -> ArrayXd { return -Sign(m, i).max(0.0); });
-    Add("asymmetric_friction", "coulomb_negative", j, 0,
-        [this](const FineMotion& m, int i) -> ArrayXd { return -Sign(m, i).min(0.0); });
-    for (const double share : {0.1, 0.25, 0.5}) {
-      const double vs = share * s_.speed[j];
-      Add("stribeck_friction", "drop", j, vs, [this, vs](const FineMotion& m, int i) -> ArrayXd {
-        return -Sign(m, i) * (-(Row(m.v, i) / vs).square()).exp();
-      });
+  void Add(Regressor r, int j, const RegressorShape& shape, int other) {
+    const std::string& law = effects::LawOf(r).id;
+    if (!plant_.Takes(law, j) || (other >= 0 && !plant_.Takes(law, other))) return;
+    Feature f{r, j, other, shape.x, 1};
+    std::vector<ArrayXd> values;
+    double squares = 0, count = 0;
+    for (const JointMotion& m : motions_[static_cast<size_t>(other >= 0 ? other : j)]) {
+      values.push_back(ForceOf(r, m, shape));
+      squares += values.back().square().sum();
+      count += static_cast<double>(values.back().size());
     }
-    Add("load_dependent_friction", "load", j, 0,
-        [this](const FineMotion& m, int i) -> ArrayXd { return -Sign(m, i) * Row(m.u, i).abs(); });
-    for (const double T : {0.15, 0.4, 1.0}) {
-      const double seconds = T * s_.duration;
-      Add("thermal_drift", "drop", j, seconds, [this, seconds](const FineMotion& m, int i) -> ArrayXd {
-        const ArrayXd t = Eigen::Map<const ArrayXd>(m.t.data(), static_cast<Eigen::Index>(m.t.size()));
-        return -Sign(m, i) * (-t / seconds).exp();
-      });
-    }
-    for (const double z : {0.01, 0.03, 0.08}) {
-      Add("presliding_hysteresis", "coulomb", j, z, [z](const FineMotion& m, int i) -> ArrayXd {
-        ArrayXd f(m.q.cols());
-        double x = 0;
-        for (int k = 0; k < f.size(); ++k) {
-          if (k > 0) {
-            const double d = m.q(i, k) - m.q(i, k - 1);
-            x = (x + d) / (1.0 + std::abs(d) / z);
-            x = std::clamp(x, -z, z);
-          }
-          f[k] = -x / z;
-        }
-        return f;
-      });
-    }
-  }
-
-  void AddActuator(int j) {
-    Add(
-        "torque_gain", "gain", j, 0, [](const FineMotion& m, int i) -> ArrayXd { return Row(m.u, i); }, 0.3);
-    Add("torque_offset", "offset", j, 0,
-        [](const FineMotion& m, int) -> ArrayXd { return ArrayXd::Ones(m.q.cols()); });
-    std::vector<double> size;
-    for (const FineMotion& m : data_.fine) {
-      for (int k = 0; k < m.u.cols(); ++k) size.push_back(std::abs(m.u(j, k)));
-    }
-    // The first is a band that next to no effort lies in, however small: a force against the command's sign.
-    const double least = Quantile(size, 0.03);
-    for (const double band :
-         {kNextToNone * least, least, Quantile(size, 0.1), Quantile(size, 0.2), Quantile(size, 0.35)}) {
-      Add(
-          "torque_deadband", "deadband", j, band,
-          [band](const FineMotion& m, int i) -> ArrayXd { return -Row(m.u, i).max(-band).min(band); }, 1.0);
-    }
-    for (const double p : {0.6, 0.75, 0.88, 0.96}) {
-      const double limit = Quantile(size, p);
-      Add(
-          "torque_saturation", "limit", j, limit,
-          [limit](const FineMotion& m, int i) -> ArrayXd {
-            return Row(m.u, i).max(-limit).min(limit) - Row(m.u, i);
-          },
-          1.0);
-    }
-    for (const double T : {0.005, 0.012, 0.025, 0.045}) {
-      Add(
-          "actuator_delay", "delay", j, T,
-          [T](const FineMotion& m, int i) -> ArrayXd {
-            ArrayXd f(m.u.cols());
-            const double dt = m.t[1] - m.t[0];
-            for (int k = 0; k < f.size(); ++k) {
-              const double at = std::max(0.0, k - T / dt);
-              const int a = static_cast<int>(at);
-              const double w = at - a;
-              f[k] = (1 - w) * m.u(i, a) + w * m.u(i, std::min<int>(a + 1, static_cast<int>(f.size()) - 1)) -
-                     m.u(i, k);
-            }
-            return f;
-          },
-          1.0);
-      Add(
-          "actuator_lag", "time_constant", j, T,
-          [T](const FineMotion& m, int i) -> ArrayXd {
-            ArrayXd f(m.u.cols());
-            const double dt = m.t[1] - m.t[0], decay = std::exp(-dt / T);
-            double x = m.u(i, 0);
-            for (int k = 0; k < f.size(); ++k) {
-              x = m.u(i, k) + (x - m.u(i, k)) * decay;
-              f[k] = x - m.u(i, k);
-            }
-            return f;
-          },
-          1.0);
-    }
-    for (int other = 0; other < data_.n; ++other) {
-      if (other == j) continue;
-      Add(
-          "joint_coupling", "coefficient", j, 0,
-          [other](const FineMotion& m, int) -> ArrayXd { return Row(m.u, other); },
-          0.5 * s_.torque[j] / std::max(1e-9, s_.torque[other]), other);
-    }
-  }
-
-  void AddPosition(int j) {
-    const double middle = 0.5 * (s_.low[j] + s_.high[j]),
-                 half = std::max(1e-3, 0.5 * (s_.high[j] - s_.low[j]));
-    Add("position_spring", "stiffness", j, middle,
-        [middle](const FineMotion& m, int i) -> ArrayXd { return -(Row(m.q, i) - middle); });
-    Add("position_spring", "cubic", j, middle,
-        [middle](const FineMotion& m, int i) -> ArrayXd { return -(Row(m.q, i) - middle).cube(); });
-    const double lowest = std::max(2.0, kLeastRipple * M_PI / half);
-    const double step = std::min(1.0, 0.9 / half);
-    const double highest = std::min(40.0, 200.0 / std::max(0.1, s_.top_speed[j]));
-    const int count = static_cast<int>(std::min(48.0, (highest - lowest) / std::max(step, 0.5)));
-    for (int k = 0; k < count; ++k) {
-      const double cycles = lowest + std::max(step, 0.5) * k;
-      Add("torque_ripple", "sin", j, cycles,
-          [cycles](const FineMotion& m, int i) -> ArrayXd { return (cycles * Row(m.q, i)).sin(); });
-      Add("torque_ripple", "cos", j, cycles,
-          [cycles](const FineMotion& m, int i) -> ArrayXd { return (cycles * Row(m.q, i)).cos(); });
-    }
-    for (int k = 0; k < 8; ++k) {
-      const double spacing = 2 * half / 7, at = s_.low[j] + spacing * k;
-      Add("unknown_field", "position", j, at, [at, spacing](const FineMotion& m, int i) -> ArrayXd {
-        const ArrayXd x = ((Row(m.q, i) - at) / spacing).abs();
-        return ((2.0 - x).max(0.0).cube() - 4.0 * (1.0 - x).max(0.0).cube()) / 6.0;
-      });
-    }
-  }
-
-  void AddTime(int j) {
-    const int bins = std::clamp(static_cast<int>(s_.duration / 0.4), 4, 24);
-    for (int k = 0; k < bins; ++k) {
-      const double begin = s_.duration * k / bins, end = s_.duration * (k + 1) / bins;
-      Add(
-          "external_disturbance", "torque", j, begin,
-          [begin, end](const FineMotion& m, int) -> ArrayXd {
-            ArrayXd f(m.q.cols());
-            for (int i = 0; i < f.size(); ++i) {
-              const double t = m.t[i] - m.t[0];
-              f[i] = t >= begin && t < end ? 1.0 : 0.0;
-            }
-            return f;
-          },
-          s_.torque[j]);
-    }
+    const double rms = std::sqrt(squares / std::max(1.0, count));
+    if (!(rms > 1e-12) || !std::isfinite(rms)) return;
+    const double unit = UnitOf(r, j, other);
+    f.scale = unit > 0 ? unit : 0.5 * s_.torque[j] / rms;
+    for (ArrayXd& v : values) v *= f.scale;
+    out_.features.push_back(f);
+    fine_.push_back(std::move(values));
   }
 
   // Means over the intervals between nodes.
@@ -250,7 +213,8 @@ class Builder {
   const sim::Plant& plant_;
   const MotionScales& s_;
   FeatureSet out_;
-  std::vector<std::vector<ArrayXd>> fine_;  // [feature][recording]
+  std::vector<std::vector<JointMotion>> motions_;  // [joint][recording]
+  std::vector<std::vector<ArrayXd>> fine_;         // [feature][recording]
 };
 
 }  // namespace

@@ -2,27 +2,26 @@
 // to first order. Smooth effects need one, others one per value of a grid (`shape`).
 #pragma once
 
-#include <string>
 #include <vector>
 
+#include "common/effects/inference.h"
 #include "services/diagnosis/lifted_fit.h"
 
 namespace rg::diagnosis {
 
 struct Feature {
-  std::string effect;  // id, or "spline" for pieces of an unnamed force
-  std::string role;    // which of the effect's columns: "coulomb", "sin", …
-  int joint = 0;       // where the force acts
-  int other = -1;      // joint_coupling: the source
-  double shape = 0;    // grid value: a speed, a delay, a limit, cycles per revolution, …
-  double scale = 1;    // coefficient of one unit of prior: coefficient = scale · standardised one
+  effects::Regressor regressor;
+  int joint = 0;     // where the force acts
+  int other = -1;    // whose effort it is, where it is another joint's
+  double shape = 0;  // grid value: a speed, a delay, a limit, cycles per revolution, …
+  double scale = 1;  // coefficient of one unit of prior: coefficient = scale · standardised one
 };
 
 // Typical sizes of a set of recordings, n each.
 struct MotionScales {
   Eigen::VectorXd torque;  // RMS of the drive torque about its mean, plus a third of the mean's size; without
                            // a drive, RMS of what its inertia needs
-  Eigen::VectorXd speed;         // RMS
+  Eigen::VectorXd speed;   // RMS
   Eigen::VectorXd acceleration;  // RMS
   Eigen::VectorXd top_speed;
   Eigen::VectorXd low, high;    // range of positions
@@ -32,9 +31,6 @@ struct MotionScales {
   double duration = 1;          // longest recording, s
 };
 MotionScales ScalesOf(const FitData& data, const sim::Plant& plant);
-
-// Periods over all that was recorded of its joint, with which a ripple is looked for.
-inline constexpr double kLeastRipple = 0.4;
 
 struct FeatureSet {
   std::vector<Feature> features;

@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "common/effects/effect_list.h"
+#include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 
 namespace rg::diagnosis {
@@ -78,11 +79,12 @@ double Regressed(const std::vector<Sample>& samples, int on, const MatrixXd& phi
 std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nominal,
                                      const MotionScales& scales, const MissingForce& missing,
                                      const std::string& variable) {
+  const std::string& field = effects::LawOf(effects::Regressor::kPositionPiece).id;
   const std::vector<Sample> samples = SamplesOf(data, missing);
   std::optional<EffectSpec> best;
   double best_gain = -std::numeric_limits<double>::infinity();
   for (int on = 0; on < data.n; ++on) {
-    if (!nominal.Takes("unknown_field", on)) continue;
+    if (!nominal.Takes(field, on)) continue;
     const bool speed = variable == "velocity", drag = variable == "drag";
     const double low = speed ? -scales.top_speed[on] : scales.low[on];
     const double high = std::max(speed ? scales.top_speed[on] : scales.high[on], low + 1e-3);
@@ -101,7 +103,7 @@ std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nomi
     std::map<std::string, double> values = {{"low", low}, {"high", high}};
     for (int i = 0; i < weights.size(); ++i)
       values["w" + std::to_string(i)] = size * (drag ? std::max(0.0, weights[i]) : weights[i]);
-    best = effects::MakeSpec("unknown_field", {nominal.joint_names()[on]}, values);
+    best = effects::MakeSpec(field, {nominal.joint_names()[on]}, values);
     best->options["variable"] = variable;
   }
   return best;
@@ -109,6 +111,7 @@ std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nomi
 
 std::optional<EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& nominal,
                                          const MotionScales& scales, const MissingForce& missing) {
+  const std::string surface = effects::UnknownFieldPair::Info().id;
   const std::vector<Sample> samples = SamplesOf(data, missing);
   const int n = data.n;
   const auto S = static_cast<long>(samples.size());
@@ -121,7 +124,7 @@ std::optional<EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& 
                               std::max(scales.high[j], scales.low[j] + 1e-3));
   }
   for (int on = 0; on < n; ++on) {
-    if (!nominal.Takes("unknown_field_pair", on)) continue;
+    if (!nominal.Takes(surface, on)) continue;
     const double size = SizeOn(samples, on);
     for (int other = 0; other < n; ++other) {
       if (other == on) continue;
@@ -141,8 +144,7 @@ std::optional<EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& 
           {"other_high", std::max(scales.high[other], scales.low[other] + 1e-3)}};
       for (int i = 0; i < kWeights; ++i)
         values["w" + std::to_string(i / kNodes) + std::to_string(i % kNodes)] = size * weights[i];
-      best = effects::MakeSpec("unknown_field_pair",
-                               {nominal.joint_names()[other], nominal.joint_names()[on]}, values);
+      best = effects::MakeSpec(surface, {nominal.joint_names()[other], nominal.joint_names()[on]}, values);
     }
   }
   return best;

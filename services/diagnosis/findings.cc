@@ -6,6 +6,7 @@
 #include <set>
 
 #include "common/effects/effect_catalog.h"
+#include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/confidence.h"
 #include "services/diagnosis/experiments.h"
@@ -18,6 +19,7 @@
 namespace rg::diagnosis {
 
 using effects::EffectSpec;
+using effects::Regressor;
 using effects::Variable;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
@@ -30,16 +32,23 @@ constexpr size_t kManyJoints = 3;    // whose values are said in a list
 constexpr double kLittle = 0.1;      // of what parameters explain
 constexpr double kSecond = 0.3;      // of what a force on one joint explains, for another on a second joint
 
+// How a force without a name is called, whatever form it has; of two joints' positions.
+const std::string& Unnamed() { return effects::LawOf(Regressor::kPositionPiece).id; }
+bool IsSurface(const std::string& id) {
+  return IsUnnamed(id) && effects::FindEffect(id)->scope == effects::Scope::kJointPair;
+}
+
 std::vector<std::string> JointsOf(const std::vector<EffectSpec>& specs, const std::string& id,
                                   const std::vector<std::string>& order) {
+  const std::string& coupling = effects::LawOf(Regressor::kOtherEffort).id;
   std::set<std::string> joints;
-  std::vector<std::string> pair;
+  std::vector<std::string> pair;  // in their own order
   for (const EffectSpec& s : specs) {
     if (s.id != id) continue;
-    if (id == "joint_coupling") pair.insert(pair.end(), s.joints.begin(), s.joints.end());
+    if (id == coupling) pair.insert(pair.end(), s.joints.begin(), s.joints.end());
     joints.insert(s.joints.begin(), s.joints.end());
   }
-  if (id == "joint_coupling") return pair;
+  if (id == coupling) return pair;
   std::vector<std::string> out;
   for (const std::string& name : order) {
     if (joints.count(name)) out.push_back(name);
@@ -159,11 +168,16 @@ class Speaker {
   // A ripple or a spring on a joint whose unnamed force is over the same position is a part of that force:
   // what its coarse nodes do not follow.
   bool PartOfField(const std::string& id) const {
-    if (id != "torque_ripple" && id != "position_spring") return false;
-    return std::all_of(s_.best.specs.begin(), s_.best.specs.end(), [&](const EffectSpec& e) {
-      return e.id != id || FieldVariable(s_.best.specs, e.joints[0]) == "position" ||
-             Contains(s_.best.specs, "unknown_field_pair", e.joints[0]);
-    });
+    const auto& all = s_.best.specs;
+    const auto in_field = [&](const EffectSpec& part) {
+      const std::string& joint = part.joints[0];
+      return FieldVariable(all, joint) == "position" ||
+             std::any_of(all.begin(), all.end(),
+                         [&](const EffectSpec& e) { return IsSurface(e.id) && Contains({e}, e.id, joint); });
+    };
+    return IsOfPosition(id) && !IsUnnamed(id) &&
+           std::all_of(all.begin(), all.end(),
+                       [&](const EffectSpec& e) { return e.id != id || in_field(e); });
   }
 
   // How much better the same effects explain with base parameters freed.
@@ -190,7 +204,7 @@ class Speaker {
 
   Finding FindingOf(const std::string& id) {
     Finding f;
-    f.effect = id == "unknown_field_pair" ? "unknown_field" : id;
+    f.effect = IsUnnamed(id) ? Unnamed() : id;
     f.joints = JointsOf(beyond_, id, r_.joints);
     std::erase_if(f.joints, [&](const std::string& j) { return Silent(j); });
     f.equation = effects::Equation(SpecOf(id, "*"));
@@ -222,13 +236,13 @@ class Speaker {
       // A surface's 36 weights are in model.json.
       const bool of_it = p.owner == "*" || f->joints.empty() ||
                          std::find(f->joints.begin(), f->joints.end(), p.owner) != f->joints.end();
-      if (p.effect != id || !of_it || id == "unknown_field_pair" || Silent(p.owner)) continue;
+      if (p.effect != id || !of_it || IsSurface(id) || Silent(p.owner)) continue;
       ParameterEstimate e{p.owner, p.field, p.unit, s_.best.fit.theta[static_cast<long>(k)],
                           s_.best.fit.stddev[static_cast<long>(k)]};
       f->parameters.push_back(e);
     }
     // The contract's tilt is positive, its azimuth within ±π.
-    if (id == "gravity_misalignment" && f->parameters.size() == 2) {
+    if (id == effects::EffectOf(effects::Role::kGravity).id && f->parameters.size() == 2) {
       double &tilt = f->parameters[0].value, &azimuth = f->parameters[1].value;
       if (tilt < 0) tilt = -tilt, azimuth += M_PI;
       azimuth = std::remainder(azimuth, 2 * M_PI);
@@ -249,7 +263,7 @@ class Speaker {
                                                                  : owner;
       text += (text.empty() ? "" : " ") + effects::Sentence(SpecOf(id, owner), name, prismatic, values);
     }
-    if (f.effect == "unknown_field" && f.parameters.empty())
+    if (IsUnnamed(f.effect) && f.parameters.empty())
       return effects::Sentence(SpecOf(id, "*"), Listed(f.joints), false, {});
     return text.empty() ? effects::FindEffect(id)->title + "." : text;
   }
@@ -290,7 +304,7 @@ class Speaker {
       a.evidence = weighed ? *c->held_out - *s_.best.held_out : fitted;
       a.separable = (weighed ? fitted + a.evidence : fitted) < -kSeparable;
       a.experiment = ExperimentFor(id, effect, f->joints);
-      if (effect == OtherClock(id) && OneClock(id)) {
+      if (SameUnderAShiftedClock(id, effect) && OneClock(id)) {
         a.separable = a.by_motion = false;
         a.experiment = kClockExperiment;
       }
@@ -314,8 +328,8 @@ class Speaker {
     f->alternatives.push_back(a);
   }
 
-  static std::string OtherClock(const std::string& id) {
-    return id == "actuator_delay" ? "sensor_delay" : id == "sensor_delay" ? "actuator_delay" : "";
+  static bool SameUnderAShiftedClock(const std::string& a, const std::string& b) {
+    return a != b && effects::IsIn(effects::Slot::kDelay, a) && effects::IsIn(effects::Slot::kDelay, b);
   }
 
   // Whether all joints are late by the same time: then a robot whose readings are old and one whose commands
@@ -342,7 +356,7 @@ class Speaker {
     const int j = nominal_.model().FindJoint(joint);
     const double low = scales_.low[j], high = scales_.high[j];
     Region region{"position." + joint, low, high};
-    const bool pair = id == "unknown_field_pair";
+    const bool pair = IsSurface(id);
     bool own = true;  // the joint that feels the force, not the one it sees
     for (const EffectSpec& e : s_.best.specs) own = own && !(pair && e.id == id && e.joints[0] == joint);
     const auto mine = [&](const sim::Parameter& p) {
@@ -381,14 +395,14 @@ class Speaker {
     f->summary = who;
     for (const std::string& joint : f->joints) {
       const int j = nominal_.model().FindJoint(joint);
-      if (id == "external_disturbance") {
+      const Variable over = effects::ShowsOver(SpecOf(id, joint));
+      if (over == Variable::kTime) {
         for (const ParameterEstimate& p : f->parameters) {
           if (p.name == "start") f->regions.push_back({"time", p.value, p.value});
           if (p.name == "end" && !f->regions.empty()) f->regions.back().high = p.value;
         }
         break;
       }
-      const Variable over = effects::ShowsOver(SpecOf(id, joint));
       if (over == Variable::kPosition) {
         f->regions.push_back(IsUnnamed(id) ? FieldRegion(id, joint)
                                            : Region{"position." + joint, scales_.low[j], scales_.high[j]});
@@ -445,10 +459,10 @@ class Speaker {
 
   void AddUnknown() {
     Finding f;
-    f.effect = "unknown_field";
+    f.effect = Unnamed();
     f.confidence = 1.0;
     f.equation = "tau = f(q, dq, t)";
-    f.effect_class = {"unknown_field"};
+    f.effect_class = {Unnamed()};
     for (const int j : JointsOfTheRest()) {
       f.joints.push_back(r_.joints[j]);
       f.regions.push_back({"position." + r_.joints[j], scales_.low[j], scales_.high[j]});

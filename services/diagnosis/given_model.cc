@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "common/effects/effect_catalog.h"
+#include "common/model/robot_model.h"
 #include "services/sysid/rotor_start.h"
 #include "services/sysid/sysid_on_set.h"
 
@@ -12,7 +14,7 @@ using effects::EffectSpec;
 namespace {
 
 bool ActsOnJointsTogether(const EffectSpec& spec) {
-  return spec.id == "joint_coupling" || spec.id == "unknown_field_pair";
+  return effects::FindEffect(spec.id)->scope == effects::Scope::kJointPair;
 }
 
 // Effects with the values that the model has for them now.

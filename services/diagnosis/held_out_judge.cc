@@ -26,9 +26,9 @@ std::string Key(const Candidate& c) { return KeyOf(c.specs, c.base); }
 // that no sensor reads take more to be believed; all sensors late are all drives late.
 bool MayReplace(const std::string& id, const std::string& effect, const Candidate& c,
                 const Candidate& account) {
-  static const std::set<std::string> kOneClock = {"actuator_delay", "sensor_delay"};
+  const auto of_clock = [](const std::string& of) { return effects::IsIn(effects::Slot::kDelay, of); };
   return !HasUnnamed(c) && (!HasFreeStates(c) || HasFreeStates(account)) &&
-         !(kOneClock.count(id) && kOneClock.count(effect)) && (!c.base || account.base) &&
+         !(of_clock(id) && of_clock(effect)) && (!c.base || account.base) &&
          c.specs.size() <= account.specs.size();
 }
 

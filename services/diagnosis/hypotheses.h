@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "common/effects/effect.h"
+#include "common/effects/inference.h"
 #include "services/diagnosis/lifted_fit.h"
 #include "services/diagnosis/screening.h"
 
@@ -12,11 +13,14 @@ namespace rg::diagnosis {
 
 inline constexpr int kLightRobot = 1;  // joints, up to which looks at starts cost next to nothing
 
+// What is typical of a joint's motion; of the robot's for -1.
+effects::JointSize SizeOf(const MotionScales& scales, const sim::Plant& plant, int joint);
+
 // Specs (one per joint) with start values for the refit; several where there are several starts.
 std::vector<std::vector<effects::EffectSpec>> SpecsFor(const Scored& hypothesis, const sim::Plant& nominal,
                                                        const MotionScales& scales);
 // Effects with hidden states or hidden geometry, which the screen cannot see; from several starts.
-// Spring ("joint_elasticity") or play ("backlash") with the encoder on the "link" or the "motor": a grid, for
+// Spring or play in a gear with the encoder on the "link" or the "motor": a grid, for
 // fits of play end near where they start. A look at each tells which are worth a fit.
 // added_inertia: what the screen would add to the joint's inertia [kg·m²], 0 where it does not say.
 std::vector<std::vector<effects::EffectSpec>> TransmissionStarts(const std::string& effect,
@@ -41,7 +45,8 @@ std::vector<std::vector<effects::EffectSpec>> StribeckStarts(const effects::Effe
 std::vector<std::vector<effects::EffectSpec>> BodyStarts(const std::string& effect, const sim::Plant& nominal,
                                                          const MotionScales& scales);
 // A mount from soft to stiff, in steps from each of which a fit finds the next.
-std::vector<std::vector<effects::EffectSpec>> MountStarts(const MotionScales& scales);
+std::vector<std::vector<effects::EffectSpec>> MountStarts(const sim::Plant& nominal,
+                                                          const MotionScales& scales);
 
 // Free parameters of a plant: all parameters of its effects with priors in units of the motion, rotor
 // inertias that the URDF cannot tell (sysid/rotor_start.h), and, with `base`, the inertial parameters with
@@ -54,16 +59,22 @@ std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const M
 std::vector<effects::EffectSpec> Joined(std::vector<effects::EffectSpec> specs,
                                         const std::vector<effects::EffectSpec>& added);
 // Forms of dry friction beyond the plain one.
-inline constexpr double kMostGain = 300.0;  // of a reducer that was left out, and of a unit
-inline constexpr const char* kRicherFriction[] = {"stribeck_friction", "asymmetric_friction",
-                                                  "load_dependent_friction", "presliding_hysteresis",
-                                                  "thermal_drift"};
+std::vector<std::string> RicherFrictions();
 bool IsRicherFriction(const std::string& effect);
 // What an effect is easily taken for and can be exchanged with on the same joints; empty where nothing.
 std::vector<std::string> SiblingsOf(const std::string& effect);
 // `spec` as its sibling, of about the same strength.
 effects::EffectSpec Exchanged(const effects::EffectSpec& spec, const std::string& sibling,
                               const sim::Plant& nominal, const MotionScales& scales);
+
+// A drive whose motor turns with its joint and with `ratio` times the other one, with the losses of a motor
+// that turns with its joint alone.
+struct DriveLosses {
+  double viscous = 0, coulomb = 0, armature = 0;
+};
+effects::EffectSpec CoupledDrive(const std::string& other, const std::string& joint, double ratio,
+                                 const DriveLosses& losses);
+bool IsCoupledDrive(const effects::EffectSpec& spec);
 
 // A key that is the same for the same effects on the same joints: "coulomb_friction[2] payload[]".
 std::string KeyOf(const std::vector<effects::EffectSpec>& specs);

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "common/base/check.h"
+#include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/lifted_fit.h"
 
@@ -59,18 +60,21 @@ inline Probe MakeProbe(const FitModel& model, bool with_torque) {
     std::string parameter;
     int joint;
   };
+  // A push that always lasts, or a wave of no cycles.
+  const std::string &push = effects::LawOf(effects::Regressor::kPulse).id,
+                    &wave = effects::LawOf(effects::Regressor::kSine).id;
   std::vector<Push> pushes;
   for (int j = 0; j < n; ++j) {
     const std::string& joint = model.plant.joint_names()[j];
     if (model.plant.IsPrescribed(j)) continue;
-    if (!Holds(model.plant, "external_disturbance", joint)) {
-      pushes.push_back({effects::MakeSpec("external_disturbance", {joint},
+    if (!Holds(model.plant, push, joint)) {
+      pushes.push_back({effects::MakeSpec(push, {joint},
                                           {{"start", -kAlways}, {"end", kAlways}, {"torque", 0.0}}),
-                        "external_disturbance." + joint + ".torque", j});
-    } else if (!Holds(model.plant, "torque_ripple", joint)) {
-      pushes.push_back({effects::MakeSpec("torque_ripple", {joint},
+                        push + "." + joint + ".torque", j});
+    } else if (!Holds(model.plant, wave, joint)) {
+      pushes.push_back({effects::MakeSpec(wave, {joint},
                                           {{"amplitude", 0.0}, {"cycles_per_rev", 0.0}, {"phase", M_PI_2}}),
-                        "torque_ripple." + joint + ".amplitude", j});
+                        wave + "." + joint + ".amplitude", j});
     }
   }
   const auto with = [&](const std::vector<Push>& some) {
@@ -140,24 +144,26 @@ class Lineariser {
     columns_ = columns;
     const auto& internal = probe_.plant.internal_state_names();
     for (const effects::EffectSpec& e : probe_.plant.effects()) {
-      if (e.id != "backlash") continue;
+      const effects::Inference& own = effects::InferenceOf(e.id);
+      if (own.stays.empty()) continue;
       for (const std::string& joint : e.joints) {
         const auto at = std::find(internal.begin(), internal.end(), "motor_position." + joint);
         gaps_.push_back({probe_.plant.model().FindJoint(joint),
-                         probe_.plant.parameters().Find("backlash." + joint + ".gap"),
-                         probe_.plant.parameters().Find("backlash." + joint + ".motor_inertia"),
+                         probe_.plant.parameters().Find(e.id + "." + joint + "." + own.stays),
+                         probe_.plant.parameters().Find(e.id + "." + joint + ".motor_inertia"),
                          static_cast<int>(at - internal.begin())});
       }
     }
+    const std::string& lag = effects::LawOf(effects::Regressor::kLagging).id;
     for (size_t i = 0; i < internal.size(); ++i) {
       if (!internal[i].starts_with(kLagState)) continue;
       const std::string joint = internal[i].substr(kLagState.size());
       lags_.push_back({2 * n_ + static_cast<int>(i),
-                       probe_.plant.parameters().Find("actuator_lag." + joint + ".time_constant")});
+                       probe_.plant.parameters().Find(lag + "." + joint + ".time_constant")});
     }
+    const std::string& delay = effects::EffectOf(effects::Role::kCommandDelay).id;
     for (int i = 0; i < probe_.plant.parameters().size(); ++i) {
-      const sim::Parameter& p = probe_.plant.parameters()[i];
-      if (p.effect == "actuator_delay" && p.field == "delay") delays_.push_back(i);
+      if (probe_.plant.parameters()[i].effect == delay) delays_.push_back(i);
     }
     FreeStarts(internal);
     sim::SimulatorOptions simulator;

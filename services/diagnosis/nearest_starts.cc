@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "common/effects/inference.h"
 #include "services/diagnosis/hypotheses.h"
 
 namespace rg::diagnosis {
@@ -15,7 +16,7 @@ constexpr int kLongerLook = 4;  // iterations
 
 bool HasPlay(const TrialSpecs& specs) {
   return std::any_of(specs.begin(), specs.end(),
-                     [](const effects::EffectSpec& e) { return e.id == "backlash"; });
+                     [](const effects::EffectSpec& e) { return !effects::InferenceOf(e.id).stays.empty(); });
 }
 
 }  // namespace

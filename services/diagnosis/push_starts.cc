@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "common/dynamics/dynamics.h"
+#include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 
 namespace rg::diagnosis {
@@ -158,7 +159,7 @@ std::vector<std::vector<EffectSpec>> PushStarts(const FitData& data, const sim::
             std::max(best_single, sum_sb.cwiseAbs2().cwiseQuotient(sum_sa.cwiseMax(1e-300)).maxCoeff());
         if (gain <= best || !f.allFinite()) continue;
         best = gain;
-        spec = MakeSpec("external_disturbance", {},
+        spec = MakeSpec(effects::LawOf(effects::Regressor::kPulse).id, {},
                         {{"start", kBin * from},
                          {"end", kBin * (to + 1)},
                          {"force_x", f[0]},

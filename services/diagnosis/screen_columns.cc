@@ -1,5 +1,7 @@
 #include "services/diagnosis/screen_columns.h"
 
+#include "common/effects/effect_catalog.h"
+#include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/candidate.h"
 
@@ -10,6 +12,15 @@ using effects::EffectSpec;
 namespace {
 
 constexpr int kNullDraws = 60;
+constexpr double kGravityPrior = 0.6;  // m/s²
+
+// What sensors do to a reading; a model parameter shows it, no force does.
+bool IsOfSensor(const std::string& id) {
+  const int kind = effects::KindOf(id);
+  if (kind < 0) return false;
+  const effects::Role role = effects::TraitsOf(kind).role;
+  return role == effects::Role::kSensorOffset || role == effects::Role::kSensorDelay;
+}
 
 }  // namespace
 
@@ -18,9 +29,9 @@ std::vector<effects::EffectSpec> WithProbes(const std::vector<effects::EffectSpe
   std::vector<effects::EffectSpec> out = held;
   for (int j = 0; j < plant.num_joints(); ++j) {
     const std::string& joint = plant.joint_names()[static_cast<size_t>(j)];
-    for (const char* probe : {"encoder_offset", "sensor_delay"}) {
-      if (plant.Takes(probe, j) && !Contains(held, probe, joint))
-        out.push_back(effects::MakeSpec(probe, {joint}));
+    for (const effects::EffectInfo& probe : effects::Catalog()) {
+      if (IsOfSensor(probe.id) && plant.Takes(probe.id, j) && !Contains(held, probe.id, joint))
+        out.push_back(effects::MakeSpec(probe.id, {joint}));
     }
   }
   return out;
@@ -32,6 +43,8 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const Motion
   *parameters = FreeParameters(plant, scales, true);
   std::vector<ParameterColumn> columns;
   const auto has = [&](const std::string& id, const std::string& joint) { return Contains(held, id, joint); };
+  const std::string &payload = effects::EffectOf(effects::Role::kBodyInertia).id,
+                    &tilt = effects::EffectOf(effects::Role::kGravity).id;
   const auto& model = plant.model();
   const std::string& last = model.link(model.joint(model.num_joints() - 1).child_link).name;
   for (const auto& p : *parameters) {
@@ -40,21 +53,18 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const Motion
     c.prior_stddev = p.prior_stddev;
     c.base = row.kind != sim::ParameterKind::kEffect && row.kind != sim::ParameterKind::kArmature;
     // One joint does not tell a payload from its link.
-    c.last_link = c.base && row.owner == last && model.num_joints() > 1 && !has("payload", "");
+    c.last_link = c.base && row.owner == last && model.num_joints() > 1 && !has(payload, "");
     if (c.last_link) c.role = row.field;
-    const bool probe =
-        (row.effect == "encoder_offset" || row.effect == "sensor_delay") && !has(row.effect, row.owner);
-    if (probe) {
-      c.effect = row.effect, c.role = row.field, c.joint = plant.model().FindJoint(row.owner);
-    }
+    if (IsOfSensor(row.effect) && !has(row.effect, row.owner))
+      c.effect = row.effect, c.role = row.field, c.joint = model.FindJoint(row.owner);
     columns.push_back(c);
   }
-  if (!has("gravity_misalignment", "")) {
+  if (!has(tilt, "")) {
     for (const char* axis : {"gravity.x", "gravity.y"}) {
       const int at = plant.parameters().Find(axis);
-      sysid::FitParameter p{at, axis, "m/s^2", plant.parameters()[at].nominal, -20, 20, 0.6};
+      sysid::FitParameter p{at, axis, "m/s^2", plant.parameters()[at].nominal, -20, 20, kGravityPrior};
       parameters->push_back(p);
-      columns.push_back({"gravity_misalignment", axis, -1, 0.6, false});
+      columns.push_back({tilt, axis, -1, kGravityPrior, false});
     }
   }
   return columns;

@@ -12,14 +12,19 @@
 
 namespace rg::diagnosis {
 
+using effects::EffectInfo;
+using effects::Inference;
+using effects::Regressor;
+using effects::Term;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
 namespace {
 
 constexpr double kNullShare = 0.98;
-constexpr size_t kGrown = 8;    // effects whose sets of joints are grown
-constexpr size_t kPaired = 16;  // first effects that get a second one
+constexpr double kLeastOfOne = 0.25, kMostOfOne = 4;  // of a coefficient that is one at the right shape
+constexpr size_t kGrown = 8;                          // effects whose sets of joints are grown
+constexpr size_t kPaired = 16;                        // first effects that get a second one
 
 // Each coefficient multiplies a sum of standardised columns.
 struct Group {
@@ -30,17 +35,15 @@ struct Group {
   double shape = 0, shape_end = 0;
   double search = 0;  // log of the number of shapes tried
   bool positive = false;
+  bool load = false;                  // of a mass, the first
   double low = -1e300, high = 1e300;  // admissible standardised coefficients
 };
 
-const std::set<std::string>& PositiveEffects() {
-  static const std::set<std::string> ids = {
-      "viscous_friction",        "coulomb_friction",  "quadratic_drag",
-      "rotor_inertia",           "actuator_delay",    "actuator_lag",
-      "torque_deadband",         "torque_saturation", "presliding_hysteresis",
-      "load_dependent_friction", "stribeck_friction", "asymmetric_friction",
-      "thermal_drift",           "sensor_delay"};
-  return ids;
+// Whether a coefficient at least is positive: of a force's terms, or the parameter that shows the effect.
+bool HasSign(const EffectInfo& effect) {
+  const auto& terms = effects::InferenceOf(effect.id).terms;
+  return terms.empty() ? effect.parameters[0].lower >= 0
+                       : std::any_of(terms.begin(), terms.end(), [](const Term& t) { return t.positive; });
 }
 
 class Scorer {
@@ -123,13 +126,11 @@ class Scorer {
     feature_start_ = P;
   }
 
-  int Find(const std::string& effect, const std::string& role, int joint, double shape,
-           int other = -1) const {
+  int Find(Regressor regressor, int joint, double shape, int other = -1) const {
     for (size_t c = 0; c < features_.features.size(); ++c) {
       const Feature& f = features_.features[c];
-      if (f.joint == joint && f.effect == effect && f.role == role && f.other == other && f.shape == shape) {
+      if (f.joint == joint && f.regressor == regressor && f.other == other && f.shape == shape)
         return place_[feature_start_ + static_cast<int>(c)];
-      }
     }
     return -1;
   }
@@ -142,10 +143,10 @@ class Scorer {
     return 1;
   }
 
-  std::vector<double> Shapes(const std::string& effect, const std::string& role, int joint) const {
+  std::vector<double> Shapes(Regressor regressor, int joint) const {
     std::vector<double> out;
     for (const Feature& f : features_.features) {
-      if (f.effect == effect && f.role == role && f.joint == joint) out.push_back(f.shape);
+      if (f.regressor == regressor && f.joint == joint) out.push_back(f.shape);
     }
     return out;
   }
@@ -159,114 +160,91 @@ class Scorer {
       if (c.empty()) return;
       g.scale.push_back(ScaleOf(c.front()));
     }
-    g.positive = PositiveEffects().count(g.effect) > 0;
+    g.positive = HasSign(*effects::FindEffect(g.effect));
     groups_.push_back(std::move(g));
   }
 
   void MakeGroups() {
-    for (int j = 0; j < n_; ++j) JointGroups(j);
-    RobotGroups();
-    if (n_ > 1) AllJointGroups();
+    for (const EffectInfo& effect : effects::Catalog()) {
+      const Inference& own = effects::InferenceOf(effect.id);
+      for (int j = 0; j < n_; ++j) {
+        if (!own.terms.empty()) JointGroups(effect, own, j);
+      }
+      if (n_ > 1 && own.terms.size() == 1 && (own.common || own.of_every_drive)) AllJointGroups(effect, own);
+    }
+    ParameterGroups();
   }
 
-  Group Single(const std::string& effect, const std::string& role, int j, double shape = 0) const {
-    Group g{effect, {j}, {{Find(effect, role, j, shape)}}, {}, shape};
+  void JointGroups(const EffectInfo& effect, const Inference& own, int j) {
+    const Regressor law = own.terms.back().regressor;
+    if (law == Regressor::kOtherEffort) {
+      for (int other = 0; other < n_; ++other) {
+        Group g{effect.id, {other, j}, {{Find(law, j, 0, other)}}, {}};
+        g.search = std::log(std::max(1.0, n_ - 1.0));
+        if (other != j) Push(g);
+      }
+    } else if (law == Regressor::kPulse) {
+      Pulses(effect.id, j);
+    } else if (own.pieces) {
+      Group g{effect.id, {j}, {}, {}};
+      for (const Term& t : own.terms) {
+        for (const double s : Shapes(t.regressor, j)) g.columns.push_back({Find(t.regressor, j, s)});
+      }
+      Push(g);
+    } else {
+      const auto shapes = Shapes(law, j);
+      for (const double s : shapes) Push(Shaped(effect.id, own, j, s, shapes));
+    }
+  }
+
+  // An effect of so many shapes on a joint at one of them, which terms that are a plainer law's do not have.
+  Group Shaped(const std::string& id, const Inference& own, int j, double s,
+               const std::vector<double>& shapes) const {
+    using Near = Inference::Near;
+    Group g{id, {j}, {}, {}, s};
+    g.search = std::log(static_cast<double>(shapes.size()));
+    for (const Term& t : own.terms)
+      g.columns.push_back({Find(t.regressor, j, effects::LawOf(t.regressor).id == id ? s : 0)});
+    if (own.coefficient == Near::kAny) return g;
+    const bool open = (own.coefficient == Near::kOneOrBelowFirst && s == shapes.front()) ||
+                      (own.coefficient == Near::kOneOrBelowLast && s == shapes.back());
+    g.low = open ? 0 : kLeastOfOne, g.high = kMostOfOne;
     return g;
   }
 
-  void JointGroups(int j) {
-    for (const char* e : {"viscous_friction", "quadratic_drag", "coulomb_friction", "rotor_inertia",
-                          "torque_gain", "torque_offset"})
-      Push(Single(e, effects::FindEffect(e)->parameters[0].name, j));
-    const int coulomb = Find("coulomb_friction", "coulomb", j, 0);
-    Push({"asymmetric_friction",
-          {j},
-          {{Find("asymmetric_friction", "coulomb_positive", j, 0)},
-           {Find("asymmetric_friction", "coulomb_negative", j, 0)}},
-          {}});
-    Push({"load_dependent_friction", {j}, {{coulomb}, {Find("load_dependent_friction", "load", j, 0)}}, {}});
-    for (const auto& [effect, role] :
-         {std::pair<std::string, std::string>{"stribeck_friction", "drop"}, {"thermal_drift", "drop"}}) {
-      const auto shapes = Shapes(effect, role, j);
-      for (const double s : shapes) {
-        Group g{effect, {j}, {{coulomb}, {Find(effect, role, j, s)}}, {}, s};
-        g.search = std::log(static_cast<double>(shapes.size()));
-        Push(g);
-      }
-    }
-    for (const auto& [effect, role] :
-         {std::pair<std::string, std::string>{"presliding_hysteresis", "coulomb"},
-          {"torque_deadband", "deadband"},
-          {"torque_saturation", "limit"},
-          {"actuator_delay", "delay"},
-          {"actuator_lag", "time_constant"}}) {
-      const auto shapes = Shapes(effect, role, j);
-      for (const double s : shapes) {
-        Group g = Single(effect, role, j, s);
-        g.search = std::log(static_cast<double>(shapes.size()));
-        if (effect != "presliding_hysteresis") g.low = 0.25, g.high = 4;
-        // Beyond the ends of their grids: a band that every effort exceeds, a limit that few peaks reach.
-        if (effect == "torque_deadband" && s == shapes.front()) g.low = 0;
-        if (effect == "torque_saturation" && s == shapes.back()) g.low = 0;
-        Push(g);
-      }
-    }
-    const auto cycles = Shapes("torque_ripple", "sin", j);
-    for (const double s : cycles) {
-      Group g{"torque_ripple",
-              {j},
-              {{Find("torque_ripple", "sin", j, s)}, {Find("torque_ripple", "cos", j, s)}},
-              {},
-              s};
-      g.search = std::log(static_cast<double>(cycles.size()));
-      Push(g);
-    }
-    const auto middle = Shapes("position_spring", "stiffness", j);
-    if (!middle.empty()) {
-      Push({"position_spring",
-            {j},
-            {{Find("torque_offset", "offset", j, 0)}, {Find("position_spring", "stiffness", j, middle[0])}},
-            {},
-            middle[0]});
-    }
-    Group field{"unknown_field", {j}, {}, {}};
-    for (const double s : Shapes("unknown_field", "position", j))
-      field.columns.push_back({Find("unknown_field", "position", j, s)});
-    Push(field);
-    for (int other = 0; other < n_; ++other) {
-      if (other == j) continue;
-      Group g{"joint_coupling", {other, j}, {{Find("joint_coupling", "coefficient", j, 0, other)}}, {}};
-      g.search = std::log(std::max(1.0, n_ - 1.0));
-      Push(g);
-    }
-    Disturbances(j);
-    for (size_t c = 0; c < columns_.size(); ++c) {
-      const ParameterColumn& p = columns_[c];
-      if (p.joint == j && !p.effect.empty()) Push({p.effect, {j}, {{place_[c]}}, {}});
-    }
-  }
-
-  void Disturbances(int j) {
-    const auto bins = Shapes("external_disturbance", "torque", j);
+  void Pulses(const std::string& id, int j) {
+    const auto bins = Shapes(Regressor::kPulse, j);
     const double width = bins.size() > 1 ? bins[1] - bins[0] : 1;
     for (size_t a = 0; a < bins.size(); ++a) {
       std::vector<int> run;
       for (size_t b = a; b < std::min(bins.size(), a + 6); ++b) {
-        run.push_back(Find("external_disturbance", "torque", j, bins[b]));
-        Group g{"external_disturbance", {j}, {run}, {}, bins[a], bins[b] + width};
+        run.push_back(Find(Regressor::kPulse, j, bins[b]));
+        Group g{id, {j}, {run}, {}, bins[a], bins[b] + width};
         g.search = std::log(6.0 * static_cast<double>(bins.size()));
         Push(g);
       }
     }
   }
 
-  void RobotGroups() {
-    Group gravity{"gravity_misalignment", {}, {}, {}};
+  // Effects that parameters of the plant show: a sensor's on its joint or on all, gravity's direction, the
+  // last link's own.
+  void ParameterGroups() {
+    std::map<std::string, Group> on_all, of_robot;
     for (size_t c = 0; c < columns_.size(); ++c) {
-      if (columns_[c].effect == "gravity_misalignment") gravity.columns.push_back({place_[c]});
+      const ParameterColumn& p = columns_[c];
+      if (p.effect.empty()) continue;
+      if (p.joint < 0) {
+        of_robot[p.effect].columns.push_back({place_[c]});
+        continue;
+      }
+      Push({p.effect, {p.joint}, {{place_[c]}}, {}});
+      if (n_ < 2 || !effects::InferenceOf(p.effect).common) continue;
+      on_all.try_emplace(p.effect, Group{p.effect, Takers(p.effect), {{}}, {}});
+      on_all[p.effect].columns[0].push_back(place_[c]);
     }
-    if (!gravity.columns.empty()) Push(gravity);
-    Group payload{"payload", {}, {}, {}};
+    for (auto& [id, g] : on_all) Push(g);
+    for (auto& [id, g] : of_robot) g.effect = id, Push(g);
+    Group payload{effects::EffectOf(effects::Role::kBodyInertia).id, {}, {}, {}};
     for (const char* role : {"mass", "com_x", "com_y", "com_z", "inertia_xx", "inertia_yy", "inertia_zz",
                              "inertia_xy", "inertia_xz", "inertia_yz"}) {
       for (size_t c = 0; c < columns_.size(); ++c) {
@@ -274,6 +252,7 @@ class Scorer {
           payload.columns.push_back({place_[c]});
       }
     }
+    payload.load = true;
     if (payload.columns.size() == 10) Push(payload);
   }
 
@@ -286,36 +265,23 @@ class Scorer {
   }
 
   // The same effect on every joint that takes it: with one coefficient for all, or one each.
-  void AllJointGroups() {
-    for (const auto& [effect, role] : {std::pair<std::string, std::string>{"actuator_delay", "delay"},
-                                       {"actuator_lag", "time_constant"},
-                                       {"torque_gain", "gain"},
-                                       {"viscous_friction", "viscous"},
-                                       {"coulomb_friction", "coulomb"},
-                                       {"rotor_inertia", "armature"}}) {
-      const std::vector<int> all = Takers(effect);
-      if (all.size() < 2) continue;
-      const auto shapes = Shapes(effect, role, all[0]);
-      for (const double s : shapes) {
-        Group common{effect, all, {{}}, {}, s}, each{effect, all, {}, {}, s};
-        for (const int j : all) {
-          const int place = Find(effect, role, j, s);
-          common.columns[0].push_back(place);
-          each.columns.push_back({place});
-        }
-        common.search = each.search = std::log(static_cast<double>(shapes.size()));
-        if (s > 0) common.low = 0.25, common.high = 4;
-        const bool same_unit =
-            effect == "actuator_delay" || effect == "actuator_lag" || effect == "torque_gain";
-        if (same_unit) Push(common);
-        if (s == 0) Push(each);
+  void AllJointGroups(const EffectInfo& effect, const Inference& own) {
+    const std::vector<int> all = Takers(effect.id);
+    if (all.size() < 2) return;
+    const Regressor law = own.terms[0].regressor;
+    const auto shapes = Shapes(law, all[0]);
+    for (const double s : shapes) {
+      Group common{effect.id, all, {{}}, {}, s}, each{effect.id, all, {}, {}, s};
+      for (const int j : all) {
+        const int place = Find(law, j, s);
+        common.columns[0].push_back(place);
+        each.columns.push_back({place});
       }
+      common.search = each.search = std::log(static_cast<double>(shapes.size()));
+      if (s > 0) common.low = kLeastOfOne, common.high = kMostOfOne;
+      if (own.common) Push(common);
+      if (s == 0) Push(each);
     }
-    Group sensor{"sensor_delay", Takers("sensor_delay"), {{}}, {}};
-    for (size_t c = 0; c < columns_.size(); ++c) {
-      if (columns_[c].effect == "sensor_delay") sensor.columns[0].push_back(place_[c]);
-    }
-    Push(sensor);
   }
 
   static double Total(const VectorXd& b, const std::vector<int>& columns) {
@@ -365,7 +331,7 @@ class Scorer {
   // `c`: standardised coefficients of the group.
   static bool Admissible(const Group& g, const VectorXd& c) {
     if (g.positive && c.maxCoeff() <= 0) return false;
-    if (g.effect == "payload" && c[0] <= 0) return false;
+    if (g.load && c[0] <= 0) return false;
     return c.size() > 1 || (c[0] >= g.low && c[0] <= g.high);
   }
 
@@ -422,7 +388,7 @@ class Scorer {
       const Group& other = groups_[static_cast<size_t>(c)];
       if (other.effect != g.effect) continue;
       if (other.joints == g.joints) return true;
-      if (g.effect == "joint_coupling") continue;
+      if (effects::FindEffect(g.effect)->scope == effects::Scope::kJointPair) continue;
       for (const int j : g.joints) {
         if (std::find(other.joints.begin(), other.joints.end(), j) != other.joints.end()) return true;
       }
@@ -461,7 +427,7 @@ class Scorer {
   // ones. What one effect alone cannot show (a joint's friction beside another's, an effect behind a larger
   // one) shows beside the other.
   void Combine(ScreenResult* out) const {
-    const auto named = [](const Group& g) { return g.effect != "unknown_field"; };
+    const auto named = [](const Group& g) { return !IsUnnamed(g.effect); };
     std::vector<std::pair<double, int>> first;
     for (size_t i = 0; i < groups_.size(); ++i) {
       if (!named(groups_[i])) continue;
@@ -512,7 +478,7 @@ class Scorer {
       const VectorXd b = null_.col(draw);
       double best = -1e300;
       for (size_t g = 0; g < groups_.size(); ++g) {
-        if (groups_[g].effect == "unknown_field") continue;
+        if (IsUnnamed(groups_[g].effect)) continue;
         best = std::max(best, Score(groups_[g], solved[g], b, false).gain);
       }
       largest.push_back(best);

@@ -8,6 +8,7 @@
 #include <set>
 
 #include "common/effects/effect_catalog.h"
+#include "common/effects/inference.h"
 #include "services/diagnosis/acceptance.h"
 #include "services/diagnosis/drive_search.h"
 #include "services/diagnosis/fit_ledger.h"

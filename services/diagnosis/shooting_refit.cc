@@ -2,8 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <memory>
 
+#include "common/effects/effect_catalog.h"
+#include "common/effects/inference.h"
+#include "services/diagnosis/hypotheses.h"
 #include "services/sysid/drive_signal.h"
 #include "services/sysid/parallel.h"
 #include "services/sysid/prediction.h"
@@ -19,32 +23,27 @@ namespace {
 constexpr double kTrust = 0.3;  // of the stddev of a start: what the balance knows, long windows bend little
 constexpr double kLeastKnown = 0.02;  // nothing is known better than this, relatively
 
-double DelayOf(const std::vector<EffectSpec>& specs, const std::string& joint) {
-  for (const EffectSpec& s : specs) {
-    if (s.id != "actuator_delay" && s.id != "actuator_lag") continue;
-    if (std::find(s.joints.begin(), s.joints.end(), joint) == s.joints.end()) continue;
-    const auto& values = s.values.begin()->second;
-    const auto at = values.find(s.id == "actuator_delay" ? "delay" : "time_constant");
-    return at == values.end() ? 0.0 : at->second;
-  }
-  return 0.0;
+bool IsLateDrive(const std::string& effect) {
+  return IsTiming(effect) && effects::FindEffect(effect)->stage == effects::Stage::kActuator;
 }
 
-double GainOf(const std::vector<EffectSpec>& specs, const std::string& joint) {
+// The first parameter of the first effect of a kind on the joint; `none` where there is no such effect.
+double FirstValue(const std::vector<EffectSpec>& specs, const std::string& joint,
+                  bool (*is)(const std::string& effect), double none) {
   for (const EffectSpec& s : specs) {
-    if (s.id != "torque_gain" || std::find(s.joints.begin(), s.joints.end(), joint) == s.joints.end())
-      continue;
+    if (!is(s.id) || std::find(s.joints.begin(), s.joints.end(), joint) == s.joints.end()) continue;
     const auto& values = s.values.begin()->second;
-    if (values.count("gain")) return values.at("gain");
+    const auto at = values.find(effects::FindEffect(s.id)->parameters[0].name);
+    return at == values.end() ? none : at->second;
   }
-  return 1.0;
+  return none;
 }
 
 // A drive that turns with two joints, taken off the efforts along the recorded motion.
 void TakeOffDrive(const FineMotion& m, const sim::Plant& plant, const std::vector<EffectSpec>& specs,
                   const std::vector<double>& t, Eigen::MatrixXd* u) {
   for (const EffectSpec& s : specs) {
-    if (s.id != "joint_coupling" || s.options.count("form") == 0) continue;
+    if (!IsCoupledDrive(s)) continue;
     const int other = plant.model().FindJoint(s.joints[0]), joint = plant.model().FindJoint(s.joints[1]);
     const auto& values = s.values.at("*");
     const double ratio = values.at("coefficient");
@@ -65,8 +64,10 @@ std::vector<sysid::FitRecording> Advanced(const FitData& data, const sim::Plant&
   std::vector<sysid::FitRecording> out = data.recordings;
   VectorXd delay(data.n), gain(data.n);
   for (int j = 0; j < data.n; ++j) {
-    delay[j] = DelayOf(specs, plant.joint_names()[j]);
-    gain[j] = GainOf(specs, plant.joint_names()[j]);
+    const std::string& joint = plant.joint_names()[j];
+    delay[j] = FirstValue(specs, joint, IsLateDrive, 0.0);
+    gain[j] = FirstValue(
+        specs, joint, [](const std::string& id) { return effects::ScalesEffort(id); }, 1.0);
   }
   for (size_t i = 0; i < out.size(); ++i) {
     sysid::FitRecording& r = out[i];
@@ -83,21 +84,33 @@ std::vector<sysid::FitRecording> Advanced(const FitData& data, const sim::Plant&
   return out;
 }
 
+// The level of a dry friction that is more than that: the parameter that the plain law alone adds to.
+std::string LevelOf(const effects::Inference& friction) {
+  std::map<std::string, int> terms;
+  for (const effects::Term& t : friction.terms) {
+    for (const std::string& name : t.adds_to) ++terms[name];
+  }
+  for (const effects::Term& t : friction.terms) {
+    for (const std::string& name : t.adds_to) {
+      if (t.regressor == effects::Regressor::kDirection && terms[name] == 1) return name;
+    }
+  }
+  return "";
+}
+
 // The regression knows the plain laws; a refined friction stands in as its plain form.
 std::vector<EffectSpec> Plain(const std::vector<EffectSpec>& specs) {
+  const effects::EffectInfo& dry = effects::LawOf(effects::Regressor::kDirection);
   std::vector<EffectSpec> out;
   for (const EffectSpec& s : specs) {
-    const auto value = [&](const char* name) {
-      const auto& v = s.values.begin()->second;
-      return v.count(name) ? v.at(name) : 0.0;
-    };
-    if (s.id == "stribeck_friction" || s.id == "load_dependent_friction") {
-      out.push_back(effects::MakeSpec("coulomb_friction", s.joints, {{"coulomb", value("coulomb")}}));
-    } else if (s.id == "thermal_drift") {
-      out.push_back(effects::MakeSpec("coulomb_friction", s.joints, {{"coulomb", value("final")}}));
-    } else if (s.id == "viscous_friction" || s.id == "coulomb_friction" || s.id == "asymmetric_friction" ||
-               s.id == "quadratic_drag" || s.id == "rotor_inertia" || s.id == "torque_offset") {
+    const std::string level = LevelOf(effects::InferenceOf(s.id));
+    if (sysid::RegressionKnows(s.id)) {
       out.push_back(s);
+    } else if (!level.empty()) {
+      const auto& values = s.values.begin()->second;
+      const auto at = values.find(level);
+      out.push_back(effects::MakeSpec(dry.id, s.joints,
+                                      {{dry.parameters[0].name, at == values.end() ? 0.0 : at->second}}));
     }
   }
   return out;
@@ -162,7 +175,7 @@ Candidate RefitByShooting(const FitData& data, const sim::Plant& nominal, const 
     if (row.kind != sim::ParameterKind::kEffect) continue;
     const auto known = options.spread.find(p.name);
     p.prior_stddev = std::max(p.prior_stddev, std::abs(row.nominal));
-    const bool timing = row.effect == "actuator_delay" || row.effect == "actuator_lag";
+    const bool timing = IsLateDrive(row.effect);
     if (known == options.spread.end()) continue;
     p.nominal = row.nominal;
     // Timing was found before everything else and stays: friction would bend it.

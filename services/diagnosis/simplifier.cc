@@ -127,7 +127,7 @@ TrialSpecs Simplifier::PlainForm(const Candidate& c, const std::string& id) cons
 
 // A richer form that is not worth more than the plain one gives way to it.
 void Simplifier::Plainer(Candidate* best) {
-  std::vector<std::string> richer(std::begin(kRicherFriction), std::end(kRicherFriction));
+  std::vector<std::string> richer = RicherFrictions();
   richer.insert(richer.end(), {"backlash", "joint_elasticity"});
   for (const std::string& id : richer) {
     const TrialSpecs specs = PlainForm(*best, id);

@@ -9,6 +9,7 @@
 #include <optional>
 
 #include "common/dynamics/dynamics.h"
+#include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 
 namespace rg::diagnosis {
@@ -67,26 +68,23 @@ model::Frame FrameOf(const model::RobotModel& model, const EffectSpec& mass) {
 
 }  // namespace
 
-bool HasRod(const std::vector<EffectSpec>& specs) {
-  return std::any_of(specs.begin(), specs.end(),
-                     [](const EffectSpec& e) { return e.id == "sloshing_payload" && OnRod(e); });
-}
+bool HasRod(const std::vector<EffectSpec>& specs) { return std::any_of(specs.begin(), specs.end(), OnRod); }
 
 bool HasMassInSprings(const std::vector<EffectSpec>& specs) {
   return std::any_of(specs.begin(), specs.end(),
-                     [](const EffectSpec& e) { return e.id == "sloshing_payload" && !OnRod(e); });
+                     [](const EffectSpec& e) { return e.id == effects::SwingingMass().id && !OnRod(e); });
 }
 
 bool SwingsOnLastLink(const std::vector<EffectSpec>& specs) {
   return std::any_of(specs.begin(), specs.end(), [](const EffectSpec& e) {
     const auto point = e.options.find("point");
-    return e.id == "sloshing_payload" && point != e.options.end() && point->second == "last_link";
+    return e.id == effects::SwingingMass().id && point != e.options.end() && point->second == "last_link";
   });
 }
 
 void WidenPoint(const sim::Plant& plant, VectorXd* values) {
   const auto of = [&](const char* field) -> double& {
-    return (*values)[plant.parameters().Find(std::string("sloshing_payload.*.") + field)];
+    return (*values)[plant.parameters().Find(effects::SwingingMass().id + ".*." + field)];
   };
   if (!HasRod(plant.effects()) || of("radius") > kPoint * of("length")) return;
   // m·L stays, and L + r²/L.
@@ -121,7 +119,7 @@ std::vector<VectorXd> SwingsFrom(const sim::Simulator& simulator, const VectorXd
   if (!HasRod(plant.effects())) return {};
   const VectorXd still = HangingFrom(simulator, start);
   const auto of = [&](const char* field) {
-    return simulator.parameters()[plant.parameters().Find(std::string("sloshing_payload.*.") + field)];
+    return simulator.parameters()[plant.parameters().Find(effects::SwingingMass().id + ".*." + field)];
   };
   const double length = of("length") + of("radius") * of("radius") / of("length");
   const double rate = kSwing * std::sqrt(plant.options().gravity.norm() / length);
@@ -184,7 +182,7 @@ std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal
   // no fit leads away. Springs that take in what else is missing say metres: no tool carries that.
   const double swings =
       std::clamp(of.at("mass") * gravity.norm() / of.at("stiffness"), kShortestRod, kLongestRod);
-  EffectSpec rod = effects::MakeSpec("sloshing_payload", {},
+  EffectSpec rod = effects::MakeSpec(effects::SwingingMass().id, {},
                                      {{"mass", of.at("mass")},
                                       {"length", kShorter * swings},
                                       {"radius", kWide * swings},

@@ -5,6 +5,7 @@
 #include <cstdio>
 
 #include "common/effects/effect_catalog.h"
+#include "common/effects/inference.h"
 
 namespace rg::diagnosis {
 namespace {
@@ -59,7 +60,7 @@ JointTable ParametersOfJoints(const DiagnosisResult& r) {
   out.cells.resize(r.joints.size());
   for (const Finding& f : r.findings) {
     // Weights of a force without a name say nothing by themselves.
-    if (effects::FindEffect(f.effect) == nullptr || f.effect == "unknown_field") continue;
+    if (effects::FindEffect(f.effect) == nullptr || effects::InferenceOf(f.effect).unnamed) continue;
     for (const ParameterEstimate& p : f.parameters) {
       const auto at = std::find(r.joints.begin(), r.joints.end(), p.owner);
       if (at == r.joints.end()) continue;

@@ -6,12 +6,15 @@
 #include <numeric>
 
 #include "common/dynamics/dynamics.h"
+#include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/regressors.h"
 #include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
 
+using effects::Regressor;
 using Eigen::ArrayXd;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
@@ -83,54 +86,33 @@ class BalanceMaker {
 
  private:
   void MakeColumns() {
+    using enum Regressor;
     out_.columns.resize(data_.n);
     for (int j = 0; j < data_.n; ++j) {
       auto& c = out_.columns[j];
-      c = {{"viscous_friction", "viscous"},
-           {"coulomb_friction", "coulomb"},
-           {"torque_offset", "offset"},
-           {"rotor_inertia", "armature"},
-           {"quadratic_drag", "quadratic"},
-           {"torque_gain", "gain"},
-           {"position_spring", "stiffness", 0.5 * (s_.low[j] + s_.high[j])},
-           {"load_dependent_friction", "load"}};
-      for (const double share : {0.1, 0.25, 0.5})
-        c.push_back({"stribeck_friction", "drop", share * s_.speed[j]});
-      for (const double share : {0.15, 0.4, 1.0}) c.push_back({"thermal_drift", "drop", share * s_.duration});
-      // Pieces of a force without a name: hats over the range of position and of velocity.
+      for (const Regressor r : {kVelocity, kDirection, kConstant, kAcceleration, kSquaredVelocity, kEffort})
+        c.push_back({r});
+      c.push_back({kPosition, 0.5 * (s_.low[j] + s_.high[j])});
+      c.push_back({kUnderLoad});
+      for (const double share : {0.1, 0.25, 0.5}) c.push_back({kSlowly, share * s_.speed[j]});
+      for (const double share : {0.15, 0.4, 1.0}) c.push_back({kWarmingUp, share * s_.duration});
       for (int k = 0; k < kHats; ++k) {
-        c.push_back({"unknown_field", "position", static_cast<double>(k)});
-        c.push_back({"unknown_field", "velocity", static_cast<double>(k)});
+        for (const Regressor r : {kPositionPiece, kVelocityPiece}) c.push_back({r, static_cast<double>(k)});
       }
-      std::erase_if(c, [&](const BalanceColumn& column) { return !plant_.Takes(column.effect, j); });
+      std::erase_if(c, [&](const BalanceColumn& column) {
+        return !plant_.Takes(effects::LawOf(column.regressor).id, j);
+      });
     }
   }
 
-  // φ of joint j over the fine grid. The effort itself is never a column: it is the response, and would
-  // explain itself.
-  ArrayXd Feature(const BalanceColumn& c, const FineMotion& m, const MatrixXd& rigid, int j) const {
-    const ArrayXd v = m.v.row(j).transpose().array();
-    const ArrayXd torque = rigid.row(j).transpose().array();
-    const ArrayXd sign = v.sign();
-    if (c.effect == "viscous_friction") return -v;
-    if (c.effect == "coulomb_friction") return -sign;
-    if (c.effect == "torque_offset") return ArrayXd::Ones(v.size());
-    if (c.effect == "rotor_inertia") return -m.a.row(j).transpose().array();
-    if (c.effect == "quadratic_drag") return -v * v.abs();
-    if (c.effect == "position_spring") return -(m.q.row(j).transpose().array() - c.shape);
-    if (c.effect == "torque_gain") return torque;
-    if (c.effect == "load_dependent_friction") return -sign * torque.abs();
-    if (c.effect == "stribeck_friction") return -sign * (-(v / c.shape).square()).exp();
-    if (c.effect == "unknown_field") {
-      const bool position = c.role == "position";
-      const double low = position ? s_.low[j] : -s_.top_speed[j],
-                   high = position ? s_.high[j] : s_.top_speed[j];
-      const double spacing = std::max(1e-12, (high - low) / (kHats - 1.0));
-      const ArrayXd x = (position ? m.q : m.v).row(j).transpose().array();
-      return (1.0 - ((x - low) / spacing - c.shape).abs()).max(0.0);
-    }
-    const ArrayXd t = Eigen::Map<const ArrayXd>(m.t.data(), static_cast<Eigen::Index>(m.t.size()));
-    return -sign * (-t / c.shape).exp();
+  // φ of joint j over the fine grid.
+  ArrayXd Feature(const BalanceColumn& c, const JointMotion& m, int j) const {
+    const bool position = c.regressor == Regressor::kPositionPiece;
+    if (!position && c.regressor != Regressor::kVelocityPiece) return ForceOf(c.regressor, m, {c.shape, 0});
+    const double low = position ? s_.low[j] : -s_.top_speed[j],
+                 high = position ? s_.high[j] : s_.top_speed[j];
+    const double spacing = std::max(1e-12, (high - low) / (kHats - 1.0));
+    return (1.0 - (((position ? m.q : m.v) - low) / spacing - c.shape).abs()).max(0.0);
   }
 
   void AddRecording(int r, int first_piece, int pieces) {
@@ -144,9 +126,11 @@ class BalanceMaker {
     FillRigid(m, &rigid, &base);
     std::vector<MatrixXd> features(n);
     for (int j = 0; j < n; ++j) {
+      // The effort itself is never a column: it is the response, and would explain itself.
+      const JointMotion motion = MotionOf(m, rigid, j);
       features[j].resize(static_cast<long>(out_.columns[j].size()), F);
       for (size_t c = 0; c < out_.columns[j].size(); ++c)
-        features[j].row(static_cast<long>(c)) = Feature(out_.columns[j][c], m, rigid, j).transpose().matrix();
+        features[j].row(static_cast<long>(c)) = Feature(out_.columns[j][c], motion, j).transpose().matrix();
     }
     const Eigen::Map<const VectorXd> w(window.weight.data(), static_cast<long>(window.weight.size()));
     for (int k = window.half; k + window.half < F; k += stride) {
@@ -252,7 +236,8 @@ class BalanceMaker {
         const double rms = std::sqrt(squares / count);
         double& scale = out_.columns[j][static_cast<size_t>(c)].scale;
         scale = rms > 0 ? 0.5 * s_.torque[j] / rms : 0.0;
-        if (out_.columns[j][static_cast<size_t>(c)].effect == "torque_gain") scale = std::min(scale, 0.3);
+        if (out_.columns[j][static_cast<size_t>(c)].regressor == Regressor::kEffort)
+          scale = std::min(scale, 0.3);
         o.features.col(c) *= scale;
       }
     }
@@ -286,7 +271,8 @@ void TorqueBalance::AddRipple(int joint, double cycles, double unit) {
     }
     const double rms = std::sqrt(squares / count), scale = rms > 0 ? unit / rms : 0.0;
     rows.features.col(rows.features.cols() - 2 + i) = scale * wave.row(i).transpose();
-    columns[static_cast<size_t>(joint)].push_back({"torque_ripple", i == 0 ? "sin" : "cos", cycles, scale});
+    columns[static_cast<size_t>(joint)].push_back(
+        {i == 0 ? Regressor::kSine : Regressor::kCosine, cycles, scale});
   }
 }
 

@@ -13,7 +13,6 @@
 
 #include <Eigen/Core>
 #include <algorithm>
-#include <string>
 #include <vector>
 
 #include "services/diagnosis/features.h"
@@ -22,10 +21,10 @@ namespace rg::diagnosis {
 
 inline constexpr double kTiltPrior = 0.6;  // m/s², one standardised unit of gravity's columns
 
-// What an effect does to one joint per unit of coefficient.
+// A force on one joint per unit of coefficient. The pieces of a force without a name are hats, whose place
+// among them is the shape.
 struct BalanceColumn {
-  std::string effect;  // id
-  std::string role;
+  effects::Regressor regressor;
   double shape = 0;
   double scale = 1;  // coefficient in SI = scale · standardised one (prior stddev 1)
 };
@@ -53,8 +52,8 @@ struct TorqueBalance {
 
   double half_window_s = 0;  // of what rows are averaged over
 
-  // Appends what a ripple of so many cycles per revolution does to a joint, as two columns ("sin", "cos") of
-  // which a coefficient of 1 makes a force of RMS `unit`.
+  // Appends what a ripple of so many cycles per revolution does to a joint, as two columns (kSine, kCosine)
+  // of which a coefficient of 1 makes a force of RMS `unit`.
   void AddRipple(int joint, double cycles, double unit);
   bool IsOfLastLink(int i) const {
     return std::find(last_link.begin(), last_link.end(), i) != last_link.end();

@@ -126,7 +126,7 @@ class TrialBuilder {
     if (!screened_.sets.empty() && screened_.sets[0].gain > most) best = screened_.sets[0].parts;
     if (best.empty()) return;
     const TrialSpecs beside = Together(best, nominal_, scales_);
-    std::vector<TrialSpecs> starts = MountStarts(scales_);
+    std::vector<TrialSpecs> starts = MountStarts(nominal_, scales_);
     for (TrialSpecs& start : starts) start.insert(start.end(), beside.begin(), beside.end());
     Push(nearest_(starts, 1));
   }

@@ -8,6 +8,7 @@
 
 #include "common/dynamics/dynamics.h"
 #include "common/effects/effect_catalog.h"
+#include "common/effects/torque_ripple.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/candidate.h"
 #include "services/diagnosis/features.h"
@@ -201,10 +202,11 @@ class Judge {
   // Ripples of which enough lies within the travel, and which pass slowly enough when it is slow.
   Judged Periods(int j) const {
     const JointFigures& f = Figures(j);
-    const double least = std::max(2.0, kLeastRipple * 2 * M_PI / std::max(1e-9, f.high - f.low));
+    const double least =
+        std::max(2.0, effects::TorqueRipple::kLeastPeriods * 2 * M_PI / std::max(1e-9, f.high - f.low));
     const double most = std::min(kMostRipples, 2 * M_PI / (4 * period_ * std::max(1e-9, f.slow)));
     if (least > most) return Not("travels too little, or too fast for its rows, to see a ripple's periods");
-    return Met("with " + Number(kLeastRipple) + " of a period or more in its travel");
+    return Met("with " + Number(effects::TorqueRipple::kLeastPeriods) + " of a period or more in its travel");
   }
 
   Judged Effort(int j) const {

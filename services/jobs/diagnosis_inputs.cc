@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "common/effects/inference.h"
 #include "services/diagnosis/set_check.h"
 #include "services/jobs/kinds.h"
 #include "services/rollouts/recording_bundle.h"
@@ -58,10 +59,12 @@ std::vector<std::string> QuietJoints(const recordings::RecordingSet& set, const 
   const auto check = diagnosis::CheckSet(set, plant, true);
   if (!check.ok()) return plant.joint_names();
   const std::vector<diagnosis::EffectShows> effects = diagnosis::WhatShows(check->survey, plant);
+  const std::string &damping = effects::LawOf(effects::Regressor::kVelocity).id,
+                    &rotor = effects::LawOf(effects::Regressor::kAcceleration).id;
   std::vector<std::string> quiet;
   for (const std::string& joint : plant.joint_names()) {
     const auto hidden = [&](const diagnosis::EffectShows& effect) {
-      return (effect.effect == "viscous_friction" || effect.effect == "rotor_inertia") &&
+      return (effect.effect == damping || effect.effect == rotor) &&
              std::count(effect.joints.begin(), effect.joints.end(), joint) == 0;
     };
     if (std::any_of(effects.begin(), effects.end(), hidden)) quiet.push_back(joint);

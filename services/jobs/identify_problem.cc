@@ -3,8 +3,9 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <set>
 
+#include "common/effects/effect_catalog.h"
+#include "common/effects/inference.h"
 #include "realitygrad/v1/payloads.pb.h"
 #include "services/sysid/drive_signal.h"
 #include "services/sysid/initial_regression.h"
@@ -107,33 +108,33 @@ void TakePhysicalBeliefs(const sim::Plant& plant, const std::vector<int>& parame
   }
 }
 
-constexpr const char* kFrictionEffects[] = {"coulomb_friction", "rotor_inertia"};
+// Dry friction and the rotor. Where a diagnosis has put another law of dry friction, or a motor of its own, a
+// second one is no news.
+struct FrictionEffect {
+  std::string id;
+  effects::Slot stands_for_it;
+};
+std::vector<FrictionEffect> FrictionEffects() {
+  using effects::LawOf, effects::Regressor, effects::Slot;
+  return {{LawOf(Regressor::kDirection).id, Slot::kDryFriction},
+          {LawOf(Regressor::kAcceleration).id, Slot::kTransmission}};
+}
 
 std::vector<int> FrictionParameters(const sim::Plant& plant) {
   std::vector<int> found;
   for (int i = 0; i < plant.parameters().size(); ++i) {
-    for (const char* id : kFrictionEffects) {
-      if (plant.parameters()[i].effect == id) found.push_back(i);
+    for (const FrictionEffect& e : FrictionEffects()) {
+      if (plant.parameters()[i].effect == e.id) found.push_back(i);
     }
   }
   return found;
 }
 
-// Where a diagnosis has put another law of dry friction, or a motor of its own, a second one is no news.
-bool Stands(const std::string& have, const std::string& for_this) {
-  static const std::set<std::string> kDry = {"stribeck_friction", "asymmetric_friction",
-                                             "load_dependent_friction", "presliding_hysteresis",
-                                             "thermal_drift"};
-  static const std::set<std::string> kMotor = {"joint_elasticity", "backlash"};
-  if (have == for_this) return true;
-  return for_this == "coulomb_friction" ? kDry.contains(have) : kMotor.contains(have);
-}
-
 // Joints on which the plant has neither the effect nor one that stands for it.
-std::vector<std::string> JointsWithout(const sim::Plant& plant, const std::string& id) {
+std::vector<std::string> JointsWithout(const sim::Plant& plant, const FrictionEffect& effect) {
   std::vector<std::string> joints = plant.joint_names();
   for (const effects::EffectSpec& spec : plant.effects()) {
-    if (!Stands(spec.id, id)) continue;
+    if (spec.id != effect.id && !effects::IsIn(effect.stands_for_it, spec.id)) continue;
     for (const std::string& joint : spec.joints) std::erase(joints, joint);
   }
   return joints;
@@ -153,8 +154,9 @@ std::vector<double> WindowStarts(const recordings::Recording& recording,
 
 Result<sim::ModelFile> ModelToFit(const sim::ModelFile& model, const IdentifyProblemOptions& options) {
   sim::ModelFile out = model;
-  for (const char* id : kFrictionEffects) {
-    const std::vector<std::string> joints = JointsWithout(out.plant, id);
+  for (const FrictionEffect& effect : FrictionEffects()) {
+    const std::string& id = effect.id;
+    const std::vector<std::string> joints = JointsWithout(out.plant, effect);
     if (!options.friction || joints.empty()) continue;
     RG_ASSIGN_OR_RETURN(sim::Plant plant, out.plant.WithEffect(effects::MakeSpec(id, joints)));
     Eigen::VectorXd values = plant.ValuesFrom(out.plant.parameters(), out.values);

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdio>
 
+#include "common/effects/inference.h"
 #include "services/diagnosis/told_in_tables.h"
 #include "services/report/page.h"
 
@@ -111,7 +112,7 @@ void FindingsTable(const DiagnosisResult& r, Page* page) {
                           others.empty() ? "–" : Joined(others),
                           f.share_of_mismatch > 0 ? Percent(f.share_of_mismatch) : "–"});
     // Base parameters stand below, weights of a force without a name say nothing by themselves.
-    if (f.effect == "parameters_only" || f.effect == "unknown_field") continue;
+    if (f.effect == "parameters_only" || effects::InferenceOf(f.effect).unnamed) continue;
     for (const auto& p : f.parameters) {
       if (of_joint(p.owner)) continue;  // in the table of joints
       values.rows.push_back({f.effect, p.owner, p.name, FormatNumber(p.value, 4), FormatNumber(p.stddev, 2),

@@ -3,11 +3,13 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <string>
 #include <utility>
 
 #include "common/base/check.h"
 #include "common/dynamics/dynamics.h"
+#include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 #include "services/sysid/boxed_newton_step.h"
 #include "services/sysid/drive_signal.h"
@@ -15,6 +17,7 @@
 namespace rg::sysid {
 namespace {
 
+using effects::Regressor;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
@@ -79,30 +82,47 @@ void AddSamples(const FitRecording& fit, const RegressionOptions& options, int s
   }
 }
 
-// What a parameter multiplies in its joint's torque balance (moved to the model's side).
-double JointColumn(const sim::Parameter& p, double v, double a, double u) {
-  if (p.kind == sim::ParameterKind::kDamping) return v;
-  if (p.kind == sim::ParameterKind::kFriction) return v > 0.0 ? 1.0 : -1.0;
-  if (p.kind == sim::ParameterKind::kForceGain) return -u;
-  if (p.kind == sim::ParameterKind::kArmature) return a;
-  if (p.effect == "viscous_friction") return v;
-  if (p.effect == "coulomb_friction") return v > 0.0 ? 1.0 : -1.0;
-  if (p.effect == "asymmetric_friction") {
-    if (p.field == "coulomb_positive") return v > 0.0 ? 1.0 : 0.0;
-    return v > 0.0 ? 0.0 : -1.0;
+// What a regressor's coefficient multiplies on the model's side of a joint's torque balance. Nothing where
+// the regression does not know it.
+std::optional<double> ColumnOf(Regressor regressor, double v, double a) {
+  switch (regressor) {
+    case Regressor::kVelocity:
+      return v;
+    case Regressor::kDirection:
+      return v > 0.0 ? 1.0 : -1.0;
+    case Regressor::kForwards:
+      return v > 0.0 ? 1.0 : 0.0;
+    case Regressor::kBackwards:
+      return v > 0.0 ? 0.0 : -1.0;
+    case Regressor::kSquaredVelocity:
+      return v * std::abs(v);
+    case Regressor::kAcceleration:
+      return a;
+    case Regressor::kConstant:
+      return -1.0;
+    default:
+      return std::nullopt;
   }
-  if (p.effect == "quadratic_drag") return v * std::abs(v);
-  if (p.effect == "rotor_inertia") return a;
-  if (p.effect == "torque_offset") return -1.0;
-  return 0.0;
 }
 
-bool HasJointColumn(const sim::Parameter& p) {
-  return p.kind == sim::ParameterKind::kDamping || p.kind == sim::ParameterKind::kFriction ||
-         p.kind == sim::ParameterKind::kForceGain || p.kind == sim::ParameterKind::kArmature ||
-         p.effect == "viscous_friction" || p.effect == "coulomb_friction" ||
-         p.effect == "asymmetric_friction" || p.effect == "quadratic_drag" || p.effect == "rotor_inertia" ||
-         p.effect == "torque_offset";
+// A parameter with a place in its joint's torque balance: the regressor that it multiplies, or the drive's
+// effort.
+struct JointColumn {
+  std::optional<Regressor> regressor;  // of a force of the joint; none: its effort
+  double At(double v, double a, double u) const { return regressor ? *ColumnOf(*regressor, v, a) : -u; }
+};
+
+std::optional<JointColumn> ColumnOf(const sim::Parameter& p) {
+  if (p.kind == sim::ParameterKind::kDamping) return JointColumn{Regressor::kVelocity};
+  if (p.kind == sim::ParameterKind::kFriction) return JointColumn{Regressor::kDirection};
+  if (p.kind == sim::ParameterKind::kForceGain) return JointColumn{};
+  if (p.kind == sim::ParameterKind::kArmature) return JointColumn{Regressor::kAcceleration};
+  if (!RegressionKnows(p.effect)) return std::nullopt;
+  for (const effects::Term& t : effects::InferenceOf(p.effect).terms) {
+    if (std::find(t.adds_to.begin(), t.adds_to.end(), p.field) != t.adds_to.end())
+      return JointColumn{t.regressor};
+  }
+  return std::nullopt;
 }
 
 class Regression {
@@ -120,6 +140,7 @@ class Regression {
         P_(space.size()),
         mechanism_(plant.model()) {
     FindStillSpeeds();
+    for (int i = 0; i < plant.parameters().size(); ++i) columns_.push_back(ColumnOf(plant.parameters()[i]));
     stddev_ = VectorXd::Ones(n_);
   }
 
@@ -181,9 +202,9 @@ class Regression {
   template <class Column>
   void FillColumn(const Sample& x, const MatrixXd& Y, int i, Column column) {
     const sim::Parameter& p = plant_.parameters()[parameters_[i].index];
-    if (HasJointColumn(p)) {
+    if (const auto& own = columns_[static_cast<size_t>(parameters_[i].index)]) {
       const int j = plant_.model().FindJoint(p.owner);
-      column[j] = JointColumn(p, x.v[j], x.a[j], x.effort[j]);
+      column[j] = own->At(x.v[j], x.a[j], x.effort[j]);
       return;
     }
     const int link = plant_.model().FindLink(p.owner);
@@ -202,10 +223,10 @@ class Regression {
   // Every parameter of the plant with a place in the joint's balance acts, fitted or not.
   void AddJointTorques(const Sample& x, VectorXd* tau) const {
     for (int i = 0; i < plant_.parameters().size(); ++i) {
-      const sim::Parameter& p = plant_.parameters()[i];
-      if (!HasJointColumn(p)) continue;
-      const int j = plant_.model().FindJoint(p.owner);
-      if (j >= 0) (*tau)[j] += values_[i] * JointColumn(p, x.v[j], x.a[j], x.effort[j]);
+      const auto& own = columns_[static_cast<size_t>(i)];
+      if (!own) continue;
+      const int j = plant_.model().FindJoint(plant_.parameters()[i].owner);
+      if (j >= 0) (*tau)[j] += values_[i] * own->At(x.v[j], x.a[j], x.effort[j]);
     }
   }
 
@@ -256,6 +277,7 @@ class Regression {
   dynamics::Mechanism mechanism_;
   dynamics::Workspace workspace_;
   std::vector<Eigen::Matrix<double, 10, 10>> link_jacobian_;
+  std::vector<std::optional<JointColumn>> columns_;  // per parameter of the plant
   VectorXd still_, stddev_;
   MatrixXd J_;
   VectorXd r_;
@@ -263,6 +285,13 @@ class Regression {
 };
 
 }  // namespace
+
+bool RegressionKnows(const std::string& effect) {
+  const auto& terms = effects::InferenceOf(effect).terms;
+  return !terms.empty() && std::all_of(terms.begin(), terms.end(), [](const effects::Term& t) {
+    return ColumnOf(t.regressor, 1.0, 1.0).has_value();
+  });
+}
 
 std::vector<MotionSample> SampleMotion(const std::vector<FitRecording>& recordings,
                                        const RegressionOptions& options) {

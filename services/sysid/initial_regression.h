@@ -15,6 +15,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <string>
 #include <vector>
 
 #include "common/recordings/recording.h"
@@ -49,6 +50,9 @@ struct RegressionResult {
   Eigen::VectorXd torque_stddev;  // n, robust, of the residual
   int rows = 0;                   // rows used; 0: too little data, theta is the start
 };
+
+// Whether it holds an effect: all of its force is a sum of coefficients on v, a, signs and constants.
+bool RegressionKnows(const std::string& effect);
 
 // Samples of the recordings, thinned.
 std::vector<MotionSample> SampleMotion(const std::vector<FitRecording>& recordings,

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "common/base/check.h"
+#include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 
 namespace rg::sysid {
@@ -111,7 +112,9 @@ void StateFilter::FindLatePositions() {
   late_.setZero(n_);
   for (const effects::EffectSpec& e : simulator_.plant().effects()) {
     const auto signal = e.options.find("signal");
-    if (e.id != "sensor_delay" || (signal != e.options.end() && signal->second == "velocity")) continue;
+    if (e.id != effects::EffectOf(effects::Role::kSensorDelay).id ||
+        (signal != e.options.end() && signal->second == "velocity"))
+      continue;
     for (const std::string& joint : e.joints) {
       const int j = simulator_.plant().model().FindJoint(joint);
       const int delay = table.Find(e.id + "." + joint + "." + "delay");

@@ -10,6 +10,7 @@
 #include "common/base/rng.h"
 #include "common/effects/effect.h"
 #include "common/effects/effect_catalog.h"
+#include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 #include "common/model/urdf_loader.h"
 #include "common/recordings/noise.h"
@@ -55,8 +56,15 @@ struct Fitted {
 
 // Where the model as given cannot be simulated (`runs`), the simplest one has what that needs.
 std::vector<Candidate> Candidates(const SysidOptions& options, bool runs) {
-  const std::vector<std::string> coulomb = {"viscous_friction", "coulomb_friction", "rotor_inertia"};
-  const std::vector<std::string> asymmetric = {"viscous_friction", "asymmetric_friction", "rotor_inertia"};
+  // What every drive has, and the same with dry friction that differs by direction.
+  std::vector<std::string> coulomb, asymmetric;
+  for (const effects::EffectInfo& effect : effects::Catalog()) {
+    if (effects::InferenceOf(effect.id).of_every_drive) coulomb.push_back(effect.id);
+  }
+  for (const std::string& id : coulomb) {
+    const bool dry = effects::IsIn(effects::Slot::kDryFriction, id);
+    asymmetric.push_back(dry ? effects::LawOf(effects::Regressor::kForwards).id : id);
+  }
   std::vector<Candidate> out{{runs ? "nominal" : "nominal + rotors that the URDF lacks", {}, false}};
   if (options.fit_inertial) out.push_back({"inertial", {}, true});
   if (options.fit_joints) out.push_back({"viscous + coulomb + rotor", coulomb, false});
@@ -248,10 +256,7 @@ class Identification {
   // Joints on which the model that was given has neither this effect nor, for dry friction, another law of
   // it.
   std::vector<std::string> JointsWithout(const std::string& id) const {
-    const auto dry = [](const std::string& of) {
-      return effects::FindEffect(of)->family == "friction" && of != "viscous_friction" &&
-             of != "quadratic_drag";
-    };
+    const auto dry = [](const std::string& of) { return effects::IsIn(effects::Slot::kDryFriction, of); };
     std::vector<std::string> joints;
     for (int j = 0; j < nominal_->num_joints(); ++j) {
       if (nominal_->Takes(id, j)) joints.push_back(nominal_->joint_names()[static_cast<size_t>(j)]);
@@ -287,9 +292,11 @@ class Identification {
       const sim::Parameter& row = plant.parameters()[p.index];
       const int joint = plant.model().FindJoint(row.owner);
       // Where the URDF declares the same force, that parameter is the one that moves.
-      if (row.effect == "viscous_friction" && plant.model().joint(joint).damping != 0.0) continue;
-      if (row.effect == "coulomb_friction" && plant.model().joint(joint).friction != 0.0) continue;
-      if (row.effect == "rotor_inertia") p.prior_stddev = std::max(p.prior_stddev, M(joint, joint));
+      using enum effects::Regressor;
+      if (row.effect == effects::LawOf(kVelocity).id && plant.model().joint(joint).damping != 0.0) continue;
+      if (row.effect == effects::LawOf(kDirection).id && plant.model().joint(joint).friction != 0.0) continue;
+      if (row.effect == effects::LawOf(kAcceleration).id)
+        p.prior_stddev = std::max(p.prior_stddev, M(joint, joint));
       if (!std::isfinite(p.prior_stddev)) p.prior_stddev = 0.1 * LargestEffort(joint);
       out.push_back(std::move(p));
     }

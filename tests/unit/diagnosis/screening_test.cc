@@ -122,7 +122,7 @@ TEST(Screening, HasADeadZoneThatNextToNoEffortLiesIn) {
   const auto p = Prepare("arm2", {}, 25);
   double least = 1e300, small = 0, rows = 0;
   for (const Feature& f : MakeFeatures(p->data, p->nominal, p->scales).features) {
-    if (f.effect == "torque_deadband" && f.joint == 0) least = std::min(least, f.shape);
+    if (f.regressor == effects::Regressor::kInBand && f.joint == 0) least = std::min(least, f.shape);
   }
   for (const FineMotion& m : p->data.fine) {
     small += static_cast<double>((m.u.row(0).array().abs() < least).count());

@@ -1,6 +1,8 @@
-// Holds the #include lines of the tree to the arrows of docs/architecture.md.
+// Holds the #include lines of the tree to the arrows of docs/architecture.md, and what is known of an effect
+// to the effect's own file: how often a folder names effects may only fall.
 #include <gtest/gtest.h>
 
+#include <cstdio>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -9,6 +11,8 @@
 #include <sstream>
 #include <string>
 #include <vector>
+
+#include "common/effects/effect_catalog.h"
 
 namespace rg {
 namespace {
@@ -132,6 +136,68 @@ TEST(Layout, TheTableForbidsWhatItShould) {
   EXPECT_FALSE(Allowed("coordinator", "services/sysid/sysid.h"));
   EXPECT_FALSE(Allowed("services/sysid", "realitygrad/v1/job.pb.h"));
   EXPECT_TRUE(Allowed("common/sim", "common/base/status.h"));
+}
+
+// String literals that are an effect's id, or begin with it as a parameter's name does
+// ("payload.*.mass").
+int EffectLiterals(const std::string& text) {
+  int count = 0;
+  for (const effects::EffectInfo& info : effects::Catalog()) {
+    const std::string literal = "\"" + info.id;
+    for (size_t at = text.find(literal); at != std::string::npos; at = text.find(literal, at + 1)) {
+      const size_t end = at + literal.size();
+      count += end < text.size() && (text[end] == '"' || text[end] == '.');
+    }
+  }
+  return count;
+}
+
+// Folders whose code names effects, the longest prefix counts, with the most that it may. What has to be
+// known of an effect is declared with it (common/effects), so that a new one is added in one place: a bound
+// is lowered when the count falls and never raised. Other folders name none. The examiner's engine
+// (generator) is independent and has names of its own; benches and examples choose effects by name as a user
+// does.
+const std::map<std::string, int>& MostLiterals() {
+  static const std::map<std::string, int> most = {
+      {"common/sim", 38},           {"services/bench", 4},  {"services/cli", 1},
+      {"services/diagnosis", 64},   {"services/proof", 33}, {"services/proof/generator", 244},
+      {"services/trajectories", 12}};
+  return most;
+}
+
+std::map<std::string, int> LiteralsByFolder() {
+  std::map<std::string, int> found;
+  for (const char* top : {"common", "services", "coordinator", "worker", "robot_agent"}) {
+    for (const auto& entry : fs::recursive_directory_iterator(SourceDir() + "/" + top)) {
+      const std::string extension = entry.path().extension();
+      if (extension != ".h" && extension != ".cc") continue;
+      const std::string path = fs::relative(entry.path(), SourceDir());
+      if (path.rfind("common/effects/", 0) == 0) continue;
+      std::string folder = fs::path(path).parent_path();
+      for (const auto& [name, bound] : MostLiterals()) {
+        if (path.rfind(name + "/", 0) == 0) folder = name;
+      }
+      std::ifstream in(entry.path());
+      std::ostringstream text;
+      text << in.rdbuf();
+      found[folder] += EffectLiterals(text.str());
+    }
+  }
+  return found;
+}
+
+TEST(Layout, FoldersNameNoMoreEffectsThanTheyDid) {
+  for (const auto& [folder, count] : LiteralsByFolder()) {
+    const auto bound = MostLiterals().find(folder);
+    const int most = bound == MostLiterals().end() ? 0 : bound->second;
+    EXPECT_LE(count, most) << folder << " names effects " << count << " times";
+    if (count < most) std::printf("%s: %d, lower its bound of %d\n", folder.c_str(), count, most);
+  }
+}
+
+TEST(Layout, CountsIdsAndNamesOfParameters) {
+  EXPECT_EQ(EffectLiterals("Has(\"payload\") || Find(\"payload.*.mass\")"), 2);
+  EXPECT_EQ(EffectLiterals("payload \"payloads\" \"unknown_field_pair\""), 1);
 }
 
 }  // namespace
