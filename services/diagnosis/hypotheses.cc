@@ -57,8 +57,9 @@ effects::JointSize SizeOf(const MotionScales& s, const sim::Plant& plant, int j)
   effects::JointSize out;
   out.duration = s.duration, out.last_mass = LastMass(plant);
   if (j < 0) {
-    out.torque = s.torque.maxCoeff(), out.speed = s.speed.maxCoeff(), out.inertia = s.inertia.maxCoeff();
     out.moves = false;
+    if (s.torque.size() > 0)  // else of no motion
+      out.torque = s.torque.maxCoeff(), out.speed = s.speed.maxCoeff(), out.inertia = s.inertia.maxCoeff();
     return out;
   }
   out.torque = s.torque[j], out.speed = s.speed[j], out.inertia = s.inertia[j];

@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 
 #include "common/effects/effect_catalog.h"
@@ -33,7 +34,9 @@ double ForceOfLaw(const effects::EffectInfo& info, const effects::Values& values
   std::vector<double> p;
   for (const auto& parameter : info.parameters)
     p.push_back(values.count(parameter.name) ? values.at(parameter.name) : parameter.default_value);
-  JointLaw<double> law;
+  JointLaw<double> law{};
+  std::array<double, 8> states{};  // of laws that are not compared here
+  law.z0 = law.z1 = states.data();
   law.step = {1e-9, x.t, false, 1e-9};
   law.mass = law.reference_mass = 1;
   law.q0 = law.q1 = x.q, law.v0 = law.v1 = x.v, law.acceleration = x.a;
