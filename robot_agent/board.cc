@@ -15,7 +15,7 @@
 namespace rg::robot_agent {
 namespace {
 
-constexpr uint64_t kBoardMagic = 0x3144524F42475200;  // this layout
+constexpr uint64_t kBoardMagic = 0x3244524F42475200;  // this layout
 constexpr auto kListenEvery = std::chrono::milliseconds(4);
 
 template <size_t size>
@@ -57,10 +57,10 @@ Result<std::unique_ptr<Board>> Board::Create(const std::string& folder) {
   RG_ASSIGN_OR_RETURN(auto board, Map(folder, O_CREAT));
   Shared& shared = *board->shared_;
   shared.armed.store(0);
-  shared.sequence.store(0);
   shared.beat_ns.store(RealClock().SteadyNanos());
   // Who moves the arm for an agent that is gone keeps its name here, and hears that it is disarmed.
   if (shared.magic.load() != kBoardMagic) {
+    shared.published.store(0);
     shared.mover.store(0);
     shared.stops.store(0);
     board->Publish(ArmStatus{});
@@ -88,23 +88,21 @@ int32_t Board::mover() const {
 }
 
 void Board::Publish(const ArmStatus& status) {
-  const uint64_t writing = shared_->sequence.load(std::memory_order_relaxed) | 1;  // odd also after a crash
-  shared_->sequence.store(writing, std::memory_order_relaxed);
+  const uint64_t next = shared_->published.load(std::memory_order_relaxed) + 1;
+  // Whoever reads some of what follows knows that the status there is no longer the newest.
   std::atomic_thread_fence(std::memory_order_release);
-  std::memcpy(static_cast<void*>(&shared_->status), &status, sizeof status);
-  std::atomic_thread_fence(std::memory_order_release);
-  shared_->sequence.store(writing + 1, std::memory_order_release);
+  std::memcpy(static_cast<void*>(&shared_->status[next % 2]), &status, sizeof status);
+  shared_->published.store(next, std::memory_order_release);
 }
 
 ArmStatus Board::Read() const {
   ArmStatus status;
-  for (int attempt = 0; attempt < 1000; ++attempt) {
-    const uint64_t before = shared_->sequence.load(std::memory_order_acquire);
-    std::memcpy(static_cast<void*>(&status), &shared_->status, sizeof status);
+  for (;;) {  // again where a newer one came meanwhile: the one after that may be written over what was read
+    const uint64_t newest = shared_->published.load(std::memory_order_acquire);
+    std::memcpy(static_cast<void*>(&status), &shared_->status[newest % 2], sizeof status);
     std::atomic_thread_fence(std::memory_order_acquire);
-    if (before % 2 == 0 && shared_->sequence.load(std::memory_order_relaxed) == before) break;
+    if (shared_->published.load(std::memory_order_relaxed) == newest) return status;
   }
-  return status;
 }
 
 StopListener::StopListener(const Board& board, const CancelToken& job)

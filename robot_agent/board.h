@@ -3,8 +3,8 @@
 // writing take no system call, no lock and no allocation, so that the control cycle may do it.
 //
 // The agent (supervisor.h) creates it, and beats; the executor of a rollout opens it. Whoever moves the arm
-// is its `mover` while it does. Fields of one word are atomic; the status is guarded by a sequence number, a
-// reader that meets a writer looks again.
+// is its `mover` while it does. Fields of one word are atomic. Of the status there are two, the newest whole one
+// and one to write: a writer that is interrupted, or dies, leaves the newest whole one readable.
 #pragma once
 
 #include <array>
@@ -72,8 +72,8 @@ class Board {
     std::atomic<int32_t> mover;
     std::atomic<uint64_t> stops;
     std::atomic<int64_t> beat_ns;
-    std::atomic<uint64_t> sequence;
-    ArmStatus status;
+    std::atomic<uint64_t> published;  // statuses so far: the newest is at published % 2
+    ArmStatus status[2];
   };
   static_assert(std::atomic<uint64_t>::is_always_lock_free);
   static Result<std::unique_ptr<Board>> Map(const std::string& folder, int flags);

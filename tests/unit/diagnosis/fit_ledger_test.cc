@@ -40,6 +40,17 @@ TEST_F(FitLedgerTest, OtherLawsAreFittedInItsPlaceOnlyWhereATrialDoesNotRefuseTh
   EXPECT_LE(ledger_.tried().size(), 3u);  // with Coulomb friction itself
 }
 
+// So that a law which has nothing to do with what is left is not fitted on all windows.
+TEST_F(FitLedgerTest, SomeWindowsTellWhatMayLeaveLess) {
+  ASSERT_TRUE(coulomb_.fit.ok);
+  const auto may = [&](const EffectSpec& spec) { return ledger_.MayLeaveLess(coulomb_, {spec}, false, 0.8); };
+  EXPECT_TRUE(may(MakeSpec("stribeck_friction", {joint_},
+                           {{"coulomb", 0.15}, {"static", 0.25}, {"stribeck_velocity", 0.2}})));
+  EXPECT_FALSE(may(MakeSpec("coulomb_friction", {joint_}, {{"coulomb", 0.15}})));
+  EXPECT_FALSE(may(MakeSpec("quadratic_drag", {joint_}, {{"quadratic", 0.05}})));
+  EXPECT_EQ(ledger_.tried().size(), 1u) << "no fit of some windows is an account";
+}
+
 // Counts what is asked of it.
 class CountedFits final : public FitExecutor {
  public:
