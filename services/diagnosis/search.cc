@@ -718,7 +718,7 @@ class Search {
 
   // What was taken for one of several alike while other things were missing is weighed again beside them.
   void ExchangeEarlier(Candidate* best) {
-    if (HasUnnamed(*best) || FreshKinds(Candidate{}, *best).size() < 2 || fits_.Late(kToWeigh)) return;
+    if (HasUnnamed(*best) || FoundNothing(*best) || FreshKinds(Candidate{}, *best).size() < 2 || fits_.Late(kToWeigh)) return;
     if (Siblings(Candidate{}, best)) simplifier_.Run(best);
   }
 

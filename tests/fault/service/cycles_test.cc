@@ -17,21 +17,12 @@
 #include "tests/support/service/cuts.h"
 #include "tests/support/service/processes.h"
 
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-#define RG_SANITIZED 1
-#endif
-
 namespace rg::testing {
 namespace {
 
 constexpr double kPatience = 120.0;
 constexpr int kCyclesPerBatch = 20;
 constexpr int kShards = 4;
-
-int Asked(const char* name, int normally) {
-  const char* asked = std::getenv(name);
-  return asked != nullptr ? std::atoi(asked) : normally;
-}
 
 void SleepMs(uint64_t ms) { std::this_thread::sleep_for(std::chrono::milliseconds(ms)); }
 
@@ -155,9 +146,7 @@ class Batch {
 };
 
 void RunBatches(const std::string& suite, int cycles, bool cuts) {
-#ifdef RG_SANITIZED
-  GTEST_SKIP() << "ALL: a sanitizer's runtime does not go with a preloaded library";
-#endif
+  RG_NEEDS_PRELOADING();
   BatchesDone done(suite);
   int64_t lost = 0;
   int named = 0, batch = 0, played = 0;
@@ -177,10 +166,10 @@ void RunBatches(const std::string& suite, int cycles, bool cuts) {
 }
 
 TEST(KillCycles, NothingAcknowledgedIsLostOrCommittedTwice) {
-  RunBatches("kills", Asked("RG_CYCLES", 20), false);
+  RunBatches("kills", CountAsked("RG_CYCLES", 20), false);
 }
 
-TEST(PowerCuts, NothingAcknowledgedIsLostOrCommittedTwice) { RunBatches("cuts", Asked("RG_CUTS", 10), true); }
+TEST(PowerCuts, NothingAcknowledgedIsLostOrCommittedTwice) { RunBatches("cuts", CountAsked("RG_CUTS", 10), true); }
 
 }  // namespace
 }  // namespace rg::testing

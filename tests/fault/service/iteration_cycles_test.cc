@@ -21,10 +21,6 @@
 #include "tests/support/service/cuts.h"
 #include "tests/support/service/processes.h"
 
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-#define RG_SANITIZED 1
-#endif
-
 namespace rg::testing {
 namespace {
 
@@ -36,11 +32,6 @@ const char kIteration[] =
     "--aggregations 0 --examination 0 --rollout-seconds 2 --identify-seconds 0 --hops 1 --rounds 2 --chains "
     "2 "
     "--output quiet";
-
-int Asked(int normally) {
-  const char* asked = std::getenv("RG_ITERATION_CYCLES");
-  return asked != nullptr ? std::atoi(asked) : normally;
-}
 
 void SleepMs(uint64_t ms) { std::this_thread::sleep_for(std::chrono::milliseconds(ms)); }
 
@@ -265,14 +256,12 @@ class Batch {
 };
 
 TEST(IterationCycles, NothingAcknowledgedIsLostOrCommittedTwiceAndResultsAreThoseOfAnUndisturbedRun) {
-#ifdef RG_SANITIZED
-  GTEST_SKIP() << "ALL: a sanitizer's runtime does not go with a preloaded library";
-#endif
+  RG_NEEDS_PRELOADING();
   ASSERT_GE(Undisturbed().size(), 5u) << "four shards and a policy";
   BatchesDone done("iterations");
   std::map<std::string, int> kills;
   int batch = 0, jobs = 0, consents = 0, played = 0;
-  for (int left = Asked(6); left > 0; left -= kCyclesPerBatch, ++batch) {
+  for (int left = CountAsked("RG_ITERATION_CYCLES", 6); left > 0; left -= kCyclesPerBatch, ++batch) {
     if (done.Find(batch)) continue;
     Batch one(7'000 + static_cast<uint64_t>(batch));
     one.Run(std::min(left, kCyclesPerBatch));

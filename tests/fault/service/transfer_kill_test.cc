@@ -35,9 +35,7 @@ pb::ArtifactInfo Blob() {
 }
 
 TEST(TransferKill, AnUploadGoesOnWhereTheKilledCoordinatorHadIt) {
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-  GTEST_SKIP() << "ALL: a sanitizer's runtime does not go with a preloaded library";
-#endif
+  RG_NEEDS_PRELOADING();
   Service service;
   const std::string bytes = SomeBytes(kBytes), path = service.folder() + "/there";
   ASSERT_TRUE(WriteFileAtomically(path, bytes).ok());

@@ -28,9 +28,9 @@ class Debs : public ::testing::Test {
     }
     if (geteuid() != 0) GTEST_SKIP() << "dpkg installs as root only";
     folder_ = "/tmp/rg-debs-" + RandomHex(6);
-    fs::create_directories(folder_ + "/root/var/lib/dpkg/updates");
-    fs::create_directories(folder_ + "/root/var/lib/dpkg/info");
-    ASSERT_TRUE(WriteFileAtomically(folder_ + "/root/var/lib/dpkg/status", "").ok());
+    fs::create_directories(folder_ + "/installed/var/lib/dpkg/updates");
+    fs::create_directories(folder_ + "/installed/var/lib/dpkg/info");
+    ASSERT_TRUE(WriteFileAtomically(folder_ + "/installed/var/lib/dpkg/status", "").ok());
   }
   void TearDown() override {
     std::error_code ignored;
@@ -49,11 +49,11 @@ TEST_F(Debs, AreBuiltInstalledAndUsed) {
                 Variable("RG_BIN_DIR")),
             0)
       << Said();
-  ASSERT_EQ(Run("dpkg --root=" + folder_ + "/root --force-depends --force-script-chrootless -i " + folder_ +
+  ASSERT_EQ(Run("dpkg --root=" + folder_ + "/installed --force-depends --force-script-chrootless -i " + folder_ +
                 "/debs/*.deb"),
             0)
       << Said();
-  const std::string root = folder_ + "/root";
+  const std::string root = folder_ + "/installed";
   for (const char* file :
        {"/usr/bin/realitygrad", "/usr/bin/realitygrad-coordinator", "/usr/bin/realitygrad-worker",
         "/usr/bin/realitygrad-agent", "/usr/bin/realitygrad-guard",

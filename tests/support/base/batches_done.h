@@ -10,6 +10,12 @@
 
 namespace rg::testing {
 
+// How often to do something: as the environment asks, else as often as normally.
+inline int CountAsked(const char* variable, int normally) {
+  const char* asked = std::getenv(variable);
+  return asked != nullptr ? std::atoi(asked) : normally;
+}
+
 class BatchesDone {
  public:
   // `suite`: one word; several may share a file.

@@ -1,6 +1,8 @@
 // Kills at named points and power cuts of a coordinator that runs under tests/support/sync_shim.
 #pragma once
 
+#include <gtest/gtest.h>
+
 #include <algorithm>
 #include <cstdlib>
 #include <filesystem>
@@ -8,6 +10,13 @@
 
 #include "common/base/file.h"
 #include "tests/support/service/processes.h"
+
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#define RG_NEEDS_PRELOADING() \
+  GTEST_SKIP() << "ALL: a sanitizer's runtime does not go with a preloaded library"
+#else
+#define RG_NEEDS_PRELOADING() static_cast<void>(0)
+#endif
 
 namespace rg::testing {
 
