@@ -10,7 +10,7 @@
 namespace rg::sim {
 
 // n: the command nearest to `u` (along the Newton steps towards it) under which the simulator's model stays
-// at rest at q; `u` itself where that holds it, or where none is found. What the drive adds by itself, its
+// at rest at q, or nearly so (a twentieth of the speed under `u`); `u` itself where that holds it, or where none is found. What the drive adds by itself, its
 // own gravity compensation, counts as part of it.
 Eigen::VectorXd HoldingCommand(Simulator& simulator, const Eigen::VectorXd& q, const Eigen::VectorXd& u);
 

@@ -74,7 +74,7 @@ void AddRolloutFlags(CLI::App* command, jobs::IterationOptions* options) {
 
 void AddIdentifyFlags(CLI::App* command, jobs::IterationOptions* options) {
   auto& o = options->identify;
-  command->add_option("--identify-seconds", o.budget_s, "Time budget of the search; 0: --hops decides")
+  command->add_option("--identify-seconds", o.budget_s, "The most that the search takes; it ends when hops agree; 0: --hops decides")
       ->capture_default_str();
   command->add_option("--hops", o.hops, "Hops of a chain; 0: as many as the budget allows")
       ->capture_default_str();

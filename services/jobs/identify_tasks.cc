@@ -70,12 +70,11 @@ bool Rescale(const IdentifyProblem& problem, sysid::HopState* state) {
   if (!state->started()) return false;
   double cost = 0.0;
   if (!sysid::EvaluateCost(problem.problem(), state->best, {}, &cost)) return false;
-  state->current = state->best;
-  state->current_cost = state->best_cost = cost;
+  sysid::ChangeCost(cost, state);
   return true;
 }
 
-// Hops until the round's budget is spent, a checkpoint now and then.
+// Hops until the round's budget is spent, or hops agree before a budget of time is; a checkpoint after each.
 sysid::HopState HopOn(const IdentifyProblem& problem, const pb::IdentifyPayload& payload,
                       sysid::HopState state, int first_hop, worker::TaskContext& context) {
   sysid::HopOptions options;
@@ -89,7 +88,7 @@ sysid::HopState HopOn(const IdentifyProblem& problem, const pb::IdentifyPayload&
   while (!context.cancelled()) {
     const double spent = RealClock().SteadySeconds() - start;
     const int done = state.hops - first_hop;
-    if (done >= hops || spent >= seconds) break;
+    if (done >= hops || spent >= seconds || (timed && sysid::Agrees(state))) break;
     // One hop, or what the clock leaves of it, between checkpoints.
     state = sysid::RunHops(problem.problem(), options, std::move(state), {1, seconds - spent}, RealClock(),
                            {}, &context.cancel_token());

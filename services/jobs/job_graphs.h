@@ -56,7 +56,7 @@ struct RolloutOptions {
 struct IdentifyOptions {
   int chains = 2;
   int rounds = 3;        // chains exchange their best between rounds
-  double budget_s = 30;  // wall time of one chain over all rounds; 0: hops decides
+  double budget_s = 30;  // at most, wall time of one chain over all rounds; 0: hops decides
   int hops = 0;          // of one chain over all rounds
   bool whole_recording = true;
   double window_s = 0.0;  // 0: 0.2 s for the single window (PAPER.md), else IdentifyProblemOptions' own

@@ -16,7 +16,7 @@ using nlohmann::json;
 constexpr char kFormat[] = "realitygrad.hop_state/1";
 
 VectorXd DrawStart(const LeastSquaresProblem& problem, const HopState& state, Rng* rng) {
-  if (state.hops == 0 && state.current.size() > 0) return state.current;
+  if (state.from_current) return state.current;
   if (state.hops == 0 && state.chain == 0) return problem.initial;
   const VectorXd range = problem.search_upper - problem.search_lower;
   VectorXd p(range.size());
@@ -76,6 +76,7 @@ bool RunOneHop(const LeastSquaresProblem& problem, const HopOptions& options, co
     state->best = problem.initial;
     state->best_cost = std::numeric_limits<double>::max();
   }
+  state->from_current = false;
   state->history.push_back({state->hops, solved.cost, state->best_cost, state->step_size, accepted});
   ++state->hops;
   AdaptStep(options, accepted, state);
@@ -108,6 +109,7 @@ HopState StartChainAt(uint64_t seed, int chain, const VectorXd& p, double cost) 
   HopState state = StartChain(seed, chain);
   state.current = p;
   state.current_cost = cost;
+  state.from_current = true;
   return state;
 }
 
@@ -133,6 +135,22 @@ bool Exchange(const VectorXd& best, double best_cost, HopState* state) {
   return true;
 }
 
+void ChangeCost(double cost, HopState* state) {
+  state->agreed = Agrees(*state);
+  state->current = state->best;
+  state->current_cost = state->best_cost = cost;
+  state->from_current = true;
+  state->first_hop = state->hops;
+}
+
+bool Agrees(const HopState& state) {
+  const int hops = state.agreed ? 1 : 3;
+  constexpr double kTolerance = 0.01;  // half a percent of the residuals' RMS
+  return std::ranges::count_if(state.history, [&](const HopRecord& h) {
+           return h.hop >= state.first_hop && h.cost <= (1 + kTolerance) * state.best_cost;
+         }) >= hops;
+}
+
 std::string SerializeHopState(const HopState& state) {
   json history = json::array();
   for (const HopRecord& h : state.history) {
@@ -149,6 +167,9 @@ std::string SerializeHopState(const HopState& state) {
               {"best", VectorToJson(state.best)},
               {"current_cost", NumberToJson(state.current_cost)},
               {"best_cost", NumberToJson(state.best_cost)},
+              {"from_current", state.from_current},
+              {"first_hop", state.first_hop},
+              {"agreed", state.agreed},
               {"history", history}}
       .dump();
 }
@@ -168,6 +189,10 @@ Result<HopState> ParseHopState(const std::string& text) {
     state.best = VectorFromJson(j.at("best"));
     state.current_cost = NumberFromJson(j.at("current_cost"));
     state.best_cost = NumberFromJson(j.at("best_cost"));
+    // Absent in states that earlier versions wrote.
+    state.from_current = j.value("from_current", state.hops == 0 && state.current.size() > 0);
+    state.first_hop = j.value("first_hop", 0);
+    state.agreed = j.value("agreed", false);
     for (const json& h : j.at("history")) {
       state.history.push_back({h.at(0).get<int>(), NumberFromJson(h.at(1)), NumberFromJson(h.at(2)),
                                h.at(3).get<double>(), h.at(4).get<bool>()});

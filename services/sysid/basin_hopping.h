@@ -40,6 +40,9 @@ struct HopState {
   int since_adapted = 0;
   Eigen::VectorXd current, best;  // empty before the first hop ended
   double current_cost = 0.0, best_cost = 0.0;
+  bool from_current = false;  // the next hop solves from `current` itself, unperturbed
+  int first_hop = 0;          // on the present cost function (see ChangeCost)
+  bool agreed = false;        // on the cost function before
   std::vector<HopRecord> history;
 
   bool started() const { return best.size() > 0; }
@@ -72,6 +75,14 @@ HopState RunHops(const LeastSquaresProblem& problem, const HopOptions& options, 
 
 // The chain goes on from `best` if that is lower than its own best. True if it took it.
 bool Exchange(const Eigen::VectorXd& best, double best_cost, HopState* state);
+
+// The cost function is another from here on, and `cost` that of the best point, from which the next hop solves.
+void ChangeCost(double cost, HopState* state);
+
+// Whether further hops have little to tell: three of them, each from a point of its own, ended within 1 % of the
+// best cost, so that they came to one minimum (or to several that fit equally well). Where hops agreed on one cost
+// function, one from there is enough on the next.
+bool Agrees(const HopState& state);
 
 // JSON, doubles exact. Parse refuses what it does not understand.
 std::string SerializeHopState(const HopState& state);

@@ -7,9 +7,11 @@
 
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
+#include "common/recordings/command_time.h"
 #include "common/recordings/noise.h"
 #include "common/recordings/resample.h"
 #include "common/recordings/windows.h"
+#include "common/sim/holding_command.h"
 #include "services/sysid/drive_signal.h"
 
 namespace rg::sysid {
@@ -139,6 +141,14 @@ std::vector<double> ResidualTimes(const recordings::Recording& recording, const 
   return times;
 }
 
+// A robot that rests in the first row was held there until the first command came.
+sim::CommandSignal CommandOf(const recordings::Recording& recording, sim::Simulator& simulator) {
+  const sim::CommandSignal command = DriveSignal(recording);
+  if (!recordings::StartsAtRest(recording)) return command;
+  return sim::HeldBefore(
+      command, sim::HoldingCommand(simulator, recording.q.col(0), recording.drive_effort().col(0)));
+}
+
 }  // namespace
 
 struct PaperProblem::Impl {
@@ -168,12 +178,14 @@ Result<PaperProblem> PaperProblem::Create(const sim::Plant& plant, const VectorX
       recording.t, recording.q, Eigen::Map<const VectorXd>(times.data(), static_cast<int>(times.size())));
   const VectorXd v0 = recordings::VelocityOrEstimate(recording).col(rows.first);
 
+  sim::Simulator simulator(plant, options.simulator);
+  simulator.SetParameters(initial);
   auto impl = std::make_unique<Impl>();
   std::vector<int> parameters = PaperParameters(plant);
   parameters.insert(parameters.end(), options.extra_parameters.begin(), options.extra_parameters.end());
   const int P = static_cast<int>(parameters.size());
   impl->base = initial;
-  impl->residuals = std::make_unique<WindowResiduals>(plant, initial, parameters, DriveSignal(recording),
+  impl->residuals = std::make_unique<WindowResiduals>(plant, initial, parameters, CommandOf(recording, simulator),
                                                       std::move(times), measured, recording.q.col(rows.first),
                                                       v0, recording.t[rows.first], options.simulator);
   LeastSquaresProblem& problem = impl->problem;
@@ -204,7 +216,7 @@ double AccumulatedTaskError(const sim::Plant& plant, const VectorXd& values,
                             double cap, double* joint_residual) {
   sim::Simulator simulator(plant, options);
   simulator.SetParameters(values);
-  const sim::CommandSignal command = DriveSignal(recording);
+  const sim::CommandSignal command = CommandOf(recording, simulator);
   const VectorXd v0 = recordings::VelocityOrEstimate(recording).col(0);
   const sim::State x0 = simulator.MakeStateFromMeasurement(recording.q.col(0), v0, recording.t[0], command);
   const std::vector<double> times(recording.t.data() + 1, recording.t.data() + recording.rows());

@@ -7,9 +7,11 @@
 
 #include "common/model/robot_model.h"
 #include "common/model/urdf_loader.h"
+#include "common/recordings/command_time.h"
 #include "common/sim/simulator.h"
 #include "realitygrad/v1/payloads.pb.h"
 #include "services/jobs/iteration_result.h"
+#include "services/rollouts/scoring.h"
 
 namespace rg::jobs {
 namespace {
@@ -65,6 +67,29 @@ TEST(IdentifyProblem, TruthLeavesNoResidualInAnyWindow) {
   double cost = 1;
   ASSERT_TRUE(sysid::EvaluateCost(problem->problem(), problem->problem().initial, {}, &cost));
   EXPECT_LT(cost, 1e-12);
+}
+
+// A controller's first command comes some ms after the first row, in which the robot still rests: what held it
+// until then must be the same for both.
+TEST(IdentifyProblem, CostIsTheErrorByWhichAFitIsJudged) {
+  const sim::ModelFile arm = Arm2();
+  IdentifyProblemOptions options = Options();
+  options.friction = true;
+  const sim::ModelFile model = *ModelToFit(arm, options);
+  recordings::Recording recording = Record(arm, 1.6);
+  recording.other[recordings::kCommandTime] = recording.t.array() + 0.02;
+  recording.effort_command.col(0) << 4.0, -1.0;
+  ASSERT_TRUE(recordings::StartsAtRest(recording));
+  options.long_weight = 0.5;
+  const auto problem = IdentifyProblem::Create(model.plant, model.values, recording, options);
+  ASSERT_TRUE(problem.ok()) << problem.status().ToString();
+  double cost = 0;
+  ASSERT_TRUE(sysid::EvaluateCost(problem->problem(), problem->problem().initial, {}, &cost));
+  rollouts::SimulationScoreOptions windows{.window_s = options.window_s, .simulator = options.simulator}, whole;
+  whole.simulator = options.simulator;
+  const double judged = rollouts::ScoreSimulation(model.plant, model.values, recording, windows).residual +
+                        0.5 * rollouts::ScoreSimulation(model.plant, model.values, recording, whole).residual;
+  EXPECT_NEAR(cost, judged, 1e-9 * judged);
 }
 
 TEST(IdentifyProblem, JacobianMatchesCentralDifferences) {

@@ -52,6 +52,19 @@ TEST(HoldingCommand, IsNearestToTheCommandWithinWhatFrictionHolds) {
   EXPECT_NEAR(HoldingCommand(with, q, u)[0], HoldingCommand(at, q, u)[0] + 0.2, 0.02);
 }
 
+TEST(HoldingCommand, IsFoundHoweverSharpFrictionIs) {
+  const auto friction = effects::MakeSpec("coulomb_friction", {"shoulder", "elbow"}, {{"coulomb", 0.05}});
+  const Plant arm = Robot("arm2.urdf", {friction});
+  const VectorXd q = Eigen::Vector2d(0.3, -0.7), u = Eigen::Vector2d(9.0, -4.0);
+  for (const double stick : {2e-3, 1e-4, 1e-6}) {
+    SimulatorOptions options;
+    options.stick_velocity = stick;
+    Simulator simulator(arm, options);
+    const VectorXd held = HoldingCommand(simulator, q, u);
+    EXPECT_LT(FastestAfterInstant(simulator, q, held), 0.05 * FastestAfterInstant(simulator, q, u)) << stick;
+  }
+}
+
 TEST(HeldBefore, IsInForceUntilTheFirstCommand) {
   const auto command =
       CommandSignal::Create({1.0, 2.0}, Eigen::RowVector2d(5.0, 6.0), Hold::kZeroOrder).value();

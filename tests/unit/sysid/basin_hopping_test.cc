@@ -118,6 +118,31 @@ TEST(BasinHopping, LaterIterationsStartFromTheLastOptimum) {
   EXPECT_EQ(s.current, last);
 }
 
+TEST(BasinHopping, ChainAgreesOnceThreeHopsCameToOneMinimum) {
+  auto bowl = testing::Linear(Eigen::MatrixXd::Identity(4, 3), VectorXd::Constant(4, 1.0));
+  const LeastSquaresProblem problem = testing::FreeProblem(&bowl, VectorXd::Zero(3));
+  HopState s = RunHops(problem, {}, StartChain(1, 1), {.hops = 2}, RealClock());
+  EXPECT_FALSE(Agrees(s));
+  s = RunHops(problem, {}, s, {.hops = 1}, RealClock());
+  EXPECT_TRUE(Agrees(s));
+  EXPECT_FALSE(Agrees([s]() mutable { return Exchange(VectorXd::Zero(3), 0.9 * s.best_cost, &s), s; }()))
+      << "another chain has a better one";
+
+  ChangeCost(2 * s.best_cost, &s);
+  EXPECT_FALSE(Agrees(s)) << "nothing was solved on the new cost";
+  s = *ParseHopState(SerializeHopState(s));
+  const HopState on = RunHops(problem, {}, s, {.hops = 1}, RealClock());
+  EXPECT_TRUE(Agrees(on)) << "one hop, from the best point itself";
+  EXPECT_EQ(on.history.back().cost, on.best_cost);
+}
+
+TEST(BasinHopping, ChainThatFallsIntoOneMinimumAfterAnotherDoesNotAgree) {
+  Toy toy;
+  HopOptions options;
+  options.solve.max_iterations = 0;  // every hop ends where it began
+  EXPECT_FALSE(Agrees(RunHops(toy.problem, options, StartChain(1, 1), {.hops = 20}, RealClock())));
+}
+
 TEST(HopState, RefusesWhatItDoesNotUnderstand) {
   EXPECT_FALSE(ParseHopState("{").ok());
   EXPECT_FALSE(ParseHopState(R"({"format": "realitygrad.hop_state/9"})").ok());
