@@ -41,7 +41,8 @@ struct EncoderOffset {
     return {
         .prior = [](const std::string&, double, const EffectSpec&, const JointSize&) -> std::optional<Prior> {
           return Prior{0, 0.1};
-        }};
+        },
+        .for_many_bodies = true};
   }
 
   template <class S>

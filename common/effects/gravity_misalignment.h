@@ -50,7 +50,8 @@ struct GravityMisalignment {
             .prior = [](const std::string& field, double nominal, const EffectSpec&,
                         const JointSize&) -> std::optional<Prior> {
               return field == "tilt" ? Prior{0, 0.1, -1.5, 1.5} : Prior{nominal, 2};
-            }};
+            },
+            .for_many_bodies = true};
   }
   // A gravity change (g_x, g_y) is a tilt of |g_xy|/|g| towards its direction.
   static std::vector<Start> Towards(const Found& f) {

@@ -18,6 +18,12 @@ double NotBelow(const ParameterInfo& p, double value, const Found& found) {
   return std::max(value, least);
 }
 
+const EffectInfo& First(bool (*is)(const EffectInfo&, Role)) {
+  size_t kind = 0;
+  while (!is(Catalog()[kind], TraitsOf(static_cast<int>(kind)).role)) RG_CHECK(++kind < Catalog().size());
+  return Catalog()[kind];
+}
+
 }  // namespace
 
 const EffectInfo& LawOf(Regressor regressor) {
@@ -44,10 +50,40 @@ const EffectInfo& EffectOf(Role role) {
 }
 
 const EffectInfo& SwingingMass() {
-  static const EffectInfo& one = *std::find_if(Catalog().begin(), Catalog().end(),
-                                               [](const EffectInfo& e) { return InferenceOf(e.id).swings; });
+  static const EffectInfo& one =
+      First([](const EffectInfo& e, Role) { return InferenceOf(e.id).swings; });
   return one;
 }
+
+const EffectInfo& SoftMount() {
+  static const EffectInfo& one = First([](const EffectInfo& e, Role role) {
+    return role == Role::kExtraBodies && !InferenceOf(e.id).swings;
+  });
+  return one;
+}
+
+const EffectInfo& Spring() {
+  static const EffectInfo& one = First([](const EffectInfo& e, Role) {
+    return IsIn(Slot::kTransmission, e.id) && !InferenceOf(e.id).rotor.empty();
+  });
+  return one;
+}
+
+const EffectInfo& Play() {
+  static const EffectInfo& one = First([](const EffectInfo& e, Role) {
+    return IsIn(Slot::kTransmission, e.id) && InferenceOf(e.id).rotor.empty();
+  });
+  return one;
+}
+
+const EffectInfo& Surface() {
+  static const EffectInfo& one = First([](const EffectInfo& e, Role role) {
+    return role == Role::kJointOrPointForce && InferenceOf(e.id).terms.empty();
+  });
+  return one;
+}
+
+const EffectInfo& Push() { return LawOf(Regressor::kPulse); }
 
 std::vector<std::string> EffectsIn(Slot slot) {
   std::vector<std::string> out;

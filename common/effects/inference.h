@@ -129,6 +129,7 @@ struct Inference {
                                 const JointSize& joint) = nullptr;
   bool swings = false;  // a mass that hangs from the last link
   double rare = 0;      // −log odds beside those of any effect
+  bool for_many_bodies = false;  // says in a number or few what other masses take many for
   // Whether it can be what these coefficients of its terms say.
   bool (*plausible)(const std::vector<double>& c) = nullptr;
 };
@@ -142,8 +143,15 @@ const EffectInfo& LawOf(Regressor regressor);
 bool ScalesEffort(std::string_view id);
 // The effect of this role. There is one.
 const EffectInfo& EffectOf(Role role);
-// What hangs from the last link.
+// What hangs from the last link; what the base stands on.
 const EffectInfo& SwingingMass();
+const EffectInfo& SoftMount();
+// A motor that sits behind a spring, and one behind a gap.
+const EffectInfo& Spring();
+const EffectInfo& Play();
+// What touches the robot: something that stands there, or someone for a while.
+const EffectInfo& Surface();
+const EffectInfo& Push();
 // All of a slot, in the catalogue's order, and whether an effect is of it.
 std::vector<std::string> EffectsIn(Slot slot);
 bool IsIn(Slot slot, std::string_view id);

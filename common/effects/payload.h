@@ -56,7 +56,8 @@ struct Payload {
                         const JointSize& joint) -> std::optional<Prior> {
               if (field == "mass") return Prior{0, 0.5 * joint.last_mass};
               return Prior{0, 0.15, -1, 1};
-            }};
+            },
+            .for_many_bodies = true};
   }
   // Changes of the last link's mass and centre of mass as a body of their own, in that link's frame.
   static std::vector<Start> Inside(const Found& f) {

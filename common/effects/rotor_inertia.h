@@ -39,7 +39,8 @@ struct RotorInertia {
   static Inference Inferred() {
     return {.terms = {{Regressor::kAcceleration, {"armature"}, true}},
             .of_every_drive = true,
-            .probe = Probe::kReversals};
+            .probe = Probe::kReversals,
+            .for_many_bodies = true};
   }
 
   template <class S>

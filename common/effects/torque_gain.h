@@ -47,7 +47,8 @@ struct TorqueGain {
         },
         .prior = [](const std::string&, double, const EffectSpec&, const JointSize&) -> std::optional<Prior> {
           return Prior{1, 0.3, 1 / kMost, kMost};
-        }};
+        },
+        .for_many_bodies = true};
   }
 
   template <class S>

@@ -38,7 +38,8 @@ struct TorqueOffset {
   static Inference Inferred() {
     return {.terms = {{Regressor::kConstant, {"offset"}}},
             // A dead band whose effort keeps its sign, a tilt and a wrong zero are constant forces, too.
-            .rare = 2.0};
+            .rare = 2.0,
+            .for_many_bodies = true};
   }
 
   template <class S>

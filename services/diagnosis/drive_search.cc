@@ -7,12 +7,13 @@
 #include <string>
 
 #include "common/effects/effect_catalog.h"
+#include "common/effects/inference.h"
 #include "services/diagnosis/group_start.h"
 #include "services/diagnosis/hypotheses.h"
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
+using effects::EffectSpec, effects::LawOf, effects::Regressor;
 
 namespace {
 
@@ -26,13 +27,14 @@ constexpr int kThingsBeside = 4;     // that are looked for before the drives ar
 constexpr double kClearly = 10.0;    // stddev from nothing, of a loss that drives have
 constexpr double kLateBy = 0.01;     // s, where a fit of lags or delays begins
 constexpr double kLittleLate = 0.004;  // s, the same of one beside the other
-constexpr const char* kDry = "coulomb_friction";
-constexpr const char* kDropping = "stribeck_friction";
-constexpr const char* kEitherWay = "asymmetric_friction";
-constexpr const char* kZero = "torque_offset";
-const std::vector<std::string> kLosses = {"viscous_friction", kDry, "rotor_inertia"};
+const std::string kDry = LawOf(Regressor::kDirection).id;
+const std::string kDropping = LawOf(Regressor::kSlowly).id;
+const std::string kEitherWay = LawOf(Regressor::kForwards).id;
+const std::string kZero = LawOf(Regressor::kConstant).id;
+const std::vector<std::string> kLosses = {LawOf(Regressor::kVelocity).id, kDry,
+                                          LawOf(Regressor::kAcceleration).id};
 constexpr const char* kTiming = "timing";  // the family of
-constexpr const char* kTimings[] = {"actuator_lag", "actuator_delay"};
+const std::string kTimings[] = {LawOf(Regressor::kLagging).id, LawOf(Regressor::kDelayed).id};
 
 bool IsLoss(const std::string& id) {
   const effects::EffectInfo* info = effects::FindEffect(id);
@@ -138,7 +140,7 @@ void DriveSearch::Late(Candidate* best) {
     return effects::FindEffect(s.id)->family == kTiming && !IsGiven(s);
   });
   std::string taken;
-  for (const char* id : kTimings) {
+  for (const std::string& id : kTimings) {
     const std::vector<EffectSpec> late = OnAll(id, kLateBy), specs = Joined(punctual, late);
     if (late.empty() || KeyOf(specs) == KeyOf(now.specs) || fits_.Late()) continue;
     const Candidate* known = fits_.Known(specs, now.base);
@@ -156,7 +158,7 @@ void DriveSearch::Late(Candidate* best) {
   if (both.score > one.score + needed_(one, both)) *best = both;
 }
 
-std::vector<EffectSpec> DriveSearch::OnAll(const char* id, double late) const {
+std::vector<EffectSpec> DriveSearch::OnAll(const std::string& id, double late) const {
   std::vector<EffectSpec> out;
   for (int j = 0; j < setting_.data.n; ++j) {
     const std::string& joint = setting_.nominal.joint_names()[static_cast<size_t>(j)];
@@ -174,7 +176,7 @@ std::vector<EffectSpec> DriveSearch::OnAll(const char* id, double late) const {
 void DriveSearch::OtherDryLaw(Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
   const std::vector<TrialSpecs> laws = Exchanges(Refreshed(*best), kDry, setting_.nominal, setting_.scales);
-  const auto with = [&](const char* id) {
+  const auto with = [&](const std::string& id) {
     std::vector<TrialSpecs> others = laws;
     std::erase_if(others, [&](const TrialSpecs& o) { return !HasKind(o, id); });
     Candidate other = *best;

@@ -50,7 +50,7 @@ class DriveSearch {
   Candidate WithFreeBase(const Candidate& c);
   Candidate WithZeros(const Candidate& c, const Candidate& either_way);
   bool IsGiven(const effects::EffectSpec& s) const;
-  std::vector<effects::EffectSpec> OnAll(const char* id, double late) const;
+  std::vector<effects::EffectSpec> OnAll(const std::string& id, double late) const;
   bool OfAllDrives(const Candidate& c) const;
   // χ² beyond noise, of the sensors' own noise: what the search takes for noise so far may be what is
   // missing. Infinite of a fit that failed.

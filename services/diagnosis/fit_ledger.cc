@@ -64,13 +64,13 @@ bool HoldsOneOf(const std::vector<TrialSpecs>& accounts, const TrialSpecs& specs
 // The one among these effects.
 const EffectSpec& SwingingMass(const TrialSpecs& specs) {
   return *std::find_if(specs.begin(), specs.end(),
-                       [](const EffectSpec& s) { return s.id == "sloshing_payload"; });
+                       [](const EffectSpec& s) { return s.id == effects::SwingingMass().id; });
 }
 
 // The same with the mass on a rod about another axis.
 TrialSpecs About(const std::string& hinge, TrialSpecs specs) {
   for (EffectSpec& s : specs) {
-    if (s.id == "sloshing_payload") s.options["hinge"] = hinge;
+    if (s.id == effects::SwingingMass().id) s.options["hinge"] = hinge;
   }
   return specs;
 }
@@ -174,7 +174,7 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   c.fit.ok = c.fit.ok && (!request.places.empty() || !Unseen(c));
   const auto& given = setting_.nominal.effects();
   // Nor what a trial makes of a law on its way; and what a given model has is not doubted.
-  if (request.places.empty() && !HasKind(given, "stribeck_friction")) c.fit.ok = c.fit.ok && Drops(c);
+  if (request.places.empty() && !HasKind(given, effects::LawOf(effects::Regressor::kSlowly).id)) c.fit.ok = c.fit.ok && Drops(c);
   // While much is left a ripple's period is bent by it, and on some windows by little.
   if (c.fit.ok && PerRow(c) < (request.places.empty() ? kHolds : kExplained))
     c.fit.ok = Repeats(c, setting_.scales, PerRow(c), request.places.empty());
@@ -286,7 +286,7 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   std::vector<std::shared_ptr<const Candidate>> swings;  // on the tool and on the last link, the nearer first
   for (const bool last_link : {false, true}) {
     const auto best = LeavesLeast({&trials.ranked, &trials.hidden}, kSwings, [&](const Candidate& c) {
-      return HasMassInSprings(c.specs) && !HasKind(from.specs, "sloshing_payload") &&
+      return HasMassInSprings(c.specs) && !HasKind(from.specs, effects::SwingingMass().id) &&
              SwingsOnLastLink(c.specs) == last_link;
     });
     if (best != nullptr) swings.push_back(best);
@@ -361,7 +361,8 @@ void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, 
 // A swinging mass takes in some of nearly anything, and nothing is found beside one that does not hold.
 bool FitLedger::Stands(Candidate* candidate) {
   const Candidate& c = *candidate;
-  if (!HasKind(c.specs, "sloshing_payload") || HasKind(setting_.nominal.effects(), "sloshing_payload"))
+  const std::string& swinging = effects::SwingingMass().id;
+  if (!HasKind(c.specs, swinging) || HasKind(setting_.nominal.effects(), swinging))
     return true;
   if (!(PerRow(c) < kHolds) || !HasRod(c.specs)) return PerRow(c) < kHolds;
   const double before = c.fit.work;
@@ -445,11 +446,12 @@ std::optional<Candidate> FitLedger::TryRod(const Candidate& from,
   // Without what else is missing it may not hold: most windows take that in, by a swing of their own, not
   // all.
   const EffectSpec rod = SwingingMass(nearest.specs);
+  const std::string& held = effects::EffectOf(effects::Role::kBodyInertia).id;
   std::vector<TrialSpecs> others;
   for (const auto& other : beside) {
     // A held mass that was found may have stood for the one that swings, which would leave it in the way.
-    const TrialSpecs free = WithoutKind(Refreshed(*other), "payload");
-    const bool found = free.size() < other->specs.size() && !HasKind(setting_.nominal.effects(), "payload");
+    const TrialSpecs free = WithoutKind(Refreshed(*other), held);
+    const bool found = free.size() < other->specs.size() && !HasKind(setting_.nominal.effects(), held);
     if (found && !free.empty()) others.push_back(free);
     others.push_back(Refreshed(*other));
   }

@@ -108,7 +108,7 @@ std::vector<std::vector<EffectSpec>> ContactStarts(const FitData& data, const si
         const Surface s = BestSurface(stairs, axis, sign);
         if (s.gain <= 0) continue;
         EffectSpec spec =
-            MakeSpec("contact", {},
+            MakeSpec(effects::Surface().id, {},
                      {{"stiffness", s.stiffness}, {"damping", 0.02 * s.stiffness}, {"height", s.height}});
         if (axis != 2 || sign < 0)
           spec.options["normal"] = (sign < 0 ? "-" : "") + std::string(kNormals[axis]);

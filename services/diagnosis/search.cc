@@ -383,7 +383,7 @@ class Search {
     const Candidate* hidden = nullptr;
     for (const auto& [key, c] : fits_.tried()) {
       const bool fresh = c.round == round_ && lacks(c) && HasHiddenStates(c) &&
-                         !HasKind(c.specs, "sloshing_payload") && IsPart(before.specs, c.specs);
+                         !HasKind(c.specs, effects::SwingingMass().id) && IsPart(before.specs, c.specs);
       if (fresh && (hidden == nullptr || c.score > hidden->score)) hidden = &c;
     }
     if (hidden != nullptr && (out.empty() || KeyOf(hidden->specs) != KeyOf(out[0].specs)))
@@ -657,7 +657,7 @@ class Search {
     HeldOutJudge& judge = *judge_;
     // Where a mass hangs that swings freely is not known for long: what little is left there is no other law.
     const auto swings_on = [&] {
-      return HasKind(best->specs, "sloshing_payload") && judge.ExplainsMost(*best, without);
+      return HasKind(best->specs, effects::SwingingMass().id) && judge.ExplainsMost(*best, without);
     };
     if (fits_.PerRow(*best) < kExplained && !swings_on())
       *unseen_in = judge.Refusing(*best, Threshold(*best));

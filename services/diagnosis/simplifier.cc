@@ -11,7 +11,7 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
+using effects::EffectSpec, effects::LawOf, effects::Regressor;
 
 namespace {
 
@@ -23,7 +23,7 @@ constexpr double kSmallGain = 0.01;   // of one: no URDF knows a mass better
 
 // Whether it scales efforts by no more than a mass of any URDF is off.
 bool IsSmallGain(const EffectSpec& s) {
-  if (s.id != "torque_gain") return false;
+  if (!effects::ScalesEffort(s.id)) return false;
   return std::all_of(s.joints.begin(), s.joints.end(), [&](const std::string& joint) {
     return std::abs(s.values.at(joint).at("gain") - 1) < kSmallGain;
   });
@@ -73,8 +73,6 @@ void Simplifier::Prune(Candidate* best) {
 // says in one number what takes bodies many is no such rival of theirs, unless it is a gain so near one that
 // a mass is off by as much. Worth its name beside them it stays.
 bool Simplifier::GivesWayToBodies(const std::vector<EffectSpec>& without, size_t i, Candidate* best) {
-  static const std::set<std::string> kSaysMore = {
-      "payload", "rotor_inertia", "torque_gain", "gravity_misalignment", "encoder_offset", "torque_offset"};
   const double strength = Strength(*best, i);
   const EffectSpec effect = Refreshed(*best)[i];
   const bool small_gain = IsSmallGain(effect);
@@ -83,7 +81,7 @@ bool Simplifier::GivesWayToBodies(const std::vector<EffectSpec>& without, size_t
     return false;
   if (fits_.Late(kPruned)) return false;
   const Candidate freed = fits_.Evaluate(without, true, best, 6, best);
-  const bool rival = (small_gain || kSaysMore.count(effect.id) == 0) && freed.fit.chi2 <= best->fit.chi2;
+  const bool rival = (small_gain || !effects::InferenceOf(effect.id).for_many_bodies) && freed.fit.chi2 <= best->fit.chi2;
   if (!freed.fit.ok || (!rival && freed.score < best->score + needed_(*best, freed))) return false;
   const Candidate both = fits_.Evaluate(Refreshed(*best), true, &freed, 6, best);
   if (both.score > freed.score + needed_(freed, both)) return false;
@@ -95,10 +93,11 @@ bool Simplifier::GivesWayToBodies(const std::vector<EffectSpec>& without, size_t
 // which are free too. Of the two the masses are the likelier: they take the gains' place where they leave no
 // more.
 void Simplifier::GainsGiveWay(Candidate* best) {
-  const TrialSpecs specs = WithoutKind(Refreshed(*best), "torque_gain");
+  const std::string& gain = LawOf(Regressor::kEffort).id;
+  const TrialSpecs specs = WithoutKind(Refreshed(*best), gain);
   const size_t gains = best->specs.size() - specs.size();
   const bool of_most = gains >= kManyGains && 2 * gains > static_cast<size_t>(best->plant->num_joints());
-  if (!of_most || best->base || fits_.Late(kPruned) || HasKind(setting_.nominal.effects(), "torque_gain"))
+  if (!of_most || best->base || fits_.Late(kPruned) || HasKind(setting_.nominal.effects(), gain))
     return;
   const Candidate* known = fits_.Known(specs, true);
   const Candidate bodies = known != nullptr ? *known : fits_.Evaluate(specs, true, best, 12);
@@ -117,8 +116,8 @@ void Simplifier::Replace(const Candidate& by, Candidate* best) {
 // its faces are, of a spring the rotor behind it.
 TrialSpecs Simplifier::PlainForm(const Candidate& c, const std::string& id) const {
   TrialSpecs specs = Refreshed(c);
-  if (id == "joint_elasticity") return WithoutSprings(specs);
-  if (id != "backlash") return Exchanges(specs, id, setting_.nominal, setting_.scales).front();
+  if (id == effects::Spring().id) return WithoutSprings(specs);
+  if (id != effects::Play().id) return Exchanges(specs, id, setting_.nominal, setting_.scales).front();
   for (EffectSpec& s : specs) {
     if (s.id == id) s = OtherTransmission(s, setting_.nominal, setting_.scales).front().front();
   }
@@ -128,7 +127,7 @@ TrialSpecs Simplifier::PlainForm(const Candidate& c, const std::string& id) cons
 // A richer form that is not worth more than the plain one gives way to it.
 void Simplifier::Plainer(Candidate* best) {
   std::vector<std::string> richer = RicherFrictions();
-  richer.insert(richer.end(), {"backlash", "joint_elasticity"});
+  richer.insert(richer.end(), {effects::Play().id, effects::Spring().id});
   for (const std::string& id : richer) {
     const TrialSpecs specs = PlainForm(*best, id);
     if (KeyOf(specs) == KeyOf(best->specs) || fits_.Late(kPruned)) continue;
@@ -145,7 +144,7 @@ void Simplifier::Plainer(Candidate* best) {
       }
     }
     // A spring is no matter of its rotor's form: it need only be the better account.
-    const double needed = id == "joint_elasticity" ? 1.0 : needed_(plain, *best);
+    const double needed = id == effects::Spring().id ? 1.0 : needed_(plain, *best);
     if (best->score >= plain.score + needed) continue;
     // What the form may pretend is not held for it when rivals are weighed.
     Candidate& form = fits_.tried()[KeyOf(best->specs, best->base)];
@@ -158,7 +157,7 @@ void Simplifier::Plainer(Candidate* best) {
 // body is the likelier of the two, and is named where it leaves no more.
 void Simplifier::FirstRotor(Candidate* best) {
   TrialSpecs specs = Refreshed(*best);
-  const auto rotor = [](const EffectSpec& s) { return s.id == "rotor_inertia"; };
+  const auto rotor = [](const EffectSpec& s) { return s.id == LawOf(Regressor::kAcceleration).id; };
   const bool alone = std::count_if(specs.begin(), specs.end(), rotor) == 1;
   std::erase_if(specs, [&](const EffectSpec& s) {
     return rotor(s) && s.joints == std::vector<std::string>{setting_.nominal.joint_names()[0]};
@@ -175,31 +174,32 @@ void Simplifier::FirstRotor(Candidate* best) {
 // the direction. So are they where the force is gravity's, of a base that is tilted, on a rail that no pose
 // turns against it; on other joints the score tells the two apart.
 void Simplifier::ByDirection(Candidate* best) {
-  static constexpr const char *kDry = "coulomb_friction", *kZero = "torque_offset",
-                              *kTilt = "gravity_misalignment", *kEither = "asymmetric_friction";
-  if (!best->fit.ok || !HasKind(best->specs, kDry) || fits_.Late(kPruned)) return;
+  const std::string &dry = LawOf(Regressor::kDirection).id, &zero = LawOf(Regressor::kConstant).id,
+                    &tilt = effects::EffectOf(effects::Role::kGravity).id,
+                    &either = LawOf(Regressor::kForwards).id;
+  if (!best->fit.ok || !HasKind(best->specs, dry) || fits_.Late(kPruned)) return;
   const TrialSpecs specs = Refreshed(*best);
   std::map<std::string, double> level, offset;  // by joint
   for (const EffectSpec& s : specs) {
-    if (s.id == kDry) level[s.joints[0]] = s.values.at(s.joints[0]).at("coulomb");
-    if (s.id == kZero) offset[s.joints[0]] = s.values.at(s.joints[0]).at("offset");
+    if (s.id == dry) level[s.joints[0]] = s.values.at(s.joints[0]).at("coulomb");
+    if (s.id == zero) offset[s.joints[0]] = s.values.at(s.joints[0]).at("offset");
   }
   const bool everywhere = std::all_of(offset.begin(), offset.end(),
                                       [&](const auto& o) { return level.count(o.first) > 0; }) &&
                           offset.size() == level.size();
-  const bool tilted = offset.empty() && HasKind(best->specs, kTilt);
+  const bool tilted = offset.empty() && HasKind(best->specs, tilt);
   if (!everywhere && !tilted) return;
   TrialSpecs merged;
   for (const EffectSpec& s : specs) {
-    if (s.id == kZero || (tilted && s.id == kTilt)) continue;
-    if (s.id != kDry) {
+    if (s.id == zero || (tilted && s.id == tilt)) continue;
+    if (s.id != dry) {
       merged.push_back(s);
       continue;
     }
-    const double dry = level[s.joints[0]], constant = offset[s.joints[0]];
-    merged.push_back(effects::MakeSpec(kEither, s.joints,
-                                       {{"coulomb_positive", std::max(0.0, dry - constant)},
-                                        {"coulomb_negative", std::max(0.0, dry + constant)}}));
+    const double friction = level[s.joints[0]], constant = offset[s.joints[0]];
+    merged.push_back(effects::MakeSpec(either, s.joints,
+                                       {{"coulomb_positive", std::max(0.0, friction - constant)},
+                                        {"coulomb_negative", std::max(0.0, friction + constant)}}));
   }
   // What a tilt pulls with is not known here: that fit begins at the recorded motion.
   const Candidate c = fits_.Evaluate(merged, best->base, tilted ? nullptr : best, kMergeIterations, best);

@@ -11,7 +11,7 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
+using effects::EffectSpec, effects::LawOf, effects::Regressor;
 
 namespace {
 
@@ -20,12 +20,14 @@ constexpr size_t kRotors = 2;    // the largest, behind which a spring is tried
 constexpr size_t kMostSets = 6;  // of joints, and as many pairs of effects
 constexpr double kHardlyLess = 0.9;  // of what a part of it leaves
 
+const effects::EffectInfo& Rotor() { return LawOf(Regressor::kAcceleration); }
+
 // Whether the model has this already.
 bool AlreadyIn(const Candidate& from, const Scored& h, const sim::Plant& nominal) {
   if (h.joints.empty()) return Contains(from.specs, h.effect, "");
   std::vector<std::string> names;
   for (const int j : h.joints) names.push_back(nominal.joint_names()[static_cast<size_t>(j)]);
-  if (h.effect == "joint_coupling") {
+  if (h.effect == LawOf(Regressor::kOtherEffort).id) {
     return std::any_of(from.specs.begin(), from.specs.end(),
                        [&](const EffectSpec& s) { return s.id == h.effect && s.joints == names; });
   }
@@ -66,7 +68,8 @@ class TrialBuilder {
     Singles(wanted);
     Sets(screened_.sets, wanted);
     Sets(screened_.pairs, wanted);
-    if (!from_.base && data_.n > 1 && !Has("payload")) Push(BodyStarts("payload", nominal_, scales_));
+    const std::string& held = effects::EffectOf(effects::Role::kBodyInertia).id;
+    if (!from_.base && data_.n > 1 && !Has(held)) Push(BodyStarts(held, nominal_, scales_));
     const bool promised = wanted > 1.0;
     // No screen promises what touches the robot from outside.
     if (!promised || HasHiddenStates(from_)) FromOutside(force);
@@ -74,7 +77,7 @@ class TrialBuilder {
     const std::vector<int> joints = JointsByGain();
     OtherForms();
     DryFriction(joints);
-    for (const char* id : {"sloshing_payload", "base_flexibility"}) {
+    for (const std::string& id : {effects::SwingingMass().id, effects::SoftMount().id}) {
       if (!Has(id) && (data_.n <= 2 || !from_.base || !from_.specs.empty()))
         Push(BodyStarts(id, nominal_, scales_));
     }
@@ -132,16 +135,17 @@ class TrialBuilder {
   }
 
   void FromOutside(const std::function<MissingForce()>& force) {
-    if (!from_.fit.ok || (Has("contact") && Has("external_disturbance"))) return;
+    const bool touched = Has(effects::Surface().id), pushed = Has(effects::Push().id);
+    if (!from_.fit.ok || (touched && pushed)) return;
     const MissingForce missing = force();
-    if (!Has("contact")) Push(ContactStarts(data_, nominal_, missing, from_.base ? 2 : 3));
-    if (!Has("external_disturbance")) Push(PushStarts(data_, nominal_, missing));
+    if (!touched) Push(ContactStarts(data_, nominal_, missing, from_.base ? 2 : 3));
+    if (!pushed) Push(PushStarts(data_, nominal_, missing));
   }
 
   std::vector<int> JointsByGain() const {
     std::map<int, double> best;
     for (const Scored& h : screened_.hypotheses) {
-      if (h.joints.size() != 1 || h.effect == "unknown_field") continue;
+      if (h.joints.size() != 1 || IsUnnamed(h.effect)) continue;
       const auto [at, fresh] = best.try_emplace(h.joints[0], h.gain);
       if (!fresh) at->second = std::max(at->second, h.gain);
     }
@@ -159,15 +163,16 @@ class TrialBuilder {
       for (const std::string& id : SiblingsOn(nominal_, s)) {
         if (id != s.id) Push({{Exchanged(s, id, nominal_, scales_)}});
       }
-      if (SiblingsOf(s.id) == SiblingsOf("stribeck_friction")) Push(StribeckStarts(s, nominal_, scales_));
+      if (SiblingsOf(s.id) == SiblingsOf(LawOf(Regressor::kSlowly).id)) Push(StribeckStarts(s, nominal_, scales_));
     }
   }
 
   void DryFriction(const std::vector<int>& joints) {
     for (size_t i = 0; i < std::min<size_t>(3, joints.size()); ++i) {
       for (const Scored& h : screened_.hypotheses) {
-        const bool dry =
-            h.effect == "coulomb_friction" || h.effect == "viscous_friction" || h.effect == "torque_deadband";
+        const bool dry = h.effect == LawOf(Regressor::kDirection).id ||
+                         h.effect == LawOf(Regressor::kVelocity).id ||
+                         h.effect == LawOf(Regressor::kInBand).id;
         if (dry && h.joints == std::vector<int>{joints[i]} && !Known(h)) Push(SpecsFor(h, nominal_, scales_));
       }
     }
@@ -175,17 +180,17 @@ class TrialBuilder {
 
   void Transmissions(const std::vector<int>& joints, size_t springy) {
     for (size_t i = 0; i < std::min(springy, joints.size()); ++i) {
-      if (!nominal_.Takes("joint_elasticity", joints[i])) continue;
+      const std::string &spring = effects::Spring().id, &play = effects::Play().id;
+      if (!nominal_.Takes(spring, joints[i])) continue;
       const std::string& name = nominal_.joint_names()[static_cast<size_t>(joints[i])];
-      if (Contains(from_.specs, "joint_elasticity", name) || Contains(from_.specs, "backlash", name))
-        continue;
+      if (Contains(from_.specs, spring, name) || Contains(from_.specs, play, name)) continue;
       // The motor's inertia below its resonance: what a rotor holds already, or the screen takes for one.
       double added = RotorOf(name);
       for (const Scored& h : screened_.hypotheses) {
-        if (h.effect == "rotor_inertia" && h.joints == std::vector<int>{joints[i]})
+        if (h.effect == Rotor().id && h.joints == std::vector<int>{joints[i]})
           added += h.coefficients[0];
       }
-      for (const char* id : {"joint_elasticity", "backlash"}) {
+      for (const std::string& id : {spring, play}) {
         for (const char* sensor : {"link", "motor"})
           Push(nearest_(TransmissionStarts(id, sensor, joints[i], nominal_, scales_, added), kNearest));
       }
@@ -193,7 +198,8 @@ class TrialBuilder {
   }
 
   double RotorOf(const std::string& joint) const {
-    const int at = from_.plant->parameters().Find("rotor_inertia." + joint + ".armature");
+    const int at = from_.plant->parameters().Find(Rotor().id + "." + joint + "." +
+                                                  Rotor().parameters.front().name);
     return at >= 0 && from_.fit.ok ? from_.fit.values[at] : 0.0;
   }
 
@@ -302,7 +308,7 @@ std::vector<TrialSpecs> PlainOnOneJoint(const TrialSpecs& specs, const sim::Plan
   for (size_t i = 0; i < specs.size(); ++i) {
     const auto alike = [&](const EffectSpec& s) { return s.id == specs[i].id; };
     if (!IsRicherFriction(specs[i].id) || std::count_if(specs.begin(), specs.end(), alike) < 2) continue;
-    for (const char* id : {"coulomb_friction", "viscous_friction"}) {
+    for (const std::string& id : {LawOf(Regressor::kDirection).id, LawOf(Regressor::kVelocity).id}) {
       if (Contains(specs, id, specs[i].joints[0])) continue;
       out.push_back(specs);
       out.back()[i] = Exchanged(specs[i], id, nominal, scales);
@@ -314,10 +320,10 @@ std::vector<TrialSpecs> PlainOnOneJoint(const TrialSpecs& specs, const sim::Plan
 std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& account,
                                       const sim::Plant& nominal, const MotionScales& scales) {
   std::vector<TrialSpecs> out;
-  if (!account.fit.ok || FreshKinds(before, account).count("rotor_inertia") == 0) return out;
+  if (!account.fit.ok || FreshKinds(before, account).count(Rotor().id) == 0) return out;
   std::vector<std::pair<double, size_t>> rotors;  // strength, place
   for (size_t i = 0; i < account.specs.size(); ++i) {
-    if (account.specs[i].id == "rotor_inertia" && account.specs[i].joints.size() == 1)
+    if (account.specs[i].id == Rotor().id && account.specs[i].joints.size() == 1)
       rotors.push_back({Strength(account, i), i});
   }
   std::stable_sort(rotors.begin(), rotors.end(),
@@ -326,10 +332,10 @@ std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& 
   for (size_t i = 0; i < std::min(kRotors, rotors.size()); ++i) {
     const EffectSpec& rotor = specs[rotors[i].second];
     const int joint = nominal.model().FindJoint(rotor.joints[0]);
-    const double armature = rotor.values.begin()->second.at("armature");
+    const double armature = rotor.values.begin()->second.at(Rotor().parameters.front().name);
     for (const char* sensor : {"link", "motor"}) {
       for (TrialSpecs& start :
-           TransmissionStarts("joint_elasticity", sensor, joint, nominal, scales, armature))
+           TransmissionStarts(effects::Spring().id, sensor, joint, nominal, scales, armature))
         out.push_back(std::move(start));
     }
   }

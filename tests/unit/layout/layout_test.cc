@@ -160,8 +160,7 @@ int EffectLiterals(const std::string& text) {
 const std::map<std::string, int>& MostLiterals() {
   static const std::map<std::string, int> most = {
       {"common/sim", 38},           {"services/bench", 4},  {"services/cli", 1},
-      {"services/diagnosis", 64},   {"services/proof", 33}, {"services/proof/generator", 244},
-      {"services/trajectories", 12}};
+      {"services/proof", 33}, {"services/proof/generator", 244}, {"services/trajectories", 12}};
   return most;
 }
 
