@@ -28,6 +28,10 @@ std::vector<std::vector<effects::EffectSpec>> TransmissionStarts(const std::stri
                                                                  const sim::Plant& nominal,
                                                                  const MotionScales& scales,
                                                                  double added_inertia);
+// Of a spring alone, from soft to stiff, before a rotor of that inertia [kg·m²].
+std::vector<std::vector<effects::EffectSpec>> SpringStarts(const std::string& sensor, int joint,
+                                                           const sim::Plant& nominal,
+                                                           const MotionScales& scales, double rotor);
 // Rigid gears in the place of springs: of each the rotor behind it.
 std::vector<effects::EffectSpec> WithoutSprings(std::vector<effects::EffectSpec> specs);
 // The other law of a gear in the place of a spring or play, with the motor and the sensor that it has: play

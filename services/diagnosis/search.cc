@@ -268,7 +268,7 @@ class Search {
       if (own == nullptr || !own->fit.ok) continue;
       // Parameters explain much: only what explains it as well with less is of interest.
       const bool rival = !base && best->base &&
-                         (AtStake(*best) < Threshold(*best) ||
+                         (of_drives_ || AtStake(*best) < Threshold(*best) ||
                           (round_ > 1 && own->score < best->score - 0.5 * data_.Rows()));
       const Candidate from = *own;
       if (round_ == 1) looked_beside_.insert(KeyOf(from.specs, base));
@@ -608,7 +608,8 @@ class Search {
   // what one joint has of the `variables`. It is taken where it leaves less than `worst` χ² per row and is
   // the better account.
   bool Flexible(Candidate* best, double worst, const std::vector<std::string>& variables) {
-    if (fits_.Cancelled() || (fits_.PerRow(*best) < kExplained && data_.n > 1)) return false;
+    // Nor is one force what all drives lose.
+    if (fits_.Cancelled() || of_drives_ || (fits_.PerRow(*best) < kExplained && data_.n > 1)) return false;
     Tell("flexible", 0.3 + 0.15 * round_, KeyOf(best->specs));
     bool taken = false;
     // Free base parameters only where they are part of the account.
@@ -662,11 +663,13 @@ class Search {
     if (fits_.PerRow(*best) < kExplained && !swings_on())
       *unseen_in = judge.Refusing(*best, Threshold(*best));
     const bool named = !best->specs.empty() && !FoundNothing(*best);
+    const bool one_force = !of_drives_;
     for (int sent = 0;
          named && sent < kSentBack && !fits_.Late(kToWeigh) && !judge.Holds(*best, Threshold(*best));
          ++sent) {
-      if (!fits_.Late()) unnamed_.Try(best->base, kAny, [](const Candidate&) { return false; });
-      if (const Candidate* nameless = unnamed_.Best(); sent == 0 && nameless != nullptr && !fits_.Late())
+      if (one_force && !fits_.Late()) unnamed_.Try(best->base, kAny, [](const Candidate&) { return false; });
+      if (const Candidate* nameless = unnamed_.Best();
+          one_force && sent == 0 && nameless != nullptr && !fits_.Late())
         unnamed_.WithNames(Candidate(*nameless));
       Candidate with = *best;  // what it lacks may be another name
       if (sent == 0 && !HasUnnamed(*best) && !fits_.Late()) LookBesideRefused(*best, &with);
@@ -678,6 +681,7 @@ class Search {
       Candidate like = *best;
       if (!HasUnnamed(like) && !fits_.Late()) Exchange(without, &like);
       if (judge.InAll(like) > judge.InAll(*best)) *best = like;
+      if (HasFreeStates(*best) && !fits_.Late()) *best = Longer(*best, *best, *best);
       // What the account before had for the sake of something else may be about nothing beside it.
       if (!fits_.Late(kToWeigh)) {
         simplifier_.Run(best);
@@ -696,7 +700,13 @@ class Search {
   // It may lack a name, or have one that the fitted recordings alone bear out in the place of another.
   void LookBesideRefused(const Candidate refused, Candidate* with) {
     LookBeside(refused, kInPlace, with);
+    // Beside lags only what a screen promises was tried: a spring is nothing that it can.
+    const bool late_drives = HasHiddenStates(refused) && !HasFreeStates(refused);
+    if (late_drives && !MeetsSensors(*with) && !fits_.Late()) TakeTransmission(refused, with);
+    const auto left = [&](const Candidate& c) { return fits_.PerRow(c) * fits_.noise_scale() - 1; };
     for (const std::string& kind : FreshKinds(Candidate{}, refused)) {
+      // What takes most of what is left is looked beside next.
+      if (left(*with) < kMostly * left(refused)) return;
       if (!fits_.Late()) LookWithout(refused, kind, with);
     }
   }

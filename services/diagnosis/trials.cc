@@ -16,6 +16,7 @@ using effects::EffectSpec, effects::LawOf, effects::Regressor;
 namespace {
 
 constexpr size_t kNearest = 2;   // starts of a spring or play that are tried, for either place of the sensor
+constexpr size_t kNearestSprings = 3;  // of all joints' that are tried
 constexpr size_t kRotors = 2;    // the largest, behind which a spring is tried
 constexpr size_t kMostSets = 6;  // of joints, and as many pairs of effects
 constexpr double kHardlyLess = 0.9;  // of what a part of it leaves
@@ -83,11 +84,13 @@ class TrialBuilder {
     }
     MountBeside();
     Transmissions(joints, data_.n <= 2 ? 2 : from_.base ? 1 : 2);  // last, for they cost most
+    NearestSprings();
     return std::move(out_);
   }
 
   std::vector<TrialSpecs> OfTransmission() {
     Transmissions(JointsByGain(), data_.n <= 2 ? 2 : 1);
+    NearestSprings();
     return std::move(out_);
   }
 
@@ -180,21 +183,46 @@ class TrialBuilder {
 
   void Transmissions(const std::vector<int>& joints, size_t springy) {
     for (size_t i = 0; i < std::min(springy, joints.size()); ++i) {
-      const std::string &spring = effects::Spring().id, &play = effects::Play().id;
-      if (!nominal_.Takes(spring, joints[i])) continue;
-      const std::string& name = nominal_.joint_names()[static_cast<size_t>(joints[i])];
-      if (Contains(from_.specs, spring, name) || Contains(from_.specs, play, name)) continue;
-      // The motor's inertia below its resonance: what a rotor holds already, or the screen takes for one.
-      double added = RotorOf(name);
-      for (const Scored& h : screened_.hypotheses) {
-        if (h.effect == Rotor().id && h.joints == std::vector<int>{joints[i]})
-          added += h.coefficients[0];
-      }
-      for (const std::string& id : {spring, play}) {
-        for (const char* sensor : {"link", "motor"})
-          Push(nearest_(TransmissionStarts(id, sensor, joints[i], nominal_, scales_, added), kNearest));
+      if (!MayHaveMotor(joints[i])) continue;
+      for (const std::string& id : {effects::Spring().id, effects::Play().id}) {
+        for (const char* sensor : {"link", "motor"}) {
+          Push(nearest_(
+              TransmissionStarts(id, sensor, joints[i], nominal_, scales_, MotorOn(joints[i])), kNearest));
+        }
       }
     }
+  }
+
+  // Where little is left a screen of forces says hardly more of where a motor swings: beside drives of known
+  // rotors a look at springs on all joints does, each with its rotor behind it.
+  void NearestSprings() {
+    if (data_.n <= 2 || !from_.fit.ok) return;
+    std::vector<TrialSpecs> springs;
+    for (int joint = 0; joint < data_.n; ++joint) {
+      const double rotor = RotorOf(nominal_.joint_names()[static_cast<size_t>(joint)]);
+      if (!MayHaveMotor(joint) || !data_.Judged(joint) || !(rotor > 0)) continue;
+      for (const char* sensor : {"link", "motor"}) {
+        for (TrialSpecs& start : SpringStarts(sensor, joint, nominal_, scales_, rotor))
+          springs.push_back(std::move(start));
+      }
+    }
+    Push(nearest_(springs, kNearestSprings));
+  }
+
+  bool MayHaveMotor(int joint) const {
+    const std::string& name = nominal_.joint_names()[static_cast<size_t>(joint)];
+    return nominal_.Takes(effects::Spring().id, joint) &&
+           !Contains(from_.specs, effects::Spring().id, name) &&
+           !Contains(from_.specs, effects::Play().id, name);
+  }
+
+  // The motor's inertia below its resonance: what a rotor holds already, or the screen takes for one.
+  double MotorOn(int joint) const {
+    double inertia = RotorOf(nominal_.joint_names()[static_cast<size_t>(joint)]);
+    for (const Scored& h : screened_.hypotheses) {
+      if (h.effect == Rotor().id && h.joints == std::vector<int>{joint}) inertia += h.coefficients[0];
+    }
+    return inertia;
   }
 
   double RotorOf(const std::string& joint) const {
