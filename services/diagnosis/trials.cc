@@ -206,7 +206,7 @@ class TrialBuilder {
           springs.push_back(std::move(start));
       }
     }
-    Push(nearest_(springs, kNearestSprings));
+    if (!springs.empty()) Push(nearest_(springs, kNearestSprings));
   }
 
   bool MayHaveMotor(int joint) const {

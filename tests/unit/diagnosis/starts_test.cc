@@ -388,6 +388,37 @@ TEST(Trials, TryAMountBesideTheBestOfTheScreen) {
   EXPECT_EQ(pairs({MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.1}})}), 0u);
 }
 
+// A screen of forces says little of where a motor swings on a robot of many joints: each rotor that was found is
+// looked at behind a spring.
+TEST(Trials, LookAtASpringBeforeEachRotor) {
+  const auto c = Case::Of("mico2", {}, 9);
+  const auto& joints = c->nominal.joint_names();
+  Candidate from;
+  from.specs = {MakeSpec("rotor_inertia", {joints[1]}, {{"armature", 0.02}}),
+                MakeSpec("rotor_inertia", {joints[3]}, {{"armature", 0.005}})};
+  from.plant = std::make_shared<const sim::Plant>(
+      *sim::Plant::Create(c->nominal.shared_model(), c->nominal.options(), from.specs));
+  from.fit.ok = true, from.fit.values = from.plant->parameters().Nominal();
+  std::map<std::string, std::set<std::string>> sensors;  // by joint
+  std::map<std::string, double> rotors;
+  const Nearest nearest = [&](const std::vector<TrialSpecs>& starts, size_t count) {
+    for (const TrialSpecs& start : starts) {
+      const std::string& joint = start[0].joints[0];
+      sensors[joint].insert(start[0].options.at("sensor"));
+      rotors[joint] = start[0].values.at(joint).at("motor_inertia");
+    }
+    return std::vector<TrialSpecs>(starts.begin(), starts.begin() + static_cast<long>(count));
+  };
+  EXPECT_EQ(TransmissionTrials(c->data, c->nominal, c->scales, from, {}, nearest).size(), 3u);
+  EXPECT_EQ(sensors, (std::map<std::string, std::set<std::string>>{{joints[1], {"link", "motor"}},
+                                                                   {joints[3], {"link", "motor"}}}));
+  EXPECT_EQ(rotors, (std::map<std::string, double>{{joints[1], 0.02}, {joints[3], 0.005}}));
+  from.specs.clear();
+  from.plant = std::make_shared<const sim::Plant>(c->nominal);
+  from.fit.values = from.plant->parameters().Nominal();
+  EXPECT_TRUE(TransmissionTrials(c->data, c->nominal, c->scales, from, {}, nearest).empty());
+}
+
 // What touches the robot from outside is no column of a screen, which promises nothing of it.
 TEST(Trials, TryASurfaceBesideHiddenStatesWithoutAPromise) {
   EffectSpec floor = MakeSpec("contact", {}, {{"stiffness", 60}, {"damping", 1}, {"height", 0.55}});
