@@ -138,9 +138,10 @@ Status PrintGuess(Context& context, const ImportArguments& arguments) {
   for (const std::string& reason : guess.reasons) PrintNote("guessed: " + reason);
   for (const std::string& question : guess.questions) PrintNote("check: " + question);
   const std::string map = out.empty() ? "MAP.json" : out;
+  std::string files;
+  for (const std::string& file : arguments.options.files) files += ShellWord(file) + " ";
   PrintNote("next: " + std::string(out.empty() ? "put this into MAP.json, look at it; " : "look at it; ") +
-            "realitygrad import " + ShellWord(arguments.options.files[0]) + " --urdf " + ShellWord(arguments.options.urdf) +
-            " --map " + ShellWord(map) + " --out SET");
+            "realitygrad import " + files + "--urdf " + ShellWord(arguments.options.urdf) + " --map " + ShellWord(map) + " --out SET");
   return Status::Ok();
 }
 

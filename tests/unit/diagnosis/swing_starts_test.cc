@@ -16,6 +16,7 @@ namespace {
 
 using effects::EffectSpec;
 using effects::MakeSpec;
+using testing::MakeSet;
 using testing::Prepare;
 
 EffectSpec Rod(double mass, double length, double damping, const std::string& hinge = "y") {
@@ -281,7 +282,7 @@ TEST(FitLedger, AMassOnARodIsTriedBesideWhatElseIsMissing) {
 
 // It swings over the top: the few windows in which it does are not met whole, and by no other account.
 TEST(FitLedger, AMassThatAFewWindowsDoNotMeetIsWeighedOverHalves) {
-  const auto p = Prepare("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 14);
+  const auto p = Prepare(MakeSet("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 14, 2.5));
   const Best best = BestWithAMass(*p);
   EXPECT_FALSE(HasRod(best.candidate.specs));
   ASSERT_NE(best.over_halves, nullptr);
@@ -292,7 +293,7 @@ TEST(FitLedger, AMassThatAFewWindowsDoNotMeetIsWeighedOverHalves) {
 
 // Hinges are one to a mass that stays away from their first axes; where it comes along one it is held there.
 TEST(FitLedger, AMassThatComesAlongItsHingeIsFoundAboutTheRightOne) {
-  const auto p = Prepare("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 15);
+  const auto p = Prepare(MakeSet("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 15, 2.5));
   const Best best = BestWithAMass(*p);
   ASSERT_TRUE(HasRod(best.candidate.specs));
   EXPECT_EQ(best.candidate.specs[0].options.at("hinge"), "z");
