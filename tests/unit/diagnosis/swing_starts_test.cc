@@ -282,7 +282,7 @@ TEST(FitLedger, AMassOnARodIsTriedBesideWhatElseIsMissing) {
 
 // It swings over the top: the few windows in which it does are not met whole, and by no other account.
 TEST(FitLedger, AMassThatAFewWindowsDoNotMeetIsWeighedOverHalves) {
-  const auto p = Prepare(MakeSet("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 14, 2.5));
+  const auto p = Prepare("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 14);
   const Best best = BestWithAMass(*p);
   EXPECT_FALSE(HasRod(best.candidate.specs));
   ASSERT_NE(best.over_halves, nullptr);
