@@ -69,7 +69,11 @@ Status WriteFileAtomically(const std::string& path, std::string_view bytes) {
   if (fd < 0) return ErrnoError(temp, "cannot create");
   Status written = WriteAll(fd, bytes, temp);
   ::close(fd);
-  if (written.ok() && ::rename(temp.c_str(), path.c_str()) != 0) written = ErrnoError(path, "cannot rename");
+  if (written.ok() && std::filesystem::is_directory(target, error)) {
+    written = InvalidError(path + ": is a folder, not a file");
+  } else if (written.ok() && ::rename(temp.c_str(), path.c_str()) != 0) {
+    written = ErrnoError(path, "cannot rename");
+  }
   if (!written.ok()) {
     ::unlink(temp.c_str());
     return written;

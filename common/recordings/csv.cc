@@ -391,7 +391,9 @@ class CsvParser {
     std::string counts =
         std::to_string(fields) + " of " + std::to_string(columns_.size()) + " fields are there";
     if (fields > columns_.size()) {
-      if (fields == 2 * columns_.size() && dialect_.separator == ',')
+      // A whole number has no comma: 13 of 7.
+      const bool doubled = 2 * fields > 3 * columns_.size() && fields <= 2 * columns_.size();
+      if (doubled && dialect_.separator == ',')
         counts += ": decimal commas? Write numbers with points, or separate fields by semicolons";
       return Error(RowName(rows_) + ", column " + std::to_string(columns_.size() + 1) + ": " + counts);
     }

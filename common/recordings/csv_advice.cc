@@ -100,11 +100,48 @@ std::string MissingColumnAdvice(const std::vector<std::string>& names, const std
   return instead;
 }
 
+namespace {
+
+// Marks that some systems write behind the letter that others write as one: "e\u0301" for "\u00e9".
+bool HasCombiningMark(const std::string& text) {
+  for (size_t i = 0; i + 1 < text.size(); ++i) {
+    const auto lead = static_cast<unsigned char>(text[i]), next = static_cast<unsigned char>(text[i + 1]);
+    if (lead == 0xCC || (lead == 0xCD && next < 0xB0)) return true;  // U+0300 to U+036F
+  }
+  return false;
+}
+
+// The plain letters of a name.
+std::string Ascii(const std::string& text) {
+  std::string out;
+  for (const char c : text) {
+    if (static_cast<unsigned char>(c) < 0x80) out += c;
+  }
+  return out;
+}
+
+// They look the same: one of them has its accents as marks of their own, which a base letter stands before.
+bool DifferInMarksOnly(const std::string& a, const std::string& b) {
+  if (HasCombiningMark(a) == HasCombiningMark(b)) return false;
+  const std::string &marked = HasCombiningMark(a) ? a : b, plain = Ascii(HasCombiningMark(a) ? b : a);
+  const std::string letters = Ascii(marked);  // the base letters among them
+  size_t at = 0;
+  for (const char c : letters) at += at < plain.size() && plain[at] == c;
+  return at == plain.size() && letters.size() > plain.size();
+}
+
+}  // namespace
+
 std::string UnknownJointAdvice(const std::string& joint, const std::vector<std::string>& known) {
   const std::string lower = Lower(joint);
   for (const std::string& name : known) {
+    if (DifferInMarksOnly(joint, name))
+      return "; it looks like its '" + name + "', but accents are written otherwise (one is in Unicode's NFD, as macOS " +
+             "writes): copy the URDF's name";
+  }
+  for (const std::string& name : known) {
     const std::string other = Lower(name);
-    if (name.empty() || joint == name) continue;
+    if (name.empty() || joint.empty() || joint == name) continue;
     const bool ends = lower.ends_with(other), is_end = other.ends_with(lower),
                begins = lower.starts_with(other) && lower.size() > other.size() &&
                         !std::isalnum(static_cast<unsigned char>(lower[other.size()])) &&

@@ -68,10 +68,22 @@ std::string_view FirstRow(std::string_view text, char end_of_line) {
   return {};
 }
 
-// Whether a comment before the first row is the header: as many fields as that row, which is one of numbers.
+bool HoldsNumber(std::string_view line, char separator) {
+  for (size_t at = 0; at <= line.size();) {
+    const size_t end = std::min(line.find(separator, at), line.size());
+    if (BeginsWithNumber(WithoutBlanks(line.substr(at, end - at)))) return true;
+    at = end + 1;
+  }
+  return false;
+}
+
+// Whether a comment before the first row is the header: as many fields as that row, none of them a number, which some
+// of the row's are (a name or a mode may stand before them).
 bool IsHeaderComment(std::string_view line, std::string_view row, char separator) {
-  const long fields = CountOf(line, separator), more = CountOf(row, separator) - fields;
-  return fields > 0 && BeginsWithNumber(row) && (more == 0 || more == 1);
+  const long fields = CountOf(line, separator), trailing = !row.empty() && row.back() == separator ? 1 : 0;
+  const long more = CountOf(row, separator) - fields;
+  const bool begins = BeginsWithNumber(row), holds = HoldsNumber(row, separator) && !HoldsNumber(line, separator);
+  return fields > 0 && (begins || holds) && (more == 0 || more == trailing);
 }
 
 }  // namespace

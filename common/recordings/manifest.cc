@@ -43,7 +43,7 @@ class Fields {
     const Json* value = Find(field, required);
     if (!value) return fallback;
     if (!value->is_string() || value->get_ref<const std::string&>().empty()) {
-      Fail(field, Shown(*value) + " is not a text");
+      Fail(field, value->is_string() ? "is empty" : Shown(*value) + " is not a text");
       return fallback;
     }
     return value->get<std::string>();
@@ -293,6 +293,8 @@ Result<Manifest> ParseManifest(std::string_view text, const std::string& source)
     fields.Fail("format", "'" + format + "' is not known, this program reads " + kSetFormat);
   }
   manifest.robot = fields.String("robot", "", true);
+  if (manifest.robot.find("://") != std::string::npos)
+    fields.Fail("robot", "'" + manifest.robot + "' is an address: name a URDF file, beside the manifest as a rule");
   ReadJoints(fields, &manifest);
   ReadGravity(fields, &manifest.settings);
   ReadLocked(fields, &manifest.settings);

@@ -19,8 +19,11 @@ using Eigen::Vector3d;
 using Eigen::VectorXd;
 
 constexpr double kLeastPosition = 1e-7, kLeastVelocity = 1e-6;  // stddev: no sensor is better
-constexpr double kAnySpeed = 1e2, kAnyAcceleration = 1e4;  // stddev of a motion of which nothing is known
-constexpr int kRowsToChoose = 4000;
+constexpr double kAnySpeed = 1e2;    // stddev of a motion of which nothing is known
+constexpr double kWandered = 10.0;   // s in which the acceleration has come to be what it is at the first row
+// How much a motion wanders is chosen from what lies within so much of a row on either side: arms rest, and move fast.
+constexpr double kAround = 0.25;     // s
+constexpr int kRowsAround = 25;      // at least
 constexpr double kVarianceHeld = 0.99;
 constexpr double kSlowest = -1.0, kFastest = 8.0,
                  kFiner = 0.5;  // powers of ten of the jerk's intensity, its step
@@ -35,7 +38,7 @@ struct Track {
 struct Pass {
   std::vector<Vector3d> x, ahead;
   std::vector<Matrix3d> P, P_ahead;
-  double log_likelihood = 0.0;
+  VectorXd log_likelihood;  // of each row, given those before it
 };
 
 Matrix3d Transition(double dt) {
@@ -64,41 +67,56 @@ double Correct(int i, double measured, double variance, Vector3d* x, Matrix3d* P
   return -0.5 * (off * off / S + std::log(S));
 }
 
-Pass Forward(const Track& track, double intensity) {
+// `intensity`: of the jerk between each row and the next.
+Pass Forward(const Track& track, const VectorXd& intensity) {
   const auto K = static_cast<size_t>(track.t.size());
   Pass out;
   for (auto* list : {&out.x, &out.ahead}) list->resize(K);
   for (auto* list : {&out.P, &out.P_ahead}) list->resize(K);
+  out.log_likelihood.setZero(track.t.size());
   Vector3d x(track.q[0], 0.0, 0.0);
-  Matrix3d P =
-      Vector3d(track.q_variance, kAnySpeed * kAnySpeed, kAnyAcceleration * kAnyAcceleration).asDiagonal();
+  Matrix3d P = Vector3d(track.q_variance, kAnySpeed * kAnySpeed, intensity[0] * kWandered).asDiagonal();
   for (size_t k = 0; k < K; ++k) {
     const auto row = static_cast<Eigen::Index>(k);
     if (k > 0) {
       const double dt = track.t[row] - track.t[row - 1];
       const Matrix3d F = Transition(dt);
       x = F * x;
-      P = F * P * F.transpose() + Wander(dt, intensity);
+      P = F * P * F.transpose() + Wander(dt, intensity[row - 1]);
     }
     out.ahead[k] = x, out.P_ahead[k] = P;
-    out.log_likelihood += Correct(0, track.q[row], track.q_variance, &x, &P);
-    if (track.v.size() > 0) out.log_likelihood += Correct(1, track.v[row], track.v_variance, &x, &P);
+    out.log_likelihood[row] += Correct(0, track.q[row], track.q_variance, &x, &P);
+    if (track.v.size() > 0) out.log_likelihood[row] += Correct(1, track.v[row], track.v_variance, &x, &P);
     out.x[k] = x, out.P[k] = P;
   }
   return out;
 }
 
-double LikeliestIntensity(const Track& track) {
-  Track part = track;
-  if (track.t.size() > kRowsToChoose) {
-    const Eigen::Index first = (track.t.size() - kRowsToChoose) / 2;
-    part.t = track.t.segment(first, kRowsToChoose), part.q = track.q.segment(first, kRowsToChoose);
-    if (track.v.size() > 0) part.v = track.v.segment(first, kRowsToChoose);
+// Sums over the rows within kAround of each.
+VectorXd SumsAround(const VectorXd& t, const VectorXd& x) {
+  const Eigen::Index K = t.size();
+  VectorXd before = VectorXd::Zero(K + 1), out(K);
+  for (Eigen::Index k = 0; k < K; ++k) before[k + 1] = before[k] + x[k];
+  Eigen::Index first = 0, end = 0;
+  for (Eigen::Index k = 0; k < K; ++k) {
+    while (t[first] < t[k] - kAround) ++first;
+    while (end < K && t[end] <= t[k] + kAround) ++end;
+    out[k] = before[std::max(end, std::min(K, k + kRowsAround + 1))] -
+             before[std::min(first, std::max<Eigen::Index>(0, k - kRowsAround))];
   }
-  double best = 1.0, most = -std::numeric_limits<double>::infinity();
+  return out;
+}
+
+// What makes the rows around each row likeliest.
+VectorXd LikeliestIntensity(const Track& track) {
+  const Eigen::Index K = track.t.size();
+  VectorXd best = VectorXd::Ones(K), most = VectorXd::Constant(K, -std::numeric_limits<double>::infinity());
   for (double power = kSlowest; power <= kFastest; power += kFiner) {
-    const double intensity = std::pow(10.0, power), likely = Forward(part, intensity).log_likelihood;
-    if (likely > most) most = likely, best = intensity;
+    const double intensity = std::pow(10.0, power);
+    const VectorXd likely = SumsAround(track.t, Forward(track, VectorXd::Constant(K, intensity)).log_likelihood);
+    for (Eigen::Index k = 0; k < K; ++k) {
+      if (likely[k] > most[k]) most[k] = likely[k], best[k] = intensity;
+    }
   }
   return best;
 }
@@ -113,7 +131,8 @@ struct Smoothed {
 };
 
 Smoothed Smooth(const Track& track) {
-  Pass pass = Forward(track, LikeliestIntensity(track));
+  const VectorXd intensity = LikeliestIntensity(track);
+  Pass pass = Forward(track, intensity);
   const Eigen::Index K = track.t.size();
   Smoothed out;
   out.x.resize(3, K);
@@ -122,10 +141,12 @@ Smoothed Smooth(const Track& track) {
   out.x.col(K - 1) = pass.x.back(), out.P.back() = pass.P.back();
   for (Eigen::Index row = K - 2; row >= 0; --row) {
     const auto k = static_cast<size_t>(row);
-    const Matrix3d F = Transition(track.t[row + 1] - track.t[row]);
+    const double dt = track.t[row + 1] - track.t[row];
+    const Matrix3d F = Transition(dt);
     const Matrix3d& gain = out.gain[k] = pass.P[k] * F.transpose() * pass.P_ahead[k + 1].inverse();
     out.x.col(row) = pass.x[k] + gain * (out.x.col(row + 1) - pass.ahead[k + 1]);
-    out.left[k] = pass.P[k] - gain * pass.P_ahead[k + 1] * gain.transpose();
+    const Matrix3d keep = Matrix3d::Identity() - gain * F;  // Joseph's form again
+    out.left[k] = keep * pass.P[k] * keep.transpose() + gain * Wander(dt, intensity[row]) * gain.transpose();
     out.P[k] = out.left[k] + gain * out.P[k + 1] * gain.transpose();
   }
   out.filtered = std::move(pass.x), out.ahead = std::move(pass.ahead);
@@ -189,18 +210,18 @@ PrescribedDoubt::PrescribedDoubt(PrescribedDoubt&&) noexcept = default;
 WaysToDiffer PrescribedDoubt::Ways(int i, int first, int last) const {
   const Smoothed& s = joints_[static_cast<size_t>(i)].smoothed;
   const Eigen::Index rows = last - first + 1;
-  // Cov(x_k, a_l) of all rows k, l here: backwards from the diagonal, Cov(x_k, x_l) = gain_k·Cov(x_{k+1},
+  // Cov(x_k, v_l) of all rows k, l here: backwards from the diagonal, Cov(x_k, x_l) = gain_k·Cov(x_{k+1},
   // x_l) for k < l.
   Eigen::MatrixXd q(rows, rows), v(rows, rows), a(rows, rows);
   for (Eigen::Index l = 0; l < rows; ++l) {
     Matrix3d C = s.P[static_cast<size_t>(first + l)];
     for (Eigen::Index k = l; k >= 0; --k) {
       if (k < l) C = s.gain[static_cast<size_t>(first + k)] * C;
-      q(k, l) = C(0, 2), v(k, l) = C(1, 2), a(k, l) = a(l, k) = C(2, 2);
-      q(l, k) = C(2, 0), v(l, k) = C(2, 1);
+      q(k, l) = C(0, 1), v(k, l) = v(l, k) = C(1, 1), a(k, l) = C(2, 1);
+      q(l, k) = C(1, 0), a(l, k) = C(1, 2);
     }
   }
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(a);
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(v);
   const double all = eigen.eigenvalues().cwiseMax(0.0).sum();
   Eigen::Index count = 0;
   for (double held = 0; count < rows && held < kVarianceHeld * all; ++count)

@@ -98,12 +98,12 @@ std::string Next(const diagnosis::DiagnosisResult& r, const DiagnoseArguments& a
     return std::string("next: the same with --out DIR keeps model and report") +
            (r.motion ? ", and the motion that tells the rivals apart" : "");
   if (!r.motion)
-    return "next: open " + out + "/report.html; realitygrad predict --model " + out +
-           "/model.json --recording REC.csv --out PRED.csv";
+    return "next: open " + ShellWord(out + "/report.html") + "; realitygrad predict --model " +
+           ShellWord(out + "/model.json") + " --recording REC.csv --out PRED.csv";
   std::string sets;
-  for (const std::string& set : arguments.sets.sets) sets += set + " ";
-  return "next: realitygrad submit rollout --trajectory " + out +
-         "/motion.csv --out MORE; realitygrad diagnose " + sets + "MORE --out " + out + "2   (tells " +
+  for (const std::string& set : arguments.sets.sets) sets += ShellWord(set) + " ";
+  return "next: realitygrad submit rollout --trajectory " + ShellWord(out + "/motion.csv") +
+         " --out MORE; realitygrad diagnose " + sets + "MORE --out " + ShellWord(out + "2") + "   (tells " +
          ListOfNames(r.motion->effects) + " apart)";
 }
 
@@ -181,7 +181,7 @@ void AddDiagnoseCommand(CLI::App& app, Context& context) {
       "A model.json to start from, identified or diagnosed before, instead of the set's URDF");
   command->add_option("--out", arguments->out, "Folder for diagnosis.json, model.json and report.html");
   command->add_option("--svg", arguments->svg, "File for a small picture of the missing force");
-  command->add_option("--threads", o.threads, "0: all cores")->capture_default_str();
+  command->add_option("--threads", o.threads, "0: all cores")->check(CLI::Range(0, 1024))->capture_default_str();
   command->add_option("--window", o.window_s, "Length of the judged predictions [s]")->capture_default_str();
   command->add_option("--step", o.step_s, "Of the simulator [s]")->capture_default_str();
   command->add_flag("--trust-effort", o.trust_effort,

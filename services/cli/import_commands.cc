@@ -113,7 +113,7 @@ void PrintReport(const Context& context, const ImportReport& report) {
   PrintFiles(report);
   for (const std::string& reason : report.reasons) Print("guessed: " + reason);
   for (const std::string& note : report.notes) Print("note: " + note);
-  Print("next: realitygrad diagnose " + report.out + " --out " + report.out + "_diagnosed");
+  Print("next: realitygrad diagnose " + ShellWord(report.out) + " --out " + ShellWord(report.out + "_diagnosed"));
 }
 
 Status PrintGuess(Context& context, const ImportArguments& arguments) {
@@ -138,9 +138,10 @@ Status PrintGuess(Context& context, const ImportArguments& arguments) {
   for (const std::string& reason : guess.reasons) PrintNote("guessed: " + reason);
   for (const std::string& question : guess.questions) PrintNote("check: " + question);
   const std::string map = out.empty() ? "MAP.json" : out;
+  std::string files;
+  for (const std::string& file : arguments.options.files) files += ShellWord(file) + " ";
   PrintNote("next: " + std::string(out.empty() ? "put this into MAP.json, look at it; " : "look at it; ") +
-            "realitygrad import " + arguments.options.files[0] + " --urdf " + arguments.options.urdf +
-            " --map " + map + " --out SET");
+            "realitygrad import " + files + "--urdf " + ShellWord(arguments.options.urdf) + " --map " + ShellWord(map) + " --out SET");
   return Status::Ok();
 }
 
@@ -198,7 +199,7 @@ Status RunExport(Context& context, const SetExportArguments& arguments) {
   if (context.quiet()) return Status::Ok();
   for (const std::string& note : exact.notes) PrintNote("note: " + note);
   if (arguments.format == "bag")
-    PrintNote("next: realitygrad import " + out + "/*.bag --out SET   (reads them back, value by value)");
+    PrintNote("next: realitygrad import " + ShellWord(out) + "/*.bag --out SET   (reads them back, value by value)");
   return Status::Ok();
 }
 

@@ -65,8 +65,8 @@ Status Sysid(Context& context, SysidArguments& arguments) {
   } else if (!context.quiet()) {
     Print(sysid::FormatSysid(report));
     if (!arguments.out.empty()) {
-      Print("next: open " + arguments.out + "/report.html; realitygrad predict --model " + arguments.out +
-            "/model.json --recording REC.csv --out PRED.csv");
+      Print("next: open " + ShellWord(arguments.out + "/report.html") + "; realitygrad predict --model " +
+            ShellWord(arguments.out + "/model.json") + " --recording REC.csv --out PRED.csv");
     } else {
       Print("next: the same with --out DIR keeps the model for `realitygrad predict`");
     }
@@ -168,8 +168,19 @@ Status CheckRuns(const std::string& path, const sim::ModelFile& model) {
       "with");
 }
 
+// What was measured, and what a model says, are not written over.
+Status CheckOut(const PredictArguments& arguments) {
+  std::error_code ignored;
+  for (const std::string* input : {&arguments.recording, &arguments.model}) {
+    if (std::filesystem::equivalent(arguments.out, *input, ignored))
+      return InvalidError("--out " + arguments.out + ": is what is read, it would be lost: choose another");
+  }
+  return Status::Ok();
+}
+
 Status Predict(Context& context, const PredictArguments& arguments) {
   if (!(arguments.window_s > 0)) return InvalidError("--window must be positive (s)");
+  RG_RETURN_IF_ERROR(CheckOut(arguments));
   RG_ASSIGN_OR_RETURN(const recordings::ReadOptions read, arguments.read.Options());
   RG_ASSIGN_OR_RETURN(PredictionModel model, LoadModel(arguments.model));
   recordings::CsvOptions csv = recordings::CsvOptionsFor(model.file.plant.model(), read);
@@ -244,7 +255,7 @@ void AddModelCommands(CLI::App& app, Context& context) {
       ->capture_default_str();
   sysid_command->add_option("--seed", o.window_seed, "Of --window-choice random")->capture_default_str();
   sysid_command->add_option("--step", o.step_s, "Of the simulator [s]")->capture_default_str();
-  sysid_command->add_option("--threads", o.threads, "0: all cores")->capture_default_str();
+  sysid_command->add_option("--threads", o.threads, "0: all cores")->check(CLI::Range(0, 1024))->capture_default_str();
   sysid_command->add_flag(
       "--trust-effort", sysid_arguments->trust_effort,
       "Go on where the sign or the unit of an effort looks wrong, or gravity is not in it");

@@ -1,9 +1,11 @@
 #include "services/cli/output.h"
 
 #include <algorithm>
+#include <cctype>
 #include <cmath>
 #include <cstdio>
 #include <nlohmann/json.hpp>
+#include <string_view>
 
 #include "common/base/check.h"
 #include "common/base/utf8.h"
@@ -103,6 +105,16 @@ void Print(std::string_view text) {
 }
 
 void PrintNote(std::string_view text) { WriteLines(text, stderr); }
+
+std::string ShellWord(const std::string& text) {
+  const auto plain = [](unsigned char c) {
+    return std::isalnum(c) || c >= 0x80 || std::string_view("/._-+:=@%,").find(static_cast<char>(c)) != std::string_view::npos;
+  };
+  if (!text.empty() && std::all_of(text.begin(), text.end(), plain)) return text;
+  std::string out = "'";
+  for (const char c : text) out += c == '\'' ? std::string("'\\''") : std::string(1, c);
+  return out + "'";
+}
 
 int Fail(const Status& status) {
   PrintNote("realitygrad: " + status.ToString());

@@ -110,7 +110,9 @@ class Weigher {
     }
     if (out.joints.empty()) return out;
     out.with = with.Rms(), out.without = without.Rms();
-    if (Follows(without, with, friction) || Slow(friction, any) || (absent > 0 && present == 0))
+    // Where the URDF's torques are better with gravity, however bad, they are wrong in another way.
+    const bool missing = Slow(friction, any) || (absent > 0 && present == 0);
+    if (Follows(without, with, friction) || (missing && out.without < out.with))
       out.side = GravitySide::kInDrive;
     if (Follows(with, without, friction)) out.side = GravitySide::kInEffort;
     return out;

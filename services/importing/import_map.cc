@@ -36,8 +36,10 @@ class MapParser {
     try {
       json = Json::parse(text);
     } catch (const Json::exception& e) {
-      const std::string what = e.what();
-      return InvalidError(source_ + ": not JSON: " + what.substr(0, what.find('\n')));
+      std::string what = e.what();
+      what = what.substr(0, what.find('\n'));
+      if (what.starts_with('[') && what.find("] ") != std::string::npos) what.erase(0, what.find("] ") + 2);
+      return InvalidError(source_ + ": not JSON: " + what);
     }
     if (!json.is_object()) return InvalidError(source_ + ": not a JSON object");
     RefuseUnknown(json, MapKeys(), "");

@@ -91,13 +91,16 @@ Result<LogFile> OpenFolder(const std::string& path) {
     if (file.parts.empty())
       return InvalidError(metadata_path.string() + ": relative_file_paths: names no file");
   } else {
+    bool bags = false;
     for (const auto& entry : fs::directory_iterator(path, error)) {
       const std::string extension = entry.path().extension();
+      bags = bags || extension == ".bag";
       if (extension == ".db3" || extension == ".mcap") file.parts.push_back(entry.path().string());
     }
     std::sort(file.parts.begin(), file.parts.end());
     if (file.parts.empty())
-      return InvalidError(path + ": a folder without metadata.yaml, .db3 or .mcap files");
+      return InvalidError(path + ": a folder without metadata.yaml, .db3 or .mcap files" +
+                          (bags ? "; give its bags one by one: " + path + "/*.bag" : ""));
   }
   return file;
 }

@@ -11,6 +11,7 @@
 #include "services/jobs/identify_problem.h"
 #include "services/jobs/identify_tasks.h"
 #include "services/jobs/kinds.h"
+#include "services/jobs/rollout_inputs.h"
 #include "services/jobs/task_support.h"
 #include "services/rollouts/recording_bundle.h"
 #include "services/rollouts/scoring.h"
@@ -59,25 +60,9 @@ json ErrorJson(const Error& e) {
           {"accumulated_tip_m", NumberOrNull(e.tip_m)}};
 }
 
-// All rollouts that hold rows, oldest first.
-struct Rollouts {
-  std::vector<recordings::RecordingSet> sets;
-  std::vector<const Recording*> all;
-  const Recording& newest() const { return *all.back(); }
-  std::vector<const Recording*> last() const { return {all.back()}; }
-};
-
-Result<Rollouts> RolloutsOf(const worker::TaskInput& input) {
-  Rollouts out;
-  for (const worker::InputArtifact* artifact : input.All(kInputRecording)) {
-    const Status rows = rollouts::CheckRows(artifact->bytes, rollouts::kLeastRows);
-    if (rows.code() == StatusCode::kFailedPrecondition) continue;  // it ended at once
-    auto set = rollouts::LoadBundleOfWholeTorques(artifact->bytes);
-    if (!set.ok()) return set.status().WithPrefix("recording " + artifact->sha256.substr(0, 12));
-    out.sets.push_back(std::move(*set));
-  }
-  if (out.sets.empty()) return InvalidError(input.task_name + ": no rollout holds enough rows");
-  for (const auto& set : out.sets) out.all.push_back(&set.recordings.front());
+std::vector<const Recording*> RecordingsOf(const ReadRollouts& rollouts) {
+  std::vector<const Recording*> out;
+  for (const auto& set : rollouts.sets) out.push_back(&set.recordings.front());
   return out;
 }
 
@@ -184,41 +169,42 @@ Result<worker::TaskOutputs> RunAdopt(const worker::TaskInput& input, worker::Tas
   RG_ASSIGN_OR_RETURN(const sim::ModelFile identified_before, ModelNamed(input, kInputIdentifiedBefore));
   RG_ASSIGN_OR_RETURN(const sim::ModelFile identified, ModelNamed(input, kInputIdentified));
   RG_ASSIGN_OR_RETURN(const sim::ModelFile diagnosed, ModelNamed(input, kInputDiagnosed));
-  RG_ASSIGN_OR_RETURN(const Rollouts rollouts, RolloutsOf(input));
+  RG_ASSIGN_OR_RETURN(const ReadRollouts read, RolloutsOf(input, rollouts::LoadBundleOfWholeTorques));
+  for (const std::string& line : read.left_out) context.Log(line);
+  const std::vector<const Recording*> all = RecordingsOf(read), last = {all.back()};
   RG_ASSIGN_OR_RETURN(const worker::InputArtifact* said, input.Require(kInputDiagnosis));
   RG_ASSIGN_OR_RETURN(const worker::InputArtifact* concluded, input.Require(kInputResult));
   const json diagnosis = json::parse(said->bytes, nullptr, false);
   json result = json::parse(concluded->bytes, nullptr, false);
   if (diagnosis.is_discarded() || result.is_discarded())
     return DataLossError(input.task_name + ": diagnosis or result is no JSON");
-  RG_ASSIGN_OR_RETURN(const auto refined, Refined(input, payload, diagnosed, rollouts.newest(), context));
+  RG_ASSIGN_OR_RETURN(const auto refined, Refined(input, payload, diagnosed, *all.back(), context));
 
-  const auto last = rollouts.last();
-  const Error diagnosed_all = ErrorOn(diagnosed, rollouts.all);
-  const Error refined_all =
-      refined ? ErrorOn(*refined, rollouts.all) : Error{kInfinite, kInfinite, kInfinite};
-  const Error identified_all = ErrorOn(identified, rollouts.all);
+  const Error diagnosed_all = ErrorOn(diagnosed, all);
+  const Error refined_all = refined ? ErrorOn(*refined, all) : Error{kInfinite, kInfinite, kInfinite};
+  const Error identified_all = ErrorOn(identified, all);
   const Choice choice = Choose(identified, identified_all, diagnosed, diagnosed_all, refined, refined_all);
   // Models made before this rollout: they have not seen it.
   json unseen = {{"nominal", ErrorJson(ErrorOn(nominal, last))}};
-  if (rollouts.all.size() > 1) {
+  if (all.size() > 1) {
     unseen["identified"] = ErrorJson(ErrorOn(identified_before, last));
     unseen["diagnosed"] = ErrorJson(ErrorOn(planned_with, last));
   }
-  json fitted = {{"nominal", ErrorJson(ErrorOn(nominal, rollouts.all))},
+  json fitted = {{"nominal", ErrorJson(ErrorOn(nominal, all))},
                  {"identified", ErrorJson(identified_all)},
                  {"diagnosed", ErrorJson(diagnosed_all)}};
   if (refined) fitted["diagnosed and identified"] = ErrorJson(refined_all);
   json brought = Shortened(diagnosis);
-  brought["rollouts"] = rollouts.all.size();
+  brought["rollouts"] = all.size();
+  if (!read.left_out.empty()) brought["left_out"] = read.left_out;
   const json about = json::parse(said->metadata_json, nullptr, false);
   brought["quiet_joints"] = about.is_object() ? about.value("quiet_joints", json::array()) : json::array();
   brought["window_s"] = kWindow_s;
   brought["unseen"] = unseen;
   brought["all_rollouts"] = fitted;
   brought["adopted"] = choice.name;
-  brought["adopted_error"] = ErrorJson(ErrorOn(*choice.model, rollouts.all));
-  if (rollouts.all.size() <= 2) brought.erase("fit");  // nothing was held out
+  brought["adopted_error"] = ErrorJson(ErrorOn(*choice.model, all));
+  if (all.size() <= 2) brought.erase("fit");  // nothing was held out
   result["diagnosis"] = brought;
   result["identified_model"] = input.Find(kInputIdentified)->sha256;
 
@@ -227,7 +213,7 @@ Result<worker::TaskOutputs> RunAdopt(const worker::TaskInput& input, worker::Tas
   const json metadata = {{"robot", payload.robot()},
                          {"source", "identified"},
                          {"values", ChangedValues(*choice.model)},
-                         {"recording", input.All(kInputRecording).back()->sha256},
+                         {"recording", read.inputs.back()->sha256},
                          {"model", Sha256Hex(model_json)},
                          {"note", "iteration " + std::to_string(payload.iteration()) + ", " + choice.name +
                                       ": " + Named(diagnosis)}};

@@ -1,10 +1,12 @@
 #include "services/jobs/diagnosis_inputs.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "common/effects/inference.h"
 #include "services/diagnosis/set_check.h"
 #include "services/jobs/kinds.h"
+#include "services/jobs/rollout_inputs.h"
 #include "services/rollouts/recording_bundle.h"
 
 namespace rg::jobs {
@@ -20,25 +22,30 @@ void HoldOut(recordings::RecordingSet* set) {
   }
 }
 
+// That of a user: all of it counts.
+Result<std::vector<recordings::RecordingSet>> AllSetsOf(const worker::TaskInput& input) {
+  std::vector<recordings::RecordingSet> sets;
+  for (const worker::InputArtifact* artifact : input.All(kInputRecording)) {
+    auto set = rg::rollouts::LoadBundle(artifact->bytes);
+    if (!set.ok()) return set.status().WithPrefix("recording set " + artifact->sha256.substr(0, 12));
+    sets.push_back(std::move(*set));
+  }
+  return sets;
+}
+
 }  // namespace
 
 Result<recordings::RecordingSet> SetToDiagnose(const worker::TaskInput& input, bool rollouts) {
   RG_RETURN_IF_ERROR(input.Require(kInputRecording).status());
-  std::vector<recordings::RecordingSet> sets;
-  Status short_ones;  // the newest of them
-  for (const worker::InputArtifact* artifact : input.All(kInputRecording)) {
-    const Status rows = rg::rollouts::CheckRows(artifact->bytes, rg::rollouts::kLeastRows);
-    if (rollouts && rows.code() == StatusCode::kFailedPrecondition) {  // it ended at once
-      short_ones = rows;
-      continue;
-    }
-    auto set = rg::rollouts::LoadBundle(artifact->bytes);
-    if (!set.ok()) return set.status().WithPrefix("recording set " + artifact->sha256.substr(0, 12));
-    set->folder = "set" + std::to_string(sets.size() + 1);
-    sets.push_back(std::move(*set));
+  ReadRollouts read;
+  if (rollouts) {
+    RG_ASSIGN_OR_RETURN(read, RolloutsOf(input, rg::rollouts::LoadBundle));
+  } else {
+    RG_ASSIGN_OR_RETURN(read.sets, AllSetsOf(input));
   }
-  if (sets.empty()) return short_ones;
-  RG_ASSIGN_OR_RETURN(recordings::RecordingSet all, recordings::MergeSets(std::move(sets)));
+  for (size_t i = 0; i < read.sets.size(); ++i) read.sets[i].folder = "set" + std::to_string(i + 1);
+  RG_ASSIGN_OR_RETURN(recordings::RecordingSet all, recordings::MergeSets(std::move(read.sets)));
+  all.warnings.insert(all.warnings.end(), read.left_out.begin(), read.left_out.end());
   if (rollouts) HoldOut(&all);
   return all;
 }

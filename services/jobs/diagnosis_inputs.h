@@ -2,6 +2,8 @@
 #pragma once
 
 #include <optional>
+#include <string>
+#include <vector>
 
 #include "common/base/status.h"
 #include "common/recordings/recording_set.h"
@@ -10,8 +12,8 @@
 
 namespace rg::jobs {
 
-// All inputs named "recording". `rollouts`: they are the rollouts of a loop, oldest first; those that ended
-// at once are left out, and from three on every third is held out, never the newest.
+// All inputs named "recording". `rollouts`: they are the rollouts of a loop (rollout_inputs.h); what was left out is a
+// warning of the set, and from three on every third is held out, never the newest. Else all count, or there is no set.
 Result<recordings::RecordingSet> SetToDiagnose(const worker::TaskInput& input, bool rollouts);
 
 // The input named "model", which the diagnosis starts from; nothing: from the set's URDF. In a loop

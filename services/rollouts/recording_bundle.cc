@@ -133,6 +133,17 @@ Status CheckRows(std::string_view bytes, int least) {
                                  ", nothing can be identified from fewer than " + std::to_string(least));
 }
 
+namespace {
+
+// Names of files as the bundle has them: where it was unpacked to tells nobody anything.
+std::string WithoutFolder(std::string text, const std::string& folder) {
+  const std::string prefix = folder + "/";
+  for (size_t at; (at = text.find(prefix)) != std::string::npos;) text.erase(at, prefix.size());
+  return text;
+}
+
+}  // namespace
+
 Result<recordings::RecordingSet> LoadBundle(std::string_view bytes) {
   RG_RETURN_IF_ERROR(CheckRows(bytes, 2));
   namespace fs = std::filesystem;
@@ -142,6 +153,9 @@ Result<recordings::RecordingSet> LoadBundle(std::string_view bytes) {
       extracted.ok() ? recordings::LoadSet(folder.string()) : Result<recordings::RecordingSet>(extracted);
   std::error_code ignored;
   fs::remove_all(folder, ignored);
+  if (!set.ok()) return Status(set.status().code(), WithoutFolder(set.status().message(), folder.string()));
+  set->urdf_path = WithoutFolder(set->urdf_path, folder.string());
+  for (std::string& warning : set->warnings) warning = WithoutFolder(warning, folder.string());
   return set;
 }
 

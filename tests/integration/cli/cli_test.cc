@@ -34,6 +34,23 @@ TEST(CommandLine, WrongUseIsOneLine) {
   }
 }
 
+TEST(Predict, NeverWritesOverWhatItReads) {
+  const ScratchFolder scratch;
+  std::string csv = "time,position.shoulder,position.elbow,effort_command.shoulder,effort_command.elbow\n";
+  for (int k = 0; k < 50; ++k) csv += std::to_string(0.01 * k) + ",0.1,0.2,0,0\n";
+  ASSERT_TRUE(WriteFileAtomically(scratch / "rec.csv", csv).ok());
+  const std::string robot = std::string(std::getenv("RG_SOURCE_DIR")) + "/deploy/robots/arm2.urdf";
+  ASSERT_TRUE(WriteFileAtomically(scratch / "arm.urdf", ReadFile(robot).value()).ok());
+  for (const char* out : {"rec.csv", "./rec.csv", "arm.urdf"}) {
+    const Said said = RunProgram(scratch, std::string("predict --model arm.urdf --recording rec.csv --out ") + out);
+    EXPECT_EQ(said.code, 1) << out;
+    EXPECT_EQ(std::count(said.err.begin(), said.err.end(), '\n'), 1) << said.err;
+    EXPECT_NE(said.err.find("it would be lost: choose another"), std::string::npos) << said.err;
+  }
+  EXPECT_EQ(ReadFile(scratch / "rec.csv").value(), csv);
+  EXPECT_EQ(RunProgram(scratch, "predict --model arm.urdf --recording rec.csv --out predicted.csv").code, 0);
+}
+
 TEST(CommandLine, ARunsDatabaseThatIsNoneIsNamed) {
   const ScratchFolder scratch;
   ASSERT_TRUE(WriteFileAtomically(scratch / "run/realitygrad.db", std::string(5000, 'x')).ok());

@@ -32,6 +32,11 @@ TEST(File, FailuresNameThePath) {
   EXPECT_EQ(ReadFile("/nowhere/x.csv").status().code(), StatusCode::kNotFound);
   EXPECT_NE(ReadFile("/nowhere/x.csv").status().message().find("/nowhere/x.csv"), std::string::npos);
   EXPECT_FALSE(WriteFileAtomically("/proc/rg/x", "y").ok());
+  const std::string folder = TempFolder();
+  std::filesystem::create_directories(folder + "/page.html");
+  EXPECT_EQ(WriteFileAtomically(folder + "/page.html", "y").message(), folder + "/page.html: is a folder, not a file");
+  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(folder), {}), 1) << "a temporary file was left behind";
+  std::filesystem::remove_all(folder);
 }
 
 TEST(File, WhatNeverEndsOrIsNoFileIsRefused) {

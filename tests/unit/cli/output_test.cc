@@ -50,6 +50,14 @@ TEST(TextTable, ACellCannotSpeakToTheTerminal) {
   EXPECT_EQ(table.ToString(), "NAME                       STATE\n\\x1b]0;owned\\x07job\\x0aid  done\n");
 }
 
+TEST(ShellWord, IsQuotedWhereAShellWouldCutIt) {
+  EXPECT_EQ(ShellWord("out/model.json"), "out/model.json");
+  EXPECT_EQ(ShellWord("mes essais/\xC3\xA9paule"), "'mes essais/\xC3\xA9paule'");
+  EXPECT_EQ(ShellWord("it's"), "'it'\\''s'");
+  EXPECT_EQ(ShellWord("a;b"), "'a;b'");
+  EXPECT_EQ(ShellWord(""), "''");
+}
+
 TEST(Print, ShowsWhatATerminalWouldObey) {
   ::testing::internal::CaptureStdout();
   Print("a log line\x1b[2J\nand\tanother");

@@ -111,6 +111,16 @@ TEST(GravityInEffort, OtherUnitsAreNoCompensation) {
   EXPECT_NE(EvidenceOf(set).side, GravitySide::kInDrive);
 }
 
+// A link's centre of mass at 17 m by a slip of the pen: efforts are about neither torque.
+TEST(GravityInEffort, AWrongUrdfIsNoCompensation) {
+  auto set = testing::MakeSet("arm2", {}, 57);
+  const size_t at = set.urdf_text.find("<origin xyz=\"0 0 -0.", set.urdf_text.find("<inertial>"));
+  ASSERT_NE(at, std::string::npos);
+  set.urdf_text.erase(set.urdf_text.find('.', at), 1);  // 0.2 becomes 02
+  const GravityEvidence of = EvidenceOf(set);
+  EXPECT_NE(of.side, GravitySide::kInDrive) << of.with << " " << of.without;
+}
+
 // So slow that only friction and gravity are in the torque.
 RecordingSet Slowly(RecordingSet set, double coulomb, bool in_drive, double unit = 1.0) {
   const auto plant = sysid::NominalPlant(set);

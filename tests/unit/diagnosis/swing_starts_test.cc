@@ -16,6 +16,7 @@ namespace {
 
 using effects::EffectSpec;
 using effects::MakeSpec;
+using testing::MakeSet;
 using testing::Prepare;
 
 EffectSpec Rod(double mass, double length, double damping, const std::string& hinge = "y") {
@@ -292,7 +293,7 @@ TEST(FitLedger, AMassThatAFewWindowsDoNotMeetIsWeighedOverHalves) {
 
 // Hinges are one to a mass that stays away from their first axes; where it comes along one it is held there.
 TEST(FitLedger, AMassThatComesAlongItsHingeIsFoundAboutTheRightOne) {
-  const auto p = Prepare("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 15);
+  const auto p = Prepare(MakeSet("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 15, 2.5));
   const Best best = BestWithAMass(*p);
   ASSERT_TRUE(HasRod(best.candidate.specs));
   EXPECT_EQ(best.candidate.specs[0].options.at("hinge"), "z");

@@ -92,7 +92,7 @@ TEST(ImportMap, EveryMistakeIsOneLineWithFileAndField) {
               HasSubstr("time.unit: 'h' is not known"));
   EXPECT_THAT(Refusal("{" + good + "}", R"("manifest": {"joints": []}, )"),
               HasSubstr("manifest.joints: is written by the import"));
-  EXPECT_THAT(ParseImportMap("{", "map.json").status().message(), HasSubstr("map.json: not JSON"));
+  EXPECT_THAT(ParseImportMap("{", "map.json").status().message(), HasSubstr("map.json: not JSON: parse error at line 1"));
   EXPECT_THAT(ParseImportMap(R"({"format": "x", "columns": []})", "map.json").status().message(),
               HasSubstr("map.json: format: 'x' is not known"));
 }

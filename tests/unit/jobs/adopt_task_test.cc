@@ -1,10 +1,12 @@
 // Which model the loop goes on with after a diagnosis.
 #include "services/jobs/adopt_task.h"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <nlohmann/json.hpp>
 
+#include "common/base/hash.h"
 #include "common/recordings/csv.h"
 #include "common/sim/model_file.h"
 #include "realitygrad/v1/payloads.pb.h"
@@ -16,18 +18,28 @@ namespace rg::jobs {
 namespace {
 
 using nlohmann::json;
+using ::testing::StartsWith;
 
 class Adoption : public ::testing::Test {
  protected:
-  // What is adopted of an identified and a diagnosed model, no chain having refined the latter.
-  std::string Adopted(const sim::Plant& identified, const sim::Plant& diagnosed) const {
+  // A rollout as an artefact; `odd`: with a row that cannot be read.
+  std::string Rollout(bool odd = false) const {
+    rollouts::Bundle files = {{"manifest.json", recordings::FormatManifest(set_, "robot.urdf")},
+                              {"robot.urdf", set_.urdf_text}};
+    for (const auto& r : set_.recordings) files[r.name] = recordings::FormatCsv(r);
+    if (odd) files[set_.recordings[0].name] += "nan,0,0\n";
+    return rollouts::PackBundle(files);
+  }
+  // Of an identified and a diagnosed model, no chain having refined the latter.
+  worker::TaskInput Input(const sim::Plant& identified, const sim::Plant& diagnosed,
+                          const std::vector<std::string>& recordings) const {
     worker::TaskInput input;
     input.kind = kKindAdopt, input.task_name = "adopt";
     realitygrad::v1::AdoptPayload payload;
     payload.set_robot("arm2");
     payload.SerializeToString(&input.payload);
     const auto add = [&](const char* name, const std::string& bytes) {
-      input.inputs.push_back({.name = name, .sha256 = std::string(64, 'a'), .bytes = bytes});
+      input.inputs.push_back({.name = name, .sha256 = Sha256Hex(bytes), .bytes = bytes});
     };
     const auto model = [](const sim::Plant& plant) {
       return sim::ModelToJson(plant, plant.parameters().Nominal());
@@ -35,14 +47,14 @@ class Adoption : public ::testing::Test {
     for (const char* name : {kInputNominal, kInputModel, kInputIdentifiedBefore}) add(name, model(nominal_));
     add(kInputIdentified, model(identified));
     add(kInputDiagnosed, model(diagnosed));
-    rollouts::Bundle files = {{"manifest.json", recordings::FormatManifest(set_, "robot.urdf")},
-                              {"robot.urdf", set_.urdf_text}};
-    for (const auto& r : set_.recordings) files[r.name] = recordings::FormatCsv(r);
-    add(kInputRecording, rollouts::PackBundle(files));
+    for (const std::string& bytes : recordings) add(kInputRecording, bytes);
     add(kInputDiagnosis, R"({"verdict": "unexplained", "findings": []})");
     add(kInputResult, "{}");
+    return input;
+  }
+  std::string Adopted(const sim::Plant& identified, const sim::Plant& diagnosed) const {
     worker::RecordingTaskContext context("");
-    const auto done = RunAdopt(input, context);
+    const auto done = RunAdopt(Input(identified, diagnosed, {Rollout()}), context);
     EXPECT_TRUE(done.ok()) << done.status().ToString();
     return done.ok() ? json::parse(done->summary_json)["adopted"].get<std::string>() : "";
   }
@@ -59,6 +71,33 @@ TEST_F(Adoption, TheDiagnosedModelGoesOnWhereItTellsTheRolloutsBetter) {
 
 TEST_F(Adoption, IdentificationAloneGoesOnWhereTheDiagnosisDidNotBeatIt) {
   EXPECT_EQ(Adopted(truth_, nominal_), "identified");
+}
+
+TEST_F(Adoption, ARolloutThatCannotBeReadIsNamedAndTakesNoOtherWithIt) {
+  const std::string odd = Rollout(true), name = "recording " + Sha256Hex(odd).substr(0, 12);
+  worker::RecordingTaskContext context("");
+  const auto done = RunAdopt(Input(nominal_, truth_, {Rollout(), odd}), context);
+  ASSERT_TRUE(done.ok()) << done.status().ToString();
+  EXPECT_EQ(json::parse(done->summary_json)["adopted"], "diagnosed");
+  ASSERT_FALSE(context.lines.empty());
+  EXPECT_THAT(context.lines[0], StartsWith(name + " is left out: rec_000.csv: row 202 (line 203), column time: NaN"));
+  for (const auto& artifact : done->artifacts) {
+    if (artifact.name == kOutputParameters) {
+      EXPECT_EQ(json::parse(artifact.metadata_json)["recording"], Sha256Hex(Rollout())) << "not the odd one";
+    }
+    if (artifact.name != kOutputResult) continue;
+    const json said = json::parse(artifact.bytes)["diagnosis"];
+    EXPECT_EQ(said["rollouts"], 1);
+    EXPECT_EQ(said["left_out"], json({context.lines[0]}));
+  }
+}
+
+TEST_F(Adoption, WithoutAnyRolloutThatCanBeReadIsAnErrorThatNamesTheNewest) {
+  const std::string odd = Rollout(true);
+  worker::RecordingTaskContext context("");
+  const auto done = RunAdopt(Input(nominal_, truth_, {odd, odd}), context);
+  ASSERT_FALSE(done.ok());
+  EXPECT_THAT(done.status().message(), StartsWith("recording " + Sha256Hex(odd).substr(0, 12)));
 }
 
 }  // namespace

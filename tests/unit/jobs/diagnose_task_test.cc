@@ -12,6 +12,7 @@
 #include "common/recordings/csv.h"
 #include "common/sim/model_file.h"
 #include "realitygrad/v1/payloads.pb.h"
+#include "services/jobs/diagnosis_inputs.h"
 #include "services/jobs/kinds.h"
 #include "services/rollouts/recording_bundle.h"
 
@@ -73,6 +74,29 @@ TEST(DiagnoseTask, SaysWhichJointsTheRolloutsTellTooLittleOf) {
   const auto done = RunDiagnose(Input(true, {12}), context);
   ASSERT_TRUE(done.ok()) << done.status().ToString();
   EXPECT_EQ(json::parse(done->artifacts[0].metadata_json).at("quiet_joints"), json({"shoulder", "elbow"}));
+}
+
+// A rollout whose bundle holds a row that is none.
+worker::InputArtifact OddRollout() {
+  worker::InputArtifact odd = Rollout(20);
+  auto files = rollouts::UnpackBundle(odd.bytes).value();
+  files["rec_000.csv"] += "0.1,nan\n";
+  odd.bytes = rollouts::PackBundle(files), odd.sha256 = std::string(64, 'd');
+  return odd;
+}
+
+TEST(DiagnoseTask, ARolloutThatCannotBeReadIsNamedAndTheOthersAreDiagnosed) {
+  worker::TaskInput input = Input(true, {12, 20});
+  input.inputs.push_back(OddRollout());
+  const auto set = SetToDiagnose(input, true);
+  ASSERT_TRUE(set.ok()) << set.status().ToString();
+  EXPECT_EQ(set->recordings.size(), 2u);
+  ASSERT_FALSE(set->warnings.empty());
+  EXPECT_EQ(set->warnings.back().find("recording dddddddddddd is left out: "), 0u) << set->warnings.back();
+  // Of a user's set nothing is left out.
+  const auto whole = SetToDiagnose(input, false);
+  ASSERT_FALSE(whole.ok());
+  EXPECT_EQ(whole.status().message().find("recording set dddddddddddd: "), 0u) << whole.status().message();
 }
 
 TEST(DiagnoseTask, WhoAskedForADiagnosisIsToldThatThereIsNone) {

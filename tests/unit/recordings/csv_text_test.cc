@@ -48,6 +48,14 @@ TEST(CsvText, AHashBeforeTheHeaderIsTakenOff) {
             (Rows{{"time", "position.a"}, {"0", "1"}, {"1", "2"}}));
 }
 
+TEST(CsvText, AHeaderInACommentIsOneOverRowsThatBeginWithTextToo) {
+  EXPECT_EQ(RowsOf("# by a logger, v2\n# mode,time,position.a\nauto,0,1\nauto,1,2\n"),
+            (Rows{{"mode", "time", "position.a"}, {"auto", "0", "1"}, {"auto", "1", "2"}}));
+  EXPECT_EQ(RowsOf("# one, two\nmode,time\nauto,0\n"), (Rows{{"mode", "time"}, {"auto", "0"}})) << "a remark";
+  EXPECT_EQ(RowsOf("# 3, 4\nauto,0\n"), (Rows{{"auto", "0"}})) << "a row that was taken out";
+  EXPECT_EQ(GuessSeparator("# mode;time\nauto;0,5\n"), ';');
+}
+
 TEST(CsvText, CommentsOfOtherKindsAreCommentsAndNoHeader) {
   const Rows rows = {{"time", "position.a"}, {"0", "1"}, {"1", "2"}};
   for (const char* text :

@@ -251,15 +251,70 @@ TEST(PrescribedDoubt, WaysAndDrawsSpreadAsFarAsTheTruthIsOff) {
       off_q += std::pow(smooth.q(0, k) - 0.3 * std::sin(1.7 * t) - 0.1 * std::sin(4.3 * t), 2);
       off_v += std::pow(smooth.v(0, k) - 0.51 * std::cos(1.7 * t) - 0.43 * std::cos(4.3 * t), 2);
     }
-    EXPECT_NEAR(ways.a.squaredNorm() / a, 0.99, 0.05) << velocity;
-    // What positions know is more than accelerations: the ways of these hold less of the position's doubt.
+    EXPECT_NEAR(ways.v.squaredNorm() / v, 0.99, 0.05) << velocity;
+    // Velocities leave some of the others' doubt open.
     EXPECT_LT(ways.q.squaredNorm(), 1.05 * q);
-    EXPECT_LT(ways.v.squaredNorm(), 1.05 * v);
+    EXPECT_LT(ways.a.squaredNorm(), 1.05 * a);
     EXPECT_GT(off_q, q / 4) << velocity;
     EXPECT_LT(off_q, q * 4) << velocity;
     EXPECT_GT(off_v, v / 4) << velocity;
     EXPECT_LT(off_v, v * 4) << velocity;
   }
+}
+
+// A joint at rest until 1 s and again from 3 s on, which swings hard in between, at 100 Hz.
+Recording RestAndSwing(uint64_t seed, Eigen::VectorXd* truth) {
+  Recording r;
+  r.joints = {"shoulder", "elbow"};
+  Rng rng(seed);
+  constexpr int kRows = 401;
+  r.t = Eigen::VectorXd::LinSpaced(kRows, 0.0, 4.0);
+  r.q.setZero(2, kRows), r.v.setZero(2, kRows), r.effort_command.setZero(2, kRows), truth->setZero(kRows);
+  for (int k = 0; k < kRows; ++k) {
+    const double s = M_PI * std::clamp(r.t[k] - 1, 0.0, 2.0) / 2;  // 0.3·sin²(s)·sin(8s) of it
+    const double envelope = std::sin(s) * std::sin(s), slope = 2 * std::sin(s) * std::cos(s);
+    const bool swings = r.t[k] > 1 && r.t[k] < 3;
+    if (swings)
+      (*truth)[k] = 0.3 * M_PI / 2 * (slope * std::sin(8 * s) + 8 * envelope * std::cos(8 * s));
+    r.q(0, k) = 0.3 * envelope * std::sin(8 * s) + 5e-4 * rng.Normal();
+    r.v(0, k) = (*truth)[k] + 8e-3 * rng.Normal();
+  }
+  r.prescribed = {0};
+  return r;
+}
+
+// One joint is in less doubt at rest than while it swings, and in either as much as it is off: a draw of its motion
+// differs from the smooth one by as much as the truth does. From the first row on: its acceleration is in finite doubt.
+TEST(PrescribedDoubt, IsOfTheMotionThereNotOfTheWholeRecording) {
+  double off_rest = 0, off_swing = 0, doubt_rest = 0, doubt_swing = 0, first = 0, first_doubt = 0, held = 0, acceleration = 0;
+  constexpr int kSeeds = 8;
+  for (uint64_t seed = 1; seed <= kSeeds; ++seed) {
+    Eigen::VectorXd truth;
+    const Recording r = RestAndSwing(seed, &truth);
+    const SmoothMotionRows smooth = SmoothPrescribed(r);
+    const Eigen::VectorXd off = smooth.v.row(0).transpose() - truth;
+    off_rest += off.head(60).squaredNorm() / 60, off_swing += off.segment(130, 140).squaredNorm() / 140;
+    first += off.head(3).squaredNorm() / 3;
+    const PrescribedDoubt doubt(r);
+    Rng rng(seed);
+    constexpr int kDraws = 20;
+    for (int draw = 0; draw < kDraws; ++draw) {
+      const SmoothMotionRows other = doubt.Draw(rng);
+      const Eigen::VectorXd differs = (other.v - smooth.v).row(0).transpose();
+      doubt_rest += differs.head(60).squaredNorm() / 60 / kDraws;
+      doubt_swing += differs.segment(130, 140).squaredNorm() / 140 / kDraws;
+      first_doubt += differs.head(3).squaredNorm() / 3 / kDraws;
+      acceleration = std::max(acceleration, (other.a - smooth.a).cwiseAbs().maxCoeff());
+    }
+    // What the others are pushed by is how far the velocity may be off: the ways hold nearly all of that.
+    held += doubt.Ways(0, 130, 269).v.squaredNorm() / 140;
+  }
+  EXPECT_NEAR(held / doubt_swing, 0.99, 0.1);
+  EXPECT_LT(doubt_rest, 0.25 * doubt_swing);
+  EXPECT_LT(std::max(off_rest / doubt_rest, doubt_rest / off_rest), 3.0) << off_rest << " " << doubt_rest;
+  EXPECT_LT(std::max(off_swing / doubt_swing, doubt_swing / off_swing), 3.0) << off_swing << " " << doubt_swing;
+  EXPECT_LT(std::max(first / first_doubt, first_doubt / first), 4.0) << first << " " << first_doubt;
+  EXPECT_LT(acceleration, 50.0);
 }
 
 }  // namespace
