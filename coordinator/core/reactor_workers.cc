@@ -71,6 +71,7 @@ void Turn::Handle(const WorkerJoined& event) {
   worker.tags = {event.tags.begin(), event.tags.end()};
   worker.kinds = {event.kinds.begin(), event.kinds.end()};
   worker.draining = event.draining || was_draining;
+  worker.unable.clear();
   worker.connected = true;
   worker.last_seen_ns = now_.steady_ns;
   if (is_new) worker.since_wall_ns = now_.wall_ns;
@@ -138,9 +139,19 @@ void Turn::Handle(const WorkerBeat& event) {
   const size_t before = worker->winding_down.size();
   std::erase_if(worker->winding_down, [&](Token token) { return !Holds(event.held, token); });
   if (worker->winding_down.size() != before) s_.dispatch_needed = true;
+  NoteAbility(*worker, event.unable);
   RenewOrRevoke(*worker, event.held);
   NoteNamed(event);
   Send(AnswerBeat{event.instance, true});
+}
+
+// While it can run nothing it is given nothing, and what it gives back goes to others.
+void Turn::NoteAbility(Worker& worker, const std::string& unable) {
+  if (worker.unable.empty() != unable.empty()) {
+    Note(unable.empty() ? "worker.able" : "worker.unable", 0, "", worker.name, unable);
+    s_.dispatch_needed = true;
+  }
+  worker.unable = unable;
 }
 
 // What the worker says of its leases besides that they live.

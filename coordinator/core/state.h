@@ -134,6 +134,7 @@ struct Worker {
   std::set<std::string> tags;
   std::set<std::string> kinds;
   bool draining = false;
+  std::string unable;  // why it can run nothing for now, as it said last; empty: it can
   bool connected = true;
   int64_t last_seen_ns = 0;
   int64_t since_wall_ns = 0;
@@ -143,7 +144,8 @@ struct Worker {
   std::vector<uint32_t> classes;  // scheduling classes it can run
 
   uint32_t busy() const { return static_cast<uint32_t>(leases.size() + winding_down.size()); }
-  bool accepts_work() const { return connected && !draining && busy() < slots; }
+  bool takes_tasks() const { return connected && !draining && unable.empty(); }
+  bool accepts_work() const { return takes_tasks() && busy() < slots; }
 };
 
 // How many tasks of this class a worker is given beyond each of its slots, to have the next one at hand: an

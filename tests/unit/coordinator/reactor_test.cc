@@ -285,6 +285,23 @@ TEST_F(Reactor, ADrainingWorkerGetsNothingNew) {
   EXPECT_NE(Explain(state_, state_.jobs.at(1), 0).reasons.at(0).find("draining"), std::string::npos);
 }
 
+TEST_F(Reactor, AWorkerThatCanRunNothingIsGivenNothingAndWhatItGivesBackCostsNoAttempt) {
+  Join("a");
+  SubmitJob({MakeTask("t")});
+  Join("b");
+  Do(WorkerBeat{"a#1", {1}, false, {}, "no process for an executor"});
+  last_ = Do(Failed{"a#1", MakeTaskId(1, 0), 1, Outcome::kLost, "given back: no process for an executor", true});
+  ASSERT_EQ(Sent<Assign>(last_).size(), 1u);
+  EXPECT_EQ(Sent<Assign>(last_)[0].instance, "b#1");
+  EXPECT_EQ(state_.jobs.at(1).tasks[0].failures, 0u);
+
+  last_ = Do(WorkerLeft{"b#1"});
+  EXPECT_TRUE(Sent<Assign>(last_).empty());
+  EXPECT_NE(Explain(state_, state_.jobs.at(1), 0).reasons.at(0).find("a: no process"), std::string::npos);
+  Do(WorkerBeat{"a#1", {}, false});
+  EXPECT_EQ(state_.workers.at("a").leases.size(), 1u) << "it can again";
+}
+
 WorkerJoined Process(const std::string& name, int number, const std::string& key = "") {
   return {name, name + "#" + std::to_string(number), 1, {}, {"work"}, {}, false, "h", number, "v", key};
 }
