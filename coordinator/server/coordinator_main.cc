@@ -12,6 +12,7 @@
 
 #include "common/base/file.h"
 #include "common/base/ids.h"
+#include "common/base/finite_flags.h"
 #include "common/base/log.h"
 #include "common/transport/zmq_socket.h"
 #include "coordinator/autoscale/autoscaler.h"
@@ -265,6 +266,7 @@ int CoordinatorMain(int argc, char** argv) {
   AddFlags(app, flags);
   try {
     app.parse(argc, argv);
+    CheckFlagsFinite(app);
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? 0 : kExitUsage;
   }

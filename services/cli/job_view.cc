@@ -233,6 +233,8 @@ std::string WorkersTable(const std::vector<pb::WorkerInfo>& workers) {
 }
 
 Result<pb::GetJobReply> FollowJob(coordinator::Client& client, int64_t job, double timeout_s, bool quiet) {
+  // One that is not there now is said to be so; one that goes away meanwhile is waited for.
+  RG_RETURN_IF_ERROR(client.GetJob(job, false, false).status());
   ProgressDisplay display({.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = quiet},
                           RealClock());
   std::string shown;
