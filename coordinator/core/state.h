@@ -124,7 +124,7 @@ struct Worker {
   std::string name;
   std::string instance;
   std::string key;  // only this key may have the name
-  // Other processes that would like to have the name, and since when. They wait in silence until this
+  // Other processes that would like to have the name, or its robot, and since when. They wait in silence until this
   // one is lost, and are refused when it has been heard of since.
   std::map<std::string, int64_t> rivals;
   std::string host;

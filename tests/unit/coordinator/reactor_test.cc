@@ -327,6 +327,30 @@ TEST_F(Reactor, TheSecondOfTwoLivingProcessesOfOneNameIsRefusedInOneLine) {
   EXPECT_EQ(state_.workers.at("a").instance, "a#1");
 }
 
+TEST_F(Reactor, OneRobotHasOneAgentWhateverItsName) {
+  const auto agent = [](const std::string& name) {
+    return WorkerJoined{name, name + "#1", 1, {"robot:one"}, {"work"}, {}, false, "h", 1, "v", ""};
+  };
+  EXPECT_EQ(Sent<Welcome>(Do(agent("a"))).size(), 1u);
+  std::vector<RefuseWorker> refused;
+  for (int half = 0; half < 8; ++half) {
+    Pass(0.5);
+    Do(WorkerBeat{"a#1", {}, false});
+    last_ = Do(agent("b"));
+    EXPECT_TRUE(Sent<Welcome>(last_).empty());
+    for (const RefuseWorker& m : Sent<RefuseWorker>(last_)) refused.push_back(m);
+    Do(Tick{});
+  }
+  ASSERT_FALSE(refused.empty());
+  EXPECT_NE(refused[0].reason.find("another agent, 'a', is beside this robot"), std::string::npos) << refused[0].reason;
+  WorkerJoined elsewhere = agent("c");
+  elsewhere.tags = {"robot:two"};
+  EXPECT_EQ(Sent<Welcome>(Do(elsewhere)).size(), 1u) << "beside another robot";
+  Pass(2.5);  // the first is lost
+  Do(Tick{});
+  EXPECT_EQ(Sent<Welcome>(Do(agent("b"))).size(), 1u);
+}
+
 TEST_F(Reactor, AProcessThatWasKilledAndStartedAgainJoinsWhenTheFirstIsKnownToBeLost) {
   Join("a");
   SubmitJob({MakeTask("t")});
