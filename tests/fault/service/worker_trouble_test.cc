@@ -129,7 +129,7 @@ class ARolloutUnderWay : public ::testing::Test {
 };
 
 TEST_F(ARolloutUnderWay, IsNotBrokenOffWhereNobodyIsHeardOfTheCoordinator) {
-  Begin(3.0, {"--patience", "0.5"});
+  Begin(2.0, {"--patience", "0.5"});
   service_.KillCoordinator();
   constexpr int kExitUnreachable = 6;
   EXPECT_EQ(service_.worker("a").WaitForExit(kPatience), kExitUnreachable) << Log();
@@ -139,7 +139,7 @@ TEST_F(ARolloutUnderWay, IsNotBrokenOffWhereNobodyIsHeardOfTheCoordinator) {
 
 // Another process has taken the name while this one was not heard of.
 TEST_F(ARolloutUnderWay, IsNotBrokenOffByARefusal) {
-  Begin(6.0);
+  Begin(4.0);
   service_.KillCoordinator();
   service_.worker("a").Signal(SIGSTOP);
   Process other({BinFolder() + "/synthetic_worker", "--coordinator", service_.endpoint(), "--name", "a", "--folder",
