@@ -43,13 +43,14 @@ rlim_t FirstFreeFile(pid_t pid) {
   return file;
 }
 
-std::string UnableOf(Service& service, const std::string& name) {
+pb::WorkerInfo Listed(Service& service, const std::string& name) {
   const auto workers = service.client().Workers();
-  if (!workers.ok()) return "";
+  if (!workers.ok()) return {};
   for (const pb::WorkerInfo& worker : *workers)
-    if (worker.name() == name) return worker.unable();
-  return "";
+    if (worker.name() == name) return worker;
+  return {};
 }
+std::string UnableOf(Service& service, const std::string& name) { return Listed(service, name).unable(); }
 
 int64_t SubmitOnce(Service& service) {
   pb::JobSpec job;
@@ -80,6 +81,26 @@ TEST(WorkerTrouble, AWorkerThatCanStartNoExecutorCostsNoAttemptAndIsGivenNothing
   const auto later = service.client().WaitForJob(second, kPatience);
   ASSERT_TRUE(later.ok()) << later.status().ToString() << service.Logs();
   EXPECT_EQ(later->job().state(), pb::JOB_STATE_SUCCEEDED) << later->job().reason();
+}
+
+TEST(WorkerTrouble, AWorkerThatCanStartNoFurtherExecutorGoesOnWithThoseItHas) {
+  Service service;
+  const pid_t pid = service.StartWorker("a", 2).pid();
+  const std::string until = service.folder() + "/until";
+  pb::JobSpec job;
+  AddTask(&job, "t", "sleep", R"({"seconds": 600, "until": ")" + until + "\"}");
+  const int64_t first = service.client().Submit(job).value();
+  ASSERT_TRUE(service.WaitForProgress(first, "t")) << service.Logs();
+  LimitFiles(pid, FirstFreeFile(pid));
+  const int64_t second = SubmitOnce(service);
+  ASSERT_TRUE(Within(kPatience, [&] { return Listed(service, "a").slots() == 1; })) << service.Logs();
+  EXPECT_EQ(UnableOf(service, "a"), "");
+  ASSERT_TRUE(WriteFileAtomically(until, "").ok());
+  for (const int64_t id : {first, second}) {
+    const auto end = service.client().WaitForJob(id, kPatience);
+    ASSERT_TRUE(end.ok()) << end.status().ToString() << service.Logs();
+    EXPECT_EQ(end->job().state(), pb::JOB_STATE_SUCCEEDED) << end->job().reason() << service.Logs();
+  }
 }
 
 TEST(WorkerTrouble, AWorkerWhoseExecutorsNeverComeUpLeavesAndTheTaskWaitsForAnother) {
