@@ -272,7 +272,9 @@ std::string StatusText(const std::string& status_json) {
 
 std::optional<int> RunAgentCommand(const std::vector<std::string>& arguments) {
   static const std::set<std::string> kVerbs{"status", "watch", "arm", "disarm", "stop", "clear"};
-  if (arguments.size() < 2 || !kVerbs.contains(arguments[1])) return std::nullopt;
+  if (arguments.size() < 2 || arguments[1].empty() || arguments[1][0] == '-') return std::nullopt;
+  if (!kVerbs.contains(arguments[1]))
+    return Fail(InvalidError("there is no command '" + arguments[1] + "': status, watch, arm, disarm, stop, clear, or flags (--help)"));
   const auto words = Parse(arguments);
   if (!words.ok()) return Fail(words.status());
   if (words->help) {

@@ -28,7 +28,9 @@ struct Address {
 
 Status Name(const std::string& folder, Address* address) {
   address->folder = open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  if (address->folder < 0) return UnavailableError("cannot open " + folder + ": " + std::strerror(errno));
+  if (address->folder < 0)
+    return UnavailableError("cannot open the spool folder " + folder + ": " + std::strerror(errno) +
+                            (errno == ENOENT ? " (--spool says where the agent has it)" : ""));
   address->name.sun_family = AF_UNIX;
   std::snprintf(address->name.sun_path, sizeof address->name.sun_path, "/proc/self/fd/%d/agent.sock",
                 address->folder);

@@ -102,9 +102,11 @@ bool Executor::Read(std::vector<pb::FromExecutor>* messages, std::vector<std::st
   std::string frame;
   while (reader_.Next(&frame)) {
     pb::FromExecutor& message = messages->emplace_back();
-    if (message.ParseFromString(frame)) continue;
+    const bool good = message.ParseFromString(frame);
+    if (good && !message.has_ready()) continue;
+    if (good) ready_ = true;
     messages->pop_back();
-    Kill();  // not one of our programs any more
+    if (!good) Kill();  // not one of our programs any more
   }
   if (open) return true;
   if (!reaped_) {

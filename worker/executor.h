@@ -37,6 +37,8 @@ class Executor {
   int message_fd() const { return message_fd_; }
   int output_fd() const { return output_fd_; }
   pid_t pid() const { return pid_; }
+  // It has said so: it can run tasks. One that ends before it has run nothing.
+  bool is_ready() const { return ready_; }
   // "killed by signal 11 (Segmentation fault); last lines: …"
   std::string HowItEnded();
 
@@ -52,6 +54,7 @@ class Executor {
   FrameReader reader_;
   std::string partial_line_;
   std::deque<std::string> last_lines_;
+  bool ready_ = false;
   bool reaped_ = false;
   int wait_status_ = 0;
 };

@@ -316,6 +316,9 @@ void RunOne(Link& link, const TaskRegistry& registry, const pb::RunTask& run) {
 
 int ServeAsExecutor(int fd, const TaskRegistry& registry) {
   Link link(fd);
+  pb::FromExecutor ready;
+  ready.mutable_ready();
+  link.Send(ready);
   std::thread reader([&link] { link.ReadForever(); });
   while (const auto run = link.NextTask()) RunOne(link, registry, *run);
   reader.join();

@@ -97,8 +97,8 @@ Result<std::unique_ptr<transport::RequestClient>> Worker::ConnectForTransfers(in
 Status Worker::Run(int signal_fd) {
   Status outcome;
   while (!MustStop()) {
-    outcome = CheckPatience();
-    if (!outcome.ok()) break;
+    outcome = WhyLeave();
+    if (!outcome.ok() && !RunsAtMostOnce()) break;
     SendBeatIfDue();
     SendReportsIfDue();
     WaitForSomething(signal_fd);
@@ -115,12 +115,12 @@ Status Worker::Run(int signal_fd) {
   pb::WorkerMessage bye;
   bye.mutable_bye();
   Send(bye);
-  return refused_.empty() ? outcome : PermissionDeniedError(refused_);
+  return outcome;
 }
 
 bool Worker::MustStop() {
   if (!held_.empty()) last_busy_ns_ = now();
-  if (stop_now_ || !refused_.empty()) return true;
+  if (stop_now_) return true;
   if (draining_ && held_.empty()) return true;
   if (draining_ && options_.drain_timeout_s > 0.0 &&
       now() - drain_since_ns_ > static_cast<int64_t>(options_.drain_timeout_s * kSecond)) {
@@ -128,6 +128,21 @@ bool Worker::MustStop() {
   }
   return options_.idle_exit_s > 0.0 &&
          now() - last_busy_ns_ > static_cast<int64_t>(options_.idle_exit_s * kSecond);
+}
+
+// A rollout under way is broken off for none of these: its arm moves, and what it records stays beside it.
+bool Worker::RunsAtMostOnce() const {
+  return std::any_of(held_.begin(), held_.end(), [](const auto& entry) {
+    return entry.second.assignment.at_most_once() && entry.second.stage == Stage::kRunning;
+  });
+}
+
+Status Worker::WhyLeave() {
+  constexpr int kMostInVain = 8;  // over two minutes
+  if (!refused_.empty()) return PermissionDeniedError(refused_);
+  if (starts_in_vain_ >= kMostInVain)
+    return UnavailableError(unable_ + ", " + std::to_string(starts_in_vain_) + " times in a row");
+  return CheckPatience();
 }
 
 Status Worker::CheckPatience() {
@@ -206,6 +221,7 @@ void Worker::SendBeatIfDue() {
     if (is_over) message.mutable_heartbeat()->add_finished_tokens(token);
   }
   message.mutable_heartbeat()->set_draining(draining_);
+  message.mutable_heartbeat()->set_unable(unable_);
   message.mutable_heartbeat()->set_cache_bytes(cache_.bytes());
   Send(message);
 }
@@ -265,9 +281,10 @@ void Worker::Handle(const pb::CoordinatorMessage& message) {
       if (!joined_)
         spdlog::info("joined {} as {} with {} slots", options_.coordinator, options_.name, options_.slots);
       joined_ = true;
+      refused_.clear();
       heartbeat_ns_ = std::max<int64_t>(1, message.welcome().heartbeat_ms()) * 1'000'000;
       inline_limit_ = message.welcome().inline_limit();
-      next_beat_ns_ = std::min(next_beat_ns_, now() + heartbeat_ns_ / 2);
+      next_beat_ns_ = unable_.empty() ? std::min(next_beat_ns_, now() + heartbeat_ns_ / 2) : 0;
       break;
     case pb::CoordinatorMessage::kAssign:
       Take(message.assign());
@@ -311,10 +328,7 @@ void Worker::Take(const pb::TaskAssignment& assignment) {
   held.assignment = assignment;
   held.scratch = scratch_.path() + "/" + std::to_string(token);
   spdlog::debug("task {} of job {}, attempt {}", assignment.name(), assignment.job(), assignment.attempt());
-  if (draining_) {
-    held.gave_back = true;
-    return ReportFailure(held, pb::ATTEMPT_OUTCOME_LOST, "given back: its worker is draining", true);
-  }
+  if (draining_) return ReportFailure(held, pb::ATTEMPT_OUTCOME_LOST, "given back: its worker is draining", true);
   held.input_paths.resize(static_cast<size_t>(assignment.inputs_size()));
   std::set<std::string> missing;
   for (int i = 0; i < assignment.inputs_size(); ++i) {

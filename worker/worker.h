@@ -35,6 +35,7 @@ struct WorkerOptions {
   std::map<std::string, double, std::less<>> least_grace_s;  // of kinds that need more, whatever is asked for
   double patience_s = 0.0;       // without a coordinator for that long it gives up; 0: never
   double idle_exit_s = 0.0;      // leaves when it had nothing to do for that long; 0: never
+  double executor_rest_s = 1.0;  // after one that did not come up; doubles each time, 64 times as long at the most
   bool is_agent = false;         // speaks as the agent beside a robot
   std::optional<transport::KeyPair> key;
   std::string server_public_key;
@@ -47,8 +48,9 @@ class Worker {
   static Result<std::unique_ptr<Worker>> Open(WorkerOptions options, const Clock* clock);
   ~Worker();
 
-  // Until it has drained, or may not join. `signal_fd` (an eventfd) is written once per SIGTERM or
-  // SIGINT: the first drains, the second stops at once.
+  // Until it has drained, may not join, has lost patience, or can start no executor again and again. What runs
+  // at most once and has begun is never broken off by any of the latter three: it goes on to its end. `signal_fd` (an
+  // eventfd) is written once per SIGTERM or SIGINT: the first drains, the second stops at once.
   Status Run(int signal_fd);
 
  private:
@@ -57,7 +59,7 @@ class Worker {
   struct Held {
     realitygrad::v1::TaskAssignment assignment;
     Stage stage = Stage::kFetching;
-    bool revoked = false, timed_out = false, gave_back = false;
+    bool revoked = false, timed_out = false;
     int open_transfers = 0;
     std::vector<std::string> input_paths;
     Executor* executor = nullptr;
@@ -81,7 +83,9 @@ class Worker {
   void WaitForSomething(int signal_fd);
   void ReadSignal(int signal_fd);
   bool MustStop();
+  Status WhyLeave();
   Status CheckPatience();
+  bool RunsAtMostOnce() const;
   // --- messages
   void ReceiveMessages();
   void Handle(const realitygrad::v1::CoordinatorMessage& message);
@@ -100,6 +104,7 @@ class Worker {
   void StartQueued();
   void Start(uint64_t token, Held& held);
   Executor* IdleExecutor();
+  void RestFromStarting(const std::string& why);
   void ReadExecutors();
   void HandleExecutorMessage(realitygrad::v1::FromExecutor& message);
   void HandleExecutorFinished(uint64_t token, Held& held, realitygrad::v1::ExecutorFinished finished);
@@ -128,7 +133,10 @@ class Worker {
   std::unique_ptr<Transfers> transfers_;
 
   bool joined_ = false, draining_ = false, stop_now_ = false;
-  std::string refused_;
+  std::string refused_;   // empty again once it was welcomed after all
+  std::string unable_;    // why it can start no executor, as it said last
+  int starts_in_vain_ = 0;  // executors, since the last one that came up
+  int64_t rest_until_ns_ = 0;
   std::string trouble_;  // of the coordinator, as it said last
   int signals_ = 0;
   int64_t drain_since_ns_ = 0, last_word_ns_ = 0, last_busy_ns_ = 0, next_beat_ns_ = 0, logs_due_ns_ = 0;

@@ -7,6 +7,7 @@
 #include <CLI/CLI.hpp>
 #include <cstring>
 
+#include "common/base/finite_flags.h"
 #include "common/base/log.h"
 #include "worker/executor_child.h"
 #include "worker/worker.h"
@@ -49,8 +50,10 @@ void AddFlags(CLI::App& app, Flags& flags, bool is_agent) {
       ->default_val("tcp://127.0.0.1:7341");
   app.add_option("--name", o.name, "unique among the workers (default: host and process)");
   if (is_agent) {
+    // The agent takes it from its configuration: nobody else says it.
     app.add_option("--robot", flags.robot, "name of the robot beside this program; its tag is robot:NAME")
-        ->required();
+        ->required()
+        ->group("");
   } else {
     app.add_option("-j,--slots", o.slots, "tasks at once (default: one per core)");
   }
@@ -103,6 +106,7 @@ int Main(int argc, char** argv, const TaskRegistry& registry, bool is_agent) {
   AddFlags(app, flags, is_agent);
   try {
     app.parse(argc, argv);
+    CheckFlagsFinite(app);
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? 0 : kExitUsage;
   }

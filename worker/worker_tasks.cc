@@ -59,12 +59,18 @@ void Worker::InputsAreHere(uint64_t, Held& held) {
 // --- running -----------------------------------------------------------------------------------------------
 
 void Worker::StartQueued() {
+  if (!refused_.empty() || now() < rest_until_ns_) return;
+  if (!unable_.empty()) {  // rested: the next task tells
+    unable_.clear();
+    next_beat_ns_ = 0;
+  }
   for (auto& [token, held] : held_) {
     if (held.stage != Stage::kQueued) continue;
     const auto running = std::count_if(executors_.begin(), executors_.end(),
                                        [](const auto& executor) { return executor->token() != 0; });
     if (running >= static_cast<long>(options_.slots)) return GiveBackWhatWaits();
     Start(token, held);
+    if (!unable_.empty()) return;
   }
 }
 
@@ -75,15 +81,13 @@ void Worker::GiveBackWhatWaits() {
     if (held.stage != Stage::kQueued) continue;
     if (held.queued_ns == 0) held.queued_ns = now();
     if (now() - held.queued_ns < kLongNs) continue;
-    held.gave_back = true;
     ReportFailure(held, pb::ATTEMPT_OUTCOME_LOST, "given back: it waited behind another task", true);
   }
 }
 
 void Worker::Start(uint64_t, Held& held) {
   Executor* executor = IdleExecutor();
-  if (executor == nullptr)
-    return ReportFailure(held, pb::ATTEMPT_OUTCOME_FAILED, "no executor could be started", true);
+  if (executor == nullptr) return;  // it rests
   pb::RunTask run;
   *run.mutable_assignment() = held.assignment;
   for (const std::string& path : held.input_paths) run.add_input_paths(path);
@@ -119,11 +123,36 @@ Executor* Worker::IdleExecutor() {
   }
   auto started = Executor::Start(options_.executor_arguments);
   if (!started.ok()) {
-    spdlog::error("{}", started.status().ToString());
+    RestFromStarting(started.status().message());
     return nullptr;
   }
   executors_.push_back(*std::move(started));
   return executors_.back().get();
+}
+
+// The fault is this machine's (no process, no memory, a library that is gone), not the tasks': they go back as they came,
+// and nothing is tried here for a while; with fewer executors it goes on with those. What was granted to run once, and
+// has not, waits here.
+void Worker::RestFromStarting(const std::string& why) {
+  const auto up = std::count_if(executors_.begin(), executors_.end(), [](const auto& e) { return e->is_ready(); });
+  if (up > 0) {
+    options_.slots = static_cast<uint32_t>(up);
+    spdlog::error("{}; goes on with {} slots", why, up);
+    return SendHello();
+  }
+  constexpr int kLongestShift = 6;
+  const double rest_s = options_.executor_rest_s * (1 << std::min(starts_in_vain_, kLongestShift));
+  ++starts_in_vain_;
+  rest_until_ns_ = now() + static_cast<int64_t>(rest_s * kNsPerSecond);
+  unable_ = why;
+  spdlog::error("{}; nothing is tried for {} s", why, rest_s);
+  next_beat_ns_ = 0;
+  SendBeatIfDue();  // or it would all come back at once
+  for (auto& [token, held] : held_) {
+    const bool waits = held.stage == Stage::kFetching || held.stage == Stage::kAwaitingGrant || held.stage == Stage::kQueued;
+    const bool granted = held.assignment.at_most_once() && held.stage == Stage::kQueued;
+    if (waits && !granted && !held.revoked) ReportFailure(held, pb::ATTEMPT_OUTCOME_LOST, "given back: " + why, true);
+  }
 }
 
 void Worker::ReadExecutors() {
@@ -133,6 +162,7 @@ void Worker::ReadExecutors() {
     std::vector<std::string> lines;
     const bool alive = executor.Read(&messages, &lines);
     for (const std::string& line : lines) AddLog(executor.token(), line, clock_->WallNanos());
+    if (executor.token() != 0 && executor.is_ready()) starts_in_vain_ = 0;
     for (pb::FromExecutor& message : messages) HandleExecutorMessage(message);
     if (alive) {
       ++i;
@@ -198,6 +228,10 @@ void Worker::HandleExecutorEnd(Executor& executor) {
                          "timed out after " + std::to_string(held.assignment.timeout_s()) + " s", true);
   }
   const std::string how = executor.HowItEnded();
+  if (!executor.is_ready()) {  // it has run nothing
+    held.stage = Stage::kQueued;
+    return RestFromStarting("no executor comes up: " + how);
+  }
   spdlog::warn("task {} of job {}: {}", held.assignment.name(), held.assignment.job(), how);
   ReportFailure(held, pb::ATTEMPT_OUTCOME_CRASHED, how, true);
 }

@@ -57,6 +57,9 @@ Result<EndpointKind> ClassifyEndpoint(const std::string& endpoint) {
 
 Status CheckEncryption(const std::string& endpoint, bool encrypted, bool allow_plain_loopback) {
   RG_ASSIGN_OR_RETURN(const EndpointKind kind, ClassifyEndpoint(endpoint));
+  if (!encrypted && StartsWith(endpoint, "ipc://@"))
+    return FailedPreconditionError(endpoint +
+                                   ": everybody on this machine may use it (its name is in no folder): take a path");
   if (encrypted || kind == EndpointKind::kLocal) return Status::Ok();
   if (kind == EndpointKind::kLoopback && allow_plain_loopback) return Status::Ok();
   return FailedPreconditionError(endpoint +

@@ -72,6 +72,7 @@ struct ZmqSocket::Impl {
   ~Impl() {
     // libzmq leaks the events of a monitor that nobody reads any more.
     if (monitor) zmq_socket_monitor(socket.handle(), nullptr, 0);
+    if (!path.empty()) ::unlink(path.c_str());  // while it is ours
   }
   zmq::socket_t socket;
   zmq::socket_t monitor;  // of dealers
@@ -79,6 +80,7 @@ struct ZmqSocket::Impl {
   Sender self;
   ReceiveLimits limits;
   std::string endpoint;
+  std::string path;  // of a router's socket in the file system; empty: it has none
   bool router = false;
   bool encrypted = false;
   bool immediate = false;  // a dealer that is writable only while connected
@@ -350,7 +352,10 @@ Result<std::unique_ptr<ZmqSocket>> BindRouter(Context& context, const std::strin
   } catch (const zmq::error_t& e) {
     return FromZmq(endpoint, e);
   }
-  if (impl->endpoint.rfind("ipc:///", 0) == 0) ::chmod(impl->endpoint.c_str() + 6, 0600);
+  if (impl->endpoint.rfind("ipc://", 0) == 0) {
+    impl->path = impl->endpoint.substr(6);
+    ::chmod(impl->path.c_str(), 0600);
+  }
   return std::make_unique<ZmqSocket>(std::move(impl));
 }
 

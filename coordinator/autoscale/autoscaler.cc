@@ -218,6 +218,7 @@ void Autoscaler::Turn() {
   Keep();
   for (const std::string& id : actions.give_back) GiveBack(id);
   if (actions.ask) Ask(*actions.ask);
+  TidyLogs(seen->now_ns);
   const State& state = stored_.state;
   Say(state.paused ? "paused: " + std::to_string(state.in_vain) +
                          " allocations in a row were in vain; a restart goes on"
@@ -244,7 +245,7 @@ Result<Seen> Autoscaler::Look() {
                                        [](const std::string& tag) { return tag.rfind("robot:", 0) == 0; });
     if (worker.connected() && !is_agents)
       seen.workers.push_back(
-          {worker.name(), worker.slots(), worker.busy() > 0, worker.draining(), worker.tasks_done()});
+          {worker.name(), worker.slots(), worker.busy() > 0, worker.draining() || !worker.unable().empty(), worker.tasks_done()});
   }
   auto listed = slurm_.List();
   if (listed.ok()) seen.cluster = *std::move(listed);
@@ -278,6 +279,19 @@ void Autoscaler::GiveBack(const std::string& id) {
   for (Allocation& a : stored_.state.allocations) {
     if (a.id == id) a.given_back = false;  // tried again
   }
+}
+
+// What an allocation printed is read, if ever, while it runs or soon after.
+void Autoscaler::TidyLogs(int64_t now_ns) {
+  constexpr int64_t kEveryNs = 3600'000'000'000;
+  constexpr size_t kMost = 500;
+  constexpr double kAge = 30.0 * 86400.0;
+  if (tidied_ns_ != 0 && now_ns - tidied_ns_ < kEveryNs) return;
+  tidied_ns_ = now_ns;
+  std::vector<std::string> kept;
+  for (const Allocation& a : stored_.state.allocations) kept.push_back(a.tag);
+  const size_t removed = PruneLogs(slurm_.log_folder(), kept, kMost, kAge);
+  if (removed > 0) spdlog::info("autoscale: {} old logs of allocations removed", removed);
 }
 
 void Autoscaler::Keep() {

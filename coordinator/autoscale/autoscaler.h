@@ -67,6 +67,7 @@ class Autoscaler {
   void Ask(const std::string& tag);
   void GiveBack(const std::string& id);
   void Keep();
+  void TidyLogs(int64_t now_ns);
   void Say(std::string note);
 
   const Limits limits_;
@@ -74,6 +75,7 @@ class Autoscaler {
   const std::string file_;
   Stored stored_;
   std::string written_;
+  int64_t tidied_ns_ = 0;
   const Slurm slurm_;
   const ClientOptions viewer_;
   const double period_s_;

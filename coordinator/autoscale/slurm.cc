@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <filesystem>
 #include <set>
 #include <sstream>
 
@@ -77,6 +78,25 @@ Result<std::string> Slurm::Ask(const std::string& tag) const {
   std::string id = said.out.substr(0, said.out.find_first_of(";\n"));
   if (!IsNumber(id)) return UnavailableError("sbatch said '" + FirstLine(said) + "' instead of a number");
   return id;
+}
+
+size_t PruneLogs(const std::string& folder, const std::vector<std::string>& kept, size_t most, double age_s) {
+  namespace fs = std::filesystem;
+  std::vector<std::pair<fs::file_time_type, fs::path>> logs;
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(folder, error)) {
+    const bool is_log = entry.path().extension() == ".log" && entry.is_regular_file(error);
+    const std::string tag = entry.path().stem().string();
+    if (is_log && std::find(kept.begin(), kept.end(), tag) == kept.end())
+      logs.emplace_back(entry.last_write_time(error), entry.path());
+  }
+  std::sort(logs.rbegin(), logs.rend());
+  const auto oldest = fs::file_time_type::clock::now() - std::chrono::seconds(static_cast<int64_t>(age_s));
+  size_t removed = 0;
+  for (size_t i = 0; i < logs.size(); ++i) {
+    if (i >= most || logs[i].first < oldest) removed += fs::remove(logs[i].second, error);
+  }
+  return removed;
 }
 
 Result<std::vector<Listed>> ParseQueue(const std::string& text) {

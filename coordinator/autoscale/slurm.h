@@ -30,12 +30,17 @@ class Slurm {
   Result<std::vector<Listed>> List() const;
   // What is gone already is no error.
   Status GiveBack(const std::string& id) const;
+  const std::string& log_folder() const { return options_.log_folder; }
 
  private:
   std::vector<std::string> SbatchWords(const std::string& tag) const;
   std::string Script(const std::string& tag) const;
   SlurmOptions options_;
 };
+
+// Removes logs in `folder` (TAG.log) beyond the newest `most` and those older than `age_s`, but none of `kept` tags. The
+// number removed.
+size_t PruneLogs(const std::string& folder, const std::vector<std::string>& kept, size_t most, double age_s);
 
 // The lines of `squeue -o "%i|%j|%T"`.
 Result<std::vector<Listed>> ParseQueue(const std::string& text);

@@ -19,7 +19,7 @@ void Turn::Dispatch() {
   FillSlots(false);
   slots_of_all_ = 0;
   for (const auto& [name, worker] : s_.workers) {
-    if (worker.connected && !worker.draining) slots_of_all_ += worker.slots;
+    if (worker.takes_tasks()) slots_of_all_ += worker.slots;
   }
   FillSlots(true);
 }
@@ -41,7 +41,7 @@ void Turn::FillSlots(bool ahead) {
   if (!anything) return;
   std::vector<Worker*> open;
   for (auto& [name, worker] : s_.workers) {
-    if (ahead ? worker.connected && !worker.draining : worker.accepts_work()) open.push_back(&worker);
+    if (ahead ? worker.takes_tasks() : worker.accepts_work()) open.push_back(&worker);
   }
   const auto emptier = [](const Worker* a, const Worker* b) {
     return uint64_t{a->busy()} * b->slots < uint64_t{b->busy()} * a->slots;
@@ -61,8 +61,7 @@ bool Turn::IsForOthers(const SchedulingClass& cls, TaskId task, const Worker& wo
   const auto failed = job.failed_on.find(IndexOf(task));
   if (failed == job.failed_on.end() || failed->second != worker.name) return false;
   return std::any_of(s_.workers.begin(), s_.workers.end(), [&](const auto& other) {
-    return other.first != worker.name && other.second.connected && !other.second.draining &&
-           CanRun(other.second, cls);
+    return other.first != worker.name && other.second.takes_tasks() && CanRun(other.second, cls);
   });
 }
 

@@ -59,6 +59,7 @@ struct WorkerBeat {
   std::vector<Token> held;
   bool draining = false;
   std::vector<Token> finished = {};  // of those held: no longer run, what they came to is on its way
+  std::string unable = {};           // why it can run nothing for now; empty: it can
 };
 struct WorkerLeft {
   std::string instance;

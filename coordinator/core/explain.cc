@@ -38,13 +38,17 @@ void ExplainJobsBefore(const Job& job, Explanation* out) {
 
 void ExplainPlacement(const State& state, const Job& job, uint32_t index, Explanation* out) {
   const SchedulingClass& cls = state.classes[job.tasks[index].scheduling_class];
-  uint32_t connected = 0, able = 0, draining = 0, busy = 0;
+  uint32_t connected = 0, able = 0, draining = 0, unable = 0, busy = 0;
+  std::string why;  // the last of these is
   for (const auto& [name, worker] : state.workers) {
     connected += worker.connected;
     if (!worker.connected || !CanRun(worker, cls)) continue;
     ++able;
     draining += worker.draining;
-    busy += !worker.draining && worker.busy() >= worker.slots;
+    busy += worker.takes_tasks() && worker.busy() >= worker.slots;
+    if (worker.draining || worker.unable.empty()) continue;
+    ++unable;
+    why = name + ": " + worker.unable;
   }
   out->placeable = able > draining;
   if (connected == 0) {
@@ -55,6 +59,8 @@ void ExplainPlacement(const State& state, const Job& job, uint32_t index, Explan
                            cls.kind + "'" + tags);
   } else if (able == draining) {
     out->reasons.push_back("every worker that could run it is draining");
+  } else if (able == draining + unable) {
+    out->reasons.push_back("no worker that knows its kind can run anything for now (" + why + ")");
   } else {
     size_t ahead = 0;
     for (const auto& entry : cls.ready) {

@@ -25,30 +25,48 @@ void Turn::Handle(const DrainWorker& event) {
   Send(AnswerClient{event.reply_to, Verdict::kOk, "", 0, false});
 }
 
+// Who is connected under its name or, an agent, beside its robot: two would move one arm.
+Worker* Turn::HolderOf(const WorkerJoined& event) {
+  const auto has_its_robot = [&](const Worker& other) {
+    return std::any_of(event.tags.begin(), event.tags.end(), [&](const std::string& tag) {
+      return tag.rfind(kRobotTag, 0) == 0 && other.tags.count(tag) > 0;
+    });
+  };
+  for (auto& [name, worker] : s_.workers) {
+    if (worker.connected && worker.instance != event.instance && (name == event.name || has_its_robot(worker)))
+      return &worker;
+  }
+  return nullptr;
+}
+
 // A process that was killed and started again comes as another instance while the first is not yet known
 // to be lost: it waits. Two that live would evict each other for ever: the second is told to go.
 bool Turn::MayHaveName(const WorkerJoined& event) {
   const auto refuse = [&](const std::string& why) {
-    Send(RefuseWorker{event.instance, "the worker name '" + event.name + "' " + why});
+    Send(RefuseWorker{event.instance, why});
     return false;
   };
+  const std::string its_name = "the worker name '" + event.name + "' ";
   for (const auto& [token, lease] : s_.leases) {
     if (lease.worker == event.name && lease.key != event.key)
-      return refuse("belongs to another key, '" + lease.key + "'");
+      return refuse(its_name + "belongs to another key, '" + lease.key + "'");
   }
   const auto found = s_.workers.find(event.name);
-  if (found == s_.workers.end()) return true;
-  Worker& holder = found->second;
-  if (holder.key != event.key) return refuse("belongs to another key, '" + holder.key + "'");
-  if (!holder.connected || holder.instance == event.instance) return true;
+  if (found != s_.workers.end() && found->second.key != event.key)
+    return refuse(its_name + "belongs to another key, '" + found->second.key + "'");
+  Worker* other = HolderOf(event);
+  if (other == nullptr) return true;
+  Worker& holder = *other;
   constexpr size_t kMaxRivals = 16;
   if (holder.rivals.size() >= kMaxRivals && holder.rivals.count(event.instance) == 0) return false;
   const int64_t since = holder.rivals.emplace(event.instance, now_.steady_ns).first->second;
   // Later by a whole interval: a last word of a dead process may still have been on its way.
   if (holder.last_seen_ns < since + s_.options.heartbeat_ns) return false;
   holder.rivals.erase(event.instance);
-  return refuse("is taken by a process that is at work (host " + holder.host + ", pid " +
-                std::to_string(holder.pid) + "): give this one another --name");
+  const std::string who = "(host " + holder.host + ", pid " + std::to_string(holder.pid) + ")";
+  if (holder.name != event.name)
+    return refuse("another agent, '" + holder.name + "', is beside this robot " + who + ": one robot has one agent");
+  return refuse(its_name + "is taken by a process that is at work " + who + ": give this one another --name");
 }
 
 void Turn::Handle(const WorkerJoined& event) {
@@ -71,6 +89,7 @@ void Turn::Handle(const WorkerJoined& event) {
   worker.tags = {event.tags.begin(), event.tags.end()};
   worker.kinds = {event.kinds.begin(), event.kinds.end()};
   worker.draining = event.draining || was_draining;
+  worker.unable.clear();
   worker.connected = true;
   worker.last_seen_ns = now_.steady_ns;
   if (is_new) worker.since_wall_ns = now_.wall_ns;
@@ -138,9 +157,19 @@ void Turn::Handle(const WorkerBeat& event) {
   const size_t before = worker->winding_down.size();
   std::erase_if(worker->winding_down, [&](Token token) { return !Holds(event.held, token); });
   if (worker->winding_down.size() != before) s_.dispatch_needed = true;
+  NoteAbility(*worker, event.unable);
   RenewOrRevoke(*worker, event.held);
   NoteNamed(event);
   Send(AnswerBeat{event.instance, true});
+}
+
+// While it can run nothing it is given nothing, and what it gives back goes to others.
+void Turn::NoteAbility(Worker& worker, const std::string& unable) {
+  if (worker.unable.empty() != unable.empty()) {
+    Note(unable.empty() ? "worker.able" : "worker.unable", 0, "", worker.name, unable);
+    s_.dispatch_needed = true;
+  }
+  worker.unable = unable;
 }
 
 // What the worker says of its leases besides that they live.

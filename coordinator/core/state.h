@@ -124,7 +124,7 @@ struct Worker {
   std::string name;
   std::string instance;
   std::string key;  // only this key may have the name
-  // Other processes that would like to have the name, and since when. They wait in silence until this
+  // Other processes that would like to have the name, or its robot, and since when. They wait in silence until this
   // one is lost, and are refused when it has been heard of since.
   std::map<std::string, int64_t> rivals;
   std::string host;
@@ -134,6 +134,7 @@ struct Worker {
   std::set<std::string> tags;
   std::set<std::string> kinds;
   bool draining = false;
+  std::string unable;  // why it can run nothing for now, as it said last; empty: it can
   bool connected = true;
   int64_t last_seen_ns = 0;
   int64_t since_wall_ns = 0;
@@ -143,7 +144,8 @@ struct Worker {
   std::vector<uint32_t> classes;  // scheduling classes it can run
 
   uint32_t busy() const { return static_cast<uint32_t>(leases.size() + winding_down.size()); }
-  bool accepts_work() const { return connected && !draining && busy() < slots; }
+  bool takes_tasks() const { return connected && !draining && unable.empty(); }
+  bool accepts_work() const { return takes_tasks() && busy() < slots; }
 };
 
 // How many tasks of this class a worker is given beyond each of its slots, to have the next one at hand: an

@@ -79,8 +79,10 @@ class Turn {
   // --- workers
   // Whether this process may have the name now; if it never may, it is told.
   bool MayHaveName(const WorkerJoined& event);
+  Worker* HolderOf(const WorkerJoined& event);
   void RemoveWorker(const std::string& name, const std::string& why);
   void RenewOrRevoke(Worker& worker, const std::vector<Token>& held);
+  void NoteAbility(Worker& worker, const std::string& unable);
   void NoteNamed(const WorkerBeat& beat);
   void LoseLeasesOf(const std::string& name, const std::string& instance_to_keep,
                     const std::vector<Token>& held, const std::string& why);

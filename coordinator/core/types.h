@@ -10,6 +10,8 @@
 
 namespace rg::coordinator {
 
+inline constexpr char kRobotTag[] = "robot:";  // of agents, with the name of their robot
+
 using JobId = int64_t;     // 1, 2, 3, … in order of submission; 0: none
 using TaskId = int64_t;    // JobId · 2^24 + index in the job's list of tasks
 using Token = uint64_t;    // fencing token: one per attempt, grows over all tasks; 0: none

@@ -104,6 +104,8 @@ Result<pb::VerifyArtifactsReply> Verify(store::ArtifactStore& artifacts,
 Result<pb::GcArtifactsReply> Gc(store::ArtifactStore& artifacts, const pb::GcArtifactsRequest& request,
                                 int64_t wall_ns) {
   constexpr int64_t kMaxBytes = 256 << 20, kMaxListed = 20'000, kMaxRemoved = 2'000;
+  if (request.older_than_ns() < 0 || request.forget_ended_ns() < 0)
+    return InvalidError("an age below zero");
   store::GcOptions options;
   options.older_than_ns = request.older_than_ns();
   options.dry_run = request.dry_run();

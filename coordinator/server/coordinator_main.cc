@@ -2,15 +2,17 @@
 
 #include <signal.h>
 #include <sys/eventfd.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
 #include <atomic>
 #include <cstdio>
-#include <filesystem>
+#include <tuple>
 #include <utility>
 
 #include "common/base/file.h"
+#include "common/base/finite_flags.h"
 #include "common/base/ids.h"
 #include "common/base/log.h"
 #include "common/transport/zmq_socket.h"
@@ -106,8 +108,8 @@ std::string Endpoint(const std::string& listen) {
   return colon != std::string::npos && listen.substr(colon) == ":0" ? listen.substr(0, colon) + ":*" : listen;
 }
 
-// The list of allowed keys as it is now, looked at several times a second: revoking takes effect at once. A
-// file that is just being written, or is gone while somebody edits it, revokes nobody.
+// The list of allowed keys as it is now, looked at before anything that came is: who was revoked before is out. A
+// file that is just being written in its place, or is gone while somebody edits it, revokes nobody.
 class KeyWatch {
  public:
   KeyWatch(const std::string& path, transport::Context& context)
@@ -118,11 +120,7 @@ class KeyWatch {
 
   // `server` is null before there is one.
   Status Look(Server* server) {
-    constexpr int64_t kIntervalNs = 200'000'000;
-    const int64_t now = RealClock().SteadyNanos();
-    if (server != nullptr && now < due_ns_) return Status::Ok();
-    due_ns_ = now + kIntervalNs;
-    if (server != nullptr && !IsAtRest()) return Status::Ok();
+    if (server != nullptr && !IsToBeRead()) return Status::Ok();
     RG_ASSIGN_OR_RETURN(auto allowed, file_.Changed());
     if (!allowed) return Status::Ok();
     spdlog::info("{} keys may connect", allowed->size());
@@ -133,20 +131,30 @@ class KeyWatch {
   }
 
  private:
-  // It was written when it had been at the last look. What the clock says now does not matter: it may have
-  // been set back, and a key that was revoked before that must be out.
-  bool IsAtRest() {
-    std::error_code error;
-    const auto written = std::filesystem::last_write_time(path_, error);
-    return std::exchange(written_, written) == written && !error;
+  // Another file in its place is whole (`keys allow|revoke`); one that was written over is, when it stays for a
+  // moment as it is. What the clock says does not matter: it may have been set back.
+  bool IsToBeRead() {
+    constexpr int64_t kAtRestNs = 200'000'000;
+    struct stat seen = {};
+    if (path_.empty() || stat(path_.c_str(), &seen) != 0) return false;
+    const bool is_another = std::exchange(file_number_, seen.st_ino) != seen.st_ino;
+    const Written written{seen.st_mtim.tv_sec, seen.st_mtim.tv_nsec, seen.st_size};
+    const bool is_changed = std::exchange(written_, written) != written;
+    const int64_t now = RealClock().SteadyNanos();
+    if (is_changed) changed_ns_ = now;
+    if (!is_another && (changed_ns_ == 0 || now - changed_ns_ < kAtRestNs)) return false;
+    changed_ns_ = 0;
+    return true;
   }
 
   const std::string path_;
   transport::AllowListFile file_;
   transport::Context& context_;
   const transport::KeyPair page_key_ = transport::GenerateKeyPair();
-  std::filesystem::file_time_type written_;
-  int64_t due_ns_ = 0;
+  using Written = std::tuple<int64_t, int64_t, int64_t>;  // when, and how much
+  Written written_;
+  ino_t file_number_ = 0;
+  int64_t changed_ns_ = 0;  // since when it is as it is, and was not read yet; 0: it was
 };
 
 Result<Policy> PolicyOf(const Flags& flags) {
@@ -239,15 +247,16 @@ Status Serve(const Flags& flags) {
   options.archive_after_ns = static_cast<int64_t>(flags.archive_days * kNsPerDay);
   options.archive_above_tasks = flags.archive_above;
   options.core.uncertain_ns = static_cast<int64_t>(flags.uncertain_s * 1e9);
-  RG_ASSIGN_OR_RETURN(auto server, Server::Open(options, std::move(router), self, &RealClock()));
+  std::unique_ptr<Server> server;
+  options.before_messages = [&] {
+    const Status allowed = keys.Look(server.get());
+    if (!allowed.ok()) spdlog::error("the list of allowed keys stays as it was: {}", allowed.ToString());
+  };
+  RG_ASSIGN_OR_RETURN(server, Server::Open(options, std::move(router), self, &RealClock()));
   RG_RETURN_IF_ERROR(beside.Start());
   RG_RETURN_IF_ERROR(Announce(flags, endpoint));
   spdlog::info("{} jobs under way in {}", server->state().jobs.size(), flags.database);
   while (!stop.load()) {
-    if (!flags.allowed_path.empty()) {
-      const Status allowed = keys.Look(server.get());
-      if (!allowed.ok()) spdlog::error("the list of allowed keys stays as it was: {}", allowed.ToString());
-    }
     uint64_t count;
     [[maybe_unused]] const ssize_t drained = read(wake_fd, &count, sizeof(count));
     RG_RETURN_IF_ERROR(server->RunOnce(1'000, wake_fd));
@@ -265,6 +274,7 @@ int CoordinatorMain(int argc, char** argv) {
   AddFlags(app, flags);
   try {
     app.parse(argc, argv);
+    CheckFlagsFinite(app);
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? 0 : kExitUsage;
   }

@@ -1,6 +1,7 @@
 #include "coordinator/server/policy.h"
 
 #include "common/base/utf8.h"
+#include "coordinator/core/types.h"
 #include "realitygrad/v1/artifact.pb.h"
 #include "realitygrad/v1/control.pb.h"
 #include "realitygrad/v1/parameters.pb.h"
@@ -10,8 +11,6 @@ namespace {
 
 namespace pb = realitygrad::v1;
 using transport::Is;
-
-constexpr char kRobotTag[] = "robot:";
 
 bool IsWorker(pb::Role role) { return role == pb::ROLE_WORKER || role == pb::ROLE_AGENT; }
 

@@ -105,6 +105,7 @@ Status Server::RunOnce(int64_t timeout_ms, int wake_fd) {
       std::clamp<int64_t>((tick_due_ns_ - clock_->SteadyNanos()) / 1'000'000 + 1, 0, timeout_ms);
   if (!deferred_.empty() || freed_pages_wait_) wait_ms = 0;
   socket_->Wait(wait_ms, wake_fd);
+  if (options_.before_messages) options_.before_messages();
   NoteStall(wait_ms);
   if (trouble_.empty()) {
     for (const Event& event : std::exchange(deferred_, {})) Absorb(event, state_, now(), actions_);

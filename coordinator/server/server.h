@@ -56,6 +56,7 @@ struct ServerOptions {
   // And the oldest of those that are over, while more tasks of such jobs than this are not archived; 0: any
   // number may be.
   int64_t archive_above_tasks = 2'000'000;
+  std::function<void()> before_messages;  // called when something has come, before it is looked at; may be none
   std::string vfs;  // of the database: the seam for fault tests
 };
 

@@ -153,6 +153,7 @@ pb::WorkerInfo InfoOf(const Worker& worker, const State& state, int64_t steady_n
     if (lease != state.leases.end()) out.add_running(lease->second.task);
   }
   out.set_version(worker.version);
+  out.set_unable(worker.unable);
   return out;
 }
 

@@ -60,7 +60,8 @@ std::optional<Event> WorkerDesk::ToEvent(const pb::WorkerMessage& message, const
       return WorkerBeat{instance,
                         {beat.held_tokens().begin(), beat.held_tokens().end()},
                         beat.draining(),
-                        {beat.finished_tokens().begin(), beat.finished_tokens().end()}};
+                        {beat.finished_tokens().begin(), beat.finished_tokens().end()},
+                        VisibleText(Shortened(beat.unable()))};
     }
     case pb::WorkerMessage::kBye:
       return WorkerLeft{instance};

@@ -166,6 +166,7 @@ json WorkerJson(const pb::WorkerInfo& worker) {
           {"slots", worker.slots()},
           {"busy", worker.busy()},
           {"draining", worker.draining()},
+          {"unable", worker.unable()},
           {"connected", worker.connected()},
           // A whole number while it is away: the page is drawn again where it changes.
           {"last_seen_s", worker.connected() ? 0.0 : std::floor(worker.last_seen_s())},

@@ -205,6 +205,7 @@ Status Guard::StartMove(const GuardMessage& request) {
   }
   RG_RETURN_IF_ERROR(driver_.StartMove(request.values.data()));
   doing_ = Doing::kMoving;
+  stopped_it_ = false;
   under_way_ = true;
   motion_ = LatchedMotion();
   return Status::Ok();
@@ -224,7 +225,7 @@ Status Guard::Enter(const GuardMessage& request) {
     return Refused();
   }
   doing_ = Doing::kTorque;
-  commanded_ = false;
+  stopped_it_ = commanded_ = false;
   motion_ = LatchedMotion();
   const Status entered = EnterUnlessStopped(request.values.data());
   last_word_ns_ = RealClock().SteadyNanos();
@@ -315,18 +316,24 @@ void Guard::Stop() {
     if (!driver_.SleepUntil(driver_.NowNanos() + kSettled).ok()) break;
   }
   stop_ = StopArm(driver_, options_.stop);
+  stopped_it_ = true;
 }
 
-// The agent is gone. If it had ended its motion, nothing is under way.
+// The agent is gone. If it had ended its motion, nothing is under way; where the guard did, the agent may not have lived
+// to see it.
 void Guard::LeaveAlone() {
-  if (!connected_ || doing_ == Doing::kNothing) return;
-  trip_ = Trip{EndReason::kDriverLost, -1, 0, 0, driver_.NowNanos()};
-  Stop();
+  if (!connected_) return;
+  if (doing_ != Doing::kNothing) {
+    trip_ = Trip{EndReason::kDriverLost, -1, 0, 0, driver_.NowNanos()};
+    Stop();
+  } else if (!stopped_it_) {
+    return;
+  }
   if (options_.latch_folder.empty()) return;
   Latch latch(options_.latch_folder);
   const auto entry = latch.Read();
   const std::string now = FormatWallTime(RealClock().WallNanos());
-  if (LatchedMotion() != motion_) return;  // somebody else's by now
+  if (LatchedMotion() != motion_ || (entry && entry->latched)) return;  // somebody else's by now, or judged already
   if (stop_.confirmed) {
     (void)latch.EndMotion().ok();
   } else {

@@ -89,6 +89,7 @@ class Guard {
   uint64_t sequence_ = 0;
   bool connected_ = false, stop_pending_ = false;
   bool under_way_ = false, commanded_ = false;
+  bool stopped_it_ = false;  // the last motion was ended by the guard itself
   std::string motion_;  // the latch's entry when it began
   Trip trip_;
   StopReport stop_;

@@ -25,7 +25,9 @@ Result<std::vector<int64_t>> ParseSelector(const std::string& text, coordinator:
     char dash = 0, rest = 0;
     const int fields = std::sscanf(part.c_str(), "%ld%c%ld%c", &low, &dash, &high, &rest);
     if (fields == 1) high = low;
-    if ((fields != 1 && !(fields == 3 && dash == '-')) || low < 1 || high < low || high - low > 100000) {
+    constexpr long kMost = 1'000'000'000'000, kMostAtOnce = 100'000;
+    const bool is_range = fields == 3 && dash == '-';
+    if ((fields != 1 && !is_range) || low < 1 || high < low || high > kMost || high - low > kMostAtOnce) {
       return InvalidError("job selector '" + text + "': must be a number, 1-10, 1,3, all or last");
     }
     for (long id = low; id <= high; ++id) ids.push_back(id);

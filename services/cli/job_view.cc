@@ -205,6 +205,7 @@ json WorkerJson(const pb::WorkerInfo& worker) {
           {"slots", worker.slots()},
           {"busy", worker.busy()},
           {"draining", worker.draining()},
+          {"unable", worker.unable()},
           {"connected", worker.connected()},
           {"last_seen_s", worker.last_seen_s()},
           {"tasks_done", worker.tasks_done()},
@@ -212,23 +213,28 @@ json WorkerJson(const pb::WorkerInfo& worker) {
 }
 
 std::string WorkersTable(const std::vector<pb::WorkerInfo>& workers) {
+  std::string unable;
   TextTable table({"NAME", "HOST", "STATE", ">BUSY", ">SLOTS", ">DONE", ">FAILED", ">SEEN", "TAGS"});
   for (const pb::WorkerInfo& worker : workers) {
     std::string tags;
     for (const std::string& tag : worker.tags()) tags += (tags.empty() ? "" : ",") + tag;
     table.AddRow({worker.name(), worker.host(),
-                  !worker.connected() ? "lost"
-                  : worker.draining() ? "draining"
-                  : worker.busy()     ? "busy"
-                                      : "idle",
+                  !worker.connected()         ? "lost"
+                  : worker.draining()         ? "draining"
+                  : !worker.unable().empty()  ? "unable"
+                  : worker.busy()             ? "busy"
+                                              : "idle",
                   std::to_string(worker.busy()), std::to_string(worker.slots()),
                   std::to_string(worker.tasks_done()), std::to_string(worker.tasks_failed()),
                   FormatSeconds(worker.last_seen_s()) + " ago", tags});
+    if (!worker.unable().empty()) unable += "\n" + worker.name() + " can run nothing for now: " + worker.unable() + "\n";
   }
-  return table.ToString();
+  return table.ToString() + unable;
 }
 
 Result<pb::GetJobReply> FollowJob(coordinator::Client& client, int64_t job, double timeout_s, bool quiet) {
+  // One that is not there now is said to be so; one that goes away meanwhile is waited for.
+  RG_RETURN_IF_ERROR(client.GetJob(job, false, false).status());
   ProgressDisplay display({.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = quiet},
                           RealClock());
   std::string shown;

@@ -6,6 +6,7 @@
 #include <cstdio>
 #include <cstring>
 
+#include "common/base/finite_flags.h"
 #include "common/base/log.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
@@ -59,6 +60,7 @@ int main(int argc, char** argv) {
   app.add_option("--server-key", context.flags.server_key.value, "The coordinator's public key file");
   app.add_option("--robots", context.flags.robots.value, "Folder of robot profiles");
   app.parse_complete_callback([&] {
+    rg::CheckFlagsFinite(app);
     const auto format = rg::cli::ParseOutputFormat(output);
     if (!format.ok()) throw CLI::ValidationError(format.status().message(), rg::cli::kExitUsage);
     context.output = *format;

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <CLI/CLI.hpp>
 #include <cmath>
 #include <map>
@@ -203,12 +204,14 @@ void Diff(Context& context, const ParameterArguments& arguments) {
 }  // namespace
 
 Result<std::string> ChooseRobot(coordinator::Client& client, const std::string& named) {
-  if (!named.empty()) return named;
   RG_ASSIGN_OR_RETURN(const auto robots, client.Robots());
   if (robots.empty()) return NotFoundError("no parameters yet: run an iteration first");
-  if (robots.size() == 1) return robots.front();
   std::string all;
   for (const std::string& r : robots) all += " " + r;
+  if (!named.empty() && std::find(robots.begin(), robots.end(), named) == robots.end())
+    return NotFoundError("robot '" + named + "' has no parameters; these have:" + all);
+  if (!named.empty()) return named;
+  if (robots.size() == 1) return robots.front();
   return InvalidError("several robots have parameters:" + all + "; name one with --robot");
 }
 

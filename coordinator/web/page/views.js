@@ -159,10 +159,10 @@
         replace(list, value.workers.length ? page.table(
           [{ name: 'Name' }, { name: 'Host' }, { name: 'State' }, { name: 'Slots' }, { name: 'Done', num: true }, { name: 'Failed', num: true }, { name: 'Seen' }, { name: 'Tags' }],
           value.workers.map(function (w) {
-            var state = !w.connected ? 'lost' : w.draining ? 'draining' : w.busy ? 'busy' : 'idle';
+            var state = !w.connected ? 'lost' : w.draining ? 'draining' : w.unable ? 'unable' : w.busy ? 'busy' : 'idle';
             return {
               attributes: { 'data-worker': w.name },
-              cells: [w.name, w.host, page.badge(state), [page.bar(0, w.slots ? w.busy / w.slots : 0, 0), ' ', el('span.soft', null, w.busy + ' of ' + w.slots)], w.tasks_done, w.tasks_failed,
+              cells: [w.name, w.host, [page.badge(state), w.unable ? el('span.soft', null, ' ' + w.unable) : null], [page.bar(0, w.slots ? w.busy / w.slots : 0, 0), ' ', el('span.soft', null, w.busy + ' of ' + w.slots)], w.tasks_done, w.tasks_failed,
                 w.connected ? 'now' : page.duration(w.last_seen_s) + ' ago', w.tags.join(', ')]
             };
           })) : el('p.soft', null, 'None: realitygrad worker starts one.'));

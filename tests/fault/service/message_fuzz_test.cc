@@ -200,6 +200,17 @@ TEST(MessageFuzz, AResultThatTookNoNumberOfSecondsIsKept) {
   EXPECT_TRUE(worker->Mail().at(0).result_reply().accepted());
 }
 
+// Found under sanitizers: the time from which on artefacts stay was beyond all numbers.
+TEST(MessageFuzz, NothingIsCollectedForAnAgeBelowZero) {
+  ServerBench bench;
+  const auto client = bench.Connect("client", pb::ROLE_OPERATOR);
+  pb::GcArtifactsRequest collect;
+  collect.set_older_than_ns(std::numeric_limits<int64_t>::min());
+  client->Ask(collect);
+  ASSERT_TRUE(bench.Turn().ok());
+  EXPECT_EQ(client->Reply<pb::GcArtifactsReply>().status().code(), StatusCode::kInvalid);
+}
+
 TEST(MessageFuzz, DecoderAndHandlersTakeWhateverComes) {
   google::protobuf::SetLogHandler(nullptr);
   const char* progress = std::getenv("RG_PROGRESS");

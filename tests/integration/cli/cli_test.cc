@@ -26,7 +26,8 @@ TEST(CommandLine, WrongUseIsOneLine) {
   const ScratchFolder scratch;
   for (const char* wrong :
        {"jobs --frob", "predict --window abc", "sysid", "sysid set --window-choice best",
-        "sysid set --parametrisation nice", "sysid set --fit-windows -1", "params diff 0 1"}) {
+        "sysid set --parametrisation nice", "sysid set --fit-windows -1", "params diff 0 1",
+        "artifacts gc --yes --older-than-days nan", "job wait 1 --timeout nan", "jobs --watch --timeout inf"}) {
     const Said said = RunProgram(scratch, wrong);
     EXPECT_EQ(said.code, 2) << wrong;
     EXPECT_TRUE(said.out.empty()) << wrong;
@@ -74,10 +75,12 @@ TEST(Run, RefusedFlagsLeaveNothing) {
 
 TEST(CommandLine, NoCoordinatorExitsWithSix) {
   const ScratchFolder scratch;
-  const Said said = RunProgram(scratch, "--coordinator tcp://127.0.0.1:9 jobs");
-  EXPECT_EQ(said.code, 6);
-  EXPECT_TRUE(said.out.empty());
-  EXPECT_NE(said.err.find("127.0.0.1:9"), std::string::npos) << said.err;
+  for (const char* command : {"jobs", "job wait 1"}) {
+    const Said said = RunProgram(scratch, std::string("--coordinator tcp://127.0.0.1:9 ") + command);
+    EXPECT_EQ(said.code, 6) << command;
+    EXPECT_TRUE(said.out.empty()) << command;
+    EXPECT_NE(said.err.find("127.0.0.1:9"), std::string::npos) << said.err;
+  }
 }
 
 TEST(CommandLine, HelpNamesEveryCommandOfTheTour) {

@@ -41,6 +41,19 @@ class JobCommands : public ::testing::Test {
   testing::Service service_;
 };
 
+TEST_F(JobCommands, ASelectorBeyondAllJobsIsRefusedAndAnUnknownRobotIsNamed) {
+  for (const char* wrong : {"99999999999999999999", "9223372036854775807", "1-9223372036854775807", "2-1", "0"}) {
+    const Said said = Run(std::string("job show ") + wrong);
+    EXPECT_NE(said.code, 0) << wrong;
+    EXPECT_NE(said.err.find("must be a number"), std::string::npos) << said.err;
+  }
+  service_.StartWorker("a");
+  Parameters("left", 1.0);
+  const Said said = Run("params history --robot right");
+  EXPECT_EQ(said.code, 1);
+  EXPECT_NE(said.err.find("robot 'right' has no parameters; these have: left"), std::string::npos) << said.err;
+}
+
 TEST_F(JobCommands, DescribeSaysAllAboutAJob) {
   service_.StartWorker("a");
   const int64_t id = SubmitOne("fail", R"({"code": 5, "until": 1})");  // unavailable: tried again

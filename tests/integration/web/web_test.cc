@@ -242,8 +242,12 @@ class InABrowser : public WebPage {
     const char* folder = std::getenv("RG_SCREENSHOTS");
     if (folder != nullptr) browser_->Screenshot(std::string(folder) + "/" + name + ".png");
   }
+  // Nothing of it, nor of the tabs, is beyond the edge.
   bool FitsTheScreen() {
-    return browser_->Evaluate("document.documentElement.scrollWidth <= window.innerWidth") == true;
+    return browser_->Evaluate(
+               "document.documentElement.scrollWidth <= window.innerWidth && "
+               "[...document.querySelectorAll('nav a')].every(a => a.getBoundingClientRect().right <= window.innerWidth)") ==
+           true;
   }
   void Show(const std::string& view) { browser_->Evaluate("location.hash = '#/" + view + "'"); }
   std::string Complaints() const {
@@ -330,6 +334,10 @@ TEST_F(InABrowser, ParametersDiagnosesAndLineageOnAPhoneAndInTheDark) {
     Show("artifact/" + newest);
     EXPECT_TRUE(browser_->WaitFor("document.querySelectorAll('#lineage rect').length >= 3", kPatience));
     Picture("lineage-" + where);
+    EXPECT_TRUE(FitsTheScreen()) << where;
+    Show("artifacts");
+    EXPECT_TRUE(browser_->WaitFor("document.querySelector('#artifacts td')", kPatience));
+    Picture("artifacts-" + where);
     EXPECT_TRUE(FitsTheScreen()) << where;
     Show("jobs");
     EXPECT_TRUE(browser_->WaitFor("document.querySelector('[data-job=\"3\"]')", kPatience));

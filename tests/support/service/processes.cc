@@ -5,6 +5,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <chrono>
 #include <cstdlib>
 #include <filesystem>
@@ -101,13 +102,13 @@ bool Service::TryStartCoordinator() {
                                         std::to_string(heartbeat_ms_),
                                         "--address-file",
                                         address_file,
-                                        "--uncertain-s",
-                                        "3",
                                         "--may-submit",
                                         "lead:sleep",
                                         "--may-submit",
                                         "sleep:sleep"};
   arguments.insert(arguments.end(), more_.begin(), more_.end());
+  if (std::find(more_.begin(), more_.end(), "--uncertain-s") == more_.end())
+    arguments.insert(arguments.end(), {"--uncertain-s", "3"});
   coordinator_ = std::make_unique<Process>(arguments, folder_ + "/coordinator.log");
   const auto listens = [&] { return std::filesystem::exists(address_file); };
   WaitUntil(60.0, [&] { return listens() || coordinator_->WaitForExit(0.0) >= 0; });
@@ -125,7 +126,11 @@ Process& Service::StartWorker(const std::string& name, int slots, const std::vec
   return StartProgram(name, flags);
 }
 
-Process& Service::StartAgent(const std::string& name) { return StartProgram(name, {"--robot", "one"}); }
+Process& Service::StartAgent(const std::string& name, const std::vector<std::string>& more) {
+  std::vector<std::string> flags = {"--robot", "one"};
+  flags.insert(flags.end(), more.begin(), more.end());
+  return StartProgram(name, flags);
+}
 
 Process& Service::StartProgram(const std::string& name, const std::vector<std::string>& flags) {
   std::vector<std::string> arguments = {

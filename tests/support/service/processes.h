@@ -48,7 +48,7 @@ class Service {
   // `more` are further flags.
   Process& StartWorker(const std::string& name, int slots = 1, const std::vector<std::string>& more = {});
   // One that runs the kind "rollout".
-  Process& StartAgent(const std::string& name);
+  Process& StartAgent(const std::string& name, const std::vector<std::string>& more = {});
   Process& worker(const std::string& name) { return *workers_.at(name); }
 
   coordinator::Client& client() { return *client_; }

@@ -113,8 +113,10 @@ Result<TaskOutputs> Append(const TaskInput& input, TaskContext&) {
   const int fd = open(options.value("path", "").c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
   if (fd < 0) return InvalidError("path cannot be opened");
   const bool written = write(fd, line.data(), line.size()) == static_cast<ssize_t>(line.size());
-  close(fd);
   SleepFor(options.value("seconds", 0.0));
+  const std::string last = options.value("last_line", "");
+  if (!last.empty() && write(fd, (last + "\n").data(), last.size() + 1) < 0) return InternalError("short write");
+  close(fd);
   return written ? Result<TaskOutputs>(One(line)) : Result<TaskOutputs>(InternalError("short write"));
 }
 

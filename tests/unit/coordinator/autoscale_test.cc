@@ -244,5 +244,31 @@ TEST(Queue, IsRead) {
   EXPECT_FALSE(ParseQueue("slurm_load_jobs error\n").ok());
 }
 
+TEST(AllocationLogs, TheNewestAndThoseOfLivingAllocationsStay) {
+  namespace fs = std::filesystem;
+  const fs::path folder = fs::temp_directory_path() / ("rg-logs-" + RandomHex(6));
+  fs::create_directories(folder);
+  const auto now = fs::file_time_type::clock::now();
+  for (int hours = 0; hours < 6; ++hours) {
+    const fs::path log = folder / ("rg-" + std::to_string(hours) + ".log");
+    ASSERT_TRUE(WriteFileAtomically(log.string(), "x").ok());
+    fs::last_write_time(log, now - std::chrono::hours(hours));
+  }
+  ASSERT_TRUE(WriteFileAtomically((folder / "notes.txt").string(), "x").ok());
+  const auto left = [&] {
+    std::string names;
+    for (int hours = 0; hours < 6; ++hours)
+      if (fs::exists(folder / ("rg-" + std::to_string(hours) + ".log"))) names += std::to_string(hours);
+    return names;
+  };
+  EXPECT_EQ(PruneLogs(folder.string(), {"rg-5"}, 3, 1e6), 2u);
+  EXPECT_EQ(left(), "0125");
+  EXPECT_EQ(PruneLogs(folder.string(), {"rg-5"}, 3, 5000.0), 1u);
+  EXPECT_EQ(left(), "015");
+  EXPECT_TRUE(fs::exists(folder / "notes.txt"));
+  EXPECT_EQ(PruneLogs((folder / "none").string(), {}, 0, 0.0), 0u);
+  fs::remove_all(folder);
+}
+
 }  // namespace
 }  // namespace rg::coordinator::autoscale

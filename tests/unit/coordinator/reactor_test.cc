@@ -285,6 +285,23 @@ TEST_F(Reactor, ADrainingWorkerGetsNothingNew) {
   EXPECT_NE(Explain(state_, state_.jobs.at(1), 0).reasons.at(0).find("draining"), std::string::npos);
 }
 
+TEST_F(Reactor, AWorkerThatCanRunNothingIsGivenNothingAndWhatItGivesBackCostsNoAttempt) {
+  Join("a");
+  SubmitJob({MakeTask("t")});
+  Join("b");
+  Do(WorkerBeat{"a#1", {1}, false, {}, "no process for an executor"});
+  last_ = Do(Failed{"a#1", MakeTaskId(1, 0), 1, Outcome::kLost, "given back: no process for an executor", true});
+  ASSERT_EQ(Sent<Assign>(last_).size(), 1u);
+  EXPECT_EQ(Sent<Assign>(last_)[0].instance, "b#1");
+  EXPECT_EQ(state_.jobs.at(1).tasks[0].failures, 0u);
+
+  last_ = Do(WorkerLeft{"b#1"});
+  EXPECT_TRUE(Sent<Assign>(last_).empty());
+  EXPECT_NE(Explain(state_, state_.jobs.at(1), 0).reasons.at(0).find("a: no process"), std::string::npos);
+  Do(WorkerBeat{"a#1", {}, false});
+  EXPECT_EQ(state_.workers.at("a").leases.size(), 1u) << "it can again";
+}
+
 WorkerJoined Process(const std::string& name, int number, const std::string& key = "") {
   return {name, name + "#" + std::to_string(number), 1, {}, {"work"}, {}, false, "h", number, "v", key};
 }
@@ -308,6 +325,30 @@ TEST_F(Reactor, TheSecondOfTwoLivingProcessesOfOneNameIsRefusedInOneLine) {
       << refused[0].reason;
   EXPECT_EQ(Phase(1, 0), TaskPhase::kLeased) << "the first keeps its work";
   EXPECT_EQ(state_.workers.at("a").instance, "a#1");
+}
+
+TEST_F(Reactor, OneRobotHasOneAgentWhateverItsName) {
+  const auto agent = [](const std::string& name) {
+    return WorkerJoined{name, name + "#1", 1, {"robot:one"}, {"work"}, {}, false, "h", 1, "v", ""};
+  };
+  EXPECT_EQ(Sent<Welcome>(Do(agent("a"))).size(), 1u);
+  std::vector<RefuseWorker> refused;
+  for (int half = 0; half < 8; ++half) {
+    Pass(0.5);
+    Do(WorkerBeat{"a#1", {}, false});
+    last_ = Do(agent("b"));
+    EXPECT_TRUE(Sent<Welcome>(last_).empty());
+    for (const RefuseWorker& m : Sent<RefuseWorker>(last_)) refused.push_back(m);
+    Do(Tick{});
+  }
+  ASSERT_FALSE(refused.empty());
+  EXPECT_NE(refused[0].reason.find("another agent, 'a', is beside this robot"), std::string::npos) << refused[0].reason;
+  WorkerJoined elsewhere = agent("c");
+  elsewhere.tags = {"robot:two"};
+  EXPECT_EQ(Sent<Welcome>(Do(elsewhere)).size(), 1u) << "beside another robot";
+  Pass(2.5);  // the first is lost
+  Do(Tick{});
+  EXPECT_EQ(Sent<Welcome>(Do(agent("b"))).size(), 1u);
 }
 
 TEST_F(Reactor, AProcessThatWasKilledAndStartedAgainJoinsWhenTheFirstIsKnownToBeLost) {

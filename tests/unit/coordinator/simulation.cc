@@ -246,6 +246,8 @@ void Simulation::MaybeHarm() {
     } else if (worker.alive && ms_ >= worker.wake_ms && rng_.Uniform() < options_.worker_freeze) {
       worker.wake_ms = ms_ + 500 + static_cast<int64_t>(rng_.Index(8000));
       ++facts_.freezes;
+    } else if (rng_.Uniform() < options_.worker_unable) {
+      worker.unable_until_ms = ms_ + 500 + static_cast<int64_t>(rng_.Index(5000));
     }
   }
 }
@@ -324,13 +326,14 @@ void Simulation::StepWorker(SimWorker& worker) {
                         ""});
   } else {
     WorkerBeat beat{worker.instance, HeldTokens(worker), false};
+    if (ms_ < worker.unable_until_ms) beat.unable = "chaos";
     for (const auto& [token, held] : worker.held) {
       if (held.state != Held::kRunning) beat.finished.push_back(token);
     }
     SendUp(std::move(beat));
   }
   for (const auto& [token, held] : worker.held) {  // again, until it is answered
-    if (held.at_most_once && !held.started) SendUp(StartRequested{worker.instance, token});
+    if (held.at_most_once && !held.started && held.state == Held::kRunning) SendUp(StartRequested{worker.instance, token});
     if (held.state == Held::kFinished) SendUp(Finished{worker.instance, held.task, token});
     if (held.state == Held::kFailed)
       SendUp(Failed{worker.instance, held.task, token, held.outcome, "chaos", true});
@@ -398,7 +401,13 @@ void Simulation::Receive(const Assign& m) {
   Held& held = worker->held[m.token];
   held.task = m.task;
   held.at_most_once = store_.Find(JobOf(m.task))->plan->tasks[IndexOf(m.task)].at_most_once;
-  if (held.at_most_once) {
+  if (ms_ < worker->unable_until_ms) {
+    held.state = Held::kFailed;
+    held.outcome = Outcome::kLost;
+    held.ended_ms = ms_;
+    ++facts_.unable;
+    SendUp(Failed{worker->instance, held.task, m.token, held.outcome, "chaos", true});
+  } else if (held.at_most_once) {
     SendUp(StartRequested{worker->instance, m.token});
   } else {
     Begin(*worker, m.token, held);
@@ -409,7 +418,7 @@ void Simulation::Receive(const GrantStart& m) {
   SimWorker* worker = FindInstance(m.instance);
   if (worker == nullptr || !worker->held.count(m.token)) return;
   Held& held = worker->held[m.token];
-  if (!held.started) Begin(*worker, m.token, held);
+  if (!held.started && held.state == Held::kRunning) Begin(*worker, m.token, held);
 }
 
 void Simulation::Receive(const Revoke& m) {

@@ -23,6 +23,7 @@ struct SimulationOptions {
   double drop = 0.05, repeat = 0.05;
   int64_t delay_max_ms = 300;
   double worker_death = 0.006, worker_freeze = 0.006, restart = 0.01;    // per worker (coordinator) and step
+  double worker_unable = 0.004;  // per worker and step: it can run nothing for a while
   double command = 0.02;                                                 // per step
   double disk_full = 0.004;                                              // per step: one batch is lost
   double stall = 0.004;                                                  // of the coordinator, per step
@@ -43,12 +44,13 @@ class Simulation {
     uint64_t of_tasks = 0;  // jobs that tasks submitted
     uint64_t after_others = 0, overdue = 0, reprioritised = 0;
     uint64_t counted_overdue = 0;  // results that came after the limit of their job
+    uint64_t unable = 0;           // tasks given back by a worker that could run none
     static constexpr uint64_t Facts::* kAll[] = {
         &Facts::events,        &Facts::restarts, &Facts::deaths,        &Facts::freezes,
         &Facts::refused,       &Facts::commits,  &Facts::uncertain,     &Facts::lost_batches,
         &Facts::stalls,        &Facts::clock_jumps, &Facts::succeeded,  &Facts::failed,
         &Facts::cancelled,     &Facts::of_tasks, &Facts::after_others,  &Facts::overdue,
-        &Facts::reprioritised, &Facts::counted_overdue};
+        &Facts::reprioritised, &Facts::counted_overdue, &Facts::unable};
   };
   const Facts& facts() const { return facts_; }
 
@@ -63,7 +65,7 @@ class Simulation {
   struct SimWorker {
     std::string name, instance;
     bool alive = false, joined = false;
-    int64_t wake_ms = 0, next_beat_ms = 0;
+    int64_t wake_ms = 0, next_beat_ms = 0, unable_until_ms = 0;
     std::map<Token, Held> held;
     std::set<Token> finished_before;  // tokens it must not take again
   };

@@ -83,6 +83,7 @@ TEST(Simulation, NoHistoryOfKillsAndLossesBreaksAPromise) {
   EXPECT_GT(sum.overdue, 20u);
   EXPECT_GT(sum.counted_overdue, 20u);
   EXPECT_GT(sum.reprioritised, 100u);
+  EXPECT_GT(sum.unable, 100u);
   std::printf("%llu events, %llu restarts, %llu deaths, %llu freezes, %llu refused, %llu commits, %llu after a limit\n",
               static_cast<unsigned long long>(sum.events), static_cast<unsigned long long>(sum.restarts),
               static_cast<unsigned long long>(sum.deaths), static_cast<unsigned long long>(sum.freezes),

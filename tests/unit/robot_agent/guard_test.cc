@@ -138,8 +138,9 @@ TEST_F(GuardedArm, StatesAreJudgedWhileTorqueModeIsEntered) {
   EXPECT_TRUE(guard_->last_stop().confirmed) << guard_->last_stop().why;
 }
 
-TEST_F(GuardedArm, AnAgentThatIsGoneWhileTorqueModeIsEnteredEndsIt) {
+TEST_F(GuardedArm, AnAgentThatIsGoneWhileTorqueModeIsEnteredEndsItAndLeavesNoLatch) {
   arm_.slow_entry = true;
+  ASSERT_TRUE(Latch(folder_).BeginMotion("r", "now").ok());
   auto pair = PacketSocket::Pair().value();
   Guard guard(arm_, model_, limits_, pair.second, options_);
   std::thread serving([&guard] { guard.Run(); });
@@ -159,6 +160,24 @@ TEST_F(GuardedArm, AnAgentThatIsGoneWhileTorqueModeIsEnteredEndsIt) {
   EXPECT_TRUE(guard.last_stop().confirmed) << guard.last_stop().why;
   EXPECT_GE(arm_.holds, 1);
   EXPECT_EQ(arm_.state.mode, Mode::kPosition);
+  EXPECT_FALSE(Latch(folder_).Read().has_value()) << "it was seen at rest";
+}
+
+// What the guard stopped, and the agent has judged: its latch stays.
+TEST_F(GuardedArm, ALatchThatTheAgentHasSetStays) {
+  GuardDriver& agent = Start(false);
+  ASSERT_TRUE(Latch(folder_).BeginMotion("r", "now").ok());
+  EnterAndSend(2);
+  RobotState state;
+  for (int i = 0; i < 1000 && agent.trip().reason == EndReason::kNone; ++i) {
+    usleep(10'000);
+    ASSERT_TRUE(agent.ReadState(&state).ok());
+  }
+  ASSERT_EQ(agent.trip().reason, EndReason::kControllerHung);
+  ASSERT_TRUE(Latch(folder_).Set("r", "not seen at rest", "now").ok());
+  End();
+  ASSERT_TRUE(Latch(folder_).Read().has_value());
+  EXPECT_TRUE(Latch(folder_).Read()->latched);
 }
 
 // A topic, say. Under torque and on the way to a pose.

@@ -226,6 +226,7 @@ TEST_F(AgentFolder, TwoAgentsBesideOneSpoolAreOneTooMany) {
 TEST(AgentCommands, OtherWordsAreTheProgramsOwn) {
   EXPECT_FALSE(RunAgentCommand({"agent"}).has_value());
   EXPECT_FALSE(RunAgentCommand({"agent", "--config", "x"}).has_value());
+  EXPECT_EQ(RunAgentCommand({"agent", "frobnicate"}).value(), 2);
   EXPECT_EQ(RunAgentCommand({"agent", "status", "--sool", "x"}).value(), 2);
   EXPECT_EQ(RunAgentCommand({"agent", "status", "--output", "yaml"}).value(), 2);
 }
