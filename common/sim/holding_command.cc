@@ -16,8 +16,7 @@ namespace {
 
 constexpr double kInstant = 1e-3;    // s: over which a robot is let go
 constexpr double kAtRest = 1e-5;     // rad/s or m/s after it
-constexpr double kNearRest = 0.05;   // of the speed under the command that was given: as good as held, for a moment
-constexpr int kNewtonSteps = 8;      // Newton's method
+constexpr int kNewtonSteps = 8;
 constexpr double kPush = 0.02;       // of the largest command, to see how a joint answers
 constexpr double kLeastPush = 1e-3;  // N·m or N
 constexpr double kDamping = 1e-10;   // of the normal equations: joints that stick answer nothing
@@ -33,16 +32,13 @@ VectorXd LetGo(Simulator& simulator, const VectorXd& q, const VectorXd& u) {
 
 VectorXd HoldingCommand(Simulator& simulator, const VectorXd& q, const VectorXd& u) {
   const double push = std::max(kLeastPush, kPush * u.cwiseAbs().maxCoeff());
+  // A joint that dry friction holds creeps.
+  const double rest = std::max(kAtRest, simulator.options().stick_velocity);
   VectorXd held = u;
-  double given = 0.0;
-  for (int step = 0;; ++step) {
+  for (int step = 0; step < kNewtonSteps; ++step) {
     const VectorXd v = LetGo(simulator, q, held);
     if (!v.allFinite()) return u;
-    const double speed = v.cwiseAbs().maxCoeff();
-    if (speed < kAtRest) return held;
-    if (step == 0) given = speed;
-    // At the edge of dry friction the last part of the way takes many steps.
-    if (step == kNewtonSteps) return speed < kNearRest * given ? held : u;
+    if (v.cwiseAbs().maxCoeff() < rest) return held;
     MatrixXd answer(q.size(), q.size());
     for (Eigen::Index j = 0; j < q.size(); ++j) {
       VectorXd pushed = held;
@@ -54,6 +50,7 @@ VectorXd HoldingCommand(Simulator& simulator, const VectorXd& q, const VectorXd&
     normal.diagonal().array() += kDamping * std::max(1e-12, normal.diagonal().maxCoeff());
     held -= normal.ldlt().solve(answer.transpose() * v);
   }
+  return u;
 }
 
 CommandSignal HeldBefore(const CommandSignal& command, const VectorXd& held) {

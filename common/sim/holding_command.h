@@ -10,8 +10,8 @@
 namespace rg::sim {
 
 // n: the command nearest to `u` (along the Newton steps towards it) under which the simulator's model stays
-// at rest at q, or nearly so (a twentieth of the speed under `u`); `u` itself where that holds it, or where none is found. What the drive adds by itself, its
-// own gravity compensation, counts as part of it.
+// at rest at q, but for what friction lets it creep; `u` itself where that holds it, or where none is found.
+// What the drive adds by itself, its own gravity compensation, counts as part of it.
 Eigen::VectorXd HoldingCommand(Simulator& simulator, const Eigen::VectorXd& q, const Eigen::VectorXd& u);
 
 // `command` with `held` in force before it begins. Of a command that is interpolated between rows: as it is.

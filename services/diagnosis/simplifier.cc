@@ -37,6 +37,7 @@ void Simplifier::Run(Candidate* best) {
   Plainer(best);
   OwnLaws(best);
   ByDirection(best);
+  OffsetsOfSome(best);
   FirstRotor(best);
 }
 
@@ -204,6 +205,29 @@ void Simplifier::ByDirection(Candidate* best) {
   // What a tilt pulls with is not known here: that fit begins at the recorded motion.
   const Candidate c = fits_.Evaluate(merged, best->base, tilted ? nullptr : best, kMergeIterations, best);
   if (c.fit.ok && c.score > best->score) *best = c;
+}
+
+// The other way round: friction of several joints that depends on the direction on some of them is Coulomb
+// friction of all and a constant force on those, which says the same in fewer numbers.
+void Simplifier::OffsetsOfSome(Candidate* best) {
+  const std::string &dry = LawOf(Regressor::kDirection).id, &zero = LawOf(Regressor::kConstant).id,
+                    &either = LawOf(Regressor::kForwards).id;
+  TrialSpecs specs = Refreshed(*best), offsets;
+  for (EffectSpec& s : specs) {
+    if (s.id != either) continue;
+    const std::map<std::string, double>& levels = s.values.at(s.joints[0]);
+    const double forwards = levels.at("coulomb_positive"), backwards = levels.at("coulomb_negative");
+    offsets.push_back(effects::MakeSpec(zero, s.joints, {{"offset", 0.5 * (backwards - forwards)}}));
+    s = effects::MakeSpec(dry, s.joints, {{"coulomb", 0.5 * (backwards + forwards)}});
+  }
+  const size_t several = offsets.size();
+  if (several < 2 || HasKind(specs, zero) || !best->fit.ok || fits_.Late(kPruned)) return;
+  specs.insert(specs.end(), offsets.begin(), offsets.end());
+  Candidate c = fits_.Evaluate(specs, best->base, best, kMergeIterations, best);
+  if (!c.fit.ok) return;
+  Prune(&c);
+  const auto kept = std::count_if(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) { return s.id == zero; });
+  if (static_cast<size_t>(kept) < several && c.score > best->score) *best = c;
 }
 
 // A richer form on several joints may bend into what is plain on one of them, and one kind of effect costs

@@ -40,6 +40,7 @@ class Simplifier {
   void Plainer(Candidate* best);
   void FirstRotor(Candidate* best);
   void ByDirection(Candidate* best);
+  void OffsetsOfSome(Candidate* best);
   void OwnLaws(Candidate* best);
 
   const FitSetting& setting_;

@@ -61,7 +61,9 @@ TEST(HoldingCommand, IsFoundHoweverSharpFrictionIs) {
     options.stick_velocity = stick;
     Simulator simulator(arm, options);
     const VectorXd held = HoldingCommand(simulator, q, u);
-    EXPECT_LT(FastestAfterInstant(simulator, q, held), 0.05 * FastestAfterInstant(simulator, q, u)) << stick;
+    EXPECT_NE(held, u) << stick;
+    EXPECT_LT(FastestAfterInstant(simulator, q, held), std::max(1e-5, stick)) << stick;
+    EXPECT_GT(FastestAfterInstant(simulator, q, u), 10 * stick) << stick;
   }
 }
 
