@@ -208,7 +208,7 @@ void Simplifier::ByDirection(Candidate* best) {
 }
 
 // The other way round: friction of several joints that depends on the direction on some of them is Coulomb
-// friction of all and a constant force on those, which says the same in fewer numbers.
+// friction of all and a constant force on those. It is the same law in fewer numbers, so that names do not count.
 void Simplifier::OffsetsOfSome(Candidate* best) {
   const std::string &dry = LawOf(Regressor::kDirection).id, &zero = LawOf(Regressor::kConstant).id,
                     &either = LawOf(Regressor::kForwards).id;
@@ -227,7 +227,8 @@ void Simplifier::OffsetsOfSome(Candidate* best) {
   if (!c.fit.ok) return;
   Prune(&c);
   const auto kept = std::count_if(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) { return s.id == zero; });
-  if (static_cast<size_t>(kept) < several && c.score > best->score) *best = c;
+  const auto evidence = [](const Candidate& of) { return of.score + StructurePrior(of.specs, of.base); };
+  if (static_cast<size_t>(kept) < several && evidence(c) > evidence(*best)) Replace(c, best);
 }
 
 // A richer form on several joints may bend into what is plain on one of them, and one kind of effect costs

@@ -210,6 +210,32 @@ TEST(Search, ALawBesideOtherMassesIsFoundBeforeHiddenStates) {
   for (const Candidate& c : r.tried) EXPECT_FALSE(HasHiddenStates(c)) << KeyOf(c.specs);
 }
 
+// Friction by direction says of each joint that it has some: where that is one of two it is a constant force there.
+TEST(Search, FrictionByDirectionOfOneJointIsAConstantForceThere) {
+  const auto p = testing::Prepare("arm2",
+                                  {MakeSpec("coulomb_friction", {"shoulder"}, {{"coulomb", 0.4}}),
+                                   MakeSpec("coulomb_friction", {"elbow"}, {{"coulomb", 0.2}}),
+                                   MakeSpec("torque_offset", {"elbow"}, {{"offset", 0.15}})},
+                                  60);
+  const FitSetting setting{p->data, p->nominal, p->scales};
+  const FakeClock clock;
+  const Trace trace(clock);
+  FitLedger fits(setting, p->options, 1, trace, nullptr);
+  const auto by_direction = [](const std::string& joint, double forwards, double backwards) {
+    return MakeSpec("asymmetric_friction", {joint},
+                    {{"coulomb_positive", forwards}, {"coulomb_negative", backwards}});
+  };
+  Candidate best =
+      fits.Evaluate({by_direction("shoulder", 0.4, 0.4), by_direction("elbow", 0.1, 0.3)}, false, nullptr, 12);
+  ASSERT_TRUE(best.fit.ok);
+  ASSERT_LT(fits.PerRow(best), kExplained);
+  Simplifier(
+      setting, fits, [](const Candidate&, const Candidate&) { return 5.0; },
+      [](const Candidate&) { return 5.0; }, [](const Candidate&) { return 1e3; })
+      .Run(&best);
+  EXPECT_EQ(KeyOf(best.specs), "coulomb_friction[elbow ] coulomb_friction[shoulder ] torque_offset[elbow ] ");
+}
+
 // No pose turns a rail against gravity: that its base is tilted is no other thing than friction that depends
 // on the direction.
 TEST(Search, DryFrictionUnderATiltOnARailIsFrictionByDirection) {
