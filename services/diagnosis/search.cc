@@ -663,14 +663,10 @@ class Search {
     if (fits_.PerRow(*best) < kExplained && !swings_on())
       *unseen_in = judge.Refusing(*best, Threshold(*best));
     const bool named = !best->specs.empty() && !FoundNothing(*best);
-    const bool one_force = !of_drives_;
     for (int sent = 0;
          named && sent < kSentBack && !fits_.Late(kToWeigh) && !judge.Holds(*best, Threshold(*best));
          ++sent) {
-      if (one_force && !fits_.Late()) unnamed_.Try(best->base, kAny, [](const Candidate&) { return false; });
-      if (const Candidate* nameless = unnamed_.Best();
-          one_force && sent == 0 && nameless != nullptr && !fits_.Late())
-        unnamed_.WithNames(Candidate(*nameless));
+      if (!of_drives_) TryUnnamed(best->base, sent == 0);
       Candidate with = *best;  // what it lacks may be another name
       if (sent == 0 && !HasUnnamed(*best) && !fits_.Late()) LookBesideRefused(*best, &with);
       const auto rival =
@@ -695,6 +691,13 @@ class Search {
       *best = without;
     }
     fits_.AddWork(judge.TakeWork());
+  }
+
+  // Forces without a name as rivals, the first time with names beside them.
+  void TryUnnamed(bool base, bool with_names) {
+    if (!fits_.Late()) unnamed_.Try(base, kAny, [](const Candidate&) { return false; });
+    const Candidate* nameless = unnamed_.Best();
+    if (with_names && nameless != nullptr && !fits_.Late()) unnamed_.WithNames(Candidate(*nameless));
   }
 
   // It may lack a name, or have one that the fitted recordings alone bear out in the place of another.

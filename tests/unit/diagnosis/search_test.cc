@@ -210,6 +210,23 @@ TEST(Search, ALawBesideOtherMassesIsFoundBeforeHiddenStates) {
   for (const Candidate& c : r.tried) EXPECT_FALSE(HasHiddenStates(c)) << KeyOf(c.specs);
 }
 
+// What is left of these effects, which hold, where each name must be worth 5 nats: it holds too.
+Candidate Simplified(const testing::Prepared& p, const std::vector<effects::EffectSpec>& specs) {
+  const FitSetting setting{p.data, p.nominal, p.scales};
+  const FakeClock clock;
+  const Trace trace(clock);
+  FitLedger fits(setting, p.options, 1, trace, nullptr);
+  Candidate best = fits.Evaluate(specs, false, nullptr, 12);
+  EXPECT_TRUE(best.fit.ok);
+  EXPECT_LT(fits.PerRow(best), kExplained);
+  Simplifier(
+      setting, fits, [](const Candidate&, const Candidate&) { return 5.0; },
+      [](const Candidate&) { return 5.0; }, [](const Candidate&) { return 1e3; })
+      .Run(&best);
+  EXPECT_LT(fits.PerRow(best), kExplained);
+  return best;
+}
+
 // Friction by direction says of each joint that it has some: where that is one of two it is a constant force there.
 TEST(Search, FrictionByDirectionOfOneJointIsAConstantForceThere) {
   const auto p = testing::Prepare("arm2",
@@ -217,22 +234,12 @@ TEST(Search, FrictionByDirectionOfOneJointIsAConstantForceThere) {
                                    MakeSpec("coulomb_friction", {"elbow"}, {{"coulomb", 0.2}}),
                                    MakeSpec("torque_offset", {"elbow"}, {{"offset", 0.15}})},
                                   60);
-  const FitSetting setting{p->data, p->nominal, p->scales};
-  const FakeClock clock;
-  const Trace trace(clock);
-  FitLedger fits(setting, p->options, 1, trace, nullptr);
   const auto by_direction = [](const std::string& joint, double forwards, double backwards) {
     return MakeSpec("asymmetric_friction", {joint},
                     {{"coulomb_positive", forwards}, {"coulomb_negative", backwards}});
   };
-  Candidate best =
-      fits.Evaluate({by_direction("shoulder", 0.4, 0.4), by_direction("elbow", 0.1, 0.3)}, false, nullptr, 12);
-  ASSERT_TRUE(best.fit.ok);
-  ASSERT_LT(fits.PerRow(best), kExplained);
-  Simplifier(
-      setting, fits, [](const Candidate&, const Candidate&) { return 5.0; },
-      [](const Candidate&) { return 5.0; }, [](const Candidate&) { return 1e3; })
-      .Run(&best);
+  const Candidate best =
+      Simplified(*p, {by_direction("shoulder", 0.4, 0.4), by_direction("elbow", 0.1, 0.3)});
   EXPECT_EQ(KeyOf(best.specs), "coulomb_friction[elbow ] coulomb_friction[shoulder ] torque_offset[elbow ] ");
 }
 
@@ -257,23 +264,11 @@ TEST(Search, DryFrictionUnderATiltOnARailIsFrictionByDirection) {
       {MakeSpec("asymmetric_friction", {"slide"}, {{"coulomb_positive", 1.0}, {"coulomb_negative", 2.0}})},
       59);
   setenv("RG_SOURCE_DIR", before.c_str(), 1);
-  const FitSetting setting{p->data, p->nominal, p->scales};
-  const FakeClock clock;
-  const Trace trace(clock);
-  FitLedger fits(setting, p->options, 1, trace, nullptr);
-  Candidate best =
-      fits.Evaluate({MakeSpec("coulomb_friction", {"slide"}, {{"coulomb", 1.5}}),
-                     MakeSpec("gravity_misalignment", {}, {{"tilt", 0.02}, {"azimuth", 0.0}})},
-                    false, nullptr, 12);
-  ASSERT_TRUE(best.fit.ok);
-  ASSERT_LT(fits.PerRow(best), kExplained);
-  Simplifier(
-      setting, fits, [](const Candidate&, const Candidate&) { return 5.0; },
-      [](const Candidate&) { return 5.0; }, [](const Candidate&) { return 1000.0; })
-      .Run(&best);
+  const Candidate best =
+      Simplified(*p, {MakeSpec("coulomb_friction", {"slide"}, {{"coulomb", 1.5}}),
+                      MakeSpec("gravity_misalignment", {}, {{"tilt", 0.02}, {"azimuth", 0.0}})});
   ASSERT_EQ(best.specs.size(), 1u);
   EXPECT_EQ(best.specs[0].id, "asymmetric_friction");
-  EXPECT_LT(fits.PerRow(best), kExplained);
 }
 
 TEST(Search, AGroupLeavesAloneWhatAJointHas) {
