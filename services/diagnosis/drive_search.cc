@@ -66,6 +66,7 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
     if (looked_at.insert(KeyOf(best.specs, best.base) + std::to_string(best.score)).second) {
       Couple(&best);
       OtherDryLaw(&best);
+      LawOnEachJoint(&best);
     }
     const Candidate drives = best;
     Freed(&best);
@@ -199,6 +200,20 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
     }
   }
   if (Left(drops) < kWorthwhile * Left(*best)) *best = drops;
+}
+
+// A law that is no loss and that all joints have, as springs of cables: one joint at a time none brings the
+// model near, and what a screen far from the record promises of all is no start.
+void DriveSearch::LawOnEachJoint(Candidate* best) {
+  if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
+  const Candidate now = *best;
+  for (const LawOnAll& law :
+       LawsOnAll(setting_.data, setting_.nominal, setting_.scales, kLosses, best->base, kShown)) {
+    if (fits_.Late()) return;
+    const Candidate c = Seen(
+        fits_.Evaluate(Joined(Refreshed(now), law.specs), now.base, &now, kIterations), now.base);
+    if (c.score > best->score + needed_(now, c) && Left(c) < kUseful * Left(now)) *best = c;
+  }
 }
 
 // Where dry friction that differs by direction does so on half of the joints at most: the same as constant

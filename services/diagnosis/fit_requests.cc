@@ -17,12 +17,35 @@ namespace {
 constexpr int kFollowed = 3;        // times that all windows with a mass on a rod are followed; some: once
 constexpr double kOnTheWay = 0.05;  // of the cost in one iteration, for a fit to pieces to go on
 constexpr size_t kWindowsOnTheWay = 32;
+constexpr size_t kFewWindows = 16;     // that a fit from far off is made to before it is made to all
+constexpr size_t kManyWindows = 48;    // from which on that saves time
+constexpr int kIterationsFromNear = 4;  // of a fit to all windows after one to a few
 
 // As many of them as a fit needs to find its way.
-std::vector<NodeWindow> Spread(const std::vector<NodeWindow>& windows) {
+std::vector<NodeWindow> Spread(const std::vector<NodeWindow>& windows, size_t count) {
   std::vector<NodeWindow> out;
-  for (const uint32_t i : EvenlySpread(windows.size(), kWindowsOnTheWay)) out.push_back(windows[i]);
+  for (const uint32_t i : EvenlySpread(windows.size(), count)) out.push_back(windows[i]);
   return out;
+}
+
+// A fit that begins at the recorded motion, far from the record as a rule. A few windows, evenly spread, tell
+// the parameters nearly as well as all of them do: most iterations are made on these.
+FitResult FitFromRecord(const FitData& data, FitModel model, LiftedOptions options) {
+  if (data.windows.size() < kManyWindows || options.iterations <= kIterationsFromNear)
+    return Fit(data, model, options);
+  FitData few = data;
+  few.windows = Spread(data.windows, kFewWindows);
+  LiftedOptions there = options;
+  there.to_beat = 0;
+  const FitResult start = Fit(few, model, there);
+  if (start.ok) {
+    model.values = start.values;
+    options.more_iterations += options.iterations - kIterationsFromNear;
+    options.iterations = kIterationsFromNear;
+  }
+  FitResult fit = Fit(data, model, options);
+  fit.work += start.work;
+  return fit;
 }
 
 // Base parameters found without a spring are bent by what it does, those of the URDF are not theirs: on from
@@ -67,7 +90,7 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
   for (double piece = hidden ? 0 : request.piece_s; piece > 0; piece *= kLongerPiece) {
     if (piece > kLongestPiece * data.nodes.window_s) break;
     FitData pieces = data;
-    pieces.windows = InPieces(Spread(data.windows), piece, data.RowNoise());
+    pieces.windows = InPieces(Spread(data.windows, kWindowsOnTheWay), piece, data.RowNoise());
     LiftedOptions options = request.options;
     // On the way to longer ones nothing is gained by the last of them.
     if (!request.pieces_alone) options.still_falling = std::max(options.still_falling, kOnTheWay);
@@ -83,7 +106,7 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
   } else if (hidden && c.base && from != nullptr && from->fit.states.empty()) {
     fit = FitFromEither(data, model, request.options);
   } else if (from == nullptr || from->fit.states.empty()) {
-    fit = Fit(data, model, request.options);
+    fit = FitFromRecord(data, model, request.options);
   } else {
     NodeStates states = from->fit.states;
     if (!request.places.empty()) {

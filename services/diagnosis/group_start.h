@@ -26,4 +26,16 @@ Candidate RegressedGroup(const FitData& data, const sim::Plant& nominal, const M
 Eigen::VectorXd LeftByGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                             const std::vector<std::string>& effects);
 
+// A law that is on all joints beside `losses`: what its force leaves of the regression's residual torque, by
+// joint as LeftByGroup has it, and its specs with start values.
+struct LawOnAll {
+  Eigen::VectorXd left;
+  std::vector<effects::EffectSpec> specs;
+};
+// Of every law of a joint with a force that is linear in coefficients which the regression knows, and that is
+// no loss: springs, drag, offsets; those that leave less than `most` on half of the judged joints, the least
+// first. `base`: start values beside free base parameters.
+std::vector<LawOnAll> LawsOnAll(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                                const std::vector<std::string>& losses, bool base, double most);
+
 }  // namespace rg::diagnosis

@@ -82,10 +82,12 @@ void AddSamples(const FitRecording& fit, const RegressionOptions& options, int s
   }
 }
 
-// What a regressor's coefficient multiplies on the model's side of a joint's torque balance. Nothing where
-// the regression does not know it.
-std::optional<double> ColumnOf(Regressor regressor, double v, double a) {
+// What a regressor's coefficient multiplies on the model's side of a joint's torque balance; q: less the
+// regressor's shape. Nothing where the regression does not know it.
+std::optional<double> ColumnOf(Regressor regressor, double q, double v, double a) {
   switch (regressor) {
+    case Regressor::kPosition:
+      return q;
     case Regressor::kVelocity:
       return v;
     case Regressor::kDirection:
@@ -109,7 +111,7 @@ std::optional<double> ColumnOf(Regressor regressor, double v, double a) {
 // effort.
 struct JointColumn {
   std::optional<Regressor> regressor;  // of a force of the joint; none: its effort
-  double At(double v, double a, double u) const { return regressor ? *ColumnOf(*regressor, v, a) : -u; }
+  double At(double v, double a, double u) const { return regressor ? *ColumnOf(*regressor, 0, v, a) : -u; }
 };
 
 std::optional<JointColumn> ColumnOf(const sim::Parameter& p) {
@@ -128,7 +130,8 @@ std::optional<JointColumn> ColumnOf(const sim::Parameter& p) {
 class Regression {
  public:
   Regression(const sim::Plant& plant, VectorXd values, const FitSpace& space, VectorXd theta,
-             std::vector<Sample> samples, const RegressionOptions& options)
+             std::vector<Sample> samples, const RegressionOptions& options,
+             const std::vector<RegressionColumn>& further)
       : plant_(plant),
         values_(std::move(values)),
         space_(space),
@@ -136,8 +139,11 @@ class Regression {
         theta_(std::move(theta)),
         samples_(std::move(samples)),
         options_(options),
+        further_(further),
         n_(plant.num_joints()),
         P_(space.size()),
+        C_(static_cast<int>(further.size())),
+        coefficients_(VectorXd::Zero(C_)),
         mechanism_(plant.model()) {
     FindStillSpeeds();
     for (int i = 0; i < plant.parameters().size(); ++i) columns_.push_back(ColumnOf(plant.parameters()[i]));
@@ -147,7 +153,7 @@ class Regression {
   void Iterate() {
     values_ = space_.Values(theta_, std::move(values_));
     const int S = static_cast<int>(samples_.size());
-    J_.setZero(S * n_, P_);
+    J_.setZero(S * n_, P_ + C_);
     r_.setZero(S * n_);
     used_.assign(S * n_, false);
     PrepareMechanism();
@@ -159,6 +165,7 @@ class Regression {
   RegressionResult Result() const {
     RegressionResult out;
     out.theta = theta_;
+    out.coefficients = coefficients_;
     out.torque_stddev = stddev_;
     out.rows = static_cast<int>(samples_.size());
     return out;
@@ -193,6 +200,12 @@ class Regression {
     auto J = J_.middleRows(s * n_, n_);
     for (int i = 0; i < P_; ++i) FillColumn(x, Y, i, J.col(i));
     AddJointTorques(x, &tau);
+    for (int c = 0; c < C_; ++c) {
+      const RegressionColumn& f = further_[static_cast<size_t>(c)];
+      const double column = *ColumnOf(f.regressor, x.q[f.joint] - f.shape, x.v[f.joint], x.a[f.joint]);
+      J(f.joint, P_ + c) = column;
+      tau[f.joint] += coefficients_[c] * column;
+    }
     for (int j = 0; j < n_; ++j) {
       r_[s * n_ + j] = tau[j];
       used_[s * n_ + j] = std::abs(x.v[j]) > still_[j] && !plant_.IsPrescribed(j);
@@ -245,8 +258,8 @@ class Regression {
   }
 
   void Step() {
-    MatrixXd H = MatrixXd::Zero(P_, P_);
-    J_ *= space_.Jacobian(theta_);
+    const int all = P_ + C_;
+    J_.leftCols(P_) *= space_.Jacobian(theta_);
     for (int k = 0; k < r_.size(); ++k) {
       const double z = r_[k] / stddev_[k % n_];
       const double weight = std::min(1.0, options_.huber / std::max(1e-12, std::abs(z)));
@@ -254,16 +267,22 @@ class Regression {
       J_.row(k) *= root;
       r_[k] *= root;
     }
+    MatrixXd H = MatrixXd::Zero(all, all);
     H.selfadjointView<Eigen::Lower>().rankUpdate(J_.transpose());
-    VectorXd g = J_.transpose() * r_;
     H = MatrixXd(H.selfadjointView<Eigen::Lower>());
-    const VectorXd low = (space_.lower() - theta_).cwiseMin(0.0);
-    const VectorXd high = (space_.upper() - theta_).cwiseMax(0.0);
-    const VectorXd information = space_.prior_stddev().cwiseAbs2().cwiseInverse();
+    VectorXd g = J_.transpose() * r_;
+    VectorXd low(all), high(all), information(all), from_prior(all);
+    low << (space_.lower() - theta_).cwiseMin(0.0), VectorXd::Constant(C_, -effects::kInf);
+    high << (space_.upper() - theta_).cwiseMax(0.0), VectorXd::Constant(C_, effects::kInf);
+    information.head(P_) = space_.prior_stddev().cwiseAbs2().cwiseInverse();
+    for (int c = 0; c < C_; ++c)
+      information[P_ + c] = 1.0 / std::pow(further_[static_cast<size_t>(c)].prior_stddev, 2);
+    from_prior << theta_ - space_.nominal(), coefficients_;
     H.diagonal() += information;
-    g += information.cwiseProduct(theta_ - space_.nominal());
+    g += information.cwiseProduct(from_prior);
     const VectorXd step = BoxedNewtonStep(H, g, low, high);
-    theta_ += step;
+    theta_ += step.head(P_);
+    coefficients_ += step.tail(C_);
   }
 
   const sim::Plant& plant_;
@@ -273,7 +292,9 @@ class Regression {
   VectorXd theta_;
   std::vector<Sample> samples_;
   const RegressionOptions& options_;
-  int n_, P_;
+  const std::vector<RegressionColumn>& further_;
+  int n_, P_, C_;
+  VectorXd coefficients_;  // of the further columns
   dynamics::Mechanism mechanism_;
   dynamics::Workspace workspace_;
   std::vector<Eigen::Matrix<double, 10, 10>> link_jacobian_;
@@ -286,10 +307,12 @@ class Regression {
 
 }  // namespace
 
+bool RegressionHasColumn(Regressor regressor) { return ColumnOf(regressor, 1.0, 1.0, 1.0).has_value(); }
+
 bool RegressionKnows(const std::string& effect) {
   const auto& terms = effects::InferenceOf(effect).terms;
   return !terms.empty() && std::all_of(terms.begin(), terms.end(), [](const effects::Term& t) {
-    return ColumnOf(t.regressor, 1.0, 1.0).has_value();
+    return RegressionHasColumn(t.regressor) && t.regressor != Regressor::kPosition;
   });
 }
 
@@ -314,14 +337,15 @@ std::vector<MotionSample> SampleMotion(const std::vector<FitRecording>& recordin
 RegressionResult RegressInverseDynamics(const sim::Plant& plant, const VectorXd& values,
                                         const FitSpace& space, const VectorXd& theta,
                                         const std::vector<FitRecording>& recordings,
-                                        const RegressionOptions& options) {
+                                        const RegressionOptions& options,
+                                        const std::vector<RegressionColumn>& further) {
   RG_CHECK(values.size() == plant.parameters().size() && theta.size() == space.size());
   std::vector<Sample> samples = SampleMotion(recordings, options);
   if (samples.size() < 10) {
     const VectorXd zero = VectorXd::Zero(plant.num_joints());
-    return {theta, zero, 0};
+    return {theta, VectorXd::Zero(static_cast<long>(further.size())), zero, 0};
   }
-  Regression regression(plant, values, space, theta, std::move(samples), options);
+  Regression regression(plant, values, space, theta, std::move(samples), options, further);
   for (int k = 0; k < options.iterations; ++k) regression.Iterate();
   return regression.Result();
 }

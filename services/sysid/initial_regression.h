@@ -18,6 +18,7 @@
 #include <string>
 #include <vector>
 
+#include "common/effects/inference.h"
 #include "common/recordings/recording.h"
 #include "common/sim/command_signal.h"
 #include "common/sim/plant.h"
@@ -45,23 +46,37 @@ struct RegressionOptions {
   int iterations = 6;
 };
 
+// A force on a joint beside the plant's own, linear in one coefficient: for laws whose parameters are no
+// coefficients themselves.
+struct RegressionColumn {
+  int joint = 0;
+  effects::Regressor regressor;  // that the regression has
+  double shape = 0;
+  double prior_stddev = 1;  // of its coefficient about 0
+};
+
 struct RegressionResult {
   Eigen::VectorXd theta;          // in the fit space
+  Eigen::VectorXd coefficients;   // of the further columns
   Eigen::VectorXd torque_stddev;  // n, robust, of the residual
   int rows = 0;                   // rows used; 0: too little data, theta is the start
 };
 
-// Whether it holds an effect: all of its force is a sum of coefficients on v, a, signs and constants.
+// Whether it has columns of a regressor: of q, v, a, signs and constants.
+bool RegressionHasColumn(effects::Regressor regressor);
+// Whether it holds an effect: all of its force is a sum of its parameters times such columns, without shapes.
 bool RegressionKnows(const std::string& effect);
 
 // Samples of the recordings, thinned.
 std::vector<MotionSample> SampleMotion(const std::vector<FitRecording>& recordings,
                                        const RegressionOptions& options = {});
 
-// Starts at `theta`; the plant's other parameters are those of `values` (its whole table).
+// Starts at `theta`; the plant's other parameters are those of `values` (its whole table). `further`: columns
+// whose coefficients are estimated together with θ.
 RegressionResult RegressInverseDynamics(const sim::Plant& plant, const Eigen::VectorXd& values,
                                         const FitSpace& space, const Eigen::VectorXd& theta,
                                         const std::vector<FitRecording>& recordings,
-                                        const RegressionOptions& options = {});
+                                        const RegressionOptions& options = {},
+                                        const std::vector<RegressionColumn>& further = {});
 
 }  // namespace rg::sysid
