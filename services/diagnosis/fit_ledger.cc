@@ -372,15 +372,22 @@ bool FitLedger::Stands(Candidate* candidate) {
 }
 
 void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
-  const auto springs = SpringsBehind(from, *account, setting_.nominal, setting_.scales);
+  const auto behind = SpringsBehind(from, *account, setting_.nominal, setting_.scales);
   const bool base = account->base;
+  // A rotor that leaves nothing is the limit of what may be in its place: from there it is near.
+  const bool explains = PerRow(*account) < kExplained;
+  const auto start = Start(explains ? account : nullptr, base);
   std::vector<FitRequest> fits;
-  for (const char* sensor : {"link", "motor"}) {
-    std::vector<TrialSpecs> there = springs;
-    std::erase_if(there, [&](const TrialSpecs& s) { return s[0].options.at("sensor") != sensor; });
-    for (const TrialSpecs& spring : Nearest(*account, base, there, kSprings))
-      fits.push_back(
-          WholeFit(Joined(StrongEffects(*account), spring), base, Start(nullptr, base), 6, account));
+  for (const std::string& effect : {effects::Spring().id, effects::Play().id}) {
+    if (effect == effects::Play().id && !explains) continue;
+    for (const char* sensor : {"link", "motor"}) {
+      std::vector<TrialSpecs> there = behind;
+      std::erase_if(there, [&](const TrialSpecs& s) {
+        return s[0].id != effect || s[0].options.at("sensor") != sensor;
+      });
+      for (const TrialSpecs& nearest : Nearest(*account, base, there, explains ? 1 : kSprings))
+        fits.push_back(WholeFit(Joined(StrongEffects(*account), nearest), base, start, 6, account));
+    }
   }
   TakeBest(fits, 1, account);
 }

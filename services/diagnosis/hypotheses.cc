@@ -144,13 +144,13 @@ std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effec
                 effects::InferenceOf(effect).blind(blind), {{"sensor", sensor}});
 }
 
-std::vector<std::vector<EffectSpec>> SpringStarts(const std::string& sensor, int joint,
-                                                  const sim::Plant& nominal, const MotionScales& s,
+std::vector<std::vector<EffectSpec>> StartsBehind(const std::string& effect, const std::string& sensor,
+                                                  int joint, const sim::Plant& nominal, const MotionScales& s,
                                                   double rotor) {
   effects::Blind blind = BlindOn(joint, nominal, s);
   blind.rotors = {rotor};
-  return Trials(effects::Spring().id, {nominal.joint_names()[static_cast<size_t>(joint)]},
-                effects::InferenceOf(effects::Spring().id).blind(blind), {{"sensor", sensor}});
+  return Trials(effect, {nominal.joint_names()[static_cast<size_t>(joint)]},
+                effects::InferenceOf(effect).blind(blind), {{"sensor", sensor}});
 }
 
 std::vector<EffectSpec> WithoutSprings(std::vector<EffectSpec> specs) {

@@ -28,8 +28,9 @@ std::vector<std::vector<effects::EffectSpec>> TransmissionStarts(const std::stri
                                                                  const sim::Plant& nominal,
                                                                  const MotionScales& scales,
                                                                  double added_inertia);
-// Of a spring alone, from soft to stiff, before a rotor of that inertia [kg·m²].
-std::vector<std::vector<effects::EffectSpec>> SpringStarts(const std::string& sensor, int joint,
+// The same before a rotor of that inertia [kg·m²]: from soft to stiff, or from little to much play.
+std::vector<std::vector<effects::EffectSpec>> StartsBehind(const std::string& effect,
+                                                           const std::string& sensor, int joint,
                                                            const sim::Plant& nominal,
                                                            const MotionScales& scales, double rotor);
 // Rigid gears in the place of springs: of each the rotor behind it.

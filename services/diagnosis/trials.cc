@@ -202,7 +202,7 @@ class TrialBuilder {
       const double rotor = RotorOf(nominal_.joint_names()[static_cast<size_t>(joint)]);
       if (!MayHaveMotor(joint) || !data_.Judged(joint) || !(rotor > 0)) continue;
       for (const char* sensor : {"link", "motor"}) {
-        for (TrialSpecs& start : SpringStarts(sensor, joint, nominal_, scales_, rotor))
+        for (TrialSpecs& start : StartsBehind(effects::Spring().id, sensor, joint, nominal_, scales_, rotor))
           springs.push_back(std::move(start));
       }
     }
@@ -364,6 +364,9 @@ std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& 
     for (const char* sensor : {"link", "motor"}) {
       for (TrialSpecs& start :
            TransmissionStarts(effects::Spring().id, sensor, joint, nominal, scales, armature))
+        out.push_back(std::move(start));
+      for (TrialSpecs& start :
+           StartsBehind(effects::Play().id, sensor, joint, nominal, scales, armature))
         out.push_back(std::move(start));
     }
   }
