@@ -1,0 +1,165 @@
+#include "services/diagnosis/hypotheses/group_start.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "common/effects/effect_catalog.h"
+#include "common/effects/inference.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/sysid/fit_space.h"
+#include "services/sysid/initial_regression.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+using Eigen::VectorXd;
+
+namespace {
+
+constexpr double kLeastStart = 0.02;  // of a prior stddev: from nothing no fit finds its way
+
+// On each joint that takes it, beside what the joint has.
+std::vector<EffectSpec> OnEveryJoint(const sim::Plant& nominal, const std::string& id) {
+  std::vector<EffectSpec> out;
+  for (int j = 0; j < nominal.num_joints(); ++j) {
+    const std::string& joint = nominal.joint_names()[static_cast<size_t>(j)];
+    if (!nominal.Takes(id, j) || Contains(nominal.effects(), id, joint)) continue;
+    // A law that takes another's place there would undo what was given.
+    const EffectSpec spec = effects::MakeSpec(id, {joint});
+    if (Joined(nominal.effects(), {spec}).size() == nominal.effects().size() + 1) out.push_back(spec);
+  }
+  return out;
+}
+
+// Inside its bounds, and a strength not at nothing.
+VectorXd Startable(const sim::Plant& plant, const std::vector<sysid::FitParameter>& parameters,
+                   VectorXd values) {
+  for (const sysid::FitParameter& p : parameters) {
+    if (plant.parameters()[p.index].kind != sim::ParameterKind::kEffect) continue;
+    double& value = values[p.index];
+    if (p.lower >= 0) value = std::max(value, kLeastStart * p.prior_stddev);
+    value = std::clamp(value, p.lower, p.upper);
+  }
+  return values;
+}
+
+// A regression's fit. `torque_stddev`: of what it leaves, by joint; `coefficients`: of the further columns.
+struct Regression {
+  Candidate fitted;
+  VectorXd torque_stddev, coefficients;
+};
+Regression Regressed(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                     const std::vector<std::string>& effects, bool base,
+                     const std::vector<sysid::RegressionColumn>& further = {}) {
+  Regression out;
+  Candidate& c = out.fitted;
+  c.base = base, c.specs = nominal.effects();
+  for (const std::string& id : effects) {
+    const std::vector<EffectSpec> more = OnEveryJoint(nominal, id);
+    c.specs.insert(c.specs.end(), more.begin(), more.end());
+  }
+  const auto plant = sim::Plant::Create(nominal.shared_model(), nominal.options(), c.specs);
+  if (!plant.ok()) return out;
+  c.plant = std::make_shared<const sim::Plant>(*plant);
+  c.parameters = FreeParameters(*c.plant, scales, base);
+  const sysid::FitSpace space(c.parameters);
+  const VectorXd start = c.plant->ValuesFrom(nominal.parameters(), nominal.parameters().Nominal());
+  VectorXd theta = space.nominal();
+  for (int i = 0; i < space.size(); ++i) {
+    if (space.IsItself(i)) theta[i] = start[c.parameters[static_cast<size_t>(i)].index];
+  }
+  theta = theta.cwiseMax(space.lower()).cwiseMin(space.upper());
+  const auto found = sysid::RegressInverseDynamics(*c.plant, start, space, theta, data.recordings, {}, further);
+  c.fit.ok = found.rows > 0 && found.theta.allFinite();
+  if (!c.fit.ok) return out;
+  out.torque_stddev = found.torque_stddev, out.coefficients = found.coefficients;
+  c.fit.theta = found.theta;
+  c.fit.values = Startable(*c.plant, c.parameters, space.Values(found.theta, start));
+  c.fit.chi2 = effects::kInf;  // not of the simulator
+  c.fit.rows = data.Rows();
+  c.specs = Refreshed(c);
+  return out;
+}
+
+// Whether it is a law of which `LawsOnAll` asks.
+bool IsLinearLaw(const effects::EffectInfo& effect) {
+  const effects::Inference& own = effects::InferenceOf(effect.id);
+  return effect.scope == effects::Scope::kJoint && !own.terms.empty() && !own.unnamed &&
+         own.slot != effects::Slot::kDryFriction &&
+         std::all_of(own.terms.begin(), own.terms.end(),
+                     [](const effects::Term& t) { return sysid::RegressionHasColumn(t.regressor); });
+}
+
+std::vector<sysid::RegressionColumn> ColumnsOf(const effects::EffectInfo& law, int joint,
+                                               const MotionScales& scales) {
+  std::vector<sysid::RegressionColumn> out;
+  for (const effects::Term& t : effects::InferenceOf(law.id).terms) {
+    const double range = scales.high[joint] - scales.low[joint], speed = scales.speed[joint];
+    double typical = 1;  // size of the column
+    if (t.regressor == effects::Regressor::kPosition) typical = 0.5 * range;
+    if (t.regressor == effects::Regressor::kVelocity) typical = speed;
+    if (t.regressor == effects::Regressor::kSquaredVelocity) typical = speed * speed;
+    if (t.regressor == effects::Regressor::kAcceleration) typical = scales.acceleration[joint];
+    out.push_back({joint, t.regressor, 0.5 * (scales.low[joint] + scales.high[joint]),
+                   scales.torque[joint] / std::max(1e-6, typical)});
+  }
+  return out;
+}
+
+}  // namespace
+
+Candidate RegressedGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                         const std::vector<std::string>& effects, bool base) {
+  return Regressed(data, nominal, scales, effects, base).fitted;
+}
+
+VectorXd LeftByGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                     const std::vector<std::string>& effects) {
+  const Regression without = Regressed(data, nominal, scales, {}, true);
+  const Regression with = Regressed(data, nominal, scales, effects, true);
+  if (!without.fitted.fit.ok || !with.fitted.fit.ok) return VectorXd::Ones(data.n);
+  return with.torque_stddev.cwiseQuotient(without.torque_stddev);
+}
+
+std::vector<LawOnAll> LawsOnAll(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                                const std::vector<std::string>& losses, bool base, double most) {
+  const Regression without = Regressed(data, nominal, scales, losses, base);
+  std::vector<LawOnAll> out;
+  if (!without.fitted.fit.ok) return out;
+  for (const effects::EffectInfo& law : effects::Catalog()) {
+    if (!IsLinearLaw(law) || std::count(losses.begin(), losses.end(), law.id) > 0) continue;
+    Scored scored;
+    scored.effect = law.id;
+    std::vector<sysid::RegressionColumn> columns;
+    for (int j = 0; j < data.n; ++j) {
+      const std::string& joint = nominal.joint_names()[static_cast<size_t>(j)];
+      if (!data.Judged(j) || !nominal.Takes(law.id, j) || Contains(nominal.effects(), law.id, joint)) continue;
+      const auto own = ColumnsOf(law, j, scales);
+      columns.insert(columns.end(), own.begin(), own.end());
+      scored.joints.push_back(j);
+      scored.shape = own[0].shape;
+    }
+    if (scored.joints.size() < 2) continue;
+    const Regression with = Regressed(data, nominal, scales, losses, base, columns);
+    if (!with.fitted.fit.ok || !with.coefficients.allFinite()) continue;
+    LawOnAll found{with.torque_stddev.cwiseQuotient(without.torque_stddev), {}};
+    const auto helped = std::count_if(scored.joints.begin(), scored.joints.end(),
+                                      [&](int j) { return found.left[j] < most; });
+    if (2 * helped < data.judged()) continue;
+    const size_t terms = columns.size() / scored.joints.size();
+    for (size_t i = 0; i < scored.joints.size(); ++i) {
+      Scored one = scored;
+      one.joints = {scored.joints[i]}, one.shape = columns[i * terms].shape;
+      const VectorXd c = with.coefficients.segment(static_cast<long>(i * terms), static_cast<long>(terms));
+      one.coefficients.assign(c.begin(), c.end());
+      const auto specs = SpecsFor(one, nominal, scales);
+      found.specs.insert(found.specs.end(), specs[0].begin(), specs[0].end());
+    }
+    out.push_back(std::move(found));
+  }
+  std::stable_sort(out.begin(), out.end(),
+                   [](const LawOnAll& a, const LawOnAll& b) { return a.left.sum() < b.left.sum(); });
+  return out;
+}
+
+}  // namespace rg::diagnosis
