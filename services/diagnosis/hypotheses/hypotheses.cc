@@ -182,7 +182,7 @@ std::vector<std::vector<EffectSpec>> OtherGaps(const EffectSpec& spec) {
   std::vector<std::vector<EffectSpec>> out;
   const std::string& stays = effects::InferenceOf(spec.id).stays;
   if (stays.empty()) return out;
-  for (const double part : {0.7, 0.85, 0.93, 1.08, 1.2, 1.4}) {
+  for (const double part : {0.7, 0.85, 0.93, 0.97, 1.03, 1.08, 1.2, 1.4}) {
     EffectSpec other = spec;
     other.values.at(spec.joints[0]).at(stays) *= part;
     out.push_back({other});

@@ -4,7 +4,6 @@
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/candidate.h"
-#include "services/diagnosis/likelihood/some_windows.h"
 
 namespace rg::diagnosis {
 
@@ -71,45 +70,6 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const Motion
   return columns;
 }
 
-namespace {
-
-constexpr size_t kFewWindows = 32;  // that a screen around a model which is far off is made of
-constexpr double kFar = 2.0;        // χ² per row above which it is: what it promises is approximate anyway
-
-// Some of the data, with the features and the states of these windows. Each window stands for several: their
-// noise is taken as that much less, so that gains are those of all.
-struct SomeOf {
-  FitData data;
-  FeatureBlock features;
-  NodeStates states;
-  LiftedOptions options;
-};
-SomeOf Some(const std::vector<uint32_t>& places, const FitData& data, const FeatureBlock& features,
-            const NodeStates& states, const LiftedOptions& options) {
-  SomeOf some{data, {features.joint, {}}, {}, options};
-  some.data.windows.clear();
-  for (const uint32_t w : places) {
-    some.data.windows.push_back(data.windows[w]);
-    some.features.phi.push_back(features.phi[w]);
-    some.states.push_back(states[w]);
-  }
-  some.options.noise_scale *= static_cast<double>(places.size()) / static_cast<double>(data.windows.size());
-  return some;
-}
-
-// The windows that tell as much as all of them do around a model that is far off; none where they do not, as
-// where few hold what is amiss.
-std::vector<uint32_t> EnoughWindows(const FitData& data, const Candidate& current,
-                                    const LiftedOptions& options) {
-  const bool far = current.fit.chi2 > kFar * current.fit.rows * options.noise_scale;
-  if (!far || data.windows.size() < 2 * kFewWindows) return {};
-  const std::vector<uint32_t> spread = EvenlySpread(data.windows.size(), kFewWindows);
-  const bool even = SomeWindows(current.fit.window_chi2, data.windows.size(), kFewWindows) == spread;
-  return even ? spread : std::vector<uint32_t>{};
-}
-
-}  // namespace
-
 ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
                           const FeatureSet& features, const LiftedOptions& options, Rng rng,
                           std::vector<Eigen::VectorXd>* step_rule) {
@@ -129,14 +89,6 @@ ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, b
   }
   const FitModel model{*plant, values, parameters};
   const NodeStates states = holds ? current.fit.states : InitialStates(setting.data, model, options);
-  const std::vector<uint32_t> places = EnoughWindows(setting.data, current, options);
-  if (!places.empty()) {
-    const SomeOf some = Some(places, setting.data, features.block, states, options);
-    const Screen screen =
-        MakeScreen(some.data, model, some.states, some.features, some.options,
-                   StepRuleResiduals(some.data, model, some.states, options), kNullDraws, rng);
-    return ScoreHypotheses(screen, columns, features, setting.scales, base, nominal);
-  }
   if (step_rule->empty()) *step_rule = StepRuleResiduals(setting.data, model, states, options);
   const Screen screen =
       MakeScreen(setting.data, model, states, features.block, options, *step_rule, kNullDraws, rng);

@@ -123,7 +123,7 @@ class Search {
       if (of_drives_) drives_.Late(&best);
       // What had seemed to leave nothing may have ended on its way.
       if (LowerNoise(&best, &out) && !MeetsSensors(best) && !fits_.Late()) {
-        if (Siblings(Candidate{}, &best)) simplifier_.Run(&best);
+        if (Exchange(Candidate{}, &best)) simplifier_.Run(&best);
         if (!of_drives_) SubstituteAll(&best);
       }
       // What little a surface leaves is its own coarseness, and no further name.
@@ -725,16 +725,23 @@ class Search {
   // Whether it leaves no more than the sensors' own noise; what is taken for noise may be what it leaves.
   bool MeetsSensors(const Candidate& c) const { return fits_.PerRow(c) * fits_.noise_scale() < kExplained; }
 
+  // The same to within what noise makes of it: three standard deviations of χ².
+  bool LeavesNothing(const Candidate& c) const {
+    return fits_.PerRow(c) * fits_.noise_scale() < 1 + 3 * std::sqrt(2.0 / std::max(1, c.fit.rows));
+  }
+
   // What is easily taken for each other changes places until nothing is better: what one was taken for may
   // have been for another's sake.
-  void Exchange(const Candidate& before, Candidate* winner) {
-    for (int left = kExchanged; left > 0 && Siblings(before, winner);) --left;
+  bool Exchange(const Candidate& before, Candidate* winner) {
+    int left = kExchanged;
+    while (left > 0 && Siblings(before, winner)) --left;
+    return left < kExchanged;
   }
 
   // What was taken for one of several alike while other things were missing is weighed again beside them.
   void ExchangeEarlier(Candidate* best) {
     if (HasUnnamed(*best) || FoundNothing(*best) || FreshKinds(Candidate{}, *best).size() < 2 || fits_.Late(kToWeigh)) return;
-    if (Siblings(Candidate{}, best)) simplifier_.Run(best);
+    if (Exchange(Candidate{}, best)) simplifier_.Run(best);
   }
 
   // Whether a better account was found: the winner with each new kind of effect, or its newest, exchanged for
@@ -755,13 +762,16 @@ class Search {
       const auto starts = OtherTransmission(s, nominal_, scales_);
       for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, starts, 1))
         others.push_back(Joined(specs, start));
-      if (MeetsSensors(*winner)) continue;
+      if (LeavesNothing(*winner)) continue;
       for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, OtherGaps(s), 2))
         others.push_back(Joined(specs, start));
     }
     const double before_others = winner->score;
     fits_.TryInPlace(others, winner);
-    return winner->score > before_others + kBetter;
+    if (!(winner->score > before_others + kBetter)) return false;
+    // Free base parameters may have stood for what the other law says.
+    if (winner->base) *winner = InEitherWorld(*winner, 0);
+    return true;
   }
 
   const FitData& data_;

@@ -165,6 +165,30 @@ TEST(Search, LossesTakeOfTheRegressionOnlyWhatIsTheirs) {
   EXPECT_GT(of_others.minCoeff(), 0.85) << of_others.transpose();
 }
 
+// Stiffness and centre follow from two coefficients of one regression, beside those of the losses.
+TEST(Drives, ALawOnAllJointsIsRegressedBesideTheirLosses) {
+  const std::vector<std::string> losses = {"viscous_friction", "coulomb_friction", "rotor_inertia"};
+  std::vector<EffectSpec> truth = LossesOfBoth();
+  const auto plain = testing::Prepare("arm2", truth, 60);
+  EXPECT_TRUE(LawsOnAll(plain->data, plain->nominal, plain->scales, losses, false, 0.85).empty());
+  const std::map<std::string, std::pair<double, double>> springs = {{"shoulder", {4.0, 0.3}},
+                                                                    {"elbow", {2.0, -0.4}}};
+  for (const auto& [joint, spring] : springs) {
+    truth.push_back(MakeSpec("position_spring", {joint},
+                             {{"stiffness", spring.first}, {"cubic", 0.0}, {"center", spring.second}}));
+  }
+  const auto p = testing::Prepare("arm2", truth, 60);
+  const std::vector<LawOnAll> laws = LawsOnAll(p->data, p->nominal, p->scales, losses, false, 0.85);
+  ASSERT_FALSE(laws.empty());
+  ASSERT_EQ(laws[0].specs.size(), 2u);
+  for (const EffectSpec& s : laws[0].specs) {
+    EXPECT_EQ(s.id, "position_spring");
+    const auto& [stiffness, center] = springs.at(s.joints[0]);
+    EXPECT_NEAR(s.values.at(s.joints[0]).at("stiffness"), stiffness, 0.15 * stiffness) << s.joints[0];
+    EXPECT_NEAR(s.values.at(s.joints[0]).at("center"), center, 0.1) << s.joints[0];
+  }
+}
+
 // No single one of six brings a fit near such recordings.
 TEST(Search, FrictionAndRotorsOfAllJointsAreFoundTogether) {
   const std::vector<EffectSpec> truth = LossesOfBoth();
