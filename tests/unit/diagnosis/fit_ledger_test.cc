@@ -51,6 +51,26 @@ TEST_F(FitLedgerTest, SomeWindowsTellWhatMayLeaveLess) {
   EXPECT_EQ(ledger_.tried().size(), 1u) << "no fit of some windows is an account";
 }
 
+// Most iterations are made on a few windows, and what comes out is what all of them say.
+TEST_F(FitLedgerTest, AFitFromFarOffToManyWindowsFindsItsWayOnFew) {
+  FitData many = p_->data;
+  while (many.windows.size() < 60)
+    many.windows.insert(many.windows.end(), p_->data.windows.begin(), p_->data.windows.end());
+  const FitSetting setting{many, p_->nominal, p_->scales};
+  FitRequest request{{MakeSpec("stribeck_friction", {joint_},
+                               {{"coulomb", 1.0}, {"static", 1.5}, {"stribeck_velocity", 0.05}})}};
+  request.options.iterations = 12;
+  const FitResult found = MakeFit(setting, request);
+  const Candidate c = Unfitted(setting, request.specs, false);
+  const FitResult direct =
+      Fit(many, {*c.plant, c.plant->parameters().Nominal(), c.parameters}, request.options);
+  ASSERT_TRUE(found.ok && direct.ok);
+  EXPECT_LT(found.work, 0.8 * direct.work);
+  EXPECT_NEAR(found.chi2, direct.chi2, 1e-3 * direct.chi2);
+  for (int i = 0; i < direct.theta.size(); ++i)
+    EXPECT_NEAR(found.theta[i], direct.theta[i], 0.1 * direct.stddev[i]) << i;
+}
+
 // Counts what is asked of it.
 class CountedFits final : public FitExecutor {
  public:
