@@ -28,6 +28,7 @@ constexpr double kMostPieces = 0.7;        // of all, that are fitted with all t
 constexpr double kMostWindows = 0.5;       // the same of windows, at first
 constexpr int kGrowths = 4;                // of the windows that are met
 constexpr double kMostMet = 0.8;           // of the windows, from where the others were lost by chance
+constexpr double kFewMet = 0.5;            // of them, below which the model lacks more than their starts
 
 // A start whose hidden states are those at the end of `before` as simulated from its own start.
 bool GoesOn(const FitData& data, sim::Simulator& simulator, const NodeWindow& before, const VectorXd& from,
@@ -150,6 +151,12 @@ struct Followed {
     return order;
   }
 
+  // How many of them a fit meets.
+  long Met(const std::vector<double>& window_chi2) const {
+    const double met = kMet * options.noise_scale * RowsPerWindow(data);
+    return std::count_if(window_chi2.begin(), window_chi2.end(), [&](double c) { return c < met; });
+  }
+
   // A fit to those of them. A window whose start was not found lies far off whatever the mass is, and no step
   // would pay.
   FitResult FitTo(const std::vector<size_t>& which, const FitModel& model) {
@@ -240,6 +247,7 @@ FitResult FitFollowed(const FitData& data, FitModel model, const LiftedOptions& 
     const bool better = !best.ok || fit.chi2 < kFollowOn * best.chi2;
     if (!best.ok || fit.evidence > best.evidence) best = fit;
     if (!better || fit.chi2 < kExplained * fit.rows * options.noise_scale) break;
+    if (static_cast<double>(f.Met(fit.window_chi2)) < kFewMet * static_cast<double>(data.windows.size())) break;
     model.values = fit.values, f.states = std::move(fit.states);
   }
   best.work = f.work;
