@@ -123,7 +123,8 @@ VectorXd LeftByGroup(const FitData& data, const sim::Plant& nominal, const Motio
 
 std::vector<LawOnAll> LawsOnAll(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                                 const std::vector<std::string>& losses, bool base, double most) {
-  const Regression without = Regressed(data, nominal, scales, losses, base);
+  // Springs on all joints act like masses that are off: what is beside free inertials counts.
+  const Regression without = Regressed(data, nominal, scales, losses, true);
   std::vector<LawOnAll> out;
   if (!without.fitted.fit.ok) return out;
   for (const effects::EffectInfo& law : effects::Catalog()) {
@@ -140,12 +141,14 @@ std::vector<LawOnAll> LawsOnAll(const FitData& data, const sim::Plant& nominal, 
       scored.shape = own[0].shape;
     }
     if (scored.joints.size() < 2) continue;
-    const Regression with = Regressed(data, nominal, scales, losses, base, columns);
-    if (!with.fitted.fit.ok || !with.coefficients.allFinite()) continue;
-    LawOnAll found{with.torque_stddev.cwiseQuotient(without.torque_stddev), {}};
+    const Regression freed = Regressed(data, nominal, scales, losses, true, columns);
+    if (!freed.fitted.fit.ok) continue;
+    LawOnAll found{freed.torque_stddev.cwiseQuotient(without.torque_stddev), {}};
     const auto helped = std::count_if(scored.joints.begin(), scored.joints.end(),
                                       [&](int j) { return found.left[j] < most; });
     if (2 * helped < data.judged()) continue;
+    const Regression with = base ? freed : Regressed(data, nominal, scales, losses, false, columns);
+    if (!with.fitted.fit.ok || !with.coefficients.allFinite()) continue;
     const size_t terms = columns.size() / scored.joints.size();
     for (size_t i = 0; i < scored.joints.size(); ++i) {
       Scored one = scored;

@@ -33,8 +33,8 @@ struct LawOnAll {
   std::vector<effects::EffectSpec> specs;
 };
 // Of every law of a joint with a force that is linear in coefficients which the regression knows, and that is
-// no loss: springs, drag, offsets; those that leave less than `most` on half of the judged joints, the least
-// first. `base`: start values beside free base parameters.
+// no loss: springs, drag, offsets; those that leave less than `most` on half of the judged joints, beside free
+// base parameters, the least first. `base`: start values beside free base parameters.
 std::vector<LawOnAll> LawsOnAll(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                                 const std::vector<std::string>& losses, bool base, double most);
 

@@ -21,7 +21,7 @@ namespace {
 constexpr int kBootstraps = 400;
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
-struct Judged {
+struct JudgedRecordings {
   double rms = 0;
   std::vector<double> windows;  // of all recordings in order
   std::vector<double> weights;  // rows of each
@@ -36,9 +36,9 @@ double PooledRms(const std::vector<double>& windows, const std::vector<double>& 
   return std::sqrt(squares / std::max(1.0, count));
 }
 
-Judged Judge(const std::vector<const recordings::Recording*>& recs, const sim::Plant& plant,
+JudgedRecordings Judge(const std::vector<const recordings::Recording*>& recs, const sim::Plant& plant,
              const VectorXd& values, const sysid::PredictionOptions& options, int threads) {
-  Judged out;
+  JudgedRecordings out;
   out.predictions.resize(recs.size());
   std::vector<sysid::PredictionError> errors(recs.size());
   sysid::ParallelFor(threads, static_cast<int>(recs.size()), [&](int, int i) {
@@ -61,7 +61,7 @@ Judged Judge(const std::vector<const recordings::Recording*>& recs, const sim::P
   return out;
 }
 
-void MakeUnknown(Judged* judged) {
+void MakeUnknown(JudgedRecordings* judged) {
   judged->rms = kUnknown;
   for (double& x : judged->windows) x = kUnknown;
   for (sysid::PredictionError& e : judged->errors) e.rms = e.median_window = kUnknown;
@@ -97,7 +97,7 @@ sim::CommandSignal OtherwiseMoved(const sim::CommandSignal& command, const recor
 
 // What the augmented model would show if it were true: windows that it made itself, from the states where
 // they start, measured with the sensors' noise and predicted again.
-double NoiseFloor(const std::vector<const recordings::Recording*>& recs, const Judged& after,
+double NoiseFloor(const std::vector<const recordings::Recording*>& recs, const JudgedRecordings& after,
                   const sim::Plant& plant, const VectorXd& values, const sysid::PredictionOptions& options,
                   const recordings::SensorNoise& noise, const MeasuredEffort& effort, Rng rng) {
   sim::Simulator simulator(plant, options.simulator);
@@ -184,12 +184,12 @@ void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal
     result->held_before = HeldBefore(set.Fit(), *result->plant, result->values, prediction, threads);
   // What cannot be simulated is not judged.
   const bool runs = GivenRuns(nominal, options.model);
-  Judged before = Judge(recs, nominal, nominal.parameters().Nominal(), prediction, threads);
+  JudgedRecordings before = Judge(recs, nominal, nominal.parameters().Nominal(), prediction, threads);
   if (!runs) MakeUnknown(&before);
-  const Judged calibrated =
+  const JudgedRecordings calibrated =
       Judge(recs, *search.calibrated.plant, search.calibrated.fit.values, prediction, threads);
   prediction.held_before = result->held_before;
-  const Judged after = Judge(recs, *result->plant, result->values, prediction, threads);
+  const JudgedRecordings after = Judge(recs, *result->plant, result->values, prediction, threads);
   HoldoutFit& h = result->holdout;
   h.before_rms = before.rms, h.calibrated_rms = calibrated.rms, h.after_rms = after.rms;
   h.before_windows = before.windows, h.after_windows = after.windows;

@@ -52,9 +52,9 @@ struct Judged {
 Judged Met(std::string within = "") { return {"", std::move(within)}; }
 Judged Not(std::string why) { return {std::move(why), ""}; }
 
-class Judge {
+class EffectJudge {
  public:
-  Judge(const MotionSurvey& survey, const sim::Plant& plant)
+  EffectJudge(const MotionSurvey& survey, const sim::Plant& plant)
       : s_(survey), plant_(plant), model_(plant.model()) {
     period_ = s_.FirstToFit().period;
     Probe();
@@ -314,7 +314,7 @@ class Judge {
 }  // namespace
 
 std::vector<EffectShows> WhatShows(const MotionSurvey& survey, const sim::Plant& plant) {
-  const Judge judge(survey, plant);
+  const EffectJudge judge(survey, plant);
   std::vector<EffectShows> out;
   for (const EffectInfo& info : effects::Catalog()) {
     // A force without a name over two joints is told as one over a joint.

@@ -47,6 +47,14 @@ class FitLedger {
   double Excess(const Candidate& c) const {  // χ² beyond noise
     return std::max(0.0, c.fit.chi2 / lifted_.noise_scale - c.fit.rows);
   }
+  // χ² that noise alone leaves of a candidate: windows' own starts take some of it in.
+  double Noise(const Candidate& c) const {
+    return c.fit.rows - 2.0 * setting_.data.judged() * static_cast<double>(setting_.data.windows.size());
+  }
+  // The most log evidence that any addition could bring: half of χ² above what noise alone leaves.
+  double AtStake(const Candidate& c) const { return 0.5 * (c.fit.chi2 / lifted_.noise_scale - Noise(c)); }
+  // Whether it leaves no more than the sensors' own noise; what is taken for noise may be what it leaves.
+  bool MeetsSensors(const Candidate& c) const { return PerRow(c) * lifted_.noise_scale < kExplained; }
   std::map<std::string, Candidate>& tried() { return tried_; }
   // The best fit of these effects on all windows; null where there was none.
   const Candidate* Known(const std::vector<effects::EffectSpec>& specs, bool base) const;

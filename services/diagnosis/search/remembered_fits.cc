@@ -10,7 +10,7 @@ namespace rg::diagnosis {
 
 namespace {
 
-class Key {
+class KeyText {
  public:
   void Add(const std::string& text) { text_ += text, text_ += '\0'; }
   template <class Number>
@@ -33,7 +33,7 @@ class Key {
 // Of all that a request's result depends on. A start is known by its values, its misfit and its first and
 // last windows: all of its states would be megabytes.
 std::string RequestKey(const FitRequest& request) {
-  Key key;
+  KeyText key;
   key.Add(KeyOf(request.specs, request.base));
   for (const effects::EffectSpec& s : request.specs) {
     key.Add(s.id);

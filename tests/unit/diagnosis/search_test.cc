@@ -171,6 +171,12 @@ TEST(Drives, ALawOnAllJointsIsRegressedBesideTheirLosses) {
   std::vector<EffectSpec> truth = LossesOfBoth();
   const auto plain = testing::Prepare("arm2", truth, 60);
   EXPECT_TRUE(LawsOnAll(plain->data, plain->nominal, plain->scales, losses, false, 0.85).empty());
+  // Nor is what a mass does, which free base parameters say.
+  std::vector<EffectSpec> loaded = truth;
+  loaded.push_back(
+      MakeSpec("payload", {}, {{"mass", 1.5}, {"com_x", 0.05}, {"com_y", 0.0}, {"com_z", 0.02}}));
+  const auto heavy = testing::Prepare("arm2", loaded, 60);
+  EXPECT_TRUE(LawsOnAll(heavy->data, heavy->nominal, heavy->scales, losses, false, 0.85).empty());
   const std::map<std::string, std::pair<double, double>> springs = {{"shoulder", {4.0, 0.3}},
                                                                     {"elbow", {2.0, -0.4}}};
   for (const auto& [joint, spring] : springs) {

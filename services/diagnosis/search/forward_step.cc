@@ -1,0 +1,132 @@
+#include "services/diagnosis/search/forward_step.h"
+
+#include <algorithm>
+
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/screening/screen_columns.h"
+#include "services/diagnosis/search/trials.h"
+
+namespace rg::diagnosis {
+
+namespace {
+
+constexpr double kMost = 0.5;  // of what is left
+constexpr double kLeastPromise =
+    2.0;  // nats that a screen must promise of a law for a trial beside hidden states
+constexpr size_t kPromisedFits = 3;      // of what a screen promises, without a trial
+constexpr size_t kLawFits = 3;           // before hidden states are looked for
+constexpr size_t kFitsBesideDrives = 3;  // beside the losses of all drives
+
+}  // namespace
+
+void ForwardStep::SetRound(int round) {
+  if (round != round_) screens_.clear();
+  round_ = round;
+}
+
+ScreenResult ForwardStep::Screen(const Candidate& current, bool base) {
+  const Candidate* values = base ? fits_.pieces() : nullptr;
+  if (fits_.PerRow(current) < kHolds) values = &current;
+  const std::string key =
+      KeyOf(current.specs, base) + std::to_string(current.score) + ' ' + std::to_string(current.fit.chi2);
+  const auto known = screens_.find(key);
+  if (known != screens_.end()) return known->second;
+  const ScreenResult screened = ScreenAround(setting_, current, base, values, features_, fits_.lifted(),
+                                             Rng(seed_).Split(static_cast<uint64_t>(round_)), &step_rule_);
+  return screens_.emplace(key, screened).first->second;
+}
+
+ScreenResult ForwardStep::NotedScreen(const Candidate& current, bool base) {
+  const ScreenResult screened = Screen(current, base);
+  acceptance_.Note(screened, setting_.nominal.joint_names());
+  trace_.Screen(screened, base);
+  return screened;
+}
+
+void ForwardStep::Add(const Candidate& from, size_t count, Candidate* winner) {
+  const ScreenResult screened = Screen(from, from.base);
+  acceptance_.NoteStepRules(screened, setting_.nominal.joint_names());
+  trace_.Screen(screened, from.base);
+  const double needed = threshold_(from);
+  AddFrom(from, screened, HasHiddenStates(from) ? std::max(kLeastPromise, needed) : 1.0, needed, count,
+          winner);
+}
+
+// A force without a name follows some of anything while more is missing: it is for what no name takes half
+// of.
+void ForwardStep::AddPromised(const Candidate& from, Candidate* winner) {
+  const ScreenResult screened = Screen(from, from.base);
+  trace_.Screen(screened, from.base);
+  ScreenResult named = screened;
+  std::erase_if(named.hypotheses, [](const Scored& h) { return IsUnnamed(h.effect); });
+  for (const ScreenResult& promised : {named, screened}) {
+    AddFrom(from, promised, kLeastPromise, threshold_(from), kFitsBesideDrives, winner);
+    if (fits_.Excess(*winner) < kMost * fits_.Excess(from)) return;
+  }
+}
+
+void ForwardStep::AddTransmission(const Candidate& from, Candidate* winner) {
+  const auto nearest = [&](const auto& starts, size_t most) {
+    return fits_.Nearest(from, from.base, starts, most);
+  };
+  const auto pool = TransmissionTrials(setting_.data, setting_.nominal, setting_.scales, from,
+                                       Screen(from, from.base), nearest);
+  fits_.TryBest(from, pool, {}, from.base, kFitsBesideDrives, winner);
+}
+
+void ForwardStep::AddFrom(const Candidate& from, const ScreenResult& screened, double least, double needed,
+                          size_t count, Candidate* winner) {
+  // Where a law of what is recorded leaves nothing, what no screen sees is not looked for.
+  if (least <= 1.0 && MostPromised(screened) > kMost * fits_.AtStake(from)) {
+    const double before = winner->score;
+    Try(from, screened, kLeastPromise, needed, count, winner);
+    const bool better = winner->score > before;
+    if (better && (ExplainedByLaws(from, *winner, needed) || TakesMost(from, *winner))) return;
+  }
+  Try(from, screened, least, needed, count, winner);
+}
+
+bool ForwardStep::AddLaws(const Candidate& from, bool base, double needed, Candidate* winner) {
+  const ScreenResult screened = NotedScreen(from, base);
+  if (!(MostPromised(screened) > kMost * fits_.AtStake(from))) return false;
+  Try(from, screened, kLeastPromise, needed, kLawFits, winner);
+  return true;
+}
+
+void ForwardStep::Try(const Candidate& from, const ScreenResult& screened, double least, double needed,
+                      size_t count, Candidate* winner) {
+  const FitData& data = setting_.data;
+  const auto nearest = [&](const auto& starts, size_t most) {
+    return fits_.Nearest(from, from.base, starts, most);
+  };
+  const auto force = [&] { return force_(from); };
+  const bool near = from.fit.ok && fits_.PerRow(from) < kHolds;
+  const auto promised =
+      Promised(from, screened, setting_.nominal, setting_.scales, near, needed, kPromisedFits);
+  const auto pool = Trials(data, setting_.nominal, setting_.scales, from, screened, least, force, nearest);
+  fits_.TryBest(from, pool, promised, from.base, count, winner);
+}
+
+bool ForwardStep::ExplainedByLaws(const Candidate& from, const Candidate& found, double needed) const {
+  return found.score > from.score + needed && fits_.MeetsSensors(found) && !HasUnnamed(found) &&
+         !HasFreeStates(found);
+}
+
+// Whether it takes most of what the losses of all drives leave. What else is missing is then looked for
+// beside it, and not among what no screen sees.
+bool ForwardStep::TakesMost(const Candidate& from, const Candidate& found) const {
+  return ordinary_() && found.fit.ok && fits_.Excess(found) < kMost * fits_.Excess(from);
+}
+
+double ForwardStep::MostPromised(const ScreenResult& screened) {
+  double most = 0;
+  for (const Scored& h : screened.hypotheses) {
+    if (!IsUnnamed(h.effect)) most = std::max(most, h.gain);
+  }
+  for (const auto* list : {&screened.sets, &screened.pairs}) {
+    for (const Combination& c : *list) most = std::max(most, c.gain);
+  }
+  return most;
+}
+
+}  // namespace rg::diagnosis

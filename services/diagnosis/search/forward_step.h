@@ -1,0 +1,97 @@
+// A forward step of the search: a screen around a model, and fits of what the screen promises and of what no
+// linear screen can see.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "services/diagnosis/likelihood/candidate.h"
+#include "services/diagnosis/likelihood/features.h"
+#include "services/diagnosis/likelihood/missing_force.h"
+#include "services/diagnosis/screening/acceptance.h"
+#include "services/diagnosis/screening/screening.h"
+#include "services/diagnosis/search/fit_ledger.h"
+#include "services/diagnosis/search/trace.h"
+
+namespace rg::diagnosis {
+
+class ForwardStep {
+ public:
+  // threshold(c): log evidence that any addition to c must bring. force(c): the force that c leaves
+  // unexplained. ordinary(): whether the losses of all drives were found together.
+  ForwardStep(const FitSetting& setting, FitLedger& fits, Acceptance& acceptance, const Trace& trace,
+              uint64_t seed, std::function<double(const Candidate&)> threshold,
+              std::function<MissingForce(const Candidate&)> force, std::function<bool()> ordinary)
+      : setting_(setting),
+        fits_(fits),
+        acceptance_(acceptance),
+        trace_(trace),
+        seed_(seed),
+        threshold_(std::move(threshold)),
+        force_(std::move(force)),
+        ordinary_(std::move(ordinary)) {}
+
+  // Before the first screen: regressors along the recorded motion.
+  void MakeFeatures() {
+    features_ = diagnosis::MakeFeatures(setting_.data, setting_.nominal, setting_.scales);
+  }
+  // Screens are kept within a round, and until the noise scale changes.
+  void SetRound(int round);
+  void ForgetScreens() { screens_.clear(); }
+  // What another step rule makes is taken around the first model that is screened from here on.
+  void ForgetStepRule() { step_rule_.clear(); }
+
+  // Around the model's fit, or with free base parameters around what short pieces tell of them where the
+  // model is far from the record.
+  ScreenResult Screen(const Candidate& current, bool base);
+  // The same, whose null distribution counts for what is accepted from here on.
+  ScreenResult NotedScreen(const Candidate& current, bool base);
+
+  // Each adds to `from`, of which the search need not think best; `winner` becomes the best fit where that
+  // has more log evidence. `count`: fits on all windows, at most.
+  //
+  // All that a screen gives and all that it cannot see; beside hidden states, which make every fit dear, what
+  // it promises alone.
+  void Add(const Candidate& from, size_t count, Candidate* winner);
+  // What a screen promises alone, named effects first.
+  void AddPromised(const Candidate& from, Candidate* winner);
+  // A spring or play on the joint on which a screen finds most; no screen can promise these.
+  void AddTransmission(const Candidate& from, Candidate* winner);
+  // Of a screen around `from` all that it gives `least` nats at least; where that is 1 or less, also what it
+  // cannot see, after what it promises. `needed`: log evidence that an addition must bring.
+  void AddFrom(const Candidate& from, const ScreenResult& screened, double least, double needed, size_t count,
+               Candidate* winner);
+  // Laws of what is recorded alone. False where the screen does not promise most of what is left by them.
+  bool AddLaws(const Candidate& from, bool base, double needed, Candidate* winner);
+  // Whether laws of what is recorded, found beside `from`, leave nothing: hidden states, which cost far more
+  // and fit nearly anything, need not be looked for then.
+  bool ExplainedByLaws(const Candidate& from, const Candidate& found, double needed) const;
+
+  // The largest gain of log evidence that a screen promises of effects with a name.
+  static double MostPromised(const ScreenResult& screened);
+
+ private:
+  void Try(const Candidate& from, const ScreenResult& screened, double least, double needed, size_t count,
+           Candidate* winner);
+  bool TakesMost(const Candidate& from, const Candidate& found) const;
+
+  const FitSetting& setting_;
+  FitLedger& fits_;
+  Acceptance& acceptance_;
+  const Trace& trace_;
+  uint64_t seed_;
+  std::function<double(const Candidate&)> threshold_;
+  std::function<MissingForce(const Candidate&)> force_;
+  std::function<bool()> ordinary_;
+  FeatureSet features_;
+  std::vector<Eigen::VectorXd> step_rule_;
+  std::map<std::string, ScreenResult> screens_;  // of this round, by model and fit
+  int round_ = 0;
+};
+
+}  // namespace rg::diagnosis
