@@ -94,10 +94,6 @@ std::string Verdict(const CaseMarks& c) {
   return "no diagnosis" + (c.reason.empty() ? "" : ": " + c.reason);
 }
 
-bool Missed(const CaseMarks& c) {
-  return c.first < 1 || c.f1 < 1 || c.false_alarm || !c.joints_exact.value_or(true);
-}
-
 std::string Number(const json& x) { return x.is_number() ? FormatNumber(x.get<double>()) : "–"; }
 
 std::vector<std::vector<std::string>> EffectRows(const std::vector<CaseMarks>& cases) {
