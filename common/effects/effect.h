@@ -26,7 +26,7 @@ enum class Variable { kVelocity, kPosition, kEffort, kTime };
 std::string_view VariableName(Variable variable);  // "velocity", "position", "effort", "time"
 
 // What recordings must hold for an effect to show in them, of the joint that feels it (of any joint, for what
-// belongs to no joint). Thresholds are in services/diagnosis/what_shows.h.
+// belongs to no joint). Thresholds are in services/diagnosis/reporting/what_shows.h.
 enum class Need {
   kBothWays,      // it moves either way
   kManySpeeds,    // slower and faster

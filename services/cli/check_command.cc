@@ -11,8 +11,8 @@
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
 #include "services/cli/set_arguments.h"
-#include "services/diagnosis/set_check.h"
-#include "services/diagnosis/words.h"
+#include "services/diagnosis/data/words.h"
+#include "services/diagnosis/reporting/set_check.h"
 #include "services/report/check_page.h"
 #include "services/sysid/sysid_on_set.h"
 

@@ -21,7 +21,7 @@
 #include "services/cli/progress_display.h"
 #include "services/cli/set_arguments.h"
 #include "services/diagnosis/diagnosis.h"
-#include "services/diagnosis/told_in_tables.h"
+#include "services/diagnosis/reporting/told_in_tables.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/remote_fits.h"
 #include "services/report/diagnosis_page.h"

@@ -1,8 +1,8 @@
 #include "services/cli/early_warnings.h"
 
 #include "services/cli/context.h"
-#include "services/diagnosis/given_model.h"
-#include "services/diagnosis/set_check.h"
+#include "services/diagnosis/hypotheses/given_model.h"
+#include "services/diagnosis/reporting/set_check.h"
 
 namespace rg::cli {
 

@@ -8,8 +8,8 @@
 #include "common/effects/effect_catalog.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
-#include "services/diagnosis/experiments.h"
-#include "services/diagnosis/words.h"
+#include "services/diagnosis/data/words.h"
+#include "services/diagnosis/reporting/experiments.h"
 
 namespace rg::cli {
 namespace {

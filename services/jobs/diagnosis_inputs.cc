@@ -4,7 +4,7 @@
 #include <utility>
 
 #include "common/effects/inference.h"
-#include "services/diagnosis/set_check.h"
+#include "services/diagnosis/reporting/set_check.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/rollout_inputs.h"
 #include "services/rollouts/recording_bundle.h"

@@ -4,7 +4,7 @@
 #include <vector>
 
 #include "realitygrad/v1/payloads.pb.h"
-#include "services/diagnosis/fit_requests.h"
+#include "services/diagnosis/search/fit_requests.h"
 
 namespace rg::jobs {
 

@@ -3,8 +3,8 @@
 #include <memory>
 #include <string>
 
-#include "services/diagnosis/given_model.h"
-#include "services/diagnosis/search.h"
+#include "services/diagnosis/data/prepare_data.h"
+#include "services/diagnosis/hypotheses/given_model.h"
 #include "services/jobs/diagnosis_inputs.h"
 #include "services/jobs/fit_messages.h"
 #include "services/jobs/kinds.h"

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "services/diagnosis/fit_requests.h"
+#include "services/diagnosis/search/fit_requests.h"
 
 namespace rg::coordinator {
 class Client;

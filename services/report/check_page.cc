@@ -5,7 +5,7 @@
 #include <limits>
 
 #include "common/model/robot_model.h"
-#include "services/diagnosis/words.h"
+#include "services/diagnosis/data/words.h"
 #include "services/report/page.h"
 
 namespace rg::report {

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "services/diagnosis/set_check.h"
+#include "services/diagnosis/reporting/set_check.h"
 
 namespace rg::report {
 

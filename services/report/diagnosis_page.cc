@@ -7,7 +7,7 @@
 #include <cstdio>
 
 #include "common/effects/inference.h"
-#include "services/diagnosis/told_in_tables.h"
+#include "services/diagnosis/reporting/told_in_tables.h"
 #include "services/report/page.h"
 
 namespace rg::report {

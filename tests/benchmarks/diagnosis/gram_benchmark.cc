@@ -2,7 +2,7 @@
 // those of the lower triangle.
 #include <benchmark/benchmark.h>
 
-#include "services/diagnosis/gram.h"
+#include "services/diagnosis/likelihood/gram.h"
 
 namespace rg::diagnosis {
 namespace {

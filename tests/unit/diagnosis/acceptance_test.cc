@@ -1,8 +1,8 @@
-#include "services/diagnosis/acceptance.h"
+#include "services/diagnosis/screening/acceptance.h"
 
 #include <gtest/gtest.h>
 
-#include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {

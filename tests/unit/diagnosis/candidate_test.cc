@@ -1,7 +1,8 @@
-#include "services/diagnosis/candidate.h"
+#include "services/diagnosis/likelihood/candidate.h"
 
 #include <gtest/gtest.h>
 
+#include "services/diagnosis/hypotheses/hypotheses.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {

@@ -1,4 +1,4 @@
-#include "services/diagnosis/confidence.h"
+#include "services/diagnosis/reporting/confidence.h"
 
 #include <gtest/gtest.h>
 

@@ -1,4 +1,4 @@
-#include "services/diagnosis/findings.h"
+#include "services/diagnosis/reporting/findings.h"
 
 #include <gtest/gtest.h>
 
@@ -8,8 +8,8 @@
 #include <limits>
 
 #include "common/base/clock.h"
-#include "services/diagnosis/experiments.h"
-#include "services/diagnosis/findings_tables.h"
+#include "services/diagnosis/reporting/experiments.h"
+#include "services/diagnosis/reporting/findings_tables.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {

@@ -1,9 +1,9 @@
-#include "services/diagnosis/fit_ledger.h"
+#include "services/diagnosis/search/fit_ledger.h"
 
 #include <gtest/gtest.h>
 
 #include "common/base/clock.h"
-#include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {

@@ -1,5 +1,5 @@
 // A diagnosis that starts from a model says what that model lacks, and nothing that it has.
-#include "services/diagnosis/given_model.h"
+#include "services/diagnosis/hypotheses/given_model.h"
 
 #include <gtest/gtest.h>
 

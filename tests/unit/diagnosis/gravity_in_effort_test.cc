@@ -1,12 +1,12 @@
 // Whether the effort carries gravity: of robots that do and do not, with all that ordinary robots have
 // beside.
-#include "services/diagnosis/gravity_in_effort.h"
+#include "services/diagnosis/data/gravity_in_effort.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include "common/dynamics/dynamics.h"
-#include "services/diagnosis/set_check.h"
+#include "services/diagnosis/reporting/set_check.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/simulated_set.h"
 

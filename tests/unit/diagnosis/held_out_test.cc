@@ -1,12 +1,14 @@
-#include "services/diagnosis/held_out.h"
+#include "services/diagnosis/likelihood/held_out.h"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <map>
 
-#include "services/diagnosis/held_out_judge.h"
-#include "services/diagnosis/own_chi2.h"
+#include "services/diagnosis/data/prepare_data.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/likelihood/own_chi2.h"
+#include "services/diagnosis/search/held_out_judge.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {

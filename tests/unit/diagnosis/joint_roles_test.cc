@@ -7,8 +7,8 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "services/diagnosis/data/prepare_data.h"
 #include "services/diagnosis/diagnosis.h"
-#include "services/diagnosis/search.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/simulated_set.h"
 #include "tests/unit/sysid/roles_of_joints.h"

@@ -1,12 +1,13 @@
-#include "services/diagnosis/jumps.h"
+#include "services/diagnosis/likelihood/jumps.h"
 
 #include <gtest/gtest.h>
 
 #include <numeric>
 
-#include "services/diagnosis/fit_requests.h"
-#include "services/diagnosis/followed_fit.h"
-#include "services/diagnosis/held_out.h"
+#include "services/diagnosis/data/prepare_data.h"
+#include "services/diagnosis/likelihood/followed_fit.h"
+#include "services/diagnosis/likelihood/held_out.h"
+#include "services/diagnosis/search/fit_requests.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {

@@ -1,17 +1,17 @@
-#include "services/diagnosis/lifted_fit.h"
+#include "services/diagnosis/likelihood/lifted_fit.h"
 
 #include <gtest/gtest.h>
 
 #include <tuple>
 
 #include "common/effects/effect_catalog.h"
-#include "services/diagnosis/fit_requests.h"
-#include "services/diagnosis/gram.h"
-#include "services/diagnosis/hypotheses.h"
-#include "services/diagnosis/lineariser.h"
-#include "services/diagnosis/loose_start.h"
-#include "services/diagnosis/missing_force.h"
-#include "services/diagnosis/search.h"
+#include "services/diagnosis/data/prepare_data.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/likelihood/gram.h"
+#include "services/diagnosis/likelihood/lineariser.h"
+#include "services/diagnosis/likelihood/loose_start.h"
+#include "services/diagnosis/likelihood/missing_force.h"
+#include "services/diagnosis/search/fit_requests.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 

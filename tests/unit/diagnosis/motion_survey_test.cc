@@ -1,5 +1,5 @@
 // What a set holds, as figures: against sets whose motion is known.
-#include "services/diagnosis/motion_survey.h"
+#include "services/diagnosis/data/motion_survey.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

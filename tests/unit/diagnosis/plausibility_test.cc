@@ -1,10 +1,10 @@
 // Data that cannot be what they say they are: one clear line, and nothing is diagnosed.
-#include "services/diagnosis/plausibility.h"
+#include "services/diagnosis/data/plausibility.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "services/diagnosis/data_notes.h"
+#include "services/diagnosis/reporting/data_notes.h"
 #include "tests/unit/diagnosis/simulated_set.h"
 
 namespace rg::diagnosis {

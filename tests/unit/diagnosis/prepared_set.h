@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "services/diagnosis/search.h"
+#include "services/diagnosis/data/prepare_data.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/simulated_set.h"
 

@@ -1,4 +1,4 @@
-#include "services/diagnosis/probe_motions.h"
+#include "services/diagnosis/design/probe_motions.h"
 
 #include <gtest/gtest.h>
 
@@ -6,7 +6,7 @@
 
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
-#include "services/diagnosis/search.h"
+#include "services/diagnosis/data/prepare_data.h"
 #include "services/sysid/drive_signal.h"
 #include "tests/unit/diagnosis/simulated_set.h"
 

@@ -1,5 +1,5 @@
 // A force as its effect declares it is the force of its law.
-#include "services/diagnosis/regressors.h"
+#include "services/diagnosis/likelihood/regressors.h"
 
 #include <gtest/gtest.h>
 

@@ -1,7 +1,8 @@
-#include "services/diagnosis/screening.h"
+#include "services/diagnosis/screening/screening.h"
 
 #include <gtest/gtest.h>
 
+#include "services/diagnosis/hypotheses/hypotheses.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {

@@ -1,5 +1,5 @@
 // Where a search ends: what holds on recordings kept aside too has no free parameters as its rivals.
-#include "services/diagnosis/search.h"
+#include "services/diagnosis/search/search.h"
 
 #include <gtest/gtest.h>
 
@@ -9,10 +9,11 @@
 #include <memory>
 #include <set>
 
-#include "services/diagnosis/fit_ledger.h"
-#include "services/diagnosis/group_start.h"
-#include "services/diagnosis/hypotheses.h"
-#include "services/diagnosis/simplifier.h"
+#include "services/diagnosis/data/prepare_data.h"
+#include "services/diagnosis/hypotheses/group_start.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/search/fit_ledger.h"
+#include "services/diagnosis/search/simplifier.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {

@@ -1,5 +1,5 @@
 // What is said before a search: the same as the search itself then says, in a schema that stays.
-#include "services/diagnosis/set_check.h"
+#include "services/diagnosis/reporting/set_check.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -7,12 +7,12 @@
 #include <set>
 #include <utility>
 
-#include "services/diagnosis/field_starts.h"
-#include "services/diagnosis/fit_requests.h"
-#include "services/diagnosis/hypotheses.h"
-#include "services/diagnosis/push_starts.h"
-#include "services/diagnosis/search.h"
-#include "services/diagnosis/trials.h"
+#include "services/diagnosis/data/prepare_data.h"
+#include "services/diagnosis/hypotheses/field_starts.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/hypotheses/push_starts.h"
+#include "services/diagnosis/search/fit_requests.h"
+#include "services/diagnosis/search/trials.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/simulated_set.h"
 

@@ -1,14 +1,15 @@
 // A mass on a rod, followed from window to window.
-#include "services/diagnosis/swing_starts.h"
+#include "services/diagnosis/likelihood/swing_starts.h"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 
 #include "common/dynamics/dynamics.h"
-#include "services/diagnosis/fit_ledger.h"
-#include "services/diagnosis/followed_fit.h"
-#include "services/diagnosis/hypotheses.h"
+#include "common/model/robot_model.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/likelihood/followed_fit.h"
+#include "services/diagnosis/search/fit_ledger.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {

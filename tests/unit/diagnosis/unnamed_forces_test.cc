@@ -1,10 +1,10 @@
 // Names beside a force without one.
-#include "services/diagnosis/unnamed_forces.h"
+#include "services/diagnosis/search/unnamed_forces.h"
 
 #include <gtest/gtest.h>
 
 #include "common/base/clock.h"
-#include "services/diagnosis/hypotheses.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {

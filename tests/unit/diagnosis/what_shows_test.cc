@@ -1,5 +1,5 @@
 // One rule per need of the catalogue: a survey that has everything, and one that lacks a single thing.
-#include "services/diagnosis/what_shows.h"
+#include "services/diagnosis/reporting/what_shows.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

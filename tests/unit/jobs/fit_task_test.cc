@@ -5,7 +5,7 @@
 #include <gtest/gtest.h>
 
 #include "common/recordings/csv.h"
-#include "services/diagnosis/search.h"
+#include "services/diagnosis/data/prepare_data.h"
 #include "services/jobs/fit_messages.h"
 #include "services/jobs/kinds.h"
 #include "services/rollouts/recording_bundle.h"

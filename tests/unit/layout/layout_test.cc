@@ -33,6 +33,12 @@ const std::map<std::string, std::set<std::string>>& Arrows() {
   static const std::set<std::string> algorithms =
       with(sim, {"common/recordings", "services/trajectories", "services/policy", "services/rollouts",
                  "services/sysid", "services/diagnosis"});
+  static const std::set<std::string> fits = with(sim, {"common/recordings", "services/sysid"});
+  static const auto diagnosis = [](const std::set<std::string>& rooms) {
+    std::set<std::string> all = fits;
+    for (const std::string& room : rooms) all.insert("services/diagnosis/" + room);
+    return all;
+  };
   static const std::map<std::string, std::set<std::string>> arrows = {
       {"common/base", {}},
       {"common/math", {"common/base"}},
@@ -48,7 +54,16 @@ const std::map<std::string, std::set<std::string>>& Arrows() {
       {"services/policy", sim},
       {"services/rollouts", with(sim, {"common/recordings", "services/policy"})},
       {"services/sysid", with(sim, {"common/recordings"})},
-      {"services/diagnosis", with(sim, {"common/recordings", "services/sysid"})},
+      {"services/diagnosis", with(fits, {"services/diagnosis"})},  // the facade knows its rooms
+      {"services/diagnosis/api", fits},
+      {"services/diagnosis/data", diagnosis({"api"})},
+      {"services/diagnosis/likelihood", diagnosis({"api", "data"})},
+      {"services/diagnosis/hypotheses", diagnosis({"api", "data", "likelihood"})},
+      {"services/diagnosis/screening", diagnosis({"api", "data", "likelihood", "hypotheses"})},
+      {"services/diagnosis/balance", diagnosis({"api", "data", "likelihood", "hypotheses"})},
+      {"services/diagnosis/search", diagnosis({"api", "data", "likelihood", "hypotheses", "screening"})},
+      {"services/diagnosis/design", diagnosis({"api", "data", "likelihood", "hypotheses"})},
+      {"services/diagnosis/reporting", diagnosis({"api", "data", "likelihood", "hypotheses"})},
       {"services/report", algorithms},
       {"services/bench", algorithms},
       {"services/importing", with(model, {"common/recordings"})},
@@ -136,6 +151,9 @@ TEST(Layout, TheTableForbidsWhatItShould) {
   EXPECT_FALSE(Allowed("coordinator", "services/sysid/sysid.h"));
   EXPECT_FALSE(Allowed("services/sysid", "realitygrad/v1/job.pb.h"));
   EXPECT_TRUE(Allowed("common/sim", "common/base/status.h"));
+  EXPECT_FALSE(Allowed("services/diagnosis/likelihood", "services/diagnosis/search/search.h"));
+  EXPECT_FALSE(Allowed("services/diagnosis/search", "services/diagnosis/diagnosis.h"));
+  EXPECT_TRUE(Allowed("services/diagnosis", "services/diagnosis/search/search.h"));
 }
 
 // String literals that are an effect's id, or begin with it as a parameter's name does

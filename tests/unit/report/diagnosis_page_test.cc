@@ -5,7 +5,7 @@
 
 #include <cmath>
 
-#include "services/diagnosis/told_in_tables.h"
+#include "services/diagnosis/reporting/told_in_tables.h"
 
 namespace rg::report {
 namespace {

@@ -1,0 +1,134 @@
+// What a diagnosis answers.
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "common/effects/effect.h"
+#include "common/sim/plant.h"
+
+namespace rg::diagnosis {
+
+struct Region {
+  std::string variable;  // "velocity.joint_2", "position.joint_3", "time", "effort.joint_1"
+  double low = 0, high = 0;
+};
+struct TimeWindow {
+  std::string recording;
+  double start = 0, end = 0;
+};
+struct ParameterEstimate {
+  std::string owner;  // joint, link or "*"
+  std::string name, unit;
+  double value = 0, stddev = 0;
+};
+struct Alternative {
+  std::string effect;
+  std::vector<std::string> joints;
+  double evidence =
+      0;  // log predictive density of held-out recordings minus the chosen one's, nats (held_out.h)
+  bool separable = true;
+  std::string experiment;
+  bool by_motion = true;  // whether a motion could tell it apart
+};
+struct Finding {
+  std::string effect;
+  std::vector<std::string> joints;
+  double confidence = 0;
+  std::string summary;
+  double share_of_mismatch = 0;
+  std::vector<Region> regions;
+  std::vector<TimeWindow> windows;
+  std::string statement, equation;
+  effects::Variable shows_over = effects::Variable::kPosition;
+  std::vector<std::string> effect_class;
+  std::vector<ParameterEstimate> parameters;
+  std::vector<Alternative> alternatives;
+};
+
+// The motion that would tell apart what these recordings cannot (separating_motion.h). Written as motion.csv,
+// which `realitygrad submit rollout --trajectory` plays.
+struct ProposedMotion {
+  std::vector<std::string> effects;  // the rivals, ids
+  std::string description;
+  double expected_nats = 0;  // by which the wrong one is expected to lie behind afterwards
+  std::vector<double> t;     // K, s
+  Eigen::MatrixXd q, v;      // n × K
+};
+
+// How a base parameter moved when the effects came in.
+struct LedgerRow {
+  std::string name, unit;
+  double nominal = 0, calibrated = 0, final = 0, prior_stddev = 1;
+};
+
+// A candidate that was fitted in the simulator.
+struct CandidateRow {
+  std::string name;
+  bool calibrated = false;  // base parameters free
+  double evidence = 0;      // log evidence minus that of the model without effects
+  double chi2_per_row = 0;
+  int round = 0;
+  bool chosen = false;
+};
+
+// Missing force over time of one fitted recording, for plots. n × S.
+struct ForcePlot {
+  std::string recording;
+  std::vector<double> t;
+  Eigen::MatrixXd force, stddev, explained;  // explained: by the findings (what remains is taken off)
+  Eigen::MatrixXd q, v, u;
+};
+
+// One held-out recording by itself: RMS over rows, and the median over windows.
+struct HoldoutRecording {
+  std::string name;
+  double before_rms = 0, calibrated_rms = 0, after_rms = 0;
+  double before_median = 0, calibrated_median = 0, after_median = 0;
+};
+
+// What is of the model as given is NaN (improvements too) where that cannot be simulated, and its plots
+// empty.
+struct HoldoutFit {
+  double before_rms = 0, calibrated_rms = 0, after_rms = 0, noise_floor_rms = 0;
+  double improvement_low = 0, improvement_high = 0;
+  bool judged_on_fit = false;
+  std::vector<double> before_windows, after_windows;
+  std::vector<HoldoutRecording> recordings;
+};
+struct HoldoutPlot {
+  std::string recording;
+  std::vector<double> t;
+  Eigen::MatrixXd measured, before, after;  // n × K
+};
+
+struct DiagnosisResult {
+  std::string verdict;  // no_mismatch, parameters_only, unmodelled_physics, unexplained
+  std::vector<Finding> findings;
+  HoldoutFit holdout;
+  double window_s = 1.0;
+  double elapsed_s = 0;
+  std::vector<std::string> notes;
+  std::optional<ProposedMotion> motion;  // where a class holds more than one effect
+
+  std::string robot;
+  std::vector<std::string> joints, units;
+  bool effort_measured = false;  // hypotheses were judged in the balance of torques
+  double noise_scale = 1;        // residual variance in units of the sensors' noise
+  double mismatch = 0;           // χ² per row of the calibrated model, 1 at the noise
+  double remaining = 0;          // of the augmented model
+  double null_threshold = 0;     // log evidence that chance reaches in 2 % of sets
+  Eigen::VectorXd joint_share;   // n, of the missing force's energy above its noise
+  std::vector<CandidateRow> candidates;
+  std::vector<LedgerRow> ledger;
+  std::vector<ForcePlot> force_plots;
+  std::vector<HoldoutPlot> holdout_plots;
+
+  std::optional<sim::Plant> plant;  // augmented
+  Eigen::VectorXd values;
+  bool held_before = true;  // sim::ModelFile
+};
+
+}  // namespace rg::diagnosis

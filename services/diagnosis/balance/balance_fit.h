@@ -1,0 +1,94 @@
+// Least squares on a torque balance, judged by parts of the recordings left out in turn.
+//
+// w of the balance is coloured and its size unknown: per joint its variance is that of the residual, and its
+// correlation counts as so many rows fewer (integrated autocorrelation), so that a nat is a nat. A hypothesis
+// is judged by what it gains on the parts that its coefficients did not see, block by block: the mean with a
+// standard error that needs no assumption on the noise.
+#pragma once
+
+#include <Eigen/Core>
+#include <set>
+#include <vector>
+
+#include "services/diagnosis/balance/torque_balance.h"
+
+namespace rg::diagnosis {
+
+// Which columns are in: features per joint by their place in TorqueBalance::columns, and base parameters.
+struct BalanceModel {
+  bool base = true;
+  bool tilt = false;
+  bool payload = false;  // what the last link carries, which no prior of that link holds near nothing
+  std::vector<std::set<int>> features;  // per joint
+  std::set<int> drive;                  // columns of the fit's BalanceDrive
+};
+
+struct BalanceSolution {
+  Eigen::VectorXd base;                   // B + 2, standardised, 0 where not in
+  std::vector<Eigen::VectorXd> features;  // per joint: F, standardised, 0 where not in
+  Eigen::VectorXd drive;                  // of BalanceDrive, standardised, 0 where not in
+  Eigen::VectorXd energy;                 // n, mean square of the residual
+};
+
+// Costs ½ SSR/(s² c) of the parts left out: blocks × n.
+using BlockCosts = Eigen::MatrixXd;
+
+class BalanceFit {
+ public:
+  explicit BalanceFit(const TorqueBalance& balance);
+
+  // y per joint: rigid − effort.
+  void SetResponse(int joint, const Eigen::VectorXd& y);
+  // After columns were appended to a joint of the balance.
+  void TakeColumns(int joint);
+  // The drive whose columns models may have; rows in which it may be stuck have no say on its joints. Costs
+  // of fits with different drives are those of different rows.
+  void SetDrive(BalanceDrive drive);
+  const BalanceDrive& drive() const { return drive_; }
+  // Variance and correlation of the residual per joint, from this model's residuals.
+  void SetNoiseFrom(const BalanceModel& model);
+
+  BalanceSolution Solve(const BalanceModel& model, int without_block = -1) const;
+  BlockCosts LeaveOut(const BalanceModel& model) const;
+  double PriorCost(const BalanceModel& model) const;  // nats, of its base parameters fitted to all parts
+  Eigen::VectorXd Residual(const BalanceSolution& solution, int joint) const;
+  // Stddev of the features' and the drive's standardised coefficients by leaving out blocks (jackknife).
+  BalanceSolution Jackknife(const BalanceModel& model) const;
+  double Variance(int joint) const { return variance_[joint]; }
+  double Correlation(int joint) const { return correlation_[joint]; }
+  int EffectiveRows() const;
+  // Entries of rows in which the joint moves.
+  Eigen::VectorXd Moving(const Eigen::VectorXd& x, int joint) const;
+
+ private:
+  struct Gram {
+    Eigen::MatrixXd xx;  // columns: base, features, drive
+    Eigen::VectorXd xy;
+    double yy = 0;
+    double rows = 0;
+  };
+  double PriorPrecision(const BalanceModel& model, int base) const;
+  void FillColumns(int joint);
+  void FillResponse(int joint);
+  Eigen::MatrixXd DriveOn(int joint) const;  // R × 3; empty on joints that are not the drive's
+  bool Still(int joint, size_t row) const;
+  double Cost(const Gram& g, const Eigen::VectorXd& x) const;
+  Eigen::VectorXd Stacked(const BalanceSolution& s, int joint) const;
+
+  const TorqueBalance& balance_;
+  int base_ = 0;
+  BalanceDrive drive_;
+  std::vector<Eigen::VectorXd> y_;
+  std::vector<std::vector<Gram>> gram_;  // [block][joint]
+  Eigen::VectorXd variance_, correlation_;
+};
+
+// A paired comparison over blocks.
+struct Gain {
+  double nats = 0, stddev = 0;
+  bool Beyond(double errors) const { return nats > errors * stddev; }
+};
+// joint −1: all.
+Gain GainOf(const BlockCosts& before, const BlockCosts& after, int joint = -1);
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,373 @@
+#include "services/diagnosis/balance/balance_search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <map>
+#include <set>
+
+#include "common/effects/effect_catalog.h"
+#include "common/model/robot_model.h"
+#include "services/diagnosis/balance/balance_selection.h"
+#include "services/diagnosis/balance/shooting_refit.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/likelihood/candidate.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+using effects::Regressor;
+using Eigen::VectorXd;
+
+namespace {
+
+constexpr double kLeastErrors = 1.0;  // stddevs from nothing
+
+class MeasuredSearch {
+ public:
+  MeasuredSearch(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                 const DiagnosisOptions& options, int threads, const Clock& clock, const ProgressFn& progress,
+                 const CancelToken* cancel)
+      : data_(data),
+        nominal_(nominal),
+        scales_(scales),
+        options_(options),
+        threads_(threads),
+        clock_(clock),
+        progress_(progress),
+        cancel_(cancel),
+        start_(clock.SteadySeconds()),
+        chosen_(data, nominal, scales, options.max_effects, [this](const std::string& s) { Trace(s); }) {}
+
+  SearchResult Run() {
+    SearchResult out;
+    Tell("timing", 0.1);
+    chosen_.FindTiming();
+    Tell("screen", 0.2);
+    chosen_.Select(cancel_);
+    Score(&out);
+    Tell("calibrate", 0.4);
+    out.calibrated.fit = Refit({}, true).fit;
+    Tell("fit", 0.6);
+    Finish(&out);
+    return out;
+  }
+
+ private:
+  void Tell(const std::string& stage, double done) const {
+    if (progress_) progress_({stage, done, 1.0, ""});
+    Trace(stage);
+  }
+  void Trace(const std::string& text) const {
+    if (std::getenv("RG_DIAGNOSIS_TRACE") != nullptr)
+      std::fprintf(stderr, "[%6.2f] %s\n", clock_.SteadySeconds() - start_, text.c_str());
+  }
+  const BalanceFit& fit() const { return chosen_.fit(); }
+  const BalanceModel& model() const { return chosen_.model(); }
+
+  Candidate Refit(const std::vector<EffectSpec>& specs, bool base) const {
+    RefitOptions options{.threads = threads_, .window_s = options_.window_s, .cancel = cancel_};
+    if (!specs.empty()) options.spread = chosen_.Spread();
+    return RefitByShooting(data_, nominal_, scales_, specs, base, options);
+  }
+
+  // A candidate that was only compared in the balance.
+  Candidate Compared(const BalanceModel& m, double cost) const {
+    Candidate c;
+    c.specs = chosen_.SpecsOf(m), c.base = m.base;
+    const auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), c.specs);
+    if (plant.ok()) c.plant = std::make_shared<const sim::Plant>(*plant);
+    c.fit.ok = plant.ok();
+    if (plant.ok()) c.fit.values = c.plant->parameters().Nominal();
+    c.fit.rows = fit().EffectiveRows();
+    c.fit.chi2 = 2 * cost;
+    c.score = -cost;
+    c.score -= kEffectPrior * static_cast<double>(chosen_.KindsOf(m).size());
+    for (const auto& f : m.features) c.score -= kJointPrior * static_cast<double>(f.size());
+    c.score -= kJointPrior * static_cast<double>(m.drive.size());
+    return c;
+  }
+
+  static BalanceModel Bare(int n, bool base) {
+    BalanceModel m;
+    m.base = base;
+    m.features.resize(n);
+    return m;
+  }
+  BalanceModel Without(BalanceModel m, Regressor law) const {
+    for (int j = 0; j < data_.n; ++j) chosen_.Erase(law, j, &m);
+    return m;
+  }
+  Candidate Judged(const BalanceModel& m) const { return Compared(m, fit().LeaveOut(m).sum()); }
+
+  // Scores of the chosen model, of the bare ones, and of the chosen one without or with other effects.
+  void Score(SearchResult* out) {
+    chosen_.fit().SetNoiseFrom(model());
+    const double cost = fit().LeaveOut(model()).sum();
+    for (const bool base : {false, true}) {
+      Candidate& c = base ? out->calibrated : out->nominal;
+      c = Judged(Bare(data_.n, base));
+      c.score -= chosen_.timing_gain();
+      c.specs.clear();
+      c.plant = std::make_shared<const sim::Plant>(nominal_);
+      c.fit.values = nominal_.parameters().Nominal();
+      out->tried.push_back(c);
+    }
+    out->best = Compared(model(), cost);
+    std::map<std::string, std::set<Regressor>> laws;  // by the effect that they are
+    for (int j = 0; j < data_.n; ++j) {
+      for (const int c : model().features[j]) {
+        const Regressor law = chosen_.balance().columns[j][c].regressor;
+        laws[effects::LawOf(law).id].insert(law);
+      }
+    }
+    for (const auto& [effect, own] : laws) {
+      BalanceModel less = model();
+      for (const Regressor law : own) less = Without(less, law);
+      out->tried.push_back(Judged(less));
+    }
+    if (!model().drive.empty()) out->tried.push_back(Judged(chosen_.Uncoupled()));
+    for (const Regressor law : kFinerLaws) Exchange(law, out);
+    if (laws.count(effects::LawOf(Regressor::kConstant).id) > 0) {
+      BalanceModel tilted = Without(model(), Regressor::kConstant);
+      tilted.tilt = true;
+      out->tried.push_back(Judged(tilted));
+      ByDirection(out);
+    }
+    OtherTiming(out);
+    Gains(cost, out);
+    Ceiling(out, cost);
+  }
+
+  // The model with dry friction of another form on every joint that has any.
+  void Exchange(Regressor finer, SearchResult* out) const {
+    BalanceModel other = model();
+    bool changed = false;
+    for (int j = 0; j < data_.n; ++j) {
+      if (!chosen_.Has(model(), Regressor::kDirection, j) || chosen_.Has(model(), finer, j)) continue;
+      for (const Regressor old : kFinerLaws) chosen_.Erase(old, j, &other);
+      const auto shapes = chosen_.ColumnsOf(finer, j);
+      if (shapes.empty()) continue;  // it does not take that
+      other.features[j].insert(shapes[shapes.size() / 2]);
+      const bool holds = chosen_.Admissible(other, j);
+      if (!holds) other.features[j] = model().features[j];
+      changed = changed || holds;
+    }
+    if (changed) out->tried.push_back(Judged(other));
+  }
+
+  // Coulomb friction with an effort whose zero is off is friction that depends on the direction: −(c − o)
+  // forwards, +(c + o) backwards. No data tell the two apart.
+  void ByDirection(SearchResult* out) const {
+    const effects::EffectInfo &plain = effects::LawOf(Regressor::kDirection),
+                              &constant = effects::LawOf(Regressor::kConstant),
+                              &either = effects::LawOf(Regressor::kForwards);
+    Candidate c = out->best;
+    for (EffectSpec& s : c.specs) {
+      if (s.id != plain.id) continue;
+      const auto zero = std::find_if(c.specs.begin(), c.specs.end(), [&](const EffectSpec& e) {
+        return e.id == constant.id && e.joints == s.joints;
+      });
+      if (zero == c.specs.end()) continue;
+      const double level = s.values.at(s.joints[0]).at(plain.parameters[0].name),
+                   offset = zero->values.at(s.joints[0]).at(constant.parameters[0].name);
+      if (std::abs(offset) >= level) continue;
+      s = effects::MakeSpec(
+          either.id, s.joints,
+          {{either.parameters[0].name, level - offset}, {either.parameters[1].name, level + offset}});
+    }
+    std::erase_if(c.specs, [&](const EffectSpec& e) {
+      return e.id == constant.id && Contains(c.specs, either.id, e.joints[0]);
+    });
+    Alternative(c, out);
+  }
+  void Alternative(Candidate c, SearchResult* out) const {
+    const auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), c.specs);
+    if (!plant.ok()) return;
+    c.plant = std::make_shared<const sim::Plant>(*plant);
+    c.fit.values = plant->parameters().Nominal();
+    out->tried.push_back(std::move(c));
+  }
+
+  // Delay and lag are told apart by the data or not; a late sensor is the same balance as a late drive.
+  void OtherTiming(SearchResult* out) const {
+    if (chosen_.timing_gain() <= 0) return;
+    const effects::EffectInfo &delay = effects::LawOf(Regressor::kDelayed),
+                              &lag = effects::LawOf(Regressor::kLagging),
+                              &late_sensor = effects::EffectOf(effects::Role::kSensorDelay);
+    for (const bool sensor : {false, true}) {
+      Candidate c = out->best;
+      for (EffectSpec& s : c.specs) {
+        if (s.id != delay.id && s.id != lag.id) continue;
+        const double seconds = s.values.begin()->second.begin()->second;
+        const effects::EffectInfo& other = sensor ? late_sensor : s.id == delay.id ? lag : delay;
+        s = effects::MakeSpec(other.id, s.joints, {{other.parameters[0].name, seconds}});
+      }
+      if (!sensor) c.score += chosen_.other_timing_gain();
+      Alternative(c, out);
+    }
+  }
+
+  // What each kind of the chosen model gains on parts left out, against the model without it.
+  void Gains(double cost, SearchResult* out) const {
+    const BalanceSolution s = fit().Solve(model());
+    for (const std::string& kind : chosen_.KindsOf(model())) {
+      const bool coupling = kind == effects::LawOf(Regressor::kOtherEffort).id;
+      BalanceModel less = coupling ? chosen_.Uncoupled() : model();
+      if (kind == effects::EffectOf(effects::Role::kGravity).id) less.tilt = false;
+      for (int j = 0; j < data_.n; ++j) {
+        const auto specs = chosen_.SpecsOfJoint(model(), s, j);
+        if (std::none_of(specs.begin(), specs.end(), [&](const EffectSpec& e) { return e.id == kind; }))
+          continue;
+        // What a plainer law needs too stays.
+        const auto& terms = effects::InferenceOf(kind).terms;
+        for (const effects::Term& t : terms) {
+          const bool own = effects::LawOf(t.regressor).id == kind;
+          if (own || t.regressor == Regressor::kConstant) chosen_.Erase(t.regressor, j, &less);
+        }
+      }
+      out->measured.gain[kind] = IsTiming(kind) ? chosen_.timing_gain() : fit().LeaveOut(less).sum() - cost;
+    }
+  }
+
+  // What a free force over position and velocity of each joint would still explain.
+  void Ceiling(SearchResult* out, double cost) {
+    BalanceModel free = model();
+    for (int j = 0; j < data_.n; ++j) {
+      chosen_.Insert({Regressor::kPositionPiece, Regressor::kVelocityPiece}, j, &free);
+    }
+    const BlockCosts now = fit().LeaveOut(model()), ceiling = fit().LeaveOut(free);
+    out->measured.active = true;
+    out->measured.structured = VectorXd::Zero(data_.n);
+    for (int j = 0; j < data_.n; ++j) {
+      const Gain gain = GainOf(now, ceiling, j);
+      if (gain.Beyond(kErrors)) out->measured.structured[j] = gain.nats / std::max(1e-300, now.col(j).sum());
+    }
+    out->measured.explained = 1.0 - cost / std::max(1e-300, fit().LeaveOut(Bare(data_.n, true)).sum());
+    const BalanceSolution s = fit().Solve(model());
+    out->measured.effort_share.setZero(data_.n);
+    for (int j = 0; j < data_.n; ++j) {
+      const VectorXd u = fit().Moving(chosen_.balance().joints[j].effort, j);
+      if (u.size() < 2) continue;
+      const double variance = (u.array() - u.mean()).square().mean();
+      out->measured.effort_share[j] = s.energy[j] / std::max(1e-300, variance);
+    }
+    for (const int j : chosen_.early()) out->measured.early.push_back(j);
+    out->measured.effort_noise.setZero(data_.n);
+    out->measured.effort_correlation_s.setZero(data_.n);
+    for (int j = 0; j < data_.n; ++j) {
+      out->measured.effort_noise[j] = std::sqrt(s.energy[j]);
+      out->measured.effort_correlation_s[j] = 0.02 * fit().Correlation(j);
+    }
+  }
+
+  void Finish(SearchResult* out) {
+    const auto specs = chosen_.SpecsOf(model());
+    const double score = out->best.score, chi2 = out->best.fit.chi2;
+    const int rows = out->best.fit.rows;
+    out->best = WithoutNothing(Refit(specs, model().base));
+    out->best.score = score, out->best.fit.chi2 = chi2, out->best.fit.rows = rows;
+    out->calibrated.parameters = FreeParameters(nominal_, scales_, true);
+    out->tried.push_back(out->best);
+    std::sort(out->tried.begin(), out->tried.end(),
+              [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
+    out->noise_scale = 1;
+    out->null_gain = chosen_.LogHypotheses();
+    out->threshold = out->null_gain + kEffectPrior;
+    Forces(out);
+  }
+  // Without the losses that came to nothing in the simulator.
+  Candidate WithoutNothing(const Candidate& c) const {
+    std::vector<EffectSpec> left = Refreshed(c);
+    std::erase_if(left, [&](const EffectSpec& s) {
+      const effects::EffectInfo& info = *effects::FindEffect(s.id);
+      if (info.parameters.size() != 1 || !IsLossOfDrives(s.id)) return false;
+      const std::string name = s.id + "." + s.joints[0] + "." + info.parameters[0].name;
+      for (size_t i = 0; i < c.parameters.size(); ++i) {
+        const auto k = static_cast<long>(i);
+        if (c.parameters[i].name == name) return c.fit.theta[k] < kLeastErrors * c.fit.stddev[k];
+      }
+      return false;
+    });
+    return left.size() == c.specs.size() ? c : Refit(left, c.base);
+  }
+
+  // Missing force along the recordings with base parameters taken off, and what the findings leave of it.
+  void Forces(SearchResult* out) const {
+    const BalanceSolution s = fit().Solve(model());
+    const size_t W = data_.windows.size();
+    for (MissingForce* f : {&out->missing, &out->remaining}) {
+      f->force.resize(W), f->stddev.resize(W), f->t.resize(W);
+      f->rows = fit().EffectiveRows();
+    }
+    std::vector<VectorXd> with_effects, rest;
+    for (int j = 0; j < data_.n; ++j) {
+      BalanceSolution bare = s;
+      bare.features[j].setZero(), bare.drive.setZero();
+      with_effects.push_back(fit().Residual(bare, j));
+      rest.push_back(fit().Residual(s, j));
+    }
+    for (size_t w = 0; w < W; ++w) {
+      const NodeWindow& window = data_.windows[w];
+      const double span = window.t.back() - window.t.front();
+      const int S = std::max(1, static_cast<int>(std::lround(span / 0.05)));
+      for (MissingForce* f : {&out->missing, &out->remaining}) {
+        f->force[w].setZero(data_.n, S), f->stddev[w].setZero(data_.n, S);
+        f->t[w].clear();
+        for (int k = 0; k < S; ++k) f->t[w].push_back(window.t.front() + span * (k + 0.5) / S);
+      }
+      for (int j = 0; j < data_.n; ++j) {
+        if (!nominal_.IsPrescribed(j)) FillStairs(window, j, S, with_effects[j], rest[j], w, out);
+      }
+    }
+  }
+
+  void FillStairs(const NodeWindow& window, int j, int S, const VectorXd& all, const VectorXd& rest, size_t w,
+                  SearchResult* out) const {
+    const BalanceRows& rows = chosen_.balance().joints[j];
+    const double span = window.t.back() - window.t.front();
+    VectorXd count = VectorXd::Zero(S);
+    for (size_t k = 0; k < rows.t.size(); ++k) {
+      if (rows.recording[k] != window.recording || rows.t[k] < window.t.front() ||
+          rows.t[k] >= window.t.back())
+        continue;
+      const int at = std::min(S - 1, static_cast<int>((rows.t[k] - window.t.front()) / span * S));
+      ++count[at];
+      out->missing.force[w](j, at) += all[static_cast<long>(k)];
+      if (!rows.still[k]) out->remaining.force[w](j, at) += rest[static_cast<long>(k)];
+    }
+    for (int k = 0; k < S; ++k) {
+      const double n = std::max(1.0, count[k]);
+      out->missing.force[w](j, k) /= n, out->remaining.force[w](j, k) /= n;
+      const double sd = std::sqrt(fit().Variance(j));
+      out->missing.stddev[w](j, k) = out->remaining.stddev[w](j, k) = count[k] > 0 ? sd : 0.0;
+    }
+  }
+  const FitData& data_;
+  const sim::Plant& nominal_;
+  const MotionScales& scales_;
+  const DiagnosisOptions& options_;
+  int threads_;
+  const Clock& clock_;
+  const ProgressFn& progress_;
+  const CancelToken* cancel_;
+  double start_;
+  BalanceSelection chosen_;
+};
+
+}  // namespace
+
+bool EffortIsMeasured(const FitData& data) {
+  return std::any_of(data.recordings.begin(), data.recordings.end(), [](const sysid::FitRecording& r) {
+    return r.recording->drive == recordings::EffortKind::kMeasured;
+  });
+}
+
+SearchResult SearchMeasuredEffort(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                                  const DiagnosisOptions& options, int threads, const Clock& clock,
+                                  const ProgressFn& progress, const CancelToken* cancel) {
+  return MeasuredSearch(data, nominal, scales, options, threads, clock, progress, cancel).Run();
+}
+
+}  // namespace rg::diagnosis

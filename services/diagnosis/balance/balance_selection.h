@@ -1,0 +1,123 @@
+// Which effects the balance of torques asks for, on which joints: steps 1 to 5 of balance_search.h.
+#pragma once
+
+#include <functional>
+#include <initializer_list>
+#include <map>
+#include <optional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "common/base/progress.h"
+#include "common/effects/effect.h"
+#include "common/effects/inference.h"
+#include "services/diagnosis/balance/balance_fit.h"
+
+namespace rg::diagnosis {
+
+inline constexpr double kErrors = 2.0;  // standard errors over blocks, of what nearly every drive has
+
+// Plain laws, and what makes dry friction of finer form. A constant force is looked for after the plain laws,
+// and said as an effort whose zero is off: with Coulomb friction it is friction that depends on the
+// direction, exactly.
+extern const std::vector<effects::Regressor> kPlainLaws, kFinerLaws;
+
+// How motion lies behind effort on one joint; kDelay with 0 s: it does not.
+struct JointTiming {
+  EffortTiming kind = EffortTiming::kDelay;
+  double seconds = 0;
+  double stddev = 0;
+};
+
+class BalanceSelection {
+ public:
+  using TraceFn = std::function<void(const std::string&)>;
+  BalanceSelection(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                   int max_effects, TraceFn trace);
+
+  // Effort and motion are brought to one time, with every plain law free, so that none is mistaken for a
+  // delay.
+  void FindTiming();
+  void Select(const CancelToken* cancel);
+
+  const TorqueBalance& balance() const { return balance_; }
+  BalanceFit& fit() { return fit_; }
+  const BalanceFit& fit() const { return fit_; }
+  const BalanceModel& model() const { return model_; }
+  double ratio_stddev() const { return ratio_stddev_; }  // of the drive's κ
+  // The chosen model without a drive that turns with two joints, plain friction and rotors in its place.
+  BalanceModel Uncoupled() const;
+  const std::vector<JointTiming>& timing() const { return timing_; }
+  double timing_gain() const { return timing_gain_; }              // nats
+  double other_timing_gain() const { return other_timing_gain_; }  // of lags for delays and the reverse
+  const std::vector<int>& early() const { return early_; }         // joints whose effort lags their motion
+
+  // Columns of a law on a joint, whether a model has any of them, and their coefficients' sum in SI.
+  std::vector<int> ColumnsOf(effects::Regressor law, int joint) const;
+  void Insert(std::initializer_list<effects::Regressor> laws, int joint, BalanceModel* m) const;
+  void Erase(effects::Regressor law, int joint, BalanceModel* m) const;
+  bool Has(const BalanceModel& m, effects::Regressor law, int joint) const;
+  double Scale(const BalanceSolution& s, int joint) const;
+  double Coefficient(const BalanceSolution& s, effects::Regressor law, int joint) const;
+  std::vector<double> Coefficients(const BalanceSolution& s, const effects::Inference& effect,
+                                   int joint) const;
+  bool Admissible(const BalanceModel& m, int joint) const;
+  // A model's effects as the simulator has them, timing included.
+  std::vector<effects::EffectSpec> SpecsOf(const BalanceModel& m) const;
+  effects::EffectSpec SpecOf(effects::Regressor law, const BalanceModel& m, const BalanceSolution& s,
+                             int joint) const;
+  std::vector<effects::EffectSpec> SpecsOfJoint(const BalanceModel& m, const BalanceSolution& s,
+                                                int joint) const;
+  std::optional<effects::EffectSpec> PayloadOf(const BalanceModel& m) const;
+  std::set<std::string> KindsOf(const BalanceModel& m) const;
+  // How far leaving out parts of the recordings moves an effect's parameters, by their names.
+  std::map<std::string, double> Spread() const;
+  double LogHypotheses() const;
+
+ private:
+  struct Trial;
+  void FindDrive();
+  BalanceModel PlainOnAll() const;
+  BalanceModel WithDrive(BalanceModel m) const;
+  double DrivePays(const BalanceModel& rival, std::string* line) const;
+  double FittedGain(const BalanceModel& rival) const;
+  void RefineRatio(const BalanceModel& rival);
+  bool PruneDrive();
+  void Pass(int joint, const JointTiming& timing);
+  BalanceModel Flexible(BalanceModel m) const;
+  std::vector<BalanceModel> With(const BalanceModel& m, effects::Regressor law, int joint) const;
+  bool Pays(effects::Regressor law, const BlockCosts& before, const BlockCosts& after, int joint,
+            Gain* gain) const;
+  bool TiltPays(const BlockCosts& before, Gain* gain) const;
+  Trial TryTilt(const BlockCosts& before) const;
+  Trial TryLaw(effects::Regressor law, const BlockCosts& before) const;
+  void BeginWithLosses();
+  void RepairSigns(BalanceModel* m) const;
+  bool PaysTogether(const BlockCosts& before, const BlockCosts& after) const;
+  void TryPayload();
+  void TryRipple(int joint);
+  bool AddKind();
+  bool DropNegative(int joint);
+  bool Refined(int joint) const;
+  bool AddRefinement();
+  void Prune();
+  std::string StateOf(const BalanceModel& m) const;
+
+  const FitData& data_;
+  const sim::Plant& nominal_;
+  const MotionScales& scales_;
+  int max_effects_;
+  TraceFn trace_;
+  TorqueBalance balance_;
+  BalanceFit fit_;
+  BalanceModel model_;
+  std::vector<std::set<int>>
+      losses_;  // per joint, columns of what all drives have; empty: nothing of the kind
+  std::vector<JointTiming> timing_;
+  std::vector<int> early_;
+  double timing_gain_ = 0, other_timing_gain_ = 0;
+  double ratio_stddev_ = 0;
+};
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,45 @@
+// The recordings of one diagnosis, made ready: motions, windows and nodes, noise.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "common/recordings/noise.h"
+#include "services/diagnosis/data/motion.h"
+#include "services/sysid/initial_regression.h"
+
+namespace rg::diagnosis {
+
+// What all fits of one diagnosis share.
+struct FitData {
+  int n = 0;
+  bool use_velocity = true;
+  recordings::SensorNoise noise;  // of one row, quantisation included
+  std::vector<sysid::FitRecording> recordings;
+  std::vector<uint32_t> places;  // of the recordings in their set
+  std::vector<SmoothMotion> motions;
+  std::vector<FineMotion> fine;
+  std::vector<NodeWindow> windows;
+  NodeOptions nodes;
+  std::shared_ptr<const FitData> held_out;  // recordings that no fit sees; null: none
+  std::vector<int> prescribed;              // joints that are given: no residual is theirs
+  int judged() const { return n - static_cast<int>(prescribed.size()); }
+  bool Judged(int joint) const {
+    return std::find(prescribed.begin(), prescribed.end(), joint) == prescribed.end();
+  }
+  // The other of two judged joints; -1 where there are not two, or the joint is none of them.
+  int OtherOfTwo(int joint) const {
+    for (int j = 0; judged() == 2 && joint >= 0 && Judged(joint) && j < n; ++j) {
+      if (j != joint && Judged(j)) return j;
+    }
+    return -1;
+  }
+  // As rows are weighed: infinite for prescribed joints.
+  recordings::SensorNoise RowNoise() const;
+  int Rows() const;        // residual rows of all windows, of judged joints
+  double Seconds() const;  // of motion in all windows
+};
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,40 @@
+// Whether the effort in the files carries the robot against gravity, or leaves that to the drive, which then
+// compensates gravity itself and does not say so in its effort.
+//
+// Per joint that gravity loads, the effort is explained by least squares with the worst tenth left out:
+//   u = g·(M a + c(q, v)        + J·a) + d·v + k·sign(v)      gravity is left to the drive
+//   u = g·(M a + c(q, v) + G(q) + J·a) + d·v + k·sign(v)      the effort carries it
+// with friction d, k ≥ 0, a rotor 0 ≤ J ≤ 3·M_jj and a gain g ≥ 0.4 that drives have, so that neither
+// ordinary friction and rotors nor another gain decides. The better one must leave little of gravity's
+// torque, a third of what the other leaves, and less than friction alone (g = 0) does. Where motion is so
+// slow that friction alone explains, gravity is left to the drive if no gain at all, however small, finds it
+// in the effort. Where friction is as large as gravity's torque, so that neither form leaves little of that,
+// gravity is left to the drive if, fitted beside motion, rotor and friction at once, its coefficient is
+// surely (4 standard deviations, by leaving out blocks of rows) below 0.4 of the motion's gain on a joint of
+// which all the others leave less than a third of the effort, and surely above on none. Else nothing is said:
+// gravity may be weak, masses may be wrong, or gravity may pull another way.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "services/diagnosis/data/motion_survey.h"
+
+namespace rg::diagnosis {
+
+enum class GravitySide { kUnclear, kInEffort, kInDrive };
+
+struct GravityEvidence {
+  GravitySide side = GravitySide::kUnclear;
+  std::vector<int> joints;       // that gravity loads
+  double with = 0, without = 0;  // RMS that either leaves of their efforts, in units of gravity's torque
+};
+
+GravityEvidence WeighGravity(const MotionSurvey& survey, const sim::Plant& plant);
+
+// One line where the files contradict the manifest (`excludes`: what it says or, if it does not, the
+// default); empty elsewhere.
+std::string GravityContradiction(const GravityEvidence& evidence, bool excludes,
+                                 const std::vector<std::string>& joint_names);
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,22 @@
+// From a recording set to what fits need of it.
+#pragma once
+
+#include <memory>
+
+#include "common/base/status.h"
+#include "common/recordings/recording_set.h"
+#include "common/sim/plant.h"
+#include "services/diagnosis/api/options.h"
+#include "services/diagnosis/data/fit_data.h"
+
+namespace rg::diagnosis {
+
+// Nodes and smooth motion of the fit recordings of a set. Points into the set.
+Result<FitData> PrepareData(const recordings::RecordingSet& set, const sim::Plant& nominal,
+                            const DiagnosisOptions& options);
+// The same of the recordings kept aside, for FitData::held_out; null where there are none that can be
+// predicted.
+std::shared_ptr<const FitData> PrepareHeldOut(const recordings::RecordingSet& set, const FitData& fitted,
+                                              const sim::Plant& nominal, const DiagnosisOptions& options);
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,366 @@
+#include "services/diagnosis/likelihood/candidate.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+
+#include "common/effects/effect_catalog.h"
+#include "common/effects/inference.h"
+#include "common/model/robot_model.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+
+namespace {
+
+constexpr double kBasePrior = 1.0;  // −log odds of a URDF that is off
+constexpr double kShapePrior =
+    1.0;                        // of each parameter beyond the first: what the data do not show costs too
+constexpr double kLeast = 1.3;  // times the least that a mass or a gap may be
+constexpr double kSameRipple = 0.02;  // rad, from one end of a motion to the other: 1 % of an amplitude
+constexpr double kSeenAgain = 0.75;   // periods over all that was recorded: nearly all of a ripple
+constexpr double kSharp = 0.1;        // cycles per turn: one other curve in five is as near to a whole number
+constexpr double kBent = 0.25;        // cycles per turn, off a whole number, that other effects make
+constexpr double kMostlyGone = 0.01;  // of the nats that an effect was worth
+constexpr double kUnseen = 0.7;       // posterior over prior stddev of the best known parameter
+constexpr double kAlike = 0.2;        // of its fellows' typical strength, that a drive's own may be
+
+// Fields of which an effect is about nothing where they are zero (a gain: one).
+const std::set<std::string> kStrengths = {"viscous",
+                                          "coulomb",
+                                          "coulomb_positive",
+                                          "coulomb_negative",
+                                          "static",
+                                          "load_coefficient",
+                                          "delay",
+                                          "quadratic",
+                                          "time_constant",
+                                          "gain",
+                                          "deadband",
+                                          "amplitude",
+                                          "mass",
+                                          "armature",
+                                          "tilt",
+                                          "offset",
+                                          "initial",
+                                          "stiffness",
+                                          "final",
+                                          "torque",
+                                          "coefficient",
+                                          "gap",
+                                          "cubic"};
+
+// Of the effect in this form.
+double ParametersOf(const EffectSpec& spec) {
+  const effects::EffectInfo& info = *effects::FindEffect(spec.id);
+  int count = 0;
+  for (size_t i = 0; i < info.parameters.size(); ++i) count += info.OfForm(static_cast<int>(i), spec);
+  return count;
+}
+
+}  // namespace
+
+double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
+  std::set<std::string> ids;
+  double cost = base ? kBasePrior : 0.0;
+  for (const EffectSpec& s : specs) {
+    ids.insert(s.id);
+    // An unnamed force's weights are no parameters of a law: they pay for what they follow in the evidence.
+    const bool field = IsUnnamed(s.id);
+    cost += kJointPrior;
+    if (!field) cost += kShapePrior * (ParametersOf(s) - 1.0);
+    cost += effects::InferenceOf(s.id).rare;
+  }
+  return cost + kEffectPrior * static_cast<double>(ids.size());
+}
+
+bool IsUnnamed(const std::string& id) { return effects::InferenceOf(id).unnamed; }
+
+bool IsTiming(const std::string& id) {
+  const effects::EffectInfo* info = effects::FindEffect(id);
+  return info != nullptr && info->family == "timing";
+}
+
+bool IsOfPosition(const std::string& id) {
+  const effects::EffectInfo* info = effects::FindEffect(id);
+  return info != nullptr && info->family == "position" && info->scope == effects::Scope::kJoint;
+}
+
+bool IsLossOfDrives(const std::string& id) {
+  const effects::EffectInfo* info = effects::FindEffect(id);
+  return info != nullptr && (info->family == "friction" || info->family == "inertia");
+}
+
+std::string FieldVariable(const std::vector<EffectSpec>& specs, const std::string& joint) {
+  for (const EffectSpec& s : specs) {
+    const effects::EffectInfo& info = *effects::FindEffect(s.id);
+    if (!IsUnnamed(s.id) || info.options.count("variable") == 0 || !Contains({s}, s.id, joint)) continue;
+    return info.options.at("variable")[static_cast<size_t>(info.Option("variable", s))];
+  }
+  return "";
+}
+
+bool Contains(const std::vector<EffectSpec>& specs, const std::string& id, const std::string& joint) {
+  for (const EffectSpec& s : specs) {
+    if (s.id != id) continue;
+    if (s.joints.empty() || joint.empty() || id == effects::LawOf(effects::Regressor::kOtherEffort).id) {
+      if (s.joints.empty()) return true;
+      continue;
+    }
+    if (std::find(s.joints.begin(), s.joints.end(), joint) != s.joints.end()) return true;
+  }
+  return false;
+}
+
+bool HasKind(const std::vector<EffectSpec>& specs, const std::string& id) {
+  return std::any_of(specs.begin(), specs.end(), [&](const EffectSpec& s) { return s.id == id; });
+}
+
+std::vector<EffectSpec> WithoutKind(std::vector<EffectSpec> specs, const std::string& id) {
+  std::erase_if(specs, [&](const EffectSpec& s) { return s.id == id; });
+  return specs;
+}
+
+bool IsPart(const std::vector<EffectSpec>& part, const std::vector<EffectSpec>& whole) {
+  return std::all_of(part.begin(), part.end(), [&](const EffectSpec& s) {
+    return std::any_of(whole.begin(), whole.end(),
+                       [&](const EffectSpec& w) { return w.id == s.id && w.joints == s.joints; });
+  });
+}
+
+std::vector<EffectSpec> Refreshed(const Candidate& c) {
+  std::vector<EffectSpec> specs = c.specs;
+  for (EffectSpec& s : specs) {
+    std::vector<std::string> owners = s.joints;
+    const bool pair = effects::FindEffect(s.id)->scope == effects::Scope::kJointPair;
+    if (s.joints.empty() || pair) owners = {"*"};
+    for (const std::string& owner : owners) {
+      for (const auto& info : effects::FindEffect(s.id)->parameters) {
+        const int at = c.plant->parameters().Find(s.id + "." + owner + "." + info.name);
+        if (at >= 0 && c.fit.ok) s.values[owner][info.name] = c.fit.values[at];
+      }
+    }
+  }
+  return specs;
+}
+
+bool Unseen(const Candidate& c) {
+  for (size_t i = 0; i < c.specs.size(); ++i) {
+    if (Unseen(c, i) && !LikeItsFellows(c, i)) return true;
+  }
+  return false;
+}
+
+bool Unseen(const Candidate& c, size_t i) {
+  const EffectSpec& s = c.specs[i];
+  double known = 1;
+  for (size_t k = 0; k < c.parameters.size(); ++k) {
+    const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+    const bool own =
+        p.effect == s.id && (s.joints.empty() || p.owner == "*" ||
+                             std::find(s.joints.begin(), s.joints.end(), p.owner) != s.joints.end());
+    if (!own) continue;
+    known = std::min(known, c.fit.stddev[static_cast<long>(k)] / c.parameters[k].prior_stddev);
+    // Next to nothing of a mass or a gap, whose hidden states then swing with the noise.
+    const bool vanishes = p.field == "mass" || p.field == "gap";
+    if (vanishes && c.fit.theta[static_cast<long>(k)] < kLeast * c.parameters[k].lower) return true;
+  }
+  return known > kUnseen;
+}
+
+bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row, bool whole) {
+  const auto& model = c.plant->model();
+  const double rows = c.fit.rows;
+  // Nats above what noise may leave, to its own scatter.
+  const double left = std::max(0.0, 0.5 * (chi2_per_row - 1) * rows - std::sqrt(0.5 * rows));
+  bool seen_again = false, slow = false;
+  for (size_t k = 0; k < c.parameters.size(); ++k) {
+    const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+    if (p.field != "cycles_per_rev") continue;
+    const int joint = model.FindJoint(p.owner);
+    const double cycles = c.fit.theta[static_cast<long>(k)], lower = c.parameters[k].lower;
+    const double range = scales.high[joint] - scales.low[joint];
+    const double stddev = c.fit.stddev[static_cast<long>(k)];
+    const double error = std::max(kSameRipple / std::max(1e-9, range),
+                                  kOneInAHundred * stddev * std::sqrt(std::max(1.0, chi2_per_row)));
+    if (cycles < lower + 1e-6 * (1 + std::abs(lower))) return false;
+    const double times = cycles * range / (2 * M_PI);
+    const bool turns = model.joint(joint).is_revolute();
+    // What else is missing still bends it: of little, by no more than takes off as many nats as are left.
+    const double bent = chi2_per_row > kExplained ? kBent : std::min(stddev * std::sqrt(2 * left), kBent);
+    if (turns && std::abs(cycles - std::round(cycles)) > std::max(error, bent)) return false;
+    // What was not seen to come again must be whole so sharply that no other curve would by chance.
+    if (times >= kSeenAgain)
+      seen_again = true;
+    else if (!turns || (whole && error > kSharp))
+      slow = true;
+    if (times < 2 && Contains(c.specs, effects::LawOf(effects::Regressor::kPosition).id, p.owner))
+      return false;
+  }
+  // A robot whose drives ripple does so on other joints too.
+  return seen_again || !slow;
+}
+
+bool Drops(const Candidate& c) {
+  const auto& parameters = c.plant->parameters();
+  return std::all_of(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) {
+    if (s.id != effects::LawOf(effects::Regressor::kSlowly).id) return true;
+    const std::string name = s.id + "." + s.joints[0] + ".";
+    return c.fit.values[parameters.Find(name + "static")] >= c.fit.values[parameters.Find(name + "coulomb")];
+  });
+}
+
+double Strength(const Candidate& c, size_t i) {
+  const EffectSpec& s = c.specs[i];
+  // The effect's strengths, and what else is free beside its shape, which is held.
+  std::vector<long> own, rest;
+  for (size_t k = 0; k < c.parameters.size(); ++k) {
+    const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+    const bool of_it =
+        p.effect == s.id && (s.joints.empty() || p.owner == "*" ||
+                             std::find(s.joints.begin(), s.joints.end(), p.owner) != s.joints.end());
+    if (!of_it) rest.push_back(static_cast<long>(k));
+    if (of_it && kStrengths.count(p.field) > 0) own.push_back(static_cast<long>(k));
+  }
+  if (own.empty()) return 1e9;
+  const long n = static_cast<long>(own.size());
+  std::vector<long> order = own;
+  order.insert(order.end(), rest.begin(), rest.end());
+  Eigen::VectorXd value(n), weight(static_cast<long>(order.size()));
+  for (size_t k = 0; k < order.size(); ++k) {
+    const sysid::FitParameter& p = c.parameters[static_cast<size_t>(order[k])];
+    weight[static_cast<long>(k)] = 1 / (p.prior_stddev * p.prior_stddev);
+    if (static_cast<long>(k) >= n) continue;
+    // The least lag that can be simulated is none.
+    const double none = c.plant->parameters()[p.index].field == "gain"            ? 1
+                        : s.id == effects::LawOf(effects::Regressor::kLagging).id ? p.lower
+                                                                                  : 0;
+    value[static_cast<long>(k)] = c.fit.theta[order[k]] - none;
+  }
+  Eigen::MatrixXd precision = c.fit.information(order, order);
+  precision.diagonal() += weight;
+  const auto others = Eigen::seq(n, Eigen::last);
+  const Eigen::MatrixXd cross = precision(others, Eigen::seqN(0, n));
+  const Eigen::MatrixXd own_precision =
+      precision.topLeftCorner(n, n) - cross.transpose() * precision(others, others).ldlt().solve(cross);
+  return std::sqrt(std::max(0.0, value.dot(own_precision * value)));
+}
+
+std::vector<EffectSpec> StrongEffects(const Candidate& c) {
+  const std::vector<EffectSpec> all = Refreshed(c);
+  std::vector<EffectSpec> out;
+  for (size_t i = 0; i < all.size(); ++i) {
+    if (Strength(c, i) > kNothing || LikeItsFellows(c, i)) out.push_back(all[i]);
+  }
+  return out;
+}
+
+std::vector<EffectSpec> StillNeeded(const Candidate& account, const Candidate& other) {
+  const std::vector<EffectSpec> specs = Refreshed(other);
+  if (!other.fit.ok) return specs;
+  // Of fewer windows each strength is known less.
+  const double seen = other.fit.rows < account.fit.rows && other.fit.rows > 0
+                          ? static_cast<double>(other.fit.rows) / account.fit.rows
+                          : 1.0;
+  std::vector<EffectSpec> out;
+  for (size_t i = 0; i < specs.size(); ++i) {
+    double before = 0;
+    for (size_t k = 0; k < account.specs.size(); ++k) {
+      if (account.specs[k].id == specs[i].id && account.specs[k].joints == specs[i].joints)
+        before = Strength(account, k);
+    }
+    const double now = Strength(other, i);
+    if (now * now > kMostlyGone * seen * before * before) out.push_back(specs[i]);
+  }
+  return out;
+}
+
+bool AddsNothing(const Candidate& before, const Candidate& c) {
+  bool any = false;
+  for (size_t i = 0; i < c.specs.size(); ++i) {
+    const std::string joint = c.specs[i].joints.empty() ? "" : c.specs[i].joints[0];
+    if (Contains(before.specs, c.specs[i].id, joint)) continue;
+    if (Strength(c, i) > kNothing) return false;
+    any = true;
+  }
+  return any;
+}
+
+bool OfAllJoints(const Candidate& c, size_t i) {
+  const std::string& id = c.specs[i].id;
+  const auto joints =
+      std::count_if(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) { return s.id == id; });
+  return (IsTiming(id) && joints > 1) ||
+         (IsLossOfDrives(id) && joints >= kManyJoints && 2 * joints > c.plant->num_joints());
+}
+
+bool LikeItsFellows(const Candidate& c, size_t i) {
+  if (!OfAllJoints(c, i) || c.specs[i].joints.size() != 1) return false;
+  // Of its first parameter that is a strength, in stddevs of its prior.
+  const auto strength = [&](size_t of, double* error) {
+    const EffectSpec& s = c.specs[of];
+    for (size_t k = 0; k < c.parameters.size(); ++k) {
+      const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+      if (p.effect != s.id || p.owner != s.joints[0] || kStrengths.count(p.field) == 0) continue;
+      *error = c.fit.stddev[static_cast<long>(k)] / c.parameters[k].prior_stddev;
+      return c.fit.theta[static_cast<long>(k)] / c.parameters[k].prior_stddev;
+    }
+    return 0.0;
+  };
+  std::vector<double> fellows;
+  double error = 0;
+  for (size_t k = 0; k < c.specs.size(); ++k) {
+    if (k == i || c.specs[k].id != c.specs[i].id || c.specs[k].joints.size() != 1 || Unseen(c, k)) continue;
+    fellows.push_back(strength(k, &error));
+  }
+  if (2 * fellows.size() < static_cast<size_t>(c.plant->num_joints())) return false;
+  const auto middle = fellows.begin() + static_cast<long>(fellows.size() / 2);
+  std::nth_element(fellows.begin(), middle, fellows.end());
+  const double own = strength(i, &error);
+  return own + 2 * error > kAlike * *middle;
+}
+
+bool SurelyThere(const Candidate& c, size_t i, double needed) {
+  if (LikeItsFellows(c, i)) return true;
+  const double strength = Strength(c, i);
+  if (strength <= 4.0 || c.specs[i].id == effects::LawOf(effects::Regressor::kBeyond).id) return false;
+  return OfAllJoints(c, i) || 0.5 * strength * strength > 2 * needed;
+}
+
+std::vector<EffectSpec> RefreshedFrom(const Candidate& before, const Candidate& c) {
+  std::vector<EffectSpec> out = Refreshed(before);
+  for (const EffectSpec& theirs : Refreshed(c)) {
+    for (EffectSpec& own : out) {
+      if (own.id == theirs.id && own.joints == theirs.joints && own.options == theirs.options) own = theirs;
+    }
+  }
+  return out;
+}
+
+std::set<std::string> FreshKinds(const Candidate& before, const Candidate& c) {
+  std::set<std::string> out;
+  for (const EffectSpec& s : c.specs) out.insert(s.id);
+  for (const EffectSpec& s : before.specs) out.erase(s.id);
+  return out;
+}
+
+bool HasUnnamed(const Candidate& c) {
+  return std::any_of(c.specs.begin(), c.specs.end(), [](const EffectSpec& e) { return IsUnnamed(e.id); });
+}
+
+bool HasHiddenStates(const Candidate& c) {
+  return c.plant != nullptr && c.plant->num_states() > 2 * c.plant->num_joints();
+}
+
+bool HasFreeStates(const Candidate& c) {
+  return HasHiddenStates(c) &&
+         std::any_of(c.plant->internal_state_names().begin(), c.plant->internal_state_names().end(),
+                     [](const std::string& name) { return !name.starts_with(kLagState); });
+}
+
+bool OfPosition(const Candidate& c) {
+  return std::any_of(c.specs.begin(), c.specs.end(), [](const EffectSpec& e) { return IsOfPosition(e.id); });
+}
+
+}  // namespace rg::diagnosis

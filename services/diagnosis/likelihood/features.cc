@@ -1,0 +1,277 @@
+#include "services/diagnosis/likelihood/features.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "common/dynamics/dynamics.h"
+#include "common/effects/effect_catalog.h"
+#include "common/effects/torque_ripple.h"
+#include "common/model/robot_model.h"
+#include "services/diagnosis/likelihood/regressors.h"
+#include "services/sysid/drive_signal.h"
+
+namespace rg::diagnosis {
+
+using effects::Regressor;
+using Eigen::ArrayXd;
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+namespace {
+
+constexpr double kNextToNone = 0.1;  // of a band that few efforts lie in
+
+double Quantile(std::vector<double> x, double p) {
+  if (x.empty()) return 0;
+  std::sort(x.begin(), x.end());
+  return x[std::min(x.size() - 1, static_cast<size_t>(p * static_cast<double>(x.size())))];
+}
+
+// What each regressor's column is looked for at, joint by joint.
+class Builder {
+ public:
+  Builder(const FitData& data, const sim::Plant& plant, const MotionScales& scales)
+      : data_(data), plant_(plant), s_(scales) {}
+
+  FeatureSet Take() {
+    for (int j = 0; j < data_.n; ++j) {
+      motions_.push_back({});
+      for (const FineMotion& m : data_.fine) motions_.back().push_back(Smooth(m, j));
+    }
+    for (int j = 0; j < data_.n; ++j) AddJoint(j);
+    Standardise();
+    return std::move(out_);
+  }
+
+ private:
+  using Shapes = std::vector<RegressorShape>;
+
+  JointMotion Smooth(const FineMotion& m, int j) const {
+    JointMotion out = MotionOf(m, m.u, j);
+    const double width = std::max(1e-9, 1.5 * s_.speed_noise[j]);
+    out.direction = (m.v.row(j).transpose().array() / width).tanh();
+    return out;
+  }
+
+  void AddJoint(int j) {
+    using enum Regressor;
+    // Regressors in one bracket share their shapes.
+    static const std::vector<std::vector<Regressor>> kOwn = {
+        {kVelocity}, {kSquaredVelocity}, {kDirection},     {kForwards},          {kBackwards},
+        {kSlowly},   {kUnderLoad},       {kWarmingUp},     {kBristle},           {kEffort},
+        {kConstant}, {kInBand},          {kBeyond},        {kDelayed, kLagging}, {kOtherEffort},
+        {kPosition}, {kSine, kCosine},   {kPositionPiece}, {kAcceleration},      {kPulse}};
+    for (const auto& alike : kOwn) {
+      for (const RegressorShape& shape : ShapesOf(alike.front(), j)) {
+        for (const Regressor r : alike) {
+          for (int other = 0; r == kOtherEffort && other < data_.n; ++other) {
+            if (other != j) Add(r, j, shape, other);
+          }
+          if (r != kOtherEffort) Add(r, j, shape, -1);
+          if (r == kPosition) AddUnused(j, shape);  // without it blocks of the Gram shift: last bits
+        }
+      }
+    }
+  }
+
+  Shapes ShapesOf(Regressor r, int j) const {
+    using enum Regressor;
+    const double middle = 0.5 * (s_.low[j] + s_.high[j]),
+                 half = std::max(1e-3, 0.5 * (s_.high[j] - s_.low[j]));
+    Shapes out;
+    const auto at = [&](const std::vector<double>& xs, double unit) {
+      for (const double x : xs) out.push_back({x * unit, 0});
+    };
+    switch (r) {
+      case kSlowly:
+        at({0.1, 0.25, 0.5}, s_.speed[j]);
+        break;
+      case kWarmingUp:
+        at({0.15, 0.4, 1.0}, s_.duration);
+        break;
+      case kBristle:
+        at({0.01, 0.03, 0.08}, 1);
+        break;
+      case kInBand: {
+        // The first is a band that next to no effort lies in, however small: a force against the command's
+        // sign.
+        const double least = EffortQuantile(j, 0.03);
+        at({kNextToNone * least, least, EffortQuantile(j, 0.1), EffortQuantile(j, 0.2),
+            EffortQuantile(j, 0.35)},
+           1);
+        break;
+      }
+      case kBeyond:
+        for (const double p : {0.6, 0.75, 0.88, 0.96}) out.push_back({EffortQuantile(j, p), 0});
+        break;
+      case kDelayed:
+      case kLagging:
+        at({0.005, 0.012, 0.025, 0.045}, 1);
+        break;
+      case kPosition:
+        at({middle}, 1);
+        break;
+      case kSine:
+      case kCosine: {
+        const double lowest = std::max(2.0, effects::TorqueRipple::kLeastPeriods * M_PI / half);
+        const double step = std::max(std::min(1.0, 0.9 / half), 0.5);
+        const double highest = std::min(40.0, 200.0 / std::max(0.1, s_.top_speed[j]));
+        const int count = static_cast<int>(std::min(48.0, (highest - lowest) / step));
+        for (int k = 0; k < count; ++k) out.push_back({lowest + step * k, 0});
+        break;
+      }
+      case kPositionPiece: {
+        const double spacing = 2 * half / 7;
+        for (int k = 0; k < 8; ++k) out.push_back({s_.low[j] + spacing * k, spacing});
+        break;
+      }
+      case kPulse: {
+        const int bins = std::clamp(static_cast<int>(s_.duration / 0.4), 4, 24);
+        for (int k = 0; k < bins; ++k) out.push_back({s_.duration * k / bins, s_.duration * (k + 1) / bins});
+        break;
+      }
+      default:
+        out.push_back({});
+    }
+    return out;
+  }
+
+  double EffortQuantile(int j, double p) const {
+    std::vector<double> size;
+    for (const JointMotion& m : motions_[static_cast<size_t>(j)]) {
+      for (const double u : m.effort) size.push_back(std::abs(u));
+    }
+    return Quantile(std::move(size), p);
+  }
+
+  // The coefficient of one unit of prior; 0: the force's RMS is brought to half the joint's torque.
+  double UnitOf(Regressor r, int j, int other) const {
+    using Near = effects::Inference::Near;
+    if (r == Regressor::kEffort) return 0.3;
+    if (r == Regressor::kPulse) return s_.torque[j];
+    if (r == Regressor::kOtherEffort) return 0.5 * s_.torque[j] / std::max(1e-9, s_.torque[other]);
+    return effects::InferenceOf(effects::LawOf(r).id).coefficient == Near::kAny ? 0.0 : 1.0;
+  }
+
+  void AddUnused(int j, const RegressorShape& shape) {
+    if (!plant_.Takes(effects::LawOf(Regressor::kPosition).id, j)) return;
+    Feature f{Regressor::kOtherEffort, j, -1, shape.x, 1};
+    std::vector<ArrayXd> values;
+    double squares = 0, count = 0;
+    for (const JointMotion& m : motions_[static_cast<size_t>(j)]) {
+      values.push_back(-(m.q - shape.x).cube());
+      squares += values.back().square().sum();
+      count += static_cast<double>(values.back().size());
+    }
+    const double rms = std::sqrt(squares / std::max(1.0, count));
+    if (!(rms > 1e-12) || !std::isfinite(rms)) return;
+    f.scale = 0.5 * s_.torque[j] / rms;
+    for (ArrayXd& v : values) v *= f.scale;
+    out_.features.push_back(f);
+    fine_.push_back(std::move(values));
+  }
+
+  void Add(Regressor r, int j, const RegressorShape& shape, int other) {
+    const std::string& law = effects::LawOf(r).id;
+    if (!plant_.Takes(law, j) || (other >= 0 && !plant_.Takes(law, other))) return;
+    Feature f{r, j, other, shape.x, 1};
+    std::vector<ArrayXd> values;
+    double squares = 0, count = 0;
+    for (const JointMotion& m : motions_[static_cast<size_t>(other >= 0 ? other : j)]) {
+      values.push_back(ForceOf(r, m, shape));
+      squares += values.back().square().sum();
+      count += static_cast<double>(values.back().size());
+    }
+    const double rms = std::sqrt(squares / std::max(1.0, count));
+    if (!(rms > 1e-12) || !std::isfinite(rms)) return;
+    const double unit = UnitOf(r, j, other);
+    f.scale = unit > 0 ? unit : 0.5 * s_.torque[j] / rms;
+    for (ArrayXd& v : values) v *= f.scale;
+    out_.features.push_back(f);
+    fine_.push_back(std::move(values));
+  }
+
+  // Means over the intervals between nodes.
+  void Standardise() {
+    const int C = static_cast<int>(out_.features.size());
+    for (const Feature& f : out_.features) out_.block.joint.push_back(f.joint);
+    for (const NodeWindow& w : data_.windows) {
+      const FineMotion& m = data_.fine[w.recording];
+      const int N = static_cast<int>(w.t.size()) - 1, F = static_cast<int>(m.t.size());
+      const double t0 = m.t[0], dt = m.t[1] - m.t[0];
+      MatrixXd phi(C, N);
+      for (int k = 0; k < N; ++k) {
+        int a = std::clamp(static_cast<int>(std::ceil((w.t[k] - t0) / dt - 1e-6)), 0, F - 1);
+        int b = std::clamp(static_cast<int>(std::ceil((w.t[k + 1] - t0) / dt - 1e-6)), a + 1, F);
+        for (int c = 0; c < C; ++c) phi(c, k) = fine_[c][w.recording].segment(a, b - a).mean();
+      }
+      out_.block.phi.push_back(std::move(phi));
+    }
+  }
+
+  const FitData& data_;
+  const sim::Plant& plant_;
+  const MotionScales& s_;
+  FeatureSet out_;
+  std::vector<std::vector<JointMotion>> motions_;  // [joint][recording]
+  std::vector<std::vector<ArrayXd>> fine_;         // [feature][recording]
+};
+
+}  // namespace
+
+MotionScales ScalesOf(const FitData& data, const sim::Plant& plant) {
+  MotionScales s;
+  const int n = data.n;
+  for (VectorXd* x : {&s.torque, &s.speed, &s.top_speed, &s.inertia, &s.speed_noise}) x->setZero(n);
+  s.low.setConstant(n, 1e9), s.high.setConstant(n, -1e9);
+  VectorXd sum = VectorXd::Zero(n), squares = VectorXd::Zero(n), speed2 = VectorXd::Zero(n);
+  double count = 0;
+  for (const FineMotion& m : data.fine) {
+    sum += m.u.rowwise().sum();
+    squares += m.u.cwiseAbs2().rowwise().sum();
+    speed2 += m.v.cwiseAbs2().rowwise().sum();
+    count += static_cast<double>(m.u.cols());
+    s.top_speed = s.top_speed.cwiseMax(m.v.cwiseAbs().rowwise().maxCoeff());
+    s.low = s.low.cwiseMin(m.q.rowwise().minCoeff());
+    s.high = s.high.cwiseMax(m.q.rowwise().maxCoeff());
+    s.duration = std::max(s.duration, m.t.back() - m.t.front());
+  }
+  const VectorXd mean = sum / count;
+  s.torque = (squares / count - mean.cwiseAbs2()).cwiseMax(0.0).cwiseSqrt() + mean.cwiseAbs() / 3;
+  s.torque = s.torque.cwiseMax(1e-6 + 1e-3 * s.torque.maxCoeff());
+  s.speed = (speed2 / count).cwiseSqrt().cwiseMax(1e-4);
+  for (int j = 0; j < n; ++j) {
+    // Rows within the smoothing window share the noise.
+    const double period = data.recordings[0].recording->SamplePeriod();
+    const double rows = std::max(1.0, data.motions[0].half_span() / period);
+    const double from_positions =
+        1.5 * data.noise.position_stddev[j] / data.motions[0].half_span() / std::sqrt(rows);
+    s.speed_noise[j] = data.use_velocity
+                           ? std::min(data.noise.velocity_stddev[j] / std::sqrt(rows), from_positions)
+                           : from_positions;
+    s.still.push_back(s.high[j] - s.low[j] < kMovesBy * data.noise.position_stddev[j]);
+  }
+  const dynamics::Mechanism mechanism(sysid::MechanismOf(plant, plant.parameters().Nominal()));
+  dynamics::Workspace workspace;
+  MatrixXd M(n, n);
+  const FineMotion& first = data.fine.front();
+  for (int k = 0; k < 5; ++k) {
+    dynamics::Crba(mechanism, workspace, first.q.col(first.q.cols() * k / 5), M);
+    s.inertia += M.diagonal() / 5;
+  }
+  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kArmature))
+    s.inertia[plant.model().FindJoint(plant.parameters()[i].owner)] += plant.parameters()[i].nominal;
+  VectorXd accelerations = VectorXd::Zero(n);
+  for (const FineMotion& m : data.fine) accelerations += m.a.cwiseAbs2().rowwise().sum();
+  s.acceleration = (accelerations / count).cwiseSqrt().cwiseMax(1e-3);
+  for (int j = 0; j < n; ++j) {
+    if (plant.IsPassive(j)) s.torque[j] = std::max(1e-6, s.inertia[j] * s.acceleration[j]);
+  }
+  return s;
+}
+
+FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales) {
+  return Builder(data, plant, scales).Take();
+}
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,171 @@
+#include "services/diagnosis/likelihood/held_out.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+
+#include "services/diagnosis/likelihood/followed_fit.h"
+#include "services/diagnosis/likelihood/jumps.h"
+#include "services/diagnosis/likelihood/swing_starts.h"
+
+namespace rg::diagnosis {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+namespace {
+
+constexpr int kRestarts = 3;        // of the restarts alone
+constexpr double kMost = 0.5;       // of the windows
+constexpr double kWorthATry = 1.0;  // nats
+constexpr int kFreely = 8;          // iterations of windows that start freely, and as many more
+
+// Information and gradient of the held-out rows, in units of the parameters' priors, and what was known
+// before.
+struct Learned {
+  MatrixXd before, after;  // P × P
+  VectorXd gradient;       // P
+};
+
+Learned LearnedFrom(const FitData& held_out, const Candidate& c, const NodeStates& states,
+                    const LiftedOptions& options) {
+  const auto P = static_cast<long>(c.parameters.size());
+  FeatureBlock none;
+  std::vector<VectorXd> no_rule;
+  for (const NodeWindow& window : held_out.windows) {
+    none.phi.emplace_back(0, static_cast<long>(window.t.size()) - 1);
+    const auto nodes = std::count(window.measured.begin(), window.measured.end(), char{1});
+    no_rule.push_back(VectorXd::Zero(nodes * held_out.n * (held_out.use_velocity ? 2 : 1)));
+  }
+  const Screen screen = MakeScreen(held_out, FitModel{*c.plant, c.fit.values, c.parameters}, states, none,
+                                   options, no_rule, 0, Rng(1));
+  VectorXd sigma(P);
+  for (long i = 0; i < P; ++i) sigma[i] = c.parameters[static_cast<size_t>(i)].prior_stddev;
+  Learned out;
+  out.before = MatrixXd::Identity(P, P) + sigma.asDiagonal() * c.fit.information * sigma.asDiagonal();
+  out.after = out.before + sigma.asDiagonal() * screen.gram.topLeftCorner(P, P) * sigma.asDiagonal();
+  out.gradient = sigma.cwiseProduct(screen.gram.col(P).head(P));
+  return out;
+}
+
+// Where the windows start whose predecessor was followed from a start of its own: with hidden states as the
+// end of that leaves them, a motor bent against its link as there. Carried along the record itself, the
+// sensor's noise would strike a stiff spring at every row. Of a window without one, a recording's first,
+// nothing says how its springs are bent: it starts as it was followed.
+NodeStates Continued(const FitData& held_out, const sim::Plant& plant, const VectorXd& values,
+                     const FitResult& followed, const LiftedOptions& options, NodeStates starts) {
+  const int n = held_out.n;
+  const auto& names = plant.internal_state_names();
+  sim::Simulator simulator(plant, {.integrator = options.integrator, .step_s = options.step_s});
+  simulator.SetParameters(values);
+  for (size_t w = 0; w < starts.size(); ++w) {
+    const NodeWindow &window = held_out.windows[w], &before = held_out.windows[w > 0 ? w - 1 : 0];
+    if (w == 0 || !FollowsOn(before, window)) {
+      if (followed.states[w].col(0).allFinite()) starts[w].col(0) = followed.states[w].col(0);
+      continue;
+    }
+    // As that start's simulation ends: its lifted nodes are those of the linear model.
+    const VectorXd from = followed.states[w - 1].col(0);
+    const sim::State x{
+        from.head(n), from.segment(n, n), from.tail(from.size() - 2 * n), before.t.front(), {}, {}};
+    const sim::Trajectory to =
+        simulator.Simulate(x, held_out.recordings[window.recording].command, {window.t.front()});
+    if (!to.outcome.ok()) continue;
+    const VectorXd end = to.state.col(0);
+    if (!end.allFinite()) continue;
+    auto start = starts[w].col(0);
+    start = followed.states[w].col(0);
+    start.tail(end.size() - 2 * n) = end.tail(end.size() - 2 * n);
+    for (int j = 0; j < n; ++j) {
+      const auto at = std::find(names.begin(), names.end(), "motor_position." + plant.joint_names()[j]);
+      if (at == names.end()) continue;
+      const auto motor = 2 * n + (at - names.begin());
+      start[motor] += start[j] - end[j], start[motor + 1] += start[n + j] - end[n + j];
+    }
+  }
+  return starts;
+}
+
+// `swings_on`: as in HeldOut.
+FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd& values,
+                    const LiftedOptions& options, bool* swings_on = nullptr) {
+  const FitModel model{*c.plant, values, {}};
+  if (c.plant->num_states() == 2 * held_out.n) return Fit(held_out, model, options);
+  LiftedOptions free = options;
+  free.free_hidden = true, free.iterations = kFreely, free.more_iterations = kFreely;
+  double work = 0;
+  NodeStates swinging;
+  if (HasRod(c.specs))
+    swinging = FollowedStates(held_out, model, free, InitialStates(held_out, model, free), true, &work);
+  FitResult followed = Fit(held_out, model, free, swinging.empty() ? nullptr : &swinging);
+  if (!followed.ok) {
+    FitResult out = Fit(held_out, model, options);
+    out.work += followed.work + work;
+    return out;
+  }
+  if (swings_on != nullptr && HasRod(c.specs)) {
+    // Each window's own start takes some of the noise in.
+    const double met = kExplained * std::max(0.0, 1 - c.plant->num_states() / RowsPerWindow(held_out));
+    *swings_on = Typically(held_out, followed.window_chi2, options.noise_scale, kMost) < met &&
+                 SwingsOn(held_out, *c.plant, &followed, free).value_or(false);
+  }
+  const NodeStates starts =
+      Continued(held_out, *c.plant, values, followed, options, InitialStates(held_out, model, options));
+  FitResult out = Fit(held_out, model, options, &starts);
+  out.work += followed.work + work;
+  return out;
+}
+
+}  // namespace
+
+HeldOut Predicted(const FitData& held_out, const Candidate& fitted, const LiftedOptions& options) {
+  LiftedOptions restarts = options;
+  restarts.iterations = kRestarts, restarts.more_iterations = 0, restarts.free_hidden = false;
+  HeldOut out;
+  const FitResult fit = Restarted(held_out, fitted, fitted.fit.values, restarts, &out.swings_on);
+  const auto P = static_cast<long>(fitted.parameters.size());
+  out.work = fit.work + Work(held_out, options, fitted.plant->num_states(), P);
+  for (const double chi2 : fit.window_chi2) out.windows.push_back(-0.5 * chi2 / options.noise_scale);
+  const double misfit = 0.5 * fit.chi2 / options.noise_scale;
+  out.log_density = -misfit;
+  out.free =
+      std::max(0.0, held_out.Rows() - 2.0 * held_out.judged() * static_cast<double>(held_out.windows.size()));
+  out.scatter = std::sqrt(0.5 * out.free);
+  if (fit.ok && P > 0 && fitted.fit.information.rows() == P) {
+    const Learned learned = LearnedFrom(held_out, fitted, fit.states, restarts);
+    const Eigen::LLT<MatrixXd> before(learned.before), after(learned.after);
+    if (before.info() == Eigen::Success && after.info() == Eigen::Success) {
+      for (long i = 0; i < P; ++i)
+        out.log_density += std::log(before.matrixLLT()(i, i)) - std::log(after.matrixLLT()(i, i));
+      const VectorXd step = after.solve(learned.gradient);
+      // What the held-out rows would gain by the parameters that they want, simulated: what is linear where
+      // windows run away promises anything.
+      if (0.5 * step.dot(learned.gradient) > kWorthATry) {
+        VectorXd theta = fitted.fit.theta;
+        for (long i = 0; i < P; ++i) {
+          const sysid::FitParameter& p = fitted.parameters[static_cast<size_t>(i)];
+          theta[i] = std::clamp(theta[i] + p.prior_stddev * step[i], p.lower, p.upper);
+        }
+        const FitResult moved = Restarted(
+            held_out, fitted, sysid::WithFitted(fitted.parameters, fitted.fit.values, theta), restarts);
+        const double paid = 0.5 * step.dot(learned.before * step);
+        if (moved.ok)
+          out.log_density += std::max(0.0, misfit - 0.5 * moved.chi2 / options.noise_scale - paid);
+        out.work += moved.work;
+      }
+    }
+  }
+  out.short_of_noise = -0.5 * out.free - out.log_density;
+  return out;
+}
+
+bool PredictsMore(const HeldOut& a, const HeldOut& b) {
+  double wins = 0;
+  for (size_t w = 0; w < a.windows.size(); ++w) {
+    wins += a.windows[w] > b.windows[w] ? 1.0 : a.windows[w] == b.windows[w] ? 0.5 : 0.0;
+  }
+  const auto W = static_cast<double>(a.windows.size());
+  return wins > 0.5 * W + kOnePercent * 0.5 * std::sqrt(W);
+}
+
+}  // namespace rg::diagnosis

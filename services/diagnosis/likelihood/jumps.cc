@@ -1,0 +1,204 @@
+#include "services/diagnosis/likelihood/jumps.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <optional>
+
+#include "services/diagnosis/likelihood/candidate.h"
+#include "services/diagnosis/likelihood/lineariser.h"
+#include "services/diagnosis/likelihood/loose_start.h"
+#include "services/diagnosis/likelihood/swing_starts.h"
+#include "services/sysid/parallel.h"
+
+namespace rg::diagnosis {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+namespace {
+
+constexpr double kInstant = 1e-6;    // s
+constexpr double kSingular = 1e-12;  // of the largest, that a covariance has of its own
+constexpr int kEnough = 4;           // of so many meetings one must be of windows that are both met
+constexpr double kOfItsSwing = 0.1;  // of the nats that hanging still would be off by, of a step that goes on
+
+// Those of a moving mass among a plant's states.
+std::vector<long> MassStates(const sim::Plant& plant) {
+  std::vector<long> out;
+  const auto& names = plant.internal_state_names();
+  for (size_t i = 0; i < names.size(); ++i) {
+    if (names[i].find(".slosh_") != std::string::npos || names[i].find(".swing_") != std::string::npos)
+      out.push_back(2L * plant.num_joints() + static_cast<long>(i));
+  }
+  return out;
+}
+
+// χ² of k normal variables that one of a hundred exceeds (Wilson & Hilferty 1931).
+double OnePercentChi2(double k) {
+  const double spread = 2.0 / (9.0 * k);
+  return k * std::pow(1.0 - spread + kOnePercent * std::sqrt(spread), 3);
+}
+
+// The window with a node at `t`, where nothing is measured.
+void ContinueTo(double t, NodeWindow* window) {
+  const long k = window->q.cols();
+  for (MatrixXd* m : {&window->q, &window->v, &window->q_stddev, &window->v_stddev, &window->q_row,
+                      &window->v_row, &window->q0, &window->v0}) {
+    m->conservativeResize(Eigen::NoChange, k + 1);
+    m->col(k) = MatrixXd(m->col(k - 1));
+  }
+  window->t.push_back(t), window->measured.push_back(0);
+  window->before.emplace_back(), window->after.emplace_back();
+}
+
+// `data` with windows that end where the next begins: their nodes need not divide a window's rows.
+FitData Meeting(const FitData& data) {
+  FitData out = data;
+  for (size_t w = 1; w < out.windows.size(); ++w) {
+    NodeWindow& before = out.windows[w - 1];
+    const double t = out.windows[w].t.front();
+    if (FollowsOn(before, out.windows[w]) && t > before.t.back() + kInstant) ContinueTo(t, &before);
+  }
+  return out;
+}
+
+// What a window alone knows of the mass.
+struct Ends {
+  VectorXd start, end;
+  MatrixXd start_covariance, end_covariance;
+  bool ok = false;
+};
+
+// Inverse of a precision whose states have units of their own; what no row depends on (a lag's start, which
+// is not free) has no share in it.
+MatrixXd Inverse(const MatrixXd& precision) {
+  const VectorXd root = precision.diagonal().cwiseSqrt();
+  const VectorXd scale = (root.array() > 0).select(root.cwiseInverse(), 0.0);
+  MatrixXd scaled = scale.asDiagonal() * precision * scale.asDiagonal();
+  scaled.diagonal().array() += kSingular;
+  return scale.asDiagonal() * scaled.ldlt().solve(MatrixXd::Identity(scaled.rows(), scaled.cols())) *
+         scale.asDiagonal();
+}
+
+Ends EndsOf(Lineariser& lin, int worker, int window, const std::vector<long>& mass, MatrixXd states,
+            const LooseStart& loose, double noise_scale) {
+  Ends out;
+  lin.Simulate(worker, window, &states);
+  Linear linear;
+  lin.Run(worker, window, states, nullptr, nullptr, true, &linear);
+  if (!linear.ok || !states.allFinite()) return out;
+  MatrixXd precision = linear.J_e.transpose() * linear.J_e / noise_scale;
+  precision.diagonal() += loose.precision;
+  const MatrixXd covariance = Inverse(precision);
+  const MatrixXd to_end = linear.E.back().rightCols(precision.cols());
+  out.start = states.col(0)(mass), out.end = states.col(states.cols() - 1)(mass);
+  out.start_covariance = covariance(mass, mass);
+  out.end_covariance = MatrixXd(to_end * covariance * to_end.transpose())(mass, mass);
+  out.ok = out.start_covariance.allFinite() && out.end_covariance.allFinite();
+  return out;
+}
+
+// Nats that a step takes; infinite where it is beyond numbers.
+double StepNats(const VectorXd& step, const MatrixXd& covariance) {
+  const double nats = 0.5 * step.dot(Inverse(covariance) * step);
+  return nats >= 0 && std::isfinite(nats) ? nats : std::numeric_limits<double>::infinity();
+}
+
+// A step of a rod's states (angle and rate about the first axis of its hinge, then about the second) with
+// angles within half a turn.
+VectorXd Wrapped(VectorXd step) {
+  for (const int angle : {0, 2}) step[angle] = std::remainder(step[angle], 2 * M_PI);
+  return step;
+}
+
+// The other angles at which a rod lies and moves alike.
+VectorXd TheOtherWay(const VectorXd& rod) {
+  return (VectorXd(4) << rod[0] + M_PI, rod[1], M_PI - rod[2], -rod[3]).finished();
+}
+
+// What each window alone knows of the mass.
+std::vector<Ends> AllEnds(const FitData& data, const sim::Plant& plant, const FitResult& fit,
+                          const LiftedOptions& options) {
+  const FitData meeting = Meeting(data);
+  const std::vector<long> mass = MassStates(plant);
+  Lineariser lin(meeting, FitModel{plant, fit.values, {}}, false, options);
+  const std::vector<LooseStart> loose = LooseStarts(plant, fit.states);
+  std::vector<Ends> ends(data.windows.size());
+  sysid::ParallelFor(options.threads, static_cast<int>(ends.size()), [&](int worker, int w) {
+    const auto i = static_cast<size_t>(w);
+    ends[i] = EndsOf(lin, worker, w, mass, fit.states[i], loose[i], options.noise_scale);
+  });
+  return ends;
+}
+
+// Whether a window goes on from the one before, as far as both tell.
+bool Meet(const FitData& data, const std::vector<Ends>& ends, size_t w) {
+  return w > 0 && FollowsOn(data.windows[w - 1], data.windows[w]) && ends[w - 1].ok && ends[w].ok;
+}
+
+// Of a rod, whose two ways to lie alike are one.
+double RodStepNats(const VectorXd& from, const MatrixXd& covariance, const Ends& to) {
+  const VectorXd sign = (VectorXd(4) << 1, 1, -1, -1).finished();
+  const MatrixXd turned = sign.asDiagonal() * covariance * sign.asDiagonal();
+  return std::min(StepNats(Wrapped(to.start - from), covariance + to.start_covariance),
+                  StepNats(Wrapped(to.start - TheOtherWay(from)), turned + to.start_covariance));
+}
+
+}  // namespace
+
+FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
+                    const LiftedOptions& options) {
+  const std::vector<Ends> ends = AllEnds(data, plant, fit, options);
+  const int nx = plant.num_states();
+  fit.work += Work(data, options, nx, nx);
+  for (size_t w = 1; w < ends.size(); ++w) {
+    if (!Meet(data, ends, w)) continue;
+    const double nats =
+        StepNats(ends[w].start - ends[w - 1].end, ends[w - 1].end_covariance + ends[w].start_covariance);
+    if (std::isinf(nats)) {  // a mass thrown beyond what numbers hold
+      fit.ok = false;
+      continue;
+    }
+    fit.chi2 += 2 * nats * options.noise_scale, fit.window_chi2[w] += 2 * nats * options.noise_scale;
+    fit.evidence -= nats;
+  }
+  return fit;
+}
+
+std::optional<bool> SwingsOn(const FitData& data, const sim::Plant& plant, FitResult* fitted,
+                             const LiftedOptions& options) {
+  const FitResult& fit = *fitted;
+  const std::vector<Ends> ends = AllEnds(data, plant, fit, options);
+  const std::vector<long> mass = MassStates(plant);
+  const double noise = 0.5 * OnePercentChi2(static_cast<double>(mass.size()));
+  sim::Simulator simulator(plant, {.integrator = options.integrator, .step_s = options.step_s});
+  simulator.SetParameters(fit.values);
+  fitted->work += Work(data, options, plant.num_states(), plant.num_states());
+  const double met_below = kMet * options.noise_scale * RowsPerWindow(data);
+  const auto met = [&](size_t w) { return fit.window_chi2[w] < met_below; };
+  int meetings = 0, both_met = 0, goes_on = 0;
+  for (size_t w = 1; w < ends.size(); ++w) {
+    if (!Meet(data, ends, w)) continue;
+    ++meetings;
+    if (!met(w - 1) || !met(w)) continue;
+    const MatrixXd& known = ends[w - 1].end_covariance;
+    const VectorXd hangs = HangingFrom(simulator, fit.states[w].col(0))(mass);
+    const double step = RodStepNats(ends[w - 1].end, known, ends[w]);
+    const double swing = RodStepNats(hangs, known, ends[w]);
+    ++both_met, goes_on += step < noise || (std::isfinite(swing) && step < kOfItsSwing * swing);
+  }
+  if (meetings == 0) return std::nullopt;
+  return kEnough * both_met >= meetings && 2 * goes_on > both_met;
+}
+
+double TrueJumps(const FitData& data, const sim::Plant& plant, double noise_scale) {
+  if (!HasMassInSprings(plant.effects())) return 0;
+  double meetings = 0;
+  for (size_t w = 1; w < data.windows.size(); ++w)
+    meetings += FollowsOn(data.windows[w - 1], data.windows[w]);
+  return meetings * static_cast<double>(MassStates(plant).size()) * noise_scale;
+}
+
+}  // namespace rg::diagnosis

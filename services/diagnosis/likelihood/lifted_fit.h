@@ -1,0 +1,114 @@
+// Fits a plant with effects to recordings, and linearises it around them: lifted multiple shooting.
+//
+// Every window carries its own states x_k at nodes about 10 ms apart. With e_k the correction of x_k,
+//
+//   e_{k+1} = A_k e_k + P_k δθ + B_k δτ_k + d_k ,   d_k = F(x_k, u_k; θ) − x_{k+1}
+//   y_k     = h(x_k) + H_k e_k + … + ν_k            ν: white, sensors' noise
+//
+// is linear, so θ and every window's e_0 (eliminated by QR) follow from one least-squares problem, and the
+// states from a forward pass. Iterated, this is Gauss-Newton for the whole problem: at the solution d = 0
+// and each window is one simulation. Since the states start at the recorded motion and not at what a wrong
+// model makes of it, a wrong model or a sensitive arm does not break it (Albersmeyer & Diehl 2010).
+//
+// δτ are features: candidate forces as functions of the recorded motion. Their columns beside those of the
+// parameters let all hypotheses be tested with one linearisation.
+#pragma once
+
+#include <Eigen/Core>
+#include <string_view>
+#include <vector>
+
+#include "common/base/rng.h"
+#include "common/sim/plant.h"
+#include "common/sim/simulator.h"
+#include "services/diagnosis/data/fit_data.h"
+#include "services/sysid/fit_parameters.h"
+
+namespace rg::diagnosis {
+
+// States at the nodes of every window: nx × (N + 1) each.
+using NodeStates = std::vector<Eigen::MatrixXd>;
+
+struct FitModel {
+  sim::Plant plant;
+  Eigen::VectorXd values;                       // of the plant's table
+  std::vector<sysid::FitParameter> parameters;  // free ones; θ0 = nominal, prior_stddev
+};
+
+struct LiftedOptions {
+  int iterations = 6;
+  int more_iterations = 0;       // while each lowers the cost
+  double still_falling = 0.005;  // by this share of it
+  // The cost that it must come to: it ends where, at the pace at which it falls, it would not in the
+  // iterations that are left. 0: none.
+  double to_beat = 0;
+  int threads = 1;
+  double noise_scale = 1.0;  // residual variance in units of the sensors' noise
+  double step_s = 2e-3;
+  // Hidden states start where they fit best; else where they are given, a motor with its link.
+  bool free_hidden = true;
+  sim::Integrator integrator = sim::Integrator::kLeapfrog;
+};
+
+// What simulating all windows of a plant with so many states costs with sensitivities to so many unknowns,
+// the same on every machine: steps times pairs of states times columns, the step itself counting as twenty.
+// Its time goes with that within a factor of 1.7 (robots of one to six joints, 25 to 500 Hz).
+double Work(const FitData& data, const LiftedOptions& options, long states, long columns);
+
+// How the names of lags' states begin, which commands alone settle; the joint's name follows.
+inline constexpr std::string_view kLagState = "lagged_torque.";
+
+struct FitResult {
+  Eigen::VectorXd values;
+  NodeStates states;
+  double chi2 = 0;  // of the simulated windows, far residuals softened; of a mass in springs with its jumps
+  std::vector<double> window_chi2;  // (jumps.h)
+  double prior_cost = 0;            // Σ ((θ−θ0)/σ)²
+  Eigen::MatrixXd information;      // P × P, without priors, divided by noise_scale
+  Eigen::VectorXd stddev;           // P, posterior
+  Eigen::VectorXd theta;            // P
+  int rows = 0;
+  int iterations = 0;
+  double work = 0;  // Work of all simulations
+  bool ok = false;
+  // log evidence: −½χ²/s² − ½ prior cost − ½ log det(1 + σ H σ) − what free hidden starts cost
+  double evidence = 0;
+};
+
+// Forces per unit coefficient: phi[w] is C × N (per window, feature, interval); joint: C.
+struct FeatureBlock {
+  std::vector<int> joint;
+  std::vector<Eigen::MatrixXd> phi;
+  int size() const { return static_cast<int>(joint.size()); }
+};
+
+// Normal equations in (θ, features, residual), e_0 eliminated, whitened and divided by the noise scale:
+// gram is (P + C + 1)², its last row and column belong to the residual.
+struct Screen {
+  Eigen::MatrixXd gram;
+  Eigen::MatrixXd null;  // (P + C) × draws: right-hand sides if the residual were the sensors' noise alone
+  Eigen::VectorXd step_rule;  // P + C: the right-hand side that another step rule makes
+  int parameters = 0, features = 0, rows = 0, eliminated = 0;
+};
+
+NodeStates InitialStates(const FitData& data, const FitModel& model, const LiftedOptions& options);
+// `start`: states to start from, the plant's own layout; without them from the recorded motion.
+FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& options,
+              const NodeStates* start = nullptr);
+// The states of a fitted plant as a start for another: what both have is kept.
+NodeStates CarriedStates(const FitData& data, const FitModel& to, const sim::Plant& from,
+                         const NodeStates& states, const LiftedOptions& options);
+// Another step rule stands for what nobody knows of an engine or of a robot's timing: what the whitened
+// outputs of every window change by when it is simulated by semi-implicit Euler at 0.2 ms, as careful users
+// of the field's simulators do. An effect that explains no more than that is none.
+LiftedOptions OtherStepRule(LiftedOptions options);
+std::vector<Eigen::VectorXd> StepRuleResiduals(const FitData& data, const FitModel& model,
+                                               const NodeStates& states, const LiftedOptions& options);
+// Nats that the model's free parameters would gain from another step rule alone.
+double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates& states,
+                    const LiftedOptions& options);
+Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
+                  const FeatureBlock& features, const LiftedOptions& options,
+                  const std::vector<Eigen::VectorXd>& step_rule, int null_draws, Rng rng);
+
+}  // namespace rg::diagnosis

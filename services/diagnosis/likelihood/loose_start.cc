@@ -1,0 +1,35 @@
+#include "services/diagnosis/likelihood/loose_start.h"
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+
+namespace rg::diagnosis {
+
+namespace {
+
+constexpr double kLoose = 10.0;
+constexpr double kLeastMotion = 1e-6;  // rad, m, per second
+
+}  // namespace
+
+std::vector<LooseStart> LooseStarts(const sim::Plant& plant, const NodeStates& carried) {
+  const long nx = plant.num_states(), first = 2L * plant.num_joints();
+  Eigen::VectorXd precision = Eigen::VectorXd::Zero(nx);
+  for (long i = first; i < nx; ++i) {
+    const std::string& name = plant.internal_state_names()[static_cast<size_t>(i - first)];
+    if (name.rfind("position.", 0) != 0 && name.rfind("velocity.", 0) != 0) continue;
+    double squares = 0, count = 0;
+    for (const Eigen::MatrixXd& states : carried) {
+      squares += states.row(i).squaredNorm();
+      count += static_cast<double>(states.cols());
+    }
+    const double stddev = std::max(kLeastMotion, kLoose * std::sqrt(squares / std::max(1.0, count)));
+    if (std::isfinite(stddev)) precision[i] = 1.0 / (stddev * stddev);
+  }
+  std::vector<LooseStart> out;
+  for (const Eigen::MatrixXd& states : carried) out.push_back({states.col(0), precision});
+  return out;
+}
+
+}  // namespace rg::diagnosis

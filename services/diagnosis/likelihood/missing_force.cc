@@ -1,0 +1,90 @@
+#include "services/diagnosis/likelihood/missing_force.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "services/diagnosis/likelihood/lineariser.h"
+#include "services/sysid/parallel.h"
+
+namespace rg::diagnosis {
+
+namespace {
+
+// Log evidence of the unknowns `chosen` alone, each with a prior of stddev 1: H the information of all with
+// that prior, g = Jᵀr.
+double EvidenceOf(const MatrixXd& H, const VectorXd& g, const std::vector<int>& chosen) {
+  const Eigen::LLT<MatrixXd> llt(H(chosen, chosen));
+  const VectorXd y = llt.matrixL().solve(g(chosen));
+  return 0.5 * y.squaredNorm() - llt.matrixLLT().diagonal().array().log().sum();
+}
+
+}  // namespace
+
+MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, const NodeStates& states,
+                                  const VectorXd& prior, double segment_s, const LiftedOptions& options) {
+  FitModel fixed{model.plant, model.values, {}};
+  Lineariser lin(data, fixed, true, options);
+  const int W = static_cast<int>(data.windows.size()), n = data.n;
+  MissingForce out;
+  out.force.resize(W), out.stddev.resize(W), out.t.resize(W);
+  std::vector<double> chi2(W, 0), unknowns(W, 0);
+  std::vector<MatrixXd> evidence(W, MatrixXd::Zero(n, n));
+  sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
+    const NodeWindow& window = data.windows[w];
+    const int N = static_cast<int>(window.t.size()) - 1;
+    const double span = window.t[N] - window.t[0];
+    const int S = std::max(1, static_cast<int>(std::lround(span / segment_s)));
+    std::vector<int> joint;
+    MatrixXd phi = MatrixXd::Zero(S * n, N);
+    for (int s = 0; s < S; ++s) {
+      out.t[w].push_back(window.t[0] + span * (s + 0.5) / S);
+      for (int j = 0; j < n; ++j) {
+        joint.push_back(j);
+        for (int k = 0; k < N; ++k) {
+          const double middle = 0.5 * (window.t[k] + window.t[k + 1]);
+          const int at = std::min(S - 1, static_cast<int>((middle - window.t[0]) / span * S));
+          if (at == s) phi(s * n + j, k) = prior[j];
+        }
+      }
+    }
+    Linear l;
+    lin.Run(worker, w, states[w], &joint, &phi, false, &l);
+    out.force[w] = MatrixXd::Zero(n, S), out.stddev[w] = MatrixXd::Zero(n, S);
+    if (!l.ok) return;
+    const MatrixXd rest = ProjectOut(l.J_e, l.J, l.r) / std::sqrt(options.noise_scale);
+    const int C = S * n;
+    MatrixXd H = rest.leftCols(C).transpose() * rest.leftCols(C);
+    const MatrixXd data_H = H;
+    H.diagonal().array() += 1.0;
+    const Eigen::LLT<MatrixXd> llt(H);
+    const VectorXd g = rest.leftCols(C).transpose() * rest.col(C);
+    const VectorXd c = llt.solve(g);
+    const MatrixXd cov = llt.solve(MatrixXd::Identity(C, C));
+    for (int s = 0; s < S; ++s) {
+      for (int j = 0; j < n; ++j) {
+        out.force[w](j, s) = prior[j] * c[s * n + j];
+        out.stddev[w](j, s) = prior[j] * std::sqrt(std::max(0.0, cov(s * n + j, s * n + j)));
+      }
+    }
+    for (int j = 0; j < n; ++j) {
+      for (int k = 0; k <= j; ++k) {
+        std::vector<int> chosen;
+        for (int s = 0; s < S; ++s) {
+          chosen.push_back(s * n + j);
+          if (k != j) chosen.push_back(s * n + k);
+        }
+        evidence[w](j, k) = evidence[w](k, j) = EvidenceOf(H, g, chosen);
+      }
+    }
+    chi2[w] = (rest.col(C) - rest.leftCols(C) * c).squaredNorm();
+    unknowns[w] = static_cast<double>(l.r.size() - rest.rows()) + (data_H * cov).trace();
+  });
+  out.evidence = MatrixXd::Zero(n, n);
+  for (int w = 0; w < W; ++w) out.chi2 += chi2[w], out.unknowns += unknowns[w], out.evidence += evidence[w];
+  out.rows = data.Rows();
+  return out;
+}
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,52 @@
+// Where fits of a mass that swings on a rod (sloshing_payload, form "rod") begin.
+#pragma once
+
+#include <vector>
+
+#include "services/diagnosis/likelihood/lifted_fit.h"
+
+namespace rg::diagnosis {
+
+bool HasRod(const std::vector<effects::EffectSpec>& specs);
+bool HasMassInSprings(const std::vector<effects::EffectSpec>& specs);
+// Whether one swings on the last link, not on the end effector.
+bool SwingsOnLastLink(const std::vector<effects::EffectSpec>& specs);
+
+// `rod` with a body that is so many times as long, of the same mass.
+effects::EffectSpec LongerRod(effects::EffectSpec rod, double times);
+// `rod` where it hangs, and at the same hinge of the other point, unless both points were moved alike: below
+// an upright slide what hangs on either is one.
+std::vector<effects::EffectSpec> EitherPlace(const FitData& data, const sim::Plant& nominal,
+                                             const effects::EffectSpec& rod);
+
+// `start` with a rod that hangs and does not turn.
+Eigen::VectorXd HangingFrom(const sim::Simulator& simulator, const Eigen::VectorXd& start);
+// States like `start` in which a rod may be: it hangs and does not turn, is off that by ±0.7 rad about either
+// axis, or passes it at the speed of a swing so wide. Empty where the plant has no rod.
+std::vector<Eigen::VectorXd> SwingsFrom(const sim::Simulator& simulator, const Eigen::VectorXd& start);
+
+// The same where `window` begins, of a rod that was let go where its recording does, in any direction of its
+// link.
+std::vector<Eigen::VectorXd> LetGo(const FitData& data, sim::Simulator& simulator, const NodeWindow& window,
+                                   const Eigen::VectorXd& start);
+
+double RowsPerWindow(const FitData& data);  // on average
+
+// χ² per row, in units of the noise, of that share of windows that is met best, all of `data` or some: what a
+// mass does where its swings were found. Infinite without windows.
+double Typically(const FitData& data, const std::vector<double>& window_chi2, double noise_scale,
+                 double share);
+
+inline constexpr double kMet = 2.0;  // χ² per row below which a window's start is not looked for any further
+
+// A mass that is a point, as a fit may come to and none leads away from, in the values of `plant`: one that
+// is not small, and hangs and swings alike.
+void WidenPoint(const sim::Plant& plant, Eigen::VectorXd* values);
+
+// A mass on a rod in the place of one in springs, from what is found of that: where its link hardly turns
+// springs of k are a rod of L = m·9.81/k. Its hinge is the axis of the link that gravity is least along, or
+// the next one, or the last.
+std::vector<effects::EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal,
+                                           const effects::EffectSpec& springs);
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,520 @@
+#include "services/diagnosis/reporting/findings.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <set>
+
+#include "common/effects/effect_catalog.h"
+#include "common/effects/inference.h"
+#include "common/model/robot_model.h"
+#include "services/diagnosis/data/words.h"
+#include "services/diagnosis/hypotheses/given_model.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/hypotheses/rivals.h"
+#include "services/diagnosis/reporting/confidence.h"
+#include "services/diagnosis/reporting/experiments.h"
+#include "services/diagnosis/reporting/findings_tables.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+using effects::Regressor;
+using effects::Variable;
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+namespace {
+
+constexpr double kMuchOfTheEffort = 0.25;  // of its variance
+constexpr double kSameDelay = 0.05;  // of itself: less between two joints is a twentieth of what it shows by
+constexpr size_t kManyJoints = 3;    // whose values are said in a list
+constexpr double kLittle = 0.1;      // of what parameters explain
+constexpr double kSecond = 0.3;      // of what a force on one joint explains, for another on a second joint
+
+// How a force without a name is called, whatever form it has; of two joints' positions.
+const std::string& Unnamed() { return effects::LawOf(Regressor::kPositionPiece).id; }
+bool IsSurface(const std::string& id) {
+  return IsUnnamed(id) && effects::FindEffect(id)->scope == effects::Scope::kJointPair;
+}
+
+std::vector<std::string> JointsOf(const std::vector<EffectSpec>& specs, const std::string& id,
+                                  const std::vector<std::string>& order) {
+  const std::string& coupling = effects::LawOf(Regressor::kOtherEffort).id;
+  std::set<std::string> joints;
+  std::vector<std::string> pair;  // in their own order
+  for (const EffectSpec& s : specs) {
+    if (s.id != id) continue;
+    if (id == coupling) pair.insert(pair.end(), s.joints.begin(), s.joints.end());
+    joints.insert(s.joints.begin(), s.joints.end());
+  }
+  if (id == coupling) return pair;
+  std::vector<std::string> out;
+  for (const std::string& name : order) {
+    if (joints.count(name)) out.push_back(name);
+  }
+  return out;
+}
+
+// Evidence of the best tried candidate that lacks effect `id`, with the other findings kept where tried; less
+// what it predicts worse of recordings kept aside, where that was asked.
+double BestWithout(const SearchResult& s, const std::string& id) {
+  double best = kNoScore;
+  const size_t kinds = FreshKinds(Candidate{}, s.best).size();
+  for (const Candidate& c : s.tried) {
+    const bool more = (c.base && !s.best.base) || FreshKinds(Candidate{}, c).size() > kinds;
+    if (HasKind(c.specs, id)) continue;
+    const bool asked = c.held_out && s.best.held_out;
+    const double all = asked ? FitScore(c) + std::min(0.0, *c.held_out - *s.best.held_out) : c.score;
+    best = std::max(best, all - (more ? s.beside : 0.0));
+  }
+  return best;
+}
+
+// Energy of a staircase of forces above its noise, per joint.
+VectorXd Energy(const MissingForce& f, int n) {
+  VectorXd sum = VectorXd::Zero(n);
+  for (size_t w = 0; w < f.force.size(); ++w) {
+    if (f.force[w].size() == 0) continue;
+    sum += (f.force[w].cwiseAbs2() - f.stddev[w].cwiseAbs2()).rowwise().sum();
+  }
+  return sum.cwiseMax(0.0);
+}
+
+class Speaker {
+ public:
+  Speaker(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
+          const MotionScales& scales, DiagnosisResult* result)
+      : s_(search), data_(data), nominal_(nominal), scales_(scales), r_(*result) {}
+
+  void Run() {
+    Figures();
+    Verdict();
+    Calibrate(r_.verdict, s_.measured.active, static_cast<int>(r_.joints.size()), &r_.findings);
+    r_.ledger = LedgerOf(s_);
+    r_.candidates = CandidateRows(s_);
+    r_.force_plots = ForcePlots(s_, data_);
+  }
+
+ private:
+  void Figures() {
+    const Candidate& without = s_.calibrated.score > s_.nominal.score ? s_.calibrated : s_.nominal;
+    const double scale = s_.noise_scale * std::max(1, without.fit.rows);
+    r_.noise_scale = s_.noise_scale;
+    r_.null_threshold = s_.null_gain;
+    r_.mismatch = without.fit.chi2 / scale;
+    r_.remaining = s_.best.fit.chi2 / scale;
+    energy_ = Energy(s_.missing, data_.n).cwiseQuotient(scales_.torque.cwiseAbs2());
+    r_.joint_share = energy_ / std::max(1e-300, energy_.sum());
+    r_.plant = *s_.best.plant;
+    r_.values = s_.best.fit.values;
+    for (const std::string& j : r_.joints) {
+      const auto& joint = nominal_.model().joint(nominal_.model().FindJoint(j));
+      r_.units.push_back(joint.is_revolute() ? "rad" : "m");
+    }
+  }
+
+  void Verdict() {
+    std::set<std::string> ids;
+    beyond_ = Beyond(nominal_, s_.best.specs);
+    for (const EffectSpec& e : beyond_) {
+      if (!OfStillJoints(e)) ids.insert(e.id);
+    }
+    // With a measured effort there is no χ² of 1 to be reached: most of the misfit must be explained.
+    const bool unexplained = s_.measured.active ? Remains() : MostIsLeft();
+    const bool unnamed = std::any_of(ids.begin(), ids.end(), IsUnnamed);
+    for (const std::string& id : ids) {
+      if (!PartOfField(id)) r_.findings.push_back(FindingOf(id));
+    }
+    if (unexplained || unnamed) {
+      r_.verdict = "unexplained";
+      if (!unnamed) AddUnknown();
+      return;
+    }
+    if (ids.empty()) {
+      const double odds = s_.calibrated.score - s_.nominal.score - s_.threshold;
+      r_.verdict = odds > 0 ? "parameters_only" : "no_mismatch";
+      if (odds > 0) AddParameters(Confidence(odds));
+      return;
+    }
+    r_.verdict = "unmodelled_physics";
+    if (s_.best.base) AddParameters(Confidence(OddsOfParameters()));  // a side remark
+  }
+
+  // Whether more is left than the model would leave of recordings that it made itself by another step rule
+  // (its own null, exceeded in 1 % of sets), and more than the findings explain. Beside parameters that
+  // explain nearly all, or where no force was found at all, a remainder that no motion would show by more
+  // than a twentieth of the noise is none.
+  bool MostIsLeft() const {
+    const double scatter = std::sqrt(4.0 * s_.best.fit.rows) * s_.noise_scale;
+    if (s_.best.fit.chi2 < s_.own_chi2 + kOnePercent * scatter) return false;
+    const double explained = s_.nominal.fit.chi2 - s_.best.fit.chi2;
+    const bool little = beyond_.empty() || s_.own_chi2 < kLittle * explained;
+    if (s_.best.fit.chi2 < kExplained * s_.own_chi2 && little) return false;
+    const double excess = r_.mismatch - 1.0, left = r_.remaining - 1.0;
+    return left > 0.5 * excess;
+  }
+
+  // Of a joint that never moved only a note says what it held against.
+  bool Silent(const std::string& joint) const {
+    const int j = nominal_.model().FindJoint(joint);
+    return j >= 0 && scales_.still[static_cast<size_t>(j)];
+  }
+  bool OfStillJoints(const EffectSpec& e) const {
+    return !e.joints.empty() &&
+           std::all_of(e.joints.begin(), e.joints.end(), [&](const std::string& j) { return Silent(j); });
+  }
+
+  // A ripple or a spring on a joint whose unnamed force is over the same position is a part of that force:
+  // what its coarse nodes do not follow.
+  bool PartOfField(const std::string& id) const {
+    const auto& all = s_.best.specs;
+    const auto in_field = [&](const EffectSpec& part) {
+      const std::string& joint = part.joints[0];
+      return FieldVariable(all, joint) == "position" ||
+             std::any_of(all.begin(), all.end(),
+                         [&](const EffectSpec& e) { return IsSurface(e.id) && Contains({e}, e.id, joint); });
+    };
+    return IsOfPosition(id) && !IsUnnamed(id) &&
+           std::all_of(all.begin(), all.end(),
+                       [&](const EffectSpec& e) { return e.id != id || in_field(e); });
+  }
+
+  // How much better the same effects explain with base parameters freed.
+  double OddsOfParameters() const {
+    for (const Candidate& c : s_.tried) {
+      if (!c.base && KeyOf(c.specs) == KeyOf(s_.best.specs)) return s_.best.score - c.score;
+    }
+    return s_.calibrated.score - s_.nominal.score;
+  }
+
+  // Whether what the names leave is structured and more than they explain, or, where there is no name, a good
+  // part of the effort: then the model does not hold, whatever the reason.
+  bool Remains() const {
+    const auto& m = s_.measured;
+    if (s_.best.specs.empty() && m.effort_share.maxCoeff() > kMuchOfTheEffort) return true;
+    return m.explained < 0.5 && m.structured.size() > 0 && m.structured.maxCoeff() > 0.3;
+  }
+
+  static double Confidence(double nats) {
+    // Evidence is of an approximate likelihood: half of each nat is believed.
+    const double p = 1.0 / (1.0 + std::exp(-std::clamp(0.5 * nats, -30.0, 30.0)));
+    return std::clamp(p, 0.02, 0.98);
+  }
+
+  Finding FindingOf(const std::string& id) {
+    Finding f;
+    f.effect = IsUnnamed(id) ? Unnamed() : id;
+    f.joints = JointsOf(beyond_, id, r_.joints);
+    std::erase_if(f.joints, [&](const std::string& j) { return Silent(j); });
+    f.equation = effects::Equation(SpecOf(id, "*"));
+    f.shows_over = effects::ShowsOver(SpecOf(id, "*"));
+    const auto gain = s_.measured.gain.find(id);
+    f.confidence =
+        Confidence(gain != s_.measured.gain.end() ? gain->second : s_.best.score - BestWithout(s_, id));
+    // That no name explains it was settled when names that fit better were refused: they are no reason for
+    // doubt.
+    if (IsUnnamed(id) && !s_.measured.active) f.confidence = 1.0;
+    FillParameters(id, &f);
+    f.statement = StatementOf(id, f);
+    FillClass(id, &f);
+    FillWhere(id, &f);
+    return f;
+  }
+
+  // The effect of that id that acts on the owner; of the whole robot, or of any joint, for "*".
+  const EffectSpec& SpecOf(const std::string& id, const std::string& owner) const {
+    return *std::find_if(s_.best.specs.begin(), s_.best.specs.end(), [&](const EffectSpec& e) {
+      return e.id == id && (owner == "*" || e.joints.empty() ||
+                            std::find(e.joints.begin(), e.joints.end(), owner) != e.joints.end());
+    });
+  }
+
+  void FillParameters(const std::string& id, Finding* f) {
+    for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
+      const sim::Parameter& p = s_.best.plant->parameters()[s_.best.parameters[k].index];
+      // A surface's 36 weights are in model.json.
+      const bool of_it = p.owner == "*" || f->joints.empty() ||
+                         std::find(f->joints.begin(), f->joints.end(), p.owner) != f->joints.end();
+      if (p.effect != id || !of_it || IsSurface(id) || Silent(p.owner)) continue;
+      ParameterEstimate e{p.owner, p.field, p.unit, s_.best.fit.theta[static_cast<long>(k)],
+                          s_.best.fit.stddev[static_cast<long>(k)]};
+      f->parameters.push_back(e);
+    }
+    // The contract's tilt is positive, its azimuth within ±π.
+    if (id == effects::EffectOf(effects::Role::kGravity).id && f->parameters.size() == 2) {
+      double &tilt = f->parameters[0].value, &azimuth = f->parameters[1].value;
+      if (tilt < 0) tilt = -tilt, azimuth += M_PI;
+      azimuth = std::remainder(azimuth, 2 * M_PI);
+    }
+  }
+
+  // One sentence: what a joint or two have in their effect's own words, what more have as a list.
+  std::string StatementOf(const std::string& id, const Finding& f) const {
+    std::map<std::string, std::map<std::string, double>> by_owner;
+    for (const ParameterEstimate& p : f.parameters) by_owner[p.owner][p.name] = p.value;
+    if (by_owner.size() >= kManyJoints && by_owner.count("*") == 0) return StatementOfMany(id, f);
+    std::string text;
+    for (const auto& [owner, values] : by_owner) {
+      const int joint = nominal_.model().FindJoint(owner);
+      const bool prismatic = joint >= 0 && !nominal_.model().joint(joint).is_revolute();
+      const std::string name = owner == "*" && !f.joints.empty() ? Listed(f.joints)
+                               : owner == "*"                    ? "the robot"
+                                                                 : owner;
+      text += (text.empty() ? "" : " ") + effects::Sentence(SpecOf(id, owner), name, prismatic, values);
+    }
+    if (IsUnnamed(f.effect) && f.parameters.empty())
+      return effects::Sentence(SpecOf(id, "*"), Listed(f.joints), false, {});
+    return text.empty() ? effects::FindEffect(id)->title + "." : text;
+  }
+
+  // "Coulomb friction that the model does not have on all 6 joints: coulomb 0.12 to 1.94 N*m.": what each
+  // joint has is in a table.
+  std::string StatementOfMany(const std::string& id, const Finding& f) const {
+    std::vector<std::string> ranges;
+    for (const auto& info : effects::FindEffect(id)->parameters) {
+      double least = effects::kInf, most = -effects::kInf;
+      std::string unit;
+      for (const ParameterEstimate& p : f.parameters) {
+        if (p.name == info.name)
+          least = std::min(least, p.value), most = std::max(most, p.value), unit = p.unit;
+      }
+      if (least > most) continue;
+      const std::string from = Number(least), to = Number(most);
+      ranges.push_back(info.name + " " + (from == to ? from : from + " to " + to) +
+                       (unit == "-" ? "" : " " + unit));
+    }
+    const std::string count = std::to_string(f.joints.size());
+    return effects::FindEffect(id)->title + " that the model does not have on " +
+           (f.joints.size() == r_.joints.size() ? "all " + count
+                                                : count + " of " + std::to_string(r_.joints.size())) +
+           " joints: " + Listed(ranges) + ".";
+  }
+
+  void FillClass(const std::string& id, Finding* f) {
+    f->effect_class.push_back(f->effect);
+    for (const auto& [effect, c] : RivalsOf(s_, id)) {
+      Alternative a;
+      a.effect = effect;
+      a.joints = JointsOf(c->specs, effect, r_.joints);
+      // Where nothing was kept aside, and with a measured effort, whose scores are of parts left out: those.
+      const bool weighed = c->held_out && s_.best.held_out;
+      const double fitted = (weighed ? FitScore(*c) - FitScore(s_.best) : c->score - s_.best.score) -
+                            (c->base && !s_.best.base ? s_.beside : 0.0);
+      a.evidence = weighed ? *c->held_out - *s_.best.held_out : fitted;
+      a.separable = (weighed ? fitted + a.evidence : fitted) < -kSeparable;
+      a.experiment = ExperimentFor(id, effect, f->joints);
+      if (SameUnderAShiftedClock(id, effect) && OneClock(id)) {
+        a.separable = a.by_motion = false;
+        a.experiment = kClockExperiment;
+      }
+      if (!a.separable) f->effect_class.push_back(effect);
+      f->alternatives.push_back(a);
+    }
+    AddScaledOther(id, f);
+  }
+
+  // Where masses and losses are free all efforts may be scaled: a factor on one of two drives and its inverse
+  // on the other are the same motion.
+  void AddScaledOther(const std::string& id, Finding* f) const {
+    if (!s_.best.base || !effects::ScalesEffort(id) || f->joints.size() != 1) return;
+    const int other = data_.OtherOfTwo(nominal_.model().FindJoint(f->joints[0]));
+    if (other < 0) return;
+    Alternative a;
+    a.effect = id;
+    a.joints = {r_.joints[static_cast<size_t>(other)]};
+    a.separable = a.by_motion = false;
+    a.experiment = kScaleExperiment;
+    f->alternatives.push_back(a);
+  }
+
+  static bool SameUnderAShiftedClock(const std::string& a, const std::string& b) {
+    return a != b && effects::IsIn(effects::Slot::kDelay, a) && effects::IsIn(effects::Slot::kDelay, b);
+  }
+
+  // Whether all joints are late by the same time: then a robot whose readings are old and one whose commands
+  // wait are the same motion under a shifted clock, and what fits make of the difference is how they begin a
+  // window.
+  bool OneClock(const std::string& id) const {
+    double least = 1e300, most = 0, error = 0;
+    int joints = 0;
+    for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
+      const sim::Parameter& p = s_.best.plant->parameters()[s_.best.parameters[k].index];
+      if (p.effect != id || p.field != "delay") continue;
+      const double delay = s_.best.fit.theta[static_cast<long>(k)];
+      least = std::min(least, delay), most = std::max(most, delay);
+      error = std::max(error, s_.best.fit.stddev[static_cast<long>(k)]);
+      ++joints;
+    }
+    return joints == data_.n &&
+           most - least <= std::max(kOneInAHundred * std::sqrt(2.0) * error, kSameDelay * most);
+  }
+
+  // The interval of a joint's positions in which an unnamed force differs from zero by more than three of its
+  // standard deviations and a seventh of its peak; the whole motion where it does so nowhere.
+  Region FieldRegion(const std::string& id, const std::string& joint) const {
+    const int j = nominal_.model().FindJoint(joint);
+    const double low = scales_.low[j], high = scales_.high[j];
+    Region region{"position." + joint, low, high};
+    const bool pair = IsSurface(id);
+    bool own = true;  // the joint that feels the force, not the one it sees
+    for (const EffectSpec& e : s_.best.specs) own = own && !(pair && e.id == id && e.joints[0] == joint);
+    const auto mine = [&](const sim::Parameter& p) {
+      return p.effect == id && p.field[0] == 'w' && (pair || p.owner == joint);
+    };
+    double peak = 0;
+    for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
+      if (mine(s_.best.plant->parameters()[s_.best.parameters[k].index]))
+        peak = std::max(peak, std::abs(s_.best.fit.theta[static_cast<long>(k)]));
+    }
+    const double spacing = (high - low) / (pair ? 5 : 7);
+    double first = high, last = low;
+    for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
+      const sim::Parameter& p = s_.best.plant->parameters()[s_.best.parameters[k].index];
+      const auto at = static_cast<long>(k);
+      if (!mine(p) || std::abs(s_.best.fit.theta[at]) < peak / 7 ||
+          std::abs(s_.best.fit.theta[at]) < 3 * s_.best.fit.stddev[at])
+        continue;
+      const double node = low + spacing * (p.field[pair && !own ? 2 : 1] - '0');
+      first = std::min(first, node - spacing), last = std::max(last, node + spacing);
+    }
+    if (first < last) region.low = std::max(low, first), region.high = std::min(high, last);
+    return region;
+  }
+
+  void FillWhere(const std::string& id, Finding* f) {
+    const auto& names = r_.joints;
+    double share = 0;
+    for (size_t j = 0; j < names.size(); ++j) {
+      if (f->joints.empty() || std::find(f->joints.begin(), f->joints.end(), names[j]) != f->joints.end()) {
+        share += r_.joint_share[static_cast<long>(j)];
+      }
+    }
+    f->share_of_mismatch = std::clamp(share, 0.0, 1.0);
+    const std::string who = f->joints.empty() ? "all joints" : Listed(f->joints);
+    f->summary = who;
+    for (const std::string& joint : f->joints) {
+      const int j = nominal_.model().FindJoint(joint);
+      const Variable over = effects::ShowsOver(SpecOf(id, joint));
+      if (over == Variable::kTime) {
+        for (const ParameterEstimate& p : f->parameters) {
+          if (p.name == "start") f->regions.push_back({"time", p.value, p.value});
+          if (p.name == "end" && !f->regions.empty()) f->regions.back().high = p.value;
+        }
+        break;
+      }
+      if (over == Variable::kPosition) {
+        f->regions.push_back(IsUnnamed(id) ? FieldRegion(id, joint)
+                                           : Region{"position." + joint, scales_.low[j], scales_.high[j]});
+      } else if (over == Variable::kVelocity) {
+        f->regions.push_back({"velocity." + joint, -scales_.top_speed[j], scales_.top_speed[j]});
+      }
+    }
+    // The windows with most of it.
+    std::vector<std::pair<double, size_t>> loud;
+    for (size_t w = 0; w < s_.missing.force.size(); ++w) {
+      double sum = 0;
+      for (size_t j = 0; j < names.size(); ++j) {
+        if (!f->joints.empty() && std::find(f->joints.begin(), f->joints.end(), names[j]) == f->joints.end())
+          continue;
+        const auto row = static_cast<long>(j);
+        sum += (s_.missing.force[w].row(row) / scales_.torque[row]).squaredNorm();
+      }
+      loud.push_back({sum, w});
+    }
+    std::sort(loud.rbegin(), loud.rend());
+    for (size_t i = 0; i < std::min<size_t>(4, loud.size()); ++i) {
+      const NodeWindow& w = data_.windows[loud[i].second];
+      const recordings::Recording& rec = *data_.recordings[w.recording].recording;
+      f->windows.push_back({rec.name, w.t.front() + rec.time_offset, w.t.back() + rec.time_offset});
+    }
+    f->summary +=
+        ", most in " + (f->windows.empty() ? std::string("no window") : f->windows[0].recording) +
+        (f->windows.empty() ? ""
+                            : " around " + Number(0.5 * (f->windows[0].start + f->windows[0].end)) + " s");
+  }
+
+  // The joint that the force which no name explains acts on, and a second one that takes a good part of it.
+  // Where motion tells of it: by how much better a force on that joint alone explains what is left, as an
+  // error in one joint's torque moves all, and what weighs little most.
+  std::vector<int> JointsOfTheRest() const {
+    const MatrixXd& evidence = s_.remaining.evidence;
+    MatrixXd worth = evidence;
+    if (evidence.size() == 0) {
+      const VectorXd energy = Energy(s_.remaining, data_.n).cwiseQuotient(scales_.torque.cwiseAbs2());
+      worth = energy.replicate(1, data_.n) + energy.transpose().replicate(data_.n, 1);
+      worth.diagonal() = energy;
+    }
+    for (const int j : data_.prescribed) worth.row(j).setConstant(-effects::kInf);
+    for (const int j : data_.prescribed) worth.col(j).setConstant(-effects::kInf);
+    int first = 0, second = 0;
+    worth.diagonal().maxCoeff(&first);
+    worth.row(first).maxCoeff(&second);
+    if (worth(first, second) - worth(first, first) <= kSecond * std::max(0.0, worth(first, first)))
+      second = first;
+    std::vector<int> out = {std::min(first, second)};
+    if (second != first) out.push_back(std::max(first, second));
+    return out;
+  }
+
+  void AddUnknown() {
+    Finding f;
+    f.effect = Unnamed();
+    f.confidence = 1.0;
+    f.equation = "tau = f(q, dq, t)";
+    f.effect_class = {Unnamed()};
+    for (const int j : JointsOfTheRest()) {
+      f.joints.push_back(r_.joints[j]);
+      f.regions.push_back({"position." + r_.joints[j], scales_.low[j], scales_.high[j]});
+    }
+    f.summary = Listed(f.joints) + ": a force that no named effect explains";
+    f.share_of_mismatch = std::min(1.0, (r_.remaining - 1) / std::max(1e-9, r_.mismatch - 1));
+    f.statement = "Something acts on " + Listed(f.joints) +
+                  " that no named effect explains: " + Number(100 * f.share_of_mismatch) +
+                  " % of the mismatch remains after the best of them.";
+    r_.findings.insert(r_.findings.begin(), f);
+  }
+
+  void AddParameters(double confidence) {
+    Finding f;
+    f.effect = "parameters_only";
+    f.confidence = confidence;
+    f.effect_class = {"parameters_only"};
+    if (data_.n == 1) f.joints = r_.joints;  // where it shows
+    f.equation = "M(q)*ddq + h(q, dq) = u with other masses, centres of mass, inertias";
+    const Candidate& c = s_.best;
+    int moved = 0;
+    for (size_t k = 0; k < c.parameters.size(); ++k) {
+      const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+      // A rotor that the URDF cannot tell is no finding.
+      if (p.kind == sim::ParameterKind::kEffect || p.kind == sim::ParameterKind::kArmature) continue;
+      const double value = c.fit.theta[static_cast<long>(k)], sd = c.fit.stddev[static_cast<long>(k)];
+      f.parameters.push_back({p.owner, p.field, p.unit, value, sd});
+      moved += std::abs(value - p.nominal) > 3 * sd;
+    }
+    f.statement = std::string(r_.findings.empty() ? "The structure of the model is right; masses"
+                                                  : "Beside this, masses") +
+                  ", centres of mass or inertias differ from the URDF (" + std::to_string(moved) +
+                  " parameters by more than three standard deviations).";
+    f.summary = "all poses and motions";
+    f.share_of_mismatch = 1.0;
+    r_.findings.push_back(f);
+  }
+
+  const SearchResult& s_;
+  const FitData& data_;
+  const sim::Plant& nominal_;
+  const MotionScales& scales_;
+  DiagnosisResult& r_;
+  std::vector<EffectSpec> beyond_;  // effects that the given model has not
+  VectorXd energy_;
+};
+
+}  // namespace
+
+void Conclude(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
+              const MotionScales& scales, DiagnosisResult* result) {
+  Speaker(search, data, nominal, scales, result).Run();
+}
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,12 @@
+// From fitted candidates to what is said: verdict, findings, confidence, classes, places, ledger.
+#pragma once
+
+#include "services/diagnosis/api/result.h"
+#include "services/diagnosis/hypotheses/search_result.h"
+
+namespace rg::diagnosis {
+
+void Conclude(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
+              const MotionScales& scales, DiagnosisResult* result);
+
+}  // namespace rg::diagnosis

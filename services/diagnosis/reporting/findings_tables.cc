@@ -1,0 +1,90 @@
+#include "services/diagnosis/reporting/findings_tables.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include "services/diagnosis/data/words.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
+
+namespace rg::diagnosis {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+std::vector<LedgerRow> LedgerOf(const SearchResult& search) {
+  std::vector<LedgerRow> out;
+  const Candidate &without = search.calibrated, &best = search.best;
+  for (size_t k = 0; k < without.parameters.size(); ++k) {
+    const auto& p = without.parameters[k];
+    LedgerRow row{p.name,    p.unit,        p.nominal, without.fit.theta[static_cast<long>(k)],
+                  p.nominal, p.prior_stddev};
+    const int at = best.plant->parameters().Find(p.name);
+    if (at >= 0) row.final = best.fit.values[at];
+    out.push_back(row);
+  }
+  std::sort(out.begin(), out.end(), [](const LedgerRow& a, const LedgerRow& b) {
+    return std::abs(a.final - a.calibrated) / a.prior_stddev >
+           std::abs(b.final - b.calibrated) / b.prior_stddev;
+  });
+  return out;
+}
+
+std::vector<CandidateRow> CandidateRows(const SearchResult& search) {
+  std::vector<CandidateRow> out;
+  for (const Candidate& c : search.tried) {
+    if (!c.fit.ok || out.size() >= kMostCandidates) continue;
+    CandidateRow row;
+    std::map<std::string, std::vector<std::string>> by_id;
+    for (const effects::EffectSpec& e : c.specs) {
+      auto& joints = by_id[e.id];
+      joints.insert(joints.end(), e.joints.begin(), e.joints.end());
+    }
+    for (const auto& [id, joints] : by_id)
+      row.name += (row.name.empty() ? "" : " + ") + id + (joints.empty() ? "" : " (" + Listed(joints) + ")");
+    if (row.name.empty()) row.name = "none";
+    row.calibrated = c.base;
+    row.evidence = c.score - search.nominal.score;
+    row.chi2_per_row = c.fit.chi2 / std::max(1, c.fit.rows) / search.noise_scale;
+    row.round = c.round;
+    row.chosen = c.base == search.best.base && KeyOf(c.specs) == KeyOf(search.best.specs);
+    out.push_back(row);
+  }
+  return out;
+}
+
+std::vector<ForcePlot> ForcePlots(const SearchResult& search, const FitData& data) {
+  std::vector<ForcePlot> out;
+  std::map<int, std::vector<size_t>> by_recording;
+  for (size_t w = 0; w < data.windows.size(); ++w) by_recording[data.windows[w].recording].push_back(w);
+  for (const auto& [recording, windows] : by_recording) {
+    ForcePlot plot;
+    plot.recording = data.recordings[recording].recording->name;
+    std::vector<VectorXd> force, stddev, explained, q, v, u;
+    const FineMotion& fine = data.fine[recording];
+    const double dt = fine.t[1] - fine.t[0];
+    for (const size_t w : windows) {
+      for (size_t s = 0; s < search.missing.t[w].size(); ++s) {
+        const double t = search.missing.t[w][s];
+        const auto at =
+            static_cast<long>(std::clamp((t - fine.t[0]) / dt, 0.0, static_cast<double>(fine.t.size() - 1)));
+        const auto col = static_cast<long>(s);
+        plot.t.push_back(t);
+        force.push_back(search.missing.force[w].col(col));
+        stddev.push_back(search.missing.stddev[w].col(col));
+        explained.push_back(search.missing.force[w].col(col) - search.remaining.force[w].col(col));
+        q.push_back(fine.q.col(at)), v.push_back(fine.v.col(at)), u.push_back(fine.u.col(at));
+      }
+    }
+    const auto stack = [&](const std::vector<VectorXd>& from, MatrixXd* to) {
+      to->resize(data.n, static_cast<long>(from.size()));
+      for (size_t i = 0; i < from.size(); ++i) to->col(static_cast<long>(i)) = from[i];
+    };
+    stack(force, &plot.force), stack(stddev, &plot.stddev), stack(explained, &plot.explained);
+    stack(q, &plot.q), stack(v, &plot.v), stack(u, &plot.u);
+    out.push_back(std::move(plot));
+  }
+  return out;
+}
+
+}  // namespace rg::diagnosis

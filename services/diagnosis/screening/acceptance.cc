@@ -1,0 +1,160 @@
+#include "services/diagnosis/screening/acceptance.h"
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include "services/diagnosis/hypotheses/hypotheses.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+
+namespace {
+
+constexpr double kNearly = 2.0;      // times an account's misfit, that its plain rivals may leave
+constexpr double kFormError = 0.01;  // share of what effects explain that a neighbour's form may be worth
+constexpr double kAmplitude =
+    1e-4;                          // the same whatever is left: 1 % of an amplitude is within any simulation
+constexpr double kMostOfIt = 0.5;  // share of what is left that no matter of form takes
+constexpr double kFar = 10.0;  // χ² per row beyond noise, of a model that has little to do with the record
+constexpr double kSimplerOdds = 3.0;  // log odds: 20 to 1
+
+std::string WithSpaces(const std::set<std::string>& joints) {
+  std::string out;
+  for (const std::string& joint : joints) out += " " + joint;
+  return out;
+}
+
+// Effects with the joints that are new in `c`.
+std::map<std::string, std::set<std::string>> Added(const Candidate& best, const Candidate& c) {
+  std::map<std::string, std::set<std::string>> fresh;
+  for (const EffectSpec& s : c.specs) {
+    if (s.joints.empty() && !Contains(best.specs, s.id, "")) fresh[s.id];
+    for (const std::string& joint : s.joints) {
+      if (!Contains(best.specs, s.id, joint)) fresh[s.id].insert(joint);
+    }
+  }
+  return fresh;
+}
+
+size_t Names(const Candidate& c) { return FreshKinds(Candidate{}, c).size() + (c.base ? 1 : 0); }
+
+}  // namespace
+
+void Acceptance::Note(const ScreenResult& screened, const std::vector<std::string>& joint_names) {
+  null_gain_ = std::max(screened.null_gain, 3.0);
+  NoteStepRules(screened, joint_names);
+}
+
+void Acceptance::NoteStepRules(const ScreenResult& screened, const std::vector<std::string>& joint_names) {
+  for (const Scored& h : screened.hypotheses) {
+    std::set<std::string> joints;
+    for (const int j : h.joints) joints.insert(joint_names[static_cast<size_t>(j)]);
+    double& known = step_rule_[h.effect + WithSpaces(joints)];
+    known = std::max(known, std::sqrt(2 * std::max(0.0, h.step_rule)));
+  }
+}
+
+void Acceptance::NoteBase(const FitData& data, const Candidate& calibrated, const LiftedOptions& options) {
+  if (!calibrated.fit.ok) return;
+  const FitModel model{*calibrated.plant, calibrated.fit.values, calibrated.parameters};
+  base_rule_ = std::sqrt(2 * std::max(0.0, StepRuleGain(data, model, calibrated.fit.states, options)));
+}
+
+double Acceptance::Needed(const Candidate& best, double explained, double at_stake) const {
+  return NeededBeside(best, explained, at_stake, 0.0);
+}
+
+double Acceptance::NeededBeside(const Candidate& best, double explained, double at_stake, double rule) const {
+  const auto with_rule = [&](double nats) {
+    const double amplitude = std::sqrt(2 * nats) + rule;
+    return 0.5 * amplitude * amplitude;
+  };
+  // What is left above the noise is itself known to the scatter of χ² only.
+  const double left = std::max(0.0, at_stake) + std::sqrt(0.5 * best.fit.rows);
+  // Around a model that does not hold windows run away, and another step rule with them, as far as they like.
+  const double most = left > 0.5 * kFar * best.fit.rows ? kMostOfIt * left : effects::kInf;
+  const double chance = std::max(1.0, null_gain_ - kEffectPrior);
+  if (best.specs.empty() || explained <= 0) return std::min(with_rule(chance), most);
+  const double form = std::min(with_rule(kFormError * explained), kMostOfIt * left);
+  return std::min(std::max(form, with_rule(std::max(chance, kAmplitude * explained))), most);
+}
+
+double Acceptance::Needed(const Candidate& best, double explained, double at_stake,
+                          const Candidate& c) const {
+  double rule = c.base && !best.base ? base_rule_ : 0;
+  for (const auto& [id, joints] : Added(best, c)) rule = std::max(rule, StepRule(id, WithSpaces(joints)));
+  // What the parameters owe to another step rule, beyond what the effect does, is not theirs.
+  if (best.base && !c.base && best.specs.empty())
+    return kSimplerOdds - 0.5 * std::max(0.0, base_rule_ * base_rule_ - rule * rule);
+  return NeededBeside(best, explained, at_stake, rule);
+}
+
+// Joints that were not screened together: the most of that effect. Effects that the screen cannot see: the
+// most of any.
+double Acceptance::StepRule(const std::string& id, const std::string& joints) const {
+  const auto at = step_rule_.find(id + joints);
+  if (at != step_rule_.end()) return at->second;
+  double same = -1, any = 0;
+  for (const auto& [key, value] : step_rule_) {
+    if (key.rfind(id, 0) == 0) same = std::max(same, value);
+    any = std::max(any, value);
+  }
+  return same >= 0 ? same : any;
+}
+
+const Candidate* FewerNames(const std::map<std::string, Candidate>& tried, const Candidate& before,
+                            const Candidate& winner,
+                            const std::function<double(const Candidate&, const Candidate&)>& needed) {
+  const Candidate *part = nullptr, *other = nullptr;
+  for (const auto& [key, c] : tried) {
+    if (!c.fit.ok || Names(c) >= Names(winner)) continue;
+    if (c.score <= before.score + needed(before, c) || winner.score > c.score + needed(c, winner)) continue;
+    const Candidate*& best = (winner.base || !c.base) && IsPart(c.specs, winner.specs) ? part : other;
+    if (best == nullptr || c.score > best->score) best = &c;
+  }
+  if (part == nullptr || other == nullptr) return part != nullptr ? part : other;
+  return other->score > part->score + needed(*part, *other) ? other : part;
+}
+
+std::vector<Candidate> PlainRivals(const std::map<std::string, Candidate>& tried, const Candidate& before,
+                                   const Candidate& account, size_t most) {
+  std::vector<Candidate> out;
+  const auto own = tried.find(KeyOf(account.specs, false));
+  if (own == tried.end()) return out;
+  const size_t kinds = FreshKinds(before, account).size();
+  for (const auto& [key, c] : tried) {
+    if (!c.fit.ok || c.base || c.score < kNearly * own->second.score) continue;
+    if (!IsPart(before.specs, c.specs)) continue;
+    if (!HasFreeStates(c) && !HasUnnamed(c) && FreshKinds(before, c).size() <= kinds) out.push_back(c);
+  }
+  std::sort(out.begin(), out.end(), [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
+  if (out.size() > most) out.resize(most);
+  return out;
+}
+
+const Candidate* BestFreed(const std::map<std::string, Candidate>& tried, const Candidate& before) {
+  const Candidate* best = nullptr;
+  for (const auto& [key, c] : tried) {
+    if (!c.fit.ok || !c.base || HasUnnamed(c) || c.score <= kNoScore) continue;
+    if (!IsPart(before.specs, c.specs) || FreshKinds(before, c).empty()) continue;
+    if (best == nullptr || c.score > best->score) best = &c;
+  }
+  return best;
+}
+
+const Candidate* AsGoodAsFreed(const std::map<std::string, Candidate>& tried, const Candidate& freed,
+                               const std::function<double(const Candidate&, const Candidate&)>& needed) {
+  const Candidate* best = nullptr;
+  if (!freed.base) return best;
+  for (const auto& [key, c] : tried) {
+    // Hidden states and unnamed forces fit nearly anything: they have nothing to be forgiven.
+    if (!c.fit.ok || c.base || HasUnnamed(c) || HasHiddenStates(c)) continue;
+    if (KeyOf(c.specs) == KeyOf(freed.specs) || c.score <= freed.score + needed(freed, c)) continue;
+    if (best == nullptr || c.score > best->score) best = &c;
+  }
+  return best;
+}
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,98 @@
+#include "services/diagnosis/screening/screen_columns.h"
+
+#include "common/effects/effect_catalog.h"
+#include "common/effects/inference.h"
+#include "common/model/robot_model.h"
+#include "services/diagnosis/likelihood/candidate.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+
+namespace {
+
+constexpr int kNullDraws = 60;
+constexpr double kGravityPrior = 0.6;  // m/s²
+
+// What sensors do to a reading; a model parameter shows it, no force does.
+bool IsOfSensor(const std::string& id) {
+  const int kind = effects::KindOf(id);
+  if (kind < 0) return false;
+  const effects::Role role = effects::TraitsOf(kind).role;
+  return role == effects::Role::kSensorOffset || role == effects::Role::kSensorDelay;
+}
+
+}  // namespace
+
+std::vector<effects::EffectSpec> WithProbes(const std::vector<effects::EffectSpec>& held,
+                                            const sim::Plant& plant) {
+  std::vector<effects::EffectSpec> out = held;
+  for (int j = 0; j < plant.num_joints(); ++j) {
+    const std::string& joint = plant.joint_names()[static_cast<size_t>(j)];
+    for (const effects::EffectInfo& probe : effects::Catalog()) {
+      if (IsOfSensor(probe.id) && plant.Takes(probe.id, j) && !Contains(held, probe.id, joint))
+        out.push_back(effects::MakeSpec(probe.id, {joint}));
+    }
+  }
+  return out;
+}
+
+std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const MotionScales& scales,
+                                           const std::vector<EffectSpec>& held,
+                                           std::vector<sysid::FitParameter>* parameters) {
+  *parameters = FreeParameters(plant, scales, true);
+  std::vector<ParameterColumn> columns;
+  const auto has = [&](const std::string& id, const std::string& joint) { return Contains(held, id, joint); };
+  const std::string &payload = effects::EffectOf(effects::Role::kBodyInertia).id,
+                    &tilt = effects::EffectOf(effects::Role::kGravity).id;
+  const auto& model = plant.model();
+  const std::string& last = model.link(model.joint(model.num_joints() - 1).child_link).name;
+  for (const auto& p : *parameters) {
+    const sim::Parameter& row = plant.parameters()[p.index];
+    ParameterColumn c;
+    c.prior_stddev = p.prior_stddev;
+    c.base = row.kind != sim::ParameterKind::kEffect && row.kind != sim::ParameterKind::kArmature;
+    // One joint does not tell a payload from its link.
+    c.last_link = c.base && row.owner == last && model.num_joints() > 1 && !has(payload, "");
+    if (c.last_link) c.role = row.field;
+    if (IsOfSensor(row.effect) && !has(row.effect, row.owner))
+      c.effect = row.effect, c.role = row.field, c.joint = model.FindJoint(row.owner);
+    columns.push_back(c);
+  }
+  if (!has(tilt, "")) {
+    for (const char* axis : {"gravity.x", "gravity.y"}) {
+      const int at = plant.parameters().Find(axis);
+      sysid::FitParameter p{at, axis, "m/s^2", plant.parameters()[at].nominal, -20, 20, kGravityPrior};
+      parameters->push_back(p);
+      columns.push_back({tilt, axis, -1, kGravityPrior, false});
+    }
+  }
+  return columns;
+}
+
+ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
+                          const FeatureSet& features, const LiftedOptions& options, Rng rng,
+                          std::vector<Eigen::VectorXd>* step_rule) {
+  const sim::Plant& nominal = setting.nominal;
+  const std::vector<EffectSpec> own = Refreshed(current);
+  auto plant = sim::Plant::Create(nominal.shared_model(), nominal.options(), WithProbes(own, nominal));
+  if (!plant.ok()) return {};
+  std::vector<sysid::FitParameter> parameters;
+  auto columns = ScreenColumns(*plant, setting.scales, own, &parameters);
+  const bool holds = at == &current && current.fit.states.front().rows() == plant->num_states();
+  Eigen::VectorXd values = plant->parameters().Nominal();
+  if (at != nullptr && (holds || at != &current))
+    values = plant->ValuesFrom(at->plant->parameters(), at->fit.values);
+  for (size_t c = 0; c < columns.size(); ++c) {
+    const sysid::FitParameter& p = parameters[c];
+    if (columns[c].effect.empty()) columns[c].away = (values[p.index] - p.nominal) / p.prior_stddev;
+  }
+  const FitModel model{*plant, values, parameters};
+  const NodeStates states = holds ? current.fit.states : InitialStates(setting.data, model, options);
+  if (step_rule->empty()) *step_rule = StepRuleResiduals(setting.data, model, states, options);
+  const Screen screen =
+      MakeScreen(setting.data, model, states, features.block, options, *step_rule, kNullDraws, rng);
+  return ScoreHypotheses(screen, columns, features, setting.scales, base, nominal);
+}
+
+}  // namespace rg::diagnosis

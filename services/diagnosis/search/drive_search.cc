@@ -1,0 +1,266 @@
+#include "services/diagnosis/search/drive_search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <set>
+#include <string>
+
+#include "common/effects/effect_catalog.h"
+#include "common/effects/inference.h"
+#include "services/diagnosis/hypotheses/group_start.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec, effects::LawOf, effects::Regressor;
+
+namespace {
+
+constexpr int kIterations = 12;      // of fits that begin far off
+constexpr double kNear = 0.2;        // of what is amiss, that drives leave where more than they is missing
+constexpr double kCloser = 0.1;      // the same, above which free base parameters or one thing more are tried
+constexpr double kUseful = 0.5;      // the same, of friction and rotors that have to do with it at all
+constexpr double kShown = 0.85;      // of the regression's residual, that losses leave where they are
+constexpr double kWorthwhile = 0.8;  // of what is left, that friction which drops with speed leaves
+constexpr int kThingsBeside = 4;     // that are looked for before the drives are given up
+constexpr double kClearly = 10.0;    // stddev from nothing, of a loss that drives have
+constexpr double kLateBy = 0.01;     // s, where a fit of lags or delays begins
+constexpr double kLittleLate = 0.004;  // s, the same of one beside the other
+const std::string kDry = LawOf(Regressor::kDirection).id;
+const std::string kDropping = LawOf(Regressor::kSlowly).id;
+const std::string kEitherWay = LawOf(Regressor::kForwards).id;
+const std::string kZero = LawOf(Regressor::kConstant).id;
+const std::vector<std::string> kLosses = {LawOf(Regressor::kVelocity).id, kDry,
+                                          LawOf(Regressor::kAcceleration).id};
+constexpr const char* kTiming = "timing";  // the family of
+const std::string kTimings[] = {LawOf(Regressor::kLagging).id, LawOf(Regressor::kDelayed).id};
+
+bool IsLoss(const std::string& id) {
+  const effects::EffectInfo* info = effects::FindEffect(id);
+  return std::count(kLosses.begin(), kLosses.end(), id) > 0 ||
+         (info != nullptr && info->family == "friction");
+}
+
+// As a start for others: its values count though it be refused.
+Candidate AsStart(Candidate c) {
+  c.fit.ok = c.fit.values.allFinite() && c.fit.values.size() > 0;
+  return c;
+}
+
+}  // namespace
+
+std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidate& freed) {
+  if (!LossesShow()) return std::nullopt;
+  const std::map<std::string, Candidate> kept = fits_.tried();
+  const Candidate& without = freed.score > plain.score ? freed : plain;
+  Candidate best = Losses();
+  const bool useful = best.plant != nullptr && Left(best) < kUseful * Left(plain);
+  const auto leaves = [&](double share) { return Left(best) > share * Left(without); };
+  // What is missing beside the drives hides what they have: each time it takes half, they are looked at
+  // again.
+  std::set<std::string> looked_at;  // with their scores
+  for (int more = 0; useful && more < kThingsBeside; ++more) {
+    const double before = Left(best);
+    Late(&best);
+    if (looked_at.insert(KeyOf(best.specs, best.base) + std::to_string(best.score)).second) {
+      Couple(&best);
+      OtherDryLaw(&best);
+    }
+    const Candidate drives = best;
+    Freed(&best);
+    if (!drives.fit.ok || fits_.Late()) break;
+    // Two things may each take less than half while the other is missing.
+    if (LeavesSomething(best) && (Left(best) < kUseful * before || TakeNearest(kept, &best))) continue;
+    if (!leaves(kCloser)) break;
+    Candidate with = drives;
+    beside_(drives, &with);
+    if (!(Left(with) < kUseful * Left(best)) && !fits_.Late()) transmission_(drives, &with);
+    if (!(Left(with) < kUseful * Left(best))) break;
+    best = with;
+  }
+  if (useful && !leaves(kNear) && best.fit.ok && OfAllDrives(best) &&
+      best.score > without.score + needed_(without, best))
+    return best;
+  fits_.tried() = kept;
+  return std::nullopt;
+}
+
+// Whether the regression of the inverse dynamics has something to gain by them, on half of the joints at
+// least. In the simulator they would follow some of whatever else is missing.
+bool DriveSearch::LossesShow() const {
+  const Eigen::VectorXd left = LeftByGroup(setting_.data, setting_.nominal, setting_.scales, kLosses);
+  int joints = 0;
+  for (int j = 0; j < setting_.data.n; ++j) {
+    if (setting_.data.Judged(j) && left[j] < kShown) ++joints;
+  }
+  return 2 * joints >= setting_.data.judged();
+}
+
+// Of what was tried here the nearest, where it takes a fifth off what `best` leaves.
+bool DriveSearch::TakeNearest(const std::map<std::string, Candidate>& before, Candidate* best) const {
+  const Candidate* nearest = best;
+  for (const auto& [key, c] : fits_.tried()) {
+    if (before.count(key) == 0 && c.fit.ok && Left(c) < Left(*nearest)) nearest = &c;
+  }
+  if (!(Left(*nearest) < kWorthwhile * Left(*best)) ||
+      nearest->score < best->score + needed_(*best, *nearest))
+    return false;
+  *best = Candidate(*nearest);
+  return true;
+}
+
+// From the regression of the inverse dynamics.
+Candidate DriveSearch::Losses() {
+  const Candidate start = RegressedGroup(setting_.data, setting_.nominal, setting_.scales, kLosses, false);
+  if (!start.fit.ok || start.specs.size() == given_.size() || fits_.Late()) return {};
+  return Seen(fits_.Evaluate(start.specs, false, nullptr, kIterations), false);
+}
+
+// Without the losses that these recordings show nothing of, which would have the whole refused.
+Candidate DriveSearch::Seen(const Candidate& c, bool base) {
+  const Candidate all = AsStart(c);
+  if (c.fit.ok || !all.fit.ok || fits_.Late()) return c;
+  std::vector<EffectSpec> seen = Refreshed(all);
+  for (size_t i = seen.size(); i-- > 0;) {
+    const bool weak = Unseen(all, i) || Strength(all, i) < kNothing;
+    if (!IsGiven(seen[i]) && weak && !LikeItsFellows(all, i)) seen.erase(seen.begin() + static_cast<long>(i));
+  }
+  if (seen.empty() || seen.size() == c.specs.size()) return c;
+  return fits_.Evaluate(seen, base, &all, kIterations);
+}
+
+// What takes little of what is left stands for something else that is missing, and would be in its way.
+void DriveSearch::Late(Candidate* best) {
+  if (!LeavesSomething(*best) || (HasKind(best->specs, kTimings[0]) && HasKind(best->specs, kTimings[1])))
+    return;
+  const Candidate now = *best, start = AsStart(*best);
+  std::vector<EffectSpec> punctual = Refreshed(start);
+  std::erase_if(punctual, [&](const EffectSpec& s) {
+    return effects::FindEffect(s.id)->family == kTiming && !IsGiven(s);
+  });
+  std::string taken;
+  for (const std::string& id : kTimings) {
+    const std::vector<EffectSpec> late = OnAll(id, kLateBy), specs = Joined(punctual, late);
+    if (late.empty() || KeyOf(specs) == KeyOf(now.specs) || fits_.Late()) continue;
+    const Candidate* known = fits_.Known(specs, now.base);
+    if (known == nullptr && !fits_.MayLeaveLess(start, specs, now.base, kMayBeUseful)) continue;
+    const Candidate c =
+        Seen(known != nullptr ? *known : fits_.Evaluate(specs, now.base, &start, kIterations), now.base);
+    if (c.score > best->score && Left(c) < kUseful * Left(now)) *best = c, taken = id;
+  }
+  if (taken.empty() || !LeavesSomething(*best) || fits_.Late()) return;
+  // A lag, and a little delay before it.
+  const Candidate one = *best;
+  const std::vector<EffectSpec> other = OnAll(taken == kTimings[0] ? kTimings[1] : kTimings[0], kLittleLate);
+  const Candidate both =
+      Seen(fits_.Evaluate(Joined(Refreshed(one), other), one.base, &one, kIterations), one.base);
+  if (both.score > one.score + needed_(one, both)) *best = both;
+}
+
+std::vector<EffectSpec> DriveSearch::OnAll(const std::string& id, double late) const {
+  std::vector<EffectSpec> out;
+  for (int j = 0; j < setting_.data.n; ++j) {
+    const std::string& joint = setting_.nominal.joint_names()[static_cast<size_t>(j)];
+    if (setting_.nominal.Takes(id, j) && !Contains(given_, id, joint))
+      out.push_back(effects::MakeSpec(id, {joint}, {{effects::FindEffect(id)->parameters[0].name, late}}));
+  }
+  return out;
+}
+
+// Another law of dry friction on all joints: one that drops with speed, as gears have it, or one that differs
+// by direction. The latter holds a constant force, and stands for masses that differ from the URDF's: these
+// take its place where free base parameters leave about as little, and drives may then be seen to be late. So
+// do efforts whose zero is off, where no more than half of the joints need one: what differs by direction is
+// a habit of gears, and then of most.
+void DriveSearch::OtherDryLaw(Candidate* best) {
+  if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
+  const std::vector<TrialSpecs> laws = Exchanges(Refreshed(*best), kDry, setting_.nominal, setting_.scales);
+  const auto with = [&](const std::string& id) {
+    std::vector<TrialSpecs> others = laws;
+    std::erase_if(others, [&](const TrialSpecs& o) { return !HasKind(o, id); });
+    Candidate other = *best;
+    fits_.TryInPlace(others, &other);
+    return other;
+  };
+  const Candidate drops = with(kDropping);
+  const Candidate either_way = with(kEitherWay);
+  if (Left(either_way) < kUseful * Left(drops)) {
+    const Candidate zeros = WithZeros(*best, either_way);
+    const Candidate bodies = WithFreeBase(*best);
+    if (!(Left(bodies) < Left(either_way) / kUseful)) {
+      *best = zeros.fit.ok && Left(zeros) < Left(either_way) / kUseful ? zeros : either_way;
+      return;
+    }
+    if (Left(bodies) < kUseful * Left(*best) && bodies.score > best->score + needed_(*best, bodies)) {
+      *best = bodies;
+      Late(best);
+      return;
+    }
+  }
+  if (Left(drops) < kWorthwhile * Left(*best)) *best = drops;
+}
+
+// Where dry friction that differs by direction does so on half of the joints at most: the same as constant
+// forces there; else none.
+Candidate DriveSearch::WithZeros(const Candidate& c, const Candidate& either_way) {
+  Candidate start = AsStart(c);
+  start.specs = Refreshed(start);
+  for (const EffectSpec& s : Refreshed(AsStart(either_way))) {
+    if (s.id != kEitherWay || Contains(start.specs, kZero, s.joints[0])) continue;
+    const std::map<std::string, double>& level = s.values.at(s.joints[0]);
+    const double offset = 0.5 * (level.at("coulomb_negative") - level.at("coulomb_positive"));
+    start.specs.push_back(effects::MakeSpec(kZero, s.joints, {{"offset", offset}}));
+  }
+  if (fits_.Late()) return {};
+  Candidate zeros = fits_.Evaluate(start.specs, c.base, &c, kIterations);
+  const std::vector<EffectSpec> strong = StrongEffects(AsStart(zeros));
+  const auto count =
+      std::count_if(strong.begin(), strong.end(), [](const EffectSpec& s) { return s.id == kZero; });
+  if (count == 0 || 2 * count > setting_.data.judged() || fits_.Late()) return {};
+  return strong.size() == zeros.specs.size() ? zeros : fits_.Evaluate(strong, c.base, &zeros, kIterations);
+}
+
+Candidate DriveSearch::WithFreeBase(const Candidate& c) {
+  const std::vector<EffectSpec> specs = Refreshed(c);
+  const Candidate* known = fits_.Known(specs, true);
+  return known != nullptr ? *known : fits_.Evaluate(specs, true, &c, kIterations);
+}
+
+// Base parameters, with which drives may be seen to be late, where they take half of what is left: no URDF
+// has them all right.
+void DriveSearch::Freed(Candidate* best) {
+  if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
+  const std::vector<EffectSpec> specs = Refreshed(*best);
+  if (fits_.Known(specs, true) == nullptr && !fits_.MayLeaveLess(*best, specs, true, kMayBeUseful)) return;
+  Candidate c = WithFreeBase(*best);
+  if (!c.fit.ok) return;
+  Late(&c);
+  if (c.score > best->score + needed_(*best, c) && Left(c) < kUseful * Left(*best)) *best = c;
+}
+
+bool DriveSearch::IsGiven(const EffectSpec& s) const {
+  return Contains(given_, s.id, s.joints.empty() ? "" : s.joints[0]);
+}
+
+double DriveSearch::Left(const Candidate& c) {
+  const bool fitted = c.fit.rows > 0 && c.fit.chi2 > 0;
+  return fitted ? std::max(0.0, c.fit.chi2 - c.fit.rows) : effects::kInf;
+}
+
+bool DriveSearch::LeavesSomething(const Candidate& c) { return !(c.fit.chi2 < kExplained * c.fit.rows); }
+
+// Whether two kinds of loss at least are clearly there on at least half of the joints: one effect on one
+// joint, or drives that are late and nothing else, is found as such.
+bool DriveSearch::OfAllDrives(const Candidate& c) const {
+  // What is left makes errors larger than noise does.
+  const double clearly = kClearly * std::sqrt(std::max(1.0, fits_.PerRow(c)));
+  std::map<std::string, int> joints;
+  for (size_t i = 0; i < c.specs.size(); ++i) {
+    if (IsLoss(c.specs[i].id) && Strength(c, i) > clearly) ++joints[c.specs[i].id];
+  }
+  return std::count_if(joints.begin(), joints.end(),
+                       [&](const auto& kind) { return 2 * kind.second >= setting_.data.judged(); }) >= 2;
+}
+
+}  // namespace rg::diagnosis

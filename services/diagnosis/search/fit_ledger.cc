@@ -1,0 +1,575 @@
+#include "services/diagnosis/search/fit_ledger.h"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <initializer_list>
+#include <limits>
+#include <set>
+
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/likelihood/jumps.h"
+#include "services/diagnosis/likelihood/swing_starts.h"
+#include "services/diagnosis/search/nearest_starts.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+
+namespace {
+
+constexpr int kMoreIterations = 14;   // of a fit that still falls
+constexpr double kHopeless = 2.0;     // times its rival's misfit, which a fit would not come to
+constexpr double kFallsFast = 0.1;    // of the cost in one iteration, for a trial to go on
+constexpr double kTrialShare = 0.3;   // of all work, that the trials of one screen, or of rods, may cost
+constexpr double kLookShare = 0.015;  // of all work, that the starts of one law on one joint may cost
+constexpr double kToTheEnd = 1.3;     // of all work, to weigh what is found
+constexpr double kInPlaceYet = 1.8;   // of all work, to try other laws in the place of what is found
+constexpr double kPiece = 0.1;        // s
+constexpr size_t kSprings = 2;        // behind rotors, that are fitted for either place of the sensor
+constexpr size_t kInPlace = 2;        // other laws that are fitted on all windows
+constexpr double kPartly = 0.5;       // of a model's misfit, that what is part of the truth leaves at most
+constexpr double kSwings = 0.8;       // the same, for springs or a hinge in the place of the true one
+constexpr size_t kRodWindows = 14;    // evenly spread, on which a mass on a rod is tried
+constexpr double kTypically = 0.7;    // of these, the others' starts may be lost
+constexpr double kLonger = 2.2;       // times another rod's length, that is tried too
+constexpr double kSameFit = 0.02;     // of χ², by which fits differ that came to the same
+constexpr size_t kBesideRod = 2;      // accounts without hidden states, that a rod is tried beside
+constexpr double kAstray = 10.0;      // times a trial's misfit, of the same on all windows
+constexpr double kNoNearer = 2.0;     // times what holds, of a rod's trial whose fit to all windows will not
+constexpr double kRowsPerState = 4;   // of a window, that its start is told by
+constexpr double kShortestWindow = 0.2;  // s, that a search is made over
+constexpr double kMuchWorse = 0.1;       // of a trial's misfit, that one in its place may leave more
+
+// Of trials like this the one that leaves least of the misfit, if that is no more than `least`.
+std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::vector<RankedTrial>*> trials,
+                                             double least,
+                                             const std::function<bool(const Candidate&)>& like_this) {
+  std::shared_ptr<const Candidate> out;
+  for (const std::vector<RankedTrial>* list : trials) {
+    for (const RankedTrial& t : *list) {
+      if (t.left < least && like_this(*t.fitted)) least = t.left, out = t.fitted;
+    }
+  }
+  return out;
+}
+
+// Whether `specs` are one of the accounts and something beside it.
+bool HoldsOneOf(const std::vector<TrialSpecs>& accounts, const TrialSpecs& specs) {
+  return std::any_of(accounts.begin(), accounts.end(), [&](const TrialSpecs& account) {
+    return account.size() < specs.size() && IsPart(account, specs);
+  });
+}
+
+// The one among these effects.
+const EffectSpec& SwingingMass(const TrialSpecs& specs) {
+  return *std::find_if(specs.begin(), specs.end(),
+                       [](const EffectSpec& s) { return s.id == effects::SwingingMass().id; });
+}
+
+// The same with the mass on a rod about another axis.
+TrialSpecs About(const std::string& hinge, TrialSpecs specs) {
+  for (EffectSpec& s : specs) {
+    if (s.id == effects::SwingingMass().id) s.options["hinge"] = hinge;
+  }
+  return specs;
+}
+
+// Where another fit starts whose windows are not its own.
+std::shared_ptr<const Candidate> ValuesOf(Candidate c) {
+  return std::make_shared<const Candidate>(WithoutStates(std::move(c)));
+}
+
+}  // namespace
+
+FitLedger::FitLedger(const FitSetting& setting, const DiagnosisOptions& options, int threads,
+                     const Trace& trace, const CancelToken* cancel)
+    : setting_(setting),
+      options_(options),
+      trace_(trace),
+      cancel_(cancel),
+      made_(options.fits == nullptr ? local_ : *options.fits) {
+  lifted_.threads = threads;
+  lifted_.step_s = options.step_s;
+}
+
+bool FitLedger::Late(double limits) const {
+  return Cancelled() || over_halves_ != nullptr || work_ > limits * options_.work_limit ||
+         (options_.time_limit_s > 0 && trace_.Elapsed() > options_.time_limit_s);
+}
+
+void FitLedger::SetNoiseScale(double scale) {
+  for (auto& [key, c] : tried_) Rescale(lifted_.noise_scale, scale, &c);
+  lifted_.noise_scale = scale;
+  made_.Forget();
+}
+
+const Candidate* FitLedger::Known(const std::vector<EffectSpec>& specs, bool base) const {
+  const auto it = tried_.find(KeyOf(specs, base));
+  return it == tried_.end() ? nullptr : &it->second;
+}
+
+FitResult FitLedger::Made(const FitRequest& request) { return made_.Start(setting_, {request})->Take(0); }
+
+Candidate FitLedger::Evaluate(const std::vector<EffectSpec>& specs, bool base, const Candidate* from,
+                              int iterations, const Candidate* rival) {
+  const FitRequest request = WholeFit(specs, base, Nearby(from, base), iterations, rival);
+  return Tried(request, Made(request));
+}
+
+Candidate FitLedger::Calibrated(const std::vector<EffectSpec>& specs) {
+  FitRequest request = WholeFit(specs, true, pieces_);
+  request.options.to_beat = kHolds * setting_.data.Rows();
+  return Tried(request, Made(request));
+}
+
+Candidate FitLedger::Anew(const Candidate& c) {
+  FitRequest request = WholeFit(Refreshed(c), c.base, nullptr);
+  request.piece_s = kPiece;
+  return Tried(request, Made(request));
+}
+
+void FitLedger::FindPieces(const std::vector<EffectSpec>& specs) {
+  FitRequest request{specs, true, lifted_, {}, kPiece, true, nullptr};
+  request.options.more_iterations = kMoreIterations;
+  auto pieces = std::make_shared<Candidate>(Fitted(request, Made(request)));
+  trace_.Fit(*pieces, "pieces");
+  if (pieces->fit.ok) pieces_ = pieces;
+}
+
+// Starts at the states, and at the base parameters, of a model that holds: what is added to it or taken
+// from it changes them little, and no fit is better than another for its start alone. Where a mass on a rod
+// swings is not looked for again.
+std::shared_ptr<const Candidate> FitLedger::Start(const Candidate* from, bool base) const {
+  const bool holds = from != nullptr && from->fit.ok && (PerRow(*from) < kHolds || HasRod(from->specs));
+  if (!holds) return base ? pieces_ : nullptr;
+  return std::make_shared<const Candidate>(*from);
+}
+
+// For what differs little from an account: where that does not hold, its base parameters are still nearer
+// than those found without its effects.
+std::shared_ptr<const Candidate> FitLedger::Nearby(const Candidate* from, bool base) const {
+  const bool account =
+      from != nullptr && from->fit.ok && from->base && !from->specs.empty() && !HasRod(from->specs);
+  return account && base && PerRow(*from) > kHolds ? ValuesOf(*from) : Start(from, base);
+}
+
+FitRequest FitLedger::WholeFit(const std::vector<EffectSpec>& specs, bool base,
+                               std::shared_ptr<const Candidate> from, int iterations,
+                               const Candidate* rival) const {
+  FitRequest request{specs, base, lifted_, {}, 0, false, std::move(from)};
+  if (request.from != nullptr && request.from->fit.states.empty()) request.piece_s = kPiece;
+  request.options.iterations = iterations;
+  request.options.more_iterations = kMoreIterations;
+  if (rival != nullptr && rival->fit.ok) request.options.to_beat = -2 * kHopeless * rival->score;
+  return request;
+}
+
+Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
+  Candidate c = Unfitted(setting_, request.specs, request.base);
+  work_ += fit.work;
+  c.fit = std::move(fit);
+  c.round = round_;
+  // A few windows need not show what all of them do, as a limit that is seldom reached.
+  c.fit.ok = c.fit.ok && (!request.places.empty() || !Unseen(c));
+  const auto& given = setting_.nominal.effects();
+  // Nor what a trial makes of a law on its way; and what a given model has is not doubted.
+  if (request.places.empty() && !HasKind(given, effects::LawOf(effects::Regressor::kSlowly).id)) c.fit.ok = c.fit.ok && Drops(c);
+  // While much is left a ripple's period is bent by it, and on some windows by little.
+  if (c.fit.ok && PerRow(c) < (request.places.empty() ? kHolds : kExplained))
+    c.fit.ok = Repeats(c, setting_.scales, PerRow(c), request.places.empty());
+  const bool stands = c.fit.ok && (!request.places.empty() || Stands(&c));
+  c.score = stands ? c.fit.evidence - StructurePrior(c.specs, c.base) : kNoScore;
+  return c;
+}
+
+// A fit on all windows, kept.
+Candidate FitLedger::Tried(const FitRequest& request, FitResult fit) {
+  const Candidate c = Fitted(request, std::move(fit));
+  if (c.plant == nullptr) return c;
+  auto [it, fresh] = tried_.try_emplace(KeyOf(c.specs, c.base), c);
+  if (!fresh && c.score > it->second.score) it->second = c;
+  trace_.Fit(c, "fit");
+  return c;
+}
+
+std::vector<TrialSpecs> FitLedger::Nearest(const Candidate& from, bool base,
+                                           const std::vector<TrialSpecs>& starts, size_t count) {
+  const FitRequest look{Refreshed(from), base, lifted_, {}, 0, false, Start(&from, base)};
+  const double enough = work_ + kLookShare * options_.work_limit;
+  const auto late = [&] { return Late(kToTheEnd) || work_ > enough; };
+  return NearestStarts(made_, setting_, look, from.fit.window_chi2, starts, count, late, &work_);
+}
+
+// Some windows, few iterations, on while they pay.
+FitRequest FitLedger::Trial(const Candidate& from, bool base, std::shared_ptr<const Candidate> start) const {
+  const FitData& data = setting_.data;
+  FitRequest trial{Refreshed(from),
+                   base,
+                   lifted_,
+                   SomeWindows(from.fit.window_chi2, data.windows.size(), data.n <= 2 ? 24 : 14),
+                   0,
+                   false,
+                   std::move(start)};
+  trial.options.iterations = 4;
+  trial.options.more_iterations = kMoreIterations, trial.options.still_falling = kFallsFast;
+  return trial;
+}
+
+// The shortest pieces over which a model without what is missing is seen not to hold: shorter ones hide it
+// from every trial. 0: whole windows.
+double FitLedger::TellingPiece(FitRequest trial) {
+  trial.pieces_alone = true;
+  for (double piece = kPiece; piece < kLongestPiece * setting_.data.nodes.window_s; piece *= kLongerPiece) {
+    trial.piece_s = piece;
+    if (PerRow(Fitted(trial, Made(trial))) > kHolds) return piece;
+  }
+  return 0;
+}
+
+FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::vector<TrialSpecs>& pool,
+                                             bool base) {
+  TrialResults out{Trial(from, base, Start(&from, base)), {}, {}, {}};
+  FitRequest trial = out.setting;
+  // Whole windows, or pieces of them where only pieces are met, but not for hidden states, which need whole
+  // windows: each has its own reference.
+  std::vector<FitRequest> trials = {trial};
+  if (trial.from != nullptr && trial.from == pieces_)
+    trial.piece_s = TellingPiece(trial), trial.pieces_alone = trial.piece_s > 0;
+  out.setting = trial;
+  trials.push_back(trial);
+  for (const TrialSpecs& start : pool) {
+    trial.specs = Joined(Refreshed(from), start);
+    trials.push_back(trial);
+  }
+  const double enough = work_ + kTrialShare * options_.work_limit;
+  const auto batch = made_.Start(setting_, trials);
+  const auto fitted = [&](size_t i) { return Fitted(trials[i], batch->Take(i)); };
+  const double on_windows = fitted(0).score;
+  const double on_pieces = trial.pieces_alone ? fitted(1).score : on_windows;
+  std::vector<TrialSpecs> met;
+  for (size_t i = 2; i < trials.size() && !Late() && work_ <= enough; ++i) {
+    // Where a law of what is recorded meets it, hidden states have no part, nor anything more beside it.
+    if (!met.empty() && HasFreeStates(Unfitted(setting_, trials[i].specs, base))) continue;
+    if (HoldsOneOf(met, trials[i].specs)) continue;
+    const Candidate c = fitted(i);
+    const bool whole = HasHiddenStates(c);
+    const double before = whole ? on_windows : on_pieces;
+    const bool better = c.fit.ok && c.score >= before;
+    trace_.Fit(c, better ? "  ~" : "  -");
+    if (!c.fit.ok) out.refused.insert(KeyOf(c.specs));
+    auto& list = whole && trial.pieces_alone ? out.hidden : out.ranked;
+    if (better)
+      list.push_back({c.score / std::min(before, -1.0), Excess(c), std::make_shared<const Candidate>(c)});
+    if (better && !HasFreeStates(c) && !trial.pieces_alone && !HasUnnamed(c) &&
+        lifted_.noise_scale * PerRow(c) < kExplained && PerRow(from) > kExplained)
+      met.push_back(c.specs);
+  }
+  return out;
+}
+
+void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool,
+                        const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner) {
+  TrialResults trials = RunTrials(from, pool, base);
+  const FitRequest& trial = trials.setting;
+  // What its misfit on all windows would be, by the best trial.
+  Candidate nearest = from;
+  for (const RankedTrial& t : trials.ranked) {
+    // A mass that may start anew in each window of a trial may not when it is fitted on all.
+    if (!HasMassInSprings(t.fitted->specs)) nearest.score = std::max(nearest.score, t.left * from.score);
+  }
+  // The best with states that no sensor reads: something beside it may be missing, without which it is not
+  // among the best of all. And the best with a mass that swings, where `from` has none.
+  const auto with_states = LeavesLeast({&trials.ranked}, kPartly, [](const Candidate& c) {
+    return HasHiddenStates(c) && !HasMassInSprings(c.specs);
+  });
+  std::vector<std::shared_ptr<const Candidate>> swings;  // on the tool and on the last link, the nearer first
+  for (const bool last_link : {false, true}) {
+    const auto best = LeavesLeast({&trials.ranked, &trials.hidden}, kSwings, [&](const Candidate& c) {
+      return HasMassInSprings(c.specs) && !HasKind(from.specs, effects::SwingingMass().id) &&
+             SwingsOnLastLink(c.specs) == last_link;
+    });
+    if (best != nullptr) swings.push_back(best);
+  }
+  std::stable_sort(swings.begin(), swings.end(),
+                   [&](const auto& a, const auto& b) { return PerRow(*a) < PerRow(*b); });
+  std::vector<RankedTrial> plain = trials.ranked;
+  std::erase_if(plain,
+                [](const RankedTrial& t) { return HasHiddenStates(*t.fitted) || HasUnnamed(*t.fitted); });
+  const auto beside = BestOf(std::move(plain), {}, kBesideRod);
+  // From the model that the trials started at where that holds, else from base parameters where they ended.
+  const bool holds = trial.from != nullptr && !trial.from->fit.states.empty();
+  std::vector<FitRequest> best;
+  // Trials on pieces say nothing of whole windows: there what is known to come nearest is the rival.
+  const Candidate& rival = trial.pieces_alone ? *winner : nearest;
+  for (const auto& c : BestOf(std::move(trials.ranked), std::move(trials.hidden), count))
+    best.push_back(WholeFit(Refreshed(*c), base, holds || !base ? trial.from : ValuesOf(*c), 6, &rival));
+  const auto add = [&](const TrialSpecs& specs) {
+    const bool chosen = std::any_of(best.begin(), best.end(), [&](const FitRequest& request) {
+      return KeyOf(request.specs) == KeyOf(specs);
+    });
+    if (!chosen) best.push_back(WholeFit(specs, base, trial.from));
+  };
+  for (const TrialSpecs& start : promised) {
+    const TrialSpecs specs = Joined(Refreshed(from), start);
+    if (trials.refused.count(KeyOf(specs)) == 0) add(specs);
+  }
+  if (!base && with_states != nullptr) add(Refreshed(*with_states));
+  Candidate found = from;
+  TakeBest(best, 1, &found);
+  TrySprings(from, &found);
+  // Where another account leaves far less than the springs do, though it be refused as no effect of its name,
+  // there is no mass that swings; nor is one looked for beside a force without a name.
+  double least = PerRow(found);
+  for (const FitRequest& request : best) {
+    const Candidate* c = Known(request.specs, base);
+    if (c != nullptr && c->fit.rows > 0 && c->fit.chi2 > 0 && !HasMassInSprings(c->specs) && !HasUnnamed(*c))
+      least = std::min(least, PerRow(*c));
+  }
+  const auto may_swing = [&] {
+    return !HasUnnamed(from) && std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
+      return least - 1 > kPartly * (PerRow(*c) - 1);
+    });
+  };
+  // With free base parameters it is looked for beside these where they leave so much less.
+  if (!base && may_swing() && !Late()) {
+    const Candidate* known = Known(from.specs, true);
+    const Candidate freed = known != nullptr ? *known : Evaluate(Refreshed(from), true, &from);
+    if (freed.fit.ok) least = std::min(least, PerRow(freed));
+  }
+  if (may_swing()) {
+    const std::optional<Candidate> lost = TryRod(from, swings, beside, &found);
+    const double least = std::min(PerRow(found), PerRow(*winner));
+    if (lost && !(PerRow(*lost) > least) && !Late()) TryHalves(*lost);
+  }
+  if (found.score > winner->score) *winner = found;
+}
+
+// Fits them on all windows, at least so many however much work is done.
+void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner) {
+  const auto batch = made_.Start(setting_, requests);
+  std::vector<TrialSpecs> met;  // what leaves nothing: nothing is fitted beside it
+  for (size_t i = 0; i < requests.size() && !Cancelled() && (i < least || !Late(kToTheEnd)); ++i) {
+    if (HoldsOneOf(met, requests[i].specs)) continue;
+    const Candidate c = Tried(requests[i], batch->Take(i));
+    if (c.score > winner->score) *winner = c;
+    if (c.fit.ok && !HasFreeStates(c) && !HasUnnamed(c) && lifted_.noise_scale * PerRow(c) < kExplained)
+      met.push_back(c.specs);
+  }
+}
+
+// A swinging mass takes in some of nearly anything, and nothing is found beside one that does not hold.
+bool FitLedger::Stands(Candidate* candidate) {
+  const Candidate& c = *candidate;
+  const std::string& swinging = effects::SwingingMass().id;
+  if (!HasKind(c.specs, swinging) || HasKind(setting_.nominal.effects(), swinging))
+    return true;
+  if (!(PerRow(c) < kHolds) || !HasRod(c.specs)) return PerRow(c) < kHolds;
+  const double before = c.fit.work;
+  const bool swings_on = SwingsOn(setting_.data, *c.plant, &candidate->fit, lifted_).value_or(true);
+  work_ += c.fit.work - before;
+  return swings_on;
+}
+
+void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
+  const auto springs = SpringsBehind(from, *account, setting_.nominal, setting_.scales);
+  const bool base = account->base;
+  std::vector<FitRequest> fits;
+  for (const char* sensor : {"link", "motor"}) {
+    std::vector<TrialSpecs> there = springs;
+    std::erase_if(there, [&](const TrialSpecs& s) { return s[0].options.at("sensor") != sensor; });
+    for (const TrialSpecs& spring : Nearest(*account, base, there, kSprings))
+      fits.push_back(
+          WholeFit(Joined(StrongEffects(*account), spring), base, Start(nullptr, base), 6, account));
+  }
+  TakeBest(fits, 1, account);
+}
+
+std::optional<Candidate> FitLedger::TryRod(const Candidate& from,
+                                           const std::vector<std::shared_ptr<const Candidate>>& springs,
+                                           const std::vector<std::shared_ptr<const Candidate>>& beside,
+                                           Candidate* account) {
+  for (const auto& trial : springs) {
+    const Candidate* whole = Known(trial->specs, trial->base);
+    if (whole != nullptr && PerRow(*whole) < kExplained) return {};
+  }
+  // All windows tell its length better, unless its swing from one to the next led the fit astray.
+  const Candidate& trial = *springs.front();
+  const Candidate* whole = Known(trial.specs, trial.base);
+  const bool astray = whole == nullptr || !whole->fit.ok || PerRow(*whole) > kAstray * PerRow(trial);
+  const TrialSpecs specs = Refreshed(astray ? trial : *whole);
+  FitRequest request = WholeFit(specs, from.base, Start(&from, from.base));
+  request.places = EvenlySpread(setting_.data.windows.size(), kRodWindows);
+  std::vector<double> before;
+  for (const uint32_t i : request.places) before.push_back(from.fit.window_chi2[i]);
+  const auto typically = [&](const std::vector<double>& window_chi2) {
+    return Typically(setting_.data, window_chi2, lifted_.noise_scale, kTypically);
+  };
+  const double missing = typically(before) - 1, enough = work_ + kTrialShare * options_.work_limit;
+
+  struct Hung {
+    TrialSpecs specs;
+    TrialSpecs needed;  // without what stood for the rod and is about nothing beside it
+    double left = std::numeric_limits<double>::infinity();    // typically
+    double in_all = std::numeric_limits<double>::infinity();  // χ² per row, with windows whose start is lost
+  };
+  const auto hang = [&](const TrialSpecs& with) {
+    if (Late(kToTheEnd) || work_ > enough) return Hung{};
+    request.specs = with;
+    const Candidate c = Fitted(request, Made(request));
+    trace_.Fit(c, "  rod");
+    if (!c.fit.ok) return Hung{};
+    return Hung{Refreshed(c), StillNeeded(from, c), typically(c.fit.window_chi2), PerRow(c)};
+  };
+  const std::vector<EffectSpec> hinges = RodStarts(setting_.data, setting_.nominal, SwingingMass(specs));
+  Hung nearest;
+  double times = 1;
+  for (const double longer : {1.0, kLonger, 1 / kLonger}) {
+    if (nearest.left < kExplained) break;
+    const Hung rod = hang(Joined(specs, {LongerRod(hinges[0], longer)}));
+    // By either length: it is found, or the hinge is not this one.
+    const bool same = std::abs(rod.left - nearest.left) < kSameFit * nearest.left;
+    if (rod.left < nearest.left) nearest = rod, times = longer;
+    if (same && nearest.left - 1 < kSwings * missing) break;
+  }
+  // About any hinge a mass that is there explains some of what is missing.
+  if (!(nearest.left - 1 < kSwings * missing)) return {};
+  for (const EffectSpec& hinge : hinges) {
+    // Hinges are different angles for one motion: where it is found about one, it is about the others.
+    if (&hinge != &hinges.front() && nearest.left < kExplained) break;
+    for (const EffectSpec& rod : EitherPlace(setting_.data, setting_.nominal, LongerRod(hinge, times))) {
+      if (nearest.in_all < kExplained || KeyOf({rod}) == KeyOf({LongerRod(hinges[0], times)})) continue;
+      const Hung other = hang(Joined(specs, {rod}));
+      if (other.left < nearest.left) nearest = other;
+    }
+  }
+  // Without what else is missing it may not hold: most windows take that in, by a swing of their own, not
+  // all.
+  const EffectSpec rod = SwingingMass(nearest.specs);
+  const std::string& held = effects::EffectOf(effects::Role::kBodyInertia).id;
+  std::vector<TrialSpecs> others;
+  for (const auto& other : beside) {
+    // A held mass that was found may have stood for the one that swings, which would leave it in the way.
+    const TrialSpecs free = WithoutKind(Refreshed(*other), held);
+    const bool found = free.size() < other->specs.size() && !HasKind(setting_.nominal.effects(), held);
+    if (found && !free.empty()) others.push_back(free);
+    others.push_back(Refreshed(*other));
+  }
+  for (const TrialSpecs& other : others) {
+    if (nearest.in_all < kExplained) break;
+    const Hung both = hang(Joined(other, {rod}));
+    if (both.in_all - 1 < kPartly * (nearest.in_all - 1)) nearest = both;
+  }
+  if (nearest.left > kNoNearer * kHolds) return {};
+  // Where it comes to lie along the hinge's first axis it can only swing about the other: windows in which it
+  // does so are met about the right hinge alone.
+  const std::string about = SwingingMass(nearest.specs).options.at("hinge");
+  for (const EffectSpec& hinge : hinges) {
+    if (nearest.in_all < kExplained) break;
+    if (hinge.options.at("hinge") == about) continue;
+    const Hung other = hang(About(hinge.options.at("hinge"), nearest.specs));
+    if (other.in_all - 1 < kPartly * (nearest.in_all - 1)) nearest = other;
+  }
+  std::optional<Candidate> best;
+  const auto weigh = [&](const TrialSpecs& with) {
+    const Candidate* known = Known(with, from.base);
+    const Candidate whole = known != nullptr ? *known : Evaluate(with, from.base, &from);
+    if (whole.score > account->score) *account = whole;
+    if (whole.fit.ok && (!best || PerRow(whole) < PerRow(*best))) best = whole;
+  };
+  for (const TrialSpecs& with : {nearest.needed, nearest.specs}) {
+    weigh(with);
+    // A law more that is about nothing beside the rod will not make it hold.
+    if (best && (PerRow(*best) < kExplained || !(PerRow(*best) < kHolds))) break;
+  }
+  // What is left is of few windows, where most are met.
+  const auto lost = [&] {
+    const double left = best ? typically(best->fit.window_chi2) : 0;
+    return best && left < kHolds && left - 1 < kPartly * (PerRow(*best) - 1);
+  };
+  // Windows that follow on each other tell the hinge better than the few of a trial, whose starts may be
+  // lost.
+  for (const EffectSpec& hinge : hinges) {
+    if (!lost() || PerRow(*best) < kHolds || Late() || work_ > enough) break;
+    weigh(About(hinge.options.at("hinge"), Refreshed(*best)));
+  }
+  return lost() && !(PerRow(*best) < kExplained) ? best : std::nullopt;
+}
+
+// Each window's own start takes some of the noise in.
+double FitLedger::PerFreeRow(const FitData& data, const Candidate& c) const {
+  const double starts = static_cast<double>(data.windows.size()) * c.plant->num_states();
+  return c.fit.chi2 / std::max(1.0, c.fit.rows - starts) / lifted_.noise_scale;
+}
+
+void FitLedger::TryHalves(const Candidate& rod) {
+  FitData halves = setting_.data;
+  halves.nodes.window_s *= 0.5;
+  if (halves.nodes.window_s < kShortestWindow) return;
+  halves.windows = InPieces(halves.windows, halves.nodes.window_s, halves.RowNoise());
+  if (!(RowsPerWindow(halves) > kRowsPerState * rod.plant->num_states())) return;
+  const FitSetting setting{halves, setting_.nominal, setting_.scales};
+  Candidate over = rod;
+  over.fit = MakeFit(setting, WholeFit(Refreshed(rod), rod.base, nullptr));
+  work_ += over.fit.work;
+  trace_.Fit(over, "  halves");
+  const double most = std::min(kHolds, 1 + kPartly * (PerFreeRow(setting_.data, rod) - 1));
+  const bool holds = over.fit.ok && !Unseen(over) && PerFreeRow(halves, over) < most;
+  if (holds && !Cancelled()) over_halves_ = ValuesOf(std::move(over));
+}
+
+bool FitLedger::MayLeaveLess(const Candidate& account, const std::vector<EffectSpec>& specs, bool base,
+                             double share) {
+  FitRequest trial = Trial(account, account.base, Nearby(&account, account.base));
+  const Candidate own = Fitted(trial, Made(trial));
+  if (base != account.base) trial = Trial(account, base, Nearby(&account, base));
+  trial.specs = specs;
+  const Candidate other = Fitted(trial, Made(trial));
+  trace_.Fit(other, "  <");
+  for (const Candidate* c : {&own, &other}) {
+    if (!(c->fit.chi2 > 0) || c->fit.rows == 0) return true;
+  }
+  return other.fit.chi2 - other.fit.rows < share * (own.fit.chi2 - own.fit.rows);
+}
+
+void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner) {
+  if (others.empty()) return;
+  const bool base = winner->base;
+  const auto start = Nearby(winner, base);
+  std::vector<FitRequest> trials = {Trial(*winner, base, start)};
+  for (const TrialSpecs& other : others) {
+    trials.push_back(trials[0]);
+    trials.back().specs = other;
+  }
+  std::vector<RankedTrial> ranked;
+  {
+    const auto batch = made_.Start(setting_, trials);
+    const double own = Fitted(trials[0], batch->Take(0)).score;
+    const double least = own - std::max(5.0, kMuchWorse * std::abs(own));
+    for (size_t i = 1; i < trials.size() && !Late(kInPlaceYet); ++i) {
+      const Candidate c = Fitted(trials[i], batch->Take(i));
+      trace_.Fit(c, c.score >= least ? "  =" : "  -");
+      if (c.fit.ok && c.score >= least)
+        ranked.push_back({-c.score, Excess(c), std::make_shared<const Candidate>(c)});
+    }
+  }
+  std::vector<FitRequest> best;
+  for (const auto& c : BestOf(std::move(ranked), {}, kInPlace))
+    best.push_back(WholeFit(Refreshed(*c), base, start, 6, winner));
+  Candidate found = *winner;
+  TakeBest(best, best.size(), &found);
+  for (const FitRequest& request : best) {
+    const Candidate* other = Known(request.specs, base);
+    const TrialSpecs needed = other == nullptr ? request.specs : StillNeeded(*winner, *other);
+    if (needed.size() == request.specs.size() || needed.empty() || Known(needed, base) != nullptr) continue;
+    const Candidate fewer = Evaluate(needed, base, other, 6, winner);
+    if (fewer.score > found.score) found = fewer;
+  }
+  if (!(found.score > winner->score)) return;
+  // The others were fitted on from where the winner ended: so is the winner, or one would take its place for
+  // what a longer fit alone brings.
+  TakeBest({WholeFit(Refreshed(*winner), base, start, 6, &found)}, 1, winner);
+  if (found.score > winner->score) *winner = found;
+}
+
+}  // namespace rg::diagnosis

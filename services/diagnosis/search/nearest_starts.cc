@@ -1,0 +1,56 @@
+#include "services/diagnosis/search/nearest_starts.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "common/effects/inference.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
+
+namespace rg::diagnosis {
+
+namespace {
+
+constexpr size_t kWindows = 6;
+constexpr size_t kAgain = 3;    // times as many as are wanted, that are looked at again where play is
+constexpr int kLongerLook = 4;  // iterations
+
+bool HasPlay(const TrialSpecs& specs) {
+  return std::any_of(specs.begin(), specs.end(),
+                     [](const effects::EffectSpec& e) { return !effects::InferenceOf(e.id).stays.empty(); });
+}
+
+}  // namespace
+
+std::vector<TrialSpecs> NearestStarts(FitExecutor& fits, const FitSetting& setting, FitRequest look,
+                                      const std::vector<double>& window_chi2,
+                                      const std::vector<TrialSpecs>& starts, size_t count,
+                                      const std::function<bool()>& late, double* work) {
+  const std::vector<effects::EffectSpec> held = look.specs;
+  look.places = SomeWindows(window_chi2, setting.data.windows.size(), kWindows);
+  // The nearest of `of` after so many more iterations than one step.
+  const auto nearest = [&](const std::vector<TrialSpecs>& of, int iterations, size_t wanted) {
+    look.options.iterations = iterations, look.options.more_iterations = 0;
+    std::vector<FitRequest> looks(of.size(), look);
+    for (size_t i = 0; i < looks.size(); ++i) looks[i].specs = Joined(held, of[i]);
+    const auto batch = fits.Start(setting, looks);
+    std::vector<std::pair<double, size_t>> seen;
+    for (size_t i = 0; i < looks.size() && !late(); ++i) {
+      const FitResult fit = batch->Take(i);
+      *work += fit.work;
+      if (fit.ok) seen.push_back({fit.chi2 / look.options.noise_scale + fit.prior_cost, i});
+    }
+    std::sort(seen.begin(), seen.end());
+    std::vector<TrialSpecs> out;
+    for (size_t i = 0; i < std::min(wanted, seen.size()); ++i) out.push_back(of[seen[i].second]);
+    return out;
+  };
+  if (starts.empty() || !HasPlay(starts.front()) || setting.data.n > kLightRobot)
+    return nearest(starts, 0, count);
+  std::vector<TrialSpecs> near = nearest(starts, 0, kAgain * count);
+  std::vector<TrialSpecs> again = nearest(near, kLongerLook, count);
+  if (again.size() == std::min(count, near.size())) return again;
+  near.resize(std::min(count, near.size()));
+  return near;
+}
+
+}  // namespace rg::diagnosis

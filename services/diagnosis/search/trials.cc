@@ -1,0 +1,400 @@
+#include "services/diagnosis/search/trials.h"
+
+#include <algorithm>
+#include <map>
+#include <numeric>
+#include <set>
+
+#include "common/model/robot_model.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/hypotheses/push_starts.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec, effects::LawOf, effects::Regressor;
+
+namespace {
+
+constexpr size_t kNearest = 2;   // starts of a spring or play that are tried, for either place of the sensor
+constexpr size_t kNearestSprings = 3;  // of all joints' that are tried
+constexpr size_t kRotors = 2;    // the largest, behind which a spring is tried
+constexpr size_t kMostSets = 6;  // of joints, and as many pairs of effects
+constexpr double kHardlyLess = 0.9;  // of what a part of it leaves
+
+const effects::EffectInfo& Rotor() { return LawOf(Regressor::kAcceleration); }
+
+// Whether the model has this already.
+bool AlreadyIn(const Candidate& from, const Scored& h, const sim::Plant& nominal) {
+  if (h.joints.empty()) return Contains(from.specs, h.effect, "");
+  std::vector<std::string> names;
+  for (const int j : h.joints) names.push_back(nominal.joint_names()[static_cast<size_t>(j)]);
+  if (h.effect == LawOf(Regressor::kOtherEffort).id) {
+    return std::any_of(from.specs.begin(), from.specs.end(),
+                       [&](const EffectSpec& s) { return s.id == h.effect && s.joints == names; });
+  }
+  return std::any_of(names.begin(), names.end(),
+                     [&](const std::string& joint) { return Contains(from.specs, h.effect, joint); });
+}
+
+// What the effect can be exchanged with where it is.
+std::vector<std::string> SiblingsOn(const sim::Plant& nominal, const EffectSpec& s) {
+  std::vector<std::string> out = SiblingsOf(s.id);
+  std::erase_if(
+      out, [&](const std::string& id) { return !nominal.Takes(id, nominal.model().FindJoint(s.joints[0])); });
+  return out;
+}
+
+// The first start of each.
+TrialSpecs Together(const std::vector<Scored>& parts, const sim::Plant& nominal, const MotionScales& scales) {
+  TrialSpecs out;
+  for (const Scored& h : parts) {
+    const TrialSpecs part = SpecsFor(h, nominal, scales).front();
+    out.insert(out.end(), part.begin(), part.end());
+  }
+  return out;
+}
+
+class TrialBuilder {
+ public:
+  TrialBuilder(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+               const Candidate& from, const ScreenResult& screened, const Nearest& nearest)
+      : data_(data),
+        nominal_(nominal),
+        scales_(scales),
+        from_(from),
+        screened_(screened),
+        nearest_(nearest) {}
+
+  std::vector<TrialSpecs> Run(double wanted, const std::function<MissingForce()>& force) {
+    Singles(wanted);
+    Sets(screened_.sets, wanted);
+    Sets(screened_.pairs, wanted);
+    const std::string& held = effects::EffectOf(effects::Role::kBodyInertia).id;
+    if (!from_.base && data_.n > 1 && !Has(held)) Push(BodyStarts(held, nominal_, scales_));
+    const bool promised = wanted > 1.0;
+    // No screen promises what touches the robot from outside.
+    if (!promised || HasHiddenStates(from_)) FromOutside(force);
+    if (promised) return std::move(out_);
+    const std::vector<int> joints = JointsByGain();
+    OtherForms();
+    DryFriction(joints);
+    for (const std::string& id : {effects::SwingingMass().id, effects::SoftMount().id}) {
+      if (!Has(id) && (data_.n <= 2 || !from_.base || !from_.specs.empty()))
+        Push(BodyStarts(id, nominal_, scales_));
+    }
+    MountBeside();
+    Transmissions(joints, data_.n <= 2 ? 2 : from_.base ? 1 : 2);  // last, for they cost most
+    NearestSprings();
+    return std::move(out_);
+  }
+
+  std::vector<TrialSpecs> OfTransmission() {
+    Transmissions(JointsByGain(), data_.n <= 2 ? 2 : 1);
+    NearestSprings();
+    return std::move(out_);
+  }
+
+ private:
+  void Push(const std::vector<TrialSpecs>& starts) { out_.insert(out_.end(), starts.begin(), starts.end()); }
+
+  bool Has(const std::string& id) const { return HasKind(from_.specs, id); }
+
+  bool Known(const Scored& h) const { return AlreadyIn(from_, h, nominal_); }
+
+  void Singles(double wanted) {
+    int taken = 0;
+    for (const Scored& h : screened_.hypotheses) {
+      if (h.gain < wanted || taken >= (from_.base ? 10 : 16) || Known(h)) continue;
+      ++taken;
+      Push(SpecsFor(h, nominal_, scales_));
+    }
+  }
+
+  void Sets(const std::vector<Combination>& sets, double wanted) {
+    size_t count = 0;
+    for (const Combination& set : sets) {
+      if (set.gain < wanted || count == kMostSets) break;
+      if (std::any_of(set.parts.begin(), set.parts.end(), [&](const Scored& h) { return Known(h); }))
+        continue;
+      out_.push_back(Together(set.parts, nominal_, scales_));
+      ++count;
+    }
+  }
+
+  // A soft mount beside the best of the screen's: where both are missing each hides the other, and neither is
+  // worth a second look alone.
+  void MountBeside() {
+    if (!from_.specs.empty() || (from_.base && data_.n > 2)) return;
+    std::vector<Scored> best;
+    double most = 0;
+    if (!screened_.hypotheses.empty() && screened_.hypotheses[0].gain > most)
+      best = {screened_.hypotheses[0]}, most = best[0].gain;
+    if (!screened_.sets.empty() && screened_.sets[0].gain > most) best = screened_.sets[0].parts;
+    if (best.empty()) return;
+    const TrialSpecs beside = Together(best, nominal_, scales_);
+    std::vector<TrialSpecs> starts = MountStarts(nominal_, scales_);
+    for (TrialSpecs& start : starts) start.insert(start.end(), beside.begin(), beside.end());
+    Push(nearest_(starts, 1));
+  }
+
+  void FromOutside(const std::function<MissingForce()>& force) {
+    const bool touched = Has(effects::Surface().id), pushed = Has(effects::Push().id);
+    if (!from_.fit.ok || (touched && pushed)) return;
+    const MissingForce missing = force();
+    if (!touched) Push(ContactStarts(data_, nominal_, missing, from_.base ? 2 : 3));
+    if (!pushed) Push(PushStarts(data_, nominal_, missing));
+  }
+
+  std::vector<int> JointsByGain() const {
+    std::map<int, double> best;
+    for (const Scored& h : screened_.hypotheses) {
+      if (h.joints.size() != 1 || IsUnnamed(h.effect)) continue;
+      const auto [at, fresh] = best.try_emplace(h.joints[0], h.gain);
+      if (!fresh) at->second = std::max(at->second, h.gain);
+    }
+    std::vector<std::pair<double, int>> sorted;
+    for (const auto& [joint, gain] : best) sorted.push_back({gain, joint});
+    std::sort(sorted.rbegin(), sorted.rend());
+    std::vector<int> out;
+    for (const auto& [gain, joint] : sorted) out.push_back(joint);
+    return out;
+  }
+
+  // What the model has, by another law: what is left of a joint that sticks tells a screen little of it.
+  void OtherForms() {
+    for (const EffectSpec& s : from_.fit.ok ? Refreshed(from_) : TrialSpecs{}) {
+      for (const std::string& id : SiblingsOn(nominal_, s)) {
+        if (id != s.id) Push({{Exchanged(s, id, nominal_, scales_)}});
+      }
+      if (SiblingsOf(s.id) == SiblingsOf(LawOf(Regressor::kSlowly).id)) Push(StribeckStarts(s, nominal_, scales_));
+    }
+  }
+
+  void DryFriction(const std::vector<int>& joints) {
+    for (size_t i = 0; i < std::min<size_t>(3, joints.size()); ++i) {
+      for (const Scored& h : screened_.hypotheses) {
+        const bool dry = h.effect == LawOf(Regressor::kDirection).id ||
+                         h.effect == LawOf(Regressor::kVelocity).id ||
+                         h.effect == LawOf(Regressor::kInBand).id;
+        if (dry && h.joints == std::vector<int>{joints[i]} && !Known(h)) Push(SpecsFor(h, nominal_, scales_));
+      }
+    }
+  }
+
+  void Transmissions(const std::vector<int>& joints, size_t springy) {
+    for (size_t i = 0; i < std::min(springy, joints.size()); ++i) {
+      if (!MayHaveMotor(joints[i])) continue;
+      for (const std::string& id : {effects::Spring().id, effects::Play().id}) {
+        for (const char* sensor : {"link", "motor"}) {
+          Push(nearest_(
+              TransmissionStarts(id, sensor, joints[i], nominal_, scales_, MotorOn(joints[i])), kNearest));
+        }
+      }
+    }
+  }
+
+  // Where little is left a screen of forces says hardly more of where a motor swings: beside drives of known
+  // rotors a look at springs on all joints does, each with its rotor behind it.
+  void NearestSprings() {
+    if (data_.n <= 2 || !from_.fit.ok) return;
+    std::vector<TrialSpecs> springs;
+    for (int joint = 0; joint < data_.n; ++joint) {
+      const double rotor = RotorOf(nominal_.joint_names()[static_cast<size_t>(joint)]);
+      if (!MayHaveMotor(joint) || !data_.Judged(joint) || !(rotor > 0)) continue;
+      for (const char* sensor : {"link", "motor"}) {
+        for (TrialSpecs& start : SpringStarts(sensor, joint, nominal_, scales_, rotor))
+          springs.push_back(std::move(start));
+      }
+    }
+    if (!springs.empty()) Push(nearest_(springs, kNearestSprings));
+  }
+
+  bool MayHaveMotor(int joint) const {
+    const std::string& name = nominal_.joint_names()[static_cast<size_t>(joint)];
+    return nominal_.Takes(effects::Spring().id, joint) &&
+           !Contains(from_.specs, effects::Spring().id, name) &&
+           !Contains(from_.specs, effects::Play().id, name);
+  }
+
+  // The motor's inertia below its resonance: what a rotor holds already, or the screen takes for one.
+  double MotorOn(int joint) const {
+    double inertia = RotorOf(nominal_.joint_names()[static_cast<size_t>(joint)]);
+    for (const Scored& h : screened_.hypotheses) {
+      if (h.effect == Rotor().id && h.joints == std::vector<int>{joint}) inertia += h.coefficients[0];
+    }
+    return inertia;
+  }
+
+  double RotorOf(const std::string& joint) const {
+    const int at = from_.plant->parameters().Find(Rotor().id + "." + joint + "." +
+                                                  Rotor().parameters.front().name);
+    return at >= 0 && from_.fit.ok ? from_.fit.values[at] : 0.0;
+  }
+
+  const FitData& data_;
+  const sim::Plant& nominal_;
+  const MotionScales& scales_;
+  const Candidate& from_;
+  const ScreenResult& screened_;
+  const Nearest& nearest_;
+  std::vector<TrialSpecs> out_;
+};
+
+}  // namespace
+
+std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
+                               const Candidate& from, const ScreenResult& screened, double wanted,
+                               const std::function<MissingForce()>& force, const Nearest& nearest) {
+  return TrialBuilder(data, nominal, scales, from, screened, nearest).Run(wanted, force);
+}
+
+std::vector<TrialSpecs> TransmissionTrials(const FitData& data, const sim::Plant& nominal,
+                                           const MotionScales& scales, const Candidate& from,
+                                           const ScreenResult& screened, const Nearest& nearest) {
+  return TrialBuilder(data, nominal, scales, from, screened, nearest).OfTransmission();
+}
+
+std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& screened,
+                                 const sim::Plant& nominal, const MotionScales& scales, bool holds,
+                                 double needed, size_t count) {
+  std::vector<std::pair<double, TrialSpecs>> promised;
+  const auto add = [&](const std::vector<Scored>& parts, double gain) {
+    for (const Scored& h : parts) {
+      const bool known = h.joints.size() == 1 && HasKind(from.specs, h.effect);
+      if (IsUnnamed(h.effect) || AlreadyIn(from, h, nominal) || (!holds && !known)) return;
+    }
+    TrialSpecs start = Together(parts, nominal, scales);
+    // In the place of another law on its joint it would not bring what it does beside it.
+    const bool beside = Joined(from.specs, start).size() == from.specs.size() + start.size();
+    if (beside && gain > needed) promised.push_back({gain, std::move(start)});
+  };
+  const double before = StructurePrior(from.specs, false);
+  for (const Scored& h : screened.hypotheses) {
+    if (h.gain <= needed) break;
+    const TrialSpecs with = Joined(from.specs, Together({h}, nominal, scales));
+    add({h}, h.gain - (StructurePrior(with, false) - before));
+  }
+  for (const auto* list : {&screened.sets, &screened.pairs}) {
+    for (const Combination& c : *list) add(c.parts, c.gain);
+  }
+  std::stable_sort(promised.begin(), promised.end(),
+                   [](const auto& a, const auto& b) { return a.first > b.first; });
+  std::vector<TrialSpecs> out;
+  std::set<std::string> seen;
+  for (auto& [gain, start] : promised) {
+    if (out.size() < count && seen.insert(KeyOf(start)).second) out.push_back(std::move(start));
+  }
+  return out;
+}
+
+std::vector<std::shared_ptr<const Candidate>> BestOf(std::vector<RankedTrial> trials,
+                                                     std::vector<RankedTrial> apart, size_t count) {
+  std::vector<std::shared_ptr<const Candidate>> out;
+  std::set<std::string> seen;
+  std::vector<RankedTrial>* lists[] = {&trials, &apart};
+  for (std::vector<RankedTrial>* list : lists) {
+    std::stable_sort(list->begin(), list->end(),
+                     [](const RankedTrial& a, const RankedTrial& b) { return a.left < b.left; });
+    std::erase_if(*list, [&](const RankedTrial& t) { return !seen.insert(KeyOf(t.fitted->specs)).second; });
+    std::vector<RankedTrial> worth;
+    for (const RankedTrial& t : *list) {
+      const bool hardly = std::any_of(list->begin(), list->end(), [&](const RankedTrial& part) {
+        return part.fitted->specs.size() < t.fitted->specs.size() && t.excess > kHardlyLess * part.excess &&
+               IsPart(part.fitted->specs, t.fitted->specs);
+      });
+      if (!hardly) worth.push_back(t);
+    }
+    *list = std::move(worth);
+  }
+  for (size_t i = 0; i < std::max(trials.size(), apart.size()); ++i) {
+    for (const std::vector<RankedTrial>* list : lists) {
+      if (i < list->size() && out.size() < count) out.push_back((*list)[i].fitted);
+    }
+  }
+  return out;
+}
+
+std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const sim::Plant& nominal,
+                                  const MotionScales& scales) {
+  std::vector<TrialSpecs> out;
+  for (const std::string& sibling : SiblingsOf(id)) {
+    const bool taken = std::all_of(specs.begin(), specs.end(), [&](const EffectSpec& s) {
+      return s.id != id || nominal.Takes(sibling, nominal.model().FindJoint(s.joints[0]));
+    });
+    if (sibling == id || !taken) continue;
+    TrialSpecs other;
+    for (const EffectSpec& s : specs)
+      other.push_back(s.id == id ? Exchanged(s, sibling, nominal, scales) : s);
+    out.push_back(std::move(other));
+  }
+  return out;
+}
+
+std::vector<TrialSpecs> PlainOnOneJoint(const TrialSpecs& specs, const sim::Plant& nominal,
+                                        const MotionScales& scales) {
+  std::vector<TrialSpecs> out;
+  for (size_t i = 0; i < specs.size(); ++i) {
+    const auto alike = [&](const EffectSpec& s) { return s.id == specs[i].id; };
+    if (!IsRicherFriction(specs[i].id) || std::count_if(specs.begin(), specs.end(), alike) < 2) continue;
+    for (const std::string& id : {LawOf(Regressor::kDirection).id, LawOf(Regressor::kVelocity).id}) {
+      if (Contains(specs, id, specs[i].joints[0])) continue;
+      out.push_back(specs);
+      out.back()[i] = Exchanged(specs[i], id, nominal, scales);
+    }
+  }
+  return out;
+}
+
+std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& account,
+                                      const sim::Plant& nominal, const MotionScales& scales) {
+  std::vector<TrialSpecs> out;
+  if (!account.fit.ok || FreshKinds(before, account).count(Rotor().id) == 0) return out;
+  std::vector<std::pair<double, size_t>> rotors;  // strength, place
+  for (size_t i = 0; i < account.specs.size(); ++i) {
+    if (account.specs[i].id == Rotor().id && account.specs[i].joints.size() == 1)
+      rotors.push_back({Strength(account, i), i});
+  }
+  std::stable_sort(rotors.begin(), rotors.end(),
+                   [](const auto& a, const auto& b) { return a.first > b.first; });
+  const std::vector<EffectSpec> specs = Refreshed(account);
+  for (size_t i = 0; i < std::min(kRotors, rotors.size()); ++i) {
+    const EffectSpec& rotor = specs[rotors[i].second];
+    const int joint = nominal.model().FindJoint(rotor.joints[0]);
+    const double armature = rotor.values.begin()->second.at(Rotor().parameters.front().name);
+    for (const char* sensor : {"link", "motor"}) {
+      for (TrialSpecs& start :
+           TransmissionStarts(effects::Spring().id, sensor, joint, nominal, scales, armature))
+        out.push_back(std::move(start));
+    }
+  }
+  return out;
+}
+
+std::vector<uint32_t> EvenlySpread(size_t windows, size_t count) {
+  std::vector<uint32_t> out;
+  const size_t some = std::min(count, windows);
+  for (size_t i = 0; i < some; ++i) out.push_back(static_cast<uint32_t>(i * windows / some));
+  return out;
+}
+
+std::vector<uint32_t> SomeWindows(const std::vector<double>& chi2, size_t all, size_t wanted) {
+  wanted = std::min(wanted, all);
+  std::vector<uint32_t> places;
+  for (size_t i = 0; i < wanted; ++i) places.push_back(static_cast<uint32_t>(i * all / wanted));
+  if (chi2.size() != all) return places;
+  const double total = std::accumulate(chi2.begin(), chi2.end(), 0.0);
+  double held = 0;
+  for (const uint32_t i : places) held += chi2[i];
+  if (held * static_cast<double>(all) >= 0.5 * total * static_cast<double>(wanted)) return places;
+  places.clear();
+  double passed = 0, next = 0;
+  for (size_t i = 0; i < all; ++i) {
+    passed += 0.5 / static_cast<double>(all) + 0.5 * chi2[i] / total;
+    if (passed <= next) continue;
+    places.push_back(static_cast<uint32_t>(i));
+    while (next < passed) next += 1.0 / static_cast<double>(wanted);
+  }
+  return places;
+}
+
+}  // namespace rg::diagnosis
