@@ -13,8 +13,8 @@
 #include <map>
 #include <sstream>
 
-#include "services/diagnosis/diagnosis.h"
 #include "services/diagnosis/data/prepare_data.h"
+#include "services/diagnosis/diagnosis.h"
 #include "services/diagnosis/hypotheses/given_model.h"
 #include "services/diagnosis/screening/screen_columns.h"
 #include "services/diagnosis/search/fit_ledger.h"
@@ -33,6 +33,8 @@ struct Robot {
   const char* name;
   double coulomb, viscous, armature;
 };
+constexpr int kSmall = 200;  // sets of these; the further ones are of a whole arm
+constexpr Robot kWholeArm = {"mico2", 0.4, 0.4, 0.08};
 constexpr Robot kRobots[] = {
     {"pendulum", 0.15, 0.1, 0.02}, {"slide", 2.0, 5.0, 0.5}, {"arm2", 0.3, 0.2, 0.05}};
 
@@ -119,17 +121,20 @@ void Screens(const recordings::RecordingSet& set, const DiagnosisOptions& option
   }
 }
 
-Row MakeRow(int set_number) {
+// `undeclared`: of its effects, the last so many.
+Row MakeRow(int set_number, size_t undeclared = 0) {
   const double start = static_cast<double>(std::clock()) / CLOCKS_PER_SEC;
-  const Robot& robot = kRobots[static_cast<size_t>(set_number) % std::size(kRobots)];
+  const Robot& robot =
+      set_number < kSmall ? kRobots[static_cast<size_t>(set_number) % std::size(kRobots)] : kWholeArm;
   Rng rng = Rng(4711).Split(static_cast<uint64_t>(set_number));
   const auto joints = sysid::testing::LoadPlant(robot.name).joint_names();
   const auto effects = DrawEffects(robot, joints, &rng);
-  const sim::Plant truth = sysid::testing::LoadPlant(robot.name, effects);
+  const sim::Plant declared =
+      sysid::testing::LoadPlant(robot.name, {effects.begin(), effects.end() - static_cast<long>(undeclared)});
   const auto set = testing::MakeSet(robot.name, effects, 5000 + static_cast<uint64_t>(set_number), kDuration);
   DiagnosisOptions options;
   options.threads = 1;
-  options.model = sim::ModelFile{truth, truth.parameters().Nominal()};
+  options.model = sim::ModelFile{declared, declared.parameters().Nominal()};
   Row row;
   row.set = set_number, row.robot = robot.name;
   Screens(set, options, &row);
@@ -145,6 +150,14 @@ Row MakeRow(int set_number) {
 void Print(const std::string& what, double hits, int n) {
   const proof::Share s = proof::ShareOf(hits, n);
   std::printf("%-58s %3.0f of %d: %.3f (%.3f to %.3f)\n", what.c_str(), hits, n, s.value, s.low, s.high);
+}
+
+TEST(NullRate, IsExceededWhereARotorIsNotDeclared) {
+  for (const int set : {0, 1, 2}) {
+    const Row row = MakeRow(set, 1);
+    EXPECT_TRUE(row.Exceeds(0)) << row.robot << ' ' << row.gain[0];
+    EXPECT_TRUE(row.alarm) << row.robot << ' ' << row.said;
+  }
 }
 
 TEST(NullRate, OnOrdinaryRobotsThatDeclareAllTheyHaveIsWhatIsSaid) {
