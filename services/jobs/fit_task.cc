@@ -5,6 +5,7 @@
 
 #include "services/diagnosis/data/prepare_data.h"
 #include "services/diagnosis/hypotheses/given_model.h"
+#include "services/diagnosis/search/fit_requests.h"
 #include "services/jobs/diagnosis_inputs.h"
 #include "services/jobs/fit_messages.h"
 #include "services/jobs/kinds.h"

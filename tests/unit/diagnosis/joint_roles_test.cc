@@ -9,6 +9,7 @@
 
 #include "services/diagnosis/data/prepare_data.h"
 #include "services/diagnosis/diagnosis.h"
+#include "services/diagnosis/likelihood/lifted_fit.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/simulated_set.h"
 #include "tests/unit/sysid/roles_of_joints.h"

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "services/diagnosis/data/prepare_data.h"
+#include "services/diagnosis/likelihood/features.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/simulated_set.h"
 

@@ -6,6 +6,8 @@
 
 #include "common/recordings/csv.h"
 #include "services/diagnosis/data/prepare_data.h"
+#include "services/diagnosis/likelihood/features.h"
+#include "services/diagnosis/search/fit_requests.h"
 #include "services/jobs/fit_messages.h"
 #include "services/jobs/kinds.h"
 #include "services/rollouts/recording_bundle.h"
