@@ -3,6 +3,7 @@
 #include <fcntl.h>
 #include <signal.h>
 #include <sys/prctl.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -27,6 +28,10 @@ Result<pid_t> Spawn(const PooledProcess& process) {
     dup2(open("/dev/null", O_RDONLY), STDIN_FILENO);
     dup2(log, STDOUT_FILENO);
     dup2(log, STDERR_FILENO);
+    // SIGXCPU at the limit, SIGKILL a second later.
+    const rlimit limit{static_cast<rlim_t>(process.cpu_limit_s),
+                       static_cast<rlim_t>(process.cpu_limit_s) + 1};
+    if (process.cpu_limit_s > 0 && setrlimit(RLIMIT_CPU, &limit) != 0) _exit(126);
     execv(argv[0], argv.data());
     _exit(127);
   }
@@ -35,10 +40,25 @@ Result<pid_t> Spawn(const PooledProcess& process) {
   return pid;
 }
 
+double Seconds(const timeval& t) {
+  return static_cast<double>(t.tv_sec) + 1e-6 * static_cast<double>(t.tv_usec);
+}
+
+PooledEnd EndOf(const PooledProcess& process, int how, const rusage& used) {
+  PooledEnd end;
+  end.cpu_s = Seconds(used.ru_utime) + Seconds(used.ru_stime);
+  end.code = WIFEXITED(how) ? WEXITSTATUS(how) : 128 + WTERMSIG(how);
+  // The kernel's account at the limit and the one it gives here differ by some per cent.
+  const bool killed =
+      end.code == 128 + SIGXCPU || (end.code == 128 + SIGKILL && end.cpu_s >= process.cpu_limit_s);
+  end.out_of_time = process.cpu_limit_s > 0 && killed;
+  return end;
+}
+
 }  // namespace
 
 Status RunPool(const std::vector<PooledProcess>& processes, int parallel,
-               const std::function<void(size_t, int)>& ended, const CancelToken* cancel) {
+               const std::function<void(size_t, const PooledEnd&)>& ended, const CancelToken* cancel) {
   std::map<pid_t, size_t> running;
   Status status;
   size_t next = 0;
@@ -61,14 +81,15 @@ Status RunPool(const std::vector<PooledProcess>& processes, int parallel,
     bool any = false;
     for (auto it = running.begin(); it != running.end();) {
       int how = 0;
-      if (waitpid(it->first, &how, WNOHANG) != it->first) {
+      rusage used{};
+      if (wait4(it->first, &how, WNOHANG, &used) != it->first) {
         ++it;
         continue;
       }
       any = true;
       const size_t index = it->second;
       it = running.erase(it);
-      ended(index, WIFEXITED(how) ? WEXITSTATUS(how) : 128 + WTERMSIG(how));
+      if (!told) ended(index, EndOf(processes[index], how, used));
     }
     if (!any) usleep(20'000);
   }

@@ -17,7 +17,10 @@
 #include "services/cli/process_pool.h"
 #include "services/cli/progress_display.h"
 #include "services/cli/proof_generator.h"
+#include "services/cli/proof_runs.h"
+#include "services/cli/prove_battery.h"
 #include "services/cli/robot_profile.h"
+#include "services/proof/battery.h"
 #include "services/proof/concealed.h"
 #include "services/proof/examination.h"
 #include "services/proof/proof_text.h"
@@ -33,6 +36,7 @@ using nlohmann::json;
 constexpr int kFirstControl = 500, kFirstOutside = 800, kFirstOrdinary = 1000, kFirstDeclared = 1500,
               kLast = 2000;
 constexpr int kCasesPerMaker = 4;
+constexpr int kNoExit = 126;  // and above: a program that was not started or was killed
 
 const std::vector<std::string> kRobots = {"mico2", "arm7", "arm4", "scara", "arm2", "pendulum", "slide"};
 
@@ -41,11 +45,13 @@ const std::vector<std::string> kDrawable = {"mico2", "arm7", "arm6",     "arm4",
 
 struct ProveArguments {
   std::string out = "proof", markdown;
+  std::vector<std::string> sets, compare, reliability;
+  std::string svg;
   std::vector<std::string> robots = kRobots;
   uint64_t seed = 1;
-  int cases = 100, controls = 60, outside = 20, ordinary = 100, declared = 60, jobs = 0;
+  int cases = 100, controls = 60, outside = 20, ordinary = 100, declared = 60, jobs = 0, limit_s = 0;
   double weak = 0.15, pairs = 0.2, wrong_parameters = 0.2, tuned = 0.15;
-  bool quick = false, make_only = false;
+  bool quick = false, make_only = false, mark_only = false;
 
   std::string Sets() const { return out + "/sets"; }
   std::string Labels() const { return out + "/sealed"; }
@@ -150,9 +156,9 @@ class Examiner {
     size_t made = 0;
     RG_RETURN_IF_ERROR(RunPool(
         makers, a_.jobs,
-        [&](size_t i, int) {
+        [&](size_t i, const PooledEnd& end) {
           // A case whose true robot cannot be simulated is dropped by the generator and said in its log.
-          (void)WriteFileAtomically(marks_[i], "");
+          if (end.code < kNoExit) (void)WriteFileAtomically(marks_[i], "");
           display_.Show({"making sets", static_cast<double>(++made), static_cast<double>(makers.size()), ""});
         },
         &CancelledByInterrupt()));
@@ -176,51 +182,25 @@ class Examiner {
   }
 
   Status DiagnoseAll() {
-    std::vector<PooledProcess> diagnoses;
-    std::vector<std::string> which;
-    for (const std::string& name : names_) {
-      if (fs::exists(a_.Answers() + "/" + name + "/diagnosis.json")) continue;
-      which.push_back(name);
-      std::vector<std::string> command = {SiblingProgram("realitygrad"),
-                                          "diagnose",
-                                          a_.Sets() + "/" + name,
-                                          "--out",
-                                          a_.Answers() + "/" + name,
-                                          "--threads",
-                                          "1",
-                                          "--output",
-                                          "quiet"};
-      // What the set declares that a URDF cannot say.
-      const std::string model = a_.Sets() + "/" + name + "/model.json";
-      if (fs::exists(model)) command.insert(command.end(), {"--model", model});
-      diagnoses.push_back({command, a_.out + "/logs/" + name + ".log"});
-    }
-    size_t done = names_.size() - diagnoses.size();
-    return RunPool(
-        diagnoses, a_.jobs,
-        [&](size_t i, int code) {
-          display_.Show({"diagnosing", static_cast<double>(++done), static_cast<double>(names_.size()),
-                         code == 0 ? "" : which[i] + " ended with code " + std::to_string(code)});
-        },
-        &CancelledByInterrupt());
+    std::vector<SetToDiagnose> sets;
+    for (const std::string& name : names_) sets.push_back({name, a_.Sets() + "/" + name});
+    return DiagnoseSets(sets, {a_.Answers(), a_.out + "/logs", a_.limit_s, a_.jobs}, &display_);
   }
 
   Status MarkAll(proof::ProofRecord* record) {
     for (size_t i = 0; i < names_.size(); ++i) {
       const std::string answer = a_.Answers() + "/" + names_[i], label = a_.Labels() + "/" + names_[i];
-      RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(label + "/label.json"));
-      const auto said = ReadFile(answer + "/diagnosis.json");
       RG_ASSIGN_OR_RETURN(const proof::Concealed concealed,
                           proof::PredictConcealed(label, a_.Sets() + "/" + names_[i], answer + "/model.json",
                                                   Rng(a_.seed).Split(i)));
-      RG_ASSIGN_OR_RETURN(
-          proof::CaseMarks marks,
-          proof::Mark(json::parse(text, nullptr, false),
-                      said.ok() ? json::parse(*said, nullptr, false) : json(nullptr), concealed.marks));
+      RG_ASSIGN_OR_RETURN(proof::CaseMarks marks,
+                          proof::MarkAnswer({names_[i], a_.Sets() + "/" + names_[i], label + "/label.json"},
+                                            answer, concealed.marks));
       marks.plot = concealed.plot;
       if (!marks.diagnosed) {
-        marks.reason =
-            concealed.refused.empty() ? LastLine(a_.out + "/logs/" + names_[i] + ".log") : concealed.refused;
+        if (marks.reason.empty())
+          marks.reason = concealed.refused.empty() ? LastLine(a_.out + "/logs/" + names_[i] + ".log")
+                                                   : concealed.refused;
         if (!quiet_) PrintNote(names_[i] + ": no diagnosis: " + marks.reason);
       }
       record->cases.push_back(std::move(marks));
@@ -237,14 +217,12 @@ class Examiner {
   std::vector<std::string> names_, marks_;
 };
 
-Status Prove(Context& context, ProveArguments& arguments) {
+Status Examine(Context& context, ProveArguments& arguments) {
   if (arguments.quick) {
     arguments.cases = 3, arguments.controls = 2, arguments.outside = 1;
     arguments.ordinary = arguments.declared = 1;
     arguments.robots = {"pendulum"};
   }
-  if (arguments.jobs <= 0)
-    arguments.jobs = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
   if (const std::string maker = SiblingProgram(kProofGenerator); !fs::exists(maker))
     return FailedPreconditionError(
         maker + " is not there: it needs DART. This makes it: " + HowToGetProofGenerator());
@@ -278,6 +256,18 @@ Status Prove(Context& context, ProveArguments& arguments) {
     if (!context.quiet()) Print("page: " + page);
   }
   return Status::Ok();
+}
+
+Status Prove(Context& context, ProveArguments& arguments) {
+  if (arguments.jobs <= 0)
+    arguments.jobs = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
+  const BatteryArguments battery = {arguments.sets, arguments.compare,  arguments.reliability,
+                                    arguments.svg,  arguments.out,      arguments.limit_s,
+                                    arguments.jobs, arguments.mark_only};
+  if (!battery.compare.empty()) return CompareAnswers(context, battery);
+  if (!battery.reliability.empty()) return TellReliability(context, battery);
+  if (!battery.sets.empty()) return RunBattery(context, battery);
+  return Examine(context, arguments);
 }
 
 }  // namespace
@@ -321,10 +311,46 @@ void AddProveCommand(CLI::App& app, Context& context) {
       ->check(CLI::Range(0.0, 1.0));
   command->add_option("--tuned", arguments->tuned, "Share whose URDF was tuned and hides part of the effect")
       ->check(CLI::Range(0.0, 1.0));
+  command
+      ->add_option("--limit", arguments->limit_s,
+                   "Most CPU time for each set [s]; one without an answer by then is a miss. 0: none")
+      ->capture_default_str()
+      ->check(CLI::Range(0, 1000000));
   command->add_option("--markdown", arguments->markdown, "Also write the tables to this file");
   command->add_flag("--quick", arguments->quick, "Eight sets of a pendulum");
   command->add_flag("--make-only", arguments->make_only,
                     "Write sets and labels, and diagnose nothing; the same command without it goes on");
+  CLI::Option* sets =
+      command
+          ->add_option(
+              "--sets", arguments->sets,
+              "No examination: diagnose and mark these labelled sets (folders of them, or of sets/), "
+              "answers in --out")
+          ->type_name("DIR");
+  command->add_flag("--mark-only", arguments->mark_only, "Mark the answers that are there, diagnose nothing")
+      ->needs(sets);
+  CLI::Option* compare = command
+                             ->add_option("--compare", arguments->compare,
+                                          "No examination: two answers folders, of two builds, set by set")
+                             ->type_name("BEFORE AFTER")
+                             ->expected(2);
+  CLI::Option* reliability =
+      command
+          ->add_option(
+              "--reliability", arguments->reliability,
+              "No examination: answers folders, confidences said against what held, ordinary robots half")
+          ->type_name("ANSWERS")
+          ->excludes(sets)
+          ->excludes(compare);
+  command->add_option("--svg", arguments->svg, "Also write the reliability diagram to this file")
+      ->needs(reliability);
+  for (const char* of_examination :
+       {"--seed", "--cases", "--controls", "--outside", "--ordinary", "--declared", "--robots", "--weak",
+        "--pairs", "--wrong-parameters", "--tuned", "--markdown", "--quick", "--make-only"}) {
+    sets->excludes(of_examination);
+    compare->excludes(of_examination);
+    reliability->excludes(of_examination);
+  }
   command->callback([&context, arguments] { context.Failed(Prove(context, *arguments)); });
 }
 

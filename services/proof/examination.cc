@@ -12,7 +12,6 @@ using nlohmann::json;
 namespace {
 
 constexpr double kCounts = 0.3;  // confidence at which a finding counts
-constexpr double kSure = 0.8;    // and at which a user acts on it
 
 bool SameFamily(const std::string& a, const std::string& b) {
   static const std::vector<std::set<std::string>> families = {
@@ -30,6 +29,7 @@ bool SameFamily(const std::string& a, const std::string& b) {
                      [&](const auto& f) { return f.count(a) > 0 && f.count(b) > 0; });
 }
 
+const std::string kParameters = "parameters_only";
 bool OutsideCatalogue(const std::string& id) { return id == "unknown_field"; }
 // What the recordings' contract counts as found where the verdict is `unexplained`.
 bool MayBeUnnamed(const std::string& id) {
@@ -90,7 +90,7 @@ std::vector<json> Asked(const json& label) {
   std::vector<json> effects, physics;
   for (const json& e : label.at("effects")) {
     effects.push_back(e);
-    if (e.at("id") != "parameters_only") physics.push_back(e);
+    if (e.at("id") != kParameters) physics.push_back(e);
   }
   return physics.empty() ? effects : physics;
 }
@@ -101,7 +101,7 @@ class Marker {
       : label_(label), asked_(Asked(label)), said_(FindingsOf(diagnosis)), m_(*marks) {
     for (const json& e : label.at("effects")) {
       for (const std::string& ok : Strings(e, "also_acceptable")) allowed_.insert(ok);
-      if (e.at("id") == "parameters_only") allowed_.insert("parameters_only");
+      if (e.at("id") == kParameters) allowed_.insert(kParameters);
     }
   }
 
@@ -110,7 +110,7 @@ class Marker {
     First();
     F1();
     Joints();
-    if (m_.kind == CaseKind::kOrdinary) JointsF1();
+    JointsF1();
     Parameters();
     for (const Said& s : said_) m_.calls.push_back({s.confidence, Holds(s)});
   }
@@ -127,10 +127,10 @@ class Marker {
 
   void Control() {
     const bool parameters = !asked_.empty();
-    const std::string wanted = parameters ? "parameters_only" : "no_mismatch";
+    const std::string wanted = parameters ? kParameters : std::string("no_mismatch");
     bool physics = false, all_equivalent = true;
     for (const Said& s : said_) {
-      if (s.effect == "none" || s.effect == "parameters_only") continue;
+      if (s.effect == "none" || s.effect == kParameters) continue;
       physics = true;
       all_equivalent = all_equivalent && Best(s.effect) == 1.0;
     }
@@ -156,8 +156,8 @@ class Marker {
     if (top == nullptr && !said_.empty()) top = &said_.front();
     if (top != nullptr) {
       m_.first = Best(top->effect);
-    } else if (m_.verdict == "parameters_only") {
-      m_.first = Best("parameters_only");
+    } else if (m_.verdict == kParameters) {
+      m_.first = Best(kParameters);
     }
     if (m_.kind == CaseKind::kOpen) {
       const bool named = top != nullptr && top->effect == "unknown_field";
@@ -244,7 +244,7 @@ class Marker {
       if (s.confidence >= kCounts && counted.count(&s) == 0 && !Holds(s))
         said += static_cast<double>(s.joints.size());
     }
-    m_.joints_f1 = said + truth > 0 ? 2 * hits / (said + truth) : 1.0;
+    if (said + truth > 0) m_.joints_f1 = 2 * hits / (said + truth);
   }
 
   // All of them; of a force outside the catalogue the label lists the joint it acts on and then those it
@@ -258,7 +258,7 @@ class Marker {
 
   // Not asked of an equivalent name that speaks of the body or its base instead of joints.
   void Joints() {
-    static const std::set<std::string> of_body = {"parameters_only", "payload", "gravity_misalignment"};
+    static const std::set<std::string> of_body = {kParameters, "payload", "gravity_misalignment"};
     for (const json& e : asked_) {
       if (e.value("localisation", "") != "joints") continue;
       std::set<std::string> said, truth;
@@ -307,38 +307,6 @@ class Marker {
   CaseMarks& m_;
 };
 
-double Median(std::vector<double> v) {
-  if (v.empty()) return std::numeric_limits<double>::quiet_NaN();
-  std::sort(v.begin(), v.end());
-  const size_t middle = v.size() / 2;
-  return v.size() % 2 == 1 ? v[middle] : 0.5 * (v[middle - 1] + v[middle]);
-}
-
-json NumberOrNull(double x) { return std::isfinite(x) ? json(x) : json(nullptr); }
-
-json ShareJson(const Share& s) {
-  return {{"value", NumberOrNull(s.value)}, {"low", s.low}, {"high", s.high}, {"n", s.n}};
-}
-
-void Calibrate(const std::vector<CaseMarks>& cases, Summary* s) {
-  constexpr int kBins = 5;
-  s->bins.resize(kBins);
-  int total = 0;
-  for (int b = 0; b < kBins; ++b) s->bins[b].low = b / 5.0, s->bins[b].high = (b + 1) / 5.0;
-  for (const CaseMarks& c : cases) {
-    for (const auto& [confidence, holds] : c.calls) {
-      ConfidenceBin& bin = s->bins[std::clamp(static_cast<int>(confidence * kBins), 0, kBins - 1)];
-      bin.mean_confidence += confidence, bin.hit_rate += holds;
-      ++bin.n, ++total;
-    }
-  }
-  for (ConfidenceBin& bin : s->bins) {
-    if (bin.n == 0) continue;
-    bin.mean_confidence /= bin.n, bin.hit_rate /= bin.n;
-    s->calibration_error += bin.n * std::abs(bin.mean_confidence - bin.hit_rate) / total;
-  }
-}
-
 }  // namespace
 
 std::optional<double> PredictionMarks::recovered_by(double rms) const {
@@ -362,10 +330,12 @@ Result<CaseMarks> Mark(const json& label, const json& diagnosis, const Predictio
     }
     const std::vector<json> asked = Asked(label);
     const std::string stratum = label.value("stratum", "");
-    const bool control = std::all_of(asked.begin(), asked.end(),
-                                     [](const json& e) { return e.at("id") == "parameters_only"; });
+    const bool control =
+        std::all_of(asked.begin(), asked.end(), [](const json& e) { return e.at("id") == kParameters; });
+    // Labels of other origin say no stratum; only an ordinary robot lacks three things and more.
+    const bool ordinary = stratum == "ordinary" || (stratum.empty() && asked.size() > 2);
     m.kind = stratum == "declared"                                         ? CaseKind::kDeclared
-             : stratum == "ordinary"                                       ? CaseKind::kOrdinary
+             : ordinary                                                    ? CaseKind::kOrdinary
              : control                                                     ? CaseKind::kControl
              : asked.size() > 1                                            ? CaseKind::kPair
              : OutsideCatalogue(asked.front().at("id").get<std::string>()) ? CaseKind::kOpen
@@ -389,6 +359,8 @@ Result<CaseMarks> Mark(const json& label, const json& diagnosis, const Predictio
       m.calibrated_alone = (before - NumberOr(holdout, "calibrated_rms", before)) / (before - floor);
       m.with_findings = (before - NumberOr(holdout, "after_rms", before)) / (before - floor);
     }
+    const double after = NumberOr(holdout, "after_rms", std::nan(""));
+    if (floor > 0 && std::isfinite(after)) m.over_floor = after / floor;
     m.verdict_right = Has(Strings(label, "verdict"), m.verdict);
     Marker(label, diagnosis, &m).Run();
     const bool allowed = m.verdict == "unexplained" && m.verdict_right;
@@ -399,231 +371,19 @@ Result<CaseMarks> Mark(const json& label, const json& diagnosis, const Predictio
   return m;
 }
 
-Share ShareOf(double hits, int n) {
-  Share s;
-  s.n = n;
-  if (n == 0) {
-    s.value = std::numeric_limits<double>::quiet_NaN();
-    return s;
-  }
-  constexpr double z = 1.959964;
-  s.value = hits / n;
-  const double middle = s.value + z * z / (2 * n),
-               width = z * std::sqrt(s.value * (1 - s.value) / n + z * z / (4.0 * n * n));
-  s.low = std::max(0.0, (middle - width) / (1 + z * z / n));
-  s.high = std::min(1.0, (middle + width) / (1 + z * z / n));
-  return s;
+bool Missed(const CaseMarks& c) {
+  return c.first < 1 || c.f1 < 1 || c.false_alarm || !c.joints_exact.value_or(true);
 }
 
-namespace {
-
-// Whose rows are their own.
-bool IsOrdinary(const CaseMarks& c) { return c.kind == CaseKind::kOrdinary || c.kind == CaseKind::kDeclared; }
-
-OrdinarySummary SummariseOrdinary(const std::vector<CaseMarks>& cases) {
-  OrdinarySummary s;
-  double alarms = 0;
-  int declared = 0;
-  std::vector<double> errors, seconds;
-  for (const CaseMarks& c : cases) {
-    if (c.kind == CaseKind::kDeclared) ++declared, alarms += c.false_alarm;
-    if (c.kind != CaseKind::kOrdinary) continue;
-    ++s.cases;
-    s.f1 += c.f1, s.joints_f1 += c.joints_f1;
-    errors.push_back(c.prediction.against_oracle());
-    if (c.diagnosed) seconds.push_back(c.seconds);
-  }
-  if (s.cases > 0) s.f1 /= s.cases, s.joints_f1 /= s.cases;
-  s.against_oracle = Median(errors), s.seconds_median = Median(seconds);
-  if (!errors.empty()) s.against_oracle_worst = *std::max_element(errors.begin(), errors.end());
-  if (!seconds.empty()) s.seconds_max = *std::max_element(seconds.begin(), seconds.end());
-  s.false_alarms = ShareOf(alarms, declared);
-  return s;
+const char* KindOfFinding(const std::string& said) {
+  const std::string effect = said.substr(0, said.find(' '));
+  return effect == kParameters ? "parameters" : OutsideCatalogue(effect) ? "unnamed" : "name";
 }
 
-void CountSure(const std::vector<CaseMarks>& cases, Summary* s) {
-  for (const CaseMarks& c : cases) {
-    SureFindings& sure = s->sure[static_cast<size_t>(c.kind)];
-    for (const auto& [confidence, holds] : c.calls) {
-      if (confidence < kSure) continue;
-      ++sure.n, sure.wrong += !holds;
-    }
-  }
-}
-
-}  // namespace
-
-Summary Summarise(const std::vector<CaseMarks>& cases) {
-  Summary s;
-  s.cases = static_cast<int>(cases.size());
-  double strong = 0, lenient = 0, weak = 0, tuned = 0, joints = 0, alarms = 0, open = 0, verdicts = 0;
-  int strong_n = 0, weak_n = 0, tuned_n = 0, joints_n = 0, controls = 0, open_n = 0;
-  std::vector<double> errors, recovered, black_box, seconds, calibrated, findings;
-  for (const CaseMarks& c : cases) {
-    s.undiagnosed += !c.diagnosed;
-    verdicts += c.verdict_right;
-    if (c.diagnosed) seconds.push_back(c.seconds);
-    if (IsOrdinary(c)) continue;
-    if (c.kind != CaseKind::kControl && c.calibrated_alone) {
-      calibrated.push_back(*c.calibrated_alone), findings.push_back(*c.with_findings);
-    }
-    if (c.kind == CaseKind::kControl) ++controls, alarms += c.false_alarm;
-    if (c.kind == CaseKind::kPair) {
-      ++s.pairs;
-      s.pair_f1 += c.f1, s.pair_f1_or_unexplained += c.f1_or_unexplained;
-    }
-    if (c.kind == CaseKind::kSingle) {
-      const bool clear = c.prediction.nominal > 3 * c.prediction.oracle && !c.weak;
-      (clear ? strong : weak) += c.first;
-      if (clear) lenient += c.first_or_unexplained;
-      ++(clear ? strong_n : weak_n);
-      if (c.tuned) tuned += c.first, ++tuned_n;
-    }
-    if (c.kind == CaseKind::kOpen) ++open_n, open += c.first == 1.0 && c.joints_exact.value_or(true);
-    if (c.joints_exact && c.kind != CaseKind::kOpen) ++joints_n, joints += *c.joints_exact;
-    errors.insert(errors.end(), c.parameter_errors.begin(), c.parameter_errors.end());
-    if (const auto share = c.prediction.recovered()) recovered.push_back(*share);
-    const auto boxed = c.prediction.recovered_by(c.prediction.black_box);
-    if (boxed && std::isfinite(c.prediction.black_box)) black_box.push_back(*boxed);
-    s.worse += c.prediction.tool > 1.05 * c.prediction.nominal;
-  }
-  if (s.pairs > 0) s.pair_f1 /= s.pairs, s.pair_f1_or_unexplained /= s.pairs;
-  s.right_first = ShareOf(strong, strong_n), s.right_first_weak = ShareOf(weak, weak_n);
-  s.right_first_or_unexplained = ShareOf(lenient, strong_n);
-  s.right_first_tuned = ShareOf(tuned, tuned_n);
-  s.joints = ShareOf(joints, joints_n);
-  s.false_alarms = ShareOf(alarms, controls);
-  s.open = ShareOf(open, open_n);
-  s.verdicts = ShareOf(verdicts, s.cases);
-  s.parameter_error = Median(errors), s.parameters = static_cast<int>(errors.size());
-  s.recovered = Median(recovered), s.gaps = static_cast<int>(recovered.size());
-  s.black_box = Median(black_box), s.black_boxes = static_cast<int>(black_box.size());
-  s.calibrated_alone = Median(calibrated), s.with_findings = Median(findings);
-  s.seconds_median = Median(seconds);
-  s.seconds_max = seconds.empty() ? 0 : *std::max_element(seconds.begin(), seconds.end());
-  Calibrate(cases, &s);
-  s.ordinary = SummariseOrdinary(cases);
-  CountSure(cases, &s);
-  return s;
-}
-
-json PerEffect(const std::vector<CaseMarks>& cases) {
-  std::map<std::string, std::vector<const CaseMarks*>> by_effect;
-  for (const CaseMarks& c : cases) {
-    if (IsOrdinary(c)) continue;
-    if (c.effects.empty()) by_effect["none"].push_back(&c);
-    for (const std::string& id : c.effects) {
-      if (id != "parameters_only" || c.kind == CaseKind::kControl) by_effect[id].push_back(&c);
-    }
-  }
-  json rows = json::array();
-  for (const auto& [id, list] : by_effect) {
-    double first = 0, f1 = 0, joints = 0;
-    int joints_n = 0;
-    std::vector<double> errors, recovered, black_box;
-    for (const CaseMarks* c : list) {
-      first += c->first, f1 += c->f1;
-      if (c->joints_exact) ++joints_n, joints += *c->joints_exact;
-      errors.insert(errors.end(), c->parameter_errors.begin(), c->parameter_errors.end());
-      if (const auto share = c->prediction.recovered()) recovered.push_back(*share);
-      const auto boxed = c->prediction.recovered_by(c->prediction.black_box);
-      if (boxed && std::isfinite(c->prediction.black_box)) black_box.push_back(*boxed);
-    }
-    const double n = static_cast<double>(list.size());
-    rows.push_back({{"effect", id},
-                    {"cases", list.size()},
-                    {"right_first", first / n},
-                    {"f1", f1 / n},
-                    {"joints_exact", joints_n > 0 ? json(joints / joints_n) : json(nullptr)},
-                    {"parameter_error", NumberOrNull(Median(errors))},
-                    {"recovered", NumberOrNull(Median(recovered))},
-                    {"black_box_recovered", NumberOrNull(Median(black_box))}});
-  }
-  return rows;
-}
-
-namespace {
-constexpr std::array<const char*, kCaseKinds> kKinds = {"control", "single",   "pair",
-                                                        "open",    "ordinary", "declared"};
-}  // namespace
-
-json ToJson(const CaseMarks& c) {
-  const auto share = c.prediction.recovered();
-  return {{"name", c.name},
-          {"robot", c.robot},
-          {"rate_hz", c.rate_hz},
-          {"kind", kKinds[static_cast<size_t>(c.kind)]},
-          {"weak", c.weak},
-          {"tuned", c.tuned},
-          {"truth", c.truth},
-          {"verdict", c.verdict},
-          {"reason", c.reason},
-          {"said", c.said},
-          {"verdict_right", c.verdict_right},
-          {"false_alarm", c.false_alarm},
-          {"right_first", c.first},
-          {"right_first_or_unexplained", c.first_or_unexplained},
-          {"f1", c.f1},
-          {"f1_or_unexplained", c.f1_or_unexplained},
-          {"joints_exact", c.joints_exact ? json(*c.joints_exact) : json(nullptr)},
-          {"joints_f1", c.kind == CaseKind::kOrdinary ? json(c.joints_f1) : json(nullptr)},
-          {"parameter_errors", c.parameter_errors},
-          {"nominal_rms", NumberOrNull(c.prediction.nominal)},
-          {"oracle_rms", NumberOrNull(c.prediction.oracle)},
-          {"rms", NumberOrNull(c.prediction.tool)},
-          {"recovered", share ? json(*share) : json(nullptr)},
-          {"black_box_rms", NumberOrNull(c.prediction.black_box)},
-          {"seconds", c.seconds}};
-}
-
-json ToJson(const Summary& s) {
-  json bins = json::array();
-  for (const ConfidenceBin& b : s.bins) {
-    bins.push_back({{"low", b.low},
-                    {"high", b.high},
-                    {"n", b.n},
-                    {"confidence", b.mean_confidence},
-                    {"hit_rate", b.hit_rate}});
-  }
-  json sure = json::object();
-  for (size_t kind = 0; kind < s.sure.size(); ++kind)
-    sure[kKinds[kind]] = {{"n", s.sure[kind].n}, {"wrong", s.sure[kind].wrong}};
-  const json ordinary = {{"cases", s.ordinary.cases},
-                         {"f1", s.ordinary.f1},
-                         {"joints_f1", s.ordinary.joints_f1},
-                         {"against_oracle", NumberOrNull(s.ordinary.against_oracle)},
-                         {"against_oracle_worst", NumberOrNull(s.ordinary.against_oracle_worst)},
-                         {"seconds_median", NumberOrNull(s.ordinary.seconds_median)},
-                         {"seconds_max", s.ordinary.seconds_max},
-                         {"false_alarms_declared", ShareJson(s.ordinary.false_alarms)}};
-  return {{"cases", s.cases},
-          {"ordinary", ordinary},
-          {"sure_findings", sure},
-          {"undiagnosed", s.undiagnosed},
-          {"right_first", ShareJson(s.right_first)},
-          {"right_first_or_unexplained", ShareJson(s.right_first_or_unexplained)},
-          {"right_first_weak", ShareJson(s.right_first_weak)},
-          {"right_first_tuned", ShareJson(s.right_first_tuned)},
-          {"joints_exact", ShareJson(s.joints)},
-          {"pair_f1", s.pair_f1},
-          {"pair_f1_or_unexplained", s.pair_f1_or_unexplained},
-          {"pairs", s.pairs},
-          {"false_alarms", ShareJson(s.false_alarms)},
-          {"outside_catalogue", ShareJson(s.open)},
-          {"verdicts", ShareJson(s.verdicts)},
-          {"parameter_error", NumberOrNull(s.parameter_error)},
-          {"parameters", s.parameters},
-          {"recovered", NumberOrNull(s.recovered)},
-          {"gaps", s.gaps},
-          {"worse_than_nominal", s.worse},
-          {"black_box_recovered", NumberOrNull(s.black_box)},
-          {"black_boxes", s.black_boxes},
-          {"holdout_calibrated_alone", NumberOrNull(s.calibrated_alone)},
-          {"holdout_with_findings", NumberOrNull(s.with_findings)},
-          {"confidence_bins", bins},
-          {"calibration_error", s.calibration_error},
-          {"seconds_median", s.seconds_median},
-          {"seconds_max", s.seconds_max}};
+const char* NameOf(CaseKind kind) {
+  static constexpr std::array<const char*, kCaseKinds> kNames = {"control", "single",   "pair",
+                                                                 "open",    "ordinary", "declared"};
+  return kNames[static_cast<size_t>(kind)];
 }
 
 }  // namespace rg::proof

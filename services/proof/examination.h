@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "common/base/status.h"
+#include "services/proof/statistics.h"
 
 namespace rg::proof {
 
@@ -49,38 +50,42 @@ struct CaseMarks {
   CaseKind kind = CaseKind::kSingle;
   bool weak = false, diagnosed = false;
   bool tuned = false;  // the URDF had absorbed part of the effect
-  double rate_hz = 0, seconds = 0;
+  double rate_hz = 0;
+  double seconds = 0;              // of CPU; of a clock where nobody measured them (run_record.h)
   std::vector<std::string> truth;  // "coulomb_friction [joint_2]"
   std::string verdict;
   std::string reason;             // why there is no diagnosis
   std::vector<std::string> said;  // "coulomb_friction [joint_2] 0.97"
   bool verdict_right = false, false_alarm = false;
-  double first = 0;                            // mark of the first finding
-  double first_or_unexplained = 0;             // the same, whole where the label allows such a verdict
-  double f1 = 0;                               // of the set of effects
-  double f1_or_unexplained = 0;                // the same, where `unexplained` stands for what may be unnamed
-  std::optional<bool> joints_exact;            // of the effects that act on joints
-  double joints_f1 = 0;                        // of the set of pairs (effect, joint) of an ordinary robot
+  double first = 0;                  // mark of the first finding
+  double first_or_unexplained = 0;   // the same, whole where the label allows such a verdict
+  double f1 = 0;                     // of the set of effects
+  double f1_or_unexplained = 0;      // the same, where `unexplained` stands for what may be unnamed
+  std::optional<bool> joints_exact;  // of the effects that act on joints
+  std::optional<double> joints_f1;   // of the set of pairs (effect, joint); absent where nobody speaks of one
   std::vector<double> parameter_errors;        // relative, of the parameters of rightly named effects
-  std::vector<std::pair<double, bool>> calls;  // confidence of every finding, whether it holds
+  std::vector<std::pair<double, bool>> calls;  // confidence of every finding in `said`, whether it holds
   std::vector<std::string> effects;            // ids of the label
   PredictionMarks prediction;
   CasePlot plot;  // empty: nothing concealed could be predicted
   // Of the gap between before and floor on the set's own held-out recordings: what rigid-body parameters
   // alone recover, and what the findings do. Absent where there is no gap.
   std::optional<double> calibrated_alone, with_findings;
+  // Error with the findings on the set's own held-out recordings over the sensors' noise there.
+  std::optional<double> over_floor;
 };
+
+const char* NameOf(CaseKind kind);
+// Of one of CaseMarks::said: "name", "unnamed" or "parameters".
+const char* KindOfFinding(const std::string& said);
+// Whether anything of it is not as the label asks.
+bool Missed(const CaseMarks& marks);
 
 // label: label.json of a case; diagnosis: diagnosis.json, null if there is none. Error: a label that is none.
 Result<CaseMarks> Mark(const nlohmann::json& label, const nlohmann::json& diagnosis,
                        const PredictionMarks& prediction);
 
-// A share with its 95 % interval (Wilson 1927).
-struct Share {
-  double value = 0, low = 0, high = 1;
-  int n = 0;
-};
-Share ShareOf(double hits, int n);
+constexpr double kSureFinding = 0.8;  // confidence at which a user acts on a finding
 
 struct ConfidenceBin {
   double low = 0, high = 1, mean_confidence = 0, hit_rate = 0;
@@ -90,6 +95,7 @@ struct ConfidenceBin {
 // Findings that are stated with a confidence of 0.8 or more.
 struct SureFindings {
   int n = 0, wrong = 0;
+  void Count(const CaseMarks& marks);
 };
 
 struct OrdinarySummary {  // means and, of the error over the true model's on concealed recordings, two

@@ -39,7 +39,7 @@ std::vector<Line> OrdinaryLines(const Summary& s) {
       {"ordinary robots: F1 of effects with their joints", "0.90", of(FormatNumber(o.joints_f1))},
       {"ordinary robots: error on concealed recordings over the true model's, median / worst", "1.5 / 5",
        of(FormatNumber(o.against_oracle) + " / " + FormatNumber(o.against_oracle_worst))},
-      {"ordinary robots: seconds per set on one thread, median / longest", "–",
+      {"ordinary robots: seconds of CPU per set, median / longest", "–",
        of(FormatNumber(o.seconds_median) + " / " + FormatNumber(o.seconds_max))},
       {"false alarms on controls that declare friction and rotors", "at most 5 %", Text(o.false_alarms)},
       {"findings at confidence ≥ 0.8 that are wrong: singles / pairs / outside / controls / ordinary / "
@@ -79,7 +79,7 @@ std::vector<Line> Lines(const Summary& s) {
        "–", FormatNumber(s.calibrated_alone) + " / " + FormatNumber(s.with_findings)},
       {"confidence against hit rate, expected calibration error", "at most 0.1",
        FormatNumber(s.calibration_error)},
-      {"seconds per set on one thread, median / longest", "–",
+      {"seconds of CPU per set, median / longest", "–",
        FormatNumber(s.seconds_median) + " / " + FormatNumber(s.seconds_max)}};
 }
 
@@ -92,10 +92,6 @@ std::string Joined(const std::vector<std::string>& list) {
 std::string Verdict(const CaseMarks& c) {
   if (c.diagnosed) return c.verdict;
   return "no diagnosis" + (c.reason.empty() ? "" : ": " + c.reason);
-}
-
-bool Missed(const CaseMarks& c) {
-  return c.first < 1 || c.f1 < 1 || c.false_alarm || !c.joints_exact.value_or(true);
 }
 
 std::string Number(const json& x) { return x.is_number() ? FormatNumber(x.get<double>()) : "–"; }

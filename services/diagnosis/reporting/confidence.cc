@@ -12,11 +12,11 @@ namespace {
 constexpr double kAlone = 0.96;  // one name, nothing left: 324 of 332, rounded down
 constexpr double kTwo = 0.80;    // two names, nothing left: 92 of 115
 constexpr double kMany = 0.42;   // three or more, one thing taken for several: 10 of 24
-// Three or more on an ordinary robot: what its drives share (23 of 23 on the fresh seed 61001, rounded down
-// for what another maker's robots have; 114 of 115 on development sets) and what is beside that (3 of 5, and
-// 6 of 7).
-constexpr double kOfDrives = 0.9, kBesideDrives = 0.6;
-constexpr double kMeasured = 0.9;  // several names on a robot whose effort is measured
+// Three or more on an ordinary robot: what its drives share (23 of 23 on seed 61001, 61 of 63 on 62001) and
+// what is beside that (3 of 5 and 8 of 8), both rounded down, the latter for being few.
+constexpr double kOfDrives = 0.95, kBesideDrives = 0.75;
+// Several names on a robot whose effort is measured: chosen, not counted.
+constexpr double kMeasured = 0.9, kRareMeasured = 0.6;
 // A rival that the data cannot tell from it: one of two, though 27 of 35 were right, for labels call some of
 // them equivalent.
 constexpr double kRival = 0.5;
@@ -49,7 +49,7 @@ double HitRate(const Finding& f, const std::string& verdict, bool measured, int 
   if (IsUnnamed(f.effect)) return kUnknown;
   if (verdict == "unexplained" && !measured) return kBeside;
   // Losses and late drives every arm has; what few have is no surer than beside other losses.
-  const double of_measured = IsOfDrive(f) ? kMeasured : kBesideDrives;
+  const double of_measured = IsOfDrive(f) ? kMeasured : kRareMeasured;
   const double rate = names <= 1 ? kAlone : measured ? of_measured : names == 2 ? kTwo : many;
   const bool rival = std::any_of(f.alternatives.begin(), f.alternatives.end(),
                                  [](const Alternative& a) { return !a.separable; });

@@ -140,5 +140,89 @@ TEST(Prove, MakesSetsAndLabelsAloneWhereThatIsAsked) {
   EXPECT_TRUE(rotors);
 }
 
+// Two small sets with labels beside them, as practice sets have them.
+void MakeLabelledSets(const ScratchFolder& scratch) {
+  const std::string make = BinDir() +
+                           "/realitygrad-proof-generator --robot pendulum --rate 100 --count 1 --sets " +
+                           scratch / "s/sets" + " --labels " + scratch / "s/sealed" + " --robots " +
+                           BinDir() + "/../../../deploy/robots";
+  for (const std::string& one :
+       {std::string(" --seed 3 --effect viscous_friction"), std::string(" --seed 4 --first 1 --declared")})
+    ASSERT_EQ(std::system((make + one + " >" + scratch / "made" + " 2>&1").c_str()), 0)
+        << ReadFile(scratch / "made").value();
+}
+
+TEST(Prove, DiagnosesAndMarksLabelledSetsAndComparesTwoBuildsAnswers) {
+  if (!std::filesystem::exists(BinDir() + "/realitygrad-proof-generator"))
+    GTEST_SKIP() << "SKIPPED: realitygrad-proof-generator is not built (libdart-dev)";
+  const ScratchFolder scratch;
+  MakeLabelledSets(scratch);
+  const Said said = RunProgram(scratch, "prove --sets s --out a --jobs 2 --output json");
+  ASSERT_EQ(said.code, 0) << said.err;
+  const json battery = json::parse(said.out);
+  EXPECT_EQ(battery["format"], "realitygrad.battery/1");
+  ASSERT_EQ(battery["cases"].size(), 2u);
+  EXPECT_EQ(battery["programs"].size(), 1u);
+  const json& single = battery["cases"][0];
+  EXPECT_EQ(single["kind"], "single");
+  EXPECT_EQ(single["f1"], 1.0) << single.dump();
+  EXPECT_EQ(single["joints_f1"], 1.0);
+  EXPECT_LT(single["over_noise_floor"], 1.5);
+  EXPECT_GT(single["seconds"], 0.1);
+  EXPECT_EQ(battery["cases"][1]["kind"], "declared");
+  EXPECT_EQ(battery["strata"].size(), 3u) << "single, declared, all";
+
+  // Only what has no answer is asked again; with too little time it has none, and the others are told.
+  const auto before = std::filesystem::last_write_time(scratch / "a/case_001/diagnosis.json");
+  std::filesystem::copy(scratch / "a", scratch / "b", std::filesystem::copy_options::recursive);
+  std::filesystem::remove_all(scratch / "b/case_000");
+  const Said late = RunProgram(scratch, "prove --sets s --out b --jobs 2 --limit 1");
+  ASSERT_EQ(late.code, 0) << late.err;
+  const json run = json::parse(ReadFile(scratch / "b/case_000/run.json").value());
+  if (run["outcome"] == "out_of_time") {
+    EXPECT_NE(late.out.find("no answer in 1 s of CPU time"), std::string::npos) << late.out;
+  } else {
+    EXPECT_LE(run["cpu_s"], 2.0) << "answered within the limit: a fast machine";
+  }
+  EXPECT_EQ(json::parse(ReadFile(scratch / "b/battery.json").value())["cases"].size(), 2u);
+
+  // A build that says the wrong thing of one set.
+  json wrong = json::parse(ReadFile(scratch / "a/case_000/diagnosis.json").value());
+  wrong["findings"][0]["effect"] = "torque_gain";
+  ASSERT_TRUE(WriteFileAtomically(scratch / "b/case_000/diagnosis.json", wrong.dump()).ok());
+  const Said compared = RunProgram(scratch, "prove --compare b a --output json");
+  ASSERT_EQ(compared.code, 0) << compared.err;
+  const json change = json::parse(compared.out);
+  ASSERT_EQ(change["changed"].size(), 1u) << compared.out;
+  EXPECT_EQ(change["changed"][0]["won"], true);
+  EXPECT_EQ(change["strata"].back()["won"], 1);
+  EXPECT_EQ(change["strata"].back()["lost"], 0);
+  EXPECT_EQ(change["strata"].back()["mcnemar_p"], 1.0);
+  EXPECT_EQ(std::filesystem::last_write_time(scratch / "a/case_001/diagnosis.json"), before);
+
+  const Said marked = RunProgram(scratch, "prove --sets s --out b --mark-only");
+  ASSERT_EQ(marked.code, 0) << marked.err;
+  EXPECT_NE(marked.out.find("wrong at 0.8 or more: case_000: torque_gain"), std::string::npos) << marked.out;
+  const Said reliability = RunProgram(scratch, "prove --reliability a b --svg r.svg --output json");
+  ASSERT_EQ(reliability.code, 0) << reliability.err;
+  EXPECT_EQ(json::parse(reliability.out)["findings"], 2);
+  EXPECT_NE(ReadFile(scratch / "r.svg").value().find("</svg>"), std::string::npos);
+}
+
+TEST(Prove, SaysWhatIsNoLabelledSetOrNoAnswersFolder) {
+  const ScratchFolder scratch;
+  const auto refused = [&](const std::string& arguments, const std::string& why) {
+    const Said said = RunProgram(scratch, "prove " + arguments);
+    EXPECT_EQ(said.code, 1) << arguments;
+    EXPECT_NE(said.err.find(why), std::string::npos) << said.err;
+    EXPECT_EQ(std::count(said.err.begin(), said.err.end(), '\n'), 1) << said.err;
+  };
+  refused("--sets nowhere --out a", "nowhere: no recording set");
+  refused("--compare a b", "a/battery.json");
+  EXPECT_FALSE(std::filesystem::exists(scratch / "a"));
+  EXPECT_EQ(RunProgram(scratch, "prove --sets x --seed 4").code, 2) << "sets have their own";
+  EXPECT_EQ(RunProgram(scratch, "prove --mark-only").code, 2);
+}
+
 }  // namespace
 }  // namespace rg
