@@ -29,11 +29,10 @@ namespace rg::diagnosis {
 
 namespace {
 
-constexpr double kAllSearches = 1.6;  // times the work limit, that a search and those after it may take
-constexpr double kLeastWork = 0.6;    // times the work limit, that each further one is given
+constexpr double kAllSearches = 1.6;  // work of a search and its restarts together, over the limit of one
+constexpr double kLeastWork = 0.6;    // work of each restart, over that limit, at least
 
-// What to record next, where a class holds more than one effect: a motion that can be made, or that none was
-// found.
+// Where a class has more than one effect: the motion to record next, or that none was found.
 void SayWhatToRecord(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
                      const MotionScales& scales, const DiagnosisOptions& options, int threads,
                      const CancelToken* cancel, DiagnosisResult* result) {
@@ -41,8 +40,7 @@ void SayWhatToRecord(const SearchResult& search, const FitData& data, const sim:
   const bool open = std::any_of(result->findings.begin(), result->findings.end(), [&](const Finding& f) {
     return std::any_of(f.alternatives.begin(), f.alternatives.end(), separates);
   });
-  // With a measured effort rivals are weighed in the balance of torques, which has no sensors' noise to plan
-  // with; joints that nothing drives as planned make no motions.
+  // The balance of torques has no sensor noise to plan with; undriven joints cannot follow a plan.
   const auto undriven = [&](int j) { return nominal.IsPrescribed(j) || nominal.IsPassive(j); };
   const auto joints = std::views::iota(0, nominal.num_joints());
   if (!open || search.measured.active || std::any_of(joints.begin(), joints.end(), undriven)) return;
@@ -59,8 +57,8 @@ void SayWhatToRecord(const SearchResult& search, const FitData& data, const sim:
   }
 }
 
-// A set with a recording that was kept aside, by its place, among those to fit: another that is kept aside
-// stays so, else the last one to fit takes its place. Empty where there are too few.
+// The set with held-out recording `place` among those to fit. If it was the only held-out one, the last
+// fitted recording is held out instead. Empty where there are too few.
 std::optional<recordings::RecordingSet> WithFitted(const recordings::RecordingSet& set, uint32_t place,
                                                    const FitData& data) {
   std::vector<uint32_t> fitted = data.places;
@@ -72,7 +70,7 @@ std::optional<recordings::RecordingSet> WithFitted(const recordings::RecordingSe
   return out;
 }
 
-constexpr double kWorse = 1.1;  // times: less may be the windows' scatter
+constexpr double kWorse = 1.1;  // ratio of RMS errors, below which the difference may be chance
 
 bool WorseThanCalibrated(const HoldoutFit& h) {
   return !h.judged_on_fit && h.after_rms > kWorse * h.calibrated_rms;
@@ -89,7 +87,7 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   RG_ASSIGN_OR_RETURN(SetCheck check, CheckSet(given, nominal, options.trust_effort));
   RG_RETURN_IF_ERROR(check.refusal);
   RG_ASSIGN_OR_RETURN(FitData data, PrepareData(given, nominal, options));
-  // The balance of torques is of rigid bodies, and finds effects beside them itself.
+  // The balance of torques starts from rigid bodies without effects.
   if (EffortIsMeasured(data) && !nominal.effects().empty()) {
     RG_ASSIGN_OR_RETURN(nominal, sim::Plant::Create(nominal.shared_model(), nominal.options()));
   }
@@ -103,12 +101,11 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   DiagnosisOptions rest = options;
   double spent = 0;
   std::optional<recordings::RecordingSet> exchanged;
-  // The search begins again and weighs first what the one before came to, with what is left of the work for
-  // all, but enough to find a law.
+  // Restarts the search with the result of the one before as first model, within what is left of the work.
   const auto again = [&](std::shared_ptr<const Candidate> earlier) -> Status {
     const recordings::RecordingSet& now = exchanged ? *exchanged : given;
     RG_ASSIGN_OR_RETURN(data, PrepareData(now, nominal, rest));
-    // Judged over windows as long as ever, which a mass that begins anew in short ones does not meet.
+    // Held-out windows keep their length: over short ones a mass with a free start fits anything.
     data.held_out = PrepareHeldOut(now, data, nominal, options);
     scales = ScalesOf(data, nominal);
     spent += search.work;
@@ -126,13 +123,13 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
     return Status::Ok();
   };
   RG_RETURN_IF_ERROR(over_halves());
-  // What only a recording kept aside shows can be found only there: it is fitted too.
+  // A held-out recording that alone excites something is fitted too.
   if (search.unseen_in >= 0 && !(cancel != nullptr && cancel->cancelled())) {
     const auto unseen = static_cast<size_t>(search.unseen_in);
     exchanged = WithFitted(given, data.held_out->places[unseen], data);
     const std::string name = data.held_out->recordings[unseen].recording->name;
     if (exchanged) {
-      // A force without a name knows nothing of where only the new recording goes.
+      // An unnamed force does not extend to where only the new recording moves.
       const bool known = !search.best.specs.empty() && !HasUnnamed(search.best);
       RG_RETURN_IF_ERROR(
           again(known ? std::make_shared<const Candidate>(WithoutStates(search.best)) : nullptr));

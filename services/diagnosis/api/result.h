@@ -28,10 +28,10 @@ struct Alternative {
   std::string effect;
   std::vector<std::string> joints;
   double evidence =
-      0;  // log predictive density of held-out recordings minus the chosen one's, nats (held_out.h)
+      0;  // nats: log predictive density of held-out recordings minus that of the chosen effect (held_out.h)
   bool separable = true;
   std::string experiment;
-  bool by_motion = true;  // whether a motion could tell it apart
+  bool by_motion = true;  // some motion could separate the two
 };
 struct Finding {
   std::string effect;
@@ -48,17 +48,17 @@ struct Finding {
   std::vector<Alternative> alternatives;
 };
 
-// The motion that would tell apart what these recordings cannot (separating_motion.h). Written as motion.csv,
-// which `realitygrad submit rollout --trajectory` plays.
+// A motion expected to separate effects that these recordings cannot (separating_motion.h). Written as
+// motion.csv, which `realitygrad submit rollout --trajectory` plays.
 struct ProposedMotion {
   std::vector<std::string> effects;  // the rivals, ids
   std::string description;
-  double expected_nats = 0;  // by which the wrong one is expected to lie behind afterwards
+  double expected_nats = 0;  // expected log evidence against the wrong one
   std::vector<double> t;     // K, s
   Eigen::MatrixXd q, v;      // n × K
 };
 
-// How a base parameter moved when the effects came in.
+// A base parameter: as given, calibrated without the found effects, and with them.
 struct LedgerRow {
   std::string name, unit;
   double nominal = 0, calibrated = 0, final = 0, prior_stddev = 1;
@@ -74,11 +74,11 @@ struct CandidateRow {
   bool chosen = false;
 };
 
-// Missing force over time of one fitted recording, for plots. n × S.
+// Missing force over time along one fitted recording. n × S.
 struct ForcePlot {
   std::string recording;
   std::vector<double> t;
-  Eigen::MatrixXd force, stddev, explained;  // explained: by the findings (what remains is taken off)
+  Eigen::MatrixXd force, stddev, explained;  // explained: by the findings
   Eigen::MatrixXd q, v, u;
 };
 
@@ -89,8 +89,7 @@ struct HoldoutRecording {
   double before_median = 0, calibrated_median = 0, after_median = 0;
 };
 
-// What is of the model as given is NaN (improvements too) where that cannot be simulated, and its plots
-// empty.
+// Where the model as given cannot be simulated, its figures and the improvement are NaN, its plots empty.
 struct HoldoutFit {
   double before_rms = 0, calibrated_rms = 0, after_rms = 0, noise_floor_rms = 0;
   double improvement_low = 0, improvement_high = 0;
@@ -111,15 +110,15 @@ struct DiagnosisResult {
   double window_s = 1.0;
   double elapsed_s = 0;
   std::vector<std::string> notes;
-  std::optional<ProposedMotion> motion;  // where a class holds more than one effect
+  std::optional<ProposedMotion> motion;  // where some class has more than one effect
 
   std::string robot;
   std::vector<std::string> joints, units;
-  bool effort_measured = false;  // hypotheses were judged in the balance of torques
+  bool effort_measured = false;  // the likelihood was the balance of torques
   double noise_scale = 1;        // residual variance in units of the sensors' noise
   double mismatch = 0;           // χ² per row of the calibrated model, 1 at the noise
   double remaining = 0;          // of the augmented model
-  double null_threshold = 0;     // log evidence that chance reaches in 2 % of sets
+  double null_threshold = 0;     // nats: 98 % quantile of the null distribution
   Eigen::VectorXd joint_share;   // n, of the missing force's energy above its noise
   std::vector<CandidateRow> candidates;
   std::vector<LedgerRow> ledger;

@@ -1,4 +1,4 @@
-// Whether a drive of a wrist turns with two joints: step 2 of balance_search.h.
+// Drives coupled to two joints: step 2 of balance_search.h.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -14,15 +14,15 @@ using Eigen::VectorXd;
 
 namespace {
 
-// |κ|: one as a rule, else a ratio of small gears. A drive of i, j and κ is one of j, i and 1/κ.
+// Grid of |κ|: usually one. A drive of (i, j, κ) equals one of (j, i, 1/κ).
 constexpr double kRatios[] = {0.5, 0.7, 1.0, 1.4, 2.0};
-constexpr double kBetween = 1.5;  // times a ratio, to where a better one is looked for
+constexpr double kBetween = 1.5;  // factor to either side of a grid point, for the refinement of κ
 constexpr int kGrid = 2 * static_cast<int>(std::size(kRatios));  // either sign
-constexpr double kDriveErrors = 3.0;                             // of what few have
-constexpr double kShareOnEach = 0.1;                             // of what remains on either joint
+constexpr double kDriveErrors = 3.0;                             // standard errors that it must gain
+constexpr double kShareOnEach = 0.1;                             // of the residual cost of either joint
 constexpr int kRefinements = 12;
 
-// Least of f between low and high by golden sections.
+// Minimum of f between low and high by golden-section search.
 template <class F>
 double LeastBetween(double low, double high, F f) {
   const double golden = 0.5 * (std::sqrt(5.0) - 1);
@@ -41,7 +41,7 @@ double LeastBetween(double low, double high, F f) {
 
 }  // namespace
 
-// The model with all columns of the fit's drive that are of a drive's sign.
+// The model with the columns of the coupled drive whose coefficients have the right sign.
 BalanceModel BalanceSelection::WithDrive(BalanceModel m) const {
   m.drive = {BalanceDrive::kViscous, BalanceDrive::kCoulomb, BalanceDrive::kRotor};
   while (!m.drive.empty()) {
@@ -56,7 +56,7 @@ BalanceModel BalanceSelection::WithDrive(BalanceModel m) const {
   return m;
 }
 
-// What the fit's drive gains beside plain laws on its joints, where it explains both better than those.
+// Gain of the coupled drive added to plain losses on all joints; 0 unless it pays on both of its joints.
 double BalanceSelection::DrivePays(const BalanceModel& rival, std::string* line) const {
   const BalanceDrive& drive = fit_.drive();
   const BalanceModel with = WithDrive(rival);
@@ -96,7 +96,7 @@ BalanceModel BalanceSelection::Uncoupled() const {
   return m;
 }
 
-// Nats by which the fit's drive lowers the cost of the rows that it is fitted to.
+// Nats gained by the coupled drive on the fitted rows.
 double BalanceSelection::FittedGain(const BalanceModel& rival) const {
   const VectorXd less = fit_.Solve(rival).energy - fit_.Solve(WithDrive(rival)).energy;
   double nats = 0;
@@ -107,7 +107,7 @@ double BalanceSelection::FittedGain(const BalanceModel& rival) const {
   return nats;
 }
 
-// On each pair of neighbouring joints the best κ of a grid, and of those that pay the one that pays most.
+// For each pair of neighbouring joints the best κ of the grid; of the pairs that pay the best.
 void BalanceSelection::FindDrive() {
   const BalanceModel rival = PlainOnAll();
   const std::string& coupling = effects::LawOf(Regressor::kOtherEffort).id;
@@ -139,7 +139,7 @@ void BalanceSelection::FindDrive() {
   model_.drive = WithDrive(rival).drive;
 }
 
-// The best κ near the fit's, on rows that all of them have a say on.
+// Refines κ, on rows in which no candidate drive sticks.
 void BalanceSelection::RefineRatio(const BalanceModel& rival) {
   const BalanceDrive start = fit_.drive();
   const double sign = start.ratio > 0 ? 1.0 : -1.0, size = std::abs(start.ratio), low = size / kBetween,
@@ -167,7 +167,7 @@ void BalanceSelection::RefineRatio(const BalanceModel& rival) {
   trace_(text);
 }
 
-// A drive's columns that the whole no longer needs go.
+// Removes columns of the coupled drive that no longer pay.
 bool BalanceSelection::PruneDrive() {
   const BlockCosts with = fit_.LeaveOut(model_);
   for (const int c : model_.drive) {

@@ -12,9 +12,8 @@ using Eigen::VectorXd;
 
 namespace {
 
-// Stddevs of the last link's own prior, of what it may carry: its mass, and where that is.
+// Prior stddevs of a load, in those of the last link's own mass and of its other parameters.
 constexpr double kLoad = 10.0, kLoadsPlace = 3.0;
-constexpr size_t kFirstMoments = 4;
 
 }  // namespace
 
@@ -206,7 +205,7 @@ VectorXd BalanceFit::Moving(const VectorXd& x, int joint) const {
 }
 
 void BalanceFit::SetNoiseFrom(const BalanceModel& model) {
-  // The variance weighs the solution that it is taken from: twice.
+  // The solution depends on the variance: two passes.
   for (int pass = 0; pass < 2; ++pass) {
     const BalanceSolution s = Solve(model);
     for (int j = 0; j < balance_.n; ++j) {

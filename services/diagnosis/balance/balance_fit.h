@@ -1,9 +1,9 @@
-// Least squares on a torque balance, judged by parts of the recordings left out in turn.
+// Least squares on a torque balance, judged by cross-validation over blocks of the recordings.
 //
-// w of the balance is coloured and its size unknown: per joint its variance is that of the residual, and its
-// correlation counts as so many rows fewer (integrated autocorrelation), so that a nat is a nat. A hypothesis
-// is judged by what it gains on the parts that its coefficients did not see, block by block: the mean with a
-// standard error that needs no assumption on the noise.
+// w of the balance is coloured, of unknown size: its variance per joint is that of the residual, and the
+// number of rows is divided by its integrated autocorrelation, so that costs are in nats. A hypothesis is
+// judged by its gain on left-out blocks: the sum, with a standard error over blocks that needs no model of
+// the noise.
 #pragma once
 
 #include <Eigen/Core>
@@ -14,11 +14,12 @@
 
 namespace rg::diagnosis {
 
-// Which columns are in: features per joint by their place in TorqueBalance::columns, and base parameters.
+// Which columns are in the model: signatures per joint by their index in TorqueBalance::columns, and base
+// parameters.
 struct BalanceModel {
   bool base = true;
   bool tilt = false;
-  bool payload = false;  // what the last link carries, which no prior of that link holds near nothing
+  bool payload = false;                 // the last link carries a load: wide priors on its parameters
   std::vector<std::set<int>> features;  // per joint
   std::set<int> drive;                  // columns of the fit's BalanceDrive
 };
@@ -30,7 +31,7 @@ struct BalanceSolution {
   Eigen::VectorXd energy;                 // n, mean square of the residual
 };
 
-// Costs ½ SSR/(s² c) of the parts left out: blocks × n.
+// Costs ½ SSR/(s² c) of left-out blocks: blocks × n.
 using BlockCosts = Eigen::MatrixXd;
 
 class BalanceFit {
@@ -41,23 +42,23 @@ class BalanceFit {
   void SetResponse(int joint, const Eigen::VectorXd& y);
   // After columns were appended to a joint of the balance.
   void TakeColumns(int joint);
-  // The drive whose columns models may have; rows in which it may be stuck have no say on its joints. Costs
-  // of fits with different drives are those of different rows.
+  // The coupled drive whose columns models may have; rows in which it may stick are left out on its joints,
+  // so that costs with different drives are not comparable.
   void SetDrive(BalanceDrive drive);
   const BalanceDrive& drive() const { return drive_; }
-  // Variance and correlation of the residual per joint, from this model's residuals.
+  // Estimates variance and correlation of w per joint from this model's residuals.
   void SetNoiseFrom(const BalanceModel& model);
 
   BalanceSolution Solve(const BalanceModel& model, int without_block = -1) const;
   BlockCosts LeaveOut(const BalanceModel& model) const;
-  double PriorCost(const BalanceModel& model) const;  // nats, of its base parameters fitted to all parts
+  double PriorCost(const BalanceModel& model) const;  // nats, of its base parameters fitted to all blocks
   Eigen::VectorXd Residual(const BalanceSolution& solution, int joint) const;
-  // Stddev of the features' and the drive's standardised coefficients by leaving out blocks (jackknife).
+  // Stddev of the standardised coefficients by the jackknife over blocks.
   BalanceSolution Jackknife(const BalanceModel& model) const;
   double Variance(int joint) const { return variance_[joint]; }
   double Correlation(int joint) const { return correlation_[joint]; }
   int EffectiveRows() const;
-  // Entries of rows in which the joint moves.
+  // The entries of rows in which the joint cannot stick.
   Eigen::VectorXd Moving(const Eigen::VectorXd& x, int joint) const;
 
  private:
@@ -83,7 +84,7 @@ class BalanceFit {
   Eigen::VectorXd variance_, correlation_;
 };
 
-// A paired comparison over blocks.
+// Nats gained on left-out blocks, with standard error.
 struct Gain {
   double nats = 0, stddev = 0;
   bool Beyond(double errors) const { return nats > errors * stddev; }

@@ -22,7 +22,7 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr double kLeastErrors = 1.0;  // stddevs from nothing
+constexpr double kLeastErrors = 1.0;  // stddevs above zero, that a loss must be after the refit
 
 class MeasuredSearch {
  public:
@@ -72,7 +72,7 @@ class MeasuredSearch {
     return RefitByShooting(data_, nominal_, scales_, specs, base, options);
   }
 
-  // A candidate that was only compared in the balance.
+  // A candidate that was compared in the balance and not refitted in the simulator.
   Candidate Compared(const BalanceModel& m, double cost) const {
     Candidate c;
     c.specs = chosen_.SpecsOf(m), c.base = m.base;
@@ -101,7 +101,7 @@ class MeasuredSearch {
   }
   Candidate Judged(const BalanceModel& m) const { return Compared(m, fit().LeaveOut(m).sum()); }
 
-  // Scores of the chosen model, of the bare ones, and of the chosen one without or with other effects.
+  // Scores the chosen model, those without effects, and its rivals: one effect removed or exchanged.
   void Score(SearchResult* out) {
     chosen_.fit().SetNoiseFrom(model());
     const double cost = fit().LeaveOut(model()).sum();
@@ -148,17 +148,17 @@ class MeasuredSearch {
       if (!chosen_.Has(model(), Regressor::kDirection, j) || chosen_.Has(model(), finer, j)) continue;
       for (const Regressor old : kFinerLaws) chosen_.Erase(old, j, &other);
       const auto shapes = chosen_.ColumnsOf(finer, j);
-      if (shapes.empty()) continue;  // it does not take that
+      if (shapes.empty()) continue;  // the joint does not take it
       other.features[j].insert(shapes[shapes.size() / 2]);
-      const bool holds = chosen_.Admissible(other, j);
-      if (!holds) other.features[j] = model().features[j];
-      changed = changed || holds;
+      const bool admissible = chosen_.Admissible(other, j);
+      if (!admissible) other.features[j] = model().features[j];
+      changed = changed || admissible;
     }
     if (changed) out->tried.push_back(Judged(other));
   }
 
-  // Coulomb friction with an effort whose zero is off is friction that depends on the direction: −(c − o)
-  // forwards, +(c + o) backwards. No data tell the two apart.
+  // Coulomb friction c with an offset o of the effort equals friction by direction: −(c − o) forwards,
+  // +(c + o) backwards.
   void ByDirection(SearchResult* out) const {
     const effects::EffectInfo &plain = effects::LawOf(Regressor::kDirection),
                               &constant = effects::LawOf(Regressor::kConstant),
@@ -190,7 +190,7 @@ class MeasuredSearch {
     out->tried.push_back(std::move(c));
   }
 
-  // Delay and lag are told apart by the data or not; a late sensor is the same balance as a late drive.
+  // Lags for delays and the reverse; and delays of the sensors, the same balance as delays of the drives.
   void OtherTiming(SearchResult* out) const {
     if (chosen_.timing_gain() <= 0) return;
     const effects::EffectInfo &delay = effects::LawOf(Regressor::kDelayed),
@@ -209,7 +209,7 @@ class MeasuredSearch {
     }
   }
 
-  // What each kind of the chosen model gains on parts left out, against the model without it.
+  // Cross-validated gain of each kind of effect of the chosen model.
   void Gains(double cost, SearchResult* out) const {
     const BalanceSolution s = fit().Solve(model());
     for (const std::string& kind : chosen_.KindsOf(model())) {
@@ -220,7 +220,7 @@ class MeasuredSearch {
         const auto specs = chosen_.SpecsOfJoint(model(), s, j);
         if (std::none_of(specs.begin(), specs.end(), [&](const EffectSpec& e) { return e.id == kind; }))
           continue;
-        // What a plainer law needs too stays.
+        // Terms that a plainer law needs stay.
         const auto& terms = effects::InferenceOf(kind).terms;
         for (const effects::Term& t : terms) {
           const bool own = effects::LawOf(t.regressor).id == kind;
@@ -231,7 +231,7 @@ class MeasuredSearch {
     }
   }
 
-  // What a free force over position and velocity of each joint would still explain.
+  // The share of the residual cost that a free force over position and velocity of each joint would explain.
   void Ceiling(SearchResult* out, double cost) {
     BalanceModel free = model();
     for (int j = 0; j < data_.n; ++j) {
@@ -266,7 +266,7 @@ class MeasuredSearch {
     const auto specs = chosen_.SpecsOf(model());
     const double score = out->best.score, chi2 = out->best.fit.chi2;
     const int rows = out->best.fit.rows;
-    out->best = WithoutNothing(Refit(specs, model().base));
+    out->best = WithoutWeakLosses(Refit(specs, model().base));
     out->best.score = score, out->best.fit.chi2 = chi2, out->best.fit.rows = rows;
     out->calibrated.parameters = FreeParameters(nominal_, scales_, true);
     out->tried.push_back(out->best);
@@ -277,8 +277,8 @@ class MeasuredSearch {
     out->threshold = out->null_gain + kEffectPrior;
     Forces(out);
   }
-  // Without the losses that came to nothing in the simulator.
-  Candidate WithoutNothing(const Candidate& c) const {
+  // Refitted without the losses that are not significantly positive in the simulator.
+  Candidate WithoutWeakLosses(const Candidate& c) const {
     std::vector<EffectSpec> left = Refreshed(c);
     std::erase_if(left, [&](const EffectSpec& s) {
       const effects::EffectInfo& info = *effects::FindEffect(s.id);
@@ -293,7 +293,7 @@ class MeasuredSearch {
     return left.size() == c.specs.size() ? c : Refit(left, c.base);
   }
 
-  // Missing force along the recordings with base parameters taken off, and what the findings leave of it.
+  // Force along the recordings that the calibrated base parameters miss, and the residual of the model.
   void Forces(SearchResult* out) const {
     const BalanceSolution s = fit().Solve(model());
     const size_t W = data_.windows.size();

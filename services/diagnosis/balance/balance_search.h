@@ -1,18 +1,17 @@
-// The search for missing effects where the drive's effort is measured: on real robots, as a rule.
+// The search where the drives' effort is measured, as on real robots.
 //
-// A measured effort has noise of its own, and no model of a real arm is right to the noise of its encoders,
-// so χ² against the sensors never comes near 1 and decides nothing. Here the force balance (torque_balance.h)
-// is the measure: what a hypothesis explains on parts of the recordings that it was not fitted to, in units
-// of what remains and with the remainder's own correlation (balance_fit.h). In turn
-//   1. how late motion follows effort, since delay, damping and friction confound until it is fixed;
-//   2. whether a wrist's motor turns with two joints, beside plain laws on all;
+// A measured effort has noise of its own, and no model of a real arm is right to the noise of its encoders:
+// χ² against the sensors is never near 1. The likelihood is that of the balance of torques
+// (torque_balance.h); hypotheses are compared by cross-validated gain (balance_fit.h). Steps:
+//   1. delay or lag per joint, first because delay, damping and friction are confounded;
+//   2. drives coupled to two joints (wrists), with plain losses on all joints;
 //   3. kinds of effects, each on the joints where it pays, base parameters free throughout;
 //   4. refinements of dry friction (direction, Stribeck, load, warming);
-//   5. what does not pay goes, base parameters too;
-//   6. the chosen model is fitted in the simulator, where friction really sticks, by multiple shooting;
-//   7. what a free force over position and velocity would still explain: the ceiling.
-// A name must gain more than three standard errors over blocks, more nats than chance over all hypotheses,
-// and a tenth of what remains on its joint: real arms show a little of everything.
+//   5. backward elimination, base parameters included;
+//   6. refit in the simulator by multiple shooting, where friction sticks;
+//   7. ceiling: the gain of a free force over position and velocity.
+// An effect needs two standard errors over blocks (three if rare), the log of the number of hypotheses, and a
+// tenth of the residual cost of its joint, since real arms show a little of every effect.
 #pragma once
 
 #include "common/base/clock.h"
@@ -22,7 +21,7 @@
 
 namespace rg::diagnosis {
 
-// Whether this is the search for these data.
+// Whether some recording has a measured effort, so that this search applies.
 bool EffortIsMeasured(const FitData& data);
 
 SearchResult SearchMeasuredEffort(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,

@@ -23,30 +23,30 @@ const std::vector<Regressor> kFinerLaws = {Regressor::kSlowly, Regressor::kUnder
 
 namespace {
 
-constexpr double kRareErrors = 3.0;  // of what few have
-// What all geared drives have.
+constexpr double kRareErrors = 3.0;  // standard errors that rare effects must gain
+// Losses of every geared drive.
 constexpr Regressor kLosses[] = {Regressor::kVelocity, Regressor::kDirection, Regressor::kAcceleration};
-constexpr double kPeriods = 2.0;      // of a ripple, that the joint passes at least: less is no ripple
-constexpr double kRippleStep = 2.0;   // of 1/range, between numbers of cycles that are looked at
-constexpr double kMostRipples = 400;  // numbers of cycles
-constexpr double kPassed = 0.8;       // of the averaging's first zero, at the joint's usual speed
+constexpr double kPeriods = 2.0;      // of a ripple within the joint's travel, at least
+constexpr double kRippleStep = 2.0;   // grid step of cycles, times 1/range
+constexpr double kMostRipples = 400;  // grid points
+constexpr double kPassed = 0.8;       // highest frequency, over the filter's first zero at RMS speed
 constexpr double kLeastLoad = 0.1;    // of the last link's own mass
 constexpr double kReach = 0.4;        // m, from the last link's origin to its load's centre of mass
-constexpr double kWorthAName = 0.1;   // of what remains on its joint
-constexpr double kSamples = 1.5;      // timing finer than this many samples is the recorder's business
+constexpr double kWorthAName = 0.1;   // share of a joint's residual cost that an effect must explain
+constexpr double kSamples = 1.5;      // sample periods, below which a delay is attributed to the recorder
 constexpr double kTimingStep = 0.004, kEarliest = -0.032, kLatest = 0.048;  // s
 
 bool IsFiner(Regressor law) {
   return std::find(kFinerLaws.begin(), kFinerLaws.end(), law) != kFinerLaws.end();
 }
 
-// What nearly every drive has: losses, and an effort whose zero is off.
+// Losses, and an offset of the effort.
 bool Common(Regressor law) {
   return law == Regressor::kConstant ||
          std::find(std::begin(kLosses), std::end(kLosses), law) != std::end(kLosses);
 }
 
-// Whether the law's own coefficient is.
+// Whether the law's own coefficient must be positive.
 bool Positive(Regressor law) {
   const auto& terms = effects::InferenceOf(effects::LawOf(law).id).terms;
   return std::any_of(terms.begin(), terms.end(),
@@ -192,7 +192,7 @@ void BalanceSelection::FindTiming() {
 }
 
 void BalanceSelection::Select(const CancelToken* cancel) {
-  // What no law of position and velocity explains is noise, in size and in correlation.
+  // The noise is what no force over position and velocity explains.
   fit_.SetNoiseFrom(Flexible(model_));
   FindDrive();
   if (!model_.drive.empty()) fit_.SetNoiseFrom(Flexible(model_));
@@ -207,9 +207,8 @@ void BalanceSelection::Select(const CancelToken* cancel) {
   Prune();
 }
 
-// What all geared drives have, on every joint at once: found one at a time no loss comes near, for the base
-// parameters bend into what the others leave. A kind that does not pay on all together is left to be found by
-// itself; of what stays a joint's share need not be worth a name.
+// Group step: losses on every joint together, since base parameters absorb much of a single one. A kind that
+// does not pay on all joints together is removed again.
 void BalanceSelection::BeginWithLosses() {
   BalanceModel all = model_;
   for (int j = 0; j < data_.n; ++j) Insert({kLosses[0], kLosses[1], kLosses[2]}, j, &all);
@@ -231,7 +230,7 @@ void BalanceSelection::BeginWithLosses() {
   trace_("  drives: " + StateOf(model_));
 }
 
-// What has the wrong sign goes, the worst first.
+// Removes coefficients of the wrong sign, the largest first.
 void BalanceSelection::RepairSigns(BalanceModel* m) const {
   for (bool changed = true; changed;) {
     changed = false;
@@ -248,9 +247,9 @@ void BalanceSelection::RepairSigns(BalanceModel* m) const {
   }
 }
 
-// Whether an addition to several joints is real: on most of the parts left out, joint by joint, and by more
-// nats than chance. Parts differ (one joint moves alone in one, all in another), so that the sum's error says
-// nothing.
+// Whether an addition to several joints is significant: a sign test over blocks and joints, and a gain above
+// the number of hypotheses. Blocks differ too much (one joint moves, or all) for the standard error of the
+// sum.
 bool BalanceSelection::PaysTogether(const BlockCosts& before, const BlockCosts& after) const {
   double better = 0, cells = 0;
   for (Eigen::Index b = 0; b < before.rows(); ++b) {
@@ -264,8 +263,8 @@ bool BalanceSelection::PaysTogether(const BlockCosts& before, const BlockCosts& 
          (before - after).sum() > kEffectPrior + LogHypotheses();
 }
 
-// A load of the last link, which the prior of that link's own parameters would share out among all bodies: it
-// is one thing, where the bodies need far less to be changed beside it and nothing is predicted worse.
+// A payload: with wide priors on the last link the base parameters cost far less prior, and left-out blocks
+// are not predicted worse.
 void BalanceSelection::TryPayload() {
   if (balance_.last_link.size() != model::kLinkParameters || data_.n < 2) return;
   BalanceModel loaded = model_;
@@ -277,14 +276,14 @@ void BalanceSelection::TryPayload() {
   trace_("  + payload: " + std::to_string(spared) + " nats; " + StateOf(model_));
 }
 
-// Torque that varies with the joint's position, at the number of cycles that takes most off what remains.
+// A ripple, at the number of cycles that explains most of the residual.
 void BalanceSelection::TryRipple(int j) {
   const double range = scales_.high[j] - scales_.low[j];
   const std::string& ripple = effects::LawOf(Regressor::kSine).id;
   if (!nominal_.Takes(ripple, j) || scales_.still[static_cast<size_t>(j)] || !(range > 0)) return;
   const BalanceRows& rows = balance_.joints[j];
   const VectorXd left = fit_.Residual(fit_.Solve(model_), j);
-  // Energy that a wave takes off the rows in which the joint moves.
+  // Reduction of the squared residual by a wave.
   const auto energy = [&](double cycles) {
     const Eigen::Matrix2Xd wave = RippleWave(rows, cycles, balance_.half_window_s);
     Eigen::Matrix2d xx = 1e-12 * Eigen::Matrix2d::Identity();
@@ -326,7 +325,7 @@ void BalanceSelection::TryRipple(int j) {
          " per turn: " + std::to_string(gain.nats) + " nats; " + StateOf(model_));
 }
 
-// Of a mass that the hand may carry: heavier than what a URDF's link is off by, and within reach of it.
+// Empty unless heavier than an error of the URDF and within reach of the hand.
 std::optional<EffectSpec> BalanceSelection::PayloadOf(const BalanceModel& m) const {
   if (!m.payload) return std::nullopt;
   const BalanceSolution s = fit_.Solve(m);
@@ -344,7 +343,7 @@ std::optional<EffectSpec> BalanceSelection::PayloadOf(const BalanceModel& m) con
   return spec;
 }
 
-// Models with a law on joint j in addition; several where it has shapes.
+// Models with a law on joint j added, one per shape.
 std::vector<BalanceModel> BalanceSelection::With(const BalanceModel& m, Regressor law, int j) const {
   std::vector<BalanceModel> out;
   for (const int c : ColumnsOf(law, j)) {
@@ -367,7 +366,7 @@ bool BalanceSelection::Admissible(const BalanceModel& m, int j) const {
   });
 }
 
-// Whether an addition on joint j is real and takes a part of what remains there that is worth a name.
+// Whether an addition on joint j is significant and explains enough of the residual there.
 bool BalanceSelection::Pays(Regressor law, const BlockCosts& before, const BlockCosts& after, int j,
                             Gain* gain) const {
   *gain = GainOf(before, after);
@@ -377,8 +376,7 @@ bool BalanceSelection::Pays(Regressor law, const BlockCosts& before, const Block
          own.nats > kWorthAName * before.col(j).sum();
 }
 
-// A constant force on each joint does as well where poses hardly change: friction that depends on the
-// direction, which needs no tilted base.
+// Judged also in addition to a constant force on each joint, its rival where poses hardly change.
 bool BalanceSelection::TiltPays(const BlockCosts& before, Gain* gain) const {
   if (model_.tilt) return false;
   BalanceModel tilted = model_, rival = model_;
@@ -387,9 +385,9 @@ bool BalanceSelection::TiltPays(const BlockCosts& before, Gain* gain) const {
   BalanceModel both = rival;
   both.tilt = true;
   *gain = GainOf(before, fit_.LeaveOut(tilted));
-  const Gain beside = GainOf(fit_.LeaveOut(rival), fit_.LeaveOut(both));
-  return gain->Beyond(kRareErrors) && gain->nats > LogHypotheses() && beside.Beyond(kRareErrors) &&
-         beside.nats > LogHypotheses() && gain->nats > kWorthAName * before.sum();
+  const Gain added = GainOf(fit_.LeaveOut(rival), fit_.LeaveOut(both));
+  return gain->Beyond(kRareErrors) && gain->nats > LogHypotheses() && added.Beyond(kRareErrors) &&
+         added.nats > LogHypotheses() && gain->nats > kWorthAName * before.sum();
 }
 
 BalanceSelection::Trial BalanceSelection::TryTilt(const BlockCosts& before) const {
@@ -437,7 +435,7 @@ bool BalanceSelection::AddKind() {
   consider(TryTilt(before));
   if (best.nats <= 0) return false;
   model_ = best.model;
-  // Together they may not all hold.
+  // Jointly some may be inadmissible.
   for (const int j : best.joints) {
     while (!Admissible(model_, j) && DropNegative(j)) {
     }
@@ -459,7 +457,7 @@ bool BalanceSelection::DropNegative(int j) {
   return worst >= 0 && model_.features[j].erase(worst) > 0;
 }
 
-// Nothing finer can be said of dry friction on joint j: there is none, or one finer form is in.
+// Whether dry friction on joint j cannot be refined: there is none, or it is refined already.
 bool BalanceSelection::Refined(int j) const {
   return !Has(model_, Regressor::kDirection, j) ||
          std::any_of(kFinerLaws.begin(), kFinerLaws.end(),
@@ -481,7 +479,7 @@ bool BalanceSelection::AddRefinement() {
   return true;
 }
 
-// What the whole no longer needs goes, base parameters last.
+// Backward elimination, base parameters last.
 void BalanceSelection::Prune() {
   bool changed = true;
   while (changed) {
@@ -491,7 +489,7 @@ void BalanceSelection::Prune() {
     for (int j = 0; j < data_.n && !changed; ++j) {
       for (const int c : model_.features[j]) {
         const Regressor law = balance_.columns[j][c].regressor;
-        if (law == Regressor::kDirection && Refined(j)) continue;  // its finer form stands on it
+        if (law == Regressor::kDirection && Refined(j)) continue;  // its refinement needs it
         BalanceModel less = model_;
         less.features[j].erase(c);
         const Gain gain = GainOf(fit_.LeaveOut(less), with);

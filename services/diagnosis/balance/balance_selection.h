@@ -1,4 +1,4 @@
-// Which effects the balance of torques asks for, on which joints: steps 1 to 5 of balance_search.h.
+// Selection of effects and joints on the balance of torques: steps 1 to 5 of balance_search.h.
 #pragma once
 
 #include <functional>
@@ -16,14 +16,13 @@
 
 namespace rg::diagnosis {
 
-inline constexpr double kErrors = 2.0;  // standard errors over blocks, of what nearly every drive has
+inline constexpr double kErrors = 2.0;  // standard errors over blocks, that common effects must gain
 
-// Plain laws, and what makes dry friction of finer form. A constant force is looked for after the plain laws,
-// and said as an effort whose zero is off: with Coulomb friction it is friction that depends on the
-// direction, exactly.
+// Plain laws, and terms that refine dry friction. A constant force comes after the plain laws, named an
+// offset of the effort: with Coulomb friction it equals friction that depends on the direction.
 extern const std::vector<effects::Regressor> kPlainLaws, kFinerLaws;
 
-// How motion lies behind effort on one joint; kDelay with 0 s: it does not.
+// Delay or lag of the motion behind the effort on one joint; kDelay with 0 s: none.
 struct JointTiming {
   EffortTiming kind = EffortTiming::kDelay;
   double seconds = 0;
@@ -36,8 +35,7 @@ class BalanceSelection {
   BalanceSelection(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                    int max_effects, TraceFn trace);
 
-  // Effort and motion are brought to one time, with every plain law free, so that none is mistaken for a
-  // delay.
+  // Estimates delay or lag per joint with all losses free, which would else bias it.
   void FindTiming();
   void Select(const CancelToken* cancel);
 
@@ -45,15 +43,14 @@ class BalanceSelection {
   BalanceFit& fit() { return fit_; }
   const BalanceFit& fit() const { return fit_; }
   const BalanceModel& model() const { return model_; }
-  double ratio_stddev() const { return ratio_stddev_; }  // of the drive's κ
-  // The chosen model without a drive that turns with two joints, plain friction and rotors in its place.
+  // The chosen model with separate friction and rotors in the place of a coupled drive.
   BalanceModel Uncoupled() const;
   const std::vector<JointTiming>& timing() const { return timing_; }
   double timing_gain() const { return timing_gain_; }              // nats
   double other_timing_gain() const { return other_timing_gain_; }  // of lags for delays and the reverse
   const std::vector<int>& early() const { return early_; }         // joints whose effort lags their motion
 
-  // Columns of a law on a joint, whether a model has any of them, and their coefficients' sum in SI.
+  // Columns of a law on a joint; whether a model has any; the sum of their coefficients in SI.
   std::vector<int> ColumnsOf(effects::Regressor law, int joint) const;
   void Insert(std::initializer_list<effects::Regressor> laws, int joint, BalanceModel* m) const;
   void Erase(effects::Regressor law, int joint, BalanceModel* m) const;
@@ -63,7 +60,7 @@ class BalanceSelection {
   std::vector<double> Coefficients(const BalanceSolution& s, const effects::Inference& effect,
                                    int joint) const;
   bool Admissible(const BalanceModel& m, int joint) const;
-  // A model's effects as the simulator has them, timing included.
+  // The effects of a model for the simulator, timing included.
   std::vector<effects::EffectSpec> SpecsOf(const BalanceModel& m) const;
   effects::EffectSpec SpecOf(effects::Regressor law, const BalanceModel& m, const BalanceSolution& s,
                              int joint) const;
@@ -71,7 +68,7 @@ class BalanceSelection {
                                                 int joint) const;
   std::optional<effects::EffectSpec> PayloadOf(const BalanceModel& m) const;
   std::set<std::string> KindsOf(const BalanceModel& m) const;
-  // How far leaving out parts of the recordings moves an effect's parameters, by their names.
+  // Jackknife stddev of the effects' parameters, by their names.
   std::map<std::string, double> Spread() const;
   double LogHypotheses() const;
 
@@ -113,11 +110,11 @@ class BalanceSelection {
   BalanceFit fit_;
   BalanceModel model_;
   std::vector<std::set<int>>
-      losses_;  // per joint, columns of what all drives have; empty: nothing of the kind
+      losses_;  // per joint, columns of the losses accepted on all joints together; empty: none
   std::vector<JointTiming> timing_;
   std::vector<int> early_;
   double timing_gain_ = 0, other_timing_gain_ = 0;
-  double ratio_stddev_ = 0;
+  double ratio_stddev_ = 0;  // of the coupled drive's κ
 };
 
 }  // namespace rg::diagnosis

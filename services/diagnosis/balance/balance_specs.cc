@@ -1,4 +1,4 @@
-// From the coefficients of a balance of torques to effects as the simulator has them.
+// Converts coefficients of the balance of torques to effects of the simulator.
 #include <algorithm>
 #include <cmath>
 
@@ -13,17 +13,16 @@ using effects::Regressor;
 
 namespace {
 
-constexpr double kLeastLevel = 1e-3;  // of the joint's usual torque: a friction that starts at 0 stays there
+constexpr double kLeastLevel = 1e-3;  // of the joint's usual torque: start value of a friction, at least
 
-// Laws by which effects are told, those that others' terms stand beside after those; the first of an effect
-// whose terms are taken is that effect.
-constexpr Regressor kTold[] = {Regressor::kVelocity,  Regressor::kAcceleration, Regressor::kSquaredVelocity,
-                               Regressor::kEffort,    Regressor::kPosition,     Regressor::kSlowly,
-                               Regressor::kUnderLoad, Regressor::kWarmingUp,    Regressor::kDirection,
-                               Regressor::kSine,      Regressor::kConstant};
+// Laws in the order in which effects are read off a model: a refined law before the plain one whose term it
+// includes.
+constexpr Regressor kReadingOrder[] = {
+    Regressor::kVelocity,  Regressor::kAcceleration, Regressor::kSquaredVelocity, Regressor::kEffort,
+    Regressor::kPosition,  Regressor::kSlowly,       Regressor::kUnderLoad,       Regressor::kWarmingUp,
+    Regressor::kDirection, Regressor::kSine,         Regressor::kConstant};
 
-// The terms that no plainer law has of the effect that a law tells: of a wave two, either of which may be
-// gone.
+// The terms of the law's effect that no plainer law has. (A ripple has two, of which one may be absent.)
 std::vector<Regressor> OwnTerms(Regressor law) {
   const std::string& effect = effects::LawOf(law).id;
   std::vector<Regressor> out;
@@ -39,12 +38,12 @@ const effects::EffectInfo& EffectOf(EffortTiming timing) {
 
 }  // namespace
 
-// u = (rigid + friction)/g: every coefficient but the gain's own is of the effort's scale.
+// u = (rigid + friction)/g: coefficients other than the gain are in units of the effort.
 double BalanceSelection::Scale(const BalanceSolution& s, int joint) const {
   return std::clamp(1.0 / std::max(0.1, 1.0 - Coefficient(s, Regressor::kEffort, joint)), 0.05, 8.0);
 }
 
-// The effect that a law tells, from its terms' coefficients.
+// The effect of a law, from its terms' coefficients.
 EffectSpec BalanceSelection::SpecOf(Regressor law, const BalanceModel& m, const BalanceSolution& s,
                                     int j) const {
   const effects::EffectInfo& effect = effects::LawOf(law);
@@ -54,7 +53,7 @@ EffectSpec BalanceSelection::SpecOf(Regressor law, const BalanceModel& m, const 
   if (law == Regressor::kEffort)
     return effects::MakeSpec(effect.id, joint, {{effect.parameters[0].name, gain}});
   std::vector<double> c = Coefficients(s, effects::InferenceOf(effect.id), j);
-  // A share of the torque is of no scale.
+  // A share of the torque has no unit.
   for (double& x : c) x *= &x == &c.back() && law == Regressor::kUnderLoad ? 1.0 : gain;
   effects::Found found{c};
   const std::vector<Regressor> own = OwnTerms(law);
@@ -72,7 +71,7 @@ std::vector<EffectSpec> BalanceSelection::SpecsOfJoint(const BalanceModel& m, co
                                                        int j) const {
   std::vector<EffectSpec> specs;
   std::set<Regressor> taken;
-  for (const Regressor law : kTold) {
+  for (const Regressor law : kReadingOrder) {
     const std::vector<Regressor> own = OwnTerms(law);
     const bool has = std::any_of(own.begin(), own.end(), [&](Regressor r) { return Has(m, r, j); });
     if (!has || taken.count(law) > 0) continue;

@@ -21,8 +21,9 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr double kTrust = 0.3;  // of the stddev of a start: what the balance knows, long windows bend little
-constexpr double kLeastKnown = 0.02;  // nothing is known better than this, relatively
+constexpr double kTrust =
+    0.3;  // prior stddev over a start value's stddev: model errors bias long windows more
+constexpr double kLeastKnown = 0.02;  // relative stddev of a start value, at least
 
 bool IsLateDrive(const std::string& effect) {
   return IsTiming(effect) && effects::FindEffect(effect)->stage == effects::Stage::kActuator;
@@ -40,7 +41,7 @@ double FirstValue(const std::vector<EffectSpec>& specs, const std::string& joint
   return none;
 }
 
-// A drive that turns with two joints, taken off the efforts along the recorded motion.
+// Subtracts the torques of coupled drives from the efforts along the recorded motion.
 void TakeOffDrive(const FineMotion& m, const sim::Plant& plant, const std::vector<EffectSpec>& specs,
                   const std::vector<double>& t, Eigen::MatrixXd* u) {
   for (const EffectSpec& s : specs) {
@@ -59,7 +60,7 @@ void TakeOffDrive(const FineMotion& m, const sim::Plant& plant, const std::vecto
   }
 }
 
-// The recordings as a plant without delays, gains and coupled drives would have to be driven.
+// The recordings with delays, gains and coupled drives taken out of the efforts.
 std::vector<sysid::FitRecording> Advanced(const FitData& data, const sim::Plant& plant,
                                           const std::vector<EffectSpec>& specs) {
   std::vector<sysid::FitRecording> out = data.recordings;
@@ -85,7 +86,7 @@ std::vector<sysid::FitRecording> Advanced(const FitData& data, const sim::Plant&
   return out;
 }
 
-// The level of a dry friction that is more than that: the parameter that the plain law alone adds to.
+// The Coulomb level of a refined dry friction: the parameter to which the plain term alone contributes.
 std::string LevelOf(const effects::Inference& friction) {
   std::map<std::string, int> terms;
   for (const effects::Term& t : friction.terms) {
@@ -99,7 +100,7 @@ std::string LevelOf(const effects::Inference& friction) {
   return "";
 }
 
-// The regression knows the plain laws; a refined friction stands in as its plain form.
+// The effects that the regression of the inverse dynamics knows; refined friction in its plain form.
 std::vector<EffectSpec> Plain(const std::vector<EffectSpec>& specs) {
   const effects::EffectInfo& dry = effects::LawOf(effects::Regressor::kDirection);
   std::vector<EffectSpec> out;
@@ -126,7 +127,7 @@ VectorXd StartOf(const sysid::FitSpace& space, const sim::Plant& plant) {
   return theta.cwiseMax(space.lower()).cwiseMin(space.upper());
 }
 
-// Base parameters from the regression, effects as they are.
+// Base parameters by regression, effects fixed.
 void RegressBase(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                  const std::vector<EffectSpec>& specs, const sysid::FitSpace& space, VectorXd* theta) {
   const auto plain = sim::Plant::Create(nominal.shared_model(), nominal.options(), Plain(specs));
@@ -144,13 +145,12 @@ void RegressBase(const FitData& data, const sim::Plant& nominal, const MotionSca
 }
 
 double ErrorOnFit(const FitData& data, const sim::Plant& plant, const VectorXd& values, double step,
-                  double window, int threads) {
+                  double window) {
   sysid::PredictionOptions options;
   options.window_s = window;
   options.simulator.step_s = step;
   options.noise = data.noise;
   double squares = 0, rows = 0;
-  (void)threads;
   for (const auto& r : data.recordings) {
     const auto e =
         sysid::ErrorOf(sysid::PredictRecording(plant, values, *r.recording, options), *r.recording);
@@ -169,8 +169,8 @@ Candidate RefitByShooting(const FitData& data, const sim::Plant& nominal, const 
   if (!plant.ok()) return c;
   c.plant = std::make_shared<const sim::Plant>(*plant);
   c.parameters = FreeParameters(*c.plant, scales, base);
-  // What the balance of torques knows is the shooting's prior: over long windows a small force that is
-  // missing would else bend friction and inertia to anything.
+  // The balance's estimates are the shooting's priors: over long windows a small missing force would else
+  // bias friction and inertia without bound.
   for (sysid::FitParameter& p : c.parameters) {
     const sim::Parameter& row = c.plant->parameters()[p.index];
     if (row.kind != sim::ParameterKind::kEffect) continue;
@@ -179,7 +179,7 @@ Candidate RefitByShooting(const FitData& data, const sim::Plant& nominal, const 
     const bool timing = IsLateDrive(row.effect);
     if (known == options.spread.end()) continue;
     p.nominal = row.nominal;
-    // Timing was found before everything else and stays: friction would bend it.
+    // Timing stays as estimated: friction would bias it.
     p.prior_stddev = timing ? kLeastKnown * std::abs(row.nominal)
                             : kTrust * std::max(known->second, kLeastKnown * std::abs(row.nominal));
   }
@@ -198,12 +198,11 @@ Candidate RefitByShooting(const FitData& data, const sim::Plant& nominal, const 
     shooting.simulator.step_s =
         sysid::ChooseStep(*c.plant, c.fit.values, space, theta, data.recordings, data.noise);
     const double step = shooting.simulator.step_s;
-    double best = ErrorOnFit(data, *c.plant, c.fit.values, step, options.window_s, options.threads);
-    const double untouched =
-        ErrorOnFit(data, *c.plant, start_values, step, options.window_s, options.threads);
+    double best = ErrorOnFit(data, *c.plant, c.fit.values, step, options.window_s);
+    const double untouched = ErrorOnFit(data, *c.plant, start_values, step, options.window_s);
     if (untouched < best) best = untouched, c.fit.values = start_values;
     const auto keep = [&](const sysid::ShootingFit& fit) {
-      const double error = ErrorOnFit(data, *c.plant, fit.values, step, options.window_s, options.threads);
+      const double error = ErrorOnFit(data, *c.plant, fit.values, step, options.window_s);
       if (error < best) best = error, c.fit.values = fit.values;
     };
     const auto fit = sysid::FitByShooting(*c.plant, start_values, space, theta, data.recordings, data.noise,

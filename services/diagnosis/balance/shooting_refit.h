@@ -1,4 +1,4 @@
-// A structure found in the balance of torques, fitted in the simulator by multiple shooting.
+// Refit of a hypothesis from the balance of torques in the simulator, by multiple shooting.
 #pragma once
 
 #include <map>
@@ -12,14 +12,15 @@ namespace rg::diagnosis {
 struct RefitOptions {
   int threads = 1;
   double window_s = 1.0;
-  // By parameter: how well an effect's start value is known. Its prior is then the start, tighter.
+  // Stddev of an effect's start value, by parameter. It becomes the prior, tightened.
   std::map<std::string, double> spread;
   const CancelToken* cancel = nullptr;
 };
 
-// `specs` hold start values of every effect parameter; base parameters start from a regression with the
-// effort shifted by the specs' delays. Of the regression and the rounds of shooting the one is taken whose
-// restarted windows of the *fitted* recordings err least. fit.stddev from the shooting (where there is any).
+// `specs`: with start values of all their parameters. Base parameters start from a regression of the inverse
+// dynamics with the effort shifted by the specs' delays. Of start, regression and shooting the result with
+// the least error in restarted windows of the *fitted* recordings is returned, with fit.stddev of the
+// shooting.
 Candidate RefitByShooting(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                           const std::vector<effects::EffectSpec>& specs, bool base,
                           const RefitOptions& options);

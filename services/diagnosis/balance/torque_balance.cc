@@ -23,10 +23,10 @@ namespace {
 
 constexpr double kHalfWindow = 0.03;  // s
 constexpr double kRowStep = 0.02;     // s
-constexpr double kPiece = 1.0;        // s, of what is left out together
-constexpr int kMostBlocks = 12;
-constexpr double kStillShare = 0.05;  // of a joint's RMS speed
-constexpr int kHats = 8;
+constexpr double kPiece = 1.0;        // s: recordings are dealt to the folds in pieces of this length
+constexpr int kMostBlocks = 12;       // folds
+constexpr double kStillShare = 0.05;  // of a joint's RMS speed, below which it may stick
+constexpr int kHats = 8;              // pieces of an unnamed force
 
 // Hann weights over the fine grid.
 struct Window {
@@ -68,8 +68,8 @@ class BalanceMaker {
   }
 
   TorqueBalance Take() {
-    // Parts that are left out together hold a piece of every recording in turn: recordings differ in what
-    // they move, and a model that has not seen one motion at all says little of what it lacks there.
+    // Each fold has pieces of every recording: recordings differ in their motion, and a fold with all of one
+    // motion would measure extrapolation.
     std::vector<int> pieces;
     for (const FineMotion& m : data_.fine)
       pieces.push_back(std::max(1, static_cast<int>(std::lround((m.t.back() - m.t.front()) / kPiece))));
@@ -126,7 +126,7 @@ class BalanceMaker {
     FillRigid(m, &rigid, &base);
     std::vector<MatrixXd> features(n);
     for (int j = 0; j < n; ++j) {
-      // The effort itself is never a column: it is the response, and would explain itself.
+      // Computed from the rigid torque: the effort itself is the response.
       const JointMotion motion = MotionOf(m, rigid, j);
       features[j].resize(static_cast<long>(out_.columns[j].size()), F);
       for (size_t c = 0; c < out_.columns[j].size(); ++c)
@@ -190,7 +190,7 @@ class BalanceMaker {
         }
         for (int j = 0; j < n; ++j) (*base)[j](i, k) = -out_.base[i].prior_stddev * column[j];
       }
-      // What the URDF declares acts in the model too.
+      // Damping, rotors and friction that the URDF declares.
       for (int i = 0; i < plant_.parameters().size(); ++i) {
         const sim::Parameter& p = plant_.parameters()[i];
         const int j = plant_.model().FindJoint(p.owner);
@@ -279,7 +279,7 @@ void TorqueBalance::AddRipple(int joint, double cycles, double unit) {
 Eigen::Matrix2Xd RippleWave(const BalanceRows& rows, double cycles, double half_window_s) {
   Eigen::Matrix2Xd out(2, rows.q.size());
   for (long k = 0; k < rows.q.size(); ++k) {
-    // What a Hann window leaves of a wave that passes at this speed.
+    // Gain of the Hann window at the frequency of the wave at this speed.
     const double x = cycles * rows.v[k] * half_window_s, sinc = std::abs(x) > 1e-6 ? std::sin(x) / x : 1.0;
     const double pole = 1 - std::pow(x / M_PI, 2);
     const double left = std::abs(pole) > 1e-6 ? sinc / pole : 0.5;

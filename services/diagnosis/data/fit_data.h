@@ -18,13 +18,13 @@ struct FitData {
   bool use_velocity = true;
   recordings::SensorNoise noise;  // of one row, quantisation included
   std::vector<sysid::FitRecording> recordings;
-  std::vector<uint32_t> places;  // of the recordings in their set
+  std::vector<uint32_t> places;  // indices of the recordings in their set
   std::vector<SmoothMotion> motions;
   std::vector<FineMotion> fine;
   std::vector<NodeWindow> windows;
   NodeOptions nodes;
-  std::shared_ptr<const FitData> held_out;  // recordings that no fit sees; null: none
-  std::vector<int> prescribed;              // joints that are given: no residual is theirs
+  std::shared_ptr<const FitData> held_out;  // held-out recordings; null: none
+  std::vector<int> prescribed;              // joints that move as measured: they have no residuals
   int judged() const { return n - static_cast<int>(prescribed.size()); }
   bool Judged(int joint) const {
     return std::find(prescribed.begin(), prescribed.end(), joint) == prescribed.end();
@@ -36,7 +36,7 @@ struct FitData {
     }
     return -1;
   }
-  // As rows are weighed: infinite for prescribed joints.
+  // Noise of the residual rows: infinite for prescribed joints.
   recordings::SensorNoise RowNoise() const;
   int Rows() const;        // residual rows of all windows, of judged joints
   double Seconds() const;  // of motion in all windows

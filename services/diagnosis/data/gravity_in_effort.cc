@@ -16,14 +16,15 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr double kLoaded = 0.1;     // of the most loaded joint's gravity
+constexpr double kLoaded = 0.1;     // gravity's torque over that of the most loaded joint: joints considered
 constexpr double kMostRotor = 3.0;  // of the joint's own inertia
-constexpr double kKept = 0.9;       // of the rows
-constexpr double kExplains = 0.3;   // of gravity's torque, that the right one leaves at the most
-constexpr double kClearly = 3.0;    // times that, that the wrong one leaves at the least
-constexpr double kSeen = 0.7;      // of what friction alone leaves: more, and the motion's torque is not seen
-constexpr double kNothing = 0.15;  // of gravity's torque, that friction alone leaves of a slow motion
-constexpr double kNowhere = 0.8;   // of that, that gravity of any size still leaves
+constexpr double kKept = 0.9;       // share of the rows kept by the trimmed least squares
+constexpr double kExplains = 0.3;   // residual over gravity's torque, at most, of the right form
+constexpr double kClearly = 3.0;    // residual of the wrong form over that of the right one, at least
+constexpr double kSeen = 0.7;  // residual over that of friction alone, above which motion explains nothing
+constexpr double kNothing =
+    0.15;                         // residual of friction alone over gravity's torque, at most, in slow motion
+constexpr double kNowhere = 0.8;  // share of that left by gravity of any size: it is not in the effort
 constexpr double kLeastGain = 0.4, kMostGain = 2.5;
 constexpr double kSure = 4.0;  // standard deviations
 constexpr int kBlocks = 10;    // of rows, to estimate them by
@@ -102,7 +103,7 @@ class Weigher {
       without.Add(Explain(j, u, whole - G, kLeastGain), weight[j]);
       friction.Add(Explain(j, u, VectorXd::Zero(u.size()), 0), weight[j]);
       any.Add(Explain(j, u, whole, 0), weight[j]);
-      const GravityCoefficient c = Weigh(j, u, whole - G, G);
+      const GravityCoefficient c = RegressGravity(j, u, whole - G, G);
       present += c.beyond_least > kSure * c.stddev;
       absent += c.beyond_least < -kSure * c.stddev && c.gain > kLeastGain && c.gain < kMostGain &&
                 c.left_without < kExplains;
@@ -173,10 +174,9 @@ class Weigher {
     return {least + c[0] + c[1], Rms(left)};
   }
 
-  // Motion, rotor, gravity, viscous and Coulomb friction at once: what gravity's coefficient is beside the
-  // motion's.
-  GravityCoefficient Weigh(int j, const VectorXd& effort, const VectorXd& motion,
-                           const VectorXd& gravity) const {
+  // Regression on motion, rotor, gravity, viscous and Coulomb friction together.
+  GravityCoefficient RegressGravity(int j, const VectorXd& effort, const VectorXd& motion,
+                                    const VectorXd& gravity) const {
     const VectorXd v = Column(j, &MotionSamples::v), a = Column(j, &MotionSamples::a);
     const double width = std::max(1e-9, 1.5 * s_.speed_noise[j]);
     MatrixXd X(effort.size(), 5);

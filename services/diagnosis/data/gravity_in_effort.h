@@ -1,5 +1,5 @@
-// Whether the effort in the files carries the robot against gravity, or leaves that to the drive, which then
-// compensates gravity itself and does not say so in its effort.
+// Whether the effort in the files includes the torque against gravity, or the drive compensates gravity
+// itself and leaves that torque out.
 //
 // Per joint that gravity loads, the effort is explained by least squares with the worst tenth left out:
 //   u = g·(M a + c(q, v)        + J·a) + d·v + k·sign(v)      gravity is left to the drive
@@ -9,9 +9,9 @@
 // torque, a third of what the other leaves, and less than friction alone (g = 0) does. Where motion is so
 // slow that friction alone explains, gravity is left to the drive if no gain at all, however small, finds it
 // in the effort. Where friction is as large as gravity's torque, so that neither form leaves little of that,
-// gravity is left to the drive if, fitted beside motion, rotor and friction at once, its coefficient is
+// gravity is left to the drive if, regressed together with motion, rotor and friction, its coefficient is
 // surely (4 standard deviations, by leaving out blocks of rows) below 0.4 of the motion's gain on a joint of
-// which all the others leave less than a third of the effort, and surely above on none. Else nothing is said:
+// which all the others leave less than a third of the effort, and surely above on none. Else undecided:
 // gravity may be weak, masses may be wrong, or gravity may pull another way.
 #pragma once
 
@@ -32,8 +32,7 @@ struct GravityEvidence {
 
 GravityEvidence WeighGravity(const MotionSurvey& survey, const sim::Plant& plant);
 
-// One line where the files contradict the manifest (`excludes`: what it says or, if it does not, the
-// default); empty elsewhere.
+// One line where the files contradict `excludes`, the manifest's value or the default; else empty.
 std::string GravityContradiction(const GravityEvidence& evidence, bool excludes,
                                  const std::vector<std::string>& joint_names);
 

@@ -69,9 +69,9 @@ void SmoothMotion::At(double t, VectorXd* q, VectorXd* v, VectorXd* a) const {
 namespace {
 
 constexpr double kGap = 2.5;    // sample periods between two rows, of which one is missing
-constexpr int kHarmonics = 12;  // of the sawtooth that a quantised reading's error is over position
+constexpr int kHarmonics = 12;  // of the quantisation error, a sawtooth over position
 
-// The mean of rows [first, last] in the place of node k, whose own row is `row`.
+// Node k, whose own row is `row`, becomes the mean of rows [first, last].
 void Average(const recordings::Recording& rec, int first, int row, int last,
              const recordings::SensorNoise& noise, int k, NodeWindow* window) {
   const int count = last - first + 1;
@@ -91,8 +91,8 @@ void Average(const recordings::Recording& rec, int first, int row, int last,
   window->v_stddev.col(k) = noise.velocity_stddev / std::sqrt(static_cast<double>(count));
 }
 
-// Node k is its own row alone.
-void LeaveRow(const recordings::SensorNoise& noise, int k, NodeWindow* window) {
+// Node k becomes its own row alone.
+void KeepOwnRow(const recordings::SensorNoise& noise, int k, NodeWindow* window) {
   const auto at = static_cast<size_t>(k);
   if (window->before[at].empty() && window->after[at].empty()) return;
   window->before[at].clear(), window->after[at].clear();
@@ -165,7 +165,7 @@ std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& rec, int index
       window.q0.col(k) = q, window.v0.col(k) = v;
       const int row = row_of[k];
       if (row < 0) continue;
-      // Only rows of the intervals beside it, for they are simulated from its neighbours.
+      // Only rows between the neighbouring nodes: outputs there are simulated from these.
       int first = row, last = row;
       while (k > 0 && first > row - half && rec.t[first - 1] > window.t[k - 1]) --first;
       while (k + 1 < nodes && last < row + half && rec.t[last + 1] < window.t[k + 1]) ++last;
@@ -216,7 +216,7 @@ std::vector<NodeWindow> InPieces(const std::vector<NodeWindow>& windows, double 
       piece.v_stddev = w.v_stddev.middleCols(first, count);
       piece.q_row = w.q_row.middleCols(first, count), piece.v_row = w.v_row.middleCols(first, count);
       piece.q0 = w.q0.middleCols(first, count), piece.v0 = w.v0.middleCols(first, count);
-      LeaveRow(noise, 0, &piece), LeaveRow(noise, count - 1, &piece);
+      KeepOwnRow(noise, 0, &piece), KeepOwnRow(noise, count - 1, &piece);
       if (w.factor.size() > 0) {
         const Eigen::Index n = w.q.rows();
         piece.q_doubt = w.q_doubt.middleRows(n * first, n * count);
@@ -246,10 +246,10 @@ FineMotion FineMotionOf(const recordings::Recording& rec, const sim::CommandSign
     out.q.col(k) = q, out.v.col(k) = v, out.a.col(k) = a;
     for (int j = 0; j < n; ++j) out.u(j, k) = command.Average(j, t - 0.5 * dt, t + 0.5 * dt);
     for (size_t i = 0; i < rec.prescribed.size(); ++i) {
-      const auto told = [&](double at) { return command.motion()->At(static_cast<int>(i), at); };
+      const auto prescribed = [&](double at) { return command.motion()->At(static_cast<int>(i), at); };
       const int j = rec.prescribed[i];
-      out.q(j, k) = told(t).q, out.v(j, k) = told(t).v;
-      out.a(j, k) = (told(t + 0.5 * dt).v - told(t - 0.5 * dt).v) / dt;
+      out.q(j, k) = prescribed(t).q, out.v(j, k) = prescribed(t).v;
+      out.a(j, k) = (prescribed(t + 0.5 * dt).v - prescribed(t - 0.5 * dt).v) / dt;
     }
   }
   const double longest = kGap * rec.SamplePeriod();

@@ -12,7 +12,7 @@
 
 namespace rg::diagnosis {
 
-inline constexpr double kMovesBy = 20.0;  // stddev of the position: less is not a motion
+inline constexpr double kMovesBy = 20.0;  // stddevs of the position, from which a joint counts as moving
 
 // Position, velocity and acceleration of one recording at any time, from local cubics through measured
 // positions and, where there are any, velocities, each weighted by its noise.
@@ -36,17 +36,17 @@ struct NodeWindow {
   int recording = 0;
   std::vector<double> t;                           // N + 1
   std::vector<char> measured;                      // N + 1
-  std::vector<std::vector<double>> before, after;  // N + 1: times of the rows beside a measured node's own
+  std::vector<std::vector<double>> before, after;  // N + 1: times of the other rows averaged into a node
   Eigen::MatrixXd q, v;                            // n × (N + 1), where measured: mean of the rows
   Eigen::MatrixXd q_stddev, v_stddev;              // n × (N + 1) of it
   Eigen::MatrixXd q_row, v_row;                    // n × (N + 1): its own row alone
   Eigen::MatrixXd q0, v0;                          // n × (N + 1): the smooth motion
-  // What the doubt about the motion of prescribed joints does to the others (prescribed_doubt.h), none where empty:
-  // n·(N + 1) × ways, node by node; and a lower factor of the covariance of the residuals, each divided by its stddev.
+  // Effect of the uncertainty of prescribed joints' motion on the others (prescribed_doubt.h), or empty:
+  // n·(N + 1) × ways, node by node; and the Cholesky factor of the whitened residuals' covariance.
   Eigen::MatrixXd q_doubt, v_doubt, factor;
 };
 
-// Whether `window` begins where `before` ends, in the same recording: nodes need not divide a window's rows.
+// Whether `window` begins at most 50 ms after `before` ends, in the same recording.
 bool FollowsOn(const NodeWindow& before, const NodeWindow& window);
 
 // What features of the force are made of: the motion and the command of one recording on a fine grid.
@@ -60,8 +60,7 @@ struct FineMotion {
 struct NodeOptions {
   double window_s = 1.0;
   double interval_s = 0.01;  // longest interval between nodes
-  // What was commanded before a recording begins nobody knows, and a drive that is late still follows it: no
-  // window begins earlier than this.
+  // No window begins earlier in a recording than this: a late drive still follows commands from before it.
   double unknown_s = 0.1;
   int fine_per_interval = 4;
 };
@@ -69,7 +68,7 @@ struct NodeOptions {
 std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& recording, int index,
                                      const SmoothMotion& motion, const recordings::SensorNoise& noise,
                                      const NodeOptions& options);
-// Its factor, from its doubts and the stddevs of its rows; empty v_doubt: positions alone are rows.
+// Computes `factor` from the doubts and stddevs; empty v_doubt: rows are positions only.
 void SetFactor(NodeWindow* window);
 // The same nodes in windows of about `piece_s`, but never less than three measured nodes. Where a piece
 // begins or ends within a window, a node is its own row alone.

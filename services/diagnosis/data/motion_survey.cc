@@ -21,15 +21,16 @@ using recordings::Recording;
 
 namespace {
 
-constexpr double kBlock = 0.05;           // s, over which a motion is told from noise
+constexpr double kBlock = 0.05;           // s: rows are averaged over such blocks to detect motion
 constexpr double kBeyondNoise = 3.0;      // stddev of a block's step
 constexpr double kHalfAverage = 0.015;    // s, of the effort
 constexpr double kBetweenSamples = 0.02;  // s, at least
 constexpr long kMostSamples = 4000;       // of a set
 constexpr double kMostWork = 2e7;         // rows that the samples' local polynomials read, over all joints
 constexpr int kLeastRows = 10;
-constexpr int kEdge = 3;       // rows at either end of a stretch without a gap, where accelerations are poor
-constexpr double kHeld = 0.5;  // of the torque needed
+constexpr int kEdge = 3;  // rows at either end of a stretch without a gap, left out: poor accelerations
+constexpr double kHeld =
+    0.5;  // share of the needed torque missing, above which something else holds a still joint
 constexpr double kLeastPositionNoise = 1e-6, kLeastVelocityNoise = 1e-5;
 
 std::vector<std::string> ColumnsOf(const Recording& r) {
@@ -299,7 +300,7 @@ class Surveyor {
     return out;
   }
 
-  // A command holds from its row to the next; a measured effort is of its row.
+  // A command is constant from its row to the next; a measured effort belongs to its row.
   static VectorXd Effort(const Recording& r, int k) {
     const bool held = r.drive == recordings::EffortKind::kCommand;
     int first = k, last = held ? k : k + 1;

@@ -1,6 +1,6 @@
-// What recordings hold, read in about a second and without any search: figures of each recording and joint,
-// and the motion at some thousand instants with the torques that the URDF needs there. Notes, refusals, and
-// what such data can show, are judged by it.
+// Survey of a recording set, in about a second: figures of each recording and joint, and the motion at some
+// thousand instants with the torques that the URDF needs there. Notes, refusals and what such data can show
+// are derived from it.
 #pragma once
 
 #include <Eigen/Core>

@@ -18,10 +18,10 @@ using Eigen::VectorXd;
 namespace {
 
 constexpr double kLeastSeconds = 0.5;  // of fitted recordings
-constexpr long kLeastMotion = 20;     // of the motion, below which efforts say nothing
-constexpr double kClose = 0.8;     // share that the URDF's torque must explain before its slope says anything
+constexpr long kLeastMotion = 20;      // samples of motion needed for a regression
+constexpr double kClose = 0.8;     // share that the URDF's torque must explain for its slope to be meaningful
 constexpr double kFlipped = 0.35;  // |slope + 1| of an effort with the other sign
-constexpr double kOtherUnit = 20.0;  // factor that no gain error of a drive reaches
+constexpr double kOtherUnit = 20.0;  // factor beyond any gain error of a drive
 
 std::string Guess(double slope, bool revolute) {
   const double factor = std::abs(slope);

@@ -10,7 +10,7 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr double kNodesPerRow = 20.0;  // at most; from 5 Hz on nodes are a hundredth of a second apart
+constexpr double kNodesPerRow = 20.0;  // at most: from 5 Hz on nodes are 10 ms apart
 
 // Three windows at least.
 Result<FitData> Prepared(const recordings::RecordingSet& set,
@@ -31,7 +31,7 @@ Result<FitData> Prepared(const recordings::RecordingSet& set,
                                         : sysid::DriveSignal(*rec)});
   }
   data.nodes.window_s = options.fit_window_s;
-  // Between rows that are far apart more nodes tell nothing, and memory is to follow the rows.
+  // More nodes between rows that are far apart would cost memory for nothing.
   for (const sysid::FitRecording& r : data.recordings)
     data.nodes.interval_s = std::max(data.nodes.interval_s, r.recording->SamplePeriod() / kNodesPerRow);
   for (size_t r = 0; r < data.recordings.size(); ++r) {
@@ -41,7 +41,7 @@ Result<FitData> Prepared(const recordings::RecordingSet& set,
     data.windows.insert(data.windows.end(), windows.begin(), windows.end());
     data.fine.push_back(
         FineMotionOf(*data.recordings[r].recording, data.recordings[r].command, data.motions[r], data.nodes));
-    // What a file says of an effort where there is no drive moves nothing.
+    // An effort recorded for an undriven joint has no effect.
     for (int j = 0; j < data.n; ++j) {
       if (nominal.IsPassive(j)) data.fine.back().u.row(j).setZero();
     }

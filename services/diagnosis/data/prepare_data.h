@@ -1,4 +1,4 @@
-// From a recording set to what fits need of it.
+// Prepares a recording set for fits.
 #pragma once
 
 #include <memory>
@@ -11,10 +11,10 @@
 
 namespace rg::diagnosis {
 
-// Nodes and smooth motion of the fit recordings of a set. Points into the set.
+// Nodes and smooth motion of the recordings to fit. Points into the set.
 Result<FitData> PrepareData(const recordings::RecordingSet& set, const sim::Plant& nominal,
                             const DiagnosisOptions& options);
-// The same of the recordings kept aside, for FitData::held_out; null where there are none that can be
+// The same of the held-out recordings, for FitData::held_out; null where there are none that can be
 // predicted.
 std::shared_ptr<const FitData> PrepareHeldOut(const recordings::RecordingSet& set, const FitData& fitted,
                                               const sim::Plant& nominal, const DiagnosisOptions& options);

@@ -32,8 +32,9 @@ Around RowsAround(const Recording& rec, const NodeWindow& window) {
 }
 
 // The command with the smooth motion, joint `i` moved in one way.
-sim::CommandSignal Differing(const sim::CommandSignal& command, const Recording& rec, const SmoothMotionRows& smooth,
-                             const Around& rows, size_t i, const WaysToDiffer& ways, Eigen::Index way) {
+sim::CommandSignal Differing(const sim::CommandSignal& command, const Recording& rec,
+                             const SmoothMotionRows& smooth, const Around& rows, size_t i,
+                             const WaysToDiffer& ways, Eigen::Index way) {
   const int from = std::max(0, rows.first - 1), to = std::min(rec.rows() - 1, rows.last + 1);
   const int count = to - from + 1;
   MatrixXd q = smooth.q.middleCols(from, count), v = smooth.v.middleCols(from, count),
@@ -43,8 +44,8 @@ sim::CommandSignal Differing(const sim::CommandSignal& command, const Recording&
   q.row(joint).segment(at, differing) += ways.q.col(way).transpose();
   v.row(joint).segment(at, differing) += ways.v.col(way).transpose();
   a.row(joint).segment(at, differing) += ways.a.col(way).transpose();
-  auto motion = sim::GivenMotion::Create(rec.prescribed, {rec.t.data() + from, rec.t.data() + to + 1}, std::move(q),
-                                         std::move(v), std::move(a));
+  auto motion = sim::GivenMotion::Create(rec.prescribed, {rec.t.data() + from, rec.t.data() + to + 1},
+                                         std::move(q), std::move(v), std::move(a));
   RG_CHECK(motion.ok()) << motion.status().ToString();
   return command.WithMotion(std::make_shared<const sim::GivenMotion>(std::move(motion).value()));
 }
@@ -61,14 +62,13 @@ class FromNodeToNode {
       runs_[k].times = &times_[k];
     }
   }
-  // False where one of them breaks.
+  // False if a simulation fails.
   bool Run(const sim::CommandSignal& command, const sim::SensitivityRequest& request,
            std::vector<sim::Trajectory>* out) {
     for (sim::SimulationWindow& run : runs_) run.command = &command;
     simulator_.SimulateWindows(runs_, request, out);
-    return std::all_of(out->begin(), out->end(), [](const sim::Trajectory& t) {
-      return t.outcome.ok() && t.state.allFinite();
-    });
+    return std::all_of(out->begin(), out->end(),
+                       [](const sim::Trajectory& t) { return t.outcome.ok() && t.state.allFinite(); });
   }
 
  private:
@@ -77,7 +77,7 @@ class FromNodeToNode {
   std::vector<sim::SimulationWindow> runs_;
 };
 
-// What was asked for of a window; false where it cannot be simulated.
+// Computes a window's doubts; false if it cannot be simulated.
 bool AddDoubt(sim::Simulator& simulator, const FitData& data, const SmoothMotionRows& smooth,
               const PrescribedDoubt& doubt, NodeWindow* window) {
   const sysid::FitRecording& fit = data.recordings[static_cast<size_t>(window->recording)];
@@ -95,7 +95,8 @@ bool AddDoubt(sim::Simulator& simulator, const FitData& data, const SmoothMotion
       VectorXd all = VectorXd::Zero(2 * n * nodes), e = VectorXd::Zero(plain[0].state.rows());
       for (Eigen::Index k = 0; k + 1 < nodes; ++k) {
         const auto step = static_cast<size_t>(k);
-        e = (plain[step].dfinal_state.leftCols(e.size()) * e + moved[step].state.col(0) - plain[step].state.col(0))
+        e = (plain[step].dfinal_state.leftCols(e.size()) * e + moved[step].state.col(0) -
+             plain[step].state.col(0))
                 .eval();
         all.segment(2 * n * (k + 1), 2 * n) = e.head(2 * n);
       }

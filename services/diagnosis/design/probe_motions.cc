@@ -19,17 +19,17 @@ using Eigen::VectorXd;
 namespace {
 
 constexpr double kRow = 0.02;               // s between rows
-constexpr double kShare = 0.7;              // of a limit
+constexpr double kShare = 0.7;              // of a velocity or effort limit
 constexpr double kMargin = 0.03;            // rad or m kept from a position limit
 constexpr double kLeastReach = 0.25;        // rad to each side
 constexpr double kLeastSlide = 0.05;        // m to each side
 constexpr double kAcceleration = 8.0;       // rad/s² or m/s²
 constexpr double kLeastRise = 0.15;         // s from rest to speed
-constexpr double kHold = 0.5;               // s
+constexpr double kHold = 0.5;               // s at rest after a stroke
 constexpr double kApart = 0.37;             // s by which one joint begins after the other
 constexpr double kSlow = 0.03;              // rad/s or m/s
 constexpr double kLongestWithoutLimit = 2;  // times the recorded speed, where the model has no limit
-constexpr int kSlowDowns = 10;
+constexpr int kSlowDowns = 10;              // attempts to keep the limits
 
 using Path = std::function<double(double t)>;
 
@@ -43,7 +43,7 @@ std::string TwoDigits(double x) {
   return text;
 }
 
-// From where the last one ended to `to`, at `speed` between raised-cosine rises and falls, then a hold.
+// From the end of the last one to `to`, at `speed` between raised-cosine rises and falls, then a hold.
 struct Stroke {
   double begin = 0, from = 0, to = 0, speed = 1, rise = 0.1;
   double moving() const { return std::abs(to - from) / speed + rise; }
@@ -174,19 +174,19 @@ class Maker {
   }
 
   Program Speeds() const {
-    return OfStrokes(
-        "there and back at speeds from " + TwoDigits(0.08 * slowest_) + " to " + TwoDigits(top_) + Unit() + "/s",
-        [](const Room& room, Strokes* s) {
-          double side = 1;
-          for (const double share : {0.08, 0.2, 0.4, 0.7, 1.0}) {
-            const double speed = share * room.top;
-            const double far = std::min(room.reach, 0.9 * speed);
-            for (int k = 0; k < 2; ++k, side = -side) {
-              s->Go(room.middle + side * far, speed, 0.1);
-              s->Go(room.middle, speed, 0.1);
-            }
-          }
-        });
+    return OfStrokes("there and back at speeds from " + TwoDigits(0.08 * slowest_) + " to " +
+                         TwoDigits(top_) + Unit() + "/s",
+                     [](const Room& room, Strokes* s) {
+                       double side = 1;
+                       for (const double share : {0.08, 0.2, 0.4, 0.7, 1.0}) {
+                         const double speed = share * room.top;
+                         const double far = std::min(room.reach, 0.9 * speed);
+                         for (int k = 0; k < 2; ++k, side = -side) {
+                           s->Go(room.middle + side * far, speed, 0.1);
+                           s->Go(room.middle, speed, 0.1);
+                         }
+                       }
+                     });
   }
 
   Program Reversals() const {

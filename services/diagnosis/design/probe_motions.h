@@ -1,9 +1,9 @@
-// Motions that a robot could make to tell rival effects apart: ramps, speeds, holds, sweeps, chirps of some
+// Candidate motions for an experiment that separates effects: ramps, speeds, holds, sweeps, chirps of some
 // joints, the others at rest, within position, velocity and effort limits of the model.
 //
-// Joints move inside the range that they were recorded in, or a quarter of a radian (5 cm) about its middle
-// where that is more; the others rest where they were in the recorded row nearest to the middles. So the arm
-// stays among poses that it has been near; a collision is not looked for.
+// Joints move within the recorded range, or a quarter of a radian (5 cm) about its middle where that is more;
+// the others rest at the recorded row nearest to the middles, so that the arm stays near recorded poses.
+// Collisions are not checked.
 #pragma once
 
 #include <Eigen/Core>
@@ -22,8 +22,8 @@ struct ProbeMotion {
   Eigen::MatrixXd q, v, a;  // n × K
 };
 
-// `joints`: those that move, model order. What the nominal model's torques would exceed is slowed down; a
-// motion whose poses alone are too heavy is left out. May be empty.
+// `joints`: those that move, model order. Motions are slowed down until the nominal model's torques keep the
+// limits; those whose poses exceed them at rest are left out. May be empty.
 std::vector<ProbeMotion> ProbeMotions(const sim::Plant& nominal, const FitData& data,
                                       const MotionScales& scales, const std::vector<int>& joints);
 

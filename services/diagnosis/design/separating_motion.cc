@@ -22,20 +22,20 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr size_t kMostPairs = 3;
-constexpr double kControl = 5e-3;      // s, of the imagined drive
-constexpr double kStiffness = 12.0;    // rad/s: its closed loop
+constexpr size_t kMostPairs = 3;       // of rivals
+constexpr double kControl = 5e-3;      // s: period of the simulated controller
+constexpr double kStiffness = 12.0;    // rad/s: natural frequency of its closed loop
 constexpr double kLeastPeriod = 5e-3;  // s between rows
-constexpr double kLost = 1.0;          // rad or m from the motion: the drive has lost it
-constexpr int kToSeparate = 3;
-constexpr size_t kMostJoints = 6;
+constexpr double kLost = 1.0;          // rad or m of tracking error: the motion cannot be followed
+constexpr int kRefitIterations = 3;    // of a rival
+constexpr size_t kMostJoints = 6;      // that move
 
 struct Pair {
   const Candidate* chosen;
   const Candidate* rival;
 };
 
-// A motion as a robot with a candidate's physics would make and record it, without noise.
+// A recording of a motion by a robot with a candidate's physics under computed-torque control, without noise.
 struct Imagined {
   recordings::Recording recording;
   FitData data;
@@ -48,7 +48,7 @@ class Drive {
     simulator_.SetParameters(c_.fit.values);
   }
 
-  // False where the robot does not follow.
+  // False where the robot cannot follow.
   bool Record(const ProbeMotion& motion, Imagined* out) {
     const int n = like_.n;
     const double period = std::max(kLeastPeriod, like_.recordings[0].recording->SamplePeriod());
@@ -85,13 +85,13 @@ class Drive {
     return (1 - part) * m.q.col(k) + part * m.q.col(k + 1);
   }
 
-  // Computed torque of the candidate's rigid bodies.
+  // Computed-torque control by the candidate's rigid bodies.
   VectorXd Torque(const ProbeMotion& m, double t, const VectorXd& q, const VectorXd& v) {
     const auto k = std::min<Eigen::Index>(std::lround(t / (m.t[1] - m.t[0])), m.q.cols() - 1);
-    const VectorXd wanted =
+    const VectorXd acceleration =
         m.a.col(k) + kStiffness * kStiffness * (Row(m, t) - q) + 2 * kStiffness * (m.v.col(k) - v);
     VectorXd u(q.size());
-    dynamics::Rnea(mechanism_, workspace_, q, v, wanted, u);
+    dynamics::Rnea(mechanism_, workspace_, q, v, acceleration, u);
     return u;
   }
 
@@ -113,7 +113,7 @@ class Drive {
   dynamics::Workspace workspace_;
 };
 
-// ½ (χ² + prior cost) that is left when `model` is fitted to what another one did.
+// ½ (χ² + prior cost) of `model` fitted to the simulated recording of another one.
 double Behind(const Imagined& imagined, const Candidate& model, const LiftedOptions& options) {
   FitModel fit{*model.plant, model.fit.values, model.parameters};
   for (size_t k = 0; k < fit.parameters.size(); ++k) {
@@ -126,7 +126,7 @@ double Behind(const Imagined& imagined, const Candidate& model, const LiftedOpti
   return 0.5 * (result.chi2 / options.noise_scale + result.prior_cost);
 }
 
-// Nats that a motion is expected to bring for the truth `a` over `b`; 0 where it cannot be said.
+// Expected log evidence of a motion for the truth `a` over `b`; 0 where a simulation or fit fails.
 double Expected(const ProbeMotion& motion, const Candidate& a, const Candidate& b, const FitData& data,
                 const LiftedOptions& options) {
   Imagined imagined;
@@ -134,7 +134,7 @@ double Expected(const ProbeMotion& motion, const Candidate& a, const Candidate& 
   return std::max(0.0, Behind(imagined, b, options) - Behind(imagined, a, options));
 }
 
-// Joints that the rivals speak of; all where one acts on the robot as a whole.
+// Joints on which the rivals act; all where one acts on the robot as a whole.
 std::vector<int> JointsOf(const std::vector<Pair>& pairs, const std::set<std::string>& ids,
                           const sim::Plant& nominal) {
   std::set<std::string> names;
@@ -175,7 +175,7 @@ std::optional<ProposedMotion> ProposeMotion(const SearchResult& search, const Fi
   if (pairs.empty() || !search.best.fit.ok) return {};
   const std::vector<ProbeMotion> motions = ProbeMotions(nominal, data, scales, JointsOf(pairs, ids, nominal));
   LiftedOptions options;
-  options.iterations = kToSeparate, options.noise_scale = search.noise_scale, options.step_s = step_s;
+  options.iterations = kRefitIterations, options.noise_scale = search.noise_scale, options.step_s = step_s;
   const auto trials = static_cast<int>(motions.size() * pairs.size() * 2);
   std::vector<double> nats(static_cast<size_t>(trials));
   sysid::ParallelFor(threads, trials, [&](int, int i) {

@@ -1,13 +1,13 @@
-// The motion that would tell rivals apart which the recordings cannot.
+// Optimal experiment design: the motion that is expected to separate rivals which the recordings cannot.
 //
-// Of each motion of probe_motions.h: a recording of it is simulated under one rival, without noise, and the
-// other one is fitted to that from what it is known to be (posterior of its fit as the prior); and the other
-// way round. The nats by which the second then lies behind are what the motion is expected to bring,
+// For each motion of probe_motions.h a recording is simulated under one rival, without noise, and the other
+// one is fitted to it with its posterior as prior; and the reverse. The expected log evidence of the motion
+// is
 //
 //   min over A, B   ½ min_θ [ χ²(y_A(motion) | B, θ) + Σ ((θ − θ_B)/σ_B)² ],
 //
-// T-optimality (Atkinson & Fedorov 1975) with the rival refitted. The motion with the most of it, for the
-// pair that it separates least, is proposed.
+// T-optimality (Atkinson & Fedorov 1975) with the rival refitted. The motion with the largest minimum over
+// the pairs of rivals is proposed.
 #pragma once
 
 #include <optional>
@@ -21,8 +21,8 @@
 
 namespace rg::diagnosis {
 
-// For the findings whose class holds others: the motion, or none where no motion that was tried is expected
-// to bring kSeparable nats (hypotheses/rivals.h). Call where some class does.
+// The motion for the findings whose class has more than one effect; none where no motion is expected to bring
+// kSeparable nats (hypotheses/rivals.h).
 std::optional<ProposedMotion> ProposeMotion(const SearchResult& search, const FitData& data,
                                             const sim::Plant& nominal, const MotionScales& scales,
                                             const std::vector<Finding>& findings, double step_s, int threads,

@@ -8,6 +8,7 @@
 #include "common/effects/effect_list.h"
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
+#include "services/diagnosis/hypotheses/force_samples.h"
 
 namespace rg::diagnosis {
 
@@ -20,24 +21,10 @@ namespace {
 constexpr int kNodes = effects::UnknownFieldPair::kNodes;
 constexpr int kWeights = kNodes * kNodes;
 
-struct Sample {
-  VectorXd q, v, force, weight;  // n: positions, velocities, missing force, 1/σ²
-};
-
-std::vector<Sample> SamplesOf(const FitData& data, const MissingForce& missing) {
-  std::vector<Sample> out;
-  for (size_t w = 0; w < missing.force.size(); ++w) {
-    const FineMotion& fine = data.fine[data.windows[w].recording];
-    const double dt = fine.t[1] - fine.t[0];
-    for (size_t s = 0; s < missing.t[w].size(); ++s) {
-      const auto at = static_cast<long>(
-          std::clamp((missing.t[w][s] - fine.t[0]) / dt, 0.0, static_cast<double>(fine.t.size() - 1)));
-      const auto col = static_cast<long>(s);
-      Sample sample{fine.q.col(at), fine.v.col(at), missing.force[w].col(col),
-                    missing.stddev[w].col(col).cwiseMax(1e-12).cwiseAbs2().cwiseInverse()};
-      if (sample.force.allFinite() && sample.weight.allFinite()) out.push_back(std::move(sample));
-    }
-  }
+// Those that are finite.
+std::vector<ForceSample> SamplesOf(const FitData& data, const MissingForce& missing) {
+  std::vector<ForceSample> out = ForceSamples(data, missing);
+  std::erase_if(out, [](const ForceSample& s) { return !s.force.allFinite() || !s.weight.allFinite(); });
   return out;
 }
 
@@ -48,16 +35,16 @@ VectorXd Basis(int nodes, double x, double low, double high) {
   return out;
 }
 
-// The force's own size on a joint, three times: where nothing was recorded a field stays near zero.
-double SizeOn(const std::vector<Sample>& samples, int joint) {
+// Prior stddev of a field's weights: three times the RMS of the missing force.
+double SizeOn(const std::vector<ForceSample>& samples, int joint) {
   double squares = 0;
-  for (const Sample& s : samples) squares += s.force[joint] * s.force[joint];
+  for (const ForceSample& s : samples) squares += s.force[joint] * s.force[joint];
   return std::max(1e-9, 3 * std::sqrt(squares / std::max<double>(1.0, static_cast<double>(samples.size()))));
 }
 
-// Weighted regression of one joint's missing force on columns phi (W × S, a unit of which is as large as the
-// force): log evidence gained, and the weights.
-double Regressed(const std::vector<Sample>& samples, int on, const MatrixXd& phi, VectorXd* weights) {
+// Weighted regression of one joint's missing force on the rows of phi (W × S, in units of the prior): the
+// gain of log evidence, and the weights.
+double Regressed(const std::vector<ForceSample>& samples, int on, const MatrixXd& phi, VectorXd* weights) {
   const auto W = phi.rows();
   MatrixXd H = MatrixXd::Zero(W, W);
   VectorXd g = VectorXd::Zero(W);
@@ -80,7 +67,7 @@ std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nomi
                                      const MotionScales& scales, const MissingForce& missing,
                                      const std::string& variable) {
   const std::string& field = effects::LawOf(effects::Regressor::kPositionPiece).id;
-  const std::vector<Sample> samples = SamplesOf(data, missing);
+  const std::vector<ForceSample> samples = SamplesOf(data, missing);
   std::optional<EffectSpec> best;
   double best_gain = -std::numeric_limits<double>::infinity();
   for (int on = 0; on < data.n; ++on) {
@@ -88,7 +75,6 @@ std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nomi
     const bool speed = variable == "velocity", drag = variable == "drag";
     const double low = speed ? -scales.top_speed[on] : scales.low[on];
     const double high = std::max(speed ? scales.top_speed[on] : scales.high[on], low + 1e-3);
-    // Of a damping at top speed.
     const double size = SizeOn(samples, on) / (drag ? std::max(1e-9, scales.top_speed[on]) : 1.0);
     MatrixXd phi(effects::UnknownField::kNodes, static_cast<long>(samples.size()));
     for (size_t s = 0; s < samples.size(); ++s) {
@@ -112,7 +98,7 @@ std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nomi
 std::optional<EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& nominal,
                                          const MotionScales& scales, const MissingForce& missing) {
   const std::string surface = effects::UnknownFieldPair::Info().id;
-  const std::vector<Sample> samples = SamplesOf(data, missing);
+  const std::vector<ForceSample> samples = SamplesOf(data, missing);
   const int n = data.n;
   const auto S = static_cast<long>(samples.size());
   std::optional<EffectSpec> best;

@@ -1,5 +1,4 @@
-// Start values for forces without a name, over one joint's position or velocity, or over two joints'
-// positions.
+// Start values of unnamed forces (unknown_field, unknown_field_pair), regressed on the missing force.
 #pragma once
 
 #include <optional>
@@ -11,15 +10,14 @@
 
 namespace rg::diagnosis {
 
-// The unknown_field of one joint (`variable`: "position", "velocity", or "drag", which only brakes) that
-// follows its missing force best, over all joints: a regression on the field's weights, as below.
+// The unknown_field of one joint with the most log evidence. `variable`: "position", "velocity", or "drag"
+// (damping over position).
 std::optional<effects::EffectSpec> FieldStart(const FitData& data, const sim::Plant& nominal,
                                               const MotionScales& scales, const MissingForce& missing,
                                               const std::string& variable);
 
-// The unknown_field_pair that follows the missing force best, over all pairs of joints: a regression of one
-// joint's missing force on the surface's weights. The stairs' errors are taken as independent, which they are
-// not: good enough for a start of a fit that is linear in the weights. Empty for one joint.
+// The unknown_field_pair of the pair of joints with the most. The errors of the stairs are taken as
+// independent, which is good enough to start a fit that is linear in the weights. Empty for one joint.
 std::optional<effects::EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& nominal,
                                                   const MotionScales& scales, const MissingForce& missing);
 

@@ -86,7 +86,7 @@ std::vector<EffectSpec> SeenEffects(const sim::Plant& given,
   for (bool changed = !effects.empty(); changed;) {
     const Candidate c = fitted(effects);
     std::vector<EffectSpec> seen;
-    if (c.fit.theta.size() == 0) return {};  // it cannot be fitted: from the beginning
+    if (c.fit.theta.size() == 0) return {};  // it cannot be fitted: start without effects
     for (size_t i = 0; i < effects.size(); ++i) {
       if (c.fit.ok || !Unseen(c, i)) seen.push_back(effects[i]);
     }

@@ -16,22 +16,22 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr double kLeastStart = 0.02;  // of a prior stddev: from nothing no fit finds its way
+constexpr double kLeastStart = 0.02;  // of the prior stddev: a strength of zero has no gradient in its shape
 
-// On each joint that takes it, beside what the joint has.
+// The effect on each joint that takes it and does not have it.
 std::vector<EffectSpec> OnEveryJoint(const sim::Plant& nominal, const std::string& id) {
   std::vector<EffectSpec> out;
   for (int j = 0; j < nominal.num_joints(); ++j) {
     const std::string& joint = nominal.joint_names()[static_cast<size_t>(j)];
     if (!nominal.Takes(id, j) || Contains(nominal.effects(), id, joint)) continue;
-    // A law that takes another's place there would undo what was given.
+    // Not where it would replace an effect of the given model.
     const EffectSpec spec = effects::MakeSpec(id, {joint});
     if (Joined(nominal.effects(), {spec}).size() == nominal.effects().size() + 1) out.push_back(spec);
   }
   return out;
 }
 
-// Inside its bounds, and a strength not at nothing.
+// Effect parameters within their bounds, strengths not zero.
 VectorXd Startable(const sim::Plant& plant, const std::vector<sysid::FitParameter>& parameters,
                    VectorXd values) {
   for (const sysid::FitParameter& p : parameters) {

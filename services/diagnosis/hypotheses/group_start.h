@@ -1,6 +1,6 @@
-// Where the search begins on an ordinary arm: geared drives are alike, so that dry and viscous friction and a
-// rotor are on every joint or on none. Found one at a time from a rigid model they are not: with one of
-// eighteen no fit comes near the recordings, and every score is out of its range of validity.
+// Start values for group hypotheses: the same effects (friction, rotor inertia) on every joint, as geared
+// drives have them. Added one at a time they are not found: with one of eighteen losses no fit comes near the
+// recordings, and every score is outside its range of validity.
 #pragma once
 
 #include <string>
@@ -12,17 +12,15 @@
 
 namespace rg::diagnosis {
 
-// `effects` on every joint that takes them and has no such effect yet (EffectInfo::family "friction" has one
-// dry law per joint), beside those of `nominal`, with start values from the regression of the inverse
-// dynamics along the recorded motion. `base`: free base parameters, regressed together. Levels below nothing
-// are set to a small one. Its fit is the regression's: `fit.values` only, and not `ok` where there are too
-// few rows.
+// The effects of `nominal` and `effects` on every joint that takes them and has none of that kind yet (one
+// dry friction per joint), with values from a regression of the inverse dynamics along the recorded motion;
+// `base`: with free base parameters. Negative strengths become small positive ones. Only fit.values and
+// fit.theta are set; fit.ok is false where there are too few rows.
 Candidate RegressedGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                          const std::vector<std::string>& effects, bool base);
 
-// What `effects` on every joint leave of the residual torque of that regression with free base parameters, by
-// joint: the ratio of its robust scales with and without them, n. About 1 where they have nothing to do with
-// what is missing, and where the regression cannot be made.
+// n: ratio of the robust scales of the residual torque of that regression, base parameters free, with and
+// without `effects`. About 1 where they do not explain what is missing; 1 where the regression fails.
 Eigen::VectorXd LeftByGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                             const std::vector<std::string>& effects);
 

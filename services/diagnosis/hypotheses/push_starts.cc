@@ -7,6 +7,7 @@
 #include "common/dynamics/dynamics.h"
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
+#include "services/diagnosis/hypotheses/force_samples.h"
 
 namespace rg::diagnosis {
 
@@ -22,9 +23,10 @@ namespace {
 constexpr const char* kPoints[] = {"end_effector", "last_link"};
 constexpr const char* kNormals[] = {"x", "y", "z"};
 
-// The missing force of one stair, seen from one point: f̂ minimises Σ((F − Jᵀf)/σ)², A f̂ = b.
+// Normal equations A f = b of a Cartesian force f at one point, from the missing force F of one stair:
+// minimise Σ((F − Jᵀf)/σ)².
 struct Stair {
-  double t = 0;  // since the recording's begin
+  double t = 0;  // s, since the start of the recording
   Vector3d position, b;
   Matrix3d A;
   VectorXd force, weight;  // n: F, 1/σ²
@@ -38,22 +40,15 @@ std::vector<Stair> StairsAt(const FitData& data, const sim::Plant& nominal, cons
   const model::Frame frame = *model.FindFrame(model.link(link).name);
   MatrixXd J(6, data.n);
   std::vector<Stair> out;
-  for (size_t w = 0; w < missing.force.size(); ++w) {
-    const FineMotion& fine = data.fine[data.windows[w].recording];
-    const double dt = fine.t[1] - fine.t[0];
-    for (size_t s = 0; s < missing.t[w].size(); ++s) {
-      const auto at = static_cast<long>(
-          std::clamp((missing.t[w][s] - fine.t[0]) / dt, 0.0, static_cast<double>(fine.t.size() - 1)));
-      Stair stair;
-      stair.t = missing.t[w][s] - fine.t[0];
-      stair.position = dynamics::FrameKinematics(mechanism, workspace, fine.q.col(at), frame, J).translation;
-      stair.force = missing.force[w].col(static_cast<long>(s));
-      stair.weight = missing.stddev[w].col(static_cast<long>(s)).cwiseMax(1e-12).cwiseAbs2().cwiseInverse();
-      const MatrixXd Jp = J.bottomRows<3>();
-      stair.A = Jp * stair.weight.asDiagonal() * Jp.transpose();
-      stair.b = Jp * stair.weight.asDiagonal() * stair.force;
-      if (stair.A.allFinite() && stair.b.allFinite()) out.push_back(std::move(stair));
-    }
+  for (const ForceSample& sample : ForceSamples(data, missing)) {
+    Stair stair;
+    stair.t = sample.t;
+    stair.position = dynamics::FrameKinematics(mechanism, workspace, sample.q, frame, J).translation;
+    stair.force = sample.force, stair.weight = sample.weight;
+    const MatrixXd Jp = J.bottomRows<3>();
+    stair.A = Jp * stair.weight.asDiagonal() * Jp.transpose();
+    stair.b = Jp * stair.weight.asDiagonal() * stair.force;
+    if (stair.A.allFinite() && stair.b.allFinite()) out.push_back(std::move(stair));
   }
   return out;
 }
@@ -72,7 +67,7 @@ struct Surface {
   double gain = 0, stiffness = 0, height = 0;
 };
 
-// Over heights that a share of the motion lies below.
+// Over heights at quantiles of the recorded positions.
 Surface BestSurface(const std::vector<Stair>& stairs, int axis, double sign) {
   std::vector<double> heights;
   for (const Stair& s : stairs) heights.push_back(sign * s.position[axis]);

@@ -1,5 +1,5 @@
-// Start values for pushes in Cartesian space, read from the missing force: one force on one point of the last
-// link moves all joints through one Jacobian.
+// Start values of external contacts and pushes, from the missing force: a force f at a point of the last link
+// is Jᵀf on the joints.
 #pragma once
 
 #include <vector>
@@ -9,12 +9,12 @@
 
 namespace rg::diagnosis {
 
-// Surfaces that would push as the missing force says: zero off the surface and linear in the depth beyond,
-// along each axis of the base frame and for each point of contact. The best `most`, one per normal and point.
+// Elastic planes (force zero outside, linear in the depth inside) normal to each axis of the base frame, for
+// each point of contact: the `most` that explain the missing force best.
 std::vector<std::vector<effects::EffectSpec>> ContactStarts(const FitData& data, const sim::Plant& nominal,
                                                             const MissingForce& missing, int most);
 
-// A constant force in a window of time, where it explains more than the same on any single joint.
+// A constant Cartesian force over an interval of time, if it explains more than a torque on any single joint.
 std::vector<std::vector<effects::EffectSpec>> PushStarts(const FitData& data, const sim::Plant& nominal,
                                                          const MissingForce& missing);
 

@@ -21,8 +21,8 @@ std::vector<Rival> RivalsOf(const SearchResult& search, const std::string& id) {
   std::map<std::string, const Candidate*> best;
   for (const Candidate& c : search.tried) {
     const std::set<std::string> theirs = Ids(c.specs);
-    // One law in the place of two is a rival where it is as likely: Coulomb friction with an effort whose
-    // zero is off is friction that depends on the direction.
+    // One law may replace two if it is as likely: Coulomb friction with a torque offset is friction that
+    // depends on the direction.
     const bool alike = theirs.size() == mine.size() ||
                        (theirs.size() < mine.size() && c.score > search.best.score - kSeparable);
     if (theirs.count(id) || !alike) continue;

@@ -1,4 +1,4 @@
-// Models that explain the recordings about as well as the best one.
+// Rivals of a finding: models in which another kind of effect takes its place.
 #pragma once
 
 #include <string>
@@ -8,15 +8,15 @@
 
 namespace rg::diagnosis {
 
-// Nats by which a rival must lie behind to be told apart.
+// Nats by which a rival must be less likely to be excluded from a finding's class.
 inline constexpr double kSeparable = 3.0;
 
-// A fitted model that differs from the best one by one kind of effect, exchanged for `effect`.
+// A fitted model that has `effect` in the place of one kind of effect of the best model.
 struct Rival {
   std::string effect;
   const Candidate* candidate = nullptr;
 };
-// What was tried in the place of effect `id` of the best model, best first; one per kind, the best four.
+// The rivals of effect `id` of the best model among the fitted models: one per kind of effect, best first.
 inline constexpr size_t kMostRivals = 4;
 std::vector<Rival> RivalsOf(const SearchResult& search, const std::string& id);
 

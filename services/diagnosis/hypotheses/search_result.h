@@ -1,4 +1,4 @@
-// What a search over hypotheses comes to, in the simulator (search/) or in the balance of torques (balance/).
+// The result of a search over hypotheses, in the simulator (search/) or in the balance of torques (balance/).
 #pragma once
 
 #include <Eigen/Core>
@@ -12,16 +12,16 @@
 
 namespace rg::diagnosis {
 
-// What the search over a measured effort (balance_search.h) says beside its candidates.
+// Further results of the search over a measured effort (balance_search.h).
 struct MeasuredEffort {
   bool active = false;
-  double explained = 0;          // share of the calibrated model's misfit, on parts left out
+  double explained = 0;          // share of the calibrated model's misfit, cross-validated
   Eigen::VectorXd structured;    // n: share of the rest that a free force over position and velocity takes
-  Eigen::VectorXd effort_share;  // n: what remains over the effort's variance
-  Eigen::VectorXd effort_noise;  // n: RMS of what remains, N·m or N
+  Eigen::VectorXd effort_share;  // n: residual over the effort's variance
+  Eigen::VectorXd effort_noise;  // n: RMS of the residual, N·m or N
   Eigen::VectorXd effort_correlation_s;  // n: integrated autocorrelation of that
   std::vector<int> early;                // joints whose effort lags their motion
-  std::map<std::string, double> gain;    // nats on parts left out, per kind of effect
+  std::map<std::string, double> gain;    // nats, cross-validated, per kind of effect
 };
 
 struct SearchResult {
@@ -30,17 +30,17 @@ struct SearchResult {
   Candidate calibrated;  // no effects, base free
   std::vector<Candidate> tried;
   double null_gain = 0;
-  double threshold = 0;  // log evidence that an addition must bring
-  double beside = 0;     // log evidence that free base parameters beside the best's effects must bring
+  double threshold = 0;  // log evidence that an addition to the calibrated model must bring
+  double beside = 0;  // log evidence that free base parameters must bring in addition to the best's effects
   double noise_scale = 1;
   double work = 0;  // of all fits
-  // Of the recordings kept aside (held_out) the one that shows what the fitted ones, which an account meets,
-  // do not: a limit that only it reaches, a place where only it has been. −1: none.
+  // Index among the held-out recordings of one that the model does not predict though it fits all others: it
+  // alone excites something (a limit, a part of the workspace). −1: none.
   int unseen_in = -1;
-  // What needs windows of half the length to be told (FitLedger::over_halves): the search ended with it.
-  // Null: nothing does.
+  // Not null: the search ended here and is to be restarted with windows of half the length, this model first
+  // (FitLedger::over_halves).
   std::shared_ptr<const Candidate> over_halves;
-  double own_chi2 = 0;     // of the best model, of recordings that it made itself (own_chi2.h)
+  double own_chi2 = 0;     // expected χ² of the best model if it were true (own_chi2.h)
   MissingForce missing;    // under the best model without effects
   MissingForce remaining;  // under the best model
   MeasuredEffort measured;

@@ -14,19 +14,19 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr double kBasePrior = 1.0;  // −log odds of a URDF that is off
-constexpr double kShapePrior =
-    1.0;                        // of each parameter beyond the first: what the data do not show costs too
-constexpr double kLeast = 1.3;  // times the least that a mass or a gap may be
-constexpr double kSameRipple = 0.02;  // rad, from one end of a motion to the other: 1 % of an amplitude
-constexpr double kSeenAgain = 0.75;   // periods over all that was recorded: nearly all of a ripple
-constexpr double kSharp = 0.1;        // cycles per turn: one other curve in five is as near to a whole number
-constexpr double kBent = 0.25;        // cycles per turn, off a whole number, that other effects make
-constexpr double kMostlyGone = 0.01;  // of the nats that an effect was worth
+constexpr double kBasePrior = 1.0;    // −log prior odds of free base parameters, nats
+constexpr double kShapePrior = 1.0;   // nats of each parameter beyond the first
+constexpr double kAtBound = 1.3;      // times the lower bound of a mass or gap: below, it is at its bound
+constexpr double kPhaseError = 0.02;  // rad of phase over the whole travel: 1 % of an amplitude
+constexpr double kSeenAgain = 0.75;   // periods within the travel, from which periodicity shows
+constexpr double kSharp =
+    0.1;  // cycles per turn: an arbitrary number is as near to an integer with odds 1 in 5
+constexpr double kBias = 0.25;        // cycles per turn, bias of the number by other missing effects, at most
+constexpr double kMostlyGone = 0.01;  // ratio of squared strengths
 constexpr double kUnseen = 0.7;       // posterior over prior stddev of the best known parameter
-constexpr double kAlike = 0.2;        // of its fellows' typical strength, that a drive's own may be
+constexpr double kLeastOfMedian = 0.2;  // of the other joints' median strength
 
-// Fields of which an effect is about nothing where they are zero (a gain: one).
+// Parameters that are an effect's strength: it is absent where they are zero (a gain: one).
 const std::set<std::string> kStrengths = {"viscous",
                                           "coulomb",
                                           "coulomb_positive",
@@ -51,7 +51,13 @@ const std::set<std::string> kStrengths = {"viscous",
                                           "gap",
                                           "cubic"};
 
-// Of the effect in this form.
+// Whether the parameter belongs to the effect.
+bool IsOf(const EffectSpec& s, const sim::Parameter& p) {
+  return p.effect == s.id && (s.joints.empty() || p.owner == "*" ||
+                              std::find(s.joints.begin(), s.joints.end(), p.owner) != s.joints.end());
+}
+
+// How many parameters the effect has in this form.
 double ParametersOf(const EffectSpec& spec) {
   const effects::EffectInfo& info = *effects::FindEffect(spec.id);
   int count = 0;
@@ -66,7 +72,7 @@ double StructurePrior(const std::vector<EffectSpec>& specs, bool base) {
   double cost = base ? kBasePrior : 0.0;
   for (const EffectSpec& s : specs) {
     ids.insert(s.id);
-    // An unnamed force's weights are no parameters of a law: they pay for what they follow in the evidence.
+    // The weights of an unnamed force are charged by the Occam factor alone.
     const bool field = IsUnnamed(s.id);
     cost += kJointPrior;
     if (!field) cost += kShapePrior * (ParametersOf(s) - 1.0);
@@ -157,14 +163,11 @@ bool Unseen(const Candidate& c, size_t i) {
   double known = 1;
   for (size_t k = 0; k < c.parameters.size(); ++k) {
     const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
-    const bool own =
-        p.effect == s.id && (s.joints.empty() || p.owner == "*" ||
-                             std::find(s.joints.begin(), s.joints.end(), p.owner) != s.joints.end());
-    if (!own) continue;
+    if (!IsOf(s, p)) continue;
     known = std::min(known, c.fit.stddev[static_cast<long>(k)] / c.parameters[k].prior_stddev);
-    // Next to nothing of a mass or a gap, whose hidden states then swing with the noise.
+    // The hidden states of a mass or gap at its lower bound follow the noise.
     const bool vanishes = p.field == "mass" || p.field == "gap";
-    if (vanishes && c.fit.theta[static_cast<long>(k)] < kLeast * c.parameters[k].lower) return true;
+    if (vanishes && c.fit.theta[static_cast<long>(k)] < kAtBound * c.parameters[k].lower) return true;
   }
   return known > kUnseen;
 }
@@ -172,7 +175,7 @@ bool Unseen(const Candidate& c, size_t i) {
 bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row, bool whole) {
   const auto& model = c.plant->model();
   const double rows = c.fit.rows;
-  // Nats above what noise may leave, to its own scatter.
+  // Nats above the noise and its standard deviation.
   const double left = std::max(0.0, 0.5 * (chi2_per_row - 1) * rows - std::sqrt(0.5 * rows));
   bool seen_again = false, slow = false;
   for (size_t k = 0; k < c.parameters.size(); ++k) {
@@ -182,15 +185,14 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
     const double cycles = c.fit.theta[static_cast<long>(k)], lower = c.parameters[k].lower;
     const double range = scales.high[joint] - scales.low[joint];
     const double stddev = c.fit.stddev[static_cast<long>(k)];
-    const double error = std::max(kSameRipple / std::max(1e-9, range),
-                                  kOneInAHundred * stddev * std::sqrt(std::max(1.0, chi2_per_row)));
+    const double error = std::max(kPhaseError / std::max(1e-9, range),
+                                  kZ99TwoSided * stddev * std::sqrt(std::max(1.0, chi2_per_row)));
     if (cycles < lower + 1e-6 * (1 + std::abs(lower))) return false;
     const double times = cycles * range / (2 * M_PI);
     const bool turns = model.joint(joint).is_revolute();
-    // What else is missing still bends it: of little, by no more than takes off as many nats as are left.
-    const double bent = chi2_per_row > kExplained ? kBent : std::min(stddev * std::sqrt(2 * left), kBent);
-    if (turns && std::abs(cycles - std::round(cycles)) > std::max(error, bent)) return false;
-    // What was not seen to come again must be whole so sharply that no other curve would by chance.
+    // Bias by other missing effects: near the noise no more than the nats that are left could pay for.
+    const double bias = chi2_per_row > kExplained ? kBias : std::min(stddev * std::sqrt(2 * left), kBias);
+    if (turns && std::abs(cycles - std::round(cycles)) > std::max(error, bias)) return false;
     if (times >= kSeenAgain)
       seen_again = true;
     else if (!turns || (whole && error > kSharp))
@@ -198,7 +200,7 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
     if (times < 2 && Contains(c.specs, effects::LawOf(effects::Regressor::kPosition).id, p.owner))
       return false;
   }
-  // A robot whose drives ripple does so on other joints too.
+  // One joint that shows whole periods supports the ripple of others.
   return seen_again || !slow;
 }
 
@@ -213,15 +215,13 @@ bool Drops(const Candidate& c) {
 
 double Strength(const Candidate& c, size_t i) {
   const EffectSpec& s = c.specs[i];
-  // The effect's strengths, and what else is free beside its shape, which is held.
+  // The effect's strengths first, then the parameters of all other effects; its own shape is left out.
   std::vector<long> own, rest;
   for (size_t k = 0; k < c.parameters.size(); ++k) {
     const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
-    const bool of_it =
-        p.effect == s.id && (s.joints.empty() || p.owner == "*" ||
-                             std::find(s.joints.begin(), s.joints.end(), p.owner) != s.joints.end());
-    if (!of_it) rest.push_back(static_cast<long>(k));
-    if (of_it && kStrengths.count(p.field) > 0) own.push_back(static_cast<long>(k));
+    const bool own_effect = IsOf(s, p);
+    if (!own_effect) rest.push_back(static_cast<long>(k));
+    if (own_effect && kStrengths.count(p.field) > 0) own.push_back(static_cast<long>(k));
   }
   if (own.empty()) return 1e9;
   const long n = static_cast<long>(own.size());
@@ -232,7 +232,7 @@ double Strength(const Candidate& c, size_t i) {
     const sysid::FitParameter& p = c.parameters[static_cast<size_t>(order[k])];
     weight[static_cast<long>(k)] = 1 / (p.prior_stddev * p.prior_stddev);
     if (static_cast<long>(k) >= n) continue;
-    // The least lag that can be simulated is none.
+    // A lag is absent at its lower bound.
     const double none = c.plant->parameters()[p.index].field == "gain"            ? 1
                         : s.id == effects::LawOf(effects::Regressor::kLagging).id ? p.lower
                                                                                   : 0;
@@ -256,19 +256,19 @@ std::vector<EffectSpec> StrongEffects(const Candidate& c) {
   return out;
 }
 
-std::vector<EffectSpec> StillNeeded(const Candidate& account, const Candidate& other) {
+std::vector<EffectSpec> StillNeeded(const Candidate& model, const Candidate& other) {
   const std::vector<EffectSpec> specs = Refreshed(other);
   if (!other.fit.ok) return specs;
-  // Of fewer windows each strength is known less.
-  const double seen = other.fit.rows < account.fit.rows && other.fit.rows > 0
-                          ? static_cast<double>(other.fit.rows) / account.fit.rows
+  // Squared strengths grow with the number of rows.
+  const double seen = other.fit.rows < model.fit.rows && other.fit.rows > 0
+                          ? static_cast<double>(other.fit.rows) / model.fit.rows
                           : 1.0;
   std::vector<EffectSpec> out;
   for (size_t i = 0; i < specs.size(); ++i) {
     double before = 0;
-    for (size_t k = 0; k < account.specs.size(); ++k) {
-      if (account.specs[k].id == specs[i].id && account.specs[k].joints == specs[i].joints)
-        before = Strength(account, k);
+    for (size_t k = 0; k < model.specs.size(); ++k) {
+      if (model.specs[k].id == specs[i].id && model.specs[k].joints == specs[i].joints)
+        before = Strength(model, k);
     }
     const double now = Strength(other, i);
     if (now * now > kMostlyGone * seen * before * before) out.push_back(specs[i]);
@@ -297,7 +297,7 @@ bool OfAllJoints(const Candidate& c, size_t i) {
 
 bool LikeItsFellows(const Candidate& c, size_t i) {
   if (!OfAllJoints(c, i) || c.specs[i].joints.size() != 1) return false;
-  // Of its first parameter that is a strength, in stddevs of its prior.
+  // The first parameter that is a strength, in prior stddevs.
   const auto strength = [&](size_t of, double* error) {
     const EffectSpec& s = c.specs[of];
     for (size_t k = 0; k < c.parameters.size(); ++k) {
@@ -318,7 +318,7 @@ bool LikeItsFellows(const Candidate& c, size_t i) {
   const auto middle = fellows.begin() + static_cast<long>(fellows.size() / 2);
   std::nth_element(fellows.begin(), middle, fellows.end());
   const double own = strength(i, &error);
-  return own + 2 * error > kAlike * *middle;
+  return own + 2 * error > kLeastOfMedian * *middle;
 }
 
 bool SurelyThere(const Candidate& c, size_t i, double needed) {

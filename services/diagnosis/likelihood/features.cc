@@ -19,7 +19,7 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr double kNextToNone = 0.1;  // of a band that few efforts lie in
+constexpr double kNarrowBand = 0.1;  // of the least quantile of |effort|
 
 double Quantile(std::vector<double> x, double p) {
   if (x.empty()) return 0;
@@ -27,7 +27,7 @@ double Quantile(std::vector<double> x, double p) {
   return x[std::min(x.size() - 1, static_cast<size_t>(p * static_cast<double>(x.size())))];
 }
 
-// What each regressor's column is looked for at, joint by joint.
+// Builds the signatures of all regressors at all shapes, joint by joint.
 class Builder {
  public:
   Builder(const FitData& data, const sim::Plant& plant, const MotionScales& scales)
@@ -68,7 +68,7 @@ class Builder {
             if (other != j) Add(r, j, shape, other);
           }
           if (r != kOtherEffort) Add(r, j, shape, -1);
-          if (r == kPosition) AddUnused(j, shape);  // without it blocks of the Gram shift: last bits
+          if (r == kPosition) AddUnused(j, shape);  // keeps the blocks of the Gram matrix, and its rounding
         }
       }
     }
@@ -93,10 +93,9 @@ class Builder {
         at({0.01, 0.03, 0.08}, 1);
         break;
       case kInBand: {
-        // The first is a band that next to no effort lies in, however small: a force against the command's
-        // sign.
+        // The first band is narrower than nearly all efforts: a force against the command's sign.
         const double least = EffortQuantile(j, 0.03);
-        at({kNextToNone * least, least, EffortQuantile(j, 0.1), EffortQuantile(j, 0.2),
+        at({kNarrowBand * least, least, EffortQuantile(j, 0.1), EffortQuantile(j, 0.2),
             EffortQuantile(j, 0.35)},
            1);
         break;
@@ -144,7 +143,7 @@ class Builder {
     return Quantile(std::move(size), p);
   }
 
-  // The coefficient of one unit of prior; 0: the force's RMS is brought to half the joint's torque.
+  // The coefficient of one prior stddev; 0: that which makes the force's RMS half the joint's torque.
   double UnitOf(Regressor r, int j, int other) const {
     using Near = effects::Inference::Near;
     if (r == Regressor::kEffort) return 0.3;
@@ -153,39 +152,33 @@ class Builder {
     return effects::InferenceOf(effects::LawOf(r).id).coefficient == Near::kAny ? 0.0 : 1.0;
   }
 
+  // No hypothesis uses it.
   void AddUnused(int j, const RegressorShape& shape) {
     if (!plant_.Takes(effects::LawOf(Regressor::kPosition).id, j)) return;
-    Feature f{Regressor::kOtherEffort, j, -1, shape.x, 1};
     std::vector<ArrayXd> values;
-    double squares = 0, count = 0;
-    for (const JointMotion& m : motions_[static_cast<size_t>(j)]) {
-      values.push_back(-(m.q - shape.x).cube());
-      squares += values.back().square().sum();
-      count += static_cast<double>(values.back().size());
-    }
-    const double rms = std::sqrt(squares / std::max(1.0, count));
-    if (!(rms > 1e-12) || !std::isfinite(rms)) return;
-    f.scale = 0.5 * s_.torque[j] / rms;
-    for (ArrayXd& v : values) v *= f.scale;
-    out_.features.push_back(f);
-    fine_.push_back(std::move(values));
+    for (const JointMotion& m : motions_[static_cast<size_t>(j)]) values.push_back(-(m.q - shape.x).cube());
+    Push({Regressor::kOtherEffort, j, -1, shape.x, 1}, 0.0, std::move(values));
   }
 
   void Add(Regressor r, int j, const RegressorShape& shape, int other) {
     const std::string& law = effects::LawOf(r).id;
     if (!plant_.Takes(law, j) || (other >= 0 && !plant_.Takes(law, other))) return;
-    Feature f{r, j, other, shape.x, 1};
     std::vector<ArrayXd> values;
-    double squares = 0, count = 0;
-    for (const JointMotion& m : motions_[static_cast<size_t>(other >= 0 ? other : j)]) {
+    for (const JointMotion& m : motions_[static_cast<size_t>(other >= 0 ? other : j)])
       values.push_back(ForceOf(r, m, shape));
-      squares += values.back().square().sum();
-      count += static_cast<double>(values.back().size());
+    Push({r, j, other, shape.x, 1}, UnitOf(r, j, other), std::move(values));
+  }
+
+  // `values`: per unit coefficient. `unit`: as UnitOf.
+  void Push(Feature f, double unit, std::vector<ArrayXd> values) {
+    double squares = 0, count = 0;
+    for (const ArrayXd& v : values) {
+      squares += v.square().sum();
+      count += static_cast<double>(v.size());
     }
     const double rms = std::sqrt(squares / std::max(1.0, count));
     if (!(rms > 1e-12) || !std::isfinite(rms)) return;
-    const double unit = UnitOf(r, j, other);
-    f.scale = unit > 0 ? unit : 0.5 * s_.torque[j] / rms;
+    f.scale = unit > 0 ? unit : 0.5 * s_.torque[f.joint] / rms;
     for (ArrayXd& v : values) v *= f.scale;
     out_.features.push_back(f);
     fine_.push_back(std::move(values));

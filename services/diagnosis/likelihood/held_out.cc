@@ -15,16 +15,15 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr int kRestarts = 3;        // of the restarts alone
-constexpr double kMost = 0.5;       // of the windows
-constexpr double kWorthATry = 1.0;  // nats
-constexpr int kFreely = 8;          // iterations of windows that start freely, and as many more
+constexpr int kRestartIterations = 3;     // of the windows' starts alone
+constexpr double kWindowShare = 0.5;      // share
+constexpr double kWorthSimulating = 1.0;  // nats that the linear model promises
+constexpr int kFreeIterations = 8;        // where hidden starts are free; as many more while the cost falls
 
-// Information and gradient of the held-out rows, in units of the parameters' priors, and what was known
-// before.
+// In units of the parameters' priors.
 struct Learned {
-  MatrixXd before, after;  // P × P
-  VectorXd gradient;       // P
+  MatrixXd before, after;  // P × P: precision without and with the held-out rows
+  VectorXd gradient;       // P: of the held-out rows
 };
 
 Learned LearnedFrom(const FitData& held_out, const Candidate& c, const NodeStates& states,
@@ -48,10 +47,9 @@ Learned LearnedFrom(const FitData& held_out, const Candidate& c, const NodeState
   return out;
 }
 
-// Where the windows start whose predecessor was followed from a start of its own: with hidden states as the
-// end of that leaves them, a motor bent against its link as there. Carried along the record itself, the
-// sensor's noise would strike a stiff spring at every row. Of a window without one, a recording's first,
-// nothing says how its springs are bent: it starts as it was followed.
+// Starts of the windows with hidden states continued from the window before, itself fitted with a free
+// start: a motor keeps its deflection against the link. (Carried along the recorded motion instead, the
+// sensors' noise would excite a stiff spring at every row.) A window without a predecessor starts as fitted.
 NodeStates Continued(const FitData& held_out, const sim::Plant& plant, const VectorXd& values,
                      const FitResult& followed, const LiftedOptions& options, NodeStates starts) {
   const int n = held_out.n;
@@ -64,7 +62,7 @@ NodeStates Continued(const FitData& held_out, const sim::Plant& plant, const Vec
       if (followed.states[w].col(0).allFinite()) starts[w].col(0) = followed.states[w].col(0);
       continue;
     }
-    // As that start's simulation ends: its lifted nodes are those of the linear model.
+    // Simulated, since the lifted nodes are those of the linear model.
     const VectorXd from = followed.states[w - 1].col(0);
     const sim::State x{
         from.head(n), from.segment(n, n), from.tail(from.size() - 2 * n), before.t.front(), {}, {}};
@@ -86,13 +84,13 @@ NodeStates Continued(const FitData& held_out, const sim::Plant& plant, const Vec
   return starts;
 }
 
-// `swings_on`: as in HeldOut.
+// `swing_continues`: as in HeldOut.
 FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd& values,
-                    const LiftedOptions& options, bool* swings_on = nullptr) {
+                    const LiftedOptions& options, bool* swing_continues = nullptr) {
   const FitModel model{*c.plant, values, {}};
   if (c.plant->num_states() == 2 * held_out.n) return Fit(held_out, model, options);
   LiftedOptions free = options;
-  free.free_hidden = true, free.iterations = kFreely, free.more_iterations = kFreely;
+  free.free_hidden = true, free.iterations = kFreeIterations, free.more_iterations = kFreeIterations;
   double work = 0;
   NodeStates swinging;
   if (HasRod(c.specs))
@@ -103,11 +101,11 @@ FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd&
     out.work += followed.work + work;
     return out;
   }
-  if (swings_on != nullptr && HasRod(c.specs)) {
-    // Each window's own start takes some of the noise in.
-    const double met = kExplained * std::max(0.0, 1 - c.plant->num_states() / RowsPerWindow(held_out));
-    *swings_on = Typically(held_out, followed.window_chi2, options.noise_scale, kMost) < met &&
-                 SwingsOn(held_out, *c.plant, &followed, free).value_or(false);
+  if (swing_continues != nullptr && HasRod(c.specs)) {
+    // Free starts absorb some of the noise.
+    const double fits = kExplained * std::max(0.0, 1 - c.plant->num_states() / RowsPerWindow(held_out));
+    *swing_continues = Typically(held_out, followed.window_chi2, options.noise_scale, kWindowShare) < fits &&
+                       SwingsOn(held_out, *c.plant, &followed, free).value_or(false);
   }
   const NodeStates starts =
       Continued(held_out, *c.plant, values, followed, options, InitialStates(held_out, model, options));
@@ -118,19 +116,19 @@ FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd&
 
 }  // namespace
 
-HeldOut Predicted(const FitData& held_out, const Candidate& fitted, const LiftedOptions& options) {
+HeldOut PredictHeldOut(const FitData& held_out, const Candidate& fitted, const LiftedOptions& options) {
   LiftedOptions restarts = options;
-  restarts.iterations = kRestarts, restarts.more_iterations = 0, restarts.free_hidden = false;
+  restarts.iterations = kRestartIterations, restarts.more_iterations = 0, restarts.free_hidden = false;
   HeldOut out;
-  const FitResult fit = Restarted(held_out, fitted, fitted.fit.values, restarts, &out.swings_on);
+  const FitResult fit = Restarted(held_out, fitted, fitted.fit.values, restarts, &out.swing_continues);
   const auto P = static_cast<long>(fitted.parameters.size());
   out.work = fit.work + Work(held_out, options, fitted.plant->num_states(), P);
   for (const double chi2 : fit.window_chi2) out.windows.push_back(-0.5 * chi2 / options.noise_scale);
   const double misfit = 0.5 * fit.chi2 / options.noise_scale;
   out.log_density = -misfit;
-  out.free =
+  out.freedom =
       std::max(0.0, held_out.Rows() - 2.0 * held_out.judged() * static_cast<double>(held_out.windows.size()));
-  out.scatter = std::sqrt(0.5 * out.free);
+  out.deficit_stddev = std::sqrt(0.5 * out.freedom);
   if (fit.ok && P > 0 && fitted.fit.information.rows() == P) {
     const Learned learned = LearnedFrom(held_out, fitted, fit.states, restarts);
     const Eigen::LLT<MatrixXd> before(learned.before), after(learned.after);
@@ -138,9 +136,9 @@ HeldOut Predicted(const FitData& held_out, const Candidate& fitted, const Lifted
       for (long i = 0; i < P; ++i)
         out.log_density += std::log(before.matrixLLT()(i, i)) - std::log(after.matrixLLT()(i, i));
       const VectorXd step = after.solve(learned.gradient);
-      // What the held-out rows would gain by the parameters that they want, simulated: what is linear where
-      // windows run away promises anything.
-      if (0.5 * step.dot(learned.gradient) > kWorthATry) {
+      // The gain by their own best parameters is simulated: where windows diverge, the linear model promises
+      // anything.
+      if (0.5 * step.dot(learned.gradient) > kWorthSimulating) {
         VectorXd theta = fitted.fit.theta;
         for (long i = 0; i < P; ++i) {
           const sysid::FitParameter& p = fitted.parameters[static_cast<size_t>(i)];
@@ -155,7 +153,7 @@ HeldOut Predicted(const FitData& held_out, const Candidate& fitted, const Lifted
       }
     }
   }
-  out.short_of_noise = -0.5 * out.free - out.log_density;
+  out.deficit = -0.5 * out.freedom - out.log_density;
   return out;
 }
 
@@ -165,7 +163,7 @@ bool PredictsMore(const HeldOut& a, const HeldOut& b) {
     wins += a.windows[w] > b.windows[w] ? 1.0 : a.windows[w] == b.windows[w] ? 0.5 : 0.0;
   }
   const auto W = static_cast<double>(a.windows.size());
-  return wins > 0.5 * W + kOnePercent * 0.5 * std::sqrt(W);
+  return wins > 0.5 * W + kZ99OneSided * 0.5 * std::sqrt(W);
 }
 
 }  // namespace rg::diagnosis

@@ -38,7 +38,7 @@ std::vector<long> MassStates(const sim::Plant& plant) {
 // χ² of k normal variables that one of a hundred exceeds (Wilson & Hilferty 1931).
 double OnePercentChi2(double k) {
   const double spread = 2.0 / (9.0 * k);
-  return k * std::pow(1.0 - spread + kOnePercent * std::sqrt(spread), 3);
+  return k * std::pow(1.0 - spread + kZ99OneSided * std::sqrt(spread), 3);
 }
 
 // The window with a node at `t`, where nothing is measured.

@@ -20,28 +20,25 @@ using Eigen::MatrixXd;
 using Eigen::VectorXd;
 using sim::RowMatrix;
 
-// A residual r [stddev] counts c²·log(1 + r²/c²) when costs are compared: r² where the model holds, and a
-// window that explodes does not outvote the others.
+// Robust cost of a residual r [stddev]: c²·log(1 + r²/c²), c = kSoft. About r² near the model; a window that
+// diverges does not outweigh the others.
 inline constexpr double kSoft = 20.0;
-inline constexpr double kBroken = 1e12;
-// How long before a window hidden states are carried along the record, so that their settled start is
-// forgotten [s].
-inline constexpr double kSettleTime = 0.5;
-// Time constants of a lag, after which it has forgotten what it followed.
-inline constexpr double kForgets = 7.0;
-inline constexpr double kEarly = 0.4;    // of a window, in which starts are compared
-inline constexpr double kAlways = 1e15;  // s, epoch seconds and nanoseconds included
-inline constexpr size_t kNearest = 8;    // of them, that are simulated to its end
+inline constexpr double kBroken = 1e12;     // r² of a simulation that failed
+inline constexpr double kSettleTime = 0.5;  // s before a window from which hidden states are simulated
+inline constexpr double kLagMemory = 7.0;   // time constants, after which a lag's initial value is forgotten
+inline constexpr double kEarlyPart = 0.4;   // of a window, on which starts with play are compared first
+inline constexpr size_t kBestEarly = 8;     // of these starts, simulated to the window's end
+inline constexpr double kAlways = 1e15;     // s, beyond epoch times in seconds
 
-// A plant that can feel a torque on each joint, for the columns B.
+// The plant with a constant torque of size zero on each joint, whose sensitivities are the columns B.
 struct Probe {
   sim::Plant plant;
   VectorXd values;
   std::vector<int> torque;  // parameter index per joint, −1: none
 };
 
-// Whether it has the effect on that joint, or one that acts on no joint and bars others of its kind.
-inline bool Holds(const sim::Plant& plant, const std::string& id, const std::string& joint) {
+// Whether it has the effect on that joint, or on the robot as a whole, which excludes further ones.
+inline bool HasOn(const sim::Plant& plant, const std::string& id, const std::string& joint) {
   for (const effects::EffectSpec& e : plant.effects()) {
     if (e.id != id) continue;
     if (e.joints.empty() || std::find(e.joints.begin(), e.joints.end(), joint) != e.joints.end()) return true;
@@ -49,7 +46,7 @@ inline bool Holds(const sim::Plant& plant, const std::string& id, const std::str
   return false;
 }
 
-// Of `model`; on a joint that has all effects it can have, none.
+// Without the torque on joints that can take no further effect of either kind.
 inline Probe MakeProbe(const FitModel& model, bool with_torque) {
   Probe probe{model.plant, model.values, {}};
   const int n = model.plant.num_joints();
@@ -60,21 +57,21 @@ inline Probe MakeProbe(const FitModel& model, bool with_torque) {
     std::string parameter;
     int joint;
   };
-  // A push that always lasts, or a wave of no cycles.
+  // A pulse without end, or a ripple of no cycles.
   const std::string &push = effects::LawOf(effects::Regressor::kPulse).id,
                     &wave = effects::LawOf(effects::Regressor::kSine).id;
   std::vector<Push> pushes;
   for (int j = 0; j < n; ++j) {
     const std::string& joint = model.plant.joint_names()[j];
     if (model.plant.IsPrescribed(j)) continue;
-    if (!Holds(model.plant, push, joint)) {
-      pushes.push_back({effects::MakeSpec(push, {joint},
-                                          {{"start", -kAlways}, {"end", kAlways}, {"torque", 0.0}}),
-                        push + "." + joint + ".torque", j});
-    } else if (!Holds(model.plant, wave, joint)) {
-      pushes.push_back({effects::MakeSpec(wave, {joint},
-                                          {{"amplitude", 0.0}, {"cycles_per_rev", 0.0}, {"phase", M_PI_2}}),
-                        wave + "." + joint + ".amplitude", j});
+    if (!HasOn(model.plant, push, joint)) {
+      pushes.push_back(
+          {effects::MakeSpec(push, {joint}, {{"start", -kAlways}, {"end", kAlways}, {"torque", 0.0}}),
+           push + "." + joint + ".torque", j});
+    } else if (!HasOn(model.plant, wave, joint)) {
+      pushes.push_back(
+          {effects::MakeSpec(wave, {joint}, {{"amplitude", 0.0}, {"cycles_per_rev", 0.0}, {"phase", M_PI_2}}),
+           wave + "." + joint + ".amplitude", j});
     }
   }
   const auto with = [&](const std::vector<Push>& some) {
@@ -257,8 +254,8 @@ class Lineariser {
     return sums;
   }
 
-  // (y − ŷ)/σ of a window simulated from x_0, rows in the order of Run; where the motion of prescribed joints is in
-  // doubt, what is left of it when rows are made independent.
+  // (y − ŷ)/σ of a window simulated from x_0, rows in the order of Run; where the motion of prescribed joints
+  // is in doubt, what is left of it when rows are made independent.
   VectorXd Residuals(int worker, int index, const VectorXd& x0) {
     Worker& w = *workers_[worker];
     w.runs.resize(1), w.run_times.resize(1);
@@ -267,8 +264,8 @@ class Lineariser {
     return Residuals(index, w.out);
   }
 
-  // Starts a window where it was recorded, or at the speeds recorded there, if it is nearer to the record
-  // from there: its states become what is simulated, nx × (N + 1).
+  // Restarts a window at the recorded state, or at the recorded velocities, if its χ² is less from there;
+  // writes the simulated states, nx × (N + 1).
   void TryRecordedStart(int worker, int index, MatrixXd* states, double* chi2) {
     const NodeWindow& window = data_.windows[index];
     VectorXd speeds = states->col(0);
@@ -286,7 +283,7 @@ class Lineariser {
     *states = w.out.state, *chi2 = best;
   }
 
-  // The states of a window as they are simulated from its start; unchanged where that breaks.
+  // Replaces a window's states by a simulation from its start; unchanged where that fails.
   void Simulate(int worker, int index, MatrixXd* states) {
     Worker& w = *workers_[worker];
     const NodeWindow& window = data_.windows[index];
@@ -295,8 +292,8 @@ class Lineariser {
     if (w.out.outcome.ok() && w.out.state.allFinite()) *states = w.out.state;
   }
 
-  // States of a window simulated node by node from x_0, in place: what is recorded stays as recorded, what is
-  // hidden is carried on. Behind an encoder on the motor the link is the hidden one.
+  // Simulates hidden states node by node along the recorded motion, in place. With the encoder on the motor
+  // the link is the hidden one.
   void CarryHidden(int worker, const NodeWindow& window, const std::vector<int>& motor, MatrixXd* states) {
     Worker& w = *workers_[worker];
     const int nz = nx_ - 2 * n_;
@@ -317,28 +314,28 @@ class Lineariser {
       }
     }
   }
-  // How long before a window its lags are simulated, for what they are where it begins [s]; 0: they are not.
+  // s before a window from which its lags are simulated; 0: they are free states.
   double Memory() const {
     double slowest = 0;
     for (const Lag& lag : lags_) slowest = std::max(slowest, probe_.values[lag.time_constant]);
-    return kForgets * slowest <= kSettleTime ? kForgets * slowest : 0.0;
+    return kLagMemory * slowest <= kSettleTime ? kLagMemory * slowest : 0.0;
   }
   bool has_gaps() const { return !gaps_.empty(); }
-  // In a gear with play the link may lie on either face or between them, at rest against the motor or on its
-  // way, and no derivative leads from one to the other: of such starts the one whose simulation is nearest to
-  // the record, if it is nearer than `best`, the χ² of the start as it is. Returns its χ².
-  // `before`: the state in which the window before ends, or null.
+  // Multi-start over the contact of a gear with play: the link lies on either face or between them, at rest
+  // against the motor or moving, and no gradient leads from one to the other. Takes the start with the least
+  // χ² if that is below `best`, the χ² of the present start; returns the χ². `before`: end state of the
+  // window before, or null.
   double ChooseFace(int worker, int index, const std::vector<int>& sensed, const VectorXd* before,
                     double best, MatrixXd* states) {
     const NodeWindow& window = data_.windows[index];
     for (const Gap& g : gaps_) {
       const int theta = 2 * n_ + g.motor;
-      // The speed to which the drive brings the motor over the gap.
+      // The speed that the drive gives the motor across the gap.
       const double half = 0.5 * probe_.values[g.parameter];
       const auto drive = data_.fine[window.recording].u.row(g.joint);
       const double torque = std::sqrt(drive.squaredNorm() / static_cast<double>(drive.size()));
       const double speed = std::sqrt(4 * half * torque / probe_.values[g.inertia]);
-      // From where it is, and from where it was recorded: a start that has followed a wrong face has moved.
+      // Both from the present start and from the recorded state: a start on a wrong face has drifted.
       const VectorXd here = states->col(0);
       VectorXd recorded = here;
       const int read = sensed[g.joint] >= 0 ? theta : g.joint;
@@ -364,14 +361,14 @@ class Lineariser {
             push(x, side * half, rate * speed);
         }
       }
-      // Which face a motor lies on shows early: all of them for a part of the window, the best to its end.
+      // The contact shows early in the window: all starts are compared there, the best to its end.
       const std::vector<double> early =
-          Simulated(worker, std::vector<int>(starts.size(), index), starts, kEarly);
+          Simulated(worker, std::vector<int>(starts.size(), index), starts, kEarlyPart);
       std::vector<size_t> order(starts.size());
       std::iota(order.begin(), order.end(), size_t{0});
       std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return early[a] < early[b]; });
       std::vector<VectorXd> nearest;
-      for (size_t i = 0; i < std::min(kNearest, order.size()); ++i) nearest.push_back(starts[order[i]]);
+      for (size_t i = 0; i < std::min(kBestEarly, order.size()); ++i) nearest.push_back(starts[order[i]]);
       const std::vector<double> chi2 = Simulated(worker, std::vector<int>(nearest.size(), index), nearest);
       const auto least = std::min_element(chi2.begin(), chi2.end());
       if (*least < best) best = *least, states->col(0) = nearest[static_cast<size_t>(least - chi2.begin())];
@@ -392,8 +389,8 @@ class Lineariser {
     return kSoft * kSoft * std::log1p(square / (kSoft * kSoft));
   }
 
-  // In which directions a window's start is free. Where hidden states are not, a motor goes with its link:
-  // what is known of it is how far its spring is bent, and the sensor's noise bends no spring.
+  // Free directions of a window's start. Where hidden states are not free, a motor moves with its link: the
+  // spring's deflection is known, and the sensor's noise does not change it.
   void FreeStarts(const std::vector<std::string>& internal) {
     starts_ = MatrixXd::Identity(nx_, nx_);
     if (options_.free_hidden) return;
@@ -407,9 +404,8 @@ class Lineariser {
     }
   }
 
-  // What a lag is at a window's start follows from the commands before it, wherever the robot was then: that
-  // is no free direction of the start, but goes with the parameters. Where these were not all recorded, or a
-  // lag remembers too many of them, the start stays free. E: nx × (1 + P + nx), of the start `x0`.
+  // A lag's state at a window's start follows from the commands before: it depends on the parameters and is
+  // not free. It stays free where the commands within its memory were not all recorded. E: nx × (1 + P + nx).
   void TieLags(const NodeWindow& window, const VectorXd& x0, Worker* w, MatrixXd* E) const {
     const double begin = window.t[0] - Memory();
     double latest = 0;
@@ -427,7 +423,7 @@ class Lineariser {
       row.segment(1, P_) = w->out.dfinal_state.row(lag.state).segment(nx_, P_);
     }
   }
-  // Whether the recording has all its rows from one time to the other.
+  // Whether no rows are missing in the interval.
   bool Recorded(int recording, double from, double to) const {
     const auto& gaps = data_.fine[recording].gaps;
     return from >= data_.recordings[recording].recording->t[0] &&
@@ -435,8 +431,8 @@ class Lineariser {
                         [&](const auto& gap) { return gap.first < to && gap.second > from; });
   }
 
-  // One run from every node to the next, with sensitivities: the rows after a node, those before the next,
-  // the next.
+  // Simulates from every node to the next, with sensitivities; outputs at the rows after a node, the rows
+  // before the next, and the next.
   void RunNodes(const NodeWindow& window, const MatrixXd& states, Worker* w) const {
     const int N = static_cast<int>(window.t.size()) - 1;
     w->runs.resize(N), w->run_times.resize(N);
@@ -459,8 +455,8 @@ class Lineariser {
     if (part >= 1.0) return all;
     const auto first = std::find(window.measured.begin(), window.measured.end(), char{1});
     const auto needed = static_cast<size_t>(first - window.measured.begin()) + 1;
-    const auto wanted = static_cast<size_t>(std::lround(part * static_cast<double>(all)));
-    return std::min(all, std::max({size_t{3}, needed, wanted}));
+    const auto some = static_cast<size_t>(std::lround(part * static_cast<double>(all)));
+    return std::min(all, std::max({size_t{3}, needed, some}));
   }
   // The whole window in one run, or its first part.
   void StartWindow(int index, const VectorXd& x0, sim::SimulationWindow* run, std::vector<double>* times,
@@ -513,7 +509,7 @@ class Lineariser {
     x->time = time;
   }
 
-  // By how much the mean of a node's outputs differs from the one at its own time.
+  // Mean of a node's outputs minus the output at its own time.
   VectorXd MeanBeyond(const Worker& w, const NodeWindow& window, int node, bool speed) const {
     const auto of = [&](int run) -> const MatrixXd& {
       return speed ? w.outs[run].velocity : w.outs[run].position;
@@ -533,7 +529,7 @@ class Lineariser {
     return sum / static_cast<double>(1 + before + after);
   }
 
-  // The derivatives of a node's mean are taken for those at its own time.
+  // The derivatives of a node's mean are approximated by those at its own time.
   void WriteRows(const Worker& w, const NodeWindow& window, int node, int run, int output, const MatrixXd& E,
                  const MatrixXd& Ef, const std::vector<int>* joint, const MatrixXd* phi, Linear* out,
                  int* row) {

@@ -8,8 +8,8 @@ namespace rg::diagnosis {
 
 namespace {
 
-constexpr double kLoose = 10.0;
-constexpr double kLeastMotion = 1e-6;  // rad, m, per second
+constexpr double kLoose = 10.0;        // prior stddev over RMS
+constexpr double kLeastMotion = 1e-6;  // least prior stddev: rad, m, or per second
 
 }  // namespace
 

@@ -1,6 +1,6 @@
-// What is known of a window's start beside its rows: bodies that effects add (a mount, a swinging mass) are
-// about where the record carries them. In directions in which nothing pushes them, as across the plane of a
-// planar arm, the rows show them to second order only, and a start that follows the noise there is thrown.
+// Arrival cost of a window: a prior on the start of the bodies that effects add (a mount, a swinging mass),
+// about where a simulation along the recorded motion leaves them. In directions without excitation, as across
+// the plane of a planar arm, rows inform them to second order only, and a start that fits the noise diverges.
 #pragma once
 
 #include "services/diagnosis/likelihood/lifted_fit.h"
@@ -8,11 +8,11 @@
 namespace rg::diagnosis {
 
 struct LooseStart {
-  Eigen::VectorXd middle;     // nx: where it is carried
-  Eigen::VectorXd precision;  // nx: zero for what only rows say
+  Eigen::VectorXd middle;     // nx: mean
+  Eigen::VectorXd precision;  // nx: zero for states that only the rows inform
 };
 
-// Of every window. Ten times the root mean square that a state has along all windows is one stddev.
+// Of every window. The stddev of a state is ten times its RMS along all windows.
 std::vector<LooseStart> LooseStarts(const sim::Plant& plant, const NodeStates& carried);
 
 }  // namespace rg::diagnosis

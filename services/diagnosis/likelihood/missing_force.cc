@@ -12,8 +12,8 @@ namespace rg::diagnosis {
 
 namespace {
 
-// Log evidence of the unknowns `chosen` alone, each with a prior of stddev 1: H the information of all with
-// that prior, g = Jᵀr.
+// Log evidence of the unknowns `chosen` alone, in units of their prior stddev. H: information of all
+// unknowns, prior included; g = Jᵀr.
 double EvidenceOf(const MatrixXd& H, const VectorXd& g, const std::vector<int>& chosen) {
   const Eigen::LLT<MatrixXd> llt(H(chosen, chosen));
   const VectorXd y = llt.matrixL().solve(g(chosen));

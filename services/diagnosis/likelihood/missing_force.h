@@ -1,20 +1,20 @@
-// The generalised force that a model lacks, as a staircase in time per joint.
+// The generalised force that a model lacks, piecewise constant in time.
 #pragma once
 
 #include "services/diagnosis/likelihood/lifted_fit.h"
 
 namespace rg::diagnosis {
 
-// The missing force as a staircase (`segment_s` wide) per joint, with its stddev; weak prior `prior` (n) on
-// each stair. One entry per window: n × stairs.
+// Per joint one value on each segment of about `segment_s`, with prior stddev `prior` (n), and its posterior
+// stddev. One entry per window: n × segments.
 struct MissingForce {
   std::vector<Eigen::MatrixXd> force, stddev;
   std::vector<std::vector<double>> t;  // middles
   double chi2 = 0;                     // with the forces
-  double unknowns = 0;                 // effective number of them, e_0 included
+  double unknowns = 0;                 // effective number of unknowns, window starts included
   int rows = 0;
-  // n × n, nats: log evidence of such stairs on joint j alone (diagonal) or on two joints. Of forces that
-  // were not estimated from motion: empty.
+  // n × n, nats: log evidence of such a force on joint j alone (diagonal) or on two joints. Empty for forces
+  // from the balance of torques.
   Eigen::MatrixXd evidence;
 };
 MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, const NodeStates& states,

@@ -10,7 +10,7 @@ namespace rg::diagnosis {
 
 namespace {
 
-constexpr int kStartsAlone = 2;  // of the starts alone
+constexpr int kStartIterations = 2;  // of the refit of the windows' starts
 
 }  // namespace
 
@@ -42,7 +42,7 @@ double OwnChi2(const FitData& data, const FitModel& model, const NodeStates& sta
     }
   });
   LiftedOptions starts = options;
-  starts.iterations = kStartsAlone, starts.more_iterations = 0;
+  starts.iterations = kStartIterations, starts.more_iterations = 0;
   return Fit(own, fixed, starts, &states).chi2 + TrueJumps(data, model.plant, options.noise_scale);
 }
 

@@ -1,4 +1,4 @@
-// What a model's own misfit would be if it were true: the null that a verdict is held against.
+// Parametric bootstrap of a model's χ²: its value if the model were true, the null of the verdict.
 #pragma once
 
 #include "common/base/rng.h"
@@ -6,10 +6,10 @@
 
 namespace rg::diagnosis {
 
-// χ² as FitResult has it, of recordings that the fitted model made itself, by another step rule
-// (semi-implicit Euler at 0.2 ms, as in StepRuleResiduals) and with the sensors' noise, and to which only the
-// starts of the windows were fitted again, with the most that a true mass's jumps add (jumps.h). Fresh
-// parameters would take up part of the step rule: it is rather too large than too small.
+// χ² (as FitResult::chi2) on recordings simulated by the fitted model with another step rule (semi-implicit
+// Euler at 0.2 ms, as StepRuleResiduals) and the sensors' noise, plus the 99 % quantile of the
+// discontinuities of a true swinging mass (jumps.h). Only the windows' starts are refitted; parameters would
+// absorb part of the step rule, so the value is rather too large.
 double OwnChi2(const FitData& data, const FitModel& model, const NodeStates& states,
                const LiftedOptions& options, Rng rng);
 

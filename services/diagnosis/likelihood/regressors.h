@@ -1,4 +1,4 @@
-// Forces per unit of a coefficient (effects/inference.h) along one joint's recorded motion.
+// Forces per unit coefficient of the regressors (effects/inference.h) along one joint's recorded motion.
 #pragma once
 
 #include <Eigen/Core>
@@ -11,19 +11,19 @@ namespace rg::diagnosis {
 // One joint in one recording, a value per row.
 struct JointMotion {
   Eigen::ArrayXd q, v, a, t;
-  Eigen::ArrayXd effort;     // that the joint's gear carries
-  Eigen::ArrayXd direction;  // sign of v, as sharp as v is known
+  Eigen::ArrayXd effort;     // through the joint's gear
+  Eigen::ArrayXd direction;  // sign of v, smoothed over the noise of v
 };
 
-// Of joint j, under these efforts (n × rows).
+// Joint j under these efforts (n × rows).
 JointMotion MotionOf(const FineMotion& m, const Eigen::MatrixXd& effort, int j);
 
-// x: the regressor's shape; y: a pulse's end, a piece's spacing to the next.
+// x: the regressor's shape; y: end of a pulse, or spacing of spline pieces.
 struct RegressorShape {
   double x = 0, y = 0;
 };
 
-// Of a regressor of the joint itself; kOtherEffort is the effort of the other one.
+// `m`: of the joint itself; for kOtherEffort of the other joint.
 Eigen::ArrayXd ForceOf(effects::Regressor regressor, const JointMotion& m, const RegressorShape& shape);
 
 }  // namespace rg::diagnosis

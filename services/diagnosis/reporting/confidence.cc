@@ -7,48 +7,47 @@
 namespace rg::diagnosis {
 namespace {
 
-// Shares that were right on the sets of seeds 59004 to 59008, each by the diagnosis of its day, or of a later
-// seed where it says so (docs/proof.md).
-constexpr double kAlone = 0.96;  // one name, nothing left: 324 of 332, rounded down
-constexpr double kTwo = 0.80;    // two names, nothing left: 92 of 115
-constexpr double kMany = 0.42;   // three or more, one thing taken for several: 10 of 24
-// Three or more on an ordinary robot: what its drives share (23 of 23 on seed 61001, 61 of 63 on 62001) and
-// what is beside that (3 of 5 and 8 of 8), both rounded down, the latter for being few.
-constexpr double kOfDrives = 0.95, kBesideDrives = 0.75;
-// Several names on a robot whose effort is measured: chosen, not counted.
+// Hit rates on the examinations with seeds 59004 to 59008, by the diagnosis of the time, unless another seed
+// is given (docs/proof.md).
+constexpr double kAlone = 0.96;  // one effect, nothing left: 324 of 332, rounded down
+constexpr double kTwo = 0.80;    // two effects, nothing left: 92 of 115
+constexpr double kMany = 0.42;   // three or more, often one effect taken for several: 10 of 24
+// Three or more on a robot with losses on most joints: those on most joints (23 of 23 on seed 61001, 61 of 63
+// on 62001), and others (3 of 5 and 8 of 8), both rounded down, the latter for being few.
+constexpr double kOfDrives = 0.95, kOther = 0.75;
+// Of several effects where the effort is measured: losses and timings, and others. Chosen, not counted.
 constexpr double kMeasured = 0.9, kRareMeasured = 0.6;
-// A rival that the data cannot tell from it: one of two, though 27 of 35 were right, for labels call some of
-// them equivalent.
+// With a rival in its class: one of two, though 27 of 35 were right, for some labels count both.
 constexpr double kRival = 0.5;
-constexpr double kBeside = 0.17;           // a name beside what has none: 1 of 6
-constexpr double kUnknown = 0.8;           // something without a name: 49 of 61, seeds 59009 to 59011
-constexpr double kParameters = 0.95;       // parameters alone: 88 of 92
-constexpr double kParametersBeside = 0.9;  // beside a name: 87 of 97
+constexpr double kWithUnnamed = 0.17;         // an effect with an unnamed force: 1 of 6
+constexpr double kUnknown = 0.8;              // an unnamed force: 49 of 61, seeds 59009 to 59011
+constexpr double kParameters = 0.95;          // parameters_only alone: 88 of 92
+constexpr double kParametersToEffects = 0.9;  // parameters_only in addition to effects: 87 of 97
 
 bool IsName(const Finding& f) { return f.effect != "parameters_only" && !IsUnnamed(f.effect); }
 
 bool IsOfDrive(const Finding& f) { return IsLossOfDrives(f.effect) || IsTiming(f.effect); }
 
-// A law that drives share, on most joints.
+// A loss or timing of drives, on most joints.
 bool OfDrives(const Finding& f, int joints) {
   return IsOfDrive(f) && 2 * static_cast<int>(f.joints.size()) > joints;
 }
 
-// Of one of three names and more, none of them beside what has none.
+// Of a finding among three or more, without an unnamed force.
 double RateOfMany(const Finding& f, const std::vector<Finding>& findings, int joints) {
   const auto losses = std::count_if(findings.begin(), findings.end(), [&](const Finding& g) {
     return IsLossOfDrives(g.effect) && OfDrives(g, joints);
   });
   if (losses < 2) return kMany;
-  return OfDrives(f, joints) ? kOfDrives : kBesideDrives;
+  return OfDrives(f, joints) ? kOfDrives : kOther;
 }
 
 double HitRate(const Finding& f, const std::string& verdict, bool measured, int names, bool alone,
                double many) {
-  if (f.effect == "parameters_only") return alone ? kParameters : kParametersBeside;
+  if (f.effect == "parameters_only") return alone ? kParameters : kParametersToEffects;
   if (IsUnnamed(f.effect)) return kUnknown;
-  if (verdict == "unexplained" && !measured) return kBeside;
-  // Losses and late drives every arm has; what few have is no surer than beside other losses.
+  if (verdict == "unexplained" && !measured) return kWithUnnamed;
+  // Every arm has losses and late drives; other effects are rarer.
   const double of_measured = IsOfDrive(f) ? kMeasured : kRareMeasured;
   const double rate = names <= 1 ? kAlone : measured ? of_measured : names == 2 ? kTwo : many;
   const bool rival = std::any_of(f.alternatives.begin(), f.alternatives.end(),

@@ -1,10 +1,9 @@
-// How sure a finding is, from how such findings fared on sets with known answers.
+// Confidence of findings, calibrated by the hit rates of such findings on sets with known answers.
 //
-// Log evidence says how much better a model fits than its rivals; it does not know of laws that are not in
-// the catalogue, so beyond a few nats it is far too sure. What tells right names from wrong ones is what
-// stands beside them: nothing left unexplained, few names, no rival near. The shares are hit rates on the
-// sets of blind examinations (docs/proof.md) after they had been taken; `realitygrad prove` with other seeds
-// measures whether they hold.
+// Log evidence compares a model with its rivals in the catalogue; it knows no law outside, and is far too
+// confident beyond a few nats. Hit rates depend on the company of a finding instead: nothing left
+// unexplained, few other effects, no rival in its class. They were counted on the sets of past blind
+// examinations (docs/proof.md); `realitygrad prove` with other seeds measures whether they are right.
 #pragma once
 
 #include <string>
@@ -14,12 +13,11 @@
 
 namespace rg::diagnosis {
 
-// Replaces each finding's confidence, the odds of its evidence alone, by the smaller of it and the hit rate
-// of its like; side remarks (`parameters_only` beside a name) are no surer than the names before them.
-// Findings end sorted: surest first, side remarks last. `measured`: the search over a measured effort, which
-// judges names by what they explain on parts left out and keeps them beside `unexplained`.
-// `joints`: of the robot. On an ordinary one, with two losses of drives on most joints, what drives share is surer
-// than many names are elsewhere.
+// Limits each finding's confidence, so far the odds of its evidence, by the hit rate of its kind, and that of
+// `parameters_only` in addition to effects by theirs. Sorts the findings by confidence, `parameters_only`
+// last. `measured`: from the search over a measured effort, where effects are cross-validated and may
+// accompany `unexplained`. `joints`: of the robot. Where two kinds of drive losses are on most joints,
+// findings on most joints have a hit rate of their own.
 void Calibrate(const std::string& verdict, bool measured, int joints, std::vector<Finding>* findings);
 
 }  // namespace rg::diagnosis

@@ -17,14 +17,15 @@ using recordings::Recording;
 
 namespace {
 
-constexpr double kTurnPerRow = 0.6;     // rad of a joint's oscillation between rows: ten rows per period
-constexpr double kWorthMissing = 0.02;  // share of rows
+// Thresholds of the notes.
+constexpr double kPhasePerRow = 0.6;    // rad of a joint's oscillation between rows: ten rows per period
+constexpr double kMissingShare = 0.02;  // of rows
 constexpr double kOtherRate = 1.5;      // factor between rates
 constexpr double kBeyond = 0.01;        // rad or m outside a limit
-constexpr double kFaster = 3.0, kStronger = 1.2;  // times a limit: URDFs' speeds are often a controller's
-constexpr double kNoisier = 3.0;                  // times what the manifest says
-constexpr double kWorthALag = 0.002;              // s
-constexpr double kWorthANote = 0.05;              // of the effort's variance
+constexpr double kFaster = 3.0, kStronger = 1.2;  // times a limit (a URDF's velocity is often a controller's)
+constexpr double kNoisier = 3.0;                  // times the manifest's noise
+constexpr double kLeastLag = 0.002;               // s, of a velocity
+constexpr double kLeastRest = 0.05;               // of the effort's variance
 
 class Notes {
  public:
@@ -102,7 +103,7 @@ class Notes {
           "): " + Listed(noisy) + "; correct noise.position_stddev, or leave it out to have it estimated");
   }
 
-  // Effects that need what these recordings do not have, by the catalogue.
+  // The effects that have this need, by the catalogue.
   static std::string EffectsThatNeed(Need need) {
     std::vector<std::string> ids;
     for (const effects::EffectInfo& info : effects::Catalog()) {
@@ -123,11 +124,11 @@ class Notes {
           "); record at " + Number(kRateOfReversals) + " Hz or more");
     std::vector<std::string> fast;
     for (int j = 0; j < s_.n; ++j) {
-      if (Of(j).moved && Of(j).speed * period_ > kTurnPerRow * Of(j).spread) fast.push_back(Name(j));
+      if (Of(j).moved && Of(j).speed * period_ > kPhasePerRow * Of(j).spread) fast.push_back(Name(j));
     }
     if (!fast.empty())
       Say("the rows are too far apart for the motion of " + Listed(fast) + " (fewer than " +
-          Number(2 * M_PI / kTurnPerRow) +
+          Number(2 * M_PI / kPhasePerRow) +
           " per oscillation): no verdict is to be trusted; record faster, or move slower");
     if (set_.sample_rate_hz &&
         (rate > kOtherRate * *set_.sample_rate_hz || rate * kOtherRate < *set_.sample_rate_hz))
@@ -138,7 +139,7 @@ class Notes {
   void Missing() {
     double missing = 0, rows = 0;
     for (const FileFigures& f : s_.files) missing += f.missing, rows += f.rows;
-    if (missing >= kWorthMissing * (missing + rows))
+    if (missing >= kMissingShare * (missing + rows))
       Say("about " + Number(100 * missing / (missing + rows)) +
           " % of the rows are missing: " + CommandsLost());
   }
@@ -171,7 +172,7 @@ class Notes {
     double least = 1e9, most = 0;
     for (int j = 0; j < s_.n; ++j) {
       const double lag = s_.velocity_lag[j];
-      if (lag < kWorthALag || Of(j).prescribed) continue;
+      if (lag < kLeastLag || Of(j).prescribed) continue;
       late.push_back(Name(j)), least = std::min(least, lag), most = std::max(most, lag);
     }
     if (!late.empty())
@@ -218,7 +219,7 @@ std::vector<std::string> NotesOnMeasurement(const std::vector<std::string>& name
   }
   for (size_t j = 0; j < names.size(); ++j) {
     const double share = measured.effort_share[static_cast<Eigen::Index>(j)];
-    if (share > kWorthANote) rest.push_back(names[j] + " " + Number(100 * share) + " %");
+    if (share > kLeastRest) rest.push_back(names[j] + " " + Number(100 * share) + " %");
   }
   if (!rest.empty()) notes.push_back("of the effort's variance the findings leave: " + Listed(rest));
   return notes;

@@ -1,4 +1,4 @@
-// What a reader should know of the data themselves, one line each: what is odd, where, and what helps.
+// Notes on the data, one line each: what is unusual, where, and the remedy.
 #pragma once
 
 #include <string>
@@ -10,19 +10,19 @@
 
 namespace rg::diagnosis {
 
-// Known before any search: what the reader and the URDF's loader found odd; joints that never moved and what
-// they hold against; positions, speeds and efforts beyond the URDF's limits; noise that is not as the
-// manifest says; rows too far apart for an effect (which, says the catalogue) or for the motion; rows that
-// are missing; commands that change between rows; velocities that lag; what was kept aside.
+// Before any search: warnings of reader and URDF loader; joints that never moved, and the torque that they
+// withstood; positions, speeds and efforts beyond the URDF's limits; noise other than in the manifest; a
+// sample rate too low for effects (by the catalogue) or for the motion; missing rows; commands that change
+// between rows; velocities that lag; held-out recordings.
 std::vector<std::string> NotesOn(const recordings::RecordingSet& set, const MotionSurvey& survey,
                                  const sim::Plant& plant);
 
-// What the search found of a measured effort: that it lags the motion, what the findings leave of it.
+// After a search over a measured effort: efforts that lag the motion; what the findings leave of the effort.
 std::vector<std::string> NotesOnMeasurement(const std::vector<std::string>& joint_names,
                                             const MeasuredEffort& measured);
 
-// Of a mass on a rod among `effects` that predicts recordings kept aside no better than the given model does
-// (RMS of their windows before and after): why that says nothing against it. Empty otherwise.
+// If `effects` have a pendulum payload and held-out errors (RMS over windows) did not fall: why that does not
+// refute it. Else empty.
 std::string NoteOnFreeSwing(const std::vector<effects::EffectSpec>& effects, double before_rms,
                             double after_rms);
 

@@ -11,7 +11,7 @@ namespace {
 
 using effects::Probe;
 
-// What is done with the joints: before and after their names.
+// The words before and after the names of the joints.
 std::pair<std::string, std::string> WordsOf(Probe probe) {
   switch (probe) {
     case Probe::kSlowRamps:
@@ -35,7 +35,7 @@ std::pair<std::string, std::string> WordsOf(Probe probe) {
   return {"a slow sweep of ", " through the whole range in both directions"};
 }
 
-// Masses show as what is taken for them does.
+// Masses show in fast reversals.
 Probe ProbeOf(const std::string& id) {
   return id == "parameters_only" ? Probe::kReversals : effects::InferenceOf(id).probe;
 }

@@ -26,13 +26,13 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr double kMuchOfTheEffort = 0.25;  // of its variance
-constexpr double kSameDelay = 0.05;  // of itself: less between two joints is a twentieth of what it shows by
-constexpr size_t kManyJoints = 3;    // whose values are said in a list
-constexpr double kLittle = 0.1;      // of what parameters explain
-constexpr double kSecond = 0.3;      // of what a force on one joint explains, for another on a second joint
+constexpr double kMuchOfTheEffort = 0.25;  // of its variance left: unexplained
+constexpr double kSameDelay = 0.05;        // relative difference between joints, below which delays are equal
+constexpr size_t kListedJoints = 3;  // from which a statement gives ranges instead of each joint's values
+constexpr double kLittle = 0.1;  // expected χ² over explained χ², below which a small excess is ignored
+constexpr double kSecond = 0.3;  // of the evidence of an unnamed force's joint, that a second one must add
 
-// How a force without a name is called, whatever form it has; of two joints' positions.
+// Name of an unnamed force in any form; whether it is the form over two joints' positions.
 const std::string& Unnamed() { return effects::LawOf(Regressor::kPositionPiece).id; }
 bool IsSurface(const std::string& id) {
   return IsUnnamed(id) && effects::FindEffect(id)->scope == effects::Scope::kJointPair;
@@ -56,8 +56,7 @@ std::vector<std::string> JointsOf(const std::vector<EffectSpec>& specs, const st
   return out;
 }
 
-// Evidence of the best tried candidate that lacks effect `id`, with the other findings kept where tried; less
-// what it predicts worse of recordings kept aside, where that was asked.
+// Score of the best fitted model without effect `id`, hold-out predictive density included where known.
 double BestWithout(const SearchResult& s, const std::string& id) {
   double best = kNoScore;
   const size_t kinds = FreshKinds(Candidate{}, s.best).size();
@@ -71,7 +70,7 @@ double BestWithout(const SearchResult& s, const std::string& id) {
   return best;
 }
 
-// Energy of a staircase of forces above its noise, per joint.
+// Energy of the missing force above its noise, per joint.
 VectorXd Energy(const MissingForce& f, int n) {
   VectorXd sum = VectorXd::Zero(n);
   for (size_t w = 0; w < f.force.size(); ++w) {
@@ -81,10 +80,10 @@ VectorXd Energy(const MissingForce& f, int n) {
   return sum.cwiseMax(0.0);
 }
 
-class Speaker {
+class FindingsBuilder {
  public:
-  Speaker(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
-          const MotionScales& scales, DiagnosisResult* result)
+  FindingsBuilder(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
+                  const MotionScales& scales, DiagnosisResult* result)
       : s_(search), data_(data), nominal_(nominal), scales_(scales), r_(*result) {}
 
   void Run() {
@@ -120,7 +119,7 @@ class Speaker {
     for (const EffectSpec& e : beyond_) {
       if (!OfStillJoints(e)) ids.insert(e.id);
     }
-    // With a measured effort there is no χ² of 1 to be reached: most of the misfit must be explained.
+    // With a measured effort χ² cannot reach 1: most of the misfit must be explained.
     const bool unexplained = s_.measured.active ? Remains() : MostIsLeft();
     const bool unnamed = std::any_of(ids.begin(), ids.end(), IsUnnamed);
     for (const std::string& id : ids) {
@@ -141,13 +140,12 @@ class Speaker {
     if (s_.best.base) AddParameters(Confidence(OddsOfParameters()));  // a side remark
   }
 
-  // Whether more is left than the model would leave of recordings that it made itself by another step rule
-  // (its own null, exceeded in 1 % of sets), and more than the findings explain. Beside parameters that
-  // explain nearly all, or where no force was found at all, a remainder that no motion would show by more
-  // than a twentieth of the noise is none.
+  // Whether χ² exceeds its value under the model itself (own_chi2.h; one-sided test at 1 %), and the excess
+  // is more than half of that of the model without effects. An excess of errors below a twentieth of the
+  // noise does not count where the findings explain ten times as much or there are none.
   bool MostIsLeft() const {
     const double scatter = std::sqrt(4.0 * s_.best.fit.rows) * s_.noise_scale;
-    if (s_.best.fit.chi2 < s_.own_chi2 + kOnePercent * scatter) return false;
+    if (s_.best.fit.chi2 < s_.own_chi2 + kZ99OneSided * scatter) return false;
     const double explained = s_.nominal.fit.chi2 - s_.best.fit.chi2;
     const bool little = beyond_.empty() || s_.own_chi2 < kLittle * explained;
     if (s_.best.fit.chi2 < kExplained * s_.own_chi2 && little) return false;
@@ -155,7 +153,7 @@ class Speaker {
     return left > 0.5 * excess;
   }
 
-  // Of a joint that never moved only a note says what it held against.
+  // Joints that never moved appear only in the notes.
   bool Silent(const std::string& joint) const {
     const int j = nominal_.model().FindJoint(joint);
     return j >= 0 && scales_.still[static_cast<size_t>(j)];
@@ -165,8 +163,7 @@ class Speaker {
            std::all_of(e.joints.begin(), e.joints.end(), [&](const std::string& j) { return Silent(j); });
   }
 
-  // A ripple or a spring on a joint whose unnamed force is over the same position is a part of that force:
-  // what its coarse nodes do not follow.
+  // Whether the effect merely corrects the coarse nodes of an unnamed force over the same joint's position.
   bool PartOfField(const std::string& id) const {
     const auto& all = s_.best.specs;
     const auto in_field = [&](const EffectSpec& part) {
@@ -180,7 +177,7 @@ class Speaker {
                        [&](const EffectSpec& e) { return e.id != id || in_field(e); });
   }
 
-  // How much better the same effects explain with base parameters freed.
+  // Log evidence of free base parameters given the same effects.
   double OddsOfParameters() const {
     for (const Candidate& c : s_.tried) {
       if (!c.base && KeyOf(c.specs) == KeyOf(s_.best.specs)) return s_.best.score - c.score;
@@ -188,8 +185,8 @@ class Speaker {
     return s_.calibrated.score - s_.nominal.score;
   }
 
-  // Whether what the names leave is structured and more than they explain, or, where there is no name, a good
-  // part of the effort: then the model does not hold, whatever the reason.
+  // With a measured effort: whether the residual is structured and more than what the effects explain, or,
+  // without effects, a large part of the effort.
   bool Remains() const {
     const auto& m = s_.measured;
     if (s_.best.specs.empty() && m.effort_share.maxCoeff() > kMuchOfTheEffort) return true;
@@ -197,7 +194,7 @@ class Speaker {
   }
 
   static double Confidence(double nats) {
-    // Evidence is of an approximate likelihood: half of each nat is believed.
+    // The likelihood is approximate: half of each nat counts.
     const double p = 1.0 / (1.0 + std::exp(-std::clamp(0.5 * nats, -30.0, 30.0)));
     return std::clamp(p, 0.02, 0.98);
   }
@@ -212,8 +209,7 @@ class Speaker {
     const auto gain = s_.measured.gain.find(id);
     f.confidence =
         Confidence(gain != s_.measured.gain.end() ? gain->second : s_.best.score - BestWithout(s_, id));
-    // That no name explains it was settled when names that fit better were refused: they are no reason for
-    // doubt.
+    // Models with catalogue effects that fit better were rejected before: they are no reason for doubt.
     if (IsUnnamed(id) && !s_.measured.active) f.confidence = 1.0;
     FillParameters(id, &f);
     f.statement = StatementOf(id, f);
@@ -222,7 +218,7 @@ class Speaker {
     return f;
   }
 
-  // The effect of that id that acts on the owner; of the whole robot, or of any joint, for "*".
+  // The effect of that id on the owner; for "*" the first.
   const EffectSpec& SpecOf(const std::string& id, const std::string& owner) const {
     return *std::find_if(s_.best.specs.begin(), s_.best.specs.end(), [&](const EffectSpec& e) {
       return e.id == id && (owner == "*" || e.joints.empty() ||
@@ -233,7 +229,7 @@ class Speaker {
   void FillParameters(const std::string& id, Finding* f) {
     for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
       const sim::Parameter& p = s_.best.plant->parameters()[s_.best.parameters[k].index];
-      // A surface's 36 weights are in model.json.
+      // The 36 weights of a surface are in model.json only.
       const bool of_it = p.owner == "*" || f->joints.empty() ||
                          std::find(f->joints.begin(), f->joints.end(), p.owner) != f->joints.end();
       if (p.effect != id || !of_it || IsSurface(id) || Silent(p.owner)) continue;
@@ -241,7 +237,7 @@ class Speaker {
                           s_.best.fit.stddev[static_cast<long>(k)]};
       f->parameters.push_back(e);
     }
-    // The contract's tilt is positive, its azimuth within ±π.
+    // diagnosis.json has a positive tilt and an azimuth within ±π.
     if (id == effects::EffectOf(effects::Role::kGravity).id && f->parameters.size() == 2) {
       double &tilt = f->parameters[0].value, &azimuth = f->parameters[1].value;
       if (tilt < 0) tilt = -tilt, azimuth += M_PI;
@@ -249,11 +245,11 @@ class Speaker {
     }
   }
 
-  // One sentence: what a joint or two have in their effect's own words, what more have as a list.
+  // A sentence per joint by the effect's own template, or ranges over many joints.
   std::string StatementOf(const std::string& id, const Finding& f) const {
     std::map<std::string, std::map<std::string, double>> by_owner;
     for (const ParameterEstimate& p : f.parameters) by_owner[p.owner][p.name] = p.value;
-    if (by_owner.size() >= kManyJoints && by_owner.count("*") == 0) return StatementOfMany(id, f);
+    if (by_owner.size() >= kListedJoints && by_owner.count("*") == 0) return StatementOfMany(id, f);
     std::string text;
     for (const auto& [owner, values] : by_owner) {
       const int joint = nominal_.model().FindJoint(owner);
@@ -268,8 +264,7 @@ class Speaker {
     return text.empty() ? effects::FindEffect(id)->title + "." : text;
   }
 
-  // "Coulomb friction that the model does not have on all 6 joints: coulomb 0.12 to 1.94 N*m.": what each
-  // joint has is in a table.
+  // "Coulomb friction that the model does not have on all 6 joints: coulomb 0.12 to 1.94 N*m."
   std::string StatementOfMany(const std::string& id, const Finding& f) const {
     std::vector<std::string> ranges;
     for (const auto& info : effects::FindEffect(id)->parameters) {
@@ -297,12 +292,12 @@ class Speaker {
       Alternative a;
       a.effect = effect;
       a.joints = JointsOf(c->specs, effect, r_.joints);
-      // Where nothing was kept aside, and with a measured effort, whose scores are of parts left out: those.
-      const bool weighed = c->held_out && s_.best.held_out;
-      const double fitted = (weighed ? FitScore(*c) - FitScore(s_.best) : c->score - s_.best.score) -
+      // Without held-out recordings, or with a measured effort, whose scores are cross-validated: the scores.
+      const bool predicted = c->held_out && s_.best.held_out;
+      const double fitted = (predicted ? FitScore(*c) - FitScore(s_.best) : c->score - s_.best.score) -
                             (c->base && !s_.best.base ? s_.beside : 0.0);
-      a.evidence = weighed ? *c->held_out - *s_.best.held_out : fitted;
-      a.separable = (weighed ? fitted + a.evidence : fitted) < -kSeparable;
+      a.evidence = predicted ? *c->held_out - *s_.best.held_out : fitted;
+      a.separable = (predicted ? fitted + a.evidence : fitted) < -kSeparable;
       a.experiment = ExperimentFor(id, effect, f->joints);
       if (SameUnderAShiftedClock(id, effect) && OneClock(id)) {
         a.separable = a.by_motion = false;
@@ -314,8 +309,8 @@ class Speaker {
     AddScaledOther(id, f);
   }
 
-  // Where masses and losses are free all efforts may be scaled: a factor on one of two drives and its inverse
-  // on the other are the same motion.
+  // With free base parameters all efforts may be scaled: a gain of one of two drives equals its inverse on
+  // the other.
   void AddScaledOther(const std::string& id, Finding* f) const {
     if (!s_.best.base || !effects::ScalesEffort(id) || f->joints.size() != 1) return;
     const int other = data_.OtherOfTwo(nominal_.model().FindJoint(f->joints[0]));
@@ -332,9 +327,8 @@ class Speaker {
     return a != b && effects::IsIn(effects::Slot::kDelay, a) && effects::IsIn(effects::Slot::kDelay, b);
   }
 
-  // Whether all joints are late by the same time: then a robot whose readings are old and one whose commands
-  // wait are the same motion under a shifted clock, and what fits make of the difference is how they begin a
-  // window.
+  // Whether the delays of all joints are equal: then delays of sensors and of commands differ by a shift of
+  // the clock only.
   bool OneClock(const std::string& id) const {
     double least = 1e300, most = 0, error = 0;
     int joints = 0;
@@ -347,7 +341,7 @@ class Speaker {
       ++joints;
     }
     return joints == data_.n &&
-           most - least <= std::max(kOneInAHundred * std::sqrt(2.0) * error, kSameDelay * most);
+           most - least <= std::max(kZ99TwoSided * std::sqrt(2.0) * error, kSameDelay * most);
   }
 
   // The interval of a joint's positions in which an unnamed force differs from zero by more than three of its
@@ -434,9 +428,8 @@ class Speaker {
                             : " around " + Number(0.5 * (f->windows[0].start + f->windows[0].end)) + " s");
   }
 
-  // The joint that the force which no name explains acts on, and a second one that takes a good part of it.
-  // Where motion tells of it: by how much better a force on that joint alone explains what is left, as an
-  // error in one joint's torque moves all, and what weighs little most.
+  // The joint of an unexplained force, and a second one if that adds enough: by the log evidence of a free
+  // force on these joints, not by its size, since a torque error of one joint moves all, and light ones most.
   std::vector<int> JointsOfTheRest() const {
     const MatrixXd& evidence = s_.remaining.evidence;
     MatrixXd worth = evidence;
@@ -486,7 +479,7 @@ class Speaker {
     int moved = 0;
     for (size_t k = 0; k < c.parameters.size(); ++k) {
       const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
-      // A rotor that the URDF cannot tell is no finding.
+      // A rotor inertia that the URDF cannot declare is not an error of it.
       if (p.kind == sim::ParameterKind::kEffect || p.kind == sim::ParameterKind::kArmature) continue;
       const double value = c.fit.theta[static_cast<long>(k)], sd = c.fit.stddev[static_cast<long>(k)];
       f.parameters.push_back({p.owner, p.field, p.unit, value, sd});
@@ -514,7 +507,7 @@ class Speaker {
 
 void Conclude(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
               const MotionScales& scales, DiagnosisResult* result) {
-  Speaker(search, data, nominal, scales, result).Run();
+  FindingsBuilder(search, data, nominal, scales, result).Run();
 }
 
 }  // namespace rg::diagnosis

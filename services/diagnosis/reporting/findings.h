@@ -1,4 +1,4 @@
-// From fitted candidates to what is said: verdict, findings, confidence, classes, places, ledger.
+// From the search's result to the report: verdict, findings with confidence and class, tables.
 #pragma once
 
 #include "services/diagnosis/api/result.h"

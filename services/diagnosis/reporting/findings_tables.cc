@@ -5,6 +5,7 @@
 #include <map>
 
 #include "services/diagnosis/data/words.h"
+#include "services/diagnosis/hypotheses/force_samples.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 
 namespace rg::diagnosis {
@@ -62,12 +63,10 @@ std::vector<ForcePlot> ForcePlots(const SearchResult& search, const FitData& dat
     plot.recording = data.recordings[recording].recording->name;
     std::vector<VectorXd> force, stddev, explained, q, v, u;
     const FineMotion& fine = data.fine[recording];
-    const double dt = fine.t[1] - fine.t[0];
     for (const size_t w : windows) {
       for (size_t s = 0; s < search.missing.t[w].size(); ++s) {
         const double t = search.missing.t[w][s];
-        const auto at =
-            static_cast<long>(std::clamp((t - fine.t[0]) / dt, 0.0, static_cast<double>(fine.t.size() - 1)));
+        const Eigen::Index at = FineRow(fine, t);
         const auto col = static_cast<long>(s);
         plot.t.push_back(t);
         force.push_back(search.missing.force[w].col(col));

@@ -1,5 +1,4 @@
-// What a diagnosis shows beside its findings: parameters before and after, what else was tried, the missing
-// force over time.
+// Tables of a diagnosis: base parameters before and after, fitted models, missing force over time.
 #pragma once
 
 #include <vector>
@@ -9,15 +8,14 @@
 
 namespace rg::diagnosis {
 
-// Of the base parameters, those first that the account moved most from where they were without it, in
-// standard deviations of their priors.
+// Base parameters, sorted by how far the effects found moved them, in prior standard deviations.
 std::vector<LedgerRow> LedgerOf(const SearchResult& search);
 
-// Of the accounts that were tried, the best ones first.
+// The fitted models, best first, kMostCandidates at most.
 inline constexpr size_t kMostCandidates = 30;
 std::vector<CandidateRow> CandidateRows(const SearchResult& search);
 
-// By recording: the force that the model without effects misses, and what of it the account explains.
+// By recording: the missing force of the model without effects, and the part that the found effects explain.
 std::vector<ForcePlot> ForcePlots(const SearchResult& search, const FitData& data);
 
 }  // namespace rg::diagnosis

@@ -67,8 +67,8 @@ void MakeUnknown(JudgedRecordings* judged) {
   for (sysid::PredictionError& e : judged->errors) e.rms = e.median_window = kUnknown;
 }
 
-// The command with what the balance of torques cannot explain added: an effort's noise, of the size and the
-// correlation that the fitted recordings show.
+// The command plus a realisation of the measured effort's noise: an Ornstein-Uhlenbeck process with the RMS
+// and correlation of the residual on the fitted recordings.
 sim::CommandSignal Disturbed(const sim::CommandSignal& command, const MeasuredEffort& effort, Rng* rng) {
   if (!effort.active) return command;
   MatrixXd u = command.values();
@@ -86,17 +86,19 @@ sim::CommandSignal Disturbed(const sim::CommandSignal& command, const MeasuredEf
   return out.ok() ? out->WithMotion(command.motion()) : command;
 }
 
-// The command with a motion of prescribed joints that may as well be the true one.
-sim::CommandSignal OtherwiseMoved(const sim::CommandSignal& command, const recordings::Recording& rec, Rng rng) {
+// The command with a motion of prescribed joints drawn from its uncertainty.
+sim::CommandSignal OtherwiseMoved(const sim::CommandSignal& command, const recordings::Recording& rec,
+                                  Rng rng) {
   if (rec.prescribed.empty()) return command;
   recordings::SmoothMotionRows drawn = recordings::PrescribedDoubt(rec).Draw(rng);
   auto motion = sim::GivenMotion::Create(rec.prescribed, {rec.t.data(), rec.t.data() + rec.rows()},
                                          std::move(drawn.q), std::move(drawn.v), std::move(drawn.a));
-  return motion.ok() ? command.WithMotion(std::make_shared<const sim::GivenMotion>(*std::move(motion))) : command;
+  return motion.ok() ? command.WithMotion(std::make_shared<const sim::GivenMotion>(*std::move(motion)))
+                     : command;
 }
 
-// What the augmented model would show if it were true: windows that it made itself, from the states where
-// they start, measured with the sensors' noise and predicted again.
+// Parametric bootstrap of the RMS error: windows simulated by the augmented model, and predicted by it from
+// noisy starts with noisy efforts.
 double NoiseFloor(const std::vector<const recordings::Recording*>& recs, const JudgedRecordings& after,
                   const sim::Plant& plant, const VectorXd& values, const sysid::PredictionOptions& options,
                   const recordings::SensorNoise& noise, const MeasuredEffort& effort, Rng rng) {
@@ -157,8 +159,8 @@ HoldoutPlot PlotOf(const recordings::Recording& rec, const sysid::Prediction& be
   return plot;
 }
 
-// Whether the fitted recordings are told better where late drives follow what held the robot before each
-// begins, or the recording's first command.
+// Whether the fitted recordings are predicted better if, before each begins, late drives follow the torque
+// that held the robot, rather than the recording's first command.
 bool HeldBefore(const std::vector<const recordings::Recording*>& fitted, const sim::Plant& plant,
                 const VectorXd& values, sysid::PredictionOptions options, int threads) {
   options.held_before = true;
@@ -182,7 +184,7 @@ void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal
   prediction.effort_excludes_gravity = set.effort_excludes_gravity;
   if (!result->plant->effects().empty())
     result->held_before = HeldBefore(set.Fit(), *result->plant, result->values, prediction, threads);
-  // What cannot be simulated is not judged.
+  // A given model that cannot be simulated has no errors.
   const bool runs = GivenRuns(nominal, options.model);
   JudgedRecordings before = Judge(recs, nominal, nominal.parameters().Nominal(), prediction, threads);
   if (!runs) MakeUnknown(&before);

@@ -1,4 +1,4 @@
-// Judgement on recordings that were not fitted: windows restarted as RECORDINGS.md has it.
+// Errors on held-out recordings, in windows restarted from the measured state (docs/recordings.md).
 #pragma once
 
 #include "services/diagnosis/api/options.h"
@@ -7,6 +7,7 @@
 
 namespace rg::diagnosis {
 
+// Fills result->holdout and its plots; of the fitted recordings where none is held out.
 void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal, const SearchResult& search,
                   const FitData& data, const DiagnosisOptions& options, int threads, DiagnosisResult* result);
 

@@ -1,5 +1,5 @@
-// What is said of a recording set before any search, by `realitygrad check`, and first by `diagnose`, `sysid`
-// and `submit diagnose`: the same warnings, the same refusals.
+// Check of a recording set before any search: the same warnings and refusals for `realitygrad check`,
+// `diagnose`, `sysid` and `submit diagnose`.
 #pragma once
 
 #include <map>
@@ -15,10 +15,10 @@ namespace rg::diagnosis {
 struct SetCheck {
   MotionSurvey survey;
   std::vector<std::string> warnings;  // one line each
-  Status refusal;  // one line, where the data cannot be what they say they are; nothing is diagnosed then
+  Status refusal;  // one line, where the data contradict their manifest; then nothing is diagnosed
 };
 
-// A second for 10 MB of CSV. kInvalid: recordings that nothing can be said of (none to fit, hardly a row).
+// About 1 s for 10 MB of CSV. kInvalid: no recording to fit, or too few rows.
 Result<SetCheck> CheckSet(const recordings::RecordingSet& set, const sim::Plant& plant, bool trust_effort);
 
 // Movable joints of the URDF that are not in the set, and where they stand [rad or m]; of a set that was

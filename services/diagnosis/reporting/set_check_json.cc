@@ -11,7 +11,7 @@ using nlohmann::json;
 
 namespace {
 
-// Limits that a URDF does not have, and temperatures that nobody recorded, are null.
+// Null: limits that the URDF does not have, temperatures that were not recorded.
 json OrNull(double x) { return std::isfinite(x) ? json(x) : json(nullptr); }
 json OrNull(const std::optional<double>& x) { return x ? json(*x) : json(nullptr); }
 

@@ -59,7 +59,7 @@ JointTable ParametersOfJoints(const DiagnosisResult& r) {
   out.joints = r.joints;
   out.cells.resize(r.joints.size());
   for (const Finding& f : r.findings) {
-    // Weights of a force without a name say nothing by themselves.
+    // The weights of an unnamed force have no meaning by themselves.
     if (effects::FindEffect(f.effect) == nullptr || effects::InferenceOf(f.effect).unnamed) continue;
     for (const ParameterEstimate& p : f.parameters) {
       const auto at = std::find(r.joints.begin(), r.joints.end(), p.owner);

@@ -1,4 +1,4 @@
-// What a diagnosis says in figures, for terminal and page alike.
+// Figures of a diagnosis as text, for terminal and page.
 #pragma once
 
 #include <string>
@@ -8,11 +8,11 @@
 
 namespace rg::diagnosis {
 
-// "explains 99.9 % of the error; 1.1 × the noise floor remains", of recordings kept aside. Empty where
+// "explains 99.9 % of the error; 1.1 × the noise floor remains", of held-out recordings. Empty where
 // nothing is to be explained.
 std::string GapInWords(const DiagnosisResult& result);
 
-// What the findings say of joints: a row per joint, a column per parameter with its unit, cells "0.84 ±
+// The findings' parameters of joints: a row per joint, a column per parameter with its unit, cells "0.84 ±
 // 0.02", "–" where the joint has none. No column: no finding has a parameter of a joint.
 struct JointTable {
   std::vector<std::string> columns;  // "coulomb [N·m]"

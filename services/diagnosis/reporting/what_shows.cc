@@ -25,10 +25,11 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr double kOneWay = 0.05;      // share of the travel, that is no motion back
-constexpr double kSpeedsApart = 1.5;  // fast over slow
-constexpr int kSlowRows = 5;
-constexpr double kAboveNoise = 2.0;                        // times its stddev, of an acceleration
+// Thresholds of the needs.
+constexpr double kOneWay = 0.05;      // of the travel, above which motion is in both directions
+constexpr double kSpeedsApart = 1.5;  // 90 % over 10 % quantile of the speed
+constexpr int kSlowRows = 5;          // rows of slow motion
+constexpr double kAboveNoise = 2.0;   // times its stddev, of an acceleration
 constexpr double kTravel = 0.05, kTravelPrismatic = 0.01;  // rad, m
 constexpr double kChange = 0.005;        // of the joint's usual torque, that a probe must change it by
 constexpr double kHardly = 1e-3;         // of the largest usual torque: less is none
@@ -42,10 +43,10 @@ constexpr double kAlike = 0.98;          // correlation of two efforts that are 
 constexpr double kWarmer = 0.5;          // K
 constexpr double kShortest = 0.03,
                  kLongest = 4.0;       // of a recording's motion, of the time friction takes to change
-constexpr double kMostRipples = 40.0;  // per turn, that are looked for
+constexpr double kMostRipples = 40.0;  // per turn, considered
 constexpr int kProbes = 200;           // instants
 
-// A need that is met, perhaps for a part of the effects only, or why it is not.
+// Why a need is not met (empty: it is), and for which part of the effects it is.
 struct Judged {
   std::string why_not, within;
 };
@@ -317,7 +318,7 @@ std::vector<EffectShows> WhatShows(const MotionSurvey& survey, const sim::Plant&
   const EffectJudge judge(survey, plant);
   std::vector<EffectShows> out;
   for (const EffectInfo& info : effects::Catalog()) {
-    // A force without a name over two joints is told as one over a joint.
+    // An unnamed force over two joints is reported as one over a joint.
     if (!(IsUnnamed(info.id) && info.scope == Scope::kJointPair)) out.push_back(judge.Of(info));
   }
   return out;

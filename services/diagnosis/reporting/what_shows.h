@@ -1,6 +1,5 @@
-// Which effects of the catalogue such recordings can show at all, and which not, with the reason. Each effect
-// says what it needs (effects::Need); one rule per need looks whether the survey has it. That an effect could
-// show does not say that it is there, nor how small a one would be found.
+// Which effects of the catalogue the recordings excite, and which not, with the reason: one rule per need of
+// an effect (effects::Need). Says neither that an effect is there nor how small a one would be found.
 #pragma once
 
 #include <string>
@@ -11,8 +10,8 @@
 
 namespace rg::diagnosis {
 
-inline constexpr double kRateOfResonances = 60.0;  // Hz: rows rarer than this do not show them
-inline constexpr double kRateOfReversals = 20.0;   // Hz: nor what happens within a reversal, or a delay
+inline constexpr double kRateOfResonances = 60.0;  // Hz: sample rate needed to see resonances
+inline constexpr double kRateOfReversals = 20.0;   // Hz: sample rate needed to see delays and reversals
 
 struct WhyNot {
   std::vector<std::string> joints;  // empty: the robot as a whole

@@ -12,13 +12,13 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr double kNearly = 2.0;      // times an account's misfit, that its plain rivals may leave
-constexpr double kFormError = 0.01;  // share of what effects explain that a neighbour's form may be worth
-constexpr double kAmplitude =
-    1e-4;                          // the same whatever is left: 1 % of an amplitude is within any simulation
-constexpr double kMostOfIt = 0.5;  // share of what is left that no matter of form takes
-constexpr double kFar = 10.0;  // χ² per row beyond noise, of a model that has little to do with the record
-constexpr double kSimplerOdds = 3.0;  // log odds: 20 to 1
+constexpr double kNearly =
+    2.0;  // times the (negative) score of a model, down to which its plain rivals count
+constexpr double kFormError = 0.01;  // ε: share of what effects explain, that a law's idealisation may leave
+constexpr double kAmplitude = 1e-4;  // share of the same, for an error of 1 % in an amplitude
+constexpr double kMostOfIt = 0.5;    // share of the misfit left, that always suffices for an addition
+constexpr double kFar = 10.0;  // χ² per row beyond noise, above which a model is far from the recordings
+constexpr double kSimplerOdds = 3.0;  // nats: odds of 20 to 1
 
 std::string WithSpaces(const std::set<std::string>& joints) {
   std::string out;
@@ -63,17 +63,18 @@ void Acceptance::NoteBase(const FitData& data, const Candidate& calibrated, cons
 }
 
 double Acceptance::Needed(const Candidate& best, double explained, double at_stake) const {
-  return NeededBeside(best, explained, at_stake, 0.0);
+  return NeededWithRule(best, explained, at_stake, 0.0);
 }
 
-double Acceptance::NeededBeside(const Candidate& best, double explained, double at_stake, double rule) const {
+double Acceptance::NeededWithRule(const Candidate& best, double explained, double at_stake,
+                                  double rule) const {
   const auto with_rule = [&](double nats) {
     const double amplitude = std::sqrt(2 * nats) + rule;
     return 0.5 * amplitude * amplitude;
   };
-  // What is left above the noise is itself known to the scatter of χ² only.
+  // The misfit above the noise, and the standard deviation of χ².
   const double left = std::max(0.0, at_stake) + std::sqrt(0.5 * best.fit.rows);
-  // Around a model that does not hold windows run away, and another step rule with them, as far as they like.
+  // Far from the recordings windows diverge, and so do their differences between step rules.
   const double most = left > 0.5 * kFar * best.fit.rows ? kMostOfIt * left : effects::kInf;
   const double chance = std::max(1.0, null_gain_ - kEffectPrior);
   if (best.specs.empty() || explained <= 0) return std::min(with_rule(chance), most);
@@ -85,14 +86,14 @@ double Acceptance::Needed(const Candidate& best, double explained, double at_sta
                           const Candidate& c) const {
   double rule = c.base && !best.base ? base_rule_ : 0;
   for (const auto& [id, joints] : Added(best, c)) rule = std::max(rule, StepRule(id, WithSpaces(joints)));
-  // What the parameters owe to another step rule, beyond what the effect does, is not theirs.
+  // The base parameters do not keep what they may owe to the step rule beyond the effect's share.
   if (best.base && !c.base && best.specs.empty())
     return kSimplerOdds - 0.5 * std::max(0.0, base_rule_ * base_rule_ - rule * rule);
-  return NeededBeside(best, explained, at_stake, rule);
+  return NeededWithRule(best, explained, at_stake, rule);
 }
 
-// Joints that were not screened together: the most of that effect. Effects that the screen cannot see: the
-// most of any.
+// For joints that were not screened together: the largest of that effect. For effects that the screen cannot
+// see: the largest of all.
 double Acceptance::StepRule(const std::string& id, const std::string& joints) const {
   const auto at = step_rule_.find(id + joints);
   if (at != step_rule_.end()) return at->second;
@@ -119,11 +120,11 @@ const Candidate* FewerNames(const std::map<std::string, Candidate>& tried, const
 }
 
 std::vector<Candidate> PlainRivals(const std::map<std::string, Candidate>& tried, const Candidate& before,
-                                   const Candidate& account, size_t most) {
+                                   const Candidate& model, size_t most) {
   std::vector<Candidate> out;
-  const auto own = tried.find(KeyOf(account.specs, false));
+  const auto own = tried.find(KeyOf(model.specs, false));
   if (own == tried.end()) return out;
-  const size_t kinds = FreshKinds(before, account).size();
+  const size_t kinds = FreshKinds(before, model).size();
   for (const auto& [key, c] : tried) {
     if (!c.fit.ok || c.base || c.score < kNearly * own->second.score) continue;
     if (!IsPart(before.specs, c.specs)) continue;
@@ -149,7 +150,7 @@ const Candidate* AsGoodAsFreed(const std::map<std::string, Candidate>& tried, co
   const Candidate* best = nullptr;
   if (!freed.base) return best;
   for (const auto& [key, c] : tried) {
-    // Hidden states and unnamed forces fit nearly anything: they have nothing to be forgiven.
+    // Hidden states and unnamed forces fit nearly anything: the leniency is not for them.
     if (!c.fit.ok || c.base || HasUnnamed(c) || HasHiddenStates(c)) continue;
     if (KeyOf(c.specs) == KeyOf(freed.specs) || c.score <= freed.score + needed(freed, c)) continue;
     if (best == nullptr || c.score > best->score) best = &c;

@@ -11,10 +11,10 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr int kNullDraws = 60;
-constexpr double kGravityPrior = 0.6;  // m/s²
+constexpr int kNullDraws = 60;         // of the null distribution
+constexpr double kGravityPrior = 0.6;  // m/s², prior stddev of gravity's x and y
 
-// What sensors do to a reading; a model parameter shows it, no force does.
+// An error of a sensor: a parameter of the model, not a force.
 bool IsOfSensor(const std::string& id) {
   const int kind = effects::KindOf(id);
   if (kind < 0) return false;
@@ -52,7 +52,7 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const Motion
     ParameterColumn c;
     c.prior_stddev = p.prior_stddev;
     c.base = row.kind != sim::ParameterKind::kEffect && row.kind != sim::ParameterKind::kArmature;
-    // One joint does not tell a payload from its link.
+    // With one joint a payload and its link are the same.
     c.last_link = c.base && row.owner == last && model.num_joints() > 1 && !has(payload, "");
     if (c.last_link) c.role = row.field;
     if (IsOfSensor(row.effect) && !has(row.effect, row.owner))
@@ -79,20 +79,20 @@ ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, b
   if (!plant.ok()) return {};
   std::vector<sysid::FitParameter> parameters;
   auto columns = ScreenColumns(*plant, setting.scales, own, &parameters);
-  const bool holds = at == &current && current.fit.states.front().rows() == plant->num_states();
+  const bool around_fit = at == &current && current.fit.states.front().rows() == plant->num_states();
   Eigen::VectorXd values = plant->parameters().Nominal();
-  if (at != nullptr && (holds || at != &current))
+  if (at != nullptr && (around_fit || at != &current))
     values = plant->ValuesFrom(at->plant->parameters(), at->fit.values);
   for (size_t c = 0; c < columns.size(); ++c) {
     const sysid::FitParameter& p = parameters[c];
     if (columns[c].effect.empty()) columns[c].away = (values[p.index] - p.nominal) / p.prior_stddev;
   }
   const FitModel model{*plant, values, parameters};
-  const NodeStates states = holds ? current.fit.states : InitialStates(setting.data, model, options);
+  const NodeStates states = around_fit ? current.fit.states : InitialStates(setting.data, model, options);
   if (step_rule->empty()) *step_rule = StepRuleResiduals(setting.data, model, states, options);
   const Screen screen =
       MakeScreen(setting.data, model, states, features.block, options, *step_rule, kNullDraws, rng);
-  return ScoreHypotheses(screen, columns, features, setting.scales, base, nominal);
+  return ScoreHypotheses(screen, columns, features, base, nominal);
 }
 
 }  // namespace rg::diagnosis

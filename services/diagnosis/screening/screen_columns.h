@@ -1,4 +1,4 @@
-// The parameters that a screen varies, what each column of them stands for, and the screen itself.
+// The parameter columns of a screen, what each stands for, and the screen around a model.
 #pragma once
 
 #include <string>
@@ -13,20 +13,20 @@
 
 namespace rg::diagnosis {
 
-// `held` with an offset and a delay of the sensor on every joint of `plant` that takes them and has none.
+// `held` and an offset and a delay of the sensor on every joint of `plant` that takes them and has none.
 std::vector<effects::EffectSpec> WithProbes(const std::vector<effects::EffectSpec>& held,
                                             const sim::Plant& plant);
 
-// `plant`: with sensors' offsets and delays on every joint, as probes; `held`: the effects that the model
-// has, whose columns are no hypotheses. `parameters`, one per column, are written.
+// `plant`: with the probes; `held`: the effects of the model, whose columns are nuisance. Writes
+// `parameters`, one per column.
 std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const MotionScales& scales,
                                            const std::vector<effects::EffectSpec>& held,
                                            std::vector<sysid::FitParameter>* parameters);
 
-// Everything screened beside `current`, with free base parameters or without: around the states and values of
-// `at` where that is `current`; else on the recorded motion, at the base parameters of `at` or, without it,
-// the nominal ones. `step_rule`: StepRuleResiduals of the first model, which serve all and are made where it
-// is empty, for they hardly depend on the model.
+// Score tests of all additions to `current`, base parameters free or fixed. Linearised around the states and
+// values of `at` if that is `current`; else along the recorded motion, at the base parameters of `at` or the
+// nominal ones. `step_rule`: StepRuleResiduals, computed if empty and then reused, since they hardly depend
+// on the model.
 ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
                           const FeatureSet& features, const LiftedOptions& options, Rng rng,
                           std::vector<Eigen::VectorXd>* step_rule);

@@ -21,12 +21,12 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr double kNullShare = 0.98;
-constexpr double kLeastOfOne = 0.25, kMostOfOne = 4;  // of a coefficient that is one at the right shape
-constexpr size_t kGrown = 8;                          // effects whose sets of joints are grown
-constexpr size_t kPaired = 16;                        // first effects that get a second one
+constexpr double kNullQuantile = 0.98;
+constexpr double kLeastOfOne = 0.25, kMostOfOne = 4;  // range of a coefficient that is one at the right shape
+constexpr size_t kGrown = 8;                          // width of the forward selection of joints: effects
+constexpr size_t kPaired = 16;  // width of the forward selection of second effects: hypotheses
 
-// Each coefficient multiplies a sum of standardised columns.
+// The columns of one hypothesis: each coefficient multiplies a sum of standardised columns.
 struct Group {
   std::string effect;
   std::vector<int> joints;
@@ -35,11 +35,11 @@ struct Group {
   double shape = 0, shape_end = 0;
   double search = 0;  // log of the number of shapes tried
   bool positive = false;
-  bool load = false;                  // of a mass, the first
+  bool load = false;                  // the first coefficient is a mass
   double low = -1e300, high = 1e300;  // admissible standardised coefficients
 };
 
-// Whether a coefficient at least is positive: of a force's terms, or the parameter that shows the effect.
+// Whether some coefficient must be positive: of a force's terms, or the parameter that shows the effect.
 bool HasSign(const EffectInfo& effect) {
   const auto& terms = effects::InferenceOf(effect.id).terms;
   return terms.empty() ? effect.parameters[0].lower >= 0
@@ -49,8 +49,8 @@ bool HasSign(const EffectInfo& effect) {
 class Scorer {
  public:
   Scorer(const Screen& screen, const std::vector<ParameterColumn>& columns, const FeatureSet& features,
-         const MotionScales& scales, bool base_free, const sim::Plant& plant)
-      : columns_(columns), features_(features), scales_(scales), plant_(plant), n_(plant.num_joints()) {
+         bool base_free, const sim::Plant& plant)
+      : columns_(columns), features_(features), plant_(plant), n_(plant.num_joints()) {
     Project(screen, base_free);
     MakeGroups();
   }
@@ -75,7 +75,7 @@ class Scorer {
   }
 
  private:
-  // Removes what the model can produce itself; what is left are the candidates' columns.
+  // Projects the nuisance parameters out of Gram matrix, right-hand side, null draws and step-rule response.
   void Project(const Screen& screen, bool base_free) {
     const int P = screen.parameters, C = screen.features, D = P + C;
     std::vector<int> own, free;
@@ -103,25 +103,21 @@ class Scorer {
       for (int j = 0; j < F; ++j) Gbf(i, j) = screen.gram(own[i], free[j]) * unit[own[i]] * unit[free[j]];
       Gbf(i, F) = screen.gram(own[i], D) * unit[own[i]] - columns_[own[i]].away;
     }
+    const auto standardised = [&](const std::vector<int>& of, const auto& x) {
+      typename std::decay_t<decltype(x)> rows(static_cast<long>(of.size()), x.cols());
+      for (size_t i = 0; i < of.size(); ++i) rows.row(static_cast<long>(i)) = x.row(of[i]) * unit[of[i]];
+      return rows;
+    };
+    null_ = standardised(free, screen.null);
+    step_rule_ = standardised(free, screen.step_rule);
     if (B > 0) {
       Gbb.diagonal().array() += 1.0;
-      const MatrixXd X = Gbb.ldlt().solve(Gbf);
+      const Eigen::LDLT<MatrixXd> precision(Gbb);
+      const MatrixXd X = precision.solve(Gbf);
       G_ -= Gbf.leftCols(F).transpose() * X.leftCols(F);
       b_ -= Gbf.leftCols(F).transpose() * X.col(F);
-    }
-    null_.resize(F, screen.null.cols());
-    for (int i = 0; i < F; ++i) null_.row(i) = screen.null.row(free[i]) * unit[free[i]];
-    if (B > 0) {
-      MatrixXd own_null(B, screen.null.cols());
-      for (int i = 0; i < B; ++i) own_null.row(i) = screen.null.row(own[i]) * unit[own[i]];
-      null_ -= Gbf.leftCols(F).transpose() * Gbb.ldlt().solve(own_null);
-    }
-    step_rule_.resize(F);
-    for (int i = 0; i < F; ++i) step_rule_[i] = screen.step_rule[free[i]] * unit[free[i]];
-    if (B > 0) {
-      VectorXd own_rule(B);
-      for (int i = 0; i < B; ++i) own_rule[i] = screen.step_rule[own[i]] * unit[own[i]];
-      step_rule_ -= Gbf.leftCols(F).transpose() * Gbb.ldlt().solve(own_rule);
+      null_ -= Gbf.leftCols(F).transpose() * precision.solve(standardised(own, screen.null));
+      step_rule_ -= Gbf.leftCols(F).transpose() * precision.solve(standardised(own, screen.step_rule));
     }
     feature_start_ = P;
   }
@@ -197,7 +193,7 @@ class Scorer {
     }
   }
 
-  // An effect of so many shapes on a joint at one of them, which terms that are a plainer law's do not have.
+  // An effect on a joint at one of its shapes; terms that belong to a plainer law have none.
   Group Shaped(const std::string& id, const Inference& own, int j, double s,
                const std::vector<double>& shapes) const {
     using Near = Inference::Near;
@@ -226,8 +222,8 @@ class Scorer {
     }
   }
 
-  // Effects that parameters of the plant show: a sensor's on its joint or on all, gravity's direction, the
-  // last link's own.
+  // Effects that are parameters of the plant: of a sensor on its joint or on all, gravity's direction,
+  // payload.
   void ParameterGroups() {
     std::map<std::string, Group> on_all, of_robot;
     for (size_t c = 0; c < columns_.size(); ++c) {
@@ -335,7 +331,7 @@ class Scorer {
     return c.size() > 1 || (c[0] >= g.low && c[0] <= g.high);
   }
 
-  // The system with some groups projected out.
+  // The normal equations with some groups projected out, each under its prior.
   struct Reduced {
     MatrixXd G;
     VectorXd b;
@@ -359,17 +355,17 @@ class Scorer {
     r->groups.push_back(index);
   }
 
-  double Structure(const Group& g, const std::vector<int>& beside) const {
+  double Structure(const Group& g, const std::vector<int>& chosen) const {
     double cost = StructurePrior({effects::EffectSpec{g.effect}}, false) *
                   std::max<double>(1.0, static_cast<double>(g.joints.size()));
     cost -= kEffectPrior * (std::max<double>(1.0, static_cast<double>(g.joints.size())) - 1);
-    for (const int other : beside) {
+    for (const int other : chosen) {
       if (groups_[static_cast<size_t>(other)].effect == g.effect) return cost - kEffectPrior;
     }
     return cost;
   }
 
-  // The group that brings most after those in `r`, among the effects admitted; −1: none brings anything.
+  // The group with the largest positive gain after those in `r`, among the groups admitted; −1: none.
   template <class Admit>
   int Next(const Reduced& r, const Admit& admit) const {
     int next = -1;
@@ -396,7 +392,7 @@ class Scorer {
     return false;
   }
 
-  // All groups solved together; false where a sign or a range is broken.
+  // All groups solved jointly; false where a sign or a range is violated.
   bool Together(const Reduced& r, Combination* out) const {
     Group all;
     for (const int i : r.groups) {
@@ -423,9 +419,8 @@ class Scorer {
     return true;
   }
 
-  // Forward selection in the linear model: of joints for every effect, of second effects for the best first
-  // ones. What one effect alone cannot show (a joint's friction beside another's, an effect behind a larger
-  // one) shows beside the other.
+  // Forward selection in the linear model: of joints for each effect, and of a second effect for the best
+  // hypotheses. An effect that a larger one hides shows only together with that.
   void Combine(ScreenResult* out) const {
     const auto named = [](const Group& g) { return !IsUnnamed(g.effect); };
     std::vector<std::pair<double, int>> first;
@@ -485,12 +480,11 @@ class Scorer {
     }
     if (largest.empty()) return 0;
     std::sort(largest.begin(), largest.end());
-    return largest[static_cast<size_t>(kNullShare * (static_cast<double>(largest.size()) - 1))];
+    return largest[static_cast<size_t>(kNullQuantile * (static_cast<double>(largest.size()) - 1))];
   }
 
   const std::vector<ParameterColumn>& columns_;
   const FeatureSet& features_;
-  const MotionScales& scales_;
   const sim::Plant& plant_;
   int n_;
   int feature_start_ = 0;
@@ -504,9 +498,8 @@ class Scorer {
 }  // namespace
 
 ScreenResult ScoreHypotheses(const Screen& screen, const std::vector<ParameterColumn>& columns,
-                             const FeatureSet& features, const MotionScales& scales, bool base_free,
-                             const sim::Plant& plant) {
-  return Scorer(screen, columns, features, scales, base_free, plant).Run();
+                             const FeatureSet& features, bool base_free, const sim::Plant& plant) {
+  return Scorer(screen, columns, features, base_free, plant).Run();
 }
 
 }  // namespace rg::diagnosis

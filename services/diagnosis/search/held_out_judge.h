@@ -1,4 +1,4 @@
-// Recordings kept aside have the last word on an account.
+// Decides between fitted models by their hold-out predictive density.
 #pragma once
 
 #include <functional>
@@ -14,42 +14,41 @@
 
 namespace rg::diagnosis {
 
-// Remembers what it predicted: of the same values at the same noise it is asked several times.
+// Predictions are cached by model, values and noise scale.
 class HeldOutJudge {
  public:
-  // `options` may change between questions. Of the noise that they have all scores are.
-  // `rod_given`: all models have a mass on a rod, whose swing speaks for none of them.
+  // `options` may change between calls; all scores are at its noise scale.
+  // `rod_given`: the given model has a pendulum payload, so that a continuous swing is no evidence for
+  // others.
   HeldOutJudge(const FitData& held_out, const LiftedOptions& options, const Trace& trace,
                bool rod_given = false)
       : data_(held_out), options_(options), trace_(trace), rod_given_(rod_given) {}
 
-  // Whether an account predicts them as well as noise allows (beyond it in 1 % of sets), or to within
-  // `needed` nats, or with errors that no motion shows; or a mass on a rod swings on through them.
-  bool Holds(const Candidate& account, double needed);
-  // Whether it takes off more than half of what `without` is short of noise by; with hidden states, nine
-  // tenths.
-  bool ExplainsMost(const Candidate& account, const Candidate& without);
-  // Of what was tried, beside an account that does not hold, the one that predicts most windows better, or
-  // has names and holds, and in all by so much more that it pays for what its own fit is worse and for what
-  // an addition needs; a force without a name pays the latter alone.
-  // Empty where there is none. The scores of what was asked and predicts worse than it then hold that too.
-  std::optional<Candidate> Better(const Candidate& account, std::map<std::string, Candidate>& tried,
+  // Whether a model's deficit is consistent with noise (one-sided test at 1 %), or below `needed` nats, or
+  // below that of errors a twentieth larger than the noise; or its pendulum payload swings continuously
+  // (held_out.h).
+  bool Holds(const Candidate& model, double needed);
+  // Whether its deficit is less than half of that of `without`; with hidden states, a tenth.
+  bool ExplainsMost(const Candidate& model, const Candidate& without);
+  // The fitted model that replaces one that is not consistent: it predicts significantly more windows better,
+  // or has no unnamed force and is consistent itself, and gains in predictive density more than its fit is
+  // worse and an addition needs (an unnamed force alone: more than an addition needs). Empty: none. Models
+  // that predict less than it get their difference as held_out_penalty.
+  std::optional<Candidate> Better(const Candidate& model, std::map<std::string, Candidate>& tried,
                                   const std::function<double(const Candidate&)>& needed);
-  // Log evidence of all recordings: of the fitted ones by the fit, of the others by what it predicts.
+  // Log evidence of the fitted recordings plus log predictive density of the held-out ones.
   double InAll(const Candidate& c) { return FitScore(c) + Of(c).log_density; }
-  // The recording, by its place among those kept aside, that `account` is furthest from; −1 where it holds.
-  int Refusing(const Candidate& account, double needed);
-  // Gives the best model, and what the findings' alternatives are (separating_motion.h), their log densities.
-  // An alternative that is likelier in all, by its fit and by what it predicts of most windows, takes the
-  // best one's place: the sum is the log evidence of all recordings. A richer form of dry friction must
-  // bring what it needs in the best one's place, as in the fit.
+  // Index of the held-out recording that the model predicts worst; −1 if the model Holds.
+  int Refusing(const Candidate& model, double needed);
+  // Computes the predictive densities of the best model and of its rivals (rivals.h). A rival that has more
+  // log evidence of all recordings by kSeparable nats and predicts most windows better replaces it; a richer
+  // form of dry friction needs what it needs in the fit.
   void WeighRivals(SearchResult* search,
                    const std::function<double(const Candidate&, const Candidate&)>& needed);
-  // Done since this was asked last.
+  // Work (lifted_fit.h) since the last call.
   double TakeWork() { return std::exchange(work_, 0.0); }
 
  private:
-  // What a prediction depends on.
   struct Question {
     std::string key;
     std::vector<double> values;

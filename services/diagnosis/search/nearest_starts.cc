@@ -11,9 +11,9 @@ namespace rg::diagnosis {
 
 namespace {
 
-constexpr size_t kWindows = 6;
-constexpr size_t kAgain = 3;    // times as many as are wanted, that are looked at again where play is
-constexpr int kLongerLook = 4;  // iterations
+constexpr size_t kWindows = 6;     // on which starts are compared
+constexpr size_t kSecondPass = 3;  // times `count`: starts of play compared again after more iterations
+constexpr int kSecondPassIterations = 4;  // of that second pass
 
 bool HasPlay(const TrialSpecs& specs) {
   return std::any_of(specs.begin(), specs.end(),
@@ -28,8 +28,8 @@ std::vector<TrialSpecs> NearestStarts(FitExecutor& fits, const FitSetting& setti
                                       const std::function<bool()>& late, double* work) {
   const std::vector<effects::EffectSpec> held = look.specs;
   look.places = SomeWindows(window_chi2, setting.data.windows.size(), kWindows);
-  // The nearest of `of` after so many more iterations than one step.
-  const auto nearest = [&](const std::vector<TrialSpecs>& of, int iterations, size_t wanted) {
+  // The best of `of` after one step and so many more.
+  const auto nearest = [&](const std::vector<TrialSpecs>& of, int iterations, size_t most) {
     look.options.iterations = iterations, look.options.more_iterations = 0;
     std::vector<FitRequest> looks(of.size(), look);
     for (size_t i = 0; i < looks.size(); ++i) looks[i].specs = Joined(held, of[i]);
@@ -42,13 +42,13 @@ std::vector<TrialSpecs> NearestStarts(FitExecutor& fits, const FitSetting& setti
     }
     std::sort(seen.begin(), seen.end());
     std::vector<TrialSpecs> out;
-    for (size_t i = 0; i < std::min(wanted, seen.size()); ++i) out.push_back(of[seen[i].second]);
+    for (size_t i = 0; i < std::min(most, seen.size()); ++i) out.push_back(of[seen[i].second]);
     return out;
   };
   if (starts.empty() || !HasPlay(starts.front()) || setting.data.n > kLightRobot)
     return nearest(starts, 0, count);
-  std::vector<TrialSpecs> near = nearest(starts, 0, kAgain * count);
-  std::vector<TrialSpecs> again = nearest(near, kLongerLook, count);
+  std::vector<TrialSpecs> near = nearest(starts, 0, kSecondPass * count);
+  std::vector<TrialSpecs> again = nearest(near, kSecondPassIterations, count);
   if (again.size() == std::min(count, near.size())) return again;
   near.resize(std::min(count, near.size()));
   return near;

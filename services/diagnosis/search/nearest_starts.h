@@ -1,5 +1,5 @@
-// Which of many starts are worth a trial, where fits end near where they start: one step from each, on a few
-// windows, tells.
+// Selects among many start values, for fits that converge to the nearest of many local minima: one
+// Gauss-Newton step from each on a few windows.
 #pragma once
 
 #include <functional>
@@ -10,9 +10,8 @@
 
 namespace rg::diagnosis {
 
-// The `count` of `starts` that are nearest to the record when they are added to `look`'s effects.
-// `window_chi2`: of the model that they are added to. No more are looked at once `late` says so. `work`: what
-// it costs is added.
+// The `count` of `starts` with the least cost when added to the effects of `look`. `window_chi2`: of the
+// model that they are added to. Stops when late() is true. Adds its cost to `work`.
 std::vector<TrialSpecs> NearestStarts(FitExecutor& fits, const FitSetting& setting, FitRequest look,
                                       const std::vector<double>& window_chi2,
                                       const std::vector<TrialSpecs>& starts, size_t count,

@@ -14,7 +14,7 @@ class KeyText {
  public:
   void Add(const std::string& text) { text_ += text, text_ += '\0'; }
   template <class Number>
-    requires std::is_arithmetic_v<Number>
+  requires std::is_arithmetic_v<Number>
   void Add(Number value) {
     char bytes[sizeof(Number)];
     std::memcpy(bytes, &value, sizeof(Number));
@@ -30,8 +30,8 @@ class KeyText {
   std::string text_;
 };
 
-// Of all that a request's result depends on. A start is known by its values, its misfit and its first and
-// last windows: all of its states would be megabytes.
+// All that a request's result depends on; of the start its values, its χ² and its first and last windows,
+// since all of its states would be megabytes.
 std::string RequestKey(const FitRequest& request) {
   KeyText key;
   key.Add(KeyOf(request.specs, request.base));

@@ -1,5 +1,4 @@
-// Fits that were asked for before are not made again: a search comes back to the same hypothesis by several
-// ways, and a fit's result is the same for the same request.
+// Cache of fits by their request: a search reaches the same hypothesis on several paths.
 #pragma once
 
 #include <map>
@@ -13,16 +12,16 @@ namespace rg::diagnosis {
 
 class RememberedFits : public FitExecutor {
  public:
-  // `fits`: who makes them; outlives this.
+  // `fits`: makes them; outlives this.
   explicit RememberedFits(FitExecutor& fits) : fits_(fits) {}
 
-  // A result that was taken before has no work. The batch outlives neither this nor a Forget().
+  // A cached result has no work. A batch must not outlive this or a Forget().
   std::unique_ptr<FitBatch> Start(const FitSetting& setting, std::vector<FitRequest> requests) override;
   void Forget() { made_.clear(); }
 
  private:
   FitExecutor& fits_;
-  std::map<std::string, FitResult> made_;  // by all that a request holds
+  std::map<std::string, FitResult> made_;  // by RequestKey
 };
 
 }  // namespace rg::diagnosis

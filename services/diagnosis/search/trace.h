@@ -1,5 +1,4 @@
-// What a search tries, line by line on stderr, where RG_DIAGNOSIS_TRACE is set: for whoever asks why a
-// diagnosis says what it says.
+// Log of a search on stderr, one line per fit and decision, if RG_DIAGNOSIS_TRACE is set.
 #pragma once
 
 #include <string>

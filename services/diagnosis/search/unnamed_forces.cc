@@ -13,9 +13,9 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr double kRest = 0.1;  // of what a force without a name leaves, that names beside it may leave
-constexpr double kHalf = 0.5;  // of what is left without a name, that may be left with it
-constexpr int kMostNames = 2;  // looked for one after another
+constexpr double kRest = 0.1;  // share of the unnamed force's excess χ² that added effects may leave
+constexpr double kHalf = 0.5;  // share of the excess χ² without an effect that may be left with it
+constexpr int kMostNames = 2;  // effects added, one after another
 
 }  // namespace
 
@@ -54,13 +54,13 @@ Candidate UnnamedForces::WithNames(const Candidate& unnamed) {
   Candidate named = unnamed;
   for (int more = 0; more < kMostNames && fits_.PerRow(named) > kExplained && !fits_.Late(); ++more) {
     Candidate next = named;
-    look_beside_(named, &next);
+    try_additions_(named, &next);
     if (next.score <= named.score + needed_(named, next)) break;
     named = next;
   }
   if (!(fits_.Excess(named) < kRest * fits_.Excess(unnamed))) return unnamed;
   named = WithoutCoarse(std::move(named));
-  // Found before the names it followed what they explain, and may be needed no more.
+  // The unnamed force had followed what the added effects explain, and may not be needed now.
   std::vector<EffectSpec> names = Refreshed(named);
   std::erase_if(names, [&](const EffectSpec& e) {
     return IsUnnamed(e.id) && !Contains(given_, e.id, e.joints.empty() ? "" : e.joints[0]);
@@ -70,17 +70,17 @@ Candidate UnnamedForces::WithNames(const Candidate& unnamed) {
   return alone.fit.ok && named.score <= alone.score + needed_(alone, named) ? alone : named;
 }
 
-Candidate UnnamedForces::WithoutCoarse(Candidate account) {
+Candidate UnnamedForces::WithoutCoarse(Candidate model) {
   Candidate bare;
   bare.specs = given_;
-  for (const std::string& kind : FreshKinds(bare, account)) {
+  for (const std::string& kind : FreshKinds(bare, model)) {
     if (IsUnnamed(kind)) continue;
-    const std::vector<EffectSpec> specs = WithoutKind(Refreshed(account), kind);
-    const Candidate* known = fits_.Known(specs, account.base);
-    const Candidate without = known != nullptr ? *known : fits_.Evaluate(specs, account.base, &account);
-    if (without.fit.ok && fits_.Excess(account) >= kHalf * fits_.Excess(without)) account = without;
+    const std::vector<EffectSpec> specs = WithoutKind(Refreshed(model), kind);
+    const Candidate* known = fits_.Known(specs, model.base);
+    const Candidate without = known != nullptr ? *known : fits_.Evaluate(specs, model.base, &model);
+    if (without.fit.ok && fits_.Excess(model) >= kHalf * fits_.Excess(without)) model = without;
   }
-  return account;
+  return model;
 }
 
 }  // namespace rg::diagnosis

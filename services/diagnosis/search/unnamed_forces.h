@@ -1,4 +1,4 @@
-// Accounts that rest on one force without a name, beside what the model is given.
+// Hypotheses with one unnamed force in addition to the given model's effects.
 #pragma once
 
 #include <functional>
@@ -12,34 +12,34 @@ namespace rg::diagnosis {
 
 class UnnamedForces {
  public:
-  // force: what a candidate leaves. needed(a, b): log evidence that b must bring in the place of a.
-  // look_beside(c, &best): trials of what may be added to c; the best of them and of `best`.
+  // force: the missing force of a candidate. needed(a, b): log evidence that b must bring in the place of a.
+  // try_additions(c, &best): fits the most promising additions to c, and leaves the best of them and `best`.
   UnnamedForces(const FitSetting& setting, FitLedger& fits, const std::vector<effects::EffectSpec>& given,
                 std::function<MissingForce(const Candidate&)> force,
                 std::function<double(const Candidate&, const Candidate&)> needed,
-                std::function<void(const Candidate&, Candidate*)> look_beside)
+                std::function<void(const Candidate&, Candidate*)> try_additions)
       : setting_(setting),
         fits_(fits),
         given_(given),
         force_(std::move(force)),
         needed_(std::move(needed)),
-        look_beside_(std::move(look_beside)) {}
+        try_additions_(std::move(try_additions)) {}
 
-  // One over each of the variables, of two joints' positions or of what one joint has, with base parameters
-  // as given and, where `freed`, with free ones, until one is enough.
+  // Fits one of each variable ("position": over two joints' positions where there are two), base parameters
+  // fixed and, if `freed`, free, until enough() is true of one.
   void Try(bool freed, const std::vector<std::string>& variables,
            const std::function<bool(const Candidate&)>& enough);
 
-  // Of those that were tried the best without names; null: none.
+  // The best fitted one without further effects; null: none.
   const Candidate* Best() const;
 
-  // `unnamed` with the effects by name that take off nine tenths of what it leaves, or these alone where they
-  // do as well without it; itself where there are none.
+  // `unnamed` with catalogue effects added if these take nine tenths of its excess χ², or these alone if they
+  // are accepted without it; else `unnamed`.
   Candidate WithNames(const Candidate& unnamed);
 
-  // An account with a force without a name has effects by name beside it that halve what would be left
-  // without them: its surface is coarse, and what else takes some of that is no effect.
-  Candidate WithoutCoarse(Candidate account);
+  // The model without effects that do not halve the excess χ²: the unnamed force's surface is coarse, and
+  // other effects may merely correct it.
+  Candidate WithoutCoarse(Candidate model);
 
  private:
   const FitSetting& setting_;
@@ -47,7 +47,7 @@ class UnnamedForces {
   const std::vector<effects::EffectSpec>& given_;
   std::function<MissingForce(const Candidate&)> force_;
   std::function<double(const Candidate&, const Candidate&)> needed_;
-  std::function<void(const Candidate&, Candidate*)> look_beside_;
+  std::function<void(const Candidate&, Candidate*)> try_additions_;
 };
 
 }  // namespace rg::diagnosis

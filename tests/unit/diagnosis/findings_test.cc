@@ -25,7 +25,7 @@ std::string VerdictBeyond(double beyond) {
   for (Candidate* c : {&search.nominal, &search.calibrated, &search.best}) c->fit.chi2 *= 1.3;
   search.own_chi2 = search.best.fit.chi2 / beyond;
   // Beyond what chance makes of the null.
-  EXPECT_GT(search.best.fit.chi2, search.own_chi2 + kOnePercent * std::sqrt(4.0 * search.best.fit.rows));
+  EXPECT_GT(search.best.fit.chi2, search.own_chi2 + kZ99OneSided * std::sqrt(4.0 * search.best.fit.rows));
   DiagnosisResult result;
   result.joints = p->set.joints;
   Conclude(search, p->data, p->nominal, p->scales, &result);

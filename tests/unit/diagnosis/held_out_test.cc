@@ -47,7 +47,7 @@ class HeldOutTest : public ::testing::Test {
     RG_CHECK(c.fit.ok);
     return c;
   }
-  HeldOut Of(const Candidate& c) const { return Predicted(*p_->data.held_out, c, options_); }
+  HeldOut Of(const Candidate& c) const { return PredictHeldOut(*p_->data.held_out, c, options_); }
 
   std::unique_ptr<testing::Prepared> p_;
   LiftedOptions options_;
@@ -56,8 +56,8 @@ class HeldOutTest : public ::testing::Test {
 TEST_F(HeldOutTest, TheTrueLawIsShortOfNothingAndAnotherIsSurelyWorse) {
   const HeldOut right = Of(Fitted({MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.1}})}));
   const HeldOut wrong = Of(Fitted({MakeSpec("viscous_friction", {Pivot()}, {{"viscous", 0.05}})}));
-  EXPECT_LT(std::abs(right.short_of_noise), 3 * right.scatter);
-  EXPECT_GT(wrong.short_of_noise, 10 * wrong.scatter);
+  EXPECT_LT(std::abs(right.deficit), 3 * right.deficit_stddev);
+  EXPECT_GT(wrong.deficit, 10 * wrong.deficit_stddev);
   EXPECT_GT(right.log_density, wrong.log_density + 100);
   EXPECT_TRUE(PredictsMore(right, wrong));
   EXPECT_FALSE(PredictsMore(wrong, right));
@@ -188,7 +188,7 @@ TEST_F(HeldOutTest, ATrueSpringGoesOnAsTheWindowBeforeLeftIt) {
   p_ = testing::Prepare("pendulum", {spring}, 42);
   p_->data.held_out = PrepareHeldOut(p_->set, p_->data, p_->nominal, p_->options);
   const HeldOut right = Of(Fitted({spring}));
-  EXPECT_LT(right.short_of_noise, 5 * right.scatter);
+  EXPECT_LT(right.deficit, 5 * right.deficit_stddev);
 }
 
 TEST(PredictsMore, AFewWindowsThatRunAwayDecideNothing) {

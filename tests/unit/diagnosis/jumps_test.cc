@@ -108,7 +108,7 @@ TEST(SwingsOn, OfRecordingsKeptAsideToo) {
   for (const double length : {0.12, 0.03}) {
     Candidate c = Unfitted(setting, {Rod(length)}, false);
     c.fit.values = c.plant->parameters().Nominal();
-    EXPECT_EQ(Predicted(*held_out, c, {}).swings_on, length == 0.12) << length;
+    EXPECT_EQ(PredictHeldOut(*held_out, c, {}).swing_continues, length == 0.12) << length;
   }
 }
 

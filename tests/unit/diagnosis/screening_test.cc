@@ -19,7 +19,7 @@ ScreenResult Screened(const Prepared& p, const std::vector<sysid::FitParameter>&
   const NodeStates states = InitialStates(p.data, model, {});
   const auto step_rule = StepRuleResiduals(p.data, model, states, {});
   const Screen screen = MakeScreen(p.data, model, states, features.block, {}, step_rule, 60, Rng(5));
-  return ScoreHypotheses(screen, columns, features, p.scales, false, p.nominal);
+  return ScoreHypotheses(screen, columns, features, false, p.nominal);
 }
 
 bool Holds(const Combination& c, const std::string& effect, const std::vector<int>& joints) {
