@@ -61,7 +61,7 @@ Regression Regressed(const FitData& data, const sim::Plant& nominal, const Motio
   const auto plant = sim::Plant::Create(nominal.shared_model(), nominal.options(), c.specs);
   if (!plant.ok()) return out;
   c.plant = std::make_shared<const sim::Plant>(*plant);
-  c.parameters = FreeParameters(*c.plant, scales, base);
+  c.parameters = FreeParameters(*c.plant, scales, base, &nominal);
   const sysid::FitSpace space(c.parameters);
   const VectorXd start = c.plant->ValuesFrom(nominal.parameters(), nominal.parameters().Nominal());
   VectorXd theta = space.nominal();

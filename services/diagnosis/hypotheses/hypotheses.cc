@@ -225,21 +225,33 @@ std::vector<std::vector<EffectSpec>> MountStarts(const sim::Plant& nominal, cons
   return out;
 }
 
-std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const MotionScales& s, bool base) {
+namespace {
+
+constexpr double kStatedSpread = 0.5;  // of a value that the user states, its prior's standard deviation
+
+}  // namespace
+
+std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const MotionScales& s, bool base,
+                                                const sim::Plant* given) {
   std::vector<sysid::FitParameter> out;
   if (base) {
     out = sysid::InertialFitParameters(plant);
     for (const auto& p : sysid::DeclaredJointFitParameters(plant)) {
       if (p.nominal == 0) continue;
       out.push_back(p);
-      out.back().prior_stddev = 0.5 * std::abs(p.nominal);
+      out.back().prior_stddev = kStatedSpread * std::abs(p.nominal);
     }
   }
   for (auto& p : sysid::RotorFitParameters(plant)) out.push_back(std::move(p));
   for (int i = 0; i < plant.parameters().size(); ++i) {
     const sim::Parameter& p = plant.parameters()[i];
     if (p.kind != sim::ParameterKind::kEffect || Fixed(p)) continue;
-    const effects::Prior prior = PriorOf(p, plant, s);
+    effects::Prior prior = PriorOf(p, plant, s);
+    const int stated = given == nullptr ? -1 : given->parameters().Find(p.name);
+    if (stated >= 0) {
+      prior.center = given->parameters()[stated].nominal;
+      prior.stddev = std::max(prior.stddev, kStatedSpread * std::abs(prior.center));
+    }
     sysid::FitParameter row{i,
                             p.name,
                             p.unit,

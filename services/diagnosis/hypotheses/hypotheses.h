@@ -56,9 +56,10 @@ std::vector<std::vector<effects::EffectSpec>> MountStarts(const sim::Plant& nomi
 
 // Free parameters of a plant: all parameters of its effects with priors in units of the motion, rotor
 // inertias that the URDF cannot tell (sysid/rotor_start.h), and, with `base`, the inertial parameters with
-// priors around the URDF.
+// priors around the URDF. Effects that `given` has too were stated by the user: their priors are about the
+// stated values.
 std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const MotionScales& scales,
-                                                bool base);
+                                                bool base, const sim::Plant* given = nullptr);
 
 // `specs` with `added`, which take the place of what cannot stand beside them on the same joints: at most one
 // dry friction, one transmission, one delay and one force of position per joint.

@@ -37,10 +37,10 @@ std::vector<effects::EffectSpec> WithProbes(const std::vector<effects::EffectSpe
   return out;
 }
 
-std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const MotionScales& scales,
-                                           const std::vector<EffectSpec>& held,
+std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const sim::Plant& nominal,
+                                           const MotionScales& scales, const std::vector<EffectSpec>& held,
                                            std::vector<sysid::FitParameter>* parameters) {
-  *parameters = FreeParameters(plant, scales, true);
+  *parameters = FreeParameters(plant, scales, true, &nominal);
   std::vector<ParameterColumn> columns;
   const auto has = [&](const std::string& id, const std::string& joint) { return Contains(held, id, joint); };
   const std::string &payload = effects::EffectOf(effects::Role::kBodyInertia).id,
@@ -78,7 +78,7 @@ ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, b
   auto plant = sim::Plant::Create(nominal.shared_model(), nominal.options(), WithProbes(own, nominal));
   if (!plant.ok()) return {};
   std::vector<sysid::FitParameter> parameters;
-  auto columns = ScreenColumns(*plant, setting.scales, own, &parameters);
+  auto columns = ScreenColumns(*plant, nominal, setting.scales, own, &parameters);
   const bool around_fit = at == &current && current.fit.states.front().rows() == plant->num_states();
   Eigen::VectorXd values = plant->parameters().Nominal();
   if (at != nullptr && (around_fit || at != &current))

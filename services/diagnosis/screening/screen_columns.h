@@ -18,8 +18,9 @@ std::vector<effects::EffectSpec> WithProbes(const std::vector<effects::EffectSpe
                                             const sim::Plant& plant);
 
 // `plant`: with the probes; `held`: the effects of the model, whose columns are nuisance. Writes
-// `parameters`, one per column.
-std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const MotionScales& scales,
+// `parameters`, one per column. `nominal`: as given by the user.
+std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const sim::Plant& nominal,
+                                           const MotionScales& scales,
                                            const std::vector<effects::EffectSpec>& held,
                                            std::vector<sysid::FitParameter>* parameters);
 

@@ -139,7 +139,7 @@ Candidate Unfitted(const FitSetting& setting, const std::vector<effects::EffectS
   auto plant = sim::Plant::Create(setting.nominal.shared_model(), setting.nominal.options(), specs);
   if (!plant.ok()) return c;
   c.plant = std::make_shared<const sim::Plant>(*plant);
-  c.parameters = FreeParameters(*c.plant, setting.scales, base);
+  c.parameters = FreeParameters(*c.plant, setting.scales, base, &setting.nominal);
   return c;
 }
 
