@@ -485,10 +485,13 @@ class FindingsBuilder {
       f.parameters.push_back({p.owner, p.field, p.unit, value, sd});
       moved += std::abs(value - p.nominal) > 3 * sd;
     }
+    const std::string by_how_much =
+        moved == 0 ? "which shows in all of them together, in none alone by three standard deviations"
+                   : std::to_string(moved) + (moved == 1 ? " parameter" : " parameters") +
+                         " by more than three standard deviations";
     f.statement = std::string(r_.findings.empty() ? "The structure of the model is right; masses"
                                                   : "Beside this, masses") +
-                  ", centres of mass or inertias differ from the URDF (" + std::to_string(moved) +
-                  " parameters by more than three standard deviations).";
+                  ", centres of mass or inertias differ from the URDF (" + by_how_much + ").";
     f.summary = "all poses and motions";
     f.share_of_mismatch = 1.0;
     r_.findings.push_back(f);

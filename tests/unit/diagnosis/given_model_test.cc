@@ -4,7 +4,9 @@
 #include <gtest/gtest.h>
 
 #include "common/base/clock.h"
+#include "services/diagnosis/data/prepare_data.h"
 #include "services/diagnosis/diagnosis.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/simulated_set.h"
 
@@ -41,6 +43,24 @@ TEST(GivenModel, IsNominalWithTheValuesThatItHas) {
   auto other = set;
   other.joints = {"shoulder"};
   EXPECT_FALSE(GivenPlant(other, model).ok());
+}
+
+// A prior about zero would pull a large friction of a joint that it holds still, and the whole fit with it.
+TEST(GivenModel, WhatItStatesIsTheCentreOfItsPrior) {
+  const auto set = testing::MakeSet("arm2", {}, 9, 1.0);
+  const sim::Plant given = GivenPlant(set, WithFriction(set)).value();
+  const auto data = PrepareData(set, given, {});
+  ASSERT_TRUE(data.ok());
+  const MotionScales scales = ScalesOf(*data, given);
+  const auto prior_of = [&](const sim::Plant* stated) {
+    for (const sysid::FitParameter& p : FreeParameters(given, scales, false, stated)) {
+      if (p.name == "coulomb_friction.elbow.coulomb") return p;
+    }
+    return sysid::FitParameter{};
+  };
+  EXPECT_EQ(prior_of(nullptr).nominal, 0.0);
+  EXPECT_EQ(prior_of(&given).nominal, 0.6);
+  EXPECT_GE(prior_of(&given).prior_stddev, 0.3);
 }
 
 TEST(GivenModel, WhatItHasIsNoFindingAndWhatItLacksIs) {
