@@ -104,7 +104,7 @@ bool Drops(const Candidate& c);
 // effects integrated out and its own shape (an azimuth, a period) held fixed.
 double Strength(const Candidate& c, size_t i);
 inline constexpr double kNothing = 1.0;  // Strength below which an effect is treated as absent
-// The effects, refreshed, whose strength exceeds kNothing.
+// The effects, refreshed, whose strength exceeds kNothing or is LikeItsFellows.
 std::vector<effects::EffectSpec> StrongEffects(const Candidate& c);
 // The effects of `other`, refreshed, without those whose squared strength fell below a hundredth of that in
 // `model`: they had stood in for a law that `other` has. (Play whose faces never part acts as a wrong zero.)

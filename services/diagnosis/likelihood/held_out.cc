@@ -16,7 +16,7 @@ using Eigen::VectorXd;
 namespace {
 
 constexpr int kRestartIterations = 3;     // of the windows' starts alone
-constexpr double kWindowShare = 0.5;      // share
+constexpr double kWindowShare = 0.5;      // of the windows, that a continuous swing must fit
 constexpr double kWorthSimulating = 1.0;  // nats that the linear model promises
 constexpr int kFreeIterations = 8;        // where hidden starts are free; as many more while the cost falls
 
