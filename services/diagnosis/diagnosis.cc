@@ -115,17 +115,17 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
     search = search_effects(data, nominal, scales, rest, threads, clock, progress, cancel);
     return Status::Ok();
   };
-  const auto over_halves = [&]() -> Status {
-    while (search.over_halves != nullptr) {
+  const auto shorter_windows = [&]() -> Status {
+    while (search.shorter_windows != nullptr) {
       rest.fit_window_s *= 0.5;
-      RG_RETURN_IF_ERROR(again(search.over_halves));
+      RG_RETURN_IF_ERROR(again(search.shorter_windows));
     }
     return Status::Ok();
   };
-  RG_RETURN_IF_ERROR(over_halves());
+  RG_RETURN_IF_ERROR(shorter_windows());
   // A held-out recording that alone excites something is fitted too.
-  if (search.unseen_in >= 0 && !(cancel != nullptr && cancel->cancelled())) {
-    const auto unseen = static_cast<size_t>(search.unseen_in);
+  if (search.excited_by >= 0 && !(cancel != nullptr && cancel->cancelled())) {
+    const auto unseen = static_cast<size_t>(search.excited_by);
     exchanged = WithFitted(given, data.held_out->places[unseen], data);
     const std::string name = data.held_out->recordings[unseen].recording->name;
     if (exchanged) {
@@ -133,12 +133,12 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
       const bool known = !search.best.specs.empty() && !HasUnnamed(search.best);
       RG_RETURN_IF_ERROR(
           again(known ? std::make_shared<const Candidate>(WithoutStates(search.best)) : nullptr));
-      RG_RETURN_IF_ERROR(over_halves());
+      RG_RETURN_IF_ERROR(shorter_windows());
       result.notes.push_back(name + " shows what the recordings to fit do not: it was fitted too" +
                              (given.Holdout().size() < 2 ? ", another kept aside in its place" : ""));
     }
   }
-  if (rest.fit_window_s < options.fit_window_s && HasRod(search.best.specs))
+  if (rest.fit_window_s < options.fit_window_s && HasPendulum(search.best.specs))
     result.notes.push_back("a swinging mass cannot be followed for " + Number(1e3 * options.fit_window_s) +
                            " ms everywhere: all was weighed over " + Number(1e3 * rest.fit_window_s) +
                            " ms at a time");
@@ -169,7 +169,7 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   }
   const std::string swing =
       NoteOnFreeSwing(search.best.specs, result.holdout.before_rms, result.holdout.after_rms);
-  if (!swing.empty() && !HasRod(nominal.effects())) result.notes.push_back(swing);
+  if (!swing.empty() && !HasPendulum(nominal.effects())) result.notes.push_back(swing);
   if (result.plant) {
     for (std::string& note : sysid::NotesOnRotors(*result.plant, result.values))
       result.notes.push_back(std::move(note));

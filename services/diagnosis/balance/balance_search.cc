@@ -133,7 +133,7 @@ class MeasuredSearch {
       BalanceModel tilted = Without(model(), Regressor::kConstant);
       tilted.tilt = true;
       out->tried.push_back(Judged(tilted));
-      ByDirection(out);
+      MergeByDirection(out);
     }
     OtherTiming(out);
     Gains(cost, out);
@@ -159,7 +159,7 @@ class MeasuredSearch {
 
   // Coulomb friction c with an offset o of the effort equals friction by direction: −(c − o) forwards,
   // +(c + o) backwards.
-  void ByDirection(SearchResult* out) const {
+  void MergeByDirection(SearchResult* out) const {
     const effects::EffectInfo &plain = effects::LawOf(Regressor::kDirection),
                               &constant = effects::LawOf(Regressor::kConstant),
                               &either = effects::LawOf(Regressor::kForwards);

@@ -22,7 +22,7 @@ constexpr double kKept = 0.9;       // share of the rows kept by the trimmed lea
 constexpr double kExplains = 0.3;   // residual over gravity's torque, at most, of the right form
 constexpr double kClearly = 3.0;    // residual of the wrong form over that of the right one, at least
 constexpr double kSeen = 0.7;  // residual over that of friction alone, above which motion explains nothing
-constexpr double kNothing =
+constexpr double kAbsent =
     0.15;                         // residual of friction alone over gravity's torque, at most, in slow motion
 constexpr double kNowhere = 0.8;  // share of that left by gravity of any size: it is not in the effort
 constexpr double kLeastGain = 0.4, kMostGain = 2.5;
@@ -146,7 +146,7 @@ class Weigher {
            left < kSeen * friction.Rms();
   }
   static bool Slow(const Sum& friction, const Sum& any) {
-    return friction.Rms() < kNothing && any.Rms() > kNowhere * friction.Rms();
+    return friction.Rms() < kAbsent && any.Rms() > kNowhere * friction.Rms();
   }
 
   VectorXd Column(int j, MatrixXd MotionSamples::*of) const {

@@ -88,7 +88,7 @@ std::vector<EffectSpec> SeenEffects(const sim::Plant& given,
     std::vector<EffectSpec> seen;
     if (c.fit.theta.size() == 0) return {};  // it cannot be fitted: start without effects
     for (size_t i = 0; i < effects.size(); ++i) {
-      if (c.fit.ok || !Unseen(c, i)) seen.push_back(effects[i]);
+      if (c.fit.ok || !Uninformed(c, i)) seen.push_back(effects[i]);
     }
     changed = seen.size() < effects.size();
     effects = std::move(seen);

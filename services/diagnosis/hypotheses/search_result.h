@@ -36,10 +36,10 @@ struct SearchResult {
   double work = 0;  // of all fits
   // Index among the held-out recordings of one that the model does not predict though it fits all others: it
   // alone excites something (a limit, a part of the workspace). −1: none.
-  int unseen_in = -1;
+  int excited_by = -1;
   // Not null: the search ended here and is to be restarted with windows of half the length, this model first
-  // (FitLedger::over_halves).
-  std::shared_ptr<const Candidate> over_halves;
+  // (FitLedger::shorter_windows).
+  std::shared_ptr<const Candidate> shorter_windows;
   double own_chi2 = 0;     // expected χ² of the best model if it were true (own_chi2.h)
   MissingForce missing;    // under the best model without effects
   MissingForce remaining;  // under the best model

@@ -151,14 +151,14 @@ std::vector<EffectSpec> Refreshed(const Candidate& c) {
   return specs;
 }
 
-bool Unseen(const Candidate& c) {
+bool Uninformed(const Candidate& c) {
   for (size_t i = 0; i < c.specs.size(); ++i) {
-    if (Unseen(c, i) && !LikeItsFellows(c, i)) return true;
+    if (Uninformed(c, i) && !LikeOtherJoints(c, i)) return true;
   }
   return false;
 }
 
-bool Unseen(const Candidate& c, size_t i) {
+bool Uninformed(const Candidate& c, size_t i) {
   const EffectSpec& s = c.specs[i];
   double known = 1;
   for (size_t k = 0; k < c.parameters.size(); ++k) {
@@ -251,7 +251,7 @@ std::vector<EffectSpec> StrongEffects(const Candidate& c) {
   const std::vector<EffectSpec> all = Refreshed(c);
   std::vector<EffectSpec> out;
   for (size_t i = 0; i < all.size(); ++i) {
-    if (Strength(c, i) > kNothing || LikeItsFellows(c, i)) out.push_back(all[i]);
+    if (Strength(c, i) > kAbsent || LikeOtherJoints(c, i)) out.push_back(all[i]);
   }
   return out;
 }
@@ -281,7 +281,7 @@ bool AddsNothing(const Candidate& before, const Candidate& c) {
   for (size_t i = 0; i < c.specs.size(); ++i) {
     const std::string joint = c.specs[i].joints.empty() ? "" : c.specs[i].joints[0];
     if (Contains(before.specs, c.specs[i].id, joint)) continue;
-    if (Strength(c, i) > kNothing) return false;
+    if (Strength(c, i) > kAbsent) return false;
     any = true;
   }
   return any;
@@ -295,7 +295,7 @@ bool OfAllJoints(const Candidate& c, size_t i) {
          (IsLossOfDrives(id) && joints >= kManyJoints && 2 * joints > c.plant->num_joints());
 }
 
-bool LikeItsFellows(const Candidate& c, size_t i) {
+bool LikeOtherJoints(const Candidate& c, size_t i) {
   if (!OfAllJoints(c, i) || c.specs[i].joints.size() != 1) return false;
   // The first parameter that is a strength, in prior stddevs.
   const auto strength = [&](size_t of, double* error) {
@@ -311,7 +311,7 @@ bool LikeItsFellows(const Candidate& c, size_t i) {
   std::vector<double> fellows;
   double error = 0;
   for (size_t k = 0; k < c.specs.size(); ++k) {
-    if (k == i || c.specs[k].id != c.specs[i].id || c.specs[k].joints.size() != 1 || Unseen(c, k)) continue;
+    if (k == i || c.specs[k].id != c.specs[i].id || c.specs[k].joints.size() != 1 || Uninformed(c, k)) continue;
     fellows.push_back(strength(k, &error));
   }
   if (2 * fellows.size() < static_cast<size_t>(c.plant->num_joints())) return false;
@@ -321,8 +321,8 @@ bool LikeItsFellows(const Candidate& c, size_t i) {
   return own + 2 * error > kLeastOfMedian * *middle;
 }
 
-bool SurelyThere(const Candidate& c, size_t i, double needed) {
-  if (LikeItsFellows(c, i)) return true;
+bool ClearlyNonzero(const Candidate& c, size_t i, double needed) {
+  if (LikeOtherJoints(c, i)) return true;
   const double strength = Strength(c, i);
   if (strength <= 4.0 || c.specs[i].id == effects::LawOf(effects::Regressor::kBeyond).id) return false;
   return OfAllJoints(c, i) || 0.5 * strength * strength > 2 * needed;

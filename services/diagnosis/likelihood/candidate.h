@@ -84,8 +84,8 @@ std::vector<effects::EffectSpec> RefreshedFrom(const Candidate& before, const Ca
 
 // Whether the data inform none of the parameters of some effect (of effect i): every posterior is nearly its
 // prior, or a mass or a gap is at its lower bound.
-bool Unseen(const Candidate& c);
-bool Unseen(const Candidate& c, size_t i);
+bool Uninformed(const Candidate& c);
+bool Uninformed(const Candidate& c, size_t i);
 
 // Whether every ripple is periodic in the joint's angle. On a rotary joint the number of cycles per turn is
 // an integer (cogging, gear teeth and encoders repeat with each turn); the test is two-sided at 1 %. A ripple
@@ -103,8 +103,8 @@ bool Drops(const Candidate& c);
 // amplitude, a mass, …) from their null values and P their marginal precision, the parameters of other
 // effects integrated out and its own shape (an azimuth, a period) held fixed.
 double Strength(const Candidate& c, size_t i);
-inline constexpr double kNothing = 1.0;  // Strength below which an effect is treated as absent
-// The effects, refreshed, whose strength exceeds kNothing or is LikeItsFellows.
+inline constexpr double kAbsent = 1.0;  // Strength below which an effect is treated as absent
+// The effects, refreshed, whose strength exceeds kAbsent or is LikeOtherJoints.
 std::vector<effects::EffectSpec> StrongEffects(const Candidate& c);
 // The effects of `other`, refreshed, without those whose squared strength fell below a hundredth of that in
 // `model`: they had stood in for a law that `other` has. (Play whose faces never part acts as a wrong zero.)
@@ -119,12 +119,12 @@ bool OfAllJoints(const Candidate& c, size_t i);
 inline constexpr long kManyJoints = 3;
 // Whether the strength of such an effect i is compatible, within two standard deviations, with a fifth of the
 // median of the other joints', in units of the priors. Holds where the joint's own motion says little.
-bool LikeItsFellows(const Candidate& c, size_t i);
+bool LikeOtherJoints(const Candidate& c, size_t i);
 
 // Whether effect i is needed without a refit to prove it: strength above 4, and ½·strength² above 2·needed
 // nats (not asked of OfAllJoints). A saturation's strength is unknown, since its null value is infinite:
 // false.
-bool SurelyThere(const Candidate& c, size_t i, double needed);
+bool ClearlyNonzero(const Candidate& c, size_t i, double needed);
 
 // Kinds of effects that `c` has and `before` has not.
 std::set<std::string> FreshKinds(const Candidate& before, const Candidate& c);

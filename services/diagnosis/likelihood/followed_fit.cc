@@ -81,7 +81,7 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
       const NodeWindow& window = data.windows[w];
       FitResult best;
       // Whether none is needed any more.
-      const auto met = [&] { return best.ok && best.chi2 < kMet * best.rows * options.noise_scale; };
+      const auto met = [&] { return best.ok && best.chi2 < kFitted * best.rows * options.noise_scale; };
       const auto attempt = [&](const MatrixXd& start) {
         const FitResult fit = Alone(&one, window, model, alone, start, kOneWindow);
         spent[static_cast<size_t>(c)] += fit.work;
@@ -143,7 +143,7 @@ struct Followed {
     std::vector<size_t> order(data.windows.size());
     std::iota(order.begin(), order.end(), size_t{0});
     std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return chi2[a] < chi2[b]; });
-    const double met = kMet * options.noise_scale * RowsPerWindow(data);
+    const double met = kFitted * options.noise_scale * RowsPerWindow(data);
     auto count = static_cast<size_t>(std::ceil(share * static_cast<double>(order.size())));
     while (count < order.size() && chi2[order[count]] < met) ++count;
     order.resize(count);
@@ -153,7 +153,7 @@ struct Followed {
 
   // How many of them a fit meets.
   long Met(const std::vector<double>& window_chi2) const {
-    const double met = kMet * options.noise_scale * RowsPerWindow(data);
+    const double met = kFitted * options.noise_scale * RowsPerWindow(data);
     return std::count_if(window_chi2.begin(), window_chi2.end(), [&](double c) { return c < met; });
   }
 

@@ -93,7 +93,7 @@ FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd&
   free.free_hidden = true, free.iterations = kFreeIterations, free.more_iterations = kFreeIterations;
   double work = 0;
   NodeStates swinging;
-  if (HasRod(c.specs))
+  if (HasPendulum(c.specs))
     swinging = FollowedStates(held_out, model, free, InitialStates(held_out, model, free), true, &work);
   FitResult followed = Fit(held_out, model, free, swinging.empty() ? nullptr : &swinging);
   if (!followed.ok) {
@@ -101,10 +101,10 @@ FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd&
     out.work += followed.work + work;
     return out;
   }
-  if (swing_continues != nullptr && HasRod(c.specs)) {
+  if (swing_continues != nullptr && HasPendulum(c.specs)) {
     // Free starts absorb some of the noise.
     const double fits = kExplained * std::max(0.0, 1 - c.plant->num_states() / RowsPerWindow(held_out));
-    *swing_continues = Typically(held_out, followed.window_chi2, options.noise_scale, kWindowShare) < fits &&
+    *swing_continues = TypicalChi2(held_out, followed.window_chi2, options.noise_scale, kWindowShare) < fits &&
                        SwingsOn(held_out, *c.plant, &followed, free).value_or(false);
   }
   const NodeStates starts =

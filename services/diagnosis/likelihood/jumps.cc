@@ -8,7 +8,7 @@
 
 #include "services/diagnosis/likelihood/candidate.h"
 #include "services/diagnosis/likelihood/lineariser.h"
-#include "services/diagnosis/likelihood/loose_start.h"
+#include "services/diagnosis/likelihood/arrival_cost.h"
 #include "services/diagnosis/likelihood/swing_starts.h"
 #include "services/sysid/parallel.h"
 
@@ -83,7 +83,7 @@ MatrixXd Inverse(const MatrixXd& precision) {
 }
 
 Ends EndsOf(Lineariser& lin, int worker, int window, const std::vector<long>& mass, MatrixXd states,
-            const LooseStart& loose, double noise_scale) {
+            const ArrivalCost& loose, double noise_scale) {
   Ends out;
   lin.Simulate(worker, window, &states);
   Linear linear;
@@ -124,7 +124,7 @@ std::vector<Ends> AllEnds(const FitData& data, const sim::Plant& plant, const Fi
   const FitData meeting = Meeting(data);
   const std::vector<long> mass = MassStates(plant);
   Lineariser lin(meeting, FitModel{plant, fit.values, {}}, false, options);
-  const std::vector<LooseStart> loose = LooseStarts(plant, fit.states);
+  const std::vector<ArrivalCost> loose = ArrivalCosts(plant, fit.states);
   std::vector<Ends> ends(data.windows.size());
   sysid::ParallelFor(options.threads, static_cast<int>(ends.size()), [&](int worker, int w) {
     const auto i = static_cast<size_t>(w);
@@ -176,7 +176,7 @@ std::optional<bool> SwingsOn(const FitData& data, const sim::Plant& plant, FitRe
   sim::Simulator simulator(plant, {.integrator = options.integrator, .step_s = options.step_s});
   simulator.SetParameters(fit.values);
   fitted->work += Work(data, options, plant.num_states(), plant.num_states());
-  const double met_below = kMet * options.noise_scale * RowsPerWindow(data);
+  const double met_below = kFitted * options.noise_scale * RowsPerWindow(data);
   const auto met = [&](size_t w) { return fit.window_chi2[w] < met_below; };
   int meetings = 0, both_met = 0, goes_on = 0;
   for (size_t w = 1; w < ends.size(); ++w) {

@@ -11,7 +11,7 @@
 #include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/gram.h"
 #include "services/diagnosis/likelihood/lineariser.h"
-#include "services/diagnosis/likelihood/loose_start.h"
+#include "services/diagnosis/likelihood/arrival_cost.h"
 #include "services/sysid/boxed_newton_step.h"
 #include "services/sysid/parallel.h"
 
@@ -150,7 +150,7 @@ double HiddenCost(const std::vector<Linear>& linear, const NodeStates& states, i
 }
 
 // Start of a window's states that fits best after a step of the parameters, relative to what they are, `at`.
-VectorXd BestStart(const Linear& l, const VectorXd& step, const LooseStart& loose, const VectorXd& at) {
+VectorXd BestStart(const Linear& l, const VectorXd& step, const ArrivalCost& loose, const VectorXd& at) {
   MatrixXd JJ = l.J_e.transpose() * l.J_e;
   JJ.diagonal().array() += 1e-9 * JJ.diagonal().maxCoeff() + 1e-12;
   JJ.diagonal() += loose.precision;
@@ -164,7 +164,7 @@ VectorXd BestStart(const Linear& l, const VectorXd& step, const LooseStart& loos
 
 // Rows that lie far off weigh as they count in the costs that are compared, or windows that explode would
 // lead where no cost falls: d(c²·log(1 + r²/c²))/d(r²).
-void WeighAsCosts(const LooseStart& loose, const VectorXd& at, Linear* l) {
+void RobustWeights(const ArrivalCost& loose, const VectorXd& at, Linear* l) {
   const VectorXd rest = l->r - l->J_e * BestStart(*l, VectorXd::Zero(l->J.cols()), loose, at);
   const VectorXd weight = (1.0 + rest.array().square() / (kSoft * kSoft)).rsqrt();
   l->r.array() *= weight.array();
@@ -176,7 +176,7 @@ void WeighAsCosts(const LooseStart& loose, const VectorXd& at, Linear* l) {
 // best; writes χ² of the windows simulated from there. `adopted`: χ² so far, where known. Returns how many
 // windows were simulated.
 size_t MoveStates(Lineariser& lin, int worker, int first, int last, const std::vector<Linear>& linear,
-                  const VectorXd& step, const std::vector<LooseStart>& loose,
+                  const VectorXd& step, const std::vector<ArrivalCost>& loose,
                   const std::vector<double>& adopted, NodeStates* states, std::vector<double>* chi2) {
   struct Moved {
     int window;
@@ -333,7 +333,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   FitModel start{model.plant, values, model.parameters};
   NodeStates states = from != nullptr ? *from : InitialStates(data, start, options);
   const double inverse_scale = 1.0 / options.noise_scale;
-  const std::vector<LooseStart> loose = LooseStarts(model.plant, states);
+  const std::vector<ArrivalCost> loose = ArrivalCosts(model.plant, states);
   if (lin.has_gaps()) FollowSimulations(data, lin, options.threads, &states);
 
   double best = std::numeric_limits<double>::infinity();
@@ -365,7 +365,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
     sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
       lin.Run(worker, w, states[w], nullptr, nullptr, true, &linear[w]);
       if (!linear[w].ok) return;
-      WeighAsCosts(loose[w], states[w].col(0), &linear[w]);
+      RobustWeights(loose[w], states[w].col(0), &linear[w]);
       const MatrixXd rest = ProjectOut(linear[w].J_e, linear[w].J, linear[w].r);
       grams[w].setZero(P + 1, P + 1);
       grams[w].selfadjointView<Eigen::Lower>().rankUpdate(rest.transpose(), inverse_scale);

@@ -68,7 +68,7 @@ model::Frame FrameOf(const model::RobotModel& model, const EffectSpec& mass) {
 
 }  // namespace
 
-bool HasRod(const std::vector<EffectSpec>& specs) { return std::any_of(specs.begin(), specs.end(), OnRod); }
+bool HasPendulum(const std::vector<EffectSpec>& specs) { return std::any_of(specs.begin(), specs.end(), OnRod); }
 
 bool HasMassInSprings(const std::vector<EffectSpec>& specs) {
   return std::any_of(specs.begin(), specs.end(),
@@ -86,7 +86,7 @@ void WidenPoint(const sim::Plant& plant, VectorXd* values) {
   const auto of = [&](const char* field) -> double& {
     return (*values)[plant.parameters().Find(effects::SwingingMass().id + ".*." + field)];
   };
-  if (!HasRod(plant.effects()) || of("radius") > kPoint * of("length")) return;
+  if (!HasPendulum(plant.effects()) || of("radius") > kPoint * of("length")) return;
   // m·L stays, and L + r²/L.
   of("radius") = kWide * of("length");
   of("mass") /= kShorter;
@@ -116,7 +116,7 @@ VectorXd HangingFrom(const sim::Simulator& simulator, const VectorXd& start) {
 
 std::vector<VectorXd> SwingsFrom(const sim::Simulator& simulator, const VectorXd& start) {
   const sim::Plant& plant = simulator.plant();
-  if (!HasRod(plant.effects())) return {};
+  if (!HasPendulum(plant.effects())) return {};
   const VectorXd still = HangingFrom(simulator, start);
   const auto of = [&](const char* field) {
     return simulator.parameters()[plant.parameters().Find(effects::SwingingMass().id + ".*." + field)];
@@ -138,7 +138,7 @@ std::vector<VectorXd> LetGo(const FitData& data, sim::Simulator& simulator, cons
   std::vector<VectorXd> out;
   const auto r = static_cast<size_t>(window.recording);
   const double begin = data.recordings[r].recording->t[0], to = window.t.front();
-  if (!HasRod(simulator.plant().effects()) || to - begin > kLongestFall) return out;
+  if (!HasPendulum(simulator.plant().effects()) || to - begin > kLongestFall) return out;
   VectorXd q, v, a;
   data.motions[r].At(begin, &q, &v, &a);
   sim::State x = simulator.MakeState(q, v, begin, data.recordings[r].command);
@@ -156,7 +156,7 @@ std::vector<VectorXd> LetGo(const FitData& data, sim::Simulator& simulator, cons
 
 double RowsPerWindow(const FitData& data) { return data.Rows() / static_cast<double>(data.windows.size()); }
 
-double Typically(const FitData& data, const std::vector<double>& window_chi2, double noise_scale,
+double TypicalChi2(const FitData& data, const std::vector<double>& window_chi2, double noise_scale,
                  double share) {
   if (window_chi2.empty()) return std::numeric_limits<double>::infinity();
   std::vector<double> sorted = window_chi2;

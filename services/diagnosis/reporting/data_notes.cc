@@ -227,7 +227,7 @@ std::vector<std::string> NotesOnMeasurement(const std::vector<std::string>& name
 
 std::string NoteOnFreeSwing(const std::vector<effects::EffectSpec>& effects, double before_rms,
                             double after_rms) {
-  if (!HasRod(effects) || !(after_rms >= before_rms)) return "";
+  if (!HasPendulum(effects) || !(after_rms >= before_rms)) return "";
   return "held-out errors do not become smaller by a mass that swings freely, for no sensor reads where it "
          "is "
          "when a window begins: it is believed because it swings on from each window to the next";

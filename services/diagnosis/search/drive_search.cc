@@ -17,15 +17,15 @@ using effects::EffectSpec, effects::LawOf, effects::Regressor;
 
 namespace {
 
-constexpr int kIterations = 12;      // of fits that begin far off
-constexpr double kNear = 0.2;        // of what is amiss, that drives leave where more than they is missing
-constexpr double kCloser = 0.1;      // the same, above which free base parameters or one thing more are tried
-constexpr double kUseful = 0.5;      // the same, of friction and rotors that have to do with it at all
-constexpr double kShown = 0.85;      // of the regression's residual, that losses leave where they are
-constexpr double kWorthwhile = 0.8;  // of what is left, that friction which drops with speed leaves
-constexpr int kThingsBeside = 4;     // that are looked for before the drives are given up
-constexpr double kClearly = 10.0;    // stddev from nothing, of a loss that drives have
-constexpr double kLateBy = 0.01;     // s, where a fit of lags or delays begins
+constexpr int kIterations = 12;        // of fits from far off
+constexpr double kNear = 0.2;          // of the excess χ²: most that the group leaves
+constexpr double kCloser = 0.1;        // above which free base parameters or one addition are tried
+constexpr double kUseful = 0.5;        // most that a useful step leaves
+constexpr double kShown = 0.85;        // of the regression's residual scale: most that true losses leave
+constexpr double kWorthwhile = 0.8;    // of the excess: most that another dry law leaves
+constexpr int kThingsBeside = 4;       // additions to the group, at most
+constexpr double kClearly = 10.0;      // standard deviations from zero, of a significant loss
+constexpr double kLateBy = 0.01;       // s, where a fit of lags or delays begins
 constexpr double kLittleLate = 0.004;  // s, the same of one beside the other
 const std::string kDry = LawOf(Regressor::kDirection).id;
 const std::string kDropping = LawOf(Regressor::kSlowly).id;
@@ -42,7 +42,7 @@ bool IsLoss(const std::string& id) {
          (info != nullptr && info->family == "friction");
 }
 
-// As a start for others: its values count though it be refused.
+// As a start of other fits, inadmissible or not.
 Candidate AsStart(Candidate c) {
   c.fit.ok = c.fit.values.allFinite() && c.fit.values.size() > 0;
   return c;
@@ -57,8 +57,8 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
   Candidate best = Losses();
   const bool useful = best.plant != nullptr && Left(best) < kUseful * Left(plain);
   const auto leaves = [&](double share) { return Left(best) > share * Left(without); };
-  // What is missing beside the drives hides what they have: each time it takes half, they are looked at
-  // again.
+  // A missing effect hides what the drives have: after each addition that takes half of the excess they are
+  // reconsidered.
   std::set<std::string> looked_at;  // with their scores
   for (int more = 0; useful && more < kThingsBeside; ++more) {
     const double before = Left(best);
@@ -71,7 +71,7 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
     const Candidate drives = best;
     Freed(&best);
     if (!drives.fit.ok || fits_.Late()) break;
-    // Two things may each take less than half while the other is missing.
+    // Two missing effects may each take less than half while the other is missing.
     if (LeavesSomething(best) && (Left(best) < kUseful * before || TakeNearest(kept, &best))) continue;
     if (!leaves(kCloser)) break;
     Candidate with = drives;
@@ -87,8 +87,8 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
   return std::nullopt;
 }
 
-// Whether the regression of the inverse dynamics has something to gain by them, on half of the joints at
-// least. In the simulator they would follow some of whatever else is missing.
+// Whether the regression of the inverse dynamics gains by losses on at least half of the joints. (In the
+// simulator they would absorb part of anything.)
 bool DriveSearch::LossesShow() const {
   const Eigen::VectorXd left = LeftByGroup(setting_.data, setting_.nominal, setting_.scales, kLosses);
   int joints = 0;
@@ -98,7 +98,7 @@ bool DriveSearch::LossesShow() const {
   return 2 * joints >= setting_.data.judged();
 }
 
-// Of what was tried here the nearest, where it takes a fifth off what `best` leaves.
+// The best model fitted here, where it takes a fifth of the excess of `best`.
 bool DriveSearch::TakeNearest(const std::map<std::string, Candidate>& before, Candidate* best) const {
   const Candidate* nearest = best;
   for (const auto& [key, c] : fits_.tried()) {
@@ -111,27 +111,28 @@ bool DriveSearch::TakeNearest(const std::map<std::string, Candidate>& before, Ca
   return true;
 }
 
-// From the regression of the inverse dynamics.
+// Losses on all joints, started from the regression of the inverse dynamics.
 Candidate DriveSearch::Losses() {
   const Candidate start = RegressedGroup(setting_.data, setting_.nominal, setting_.scales, kLosses, false);
   if (!start.fit.ok || start.specs.size() == given_.size() || fits_.Late()) return {};
   return Seen(fits_.Evaluate(start.specs, false, nullptr, kIterations), false);
 }
 
-// Without the losses that these recordings show nothing of, which would have the whole refused.
+// The same without losses that the data do not inform, which make a model inadmissible.
 Candidate DriveSearch::Seen(const Candidate& c, bool base) {
   const Candidate all = AsStart(c);
   if (c.fit.ok || !all.fit.ok || fits_.Late()) return c;
   std::vector<EffectSpec> seen = Refreshed(all);
   for (size_t i = seen.size(); i-- > 0;) {
-    const bool weak = Unseen(all, i) || Strength(all, i) < kNothing;
-    if (!IsGiven(seen[i]) && weak && !LikeItsFellows(all, i)) seen.erase(seen.begin() + static_cast<long>(i));
+    const bool weak = Uninformed(all, i) || Strength(all, i) < kAbsent;
+    if (!IsGiven(seen[i]) && weak && !LikeOtherJoints(all, i))
+      seen.erase(seen.begin() + static_cast<long>(i));
   }
   if (seen.empty() || seen.size() == c.specs.size()) return c;
   return fits_.Evaluate(seen, base, &all, kIterations);
 }
 
-// What takes little of what is left stands for something else that is missing, and would be in its way.
+// A lag or delay that takes little stands for something else, and would hide it.
 void DriveSearch::Late(Candidate* best) {
   if (!LeavesSomething(*best) || (HasKind(best->specs, kTimings[0]) && HasKind(best->specs, kTimings[1])))
     return;
@@ -151,7 +152,7 @@ void DriveSearch::Late(Candidate* best) {
     if (c.score > best->score && Left(c) < kUseful * Left(now)) *best = c, taken = id;
   }
   if (taken.empty() || !LeavesSomething(*best) || fits_.Late()) return;
-  // A lag, and a little delay before it.
+  // Both: a lag, and a small delay before it.
   const Candidate one = *best;
   const std::vector<EffectSpec> other = OnAll(taken == kTimings[0] ? kTimings[1] : kTimings[0], kLittleLate);
   const Candidate both =
@@ -169,11 +170,10 @@ std::vector<EffectSpec> DriveSearch::OnAll(const std::string& id, double late) c
   return out;
 }
 
-// Another law of dry friction on all joints: one that drops with speed, as gears have it, or one that differs
-// by direction. The latter holds a constant force, and stands for masses that differ from the URDF's: these
-// take its place where free base parameters leave about as little, and drives may then be seen to be late. So
-// do efforts whose zero is off, where no more than half of the joints need one: what differs by direction is
-// a habit of gears, and then of most.
+// Another law of dry friction on all joints: Stribeck friction, or friction by direction. The latter contains
+// a constant force and may stand for wrong masses: free base parameters replace it where they leave about as
+// little. So do torque offsets, where at most half of the joints need one; friction by direction is a
+// property of gears, and then of most joints.
 void DriveSearch::OtherDryLaw(Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
   const std::vector<TrialSpecs> laws = Exchanges(Refreshed(*best), kDry, setting_.nominal, setting_.scales);
@@ -202,22 +202,22 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
   if (Left(drops) < kWorthwhile * Left(*best)) *best = drops;
 }
 
-// A law that is no loss and that all joints have, as springs of cables: one joint at a time none brings the
-// model near, and what a screen far from the record promises of all is no start.
+// A further law on all joints, as the springs of cables: one joint at a time none brings the model near, and
+// coefficients of a screen far from the recordings are no start.
 void DriveSearch::LawOnEachJoint(Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
   const Candidate now = *best;
   for (const LawOnAll& law :
        LawsOnAll(setting_.data, setting_.nominal, setting_.scales, kLosses, best->base, kShown)) {
     if (fits_.Late()) return;
-    const Candidate c = Seen(
-        fits_.Evaluate(Joined(Refreshed(now), law.specs), now.base, &now, kIterations), now.base);
+    const Candidate c =
+        Seen(fits_.Evaluate(Joined(Refreshed(now), law.specs), now.base, &now, kIterations), now.base);
     if (c.score > best->score + needed_(now, c) && Left(c) < kUseful * Left(now)) *best = c;
   }
 }
 
-// Where dry friction that differs by direction does so on half of the joints at most: the same as constant
-// forces there; else none.
+// Friction by direction as Coulomb friction and constant forces, where at most half of the joints need these;
+// else none.
 Candidate DriveSearch::WithZeros(const Candidate& c, const Candidate& either_way) {
   Candidate start = AsStart(c);
   start.specs = Refreshed(start);
@@ -242,8 +242,7 @@ Candidate DriveSearch::WithFreeBase(const Candidate& c) {
   return known != nullptr ? *known : fits_.Evaluate(specs, true, &c, kIterations);
 }
 
-// Base parameters, with which drives may be seen to be late, where they take half of what is left: no URDF
-// has them all right.
+// Free base parameters, and then timing again, where they take half of the excess.
 void DriveSearch::Freed(Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
   const std::vector<EffectSpec> specs = Refreshed(*best);
@@ -265,10 +264,10 @@ double DriveSearch::Left(const Candidate& c) {
 
 bool DriveSearch::LeavesSomething(const Candidate& c) { return !(c.fit.chi2 < kExplained * c.fit.rows); }
 
-// Whether two kinds of loss at least are clearly there on at least half of the joints: one effect on one
-// joint, or drives that are late and nothing else, is found as such.
+// Whether at least two kinds of loss are significant on at least half of the joints. One effect on one joint,
+// or late drives alone, are found by the search itself.
 bool DriveSearch::OfAllDrives(const Candidate& c) const {
-  // What is left makes errors larger than noise does.
+  // What is left inflates the errors.
   const double clearly = kClearly * std::sqrt(std::max(1.0, fits_.PerRow(c)));
   std::map<std::string, int> joints;
   for (size_t i = 0; i < c.specs.size(); ++i) {

@@ -1,6 +1,6 @@
-// The first step of a search on a robot that neither world comes near to: what all of its drives lack, at
-// once. Viscous and dry friction and a rotor on every joint, drives that are late by a lag or a delay or not
-// at all, another law of dry friction on all of them, and free base parameters where these do not come near.
+// The first step of a search where the given model is far off, with free base parameters too: effects of all
+// drives as one group. Viscous and dry friction and a rotor on every joint, lag or delay of all drives,
+// another law of dry friction or a further law on all joints, and free base parameters.
 #pragma once
 
 #include <functional>
@@ -16,9 +16,9 @@ namespace rg::diagnosis {
 
 class DriveSearch {
  public:
-  // given: effects that the model has from its user. needed(a, b): log evidence that b must bring in the
-  // place of a. beside(c, best): takes what a screen around c promises beside it where that is better than
-  // `best`. transmission: the same of a spring or play.
+  // given: effects that the user states. needed(a, b): log evidence that b must bring in the place of a.
+  // beside(c, best): adds to c what a screen around it promises, into `best` where that scores better.
+  // transmission: the same of a spring or play.
   DriveSearch(const FitSetting& setting, FitLedger& fits, const std::vector<effects::EffectSpec>& given,
               std::function<double(const Candidate&, const Candidate&)> needed,
               std::function<void(const Candidate&, Candidate*)> beside,
@@ -30,13 +30,13 @@ class DriveSearch {
         beside_(std::move(beside)),
         transmission_(std::move(transmission)) {}
 
-  // The best of them, where it brings the model within reach of the recordings, or most of the way, and is of
-  // all drives; else none, and no fit of it is kept, for no such model is a rival of what is found one by
-  // one. plain, freed: the given effects alone, on the parameters as given and on free ones.
+  // The best group, where it leaves under a fifth of the excess χ² and is of all drives; else none, and its
+  // fits are forgotten: such a model is no rival of effects found one by one. plain, freed: the given effects
+  // alone, with fixed and with free base parameters.
   std::optional<Candidate> Run(const Candidate& plain, const Candidate& freed);
 
-  // All drives late by a lag or by a delay, in the place of what else is late, where that leaves half of what
-  // `best` does at most; by both where more is left and both are worth it.
+  // Lag or delay of all drives, in the place of other timing effects, where that leaves half of the excess at
+  // most; both where more is left and the acceptance rule allows both.
   void Late(Candidate* best);
 
  private:
@@ -53,11 +53,11 @@ class DriveSearch {
   bool IsGiven(const effects::EffectSpec& s) const;
   std::vector<effects::EffectSpec> OnAll(const std::string& id, double late) const;
   bool OfAllDrives(const Candidate& c) const;
-  // χ² beyond noise, of the sensors' own noise: what the search takes for noise so far may be what is
-  // missing. Infinite of a fit that failed.
+  // Excess χ² over the sensors' own noise (the search's noise scale may contain what is missing); infinite of
+  // a failed fit.
   static double Left(const Candidate& c);
   static bool LeavesSomething(const Candidate& c);
-  // Of what is left on some windows, that what is to halve it on all leaves at most.
+  // Share of the excess that a trial fit leaves at most, for a fit on all windows.
   static constexpr double kMayBeUseful = 0.8;
 
   const FitSetting& setting_;

@@ -9,8 +9,8 @@
 
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/jumps.h"
-#include "services/diagnosis/likelihood/swing_starts.h"
 #include "services/diagnosis/likelihood/some_windows.h"
+#include "services/diagnosis/likelihood/swing_starts.h"
 #include "services/diagnosis/search/nearest_starts.h"
 
 namespace rg::diagnosis {
@@ -19,30 +19,32 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr int kMoreIterations = 14;   // of a fit that still falls
-constexpr double kHopeless = 2.0;     // times its rival's misfit, which a fit would not come to
-constexpr double kFallsFast = 0.1;    // of the cost in one iteration, for a trial to go on
-constexpr double kTrialShare = 0.3;   // of all work, that the trials of one screen, or of rods, may cost
-constexpr double kLookShare = 0.015;  // of all work, that the starts of one law on one joint may cost
-constexpr double kToTheEnd = 1.3;     // of all work, to weigh what is found
-constexpr double kInPlaceYet = 1.8;   // of all work, to try other laws in the place of what is found
-constexpr double kPiece = 0.1;        // s
-constexpr size_t kSprings = 2;        // behind rotors, that are fitted for either place of the sensor
-constexpr size_t kInPlace = 2;        // other laws that are fitted on all windows
-constexpr double kPartly = 0.5;       // of a model's misfit, that what is part of the truth leaves at most
+constexpr int kMoreIterations = 14;   // while the cost falls
+constexpr double kHopeless = 2.0;     // times the rival's misfit: a fit that would stay above ends early
+constexpr double kFallsFast = 0.1;    // of the cost in one iteration, for a trial fit to go on
+constexpr double kTrialShare = 0.3;   // of the work limit, for the trials of one screen or of a pendulum
+constexpr double kLookShare = 0.015;  // of the work limit, for choosing the start of one law on one joint
+constexpr double kToTheEnd = 1.3;     // of the work limit, after which no more models are compared
+constexpr double kInPlaceYet = 1.8;   // of the work limit, after which no laws are exchanged
+constexpr double kPiece = 0.1;        // s, the shortest pieces
+constexpr size_t kSprings = 2;        // starts behind rotors that are fitted, for either place of the sensor
+constexpr size_t kInPlace = 2;        // exchanged laws that are fitted on all windows
+constexpr double kPartly = 0.5;       // of a model's misfit, that a part of the truth leaves at most
 constexpr double kSwings = 0.8;       // the same, for springs or a hinge in the place of the true one
-constexpr size_t kRodWindows = 14;    // evenly spread, on which a mass on a rod is tried
-constexpr double kTypically = 0.7;    // of these, the others' starts may be lost
-constexpr double kLonger = 2.2;       // times another rod's length, that is tried too
-constexpr double kSameFit = 0.02;     // of χ², by which fits differ that came to the same
-constexpr size_t kBesideRod = 2;      // accounts without hidden states, that a rod is tried beside
-constexpr double kAstray = 10.0;      // times a trial's misfit, of the same on all windows
-constexpr double kNoNearer = 2.0;     // times what holds, of a rod's trial whose fit to all windows will not
-constexpr double kRowsPerState = 4;   // of a window, that its start is told by
-constexpr double kShortestWindow = 0.2;  // s, that a search is made over
-constexpr double kMuchWorse = 0.1;       // of a trial's misfit, that one in its place may leave more
+constexpr size_t kPendulumWindows = 14;  // evenly spread, on which a pendulum is tried
+constexpr double kTypically = 0.7;       // of these windows; the start of the others may be lost
+constexpr double kLonger = 2.2;          // times a pendulum's length, that is tried too
+constexpr double kSameFit = 0.02;        // of χ², within which two fits count as the same
+constexpr size_t kBesidePendulum = 2;    // models without hidden states to which a pendulum is added
+constexpr double kAstray = 10.0;  // times a trial's misfit, above which its fit on all windows was lost
+constexpr double kNoNearer =
+    2.0;  // times kConsistent: a pendulum whose trial leaves more is not fitted on all windows
+constexpr double kRowsPerState = 4;      // rows of a window, at least, that determine its start
+constexpr double kShortestWindow = 0.2;  // s, of a search
+constexpr double kMuchWorse =
+    0.1;  // of a trial's misfit, by which an exchanged law may be worse in its trial
 
-// Of trials like this the one that leaves least of the misfit, if that is no more than `least`.
+// The trial with this property that leaves the least share of the misfit, if less than `least`.
 std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::vector<RankedTrial>*> trials,
                                              double least,
                                              const std::function<bool(const Candidate&)>& like_this) {
@@ -55,10 +57,10 @@ std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::ve
   return out;
 }
 
-// Whether `specs` are one of the accounts and something beside it.
+// Whether `specs` are one of the models with something added.
 bool HoldsOneOf(const std::vector<TrialSpecs>& accounts, const TrialSpecs& specs) {
-  return std::any_of(accounts.begin(), accounts.end(), [&](const TrialSpecs& account) {
-    return account.size() < specs.size() && IsPart(account, specs);
+  return std::any_of(accounts.begin(), accounts.end(), [&](const TrialSpecs& model) {
+    return model.size() < specs.size() && IsPart(model, specs);
   });
 }
 
@@ -68,7 +70,7 @@ const EffectSpec& SwingingMass(const TrialSpecs& specs) {
                        [](const EffectSpec& s) { return s.id == effects::SwingingMass().id; });
 }
 
-// The same with the mass on a rod about another axis.
+// The same with the pendulum about another axis.
 TrialSpecs About(const std::string& hinge, TrialSpecs specs) {
   for (EffectSpec& s : specs) {
     if (s.id == effects::SwingingMass().id) s.options["hinge"] = hinge;
@@ -76,7 +78,7 @@ TrialSpecs About(const std::string& hinge, TrialSpecs specs) {
   return specs;
 }
 
-// Where another fit starts whose windows are not its own.
+// As a start of fits over other windows.
 std::shared_ptr<const Candidate> ValuesOf(Candidate c) {
   return std::make_shared<const Candidate>(WithoutStates(std::move(c)));
 }
@@ -95,7 +97,7 @@ FitLedger::FitLedger(const FitSetting& setting, const DiagnosisOptions& options,
 }
 
 bool FitLedger::Late(double limits) const {
-  return Cancelled() || over_halves_ != nullptr || work_ > limits * options_.work_limit ||
+  return Cancelled() || shorter_windows_ != nullptr || work_ > limits * options_.work_limit ||
          (options_.time_limit_s > 0 && trace_.Elapsed() > options_.time_limit_s);
 }
 
@@ -120,7 +122,7 @@ Candidate FitLedger::Evaluate(const std::vector<EffectSpec>& specs, bool base, c
 
 Candidate FitLedger::Calibrated(const std::vector<EffectSpec>& specs) {
   FitRequest request = WholeFit(specs, true, pieces_);
-  request.options.to_beat = kHolds * setting_.data.Rows();
+  request.options.to_beat = kConsistent * setting_.data.Rows();
   return Tried(request, Made(request));
 }
 
@@ -138,21 +140,21 @@ void FitLedger::FindPieces(const std::vector<EffectSpec>& specs) {
   if (pieces->fit.ok) pieces_ = pieces;
 }
 
-// Starts at the states, and at the base parameters, of a model that holds: what is added to it or taken
-// from it changes them little, and no fit is better than another for its start alone. Where a mass on a rod
-// swings is not looked for again.
+// The states and base parameters of a consistent model: an addition or removal changes them little, and all
+// such fits share one start. Of a pendulum's model also where it is not consistent, for its phase is costly.
 std::shared_ptr<const Candidate> FitLedger::Start(const Candidate* from, bool base) const {
-  const bool holds = from != nullptr && from->fit.ok && (PerRow(*from) < kHolds || HasRod(from->specs));
+  const bool holds =
+      from != nullptr && from->fit.ok && (PerRow(*from) < kConsistent || HasPendulum(from->specs));
   if (!holds) return base ? pieces_ : nullptr;
   return std::make_shared<const Candidate>(*from);
 }
 
-// For what differs little from an account: where that does not hold, its base parameters are still nearer
-// than those found without its effects.
+// For a model that differs little from `from`: where that is not consistent, its base parameters are still
+// nearer than those found without its effects.
 std::shared_ptr<const Candidate> FitLedger::Nearby(const Candidate* from, bool base) const {
-  const bool account =
-      from != nullptr && from->fit.ok && from->base && !from->specs.empty() && !HasRod(from->specs);
-  return account && base && PerRow(*from) > kHolds ? ValuesOf(*from) : Start(from, base);
+  const bool model =
+      from != nullptr && from->fit.ok && from->base && !from->specs.empty() && !HasPendulum(from->specs);
+  return model && base && PerRow(*from) > kConsistent ? ValuesOf(*from) : Start(from, base);
 }
 
 FitRequest FitLedger::WholeFit(const std::vector<EffectSpec>& specs, bool base,
@@ -172,14 +174,15 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   c.fit = std::move(fit);
   c.round = round_;
   // A few windows need not show what all of them do, as a limit that is seldom reached.
-  c.fit.ok = c.fit.ok && (!request.places.empty() || !Unseen(c));
+  c.fit.ok = c.fit.ok && (!request.places.empty() || !Uninformed(c));
   const auto& given = setting_.nominal.effects();
   // Nor what a trial makes of a law on its way; and what a given model has is not doubted.
-  if (request.places.empty() && !HasKind(given, effects::LawOf(effects::Regressor::kSlowly).id)) c.fit.ok = c.fit.ok && Drops(c);
+  if (request.places.empty() && !HasKind(given, effects::LawOf(effects::Regressor::kSlowly).id))
+    c.fit.ok = c.fit.ok && Drops(c);
   // While much is left a ripple's period is bent by it, and on some windows by little.
-  if (c.fit.ok && PerRow(c) < (request.places.empty() ? kHolds : kExplained))
+  if (c.fit.ok && PerRow(c) < (request.places.empty() ? kConsistent : kExplained))
     c.fit.ok = Repeats(c, setting_.scales, PerRow(c), request.places.empty());
-  const bool stands = c.fit.ok && (!request.places.empty() || Stands(&c));
+  const bool stands = c.fit.ok && (!request.places.empty() || Admissible(&c));
   c.score = stands ? c.fit.evidence - StructurePrior(c.specs, c.base) : kNoScore;
   return c;
 }
@@ -217,13 +220,13 @@ FitRequest FitLedger::Trial(const Candidate& from, bool base, std::shared_ptr<co
   return trial;
 }
 
-// The shortest pieces over which a model without what is missing is seen not to hold: shorter ones hide it
-// from every trial. 0: whole windows.
+// The shortest pieces over which the model without an addition is inconsistent: shorter ones would hide what
+// is missing from every trial. 0: whole windows.
 double FitLedger::TellingPiece(FitRequest trial) {
   trial.pieces_alone = true;
   for (double piece = kPiece; piece < kLongestPiece * setting_.data.nodes.window_s; piece *= kLongerPiece) {
     trial.piece_s = piece;
-    if (PerRow(Fitted(trial, Made(trial))) > kHolds) return piece;
+    if (PerRow(Fitted(trial, Made(trial))) > kConsistent) return piece;
   }
   return 0;
 }
@@ -232,8 +235,8 @@ FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::v
                                              bool base) {
   TrialResults out{Trial(from, base, Start(&from, base)), {}, {}, {}};
   FitRequest trial = out.setting;
-  // Whole windows, or pieces of them where only pieces are met, but not for hidden states, which need whole
-  // windows: each has its own reference.
+  // Whole windows; pieces of them where the model fits only pieces, except with hidden states, which need
+  // whole windows. Each has its own reference.
   std::vector<FitRequest> trials = {trial};
   if (trial.from != nullptr && trial.from == pieces_)
     trial.piece_s = TellingPiece(trial), trial.pieces_alone = trial.piece_s > 0;
@@ -250,7 +253,7 @@ FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::v
   const double on_pieces = trial.pieces_alone ? fitted(1).score : on_windows;
   std::vector<TrialSpecs> met;
   for (size_t i = 2; i < trials.size() && !Late() && work_ <= enough; ++i) {
-    // Where a law of what is recorded meets it, hidden states have no part, nor anything more beside it.
+    // Where a law without hidden states leaves nothing, hidden states and further additions are not tried.
     if (!met.empty() && HasFreeStates(Unfitted(setting_, trials[i].specs, base))) continue;
     if (HoldsOneOf(met, trials[i].specs)) continue;
     const Candidate c = fitted(i);
@@ -273,18 +276,18 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
                         const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner) {
   TrialResults trials = RunTrials(from, pool, base);
   const FitRequest& trial = trials.setting;
-  // What its misfit on all windows would be, by the best trial.
+  // The score on all windows that the best trial suggests.
   Candidate nearest = from;
   for (const RankedTrial& t : trials.ranked) {
-    // A mass that may start anew in each window of a trial may not when it is fitted on all.
+    // Not of a swinging mass: in a trial each window has its own start.
     if (!HasMassInSprings(t.fitted->specs)) nearest.score = std::max(nearest.score, t.left * from.score);
   }
-  // The best with states that no sensor reads: something beside it may be missing, without which it is not
-  // among the best of all. And the best with a mass that swings, where `from` has none.
+  // The best with hidden states is fitted whatever its rank, since another effect may be missing too; and the
+  // best with a swinging mass, where `from` has none.
   const auto with_states = LeavesLeast({&trials.ranked}, kPartly, [](const Candidate& c) {
     return HasHiddenStates(c) && !HasMassInSprings(c.specs);
   });
-  std::vector<std::shared_ptr<const Candidate>> swings;  // on the tool and on the last link, the nearer first
+  std::vector<std::shared_ptr<const Candidate>> swings;  // on the tool and on the last link, the better first
   for (const bool last_link : {false, true}) {
     const auto best = LeavesLeast({&trials.ranked, &trials.hidden}, kSwings, [&](const Candidate& c) {
       return HasMassInSprings(c.specs) && !HasKind(from.specs, effects::SwingingMass().id) &&
@@ -297,11 +300,12 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   std::vector<RankedTrial> plain = trials.ranked;
   std::erase_if(plain,
                 [](const RankedTrial& t) { return HasHiddenStates(*t.fitted) || HasUnnamed(*t.fitted); });
-  const auto beside = BestOf(std::move(plain), {}, kBesideRod);
-  // From the model that the trials started at where that holds, else from base parameters where they ended.
+  const auto beside = BestOf(std::move(plain), {}, kBesidePendulum);
+  // From the model that the trials started at where that is consistent, else from the trials' base
+  // parameters.
   const bool holds = trial.from != nullptr && !trial.from->fit.states.empty();
   std::vector<FitRequest> best;
-  // Trials on pieces say nothing of whole windows: there what is known to come nearest is the rival.
+  // Trials on pieces say nothing of whole windows: the rival is then the best known model.
   const Candidate& rival = trial.pieces_alone ? *winner : nearest;
   for (const auto& c : BestOf(std::move(trials.ranked), std::move(trials.hidden), count))
     best.push_back(WholeFit(Refreshed(*c), base, holds || !base ? trial.from : ValuesOf(*c), 6, &rival));
@@ -319,8 +323,8 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   Candidate found = from;
   TakeBest(best, 1, &found);
   TrySprings(from, &found);
-  // Where another account leaves far less than the springs do, though it be refused as no effect of its name,
-  // there is no mass that swings; nor is one looked for beside a force without a name.
+  // A swinging mass is ruled out where another model, admissible or not, leaves far less than the mass in
+  // springs, and beside an unnamed force.
   double least = PerRow(found);
   for (const FitRequest& request : best) {
     const Candidate* c = Known(request.specs, base);
@@ -332,24 +336,24 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
       return least - 1 > kPartly * (PerRow(*c) - 1);
     });
   };
-  // With free base parameters it is looked for beside these where they leave so much less.
+  // The same where free base parameters leave far less.
   if (!base && may_swing() && !Late()) {
     const Candidate* known = Known(from.specs, true);
     const Candidate freed = known != nullptr ? *known : Evaluate(Refreshed(from), true, &from);
     if (freed.fit.ok) least = std::min(least, PerRow(freed));
   }
   if (may_swing()) {
-    const std::optional<Candidate> lost = TryRod(from, swings, beside, &found);
+    const std::optional<Candidate> lost = TryPendulum(from, swings, beside, &found);
     const double least = std::min(PerRow(found), PerRow(*winner));
-    if (lost && !(PerRow(*lost) > least) && !Late()) TryHalves(*lost);
+    if (lost && !(PerRow(*lost) > least) && !Late()) TryShorterWindows(*lost);
   }
   if (found.score > winner->score) *winner = found;
 }
 
-// Fits them on all windows, at least so many however much work is done.
+// Fits on all windows, `least` of them whatever the work limit.
 void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner) {
   const auto batch = made_.Start(setting_, requests);
-  std::vector<TrialSpecs> met;  // what leaves nothing: nothing is fitted beside it
+  std::vector<TrialSpecs> met;  // models that leave nothing: no addition to these is fitted
   for (size_t i = 0; i < requests.size() && !Cancelled() && (i < least || !Late(kToTheEnd)); ++i) {
     if (HoldsOneOf(met, requests[i].specs)) continue;
     const Candidate c = Tried(requests[i], batch->Take(i));
@@ -359,25 +363,24 @@ void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, 
   }
 }
 
-// A swinging mass takes in some of nearly anything, and nothing is found beside one that does not hold.
-bool FitLedger::Stands(Candidate* candidate) {
+// A swinging mass absorbs part of nearly anything: an inconsistent model with one is inadmissible.
+bool FitLedger::Admissible(Candidate* candidate) {
   const Candidate& c = *candidate;
   const std::string& swinging = effects::SwingingMass().id;
-  if (!HasKind(c.specs, swinging) || HasKind(setting_.nominal.effects(), swinging))
-    return true;
-  if (!(PerRow(c) < kHolds) || !HasRod(c.specs)) return PerRow(c) < kHolds;
+  if (!HasKind(c.specs, swinging) || HasKind(setting_.nominal.effects(), swinging)) return true;
+  if (!(PerRow(c) < kConsistent) || !HasPendulum(c.specs)) return PerRow(c) < kConsistent;
   const double before = c.fit.work;
   const bool swings_on = SwingsOn(setting_.data, *c.plant, &candidate->fit, lifted_).value_or(true);
   work_ += c.fit.work - before;
   return swings_on;
 }
 
-void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
-  const auto behind = SpringsBehind(from, *account, setting_.nominal, setting_.scales);
-  const bool base = account->base;
-  // A rotor that leaves nothing is the limit of what may be in its place: from there it is near.
-  const bool explains = PerRow(*account) < kExplained;
-  const auto start = Start(explains ? account : nullptr, base);
+void FitLedger::TrySprings(const Candidate& from, Candidate* model) {
+  const auto behind = SpringsBehind(from, *model, setting_.nominal, setting_.scales);
+  const bool base = model->base;
+  // A rotor that leaves nothing is a limit of a stiff spring or a narrow gap: fits start at its own.
+  const bool explains = PerRow(*model) < kExplained;
+  const auto start = Start(explains ? model : nullptr, base);
   std::vector<FitRequest> fits;
   for (const std::string& effect : {effects::Spring().id, effects::Play().id}) {
     if (effect == effects::Play().id && !explains) continue;
@@ -386,78 +389,77 @@ void FitLedger::TrySprings(const Candidate& from, Candidate* account) {
       std::erase_if(there, [&](const TrialSpecs& s) {
         return s[0].id != effect || s[0].options.at("sensor") != sensor;
       });
-      for (const TrialSpecs& nearest : Nearest(*account, base, there, explains ? 1 : kSprings))
-        fits.push_back(WholeFit(Joined(StrongEffects(*account), nearest), base, start, 6, account));
+      for (const TrialSpecs& nearest : Nearest(*model, base, there, explains ? 1 : kSprings))
+        fits.push_back(WholeFit(Joined(StrongEffects(*model), nearest), base, start, 6, model));
     }
   }
-  TakeBest(fits, 1, account);
+  TakeBest(fits, 1, model);
 }
 
-std::optional<Candidate> FitLedger::TryRod(const Candidate& from,
-                                           const std::vector<std::shared_ptr<const Candidate>>& springs,
-                                           const std::vector<std::shared_ptr<const Candidate>>& beside,
-                                           Candidate* account) {
+std::optional<Candidate> FitLedger::TryPendulum(const Candidate& from,
+                                                const std::vector<std::shared_ptr<const Candidate>>& springs,
+                                                const std::vector<std::shared_ptr<const Candidate>>& beside,
+                                                Candidate* model) {
   for (const auto& trial : springs) {
     const Candidate* whole = Known(trial->specs, trial->base);
     if (whole != nullptr && PerRow(*whole) < kExplained) return {};
   }
-  // All windows tell its length better, unless its swing from one to the next led the fit astray.
+  // The fit on all windows knows the length better, unless it was lost on the way.
   const Candidate& trial = *springs.front();
   const Candidate* whole = Known(trial.specs, trial.base);
   const bool astray = whole == nullptr || !whole->fit.ok || PerRow(*whole) > kAstray * PerRow(trial);
   const TrialSpecs specs = Refreshed(astray ? trial : *whole);
   FitRequest request = WholeFit(specs, from.base, Start(&from, from.base));
-  request.places = EvenlySpread(setting_.data.windows.size(), kRodWindows);
+  request.places = EvenlySpread(setting_.data.windows.size(), kPendulumWindows);
   std::vector<double> before;
   for (const uint32_t i : request.places) before.push_back(from.fit.window_chi2[i]);
   const auto typically = [&](const std::vector<double>& window_chi2) {
-    return Typically(setting_.data, window_chi2, lifted_.noise_scale, kTypically);
+    return TypicalChi2(setting_.data, window_chi2, lifted_.noise_scale, kTypically);
   };
   const double missing = typically(before) - 1, enough = work_ + kTrialShare * options_.work_limit;
 
-  struct Hung {
+  struct PendulumTrial {
     TrialSpecs specs;
-    TrialSpecs needed;  // without what stood for the rod and is about nothing beside it
+    TrialSpecs needed;  // without effects that became superfluous with the pendulum
     double left = std::numeric_limits<double>::infinity();    // typically
     double in_all = std::numeric_limits<double>::infinity();  // χ² per row, with windows whose start is lost
   };
   const auto hang = [&](const TrialSpecs& with) {
-    if (Late(kToTheEnd) || work_ > enough) return Hung{};
+    if (Late(kToTheEnd) || work_ > enough) return PendulumTrial{};
     request.specs = with;
     const Candidate c = Fitted(request, Made(request));
     trace_.Fit(c, "  rod");
-    if (!c.fit.ok) return Hung{};
-    return Hung{Refreshed(c), StillNeeded(from, c), typically(c.fit.window_chi2), PerRow(c)};
+    if (!c.fit.ok) return PendulumTrial{};
+    return PendulumTrial{Refreshed(c), StillNeeded(from, c), typically(c.fit.window_chi2), PerRow(c)};
   };
   const std::vector<EffectSpec> hinges = RodStarts(setting_.data, setting_.nominal, SwingingMass(specs));
-  Hung nearest;
+  PendulumTrial nearest;
   double times = 1;
   for (const double longer : {1.0, kLonger, 1 / kLonger}) {
     if (nearest.left < kExplained) break;
-    const Hung rod = hang(Joined(specs, {LongerRod(hinges[0], longer)}));
-    // By either length: it is found, or the hinge is not this one.
+    const PendulumTrial rod = hang(Joined(specs, {LongerRod(hinges[0], longer)}));
+    // Both lengths agree: found, or this is not the hinge.
     const bool same = std::abs(rod.left - nearest.left) < kSameFit * nearest.left;
     if (rod.left < nearest.left) nearest = rod, times = longer;
     if (same && nearest.left - 1 < kSwings * missing) break;
   }
-  // About any hinge a mass that is there explains some of what is missing.
+  // A true pendulum explains something about any hinge.
   if (!(nearest.left - 1 < kSwings * missing)) return {};
   for (const EffectSpec& hinge : hinges) {
-    // Hinges are different angles for one motion: where it is found about one, it is about the others.
+    // A length found about one hinge is a start about the others.
     if (&hinge != &hinges.front() && nearest.left < kExplained) break;
     for (const EffectSpec& rod : EitherPlace(setting_.data, setting_.nominal, LongerRod(hinge, times))) {
       if (nearest.in_all < kExplained || KeyOf({rod}) == KeyOf({LongerRod(hinges[0], times)})) continue;
-      const Hung other = hang(Joined(specs, {rod}));
+      const PendulumTrial other = hang(Joined(specs, {rod}));
       if (other.left < nearest.left) nearest = other;
     }
   }
-  // Without what else is missing it may not hold: most windows take that in, by a swing of their own, not
-  // all.
+  // Without another missing effect it may be inconsistent, though most windows absorb that in their swing.
   const EffectSpec rod = SwingingMass(nearest.specs);
   const std::string& held = effects::EffectOf(effects::Role::kBodyInertia).id;
   std::vector<TrialSpecs> others;
   for (const auto& other : beside) {
-    // A held mass that was found may have stood for the one that swings, which would leave it in the way.
+    // A payload may have been found in the pendulum's place: without it, too.
     const TrialSpecs free = WithoutKind(Refreshed(*other), held);
     const bool found = free.size() < other->specs.size() && !HasKind(setting_.nominal.effects(), held);
     if (found && !free.empty()) others.push_back(free);
@@ -465,52 +467,51 @@ std::optional<Candidate> FitLedger::TryRod(const Candidate& from,
   }
   for (const TrialSpecs& other : others) {
     if (nearest.in_all < kExplained) break;
-    const Hung both = hang(Joined(other, {rod}));
+    const PendulumTrial both = hang(Joined(other, {rod}));
     if (both.in_all - 1 < kPartly * (nearest.in_all - 1)) nearest = both;
   }
-  if (nearest.left > kNoNearer * kHolds) return {};
-  // Where it comes to lie along the hinge's first axis it can only swing about the other: windows in which it
-  // does so are met about the right hinge alone.
+  if (nearest.left > kNoNearer * kConsistent) return {};
+  // Where it lies along the hinge's first axis it can only swing about the other: windows in which that
+  // happens tell the right hinge.
   const std::string about = SwingingMass(nearest.specs).options.at("hinge");
   for (const EffectSpec& hinge : hinges) {
     if (nearest.in_all < kExplained) break;
     if (hinge.options.at("hinge") == about) continue;
-    const Hung other = hang(About(hinge.options.at("hinge"), nearest.specs));
+    const PendulumTrial other = hang(About(hinge.options.at("hinge"), nearest.specs));
     if (other.in_all - 1 < kPartly * (nearest.in_all - 1)) nearest = other;
   }
   std::optional<Candidate> best;
   const auto weigh = [&](const TrialSpecs& with) {
     const Candidate* known = Known(with, from.base);
     const Candidate whole = known != nullptr ? *known : Evaluate(with, from.base, &from);
-    if (whole.score > account->score) *account = whole;
+    if (whole.score > model->score) *model = whole;
     if (whole.fit.ok && (!best || PerRow(whole) < PerRow(*best))) best = whole;
   };
   for (const TrialSpecs& with : {nearest.needed, nearest.specs}) {
     weigh(with);
-    // A law more that is about nothing beside the rod will not make it hold.
-    if (best && (PerRow(*best) < kExplained || !(PerRow(*best) < kHolds))) break;
+    // One more superfluous law will not make it consistent.
+    if (best && (PerRow(*best) < kExplained || !(PerRow(*best) < kConsistent))) break;
   }
-  // What is left is of few windows, where most are met.
+  // Whether few windows hold what is left.
   const auto lost = [&] {
     const double left = best ? typically(best->fit.window_chi2) : 0;
-    return best && left < kHolds && left - 1 < kPartly * (PerRow(*best) - 1);
+    return best && left < kConsistent && left - 1 < kPartly * (PerRow(*best) - 1);
   };
-  // Windows that follow on each other tell the hinge better than the few of a trial, whose starts may be
-  // lost.
+  // Consecutive windows tell the hinge better than the few of a trial, whose starts may be lost.
   for (const EffectSpec& hinge : hinges) {
-    if (!lost() || PerRow(*best) < kHolds || Late() || work_ > enough) break;
+    if (!lost() || PerRow(*best) < kConsistent || Late() || work_ > enough) break;
     weigh(About(hinge.options.at("hinge"), Refreshed(*best)));
   }
   return lost() && !(PerRow(*best) < kExplained) ? best : std::nullopt;
 }
 
-// Each window's own start takes some of the noise in.
+// χ² per degree of freedom: each window's own start absorbs some noise.
 double FitLedger::PerFreeRow(const FitData& data, const Candidate& c) const {
   const double starts = static_cast<double>(data.windows.size()) * c.plant->num_states();
   return c.fit.chi2 / std::max(1.0, c.fit.rows - starts) / lifted_.noise_scale;
 }
 
-void FitLedger::TryHalves(const Candidate& rod) {
+void FitLedger::TryShorterWindows(const Candidate& rod) {
   FitData halves = setting_.data;
   halves.nodes.window_s *= 0.5;
   if (halves.nodes.window_s < kShortestWindow) return;
@@ -521,16 +522,16 @@ void FitLedger::TryHalves(const Candidate& rod) {
   over.fit = MakeFit(setting, WholeFit(Refreshed(rod), rod.base, nullptr));
   work_ += over.fit.work;
   trace_.Fit(over, "  halves");
-  const double most = std::min(kHolds, 1 + kPartly * (PerFreeRow(setting_.data, rod) - 1));
-  const bool holds = over.fit.ok && !Unseen(over) && PerFreeRow(halves, over) < most;
-  if (holds && !Cancelled()) over_halves_ = ValuesOf(std::move(over));
+  const double most = std::min(kConsistent, 1 + kPartly * (PerFreeRow(setting_.data, rod) - 1));
+  const bool holds = over.fit.ok && !Uninformed(over) && PerFreeRow(halves, over) < most;
+  if (holds && !Cancelled()) shorter_windows_ = ValuesOf(std::move(over));
 }
 
-bool FitLedger::MayLeaveLess(const Candidate& account, const std::vector<EffectSpec>& specs, bool base,
+bool FitLedger::MayLeaveLess(const Candidate& model, const std::vector<EffectSpec>& specs, bool base,
                              double share) {
-  FitRequest trial = Trial(account, account.base, Nearby(&account, account.base));
+  FitRequest trial = Trial(model, model.base, Nearby(&model, model.base));
   const Candidate own = Fitted(trial, Made(trial));
-  if (base != account.base) trial = Trial(account, base, Nearby(&account, base));
+  if (base != model.base) trial = Trial(model, base, Nearby(&model, base));
   trial.specs = specs;
   const Candidate other = Fitted(trial, Made(trial));
   trace_.Fit(other, "  <");
@@ -574,8 +575,7 @@ void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* win
     if (fewer.score > found.score) found = fewer;
   }
   if (!(found.score > winner->score)) return;
-  // The others were fitted on from where the winner ended: so is the winner, or one would take its place for
-  // what a longer fit alone brings.
+  // The winner is fitted on from its end too, or an exchange would be credited with what a longer fit brings.
   TakeBest({WholeFit(Refreshed(*winner), base, start, 6, &found)}, 1, winner);
   if (found.score > winner->score) *winner = found;
 }

@@ -1,4 +1,4 @@
-// The fits of one search: asks for them, scores them, keeps what was tried and what it cost.
+// The fits of one search: requests them, scores them, and keeps every fitted model and what it cost.
 #pragma once
 
 #include <map>
@@ -17,7 +17,7 @@
 
 namespace rg::diagnosis {
 
-inline constexpr double kHolds = 2.0;  // χ² per row below which a model's own states are trusted
+inline constexpr double kConsistent = 2.0;  // χ² per row below which a model is consistent with the noise
 
 class FitLedger {
  public:
@@ -25,11 +25,10 @@ class FitLedger {
             const CancelToken* cancel);
 
   bool Cancelled() const { return cancel_ != nullptr && cancel_->cancelled(); }
-  // A mass on a rod that most windows meet whole, and all over halves of them: what else is missing, or where
-  // it swings far, throws a few off for longer, and the search is another's, over windows of half the length.
-  // Null: none.
-  const std::shared_ptr<const Candidate>& over_halves() const { return over_halves_; }
-  // Whether nothing new is begun; `limits`: times the work limit.
+  // A pendulum payload that fits all windows at half their length but not at full length, where it diverges
+  // in a few: the search is to be made again over windows of half the length. Null: none.
+  const std::shared_ptr<const Candidate>& shorter_windows() const { return shorter_windows_; }
+  // Whether the work limit (times `limits`), the time limit or a cancellation forbids new fits.
   bool Late(double limits = 1.0) const;
   double work() const { return work_; }
   double work_share() const { return work_ / options_.work_limit; }
@@ -59,39 +58,40 @@ class FitLedger {
   // The best fit of these effects on all windows; null where there was none.
   const Candidate* Known(const std::vector<effects::EffectSpec>& specs, bool base) const;
 
-  // On all windows. `from`: where to start, where it holds; else at its base parameters or at the recorded
-  // motion. `rival`: what it must come near to, or it ends early.
+  // Fits on all windows. `from`: a consistent model gives the start; of another one its base parameters, with
+  // the recorded motion. `rival`: the fit ends early if it would not come near that score.
   Candidate Evaluate(const std::vector<effects::EffectSpec>& specs, bool base,
                      const Candidate* from = nullptr, int iterations = 6, const Candidate* rival = nullptr);
-  // Free base parameters, no longer than they may come to hold.
+  // With free base parameters; ends early if it would not become consistent.
   Candidate Calibrated(const std::vector<effects::EffectSpec>& specs);
-  // Another try from nominal base parameters, over pieces.
+  // A restart from nominal base parameters, over short pieces of the recordings.
   Candidate Anew(const Candidate& c);
   // Base parameters far from the URDF's, or beside missing effects, are found over short pieces of the
-  // record, from where fits in their world then start.
+  // recordings; fits with free base parameters then start there.
   void FindPieces(const std::vector<effects::EffectSpec>& specs);
   const Candidate* pieces() const { return pieces_.get(); }
 
-  // Of `pool`, each beside `from`'s effects, the `count` best of trials on some windows with few iterations,
-  // and `promised` without a trial, fitted on all; the best of them and of `winner`.
+  // Adds each of `pool` to `from` in a trial fit (some windows, few iterations), and fits the `count` best
+  // and all `promised` on all windows. `winner` becomes the best of these and itself.
   void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool,
                const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner);
-  // Whether `specs` in the place of `account`'s effects, fitted to some windows, leave less than `share` of what
-  // the account leaves there beyond the sensors' own noise. Where either fails it may be so.
-  bool MayLeaveLess(const Candidate& account, const std::vector<effects::EffectSpec>& specs, bool base,
+  // Whether `specs` in the place of `model`'s effects, in a trial fit, leave less than `share` of the excess
+  // χ² that the model leaves there. True where either trial fails.
+  bool MayLeaveLess(const Candidate& model, const std::vector<effects::EffectSpec>& specs, bool base,
                     double share);
-  // Of `others`, each in the place of `winner`'s effects, what trials do not find worse, fitted on all.
+  // Trial fits of `others`, each in the place of `winner`'s effects; those no worse are fitted on all
+  // windows.
   void TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner);
-  // Springs behind the rotors that `account` adds to `from`, before free base parameters make up for them.
-  void TrySprings(const Candidate& from, Candidate* account);
-  // A rod in the place of springs for a mass, as trials found it on the tool and on the last link, the nearer
-  // first: the rod that leaves least of trials with other lengths, hinges and places, alone and beside what
-  // the best of the other trials have. Returned where it meets most windows and not all.
-  std::optional<Candidate> TryRod(const Candidate& from,
-                                  const std::vector<std::shared_ptr<const Candidate>>& springs,
-                                  const std::vector<std::shared_ptr<const Candidate>>& beside,
-                                  Candidate* account);
-  // The `count` of `starts` that are nearest to the record beside `from`'s effects.
+  // Springs behind the rotors that `model` adds to `from`, and play where such a rotor leaves nothing.
+  void TrySprings(const Candidate& from, Candidate* model);
+  // Multi-start fit of a pendulum payload in the place of a mass in springs, which trials found on the tool
+  // and on the last link (`springs`, the better first): over lengths, hinges and places, alone and with the
+  // effects of the best other trials (`beside`). Returned where it fits most windows and not all.
+  std::optional<Candidate> TryPendulum(const Candidate& from,
+                                       const std::vector<std::shared_ptr<const Candidate>>& springs,
+                                       const std::vector<std::shared_ptr<const Candidate>>& beside,
+                                       Candidate* model);
+  // The `count` of `starts` that, added to `from`, are nearest to the recordings.
   std::vector<TrialSpecs> Nearest(const Candidate& from, bool base, const std::vector<TrialSpecs>& starts,
                                   size_t count);
 
@@ -101,15 +101,15 @@ class FitLedger {
   FitRequest WholeFit(const std::vector<effects::EffectSpec>& specs, bool base,
                       std::shared_ptr<const Candidate> from, int iterations = 6,
                       const Candidate* rival = nullptr) const;
-  bool Stands(Candidate* c);
+  bool Admissible(Candidate* c);
   void TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner);
   FitRequest Trial(const Candidate& from, bool base, std::shared_ptr<const Candidate> start) const;
-  // Of a pool beside `from`'s effects, what is no worse than these alone.
+  // Trial fits that score no worse than `from` alone.
   struct TrialResults {
     FitRequest setting;  // of them all
     std::vector<RankedTrial> ranked;
     std::vector<RankedTrial> hidden;  // on whole windows with hidden states, where the others are on pieces
-    std::set<std::string> refused;    // as no effect of its name, which more windows do not change
+    std::set<std::string> refused;    // keys of what is inadmissible, which more windows do not change
   };
   TrialResults RunTrials(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base);
   FitResult Made(const FitRequest& request);
@@ -117,7 +117,7 @@ class FitLedger {
   Candidate Tried(const FitRequest& request, FitResult fit);
   double TellingPiece(FitRequest trial);
   double PerFreeRow(const FitData& data, const Candidate& c) const;
-  void TryHalves(const Candidate& rod);
+  void TryShorterWindows(const Candidate& rod);
 
   const FitSetting& setting_;
   const DiagnosisOptions& options_;
@@ -127,8 +127,8 @@ class FitLedger {
   LiftedOptions lifted_;
   int round_ = 0;
   double work_ = 0;                          // of all fits so far
-  std::shared_ptr<const Candidate> pieces_;  // base parameters from pieces, where whole windows are not met
-  std::shared_ptr<const Candidate> over_halves_;
+  std::shared_ptr<const Candidate> pieces_;  // base parameters from short pieces
+  std::shared_ptr<const Candidate> shorter_windows_;
   std::map<std::string, Candidate> tried_;
   RememberedFits made_;  // of this round
 };

@@ -14,12 +14,12 @@ using Eigen::VectorXd;
 
 namespace {
 
-constexpr int kFollowed = 3;        // times that all windows with a mass on a rod are followed; some: once
+constexpr int kFollowed = 3;        // rounds over all windows with a pendulum; over some: one
 constexpr double kOnTheWay = 0.05;  // of the cost in one iteration, for a fit to pieces to go on
 constexpr size_t kWindowsOnTheWay = 32;
-constexpr size_t kFewWindows = 16;     // that a fit from far off is made to before it is made to all
-constexpr size_t kManyWindows = 48;    // from which on that saves time
-constexpr int kIterationsFromNear = 4;  // of a fit to all windows after one to a few
+constexpr size_t kFewWindows = 16;      // to which a fit from far off is made first
+constexpr size_t kManyWindows = 48;     // windows, from which on that saves time
+constexpr int kIterationsFromNear = 4;  // at least, of the fit to all windows after that
 
 // As many of them as a fit needs to find its way.
 std::vector<NodeWindow> Spread(const std::vector<NodeWindow>& windows, size_t count) {
@@ -48,8 +48,8 @@ FitResult FitFromRecord(const FitData& data, FitModel model, LiftedOptions optio
   return fit;
 }
 
-// Base parameters found without a spring are bent by what it does, those of the URDF are not theirs: on from
-// whichever is nearer after one step.
+// Base parameters found without a hidden state absorb some of its effect, those of the URDF are off:
+// continues from whichever fits better after one step.
 FitResult FitFromEither(const FitData& data, FitModel model, const LiftedOptions& options) {
   LiftedOptions once = options;
   once.iterations = std::min(1, options.iterations), once.more_iterations = 0;
@@ -92,7 +92,7 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
     FitData pieces = data;
     pieces.windows = InPieces(Spread(data.windows, kWindowsOnTheWay), piece, data.RowNoise());
     LiftedOptions options = request.options;
-    // On the way to longer ones nothing is gained by the last of them.
+    // Full convergence on pieces gains nothing on the way to longer ones.
     if (!request.pieces_alone) options.still_falling = std::max(options.still_falling, kOnTheWay);
     fit = Fit(pieces, model, options);
     work += fit.work;
@@ -101,7 +101,7 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
     fit.states.clear(), fit.window_chi2.clear();  // of pieces, which nobody else knows
     return fit;
   }
-  if (HasRod(c.specs) && (from == nullptr || from->fit.states.empty() || !HasRod(from->specs))) {
+  if (HasPendulum(c.specs) && (from == nullptr || from->fit.states.empty() || !HasPendulum(from->specs))) {
     fit = FitFollowed(data, model, request.options, request.places.empty() ? kFollowed : 1);
   } else if (hidden && c.base && from != nullptr && from->fit.states.empty()) {
     fit = FitFromEither(data, model, request.options);

@@ -26,7 +26,7 @@ void ForwardStep::SetRound(int round) {
 
 ScreenResult ForwardStep::Screen(const Candidate& current, bool base) {
   const Candidate* values = base ? fits_.pieces() : nullptr;
-  if (fits_.PerRow(current) < kHolds) values = &current;
+  if (fits_.PerRow(current) < kConsistent) values = &current;
   const std::string key =
       KeyOf(current.specs, base) + std::to_string(current.score) + ' ' + std::to_string(current.fit.chi2);
   const auto known = screens_.find(key);
@@ -100,7 +100,7 @@ void ForwardStep::Try(const Candidate& from, const ScreenResult& screened, doubl
     return fits_.Nearest(from, from.base, starts, most);
   };
   const auto force = [&] { return force_(from); };
-  const bool near = from.fit.ok && fits_.PerRow(from) < kHolds;
+  const bool near = from.fit.ok && fits_.PerRow(from) < kConsistent;
   const auto promised =
       Promised(from, screened, setting_.nominal, setting_.scales, near, needed, kPromisedFits);
   const auto pool = Trials(data, setting_.nominal, setting_.scales, from, screened, least, force, nearest);

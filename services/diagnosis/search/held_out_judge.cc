@@ -64,7 +64,7 @@ bool HeldOutJudge::Holds(const Candidate& model, double needed) {
              std::max({kZ99OneSided * own.deficit_stddev, 0.5 * (kExplained - 1) * own.freedom, needed});
 }
 
-int HeldOutJudge::Refusing(const Candidate& model, double needed) {
+int HeldOutJudge::WorstRecording(const Candidate& model, double needed) {
   if (Holds(model, needed)) return -1;
   std::vector<double> sums(data_.recordings.size(), 0.0);
   for (size_t w = 0; w < data_.windows.size(); ++w)
@@ -111,7 +111,7 @@ std::optional<Candidate> HeldOutJudge::Better(const Candidate& model, std::map<s
   return best;
 }
 
-void HeldOutJudge::WeighRivals(SearchResult* search,
+void HeldOutJudge::CompareRivals(SearchResult* search,
                                const std::function<double(const Candidate&, const Candidate&)>& needed) {
   Candidate& model = search->best;
   while (true) {  // ends: the log evidence rises each time
@@ -127,7 +127,7 @@ void HeldOutJudge::WeighRivals(SearchResult* search,
         c.held_out = Of(c).log_density;
         const double least =
             IsRicherFriction(rival.effect) ? std::max(kSeparable, needed(model, c) - c.form) : kSeparable;
-        const double in_all = InAll(c) - InAll(model) - least;
+        const double in_all = TotalEvidence(c) - TotalEvidence(model) - least;
         if (in_all > most && MayReplace(id, rival.effect, c, model) && MostBetter(Of(c), Of(model)))
           likelier = &c, most = in_all;
       }

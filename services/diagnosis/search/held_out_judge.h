@@ -37,13 +37,13 @@ class HeldOutJudge {
   std::optional<Candidate> Better(const Candidate& model, std::map<std::string, Candidate>& tried,
                                   const std::function<double(const Candidate&)>& needed);
   // Log evidence of the fitted recordings plus log predictive density of the held-out ones.
-  double InAll(const Candidate& c) { return FitScore(c) + Of(c).log_density; }
+  double TotalEvidence(const Candidate& c) { return FitScore(c) + Of(c).log_density; }
   // Index of the held-out recording that the model predicts worst; −1 if the model Holds.
-  int Refusing(const Candidate& model, double needed);
+  int WorstRecording(const Candidate& model, double needed);
   // Computes the predictive densities of the best model and of its rivals (rivals.h). A rival that has more
   // log evidence of all recordings by kSeparable nats and predicts most windows better replaces it; a richer
   // form of dry friction needs what it needs in the fit.
-  void WeighRivals(SearchResult* search,
+  void CompareRivals(SearchResult* search,
                    const std::function<double(const Candidate&, const Candidate&)>& needed);
   // Work (lifted_fit.h) since the last call.
   double TakeWork() { return std::exchange(work_, 0.0); }

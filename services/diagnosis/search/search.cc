@@ -76,7 +76,7 @@ class Search {
             setting_, fits_, given_, [this](const Candidate& c) { return Force(c); }, needs_,
             [this](const Candidate& c, Candidate* best) { step_.Add(c, kNamesBesideUnnamed, best); }) {
     if (data.held_out != nullptr)
-      judge_.emplace(*data.held_out, fits_.lifted(), trace_, HasRod(nominal.effects()));
+      judge_.emplace(*data.held_out, fits_.lifted(), trace_, HasPendulum(nominal.effects()));
   }
 
   SearchResult Run() {
@@ -93,7 +93,7 @@ class Search {
     given_ = SeenEffects(nominal_, [this](const auto& specs) { return fits_.Evaluate(specs, true); });
     out.nominal = fits_.Evaluate(given_, false);
     out.calibrated = fits_.Calibrated(given_);
-    if (fits_.PerRow(out.calibrated) > kHolds) {
+    if (fits_.PerRow(out.calibrated) > kConsistent) {
       fits_.FindPieces(given_);
       out.calibrated = Better(out.calibrated, fits_.Calibrated(given_));
     }
@@ -101,7 +101,7 @@ class Search {
     Candidate best = out.calibrated.score > out.nominal.score + Threshold(out.nominal, out.calibrated)
                          ? out.calibrated
                          : out.nominal;
-    if (options_.earlier == nullptr && fits_.PerRow(best) > kHolds && !fits_.Late()) {
+    if (options_.earlier == nullptr && fits_.PerRow(best) > kConsistent && !fits_.Late()) {
       Tell("drives", 0.08, KeyOf(best.specs));
       if (const auto drives = drives_.Run(out.nominal, out.calibrated)) best = *drives, ordinary_ = true;
       step_.ForgetStepRule();  // of a model that may be forgotten
@@ -120,7 +120,7 @@ class Search {
       if (!begun_at.insert(KeyOf(best.specs, best.base)).second) break;
       fits_.SetRound(round_);
       const bool added = AddOne(&best);
-      if (fits_.over_halves() != nullptr) return WithShorterWindows(std::move(out));
+      if (fits_.shorter_windows() != nullptr) return RestartWithShorterWindows(std::move(out));
       if (!added || one_force_) break;
       if (ordinary_) drives_.Late(&best);
       // With less noise, a fit that seemed to explain everything may turn out to be a local optimum.
@@ -144,9 +144,9 @@ class Search {
     ExchangeEarlier(&best);
     if ((fits_.PerRow(best) > kExplained || OfPosition(best)) && TryOneForce(&best, effects::kInf, kAny))
       best = unnamed_.WithNames(best);
-    if (judge_ && fits_.over_halves() == nullptr)
-      CheckHeldOut(Better(out.nominal, out.calibrated), &best, &out.unseen_in);
-    if (fits_.over_halves() != nullptr) return WithShorterWindows(std::move(out));
+    if (judge_ && fits_.shorter_windows() == nullptr)
+      CheckHeldOut(Better(out.nominal, out.calibrated), &best, &out.excited_by);
+    if (fits_.shorter_windows() != nullptr) return RestartWithShorterWindows(std::move(out));
     out.best = best;
     for (const auto& [key, c] : fits_.tried()) out.tried.push_back(c);
     std::sort(out.tried.begin(), out.tried.end(),
@@ -157,9 +157,9 @@ class Search {
     const Candidate without = Better(out.nominal, out.calibrated);
     out.threshold = Threshold(out.nominal, out.calibrated);
     out.beside = Threshold(best, out.calibrated);
-    if (judge_ && !fits_.Cancelled()) judge_->WeighRivals(&out, needs_);
+    if (judge_ && !fits_.Cancelled()) judge_->CompareRivals(&out, needs_);
     out.beside = Threshold(out.best, out.calibrated);
-    if (out.unseen_in >= 0 && judge_->Holds(out.best, Threshold(out.best))) out.unseen_in = -1;
+    if (out.excited_by >= 0 && judge_->Holds(out.best, Threshold(out.best))) out.excited_by = -1;
     const FitModel chosen{*out.best.plant, out.best.fit.values, {}};
     out.own_chi2 =
         OwnChi2(data_, chosen, out.best.fit.states, fits_.lifted(), Rng(options_.seed).Split(kOwnDraw));
@@ -176,8 +176,8 @@ class Search {
   static constexpr uint64_t kOwnDraw = 1000;  // its stream of random numbers, beyond the rounds'
 
   // The search ends: it is made again over windows of half the length.
-  SearchResult WithShorterWindows(SearchResult out) const {
-    out.over_halves = fits_.over_halves(), out.work = fits_.work();
+  SearchResult RestartWithShorterWindows(SearchResult out) const {
+    out.shorter_windows = fits_.shorter_windows(), out.work = fits_.work();
     return out;
   }
 
@@ -265,17 +265,17 @@ class Search {
       // Around a consistent model a screen is exact; with free inertials it may promise less than what was
       // found without them.
       const bool found = winner.score > best->score + Threshold(*best, winner);
-      if (base && round_ > 1 && !flexible && found && fits_.PerRow(from) < kHolds &&
+      if (base && round_ > 1 && !flexible && found && fits_.PerRow(from) < kConsistent &&
           from.score + best_gain < winner.score)
         continue;
       double least_gain = rival ? kRivalShare * (best->score - from.score) : 1.0;
       // Where a screen around a consistent model promises all that is left, hypotheses of which it promises
       // little are no rivals.
       const double named_gain = ForwardStep::MostPromised(screened);
-      if (fits_.PerRow(from) < kHolds && named_gain > kNearlyAll * fits_.AtStake(from))
+      if (fits_.PerRow(from) < kConsistent && named_gain > kNearlyAll * fits_.AtStake(from))
         least_gain = std::max(least_gain, kRivalShare * named_gain);
       step_.AddFrom(from, screened, least_gain, Threshold(*best), base ? 3 : 4, &winner);
-      if (fits_.over_halves() != nullptr) return false;
+      if (fits_.shorter_windows() != nullptr) return false;
       if (base || (best->base && round_ > 1)) continue;
       for (const Candidate& start : ForwardStarts(*best, winner)) {
         stepped = Better(stepped, ForwardSteps(start));
@@ -302,7 +302,7 @@ class Search {
     }
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
       Restart(&winner);
-      simplifier_.DropNothing(&winner);
+      simplifier_.DropAbsent(&winner);
       Exchange(*best, &winner);
       winner = OrRivalWithFreeInertials(*best, WithInertialsFreeOrFixed(winner, Threshold(*best)));
     }
@@ -454,7 +454,7 @@ class Search {
   // Hidden states follow some of what wrong inertials do: where a model with them is inconsistent with the
   // noise, the best models without them and of as many names are refitted with free inertials.
   Candidate OrRivalWithFreeInertials(const Candidate& before, const Candidate winner) {
-    if (!HasFreeStates(winner) || fits_.PerRow(winner) < kHolds) return winner;
+    if (!HasFreeStates(winner) || fits_.PerRow(winner) < kConsistent) return winner;
     Candidate best = winner;
     for (const Candidate& c : PlainRivals(fits_.tried(), before, winner, kRivalsWithoutStates)) {
       if (fits_.PerRow(best) < kExplained || fits_.Late(kWorkForComparisons)) break;
@@ -529,7 +529,7 @@ class Search {
   // noise: then free inertials are no rival.
   bool ExplainedWithFixedInertials(const Candidate& before, const Candidate& named) {
     return JudgesFewNames() && fits_.MeetsSensors(named) && !HasUnnamed(named) &&
-           fits_.PerRow(before) >= kHolds &&
+           fits_.PerRow(before) >= kConsistent &&
            FreshKinds(before, named).size() <= kMaxEffectsWithFixedInertials &&
            named.score > before.score + Threshold(before, named) && PredictsHeldOut(named, Threshold(before));
   }
@@ -551,7 +551,7 @@ class Search {
   // A model must predict held-out recordings to within their noise. Where it does not, whatever was fitted,
   // or a forward step finds beside it, that predicts them better takes its place; a model that explains less
   // than half of what is missing there is dropped.
-  void CheckHeldOut(const Candidate& without, Candidate* best, int* unseen_in) {
+  void CheckHeldOut(const Candidate& without, Candidate* best, int* excited_by) {
     HeldOutJudge& judge = *judge_;
     // The phase of a freely swinging mass is lost within a recording: what little is left there is no other
     // law.
@@ -559,7 +559,7 @@ class Search {
       return HasKind(best->specs, effects::SwingingMass().id) && judge.ExplainsMost(*best, without);
     };
     if (fits_.PerRow(*best) < kExplained && !swings_on())
-      *unseen_in = judge.Refusing(*best, Threshold(*best));
+      *excited_by = judge.WorstRecording(*best, Threshold(*best));
     const bool named = !best->specs.empty() && !FoundNothing(*best);
     for (int sent = 0; named && sent < kMaxRefusals && !fits_.Late(kWorkForComparisons) &&
                        !judge.Holds(*best, Threshold(*best));
@@ -574,7 +574,7 @@ class Search {
       *best = HasUnnamed(*rival) ? unnamed_.WithoutCoarse(*rival) : *rival;
       Candidate like = *best;
       if (!HasUnnamed(like) && !fits_.Late()) Exchange(without, &like);
-      if (judge.InAll(like) > judge.InAll(*best)) *best = like;
+      if (judge.TotalEvidence(like) > judge.TotalEvidence(*best)) *best = like;
       if (HasFreeStates(*best) && !fits_.Late()) *best = Refitted(*best, *best, *best);
       // Effects that were needed in the old model may be superfluous in the new one.
       if (!fits_.Late(kWorkForComparisons)) {
@@ -583,7 +583,7 @@ class Search {
       }
     }
     if (judge.Holds(*best, Threshold(*best))) {
-      *unseen_in = -1;
+      *excited_by = -1;
     } else if (named && !judge.ExplainsMost(*best, without)) {
       Tell("held out", 0.9, KeyOf(best->specs) + "for nothing");
       *best = without;
@@ -615,7 +615,7 @@ class Search {
   // A model inconsistent with the noise may be a local optimum that free inertials led to: it is fitted again
   // from nominal inertials over short pieces of the recordings.
   void Restart(Candidate* winner) {
-    if (fits_.PerRow(*winner) > kHolds && !fits_.Late()) *winner = Better(*winner, fits_.Anew(*winner));
+    if (fits_.PerRow(*winner) > kConsistent && !fits_.Late()) *winner = Better(*winner, fits_.Anew(*winner));
   }
 
   // Whether χ² is within three standard deviations of what noise makes of it.

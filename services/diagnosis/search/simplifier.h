@@ -1,5 +1,5 @@
-// What an accepted account does not need: effects that are about nothing or not worth their names, and richer
-// forms than the data have.
+// Backward steps: removes effects that an accepted model does not need, and replaces richer laws by plain
+// ones.
 #pragma once
 
 #include <functional>
@@ -14,7 +14,7 @@ namespace rg::diagnosis {
 class Simplifier {
  public:
   // needed(a, b): log evidence that b must bring in the place of a. beside(c): that any addition to c must.
-  // explained(c): what the effects of c bring.
+  // explained(c): log evidence that the effects of c bring.
   Simplifier(const FitSetting& setting, FitLedger& fits,
              std::function<double(const Candidate&, const Candidate&)> needed,
              std::function<double(const Candidate&)> beside,
@@ -25,23 +25,24 @@ class Simplifier {
         beside_(std::move(beside)),
         explained_(std::move(explained)) {}
 
-  // All of it: Prune, then plainer laws in the place of richer ones.
+  // Prune, then plain laws in the place of richer ones.
   void Run(Candidate* best);
-  // Takes out what is about nothing, and one by one what the data do not pay for.
+  // Removes effects that are not significantly different from absence, then one by one those whose removal a
+  // refit does not reject.
   void Prune(Candidate* best);
-  // Takes out all at once what is about nothing.
-  void DropNothing(Candidate* best);
+  // The former alone, all at once.
+  void DropAbsent(Candidate* best);
 
  private:
-  bool GivesWayToBodies(const std::vector<effects::EffectSpec>& without, size_t i, Candidate* best);
-  void GainsGiveWay(Candidate* best);
+  bool YieldsToInertials(const std::vector<effects::EffectSpec>& without, size_t i, Candidate* best);
+  void GainsYieldToInertials(Candidate* best);
   void Replace(const Candidate& by, Candidate* best);
   TrialSpecs PlainForm(const Candidate& c, const std::string& id) const;
-  void Plainer(Candidate* best);
-  void FirstRotor(Candidate* best);
-  void ByDirection(Candidate* best);
-  void OffsetsOfSome(Candidate* best);
-  void OwnLaws(Candidate* best);
+  void UsePlainLaws(Candidate* best);
+  void FirstRotorAsInertia(Candidate* best);
+  void MergeByDirection(Candidate* best);
+  void SplitByDirection(Candidate* best);
+  void UsePlainLawsOnJoints(Candidate* best);
 
   const FitSetting& setting_;
   FitLedger& fits_;

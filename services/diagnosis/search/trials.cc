@@ -14,11 +14,12 @@ using effects::EffectSpec, effects::LawOf, effects::Regressor;
 
 namespace {
 
-constexpr size_t kNearest = 2;   // starts of a spring or play that are tried, for either place of the sensor
+constexpr size_t kNearest = 2;  // starts of a spring or play that are tried, for either place of the sensor
 constexpr size_t kNearestSprings = 3;  // of all joints' that are tried
-constexpr size_t kRotors = 2;    // the largest, behind which a spring is tried
-constexpr size_t kMostSets = 6;  // of joints, and as many pairs of effects
-constexpr double kHardlyLess = 0.9;  // of what a part of it leaves
+constexpr size_t kRotors = 2;          // the largest, behind which a spring is tried
+constexpr double kLeastRotor = 0.01;   // of the joint's inertia, before which play is tried
+constexpr size_t kMostSets = 6;        // of joints, and as many pairs of effects
+constexpr double kHardlyLess = 0.9;    // of what a part of it leaves
 
 const effects::EffectInfo& Rotor() { return LawOf(Regressor::kAcceleration); }
 
@@ -64,13 +65,13 @@ class TrialBuilder {
         screened_(screened),
         nearest_(nearest) {}
 
-  std::vector<TrialSpecs> Run(double wanted, const std::function<MissingForce()>& force) {
-    Singles(wanted);
-    Sets(screened_.sets, wanted);
-    Sets(screened_.pairs, wanted);
+  std::vector<TrialSpecs> Run(double least_gain, const std::function<MissingForce()>& force) {
+    Singles(least_gain);
+    Sets(screened_.sets, least_gain);
+    Sets(screened_.pairs, least_gain);
     const std::string& held = effects::EffectOf(effects::Role::kBodyInertia).id;
     if (!from_.base && data_.n > 1 && !Has(held)) Push(BodyStarts(held, nominal_, scales_));
-    const bool promised = wanted > 1.0;
+    const bool promised = least_gain > 1.0;
     // No screen promises what touches the robot from outside.
     if (!promised || HasHiddenStates(from_)) FromOutside(force);
     if (promised) return std::move(out_);
@@ -100,19 +101,19 @@ class TrialBuilder {
 
   bool Known(const Scored& h) const { return AlreadyIn(from_, h, nominal_); }
 
-  void Singles(double wanted) {
+  void Singles(double least_gain) {
     int taken = 0;
     for (const Scored& h : screened_.hypotheses) {
-      if (h.gain < wanted || taken >= (from_.base ? 10 : 16) || Known(h)) continue;
+      if (h.gain < least_gain || taken >= (from_.base ? 10 : 16) || Known(h)) continue;
       ++taken;
       Push(SpecsFor(h, nominal_, scales_));
     }
   }
 
-  void Sets(const std::vector<Combination>& sets, double wanted) {
+  void Sets(const std::vector<Combination>& sets, double least_gain) {
     size_t count = 0;
     for (const Combination& set : sets) {
-      if (set.gain < wanted || count == kMostSets) break;
+      if (set.gain < least_gain || count == kMostSets) break;
       if (std::any_of(set.parts.begin(), set.parts.end(), [&](const Scored& h) { return Known(h); }))
         continue;
       out_.push_back(Together(set.parts, nominal_, scales_));
@@ -165,7 +166,8 @@ class TrialBuilder {
       for (const std::string& id : SiblingsOn(nominal_, s)) {
         if (id != s.id) Push({{Exchanged(s, id, nominal_, scales_)}});
       }
-      if (SiblingsOf(s.id) == SiblingsOf(LawOf(Regressor::kSlowly).id)) Push(StribeckStarts(s, nominal_, scales_));
+      if (SiblingsOf(s.id) == SiblingsOf(LawOf(Regressor::kSlowly).id))
+        Push(StribeckStarts(s, nominal_, scales_));
     }
   }
 
@@ -185,8 +187,8 @@ class TrialBuilder {
       if (!MayHaveMotor(joints[i])) continue;
       for (const std::string& id : {effects::Spring().id, effects::Play().id}) {
         for (const char* sensor : {"link", "motor"}) {
-          Push(nearest_(
-              TransmissionStarts(id, sensor, joints[i], nominal_, scales_, MotorOn(joints[i])), kNearest));
+          Push(nearest_(TransmissionStarts(id, sensor, joints[i], nominal_, scales_, MotorOn(joints[i])),
+                        kNearest));
         }
       }
     }
@@ -225,8 +227,8 @@ class TrialBuilder {
   }
 
   double RotorOf(const std::string& joint) const {
-    const int at = from_.plant->parameters().Find(Rotor().id + "." + joint + "." +
-                                                  Rotor().parameters.front().name);
+    const int at =
+        from_.plant->parameters().Find(Rotor().id + "." + joint + "." + Rotor().parameters.front().name);
     return at >= 0 && from_.fit.ok ? from_.fit.values[at] : 0.0;
   }
 
@@ -242,9 +244,9 @@ class TrialBuilder {
 }  // namespace
 
 std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                               const Candidate& from, const ScreenResult& screened, double wanted,
+                               const Candidate& from, const ScreenResult& screened, double least_gain,
                                const std::function<MissingForce()>& force, const Nearest& nearest) {
-  return TrialBuilder(data, nominal, scales, from, screened, nearest).Run(wanted, force);
+  return TrialBuilder(data, nominal, scales, from, screened, nearest).Run(least_gain, force);
 }
 
 std::vector<TrialSpecs> TransmissionTrials(const FitData& data, const sim::Plant& nominal,
@@ -344,18 +346,18 @@ std::vector<TrialSpecs> PlainOnOneJoint(const TrialSpecs& specs, const sim::Plan
   return out;
 }
 
-std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& account,
+std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& model,
                                       const sim::Plant& nominal, const MotionScales& scales) {
   std::vector<TrialSpecs> out;
-  if (!account.fit.ok || FreshKinds(before, account).count(Rotor().id) == 0) return out;
+  if (!model.fit.ok || FreshKinds(before, model).count(Rotor().id) == 0) return out;
   std::vector<std::pair<double, size_t>> rotors;  // strength, place
-  for (size_t i = 0; i < account.specs.size(); ++i) {
-    if (account.specs[i].id == Rotor().id && account.specs[i].joints.size() == 1)
-      rotors.push_back({Strength(account, i), i});
+  for (size_t i = 0; i < model.specs.size(); ++i) {
+    if (model.specs[i].id == Rotor().id && model.specs[i].joints.size() == 1)
+      rotors.push_back({Strength(model, i), i});
   }
   std::stable_sort(rotors.begin(), rotors.end(),
                    [](const auto& a, const auto& b) { return a.first > b.first; });
-  const std::vector<EffectSpec> specs = Refreshed(account);
+  const std::vector<EffectSpec> specs = Refreshed(model);
   for (size_t i = 0; i < std::min(kRotors, rotors.size()); ++i) {
     const EffectSpec& rotor = specs[rotors[i].second];
     const int joint = nominal.model().FindJoint(rotor.joints[0]);
@@ -364,8 +366,8 @@ std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& 
       for (TrialSpecs& start :
            TransmissionStarts(effects::Spring().id, sensor, joint, nominal, scales, armature))
         out.push_back(std::move(start));
-      for (TrialSpecs& start :
-           StartsBehind(effects::Play().id, sensor, joint, nominal, scales, armature))
+      if (armature < kLeastRotor * SizeOf(scales, nominal, joint).inertia) continue;
+      for (TrialSpecs& start : StartsBehind(effects::Play().id, sensor, joint, nominal, scales, armature))
         out.push_back(std::move(start));
     }
   }

@@ -1,5 +1,5 @@
-// What is worth a trial in the simulator, after a screen: the best hypotheses, sets of joints and pairs of
-// effects, what they are easily taken for, and what no linear screen can see.
+// Which hypotheses get a trial fit after a screen: the best single ones, sets of joints and pairs of effects,
+// effects that resemble these, and what no linear screen can see.
 #pragma once
 
 #include <cstdint>
@@ -17,13 +17,13 @@ namespace rg::diagnosis {
 // Effects to add to a model, with start values.
 using TrialSpecs = std::vector<effects::EffectSpec>;
 
-// Of starts the so many that are nearest to the record.
+// The so many of some starts that are nearest to the recordings.
 using Nearest = std::function<std::vector<TrialSpecs>(const std::vector<TrialSpecs>&, size_t)>;
 
-// `wanted`: hypotheses that the screen gives less are left out; above 1 also what it cannot see.
+// `least_gain`: hypotheses with less in the screen are left out; above 1 also what it cannot see.
 // `force`: the missing force of `from`, asked for only where it is needed.
 std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                               const Candidate& from, const ScreenResult& screened, double wanted,
+                               const Candidate& from, const ScreenResult& screened, double least_gain,
                                const std::function<MissingForce()>& force, const Nearest& nearest);
 
 // Springs and play of the one joint on which the screen finds most, beside what `from` has.
@@ -31,30 +31,28 @@ std::vector<TrialSpecs> TransmissionTrials(const FitData& data, const sim::Plant
                                            const MotionScales& scales, const Candidate& from,
                                            const ScreenResult& screened, const Nearest& nearest);
 
-// What a screen around a model that `holds` gives more than `needed` nats beyond what its structure costs,
-// best first and `count` at most. There the screen is exact to first order, and of all windows: a small
-// effect that a few of them do not pay for is worth its fit. Around one that does not hold only effects that
-// it has already, on joints where it has them not: one kind on one joint more is likelier than another kind.
+// Around a consistent model, the hypotheses with more than `needed` nats beyond their structure prior in the
+// screen, best first and `count` at most: there the screen is exact to first order and of all windows, which
+// shows small effects better than trials on some. Around another one only kinds that the model has already,
+// on further joints.
 std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& screened,
-                                 const sim::Plant& nominal, const MotionScales& scales, bool holds,
+                                 const sim::Plant& nominal, const MotionScales& scales, bool consistent,
                                  double needed, size_t count);
 
-// A trial that is better than the model it was added to.
+// A trial fit that scores better than the model that it adds to.
 struct RankedTrial {
-  double left;    // share of that model's misfit that remains, of the same windows or pieces of windows
-  double excess;  // χ² that it leaves beyond noise
+  double left;    // share of that model's misfit that it leaves, on the same windows or pieces
+  double excess;  // χ² beyond noise
   std::shared_ptr<const Candidate> fitted;
 };
 
-// The best of them, `count` at most and none twice, nor with joints or kinds that take less than a tenth off
-// what is left beyond noise without them: so much a trial's few iterations do not tell. `apart`: those with
-// another reference (hidden states, which need whole windows, beside others on pieces, over which less can go
-// wrong): the two take turns.
+// The best of them, `count` at most, none twice, and without those of which a part leaves nearly as little: a
+// trial's few iterations do not tell differences under a tenth. `apart`: those with another reference (hidden
+// states on whole windows, others on pieces): the two lists take turns.
 std::vector<std::shared_ptr<const Candidate>> BestOf(std::vector<RankedTrial> trials,
                                                      std::vector<RankedTrial> apart, size_t count);
 
-// `specs` with effect `id` exchanged for each that it is easily taken for, on the same joints; of dry
-// friction's forms the plain one first.
+// `specs` with effect `id` exchanged for each that it resembles, on the same joints; Coulomb friction first.
 std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const sim::Plant& nominal,
                                   const MotionScales& scales);
 
@@ -62,9 +60,9 @@ std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id
 std::vector<TrialSpecs> PlainOnOneJoint(const TrialSpecs& specs, const sim::Plant& nominal,
                                         const MotionScales& scales);
 
-// Springs behind the rotors that `account` has beyond `before` and that it owes most to: below its resonance
-// a motor behind a spring is a rotor, and what it is more no screen can see.
-std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& account,
+// Springs and play behind the strongest rotors that `model` adds to `before`: below its resonance a motor
+// behind a spring looks like a rotor, and no screen sees the difference.
+std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& model,
                                       const sim::Plant& nominal, const MotionScales& scales);
 
 }  // namespace rg::diagnosis

@@ -28,10 +28,10 @@ Candidate Swinging() {
 
 TEST(Candidate, IsSeenWhereItsParametersAreKnown) {
   Candidate c = Swinging();
-  EXPECT_FALSE(Unseen(c));
+  EXPECT_FALSE(Uninformed(c));
   for (Eigen::Index k = 0; k < c.fit.stddev.size(); ++k)
     c.fit.stddev[k] = c.parameters[static_cast<size_t>(k)].prior_stddev;
-  EXPECT_TRUE(Unseen(c));
+  EXPECT_TRUE(Uninformed(c));
 }
 
 TEST(Candidate, IsNotSeenWhereItsMassVanishes) {
@@ -44,7 +44,7 @@ TEST(Candidate, IsNotSeenWhereItsMassVanishes) {
     c.fit.theta[k] = 1.1 * q.lower;
   }
   ASSERT_TRUE(mass);
-  EXPECT_TRUE(Unseen(c));
+  EXPECT_TRUE(Uninformed(c));
 }
 
 TEST(Candidate, AddsNothingWhereAllThatIsNewIsWithinItsError) {
@@ -94,7 +94,7 @@ TEST(Candidate, IsWithoutALagAtTheLeastThatIsSimulated) {
   c.fit.information = Eigen::Matrix2d::Identity() / (1e-6 * 1e-6);
   c.fit.stddev = Eigen::Vector2d(1e-6, 1e-6);
   ASSERT_GT(c.parameters[0].lower, 100 * c.fit.stddev[0]);
-  EXPECT_LT(Strength(c, 0), kNothing);
+  EXPECT_LT(Strength(c, 0), kAbsent);
   const auto strong = StrongEffects(c);
   ASSERT_EQ(strong.size(), 1u);
   EXPECT_EQ(strong[0].joints[0], "elbow");
@@ -291,16 +291,16 @@ TEST(Candidate, AJointThatTellsLittleIsTakenToBeLikeItsFellows) {
     c.fit.information(5, 5) = std::pow(stddev * prior[5], -2);
   };
   last(0.0, 0.9);
-  EXPECT_TRUE(LikeItsFellows(c, 5)) << "nothing is known of it";
-  EXPECT_FALSE(Unseen(c)) << "the others are known";
+  EXPECT_TRUE(LikeOtherJoints(c, 5)) << "nothing is known of it";
+  EXPECT_FALSE(Uninformed(c)) << "the others are known";
   EXPECT_EQ(StrongEffects(c).size(), 6u);
   last(0.0, 0.01);
-  EXPECT_FALSE(LikeItsFellows(c, 5)) << "it is known to have none";
+  EXPECT_FALSE(LikeOtherJoints(c, 5)) << "it is known to have none";
   EXPECT_EQ(StrongEffects(c).size(), 5u);
   last(0.45, 0.3);
-  EXPECT_TRUE(SurelyThere(c, 5, 100.0)) << "as strong as the others, if less well known";
+  EXPECT_TRUE(ClearlyNonzero(c, 5, 100.0)) << "as strong as the others, if less well known";
   c.fit.stddev = 0.9 * prior;
-  EXPECT_TRUE(Unseen(c)) << "nothing is known of any";
+  EXPECT_TRUE(Uninformed(c)) << "nothing is known of any";
 }
 
 }  // namespace

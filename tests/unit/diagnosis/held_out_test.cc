@@ -72,8 +72,8 @@ TEST_F(HeldOutTest, AJudgeIsAskedOftenAndPredictsOnce) {
   EXPECT_FALSE(judge.Holds(wrong, 0));
   EXPECT_TRUE(judge.ExplainsMost(right, wrong));
   EXPECT_GT(judge.TakeWork(), 0);
-  EXPECT_EQ(judge.Refusing(right, 0), -1);
-  EXPECT_GE(judge.Refusing(wrong, 0), 0);
+  EXPECT_EQ(judge.WorstRecording(right, 0), -1);
+  EXPECT_GE(judge.WorstRecording(wrong, 0), 0);
   EXPECT_EQ(judge.TakeWork(), 0) << "both were predicted before";
 
   // The same name with other values, and the same values at another noise, are other questions.
@@ -132,7 +132,7 @@ TEST_F(HeldOutTest, AJudgePutsWhatIsLikelierInAllInTheBestsPlace) {
   const auto chosen = [&](const Candidate& best, const Candidate& rival) {
     SearchResult search;
     search.best = best, search.tried = {best, rival};
-    judge.WeighRivals(&search, [&](const Candidate&, const Candidate&) { return needed; });
+    judge.CompareRivals(&search, [&](const Candidate&, const Candidate&) { return needed; });
     EXPECT_TRUE(search.best.held_out.has_value());
     return search.best.specs[0].id;
   };

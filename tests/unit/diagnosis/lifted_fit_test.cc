@@ -9,7 +9,7 @@
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/gram.h"
 #include "services/diagnosis/likelihood/lineariser.h"
-#include "services/diagnosis/likelihood/loose_start.h"
+#include "services/diagnosis/likelihood/arrival_cost.h"
 #include "services/diagnosis/likelihood/missing_force.h"
 #include "services/diagnosis/search/fit_requests.h"
 #include "services/sysid/sysid_on_set.h"
@@ -132,7 +132,7 @@ TEST(LiftedFit, StartsOfAMountStayInThePlaneOfAPlanarArm) {
   }
 }
 
-TEST(LooseStarts, AreOfBodiesThatEffectsAddAlone) {
+TEST(ArrivalCosts, AreOfBodiesThatEffectsAddAlone) {
   const auto plant =
       sim::Plant::Create(Prepare("arm2", {}, 1)->nominal.shared_model(), {},
                          {MakeSpec("joint_elasticity", {"elbow"}), MakeSpec("base_flexibility", {})});
@@ -140,7 +140,7 @@ TEST(LooseStarts, AreOfBodiesThatEffectsAddAlone) {
   const long nx = plant->num_states();
   NodeStates carried(3, Eigen::MatrixXd::Constant(nx, 5, 0.2));
   carried[1].row(nx - 3).setZero();
-  const std::vector<LooseStart> loose = LooseStarts(*plant, carried);
+  const std::vector<ArrivalCost> loose = ArrivalCosts(*plant, carried);
   ASSERT_EQ(loose.size(), carried.size());
   EXPECT_EQ(loose[1].middle, carried[1].col(0));
   const Eigen::VectorXd& precision = loose[0].precision;

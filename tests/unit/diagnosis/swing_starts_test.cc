@@ -197,17 +197,17 @@ TEST(EitherPlace, IsTheToolAndTheLastLinkUnlessBothWereMovedAlike) {
   EXPECT_EQ(EitherPlace(p->data, p->nominal, places[1]).size(), 1u);
 }
 
-TEST(Typically, IsNotLedByWindowsWhoseStartWasNotFound) {
+TEST(TypicalChi2, IsNotLedByWindowsWhoseStartWasNotFound) {
   const auto p = Prepare("arm2", {}, 13);
   ASSERT_GT(p->data.windows.size(), 12u);
   const double rows = p->data.Rows() / static_cast<double>(p->data.windows.size());
   std::vector<double> chi2(10, 2.0 * rows);
   chi2[1] = chi2[4] = chi2[9] = 1e6;
-  EXPECT_NEAR(Typically(p->data, chi2, 1.0, 0.7), 2.0, 1e-9);
-  EXPECT_NEAR(Typically(p->data, chi2, 2.0, 0.7), 1.0, 1e-9);
+  EXPECT_NEAR(TypicalChi2(p->data, chi2, 1.0, 0.7), 2.0, 1e-9);
+  EXPECT_NEAR(TypicalChi2(p->data, chi2, 2.0, 0.7), 1.0, 1e-9);
   chi2[0] = 1e6;
-  EXPECT_GT(Typically(p->data, chi2, 1.0, 0.7), 100);
-  EXPECT_TRUE(std::isinf(Typically(p->data, {}, 1.0, 0.7)));
+  EXPECT_GT(TypicalChi2(p->data, chi2, 1.0, 0.7), 100);
+  EXPECT_TRUE(std::isinf(TypicalChi2(p->data, {}, 1.0, 0.7)));
 }
 
 TEST(WidenPoint, HangsAndSwingsAlike) {
@@ -234,7 +234,7 @@ TEST(WidenPoint, HangsAndSwingsAlike) {
 struct Best {
   Candidate candidate;
   double chi2_per_row = 0;
-  std::shared_ptr<const Candidate> over_halves = nullptr;
+  std::shared_ptr<const Candidate> shorter_windows = nullptr;
 };
 
 // Of trials of a mass on the model as given, and of what else is in the pool.
@@ -249,7 +249,7 @@ Best BestWithAMass(const testing::Prepared& p, const std::vector<TrialSpecs>& mo
   pool.insert(pool.end(), more.begin(), more.end());
   ledger.TryBest(nothing, pool, {}, false, 2, &best.candidate);
   best.chi2_per_row = ledger.PerRow(best.candidate);
-  best.over_halves = ledger.over_halves();
+  best.shorter_windows = ledger.shorter_windows();
   return best;
 }
 
@@ -262,7 +262,7 @@ TEST(FitLedger, AMassFoundInSpringsIsTriedOnARodWhereItHangs) {
     const auto p = Prepare("arm2", {truth}, 14);
     const Best best = BestWithAMass(*p);
     const Candidate& winner = best.candidate;
-    EXPECT_TRUE(HasRod(winner.specs));
+    EXPECT_TRUE(HasPendulum(winner.specs));
     EXPECT_EQ(SwingsOnLastLink(winner.specs), on_last_link);
     EXPECT_LT(best.chi2_per_row, 1.1);
     EXPECT_NEAR(winner.fit.values[winner.plant->parameters().Find("sloshing_payload.*.mass")], mass,
@@ -276,7 +276,7 @@ TEST(FitLedger, AMassOnARodIsTriedBesideWhatElseIsMissing) {
   const auto p = Prepare("arm2", {Rod(0.05, 0.12, 1e-3), viscous}, 15);
   const Best best = BestWithAMass(*p, {{MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.1}})}});
   const Candidate& winner = best.candidate;
-  EXPECT_TRUE(HasRod(winner.specs));
+  EXPECT_TRUE(HasPendulum(winner.specs));
   EXPECT_TRUE(HasKind(winner.specs, "viscous_friction"));
   EXPECT_LT(best.chi2_per_row, 1.1);
 }
@@ -285,9 +285,9 @@ TEST(FitLedger, AMassOnARodIsTriedBesideWhatElseIsMissing) {
 TEST(FitLedger, AMassThatAFewWindowsDoNotMeetIsWeighedOverHalves) {
   const auto p = Prepare("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 14);
   const Best best = BestWithAMass(*p);
-  EXPECT_FALSE(HasRod(best.candidate.specs));
-  ASSERT_NE(best.over_halves, nullptr);
-  const Candidate& rod = *best.over_halves;
+  EXPECT_FALSE(HasPendulum(best.candidate.specs));
+  ASSERT_NE(best.shorter_windows, nullptr);
+  const Candidate& rod = *best.shorter_windows;
   EXPECT_TRUE(rod.fit.states.empty());
   EXPECT_NEAR(rod.fit.values[rod.plant->parameters().Find("sloshing_payload.*.mass")], 0.02, 0.001);
 }
@@ -296,7 +296,7 @@ TEST(FitLedger, AMassThatAFewWindowsDoNotMeetIsWeighedOverHalves) {
 TEST(FitLedger, AMassThatComesAlongItsHingeIsFoundAboutTheRightOne) {
   const auto p = Prepare(MakeSet("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 15, 2.5));
   const Best best = BestWithAMass(*p);
-  ASSERT_TRUE(HasRod(best.candidate.specs));
+  ASSERT_TRUE(HasPendulum(best.candidate.specs));
   EXPECT_EQ(best.candidate.specs[0].options.at("hinge"), "z");
   EXPECT_LT(best.chi2_per_row, 1.1);
 }

@@ -1,4 +1,4 @@
-#include "services/diagnosis/likelihood/loose_start.h"
+#include "services/diagnosis/likelihood/arrival_cost.h"
 
 #include <algorithm>
 #include <cmath>
@@ -13,7 +13,7 @@ constexpr double kLeastMotion = 1e-6;  // least prior stddev: rad, m, or per sec
 
 }  // namespace
 
-std::vector<LooseStart> LooseStarts(const sim::Plant& plant, const NodeStates& carried) {
+std::vector<ArrivalCost> ArrivalCosts(const sim::Plant& plant, const NodeStates& carried) {
   const long nx = plant.num_states(), first = 2L * plant.num_joints();
   Eigen::VectorXd precision = Eigen::VectorXd::Zero(nx);
   for (long i = first; i < nx; ++i) {
@@ -27,7 +27,7 @@ std::vector<LooseStart> LooseStarts(const sim::Plant& plant, const NodeStates& c
     const double stddev = std::max(kLeastMotion, kLoose * std::sqrt(squares / std::max(1.0, count)));
     if (std::isfinite(stddev)) precision[i] = 1.0 / (stddev * stddev);
   }
-  std::vector<LooseStart> out;
+  std::vector<ArrivalCost> out;
   for (const Eigen::MatrixXd& states : carried) out.push_back({states.col(0), precision});
   return out;
 }

@@ -7,12 +7,12 @@
 
 namespace rg::diagnosis {
 
-struct LooseStart {
+struct ArrivalCost {
   Eigen::VectorXd middle;     // nx: mean
   Eigen::VectorXd precision;  // nx: zero for states that only the rows inform
 };
 
 // Of every window. The stddev of a state is ten times its RMS along all windows.
-std::vector<LooseStart> LooseStarts(const sim::Plant& plant, const NodeStates& carried);
+std::vector<ArrivalCost> ArrivalCosts(const sim::Plant& plant, const NodeStates& carried);
 
 }  // namespace rg::diagnosis
