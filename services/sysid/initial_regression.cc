@@ -307,12 +307,14 @@ class Regression {
 
 }  // namespace
 
-bool RegressionHasColumn(Regressor regressor) { return ColumnOf(regressor, 1.0, 1.0, 1.0).has_value(); }
+std::optional<double> RegressionColumnOf(Regressor regressor, double q, double v, double a) {
+  return ColumnOf(regressor, q, v, a);
+}
 
 bool RegressionKnows(const std::string& effect) {
   const auto& terms = effects::InferenceOf(effect).terms;
   return !terms.empty() && std::all_of(terms.begin(), terms.end(), [](const effects::Term& t) {
-    return RegressionHasColumn(t.regressor) && t.regressor != Regressor::kPosition;
+    return ColumnOf(t.regressor, 1.0, 1.0, 1.0).has_value() && t.regressor != Regressor::kPosition;
   });
 }
 

@@ -15,6 +15,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -62,8 +63,9 @@ struct RegressionResult {
   int rows = 0;                   // rows used; 0: too little data, theta is the start
 };
 
-// Whether it has columns of a regressor: of q, v, a, signs and constants.
-bool RegressionHasColumn(effects::Regressor regressor);
+// What a regressor's coefficient multiplies on the model's side of a joint's torque balance; q: less the
+// regressor's shape. Nothing where the regression does not know it.
+std::optional<double> RegressionColumnOf(effects::Regressor regressor, double q, double v, double a);
 // Whether it holds an effect: all of its force is a sum of its parameters times such columns, without shapes.
 bool RegressionKnows(const std::string& effect);
 

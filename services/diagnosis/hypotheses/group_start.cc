@@ -69,7 +69,8 @@ Regression Regressed(const FitData& data, const sim::Plant& nominal, const Motio
     if (space.IsItself(i)) theta[i] = start[c.parameters[static_cast<size_t>(i)].index];
   }
   theta = theta.cwiseMax(space.lower()).cwiseMin(space.upper());
-  const auto found = sysid::RegressInverseDynamics(*c.plant, start, space, theta, data.recordings, {}, further);
+  const auto found =
+      sysid::RegressInverseDynamics(*c.plant, start, space, theta, data.recordings, {}, further);
   c.fit.ok = found.rows > 0 && found.theta.allFinite();
   if (!c.fit.ok) return out;
   out.torque_stddev = found.torque_stddev, out.coefficients = found.coefficients;
@@ -86,20 +87,18 @@ bool IsLinearLaw(const effects::EffectInfo& effect) {
   const effects::Inference& own = effects::InferenceOf(effect.id);
   return effect.scope == effects::Scope::kJoint && !own.terms.empty() && !own.unnamed &&
          own.slot != effects::Slot::kDryFriction &&
-         std::all_of(own.terms.begin(), own.terms.end(),
-                     [](const effects::Term& t) { return sysid::RegressionHasColumn(t.regressor); });
+         std::all_of(own.terms.begin(), own.terms.end(), [](const effects::Term& t) {
+           return sysid::RegressionColumnOf(t.regressor, 1, 1, 1).has_value();
+         });
 }
 
 std::vector<sysid::RegressionColumn> ColumnsOf(const effects::EffectInfo& law, int joint,
                                                const MotionScales& scales) {
   std::vector<sysid::RegressionColumn> out;
   for (const effects::Term& t : effects::InferenceOf(law.id).terms) {
-    const double range = scales.high[joint] - scales.low[joint], speed = scales.speed[joint];
-    double typical = 1;  // size of the column
-    if (t.regressor == effects::Regressor::kPosition) typical = 0.5 * range;
-    if (t.regressor == effects::Regressor::kVelocity) typical = speed;
-    if (t.regressor == effects::Regressor::kSquaredVelocity) typical = speed * speed;
-    if (t.regressor == effects::Regressor::kAcceleration) typical = scales.acceleration[joint];
+    const double typical =
+        std::abs(*sysid::RegressionColumnOf(t.regressor, 0.5 * (scales.high[joint] - scales.low[joint]),
+                                            scales.speed[joint], scales.acceleration[joint]));
     out.push_back({joint, t.regressor, 0.5 * (scales.low[joint] + scales.high[joint]),
                    scales.torque[joint] / std::max(1e-6, typical)});
   }
@@ -134,11 +133,11 @@ std::vector<LawOnAll> LawsOnAll(const FitData& data, const sim::Plant& nominal, 
     std::vector<sysid::RegressionColumn> columns;
     for (int j = 0; j < data.n; ++j) {
       const std::string& joint = nominal.joint_names()[static_cast<size_t>(j)];
-      if (!data.Judged(j) || !nominal.Takes(law.id, j) || Contains(nominal.effects(), law.id, joint)) continue;
+      if (!data.Judged(j) || !nominal.Takes(law.id, j) || Contains(nominal.effects(), law.id, joint))
+        continue;
       const auto own = ColumnsOf(law, j, scales);
       columns.insert(columns.end(), own.begin(), own.end());
       scored.joints.push_back(j);
-      scored.shape = own[0].shape;
     }
     if (scored.joints.size() < 2) continue;
     const Regression freed = Regressed(data, nominal, scales, losses, true, columns);

@@ -19,6 +19,7 @@
 #include "services/diagnosis/search/fit_ledger.h"
 #include "services/diagnosis/search/forward_step.h"
 #include "services/diagnosis/search/held_out_judge.h"
+#include "services/diagnosis/search/refinement.h"
 #include "services/diagnosis/search/simplifier.h"
 #include "services/diagnosis/search/trace.h"
 #include "services/diagnosis/search/trials.h"
@@ -27,7 +28,6 @@
 namespace rg::diagnosis {
 
 using effects::EffectSpec;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -36,21 +36,17 @@ constexpr double kRivalShare = 0.25;  // of what free inertials explain, that a 
 constexpr double kNearlyAll = 0.9;    // of what is left
 constexpr double kMost = 0.5;         // of what is left
 constexpr double kNoisiest = 4.0;     // variance over the sensors' own: more is motion that no force follows
-constexpr double kLeastGainOfExchange = 1.0;  // nats: the number of names stays the same
 
 // How far the search goes.
 constexpr int kMaxRefusals = 3;                      // by held-out recordings
-constexpr int kMaxExchanges = 3;                     // of effects that are easily taken for each other
 constexpr int kMaxForwardSteps = 2;                  // beside a first effect, before inertials are freed
 constexpr size_t kMaxEffectsWithFixedInertials = 2;  // kinds; more do together what other inertials do
 constexpr size_t kNamesBesideUnnamed = 3;            // fits of effects beside a force without a name
 constexpr size_t kFitsInPlace = 2;                   // in the place of a kind, or beside what is refused
-constexpr size_t kRivalsWithoutStates = 2;           // that are fitted with free inertials too
 constexpr int kWarmStartIterations = 12;             // from where an earlier search ended
 
 // Shares of the work limit.
 constexpr double kWorkForForwardSteps = 0.5;  // after which no such step, nor a substitute, begins
-constexpr double kWorkForComparisons = 1.3;   // after which nothing is compared any more
 
 class Search {
  public:
@@ -125,7 +121,7 @@ class Search {
       if (ordinary_) drives_.Late(&best);
       // With less noise, a fit that seemed to explain everything may turn out to be a local optimum.
       if (LowerNoise(&best, &out) && !fits_.MeetsSensors(best) && !fits_.Late()) {
-        if (Exchange(Candidate{}, &best)) simplifier_.Run(&best);
+        if (refinement_.Exchange(Candidate{}, &best)) simplifier_.Run(&best);
         if (!ordinary_) SubstituteAll(&best);
       }
       // What little a force over a position grid leaves is the grid's coarseness, not a further effect.
@@ -303,15 +299,17 @@ class Search {
     if (KeyOf(winner.specs) != KeyOf(best->specs)) {
       Restart(&winner);
       simplifier_.DropAbsent(&winner);
-      Exchange(*best, &winner);
-      winner = OrRivalWithFreeInertials(*best, WithInertialsFreeOrFixed(winner, Threshold(*best)));
+      refinement_.Exchange(*best, &winner);
+      winner = refinement_.OrRivalWithFreeInertials(
+          *best, refinement_.WithInertialsFreeOrFixed(winner, Threshold(*best)));
     }
-    if (const Candidate* c = FewerNames(fits_.tried(), *best, winner, needs_)) winner = Refitted(*c, *c, *c);
+    if (const Candidate* c = FewerNames(fits_.tried(), *best, winner, needs_))
+      winner = refinement_.Refitted(*c, *c, *c);
     // Fits with hidden states or free inertials end before they converge: the old model is fitted on from the
     // winner's values, or an addition would be credited with what a longer fit alone brings.
     const bool alike = best->base == winner.base;
     if (winner.score > best->score && best->fit.ok && ((best->base && alike) || HasHiddenStates(*best)))
-      *best = Refitted(*best, alike ? winner : *best, winner);
+      *best = refinement_.Refitted(*best, alike ? winner : *best, winner);
     if (AddsNothing(*best, winner)) winner = *best;
     // For the same effects, fitted better, a better score is enough.
     const bool same = KeyOf(winner.specs) == KeyOf(best->specs) && winner.base == best->base;
@@ -321,7 +319,7 @@ class Search {
              std::to_string(needed));
     const bool accept = winner.score > best->score + needed;
     if (accept) {
-      const Candidate justified = Justified(*best, winner);
+      const Candidate justified = refinement_.Justified(*best, winner);
       // Of several effects added at once, what remains may be worth less than none.
       if (!same && justified.score < best->score + Threshold(*best, justified)) return false;
       *best = justified;
@@ -423,84 +421,6 @@ class Search {
     if (from.fit.ok) step_.Add(from, kFitsInPlace, winner);
   }
 
-  // With free inertials a gain of one of two drives equals the other drive's inverse gain, beside which
-  // inertials may be as given.
-  Candidate OtherDrivesGain(const Candidate& c) {
-    std::vector<EffectSpec> specs = Refreshed(c);
-    const auto gain = std::find_if(specs.begin(), specs.end(),
-                                   [](const EffectSpec& s) { return effects::ScalesEffort(s.id); });
-    Candidate none;
-    none.score = kNoScore;
-    if (gain == specs.end() || gain->joints.size() != 1 || fits_.Late()) return none;
-    const int other = data_.OtherOfTwo(nominal_.model().FindJoint(gain->joints[0]));
-    if (other < 0) return none;
-    const std::string& joint = nominal_.joint_names()[static_cast<size_t>(other)];
-    if (Contains(specs, gain->id, joint)) return none;
-    std::map<std::string, double> values = gain->values.at(gain->joints[0]);
-    for (auto& [name, value] : values) value = 1 / value;
-    *gain = effects::MakeSpec(gain->id, {joint}, values);
-    const Candidate plain = fits_.Evaluate(specs, false, nullptr, kWarmStartIterations, &c);
-    return plain.fit.ok ? plain : none;
-  }
-
-  // With inertials free or as given, whichever has more log evidence; free ones must bring `least` more.
-  Candidate WithInertialsFreeOrFixed(const Candidate& c, double least) {
-    if (!c.base && fits_.AtStake(c) < least) return c;  // not so much is left
-    const Candidate twin = fits_.Evaluate(Refreshed(c), !c.base, &c, 6, &c);
-    const Candidate plain = c.base ? Better(twin, OtherDrivesGain(c)) : c, freed = c.base ? c : twin;
-    return freed.score > plain.score + std::max(least, Threshold(plain, freed)) ? freed : plain;
-  }
-
-  // Hidden states follow some of what wrong inertials do: where a model with them is inconsistent with the
-  // noise, the best models without them and of as many names are refitted with free inertials.
-  Candidate OrRivalWithFreeInertials(const Candidate& before, const Candidate winner) {
-    if (!HasFreeStates(winner) || fits_.PerRow(winner) < kConsistent) return winner;
-    Candidate best = winner;
-    for (const Candidate& c : PlainRivals(fits_.tried(), before, winner, kRivalsWithoutStates)) {
-      if (fits_.PerRow(best) < kExplained || fits_.Late(kWorkForComparisons)) break;
-      const Candidate freed = fits_.Evaluate(Refreshed(c), true, &c, 6, &best);
-      if (freed.score > std::max(best.score, c.score + Threshold(c, freed))) best = freed;
-    }
-    return best;
-  }
-
-  // Fitted on from the states of `from` and the values of `rival`; with hidden states also with fixed
-  // inertials.
-  Candidate Refitted(const Candidate c, const Candidate from, const Candidate rival) {
-    const Candidate longer = fits_.Evaluate(RefreshedFrom(c, rival), c.base, &from, 12, &rival);
-    if (longer.score < c.score + 1) return Better(c, longer);
-    return c.base && HasHiddenStates(c) ? WithInertialsFreeOrFixed(longer, 0) : longer;
-  }
-
-  // Of several effects added at once each must be worth its name, against the models without it and, where
-  // inertials were fixed, against those with free ones.
-  Candidate Justified(const Candidate& before, Candidate winner) {
-    while (!fits_.Cancelled()) {
-      const std::set<std::string> fresh = FreshKinds(before, winner);
-      if (fresh.size() < 2) return winner;
-      Candidate fewer = winner, freed = winner;
-      fewer.score = kNoScore;
-      for (const std::string& id : fresh) {
-        const std::vector<EffectSpec> specs = WithoutKind(Refreshed(winner), id);
-        const Candidate* known = fits_.Known(specs, winner.base);
-        const bool late = fits_.Late();
-        if (late && known == nullptr) continue;
-        fewer = Better(fewer, late ? *known : fits_.Evaluate(specs, winner.base, &winner, 6, &winner));
-        if (winner.base || late) continue;
-        const Candidate twin = fits_.Evaluate(specs, true, &winner, 6, &winner);
-        if (twin.score > winner.score + Threshold(winner, twin)) freed = Better(freed, twin);
-      }
-      if (freed.base && !winner.base && freed.score > fewer.score) {
-        winner = freed;
-      } else if (winner.score > fewer.score + Threshold(fewer, winner)) {
-        return winner;
-      } else {
-        winner = fewer;
-      }
-    }
-    return winner;
-  }
-
   // One unnamed force in the place of all effects found, over two joints' positions or over one of the
   // `variables` of one joint; taken where it leaves less than `worst` χ² per row and scores better.
   bool TryOneForce(Candidate* best, double worst, const std::vector<std::string>& variables) {
@@ -573,13 +493,13 @@ class Search {
       Tell("held out", 0.9, KeyOf(best->specs) + "for " + KeyOf(rival->specs));
       *best = HasUnnamed(*rival) ? unnamed_.WithoutCoarse(*rival) : *rival;
       Candidate like = *best;
-      if (!HasUnnamed(like) && !fits_.Late()) Exchange(without, &like);
+      if (!HasUnnamed(like) && !fits_.Late()) refinement_.Exchange(without, &like);
       if (judge.TotalEvidence(like) > judge.TotalEvidence(*best)) *best = like;
-      if (HasFreeStates(*best) && !fits_.Late()) *best = Refitted(*best, *best, *best);
+      if (HasFreeStates(*best) && !fits_.Late()) *best = refinement_.Refitted(*best, *best, *best);
       // Effects that were needed in the old model may be superfluous in the new one.
       if (!fits_.Late(kWorkForComparisons)) {
         simplifier_.Run(best);
-        *best = WithInertialsFreeOrFixed(*best, Threshold(*best));
+        *best = refinement_.WithInertialsFreeOrFixed(*best, Threshold(*best));
       }
     }
     if (judge.Holds(*best, Threshold(*best))) {
@@ -618,54 +538,12 @@ class Search {
     if (fits_.PerRow(*winner) > kConsistent && !fits_.Late()) *winner = Better(*winner, fits_.Anew(*winner));
   }
 
-  // Whether χ² is within three standard deviations of what noise makes of it.
-  bool LeavesNothing(const Candidate& c) const {
-    return fits_.PerRow(c) * fits_.noise_scale() < 1 + 3 * std::sqrt(2.0 / std::max(1, c.fit.rows));
-  }
-
-  // Effects that are easily taken for each other are exchanged until the score stays.
-  bool Exchange(const Candidate& before, Candidate* winner) {
-    int left = kMaxExchanges;
-    while (left > 0 && Siblings(before, winner)) --left;
-    return left < kMaxExchanges;
-  }
-
   // What was taken for one of several alike effects while others were missing is compared again.
   void ExchangeEarlier(Candidate* best) {
     if (HasUnnamed(*best) || FoundNothing(*best) || FreshKinds(Candidate{}, *best).size() < 2 ||
         fits_.Late(kWorkForComparisons))
       return;
-    if (Exchange(Candidate{}, best)) simplifier_.Run(best);
-  }
-
-  // Whether exchanging a new kind of effect, or the newest, for one that it is easily taken for scores
-  // better.
-  bool Siblings(const Candidate& before, Candidate* winner) {
-    const std::vector<EffectSpec> specs = Refreshed(*winner);
-    if (specs.empty()) return false;
-    std::set<std::string> kinds = FreshKinds(before, *winner);
-    if (kinds.empty()) kinds = {specs.back().id};
-    std::vector<TrialSpecs> others;
-    for (const std::string& kind : kinds) {
-      for (const TrialSpecs& other : Exchanges(specs, kind, nominal_, scales_)) {
-        if (fits_.Known(other, winner->base) == nullptr) others.push_back(other);
-      }
-    }
-    for (const EffectSpec& s : specs) {
-      if (kinds.count(s.id) == 0) continue;
-      const auto starts = OtherTransmission(s, nominal_, scales_);
-      for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, starts, 1))
-        others.push_back(Joined(specs, start));
-      if (LeavesNothing(*winner)) continue;
-      for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, OtherGaps(s), 2))
-        others.push_back(Joined(specs, start));
-    }
-    const double before_others = winner->score;
-    fits_.TryInPlace(others, winner);
-    if (!(winner->score > before_others + kLeastGainOfExchange)) return false;
-    // Free inertials may have stood for what the exchanged law says.
-    if (winner->base) *winner = WithInertialsFreeOrFixed(*winner, 0);
-    return true;
+    if (refinement_.Exchange(Candidate{}, best)) simplifier_.Run(best);
   }
 
   const FitData& data_;
@@ -681,6 +559,7 @@ class Search {
   Simplifier simplifier_;
   DriveSearch drives_;
   UnnamedForces unnamed_;
+  Refinement refinement_{setting_, fits_, needs_};
   Acceptance acceptance_;
   ForwardStep step_{setting_,
                     fits_,

@@ -1,0 +1,142 @@
+#include "services/diagnosis/search/refinement.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "common/effects/inference.h"
+#include "common/model/robot_model.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/screening/acceptance.h"
+#include "services/diagnosis/search/trials.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+
+namespace {
+
+constexpr size_t kRivalsWithoutStates = 2;  // that are fitted with free inertials too
+constexpr int kMaxExchanges = 3;            // of effects that are easily taken for each other
+constexpr int kIterationsFromAfar = 12;     // of a fit that begins at the recorded motion
+
+const Candidate& Better(const Candidate& a, const Candidate& b) { return b.score > a.score ? b : a; }
+
+}  // namespace
+
+bool Refinement::Exchange(const Candidate& before, Candidate* winner) {
+  int left = kMaxExchanges;
+  while (left > 0 && Siblings(before, winner)) --left;
+  return left < kMaxExchanges;
+}
+
+// Whether exchanging a new kind of effect, or the newest, for one that it is easily taken for scores
+// better.
+bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
+  const std::vector<EffectSpec> specs = Refreshed(*winner);
+  if (specs.empty()) return false;
+  std::set<std::string> kinds = FreshKinds(before, *winner);
+  if (kinds.empty()) kinds = {specs.back().id};
+  std::vector<TrialSpecs> others;
+  for (const std::string& kind : kinds) {
+    for (const TrialSpecs& other : Exchanges(specs, kind, setting_.nominal, setting_.scales)) {
+      if (fits_.Known(other, winner->base) == nullptr) others.push_back(other);
+    }
+  }
+  for (const EffectSpec& s : specs) {
+    if (kinds.count(s.id) == 0) continue;
+    const auto starts = OtherTransmission(s, setting_.nominal, setting_.scales);
+    for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, starts, 1))
+      others.push_back(Joined(specs, start));
+    if (LeavesNothing(*winner)) continue;
+    for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, OtherGaps(s), 2))
+      others.push_back(Joined(specs, start));
+  }
+  const double before_others = winner->score;
+  fits_.TryInPlace(others, winner);
+  if (!(winner->score > before_others + kLeastGainOfExchange)) return false;
+  // Free inertials may have stood for what the exchanged law says.
+  if (winner->base) *winner = WithInertialsFreeOrFixed(*winner, 0);
+  return true;
+}
+
+// Whether χ² is within three standard deviations of what noise makes of it.
+bool Refinement::LeavesNothing(const Candidate& c) const {
+  return fits_.PerRow(c) * fits_.noise_scale() < 1 + 3 * std::sqrt(2.0 / std::max(1, c.fit.rows));
+}
+
+// With free inertials a gain of one of two drives equals the other drive's inverse gain, beside which
+// inertials may be as given.
+Candidate Refinement::OtherDrivesGain(const Candidate& c) {
+  std::vector<EffectSpec> specs = Refreshed(c);
+  const auto gain = std::find_if(specs.begin(), specs.end(),
+                                 [](const EffectSpec& s) { return effects::ScalesEffort(s.id); });
+  Candidate none;
+  none.score = kNoScore;
+  if (gain == specs.end() || gain->joints.size() != 1 || fits_.Late()) return none;
+  const int other = setting_.data.OtherOfTwo(setting_.nominal.model().FindJoint(gain->joints[0]));
+  if (other < 0) return none;
+  const std::string& joint = setting_.nominal.joint_names()[static_cast<size_t>(other)];
+  if (Contains(specs, gain->id, joint)) return none;
+  std::map<std::string, double> values = gain->values.at(gain->joints[0]);
+  for (auto& [name, value] : values) value = 1 / value;
+  *gain = effects::MakeSpec(gain->id, {joint}, values);
+  const Candidate plain = fits_.Evaluate(specs, false, nullptr, kIterationsFromAfar, &c);
+  return plain.fit.ok ? plain : none;
+}
+
+Candidate Refinement::WithInertialsFreeOrFixed(const Candidate& c, double least) {
+  if (!c.base && fits_.AtStake(c) < least) return c;  // not so much is left
+  const Candidate twin = fits_.Evaluate(Refreshed(c), !c.base, &c, 6, &c);
+  const Candidate plain = c.base ? Better(twin, OtherDrivesGain(c)) : c, freed = c.base ? c : twin;
+  return freed.score > plain.score + std::max(least, needed_(plain, freed)) ? freed : plain;
+}
+
+Candidate Refinement::Refitted(const Candidate c, const Candidate from, const Candidate rival) {
+  const Candidate longer = fits_.Evaluate(RefreshedFrom(c, rival), c.base, &from, 12, &rival);
+  if (longer.score < c.score + 1) return Better(c, longer);
+  return c.base && HasHiddenStates(c) ? WithInertialsFreeOrFixed(longer, 0) : longer;
+}
+
+Candidate Refinement::Justified(const Candidate& before, Candidate winner) {
+  while (!fits_.Cancelled()) {
+    const std::set<std::string> fresh = FreshKinds(before, winner);
+    if (fresh.size() < 2) return winner;
+    Candidate fewer = winner, freed = winner;
+    fewer.score = kNoScore;
+    for (const std::string& id : fresh) {
+      const std::vector<EffectSpec> specs = WithoutKind(Refreshed(winner), id);
+      const Candidate* known = fits_.Known(specs, winner.base);
+      const bool late = fits_.Late();
+      if (late && known == nullptr) continue;
+      fewer = Better(fewer, late ? *known : fits_.Evaluate(specs, winner.base, &winner, 6, &winner));
+      if (winner.base || late) continue;
+      const Candidate twin = fits_.Evaluate(specs, true, &winner, 6, &winner);
+      if (twin.score > winner.score + needed_(winner, twin)) freed = Better(freed, twin);
+    }
+    if (freed.base && !winner.base && freed.score > fewer.score) {
+      winner = freed;
+    } else if (winner.score > fewer.score + needed_(fewer, winner)) {
+      return winner;
+    } else {
+      winner = fewer;
+    }
+  }
+  return winner;
+}
+
+Candidate Refinement::OrRivalWithFreeInertials(const Candidate& before, const Candidate winner) {
+  if (!HasFreeStates(winner) || fits_.PerRow(winner) < kConsistent) return winner;
+  Candidate best = winner;
+  for (const Candidate& c : PlainRivals(fits_.tried(), before, winner, kRivalsWithoutStates)) {
+    if (fits_.PerRow(best) < kExplained || fits_.Late(kWorkForComparisons)) break;
+    const Candidate freed = fits_.Evaluate(Refreshed(c), true, &c, 6, &best);
+    if (freed.score > std::max(best.score, c.score + needed_(c, freed))) best = freed;
+  }
+  return best;
+}
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,47 @@
+// What is done with a model that a forward step found before it is accepted: exchanges of effects that are
+// easily taken for each other, free inertials or fixed ones, longer fits, and whether each new effect is
+// needed.
+#pragma once
+
+#include <functional>
+#include <utility>
+
+#include "services/diagnosis/search/fit_ledger.h"
+
+namespace rg::diagnosis {
+
+inline constexpr double kLeastGainOfExchange = 1.0;  // nats: the number of names stays the same
+inline constexpr double kWorkForComparisons = 1.3;   // of the work limit, after which no models are compared
+
+class Refinement {
+ public:
+  // needed(a, b): log evidence that b must bring in the place of a.
+  Refinement(const FitSetting& setting, FitLedger& fits,
+             std::function<double(const Candidate&, const Candidate&)> needed)
+      : setting_(setting), fits_(fits), needed_(std::move(needed)) {}
+
+  // Exchanges each kind that `model` adds to `before`, or its newest, until the score stays. Whether it rose.
+  bool Exchange(const Candidate& before, Candidate* model);
+  // With inertials free or as given, whichever has more log evidence; free ones must bring `least` more.
+  Candidate WithInertialsFreeOrFixed(const Candidate& c, double least);
+  // Fitted on from the states of `from` and the values of `rival`; with hidden states also with fixed
+  // inertials.
+  Candidate Refitted(const Candidate c, const Candidate from, const Candidate rival);
+  // Of several effects added at once each must be worth its name, against the models without it and, where
+  // inertials were fixed, against those with free ones.
+  Candidate Justified(const Candidate& before, Candidate winner);
+  // Hidden states follow some of what wrong inertials do: where a model with them is inconsistent with the
+  // noise, the best models without them and of as many names are refitted with free inertials.
+  Candidate OrRivalWithFreeInertials(const Candidate& before, const Candidate winner);
+
+ private:
+  bool Siblings(const Candidate& before, Candidate* winner);
+  bool LeavesNothing(const Candidate& c) const;
+  Candidate OtherDrivesGain(const Candidate& c);
+
+  const FitSetting& setting_;
+  FitLedger& fits_;
+  std::function<double(const Candidate&, const Candidate&)> needed_;
+};
+
+}  // namespace rg::diagnosis
