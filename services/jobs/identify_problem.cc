@@ -15,53 +15,8 @@ namespace rg::jobs {
 namespace pb = ::realitygrad::v1;
 using Eigen::VectorXd;
 
-// The windows' residuals one below the other; the parameters are shared.
-class IdentifyProblem::Stacked final : public sysid::ResidualFunction {
- public:
-  // The last window has the weight `last_weight`, the others 1.
-  Stacked(const std::vector<sysid::PaperProblem>& windows, double last_weight) {
-    for (const auto& window : windows) parts_.push_back(window.problem().residuals);
-    last_scale_ = std::sqrt(last_weight);
-    problem_ = windows.front().problem();
-    problem_.residuals = this;
-    for (const auto* part : parts_) rows_ += part->num_residuals();
-  }
-
-  int num_parameters() const override { return parts_.front()->num_parameters(); }
-  int num_residuals() const override { return rows_; }
-  bool Evaluate(const VectorXd& p, const sysid::StopCondition& stop, VectorXd* r,
-                sysid::RowMatrix* dr_dp) override {
-    int row = 0;
-    for (sysid::ResidualFunction* part : parts_) {
-      const int m = part->num_residuals();
-      part_r_.resize(m);
-      if (dr_dp) part_jacobian_.resize(m, num_parameters());
-      if (!part->Evaluate(p, stop, &part_r_, dr_dp ? &part_jacobian_ : nullptr)) return false;
-      const double scale = part == parts_.back() ? last_scale_ : 1.0;
-      r->segment(row, m) = scale * part_r_;
-      if (dr_dp) dr_dp->middleRows(row, m) = scale * part_jacobian_;
-      row += m;
-    }
-    return true;
-  }
-
-  sysid::LeastSquaresProblem& problem() { return problem_; }
-
- private:
-  std::vector<sysid::ResidualFunction*> parts_;
-  sysid::LeastSquaresProblem problem_;
-  int rows_ = 0;
-  double last_scale_ = 1.0;
-  VectorXd part_r_;
-  sysid::RowMatrix part_jacobian_;
-};
-
-IdentifyProblem::IdentifyProblem(std::vector<sysid::PaperProblem> windows, std::unique_ptr<Stacked> stacked)
-    : windows_(std::move(windows)), stacked_(std::move(stacked)) {}
-IdentifyProblem::~IdentifyProblem() = default;
-IdentifyProblem::IdentifyProblem(IdentifyProblem&&) noexcept = default;
-IdentifyProblem& IdentifyProblem::operator=(IdentifyProblem&&) noexcept = default;
-const sysid::LeastSquaresProblem& IdentifyProblem::problem() const { return stacked_->problem(); }
+IdentifyProblem::IdentifyProblem(sysid::PaperProblem paper, sysid::LeastSquaresProblem problem, double long_weight)
+    : paper_(std::move(paper)), problem_(std::move(problem)), long_weight_(long_weight) {}
 
 namespace {
 
@@ -173,30 +128,21 @@ Result<IdentifyProblem> IdentifyProblem::Create(const sim::Plant& plant, const V
                                                 const recordings::Recording& recording,
                                                 const IdentifyProblemOptions& options) {
   if (recording.rows() < 2) return InvalidError(recording.name + ": too few rows to identify anything");
-  std::vector<sysid::PaperProblem> windows;
-  const auto add = [&](double start, double length) -> Status {
-    sysid::PaperOptions paper;
-    paper.window_start_s = start;
-    paper.window_s = length;
-    paper.alpha = options.alpha;
-    paper.interpolate = !options.whole_recording;
-    paper.simulator = options.simulator;
-    if (options.friction) paper.extra_parameters = FrictionParameters(plant);
-    RG_ASSIGN_OR_RETURN(auto window, sysid::PaperProblem::Create(plant, initial, recording, paper));
-    windows.push_back(std::move(window));
-    return Status::Ok();
-  };
+  sysid::PaperOptions paper_options;
+  paper_options.alpha = options.alpha;
+  paper_options.interpolate = !options.whole_recording;
+  paper_options.simulator = options.simulator;
+  if (options.friction) paper_options.extra_parameters = FrictionParameters(plant);
+  paper_options.windows.clear();
   for (const double start : WindowStarts(recording, options))
-    RG_RETURN_IF_ERROR(add(start, options.window_s));
-  if (options.long_weight > 0) RG_RETURN_IF_ERROR(add(0.0, std::numeric_limits<double>::infinity()));
-  auto stacked = std::make_unique<Stacked>(windows, options.long_weight > 0 ? options.long_weight : 1.0);
-  if (options.bounds == BoundsKind::kPhysical) {
-    TakePhysicalBeliefs(plant, windows.front().parameters(), options.alpha, options.friction,
-                        &stacked->problem());
-  }
-  IdentifyProblem problem(std::move(windows), std::move(stacked));
-  problem.long_weight_ = options.long_weight;
-  return problem;
+    paper_options.windows.push_back({start, options.window_s});
+  if (options.long_weight > 0)
+    paper_options.windows.push_back({0.0, std::numeric_limits<double>::infinity(), options.long_weight});
+  RG_ASSIGN_OR_RETURN(auto paper, sysid::PaperProblem::Create(plant, initial, recording, paper_options));
+  sysid::LeastSquaresProblem problem = paper.problem();
+  if (options.bounds == BoundsKind::kPhysical)
+    TakePhysicalBeliefs(plant, paper.parameters(), options.alpha, options.friction, &problem);
+  return IdentifyProblem(std::move(paper), std::move(problem), options.long_weight);
 }
 
 VectorXd IdentifyProblem::Start(const sim::Plant& plant, const recordings::Recording& recording) const {

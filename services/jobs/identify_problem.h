@@ -7,7 +7,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <memory>
 #include <vector>
 
 #include "common/base/status.h"
@@ -61,25 +60,21 @@ class IdentifyProblem {
   static Result<IdentifyProblem> Create(const sim::Plant& plant, const Eigen::VectorXd& initial,
                                         const recordings::Recording& recording,
                                         const IdentifyProblemOptions& options);
-  ~IdentifyProblem();
-  IdentifyProblem(IdentifyProblem&&) noexcept;
-  IdentifyProblem& operator=(IdentifyProblem&&) noexcept;
 
-  const sysid::LeastSquaresProblem& problem() const;
-  const std::vector<int>& parameters() const { return windows_.front().parameters(); }
-  Eigen::VectorXd FullValues(const Eigen::VectorXd& p) const { return windows_.front().FullValues(p); }
+  const sysid::LeastSquaresProblem& problem() const { return problem_; }
+  const std::vector<int>& parameters() const { return paper_.parameters(); }
+  Eigen::VectorXd FullValues(const Eigen::VectorXd& p) const { return paper_.FullValues(p); }
   double long_weight() const { return long_weight_; }
   // Where a search begins: at p_init, or, if that costs less, where the regression of the inverse dynamics
   // (services/sysid/initial_regression.h) ends, within the bounds.
   Eigen::VectorXd Start(const sim::Plant& plant, const recordings::Recording& recording) const;
-  int windows() const { return static_cast<int>(windows_.size()); }
+  int windows() const { return paper_.windows(); }
 
  private:
-  class Stacked;
-  IdentifyProblem(std::vector<sysid::PaperProblem> windows, std::unique_ptr<Stacked> stacked);
-  std::vector<sysid::PaperProblem> windows_;
-  std::unique_ptr<Stacked> stacked_;
-  double long_weight_ = 0.0;
+  IdentifyProblem(sysid::PaperProblem paper, sysid::LeastSquaresProblem problem, double long_weight);
+  sysid::PaperProblem paper_;
+  sysid::LeastSquaresProblem problem_;  // the paper's, with the bounds that were asked for
+  double long_weight_;
 };
 
 }  // namespace rg::jobs

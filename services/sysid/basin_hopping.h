@@ -68,7 +68,7 @@ HopState StartChain(uint64_t seed, int chain);
 HopState StartChainAt(uint64_t seed, int chain, const Eigen::VectorXd& p, double cost);
 
 // `progress` gets stage "hops", done = hops of this call. Ends at the budget, late by at most one
-// window's simulation, or when `cancel` (may be null) is set.
+// evaluation, or when `cancel` (may be null) is set.
 HopState RunHops(const LeastSquaresProblem& problem, const HopOptions& options, HopState state,
                  const HopBudget& budget, const Clock& clock, const ProgressFn& progress = {},
                  const CancelToken* cancel = nullptr);

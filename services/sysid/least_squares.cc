@@ -57,10 +57,7 @@ class TrackingCost final : public ceres::CostFunction {
     if (stop_.ShouldStop()) return false;
     const bool with_jacobian = jacobians != nullptr && jacobians[0] != nullptr;
     const VectorXd p = free_.ToFull(parameters[0]);
-    ++best_.evaluations;
-    best_.jacobians += with_jacobian ? 1 : 0;
-    if (!problem_.residuals->Evaluate(p, stop_, &r_, with_jacobian ? &dr_dp_ : nullptr)) return false;
-    if (!r_.allFinite()) return false;
+    if (!EvaluateAt(p, with_jacobian)) return false;
     WriteResiduals(p, residuals);
     if (with_jacobian && !WriteJacobian(jacobians[0])) return false;
     Track(p, residuals);
@@ -70,6 +67,18 @@ class TrackingCost final : public ceres::CostFunction {
   SolveSummary& best() const { return best_; }
 
  private:
+  // r_ and, if asked for, dr_dp_ at p. The bounded solver asks up to three times at each point: in its search
+  // along the projected step, whether the step is good, and for the next one's Jacobian.
+  bool EvaluateAt(const VectorXd& p, bool with_jacobian) const {
+    if (known_ && p == at_ && (has_jacobian_ || !with_jacobian)) return true;
+    ++best_.evaluations;
+    best_.jacobians += with_jacobian ? 1 : 0;
+    at_ = p;
+    has_jacobian_ = with_jacobian;
+    known_ = problem_.residuals->Evaluate(p, stop_, &r_, with_jacobian ? &dr_dp_ : nullptr) && r_.allFinite();
+    return known_;
+  }
+
   void WriteResiduals(const VectorXd& p, double* out) const {
     const int m = static_cast<int>(r_.size());
     Eigen::Map<VectorXd>(out, m) = r_;
@@ -103,7 +112,8 @@ class TrackingCost final : public ceres::CostFunction {
   const FreeParameters& free_;
   const LeastSquaresProblem& problem_;
   const StopCondition& stop_;
-  mutable VectorXd r_;
+  mutable VectorXd r_, at_;
+  mutable bool known_ = false, has_jacobian_ = false;  // r_ and dr_dp_ are those at at_
   mutable RowMatrix dr_dp_;
   mutable SolveSummary best_;
 };

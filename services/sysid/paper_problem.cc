@@ -20,51 +20,96 @@ namespace {
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-// Joint position errors over one window, by one simulation from the measured state.
+// What one window asks for.
+struct WindowData {
+  double start = 0.0, scale = 1.0;  // s; of the residuals
+  VectorXd q0, v0;
+  std::vector<double> times;
+  MatrixXd measured;  // n × times
+};
+
+// Joint position errors over the windows, each by one simulation from its measured state.
 class WindowResiduals final : public ResidualFunction {
  public:
   WindowResiduals(const sim::Plant& plant, const VectorXd& base, std::vector<int> parameters,
-                  sim::CommandSignal command, std::vector<double> times, MatrixXd measured, VectorXd q0,
-                  VectorXd v0, double start, const sim::SimulatorOptions& options)
+                  sim::CommandSignal command, std::vector<WindowData> windows,
+                  const sim::SimulatorOptions& options)
       : simulator_(plant, options),
         values_(base),
         command_(std::move(command)),
-        times_(std::move(times)),
-        measured_(std::move(measured)),
-        q0_(std::move(q0)),
-        v0_(std::move(v0)),
-        start_(start) {
+        windows_(std::move(windows)) {
     request_.parameters = std::move(parameters);
+    for (const WindowData& window : windows_) {
+      rows_ += static_cast<int>(window.measured.size());
+      times_.insert(times_.end(), window.times.begin(), window.times.end());
+    }
+    Group();
   }
 
   int num_parameters() const override { return static_cast<int>(request_.parameters.size()); }
-  int num_residuals() const override { return static_cast<int>(measured_.size()); }
+  int num_residuals() const override { return rows_; }
+  int windows() const { return static_cast<int>(windows_.size()); }
   const std::vector<double>& times() const { return times_; }
   const std::vector<int>& parameters() const { return request_.parameters; }
 
   bool Evaluate(const VectorXd& p, const StopCondition& stop, VectorXd* r, RowMatrix* dr_dp) override {
-    if (stop.ShouldStop()) return false;
     for (int i = 0; i < p.size(); ++i) values_[request_.parameters[i]] = p[i];
     simulator_.SetParameters(values_);
-    const sim::State x0 = simulator_.MakeStateFromMeasurement(q0_, v0_, start_, command_);
-    simulator_.SimulateInto(x0, command_, times_, dr_dp != nullptr ? request_ : sim::SensitivityRequest{},
-                            &out_);
-    if (!out_.outcome.ok()) return false;
-    Eigen::Map<MatrixXd>(r->data(), measured_.rows(), measured_.cols()) = out_.position - measured_;
-    if (dr_dp != nullptr) *dr_dp = out_.dposition;
+    const sim::SensitivityRequest& request = dr_dp != nullptr ? request_ : none_;
+    int row = 0;
+    for (size_t first = 0; first < windows_.size(); first += runs_.size()) {
+      if (stop.ShouldStop()) return false;
+      Simulate(first, request);
+      for (size_t k = 0; k < runs_.size(); ++k) {
+        if (!outs_[k].outcome.ok()) return false;
+        row += Write(windows_[first + k], outs_[k], row, r, dr_dp);
+      }
+    }
     return true;
   }
 
  private:
+  // Windows of one length share the lanes of a register; a longer one would leave most of them idle.
+  void Group() {
+    group_.assign(windows_.size(), 1);
+    for (size_t first = 0; first < windows_.size(); first += group_[first]) {
+      const auto length = [&](size_t k) { return windows_[k].times.size(); };
+      while (first + group_[first] < windows_.size() && 2 * length(first + group_[first]) <= 3 * length(first) &&
+             2 * length(first) <= 3 * length(first + group_[first]))
+        ++group_[first];
+    }
+  }
+
+  void Simulate(size_t first, const sim::SensitivityRequest& request) {
+    runs_.clear();
+    for (size_t k = first; k < first + group_[first]; ++k) {
+      const WindowData& w = windows_[k];
+      runs_.push_back({simulator_.MakeStateFromMeasurement(w.q0, w.v0, w.start, command_), &command_, &w.times});
+    }
+    if (runs_.size() > 1) return simulator_.SimulateWindows(runs_, request, &outs_);
+    outs_.resize(1);
+    simulator_.SimulateInto(runs_.front().x0, command_, *runs_.front().times, request, &outs_.front());
+  }
+
+  int Write(const WindowData& window, const sim::Trajectory& out, int row, VectorXd* r, RowMatrix* dr_dp) const {
+    const auto m = static_cast<int>(window.measured.size());
+    Eigen::Map<MatrixXd>(r->data() + row, window.measured.rows(), window.measured.cols()) =
+        window.scale * (out.position - window.measured);
+    if (dr_dp != nullptr) dr_dp->middleRows(row, m) = window.scale * out.dposition;
+    return m;
+  }
+
   sim::Simulator simulator_;
   sim::SensitivityRequest request_;
-  sim::Trajectory out_;
+  const sim::SensitivityRequest none_;
   VectorXd values_;
   sim::CommandSignal command_;
+  std::vector<WindowData> windows_;
+  std::vector<size_t> group_;  // at the first window of each: how many go together
+  std::vector<sim::SimulationWindow> runs_;
+  std::vector<sim::Trajectory> outs_;
   std::vector<double> times_;
-  MatrixXd measured_;  // n × K
-  VectorXd q0_, v0_;
-  double start_;
+  int rows_ = 0;
 };
 
 // A bound of ± share around the nominal value; zero nominal gives the interval [0, 0].
@@ -109,19 +154,19 @@ struct WindowRows {
   int first = 0, last = 0;
 };
 
-Result<WindowRows> FindRows(const recordings::Recording& recording, const PaperOptions& options) {
-  const double t0 = recording.t[0] + options.window_start_s;
+Result<WindowRows> FindRows(const recordings::Recording& recording, const PaperWindow& window) {
+  const double t0 = recording.t[0] + window.start_s;
   WindowRows rows;
   const double tolerance = 0.5 * recording.SamplePeriod();
   while (rows.first < recording.rows() && recording.t[rows.first] < t0 - tolerance) ++rows.first;
   rows.last = rows.first;
   if (rows.first < recording.rows()) {
-    const double end = recording.t[rows.first] + options.window_s + tolerance;
+    const double end = recording.t[rows.first] + window.length_s + tolerance;
     while (rows.last + 1 < recording.rows() && recording.t[rows.last + 1] < end) ++rows.last;
   }
   if (rows.last <= rows.first) {
-    return InvalidError(recording.name + ": a window of " + std::to_string(options.window_s) + " s from " +
-                        std::to_string(options.window_start_s) + " s holds fewer than two rows");
+    return InvalidError(recording.name + ": a window of " + std::to_string(window.length_s) + " s from " +
+                        std::to_string(window.start_s) + " s holds fewer than two rows");
   }
   return rows;
 }
@@ -149,6 +194,21 @@ sim::CommandSignal CommandOf(const recordings::Recording& recording, sim::Simula
       command, sim::HoldingCommand(simulator, recording.q.col(0), recording.drive_effort().col(0)));
 }
 
+Result<WindowData> ReadWindow(const recordings::Recording& recording, const MatrixXd& velocity,
+                              const PaperWindow& window, const PaperOptions& options) {
+  RG_ASSIGN_OR_RETURN(const WindowRows rows, FindRows(recording, window));
+  WindowData out;
+  out.start = recording.t[rows.first];
+  out.scale = std::sqrt(window.weight);
+  out.q0 = recording.q.col(rows.first);
+  out.v0 = velocity.col(rows.first);
+  out.times = ResidualTimes(recording, rows, options);
+  out.measured = recordings::InterpolateLinear(
+      recording.t, recording.q,
+      Eigen::Map<const VectorXd>(out.times.data(), static_cast<int>(out.times.size())));
+  return out;
+}
+
 }  // namespace
 
 struct PaperProblem::Impl {
@@ -172,11 +232,13 @@ Result<PaperProblem> PaperProblem::Create(const sim::Plant& plant, const VectorX
   if (recording.rows() < 2) return InvalidError(recording.name + ": fewer than two rows");
   if (recording.drive_effort().size() == 0) return InvalidError(recording.name + ": no effort");
   RG_CHECK(initial.size() == plant.parameters().size());
-  RG_ASSIGN_OR_RETURN(const WindowRows rows, FindRows(recording, options));
-  std::vector<double> times = ResidualTimes(recording, rows, options);
-  const MatrixXd measured = recordings::InterpolateLinear(
-      recording.t, recording.q, Eigen::Map<const VectorXd>(times.data(), static_cast<int>(times.size())));
-  const VectorXd v0 = recordings::VelocityOrEstimate(recording).col(rows.first);
+  RG_CHECK(!options.windows.empty());
+  const MatrixXd velocity = recordings::VelocityOrEstimate(recording);
+  std::vector<WindowData> windows;
+  for (const PaperWindow& window : options.windows) {
+    RG_ASSIGN_OR_RETURN(WindowData data, ReadWindow(recording, velocity, window, options));
+    windows.push_back(std::move(data));
+  }
 
   sim::Simulator simulator(plant, options.simulator);
   simulator.SetParameters(initial);
@@ -186,8 +248,7 @@ Result<PaperProblem> PaperProblem::Create(const sim::Plant& plant, const VectorX
   const int P = static_cast<int>(parameters.size());
   impl->base = initial;
   impl->residuals = std::make_unique<WindowResiduals>(plant, initial, parameters, CommandOf(recording, simulator),
-                                                      std::move(times), measured, recording.q.col(rows.first),
-                                                      v0, recording.t[rows.first], options.simulator);
+                                                      std::move(windows), options.simulator);
   LeastSquaresProblem& problem = impl->problem;
   problem.residuals = impl->residuals.get();
   problem.initial.resize(P);
@@ -203,6 +264,7 @@ Result<PaperProblem> PaperProblem::Create(const sim::Plant& plant, const VectorX
 
 const LeastSquaresProblem& PaperProblem::problem() const { return impl_->problem; }
 const std::vector<int>& PaperProblem::parameters() const { return impl_->residuals->parameters(); }
+int PaperProblem::windows() const { return impl_->residuals->windows(); }
 const std::vector<double>& PaperProblem::times() const { return impl_->residuals->times(); }
 
 VectorXd PaperProblem::FullValues(const VectorXd& p) const {

@@ -4,7 +4,8 @@
 //
 // over one window of a recording, in joint space, the simulated state set to the robot's at its start,
 // on the simulator's step grid with the recorded positions linearly interpolated to it. 71 parameters on
-// the Mico²: gravity 3, masses, damping, force gains P_d, inertias xx, yy, zz of every link.
+// the Mico²: gravity 3, masses, damping, force gains P_d, inertias xx, yy, zz of every link. Several windows
+// are summed, with weights if wanted; those of one length are simulated side by side.
 //
 // Bounds of the bounded solver: ±20 % on gravity, mass and inertia, 0 ≤ damping ≤ 18, −1.5 ≤ P_d ≤ 1.5.
 // Parameters at zero with relative bounds (gravity x, y; links without inertia) are thereby fixed.
@@ -22,9 +23,14 @@
 
 namespace rg::sysid {
 
+struct PaperWindow {
+  double start_s = 0.0;  // after the recording's first row
+  double length_s = 0.2;  // infinity: to the end
+  double weight = 1.0;    // of its squared residuals, > 0
+};
+
 struct PaperOptions {
-  double window_start_s = 0.0;  // after the recording's first row
-  double window_s = 0.2;        // infinity: to the end
+  std::vector<PaperWindow> windows = {{}};
   // true: residuals on the simulator's step grid (the paper's); false: at the recording's rows only.
   bool interpolate = true;
   double relative_bound = 0.2;
@@ -54,7 +60,8 @@ class PaperProblem {
   const std::vector<int>& parameters() const;
   // The whole table with the 71 replaced.
   Eigen::VectorXd FullValues(const Eigen::VectorXd& p) const;
-  // Times of the residuals; residual k·n + j is joint j at times()[k].
+  int windows() const;
+  // Times of the residuals, window by window; residual k·n + j is joint j at times()[k].
   const std::vector<double>& times() const;
 
  private:

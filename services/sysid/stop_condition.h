@@ -1,6 +1,6 @@
 // When long numerical work must end early: a time budget on a clock that is an argument, a cancel
 // token, or both. Solvers ask between and inside evaluations, so that a budget is kept to within the
-// time of one window's simulation.
+// time of one evaluation.
 #pragma once
 
 #include <limits>

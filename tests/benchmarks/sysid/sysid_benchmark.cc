@@ -32,7 +32,7 @@ struct Bench {
 void PaperJacobian(benchmark::State& state) {
   const Bench bench;
   PaperOptions options;
-  options.window_s = 1e-3 * static_cast<double>(state.range(0));
+  options.windows = {{.length_s = 1e-3 * static_cast<double>(state.range(0))}};
   options.interpolate = false;
   auto paper = *PaperProblem::Create(bench.plant, bench.values, bench.recording, options);
   ResidualFunction& residuals = *paper.problem().residuals;

@@ -77,10 +77,8 @@ TEST_P(AnyRobot, IsIdentifiedAndPredictedOnHeldOutMotion) {
 
 TEST_P(AnyRobot, HasThePapersProblemWithItsOwnCount) {
   const Set s(GetParam());
-  PaperOptions options;
-  options.window_s = 0.2;
   const int n = s.plant.num_joints();
-  auto paper = PaperProblem::Create(s.plant, s.plant.parameters().Nominal(), s.set.recordings[0], options);
+  auto paper = PaperProblem::Create(s.plant, s.plant.parameters().Nominal(), s.set.recordings[0]);
   ASSERT_TRUE(paper.ok()) << paper.status().ToString();
   // Gravity, four of each link, damping and gain of each joint.
   EXPECT_EQ(paper->parameters().size(), static_cast<size_t>(3 + 4 * s.plant.model().num_links() + 2 * n));

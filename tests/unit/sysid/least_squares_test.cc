@@ -5,6 +5,8 @@
 #include <Eigen/Dense>
 
 #include <limits>
+#include <utility>
+#include <vector>
 
 #include "tests/unit/sysid/toy_residuals.h"
 
@@ -91,6 +93,25 @@ TEST(BoundedLevenbergMarquardt, HoldsItsBoundsAndUsesThem) {
   const SolveSummary s = Solve(problem, Vector2d(-5.0, 0.0), With(Solver::kBoundedLevenbergMarquardt), {});
   EXPECT_DOUBLE_EQ(s.p[0], 1.0);
   EXPECT_NEAR(s.p[1], 0.5, 1e-6);
+}
+
+// The search along the projected step, the verdict on it and the next Jacobian are asked for at one point.
+TEST(BoundedLevenbergMarquardt, EvaluatesNoPointTwice) {
+  auto valley = testing::Rosenbrock();
+  std::vector<std::pair<VectorXd, bool>> asked;
+  testing::LambdaResiduals counted(2, 2, [&](const VectorXd& p, const StopCondition& stop, VectorXd* r, RowMatrix* J) {
+    asked.emplace_back(p, J != nullptr);
+    return valley.Evaluate(p, stop, r, J);
+  });
+  auto problem = testing::FreeProblem(&counted, Vector2d(-1.2, 1.0));
+  problem.lower = Vector2d(-3.0, -3.0);
+  problem.upper = Vector2d(3.0, 3.0);
+  const SolveSummary s = Solve(problem, problem.initial, With(Solver::kBoundedLevenbergMarquardt), {});
+  EXPECT_LT(s.cost, 1e-8);
+  EXPECT_EQ(s.evaluations, static_cast<int>(asked.size()));
+  for (size_t k = 1; k < asked.size(); ++k) {
+    EXPECT_FALSE(asked[k].first == asked[k - 1].first && asked[k - 1].second) << "evaluation " << k;
+  }
 }
 
 TEST(UnboundedLbfgs, PassesTheBoundsOfTheOtherSolver) {

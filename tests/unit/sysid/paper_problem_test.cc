@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <set>
 
 #include "common/math/gradient_check.h"
@@ -122,10 +123,46 @@ TEST(PaperProblem, ChainsOfBasinHoppingRunOnIt) {
   }
 }
 
+// Windows of one length go side by side, the longer one alone.
+TEST(PaperProblem, WindowsAreSummedWithTheirWeights) {
+  Mico mico;
+  const recordings::Recording recording = mico.Record(mico.nominal);
+  VectorXd other = mico.nominal;
+  for (int i = 0; i < other.size(); ++i) {
+    if (mico.plant.parameters()[i].kind == sim::ParameterKind::kDamping) other[i] += 0.5;
+  }
+  PaperOptions all;
+  all.interpolate = false;
+  all.windows = {{0.0, 0.5}, {0.5, 0.5}, {1.0, 0.5}, {0.0, 2.0, 0.3}};
+  const auto together = PaperProblem::Create(mico.plant, other, recording, all);
+  ASSERT_TRUE(together.ok()) << together.status().ToString();
+  EXPECT_EQ(together->windows(), 4);
+  ResidualFunction& sum = *together->problem().residuals;
+  VectorXd r(sum.num_residuals());
+  RowMatrix J(sum.num_residuals(), sum.num_parameters());
+  ASSERT_TRUE(sum.Evaluate(together->problem().initial, {}, &r, &J));
+  int row = 0;
+  for (const PaperWindow& window : all.windows) {
+    PaperOptions one = all;
+    one.windows = {{window.start_s, window.length_s}};
+    const auto alone = PaperProblem::Create(mico.plant, other, recording, one);
+    ResidualFunction& part = *alone->problem().residuals;
+    const int m = part.num_residuals();
+    VectorXd part_r(m);
+    RowMatrix part_J(m, part.num_parameters());
+    ASSERT_TRUE(part.Evaluate(alone->problem().initial, {}, &part_r, &part_J));
+    ASSERT_GT(part_r.norm(), 1e-4);
+    EXPECT_LT((r.segment(row, m) - std::sqrt(window.weight) * part_r).norm(), 1e-9 * part_r.norm());
+    EXPECT_LT((J.middleRows(row, m) - std::sqrt(window.weight) * part_J).norm(), 1e-8 * part_J.norm());
+    row += m;
+  }
+  EXPECT_EQ(row, r.size());
+}
+
 TEST(PaperProblem, RefusesAWindowOutsideTheRecording) {
   Mico mico;
   PaperOptions options;
-  options.window_start_s = 100.0;
+  options.windows = {{.start_s = 100.0}};
   const auto paper = PaperProblem::Create(mico.plant, mico.nominal, mico.Record(mico.nominal), options);
   ASSERT_FALSE(paper.ok());
   EXPECT_NE(paper.status().message().find("fewer than two rows"), std::string::npos);
