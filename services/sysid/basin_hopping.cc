@@ -45,6 +45,7 @@ void KeepBest(const SolveSummary& solved, HopState* state) {
   if (state->started() && solved.cost >= state->best_cost) return;
   state->best = solved.p;
   state->best_cost = solved.cost;
+  state->taken = false;
 }
 
 void AdaptStep(const HopOptions& options, bool accepted, HopState* state) {
@@ -82,6 +83,9 @@ bool RunOneHop(const LeastSquaresProblem& problem, const HopOptions& options, co
   AdaptStep(options, accepted, state);
   return true;
 }
+
+// Whether a cost is as good as the best: half a percent of the residuals' RMS.
+bool Near(double cost, double best) { return cost <= 1.01 * best; }
 
 json VectorToJson(const VectorXd& v) { return json(std::vector<double>(v.data(), v.data() + v.size())); }
 
@@ -132,7 +136,21 @@ bool Exchange(const VectorXd& best, double best_cost, HopState* state) {
   if (state->started() && best_cost >= state->best_cost) return false;
   state->best = state->current = best;
   state->best_cost = state->current_cost = best_cost;
+  state->taken = true;
   return true;
+}
+
+int ExchangeAll(const std::vector<HopState>& others, HopState* state) {
+  int from = -1;
+  state->others.clear();
+  for (const HopState& theirs : others) {
+    if (theirs.chain == state->chain || !theirs.started()) continue;
+    const bool better = !state->started() || !Near(state->best_cost, theirs.best_cost);
+    if (better && Exchange(theirs.best, theirs.best_cost, state)) from = theirs.chain;
+    for (const HopRecord& h : theirs.history)
+      if (h.hop >= theirs.first_hop) state->others.push_back(h.cost);
+  }
+  return from;
 }
 
 void ChangeCost(double cost, HopState* state) {
@@ -141,14 +159,16 @@ void ChangeCost(double cost, HopState* state) {
   state->current_cost = state->best_cost = cost;
   state->from_current = true;
   state->first_hop = state->hops;
+  state->others.clear();
 }
 
 bool Agrees(const HopState& state) {
-  const int hops = state.agreed ? 1 : 3;
-  constexpr double kTolerance = 0.01;  // half a percent of the residuals' RMS
-  return std::ranges::count_if(state.history, [&](const HopRecord& h) {
-           return h.hop >= state.first_hop && h.cost <= (1 + kTolerance) * state.best_cost;
-         }) >= hops;
+  const int hops = !state.agreed ? 3 : state.taken ? 0 : 1;
+  const auto near = [&](double cost) { return Near(cost, state.best_cost); };
+  return std::ranges::count_if(state.history,
+                               [&](const HopRecord& h) { return h.hop >= state.first_hop && near(h.cost); }) +
+             std::ranges::count_if(state.others, near) >=
+         hops;
 }
 
 std::string SerializeHopState(const HopState& state) {
@@ -156,6 +176,8 @@ std::string SerializeHopState(const HopState& state) {
   for (const HopRecord& h : state.history) {
     history.push_back({h.hop, NumberToJson(h.cost), NumberToJson(h.best), h.step_size, h.accepted});
   }
+  json others = json::array();
+  for (const double cost : state.others) others.push_back(NumberToJson(cost));
   return json{{"format", kFormat},
               {"seed", state.seed},
               {"chain", state.chain},
@@ -170,6 +192,8 @@ std::string SerializeHopState(const HopState& state) {
               {"from_current", state.from_current},
               {"first_hop", state.first_hop},
               {"agreed", state.agreed},
+              {"taken", state.taken},
+              {"others", others},
               {"history", history}}
       .dump();
 }
@@ -193,6 +217,8 @@ Result<HopState> ParseHopState(const std::string& text) {
     state.from_current = j.value("from_current", state.hops == 0 && state.current.size() > 0);
     state.first_hop = j.value("first_hop", 0);
     state.agreed = j.value("agreed", false);
+    state.taken = j.value("taken", false);
+    for (const json& cost : j.value("others", json::array())) state.others.push_back(NumberFromJson(cost));
     for (const json& h : j.at("history")) {
       state.history.push_back({h.at(0).get<int>(), NumberFromJson(h.at(1)), NumberFromJson(h.at(2)),
                                h.at(3).get<double>(), h.at(4).get<bool>()});

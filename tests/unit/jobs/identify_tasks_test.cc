@@ -124,17 +124,35 @@ TEST(IdentifyTask, GoesOnFromItsCheckpointAsIfItHadNotBeenCut) {
 
 TEST(IdentifyTask, ChainsTakeTheBestOfTheOthers) {
   const Loop loop;
-  std::string chains[2] = {Chain(loop.Input(0, 0, 2)), Chain(loop.Input(1, 0, 2))};
-  const double costs[2] = {sysid::ParseHopState(chains[0])->best_cost,
-                           sysid::ParseHopState(chains[1])->best_cost};
-  ASSERT_NE(costs[0], costs[1]);
-  const int worse = costs[0] > costs[1] ? 0 : 1;
+  const std::string good = Chain(loop.Input(0, 0, 2));
+  sysid::HopState worse = *sysid::ParseHopState(Chain(loop.Input(1, 0, 2)));
+  worse.best_cost *= 2;
   worker::RecordingTaskContext context("");
-  Chain(loop.Input(worse, 1, 1, {As(kInputChain, chains[worse]), As(kInputOthers, chains[1 - worse])}),
+  Chain(loop.Input(1, 1, 1,
+                   {As(kInputChain, sysid::SerializeHopState(worse)), As(kInputOthers, good),
+                    As(kInputOthers, sysid::SerializeHopState(worse))}),
         &context);
-  EXPECT_TRUE(std::any_of(context.lines.begin(), context.lines.end(), [&](const std::string& line) {
-    return line == "took the best of chain " + std::to_string(1 - worse);
-  }));
+  EXPECT_EQ(std::count(context.lines.begin(), context.lines.end(), "took the best of chain 0"), 1);
+}
+
+// 1000 s allowed, of which they take a fraction of one.
+TEST(IdentifyTask, ChainsThatMayStopEarlyExchangeAfterTwoHopsEach) {
+  const Loop loop;
+  const auto round = [&](int chain, int number, std::vector<worker::InputArtifact> chains) {
+    worker::TaskInput input = loop.Input(chain, number, 0, std::move(chains));
+    pb::IdentifyPayload payload;
+    RG_CHECK(payload.ParseFromString(input.payload));
+    payload.set_rounds(3), payload.set_chains(2), payload.set_budget_s(1000);
+    payload.SerializeToString(&input.payload);
+    return Chain(input);
+  };
+  const std::string first[2] = {round(0, 0, {}), round(1, 0, {})};
+  EXPECT_EQ(sysid::ParseHopState(first[0])->hops, 2);
+  EXPECT_EQ(sysid::ParseHopState(first[1])->hops, 2);
+  const sysid::HopState second =
+      *sysid::ParseHopState(round(0, 1, {As(kInputChain, first[0]), As(kInputOthers, first[1])}));
+  EXPECT_TRUE(sysid::Agrees(second));
+  EXPECT_EQ(second.hops, 2) << "four hops to one minimum say enough";
 }
 
 TEST(IdentifyTask, CancelledItHasNoResult) {

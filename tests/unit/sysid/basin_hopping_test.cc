@@ -136,6 +136,30 @@ TEST(BasinHopping, ChainAgreesOnceThreeHopsCameToOneMinimum) {
   EXPECT_EQ(on.history.back().cost, on.best_cost);
 }
 
+TEST(BasinHopping, ChainsAgreeTogetherAndOneGoesOnFromThePointThatIsItsOwn) {
+  auto bowl = testing::Linear(Eigen::MatrixXd::Identity(4, 3), VectorXd::Constant(4, 1.0));
+  const LeastSquaresProblem problem = testing::FreeProblem(&bowl, VectorXd::Zero(3));
+  HopState a = RunHops(problem, {}, StartChain(1, 1), {.hops = 2}, RealClock());
+  const HopState b = RunHops(problem, {}, StartChain(1, 2), {.hops = 2}, RealClock());
+  const VectorXd own = a.best;
+  EXPECT_EQ(ExchangeAll({a, b}, &a), -1) << "as good as its own";
+  EXPECT_EQ(a.best, own);
+  EXPECT_EQ(a.others.size(), 2u) << "its own state among them is no news";
+  EXPECT_TRUE(Agrees(a));
+  a = *ParseHopState(SerializeHopState(a));
+  EXPECT_TRUE(Agrees(a));
+
+  HopState worse = a;
+  worse.best_cost *= 1.5;
+  EXPECT_EQ(ExchangeAll({b, StartChain(1, 3)}, &worse), 2);
+  EXPECT_EQ(worse.best, b.best);
+  worse = *ParseHopState(SerializeHopState(worse));
+  ChangeCost(2 * worse.best_cost, &worse);
+  EXPECT_TRUE(Agrees(worse)) << "chain 2 goes on from there";
+  ChangeCost(2 * a.best_cost, &a);
+  EXPECT_FALSE(Agrees(a)) << "and this one from its own";
+}
+
 TEST(BasinHopping, ChainThatFallsIntoOneMinimumAfterAnotherDoesNotAgree) {
   Toy toy;
   HopOptions options;
