@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "common/base/check.h"
+#include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 
 namespace rg::trajectories {
@@ -25,6 +26,12 @@ GnmsOptions SolverOptions(const MpcOptions& options) {
   solver.max_iterations = std::max(options.cold_iterations, options.warm_iterations);
   solver.time_budget_s = options.time_budget_s;
   return solver;
+}
+
+bool HasDryFriction(const sim::Plant& plant) {
+  return std::ranges::any_of(plant.effects(), [](const effects::EffectSpec& spec) {
+    return effects::IsIn(effects::Slot::kDryFriction, spec.id);
+  });
 }
 
 Status CheckWeights(const TrackingWeights& w, int n) {
@@ -56,7 +63,10 @@ Status CheckOptions(const sim::Plant& plant, const Eigen::VectorXd& values, cons
   RG_RETURN_IF_ERROR(positive(o.bandwidth, "bandwidth"));
   if (o.knots() < 1 || o.knots() > 1000)
     return InvalidError("mpc: horizon of " + std::to_string(o.knots()) + " intervals, limits 1 and 1000");
-  if (o.cold_iterations < 1 || o.warm_iterations < 1) return InvalidError("mpc: iterations must be ≥ 1");
+  if (o.cold_iterations < 1 || o.warm_iterations < 1 || o.soft_iterations < 1)
+    return InvalidError("mpc: iterations must be ≥ 1");
+  if (!(o.soft_start >= 1.0) || !std::isfinite(o.soft_start))
+    return InvalidError("mpc: soft_start = " + std::to_string(o.soft_start) + ", must be ≥ 1");
   if (!(o.position_margin >= 0.0) || !(o.velocity_margin >= 0.0 && o.velocity_margin < 1.0))
     return InvalidError("mpc: margins must be ≥ 0, the velocity's < 1");
   if (o.peak_torque.size() != 0 && (o.peak_torque.size() != n || !(o.peak_torque.minCoeff() > 0.0)))
@@ -89,6 +99,12 @@ MpcController::MpcController(const PlanningModel& planning, const MpcOptions& op
                WeightsOf(options, limits_.torque)),
       solver_(problem_, SolverOptions(options), clock) {
   simulator_.SetParameters(planning.values);
+  if (options.soft_start > 1.0 && options.time_budget_s == 0.0 && HasDryFriction(planning.plant)) {
+    sim::SimulatorOptions soft = options.simulation;
+    soft.stick_velocity *= options.soft_start;
+    soft_simulator_.emplace(planning.plant, soft);
+    soft_simulator_->SetParameters(planning.values);
+  }
   x0_ = Eigen::VectorXd::Zero(nx_);
   goal_ = true_goal_ = hold_torque_ = start_torque_ = Eigen::VectorXd::Zero(n_);
   guess_x_ = Eigen::MatrixXd::Zero(nx_, options.knots() + 1);
@@ -131,6 +147,17 @@ void MpcController::GuessCold() {
   solver_.SetGuess(guess_x_, guess_u_);
 }
 
+// From the cold guess to a plan with smoother friction, which the search goes on from. Returns its iterations.
+int MpcController::SolveSoftly() {
+  problem_.UseSimulator(*soft_simulator_);
+  solver_.set_max_iterations(options_.soft_iterations);
+  const GnmsSummary summary = solver_.Solve(x0_);
+  problem_.UseSimulator(simulator_);
+  if (summary.termination == Termination::kNonFinite) solver_.SetGuess(guess_x_, guess_u_);
+  solver_.ForgetLinearization();
+  return summary.iterations;
+}
+
 MpcStatus MpcController::Solve(const Eigen::VectorXd& q, const Eigen::VectorXd& v,
                                const Eigen::VectorXd& goal, Eigen::VectorXd* u) {
   RG_CHECK(q.size() == n_ && v.size() == n_) << q.size() << " positions, " << v.size() << " velocities";
@@ -157,15 +184,17 @@ MpcStatus MpcController::Solve(const sim::State& x, const Eigen::VectorXd& goal,
 MpcStatus MpcController::SolveFrom(const Eigen::VectorXd& goal, Eigen::VectorXd* u) {
   RG_CHECK(goal.size() == n_) << goal.size();
   TakeGoal(goal);
-  if (cold_)
+  MpcStatus status;
+  if (cold_) {
     GuessCold();
-  else
+    if (soft_simulator_) status.iterations = SolveSoftly();
+  } else {
     solver_.Shift();
+  }
   solver_.set_max_iterations(cold_ ? options_.cold_iterations : options_.warm_iterations);
   const GnmsSummary summary = solver_.Solve(x0_);
-  MpcStatus status;
   status.termination = summary.termination;
-  status.iterations = summary.iterations;
+  status.iterations += summary.iterations;
   status.max_defect = summary.max_defect;
   status.max_violation = summary.max_violation;
   status.message = summary.message;

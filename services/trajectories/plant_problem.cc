@@ -105,7 +105,7 @@ double HoldTorque(sim::Simulator& simulator, const Eigen::VectorXd& q, Eigen::Ve
 
 PlantProblem::PlantProblem(sim::Simulator& simulator, int knots, double interval_s,
                            const MotionLimits& limits, const TrackingWeights& weights)
-    : simulator_(simulator),
+    : simulator_(&simulator),
       n_(simulator.plant().num_joints()),
       nx_(simulator.plant().num_states()),
       knots_(knots),
@@ -137,7 +137,7 @@ bool PlantProblem::Advance(const VecIn& x, const VecIn& u, VecOut x_next, sim::L
   state_.z = x.tail(nx_ - 2 * n_);
   state_.time = 0.0;  // drifts stand still over a horizon
   u_ = u;
-  outcome_ = simulator_.Advance(state_, u_, interval_s_, linearization);
+  outcome_ = simulator_->Advance(state_, u_, interval_s_, linearization);
   if (!outcome_.ok()) return false;
   x_next.head(n_) = state_.q;
   x_next.segment(n_, n_) = state_.v;

@@ -41,6 +41,9 @@ class PlantProblem final : public ControlProblem {
   PlantProblem(sim::Simulator& simulator, int knots, double interval_s, const MotionLimits& limits,
                const TrackingWeights& weights);
 
+  // From here on steps are those of `simulator`, of the same plant and parameters with other options; it must
+  // outlive the problem.
+  void UseSimulator(sim::Simulator& simulator) { simulator_ = &simulator; }
   void SetGoal(const VecIn& goal, const VecIn& hold_torque);
 
   int num_joints() const { return n_; }
@@ -65,7 +68,7 @@ class PlantProblem final : public ControlProblem {
  private:
   bool Advance(const VecIn& x, const VecIn& u, VecOut x_next, sim::Linearization* linearization);
 
-  sim::Simulator& simulator_;
+  sim::Simulator* simulator_;
   int n_, nx_, knots_;
   double interval_s_;
   TrackingCost cost_;
