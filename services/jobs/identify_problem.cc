@@ -15,7 +15,8 @@ namespace rg::jobs {
 namespace pb = ::realitygrad::v1;
 using Eigen::VectorXd;
 
-IdentifyProblem::IdentifyProblem(sysid::PaperProblem paper, sysid::LeastSquaresProblem problem, double long_weight)
+IdentifyProblem::IdentifyProblem(sysid::PaperProblem paper, sysid::LeastSquaresProblem problem,
+                                 double long_weight)
     : paper_(std::move(paper)), problem_(std::move(problem)), long_weight_(long_weight) {}
 
 namespace {

@@ -75,8 +75,8 @@ bool Rescale(const IdentifyProblem& problem, sysid::HopState* state) {
   return true;
 }
 
-// Before the last round but one a chain that may stop early only looks for what to tell the others: two hops of each
-// of two chains are as likely to agree as four of one, in half the time.
+// Before the last round but one a chain that may stop early only looks for what to tell the others: two hops
+// of each of two chains are as likely to agree as four of one, in half the time.
 constexpr int kHopsBeforeExchange = 2;
 
 int MostHops(const pb::IdentifyPayload& payload) {

@@ -24,7 +24,7 @@
 namespace rg::sysid {
 
 struct PaperWindow {
-  double start_s = 0.0;  // after the recording's first row
+  double start_s = 0.0;   // after the recording's first row
   double length_s = 0.2;  // infinity: to the end
   double weight = 1.0;    // of its squared residuals, > 0
 };

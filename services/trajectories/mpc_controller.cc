@@ -147,7 +147,8 @@ void MpcController::GuessCold() {
   solver_.SetGuess(guess_x_, guess_u_);
 }
 
-// From the cold guess to a plan with smoother friction, which the search goes on from. Returns its iterations.
+// From the cold guess to a plan with smoother friction, which the search goes on from. Returns its
+// iterations.
 int MpcController::SolveSoftly() {
   problem_.UseSimulator(*soft_simulator_);
   solver_.set_max_iterations(options_.soft_iterations);

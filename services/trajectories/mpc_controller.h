@@ -40,10 +40,10 @@ struct MpcOptions {
   double velocity_margin = 0.02;  // share of the limit
 
   int cold_iterations = 30;
-  // Of a plant with an effect of dry friction a cold start first plans with friction smoothed over so many times
-  // stick_velocity, for a few iterations: from a straight line alone many searches stall at the kinks. On
-  // identified models of the Mico² 64 of 244 draws failed without it and 6 of 186 do with it. 1: not; nor with
-  // a time budget.
+  // Of a plant with an effect of dry friction a cold start first plans with friction smoothed over so many
+  // times stick_velocity, for a few iterations: from a straight line alone many searches stall at the kinks.
+  // On identified models of the Mico² 64 of 244 draws failed without it and 6 of 186 do with it. 1: not; nor
+  // with a time budget.
   double soft_start = 6.0;
   int soft_iterations = 8;
   int warm_iterations = 2;  // per interval; the real-time iteration scheme uses 1

@@ -99,10 +99,11 @@ TEST(BoundedLevenbergMarquardt, HoldsItsBoundsAndUsesThem) {
 TEST(BoundedLevenbergMarquardt, EvaluatesNoPointTwice) {
   auto valley = testing::Rosenbrock();
   std::vector<std::pair<VectorXd, bool>> asked;
-  testing::LambdaResiduals counted(2, 2, [&](const VectorXd& p, const StopCondition& stop, VectorXd* r, RowMatrix* J) {
-    asked.emplace_back(p, J != nullptr);
-    return valley.Evaluate(p, stop, r, J);
-  });
+  testing::LambdaResiduals counted(
+      2, 2, [&](const VectorXd& p, const StopCondition& stop, VectorXd* r, RowMatrix* J) {
+        asked.emplace_back(p, J != nullptr);
+        return valley.Evaluate(p, stop, r, J);
+      });
   auto problem = testing::FreeProblem(&counted, Vector2d(-1.2, 1.0));
   problem.lower = Vector2d(-3.0, -3.0);
   problem.upper = Vector2d(3.0, 3.0);

@@ -103,7 +103,8 @@ TEST(Shard, MicoReachesGoalsWithinTwoSeconds) {
 
 // Friction on joints almost without damping and rotors, as the model has that a first rollout leaves.
 TEST(Shard, ASoftStartPlansWhereDryFrictionStopsAColdOne) {
-  const double coulomb[] = {1.53, 0.27, 0.11, 0.053, 0.058, 0.41}, rotor[] = {1e-4, 0.064, 0.116, 0.0, 0.064, 0.0064};
+  const double coulomb[] = {1.53, 0.27, 0.11, 0.053, 0.058, 0.41},
+               rotor[] = {1e-4, 0.064, 0.116, 0.0, 0.064, 0.0064};
   const double damping[] = {0.027, 11.8, 16.5, 0.0, 0.0, 0.0};
   std::vector<effects::EffectSpec> added;
   const std::vector<std::string> joints = MakePlant("mico2").joint_names();
@@ -113,7 +114,8 @@ TEST(Shard, ASoftStartPlansWhereDryFrictionStopsAColdOne) {
   }
   const sim::Plant plant = MakePlant("mico2", added);
   Eigen::VectorXd values = plant.parameters().Nominal();
-  for (size_t j = 0; j < joints.size(); ++j) values[plant.parameters().Find("damping." + joints[j])] = damping[j];
+  for (size_t j = 0; j < joints.size(); ++j)
+    values[plant.parameters().Find("damping." + joints[j])] = damping[j];
   ShardSpec spec = SmallSpec("mico2");
   spec.sampling.home_range = 0.6;
   spec.count = 12;
@@ -122,7 +124,8 @@ TEST(Shard, ASoftStartPlansWhereDryFrictionStopsAColdOne) {
   const auto cold = GenerateShard(plant, values, spec);
   ASSERT_TRUE(soft.ok() && cold.ok());
   EXPECT_EQ(soft->trajectories.size(), 12u);
-  EXPECT_LE(2 * soft->num_failures(), cold->num_failures()) << soft->FailureSummary() << "; " << cold->FailureSummary();
+  EXPECT_LE(2 * soft->num_failures(), cold->num_failures())
+      << soft->FailureSummary() << "; " << cold->FailureSummary();
   EXPECT_GT(cold->num_failures(), 1u);
 }
 
