@@ -1,6 +1,9 @@
 #include "services/diagnosis/data/fit_data.h"
 
+#include <algorithm>
+#include <cmath>
 #include <limits>
+#include <vector>
 
 namespace rg::diagnosis {
 
@@ -23,6 +26,14 @@ double FitData::Seconds() const {
   double seconds = 0;
   for (const NodeWindow& w : windows) seconds += w.t.back() - w.t.front();
   return seconds;
+}
+
+size_t FitData::WindowsFor(size_t count) const {
+  std::vector<double> lengths;
+  for (const NodeWindow& w : windows) lengths.push_back(w.t.back() - w.t.front());
+  const auto middle = lengths.begin() + static_cast<std::ptrdiff_t>(lengths.size() / 2);
+  std::nth_element(lengths.begin(), middle, lengths.end());
+  return std::max(count, static_cast<size_t>(std::lround(static_cast<double>(count) * nodes.window_s / *middle)));
 }
 
 }  // namespace rg::diagnosis

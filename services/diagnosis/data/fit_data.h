@@ -40,6 +40,8 @@ struct FitData {
   recordings::SensorNoise RowNoise() const;
   int Rows() const;        // residual rows of all windows, of judged joints
   double Seconds() const;  // of motion in all windows
+  // About how many windows hold as much motion as `count` whole ones: those between gaps of rows are short.
+  size_t WindowsFor(size_t count) const;
 };
 
 }  // namespace rg::diagnosis

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "common/recordings/windows.h"
 
@@ -68,8 +69,15 @@ void SmoothMotion::At(double t, VectorXd* q, VectorXd* v, VectorXd* a) const {
 
 namespace {
 
-constexpr double kGap = 2.5;    // sample periods between two rows, of which one is missing
-constexpr int kHarmonics = 12;  // of the quantisation error, a sawtooth over position
+constexpr double kGap = 1.6;         // sample periods between two rows, of which one is missing
+constexpr int kFewestNodes = 3;      // of a window that have a row
+constexpr double kLeastKnown = 0.6;  // of the rows; where less is left, those soon after gaps are kept
+constexpr int kHarmonics = 12;       // of the quantisation error, a sawtooth over position
+
+// Whether commands are missing between two rows for longer than a node's interval.
+bool IsGap(double seconds, double period, const NodeOptions& options) {
+  return seconds > kGap * period && seconds > options.interval_s;
+}
 
 // Node k, whose own row is `row`, becomes the mean of rows [first, last].
 void Average(const recordings::Recording& rec, int first, int row, int last,
@@ -127,51 +135,88 @@ bool FollowsOn(const NodeWindow& before, const NodeWindow& window) {
   return window.recording == before.recording && gap >= 0 && gap <= kLongestGap;
 }
 
-std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& rec, int index, const SmoothMotion& motion,
-                                     const recordings::SensorNoise& noise, const NodeOptions& options) {
-  const double period = std::max(1e-6, rec.SamplePeriod());
+namespace {
+
+// What holds of each row: whether the commands that the drives follow then are in the recording. They are not
+// at its beginning, nor during a gap and for a late drive's time after it.
+std::vector<char> CommandsKnown(const recordings::Recording& rec, double late_s, const NodeOptions& options) {
+  std::vector<char> known(static_cast<size_t>(rec.rows()), 1);
+  const double period = rec.SamplePeriod();
+  double from = rec.t[0] + options.unknown_s;
+  for (int row = 0; row < rec.rows(); ++row) {
+    if (row > 0 && IsGap(rec.t[row] - rec.t[row - 1], period, options))
+      from = std::max(from, rec.t[row] + late_s);
+    known[static_cast<size_t>(row)] = rec.t[row] >= from;
+  }
+  return known;
+}
+
+// A window whose rows [first, last] have no gap.
+std::optional<NodeWindow> WindowOf(const recordings::Recording& rec, int index, const SmoothMotion& motion,
+                                   const recordings::SensorNoise& noise, int first_row, int last_row,
+                                   double period, const NodeOptions& options) {
   int stride = std::max(1, static_cast<int>(std::floor(options.interval_s / period + 0.2)));
   if (stride % 2 == 0) --stride;  // symmetric averages
   const int n = rec.n();
-  std::vector<NodeWindow> out;
-  VectorXd q, v, a;
-  for (const recordings::Window& w : recordings::SplitIntoWindows(rec, options.window_s)) {
-    NodeWindow window;
-    window.recording = index;
-    std::vector<int> row_of;
-    int start = w.first;
-    while (start < w.last && rec.t[start] < rec.t[0] + options.unknown_s) ++start;
-    for (int row = start; row <= w.last; row += stride) {
-      if (!window.t.empty()) {
-        const double begin = window.t.back(), gap = rec.t[row] - begin;
-        const int pieces = std::max(1, static_cast<int>(std::ceil(gap / (1.3 * options.interval_s))));
-        for (int k = 1; k < pieces; ++k) {
-          window.t.push_back(begin + gap * k / pieces);
-          row_of.push_back(-1);
-        }
+  NodeWindow window;
+  window.recording = index;
+  std::vector<int> row_of;
+  for (int row = first_row; row <= last_row; row += stride) {
+    if (!window.t.empty()) {
+      const double begin = window.t.back(), step = rec.t[row] - begin;
+      const int pieces = std::max(1, static_cast<int>(std::ceil(step / (1.3 * options.interval_s))));
+      for (int k = 1; k < pieces; ++k) {
+        window.t.push_back(begin + step * k / pieces);
+        row_of.push_back(-1);
       }
-      window.t.push_back(rec.t[row]);
-      row_of.push_back(row);
     }
-    const int nodes = static_cast<int>(window.t.size());
-    if (nodes < 3) continue;
-    for (MatrixXd* m : {&window.q, &window.v, &window.q_row, &window.v_row, &window.q0, &window.v0})
-      m->setZero(n, nodes);
-    window.q_stddev.setOnes(n, nodes), window.v_stddev.setOnes(n, nodes);
-    window.measured.assign(nodes, 0), window.before.resize(nodes), window.after.resize(nodes);
-    const int half = (stride - 1) / 2;
-    for (int k = 0; k < nodes; ++k) {
-      motion.At(window.t[k], &q, &v, &a);
-      window.q0.col(k) = q, window.v0.col(k) = v;
-      const int row = row_of[k];
-      if (row < 0) continue;
-      // Only rows between the neighbouring nodes: outputs there are simulated from these.
-      int first = row, last = row;
-      while (k > 0 && first > row - half && rec.t[first - 1] > window.t[k - 1]) --first;
-      while (k + 1 < nodes && last < row + half && rec.t[last + 1] < window.t[k + 1]) ++last;
-      Average(rec, first, row, last, noise, k, &window);
+    window.t.push_back(rec.t[row]);
+    row_of.push_back(row);
+  }
+  const int nodes = static_cast<int>(window.t.size());
+  if (nodes - std::count(row_of.begin(), row_of.end(), -1) < kFewestNodes) return std::nullopt;
+  for (MatrixXd* m : {&window.q, &window.v, &window.q_row, &window.v_row, &window.q0, &window.v0})
+    m->setZero(n, nodes);
+  window.q_stddev.setOnes(n, nodes), window.v_stddev.setOnes(n, nodes);
+  window.measured.assign(nodes, 0), window.before.resize(nodes), window.after.resize(nodes);
+  const int half = (stride - 1) / 2;
+  VectorXd q, v, a;
+  for (int k = 0; k < nodes; ++k) {
+    motion.At(window.t[k], &q, &v, &a);
+    window.q0.col(k) = q, window.v0.col(k) = v;
+    const int row = row_of[k];
+    if (row < 0) continue;
+    // Only rows between the neighbouring nodes: outputs there are simulated from these.
+    int first = row, last = row;
+    while (k > 0 && first > row - half && rec.t[first - 1] > window.t[k - 1]) --first;
+    while (k + 1 < nodes && last < row + half && rec.t[last + 1] < window.t[k + 1]) ++last;
+    Average(rec, first, row, last, noise, k, &window);
+  }
+  return window;
+}
+
+}  // namespace
+
+std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& rec, int index, const SmoothMotion& motion,
+                                     const recordings::SensorNoise& noise, const NodeOptions& options) {
+  const double period = std::max(1e-6, rec.SamplePeriod());
+  std::vector<char> known = CommandsKnown(rec, options.late_s, options);
+  if (std::count(known.begin(), known.end(), char{1}) < kLeastKnown * static_cast<double>(known.size()))
+    known = CommandsKnown(rec, 0.0, options);
+  std::vector<NodeWindow> out;
+  for (const recordings::Window& w : recordings::SplitIntoWindows(rec, options.window_s)) {
+    int first = w.first;
+    for (int row = w.first; row <= w.last; ++row) {
+      const bool ends = row == w.last || !known[static_cast<size_t>(row + 1)] ||
+                        IsGap(rec.t[row + 1] - rec.t[row], period, options);
+      if (!known[static_cast<size_t>(row)]) {
+        first = row + 1;
+      } else if (ends) {
+        if (auto window = WindowOf(rec, index, motion, noise, first, row, period, options))
+          out.push_back(std::move(*window));
+        first = row + 1;
+      }
     }
-    out.push_back(std::move(window));
   }
   return out;
 }
@@ -252,9 +297,10 @@ FineMotion FineMotionOf(const recordings::Recording& rec, const sim::CommandSign
       out.a(j, k) = (prescribed(t + 0.5 * dt).v - prescribed(t - 0.5 * dt).v) / dt;
     }
   }
-  const double longest = kGap * rec.SamplePeriod();
+  const double period = rec.SamplePeriod();
   for (int row = 1; row < rec.rows(); ++row) {
-    if (rec.t[row] - rec.t[row - 1] > longest) out.gaps.emplace_back(rec.t[row - 1], rec.t[row]);
+    if (IsGap(rec.t[row] - rec.t[row - 1], period, options))
+      out.gaps.emplace_back(rec.t[row - 1], rec.t[row]);
   }
   return out;
 }

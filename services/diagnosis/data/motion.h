@@ -62,6 +62,7 @@ struct NodeOptions {
   double interval_s = 0.01;  // longest interval between nodes
   // No window begins earlier in a recording than this: a late drive still follows commands from before it.
   double unknown_s = 0.1;
+  double late_s = 0.05;  // nor sooner than this after a gap of rows, where that leaves enough
   int fine_per_interval = 4;
 };
 

@@ -84,6 +84,17 @@ NodeStates Continued(const FitData& held_out, const sim::Plant& plant, const Vec
   return starts;
 }
 
+// Of each window the likelier start of two: the one predicted, or the one that fits with what its distance
+// from the predicted one costs. Where contact is met a little earlier than predicted, only the latter counts.
+void TakeLikelier(const FitResult& other, FitResult* out) {
+  if (!out->ok || !other.ok) return;
+  for (size_t w = 0; w < out->window_chi2.size(); ++w) {
+    if (!(other.window_chi2[w] < out->window_chi2[w])) continue;
+    out->chi2 += other.window_chi2[w] - out->window_chi2[w];
+    out->window_chi2[w] = other.window_chi2[w], out->states[w] = other.states[w];
+  }
+}
+
 // `swing_continues`: as in HeldOut.
 FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd& values,
                     const LiftedOptions& options, bool* swing_continues = nullptr) {
@@ -111,6 +122,7 @@ FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd&
       Continued(held_out, *c.plant, values, followed, options, InitialStates(held_out, model, options));
   FitResult out = Fit(held_out, model, options, &starts);
   out.work += followed.work + work;
+  if (HasPlay(c.specs)) TakeLikelier(WithJumpsInPlay(held_out, *c.plant, std::move(followed), free), &out);
   return out;
 }
 

@@ -6,6 +6,7 @@
 #include <limits>
 #include <optional>
 
+#include "common/effects/inference.h"
 #include "services/diagnosis/likelihood/candidate.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/diagnosis/likelihood/arrival_cost.h"
@@ -24,15 +25,41 @@ constexpr double kSingular = 1e-12;  // of the largest, that a covariance has of
 constexpr int kEnough = 4;           // of so many meetings one must be of windows that are both met
 constexpr double kOfItsSwing = 0.1;  // of the nats that hanging still would be off by, of a step that goes on
 
-// Those of a moving mass among a plant's states.
-std::vector<long> MassStates(const sim::Plant& plant) {
-  std::vector<long> out;
+// Rows that say of a plant's state what goes on, k × nx.
+MatrixXd AsRows(const std::vector<VectorXd>& of, long nx) {
+  MatrixXd out(of.size(), nx);
+  for (size_t i = 0; i < of.size(); ++i) out.row(static_cast<long>(i)) = of[i];
+  return out;
+}
+
+// The states of a moving mass.
+MatrixXd OfMass(const sim::Plant& plant) {
+  std::vector<VectorXd> out;
   const auto& names = plant.internal_state_names();
   for (size_t i = 0; i < names.size(); ++i) {
     if (names[i].find(".slosh_") != std::string::npos || names[i].find(".swing_") != std::string::npos)
-      out.push_back(2L * plant.num_joints() + static_cast<long>(i));
+      out.push_back(VectorXd::Unit(plant.num_states(), 2L * plant.num_joints() + static_cast<long>(i)));
   }
-  return out;
+  return AsRows(out, plant.num_states());
+}
+
+bool IsPlay(const effects::EffectSpec& e) { return !effects::InferenceOf(e.id).stays.empty(); }
+
+// Where each motor behind play is against its link, and how fast.
+MatrixXd OfPlay(const sim::Plant& plant) {
+  std::vector<VectorXd> out;
+  const auto& names = plant.internal_state_names();
+  const long n = plant.num_joints(), nx = plant.num_states();
+  for (const effects::EffectSpec& e : plant.effects()) {
+    if (!IsPlay(e)) continue;
+    for (const std::string& joint : e.joints) {
+      const auto at = std::find(names.begin(), names.end(), "motor_position." + joint);
+      const long link = plant.model().FindJoint(joint), motor = 2 * n + (at - names.begin());
+      out.push_back(VectorXd::Unit(nx, motor) - VectorXd::Unit(nx, link));
+      out.push_back(VectorXd::Unit(nx, motor + 1) - VectorXd::Unit(nx, n + link));
+    }
+  }
+  return AsRows(out, nx);
 }
 
 // χ² of k normal variables that one of a hundred exceeds (Wilson & Hilferty 1931).
@@ -64,7 +91,7 @@ FitData Meeting(const FitData& data) {
   return out;
 }
 
-// What a window alone knows of the mass.
+// What a window alone knows of what goes on.
 struct Ends {
   VectorXd start, end;
   MatrixXd start_covariance, end_covariance;
@@ -82,7 +109,7 @@ MatrixXd Inverse(const MatrixXd& precision) {
          scale.asDiagonal();
 }
 
-Ends EndsOf(Lineariser& lin, int worker, int window, const std::vector<long>& mass, MatrixXd states,
+Ends EndsOf(Lineariser& lin, int worker, int window, const MatrixXd& of, MatrixXd states,
             const ArrivalCost& loose, double noise_scale) {
   Ends out;
   lin.Simulate(worker, window, &states);
@@ -93,9 +120,10 @@ Ends EndsOf(Lineariser& lin, int worker, int window, const std::vector<long>& ma
   precision.diagonal() += loose.precision;
   const MatrixXd covariance = Inverse(precision);
   const MatrixXd to_end = linear.E.back().rightCols(precision.cols());
-  out.start = states.col(0)(mass), out.end = states.col(states.cols() - 1)(mass);
-  out.start_covariance = covariance(mass, mass);
-  out.end_covariance = MatrixXd(to_end * covariance * to_end.transpose())(mass, mass);
+  out.start = of * states.col(0), out.end = of * states.col(states.cols() - 1);
+  out.start_covariance = of * covariance * of.transpose();
+  const MatrixXd end_covariance = to_end * covariance * to_end.transpose();
+  out.end_covariance = of * end_covariance * of.transpose();
   out.ok = out.start_covariance.allFinite() && out.end_covariance.allFinite();
   return out;
 }
@@ -118,17 +146,16 @@ VectorXd TheOtherWay(const VectorXd& rod) {
   return (VectorXd(4) << rod[0] + M_PI, rod[1], M_PI - rod[2], -rod[3]).finished();
 }
 
-// What each window alone knows of the mass.
-std::vector<Ends> AllEnds(const FitData& data, const sim::Plant& plant, const FitResult& fit,
-                          const LiftedOptions& options) {
+// What each window alone knows of it.
+std::vector<Ends> AllEnds(const FitData& data, const sim::Plant& plant, const MatrixXd& of,
+                          const FitResult& fit, const LiftedOptions& options) {
   const FitData meeting = Meeting(data);
-  const std::vector<long> mass = MassStates(plant);
   Lineariser lin(meeting, FitModel{plant, fit.values, {}}, false, options);
   const std::vector<ArrivalCost> loose = ArrivalCosts(plant, fit.states);
   std::vector<Ends> ends(data.windows.size());
   sysid::ParallelFor(options.threads, static_cast<int>(ends.size()), [&](int worker, int w) {
     const auto i = static_cast<size_t>(w);
-    ends[i] = EndsOf(lin, worker, w, mass, fit.states[i], loose[i], options.noise_scale);
+    ends[i] = EndsOf(lin, worker, w, of, fit.states[i], loose[i], options.noise_scale);
   });
   return ends;
 }
@@ -146,18 +173,16 @@ double RodStepNats(const VectorXd& from, const MatrixXd& covariance, const Ends&
                   StepNats(Wrapped(to.start - TheOtherWay(from)), turned + to.start_covariance));
 }
 
-}  // namespace
-
-FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
-                    const LiftedOptions& options) {
-  const std::vector<Ends> ends = AllEnds(data, plant, fit, options);
+FitResult WithJumpsOf(const MatrixXd& of, const FitData& data, const sim::Plant& plant, FitResult fit,
+                      const LiftedOptions& options) {
+  const std::vector<Ends> ends = AllEnds(data, plant, of, fit, options);
   const int nx = plant.num_states();
   fit.work += Work(data, options, nx, nx);
   for (size_t w = 1; w < ends.size(); ++w) {
     if (!Meet(data, ends, w)) continue;
     const double nats =
         StepNats(ends[w].start - ends[w - 1].end, ends[w - 1].end_covariance + ends[w].start_covariance);
-    if (std::isinf(nats)) {  // a mass thrown beyond what numbers hold
+    if (std::isinf(nats)) {  // thrown beyond what numbers hold
       fit.ok = false;
       continue;
     }
@@ -167,12 +192,28 @@ FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
   return fit;
 }
 
+}  // namespace
+
+FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
+                    const LiftedOptions& options) {
+  return WithJumpsOf(OfMass(plant), data, plant, std::move(fit), options);
+}
+
+bool HasPlay(const std::vector<effects::EffectSpec>& specs) {
+  return std::any_of(specs.begin(), specs.end(), IsPlay);
+}
+
+FitResult WithJumpsInPlay(const FitData& data, const sim::Plant& plant, FitResult fit,
+                          const LiftedOptions& options) {
+  return WithJumpsOf(OfPlay(plant), data, plant, std::move(fit), options);
+}
+
 std::optional<bool> SwingsOn(const FitData& data, const sim::Plant& plant, FitResult* fitted,
                              const LiftedOptions& options) {
   const FitResult& fit = *fitted;
-  const std::vector<Ends> ends = AllEnds(data, plant, fit, options);
-  const std::vector<long> mass = MassStates(plant);
-  const double noise = 0.5 * OnePercentChi2(static_cast<double>(mass.size()));
+  const MatrixXd mass = OfMass(plant);
+  const std::vector<Ends> ends = AllEnds(data, plant, mass, fit, options);
+  const double noise = 0.5 * OnePercentChi2(static_cast<double>(mass.rows()));
   sim::Simulator simulator(plant, {.integrator = options.integrator, .step_s = options.step_s});
   simulator.SetParameters(fit.values);
   fitted->work += Work(data, options, plant.num_states(), plant.num_states());
@@ -184,7 +225,7 @@ std::optional<bool> SwingsOn(const FitData& data, const sim::Plant& plant, FitRe
     ++meetings;
     if (!met(w - 1) || !met(w)) continue;
     const MatrixXd& known = ends[w - 1].end_covariance;
-    const VectorXd hangs = HangingFrom(simulator, fit.states[w].col(0))(mass);
+    const VectorXd hangs = mass * HangingFrom(simulator, fit.states[w].col(0));
     const double step = RodStepNats(ends[w - 1].end, known, ends[w]);
     const double swing = RodStepNats(hangs, known, ends[w]);
     ++both_met, goes_on += step < noise || (std::isfinite(swing) && step < kOfItsSwing * swing);
@@ -198,7 +239,7 @@ double TrueJumps(const FitData& data, const sim::Plant& plant, double noise_scal
   double meetings = 0;
   for (size_t w = 1; w < data.windows.size(); ++w)
     meetings += FollowsOn(data.windows[w - 1], data.windows[w]);
-  return meetings * static_cast<double>(MassStates(plant).size()) * noise_scale;
+  return meetings * static_cast<double>(OfMass(plant).rows()) * noise_scale;
 }
 
 }  // namespace rg::diagnosis

@@ -19,6 +19,7 @@
 #pragma once
 
 #include <optional>
+#include <vector>
 
 #include "services/diagnosis/likelihood/lifted_fit.h"
 
@@ -28,6 +29,14 @@ namespace rg::diagnosis {
 // and in its evidence. `options`: as in the fit.
 FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
                     const LiftedOptions& options);
+
+// Whether motors move behind play.
+bool HasPlay(const std::vector<effects::EffectSpec>& specs);
+
+// The same of motors behind play, each against its link, in what is restarted on held-out recordings: from
+// where the window before left it, which is known to some covariance only, contact may be met too early.
+FitResult WithJumpsInPlay(const FitData& data, const sim::Plant& plant, FitResult fit,
+                          const LiftedOptions& options);
 
 // The most that it adds to the χ² of a true mass in springs in the mean; 0 without one.
 double TrueJumps(const FitData& data, const sim::Plant& plant, double noise_scale);

@@ -34,6 +34,7 @@ constexpr double kStandsOut = 4.0;   // times the median of all windows' χ², o
 constexpr int kPatience = 3;         // iterations before windows are taken for lost
 constexpr int kScreenParts = 16;
 constexpr double kUnusual = 1.5;  // times the middle χ² of windows, from where they start anew
+constexpr double kMostlyMet = 2.0;  // χ² per row of the middle window, from where on the others' starts alone are amiss
 constexpr int kFaces = 20;        // what that costs, in simulations of all windows
 constexpr int kTogether = 8;      // windows that are simulated side by side
 
@@ -116,7 +117,7 @@ NodeStates InitialStates(const FitData& data, const FitModel& model, const Lifte
     states[w].col(0) = earlier.col(B);
     if (lin.has_gaps()) {
       const double carried = lin.Simulated(worker, w, VectorXd(states[w].col(0)));
-      lin.ChooseFace(worker, w, motor, nullptr, carried, &states[w]);
+      lin.ChooseFace(worker, w, motor, nullptr, false, carried, &states[w]);
     }
     lin.CarryHidden(worker, window, motor, &states[w]);
   });
@@ -242,17 +243,21 @@ double Middle(std::vector<double> values) {
 // The windows that are met worst start anew where that is nearer to the record: a motor that lies on the
 // wrong face at first stays there, whatever the parameters become.
 void ChooseFaces(const FitData& data, Lineariser& lin, const std::vector<int>& sensed, int threads,
-                 std::vector<double>* chi2, NodeStates* states) {
+                 double noise_scale, std::vector<double>* chi2, NodeStates* states) {
   const int W = static_cast<int>(data.windows.size());
-  const double usual = Middle(*chi2);
+  std::vector<double> per_row;
+  for (int w = 0; w < W; ++w) per_row.push_back((*chi2)[w] / lin.RowsOf(data.windows[w]));
+  const double usual = Middle(per_row);
+  const bool closely = usual < kMostlyMet * noise_scale;
   std::vector<VectorXd> ends;
   for (const MatrixXd& s : *states) ends.push_back(s.col(s.cols() - 1));
   sysid::ParallelFor(threads, W, [&](int worker, int w) {
-    if ((*chi2)[w] < kUnusual * usual) return;
+    if (per_row[static_cast<size_t>(w)] < kUnusual * usual) return;
     const bool goes_on = w > 0 && data.windows[w].recording == data.windows[w - 1].recording &&
                          data.windows[w].t.front() - data.windows[w - 1].t.back() == 0;
+    const VectorXd* before = goes_on ? &ends[w - 1] : nullptr;
     const double chosen =
-        lin.ChooseFace(worker, w, sensed, goes_on ? &ends[w - 1] : nullptr, (*chi2)[w], &(*states)[w]);
+        lin.ChooseFace(worker, w, sensed, before, closely, (*chi2)[w], &(*states)[w]);
     if (!(chosen < (*chi2)[w])) return;
     (*chi2)[w] = chosen;
     lin.CarryHidden(worker, data.windows[w], sensed, &(*states)[w]);
@@ -468,7 +473,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
     states = std::move(trial_states);
     if (lin.has_gaps() && it < options.iterations + options.more_iterations) {
       if (options.free_hidden) {
-        ChooseFaces(data, lin, sensed, options.threads, &adopted, &states);
+        ChooseFaces(data, lin, sensed, options.threads, options.noise_scale, &adopted, &states);
         result.work += kFaces * simulation;
         const double more = adopt(trial_values, trial, states, adopted, information);
         if (more > 0) gain = std::max(gain, 0.0) + more;

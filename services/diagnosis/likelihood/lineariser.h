@@ -28,6 +28,8 @@ inline constexpr double kSettleTime = 0.5;  // s before a window from which hidd
 inline constexpr double kLagMemory = 7.0;   // time constants, after which a lag's initial value is forgotten
 inline constexpr double kEarlyPart = 0.4;   // of a window, on which starts with play are compared first
 inline constexpr size_t kBestEarly = 8;     // of these starts, simulated to the window's end
+inline constexpr double kFirstMove = 0.1;   // of the gap's half and of the speed across it, from the best of these
+inline constexpr int kMoves = 8;            // from there
 inline constexpr double kAlways = 1e15;     // s, beyond epoch times in seconds
 
 // The plant with a constant torque of size zero on each joint, whose sensitivities are the columns B.
@@ -324,9 +326,9 @@ class Lineariser {
   // Multi-start over the contact of a gear with play: the link lies on either face or between them, at rest
   // against the motor or moving, and no gradient leads from one to the other. Takes the start with the least
   // χ² if that is below `best`, the χ² of the present start; returns the χ². `before`: end state of the
-  // window before, or null.
+  // window before, or null. `closely`: also between the starts of the grid.
   double ChooseFace(int worker, int index, const std::vector<int>& sensed, const VectorXd* before,
-                    double best, MatrixXd* states) {
+                    bool closely, double best, MatrixXd* states) {
     const NodeWindow& window = data_.windows[index];
     for (const Gap& g : gaps_) {
       const int theta = 2 * n_ + g.motor;
@@ -372,6 +374,25 @@ class Lineariser {
       const std::vector<double> chi2 = Simulated(worker, std::vector<int>(nearest.size(), index), nearest);
       const auto least = std::min_element(chi2.begin(), chi2.end());
       if (*least < best) best = *least, states->col(0) = nearest[static_cast<size_t>(least - chi2.begin())];
+      // From the grid on by steps that are halved where none is better.
+      double ahead = kFirstMove * half, faster = kFirstMove * speed;
+      for (int round = 0; closely && round < kMoves; ++round) {
+        const VectorXd x = states->col(0);
+        const double deflection = x[theta] - x[g.joint], rate = x[theta + 1] - x[n_ + g.joint];
+        starts.clear();
+        for (const double along : {-1.0, 0.0, 1.0}) {
+          for (const double across : {-1.0, 0.0, 1.0}) {
+            if (along != 0 || across != 0) push(x, deflection + along * ahead, rate + across * faster);
+          }
+        }
+        const std::vector<double> around = Simulated(worker, std::vector<int>(starts.size(), index), starts);
+        const auto next = std::min_element(around.begin(), around.end());
+        if (*next < best) {
+          best = *next, states->col(0) = starts[static_cast<size_t>(next - around.begin())];
+        } else {
+          ahead *= 0.5, faster *= 0.5;
+        }
+      }
     }
     return best;
   }

@@ -211,7 +211,7 @@ FitRequest FitLedger::Trial(const Candidate& from, bool base, std::shared_ptr<co
   FitRequest trial{Refreshed(from),
                    base,
                    lifted_,
-                   SomeWindows(from.fit.window_chi2, data.windows.size(), data.n <= 2 ? 24 : 14),
+                   SomeWindows(from.fit.window_chi2, data.windows.size(), data.WindowsFor(data.n <= 2 ? 24 : 14)),
                    0,
                    false,
                    std::move(start)};
@@ -410,7 +410,7 @@ std::optional<Candidate> FitLedger::TryPendulum(const Candidate& from,
   const bool astray = whole == nullptr || !whole->fit.ok || PerRow(*whole) > kAstray * PerRow(trial);
   const TrialSpecs specs = Refreshed(astray ? trial : *whole);
   FitRequest request = WholeFit(specs, from.base, Start(&from, from.base));
-  request.places = EvenlySpread(setting_.data.windows.size(), kPendulumWindows);
+  request.places = EvenlySpread(setting_.data.windows.size(), setting_.data.WindowsFor(kPendulumWindows));
   std::vector<double> before;
   for (const uint32_t i : request.places) before.push_back(from.fit.window_chi2[i]);
   const auto typically = [&](const std::vector<double>& window_chi2) {

@@ -31,10 +31,10 @@ std::vector<NodeWindow> Spread(const std::vector<NodeWindow>& windows, size_t co
 // A fit that begins at the recorded motion, far from the record as a rule. A few windows, evenly spread, tell
 // the parameters nearly as well as all of them do: most iterations are made on these.
 FitResult FitFromRecord(const FitData& data, FitModel model, LiftedOptions options) {
-  if (data.windows.size() < kManyWindows || options.iterations <= kIterationsFromNear)
+  if (data.windows.size() < data.WindowsFor(kManyWindows) || options.iterations <= kIterationsFromNear)
     return Fit(data, model, options);
   FitData few = data;
-  few.windows = Spread(data.windows, kFewWindows);
+  few.windows = Spread(data.windows, data.WindowsFor(kFewWindows));
   LiftedOptions there = options;
   there.to_beat = 0;
   const FitResult start = Fit(few, model, there);
@@ -90,7 +90,7 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
   for (double piece = hidden ? 0 : request.piece_s; piece > 0; piece *= kLongerPiece) {
     if (piece > kLongestPiece * data.nodes.window_s) break;
     FitData pieces = data;
-    pieces.windows = InPieces(Spread(data.windows, kWindowsOnTheWay), piece, data.RowNoise());
+    pieces.windows = InPieces(Spread(data.windows, data.WindowsFor(kWindowsOnTheWay)), piece, data.RowNoise());
     LiftedOptions options = request.options;
     // Full convergence on pieces gains nothing on the way to longer ones.
     if (!request.pieces_alone) options.still_falling = std::max(options.still_falling, kOnTheWay);

@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <utility>
 
-#include "common/effects/inference.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/likelihood/jumps.h"
 #include "services/diagnosis/likelihood/some_windows.h"
 
 namespace rg::diagnosis {
@@ -15,11 +15,6 @@ constexpr size_t kWindows = 6;     // on which starts are compared
 constexpr size_t kSecondPass = 3;  // times `count`: starts of play compared again after more iterations
 constexpr int kSecondPassIterations = 4;  // of that second pass
 
-bool HasPlay(const TrialSpecs& specs) {
-  return std::any_of(specs.begin(), specs.end(),
-                     [](const effects::EffectSpec& e) { return !effects::InferenceOf(e.id).stays.empty(); });
-}
-
 }  // namespace
 
 std::vector<TrialSpecs> NearestStarts(FitExecutor& fits, const FitSetting& setting, FitRequest look,
@@ -27,7 +22,7 @@ std::vector<TrialSpecs> NearestStarts(FitExecutor& fits, const FitSetting& setti
                                       const std::vector<TrialSpecs>& starts, size_t count,
                                       const std::function<bool()>& late, double* work) {
   const std::vector<effects::EffectSpec> held = look.specs;
-  look.places = SomeWindows(window_chi2, setting.data.windows.size(), kWindows);
+  look.places = SomeWindows(window_chi2, setting.data.windows.size(), setting.data.WindowsFor(kWindows));
   // The best of `of` after one step and so many more.
   const auto nearest = [&](const std::vector<TrialSpecs>& of, int iterations, size_t most) {
     look.options.iterations = iterations, look.options.more_iterations = 0;

@@ -4,6 +4,7 @@
 #include <map>
 #include <set>
 
+#include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/hypotheses/push_starts.h"
@@ -187,8 +188,10 @@ class TrialBuilder {
       if (!MayHaveMotor(joints[i])) continue;
       for (const std::string& id : {effects::Spring().id, effects::Play().id}) {
         for (const char* sensor : {"link", "motor"}) {
-          Push(nearest_(TransmissionStarts(id, sensor, joints[i], nominal_, scales_, MotorOn(joints[i])),
-                        kNearest));
+          std::vector<TrialSpecs> starts =
+              TransmissionStarts(id, sensor, joints[i], nominal_, scales_, MotorOn(joints[i]));
+          AsLateAsOthers(joints[i], &starts);
+          Push(nearest_(starts, kNearest));
         }
       }
     }
@@ -203,11 +206,36 @@ class TrialBuilder {
       const double rotor = RotorOf(nominal_.joint_names()[static_cast<size_t>(joint)]);
       if (!MayHaveMotor(joint) || !data_.Judged(joint) || !(rotor > 0)) continue;
       for (const char* sensor : {"link", "motor"}) {
-        for (TrialSpecs& start : StartsBehind(effects::Spring().id, sensor, joint, nominal_, scales_, rotor))
-          springs.push_back(std::move(start));
+        std::vector<TrialSpecs> starts =
+            StartsBehind(effects::Spring().id, sensor, joint, nominal_, scales_, rotor);
+        AsLateAsOthers(joint, &starts);
+        springs.insert(springs.end(), starts.begin(), starts.end());
       }
     }
     if (!springs.empty()) Push(nearest_(springs, kNearestSprings));
+  }
+
+  // What a motor behind a spring or play does hides how late its drive is: as late as most others, where these
+  // are late.
+  void AsLateAsOthers(int joint, std::vector<TrialSpecs>* starts) const {
+    const std::string& name = nominal_.joint_names()[static_cast<size_t>(joint)];
+    std::map<std::string, std::vector<EffectSpec>> late;
+    for (const EffectSpec& s : from_.fit.ok ? Refreshed(from_) : TrialSpecs{}) {
+      const bool of_drive = IsTiming(s.id) && effects::FindEffect(s.id)->stage == effects::Stage::kActuator;
+      if (!of_drive || s.joints.size() != 1) continue;
+      if (s.joints[0] == name) return;
+      late[s.id].push_back(s);
+    }
+    for (auto& [id, of_others] : late) {
+      if (2 * static_cast<int>(of_others.size()) < data_.judged()) continue;
+      const auto seconds = [](const EffectSpec& s) { return s.values.begin()->second.begin()->second; };
+      const auto middle = of_others.begin() + static_cast<long>(of_others.size() / 2);
+      std::nth_element(of_others.begin(), middle, of_others.end(), [&](const EffectSpec& a, const EffectSpec& b) {
+        return seconds(a) < seconds(b);
+      });
+      EffectSpec own = effects::MakeSpec(id, {name}, middle->values.begin()->second);
+      for (TrialSpecs& start : *starts) start.push_back(own);
+    }
   }
 
   bool MayHaveMotor(int joint) const {

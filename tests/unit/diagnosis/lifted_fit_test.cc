@@ -314,6 +314,42 @@ TEST(LiftedFit, FindsPlayBetweenHardFacesFromSoftOnes) {
   EXPECT_NEAR(fit.theta[0], 0.02, 2e-3);
 }
 
+// Three rows are lost in a row, every 0.6 s.
+recordings::RecordingSet WithLostRows(recordings::RecordingSet set) {
+  for (recordings::Recording& rec : set.recordings) {
+    std::vector<int> kept;
+    for (int k = 0; k < rec.rows(); ++k) {
+      if (k < 20 || k % 60 > 2) kept.push_back(k);
+    }
+    rec.t = Eigen::VectorXd(rec.t(kept)), rec.q = Eigen::MatrixXd(rec.q(Eigen::all, kept));
+    rec.v = Eigen::MatrixXd(rec.v(Eigen::all, kept));
+    rec.effort_command = Eigen::MatrixXd(rec.effort_command(Eigen::all, kept));
+  }
+  return set;
+}
+
+// Commands that are not in the file move the robot too: no window is simulated through them, nor begins where
+// a late drive still follows them.
+TEST(LiftedFit, MeetsWhatIsLeftWhereRowsAreLost) {
+  const auto truth = MakeSpec("actuator_delay", {"shoulder"}, {{"delay", 0.02}});
+  const auto whole = testing::MakeSet("arm2", {truth}, 6);
+  const auto p = testing::Prepare(WithLostRows(whole));
+  const double gap = 0.04 - 1e-9;
+  for (const NodeWindow& w : p->data.windows) {
+    const Eigen::VectorXd& rows = p->data.recordings[static_cast<size_t>(w.recording)].recording->t;
+    for (int k = 1; k < rows.size(); ++k) {
+      if (rows[k] - rows[k - 1] < gap) continue;
+      EXPECT_TRUE(w.t.back() < rows[k - 1] + 1e-9 || w.t.front() > rows[k] + 0.05 - 1e-9) << w.t.front();
+    }
+  }
+  const FitResult fit = FitEffects(*p, {MakeSpec("actuator_delay", {"shoulder"}, {{"delay", 0.01}})});
+  ASSERT_TRUE(fit.ok);
+  EXPECT_LT(fit.chi2, fit.rows + 3 * std::sqrt(2.0 * fit.rows));
+  EXPECT_NEAR(fit.theta[0], 0.02, 5e-4);
+  // Short windows: more of them hold as much motion.
+  EXPECT_GT(p->data.WindowsFor(8), testing::Prepare(whole)->data.WindowsFor(8));
+}
+
 TEST(LiftedFit, EndsWhereItWouldNotComeToWhatItMust) {
   const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
   const auto truth = MakeSpec("coulomb_friction", {joint}, {{"coulomb", 1.0}});

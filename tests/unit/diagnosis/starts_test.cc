@@ -420,6 +420,37 @@ TEST(Trials, LookAtASpringBeforeEachRotor) {
   EXPECT_TRUE(TransmissionTrials(c->data, c->nominal, c->scales, from, {}, nearest).empty());
 }
 
+// Before a spring is known its motor hides how late the drive is: it starts as late as most others are.
+TEST(Trials, BeginWithADriveBehindASpringAsLateAsTheOthers) {
+  const auto c = Case::Of("mico2", {}, 9);
+  const auto& joints = c->nominal.joint_names();
+  const auto of_springs = [&](const std::vector<double>& lags) {
+    Candidate from;
+    from.specs = {MakeSpec("rotor_inertia", {joints[1]}, {{"armature", 0.02}})};
+    for (size_t j = 0; j < lags.size(); ++j) {
+      if (lags[j] > 0)
+        from.specs.push_back(MakeSpec("actuator_lag", {joints[j]}, {{"time_constant", lags[j]}}));
+    }
+    from.plant = std::make_shared<const sim::Plant>(
+        *sim::Plant::Create(c->nominal.shared_model(), c->nominal.options(), from.specs));
+    from.fit.ok = true, from.fit.values = from.plant->parameters().Nominal();
+    const Nearest nearest = [](const std::vector<TrialSpecs>& starts, size_t) { return starts; };
+    std::set<double> out;  // lags of the second joint; -1: none
+    for (const TrialSpecs& trial :
+         TransmissionTrials(c->data, c->nominal, c->scales, from, {}, nearest)) {
+      EXPECT_TRUE(Contains(trial, "joint_elasticity", joints[1]));
+      const auto lag = std::find_if(trial.begin(), trial.end(),
+                                    [](const EffectSpec& s) { return s.id == "actuator_lag"; });
+      out.insert(lag == trial.end() ? -1.0 : lag->values.at(joints[1]).at("time_constant"));
+    }
+    return out;
+  };
+  EXPECT_EQ(of_springs({0.007, 0, 0.006, 0.008, 0.009, 0.007}), (std::set<double>{0.007}));
+  EXPECT_EQ(of_springs({0.007, 0, 0, 0, 0, 0.007}), (std::set<double>{-1.0})) << "most drives are prompt";
+  EXPECT_EQ(of_springs({0.007, 0.004, 0.006, 0.008, 0.009, 0.007}), (std::set<double>{-1.0}))
+      << "it has a lag of its own";
+}
+
 // What touches the robot from outside is no column of a screen, which promises nothing of it.
 TEST(Trials, TryASurfaceBesideHiddenStatesWithoutAPromise) {
   EffectSpec floor = MakeSpec("contact", {}, {{"stiffness", 60}, {"damping", 1}, {"height", 0.55}});
