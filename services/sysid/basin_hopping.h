@@ -44,7 +44,8 @@ struct HopState {
   int first_hop = 0;          // on the present cost function (see ChangeCost)
   bool agreed = false;        // on the cost function before
   bool taken = false;         // `best` is another chain's
-  std::vector<double> others;  // costs of the other chains' hops, as far as known, on the present cost function
+  std::vector<double>
+      others;  // costs of the other chains' hops, as far as known, on the present cost function
   std::vector<HopRecord> history;
 
   bool started() const { return best.size() > 0; }
@@ -77,18 +78,19 @@ HopState RunHops(const LeastSquaresProblem& problem, const HopOptions& options, 
 
 // The chain goes on from `best` if that is lower than its own best. True if it took it.
 bool Exchange(const Eigen::VectorXd& best, double best_cost, HopState* state);
-// The same with all that other chains found so far on the same cost function, but a best that is within 1 % of theirs
-// stays: another start is worth more than the rest. States of this chain among them and those that have not begun do
-// not count. The number of the chain whose best it took, or −1.
+// The same with all that other chains found so far on the same cost function, but a best that is within 1 %
+// of theirs stays: another start is worth more than the rest. States of this chain among them and those that
+// have not begun do not count. The number of the chain whose best it took, or −1.
 int ExchangeAll(const std::vector<HopState>& others, HopState* state);
 
-// The cost function is another from here on, and `cost` that of the best point, from which the next hop solves.
+// The cost function is another from here on, and `cost` that of the best point, from which the next hop
+// solves.
 void ChangeCost(double cost, HopState* state);
 
-// Whether further hops have little to tell: three of them, of this chain or as far as known of the others, each from
-// a point of its own, ended within 1 % of the best cost, so that they came to one minimum (or to several that fit
-// equally well). Where hops agreed on one cost function, one from there is enough on the next, by the chain that
-// found that point.
+// Whether further hops have little to tell: three of them, of this chain or as far as known of the others,
+// each from a point of its own, ended within 1 % of the best cost, so that they came to one minimum (or to
+// several that fit equally well). Where hops agreed on one cost function, one from there is enough on the
+// next, by the chain that found that point.
 bool Agrees(const HopState& state);
 
 // JSON, doubles exact. Parse refuses what it does not understand.

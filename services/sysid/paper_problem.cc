@@ -74,7 +74,8 @@ class WindowResiduals final : public ResidualFunction {
     group_.assign(windows_.size(), 1);
     for (size_t first = 0; first < windows_.size(); first += group_[first]) {
       const auto length = [&](size_t k) { return windows_[k].times.size(); };
-      while (first + group_[first] < windows_.size() && 2 * length(first + group_[first]) <= 3 * length(first) &&
+      while (first + group_[first] < windows_.size() &&
+             2 * length(first + group_[first]) <= 3 * length(first) &&
              2 * length(first) <= 3 * length(first + group_[first]))
         ++group_[first];
     }
@@ -84,14 +85,16 @@ class WindowResiduals final : public ResidualFunction {
     runs_.clear();
     for (size_t k = first; k < first + group_[first]; ++k) {
       const WindowData& w = windows_[k];
-      runs_.push_back({simulator_.MakeStateFromMeasurement(w.q0, w.v0, w.start, command_), &command_, &w.times});
+      runs_.push_back(
+          {simulator_.MakeStateFromMeasurement(w.q0, w.v0, w.start, command_), &command_, &w.times});
     }
     if (runs_.size() > 1) return simulator_.SimulateWindows(runs_, request, &outs_);
     outs_.resize(1);
     simulator_.SimulateInto(runs_.front().x0, command_, *runs_.front().times, request, &outs_.front());
   }
 
-  int Write(const WindowData& window, const sim::Trajectory& out, int row, VectorXd* r, RowMatrix* dr_dp) const {
+  int Write(const WindowData& window, const sim::Trajectory& out, int row, VectorXd* r,
+            RowMatrix* dr_dp) const {
     const auto m = static_cast<int>(window.measured.size());
     Eigen::Map<MatrixXd>(r->data() + row, window.measured.rows(), window.measured.cols()) =
         window.scale * (out.position - window.measured);
@@ -190,8 +193,8 @@ std::vector<double> ResidualTimes(const recordings::Recording& recording, const 
 sim::CommandSignal CommandOf(const recordings::Recording& recording, sim::Simulator& simulator) {
   const sim::CommandSignal command = DriveSignal(recording);
   if (!recordings::StartsAtRest(recording)) return command;
-  return sim::HeldBefore(
-      command, sim::HoldingCommand(simulator, recording.q.col(0), recording.drive_effort().col(0)));
+  return sim::HeldBefore(command,
+                         sim::HoldingCommand(simulator, recording.q.col(0), recording.drive_effort().col(0)));
 }
 
 Result<WindowData> ReadWindow(const recordings::Recording& recording, const MatrixXd& velocity,
@@ -247,8 +250,8 @@ Result<PaperProblem> PaperProblem::Create(const sim::Plant& plant, const VectorX
   parameters.insert(parameters.end(), options.extra_parameters.begin(), options.extra_parameters.end());
   const int P = static_cast<int>(parameters.size());
   impl->base = initial;
-  impl->residuals = std::make_unique<WindowResiduals>(plant, initial, parameters, CommandOf(recording, simulator),
-                                                      std::move(windows), options.simulator);
+  impl->residuals = std::make_unique<WindowResiduals>(
+      plant, initial, parameters, CommandOf(recording, simulator), std::move(windows), options.simulator);
   LeastSquaresProblem& problem = impl->problem;
   problem.residuals = impl->residuals.get();
   problem.initial.resize(P);

@@ -33,7 +33,8 @@ size_t FitData::WindowsFor(size_t count) const {
   for (const NodeWindow& w : windows) lengths.push_back(w.t.back() - w.t.front());
   const auto middle = lengths.begin() + static_cast<std::ptrdiff_t>(lengths.size() / 2);
   std::nth_element(lengths.begin(), middle, lengths.end());
-  return std::max(count, static_cast<size_t>(std::lround(static_cast<double>(count) * nodes.window_s / *middle)));
+  return std::max(count,
+                  static_cast<size_t>(std::lround(static_cast<double>(count) * nodes.window_s / *middle)));
 }
 
 }  // namespace rg::diagnosis

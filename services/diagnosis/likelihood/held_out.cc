@@ -115,8 +115,9 @@ FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd&
   if (swing_continues != nullptr && HasPendulum(c.specs)) {
     // Free starts absorb some of the noise.
     const double fits = kExplained * std::max(0.0, 1 - c.plant->num_states() / RowsPerWindow(held_out));
-    *swing_continues = TypicalChi2(held_out, followed.window_chi2, options.noise_scale, kWindowShare) < fits &&
-                       SwingsOn(held_out, *c.plant, &followed, free).value_or(false);
+    *swing_continues =
+        TypicalChi2(held_out, followed.window_chi2, options.noise_scale, kWindowShare) < fits &&
+        SwingsOn(held_out, *c.plant, &followed, free).value_or(false);
   }
   const NodeStates starts =
       Continued(held_out, *c.plant, values, followed, options, InitialStates(held_out, model, options));

@@ -7,9 +7,9 @@
 #include <optional>
 
 #include "common/effects/inference.h"
+#include "services/diagnosis/likelihood/arrival_cost.h"
 #include "services/diagnosis/likelihood/candidate.h"
 #include "services/diagnosis/likelihood/lineariser.h"
-#include "services/diagnosis/likelihood/arrival_cost.h"
 #include "services/diagnosis/likelihood/swing_starts.h"
 #include "services/sysid/parallel.h"
 

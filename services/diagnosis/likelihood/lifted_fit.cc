@@ -9,9 +9,9 @@
 #include <numeric>
 
 #include "common/model/robot_model.h"
+#include "services/diagnosis/likelihood/arrival_cost.h"
 #include "services/diagnosis/likelihood/gram.h"
 #include "services/diagnosis/likelihood/lineariser.h"
-#include "services/diagnosis/likelihood/arrival_cost.h"
 #include "services/sysid/boxed_newton_step.h"
 #include "services/sysid/parallel.h"
 
@@ -33,10 +33,10 @@ constexpr double kOtherStep = 2e-4;  // s, see StepRuleResiduals
 constexpr double kStandsOut = 4.0;   // times the median of all windows' χ², or what noise leaves
 constexpr int kPatience = 3;         // iterations before windows are taken for lost
 constexpr int kScreenParts = 16;
-constexpr double kUnusual = 1.5;  // times the middle χ² of windows, from where they start anew
-constexpr double kMostlyMet = 2.0;  // χ² per row of the middle window, from where on the others' starts alone are amiss
-constexpr int kFaces = 20;        // what that costs, in simulations of all windows
-constexpr int kTogether = 8;      // windows that are simulated side by side
+constexpr double kUnusual = 1.5;    // times the middle χ² of windows, from where they start anew
+constexpr double kMostlyMet = 2.0;  // χ² per row of the middle window, below which only starts are amiss
+constexpr int kFaces = 20;          // what that costs, in simulations of all windows
+constexpr int kTogether = 8;        // windows that are simulated side by side
 
 }  // namespace
 
@@ -256,8 +256,7 @@ void ChooseFaces(const FitData& data, Lineariser& lin, const std::vector<int>& s
     const bool goes_on = w > 0 && data.windows[w].recording == data.windows[w - 1].recording &&
                          data.windows[w].t.front() - data.windows[w - 1].t.back() == 0;
     const VectorXd* before = goes_on ? &ends[w - 1] : nullptr;
-    const double chosen =
-        lin.ChooseFace(worker, w, sensed, before, closely, (*chi2)[w], &(*states)[w]);
+    const double chosen = lin.ChooseFace(worker, w, sensed, before, closely, (*chi2)[w], &(*states)[w]);
     if (!(chosen < (*chi2)[w])) return;
     (*chi2)[w] = chosen;
     lin.CarryHidden(worker, data.windows[w], sensed, &(*states)[w]);

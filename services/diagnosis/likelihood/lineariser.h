@@ -26,10 +26,6 @@ inline constexpr double kSoft = 20.0;
 inline constexpr double kBroken = 1e12;     // r² of a simulation that failed
 inline constexpr double kSettleTime = 0.5;  // s before a window from which hidden states are simulated
 inline constexpr double kLagMemory = 7.0;   // time constants, after which a lag's initial value is forgotten
-inline constexpr double kEarlyPart = 0.4;   // of a window, on which starts with play are compared first
-inline constexpr size_t kBestEarly = 8;     // of these starts, simulated to the window's end
-inline constexpr double kFirstMove = 0.1;   // of the gap's half and of the speed across it, from the best of these
-inline constexpr int kMoves = 8;            // from there
 inline constexpr double kAlways = 1e15;     // s, beyond epoch times in seconds
 
 // The plant with a constant torque of size zero on each joint, whose sensitivities are the columns B.
@@ -328,74 +324,7 @@ class Lineariser {
   // χ² if that is below `best`, the χ² of the present start; returns the χ². `before`: end state of the
   // window before, or null. `closely`: also between the starts of the grid.
   double ChooseFace(int worker, int index, const std::vector<int>& sensed, const VectorXd* before,
-                    bool closely, double best, MatrixXd* states) {
-    const NodeWindow& window = data_.windows[index];
-    for (const Gap& g : gaps_) {
-      const int theta = 2 * n_ + g.motor;
-      // The speed that the drive gives the motor across the gap.
-      const double half = 0.5 * probe_.values[g.parameter];
-      const auto drive = data_.fine[window.recording].u.row(g.joint);
-      const double torque = std::sqrt(drive.squaredNorm() / static_cast<double>(drive.size()));
-      const double speed = std::sqrt(4 * half * torque / probe_.values[g.inertia]);
-      // Both from the present start and from the recorded state: a start on a wrong face has drifted.
-      const VectorXd here = states->col(0);
-      VectorXd recorded = here;
-      const int read = sensed[g.joint] >= 0 ? theta : g.joint;
-      recorded[read] = window.q0(g.joint, 0);
-      recorded[read == theta ? theta + 1 : n_ + g.joint] = window.v0(g.joint, 0);
-      std::vector<VectorXd> starts;
-      const auto push = [&](VectorXd x, double ahead, double faster) {  // the motor of the link
-        if (read == theta) {
-          x[g.joint] = x[theta] - ahead, x[n_ + g.joint] = x[theta + 1] - faster;
-        } else {
-          x[theta] = x[g.joint] + ahead, x[theta + 1] = x[n_ + g.joint] + faster;
-        }
-        starts.push_back(std::move(x));
-      };
-      for (const VectorXd& x : {here, recorded}) {
-        if (starts.size() > 0 && recorded == here) break;
-        if (before != nullptr) {
-          const VectorXd& b = *before;
-          push(x, b[theta] - b[g.joint], b[theta + 1] - b[n_ + g.joint]);
-        }
-        for (const double side : {-1.0, -0.5, 0.0, 0.5, 1.0}) {
-          for (const double rate : {-1.0, -0.4, -0.15, 0.0, 0.15, 0.4, 1.0})
-            push(x, side * half, rate * speed);
-        }
-      }
-      // The contact shows early in the window: all starts are compared there, the best to its end.
-      const std::vector<double> early =
-          Simulated(worker, std::vector<int>(starts.size(), index), starts, kEarlyPart);
-      std::vector<size_t> order(starts.size());
-      std::iota(order.begin(), order.end(), size_t{0});
-      std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return early[a] < early[b]; });
-      std::vector<VectorXd> nearest;
-      for (size_t i = 0; i < std::min(kBestEarly, order.size()); ++i) nearest.push_back(starts[order[i]]);
-      const std::vector<double> chi2 = Simulated(worker, std::vector<int>(nearest.size(), index), nearest);
-      const auto least = std::min_element(chi2.begin(), chi2.end());
-      if (*least < best) best = *least, states->col(0) = nearest[static_cast<size_t>(least - chi2.begin())];
-      // From the grid on by steps that are halved where none is better.
-      double ahead = kFirstMove * half, faster = kFirstMove * speed;
-      for (int round = 0; closely && round < kMoves; ++round) {
-        const VectorXd x = states->col(0);
-        const double deflection = x[theta] - x[g.joint], rate = x[theta + 1] - x[n_ + g.joint];
-        starts.clear();
-        for (const double along : {-1.0, 0.0, 1.0}) {
-          for (const double across : {-1.0, 0.0, 1.0}) {
-            if (along != 0 || across != 0) push(x, deflection + along * ahead, rate + across * faster);
-          }
-        }
-        const std::vector<double> around = Simulated(worker, std::vector<int>(starts.size(), index), starts);
-        const auto next = std::min_element(around.begin(), around.end());
-        if (*next < best) {
-          best = *next, states->col(0) = starts[static_cast<size_t>(next - around.begin())];
-        } else {
-          ahead *= 0.5, faster *= 0.5;
-        }
-      }
-    }
-    return best;
-  }
+                    bool closely, double best, MatrixXd* states);
   sim::State MakeState(int worker, const VectorXd& q, const VectorXd& v, double t, int recording) {
     return workers_[worker]->simulator.MakeState(q, v, t, data_.recordings[recording].command);
   }
@@ -405,6 +334,15 @@ class Lineariser {
   }
 
  private:
+  struct Gap {
+    int joint, parameter, inertia, motor;  // place of the motor's position among the internal states
+  };
+  // A window's start `x` with the motor `ahead` of its link, and `faster`; what the sensor reads stays.
+  VectorXd AcrossGap(const Gap& gap, bool reads_motor, VectorXd x, double ahead, double faster) const;
+  // From a window's start by steps across the gap (`ahead`, `faster`), halved where none is better; χ².
+  double Descend(int worker, int index, const Gap& gap, bool reads_motor, double ahead, double faster,
+                 double best, MatrixXd* states);
+
   static double Capped(double r) {
     const double square = std::isfinite(r) ? std::min(r * r, kBroken) : kBroken;
     return kSoft * kSoft * std::log1p(square / (kSoft * kSoft));
@@ -590,9 +528,6 @@ class Lineariser {
   int n_ = 0, P_ = 0, nx_ = 0;
   std::vector<int> columns_, torque_column_;
   MatrixXd starts_;  // nx × nx
-  struct Gap {
-    int joint, parameter, inertia, motor;  // place of the motor's position among the internal states
-  };
   std::vector<Gap> gaps_;
   struct Lag {
     int state, time_constant;  // row of the state, place among the parameters

@@ -19,18 +19,18 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr int kMoreIterations = 14;   // while the cost falls
-constexpr double kHopeless = 2.0;     // times the rival's misfit: a fit that would stay above ends early
-constexpr double kFallsFast = 0.1;    // of the cost in one iteration, for a trial fit to go on
-constexpr double kTrialShare = 0.3;   // of the work limit, for the trials of one screen or of a pendulum
-constexpr double kLookShare = 0.015;  // of the work limit, for choosing the start of one law on one joint
-constexpr double kToTheEnd = 1.3;     // of the work limit, after which no more models are compared
-constexpr double kInPlaceYet = 1.8;   // of the work limit, after which no laws are exchanged
-constexpr double kPiece = 0.1;        // s, the shortest pieces
-constexpr size_t kSprings = 2;        // starts behind rotors that are fitted, for either place of the sensor
-constexpr size_t kInPlace = 2;        // exchanged laws that are fitted on all windows
-constexpr double kPartly = 0.5;       // of a model's misfit, that a part of the truth leaves at most
-constexpr double kSwings = 0.8;       // the same, for springs or a hinge in the place of the true one
+constexpr int kMoreIterations = 14;     // while the cost falls
+constexpr double kHopeless = 2.0;       // times the rival's misfit: a fit that would stay above ends early
+constexpr double kFallsFast = 0.1;      // of the cost in one iteration, for a trial fit to go on
+constexpr double kTrialShare = 0.3;     // of the work limit, for the trials of one screen or of a pendulum
+constexpr double kLookShare = 0.015;    // of the work limit, for choosing the start of one law on one joint
+constexpr double kToTheEnd = 1.3;       // of the work limit, after which no more models are compared
+constexpr double kInPlaceYet = 1.8;     // of the work limit, after which no laws are exchanged
+constexpr double kShortestPiece = 0.1;  // s
+constexpr size_t kSprings = 2;   // starts behind rotors that are fitted, for either place of the sensor
+constexpr size_t kInPlace = 2;   // exchanged laws that are fitted on all windows
+constexpr double kPartly = 0.5;  // of a model's misfit, that a part of the truth leaves at most
+constexpr double kSwings = 0.8;  // the same, for springs or a hinge in the place of the true one
 constexpr size_t kPendulumWindows = 14;  // evenly spread, on which a pendulum is tried
 constexpr double kTypically = 0.7;       // of these windows; the start of the others may be lost
 constexpr double kLonger = 2.2;          // times a pendulum's length, that is tried too
@@ -128,12 +128,12 @@ Candidate FitLedger::Calibrated(const std::vector<EffectSpec>& specs) {
 
 Candidate FitLedger::Anew(const Candidate& c) {
   FitRequest request = WholeFit(Refreshed(c), c.base, nullptr);
-  request.piece_s = kPiece;
+  request.piece_s = kShortestPiece;
   return Tried(request, Made(request));
 }
 
 void FitLedger::FindPieces(const std::vector<EffectSpec>& specs) {
-  FitRequest request{specs, true, lifted_, {}, kPiece, true, nullptr};
+  FitRequest request{specs, true, lifted_, {}, kShortestPiece, true, nullptr};
   request.options.more_iterations = kMoreIterations;
   auto pieces = std::make_shared<Candidate>(Fitted(request, Made(request)));
   trace_.Fit(*pieces, "pieces");
@@ -161,7 +161,7 @@ FitRequest FitLedger::WholeFit(const std::vector<EffectSpec>& specs, bool base,
                                std::shared_ptr<const Candidate> from, int iterations,
                                const Candidate* rival) const {
   FitRequest request{specs, base, lifted_, {}, 0, false, std::move(from)};
-  if (request.from != nullptr && request.from->fit.states.empty()) request.piece_s = kPiece;
+  if (request.from != nullptr && request.from->fit.states.empty()) request.piece_s = kShortestPiece;
   request.options.iterations = iterations;
   request.options.more_iterations = kMoreIterations;
   if (rival != nullptr && rival->fit.ok) request.options.to_beat = -2 * kHopeless * rival->score;
@@ -208,13 +208,14 @@ std::vector<TrialSpecs> FitLedger::Nearest(const Candidate& from, bool base,
 // Some windows, few iterations, on while they pay.
 FitRequest FitLedger::Trial(const Candidate& from, bool base, std::shared_ptr<const Candidate> start) const {
   const FitData& data = setting_.data;
-  FitRequest trial{Refreshed(from),
-                   base,
-                   lifted_,
-                   SomeWindows(from.fit.window_chi2, data.windows.size(), data.WindowsFor(data.n <= 2 ? 24 : 14)),
-                   0,
-                   false,
-                   std::move(start)};
+  FitRequest trial{
+      Refreshed(from),
+      base,
+      lifted_,
+      SomeWindows(from.fit.window_chi2, data.windows.size(), data.WindowsFor(data.n <= 2 ? 24 : 14)),
+      0,
+      false,
+      std::move(start)};
   trial.options.iterations = 4;
   trial.options.more_iterations = kMoreIterations, trial.options.still_falling = kFallsFast;
   return trial;
@@ -224,7 +225,8 @@ FitRequest FitLedger::Trial(const Candidate& from, bool base, std::shared_ptr<co
 // is missing from every trial. 0: whole windows.
 double FitLedger::TellingPiece(FitRequest trial) {
   trial.pieces_alone = true;
-  for (double piece = kPiece; piece < kLongestPiece * setting_.data.nodes.window_s; piece *= kLongerPiece) {
+  for (double piece = kShortestPiece; piece < kLongestPiece * setting_.data.nodes.window_s;
+       piece *= kLongerPiece) {
     trial.piece_s = piece;
     if (PerRow(Fitted(trial, Made(trial))) > kConsistent) return piece;
   }

@@ -90,7 +90,8 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
   for (double piece = hidden ? 0 : request.piece_s; piece > 0; piece *= kLongerPiece) {
     if (piece > kLongestPiece * data.nodes.window_s) break;
     FitData pieces = data;
-    pieces.windows = InPieces(Spread(data.windows, data.WindowsFor(kWindowsOnTheWay)), piece, data.RowNoise());
+    pieces.windows =
+        InPieces(Spread(data.windows, data.WindowsFor(kWindowsOnTheWay)), piece, data.RowNoise());
     LiftedOptions options = request.options;
     // Full convergence on pieces gains nothing on the way to longer ones.
     if (!request.pieces_alone) options.still_falling = std::max(options.still_falling, kOnTheWay);

@@ -215,8 +215,8 @@ class TrialBuilder {
     if (!springs.empty()) Push(nearest_(springs, kNearestSprings));
   }
 
-  // What a motor behind a spring or play does hides how late its drive is: as late as most others, where these
-  // are late.
+  // What a motor behind a spring or play does hides how late its drive is: as late as most others, where
+  // these are late.
   void AsLateAsOthers(int joint, std::vector<TrialSpecs>* starts) const {
     const std::string& name = nominal_.joint_names()[static_cast<size_t>(joint)];
     std::map<std::string, std::vector<EffectSpec>> late;
@@ -230,9 +230,8 @@ class TrialBuilder {
       if (2 * static_cast<int>(of_others.size()) < data_.judged()) continue;
       const auto seconds = [](const EffectSpec& s) { return s.values.begin()->second.begin()->second; };
       const auto middle = of_others.begin() + static_cast<long>(of_others.size() / 2);
-      std::nth_element(of_others.begin(), middle, of_others.end(), [&](const EffectSpec& a, const EffectSpec& b) {
-        return seconds(a) < seconds(b);
-      });
+      std::nth_element(of_others.begin(), middle, of_others.end(),
+                       [&](const EffectSpec& a, const EffectSpec& b) { return seconds(a) < seconds(b); });
       EffectSpec own = effects::MakeSpec(id, {name}, middle->values.begin()->second);
       for (TrialSpecs& start : *starts) start.push_back(own);
     }

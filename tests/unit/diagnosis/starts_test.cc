@@ -11,8 +11,8 @@
 #include "services/diagnosis/hypotheses/field_starts.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/hypotheses/push_starts.h"
-#include "services/diagnosis/search/fit_requests.h"
 #include "services/diagnosis/likelihood/some_windows.h"
+#include "services/diagnosis/search/fit_requests.h"
 #include "services/diagnosis/search/trials.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/simulated_set.h"
@@ -389,8 +389,8 @@ TEST(Trials, TryAMountBesideTheBestOfTheScreen) {
   EXPECT_EQ(pairs({MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.1}})}), 0u);
 }
 
-// A screen of forces says little of where a motor swings on a robot of many joints: each rotor that was found is
-// looked at behind a spring.
+// A screen of forces says little of where a motor swings on a robot of many joints: each rotor that was found
+// is looked at behind a spring.
 TEST(Trials, LookAtASpringBeforeEachRotor) {
   const auto c = Case::Of("mico2", {}, 9);
   const auto& joints = c->nominal.joint_names();
@@ -436,8 +436,7 @@ TEST(Trials, BeginWithADriveBehindASpringAsLateAsTheOthers) {
     from.fit.ok = true, from.fit.values = from.plant->parameters().Nominal();
     const Nearest nearest = [](const std::vector<TrialSpecs>& starts, size_t) { return starts; };
     std::set<double> out;  // lags of the second joint; -1: none
-    for (const TrialSpecs& trial :
-         TransmissionTrials(c->data, c->nominal, c->scales, from, {}, nearest)) {
+    for (const TrialSpecs& trial : TransmissionTrials(c->data, c->nominal, c->scales, from, {}, nearest)) {
       EXPECT_TRUE(Contains(trial, "joint_elasticity", joints[1]));
       const auto lag = std::find_if(trial.begin(), trial.end(),
                                     [](const EffectSpec& s) { return s.id == "actuator_lag"; });

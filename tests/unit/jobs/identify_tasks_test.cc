@@ -167,14 +167,16 @@ TEST(IdentifyTask, CancelledItHasNoResult) {
 TEST(IdentifyTask, ARolloutThatEndedTooEarlyFailsItWithTheRolloutsOwnReason) {
   Loop loop;
   rollouts::Bundle bundle = rollouts::UnpackBundle(loop.recording.bytes).value();
-  bundle["rollout.json"] = R"({"rows": 3, "end_reason": "velocity_limit", "detail": "elbow: velocity 2.1 beyond its limit 2",
+  bundle["rollout.json"] =
+      R"({"rows": 3, "end_reason": "velocity_limit", "detail": "elbow: velocity 2.1 beyond its limit 2",
                                "ended_after_s": 0.12})";
   loop.recording.bytes = rollouts::PackBundle(bundle);
   worker::RecordingTaskContext context("");
   const auto failed = RunIdentify(loop.Input(0, 0, 1), context);
   ASSERT_FALSE(failed.ok());
-  EXPECT_NE(failed.status().message().find("the rollout ended with velocity_limit (elbow: velocity 2.1 beyond its limit 2) "
-                                           "after 0.12 s and left 3 rows"),
+  EXPECT_NE(failed.status().message().find(
+                "the rollout ended with velocity_limit (elbow: velocity 2.1 beyond its limit 2) "
+                "after 0.12 s and left 3 rows"),
             std::string::npos)
       << failed.status().message();
 }
