@@ -112,5 +112,35 @@ TEST(SwingsOn, OfRecordingsKeptAsideToo) {
   }
 }
 
+// A motor behind play that starts anew in a window pays for how far that is from where the window before left
+// it.
+TEST(Jumps, AMotorBehindPlayPaysForWhereItStarts) {
+  const std::string pivot = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  EffectSpec play = MakeSpec("backlash", {pivot},
+                             {{"gap", 0.03},
+                              {"contact_stiffness", 800},
+                              {"contact_damping", 1.5},
+                              {"motor_inertia", 0.03},
+                              {"motor_viscous", 0.001}});
+  const auto p = testing::Prepare("pendulum", {play}, 3, {.rate_hz = 250});
+  const auto plant = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), {play});
+  ASSERT_TRUE(plant.ok());
+  EXPECT_TRUE(HasPlay(plant->effects()));
+  EXPECT_FALSE(HasPlay({MakeSpec("coulomb_friction", {pivot}, {{"coulomb", 0.1}})}));
+  const FitResult fit = Fit(p->data, FitModel{*plant, plant->parameters().Nominal(), {}}, {});
+  ASSERT_TRUE(fit.ok);
+  const FitResult counted = WithJumpsInPlay(p->data, *plant, fit, {});
+  ASSERT_TRUE(counted.ok);
+  EXPECT_NEAR(std::accumulate(counted.window_chi2.begin(), counted.window_chi2.end(), 0.0), counted.chi2,
+              1e-9 * counted.chi2);
+  EXPECT_EQ(counted.window_chi2[0], fit.window_chi2[0]) << "nothing goes before it";
+  // Half the gap off, in one window.
+  FitResult moved = fit;
+  moved.states[2](2, 0) += 0.015;
+  const FitResult paid = WithJumpsInPlay(p->data, *plant, moved, {});
+  EXPECT_GT(paid.window_chi2[2], counted.window_chi2[2] + 10);
+  EXPECT_EQ(paid.window_chi2[1], counted.window_chi2[1]);
+}
+
 }  // namespace
 }  // namespace rg::diagnosis
