@@ -64,9 +64,10 @@ void OutputWriter::AtStart(int k) {
   }
 }
 
-std::optional<double> OutputWriter::Earlier(int j) const {
-  if (impl_.data().sensors[j].delay < 0 || next_[j] >= static_cast<int>(times_.size())) return {};
-  const double at = times_[next_[j]] - impl_.SensorDelay(j);
+std::optional<double> OutputWriter::Earlier(int j, int ahead) const {
+  const int k = next_[j] + ahead;
+  if (impl_.data().sensors[j].delay < 0 || k >= static_cast<int>(times_.size())) return {};
+  const double at = times_[k] - impl_.SensorDelay(j);
   return at < start_ ? std::optional<double>(at) : std::nullopt;
 }
 

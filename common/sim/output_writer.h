@@ -9,7 +9,7 @@
 namespace rg::sim {
 
 // Lives through one window, which runs in one lane of `x`. Without a plan no sensitivities; `buffers` then
-// null.
+// null. A delayed sensor reads between a step's two ends: the steps must alternate between the buffers' sets.
 class OutputWriter {
  public:
   OutputWriter(const Simulator::Impl& impl, const KernelState& x, int lane,
@@ -24,9 +24,12 @@ class OutputWriter {
   // until the first step knows the acceleration and AfterStep writes them anew.
   void AtStart(int k);
 
-  // The next sample of joint j, where it is of before the start: the time it is of.
-  std::optional<double> Earlier(int j) const;
-  // That sample, after a trial step of h from the start under the mean command of [at, start]; `at_once`:
+  void SetLane(int lane) { lane_ = lane; }
+
+  // The next sample of joint j, the one `ahead` after it, …: where it is of before the start, the time it is
+  // of.
+  std::optional<double> Earlier(int j, int ahead = 0) const;
+  // The next sample, after a trial step of h from the start under the mean command of [at, start]; `at_once`:
   // the velocity after the same step under the command at `at`, which is what enters as `at` moves.
   void Before(int j, double at, double h, double at_once);
   double EndVelocity(int j) const { return Ends(j, false).v; }

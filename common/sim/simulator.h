@@ -155,7 +155,7 @@ class Simulator {
   // Many runs with the same parameters, each as Simulate, side by side in SIMD lanes: as many at once as a
   // register holds, the next one begins where one ends. A run's result is Simulate's to rounding, and does
   // not depend on the others by a bit. One by one where the plant does not allow lanes (more than eight
-  // kernel joints, sensor delays, rk4), and for runs that fail or need steps in parts.
+  // kernel joints, rk4), and for runs that fail or need steps in parts.
   void SimulateWindows(const std::vector<SimulationWindow>& windows, const SensitivityRequest& request,
                        std::vector<Trajectory>* out);
   // Runs that are taken at once: 1, 2, 4 or 8.

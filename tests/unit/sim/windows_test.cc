@@ -82,8 +82,7 @@ std::vector<math::Isa> SupportedIsas() {
 void CompareOn(math::Isa isa, const Plant& plant, Integrator integrator, std::vector<Trajectory>* reference) {
   Simulator simulator(plant, {.integrator = integrator, .isa = isa});
   Eigen::VectorXd p = plant.parameters().Nominal();
-  for (const std::string& joint : plant.joint_names())
-    p[plant.parameters().Find("damping." + joint)] = 0.5;
+  for (const std::string& joint : plant.joint_names()) p[plant.parameters().Find("damping." + joint)] = 0.5;
   simulator.SetParameters(p);
   const Windows windows(plant, simulator, 13, 5);
   const SensitivityRequest request = Everything(plant);
@@ -130,6 +129,32 @@ TEST(SimulateWindows, IsSimulateWithFrictionElasticityLagAndDelay) {
                              {{"stiffness", 1e4}, {"damping", 2}, {"motor_inertia", 0.05}}),
                     MakeSpec("actuator_lag", joints, {{"time_constant", 0.01}}),
                     MakeSpec("actuator_delay", joints, {{"delay", 0.0053}})});
+  }
+}
+
+// Delays below a step, of some steps, and beyond the first outputs, which look back before the start.
+TEST(SimulateWindows, IsSimulateWithLateSensors) {
+  for (const char* robot : {"pendulum", "arm2", "mico2"}) {
+    const auto joints = JointNames(*LoadRobot(robot));
+    for (const double delay : {0.0011, 0.0083, 0.031}) {
+      SCOPED_TRACE(delay);
+      Compare(robot, {MakeSpec("sensor_delay", joints, {{"delay", delay}})});
+      auto speeds = MakeSpec("sensor_delay", {joints[0]}, {{"delay", delay}});
+      speeds.options["signal"] = "velocity";
+      auto positions = MakeSpec("sensor_delay", {joints.back()}, {{"delay", 0.6 * delay}});
+      positions.options["signal"] = "position";
+      std::vector<effects::EffectSpec> some = {speeds,
+                                               MakeSpec("viscous_friction", joints, {{"viscous", 0.3}})};
+      if (joints.size() > 1) some.push_back(positions);
+      Compare(robot, some);
+      auto motor = MakeSpec("joint_elasticity", {joints[0]},
+                            {{"stiffness", 1e4}, {"damping", 2}, {"motor_inertia", 0.05}});
+      motor.options["sensor"] = "motor";
+      Compare(robot,
+              {motor, MakeSpec("sensor_delay", joints, {{"delay", delay}}),
+               MakeSpec("actuator_delay", joints, {{"delay", 0.0053}})},
+              Integrator::kSemiImplicitEuler);
+    }
   }
 }
 
@@ -195,19 +220,12 @@ TEST(SimulateWindows, KeepAFailureToItsOwnWindow) {
   }
 }
 
-TEST(SimulateWindows, FallBackToOneByOneBehindLateSensors) {
+TEST(SimulateWindows, RunSideBySideWithLateSensorsAndNotByRk4) {
   const auto joints = JointNames(*LoadRobot("arm2"));
   const Plant plant = MakePlant("arm2", {MakeSpec("sensor_delay", joints, {{"delay", 0.004}})});
-  Simulator simulator(plant);
-  EXPECT_EQ(simulator.lanes(), 1);
-  EXPECT_GE(Simulator(MakePlant("arm2")).lanes(), 2);
-  const Windows windows(plant, simulator, 3, 7);
-  std::vector<Trajectory> out;
-  simulator.SimulateWindows(windows.runs, {}, &out);
-  for (size_t w = 0; w < out.size(); ++w) {
-    const auto& run = windows.runs[w];
-    EXPECT_EQ(out[w].position, simulator.Simulate(run.x0, *run.command, *run.times).position);
-  }
+  EXPECT_EQ(Simulator(plant, {.integrator = Integrator::kRk4}).lanes(), 1);
+  EXPECT_EQ(Simulator(plant).lanes(), Simulator(MakePlant("arm2")).lanes());
+  EXPECT_GE(Simulator(plant).lanes(), 2);
 }
 
 }  // namespace
