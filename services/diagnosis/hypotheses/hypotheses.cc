@@ -318,6 +318,10 @@ bool IsRicherFriction(const std::string& effect) {
   return effects::IsIn(Slot::kDryFriction, effect) && !effects::InferenceOf(effect).of_every_drive;
 }
 
+bool IsRicherFormOf(const std::string& richer, const std::string& plain) {
+  return IsRicherFriction(richer) && effects::IsIn(Slot::kDryFriction, plain) && !IsRicherFriction(plain);
+}
+
 std::vector<std::string> RicherFrictions() {
   std::vector<std::string> out = effects::EffectsIn(Slot::kDryFriction);
   std::erase_if(out, [](const std::string& id) { return !IsRicherFriction(id); });

@@ -68,6 +68,7 @@ std::vector<effects::EffectSpec> Joined(std::vector<effects::EffectSpec> specs,
 // Forms of dry friction beyond the plain one.
 std::vector<std::string> RicherFrictions();
 bool IsRicherFriction(const std::string& effect);
+bool IsRicherFormOf(const std::string& richer, const std::string& plain);
 // What an effect is easily taken for and can be exchanged with on the same joints; empty where nothing.
 std::vector<std::string> SiblingsOf(const std::string& effect);
 // `spec` as its sibling, of about the same strength.

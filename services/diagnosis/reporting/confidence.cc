@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "services/diagnosis/likelihood/candidate.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
 
 namespace rg::diagnosis {
 namespace {
@@ -19,6 +19,8 @@ constexpr double kOfDrives = 0.95, kOther = 0.75;
 constexpr double kMeasured = 0.9, kRareMeasured = 0.6;
 // With a rival in its class: one of two, though 27 of 35 were right, for some labels count both.
 constexpr double kRival = 0.5;
+// Where the only such rivals are richer forms of the law: it holds in either case. 0.77 of those 35.
+constexpr double kRicherRival = 0.75;
 constexpr double kWithUnnamed = 0.17;         // an effect with an unnamed force: 1 of 6
 constexpr double kUnknown = 0.8;              // an unnamed force: 49 of 61, seeds 59009 to 59011
 constexpr double kParameters = 0.95;          // parameters_only alone: 88 of 92
@@ -50,9 +52,12 @@ double HitRate(const Finding& f, const std::string& verdict, bool measured, int 
   // Every arm has losses and late drives; other effects are rarer.
   const double of_measured = IsOfDrive(f) ? kMeasured : kRareMeasured;
   const double rate = names <= 1 ? kAlone : measured ? of_measured : names == 2 ? kTwo : many;
-  const bool rival = std::any_of(f.alternatives.begin(), f.alternatives.end(),
-                                 [](const Alternative& a) { return !a.separable; });
-  return rival ? std::min(rate, kRival) : rate;
+  double with_rivals = rate;
+  for (const Alternative& a : f.alternatives) {
+    if (!a.separable)
+      with_rivals = std::min(with_rivals, IsRicherFormOf(a.effect, f.effect) ? kRicherRival : kRival);
+  }
+  return with_rivals;
 }
 
 }  // namespace

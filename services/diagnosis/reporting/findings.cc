@@ -56,13 +56,19 @@ std::vector<std::string> JointsOf(const std::vector<EffectSpec>& specs, const st
   return out;
 }
 
+// Whether a model has the effect, or a richer form of its law.
+bool HasLaw(const std::vector<EffectSpec>& specs, const std::string& id) {
+  return std::any_of(specs.begin(), specs.end(),
+                     [&](const EffectSpec& e) { return e.id == id || IsRicherFormOf(e.id, id); });
+}
+
 // Score of the best fitted model without effect `id`, hold-out predictive density included where known.
 double BestWithout(const SearchResult& s, const std::string& id) {
   double best = kNoScore;
   const size_t kinds = FreshKinds(Candidate{}, s.best).size();
   for (const Candidate& c : s.tried) {
     const bool more = (c.base && !s.best.base) || FreshKinds(Candidate{}, c).size() > kinds;
-    if (HasKind(c.specs, id)) continue;
+    if (HasLaw(c.specs, id)) continue;
     const bool asked = c.held_out && s.best.held_out;
     const double all = asked ? FitScore(c) + std::min(0.0, *c.held_out - *s.best.held_out) : c.score;
     best = std::max(best, all - (more ? s.beside : 0.0));

@@ -31,6 +31,18 @@ TEST(Confidence, ANearRivalAndManyNamesLowerIt) {
   EXPECT_LE(many[0].confidence, 0.5);
 }
 
+TEST(Confidence, ARicherFormOfTheSameLawLowersItLessThanAnotherLaw) {
+  const auto beside = [](const std::string& rival) {
+    std::vector<Finding> f = {Named("coulomb_friction", 1, -2)};
+    f[0].alternatives[0].effect = rival;
+    Calibrate("unmodelled_physics", false, 2, &f);
+    return f[0].confidence;
+  };
+  EXPECT_GT(beside("stribeck_friction"), 0.7);
+  EXPECT_LT(beside("stribeck_friction"), 0.8);
+  EXPECT_LE(beside("viscous_friction"), 0.5);
+}
+
 TEST(Confidence, WhatDrivesShareIsSurerThanManyNamesElsewhere) {
   const auto on = [](const std::string& effect, std::vector<std::string> joints) {
     Finding f = Named(effect, 1);

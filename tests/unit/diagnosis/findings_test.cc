@@ -61,6 +61,24 @@ TEST(Confidence, IsNotLessForARivalWithMoreNamesThatTheyDoNotPayFor) {
   EXPECT_LT(beside({"coulomb_friction"}), 0.1);
 }
 
+// A richer form may score better and yet not be claimed: it has the law too.
+TEST(Confidence, OfPlainFrictionIsNotLessForARicherFormThatScoresBetter) {
+  const auto p =
+      testing::Prepare("pendulum", {effects::MakeSpec("coulomb_friction", {"hinge"}, {{"coulomb", 0.2}})}, 6);
+  SearchResult search =
+      SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+  ASSERT_EQ(search.best.specs.size(), 1u);
+  ASSERT_EQ(search.best.specs[0].id, "coulomb_friction");
+  Candidate richer = search.best;
+  richer.specs = {effects::MakeSpec("stribeck_friction", {"hinge"})};
+  richer.score = search.best.score + 20;
+  search.tried.push_back(richer);
+  DiagnosisResult result;
+  result.joints = p->set.joints;
+  Conclude(search, p->data, p->nominal, p->scales, &result);
+  EXPECT_GT(result.findings.at(0).confidence, 0.7);
+}
+
 TEST(Experiment, IsWhatShowsTheRarerOfTwoLawsBest) {
   const std::string ramps = "slow ramps of hinge at 0.01 to 0.05 rad/s through several reversals";
   EXPECT_EQ(ExperimentFor("coulomb_friction", "stribeck_friction", {"hinge"}), ramps);
