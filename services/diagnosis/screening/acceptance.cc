@@ -16,7 +16,9 @@ constexpr double kNearly =
     2.0;  // times the (negative) score of a model, down to which its plain rivals count
 constexpr double kFormError = 0.01;  // ε: share of what effects explain, that a law's idealisation may leave
 constexpr double kAmplitude = 1e-4;  // share of the same, for an error of 1 % in an amplitude
-constexpr double kMostOfIt = 0.5;    // share of the misfit left, that always suffices for an addition
+constexpr double kMostOfIt = 0.5;    // share of the misfit left, that suffices in spite of an idealisation
+constexpr double kNearlyAllOfIt = 0.75;  // the same in spite of an error in an amplitude,
+constexpr double kSignificant = 3.0;     // where the misfit is so many standard deviations of χ²
 constexpr double kFar = 10.0;  // χ² per row beyond noise, above which a model is far from the recordings
 constexpr double kSimplerOdds = 3.0;  // nats: odds of 20 to 1
 
@@ -72,14 +74,17 @@ double Acceptance::NeededWithRule(const Candidate& best, double explained, doubl
     const double amplitude = std::sqrt(2 * nats) + rule;
     return 0.5 * amplitude * amplitude;
   };
-  // The misfit above the noise, and the standard deviation of χ².
-  const double left = std::max(0.0, at_stake) + std::sqrt(0.5 * best.fit.rows);
+  // The standard deviation of χ², and with it the misfit above the noise.
+  const double scatter = std::sqrt(0.5 * best.fit.rows), left = std::max(0.0, at_stake) + scatter;
   // Far from the recordings windows diverge, and so do their differences between step rules.
   const double most = left > 0.5 * kFar * best.fit.rows ? kMostOfIt * left : effects::kInf;
   const double chance = std::max(1.0, null_gain_ - kEffectPrior);
   if (best.specs.empty() || explained <= 0) return std::min(with_rule(chance), most);
   const double form = std::min(with_rule(kFormError * explained), kMostOfIt * left);
-  return std::min(std::max(form, with_rule(std::max(chance, kAmplitude * explained))), most);
+  // Where noise alone is left, what an addition takes is the error of an amplitude.
+  const double misfit = at_stake > kSignificant * scatter ? kNearlyAllOfIt * left : effects::kInf;
+  const double amplitude = std::min(with_rule(kAmplitude * explained), misfit);
+  return std::min(std::max({form, amplitude, with_rule(chance)}), most);
 }
 
 double Acceptance::Needed(const Candidate& best, double explained, double at_stake,

@@ -71,6 +71,13 @@ TEST(Acceptance, OnePercentOfAnAmplitudeIsNoNameHoweverLittleIsLeft) {
   EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({MakeSpec("payload", {})}), 1e7, -50), 1e3);
 }
 
+TEST(Acceptance, WhatTakesNearlyAllOfASignificantMisfitIsNoErrorOfAnAmplitude) {
+  // The misfit is 60 standard deviations of χ², and of 10⁷ nats explained a ten thousandth would be as much.
+  EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({MakeSpec("payload", {})}), 1e7, 1200), 0.75 * (1200 + 20));
+  // Two of them may be chance.
+  EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({MakeSpec("payload", {})}), 1e7, 40), 1e3);
+}
+
 TEST(Acceptance, AnEffectNeedsMoreThanAnotherStepRuleWouldPretend) {
   Acceptance acceptance;
   acceptance.Note(StepRuleOf("actuator_delay", 0, 50), {"a", "b"});
