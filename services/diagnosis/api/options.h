@@ -19,11 +19,10 @@ struct DiagnosisOptions {
   double step_s = 2.5e-3;     // of the simulator
   int max_effects = 4;        // rounds of adding
   uint64_t seed = 1;          // of simulated nulls and bootstraps
-  // Budget of all fits of one search, in units of Work (lifted_fit.h), so that results do not depend on the
-  // machine: two and a half to six minutes of one core. Beyond it nothing new is tried; comparing what was
-  // found may take as much again. A restart (with a held-out recording fitted too, or with shorter windows)
+  // Budget of one search: about its seconds on one thread (lifted_fit.h), the same on any machine. Beyond it
+  // nothing new is tried; comparing what was found may take 0.3 of it again. A restart (with a held-out recording fitted too, or with shorter windows)
   // gets what is left of 1.6 times this budget, 0.6 of it at least.
-  double work_limit = 1.2e10;
+  double work_limit = 110;
   // No new fit starts later than this many seconds; 0: no limit. Makes results depend on the machine.
   double time_limit_s = 0;
   FitExecutor* fits = nullptr;  // makes the fits (fit_requests.h); null: this process

@@ -93,6 +93,7 @@ struct HoldoutRecording {
 struct HoldoutFit {
   double before_rms = 0, calibrated_rms = 0, after_rms = 0, noise_floor_rms = 0;
   double improvement_low = 0, improvement_high = 0;
+  double worse_than_calibrated = 0;  // share of bootstrap draws over windows in which after_rms is the larger
   bool judged_on_fit = false;
   std::vector<double> before_windows, after_windows;
   std::vector<HoldoutRecording> recordings;

@@ -21,9 +21,10 @@ constexpr double kPhaseError = 0.02;  // rad of phase over the whole travel: 1 %
 constexpr double kSeenAgain = 0.75;   // periods within the travel, from which periodicity shows
 constexpr double kSharp =
     0.1;  // cycles per turn: an arbitrary number is as near to an integer with odds 1 in 5
-constexpr double kBias = 0.25;        // cycles per turn, bias of the number by other missing effects, at most
-constexpr double kMostlyGone = 0.01;  // ratio of squared strengths
-constexpr double kUnseen = 0.7;       // posterior over prior stddev of the best known parameter
+constexpr double kBias = 0.25;  // cycles per turn, bias of the number by other missing effects, at most
+constexpr double kSoftest = 4.0 / 6.0;  // 1/rad², cubic over linear term of a sine of two periods per turn
+constexpr double kMostlyGone = 0.01;    // ratio of squared strengths
+constexpr double kUnseen = 0.7;         // posterior over prior stddev of the best known parameter
 constexpr double kLeastOfMedian = 0.2;  // of the other joints' median strength
 
 // Parameters that are an effect's strength: it is absent where they are zero (a gain: one).
@@ -213,6 +214,22 @@ bool Drops(const Candidate& c) {
   });
 }
 
+bool PullsBack(const Candidate& c, const MotionScales& scales) {
+  const auto& parameters = c.plant->parameters();
+  return std::all_of(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) {
+    if (s.id != effects::LawOf(effects::Regressor::kPosition).id) return true;
+    const auto value = [&](const char* field) {
+      return c.fit.values[parameters.Find(s.id + "." + s.joints[0] + "." + field)];
+    };
+    const int joint = c.plant->model().FindJoint(s.joints[0]);
+    const double stiffness = value("stiffness"), cubic = value("cubic"), center = value("center");
+    const bool as_sine = c.plant->model().joint(joint).is_revolute() && cubic >= -kSoftest * stiffness;
+    const double farthest =
+        std::max(std::abs(scales.low[joint] - center), std::abs(scales.high[joint] - center));
+    return as_sine || stiffness + 3 * cubic * farthest * farthest >= 0;
+  });
+}
+
 double Strength(const Candidate& c, size_t i) {
   const EffectSpec& s = c.specs[i];
   // The effect's strengths first, then the parameters of all other effects; its own shape is left out.
@@ -311,7 +328,8 @@ bool LikeOtherJoints(const Candidate& c, size_t i) {
   std::vector<double> fellows;
   double error = 0;
   for (size_t k = 0; k < c.specs.size(); ++k) {
-    if (k == i || c.specs[k].id != c.specs[i].id || c.specs[k].joints.size() != 1 || Uninformed(c, k)) continue;
+    if (k == i || c.specs[k].id != c.specs[i].id || c.specs[k].joints.size() != 1 || Uninformed(c, k))
+      continue;
     fellows.push_back(strength(k, &error));
   }
   if (2 * fellows.size() < static_cast<size_t>(c.plant->num_joints())) return false;

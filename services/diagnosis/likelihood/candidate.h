@@ -98,6 +98,10 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
 
 // Whether every Stribeck friction falls with speed; one that rises imitates drag.
 bool Drops(const Candidate& c);
+// Whether its springs pull back the more, the farther they are stretched, over all positions recorded, or
+// soften no faster than a counterbalance does, whose force is a sine of the angle. What turns back sooner is
+// a detent or another force over position.
+bool PullsBack(const Candidate& c, const MotionScales& scales);
 
 // Wald statistic of effect i against absence: √(dᵀ·P·d), with d the distance of its strengths (a delay, an
 // amplitude, a mass, …) from their null values and P their marginal precision, the parameters of other

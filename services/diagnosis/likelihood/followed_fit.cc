@@ -247,7 +247,8 @@ FitResult FitFollowed(const FitData& data, FitModel model, const LiftedOptions& 
     const bool better = !best.ok || fit.chi2 < kFollowOn * best.chi2;
     if (!best.ok || fit.evidence > best.evidence) best = fit;
     if (!better || fit.chi2 < kExplained * fit.rows * options.noise_scale) break;
-    if (static_cast<double>(f.Met(fit.window_chi2)) < kFewMet * static_cast<double>(data.windows.size())) break;
+    if (static_cast<double>(f.Met(fit.window_chi2)) < kFewMet * static_cast<double>(data.windows.size()))
+      break;
     model.values = fit.values, f.states = std::move(fit.states);
   }
   best.work = f.work;

@@ -135,7 +135,7 @@ HeldOut PredictHeldOut(const FitData& held_out, const Candidate& fitted, const L
   HeldOut out;
   const FitResult fit = Restarted(held_out, fitted, fitted.fit.values, restarts, &out.swing_continues);
   const auto P = static_cast<long>(fitted.parameters.size());
-  out.work = fit.work + Work(held_out, options, fitted.plant->num_states(), P);
+  out.work = fit.work + LinearisationWork(held_out, options, fitted.plant->num_states(), P);
   for (const double chi2 : fit.window_chi2) out.windows.push_back(-0.5 * chi2 / options.noise_scale);
   const double misfit = 0.5 * fit.chi2 / options.noise_scale;
   out.log_density = -misfit;

@@ -177,7 +177,7 @@ FitResult WithJumpsOf(const MatrixXd& of, const FitData& data, const sim::Plant&
                       const LiftedOptions& options) {
   const std::vector<Ends> ends = AllEnds(data, plant, of, fit, options);
   const int nx = plant.num_states();
-  fit.work += Work(data, options, nx, nx);
+  fit.work += LinearisationWork(data, options, nx, nx);
   for (size_t w = 1; w < ends.size(); ++w) {
     if (!Meet(data, ends, w)) continue;
     const double nats =
@@ -216,7 +216,7 @@ std::optional<bool> SwingsOn(const FitData& data, const sim::Plant& plant, FitRe
   const double noise = 0.5 * OnePercentChi2(static_cast<double>(mass.rows()));
   sim::Simulator simulator(plant, {.integrator = options.integrator, .step_s = options.step_s});
   simulator.SetParameters(fit.values);
-  fitted->work += Work(data, options, plant.num_states(), plant.num_states());
+  fitted->work += LinearisationWork(data, options, plant.num_states(), plant.num_states());
   const double met_below = kFitted * options.noise_scale * RowsPerWindow(data);
   const auto met = [&](size_t w) { return fit.window_chi2[w] < met_below; };
   int meetings = 0, both_met = 0, goes_on = 0;

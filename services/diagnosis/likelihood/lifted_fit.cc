@@ -17,10 +17,35 @@
 
 namespace rg::diagnosis {
 
-constexpr int kStepAsColumns = 20;
+namespace {
 
-double Work(const FitData& data, const LiftedOptions& options, long states, long columns) {
-  return data.Seconds() / options.step_s * 0.5 * static_cast<double>(states * (kStepAsColumns + columns));
+// Seconds of one thread, fitted to 1,176 fits of seven sets (two to seven joints, 50 to 500 Hz; of the whole
+// set's fits right within a third).
+constexpr double kPerSimulatedStep = 2.4e-7;   // and joint
+constexpr double kPerLinearisedStep = 1.9e-8;  // and pair of joints
+constexpr double kPerNode = 1.1e-6, kPerNodeColumn = 2.3e-7;
+constexpr double kPerRowColumn = 2.2e-9;      // and state
+constexpr double kPerScreenedPair = 1.5e-10;  // row and pair of columns
+
+double Steps(const FitData& data, const LiftedOptions& options) { return data.Seconds() / options.step_s; }
+
+double Nodes(const FitData& data) {
+  double count = 0;
+  for (const NodeWindow& w : data.windows) count += static_cast<double>(w.t.size());
+  return count;
+}
+
+}  // namespace
+
+double SimulationWork(const FitData& data, const LiftedOptions& options) {
+  return kPerSimulatedStep * Steps(data, options) * data.n;
+}
+
+double LinearisationWork(const FitData& data, const LiftedOptions& options, long states, long columns) {
+  const auto C = static_cast<double>(columns);
+  return kPerLinearisedStep * Steps(data, options) * data.n * data.n +
+         Nodes(data) * (kPerNode + kPerNodeColumn * C) +
+         kPerRowColumn * data.Rows() * static_cast<double>(states) * C;
 }
 
 namespace {
@@ -40,7 +65,7 @@ constexpr int kTogether = 8;        // windows that are simulated side by side
 
 }  // namespace
 
-MatrixXd ProjectOut(const MatrixXd& J_e, const MatrixXd& J, const MatrixXd& r) {
+MatrixXd ProjectOut(const MatrixXd& J_e, const MatrixXd& J, const MatrixXd& r, int* rank) {
   MatrixXd stacked(J.rows(), J.cols() + r.cols());
   stacked << J, r;
   // Columns of very different size (a state that is forgotten at once) are scaled first.
@@ -50,9 +75,10 @@ MatrixXd ProjectOut(const MatrixXd& J_e, const MatrixXd& J, const MatrixXd& r) {
     if (norm > 0) scaled.col(c) /= norm;
   }
   const Eigen::ColPivHouseholderQR<MatrixXd> qr(scaled);
-  stacked.applyOnTheLeft(qr.householderQ().adjoint());
-  const int rank = static_cast<int>(qr.rank());
-  return stacked.bottomRows(stacked.rows() - rank);
+  const MatrixXd Q = qr.householderQ() * MatrixXd::Identity(stacked.rows(), qr.rank());
+  stacked.noalias() -= Q * (Q.transpose() * stacked);
+  if (rank != nullptr) *rank = static_cast<int>(qr.rank());
+  return stacked;
 }
 
 namespace {
@@ -346,7 +372,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   std::vector<MatrixXd> grams(W);
   std::vector<double> adopted(W), costs;
   const bool hidden = nx > 2 * n;
-  const double simulation = Work(data, options, nx, 0);
+  const double simulation = SimulationWork(data, options);
   if (hidden && from == nullptr) result.work += (1 + (lin.has_gaps() ? kFaces : 0)) * simulation;
   const int groups = (W + kTogether - 1) / kTogether;
   const std::vector<int> sensed = SensedMotors(model.plant);
@@ -374,7 +400,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       grams[w].setZero(P + 1, P + 1);
       grams[w].selfadjointView<Eigen::Lower>().rankUpdate(rest.transpose(), inverse_scale);
     });
-    result.work += Work(data, options, nx, nx + P) * (1 + W * lin.Memory() / data.Seconds());
+    result.work += LinearisationWork(data, options, nx, nx + P) * (1 + W * lin.Memory() / data.Seconds());
     MatrixXd gram = MatrixXd::Zero(P + 1, P + 1);
     for (int w = 0; w < W; ++w) {
       if (linear[w].ok) gram += grams[w];
@@ -548,7 +574,6 @@ Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& 
   std::vector<RowMatrixXd> sums(parts, RowMatrixXd::Zero(D, D)),
       nulls(parts, RowMatrixXd::Zero(D, null_draws));
   std::vector<VectorXd> systematic(W);
-  std::vector<int> rows(parts, 0), eliminated(parts, 0);
   const auto add = [&](int worker, int part, int w) {
     Linear l;
     lin.Run(worker, w, states[w], &features.joint, &features.phi[w], false, &l);
@@ -563,19 +588,16 @@ Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& 
     Rng stream = rng.Split(static_cast<uint64_t>(w));
     for (double& x : noise.reshaped()) x = stream.Normal();
     AddTransposedProduct(rest, noise, 1.0 / std::sqrt(options.noise_scale), &nulls[part]);
-    rows[part] += static_cast<int>(l.r.size());
-    eliminated[part] += static_cast<int>(l.r.size() - rest.rows());
   };
   sysid::ParallelFor(options.threads, parts, [&](int worker, int part) {
     for (int w = part; w < W; w += parts) add(worker, part, w);
   });
   screen.gram = MatrixXd::Zero(D, D);
-  for (int k = 0; k < parts; ++k) {
-    screen.gram += sums[k];
-    screen.rows += rows[k], screen.eliminated += eliminated[k];
-  }
+  for (const RowMatrixXd& sum : sums) screen.gram += sum;
   screen.gram = MatrixXd(screen.gram.selfadjointView<Eigen::Lower>());
   screen.null = MatrixXd::Zero(D - 1, null_draws);
+  screen.work = LinearisationWork(data, options, lin.nx(), lin.nx() + D) +
+                kPerScreenedPair * data.Rows() * D * (D + null_draws);
   screen.step_rule = VectorXd::Zero(D - 1);
   for (const VectorXd& rule : systematic) {
     if (rule.size() > 0) screen.step_rule += rule;

@@ -50,10 +50,10 @@ struct LiftedOptions {
   sim::Integrator integrator = sim::Integrator::kLeapfrog;
 };
 
-// What simulating all windows of a plant with so many states costs with sensitivities to so many unknowns,
-// the same on every machine: steps times pairs of states times columns, the step itself counting as twenty.
-// Its time goes with that within a factor of 1.7 (robots of one to six joints, 25 to 500 Hz).
-double Work(const FitData& data, const LiftedOptions& options, long states, long columns);
+// What a computation costs, the same on every machine: about its seconds on one thread of a core of 2024. Of
+// simulating all windows, and of linearising them for a plant with so many states in so many unknowns.
+double SimulationWork(const FitData& data, const LiftedOptions& options);
+double LinearisationWork(const FitData& data, const LiftedOptions& options, long states, long columns);
 
 // How the names of lags' states begin, which commands alone settle; the joint's name follows.
 inline constexpr std::string_view kLagState = "lagged_torque.";
@@ -69,7 +69,7 @@ struct FitResult {
   Eigen::VectorXd theta;            // P
   int rows = 0;
   int iterations = 0;
-  double work = 0;  // Work of all simulations
+  double work = 0;  // of all its simulations and linearisations
   bool ok = false;
   // log evidence: −½χ²/s² − ½ prior cost − ½ log det(1 + σ H σ) − what free hidden starts cost
   double evidence = 0;
@@ -88,7 +88,8 @@ struct Screen {
   Eigen::MatrixXd gram;
   Eigen::MatrixXd null;  // (P + C) × draws: right-hand sides if the residual were the sensors' noise alone
   Eigen::VectorXd step_rule;  // P + C: the right-hand side that another step rule makes
-  int parameters = 0, features = 0, rows = 0, eliminated = 0;
+  int parameters = 0, features = 0;
+  double work = 0;
 };
 
 NodeStates InitialStates(const FitData& data, const FitModel& model, const LiftedOptions& options);

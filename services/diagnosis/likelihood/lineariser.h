@@ -98,8 +98,8 @@ struct Linear {
   bool ok = true;
 };
 
-// Rows of [J | r] orthogonal to J_e: (M − rank) × (D + columns of r).
-MatrixXd ProjectOut(const MatrixXd& J_e, const MatrixXd& J, const MatrixXd& r);
+// The part of [J | r] orthogonal to J_e: M × (D + columns of r). `rank`: of J_e; may be null.
+MatrixXd ProjectOut(const MatrixXd& J_e, const MatrixXd& J, const MatrixXd& r, int* rank = nullptr);
 
 struct Worker {
   sim::Simulator simulator;

@@ -53,7 +53,8 @@ MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, co
     lin.Run(worker, w, states[w], &joint, &phi, false, &l);
     out.force[w] = MatrixXd::Zero(n, S), out.stddev[w] = MatrixXd::Zero(n, S);
     if (!l.ok) return;
-    const MatrixXd rest = ProjectOut(l.J_e, l.J, l.r) / std::sqrt(options.noise_scale);
+    int rank = 0;
+    const MatrixXd rest = ProjectOut(l.J_e, l.J, l.r, &rank) / std::sqrt(options.noise_scale);
     const int C = S * n;
     MatrixXd H = rest.leftCols(C).transpose() * rest.leftCols(C);
     const MatrixXd data_H = H;
@@ -79,7 +80,7 @@ MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, co
       }
     }
     chi2[w] = (rest.col(C) - rest.leftCols(C) * c).squaredNorm();
-    unknowns[w] = static_cast<double>(l.r.size() - rest.rows()) + (data_H * cov).trace();
+    unknowns[w] = rank + (data_H * cov).trace();
   });
   out.evidence = MatrixXd::Zero(n, n);
   for (int w = 0; w < W; ++w) out.chi2 += chi2[w], out.unknowns += unknowns[w], out.evidence += evidence[w];

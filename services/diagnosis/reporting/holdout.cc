@@ -37,7 +37,7 @@ double PooledRms(const std::vector<double>& windows, const std::vector<double>& 
 }
 
 JudgedRecordings Judge(const std::vector<const recordings::Recording*>& recs, const sim::Plant& plant,
-             const VectorXd& values, const sysid::PredictionOptions& options, int threads) {
+                       const VectorXd& values, const sysid::PredictionOptions& options, int threads) {
   JudgedRecordings out;
   out.predictions.resize(recs.size());
   std::vector<sysid::PredictionError> errors(recs.size());
@@ -207,13 +207,15 @@ void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal
   std::vector<double> gains;
   const size_t W = before.windows.size();
   for (int b = 0; b < kBootstraps && W > 0; ++b) {
-    double before2 = 0, after2 = 0;
+    double before2 = 0, calibrated2 = 0, after2 = 0;
     for (size_t i = 0; i < W; ++i) {
       const size_t w = rng.Index(W);
       before2 += before.weights[w] * before.windows[w] * before.windows[w];
+      calibrated2 += before.weights[w] * calibrated.windows[w] * calibrated.windows[w];
       after2 += before.weights[w] * after.windows[w] * after.windows[w];
     }
     gains.push_back(before2 > 0 ? 1.0 - std::sqrt(after2 / before2) : 0.0);
+    h.worse_than_calibrated += (after2 > calibrated2) / static_cast<double>(kBootstraps);
   }
   std::sort(gains.begin(), gains.end());
   if (!runs) {

@@ -92,7 +92,9 @@ ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, b
   if (step_rule->empty()) *step_rule = StepRuleResiduals(setting.data, model, states, options);
   const Screen screen =
       MakeScreen(setting.data, model, states, features.block, options, *step_rule, kNullDraws, rng);
-  return ScoreHypotheses(screen, columns, features, base, nominal);
+  ScreenResult out = ScoreHypotheses(screen, columns, features, base, nominal);
+  out.work = screen.work;
+  return out;
 }
 
 }  // namespace rg::diagnosis

@@ -28,6 +28,7 @@ struct ScreenResult {
   std::vector<Combination> sets;   // of one effect on several joints, best first
   std::vector<Combination> pairs;  // of two effects, best first
   double null_gain = 0;            // quantile kNullQuantile of the null distribution of the best gain, nats
+  double work = 0;                 // what it cost (lifted_fit.h)
 };
 
 // Tests the effects that the joints of `plant` take.

@@ -179,6 +179,8 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   // Nor what a trial makes of a law on its way; and what a given model has is not doubted.
   if (request.places.empty() && !HasKind(given, effects::LawOf(effects::Regressor::kSlowly).id))
     c.fit.ok = c.fit.ok && Drops(c);
+  if (request.places.empty() && !HasKind(given, effects::LawOf(effects::Regressor::kPosition).id))
+    c.fit.ok = c.fit.ok && PullsBack(c, setting_.scales);
   // While much is left a ripple's period is bent by it, and on some windows by little.
   if (c.fit.ok && PerRow(c) < (request.places.empty() ? kConsistent : kExplained))
     c.fit.ok = Repeats(c, setting_.scales, PerRow(c), request.places.empty());

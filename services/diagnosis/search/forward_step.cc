@@ -33,6 +33,7 @@ ScreenResult ForwardStep::Screen(const Candidate& current, bool base) {
   if (known != screens_.end()) return known->second;
   const ScreenResult screened = ScreenAround(setting_, current, base, values, features_, fits_.lifted(),
                                              Rng(seed_).Split(static_cast<uint64_t>(round_)), &step_rule_);
+  fits_.AddWork(screened.work);
   return screens_.emplace(key, screened).first->second;
 }
 

@@ -255,6 +255,28 @@ TEST(Candidate, StribeckFrictionThatGrowsWithSpeedIsNone) {
   EXPECT_FALSE(Drops(c));
 }
 
+TEST(Candidate, ASpringThatTurnsBackSoonIsNone) {
+  const auto p = testing::Prepare("pendulum", {}, 31);
+  const std::string joint = p->nominal.joint_names()[0];
+  const double reach = p->scales.high[0] - p->scales.low[0];
+  ASSERT_GT(reach, 0.5);
+  const auto pulls = [&](double stiffness, double cubic) {
+    Candidate c;
+    c.specs = {effects::MakeSpec("position_spring", {joint},
+                                 {{"stiffness", stiffness}, {"cubic", cubic}, {"center", p->scales.low[0]}})};
+    const auto plant = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), c.specs);
+    EXPECT_TRUE(plant.ok()) << plant.status().ToString();
+    c.plant = std::make_shared<const sim::Plant>(*plant);
+    c.fit.values = c.plant->parameters().Nominal();
+    return PullsBack(c, p->scales);
+  };
+  EXPECT_TRUE(pulls(1.0, 0.0));
+  EXPECT_TRUE(pulls(1.0, 5.0)) << "it stiffens";
+  EXPECT_TRUE(pulls(1.0, -0.16)) << "as a counterbalance, whose force is a sine of the angle";
+  EXPECT_TRUE(pulls(1.0, -0.3 / (reach * reach))) << "it softens and never turns back";
+  EXPECT_FALSE(pulls(1.0, -20.0)) << "as a detent of ten periods a turn";
+}
+
 TEST(Candidate, DrivesShareDelaysAndLossesOfMostJoints) {
   const auto arm = testing::Prepare("mico2", {}, 31);
   const auto& names = arm->nominal.joint_names();

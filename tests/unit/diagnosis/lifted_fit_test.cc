@@ -80,20 +80,23 @@ TEST(Lineariser, ThePartOfAWindowIsItsFirstRows) {
   EXPECT_LT(part, whole);
 }
 
-TEST(Work, GoesWithTheTimeThatIsSimulatedAndNotWithTheRowsOfIt) {
+TEST(Work, OfASimulationGoesWithItsStepsAndOfALinearisationWithItsRowsToo) {
   const auto p = Prepare("pendulum", {}, 1), slow = Prepare("pendulum", {}, 1, {.rate_hz = 25}),
              arm = Prepare("arm2", {}, 1);
   const LiftedOptions options;
-  const double work = Work(p->data, options, 2, 5);
+  const double work = SimulationWork(p->data, options), linear = LinearisationWork(p->data, options, 2, 5);
   EXPECT_LT(slow->data.Rows(), 0.3 * p->data.Rows());
-  EXPECT_NEAR(Work(slow->data, options, 2, 5), work, 0.1 * work);
-  EXPECT_GT(Work(arm->data, options, 4, 5), 1.2 * work);
+  EXPECT_NEAR(SimulationWork(slow->data, options), work, 0.1 * work);
+  EXPECT_LT(LinearisationWork(slow->data, options, 2, 5), linear);
+  EXPECT_GT(SimulationWork(arm->data, options), 1.2 * work);
+  EXPECT_GT(LinearisationWork(p->data, options, 2, 50), 2 * linear);
   LiftedOptions finer;
   finer.step_s = 0.5 * options.step_s;
-  EXPECT_NEAR(Work(p->data, finer, 2, 5), 2 * work, 1e-9 * work);
+  EXPECT_NEAR(SimulationWork(p->data, finer), 2 * work, 1e-9 * work);
   FitData half = p->data;
   half.windows.resize(half.windows.size() / 2);
-  EXPECT_NEAR(Work(half, options, 2, 5), 0.5 * work, 0.05 * work);
+  EXPECT_NEAR(SimulationWork(half, options), 0.5 * work, 0.05 * work);
+  EXPECT_NEAR(LinearisationWork(half, options, 2, 5), 0.5 * linear, 0.05 * linear);
 }
 
 TEST(LiftedFit, TheTrueModelIsAtTheNoise) {
