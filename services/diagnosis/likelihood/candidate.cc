@@ -2,7 +2,11 @@
 
 #include <Eigen/Cholesky>
 #include <algorithm>
+#include <cctype>
 #include <cmath>
+#include <limits>
+#include <map>
+#include <set>
 
 #include "common/effects/effect_catalog.h"
 #include "common/effects/inference.h"
@@ -25,6 +29,7 @@ constexpr double kBias = 0.25;  // cycles per turn, bias of the number by other 
 constexpr double kSoftest = 4.0 / 6.0;  // 1/rad², cubic over linear term of a sine of two periods per turn
 constexpr double kMostlyGone = 0.01;    // ratio of squared strengths
 constexpr double kUnseen = 0.7;         // posterior over prior stddev of the best known parameter
+constexpr double kInformed = 0.5;       // the same of a weight of an unnamed force, at most
 constexpr double kLeastOfMedian = 0.2;  // of the other joints' median strength
 
 // Parameters that are an effect's strength: it is absent where they are zero (a gain: one).
@@ -171,6 +176,40 @@ bool Uninformed(const Candidate& c, size_t i) {
     if (vanishes && c.fit.theta[static_cast<long>(k)] < kAtBound * c.parameters[k].lower) return true;
   }
   return known > kUnseen;
+}
+
+void ContinueFields(Candidate* c) {
+  struct Node {
+    long at;  // place among the free parameters
+    int row, column;
+    bool informed;
+  };
+  std::map<std::string, std::vector<Node>> fields;  // by effect and owner
+  for (size_t k = 0; k < c->parameters.size() && c->fit.ok; ++k) {
+    const sim::Parameter& p = c->plant->parameters()[c->parameters[k].index];
+    const bool weight = p.kind == sim::ParameterKind::kEffect && IsUnnamed(p.effect) && p.field.size() > 1 &&
+                        p.field[0] == 'w' && std::isdigit(static_cast<unsigned char>(p.field[1]));
+    if (!weight) continue;
+    const auto at = static_cast<long>(k);
+    fields[p.effect + p.owner].push_back({at, p.field[1] - '0', p.field.size() > 2 ? p.field[2] - '0' : 0,
+                                          c->fit.stddev[at] < kInformed * c->parameters[k].prior_stddev});
+  }
+  for (const auto& [name, nodes] : fields) {
+    for (const Node& node : nodes) {
+      int nearest = std::numeric_limits<int>::max(), count = 0;
+      double sum = 0;
+      for (const Node& other : nodes) {
+        if (node.informed || !other.informed) continue;
+        const int rows = node.row - other.row, columns = node.column - other.column;
+        const int distance = rows * rows + columns * columns;
+        if (distance < nearest) nearest = distance, sum = 0, count = 0;
+        if (distance == nearest) sum += c->fit.theta[other.at], ++count;
+      }
+      if (count == 0) continue;
+      c->fit.theta[node.at] = sum / count;
+      c->fit.values[c->parameters[static_cast<size_t>(node.at)].index] = sum / count;
+    }
+  }
 }
 
 bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row, bool whole) {

@@ -87,6 +87,10 @@ std::vector<effects::EffectSpec> RefreshedFrom(const Candidate& before, const Ca
 bool Uninformed(const Candidate& c);
 bool Uninformed(const Candidate& c, size_t i);
 
+// Weights of unnamed forces that the fitted windows do not inform take the value of the nearest node that
+// they do inform, where their prior would have a force end.
+void ContinueFields(Candidate* c);
+
 // Whether every ripple is periodic in the joint's angle. On a rotary joint the number of cycles per turn is
 // an integer (cogging, gear teeth and encoders repeat with each turn); the test is two-sided at 1 %. A ripple
 // of which the recordings show less than most of a period is admitted only if the integer is known sharply,

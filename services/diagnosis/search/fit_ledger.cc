@@ -173,6 +173,7 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   work_ += fit.work;
   c.fit = std::move(fit);
   c.round = round_;
+  if (request.places.empty()) ContinueFields(&c);
   // A few windows need not show what all of them do, as a limit that is seldom reached.
   c.fit.ok = c.fit.ok && (!request.places.empty() || !Uninformed(c));
   const auto& given = setting_.nominal.effects();

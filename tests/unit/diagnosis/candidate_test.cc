@@ -255,6 +255,45 @@ TEST(Candidate, StribeckFrictionThatGrowsWithSpeedIsNone) {
   EXPECT_FALSE(Drops(c));
 }
 
+TEST(Candidate, AnUnnamedForceGoesOnWhereNoMotionTellsOfIt) {
+  const auto p = testing::Prepare("pendulum", {}, 31);
+  Candidate c;
+  c.specs = {effects::MakeSpec("unknown_field", {p->nominal.joint_names()[0]},
+                               {{"low", p->scales.low[0]}, {"high", p->scales.high[0]}})};
+  c.specs[0].options["variable"] = "position";
+  const auto plant = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), c.specs);
+  ASSERT_TRUE(plant.ok()) << plant.status().ToString();
+  c.plant = std::make_shared<const sim::Plant>(*plant);
+  c.parameters = FreeParameters(*plant, p->scales, false);
+  c.fit.values = c.plant->parameters().Nominal();
+  const auto count = static_cast<long>(c.parameters.size());
+  c.fit.theta.setZero(count), c.fit.stddev.resize(count);
+  std::vector<long> weights;
+  for (long k = 0; k < count; ++k) {
+    const sim::Parameter& parameter = c.plant->parameters()[c.parameters[static_cast<size_t>(k)].index];
+    const double prior = c.parameters[static_cast<size_t>(k)].prior_stddev;
+    c.fit.stddev[k] = 0.01 * prior;
+    if (parameter.field[0] != 'w') continue;
+    const auto node = weights.size();
+    weights.push_back(k);
+    if (node == 0 || node == 3 || node > 5)
+      c.fit.stddev[k] = 0.99 * prior;
+    else
+      c.fit.theta[k] = 1.0 + static_cast<double>(node);
+  }
+  ASSERT_EQ(weights.size(), 8u);
+  c.fit.ok = true;
+  ContinueFields(&c);
+  const std::vector<double> expected = {2, 2, 3, 4, 5, 6, 6, 6};
+  for (size_t i = 0; i < 8; ++i) {
+    EXPECT_DOUBLE_EQ(c.fit.theta[weights[i]], expected[i]) << i;
+    const int at = c.parameters[static_cast<size_t>(weights[i])].index;
+    // What was known already is not touched.
+    const bool continued = i == 0 || i == 3 || i > 5;
+    EXPECT_DOUBLE_EQ(c.fit.values[at], continued ? expected[i] : 0.0) << i;
+  }
+}
+
 TEST(Candidate, ASpringThatTurnsBackSoonIsNone) {
   const auto p = testing::Prepare("pendulum", {}, 31);
   const std::string joint = p->nominal.joint_names()[0];
