@@ -25,10 +25,6 @@ constexpr double kTrust =
     0.3;  // prior stddev over a start value's stddev: model errors bias long windows more
 constexpr double kLeastKnown = 0.02;  // relative stddev of a start value, at least
 
-bool IsLateDrive(const std::string& effect) {
-  return IsTiming(effect) && effects::FindEffect(effect)->stage == effects::Stage::kActuator;
-}
-
 // The first parameter of the first effect of a kind on the joint; `none` where there is no such effect.
 double FirstValue(const std::vector<EffectSpec>& specs, const std::string& joint,
                   bool (*is)(const std::string& effect), double none) {

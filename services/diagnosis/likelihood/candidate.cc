@@ -94,6 +94,10 @@ bool IsTiming(const std::string& id) {
   return info != nullptr && info->family == "timing";
 }
 
+bool IsLateDrive(const std::string& id) {
+  return IsTiming(id) && effects::FindEffect(id)->stage == effects::Stage::kActuator;
+}
+
 bool IsOfPosition(const std::string& id) {
   const effects::EffectInfo* info = effects::FindEffect(id);
   return info != nullptr && info->family == "position" && info->scope == effects::Scope::kJoint;

@@ -57,10 +57,11 @@ inline constexpr double kExplained = 1.1;  // χ² per row (1: noise alone) belo
 inline constexpr double kZ99OneSided = 2.326;  // 99 % quantile of the standard normal distribution
 inline constexpr double kZ99TwoSided = 2.576;  // 99.5 % quantile
 
-// Traits of an effect, by its id: an unnamed force; delay or lag; a force of one joint's position; friction
+// Traits of an effect, by its id: an unnamed force; delay or lag; one of a drive, not of a sensor; a force of one joint's position; friction
 // or inertia of a drive.
 bool IsUnnamed(const std::string& id);
 bool IsTiming(const std::string& id);
+bool IsLateDrive(const std::string& id);
 bool IsOfPosition(const std::string& id);
 bool IsLossOfDrives(const std::string& id);
 

@@ -221,8 +221,7 @@ class TrialBuilder {
     const std::string& name = nominal_.joint_names()[static_cast<size_t>(joint)];
     std::map<std::string, std::vector<EffectSpec>> late;
     for (const EffectSpec& s : from_.fit.ok ? Refreshed(from_) : TrialSpecs{}) {
-      const bool of_drive = IsTiming(s.id) && effects::FindEffect(s.id)->stage == effects::Stage::kActuator;
-      if (!of_drive || s.joints.size() != 1) continue;
+      if (!IsLateDrive(s.id) || s.joints.size() != 1) continue;
       if (s.joints[0] == name) return;
       late[s.id].push_back(s);
     }
