@@ -41,9 +41,15 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
   std::set<std::string> kinds = FreshKinds(before, *winner);
   if (kinds.empty()) kinds = {specs.back().id};
   std::vector<TrialSpecs> others;
+  Candidate known_best =
+      *winner;  // what scored less while the noise was taken to be more may score better now
   for (const std::string& kind : kinds) {
     for (const TrialSpecs& other : Exchanges(specs, kind, setting_.nominal, setting_.scales)) {
-      if (fits_.Known(other, winner->base) == nullptr) others.push_back(other);
+      const Candidate* known = fits_.Known(other, winner->base);
+      if (known == nullptr)
+        others.push_back(other);
+      else if (known->fit.ok)
+        known_best = Better(known_best, *known);
     }
   }
   for (const EffectSpec& s : specs) {
@@ -57,6 +63,7 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
   }
   const double before_others = winner->score;
   fits_.TryInPlace(others, winner);
+  *winner = Better(*winner, known_best);
   if (!(winner->score > before_others + kLeastGainOfExchange)) return false;
   // Free inertials may have stood for what the exchanged law says.
   if (winner->base) *winner = WithInertialsFreeOrFixed(*winner, 0);

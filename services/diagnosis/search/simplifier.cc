@@ -8,6 +8,7 @@
 
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/hypotheses/rivals.h"
 
 namespace rg::diagnosis {
 
@@ -232,14 +233,23 @@ void Simplifier::SplitByDirection(Candidate* best) {
 }
 
 // One richer law on several joints costs less prior than two kinds, and may imitate a plain law on one of
-// them: each joint is tried with a plain law of its own, which must pass the acceptance rule.
+// them: each joint is tried with a plain law of its own. That must be more than the prior of a kind and a
+// class apart, structure priors not counted: where a joint tells little of its law, drives are alike.
 void Simplifier::UsePlainLawsOnJoints(Candidate* best) {
+  const auto evidence = [](const Candidate& c) { return c.score + StructurePrior(c.specs, c.base); };
   for (bool changed = true; changed && !fits_.Late();) {
     Candidate own = *best;
-    std::vector<TrialSpecs> others = PlainOnOneJoint(Refreshed(*best), setting_.nominal, setting_.scales);
-    std::erase_if(others, [&](const TrialSpecs& o) { return fits_.Known(o, best->base) != nullptr; });
-    fits_.TryInPlace(others, &own);
-    changed = own.score > best->score + needed_(*best, own);
+    std::vector<TrialSpecs> fresh;
+    for (const TrialSpecs& o : PlainOnOneJoint(Refreshed(*best), setting_.nominal, setting_.scales)) {
+      const Candidate* known = fits_.Known(o, best->base);
+      if (known == nullptr)
+        fresh.push_back(o);
+      else if (known->score > own.score)
+        own = *known;
+    }
+    fits_.TryInPlace(fresh, &own);
+    changed = KeyOf(own.specs) != KeyOf(best->specs) && own.score > best->score &&
+              evidence(own) > evidence(*best) + kEffectPrior + kSeparable;
     if (changed) *best = own;
   }
 }
