@@ -70,16 +70,6 @@ std::optional<recordings::RecordingSet> WithFitted(const recordings::RecordingSe
   return out;
 }
 
-// Ratios of RMS errors: below the first the difference does not matter, above the second it cannot be chance.
-constexpr double kWorse = 1.1, kMuchWorse = 1.5;
-constexpr double kSurely = 0.975;  // one-sided, over windows
-
-// The states at restarts are uncertain: one window may decide an RMS error.
-bool WorseThanCalibrated(const HoldoutFit& h) {
-  const double ratio = h.after_rms / std::max(1e-300, h.calibrated_rms);
-  return !h.judged_on_fit && ratio > kWorse && (ratio > kMuchWorse || h.worse_than_calibrated > kSurely);
-}
-
 }  // namespace
 
 Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const DiagnosisOptions& options,

@@ -29,7 +29,7 @@ constexpr double kBias = 0.25;  // cycles per turn, bias of the number by other 
 constexpr double kSoftest = 4.0 / 6.0;  // 1/rad², cubic over linear term of a sine of two periods per turn
 constexpr double kMostlyGone = 0.01;    // ratio of squared strengths
 constexpr double kUnseen = 0.7;         // posterior over prior stddev of the best known parameter
-constexpr double kInformed = 0.5;       // the same of a weight of an unnamed force, at most
+constexpr double kInformed = 0.9;       // the same of a weight of an unnamed force, at most
 constexpr double kLeastOfMedian = 0.2;  // of the other joints' median strength
 
 // Parameters that are an effect's strength: it is absent where they are zero (a gain: one).
@@ -258,18 +258,24 @@ bool Drops(const Candidate& c) {
 }
 
 bool PullsBack(const Candidate& c, const MotionScales& scales) {
-  const auto& parameters = c.plant->parameters();
+  const auto& table = c.plant->parameters();
   return std::all_of(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) {
     if (s.id != effects::LawOf(effects::Regressor::kPosition).id) return true;
-    const auto value = [&](const char* field) {
-      return c.fit.values[parameters.Find(s.id + "." + s.joints[0] + "." + field)];
-    };
+    const auto place = [&](const char* field) { return table.Find(s.id + "." + s.joints[0] + "." + field); };
+    double error = 0;  // of the cubic term
+    for (size_t k = 0; k < c.parameters.size() && static_cast<long>(k) < c.fit.stddev.size(); ++k) {
+      if (c.parameters[k].index == place("cubic")) error = kZ99OneSided * c.fit.stddev[static_cast<long>(k)];
+    }
     const int joint = c.plant->model().FindJoint(s.joints[0]);
-    const double stiffness = value("stiffness"), cubic = value("cubic"), center = value("center");
-    const bool as_sine = c.plant->model().joint(joint).is_revolute() && cubic >= -kSoftest * stiffness;
+    const double stiffness = c.fit.values[place("stiffness")], center = c.fit.values[place("center")];
+    // Against the linear term.
+    const double against =
+        std::max(0.0, -std::copysign(1.0, stiffness) * c.fit.values[place("cubic")] - error);
+    const bool as_sine =
+        c.plant->model().joint(joint).is_revolute() && against <= kSoftest * std::abs(stiffness);
     const double farthest =
         std::max(std::abs(scales.low[joint] - center), std::abs(scales.high[joint] - center));
-    return as_sine || stiffness + 3 * cubic * farthest * farthest >= 0;
+    return as_sine || std::abs(stiffness) >= 3 * against * farthest * farthest;
   });
 }
 

@@ -57,8 +57,8 @@ inline constexpr double kExplained = 1.1;  // χ² per row (1: noise alone) belo
 inline constexpr double kZ99OneSided = 2.326;  // 99 % quantile of the standard normal distribution
 inline constexpr double kZ99TwoSided = 2.576;  // 99.5 % quantile
 
-// Traits of an effect, by its id: an unnamed force; delay or lag; one of a drive, not of a sensor; a force of one joint's position; friction
-// or inertia of a drive.
+// Traits of an effect, by its id: an unnamed force; delay or lag; that of a drive (not a sensor's); a force of
+// one joint's position; friction or inertia of a drive.
 bool IsUnnamed(const std::string& id);
 bool IsTiming(const std::string& id);
 bool IsLateDrive(const std::string& id);
@@ -103,9 +103,9 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
 
 // Whether every Stribeck friction falls with speed; one that rises imitates drag.
 bool Drops(const Candidate& c);
-// Whether its springs pull back the more, the farther they are stretched, over all positions recorded, or
-// soften no faster than a counterbalance does, whose force is a sine of the angle. What turns back sooner is
-// a detent or another force over position.
+// Whether the force of each of its springs grows with the distance from the centre over all positions
+// recorded, or turns back no sooner than a counterbalance's, a sine of the angle; one-sided at 1 %. What turns
+// back sooner is a detent or another force over position.
 bool PullsBack(const Candidate& c, const MotionScales& scales);
 
 // Wald statistic of effect i against absence: √(dᵀ·P·d), with d the distance of its strengths (a delay, an

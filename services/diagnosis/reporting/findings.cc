@@ -56,10 +56,17 @@ std::vector<std::string> JointsOf(const std::vector<EffectSpec>& specs, const st
   return out;
 }
 
-// Whether a model has the effect, or a richer form of its law.
-bool HasLaw(const std::vector<EffectSpec>& specs, const std::string& id) {
-  return std::any_of(specs.begin(), specs.end(),
-                     [&](const EffectSpec& e) { return e.id == id || IsRicherFormOf(e.id, id); });
+// Whether a model has the effect, or a richer form of its law wherever the best one has it.
+bool HasLaw(const std::vector<EffectSpec>& specs, const std::vector<EffectSpec>& best,
+            const std::string& id) {
+  const auto richer_there = [&](const EffectSpec& own) {
+    return std::any_of(specs.begin(), specs.end(), [&](const EffectSpec& e) {
+      return IsRicherFormOf(e.id, id) && e.joints == own.joints;
+    });
+  };
+  return HasKind(specs, id) || std::all_of(best.begin(), best.end(), [&](const EffectSpec& own) {
+           return own.id != id || richer_there(own);
+         });
 }
 
 // Score of the best fitted model without effect `id`, hold-out predictive density included where known.
@@ -68,7 +75,7 @@ double BestWithout(const SearchResult& s, const std::string& id) {
   const size_t kinds = FreshKinds(Candidate{}, s.best).size();
   for (const Candidate& c : s.tried) {
     const bool more = (c.base && !s.best.base) || FreshKinds(Candidate{}, c).size() > kinds;
-    if (HasLaw(c.specs, id)) continue;
+    if (HasLaw(c.specs, s.best.specs, id)) continue;
     const bool asked = c.held_out && s.best.held_out;
     const double all = asked ? FitScore(c) + std::min(0.0, *c.held_out - *s.best.held_out) : c.score;
     best = std::max(best, all - (more ? s.beside : 0.0));

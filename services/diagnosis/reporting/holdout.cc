@@ -169,7 +169,16 @@ bool HeldBefore(const std::vector<const recordings::Recording*>& fitted, const s
   return !(Judge(fitted, plant, values, options, threads).rms < held);
 }
 
+constexpr double kWorse = 1.1;     // ratio of RMS errors, below which the difference does not matter
+constexpr double kSurely = 0.975;  // one-sided, over windows
+
 }  // namespace
+
+bool WorseThanCalibrated(const HoldoutFit& h) {
+  if (h.judged_on_fit) return false;
+  const bool surely = h.worse_than_calibrated > kSurely && h.after_rms > kWorse * h.calibrated_rms;
+  return surely || (h.after_rms > kWorse * h.before_rms && h.after_rms > h.calibrated_rms);
+}
 
 void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal, const SearchResult& search,
                   const FitData& data, const DiagnosisOptions& options, int threads,
@@ -205,6 +214,7 @@ void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal
                                  search.measured, rng.Split(1));
   // Bootstrap over windows.
   std::vector<double> gains;
+  int worse = 0;
   const size_t W = before.windows.size();
   for (int b = 0; b < kBootstraps && W > 0; ++b) {
     double before2 = 0, calibrated2 = 0, after2 = 0;
@@ -215,8 +225,9 @@ void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal
       after2 += before.weights[w] * after.windows[w] * after.windows[w];
     }
     gains.push_back(before2 > 0 ? 1.0 - std::sqrt(after2 / before2) : 0.0);
-    h.worse_than_calibrated += (after2 > calibrated2) / static_cast<double>(kBootstraps);
+    worse += after2 > calibrated2;
   }
+  h.worse_than_calibrated = worse / static_cast<double>(kBootstraps);
   std::sort(gains.begin(), gains.end());
   if (!runs) {
     h.improvement_low = h.improvement_high = kUnknown;

@@ -11,4 +11,8 @@ namespace rg::diagnosis {
 void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal, const SearchResult& search,
                   const FitData& data, const DiagnosisOptions& options, int threads, DiagnosisResult* result);
 
+// Whether calibrated parameters alone predict held-out recordings better: by a tenth of the RMS error and
+// beyond chance (one restart may decide an RMS error), or where the model is worse than the given one too.
+bool WorseThanCalibrated(const HoldoutFit& h);
+
 }  // namespace rg::diagnosis

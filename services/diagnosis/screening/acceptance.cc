@@ -18,7 +18,7 @@ constexpr double kFormError = 0.01;  // ε: share of what effects explain, that 
 constexpr double kAmplitude = 1e-4;  // share of the same, for an error of 1 % in an amplitude
 constexpr double kMostOfIt = 0.5;    // share of the misfit left, that suffices in spite of an idealisation
 constexpr double kNearlyAllOfIt = 0.75;  // the same in spite of an error in an amplitude,
-constexpr double kSignificant = 3.0;     // where the misfit is so many standard deviations of χ²
+constexpr double kSignificant = 3.0;     // where the misfit is so many standard deviations of ½ χ²
 constexpr double kFar = 10.0;  // χ² per row beyond noise, above which a model is far from the recordings
 constexpr double kSimplerOdds = 3.0;  // nats: odds of 20 to 1
 
@@ -74,7 +74,7 @@ double Acceptance::NeededWithRule(const Candidate& best, double explained, doubl
     const double amplitude = std::sqrt(2 * nats) + rule;
     return 0.5 * amplitude * amplitude;
   };
-  // The standard deviation of χ², and with it the misfit above the noise.
+  // The standard deviation of ½ χ², and with it the misfit above the noise.
   const double scatter = std::sqrt(0.5 * best.fit.rows), left = std::max(0.0, at_stake) + scatter;
   // Far from the recordings windows diverge, and so do their differences between step rules.
   const double most = left > 0.5 * kFar * best.fit.rows ? kMostOfIt * left : effects::kInf;

@@ -176,12 +176,12 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   if (request.places.empty()) ContinueFields(&c);
   // A few windows need not show what all of them do, as a limit that is seldom reached.
   c.fit.ok = c.fit.ok && (!request.places.empty() || !Uninformed(c));
-  const auto& given = setting_.nominal.effects();
-  // Nor what a trial makes of a law on its way; and what a given model has is not doubted.
-  if (request.places.empty() && !HasKind(given, effects::LawOf(effects::Regressor::kSlowly).id))
-    c.fit.ok = c.fit.ok && Drops(c);
-  if (request.places.empty() && !HasKind(given, effects::LawOf(effects::Regressor::kPosition).id))
-    c.fit.ok = c.fit.ok && PullsBack(c, setting_.scales);
+  // A trial may find a law on its way that no fit ends at; and what a given model has is not doubted.
+  const auto doubted = [&](effects::Regressor law) {
+    return request.places.empty() && !HasKind(setting_.nominal.effects(), effects::LawOf(law).id);
+  };
+  if (doubted(effects::Regressor::kSlowly)) c.fit.ok = c.fit.ok && Drops(c);
+  if (doubted(effects::Regressor::kPosition)) c.fit.ok = c.fit.ok && PullsBack(c, setting_.scales);
   // While much is left a ripple's period is bent by it, and on some windows by little.
   if (c.fit.ok && PerRow(c) < (request.places.empty() ? kConsistent : kExplained))
     c.fit.ok = Repeats(c, setting_.scales, PerRow(c), request.places.empty());

@@ -48,7 +48,7 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
       const Candidate* known = fits_.Known(other, winner->base);
       if (known == nullptr)
         others.push_back(other);
-      else if (known->fit.ok)
+      else if (known->fit.ok && known->held_out_penalty == winner->held_out_penalty)
         known_best = Better(known_best, *known);
     }
   }
@@ -63,7 +63,7 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
   }
   const double before_others = winner->score;
   fits_.TryInPlace(others, winner);
-  *winner = Better(*winner, known_best);
+  if (known_best.score > before_others + kLeastGainOfExchange) *winner = Better(*winner, known_best);
   if (!(winner->score > before_others + kLeastGainOfExchange)) return false;
   // Free inertials may have stood for what the exchanged law says.
   if (winner->base) *winner = WithInertialsFreeOrFixed(*winner, 0);

@@ -233,24 +233,28 @@ void Simplifier::SplitByDirection(Candidate* best) {
 }
 
 // One richer law on several joints costs less prior than two kinds, and may imitate a plain law on one of
-// them: each joint is tried with a plain law of its own. That must be more than the prior of a kind and a
-// class apart, structure priors not counted: where a joint tells little of its law, drives are alike.
+// them: each joint is tried with a plain law of its own. It needs 7 nats (kEffectPrior + kSeparable) where
+// structure priors are not counted: of a joint that tells little the law is taken to be that of the others.
 void Simplifier::UsePlainLawsOnJoints(Candidate* best) {
-  const auto evidence = [](const Candidate& c) { return c.score + StructurePrior(c.specs, c.base); };
+  const auto evidence = [](const Candidate& c) { return FitScore(c) + StructurePrior(c.specs, c.base); };
   for (bool changed = true; changed && !fits_.Late();) {
-    Candidate own = *best;
-    std::vector<TrialSpecs> fresh;
-    for (const TrialSpecs& o : PlainOnOneJoint(Refreshed(*best), setting_.nominal, setting_.scales)) {
-      const Candidate* known = fits_.Known(o, best->base);
-      if (known == nullptr)
-        fresh.push_back(o);
-      else if (known->score > own.score)
-        own = *known;
+    changed = false;
+    const std::vector<TrialSpecs> others =
+        PlainOnOneJoint(Refreshed(*best), setting_.nominal, setting_.scales);
+    std::vector<TrialSpecs> fresh = others;
+    std::erase_if(fresh, [&](const TrialSpecs& o) { return fits_.Known(o, best->base) != nullptr; });
+    Candidate tried = *best, likeliest = *best;
+    fits_.TryInPlace(fresh, &tried);
+    const auto consider = [&](const Candidate& c) {
+      const bool apart = c.fit.ok && KeyOf(c.specs) != KeyOf(best->specs) &&
+                         evidence(c) > evidence(*best) + kEffectPrior + kSeparable;
+      if (apart && FitScore(c) > FitScore(likeliest)) likeliest = c, changed = true;
+    };
+    consider(tried);
+    for (const TrialSpecs& o : others) {
+      if (const Candidate* known = fits_.Known(o, best->base)) consider(*known);
     }
-    fits_.TryInPlace(fresh, &own);
-    changed = KeyOf(own.specs) != KeyOf(best->specs) && own.score > best->score &&
-              evidence(own) > evidence(*best) + kEffectPrior + kSeparable;
-    if (changed) *best = own;
+    *best = likeliest;
   }
 }
 

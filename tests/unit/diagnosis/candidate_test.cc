@@ -314,6 +314,9 @@ TEST(Candidate, ASpringThatTurnsBackSoonIsNone) {
   EXPECT_TRUE(pulls(1.0, -0.16)) << "as a counterbalance, whose force is a sine of the angle";
   EXPECT_TRUE(pulls(1.0, -0.3 / (reach * reach))) << "it softens and never turns back";
   EXPECT_FALSE(pulls(1.0, -20.0)) << "as a detent of ten periods a turn";
+  EXPECT_TRUE(pulls(-1.0, 0.0)) << "it pushes away, which grows with the distance";
+  EXPECT_TRUE(pulls(-1.0, -5.0));
+  EXPECT_FALSE(pulls(-1.0, 20.0)) << "it pushes away from two points and from the one between";
 }
 
 TEST(Candidate, DrivesShareDelaysAndLossesOfMostJoints) {

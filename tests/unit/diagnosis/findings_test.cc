@@ -8,8 +8,10 @@
 #include <limits>
 
 #include "common/base/clock.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/reporting/experiments.h"
 #include "services/diagnosis/reporting/findings_tables.h"
+#include "services/diagnosis/reporting/holdout.h"
 #include "services/diagnosis/search/search.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
@@ -77,6 +79,42 @@ TEST(Confidence, OfPlainFrictionIsNotLessForARicherFormThatScoresBetter) {
   result.joints = p->set.joints;
   Conclude(search, p->data, p->nominal, p->scales, &result);
   EXPECT_GT(result.findings.at(0).confidence, 0.7);
+}
+
+TEST(Confidence, OfPlainFrictionIsJudgedWhereItIs) {
+  const auto p =
+      testing::Prepare("arm2", {effects::MakeSpec("coulomb_friction", {"elbow"}, {{"coulomb", 0.2}})}, 6);
+  const SearchResult search =
+      SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+  ASSERT_EQ(KeyOf(search.best.specs), "coulomb_friction[elbow ] ");
+  const auto beside = [&](const std::string& joint) {
+    SearchResult with = search;
+    Candidate c = search.best;
+    c.specs = {effects::MakeSpec("stribeck_friction", {joint})};
+    c.score = search.best.score + 20;
+    with.tried = {search.best, c};
+    DiagnosisResult result;
+    result.joints = p->set.joints;
+    Conclude(with, p->data, p->nominal, p->scales, &result);
+    return result.findings.at(0).confidence;
+  };
+  EXPECT_LT(beside("shoulder"), 0.1) << "a model without friction of the elbow is the likelier";
+  EXPECT_GT(beside("elbow"), 0.7);
+}
+
+TEST(WorseThanCalibrated, TakesMoreThanOneWindowThatChanceMayHaveMade) {
+  HoldoutFit h;
+  h.before_rms = 1.0, h.calibrated_rms = 0.10, h.after_rms = 0.12;
+  h.worse_than_calibrated = 0.7;
+  EXPECT_FALSE(WorseThanCalibrated(h));
+  h.worse_than_calibrated = 0.99;
+  EXPECT_TRUE(WorseThanCalibrated(h));
+  h.after_rms = 0.105;
+  EXPECT_FALSE(WorseThanCalibrated(h)) << "by too little to matter";
+  h.after_rms = 0.12, h.before_rms = 0.1, h.worse_than_calibrated = 0.7;
+  EXPECT_TRUE(WorseThanCalibrated(h)) << "nothing is given that is worse than what was there";
+  h.judged_on_fit = true;
+  EXPECT_FALSE(WorseThanCalibrated(h));
 }
 
 TEST(Experiment, IsWhatShowsTheRarerOfTwoLawsBest) {

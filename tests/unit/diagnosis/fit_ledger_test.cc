@@ -4,6 +4,7 @@
 
 #include "common/base/clock.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/search/refinement.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {
@@ -88,8 +89,13 @@ TEST_F(FitLedgerTest, TheSameFitIsMadeOnceAndAnotherStartIsAnotherFit) {
   CountedFits counted;
   RememberedFits fits(counted);
   const auto request = [&](double level) {
-    return FitRequest{{MakeSpec("coulomb_friction", {joint_}, {{"coulomb", level}})}, false, ledger_.lifted(),
-                      {}, 0, false, nullptr};
+    return FitRequest{{MakeSpec("coulomb_friction", {joint_}, {{"coulomb", level}})},
+                      false,
+                      ledger_.lifted(),
+                      {},
+                      0,
+                      false,
+                      nullptr};
   };
   const FitResult first = fits.Start(setting_, {request(0.2)})->Take(0);
   const auto batch = fits.Start(setting_, {request(0.3), request(0.2), request(0.3)});
@@ -178,6 +184,19 @@ TEST(FitLedger, OfARicherFormAJointMayTurnOutPlain) {
   ledger.TryInPlace(others, &winner);
   EXPECT_TRUE(Contains(winner.specs, "viscous_friction", "shoulder"));
   EXPECT_TRUE(Contains(winner.specs, "asymmetric_friction", "elbow"));
+}
+
+// A law that was fitted before is no reason to keep a worse one.
+TEST_F(FitLedgerTest, WhatIsExchangedIsComparedWithWhatWasFittedBefore) {
+  const auto needed = [](const Candidate&, const Candidate&) { return 5.0; };
+  const Candidate known =
+      ledger_.Evaluate({MakeSpec("stribeck_friction", {joint_},
+                                 {{"coulomb", 0.1}, {"static", 0.3}, {"stribeck_velocity", 0.3}})},
+                       false);
+  ASSERT_TRUE(known.fit.ok);
+  Candidate model = coulomb_;
+  ASSERT_TRUE(Refinement(setting_, ledger_, needed).Exchange(Candidate{}, &model));
+  EXPECT_EQ(model.specs[0].id, "stribeck_friction");
 }
 
 TEST_F(FitLedgerTest, ASwingingMassIsAnAccountOnlyWhereItHolds) {

@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <Eigen/QR>
+
 #include <tuple>
 
 #include "common/effects/effect_catalog.h"
@@ -97,6 +99,26 @@ TEST(Work, OfASimulationGoesWithItsStepsAndOfALinearisationWithItsRowsToo) {
   half.windows.resize(half.windows.size() / 2);
   EXPECT_NEAR(SimulationWork(half, options), 0.5 * work, 0.05 * work);
   EXPECT_NEAR(LinearisationWork(half, options, 2, 5), 0.5 * linear, 0.05 * linear);
+}
+
+TEST(ProjectOut, LeavesWhatIsOrthogonalHoweverManyColumnsAreLike) {
+  Rng rng(3);
+  MatrixXd E(40, 4), J(40, 3), r(40, 1);
+  for (MatrixXd* m : {&E, &J, &r})
+    for (double& x : m->reshaped()) x = rng.Normal();
+  E.col(3) = 1e6 * (E.col(0) - E.col(1));
+  J.col(2) = E.col(2);
+  int rank = 0;
+  const MatrixXd rest = ProjectOut(E, J, r, &rank);
+  EXPECT_EQ(rank, 3);
+  EXPECT_LT((E.leftCols(3).transpose() * rest).cwiseAbs().maxCoeff(), 1e-12);
+  EXPECT_LT(rest.col(2).norm(), 1e-13);
+  EXPECT_GT(rest.col(0).norm(), 3);
+  // What is taken away lies in their span.
+  const MatrixXd taken = J.col(0) - rest.col(0);
+  EXPECT_LT((taken - E.leftCols(3) * E.leftCols(3).colPivHouseholderQr().solve(taken)).norm(), 1e-12);
+  EXPECT_EQ(ProjectOut(MatrixXd::Zero(40, 2), J, r, &rank).col(0), J.col(0));
+  EXPECT_EQ(rank, 0);
 }
 
 TEST(LiftedFit, TheTrueModelIsAtTheNoise) {
