@@ -64,37 +64,36 @@ void Acceptance::NoteBase(const FitData& data, const Candidate& calibrated, cons
   base_rule_ = std::sqrt(2 * std::max(0.0, StepRuleGain(data, model, calibrated.fit.states, options)));
 }
 
-double Acceptance::Needed(const Candidate& best, double explained, double at_stake) const {
-  return NeededWithRule(best, explained, at_stake, 0.0);
+double Acceptance::Needed(const Candidate& best, double explained, Misfit misfit) const {
+  return NeededWithRule(best, explained, misfit, 0.0);
 }
 
-double Acceptance::NeededWithRule(const Candidate& best, double explained, double at_stake,
-                                  double rule) const {
+double Acceptance::NeededWithRule(const Candidate& best, double explained, Misfit misfit, double rule) const {
   const auto with_rule = [&](double nats) {
     const double amplitude = std::sqrt(2 * nats) + rule;
     return 0.5 * amplitude * amplitude;
   };
   // The standard deviation of ½ χ², and with it the misfit above the noise.
-  const double scatter = std::sqrt(0.5 * best.fit.rows), left = std::max(0.0, at_stake) + scatter;
+  const double scatter = std::sqrt(0.5 * best.fit.rows), left = std::max(0.0, misfit.at_stake) + scatter;
   // Far from the recordings windows diverge, and so do their differences between step rules.
   const double most = left > 0.5 * kFar * best.fit.rows ? kMostOfIt * left : effects::kInf;
   const double chance = std::max(1.0, null_gain_ - kEffectPrior);
   if (best.specs.empty() || explained <= 0) return std::min(with_rule(chance), most);
   const double form = std::min(with_rule(kFormError * explained), kMostOfIt * left);
   // Where noise alone is left, what an addition takes is the error of an amplitude.
-  const double misfit = at_stake > kSignificant * scatter ? kNearlyAllOfIt * left : effects::kInf;
-  const double amplitude = std::min(with_rule(kAmplitude * explained), misfit);
+  const bool significant = misfit.beyond_sensors > kSignificant * scatter;
+  const double nearly_all = significant ? kNearlyAllOfIt * (misfit.beyond_sensors + scatter) : effects::kInf;
+  const double amplitude = std::min(with_rule(kAmplitude * explained), nearly_all);
   return std::min(std::max({form, amplitude, with_rule(chance)}), most);
 }
 
-double Acceptance::Needed(const Candidate& best, double explained, double at_stake,
-                          const Candidate& c) const {
+double Acceptance::Needed(const Candidate& best, double explained, Misfit misfit, const Candidate& c) const {
   double rule = c.base && !best.base ? base_rule_ : 0;
   for (const auto& [id, joints] : Added(best, c)) rule = std::max(rule, StepRule(id, WithSpaces(joints)));
   // The base parameters do not keep what they may owe to the step rule beyond the effect's share.
   if (best.base && !c.base && best.specs.empty())
     return kSimplerOdds - 0.5 * std::max(0.0, base_rule_ * base_rule_ - rule * rule);
-  return NeededWithRule(best, explained, at_stake, rule);
+  return NeededWithRule(best, explained, misfit, rule);
 }
 
 // For joints that were not screened together: the largest of that effect. For effects that the screen cannot

@@ -23,6 +23,13 @@
 
 namespace rg::diagnosis {
 
+// Half of χ² that a model leaves above noise, in units of the noise that it is weighed by.
+struct Misfit {
+  double at_stake = 0;  // above that noise
+  double beyond_sensors =
+      0;  // above the sensors' own, which may be less: what is left may be taken for noise
+};
+
 class Acceptance {
  public:
   // Takes the null quantile and the step-rule gains of a screen; of these the largest so far is kept.
@@ -36,16 +43,15 @@ class Acceptance {
 
   double null_gain() const { return null_gain_; }
 
-  // Nats needed by any addition to `best`, whose effects explain `explained` nats and which leaves
-  // `at_stake`.
-  double Needed(const Candidate& best, double explained, double at_stake) const;
+  // Nats needed by any addition to `best`, whose effects explain `explained` nats and which leaves `misfit`.
+  double Needed(const Candidate& best, double explained, Misfit misfit) const;
   // Nats needed by `c` in the place of `best`. Effects on fixed base parameters in the place of free ones
   // without effects need the prior odds only, less the step-rule gain of the base parameters.
-  double Needed(const Candidate& best, double explained, double at_stake, const Candidate& c) const;
+  double Needed(const Candidate& best, double explained, Misfit misfit, const Candidate& c) const;
 
  private:
   // rule: step-rule gain of the addition, as an amplitude √(2 nats).
-  double NeededWithRule(const Candidate& best, double explained, double at_stake, double rule) const;
+  double NeededWithRule(const Candidate& best, double explained, Misfit misfit, double rule) const;
   double StepRule(const std::string& id, const std::string& joints) const;
 
   double null_gain_ = 3;

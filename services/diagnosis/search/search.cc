@@ -201,11 +201,14 @@ class Search {
                                 kSegment, fits_.lifted());
   }
 
+  Misfit Left(const Candidate& c) const {
+    return {fits_.AtStake(c), 0.5 * (c.fit.chi2 - fits_.Noise(c)) / fits_.noise_scale()};
+  }
   double Threshold(const Candidate& best) const {
-    return acceptance_.Needed(best, Explained(best), fits_.AtStake(best));
+    return acceptance_.Needed(best, Explained(best), Left(best));
   }
   double Threshold(const Candidate& best, const Candidate& c) const {
-    return acceptance_.Needed(best, Explained(best), fits_.AtStake(best), c);
+    return acceptance_.Needed(best, Explained(best), Left(best), c);
   }
   // Log evidence of the effects of a candidate.
   double Explained(const Candidate& c) const {

@@ -17,6 +17,9 @@ Candidate Model(std::vector<effects::EffectSpec> specs, bool base = false) {
   return c;
 }
 
+// By noise that is the sensors' own.
+Misfit Left(double nats) { return {nats, nats}; }
+
 ScreenResult StepRuleOf(const std::string& effect, int joint, double nats) {
   ScreenResult s;
   Scored h;
@@ -27,17 +30,17 @@ ScreenResult StepRuleOf(const std::string& effect, int joint, double nats) {
 
 TEST(Acceptance, ANameBesideOthersNeedsAShareOfWhatTheyExplain) {
   const Acceptance acceptance;
-  EXPECT_LT(acceptance.Needed(Model({}), 0, 1e6), 10);
-  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), 1e5, 1e6), 1e3);
+  EXPECT_LT(acceptance.Needed(Model({}), 0, Left(1e6)), 10);
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), 1e5, Left(1e6)), 1e3);
 }
 
 TEST(Acceptance, WhatTakesHalfOfAllThatIsLeftIsNoMatterOfForm) {
   const Acceptance acceptance;
   // One percent would be 10,000 nats: more than there is to be had.
-  const double needed = acceptance.Needed(Model({MakeSpec("payload", {})}), 1e6, 600);
+  const double needed = acceptance.Needed(Model({MakeSpec("payload", {})}), 1e6, Left(600));
   EXPECT_DOUBLE_EQ(needed, 0.5 * (600 + 20));
   // Nothing at stake: the scatter of χ² remains.
-  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), 1e5, -50), 0.5 * 20);
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), 1e5, Left(-50)), 0.5 * 20);
 }
 
 TEST(Acceptance, HalfOfAllThatIsLeftIsNoMatterOfTheStepRuleEither) {
@@ -45,51 +48,56 @@ TEST(Acceptance, HalfOfAllThatIsLeftIsNoMatterOfTheStepRuleEither) {
   acceptance.Note(StepRuleOf("load_dependent_friction", 0, 200), {"a"});
   const Candidate found = Model({MakeSpec("payload", {})}),
                   more = Model({MakeSpec("load_dependent_friction", {"a"})});
-  EXPECT_DOUBLE_EQ(acceptance.Needed(found, 1e6, 6000, more), 0.5 * (6000 + 20));
+  EXPECT_DOUBLE_EQ(acceptance.Needed(found, 1e6, Left(6000), more), 0.5 * (6000 + 20));
   // But what the step rule may pretend is needed however little is left.
-  EXPECT_GT(acceptance.Needed(found, 1e6, 100, more), 200);
+  EXPECT_GT(acceptance.Needed(found, 1e6, Left(100), more), 200);
 }
 
 TEST(Acceptance, AroundAModelThatIsFarOffAStepRuleAsksNoMoreThanHalfOfWhatIsLeft) {
   Acceptance acceptance;
   acceptance.Note(StepRuleOf("position_spring", 0, 3e5), {"a"});
   const Candidate more = Model({MakeSpec("position_spring", {"a"})});
-  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({}), 0, 1e5, more), 0.5 * (1e5 + 20));
-  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), 1e4, 1e5, more), 0.5 * (1e5 + 20));
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({}), 0, Left(1e5), more), 0.5 * (1e5 + 20));
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), 1e4, Left(1e5), more),
+                   0.5 * (1e5 + 20));
   // Nearer to it the step rule is what it says.
-  EXPECT_GT(acceptance.Needed(Model({}), 0, 1e3, more), 3e5);
+  EXPECT_GT(acceptance.Needed(Model({}), 0, Left(1e3), more), 3e5);
 }
 
 TEST(Acceptance, WhatExplainsLessThanNothingNeedsNoMoreThanChance) {
   const Acceptance acceptance;
-  const double chance = acceptance.Needed(Model({}), 0, 0);
-  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), -5, 600), chance);
-  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), -1e300, 0), chance);
+  const double chance = acceptance.Needed(Model({}), 0, Left(0));
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), -5, Left(600)), chance);
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), -1e300, Left(0)), chance);
 }
 
 TEST(Acceptance, OnePercentOfAnAmplitudeIsNoNameHoweverLittleIsLeft) {
-  EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({MakeSpec("payload", {})}), 1e7, -50), 1e3);
+  EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({MakeSpec("payload", {})}), 1e7, Left(-50)), 1e3);
 }
 
 TEST(Acceptance, WhatTakesNearlyAllOfASignificantMisfitIsNoErrorOfAnAmplitude) {
   // The misfit is 60 standard deviations of χ², and of 10⁷ nats explained a ten thousandth would be as much.
-  EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({MakeSpec("payload", {})}), 1e7, 1200), 0.75 * (1200 + 20));
-  // Two of them may be chance.
-  EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({MakeSpec("payload", {})}), 1e7, 40), 1e3);
+  EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({MakeSpec("payload", {})}), 1e7, Left(1200)),
+                   0.75 * (1200 + 20));
+  // What is taken for noise may be that misfit.
+  EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({MakeSpec("payload", {})}), 1e7, {10, 1200}),
+                   0.75 * (1200 + 20));
+  // Two standard deviations may be chance.
+  EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({MakeSpec("payload", {})}), 1e7, Left(40)), 1e3);
 }
 
 TEST(Acceptance, AnEffectNeedsMoreThanAnotherStepRuleWouldPretend) {
   Acceptance acceptance;
   acceptance.Note(StepRuleOf("actuator_delay", 0, 50), {"a", "b"});
   const Candidate none = Model({});
-  const double chance = acceptance.Needed(none, 0, 1e4);
-  const double delay = acceptance.Needed(none, 0, 1e4, Model({MakeSpec("actuator_delay", {"a"})}));
+  const double chance = acceptance.Needed(none, 0, Left(1e4));
+  const double delay = acceptance.Needed(none, 0, Left(1e4), Model({MakeSpec("actuator_delay", {"a"})}));
   EXPECT_NEAR(delay, 0.5 * std::pow(std::sqrt(2 * chance) + 10, 2), 1e-9);
   // The largest of all screens is kept.
   acceptance.Note(StepRuleOf("actuator_delay", 0, 2), {"a", "b"});
-  EXPECT_DOUBLE_EQ(delay, acceptance.Needed(none, 0, 1e4, Model({MakeSpec("actuator_delay", {"a"})})));
+  EXPECT_DOUBLE_EQ(delay, acceptance.Needed(none, 0, Left(1e4), Model({MakeSpec("actuator_delay", {"a"})})));
   // Joints that were not screened: the most of that effect.
-  EXPECT_DOUBLE_EQ(delay, acceptance.Needed(none, 0, 1e4, Model({MakeSpec("actuator_delay", {"b"})})));
+  EXPECT_DOUBLE_EQ(delay, acceptance.Needed(none, 0, Left(1e4), Model({MakeSpec("actuator_delay", {"b"})})));
 }
 
 TEST(Acceptance, FreeBaseParametersNeedMoreThanAnotherStepRuleWouldPretend) {
@@ -102,22 +110,22 @@ TEST(Acceptance, FreeBaseParametersNeedMoreThanAnotherStepRuleWouldPretend) {
   ASSERT_TRUE(freed.fit.ok);
   Acceptance acceptance;
   acceptance.NoteBase(p->data, freed, {});
-  EXPECT_GT(acceptance.Needed(Model({}), 0, 1e4, freed), 100);
+  EXPECT_GT(acceptance.Needed(Model({}), 0, Left(1e4), freed), 100);
   // What acts beside parameters that are free already owes nothing to them.
-  EXPECT_LT(acceptance.Needed(Model({}, true), 0, 1e4, freed), 10);
+  EXPECT_LT(acceptance.Needed(Model({}, true), 0, Left(1e4), freed), 10);
   // Nor is an effect on the parameters as given held to what they gain from it, beyond what it does itself.
   const Candidate offset = Model({MakeSpec("encoder_offset", {"a"})});
-  const double alone = acceptance.Needed(Model({}, true), 0, 1e4, offset);
+  const double alone = acceptance.Needed(Model({}, true), 0, Left(1e4), offset);
   EXPECT_LT(alone, -50);
   acceptance.Note(StepRuleOf("encoder_offset", 0, 20), {"a"});
-  EXPECT_NEAR(acceptance.Needed(Model({}, true), 0, 1e4, offset), alone + 20, 1e-9);
+  EXPECT_NEAR(acceptance.Needed(Model({}, true), 0, Left(1e4), offset), alone + 20, 1e-9);
   acceptance.Note(StepRuleOf("encoder_offset", 0, 1e9), {"a"});
-  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({}, true), 0, 1e4, offset), 3);
+  EXPECT_DOUBLE_EQ(acceptance.Needed(Model({}, true), 0, Left(1e4), offset), 3);
 }
 
 TEST(Acceptance, FewerFreeParametersNeedTheOddsOnly) {
-  EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({}, true), 0, 1e4, Model({MakeSpec("coulomb_friction", {"a"})})),
-                   3);
+  EXPECT_DOUBLE_EQ(
+      Acceptance().Needed(Model({}, true), 0, Left(1e4), Model({MakeSpec("coulomb_friction", {"a"})})), 3);
 }
 
 // A constant force and a small gain: alone, a spring far away bends into more of the gain than the force
