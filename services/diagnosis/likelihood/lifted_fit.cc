@@ -19,37 +19,6 @@ namespace rg::diagnosis {
 
 namespace {
 
-// Seconds of one thread, fitted to 1,176 fits of seven sets (two to seven joints, 50 to 500 Hz; of the whole
-// set's fits right within a third).
-constexpr double kPerSimulatedStep = 2.4e-7;   // and joint
-constexpr double kPerLinearisedStep = 1.9e-8;  // and pair of joints
-constexpr double kPerNode = 1.1e-6, kPerNodeColumn = 2.3e-7;
-constexpr double kPerRowColumn = 2.2e-9;      // and state
-constexpr double kPerScreenedPair = 1.5e-10;  // row and pair of columns
-
-double Steps(const FitData& data, const LiftedOptions& options) { return data.Seconds() / options.step_s; }
-
-double Nodes(const FitData& data) {
-  double count = 0;
-  for (const NodeWindow& w : data.windows) count += static_cast<double>(w.t.size());
-  return count;
-}
-
-}  // namespace
-
-double SimulationWork(const FitData& data, const LiftedOptions& options) {
-  return kPerSimulatedStep * Steps(data, options) * data.n;
-}
-
-double LinearisationWork(const FitData& data, const LiftedOptions& options, long states, long columns) {
-  const auto C = static_cast<double>(columns);
-  return kPerLinearisedStep * Steps(data, options) * data.n * data.n +
-         Nodes(data) * (kPerNode + kPerNodeColumn * C) +
-         kPerRowColumn * data.Rows() * static_cast<double>(states) * C;
-}
-
-namespace {
-
 constexpr double kParts[] = {1.0, 0.3, 0.1, 0.03, 0.0};  // of the trust region, tried one after another
 constexpr double kThrown = 1.1;      // times its χ² so far, at which a window's start was moved too far
 constexpr double kAsExpected = 1.3;  // times what the linear model says, which a step may cost
@@ -596,8 +565,7 @@ Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& 
   for (const RowMatrixXd& sum : sums) screen.gram += sum;
   screen.gram = MatrixXd(screen.gram.selfadjointView<Eigen::Lower>());
   screen.null = MatrixXd::Zero(D - 1, null_draws);
-  screen.work = LinearisationWork(data, options, lin.nx(), lin.nx() + D) +
-                kPerScreenedPair * data.Rows() * D * (D + null_draws);
+  screen.work = ScreenWork(data, options, lin.nx(), D, null_draws);
   screen.step_rule = VectorXd::Zero(D - 1);
   for (const VectorXd& rule : systematic) {
     if (rule.size() > 0) screen.step_rule += rule;

@@ -51,9 +51,11 @@ struct LiftedOptions {
 };
 
 // What a computation costs, the same on every machine: about its seconds on one thread of a core of 2024. Of
-// simulating all windows, and of linearising them for a plant with so many states in so many unknowns.
+// simulating all windows; of linearising them for a plant with so many states in so many unknowns; and of a
+// screen of so many columns, with draws of the null.
 double SimulationWork(const FitData& data, const LiftedOptions& options);
 double LinearisationWork(const FitData& data, const LiftedOptions& options, long states, long columns);
+double ScreenWork(const FitData& data, const LiftedOptions& options, long states, long columns, int draws);
 
 // How the names of lags' states begin, which commands alone settle; the joint's name follows.
 inline constexpr std::string_view kLagState = "lagged_torque.";
