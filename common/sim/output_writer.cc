@@ -8,7 +8,8 @@ namespace rg::sim {
 
 OutputWriter::OutputWriter(const Simulator::Impl& impl, const KernelState& x, int lane,
                            const internal::DirectionPlan* plan, const SensitivityBuffers* buffers,
-                           double start, const std::vector<double>& times, Trajectory* out)
+                           double start, const std::vector<double>& times, bool derivatives_at_end,
+                           Trajectory* out)
     : impl_(impl),
       x_(x),
       lane_(lane),
@@ -16,6 +17,7 @@ OutputWriter::OutputWriter(const Simulator::Impl& impl, const KernelState& x, in
       buffers_(buffers),
       start_(start),
       times_(times),
+      at_end_(derivatives_at_end),
       out_(out),
       row_(impl.row.data()) {
   out->times = times;
@@ -28,8 +30,9 @@ OutputWriter::OutputWriter(const Simulator::Impl& impl, const KernelState& x, in
   out->outcome = {};
   out->reached = 0;
   const Eigen::Index columns = plan == nullptr ? 0 : plan->num_columns();
-  out->dposition.setZero(n * count, columns);
-  out->dvelocity.setZero(n * count, columns);
+  const Eigen::Index derived = at_end_ ? std::min<Eigen::Index>(1, count) : count;
+  out->dposition.setZero(n * derived, columns);
+  out->dvelocity.setZero(n * derived, columns);
   out->dfinal_state.setZero(columns == 0 ? 0 : out->state.rows(), columns);
   for (int& next : next_) next = 0;
 }
@@ -64,21 +67,21 @@ void OutputWriter::AtStart(int k) {
   }
 }
 
-std::optional<double> OutputWriter::Earlier(int j, int ahead) const {
+std::optional<OutputWriter::Past> OutputWriter::Earlier(int j, int ahead) const {
   const int k = next_[j] + ahead;
   if (impl_.data().sensors[j].delay < 0 || k >= static_cast<int>(times_.size())) return {};
   const double at = times_[k] - impl_.SensorDelay(j);
-  return at < start_ ? std::optional<double>(at) : std::nullopt;
+  return at < start_ ? std::optional<Past>({at, Derived(k)}) : std::nullopt;
 }
 
 void OutputWriter::Before(int j, double at, double h, double at_once) {
   const internal::JointSensor& sensor = impl_.data().sensors[j];
   const int k = next_[j]++;
   Sample(j, k, (at - start_) / h, h, true);
-  const int column = plan_ == nullptr ? -1 : plan_->OutputColumn(sensor.delay);
+  const int column = Derived(k) ? plan_->OutputColumn(sensor.delay) : -1;
   if (column < 0) return;
   const double change = (at_once - EndVelocity(j)) / h;
-  const Eigen::Index row = static_cast<Eigen::Index>(k) * impl_.n() + j;
+  const Eigen::Index row = Row(j, k);
   if (sensor.delays_position) out_->dposition(row, column) -= 0.5 * (at - start_) * change;
   if (sensor.delays_velocity) out_->dvelocity(row, column) -= change;
 }
@@ -169,9 +172,8 @@ void OutputWriter::Write(int j, int k, const Blend& blend, bool position, const 
   const internal::JointSensor& sensor = impl_.data().sensors[j];
   const double offset = position ? impl_.Offset(j) : 0.0;
   (position ? out_->position : out_->velocity)(j, k) = Value(j, blend) + offset;
-  if (plan_ == nullptr) return;
-  const Eigen::Index row = static_cast<Eigen::Index>(k) * impl_.n() + j;
-  double* target = (position ? out_->dposition : out_->dvelocity).row(row).data();
+  if (!Derived(k)) return;
+  double* target = (position ? out_->dposition : out_->dvelocity).row(Row(j, k)).data();
   plan_->Combine(DirectionRow(j, blend), target);
   const int offset_column = plan_->OutputColumn(sensor.offset);
   if (position && offset_column >= 0) target[offset_column] += 1.0;

@@ -14,7 +14,12 @@ class OutputWriter {
  public:
   OutputWriter(const Simulator::Impl& impl, const KernelState& x, int lane,
                const internal::DirectionPlan* plan, const SensitivityBuffers* buffers, double start,
-               const std::vector<double>& times, Trajectory* out);
+               const std::vector<double>& times, bool derivatives_at_end, Trajectory* out);
+
+  // Whether output k is written with its sensitivities.
+  bool Derived(int k) const {
+    return plan_ != nullptr && (!at_end_ || k + 1 == static_cast<int>(times_.size()));
+  }
 
   // After the step [begin, begin + h]: samples of delayed sensors that fall into it.
   void AfterStep(double begin, double h);
@@ -28,9 +33,14 @@ class OutputWriter {
 
   // The next sample of joint j, the one `ahead` after it, …: where it is of before the start, the time it is
   // of.
-  std::optional<double> Earlier(int j, int ahead = 0) const;
+  struct Past {
+    double at;
+    bool derived;
+  };
+  std::optional<Past> Earlier(int j, int ahead = 0) const;
   // The next sample, after a trial step of h from the start under the mean command of [at, start]; `at_once`:
-  // the velocity after the same step under the command at `at`, which is what enters as `at` moves.
+  // the velocity after the same step under the command at `at`, which is what enters as `at` moves (read
+  // where the sample is derived).
   void Before(int j, double at, double h, double at_once);
   double EndVelocity(int j) const { return Ends(j, false).v; }
 
@@ -55,6 +65,10 @@ class OutputWriter {
   double Value(int j, const Blend& b) const;
   const double* DirectionRow(int j, const Blend& b);
   void Write(int j, int k, const Blend& blend, bool position, const Blend& slope);
+  // Of output k and joint j in the sensitivities.
+  Eigen::Index Row(int j, int k) const {
+    return (at_end_ ? 0 : static_cast<Eigen::Index>(k) * impl_.n()) + j;
+  }
 
   const Simulator::Impl& impl_;
   const KernelState& x_;
@@ -63,6 +77,7 @@ class OutputWriter {
   const SensitivityBuffers* buffers_;
   double start_;
   const std::vector<double>& times_;
+  bool at_end_;
   Trajectory* out_;
   int next_[integrators::kMaxJoints];
   double* row_;  // of directions

@@ -33,14 +33,14 @@ void LookBack(Simulator::Impl& s, const State& x0, const CommandSignal& signal, 
     if (plan != nullptr) plan->Start(s.buffers.layout, 0, &s.buffers.at[0]);
   };
   for (int j = 0; j < s.n(); ++j) {
-    for (auto at = writer->Earlier(j); at; at = writer->Earlier(j)) {
-      SetCommands(s, signal, *at, 1e-9, nullptr);
+    for (auto past = writer->Earlier(j); past; past = writer->Earlier(j)) {
+      SetCommands(s, signal, past->at, 1e-9, nullptr);
       bool ok = s.Step(x0.time, h, nullptr, nullptr).ok();
       const double at_once = writer->EndVelocity(j);
       restart();
-      SetCommands(s, signal, *at, x0.time - *at, plan);
+      SetCommands(s, signal, past->at, x0.time - past->at, plan);
       ok = ok && s.Step(x0.time, h, plan, buffers).ok();
-      if (ok) writer->Before(j, *at, h, at_once);
+      if (ok) writer->Before(j, past->at, h, at_once);
       restart();
       if (!ok) return;
     }
@@ -80,21 +80,25 @@ Trajectory Simulator::Simulate(const State& x0, const CommandSignal& command,
 
 void Simulator::SimulateInto(const State& x0, const CommandSignal& signal, const std::vector<double>& times,
                              const SensitivityRequest& request, Trajectory* out) {
-  Impl& s = *impl_;
-  RG_CHECK(signal.num_joints() == s.n()) << signal.num_joints() << " commands for " << s.n() << " joints";
+  impl_->Simulate(x0, signal, times, request, false, out);
+}
+
+void Simulator::Impl::Simulate(const State& x0, const CommandSignal& signal, const std::vector<double>& times,
+                               const SensitivityRequest& request, bool derivatives_at_end, Trajectory* out) {
+  RG_CHECK(signal.num_joints() == n()) << signal.num_joints() << " commands for " << n() << " joints";
   RG_CHECK(std::is_sorted(times.begin(), times.end()) && (times.empty() || times[0] >= x0.time - 1e-9));
-  s.x.LoadStart(s.data(), x0, signal, 0);
-  s.step_count = 0;
+  x.LoadStart(data(), x0, signal, 0);
+  step_count = 0;
   internal::DirectionPlan* plan = nullptr;
   if (request.any()) {
-    plan = &s.PlanFor(request);
-    s.buffers.current = 0;
-    plan->Start(s.buffers.layout, 0, &s.buffers.at[0]);
+    plan = &PlanFor(request);
+    buffers.current = 0;
+    plan->Start(buffers.layout, 0, &buffers.at[0]);
   }
-  SensitivityBuffers* buffers = plan == nullptr ? nullptr : &s.buffers;
-  OutputWriter writer(s, s.x, 0, plan, buffers, x0.time, times, out);
+  SensitivityBuffers* used = plan == nullptr ? nullptr : &buffers;
+  OutputWriter writer(*this, x, 0, plan, used, x0.time, times, derivatives_at_end, out);
   // An output at the start alone is Measure's: it asks for no motion.
-  if (!times.empty() && times.back() > x0.time) LookBack(s, x0, signal, plan, &writer);
+  if (!times.empty() && times.back() > x0.time) LookBack(*this, x0, signal, plan, &writer);
   double time = x0.time;
   for (size_t k = 0; k < times.size(); ++k) {
     const double duration = times[k] - time;
@@ -102,14 +106,14 @@ void Simulator::SimulateInto(const State& x0, const CommandSignal& signal, const
       writer.AtStart(static_cast<int>(k));
       continue;
     }
-    const long steps = StepsFor(duration, s.options.step_s);
+    const long steps = StepsFor(duration, options.step_s);
     const double h = duration / static_cast<double>(steps);
     for (long i = 0; i < steps; ++i) {
       const double t = time + static_cast<double>(i) * h;
-      SetCommands(s, signal, t, h, plan);
-      out->outcome = s.Step(t, h, plan, buffers);
+      SetCommands(signal, t, h, plan, 0, &x);
+      out->outcome = Step(t, h, plan, used);
       if (!out->outcome.ok()) return;
-      s.x.SetGiven(s.data(), signal, t + h, 0);
+      x.SetGiven(data(), signal, t + h, 0);
       writer.AfterStep(t, h);
     }
     time = times[k];

@@ -120,22 +120,22 @@ void LookBackSideBySide(const Simulator::Impl& s, const std::vector<SimulationWi
     int joint;
     double at;
   };
-  std::vector<Look> looks;
+  std::vector<Look> valued, derived;
   for (size_t w = 0; w < windows.size(); ++w) {
     const std::vector<double>& times = *windows[w].times;
     if (times.empty() || !(times.back() > windows[w].x0.time)) continue;
     for (int j = 0; j < s.n(); ++j) {
       for (int k = 0;; ++k) {
-        const std::optional<double> at = (*writers)[w].Earlier(j, k);
-        if (!at) break;
-        looks.push_back({w, j, *at});
+        const std::optional<OutputWriter::Past> past = (*writers)[w].Earlier(j, k);
+        if (!past) break;
+        (past->derived ? derived : valued).push_back({w, j, past->at});
       }
     }
   }
   LaneRunner& r = *runner;
   const auto count = static_cast<size_t>(r.kernels.lanes);
   std::vector<double> at_once(count, 0.0);
-  for (size_t first = 0; first < looks.size(); first += count) {
+  const auto take = [&](const std::vector<Look>& looks, size_t first, const internal::DirectionPlan* plan) {
     const size_t some = std::min(count, looks.size() - first);
     const auto step = [&](const internal::DirectionPlan* with, auto span) {
       r.buffers.current = 0;
@@ -171,7 +171,10 @@ void LookBackSideBySide(const Simulator::Impl& s, const std::vector<SimulationWi
     each([&](const Look& look, OutputWriter& writer, const double* v) {
       writer.Before(look.joint, look.at, s.options.step_s, *v);
     });
-  }
+  };
+  // A joint's derived samples are its latest.
+  for (size_t first = 0; first < valued.size(); first += count) take(valued, first, nullptr);
+  for (size_t first = 0; first < derived.size(); first += count) take(derived, first, plan);
   r.buffers.current = 0;
 }
 
@@ -204,11 +207,13 @@ void Simulator::SimulateWindows(const std::vector<SimulationWindow>& windows,
     RG_CHECK(std::is_sorted(w.times->begin(), w.times->end()) &&
              (w.times->empty() || (*w.times)[0] >= w.x0.time - 1e-9));
   }
+  const auto simulate = [&](size_t k) {
+    const SimulationWindow& w = windows[k];
+    s.Simulate(w.x0, *w.command, *w.times, request, w.derivatives_at_end, &(*out)[k]);
+  };
   LaneRunner* runner = s.Lanes();
   if (runner == nullptr) {
-    for (size_t k = 0; k < windows.size(); ++k) {
-      SimulateInto(windows[k].x0, *windows[k].command, *windows[k].times, request, &(*out)[k]);
-    }
+    for (size_t k = 0; k < windows.size(); ++k) simulate(k);
     return;
   }
   LaneRunner& r = *runner;
@@ -228,7 +233,7 @@ void Simulator::SimulateWindows(const std::vector<SimulationWindow>& windows,
   writers.reserve(windows.size());
   for (size_t k = 0; k < windows.size(); ++k) {
     writers.emplace_back(s, r.x, 0, plan, plan == nullptr ? nullptr : &r.buffers, windows[k].x0.time,
-                         *windows[k].times, &(*out)[k]);
+                         *windows[k].times, windows[k].derivatives_at_end, &(*out)[k]);
   }
   std::vector<char> failed(windows.size(), 0);  // did not get through side by side
   if (d.has_sensor_delay) LookBackSideBySide(s, windows, plan, &r, &writers, &failed);
@@ -272,7 +277,7 @@ void Simulator::SimulateWindows(const std::vector<SimulationWindow>& windows,
   }
   // Steps that have to be halved, and failures, which are to be told exactly.
   for (size_t k = 0; k < windows.size(); ++k) {
-    if (failed[k]) SimulateInto(windows[k].x0, *windows[k].command, *windows[k].times, request, &(*out)[k]);
+    if (failed[k]) simulate(k);
   }
 }
 

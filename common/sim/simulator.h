@@ -94,6 +94,7 @@ struct SimulationWindow {
   State x0;
   const CommandSignal* command = nullptr;
   const std::vector<double>* times = nullptr;
+  bool derivatives_at_end = false;  // of outputs, at the last time alone: dposition and dvelocity are n × c
 };
 
 class Simulator {

@@ -109,6 +109,8 @@ struct Simulator::Impl {
   Outcome StepInParts(double t, double h, int halvings, internal::DirectionPlan* plan,
                       SensitivityBuffers* buffers);
   static constexpr int kMaxHalvings = 6;
+  void Simulate(const State& x0, const CommandSignal& signal, const std::vector<double>& times,
+                const SensitivityRequest& request, bool derivatives_at_end, Trajectory* out);
   // A plan for this request with the present parameters; laid out anew only when the request changes.
   internal::DirectionPlan& PlanFor(const SensitivityRequest& request);  // and buffers
   internal::DirectionPlan& ControlPlan();

@@ -116,10 +116,10 @@ Ends EndsOf(Lineariser& lin, int worker, int window, const MatrixXd& of, MatrixX
   Linear linear;
   lin.Run(worker, window, states, nullptr, nullptr, true, &linear);
   if (!linear.ok || !states.allFinite()) return out;
-  MatrixXd precision = linear.J_e.transpose() * linear.J_e / noise_scale;
+  MatrixXd precision = linear.J_e().transpose() * linear.J_e() / noise_scale;
   precision.diagonal() += loose.precision;
   const MatrixXd covariance = Inverse(precision);
-  const MatrixXd to_end = linear.E.back().rightCols(precision.cols());
+  const MatrixXd to_end = linear.Node(linear.nodes() - 1).leftCols(precision.cols());
   out.start = of * states.col(0), out.end = of * states.col(states.cols() - 1);
   out.start_covariance = of * covariance * of.transpose();
   const MatrixXd end_covariance = to_end * covariance * to_end.transpose();

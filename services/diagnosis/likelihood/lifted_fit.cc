@@ -10,8 +10,8 @@
 
 #include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/arrival_cost.h"
-#include "services/diagnosis/likelihood/gram.h"
 #include "services/diagnosis/likelihood/lineariser.h"
+#include "services/diagnosis/likelihood/row_products.h"
 #include "services/sysid/boxed_newton_step.h"
 #include "services/sysid/parallel.h"
 
@@ -34,9 +34,7 @@ constexpr int kTogether = 8;        // windows that are simulated side by side
 
 }  // namespace
 
-MatrixXd ProjectOut(const MatrixXd& J_e, const MatrixXd& J, const MatrixXd& r, int* rank) {
-  MatrixXd stacked(J.rows(), J.cols() + r.cols());
-  stacked << J, r;
+int ProjectOut(const Rows& J_e, RowMatrixXd* columns) {
   // Columns of very different size (a state that is forgotten at once) are scaled first.
   MatrixXd scaled = J_e;
   for (int c = 0; c < scaled.cols(); ++c) {
@@ -44,10 +42,11 @@ MatrixXd ProjectOut(const MatrixXd& J_e, const MatrixXd& J, const MatrixXd& r, i
     if (norm > 0) scaled.col(c) /= norm;
   }
   const Eigen::ColPivHouseholderQR<MatrixXd> qr(scaled);
-  const MatrixXd Q = qr.householderQ() * MatrixXd::Identity(stacked.rows(), qr.rank());
-  stacked.noalias() -= Q * (Q.transpose() * stacked);
-  if (rank != nullptr) *rank = static_cast<int>(qr.rank());
-  return stacked;
+  const RowMatrixXd Q = qr.householderQ() * MatrixXd::Identity(scaled.rows(), qr.rank());
+  RowMatrixXd along = RowMatrixXd::Zero(Q.cols(), columns->cols());
+  AddTransposedProduct(Q, *columns, 1.0, along);
+  AddProduct(Q, along, -1.0, *columns);
+  return static_cast<int>(qr.rank());
 }
 
 namespace {
@@ -134,8 +133,8 @@ double HiddenCost(const std::vector<Linear>& linear, const NodeStates& states, i
   double cost = 0;
   for (const Linear& l : linear) {
     if (!l.ok) continue;
-    const Eigen::ColPivHouseholderQR<MatrixXd> qr(l.J_e.leftCols(2 * n));
-    MatrixXd hidden = l.J_e.rightCols(nz) * spread.asDiagonal();
+    const Eigen::ColPivHouseholderQR<MatrixXd> qr(l.rows.leftCols(2 * n));
+    MatrixXd hidden = l.J_e().rightCols(nz) * spread.asDiagonal();
     hidden.applyOnTheLeft(qr.householderQ().adjoint());
     const auto own = hidden.bottomRows(hidden.rows() - qr.rank());
     const MatrixXd information = own.transpose() * own * inverse_scale;
@@ -147,25 +146,26 @@ double HiddenCost(const std::vector<Linear>& linear, const NodeStates& states, i
 
 // Start of a window's states that fits best after a step of the parameters, relative to what they are, `at`.
 VectorXd BestStart(const Linear& l, const VectorXd& step, const ArrivalCost& loose, const VectorXd& at) {
-  MatrixXd JJ = l.J_e.transpose() * l.J_e;
+  RowMatrixXd gram = RowMatrixXd::Zero(l.nx, l.nx);
+  AddGram(l.J_e(), 1.0, gram);
+  MatrixXd JJ = gram.selfadjointView<Eigen::Lower>();
   JJ.diagonal().array() += 1e-9 * JJ.diagonal().maxCoeff() + 1e-12;
   JJ.diagonal() += loose.precision;
   const VectorXd scale = JJ.diagonal().cwiseSqrt().cwiseInverse();
   MatrixXd S = scale.asDiagonal() * JJ * scale.asDiagonal();
   S.diagonal().array() += 1e-10;
-  const VectorXd b = scale.cwiseProduct(l.J_e.transpose() * (l.r - l.J * step) +
-                                        loose.precision.cwiseProduct(loose.middle - at));
+  const VectorXd rest = l.r() - l.J() * step;
+  const VectorXd b =
+      scale.cwiseProduct(l.J_e().transpose() * rest + loose.precision.cwiseProduct(loose.middle - at));
   return scale.cwiseProduct(S.ldlt().solve(b));
 }
 
 // Rows that lie far off weigh as they count in the costs that are compared, or windows that explode would
 // lead where no cost falls: d(c²·log(1 + r²/c²))/d(r²).
 void RobustWeights(const ArrivalCost& loose, const VectorXd& at, Linear* l) {
-  const VectorXd rest = l->r - l->J_e * BestStart(*l, VectorXd::Zero(l->J.cols()), loose, at);
+  const VectorXd rest = l->r() - l->J_e() * BestStart(*l, VectorXd::Zero(l->J().cols()), loose, at);
   const VectorXd weight = (1.0 + rest.array().square() / (kSoft * kSoft)).rsqrt();
-  l->r.array() *= weight.array();
-  l->J.array().colwise() *= weight.array();
-  l->J_e.array().colwise() *= weight.array();
+  l->rows.array().colwise() *= weight.array();
 }
 
 // Moves the states of windows [first, last) with a step of the parameters, their starts to what then fits
@@ -189,10 +189,10 @@ size_t MoveStates(Lineariser& lin, int worker, int first, int last, const std::v
       continue;
     }
     const VectorXd at = (*states)[w].col(0);
-    const MatrixXd& E = linear[w].E[0];
+    const auto E = linear[w].Node(0);
     moved.push_back({w, BestStart(linear[w], step, loose[w], at), {}, {}});
-    moved.back().start = E.rightCols(at.size()) * moved.back().e0;
-    moved.back().tied = at + E.col(0) + E.middleCols(1, step.size()) * step;
+    moved.back().start = E.leftCols(at.size()) * moved.back().e0;
+    moved.back().tied = at + E.middleCols(at.size(), step.size()) * step + E.rightCols<1>();
     windows.push_back(w), starts.push_back(moved.back().tied + moved.back().start);
   }
   const std::vector<double> full = lin.Simulated(worker, windows, starts);
@@ -217,14 +217,11 @@ size_t MoveStates(Lineariser& lin, int worker, int first, int last, const std::v
       if (c[i] < (*chi2)[m->window]) (*chi2)[m->window] = c[i], m->share = less;
     }
   }
-  const long P = step.size();
   for (const Moved& m : moved) {
-    const Linear& l = linear[m.window];
     MatrixXd& at = (*states)[m.window];
-    for (size_t k = 0; k < l.E.size(); ++k) {
-      at.col(static_cast<long>(k)) +=
-          l.E[k].col(0) + l.E[k].middleCols(1, P) * step + l.E[k].rightCols(at.rows()) * (m.share * m.e0);
-    }
+    VectorXd all(at.rows() + step.size() + 1);
+    all << m.share * m.e0, step, 1.0;
+    at.reshaped() += linear[m.window].E * all;
   }
   return simulated;
 }
@@ -338,7 +335,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   double best = std::numeric_limits<double>::infinity();
   double trust = 1.0;
   std::vector<Linear> linear(W);
-  std::vector<MatrixXd> grams(W);
+  std::vector<RowMatrixXd> grams(W);
   std::vector<double> adopted(W), costs;
   const bool hidden = nx > 2 * n;
   const double simulation = SimulationWork(data, options);
@@ -365,9 +362,10 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       lin.Run(worker, w, states[w], nullptr, nullptr, true, &linear[w]);
       if (!linear[w].ok) return;
       RobustWeights(loose[w], states[w].col(0), &linear[w]);
-      const MatrixXd rest = ProjectOut(linear[w].J_e, linear[w].J, linear[w].r);
+      RowMatrixXd rest = linear[w].rows.rightCols(P + 1);
+      ProjectOut(linear[w].J_e(), &rest);
       grams[w].setZero(P + 1, P + 1);
-      grams[w].selfadjointView<Eigen::Lower>().rankUpdate(rest.transpose(), inverse_scale);
+      AddGram(rest, inverse_scale, grams[w]);
     });
     result.work += LinearisationWork(data, options, nx, nx + P) * (1 + W * lin.Memory() / data.Seconds());
     MatrixXd gram = MatrixXd::Zero(P + 1, P + 1);
@@ -384,8 +382,9 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
         std::vector<VectorXd> starts;
         for (int w = g * W / groups; w < (g + 1) * W / groups; ++w) {
           if (linear[w].ok) {  // what is not free starts as the parameters say
-            states[w].col(0) += linear[w].E[0].col(0);
-            linear[w].E[0].col(0).setZero();
+            auto tied = linear[w].Node(0).rightCols<1>();
+            states[w].col(0) += tied;
+            tied.setZero();
           }
           windows.push_back(w), starts.push_back(states[w].col(0));
         }
@@ -547,16 +546,16 @@ Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& 
     Linear l;
     lin.Run(worker, w, states[w], &features.joint, &features.phi[w], false, &l);
     if (!l.ok) return;
-    MatrixXd columns(l.r.size(), 2);
-    columns << l.r, step_rule[w];
-    const MatrixXd all = ProjectOut(l.J_e, l.J, columns);
-    const RowMatrixXd rest = all.leftCols(D);
+    RowMatrixXd all(l.rows.rows(), D + 1);
+    all << l.rows.rightCols(D), step_rule[w];
+    ProjectOut(l.J_e(), &all);
+    const auto rest = all.leftCols(D);
     systematic[w] = rest.leftCols(D - 1).transpose() * all.col(D) / options.noise_scale;
-    AddGram(rest, 1.0 / options.noise_scale, &sums[part]);
+    AddGram(rest, 1.0 / options.noise_scale, sums[part]);
     RowMatrixXd noise(rest.rows(), null_draws);
     Rng stream = rng.Split(static_cast<uint64_t>(w));
     for (double& x : noise.reshaped()) x = stream.Normal();
-    AddTransposedProduct(rest, noise, 1.0 / std::sqrt(options.noise_scale), &nulls[part]);
+    AddTransposedProduct(rest, noise, 1.0 / std::sqrt(options.noise_scale), nulls[part]);
   };
   sysid::ParallelFor(options.threads, parts, [&](int worker, int part) {
     for (int w = part; w < W; w += parts) add(worker, part, w);

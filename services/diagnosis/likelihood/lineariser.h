@@ -13,6 +13,7 @@
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/lifted_fit.h"
+#include "services/diagnosis/likelihood/row_products.h"
 
 namespace rg::diagnosis {
 
@@ -89,17 +90,27 @@ inline Probe MakeProbe(const FitModel& model, bool with_torque) {
   return probe;
 }
 
-// One window, linearised.
+// Also false where squares overflow.
+inline bool AllFinite(const RowMatrixXd& m) { return std::isfinite(m.squaredNorm()); }
+
+// One window, linearised in nx corrections of its start, P parameters and C features: D = nx + P + C + 1
+// columns e_0 | δθ | features | what is left at e_0 = 0, δθ = 0.
 struct Linear {
-  MatrixXd J;               // M × (P + C)
-  MatrixXd J_e;             // M × nx
-  VectorXd r;               // M, whitened residual at e_0 = 0, δθ = 0
-  std::vector<MatrixXd> E;  // per node: nx × (1 + P + nx): d, θ, e_0
+  RowMatrixXd rows;  // M × D, whitened; the last column is the residual
+  RowMatrixXd E;     // nx rows of every node one below another, or of the last two; the last column is d
+  int nx = 0;
   bool ok = true;
+
+  auto J_e() const { return rows.leftCols(nx); }
+  auto J() const { return rows.middleCols(nx, rows.cols() - nx - 1); }
+  auto r() const { return rows.rightCols<1>(); }
+  auto Node(long k) { return E.middleRows(k * nx, nx); }
+  auto Node(long k) const { return E.middleRows(k * nx, nx); }
+  long nodes() const { return E.rows() / nx; }
 };
 
-// The part of [J | r] orthogonal to J_e: M × (D + columns of r). `rank`: of J_e; may be null.
-MatrixXd ProjectOut(const MatrixXd& J_e, const MatrixXd& J, const MatrixXd& r, int* rank = nullptr);
+// Takes from the columns what lies in those of J_e. Returns the rank of J_e.
+int ProjectOut(const Rows& J_e, RowMatrixXd* columns);
 
 struct Worker {
   sim::Simulator simulator;
@@ -178,51 +189,48 @@ class Lineariser {
     return nodes * n_ * (data_.use_velocity ? 2 : 1);
   }
 
-  // phi: C × N or null.
+  // phi: C × N or null. `keep`: the sensitivities of all nodes.
   void Run(int worker, int index, const MatrixXd& states, const std::vector<int>* joint, const MatrixXd* phi,
            bool keep, Linear* out) {
     Worker& w = *workers_[worker];
     const NodeWindow& window = data_.windows[index];
     const int N = static_cast<int>(window.t.size()) - 1, M = RowsOf(window);
     const int C = joint == nullptr ? 0 : static_cast<int>(joint->size());
-    out->J.resize(M, P_ + C), out->J_e.resize(M, nx_), out->r.resize(M);
-    out->E.clear();
+    const int D = nx_ + P_ + C + 1;
+    out->nx = nx_;
+    out->rows.resize(M, D);
+    out->E.resize((keep ? N + 1 : 2) * nx_, D);
+    out->Node(0).setZero();
     out->ok = true;
-    MatrixXd E = MatrixXd::Zero(nx_, 1 + P_ + nx_), Ef = MatrixXd::Zero(nx_, C), next;
-    E.rightCols(nx_) = starts_;
-    TieLags(window, states.col(0), &w, &E);
-    if (keep) out->E.push_back(E);
+    const auto place = [&](int k) { return keep ? k : k % 2; };
+    out->Node(0).leftCols(nx_) = starts_;
+    TieLags(window, states.col(0), &w, out->Node(0));
     RunNodes(window, states, &w);
     int row = 0;
     for (int k = 0; k < N; ++k) {
       const sim::Trajectory& step = w.outs[k];
-      if (!step.outcome.ok() || !step.dfinal_state.allFinite()) {
+      if (!step.outcome.ok() || !AllFinite(step.dfinal_state)) {
         out->ok = false;
         return;
       }
       const int output = static_cast<int>(w.run_times[k].size()) - 1;
-      if (k == 0 && window.measured[0]) WriteRows(w, window, 0, 0, 0, E, Ef, nullptr, nullptr, out, &row);
-      if (window.measured[k + 1]) WriteRows(w, window, k + 1, k, output, E, Ef, joint, phi, out, &row);
-      const auto A = step.dfinal_state.leftCols(nx_);
-      next.noalias() = A * E;
-      next.col(0) += step.state.col(output) - states.col(k + 1);
-      next.middleCols(1, P_) += step.dfinal_state.middleCols(nx_, P_);
-      E.swap(next);
-      if (C > 0) {
-        Ef = A * Ef;
-        for (int c = 0; c < C; ++c) {
-          const int t = torque_column_[(*joint)[c]];
-          if (t >= 0) Ef.col(c) += step.dfinal_state.col(nx_ + t) * (*phi)(c, k);
-        }
+      if (k == 0 && window.measured[0])
+        WriteRows(w, window, 0, 0, 0, out->Node(0), nullptr, nullptr, out, &row);
+      if (window.measured[k + 1])
+        WriteRows(w, window, k + 1, k, output, out->Node(place(k)), joint, phi, out, &row);
+      auto next = out->Node(place(k + 1));
+      next.setZero();
+      next.middleCols(nx_, P_) = step.dfinal_state.middleCols(nx_, P_);
+      for (int c = 0; c < C; ++c) {
+        const int t = torque_column_[(*joint)[c]];
+        if (t >= 0) next.col(nx_ + P_ + c) = step.dfinal_state.col(nx_ + t) * (*phi)(c, k);
       }
-      if (keep) out->E.push_back(E);
+      next.col(D - 1) = step.state.col(output) - states.col(k + 1);
+      AddProduct(step.dfinal_state.leftCols(nx_), out->Node(place(k)), 1.0, next);
     }
     RG_CHECK(row == M) << row << " " << M;
-    if (window.factor.size() > 0) {
-      const auto L = window.factor.triangularView<Eigen::Lower>();
-      L.solveInPlace(out->J), L.solveInPlace(out->J_e), L.solveInPlace(out->r);
-    }
-    if (!out->J.allFinite() || !out->J_e.allFinite() || !out->r.allFinite()) out->ok = false;
+    if (window.factor.size() > 0) window.factor.triangularView<Eigen::Lower>().solveInPlace(out->rows);
+    out->ok = AllFinite(out->rows);
   }
 
   // χ² of a window whose simulation broke at once.
@@ -364,8 +372,8 @@ class Lineariser {
   }
 
   // A lag's state at a window's start follows from the commands before: it depends on the parameters and is
-  // not free. It stays free where the commands within its memory were not all recorded. E: nx × (1 + P + nx).
-  void TieLags(const NodeWindow& window, const VectorXd& x0, Worker* w, MatrixXd* E) const {
+  // not free. It stays free where the commands within its memory were not all recorded. E: nx × D.
+  void TieLags(const NodeWindow& window, const VectorXd& x0, Worker* w, MutableRows E) const {
     const double begin = window.t[0] - Memory();
     double latest = 0;
     for (const int delay : delays_) latest = std::max(latest, probe_.values[delay]);
@@ -376,10 +384,10 @@ class Lineariser {
     w->simulator.SimulateInto(before, command, w->times, w->request, &w->out);
     if (!w->out.outcome.ok() || !w->out.dfinal_state.allFinite()) return;
     for (const Lag& lag : lags_) {
-      auto row = E->row(lag.state);
+      auto row = E.row(lag.state);
       row.setZero();
-      row[0] = w->out.state(lag.state, 0) - x0[lag.state];
-      row.segment(1, P_) = w->out.dfinal_state.row(lag.state).segment(nx_, P_);
+      row[E.cols() - 1] = w->out.state(lag.state, 0) - x0[lag.state];
+      row.segment(nx_, P_) = w->out.dfinal_state.row(lag.state).segment(nx_, P_);
     }
   }
   // Whether no rows are missing in the interval.
@@ -404,6 +412,7 @@ class Lineariser {
       times.push_back(window.t[k + 1]);
       w->runs[k].command = &data_.recordings[window.recording].command;
       w->runs[k].times = &w->run_times[k];
+      w->runs[k].derivatives_at_end = k > 0;
       SetState(states.col(k), window.t[k], &w->runs[k].x0);
     }
     w->simulator.SimulateWindows(w->runs, w->request, &w->outs);
@@ -431,6 +440,7 @@ class Lineariser {
     }
     run->command = &data_.recordings[window.recording].command;
     run->times = times;
+    run->derivatives_at_end = false;
     SetState(x0, window.t[0], &run->x0);
   }
   VectorXd Residuals(int index, const sim::Trajectory& simulated, double part = 1.0) const {
@@ -488,36 +498,29 @@ class Lineariser {
     return sum / static_cast<double>(1 + before + after);
   }
 
-  // The derivatives of a node's mean are approximated by those at its own time.
-  void WriteRows(const Worker& w, const NodeWindow& window, int node, int run, int output, const MatrixXd& E,
-                 const MatrixXd& Ef, const std::vector<int>* joint, const MatrixXd* phi, Linear* out,
-                 int* row) {
+  // The derivatives of a node's mean are approximated by those at its own time. E: sensitivities of the node
+  // that `run` starts from.
+  void WriteRows(const Worker& w, const NodeWindow& window, int node, int run, int output, const Rows& E,
+                 const std::vector<int>* joint, const MatrixXd* phi, Linear* out, int* row) {
     const sim::Trajectory& step = w.outs[run];
     const int kinds = data_.use_velocity ? 2 : 1;
     for (int kind = 0; kind < kinds; ++kind) {
       const RowMatrix& D = kind == 0 ? step.dposition : step.dvelocity;
-      const MatrixXd& stddev = kind == 0 ? window.q_stddev : window.v_stddev;
-      const auto block = D.middleRows(output * n_, n_);
-      const VectorXd weight = stddev.col(node).cwiseInverse();
-      const MatrixXd H = weight.asDiagonal() * block.leftCols(nx_);
+      const auto block = D.middleRows(run == 0 ? output * n_ : 0, n_);
       const VectorXd y = kind == 0 ? window.q.col(node) : window.v.col(node);
       VectorXd h = kind == 0 ? step.position.col(output) : step.velocity.col(output);
       h += MeanBeyond(w, window, node, kind == 1);
-      out->r.segment(*row, n_) = weight.cwiseProduct(y - h) - H * E.col(0);
-      auto J = out->J.middleRows(*row, n_);
-      J.leftCols(P_).noalias() = H * E.middleCols(1, P_);
-      J.leftCols(P_) += weight.asDiagonal() * block.middleCols(nx_, P_);
-      out->J_e.middleRows(*row, n_).noalias() = H * E.rightCols(nx_);
-      const int C = static_cast<int>(Ef.cols());
-      if (C > 0) {
-        J.rightCols(C).noalias() = H * Ef;
-        for (int c = 0; c < C && phi != nullptr; ++c) {
-          const int t = torque_column_[(*joint)[c]];
-          if (t >= 0) {
-            J.col(P_ + c) += weight.cwiseProduct(block.col(nx_ + t)) * (*phi)(c, node - 1);
-          }
-        }
+      auto rows = out->rows.middleRows(*row, n_);
+      rows.setZero();
+      rows.middleCols(nx_, P_) = block.middleCols(nx_, P_);
+      for (long c = 0; phi != nullptr && c < phi->rows(); ++c) {
+        const int t = torque_column_[(*joint)[c]];
+        if (t >= 0) rows.col(nx_ + P_ + c) = block.col(nx_ + t) * (*phi)(c, node - 1);
       }
+      rows.rightCols<1>() = h - y;
+      AddProduct(block.leftCols(nx_), E, 1.0, rows);
+      rows.rightCols<1>() *= -1;
+      rows.array().colwise() /= (kind == 0 ? window.q_stddev : window.v_stddev).col(node).array();
       *row += n_;
     }
   }

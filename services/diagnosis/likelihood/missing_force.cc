@@ -53,8 +53,8 @@ MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, co
     lin.Run(worker, w, states[w], &joint, &phi, false, &l);
     out.force[w] = MatrixXd::Zero(n, S), out.stddev[w] = MatrixXd::Zero(n, S);
     if (!l.ok) return;
-    int rank = 0;
-    const MatrixXd rest = ProjectOut(l.J_e, l.J, l.r, &rank) / std::sqrt(options.noise_scale);
+    RowMatrixXd rest = l.rows.rightCols(S * n + 1) / std::sqrt(options.noise_scale);
+    const int rank = ProjectOut(l.J_e(), &rest);
     const int C = S * n;
     MatrixXd H = rest.leftCols(C).transpose() * rest.leftCols(C);
     const MatrixXd data_H = H;

@@ -10,9 +10,9 @@
 #include "services/diagnosis/data/prepare_data.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/arrival_cost.h"
-#include "services/diagnosis/likelihood/gram.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/diagnosis/likelihood/missing_force.h"
+#include "services/diagnosis/likelihood/row_products.h"
 #include "services/diagnosis/search/fit_requests.h"
 #include "services/sysid/sysid_on_set.h"
 #include "tests/unit/diagnosis/prepared_set.h"
@@ -103,22 +103,22 @@ TEST(Work, OfASimulationGoesWithItsStepsAndOfALinearisationWithItsRowsToo) {
 
 TEST(ProjectOut, LeavesWhatIsOrthogonalHoweverManyColumnsAreLike) {
   Rng rng(3);
-  MatrixXd E(40, 4), J(40, 3), r(40, 1);
-  for (MatrixXd* m : {&E, &J, &r})
+  RowMatrixXd E(40, 4), J(40, 4);
+  for (RowMatrixXd* m : {&E, &J})
     for (double& x : m->reshaped()) x = rng.Normal();
   E.col(3) = 1e6 * (E.col(0) - E.col(1));
   J.col(2) = E.col(2);
-  int rank = 0;
-  const MatrixXd rest = ProjectOut(E, J, r, &rank);
-  EXPECT_EQ(rank, 3);
+  RowMatrixXd rest = J;
+  EXPECT_EQ(ProjectOut(E, &rest), 3);
   EXPECT_LT((E.leftCols(3).transpose() * rest).cwiseAbs().maxCoeff(), 1e-12);
   EXPECT_LT(rest.col(2).norm(), 1e-13);
   EXPECT_GT(rest.col(0).norm(), 3);
   // What is taken away lies in their span.
   const MatrixXd taken = J.col(0) - rest.col(0);
   EXPECT_LT((taken - E.leftCols(3) * E.leftCols(3).colPivHouseholderQr().solve(taken)).norm(), 1e-12);
-  EXPECT_EQ(ProjectOut(MatrixXd::Zero(40, 2), J, r, &rank).col(0), J.col(0));
-  EXPECT_EQ(rank, 0);
+  rest = J;
+  EXPECT_EQ(ProjectOut(RowMatrixXd::Zero(40, 2), &rest), 0);
+  EXPECT_EQ(rest, J);
 }
 
 TEST(LiftedFit, TheTrueModelIsAtTheNoise) {
@@ -271,10 +271,10 @@ TEST(LiftedFit, ALagStartsWhereCommandsBeforeTheWindowLeaveIt) {
     Linear linear;
     lineariser.Run(0, static_cast<int>(w), fit.states[w], nullptr, nullptr, true, &linear);
     ASSERT_TRUE(linear.ok);
-    EXPECT_EQ(linear.E[0].rightCols(3).row(2).norm(), 0.0);
+    EXPECT_EQ(linear.Node(0).leftCols(3).row(2).norm(), 0.0);
     const double h = 1e-4;
     const double slope = (filtered(w, fit.theta[0] + h) - filtered(w, fit.theta[0] - h)) / (2 * h);
-    EXPECT_NEAR(linear.E[0](2, 1), slope, 0.02 * std::abs(slope) + 0.05);
+    EXPECT_NEAR(linear.Node(0)(2, 3), slope, 0.02 * std::abs(slope) + 0.05);
     ++tied;
   }
   EXPECT_GT(tied, 5);
@@ -296,7 +296,7 @@ TEST(LiftedFit, ALagWhoseCommandsWereNotAllRecordedStartsAnywhere) {
     for (size_t w = 0; w < p->data.windows.size(); ++w) {
       Linear linear;
       lineariser.Run(0, static_cast<int>(w), states[w], nullptr, nullptr, true, &linear);
-      count += linear.E[0](2, 4) == 1.0;  // behind defect, time constant, position and speed
+      count += linear.Node(0)(2, 2) == 1.0;
     }
     return count;
   };
@@ -467,17 +467,25 @@ TEST(LiftedFit, CarriesStatesToAModelWithMoreOfThem) {
   EXPECT_EQ(CarriedStates(p->data, rigid, *elastic, carried, {})[0], states[0]);
 }
 
-TEST(Gram, IsWhatEigenSaysForEverySize) {
+TEST(RowProducts, AreWhatEigenSaysForEverySize) {
   Rng rng(3);
   for (const auto& [rows, a, b] : {std::tuple{1, 1, 1}, {70, 9, 21}, {130, 37, 64}}) {
     RowMatrixXd A(rows, a), B(rows, b), G = RowMatrixXd::Ones(a, b), H = RowMatrixXd::Zero(a, a);
     for (double& x : A.reshaped()) x = rng.Normal();
     for (double& x : B.reshaped()) x = rng.Normal();
-    AddTransposedProduct(A, B, 0.5, &G);
+    AddTransposedProduct(A, B, 0.5, G);
     EXPECT_LT((G - RowMatrixXd::Ones(a, b) - 0.5 * A.transpose() * B).norm(), 1e-11 * rows);
-    AddGram(A, 2.0, &H);
+    AddGram(A, 2.0, H);
     const RowMatrixXd lower = H.triangularView<Eigen::Lower>(), product = 2.0 * A.transpose() * A;
     EXPECT_LT((lower - RowMatrixXd(product.triangularView<Eigen::Lower>())).norm(), 1e-11 * rows);
+    // Of blocks, into a block.
+    const auto left = B.leftCols(b / 2 + 1);
+    RowMatrixXd all = RowMatrixXd::Ones(rows + 1, a + 2);
+    RowMatrixXd right = RowMatrixXd::Random(b / 2 + 1, a);
+    AddProduct(left, right, -0.5, all.bottomRows(rows).middleCols(1, a));
+    RowMatrixXd expected = RowMatrixXd::Ones(rows + 1, a + 2);
+    expected.bottomRows(rows).middleCols(1, a) -= 0.5 * left * right;
+    EXPECT_LT((all - expected).norm(), 1e-11 * rows);
   }
 }
 

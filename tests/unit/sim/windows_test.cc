@@ -64,6 +64,16 @@ void ExpectSame(const Trajectory& lanes, const Trajectory& alone, double toleran
   EXPECT_LT(Difference(lanes.dfinal_state, alone.dfinal_state), tolerance) << window;
 }
 
+// The same, but outputs' sensitivities only where the last one is.
+void ExpectSameAtEnd(const Trajectory& at_end, const Trajectory& all, int n, int window) {
+  EXPECT_EQ(Difference(at_end.position, all.position), 0.0) << window;
+  EXPECT_EQ(Difference(at_end.velocity, all.velocity), 0.0) << window;
+  ASSERT_EQ(at_end.dposition.rows(), n) << window;
+  EXPECT_EQ(Difference(at_end.dposition, all.dposition.bottomRows(n)), 0.0) << window;
+  EXPECT_EQ(Difference(at_end.dvelocity, all.dvelocity.bottomRows(n)), 0.0) << window;
+  EXPECT_EQ(Difference(at_end.dfinal_state, all.dfinal_state), 0.0) << window;
+}
+
 SensitivityRequest Everything(const Plant& plant) {
   SensitivityRequest request{.initial_state = true, .parameters = {}};
   for (int i = 0; i < plant.parameters().size(); ++i) request.parameters.push_back(i);
@@ -86,9 +96,12 @@ void CompareOn(math::Isa isa, const Plant& plant, Integrator integrator, std::ve
   simulator.SetParameters(p);
   const Windows windows(plant, simulator, 13, 5);
   const SensitivityRequest request = Everything(plant);
-  std::vector<Trajectory> lanes, values;
+  std::vector<Trajectory> lanes, values, at_end;
   simulator.SimulateWindows(windows.runs, request, &lanes);
   simulator.SimulateWindows(windows.runs, {}, &values);
+  std::vector<SimulationWindow> runs = windows.runs;
+  for (SimulationWindow& run : runs) run.derivatives_at_end = true;
+  simulator.SimulateWindows(runs, request, &at_end);
   ASSERT_EQ(lanes.size(), windows.runs.size());
   for (size_t w = 0; w < windows.runs.size(); ++w) {
     const auto& run = windows.runs[w];
@@ -97,6 +110,7 @@ void CompareOn(math::Isa isa, const Plant& plant, Integrator integrator, std::ve
     ExpectSame(lanes[w], alone, 2e-12, static_cast<int>(w));
     EXPECT_EQ(Difference(values[w].position, lanes[w].position), 0.0) << w;
     EXPECT_EQ(values[w].dposition.size(), 0);
+    ExpectSameAtEnd(at_end[w], lanes[w], plant.num_joints(), static_cast<int>(w));
     if (reference->size() <= w) reference->push_back(alone);
     ExpectSame(lanes[w], (*reference)[w], 1e-9, static_cast<int>(w));
   }

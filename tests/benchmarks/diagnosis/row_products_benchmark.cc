@@ -2,7 +2,7 @@
 // those of the lower triangle.
 #include <benchmark/benchmark.h>
 
-#include "services/diagnosis/likelihood/gram.h"
+#include "services/diagnosis/likelihood/row_products.h"
 
 namespace rg::diagnosis {
 namespace {
@@ -14,7 +14,7 @@ void Gram(benchmark::State& state) {
   const RowMatrixXd A = RowMatrixXd::Random(kRows, columns);
   RowMatrixXd G = RowMatrixXd::Zero(columns, columns);
   for (auto _ : state) {
-    AddGram(A, 1.0, &G);
+    AddGram(A, 1.0, G);
     benchmark::DoNotOptimize(G.data());
   }
   const double operations = static_cast<double>(kRows) * static_cast<double>(columns * (columns + 1));
