@@ -20,7 +20,8 @@ struct DiagnosisOptions {
   int max_effects = 4;        // rounds of adding
   uint64_t seed = 1;          // of simulated nulls and bootstraps
   // Budget of one search: about its seconds on one thread (lifted_fit.h), the same on any machine. Beyond it
-  // nothing new is tried; comparing what was found ends at twice that. A restart (with a held-out recording
+  // nothing new is tried (what comes after a search of drives gets half of it at least); comparing what was
+  // found ends at twice that. A restart (with a held-out recording
   // fitted too, or with shorter windows) gets what is left of 1.6 times this budget, 0.6 of it at least.
   double work_limit = 110;
   // No new fit starts later than this many seconds; 0: no limit. Makes results depend on the machine.

@@ -7,11 +7,11 @@ namespace {
 
 // Seconds of one thread, fitted to 1,176 fits of seven sets (two to seven joints, 50 to 500 Hz; of the whole
 // set's fits right within a third).
-constexpr double kPerSimulatedStep = 2.4e-7;   // and joint
-constexpr double kPerLinearisedStep = 1.9e-8;  // and pair of joints
+constexpr double kPerSimulatedStep = 2.4e-7;   // and pair of states, a position and its rate
+constexpr double kPerLinearisedStep = 1.9e-8;  // and pair of these
 constexpr double kPerNode = 1.1e-6, kPerNodeColumn = 2.3e-7;
-constexpr double kPerRowColumn = 2.2e-9;      // and state
-constexpr double kPerScreenedPair = 1.5e-10;  // row and pair of columns
+constexpr double kPerRowColumn = 1.2e-9;    // and state
+constexpr double kPerScreenedPair = 8e-11;  // row and pair of columns
 
 double StepsOf(const FitData& data, const LiftedOptions& options) { return data.Seconds() / options.step_s; }
 
@@ -23,13 +23,13 @@ double NodesOf(const FitData& data) {
 
 }  // namespace
 
-double SimulationWork(const FitData& data, const LiftedOptions& options) {
-  return kPerSimulatedStep * StepsOf(data, options) * data.n;
+double SimulationWork(const FitData& data, const LiftedOptions& options, long states) {
+  return kPerSimulatedStep * StepsOf(data, options) * 0.5 * static_cast<double>(states);
 }
 
 double LinearisationWork(const FitData& data, const LiftedOptions& options, long states, long columns) {
-  const auto C = static_cast<double>(columns);
-  return kPerLinearisedStep * StepsOf(data, options) * data.n * data.n +
+  const auto C = static_cast<double>(columns), moving = 0.5 * static_cast<double>(states);
+  return kPerLinearisedStep * StepsOf(data, options) * moving * moving +
          NodesOf(data) * (kPerNode + kPerNodeColumn * C) +
          kPerRowColumn * data.Rows() * static_cast<double>(states) * C;
 }

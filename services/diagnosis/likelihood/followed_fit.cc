@@ -23,6 +23,8 @@ constexpr size_t kNearestSwings = 3;       // that are followed to their end
 constexpr int kLook = 1;                   // the same, of each of the swings that it may start from
 constexpr double kFollowOn = 0.9;          // of the χ² before, which another round must come below
 constexpr double kPieces[] = {0.25, 0.5};  // of a window, on the way
+constexpr double kAlone = 2.5;             // times its work, what a window costs that is fitted alone
+constexpr double kNearer = 0.9;            // of χ², for another round
 constexpr int kRounds = 6;                 // over either
 constexpr double kMostPieces = 0.7;        // of all, that are fitted with all that are met
 constexpr double kMostWindows = 0.5;       // the same of windows, at first
@@ -120,7 +122,7 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
       before = &window, from = states[w].col(0);
     }
   });
-  for (const double cost : spent) *work += cost;
+  for (const double cost : spent) *work += kAlone * cost;
   return states;
 }
 
@@ -198,6 +200,7 @@ double FindOverPieces(const FitData& data, double piece_s, const LiftedOptions& 
   ForEachPiece(data.windows, pieces.windows, [&](size_t w, Eigen::Index first, size_t p) {
     f.states[p] = (*states)[w].middleCols(first, static_cast<Eigen::Index>(pieces.windows[p].t.size()));
   });
+  double least = std::numeric_limits<double>::infinity();  // χ² per row
   for (int round = 0; round < kRounds; ++round) {
     f.Follow(*model, false);
     const VectorXd before = model->values;
@@ -209,7 +212,10 @@ double FindOverPieces(const FitData& data, double piece_s, const LiftedOptions& 
       const int at = model->parameters[i].index;
       moved = moved || std::abs(fit.values[at] - before[at]) > fit.stddev[static_cast<Eigen::Index>(i)];
     }
-    if (!moved) break;
+    const double left = fit.chi2 / std::max(1, fit.rows);
+    // A mass that is not there is never found, though every round moves it.
+    if (!moved || (left > kFitted * options.noise_scale && !(left < kNearer * least))) break;
+    least = std::min(least, left);
   }
   ForEachPiece(data.windows, pieces.windows, [&](size_t w, Eigen::Index first, size_t p) {
     (*states)[w].middleCols(first, f.states[p].cols()) = f.states[p];

@@ -51,9 +51,9 @@ struct LiftedOptions {
 };
 
 // What a computation costs, the same on every machine: about its seconds on one thread of a core of 2024. Of
-// simulating all windows; of linearising them for a plant with so many states in so many unknowns; and of a
+// simulating all windows of a plant with so many states; of linearising them in so many unknowns; and of a
 // screen of so many columns, with draws of the null.
-double SimulationWork(const FitData& data, const LiftedOptions& options);
+double SimulationWork(const FitData& data, const LiftedOptions& options, long states);
 double LinearisationWork(const FitData& data, const LiftedOptions& options, long states, long columns);
 double ScreenWork(const FitData& data, const LiftedOptions& options, long states, long columns, int draws);
 

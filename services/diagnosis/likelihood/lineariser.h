@@ -27,6 +27,7 @@ inline constexpr double kSoft = 20.0;
 inline constexpr double kBroken = 1e12;     // r² of a simulation that failed
 inline constexpr double kSettleTime = 0.5;  // s before a window from which hidden states are simulated
 inline constexpr double kLagMemory = 7.0;   // time constants, after which a lag's initial value is forgotten
+inline constexpr size_t kFewRuns = 2;       // that are sooner made one by one than side by side
 inline constexpr double kAlways = 1e15;     // s, beyond epoch times in seconds
 
 // The plant with a constant torque of size zero on each joint, whose sensitivities are the columns B.
@@ -252,7 +253,13 @@ class Lineariser {
     const size_t count = indices.size();
     w.runs.resize(count), w.run_times.resize(count);
     for (size_t i = 0; i < count; ++i) StartWindow(indices[i], x0[i], &w.runs[i], &w.run_times[i], part);
-    w.simulator.SimulateWindows(w.runs, {}, &w.outs);
+    if (count <= kFewRuns) {
+      w.outs.resize(count);
+      for (size_t i = 0; i < count; ++i)
+        w.simulator.SimulateInto(w.runs[i].x0, *w.runs[i].command, w.run_times[i], {}, &w.outs[i]);
+    } else {
+      w.simulator.SimulateWindows(w.runs, {}, &w.outs);
+    }
     std::vector<double> sums(count, 0.0);
     for (size_t i = 0; i < count; ++i) {
       for (const double r : Residuals(indices[i], w.outs[i], part)) sums[i] += Capped(r);

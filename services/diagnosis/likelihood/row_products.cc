@@ -9,7 +9,7 @@ namespace {
 
 constexpr int kRows = 4;      // of G in one block
 constexpr int kColumns = 12;  // of G in one block
-constexpr int kPanel = 24;    // terms of a sum at a time: both factors stay in the cache
+constexpr int kPanel = 96;    // terms of a sum at a time: both factors stay in the cache
 
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && !defined(__SANITIZE_ADDRESS__) && \
     !defined(__SANITIZE_THREAD__)

@@ -32,6 +32,8 @@ class FitLedger {
   bool Late(double limits = 1.0) const;
   double work() const { return work_; }
   double work_share() const { return work_ / options_.work_limit; }
+  // What comes next gets this share of the work limit, whatever was used before it.
+  void Grant(double share) { limit_ = std::max(limit_, work_ + share * options_.work_limit); }
   void AddWork(double work) { work_ += work; }
   void SetRound(int round) { round_ = round, made_.Forget(); }
 
@@ -127,6 +129,7 @@ class FitLedger {
   LiftedOptions lifted_;
   int round_ = 0;
   double work_ = 0;                          // of all fits so far
+  double limit_;                             // of it
   std::shared_ptr<const Candidate> pieces_;  // base parameters from short pieces
   std::shared_ptr<const Candidate> shorter_windows_;
   std::map<std::string, Candidate> tried_;

@@ -103,6 +103,7 @@ class Search {
       step_.ForgetStepRule();  // of a model that may be forgotten
       LowerNoise(&best, &out);
       if (ordinary_ && fits_.MeetsSensors(best)) simplifier_.Run(&best);
+      fits_.Grant(kForwardShare);
       Tell("drives", 0.09, KeyOf(best.specs));
     }
     LowerNoise(&best, &out);
@@ -168,8 +169,9 @@ class Search {
   // Variables of an unnamed force. One over speed may follow two friction laws: it comes last.
   inline static const std::vector<std::string> kOfPlace = {"position", "drag"};
   inline static const std::vector<std::string> kAny = {"position", "drag", "velocity"};
-  static constexpr double kSegment = 0.05;    // s
-  static constexpr uint64_t kOwnDraw = 1000;  // its stream of random numbers, beyond the rounds'
+  static constexpr double kSegment = 0.05;      // s
+  static constexpr double kForwardShare = 0.5;  // of the work limit, that a search of drives leaves
+  static constexpr uint64_t kOwnDraw = 1000;    // its stream of random numbers, beyond the rounds'
 
   // The search ends: it is made again over windows of half the length.
   SearchResult RestartWithShorterWindows(SearchResult out) const {

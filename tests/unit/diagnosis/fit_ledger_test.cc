@@ -219,6 +219,18 @@ TEST_F(FitLedgerTest, AllScoresAreBroughtToAnotherNoise) {
   EXPECT_EQ(ledger_.Known(coulomb_.specs, true), nullptr);
 }
 
+TEST_F(FitLedgerTest, WhatComesNextHasItsShareOfTheWork) {
+  const double limit = p_->options.work_limit;
+  ledger_.Grant(0.5);
+  ledger_.AddWork(0.9 * limit);
+  EXPECT_FALSE(ledger_.Late()) << "a share of what is there anyway adds nothing";
+  ledger_.Grant(0.5);
+  ledger_.AddWork(0.4 * limit);
+  EXPECT_FALSE(ledger_.Late());
+  ledger_.AddWork(0.2 * limit);
+  EXPECT_TRUE(ledger_.Late());
+}
+
 TEST_F(FitLedgerTest, NothingNewIsBegunBeyondTheLimitOfWork) {
   EXPECT_GT(ledger_.work(), 0);
   EXPECT_FALSE(ledger_.Late());
