@@ -178,6 +178,24 @@ std::vector<std::vector<EffectSpec>> OtherTransmission(const EffectSpec& spec, c
   return out;
 }
 
+std::vector<EffectSpec> WithConstantForces(std::vector<EffectSpec> specs, const sim::Plant& nominal,
+                                           const MotionScales& scales) {
+  const std::string &spring = effects::LawOf(Regressor::kPosition).id,
+                    &constant = effects::LawOf(Regressor::kConstant).id;
+  const std::vector<EffectSpec> before = specs;
+  for (EffectSpec& s : specs) {
+    if (s.id != spring || Contains(before, constant, s.joints[0])) continue;
+    const int joint = nominal.model().FindJoint(s.joints[0]);
+    if (!nominal.Takes(constant, joint)) continue;
+    const effects::JointSize size = SizeOf(scales, nominal, joint);
+    const auto& values = s.values.at(s.joints[0]);
+    const double x = 0.5 * (size.low + size.high) - values.at("center");
+    const double force = -(values.at("stiffness") + values.at("cubic") * x * x) * x;
+    s = MakeSpec(constant, s.joints, {{"offset", force}});
+  }
+  return specs;
+}
+
 std::vector<std::vector<EffectSpec>> OtherGaps(const EffectSpec& spec) {
   std::vector<std::vector<EffectSpec>> out;
   const std::string& stays = effects::InferenceOf(spec.id).stays;

@@ -113,11 +113,13 @@ void Simplifier::Replace(const Candidate& by, Candidate* best) {
   *best = by;
 }
 
-// The plain law that a richer one contains: Coulomb friction, of play the spring of its faces, of a spring
-// the rotor behind it.
+// The plain law that a richer one contains: Coulomb friction, of play the spring of its faces, of a drive's
+// spring the rotor behind it, of a spring on the joint a constant force.
 TrialSpecs Simplifier::PlainForm(const Candidate& c, const std::string& id) const {
   TrialSpecs specs = Refreshed(c);
   if (id == effects::Spring().id) return WithoutSprings(specs);
+  if (id == LawOf(Regressor::kPosition).id)
+    return WithConstantForces(specs, setting_.nominal, setting_.scales);
   if (id != effects::Play().id) return Exchanges(specs, id, setting_.nominal, setting_.scales).front();
   for (EffectSpec& s : specs) {
     if (s.id == id) s = OtherTransmission(s, setting_.nominal, setting_.scales).front().front();
@@ -128,7 +130,7 @@ TrialSpecs Simplifier::PlainForm(const Candidate& c, const std::string& id) cons
 // A richer law that does not exceed the plain one by the acceptance rule is replaced by it.
 void Simplifier::UsePlainLaws(Candidate* best) {
   std::vector<std::string> richer = RicherFrictions();
-  richer.insert(richer.end(), {effects::Play().id, effects::Spring().id});
+  richer.insert(richer.end(), {effects::Play().id, effects::Spring().id, LawOf(Regressor::kPosition).id});
   for (const std::string& id : richer) {
     const TrialSpecs specs = PlainForm(*best, id);
     if (KeyOf(specs) == KeyOf(best->specs) || fits_.Late(kPruned)) continue;

@@ -360,6 +360,20 @@ TEST(WithoutSprings, LeavesTheRotorsBehindThem) {
   EXPECT_EQ(rigid[0].values.at("elbow").at("armature"), 0.02);
 }
 
+TEST(WithConstantForces, HaveTheMeanForceOfASpringOfTheJoint) {
+  const auto c = Case::Of("arm2", {}, 15);
+  const auto spring = [](const std::string& joint) {
+    return MakeSpec("position_spring", {joint}, {{"stiffness", 2.0}, {"cubic", 1.0}, {"center", 0.5}});
+  };
+  const TrialSpecs constant = WithConstantForces(
+      {spring("shoulder"), spring("elbow"), MakeSpec("torque_offset", {"elbow"}, {{"offset", 0.1}})},
+      c->nominal, c->scales);
+  EXPECT_EQ(KeyOf(constant), "position_spring[elbow ] torque_offset[elbow ] torque_offset[shoulder ] ");
+  const int joint = c->nominal.model().FindJoint("shoulder");
+  const double x = 0.5 * (c->scales.low[joint] + c->scales.high[joint]) - 0.5;
+  EXPECT_NEAR(constant[0].values.at("shoulder").at("offset"), -2.0 * x - x * x * x, 1e-12);
+}
+
 // Where a soft mount and a gain are both missing each hides the other: the best of the screen is tried on a
 // mount too, but only before anything is found.
 TEST(Trials, TryAMountBesideTheBestOfTheScreen) {
