@@ -34,12 +34,17 @@ void LookBack(Simulator::Impl& s, const State& x0, const CommandSignal& signal, 
   };
   for (int j = 0; j < s.n(); ++j) {
     for (auto past = writer->Earlier(j); past; past = writer->Earlier(j)) {
-      SetCommands(s, signal, past->at, 1e-9, nullptr);
-      bool ok = s.Step(x0.time, h, nullptr, nullptr).ok();
-      const double at_once = writer->EndVelocity(j);
-      restart();
-      SetCommands(s, signal, past->at, x0.time - past->at, plan);
-      ok = ok && s.Step(x0.time, h, plan, buffers).ok();
+      bool ok = true;
+      double at_once = 0;
+      if (past->derived) {
+        SetCommands(s, signal, past->at, 1e-9, nullptr);
+        ok = s.Step(x0.time, h, nullptr, nullptr).ok();
+        at_once = writer->EndVelocity(j);
+        restart();
+      }
+      internal::DirectionPlan* with = past->derived ? plan : nullptr;
+      SetCommands(s, signal, past->at, x0.time - past->at, with);
+      ok = ok && s.Step(x0.time, h, with, with == nullptr ? nullptr : buffers).ok();
       if (ok) writer->Before(j, past->at, h, at_once);
       restart();
       if (!ok) return;

@@ -135,7 +135,7 @@ void LookBackSideBySide(const Simulator::Impl& s, const std::vector<SimulationWi
   LaneRunner& r = *runner;
   const auto count = static_cast<size_t>(r.kernels.lanes);
   std::vector<double> at_once(count, 0.0);
-  const auto take = [&](const std::vector<Look>& looks, size_t first, const internal::DirectionPlan* plan) {
+  const auto take = [&](const std::vector<Look>& looks, size_t first, const internal::DirectionPlan* derive) {
     const size_t some = std::min(count, looks.size() - first);
     const auto step = [&](const internal::DirectionPlan* with, auto span) {
       r.buffers.current = 0;
@@ -163,11 +163,11 @@ void LookBackSideBySide(const Simulator::Impl& s, const std::vector<SimulationWi
         if (!(*failed)[look.window]) f(look, writer, &at_once[lane]);
       }
     };
-    if (plan != nullptr) {
+    if (derive != nullptr) {
       step(nullptr, [](const SimulationWindow&, const Look&) { return 1e-9; });
       each([](const Look& look, OutputWriter& writer, double* v) { *v = writer.EndVelocity(look.joint); });
     }
-    step(plan, [](const SimulationWindow& w, const Look& look) { return w.x0.time - look.at; });
+    step(derive, [](const SimulationWindow& w, const Look& look) { return w.x0.time - look.at; });
     each([&](const Look& look, OutputWriter& writer, const double* v) {
       writer.Before(look.joint, look.at, s.options.step_s, *v);
     });

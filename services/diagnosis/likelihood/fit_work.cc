@@ -5,8 +5,9 @@ namespace rg::diagnosis {
 
 namespace {
 
-// Seconds of one thread, fitted to 1,176 fits of seven sets (two to seven joints, 50 to 500 Hz; of the whole
-// set's fits right within a third).
+// Seconds of one thread, fitted to 1,176 fits of seven sets (two to seven joints, 50 to 500 Hz); those of
+// rows, columns and pairs lowered since to what they take with the kernels of row_products.h (two sets of
+// seven joints).
 constexpr double kPerSimulatedStep = 2.4e-7;   // and pair of states, a position and its rate
 constexpr double kPerLinearisedStep = 1.9e-8;  // and pair of these
 constexpr double kPerNode = 1.1e-6, kPerNodeColumn = 2.3e-7;

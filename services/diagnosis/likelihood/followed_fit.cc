@@ -23,14 +23,14 @@ constexpr size_t kNearestSwings = 3;       // that are followed to their end
 constexpr int kLook = 1;                   // the same, of each of the swings that it may start from
 constexpr double kFollowOn = 0.9;          // of the χ² before, which another round must come below
 constexpr double kPieces[] = {0.25, 0.5};  // of a window, on the way
-constexpr double kAlone = 2.5;             // times its work, what a window costs that is fitted alone
-constexpr double kNearer = 0.9;            // of χ², for another round
-constexpr int kRounds = 6;                 // over either
-constexpr double kMostPieces = 0.7;        // of all, that are fitted with all that are met
-constexpr double kMostWindows = 0.5;       // the same of windows, at first
-constexpr int kGrowths = 4;                // of the windows that are met
-constexpr double kMostMet = 0.8;           // of the windows, from where the others were lost by chance
-constexpr double kFewMet = 0.5;            // of them, below which the model lacks more than their starts
+constexpr int kRounds = 6;                 // over pieces of either length
+constexpr double kNextRound = 0.9;         // of χ² per row of the pieces met best, for another
+constexpr double kAlone = 2.5;        // times its work, what a window costs that is fitted alone: few lanes
+constexpr double kMostPieces = 0.7;   // of all, that are fitted with all that are met
+constexpr double kMostWindows = 0.5;  // the same of windows, at first
+constexpr int kGrowths = 4;           // of the windows that are met
+constexpr double kMostMet = 0.8;      // of the windows, from where the others were lost by chance
+constexpr double kFewMet = 0.5;       // of them, below which the model lacks more than their starts
 
 // A start whose hidden states are those at the end of `before` as simulated from its own start.
 bool GoesOn(const FitData& data, sim::Simulator& simulator, const NodeWindow& before, const VectorXd& from,
@@ -214,7 +214,7 @@ double FindOverPieces(const FitData& data, double piece_s, const LiftedOptions& 
     }
     const double left = fit.chi2 / std::max(1, fit.rows);
     // A mass that is not there is never found, though every round moves it.
-    if (!moved || (left > kFitted * options.noise_scale && !(left < kNearer * least))) break;
+    if (!moved || (left > kFitted * options.noise_scale && !(left < kNextRound * least))) break;
     least = std::min(least, left);
   }
   ForEachPiece(data.windows, pieces.windows, [&](size_t w, Eigen::Index first, size_t p) {

@@ -20,14 +20,15 @@ namespace rg::diagnosis {
 namespace {
 
 constexpr double kParts[] = {1.0, 0.3, 0.1, 0.03, 0.0};  // of the trust region, tried one after another
-constexpr double kThrown = 1.1;       // times its χ² so far, at which a window's start was moved too far
-constexpr double kAsExpected = 1.3;   // times what the linear model says, which a step may cost
-constexpr double kLeastTaken = 0.1;   // of a trust region, for the next one
-constexpr size_t kStalled = 3;        // iterations, over which a fit stalls that gains less than
-constexpr double kStalledGain = 0.1;  // of what its cost is above noise
-constexpr double kOtherStep = 2e-4;   // s, see StepRuleResiduals
-constexpr double kStandsOut = 4.0;    // times the median of all windows' χ², or what noise leaves
-constexpr int kPatience = 3;          // iterations before windows are taken for lost
+constexpr double kThrown = 1.1;        // times its χ² so far, at which a window's start was moved too far
+constexpr double kAsExpected = 1.3;    // times what the linear model says, which a step may cost
+constexpr double kLeastTaken = 0.1;    // of a trust region, for the next one
+constexpr size_t kStalled = 3;         // iterations, over which a fit stalls that gains less than
+constexpr double kFarFromNoise = 2.0;  // times what noise leaves
+constexpr double kStalledGain = 0.1;   // of what its cost is above noise
+constexpr double kOtherStep = 2e-4;    // s, see StepRuleResiduals
+constexpr double kStandsOut = 4.0;     // times the median of all windows' χ², or what noise leaves
+constexpr int kPatience = 3;           // iterations before windows are taken for lost
 constexpr int kScreenParts = 16;
 constexpr double kUnusual = 1.5;    // times the middle χ² of windows, from where they start anew
 constexpr double kMostlyMet = 2.0;  // χ² per row of the middle window, below which only starts are amiss
@@ -284,7 +285,8 @@ size_t TryRecordedStarts(Lineariser& lin, const FitData& data, int threads, Node
 // `rows`: something else is missing, and a minimum found more closely says nothing more.
 bool Stalls(const std::vector<double>& costs, double rows) {
   const size_t done = costs.size();
-  return done > kStalled && costs[done - 1 - kStalled] - costs.back() < kStalledGain * (costs.back() - rows);
+  return done > kStalled && costs.back() > kFarFromNoise * rows &&
+         costs[done - 1 - kStalled] - costs.back() < kStalledGain * (costs.back() - rows);
 }
 
 // Whether a fit whose cost after each iteration was `costs` would not come to what it has to.

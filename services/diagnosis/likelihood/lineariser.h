@@ -513,7 +513,7 @@ class Lineariser {
     const int kinds = data_.use_velocity ? 2 : 1;
     for (int kind = 0; kind < kinds; ++kind) {
       const RowMatrix& D = kind == 0 ? step.dposition : step.dvelocity;
-      const auto block = D.middleRows(run == 0 ? output * n_ : 0, n_);
+      const auto block = D.middleRows(w.runs[run].derivatives_at_end ? 0 : output * n_, n_);
       const VectorXd y = kind == 0 ? window.q.col(node) : window.v.col(node);
       VectorXd h = kind == 0 ? step.position.col(output) : step.velocity.col(output);
       h += MeanBeyond(w, window, node, kind == 1);

@@ -91,14 +91,13 @@ FitLedger::FitLedger(const FitSetting& setting, const DiagnosisOptions& options,
       options_(options),
       trace_(trace),
       cancel_(cancel),
-      limit_(options.work_limit),
       made_(options.fits == nullptr ? local_ : *options.fits) {
   lifted_.threads = threads;
   lifted_.step_s = options.step_s;
 }
 
 bool FitLedger::Late(double limits) const {
-  return Cancelled() || shorter_windows_ != nullptr || work_ > limits * limit_ ||
+  return Cancelled() || shorter_windows_ != nullptr || work_ - forgiven_ > limits * options_.work_limit ||
          (options_.time_limit_s > 0 && trace_.Elapsed() > options_.time_limit_s);
 }
 

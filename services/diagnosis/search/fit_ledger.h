@@ -1,6 +1,7 @@
 // The fits of one search: requests them, scores them, and keeps every fitted model and what it cost.
 #pragma once
 
+#include <algorithm>
 #include <map>
 #include <memory>
 #include <optional>
@@ -33,7 +34,7 @@ class FitLedger {
   double work() const { return work_; }
   double work_share() const { return work_ / options_.work_limit; }
   // What comes next gets this share of the work limit, whatever was used before it.
-  void Grant(double share) { limit_ = std::max(limit_, work_ + share * options_.work_limit); }
+  void Grant(double share) { forgiven_ = std::max(forgiven_, work_ - (1 - share) * options_.work_limit); }
   void AddWork(double work) { work_ += work; }
   void SetRound(int round) { round_ = round, made_.Forget(); }
 
@@ -129,7 +130,7 @@ class FitLedger {
   LiftedOptions lifted_;
   int round_ = 0;
   double work_ = 0;                          // of all fits so far
-  double limit_;                             // of it
+  double forgiven_ = 0;                      // of it, that no longer counts against the limit
   std::shared_ptr<const Candidate> pieces_;  // base parameters from short pieces
   std::shared_ptr<const Candidate> shorter_windows_;
   std::map<std::string, Candidate> tried_;
