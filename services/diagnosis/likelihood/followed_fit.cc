@@ -24,7 +24,6 @@ constexpr int kLook = 1;                   // the same, of each of the swings th
 constexpr double kFollowOn = 0.9;          // of the χ² before, which another round must come below
 constexpr double kPieces[] = {0.25, 0.5};  // of a window, on the way
 constexpr int kRounds = 6;                 // over pieces of either length
-constexpr double kNextRound = 0.9;         // of χ² per row of the pieces met best, for another
 constexpr double kAlone = 2.5;        // times its work, what a window costs that is fitted alone: few lanes
 constexpr double kMostPieces = 0.7;   // of all, that are fitted with all that are met
 constexpr double kMostWindows = 0.5;  // the same of windows, at first
@@ -200,7 +199,6 @@ double FindOverPieces(const FitData& data, double piece_s, const LiftedOptions& 
   ForEachPiece(data.windows, pieces.windows, [&](size_t w, Eigen::Index first, size_t p) {
     f.states[p] = (*states)[w].middleCols(first, static_cast<Eigen::Index>(pieces.windows[p].t.size()));
   });
-  double least = std::numeric_limits<double>::infinity();  // χ² per row
   for (int round = 0; round < kRounds; ++round) {
     f.Follow(*model, false);
     const VectorXd before = model->values;
@@ -212,10 +210,7 @@ double FindOverPieces(const FitData& data, double piece_s, const LiftedOptions& 
       const int at = model->parameters[i].index;
       moved = moved || std::abs(fit.values[at] - before[at]) > fit.stddev[static_cast<Eigen::Index>(i)];
     }
-    const double left = fit.chi2 / std::max(1, fit.rows);
-    // A mass that is not there is never found, though every round moves it.
-    if (!moved || (left > kFitted * options.noise_scale && !(left < kNextRound * least))) break;
-    least = std::min(least, left);
+    if (!moved) break;
   }
   ForEachPiece(data.windows, pieces.windows, [&](size_t w, Eigen::Index first, size_t p) {
     (*states)[w].middleCols(first, f.states[p].cols()) = f.states[p];

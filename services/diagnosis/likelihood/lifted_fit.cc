@@ -349,6 +349,10 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   std::vector<RowMatrixXd> grams(W);
   std::vector<double> adopted(W), costs;
   const bool hidden = nx > 2 * n;
+  // A mass that has to find its swing, or a motor its face, may stall for a while and then come near.
+  const auto& names = model.plant.internal_state_names();
+  const bool plain = std::all_of(names.begin(), names.end(),
+                                 [](const std::string& name) { return name.starts_with(kLagState); });
   const double simulation = SimulationWork(data, options, nx);
   if (hidden && from == nullptr) result.work += (1 + (lin.has_gaps() ? kFaces : 0)) * simulation;
   const int groups = (W + kTogether - 1) / kTogether;
@@ -488,7 +492,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
     if (it > 0 && std::abs(gain) < 0.02) break;
     if (it >= options.iterations && !(gain > options.still_falling * best)) break;
     costs.push_back(best);
-    if (Stalls(costs, data.Rows()) || Hopeless(costs, options)) break;
+    if ((plain && Stalls(costs, data.Rows())) || Hopeless(costs, options)) break;
   }
   result.rows = data.Rows();
   if (!result.ok) return result;

@@ -22,7 +22,8 @@ namespace {
 constexpr int kMoreIterations = 14;     // while the cost falls
 constexpr double kHopeless = 2.0;       // times the rival's misfit: a fit that would stay above ends early
 constexpr double kFallsFast = 0.1;      // of the cost in one iteration, for a trial fit to go on
-constexpr double kTrialShare = 0.3;     // of the work limit, for the trials of one screen or of a pendulum
+constexpr double kTrialShare = 0.3;     // of the work limit, for the trials of one screen
+constexpr double kPendulumShare = 0.8;  // the same, of a pendulum
 constexpr double kLookShare = 0.015;    // of the work limit, for choosing the start of one law on one joint
 constexpr double kToTheEnd = 1.3;       // of the work limit, after which no more models are compared
 constexpr double kInPlaceYet = 1.8;     // of the work limit, after which no laws are exchanged
@@ -421,7 +422,7 @@ std::optional<Candidate> FitLedger::TryPendulum(const Candidate& from,
   const auto typically = [&](const std::vector<double>& window_chi2) {
     return TypicalChi2(setting_.data, window_chi2, lifted_.noise_scale, kTypically);
   };
-  const double missing = typically(before) - 1, enough = work_ + kTrialShare * options_.work_limit;
+  const double missing = typically(before) - 1, enough = work_ + kPendulumShare * options_.work_limit;
 
   struct PendulumTrial {
     TrialSpecs specs;
