@@ -121,14 +121,16 @@ struct Inference {
   bool chained = false;
   // Starts in the place of another of its slot with these values.
   std::vector<Start> (*instead)(const Values& other, Blind with) = nullptr;
+  // Of a law of position alone: its force [N·m or N] there.
+  double (*force_at)(const Values& values, double position) = nullptr;
   std::string stays = {};  // a parameter that fits leave near where they start
   std::string rotor = {};  // the parameter that is a rotor's inertia where the rest of it is rigid
   // Of parameters that are no levels, drags or rotors (PriorOf); the spec has the values that a fit starts
   // from.
   std::optional<Prior> (*prior)(const std::string& field, double nominal, const EffectSpec& spec,
                                 const JointSize& joint) = nullptr;
-  bool swings = false;  // a mass that hangs from the last link
-  double rare = 0;      // −log odds beside those of any effect
+  bool swings = false;           // a mass that hangs from the last link
+  double rare = 0;               // −log odds beside those of any effect
   bool for_many_bodies = false;  // says in a number or few what other masses take many for
   // Whether it can be what these coefficients of its terms say.
   bool (*plausible)(const std::vector<double>& c) = nullptr;

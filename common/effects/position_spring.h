@@ -56,6 +56,9 @@ struct PositionSpring {
                       {"cubic", 0.0},
                       {"center", 0.5 * (joint.low + joint.high)}};
             },
+            .force_at = [](const Values& v, double position) -> double {
+              return Force(v.at("stiffness"), v.at("cubic"), position - v.at("center"));
+            },
             .prior = [](const std::string& field, double nominal, const EffectSpec&,
                         const JointSize& joint) -> std::optional<Prior> {
               const double torque = joint.torque, range = joint.Range();
@@ -72,8 +75,13 @@ struct PositionSpring {
     const S stiffness = p[0] + T(3) * p[1] * x0 * x0;
     const S positive = Select(stiffness > T(0), stiffness, S(T(0)));
     const S weight = law.OscillationWeight(positive * (law.step.h * law.step.h / law.reference_mass));
-    const S x = law.PositionAt(weight) - p[2];
-    law.force -= (p[0] + p[1] * x * x) * x;
+    law.force += Force(p[0], p[1], law.PositionAt(weight) - p[2]);
+  }
+
+ private:
+  template <class S>
+  static S Force(const S& stiffness, const S& cubic, const S& x) {
+    return -((stiffness + cubic * x * x) * x);
   }
 };
 

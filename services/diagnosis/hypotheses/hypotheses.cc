@@ -178,20 +178,16 @@ std::vector<std::vector<EffectSpec>> OtherTransmission(const EffectSpec& spec, c
   return out;
 }
 
-std::vector<EffectSpec> WithConstantForces(std::vector<EffectSpec> specs, const sim::Plant& nominal,
-                                           const MotionScales& scales) {
-  const std::string &spring = effects::LawOf(Regressor::kPosition).id,
-                    &constant = effects::LawOf(Regressor::kConstant).id;
-  const std::vector<EffectSpec> before = specs;
+std::vector<EffectSpec> WithConstantForce(std::vector<EffectSpec> specs, const std::string& joint,
+                                          const sim::Plant& nominal, const MotionScales& scales) {
+  const std::string& constant = effects::LawOf(Regressor::kConstant).id;
+  const int at = nominal.model().FindJoint(joint);
+  if (!nominal.Takes(constant, at) || Contains(specs, constant, joint)) return specs;
+  const double middle = 0.5 * (scales.low[at] + scales.high[at]);
   for (EffectSpec& s : specs) {
-    if (s.id != spring || Contains(before, constant, s.joints[0])) continue;
-    const int joint = nominal.model().FindJoint(s.joints[0]);
-    if (!nominal.Takes(constant, joint)) continue;
-    const effects::JointSize size = SizeOf(scales, nominal, joint);
-    const auto& values = s.values.at(s.joints[0]);
-    const double x = 0.5 * (size.low + size.high) - values.at("center");
-    const double force = -(values.at("stiffness") + values.at("cubic") * x * x) * x;
-    s = MakeSpec(constant, s.joints, {{"offset", force}});
+    if (s.id != effects::LawOf(Regressor::kPosition).id || s.joints[0] != joint) continue;
+    s = MakeSpec(constant, s.joints,
+                 {{"offset", effects::InferenceOf(s.id).force_at(s.values.at(joint), middle)}});
   }
   return specs;
 }

@@ -36,9 +36,11 @@ std::vector<std::vector<effects::EffectSpec>> StartsBehind(const std::string& ef
                                                            const MotionScales& scales, double rotor);
 // Rigid gears in the place of springs: of each the rotor behind it.
 std::vector<effects::EffectSpec> WithoutSprings(std::vector<effects::EffectSpec> specs);
-// With the mean force of a joint's spring in its place, where the joint can take a constant force.
-std::vector<effects::EffectSpec> WithConstantForces(std::vector<effects::EffectSpec> specs,
-                                                    const sim::Plant& nominal, const MotionScales& scales);
+// With the force of that joint's spring in the middle of its travel in the spring's place, where the joint can
+// take a constant force.
+std::vector<effects::EffectSpec> WithConstantForce(std::vector<effects::EffectSpec> specs,
+                                                   const std::string& joint, const sim::Plant& nominal,
+                                                   const MotionScales& scales);
 // The other law of a gear in the place of a spring or play, with the motor and the sensor that it has: play
 // from a grid of gaps, or the spring that its faces are. Empty for other effects.
 std::vector<std::vector<effects::EffectSpec>> OtherTransmission(const effects::EffectSpec& spec,

@@ -355,10 +355,18 @@ bool AddsNothing(const Candidate& before, const Candidate& c) {
 
 bool OfAllJoints(const Candidate& c, size_t i) {
   const std::string& id = c.specs[i].id;
-  const auto joints =
-      std::count_if(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) { return s.id == id; });
-  return (IsTiming(id) && joints > 1) ||
-         (IsLossOfDrives(id) && joints >= kManyJoints && 2 * joints > c.plant->num_joints());
+  const bool timing = IsTiming(id);
+  if (!timing && !IsLossOfDrives(id)) return false;
+  long have = 0, told = c.plant->num_joints();
+  for (size_t k = 0; k < c.specs.size(); ++k) {
+    if (c.specs[k].id != id) continue;
+    if (c.fit.information.size() == 0 || Strength(c, k) > kAbsent) {
+      ++have;
+    } else if (Uninformed(c, k)) {
+      --told;
+    }
+  }
+  return timing ? have > 1 : have >= kManyJoints && 2 * have > told;
 }
 
 bool LikeOtherJoints(const Candidate& c, size_t i) {
@@ -420,11 +428,22 @@ bool HasHiddenStates(const Candidate& c) {
   return c.plant != nullptr && c.plant->num_states() > 2 * c.plant->num_joints();
 }
 
-bool HasFreeStates(const Candidate& c) {
-  return HasHiddenStates(c) &&
-         std::any_of(c.plant->internal_state_names().begin(), c.plant->internal_state_names().end(),
-                     [](const std::string& name) { return !name.starts_with(kLagState); });
+namespace {
+
+// Whether it has hidden states of other kinds than these.
+bool HasStatesBut(std::initializer_list<std::string_view> kinds, const Candidate& c) {
+  if (!HasHiddenStates(c)) return false;
+  const auto& names = c.plant->internal_state_names();
+  return std::any_of(names.begin(), names.end(), [&](const std::string& name) {
+    return std::none_of(kinds.begin(), kinds.end(), [&](auto kind) { return name.starts_with(kind); });
+  });
 }
+
+}  // namespace
+
+bool HasFreeStates(const Candidate& c) { return HasStatesBut({kLagState}, c); }
+
+bool HasUnseenStates(const Candidate& c) { return HasStatesBut({kLagState, kBristleState}, c); }
 
 bool OfPosition(const Candidate& c) {
   return std::any_of(c.specs.begin(), c.specs.end(), [](const EffectSpec& e) { return IsOfPosition(e.id); });

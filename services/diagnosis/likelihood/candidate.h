@@ -57,8 +57,8 @@ inline constexpr double kExplained = 1.1;  // χ² per row (1: noise alone) belo
 inline constexpr double kZ99OneSided = 2.326;  // 99 % quantile of the standard normal distribution
 inline constexpr double kZ99TwoSided = 2.576;  // 99.5 % quantile
 
-// Traits of an effect, by its id: an unnamed force; delay or lag; that of a drive (not a sensor's); a force of
-// one joint's position; friction or inertia of a drive.
+// Traits of an effect, by its id: an unnamed force; delay or lag; that of a drive (not a sensor's); a force
+// of one joint's position; friction or inertia of a drive.
 bool IsUnnamed(const std::string& id);
 bool IsTiming(const std::string& id);
 bool IsLateDrive(const std::string& id);
@@ -104,8 +104,8 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
 // Whether every Stribeck friction falls with speed; one that rises imitates drag.
 bool Drops(const Candidate& c);
 // Whether the force of each of its springs grows with the distance from the centre over all positions
-// recorded, or turns back no sooner than a counterbalance's, a sine of the angle; one-sided at 1 %. What turns
-// back sooner is a detent or another force over position.
+// recorded, or turns back no sooner than a counterbalance's, a sine of the angle; one-sided at 1 %. What
+// turns back sooner is a detent or another force over position.
 bool PullsBack(const Candidate& c, const MotionScales& scales);
 
 // Wald statistic of effect i against absence: √(dᵀ·P·d), with d the distance of its strengths (a delay, an
@@ -123,7 +123,8 @@ bool AddsNothing(const Candidate& before, const Candidate& c);
 
 // Drives of one robot are alike: a joint's share of an effect that most of them have needs no prior odds of
 // its own. Whether effect i is such a share: a delay or lag that another joint has too, or friction or rotor
-// inertia on more than half of the joints and on kManyJoints at least.
+// inertia on more than half of the joints of which the data tell, and on kManyJoints at least. A joint has an
+// effect whose strength exceeds kAbsent; without a fit, one that the hypothesis gives it.
 bool OfAllJoints(const Candidate& c, size_t i);
 inline constexpr long kManyJoints = 3;
 // Whether the strength of such an effect i is compatible, within two standard deviations, with a fifth of the
@@ -142,6 +143,9 @@ bool HasUnnamed(const Candidate& c);
 bool HasHiddenStates(const Candidate& c);
 // Whether any of these is not determined by the commands alone, as a lag's is.
 bool HasFreeStates(const Candidate& c);
+// Whether some of these are of what no screen sees: a motor behind a spring or play, a mount, a swinging
+// mass. A bristle's are forgotten as soon as its joint slides.
+bool HasUnseenStates(const Candidate& c);
 // Whether it has forces of position, which may be parts of an unnamed one.
 bool OfPosition(const Candidate& c);
 

@@ -59,6 +59,7 @@ double ScreenWork(const FitData& data, const LiftedOptions& options, long states
 
 // How the names of lags' states begin, which commands alone settle; the joint's name follows.
 inline constexpr std::string_view kLagState = "lagged_torque.";
+inline constexpr std::string_view kBristleState = "bristle.";
 
 struct FitResult {
   Eigen::VectorXd values;

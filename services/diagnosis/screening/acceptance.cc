@@ -91,7 +91,7 @@ double Acceptance::Needed(const Candidate& best, double explained, Misfit misfit
   double rule = c.base && !best.base ? base_rule_ : 0;
   for (const auto& [id, joints] : Added(best, c)) rule = std::max(rule, StepRule(id, WithSpaces(joints)));
   // The base parameters do not keep what they may owe to the step rule beyond the effect's share.
-  if (best.base && !c.base && best.specs.empty())
+  if (best.base && !c.base && (best.specs.empty() || FreshKinds(best, c).empty()))
     return kSimplerOdds - 0.5 * std::max(0.0, base_rule_ * base_rule_ - rule * rule);
   return NeededWithRule(best, explained, misfit, rule);
 }

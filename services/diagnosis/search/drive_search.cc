@@ -171,9 +171,9 @@ std::vector<EffectSpec> DriveSearch::OnAll(const std::string& id, double late) c
 }
 
 // Another law of dry friction on all joints: Stribeck friction, or friction by direction. The latter contains
-// a constant force and may stand for wrong masses: free base parameters replace it where they leave about as
-// little. So do torque offsets, where at most half of the joints need one; friction by direction is a
-// property of gears, and then of most joints.
+// a constant force and may stand for wrong masses: unless it explains all, if with late drives, free base
+// parameters replace it where they leave about as little. So do torque offsets, where at most half of the
+// joints need one; friction by direction is a property of gears, and then of most joints.
 void DriveSearch::OtherDryLaw(Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
   const std::vector<TrialSpecs> laws = Exchanges(Refreshed(*best), kDry, setting_.nominal, setting_.scales);
@@ -188,9 +188,17 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
   const Candidate either_way = with(kEitherWay);
   if (Left(either_way) < kUseful * Left(drops)) {
     const Candidate zeros = WithZeros(*best, either_way);
+    const Candidate directed = zeros.fit.ok && Left(zeros) < Left(either_way) / kUseful ? zeros : either_way;
+    // What late drives leave is left by either: where these explain the rest, masses are no rival.
+    Candidate with_timing = directed;
+    Late(&with_timing);
+    if (!LeavesSomething(with_timing)) {
+      *best = with_timing;
+      return;
+    }
     const Candidate bodies = WithFreeBase(*best);
     if (!(Left(bodies) < Left(either_way) / kUseful)) {
-      *best = zeros.fit.ok && Left(zeros) < Left(either_way) / kUseful ? zeros : either_way;
+      *best = directed;
       return;
     }
     if (Left(bodies) < kUseful * Left(*best) && bodies.score > best->score + needed_(*best, bodies)) {

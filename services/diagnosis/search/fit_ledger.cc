@@ -58,6 +58,14 @@ std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::ve
   return out;
 }
 
+std::set<std::string> SpringyJoints(const TrialSpecs& specs) {
+  std::set<std::string> out;
+  for (const EffectSpec& s : specs) {
+    if (effects::IsIn(effects::Slot::kTransmission, s.id)) out.insert(s.joints.begin(), s.joints.end());
+  }
+  return out;
+}
+
 // Whether `specs` are one of the models with something added.
 bool HoldsOneOf(const std::vector<TrialSpecs>& accounts, const TrialSpecs& specs) {
   return std::any_of(accounts.begin(), accounts.end(), [&](const TrialSpecs& model) {
@@ -330,8 +338,8 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   TakeBest(best, 1, &found);
   TrySprings(from, &found);
   // A swinging mass is ruled out where another model, admissible or not, leaves far less than the mass in
-  // springs, and beside an unnamed force.
-  double least = PerRow(found);
+  // springs, and beside an unnamed force. So it is by the best of other starts, be that an unnamed force.
+  double least = winner->fit.ok ? std::min(PerRow(found), PerRow(*winner)) : PerRow(found);
   for (const FitRequest& request : best) {
     const Candidate* c = Known(request.specs, base);
     if (c != nullptr && c->fit.rows > 0 && c->fit.chi2 > 0 && !HasMassInSprings(c->specs) && !HasUnnamed(*c))
@@ -350,8 +358,8 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   }
   if (may_swing()) {
     const std::optional<Candidate> lost = TryPendulum(from, swings, beside, &found);
-    const double least = std::min(PerRow(found), PerRow(*winner));
-    if (lost && !(PerRow(*lost) > least) && !Late()) TryShorterWindows(*lost);
+    const double nearest_left = std::min(PerRow(found), PerRow(*winner));
+    if (lost && !(PerRow(*lost) > nearest_left) && !Late()) TryShorterWindows(*lost);
   }
   if (found.score > winner->score) *winner = found;
 }
@@ -359,13 +367,17 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
 // Fits on all windows, `least` of them whatever the work limit.
 void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner) {
   const auto batch = made_.Start(setting_, requests);
-  std::vector<TrialSpecs> met;  // models that leave nothing: no addition to these is fitted
+  std::vector<TrialSpecs> met;    // models that leave nothing: no addition to these is fitted
+  std::set<std::string> springy;  // where a spring or play leaves nothing: none is fitted elsewhere
   for (size_t i = 0; i < requests.size() && !Cancelled() && (i < least || !Late(kToTheEnd)); ++i) {
-    if (HoldsOneOf(met, requests[i].specs)) continue;
+    const std::set<std::string> here = SpringyJoints(requests[i].specs);
+    const bool elsewhere = !springy.empty() && !here.empty() && here != springy;
+    if (elsewhere || HoldsOneOf(met, requests[i].specs)) continue;
     const Candidate c = Tried(requests[i], batch->Take(i));
     if (c.score > winner->score) *winner = c;
-    if (c.fit.ok && !HasFreeStates(c) && !HasUnnamed(c) && lifted_.noise_scale * PerRow(c) < kExplained)
-      met.push_back(c.specs);
+    if (!c.fit.ok || HasUnnamed(c) || !MeetsSensors(c)) continue;
+    if (!HasFreeStates(c)) met.push_back(c.specs);
+    if (springy.empty()) springy = here;
   }
 }
 
@@ -382,6 +394,7 @@ bool FitLedger::Admissible(Candidate* candidate) {
 }
 
 void FitLedger::TrySprings(const Candidate& from, Candidate* model) {
+  if (Excess(*model) > kPartly * Excess(from)) return;
   const auto behind = SpringsBehind(from, *model, setting_.nominal, setting_.scales);
   const bool base = model->base;
   // A rotor that leaves nothing is a limit of a stiff spring or a narrow gap: fits start at its own.

@@ -85,7 +85,8 @@ class FitLedger {
   // Trial fits of `others`, each in the place of `winner`'s effects; those no worse are fitted on all
   // windows.
   void TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner);
-  // Springs behind the rotors that `model` adds to `from`, and play where such a rotor leaves nothing.
+  // Springs behind the rotors that `model` adds to `from` where it takes half of the misfit, and play where
+  // such a rotor leaves nothing.
   void TrySprings(const Candidate& from, Candidate* model);
   // Multi-start fit of a pendulum payload in the place of a mass in springs, which trials found on the tool
   // and on the last link (`springs`, the better first): over lengths, hinges and places, alone and with the

@@ -335,7 +335,8 @@ class Search {
   }
 
   // Laws of what is recorded come first, with inertials as given or free: where they leave nothing, hidden
-  // states are not looked for. On an ordinary robot inertials stay as the drives left them.
+  // states are not looked for. On an ordinary robot inertials stay as the drives left them. Laws that leave
+  // little with inertials as given may lack one more, which costs less to find than free inertials.
   bool ByLaws(const Candidate& before, Candidate* winner) {
     Candidate found = *winner;
     for (const bool base : {false, true}) {
@@ -344,6 +345,8 @@ class Search {
       if (own == nullptr || !own->fit.ok || fits_.AtStake(*own) < Threshold(before) || fits_.Late()) continue;
       const Candidate from = *own;
       if (!step_.AddLaws(from, base, Threshold(before), &found)) continue;
+      const bool nearly = !base && fits_.Excess(found) < (1 - kNearlyAll) * fits_.Excess(from);
+      if (nearly && !found.base && !HasUnnamed(found)) found = Better(found, ForwardSteps(found));
       if (!step_.ExplainedByLaws(before, found, Threshold(before, found))) continue;
       *winner = found;
       return true;

@@ -114,12 +114,10 @@ void Simplifier::Replace(const Candidate& by, Candidate* best) {
 }
 
 // The plain law that a richer one contains: Coulomb friction, of play the spring of its faces, of a drive's
-// spring the rotor behind it, of a spring on the joint a constant force.
+// spring the rotor behind it.
 TrialSpecs Simplifier::PlainForm(const Candidate& c, const std::string& id) const {
   TrialSpecs specs = Refreshed(c);
   if (id == effects::Spring().id) return WithoutSprings(specs);
-  if (id == LawOf(Regressor::kPosition).id)
-    return WithConstantForces(specs, setting_.nominal, setting_.scales);
   if (id != effects::Play().id) return Exchanges(specs, id, setting_.nominal, setting_.scales).front();
   for (EffectSpec& s : specs) {
     if (s.id == id) s = OtherTransmission(s, setting_.nominal, setting_.scales).front().front();
@@ -127,33 +125,40 @@ TrialSpecs Simplifier::PlainForm(const Candidate& c, const std::string& id) cons
   return specs;
 }
 
-// A richer law that does not exceed the plain one by the acceptance rule is replaced by it.
+// Richer laws that do not exceed plain ones by the acceptance rule are replaced by these: a kind on all its
+// joints, but of a spring on a joint, which a constant force may explain as well, each.
 void Simplifier::UsePlainLaws(Candidate* best) {
   std::vector<std::string> richer = RicherFrictions();
-  richer.insert(richer.end(), {effects::Play().id, effects::Spring().id, LawOf(Regressor::kPosition).id});
-  for (const std::string& id : richer) {
-    const TrialSpecs specs = PlainForm(*best, id);
-    if (KeyOf(specs) == KeyOf(best->specs) || fits_.Late(kPruned)) continue;
-    const Candidate* known = fits_.Known(specs, best->base);
-    // A special case cannot score much better than the richer law: if it does, the richer fit was lost.
-    const bool done = known != nullptr && known->score >= best->score;
-    Candidate plain = done ? *known : fits_.Evaluate(specs, best->base, best, 6, best);
-    if (!done && known != nullptr) {
-      // The plain law's first fit may have ended early, and the richer one started there.
-      const Candidate before = *known;
-      const Candidate longer = fits_.Evaluate(Refreshed(before), before.base, &before, 12, best);
-      for (const Candidate& c : {before, longer}) {
-        if (c.score > plain.score) plain = c;
-      }
-    }
-    // A spring is another effect than a rotor, not a richer form: a better score is enough.
-    const double needed = id == effects::Spring().id ? 1.0 : needed_(plain, *best);
-    if (best->score >= plain.score + needed) continue;
-    // The richer form is charged with the same when rivals are compared.
-    Candidate& form = fits_.tried()[KeyOf(best->specs, best->base)];
-    form.score -= needed, form.form += needed;
-    *best = plain;
+  richer.insert(richer.end(), {effects::Play().id, effects::Spring().id});
+  for (const std::string& id : richer) UsePlainLaw(id, PlainForm(*best, id), best);
+  const std::string& spring = LawOf(Regressor::kPosition).id;
+  for (const std::string& joint : setting_.nominal.joint_names()) {
+    if (!Contains(best->specs, spring, joint)) continue;
+    UsePlainLaw(spring, WithConstantForce(Refreshed(*best), joint, setting_.nominal, setting_.scales), best);
   }
+}
+
+void Simplifier::UsePlainLaw(const std::string& richer, const TrialSpecs& specs, Candidate* best) {
+  if (KeyOf(specs) == KeyOf(best->specs) || fits_.Late(kPruned)) return;
+  const Candidate* known = fits_.Known(specs, best->base);
+  // A special case cannot score much better than the richer law: if it does, the richer fit was lost.
+  const bool done = known != nullptr && known->score >= best->score;
+  Candidate plain = done ? *known : fits_.Evaluate(specs, best->base, best, 6, best);
+  if (!done && known != nullptr) {
+    // The plain law's first fit may have ended early, and the richer one started there.
+    const Candidate before = *known;
+    const Candidate longer = fits_.Evaluate(Refreshed(before), before.base, &before, 12, best);
+    for (const Candidate& c : {before, longer}) {
+      if (c.score > plain.score) plain = c;
+    }
+  }
+  // A spring is another effect than a rotor, not a richer form: a better score is enough.
+  const double needed = richer == effects::Spring().id ? 1.0 : needed_(plain, *best);
+  if (best->score >= plain.score + needed) return;
+  // The richer form is charged with the same when rivals are compared.
+  Candidate& form = fits_.tried()[KeyOf(best->specs, best->base)];
+  form.score -= needed, form.form += needed;
+  *best = plain;
 }
 
 // A rotor on the first joint equals the first body's inertia about its axis: beside another effect a wrong

@@ -39,6 +39,7 @@ class Simplifier {
   void Replace(const Candidate& by, Candidate* best);
   TrialSpecs PlainForm(const Candidate& c, const std::string& id) const;
   void UsePlainLaws(Candidate* best);
+  void UsePlainLaw(const std::string& richer, const TrialSpecs& specs, Candidate* best);
   void FirstRotorAsInertia(Candidate* best);
   void MergeByDirection(Candidate* best);
   void SplitByDirection(Candidate* best);

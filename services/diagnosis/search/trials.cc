@@ -122,14 +122,15 @@ class TrialBuilder {
     }
   }
 
-  // A soft mount beside the best of the screen's: where both are missing each hides the other, and neither is
-  // worth a second look alone.
+  // A soft mount beside the best of the screen's that has a name: where both are missing each hides the
+  // other, and neither is worth a second look alone.
   void MountBeside() {
     if (!from_.specs.empty() || (from_.base && data_.n > 2)) return;
     std::vector<Scored> best;
     double most = 0;
-    if (!screened_.hypotheses.empty() && screened_.hypotheses[0].gain > most)
-      best = {screened_.hypotheses[0]}, most = best[0].gain;
+    const auto named = std::find_if(screened_.hypotheses.begin(), screened_.hypotheses.end(),
+                                    [](const Scored& h) { return !IsUnnamed(h.effect); });
+    if (named != screened_.hypotheses.end() && named->gain > most) best = {*named}, most = named->gain;
     if (!screened_.sets.empty() && screened_.sets[0].gain > most) best = screened_.sets[0].parts;
     if (best.empty()) return;
     const TrialSpecs beside = Together(best, nominal_, scales_);

@@ -126,6 +126,12 @@ TEST(Acceptance, FreeBaseParametersNeedMoreThanAnotherStepRuleWouldPretend) {
 TEST(Acceptance, FewerFreeParametersNeedTheOddsOnly) {
   EXPECT_DOUBLE_EQ(
       Acceptance().Needed(Model({}, true), 0, Left(1e4), Model({MakeSpec("coulomb_friction", {"a"})})), 3);
+  // Nor do the same kinds of effects, on more joints too, and without the free parameters.
+  const Candidate freed = Model({MakeSpec("coulomb_friction", {"a"}), MakeSpec("actuator_lag", {"a"})}, true);
+  const Candidate same = Model({MakeSpec("coulomb_friction", {"a"}), MakeSpec("coulomb_friction", {"b"})});
+  EXPECT_DOUBLE_EQ(Acceptance().Needed(freed, 1e6, Left(1e4), same), 3);
+  const Candidate other = Model({MakeSpec("coulomb_friction", {"a"}), MakeSpec("torque_offset", {"a"})});
+  EXPECT_GT(Acceptance().Needed(freed, 1e6, Left(1e4), other), 1000) << "a force in the place of masses";
 }
 
 // A constant force and a small gain: alone, a spring far away bends into more of the gain than the force

@@ -336,6 +336,28 @@ TEST(Candidate, DrivesShareDelaysAndLossesOfMostJoints) {
   EXPECT_FALSE(OfAllJoints(c, 0)) << "a delay of one";
 }
 
+TEST(Candidate, ALagFollowsCommandsABristleItsJointAndAMotorNeither) {
+  const auto p = testing::Prepare("pendulum", {}, 31);
+  const auto with = [&](std::vector<effects::EffectSpec> specs) {
+    Candidate c;
+    c.specs = std::move(specs);
+    const auto plant = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), c.specs);
+    EXPECT_TRUE(plant.ok()) << plant.status().ToString();
+    c.plant = std::make_shared<const sim::Plant>(*plant);
+    return c;
+  };
+  const std::string joint = p->nominal.joint_names()[0];
+  const Candidate lag = with({effects::MakeSpec("actuator_lag", {joint})}),
+                  bristle = with({effects::MakeSpec("presliding_hysteresis", {joint})}),
+                  motor = with({effects::MakeSpec("joint_elasticity", {joint})});
+  EXPECT_TRUE(HasHiddenStates(lag));
+  EXPECT_FALSE(HasFreeStates(lag));
+  EXPECT_TRUE(HasFreeStates(bristle));
+  EXPECT_FALSE(HasUnseenStates(bristle));
+  EXPECT_TRUE(HasUnseenStates(motor));
+  EXPECT_FALSE(HasHiddenStates(with({})));
+}
+
 TEST(Candidate, AJointThatTellsLittleIsTakenToBeLikeItsFellows) {
   const auto arm = testing::Prepare("mico2", {}, 31);
   Candidate c;
@@ -361,6 +383,11 @@ TEST(Candidate, AJointThatTellsLittleIsTakenToBeLikeItsFellows) {
   last(0.0, 0.01);
   EXPECT_FALSE(LikeOtherJoints(c, 5)) << "it is known to have none";
   EXPECT_EQ(StrongEffects(c).size(), 5u);
+  const Eigen::VectorXd theta = c.fit.theta;
+  c.fit.theta.tail(4).setZero();
+  EXPECT_FALSE(OfAllJoints(c, 0)) << "four of six are known to have none";
+  EXPECT_EQ(StrongEffects(c).size(), 2u);
+  c.fit.theta = theta;
   last(0.45, 0.3);
   EXPECT_TRUE(ClearlyNonzero(c, 5, 100.0)) << "as strong as the others, if less well known";
   c.fit.stddev = 0.9 * prior;

@@ -360,28 +360,35 @@ TEST(WithoutSprings, LeavesTheRotorsBehindThem) {
   EXPECT_EQ(rigid[0].values.at("elbow").at("armature"), 0.02);
 }
 
-TEST(WithConstantForces, HaveTheMeanForceOfASpringOfTheJoint) {
+TEST(WithConstantForce, HasTheForceOfThatJointsSpringInTheMiddleOfItsTravel) {
   const auto c = Case::Of("arm2", {}, 15);
   const auto spring = [](const std::string& joint) {
     return MakeSpec("position_spring", {joint}, {{"stiffness", 2.0}, {"cubic", 1.0}, {"center", 0.5}});
   };
-  const TrialSpecs constant = WithConstantForces(
-      {spring("shoulder"), spring("elbow"), MakeSpec("torque_offset", {"elbow"}, {{"offset", 0.1}})},
-      c->nominal, c->scales);
-  EXPECT_EQ(KeyOf(constant), "position_spring[elbow ] torque_offset[elbow ] torque_offset[shoulder ] ");
+  const TrialSpecs springs = {spring("shoulder"), spring("elbow")};
+  const auto with = [&](const TrialSpecs& specs, const char* joint) {
+    return WithConstantForce(specs, joint, c->nominal, c->scales);
+  };
+  const TrialSpecs constant = with(springs, "shoulder");
+  EXPECT_EQ(KeyOf(constant), "position_spring[elbow ] torque_offset[shoulder ] ");
   const int joint = c->nominal.model().FindJoint("shoulder");
   const double x = 0.5 * (c->scales.low[joint] + c->scales.high[joint]) - 0.5;
   EXPECT_NEAR(constant[0].values.at("shoulder").at("offset"), -2.0 * x - x * x * x, 1e-12);
+  EXPECT_EQ(KeyOf(with(constant, "elbow")), "torque_offset[elbow ] torque_offset[shoulder ] ");
+  const TrialSpecs both = {spring("elbow"), MakeSpec("torque_offset", {"elbow"}, {{"offset", 0.1}})};
+  EXPECT_EQ(KeyOf(with(both, "elbow")), KeyOf(both)) << "the joint has a constant force";
 }
 
 // Where a soft mount and a gain are both missing each hides the other: the best of the screen is tried on a
-// mount too, but only before anything is found.
+// mount too, but only before anything is found; a force without a name, which imitates either, is not.
 TEST(Trials, TryAMountBesideTheBestOfTheScreen) {
   const auto c = Case::Of("arm2", {}, 9);
   ScreenResult screened;
-  Scored gain;
+  Scored gain, unnamed;
   gain.effect = "torque_gain", gain.joints = {1}, gain.gain = 50, gain.coefficients = {-0.1};
-  screened.hypotheses = {gain};
+  unnamed.effect = "unknown_field", unnamed.joints = {0}, unnamed.gain = 60;
+  unnamed.coefficients = std::vector<double>(8, 0.1);
+  screened.hypotheses = {unnamed, gain};
   size_t looked = 0;
   const Nearest nearest = [&](const std::vector<TrialSpecs>& starts, size_t count) {
     looked = std::max(looked, starts.size());
