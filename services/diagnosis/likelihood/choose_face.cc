@@ -16,10 +16,9 @@ constexpr int kMoves = 8;           // from there
 
 }  // namespace
 
-VectorXd Lineariser::AcrossGap(const Gap& gap, bool reads_motor, VectorXd x, double ahead,
-                               double faster) const {
+VectorXd Lineariser::AcrossGap(const Gap& gap, VectorXd x, double ahead, double faster) const {
   const int link = gap.joint, motor = 2 * n_ + gap.motor;
-  if (reads_motor) {
+  if (gap.reads_motor) {
     x[link] = x[motor] - ahead, x[n_ + link] = x[motor + 1] - faster;
   } else {
     x[motor] = x[link] + ahead, x[motor + 1] = x[n_ + link] + faster;
@@ -27,12 +26,11 @@ VectorXd Lineariser::AcrossGap(const Gap& gap, bool reads_motor, VectorXd x, dou
   return x;
 }
 
-double Lineariser::ChooseFace(int worker, int index, const std::vector<int>& sensed, const VectorXd* before,
-                              bool closely, double best, MatrixXd* states) {
+double Lineariser::ChooseFace(int worker, int index, const VectorXd* before, bool closely, double best,
+                              MatrixXd* states) {
   const NodeWindow& window = data_.windows[index];
   for (const Gap& g : gaps_) {
     const int motor = 2 * n_ + g.motor;
-    const bool reads_motor = sensed[g.joint] >= 0;
     // The speed that the drive gives the motor across the gap.
     const double half = 0.5 * probe_.values[g.parameter];
     const auto drive = data_.fine[window.recording].u.row(g.joint);
@@ -41,18 +39,18 @@ double Lineariser::ChooseFace(int worker, int index, const std::vector<int>& sen
     // Both from the present start and from the recorded state: a start on a wrong face has drifted.
     const VectorXd here = states->col(0);
     VectorXd recorded = here;
-    recorded[reads_motor ? motor : g.joint] = window.q0(g.joint, 0);
-    recorded[reads_motor ? motor + 1 : n_ + g.joint] = window.v0(g.joint, 0);
+    recorded[g.reads_motor ? motor : g.joint] = window.q0(g.joint, 0);
+    recorded[g.reads_motor ? motor + 1 : n_ + g.joint] = window.v0(g.joint, 0);
     std::vector<VectorXd> starts;
     for (const VectorXd& x : {here, recorded}) {
       if (!starts.empty() && recorded == here) break;
       if (before != nullptr) {
         const VectorXd& b = *before;
-        starts.push_back(AcrossGap(g, reads_motor, x, b[motor] - b[g.joint], b[motor + 1] - b[n_ + g.joint]));
+        starts.push_back(AcrossGap(g, x, b[motor] - b[g.joint], b[motor + 1] - b[n_ + g.joint]));
       }
       for (const double side : {-1.0, -0.5, 0.0, 0.5, 1.0}) {
         for (const double rate : {-1.0, -0.4, -0.15, 0.0, 0.15, 0.4, 1.0})
-          starts.push_back(AcrossGap(g, reads_motor, x, side * half, rate * speed));
+          starts.push_back(AcrossGap(g, x, side * half, rate * speed));
       }
     }
     // The contact shows early in the window: all starts are compared there, the best to its end.
@@ -66,14 +64,13 @@ double Lineariser::ChooseFace(int worker, int index, const std::vector<int>& sen
     const std::vector<double> chi2 = Simulated(worker, std::vector<int>(nearest.size(), index), nearest);
     const auto least = std::min_element(chi2.begin(), chi2.end());
     if (*least < best) best = *least, states->col(0) = nearest[static_cast<size_t>(least - chi2.begin())];
-    if (closely)
-      best = Descend(worker, index, g, reads_motor, kFirstMove * half, kFirstMove * speed, best, states);
+    if (closely) best = Descend(worker, index, g, kFirstMove * half, kFirstMove * speed, best, states);
   }
   return best;
 }
 
-double Lineariser::Descend(int worker, int index, const Gap& gap, bool reads_motor, double ahead,
-                           double faster, double best, MatrixXd* states) {
+double Lineariser::Descend(int worker, int index, const Gap& gap, double ahead, double faster, double best,
+                           MatrixXd* states) {
   const int motor = 2 * n_ + gap.motor;
   for (int move = 0; move < kMoves; ++move) {
     const VectorXd x = states->col(0);
@@ -82,7 +79,7 @@ double Lineariser::Descend(int worker, int index, const Gap& gap, bool reads_mot
     for (const double along : {-1.0, 0.0, 1.0}) {
       for (const double across : {-1.0, 0.0, 1.0}) {
         if (along == 0 && across == 0) continue;
-        around.push_back(AcrossGap(gap, reads_motor, x, deflection + along * ahead, rate + across * faster));
+        around.push_back(AcrossGap(gap, x, deflection + along * ahead, rate + across * faster));
       }
     }
     const std::vector<double> chi2 = Simulated(worker, std::vector<int>(around.size(), index), around);

@@ -7,6 +7,7 @@
 #include <optional>
 
 #include "common/effects/inference.h"
+#include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/arrival_cost.h"
 #include "services/diagnosis/likelihood/candidate.h"
 #include "services/diagnosis/likelihood/lineariser.h"

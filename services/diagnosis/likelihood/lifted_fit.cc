@@ -8,7 +8,6 @@
 #include <limits>
 #include <numeric>
 
-#include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/arrival_cost.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/diagnosis/likelihood/row_products.h"
@@ -37,43 +36,9 @@ constexpr int kTogether = 8;        // windows that are simulated side by side
 
 }  // namespace
 
-int ProjectOut(const Rows& J_e, RowMatrixXd* columns) {
-  // Columns of very different size (a state that is forgotten at once) are scaled first.
-  MatrixXd scaled = J_e;
-  for (int c = 0; c < scaled.cols(); ++c) {
-    const double norm = scaled.col(c).norm();
-    if (norm > 0) scaled.col(c) /= norm;
-  }
-  const Eigen::ColPivHouseholderQR<MatrixXd> qr(scaled);
-  const RowMatrixXd Q = qr.householderQ() * MatrixXd::Identity(scaled.rows(), qr.rank());
-  RowMatrixXd along = RowMatrixXd::Zero(Q.cols(), columns->cols());
-  AddTransposedProduct(Q, *columns, 1.0, along);
-  AddProduct(Q, along, -1.0, *columns);
-  return static_cast<int>(qr.rank());
-}
-
-namespace {
-
-// Per joint: place of the motor's position among the internal states where the encoder sits on the motor.
-std::vector<int> SensedMotors(const sim::Plant& plant) {
-  std::vector<int> out(plant.num_joints(), -1);
-  const auto& names = plant.internal_state_names();
-  for (const effects::EffectSpec& e : plant.effects()) {
-    const auto sensor = e.options.find("sensor");
-    if (sensor == e.options.end() || sensor->second != "motor") continue;
-    for (const std::string& joint : e.joints) {
-      const auto at = std::find(names.begin(), names.end(), "motor_position." + joint);
-      if (at != names.end()) out[plant.model().FindJoint(joint)] = static_cast<int>(at - names.begin());
-    }
-  }
-  return out;
-}
-
-}  // namespace
-
 NodeStates InitialStates(const FitData& data, const FitModel& model, const LiftedOptions& options) {
   Lineariser lin(data, model, false, options);
-  const std::vector<int> motor = SensedMotors(model.plant);
+  const std::vector<int>& motor = lin.sensed_motors();
   const int nx = lin.nx(), n = data.n;
   NodeStates states(data.windows.size());
   sysid::ParallelFor(options.threads, static_cast<int>(data.windows.size()), [&](int worker, int w) {
@@ -114,7 +79,7 @@ NodeStates InitialStates(const FitData& data, const FitModel& model, const Lifte
     states[w].col(0) = earlier.col(B);
     if (lin.has_gaps()) {
       const double carried = lin.Simulated(worker, w, VectorXd(states[w].col(0)));
-      lin.ChooseFace(worker, w, motor, nullptr, false, carried, &states[w]);
+      lin.ChooseFace(worker, w, nullptr, false, carried, &states[w]);
     }
     lin.CarryHidden(worker, window, motor, &states[w]);
   });
@@ -237,8 +202,8 @@ double Middle(std::vector<double> values) {
 
 // The windows that are met worst start anew where that is nearer to the record: a motor that lies on the
 // wrong face at first stays there, whatever the parameters become.
-void ChooseFaces(const FitData& data, Lineariser& lin, const std::vector<int>& sensed, int threads,
-                 double noise_scale, std::vector<double>* chi2, NodeStates* states) {
+void ChooseFaces(const FitData& data, Lineariser& lin, int threads, double noise_scale,
+                 std::vector<double>* chi2, NodeStates* states) {
   const int W = static_cast<int>(data.windows.size());
   std::vector<double> per_row;
   for (int w = 0; w < W; ++w) per_row.push_back((*chi2)[w] / lin.RowsOf(data.windows[w]));
@@ -251,10 +216,10 @@ void ChooseFaces(const FitData& data, Lineariser& lin, const std::vector<int>& s
     const bool goes_on = w > 0 && data.windows[w].recording == data.windows[w - 1].recording &&
                          data.windows[w].t.front() - data.windows[w - 1].t.back() == 0;
     const VectorXd* before = goes_on ? &ends[w - 1] : nullptr;
-    const double chosen = lin.ChooseFace(worker, w, sensed, before, closely, (*chi2)[w], &(*states)[w]);
+    const double chosen = lin.ChooseFace(worker, w, before, closely, (*chi2)[w], &(*states)[w]);
     if (!(chosen < (*chi2)[w])) return;
     (*chi2)[w] = chosen;
-    lin.CarryHidden(worker, data.windows[w], sensed, &(*states)[w]);
+    lin.CarryHidden(worker, data.windows[w], lin.sensed_motors(), &(*states)[w]);
   });
 }
 
@@ -356,7 +321,6 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   const double simulation = SimulationWork(data, options, nx);
   if (hidden && from == nullptr) result.work += (1 + (lin.has_gaps() ? kFaces : 0)) * simulation;
   const int groups = (W + kTogether - 1) / kTogether;
-  const std::vector<int> sensed = SensedMotors(model.plant);
   // What the cost falls by against the best so far, which the new state takes the place of if it does.
   const auto adopt = [&](const VectorXd& at, const VectorXd& trial, const NodeStates& nodes,
                          const std::vector<double>& chi2, const MatrixXd& information) {
@@ -481,7 +445,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
     states = std::move(trial_states);
     if (lin.has_gaps() && it < options.iterations + options.more_iterations) {
       if (options.free_hidden) {
-        ChooseFaces(data, lin, sensed, options.threads, options.noise_scale, &adopted, &states);
+        ChooseFaces(data, lin, options.threads, options.noise_scale, &adopted, &states);
         result.work += kFaces * simulation;
         const double more = adopt(trial_values, trial, states, adopted, information);
         if (more > 0) gain = std::max(gain, 0.0) + more;

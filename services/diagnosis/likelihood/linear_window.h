@@ -1,0 +1,36 @@
+// A window of a recording, linearised.
+#pragma once
+
+#include <Eigen/Core>
+
+#include "services/diagnosis/likelihood/row_products.h"
+
+namespace rg::diagnosis {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+// Robust cost of a residual r [stddev]: c²·log(1 + r²/c²), c = kSoft. About r² near the model; a window that
+// diverges does not outweigh the others.
+inline constexpr double kSoft = 20.0;
+
+// One window, linearised in nx corrections of its start, P parameters and C features: D = nx + P + C + 1
+// columns e_0 | δθ | features | what is left at e_0 = 0, δθ = 0.
+struct Linear {
+  RowMatrixXd rows;  // M × D, whitened; the last column is the residual
+  RowMatrixXd E;     // nx rows of every node one below another, or of the last two; the last column is d
+  int nx = 0;
+  bool ok = true;
+
+  auto J_e() const { return rows.leftCols(nx); }
+  auto J() const { return rows.middleCols(nx, rows.cols() - nx - 1); }
+  auto r() const { return rows.rightCols<1>(); }
+  auto Node(long k) { return E.middleRows(k * nx, nx); }
+  auto Node(long k) const { return E.middleRows(k * nx, nx); }
+  long nodes() const { return E.rows() / nx; }
+};
+
+// Takes from the columns what lies in those of J_e. Returns the rank of J_e.
+int ProjectOut(const Rows& J_e, RowMatrixXd* columns);
+
+}  // namespace rg::diagnosis
