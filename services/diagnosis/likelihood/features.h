@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "common/effects/inference.h"
-#include "services/diagnosis/likelihood/lifted_fit.h"
+#include "services/diagnosis/likelihood/screen.h"
 
 namespace rg::diagnosis {
 

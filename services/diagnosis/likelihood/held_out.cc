@@ -6,6 +6,7 @@
 
 #include "services/diagnosis/likelihood/followed_fit.h"
 #include "services/diagnosis/likelihood/jumps.h"
+#include "services/diagnosis/likelihood/screen.h"
 #include "services/diagnosis/likelihood/swing_starts.h"
 
 namespace rg::diagnosis {

@@ -1,4 +1,4 @@
-// Fits a plant with effects to recordings, and linearises it around them: lifted multiple shooting.
+// Fits a plant with effects to recordings: lifted multiple shooting.
 //
 // Every window carries its own states x_k at nodes about 10 ms apart. With e_k the correction of x_k,
 //
@@ -10,15 +10,13 @@
 // and each window is one simulation. Since the states start at the recorded motion and not at what a wrong
 // model makes of it, a wrong model or a sensitive arm does not break it (Albersmeyer & Diehl 2010).
 //
-// δτ are features: candidate forces as functions of the recorded motion. Their columns beside those of the
-// parameters let all hypotheses be tested with one linearisation.
+// δτ are features, candidate forces: screen.h.
 #pragma once
 
 #include <Eigen/Core>
 #include <string_view>
 #include <vector>
 
-#include "common/base/rng.h"
 #include "common/sim/plant.h"
 #include "common/sim/simulator.h"
 #include "services/diagnosis/data/fit_data.h"
@@ -78,23 +76,6 @@ struct FitResult {
   double evidence = 0;
 };
 
-// Forces per unit coefficient: phi[w] is C × N (per window, feature, interval); joint: C.
-struct FeatureBlock {
-  std::vector<int> joint;
-  std::vector<Eigen::MatrixXd> phi;
-  int size() const { return static_cast<int>(joint.size()); }
-};
-
-// Normal equations in (θ, features, residual), e_0 eliminated, whitened and divided by the noise scale:
-// gram is (P + C + 1)², its last row and column belong to the residual.
-struct Screen {
-  Eigen::MatrixXd gram;
-  Eigen::MatrixXd null;  // (P + C) × draws: right-hand sides if the residual were the sensors' noise alone
-  Eigen::VectorXd step_rule;  // P + C: the right-hand side that another step rule makes
-  int parameters = 0, features = 0;
-  double work = 0;
-};
-
 NodeStates InitialStates(const FitData& data, const FitModel& model, const LiftedOptions& options);
 // `start`: states to start from, the plant's own layout; without them from the recorded motion.
 FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& options,
@@ -102,17 +83,5 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
 // The states of a fitted plant as a start for another: what both have is kept.
 NodeStates CarriedStates(const FitData& data, const FitModel& to, const sim::Plant& from,
                          const NodeStates& states, const LiftedOptions& options);
-// Another step rule stands for what nobody knows of an engine or of a robot's timing: what the whitened
-// outputs of every window change by when it is simulated by semi-implicit Euler at 0.2 ms, as careful users
-// of the field's simulators do. An effect that explains no more than that is none.
-LiftedOptions OtherStepRule(LiftedOptions options);
-std::vector<Eigen::VectorXd> StepRuleResiduals(const FitData& data, const FitModel& model,
-                                               const NodeStates& states, const LiftedOptions& options);
-// Nats that the model's free parameters would gain from another step rule alone.
-double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates& states,
-                    const LiftedOptions& options);
-Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
-                  const FeatureBlock& features, const LiftedOptions& options,
-                  const std::vector<Eigen::VectorXd>& step_rule, int null_draws, Rng rng);
 
 }  // namespace rg::diagnosis

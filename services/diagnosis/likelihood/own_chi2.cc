@@ -4,6 +4,7 @@
 
 #include "services/diagnosis/likelihood/jumps.h"
 #include "services/diagnosis/likelihood/lineariser.h"
+#include "services/diagnosis/likelihood/screen.h"
 #include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {

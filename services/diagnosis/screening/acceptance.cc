@@ -5,6 +5,7 @@
 #include <set>
 
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/likelihood/screen.h"
 
 namespace rg::diagnosis {
 

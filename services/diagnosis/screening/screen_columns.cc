@@ -4,6 +4,7 @@
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/candidate.h"
+#include "services/diagnosis/likelihood/screen.h"
 
 namespace rg::diagnosis {
 

@@ -8,6 +8,7 @@
 
 #include "services/diagnosis/hypotheses/scored.h"
 #include "services/diagnosis/likelihood/features.h"
+#include "services/diagnosis/likelihood/screen.h"
 
 namespace rg::diagnosis {
 

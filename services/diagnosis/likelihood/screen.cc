@@ -1,0 +1,97 @@
+#include "services/diagnosis/likelihood/screen.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+
+#include "services/diagnosis/likelihood/lineariser.h"
+#include "services/sysid/parallel.h"
+
+namespace rg::diagnosis {
+
+namespace {
+
+constexpr double kOtherStep = 2e-4;  // s, see StepRuleResiduals
+constexpr int kScreenParts = 16;
+
+}  // namespace
+
+LiftedOptions OtherStepRule(LiftedOptions options) {
+  options.step_s = kOtherStep, options.integrator = sim::Integrator::kSemiImplicitEuler;
+  return options;
+}
+
+std::vector<VectorXd> StepRuleResiduals(const FitData& data, const FitModel& model, const NodeStates& states,
+                                        const LiftedOptions& options) {
+  Lineariser other(data, model, false, OtherStepRule(options)), own(data, model, false, options);
+  const int W = static_cast<int>(data.windows.size());
+  std::vector<VectorXd> out(W);
+  sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
+    const VectorXd x0 = states[w].col(0);
+    out[w] = own.Residuals(worker, w, x0) - other.Residuals(worker, w, x0);
+    if (!out[w].allFinite()) out[w].setZero();
+  });
+  return out;
+}
+
+Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
+                  const FeatureBlock& features, const LiftedOptions& options,
+                  const std::vector<VectorXd>& step_rule, int null_draws, Rng rng) {
+  Lineariser lin(data, model, true, options);
+  const int P = lin.P(), C = features.size(), W = static_cast<int>(data.windows.size());
+  Screen screen;
+  screen.parameters = P, screen.features = C;
+  // Summed in parts that do not depend on the number of threads, nor does what comes out.
+  const int D = P + C + 1, parts = std::min(W, kScreenParts);
+  std::vector<RowMatrixXd> sums(parts, RowMatrixXd::Zero(D, D)),
+      nulls(parts, RowMatrixXd::Zero(D, null_draws));
+  std::vector<VectorXd> systematic(W);
+  const auto add = [&](int worker, int part, int w) {
+    Linear l;
+    lin.Run(worker, w, states[w], &features.joint, &features.phi[w], false, &l);
+    if (!l.ok) return;
+    RowMatrixXd all(l.rows.rows(), D + 1);
+    all << l.rows.rightCols(D), step_rule[w];
+    ProjectOut(l.J_e(), &all);
+    const auto rest = all.leftCols(D);
+    systematic[w] = rest.leftCols(D - 1).transpose() * all.col(D) / options.noise_scale;
+    AddGram(rest, 1.0 / options.noise_scale, sums[part]);
+    RowMatrixXd noise(rest.rows(), null_draws);
+    Rng stream = rng.Split(static_cast<uint64_t>(w));
+    for (double& x : noise.reshaped()) x = stream.Normal();
+    AddTransposedProduct(rest, noise, 1.0 / std::sqrt(options.noise_scale), nulls[part]);
+  };
+  sysid::ParallelFor(options.threads, parts, [&](int worker, int part) {
+    for (int w = part; w < W; w += parts) add(worker, part, w);
+  });
+  screen.gram = MatrixXd::Zero(D, D);
+  for (const RowMatrixXd& sum : sums) screen.gram += sum;
+  screen.gram = MatrixXd(screen.gram.selfadjointView<Eigen::Lower>());
+  screen.null = MatrixXd::Zero(D - 1, null_draws);
+  screen.work = ScreenWork(data, options, lin.nx(), D, null_draws);
+  screen.step_rule = VectorXd::Zero(D - 1);
+  for (const VectorXd& rule : systematic) {
+    if (rule.size() > 0) screen.step_rule += rule;
+  }
+  for (const RowMatrixXd& null : nulls) screen.null += null.topRows(D - 1);
+  return screen;
+}
+
+double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates& states,
+                    const LiftedOptions& options) {
+  FeatureBlock none;
+  for (const NodeWindow& window : data.windows)
+    none.phi.emplace_back(0, static_cast<long>(window.t.size()) - 1);
+  const Screen screen = MakeScreen(data, model, states, none, options,
+                                   StepRuleResiduals(data, model, states, options), 0, Rng(1));
+  const int P = screen.parameters;
+  MatrixXd H = screen.gram.topLeftCorner(P, P);
+  VectorXd unit(P);
+  for (int i = 0; i < P; ++i) unit[i] = model.parameters[static_cast<size_t>(i)].prior_stddev;
+  H = unit.asDiagonal() * H * unit.asDiagonal();
+  H.diagonal().array() += 1.0;
+  const VectorXd g = unit.cwiseProduct(screen.step_rule);
+  return 0.5 * g.dot(H.ldlt().solve(g));
+}
+
+}  // namespace rg::diagnosis

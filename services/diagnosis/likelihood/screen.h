@@ -1,0 +1,46 @@
+// Linearises a fitted plant in candidate forces beside its parameters, for tests that need no fit of their
+// own.
+//
+// δτ of lifted_fit.h are features: candidate forces as functions of the recorded motion. Their columns beside
+// those of the parameters let all hypotheses be tested with one linearisation.
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "common/base/rng.h"
+#include "services/diagnosis/likelihood/lifted_fit.h"
+
+namespace rg::diagnosis {
+
+// Forces per unit coefficient: phi[w] is C × N (per window, feature, interval); joint: C.
+struct FeatureBlock {
+  std::vector<int> joint;
+  std::vector<Eigen::MatrixXd> phi;
+  int size() const { return static_cast<int>(joint.size()); }
+};
+
+// Normal equations in (θ, features, residual), e_0 eliminated, whitened and divided by the noise scale:
+// gram is (P + C + 1)², its last row and column belong to the residual.
+struct Screen {
+  Eigen::MatrixXd gram;
+  Eigen::MatrixXd null;  // (P + C) × draws: right-hand sides if the residual were the sensors' noise alone
+  Eigen::VectorXd step_rule;  // P + C: the right-hand side that another step rule makes
+  int parameters = 0, features = 0;
+  double work = 0;
+};
+
+// Another step rule stands for what nobody knows of an engine or of a robot's timing: what the whitened
+// outputs of every window change by when it is simulated by semi-implicit Euler at 0.2 ms, as careful users
+// of the field's simulators do. An effect that explains no more than that is none.
+LiftedOptions OtherStepRule(LiftedOptions options);
+std::vector<Eigen::VectorXd> StepRuleResiduals(const FitData& data, const FitModel& model,
+                                               const NodeStates& states, const LiftedOptions& options);
+// Nats that the model's free parameters would gain from another step rule alone.
+double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates& states,
+                    const LiftedOptions& options);
+Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
+                  const FeatureBlock& features, const LiftedOptions& options,
+                  const std::vector<Eigen::VectorXd>& step_rule, int null_draws, Rng rng);
+
+}  // namespace rg::diagnosis
