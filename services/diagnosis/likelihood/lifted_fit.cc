@@ -110,35 +110,11 @@ double HiddenCost(const std::vector<Linear>& linear, const NodeStates& states, i
   return cost;
 }
 
-// Start of a window's states that fits best after a step of the parameters, relative to what they are, `at`.
-VectorXd BestStart(const Linear& l, const VectorXd& step, const ArrivalCost& loose, const VectorXd& at) {
-  RowMatrixXd gram = RowMatrixXd::Zero(l.nx, l.nx);
-  AddGram(l.J_e(), 1.0, gram);
-  MatrixXd JJ = gram.selfadjointView<Eigen::Lower>();
-  JJ.diagonal().array() += 1e-9 * JJ.diagonal().maxCoeff() + 1e-12;
-  JJ.diagonal() += loose.precision;
-  const VectorXd scale = JJ.diagonal().cwiseSqrt().cwiseInverse();
-  MatrixXd S = scale.asDiagonal() * JJ * scale.asDiagonal();
-  S.diagonal().array() += 1e-10;
-  const VectorXd rest = l.r() - l.J() * step;
-  const VectorXd b =
-      scale.cwiseProduct(l.J_e().transpose() * rest + loose.precision.cwiseProduct(loose.middle - at));
-  return scale.cwiseProduct(S.ldlt().solve(b));
-}
-
-// Rows that lie far off weigh as they count in the costs that are compared, or windows that explode would
-// lead where no cost falls: d(c²·log(1 + r²/c²))/d(r²).
-void RobustWeights(const ArrivalCost& loose, const VectorXd& at, Linear* l) {
-  const VectorXd rest = l->r() - l->J_e() * BestStart(*l, VectorXd::Zero(l->J().cols()), loose, at);
-  const VectorXd weight = (1.0 + rest.array().square() / (kSoft * kSoft)).rsqrt();
-  l->rows.array().colwise() *= weight.array();
-}
-
 // Moves the states of windows [first, last) with a step of the parameters, their starts to what then fits
 // best; writes χ² of the windows simulated from there. `adopted`: χ² so far, where known. Returns how many
 // windows were simulated.
 size_t MoveStates(Lineariser& lin, int worker, int first, int last, const std::vector<Linear>& linear,
-                  const VectorXd& step, const std::vector<ArrivalCost>& loose,
+                  const std::vector<BestStart>& best, const VectorXd& step,
                   const std::vector<double>& adopted, NodeStates* states, std::vector<double>* chi2) {
   struct Moved {
     int window;
@@ -156,7 +132,7 @@ size_t MoveStates(Lineariser& lin, int worker, int first, int last, const std::v
     }
     const VectorXd at = (*states)[w].col(0);
     const auto E = linear[w].Node(0);
-    moved.push_back({w, BestStart(linear[w], step, loose[w], at), {}, {}});
+    moved.push_back({w, best[w].After(step, at), {}, {}});
     moved.back().start = E.leftCols(at.size()) * moved.back().e0;
     moved.back().tied = at + E.middleCols(at.size(), step.size()) * step + E.rightCols<1>();
     windows.push_back(w), starts.push_back(moved.back().tied + moved.back().start);
@@ -309,6 +285,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   double best = std::numeric_limits<double>::infinity();
   double trust = 1.0;
   std::vector<Linear> linear(W);
+  std::vector<BestStart> best_starts(W);
   std::vector<RowMatrixXd> grams(W);
   std::vector<double> adopted(W), costs;
   const bool hidden = nx > 2 * n;
@@ -339,6 +316,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       lin.Run(worker, w, states[w], nullptr, nullptr, true, &linear[w]);
       if (!linear[w].ok) return;
       RobustWeights(loose[w], states[w].col(0), &linear[w]);
+      best_starts[w] = BestStart(linear[w], loose[w]);
       RowMatrixXd rest = linear[w].rows.rightCols(P + 1);
       ProjectOut(linear[w].J_e(), &rest);
       grams[w].setZero(P + 1, P + 1);
@@ -399,8 +377,8 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
       std::vector<size_t> simulated(groups);
       lin.SetValues(model, at_values);
       sysid::ParallelFor(options.threads, groups, [&](int worker, int g) {
-        simulated[g] = MoveStates(lin, worker, g * W / groups, (g + 1) * W / groups, linear, step, loose,
-                                  (hidden || it > 0) ? adopted : std::vector<double>{}, &nodes, &own);
+        simulated[g] = MoveStates(lin, worker, g * W / groups, (g + 1) * W / groups, linear, best_starts,
+                                  step, (hidden || it > 0) ? adopted : std::vector<double>{}, &nodes, &own);
       });
       const size_t windows = std::accumulate(simulated.begin(), simulated.end(), size_t{0});
       const size_t again = it < kPatience ? 0 : TryRecordedStarts(lin, data, options.threads, &nodes, &own);

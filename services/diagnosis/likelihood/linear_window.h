@@ -1,8 +1,10 @@
-// A window of a recording, linearised.
+// A window of a recording, linearised, and what its rows say of its start.
 #pragma once
 
+#include <Eigen/Cholesky>
 #include <Eigen/Core>
 
+#include "services/diagnosis/likelihood/arrival_cost.h"
 #include "services/diagnosis/likelihood/row_products.h"
 
 namespace rg::diagnosis {
@@ -32,5 +34,25 @@ struct Linear {
 
 // Takes from the columns what lies in those of J_e. Returns the rank of J_e.
 int ProjectOut(const Rows& J_e, RowMatrixXd* columns);
+
+// The start of a window's states that fits best, for as many steps of the parameters as are tried: J_eᵀJ_e is
+// formed and factored once.
+class BestStart {
+ public:
+  BestStart() = default;
+  BestStart(const Linear& l, const ArrivalCost& loose);  // both outlive it, the rows stay as they are
+  // After a step of the parameters, relative to what the start is, `at`.
+  VectorXd After(const VectorXd& step, const VectorXd& at) const;
+
+ private:
+  const Linear* l_ = nullptr;
+  const ArrivalCost* loose_ = nullptr;
+  VectorXd scale_;
+  Eigen::LDLT<MatrixXd> factor_;
+};
+
+// Rows that lie far off weigh as they count in the costs that are compared, or windows that explode would
+// lead where no cost falls: d(c²·log(1 + r²/c²))/d(r²). `at`: the window's start.
+void RobustWeights(const ArrivalCost& loose, const VectorXd& at, Linear* l);
 
 }  // namespace rg::diagnosis

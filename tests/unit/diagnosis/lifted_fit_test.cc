@@ -10,8 +10,10 @@
 #include "services/diagnosis/data/prepare_data.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/arrival_cost.h"
+#include "services/diagnosis/likelihood/linear_window.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/diagnosis/likelihood/missing_force.h"
+#include "services/diagnosis/likelihood/probe.h"
 #include "services/diagnosis/likelihood/row_products.h"
 #include "services/diagnosis/search/fit_requests.h"
 #include "services/sysid/sysid_on_set.h"
@@ -119,6 +121,23 @@ TEST(ProjectOut, LeavesWhatIsOrthogonalHoweverManyColumnsAreLike) {
   rest = J;
   EXPECT_EQ(ProjectOut(RowMatrixXd::Zero(40, 2), &rest), 0);
   EXPECT_EQ(rest, J);
+}
+
+// Formed once, it tells the start after any step of the parameters.
+TEST(BestStart, LeavesNothingAlongTheStartsColumnsAfterAnyStep) {
+  Rng rng(5);
+  Linear l{RowMatrixXd(30, 3 + 2 + 1), {}, 3};
+  for (double& x : l.rows.reshaped()) x = rng.Normal();
+  l.rows.col(1) *= 10;
+  const Eigen::VectorXd at = Eigen::VectorXd::Ones(3);
+  const ArrivalCost nothing_known{at, Eigen::VectorXd::Zero(3)}, known{2 * at, 1e12 * at};
+  const BestStart best(l, nothing_known), held(l, known);
+  for (const double size : {0.0, 1.0, -3.0}) {
+    const Eigen::VectorXd step = Eigen::VectorXd::Constant(2, size), rest = l.r() - l.J() * step;
+    const Eigen::VectorXd along = l.J_e().transpose() * (rest - l.J_e() * best.After(step, at));
+    EXPECT_LT(along.norm(), 1e-6 * (l.J_e().transpose() * rest).norm()) << size;
+    EXPECT_LT((held.After(step, at) - at).norm(), 1e-6) << "goes to the mean of its prior";
+  }
 }
 
 // A minimum is not found more closely than a wrong model is worth; of the true one to the end.
