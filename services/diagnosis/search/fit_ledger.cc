@@ -338,8 +338,11 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   TakeBest(best, 1, &found);
   TrySprings(from, &found);
   // A swinging mass is ruled out where another model, admissible or not, leaves far less than the mass in
-  // springs, and beside an unnamed force. So it is by the best of other starts, be that an unnamed force.
-  double least = winner->fit.ok ? std::min(PerRow(found), PerRow(*winner)) : PerRow(found);
+  // springs, and beside an unnamed force. So it is by any model known before, be it of an unnamed force.
+  double least = PerRow(found);
+  for (const auto& [key, c] : tried_) {
+    if (c.fit.ok && !HasMassInSprings(c.specs)) least = std::min(least, PerRow(c));
+  }
   for (const FitRequest& request : best) {
     const Candidate* c = Known(request.specs, base);
     if (c != nullptr && c->fit.rows > 0 && c->fit.chi2 > 0 && !HasMassInSprings(c->specs) && !HasUnnamed(*c))
