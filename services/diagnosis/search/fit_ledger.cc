@@ -58,6 +58,12 @@ std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::ve
   return out;
 }
 
+// An unnamed force over two joints' positions.
+bool HasSurface(const TrialSpecs& specs) {
+  return std::any_of(specs.begin(), specs.end(),
+                     [](const EffectSpec& s) { return IsUnnamed(s.id) && s.joints.size() > 1; });
+}
+
 std::set<std::string> SpringyJoints(const TrialSpecs& specs) {
   std::set<std::string> out;
   for (const EffectSpec& s : specs) {
@@ -321,6 +327,10 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   std::vector<FitRequest> best;
   // Trials on pieces say nothing of whole windows: the rival is then the best known model.
   const Candidate& rival = trial.pieces_alone ? *winner : nearest;
+  // A force over two positions takes no other model's place among these.
+  const auto surfaces = std::count_if(trials.ranked.begin(), trials.ranked.end(),
+                                      [](const RankedTrial& t) { return HasSurface(t.fitted->specs); });
+  count += static_cast<size_t>(surfaces);
   for (const auto& c : BestOf(std::move(trials.ranked), std::move(trials.hidden), count))
     best.push_back(WholeFit(Refreshed(*c), base, holds || !base ? trial.from : ValuesOf(*c), 6, &rival));
   const auto add = [&](const TrialSpecs& specs) {

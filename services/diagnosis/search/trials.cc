@@ -6,6 +6,7 @@
 
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
+#include "services/diagnosis/hypotheses/field_starts.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/hypotheses/push_starts.h"
 
@@ -143,6 +144,10 @@ class TrialBuilder {
     const bool touched = Has(effects::Surface().id), pushed = Has(effects::Push().id);
     if (!from_.fit.ok || (touched && pushed)) return;
     const MissingForce missing = force();
+    // What one force over two positions leaves tells what a mass that swings would have to better.
+    if (from_.specs.empty() && !from_.base && data_.n > 1) {
+      if (const auto surface = FieldPairStart(data_, nominal_, scales_, missing)) Push({{*surface}});
+    }
     if (!touched) Push(ContactStarts(data_, nominal_, missing, from_.base ? 2 : 3));
     if (!pushed) Push(PushStarts(data_, nominal_, missing));
   }
