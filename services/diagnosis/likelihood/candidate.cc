@@ -27,6 +27,7 @@ constexpr double kSharp =
     0.1;  // cycles per turn: an arbitrary number is as near to an integer with odds 1 in 5
 constexpr double kBias = 0.25;  // cycles per turn, bias of the number by other missing effects, at most
 constexpr double kSoftest = 4.0 / 6.0;  // 1/rad², cubic over linear term of a sine of two periods per turn
+constexpr double kFarther = 10.0;       // times what bristles bend at most
 constexpr double kMostlyGone = 0.01;    // ratio of squared strengths
 constexpr double kUnseen = 0.7;         // posterior over prior stddev of the best known parameter
 constexpr double kInformed = 0.9;       // the same of a weight of an unnamed force, at most
@@ -277,6 +278,17 @@ bool PullsBack(const Candidate& c, const MotionScales& scales) {
         std::max(std::abs(scales.low[joint] - center), std::abs(scales.high[joint] - center));
     return as_sine || std::abs(stiffness) >= 3 * against * farthest * farthest;
   });
+}
+
+bool Slides(const Candidate& c, const MotionScales& scales) {
+  const auto& table = c.plant->parameters();
+  for (int i = 0; i < table.size(); ++i) {
+    if (table[i].field != "bristle_stiffness") continue;
+    const double level = c.fit.values[table.Find(table[i].effect + "." + table[i].owner + ".coulomb")];
+    const int joint = c.plant->model().FindJoint(table[i].owner);
+    if (kFarther * level > c.fit.values[i] * (scales.high[joint] - scales.low[joint])) return false;
+  }
+  return true;
 }
 
 double Strength(const Candidate& c, size_t i) {

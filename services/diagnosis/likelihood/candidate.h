@@ -108,6 +108,10 @@ bool Drops(const Candidate& c);
 // turns back sooner is a detent or another force over position.
 bool PullsBack(const Candidate& c, const MotionScales& scales);
 
+// Whether every joint with bristles travels ten times as far as these bend at most: its start is then
+// forgotten, and they are no free force in every window.
+bool Slides(const Candidate& c, const MotionScales& scales);
+
 // Wald statistic of effect i against absence: √(dᵀ·P·d), with d the distance of its strengths (a delay, an
 // amplitude, a mass, …) from their null values and P their marginal precision, the parameters of other
 // effects integrated out and its own shape (an azimuth, a period) held fixed.
@@ -123,8 +127,9 @@ bool AddsNothing(const Candidate& before, const Candidate& c);
 
 // Drives of one robot are alike: a joint's share of an effect that most of them have needs no prior odds of
 // its own. Whether effect i is such a share: a delay or lag that another joint has too, or friction or rotor
-// inertia on more than half of the joints of which the data tell, and on kManyJoints at least. A joint has an
-// effect whose strength exceeds kAbsent; without a fit, one that the hypothesis gives it.
+// inertia on more than half of the joints and on kManyJoints at least. A joint has an effect whose strength
+// exceeds kAbsent (without a fit, one that the hypothesis gives it); one whose effect the data do not inform
+// does not count.
 bool OfAllJoints(const Candidate& c, size_t i);
 inline constexpr long kManyJoints = 3;
 // Whether the strength of such an effect i is compatible, within two standard deviations, with a fifth of the
@@ -144,7 +149,7 @@ bool HasHiddenStates(const Candidate& c);
 // Whether any of these is not determined by the commands alone, as a lag's is.
 bool HasFreeStates(const Candidate& c);
 // Whether some of these are of what no screen sees: a motor behind a spring or play, a mount, a swinging
-// mass. A bristle's are forgotten as soon as its joint slides.
+// mass.
 bool HasUnseenStates(const Candidate& c);
 // Whether it has forces of position, which may be parts of an unnamed one.
 bool OfPosition(const Candidate& c);

@@ -9,6 +9,7 @@
 #include <numeric>
 #include <utility>
 
+#include "common/base/check.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/diagnosis/likelihood/move_states.h"
 #include "services/sysid/boxed_newton_step.h"
@@ -227,6 +228,7 @@ class LiftedFit {
       if (part == 1.0 && IsAsExpected(cost, step)) break;
       if (!better && known) break;
     }
+    RG_CHECK(std::isfinite(least)) << "a fit's cost is not finite after any step";
     lin_.SetValues(model_, nearest.values);
     return nearest;
   }

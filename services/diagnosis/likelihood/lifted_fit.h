@@ -55,7 +55,8 @@ double SimulationWork(const FitData& data, const LiftedOptions& options, long st
 double LinearisationWork(const FitData& data, const LiftedOptions& options, long states, long columns);
 double ScreenWork(const FitData& data, const LiftedOptions& options, long states, long columns, int draws);
 
-// How the names of lags' states begin, which commands alone settle; the joint's name follows.
+// How the names of lags' states begin, which commands alone settle, and those of bristles, which their joint
+// settles as soon as it slides; the joint's name follows.
 inline constexpr std::string_view kLagState = "lagged_torque.";
 inline constexpr std::string_view kBristleState = "bristle.";
 

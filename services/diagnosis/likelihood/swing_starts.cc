@@ -68,7 +68,9 @@ model::Frame FrameOf(const model::RobotModel& model, const EffectSpec& mass) {
 
 }  // namespace
 
-bool HasPendulum(const std::vector<EffectSpec>& specs) { return std::any_of(specs.begin(), specs.end(), OnRod); }
+bool HasPendulum(const std::vector<EffectSpec>& specs) {
+  return std::any_of(specs.begin(), specs.end(), OnRod);
+}
 
 bool HasMassInSprings(const std::vector<EffectSpec>& specs) {
   return std::any_of(specs.begin(), specs.end(),
@@ -157,7 +159,7 @@ std::vector<VectorXd> LetGo(const FitData& data, sim::Simulator& simulator, cons
 double RowsPerWindow(const FitData& data) { return data.Rows() / static_cast<double>(data.windows.size()); }
 
 double TypicalChi2(const FitData& data, const std::vector<double>& window_chi2, double noise_scale,
-                 double share) {
+                   double share) {
   if (window_chi2.empty()) return std::numeric_limits<double>::infinity();
   std::vector<double> sorted = window_chi2;
   std::sort(sorted.begin(), sorted.end());

@@ -35,9 +35,10 @@ double RowsPerWindow(const FitData& data);  // on average
 // χ² per row, in units of the noise, of that share of windows that is met best, all of `data` or some: what a
 // mass does where its swings were found. Infinite without windows.
 double TypicalChi2(const FitData& data, const std::vector<double>& window_chi2, double noise_scale,
-                 double share);
+                   double share);
 
-inline constexpr double kFitted = 2.0;  // χ² per row below which a window's start is not looked for any further
+inline constexpr double kFitted =
+    2.0;  // χ² per row below which a window's start is not looked for any further
 
 // A mass that is a point, as a fit may come to and none leads away from, in the values of `plant`: one that
 // is not small, and hangs and swings alike.

@@ -41,6 +41,16 @@ std::map<std::string, std::set<std::string>> Added(const Candidate& best, const 
   return fresh;
 }
 
+// Whether all that `c` has and `best` has not are losses and timings, of kinds that `best` has on other
+// joints.
+bool HasOnlyMoreOfDrives(const Candidate& best, const Candidate& c) {
+  const auto fresh = Added(best, c);
+  return std::all_of(fresh.begin(), fresh.end(), [&](const auto& added) {
+    const std::string& id = added.first;
+    return HasKind(best.specs, id) && (IsLossOfDrives(id) || IsTiming(id));
+  });
+}
+
 size_t Names(const Candidate& c) { return FreshKinds(Candidate{}, c).size() + (c.base ? 1 : 0); }
 
 }  // namespace
@@ -92,8 +102,9 @@ double Acceptance::Needed(const Candidate& best, double explained, Misfit misfit
   double rule = c.base && !best.base ? base_rule_ : 0;
   for (const auto& [id, joints] : Added(best, c)) rule = std::max(rule, StepRule(id, WithSpaces(joints)));
   // The base parameters do not keep what they may owe to the step rule beyond the effect's share.
-  if (best.base && !c.base && (best.specs.empty() || FreshKinds(best, c).empty()))
+  if (best.base && !c.base && best.specs.empty())
     return kSimplerOdds - 0.5 * std::max(0.0, base_rule_ * base_rule_ - rule * rule);
+  if (best.base && !c.base && HasOnlyMoreOfDrives(best, c)) return kSimplerOdds;
   return NeededWithRule(best, explained, misfit, rule);
 }
 

@@ -46,8 +46,8 @@ class Acceptance {
   // Nats needed by any addition to `best`, whose effects explain `explained` nats and which leaves `misfit`.
   double Needed(const Candidate& best, double explained, Misfit misfit) const;
   // Nats needed by `c` in the place of `best`. Effects on fixed base parameters in the place of free ones
-  // without effects, or with no other kinds of effects than `best` has, need the prior odds only, less the
-  // step-rule gain of the base parameters.
+  // without effects need the prior odds only, less the step-rule gain of the base parameters. So do, without
+  // that, effects that `best` has, and its kinds of losses and timings on further joints.
   double Needed(const Candidate& best, double explained, Misfit misfit, const Candidate& c) const;
 
  private:

@@ -57,8 +57,7 @@ void DriveSearch::Couple(Candidate* best) {
     if (fits_.Late()) return;
     const std::vector<EffectSpec> coupled = Joined(specs, start);
     if (!fits_.MayLeaveLess(now, coupled, now.base, kMayBeUseful)) continue;
-    const Candidate c =
-        Seen(fits_.Evaluate(coupled, now.base, &now, kCoupledIterations), now.base);
+    const Candidate c = Seen(fits_.Evaluate(coupled, now.base, &now, kCoupledIterations), now.base);
     if (c.fit.ok && Left(c) < kHalf * Left(now) && c.score > best->score) *best = c;
   }
 }

@@ -192,7 +192,7 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
     // What late drives leave is left by either: where these explain the rest, masses are no rival.
     Candidate with_timing = directed;
     Late(&with_timing);
-    if (!LeavesSomething(with_timing)) {
+    if (with_timing.fit.ok && fits_.LeavesNothing(with_timing)) {
       *best = with_timing;
       return;
     }

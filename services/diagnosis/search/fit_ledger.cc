@@ -296,6 +296,15 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
                         const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner) {
   TrialResults trials = RunTrials(from, pool, base);
   const FitRequest& trial = trials.setting;
+  // A force over two positions follows some of anything: it is only what a swinging mass has to better.
+  std::shared_ptr<const Candidate> surface;
+  if (!HasSurface(from.specs)) {
+    std::erase_if(trials.ranked, [&](const RankedTrial& t) {
+      if (!HasSurface(t.fitted->specs)) return false;
+      surface = t.fitted;
+      return true;
+    });
+  }
   // The score on all windows that the best trial suggests.
   Candidate nearest = from;
   for (const RankedTrial& t : trials.ranked) {
@@ -327,10 +336,6 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   std::vector<FitRequest> best;
   // Trials on pieces say nothing of whole windows: the rival is then the best known model.
   const Candidate& rival = trial.pieces_alone ? *winner : nearest;
-  // A force over two positions takes no other model's place among these.
-  const auto surfaces = std::count_if(trials.ranked.begin(), trials.ranked.end(),
-                                      [](const RankedTrial& t) { return HasSurface(t.fitted->specs); });
-  count += static_cast<size_t>(surfaces);
   for (const auto& c : BestOf(std::move(trials.ranked), std::move(trials.hidden), count))
     best.push_back(WholeFit(Refreshed(*c), base, holds || !base ? trial.from : ValuesOf(*c), 6, &rival));
   const auto add = [&](const TrialSpecs& specs) {
@@ -347,28 +352,28 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   Candidate found = from;
   TakeBest(best, 1, &found);
   TrySprings(from, &found);
-  // A swinging mass is ruled out where another model, admissible or not, leaves far less than the mass in
-  // springs, and beside an unnamed force. So it is by any model known before, be it of an unnamed force.
+  // A swinging mass is ruled out where a model tried so far, admissible or not, leaves far less than the mass
+  // in springs, and beside an unnamed force.
   double least = PerRow(found);
   for (const auto& [key, c] : tried_) {
-    if (c.fit.ok && !HasMassInSprings(c.specs)) least = std::min(least, PerRow(c));
-  }
-  for (const FitRequest& request : best) {
-    const Candidate* c = Known(request.specs, base);
-    if (c != nullptr && c->fit.rows > 0 && c->fit.chi2 > 0 && !HasMassInSprings(c->specs) && !HasUnnamed(*c))
-      least = std::min(least, PerRow(*c));
+    const bool unnamed = HasUnnamed(c) && !c.fit.ok;
+    if (c.fit.rows > 0 && c.fit.chi2 > 0 && !unnamed && !HasMassInSprings(c.specs))
+      least = std::min(least, PerRow(c));
   }
   const auto may_swing = [&] {
     return !HasUnnamed(from) && std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
       return least - 1 > kPartly * (PerRow(*c) - 1);
     });
   };
-  // The same where free base parameters leave far less.
-  if (!base && may_swing() && !Late()) {
-    const Candidate* known = Known(from.specs, true);
-    const Candidate freed = known != nullptr ? *known : Evaluate(Refreshed(from), true, &from);
-    if (freed.fit.ok) least = std::min(least, PerRow(freed));
-  }
+  // The same where free base parameters, or one force over two positions, leave far less.
+  const auto compare = [&](const TrialSpecs& specs, bool freed, const Candidate* start) {
+    if (!may_swing() || Late()) return;
+    const Candidate* known = Known(specs, freed);
+    const Candidate other = known != nullptr ? *known : Evaluate(specs, freed, start);
+    if (other.fit.ok) least = std::min(least, PerRow(other));
+  };
+  if (!base) compare(Refreshed(from), true, &from);
+  if (surface != nullptr) compare(Refreshed(*surface), base, nullptr);
   if (may_swing()) {
     const std::optional<Candidate> lost = TryPendulum(from, swings, beside, &found);
     const double nearest_left = std::min(PerRow(found), PerRow(*winner));
@@ -377,11 +382,13 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   if (found.score > winner->score) *winner = found;
 }
 
-// Fits on all windows, `least` of them whatever the work limit.
+// Fits on all windows, `least` of them whatever the work limit. Where a spring or play leaves nothing of what
+// there was, none is fitted on other joints.
 void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner) {
   const auto batch = made_.Start(setting_, requests);
-  std::vector<TrialSpecs> met;    // models that leave nothing: no addition to these is fitted
-  std::set<std::string> springy;  // where a spring or play leaves nothing: none is fitted elsewhere
+  const bool something = winner->fit.ok && !LeavesNothing(*winner);
+  std::vector<TrialSpecs> met;  // models that leave nothing: no addition to these is fitted
+  std::set<std::string> springy;
   for (size_t i = 0; i < requests.size() && !Cancelled() && (i < least || !Late(kToTheEnd)); ++i) {
     const std::set<std::string> here = SpringyJoints(requests[i].specs);
     const bool elsewhere = !springy.empty() && !here.empty() && here != springy;
@@ -390,7 +397,7 @@ void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, 
     if (c.score > winner->score) *winner = c;
     if (!c.fit.ok || HasUnnamed(c) || !MeetsSensors(c)) continue;
     if (!HasFreeStates(c)) met.push_back(c.specs);
-    if (springy.empty()) springy = here;
+    if (something && springy.empty() && LeavesNothing(c)) springy = here;
   }
 }
 
@@ -407,7 +414,7 @@ bool FitLedger::Admissible(Candidate* candidate) {
 }
 
 void FitLedger::TrySprings(const Candidate& from, Candidate* model) {
-  if (Excess(*model) > kPartly * Excess(from)) return;
+  if (model->base && Excess(*model) > kPartly * Excess(from)) return;
   const auto behind = SpringsBehind(from, *model, setting_.nominal, setting_.scales);
   const bool base = model->base;
   // A rotor that leaves nothing is a limit of a stiff spring or a narrow gap: fits start at its own.

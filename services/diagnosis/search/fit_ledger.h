@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cmath>
 #include <map>
 #include <memory>
 #include <optional>
@@ -57,6 +58,10 @@ class FitLedger {
   double AtStake(const Candidate& c) const { return 0.5 * (c.fit.chi2 / lifted_.noise_scale - Noise(c)); }
   // Whether it leaves no more than the sensors' own noise; what is taken for noise may be what it leaves.
   bool MeetsSensors(const Candidate& c) const { return PerRow(c) * lifted_.noise_scale < kExplained; }
+  // The same to within three standard deviations of χ².
+  bool LeavesNothing(const Candidate& c) const {
+    return PerRow(c) * lifted_.noise_scale < 1 + 3 * std::sqrt(2.0 / std::max(1, c.fit.rows));
+  }
   std::map<std::string, Candidate>& tried() { return tried_; }
   // The best fit of these effects on all windows; null where there was none.
   const Candidate* Known(const std::vector<effects::EffectSpec>& specs, bool base) const;
@@ -85,8 +90,8 @@ class FitLedger {
   // Trial fits of `others`, each in the place of `winner`'s effects; those no worse are fitted on all
   // windows.
   void TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner);
-  // Springs behind the rotors that `model` adds to `from` where it takes half of the misfit, and play where
-  // such a rotor leaves nothing.
+  // Springs behind the rotors that `model` adds to `from` (with free base parameters, where they cost most,
+  // only if it takes half of the misfit), and play where such a rotor leaves nothing.
   void TrySprings(const Candidate& from, Candidate* model);
   // Multi-start fit of a pendulum payload in the place of a mass in springs, which trials found on the tool
   // and on the last link (`springs`, the better first): over lengths, hinges and places, alone and with the

@@ -110,7 +110,7 @@ void ForwardStep::Try(const Candidate& from, const ScreenResult& screened, doubl
 
 bool ForwardStep::ExplainedByLaws(const Candidate& from, const Candidate& found, double needed) const {
   return found.score > from.score + needed && fits_.MeetsSensors(found) && !HasUnnamed(found) &&
-         !HasUnseenStates(found);
+         !HasUnseenStates(found) && Slides(found, setting_.scales);
 }
 
 // Whether it takes most of what the losses of all drives leave. What else is missing is then looked for

@@ -112,7 +112,7 @@ std::optional<Candidate> HeldOutJudge::Better(const Candidate& model, std::map<s
 }
 
 void HeldOutJudge::CompareRivals(SearchResult* search,
-                               const std::function<double(const Candidate&, const Candidate&)>& needed) {
+                                 const std::function<double(const Candidate&, const Candidate&)>& needed) {
   Candidate& model = search->best;
   while (true) {  // ends: the log evidence rises each time
     model.held_out = Of(model).log_density;

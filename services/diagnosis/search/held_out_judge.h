@@ -44,7 +44,7 @@ class HeldOutJudge {
   // log evidence of all recordings by kSeparable nats and predicts most windows better replaces it; a richer
   // form of dry friction needs what it needs in the fit.
   void CompareRivals(SearchResult* search,
-                   const std::function<double(const Candidate&, const Candidate&)>& needed);
+                     const std::function<double(const Candidate&, const Candidate&)>& needed);
   // Work (lifted_fit.h) since the last call.
   double TakeWork() { return std::exchange(work_, 0.0); }
 

@@ -57,7 +57,7 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
     const auto starts = OtherTransmission(s, setting_.nominal, setting_.scales);
     for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, starts, 1))
       others.push_back(Joined(specs, start));
-    if (LeavesNothing(*winner)) continue;
+    if (fits_.LeavesNothing(*winner)) continue;
     for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, OtherGaps(s), 2))
       others.push_back(Joined(specs, start));
   }
@@ -71,10 +71,6 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
 }
 
 // Whether χ² is within three standard deviations of what noise makes of it.
-bool Refinement::LeavesNothing(const Candidate& c) const {
-  return fits_.PerRow(c) * fits_.noise_scale() < 1 + 3 * std::sqrt(2.0 / std::max(1, c.fit.rows));
-}
-
 // With free inertials a gain of one of two drives equals the other drive's inverse gain, beside which
 // inertials may be as given.
 Candidate Refinement::OtherDrivesGain(const Candidate& c) {

@@ -36,7 +36,6 @@ class Refinement {
 
  private:
   bool Siblings(const Candidate& before, Candidate* winner);
-  bool LeavesNothing(const Candidate& c) const;
   Candidate OtherDrivesGain(const Candidate& c);
 
   const FitSetting& setting_;

@@ -119,7 +119,6 @@ class Search {
       const bool added = AddOne(&best);
       if (fits_.shorter_windows() != nullptr) return RestartWithShorterWindows(std::move(out));
       if (!added || one_force_) break;
-      if (ordinary_) drives_.Late(&best);
       // With less noise, a fit that seemed to explain everything may turn out to be a local optimum.
       if (LowerNoise(&best, &out) && !fits_.MeetsSensors(best) && !fits_.Late()) {
         if (refinement_.Exchange(Candidate{}, &best)) simplifier_.Run(&best);
@@ -328,6 +327,7 @@ class Search {
       // Of several effects added at once, what remains may be worth less than none.
       if (!same && justified.score < best->score + Threshold(*best, justified)) return false;
       *best = justified;
+      if (ordinary_) drives_.Late(best);
       simplifier_.Run(best);
       if (!ordinary_) SubstituteAll(best);
     }
@@ -346,7 +346,7 @@ class Search {
       const Candidate from = *own;
       if (!step_.AddLaws(from, base, Threshold(before), &found)) continue;
       const bool nearly = !base && fits_.Excess(found) < (1 - kNearlyAll) * fits_.Excess(from);
-      if (nearly && !found.base && !HasUnnamed(found)) found = Better(found, ForwardSteps(found));
+      if (nearly && !found.base && !HasUnnamed(found)) found = Better(found, FurtherLaws(found));
       if (!step_.ExplainedByLaws(before, found, Threshold(before, found))) continue;
       *winner = found;
       return true;
@@ -374,12 +374,24 @@ class Search {
   }
 
   // Forward steps with fixed inertials until nothing is missing: cheaper than freeing inertials.
-  Candidate ForwardSteps(Candidate account) {
-    for (int more = 0;
-         more < kMaxForwardSteps && fits_.PerRow(account) > kExplained && !fits_.Late(kWorkForForwardSteps);
-         ++more) {
+  Candidate ForwardSteps(const Candidate& account) {
+    return Steps(account, [this](const Candidate& from, Candidate* with) { step_.Add(from, 3, with); });
+  }
+
+  // The same by laws of what is recorded alone.
+  Candidate FurtherLaws(const Candidate& account) {
+    return Steps(account, [this](const Candidate& from, Candidate* with) {
+      step_.AddLaws(from, from.base, Threshold(from), with);
+    });
+  }
+
+  // Before each step the drives are reconsidered: a further law would absorb a part of what late ones leave.
+  Candidate Steps(Candidate account, const std::function<void(const Candidate&, Candidate*)>& step) {
+    for (int more = 0; more < kMaxForwardSteps && !fits_.Late(kWorkForForwardSteps); ++more) {
+      if (ordinary_) drives_.Late(&account);
+      if (!(fits_.PerRow(account) > kExplained)) break;
       Candidate with = account;
-      step_.Add(account, 3, &with);
+      step(account, &with);
       Tell("forward step", 0.1 + 0.2 * round_,
            KeyOf(with.specs) + " gains " + std::to_string(with.score - account.score));
       if (HasUnnamed(with) || with.score <= account.score + Threshold(account, with)) break;

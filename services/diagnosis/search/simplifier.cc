@@ -239,15 +239,16 @@ void Simplifier::SplitByDirection(Candidate* best) {
   if (static_cast<size_t>(kept) < several && evidence(c) > evidence(*best)) Replace(c, best);
 }
 
-// One richer law on several joints costs less prior than two kinds, and may imitate a plain law on one of
-// them: each joint is tried with a plain law of its own. It needs 7 nats (kEffectPrior + kSeparable) where
-// structure priors are not counted: of a joint that tells little the law is taken to be that of the others.
+// One richer law on several joints costs less prior than two kinds, and may imitate a plain law on some of
+// them: each joint is tried with a plain law of its own, and all but each together, of which each alone may
+// be worth too little. It needs 7 nats (kEffectPrior + kSeparable) where structure priors are not counted: of
+// a joint that tells little the law is taken to be that of the others.
 void Simplifier::UsePlainLawsOnJoints(Candidate* best) {
   const auto evidence = [](const Candidate& c) { return FitScore(c) + StructurePrior(c.specs, c.base); };
   for (bool changed = true; changed && !fits_.Late();) {
     changed = false;
     const std::vector<TrialSpecs> others =
-        PlainOnOneJoint(Refreshed(*best), setting_.nominal, setting_.scales);
+        PlainOnSomeJoints(Refreshed(*best), setting_.nominal, setting_.scales);
     std::vector<TrialSpecs> fresh = others;
     std::erase_if(fresh, [&](const TrialSpecs& o) { return fits_.Known(o, best->base) != nullptr; });
     Candidate tried = *best, likeliest = *best;

@@ -363,16 +363,23 @@ std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id
   return out;
 }
 
-std::vector<TrialSpecs> PlainOnOneJoint(const TrialSpecs& specs, const sim::Plant& nominal,
-                                        const MotionScales& scales) {
+std::vector<TrialSpecs> PlainOnSomeJoints(const TrialSpecs& specs, const sim::Plant& nominal,
+                                          const MotionScales& scales) {
+  const std::string& dry = LawOf(Regressor::kDirection).id;
   std::vector<TrialSpecs> out;
   for (size_t i = 0; i < specs.size(); ++i) {
     const auto alike = [&](const EffectSpec& s) { return s.id == specs[i].id; };
-    if (!IsRicherFriction(specs[i].id) || std::count_if(specs.begin(), specs.end(), alike) < 2) continue;
-    for (const std::string& id : {LawOf(Regressor::kDirection).id, LawOf(Regressor::kVelocity).id}) {
+    const auto joints = std::count_if(specs.begin(), specs.end(), alike);
+    if (!IsRicherFriction(specs[i].id) || joints < 2) continue;
+    for (const std::string& id : {dry, LawOf(Regressor::kVelocity).id}) {
       if (Contains(specs, id, specs[i].joints[0])) continue;
       out.push_back(specs);
       out.back()[i] = Exchanged(specs[i], id, nominal, scales);
+    }
+    if (joints < 3) continue;
+    out.push_back(specs);
+    for (size_t k = 0; k < specs.size(); ++k) {
+      if (k != i && alike(specs[k])) out.back()[k] = Exchanged(specs[k], dry, nominal, scales);
     }
   }
   return out;

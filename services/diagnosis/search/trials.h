@@ -56,9 +56,10 @@ std::vector<std::shared_ptr<const Candidate>> BestOf(std::vector<RankedTrial> tr
 std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const sim::Plant& nominal,
                                   const MotionScales& scales);
 
-// `specs` with plain dry or viscous friction on one of several joints that have a richer form.
-std::vector<TrialSpecs> PlainOnOneJoint(const TrialSpecs& specs, const sim::Plant& nominal,
-                                        const MotionScales& scales);
+// `specs` with plain dry or viscous friction on one of several joints that have a richer form, and with plain
+// dry friction on all of these but one.
+std::vector<TrialSpecs> PlainOnSomeJoints(const TrialSpecs& specs, const sim::Plant& nominal,
+                                          const MotionScales& scales);
 
 // Springs and play behind the strongest rotors that `model` adds to `before`: below its resonance a motor
 // behind a spring looks like a rotor, and no screen sees the difference.

@@ -132,6 +132,9 @@ TEST(Acceptance, FewerFreeParametersNeedTheOddsOnly) {
   EXPECT_DOUBLE_EQ(Acceptance().Needed(freed, 1e6, Left(1e4), same), 3);
   const Candidate other = Model({MakeSpec("coulomb_friction", {"a"}), MakeSpec("torque_offset", {"a"})});
   EXPECT_GT(Acceptance().Needed(freed, 1e6, Left(1e4), other), 1000) << "a force in the place of masses";
+  const Candidate one = Model({MakeSpec("torque_offset", {"a"})}, true);
+  const Candidate two = Model({MakeSpec("torque_offset", {"a"}), MakeSpec("torque_offset", {"b"})});
+  EXPECT_GT(Acceptance().Needed(one, 1e6, Left(1e4), two), 1000) << "so is the same force on another joint";
 }
 
 // A constant force and a small gain: alone, a spring far away bends into more of the gain than the force

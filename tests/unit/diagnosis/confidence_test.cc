@@ -64,9 +64,20 @@ TEST(Confidence, WhatDrivesShareIsSurerThanManyNamesElsewhere) {
 
 TEST(Confidence, BesideWhatHasNoNameANameIsHardlyClaimed) {
   std::vector<Finding> both = {Named("torque_ripple", 1), Named("unknown_field", 1)};
+  both[0].joints = both[1].joints = {"elbow"};
   Calibrate("unexplained", false, 2, &both);
   EXPECT_EQ(both[0].effect, "unknown_field");
-  EXPECT_LT(both[1].confidence, 0.3);
+  EXPECT_LT(both[1].confidence, 0.3) << "a ripple is over positions too";
+  std::vector<Finding> late = {Named("sensor_delay", 1), Named("unknown_field", 1)};
+  late[0].shows_over = effects::Variable::kVelocity;
+  Calibrate("unexplained", false, 2, &late);
+  EXPECT_EQ(late[0].effect, "unknown_field");
+  EXPECT_GT(late[1].confidence, 0.3);
+  EXPECT_LT(late[1].confidence, 0.5);
+  both[0].joints = {"elbow"}, both[1].joints = {"shoulder"};
+  both[0].confidence = both[1].confidence = 1;
+  Calibrate("unexplained", false, 2, &both);
+  EXPECT_GT(both[1].confidence, 0.3) << "a ripple of another joint";
   std::vector<Finding> measured = {Named("coulomb_friction", 1), Named("unknown_field", 1)};
   Calibrate("unexplained", true, 2, &measured);
   EXPECT_EQ(measured[0].effect, "coulomb_friction") << "a real arm's friction holds whatever else remains";

@@ -178,9 +178,9 @@ TEST(FitLedger, OfARicherFormAJointMayTurnOutPlain) {
   }
   Candidate winner = ledger.Evaluate(both, false);
   const TrialSpecs fitted = Refreshed(winner);
-  const auto others = PlainOnOneJoint(fitted, p->nominal, p->scales);
+  const auto others = PlainOnSomeJoints(fitted, p->nominal, p->scales);
   EXPECT_EQ(others.size(), 4u);
-  EXPECT_TRUE(PlainOnOneJoint({fitted[0]}, p->nominal, p->scales).empty()) << "of one joint others are asked";
+  EXPECT_TRUE(PlainOnSomeJoints({fitted[0]}, p->nominal, p->scales).empty()) << "of one joint others are asked";
   ledger.TryInPlace(others, &winner);
   EXPECT_TRUE(Contains(winner.specs, "viscous_friction", "shoulder"));
   EXPECT_TRUE(Contains(winner.specs, "asymmetric_friction", "elbow"));

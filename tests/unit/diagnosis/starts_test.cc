@@ -101,14 +101,37 @@ TEST(PushStarts, FindsAForceInItsWindow) {
   EXPECT_NEAR(v.at("force_z"), -2.0, 0.6);
 }
 
-TEST(FieldPairStart, FindsBothJointsOfASurfaceAndLeavesNothing) {
+// A hump over the positions of two joints.
+std::unique_ptr<Case> OverAHump() {
   std::map<std::string, double> surface = {
       {"low", -2.0}, {"high", 2.0}, {"other_low", -2.0}, {"other_high", 2.0}};
   for (int i = 0; i < 36; ++i) {
     const double x = i / 6 - 2.5, y = i % 6 - 2.0;
     surface["w" + std::to_string(i / 6) + std::to_string(i % 6)] = 0.8 * std::exp(-0.5 * (x * x + y * y));
   }
-  const auto c = Case::Of("arm2", {MakeSpec("unknown_field_pair", {"shoulder", "elbow"}, surface)}, 7);
+  return Case::Of("arm2", {MakeSpec("unknown_field_pair", {"shoulder", "elbow"}, surface)}, 7);
+}
+
+TEST(Trials, TryAForceOverTwoPositionsBeforeAnythingIsFound) {
+  const auto c = OverAHump();
+  const auto surfaces = [&](const TrialSpecs& found, bool base) {
+    Candidate from;
+    from.specs = found, from.base = base, from.fit.ok = true;
+    from.plant = std::make_shared<const sim::Plant>(c->nominal);
+    size_t count = 0;
+    const Nearest none = [](const std::vector<TrialSpecs>&, size_t) { return std::vector<TrialSpecs>{}; };
+    for (const TrialSpecs& trial : Trials(
+             c->data, c->nominal, c->scales, from, {}, 1.0, [&] { return c->Missing(); }, none))
+      count += HasKind(trial, "unknown_field_pair");
+    return count;
+  };
+  EXPECT_EQ(surfaces({}, false), 1u);
+  EXPECT_EQ(surfaces({}, true), 0u) << "free masses and a surface explain nearly anything";
+  EXPECT_EQ(surfaces({MakeSpec("viscous_friction", {"elbow"}, {{"viscous", 0.1}})}, false), 0u);
+}
+
+TEST(FieldPairStart, FindsBothJointsOfASurfaceAndLeavesNothing) {
+  const auto c = OverAHump();
   const auto start = FieldPairStart(c->data, c->nominal, c->scales, c->Missing());
   ASSERT_TRUE(start.has_value());
   EXPECT_EQ(start->joints, (std::vector<std::string>{"shoulder", "elbow"}));
@@ -408,6 +431,22 @@ TEST(Trials, TryAMountBesideTheBestOfTheScreen) {
   EXPECT_EQ(pairs({}), 1u);
   EXPECT_GE(looked, 4u) << "of mounts from soft to stiff the nearest";
   EXPECT_EQ(pairs({MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.1}})}), 0u);
+}
+
+TEST(PlainOnSomeJoints, HaveItOnOneAndOnAllButOne) {
+  const auto c = Case::Of("mico2", {}, 9);
+  TrialSpecs richer;
+  for (size_t j = 0; j < 3; ++j) {
+    richer.push_back(MakeSpec("load_dependent_friction", {c->nominal.joint_names()[j]},
+                              {{"coulomb", 0.5}, {"load_coefficient", j == 1 ? 0.1 : 0.0}}));
+  }
+  std::multiset<size_t> dry;  // joints of each
+  for (const TrialSpecs& other : PlainOnSomeJoints(richer, c->nominal, c->scales)) {
+    ASSERT_EQ(other.size(), 3u);
+    dry.insert(static_cast<size_t>(std::count_if(
+        other.begin(), other.end(), [](const EffectSpec& s) { return s.id == "coulomb_friction"; })));
+  }
+  EXPECT_EQ(dry, (std::multiset<size_t>{0, 0, 0, 1, 1, 1, 2, 2, 2})) << "viscous on one has none";
 }
 
 // A screen of forces says little of where a motor swings on a robot of many joints: each rotor that was found
