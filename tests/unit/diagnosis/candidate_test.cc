@@ -358,6 +358,25 @@ TEST(Candidate, ALagFollowsCommandsABristleItsJointAndAMotorNeither) {
   EXPECT_FALSE(HasHiddenStates(with({})));
 }
 
+// A joint that never slides would have a free force in every window, the start of its bristles.
+TEST(Candidate, BristlesOfAJointThatNeverSlidesAreNoLaw) {
+  const auto p = testing::Prepare("pendulum", {}, 31);
+  const double range = p->scales.high[0] - p->scales.low[0];
+  const auto slides = [&](double bend) {
+    Candidate c;
+    c.specs = {
+        effects::MakeSpec("presliding_hysteresis", {p->nominal.joint_names()[0]},
+                          {{"coulomb", 0.1}, {"bristle_stiffness", 0.1 / bend}, {"bristle_damping", 0.0}})};
+    const auto plant = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), c.specs);
+    EXPECT_TRUE(plant.ok()) << plant.status().ToString();
+    c.plant = std::make_shared<const sim::Plant>(*plant);
+    c.fit.values = c.plant->parameters().Nominal();
+    return Slides(c, p->scales);
+  };
+  EXPECT_TRUE(slides(0.05 * range));
+  EXPECT_FALSE(slides(0.2 * range));
+}
+
 TEST(Candidate, AJointThatTellsLittleIsTakenToBeLikeItsFellows) {
   const auto arm = testing::Prepare("mico2", {}, 31);
   Candidate c;
@@ -387,7 +406,11 @@ TEST(Candidate, AJointThatTellsLittleIsTakenToBeLikeItsFellows) {
   c.fit.theta.tail(4).setZero();
   EXPECT_FALSE(OfAllJoints(c, 0)) << "four of six are known to have none";
   EXPECT_EQ(StrongEffects(c).size(), 2u);
-  c.fit.theta = theta;
+  c.fit.theta[2] = 0.5 * prior[2], c.fit.stddev.tail(3) = 0.9 * prior.tail(3);
+  c.fit.information.diagonal().tail(3) = (0.9 * prior.tail(3)).cwiseAbs2().cwiseInverse();
+  EXPECT_TRUE(OfAllJoints(c, 0)) << "three have it, and nothing is known of the others";
+  c.fit.theta = theta, c.fit.stddev = 0.01 * prior;
+  c.fit.information = (0.01 * prior).cwiseAbs2().cwiseInverse().asDiagonal();
   last(0.45, 0.3);
   EXPECT_TRUE(ClearlyNonzero(c, 5, 100.0)) << "as strong as the others, if less well known";
   c.fit.stddev = 0.9 * prior;
