@@ -357,8 +357,8 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   double least = PerRow(found);
   for (const auto& [key, c] : tried_) {
     const bool unnamed = HasUnnamed(c) && !c.fit.ok;
-    if (c.fit.rows > 0 && c.fit.chi2 > 0 && !unnamed && !HasMassInSprings(c.specs))
-      least = std::min(least, PerRow(c));
+    const bool swinging = HasKind(c.specs, effects::SwingingMass().id);  // a refused one rules out none
+    if (c.fit.rows > 0 && c.fit.chi2 > 0 && !unnamed && !swinging) least = std::min(least, PerRow(c));
   }
   const auto may_swing = [&] {
     return !HasUnnamed(from) && std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
