@@ -2,6 +2,7 @@
 # rg_library(), rg_executable(), rg_test() and rg_benchmark().
 
 option(RG_TESTS "Build the tests" ON)
+option(RG_FULL_TESTS "Build the tests that only deploy/check --full runs, too" ON)
 option(RG_BENCHMARKS "Build the benchmarks under tests/benchmarks" ON)
 option(RG_WERROR "Treat warnings as errors" ON)
 option(RG_TOGETHER "Compile several sources as one where a target says so" ON)
@@ -96,17 +97,25 @@ function(rg_first_program name)
 endfunction()
 
 # rg_test(NAME SOURCES … DEPS … [LABELS …] [TIMEOUT s] [COST s] [SHARDS n] [ENVIRONMENT …] [FULL]
-#   [TOGETHER n])
+#   [LONG pattern] [TOGETHER n])
 # One ctest entry per GoogleTest program. FULL: only with `deploy/check --full` (label "full"). COST: about what it
 # takes, for programs of more than ten seconds: ctest begins with the longest, so that no core is idle at the end.
 # SHARDS: a long program is n entries of ctest, NAME_1 to NAME_n, each with its share of the tests; COST is of one.
+# LONG: its tests of that pattern are an entry of their own, NAME_long, only with --full.
 # TOGETHER: as for a library, 5 unless said.
 function(rg_test name)
   if(NOT RG_TESTS)
     return()
   endif()
-  cmake_parse_arguments(A "FULL" "TIMEOUT;COST;SHARDS;TOGETHER" "SOURCES;DEPS;LABELS;ENVIRONMENT" ${ARGN})
+  cmake_parse_arguments(A "FULL" "TIMEOUT;COST;SHARDS;LONG;TOGETHER" "SOURCES;DEPS;LABELS;ENVIRONMENT" ${ARGN})
   rg_executable(${name} SOURCES ${A_SOURCES} DEPS ${A_DEPS} GTest::gtest GTest::gmock GTest::gtest_main)
+  # What GoogleTest makes of a test is most of its code and runs once.
+  if(CMAKE_BUILD_TYPE STREQUAL Release)
+    target_compile_options(${name} PRIVATE -O1)
+  endif()
+  if(A_FULL AND NOT RG_FULL_TESTS)
+    set_target_properties(${name} PROPERTIES EXCLUDE_FROM_ALL ON)
+  endif()
   list(LENGTH A_SOURCES sources)
   if(NOT A_TOGETHER)
     set(A_TOGETHER 5)
@@ -123,6 +132,7 @@ function(rg_test name)
   if(NOT A_SHARDS)
     set(A_SHARDS 1)
   endif()
+  set(entries "")
   foreach(shard RANGE 1 ${A_SHARDS})
     set(entry ${name})
     set(share "")
@@ -131,9 +141,20 @@ function(rg_test name)
       math(EXPR index "${shard} - 1")
       set(share "GTEST_TOTAL_SHARDS=${A_SHARDS};GTEST_SHARD_INDEX=${index}")
     endif()
+    if(A_LONG)
+      list(APPEND share "GTEST_FILTER=-${A_LONG}")
+    endif()
+    list(APPEND entries ${entry})
+    set(share_of_${entry} ${share})
+  endforeach()
+  if(A_LONG)
+    list(APPEND entries ${name}_long)
+    set(share_of_${name}_long "GTEST_FILTER=${A_LONG}")
+  endif()
+  foreach(entry ${entries})
     add_test(NAME ${entry} COMMAND ${name} WORKING_DIRECTORY ${CMAKE_SOURCE_DIR})
     set_tests_properties(${entry} PROPERTIES TIMEOUT ${A_TIMEOUT}
-      ENVIRONMENT "RG_SOURCE_DIR=${CMAKE_SOURCE_DIR};RG_BIN_DIR=${CMAKE_BINARY_DIR}/bin;${A_ENVIRONMENT};${share}"
+      ENVIRONMENT "RG_SOURCE_DIR=${CMAKE_SOURCE_DIR};RG_BIN_DIR=${CMAKE_BINARY_DIR}/bin;${A_ENVIRONMENT};${share_of_${entry}}"
       SKIP_REGULAR_EXPRESSION "\\[  SKIPPED \\].*ALL")
     if(A_COST)
       set_tests_properties(${entry} PROPERTIES COST ${A_COST})
@@ -142,6 +163,9 @@ function(rg_test name)
       set_tests_properties(${entry} PROPERTIES LABELS "${A_LABELS}")
     endif()
   endforeach()
+  if(A_LONG)
+    set_property(TEST ${name}_long APPEND PROPERTY LABELS full)
+  endif()
 endfunction()
 
 # rg_benchmark(NAME SOURCES … DEPS …): a Google Benchmark program, never part of ctest's verdict.

@@ -282,7 +282,7 @@ TEST(FitLedger, AMassOnARodIsTriedBesideWhatElseIsMissing) {
 }
 
 // It swings over the top: the few windows in which it does are not met whole, and by no other account.
-TEST(FitLedger, AMassThatAFewWindowsDoNotMeetIsWeighedOverHalves) {
+TEST(LongFitLedger, AMassThatAFewWindowsDoNotMeetIsWeighedOverHalves) {
   const auto p = Prepare("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 14);
   const Best best = BestWithAMass(*p);
   EXPECT_FALSE(HasPendulum(best.candidate.specs));
@@ -293,7 +293,7 @@ TEST(FitLedger, AMassThatAFewWindowsDoNotMeetIsWeighedOverHalves) {
 }
 
 // Hinges are one to a mass that stays away from their first axes; where it comes along one it is held there.
-TEST(FitLedger, AMassThatComesAlongItsHingeIsFoundAboutTheRightOne) {
+TEST(LongFitLedger, AMassThatComesAlongItsHingeIsFoundAboutTheRightOne) {
   const auto p = Prepare(MakeSet("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 15, 2.5));
   const Best best = BestWithAMass(*p);
   ASSERT_TRUE(HasPendulum(best.candidate.specs));
