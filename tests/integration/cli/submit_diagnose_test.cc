@@ -73,7 +73,7 @@ TEST(SubmitDiagnose, OutlivesTheWorkerThatLeadsIt) {
 TEST(SubmitDiagnose, SaysWhatADiagnosisHereSays) {
   if (!HasMaker()) GTEST_SKIP() << "SKIPPED: realitygrad-proof-generator is not built (libdart-dev)";
   const ScratchFolder scratch;
-  MakeCase(scratch, "pendulum", 50);
+  MakeCase(scratch, "pendulum", 200);
   const std::string address = "ipc://" + (scratch / "c.sock");
   const Background coordinator(scratch, "realitygrad-coordinator", "--listen " + address + " --db c.db");
   const Background worker(scratch, "realitygrad-worker",
