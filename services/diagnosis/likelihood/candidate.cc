@@ -217,12 +217,13 @@ void ContinueFields(Candidate* c) {
   }
 }
 
-bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row, bool whole) {
+std::set<size_t> Aperiodic(const Candidate& c, const MotionScales& scales, double noise_scale, bool whole) {
   const auto& model = c.plant->model();
-  const double rows = c.fit.rows;
-  // Nats above the noise and its standard deviation.
-  const double left = std::max(0.0, 0.5 * (chi2_per_row - 1) * rows - std::sqrt(0.5 * rows));
-  bool seen_again = false, slow = false;
+  const double rows = c.fit.rows, own = c.fit.chi2 / std::max(1.0, rows), over_noise = own / noise_scale;
+  // Nats above the sensors' own noise and its standard deviation.
+  const double left = std::max(0.0, 0.5 * (own - 1) * rows - std::sqrt(0.5 * rows));
+  std::set<size_t> out, slow;
+  bool seen_again = false;
   for (size_t k = 0; k < c.parameters.size(); ++k) {
     const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
     if (p.field != "cycles_per_rev") continue;
@@ -231,22 +232,30 @@ bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row
     const double range = scales.high[joint] - scales.low[joint];
     const double stddev = c.fit.stddev[static_cast<long>(k)];
     const double error = std::max(kPhaseError / std::max(1e-9, range),
-                                  kZ99TwoSided * stddev * std::sqrt(std::max(1.0, chi2_per_row)));
-    if (cycles < lower + 1e-6 * (1 + std::abs(lower))) return false;
+                                  kZ99TwoSided * stddev * std::sqrt(std::max(1.0, over_noise)));
     const double times = cycles * range / (2 * M_PI);
     const bool turns = model.joint(joint).is_revolute();
-    // Bias by other missing effects: near the noise no more than the nats that are left could pay for.
-    const double bias = chi2_per_row > kExplained ? kBias : std::min(stddev * std::sqrt(2 * left), kBias);
-    if (turns && std::abs(cycles - std::round(cycles)) > std::max(error, bias)) return false;
-    if (times >= kSeenAgain)
+    // Bias by other missing effects: near the sensors' noise no more than the nats that are left could pay
+    // for.
+    const double bias = own > kExplained ? kBias : std::min(stddev * std::sqrt(2 * left), kBias);
+    const bool at_bound = cycles < lower + 1e-6 * (1 + std::abs(lower));
+    const bool whole_number = !turns || std::abs(cycles - std::round(cycles)) <= std::max(error, bias);
+    const bool as_spring =
+        times < 2 && Contains(c.specs, effects::LawOf(effects::Regressor::kPosition).id, p.owner);
+    const auto at =
+        std::find_if(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) { return IsOf(s, p); });
+    const auto place = static_cast<size_t>(at - c.specs.begin());
+    if (at_bound || !whole_number || as_spring) {
+      out.insert(place);
+    } else if (times >= kSeenAgain) {
       seen_again = true;
-    else if (!turns || (whole && error > kSharp))
-      slow = true;
-    if (times < 2 && Contains(c.specs, effects::LawOf(effects::Regressor::kPosition).id, p.owner))
-      return false;
+    } else if (!turns || (whole && error > kSharp)) {
+      slow.insert(place);
+    }
   }
   // One joint that shows whole periods supports the ripple of others.
-  return seen_again || !slow;
+  if (!seen_again) out.merge(slow);
+  return out;
 }
 
 bool Drops(const Candidate& c) {

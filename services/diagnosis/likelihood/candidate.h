@@ -92,14 +92,15 @@ bool Uninformed(const Candidate& c, size_t i);
 // they do inform, where their prior would have a force end.
 void ContinueFields(Candidate* c);
 
-// Whether every ripple is periodic in the joint's angle. On a rotary joint the number of cycles per turn is
-// an integer (cogging, gear teeth and encoders repeat with each turn); the test is two-sided at 1 %. A ripple
-// of which the recordings show less than most of a period is admitted only if the integer is known sharply,
-// or if another joint shows a whole period; less than kLeastPeriods is any slow curve. With a spring on the
-// same joint it needs two periods: fewer are two terms of any curve. Other missing effects bias the number,
-// by up to a quarter; close to the noise by no more than the misfit that is left allows. `whole`: fitted on
-// all windows; a trial on some need not know the number sharply.
-bool Repeats(const Candidate& c, const MotionScales& scales, double chi2_per_row, bool whole);
+// The places among its effects of ripples that are not periodic in the joint's angle. On a rotary joint the
+// number of cycles per turn is an integer (cogging, gear teeth and encoders repeat with each turn); the test
+// is two-sided at 1 %. A ripple of which the recordings show less than most of a period is admitted only if
+// the integer is known sharply, or if another joint shows a whole period; less than kLeastPeriods is any slow
+// curve. With a spring on the same joint it needs two periods: fewer are two terms of any curve. Other
+// missing effects bias the number, by up to a quarter; close to the sensors' own noise by no more than the
+// misfit that is left allows. `noise_scale`: variance that is taken for noise over the sensors' own. `whole`:
+// fitted on all windows; a trial on some need not know the number sharply.
+std::set<size_t> Aperiodic(const Candidate& c, const MotionScales& scales, double noise_scale, bool whole);
 
 // Whether every Stribeck friction falls with speed; one that rises imitates drag.
 bool Drops(const Candidate& c);

@@ -118,15 +118,17 @@ Candidate DriveSearch::Losses() {
   return Seen(fits_.Evaluate(start.specs, false, nullptr, kIterations), false);
 }
 
-// The same without losses that the data do not inform, which make a model inadmissible.
+// The same without what makes a model inadmissible: losses that the data do not inform, and ripples that are
+// none, which stood for something else.
 Candidate DriveSearch::Seen(const Candidate& c, bool base) {
   const Candidate all = AsStart(c);
   if (c.fit.ok || !all.fit.ok || fits_.Late()) return c;
+  const std::set<size_t> aperiodic = Aperiodic(all, setting_.scales, fits_.noise_scale(), true);
   std::vector<EffectSpec> seen = Refreshed(all);
   for (size_t i = seen.size(); i-- > 0;) {
     const bool weak = Uninformed(all, i) || Strength(all, i) < kAbsent;
-    if (!IsGiven(seen[i]) && weak && !LikeOtherJoints(all, i))
-      seen.erase(seen.begin() + static_cast<long>(i));
+    const bool none = aperiodic.count(i) > 0 || (weak && !LikeOtherJoints(all, i));
+    if (!IsGiven(seen[i]) && none) seen.erase(seen.begin() + static_cast<long>(i));
   }
   if (seen.empty() || seen.size() == c.specs.size()) return c;
   return fits_.Evaluate(seen, base, &all, kIterations);
@@ -147,9 +149,10 @@ void DriveSearch::Late(Candidate* best) {
     if (late.empty() || KeyOf(specs) == KeyOf(now.specs) || fits_.Late()) continue;
     const Candidate* known = fits_.Known(specs, now.base);
     if (known == nullptr && !fits_.MayLeaveLess(start, specs, now.base, kMayBeUseful)) continue;
-    const Candidate c =
-        Seen(known != nullptr ? *known : fits_.Evaluate(specs, now.base, &start, kIterations), now.base);
-    if (c.score > best->score && Left(c) < kUseful * Left(now)) *best = c, taken = id;
+    const Candidate whole = known != nullptr ? *known : fits_.Evaluate(specs, now.base, &start, kIterations);
+    // Without a ripple that stood for late drives more may be left: it is found again, as it is.
+    const Candidate c = Seen(whole, now.base);
+    if (c.score > best->score && Left(whole) < kUseful * Left(now)) *best = c, taken = id;
   }
   if (taken.empty() || !LeavesSomething(*best) || fits_.Late()) return;
   // Both: a lag, and a small delay before it.

@@ -199,7 +199,7 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   if (doubted(effects::Regressor::kPosition)) c.fit.ok = c.fit.ok && PullsBack(c, setting_.scales);
   // While much is left a ripple's period is bent by it, and on some windows by little.
   if (c.fit.ok && PerRow(c) < (request.places.empty() ? kConsistent : kExplained))
-    c.fit.ok = Repeats(c, setting_.scales, PerRow(c), request.places.empty());
+    c.fit.ok = Aperiodic(c, setting_.scales, lifted_.noise_scale, request.places.empty()).empty();
   const bool stands = c.fit.ok && (!request.places.empty() || Admissible(&c));
   c.score = stands ? c.fit.evidence - StructurePrior(c.specs, c.base) : kNoScore;
   return c;
