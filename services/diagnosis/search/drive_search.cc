@@ -145,10 +145,9 @@ void DriveSearch::Late(Candidate* best) {
   for (const std::string& id : kTimings) {
     const std::vector<EffectSpec> late = OnAll(id, kLateBy), specs = Joined(punctual, late);
     if (late.empty() || KeyOf(specs) == KeyOf(now.specs) || fits_.Late()) continue;
-    const Candidate* known = fits_.Known(specs, now.base);
-    if (known == nullptr && !fits_.MayLeaveLess(start, specs, now.base, kMayBeUseful)) continue;
-    const Candidate c =
-        Seen(known != nullptr ? *known : fits_.Evaluate(specs, now.base, &start, kIterations), now.base);
+    if (fits_.Known(specs, now.base) == nullptr && !fits_.MayLeaveLess(start, specs, now.base, kMayBeUseful))
+      continue;
+    const Candidate c = Seen(fits_.KnownOrFitted(specs, now.base, &start, kIterations), now.base);
     if (c.score > best->score && Left(c) < kUseful * Left(now)) *best = c, taken = id;
   }
   if (taken.empty() || !LeavesSomething(*best) || fits_.Late()) return;
@@ -245,9 +244,7 @@ Candidate DriveSearch::WithZeros(const Candidate& c, const Candidate& either_way
 }
 
 Candidate DriveSearch::WithFreeBase(const Candidate& c) {
-  const std::vector<EffectSpec> specs = Refreshed(c);
-  const Candidate* known = fits_.Known(specs, true);
-  return known != nullptr ? *known : fits_.Evaluate(specs, true, &c, kIterations);
+  return fits_.KnownOrFitted(Refreshed(c), true, &c, kIterations);
 }
 
 // Free base parameters, and then timing again, where they take half of the excess.

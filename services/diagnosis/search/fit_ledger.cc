@@ -135,6 +135,12 @@ Candidate FitLedger::Evaluate(const std::vector<EffectSpec>& specs, bool base, c
   return Tried(request, Made(request));
 }
 
+Candidate FitLedger::KnownOrFitted(const std::vector<EffectSpec>& specs, bool base, const Candidate* from,
+                                   int iterations) {
+  const Candidate* known = Known(specs, base);
+  return known != nullptr ? *known : Evaluate(specs, base, from, iterations);
+}
+
 Candidate FitLedger::Calibrated(const std::vector<EffectSpec>& specs) {
   FitRequest request = WholeFit(specs, true, pieces_);
   request.options.to_beat = kConsistent * setting_.data.Rows();
@@ -368,8 +374,7 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   // The same where free base parameters, or one force over two positions, leave far less.
   const auto compare = [&](const TrialSpecs& specs, bool freed, const Candidate* start) {
     if (!may_swing() || Late()) return;
-    const Candidate* known = Known(specs, freed);
-    const Candidate other = known != nullptr ? *known : Evaluate(specs, freed, start);
+    const Candidate other = KnownOrFitted(specs, freed, start);
     if (other.fit.ok) least = std::min(least, PerRow(other));
   };
   if (!base) compare(Refreshed(from), true, &from);
@@ -521,8 +526,7 @@ std::optional<Candidate> FitLedger::TryPendulum(const Candidate& from,
   }
   std::optional<Candidate> best;
   const auto weigh = [&](const TrialSpecs& with) {
-    const Candidate* known = Known(with, from.base);
-    const Candidate whole = known != nullptr ? *known : Evaluate(with, from.base, &from);
+    const Candidate whole = KnownOrFitted(with, from.base, &from);
     if (whole.score > model->score) *model = whole;
     if (whole.fit.ok && (!best || PerRow(whole) < PerRow(*best))) best = whole;
   };

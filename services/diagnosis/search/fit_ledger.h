@@ -70,6 +70,9 @@ class FitLedger {
   // the recorded motion. `rival`: the fit ends early if it would not come near that score.
   Candidate Evaluate(const std::vector<effects::EffectSpec>& specs, bool base,
                      const Candidate* from = nullptr, int iterations = 6, const Candidate* rival = nullptr);
+  // The best fit of these effects so far, else a first one.
+  Candidate KnownOrFitted(const std::vector<effects::EffectSpec>& specs, bool base,
+                          const Candidate* from = nullptr, int iterations = 6);
   // With free base parameters; ends early if it would not become consistent.
   Candidate Calibrated(const std::vector<effects::EffectSpec>& specs);
   // A restart from nominal base parameters, over short pieces of the recordings.

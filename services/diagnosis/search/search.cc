@@ -436,8 +436,7 @@ class Search {
   void AddWithoutKind(const Candidate& account, const std::string& kind, Candidate* winner) {
     const std::vector<EffectSpec> specs = WithoutKind(Refreshed(account), kind);
     if (!stepped_from_.insert(KeyOf(specs, account.base)).second) return;
-    const Candidate* known = fits_.Known(specs, account.base);
-    const Candidate from = known != nullptr ? *known : fits_.Evaluate(specs, account.base, &account);
+    const Candidate from = fits_.KnownOrFitted(specs, account.base, &account);
     if (from.fit.ok) step_.Add(from, kFitsInPlace, winner);
   }
 

@@ -99,8 +99,7 @@ void Simplifier::GainsYieldToInertials(Candidate* best) {
   const size_t gains = best->specs.size() - specs.size();
   const bool of_most = gains >= kManyGains && 2 * gains > static_cast<size_t>(best->plant->num_joints());
   if (!of_most || best->base || fits_.Late(kPruned) || HasKind(setting_.nominal.effects(), gain)) return;
-  const Candidate* known = fits_.Known(specs, true);
-  const Candidate bodies = known != nullptr ? *known : fits_.Evaluate(specs, true, best, 12);
+  const Candidate bodies = fits_.KnownOrFitted(specs, true, best, 12);
   const double more = 0.5 * (bodies.fit.chi2 - best->fit.chi2) / fits_.noise_scale();
   if (bodies.fit.ok && more < 1) Replace(bodies, best);
 }
