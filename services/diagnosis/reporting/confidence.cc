@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/likelihood/candidate.h"
 
 namespace rg::diagnosis {
 namespace {
