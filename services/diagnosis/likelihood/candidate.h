@@ -44,6 +44,8 @@ inline Candidate WithoutStates(Candidate c) {
   return c;
 }
 
+inline const Candidate& Better(const Candidate& a, const Candidate& b) { return b.score > a.score ? b : a; }
+
 // The score without the penalty for held-out recordings.
 inline double FitScore(const Candidate& c) { return c.score + c.held_out_penalty; }
 

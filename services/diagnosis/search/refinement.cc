@@ -23,8 +23,6 @@ constexpr size_t kRivalsWithoutStates = 2;  // that are fitted with free inertia
 constexpr int kMaxExchanges = 3;            // of effects that are easily taken for each other
 constexpr int kIterationsFromAfar = 12;     // of a fit that begins at the recorded motion
 
-const Candidate& Better(const Candidate& a, const Candidate& b) { return b.score > a.score ? b : a; }
-
 }  // namespace
 
 bool Refinement::Exchange(const Candidate& before, Candidate* winner) {
@@ -70,7 +68,6 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
   return true;
 }
 
-// Whether χ² is within three standard deviations of what noise makes of it.
 // With free inertials a gain of one of two drives equals the other drive's inverse gain, beside which
 // inertials may be as given.
 Candidate Refinement::OtherDrivesGain(const Candidate& c) {
