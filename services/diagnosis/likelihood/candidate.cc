@@ -440,22 +440,11 @@ bool HasHiddenStates(const Candidate& c) {
   return c.plant != nullptr && c.plant->num_states() > 2 * c.plant->num_joints();
 }
 
-namespace {
+bool HasFreeStates(const Candidate& c) { return c.plant != nullptr && HasFreeStates(*c.plant); }
 
-// Whether it has hidden states of other kinds than these.
-bool HasStatesBut(std::initializer_list<std::string_view> kinds, const Candidate& c) {
-  if (!HasHiddenStates(c)) return false;
-  const auto& names = c.plant->internal_state_names();
-  return std::any_of(names.begin(), names.end(), [&](const std::string& name) {
-    return std::none_of(kinds.begin(), kinds.end(), [&](auto kind) { return name.starts_with(kind); });
-  });
+bool HasUnseenStates(const Candidate& c) {
+  return c.plant != nullptr && HasStatesBut({kLagState, kBristleState}, *c.plant);
 }
-
-}  // namespace
-
-bool HasFreeStates(const Candidate& c) { return HasStatesBut({kLagState}, c); }
-
-bool HasUnseenStates(const Candidate& c) { return HasStatesBut({kLagState, kBristleState}, c); }
 
 bool OfPosition(const Candidate& c) {
   return std::any_of(c.specs.begin(), c.specs.end(), [](const EffectSpec& e) { return IsOfPosition(e.id); });
