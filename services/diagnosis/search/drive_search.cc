@@ -75,13 +75,13 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
     if (LeavesSomething(best) && (Left(best) < kUseful * before || TakeNearest(kept, &best))) continue;
     if (!leaves(kCloser)) break;
     Candidate with = drives;
-    beside_(drives, &with);
-    if (!(Left(with) < kUseful * Left(best)) && !fits_.Late()) transmission_(drives, &with);
+    step_.AddPromised(drives, &with);
+    if (!(Left(with) < kUseful * Left(best)) && !fits_.Late()) step_.AddTransmission(drives, &with);
     if (!(Left(with) < kUseful * Left(best))) break;
     best = with;
   }
   if (useful && !leaves(kNear) && best.fit.ok && OfAllDrives(best) &&
-      best.score > without.score + needed_(without, best))
+      best.score > without.score + state_.Threshold(without, best))
     return best;
   fits_.tried() = kept;
   return std::nullopt;
@@ -105,7 +105,7 @@ bool DriveSearch::TakeNearest(const std::map<std::string, Candidate>& before, Ca
     if (before.count(key) == 0 && c.fit.ok && Left(c) < Left(*nearest)) nearest = &c;
   }
   if (!(Left(*nearest) < kWorthwhile * Left(*best)) ||
-      nearest->score < best->score + needed_(*best, *nearest))
+      nearest->score < best->score + state_.Threshold(*best, *nearest))
     return false;
   *best = Candidate(*nearest);
   return true;
@@ -114,7 +114,7 @@ bool DriveSearch::TakeNearest(const std::map<std::string, Candidate>& before, Ca
 // Losses on all joints, started from the regression of the inverse dynamics.
 Candidate DriveSearch::Losses() {
   const Candidate start = RegressedGroup(setting_.data, setting_.nominal, setting_.scales, kLosses, false);
-  if (!start.fit.ok || start.specs.size() == given_.size() || fits_.Late()) return {};
+  if (!start.fit.ok || start.specs.size() == state_.given.size() || fits_.Late()) return {};
   return Seen(fits_.Evaluate(start.specs, false, nullptr, kIterations), false);
 }
 
@@ -156,14 +156,14 @@ void DriveSearch::Late(Candidate* best) {
   const std::vector<EffectSpec> other = OnAll(taken == kTimings[0] ? kTimings[1] : kTimings[0], kLittleLate);
   const Candidate both =
       Seen(fits_.Evaluate(Joined(Refreshed(one), other), one.base, &one, kIterations), one.base);
-  if (both.score > one.score + needed_(one, both)) *best = both;
+  if (both.score > one.score + state_.Threshold(one, both)) *best = both;
 }
 
 std::vector<EffectSpec> DriveSearch::OnAll(const std::string& id, double late) const {
   std::vector<EffectSpec> out;
   for (int j = 0; j < setting_.data.n; ++j) {
     const std::string& joint = setting_.nominal.joint_names()[static_cast<size_t>(j)];
-    if (setting_.nominal.Takes(id, j) && !Contains(given_, id, joint))
+    if (setting_.nominal.Takes(id, j) && !Contains(state_.given, id, joint))
       out.push_back(effects::MakeSpec(id, {joint}, {{effects::FindEffect(id)->parameters[0].name, late}}));
   }
   return out;
@@ -200,7 +200,8 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
       *best = directed;
       return;
     }
-    if (Left(bodies) < kUseful * Left(*best) && bodies.score > best->score + needed_(*best, bodies)) {
+    if (Left(bodies) < kUseful * Left(*best) &&
+        bodies.score > best->score + state_.Threshold(*best, bodies)) {
       *best = bodies;
       Late(best);
       return;
@@ -219,7 +220,7 @@ void DriveSearch::LawOnEachJoint(Candidate* best) {
     if (fits_.Late()) return;
     const Candidate c =
         Seen(fits_.Evaluate(Joined(Refreshed(now), law.specs), now.base, &now, kIterations), now.base);
-    if (c.score > best->score + needed_(now, c) && Left(c) < kUseful * Left(now)) *best = c;
+    if (c.score > best->score + state_.Threshold(now, c) && Left(c) < kUseful * Left(now)) *best = c;
   }
 }
 
@@ -255,11 +256,11 @@ void DriveSearch::Freed(Candidate* best) {
   Candidate c = WithFreeBase(*best);
   if (!c.fit.ok) return;
   Late(&c);
-  if (c.score > best->score + needed_(*best, c) && Left(c) < kUseful * Left(*best)) *best = c;
+  if (c.score > best->score + state_.Threshold(*best, c) && Left(c) < kUseful * Left(*best)) *best = c;
 }
 
 bool DriveSearch::IsGiven(const EffectSpec& s) const {
-  return Contains(given_, s.id, s.joints.empty() ? "" : s.joints[0]);
+  return Contains(state_.given, s.id, s.joints.empty() ? "" : s.joints[0]);
 }
 
 double DriveSearch::Left(const Candidate& c) {

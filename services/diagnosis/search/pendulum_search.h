@@ -55,7 +55,6 @@ class PendulumSearch {
   std::shared_ptr<const Candidate> OverHalves(const Candidate& rod);
 
   Hung Hang(const TrialSpecs& specs);
-  TrialSpecs WithRod(double times) const;
   double Typically(const std::vector<double>& window_chi2) const;
   double PerFreeRow(const FitData& data, const Candidate& c) const;
 

@@ -356,27 +356,13 @@ class Search {
   FitLedger& fits_ = state_.fits;
   const std::function<double(const Candidate&, const Candidate&)> needs_ =
       [this](const Candidate& a, const Candidate& b) { return state_.Threshold(a, b); };
-  const std::function<MissingForce(const Candidate&)> force_ = [this](const Candidate& c) {
-    return state_.Force(c);
-  };
-  const std::function<double(const Candidate&)> any_needs_ = [this](const Candidate& c) {
-    return state_.Threshold(c);
-  };
-  ForwardStep step_{
-      setting_, fits_, state_.acceptance, state_.trace, options_.seed, any_needs_, force_, [this] {
-        return state_.ordinary;
-      }};
-  Simplifier simplifier_{setting_, fits_, needs_, any_needs_,
+  ForwardStep step_{state_};
+  DriveSearch drives_{state_, step_};
+  Simplifier simplifier_{setting_, fits_, needs_, [this](const Candidate& c) { return state_.Threshold(c); },
                          [this](const Candidate& c) { return state_.Explained(c); }};
-  DriveSearch drives_{setting_,
-                      fits_,
-                      state_.given,
-                      needs_,
-                      [this](const Candidate& c, Candidate* best) { step_.AddPromised(c, best); },
-                      [this](const Candidate& c, Candidate* best) { step_.AddTransmission(c, best); }};
   UnnamedForces unnamed_{
       setting_,     fits_,
-      state_.given, force_,
+      state_.given, [this](const Candidate& c) { return state_.Force(c); },
       needs_,       [this](const Candidate& c, Candidate* best) { step_.Add(c, kNamesBesideUnnamed, best); }};
   Refinement refinement_{setting_, fits_, needs_};
   FurtherSteps further_{state_, step_, drives_, simplifier_};
