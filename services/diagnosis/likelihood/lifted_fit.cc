@@ -313,10 +313,16 @@ class LiftedFit {
 
 }  // namespace
 
+int MotorOf(const sim::Plant& plant, const std::string& joint) {
+  const auto& names = plant.internal_state_names();
+  const auto at = std::ranges::find(names, "motor_position." + joint);
+  return at == names.end() ? -1 : static_cast<int>(at - names.begin());
+}
+
 bool HasStatesBut(std::initializer_list<std::string_view> kinds, const sim::Plant& plant) {
   const auto& names = plant.internal_state_names();
-  return std::any_of(names.begin(), names.end(), [&](const std::string& name) {
-    return std::none_of(kinds.begin(), kinds.end(), [&](auto kind) { return name.starts_with(kind); });
+  return std::ranges::any_of(names, [&](const std::string& name) {
+    return std::ranges::none_of(kinds, [&](auto kind) { return name.starts_with(kind); });
   });
 }
 

@@ -1,5 +1,4 @@
 // Whether a drive among all turns with two joints: a step of DriveSearch.
-#include <algorithm>
 
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"

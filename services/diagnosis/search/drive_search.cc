@@ -38,8 +38,7 @@ const std::string kTimings[] = {LawOf(Regressor::kLagging).id, LawOf(Regressor::
 
 bool IsLoss(const std::string& id) {
   const effects::EffectInfo* info = effects::FindEffect(id);
-  return std::count(kLosses.begin(), kLosses.end(), id) > 0 ||
-         (info != nullptr && info->family == "friction");
+  return std::ranges::count(kLosses, id) > 0 || (info != nullptr && info->family == "friction");
 }
 
 // As a start of other fits, inadmissible or not.
@@ -162,7 +161,7 @@ void DriveSearch::Late(Candidate* best) {
 std::vector<EffectSpec> DriveSearch::OnAll(const std::string& id, double late) const {
   std::vector<EffectSpec> out;
   for (int j = 0; j < setting_.data.n; ++j) {
-    const std::string& joint = setting_.nominal.joint_names()[static_cast<size_t>(j)];
+    const std::string& joint = setting_.nominal.joint_names()[j];
     if (setting_.nominal.Takes(id, j) && !Contains(state_.given, id, joint))
       out.push_back(effects::MakeSpec(id, {joint}, {{effects::FindEffect(id)->parameters[0].name, late}}));
   }
@@ -238,8 +237,7 @@ Candidate DriveSearch::WithZeros(const Candidate& c, const Candidate& either_way
   if (fits_.Late()) return {};
   Candidate zeros = fits_.Evaluate(start.specs, c.base, &c, kIterations);
   const std::vector<EffectSpec> strong = StrongEffects(AsStart(zeros));
-  const auto count =
-      std::count_if(strong.begin(), strong.end(), [](const EffectSpec& s) { return s.id == kZero; });
+  const auto count = std::ranges::count_if(strong, [](const EffectSpec& s) { return s.id == kZero; });
   if (count == 0 || 2 * count > setting_.data.judged() || fits_.Late()) return {};
   return strong.size() == zeros.specs.size() ? zeros : fits_.Evaluate(strong, c.base, &zeros, kIterations);
 }
@@ -279,8 +277,8 @@ bool DriveSearch::OfAllDrives(const Candidate& c) const {
   for (size_t i = 0; i < c.specs.size(); ++i) {
     if (IsLoss(c.specs[i].id) && Strength(c, i) > clearly) ++joints[c.specs[i].id];
   }
-  return std::count_if(joints.begin(), joints.end(),
-                       [&](const auto& kind) { return 2 * kind.second >= setting_.data.judged(); }) >= 2;
+  return std::ranges::count_if(
+             joints, [&](const auto& kind) { return 2 * kind.second >= setting_.data.judged(); }) >= 2;
 }
 
 }  // namespace rg::diagnosis

@@ -47,8 +47,8 @@ std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::ve
 
 // An unnamed force over two joints' positions.
 bool HasSurface(const TrialSpecs& specs) {
-  return std::any_of(specs.begin(), specs.end(),
-                     [](const EffectSpec& s) { return IsUnnamed(s.id) && s.joints.size() > 1; });
+  return std::ranges::any_of(specs,
+                             [](const EffectSpec& s) { return IsUnnamed(s.id) && s.joints.size() > 1; });
 }
 
 std::set<std::string> SpringyJoints(const TrialSpecs& specs) {
@@ -61,9 +61,8 @@ std::set<std::string> SpringyJoints(const TrialSpecs& specs) {
 
 // Whether `specs` are one of the models with something added.
 bool HoldsOneOf(const std::vector<TrialSpecs>& accounts, const TrialSpecs& specs) {
-  return std::any_of(accounts.begin(), accounts.end(), [&](const TrialSpecs& model) {
-    return model.size() < specs.size() && IsPart(model, specs);
-  });
+  return std::ranges::any_of(
+      accounts, [&](const TrialSpecs& model) { return model.size() < specs.size() && IsPart(model, specs); });
 }
 
 // As a start of fits over other windows.
@@ -303,8 +302,8 @@ PendulumTrials FitLedger::TakePendulumTrials(const Candidate& from, TrialResults
     });
     if (best != nullptr) out.springs.push_back(best);
   }
-  std::stable_sort(out.springs.begin(), out.springs.end(),
-                   [&](const auto& a, const auto& b) { return PerRow(*a) < PerRow(*b); });
+  std::ranges::stable_sort(out.springs,
+                           [&](const auto& a, const auto& b) { return PerRow(*a) < PerRow(*b); });
   std::vector<RankedTrial> plain = trials->ranked;
   std::erase_if(plain,
                 [](const RankedTrial& t) { return HasHiddenStates(*t.fitted) || HasUnnamed(*t.fitted); });
@@ -336,9 +335,8 @@ std::vector<FitRequest> FitLedger::WorthAFit(const Candidate& from, TrialResults
   for (const auto& c : BestOf(std::move(trials.ranked), std::move(trials.hidden), count))
     out.push_back(WholeFit(Refreshed(*c), base, holds || !base ? trial.from : ValuesOf(*c), 6, &rival));
   const auto add = [&](const TrialSpecs& specs) {
-    const bool chosen = std::any_of(out.begin(), out.end(), [&](const FitRequest& request) {
-      return KeyOf(request.specs) == KeyOf(specs);
-    });
+    const bool chosen = std::ranges::any_of(
+        out, [&](const FitRequest& request) { return KeyOf(request.specs) == KeyOf(specs); });
     if (!chosen) out.push_back(WholeFit(specs, base, trial.from));
   };
   for (const TrialSpecs& start : promised) {

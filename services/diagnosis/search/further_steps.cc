@@ -1,7 +1,5 @@
 #include "services/diagnosis/search/further_steps.h"
 
-#include <algorithm>
-
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/search/refinement.h"
 

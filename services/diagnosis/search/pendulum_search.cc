@@ -5,7 +5,6 @@
 #include <utility>
 
 #include "services/diagnosis/hypotheses/hypotheses.h"
-#include "services/diagnosis/likelihood/jumps.h"
 #include "services/diagnosis/likelihood/some_windows.h"
 #include "services/diagnosis/likelihood/swing_starts.h"
 
@@ -28,8 +27,7 @@ constexpr double kShortestWindow = 0.2;  // s, of a search
 
 // The one among these effects.
 const EffectSpec& MassIn(const TrialSpecs& specs) {
-  return *std::find_if(specs.begin(), specs.end(),
-                       [](const EffectSpec& s) { return s.id == effects::SwingingMass().id; });
+  return *std::ranges::find_if(specs, [](const EffectSpec& s) { return s.id == effects::SwingingMass().id; });
 }
 
 std::string HingeOf(const EffectSpec& rod) { return rod.options.at("hinge"); }
@@ -61,9 +59,9 @@ bool PendulumSearch::MayBeOne(const Candidate& found) {
     if (c.fit.rows > 0 && c.fit.chi2 > 0 && !unnamed && !swinging) least = std::min(least, fits_.PerRow(c));
   }
   const auto may_be = [&] {
-    return !HasUnnamed(from_) &&
-           std::any_of(trials_.springs.begin(), trials_.springs.end(),
-                       [&](const auto& c) { return least - 1 > kPartly * (fits_.PerRow(*c) - 1); });
+    return !HasUnnamed(from_) && std::ranges::any_of(trials_.springs, [&](const auto& c) {
+      return least - 1 > kPartly * (fits_.PerRow(*c) - 1);
+    });
   };
   const auto compare = [&](const TrialSpecs& specs, bool freed, const Candidate* start) {
     if (!may_be() || fits_.Late()) return;
@@ -91,7 +89,7 @@ std::optional<Candidate> PendulumSearch::Seek(Candidate* found) {
 }
 
 bool PendulumSearch::SpringsHold() const {
-  return std::any_of(trials_.springs.begin(), trials_.springs.end(), [&](const auto& trial) {
+  return std::ranges::any_of(trials_.springs, [&](const auto& trial) {
     const Candidate* whole = fits_.Known(trial->specs, trial->base);
     return whole != nullptr && fits_.PerRow(*whole) < kExplained;
   });

@@ -1,7 +1,6 @@
 #include "services/diagnosis/search/refinement.h"
 
 #include <algorithm>
-#include <cmath>
 #include <map>
 #include <set>
 #include <string>
@@ -72,14 +71,14 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
 // inertials may be as given.
 Candidate Refinement::OtherDrivesGain(const Candidate& c) {
   std::vector<EffectSpec> specs = Refreshed(c);
-  const auto gain = std::find_if(specs.begin(), specs.end(),
-                                 [](const EffectSpec& s) { return effects::ScalesEffort(s.id); });
+  const auto gain =
+      std::ranges::find_if(specs, [](const EffectSpec& s) { return effects::ScalesEffort(s.id); });
   Candidate none;
   none.score = kNoScore;
   if (gain == specs.end() || gain->joints.size() != 1 || fits_.Late()) return none;
   const int other = setting_.data.OtherOfTwo(setting_.nominal.model().FindJoint(gain->joints[0]));
   if (other < 0) return none;
-  const std::string& joint = setting_.nominal.joint_names()[static_cast<size_t>(other)];
+  const std::string& joint = setting_.nominal.joint_names()[other];
   if (Contains(specs, gain->id, joint)) return none;
   std::map<std::string, double> values = gain->values.at(gain->joints[0]);
   for (auto& [name, value] : values) value = 1 / value;

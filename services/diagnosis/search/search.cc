@@ -152,8 +152,7 @@ class Search {
   void Conclude(const Candidate& best) {
     out_.best = best;
     for (const auto& [key, c] : fits_.tried()) out_.tried.push_back(c);
-    std::sort(out_.tried.begin(), out_.tried.end(),
-              [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
+    std::ranges::sort(out_.tried, [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
     out_.null_gain = state_.acceptance.null_gain();
     out_.noise_scale = fits_.noise_scale(), out_.work = fits_.work();
     state_.Tell("locate", 0.95, "");

@@ -1,7 +1,6 @@
 #include "services/diagnosis/search/unnamed_forces.h"
 
 #include <algorithm>
-#include <optional>
 #include <set>
 
 #include "services/diagnosis/hypotheses/field_starts.h"
