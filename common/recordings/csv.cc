@@ -9,7 +9,7 @@
 #include "common/base/number_text.h"
 #include "common/recordings/angles.h"
 #include "common/recordings/csv_advice.h"
-#include "common/recordings/csv_text.h"
+#include "common/recordings/csv_header.h"
 #include "common/recordings/odd_values.h"
 #include "common/recordings/prescribed.h"
 #include "common/recordings/time_stamps.h"
@@ -21,50 +21,6 @@ namespace {
 constexpr int kTooFewRowsToJudgeDigits = 20;
 constexpr int kLookedAhead = 20, kFewRepeats = 3;  // rows
 constexpr const char* kTakeRowOut = "; take the row out, rows may be missing";
-constexpr const char* kHowToPrescribe = " (\"prescribed\" in the manifest: it moves as measured)";
-
-// A piece of an untrusted file for a message: short and printable.
-std::string Shown(std::string_view field) {
-  std::string shown = "'";
-  for (const char c : field.substr(0, 40)) shown += (c >= ' ' && c <= '~') ? c : '?';
-  if (field.size() > 40) shown += "...";
-  return shown + "'";
-}
-
-bool IsNumber(std::string_view field) {
-  double value = 0.0;
-  return ParseNumber(field, &value) == NumberText::kOk;
-}
-
-enum class Kind { kTime, kPosition, kVelocity, kEffortCommand, kEffortMeasured, kOther };
-constexpr const char* kKindNames[] = {"time", "position", "velocity", "effort_command", "effort_measured"};
-
-const std::set<std::string, std::less<>>& KindsOfJoints() {
-  static const std::set<std::string, std::less<>> kinds = {
-      "position",      "velocity",      "effort_command",     "effort_measured",
-      "motor_current", "torque_sensor", "position_reference", "temperature"};
-  return kinds;
-}
-
-struct Column {
-  std::string name;
-  Kind kind = Kind::kOther;
-  std::string joint;      // of the known kinds
-  double* out = nullptr;  // where row 0 goes; null: ignored
-  Eigen::Index stride = 1;
-  bool is_nameless = false;                   // not read
-  bool is_text = false;                       // an other column that holds something else than numbers
-  Eigen::Index blanks = 0, first_blank = -1;  // fields that are empty or NaN
-  bool first_blank_is_nan = false;
-  std::string first_blank_field;
-};
-
-Kind KindOf(std::string_view prefix) {
-  for (int i = 1; i <= 4; ++i) {
-    if (prefix == kKindNames[i]) return static_cast<Kind>(i);
-  }
-  return Kind::kOther;
-}
 
 // One parse: header, layout, rows, checks. Each step returns the first thing wrong.
 class CsvParser {
@@ -78,10 +34,8 @@ class CsvParser {
   const std::set<std::string>& blank_columns() const { return blank_columns_; }
 
   Result<Recording> Parse() {
-    RG_RETURN_IF_ERROR(ChooseDialect());
-    RG_RETURN_IF_ERROR(ReadHeader());
-    RG_RETURN_IF_ERROR(ChooseJoints());
-    RG_RETURN_IF_ERROR(ChooseKinds());
+    RG_ASSIGN_OR_RETURN(header_, ReadCsvHeader(text_, source_, options_, ignored_, &lines_));
+    recording_.notes = header_.notes;
     Allocate();
     RG_RETURN_IF_ERROR(ReadRows());
     RG_RETURN_IF_ERROR(CheckLastRowIsWhole());
@@ -99,226 +53,25 @@ class CsvParser {
     const int line = row < rows_ ? line_of_[static_cast<size_t>(row)] : lines_->line();
     return "row " + std::to_string(row + 1) + " (line " + std::to_string(line) + ")";
   }
-  Status FieldError(Eigen::Index row, const Column& column, const std::string& what) const {
+  Status FieldError(Eigen::Index row, const CsvColumn& column, const std::string& what) const {
     return Error(RowName(row) + ", column " + column.name + ": " + what);
-  }
-  void Note(const std::string& what) { recording_.notes.push_back(what); }
-
-  Status ChooseDialect() {
-    const std::string other = OtherFormatOf(text_);
-    if (!other.empty()) return Error(other);
-    dialect_ = options_.dialect.value_or(CsvDialect{GuessSeparator(text_), false});
-    lines_.emplace(text_, dialect_.separator);
-    return Status::Ok();
-  }
-
-  Status ReadHeader() {
-    if (lines_->AtEnd()) return Error("the file is empty");
-    std::vector<std::string_view> names;
-    do {
-      if (!lines_->Next(&names)) return lines_->status().ok() ? Error("the file is empty") : Unclosed();
-    } while (names.empty());
-    header_line_ = lines_->line();
-    if (lines_->header_was_comment()) Note("the header begins as a comment, whose mark was taken off");
-    while (names.size() > 1 && names.back().empty()) names.pop_back();  // separators at the line's end
-    if (std::all_of(names.begin(), names.end(), IsNumber))
-      return Error("row 0 (line " + std::to_string(header_line_) +
-                   "): the first line holds numbers, the header is missing");
-    std::set<std::string> seen;
-    for (const std::string_view name : names) RG_RETURN_IF_ERROR(AddColumn(name, &seen));
-    if (!seen.count("time")) return NoTime();
-    return CheckDecimals();
-  }
-
-  Status Unclosed() const { return Error(lines_->status().message()); }
-
-  std::string HeaderName() const { return "header (line " + std::to_string(header_line_) + ")"; }
-
-  Status NoTime() const {
-    return Error("row 0 (line " + std::to_string(header_line_) + "): the header has no column time" +
-                 NoTimeAdvice(Names()));
-  }
-
-  std::vector<std::string> Names() const {
-    std::vector<std::string> names;
-    for (const Column& column : columns_) names.push_back(column.name);
-    return names;
-  }
-
-  // Fields by semicolons or tabs with decimal commas are read only where somebody says so.
-  Status CheckDecimals() {
-    if (options_.dialect || dialect_.separator == ',') return Status::Ok();
-    CsvText ahead = *lines_;
-    std::vector<std::string_view> fields;
-    double value = 0.0;
-    for (int row = 0; row < 20 && ahead.Next(&fields); ++row) {
-      for (const std::string_view field : fields) {
-        if (std::count(field.begin(), field.end(), ',') != 1) continue;
-        if (ParseNumber(field, &value) == NumberText::kOk ||
-            ParseNumber(WithPoint(field), &value) != NumberText::kOk)
-          continue;
-        const std::string name = dialect_.separator == ';' ? "semicolon" : "tab";
-        return Error("line " + std::to_string(ahead.line()) + ": " + Shown(field) +
-                     ": fields are separated by " + name +
-                     "s and numbers have decimal commas: read it with --csv-dialect " + name +
-                     ", or convert it: tr ',' '.' < FILE | tr '" + (dialect_.separator == ';' ? ";" : "\\t") +
-                     "' ',' > NEW");
-      }
-    }
-    Note(std::string("fields are separated by ") + (dialect_.separator == ';' ? "semicolons" : "tabs"));
-    return Status::Ok();
-  }
-
-  std::string_view WithPoint(std::string_view field) {
-    decimal_.assign(field);
-    std::replace(decimal_.begin(), decimal_.end(), ',', '.');
-    return decimal_;
-  }
-
-  Status AddColumn(std::string_view name, std::set<std::string>* seen) {
-    const std::string place = HeaderName() + ", column " + std::to_string(columns_.size() + 1);
-    if (name.empty()) {  // as the index that pandas writes
-      columns_.emplace_back().is_nameless = true;
-      Note("column " + std::to_string(columns_.size()) + " has no name: left alone");
-      return Status::Ok();
-    }
-    if (std::any_of(name.begin(), name.end(), [](unsigned char c) { return c < ' ' || c == 0x7F; }))
-      return Error(place + ": the name " + Shown(name) + " holds line ends or other control characters");
-    Column column;
-    column.name = std::string(name);
-    if (!seen->insert(column.name).second) return Error(place + ": " + column.name + " is there twice");
-    const size_t dot = name.find('.');
-    const std::string_view prefix = name.substr(0, dot);
-    if (name == "time") {
-      column.kind = Kind::kTime;
-    } else if (ignored_.count(column.name) > 0) {
-      column.kind = Kind::kOther;
-    } else if (dot != std::string_view::npos && KindsOfJoints().count(prefix)) {
-      column.kind = KindOf(prefix);
-      column.joint = std::string(name.substr(dot + 1));
-      if (!options_.robot.empty() && !RobotHas(column.joint)) {
-        return Error(place + ": " + column.name + ": the robot has no joint " + Shown(column.joint) +
-                     UnknownJointAdvice(column.joint, JointNames()));
-      }
-    }
-    columns_.push_back(std::move(column));
-    return Status::Ok();
-  }
-
-  std::vector<std::string> JointNames() const {
-    std::vector<std::string> names;
-    for (const JointInfo& info : options_.robot) names.push_back(info.name);
-    return names;
-  }
-
-  bool RobotHas(const std::string& joint) const {
-    return std::any_of(options_.robot.begin(), options_.robot.end(),
-                       [&](const JointInfo& info) { return info.name == joint; });
-  }
-
-  Column* Find(Kind kind, const std::string& joint) {
-    for (Column& column : columns_) {
-      if (column.kind == kind && column.joint == joint) return &column;
-    }
-    return nullptr;
-  }
-
-  Status ChooseJoints() {
-    joints_ = options_.joints;
-    if (joints_.empty()) {
-      for (const Column& column : columns_) {
-        if (column.kind == Kind::kPosition) joints_.push_back(column.joint);
-      }
-    }
-    if (joints_.empty()) return Error(HeaderName() + ": no column position.<joint>");
-    for (const std::string& joint : joints_) {
-      if (!Find(Kind::kPosition, joint)) {
-        return Error(
-            HeaderName() + ": column position." + joint + " is missing" +
-            MissingColumnAdvice(Names(), joint, {"pos", "q", "angle", "actual"}, "position." + joint,
-                                "; leave the joint out of the manifest's joints if it was not recorded"));
-      }
-    }
-    return Status::Ok();
-  }
-
-  // A kind is there for all the joints or for none of them, prescribed joints aside.
-  Status ChooseKinds() {
-    ChoosePrescribed();
-    for (const Kind kind : {Kind::kVelocity, Kind::kEffortCommand, Kind::kEffortMeasured}) {
-      std::string missing;
-      int there = 0;
-      for (const std::string& joint : joints_) {
-        if (prescribed_.count(joint) > 0) continue;
-        if (Find(kind, joint)) {
-          ++there;
-        } else if (missing.empty()) {
-          missing = joint;
-        }
-      }
-      const std::string name = kKindNames[static_cast<int>(kind)];
-      if (there > 0 && !missing.empty()) {
-        return Error(HeaderName() + ": column " + name + "." + missing + " is missing, other joints have " +
-                     name +
-                     (kind == Kind::kVelocity ? "; give it, or leave all of them out" : kHowToPrescribe));
-      }
-      has_[static_cast<int>(kind)] = there > 0;
-    }
-    if (options_.require_effort && !has_[static_cast<int>(Kind::kEffortCommand)] &&
-        !has_[static_cast<int>(Kind::kEffortMeasured)]) {
-      return Error(HeaderName() + NoEffort());
-    }
-    return Status::Ok();
-  }
-
-  std::string NoEffort() const {
-    for (const Column& column : columns_) {
-      for (const char* commanded : {"position_reference.", "position_command.", "position_desired."}) {
-        if (column.name.rfind(commanded, 0) == 0)
-          return ": positions are commanded (" + column.name +
-                 ") and no effort is recorded: position-commanded drives are not modelled yet; record "
-                 "effort_command.<joint> or effort_measured.<joint>";
-      }
-    }
-    const std::string advice =
-        MissingColumnAdvice(Names(), joints_[0], {"effort", "torque", "tau", "force", "u", "cmd"},
-                            "effort_command." + joints_[0] + " or effort_measured." + joints_[0], "");
-    return ": no effort: neither effort_command.<joint> nor effort_measured.<joint>" +
-           (advice.empty() ? "; without one nothing can be told of forces" : advice);
-  }
-
-  void ChoosePrescribed() {
-    const auto driven = [&](const std::string& joint) {
-      return Find(Kind::kEffortCommand, joint) || Find(Kind::kEffortMeasured, joint);
-    };
-    const bool any = std::any_of(joints_.begin(), joints_.end(), driven);
-    for (const std::string& joint : joints_) {
-      const auto& named = options_.prescribed;
-      if (named ? std::find(named->begin(), named->end(), joint) != named->end() : any && !driven(joint))
-        prescribed_.insert(joint);
-    }
-    // What a file says of an effort that drives nothing is one more column.
-    for (Column& column : columns_) {
-      if (column.kind < Kind::kEffortCommand || prescribed_.count(column.joint) == 0) continue;
-      column.kind = Kind::kOther, column.joint.clear();
-    }
   }
 
   void Allocate() {
     // A row has a separator less than columns: lines that are none take no memory.
     const auto ends =
         std::count_if(text_.begin(), text_.end(), [](char c) { return c == '\n' || c == '\r'; }) + 1;
-    const auto lines = std::min<long>(ends, static_cast<long>(text_.size() / columns_.size()) + 2);
-    const auto n = static_cast<Eigen::Index>(joints_.size());
+    const auto lines = std::min<long>(ends, static_cast<long>(text_.size() / header_.columns.size()) + 2);
+    const auto n = static_cast<Eigen::Index>(header_.joints.size());
     Recording& r = recording_;
     r.t.resize(lines);
     r.q.resize(n, lines);
-    if (has_[static_cast<int>(Kind::kVelocity)]) r.v.resize(n, lines);
-    if (has_[static_cast<int>(Kind::kEffortCommand)]) r.effort_command.resize(n, lines);
-    if (has_[static_cast<int>(Kind::kEffortMeasured)]) r.effort_measured.resize(n, lines);
-    const auto point = [&](Kind kind, Eigen::MatrixXd& x) {
+    if (header_.Has(CsvKind::kVelocity)) r.v.resize(n, lines);
+    if (header_.Has(CsvKind::kEffortCommand)) r.effort_command.resize(n, lines);
+    if (header_.Has(CsvKind::kEffortMeasured)) r.effort_measured.resize(n, lines);
+    const auto point = [&](CsvKind kind, Eigen::MatrixXd& x) {
       for (Eigen::Index i = 0; x.size() > 0 && i < n; ++i) {
-        Column* column = Find(kind, joints_[static_cast<size_t>(i)]);
+        CsvColumn* column = header_.Find(kind, header_.joints[static_cast<size_t>(i)]);
         if (column == nullptr) {  // of a prescribed joint
           x.row(i).setZero();
           continue;
@@ -327,13 +80,13 @@ class CsvParser {
         column->stride = n;
       }
     };
-    point(Kind::kPosition, r.q);
-    point(Kind::kVelocity, r.v);
-    point(Kind::kEffortCommand, r.effort_command);
-    point(Kind::kEffortMeasured, r.effort_measured);
-    for (Column& column : columns_) {
-      if (column.kind == Kind::kTime) column.out = r.t.data();
-      if (column.kind != Kind::kOther || column.is_nameless) continue;
+    point(CsvKind::kPosition, r.q);
+    point(CsvKind::kVelocity, r.v);
+    point(CsvKind::kEffortCommand, r.effort_command);
+    point(CsvKind::kEffortMeasured, r.effort_measured);
+    for (CsvColumn& column : header_.columns) {
+      if (column.kind == CsvKind::kTime) column.out = r.t.data();
+      if (column.kind != CsvKind::kOther || column.is_nameless) continue;
       Eigen::VectorXd& values = r.other[column.name];
       values.resize(lines);
       column.out = values.data();
@@ -351,7 +104,7 @@ class CsvParser {
       line_of_.push_back(lines_->line());
       ++rows_;
     }
-    if (!lines_->status().ok()) return Unclosed();
+    if (!lines_->status().ok()) return Error(lines_->status().message());
     if (rows_ == 0) return Error("no rows under the header");
     if (rows_ == 1) return Error("only one row under the header");
     return Status::Ok();
@@ -359,11 +112,11 @@ class CsvParser {
 
   Status ReadRow(std::vector<std::string_view>& fields) {
     // Separators at the line's end are no fields.
-    while (fields.size() > columns_.size() && fields.back().empty()) fields.pop_back();
+    while (fields.size() > header_.columns.size() && fields.back().empty()) fields.pop_back();
     RG_RETURN_IF_ERROR(CheckIsNoHeader(fields));
-    const size_t count = std::min(fields.size(), columns_.size());
-    for (size_t i = 0; i < count; ++i) RG_RETURN_IF_ERROR(ReadField(columns_[i], fields[i]));
-    if (fields.size() != columns_.size()) return WrongFieldCount(fields.size());
+    const size_t count = std::min(fields.size(), header_.columns.size());
+    for (size_t i = 0; i < count; ++i) RG_RETURN_IF_ERROR(ReadField(header_.columns[i], fields[i]));
+    if (fields.size() != header_.columns.size()) return WrongFieldCount(fields.size());
     if (rows_ > 0 && !(recording_.t[rows_] > recording_.t[rows_ - 1])) return TimeError();
     const size_t digits = CountDigits(fields.back());
     if (!lines_->terminated()) {
@@ -377,10 +130,10 @@ class CsvParser {
   // A second header, or a row of units under the first.
   Status CheckIsNoHeader(const std::vector<std::string_view>& fields) const {
     if (fields.size() < 2 || fields[0].empty() || BeginsAsNumber(fields[0])) return Status::Ok();
-    if (fields[0] == columns_[0].name && fields[1] == columns_[1].name)
+    if (fields[0] == header_.columns[0].name && fields[1] == header_.columns[1].name)
       return Error(RowName(rows_) + ": the header again: give each run its own file");
     if (rows_ > 0 || std::any_of(fields.begin(), fields.end(), IsNumber)) return Status::Ok();
-    return Error(RowName(rows_) + ": " + Shown(fields[0]) + ", " + Shown(fields[1]) +
+    return Error(RowName(rows_) + ": " + ShownField(fields[0]) + ", " + ShownField(fields[1]) +
                  ": no numbers (units?); take the line out");
   }
   static bool BeginsAsNumber(std::string_view field) {
@@ -389,15 +142,15 @@ class CsvParser {
 
   Status WrongFieldCount(size_t fields) const {
     std::string counts =
-        std::to_string(fields) + " of " + std::to_string(columns_.size()) + " fields are there";
-    if (fields > columns_.size()) {
+        std::to_string(fields) + " of " + std::to_string(header_.columns.size()) + " fields are there";
+    if (fields > header_.columns.size()) {
       // A whole number has no comma: 13 of 7.
-      const bool doubled = 2 * fields > 3 * columns_.size() && fields <= 2 * columns_.size();
-      if (doubled && dialect_.separator == ',')
+      const bool doubled = 2 * fields > 3 * header_.columns.size() && fields <= 2 * header_.columns.size();
+      if (doubled && header_.dialect.separator == ',')
         counts += ": decimal commas? Write numbers with points, or separate fields by semicolons";
-      return Error(RowName(rows_) + ", column " + std::to_string(columns_.size() + 1) + ": " + counts);
+      return Error(RowName(rows_) + ", column " + std::to_string(header_.columns.size() + 1) + ": " + counts);
     }
-    return Error(RowName(rows_) + ", column " + columns_[fields].name + ": " +
+    return Error(RowName(rows_) + ", column " + header_.columns[fields].name + ": " +
                  (lines_->AtEnd() ? "the last row is truncated: " : "") + counts +
                  "; complete the row, or take it out");
   }
@@ -422,7 +175,7 @@ class CsvParser {
     CsvText ahead = *lines_;
     std::vector<std::string_view> fields;
     size_t column = 0;
-    while (columns_[column].kind != Kind::kTime) ++column;
+    while (header_.columns[column].kind != CsvKind::kTime) ++column;
     int repeats = 0;
     for (int row = 0; row < kLookedAhead && ahead.Next(&fields); ++row) {
       double now = 0.0;
@@ -439,15 +192,15 @@ class CsvParser {
     return std::string(buffer, end.ptr);
   }
 
-  Status ReadField(Column& column, std::string_view field) {
+  Status ReadField(CsvColumn& column, std::string_view field) {
     if (!column.out) return Status::Ok();
     double value = 0.0;
     NumberText outcome = ParseNumber(field, &value);
-    if (outcome == NumberText::kNotANumber && dialect_.decimal_comma) {
+    if (outcome == NumberText::kNotANumber && header_.dialect.decimal_comma) {
       outcome = ParseNumber(WithPoint(field), &value);
     }
     if (outcome == NumberText::kNotANumber && MeansMissing(field)) outcome = NumberText::kEmpty;
-    if (column.kind == Kind::kOther) {
+    if (column.kind == CsvKind::kOther) {
       if (outcome == NumberText::kNotANumber) column.is_text = true;
       if (outcome != NumberText::kOk && outcome != NumberText::kNotFinite) value = std::nan("");
     } else if (outcome == NumberText::kEmpty || (outcome == NumberText::kNotFinite && std::isnan(value))) {
@@ -464,30 +217,32 @@ class CsvParser {
                         (outcome == NumberText::kNotFinite    ? "not finite: "
                          : outcome == NumberText::kOutOfRange ? "out of a double's range: "
                                                               : "not a number: ") +
-                            Shown(field) +
+                            ShownField(field) +
                             (outcome == NumberText::kNotANumber ? WhyNoNumber(field) : kTakeRowOut));
     }
-    if (column.kind == Kind::kTime) value /= options_.time_units_per_s;
+    if (column.kind == CsvKind::kTime) value /= options_.time_units_per_s;
     column.out[rows_ * column.stride] = value;
     return Status::Ok();
   }
 
-  static bool IsOptional(Kind kind) {
-    return kind == Kind::kVelocity || kind == Kind::kEffortCommand || kind == Kind::kEffortMeasured;
+  static bool IsOptional(CsvKind kind) {
+    return kind == CsvKind::kVelocity || kind == CsvKind::kEffortCommand || kind == CsvKind::kEffortMeasured;
   }
 
-  Status BlankField(const Column& column, Eigen::Index row, std::string_view field, bool is_nan) const {
+  Status BlankField(const CsvColumn& column, Eigen::Index row, std::string_view field, bool is_nan) const {
     return FieldError(row, column,
                       (is_nan          ? "NaN"
                        : field.empty() ? "the field is empty"
-                                       : Shown(field)) +
+                                       : ShownField(field)) +
                           kTakeRowOut);
   }
 
   // The file's last field, without a line end behind it.
-  bool IsCut(const Column& column) const { return !lines_->terminated() && &column == &columns_.back(); }
-  Status Cut(const Column& column, std::string_view field) const {
-    return FieldError(rows_, column, "the last row is truncated at " + Shown(field) + "; take it out");
+  bool IsCut(const CsvColumn& column) const {
+    return !lines_->terminated() && &column == &header_.columns.back();
+  }
+  Status Cut(const CsvColumn& column, std::string_view field) const {
+    return FieldError(rows_, column, "the last row is truncated at " + ShownField(field) + "; take it out");
   }
 
   // A file that ends inside its last number still reads as a number. It gives itself away where that
@@ -499,8 +254,8 @@ class CsvParser {
         std::isdigit(static_cast<unsigned char>(field.empty() ? '0' : field.back()))) {
       return Status::Ok();
     }
-    return FieldError(rows_ - 1, columns_.back(),
-                      "the last row is truncated: no end of line, and " + Shown(field) +
+    return FieldError(rows_ - 1, header_.columns.back(),
+                      "the last row is truncated: no end of line, and " + ShownField(field) +
                           " has fewer digits than any other row; take it out");
   }
 
@@ -513,23 +268,23 @@ class CsvParser {
   void Finish() {
     Recording& r = recording_;
     r.name = source_;
-    r.joints = joints_;
+    r.joints = header_.joints;
     r.t.conservativeResize(rows_);
     for (Eigen::MatrixXd* x : {&r.q, &r.v, &r.effort_command, &r.effort_measured}) {
       if (x->size() > 0) x->conservativeResize(Eigen::NoChange, rows_);
     }
-    for (const Column& column : columns_) {
-      if (column.kind != Kind::kOther || column.is_nameless) continue;
+    for (const CsvColumn& column : header_.columns) {
+      if (column.kind != CsvKind::kOther || column.is_nameless) continue;
       if (column.is_text) {
         r.other.erase(column.name);
       } else {
         r.other[column.name].conservativeResize(rows_);
       }
     }
-    for (size_t i = 0; i < joints_.size(); ++i) {
-      if (prescribed_.count(joints_[i]) == 0) continue;
+    for (size_t i = 0; i < header_.joints.size(); ++i) {
+      if (header_.prescribed.count(header_.joints[i]) == 0) continue;
       r.prescribed.push_back(static_cast<int>(i));
-      if (r.has_velocity() && !Find(Kind::kVelocity, joints_[i]))
+      if (r.has_velocity() && !header_.Find(CsvKind::kVelocity, header_.joints[i]))
         r.without_velocity.push_back(static_cast<int>(i));
     }
     r.drive =
@@ -540,15 +295,15 @@ class CsvParser {
   // velocity column makes velocities of no use.
   Status FindBlankColumns() {
     bool velocity = false;
-    for (const Column& column : columns_) {
+    for (const CsvColumn& column : header_.columns) {
       if (column.blanks == 0) continue;
       if (column.blanks < rows_)
         return BlankField(column, column.first_blank, column.first_blank_field, column.first_blank_is_nan);
       blank_columns_.insert(column.name);
-      velocity = velocity || column.kind == Kind::kVelocity;
+      velocity = velocity || column.kind == CsvKind::kVelocity;
     }
-    for (const Column& column : columns_) {
-      if (velocity && column.kind == Kind::kVelocity) blank_columns_.insert(column.name);
+    for (const CsvColumn& column : header_.columns) {
+      if (velocity && column.kind == CsvKind::kVelocity) blank_columns_.insert(column.name);
     }
     return Status::Ok();
   }
@@ -569,17 +324,11 @@ class CsvParser {
   const std::string& source_;
   const CsvOptions& options_;
   std::set<std::string> ignored_, blank_columns_;
-  CsvDialect dialect_;
   std::optional<CsvText> lines_;
-  std::vector<int> line_of_;  // of each row
-  int header_line_ = 1;
-  std::string decimal_;
+  std::vector<int> line_of_;               // of each row
   std::optional<std::string> last_field_;  // of a last row without line end
   size_t fewest_digits_ = std::string::npos;
-  std::vector<Column> columns_;
-  std::vector<std::string> joints_;
-  std::set<std::string> prescribed_;
-  bool has_[6] = {};
+  CsvHeader header_;
   Eigen::Index rows_ = 0;
   Recording recording_;
 };

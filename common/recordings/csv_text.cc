@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cstring>
 
+#include "common/base/number_text.h"
+
 namespace rg::recordings {
 namespace {
 
@@ -128,6 +130,24 @@ std::string OtherFormatOf(std::string_view bytes) {
   if (bytes.substr(0, bytes.find_first_of("\r\n")).substr(0, 256).find('\0') != std::string_view::npos)
     return "is no text: it holds zero bytes (UTF-16 without its mark? Save it as UTF-8)";
   return "";
+}
+
+std::string ShownField(std::string_view field) {
+  std::string shown = "'";
+  for (const char c : field.substr(0, 40)) shown += (c >= ' ' && c <= '~') ? c : '?';
+  if (field.size() > 40) shown += "...";
+  return shown + "'";
+}
+
+bool IsNumber(std::string_view field) {
+  double value = 0.0;
+  return ParseNumber(field, &value) == NumberText::kOk;
+}
+
+std::string WithPoint(std::string_view field) {
+  std::string decimal(field);
+  std::replace(decimal.begin(), decimal.end(), ',', '.');
+  return decimal;
 }
 
 // Comments before the first row are read here, once: whether one of them is the header depends on that row.

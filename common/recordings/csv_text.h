@@ -31,6 +31,12 @@ char GuessSeparator(std::string_view text);
 // be.
 std::string OtherFormatOf(std::string_view bytes);
 
+// A piece of an untrusted file for a message: short and printable.
+std::string ShownField(std::string_view field);
+bool IsNumber(std::string_view field);
+// A field with decimal points for its commas.
+std::string WithPoint(std::string_view field);
+
 class CsvText {
  public:
   // `text` outlives this; a byte order mark is skipped.

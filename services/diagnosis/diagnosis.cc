@@ -1,13 +1,9 @@
 #include "services/diagnosis/diagnosis.h"
 
 #include <algorithm>
-#include <cmath>
-#include <map>
 #include <optional>
 #include <ranges>
-#include <set>
 
-#include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/balance/balance_search.h"
 #include "services/diagnosis/data/prepare_data.h"
@@ -37,13 +33,12 @@ void SayWhatToRecord(const SearchResult& search, const FitData& data, const sim:
                      const MotionScales& scales, const DiagnosisOptions& options, int threads,
                      const CancelToken* cancel, DiagnosisResult* result) {
   const auto separates = [](const Alternative& a) { return !a.separable && a.by_motion; };
-  const bool open = std::any_of(result->findings.begin(), result->findings.end(), [&](const Finding& f) {
-    return std::any_of(f.alternatives.begin(), f.alternatives.end(), separates);
-  });
+  const bool open = std::ranges::any_of(
+      result->findings, [&](const Finding& f) { return std::ranges::any_of(f.alternatives, separates); });
   // The balance of torques has no sensor noise to plan with; undriven joints cannot follow a plan.
   const auto undriven = [&](int j) { return nominal.IsPrescribed(j) || nominal.IsPassive(j); };
   const auto joints = std::views::iota(0, nominal.num_joints());
-  if (!open || search.measured.active || std::any_of(joints.begin(), joints.end(), undriven)) return;
+  if (!open || search.measured.active || std::ranges::any_of(joints, undriven)) return;
   result->motion =
       ProposeMotion(search, data, nominal, scales, result->findings, options.step_s, threads, cancel);
   for (Finding& f : result->findings) {

@@ -1,5 +1,4 @@
 // diagnosis.json as RECORDINGS.md has it, and the three files of a diagnosis.
-#include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <map>
 #include <numbers>
 #include <numeric>
@@ -13,7 +12,6 @@
 namespace rg::importing {
 namespace {
 
-constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 constexpr double kSecond = 1e9;
 constexpr double kOtherHostNs = 0.05 * kSecond;
 constexpr double kDriftWorthALineNs = 2e6;

@@ -11,6 +11,7 @@
 #include "common/recordings/manifest.h"
 #include "services/importing/exact_set.h"
 #include "services/importing/message_decoder.h"
+#include "services/importing/tracks.h"
 
 namespace rg::importing {
 namespace {
@@ -20,7 +21,6 @@ using recordings::Recording;
 using recordings::RecordingSet;
 
 constexpr int64_t kNsPerSecond = 1'000'000'000;
-constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 
 // Messages of the same columns, one behind the other.
 struct Block {

@@ -1,15 +1,12 @@
 #include "services/importing/tracks.h"
 
 #include <algorithm>
-#include <limits>
 #include <optional>
 
 #include "services/importing/message_decoder.h"
 
 namespace rg::importing {
 namespace {
-
-constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 
 // Tracks of one topic share a decoder: its paths are the stamps of the tracks, then their columns.
 struct TopicReader {

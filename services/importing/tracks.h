@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -12,6 +13,8 @@
 #include "services/importing/log_file.h"
 
 namespace rg::importing {
+
+inline constexpr double kNone = std::numeric_limits<double>::quiet_NaN();  // a value that is not there
 
 struct Track {
   std::string topic;

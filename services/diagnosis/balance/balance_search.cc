@@ -166,9 +166,8 @@ class MeasuredSearch {
     Candidate c = out->best;
     for (EffectSpec& s : c.specs) {
       if (s.id != plain.id) continue;
-      const auto zero = std::find_if(c.specs.begin(), c.specs.end(), [&](const EffectSpec& e) {
-        return e.id == constant.id && e.joints == s.joints;
-      });
+      const auto zero = std::ranges::find_if(
+          c.specs, [&](const EffectSpec& e) { return e.id == constant.id && e.joints == s.joints; });
       if (zero == c.specs.end()) continue;
       const double level = s.values.at(s.joints[0]).at(plain.parameters[0].name),
                    offset = zero->values.at(s.joints[0]).at(constant.parameters[0].name);
@@ -218,8 +217,7 @@ class MeasuredSearch {
       if (kind == effects::EffectOf(effects::Role::kGravity).id) less.tilt = false;
       for (int j = 0; j < data_.n; ++j) {
         const auto specs = chosen_.SpecsOfJoint(model(), s, j);
-        if (std::none_of(specs.begin(), specs.end(), [&](const EffectSpec& e) { return e.id == kind; }))
-          continue;
+        if (std::ranges::none_of(specs, [&](const EffectSpec& e) { return e.id == kind; })) continue;
         // Terms that a plainer law needs stay.
         const auto& terms = effects::InferenceOf(kind).terms;
         for (const effects::Term& t : terms) {
@@ -270,8 +268,7 @@ class MeasuredSearch {
     out->best.score = score, out->best.fit.chi2 = chi2, out->best.fit.rows = rows;
     out->calibrated.parameters = FreeParameters(nominal_, scales_, true);
     out->tried.push_back(out->best);
-    std::sort(out->tried.begin(), out->tried.end(),
-              [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
+    std::ranges::sort(out->tried, [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
     out->noise_scale = 1;
     out->null_gain = chosen_.LogHypotheses();
     out->threshold = out->null_gain + kEffectPrior;
@@ -334,8 +331,8 @@ class MeasuredSearch {
         continue;
       const int at = std::min(S - 1, static_cast<int>((rows.t[k] - window.t.front()) / span * S));
       ++count[at];
-      out->missing.force[w](j, at) += all[static_cast<long>(k)];
-      if (!rows.still[k]) out->remaining.force[w](j, at) += rest[static_cast<long>(k)];
+      out->missing.force[w](j, at) += all[k];
+      if (!rows.still[k]) out->remaining.force[w](j, at) += rest[k];
     }
     for (int k = 0; k < S; ++k) {
       const double n = std::max(1.0, count[k]);
@@ -359,7 +356,7 @@ class MeasuredSearch {
 }  // namespace
 
 bool EffortIsMeasured(const FitData& data) {
-  return std::any_of(data.recordings.begin(), data.recordings.end(), [](const sysid::FitRecording& r) {
+  return std::ranges::any_of(data.recordings, [](const sysid::FitRecording& r) {
     return r.recording->drive == recordings::EffortKind::kMeasured;
   });
 }

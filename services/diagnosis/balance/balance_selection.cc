@@ -5,7 +5,6 @@
 #include <cmath>
 #include <cstdio>
 
-#include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/candidate.h"
@@ -36,9 +35,7 @@ constexpr double kWorthAName = 0.1;   // share of a joint's residual cost that a
 constexpr double kSamples = 1.5;      // sample periods, below which a delay is attributed to the recorder
 constexpr double kTimingStep = 0.004, kEarliest = -0.032, kLatest = 0.048;  // s
 
-bool IsFiner(Regressor law) {
-  return std::find(kFinerLaws.begin(), kFinerLaws.end(), law) != kFinerLaws.end();
-}
+bool IsFiner(Regressor law) { return std::ranges::find(kFinerLaws, law) != kFinerLaws.end(); }
 
 // Losses, and an offset of the effort.
 bool Common(Regressor law) {
@@ -49,8 +46,7 @@ bool Common(Regressor law) {
 // Whether the law's own coefficient must be positive.
 bool Positive(Regressor law) {
   const auto& terms = effects::InferenceOf(effects::LawOf(law).id).terms;
-  return std::any_of(terms.begin(), terms.end(),
-                     [&](const effects::Term& t) { return t.regressor == law && t.positive; });
+  return std::ranges::any_of(terms, [&](const effects::Term& t) { return t.regressor == law && t.positive; });
 }
 
 }  // namespace
@@ -102,7 +98,7 @@ void BalanceSelection::Erase(Regressor law, int joint, BalanceModel* m) const {
 
 bool BalanceSelection::Has(const BalanceModel& m, Regressor law, int joint) const {
   const auto columns = ColumnsOf(law, joint);
-  return std::any_of(columns.begin(), columns.end(), [&](int c) { return m.features[joint].count(c) > 0; });
+  return std::ranges::any_of(columns, [&](int c) { return m.features[joint].count(c) > 0; });
 }
 
 double BalanceSelection::Coefficient(const BalanceSolution& s, Regressor law, int joint) const {
@@ -141,13 +137,13 @@ void BalanceSelection::FindTiming() {
   Eigen::MatrixXd energy(data_.n, static_cast<long>(grid.size()));
   for (size_t g = 0; g < grid.size(); ++g) {
     for (int j = 0; j < data_.n; ++j) Pass(j, {EffortTiming::kDelay, grid[g], 0});
-    energy.col(static_cast<long>(g)) = fit_.Solve(all).energy;
+    energy.col(g) = fit_.Solve(all).energy;
   }
   std::vector<JointTiming> delay(data_.n), lag(data_.n);
   for (int j = 0; j < data_.n; ++j) {
     long at = 0;
     const double least = energy.row(j).minCoeff(&at);
-    delay[j].seconds = grid[static_cast<size_t>(at)];
+    delay[j].seconds = grid[at];
     delay[j].stddev = kTimingStep;
     if (at > 0 && at + 1 < energy.cols()) {
       const double a = energy(j, at - 1), b = energy(j, at), c = energy(j, at + 1), bend = a + c - 2 * b;
@@ -280,7 +276,7 @@ void BalanceSelection::TryPayload() {
 void BalanceSelection::TryRipple(int j) {
   const double range = scales_.high[j] - scales_.low[j];
   const std::string& ripple = effects::LawOf(Regressor::kSine).id;
-  if (!nominal_.Takes(ripple, j) || scales_.still[static_cast<size_t>(j)] || !(range > 0)) return;
+  if (!nominal_.Takes(ripple, j) || scales_.still[j] || !(range > 0)) return;
   const BalanceRows& rows = balance_.joints[j];
   const VectorXd left = fit_.Residual(fit_.Solve(model_), j);
   // Reduction of the squared residual by a wave.
@@ -289,7 +285,7 @@ void BalanceSelection::TryRipple(int j) {
     Eigen::Matrix2d xx = 1e-12 * Eigen::Matrix2d::Identity();
     Eigen::Vector2d xy = Eigen::Vector2d::Zero();
     for (long k = 0; k < left.size(); ++k) {
-      if (rows.still[static_cast<size_t>(k)]) continue;
+      if (rows.still[k]) continue;
       xx += wave.col(k) * wave.col(k).transpose();
       xy += left[k] * wave.col(k);
     }
@@ -360,7 +356,7 @@ bool BalanceSelection::Admissible(const BalanceModel& m, int j) const {
   for (const int c : m.features[j]) {
     if (Positive(balance_.columns[j][c].regressor) && s.features[j][c] <= 0) return false;
   }
-  return std::all_of(kFinerLaws.begin(), kFinerLaws.end(), [&](Regressor law) {
+  return std::ranges::all_of(kFinerLaws, [&](Regressor law) {
     const effects::Inference& effect = effects::InferenceOf(effects::LawOf(law).id);
     return !Has(m, law, j) || effect.plausible(Coefficients(s, effect, j));
   });
@@ -460,8 +456,7 @@ bool BalanceSelection::DropNegative(int j) {
 // Whether dry friction on joint j cannot be refined: there is none, or it is refined already.
 bool BalanceSelection::Refined(int j) const {
   return !Has(model_, Regressor::kDirection, j) ||
-         std::any_of(kFinerLaws.begin(), kFinerLaws.end(),
-                     [&](Regressor law) { return Has(model_, law, j); });
+         std::ranges::any_of(kFinerLaws, [&](Regressor law) { return Has(model_, law, j); });
 }
 
 bool BalanceSelection::AddRefinement() {

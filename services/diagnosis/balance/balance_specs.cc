@@ -59,7 +59,7 @@ EffectSpec BalanceSelection::SpecOf(Regressor law, const BalanceModel& m, const 
   const std::vector<Regressor> own = OwnTerms(law);
   for (const int column : m.features[j]) {
     const BalanceColumn& of = balance_.columns[j][column];
-    if (std::find(own.begin(), own.end(), of.regressor) != own.end()) found.shape = of.shape;
+    if (std::ranges::find(own, of.regressor) != own.end()) found.shape = of.shape;
   }
   found.joint = SizeOf(scales_, nominal_, j);
   found.least = 0, found.least_share = kLeastLevel;
@@ -73,7 +73,7 @@ std::vector<EffectSpec> BalanceSelection::SpecsOfJoint(const BalanceModel& m, co
   std::set<Regressor> taken;
   for (const Regressor law : kReadingOrder) {
     const std::vector<Regressor> own = OwnTerms(law);
-    const bool has = std::any_of(own.begin(), own.end(), [&](Regressor r) { return Has(m, r, j); });
+    const bool has = std::ranges::any_of(own, [&](Regressor r) { return Has(m, r, j); });
     if (!has || taken.count(law) > 0) continue;
     specs.push_back(SpecOf(law, m, s, j));
     for (const effects::Term& t : effects::InferenceOf(specs.back().id).terms) taken.insert(t.regressor);
@@ -139,7 +139,7 @@ std::map<std::string, double> BalanceSelection::Spread() const {
       for (const effects::ParameterInfo& p : effect.parameters) {
         double sum = 0;
         for (const effects::Term& t : effects::InferenceOf(effect.id).terms) {
-          if (std::count(t.adds_to.begin(), t.adds_to.end(), p.name) > 0) sum += variance(t.regressor);
+          if (std::ranges::count(t.adds_to, p.name) > 0) sum += variance(t.regressor);
         }
         if (sum > 0) out[effect.id + "." + joint + "." + p.name] = std::sqrt(sum);
       }

@@ -9,7 +9,6 @@
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
-#include "services/sysid/drive_signal.h"
 #include "services/sysid/parallel.h"
 #include "services/sysid/prediction.h"
 #include "services/sysid/shooting_fit.h"
@@ -29,7 +28,7 @@ constexpr double kLeastKnown = 0.02;  // relative stddev of a start value, at le
 double FirstValue(const std::vector<EffectSpec>& specs, const std::string& joint,
                   bool (*is)(const std::string& effect), double none) {
   for (const EffectSpec& s : specs) {
-    if (!is(s.id) || std::find(s.joints.begin(), s.joints.end(), joint) == s.joints.end()) continue;
+    if (!is(s.id) || std::ranges::find(s.joints, joint) == s.joints.end()) continue;
     const auto& values = s.values.begin()->second;
     const auto at = values.find(effects::FindEffect(s.id)->parameters[0].name);
     return at == values.end() ? none : at->second;

@@ -6,7 +6,6 @@
 #include <numeric>
 
 #include "common/dynamics/dynamics.h"
-#include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/regressors.h"
@@ -130,7 +129,7 @@ class BalanceMaker {
       const JointMotion motion = MotionOf(m, rigid, j);
       features[j].resize(static_cast<long>(out_.columns[j].size()), F);
       for (size_t c = 0; c < out_.columns[j].size(); ++c)
-        features[j].row(static_cast<long>(c)) = Feature(out_.columns[j][c], motion, j).transpose().matrix();
+        features[j].row(c) = Feature(out_.columns[j][c], motion, j).transpose().matrix();
     }
     const Eigen::Map<const VectorXd> w(window.weight.data(), static_cast<long>(window.weight.size()));
     for (int k = window.half; k + window.half < F; k += stride) {
@@ -214,7 +213,7 @@ class BalanceMaker {
       o.features.resize(R, static_cast<long>(out_.columns[j].size()));
       o.rigid.resize(R), o.effort.resize(R), o.q.resize(R), o.v.resize(R);
       for (long k = 0; k < R; ++k) {
-        const Row& row = rows_[j][static_cast<size_t>(k)];
+        const Row& row = rows_[j][k];
         o.base.row(k) = row.base.transpose();
         o.features.row(k) = row.features.transpose();
         o.rigid[k] = row.rigid, o.effort[k] = row.effort, o.q[k] = row.q, o.v[k] = row.v;
@@ -231,13 +230,12 @@ class BalanceMaker {
       for (long c = 0; c < o.features.cols() && o.features.rows() > 0; ++c) {
         double squares = 0, count = 1e-300;
         for (long k = 0; k < o.features.rows(); ++k) {
-          if (!o.still[static_cast<size_t>(k)]) squares += std::pow(o.features(k, c), 2), ++count;
+          if (!o.still[k]) squares += std::pow(o.features(k, c), 2), ++count;
         }
         const double rms = std::sqrt(squares / count);
-        double& scale = out_.columns[j][static_cast<size_t>(c)].scale;
+        double& scale = out_.columns[j][c].scale;
         scale = rms > 0 ? 0.5 * s_.torque[j] / rms : 0.0;
-        if (out_.columns[j][static_cast<size_t>(c)].regressor == Regressor::kEffort)
-          scale = std::min(scale, 0.3);
+        if (out_.columns[j][c].regressor == Regressor::kEffort) scale = std::min(scale, 0.3);
         o.features.col(c) *= scale;
       }
     }
@@ -261,18 +259,17 @@ class BalanceMaker {
 }  // namespace
 
 void TorqueBalance::AddRipple(int joint, double cycles, double unit) {
-  BalanceRows& rows = joints[static_cast<size_t>(joint)];
+  BalanceRows& rows = joints[joint];
   const Eigen::Matrix2Xd wave = RippleWave(rows, cycles, half_window_s);
   rows.features.conservativeResize(Eigen::NoChange, rows.features.cols() + 2);
   for (int i = 0; i < 2; ++i) {
     double squares = 0, count = 1e-300;
     for (long k = 0; k < wave.cols(); ++k) {
-      if (!rows.still[static_cast<size_t>(k)]) squares += wave(i, k) * wave(i, k), ++count;
+      if (!rows.still[k]) squares += wave(i, k) * wave(i, k), ++count;
     }
     const double rms = std::sqrt(squares / count), scale = rms > 0 ? unit / rms : 0.0;
     rows.features.col(rows.features.cols() - 2 + i) = scale * wave.row(i).transpose();
-    columns[static_cast<size_t>(joint)].push_back(
-        {i == 0 ? Regressor::kSine : Regressor::kCosine, cycles, scale});
+    columns[joint].push_back({i == 0 ? Regressor::kSine : Regressor::kCosine, cycles, scale});
   }
 }
 
@@ -318,8 +315,7 @@ BalanceDrive MakeBalanceDrive(const FitData& data, const TorqueBalance& balance,
     };
     const Eigen::Map<const ArrayXd> weight(window.weight.data(), length);
     const ArrayXd w = sum(m.v).transpose(), dw = sum(m.a).transpose();
-    out.columns.row(static_cast<long>(k)) << -(w * weight).sum(), -(w.sign() * weight).sum(),
-        -(dw * weight).sum();
+    out.columns.row(k) << -(w * weight).sum(), -(w.sign() * weight).sum(), -(dw * weight).sum();
     out.still.push_back(w.abs().minCoeff() < still || w.maxCoeff() * w.minCoeff() < 0);
   }
   for (int c = 0; c < BalanceDrive::kColumns; ++c) {
@@ -360,7 +356,7 @@ VectorXd TimedEffort(const FitData& data, const BalanceRows& rows, int joint, Ef
     double sum = 0;
     for (int i = -window.half; i <= window.half; ++i)
       sum += window.weight[static_cast<size_t>(i + window.half)] * passed[at + i];
-    out[static_cast<long>(k)] = sum;
+    out[k] = sum;
   }
   return out;
 }

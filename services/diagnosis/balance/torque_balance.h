@@ -52,9 +52,7 @@ struct TorqueBalance {
   // Appends the signatures (kSine, kCosine) of a ripple of so many cycles per revolution to a joint; a
   // coefficient of 1 makes a force of RMS `unit`.
   void AddRipple(int joint, double cycles, double unit);
-  bool IsOfLastLink(int i) const {
-    return std::find(last_link.begin(), last_link.end(), i) != last_link.end();
-  }
+  bool IsOfLastLink(int i) const { return std::ranges::find(last_link, i) != last_link.end(); }
 };
 
 // sin and cos of so many cycles per revolution along the rows, attenuated as by the filter.

@@ -26,9 +26,7 @@ struct FitData {
   std::shared_ptr<const FitData> held_out;  // held-out recordings; null: none
   std::vector<int> prescribed;              // joints that move as measured: they have no residuals
   int judged() const { return n - static_cast<int>(prescribed.size()); }
-  bool Judged(int joint) const {
-    return std::find(prescribed.begin(), prescribed.end(), joint) == prescribed.end();
-  }
+  bool Judged(int joint) const { return std::ranges::find(prescribed, joint) == prescribed.end(); }
   // The other of two judged joints; -1 where there are not two, or the joint is none of them.
   int OtherOfTwo(int joint) const {
     for (int j = 0; judged() == 2 && joint >= 0 && Judged(joint) && j < n; ++j) {

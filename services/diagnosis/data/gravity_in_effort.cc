@@ -21,9 +21,8 @@ constexpr double kMostRotor = 3.0;  // of the joint's own inertia
 constexpr double kKept = 0.9;       // share of the rows kept by the trimmed least squares
 constexpr double kExplains = 0.3;   // residual over gravity's torque, at most, of the right form
 constexpr double kClearly = 3.0;    // residual of the wrong form over that of the right one, at least
-constexpr double kSeen = 0.7;  // residual over that of friction alone, above which motion explains nothing
-constexpr double kAbsent =
-    0.15;                         // residual of friction alone over gravity's torque, at most, in slow motion
+constexpr double kSeen = 0.7;     // residual over that of friction alone, above which motion explains nothing
+constexpr double kAbsent = 0.15;  // residual of friction alone over gravity's torque, at most, in slow motion
 constexpr double kNowhere = 0.8;  // share of that left by gravity of any size: it is not in the effort
 constexpr double kLeastGain = 0.4, kMostGain = 2.5;
 constexpr double kSure = 4.0;  // standard deviations
@@ -51,7 +50,7 @@ VectorXd NonNegative(const MatrixXd& X, const VectorXd& y) {
     const double gain = part.dot(g(in));
     if (gain <= most) continue;
     most = gain, best.setZero();
-    for (size_t i = 0; i < in.size(); ++i) best[in[i]] = part[static_cast<long>(i)];
+    for (size_t i = 0; i < in.size(); ++i) best[in[i]] = part[i];
   }
   return best;
 }
@@ -94,7 +93,7 @@ class Weigher {
     Sum with, without, friction, any;
     int absent = 0, present = 0;
     for (int j = 0; j < s_.n; ++j) {
-      const JointFigures& f = s_.joints[static_cast<size_t>(j)];
+      const JointFigures& f = s_.joints[j];
       if (weight[j] < kLoaded * weight.maxCoeff() || !f.moved || f.prescribed) continue;
       const VectorXd u = Column(j, &MotionSamples::u);
       if (!(u.cwiseAbs().maxCoeff() > 0)) continue;
@@ -217,7 +216,7 @@ class Weigher {
       kept.resize(static_cast<size_t>(end - kept.begin()));
       *c = NonNegative(X(kept, Eigen::all), u(kept));
     }
-    std::sort(kept.begin(), kept.end());
+    std::ranges::sort(kept);
     return kept;
   }
 
@@ -236,7 +235,7 @@ std::string GravityContradiction(const GravityEvidence& e, bool excludes,
   const GravitySide said = excludes ? GravitySide::kInDrive : GravitySide::kInEffort;
   if (e.side == GravitySide::kUnclear || e.side == said) return "";
   std::vector<std::string> joints;
-  for (const int j : e.joints) joints.push_back(joint_names[static_cast<size_t>(j)]);
+  for (const int j : e.joints) joints.push_back(joint_names[j]);
   const bool in_drive = e.side == GravitySide::kInDrive;
   const std::string right = Number(100 * (in_drive ? e.without : e.with)),
                     wrong = Number(100 * (in_drive ? e.with : e.without));

@@ -146,7 +146,7 @@ std::vector<char> CommandsKnown(const recordings::Recording& rec, double late_s,
   for (int row = 0; row < rec.rows(); ++row) {
     if (row > 0 && IsGap(rec.t[row] - rec.t[row - 1], period, options))
       from = std::max(from, rec.t[row] + late_s);
-    known[static_cast<size_t>(row)] = rec.t[row] >= from;
+    known[row] = rec.t[row] >= from;
   }
   return known;
 }
@@ -174,7 +174,7 @@ std::optional<NodeWindow> WindowOf(const recordings::Recording& rec, int index, 
     row_of.push_back(row);
   }
   const int nodes = static_cast<int>(window.t.size());
-  if (nodes - std::count(row_of.begin(), row_of.end(), -1) < kFewestNodes) return std::nullopt;
+  if (nodes - std::ranges::count(row_of, -1) < kFewestNodes) return std::nullopt;
   for (MatrixXd* m : {&window.q, &window.v, &window.q_row, &window.v_row, &window.q0, &window.v0})
     m->setZero(n, nodes);
   window.q_stddev.setOnes(n, nodes), window.v_stddev.setOnes(n, nodes);
@@ -201,15 +201,15 @@ std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& rec, int index
                                      const recordings::SensorNoise& noise, const NodeOptions& options) {
   const double period = std::max(1e-6, rec.SamplePeriod());
   std::vector<char> known = CommandsKnown(rec, options.late_s, options);
-  if (std::count(known.begin(), known.end(), char{1}) < kLeastKnown * static_cast<double>(known.size()))
+  if (std::ranges::count(known, char{1}) < kLeastKnown * static_cast<double>(known.size()))
     known = CommandsKnown(rec, 0.0, options);
   std::vector<NodeWindow> out;
   for (const recordings::Window& w : recordings::SplitIntoWindows(rec, options.window_s)) {
     int first = w.first;
     for (int row = w.first; row <= w.last; ++row) {
-      const bool ends = row == w.last || !known[static_cast<size_t>(row + 1)] ||
-                        IsGap(rec.t[row + 1] - rec.t[row], period, options);
-      if (!known[static_cast<size_t>(row)]) {
+      const bool ends =
+          row == w.last || !known[row + 1] || IsGap(rec.t[row + 1] - rec.t[row], period, options);
+      if (!known[row]) {
         first = row + 1;
       } else if (ends) {
         if (auto window = WindowOf(rec, index, motion, noise, first, row, period, options))
@@ -223,11 +223,11 @@ std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& rec, int index
 
 void SetFactor(NodeWindow* window) {
   const Eigen::Index n = window->q.rows(), kinds = window->v_doubt.size() > 0 ? 2 : 1;
-  const auto nodes = std::count(window->measured.begin(), window->measured.end(), char{1});
+  const auto nodes = std::ranges::count(window->measured, char{1});
   MatrixXd S(nodes * n * kinds, window->q_doubt.cols());
   Eigen::Index row = 0;
   for (Eigen::Index k = 0; k < std::ssize(window->t); ++k) {
-    if (!window->measured[static_cast<size_t>(k)]) continue;
+    if (!window->measured[k]) continue;
     for (Eigen::Index kind = 0; kind < kinds; ++kind, row += n) {
       const MatrixXd& doubt = kind == 0 ? window->q_doubt : window->v_doubt;
       const MatrixXd& stddev = kind == 0 ? window->q_stddev : window->v_stddev;

@@ -179,7 +179,7 @@ class Surveyor {
         const auto q = r.q.row(j).array();
         f.spread = std::max(f.spread, std::sqrt((q - q.mean()).square().mean()));
       }
-      Temperature(r, set_.joints[static_cast<size_t>(j)], &f);
+      Temperature(r, set_.joints[j], &f);
     }
     f.effort_rms = std::sqrt(squares / rows);
     OverBlocks(j, &f);
@@ -285,7 +285,7 @@ class Surveyor {
       m->resize(out_.n, S);
     VectorXd q, v, a, torque(out_.n);
     for (Eigen::Index s = 0; s < S; ++s) {
-      const int k = rows[static_cast<size_t>(s)];
+      const int k = rows[s];
       out.t.push_back(0.5 * (r.t[k] + r.t[k + 1]));
       motion.At(out.t.back(), &q, &v, &a);
       out.q.col(s) = q, out.v.col(s) = v, out.a.col(s) = a;
@@ -314,7 +314,7 @@ class Surveyor {
   }
 
   void FromSamples(int j) {
-    JointFigures& f = out_.joints[static_cast<size_t>(j)];
+    JointFigures& f = out_.joints[j];
     double squares = 0, sum = 0, effort2 = 0, load = 0, load2 = 0, moving = 0;
     f.effort_least = std::numeric_limits<double>::infinity(), f.effort_most = -f.effort_least;
     for (const MotionSamples& m : out_.samples) {
@@ -368,8 +368,8 @@ long MotionSurvey::Samples() const {
 }
 
 const FileFigures& MotionSurvey::FirstToFit() const {
-  return *std::find_if(files.begin(), files.end(),
-                       [](const FileFigures& f) { return f.split == recordings::Split::kFit; });
+  return *std::ranges::find_if(files,
+                               [](const FileFigures& f) { return f.split == recordings::Split::kFit; });
 }
 
 recordings::SensorNoise WorkingNoise(recordings::SensorNoise noise, const recordings::NoiseSpec& given) {
@@ -391,7 +391,7 @@ Result<MotionSurvey> Survey(const recordings::RecordingSet& set, const sim::Plan
 std::vector<StillJoint> StillJoints(const MotionSurvey& survey) {
   std::vector<StillJoint> out;
   for (int j = 0; j < survey.n; ++j) {
-    const JointFigures& f = survey.joints[static_cast<size_t>(j)];
+    const JointFigures& f = survey.joints[j];
     if (f.moved || f.prescribed) continue;
     StillJoint s;
     s.joint = j;

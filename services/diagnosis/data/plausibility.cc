@@ -6,7 +6,6 @@
 
 #include "common/model/robot_model.h"
 #include "services/diagnosis/data/gravity_in_effort.h"
-#include "services/diagnosis/data/motion.h"
 #include "services/diagnosis/data/words.h"
 #include "services/sysid/joint_roles.h"
 
@@ -43,7 +42,7 @@ Status CheckMotion(const MotionSurvey& survey, const sim::Plant& plant) {
   }
   std::string widest;
   for (int j = 0; j < survey.n; ++j) {
-    const JointFigures& f = survey.joints[static_cast<size_t>(j)];
+    const JointFigures& f = survey.joints[j];
     if (f.prescribed) continue;
     if (f.moved) return Status::Ok();
     widest += (!widest.empty() ? ", " : "") + plant.joint_names()[j] + " by " + Number(f.high - f.low);
@@ -142,7 +141,7 @@ Status CheckPlausible(const recordings::RecordingSet& set, const MotionSurvey& s
   const char* column =
       set.recordings[0].drive == recordings::EffortKind::kMeasured ? "effort_measured." : "effort_command.";
   for (int j = 0; j < survey.n; ++j) {
-    if (survey.joints[static_cast<size_t>(j)].prescribed) continue;
+    if (survey.joints[j].prescribed) continue;
     const std::string suspicion = Suspicion(torques, match, j, plant);
     if (suspicion.empty()) continue;
     const std::string line = column + plant.joint_names()[j] + suspicion;

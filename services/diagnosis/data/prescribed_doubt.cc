@@ -67,8 +67,8 @@ class FromNodeToNode {
            std::vector<sim::Trajectory>* out) {
     for (sim::SimulationWindow& run : runs_) run.command = &command;
     simulator_.SimulateWindows(runs_, request, out);
-    return std::all_of(out->begin(), out->end(),
-                       [](const sim::Trajectory& t) { return t.outcome.ok() && t.state.allFinite(); });
+    return std::ranges::all_of(
+        *out, [](const sim::Trajectory& t) { return t.outcome.ok() && t.state.allFinite(); });
   }
 
  private:
@@ -108,7 +108,7 @@ bool AddDoubt(sim::Simulator& simulator, const FitData& data, const SmoothMotion
   if (data.use_velocity) window->v_doubt.setZero(n * nodes, std::ssize(ends));
   for (Eigen::Index way = 0; way < std::ssize(ends); ++way) {
     for (Eigen::Index k = 0; k < nodes; ++k) {
-      const auto at = ends[static_cast<size_t>(way)].segment(2 * n * k, 2 * n);
+      const auto at = ends[way].segment(2 * n * k, 2 * n);
       window->q_doubt.col(way).segment(n * k, n) = at.head(n);
       if (data.use_velocity) window->v_doubt.col(way).segment(n * k, n) = at.tail(n);
     }
@@ -130,9 +130,9 @@ void AddPrescribedDoubt(const sim::Plant& plant, int threads, FitData* data) {
   std::vector<std::unique_ptr<sim::Simulator>> simulators(static_cast<size_t>(std::max(1, threads)));
   for (auto& simulator : simulators) simulator = std::make_unique<sim::Simulator>(plant);
   sysid::ParallelFor(threads, static_cast<int>(data->windows.size()), [&](int worker, int w) {
-    NodeWindow& window = data->windows[static_cast<size_t>(w)];
+    NodeWindow& window = data->windows[w];
     const auto r = static_cast<size_t>(window.recording);
-    AddDoubt(*simulators[static_cast<size_t>(worker)], *data, smooth[r], doubts[r], &window);
+    AddDoubt(*simulators[worker], *data, smooth[r], doubts[r], &window);
   });
 }
 

@@ -2,14 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iterator>
-#include <map>
 #include <set>
 
 #include "common/dynamics/dynamics.h"
 #include "common/sim/simulator.h"
 #include "services/diagnosis/design/probe_motions.h"
-#include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/hypotheses/rivals.h"
 #include "services/sysid/drive_signal.h"
 #include "services/sysid/parallel.h"
@@ -67,7 +64,7 @@ class Drive {
       if ((q - Row(motion, k * kControl)).cwiseAbs().maxCoeff() > kLost) return false;
       if (k % every == 0) rec.t[k / every] = k * kControl, rec.q.col(k / every) = q, rec.v.col(k / every) = v;
       u = Torque(motion, k * kControl, q, v);
-      times[static_cast<size_t>(k)] = k * kControl, commands.col(k) = u;
+      times[k] = k * kControl, commands.col(k) = u;
       if (!simulator_.Advance(state, u, kControl).ok()) return false;
     }
     auto signal = sim::CommandSignal::Create(times, commands, sim::Hold::kZeroOrder);
@@ -149,7 +146,7 @@ std::vector<int> JointsOf(const std::vector<Pair>& pairs, const std::set<std::st
   }
   std::vector<int> out;
   for (int j = 0; j < nominal.num_joints() && out.size() < kMostJoints; ++j) {
-    if (names.count(nominal.joint_names()[static_cast<size_t>(j)])) out.push_back(j);
+    if (names.count(nominal.joint_names()[j])) out.push_back(j);
   }
   return out;
 }
@@ -164,7 +161,7 @@ std::optional<ProposedMotion> ProposeMotion(const SearchResult& search, const Fi
   std::set<std::string> ids;
   for (const Finding& f : findings) {
     for (const Rival& rival : RivalsOf(search, f.effect)) {
-      const bool open = std::any_of(f.alternatives.begin(), f.alternatives.end(), [&](const Alternative& a) {
+      const bool open = std::ranges::any_of(f.alternatives, [&](const Alternative& a) {
         return a.effect == rival.effect && !a.separable && a.by_motion;
       });
       if (!open || !rival.candidate->fit.ok || pairs.size() >= kMostPairs) continue;

@@ -49,7 +49,7 @@ double Regressed(const std::vector<ForceSample>& samples, int on, const MatrixXd
   MatrixXd H = MatrixXd::Zero(W, W);
   VectorXd g = VectorXd::Zero(W);
   for (size_t s = 0; s < samples.size(); ++s) {
-    const auto column = phi.col(static_cast<long>(s));
+    const auto column = phi.col(s);
     H.selfadjointView<Eigen::Lower>().rankUpdate(column, samples[s].weight[on]);
     g += samples[s].weight[on] * samples[s].force[on] * column;
   }
@@ -79,7 +79,7 @@ std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nomi
     MatrixXd phi(effects::UnknownField::kNodes, static_cast<long>(samples.size()));
     for (size_t s = 0; s < samples.size(); ++s) {
       const double x = speed ? samples[s].v[on] : samples[s].q[on];
-      phi.col(static_cast<long>(s)) =
+      phi.col(s) =
           (drag ? -samples[s].v[on] : 1.0) * size * Basis(effects::UnknownField::kNodes, x, low, high);
     }
     VectorXd weights;
@@ -106,8 +106,8 @@ std::optional<EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& 
   std::vector<MatrixXd> basis(n, MatrixXd(kNodes, S));
   for (int j = 0; j < n; ++j) {
     for (long s = 0; s < S; ++s)
-      basis[j].col(s) = Basis(kNodes, samples[static_cast<size_t>(s)].q[j], scales.low[j],
-                              std::max(scales.high[j], scales.low[j] + 1e-3));
+      basis[j].col(s) =
+          Basis(kNodes, samples[s].q[j], scales.low[j], std::max(scales.high[j], scales.low[j] + 1e-3));
   }
   for (int on = 0; on < n; ++on) {
     if (!nominal.Takes(surface, on)) continue;

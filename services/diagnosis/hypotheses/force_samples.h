@@ -4,7 +4,6 @@
 
 #include <Eigen/Core>
 #include <algorithm>
-#include <utility>
 #include <vector>
 
 #include "services/diagnosis/data/fit_data.h"

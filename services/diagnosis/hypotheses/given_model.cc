@@ -24,9 +24,8 @@ std::vector<EffectSpec> EffectsOf(const sim::ModelFile& model) {
   for (EffectSpec& spec : specs) {
     for (int i = 0; i < table.size(); ++i) {
       const sim::Parameter& p = table[i];
-      const bool own =
-          p.effect == spec.id &&
-          (p.owner == "*" || std::find(spec.joints.begin(), spec.joints.end(), p.owner) != spec.joints.end());
+      const bool own = p.effect == spec.id &&
+                       (p.owner == "*" || std::ranges::find(spec.joints, p.owner) != spec.joints.end());
       if (own) spec.values[p.owner][p.field] = std::clamp(model.values[i], p.lower, p.upper);
     }
   }

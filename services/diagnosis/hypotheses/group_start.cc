@@ -22,7 +22,7 @@ constexpr double kLeastStart = 0.02;  // of the prior stddev: a strength of zero
 std::vector<EffectSpec> OnEveryJoint(const sim::Plant& nominal, const std::string& id) {
   std::vector<EffectSpec> out;
   for (int j = 0; j < nominal.num_joints(); ++j) {
-    const std::string& joint = nominal.joint_names()[static_cast<size_t>(j)];
+    const std::string& joint = nominal.joint_names()[j];
     if (!nominal.Takes(id, j) || Contains(nominal.effects(), id, joint)) continue;
     // Not where it would replace an effect of the given model.
     const EffectSpec spec = effects::MakeSpec(id, {joint});
@@ -66,7 +66,7 @@ Regression Regressed(const FitData& data, const sim::Plant& nominal, const Motio
   const VectorXd start = c.plant->ValuesFrom(nominal.parameters(), nominal.parameters().Nominal());
   VectorXd theta = space.nominal();
   for (int i = 0; i < space.size(); ++i) {
-    if (space.IsItself(i)) theta[i] = start[c.parameters[static_cast<size_t>(i)].index];
+    if (space.IsItself(i)) theta[i] = start[c.parameters[i].index];
   }
   theta = theta.cwiseMax(space.lower()).cwiseMin(space.upper());
   const auto found =
@@ -87,7 +87,7 @@ bool IsLinearLaw(const effects::EffectInfo& effect) {
   const effects::Inference& own = effects::InferenceOf(effect.id);
   return effect.scope == effects::Scope::kJoint && !own.terms.empty() && !own.unnamed &&
          own.slot != effects::Slot::kDryFriction &&
-         std::all_of(own.terms.begin(), own.terms.end(), [](const effects::Term& t) {
+         std::ranges::all_of(own.terms, [](const effects::Term& t) {
            return sysid::RegressionColumnOf(t.regressor, 1, 1, 1).has_value();
          });
 }
@@ -127,12 +127,12 @@ std::vector<LawOnAll> LawsOnAll(const FitData& data, const sim::Plant& nominal, 
   std::vector<LawOnAll> out;
   if (!without.fitted.fit.ok) return out;
   for (const effects::EffectInfo& law : effects::Catalog()) {
-    if (!IsLinearLaw(law) || std::count(losses.begin(), losses.end(), law.id) > 0) continue;
+    if (!IsLinearLaw(law) || std::ranges::count(losses, law.id) > 0) continue;
     Scored scored;
     scored.effect = law.id;
     std::vector<sysid::RegressionColumn> columns;
     for (int j = 0; j < data.n; ++j) {
-      const std::string& joint = nominal.joint_names()[static_cast<size_t>(j)];
+      const std::string& joint = nominal.joint_names()[j];
       if (!data.Judged(j) || !nominal.Takes(law.id, j) || Contains(nominal.effects(), law.id, joint))
         continue;
       const auto own = ColumnsOf(law, j, scales);
@@ -143,8 +143,7 @@ std::vector<LawOnAll> LawsOnAll(const FitData& data, const sim::Plant& nominal, 
     const Regression freed = Regressed(data, nominal, scales, losses, true, columns);
     if (!freed.fitted.fit.ok) continue;
     LawOnAll found{freed.torque_stddev.cwiseQuotient(without.torque_stddev), {}};
-    const auto helped = std::count_if(scored.joints.begin(), scored.joints.end(),
-                                      [&](int j) { return found.left[j] < most; });
+    const auto helped = std::ranges::count_if(scored.joints, [&](int j) { return found.left[j] < most; });
     if (2 * helped < data.judged()) continue;
     const Regression with = base ? freed : Regressed(data, nominal, scales, losses, false, columns);
     if (!with.fitted.fit.ok || !with.coefficients.allFinite()) continue;
@@ -159,8 +158,8 @@ std::vector<LawOnAll> LawsOnAll(const FitData& data, const sim::Plant& nominal, 
     }
     out.push_back(std::move(found));
   }
-  std::stable_sort(out.begin(), out.end(),
-                   [](const LawOnAll& a, const LawOnAll& b) { return a.left.sum() < b.left.sum(); });
+  std::ranges::stable_sort(out,
+                           [](const LawOnAll& a, const LawOnAll& b) { return a.left.sum() < b.left.sum(); });
   return out;
 }
 

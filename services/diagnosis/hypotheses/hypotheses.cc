@@ -10,7 +10,6 @@
 #include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/candidate.h"
 #include "services/diagnosis/likelihood/features.h"
-#include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
 
@@ -34,7 +33,7 @@ double LastMass(const sim::Plant& plant) {
 
 // The effect of the plant that has a parameter.
 const EffectSpec& SpecOf(const sim::Parameter& p, const sim::Plant& plant) {
-  return *std::find_if(plant.effects().begin(), plant.effects().end(), [&](const EffectSpec& e) {
+  return *std::ranges::find_if(plant.effects(), [&](const EffectSpec& e) {
     return e.id == p.effect && (p.owner == "*" || Contains({e}, e.id, p.owner));
   });
 }
@@ -63,7 +62,7 @@ effects::JointSize SizeOf(const MotionScales& s, const sim::Plant& plant, int j)
     return out;
   }
   out.torque = s.torque[j], out.speed = s.speed[j], out.inertia = s.inertia[j];
-  out.acceleration = s.acceleration[j], out.moves = s.still[static_cast<size_t>(j)] == 0;
+  out.acceleration = s.acceleration[j], out.moves = s.still[j] == 0;
   out.low = s.low[j], out.high = s.high[j];
   return out;
 }
@@ -140,8 +139,8 @@ std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effec
   blind.rotors = {0.15 * inertia, 0.4 * inertia};
   // Below its resonance the motor moves with the link: what the screen takes for more inertia is the motor.
   if (added_inertia > 0.01 * inertia) blind.rotors.push_back(std::min(added_inertia, 2 * inertia));
-  return Trials(effect, {nominal.joint_names()[static_cast<size_t>(joint)]},
-                effects::InferenceOf(effect).blind(blind), {{"sensor", sensor}});
+  return Trials(effect, {nominal.joint_names()[joint]}, effects::InferenceOf(effect).blind(blind),
+                {{"sensor", sensor}});
 }
 
 std::vector<std::vector<EffectSpec>> StartsBehind(const std::string& effect, const std::string& sensor,
@@ -149,8 +148,8 @@ std::vector<std::vector<EffectSpec>> StartsBehind(const std::string& effect, con
                                                   double rotor) {
   effects::Blind blind = BlindOn(joint, nominal, s);
   blind.rotors = {rotor};
-  return Trials(effect, {nominal.joint_names()[static_cast<size_t>(joint)]},
-                effects::InferenceOf(effect).blind(blind), {{"sensor", sensor}});
+  return Trials(effect, {nominal.joint_names()[joint]}, effects::InferenceOf(effect).blind(blind),
+                {{"sensor", sensor}});
 }
 
 std::vector<EffectSpec> WithoutSprings(std::vector<EffectSpec> specs) {

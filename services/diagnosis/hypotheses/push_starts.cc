@@ -71,7 +71,7 @@ struct Surface {
 Surface BestSurface(const std::vector<Stair>& stairs, int axis, double sign) {
   std::vector<double> heights;
   for (const Stair& s : stairs) heights.push_back(sign * s.position[axis]);
-  std::sort(heights.begin(), heights.end());
+  std::ranges::sort(heights);
   Surface best;
   if (heights.empty() || heights.back() - heights.front() < 1e-4) return best;
   constexpr int kHeights = 32;
@@ -112,7 +112,7 @@ std::vector<std::vector<EffectSpec>> ContactStarts(const FitData& data, const si
       }
     }
   }
-  std::sort(found.begin(), found.end(), [](const auto& a, const auto& b) { return a.first > b.first; });
+  std::ranges::sort(found, [](const auto& a, const auto& b) { return a.first > b.first; });
   std::vector<std::vector<EffectSpec>> out;
   for (const auto& [gain, spec] : found) {
     if (static_cast<int>(out.size()) >= most) break;

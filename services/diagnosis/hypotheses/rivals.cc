@@ -34,8 +34,8 @@ std::vector<Rival> RivalsOf(const SearchResult& search, const std::string& id) {
   }
   std::vector<Rival> out;
   for (const auto& [effect, c] : best) out.push_back({effect, c});
-  std::stable_sort(out.begin(), out.end(),
-                   [](const Rival& a, const Rival& b) { return a.candidate->score > b.candidate->score; });
+  std::ranges::stable_sort(
+      out, [](const Rival& a, const Rival& b) { return a.candidate->score > b.candidate->score; });
   if (out.size() > kMostRivals) out.resize(kMostRivals);
   return out;
 }

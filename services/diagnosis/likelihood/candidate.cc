@@ -60,8 +60,8 @@ const std::set<std::string> kStrengths = {"viscous",
 
 // Whether the parameter belongs to the effect.
 bool IsOf(const EffectSpec& s, const sim::Parameter& p) {
-  return p.effect == s.id && (s.joints.empty() || p.owner == "*" ||
-                              std::find(s.joints.begin(), s.joints.end(), p.owner) != s.joints.end());
+  return p.effect == s.id &&
+         (s.joints.empty() || p.owner == "*" || std::ranges::find(s.joints, p.owner) != s.joints.end());
 }
 
 // How many parameters the effect has in this form.
@@ -125,13 +125,13 @@ bool Contains(const std::vector<EffectSpec>& specs, const std::string& id, const
       if (s.joints.empty()) return true;
       continue;
     }
-    if (std::find(s.joints.begin(), s.joints.end(), joint) != s.joints.end()) return true;
+    if (std::ranges::find(s.joints, joint) != s.joints.end()) return true;
   }
   return false;
 }
 
 bool HasKind(const std::vector<EffectSpec>& specs, const std::string& id) {
-  return std::any_of(specs.begin(), specs.end(), [&](const EffectSpec& s) { return s.id == id; });
+  return std::ranges::any_of(specs, [&](const EffectSpec& s) { return s.id == id; });
 }
 
 std::vector<EffectSpec> WithoutKind(std::vector<EffectSpec> specs, const std::string& id) {
@@ -140,9 +140,9 @@ std::vector<EffectSpec> WithoutKind(std::vector<EffectSpec> specs, const std::st
 }
 
 bool IsPart(const std::vector<EffectSpec>& part, const std::vector<EffectSpec>& whole) {
-  return std::all_of(part.begin(), part.end(), [&](const EffectSpec& s) {
-    return std::any_of(whole.begin(), whole.end(),
-                       [&](const EffectSpec& w) { return w.id == s.id && w.joints == s.joints; });
+  return std::ranges::all_of(part, [&](const EffectSpec& s) {
+    return std::ranges::any_of(whole,
+                               [&](const EffectSpec& w) { return w.id == s.id && w.joints == s.joints; });
   });
 }
 
@@ -173,12 +173,12 @@ bool Uninformed(const Candidate& c, size_t i) {
   const EffectSpec& s = c.specs[i];
   double known = 1;
   for (size_t k = 0; k < c.parameters.size(); ++k) {
-    const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+    const sim::Parameter& p = c.Free(k);
     if (!IsOf(s, p)) continue;
-    known = std::min(known, c.fit.stddev[static_cast<long>(k)] / c.parameters[k].prior_stddev);
+    known = std::min(known, c.fit.stddev[k] / c.parameters[k].prior_stddev);
     // The hidden states of a mass or gap at its lower bound follow the noise.
     const bool vanishes = p.field == "mass" || p.field == "gap";
-    if (vanishes && c.fit.theta[static_cast<long>(k)] < kAtBound * c.parameters[k].lower) return true;
+    if (vanishes && c.fit.theta[k] < kAtBound * c.parameters[k].lower) return true;
   }
   return known > kUnseen;
 }
@@ -191,7 +191,7 @@ void ContinueFields(Candidate* c) {
   };
   std::map<std::string, std::vector<Node>> fields;  // by effect and owner
   for (size_t k = 0; k < c->parameters.size() && c->fit.ok; ++k) {
-    const sim::Parameter& p = c->plant->parameters()[c->parameters[k].index];
+    const sim::Parameter& p = c->Free(k);
     const bool weight = p.kind == sim::ParameterKind::kEffect && IsUnnamed(p.effect) && p.field.size() > 1 &&
                         p.field[0] == 'w' && std::isdigit(static_cast<unsigned char>(p.field[1]));
     if (!weight) continue;
@@ -212,7 +212,7 @@ void ContinueFields(Candidate* c) {
       }
       if (count == 0) continue;
       c->fit.theta[node.at] = sum / count;
-      c->fit.values[c->parameters[static_cast<size_t>(node.at)].index] = sum / count;
+      c->fit.values[c->parameters[node.at].index] = sum / count;
     }
   }
 }
@@ -225,12 +225,12 @@ std::set<size_t> Aperiodic(const Candidate& c, const MotionScales& scales, doubl
   std::set<size_t> out, slow;
   bool seen_again = false;
   for (size_t k = 0; k < c.parameters.size(); ++k) {
-    const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+    const sim::Parameter& p = c.Free(k);
     if (p.field != "cycles_per_rev") continue;
     const int joint = model.FindJoint(p.owner);
-    const double cycles = c.fit.theta[static_cast<long>(k)], lower = c.parameters[k].lower;
+    const double cycles = c.fit.theta[k], lower = c.parameters[k].lower;
     const double range = scales.high[joint] - scales.low[joint];
-    const double stddev = c.fit.stddev[static_cast<long>(k)];
+    const double stddev = c.fit.stddev[k];
     const double error = std::max(kPhaseError / std::max(1e-9, range),
                                   kZ99TwoSided * stddev * std::sqrt(std::max(1.0, over_noise)));
     const double times = cycles * range / (2 * M_PI);
@@ -260,7 +260,7 @@ std::set<size_t> Aperiodic(const Candidate& c, const MotionScales& scales, doubl
 
 bool Drops(const Candidate& c) {
   const auto& parameters = c.plant->parameters();
-  return std::all_of(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) {
+  return std::ranges::all_of(c.specs, [&](const EffectSpec& s) {
     if (s.id != effects::LawOf(effects::Regressor::kSlowly).id) return true;
     const std::string name = s.id + "." + s.joints[0] + ".";
     return c.fit.values[parameters.Find(name + "static")] >= c.fit.values[parameters.Find(name + "coulomb")];
@@ -269,12 +269,12 @@ bool Drops(const Candidate& c) {
 
 bool PullsBack(const Candidate& c, const MotionScales& scales) {
   const auto& table = c.plant->parameters();
-  return std::all_of(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) {
+  return std::ranges::all_of(c.specs, [&](const EffectSpec& s) {
     if (s.id != effects::LawOf(effects::Regressor::kPosition).id) return true;
     const auto place = [&](const char* field) { return table.Find(s.id + "." + s.joints[0] + "." + field); };
     double error = 0;  // of the cubic term
     for (size_t k = 0; k < c.parameters.size() && static_cast<long>(k) < c.fit.stddev.size(); ++k) {
-      if (c.parameters[k].index == place("cubic")) error = kZ99OneSided * c.fit.stddev[static_cast<long>(k)];
+      if (c.parameters[k].index == place("cubic")) error = kZ99OneSided * c.fit.stddev[k];
     }
     const int joint = c.plant->model().FindJoint(s.joints[0]);
     const double stiffness = c.fit.values[place("stiffness")], center = c.fit.values[place("center")];
@@ -305,7 +305,7 @@ double Strength(const Candidate& c, size_t i) {
   // The effect's strengths first, then the parameters of all other effects; its own shape is left out.
   std::vector<long> own, rest;
   for (size_t k = 0; k < c.parameters.size(); ++k) {
-    const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+    const sim::Parameter& p = c.Free(k);
     const bool own_effect = IsOf(s, p);
     if (!own_effect) rest.push_back(static_cast<long>(k));
     if (own_effect && kStrengths.count(p.field) > 0) own.push_back(static_cast<long>(k));
@@ -316,14 +316,14 @@ double Strength(const Candidate& c, size_t i) {
   order.insert(order.end(), rest.begin(), rest.end());
   Eigen::VectorXd value(n), weight(static_cast<long>(order.size()));
   for (size_t k = 0; k < order.size(); ++k) {
-    const sysid::FitParameter& p = c.parameters[static_cast<size_t>(order[k])];
-    weight[static_cast<long>(k)] = 1 / (p.prior_stddev * p.prior_stddev);
+    const sysid::FitParameter& p = c.parameters[order[k]];
+    weight[k] = 1 / (p.prior_stddev * p.prior_stddev);
     if (static_cast<long>(k) >= n) continue;
     // A lag is absent at its lower bound.
     const double none = c.plant->parameters()[p.index].field == "gain"            ? 1
                         : s.id == effects::LawOf(effects::Regressor::kLagging).id ? p.lower
                                                                                   : 0;
-    value[static_cast<long>(k)] = c.fit.theta[order[k]] - none;
+    value[k] = c.fit.theta[order[k]] - none;
   }
   Eigen::MatrixXd precision = c.fit.information(order, order);
   precision.diagonal() += weight;
@@ -396,10 +396,10 @@ bool LikeOtherJoints(const Candidate& c, size_t i) {
   const auto strength = [&](size_t of, double* error) {
     const EffectSpec& s = c.specs[of];
     for (size_t k = 0; k < c.parameters.size(); ++k) {
-      const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+      const sim::Parameter& p = c.Free(k);
       if (p.effect != s.id || p.owner != s.joints[0] || kStrengths.count(p.field) == 0) continue;
-      *error = c.fit.stddev[static_cast<long>(k)] / c.parameters[k].prior_stddev;
-      return c.fit.theta[static_cast<long>(k)] / c.parameters[k].prior_stddev;
+      *error = c.fit.stddev[k] / c.parameters[k].prior_stddev;
+      return c.fit.theta[k] / c.parameters[k].prior_stddev;
     }
     return 0.0;
   };
@@ -442,32 +442,21 @@ std::set<std::string> FreshKinds(const Candidate& before, const Candidate& c) {
 }
 
 bool HasUnnamed(const Candidate& c) {
-  return std::any_of(c.specs.begin(), c.specs.end(), [](const EffectSpec& e) { return IsUnnamed(e.id); });
+  return std::ranges::any_of(c.specs, [](const EffectSpec& e) { return IsUnnamed(e.id); });
 }
 
 bool HasHiddenStates(const Candidate& c) {
   return c.plant != nullptr && c.plant->num_states() > 2 * c.plant->num_joints();
 }
 
-namespace {
+bool HasFreeStates(const Candidate& c) { return c.plant != nullptr && HasFreeStates(*c.plant); }
 
-// Whether it has hidden states of other kinds than these.
-bool HasStatesBut(std::initializer_list<std::string_view> kinds, const Candidate& c) {
-  if (!HasHiddenStates(c)) return false;
-  const auto& names = c.plant->internal_state_names();
-  return std::any_of(names.begin(), names.end(), [&](const std::string& name) {
-    return std::none_of(kinds.begin(), kinds.end(), [&](auto kind) { return name.starts_with(kind); });
-  });
+bool HasUnseenStates(const Candidate& c) {
+  return c.plant != nullptr && HasStatesBut({kLagState, kBristleState}, *c.plant);
 }
 
-}  // namespace
-
-bool HasFreeStates(const Candidate& c) { return HasStatesBut({kLagState}, c); }
-
-bool HasUnseenStates(const Candidate& c) { return HasStatesBut({kLagState, kBristleState}, c); }
-
 bool OfPosition(const Candidate& c) {
-  return std::any_of(c.specs.begin(), c.specs.end(), [](const EffectSpec& e) { return IsOfPosition(e.id); });
+  return std::ranges::any_of(c.specs, [](const EffectSpec& e) { return IsOfPosition(e.id); });
 }
 
 }  // namespace rg::diagnosis

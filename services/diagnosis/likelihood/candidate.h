@@ -30,6 +30,9 @@ struct Candidate {
   double form = 0;                 // nats charged for a richer law than the plainest of its kind
   int round = 0;                   // of the search, in which it was fitted
   std::optional<double> held_out;  // log predictive density of held-out recordings (held_out.h), if computed
+
+  // The plant's parameter that free parameter k is.
+  const sim::Parameter& Free(size_t k) const { return plant->parameters()[parameters[k].index]; }
 };
 
 // Moves score and information to another noise scale (LiftedOptions::noise_scale).
@@ -43,6 +46,8 @@ inline Candidate WithoutStates(Candidate c) {
   c.fit.states.clear(), c.fit.window_chi2.clear();
   return c;
 }
+
+inline const Candidate& Better(const Candidate& a, const Candidate& b) { return b.score > a.score ? b : a; }
 
 // The score without the penalty for held-out recordings.
 inline double FitScore(const Candidate& c) { return c.score + c.held_out_penalty; }

@@ -58,11 +58,11 @@ double Lineariser::ChooseFace(int worker, int index, const VectorXd* before, boo
         Simulated(worker, std::vector<int>(starts.size(), index), starts, kEarlyPart);
     std::vector<size_t> order(starts.size());
     std::iota(order.begin(), order.end(), size_t{0});
-    std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return early[a] < early[b]; });
+    std::ranges::stable_sort(order, [&](size_t a, size_t b) { return early[a] < early[b]; });
     std::vector<VectorXd> nearest;
     for (size_t i = 0; i < std::min(kBestEarly, order.size()); ++i) nearest.push_back(starts[order[i]]);
     const std::vector<double> chi2 = Simulated(worker, std::vector<int>(nearest.size(), index), nearest);
-    const auto least = std::min_element(chi2.begin(), chi2.end());
+    const auto least = std::ranges::min_element(chi2);
     if (*least < best) best = *least, states->col(0) = nearest[static_cast<size_t>(least - chi2.begin())];
     if (closely) best = Descend(worker, index, g, kFirstMove * half, kFirstMove * speed, best, states);
   }
@@ -83,7 +83,7 @@ double Lineariser::Descend(int worker, int index, const Gap& gap, double ahead, 
       }
     }
     const std::vector<double> chi2 = Simulated(worker, std::vector<int>(around.size(), index), around);
-    const auto least = std::min_element(chi2.begin(), chi2.end());
+    const auto least = std::ranges::min_element(chi2);
     if (*least < best) {
       best = *least, states->col(0) = around[static_cast<size_t>(least - chi2.begin())];
     } else {

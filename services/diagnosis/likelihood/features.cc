@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "common/dynamics/dynamics.h"
-#include "common/effects/effect_catalog.h"
 #include "common/effects/torque_ripple.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/regressors.h"
@@ -23,7 +22,7 @@ constexpr double kNarrowBand = 0.1;  // of the least quantile of |effort|
 
 double Quantile(std::vector<double> x, double p) {
   if (x.empty()) return 0;
-  std::sort(x.begin(), x.end());
+  std::ranges::sort(x);
   return x[std::min(x.size() - 1, static_cast<size_t>(p * static_cast<double>(x.size())))];
 }
 
@@ -137,7 +136,7 @@ class Builder {
 
   double EffortQuantile(int j, double p) const {
     std::vector<double> size;
-    for (const JointMotion& m : motions_[static_cast<size_t>(j)]) {
+    for (const JointMotion& m : motions_[j]) {
       for (const double u : m.effort) size.push_back(std::abs(u));
     }
     return Quantile(std::move(size), p);
@@ -156,7 +155,7 @@ class Builder {
   void AddUnused(int j, const RegressorShape& shape) {
     if (!plant_.Takes(effects::LawOf(Regressor::kPosition).id, j)) return;
     std::vector<ArrayXd> values;
-    for (const JointMotion& m : motions_[static_cast<size_t>(j)]) values.push_back(-(m.q - shape.x).cube());
+    for (const JointMotion& m : motions_[j]) values.push_back(-(m.q - shape.x).cube());
     Push({Regressor::kOtherEffort, j, -1, shape.x, 1}, 0.0, std::move(values));
   }
 

@@ -67,7 +67,7 @@ NodeStates CarriedStates(const FitData& data, const FitModel& to, const sim::Pla
   for (size_t w = 0; w < out.size(); ++w) {
     out[w].topRows(2 * n) = states[w].topRows(2 * n);
     for (size_t i = 0; i < own.size(); ++i) {
-      const auto at = std::find(theirs.begin(), theirs.end(), own[i]);
+      const auto at = std::ranges::find(theirs, own[i]);
       if (at != theirs.end())
         out[w].row(2 * n + static_cast<long>(i)) = states[w].row(2 * n + (at - theirs.begin()));
     }

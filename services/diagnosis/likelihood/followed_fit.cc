@@ -31,18 +31,6 @@ constexpr int kGrowths = 4;           // of the windows that are met
 constexpr double kMostMet = 0.8;      // of the windows, from where the others were lost by chance
 constexpr double kFewMet = 0.5;       // of them, below which the model lacks more than their starts
 
-// A start whose hidden states are those at the end of `before` as simulated from its own start.
-bool GoesOn(const FitData& data, sim::Simulator& simulator, const NodeWindow& before, const VectorXd& from,
-            double to, VectorXd* start) {
-  const long n = data.n;
-  const sim::State x{
-      from.head(n), from.segment(n, n), from.tail(from.size() - 2 * n), before.t.front(), {}, {}};
-  const sim::Trajectory out = simulator.Simulate(x, data.recordings[before.recording].command, {to});
-  if (!out.outcome.ok() || !out.state.allFinite()) return false;
-  start->tail(from.size() - 2 * n) = out.state.col(0).tail(from.size() - 2 * n);
-  return true;
-}
-
 // One window alone, from a start of its own.
 FitResult Alone(FitData* one, const NodeWindow& window, const FitModel& model, LiftedOptions options,
                 const MatrixXd& states, int iterations) {
@@ -54,6 +42,16 @@ FitResult Alone(FitData* one, const NodeWindow& window, const FitModel& model, L
 
 }  // namespace
 
+std::optional<VectorXd> SimulatedTo(double to, const FitData& data, sim::Simulator& simulator,
+                                    const NodeWindow& window, const VectorXd& from) {
+  const long n = data.n;
+  const sim::State x{
+      from.head(n), from.segment(n, n), from.tail(from.size() - 2 * n), window.t.front(), {}, {}};
+  const sim::Trajectory out = simulator.Simulate(x, data.recordings[window.recording].command, {to});
+  if (!out.outcome.ok() || !out.state.allFinite()) return std::nullopt;
+  return out.state.col(0);
+}
+
 NodeStates FollowedStates(const FitData& data, const FitModel& given, const LiftedOptions& options,
                           NodeStates states, bool anew, double* work, std::vector<double>* chi2) {
   if (chi2 != nullptr) chi2->assign(data.windows.size(), std::numeric_limits<double>::infinity());
@@ -62,9 +60,8 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
   for (size_t w = 0; w < data.windows.size(); ++w) by_recording[data.windows[w].recording].push_back(w);
   std::vector<std::vector<size_t>> chains;
   for (auto& [recording, chain] : by_recording) {
-    std::stable_sort(chain.begin(), chain.end(), [&](size_t a, size_t b) {
-      return data.windows[a].t.front() < data.windows[b].t.front();
-    });
+    std::ranges::stable_sort(
+        chain, [&](size_t a, size_t b) { return data.windows[a].t.front() < data.windows[b].t.front(); });
     chains.push_back(chain);
   }
   std::vector<double> spent(chains.size(), 0.0);
@@ -78,14 +75,14 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
     const std::vector<int> no_motor(static_cast<size_t>(data.n), -1);
     const NodeWindow* before = nullptr;
     VectorXd from;
-    for (const size_t w : chains[static_cast<size_t>(c)]) {
+    for (const size_t w : chains[c]) {
       const NodeWindow& window = data.windows[w];
       FitResult best;
       // Whether none is needed any more.
       const auto met = [&] { return best.ok && best.chi2 < kFitted * best.rows * options.noise_scale; };
       const auto attempt = [&](const MatrixXd& start) {
         const FitResult fit = Alone(&one, window, model, alone, start, kOneWindow);
-        spent[static_cast<size_t>(c)] += fit.work;
+        spent[c] += fit.work;
         if (fit.ok && (!best.ok || fit.chi2 < best.chi2)) best = fit;
       };
       const auto carried = [&](const VectorXd& start) {
@@ -94,10 +91,14 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
         lineariser.CarryHidden(0, window, no_motor, &out);
         return out;
       };
-      VectorXd on = states[w].col(0);
-      if (before != nullptr && FollowsOn(*before, window) &&
-          GoesOn(data, simulator, *before, from, window.t.front(), &on))
-        attempt(carried(on));
+      if (before != nullptr && FollowsOn(*before, window)) {
+        // Where what is hidden goes on from there.
+        if (const auto end = SimulatedTo(window.t.front(), data, simulator, *before, from)) {
+          VectorXd on = states[w].col(0);
+          on.tail(on.size() - 2 * data.n) = end->tail(on.size() - 2 * data.n);
+          attempt(carried(on));
+        }
+      }
       if (!met()) attempt(states[w]);
       if (anew && !met()) {
         std::vector<FitResult> looks;
@@ -108,11 +109,11 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
         }
         for (const VectorXd& start : starts) {
           looks.push_back(Alone(&one, window, model, alone, carried(start), kLook));
-          spent[static_cast<size_t>(c)] += looks.back().work;
+          spent[c] += looks.back().work;
         }
         std::erase_if(looks, [](const FitResult& look) { return !look.ok; });
-        std::stable_sort(looks.begin(), looks.end(),
-                         [](const FitResult& a, const FitResult& b) { return a.chi2 < b.chi2; });
+        std::ranges::stable_sort(looks,
+                                 [](const FitResult& a, const FitResult& b) { return a.chi2 < b.chi2; });
         for (size_t i = 0; i < std::min(kNearestSwings, looks.size()) && !met(); ++i)
           attempt(looks[i].states[0]);
       }
@@ -143,19 +144,19 @@ struct Followed {
   std::vector<size_t> MetBest(double share) const {
     std::vector<size_t> order(data.windows.size());
     std::iota(order.begin(), order.end(), size_t{0});
-    std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return chi2[a] < chi2[b]; });
+    std::ranges::stable_sort(order, [&](size_t a, size_t b) { return chi2[a] < chi2[b]; });
     const double met = kFitted * options.noise_scale * RowsPerWindow(data);
     auto count = static_cast<size_t>(std::ceil(share * static_cast<double>(order.size())));
     while (count < order.size() && chi2[order[count]] < met) ++count;
     order.resize(count);
-    std::sort(order.begin(), order.end());
+    std::ranges::sort(order);
     return order;
   }
 
   // How many of them a fit meets.
   long Met(const std::vector<double>& window_chi2) const {
     const double met = kFitted * options.noise_scale * RowsPerWindow(data);
-    return std::count_if(window_chi2.begin(), window_chi2.end(), [&](double c) { return c < met; });
+    return std::ranges::count_if(window_chi2, [&](double c) { return c < met; });
   }
 
   // A fit to those of them. A window whose start was not found lies far off whatever the mass is, and no step
@@ -208,7 +209,7 @@ double FindOverPieces(const FitData& data, double piece_s, const LiftedOptions& 
     bool moved = false;
     for (size_t i = 0; i < model->parameters.size(); ++i) {
       const int at = model->parameters[i].index;
-      moved = moved || std::abs(fit.values[at] - before[at]) > fit.stddev[static_cast<Eigen::Index>(i)];
+      moved = moved || std::abs(fit.values[at] - before[at]) > fit.stddev[i];
     }
     if (!moved) break;
   }

@@ -34,13 +34,13 @@ Learned LearnedFrom(const FitData& held_out, const Candidate& c, const NodeState
   std::vector<VectorXd> no_rule;
   for (const NodeWindow& window : held_out.windows) {
     none.phi.emplace_back(0, static_cast<long>(window.t.size()) - 1);
-    const auto nodes = std::count(window.measured.begin(), window.measured.end(), char{1});
+    const auto nodes = std::ranges::count(window.measured, char{1});
     no_rule.push_back(VectorXd::Zero(nodes * held_out.n * (held_out.use_velocity ? 2 : 1)));
   }
   const Screen screen = MakeScreen(held_out, FitModel{*c.plant, c.fit.values, c.parameters}, states, none,
                                    options, no_rule, 0, Rng(1));
   VectorXd sigma(P);
-  for (long i = 0; i < P; ++i) sigma[i] = c.parameters[static_cast<size_t>(i)].prior_stddev;
+  for (long i = 0; i < P; ++i) sigma[i] = c.parameters[i].prior_stddev;
   Learned out;
   out.before = MatrixXd::Identity(P, P) + sigma.asDiagonal() * c.fit.information * sigma.asDiagonal();
   out.after = out.before + sigma.asDiagonal() * screen.gram.topLeftCorner(P, P) * sigma.asDiagonal();
@@ -54,7 +54,6 @@ Learned LearnedFrom(const FitData& held_out, const Candidate& c, const NodeState
 NodeStates Continued(const FitData& held_out, const sim::Plant& plant, const VectorXd& values,
                      const FitResult& followed, const LiftedOptions& options, NodeStates starts) {
   const int n = held_out.n;
-  const auto& names = plant.internal_state_names();
   sim::Simulator simulator(plant, {.integrator = options.integrator, .step_s = options.step_s});
   simulator.SetParameters(values);
   for (size_t w = 0; w < starts.size(); ++w) {
@@ -65,20 +64,15 @@ NodeStates Continued(const FitData& held_out, const sim::Plant& plant, const Vec
     }
     // Simulated, since the lifted nodes are those of the linear model.
     const VectorXd from = followed.states[w - 1].col(0);
-    const sim::State x{
-        from.head(n), from.segment(n, n), from.tail(from.size() - 2 * n), before.t.front(), {}, {}};
-    const sim::Trajectory to =
-        simulator.Simulate(x, held_out.recordings[window.recording].command, {window.t.front()});
-    if (!to.outcome.ok()) continue;
-    const VectorXd end = to.state.col(0);
-    if (!end.allFinite()) continue;
+    const auto simulated = SimulatedTo(window.t.front(), held_out, simulator, before, from);
+    if (!simulated) continue;
+    const VectorXd& end = *simulated;
     auto start = starts[w].col(0);
     start = followed.states[w].col(0);
     start.tail(end.size() - 2 * n) = end.tail(end.size() - 2 * n);
     for (int j = 0; j < n; ++j) {
-      const auto at = std::find(names.begin(), names.end(), "motor_position." + plant.joint_names()[j]);
-      if (at == names.end()) continue;
-      const auto motor = 2 * n + (at - names.begin());
+      const int at = MotorOf(plant, plant.joint_names()[j]), motor = 2 * n + at;
+      if (at < 0) continue;
       start[motor] += start[j] - end[j], start[motor + 1] += start[n + j] - end[n + j];
     }
   }
@@ -155,7 +149,7 @@ HeldOut PredictHeldOut(const FitData& held_out, const Candidate& fitted, const L
       if (0.5 * step.dot(learned.gradient) > kWorthSimulating) {
         VectorXd theta = fitted.fit.theta;
         for (long i = 0; i < P; ++i) {
-          const sysid::FitParameter& p = fitted.parameters[static_cast<size_t>(i)];
+          const sysid::FitParameter& p = fitted.parameters[i];
           theta[i] = std::clamp(theta[i] + p.prior_stddev * step[i], p.lower, p.upper);
         }
         const FitResult moved = Restarted(

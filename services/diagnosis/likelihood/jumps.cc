@@ -29,7 +29,7 @@ constexpr double kOfItsSwing = 0.1;  // of the nats that hanging still would be 
 // Rows that say of a plant's state what goes on, k × nx.
 MatrixXd AsRows(const std::vector<VectorXd>& of, long nx) {
   MatrixXd out(of.size(), nx);
-  for (size_t i = 0; i < of.size(); ++i) out.row(static_cast<long>(i)) = of[i];
+  for (size_t i = 0; i < of.size(); ++i) out.row(i) = of[i];
   return out;
 }
 
@@ -49,13 +49,11 @@ bool IsPlay(const effects::EffectSpec& e) { return !effects::InferenceOf(e.id).s
 // Where each motor behind play is against its link, and how fast.
 MatrixXd OfPlay(const sim::Plant& plant) {
   std::vector<VectorXd> out;
-  const auto& names = plant.internal_state_names();
   const long n = plant.num_joints(), nx = plant.num_states();
   for (const effects::EffectSpec& e : plant.effects()) {
     if (!IsPlay(e)) continue;
     for (const std::string& joint : e.joints) {
-      const auto at = std::find(names.begin(), names.end(), "motor_position." + joint);
-      const long link = plant.model().FindJoint(joint), motor = 2 * n + (at - names.begin());
+      const long link = plant.model().FindJoint(joint), motor = 2 * n + MotorOf(plant, joint);
       out.push_back(VectorXd::Unit(nx, motor) - VectorXd::Unit(nx, link));
       out.push_back(VectorXd::Unit(nx, motor + 1) - VectorXd::Unit(nx, n + link));
     }
@@ -200,9 +198,7 @@ FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
   return WithJumpsOf(OfMass(plant), data, plant, std::move(fit), options);
 }
 
-bool HasPlay(const std::vector<effects::EffectSpec>& specs) {
-  return std::any_of(specs.begin(), specs.end(), IsPlay);
-}
+bool HasPlay(const std::vector<effects::EffectSpec>& specs) { return std::ranges::any_of(specs, IsPlay); }
 
 FitResult WithJumpsInPlay(const FitData& data, const sim::Plant& plant, FitResult fit,
                           const LiftedOptions& options) {

@@ -71,13 +71,6 @@ bool Hopeless(const std::vector<double>& costs, const LiftedOptions& options) {
   return costs.back() * std::pow(pace, left) > options.to_beat;
 }
 
-// A mass that has to find its swing, or a motor its face, may stall for a while and then come near.
-bool MayStall(const sim::Plant& plant) {
-  const auto& names = plant.internal_state_names();
-  return std::any_of(names.begin(), names.end(),
-                     [](const std::string& name) { return !name.starts_with(kLagState); });
-}
-
 double Sum(const std::vector<double>& of) { return std::accumulate(of.begin(), of.end(), 0.0); }
 
 // Parameters, the plant's values with them, states, and χ² of the windows simulated from these.
@@ -300,7 +293,8 @@ class LiftedFit {
   const double inverse_scale_ = 1.0 / options_.noise_scale;
   Lineariser lin_{data_, model_, false, options_};
   const double simulation_ = SimulationWork(data_, options_, lin_.nx());
-  const bool hidden_ = lin_.nx() > 2 * data_.n, may_stall_ = MayStall(model_.plant);
+  // A mass that has to find its swing, or a motor its face, may stall for a while and then come near.
+  const bool hidden_ = lin_.nx() > 2 * data_.n, may_stall_ = HasFreeStates(model_.plant);
   VectorXd theta0_, prior_, lower_, upper_, sigma_;  // P
   std::vector<ArrivalCost> loose_;
 
@@ -318,6 +312,19 @@ class LiftedFit {
 };
 
 }  // namespace
+
+int MotorOf(const sim::Plant& plant, const std::string& joint) {
+  const auto& names = plant.internal_state_names();
+  const auto at = std::ranges::find(names, "motor_position." + joint);
+  return at == names.end() ? -1 : static_cast<int>(at - names.begin());
+}
+
+bool HasStatesBut(std::initializer_list<std::string_view> kinds, const sim::Plant& plant) {
+  const auto& names = plant.internal_state_names();
+  return std::ranges::any_of(names, [&](const std::string& name) {
+    return std::ranges::none_of(kinds, [&](auto kind) { return name.starts_with(kind); });
+  });
+}
 
 FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& options,
               const NodeStates* from) {

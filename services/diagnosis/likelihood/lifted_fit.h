@@ -14,6 +14,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <initializer_list>
 #include <string_view>
 #include <vector>
 
@@ -59,6 +60,13 @@ double ScreenWork(const FitData& data, const LiftedOptions& options, long states
 // settles as soon as it slides; the joint's name follows.
 inline constexpr std::string_view kLagState = "lagged_torque.";
 inline constexpr std::string_view kBristleState = "bristle.";
+// Place of the position of a joint's motor, which a spring or play lets move, among the hidden states; its
+// speed follows. −1: none.
+int MotorOf(const sim::Plant& plant, const std::string& joint);
+// Whether a plant has hidden states of other kinds than these; any that the commands alone do not settle, as
+// they do a lag's.
+bool HasStatesBut(std::initializer_list<std::string_view> kinds, const sim::Plant& plant);
+inline bool HasFreeStates(const sim::Plant& plant) { return HasStatesBut({kLagState}, plant); }
 
 struct FitResult {
   Eigen::VectorXd values;

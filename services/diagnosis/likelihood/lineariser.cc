@@ -30,22 +30,12 @@ double SoftenedSum(const VectorXd& residuals) {
   return sum;
 }
 
-// Place of a joint's motor among the internal states; their number: it has none.
-int MotorOf(const sim::Plant& plant, const std::string& joint) {
-  const auto& names = plant.internal_state_names();
-  return static_cast<int>(std::find(names.begin(), names.end(), "motor_position." + joint) - names.begin());
-}
-
 std::vector<int> SensedMotors(const sim::Plant& plant) {
   std::vector<int> out(plant.num_joints(), -1);
-  const int states = static_cast<int>(plant.internal_state_names().size());
   for (const effects::EffectSpec& e : plant.effects()) {
     const auto sensor = e.options.find("sensor");
     if (sensor == e.options.end() || sensor->second != "motor") continue;
-    for (const std::string& joint : e.joints) {
-      const int motor = MotorOf(plant, joint);
-      if (motor < states) out[plant.model().FindJoint(joint)] = motor;
-    }
+    for (const std::string& joint : e.joints) out[plant.model().FindJoint(joint)] = MotorOf(plant, joint);
   }
   return out;
 }
@@ -54,7 +44,7 @@ std::vector<int> SensedMotors(const sim::Plant& plant) {
 size_t NodesIn(const NodeWindow& window, double part) {
   const size_t all = window.t.size();
   if (part >= 1.0) return all;
-  const auto first = std::find(window.measured.begin(), window.measured.end(), char{1});
+  const auto first = std::ranges::find(window.measured, char{1});
   const auto needed = static_cast<size_t>(first - window.measured.begin()) + 1;
   const auto some = static_cast<size_t>(std::lround(part * static_cast<double>(all)));
   return std::min(all, std::max({size_t{3}, needed, some}));
@@ -144,8 +134,8 @@ void Lineariser::FreeStarts() {
   if (options_.free_hidden) return;
   starts_.rightCols(nx_ - 2 * n_).setZero();
   for (int j = 0; j < n_; ++j) {
-    const int motor = 2 * n_ + MotorOf(probe_.plant, probe_.plant.joint_names()[j]);
-    if (motor < nx_) starts_(motor, j) = starts_(motor + 1, n_ + j) = 1.0;
+    const int motor = MotorOf(probe_.plant, probe_.plant.joint_names()[j]);
+    if (motor >= 0) starts_(2 * n_ + motor, j) = starts_(2 * n_ + motor + 1, n_ + j) = 1.0;
   }
 }
 
@@ -251,8 +241,7 @@ void Lineariser::TieLags(const NodeWindow& window, const VectorXd& x0, Worker* w
 bool Lineariser::Recorded(int recording, double from, double to) const {
   const auto& gaps = data_.fine[recording].gaps;
   return from >= data_.recordings[recording].recording->t[0] &&
-         std::none_of(gaps.begin(), gaps.end(),
-                      [&](const auto& gap) { return gap.first < to && gap.second > from; });
+         std::ranges::none_of(gaps, [&](const auto& gap) { return gap.first < to && gap.second > from; });
 }
 
 // Simulates from every node to the next, with sensitivities; outputs at the rows after a node, the rows

@@ -1,7 +1,6 @@
 #include "services/diagnosis/likelihood/move_states.h"
 
 #include <algorithm>
-#include <cmath>
 #include <utility>
 
 #include "services/sysid/parallel.h"
@@ -110,7 +109,7 @@ void ChooseFaces(const FitData& data, Lineariser& lin, int threads, double noise
   std::vector<VectorXd> ends;
   for (const MatrixXd& s : *states) ends.push_back(s.col(s.cols() - 1));
   sysid::ParallelFor(threads, W, [&](int worker, int w) {
-    if (per_row[static_cast<size_t>(w)] < kUnusual * usual) return;
+    if (per_row[w] < kUnusual * usual) return;
     const bool goes_on = w > 0 && data.windows[w].recording == data.windows[w - 1].recording &&
                          data.windows[w].t.front() - data.windows[w - 1].t.back() == 0;
     const VectorXd* before = goes_on ? &ends[w - 1] : nullptr;

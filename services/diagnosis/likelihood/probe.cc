@@ -1,7 +1,6 @@
 #include "services/diagnosis/likelihood/probe.h"
 
 #include <algorithm>
-#include <cmath>
 #include <string>
 
 #include "common/base/check.h"
@@ -23,7 +22,7 @@ struct ZeroTorque {
 bool HasOn(const sim::Plant& plant, const std::string& id, const std::string& joint) {
   for (const effects::EffectSpec& e : plant.effects()) {
     if (e.id != id) continue;
-    if (e.joints.empty() || std::find(e.joints.begin(), e.joints.end(), joint) != e.joints.end()) return true;
+    if (e.joints.empty() || std::ranges::find(e.joints, joint) != e.joints.end()) return true;
   }
   return false;
 }

@@ -87,7 +87,7 @@ double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates
   const int P = screen.parameters;
   MatrixXd H = screen.gram.topLeftCorner(P, P);
   VectorXd unit(P);
-  for (int i = 0; i < P; ++i) unit[i] = model.parameters[static_cast<size_t>(i)].prior_stddev;
+  for (int i = 0; i < P; ++i) unit[i] = model.parameters[i].prior_stddev;
   H = unit.asDiagonal() * H * unit.asDiagonal();
   H.diagonal().array() += 1.0;
   const VectorXd g = unit.cwiseProduct(screen.step_rule);

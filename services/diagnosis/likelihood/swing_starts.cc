@@ -68,17 +68,15 @@ model::Frame FrameOf(const model::RobotModel& model, const EffectSpec& mass) {
 
 }  // namespace
 
-bool HasPendulum(const std::vector<EffectSpec>& specs) {
-  return std::any_of(specs.begin(), specs.end(), OnRod);
-}
+bool HasPendulum(const std::vector<EffectSpec>& specs) { return std::ranges::any_of(specs, OnRod); }
 
 bool HasMassInSprings(const std::vector<EffectSpec>& specs) {
-  return std::any_of(specs.begin(), specs.end(),
-                     [](const EffectSpec& e) { return e.id == effects::SwingingMass().id && !OnRod(e); });
+  return std::ranges::any_of(
+      specs, [](const EffectSpec& e) { return e.id == effects::SwingingMass().id && !OnRod(e); });
 }
 
 bool SwingsOnLastLink(const std::vector<EffectSpec>& specs) {
-  return std::any_of(specs.begin(), specs.end(), [](const EffectSpec& e) {
+  return std::ranges::any_of(specs, [](const EffectSpec& e) {
     const auto point = e.options.find("point");
     return e.id == effects::SwingingMass().id && point != e.options.end() && point->second == "last_link";
   });
@@ -162,7 +160,7 @@ double TypicalChi2(const FitData& data, const std::vector<double>& window_chi2, 
                    double share) {
   if (window_chi2.empty()) return std::numeric_limits<double>::infinity();
   std::vector<double> sorted = window_chi2;
-  std::sort(sorted.begin(), sorted.end());
+  std::ranges::sort(sorted);
   sorted.resize(std::max<size_t>(1, static_cast<size_t>(share * static_cast<double>(sorted.size()))));
   return std::accumulate(sorted.begin(), sorted.end(), 0.0) /
          (RowsPerWindow(data) * static_cast<double>(sorted.size()) * noise_scale);
@@ -192,7 +190,7 @@ std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal
   rod.options = springs.options;
   rod.options["form"] = "rod";
   std::array<int, 3> axes = {0, 1, 2};
-  std::stable_sort(axes.begin(), axes.end(), [&](int a, int b) { return along[a] < along[b]; });
+  std::ranges::stable_sort(axes, [&](int a, int b) { return along[a] < along[b]; });
   std::vector<EffectSpec> out;
   for (const int axis : axes) {
     rod.options["hinge"] = std::string(1, "xyz"[axis]);

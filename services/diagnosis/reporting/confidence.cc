@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/likelihood/candidate.h"
 
 namespace rg::diagnosis {
 namespace {
@@ -42,16 +43,15 @@ bool OfDrives(const Finding& f, int joints) {
 
 // Of a finding among three or more, without an unnamed force.
 double RateOfMany(const Finding& f, const std::vector<Finding>& findings, int joints) {
-  const auto losses = std::count_if(findings.begin(), findings.end(), [&](const Finding& g) {
-    return IsLossOfDrives(g.effect) && OfDrives(g, joints);
-  });
+  const auto losses = std::ranges::count_if(
+      findings, [&](const Finding& g) { return IsLossOfDrives(g.effect) && OfDrives(g, joints); });
   if (losses < 2) return kMany;
   return OfDrives(f, joints) ? kOfDrives : kOther;
 }
 
 // Of a finding whose rest is unexplained.
 double RateBesideUnnamed(const Finding& f, const std::vector<Finding>& findings) {
-  const bool same = std::any_of(findings.begin(), findings.end(), [&](const Finding& g) {
+  const bool same = std::ranges::any_of(findings, [&](const Finding& g) {
     return IsUnnamed(g.effect) && g.shows_over == f.shows_over &&
            std::find_first_of(g.joints.begin(), g.joints.end(), f.joints.begin(), f.joints.end()) !=
                g.joints.end();
@@ -79,14 +79,14 @@ double HitRate(const Finding& f, const std::string& verdict, bool measured, int 
 }  // namespace
 
 void Calibrate(const std::string& verdict, bool measured, int joints, std::vector<Finding>* findings) {
-  const auto names = static_cast<int>(std::count_if(findings->begin(), findings->end(), IsName));
+  const auto names = static_cast<int>(std::ranges::count_if(*findings, IsName));
   const bool alone = findings->size() == 1;
   for (Finding& f : *findings)
     f.confidence =
         std::min(f.confidence, HitRate(f, verdict, measured, names, alone, RateOfMany(f, *findings, joints),
                                        RateBesideUnnamed(f, *findings)));
   const auto side = [&](const Finding& f) { return f.effect == "parameters_only" && findings->size() > 1; };
-  std::stable_sort(findings->begin(), findings->end(), [&](const Finding& a, const Finding& b) {
+  std::ranges::stable_sort(*findings, [&](const Finding& a, const Finding& b) {
     return side(a) != side(b) ? side(b) : a.confidence > b.confidence;
   });
   for (size_t i = 1; i < findings->size(); ++i) {

@@ -52,7 +52,7 @@ class Notes {
   const std::string& Name(int j) const { return model_.joint(j).name; }
   std::string Unit(int j) const { return model_.joint(j).is_revolute() ? "rad" : "m"; }
   std::string EffortUnit(int j) const { return model_.joint(j).is_revolute() ? "N m" : "N"; }
-  const JointFigures& Of(int j) const { return s_.joints[static_cast<size_t>(j)]; }
+  const JointFigures& Of(int j) const { return s_.joints[j]; }
 
   void Still() {
     for (const StillJoint& still : StillJoints(s_)) {
@@ -107,7 +107,7 @@ class Notes {
   static std::string EffectsThatNeed(Need need) {
     std::vector<std::string> ids;
     for (const effects::EffectInfo& info : effects::Catalog()) {
-      if (std::find(info.needs.begin(), info.needs.end(), need) != info.needs.end()) ids.push_back(info.id);
+      if (std::ranges::find(info.needs, need) != info.needs.end()) ids.push_back(info.id);
     }
     return Listed(ids);
   }
@@ -211,14 +211,14 @@ std::vector<std::string> NotesOnMeasurement(const std::vector<std::string>& name
                                             const MeasuredEffort& measured) {
   if (!measured.active) return {};
   std::vector<std::string> notes, early, rest;
-  for (const int j : measured.early) early.push_back(names[static_cast<size_t>(j)]);
+  for (const int j : measured.early) early.push_back(names[j]);
   if (!early.empty()) {
     notes.push_back("the effort of " + Listed(early) +
                     " lags the motion that it makes: it is filtered or stamped late, which no effect of the "
                     "catalogue does");
   }
   for (size_t j = 0; j < names.size(); ++j) {
-    const double share = measured.effort_share[static_cast<Eigen::Index>(j)];
+    const double share = measured.effort_share[j];
     if (share > kLeastRest) rest.push_back(names[j] + " " + Number(100 * share) + " %");
   }
   if (!rest.empty()) notes.push_back("of the effort's variance the findings leave: " + Listed(rest));

@@ -60,13 +60,11 @@ std::vector<std::string> JointsOf(const std::vector<EffectSpec>& specs, const st
 bool HasLaw(const std::vector<EffectSpec>& specs, const std::vector<EffectSpec>& best,
             const std::string& id) {
   const auto richer_there = [&](const EffectSpec& own) {
-    return std::any_of(specs.begin(), specs.end(), [&](const EffectSpec& e) {
-      return IsRicherFormOf(e.id, id) && e.joints == own.joints;
-    });
+    return std::ranges::any_of(
+        specs, [&](const EffectSpec& e) { return IsRicherFormOf(e.id, id) && e.joints == own.joints; });
   };
-  return HasKind(specs, id) || std::all_of(best.begin(), best.end(), [&](const EffectSpec& own) {
-           return own.id != id || richer_there(own);
-         });
+  return HasKind(specs, id) ||
+         std::ranges::all_of(best, [&](const EffectSpec& own) { return own.id != id || richer_there(own); });
 }
 
 // Score of the best fitted model without effect `id`, hold-out predictive density included where known.
@@ -134,7 +132,7 @@ class FindingsBuilder {
     }
     // With a measured effort χ² cannot reach 1: most of the misfit must be explained.
     const bool unexplained = s_.measured.active ? Remains() : MostIsLeft();
-    const bool unnamed = std::any_of(ids.begin(), ids.end(), IsUnnamed);
+    const bool unnamed = std::ranges::any_of(ids, IsUnnamed);
     for (const std::string& id : ids) {
       if (!PartOfField(id)) r_.findings.push_back(FindingOf(id));
     }
@@ -169,11 +167,11 @@ class FindingsBuilder {
   // Joints that never moved appear only in the notes.
   bool Silent(const std::string& joint) const {
     const int j = nominal_.model().FindJoint(joint);
-    return j >= 0 && scales_.still[static_cast<size_t>(j)];
+    return j >= 0 && scales_.still[j];
   }
   bool OfStillJoints(const EffectSpec& e) const {
     return !e.joints.empty() &&
-           std::all_of(e.joints.begin(), e.joints.end(), [&](const std::string& j) { return Silent(j); });
+           std::ranges::all_of(e.joints, [&](const std::string& j) { return Silent(j); });
   }
 
   // Whether the effect merely corrects the coarse nodes of an unnamed force over the same joint's position.
@@ -181,13 +179,12 @@ class FindingsBuilder {
     const auto& all = s_.best.specs;
     const auto in_field = [&](const EffectSpec& part) {
       const std::string& joint = part.joints[0];
-      return FieldVariable(all, joint) == "position" ||
-             std::any_of(all.begin(), all.end(),
-                         [&](const EffectSpec& e) { return IsSurface(e.id) && Contains({e}, e.id, joint); });
+      return FieldVariable(all, joint) == "position" || std::ranges::any_of(all, [&](const EffectSpec& e) {
+               return IsSurface(e.id) && Contains({e}, e.id, joint);
+             });
     };
     return IsOfPosition(id) && !IsUnnamed(id) &&
-           std::all_of(all.begin(), all.end(),
-                       [&](const EffectSpec& e) { return e.id != id || in_field(e); });
+           std::ranges::all_of(all, [&](const EffectSpec& e) { return e.id != id || in_field(e); });
   }
 
   // Log evidence of free base parameters given the same effects.
@@ -233,21 +230,20 @@ class FindingsBuilder {
 
   // The effect of that id on the owner; for "*" the first.
   const EffectSpec& SpecOf(const std::string& id, const std::string& owner) const {
-    return *std::find_if(s_.best.specs.begin(), s_.best.specs.end(), [&](const EffectSpec& e) {
-      return e.id == id && (owner == "*" || e.joints.empty() ||
-                            std::find(e.joints.begin(), e.joints.end(), owner) != e.joints.end());
+    return *std::ranges::find_if(s_.best.specs, [&](const EffectSpec& e) {
+      return e.id == id &&
+             (owner == "*" || e.joints.empty() || std::ranges::find(e.joints, owner) != e.joints.end());
     });
   }
 
   void FillParameters(const std::string& id, Finding* f) {
     for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
-      const sim::Parameter& p = s_.best.plant->parameters()[s_.best.parameters[k].index];
+      const sim::Parameter& p = s_.best.Free(k);
       // The 36 weights of a surface are in model.json only.
-      const bool of_it = p.owner == "*" || f->joints.empty() ||
-                         std::find(f->joints.begin(), f->joints.end(), p.owner) != f->joints.end();
+      const bool of_it =
+          p.owner == "*" || f->joints.empty() || std::ranges::find(f->joints, p.owner) != f->joints.end();
       if (p.effect != id || !of_it || IsSurface(id) || Silent(p.owner)) continue;
-      ParameterEstimate e{p.owner, p.field, p.unit, s_.best.fit.theta[static_cast<long>(k)],
-                          s_.best.fit.stddev[static_cast<long>(k)]};
+      ParameterEstimate e{p.owner, p.field, p.unit, s_.best.fit.theta[k], s_.best.fit.stddev[k]};
       f->parameters.push_back(e);
     }
     // diagnosis.json has a positive tilt and an azimuth within ±π.
@@ -330,7 +326,7 @@ class FindingsBuilder {
     if (other < 0) return;
     Alternative a;
     a.effect = id;
-    a.joints = {r_.joints[static_cast<size_t>(other)]};
+    a.joints = {r_.joints[other]};
     a.separable = a.by_motion = false;
     a.experiment = kScaleExperiment;
     f->alternatives.push_back(a);
@@ -346,11 +342,11 @@ class FindingsBuilder {
     double least = 1e300, most = 0, error = 0;
     int joints = 0;
     for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
-      const sim::Parameter& p = s_.best.plant->parameters()[s_.best.parameters[k].index];
+      const sim::Parameter& p = s_.best.Free(k);
       if (p.effect != id || p.field != "delay") continue;
-      const double delay = s_.best.fit.theta[static_cast<long>(k)];
+      const double delay = s_.best.fit.theta[k];
       least = std::min(least, delay), most = std::max(most, delay);
-      error = std::max(error, s_.best.fit.stddev[static_cast<long>(k)]);
+      error = std::max(error, s_.best.fit.stddev[k]);
       ++joints;
     }
     return joints == data_.n &&
@@ -371,17 +367,14 @@ class FindingsBuilder {
     };
     double peak = 0;
     for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
-      if (mine(s_.best.plant->parameters()[s_.best.parameters[k].index]))
-        peak = std::max(peak, std::abs(s_.best.fit.theta[static_cast<long>(k)]));
+      if (mine(s_.best.Free(k))) peak = std::max(peak, std::abs(s_.best.fit.theta[k]));
     }
     const double spacing = (high - low) / (pair ? 5 : 7);
     double first = high, last = low;
     for (size_t k = 0; k < s_.best.parameters.size(); ++k) {
-      const sim::Parameter& p = s_.best.plant->parameters()[s_.best.parameters[k].index];
-      const auto at = static_cast<long>(k);
-      if (!mine(p) || std::abs(s_.best.fit.theta[at]) < peak / 7 ||
-          std::abs(s_.best.fit.theta[at]) < 3 * s_.best.fit.stddev[at])
-        continue;
+      const sim::Parameter& p = s_.best.Free(k);
+      const double size = std::abs(s_.best.fit.theta[k]);
+      if (!mine(p) || size < peak / 7 || size < 3 * s_.best.fit.stddev[k]) continue;
       const double node = low + spacing * (p.field[pair && !own ? 2 : 1] - '0');
       first = std::min(first, node - spacing), last = std::max(last, node + spacing);
     }
@@ -391,15 +384,13 @@ class FindingsBuilder {
 
   void FillWhere(const std::string& id, Finding* f) {
     const auto& names = r_.joints;
+    const auto on = [&](const std::string& joint) {
+      return f->joints.empty() || std::ranges::find(f->joints, joint) != f->joints.end();
+    };
     double share = 0;
-    for (size_t j = 0; j < names.size(); ++j) {
-      if (f->joints.empty() || std::find(f->joints.begin(), f->joints.end(), names[j]) != f->joints.end()) {
-        share += r_.joint_share[static_cast<long>(j)];
-      }
-    }
+    for (size_t j = 0; j < names.size(); ++j) share += on(names[j]) ? r_.joint_share[j] : 0.0;
     f->share_of_mismatch = std::clamp(share, 0.0, 1.0);
-    const std::string who = f->joints.empty() ? "all joints" : Listed(f->joints);
-    f->summary = who;
+    f->summary = f->joints.empty() ? "all joints" : Listed(f->joints);
     for (const std::string& joint : f->joints) {
       const int j = nominal_.model().FindJoint(joint);
       const Variable over = effects::ShowsOver(SpecOf(id, joint));
@@ -422,10 +413,7 @@ class FindingsBuilder {
     for (size_t w = 0; w < s_.missing.force.size(); ++w) {
       double sum = 0;
       for (size_t j = 0; j < names.size(); ++j) {
-        if (!f->joints.empty() && std::find(f->joints.begin(), f->joints.end(), names[j]) == f->joints.end())
-          continue;
-        const auto row = static_cast<long>(j);
-        sum += (s_.missing.force[w].row(row) / scales_.torque[row]).squaredNorm();
+        if (on(names[j])) sum += (s_.missing.force[w].row(j) / scales_.torque[j]).squaredNorm();
       }
       loud.push_back({sum, w});
     }
@@ -435,10 +423,12 @@ class FindingsBuilder {
       const recordings::Recording& rec = *data_.recordings[w.recording].recording;
       f->windows.push_back({rec.name, w.t.front() + rec.time_offset, w.t.back() + rec.time_offset});
     }
-    f->summary +=
-        ", most in " + (f->windows.empty() ? std::string("no window") : f->windows[0].recording) +
-        (f->windows.empty() ? ""
-                            : " around " + Number(0.5 * (f->windows[0].start + f->windows[0].end)) + " s");
+    if (f->windows.empty()) {
+      f->summary += ", most in no window";
+    } else {
+      const TimeWindow& most = f->windows[0];
+      f->summary += ", most in " + most.recording + " around " + Number(0.5 * (most.start + most.end)) + " s";
+    }
   }
 
   // The joint of an unexplained force, and a second one if that adds enough: by the log evidence of a free
@@ -491,10 +481,10 @@ class FindingsBuilder {
     const Candidate& c = s_.best;
     int moved = 0;
     for (size_t k = 0; k < c.parameters.size(); ++k) {
-      const sim::Parameter& p = c.plant->parameters()[c.parameters[k].index];
+      const sim::Parameter& p = c.Free(k);
       // A rotor inertia that the URDF cannot declare is not an error of it.
       if (p.kind == sim::ParameterKind::kEffect || p.kind == sim::ParameterKind::kArmature) continue;
-      const double value = c.fit.theta[static_cast<long>(k)], sd = c.fit.stddev[static_cast<long>(k)];
+      const double value = c.fit.theta[k], sd = c.fit.stddev[k];
       f.parameters.push_back({p.owner, p.field, p.unit, value, sd});
       moved += std::abs(value - p.nominal) > 3 * sd;
     }

@@ -18,13 +18,12 @@ std::vector<LedgerRow> LedgerOf(const SearchResult& search) {
   const Candidate &without = search.calibrated, &best = search.best;
   for (size_t k = 0; k < without.parameters.size(); ++k) {
     const auto& p = without.parameters[k];
-    LedgerRow row{p.name,    p.unit,        p.nominal, without.fit.theta[static_cast<long>(k)],
-                  p.nominal, p.prior_stddev};
+    LedgerRow row{p.name, p.unit, p.nominal, without.fit.theta[k], p.nominal, p.prior_stddev};
     const int at = best.plant->parameters().Find(p.name);
     if (at >= 0) row.final = best.fit.values[at];
     out.push_back(row);
   }
-  std::sort(out.begin(), out.end(), [](const LedgerRow& a, const LedgerRow& b) {
+  std::ranges::sort(out, [](const LedgerRow& a, const LedgerRow& b) {
     return std::abs(a.final - a.calibrated) / a.prior_stddev >
            std::abs(b.final - b.calibrated) / b.prior_stddev;
   });

@@ -228,7 +228,7 @@ void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal
     worse += after2 > calibrated2;
   }
   h.worse_than_calibrated = worse / static_cast<double>(kBootstraps);
-  std::sort(gains.begin(), gains.end());
+  std::ranges::sort(gains);
   if (!runs) {
     h.improvement_low = h.improvement_high = kUnknown;
   } else if (!gains.empty()) {

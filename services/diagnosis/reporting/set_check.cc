@@ -22,7 +22,7 @@ std::map<std::string, double> LockedJoints(const recordings::RecordingSet& set) 
   if (!document.ok()) return set.locked;
   for (const model::UrdfJoint& joint : document->joints) {
     if (joint.is_fixed || joint.mimic) continue;
-    if (std::find(set.joints.begin(), set.joints.end(), joint.name) != set.joints.end()) continue;
+    if (std::ranges::find(set.joints, joint.name) != set.joints.end()) continue;
     const auto at = set.locked.find(joint.name);
     out[joint.name] = at == set.locked.end() ? 0.0 : at->second;
   }

@@ -30,7 +30,7 @@ json FileJson(const FileFigures& f) {
 
 json JointJson(const recordings::RecordingSet& set, const sim::Plant& plant, const MotionSurvey& s, int j) {
   const model::Joint& joint = plant.model().joint(j);
-  const JointFigures& f = s.joints[static_cast<size_t>(j)];
+  const JointFigures& f = s.joints[j];
   json out = {{"joint", joint.name},
               {"type", model::JointTypeName(joint.type)},
               {"moved", f.moved},
@@ -87,8 +87,7 @@ json CheckJson(const recordings::RecordingSet& set, const sim::Plant& plant, con
       {"refusal", check.refusal.ok() ? json(nullptr) : json(check.refusal.message())}};
   for (const FileFigures& f : check.survey.files) out["recordings"].push_back(FileJson(f));
   for (int j = 0; j < check.survey.n; ++j) out["joints"].push_back(JointJson(set, plant, check.survey, j));
-  for (const StillJoint& s : StillJoints(check.survey))
-    out["joints"][static_cast<size_t>(s.joint)]["holds_against"] = s.withstood;
+  for (const StillJoint& s : StillJoints(check.survey)) out["joints"][s.joint]["holds_against"] = s.withstood;
   for (const EffectShows& e : effects) out["effects"].push_back(EffectJson(e));
   return out;
 }

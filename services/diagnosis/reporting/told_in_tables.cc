@@ -30,9 +30,9 @@ std::string WithError(double value, double stddev) {
 std::string ColumnOf(const std::vector<Finding>& findings, const Finding& f, const ParameterEstimate& p) {
   std::string unit = p.unit == "-" ? "" : " [" + p.unit + "]";
   for (size_t at; (at = unit.find('*')) != std::string::npos;) unit.replace(at, 1, "·");
-  const bool shared = std::any_of(findings.begin(), findings.end(), [&](const Finding& g) {
-    return g.effect != f.effect && std::any_of(g.parameters.begin(), g.parameters.end(),
-                                               [&](const ParameterEstimate& q) { return q.name == p.name; });
+  const bool shared = std::ranges::any_of(findings, [&](const Finding& g) {
+    return g.effect != f.effect &&
+           std::ranges::any_of(g.parameters, [&](const ParameterEstimate& q) { return q.name == p.name; });
   });
   return p.name + unit + (shared ? " of " + f.effect : "");
 }
@@ -62,10 +62,10 @@ JointTable ParametersOfJoints(const DiagnosisResult& r) {
     // The weights of an unnamed force have no meaning by themselves.
     if (effects::FindEffect(f.effect) == nullptr || effects::InferenceOf(f.effect).unnamed) continue;
     for (const ParameterEstimate& p : f.parameters) {
-      const auto at = std::find(r.joints.begin(), r.joints.end(), p.owner);
+      const auto at = std::ranges::find(r.joints, p.owner);
       if (at == r.joints.end()) continue;
       const std::string name = ColumnOf(r.findings, f, p);
-      auto column = std::find(out.columns.begin(), out.columns.end(), name);
+      auto column = std::ranges::find(out.columns, name);
       if (column == out.columns.end()) {
         column = out.columns.insert(column, name);
         for (auto& row : out.cells) row.push_back("–");

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <optional>
 
 #include "common/dynamics/dynamics.h"
 #include "common/effects/effect_catalog.h"
@@ -12,7 +11,6 @@
 #include "common/model/robot_model.h"
 #include "services/diagnosis/data/words.h"
 #include "services/diagnosis/likelihood/candidate.h"
-#include "services/diagnosis/likelihood/features.h"
 #include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
@@ -52,6 +50,7 @@ struct Judged {
 };
 Judged Met(std::string within = "") { return {"", std::move(within)}; }
 Judged Not(std::string why) { return {std::move(why), ""}; }
+Judged MetIf(bool met, std::string why_not) { return met ? Met() : Not(std::move(why_not)); }
 
 class EffectJudge {
  public:
@@ -91,7 +90,7 @@ class EffectJudge {
 
  private:
   const std::string& Name(int j) const { return model_.joint(j).name; }
-  const JointFigures& Figures(int j) const { return s_.joints[static_cast<size_t>(j)]; }
+  const JointFigures& Figures(int j) const { return s_.joints[j]; }
 
   Judged OnJoint(const EffectInfo& info, int j) const {
     if (Figures(j).prescribed) return Not("moves as measured");
@@ -115,81 +114,50 @@ class EffectJudge {
   }
 
   Judged Has(Need need, int j) const {
+    const JointFigures& f = Figures(j);
+    const double rate = 1.0 / period_;
+    const std::string apart = "rows " + Number(1e3 * period_) + " ms apart are too rare";
     switch (need) {
       case Need::kBothWays:
-        return BothWays(j);
+        return MetIf(std::min(f.up, f.down) >= kOneWay * (f.up + f.down), "moves one way only");
       case Need::kManySpeeds:
-        return ManySpeeds(j);
+        return MetIf(f.fast >= kSpeedsApart * f.slow, "moves at one speed only (" + Number(f.fast) + ")");
       case Need::kSlowMotion:
-        return SlowMotion(j);
+        return MetIf(f.slow_rows >= kSlowRows, "hardly moves slowly (" + std::to_string(f.slow_rows) +
+                                                   " rows below a tenth of its usual speed)");
       case Need::kDenseRows:
-        return DenseRows();
+        return MetIf(rate >= kRateOfReversals, apart);
       case Need::kResonances:
-        return Resonances();
+        return rate >= kRateOfResonances ? Met("vibrations below " + Number(rate / 4) + " Hz")
+                                         : Not(apart + " for vibrations");
       case Need::kAcceleration:
-        return Acceleration(j);
+        return MetIf(f.acceleration >= kAboveNoise * f.acceleration_noise,
+                     "its accelerations do not stand out of their noise");
       case Need::kTravel:
         return Travel(j);
       case Need::kPeriods:
         return Periods(j);
       case Need::kPosture:
-        return posture_[j] > kChange ? Met() : Not("the torques do not change with its position");
+        return MetIf(posture_[j] > kChange, "the torques do not change with its position");
       case Need::kTilt:
-        return tilt_[j] > kChange ? Met() : Not("its torque does not change with the direction of gravity");
+        return MetIf(tilt_[j] > kChange, "its torque does not change with the direction of gravity");
       case Need::kLastMass:
-        return last_mass_[j] > kChange ? Met() : Not("its torque does not change with the last link's mass");
+        return MetIf(last_mass_[j] > kChange, "its torque does not change with the last link's mass");
       case Need::kEffort:
-        return Effort(j);
+        return MetIf(f.effort_stddev > kEffortChanges * f.peak_effort, "its effort hardly changes");
       case Need::kEffortSign:
-        return EffortSign(j);
+        return MetIf(std::min(-f.effort_least, f.effort_most) > kEitherSign * f.peak_effort,
+                     "its effort keeps its sign");
       case Need::kPeakEffort:
         return Met("limits below its peak effort");
       case Need::kLoad:
-        return Load(j);
+        return MetIf(f.load_stddev > kLoadChanges * f.load_mean, "its load hardly changes while it moves");
       case Need::kWarming:
         return Warming(j);
       case Need::kOtherEffort:
         return OtherEffort(j);
     }
     return Met();
-  }
-
-  Judged BothWays(int j) const {
-    const JointFigures& f = Figures(j);
-    const double less = std::min(f.up, f.down), all = f.up + f.down;
-    return less >= kOneWay * all ? Met() : Not("moves one way only");
-  }
-
-  Judged ManySpeeds(int j) const {
-    const JointFigures& f = Figures(j);
-    return f.fast >= kSpeedsApart * f.slow ? Met() : Not("moves at one speed only (" + Number(f.fast) + ")");
-  }
-
-  Judged SlowMotion(int j) const {
-    const int rows = Figures(j).slow_rows;
-    return rows >= kSlowRows ? Met()
-                             : Not("hardly moves slowly (" + std::to_string(rows) +
-                                   " rows below a tenth of its usual speed)");
-  }
-
-  Judged DenseRows() const {
-    return 1.0 / period_ >= kRateOfReversals
-               ? Met()
-               : Not("rows " + Number(1e3 * period_) + " ms apart are too rare");
-  }
-
-  Judged Resonances() const {
-    const double rate = 1.0 / period_;
-    return rate >= kRateOfResonances
-               ? Met("vibrations below " + Number(rate / 4) + " Hz")
-               : Not("rows " + Number(1e3 * period_) + " ms apart are too rare for vibrations");
-  }
-
-  Judged Acceleration(int j) const {
-    const JointFigures& f = Figures(j);
-    return f.acceleration >= kAboveNoise * f.acceleration_noise
-               ? Met()
-               : Not("its accelerations do not stand out of their noise");
   }
 
   Judged Travel(int j) const {
@@ -208,22 +176,6 @@ class EffectJudge {
     const double most = std::min(kMostRipples, 2 * M_PI / (4 * period_ * std::max(1e-9, f.slow)));
     if (least > most) return Not("travels too little, or too fast for its rows, to see a ripple's periods");
     return Met("with " + Number(effects::TorqueRipple::kLeastPeriods) + " of a period or more in its travel");
-  }
-
-  Judged Effort(int j) const {
-    const JointFigures& f = Figures(j);
-    return f.effort_stddev > kEffortChanges * f.peak_effort ? Met() : Not("its effort hardly changes");
-  }
-
-  Judged EffortSign(int j) const {
-    const JointFigures& f = Figures(j);
-    const double least = kEitherSign * f.peak_effort;
-    return f.effort_least < -least && f.effort_most > least ? Met() : Not("its effort keeps its sign");
-  }
-
-  Judged Load(int j) const {
-    const JointFigures& f = Figures(j);
-    return f.load_stddev > kLoadChanges * f.load_mean ? Met() : Not("its load hardly changes while it moves");
   }
 
   Judged Warming(int j) const {

@@ -45,7 +45,7 @@ std::map<std::string, std::set<std::string>> Added(const Candidate& best, const 
 // joints.
 bool HasOnlyMoreOfDrives(const Candidate& best, const Candidate& c) {
   const auto fresh = Added(best, c);
-  return std::all_of(fresh.begin(), fresh.end(), [&](const auto& added) {
+  return std::ranges::all_of(fresh, [&](const auto& added) {
     const std::string& id = added.first;
     return HasKind(best.specs, id) && (IsLossOfDrives(id) || IsTiming(id));
   });
@@ -63,7 +63,7 @@ void Acceptance::Note(const ScreenResult& screened, const std::vector<std::strin
 void Acceptance::NoteStepRules(const ScreenResult& screened, const std::vector<std::string>& joint_names) {
   for (const Scored& h : screened.hypotheses) {
     std::set<std::string> joints;
-    for (const int j : h.joints) joints.insert(joint_names[static_cast<size_t>(j)]);
+    for (const int j : h.joints) joints.insert(joint_names[j]);
     double& known = step_rule_[h.effect + WithSpaces(joints)];
     known = std::max(known, std::sqrt(2 * std::max(0.0, h.step_rule)));
   }
@@ -146,7 +146,7 @@ std::vector<Candidate> PlainRivals(const std::map<std::string, Candidate>& tried
     if (!IsPart(before.specs, c.specs)) continue;
     if (!HasFreeStates(c) && !HasUnnamed(c) && FreshKinds(before, c).size() <= kinds) out.push_back(c);
   }
-  std::sort(out.begin(), out.end(), [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
+  std::ranges::sort(out, [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
   if (out.size() > most) out.resize(most);
   return out;
 }

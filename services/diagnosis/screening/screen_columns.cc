@@ -29,7 +29,7 @@ std::vector<effects::EffectSpec> WithProbes(const std::vector<effects::EffectSpe
                                             const sim::Plant& plant) {
   std::vector<effects::EffectSpec> out = held;
   for (int j = 0; j < plant.num_joints(); ++j) {
-    const std::string& joint = plant.joint_names()[static_cast<size_t>(j)];
+    const std::string& joint = plant.joint_names()[j];
     for (const effects::EffectInfo& probe : effects::Catalog()) {
       if (IsOfSensor(probe.id) && plant.Takes(probe.id, j) && !Contains(held, probe.id, joint))
         out.push_back(effects::MakeSpec(probe.id, {joint}));

@@ -43,7 +43,7 @@ struct Group {
 bool HasSign(const EffectInfo& effect) {
   const auto& terms = effects::InferenceOf(effect.id).terms;
   return terms.empty() ? effect.parameters[0].lower >= 0
-                       : std::any_of(terms.begin(), terms.end(), [](const Term& t) { return t.positive; });
+                       : std::ranges::any_of(terms, [](const Term& t) { return t.positive; });
 }
 
 class Scorer {
@@ -67,8 +67,7 @@ class Scorer {
     }
     ScreenResult out;
     for (auto& [key, s] : best) out.hypotheses.push_back(s);
-    std::sort(out.hypotheses.begin(), out.hypotheses.end(),
-              [](const Scored& a, const Scored& b) { return a.gain > b.gain; });
+    std::ranges::sort(out.hypotheses, [](const Scored& a, const Scored& b) { return a.gain > b.gain; });
     out.null_gain = NullGain();
     Combine(&out);
     return out;
@@ -105,7 +104,7 @@ class Scorer {
     }
     const auto standardised = [&](const std::vector<int>& of, const auto& x) {
       typename std::decay_t<decltype(x)> rows(static_cast<long>(of.size()), x.cols());
-      for (size_t i = 0; i < of.size(); ++i) rows.row(static_cast<long>(i)) = x.row(of[i]) * unit[of[i]];
+      for (size_t i = 0; i < of.size(); ++i) rows.row(i) = x.row(of[i]) * unit[of[i]];
       return rows;
     };
     null_ = standardised(free, screen.null);
@@ -340,7 +339,7 @@ class Scorer {
   };
 
   void Add(int index, Reduced* r) const {
-    const Group& g = groups_[static_cast<size_t>(index)];
+    const Group& g = groups_[index];
     const Solved solved = Solve(g, r->G);
     const int m = static_cast<int>(g.columns.size());
     MatrixXd C = MatrixXd::Zero(r->G.rows(), m);
@@ -360,7 +359,7 @@ class Scorer {
                   std::max<double>(1.0, static_cast<double>(g.joints.size()));
     cost -= kEffectPrior * (std::max<double>(1.0, static_cast<double>(g.joints.size())) - 1);
     for (const int other : chosen) {
-      if (groups_[static_cast<size_t>(other)].effect == g.effect) return cost - kEffectPrior;
+      if (groups_[other].effect == g.effect) return cost - kEffectPrior;
     }
     return cost;
   }
@@ -381,12 +380,12 @@ class Scorer {
 
   bool Overlaps(const Group& g, const std::vector<int>& chosen) const {
     for (const int c : chosen) {
-      const Group& other = groups_[static_cast<size_t>(c)];
+      const Group& other = groups_[c];
       if (other.effect != g.effect) continue;
       if (other.joints == g.joints) return true;
       if (effects::FindEffect(g.effect)->scope == effects::Scope::kJointPair) continue;
       for (const int j : g.joints) {
-        if (std::find(other.joints.begin(), other.joints.end(), j) != other.joints.end()) return true;
+        if (std::ranges::find(other.joints, j) != other.joints.end()) return true;
       }
     }
     return false;
@@ -396,22 +395,21 @@ class Scorer {
   bool Together(const Reduced& r, Combination* out) const {
     Group all;
     for (const int i : r.groups) {
-      const Group& g = groups_[static_cast<size_t>(i)];
+      const Group& g = groups_[i];
       all.columns.insert(all.columns.end(), g.columns.begin(), g.columns.end());
     }
     const Solved solved = Solve(all, G_);
     VectorXd rhs(static_cast<long>(all.columns.size()));
-    for (long i = 0; i < rhs.size(); ++i) rhs[i] = Total(b_, all.columns[static_cast<size_t>(i)]);
+    for (long i = 0; i < rhs.size(); ++i) rhs[i] = Total(b_, all.columns[i]);
     const VectorXd c = solved.inverse * rhs;
     long at = 0;
     for (const int i : r.groups) {
-      const Group& g = groups_[static_cast<size_t>(i)];
+      const Group& g = groups_[i];
       const VectorXd own = c.segment(at, static_cast<long>(g.columns.size()));
       if (!Admissible(g, own)) return false;
       Scored part;
       part.effect = g.effect, part.joints = g.joints, part.shape = g.shape, part.shape_end = g.shape_end;
-      for (long k = 0; k < own.size(); ++k)
-        part.coefficients.push_back(own[k] * g.scale[static_cast<size_t>(k)]);
+      for (long k = 0; k < own.size(); ++k) part.coefficients.push_back(own[k] * g.scale[k]);
       out->parts.push_back(std::move(part));
       at += own.size();
     }
@@ -429,13 +427,13 @@ class Scorer {
       const double gain = Score(groups_[i], Solve(groups_[i], G_), b_, true).gain - Structure(groups_[i], {});
       if (gain > 0) first.push_back({gain, static_cast<int>(i)});
     }
-    std::sort(first.begin(), first.end(), [](const auto& a, const auto& b) {
+    std::ranges::sort(first, [](const auto& a, const auto& b) {
       return a.first > b.first || (a.first == b.first && a.second < b.second);
     });
     std::set<std::string> grown;
     std::set<std::pair<std::string, std::vector<int>>> paired;
     for (const auto& [gain, index] : first) {
-      const Group& g = groups_[static_cast<size_t>(index)];
+      const Group& g = groups_[index];
       const bool grows = grown.size() < kGrown && g.joints.size() == 1 && grown.insert(g.effect).second;
       const bool pairs = paired.size() < kPaired && paired.insert({g.effect, g.joints}).second;
       if (!grows && !pairs) continue;
@@ -460,8 +458,8 @@ class Scorer {
       }
     }
     for (auto* list : {&out->sets, &out->pairs}) {
-      std::stable_sort(list->begin(), list->end(),
-                       [](const Combination& a, const Combination& b) { return a.gain > b.gain; });
+      std::ranges::stable_sort(*list,
+                               [](const Combination& a, const Combination& b) { return a.gain > b.gain; });
     }
   }
 
@@ -479,7 +477,7 @@ class Scorer {
       largest.push_back(best);
     }
     if (largest.empty()) return 0;
-    std::sort(largest.begin(), largest.end());
+    std::ranges::sort(largest);
     return largest[static_cast<size_t>(kNullQuantile * (static_cast<double>(largest.size()) - 1))];
   }
 

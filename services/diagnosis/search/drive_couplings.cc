@@ -1,5 +1,4 @@
 // Whether a drive among all turns with two joints: a step of DriveSearch.
-#include <algorithm>
 
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
@@ -46,7 +45,7 @@ void DriveSearch::Couple(Candidate* best) {
     const int other = setting_.nominal.model().joint(j).parent;
     const bool fits = other >= 0 && other < setting_.data.n && Contains(specs, dry, names[j]) &&
                       setting_.nominal.Takes(coupling, j) && setting_.nominal.Takes(coupling, other);
-    if (!fits || Contains(given_, dry, names[j])) continue;
+    if (!fits || Contains(state_.given, dry, names[j])) continue;
     const DriveLosses losses = {ValueOn(specs, Regressor::kVelocity, names[j]),
                                 ValueOn(specs, Regressor::kDirection, names[j]),
                                 ValueOn(specs, Regressor::kAcceleration, names[j])};

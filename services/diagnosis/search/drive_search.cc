@@ -38,8 +38,7 @@ const std::string kTimings[] = {LawOf(Regressor::kLagging).id, LawOf(Regressor::
 
 bool IsLoss(const std::string& id) {
   const effects::EffectInfo* info = effects::FindEffect(id);
-  return std::count(kLosses.begin(), kLosses.end(), id) > 0 ||
-         (info != nullptr && info->family == "friction");
+  return std::ranges::count(kLosses, id) > 0 || (info != nullptr && info->family == "friction");
 }
 
 // As a start of other fits, inadmissible or not.
@@ -75,13 +74,13 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
     if (LeavesSomething(best) && (Left(best) < kUseful * before || TakeNearest(kept, &best))) continue;
     if (!leaves(kCloser)) break;
     Candidate with = drives;
-    beside_(drives, &with);
-    if (!(Left(with) < kUseful * Left(best)) && !fits_.Late()) transmission_(drives, &with);
+    step_.AddPromised(drives, &with);
+    if (!(Left(with) < kUseful * Left(best)) && !fits_.Late()) step_.AddTransmission(drives, &with);
     if (!(Left(with) < kUseful * Left(best))) break;
     best = with;
   }
   if (useful && !leaves(kNear) && best.fit.ok && OfAllDrives(best) &&
-      best.score > without.score + needed_(without, best))
+      best.score > without.score + state_.Threshold(without, best))
     return best;
   fits_.tried() = kept;
   return std::nullopt;
@@ -105,7 +104,7 @@ bool DriveSearch::TakeNearest(const std::map<std::string, Candidate>& before, Ca
     if (before.count(key) == 0 && c.fit.ok && Left(c) < Left(*nearest)) nearest = &c;
   }
   if (!(Left(*nearest) < kWorthwhile * Left(*best)) ||
-      nearest->score < best->score + needed_(*best, *nearest))
+      nearest->score < best->score + state_.Threshold(*best, *nearest))
     return false;
   *best = Candidate(*nearest);
   return true;
@@ -114,7 +113,7 @@ bool DriveSearch::TakeNearest(const std::map<std::string, Candidate>& before, Ca
 // Losses on all joints, started from the regression of the inverse dynamics.
 Candidate DriveSearch::Losses() {
   const Candidate start = RegressedGroup(setting_.data, setting_.nominal, setting_.scales, kLosses, false);
-  if (!start.fit.ok || start.specs.size() == given_.size() || fits_.Late()) return {};
+  if (!start.fit.ok || start.specs.size() == state_.given.size() || fits_.Late()) return {};
   return Seen(fits_.Evaluate(start.specs, false, nullptr, kIterations), false);
 }
 
@@ -147,9 +146,9 @@ void DriveSearch::Late(Candidate* best) {
   for (const std::string& id : kTimings) {
     const std::vector<EffectSpec> late = OnAll(id, kLateBy), specs = Joined(punctual, late);
     if (late.empty() || KeyOf(specs) == KeyOf(now.specs) || fits_.Late()) continue;
-    const Candidate* known = fits_.Known(specs, now.base);
-    if (known == nullptr && !fits_.MayLeaveLess(start, specs, now.base, kMayBeUseful)) continue;
-    const Candidate whole = known != nullptr ? *known : fits_.Evaluate(specs, now.base, &start, kIterations);
+    if (fits_.Known(specs, now.base) == nullptr && !fits_.MayLeaveLess(start, specs, now.base, kMayBeUseful))
+      continue;
+    const Candidate whole = fits_.KnownOrFitted(specs, now.base, &start, kIterations);
     // Without a ripple that stood for late drives more may be left: it is found again, as it is.
     const Candidate c = Seen(whole, now.base);
     if (c.score > best->score && Left(whole) < kUseful * Left(now)) *best = c, taken = id;
@@ -160,14 +159,14 @@ void DriveSearch::Late(Candidate* best) {
   const std::vector<EffectSpec> other = OnAll(taken == kTimings[0] ? kTimings[1] : kTimings[0], kLittleLate);
   const Candidate both =
       Seen(fits_.Evaluate(Joined(Refreshed(one), other), one.base, &one, kIterations), one.base);
-  if (both.score > one.score + needed_(one, both)) *best = both;
+  if (both.score > one.score + state_.Threshold(one, both)) *best = both;
 }
 
 std::vector<EffectSpec> DriveSearch::OnAll(const std::string& id, double late) const {
   std::vector<EffectSpec> out;
   for (int j = 0; j < setting_.data.n; ++j) {
-    const std::string& joint = setting_.nominal.joint_names()[static_cast<size_t>(j)];
-    if (setting_.nominal.Takes(id, j) && !Contains(given_, id, joint))
+    const std::string& joint = setting_.nominal.joint_names()[j];
+    if (setting_.nominal.Takes(id, j) && !Contains(state_.given, id, joint))
       out.push_back(effects::MakeSpec(id, {joint}, {{effects::FindEffect(id)->parameters[0].name, late}}));
   }
   return out;
@@ -204,7 +203,8 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
       *best = directed;
       return;
     }
-    if (Left(bodies) < kUseful * Left(*best) && bodies.score > best->score + needed_(*best, bodies)) {
+    if (Left(bodies) < kUseful * Left(*best) &&
+        bodies.score > best->score + state_.Threshold(*best, bodies)) {
       *best = bodies;
       Late(best);
       return;
@@ -223,7 +223,7 @@ void DriveSearch::LawOnEachJoint(Candidate* best) {
     if (fits_.Late()) return;
     const Candidate c =
         Seen(fits_.Evaluate(Joined(Refreshed(now), law.specs), now.base, &now, kIterations), now.base);
-    if (c.score > best->score + needed_(now, c) && Left(c) < kUseful * Left(now)) *best = c;
+    if (c.score > best->score + state_.Threshold(now, c) && Left(c) < kUseful * Left(now)) *best = c;
   }
 }
 
@@ -241,16 +241,13 @@ Candidate DriveSearch::WithZeros(const Candidate& c, const Candidate& either_way
   if (fits_.Late()) return {};
   Candidate zeros = fits_.Evaluate(start.specs, c.base, &c, kIterations);
   const std::vector<EffectSpec> strong = StrongEffects(AsStart(zeros));
-  const auto count =
-      std::count_if(strong.begin(), strong.end(), [](const EffectSpec& s) { return s.id == kZero; });
+  const auto count = std::ranges::count_if(strong, [](const EffectSpec& s) { return s.id == kZero; });
   if (count == 0 || 2 * count > setting_.data.judged() || fits_.Late()) return {};
   return strong.size() == zeros.specs.size() ? zeros : fits_.Evaluate(strong, c.base, &zeros, kIterations);
 }
 
 Candidate DriveSearch::WithFreeBase(const Candidate& c) {
-  const std::vector<EffectSpec> specs = Refreshed(c);
-  const Candidate* known = fits_.Known(specs, true);
-  return known != nullptr ? *known : fits_.Evaluate(specs, true, &c, kIterations);
+  return fits_.KnownOrFitted(Refreshed(c), true, &c, kIterations);
 }
 
 // Free base parameters, and then timing again, where they take half of the excess.
@@ -261,11 +258,11 @@ void DriveSearch::Freed(Candidate* best) {
   Candidate c = WithFreeBase(*best);
   if (!c.fit.ok) return;
   Late(&c);
-  if (c.score > best->score + needed_(*best, c) && Left(c) < kUseful * Left(*best)) *best = c;
+  if (c.score > best->score + state_.Threshold(*best, c) && Left(c) < kUseful * Left(*best)) *best = c;
 }
 
 bool DriveSearch::IsGiven(const EffectSpec& s) const {
-  return Contains(given_, s.id, s.joints.empty() ? "" : s.joints[0]);
+  return Contains(state_.given, s.id, s.joints.empty() ? "" : s.joints[0]);
 }
 
 double DriveSearch::Left(const Candidate& c) {
@@ -284,8 +281,8 @@ bool DriveSearch::OfAllDrives(const Candidate& c) const {
   for (size_t i = 0; i < c.specs.size(); ++i) {
     if (IsLoss(c.specs[i].id) && Strength(c, i) > clearly) ++joints[c.specs[i].id];
   }
-  return std::count_if(joints.begin(), joints.end(),
-                       [&](const auto& kind) { return 2 * kind.second >= setting_.data.judged(); }) >= 2;
+  return std::ranges::count_if(
+             joints, [&](const auto& kind) { return 2 * kind.second >= setting_.data.judged(); }) >= 2;
 }
 
 }  // namespace rg::diagnosis

@@ -3,32 +3,20 @@
 // another law of dry friction or a further law on all joints, and free base parameters.
 #pragma once
 
-#include <functional>
 #include <map>
 #include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
-#include "services/diagnosis/search/fit_ledger.h"
+#include "services/diagnosis/search/forward_step.h"
+#include "services/diagnosis/search/search_state.h"
 
 namespace rg::diagnosis {
 
 class DriveSearch {
  public:
-  // given: effects that the user states. needed(a, b): log evidence that b must bring in the place of a.
-  // beside(c, best): adds to c what a screen around it promises, into `best` where that scores better.
-  // transmission: the same of a spring or play.
-  DriveSearch(const FitSetting& setting, FitLedger& fits, const std::vector<effects::EffectSpec>& given,
-              std::function<double(const Candidate&, const Candidate&)> needed,
-              std::function<void(const Candidate&, Candidate*)> beside,
-              std::function<void(const Candidate&, Candidate*)> transmission)
-      : setting_(setting),
-        fits_(fits),
-        given_(given),
-        needed_(std::move(needed)),
-        beside_(std::move(beside)),
-        transmission_(std::move(transmission)) {}
+  DriveSearch(SearchState& state, ForwardStep& step)
+      : state_(state), setting_(state.setting), fits_(state.fits), step_(step) {}
 
   // The best group, where it leaves under a fifth of the excess χ² and is of all drives; else none, and its
   // fits are forgotten: such a model is no rival of effects found one by one. plain, freed: the given effects
@@ -60,11 +48,10 @@ class DriveSearch {
   // Share of the excess that a trial fit leaves at most, for a fit on all windows.
   static constexpr double kMayBeUseful = 0.8;
 
+  SearchState& state_;
   const FitSetting& setting_;
   FitLedger& fits_;
-  const std::vector<effects::EffectSpec>& given_;
-  std::function<double(const Candidate&, const Candidate&)> needed_;
-  std::function<void(const Candidate&, Candidate*)> beside_, transmission_;
+  ForwardStep& step_;
 };
 
 }  // namespace rg::diagnosis

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <functional>
 #include <initializer_list>
-#include <limits>
 #include <set>
 
 #include "services/diagnosis/hypotheses/hypotheses.h"
@@ -12,6 +11,7 @@
 #include "services/diagnosis/likelihood/some_windows.h"
 #include "services/diagnosis/likelihood/swing_starts.h"
 #include "services/diagnosis/search/nearest_starts.h"
+#include "services/diagnosis/search/pendulum_search.h"
 
 namespace rg::diagnosis {
 
@@ -23,25 +23,12 @@ constexpr int kMoreIterations = 14;     // while the cost falls
 constexpr double kHopeless = 2.0;       // times the rival's misfit: a fit that would stay above ends early
 constexpr double kFallsFast = 0.1;      // of the cost in one iteration, for a trial fit to go on
 constexpr double kTrialShare = 0.3;     // of the work limit, for the trials of one screen
-constexpr double kPendulumShare = 0.8;  // the same, of a pendulum
 constexpr double kLookShare = 0.015;    // of the work limit, for choosing the start of one law on one joint
-constexpr double kToTheEnd = 1.3;       // of the work limit, after which no more models are compared
 constexpr double kInPlaceYet = 1.8;     // of the work limit, after which no laws are exchanged
 constexpr double kShortestPiece = 0.1;  // s
-constexpr size_t kSprings = 2;   // starts behind rotors that are fitted, for either place of the sensor
-constexpr size_t kInPlace = 2;   // exchanged laws that are fitted on all windows
-constexpr double kPartly = 0.5;  // of a model's misfit, that a part of the truth leaves at most
-constexpr double kSwings = 0.8;  // the same, for springs or a hinge in the place of the true one
-constexpr size_t kPendulumWindows = 14;  // evenly spread, on which a pendulum is tried
-constexpr double kTypically = 0.7;       // of these windows; the start of the others may be lost
-constexpr double kLonger = 2.2;          // times a pendulum's length, that is tried too
-constexpr double kSameFit = 0.02;        // of χ², within which two fits count as the same
-constexpr size_t kBesidePendulum = 2;    // models without hidden states to which a pendulum is added
-constexpr double kAstray = 10.0;  // times a trial's misfit, above which its fit on all windows was lost
-constexpr double kNoNearer =
-    2.0;  // times kConsistent: a pendulum whose trial leaves more is not fitted on all windows
-constexpr double kRowsPerState = 4;      // rows of a window, at least, that determine its start
-constexpr double kShortestWindow = 0.2;  // s, of a search
+constexpr size_t kSprings = 2;         // starts behind rotors that are fitted, for either place of the sensor
+constexpr size_t kInPlace = 2;         // exchanged laws that are fitted on all windows
+constexpr size_t kBesidePendulum = 2;  // models without hidden states to which a pendulum is added
 constexpr double kMuchWorse =
     0.1;  // of a trial's misfit, by which an exchanged law may be worse in its trial
 
@@ -60,8 +47,8 @@ std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::ve
 
 // An unnamed force over two joints' positions.
 bool HasSurface(const TrialSpecs& specs) {
-  return std::any_of(specs.begin(), specs.end(),
-                     [](const EffectSpec& s) { return IsUnnamed(s.id) && s.joints.size() > 1; });
+  return std::ranges::any_of(specs,
+                             [](const EffectSpec& s) { return IsUnnamed(s.id) && s.joints.size() > 1; });
 }
 
 std::set<std::string> SpringyJoints(const TrialSpecs& specs) {
@@ -74,23 +61,8 @@ std::set<std::string> SpringyJoints(const TrialSpecs& specs) {
 
 // Whether `specs` are one of the models with something added.
 bool HoldsOneOf(const std::vector<TrialSpecs>& accounts, const TrialSpecs& specs) {
-  return std::any_of(accounts.begin(), accounts.end(), [&](const TrialSpecs& model) {
-    return model.size() < specs.size() && IsPart(model, specs);
-  });
-}
-
-// The one among these effects.
-const EffectSpec& SwingingMass(const TrialSpecs& specs) {
-  return *std::find_if(specs.begin(), specs.end(),
-                       [](const EffectSpec& s) { return s.id == effects::SwingingMass().id; });
-}
-
-// The same with the pendulum about another axis.
-TrialSpecs About(const std::string& hinge, TrialSpecs specs) {
-  for (EffectSpec& s : specs) {
-    if (s.id == effects::SwingingMass().id) s.options["hinge"] = hinge;
-  }
-  return specs;
+  return std::ranges::any_of(
+      accounts, [&](const TrialSpecs& model) { return model.size() < specs.size() && IsPart(model, specs); });
 }
 
 // As a start of fits over other windows.
@@ -129,10 +101,18 @@ const Candidate* FitLedger::Known(const std::vector<EffectSpec>& specs, bool bas
 
 FitResult FitLedger::Made(const FitRequest& request) { return made_.Start(setting_, {request})->Take(0); }
 
+Candidate FitLedger::Fitted(const FitRequest& request) { return Fitted(request, Made(request)); }
+
 Candidate FitLedger::Evaluate(const std::vector<EffectSpec>& specs, bool base, const Candidate* from,
                               int iterations, const Candidate* rival) {
   const FitRequest request = WholeFit(specs, base, Nearby(from, base), iterations, rival);
   return Tried(request, Made(request));
+}
+
+Candidate FitLedger::KnownOrFitted(const std::vector<EffectSpec>& specs, bool base, const Candidate* from,
+                                   int iterations) {
+  const Candidate* known = Known(specs, base);
+  return known != nullptr ? *known : Evaluate(specs, base, from, iterations);
 }
 
 Candidate FitLedger::Calibrated(const std::vector<EffectSpec>& specs) {
@@ -150,7 +130,7 @@ Candidate FitLedger::Anew(const Candidate& c) {
 void FitLedger::FindPieces(const std::vector<EffectSpec>& specs) {
   FitRequest request{specs, true, lifted_, {}, kShortestPiece, true, nullptr};
   request.options.more_iterations = kMoreIterations;
-  auto pieces = std::make_shared<Candidate>(Fitted(request, Made(request)));
+  auto pieces = std::make_shared<Candidate>(Fitted(request));
   trace_.Fit(*pieces, "pieces");
   if (pieces->fit.ok) pieces_ = pieces;
 }
@@ -218,8 +198,8 @@ Candidate FitLedger::Tried(const FitRequest& request, FitResult fit) {
 std::vector<TrialSpecs> FitLedger::Nearest(const Candidate& from, bool base,
                                            const std::vector<TrialSpecs>& starts, size_t count) {
   const FitRequest look{Refreshed(from), base, lifted_, {}, 0, false, Start(&from, base)};
-  const double enough = work_ + kLookShare * options_.work_limit;
-  const auto late = [&] { return Late(kToTheEnd) || work_ > enough; };
+  const double enough = WorkAfter(kLookShare);
+  const auto late = [&] { return Late(kWorkForComparisons) || work_ > enough; };
   return NearestStarts(made_, setting_, look, from.fit.window_chi2, starts, count, late, &work_);
 }
 
@@ -246,7 +226,7 @@ double FitLedger::TellingPiece(FitRequest trial) {
   for (double piece = kShortestPiece; piece < kLongestPiece * setting_.data.nodes.window_s;
        piece *= kLongerPiece) {
     trial.piece_s = piece;
-    if (PerRow(Fitted(trial, Made(trial))) > kConsistent) return piece;
+    if (PerRow(Fitted(trial)) > kConsistent) return piece;
   }
   return 0;
 }
@@ -266,7 +246,7 @@ FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::v
     trial.specs = Joined(Refreshed(from), start);
     trials.push_back(trial);
   }
-  const double enough = work_ + kTrialShare * options_.work_limit;
+  const double enough = WorkAfter(kTrialShare);
   const auto batch = made_.Start(setting_, trials);
   const auto fitted = [&](size_t i) { return Fitted(trials[i], batch->Take(i)); };
   const double on_windows = fitted(0).score;
@@ -295,91 +275,76 @@ FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::v
 void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool,
                         const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner) {
   TrialResults trials = RunTrials(from, pool, base);
-  const FitRequest& trial = trials.setting;
-  // A force over two positions follows some of anything: it is only what a swinging mass has to better.
-  std::shared_ptr<const Candidate> surface;
+  const PendulumTrials pendulum = TakePendulumTrials(from, &trials);
+  Candidate found = from;
+  TakeBest(WorthAFit(from, std::move(trials), promised, base, count, *winner), 1, &found);
+  TrySprings(from, &found);
+  if (auto shorter = PendulumSearch(setting_, *this, trace_, from, base, pendulum).Run(*winner, &found))
+    shorter_windows_ = std::move(shorter);
+  if (found.score > winner->score) *winner = found;
+}
+
+// What tells of a swinging mass. A force over two positions follows some of anything: it is only what a
+// swinging mass has to better, and is taken from the trials.
+PendulumTrials FitLedger::TakePendulumTrials(const Candidate& from, TrialResults* trials) const {
+  PendulumTrials out;
   if (!HasSurface(from.specs)) {
-    std::erase_if(trials.ranked, [&](const RankedTrial& t) {
+    std::erase_if(trials->ranked, [&](const RankedTrial& t) {
       if (!HasSurface(t.fitted->specs)) return false;
-      surface = t.fitted;
+      out.surface = t.fitted;
       return true;
     });
   }
+  for (const bool last_link : {false, true}) {
+    const auto best = LeavesLeast({&trials->ranked, &trials->hidden}, kSwings, [&](const Candidate& c) {
+      return HasMassInSprings(c.specs) && !HasKind(from.specs, effects::SwingingMass().id) &&
+             SwingsOnLastLink(c.specs) == last_link;
+    });
+    if (best != nullptr) out.springs.push_back(best);
+  }
+  std::ranges::stable_sort(out.springs,
+                           [&](const auto& a, const auto& b) { return PerRow(*a) < PerRow(*b); });
+  std::vector<RankedTrial> plain = trials->ranked;
+  std::erase_if(plain,
+                [](const RankedTrial& t) { return HasHiddenStates(*t.fitted) || HasUnnamed(*t.fitted); });
+  out.beside = BestOf(std::move(plain), {}, kBesidePendulum);
+  return out;
+}
+
+// Fits on all windows of the `count` best, of what is promised, and of the best with hidden states, whatever
+// its rank, since another effect may be missing too.
+std::vector<FitRequest> FitLedger::WorthAFit(const Candidate& from, TrialResults trials,
+                                             const std::vector<TrialSpecs>& promised, bool base, size_t count,
+                                             const Candidate& winner) const {
+  const FitRequest& trial = trials.setting;
   // The score on all windows that the best trial suggests.
   Candidate nearest = from;
   for (const RankedTrial& t : trials.ranked) {
     // Not of a swinging mass: in a trial each window has its own start.
     if (!HasMassInSprings(t.fitted->specs)) nearest.score = std::max(nearest.score, t.left * from.score);
   }
-  // The best with hidden states is fitted whatever its rank, since another effect may be missing too; and the
-  // best with a swinging mass, where `from` has none.
   const auto with_states = LeavesLeast({&trials.ranked}, kPartly, [](const Candidate& c) {
     return HasHiddenStates(c) && !HasMassInSprings(c.specs);
   });
-  std::vector<std::shared_ptr<const Candidate>> swings;  // on the tool and on the last link, the better first
-  for (const bool last_link : {false, true}) {
-    const auto best = LeavesLeast({&trials.ranked, &trials.hidden}, kSwings, [&](const Candidate& c) {
-      return HasMassInSprings(c.specs) && !HasKind(from.specs, effects::SwingingMass().id) &&
-             SwingsOnLastLink(c.specs) == last_link;
-    });
-    if (best != nullptr) swings.push_back(best);
-  }
-  std::stable_sort(swings.begin(), swings.end(),
-                   [&](const auto& a, const auto& b) { return PerRow(*a) < PerRow(*b); });
-  std::vector<RankedTrial> plain = trials.ranked;
-  std::erase_if(plain,
-                [](const RankedTrial& t) { return HasHiddenStates(*t.fitted) || HasUnnamed(*t.fitted); });
-  const auto beside = BestOf(std::move(plain), {}, kBesidePendulum);
   // From the model that the trials started at where that is consistent, else from the trials' base
   // parameters.
   const bool holds = trial.from != nullptr && !trial.from->fit.states.empty();
-  std::vector<FitRequest> best;
+  std::vector<FitRequest> out;
   // Trials on pieces say nothing of whole windows: the rival is then the best known model.
-  const Candidate& rival = trial.pieces_alone ? *winner : nearest;
+  const Candidate& rival = trial.pieces_alone ? winner : nearest;
   for (const auto& c : BestOf(std::move(trials.ranked), std::move(trials.hidden), count))
-    best.push_back(WholeFit(Refreshed(*c), base, holds || !base ? trial.from : ValuesOf(*c), 6, &rival));
+    out.push_back(WholeFit(Refreshed(*c), base, holds || !base ? trial.from : ValuesOf(*c), 6, &rival));
   const auto add = [&](const TrialSpecs& specs) {
-    const bool chosen = std::any_of(best.begin(), best.end(), [&](const FitRequest& request) {
-      return KeyOf(request.specs) == KeyOf(specs);
-    });
-    if (!chosen) best.push_back(WholeFit(specs, base, trial.from));
+    const bool chosen = std::ranges::any_of(
+        out, [&](const FitRequest& request) { return KeyOf(request.specs) == KeyOf(specs); });
+    if (!chosen) out.push_back(WholeFit(specs, base, trial.from));
   };
   for (const TrialSpecs& start : promised) {
     const TrialSpecs specs = Joined(Refreshed(from), start);
     if (trials.refused.count(KeyOf(specs)) == 0) add(specs);
   }
   if (!base && with_states != nullptr) add(Refreshed(*with_states));
-  Candidate found = from;
-  TakeBest(best, 1, &found);
-  TrySprings(from, &found);
-  // A swinging mass is ruled out where a model tried so far, admissible or not, leaves far less than the mass
-  // in springs, and beside an unnamed force.
-  double least = PerRow(found);
-  for (const auto& [key, c] : tried_) {
-    const bool unnamed = HasUnnamed(c) && !c.fit.ok;
-    const bool swinging = HasKind(c.specs, effects::SwingingMass().id);  // a refused one rules out none
-    if (c.fit.rows > 0 && c.fit.chi2 > 0 && !unnamed && !swinging) least = std::min(least, PerRow(c));
-  }
-  const auto may_swing = [&] {
-    return !HasUnnamed(from) && std::any_of(swings.begin(), swings.end(), [&](const auto& c) {
-      return least - 1 > kPartly * (PerRow(*c) - 1);
-    });
-  };
-  // The same where free base parameters, or one force over two positions, leave far less.
-  const auto compare = [&](const TrialSpecs& specs, bool freed, const Candidate* start) {
-    if (!may_swing() || Late()) return;
-    const Candidate* known = Known(specs, freed);
-    const Candidate other = known != nullptr ? *known : Evaluate(specs, freed, start);
-    if (other.fit.ok) least = std::min(least, PerRow(other));
-  };
-  if (!base) compare(Refreshed(from), true, &from);
-  if (surface != nullptr) compare(Refreshed(*surface), base, nullptr);
-  if (may_swing()) {
-    const std::optional<Candidate> lost = TryPendulum(from, swings, beside, &found);
-    const double nearest_left = std::min(PerRow(found), PerRow(*winner));
-    if (lost && !(PerRow(*lost) > nearest_left) && !Late()) TryShorterWindows(*lost);
-  }
-  if (found.score > winner->score) *winner = found;
+  return out;
 }
 
 // Fits on all windows, `least` of them whatever the work limit. Where a spring or play leaves nothing of what
@@ -389,7 +354,7 @@ void FitLedger::TakeBest(const std::vector<FitRequest>& requests, size_t least, 
   const bool something = winner->fit.ok && !LeavesNothing(*winner);
   std::vector<TrialSpecs> met;  // models that leave nothing: no addition to these is fitted
   std::set<std::string> springy;
-  for (size_t i = 0; i < requests.size() && !Cancelled() && (i < least || !Late(kToTheEnd)); ++i) {
+  for (size_t i = 0; i < requests.size() && !Cancelled() && (i < least || !Late(kWorkForComparisons)); ++i) {
     const std::set<std::string> here = SpringyJoints(requests[i].specs);
     const bool elsewhere = !springy.empty() && !here.empty() && here != springy;
     if (elsewhere || HoldsOneOf(met, requests[i].specs)) continue;
@@ -435,144 +400,13 @@ void FitLedger::TrySprings(const Candidate& from, Candidate* model) {
   TakeBest(fits, 1, model);
 }
 
-std::optional<Candidate> FitLedger::TryPendulum(const Candidate& from,
-                                                const std::vector<std::shared_ptr<const Candidate>>& springs,
-                                                const std::vector<std::shared_ptr<const Candidate>>& beside,
-                                                Candidate* model) {
-  for (const auto& trial : springs) {
-    const Candidate* whole = Known(trial->specs, trial->base);
-    if (whole != nullptr && PerRow(*whole) < kExplained) return {};
-  }
-  // The fit on all windows knows the length better, unless it was lost on the way.
-  const Candidate& trial = *springs.front();
-  const Candidate* whole = Known(trial.specs, trial.base);
-  const bool astray = whole == nullptr || !whole->fit.ok || PerRow(*whole) > kAstray * PerRow(trial);
-  const TrialSpecs specs = Refreshed(astray ? trial : *whole);
-  FitRequest request = WholeFit(specs, from.base, Start(&from, from.base));
-  request.places = EvenlySpread(setting_.data.windows.size(), setting_.data.WindowsFor(kPendulumWindows));
-  std::vector<double> before;
-  for (const uint32_t i : request.places) before.push_back(from.fit.window_chi2[i]);
-  const auto typically = [&](const std::vector<double>& window_chi2) {
-    return TypicalChi2(setting_.data, window_chi2, lifted_.noise_scale, kTypically);
-  };
-  const double missing = typically(before) - 1, enough = work_ + kPendulumShare * options_.work_limit;
-
-  struct PendulumTrial {
-    TrialSpecs specs;
-    TrialSpecs needed;  // without effects that became superfluous with the pendulum
-    double left = std::numeric_limits<double>::infinity();    // typically
-    double in_all = std::numeric_limits<double>::infinity();  // χ² per row, with windows whose start is lost
-  };
-  const auto hang = [&](const TrialSpecs& with) {
-    if (Late(kToTheEnd) || work_ > enough) return PendulumTrial{};
-    request.specs = with;
-    const Candidate c = Fitted(request, Made(request));
-    trace_.Fit(c, "  rod");
-    if (!c.fit.ok) return PendulumTrial{};
-    return PendulumTrial{Refreshed(c), StillNeeded(from, c), typically(c.fit.window_chi2), PerRow(c)};
-  };
-  const std::vector<EffectSpec> hinges = RodStarts(setting_.data, setting_.nominal, SwingingMass(specs));
-  PendulumTrial nearest;
-  double times = 1;
-  for (const double longer : {1.0, kLonger, 1 / kLonger}) {
-    if (nearest.left < kExplained) break;
-    const PendulumTrial rod = hang(Joined(specs, {LongerRod(hinges[0], longer)}));
-    // Both lengths agree: found, or this is not the hinge.
-    const bool same = std::abs(rod.left - nearest.left) < kSameFit * nearest.left;
-    if (rod.left < nearest.left) nearest = rod, times = longer;
-    if (same && nearest.left - 1 < kSwings * missing) break;
-  }
-  // A true pendulum explains something about any hinge.
-  if (!(nearest.left - 1 < kSwings * missing)) return {};
-  for (const EffectSpec& hinge : hinges) {
-    // A length found about one hinge is a start about the others.
-    if (&hinge != &hinges.front() && nearest.left < kExplained) break;
-    for (const EffectSpec& rod : EitherPlace(setting_.data, setting_.nominal, LongerRod(hinge, times))) {
-      if (nearest.in_all < kExplained || KeyOf({rod}) == KeyOf({LongerRod(hinges[0], times)})) continue;
-      const PendulumTrial other = hang(Joined(specs, {rod}));
-      if (other.left < nearest.left) nearest = other;
-    }
-  }
-  // Without another missing effect it may be inconsistent, though most windows absorb that in their swing.
-  const EffectSpec rod = SwingingMass(nearest.specs);
-  const std::string& held = effects::EffectOf(effects::Role::kBodyInertia).id;
-  std::vector<TrialSpecs> others;
-  for (const auto& other : beside) {
-    // A payload may have been found in the pendulum's place: without it, too.
-    const TrialSpecs free = WithoutKind(Refreshed(*other), held);
-    const bool found = free.size() < other->specs.size() && !HasKind(setting_.nominal.effects(), held);
-    if (found && !free.empty()) others.push_back(free);
-    others.push_back(Refreshed(*other));
-  }
-  for (const TrialSpecs& other : others) {
-    if (nearest.in_all < kExplained) break;
-    const PendulumTrial both = hang(Joined(other, {rod}));
-    if (both.in_all - 1 < kPartly * (nearest.in_all - 1)) nearest = both;
-  }
-  if (nearest.left > kNoNearer * kConsistent) return {};
-  // Where it lies along the hinge's first axis it can only swing about the other: windows in which that
-  // happens tell the right hinge.
-  const std::string about = SwingingMass(nearest.specs).options.at("hinge");
-  for (const EffectSpec& hinge : hinges) {
-    if (nearest.in_all < kExplained) break;
-    if (hinge.options.at("hinge") == about) continue;
-    const PendulumTrial other = hang(About(hinge.options.at("hinge"), nearest.specs));
-    if (other.in_all - 1 < kPartly * (nearest.in_all - 1)) nearest = other;
-  }
-  std::optional<Candidate> best;
-  const auto weigh = [&](const TrialSpecs& with) {
-    const Candidate* known = Known(with, from.base);
-    const Candidate whole = known != nullptr ? *known : Evaluate(with, from.base, &from);
-    if (whole.score > model->score) *model = whole;
-    if (whole.fit.ok && (!best || PerRow(whole) < PerRow(*best))) best = whole;
-  };
-  for (const TrialSpecs& with : {nearest.needed, nearest.specs}) {
-    weigh(with);
-    // One more superfluous law will not make it consistent.
-    if (best && (PerRow(*best) < kExplained || !(PerRow(*best) < kConsistent))) break;
-  }
-  // Whether few windows hold what is left.
-  const auto lost = [&] {
-    const double left = best ? typically(best->fit.window_chi2) : 0;
-    return best && left < kConsistent && left - 1 < kPartly * (PerRow(*best) - 1);
-  };
-  // Consecutive windows tell the hinge better than the few of a trial, whose starts may be lost.
-  for (const EffectSpec& hinge : hinges) {
-    if (!lost() || PerRow(*best) < kConsistent || Late() || work_ > enough) break;
-    weigh(About(hinge.options.at("hinge"), Refreshed(*best)));
-  }
-  return lost() && !(PerRow(*best) < kExplained) ? best : std::nullopt;
-}
-
-// χ² per degree of freedom: each window's own start absorbs some noise.
-double FitLedger::PerFreeRow(const FitData& data, const Candidate& c) const {
-  const double starts = static_cast<double>(data.windows.size()) * c.plant->num_states();
-  return c.fit.chi2 / std::max(1.0, c.fit.rows - starts) / lifted_.noise_scale;
-}
-
-void FitLedger::TryShorterWindows(const Candidate& rod) {
-  FitData halves = setting_.data;
-  halves.nodes.window_s *= 0.5;
-  if (halves.nodes.window_s < kShortestWindow) return;
-  halves.windows = InPieces(halves.windows, halves.nodes.window_s, halves.RowNoise());
-  if (!(RowsPerWindow(halves) > kRowsPerState * rod.plant->num_states())) return;
-  const FitSetting setting{halves, setting_.nominal, setting_.scales};
-  Candidate over = rod;
-  over.fit = MakeFit(setting, WholeFit(Refreshed(rod), rod.base, nullptr));
-  work_ += over.fit.work;
-  trace_.Fit(over, "  halves");
-  const double most = std::min(kConsistent, 1 + kPartly * (PerFreeRow(setting_.data, rod) - 1));
-  const bool holds = over.fit.ok && !Uninformed(over) && PerFreeRow(halves, over) < most;
-  if (holds && !Cancelled()) shorter_windows_ = ValuesOf(std::move(over));
-}
-
 bool FitLedger::MayLeaveLess(const Candidate& model, const std::vector<EffectSpec>& specs, bool base,
                              double share) {
   FitRequest trial = Trial(model, model.base, Nearby(&model, model.base));
-  const Candidate own = Fitted(trial, Made(trial));
+  const Candidate own = Fitted(trial);
   if (base != model.base) trial = Trial(model, base, Nearby(&model, base));
   trial.specs = specs;
-  const Candidate other = Fitted(trial, Made(trial));
+  const Candidate other = Fitted(trial);
   trace_.Fit(other, "  <");
   for (const Candidate* c : {&own, &other}) {
     if (!(c->fit.chi2 > 0) || c->fit.rows == 0) return true;

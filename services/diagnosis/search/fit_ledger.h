@@ -5,7 +5,6 @@
 #include <cmath>
 #include <map>
 #include <memory>
-#include <optional>
 #include <set>
 #include <string>
 #include <vector>
@@ -20,6 +19,11 @@
 namespace rg::diagnosis {
 
 inline constexpr double kConsistent = 2.0;  // χ² per row below which a model is consistent with the noise
+inline constexpr double kWorkForComparisons = 1.3;  // of the work limit, after which no models are compared
+inline constexpr double kPartly = 0.5;  // of a model's misfit, that a part of the truth leaves at most
+inline constexpr double kSwings = 0.8;  // the same, for springs or a hinge in the place of the true one
+
+struct PendulumTrials;
 
 class FitLedger {
  public:
@@ -34,6 +38,7 @@ class FitLedger {
   bool Late(double limits = 1.0) const;
   double work() const { return work_; }
   double work_share() const { return work_ / options_.work_limit; }
+  double WorkAfter(double share) const { return work_ + share * options_.work_limit; }
   // What comes next gets this share of the work limit, whatever was used before it.
   void Grant(double share) { forgiven_ = std::max(forgiven_, work_ - (1 - share) * options_.work_limit); }
   void AddWork(double work) { work_ += work; }
@@ -70,6 +75,9 @@ class FitLedger {
   // the recorded motion. `rival`: the fit ends early if it would not come near that score.
   Candidate Evaluate(const std::vector<effects::EffectSpec>& specs, bool base,
                      const Candidate* from = nullptr, int iterations = 6, const Candidate* rival = nullptr);
+  // The best fit of these effects so far, else a first one.
+  Candidate KnownOrFitted(const std::vector<effects::EffectSpec>& specs, bool base,
+                          const Candidate* from = nullptr, int iterations = 6);
   // With free base parameters; ends early if it would not become consistent.
   Candidate Calibrated(const std::vector<effects::EffectSpec>& specs);
   // A restart from nominal base parameters, over short pieces of the recordings.
@@ -93,23 +101,21 @@ class FitLedger {
   // Springs behind the rotors that `model` adds to `from` (with free base parameters, where they cost most,
   // only if it takes half of the misfit), and play where such a rotor leaves nothing.
   void TrySprings(const Candidate& from, Candidate* model);
-  // Multi-start fit of a pendulum payload in the place of a mass in springs, which trials found on the tool
-  // and on the last link (`springs`, the better first): over lengths, hinges and places, alone and with the
-  // effects of the best other trials (`beside`). Returned where it fits most windows and not all.
-  std::optional<Candidate> TryPendulum(const Candidate& from,
-                                       const std::vector<std::shared_ptr<const Candidate>>& springs,
-                                       const std::vector<std::shared_ptr<const Candidate>>& beside,
-                                       Candidate* model);
   // The `count` of `starts` that, added to `from`, are nearest to the recordings.
   std::vector<TrialSpecs> Nearest(const Candidate& from, bool base, const std::vector<TrialSpecs>& starts,
                                   size_t count);
 
- private:
+  // What a fit of a model near `from` starts at, as FitRequest::from.
   std::shared_ptr<const Candidate> Start(const Candidate* from, bool base) const;
-  std::shared_ptr<const Candidate> Nearby(const Candidate* from, bool base) const;
+  // A fit on all windows from there, not yet made.
   FitRequest WholeFit(const std::vector<effects::EffectSpec>& specs, bool base,
                       std::shared_ptr<const Candidate> from, int iterations = 6,
                       const Candidate* rival = nullptr) const;
+  // Makes a fit that is not kept.
+  Candidate Fitted(const FitRequest& request);
+
+ private:
+  std::shared_ptr<const Candidate> Nearby(const Candidate* from, bool base) const;
   bool Admissible(Candidate* c);
   void TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner);
   FitRequest Trial(const Candidate& from, bool base, std::shared_ptr<const Candidate> start) const;
@@ -121,12 +127,14 @@ class FitLedger {
     std::set<std::string> refused;    // keys of what is inadmissible, which more windows do not change
   };
   TrialResults RunTrials(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base);
+  PendulumTrials TakePendulumTrials(const Candidate& from, TrialResults* trials) const;
+  std::vector<FitRequest> WorthAFit(const Candidate& from, TrialResults trials,
+                                    const std::vector<TrialSpecs>& promised, bool base, size_t count,
+                                    const Candidate& winner) const;
   FitResult Made(const FitRequest& request);
   Candidate Fitted(const FitRequest& request, FitResult fit);
   Candidate Tried(const FitRequest& request, FitResult fit);
   double TellingPiece(FitRequest trial);
-  double PerFreeRow(const FitData& data, const Candidate& c) const;
-  void TryShorterWindows(const Candidate& rod);
 
   const FitSetting& setting_;
   const DiagnosisOptions& options_;

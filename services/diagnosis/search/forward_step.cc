@@ -31,24 +31,25 @@ ScreenResult ForwardStep::Screen(const Candidate& current, bool base) {
       KeyOf(current.specs, base) + std::to_string(current.score) + ' ' + std::to_string(current.fit.chi2);
   const auto known = screens_.find(key);
   if (known != screens_.end()) return known->second;
-  const ScreenResult screened = ScreenAround(setting_, current, base, values, features_, fits_.lifted(),
-                                             Rng(seed_).Split(static_cast<uint64_t>(round_)), &step_rule_);
+  const ScreenResult screened =
+      ScreenAround(setting_, current, base, values, features_, fits_.lifted(),
+                   Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rule_);
   fits_.AddWork(screened.work);
   return screens_.emplace(key, screened).first->second;
 }
 
 ScreenResult ForwardStep::NotedScreen(const Candidate& current, bool base) {
   const ScreenResult screened = Screen(current, base);
-  acceptance_.Note(screened, setting_.nominal.joint_names());
-  trace_.Screen(screened, base);
+  state_.acceptance.Note(screened, setting_.nominal.joint_names());
+  state_.trace.Screen(screened, base);
   return screened;
 }
 
 void ForwardStep::Add(const Candidate& from, size_t count, Candidate* winner) {
   const ScreenResult screened = Screen(from, from.base);
-  acceptance_.NoteStepRules(screened, setting_.nominal.joint_names());
-  trace_.Screen(screened, from.base);
-  const double needed = threshold_(from);
+  state_.acceptance.NoteStepRules(screened, setting_.nominal.joint_names());
+  state_.trace.Screen(screened, from.base);
+  const double needed = state_.Threshold(from);
   AddFrom(from, screened, HasHiddenStates(from) ? std::max(kLeastPromise, needed) : 1.0, needed, count,
           winner);
 }
@@ -57,11 +58,11 @@ void ForwardStep::Add(const Candidate& from, size_t count, Candidate* winner) {
 // of.
 void ForwardStep::AddPromised(const Candidate& from, Candidate* winner) {
   const ScreenResult screened = Screen(from, from.base);
-  trace_.Screen(screened, from.base);
+  state_.trace.Screen(screened, from.base);
   ScreenResult named = screened;
   std::erase_if(named.hypotheses, [](const Scored& h) { return IsUnnamed(h.effect); });
   for (const ScreenResult& promised : {named, screened}) {
-    AddFrom(from, promised, kLeastPromise, threshold_(from), kFitsBesideDrives, winner);
+    AddFrom(from, promised, kLeastPromise, state_.Threshold(from), kFitsBesideDrives, winner);
     if (fits_.Excess(*winner) < kMost * fits_.Excess(from)) return;
   }
 }
@@ -100,7 +101,7 @@ void ForwardStep::Try(const Candidate& from, const ScreenResult& screened, doubl
   const auto nearest = [&](const auto& starts, size_t most) {
     return fits_.Nearest(from, from.base, starts, most);
   };
-  const auto force = [&] { return force_(from); };
+  const auto force = [&] { return state_.Force(from); };
   const bool near = from.fit.ok && fits_.PerRow(from) < kConsistent;
   const auto promised =
       Promised(from, screened, setting_.nominal, setting_.scales, near, needed, kPromisedFits);
@@ -116,7 +117,7 @@ bool ForwardStep::ExplainedByLaws(const Candidate& from, const Candidate& found,
 // Whether it takes most of what the losses of all drives leave. What else is missing is then looked for
 // beside it, and not among what no screen sees.
 bool ForwardStep::TakesMost(const Candidate& from, const Candidate& found) const {
-  return ordinary_() && found.fit.ok && fits_.Excess(found) < kMost * fits_.Excess(from);
+  return state_.ordinary && found.fit.ok && fits_.Excess(found) < kMost * fits_.Excess(from);
 }
 
 double ForwardStep::MostPromised(const ScreenResult& screened) {

@@ -3,38 +3,19 @@
 #pragma once
 
 #include <cstddef>
-#include <cstdint>
-#include <functional>
 #include <map>
 #include <string>
-#include <utility>
 #include <vector>
 
-#include "services/diagnosis/likelihood/candidate.h"
 #include "services/diagnosis/likelihood/features.h"
-#include "services/diagnosis/likelihood/missing_force.h"
-#include "services/diagnosis/screening/acceptance.h"
 #include "services/diagnosis/screening/screening.h"
-#include "services/diagnosis/search/fit_ledger.h"
-#include "services/diagnosis/search/trace.h"
+#include "services/diagnosis/search/search_state.h"
 
 namespace rg::diagnosis {
 
 class ForwardStep {
  public:
-  // threshold(c): log evidence that any addition to c must bring. force(c): the force that c leaves
-  // unexplained. ordinary(): whether the losses of all drives were found together.
-  ForwardStep(const FitSetting& setting, FitLedger& fits, Acceptance& acceptance, const Trace& trace,
-              uint64_t seed, std::function<double(const Candidate&)> threshold,
-              std::function<MissingForce(const Candidate&)> force, std::function<bool()> ordinary)
-      : setting_(setting),
-        fits_(fits),
-        acceptance_(acceptance),
-        trace_(trace),
-        seed_(seed),
-        threshold_(std::move(threshold)),
-        force_(std::move(force)),
-        ordinary_(std::move(ordinary)) {}
+  explicit ForwardStep(SearchState& state) : state_(state), setting_(state.setting), fits_(state.fits) {}
 
   // Before the first screen: regressors along the recorded motion.
   void MakeFeatures() {
@@ -80,14 +61,9 @@ class ForwardStep {
            Candidate* winner);
   bool TakesMost(const Candidate& from, const Candidate& found) const;
 
+  SearchState& state_;
   const FitSetting& setting_;
   FitLedger& fits_;
-  Acceptance& acceptance_;
-  const Trace& trace_;
-  uint64_t seed_;
-  std::function<double(const Candidate&)> threshold_;
-  std::function<MissingForce(const Candidate&)> force_;
-  std::function<bool()> ordinary_;
   FeatureSet features_;
   std::vector<Eigen::VectorXd> step_rule_;
   std::map<std::string, ScreenResult> screens_;  // of this round, by model and fit

@@ -16,8 +16,8 @@ constexpr double kMayLeave = 0.5, kMayLeaveHidden = 0.1;
 
 // Whether all its effects are unnamed forces.
 bool AllUnnamed(const Candidate& c) {
-  return !c.specs.empty() && std::all_of(c.specs.begin(), c.specs.end(),
-                                         [](const effects::EffectSpec& e) { return IsUnnamed(e.id); });
+  return !c.specs.empty() &&
+         std::ranges::all_of(c.specs, [](const effects::EffectSpec& e) { return IsUnnamed(e.id); });
 }
 
 std::string Key(const Candidate& c) { return KeyOf(c.specs, c.base); }
@@ -67,9 +67,8 @@ bool HeldOutJudge::Holds(const Candidate& model, double needed) {
 int HeldOutJudge::WorstRecording(const Candidate& model, double needed) {
   if (Holds(model, needed)) return -1;
   std::vector<double> sums(data_.recordings.size(), 0.0);
-  for (size_t w = 0; w < data_.windows.size(); ++w)
-    sums[static_cast<size_t>(data_.windows[w].recording)] += Of(model).windows[w];
-  return static_cast<int>(std::min_element(sums.begin(), sums.end()) - sums.begin());
+  for (size_t w = 0; w < data_.windows.size(); ++w) sums[data_.windows[w].recording] += Of(model).windows[w];
+  return static_cast<int>(std::ranges::min_element(sums) - sums.begin());
 }
 
 bool HeldOutJudge::ExplainsMost(const Candidate& model, const Candidate& without) {
@@ -84,8 +83,7 @@ std::optional<Candidate> HeldOutJudge::Better(const Candidate& model, std::map<s
   for (const auto& [key, c] : tried) {
     if (c.fit.ok && key != Key(model)) others.push_back(&c);
   }
-  std::sort(others.begin(), others.end(),
-            [](const Candidate* a, const Candidate* b) { return a->score > b->score; });
+  std::ranges::sort(others, [](const Candidate* a, const Candidate* b) { return a->score > b->score; });
   std::optional<Candidate> best;
   double most = 0;
   for (const Candidate* c : others) {

@@ -35,7 +35,7 @@ std::vector<TrialSpecs> NearestStarts(FitExecutor& fits, const FitSetting& setti
       *work += fit.work;
       if (fit.ok) seen.push_back({fit.chi2 / look.options.noise_scale + fit.prior_cost, i});
     }
-    std::sort(seen.begin(), seen.end());
+    std::ranges::sort(seen);
     std::vector<TrialSpecs> out;
     for (size_t i = 0; i < std::min(most, seen.size()); ++i) out.push_back(of[seen[i].second]);
     return out;

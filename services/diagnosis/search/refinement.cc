@@ -1,7 +1,6 @@
 #include "services/diagnosis/search/refinement.h"
 
 #include <algorithm>
-#include <cmath>
 #include <map>
 #include <set>
 #include <string>
@@ -22,8 +21,6 @@ namespace {
 constexpr size_t kRivalsWithoutStates = 2;  // that are fitted with free inertials too
 constexpr int kMaxExchanges = 3;            // of effects that are easily taken for each other
 constexpr int kIterationsFromAfar = 12;     // of a fit that begins at the recorded motion
-
-const Candidate& Better(const Candidate& a, const Candidate& b) { return b.score > a.score ? b : a; }
 
 }  // namespace
 
@@ -70,19 +67,18 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
   return true;
 }
 
-// Whether χ² is within three standard deviations of what noise makes of it.
 // With free inertials a gain of one of two drives equals the other drive's inverse gain, beside which
 // inertials may be as given.
 Candidate Refinement::OtherDrivesGain(const Candidate& c) {
   std::vector<EffectSpec> specs = Refreshed(c);
-  const auto gain = std::find_if(specs.begin(), specs.end(),
-                                 [](const EffectSpec& s) { return effects::ScalesEffort(s.id); });
+  const auto gain =
+      std::ranges::find_if(specs, [](const EffectSpec& s) { return effects::ScalesEffort(s.id); });
   Candidate none;
   none.score = kNoScore;
   if (gain == specs.end() || gain->joints.size() != 1 || fits_.Late()) return none;
   const int other = setting_.data.OtherOfTwo(setting_.nominal.model().FindJoint(gain->joints[0]));
   if (other < 0) return none;
-  const std::string& joint = setting_.nominal.joint_names()[static_cast<size_t>(other)];
+  const std::string& joint = setting_.nominal.joint_names()[other];
   if (Contains(specs, gain->id, joint)) return none;
   std::map<std::string, double> values = gain->values.at(gain->joints[0]);
   for (auto& [name, value] : values) value = 1 / value;

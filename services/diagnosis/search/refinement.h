@@ -11,7 +11,6 @@
 namespace rg::diagnosis {
 
 inline constexpr double kLeastGainOfExchange = 1.0;  // nats: the number of names stays the same
-inline constexpr double kWorkForComparisons = 1.3;   // of the work limit, after which no models are compared
 
 class Refinement {
  public:

@@ -2,9 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iterator>
 #include <map>
-#include <set>
 
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
@@ -25,7 +23,7 @@ constexpr double kSmallGain = 0.01;  // of one: no URDF knows a mass better
 // Whether it scales efforts by no more than the error of any URDF's masses.
 bool IsSmallGain(const EffectSpec& s) {
   if (!effects::ScalesEffort(s.id)) return false;
-  return std::all_of(s.joints.begin(), s.joints.end(), [&](const std::string& joint) {
+  return std::ranges::all_of(s.joints, [&](const std::string& joint) {
     return std::abs(s.values.at(joint).at("gain") - 1) < kSmallGain;
   });
 }
@@ -99,8 +97,7 @@ void Simplifier::GainsYieldToInertials(Candidate* best) {
   const size_t gains = best->specs.size() - specs.size();
   const bool of_most = gains >= kManyGains && 2 * gains > static_cast<size_t>(best->plant->num_joints());
   if (!of_most || best->base || fits_.Late(kPruned) || HasKind(setting_.nominal.effects(), gain)) return;
-  const Candidate* known = fits_.Known(specs, true);
-  const Candidate bodies = known != nullptr ? *known : fits_.Evaluate(specs, true, best, 12);
+  const Candidate bodies = fits_.KnownOrFitted(specs, true, best, 12);
   const double more = 0.5 * (bodies.fit.chi2 - best->fit.chi2) / fits_.noise_scale();
   if (bodies.fit.ok && more < 1) Replace(bodies, best);
 }
@@ -166,7 +163,7 @@ void Simplifier::UsePlainLaw(const std::string& richer, const TrialSpecs& specs,
 void Simplifier::FirstRotorAsInertia(Candidate* best) {
   TrialSpecs specs = Refreshed(*best);
   const auto rotor = [](const EffectSpec& s) { return s.id == LawOf(Regressor::kAcceleration).id; };
-  const bool alone = std::count_if(specs.begin(), specs.end(), rotor) == 1;
+  const bool alone = std::ranges::count_if(specs, rotor) == 1;
   std::erase_if(specs, [&](const EffectSpec& s) {
     return rotor(s) && s.joints == std::vector<std::string>{setting_.nominal.joint_names()[0]};
   });
@@ -192,7 +189,7 @@ void Simplifier::MergeByDirection(Candidate* best) {
     if (s.id == zero) offset[s.joints[0]] = s.values.at(s.joints[0]).at("offset");
   }
   const bool everywhere =
-      std::all_of(offset.begin(), offset.end(), [&](const auto& o) { return level.count(o.first) > 0; }) &&
+      std::ranges::all_of(offset, [&](const auto& o) { return level.count(o.first) > 0; }) &&
       offset.size() == level.size();
   const bool tilted = offset.empty() && HasKind(best->specs, tilt);
   if (!everywhere && !tilted) return;
@@ -233,8 +230,7 @@ void Simplifier::SplitByDirection(Candidate* best) {
   Candidate c = fits_.Evaluate(specs, best->base, best, kMergeIterations, best);
   if (!c.fit.ok) return;
   Prune(&c);
-  const auto kept =
-      std::count_if(c.specs.begin(), c.specs.end(), [&](const EffectSpec& s) { return s.id == zero; });
+  const auto kept = std::ranges::count_if(c.specs, [&](const EffectSpec& s) { return s.id == zero; });
   const auto evidence = [](const Candidate& of) { return of.score + StructurePrior(of.specs, of.base); };
   if (static_cast<size_t>(kept) < several && evidence(c) > evidence(*best)) Replace(c, best);
 }

@@ -40,8 +40,7 @@ void Trace::Fit(const Candidate& c, const char* what) const {
   for (size_t i = 0; i < c.parameters.size() && c.fit.theta.size() > 0; ++i) {
     const auto& p = c.parameters[i];
     if (c.plant->parameters()[p.index].kind != sim::ParameterKind::kEffect) continue;
-    std::fprintf(stderr, " %s=%.4g", p.name.substr(p.name.find('.')).c_str(),
-                 c.fit.theta[static_cast<long>(i)]);
+    std::fprintf(stderr, " %s=%.4g", p.name.substr(p.name.find('.')).c_str(), c.fit.theta[i]);
   }
   std::fprintf(stderr, "\n");
 }

@@ -4,7 +4,6 @@
 #include <map>
 #include <set>
 
-#include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/field_starts.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
@@ -29,13 +28,13 @@ const effects::EffectInfo& Rotor() { return LawOf(Regressor::kAcceleration); }
 bool AlreadyIn(const Candidate& from, const Scored& h, const sim::Plant& nominal) {
   if (h.joints.empty()) return Contains(from.specs, h.effect, "");
   std::vector<std::string> names;
-  for (const int j : h.joints) names.push_back(nominal.joint_names()[static_cast<size_t>(j)]);
+  for (const int j : h.joints) names.push_back(nominal.joint_names()[j]);
   if (h.effect == LawOf(Regressor::kOtherEffort).id) {
-    return std::any_of(from.specs.begin(), from.specs.end(),
-                       [&](const EffectSpec& s) { return s.id == h.effect && s.joints == names; });
+    return std::ranges::any_of(from.specs,
+                               [&](const EffectSpec& s) { return s.id == h.effect && s.joints == names; });
   }
-  return std::any_of(names.begin(), names.end(),
-                     [&](const std::string& joint) { return Contains(from.specs, h.effect, joint); });
+  return std::ranges::any_of(names,
+                             [&](const std::string& joint) { return Contains(from.specs, h.effect, joint); });
 }
 
 // What the effect can be exchanged with where it is.
@@ -116,8 +115,7 @@ class TrialBuilder {
     size_t count = 0;
     for (const Combination& set : sets) {
       if (set.gain < least_gain || count == kMostSets) break;
-      if (std::any_of(set.parts.begin(), set.parts.end(), [&](const Scored& h) { return Known(h); }))
-        continue;
+      if (std::ranges::any_of(set.parts, [&](const Scored& h) { return Known(h); })) continue;
       out_.push_back(Together(set.parts, nominal_, scales_));
       ++count;
     }
@@ -129,8 +127,8 @@ class TrialBuilder {
     if (!from_.specs.empty() || (from_.base && data_.n > 2)) return;
     std::vector<Scored> best;
     double most = 0;
-    const auto named = std::find_if(screened_.hypotheses.begin(), screened_.hypotheses.end(),
-                                    [](const Scored& h) { return !IsUnnamed(h.effect); });
+    const auto named =
+        std::ranges::find_if(screened_.hypotheses, [](const Scored& h) { return !IsUnnamed(h.effect); });
     if (named != screened_.hypotheses.end() && named->gain > most) best = {*named}, most = named->gain;
     if (!screened_.sets.empty() && screened_.sets[0].gain > most) best = screened_.sets[0].parts;
     if (best.empty()) return;
@@ -209,7 +207,7 @@ class TrialBuilder {
     if (data_.n <= 2 || !from_.fit.ok) return;
     std::vector<TrialSpecs> springs;
     for (int joint = 0; joint < data_.n; ++joint) {
-      const double rotor = RotorOf(nominal_.joint_names()[static_cast<size_t>(joint)]);
+      const double rotor = RotorOf(nominal_.joint_names()[joint]);
       if (!MayHaveMotor(joint) || !data_.Judged(joint) || !(rotor > 0)) continue;
       for (const char* sensor : {"link", "motor"}) {
         std::vector<TrialSpecs> starts =
@@ -224,7 +222,7 @@ class TrialBuilder {
   // What a motor behind a spring or play does hides how late its drive is: as late as most others, where
   // these are late.
   void AsLateAsOthers(int joint, std::vector<TrialSpecs>* starts) const {
-    const std::string& name = nominal_.joint_names()[static_cast<size_t>(joint)];
+    const std::string& name = nominal_.joint_names()[joint];
     std::map<std::string, std::vector<EffectSpec>> late;
     for (const EffectSpec& s : from_.fit.ok ? Refreshed(from_) : TrialSpecs{}) {
       if (!IsLateDrive(s.id) || s.joints.size() != 1) continue;
@@ -243,7 +241,7 @@ class TrialBuilder {
   }
 
   bool MayHaveMotor(int joint) const {
-    const std::string& name = nominal_.joint_names()[static_cast<size_t>(joint)];
+    const std::string& name = nominal_.joint_names()[joint];
     return nominal_.Takes(effects::Spring().id, joint) &&
            !Contains(from_.specs, effects::Spring().id, name) &&
            !Contains(from_.specs, effects::Play().id, name);
@@ -251,7 +249,7 @@ class TrialBuilder {
 
   // The motor's inertia below its resonance: what a rotor holds already, or the screen takes for one.
   double MotorOn(int joint) const {
-    double inertia = RotorOf(nominal_.joint_names()[static_cast<size_t>(joint)]);
+    double inertia = RotorOf(nominal_.joint_names()[joint]);
     for (const Scored& h : screened_.hypotheses) {
       if (h.effect == Rotor().id && h.joints == std::vector<int>{joint}) inertia += h.coefficients[0];
     }
@@ -310,8 +308,7 @@ std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& scre
   for (const auto* list : {&screened.sets, &screened.pairs}) {
     for (const Combination& c : *list) add(c.parts, c.gain);
   }
-  std::stable_sort(promised.begin(), promised.end(),
-                   [](const auto& a, const auto& b) { return a.first > b.first; });
+  std::ranges::stable_sort(promised, [](const auto& a, const auto& b) { return a.first > b.first; });
   std::vector<TrialSpecs> out;
   std::set<std::string> seen;
   for (auto& [gain, start] : promised) {
@@ -326,12 +323,12 @@ std::vector<std::shared_ptr<const Candidate>> BestOf(std::vector<RankedTrial> tr
   std::set<std::string> seen;
   std::vector<RankedTrial>* lists[] = {&trials, &apart};
   for (std::vector<RankedTrial>* list : lists) {
-    std::stable_sort(list->begin(), list->end(),
-                     [](const RankedTrial& a, const RankedTrial& b) { return a.left < b.left; });
+    std::ranges::stable_sort(*list,
+                             [](const RankedTrial& a, const RankedTrial& b) { return a.left < b.left; });
     std::erase_if(*list, [&](const RankedTrial& t) { return !seen.insert(KeyOf(t.fitted->specs)).second; });
     std::vector<RankedTrial> worth;
     for (const RankedTrial& t : *list) {
-      const bool hardly = std::any_of(list->begin(), list->end(), [&](const RankedTrial& part) {
+      const bool hardly = std::ranges::any_of(*list, [&](const RankedTrial& part) {
         return part.fitted->specs.size() < t.fitted->specs.size() && t.excess > kHardlyLess * part.excess &&
                IsPart(part.fitted->specs, t.fitted->specs);
       });
@@ -351,7 +348,7 @@ std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id
                                   const MotionScales& scales) {
   std::vector<TrialSpecs> out;
   for (const std::string& sibling : SiblingsOf(id)) {
-    const bool taken = std::all_of(specs.begin(), specs.end(), [&](const EffectSpec& s) {
+    const bool taken = std::ranges::all_of(specs, [&](const EffectSpec& s) {
       return s.id != id || nominal.Takes(sibling, nominal.model().FindJoint(s.joints[0]));
     });
     if (sibling == id || !taken) continue;
@@ -369,7 +366,7 @@ std::vector<TrialSpecs> PlainOnSomeJoints(const TrialSpecs& specs, const sim::Pl
   std::vector<TrialSpecs> out;
   for (size_t i = 0; i < specs.size(); ++i) {
     const auto alike = [&](const EffectSpec& s) { return s.id == specs[i].id; };
-    const auto joints = std::count_if(specs.begin(), specs.end(), alike);
+    const auto joints = std::ranges::count_if(specs, alike);
     if (!IsRicherFriction(specs[i].id) || joints < 2) continue;
     for (const std::string& id : {dry, LawOf(Regressor::kVelocity).id}) {
       if (Contains(specs, id, specs[i].joints[0])) continue;
@@ -394,8 +391,7 @@ std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& 
     if (model.specs[i].id == Rotor().id && model.specs[i].joints.size() == 1)
       rotors.push_back({Strength(model, i), i});
   }
-  std::stable_sort(rotors.begin(), rotors.end(),
-                   [](const auto& a, const auto& b) { return a.first > b.first; });
+  std::ranges::stable_sort(rotors, [](const auto& a, const auto& b) { return a.first > b.first; });
   const std::vector<EffectSpec> specs = Refreshed(model);
   for (size_t i = 0; i < std::min(kRotors, rotors.size()); ++i) {
     const EffectSpec& rotor = specs[rotors[i].second];

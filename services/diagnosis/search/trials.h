@@ -2,9 +2,7 @@
 // effects that resemble these, and what no linear screen can see.
 #pragma once
 
-#include <cstdint>
 #include <functional>
-#include <set>
 #include <string>
 #include <vector>
 

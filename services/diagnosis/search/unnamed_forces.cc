@@ -1,7 +1,6 @@
 #include "services/diagnosis/search/unnamed_forces.h"
 
 #include <algorithm>
-#include <optional>
 #include <set>
 
 #include "services/diagnosis/hypotheses/field_starts.h"
@@ -31,9 +30,7 @@ void UnnamedForces::Try(bool freed, const std::vector<std::string>& variables,
                             ? FieldPairStart(data, setting_.nominal, setting_.scales, force)
                             : FieldStart(data, setting_.nominal, setting_.scales, force, variable);
       if (!spec) continue;
-      const std::vector<EffectSpec> specs = Joined(given_, {*spec});
-      const Candidate* done = fits_.Known(specs, base);
-      if (enough(done != nullptr ? *done : fits_.Evaluate(specs, base))) return;
+      if (enough(fits_.KnownOrFitted(Joined(given_, {*spec}), base))) return;
     }
   }
 }
@@ -76,8 +73,7 @@ Candidate UnnamedForces::WithoutCoarse(Candidate model) {
   for (const std::string& kind : FreshKinds(bare, model)) {
     if (IsUnnamed(kind)) continue;
     const std::vector<EffectSpec> specs = WithoutKind(Refreshed(model), kind);
-    const Candidate* known = fits_.Known(specs, model.base);
-    const Candidate without = known != nullptr ? *known : fits_.Evaluate(specs, model.base, &model);
+    const Candidate without = fits_.KnownOrFitted(specs, model.base, &model);
     if (without.fit.ok && fits_.Excess(model) >= kHalf * fits_.Excess(without)) model = without;
   }
   return model;

@@ -10,6 +10,10 @@
 
 namespace rg::diagnosis {
 
+// Variables of an unnamed force. One over speed may follow two friction laws: it comes last.
+inline const std::vector<std::string> kOfPlace = {"position", "drag"};
+inline const std::vector<std::string> kAny = {"position", "drag", "velocity"};
+
 class UnnamedForces {
  public:
   // force: the missing force of a candidate. needed(a, b): log evidence that b must bring in the place of a.

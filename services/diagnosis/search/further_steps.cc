@@ -1,0 +1,128 @@
+#include "services/diagnosis/search/further_steps.h"
+
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/search/refinement.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+
+namespace {
+
+constexpr double kNearlyAll = 0.9;            // of what is left
+constexpr int kMaxForwardSteps = 2;           // beside a first effect, before inertials are freed
+constexpr double kWorkForForwardSteps = 0.5;  // of the limit, after which no step or substitute begins
+
+bool IsOfAllJoints(const Candidate& c, const std::string& kind) {
+  for (size_t i = 0; i < c.specs.size(); ++i) {
+    if (c.specs[i].id == kind && OfAllJoints(c, i)) return true;
+  }
+  return false;
+}
+
+}  // namespace
+
+// Laws that leave little with inertials as given may lack one more, which costs less to find than free
+// inertials.
+bool FurtherSteps::ByLaws(const Candidate& before, Candidate* winner) {
+  Candidate found = *winner;
+  for (const bool base : {false, true}) {
+    if (state_.ordinary && base != before.base) continue;
+    const Candidate* own = base == before.base ? &before : fits_.Known(before.specs, base);
+    if (own == nullptr || !own->fit.ok || fits_.AtStake(*own) < state_.Threshold(before) || fits_.Late())
+      continue;
+    const Candidate from = *own;
+    if (!step_.AddLaws(from, base, state_.Threshold(before), &found)) continue;
+    const bool nearly = !base && fits_.Excess(found) < (1 - kNearlyAll) * fits_.Excess(from);
+    if (nearly && !found.base && !HasUnnamed(found)) found = Better(found, FurtherLaws(found));
+    if (!step_.ExplainedByLaws(before, found, state_.Threshold(before, found))) continue;
+    *winner = found;
+    return true;
+  }
+  return false;
+}
+
+std::vector<Candidate> FurtherSteps::Starts(const Candidate& before, const Candidate& winner) const {
+  std::vector<Candidate> out;
+  if (fits_.Late(kWorkForForwardSteps) || fits_.PerRow(winner) < kExplained) return out;
+  const auto lacks = [&](const Candidate& c) {
+    return c.fit.ok && !c.base && !HasUnnamed(c) && fits_.PerRow(c) > kExplained;
+  };
+  if (lacks(winner) && winner.score > before.score + state_.Threshold(before, winner)) out.push_back(winner);
+  const Candidate* hidden = nullptr;
+  for (const auto& [key, c] : fits_.tried()) {
+    const bool fresh = c.round == state_.round && lacks(c) && HasHiddenStates(c) &&
+                       !HasKind(c.specs, effects::SwingingMass().id) && IsPart(before.specs, c.specs);
+    if (fresh && (hidden == nullptr || c.score > hidden->score)) hidden = &c;
+  }
+  if (hidden != nullptr && (out.empty() || KeyOf(hidden->specs) != KeyOf(out[0].specs)))
+    out.push_back(*hidden);
+  return out;
+}
+
+void FurtherSteps::BesideBest(const Candidate& before, const Candidate& winner, Candidate* best) {
+  for (const Candidate& start : Starts(before, winner)) {
+    *best = Better(*best, Beside(start));
+    if (fits_.PerRow(*best) < kExplained) return;
+  }
+}
+
+Candidate FurtherSteps::Beside(const Candidate& account) {
+  return Steps(account, [this](const Candidate& from, Candidate* with) { step_.Add(from, 3, with); });
+}
+
+// By laws of what is recorded alone.
+Candidate FurtherSteps::FurtherLaws(const Candidate& account) {
+  return Steps(account, [this](const Candidate& from, Candidate* with) {
+    step_.AddLaws(from, from.base, state_.Threshold(from), with);
+  });
+}
+
+// Before each step the drives are reconsidered: a further law would absorb a part of what late ones leave.
+Candidate FurtherSteps::Steps(Candidate account,
+                              const std::function<void(const Candidate&, Candidate*)>& step) {
+  for (int more = 0; more < kMaxForwardSteps && !fits_.Late(kWorkForForwardSteps); ++more) {
+    if (state_.ordinary) drives_.Late(&account);
+    if (!(fits_.PerRow(account) > kExplained)) break;
+    Candidate with = account;
+    step(account, &with);
+    state_.TellOfRound("forward step",
+                       KeyOf(with.specs) + " gains " + std::to_string(with.score - account.score));
+    if (HasUnnamed(with) || with.score <= account.score + state_.Threshold(account, with)) break;
+    account = with;
+  }
+  return account;
+}
+
+void FurtherSteps::SubstituteAll(Candidate* best) {
+  while (Substitute(best)) simplifier_.Run(best);
+}
+
+bool FurtherSteps::Substitute(Candidate* best) {
+  const std::set<std::string> kinds = FreshKinds(Candidate{}, *best);
+  if (kinds.size() < 2 || HasUnnamed(*best) || fits_.MeetsSensors(*best)) return false;
+  for (const std::string& kind : kinds) {
+    if (fits_.Late(kWorkForForwardSteps)) return false;
+    if (state_.ordinary && IsOfAllJoints(*best, kind)) continue;
+    Candidate winner = *best;
+    AddWithoutKind(*best, kind, &winner);
+    if (KeyOf(winner.specs) == KeyOf(best->specs)) continue;
+    const bool more = HasKind(state_.given, kind) || FreshKinds(Candidate{}, winner).size() > kinds.size();
+    state_.TellOfRound("substitute", KeyOf(winner.specs) + " for " + kind + " gains " +
+                                         std::to_string(winner.score - best->score));
+    if (winner.score <= best->score + (more ? state_.Threshold(*best, winner) : kLeastGainOfExchange))
+      continue;
+    *best = winner;
+    return true;
+  }
+  return false;
+}
+
+void FurtherSteps::AddWithoutKind(const Candidate& account, const std::string& kind, Candidate* winner) {
+  const std::vector<EffectSpec> specs = WithoutKind(Refreshed(account), kind);
+  if (!stepped_from_.insert(KeyOf(specs, account.base)).second) return;
+  const Candidate from = fits_.KnownOrFitted(specs, account.base, &account);
+  if (from.fit.ok) step_.Add(from, kFitsInPlace, winner);
+}
+
+}  // namespace rg::diagnosis

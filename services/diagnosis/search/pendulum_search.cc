@@ -1,0 +1,236 @@
+#include "services/diagnosis/search/pendulum_search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/likelihood/some_windows.h"
+#include "services/diagnosis/likelihood/swing_starts.h"
+
+namespace rg::diagnosis {
+
+using effects::EffectSpec;
+
+namespace {
+
+constexpr double kPendulumShare = 0.8;   // of the work limit
+constexpr size_t kPendulumWindows = 14;  // evenly spread, on which a pendulum is tried
+constexpr double kTypically = 0.7;       // of these windows; the start of the others may be lost
+constexpr double kLonger = 2.2;          // times a pendulum's length, that is tried too
+constexpr double kSameFit = 0.02;        // of χ², within which two fits count as the same
+constexpr double kAstray = 10.0;  // times a trial's misfit, above which its fit on all windows was lost
+constexpr double kNoNearer =
+    2.0;  // times kConsistent: a pendulum whose trial leaves more is not fitted on all windows
+constexpr double kRowsPerState = 4;      // rows of a window, at least, that determine its start
+constexpr double kShortestWindow = 0.2;  // s, of a search
+
+// The one among these effects.
+const EffectSpec& MassIn(const TrialSpecs& specs) {
+  return *std::ranges::find_if(specs, [](const EffectSpec& s) { return s.id == effects::SwingingMass().id; });
+}
+
+std::string HingeOf(const EffectSpec& rod) { return rod.options.at("hinge"); }
+
+// The same with the pendulum about another axis.
+TrialSpecs About(const EffectSpec& hinge, TrialSpecs specs) {
+  for (EffectSpec& s : specs) {
+    if (s.id == effects::SwingingMass().id) s.options["hinge"] = HingeOf(hinge);
+  }
+  return specs;
+}
+
+}  // namespace
+
+std::shared_ptr<const Candidate> PendulumSearch::Run(const Candidate& winner, Candidate* found) {
+  if (!MayBeOne(*found)) return nullptr;
+  const std::optional<Candidate> lost = Seek(found);
+  const double nearest_left = std::min(fits_.PerRow(*found), fits_.PerRow(winner));
+  return lost && !(fits_.PerRow(*lost) > nearest_left) && !fits_.Late() ? OverHalves(*lost) : nullptr;
+}
+
+// A swinging mass is ruled out beside an unnamed force, and where a model tried so far, admissible or not,
+// leaves far less than the mass in springs; or free base parameters, or one force over two positions, do.
+bool PendulumSearch::MayBeOne(const Candidate& found) {
+  double least = fits_.PerRow(found);
+  for (const auto& [key, c] : fits_.tried()) {
+    const bool unnamed = HasUnnamed(c) && !c.fit.ok;
+    const bool swinging = HasKind(c.specs, effects::SwingingMass().id);  // a refused one rules out none
+    if (c.fit.rows > 0 && c.fit.chi2 > 0 && !unnamed && !swinging) least = std::min(least, fits_.PerRow(c));
+  }
+  const auto may_be = [&] {
+    return !HasUnnamed(from_) && std::ranges::any_of(trials_.springs, [&](const auto& c) {
+      return least - 1 > kPartly * (fits_.PerRow(*c) - 1);
+    });
+  };
+  const auto compare = [&](const TrialSpecs& specs, bool freed, const Candidate* start) {
+    if (!may_be() || fits_.Late()) return;
+    const Candidate other = fits_.KnownOrFitted(specs, freed, start);
+    if (other.fit.ok) least = std::min(least, fits_.PerRow(other));
+  };
+  if (!base_) compare(Refreshed(from_), true, &from_);
+  if (trials_.surface != nullptr) compare(Refreshed(*trials_.surface), base_, nullptr);
+  return may_be();
+}
+
+// The best fit of a pendulum on all windows, where it fits most of them and not all.
+std::optional<Candidate> PendulumSearch::Seek(Candidate* found) {
+  if (SpringsHold()) return {};
+  Begin();
+  TryLengths();
+  // A true pendulum explains something about any hinge.
+  if (!(nearest_.left - 1 < kSwings * missing_)) return {};
+  TryHinges();
+  TryBeside();
+  if (nearest_.left > kNoNearer * kConsistent) return {};
+  TryOtherAxes();
+  FitWhole(found);
+  return FewWindowsLost() && !(fits_.PerRow(*best_) < kExplained) ? best_ : std::nullopt;
+}
+
+bool PendulumSearch::SpringsHold() const {
+  return std::ranges::any_of(trials_.springs, [&](const auto& trial) {
+    const Candidate* whole = fits_.Known(trial->specs, trial->base);
+    return whole != nullptr && fits_.PerRow(*whole) < kExplained;
+  });
+}
+
+// The better mass in springs. The fit on all windows knows the length better, unless it was lost on the way.
+TrialSpecs PendulumSearch::Springs() const {
+  const Candidate& trial = *trials_.springs.front();
+  const Candidate* whole = fits_.Known(trial.specs, trial.base);
+  const bool astray =
+      whole == nullptr || !whole->fit.ok || fits_.PerRow(*whole) > kAstray * fits_.PerRow(trial);
+  return Refreshed(astray ? trial : *whole);
+}
+
+void PendulumSearch::Begin() {
+  springs_ = Springs();
+  request_ = fits_.WholeFit(springs_, from_.base, fits_.Start(&from_, from_.base));
+  request_.places = EvenlySpread(setting_.data.windows.size(), setting_.data.WindowsFor(kPendulumWindows));
+  std::vector<double> before;
+  for (const uint32_t i : request_.places) before.push_back(from_.fit.window_chi2[i]);
+  missing_ = Typically(before) - 1, enough_ = fits_.WorkAfter(kPendulumShare);
+  hinges_ = RodStarts(setting_.data, setting_.nominal, MassIn(springs_));
+}
+
+void PendulumSearch::TryLengths() {
+  for (const double longer : {1.0, kLonger, 1 / kLonger}) {
+    if (nearest_.left < kExplained) break;
+    const Hung rod = Hang(Joined(springs_, {LongerRod(hinges_[0], longer)}));
+    // Both lengths agree: found, or this is not the hinge.
+    const bool same = std::abs(rod.left - nearest_.left) < kSameFit * nearest_.left;
+    if (rod.left < nearest_.left) nearest_ = rod, times_ = longer;
+    if (same && nearest_.left - 1 < kSwings * missing_) break;
+  }
+}
+
+// A length found about one hinge is a start about the others.
+void PendulumSearch::TryHinges() {
+  const std::string tried = KeyOf({LongerRod(hinges_[0], times_)});
+  for (const EffectSpec& hinge : hinges_) {
+    if (&hinge != &hinges_.front() && nearest_.left < kExplained) break;
+    for (const EffectSpec& rod : EitherPlace(setting_.data, setting_.nominal, LongerRod(hinge, times_))) {
+      if (nearest_.in_all < kExplained || KeyOf({rod}) == tried) continue;
+      const Hung other = Hang(Joined(springs_, {rod}));
+      if (other.left < nearest_.left) nearest_ = other;
+    }
+  }
+}
+
+// Without another missing effect it may be inconsistent, though most windows absorb that in their swing.
+void PendulumSearch::TryBeside() {
+  const EffectSpec rod = MassIn(nearest_.specs);
+  const std::string& held = effects::EffectOf(effects::Role::kBodyInertia).id;
+  std::vector<TrialSpecs> others;
+  for (const auto& other : trials_.beside) {
+    // A payload may have been found in the pendulum's place: without it, too.
+    const TrialSpecs free = WithoutKind(Refreshed(*other), held);
+    const bool found = free.size() < other->specs.size() && !HasKind(setting_.nominal.effects(), held);
+    if (found && !free.empty()) others.push_back(free);
+    others.push_back(Refreshed(*other));
+  }
+  for (const TrialSpecs& other : others) TakeIfNearer(Joined(other, {rod}));
+}
+
+// Where it lies along the hinge's first axis it can only swing about the other: windows in which that happens
+// tell the right hinge.
+void PendulumSearch::TryOtherAxes() {
+  const std::string about = HingeOf(MassIn(nearest_.specs));
+  for (const EffectSpec& hinge : hinges_) {
+    if (HingeOf(hinge) != about) TakeIfNearer(About(hinge, nearest_.specs));
+  }
+}
+
+// Where it leaves half of what the nearest leaves on all of a trial's windows, which must be something.
+void PendulumSearch::TakeIfNearer(const TrialSpecs& specs) {
+  if (nearest_.in_all < kExplained) return;
+  const Hung other = Hang(specs);
+  if (other.in_all - 1 < kPartly * (nearest_.in_all - 1)) nearest_ = other;
+}
+
+void PendulumSearch::FitWhole(Candidate* found) {
+  for (const TrialSpecs& specs : {nearest_.needed, nearest_.specs}) {
+    Weigh(specs, found);
+    // One more superfluous law will not make it consistent.
+    if (best_ && (fits_.PerRow(*best_) < kExplained || !(fits_.PerRow(*best_) < kConsistent))) break;
+  }
+  // Consecutive windows tell the hinge better than the few of a trial, whose starts may be lost.
+  for (const EffectSpec& hinge : hinges_) {
+    if (!FewWindowsLost() || fits_.PerRow(*best_) < kConsistent || fits_.Late() || fits_.work() > enough_)
+      break;
+    Weigh(About(hinge, Refreshed(*best_)), found);
+  }
+}
+
+void PendulumSearch::Weigh(const TrialSpecs& specs, Candidate* found) {
+  const Candidate whole = fits_.KnownOrFitted(specs, from_.base, &from_);
+  if (whole.score > found->score) *found = whole;
+  if (whole.fit.ok && (!best_ || fits_.PerRow(whole) < fits_.PerRow(*best_))) best_ = whole;
+}
+
+// Whether few windows hold what is left.
+bool PendulumSearch::FewWindowsLost() const {
+  if (!best_) return false;
+  const double left = Typically(best_->fit.window_chi2);
+  return left < kConsistent && left - 1 < kPartly * (fits_.PerRow(*best_) - 1);
+}
+
+std::shared_ptr<const Candidate> PendulumSearch::OverHalves(const Candidate& rod) {
+  FitData halves = setting_.data;
+  halves.nodes.window_s *= 0.5;
+  if (halves.nodes.window_s < kShortestWindow) return nullptr;
+  halves.windows = InPieces(halves.windows, halves.nodes.window_s, halves.RowNoise());
+  if (!(RowsPerWindow(halves) > kRowsPerState * rod.plant->num_states())) return nullptr;
+  const FitSetting setting{halves, setting_.nominal, setting_.scales};
+  Candidate over = rod;
+  over.fit = MakeFit(setting, fits_.WholeFit(Refreshed(rod), rod.base, nullptr));
+  fits_.AddWork(over.fit.work);
+  trace_.Fit(over, "  halves");
+  const double most = std::min(kConsistent, 1 + kPartly * (PerFreeRow(setting_.data, rod) - 1));
+  const bool holds = over.fit.ok && !Uninformed(over) && PerFreeRow(halves, over) < most;
+  if (!holds || fits_.Cancelled()) return nullptr;
+  return std::make_shared<const Candidate>(WithoutStates(std::move(over)));
+}
+
+// A trial of these effects.
+PendulumSearch::Hung PendulumSearch::Hang(const TrialSpecs& specs) {
+  if (fits_.Late(kWorkForComparisons) || fits_.work() > enough_) return {};
+  request_.specs = specs;
+  const Candidate c = fits_.Fitted(request_);
+  trace_.Fit(c, "  rod");
+  if (!c.fit.ok) return {};
+  return {Refreshed(c), StillNeeded(from_, c), Typically(c.fit.window_chi2), fits_.PerRow(c)};
+}
+
+double PendulumSearch::Typically(const std::vector<double>& window_chi2) const {
+  return TypicalChi2(setting_.data, window_chi2, fits_.noise_scale(), kTypically);
+}
+
+// χ² per degree of freedom: each window's own start absorbs some noise.
+double PendulumSearch::PerFreeRow(const FitData& data, const Candidate& c) const {
+  const double starts = static_cast<double>(data.windows.size()) * c.plant->num_states();
+  return c.fit.chi2 / std::max(1.0, c.fit.rows - starts) / fits_.noise_scale();
+}
+
+}  // namespace rg::diagnosis

@@ -1,0 +1,77 @@
+// A mass on a rod in the place of one in springs: after trials of a mass in springs, fits from many starts,
+// since from far off each leads to a length, a hinge and a phase of its own.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "services/diagnosis/search/fit_ledger.h"
+
+namespace rg::diagnosis {
+
+// What trials of additions to a model found.
+struct PendulumTrials {
+  // A mass in springs on the tool and on the last link, the better first; none: nothing to look for.
+  std::vector<std::shared_ptr<const Candidate>> springs;
+  std::vector<std::shared_ptr<const Candidate>> beside;  // the best with names and without hidden states
+  std::shared_ptr<const Candidate> surface;              // a force over two positions; null: none
+};
+
+class PendulumSearch {
+ public:
+  // `from`: the model that the trials add to. All of these outlive this.
+  PendulumSearch(const FitSetting& setting, FitLedger& fits, const Trace& trace, const Candidate& from,
+                 bool base, const PendulumTrials& trials)
+      : setting_(setting), fits_(fits), trace_(trace), from_(from), base_(base), trials_(trials) {}
+
+  // Over lengths, hinges and places, alone and with the effects of other trials. `found`, the best of what
+  // was fitted, becomes the pendulum where that scores better. Where it fits most windows and not all, and
+  // leaves no more than `found` and `winner`: as it is over windows of half the length, if it holds there;
+  // else null.
+  std::shared_ptr<const Candidate> Run(const Candidate& winner, Candidate* found);
+
+ private:
+  struct Hung {
+    TrialSpecs specs;
+    TrialSpecs needed;              // without effects that became superfluous with the pendulum
+    double left = effects::kInf;    // typically
+    double in_all = effects::kInf;  // χ² per row, with windows whose start is lost
+  };
+
+  bool MayBeOne(const Candidate& found);
+  bool SpringsHold() const;
+  TrialSpecs Springs() const;
+  void Begin();
+  void TryLengths();
+  void TryHinges();
+  void TryBeside();
+  void TryOtherAxes();
+  void TakeIfNearer(const TrialSpecs& specs);
+  void FitWhole(Candidate* found);
+  void Weigh(const TrialSpecs& specs, Candidate* found);
+  bool FewWindowsLost() const;
+  std::optional<Candidate> Seek(Candidate* found);
+  std::shared_ptr<const Candidate> OverHalves(const Candidate& rod);
+
+  Hung Hang(const TrialSpecs& specs);
+  double Typically(const std::vector<double>& window_chi2) const;
+  double PerFreeRow(const FitData& data, const Candidate& c) const;
+
+  const FitSetting& setting_;
+  FitLedger& fits_;
+  const Trace& trace_;
+  const Candidate& from_;
+  const bool base_;
+  const PendulumTrials& trials_;
+
+  TrialSpecs springs_;
+  std::vector<effects::EffectSpec> hinges_;  // with the rod that the springs are, the likeliest first
+  FitRequest request_;                       // of all trials here
+  double missing_ = 0, enough_ = 0;          // what `from` leaves typically; of work
+  double times_ = 1;                         // of the rod's length
+  Hung nearest_;
+  std::optional<Candidate> best_;  // on all windows
+};
+
+}  // namespace rg::diagnosis
