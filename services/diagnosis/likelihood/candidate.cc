@@ -258,13 +258,17 @@ std::set<size_t> Aperiodic(const Candidate& c, const MotionScales& scales, doubl
   return out;
 }
 
-bool Drops(const Candidate& c) {
+std::set<size_t> Rising(const Candidate& c) {
   const auto& parameters = c.plant->parameters();
-  return std::ranges::all_of(c.specs, [&](const EffectSpec& s) {
-    if (s.id != effects::LawOf(effects::Regressor::kSlowly).id) return true;
+  std::set<size_t> out;
+  for (size_t i = 0; i < c.specs.size(); ++i) {
+    const EffectSpec& s = c.specs[i];
+    if (s.id != effects::LawOf(effects::Regressor::kSlowly).id) continue;
     const std::string name = s.id + "." + s.joints[0] + ".";
-    return c.fit.values[parameters.Find(name + "static")] >= c.fit.values[parameters.Find(name + "coulomb")];
-  });
+    if (c.fit.values[parameters.Find(name + "static")] < c.fit.values[parameters.Find(name + "coulomb")])
+      out.insert(i);
+  }
+  return out;
 }
 
 bool PullsBack(const Candidate& c, const MotionScales& scales) {

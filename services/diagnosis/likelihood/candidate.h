@@ -107,8 +107,8 @@ void ContinueFields(Candidate* c);
 // fitted on all windows; a trial on some need not know the number sharply.
 std::set<size_t> Aperiodic(const Candidate& c, const MotionScales& scales, double noise_scale, bool whole);
 
-// Whether every Stribeck friction falls with speed; one that rises imitates drag.
-bool Drops(const Candidate& c);
+// The places of Stribeck frictions that rise with speed and so imitate drag.
+std::set<size_t> Rising(const Candidate& c);
 // Whether the force of each of its springs grows with the distance from the centre over all positions
 // recorded, or turns back no sooner than a counterbalance's, a sine of the angle; one-sided at 1 %. What
 // turns back sooner is a detent or another force over position.

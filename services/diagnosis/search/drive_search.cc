@@ -117,19 +117,26 @@ Candidate DriveSearch::Losses() {
   return Seen(fits_.Evaluate(start.specs, false, nullptr, kIterations), false);
 }
 
-// The same without what makes a model inadmissible: losses that the data do not inform, and ripples that are
-// none, which stood for something else.
+// The same without what makes a model inadmissible: losses that the data do not inform, ripples that are
+// none, which stood for something else, and Stribeck friction where it would rise with speed, which becomes
+// plain.
 Candidate DriveSearch::Seen(const Candidate& c, bool base) {
   const Candidate all = AsStart(c);
   if (c.fit.ok || !all.fit.ok || fits_.Late()) return c;
   const std::set<size_t> aperiodic = Aperiodic(all, setting_.scales, fits_.noise_scale(), true);
-  std::vector<EffectSpec> seen = Refreshed(all);
-  for (size_t i = seen.size(); i-- > 0;) {
+  const std::set<size_t> rising = Rising(all);
+  const std::vector<EffectSpec> specs = Refreshed(all);
+  std::vector<EffectSpec> seen;
+  for (size_t i = 0; i < specs.size(); ++i) {
     const bool weak = Uninformed(all, i) || Strength(all, i) < kAbsent;
     const bool none = aperiodic.count(i) > 0 || (weak && !LikeOtherJoints(all, i));
-    if (!IsGiven(seen[i]) && none) seen.erase(seen.begin() + static_cast<long>(i));
+    if (IsGiven(specs[i]) || !(none || rising.count(i) > 0)) {
+      seen.push_back(specs[i]);
+    } else if (!none) {
+      seen.push_back(Exchanged(specs[i], kDry, setting_.nominal, setting_.scales));
+    }
   }
-  if (seen.empty() || seen.size() == c.specs.size()) return c;
+  if (seen.empty() || KeyOf(seen) == KeyOf(c.specs)) return c;
   return fits_.Evaluate(seen, base, &all, kIterations);
 }
 
@@ -184,6 +191,13 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
     std::erase_if(others, [&](const TrialSpecs& o) { return !HasKind(o, id); });
     Candidate other = *best;
     fits_.TryInPlace(others, &other);
+    // One joint on which the law does not hold is no reason against all others.
+    for (const TrialSpecs& o : others) {
+      const Candidate* refused = fits_.Known(o, best->base);
+      if (refused == nullptr || refused->fit.ok) continue;
+      const Candidate seen = Seen(*refused, best->base);
+      if (seen.score > other.score) other = seen;
+    }
     return other;
   };
   const Candidate drops = with(kDropping);

@@ -175,7 +175,7 @@ Candidate FitLedger::Fitted(const FitRequest& request, FitResult fit) {
   const auto doubted = [&](effects::Regressor law) {
     return request.places.empty() && !HasKind(setting_.nominal.effects(), effects::LawOf(law).id);
   };
-  if (doubted(effects::Regressor::kSlowly)) c.fit.ok = c.fit.ok && Drops(c);
+  if (doubted(effects::Regressor::kSlowly)) c.fit.ok = c.fit.ok && Rising(c).empty();
   if (doubted(effects::Regressor::kPosition)) c.fit.ok = c.fit.ok && PullsBack(c, setting_.scales);
   // While much is left a ripple's period is bent by it, and on some windows by little.
   if (c.fit.ok && PerRow(c) < (request.places.empty() ? kConsistent : kExplained))

@@ -25,6 +25,7 @@ namespace {
 // Validity and shares.
 constexpr double kRivalShare = 0.25;  // of what free inertials explain, that a screen must promise of a rival
 constexpr double kNearlyPromised = 0.9;  // of what is left
+constexpr double kStair = 0.02;          // s, of a force that follows what is missing
 constexpr double kNoisiest = 4.0;  // variance over the sensors' own: more is motion that no force follows
 
 // How far the search goes.
@@ -61,12 +62,8 @@ class Search {
   void MeasureNoise() {
     state_.Tell("noise", 0.02, "");
     const FitModel bare{setting_.nominal, setting_.nominal.parameters().Nominal(), {}};
-    const double stair = std::max(0.02, setting_.data.recordings[0].recording->SamplePeriod());
-    const MissingForce missing =
-        EstimateMissingForce(setting_.data, bare, InitialStates(setting_.data, bare, fits_.lifted()),
-                             setting_.scales.torque, stair, fits_.lifted());
-    fits_.SetNoiseScale(
-        std::clamp(missing.chi2 / std::max(1.0, missing.rows - missing.unknowns), 1.0, kNoisiest));
+    fits_.SetNoiseScale(std::clamp(NoiseBesideForce(bare, InitialStates(setting_.data, bare, fits_.lifted())),
+                                   1.0, kNoisiest));
     step_.MakeFeatures();
   }
 
@@ -93,6 +90,7 @@ class Search {
         *best = *drives, state_.ordinary = true;
       step_.ForgetStepRule();  // of a model that may be forgotten
       LowerNoise(best);
+      if (state_.ordinary) LowerNoiseBesideDrives(best);
       if (state_.ordinary && fits_.MeetsSensors(*best)) simplifier_.Run(best);
       fits_.Grant(kForwardShare);
       state_.Tell("drives", 0.09, KeyOf(best->specs));
@@ -181,11 +179,29 @@ class Search {
     return c.score > best.score + state_.Threshold(best, c);
   }
 
+  // Variance over the sensors' own that no force beside the model follows.
+  double NoiseBesideForce(const FitModel& model, const NodeStates& states) const {
+    const double stair = std::max(kStair, setting_.data.recordings[0].recording->SamplePeriod());
+    const MissingForce missing =
+        EstimateMissingForce(setting_.data, model, states, setting_.scales.torque, stair, fits_.lifted());
+    return fits_.noise_scale() * missing.chi2 / std::max(1.0, missing.rows - missing.unknowns);
+  }
+
+  // Beside the losses of all drives a force follows more of what is left than it does of what losses, which
+  // change with every reversal, leave without them.
+  void LowerNoiseBesideDrives(Candidate* best) {
+    if (fits_.noise_scale() <= 1 || !best->fit.ok || fits_.MeetsSensors(*best)) return;
+    ScaleNoise(NoiseBesideForce({*best->plant, best->fit.values, {}}, best->fit.states), best);
+  }
+
   // A model that fits better than any force on the old one could shows that the noise is less than assumed.
-  // All scores are brought to the new noise scale.
   bool LowerNoise(Candidate* best) {
-    const double own = best->fit.chi2 / std::max(1.0, fits_.Noise(*best));
-    const double scale = std::max(1.0, std::min(fits_.noise_scale(), own));
+    return ScaleNoise(best->fit.chi2 / std::max(1.0, fits_.Noise(*best)), best);
+  }
+
+  // All scores are brought to the new noise scale, where it is less than the old one.
+  bool ScaleNoise(double to, Candidate* best) {
+    const double scale = std::max(1.0, std::min(fits_.noise_scale(), to));
     if (0.5 * (1.0 / scale - 1.0 / fits_.noise_scale()) < 1e-3) return false;
     const double before = fits_.noise_scale();
     fits_.SetNoiseScale(scale);

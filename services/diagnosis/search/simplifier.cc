@@ -28,6 +28,9 @@ bool IsSmallGain(const EffectSpec& s) {
   });
 }
 
+// Without the structure's prior.
+double EvidenceAlone(const Candidate& c) { return FitScore(c) + StructurePrior(c.specs, c.base); }
+
 }  // namespace
 
 void Simplifier::Run(Candidate* best) {
@@ -35,6 +38,7 @@ void Simplifier::Run(Candidate* best) {
   Prune(best);
   UsePlainLaws(best);
   UsePlainLawsOnJoints(best);
+  UseLawOfMostJoints(best);
   MergeByDirection(best);
   SplitByDirection(best);
   FirstRotorAsInertia(best);
@@ -240,7 +244,6 @@ void Simplifier::SplitByDirection(Candidate* best) {
 // be worth too little. It needs 7 nats (kEffectPrior + kSeparable) where structure priors are not counted: of
 // a joint that tells little the law is taken to be that of the others.
 void Simplifier::UsePlainLawsOnJoints(Candidate* best) {
-  const auto evidence = [](const Candidate& c) { return FitScore(c) + StructurePrior(c.specs, c.base); };
   for (bool changed = true; changed && !fits_.Late();) {
     changed = false;
     const std::vector<TrialSpecs> others =
@@ -251,7 +254,7 @@ void Simplifier::UsePlainLawsOnJoints(Candidate* best) {
     fits_.TryInPlace(fresh, &tried);
     const auto consider = [&](const Candidate& c) {
       const bool apart = c.fit.ok && KeyOf(c.specs) != KeyOf(best->specs) &&
-                         evidence(c) > evidence(*best) + kEffectPrior + kSeparable;
+                         EvidenceAlone(c) > EvidenceAlone(*best) + kEffectPrior + kSeparable;
       if (apart && FitScore(c) > FitScore(likeliest)) likeliest = c, changed = true;
     };
     consider(tried);
@@ -259,6 +262,18 @@ void Simplifier::UsePlainLawsOnJoints(Candidate* best) {
       if (const Candidate* known = fits_.Known(o, best->base)) consider(*known);
     }
     *best = likeliest;
+  }
+}
+
+// The other way round: drives of an arm are alike, and plain friction on few joints beside a richer form on
+// most is what the richer form had been refused for while something else was missing.
+void Simplifier::UseLawOfMostJoints(Candidate* best) {
+  for (const std::string& id : RicherFrictions()) {
+    const TrialSpecs specs = AsOnMostJoints(Refreshed(*best), id, setting_.nominal);
+    if (KeyOf(specs) == KeyOf(best->specs) || fits_.Late()) continue;
+    const Candidate alike = fits_.Evaluate(specs, best->base, best, kMergeIterations);
+    if (alike.fit.ok && EvidenceAlone(alike) > EvidenceAlone(*best) - kEffectPrior - kSeparable)
+      *best = alike;
   }
 }
 

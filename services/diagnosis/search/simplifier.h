@@ -44,6 +44,7 @@ class Simplifier {
   void MergeByDirection(Candidate* best);
   void SplitByDirection(Candidate* best);
   void UsePlainLawsOnJoints(Candidate* best);
+  void UseLawOfMostJoints(Candidate* best);
 
   const FitSetting& setting_;
   FitLedger& fits_;

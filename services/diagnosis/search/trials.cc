@@ -4,6 +4,7 @@
 #include <map>
 #include <set>
 
+#include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/field_starts.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
@@ -165,9 +166,13 @@ class TrialBuilder {
     return out;
   }
 
-  // What the model has, by another law: what is left of a joint that sticks tells a screen little of it.
+  // What the model has, by another law: what is left of a joint that sticks tells a screen little of it. Laws
+  // of most joints were compared together.
   void OtherForms() {
     for (const EffectSpec& s : from_.fit.ok ? Refreshed(from_) : TrialSpecs{}) {
+      const auto alike =
+          std::ranges::count_if(from_.specs, [&](const EffectSpec& o) { return o.id == s.id; });
+      if (alike > 2 && 2 * alike > data_.n) continue;
       for (const std::string& id : SiblingsOn(nominal_, s)) {
         if (id != s.id) Push({{Exchanged(s, id, nominal_, scales_)}});
       }
@@ -380,6 +385,36 @@ std::vector<TrialSpecs> PlainOnSomeJoints(const TrialSpecs& specs, const sim::Pl
     }
   }
   return out;
+}
+
+TrialSpecs AsOnMostJoints(TrialSpecs specs, const std::string& id, const sim::Plant& nominal) {
+  const std::string& dry = LawOf(Regressor::kDirection).id;
+  const effects::EffectInfo& info = *effects::FindEffect(id);
+  std::map<std::string, std::vector<double>> of_fellows;  // by parameter; of the level where of its unit
+  std::ptrdiff_t plain = 0;
+  for (const EffectSpec& s : specs) {
+    plain += s.id == dry;
+    if (s.id != id || s.joints.size() != 1) continue;
+    const std::map<std::string, double>& values = s.values.begin()->second;
+    const double level = values.at(info.parameters[0].name);
+    for (const effects::ParameterInfo& p : info.parameters)
+      of_fellows[p.name].push_back(values.at(p.name) / (p.unit == info.parameters[0].unit ? level : 1));
+  }
+  const size_t fellows = of_fellows.empty() ? 0 : of_fellows.begin()->second.size();
+  if (plain == 0 || fellows <= static_cast<size_t>(plain)) return specs;
+  for (EffectSpec& s : specs) {
+    if (s.id != dry || !nominal.Takes(id, nominal.model().FindJoint(s.joints[0]))) continue;
+    const double level = s.values.begin()->second.begin()->second;
+    std::map<std::string, double> values;
+    for (const effects::ParameterInfo& p : info.parameters) {
+      std::vector<double>& all = of_fellows[p.name];
+      const auto middle = all.begin() + static_cast<std::ptrdiff_t>(all.size() / 2);
+      std::nth_element(all.begin(), middle, all.end());
+      values[p.name] = *middle * (p.unit == info.parameters[0].unit ? level : 1);
+    }
+    s = effects::MakeSpec(id, s.joints, values);
+  }
+  return specs;
 }
 
 std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& model,

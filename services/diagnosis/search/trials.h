@@ -59,6 +59,10 @@ std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id
 std::vector<TrialSpecs> PlainOnSomeJoints(const TrialSpecs& specs, const sim::Plant& nominal,
                                           const MotionScales& scales);
 
+// `specs` with friction `id` on all joints where most have it and the others plain dry friction, in the same
+// proportions to it as these have. As it was where it is not so.
+TrialSpecs AsOnMostJoints(TrialSpecs specs, const std::string& id, const sim::Plant& nominal);
+
 // Springs and play behind the strongest rotors that `model` adds to `before`: below its resonance a motor
 // behind a spring looks like a rotor, and no screen sees the difference.
 std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& model,
