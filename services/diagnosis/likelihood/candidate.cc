@@ -217,11 +217,32 @@ void ContinueFields(Candidate* c) {
   }
 }
 
+void Rescale(double before, double scale, Candidate* c) {
+  c->score -= 0.5 * (1.0 / scale - 1.0 / before) * c->fit.chi2;
+  const Eigen::Index count = c->fit.information.rows();
+  if (count == 0) return;
+  Eigen::VectorXd sigma(count);
+  for (Eigen::Index k = 0; k < count; ++k) sigma[k] = c->parameters[static_cast<size_t>(k)].prior_stddev;
+  const auto posterior = [&] {
+    return Eigen::LLT<Eigen::MatrixXd>(Eigen::MatrixXd::Identity(count, count) +
+                                       sigma.asDiagonal() * c->fit.information * sigma.asDiagonal());
+  };
+  const auto half_log_det = [](const Eigen::LLT<Eigen::MatrixXd>& llt) {
+    return llt.matrixLLT().diagonal().array().log().sum();
+  };
+  const double old = half_log_det(posterior());
+  c->fit.information *= before / scale;
+  const Eigen::LLT<Eigen::MatrixXd> llt = posterior();
+  c->score -= half_log_det(llt) - old;
+  c->fit.stddev = sigma.cwiseProduct(
+      llt.solve(Eigen::MatrixXd::Identity(count, count)).diagonal().cwiseMax(0.0).cwiseSqrt());
+}
+
 std::set<size_t> Aperiodic(const Candidate& c, const MotionScales& scales, double noise_scale, bool whole) {
   const auto& model = c.plant->model();
-  const double rows = c.fit.rows, own = c.fit.chi2 / std::max(1.0, rows), over_noise = own / noise_scale;
-  // Nats above the sensors' own noise and its standard deviation.
-  const double left = std::max(0.0, 0.5 * (own - 1) * rows - std::sqrt(0.5 * rows));
+  const double rows = c.fit.rows, per_row = c.fit.chi2 / std::max(1.0, rows) / noise_scale;
+  // Nats above the noise and its standard deviation.
+  const double left = std::max(0.0, 0.5 * (per_row - 1) * rows - std::sqrt(0.5 * rows));
   std::set<size_t> out, slow;
   bool seen_again = false;
   for (size_t k = 0; k < c.parameters.size(); ++k) {
@@ -232,12 +253,11 @@ std::set<size_t> Aperiodic(const Candidate& c, const MotionScales& scales, doubl
     const double range = scales.high[joint] - scales.low[joint];
     const double stddev = c.fit.stddev[k];
     const double error = std::max(kPhaseError / std::max(1e-9, range),
-                                  kZ99TwoSided * stddev * std::sqrt(std::max(1.0, over_noise)));
+                                  kZ99TwoSided * stddev * std::sqrt(std::max(1.0, per_row)));
     const double times = cycles * range / (2 * M_PI);
     const bool turns = model.joint(joint).is_revolute();
-    // Bias by other missing effects: near the sensors' noise no more than the nats that are left could pay
-    // for.
-    const double bias = own > kExplained ? kBias : std::min(stddev * std::sqrt(2 * left), kBias);
+    // Bias by other missing effects: near the noise no more than the nats that are left could pay for.
+    const double bias = per_row > kExplained ? kBias : std::min(stddev * std::sqrt(2 * left), kBias);
     const bool at_bound = cycles < lower + 1e-6 * (1 + std::abs(lower));
     const bool whole_number = !turns || std::abs(cycles - std::round(cycles)) <= std::max(error, bias);
     const bool as_spring =

@@ -35,11 +35,9 @@ struct Candidate {
   const sim::Parameter& Free(size_t k) const { return plant->parameters()[parameters[k].index]; }
 };
 
-// Moves score and information to another noise scale (LiftedOptions::noise_scale).
-inline void Rescale(double before, double scale, Candidate* c) {
-  c->score -= 0.5 * (1.0 / scale - 1.0 / before) * c->fit.chi2;
-  c->fit.information *= before / scale;
-}
+// Moves score, information and standard deviations to another noise scale (LiftedOptions::noise_scale), but
+// for what free hidden starts cost.
+void Rescale(double before, double scale, Candidate* c);
 
 // Without what belongs to the windows that it was fitted to.
 inline Candidate WithoutStates(Candidate c) {
@@ -102,8 +100,8 @@ void ContinueFields(Candidate* c);
 // is two-sided at 1 %. A ripple of which the recordings show less than most of a period is admitted only if
 // the integer is known sharply, or if another joint shows a whole period; less than kLeastPeriods is any slow
 // curve. With a spring on the same joint it needs two periods: fewer are two terms of any curve. Other
-// missing effects bias the number, by up to a quarter; close to the sensors' own noise by no more than the
-// misfit that is left allows. `noise_scale`: variance that is taken for noise over the sensors' own. `whole`:
+// missing effects bias the number, by up to a quarter; close to the noise by no more than the misfit that is
+// left allows. `noise_scale`: what is taken for the noise's variance, in units of the sensors' own. `whole`:
 // fitted on all windows; a trial on some need not know the number sharply.
 std::set<size_t> Aperiodic(const Candidate& c, const MotionScales& scales, double noise_scale, bool whole);
 

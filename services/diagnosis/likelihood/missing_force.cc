@@ -30,6 +30,7 @@ MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, co
   MissingForce out;
   out.force.resize(W), out.stddev.resize(W), out.t.resize(W);
   std::vector<double> chi2(W, 0), unknowns(W, 0);
+  std::vector<char> lost(W, 0);
   std::vector<MatrixXd> evidence(W, MatrixXd::Zero(n, n));
   sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
     const NodeWindow& window = data.windows[w];
@@ -52,6 +53,7 @@ MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, co
     Linear l;
     lin.Run(worker, w, states[w], &joint, &phi, false, &l);
     out.force[w] = MatrixXd::Zero(n, S), out.stddev[w] = MatrixXd::Zero(n, S);
+    lost[w] = !l.ok;
     if (!l.ok) return;
     RowMatrixXd rest = l.rows.rightCols(S * n + 1) / std::sqrt(options.noise_scale);
     const int rank = ProjectOut(l.J_e(), &rest);
@@ -85,6 +87,7 @@ MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, co
   out.evidence = MatrixXd::Zero(n, n);
   for (int w = 0; w < W; ++w) out.chi2 += chi2[w], out.unknowns += unknowns[w], out.evidence += evidence[w];
   out.rows = data.Rows();
+  out.lost = static_cast<int>(std::ranges::count(lost, 1));
   return out;
 }
 

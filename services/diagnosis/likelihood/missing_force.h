@@ -13,6 +13,7 @@ struct MissingForce {
   double chi2 = 0;                     // with the forces
   double unknowns = 0;                 // effective number of unknowns, window starts included
   int rows = 0;
+  int lost = 0;  // windows whose simulation failed
   // n × n, nats: log evidence of such a force on joint j alone (diagonal) or on two joints. Empty for forces
   // from the balance of torques.
   Eigen::MatrixXd evidence;

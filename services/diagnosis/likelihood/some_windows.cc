@@ -12,19 +12,19 @@ std::vector<uint32_t> EvenlySpread(size_t windows, size_t count) {
   return out;
 }
 
-std::vector<uint32_t> SomeWindows(const std::vector<double>& chi2, size_t all, size_t wanted) {
+std::vector<uint32_t> SomeWindows(const std::vector<double>& amiss, size_t all, size_t wanted) {
   wanted = std::min(wanted, all);
   std::vector<uint32_t> places;
   for (size_t i = 0; i < wanted; ++i) places.push_back(static_cast<uint32_t>(i * all / wanted));
-  if (chi2.size() != all) return places;
-  const double total = std::accumulate(chi2.begin(), chi2.end(), 0.0);
+  if (amiss.size() != all) return places;
+  const double total = std::accumulate(amiss.begin(), amiss.end(), 0.0);
   double held = 0;
-  for (const uint32_t i : places) held += chi2[i];
+  for (const uint32_t i : places) held += amiss[i];
   if (held * static_cast<double>(all) >= 0.5 * total * static_cast<double>(wanted)) return places;
   places.clear();
   double passed = 0, next = 0;
   for (size_t i = 0; i < all; ++i) {
-    passed += 0.5 / static_cast<double>(all) + 0.5 * chi2[i] / total;
+    passed += 0.5 / static_cast<double>(all) + 0.5 * amiss[i] / total;
     if (passed <= next) continue;
     places.push_back(static_cast<uint32_t>(i));
     while (next < passed) next += 1.0 / static_cast<double>(wanted);

@@ -11,8 +11,8 @@ namespace rg::diagnosis {
 std::vector<uint32_t> EvenlySpread(size_t windows, size_t count);
 
 // The windows, about `wanted` of `all`, on which trials are fitted: every so many. Where these hold less than
-// half of what is amiss (`chi2` of each window: a joint that saturates in three of sixty), every so much of
-// what is amiss and of the windows, in equal parts.
-std::vector<uint32_t> SomeWindows(const std::vector<double>& chi2, size_t all, size_t wanted);
+// half of what is amiss (χ² of each window beyond noise: a joint that saturates in three of sixty), every so
+// much of what is amiss and of the windows, in equal parts.
+std::vector<uint32_t> SomeWindows(const std::vector<double>& amiss, size_t all, size_t wanted);
 
 }  // namespace rg::diagnosis

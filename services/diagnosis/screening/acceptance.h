@@ -13,6 +13,7 @@
 // recordings, for the step rule alone.
 #pragma once
 
+#include <cmath>
 #include <functional>
 #include <map>
 #include <string>
@@ -40,6 +41,8 @@ class Acceptance {
 
   // Takes the step-rule gain of free base parameters.
   void NoteBase(const FitData& data, const Candidate& calibrated, const LiftedOptions& options);
+  // The same at another noise scale.
+  void RescaleBase(double before, double scale) { base_rule_ *= std::sqrt(before / scale); }
 
   double null_gain() const { return null_gain_; }
 

@@ -41,6 +41,10 @@ bool IsLoss(const std::string& id) {
   return std::ranges::count(kLosses, id) > 0 || (info != nullptr && info->family == "friction");
 }
 
+long CountOf(const std::vector<EffectSpec>& specs, const std::string& id) {
+  return std::ranges::count_if(specs, [&](const EffectSpec& s) { return s.id == id; });
+}
+
 // As a start of other fits, inadmissible or not.
 Candidate AsStart(Candidate c) {
   c.fit.ok = c.fit.values.allFinite() && c.fit.values.size() > 0;
@@ -117,13 +121,14 @@ Candidate DriveSearch::Losses() {
   return Seen(fits_.Evaluate(start.specs, false, nullptr, kIterations), false);
 }
 
-// The same without what makes a model inadmissible: losses that the data do not inform, ripples that are
-// none, which stood for something else, and Stribeck friction where it would rise with speed, which becomes
-// plain.
+// The same without what makes a model inadmissible: losses that the data do not inform, ripples that are not
+// periodic, and Stribeck friction where it would rise with speed, which becomes plain.
 Candidate DriveSearch::Seen(const Candidate& c, bool base) {
   const Candidate all = AsStart(c);
   if (c.fit.ok || !all.fit.ok || fits_.Late()) return c;
-  const std::set<size_t> aperiodic = Aperiodic(all, setting_.scales, fits_.noise_scale(), true);
+  // The noise is known badly while losses are missing: what is left above the sensors' own may bend a period.
+  std::set<size_t> aperiodic;
+  if (fits_.PerRow(all) < kConsistent) aperiodic = Aperiodic(all, setting_.scales, 1.0, true);
   const std::set<size_t> rising = Rising(all);
   const std::vector<EffectSpec> specs = Refreshed(all);
   std::vector<EffectSpec> seen;
@@ -158,7 +163,8 @@ void DriveSearch::Late(Candidate* best) {
     const Candidate whole = fits_.KnownOrFitted(specs, now.base, &start, kIterations);
     // Without a ripple that stood for late drives more may be left: it is found again, as it is.
     const Candidate c = Seen(whole, now.base);
-    if (c.score > best->score && Left(whole) < kUseful * Left(now)) *best = c, taken = id;
+    const bool useful = Left(whole) < kUseful * Left(now) && Left(c) < Left(now);
+    if (useful && c.score > best->score) *best = c, taken = id;
   }
   if (taken.empty() || !LeavesSomething(*best) || fits_.Late()) return;
   // Both: a lag, and a small delay before it.
@@ -188,7 +194,9 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
   const std::vector<TrialSpecs> laws = Exchanges(Refreshed(*best), kDry, setting_.nominal, setting_.scales);
   const auto with = [&](const std::string& id) {
     std::vector<TrialSpecs> others = laws;
-    std::erase_if(others, [&](const TrialSpecs& o) { return !HasKind(o, id); });
+    std::erase_if(others, [&](const TrialSpecs& o) {
+      return HasKind(o, kDry) || CountOf(o, id) != CountOf(best->specs, id) + CountOf(best->specs, kDry);
+    });
     Candidate other = *best;
     fits_.TryInPlace(others, &other);
     // One joint on which the law does not hold is no reason against all others.

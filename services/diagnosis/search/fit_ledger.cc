@@ -206,14 +206,15 @@ std::vector<TrialSpecs> FitLedger::Nearest(const Candidate& from, bool base,
 // Some windows, few iterations, on while they pay.
 FitRequest FitLedger::Trial(const Candidate& from, bool base, std::shared_ptr<const Candidate> start) const {
   const FitData& data = setting_.data;
-  FitRequest trial{
-      Refreshed(from),
-      base,
-      lifted_,
-      SomeWindows(from.fit.window_chi2, data.windows.size(), data.WindowsFor(data.n <= 2 ? 24 : 14)),
-      0,
-      false,
-      std::move(start)};
+  std::vector<double> amiss = from.fit.window_chi2;
+  for (double& chi2 : amiss) chi2 = std::max(0.0, chi2 - RowsPerWindow(data));
+  FitRequest trial{Refreshed(from),
+                   base,
+                   lifted_,
+                   SomeWindows(amiss, data.windows.size(), data.WindowsFor(data.n <= 2 ? 24 : 14)),
+                   0,
+                   false,
+                   std::move(start)};
   trial.options.iterations = 4;
   trial.options.more_iterations = kMoreIterations, trial.options.still_falling = kFallsFast;
   return trial;
@@ -249,7 +250,9 @@ FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::v
   const double enough = WorkAfter(kTrialShare);
   const auto batch = made_.Start(setting_, trials);
   const auto fitted = [&](size_t i) { return Fitted(trials[i], batch->Take(i)); };
-  const double on_windows = fitted(0).score;
+  const Candidate reference = fitted(0);
+  const double on_windows = reference.score;
+  const bool something = PerRow(from) > kExplained && PerRow(reference) > kExplained;
   const double on_pieces = trial.pieces_alone ? fitted(1).score : on_windows;
   std::vector<TrialSpecs> met;
   for (size_t i = 2; i < trials.size() && !Late() && work_ <= enough; ++i) {
@@ -266,7 +269,7 @@ FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::v
     if (better)
       list.push_back({c.score / std::min(before, -1.0), Excess(c), std::make_shared<const Candidate>(c)});
     if (better && !HasFreeStates(c) && !trial.pieces_alone && !HasUnnamed(c) &&
-        lifted_.noise_scale * PerRow(c) < kExplained && PerRow(from) > kExplained)
+        lifted_.noise_scale * PerRow(c) < kExplained && something)
       met.push_back(c.specs);
   }
   return out;

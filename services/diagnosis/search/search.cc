@@ -26,6 +26,7 @@ namespace {
 constexpr double kRivalShare = 0.25;  // of what free inertials explain, that a screen must promise of a rival
 constexpr double kNearlyPromised = 0.9;  // of what is left
 constexpr double kStair = 0.02;          // s, of a force that follows what is missing
+constexpr double kLeastRows = 0.2;       // of all, beyond the unknowns of such a force, that tell the noise
 constexpr double kNoisiest = 4.0;  // variance over the sensors' own: more is motion that no force follows
 
 // How far the search goes.
@@ -62,8 +63,8 @@ class Search {
   void MeasureNoise() {
     state_.Tell("noise", 0.02, "");
     const FitModel bare{setting_.nominal, setting_.nominal.parameters().Nominal(), {}};
-    fits_.SetNoiseScale(std::clamp(NoiseBesideForce(bare, InitialStates(setting_.data, bare, fits_.lifted())),
-                                   1.0, kNoisiest));
+    const MissingForce force = ForceOnStairs(bare, InitialStates(setting_.data, bare, fits_.lifted()));
+    fits_.SetNoiseScale(std::clamp(NoiseBeside(force), 1.0, kNoisiest));
     step_.MakeFeatures();
   }
 
@@ -179,19 +180,23 @@ class Search {
     return c.score > best.score + state_.Threshold(best, c);
   }
 
-  // Variance over the sensors' own that no force beside the model follows.
-  double NoiseBesideForce(const FitModel& model, const NodeStates& states) const {
+  // Force over steps of kStair; its chi2 is over the noise assumed so far.
+  MissingForce ForceOnStairs(const FitModel& model, const NodeStates& states) const {
     const double stair = std::max(kStair, setting_.data.recordings[0].recording->SamplePeriod());
-    const MissingForce missing =
-        EstimateMissingForce(setting_.data, model, states, setting_.scales.torque, stair, fits_.lifted());
-    return fits_.noise_scale() * missing.chi2 / std::max(1.0, missing.rows - missing.unknowns);
+    return EstimateMissingForce(setting_.data, model, states, setting_.scales.torque, stair, fits_.lifted());
+  }
+  // Variance over the sensors' own that such a force does not follow.
+  double NoiseBeside(const MissingForce& force) const {
+    return fits_.noise_scale() * force.chi2 / std::max(1.0, force.rows - force.unknowns);
   }
 
-  // Beside the losses of all drives a force follows more of what is left than it does of what losses, which
-  // change with every reversal, leave without them.
+  // Losses change with every reversal, which a force on stairs cannot follow: they count as noise until the
+  // model has them.
   void LowerNoiseBesideDrives(Candidate* best) {
     if (fits_.noise_scale() <= 1 || !best->fit.ok || fits_.MeetsSensors(*best)) return;
-    ScaleNoise(NoiseBesideForce({*best->plant, best->fit.values, {}}, best->fit.states), best);
+    const MissingForce force = ForceOnStairs({*best->plant, best->fit.values, {}}, best->fit.states);
+    const bool known = force.lost == 0 && force.rows - force.unknowns > kLeastRows * force.rows;
+    if (known) ScaleNoise(NoiseBeside(force), best);
   }
 
   // A model that fits better than any force on the old one could shows that the noise is less than assumed.
@@ -206,6 +211,7 @@ class Search {
     const double before = fits_.noise_scale();
     fits_.SetNoiseScale(scale);
     step_.ForgetScreens();
+    state_.acceptance.RescaleBase(before, scale);
     for (Candidate* c : {best, &out_.nominal, &out_.calibrated}) Rescale(before, scale, c);
     return true;
   }

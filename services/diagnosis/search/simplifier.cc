@@ -266,14 +266,16 @@ void Simplifier::UsePlainLawsOnJoints(Candidate* best) {
 }
 
 // The other way round: drives of an arm are alike, and plain friction on few joints beside a richer form on
-// most is what the richer form had been refused for while something else was missing.
+// most is what the richer form had been refused for while something else was missing. Friction by direction
+// has no direction that axes of different joints share.
 void Simplifier::UseLawOfMostJoints(Candidate* best) {
   for (const std::string& id : RicherFrictions()) {
+    if (!best->fit.ok || fits_.Late() || id == LawOf(Regressor::kForwards).id) continue;
     const TrialSpecs specs = AsOnMostJoints(Refreshed(*best), id, setting_.nominal);
-    if (KeyOf(specs) == KeyOf(best->specs) || fits_.Late()) continue;
-    const Candidate alike = fits_.Evaluate(specs, best->base, best, kMergeIterations);
+    if (KeyOf(specs) == KeyOf(best->specs)) continue;
+    const Candidate alike = fits_.KnownOrFitted(specs, best->base, best, kMergeIterations);
     if (alike.fit.ok && EvidenceAlone(alike) > EvidenceAlone(*best) - kEffectPrior - kSeparable)
-      *best = alike;
+      Replace(alike, best);
   }
 }
 

@@ -166,13 +166,9 @@ class TrialBuilder {
     return out;
   }
 
-  // What the model has, by another law: what is left of a joint that sticks tells a screen little of it. Laws
-  // of most joints were compared together.
+  // What the model has, by another law: what is left of a joint that sticks tells a screen little of it.
   void OtherForms() {
     for (const EffectSpec& s : from_.fit.ok ? Refreshed(from_) : TrialSpecs{}) {
-      const auto alike =
-          std::ranges::count_if(from_.specs, [&](const EffectSpec& o) { return o.id == s.id; });
-      if (alike > 2 && 2 * alike > data_.n) continue;
       for (const std::string& id : SiblingsOn(nominal_, s)) {
         if (id != s.id) Push({{Exchanged(s, id, nominal_, scales_)}});
       }
@@ -388,30 +384,39 @@ std::vector<TrialSpecs> PlainOnSomeJoints(const TrialSpecs& specs, const sim::Pl
 }
 
 TrialSpecs AsOnMostJoints(TrialSpecs specs, const std::string& id, const sim::Plant& nominal) {
-  const std::string& dry = LawOf(Regressor::kDirection).id;
-  const effects::EffectInfo& info = *effects::FindEffect(id);
-  std::map<std::string, std::vector<double>> of_fellows;  // by parameter; of the level where of its unit
-  std::ptrdiff_t plain = 0;
+  const effects::EffectInfo& dry = LawOf(Regressor::kDirection);
+  const std::vector<effects::ParameterInfo>& parameters = effects::FindEffect(id)->parameters;
+  const auto is_level = [&](const effects::ParameterInfo& p) { return p.unit == dry.parameters[0].unit; };
+  const auto level = std::ranges::find_if(parameters, is_level);
+  const auto given = [&](const EffectSpec& s) { return Contains(nominal.effects(), s.id, s.joints[0]); };
+  // By parameter, where it is a level over the first one.
+  std::map<std::string, std::vector<double>> of_fellows;
+  long fellows = 0, plain = 0;
   for (const EffectSpec& s : specs) {
-    plain += s.id == dry;
-    if (s.id != id || s.joints.size() != 1) continue;
+    if (s.joints.size() != 1 || s.values.empty()) continue;
+    plain += s.id == dry.id && !given(s);
+    if (s.id != id || level == parameters.end()) continue;
     const std::map<std::string, double>& values = s.values.begin()->second;
-    const double level = values.at(info.parameters[0].name);
-    for (const effects::ParameterInfo& p : info.parameters)
-      of_fellows[p.name].push_back(values.at(p.name) / (p.unit == info.parameters[0].unit ? level : 1));
+    const bool whole =
+        std::ranges::all_of(parameters, [&](const auto& p) { return values.count(p.name) > 0; });
+    if (!whole || !(values.at(level->name) > 0)) continue;
+    ++fellows;
+    for (const effects::ParameterInfo& p : parameters)
+      of_fellows[p.name].push_back(values.at(p.name) / (is_level(p) ? values.at(level->name) : 1));
   }
-  const size_t fellows = of_fellows.empty() ? 0 : of_fellows.begin()->second.size();
-  if (plain == 0 || fellows <= static_cast<size_t>(plain)) return specs;
+  if (plain == 0 || fellows < kManyJoints || fellows <= plain) return specs;
+  std::map<std::string, double> middle;
+  for (auto& [name, all] : of_fellows) {
+    const auto at = all.begin() + fellows / 2;
+    std::nth_element(all.begin(), at, all.end());
+    middle[name] = *at;
+  }
   for (EffectSpec& s : specs) {
-    if (s.id != dry || !nominal.Takes(id, nominal.model().FindJoint(s.joints[0]))) continue;
-    const double level = s.values.begin()->second.begin()->second;
-    std::map<std::string, double> values;
-    for (const effects::ParameterInfo& p : info.parameters) {
-      std::vector<double>& all = of_fellows[p.name];
-      const auto middle = all.begin() + static_cast<std::ptrdiff_t>(all.size() / 2);
-      std::nth_element(all.begin(), middle, all.end());
-      values[p.name] = *middle * (p.unit == info.parameters[0].unit ? level : 1);
-    }
+    if (s.id != dry.id || s.joints.size() != 1 || s.values.empty() || given(s)) continue;
+    if (!nominal.Takes(id, nominal.model().FindJoint(s.joints[0]))) continue;
+    const double own = s.values.begin()->second.begin()->second;
+    std::map<std::string, double> values = middle;
+    for (const effects::ParameterInfo& p : parameters) values[p.name] *= is_level(p) ? own : 1;
     s = effects::MakeSpec(id, s.joints, values);
   }
   return specs;

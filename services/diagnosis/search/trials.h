@@ -59,8 +59,9 @@ std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id
 std::vector<TrialSpecs> PlainOnSomeJoints(const TrialSpecs& specs, const sim::Plant& nominal,
                                           const MotionScales& scales);
 
-// `specs` with friction `id` on all joints where most have it and the others plain dry friction, in the same
-// proportions to it as these have. As it was where it is not so.
+// `specs` with friction `id` in the place of plain dry friction, where more joints (kManyJoints at least) have
+// the former than the latter: with the same proportions between its levels as on these (their median), and the
+// same of what is no level. Unchanged otherwise; what the model was given with stays.
 TrialSpecs AsOnMostJoints(TrialSpecs specs, const std::string& id, const sim::Plant& nominal);
 
 // Springs and play behind the strongest rotors that `model` adds to `before`: below its resonance a motor

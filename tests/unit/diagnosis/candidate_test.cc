@@ -145,11 +145,11 @@ TEST_F(Rippling, IsTheSameAfterEachTurn) {
   EXPECT_FALSE(Repeats(14.2, 0.01, false, 1.05));
 }
 
-// While much more is missing, what it leaves is taken for noise at first.
-TEST_F(Rippling, MayBeBentByWhatIsTakenForNoise) {
-  EXPECT_TRUE(Repeats(14.2, 0.01, false, 3.6, true, 5000, 4.0));
-  EXPECT_FALSE(Repeats(14.4, 0.01, false, 3.6, true, 5000, 4.0));
-  EXPECT_FALSE(Repeats(14.2, 0.01, false, 1.0, true, 5000, 4.0));
+// Whether what is left is noise or not is the caller's to say.
+TEST_F(Rippling, MayBeBentByWhatIsNotTakenForNoise) {
+  EXPECT_FALSE(Repeats(14.2, 0.01, false, 3.6, true, 5000, 4.0));
+  EXPECT_TRUE(Repeats(14.2, 0.01, false, 3.6, true, 5000, 1.0));
+  EXPECT_FALSE(Repeats(14.4, 0.01, false, 3.6, true, 5000, 1.0));
 }
 
 // Ten standard deviations take off 50 nats: as many are left of 5000 rows at 1.05 beyond the noise's scatter,

@@ -244,6 +244,27 @@ TEST(LiftedFit, FindsCoulombFrictionThroughSticking) {
   EXPECT_GT(fit.evidence, wrong.evidence + 50);
 }
 
+// Scored at four times the noise and brought to the sensors' own it is what a fit at that noise says.
+TEST(LiftedFit, IsBroughtToAnotherNoiseWithItsEvidence) {
+  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  const auto p = Prepare("pendulum", {MakeSpec("coulomb_friction", {joint}, {{"coulomb", 0.15}})}, 2);
+  const FitSetting setting{p->data, p->nominal, p->scales};
+  const std::vector<EffectSpec> specs = {MakeSpec("coulomb_friction", {joint}, {{"coulomb", 0.05}}),
+                                         MakeSpec("viscous_friction", {joint}, {{"viscous", 0.05}})};
+  const auto at_noise = [&](double scale) {
+    Candidate c = Unfitted(setting, specs, false);
+    c.fit = FitEffects(*p, specs, {.iterations = 20, .noise_scale = scale});
+    c.score = c.fit.evidence;
+    return c;
+  };
+  Candidate moved = at_noise(4.0);
+  const Candidate there = at_noise(1.0);
+  Rescale(4.0, 1.0, &moved);
+  EXPECT_NEAR(moved.score, there.score, 0.1);
+  for (long k = 0; k < 2; ++k)
+    EXPECT_NEAR(moved.fit.stddev[k], there.fit.stddev[k], 0.02 * there.fit.stddev[k]);
+}
+
 // How fast a joint slides that rests shows in the first rows alone: no window is lost to a start that noise
 // has thrown off, nor the friction to such a window.
 TEST(LiftedFit, ComesToTheNoiseWhereJointsRest) {

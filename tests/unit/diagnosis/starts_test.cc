@@ -449,6 +449,47 @@ TEST(PlainOnSomeJoints, HaveItOnOneAndOnAllButOne) {
   EXPECT_EQ(dry, (std::multiset<size_t>{0, 0, 0, 1, 1, 1, 2, 2, 2})) << "viscous on one has none";
 }
 
+// Proportions of levels are those of the middle one of the others, and so is the speed.
+TEST(AsOnMostJoints, HaveOtherJointsTheLawInTheSameProportions) {
+  const auto c = Case::Of("mico2", {}, 9);
+  const auto& joints = c->nominal.joint_names();
+  const auto dropping = [&](size_t j, double level, double more, double speed) {
+    return MakeSpec("stribeck_friction", {joints[j]},
+                    {{"coulomb", level}, {"static", level * more}, {"stribeck_velocity", speed}});
+  };
+  TrialSpecs specs = {dropping(0, 1.0, 1.3, 0.05), dropping(1, 2.0, 1.5, 0.08), dropping(2, 0.5, 1.9, 0.2),
+                      MakeSpec("coulomb_friction", {joints[4]}, {{"coulomb", 0.4}}),
+                      MakeSpec("viscous_friction", {joints[4]}, {{"viscous", 0.1}})};
+  const TrialSpecs alike = AsOnMostJoints(specs, "stribeck_friction", c->nominal);
+  ASSERT_EQ(alike.size(), specs.size());
+  ASSERT_EQ(alike[3].id, "stribeck_friction");
+  EXPECT_EQ(alike[3].joints, std::vector<std::string>{joints[4]});
+  const auto& values = alike[3].values.at(joints[4]);
+  EXPECT_DOUBLE_EQ(values.at("coulomb"), 0.4);
+  EXPECT_NEAR(values.at("static"), 0.6, 1e-12);
+  EXPECT_DOUBLE_EQ(values.at("stribeck_velocity"), 0.08);
+  EXPECT_EQ(alike[4].id, "viscous_friction");
+  EXPECT_EQ(KeyOf(AsOnMostJoints(specs, "load_dependent_friction", c->nominal)), KeyOf(specs)) << "on none";
+  // Its first parameter is no level.
+  TrialSpecs bristles = {specs[3]};
+  for (size_t j = 0; j < 3; ++j) {
+    bristles.push_back(
+        MakeSpec("presliding_hysteresis", {joints[j]},
+                 {{"bristle_stiffness", 900.0 + 100 * j}, {"coulomb", 0.3}, {"bristle_damping", 1.0}}));
+  }
+  const auto values_of = [&](const TrialSpecs& all) { return all[0].values.at(joints[4]); };
+  EXPECT_DOUBLE_EQ(values_of(AsOnMostJoints(bristles, "presliding_hysteresis", c->nominal)).at("coulomb"),
+                   0.4);
+  EXPECT_DOUBLE_EQ(
+      values_of(AsOnMostJoints(bristles, "presliding_hysteresis", c->nominal)).at("bristle_stiffness"), 1000);
+  bristles[1].values.at(joints[0])["coulomb"] = 0;
+  EXPECT_EQ(KeyOf(AsOnMostJoints(bristles, "presliding_hysteresis", c->nominal)), KeyOf(bristles))
+      << "of one the level is zero, and two are few";
+  for (const size_t j : {3, 5})
+    specs.push_back(MakeSpec("coulomb_friction", {joints[j]}, {{"coulomb", 0.4}}));
+  EXPECT_EQ(KeyOf(AsOnMostJoints(specs, "stribeck_friction", c->nominal)), KeyOf(specs)) << "on half of them";
+}
+
 // A screen of forces says little of where a motor swings on a robot of many joints: each rotor that was found
 // is looked at behind a spring.
 TEST(Trials, LookAtASpringBeforeEachRotor) {
