@@ -24,7 +24,7 @@ inline std::shared_ptr<const model::RobotModel> LoadRobot(const std::string& nam
 
 // Joints (0, π, π, 0, 0, 0).
 inline Eigen::VectorXd Candle() {
-  return (Eigen::VectorXd(6) << 0.0, 3.14159265358979, 3.14159265358979, 0.0, 0.0, 0.0).finished();
+  return Eigen::VectorXd{{0.0, 3.14159265358979, 3.14159265358979, 0.0, 0.0, 0.0}};
 }
 
 }  // namespace rg::trajectories
