@@ -220,7 +220,7 @@ void ContinueFields(Candidate* c) {
 void Rescale(double before, double scale, Candidate* c) {
   c->score -= 0.5 * (1.0 / scale - 1.0 / before) * c->fit.chi2;
   const Eigen::Index count = c->fit.information.rows();
-  if (count == 0) return;
+  if (count == 0 || !c->fit.information.allFinite()) return;  // of a refused fit
   Eigen::VectorXd sigma(count);
   for (Eigen::Index k = 0; k < count; ++k) sigma[k] = c->parameters[static_cast<size_t>(k)].prior_stddev;
   const auto posterior = [&] {
