@@ -144,6 +144,8 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   SayWhatToRecord(search, data, nominal, scales, options, threads, cancel, &result);
   if (progress) progress({"held-out recordings", 0.97, 1.0, result.verdict});
   JudgeHeldOut(set, nominal, search, data, options, threads, &result);
+  if (const std::string note = NoteOnFreeSwing(result.holdout); search.swings_on && !note.empty())
+    result.notes.push_back(note);
   if (WorseThanCalibrated(result.holdout) && !search.best.specs.empty()) {
     result.notes.push_back("what was found (" + KeyOf(search.best.specs) +
                            ") predicts the recordings kept aside worse than " +
@@ -151,14 +153,15 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
                            Number(result.holdout.calibrated_rms) +
                            "): the model given has these alone, and was so chosen on recordings kept aside");
     search.best = search.calibrated;
-    result.findings.clear();
     result.holdout = {}, result.holdout_plots.clear();
-    Conclude(search, data, nominal, scales, &result);
+    if (search.swings_on) {
+      result.plant = *search.calibrated.plant, result.values = search.calibrated.fit.values;
+    } else {
+      result.findings.clear();
+      Conclude(search, data, nominal, scales, &result);
+    }
     JudgeHeldOut(set, nominal, search, data, options, threads, &result);
   }
-  const std::string swing =
-      NoteOnFreeSwing(search.best.specs, result.holdout.before_rms, result.holdout.after_rms);
-  if (!swing.empty() && !HasPendulum(nominal.effects())) result.notes.push_back(swing);
   if (result.plant) {
     for (std::string& note : sysid::NotesOnRotors(*result.plant, result.values))
       result.notes.push_back(std::move(note));

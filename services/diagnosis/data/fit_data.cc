@@ -37,4 +37,11 @@ size_t FitData::WindowsFor(size_t count) const {
                   static_cast<size_t>(std::lround(static_cast<double>(count) * nodes.window_s / *middle)));
 }
 
+FitData FitData::OnWindows(const std::vector<uint32_t>& places) const {
+  FitData out = *this;
+  out.windows.clear();
+  for (const uint32_t i : places) out.windows.push_back(windows[i]);
+  return out;
+}
+
 }  // namespace rg::diagnosis

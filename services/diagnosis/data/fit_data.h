@@ -40,6 +40,8 @@ struct FitData {
   double Seconds() const;  // of motion in all windows
   // About how many windows hold as much motion as `count` whole ones: those between gaps of rows are short.
   size_t WindowsFor(size_t count) const;
+  // The same with the windows at these places alone.
+  FitData OnWindows(const std::vector<uint32_t>& places) const;
 };
 
 }  // namespace rg::diagnosis

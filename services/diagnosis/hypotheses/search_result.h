@@ -37,6 +37,9 @@ struct SearchResult {
   // Index among the held-out recordings of one that the model does not predict though it fits all others: it
   // alone excites something (a limit, a part of the workspace). −1: none.
   int excited_by = -1;
+  // Whether the best model has a pendulum payload that swings continuously over held-out recordings, which is
+  // what speaks for it: where it is when a window begins no sensor reads, so that it need not predict better.
+  bool swings_on = false;
   // Not null: the search ended here and is to be restarted with windows of half the length, this model first
   // (FitLedger::shorter_windows).
   std::shared_ptr<const Candidate> shorter_windows;

@@ -6,7 +6,6 @@
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/data/words.h"
-#include "services/diagnosis/likelihood/swing_starts.h"
 #include "services/diagnosis/reporting/what_shows.h"
 #include "services/sysid/joint_roles.h"
 
@@ -223,14 +222,6 @@ std::vector<std::string> NotesOnMeasurement(const std::vector<std::string>& name
   }
   if (!rest.empty()) notes.push_back("of the effort's variance the findings leave: " + Listed(rest));
   return notes;
-}
-
-std::string NoteOnFreeSwing(const std::vector<effects::EffectSpec>& effects, double before_rms,
-                            double after_rms) {
-  if (!HasPendulum(effects) || !(after_rms >= before_rms)) return "";
-  return "held-out errors do not become smaller by a mass that swings freely, for no sensor reads where it "
-         "is "
-         "when a window begins: it is believed because it swings on from each window to the next";
 }
 
 }  // namespace rg::diagnosis

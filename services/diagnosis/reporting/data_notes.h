@@ -20,10 +20,4 @@ std::vector<std::string> NotesOn(const recordings::RecordingSet& set, const Moti
 // After a search over a measured effort: efforts that lag the motion; what the findings leave of the effort.
 std::vector<std::string> NotesOnMeasurement(const std::vector<std::string>& joint_names,
                                             const MeasuredEffort& measured);
-
-// If `effects` have a pendulum payload and held-out errors (RMS over windows) did not fall: why that does not
-// refute it. Else empty.
-std::string NoteOnFreeSwing(const std::vector<effects::EffectSpec>& effects, double before_rms,
-                            double after_rms);
-
 }  // namespace rg::diagnosis

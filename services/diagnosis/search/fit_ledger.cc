@@ -276,13 +276,14 @@ FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::v
 }
 
 void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool,
-                        const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner) {
+                        const std::vector<TrialSpecs>& promised, bool base, size_t count,
+                        const PromisedBeside& beside, Candidate* winner) {
   TrialResults trials = RunTrials(from, pool, base);
   const PendulumTrials pendulum = TakePendulumTrials(from, &trials);
   Candidate found = from;
   TakeBest(WorthAFit(from, std::move(trials), promised, base, count, *winner), 1, &found);
   TrySprings(from, &found);
-  if (auto shorter = PendulumSearch(setting_, *this, trace_, from, base, pendulum).Run(*winner, &found))
+  if (auto shorter = PendulumSearch(setting_, *this, trace_, from, base, pendulum, beside).Run(*winner, &found))
     shorter_windows_ = std::move(shorter);
   if (found.score > winner->score) *winner = found;
 }

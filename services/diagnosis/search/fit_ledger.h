@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <map>
 #include <memory>
 #include <set>
@@ -24,6 +25,9 @@ inline constexpr double kPartly = 0.5;  // of a model's misfit, that a part of t
 inline constexpr double kSwings = 0.8;  // the same, for springs or a hinge in the place of the true one
 
 struct PendulumTrials;
+// What a screen around a trial on the windows at these places promises beside its effects, best first.
+using PromisedBeside =
+    std::function<std::vector<TrialSpecs>(const Candidate& trial, const std::vector<uint32_t>& places)>;
 
 class FitLedger {
  public:
@@ -88,9 +92,11 @@ class FitLedger {
   const Candidate* pieces() const { return pieces_.get(); }
 
   // Adds each of `pool` to `from` in a trial fit (some windows, few iterations), and fits the `count` best
-  // and all `promised` on all windows. `winner` becomes the best of these and itself.
+  // and all `promised` on all windows. `winner` becomes the best of these and itself. `beside`: asked of a
+  // pendulum payload that leaves something.
   void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool,
-               const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner);
+               const std::vector<TrialSpecs>& promised, bool base, size_t count, const PromisedBeside& beside,
+               Candidate* winner);
   // Whether `specs` in the place of `model`'s effects, in a trial fit, leave less than `share` of the excess
   // χ² that the model leaves there. True where either trial fails.
   bool MayLeaveLess(const Candidate& model, const std::vector<effects::EffectSpec>& specs, bool base,

@@ -153,10 +153,7 @@ FitResult MakeFit(const FitSetting& setting, const FitRequest& request) {
       fit = WithJumps(setting.data, *c.plant, std::move(fit), request.options);
     return fit;
   }
-  FitData some = setting.data;
-  some.windows.clear();
-  for (const uint32_t i : request.places) some.windows.push_back(setting.data.windows[i]);
-  return FitOn(some, c, request);
+  return FitOn(setting.data.OnWindows(request.places), c, request);
 }
 
 std::unique_ptr<FitBatch> LocalFits::Start(const FitSetting& setting, std::vector<FitRequest> requests) {

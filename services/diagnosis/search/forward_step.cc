@@ -14,6 +14,7 @@ constexpr double kMost = 0.5;  // of what is left
 constexpr double kLeastPromise =
     2.0;  // nats that a screen must promise of a law for a trial beside hidden states
 constexpr size_t kPromisedFits = 3;      // of what a screen promises, without a trial
+constexpr size_t kBesideTrial = 2;       // what a screen around a trial promises
 constexpr size_t kLawFits = 3;           // before hidden states are looked for
 constexpr size_t kFitsBesideDrives = 3;  // beside the losses of all drives
 
@@ -36,6 +37,21 @@ ScreenResult ForwardStep::Screen(const Candidate& current, bool base) {
                    Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rule_);
   fits_.AddWork(screened.work);
   return screens_.emplace(key, screened).first->second;
+}
+
+std::vector<TrialSpecs> ForwardStep::PromisedBesideTrial(const Candidate& trial,
+                                                         const std::vector<uint32_t>& places) {
+  const FitData some = setting_.data.OnWindows(places);
+  FeatureSet features{features_.features, {features_.block.joint, {}}};
+  for (const uint32_t i : places) features.block.phi.push_back(features_.block.phi[i]);
+  std::vector<Eigen::VectorXd> step_rule;  // of other windows than the search's
+  const ScreenResult screened =
+      ScreenAround({some, setting_.nominal, setting_.scales}, trial, trial.base, &trial, features,
+                   fits_.lifted(), Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rule);
+  fits_.AddWork(screened.work);
+  state_.trace.Screen(screened, trial.base);
+  if (!(MostPromised(screened) > kMost * fits_.Excess(trial) / 2)) return {};
+  return Promised(trial, screened, setting_.nominal, setting_.scales, true, kLeastPromise, kBesideTrial);
 }
 
 ScreenResult ForwardStep::NotedScreen(const Candidate& current, bool base) {
@@ -73,7 +89,7 @@ void ForwardStep::AddTransmission(const Candidate& from, Candidate* winner) {
   };
   const auto pool = TransmissionTrials(setting_.data, setting_.nominal, setting_.scales, from,
                                        Screen(from, from.base), nearest);
-  fits_.TryBest(from, pool, {}, from.base, kFitsBesideDrives, winner);
+  fits_.TryBest(from, pool, {}, from.base, kFitsBesideDrives, beside_trial_, winner);
 }
 
 void ForwardStep::AddFrom(const Candidate& from, const ScreenResult& screened, double least, double needed,
@@ -106,7 +122,7 @@ void ForwardStep::Try(const Candidate& from, const ScreenResult& screened, doubl
   const auto promised =
       Promised(from, screened, setting_.nominal, setting_.scales, near, needed, kPromisedFits);
   const auto pool = Trials(data, setting_.nominal, setting_.scales, from, screened, least, force, nearest);
-  fits_.TryBest(from, pool, promised, from.base, count, winner);
+  fits_.TryBest(from, pool, promised, from.base, count, beside_trial_, winner);
 }
 
 bool ForwardStep::ExplainedByLaws(const Candidate& from, const Candidate& found, double needed) const {

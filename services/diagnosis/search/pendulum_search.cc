@@ -18,6 +18,7 @@ constexpr double kPendulumShare = 0.8;   // of the work limit
 constexpr size_t kPendulumWindows = 14;  // evenly spread, on which a pendulum is tried
 constexpr double kTypically = 0.7;       // of these windows; the start of the others may be lost
 constexpr double kLonger = 2.2;          // times a pendulum's length, that is tried too
+constexpr int kMostBeside = 3;           // additions, one after another
 constexpr double kSameFit = 0.02;        // of χ², within which two fits count as the same
 constexpr double kAstray = 10.0;  // times a trial's misfit, above which its fit on all windows was lost
 constexpr double kNoNearer =
@@ -80,7 +81,9 @@ std::optional<Candidate> PendulumSearch::Seek(Candidate* found) {
   TryLengths();
   // A true pendulum explains something about any hinge.
   if (!(nearest_.left - 1 < kSwings * missing_)) return {};
+  AddPromised();
   TryHinges();
+  AddPromised();
   TryBeside();
   if (nearest_.left > kNoNearer * kConsistent) return {};
   TryOtherAxes();
@@ -153,6 +156,19 @@ void PendulumSearch::TryBeside() {
   for (const TrialSpecs& other : others) TakeIfNearer(Joined(other, {rod}));
 }
 
+// What else is missing shows beside the pendulum as it is, while trials made without it found what does its
+// work.
+void PendulumSearch::AddPromised() {
+  for (int more = 0; more < kMostBeside && promised_beside_ && nearest_.trial != nullptr; ++more) {
+    if (nearest_.in_all < kConsistent) return;
+    const Hung before = nearest_;
+    if (!asked_.insert(KeyOf(before.specs)).second) return;
+    for (const TrialSpecs& other : promised_beside_(*before.trial, request_.places))
+      TakeIfNearer(Joined(before.specs, other));
+    if (nearest_.trial == before.trial) return;
+  }
+}
+
 // Where it lies along the hinge's first axis it can only swing about the other: windows in which that happens
 // tell the right hinge.
 void PendulumSearch::TryOtherAxes() {
@@ -220,7 +236,8 @@ PendulumSearch::Hung PendulumSearch::Hang(const TrialSpecs& specs) {
   const Candidate c = fits_.Fitted(request_);
   trace_.Fit(c, "  rod");
   if (!c.fit.ok) return {};
-  return {Refreshed(c), StillNeeded(from_, c), Typically(c.fit.window_chi2), fits_.PerRow(c)};
+  return {Refreshed(c), StillNeeded(from_, c), Typically(c.fit.window_chi2), fits_.PerRow(c),
+          std::make_shared<const Candidate>(c)};
 }
 
 double PendulumSearch::Typically(const std::vector<double>& window_chi2) const {

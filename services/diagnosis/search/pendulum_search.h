@@ -4,6 +4,8 @@
 
 #include <memory>
 #include <optional>
+#include <set>
+#include <string>
 #include <vector>
 
 #include "services/diagnosis/search/fit_ledger.h"
@@ -22,8 +24,14 @@ class PendulumSearch {
  public:
   // `from`: the model that the trials add to. All of these outlive this.
   PendulumSearch(const FitSetting& setting, FitLedger& fits, const Trace& trace, const Candidate& from,
-                 bool base, const PendulumTrials& trials)
-      : setting_(setting), fits_(fits), trace_(trace), from_(from), base_(base), trials_(trials) {}
+                 bool base, const PendulumTrials& trials, const PromisedBeside& beside)
+      : setting_(setting),
+        fits_(fits),
+        trace_(trace),
+        from_(from),
+        base_(base),
+        trials_(trials),
+        promised_beside_(beside) {}
 
   // Over lengths, hinges and places, alone and with the effects of other trials. `found`, the best of what
   // was fitted, becomes the pendulum where that scores better. Where it fits most windows and not all, and
@@ -37,6 +45,7 @@ class PendulumSearch {
     TrialSpecs needed;              // without effects that became superfluous with the pendulum
     double left = effects::kInf;    // typically
     double in_all = effects::kInf;  // χ² per row, with windows whose start is lost
+    std::shared_ptr<const Candidate> trial;
   };
 
   bool MayBeOne(const Candidate& found);
@@ -46,6 +55,7 @@ class PendulumSearch {
   void TryLengths();
   void TryHinges();
   void TryBeside();
+  void AddPromised();
   void TryOtherAxes();
   void TakeIfNearer(const TrialSpecs& specs);
   void FitWhole(Candidate* found);
@@ -64,6 +74,7 @@ class PendulumSearch {
   const Candidate& from_;
   const bool base_;
   const PendulumTrials& trials_;
+  const PromisedBeside& promised_beside_;
 
   TrialSpecs springs_;
   std::vector<effects::EffectSpec> hinges_;  // with the rod that the springs are, the likeliest first
@@ -71,6 +82,7 @@ class PendulumSearch {
   double missing_ = 0, enough_ = 0;          // what `from` leaves typically; of work
   double times_ = 1;                         // of the rod's length
   Hung nearest_;
+  std::set<std::string> asked_;  // keys of trials around which a screen was made
   std::optional<Candidate> best_;  // on all windows
 };
 

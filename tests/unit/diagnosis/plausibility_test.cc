@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include "services/diagnosis/reporting/data_notes.h"
+#include "services/diagnosis/reporting/holdout.h"
 #include "tests/unit/diagnosis/simulated_set.h"
 
 namespace rg::diagnosis {
@@ -122,11 +123,11 @@ recordings::RecordingSet EveryNth(recordings::RecordingSet set, int n) {
 }
 
 TEST(DataNotes, SayWhyAFreeSwingIsNotPredicted) {
-  effects::EffectSpec mass = effects::MakeSpec("sloshing_payload", {});
-  EXPECT_EQ(NoteOnFreeSwing({mass}, 0.1, 0.2), "");
-  mass.options["form"] = "rod";
-  EXPECT_THAT(NoteOnFreeSwing({mass}, 0.1, 0.2), HasSubstr("swings on from each window"));
-  EXPECT_EQ(NoteOnFreeSwing({mass}, 0.1, 0.05), "");
+  HoldoutFit fit;
+  fit.before_rms = 0.3, fit.calibrated_rms = 0.1, fit.after_rms = 0.2;
+  EXPECT_THAT(NoteOnFreeSwing(fit), HasSubstr("swings on from each window"));
+  fit.after_rms = 0.05;
+  EXPECT_EQ(NoteOnFreeSwing(fit), "");
 }
 
 TEST(DataNotes, SayWhichEffectsARateIsTooLowFor) {

@@ -247,7 +247,7 @@ Best BestWithAMass(const testing::Prepared& p, const std::vector<TrialSpecs>& mo
   Best best{nothing};
   std::vector<TrialSpecs> pool = BodyStarts("sloshing_payload", p.nominal, p.scales);
   pool.insert(pool.end(), more.begin(), more.end());
-  ledger.TryBest(nothing, pool, {}, false, 2, &best.candidate);
+  ledger.TryBest(nothing, pool, {}, false, 2, {}, &best.candidate);
   best.chi2_per_row = ledger.PerRow(best.candidate);
   best.shorter_windows = ledger.shorter_windows();
   return best;
