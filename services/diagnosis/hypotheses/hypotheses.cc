@@ -20,6 +20,8 @@ using effects::Slot;
 
 namespace {
 
+constexpr double kTypicalRotor = 0.4;  // of its joint's inertia
+
 const std::string& Coupling() { return effects::LawOf(Regressor::kOtherEffort).id; }
 
 double LastMass(const sim::Plant& plant) {
@@ -201,6 +203,27 @@ std::vector<std::vector<EffectSpec>> OtherGaps(const EffectSpec& spec) {
     out.push_back({other});
   }
   return out;
+}
+
+std::vector<std::vector<EffectSpec>> PlayHeldClosed(const std::vector<EffectSpec>& specs,
+                                                    const EffectSpec& offset, const sim::Plant& nominal,
+                                                    const MotionScales& scales) {
+  const effects::EffectInfo& reads_off = effects::EffectOf(effects::Role::kSensorOffset);
+  if (offset.id != reads_off.id) return {};
+  const auto on_joint = [&](const EffectSpec& s) { return s.joints == offset.joints; };
+  const effects::EffectInfo& rotor = effects::LawOf(Regressor::kAcceleration);
+  const int joint = nominal.model().FindJoint(offset.joints[0]);
+  double behind = kTypicalRotor * SizeOf(scales, nominal, joint).inertia;
+  std::vector<EffectSpec> others;
+  for (const EffectSpec& s : specs) {
+    if (on_joint(s) && s.id == rotor.id) behind = effects::ValueOf(s, rotor.parameters[0].name);
+    if (on_joint(s) && effects::IsIn(Slot::kTransmission, s.id)) return {};
+    if (!on_joint(s) || s.id != offset.id) others.push_back(s);
+  }
+  EffectSpec play = StartsBehind(effects::Play().id, "motor", joint, nominal, scales, behind)[0][0];
+  play.values.at(offset.joints[0]).at(effects::InferenceOf(play.id).stays) =
+      2 * std::abs(effects::ValueOf(offset, reads_off.parameters[0].name));
+  return {Joined(others, {play})};
 }
 
 std::vector<std::vector<EffectSpec>> StribeckStarts(const EffectSpec& friction, const sim::Plant& nominal,

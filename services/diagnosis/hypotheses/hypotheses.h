@@ -48,6 +48,12 @@ std::vector<std::vector<effects::EffectSpec>> OtherTransmission(const effects::E
                                                                 const MotionScales& scales);
 // Play with other gaps than a fit of it came to, which ends near where it starts. Empty for other effects.
 std::vector<std::vector<effects::EffectSpec>> OtherGaps(const effects::EffectSpec& spec);
+// `specs` with play in the place of a motor's sensor that reads off, `offset`: half of a gap that gravity holds
+// closed. Behind it the rotor that the joint has, or a typical one. Empty for other effects.
+std::vector<std::vector<effects::EffectSpec>> PlayHeldClosed(const std::vector<effects::EffectSpec>& specs,
+                                                             const effects::EffectSpec& offset,
+                                                             const sim::Plant& nominal,
+                                                             const MotionScales& scales);
 // Dry friction that drops with speed, where there is dry friction already: over a range of speeds, for fits
 // of a joint that sticks end near where they start.
 std::vector<std::vector<effects::EffectSpec>> StribeckStarts(const effects::EffectSpec& friction,

@@ -213,6 +213,13 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
   if (Left(either_way) < kUseful * Left(drops)) {
     const Candidate zeros = WithZeros(*best, either_way);
     const Candidate directed = zeros.fit.ok && Left(zeros) < Left(either_way) / kUseful ? zeros : either_way;
+    // One sensor that reads off, or a tilted base, pulls on several joints.
+    Candidate one = *best;
+    if (directed.fit.ok) step_.AddPromised(*best, &one);
+    if (one.score > directed.score) {
+      *best = one;
+      return;
+    }
     // What late drives leave is left by either: where these explain the rest, masses are no rival.
     Candidate with_timing = directed;
     Late(&with_timing);

@@ -51,6 +51,8 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
   }
   for (const EffectSpec& s : specs) {
     if (kinds.count(s.id) == 0) continue;
+    for (const TrialSpecs& play : PlayHeldClosed(specs, s, setting_.nominal, setting_.scales))
+      others.push_back(play);
     const auto starts = OtherTransmission(s, setting_.nominal, setting_.scales);
     for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, starts, 1))
       others.push_back(Joined(specs, start));
