@@ -8,7 +8,11 @@ namespace {
 
 template <class E>
 EffectTraits Traits() {
-  EffectTraits traits{E::kRole, static_cast<int>(E::kPhase), {}};
+  EffectTraits traits{E::kRole, {static_cast<int>(E::kPhase)}, {}};
+  if constexpr (requires { E::kPhaseByOption; }) {
+    traits.phases.clear();
+    for (const Phase phase : E::kPhaseByOption) traits.phases.push_back(static_cast<int>(phase));
+  }
   if constexpr (StatesOf<E>() > 0) {
     for (const char* name : E::kStateNames) traits.state_names.emplace_back(name);
   }

@@ -21,7 +21,8 @@ const EffectInfo* FindEffect(std::string_view id);
 // What the simulator needs to know beside the row.
 struct EffectTraits {
   Role role;
-  int phase;                             // order among joint laws, Phase in joint_law.h
+  std::vector<int> phases;  // order among joint laws, Phase in joint_law.h; by its option if several
+  int PhaseOf(int option) const { return phases.size() > 1 ? phases[option] : phases[0]; }
   std::vector<std::string> state_names;  // internal states per joint: "bristle"
 };
 const EffectTraits& TraitsOf(int kind);

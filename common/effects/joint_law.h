@@ -23,6 +23,7 @@ enum class Phase {
   kGain,
   kDeadband,
   kSaturation,
+  kCommand,  // what a lag follows as it does the command
   kLag,
   kRipple,
   kCoupling,

@@ -19,6 +19,7 @@ inline namespace RG_ISA {
 struct TorqueRipple {
   static constexpr Role kRole = Role::kJointLaw;
   static constexpr Phase kPhase = Phase::kRipple;
+  static constexpr Phase kPhaseByOption[] = {kPhase, Phase::kCommand};
 
   static constexpr double kLeastPeriods = 0.4;  // over all that was recorded of its joint, that tell it
 
@@ -38,7 +39,8 @@ struct TorqueRipple {
         .confused_with = {"position_spring", "unknown_field"},
         .reference = "",
         .shows_over = Variable::kPosition,
-        .options = {},
+        // Cogging and gear mesh act on the motor; a torque sensor's ripple on what the drive's lag follows.
+        .options = {{"acts_on", {"motor", "command"}}},
         .needs = {Need::kPeriods},
     };
   }

@@ -335,7 +335,7 @@ std::vector<int> PlantBuilder::AddRows(const EffectSpec& spec, int kind, const s
 
 void PlantBuilder::AddLaw(int law, int kind, int option, const std::vector<int>& rows, int coupled_to) {
   int& next = joint_parameters_[law];
-  ops_[law].push_back({effects::TraitsOf(kind).phase, kind, option, next, coupled_to});
+  ops_[law].push_back({effects::TraitsOf(kind).PhaseOf(option), kind, option, next, coupled_to});
   for (const int row : rows) {
     if (row >= 0) data_->uses[row].push_back({Where::kLaw, law, next});
     ++next;
@@ -352,7 +352,7 @@ Status PlantBuilder::AddJointEffect(const EffectSpec& spec, int kind, int joint)
     case Role::kJointOrPointForce: {
       const int option = FirstOption(info, spec);
       const bool transmission =
-          effects::TraitsOf(kind).phase == static_cast<int>(effects::Phase::kTransmission);
+          effects::TraitsOf(kind).PhaseOf(option) == static_cast<int>(effects::Phase::kTransmission);
       if (transmission) {
         for (const PendingOp& op : ops_[k]) {
           if (op.phase == static_cast<int>(effects::Phase::kTransmission)) {

@@ -226,6 +226,19 @@ std::vector<std::vector<EffectSpec>> PlayHeldClosed(const std::vector<EffectSpec
   return {Joined(others, {play})};
 }
 
+std::vector<EffectSpec> RipplesAcrossLags(std::vector<EffectSpec> specs) {
+  const effects::EffectInfo& ripple = effects::LawOf(Regressor::kSine);
+  const std::string& lag = effects::LawOf(Regressor::kLagging).id;
+  const auto& [option, sides] = *ripple.options.begin();
+  bool any = false;
+  for (EffectSpec& s : specs) {
+    if (s.id != ripple.id || !Contains(specs, lag, s.joints[0])) continue;
+    s.options[option] = sides[1 - ripple.Option(option, s)];
+    any = true;
+  }
+  return any ? specs : std::vector<EffectSpec>{};
+}
+
 std::vector<std::vector<EffectSpec>> StribeckStarts(const EffectSpec& friction, const sim::Plant& nominal,
                                                     const MotionScales& scales) {
   std::vector<std::vector<EffectSpec>> out;

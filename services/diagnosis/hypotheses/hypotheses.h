@@ -54,6 +54,9 @@ std::vector<std::vector<effects::EffectSpec>> PlayHeldClosed(const std::vector<e
                                                              const effects::EffectSpec& offset,
                                                              const sim::Plant& nominal,
                                                              const MotionScales& scales);
+// `specs` with the ripples of joints whose drives lag on the other side of the lag: on the motor, or on the
+// command that the lag follows. Empty where there are none.
+std::vector<effects::EffectSpec> RipplesAcrossLags(std::vector<effects::EffectSpec> specs);
 // Dry friction that drops with speed, where there is dry friction already: over a range of speeds, for fits
 // of a joint that sticks end near where they start.
 std::vector<std::vector<effects::EffectSpec>> StribeckStarts(const effects::EffectSpec& friction,

@@ -5,6 +5,8 @@
 #include <map>
 #include <set>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "common/effects/effect_catalog.h"
 #include "common/effects/inference.h"
@@ -154,10 +156,16 @@ void DriveSearch::Late(Candidate* best) {
   std::erase_if(punctual, [&](const EffectSpec& s) {
     return effects::FindEffect(s.id)->family == kTiming && !IsGiven(s);
   });
-  std::string taken;
+  std::vector<std::pair<std::string, std::vector<EffectSpec>>> late;
   for (const std::string& id : kTimings) {
-    const std::vector<EffectSpec> late = OnAll(id, kLateBy), specs = Joined(punctual, late);
-    if (late.empty() || KeyOf(specs) == KeyOf(now.specs) || fits_.Late()) continue;
+    const std::vector<EffectSpec> all = OnAll(id, kLateBy), specs = Joined(punctual, all);
+    if (all.empty()) continue;
+    late.push_back({id, specs});
+    late.push_back({id, RipplesAcrossLags(specs)});
+  }
+  std::string taken;
+  for (const auto& [id, specs] : late) {
+    if (specs.empty() || KeyOf(specs) == KeyOf(now.specs) || fits_.Late()) continue;
     if (fits_.Known(specs, now.base) == nullptr && !fits_.MayLeaveLess(start, specs, now.base, kMayBeUseful))
       continue;
     const Candidate whole = fits_.KnownOrFitted(specs, now.base, &start, kIterations);
@@ -165,6 +173,7 @@ void DriveSearch::Late(Candidate* best) {
     const Candidate c = Seen(whole, now.base);
     const bool useful = Left(whole) < kUseful * Left(now) && Left(c) < Left(now);
     if (useful && c.score > best->score) *best = c, taken = id;
+    if (taken == id && !LeavesSomething(*best)) break;
   }
   if (taken.empty() || !LeavesSomething(*best) || fits_.Late()) return;
   // Both: a lag, and a small delay before it.

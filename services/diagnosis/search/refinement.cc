@@ -49,6 +49,7 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
         known_best = Better(known_best, *known);
     }
   }
+  if (TrialSpecs across = RipplesAcrossLags(specs); !across.empty()) others.push_back(std::move(across));
   for (const EffectSpec& s : specs) {
     if (kinds.count(s.id) == 0) continue;
     for (const TrialSpecs& play : PlayHeldClosed(specs, s, setting_.nominal, setting_.scales))
