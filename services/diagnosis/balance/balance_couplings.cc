@@ -10,7 +10,6 @@
 namespace rg::diagnosis {
 
 using effects::Regressor;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -121,7 +120,7 @@ void BalanceSelection::FindDrive() {
     double gained = 0;
     for (const double sign : {1.0, -1.0}) {
       for (const double size : kRatios) {
-        fit_.SetDrive(MakeBalanceDrive(data_, balance_, scales_, other, j, sign * size));
+        fit_.SetDrive(MakeBalanceDrive(setting_, balance_, other, j, sign * size));
         const double nats = FittedGain(rival);
         if (nats > gained) gained = nats, here = fit_.drive();
       }
@@ -145,7 +144,7 @@ void BalanceSelection::RefineRatio(const BalanceModel& rival) {
   const double sign = start.ratio > 0 ? 1.0 : -1.0, size = std::abs(start.ratio), low = size / kBetween,
                high = size * kBetween;
   const auto drive = [&](double at) {
-    return MakeBalanceDrive(data_, balance_, scales_, start.other, start.joint, sign * at);
+    return MakeBalanceDrive(setting_, balance_, start.other, start.joint, sign * at);
   };
   std::vector<char> still = start.still;
   for (const double end : {low, high}) {

@@ -7,9 +7,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 namespace {
 
 // Prior stddevs of a load, in those of the last link's own mass and of its other parameters.

@@ -16,9 +16,7 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
 using effects::Regressor;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -26,19 +24,18 @@ constexpr double kLeastErrors = 1.0;  // stddevs above zero, that a loss must be
 
 class MeasuredSearch {
  public:
-  MeasuredSearch(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                 const DiagnosisOptions& options, int threads, const Clock& clock, const ProgressFn& progress,
-                 const CancelToken* cancel)
-      : data_(data),
-        nominal_(nominal),
-        scales_(scales),
+  MeasuredSearch(const FitSetting& setting, const DiagnosisOptions& options, int threads, const Clock& clock,
+                 const ProgressFn& progress, const CancelToken* cancel)
+      : setting_(setting),
+        data_(setting.data),
+        nominal_(setting.nominal),
         options_(options),
         threads_(threads),
         clock_(clock),
         progress_(progress),
         cancel_(cancel),
         start_(clock.SteadySeconds()),
-        chosen_(data, nominal, scales, options.max_effects, [this](const std::string& s) { Trace(s); }) {}
+        chosen_(setting, options.max_effects, [this](const std::string& s) { Trace(s); }) {}
 
   SearchResult Run() {
     SearchResult out;
@@ -69,7 +66,7 @@ class MeasuredSearch {
   Candidate Refit(const std::vector<EffectSpec>& specs, bool base) const {
     RefitOptions options{.threads = threads_, .window_s = options_.window_s, .cancel = cancel_};
     if (!specs.empty()) options.spread = chosen_.Spread();
-    return RefitByShooting(data_, nominal_, scales_, specs, base, options);
+    return RefitByShooting(setting_, specs, base, options);
   }
 
   // A candidate that was compared in the balance and not refitted in the simulator.
@@ -266,7 +263,7 @@ class MeasuredSearch {
     const int rows = out->best.fit.rows;
     out->best = WithoutWeakLosses(Refit(specs, model().base));
     out->best.score = score, out->best.fit.chi2 = chi2, out->best.fit.rows = rows;
-    out->calibrated.parameters = FreeParameters(nominal_, scales_, true);
+    out->calibrated.parameters = FreeParameters(nominal_, setting_.scales, true);
     out->tried.push_back(out->best);
     std::ranges::sort(out->tried, [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
     out->noise_scale = 1;
@@ -341,9 +338,9 @@ class MeasuredSearch {
       out->missing.stddev[w](j, k) = out->remaining.stddev[w](j, k) = count[k] > 0 ? sd : 0.0;
     }
   }
+  const FitSetting setting_;
   const FitData& data_;
   const sim::Plant& nominal_;
-  const MotionScales& scales_;
   const DiagnosisOptions& options_;
   int threads_;
   const Clock& clock_;
@@ -361,10 +358,9 @@ bool EffortIsMeasured(const FitData& data) {
   });
 }
 
-SearchResult SearchMeasuredEffort(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                                  const DiagnosisOptions& options, int threads, const Clock& clock,
-                                  const ProgressFn& progress, const CancelToken* cancel) {
-  return MeasuredSearch(data, nominal, scales, options, threads, clock, progress, cancel).Run();
+SearchResult SearchMeasuredEffort(const FitSetting& setting, const DiagnosisOptions& options, int threads,
+                                  const Clock& clock, const ProgressFn& progress, const CancelToken* cancel) {
+  return MeasuredSearch(setting, options, threads, clock, progress, cancel).Run();
 }
 
 }  // namespace rg::diagnosis

@@ -11,9 +11,7 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
 using effects::Regressor;
-using Eigen::VectorXd;
 
 const std::vector<Regressor> kPlainLaws = {Regressor::kVelocity,     Regressor::kDirection,
                                            Regressor::kAcceleration, Regressor::kSquaredVelocity,
@@ -58,17 +56,17 @@ struct BalanceSelection::Trial {
   std::vector<int> joints;
 };
 
-BalanceSelection::BalanceSelection(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                                   int max_effects, TraceFn trace)
-    : data_(data),
-      nominal_(nominal),
-      scales_(scales),
+BalanceSelection::BalanceSelection(const FitSetting& setting, int max_effects, TraceFn trace)
+    : setting_(setting),
+      data_(setting.data),
+      nominal_(setting.nominal),
+      scales_(setting.scales),
       max_effects_(max_effects),
       trace_(std::move(trace)),
-      balance_(MakeTorqueBalance(data, nominal, scales)),
+      balance_(MakeTorqueBalance(setting)),
       fit_(balance_),
-      timing_(data.n) {
-  model_.features.resize(data.n);
+      timing_(data_.n) {
+  model_.features.resize(data_.n);
 }
 
 double BalanceSelection::LogHypotheses() const {
@@ -134,7 +132,7 @@ void BalanceSelection::FindTiming() {
   const BlockCosts plain = fit_.LeaveOut(all);
   std::vector<double> grid;
   for (double t = kEarliest; t < kLatest + 0.5 * kTimingStep; t += kTimingStep) grid.push_back(t);
-  Eigen::MatrixXd energy(data_.n, static_cast<long>(grid.size()));
+  MatrixXd energy(data_.n, static_cast<long>(grid.size()));
   for (size_t g = 0; g < grid.size(); ++g) {
     for (int j = 0; j < data_.n; ++j) Pass(j, {EffortTiming::kDelay, grid[g], 0});
     energy.col(g) = fit_.Solve(all).energy;

@@ -32,8 +32,7 @@ struct JointTiming {
 class BalanceSelection {
  public:
   using TraceFn = std::function<void(const std::string&)>;
-  BalanceSelection(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                   int max_effects, TraceFn trace);
+  BalanceSelection(const FitSetting& setting, int max_effects, TraceFn trace);
 
   // Estimates delay or lag per joint with all losses free, which would else bias it.
   void FindTiming();
@@ -61,12 +60,10 @@ class BalanceSelection {
                                    int joint) const;
   bool Admissible(const BalanceModel& m, int joint) const;
   // The effects of a model for the simulator, timing included.
-  std::vector<effects::EffectSpec> SpecsOf(const BalanceModel& m) const;
-  effects::EffectSpec SpecOf(effects::Regressor law, const BalanceModel& m, const BalanceSolution& s,
-                             int joint) const;
-  std::vector<effects::EffectSpec> SpecsOfJoint(const BalanceModel& m, const BalanceSolution& s,
-                                                int joint) const;
-  std::optional<effects::EffectSpec> PayloadOf(const BalanceModel& m) const;
+  std::vector<EffectSpec> SpecsOf(const BalanceModel& m) const;
+  EffectSpec SpecOf(effects::Regressor law, const BalanceModel& m, const BalanceSolution& s, int joint) const;
+  std::vector<EffectSpec> SpecsOfJoint(const BalanceModel& m, const BalanceSolution& s, int joint) const;
+  std::optional<EffectSpec> PayloadOf(const BalanceModel& m) const;
   std::set<std::string> KindsOf(const BalanceModel& m) const;
   // Jackknife stddev of the effects' parameters, by their names.
   std::map<std::string, double> Spread() const;
@@ -101,6 +98,7 @@ class BalanceSelection {
   void Prune();
   std::string StateOf(const BalanceModel& m) const;
 
+  const FitSetting setting_;
   const FitData& data_;
   const sim::Plant& nominal_;
   const MotionScales& scales_;

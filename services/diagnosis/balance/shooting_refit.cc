@@ -15,9 +15,6 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
-using Eigen::VectorXd;
-
 namespace {
 
 constexpr double kTrust =
@@ -38,7 +35,7 @@ double FirstValue(const std::vector<EffectSpec>& specs, const std::string& joint
 
 // Subtracts the torques of coupled drives from the efforts along the recorded motion.
 void TakeOffDrive(const FineMotion& m, const sim::Plant& plant, const std::vector<EffectSpec>& specs,
-                  const std::vector<double>& t, Eigen::MatrixXd* u) {
+                  const std::vector<double>& t, MatrixXd* u) {
   for (const EffectSpec& s : specs) {
     if (!IsCoupledDrive(s)) continue;
     const int other = plant.model().FindJoint(s.joints[0]), joint = plant.model().FindJoint(s.joints[1]);
@@ -69,7 +66,7 @@ std::vector<sysid::FitRecording> Advanced(const FitData& data, const sim::Plant&
   for (size_t i = 0; i < out.size(); ++i) {
     sysid::FitRecording& r = out[i];
     const std::vector<double>& t = r.command.times();
-    Eigen::MatrixXd u = r.command.values();
+    MatrixXd u = r.command.values();
     for (int j = 0; j < data.n; ++j) {
       for (size_t k = 0; k < t.size(); ++k)
         u(j, static_cast<long>(k)) = gain[j] * r.command.At(j, t[k] - delay[j]);
@@ -123,8 +120,9 @@ VectorXd StartOf(const sysid::FitSpace& space, const sim::Plant& plant) {
 }
 
 // Base parameters by regression, effects fixed.
-void RegressBase(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                 const std::vector<EffectSpec>& specs, const sysid::FitSpace& space, VectorXd* theta) {
+void RegressBase(const FitSetting& setting, const std::vector<EffectSpec>& specs,
+                 const sysid::FitSpace& space, VectorXd* theta) {
+  const auto& [data, nominal, scales] = setting;
   const auto plain = sim::Plant::Create(nominal.shared_model(), nominal.options(), Plain(specs));
   if (!plain.ok()) return;
   const sysid::FitSpace twin(FreeParameters(*plain, scales, true));
@@ -156,8 +154,9 @@ double ErrorOnFit(const FitData& data, const sim::Plant& plant, const VectorXd& 
 
 }  // namespace
 
-Candidate RefitByShooting(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                          const std::vector<EffectSpec>& specs, bool base, const RefitOptions& options) {
+Candidate RefitByShooting(const FitSetting& setting, const std::vector<EffectSpec>& specs, bool base,
+                          const RefitOptions& options) {
+  const auto& [data, nominal, scales] = setting;
   Candidate c;
   c.specs = specs, c.base = base;
   const auto plant = sim::Plant::Create(nominal.shared_model(), nominal.options(), specs);
@@ -181,7 +180,7 @@ Candidate RefitByShooting(const FitData& data, const sim::Plant& nominal, const 
   const sysid::FitSpace space(c.parameters);
   const VectorXd start_values = c.plant->parameters().Nominal();
   VectorXd theta = StartOf(space, *c.plant);
-  if (base) RegressBase(data, nominal, scales, specs, space, &theta);
+  if (base) RegressBase(setting, specs, space, &theta);
   c.fit.ok = true;
   c.fit.values = space.Values(theta, start_values);
   if (space.size() > 0) {

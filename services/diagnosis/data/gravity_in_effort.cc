@@ -11,9 +11,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 namespace {
 
 constexpr double kLoaded = 0.1;     // gravity's torque over that of the most loaded joint: joints considered

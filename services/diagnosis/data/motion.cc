@@ -9,9 +9,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 SmoothMotion::SmoothMotion(const recordings::Recording& recording, const recordings::SensorNoise& noise)
     : recording_(&recording),
       weight_q_(noise.position_stddev.cwiseInverse()),

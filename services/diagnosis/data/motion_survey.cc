@@ -15,8 +15,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 using recordings::Recording;
 
 namespace {

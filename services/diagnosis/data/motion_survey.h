@@ -10,6 +10,7 @@
 #include "common/recordings/noise.h"
 #include "common/recordings/recording_set.h"
 #include "common/sim/plant.h"
+#include "services/diagnosis/data/motion.h"
 
 namespace rg::diagnosis {
 
@@ -50,21 +51,21 @@ inline constexpr double kSlow = 0.1;
 
 // Instants of one recording to fit. n × S each.
 struct MotionSamples {
-  std::vector<double> t;           // S
-  Eigen::MatrixXd q, v, a, u;      // u: the effort in the file, averaged over ±15 ms
-  Eigen::MatrixXd rigid, gravity;  // the URDF's torques for the motion; gravity's part of them
-  Eigen::MatrixXd needed;          // what of `rigid` the effort must bring, by the manifest
+  std::vector<double> t;    // S
+  MatrixXd q, v, a, u;      // u: the effort in the file, averaged over ±15 ms
+  MatrixXd rigid, gravity;  // the URDF's torques for the motion; gravity's part of them
+  MatrixXd needed;          // what of `rigid` the effort must bring, by the manifest
 };
 
 struct MotionSurvey {
   int n = 0;
   recordings::SensorNoise noise;      // that fits and judgements go by
   recordings::SensorNoise estimated;  // from the data, whatever the manifest says
-  Eigen::VectorXd speed_noise;        // n, of v in the samples
+  VectorXd speed_noise;               // n, of v in the samples
   std::vector<FileFigures> files;     // the set's order
   std::vector<JointFigures> joints;
   std::vector<MotionSamples> samples;  // of the recordings to fit
-  Eigen::VectorXd velocity_lag;        // n, s, of the first recording to fit; 0 where none shows
+  VectorXd velocity_lag;               // n, s, of the first recording to fit; 0 where none shows
 
   long Samples() const;
   const FileFigures& FirstToFit() const;

@@ -11,9 +11,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 namespace {
 
 constexpr double kLeastSeconds = 0.5;  // of fitted recordings

@@ -6,8 +6,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::VectorXd;
-
 namespace {
 
 constexpr double kNodesPerRow = 20.0;  // at most: from 5 Hz on nodes are 10 ms apart

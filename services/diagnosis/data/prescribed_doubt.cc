@@ -12,8 +12,6 @@
 namespace rg::diagnosis {
 namespace {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 using recordings::PrescribedDoubt;
 using recordings::Recording;
 using recordings::SmoothMotionRows;

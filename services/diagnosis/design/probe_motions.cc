@@ -13,9 +13,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 namespace {
 
 constexpr double kRow = 0.02;               // s between rows
@@ -98,13 +95,12 @@ struct Program {
 
 class Maker {
  public:
-  Maker(const sim::Plant& nominal, const FitData& data, const MotionScales& scales,
-        const std::vector<int>& joints)
-      : model_(nominal.model()),
-        mechanism_(sysid::MechanismOf(nominal, nominal.parameters().Nominal())),
-        data_(data),
+  Maker(const FitSetting& setting, const std::vector<int>& joints)
+      : model_(setting.nominal.model()),
+        mechanism_(sysid::MechanismOf(setting.nominal, setting.nominal.parameters().Nominal())),
+        data_(setting.data),
         joints_(joints) {
-    for (const int j : joints) rooms_.push_back(RoomOf(j, scales));
+    for (const int j : joints) rooms_.push_back(RoomOf(j, setting.scales));
     for (const Room& room : rooms_) slowest_ = std::min(slowest_, room.top), top_ = std::max(top_, room.top);
     FindPose();
   }
@@ -292,10 +288,9 @@ class Maker {
 
 }  // namespace
 
-std::vector<ProbeMotion> ProbeMotions(const sim::Plant& nominal, const FitData& data,
-                                      const MotionScales& scales, const std::vector<int>& joints) {
+std::vector<ProbeMotion> ProbeMotions(const FitSetting& setting, const std::vector<int>& joints) {
   if (joints.empty()) return {};
-  return Maker(nominal, data, scales, joints).Run();
+  return Maker(setting, joints).Run();
 }
 
 }  // namespace rg::diagnosis

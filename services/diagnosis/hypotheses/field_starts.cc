@@ -12,10 +12,6 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 namespace {
 
 constexpr int kNodes = effects::UnknownFieldPair::kNodes;
@@ -63,9 +59,9 @@ double Regressed(const std::vector<ForceSample>& samples, int on, const MatrixXd
 
 }  // namespace
 
-std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nominal,
-                                     const MotionScales& scales, const MissingForce& missing,
+std::optional<EffectSpec> FieldStart(const FitSetting& setting, const MissingForce& missing,
                                      const std::string& variable) {
+  const auto& [data, nominal, scales] = setting;
   const std::string& field = effects::LawOf(effects::Regressor::kPositionPiece).id;
   const std::vector<ForceSample> samples = SamplesOf(data, missing);
   std::optional<EffectSpec> best;
@@ -95,8 +91,8 @@ std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nomi
   return best;
 }
 
-std::optional<EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& nominal,
-                                         const MotionScales& scales, const MissingForce& missing) {
+std::optional<EffectSpec> FieldPairStart(const FitSetting& setting, const MissingForce& missing) {
+  const auto& [data, nominal, scales] = setting;
   const std::string surface = effects::UnknownFieldPair::Info().id;
   const std::vector<ForceSample> samples = SamplesOf(data, missing);
   const int n = data.n;

@@ -9,8 +9,6 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
-
 namespace {
 
 bool ActsOnJointsTogether(const EffectSpec& spec) {

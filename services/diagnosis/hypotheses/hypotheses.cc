@@ -13,7 +13,6 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
 using effects::MakeSpec;
 using effects::Regressor;
 using effects::Slot;

@@ -11,12 +11,9 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
 using effects::MakeSpec;
 using Eigen::Matrix3d;
-using Eigen::MatrixXd;
 using Eigen::Vector3d;
-using Eigen::VectorXd;
 
 namespace {
 

@@ -8,9 +8,9 @@
 namespace rg::diagnosis {
 namespace {
 
-std::set<std::string> Ids(const std::vector<effects::EffectSpec>& specs) {
+std::set<std::string> Ids(const std::vector<EffectSpec>& specs) {
   std::set<std::string> out;
-  for (const effects::EffectSpec& e : specs) out.insert(e.id);
+  for (const EffectSpec& e : specs) out.insert(e.id);
   return out;
 }
 

@@ -15,12 +15,12 @@ constexpr double kLeastMotion = 1e-6;  // least prior stddev: rad, m, or per sec
 
 std::vector<ArrivalCost> ArrivalCosts(const sim::Plant& plant, const NodeStates& carried) {
   const long nx = plant.num_states(), first = 2L * plant.num_joints();
-  Eigen::VectorXd precision = Eigen::VectorXd::Zero(nx);
+  VectorXd precision = VectorXd::Zero(nx);
   for (long i = first; i < nx; ++i) {
     const std::string& name = plant.internal_state_names()[static_cast<size_t>(i - first)];
     if (name.rfind("position.", 0) != 0 && name.rfind("velocity.", 0) != 0) continue;
     double squares = 0, count = 0;
-    for (const Eigen::MatrixXd& states : carried) {
+    for (const MatrixXd& states : carried) {
       squares += states.row(i).squaredNorm();
       count += static_cast<double>(states.cols());
     }
@@ -28,7 +28,7 @@ std::vector<ArrivalCost> ArrivalCosts(const sim::Plant& plant, const NodeStates&
     if (std::isfinite(stddev)) precision[i] = 1.0 / (stddev * stddev);
   }
   std::vector<ArrivalCost> out;
-  for (const Eigen::MatrixXd& states : carried) out.push_back({states.col(0), precision});
+  for (const MatrixXd& states : carried) out.push_back({states.col(0), precision});
   return out;
 }
 

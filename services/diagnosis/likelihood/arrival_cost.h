@@ -8,8 +8,8 @@
 namespace rg::diagnosis {
 
 struct ArrivalCost {
-  Eigen::VectorXd middle;     // nx: mean
-  Eigen::VectorXd precision;  // nx: zero for states that only the rows inform
+  VectorXd middle;     // nx: mean
+  VectorXd precision;  // nx: zero for states that only the rows inform
 };
 
 // Of every window. The stddev of a state is ten times its RMS along all windows.

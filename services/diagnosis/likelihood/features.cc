@@ -13,8 +13,6 @@ namespace rg::diagnosis {
 
 using effects::Regressor;
 using Eigen::ArrayXd;
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 namespace {
 

@@ -13,9 +13,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 namespace {
 
 constexpr int kOneWindow = 6;              // of a window alone, and as many more while they pay

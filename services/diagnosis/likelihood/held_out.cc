@@ -11,9 +11,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 namespace {
 
 constexpr int kRestartIterations = 3;     // of the windows' starts alone

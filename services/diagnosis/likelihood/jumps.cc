@@ -16,9 +16,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 namespace {
 
 constexpr double kInstant = 1e-6;    // s
@@ -44,13 +41,13 @@ MatrixXd OfMass(const sim::Plant& plant) {
   return AsRows(out, plant.num_states());
 }
 
-bool IsPlay(const effects::EffectSpec& e) { return !effects::InferenceOf(e.id).stays.empty(); }
+bool IsPlay(const EffectSpec& e) { return !effects::InferenceOf(e.id).stays.empty(); }
 
 // Where each motor behind play is against its link, and how fast.
 MatrixXd OfPlay(const sim::Plant& plant) {
   std::vector<VectorXd> out;
   const long n = plant.num_joints(), nx = plant.num_states();
-  for (const effects::EffectSpec& e : plant.effects()) {
+  for (const EffectSpec& e : plant.effects()) {
     if (!IsPlay(e)) continue;
     for (const std::string& joint : e.joints) {
       const long link = plant.model().FindJoint(joint), motor = 2 * n + MotorOf(plant, joint);
@@ -198,7 +195,7 @@ FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
   return WithJumpsOf(OfMass(plant), data, plant, std::move(fit), options);
 }
 
-bool HasPlay(const std::vector<effects::EffectSpec>& specs) { return std::ranges::any_of(specs, IsPlay); }
+bool HasPlay(const std::vector<EffectSpec>& specs) { return std::ranges::any_of(specs, IsPlay); }
 
 FitResult WithJumpsInPlay(const FitData& data, const sim::Plant& plant, FitResult fit,
                           const LiftedOptions& options) {

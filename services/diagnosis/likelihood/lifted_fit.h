@@ -25,12 +25,14 @@
 
 namespace rg::diagnosis {
 
+using effects::EffectSpec;
+
 // States at the nodes of every window: nx × (N + 1) each.
-using NodeStates = std::vector<Eigen::MatrixXd>;
+using NodeStates = std::vector<MatrixXd>;
 
 struct FitModel {
   sim::Plant plant;
-  Eigen::VectorXd values;                       // of the plant's table
+  VectorXd values;                              // of the plant's table
   std::vector<sysid::FitParameter> parameters;  // free ones; θ0 = nominal, prior_stddev
 };
 
@@ -69,14 +71,14 @@ bool HasStatesBut(std::initializer_list<std::string_view> kinds, const sim::Plan
 inline bool HasFreeStates(const sim::Plant& plant) { return HasStatesBut({kLagState}, plant); }
 
 struct FitResult {
-  Eigen::VectorXd values;
+  VectorXd values;
   NodeStates states;
   double chi2 = 0;  // of the simulated windows, far residuals softened; of a mass in springs with its jumps
   std::vector<double> window_chi2;  // (jumps.h)
   double prior_cost = 0;            // Σ ((θ−θ0)/σ)²
-  Eigen::MatrixXd information;      // P × P, without priors, divided by noise_scale
-  Eigen::VectorXd stddev;           // P, posterior
-  Eigen::VectorXd theta;            // P
+  MatrixXd information;             // P × P, without priors, divided by noise_scale
+  VectorXd stddev;                  // P, posterior
+  VectorXd theta;                   // P
   int rows = 0;
   int iterations = 0;
   double work = 0;  // of all its simulations and linearisations

@@ -9,9 +9,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 // Robust cost of a residual r [stddev]: c²·log(1 + r²/c²), c = kSoft. About r² near the model; a window that
 // diverges does not outweigh the others.
 inline constexpr double kSoft = 20.0;

@@ -32,7 +32,7 @@ double SoftenedSum(const VectorXd& residuals) {
 
 std::vector<int> SensedMotors(const sim::Plant& plant) {
   std::vector<int> out(plant.num_joints(), -1);
-  for (const effects::EffectSpec& e : plant.effects()) {
+  for (const EffectSpec& e : plant.effects()) {
     const auto sensor = e.options.find("sensor");
     if (sensor == e.options.end() || sensor->second != "motor") continue;
     for (const std::string& joint : e.joints) out[plant.model().FindJoint(joint)] = MotorOf(plant, joint);
@@ -99,7 +99,7 @@ Lineariser::~Lineariser() = default;
 
 void Lineariser::FindGaps() {
   const auto& parameters = probe_.plant.parameters();
-  for (const effects::EffectSpec& e : probe_.plant.effects()) {
+  for (const EffectSpec& e : probe_.plant.effects()) {
     const effects::Inference& own = effects::InferenceOf(e.id);
     if (own.stays.empty()) continue;
     for (const std::string& joint : e.joints) {

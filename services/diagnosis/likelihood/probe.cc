@@ -13,14 +13,14 @@ namespace {
 constexpr double kAlways = 1e15;  // s, beyond epoch times in seconds
 
 struct ZeroTorque {
-  effects::EffectSpec spec;
+  EffectSpec spec;
   std::string parameter;
   int joint;
 };
 
 // Whether it has the effect on that joint, or on the robot as a whole, which excludes further ones.
 bool HasOn(const sim::Plant& plant, const std::string& id, const std::string& joint) {
-  for (const effects::EffectSpec& e : plant.effects()) {
+  for (const EffectSpec& e : plant.effects()) {
     if (e.id != id) continue;
     if (e.joints.empty() || std::ranges::find(e.joints, joint) != e.joints.end()) return true;
   }
@@ -55,7 +55,7 @@ Probe MakeProbe(const FitModel& model, bool with_torque) {
   if (!with_torque) return probe;
   std::vector<ZeroTorque> pushes = ZeroTorquesOf(model.plant);
   const auto with = [&](const std::vector<ZeroTorque>& some) {
-    std::vector<effects::EffectSpec> specs = model.plant.effects();
+    std::vector<EffectSpec> specs = model.plant.effects();
     for (const ZeroTorque& push : some) specs.push_back(push.spec);
     return sim::Plant::Create(model.plant.shared_model(), model.plant.options(), specs);
   };

@@ -9,7 +9,7 @@ namespace rg::diagnosis {
 
 struct Probe {
   sim::Plant plant;
-  Eigen::VectorXd values;
+  VectorXd values;
   std::vector<int> torque;  // parameter index per joint, −1: none
 };
 

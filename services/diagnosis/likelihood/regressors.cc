@@ -63,8 +63,8 @@ ArrayXd Pulse(const ArrayXd& t, const RegressorShape& s) {
 
 }  // namespace
 
-JointMotion MotionOf(const FineMotion& m, const Eigen::MatrixXd& effort, int j) {
-  const auto row = [j](const Eigen::MatrixXd& x) -> ArrayXd { return x.row(j).transpose().array(); };
+JointMotion MotionOf(const FineMotion& m, const MatrixXd& effort, int j) {
+  const auto row = [j](const MatrixXd& x) -> ArrayXd { return x.row(j).transpose().array(); };
   const ArrayXd t = Eigen::Map<const ArrayXd>(m.t.data(), static_cast<Eigen::Index>(m.t.size()));
   const ArrayXd v = row(m.v);
   return {row(m.q), v, row(m.a), t, row(effort), v.sign()};

@@ -225,8 +225,7 @@ std::vector<std::string> NotesOnMeasurement(const std::vector<std::string>& name
   return notes;
 }
 
-std::string NoteOnFreeSwing(const std::vector<effects::EffectSpec>& effects, double before_rms,
-                            double after_rms) {
+std::string NoteOnFreeSwing(const std::vector<EffectSpec>& effects, double before_rms, double after_rms) {
   if (!HasPendulum(effects) || !(after_rms >= before_rms)) return "";
   return "held-out errors do not become smaller by a mass that swings freely, for no sensor reads where it "
          "is "

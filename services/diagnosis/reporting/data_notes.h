@@ -23,7 +23,6 @@ std::vector<std::string> NotesOnMeasurement(const std::vector<std::string>& join
 
 // If `effects` have a pendulum payload and held-out errors (RMS over windows) did not fall: why that does not
 // refute it. Else empty.
-std::string NoteOnFreeSwing(const std::vector<effects::EffectSpec>& effects, double before_rms,
-                            double after_rms);
+std::string NoteOnFreeSwing(const std::vector<EffectSpec>& effects, double before_rms, double after_rms);
 
 }  // namespace rg::diagnosis

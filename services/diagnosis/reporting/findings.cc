@@ -18,11 +18,8 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
 using effects::Regressor;
 using effects::Variable;
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -93,9 +90,8 @@ VectorXd Energy(const MissingForce& f, int n) {
 
 class FindingsBuilder {
  public:
-  FindingsBuilder(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
-                  const MotionScales& scales, DiagnosisResult* result)
-      : s_(search), data_(data), nominal_(nominal), scales_(scales), r_(*result) {}
+  FindingsBuilder(const SearchResult& search, const FitSetting& setting, DiagnosisResult* result)
+      : s_(search), data_(setting.data), nominal_(setting.nominal), scales_(setting.scales), r_(*result) {}
 
   void Run() {
     Figures();
@@ -511,9 +507,8 @@ class FindingsBuilder {
 
 }  // namespace
 
-void Conclude(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
-              const MotionScales& scales, DiagnosisResult* result) {
-  FindingsBuilder(search, data, nominal, scales, result).Run();
+void Conclude(const SearchResult& search, const FitSetting& setting, DiagnosisResult* result) {
+  FindingsBuilder(search, setting, result).Run();
 }
 
 }  // namespace rg::diagnosis

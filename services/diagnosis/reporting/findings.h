@@ -3,10 +3,10 @@
 
 #include "services/diagnosis/api/result.h"
 #include "services/diagnosis/hypotheses/search_result.h"
+#include "services/diagnosis/likelihood/fit_setting.h"
 
 namespace rg::diagnosis {
 
-void Conclude(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
-              const MotionScales& scales, DiagnosisResult* result);
+void Conclude(const SearchResult& search, const FitSetting& setting, DiagnosisResult* result);
 
 }  // namespace rg::diagnosis

@@ -10,9 +10,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 std::vector<LedgerRow> LedgerOf(const SearchResult& search) {
   std::vector<LedgerRow> out;
   const Candidate &without = search.calibrated, &best = search.best;
@@ -36,7 +33,7 @@ std::vector<CandidateRow> CandidateRows(const SearchResult& search) {
     if (!c.fit.ok || out.size() >= kMostCandidates) continue;
     CandidateRow row;
     std::map<std::string, std::vector<std::string>> by_id;
-    for (const effects::EffectSpec& e : c.specs) {
+    for (const EffectSpec& e : c.specs) {
       auto& joints = by_id[e.id];
       joints.insert(joints.end(), e.joints.begin(), e.joints.end());
     }

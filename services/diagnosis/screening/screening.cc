@@ -16,8 +16,6 @@ using effects::EffectInfo;
 using effects::Inference;
 using effects::Regressor;
 using effects::Term;
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -355,7 +353,7 @@ class Scorer {
   }
 
   double Structure(const Group& g, const std::vector<int>& chosen) const {
-    double cost = StructurePrior({effects::EffectSpec{g.effect}}, false) *
+    double cost = StructurePrior({EffectSpec{g.effect}}, false) *
                   std::max<double>(1.0, static_cast<double>(g.joints.size()));
     cost -= kEffectPrior * (std::max<double>(1.0, static_cast<double>(g.joints.size())) - 1);
     for (const int other : chosen) {

@@ -30,7 +30,7 @@ std::string VerdictBeyond(double beyond) {
   EXPECT_GT(search.best.fit.chi2, search.own_chi2 + kZ99OneSided * std::sqrt(4.0 * search.best.fit.rows));
   DiagnosisResult result;
   result.joints = p->set.joints;
-  Conclude(search, p->data, p->nominal, p->scales, &result);
+  Conclude(search, {p->data, p->nominal, p->scales}, &result);
   return result.verdict;
 }
 
@@ -47,7 +47,7 @@ double ConfidenceBeside(const testing::Prepared& p, SearchResult search,
   search.tried.push_back(c);
   DiagnosisResult result;
   result.joints = p.set.joints;
-  Conclude(search, p.data, p.nominal, p.scales, &result);
+  Conclude(search, {p.data, p.nominal, p.scales}, &result);
   return result.findings.at(0).confidence;
 }
 
@@ -158,7 +158,7 @@ TEST(Unexplained, NamesASecondJointWhereItTakesAGoodPartOfTheRest) {
     search.remaining.evidence = evidence;
     DiagnosisResult result;
     result.joints = p->set.joints;
-    Conclude(search, p->data, p->nominal, p->scales, &result);
+    Conclude(search, {p->data, p->nominal, p->scales}, &result);
     EXPECT_EQ(result.verdict, "unexplained");
     return result.findings.at(0).joints;
   };
