@@ -121,6 +121,12 @@ Result<std::vector<FitParameter>> NamedFitParameters(const sim::Plant& plant,
   return out;
 }
 
+Eigen::VectorXd PriorStddevs(const std::vector<FitParameter>& parameters) {
+  Eigen::VectorXd out(parameters.size());
+  for (size_t i = 0; i < parameters.size(); ++i) out[i] = parameters[i].prior_stddev;
+  return out;
+}
+
 std::vector<int> Indices(const std::vector<FitParameter>& parameters) {
   std::vector<int> out;
   for (const FitParameter& p : parameters) out.push_back(p.index);

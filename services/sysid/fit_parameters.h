@@ -42,6 +42,7 @@ std::vector<FitParameter> EffectFitParameters(const sim::Plant& plant, const std
 Result<std::vector<FitParameter>> NamedFitParameters(const sim::Plant& plant,
                                                      const std::vector<std::string>& names);
 
+Eigen::VectorXd PriorStddevs(const std::vector<FitParameter>& parameters);
 std::vector<int> Indices(const std::vector<FitParameter>& parameters);
 // `values` of the whole table with the fitted ones replaced by theta.
 Eigen::VectorXd WithFitted(const std::vector<FitParameter>& parameters, Eigen::VectorXd values,

@@ -161,6 +161,14 @@ FitSpace::FitSpace(std::vector<FitParameter> parameters, bool consistent)
   }
 }
 
+VectorXd FitSpace::From(const VectorXd& values) const {
+  VectorXd theta = nominal_;
+  for (int i = 0; i < size(); ++i) {
+    if (IsItself(i)) theta[i] = values[parameters_[i].index];
+  }
+  return theta.cwiseMax(lower_).cwiseMin(upper_);
+}
+
 bool FitSpace::IsItself(int i) const {
   for (const LinkBlock& link : links_) {
     if (i >= link.first && i < link.first + 10) return false;

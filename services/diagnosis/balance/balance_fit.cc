@@ -223,24 +223,16 @@ void BalanceFit::SetNoiseFrom(const BalanceModel& model) {
 }
 
 BalanceSolution BalanceFit::Jackknife(const BalanceModel& model) const {
-  const BalanceSolution all = Solve(model);
-  BalanceSolution sum = all;
-  const auto each = [&](const BalanceSolution& s, auto f) {
-    f(s.base, all.base, &sum.base), f(s.drive, all.drive, &sum.drive);
-    for (int j = 0; j < balance_.n; ++j) f(s.features[j], all.features[j], &sum.features[j]);
-  };
-  const auto clear = [](const VectorXd&, const VectorXd&, VectorXd* out) { out->setZero(); };
-  const auto add = [](const VectorXd& x, const VectorXd& mean, VectorXd* out) {
-    *out += (x - mean).cwiseAbs2();
-  };
+  BalanceSolution all = Solve(model), spread = all;
+  for (VectorXd* x : spread.Coefficients()) x->setZero();
+  for (int b = 0; b < balance_.blocks; ++b) {
+    BalanceSolution without = Solve(model, b);
+    for (size_t i = 0; i < all.Coefficients().size(); ++i)
+      *spread.Coefficients()[i] += (*without.Coefficients()[i] - *all.Coefficients()[i]).cwiseAbs2();
+  }
   const double factor = (balance_.blocks - 1.0) / std::max(1, balance_.blocks);
-  const auto root = [&](const VectorXd&, const VectorXd&, VectorXd* out) {
-    *out = (factor * *out).cwiseSqrt();
-  };
-  each(all, clear);
-  for (int b = 0; b < balance_.blocks; ++b) each(Solve(model, b), add);
-  each(all, root);
-  return sum;
+  for (VectorXd* x : spread.Coefficients()) *x = (factor * *x).cwiseSqrt();
+  return spread;
 }
 
 int BalanceFit::EffectiveRows() const {

@@ -29,6 +29,12 @@ struct BalanceSolution {
   std::vector<VectorXd> features;  // per joint: F, standardised, 0 where not in
   VectorXd drive;                  // of BalanceDrive, standardised, 0 where not in
   VectorXd energy;                 // n, mean square of the residual
+
+  std::vector<VectorXd*> Coefficients() {
+    std::vector<VectorXd*> out = {&base, &drive};
+    for (VectorXd& f : features) out.push_back(&f);
+    return out;
+  }
 };
 
 // Costs ½ SSR/(s² c) of left-out blocks: blocks × n.

@@ -290,54 +290,46 @@ class MeasuredSearch {
   // Force along the recordings that the calibrated base parameters miss, and the residual of the model.
   void Forces(SearchResult* out) const {
     const BalanceSolution s = fit().Solve(model());
-    const size_t W = data_.windows.size();
-    for (MissingForce* f : {&out->missing, &out->remaining}) {
-      f->force.resize(W), f->stddev.resize(W), f->t.resize(W);
-      f->rows = fit().EffectiveRows();
-    }
-    std::vector<VectorXd> with_effects, rest;
-    for (int j = 0; j < data_.n; ++j) {
-      BalanceSolution bare = s;
-      bare.features[j].setZero(), bare.drive.setZero();
-      with_effects.push_back(fit().Residual(bare, j));
-      rest.push_back(fit().Residual(s, j));
-    }
-    for (size_t w = 0; w < W; ++w) {
-      const NodeWindow& window = data_.windows[w];
-      const double span = window.t.back() - window.t.front();
-      const int S = std::max(1, static_cast<int>(std::lround(span / 0.05)));
-      for (MissingForce* f : {&out->missing, &out->remaining}) {
-        f->force[w].setZero(data_.n, S), f->stddev[w].setZero(data_.n, S);
-        f->t[w].clear();
-        for (int k = 0; k < S; ++k) f->t[w].push_back(window.t.front() + span * (k + 0.5) / S);
-      }
-      for (int j = 0; j < data_.n; ++j) {
-        if (!nominal_.IsPrescribed(j)) FillStairs(window, j, S, with_effects[j], rest[j], w, out);
-      }
-    }
+    BalanceSolution bare = s;
+    for (VectorXd& f : bare.features) f.setZero();
+    bare.drive.setZero();
+    out->missing = Stairs(bare, true);
+    out->remaining = Stairs(s, false);
   }
 
-  void FillStairs(const NodeWindow& window, int j, int S, const VectorXd& all, const VectorXd& rest, size_t w,
-                  SearchResult* out) const {
-    const BalanceRows& rows = chosen_.balance().joints[j];
-    const double span = window.t.back() - window.t.front();
-    VectorXd count = VectorXd::Zero(S);
-    for (size_t k = 0; k < rows.t.size(); ++k) {
-      if (rows.recording[k] != window.recording || rows.t[k] < window.t.front() ||
-          rows.t[k] >= window.t.back())
-        continue;
-      const int at = std::min(S - 1, static_cast<int>((rows.t[k] - window.t.front()) / span * S));
-      ++count[at];
-      out->missing.force[w](j, at) += all[k];
-      if (!rows.still[k]) out->remaining.force[w](j, at) += rest[k];
+  // The mean residual of a solution on each 50 ms of the windows; `still`: also of rows in which a joint may
+  // stick.
+  MissingForce Stairs(const BalanceSolution& s, bool still) const {
+    MissingForce out;
+    out.rows = fit().EffectiveRows();
+    std::vector<VectorXd> rest;
+    for (int j = 0; j < data_.n; ++j) rest.push_back(fit().Residual(s, j));
+    for (const NodeWindow& window : data_.windows) {
+      const double begin = window.t.front(), span = window.t.back() - begin;
+      const int S = std::max(1, static_cast<int>(std::lround(span / 0.05)));
+      MatrixXd force = MatrixXd::Zero(data_.n, S), stddev = force;
+      for (int j = 0; j < data_.n; ++j) {
+        if (nominal_.IsPrescribed(j)) continue;
+        const BalanceRows& rows = chosen_.balance().joints[j];
+        VectorXd count = VectorXd::Zero(S);
+        for (size_t k = 0; k < rows.t.size(); ++k) {
+          if (rows.recording[k] != window.recording || rows.t[k] < begin || rows.t[k] >= window.t.back())
+            continue;
+          const int at = std::min(S - 1, static_cast<int>((rows.t[k] - begin) / span * S));
+          ++count[at];
+          if (still || !rows.still[k]) force(j, at) += rest[j][k];
+        }
+        force.row(j) = force.row(j).transpose().cwiseQuotient(count.cwiseMax(1.0)).transpose();
+        stddev.row(j) =
+            (count.array() > 0).select(VectorXd::Constant(S, std::sqrt(fit().Variance(j))), 0.0).transpose();
+      }
+      std::vector<double> middles;
+      for (int k = 0; k < S; ++k) middles.push_back(begin + span * (k + 0.5) / S);
+      out.force.push_back(force), out.stddev.push_back(stddev), out.t.push_back(middles);
     }
-    for (int k = 0; k < S; ++k) {
-      const double n = std::max(1.0, count[k]);
-      out->missing.force[w](j, k) /= n, out->remaining.force[w](j, k) /= n;
-      const double sd = std::sqrt(fit().Variance(j));
-      out->missing.stddev[w](j, k) = out->remaining.stddev[w](j, k) = count[k] > 0 ? sd : 0.0;
-    }
+    return out;
   }
+
   const FitSetting setting_;
   const FitData& data_;
   const sim::Plant& nominal_;

@@ -110,15 +110,6 @@ std::vector<EffectSpec> Plain(const std::vector<EffectSpec>& specs) {
   return out;
 }
 
-VectorXd StartOf(const sysid::FitSpace& space, const sim::Plant& plant) {
-  const VectorXd values = plant.parameters().Nominal();
-  VectorXd theta = space.nominal();
-  for (int i = 0; i < space.size(); ++i) {
-    if (space.IsItself(i)) theta[i] = values[space.parameters()[i].index];
-  }
-  return theta.cwiseMax(space.lower()).cwiseMin(space.upper());
-}
-
 // Base parameters by regression, effects fixed.
 void RegressBase(const FitSetting& setting, const std::vector<EffectSpec>& specs,
                  const sysid::FitSpace& space, VectorXd* theta) {
@@ -126,8 +117,9 @@ void RegressBase(const FitSetting& setting, const std::vector<EffectSpec>& specs
   const auto plain = sim::Plant::Create(nominal.shared_model(), nominal.options(), Plain(specs));
   if (!plain.ok()) return;
   const sysid::FitSpace twin(FreeParameters(*plain, scales, true));
-  const auto found = sysid::RegressInverseDynamics(*plain, plain->parameters().Nominal(), twin,
-                                                   StartOf(twin, *plain), Advanced(data, nominal, specs));
+  const auto found =
+      sysid::RegressInverseDynamics(*plain, plain->parameters().Nominal(), twin,
+                                    twin.From(plain->parameters().Nominal()), Advanced(data, nominal, specs));
   if (found.rows == 0) return;
   for (int i = 0; i < space.size(); ++i) {
     if (nominal.parameters().Find(space.parameters()[i].name) < 0) continue;
@@ -179,7 +171,7 @@ Candidate RefitByShooting(const FitSetting& setting, const std::vector<EffectSpe
   }
   const sysid::FitSpace space(c.parameters);
   const VectorXd start_values = c.plant->parameters().Nominal();
-  VectorXd theta = StartOf(space, *c.plant);
+  VectorXd theta = space.From(start_values);
   if (base) RegressBase(setting, specs, space, &theta);
   c.fit.ok = true;
   c.fit.values = space.Values(theta, start_values);

@@ -43,7 +43,7 @@ struct NodeWindow {
   MatrixXd q_stddev, v_stddev;                     // n × (N + 1) of it
   MatrixXd q_row, v_row;                           // n × (N + 1): its own row alone
   MatrixXd q0, v0;                                 // n × (N + 1): the smooth motion
-  // Effect of the uncertainty of prescribed joints' motion on the others (prescribed_doubt.h), or empty:
+  // Effect of the uncertainty of prescribed joints' motion on the others (prepare_data.cc), or empty:
   // n·(N + 1) × ways, node by node; and the Cholesky factor of the whitened residuals' covariance.
   MatrixXd q_doubt, v_doubt, factor;
 };

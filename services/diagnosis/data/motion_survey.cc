@@ -365,6 +365,16 @@ long MotionSurvey::Samples() const {
   return count;
 }
 
+VectorXd MotionSurvey::Along(MatrixXd MotionSamples::*of, int joint) const {
+  VectorXd out(Samples());
+  long at = 0;
+  for (const MotionSamples& m : samples) {
+    const auto S = static_cast<long>(m.t.size());
+    out.segment(at, S) = (m.*of).row(joint).transpose(), at += S;
+  }
+  return out;
+}
+
 const FileFigures& MotionSurvey::FirstToFit() const {
   return *std::ranges::find_if(files,
                                [](const FileFigures& f) { return f.split == recordings::Split::kFit; });

@@ -68,6 +68,8 @@ struct MotionSurvey {
   VectorXd velocity_lag;               // n, s, of the first recording to fit; 0 where none shows
 
   long Samples() const;
+  // A joint's row of one matrix of all samples, one recording behind the other.
+  VectorXd Along(MatrixXd MotionSamples::*of, int joint) const;
   const FileFigures& FirstToFit() const;
 };
 

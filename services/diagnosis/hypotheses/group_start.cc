@@ -61,13 +61,8 @@ Regression Regressed(const FitSetting& setting, const std::vector<std::string>& 
   c.parameters = FreeParameters(*c.plant, setting.scales, base, &nominal);
   const sysid::FitSpace space(c.parameters);
   const VectorXd start = c.plant->ValuesFrom(nominal.parameters(), nominal.parameters().Nominal());
-  VectorXd theta = space.nominal();
-  for (int i = 0; i < space.size(); ++i) {
-    if (space.IsItself(i)) theta[i] = start[c.parameters[i].index];
-  }
-  theta = theta.cwiseMax(space.lower()).cwiseMin(space.upper());
-  const auto found =
-      sysid::RegressInverseDynamics(*c.plant, start, space, theta, setting.data.recordings, {}, further);
+  const auto found = sysid::RegressInverseDynamics(*c.plant, start, space, space.From(start),
+                                                   setting.data.recordings, {}, further);
   c.fit.ok = found.rows > 0 && found.theta.allFinite();
   if (!c.fit.ok) return out;
   out.torque_stddev = found.torque_stddev, out.coefficients = found.coefficients;

@@ -66,8 +66,7 @@ effects::JointSize SizeOf(const MotionScales& s, const sim::Plant& plant, int j)
   return out;
 }
 
-std::vector<std::vector<EffectSpec>> SpecsFor(const Scored& h, const sim::Plant& nominal,
-                                              const MotionScales& s) {
+std::vector<TrialSpecs> SpecsFor(const Scored& h, const sim::Plant& nominal, const MotionScales& s) {
   const auto& names = nominal.joint_names();
   const auto& model = nominal.model();
   const effects::EffectInfo& effect = *effects::FindEffect(h.effect);
@@ -79,7 +78,7 @@ std::vector<std::vector<EffectSpec>> SpecsFor(const Scored& h, const sim::Plant&
     found.last_link = link.data();
     return effects::StartsOf(effect, found);
   };
-  std::vector<std::vector<EffectSpec>> out;
+  std::vector<TrialSpecs> out;
   const bool each = effect.scope != effects::Scope::kJointPair;
   if (h.joints.empty() || !each) {
     std::vector<std::string> joints;
@@ -117,10 +116,10 @@ effects::Blind BlindOn(int joint, const sim::Plant& nominal, const MotionScales&
 }
 
 // Trials of the effect from each of the starts.
-std::vector<std::vector<EffectSpec>> Trials(const std::string& effect, const std::vector<std::string>& joints,
-                                            const std::vector<effects::Start>& starts,
-                                            const std::map<std::string, std::string>& options = {}) {
-  std::vector<std::vector<EffectSpec>> out;
+std::vector<TrialSpecs> Trials(const std::string& effect, const std::vector<std::string>& joints,
+                               const std::vector<effects::Start>& starts,
+                               const std::map<std::string, std::string>& options = {}) {
+  std::vector<TrialSpecs> out;
   for (const effects::Start& start : starts) {
     out.push_back({MakeSpec(effect, joints, start.values)});
     out.back()[0].options = options.empty() ? start.options : options;
@@ -130,9 +129,9 @@ std::vector<std::vector<EffectSpec>> Trials(const std::string& effect, const std
 
 }  // namespace
 
-std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effect, const std::string& sensor,
-                                                        int joint, const sim::Plant& nominal,
-                                                        const MotionScales& s, double added_inertia) {
+std::vector<TrialSpecs> TransmissionStarts(const std::string& effect, const std::string& sensor, int joint,
+                                           const sim::Plant& nominal, const MotionScales& s,
+                                           double added_inertia) {
   effects::Blind blind = BlindOn(joint, nominal, s);
   const double inertia = blind.joint.inertia;
   blind.rotors = {0.15 * inertia, 0.4 * inertia};
@@ -142,9 +141,8 @@ std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effec
                 {{"sensor", sensor}});
 }
 
-std::vector<std::vector<EffectSpec>> StartsBehind(const std::string& effect, const std::string& sensor,
-                                                  int joint, const sim::Plant& nominal, const MotionScales& s,
-                                                  double rotor) {
+std::vector<TrialSpecs> StartsBehind(const std::string& effect, const std::string& sensor, int joint,
+                                     const sim::Plant& nominal, const MotionScales& s, double rotor) {
   effects::Blind blind = BlindOn(joint, nominal, s);
   blind.rotors = {rotor};
   return Trials(effect, {nominal.joint_names()[joint]}, effects::InferenceOf(effect).blind(blind),
@@ -161,9 +159,9 @@ std::vector<EffectSpec> WithoutSprings(std::vector<EffectSpec> specs) {
   return specs;
 }
 
-std::vector<std::vector<EffectSpec>> OtherTransmission(const EffectSpec& spec, const sim::Plant& nominal,
-                                                       const MotionScales& s) {
-  std::vector<std::vector<EffectSpec>> out;
+std::vector<TrialSpecs> OtherTransmission(const EffectSpec& spec, const sim::Plant& nominal,
+                                          const MotionScales& s) {
+  std::vector<TrialSpecs> out;
   if (!effects::IsIn(Slot::kTransmission, spec.id)) return out;
   const auto at = spec.options.find("sensor");
   const std::string sensor = at == spec.options.end() ? "link" : at->second;
@@ -190,8 +188,8 @@ std::vector<EffectSpec> WithConstantForce(std::vector<EffectSpec> specs, const s
   return specs;
 }
 
-std::vector<std::vector<EffectSpec>> OtherGaps(const EffectSpec& spec) {
-  std::vector<std::vector<EffectSpec>> out;
+std::vector<TrialSpecs> OtherGaps(const EffectSpec& spec) {
+  std::vector<TrialSpecs> out;
   const std::string& stays = effects::InferenceOf(spec.id).stays;
   if (stays.empty()) return out;
   for (const double part : {0.7, 0.85, 0.93, 0.97, 1.03, 1.08, 1.2, 1.4}) {
@@ -202,9 +200,9 @@ std::vector<std::vector<EffectSpec>> OtherGaps(const EffectSpec& spec) {
   return out;
 }
 
-std::vector<std::vector<EffectSpec>> StribeckStarts(const EffectSpec& friction, const sim::Plant& nominal,
-                                                    const MotionScales& scales) {
-  std::vector<std::vector<EffectSpec>> out;
+std::vector<TrialSpecs> StribeckStarts(const EffectSpec& friction, const sim::Plant& nominal,
+                                       const MotionScales& scales) {
+  std::vector<TrialSpecs> out;
   const std::string& plain = effects::LawOf(Regressor::kDirection).id;
   const double coulomb = Exchanged(friction, plain, nominal, scales).values.begin()->second.at("coulomb");
   EffectSpec start = Exchanged(friction, effects::LawOf(Regressor::kSlowly).id, nominal, scales);
@@ -218,8 +216,8 @@ std::vector<std::vector<EffectSpec>> StribeckStarts(const EffectSpec& friction, 
   return out;
 }
 
-std::vector<std::vector<EffectSpec>> BodyStarts(const std::string& effect, const sim::Plant& nominal,
-                                                const MotionScales& s) {
+std::vector<TrialSpecs> BodyStarts(const std::string& effect, const sim::Plant& nominal,
+                                   const MotionScales& s) {
   const effects::Inference& own = effects::InferenceOf(effect);
   auto out = Trials(effect, {}, own.blind(BlindOn(-1, nominal, s)));
   // Of a chain one from its end and one from its middle may do.
@@ -227,8 +225,8 @@ std::vector<std::vector<EffectSpec>> BodyStarts(const std::string& effect, const
   return out;
 }
 
-std::vector<std::vector<EffectSpec>> MountStarts(const sim::Plant& nominal, const MotionScales& s) {
-  std::vector<std::vector<EffectSpec>> out;
+std::vector<TrialSpecs> MountStarts(const sim::Plant& nominal, const MotionScales& s) {
+  std::vector<TrialSpecs> out;
   for (const effects::EffectInfo& effect : effects::Catalog()) {
     const effects::Inference& own = effects::InferenceOf(effect.id);
     if (!own.chained) continue;

@@ -6,31 +6,43 @@
 
 #include "common/effects/effect.h"
 #include "common/effects/inference.h"
-#include "services/diagnosis/hypotheses/scored.h"
 #include "services/diagnosis/likelihood/features.h"
 #include "services/diagnosis/likelihood/lifted_fit.h"
 
 namespace rg::diagnosis {
 
+// Effects to add to a model, with start values.
+using TrialSpecs = std::vector<EffectSpec>;
+
 inline constexpr int kLightRobot = 1;  // joints, up to which looks at starts cost next to nothing
+
+// Result of the score test of one hypothesis (screening/screening.h).
+struct Scored {
+  std::string effect;
+  std::vector<int> joints;  // source, target for joint_coupling; empty: the robot
+  double gain = 0;          // nats of log evidence, less log(number of shapes tried)
+  double chi2 = 0;          // reduction of χ²
+  double step_rule = 0;     // nats that the effect would gain if another step rule had made the recordings
+  double shape = 0, shape_end = 0;
+  std::vector<double> coefficients;  // per column of the effect, SI, joint after joint
+};
 
 // What is typical of a joint's motion; of the robot's for -1.
 effects::JointSize SizeOf(const MotionScales& scales, const sim::Plant& plant, int joint);
 
 // Specs (one per joint) with start values for the refit; several where there are several starts.
-std::vector<std::vector<EffectSpec>> SpecsFor(const Scored& hypothesis, const sim::Plant& nominal,
-                                              const MotionScales& scales);
+std::vector<TrialSpecs> SpecsFor(const Scored& hypothesis, const sim::Plant& nominal,
+                                 const MotionScales& scales);
 // Effects with hidden states or hidden geometry, which the screen cannot see; from several starts.
 // Spring or play in a gear with the encoder on the "link" or the "motor": a grid, for
 // fits of play end near where they start. A look at each tells which are worth a fit.
 // added_inertia: what the screen would add to the joint's inertia [kg·m²], 0 where it does not say.
-std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effect, const std::string& sensor,
-                                                        int joint, const sim::Plant& nominal,
-                                                        const MotionScales& scales, double added_inertia);
+std::vector<TrialSpecs> TransmissionStarts(const std::string& effect, const std::string& sensor, int joint,
+                                           const sim::Plant& nominal, const MotionScales& scales,
+                                           double added_inertia);
 // The same before a rotor of that inertia [kg·m²]: from soft to stiff, or from little to much play.
-std::vector<std::vector<EffectSpec>> StartsBehind(const std::string& effect, const std::string& sensor,
-                                                  int joint, const sim::Plant& nominal,
-                                                  const MotionScales& scales, double rotor);
+std::vector<TrialSpecs> StartsBehind(const std::string& effect, const std::string& sensor, int joint,
+                                     const sim::Plant& nominal, const MotionScales& scales, double rotor);
 // Rigid gears in the place of springs: of each the rotor behind it.
 std::vector<EffectSpec> WithoutSprings(std::vector<EffectSpec> specs);
 // With the force of that joint's spring in the middle of its travel in the spring's place, where the joint
@@ -39,18 +51,18 @@ std::vector<EffectSpec> WithConstantForce(std::vector<EffectSpec> specs, const s
                                           const sim::Plant& nominal, const MotionScales& scales);
 // The other law of a gear in the place of a spring or play, with the motor and the sensor that it has: play
 // from a grid of gaps, or the spring that its faces are. Empty for other effects.
-std::vector<std::vector<EffectSpec>> OtherTransmission(const EffectSpec& spec, const sim::Plant& nominal,
-                                                       const MotionScales& scales);
+std::vector<TrialSpecs> OtherTransmission(const EffectSpec& spec, const sim::Plant& nominal,
+                                          const MotionScales& scales);
 // Play with other gaps than a fit of it came to, which ends near where it starts. Empty for other effects.
-std::vector<std::vector<EffectSpec>> OtherGaps(const EffectSpec& spec);
+std::vector<TrialSpecs> OtherGaps(const EffectSpec& spec);
 // Dry friction that drops with speed, where there is dry friction already: over a range of speeds, for fits
 // of a joint that sticks end near where they start.
-std::vector<std::vector<EffectSpec>> StribeckStarts(const EffectSpec& friction, const sim::Plant& nominal,
-                                                    const MotionScales& scales);
-std::vector<std::vector<EffectSpec>> BodyStarts(const std::string& effect, const sim::Plant& nominal,
-                                                const MotionScales& scales);
+std::vector<TrialSpecs> StribeckStarts(const EffectSpec& friction, const sim::Plant& nominal,
+                                       const MotionScales& scales);
+std::vector<TrialSpecs> BodyStarts(const std::string& effect, const sim::Plant& nominal,
+                                   const MotionScales& scales);
 // A mount from soft to stiff, in steps from each of which a fit finds the next.
-std::vector<std::vector<EffectSpec>> MountStarts(const sim::Plant& nominal, const MotionScales& scales);
+std::vector<TrialSpecs> MountStarts(const sim::Plant& nominal, const MotionScales& scales);
 
 // Free parameters of a plant: all parameters of its effects with priors in units of the motion, rotor
 // inertias that the URDF cannot tell (sysid/rotor_start.h), and, with `base`, the inertial parameters with

@@ -27,17 +27,9 @@ struct Learned {
 Learned LearnedFrom(const FitData& held_out, const Candidate& c, const NodeStates& states,
                     const LiftedOptions& options) {
   const auto P = static_cast<long>(c.parameters.size());
-  FeatureBlock none;
-  std::vector<VectorXd> no_rule;
-  for (const NodeWindow& window : held_out.windows) {
-    none.phi.emplace_back(0, static_cast<long>(window.t.size()) - 1);
-    const auto nodes = std::ranges::count(window.measured, char{1});
-    no_rule.push_back(VectorXd::Zero(nodes * held_out.n * (held_out.use_velocity ? 2 : 1)));
-  }
-  const Screen screen = MakeScreen(held_out, FitModel{*c.plant, c.fit.values, c.parameters}, states, none,
-                                   options, no_rule, 0, Rng(1));
-  VectorXd sigma(P);
-  for (long i = 0; i < P; ++i) sigma[i] = c.parameters[i].prior_stddev;
+  const Screen screen = MakeScreen(held_out, FitModel{*c.plant, c.fit.values, c.parameters}, states, {},
+                                   options, {}, 0, Rng(1));
+  const VectorXd sigma = sysid::PriorStddevs(c.parameters);
   Learned out;
   out.before = MatrixXd::Identity(P, P) + sigma.asDiagonal() * c.fit.information * sigma.asDiagonal();
   out.after = out.before + sigma.asDiagonal() * screen.gram.topLeftCorner(P, P) * sigma.asDiagonal();

@@ -8,7 +8,6 @@
 
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
-#include "services/diagnosis/likelihood/arrival_cost.h"
 #include "services/diagnosis/likelihood/candidate.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/diagnosis/likelihood/swing_starts.h"

@@ -87,6 +87,13 @@ struct FitResult {
   double evidence = 0;
 };
 
+// What data of an information H (P × P) leave of a prior N(·, diag σ²).
+struct Posterior {
+  double half_log_det = 0;  // ½ log det(1 + σHσ), the Occam factor, nats
+  VectorXd stddev;          // P
+};
+Posterior PosteriorOf(const MatrixXd& information, const VectorXd& sigma);
+
 NodeStates InitialStates(const FitData& data, const FitModel& model, const LiftedOptions& options);
 // `start`: states to start from, the plant's own layout; without them from the recorded motion.
 FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& options,

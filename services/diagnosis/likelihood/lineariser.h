@@ -10,11 +10,21 @@
 
 #include "services/diagnosis/likelihood/lifted_fit.h"
 #include "services/diagnosis/likelihood/linear_window.h"
-#include "services/diagnosis/likelihood/probe.h"
 
 namespace rg::diagnosis {
 
 inline constexpr double kSettleTime = 0.5;  // s before a window from which hidden states are simulated
+
+// A plant with a constant torque of size zero on each joint, whose sensitivities are the columns B of
+// lifted_fit.h.
+struct Probe {
+  sim::Plant plant;
+  VectorXd values;
+  std::vector<int> torque;  // parameter index per joint, −1: none
+};
+
+// Without the torque on joints that can take no further effect of either kind.
+Probe MakeProbe(const FitModel& model, bool with_torque);
 
 class Lineariser {
  public:

@@ -1,10 +1,11 @@
-#include "services/diagnosis/likelihood/probe.h"
+// The plant with probing torques of lineariser.h.
 
 #include <algorithm>
 #include <string>
 
 #include "common/base/check.h"
 #include "common/effects/inference.h"
+#include "services/diagnosis/likelihood/lineariser.h"
 
 namespace rg::diagnosis {
 

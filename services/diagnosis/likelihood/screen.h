@@ -39,6 +39,7 @@ std::vector<VectorXd> StepRuleResiduals(const FitData& data, const FitModel& mod
 // Nats that the model's free parameters would gain from another step rule alone.
 double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates& states,
                     const LiftedOptions& options);
+// `step_rule`: StepRuleResiduals; empty: none.
 Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
                   const FeatureBlock& features, const LiftedOptions& options,
                   const std::vector<VectorXd>& step_rule, int null_draws, Rng rng);

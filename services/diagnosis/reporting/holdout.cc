@@ -37,10 +37,10 @@ JudgedRecordings Judge(const std::vector<const recordings::Recording*>& recs, co
                        const VectorXd& values, const sysid::PredictionOptions& options, int threads) {
   JudgedRecordings out;
   out.predictions.resize(recs.size());
-  std::vector<sysid::PredictionError> errors(recs.size());
+  out.errors.resize(recs.size());
   sysid::ParallelFor(threads, static_cast<int>(recs.size()), [&](int, int i) {
     out.predictions[i] = sysid::PredictRecording(plant, values, *recs[i], options);
-    errors[i] = sysid::ErrorOf(out.predictions[i], *recs[i]);
+    out.errors[i] = sysid::ErrorOf(out.predictions[i], *recs[i]);
   });
   for (size_t i = 0; i < recs.size(); ++i) {
     const auto& restarts = out.predictions[i].restarts;
@@ -48,13 +48,12 @@ JudgedRecordings Judge(const std::vector<const recordings::Recording*>& recs, co
     for (size_t w = 0; w < restarts.size(); ++w) {
       const int first = restarts[w] + 1,
                 last = w + 1 < restarts.size() ? restarts[w + 1] : recs[i]->rows() - 1;
-      if (last < first || window >= errors[i].windows.size()) continue;
-      out.windows.push_back(errors[i].windows[window++]);
+      if (last < first || window >= out.errors[i].windows.size()) continue;
+      out.windows.push_back(out.errors[i].windows[window++]);
       out.weights.push_back(last - first + 1.0);
     }
   }
   out.rms = PooledRms(out.windows, out.weights);
-  out.errors = std::move(errors);
   return out;
 }
 

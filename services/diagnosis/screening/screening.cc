@@ -307,21 +307,26 @@ class Scorer {
     return s;
   }
 
+  // `c`: standardised coefficients of the group.
+  static Scored Found(const Group& g, const VectorXd& c) {
+    Scored s;
+    s.effect = g.effect, s.joints = g.joints, s.shape = g.shape, s.shape_end = g.shape_end;
+    for (long k = 0; k < c.size(); ++k) s.coefficients.push_back(c[k] * g.scale[k]);
+    return s;
+  }
+
   static Scored Score(const Group& g, const Solved& solved, const VectorXd& b, bool admissible) {
     const int m = static_cast<int>(g.columns.size());
     VectorXd rhs(m);
     for (int i = 0; i < m; ++i) rhs[i] = Total(b, g.columns[i]);
     const VectorXd c = solved.inverse * rhs;
-    Scored s;
-    s.effect = g.effect, s.joints = g.joints, s.shape = g.shape, s.shape_end = g.shape_end;
+    Scored s = Found(g, c);
     s.chi2 = rhs.dot(c);
     s.gain = 0.5 * s.chi2 - 0.5 * solved.log_det - g.search;
-    for (int i = 0; i < m; ++i) s.coefficients.push_back(c[i] * g.scale[i]);
     if (admissible && !Admissible(g, c)) s.gain = -std::numeric_limits<double>::infinity();
     return s;
   }
 
-  // `c`: standardised coefficients of the group.
   static bool Admissible(const Group& g, const VectorXd& c) {
     if (g.positive && c.maxCoeff() <= 0) return false;
     if (g.load && c[0] <= 0) return false;
@@ -405,10 +410,7 @@ class Scorer {
       const Group& g = groups_[i];
       const VectorXd own = c.segment(at, static_cast<long>(g.columns.size()));
       if (!Admissible(g, own)) return false;
-      Scored part;
-      part.effect = g.effect, part.joints = g.joints, part.shape = g.shape, part.shape_end = g.shape_end;
-      for (long k = 0; k < own.size(); ++k) part.coefficients.push_back(own[k] * g.scale[k]);
-      out->parts.push_back(std::move(part));
+      out->parts.push_back(Found(g, own));
       at += own.size();
     }
     out->gain = r.gain;
