@@ -3,8 +3,8 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
+#include "common/base/printf.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/candidate.h"
@@ -162,21 +162,17 @@ void BalanceSelection::FindTiming() {
   for (int j = 0; j < data_.n; ++j) {
     const Gain gain = GainOf(plain, shifted, j);
     const double share = gain.nats / std::max(1e-300, plain.col(j).sum());
-    char line[200];
-    std::snprintf(line, sizeof line,
-                  "  %s: motion lags effort by %.1f ± %.1f ms, gain %.1f ± %.1f nats, share %.3f",
+    trace_(Printf("  %s: motion lags effort by %.1f ± %.1f ms, gain %.1f ± %.1f nats, share %.3f",
                   nominal_.joint_names()[j].c_str(), 1e3 * delay[j].seconds, 1e3 * delay[j].stddev, gain.nats,
-                  gain.stddev, share);
-    trace_(line);
+                  gain.stddev, share));
     const bool seen = gain.Beyond(kErrors) && gain.nats > LogHypotheses() + kJointPrior &&
                       share > kWorthAName && std::abs(delay[j].seconds) > kSamples * period;
     if (seen && delay[j].seconds < 0) early_.push_back(j);
     if (seen && delay[j].seconds > 0) {
       const Gain as_lag = GainOf(shifted, lagged, j);
       const double of_lag = as_lag.nats;
-      std::snprintf(line, sizeof line, "  %s: as a lag %.1f ± %.1f nats more",
-                    nominal_.joint_names()[j].c_str(), as_lag.nats, as_lag.stddev);
-      trace_(line);
+      trace_(Printf("  %s: as a lag %.1f ± %.1f nats more", nominal_.joint_names()[j].c_str(), as_lag.nats,
+                    as_lag.stddev));
       timing_[j] = as_lag.Beyond(1.0) ? lag[j] : delay[j];
       timing_gain_ += gain.nats + std::max(0.0, of_lag);
       other_timing_gain_ -= std::abs(of_lag);
@@ -508,11 +504,7 @@ void BalanceSelection::Prune() {
 std::string BalanceSelection::StateOf(const BalanceModel& m) const {
   const BalanceSolution s = fit_.Solve(m);
   std::string text = "RMS";
-  for (int j = 0; j < data_.n; ++j) {
-    char part[60];
-    std::snprintf(part, sizeof part, " %.4g", std::sqrt(s.energy[j]));
-    text += part;
-  }
+  for (int j = 0; j < data_.n; ++j) text += Printf(" %.4g", std::sqrt(s.energy[j]));
   return text;
 }
 

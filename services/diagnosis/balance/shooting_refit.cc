@@ -9,7 +9,6 @@
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
-#include "services/sysid/parallel.h"
 #include "services/sysid/prediction.h"
 #include "services/sysid/shooting_fit.h"
 

@@ -3,6 +3,7 @@
 #include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <numeric>
 
 #include "common/dynamics/dynamics.h"
@@ -129,12 +130,7 @@ class Weigher {
       for (const double x : left) squares += x * x;
       return std::sqrt(squares / static_cast<double>(left.size()));
     }
-    bool LessOnEach(const Sum& other) const {
-      for (size_t i = 0; i < left.size(); ++i) {
-        if (left[i] >= other.left[i]) return false;
-      }
-      return true;
-    }
+    bool LessOnEach(const Sum& other) const { return std::ranges::equal(left, other.left, std::less{}); }
   };
 
   static bool Follows(const Sum& right, const Sum& wrong, const Sum& friction) {

@@ -6,11 +6,9 @@
 #include <set>
 
 #include "common/dynamics/dynamics.h"
-#include "common/model/robot_model.h"
 #include "common/recordings/time_stamps.h"
 #include "common/recordings/velocity_lag.h"
 #include "services/diagnosis/data/motion.h"
-#include "services/diagnosis/data/words.h"
 #include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {

@@ -1,7 +1,6 @@
 #include "services/diagnosis/data/plausibility.h"
 
 #include <Eigen/QR>
-#include <algorithm>
 #include <cmath>
 
 #include "common/model/robot_model.h"

@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <functional>
 #include <numbers>
 #include <optional>
 
+#include "common/base/printf.h"
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
 #include "services/sysid/drive_signal.h"
@@ -34,11 +34,7 @@ struct Room {
   double middle = 0, reach = 0, top = 1;  // top: speed
 };
 
-std::string TwoDigits(double x) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.2g", x);
-  return text;
-}
+std::string TwoDigits(double x) { return Printf("%.2g", x); }
 
 // From the end of the last one to `to`, at `speed` between raised-cosine rises and falls, then a hold.
 struct Stroke {

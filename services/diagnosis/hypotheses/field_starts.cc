@@ -7,7 +7,6 @@
 
 #include "common/effects/effect_list.h"
 #include "common/effects/inference.h"
-#include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/force_samples.h"
 
 namespace rg::diagnosis {

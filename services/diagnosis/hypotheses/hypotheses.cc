@@ -5,7 +5,6 @@
 #include <map>
 #include <set>
 
-#include "common/dynamics/dynamics.h"
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/candidate.h"

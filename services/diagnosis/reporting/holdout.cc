@@ -26,13 +26,6 @@ struct JudgedRecordings {
   std::vector<sysid::PredictionError> errors;  // per recording
 };
 
-double PooledRms(const std::vector<double>& windows, const std::vector<double>& weights) {
-  double squares = 0, count = 0;
-  for (size_t i = 0; i < windows.size(); ++i)
-    squares += windows[i] * windows[i] * weights[i], count += weights[i];
-  return std::sqrt(squares / std::max(1.0, count));
-}
-
 JudgedRecordings Judge(const std::vector<const recordings::Recording*>& recs, const sim::Plant& plant,
                        const VectorXd& values, const sysid::PredictionOptions& options, int threads) {
   JudgedRecordings out;
@@ -53,7 +46,10 @@ JudgedRecordings Judge(const std::vector<const recordings::Recording*>& recs, co
       out.weights.push_back(last - first + 1.0);
     }
   }
-  out.rms = PooledRms(out.windows, out.weights);
+  double squares = 0, count = 0;
+  for (size_t i = 0; i < out.windows.size(); ++i)
+    squares += out.windows[i] * out.windows[i] * out.weights[i], count += out.weights[i];
+  out.rms = std::sqrt(squares / std::max(1.0, count));
   return out;
 }
 
