@@ -102,11 +102,9 @@ std::vector<FitParameter> RotorFitParameters(const sim::Plant& plant) {
   return out;
 }
 
-std::vector<FitParameter> EffectFitParameters(const sim::Plant& plant, const std::string& effect) {
+std::vector<FitParameter> EffectFitParameters(const sim::Plant& plant) {
   std::vector<FitParameter> out;
-  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kEffect)) {
-    if (effect.empty() || plant.parameters()[i].effect == effect) out.push_back(Row(plant, i));
-  }
+  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kEffect)) out.push_back(Row(plant, i));
   return out;
 }
 

@@ -166,14 +166,6 @@ class Identification {
     return Status::Ok();
   }
 
-  static Status CheckJoints(const sim::Plant& model, const sim::Plant& set) {
-    if (model.joint_names() == set.joint_names()) return Status::Ok();
-    std::string have, want;
-    for (const std::string& joint : model.joint_names()) have += " " + joint;
-    for (const std::string& joint : set.joint_names()) want += " " + joint;
-    return InvalidError("the model has the joints" + have + ", the recordings" + want);
-  }
-
   // By what they would tell the richest candidate of its parameters.
   Result<std::vector<FitWindow>> MostInformative(const std::vector<FitWindow>& candidates) const {
     const Candidate richest = Candidates(options_, runs_).back();
@@ -567,6 +559,14 @@ Result<sim::Plant> NominalPlant(const recordings::RecordingSet& set) {
   RG_ASSIGN_OR_RETURN(const sim::Plant driven, sim::Plant::Create(shared, options));
   options.passive = PassiveJoints(set, driven);
   return sim::Plant::Create(std::move(shared), options);
+}
+
+Status CheckJoints(const sim::Plant& model, const sim::Plant& set) {
+  if (model.joint_names() == set.joint_names()) return Status::Ok();
+  std::string have, want;
+  for (const std::string& joint : model.joint_names()) have += " " + joint;
+  for (const std::string& joint : set.joint_names()) want += " " + joint;
+  return InvalidError("the model has the joints" + have + ", the recordings" + want);
 }
 
 Status CheckTimes(double window_s, double step_s) {

@@ -31,7 +31,8 @@ BalanceFit::BalanceFit(const TorqueBalance& balance)
 }
 
 MatrixXd BalanceFit::DriveOn(int joint) const {
-  if (joint != drive_.joint && joint != drive_.other) return {};
+  if (joint != drive_.joint && joint != drive_.other)
+    return MatrixXd::Zero(std::ssize(balance_.joints[joint].t), BalanceDrive::kColumns);
   return joint == drive_.joint ? drive_.columns : MatrixXd(drive_.ratio * drive_.columns);
 }
 
@@ -42,11 +43,8 @@ bool BalanceFit::Still(int joint, size_t row) const {
 
 void BalanceFit::FillColumns(int j) {
   const BalanceRows& rows = balance_.joints[j];
-  MatrixXd X =
-      MatrixXd::Zero(rows.base.rows(), rows.base.cols() + rows.features.cols() + BalanceDrive::kColumns);
-  X.leftCols(rows.base.cols()) = rows.base;
-  X.middleCols(rows.base.cols(), rows.features.cols()) = rows.features;
-  if (const MatrixXd drive = DriveOn(j); drive.size() > 0) X.rightCols(drive.cols()) = drive;
+  MatrixXd X(rows.base.rows(), rows.base.cols() + rows.features.cols() + BalanceDrive::kColumns);
+  X << rows.base, rows.features, DriveOn(j);
   for (int b = 0; b < balance_.blocks; ++b) {
     Gram& g = gram_[b][j];
     g.xx.setZero(X.cols(), X.cols()), g.xy.setZero(X.cols());
@@ -80,7 +78,7 @@ void BalanceFit::FillResponse(int joint) {
     const auto row = static_cast<long>(k);
     g.xy.head(base_) += y[row] * rows.base.row(row).transpose();
     g.xy.segment(base_, rows.features.cols()) += y[row] * rows.features.row(row).transpose();
-    if (drive.size() > 0) g.xy.tail(drive.cols()) += y[row] * drive.row(row).transpose();
+    g.xy.tail(drive.cols()) += y[row] * drive.row(row).transpose();
     g.yy += y[row] * y[row];
   }
 }
@@ -149,10 +147,8 @@ BalanceSolution BalanceFit::Solve(const BalanceModel& model, int without_block) 
       if (unknowns[u].first == -2 && (j == drive_.joint || j == drive_.other))
         mine.push_back(u), place.push_back(base_ + features + unknowns[u].second);
     }
-    for (size_t a = 0; a < mine.size(); ++a) {
-      g[mine[a]] += weight * sum.xy[place[a]];
-      for (size_t b = 0; b < mine.size(); ++b) H(mine[a], mine[b]) += weight * sum.xx(place[a], place[b]);
-    }
+    g(mine) += weight * sum.xy(place);
+    H(mine, mine) += weight * sum.xx(place, place);
   }
   const VectorXd x = U > 0 ? VectorXd(H.ldlt().solve(g)) : VectorXd();
   BalanceSolution s;
@@ -188,9 +184,7 @@ BlockCosts BalanceFit::LeaveOut(const BalanceModel& model) const {
 
 VectorXd BalanceFit::Residual(const BalanceSolution& s, int joint) const {
   const BalanceRows& rows = balance_.joints[joint];
-  VectorXd rest = y_[joint] - rows.base * s.base - rows.features * s.features[joint];
-  if (const MatrixXd drive = DriveOn(joint); drive.size() > 0) rest -= drive * s.drive;
-  return rest;
+  return y_[joint] - rows.base * s.base - rows.features * s.features[joint] - DriveOn(joint) * s.drive;
 }
 
 VectorXd BalanceFit::Moving(const VectorXd& x, int joint) const {

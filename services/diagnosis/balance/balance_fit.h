@@ -77,7 +77,7 @@ class BalanceFit {
   double PriorPrecision(const BalanceModel& model, int base) const;
   void FillColumns(int joint);
   void FillResponse(int joint);
-  MatrixXd DriveOn(int joint) const;  // R × 3; empty on joints that are not the drive's
+  MatrixXd DriveOn(int joint) const;  // R × 3; zero on joints that are not the drive's
   bool Still(int joint, size_t row) const;
   double Cost(const Gram& g, const VectorXd& x) const;
   VectorXd Stacked(const BalanceSolution& s, int joint) const;

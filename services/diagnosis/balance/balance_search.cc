@@ -27,15 +27,11 @@ class MeasuredSearch {
   MeasuredSearch(const FitSetting& setting, const DiagnosisOptions& options, int threads, const Clock& clock,
                  const ProgressFn& progress, const CancelToken* cancel)
       : setting_(setting),
-        data_(setting.data),
-        nominal_(setting.nominal),
         options_(options),
         threads_(threads),
         clock_(clock),
         progress_(progress),
-        cancel_(cancel),
-        start_(clock.SteadySeconds()),
-        chosen_(setting, options.max_effects, [this](const std::string& s) { Trace(s); }) {}
+        cancel_(cancel) {}
 
   SearchResult Run() {
     SearchResult out;
@@ -69,14 +65,20 @@ class MeasuredSearch {
     return RefitByShooting(setting_, specs, base, options);
   }
 
+  // Its plant, at nominal values; false where its effects cannot stand together.
+  bool MakePlant(Candidate* c) const {
+    const auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), c->specs);
+    if (!plant.ok()) return false;
+    c->plant = std::make_shared<const sim::Plant>(*plant);
+    c->fit.values = plant->parameters().Nominal();
+    return true;
+  }
+
   // A candidate that was compared in the balance and not refitted in the simulator.
   Candidate Compared(const BalanceModel& m, double cost) const {
     Candidate c;
     c.specs = chosen_.SpecsOf(m), c.base = m.base;
-    const auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), c.specs);
-    if (plant.ok()) c.plant = std::make_shared<const sim::Plant>(*plant);
-    c.fit.ok = plant.ok();
-    if (plant.ok()) c.fit.values = c.plant->parameters().Nominal();
+    c.fit.ok = MakePlant(&c);
     c.fit.rows = fit().EffectiveRows();
     c.fit.chi2 = 2 * cost;
     c.score = -cost;
@@ -86,11 +88,8 @@ class MeasuredSearch {
     return c;
   }
 
-  static BalanceModel Bare(int n, bool base) {
-    BalanceModel m;
-    m.base = base;
-    m.features.resize(n);
-    return m;
+  BalanceModel Bare(bool base) const {
+    return {.base = base, .features = std::vector<std::set<int>>(data_.n)};
   }
   BalanceModel Without(BalanceModel m, Regressor law) const {
     for (int j = 0; j < data_.n; ++j) chosen_.Erase(law, j, &m);
@@ -104,7 +103,7 @@ class MeasuredSearch {
     const double cost = fit().LeaveOut(model()).sum();
     for (const bool base : {false, true}) {
       Candidate& c = base ? out->calibrated : out->nominal;
-      c = Judged(Bare(data_.n, base));
+      c = Judged(Bare(base));
       c.score -= chosen_.timing_gain();
       c.specs.clear();
       c.plant = std::make_shared<const sim::Plant>(nominal_);
@@ -176,14 +175,7 @@ class MeasuredSearch {
     std::erase_if(c.specs, [&](const EffectSpec& e) {
       return e.id == constant.id && Contains(c.specs, either.id, e.joints[0]);
     });
-    Alternative(c, out);
-  }
-  void Alternative(Candidate c, SearchResult* out) const {
-    const auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), c.specs);
-    if (!plant.ok()) return;
-    c.plant = std::make_shared<const sim::Plant>(*plant);
-    c.fit.values = plant->parameters().Nominal();
-    out->tried.push_back(std::move(c));
+    if (MakePlant(&c)) out->tried.push_back(std::move(c));
   }
 
   // Lags for delays and the reverse; and delays of the sensors, the same balance as delays of the drives.
@@ -201,7 +193,7 @@ class MeasuredSearch {
         s = effects::MakeSpec(other.id, s.joints, {{other.parameters[0].name, seconds}});
       }
       if (!sensor) c.score += chosen_.other_timing_gain();
-      Alternative(c, out);
+      if (MakePlant(&c)) out->tried.push_back(std::move(c));
     }
   }
 
@@ -239,7 +231,7 @@ class MeasuredSearch {
       const Gain gain = GainOf(now, ceiling, j);
       if (gain.Beyond(kErrors)) out->measured.structured[j] = gain.nats / std::max(1e-300, now.col(j).sum());
     }
-    out->measured.explained = 1.0 - cost / std::max(1e-300, fit().LeaveOut(Bare(data_.n, true)).sum());
+    out->measured.explained = 1.0 - cost / std::max(1e-300, fit().LeaveOut(Bare(true)).sum());
     const BalanceSolution s = fit().Solve(model());
     out->measured.effort_share.setZero(data_.n);
     for (int j = 0; j < data_.n; ++j) {
@@ -331,15 +323,15 @@ class MeasuredSearch {
   }
 
   const FitSetting setting_;
-  const FitData& data_;
-  const sim::Plant& nominal_;
+  const FitData& data_ = setting_.data;
+  const sim::Plant& nominal_ = setting_.nominal;
   const DiagnosisOptions& options_;
   int threads_;
   const Clock& clock_;
   const ProgressFn& progress_;
   const CancelToken* cancel_;
-  double start_;
-  BalanceSelection chosen_;
+  const double start_ = clock_.SteadySeconds();
+  BalanceSelection chosen_{setting_, options_.max_effects, [this](const std::string& s) { Trace(s); }};
 };
 
 }  // namespace

@@ -57,17 +57,7 @@ struct BalanceSelection::Trial {
 };
 
 BalanceSelection::BalanceSelection(const FitSetting& setting, int max_effects, TraceFn trace)
-    : setting_(setting),
-      data_(setting.data),
-      nominal_(setting.nominal),
-      scales_(setting.scales),
-      max_effects_(max_effects),
-      trace_(std::move(trace)),
-      balance_(MakeTorqueBalance(setting)),
-      fit_(balance_),
-      timing_(data_.n) {
-  model_.features.resize(data_.n);
-}
+    : setting_(setting), max_effects_(max_effects), trace_(std::move(trace)) {}
 
 double BalanceSelection::LogHypotheses() const {
   double count = 1;
@@ -367,23 +357,19 @@ bool BalanceSelection::Pays(Regressor law, const BlockCosts& before, const Block
 }
 
 // Judged also in addition to a constant force on each joint, its rival where poses hardly change.
-bool BalanceSelection::TiltPays(const BlockCosts& before, Gain* gain) const {
-  if (model_.tilt) return false;
-  BalanceModel tilted = model_, rival = model_;
-  tilted.tilt = true;
+BalanceSelection::Trial BalanceSelection::TryTilt(const BlockCosts& before) const {
+  Trial trial{effects::EffectOf(effects::Role::kGravity).id, model_, 0, {}};
+  if (model_.tilt) return trial;
+  trial.model.tilt = true;
+  BalanceModel rival = model_;
   for (int j = 0; j < data_.n; ++j) Insert({Regressor::kConstant}, j, &rival);
   BalanceModel both = rival;
   both.tilt = true;
-  *gain = GainOf(before, fit_.LeaveOut(tilted));
-  const Gain added = GainOf(fit_.LeaveOut(rival), fit_.LeaveOut(both));
-  return gain->Beyond(kRareErrors) && gain->nats > LogHypotheses() && added.Beyond(kRareErrors) &&
-         added.nats > LogHypotheses() && gain->nats > kWorthAName * before.sum();
-}
-
-BalanceSelection::Trial BalanceSelection::TryTilt(const BlockCosts& before) const {
-  Trial trial{effects::EffectOf(effects::Role::kGravity).id, model_, 0, {}};
-  Gain gain;
-  if (TiltPays(before, &gain)) trial.model.tilt = true, trial.nats = gain.nats;
+  const Gain gain = GainOf(before, fit_.LeaveOut(trial.model)),
+             added = GainOf(fit_.LeaveOut(rival), fit_.LeaveOut(both));
+  if (gain.Beyond(kRareErrors) && gain.nats > LogHypotheses() && added.Beyond(kRareErrors) &&
+      added.nats > LogHypotheses() && gain.nats > kWorthAName * before.sum())
+    trial.nats = gain.nats;
   return trial;
 }
 

@@ -44,7 +44,6 @@ class BalanceSelection {
   const BalanceModel& model() const { return model_; }
   // The chosen model with separate friction and rotors in the place of a coupled drive.
   BalanceModel Uncoupled() const;
-  const std::vector<JointTiming>& timing() const { return timing_; }
   double timing_gain() const { return timing_gain_; }              // nats
   double other_timing_gain() const { return other_timing_gain_; }  // of lags for delays and the reverse
   const std::vector<int>& early() const { return early_; }         // joints whose effort lags their motion
@@ -83,7 +82,6 @@ class BalanceSelection {
   std::vector<BalanceModel> With(const BalanceModel& m, effects::Regressor law, int joint) const;
   bool Pays(effects::Regressor law, const BlockCosts& before, const BlockCosts& after, int joint,
             Gain* gain) const;
-  bool TiltPays(const BlockCosts& before, Gain* gain) const;
   Trial TryTilt(const BlockCosts& before) const;
   Trial TryLaw(effects::Regressor law, const BlockCosts& before) const;
   void BeginWithLosses();
@@ -99,17 +97,17 @@ class BalanceSelection {
   std::string StateOf(const BalanceModel& m) const;
 
   const FitSetting setting_;
-  const FitData& data_;
-  const sim::Plant& nominal_;
-  const MotionScales& scales_;
+  const FitData& data_ = setting_.data;
+  const sim::Plant& nominal_ = setting_.nominal;
+  const MotionScales& scales_ = setting_.scales;
   int max_effects_;
   TraceFn trace_;
-  TorqueBalance balance_;
-  BalanceFit fit_;
-  BalanceModel model_;
+  TorqueBalance balance_ = MakeTorqueBalance(setting_);
+  BalanceFit fit_{balance_};
+  BalanceModel model_{.features = std::vector<std::set<int>>(data_.n)};
   std::vector<std::set<int>>
       losses_;  // per joint, columns of the losses accepted on all joints together; empty: none
-  std::vector<JointTiming> timing_;
+  std::vector<JointTiming> timing_ = std::vector<JointTiming>(data_.n);
   std::vector<int> early_;
   double timing_gain_ = 0, other_timing_gain_ = 0;
   double ratio_stddev_ = 0;  // of the coupled drive's κ

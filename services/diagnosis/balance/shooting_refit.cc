@@ -183,11 +183,14 @@ Candidate RefitByShooting(const FitSetting& setting, const std::vector<EffectSpe
     shooting.simulator.step_s =
         sysid::ChooseStep(*c.plant, c.fit.values, space, theta, data.recordings, data.noise);
     const double step = shooting.simulator.step_s;
-    double best = ErrorOnFit(data, *c.plant, c.fit.values, step, options.window_s);
-    const double untouched = ErrorOnFit(data, *c.plant, start_values, step, options.window_s);
+    const auto error_of = [&](const VectorXd& values) {
+      return ErrorOnFit(data, *c.plant, values, step, options.window_s);
+    };
+    double best = error_of(c.fit.values);
+    const double untouched = error_of(start_values);
     if (untouched < best) best = untouched, c.fit.values = start_values;
     const auto keep = [&](const sysid::ShootingFit& fit) {
-      const double error = ErrorOnFit(data, *c.plant, fit.values, step, options.window_s);
+      const double error = error_of(fit.values);
       if (error < best) best = error, c.fit.values = fit.values;
     };
     const auto fit = sysid::FitByShooting(*c.plant, start_values, space, theta, data.recordings, data.noise,

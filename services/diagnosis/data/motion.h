@@ -48,6 +48,11 @@ struct NodeWindow {
   MatrixXd q_doubt, v_doubt, factor;
 };
 
+// Its matrices with a column per node.
+inline constexpr MatrixXd NodeWindow::*kNodeMatrices[] = {
+    &NodeWindow::q,     &NodeWindow::v,     &NodeWindow::q_stddev, &NodeWindow::v_stddev,
+    &NodeWindow::q_row, &NodeWindow::v_row, &NodeWindow::q0,       &NodeWindow::v0};
+
 // Whether `window` begins at most 50 ms after `before` ends, in the same recording.
 bool FollowsOn(const NodeWindow& before, const NodeWindow& window);
 

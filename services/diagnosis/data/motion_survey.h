@@ -28,14 +28,13 @@ struct FileFigures {
 // Positions in rad or m, speeds in rad/s or m/s, efforts in N·m or N. `of all`: of every recording; the rest
 // is of those to fit.
 struct JointFigures {
-  double low = 0, high = 0;  // of all
-  double peak_speed = 0;     // of all; measured, or over blocks of rows
-  double peak_effort = 0;    // of all
-  double effort_rms = 0;     // of all
-  bool prescribed = false;   // moves as measured: nothing is judged of it, its effort is 0 here
-  bool moved = false;        // by kMovesBy of its noise
-  double up = 0, down = 0;   // travel either way, beyond noise
-  int reversals = 0;
+  double low = 0, high = 0;       // of all
+  double peak_speed = 0;          // of all; measured, or over blocks of rows
+  double peak_effort = 0;         // of all
+  double effort_rms = 0;          // of all
+  bool prescribed = false;        // moves as measured: nothing is judged of it, its effort is 0 here
+  bool moved = false;             // by kMovesBy of its noise
+  double up = 0, down = 0;        // travel either way, beyond noise
   double speed = 0;               // RMS
   double spread = 0;              // stddev of the positions, the largest of any recording
   double slow = 0, fast = 0;      // speeds that a tenth and nine tenths of its motion stay below

@@ -48,6 +48,42 @@ effects::Prior PriorOf(const sim::Parameter& p, const sim::Plant& plant, const M
 
 bool Fixed(const sim::Parameter& p) { return IsUnnamed(p.effect) && p.field[0] != 'w'; }
 
+effects::Blind BlindOn(int joint, const sim::Plant& nominal, const MotionScales& s) {
+  const auto& model = nominal.model();
+  const int last = model.joint(model.num_joints() - 1).child_link;
+  effects::Blind out;
+  out.joint = SizeOf(s, nominal, joint);
+  out.fine = nominal.num_joints() <= kLightRobot;
+  out.last_link = model.link(last).parameters.data();
+  out.end_effector_is_last = last == model.FindLink(model.end_effector().name);
+  return out;
+}
+
+// Trials of the effect from each of the starts.
+std::vector<TrialSpecs> Trials(const std::string& effect, const std::vector<std::string>& joints,
+                               const std::vector<effects::Start>& starts,
+                               const std::map<std::string, std::string>& options = {}) {
+  std::vector<TrialSpecs> out;
+  for (const effects::Start& start : starts) {
+    out.push_back({MakeSpec(effect, joints, start.values)});
+    out.back()[0].options = options.empty() ? start.options : options;
+  }
+  return out;
+}
+
+constexpr double kStatedSpread = 0.5;  // of a value that the user states, its prior's standard deviation
+
+// Whether a joint has one of them at most.
+bool Exclusive(const std::string& a, const std::string& b) {
+  const Slot slot = effects::InferenceOf(a).slot;
+  return a == b || (slot != Slot::kNone && effects::IsIn(slot, b));
+}
+
+// A motor's losses, which a drive that turns with two joints has in their place.
+bool IsLossOfDrive(const std::string& id) {
+  return effects::InferenceOf(id).of_every_drive || effects::IsIn(Slot::kDryFriction, id);
+}
+
 }  // namespace
 
 effects::JointSize SizeOf(const MotionScales& s, const sim::Plant& plant, int j) {
@@ -100,33 +136,6 @@ std::vector<TrialSpecs> SpecsFor(const Scored& h, const sim::Plant& nominal, con
   }
   return out;
 }
-
-namespace {
-
-effects::Blind BlindOn(int joint, const sim::Plant& nominal, const MotionScales& s) {
-  const auto& model = nominal.model();
-  const int last = model.joint(model.num_joints() - 1).child_link;
-  effects::Blind out;
-  out.joint = SizeOf(s, nominal, joint);
-  out.fine = nominal.num_joints() <= kLightRobot;
-  out.last_link = model.link(last).parameters.data();
-  out.end_effector_is_last = last == model.FindLink(model.end_effector().name);
-  return out;
-}
-
-// Trials of the effect from each of the starts.
-std::vector<TrialSpecs> Trials(const std::string& effect, const std::vector<std::string>& joints,
-                               const std::vector<effects::Start>& starts,
-                               const std::map<std::string, std::string>& options = {}) {
-  std::vector<TrialSpecs> out;
-  for (const effects::Start& start : starts) {
-    out.push_back({MakeSpec(effect, joints, start.values)});
-    out.back()[0].options = options.empty() ? start.options : options;
-  }
-  return out;
-}
-
-}  // namespace
 
 std::vector<TrialSpecs> TransmissionStarts(const std::string& effect, const std::string& sensor, int joint,
                                            const sim::Plant& nominal, const MotionScales& s,
@@ -234,12 +243,6 @@ std::vector<TrialSpecs> MountStarts(const sim::Plant& nominal, const MotionScale
   return out;
 }
 
-namespace {
-
-constexpr double kStatedSpread = 0.5;  // of a value that the user states, its prior's standard deviation
-
-}  // namespace
-
 std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const MotionScales& s, bool base,
                                                 const sim::Plant* given) {
   std::vector<sysid::FitParameter> out;
@@ -272,21 +275,6 @@ std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const M
   }
   return out;
 }
-
-namespace {
-
-// Whether a joint has one of them at most.
-bool Exclusive(const std::string& a, const std::string& b) {
-  const Slot slot = effects::InferenceOf(a).slot;
-  return a == b || (slot != Slot::kNone && effects::IsIn(slot, b));
-}
-
-// A motor's losses, which a drive that turns with two joints has in their place.
-bool IsLossOfDrive(const std::string& id) {
-  return effects::InferenceOf(id).of_every_drive || effects::IsIn(Slot::kDryFriction, id);
-}
-
-}  // namespace
 
 EffectSpec CoupledDrive(const std::string& other, const std::string& joint, double ratio,
                         const DriveLosses& losses) {

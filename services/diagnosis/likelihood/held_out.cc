@@ -8,6 +8,7 @@
 #include "services/diagnosis/likelihood/jumps.h"
 #include "services/diagnosis/likelihood/screen.h"
 #include "services/diagnosis/likelihood/swing_starts.h"
+#include "services/sysid/fit_space.h"
 
 namespace rg::diagnosis {
 
@@ -136,11 +137,10 @@ HeldOut PredictHeldOut(const FitData& held_out, const Candidate& fitted, const L
       // The gain by their own best parameters is simulated: where windows diverge, the linear model promises
       // anything.
       if (0.5 * step.dot(learned.gradient) > kWorthSimulating) {
-        VectorXd theta = fitted.fit.theta;
-        for (long i = 0; i < P; ++i) {
-          const sysid::FitParameter& p = fitted.parameters[i];
-          theta[i] = std::clamp(theta[i] + p.prior_stddev * step[i], p.lower, p.upper);
-        }
+        const sysid::FitSpace space(fitted.parameters, false);
+        const VectorXd theta = (fitted.fit.theta + space.prior_stddev().cwiseProduct(step))
+                                   .cwiseMax(space.lower())
+                                   .cwiseMin(space.upper());
         const FitResult moved = Restarted(
             held_out, fitted, sysid::WithFitted(fitted.parameters, fitted.fit.values, theta), restarts);
         const double paid = 0.5 * step.dot(learned.before * step);

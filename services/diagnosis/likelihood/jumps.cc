@@ -66,10 +66,10 @@ double OnePercentChi2(double k) {
 // The window with a node at `t`, where nothing is measured.
 void ContinueTo(double t, NodeWindow* window) {
   const long k = window->q.cols();
-  for (MatrixXd* m : {&window->q, &window->v, &window->q_stddev, &window->v_stddev, &window->q_row,
-                      &window->v_row, &window->q0, &window->v0}) {
-    m->conservativeResize(Eigen::NoChange, k + 1);
-    m->col(k) = MatrixXd(m->col(k - 1));
+  for (const auto m : kNodeMatrices) {
+    MatrixXd& of = window->*m;
+    of.conservativeResize(Eigen::NoChange, k + 1);
+    of.col(k) = MatrixXd(of.col(k - 1));
   }
   window->t.push_back(t), window->measured.push_back(0);
   window->before.emplace_back(), window->after.emplace_back();

@@ -154,9 +154,7 @@ std::vector<int> Lineariser::Columns(const FitModel& model) {
 }
 
 int Lineariser::RowsOf(const NodeWindow& w) const {
-  int nodes = 0;
-  for (const char m : w.measured) nodes += m;
-  return nodes * n_ * (data_.use_velocity ? 2 : 1);
+  return static_cast<int>(std::ranges::count(w.measured, char{1})) * n_ * (data_.use_velocity ? 2 : 1);
 }
 
 double Lineariser::Memory() const {
@@ -317,10 +315,6 @@ VectorXd Lineariser::Residuals(int worker, int index, const VectorXd& x0, double
   const NodeWindow& window = data_.windows[index];
   TimesOf(window, part, &w.times);
   return Residuals(window, RunFrom(window, x0, w.times, &w), part);
-}
-
-double Lineariser::Simulated(int worker, int index, const VectorXd& x0) {
-  return SoftenedSum(Residuals(worker, index, x0));
 }
 
 std::vector<double> Lineariser::Simulated(int worker, const std::vector<int>& indices,

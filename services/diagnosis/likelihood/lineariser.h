@@ -52,9 +52,7 @@ class Lineariser {
   // order of Run; where the motion of prescribed joints is in doubt, what is left of it when rows are made
   // independent.
   VectorXd Residuals(int worker, int index, const VectorXd& x0, double part = 1.0);
-  // Σ ((y − ŷ)/σ)² of them, far residuals softened.
-  double Simulated(int worker, int index, const VectorXd& x0);
-  // The same of several windows side by side, each from its own x_0.
+  // Σ ((y − ŷ)/σ)² of several windows side by side, each from its own x_0; far residuals softened.
   std::vector<double> Simulated(int worker, const std::vector<int>& indices, const std::vector<VectorXd>& x0,
                                 double part = 1.0);
   // χ² of a window whose simulation broke at once.

@@ -1,10 +1,10 @@
 // The plant with probing torques of lineariser.h.
 
-#include <algorithm>
 #include <string>
 
 #include "common/base/check.h"
 #include "common/effects/inference.h"
+#include "services/diagnosis/likelihood/candidate.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 
 namespace rg::diagnosis {
@@ -19,16 +19,7 @@ struct ZeroTorque {
   int joint;
 };
 
-// Whether it has the effect on that joint, or on the robot as a whole, which excludes further ones.
-bool HasOn(const sim::Plant& plant, const std::string& id, const std::string& joint) {
-  for (const EffectSpec& e : plant.effects()) {
-    if (e.id != id) continue;
-    if (e.joints.empty() || std::ranges::find(e.joints, joint) != e.joints.end()) return true;
-  }
-  return false;
-}
-
-// A pulse without end, or a ripple of no cycles.
+// A pulse without end, or a ripple of no cycles. One of the whole robot excludes further ones.
 std::vector<ZeroTorque> ZeroTorquesOf(const sim::Plant& plant) {
   const std::string &push = effects::LawOf(effects::Regressor::kPulse).id,
                     &wave = effects::LawOf(effects::Regressor::kSine).id;
@@ -36,11 +27,11 @@ std::vector<ZeroTorque> ZeroTorquesOf(const sim::Plant& plant) {
   for (int j = 0; j < plant.num_joints(); ++j) {
     const std::string& joint = plant.joint_names()[j];
     if (plant.IsPrescribed(j)) continue;
-    if (!HasOn(plant, push, joint)) {
+    if (!Contains(plant.effects(), push, joint)) {
       pushes.push_back(
           {effects::MakeSpec(push, {joint}, {{"start", -kAlways}, {"end", kAlways}, {"torque", 0.0}}),
            push + "." + joint + ".torque", j});
-    } else if (!HasOn(plant, wave, joint)) {
+    } else if (!Contains(plant.effects(), wave, joint)) {
       pushes.push_back(
           {effects::MakeSpec(wave, {joint}, {{"amplitude", 0.0}, {"cycles_per_rev", 0.0}, {"phase", M_PI_2}}),
            wave + "." + joint + ".amplitude", j});

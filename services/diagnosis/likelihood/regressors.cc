@@ -53,12 +53,8 @@ ArrayXd Piece(const ArrayXd& q, const RegressorShape& s) {
 }
 
 ArrayXd Pulse(const ArrayXd& t, const RegressorShape& s) {
-  ArrayXd f(t.size());
-  for (int k = 0; k < f.size(); ++k) {
-    const double since = t[k] - t[0];
-    f[k] = since >= s.x && since < s.y ? 1.0 : 0.0;
-  }
-  return f;
+  const ArrayXd since = t - t[0];
+  return (since >= s.x && since < s.y).cast<double>();
 }
 
 }  // namespace

@@ -14,7 +14,6 @@
 #include "services/diagnosis/hypotheses/rivals.h"
 #include "services/diagnosis/reporting/confidence.h"
 #include "services/diagnosis/reporting/experiments.h"
-#include "services/diagnosis/reporting/findings_tables.h"
 
 namespace rg::diagnosis {
 
@@ -110,8 +109,8 @@ class FindingsBuilder {
     r_.null_threshold = s_.null_gain;
     r_.mismatch = without.fit.chi2 / scale;
     r_.remaining = s_.best.fit.chi2 / scale;
-    energy_ = Energy(s_.missing, data_.n).cwiseQuotient(scales_.torque.cwiseAbs2());
-    r_.joint_share = energy_ / std::max(1e-300, energy_.sum());
+    const VectorXd energy = Energy(s_.missing, data_.n).cwiseQuotient(scales_.torque.cwiseAbs2());
+    r_.joint_share = energy / std::max(1e-300, energy.sum());
     r_.plant = *s_.best.plant;
     r_.values = s_.best.fit.values;
     for (const std::string& j : r_.joints) {
@@ -502,7 +501,6 @@ class FindingsBuilder {
   const MotionScales& scales_;
   DiagnosisResult& r_;
   std::vector<EffectSpec> beyond_;  // effects that the given model has not
-  VectorXd energy_;
 };
 
 }  // namespace

@@ -1,4 +1,4 @@
-#include "services/diagnosis/reporting/findings_tables.h"
+// Tables of a diagnosis: base parameters before and after, fitted models, missing force over time.
 
 #include <algorithm>
 #include <cmath>
@@ -7,6 +7,7 @@
 #include "services/diagnosis/data/words.h"
 #include "services/diagnosis/hypotheses/force_samples.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/reporting/findings.h"
 
 namespace rg::diagnosis {
 

@@ -10,7 +10,6 @@
 #include "common/base/clock.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/reporting/experiments.h"
-#include "services/diagnosis/reporting/findings_tables.h"
 #include "services/diagnosis/reporting/holdout.h"
 #include "services/diagnosis/search/search.h"
 #include "tests/unit/diagnosis/prepared_set.h"
