@@ -225,27 +225,20 @@ class MeasuredSearch {
       chosen_.Insert({Regressor::kPositionPiece, Regressor::kVelocityPiece}, j, &free);
     }
     const BlockCosts now = fit().LeaveOut(model()), ceiling = fit().LeaveOut(free);
-    out->measured.active = true;
-    out->measured.structured = VectorXd::Zero(data_.n);
+    const BalanceSolution s = fit().Solve(model());
+    MeasuredEffort& m = out->measured;
+    m.active = true, m.early = chosen_.early();
+    m.explained = 1.0 - cost / std::max(1e-300, fit().LeaveOut(Bare(true)).sum());
+    for (VectorXd* x : {&m.structured, &m.effort_share, &m.effort_noise, &m.effort_correlation_s})
+      x->setZero(data_.n);
     for (int j = 0; j < data_.n; ++j) {
       const Gain gain = GainOf(now, ceiling, j);
-      if (gain.Beyond(kErrors)) out->measured.structured[j] = gain.nats / std::max(1e-300, now.col(j).sum());
-    }
-    out->measured.explained = 1.0 - cost / std::max(1e-300, fit().LeaveOut(Bare(true)).sum());
-    const BalanceSolution s = fit().Solve(model());
-    out->measured.effort_share.setZero(data_.n);
-    for (int j = 0; j < data_.n; ++j) {
+      if (gain.Beyond(kErrors)) m.structured[j] = gain.nats / std::max(1e-300, now.col(j).sum());
       const VectorXd u = fit().Moving(chosen_.balance().joints[j].effort, j);
-      if (u.size() < 2) continue;
-      const double variance = (u.array() - u.mean()).square().mean();
-      out->measured.effort_share[j] = s.energy[j] / std::max(1e-300, variance);
-    }
-    for (const int j : chosen_.early()) out->measured.early.push_back(j);
-    out->measured.effort_noise.setZero(data_.n);
-    out->measured.effort_correlation_s.setZero(data_.n);
-    for (int j = 0; j < data_.n; ++j) {
-      out->measured.effort_noise[j] = std::sqrt(s.energy[j]);
-      out->measured.effort_correlation_s[j] = 0.02 * fit().Correlation(j);
+      if (u.size() >= 2)
+        m.effort_share[j] = s.energy[j] / std::max(1e-300, (u.array() - u.mean()).square().mean());
+      m.effort_noise[j] = std::sqrt(s.energy[j]);
+      m.effort_correlation_s[j] = 0.02 * fit().Correlation(j);
     }
   }
 

@@ -25,9 +25,7 @@ double FirstValue(const std::vector<EffectSpec>& specs, const std::string& joint
                   bool (*is)(const std::string& effect), double none) {
   for (const EffectSpec& s : specs) {
     if (!is(s.id) || std::ranges::find(s.joints, joint) == s.joints.end()) continue;
-    const auto& values = s.values.begin()->second;
-    const auto at = values.find(effects::FindEffect(s.id)->parameters[0].name);
-    return at == values.end() ? none : at->second;
+    return effects::ValueOf(s, effects::FindEffect(s.id)->parameters[0].name);
   }
   return none;
 }
@@ -100,10 +98,8 @@ std::vector<EffectSpec> Plain(const std::vector<EffectSpec>& specs) {
     if (sysid::RegressionKnows(s.id)) {
       out.push_back(s);
     } else if (!level.empty()) {
-      const auto& values = s.values.begin()->second;
-      const auto at = values.find(level);
-      out.push_back(effects::MakeSpec(dry.id, s.joints,
-                                      {{dry.parameters[0].name, at == values.end() ? 0.0 : at->second}}));
+      out.push_back(
+          effects::MakeSpec(dry.id, s.joints, {{dry.parameters[0].name, effects::ValueOf(s, level)}}));
     }
   }
   return out;

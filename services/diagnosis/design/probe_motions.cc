@@ -9,6 +9,7 @@
 #include "common/base/printf.h"
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
+#include "services/diagnosis/data/words.h"
 #include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
@@ -226,10 +227,9 @@ class Maker {
       ProbeMotion motion = Rows(program, slower);
       if (motion.q.cols() < 3) return {};
       if (!Keeps(motion)) continue;
-      std::string who;
-      for (size_t i = 0; i < joints_.size(); ++i)
-        who += (i == 0 ? "" : i + 1 == joints_.size() ? " and " : ", ") + model_.joint(joints_[i]).name;
-      motion.description = who + ": " + program.what +
+      std::vector<std::string> who;
+      for (const int j : joints_) who.push_back(model_.joint(j).name);
+      motion.description = Listed(who) + ": " + program.what +
                            (slower > 1 ? ", slowed down by " + TwoDigits(slower) : "") + ", " +
                            std::to_string(std::lround(motion.t.back())) + " s";
       return motion;

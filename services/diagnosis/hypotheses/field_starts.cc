@@ -51,9 +51,7 @@ double Regressed(const std::vector<ForceSample>& samples, int on, const MatrixXd
   H.diagonal().array() += 1.0;
   const Eigen::LLT<MatrixXd> llt(H.selfadjointView<Eigen::Lower>());
   *weights = llt.solve(g);
-  double log_det = 0;
-  for (Eigen::Index i = 0; i < W; ++i) log_det += 2 * std::log(llt.matrixLLT()(i, i));
-  return 0.5 * g.dot(*weights) - 0.5 * log_det;
+  return 0.5 * g.dot(*weights) - HalfLogDet(llt);
 }
 
 }  // namespace

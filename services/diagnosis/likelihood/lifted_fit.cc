@@ -335,15 +335,21 @@ double ScreenWork(const FitData& data, const LiftedOptions& options, long states
          kPerScreenedPair * data.Rows() * D * (D + draws);
 }
 
+double HalfLogDet(const Eigen::LLT<MatrixXd>& factor) {
+  double sum = 0;
+  for (const double x : factor.matrixLLT().diagonal()) sum += std::log(x);
+  return sum;
+}
+
 Posterior PosteriorOf(const MatrixXd& information, const VectorXd& sigma) {
   const auto P = sigma.size();
   Posterior out{0, VectorXd(P)};
   if (P == 0) return out;
   const MatrixXd scaled = sigma.asDiagonal() * information * sigma.asDiagonal();
   const Eigen::LLT<MatrixXd> llt(MatrixXd::Identity(P, P) + scaled);
+  out.half_log_det = HalfLogDet(llt);
   const MatrixXd covariance = llt.solve(MatrixXd::Identity(P, P));
   for (Eigen::Index i = 0; i < P; ++i) {
-    out.half_log_det += std::log(llt.matrixL()(i, i));
     out.stddev[i] = sigma[i] * std::sqrt(std::max(0.0, covariance(i, i)));
   }
   return out;

@@ -13,6 +13,7 @@
 // δτ are features, candidate forces: screen.h.
 #pragma once
 
+#include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <initializer_list>
 #include <string_view>
@@ -86,6 +87,9 @@ struct FitResult {
   // log evidence: −½χ²/s² − ½ prior cost − ½ log det(1 + σ H σ) − what free hidden starts cost
   double evidence = 0;
 };
+
+// ½ log det of the factored matrix.
+double HalfLogDet(const Eigen::LLT<MatrixXd>& factor);
 
 // What data of an information H (P × P) leave of a prior N(·, diag σ²).
 struct Posterior {

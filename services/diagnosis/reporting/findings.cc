@@ -436,8 +436,8 @@ class FindingsBuilder {
       worth = energy.replicate(1, data_.n) + energy.transpose().replicate(data_.n, 1);
       worth.diagonal() = energy;
     }
-    for (const int j : data_.prescribed) worth.row(j).setConstant(-effects::kInf);
-    for (const int j : data_.prescribed) worth.col(j).setConstant(-effects::kInf);
+    for (const int j : data_.prescribed)
+      worth.row(j).setConstant(-effects::kInf), worth.col(j).setConstant(-effects::kInf);
     int first = 0, second = 0;
     worth.diagonal().maxCoeff(&first);
     worth.row(first).maxCoeff(&second);

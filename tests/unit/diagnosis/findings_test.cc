@@ -21,7 +21,7 @@ namespace {
 std::string VerdictBeyond(double beyond) {
   const auto p = testing::Prepare("pendulum", {}, 5, {.rate_hz = 250});
   SearchResult search =
-      SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+      SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
   EXPECT_TRUE(search.best.specs.empty());
   for (Candidate* c : {&search.nominal, &search.calibrated, &search.best}) c->fit.chi2 *= 1.3;
   search.own_chi2 = search.best.fit.chi2 / beyond;
@@ -55,7 +55,7 @@ TEST(Confidence, IsNotLessForARivalWithMoreNamesThatTheyDoNotPayFor) {
   const auto p =
       testing::Prepare("pendulum", {effects::MakeSpec("viscous_friction", {"hinge"}, {{"viscous", 0.2}})}, 6);
   SearchResult search =
-      SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+      SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
   ASSERT_EQ(search.best.specs.size(), 1u);
   search.beside = 10;
   const auto coulomb = effects::MakeSpec("coulomb_friction", {"hinge"});
@@ -70,7 +70,7 @@ TEST(Confidence, OfPlainFrictionIsNotLessForARicherFormThere) {
     const auto p =
         testing::Prepare(robot, {effects::MakeSpec("coulomb_friction", {joint}, {{"coulomb", 0.2}})}, 6);
     const SearchResult search =
-        SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+        SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
     ASSERT_EQ(KeyOf(search.best.specs), "coulomb_friction[" + joint + " ] ");
     const auto beside = [&](const std::string& on) {
       return ConfidenceBeside(*p, search, {effects::MakeSpec("stribeck_friction", {on})}, 20);
@@ -110,7 +110,7 @@ TEST(Tables, ShowWhatParametersHadTakenInAndWhatElseWasTried) {
   const auto p =
       testing::Prepare("pendulum", {effects::MakeSpec("coulomb_friction", {"hinge"}, {{"coulomb", 0.1}})}, 7);
   const SearchResult search =
-      SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+      SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
   ASSERT_EQ(search.best.specs.size(), 1u);
   ASSERT_FALSE(search.best.base);
   const std::vector<LedgerRow> ledger = LedgerOf(search);
@@ -151,7 +151,7 @@ TEST(Tables, ShowWhatParametersHadTakenInAndWhatElseWasTried) {
 TEST(Unexplained, NamesASecondJointWhereItTakesAGoodPartOfTheRest) {
   const auto p = testing::Prepare("arm2", {}, 5);
   SearchResult search =
-      SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+      SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
   search.best.fit.chi2 *= 2, search.nominal.fit.chi2 *= 2, search.calibrated.fit.chi2 *= 2;
   const auto joints_by = [&](const Eigen::Matrix2d& evidence) {
     search.remaining.evidence = evidence;
