@@ -29,18 +29,18 @@ constexpr double kAllSearches = 1.6;  // work of a search and its restarts toget
 constexpr double kLeastWork = 0.6;    // work of each restart, over that limit, at least
 
 // Where a class has more than one effect: the motion to record next, or that none was found.
-void SayWhatToRecord(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
-                     const MotionScales& scales, const DiagnosisOptions& options, int threads,
-                     const CancelToken* cancel, DiagnosisResult* result) {
+void SayWhatToRecord(const SearchResult& search, const FitSetting& setting, const DiagnosisOptions& options,
+                     int threads, const CancelToken* cancel, DiagnosisResult* result) {
   const auto separates = [](const Alternative& a) { return !a.separable && a.by_motion; };
   const bool open = std::ranges::any_of(
       result->findings, [&](const Finding& f) { return std::ranges::any_of(f.alternatives, separates); });
   // The balance of torques has no sensor noise to plan with; undriven joints cannot follow a plan.
-  const auto undriven = [&](int j) { return nominal.IsPrescribed(j) || nominal.IsPassive(j); };
-  const auto joints = std::views::iota(0, nominal.num_joints());
+  const auto undriven = [&](int j) {
+    return setting.nominal.IsPrescribed(j) || setting.nominal.IsPassive(j);
+  };
+  const auto joints = std::views::iota(0, setting.nominal.num_joints());
   if (!open || search.measured.active || std::ranges::any_of(joints, undriven)) return;
-  result->motion =
-      ProposeMotion(search, data, nominal, scales, result->findings, options.step_s, threads, cancel);
+  result->motion = ProposeMotion(search, setting, result->findings, options.step_s, threads, cancel);
   for (Finding& f : result->findings) {
     for (Alternative& a : f.alternatives) {
       if (!separates(a)) continue;
@@ -82,10 +82,11 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   }
   data.held_out = PrepareHeldOut(given, data, nominal, options);
   MotionScales scales = ScalesOf(data, nominal);
+  const FitSetting setting{data, nominal, scales};
   DiagnosisResult result;
   result.notes = std::move(check.warnings);
   const auto search_effects = EffortIsMeasured(data) ? SearchMeasuredEffort : SearchEffects;
-  SearchResult search = search_effects(data, nominal, scales, options, threads, clock, progress, cancel);
+  SearchResult search = search_effects(setting, options, threads, clock, progress, cancel);
 
   DiagnosisOptions rest = options;
   double spent = 0;
@@ -101,7 +102,7 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
     const double left = std::clamp(kAllSearches - spent / options.work_limit, kLeastWork, 1.0);
     rest.work_limit = left * options.work_limit;
     rest.earlier = std::move(earlier);
-    search = search_effects(data, nominal, scales, rest, threads, clock, progress, cancel);
+    search = search_effects(setting, rest, threads, clock, progress, cancel);
     return Status::Ok();
   };
   const auto shorter_windows = [&]() -> Status {
@@ -139,9 +140,9 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   result.effort_measured = search.measured.active;
   for (std::string& note : NotesOnMeasurement(result.joints, search.measured))
     result.notes.push_back(std::move(note));
-  Conclude(search, data, nominal, scales, &result);
+  Conclude(search, setting, &result);
   if (progress) progress({"what to record next", 0.96, 1.0, result.verdict});
-  SayWhatToRecord(search, data, nominal, scales, options, threads, cancel, &result);
+  SayWhatToRecord(search, setting, options, threads, cancel, &result);
   if (progress) progress({"held-out recordings", 0.97, 1.0, result.verdict});
   JudgeHeldOut(set, nominal, search, data, options, threads, &result);
   if (const std::string note = NoteOnFreeSwing(result.holdout); search.swings_on && !note.empty())
@@ -158,7 +159,7 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
       result.plant = *search.calibrated.plant, result.values = search.calibrated.fit.values;
     } else {
       result.findings.clear();
-      Conclude(search, data, nominal, scales, &result);
+      Conclude(search, setting, &result);
     }
     JudgeHeldOut(set, nominal, search, data, options, threads, &result);
   }

@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdio>
 
+#include "common/base/printf.h"
 #include "common/model/robot_model.h"
 
 namespace rg::sysid {
@@ -133,11 +133,7 @@ Factor PivotedCholesky(const MatrixXd& S, const std::vector<double>& reluctance)
   return out;
 }
 
-std::string Short(double factor) {
-  char text[40];
-  std::snprintf(text, sizeof text, "%.4g", std::abs(factor));
-  return text;
-}
+std::string Short(double factor) { return Printf("%.4g", std::abs(factor)); }
 
 // Terms of the same factor share it: "moment_y.link_2 - 0.29 (mass.link_3 + mass.link_4)".
 std::string Expression(const std::vector<std::pair<std::string, double>>& terms) {

@@ -5,7 +5,6 @@
 #include <limits>
 #include <nlohmann/json.hpp>
 
-#include "common/base/check.h"
 #include "common/base/rng.h"
 
 namespace rg::sysid {

@@ -1,7 +1,6 @@
 #include "services/sysid/boxed_newton_step.h"
 
 #include <Eigen/Cholesky>
-#include <algorithm>
 #include <vector>
 
 namespace rg::sysid {

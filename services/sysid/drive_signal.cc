@@ -1,6 +1,5 @@
 #include "services/sysid/drive_signal.h"
 
-#include <algorithm>
 #include <string>
 #include <utility>
 

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "common/model/robot_model.h"
 
@@ -103,11 +102,9 @@ std::vector<FitParameter> RotorFitParameters(const sim::Plant& plant) {
   return out;
 }
 
-std::vector<FitParameter> EffectFitParameters(const sim::Plant& plant, const std::string& effect) {
+std::vector<FitParameter> EffectFitParameters(const sim::Plant& plant) {
   std::vector<FitParameter> out;
-  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kEffect)) {
-    if (effect.empty() || plant.parameters()[i].effect == effect) out.push_back(Row(plant, i));
-  }
+  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kEffect)) out.push_back(Row(plant, i));
   return out;
 }
 
@@ -118,6 +115,12 @@ Result<std::vector<FitParameter>> NamedFitParameters(const sim::Plant& plant,
     RG_ASSIGN_OR_RETURN(const int index, plant.parameters().IndexOf(name));
     out.push_back(Row(plant, index));
   }
+  return out;
+}
+
+Eigen::VectorXd PriorStddevs(const std::vector<FitParameter>& parameters) {
+  Eigen::VectorXd out(parameters.size());
+  for (size_t i = 0; i < parameters.size(); ++i) out[i] = parameters[i].prior_stddev;
   return out;
 }
 

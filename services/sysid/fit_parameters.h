@@ -36,12 +36,13 @@ std::vector<FitParameter> DeclaredJointFitParameters(const sim::Plant& plant);
 // armature.<joint> where the links bring no inertia, around their nominal values, which are positive
 // (rotor_start.h).
 std::vector<FitParameter> RotorFitParameters(const sim::Plant& plant);
-// All parameters of one effect, or of all effects when `effect` is empty.
-std::vector<FitParameter> EffectFitParameters(const sim::Plant& plant, const std::string& effect = {});
+// All parameters of all effects.
+std::vector<FitParameter> EffectFitParameters(const sim::Plant& plant);
 // By name. Error: the closest existing name.
 Result<std::vector<FitParameter>> NamedFitParameters(const sim::Plant& plant,
                                                      const std::vector<std::string>& names);
 
+Eigen::VectorXd PriorStddevs(const std::vector<FitParameter>& parameters);
 std::vector<int> Indices(const std::vector<FitParameter>& parameters);
 // `values` of the whole table with the fitted ones replaced by theta.
 Eigen::VectorXd WithFitted(const std::vector<FitParameter>& parameters, Eigen::VectorXd values,

@@ -3,7 +3,6 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <cmath>
-#include <limits>
 #include <string>
 #include <utility>
 
@@ -159,6 +158,14 @@ FitSpace::FitSpace(std::vector<FitParameter> parameters, bool consistent)
     links_.push_back(block);
     i += 9;
   }
+}
+
+VectorXd FitSpace::From(const VectorXd& values) const {
+  VectorXd theta = nominal_;
+  for (int i = 0; i < size(); ++i) {
+    if (IsItself(i)) theta[i] = values[parameters_[i].index];
+  }
+  return theta.cwiseMax(lower_).cwiseMin(upper_);
 }
 
 bool FitSpace::IsItself(int i) const {

@@ -47,6 +47,8 @@ class FitSpace {
 
   // Parameter i stands for itself: θ_i = p_i.
   bool IsItself(int i) const;
+  // θ, P: where a plant's values are within the bounds, and nominal where no parameter stands for itself.
+  Eigen::VectorXd From(const Eigen::VectorXd& values) const;
   // p(θ), P.
   Eigen::VectorXd Parameters(const Eigen::VectorXd& theta) const;
   // The plant's table with p(θ) in place.

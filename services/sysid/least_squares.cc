@@ -196,10 +196,6 @@ SolveSummary SolveWithoutUnknowns(const LeastSquaresProblem& problem, const Vect
 
 }  // namespace
 
-std::string_view SolverName(Solver solver) {
-  return solver == Solver::kBoundedLevenbergMarquardt ? "bounded_lm" : "unbounded_lbfgs";
-}
-
 std::string_view TerminationName(Termination termination) {
   switch (termination) {
     case Termination::kConverged:

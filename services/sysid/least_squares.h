@@ -44,7 +44,6 @@ struct LeastSquaresProblem {
 void CheckProblem(const LeastSquaresProblem& problem);
 
 enum class Solver { kBoundedLevenbergMarquardt, kUnboundedLbfgs };
-std::string_view SolverName(Solver solver);  // "bounded_lm", "unbounded_lbfgs"
 
 struct SolveOptions {
   Solver solver = Solver::kBoundedLevenbergMarquardt;

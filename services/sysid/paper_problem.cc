@@ -2,11 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <utility>
 
-#include "common/dynamics/dynamics.h"
-#include "common/model/robot_model.h"
 #include "common/recordings/command_time.h"
 #include "common/recordings/noise.h"
 #include "common/recordings/resample.h"
@@ -274,42 +271,6 @@ VectorXd PaperProblem::FullValues(const VectorXd& p) const {
   VectorXd values = impl_->base;
   for (int i = 0; i < p.size(); ++i) values[parameters()[i]] = p[i];
   return values;
-}
-
-double AccumulatedTaskError(const sim::Plant& plant, const VectorXd& values,
-                            const recordings::Recording& recording, const sim::SimulatorOptions& options,
-                            double cap, double* joint_residual) {
-  sim::Simulator simulator(plant, options);
-  simulator.SetParameters(values);
-  const sim::CommandSignal command = CommandOf(recording, simulator);
-  const VectorXd v0 = recordings::VelocityOrEstimate(recording).col(0);
-  const sim::State x0 = simulator.MakeStateFromMeasurement(recording.q.col(0), v0, recording.t[0], command);
-  const std::vector<double> times(recording.t.data() + 1, recording.t.data() + recording.rows());
-  const sim::Trajectory out = simulator.Simulate(x0, command, times);
-
-  const model::RobotModel& model = plant.model();
-  const auto frame = model.FindFrame(model.end_effector().name);
-  RG_CHECK(frame.has_value());
-  const dynamics::Mechanism mechanism(model);
-  dynamics::Workspace workspace;
-  const int reached = out.outcome.ok() ? static_cast<int>(times.size()) : out.reached;
-  double distance = 0.0, squares = 0.0;
-  for (size_t k = 0; k < times.size(); ++k) {
-    if (static_cast<int>(k) >= reached) {
-      distance += cap;
-      continue;
-    }
-    const VectorXd robot = recording.q.col(k + 1), simulated = out.position.col(k);
-    const auto p_robot = dynamics::FramePose(mechanism, workspace, robot, *frame).translation;
-    const auto p_sim = dynamics::FramePose(mechanism, workspace, simulated, *frame).translation;
-    distance += std::min(cap, (p_robot - p_sim).norm());
-    squares += (robot - simulated).squaredNorm();
-  }
-  if (joint_residual != nullptr) {
-    *joint_residual =
-        reached == static_cast<int>(times.size()) ? squares : std::numeric_limits<double>::infinity();
-  }
-  return distance;
 }
 
 }  // namespace rg::sysid

@@ -70,13 +70,4 @@ class PaperProblem {
   std::unique_ptr<Impl> impl_;
 };
 
-// Accumulated Euclidean distance Σ_n |p_robot − p_sim| of the end effector over a whole recording,
-// simulated open loop from its first state with `values` (m); the paper's headline measure. Rows where
-// the simulation is not finite count as `cap` metres. `joint_residual` (or null): Σ |q − q̂|² at the rows,
-// infinity where the simulation broke down.
-double AccumulatedTaskError(const sim::Plant& plant, const Eigen::VectorXd& values,
-                            const recordings::Recording& recording,
-                            const sim::SimulatorOptions& simulator = {}, double cap = 10.0,
-                            double* joint_residual = nullptr);
-
 }  // namespace rg::sysid

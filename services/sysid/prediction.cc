@@ -3,12 +3,11 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
-#include <cstdio>
 #include <functional>
 #include <optional>
-#include <utility>
 
 #include "common/base/check.h"
+#include "common/base/printf.h"
 #include "common/dynamics/dynamics.h"
 #include "common/recordings/angles.h"
 #include "common/recordings/command_time.h"
@@ -161,9 +160,7 @@ class Predictor {
              Prediction* out) {
     const VectorXd last = row > w.first + 1 ? VectorXd(out->q.col(row - 1)) : q0;
     for (int k = row; k <= w.last; ++k) out->q.col(k) = last;
-    char line[64];
-    std::snprintf(line, sizeof line, ": window at %.3f s: ", recording_.t[w.first]);
-    out->failures.push_back(recording_.name + line + why);
+    out->failures.push_back(recording_.name + Printf(": window at %.3f s: ", recording_.t[w.first]) + why);
   }
 
   const recordings::Recording& recording_;

@@ -3,8 +3,6 @@
 // time of one evaluation.
 #pragma once
 
-#include <limits>
-
 #include "common/base/clock.h"
 #include "common/base/progress.h"
 
@@ -21,10 +19,6 @@ class StopCondition {
   bool ShouldStop() const {
     if (cancel_ != nullptr && cancel_->cancelled()) return true;
     return clock_ != nullptr && clock_->SteadySeconds() >= deadline_s_;
-  }
-  double SecondsLeft() const {
-    return clock_ == nullptr ? std::numeric_limits<double>::infinity()
-                             : deadline_s_ - clock_->SteadySeconds();
   }
 
  private:

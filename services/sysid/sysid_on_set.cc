@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 #include <memory>
 #include <utility>
 
+#include "common/base/printf.h"
 #include "common/base/rng.h"
 #include "common/effects/effect.h"
 #include "common/effects/effect_catalog.h"
@@ -152,11 +152,8 @@ class Identification {
         break;
       }
     }
-    if (windows_.empty()) {
-      char text[96];
-      std::snprintf(text, sizeof text, "no fit recording holds a window of %g s", options_.fit_window_s);
-      return InvalidError(text);
-    }
+    if (windows_.empty())
+      return InvalidError(Printf("no fit recording holds a window of %g s", options_.fit_window_s));
     std::vector<FitRecording> whole = std::move(fit_);
     fit_.clear();
     slices_.reserve(windows_.size());
@@ -167,14 +164,6 @@ class Identification {
       fit_.push_back({&slices_.back(), whole[w.recording].command});
     }
     return Status::Ok();
-  }
-
-  static Status CheckJoints(const sim::Plant& model, const sim::Plant& set) {
-    if (model.joint_names() == set.joint_names()) return Status::Ok();
-    std::string have, want;
-    for (const std::string& joint : model.joint_names()) have += " " + joint;
-    for (const std::string& joint : set.joint_names()) want += " " + joint;
-    return InvalidError("the model has the joints" + have + ", the recordings" + want);
   }
 
   // By what they would tell the richest candidate of its parameters.
@@ -509,9 +498,7 @@ class Identification {
     for (std::string& note : NotesOnRotors(f.plant, f.fit.values))
       report->warnings.push_back(std::move(note));
     for (std::string& note : NotesOnRoles(set_, *nominal_)) report->warnings.push_back(std::move(note));
-    char residual[120];
-    std::snprintf(
-        residual, sizeof residual,
+    const std::string residual = Printf(
         "; the error of %.3g is no proof: the data leave this free, the consistent parametrisation does not",
         report->after_rms);
     for (const std::string& w : ImpossibleInertias(f.plant, f.fit.values))
@@ -574,16 +561,19 @@ Result<sim::Plant> NominalPlant(const recordings::RecordingSet& set) {
   return sim::Plant::Create(std::move(shared), options);
 }
 
+Status CheckJoints(const sim::Plant& model, const sim::Plant& set) {
+  if (model.joint_names() == set.joint_names()) return Status::Ok();
+  std::string have, want;
+  for (const std::string& joint : model.joint_names()) have += " " + joint;
+  for (const std::string& joint : set.joint_names()) want += " " + joint;
+  return InvalidError("the model has the joints" + have + ", the recordings" + want);
+}
+
 Status CheckTimes(double window_s, double step_s) {
-  char text[120];
-  if (!(window_s > 0.0 && window_s <= 3600.0)) {
-    std::snprintf(text, sizeof text, "window is %g s, must be positive and at most 3600 s", window_s);
-    return InvalidError(text);
-  }
-  if (step_s != 0.0 && !(step_s >= 1e-6 && step_s <= 0.1)) {
-    std::snprintf(text, sizeof text, "step is %g s, must be 0 (chosen) or between 1e-6 and 0.1 s", step_s);
-    return InvalidError(text);
-  }
+  if (!(window_s > 0.0 && window_s <= 3600.0))
+    return InvalidError(Printf("window is %g s, must be positive and at most 3600 s", window_s));
+  if (step_s != 0.0 && !(step_s >= 1e-6 && step_s <= 0.1))
+    return InvalidError(Printf("step is %g s, must be 0 (chosen) or between 1e-6 and 0.1 s", step_s));
   return Status::Ok();
 }
 

@@ -117,6 +117,9 @@ Result<SysidReport> SysidOnSet(const recordings::RecordingSet& set, const SysidO
 // The nominal plant of a set: its URDF, gravity, joints and locked joints, no effects.
 Result<sim::Plant> NominalPlant(const recordings::RecordingSet& set);
 
+// Whether a model's joints are those of a set, by their plants.
+Status CheckJoints(const sim::Plant& model, const sim::Plant& set);
+
 std::string FormatSysid(const SysidReport& report);
 // {"holdout": {"before_rms", "after_rms", "window_s", "recordings": […]}, "candidates", "parameters", …}
 nlohmann::json SysidToJson(const SysidReport& report);

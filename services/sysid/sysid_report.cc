@@ -1,6 +1,5 @@
 // How a SysidReport reads: the table for a person and the JSON for programs.
 #include <cmath>
-#include <cstdio>
 #include <nlohmann/json.hpp>
 
 #include "services/sysid/sysid_on_set.h"

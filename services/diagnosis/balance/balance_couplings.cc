@@ -1,8 +1,8 @@
 // Drives coupled to two joints: step 2 of balance_search.h.
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
+#include "common/base/printf.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/balance/balance_selection.h"
 #include "services/diagnosis/likelihood/candidate.h"
@@ -10,7 +10,6 @@
 namespace rg::diagnosis {
 
 using effects::Regressor;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -66,16 +65,13 @@ double BalanceSelection::DrivePays(const BalanceModel& rival, std::string* line)
   const double pairs = std::max(1, data_.n - 1);
   bool pays = all.Beyond(kDriveErrors) &&
               all.nats > kEffectPrior + kJointPrior + LogHypotheses() + std::log(pairs * kGrid);
-  char text[120];
-  std::snprintf(text, sizeof text, "kappa %.3g, %.1f ± %.1f nats", drive.ratio, all.nats, all.stddev);
-  *line = text;
+  *line = Printf("kappa %.3g, %.1f ± %.1f nats", drive.ratio, all.nats, all.stddev);
   for (const int j : {drive.other, drive.joint}) {
     const Gain own = GainOf(before, after, j);
     const double share = own.nats / std::max(1e-300, before.col(j).sum());
     pays = pays && own.Beyond(kErrors) && share > kShareOnEach;
-    std::snprintf(text, sizeof text, ", %s %.1f ± %.1f, share %.3f", nominal_.joint_names()[j].c_str(),
-                  own.nats, own.stddev, share);
-    *line += text;
+    *line += Printf(", %s %.1f ± %.1f, share %.3f", nominal_.joint_names()[j].c_str(), own.nats, own.stddev,
+                    share);
   }
   return pays ? all.nats : 0.0;
 }
@@ -121,7 +117,7 @@ void BalanceSelection::FindDrive() {
     double gained = 0;
     for (const double sign : {1.0, -1.0}) {
       for (const double size : kRatios) {
-        fit_.SetDrive(MakeBalanceDrive(data_, balance_, scales_, other, j, sign * size));
+        fit_.SetDrive(MakeBalanceDrive(setting_, balance_, other, j, sign * size));
         const double nats = FittedGain(rival);
         if (nats > gained) gained = nats, here = fit_.drive();
       }
@@ -145,7 +141,7 @@ void BalanceSelection::RefineRatio(const BalanceModel& rival) {
   const double sign = start.ratio > 0 ? 1.0 : -1.0, size = std::abs(start.ratio), low = size / kBetween,
                high = size * kBetween;
   const auto drive = [&](double at) {
-    return MakeBalanceDrive(data_, balance_, scales_, start.other, start.joint, sign * at);
+    return MakeBalanceDrive(setting_, balance_, start.other, start.joint, sign * at);
   };
   std::vector<char> still = start.still;
   for (const double end : {low, high}) {
@@ -162,9 +158,7 @@ void BalanceSelection::RefineRatio(const BalanceModel& rival) {
   const double bend = (cost(found - step) + cost(found + step) - 2 * least) / (step * step);
   ratio_stddev_ = bend > 0 ? 1 / std::sqrt(bend) : step;
   fit_.SetDrive(drive(found));
-  char text[80];
-  std::snprintf(text, sizeof text, "  drive: kappa %.4f ± %.4f", sign * found, ratio_stddev_);
-  trace_(text);
+  trace_(Printf("  drive: kappa %.4f ± %.4f", sign * found, ratio_stddev_));
 }
 
 // Removes columns of the coupled drive that no longer pay.

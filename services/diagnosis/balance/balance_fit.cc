@@ -7,9 +7,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 namespace {
 
 // Prior stddevs of a load, in those of the last link's own mass and of its other parameters.
@@ -34,7 +31,8 @@ BalanceFit::BalanceFit(const TorqueBalance& balance)
 }
 
 MatrixXd BalanceFit::DriveOn(int joint) const {
-  if (joint != drive_.joint && joint != drive_.other) return {};
+  if (joint != drive_.joint && joint != drive_.other)
+    return MatrixXd::Zero(std::ssize(balance_.joints[joint].t), BalanceDrive::kColumns);
   return joint == drive_.joint ? drive_.columns : MatrixXd(drive_.ratio * drive_.columns);
 }
 
@@ -45,11 +43,8 @@ bool BalanceFit::Still(int joint, size_t row) const {
 
 void BalanceFit::FillColumns(int j) {
   const BalanceRows& rows = balance_.joints[j];
-  MatrixXd X =
-      MatrixXd::Zero(rows.base.rows(), rows.base.cols() + rows.features.cols() + BalanceDrive::kColumns);
-  X.leftCols(rows.base.cols()) = rows.base;
-  X.middleCols(rows.base.cols(), rows.features.cols()) = rows.features;
-  if (const MatrixXd drive = DriveOn(j); drive.size() > 0) X.rightCols(drive.cols()) = drive;
+  MatrixXd X(rows.base.rows(), rows.base.cols() + rows.features.cols() + BalanceDrive::kColumns);
+  X << rows.base, rows.features, DriveOn(j);
   for (int b = 0; b < balance_.blocks; ++b) {
     Gram& g = gram_[b][j];
     g.xx.setZero(X.cols(), X.cols()), g.xy.setZero(X.cols());
@@ -83,7 +78,7 @@ void BalanceFit::FillResponse(int joint) {
     const auto row = static_cast<long>(k);
     g.xy.head(base_) += y[row] * rows.base.row(row).transpose();
     g.xy.segment(base_, rows.features.cols()) += y[row] * rows.features.row(row).transpose();
-    if (drive.size() > 0) g.xy.tail(drive.cols()) += y[row] * drive.row(row).transpose();
+    g.xy.tail(drive.cols()) += y[row] * drive.row(row).transpose();
     g.yy += y[row] * y[row];
   }
 }
@@ -152,10 +147,8 @@ BalanceSolution BalanceFit::Solve(const BalanceModel& model, int without_block) 
       if (unknowns[u].first == -2 && (j == drive_.joint || j == drive_.other))
         mine.push_back(u), place.push_back(base_ + features + unknowns[u].second);
     }
-    for (size_t a = 0; a < mine.size(); ++a) {
-      g[mine[a]] += weight * sum.xy[place[a]];
-      for (size_t b = 0; b < mine.size(); ++b) H(mine[a], mine[b]) += weight * sum.xx(place[a], place[b]);
-    }
+    g(mine) += weight * sum.xy(place);
+    H(mine, mine) += weight * sum.xx(place, place);
   }
   const VectorXd x = U > 0 ? VectorXd(H.ldlt().solve(g)) : VectorXd();
   BalanceSolution s;
@@ -191,9 +184,7 @@ BlockCosts BalanceFit::LeaveOut(const BalanceModel& model) const {
 
 VectorXd BalanceFit::Residual(const BalanceSolution& s, int joint) const {
   const BalanceRows& rows = balance_.joints[joint];
-  VectorXd rest = y_[joint] - rows.base * s.base - rows.features * s.features[joint];
-  if (const MatrixXd drive = DriveOn(joint); drive.size() > 0) rest -= drive * s.drive;
-  return rest;
+  return y_[joint] - rows.base * s.base - rows.features * s.features[joint] - DriveOn(joint) * s.drive;
 }
 
 VectorXd BalanceFit::Moving(const VectorXd& x, int joint) const {
@@ -226,24 +217,16 @@ void BalanceFit::SetNoiseFrom(const BalanceModel& model) {
 }
 
 BalanceSolution BalanceFit::Jackknife(const BalanceModel& model) const {
-  const BalanceSolution all = Solve(model);
-  BalanceSolution sum = all;
-  const auto each = [&](const BalanceSolution& s, auto f) {
-    f(s.base, all.base, &sum.base), f(s.drive, all.drive, &sum.drive);
-    for (int j = 0; j < balance_.n; ++j) f(s.features[j], all.features[j], &sum.features[j]);
-  };
-  const auto clear = [](const VectorXd&, const VectorXd&, VectorXd* out) { out->setZero(); };
-  const auto add = [](const VectorXd& x, const VectorXd& mean, VectorXd* out) {
-    *out += (x - mean).cwiseAbs2();
-  };
+  BalanceSolution all = Solve(model), spread = all;
+  for (VectorXd* x : spread.Coefficients()) x->setZero();
+  for (int b = 0; b < balance_.blocks; ++b) {
+    BalanceSolution without = Solve(model, b);
+    for (size_t i = 0; i < all.Coefficients().size(); ++i)
+      *spread.Coefficients()[i] += (*without.Coefficients()[i] - *all.Coefficients()[i]).cwiseAbs2();
+  }
   const double factor = (balance_.blocks - 1.0) / std::max(1, balance_.blocks);
-  const auto root = [&](const VectorXd&, const VectorXd&, VectorXd* out) {
-    *out = (factor * *out).cwiseSqrt();
-  };
-  each(all, clear);
-  for (int b = 0; b < balance_.blocks; ++b) each(Solve(model, b), add);
-  each(all, root);
-  return sum;
+  for (VectorXd* x : spread.Coefficients()) *x = (factor * *x).cwiseSqrt();
+  return spread;
 }
 
 int BalanceFit::EffectiveRows() const {

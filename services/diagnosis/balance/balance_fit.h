@@ -25,21 +25,27 @@ struct BalanceModel {
 };
 
 struct BalanceSolution {
-  Eigen::VectorXd base;                   // B + 2, standardised, 0 where not in
-  std::vector<Eigen::VectorXd> features;  // per joint: F, standardised, 0 where not in
-  Eigen::VectorXd drive;                  // of BalanceDrive, standardised, 0 where not in
-  Eigen::VectorXd energy;                 // n, mean square of the residual
+  VectorXd base;                   // B + 2, standardised, 0 where not in
+  std::vector<VectorXd> features;  // per joint: F, standardised, 0 where not in
+  VectorXd drive;                  // of BalanceDrive, standardised, 0 where not in
+  VectorXd energy;                 // n, mean square of the residual
+
+  std::vector<VectorXd*> Coefficients() {
+    std::vector<VectorXd*> out = {&base, &drive};
+    for (VectorXd& f : features) out.push_back(&f);
+    return out;
+  }
 };
 
 // Costs ½ SSR/(s² c) of left-out blocks: blocks × n.
-using BlockCosts = Eigen::MatrixXd;
+using BlockCosts = MatrixXd;
 
 class BalanceFit {
  public:
   explicit BalanceFit(const TorqueBalance& balance);
 
   // y per joint: rigid − effort.
-  void SetResponse(int joint, const Eigen::VectorXd& y);
+  void SetResponse(int joint, const VectorXd& y);
   // After columns were appended to a joint of the balance.
   void TakeColumns(int joint);
   // The coupled drive whose columns models may have; rows in which it may stick are left out on its joints,
@@ -52,36 +58,36 @@ class BalanceFit {
   BalanceSolution Solve(const BalanceModel& model, int without_block = -1) const;
   BlockCosts LeaveOut(const BalanceModel& model) const;
   double PriorCost(const BalanceModel& model) const;  // nats, of its base parameters fitted to all blocks
-  Eigen::VectorXd Residual(const BalanceSolution& solution, int joint) const;
+  VectorXd Residual(const BalanceSolution& solution, int joint) const;
   // Stddev of the standardised coefficients by the jackknife over blocks.
   BalanceSolution Jackknife(const BalanceModel& model) const;
   double Variance(int joint) const { return variance_[joint]; }
   double Correlation(int joint) const { return correlation_[joint]; }
   int EffectiveRows() const;
   // The entries of rows in which the joint cannot stick.
-  Eigen::VectorXd Moving(const Eigen::VectorXd& x, int joint) const;
+  VectorXd Moving(const VectorXd& x, int joint) const;
 
  private:
   struct Gram {
-    Eigen::MatrixXd xx;  // columns: base, features, drive
-    Eigen::VectorXd xy;
+    MatrixXd xx;  // columns: base, features, drive
+    VectorXd xy;
     double yy = 0;
     double rows = 0;
   };
   double PriorPrecision(const BalanceModel& model, int base) const;
   void FillColumns(int joint);
   void FillResponse(int joint);
-  Eigen::MatrixXd DriveOn(int joint) const;  // R × 3; empty on joints that are not the drive's
+  MatrixXd DriveOn(int joint) const;  // R × 3; zero on joints that are not the drive's
   bool Still(int joint, size_t row) const;
-  double Cost(const Gram& g, const Eigen::VectorXd& x) const;
-  Eigen::VectorXd Stacked(const BalanceSolution& s, int joint) const;
+  double Cost(const Gram& g, const VectorXd& x) const;
+  VectorXd Stacked(const BalanceSolution& s, int joint) const;
 
   const TorqueBalance& balance_;
   int base_ = 0;
   BalanceDrive drive_;
-  std::vector<Eigen::VectorXd> y_;
+  std::vector<VectorXd> y_;
   std::vector<std::vector<Gram>> gram_;  // [block][joint]
-  Eigen::VectorXd variance_, correlation_;
+  VectorXd variance_, correlation_;
 };
 
 // Nats gained on left-out blocks, with standard error.

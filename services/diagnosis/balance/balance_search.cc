@@ -16,9 +16,7 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
 using effects::Regressor;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -26,19 +24,14 @@ constexpr double kLeastErrors = 1.0;  // stddevs above zero, that a loss must be
 
 class MeasuredSearch {
  public:
-  MeasuredSearch(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                 const DiagnosisOptions& options, int threads, const Clock& clock, const ProgressFn& progress,
-                 const CancelToken* cancel)
-      : data_(data),
-        nominal_(nominal),
-        scales_(scales),
+  MeasuredSearch(const FitSetting& setting, const DiagnosisOptions& options, int threads, const Clock& clock,
+                 const ProgressFn& progress, const CancelToken* cancel)
+      : setting_(setting),
         options_(options),
         threads_(threads),
         clock_(clock),
         progress_(progress),
-        cancel_(cancel),
-        start_(clock.SteadySeconds()),
-        chosen_(data, nominal, scales, options.max_effects, [this](const std::string& s) { Trace(s); }) {}
+        cancel_(cancel) {}
 
   SearchResult Run() {
     SearchResult out;
@@ -69,17 +62,23 @@ class MeasuredSearch {
   Candidate Refit(const std::vector<EffectSpec>& specs, bool base) const {
     RefitOptions options{.threads = threads_, .window_s = options_.window_s, .cancel = cancel_};
     if (!specs.empty()) options.spread = chosen_.Spread();
-    return RefitByShooting(data_, nominal_, scales_, specs, base, options);
+    return RefitByShooting(setting_, specs, base, options);
+  }
+
+  // Its plant, at nominal values; false where its effects cannot stand together.
+  bool MakePlant(Candidate* c) const {
+    const auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), c->specs);
+    if (!plant.ok()) return false;
+    c->plant = std::make_shared<const sim::Plant>(*plant);
+    c->fit.values = plant->parameters().Nominal();
+    return true;
   }
 
   // A candidate that was compared in the balance and not refitted in the simulator.
   Candidate Compared(const BalanceModel& m, double cost) const {
     Candidate c;
     c.specs = chosen_.SpecsOf(m), c.base = m.base;
-    const auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), c.specs);
-    if (plant.ok()) c.plant = std::make_shared<const sim::Plant>(*plant);
-    c.fit.ok = plant.ok();
-    if (plant.ok()) c.fit.values = c.plant->parameters().Nominal();
+    c.fit.ok = MakePlant(&c);
     c.fit.rows = fit().EffectiveRows();
     c.fit.chi2 = 2 * cost;
     c.score = -cost;
@@ -89,11 +88,8 @@ class MeasuredSearch {
     return c;
   }
 
-  static BalanceModel Bare(int n, bool base) {
-    BalanceModel m;
-    m.base = base;
-    m.features.resize(n);
-    return m;
+  BalanceModel Bare(bool base) const {
+    return {.base = base, .features = std::vector<std::set<int>>(data_.n)};
   }
   BalanceModel Without(BalanceModel m, Regressor law) const {
     for (int j = 0; j < data_.n; ++j) chosen_.Erase(law, j, &m);
@@ -107,7 +103,7 @@ class MeasuredSearch {
     const double cost = fit().LeaveOut(model()).sum();
     for (const bool base : {false, true}) {
       Candidate& c = base ? out->calibrated : out->nominal;
-      c = Judged(Bare(data_.n, base));
+      c = Judged(Bare(base));
       c.score -= chosen_.timing_gain();
       c.specs.clear();
       c.plant = std::make_shared<const sim::Plant>(nominal_);
@@ -179,14 +175,7 @@ class MeasuredSearch {
     std::erase_if(c.specs, [&](const EffectSpec& e) {
       return e.id == constant.id && Contains(c.specs, either.id, e.joints[0]);
     });
-    Alternative(c, out);
-  }
-  void Alternative(Candidate c, SearchResult* out) const {
-    const auto plant = sim::Plant::Create(nominal_.shared_model(), nominal_.options(), c.specs);
-    if (!plant.ok()) return;
-    c.plant = std::make_shared<const sim::Plant>(*plant);
-    c.fit.values = plant->parameters().Nominal();
-    out->tried.push_back(std::move(c));
+    if (MakePlant(&c)) out->tried.push_back(std::move(c));
   }
 
   // Lags for delays and the reverse; and delays of the sensors, the same balance as delays of the drives.
@@ -204,7 +193,7 @@ class MeasuredSearch {
         s = effects::MakeSpec(other.id, s.joints, {{other.parameters[0].name, seconds}});
       }
       if (!sensor) c.score += chosen_.other_timing_gain();
-      Alternative(c, out);
+      if (MakePlant(&c)) out->tried.push_back(std::move(c));
     }
   }
 
@@ -236,27 +225,20 @@ class MeasuredSearch {
       chosen_.Insert({Regressor::kPositionPiece, Regressor::kVelocityPiece}, j, &free);
     }
     const BlockCosts now = fit().LeaveOut(model()), ceiling = fit().LeaveOut(free);
-    out->measured.active = true;
-    out->measured.structured = VectorXd::Zero(data_.n);
+    const BalanceSolution s = fit().Solve(model());
+    MeasuredEffort& m = out->measured;
+    m.active = true, m.early = chosen_.early();
+    m.explained = 1.0 - cost / std::max(1e-300, fit().LeaveOut(Bare(true)).sum());
+    for (VectorXd* x : {&m.structured, &m.effort_share, &m.effort_noise, &m.effort_correlation_s})
+      x->setZero(data_.n);
     for (int j = 0; j < data_.n; ++j) {
       const Gain gain = GainOf(now, ceiling, j);
-      if (gain.Beyond(kErrors)) out->measured.structured[j] = gain.nats / std::max(1e-300, now.col(j).sum());
-    }
-    out->measured.explained = 1.0 - cost / std::max(1e-300, fit().LeaveOut(Bare(data_.n, true)).sum());
-    const BalanceSolution s = fit().Solve(model());
-    out->measured.effort_share.setZero(data_.n);
-    for (int j = 0; j < data_.n; ++j) {
+      if (gain.Beyond(kErrors)) m.structured[j] = gain.nats / std::max(1e-300, now.col(j).sum());
       const VectorXd u = fit().Moving(chosen_.balance().joints[j].effort, j);
-      if (u.size() < 2) continue;
-      const double variance = (u.array() - u.mean()).square().mean();
-      out->measured.effort_share[j] = s.energy[j] / std::max(1e-300, variance);
-    }
-    for (const int j : chosen_.early()) out->measured.early.push_back(j);
-    out->measured.effort_noise.setZero(data_.n);
-    out->measured.effort_correlation_s.setZero(data_.n);
-    for (int j = 0; j < data_.n; ++j) {
-      out->measured.effort_noise[j] = std::sqrt(s.energy[j]);
-      out->measured.effort_correlation_s[j] = 0.02 * fit().Correlation(j);
+      if (u.size() >= 2)
+        m.effort_share[j] = s.energy[j] / std::max(1e-300, (u.array() - u.mean()).square().mean());
+      m.effort_noise[j] = std::sqrt(s.energy[j]);
+      m.effort_correlation_s[j] = 0.02 * fit().Correlation(j);
     }
   }
 
@@ -266,7 +248,7 @@ class MeasuredSearch {
     const int rows = out->best.fit.rows;
     out->best = WithoutWeakLosses(Refit(specs, model().base));
     out->best.score = score, out->best.fit.chi2 = chi2, out->best.fit.rows = rows;
-    out->calibrated.parameters = FreeParameters(nominal_, scales_, true);
+    out->calibrated.parameters = FreeParameters(nominal_, setting_.scales, true);
     out->tried.push_back(out->best);
     std::ranges::sort(out->tried, [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
     out->noise_scale = 1;
@@ -293,64 +275,56 @@ class MeasuredSearch {
   // Force along the recordings that the calibrated base parameters miss, and the residual of the model.
   void Forces(SearchResult* out) const {
     const BalanceSolution s = fit().Solve(model());
-    const size_t W = data_.windows.size();
-    for (MissingForce* f : {&out->missing, &out->remaining}) {
-      f->force.resize(W), f->stddev.resize(W), f->t.resize(W);
-      f->rows = fit().EffectiveRows();
-    }
-    std::vector<VectorXd> with_effects, rest;
-    for (int j = 0; j < data_.n; ++j) {
-      BalanceSolution bare = s;
-      bare.features[j].setZero(), bare.drive.setZero();
-      with_effects.push_back(fit().Residual(bare, j));
-      rest.push_back(fit().Residual(s, j));
-    }
-    for (size_t w = 0; w < W; ++w) {
-      const NodeWindow& window = data_.windows[w];
-      const double span = window.t.back() - window.t.front();
-      const int S = std::max(1, static_cast<int>(std::lround(span / 0.05)));
-      for (MissingForce* f : {&out->missing, &out->remaining}) {
-        f->force[w].setZero(data_.n, S), f->stddev[w].setZero(data_.n, S);
-        f->t[w].clear();
-        for (int k = 0; k < S; ++k) f->t[w].push_back(window.t.front() + span * (k + 0.5) / S);
-      }
-      for (int j = 0; j < data_.n; ++j) {
-        if (!nominal_.IsPrescribed(j)) FillStairs(window, j, S, with_effects[j], rest[j], w, out);
-      }
-    }
+    BalanceSolution bare = s;
+    for (VectorXd& f : bare.features) f.setZero();
+    bare.drive.setZero();
+    out->missing = Stairs(bare, true);
+    out->remaining = Stairs(s, false);
   }
 
-  void FillStairs(const NodeWindow& window, int j, int S, const VectorXd& all, const VectorXd& rest, size_t w,
-                  SearchResult* out) const {
-    const BalanceRows& rows = chosen_.balance().joints[j];
-    const double span = window.t.back() - window.t.front();
-    VectorXd count = VectorXd::Zero(S);
-    for (size_t k = 0; k < rows.t.size(); ++k) {
-      if (rows.recording[k] != window.recording || rows.t[k] < window.t.front() ||
-          rows.t[k] >= window.t.back())
-        continue;
-      const int at = std::min(S - 1, static_cast<int>((rows.t[k] - window.t.front()) / span * S));
-      ++count[at];
-      out->missing.force[w](j, at) += all[k];
-      if (!rows.still[k]) out->remaining.force[w](j, at) += rest[k];
+  // The mean residual of a solution on each 50 ms of the windows; `still`: also of rows in which a joint may
+  // stick.
+  MissingForce Stairs(const BalanceSolution& s, bool still) const {
+    MissingForce out;
+    out.rows = fit().EffectiveRows();
+    std::vector<VectorXd> rest;
+    for (int j = 0; j < data_.n; ++j) rest.push_back(fit().Residual(s, j));
+    for (const NodeWindow& window : data_.windows) {
+      const double begin = window.t.front(), span = window.t.back() - begin;
+      const int S = std::max(1, static_cast<int>(std::lround(span / 0.05)));
+      MatrixXd force = MatrixXd::Zero(data_.n, S), stddev = force;
+      for (int j = 0; j < data_.n; ++j) {
+        if (nominal_.IsPrescribed(j)) continue;
+        const BalanceRows& rows = chosen_.balance().joints[j];
+        VectorXd count = VectorXd::Zero(S);
+        for (size_t k = 0; k < rows.t.size(); ++k) {
+          if (rows.recording[k] != window.recording || rows.t[k] < begin || rows.t[k] >= window.t.back())
+            continue;
+          const int at = std::min(S - 1, static_cast<int>((rows.t[k] - begin) / span * S));
+          ++count[at];
+          if (still || !rows.still[k]) force(j, at) += rest[j][k];
+        }
+        force.row(j) = force.row(j).transpose().cwiseQuotient(count.cwiseMax(1.0)).transpose();
+        stddev.row(j) =
+            (count.array() > 0).select(VectorXd::Constant(S, std::sqrt(fit().Variance(j))), 0.0).transpose();
+      }
+      std::vector<double> middles;
+      for (int k = 0; k < S; ++k) middles.push_back(begin + span * (k + 0.5) / S);
+      out.force.push_back(force), out.stddev.push_back(stddev), out.t.push_back(middles);
     }
-    for (int k = 0; k < S; ++k) {
-      const double n = std::max(1.0, count[k]);
-      out->missing.force[w](j, k) /= n, out->remaining.force[w](j, k) /= n;
-      const double sd = std::sqrt(fit().Variance(j));
-      out->missing.stddev[w](j, k) = out->remaining.stddev[w](j, k) = count[k] > 0 ? sd : 0.0;
-    }
+    return out;
   }
-  const FitData& data_;
-  const sim::Plant& nominal_;
-  const MotionScales& scales_;
+
+  const FitSetting setting_;
+  const FitData& data_ = setting_.data;
+  const sim::Plant& nominal_ = setting_.nominal;
   const DiagnosisOptions& options_;
   int threads_;
   const Clock& clock_;
   const ProgressFn& progress_;
   const CancelToken* cancel_;
-  double start_;
-  BalanceSelection chosen_;
+  const double start_ = clock_.SteadySeconds();
+  BalanceSelection chosen_{setting_, options_.max_effects, [this](const std::string& s) { Trace(s); }};
 };
 
 }  // namespace
@@ -361,10 +335,9 @@ bool EffortIsMeasured(const FitData& data) {
   });
 }
 
-SearchResult SearchMeasuredEffort(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                                  const DiagnosisOptions& options, int threads, const Clock& clock,
-                                  const ProgressFn& progress, const CancelToken* cancel) {
-  return MeasuredSearch(data, nominal, scales, options, threads, clock, progress, cancel).Run();
+SearchResult SearchMeasuredEffort(const FitSetting& setting, const DiagnosisOptions& options, int threads,
+                                  const Clock& clock, const ProgressFn& progress, const CancelToken* cancel) {
+  return MeasuredSearch(setting, options, threads, clock, progress, cancel).Run();
 }
 
 }  // namespace rg::diagnosis

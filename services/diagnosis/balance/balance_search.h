@@ -18,14 +18,14 @@
 #include "common/base/progress.h"
 #include "services/diagnosis/api/options.h"
 #include "services/diagnosis/hypotheses/search_result.h"
+#include "services/diagnosis/likelihood/fit_setting.h"
 
 namespace rg::diagnosis {
 
 // Whether some recording has a measured effort, so that this search applies.
 bool EffortIsMeasured(const FitData& data);
 
-SearchResult SearchMeasuredEffort(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                                  const DiagnosisOptions& options, int threads, const Clock& clock,
-                                  const ProgressFn& progress, const CancelToken* cancel);
+SearchResult SearchMeasuredEffort(const FitSetting& setting, const DiagnosisOptions& options, int threads,
+                                  const Clock& clock, const ProgressFn& progress, const CancelToken* cancel);
 
 }  // namespace rg::diagnosis

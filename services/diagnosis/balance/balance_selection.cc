@@ -3,17 +3,15 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
+#include "common/base/printf.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/candidate.h"
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
 using effects::Regressor;
-using Eigen::VectorXd;
 
 const std::vector<Regressor> kPlainLaws = {Regressor::kVelocity,     Regressor::kDirection,
                                            Regressor::kAcceleration, Regressor::kSquaredVelocity,
@@ -58,18 +56,8 @@ struct BalanceSelection::Trial {
   std::vector<int> joints;
 };
 
-BalanceSelection::BalanceSelection(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                                   int max_effects, TraceFn trace)
-    : data_(data),
-      nominal_(nominal),
-      scales_(scales),
-      max_effects_(max_effects),
-      trace_(std::move(trace)),
-      balance_(MakeTorqueBalance(data, nominal, scales)),
-      fit_(balance_),
-      timing_(data.n) {
-  model_.features.resize(data.n);
-}
+BalanceSelection::BalanceSelection(const FitSetting& setting, int max_effects, TraceFn trace)
+    : setting_(setting), max_effects_(max_effects), trace_(std::move(trace)) {}
 
 double BalanceSelection::LogHypotheses() const {
   double count = 1;
@@ -134,7 +122,7 @@ void BalanceSelection::FindTiming() {
   const BlockCosts plain = fit_.LeaveOut(all);
   std::vector<double> grid;
   for (double t = kEarliest; t < kLatest + 0.5 * kTimingStep; t += kTimingStep) grid.push_back(t);
-  Eigen::MatrixXd energy(data_.n, static_cast<long>(grid.size()));
+  MatrixXd energy(data_.n, static_cast<long>(grid.size()));
   for (size_t g = 0; g < grid.size(); ++g) {
     for (int j = 0; j < data_.n; ++j) Pass(j, {EffortTiming::kDelay, grid[g], 0});
     energy.col(g) = fit_.Solve(all).energy;
@@ -164,21 +152,17 @@ void BalanceSelection::FindTiming() {
   for (int j = 0; j < data_.n; ++j) {
     const Gain gain = GainOf(plain, shifted, j);
     const double share = gain.nats / std::max(1e-300, plain.col(j).sum());
-    char line[200];
-    std::snprintf(line, sizeof line,
-                  "  %s: motion lags effort by %.1f ± %.1f ms, gain %.1f ± %.1f nats, share %.3f",
+    trace_(Printf("  %s: motion lags effort by %.1f ± %.1f ms, gain %.1f ± %.1f nats, share %.3f",
                   nominal_.joint_names()[j].c_str(), 1e3 * delay[j].seconds, 1e3 * delay[j].stddev, gain.nats,
-                  gain.stddev, share);
-    trace_(line);
+                  gain.stddev, share));
     const bool seen = gain.Beyond(kErrors) && gain.nats > LogHypotheses() + kJointPrior &&
                       share > kWorthAName && std::abs(delay[j].seconds) > kSamples * period;
     if (seen && delay[j].seconds < 0) early_.push_back(j);
     if (seen && delay[j].seconds > 0) {
       const Gain as_lag = GainOf(shifted, lagged, j);
       const double of_lag = as_lag.nats;
-      std::snprintf(line, sizeof line, "  %s: as a lag %.1f ± %.1f nats more",
-                    nominal_.joint_names()[j].c_str(), as_lag.nats, as_lag.stddev);
-      trace_(line);
+      trace_(Printf("  %s: as a lag %.1f ± %.1f nats more", nominal_.joint_names()[j].c_str(), as_lag.nats,
+                    as_lag.stddev));
       timing_[j] = as_lag.Beyond(1.0) ? lag[j] : delay[j];
       timing_gain_ += gain.nats + std::max(0.0, of_lag);
       other_timing_gain_ -= std::abs(of_lag);
@@ -373,23 +357,19 @@ bool BalanceSelection::Pays(Regressor law, const BlockCosts& before, const Block
 }
 
 // Judged also in addition to a constant force on each joint, its rival where poses hardly change.
-bool BalanceSelection::TiltPays(const BlockCosts& before, Gain* gain) const {
-  if (model_.tilt) return false;
-  BalanceModel tilted = model_, rival = model_;
-  tilted.tilt = true;
+BalanceSelection::Trial BalanceSelection::TryTilt(const BlockCosts& before) const {
+  Trial trial{effects::EffectOf(effects::Role::kGravity).id, model_, 0, {}};
+  if (model_.tilt) return trial;
+  trial.model.tilt = true;
+  BalanceModel rival = model_;
   for (int j = 0; j < data_.n; ++j) Insert({Regressor::kConstant}, j, &rival);
   BalanceModel both = rival;
   both.tilt = true;
-  *gain = GainOf(before, fit_.LeaveOut(tilted));
-  const Gain added = GainOf(fit_.LeaveOut(rival), fit_.LeaveOut(both));
-  return gain->Beyond(kRareErrors) && gain->nats > LogHypotheses() && added.Beyond(kRareErrors) &&
-         added.nats > LogHypotheses() && gain->nats > kWorthAName * before.sum();
-}
-
-BalanceSelection::Trial BalanceSelection::TryTilt(const BlockCosts& before) const {
-  Trial trial{effects::EffectOf(effects::Role::kGravity).id, model_, 0, {}};
-  Gain gain;
-  if (TiltPays(before, &gain)) trial.model.tilt = true, trial.nats = gain.nats;
+  const Gain gain = GainOf(before, fit_.LeaveOut(trial.model)),
+             added = GainOf(fit_.LeaveOut(rival), fit_.LeaveOut(both));
+  if (gain.Beyond(kRareErrors) && gain.nats > LogHypotheses() && added.Beyond(kRareErrors) &&
+      added.nats > LogHypotheses() && gain.nats > kWorthAName * before.sum())
+    trial.nats = gain.nats;
   return trial;
 }
 
@@ -510,11 +490,7 @@ void BalanceSelection::Prune() {
 std::string BalanceSelection::StateOf(const BalanceModel& m) const {
   const BalanceSolution s = fit_.Solve(m);
   std::string text = "RMS";
-  for (int j = 0; j < data_.n; ++j) {
-    char part[60];
-    std::snprintf(part, sizeof part, " %.4g", std::sqrt(s.energy[j]));
-    text += part;
-  }
+  for (int j = 0; j < data_.n; ++j) text += Printf(" %.4g", std::sqrt(s.energy[j]));
   return text;
 }
 

@@ -32,8 +32,7 @@ struct JointTiming {
 class BalanceSelection {
  public:
   using TraceFn = std::function<void(const std::string&)>;
-  BalanceSelection(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                   int max_effects, TraceFn trace);
+  BalanceSelection(const FitSetting& setting, int max_effects, TraceFn trace);
 
   // Estimates delay or lag per joint with all losses free, which would else bias it.
   void FindTiming();
@@ -45,7 +44,6 @@ class BalanceSelection {
   const BalanceModel& model() const { return model_; }
   // The chosen model with separate friction and rotors in the place of a coupled drive.
   BalanceModel Uncoupled() const;
-  const std::vector<JointTiming>& timing() const { return timing_; }
   double timing_gain() const { return timing_gain_; }              // nats
   double other_timing_gain() const { return other_timing_gain_; }  // of lags for delays and the reverse
   const std::vector<int>& early() const { return early_; }         // joints whose effort lags their motion
@@ -61,12 +59,10 @@ class BalanceSelection {
                                    int joint) const;
   bool Admissible(const BalanceModel& m, int joint) const;
   // The effects of a model for the simulator, timing included.
-  std::vector<effects::EffectSpec> SpecsOf(const BalanceModel& m) const;
-  effects::EffectSpec SpecOf(effects::Regressor law, const BalanceModel& m, const BalanceSolution& s,
-                             int joint) const;
-  std::vector<effects::EffectSpec> SpecsOfJoint(const BalanceModel& m, const BalanceSolution& s,
-                                                int joint) const;
-  std::optional<effects::EffectSpec> PayloadOf(const BalanceModel& m) const;
+  std::vector<EffectSpec> SpecsOf(const BalanceModel& m) const;
+  EffectSpec SpecOf(effects::Regressor law, const BalanceModel& m, const BalanceSolution& s, int joint) const;
+  std::vector<EffectSpec> SpecsOfJoint(const BalanceModel& m, const BalanceSolution& s, int joint) const;
+  std::optional<EffectSpec> PayloadOf(const BalanceModel& m) const;
   std::set<std::string> KindsOf(const BalanceModel& m) const;
   // Jackknife stddev of the effects' parameters, by their names.
   std::map<std::string, double> Spread() const;
@@ -86,7 +82,6 @@ class BalanceSelection {
   std::vector<BalanceModel> With(const BalanceModel& m, effects::Regressor law, int joint) const;
   bool Pays(effects::Regressor law, const BlockCosts& before, const BlockCosts& after, int joint,
             Gain* gain) const;
-  bool TiltPays(const BlockCosts& before, Gain* gain) const;
   Trial TryTilt(const BlockCosts& before) const;
   Trial TryLaw(effects::Regressor law, const BlockCosts& before) const;
   void BeginWithLosses();
@@ -101,17 +96,18 @@ class BalanceSelection {
   void Prune();
   std::string StateOf(const BalanceModel& m) const;
 
-  const FitData& data_;
-  const sim::Plant& nominal_;
-  const MotionScales& scales_;
+  const FitSetting setting_;
+  const FitData& data_ = setting_.data;
+  const sim::Plant& nominal_ = setting_.nominal;
+  const MotionScales& scales_ = setting_.scales;
   int max_effects_;
   TraceFn trace_;
-  TorqueBalance balance_;
-  BalanceFit fit_;
-  BalanceModel model_;
+  TorqueBalance balance_ = MakeTorqueBalance(setting_);
+  BalanceFit fit_{balance_};
+  BalanceModel model_{.features = std::vector<std::set<int>>(data_.n)};
   std::vector<std::set<int>>
       losses_;  // per joint, columns of the losses accepted on all joints together; empty: none
-  std::vector<JointTiming> timing_;
+  std::vector<JointTiming> timing_ = std::vector<JointTiming>(data_.n);
   std::vector<int> early_;
   double timing_gain_ = 0, other_timing_gain_ = 0;
   double ratio_stddev_ = 0;  // of the coupled drive's κ

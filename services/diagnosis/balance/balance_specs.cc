@@ -8,7 +8,6 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
 using effects::Regressor;
 
 namespace {

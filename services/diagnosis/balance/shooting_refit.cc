@@ -9,14 +9,10 @@
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
-#include "services/sysid/parallel.h"
 #include "services/sysid/prediction.h"
 #include "services/sysid/shooting_fit.h"
 
 namespace rg::diagnosis {
-
-using effects::EffectSpec;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -29,16 +25,14 @@ double FirstValue(const std::vector<EffectSpec>& specs, const std::string& joint
                   bool (*is)(const std::string& effect), double none) {
   for (const EffectSpec& s : specs) {
     if (!is(s.id) || std::ranges::find(s.joints, joint) == s.joints.end()) continue;
-    const auto& values = s.values.begin()->second;
-    const auto at = values.find(effects::FindEffect(s.id)->parameters[0].name);
-    return at == values.end() ? none : at->second;
+    return effects::ValueOf(s, effects::FindEffect(s.id)->parameters[0].name);
   }
   return none;
 }
 
 // Subtracts the torques of coupled drives from the efforts along the recorded motion.
 void TakeOffDrive(const FineMotion& m, const sim::Plant& plant, const std::vector<EffectSpec>& specs,
-                  const std::vector<double>& t, Eigen::MatrixXd* u) {
+                  const std::vector<double>& t, MatrixXd* u) {
   for (const EffectSpec& s : specs) {
     if (!IsCoupledDrive(s)) continue;
     const int other = plant.model().FindJoint(s.joints[0]), joint = plant.model().FindJoint(s.joints[1]);
@@ -69,7 +63,7 @@ std::vector<sysid::FitRecording> Advanced(const FitData& data, const sim::Plant&
   for (size_t i = 0; i < out.size(); ++i) {
     sysid::FitRecording& r = out[i];
     const std::vector<double>& t = r.command.times();
-    Eigen::MatrixXd u = r.command.values();
+    MatrixXd u = r.command.values();
     for (int j = 0; j < data.n; ++j) {
       for (size_t k = 0; k < t.size(); ++k)
         u(j, static_cast<long>(k)) = gain[j] * r.command.At(j, t[k] - delay[j]);
@@ -104,32 +98,23 @@ std::vector<EffectSpec> Plain(const std::vector<EffectSpec>& specs) {
     if (sysid::RegressionKnows(s.id)) {
       out.push_back(s);
     } else if (!level.empty()) {
-      const auto& values = s.values.begin()->second;
-      const auto at = values.find(level);
-      out.push_back(effects::MakeSpec(dry.id, s.joints,
-                                      {{dry.parameters[0].name, at == values.end() ? 0.0 : at->second}}));
+      out.push_back(
+          effects::MakeSpec(dry.id, s.joints, {{dry.parameters[0].name, effects::ValueOf(s, level)}}));
     }
   }
   return out;
 }
 
-VectorXd StartOf(const sysid::FitSpace& space, const sim::Plant& plant) {
-  const VectorXd values = plant.parameters().Nominal();
-  VectorXd theta = space.nominal();
-  for (int i = 0; i < space.size(); ++i) {
-    if (space.IsItself(i)) theta[i] = values[space.parameters()[i].index];
-  }
-  return theta.cwiseMax(space.lower()).cwiseMin(space.upper());
-}
-
 // Base parameters by regression, effects fixed.
-void RegressBase(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                 const std::vector<EffectSpec>& specs, const sysid::FitSpace& space, VectorXd* theta) {
+void RegressBase(const FitSetting& setting, const std::vector<EffectSpec>& specs,
+                 const sysid::FitSpace& space, VectorXd* theta) {
+  const auto& [data, nominal, scales] = setting;
   const auto plain = sim::Plant::Create(nominal.shared_model(), nominal.options(), Plain(specs));
   if (!plain.ok()) return;
   const sysid::FitSpace twin(FreeParameters(*plain, scales, true));
-  const auto found = sysid::RegressInverseDynamics(*plain, plain->parameters().Nominal(), twin,
-                                                   StartOf(twin, *plain), Advanced(data, nominal, specs));
+  const auto found =
+      sysid::RegressInverseDynamics(*plain, plain->parameters().Nominal(), twin,
+                                    twin.From(plain->parameters().Nominal()), Advanced(data, nominal, specs));
   if (found.rows == 0) return;
   for (int i = 0; i < space.size(); ++i) {
     if (nominal.parameters().Find(space.parameters()[i].name) < 0) continue;
@@ -156,8 +141,9 @@ double ErrorOnFit(const FitData& data, const sim::Plant& plant, const VectorXd& 
 
 }  // namespace
 
-Candidate RefitByShooting(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                          const std::vector<EffectSpec>& specs, bool base, const RefitOptions& options) {
+Candidate RefitByShooting(const FitSetting& setting, const std::vector<EffectSpec>& specs, bool base,
+                          const RefitOptions& options) {
+  const auto& [data, nominal, scales] = setting;
   Candidate c;
   c.specs = specs, c.base = base;
   const auto plant = sim::Plant::Create(nominal.shared_model(), nominal.options(), specs);
@@ -180,8 +166,8 @@ Candidate RefitByShooting(const FitData& data, const sim::Plant& nominal, const 
   }
   const sysid::FitSpace space(c.parameters);
   const VectorXd start_values = c.plant->parameters().Nominal();
-  VectorXd theta = StartOf(space, *c.plant);
-  if (base) RegressBase(data, nominal, scales, specs, space, &theta);
+  VectorXd theta = space.From(start_values);
+  if (base) RegressBase(setting, specs, space, &theta);
   c.fit.ok = true;
   c.fit.values = space.Values(theta, start_values);
   if (space.size() > 0) {
@@ -193,11 +179,14 @@ Candidate RefitByShooting(const FitData& data, const sim::Plant& nominal, const 
     shooting.simulator.step_s =
         sysid::ChooseStep(*c.plant, c.fit.values, space, theta, data.recordings, data.noise);
     const double step = shooting.simulator.step_s;
-    double best = ErrorOnFit(data, *c.plant, c.fit.values, step, options.window_s);
-    const double untouched = ErrorOnFit(data, *c.plant, start_values, step, options.window_s);
+    const auto error_of = [&](const VectorXd& values) {
+      return ErrorOnFit(data, *c.plant, values, step, options.window_s);
+    };
+    double best = error_of(c.fit.values);
+    const double untouched = error_of(start_values);
     if (untouched < best) best = untouched, c.fit.values = start_values;
     const auto keep = [&](const sysid::ShootingFit& fit) {
-      const double error = ErrorOnFit(data, *c.plant, fit.values, step, options.window_s);
+      const double error = error_of(fit.values);
       if (error < best) best = error, c.fit.values = fit.values;
     };
     const auto fit = sysid::FitByShooting(*c.plant, start_values, space, theta, data.recordings, data.noise,

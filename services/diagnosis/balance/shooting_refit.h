@@ -6,6 +6,7 @@
 
 #include "common/base/progress.h"
 #include "services/diagnosis/likelihood/candidate.h"
+#include "services/diagnosis/likelihood/fit_setting.h"
 
 namespace rg::diagnosis {
 
@@ -21,8 +22,7 @@ struct RefitOptions {
 // dynamics with the effort shifted by the specs' delays. Of start, regression and shooting the result with
 // the least error in restarted windows of the *fitted* recordings is returned, with fit.stddev of the
 // shooting.
-Candidate RefitByShooting(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                          const std::vector<effects::EffectSpec>& specs, bool base,
+Candidate RefitByShooting(const FitSetting& setting, const std::vector<EffectSpec>& specs, bool base,
                           const RefitOptions& options);
 
 }  // namespace rg::diagnosis

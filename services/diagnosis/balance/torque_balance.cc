@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
 #include <numeric>
 
 #include "common/dynamics/dynamics.h"
@@ -15,8 +14,6 @@ namespace rg::diagnosis {
 
 using effects::Regressor;
 using Eigen::ArrayXd;
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -45,23 +42,32 @@ Window MakeWindow(double dt, double period) {
   return w;
 }
 
+// Over the rows in which a joint moves; 0 where there are none.
+double MovingRms(const VectorXd& x, const std::vector<char>& still) {
+  double squares = 0, count = 1e-300;
+  for (long k = 0; k < x.size(); ++k) {
+    if (!still[k]) squares += x[k] * x[k], ++count;
+  }
+  return std::sqrt(squares / count);
+}
+
 class BalanceMaker {
  public:
-  BalanceMaker(const FitData& data, const sim::Plant& plant, const MotionScales& scales)
-      : data_(data), plant_(plant), s_(scales) {
-    out_.n = data.n;
-    out_.base = FreeParameters(plant, scales, true);
+  explicit BalanceMaker(const FitSetting& setting)
+      : data_(setting.data), plant_(setting.nominal), s_(setting.scales) {
+    out_.n = data_.n;
+    out_.base = FreeParameters(plant_, s_, true);
     out_.tilt = static_cast<int>(out_.base.size());
-    const model::RobotModel& robot = plant.model();
+    const model::RobotModel& robot = plant_.model();
     const std::string& last = robot.link(robot.joint(robot.num_joints() - 1).child_link).name;
     for (const auto field : model::kLinkParameterNames) {
       for (size_t i = 0; i < out_.base.size(); ++i) {
-        const sim::Parameter& p = plant.parameters()[out_.base[i].index];
+        const sim::Parameter& p = plant_.parameters()[out_.base[i].index];
         if (p.owner == last && p.field == field) out_.last_link.push_back(static_cast<int>(i));
       }
     }
-    out_.half_window_s = std::max(kHalfWindow, data.recordings[0].recording->SamplePeriod());
-    out_.joints.resize(data.n);
+    out_.half_window_s = std::max(kHalfWindow, data_.recordings[0].recording->SamplePeriod());
+    out_.joints.resize(data_.n);
     still_ = (kStillShare * s_.speed).cwiseMax(3.0 * s_.speed_noise);
     MakeColumns();
   }
@@ -73,12 +79,12 @@ class BalanceMaker {
     for (const FineMotion& m : data_.fine)
       pieces.push_back(std::max(1, static_cast<int>(std::lround((m.t.back() - m.t.front()) / kPiece))));
     out_.blocks = std::min(kMostBlocks, std::accumulate(pieces.begin(), pieces.end(), 0));
+    MakeRows();
     int first_piece = 0;
     for (size_t r = 0; r < data_.fine.size(); ++r) {
       AddRecording(static_cast<int>(r), first_piece, pieces[r]);
       first_piece += pieces[r];
     }
-    Flush();
     Standardise();
     return std::move(out_);
   }
@@ -114,12 +120,31 @@ class BalanceMaker {
     return (1.0 - (((position ? m.q : m.v) - low) / spacing - c.shape).abs()).max(0.0);
   }
 
+  static int StrideOf(double dt) { return std::max(1, static_cast<int>(std::lround(kRowStep / dt))); }
+
+  // Space for the rows of all recordings.
+  void MakeRows() {
+    long rows = 0;
+    for (size_t r = 0; r < data_.fine.size(); ++r) {
+      const FineMotion& m = data_.fine[r];
+      const double dt = m.t[1] - m.t[0];
+      const int half = MakeWindow(dt, data_.recordings[r].recording->SamplePeriod()).half;
+      for (int k = half; k + half < std::ssize(m.t); k += StrideOf(dt)) ++rows;
+    }
+    for (int j = 0; j < data_.n; ++j) {
+      BalanceRows& o = out_.joints[j];
+      o.base.resize(rows, std::ssize(out_.base) + 2);
+      o.features.resize(rows, std::ssize(out_.columns[j]));
+      for (VectorXd* x : {&o.rigid, &o.effort, &o.q, &o.v}) x->resize(rows);
+    }
+  }
+
   void AddRecording(int r, int first_piece, int pieces) {
     const FineMotion& m = data_.fine[r];
     const int F = static_cast<int>(m.t.size()), n = data_.n;
     const double dt = m.t[1] - m.t[0];
     const Window window = MakeWindow(dt, data_.recordings[r].recording->SamplePeriod());
-    const int stride = std::max(1, static_cast<int>(std::lround(kRowStep / dt)));
+    const int stride = StrideOf(dt);
     MatrixXd rigid(n, F);
     std::vector<MatrixXd> base(n, MatrixXd(out_.base.size() + 2, F));
     FillRigid(m, &rigid, &base);
@@ -139,17 +164,14 @@ class BalanceMaker {
         const auto v = m.v.row(j).segment(first, count);
         const bool still =
             plant_.IsPrescribed(j) || v.cwiseAbs().minCoeff() < still_[j] || v.maxCoeff() * v.minCoeff() < 0;
-        Row row{m.t[k],
-                r,
-                block,
-                still,
-                base[j].middleCols(first, count) * w,
-                features[j].middleCols(first, count) * w,
-                m.q.row(j).segment(first, count).dot(w),
-                m.v.row(j).segment(first, count).dot(w),
-                rigid.row(j).segment(first, count).dot(w),
-                m.u.row(j).segment(first, count).dot(w)};
-        rows_[j].push_back(std::move(row));
+        BalanceRows& o = out_.joints[j];
+        const auto row = static_cast<long>(o.t.size());
+        o.base.row(row) = (base[j].middleCols(first, count) * w).transpose();
+        o.features.row(row) = (features[j].middleCols(first, count) * w).transpose();
+        o.q[row] = m.q.row(j).segment(first, count).dot(w), o.v[row] = v.dot(w);
+        o.rigid[row] = rigid.row(j).segment(first, count).dot(w);
+        o.effort[row] = m.u.row(j).segment(first, count).dot(w);
+        o.t.push_back(m.t[k]), o.recording.push_back(r), o.block.push_back(block), o.still.push_back(still);
       }
     }
   }
@@ -205,34 +227,12 @@ class BalanceMaker {
     }
   }
 
-  void Flush() {
-    for (int j = 0; j < data_.n; ++j) {
-      const auto R = static_cast<long>(rows_[j].size());
-      BalanceRows& o = out_.joints[j];
-      o.base.resize(R, static_cast<long>(out_.base.size()) + 2);
-      o.features.resize(R, static_cast<long>(out_.columns[j].size()));
-      o.rigid.resize(R), o.effort.resize(R), o.q.resize(R), o.v.resize(R);
-      for (long k = 0; k < R; ++k) {
-        const Row& row = rows_[j][k];
-        o.base.row(k) = row.base.transpose();
-        o.features.row(k) = row.features.transpose();
-        o.rigid[k] = row.rigid, o.effort[k] = row.effort, o.q[k] = row.q, o.v[k] = row.v;
-        o.t.push_back(row.t), o.recording.push_back(row.recording), o.block.push_back(row.block);
-        o.still.push_back(row.still);
-      }
-    }
-  }
-
   // A coefficient of 1 makes half the joint's usual torque.
   void Standardise() {
     for (int j = 0; j < data_.n; ++j) {
       BalanceRows& o = out_.joints[j];
       for (long c = 0; c < o.features.cols() && o.features.rows() > 0; ++c) {
-        double squares = 0, count = 1e-300;
-        for (long k = 0; k < o.features.rows(); ++k) {
-          if (!o.still[k]) squares += std::pow(o.features(k, c), 2), ++count;
-        }
-        const double rms = std::sqrt(squares / count);
+        const double rms = MovingRms(o.features.col(c), o.still);
         double& scale = out_.columns[j][c].scale;
         scale = rms > 0 ? 0.5 * s_.torque[j] / rms : 0.0;
         if (out_.columns[j][c].regressor == Regressor::kEffort) scale = std::min(scale, 0.3);
@@ -241,19 +241,11 @@ class BalanceMaker {
     }
   }
 
-  struct Row {
-    double t;
-    int recording, block;
-    bool still;
-    VectorXd base, features;
-    double q, v, rigid, effort;
-  };
   const FitData& data_;
   const sim::Plant& plant_;
   const MotionScales& s_;
   VectorXd still_;
   TorqueBalance out_;
-  std::map<int, std::vector<Row>> rows_;
 };
 
 }  // namespace
@@ -263,11 +255,7 @@ void TorqueBalance::AddRipple(int joint, double cycles, double unit) {
   const Eigen::Matrix2Xd wave = RippleWave(rows, cycles, half_window_s);
   rows.features.conservativeResize(Eigen::NoChange, rows.features.cols() + 2);
   for (int i = 0; i < 2; ++i) {
-    double squares = 0, count = 1e-300;
-    for (long k = 0; k < wave.cols(); ++k) {
-      if (!rows.still[k]) squares += wave(i, k) * wave(i, k), ++count;
-    }
-    const double rms = std::sqrt(squares / count), scale = rms > 0 ? unit / rms : 0.0;
+    const double rms = MovingRms(wave.row(i).transpose(), rows.still), scale = rms > 0 ? unit / rms : 0.0;
     rows.features.col(rows.features.cols() - 2 + i) = scale * wave.row(i).transpose();
     columns[joint].push_back({i == 0 ? Regressor::kSine : Regressor::kCosine, cycles, scale});
   }
@@ -286,12 +274,11 @@ Eigen::Matrix2Xd RippleWave(const BalanceRows& rows, double cycles, double half_
   return out;
 }
 
-TorqueBalance MakeTorqueBalance(const FitData& data, const sim::Plant& plant, const MotionScales& scales) {
-  return BalanceMaker(data, plant, scales).Take();
-}
+TorqueBalance MakeTorqueBalance(const FitSetting& setting) { return BalanceMaker(setting).Take(); }
 
-BalanceDrive MakeBalanceDrive(const FitData& data, const TorqueBalance& balance, const MotionScales& scales,
-                              int other, int joint, double ratio) {
+BalanceDrive MakeBalanceDrive(const FitSetting& setting, const TorqueBalance& balance, int other, int joint,
+                              double ratio) {
+  const auto& [data, nominal, scales] = setting;
   const BalanceRows& rows = balance.joints[joint];
   BalanceDrive out;
   out.other = other, out.joint = joint, out.ratio = ratio;

@@ -13,7 +13,7 @@
 #include <algorithm>
 #include <vector>
 
-#include "services/diagnosis/likelihood/features.h"
+#include "services/diagnosis/likelihood/fit_setting.h"
 
 namespace rg::diagnosis {
 
@@ -27,12 +27,12 @@ struct BalanceColumn {
 };
 
 struct BalanceRows {
-  Eigen::MatrixXd base;      // R × B, base parameters in units of their prior stddev
-  Eigen::MatrixXd features;  // R × F, standardised
-  Eigen::VectorXd rigid;     // R, RNEA of the URDF
-  Eigen::VectorXd effort;    // R
-  Eigen::VectorXd q, v;      // R, the joint's own, filtered
-  std::vector<double> t;     // R
+  MatrixXd base;          // R × B, base parameters in units of their prior stddev
+  MatrixXd features;      // R × F, standardised
+  VectorXd rigid;         // R, RNEA of the URDF
+  VectorXd effort;        // R
+  VectorXd q, v;          // R, the joint's own, filtered
+  std::vector<double> t;  // R
   std::vector<int> recording, block;
   std::vector<char> still;
 };
@@ -64,19 +64,19 @@ struct BalanceDrive {
   int other = -1, joint = -1;  // -1: there is none
   double ratio = 0;            // κ
   double scale[kColumns] = {1, 1, 1};
-  Eigen::MatrixXd columns;  // R × 3 of the joint's rows, standardised; the other's are κ times these
+  MatrixXd columns;         // R × 3 of the joint's rows, standardised; the other's are κ times these
   std::vector<char> still;  // R: the drive may stick
 };
 
 enum class EffortTiming { kDelay, kLag };
 
-TorqueBalance MakeTorqueBalance(const FitData& data, const sim::Plant& plant, const MotionScales& scales);
+TorqueBalance MakeTorqueBalance(const FitSetting& setting);
 
-BalanceDrive MakeBalanceDrive(const FitData& data, const TorqueBalance& balance, const MotionScales& scales,
-                              int other, int joint, double ratio);
+BalanceDrive MakeBalanceDrive(const FitSetting& setting, const TorqueBalance& balance, int other, int joint,
+                              double ratio);
 
 // The effort rows of joint j behind a delay of `seconds` (negative: ahead), or a first-order lag.
-Eigen::VectorXd TimedEffort(const FitData& data, const BalanceRows& rows, int joint, EffortTiming timing,
-                            double seconds);
+VectorXd TimedEffort(const FitData& data, const BalanceRows& rows, int joint, EffortTiming timing,
+                     double seconds);
 
 }  // namespace rg::diagnosis

@@ -3,6 +3,7 @@
 #include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <numeric>
 
 #include "common/dynamics/dynamics.h"
@@ -10,9 +11,6 @@
 #include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
-
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -88,16 +86,17 @@ class Weigher {
     if (samples < kLeastSamples) return out;
     VectorXd weight(s_.n);
     for (int j = 0; j < s_.n; ++j)
-      weight[j] = std::sqrt(Column(j, &MotionSamples::gravity).squaredNorm() / static_cast<double>(samples));
+      weight[j] =
+          std::sqrt(s_.Along(&MotionSamples::gravity, j).squaredNorm() / static_cast<double>(samples));
     if (!(weight.maxCoeff() > 0)) return out;
     Sum with, without, friction, any;
     int absent = 0, present = 0;
     for (int j = 0; j < s_.n; ++j) {
       const JointFigures& f = s_.joints[j];
       if (weight[j] < kLoaded * weight.maxCoeff() || !f.moved || f.prescribed) continue;
-      const VectorXd u = Column(j, &MotionSamples::u);
+      const VectorXd u = s_.Along(&MotionSamples::u, j);
       if (!(u.cwiseAbs().maxCoeff() > 0)) continue;
-      const VectorXd whole = Column(j, &MotionSamples::rigid), G = Column(j, &MotionSamples::gravity);
+      const VectorXd whole = s_.Along(&MotionSamples::rigid, j), G = s_.Along(&MotionSamples::gravity, j);
       with.Add(Explain(j, u, whole, kLeastGain), weight[j]);
       without.Add(Explain(j, u, whole - G, kLeastGain), weight[j]);
       friction.Add(Explain(j, u, VectorXd::Zero(u.size()), 0), weight[j]);
@@ -131,12 +130,7 @@ class Weigher {
       for (const double x : left) squares += x * x;
       return std::sqrt(squares / static_cast<double>(left.size()));
     }
-    bool LessOnEach(const Sum& other) const {
-      for (size_t i = 0; i < left.size(); ++i) {
-        if (left[i] >= other.left[i]) return false;
-      }
-      return true;
-    }
+    bool LessOnEach(const Sum& other) const { return std::ranges::equal(left, other.left, std::less{}); }
   };
 
   static bool Follows(const Sum& right, const Sum& wrong, const Sum& friction) {
@@ -148,20 +142,10 @@ class Weigher {
     return friction.Rms() < kAbsent && any.Rms() > kNowhere * friction.Rms();
   }
 
-  VectorXd Column(int j, MatrixXd MotionSamples::*of) const {
-    VectorXd out(s_.Samples());
-    long at = 0;
-    for (const MotionSamples& m : s_.samples) {
-      const auto S = static_cast<long>(m.t.size());
-      out.segment(at, S) = (m.*of).row(j).transpose(), at += S;
-    }
-    return out;
-  }
-
   // By `torque` times `least` or more.
   Explained Explain(int j, const VectorXd& effort, const VectorXd& torque, double least) const {
     const VectorXd u = effort - least * torque;
-    const VectorXd v = Column(j, &MotionSamples::v), a = Column(j, &MotionSamples::a);
+    const VectorXd v = s_.Along(&MotionSamples::v, j), a = s_.Along(&MotionSamples::a, j);
     const double width = std::max(1e-9, 1.5 * s_.speed_noise[j]);
     MatrixXd X(u.size(), 4);
     const VectorXd rotor =
@@ -176,7 +160,7 @@ class Weigher {
   // Regression on motion, rotor, gravity, viscous and Coulomb friction together.
   GravityCoefficient RegressGravity(int j, const VectorXd& effort, const VectorXd& motion,
                                     const VectorXd& gravity) const {
-    const VectorXd v = Column(j, &MotionSamples::v), a = Column(j, &MotionSamples::a);
+    const VectorXd v = s_.Along(&MotionSamples::v, j), a = s_.Along(&MotionSamples::a, j);
     const double width = std::max(1e-9, 1.5 * s_.speed_noise[j]);
     MatrixXd X(effort.size(), 5);
     X << motion, motion + kMostRotor * inertia_[j] * a, gravity, v, (v.array() / width).tanh().matrix();

@@ -9,9 +9,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 SmoothMotion::SmoothMotion(const recordings::Recording& recording, const recordings::SensorNoise& noise)
     : recording_(&recording),
       weight_q_(noise.position_stddev.cwiseInverse()),
@@ -108,35 +105,6 @@ void KeepOwnRow(const recordings::SensorNoise& noise, int k, NodeWindow* window)
   window->q_stddev.col(k) = noise.position_stddev, window->v_stddev.col(k) = noise.velocity_stddev;
 }
 
-}  // namespace
-
-double StddevOfMean(const std::vector<double>& t, double speed, double stddev, double resolution) {
-  const auto count = static_cast<double>(t.size());
-  const double variance = stddev * stddev;
-  if (t.size() == 1 || !(resolution > 0)) return stddev / std::sqrt(count);
-  const double blur = std::max(0.0, variance - resolution * resolution / 12) / (resolution * resolution);
-  double together = 0;
-  for (int m = 1; m <= kHarmonics; ++m) {
-    const double turn = 2 * M_PI * m;
-    double real = 0, imaginary = 0;
-    for (const double at : t) {
-      const double phase = turn * speed * (at - t[0]) / resolution;
-      real += std::cos(phase) / count, imaginary += std::sin(phase) / count;
-    }
-    const double share = real * real + imaginary * imaginary - 1 / count;
-    together += 2 * std::exp(-turn * turn * blur) * share / (turn * turn);
-  }
-  return std::sqrt(std::max(0.0, variance / count + resolution * resolution * together));
-}
-
-bool FollowsOn(const NodeWindow& before, const NodeWindow& window) {
-  constexpr double kLongestGap = 0.05;  // s
-  const double gap = window.t.front() - before.t.back();
-  return window.recording == before.recording && gap >= 0 && gap <= kLongestGap;
-}
-
-namespace {
-
 // What holds of each row: whether the commands that the drives follow then are in the recording. They are not
 // at its beginning, nor during a gap and for a late drive's time after it.
 std::vector<char> CommandsKnown(const recordings::Recording& rec, double late_s, const NodeOptions& options) {
@@ -175,8 +143,7 @@ std::optional<NodeWindow> WindowOf(const recordings::Recording& rec, int index, 
   }
   const int nodes = static_cast<int>(window.t.size());
   if (nodes - std::ranges::count(row_of, -1) < kFewestNodes) return std::nullopt;
-  for (MatrixXd* m : {&window.q, &window.v, &window.q_row, &window.v_row, &window.q0, &window.v0})
-    m->setZero(n, nodes);
+  for (const auto m : kNodeMatrices) (window.*m).setZero(n, nodes);
   window.q_stddev.setOnes(n, nodes), window.v_stddev.setOnes(n, nodes);
   window.measured.assign(nodes, 0), window.before.resize(nodes), window.after.resize(nodes);
   const int half = (stride - 1) / 2;
@@ -196,6 +163,31 @@ std::optional<NodeWindow> WindowOf(const recordings::Recording& rec, int index, 
 }
 
 }  // namespace
+
+double StddevOfMean(const std::vector<double>& t, double speed, double stddev, double resolution) {
+  const auto count = static_cast<double>(t.size());
+  const double variance = stddev * stddev;
+  if (t.size() == 1 || !(resolution > 0)) return stddev / std::sqrt(count);
+  const double blur = std::max(0.0, variance - resolution * resolution / 12) / (resolution * resolution);
+  double together = 0;
+  for (int m = 1; m <= kHarmonics; ++m) {
+    const double turn = 2 * M_PI * m;
+    double real = 0, imaginary = 0;
+    for (const double at : t) {
+      const double phase = turn * speed * (at - t[0]) / resolution;
+      real += std::cos(phase) / count, imaginary += std::sin(phase) / count;
+    }
+    const double share = real * real + imaginary * imaginary - 1 / count;
+    together += 2 * std::exp(-turn * turn * blur) * share / (turn * turn);
+  }
+  return std::sqrt(std::max(0.0, variance / count + resolution * resolution * together));
+}
+
+bool FollowsOn(const NodeWindow& before, const NodeWindow& window) {
+  constexpr double kLongestGap = 0.05;  // s
+  const double gap = window.t.front() - before.t.back();
+  return window.recording == before.recording && gap >= 0 && gap <= kLongestGap;
+}
 
 std::vector<NodeWindow> CutIntoNodes(const recordings::Recording& rec, int index, const SmoothMotion& motion,
                                      const recordings::SensorNoise& noise, const NodeOptions& options) {
@@ -256,11 +248,7 @@ std::vector<NodeWindow> InPieces(const std::vector<NodeWindow>& windows, double 
       piece.measured.assign(w.measured.begin() + first, w.measured.begin() + last);
       piece.before.assign(w.before.begin() + first, w.before.begin() + last);
       piece.after.assign(w.after.begin() + first, w.after.begin() + last);
-      piece.q = w.q.middleCols(first, count), piece.v = w.v.middleCols(first, count);
-      piece.q_stddev = w.q_stddev.middleCols(first, count);
-      piece.v_stddev = w.v_stddev.middleCols(first, count);
-      piece.q_row = w.q_row.middleCols(first, count), piece.v_row = w.v_row.middleCols(first, count);
-      piece.q0 = w.q0.middleCols(first, count), piece.v0 = w.v0.middleCols(first, count);
+      for (const auto m : kNodeMatrices) piece.*m = (w.*m).middleCols(first, count);
       KeepOwnRow(noise, 0, &piece), KeepOwnRow(noise, count - 1, &piece);
       if (w.factor.size() > 0) {
         const Eigen::Index n = w.q.rows();

@@ -11,6 +11,9 @@
 
 namespace rg::diagnosis {
 
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
 inline constexpr double kMovesBy = 20.0;  // stddevs of the position, from which a joint counts as moving
 
 // Position, velocity and acceleration of one recording at any time, from local cubics through measured
@@ -19,12 +22,12 @@ class SmoothMotion {
  public:
   SmoothMotion(const recordings::Recording& recording, const recordings::SensorNoise& noise);
   // n each.
-  void At(double t, Eigen::VectorXd* q, Eigen::VectorXd* v, Eigen::VectorXd* a) const;
+  void At(double t, VectorXd* q, VectorXd* v, VectorXd* a) const;
   double half_span() const { return half_span_; }
 
  private:
   const recordings::Recording* recording_;
-  Eigen::VectorXd weight_q_, weight_v_;  // n, 1/stddev
+  VectorXd weight_q_, weight_v_;  // n, 1/stddev
   double half_span_ = 0.05;
 };
 
@@ -36,22 +39,27 @@ struct NodeWindow {
   std::vector<double> t;                           // N + 1
   std::vector<char> measured;                      // N + 1
   std::vector<std::vector<double>> before, after;  // N + 1: times of the other rows averaged into a node
-  Eigen::MatrixXd q, v;                            // n × (N + 1), where measured: mean of the rows
-  Eigen::MatrixXd q_stddev, v_stddev;              // n × (N + 1) of it
-  Eigen::MatrixXd q_row, v_row;                    // n × (N + 1): its own row alone
-  Eigen::MatrixXd q0, v0;                          // n × (N + 1): the smooth motion
-  // Effect of the uncertainty of prescribed joints' motion on the others (prescribed_doubt.h), or empty:
+  MatrixXd q, v;                                   // n × (N + 1), where measured: mean of the rows
+  MatrixXd q_stddev, v_stddev;                     // n × (N + 1) of it
+  MatrixXd q_row, v_row;                           // n × (N + 1): its own row alone
+  MatrixXd q0, v0;                                 // n × (N + 1): the smooth motion
+  // Effect of the uncertainty of prescribed joints' motion on the others (prepare_data.cc), or empty:
   // n·(N + 1) × ways, node by node; and the Cholesky factor of the whitened residuals' covariance.
-  Eigen::MatrixXd q_doubt, v_doubt, factor;
+  MatrixXd q_doubt, v_doubt, factor;
 };
+
+// Its matrices with a column per node.
+inline constexpr MatrixXd NodeWindow::*kNodeMatrices[] = {
+    &NodeWindow::q,     &NodeWindow::v,     &NodeWindow::q_stddev, &NodeWindow::v_stddev,
+    &NodeWindow::q_row, &NodeWindow::v_row, &NodeWindow::q0,       &NodeWindow::v0};
 
 // Whether `window` begins at most 50 ms after `before` ends, in the same recording.
 bool FollowsOn(const NodeWindow& before, const NodeWindow& window);
 
 // What features of the force are made of: the motion and the command of one recording on a fine grid.
 struct FineMotion {
-  std::vector<double> t;       // F
-  Eigen::MatrixXd q, v, a, u;  // n × F
+  std::vector<double> t;  // F
+  MatrixXd q, v, a, u;    // n × F
   std::vector<std::pair<double, double>>
       gaps;  // from one row to the next [s], where rows between are missing
 };

@@ -6,17 +6,13 @@
 #include <set>
 
 #include "common/dynamics/dynamics.h"
-#include "common/model/robot_model.h"
 #include "common/recordings/time_stamps.h"
 #include "common/recordings/velocity_lag.h"
 #include "services/diagnosis/data/motion.h"
-#include "services/diagnosis/data/words.h"
 #include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 using recordings::Recording;
 
 namespace {
@@ -204,14 +200,10 @@ class Surveyor {
       const Recording& r = set_.recordings[i];
       const bool fitted = r.split == recordings::Split::kFit;
       const Blocks blocks = BlocksOf(r, j);
-      int last_way = 0;
       double moved_s = 0;
       for (size_t b = 0; b < blocks.t.size(); ++b) {
         if (fitted) low = std::min(low, blocks.q[b]), high = std::max(high, blocks.q[b]);
-        if (!blocks.follows[b]) {
-          last_way = 0;
-          continue;
-        }
+        if (!blocks.follows[b]) continue;
         const double dt = blocks.t[b] - blocks.t[b - 1], step = blocks.q[b] - blocks.q[b - 1];
         const double speed = std::abs(step) / dt;
         const bool moves = std::abs(step) > kBeyondNoise * StepNoise(j, blocks.rows[b - 1], blocks.rows[b]);
@@ -220,9 +212,7 @@ class Surveyor {
         squares += speed * speed * dt, seconds += dt;
         if (!moves) continue;
         (step > 0 ? f->up : f->down) += std::abs(step);
-        const int way = step > 0 ? 1 : -1;
-        f->reversals += last_way != 0 && way != last_way ? 1 : 0;
-        last_way = way, moved_s += dt;
+        moved_s += dt;
         speeds.push_back(speed), moving.emplace_back(speed, blocks.rows[b]);
       }
       f->moving_s = std::max(f->moving_s, moved_s);
@@ -365,6 +355,16 @@ long MotionSurvey::Samples() const {
   long count = 0;
   for (const MotionSamples& m : samples) count += static_cast<long>(m.t.size());
   return count;
+}
+
+VectorXd MotionSurvey::Along(MatrixXd MotionSamples::*of, int joint) const {
+  VectorXd out(Samples());
+  long at = 0;
+  for (const MotionSamples& m : samples) {
+    const auto S = static_cast<long>(m.t.size());
+    out.segment(at, S) = (m.*of).row(joint).transpose(), at += S;
+  }
+  return out;
 }
 
 const FileFigures& MotionSurvey::FirstToFit() const {

@@ -10,6 +10,7 @@
 #include "common/recordings/noise.h"
 #include "common/recordings/recording_set.h"
 #include "common/sim/plant.h"
+#include "services/diagnosis/data/motion.h"
 
 namespace rg::diagnosis {
 
@@ -27,14 +28,13 @@ struct FileFigures {
 // Positions in rad or m, speeds in rad/s or m/s, efforts in N·m or N. `of all`: of every recording; the rest
 // is of those to fit.
 struct JointFigures {
-  double low = 0, high = 0;  // of all
-  double peak_speed = 0;     // of all; measured, or over blocks of rows
-  double peak_effort = 0;    // of all
-  double effort_rms = 0;     // of all
-  bool prescribed = false;   // moves as measured: nothing is judged of it, its effort is 0 here
-  bool moved = false;        // by kMovesBy of its noise
-  double up = 0, down = 0;   // travel either way, beyond noise
-  int reversals = 0;
+  double low = 0, high = 0;       // of all
+  double peak_speed = 0;          // of all; measured, or over blocks of rows
+  double peak_effort = 0;         // of all
+  double effort_rms = 0;          // of all
+  bool prescribed = false;        // moves as measured: nothing is judged of it, its effort is 0 here
+  bool moved = false;             // by kMovesBy of its noise
+  double up = 0, down = 0;        // travel either way, beyond noise
   double speed = 0;               // RMS
   double spread = 0;              // stddev of the positions, the largest of any recording
   double slow = 0, fast = 0;      // speeds that a tenth and nine tenths of its motion stay below
@@ -50,23 +50,25 @@ inline constexpr double kSlow = 0.1;
 
 // Instants of one recording to fit. n × S each.
 struct MotionSamples {
-  std::vector<double> t;           // S
-  Eigen::MatrixXd q, v, a, u;      // u: the effort in the file, averaged over ±15 ms
-  Eigen::MatrixXd rigid, gravity;  // the URDF's torques for the motion; gravity's part of them
-  Eigen::MatrixXd needed;          // what of `rigid` the effort must bring, by the manifest
+  std::vector<double> t;    // S
+  MatrixXd q, v, a, u;      // u: the effort in the file, averaged over ±15 ms
+  MatrixXd rigid, gravity;  // the URDF's torques for the motion; gravity's part of them
+  MatrixXd needed;          // what of `rigid` the effort must bring, by the manifest
 };
 
 struct MotionSurvey {
   int n = 0;
   recordings::SensorNoise noise;      // that fits and judgements go by
   recordings::SensorNoise estimated;  // from the data, whatever the manifest says
-  Eigen::VectorXd speed_noise;        // n, of v in the samples
+  VectorXd speed_noise;               // n, of v in the samples
   std::vector<FileFigures> files;     // the set's order
   std::vector<JointFigures> joints;
   std::vector<MotionSamples> samples;  // of the recordings to fit
-  Eigen::VectorXd velocity_lag;        // n, s, of the first recording to fit; 0 where none shows
+  VectorXd velocity_lag;               // n, s, of the first recording to fit; 0 where none shows
 
   long Samples() const;
+  // A joint's row of one matrix of all samples, one recording behind the other.
+  VectorXd Along(MatrixXd MotionSamples::*of, int joint) const;
   const FileFigures& FirstToFit() const;
 };
 

@@ -1,7 +1,6 @@
 #include "services/diagnosis/data/plausibility.h"
 
 #include <Eigen/QR>
-#include <algorithm>
 #include <cmath>
 
 #include "common/model/robot_model.h"
@@ -10,9 +9,6 @@
 #include "services/sysid/joint_roles.h"
 
 namespace rg::diagnosis {
-
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -59,12 +55,9 @@ struct Torques {
 Torques TorquesOf(const MotionSurvey& survey) {
   const long rows = survey.Samples();
   Torques out{MatrixXd(rows, survey.n), MatrixXd(rows, survey.n), MatrixXd(rows, survey.n)};
-  long row = 0;
-  for (const MotionSamples& m : survey.samples) {
-    const auto S = static_cast<long>(m.t.size());
-    out.rigid.middleRows(row, S) = m.needed.transpose(), out.v.middleRows(row, S) = m.v.transpose();
-    out.u.middleRows(row, S) = m.u.transpose();
-    row += S;
+  for (int j = 0; j < survey.n; ++j) {
+    out.rigid.col(j) = survey.Along(&MotionSamples::needed, j);
+    out.v.col(j) = survey.Along(&MotionSamples::v, j), out.u.col(j) = survey.Along(&MotionSamples::u, j);
   }
   return out;
 }

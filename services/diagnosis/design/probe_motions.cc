@@ -2,19 +2,17 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 #include <functional>
 #include <numbers>
 #include <optional>
 
+#include "common/base/printf.h"
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
+#include "services/diagnosis/data/words.h"
 #include "services/sysid/drive_signal.h"
 
 namespace rg::diagnosis {
-
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -37,11 +35,7 @@ struct Room {
   double middle = 0, reach = 0, top = 1;  // top: speed
 };
 
-std::string TwoDigits(double x) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.2g", x);
-  return text;
-}
+std::string TwoDigits(double x) { return Printf("%.2g", x); }
 
 // From the end of the last one to `to`, at `speed` between raised-cosine rises and falls, then a hold.
 struct Stroke {
@@ -98,13 +92,12 @@ struct Program {
 
 class Maker {
  public:
-  Maker(const sim::Plant& nominal, const FitData& data, const MotionScales& scales,
-        const std::vector<int>& joints)
-      : model_(nominal.model()),
-        mechanism_(sysid::MechanismOf(nominal, nominal.parameters().Nominal())),
-        data_(data),
+  Maker(const FitSetting& setting, const std::vector<int>& joints)
+      : model_(setting.nominal.model()),
+        mechanism_(sysid::MechanismOf(setting.nominal, setting.nominal.parameters().Nominal())),
+        data_(setting.data),
         joints_(joints) {
-    for (const int j : joints) rooms_.push_back(RoomOf(j, scales));
+    for (const int j : joints) rooms_.push_back(RoomOf(j, setting.scales));
     for (const Room& room : rooms_) slowest_ = std::min(slowest_, room.top), top_ = std::max(top_, room.top);
     FindPose();
   }
@@ -234,10 +227,9 @@ class Maker {
       ProbeMotion motion = Rows(program, slower);
       if (motion.q.cols() < 3) return {};
       if (!Keeps(motion)) continue;
-      std::string who;
-      for (size_t i = 0; i < joints_.size(); ++i)
-        who += (i == 0 ? "" : i + 1 == joints_.size() ? " and " : ", ") + model_.joint(joints_[i]).name;
-      motion.description = who + ": " + program.what +
+      std::vector<std::string> who;
+      for (const int j : joints_) who.push_back(model_.joint(j).name);
+      motion.description = Listed(who) + ": " + program.what +
                            (slower > 1 ? ", slowed down by " + TwoDigits(slower) : "") + ", " +
                            std::to_string(std::lround(motion.t.back())) + " s";
       return motion;
@@ -292,10 +284,9 @@ class Maker {
 
 }  // namespace
 
-std::vector<ProbeMotion> ProbeMotions(const sim::Plant& nominal, const FitData& data,
-                                      const MotionScales& scales, const std::vector<int>& joints) {
+std::vector<ProbeMotion> ProbeMotions(const FitSetting& setting, const std::vector<int>& joints) {
   if (joints.empty()) return {};
-  return Maker(nominal, data, scales, joints).Run();
+  return Maker(setting, joints).Run();
 }
 
 }  // namespace rg::diagnosis

@@ -10,8 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "common/sim/plant.h"
-#include "services/diagnosis/likelihood/features.h"
+#include "services/diagnosis/likelihood/fit_setting.h"
 
 namespace rg::diagnosis {
 
@@ -19,12 +18,11 @@ namespace rg::diagnosis {
 struct ProbeMotion {
   std::string description;  // "elbow there and back at five speeds from 0.2 to 2.8 rad/s, 14 s"
   std::vector<double> t;    // K, s, from 0
-  Eigen::MatrixXd q, v, a;  // n × K
+  MatrixXd q, v, a;         // n × K
 };
 
 // `joints`: those that move, model order. Motions are slowed down until the nominal model's torques keep the
 // limits; those whose poses exceed them at rest are left out. May be empty.
-std::vector<ProbeMotion> ProbeMotions(const sim::Plant& nominal, const FitData& data,
-                                      const MotionScales& scales, const std::vector<int>& joints);
+std::vector<ProbeMotion> ProbeMotions(const FitSetting& setting, const std::vector<int>& joints);
 
 }  // namespace rg::diagnosis

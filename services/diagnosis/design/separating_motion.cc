@@ -13,10 +13,6 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 namespace {
 
 constexpr size_t kMostPairs = 3;       // of rivals
@@ -153,10 +149,10 @@ std::vector<int> JointsOf(const std::vector<Pair>& pairs, const std::set<std::st
 
 }  // namespace
 
-std::optional<ProposedMotion> ProposeMotion(const SearchResult& search, const FitData& data,
-                                            const sim::Plant& nominal, const MotionScales& scales,
+std::optional<ProposedMotion> ProposeMotion(const SearchResult& search, const FitSetting& setting,
                                             const std::vector<Finding>& findings, double step_s, int threads,
                                             const CancelToken* cancel) {
+  const auto& [data, nominal, scales] = setting;
   std::vector<Pair> pairs;
   std::set<std::string> ids;
   for (const Finding& f : findings) {
@@ -170,7 +166,7 @@ std::optional<ProposedMotion> ProposeMotion(const SearchResult& search, const Fi
     }
   }
   if (pairs.empty() || !search.best.fit.ok) return {};
-  const std::vector<ProbeMotion> motions = ProbeMotions(nominal, data, scales, JointsOf(pairs, ids, nominal));
+  const std::vector<ProbeMotion> motions = ProbeMotions(setting, JointsOf(pairs, ids, nominal));
   LiftedOptions options;
   options.iterations = kRefitIterations, options.noise_scale = search.noise_scale, options.step_s = step_s;
   const auto trials = static_cast<int>(motions.size() * pairs.size() * 2);

@@ -18,13 +18,13 @@
 #include "common/sim/plant.h"
 #include "services/diagnosis/api/result.h"
 #include "services/diagnosis/hypotheses/search_result.h"
+#include "services/diagnosis/likelihood/fit_setting.h"
 
 namespace rg::diagnosis {
 
 // The motion for the findings whose class has more than one effect; none where no motion is expected to bring
 // kSeparable nats (hypotheses/rivals.h).
-std::optional<ProposedMotion> ProposeMotion(const SearchResult& search, const FitData& data,
-                                            const sim::Plant& nominal, const MotionScales& scales,
+std::optional<ProposedMotion> ProposeMotion(const SearchResult& search, const FitSetting& setting,
                                             const std::vector<Finding>& findings, double step_s, int threads,
                                             const CancelToken* cancel);
 

@@ -7,14 +7,9 @@
 
 #include "common/effects/effect_list.h"
 #include "common/effects/inference.h"
-#include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/force_samples.h"
 
 namespace rg::diagnosis {
-
-using effects::EffectSpec;
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -56,16 +51,14 @@ double Regressed(const std::vector<ForceSample>& samples, int on, const MatrixXd
   H.diagonal().array() += 1.0;
   const Eigen::LLT<MatrixXd> llt(H.selfadjointView<Eigen::Lower>());
   *weights = llt.solve(g);
-  double log_det = 0;
-  for (Eigen::Index i = 0; i < W; ++i) log_det += 2 * std::log(llt.matrixLLT()(i, i));
-  return 0.5 * g.dot(*weights) - 0.5 * log_det;
+  return 0.5 * g.dot(*weights) - HalfLogDet(llt);
 }
 
 }  // namespace
 
-std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nominal,
-                                     const MotionScales& scales, const MissingForce& missing,
+std::optional<EffectSpec> FieldStart(const FitSetting& setting, const MissingForce& missing,
                                      const std::string& variable) {
+  const auto& [data, nominal, scales] = setting;
   const std::string& field = effects::LawOf(effects::Regressor::kPositionPiece).id;
   const std::vector<ForceSample> samples = SamplesOf(data, missing);
   std::optional<EffectSpec> best;
@@ -95,8 +88,8 @@ std::optional<EffectSpec> FieldStart(const FitData& data, const sim::Plant& nomi
   return best;
 }
 
-std::optional<EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& nominal,
-                                         const MotionScales& scales, const MissingForce& missing) {
+std::optional<EffectSpec> FieldPairStart(const FitSetting& setting, const MissingForce& missing) {
+  const auto& [data, nominal, scales] = setting;
   const std::string surface = effects::UnknownFieldPair::Info().id;
   const std::vector<ForceSample> samples = SamplesOf(data, missing);
   const int n = data.n;

@@ -4,21 +4,18 @@
 #include <optional>
 #include <string>
 
-#include "common/effects/effect.h"
-#include "services/diagnosis/likelihood/features.h"
+#include "services/diagnosis/likelihood/fit_setting.h"
 #include "services/diagnosis/likelihood/missing_force.h"
 
 namespace rg::diagnosis {
 
 // The unknown_field of one joint with the most log evidence. `variable`: "position", "velocity", or "drag"
 // (damping over position).
-std::optional<effects::EffectSpec> FieldStart(const FitData& data, const sim::Plant& nominal,
-                                              const MotionScales& scales, const MissingForce& missing,
-                                              const std::string& variable);
+std::optional<EffectSpec> FieldStart(const FitSetting& setting, const MissingForce& missing,
+                                     const std::string& variable);
 
 // The unknown_field_pair of the pair of joints with the most. The errors of the stairs are taken as
 // independent, which is good enough to start a fit that is linear in the weights. Empty for one joint.
-std::optional<effects::EffectSpec> FieldPairStart(const FitData& data, const sim::Plant& nominal,
-                                                  const MotionScales& scales, const MissingForce& missing);
+std::optional<EffectSpec> FieldPairStart(const FitSetting& setting, const MissingForce& missing);
 
 }  // namespace rg::diagnosis

@@ -19,9 +19,9 @@ inline Eigen::Index FineRow(const FineMotion& fine, double t) {
 }
 
 struct ForceSample {
-  double t = 0;                   // s, since the start of the recording
-  Eigen::VectorXd q, v;           // n
-  Eigen::VectorXd force, weight;  // n: missing force, 1/σ²
+  double t = 0;            // s, since the start of the recording
+  VectorXd q, v;           // n
+  VectorXd force, weight;  // n: missing force, 1/σ²
 };
 
 inline std::vector<ForceSample> ForceSamples(const FitData& data, const MissingForce& missing) {

@@ -9,8 +9,6 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
-
 namespace {
 
 bool ActsOnJointsTogether(const EffectSpec& spec) {
@@ -38,12 +36,7 @@ Result<sim::Plant> GivenPlant(const recordings::RecordingSet& set,
                               const std::optional<sim::ModelFile>& model) {
   RG_ASSIGN_OR_RETURN(sim::Plant urdf, sysid::NominalPlant(set));
   if (!model) return sysid::WithRotors(set, urdf, urdf.parameters().Nominal());
-  if (model->plant.joint_names() != urdf.joint_names()) {
-    std::string have, want;
-    for (const std::string& joint : model->plant.joint_names()) have += " " + joint;
-    for (const std::string& joint : urdf.joint_names()) want += " " + joint;
-    return InvalidError("the model has the joints" + have + ", the recordings" + want);
-  }
+  RG_RETURN_IF_ERROR(sysid::CheckJoints(model->plant, urdf));
   sim::PlantOptions options = model->plant.options();
   options.prescribed = urdf.options().prescribed, options.passive = urdf.options().passive;
   const sim::ParameterTable& table = model->plant.parameters();

@@ -22,14 +22,13 @@ Result<sim::Plant> GivenPlant(const recordings::RecordingSet& set,
 bool GivenRuns(const sim::Plant& given, const std::optional<sim::ModelFile>& model);
 
 // Its effects in the form of hypotheses: one spec per joint, or one for the whole robot.
-std::vector<effects::EffectSpec> GivenEffects(const sim::Plant& given);
+std::vector<EffectSpec> GivenEffects(const sim::Plant& given);
 
 // These without those that the recordings do not inform, by repeated fits of the rest.
-std::vector<effects::EffectSpec> SeenEffects(
-    const sim::Plant& given, const std::function<Candidate(const std::vector<effects::EffectSpec>&)>& fitted);
+std::vector<EffectSpec> SeenEffects(const sim::Plant& given,
+                                    const std::function<Candidate(const std::vector<EffectSpec>&)>& fitted);
 
 // Those of `specs` that the given model does not have.
-std::vector<effects::EffectSpec> Beyond(const sim::Plant& given,
-                                        const std::vector<effects::EffectSpec>& specs);
+std::vector<EffectSpec> Beyond(const sim::Plant& given, const std::vector<EffectSpec>& specs);
 
 }  // namespace rg::diagnosis

@@ -11,9 +11,6 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
-using Eigen::VectorXd;
-
 namespace {
 
 constexpr double kLeastStart = 0.02;  // of the prior stddev: a strength of zero has no gradient in its shape
@@ -48,9 +45,9 @@ struct Regression {
   Candidate fitted;
   VectorXd torque_stddev, coefficients;
 };
-Regression Regressed(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                     const std::vector<std::string>& effects, bool base,
+Regression Regressed(const FitSetting& setting, const std::vector<std::string>& effects, bool base,
                      const std::vector<sysid::RegressionColumn>& further = {}) {
+  const sim::Plant& nominal = setting.nominal;
   Regression out;
   Candidate& c = out.fitted;
   c.base = base, c.specs = nominal.effects();
@@ -61,23 +58,18 @@ Regression Regressed(const FitData& data, const sim::Plant& nominal, const Motio
   const auto plant = sim::Plant::Create(nominal.shared_model(), nominal.options(), c.specs);
   if (!plant.ok()) return out;
   c.plant = std::make_shared<const sim::Plant>(*plant);
-  c.parameters = FreeParameters(*c.plant, scales, base, &nominal);
+  c.parameters = FreeParameters(*c.plant, setting.scales, base, &nominal);
   const sysid::FitSpace space(c.parameters);
   const VectorXd start = c.plant->ValuesFrom(nominal.parameters(), nominal.parameters().Nominal());
-  VectorXd theta = space.nominal();
-  for (int i = 0; i < space.size(); ++i) {
-    if (space.IsItself(i)) theta[i] = start[c.parameters[i].index];
-  }
-  theta = theta.cwiseMax(space.lower()).cwiseMin(space.upper());
-  const auto found =
-      sysid::RegressInverseDynamics(*c.plant, start, space, theta, data.recordings, {}, further);
+  const auto found = sysid::RegressInverseDynamics(*c.plant, start, space, space.From(start),
+                                                   setting.data.recordings, {}, further);
   c.fit.ok = found.rows > 0 && found.theta.allFinite();
   if (!c.fit.ok) return out;
   out.torque_stddev = found.torque_stddev, out.coefficients = found.coefficients;
   c.fit.theta = found.theta;
   c.fit.values = Startable(*c.plant, c.parameters, space.Values(found.theta, start));
   c.fit.chi2 = effects::kInf;  // not of the simulator
-  c.fit.rows = data.Rows();
+  c.fit.rows = setting.data.Rows();
   c.specs = Refreshed(c);
   return out;
 }
@@ -107,23 +99,22 @@ std::vector<sysid::RegressionColumn> ColumnsOf(const effects::EffectInfo& law, i
 
 }  // namespace
 
-Candidate RegressedGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                         const std::vector<std::string>& effects, bool base) {
-  return Regressed(data, nominal, scales, effects, base).fitted;
+Candidate RegressedGroup(const FitSetting& setting, const std::vector<std::string>& effects, bool base) {
+  return Regressed(setting, effects, base).fitted;
 }
 
-VectorXd LeftByGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                     const std::vector<std::string>& effects) {
-  const Regression without = Regressed(data, nominal, scales, {}, true);
-  const Regression with = Regressed(data, nominal, scales, effects, true);
-  if (!without.fitted.fit.ok || !with.fitted.fit.ok) return VectorXd::Ones(data.n);
+VectorXd LeftByGroup(const FitSetting& setting, const std::vector<std::string>& effects) {
+  const Regression without = Regressed(setting, {}, true);
+  const Regression with = Regressed(setting, effects, true);
+  if (!without.fitted.fit.ok || !with.fitted.fit.ok) return VectorXd::Ones(setting.data.n);
   return with.torque_stddev.cwiseQuotient(without.torque_stddev);
 }
 
-std::vector<LawOnAll> LawsOnAll(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                                const std::vector<std::string>& losses, bool base, double most) {
+std::vector<LawOnAll> LawsOnAll(const FitSetting& setting, const std::vector<std::string>& losses, bool base,
+                                double most) {
+  const auto& [data, nominal, scales] = setting;
   // Springs on all joints act like masses that are off: what is beside free inertials counts.
-  const Regression without = Regressed(data, nominal, scales, losses, true);
+  const Regression without = Regressed(setting, losses, true);
   std::vector<LawOnAll> out;
   if (!without.fitted.fit.ok) return out;
   for (const effects::EffectInfo& law : effects::Catalog()) {
@@ -140,12 +131,12 @@ std::vector<LawOnAll> LawsOnAll(const FitData& data, const sim::Plant& nominal, 
       scored.joints.push_back(j);
     }
     if (scored.joints.size() < 2) continue;
-    const Regression freed = Regressed(data, nominal, scales, losses, true, columns);
+    const Regression freed = Regressed(setting, losses, true, columns);
     if (!freed.fitted.fit.ok) continue;
     LawOnAll found{freed.torque_stddev.cwiseQuotient(without.torque_stddev), {}};
     const auto helped = std::ranges::count_if(scored.joints, [&](int j) { return found.left[j] < most; });
     if (2 * helped < data.judged()) continue;
-    const Regression with = base ? freed : Regressed(data, nominal, scales, losses, false, columns);
+    const Regression with = base ? freed : Regressed(setting, losses, false, columns);
     if (!with.fitted.fit.ok || !with.coefficients.allFinite()) continue;
     const size_t terms = columns.size() / scored.joints.size();
     for (size_t i = 0; i < scored.joints.size(); ++i) {

@@ -7,8 +7,7 @@
 #include <vector>
 
 #include "services/diagnosis/likelihood/candidate.h"
-#include "services/diagnosis/likelihood/features.h"
-#include "services/diagnosis/likelihood/lifted_fit.h"
+#include "services/diagnosis/likelihood/fit_setting.h"
 
 namespace rg::diagnosis {
 
@@ -16,24 +15,22 @@ namespace rg::diagnosis {
 // dry friction per joint), with values from a regression of the inverse dynamics along the recorded motion;
 // `base`: with free base parameters. Negative strengths become small positive ones. Only fit.values and
 // fit.theta are set; fit.ok is false where there are too few rows.
-Candidate RegressedGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                         const std::vector<std::string>& effects, bool base);
+Candidate RegressedGroup(const FitSetting& setting, const std::vector<std::string>& effects, bool base);
 
 // n: ratio of the robust scales of the residual torque of that regression, base parameters free, with and
 // without `effects`. About 1 where they do not explain what is missing; 1 where the regression fails.
-Eigen::VectorXd LeftByGroup(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                            const std::vector<std::string>& effects);
+VectorXd LeftByGroup(const FitSetting& setting, const std::vector<std::string>& effects);
 
 // A law that is on all joints beside `losses`: what its force leaves of the regression's residual torque, by
 // joint as LeftByGroup has it, and its specs with start values.
 struct LawOnAll {
-  Eigen::VectorXd left;
-  std::vector<effects::EffectSpec> specs;
+  VectorXd left;
+  std::vector<EffectSpec> specs;
 };
 // Of every law of a joint with a force that is linear in coefficients which the regression knows, and that is
-// no loss: springs, drag, offsets; those that leave less than `most` on half of the judged joints, beside free
-// base parameters, the least first. `base`: start values beside free base parameters.
-std::vector<LawOnAll> LawsOnAll(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                                const std::vector<std::string>& losses, bool base, double most);
+// no loss: springs, drag, offsets; those that leave less than `most` on half of the judged joints, beside
+// free base parameters, the least first. `base`: start values beside free base parameters.
+std::vector<LawOnAll> LawsOnAll(const FitSetting& setting, const std::vector<std::string>& losses, bool base,
+                                double most);
 
 }  // namespace rg::diagnosis

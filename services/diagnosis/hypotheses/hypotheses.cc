@@ -5,7 +5,6 @@
 #include <map>
 #include <set>
 
-#include "common/dynamics/dynamics.h"
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/candidate.h"
@@ -13,7 +12,6 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
 using effects::MakeSpec;
 using effects::Regressor;
 using effects::Slot;
@@ -52,6 +50,42 @@ effects::Prior PriorOf(const sim::Parameter& p, const sim::Plant& plant, const M
 
 bool Fixed(const sim::Parameter& p) { return IsUnnamed(p.effect) && p.field[0] != 'w'; }
 
+effects::Blind BlindOn(int joint, const sim::Plant& nominal, const MotionScales& s) {
+  const auto& model = nominal.model();
+  const int last = model.joint(model.num_joints() - 1).child_link;
+  effects::Blind out;
+  out.joint = SizeOf(s, nominal, joint);
+  out.fine = nominal.num_joints() <= kLightRobot;
+  out.last_link = model.link(last).parameters.data();
+  out.end_effector_is_last = last == model.FindLink(model.end_effector().name);
+  return out;
+}
+
+// Trials of the effect from each of the starts.
+std::vector<TrialSpecs> Trials(const std::string& effect, const std::vector<std::string>& joints,
+                               const std::vector<effects::Start>& starts,
+                               const std::map<std::string, std::string>& options = {}) {
+  std::vector<TrialSpecs> out;
+  for (const effects::Start& start : starts) {
+    out.push_back({MakeSpec(effect, joints, start.values)});
+    out.back()[0].options = options.empty() ? start.options : options;
+  }
+  return out;
+}
+
+constexpr double kStatedSpread = 0.5;  // of a value that the user states, its prior's standard deviation
+
+// Whether a joint has one of them at most.
+bool Exclusive(const std::string& a, const std::string& b) {
+  const Slot slot = effects::InferenceOf(a).slot;
+  return a == b || (slot != Slot::kNone && effects::IsIn(slot, b));
+}
+
+// A motor's losses, which a drive that turns with two joints has in their place.
+bool IsLossOfDrive(const std::string& id) {
+  return effects::InferenceOf(id).of_every_drive || effects::IsIn(Slot::kDryFriction, id);
+}
+
 }  // namespace
 
 effects::JointSize SizeOf(const MotionScales& s, const sim::Plant& plant, int j) {
@@ -69,8 +103,7 @@ effects::JointSize SizeOf(const MotionScales& s, const sim::Plant& plant, int j)
   return out;
 }
 
-std::vector<std::vector<EffectSpec>> SpecsFor(const Scored& h, const sim::Plant& nominal,
-                                              const MotionScales& s) {
+std::vector<TrialSpecs> SpecsFor(const Scored& h, const sim::Plant& nominal, const MotionScales& s) {
   const auto& names = nominal.joint_names();
   const auto& model = nominal.model();
   const effects::EffectInfo& effect = *effects::FindEffect(h.effect);
@@ -82,7 +115,7 @@ std::vector<std::vector<EffectSpec>> SpecsFor(const Scored& h, const sim::Plant&
     found.last_link = link.data();
     return effects::StartsOf(effect, found);
   };
-  std::vector<std::vector<EffectSpec>> out;
+  std::vector<TrialSpecs> out;
   const bool each = effect.scope != effects::Scope::kJointPair;
   if (h.joints.empty() || !each) {
     std::vector<std::string> joints;
@@ -106,36 +139,9 @@ std::vector<std::vector<EffectSpec>> SpecsFor(const Scored& h, const sim::Plant&
   return out;
 }
 
-namespace {
-
-effects::Blind BlindOn(int joint, const sim::Plant& nominal, const MotionScales& s) {
-  const auto& model = nominal.model();
-  const int last = model.joint(model.num_joints() - 1).child_link;
-  effects::Blind out;
-  out.joint = SizeOf(s, nominal, joint);
-  out.fine = nominal.num_joints() <= kLightRobot;
-  out.last_link = model.link(last).parameters.data();
-  out.end_effector_is_last = last == model.FindLink(model.end_effector().name);
-  return out;
-}
-
-// Trials of the effect from each of the starts.
-std::vector<std::vector<EffectSpec>> Trials(const std::string& effect, const std::vector<std::string>& joints,
-                                            const std::vector<effects::Start>& starts,
-                                            const std::map<std::string, std::string>& options = {}) {
-  std::vector<std::vector<EffectSpec>> out;
-  for (const effects::Start& start : starts) {
-    out.push_back({MakeSpec(effect, joints, start.values)});
-    out.back()[0].options = options.empty() ? start.options : options;
-  }
-  return out;
-}
-
-}  // namespace
-
-std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effect, const std::string& sensor,
-                                                        int joint, const sim::Plant& nominal,
-                                                        const MotionScales& s, double added_inertia) {
+std::vector<TrialSpecs> TransmissionStarts(const std::string& effect, const std::string& sensor, int joint,
+                                           const sim::Plant& nominal, const MotionScales& s,
+                                           double added_inertia) {
   effects::Blind blind = BlindOn(joint, nominal, s);
   const double inertia = blind.joint.inertia;
   blind.rotors = {0.15 * inertia, 0.4 * inertia};
@@ -145,9 +151,8 @@ std::vector<std::vector<EffectSpec>> TransmissionStarts(const std::string& effec
                 {{"sensor", sensor}});
 }
 
-std::vector<std::vector<EffectSpec>> StartsBehind(const std::string& effect, const std::string& sensor,
-                                                  int joint, const sim::Plant& nominal, const MotionScales& s,
-                                                  double rotor) {
+std::vector<TrialSpecs> StartsBehind(const std::string& effect, const std::string& sensor, int joint,
+                                     const sim::Plant& nominal, const MotionScales& s, double rotor) {
   effects::Blind blind = BlindOn(joint, nominal, s);
   blind.rotors = {rotor};
   return Trials(effect, {nominal.joint_names()[joint]}, effects::InferenceOf(effect).blind(blind),
@@ -164,9 +169,9 @@ std::vector<EffectSpec> WithoutSprings(std::vector<EffectSpec> specs) {
   return specs;
 }
 
-std::vector<std::vector<EffectSpec>> OtherTransmission(const EffectSpec& spec, const sim::Plant& nominal,
-                                                       const MotionScales& s) {
-  std::vector<std::vector<EffectSpec>> out;
+std::vector<TrialSpecs> OtherTransmission(const EffectSpec& spec, const sim::Plant& nominal,
+                                          const MotionScales& s) {
+  std::vector<TrialSpecs> out;
   if (!effects::IsIn(Slot::kTransmission, spec.id)) return out;
   const auto at = spec.options.find("sensor");
   const std::string sensor = at == spec.options.end() ? "link" : at->second;
@@ -193,8 +198,8 @@ std::vector<EffectSpec> WithConstantForce(std::vector<EffectSpec> specs, const s
   return specs;
 }
 
-std::vector<std::vector<EffectSpec>> OtherGaps(const EffectSpec& spec) {
-  std::vector<std::vector<EffectSpec>> out;
+std::vector<TrialSpecs> OtherGaps(const EffectSpec& spec) {
+  std::vector<TrialSpecs> out;
   const std::string& stays = effects::InferenceOf(spec.id).stays;
   if (stays.empty()) return out;
   for (const double part : {0.7, 0.85, 0.93, 0.97, 1.03, 1.08, 1.2, 1.4}) {
@@ -205,16 +210,15 @@ std::vector<std::vector<EffectSpec>> OtherGaps(const EffectSpec& spec) {
   return out;
 }
 
-std::vector<std::vector<EffectSpec>> PlayHeldClosed(const std::vector<EffectSpec>& specs,
-                                                    const EffectSpec& offset, const sim::Plant& nominal,
-                                                    const MotionScales& scales) {
+std::vector<TrialSpecs> PlayHeldClosed(const TrialSpecs& specs, const EffectSpec& offset,
+                                       const sim::Plant& nominal, const MotionScales& scales) {
   const effects::EffectInfo& reads_off = effects::EffectOf(effects::Role::kSensorOffset);
   if (offset.id != reads_off.id) return {};
   const auto on_joint = [&](const EffectSpec& s) { return s.joints == offset.joints; };
   const effects::EffectInfo& rotor = effects::LawOf(Regressor::kAcceleration);
   const int joint = nominal.model().FindJoint(offset.joints[0]);
   double behind = kTypicalRotor * SizeOf(scales, nominal, joint).inertia;
-  std::vector<EffectSpec> others;
+  TrialSpecs others;
   for (const EffectSpec& s : specs) {
     if (on_joint(s) && s.id == rotor.id) behind = effects::ValueOf(s, rotor.parameters[0].name);
     if (on_joint(s) && effects::IsIn(Slot::kTransmission, s.id)) return {};
@@ -226,7 +230,7 @@ std::vector<std::vector<EffectSpec>> PlayHeldClosed(const std::vector<EffectSpec
   return {Joined(others, {play})};
 }
 
-std::vector<EffectSpec> RipplesAcrossLags(std::vector<EffectSpec> specs) {
+TrialSpecs RipplesAcrossLags(TrialSpecs specs) {
   const effects::EffectInfo& ripple = effects::LawOf(Regressor::kSine);
   const std::string& lag = effects::LawOf(Regressor::kLagging).id;
   const auto& [option, sides] = *ripple.options.begin();
@@ -236,12 +240,12 @@ std::vector<EffectSpec> RipplesAcrossLags(std::vector<EffectSpec> specs) {
     s.options[option] = sides[1 - ripple.Option(option, s)];
     any = true;
   }
-  return any ? specs : std::vector<EffectSpec>{};
+  return any ? specs : TrialSpecs{};
 }
 
-std::vector<std::vector<EffectSpec>> StribeckStarts(const EffectSpec& friction, const sim::Plant& nominal,
-                                                    const MotionScales& scales) {
-  std::vector<std::vector<EffectSpec>> out;
+std::vector<TrialSpecs> StribeckStarts(const EffectSpec& friction, const sim::Plant& nominal,
+                                       const MotionScales& scales) {
+  std::vector<TrialSpecs> out;
   const std::string& plain = effects::LawOf(Regressor::kDirection).id;
   const double coulomb = Exchanged(friction, plain, nominal, scales).values.begin()->second.at("coulomb");
   EffectSpec start = Exchanged(friction, effects::LawOf(Regressor::kSlowly).id, nominal, scales);
@@ -255,8 +259,8 @@ std::vector<std::vector<EffectSpec>> StribeckStarts(const EffectSpec& friction, 
   return out;
 }
 
-std::vector<std::vector<EffectSpec>> BodyStarts(const std::string& effect, const sim::Plant& nominal,
-                                                const MotionScales& s) {
+std::vector<TrialSpecs> BodyStarts(const std::string& effect, const sim::Plant& nominal,
+                                   const MotionScales& s) {
   const effects::Inference& own = effects::InferenceOf(effect);
   auto out = Trials(effect, {}, own.blind(BlindOn(-1, nominal, s)));
   // Of a chain one from its end and one from its middle may do.
@@ -264,8 +268,8 @@ std::vector<std::vector<EffectSpec>> BodyStarts(const std::string& effect, const
   return out;
 }
 
-std::vector<std::vector<EffectSpec>> MountStarts(const sim::Plant& nominal, const MotionScales& s) {
-  std::vector<std::vector<EffectSpec>> out;
+std::vector<TrialSpecs> MountStarts(const sim::Plant& nominal, const MotionScales& s) {
+  std::vector<TrialSpecs> out;
   for (const effects::EffectInfo& effect : effects::Catalog()) {
     const effects::Inference& own = effects::InferenceOf(effect.id);
     if (!own.chained) continue;
@@ -273,12 +277,6 @@ std::vector<std::vector<EffectSpec>> MountStarts(const sim::Plant& nominal, cons
   }
   return out;
 }
-
-namespace {
-
-constexpr double kStatedSpread = 0.5;  // of a value that the user states, its prior's standard deviation
-
-}  // namespace
 
 std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const MotionScales& s, bool base,
                                                 const sim::Plant* given) {
@@ -312,21 +310,6 @@ std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const M
   }
   return out;
 }
-
-namespace {
-
-// Whether a joint has one of them at most.
-bool Exclusive(const std::string& a, const std::string& b) {
-  const Slot slot = effects::InferenceOf(a).slot;
-  return a == b || (slot != Slot::kNone && effects::IsIn(slot, b));
-}
-
-// A motor's losses, which a drive that turns with two joints has in their place.
-bool IsLossOfDrive(const std::string& id) {
-  return effects::InferenceOf(id).of_every_drive || effects::IsIn(Slot::kDryFriction, id);
-}
-
-}  // namespace
 
 EffectSpec CoupledDrive(const std::string& other, const std::string& joint, double ratio,
                         const DriveLosses& losses) {

@@ -11,12 +11,9 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
 using effects::MakeSpec;
 using Eigen::Matrix3d;
-using Eigen::MatrixXd;
 using Eigen::Vector3d;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -92,8 +89,8 @@ Surface BestSurface(const std::vector<Stair>& stairs, int axis, double sign) {
 
 }  // namespace
 
-std::vector<std::vector<EffectSpec>> ContactStarts(const FitData& data, const sim::Plant& nominal,
-                                                   const MissingForce& missing, int most) {
+std::vector<TrialSpecs> ContactStarts(const FitData& data, const sim::Plant& nominal,
+                                      const MissingForce& missing, int most) {
   std::vector<std::pair<double, EffectSpec>> found;
   const std::vector<int> links = LinksOf(nominal.model());
   for (size_t p = 0; p < links.size(); ++p) {
@@ -113,7 +110,7 @@ std::vector<std::vector<EffectSpec>> ContactStarts(const FitData& data, const si
     }
   }
   std::ranges::sort(found, [](const auto& a, const auto& b) { return a.first > b.first; });
-  std::vector<std::vector<EffectSpec>> out;
+  std::vector<TrialSpecs> out;
   for (const auto& [gain, spec] : found) {
     if (static_cast<int>(out.size()) >= most) break;
     out.push_back({spec});
@@ -121,8 +118,8 @@ std::vector<std::vector<EffectSpec>> ContactStarts(const FitData& data, const si
   return out;
 }
 
-std::vector<std::vector<EffectSpec>> PushStarts(const FitData& data, const sim::Plant& nominal,
-                                                const MissingForce& missing) {
+std::vector<TrialSpecs> PushStarts(const FitData& data, const sim::Plant& nominal,
+                                   const MissingForce& missing) {
   double duration = 0;
   for (const FineMotion& m : data.fine) duration = std::max(duration, m.t.back() - m.t.front());
   constexpr double kBin = 0.25;

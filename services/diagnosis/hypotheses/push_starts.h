@@ -4,18 +4,18 @@
 
 #include <vector>
 
-#include "common/effects/effect.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/missing_force.h"
 
 namespace rg::diagnosis {
 
 // Elastic planes (force zero outside, linear in the depth inside) normal to each axis of the base frame, for
 // each point of contact: the `most` that explain the missing force best.
-std::vector<std::vector<effects::EffectSpec>> ContactStarts(const FitData& data, const sim::Plant& nominal,
-                                                            const MissingForce& missing, int most);
+std::vector<TrialSpecs> ContactStarts(const FitData& data, const sim::Plant& nominal,
+                                      const MissingForce& missing, int most);
 
 // A constant Cartesian force over an interval of time, if it explains more than a torque on any single joint.
-std::vector<std::vector<effects::EffectSpec>> PushStarts(const FitData& data, const sim::Plant& nominal,
-                                                         const MissingForce& missing);
+std::vector<TrialSpecs> PushStarts(const FitData& data, const sim::Plant& nominal,
+                                   const MissingForce& missing);
 
 }  // namespace rg::diagnosis

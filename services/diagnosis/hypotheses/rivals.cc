@@ -1,35 +1,23 @@
 #include "services/diagnosis/hypotheses/rivals.h"
 
 #include <algorithm>
-#include <iterator>
 #include <map>
 #include <set>
 
 namespace rg::diagnosis {
-namespace {
-
-std::set<std::string> Ids(const std::vector<effects::EffectSpec>& specs) {
-  std::set<std::string> out;
-  for (const effects::EffectSpec& e : specs) out.insert(e.id);
-  return out;
-}
-
-}  // namespace
 
 std::vector<Rival> RivalsOf(const SearchResult& search, const std::string& id) {
-  const std::set<std::string> mine = Ids(search.best.specs);
+  const size_t kinds = FreshKinds({}, search.best).size();
   std::map<std::string, const Candidate*> best;
   for (const Candidate& c : search.tried) {
-    const std::set<std::string> theirs = Ids(c.specs);
+    const std::set<std::string> theirs = FreshKinds({}, c), extra = FreshKinds(search.best, c);
     // One law may replace two if it is as likely: Coulomb friction with a torque offset is friction that
     // depends on the direction.
-    const bool alike = theirs.size() == mine.size() ||
-                       (theirs.size() < mine.size() && c.score > search.best.score - kSeparable);
+    const bool alike =
+        theirs.size() == kinds || (theirs.size() < kinds && c.score > search.best.score - kSeparable);
     if (theirs.count(id) || !alike) continue;
-    std::vector<std::string> extra;
-    std::set_difference(theirs.begin(), theirs.end(), mine.begin(), mine.end(), std::back_inserter(extra));
     if (extra.size() != 1) continue;
-    auto [it, fresh] = best.try_emplace(extra[0], &c);
+    auto [it, fresh] = best.try_emplace(*extra.begin(), &c);
     if (!fresh && c.score > it->second->score) it->second = &c;
   }
   std::vector<Rival> out;

@@ -15,13 +15,13 @@ namespace rg::diagnosis {
 // Further results of the search over a measured effort (balance_search.h).
 struct MeasuredEffort {
   bool active = false;
-  double explained = 0;          // share of the calibrated model's misfit, cross-validated
-  Eigen::VectorXd structured;    // n: share of the rest that a free force over position and velocity takes
-  Eigen::VectorXd effort_share;  // n: residual over the effort's variance
-  Eigen::VectorXd effort_noise;  // n: RMS of the residual, N·m or N
-  Eigen::VectorXd effort_correlation_s;  // n: integrated autocorrelation of that
-  std::vector<int> early;                // joints whose effort lags their motion
-  std::map<std::string, double> gain;    // nats, cross-validated, per kind of effect
+  double explained = 0;           // share of the calibrated model's misfit, cross-validated
+  VectorXd structured;            // n: share of the rest that a free force over position and velocity takes
+  VectorXd effort_share;          // n: residual over the effort's variance
+  VectorXd effort_noise;          // n: RMS of the residual, N·m or N
+  VectorXd effort_correlation_s;  // n: integrated autocorrelation of that
+  std::vector<int> early;         // joints whose effort lags their motion
+  std::map<std::string, double> gain;  // nats, cross-validated, per kind of effect
 };
 
 struct SearchResult {

@@ -19,7 +19,7 @@ inline constexpr double kNoScore = -1e300;
 
 // A fitted hypothesis.
 struct Candidate {
-  std::vector<effects::EffectSpec> specs;
+  std::vector<EffectSpec> specs;
   bool base = false;  // base parameters are free
   std::shared_ptr<const sim::Plant> plant;
   std::vector<sysid::FitParameter> parameters;
@@ -52,7 +52,7 @@ inline double FitScore(const Candidate& c) { return c.score + c.held_out_penalty
 
 // −log p(structure) [nats]: per kind of effect, per joint of it, per parameter beyond the first, and for free
 // base parameters.
-double StructurePrior(const std::vector<effects::EffectSpec>& specs, bool base);
+double StructurePrior(const std::vector<EffectSpec>& specs, bool base);
 inline constexpr double kEffectPrior = 4.0;  // of one more kind of effect
 inline constexpr double kJointPrior = 1.0;   // of one more joint of it
 
@@ -70,21 +70,21 @@ bool IsLossOfDrives(const std::string& id);
 
 // The variable of the unnamed force on the joint: "position", "velocity", "drag"; empty: none, or of two
 // variables.
-std::string FieldVariable(const std::vector<effects::EffectSpec>& specs, const std::string& joint);
+std::string FieldVariable(const std::vector<EffectSpec>& specs, const std::string& joint);
 
 // Whether the effect is in `specs` on that joint; joint "": as one of the whole robot.
-bool Contains(const std::vector<effects::EffectSpec>& specs, const std::string& id, const std::string& joint);
+bool Contains(const std::vector<EffectSpec>& specs, const std::string& id, const std::string& joint);
 
-bool HasKind(const std::vector<effects::EffectSpec>& specs, const std::string& id);
-std::vector<effects::EffectSpec> WithoutKind(std::vector<effects::EffectSpec> specs, const std::string& id);
+bool HasKind(const std::vector<EffectSpec>& specs, const std::string& id);
+std::vector<EffectSpec> WithoutKind(std::vector<EffectSpec> specs, const std::string& id);
 
 // Whether every effect of `part` is in `whole`, on the same joints.
-bool IsPart(const std::vector<effects::EffectSpec>& part, const std::vector<effects::EffectSpec>& whole);
+bool IsPart(const std::vector<EffectSpec>& part, const std::vector<EffectSpec>& whole);
 
 // The effects with the fitted values as their start values.
-std::vector<effects::EffectSpec> Refreshed(const Candidate& c);
+std::vector<EffectSpec> Refreshed(const Candidate& c);
 // The effects of `before` with the values of `c` where it has the same effect, else their own.
-std::vector<effects::EffectSpec> RefreshedFrom(const Candidate& before, const Candidate& c);
+std::vector<EffectSpec> RefreshedFrom(const Candidate& before, const Candidate& c);
 
 // Whether the data inform none of the parameters of some effect (of effect i): every posterior is nearly its
 // prior, or a mass or a gap is at its lower bound.
@@ -122,10 +122,10 @@ bool Slides(const Candidate& c, const MotionScales& scales);
 double Strength(const Candidate& c, size_t i);
 inline constexpr double kAbsent = 1.0;  // Strength below which an effect is treated as absent
 // The effects, refreshed, whose strength exceeds kAbsent or is LikeOtherJoints.
-std::vector<effects::EffectSpec> StrongEffects(const Candidate& c);
+std::vector<EffectSpec> StrongEffects(const Candidate& c);
 // The effects of `other`, refreshed, without those whose squared strength fell below a hundredth of that in
 // `model`: they had stood in for a law that `other` has. (Play whose faces never part acts as a wrong zero.)
-std::vector<effects::EffectSpec> StillNeeded(const Candidate& model, const Candidate& other);
+std::vector<EffectSpec> StillNeeded(const Candidate& model, const Candidate& other);
 // Whether every effect that `c` has and `before` has not is absent by its strength.
 bool AddsNothing(const Candidate& before, const Candidate& c);
 

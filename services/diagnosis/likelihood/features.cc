@@ -13,8 +13,6 @@ namespace rg::diagnosis {
 
 using effects::Regressor;
 using Eigen::ArrayXd;
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -216,12 +214,13 @@ MotionScales ScalesOf(const FitData& data, const sim::Plant& plant) {
   const int n = data.n;
   for (VectorXd* x : {&s.torque, &s.speed, &s.top_speed, &s.inertia, &s.speed_noise}) x->setZero(n);
   s.low.setConstant(n, 1e9), s.high.setConstant(n, -1e9);
-  VectorXd sum = VectorXd::Zero(n), squares = VectorXd::Zero(n), speed2 = VectorXd::Zero(n);
+  VectorXd sum = VectorXd::Zero(n), squares = sum, speed2 = sum, acceleration2 = sum;
   double count = 0;
   for (const FineMotion& m : data.fine) {
     sum += m.u.rowwise().sum();
     squares += m.u.cwiseAbs2().rowwise().sum();
     speed2 += m.v.cwiseAbs2().rowwise().sum();
+    acceleration2 += m.a.cwiseAbs2().rowwise().sum();
     count += static_cast<double>(m.u.cols());
     s.top_speed = s.top_speed.cwiseMax(m.v.cwiseAbs().rowwise().maxCoeff());
     s.low = s.low.cwiseMin(m.q.rowwise().minCoeff());
@@ -253,9 +252,7 @@ MotionScales ScalesOf(const FitData& data, const sim::Plant& plant) {
   }
   for (const int i : plant.parameters().OfKind(sim::ParameterKind::kArmature))
     s.inertia[plant.model().FindJoint(plant.parameters()[i].owner)] += plant.parameters()[i].nominal;
-  VectorXd accelerations = VectorXd::Zero(n);
-  for (const FineMotion& m : data.fine) accelerations += m.a.cwiseAbs2().rowwise().sum();
-  s.acceleration = (accelerations / count).cwiseSqrt().cwiseMax(1e-3);
+  s.acceleration = (acceleration2 / count).cwiseSqrt().cwiseMax(1e-3);
   for (int j = 0; j < n; ++j) {
     if (plant.IsPassive(j)) s.torque[j] = std::max(1e-6, s.inertia[j] * s.acceleration[j]);
   }

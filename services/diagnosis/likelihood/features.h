@@ -19,16 +19,16 @@ struct Feature {
 
 // Typical magnitudes of the recorded motion, n each.
 struct MotionScales {
-  Eigen::VectorXd torque;  // RMS of the drive torque about its mean, plus a third of the mean's size; without
-                           // a drive, RMS of what its inertia needs
-  Eigen::VectorXd speed;   // RMS
-  Eigen::VectorXd acceleration;  // RMS
-  Eigen::VectorXd top_speed;
-  Eigen::VectorXd low, high;    // range of positions
-  Eigen::VectorXd inertia;      // diag M at the middle of the motion
-  Eigen::VectorXd speed_noise;  // of the smoothed velocity
-  std::vector<char> still;      // never moved by more than its noise
-  double duration = 1;          // longest recording, s
+  VectorXd torque;        // RMS of the drive torque about its mean, plus a third of the mean's size; without
+                          // a drive, RMS of what its inertia needs
+  VectorXd speed;         // RMS
+  VectorXd acceleration;  // RMS
+  VectorXd top_speed;
+  VectorXd low, high;       // range of positions
+  VectorXd inertia;         // diag M at the middle of the motion
+  VectorXd speed_noise;     // of the smoothed velocity
+  std::vector<char> still;  // never moved by more than its noise
+  double duration = 1;      // longest recording, s
 };
 MotionScales ScalesOf(const FitData& data, const sim::Plant& plant);
 

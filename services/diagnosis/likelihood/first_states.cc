@@ -49,7 +49,7 @@ NodeStates InitialStates(const FitData& data, const FitModel& model, const Lifte
     lin.CarryHidden(worker, before, motor, &earlier);
     states[w].col(0) = earlier.col(B);
     if (lin.has_gaps()) {
-      const double carried = lin.Simulated(worker, w, VectorXd(states[w].col(0)));
+      const double carried = lin.Simulated(worker, {w}, {states[w].col(0)})[0];
       lin.ChooseFace(worker, w, nullptr, false, carried, &states[w]);
     }
     lin.CarryHidden(worker, window, motor, &states[w]);

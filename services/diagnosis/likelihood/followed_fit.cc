@@ -13,9 +13,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 namespace {
 
 constexpr int kOneWindow = 6;              // of a window alone, and as many more while they pay
@@ -39,94 +36,6 @@ FitResult Alone(FitData* one, const NodeWindow& window, const FitModel& model, L
   options.iterations = options.more_iterations = iterations;
   return Fit(*one, model, options, &from);
 }
-
-}  // namespace
-
-std::optional<VectorXd> SimulatedTo(double to, const FitData& data, sim::Simulator& simulator,
-                                    const NodeWindow& window, const VectorXd& from) {
-  const long n = data.n;
-  const sim::State x{
-      from.head(n), from.segment(n, n), from.tail(from.size() - 2 * n), window.t.front(), {}, {}};
-  const sim::Trajectory out = simulator.Simulate(x, data.recordings[window.recording].command, {to});
-  if (!out.outcome.ok() || !out.state.allFinite()) return std::nullopt;
-  return out.state.col(0);
-}
-
-NodeStates FollowedStates(const FitData& data, const FitModel& given, const LiftedOptions& options,
-                          NodeStates states, bool anew, double* work, std::vector<double>* chi2) {
-  if (chi2 != nullptr) chi2->assign(data.windows.size(), std::numeric_limits<double>::infinity());
-  const FitModel model{given.plant, given.values, {}};
-  std::map<int, std::vector<size_t>> by_recording;  // windows in the order of time
-  for (size_t w = 0; w < data.windows.size(); ++w) by_recording[data.windows[w].recording].push_back(w);
-  std::vector<std::vector<size_t>> chains;
-  for (auto& [recording, chain] : by_recording) {
-    std::ranges::stable_sort(
-        chain, [&](size_t a, size_t b) { return data.windows[a].t.front() < data.windows[b].t.front(); });
-    chains.push_back(chain);
-  }
-  std::vector<double> spent(chains.size(), 0.0);
-  LiftedOptions alone = options;
-  alone.threads = 1;
-  sysid::ParallelFor(options.threads, static_cast<int>(chains.size()), [&](int, int c) {
-    FitData one = data;
-    sim::Simulator simulator(model.plant, {.integrator = options.integrator, .step_s = options.step_s});
-    simulator.SetParameters(model.values);
-    Lineariser lineariser(data, model, false, alone);
-    const std::vector<int> no_motor(static_cast<size_t>(data.n), -1);
-    const NodeWindow* before = nullptr;
-    VectorXd from;
-    for (const size_t w : chains[c]) {
-      const NodeWindow& window = data.windows[w];
-      FitResult best;
-      // Whether none is needed any more.
-      const auto met = [&] { return best.ok && best.chi2 < kFitted * best.rows * options.noise_scale; };
-      const auto attempt = [&](const MatrixXd& start) {
-        const FitResult fit = Alone(&one, window, model, alone, start, kOneWindow);
-        spent[c] += fit.work;
-        if (fit.ok && (!best.ok || fit.chi2 < best.chi2)) best = fit;
-      };
-      const auto carried = [&](const VectorXd& start) {
-        MatrixXd out = states[w];
-        out.col(0) = start;
-        lineariser.CarryHidden(0, window, no_motor, &out);
-        return out;
-      };
-      if (before != nullptr && FollowsOn(*before, window)) {
-        // Where what is hidden goes on from there.
-        if (const auto end = SimulatedTo(window.t.front(), data, simulator, *before, from)) {
-          VectorXd on = states[w].col(0);
-          on.tail(on.size() - 2 * data.n) = end->tail(on.size() - 2 * data.n);
-          attempt(carried(on));
-        }
-      }
-      if (!met()) attempt(states[w]);
-      if (anew && !met()) {
-        std::vector<FitResult> looks;
-        std::vector<VectorXd> starts = SwingsFrom(simulator, states[w].col(0));
-        if (before == nullptr) {
-          for (VectorXd& start : LetGo(data, simulator, window, states[w].col(0)))
-            starts.push_back(std::move(start));
-        }
-        for (const VectorXd& start : starts) {
-          looks.push_back(Alone(&one, window, model, alone, carried(start), kLook));
-          spent[c] += looks.back().work;
-        }
-        std::erase_if(looks, [](const FitResult& look) { return !look.ok; });
-        std::ranges::stable_sort(looks,
-                                 [](const FitResult& a, const FitResult& b) { return a.chi2 < b.chi2; });
-        for (size_t i = 0; i < std::min(kNearestSwings, looks.size()) && !met(); ++i)
-          attempt(looks[i].states[0]);
-      }
-      if (best.ok) states[w] = best.states[0];
-      if (best.ok && chi2 != nullptr) (*chi2)[w] = best.chi2;
-      before = &window, from = states[w].col(0);
-    }
-  });
-  for (const double cost : spent) *work += kAlone * cost;
-  return states;
-}
-
-namespace {
 
 // Windows, their states followed at the model's values, and how well these meet the record.
 struct Followed {
@@ -220,6 +129,90 @@ double FindOverPieces(const FitData& data, double piece_s, const LiftedOptions& 
 }
 
 }  // namespace
+
+std::optional<VectorXd> SimulatedTo(double to, const FitData& data, sim::Simulator& simulator,
+                                    const NodeWindow& window, const VectorXd& from) {
+  const long n = data.n;
+  const sim::State x{
+      from.head(n), from.segment(n, n), from.tail(from.size() - 2 * n), window.t.front(), {}, {}};
+  const sim::Trajectory out = simulator.Simulate(x, data.recordings[window.recording].command, {to});
+  if (!out.outcome.ok() || !out.state.allFinite()) return std::nullopt;
+  return out.state.col(0);
+}
+
+NodeStates FollowedStates(const FitData& data, const FitModel& given, const LiftedOptions& options,
+                          NodeStates states, bool anew, double* work, std::vector<double>* chi2) {
+  if (chi2 != nullptr) chi2->assign(data.windows.size(), std::numeric_limits<double>::infinity());
+  const FitModel model{given.plant, given.values, {}};
+  std::map<int, std::vector<size_t>> by_recording;  // windows in the order of time
+  for (size_t w = 0; w < data.windows.size(); ++w) by_recording[data.windows[w].recording].push_back(w);
+  std::vector<std::vector<size_t>> chains;
+  for (auto& [recording, chain] : by_recording) {
+    std::ranges::stable_sort(
+        chain, [&](size_t a, size_t b) { return data.windows[a].t.front() < data.windows[b].t.front(); });
+    chains.push_back(chain);
+  }
+  std::vector<double> spent(chains.size(), 0.0);
+  LiftedOptions alone = options;
+  alone.threads = 1;
+  sysid::ParallelFor(options.threads, static_cast<int>(chains.size()), [&](int, int c) {
+    FitData one = data;
+    sim::Simulator simulator(model.plant, {.integrator = options.integrator, .step_s = options.step_s});
+    simulator.SetParameters(model.values);
+    Lineariser lineariser(data, model, false, alone);
+    const std::vector<int> no_motor(static_cast<size_t>(data.n), -1);
+    const NodeWindow* before = nullptr;
+    VectorXd from;
+    for (const size_t w : chains[c]) {
+      const NodeWindow& window = data.windows[w];
+      FitResult best;
+      // Whether none is needed any more.
+      const auto met = [&] { return best.ok && best.chi2 < kFitted * best.rows * options.noise_scale; };
+      const auto attempt = [&](const MatrixXd& start) {
+        const FitResult fit = Alone(&one, window, model, alone, start, kOneWindow);
+        spent[c] += fit.work;
+        if (fit.ok && (!best.ok || fit.chi2 < best.chi2)) best = fit;
+      };
+      const auto carried = [&](const VectorXd& start) {
+        MatrixXd out = states[w];
+        out.col(0) = start;
+        lineariser.CarryHidden(0, window, no_motor, &out);
+        return out;
+      };
+      if (before != nullptr && FollowsOn(*before, window)) {
+        // Where what is hidden goes on from there.
+        if (const auto end = SimulatedTo(window.t.front(), data, simulator, *before, from)) {
+          VectorXd on = states[w].col(0);
+          on.tail(on.size() - 2 * data.n) = end->tail(on.size() - 2 * data.n);
+          attempt(carried(on));
+        }
+      }
+      if (!met()) attempt(states[w]);
+      if (anew && !met()) {
+        std::vector<FitResult> looks;
+        std::vector<VectorXd> starts = SwingsFrom(simulator, states[w].col(0));
+        if (before == nullptr) {
+          for (VectorXd& start : LetGo(data, simulator, window, states[w].col(0)))
+            starts.push_back(std::move(start));
+        }
+        for (const VectorXd& start : starts) {
+          looks.push_back(Alone(&one, window, model, alone, carried(start), kLook));
+          spent[c] += looks.back().work;
+        }
+        std::erase_if(looks, [](const FitResult& look) { return !look.ok; });
+        std::ranges::stable_sort(looks,
+                                 [](const FitResult& a, const FitResult& b) { return a.chi2 < b.chi2; });
+        for (size_t i = 0; i < std::min(kNearestSwings, looks.size()) && !met(); ++i)
+          attempt(looks[i].states[0]);
+      }
+      if (best.ok) states[w] = best.states[0];
+      if (best.ok && chi2 != nullptr) (*chi2)[w] = best.chi2;
+      before = &window, from = states[w].col(0);
+    }
+  });
+  for (const double cost : spent) *work += kAlone * cost;
+  return states;
+}
 
 FitResult FitFollowed(const FitData& data, FitModel model, const LiftedOptions& options, int rounds) {
   FitResult best;

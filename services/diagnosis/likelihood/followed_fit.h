@@ -11,8 +11,8 @@
 namespace rg::diagnosis {
 
 // The state at `to` of a window that is simulated from `from`, its first; nothing where that fails.
-std::optional<Eigen::VectorXd> SimulatedTo(double to, const FitData& data, sim::Simulator& simulator,
-                                           const NodeWindow& window, const Eigen::VectorXd& from);
+std::optional<VectorXd> SimulatedTo(double to, const FitData& data, sim::Simulator& simulator,
+                                    const NodeWindow& window, const VectorXd& from);
 
 // States of all windows, one after another: each starts as the end of the one before leaves it, or as it is
 // in `now`, or, where no such fit meets the record and `anew`, in one of the three nearest of SwingsFrom

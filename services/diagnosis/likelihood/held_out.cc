@@ -8,11 +8,9 @@
 #include "services/diagnosis/likelihood/jumps.h"
 #include "services/diagnosis/likelihood/screen.h"
 #include "services/diagnosis/likelihood/swing_starts.h"
+#include "services/sysid/fit_space.h"
 
 namespace rg::diagnosis {
-
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -30,17 +28,9 @@ struct Learned {
 Learned LearnedFrom(const FitData& held_out, const Candidate& c, const NodeStates& states,
                     const LiftedOptions& options) {
   const auto P = static_cast<long>(c.parameters.size());
-  FeatureBlock none;
-  std::vector<VectorXd> no_rule;
-  for (const NodeWindow& window : held_out.windows) {
-    none.phi.emplace_back(0, static_cast<long>(window.t.size()) - 1);
-    const auto nodes = std::ranges::count(window.measured, char{1});
-    no_rule.push_back(VectorXd::Zero(nodes * held_out.n * (held_out.use_velocity ? 2 : 1)));
-  }
-  const Screen screen = MakeScreen(held_out, FitModel{*c.plant, c.fit.values, c.parameters}, states, none,
-                                   options, no_rule, 0, Rng(1));
-  VectorXd sigma(P);
-  for (long i = 0; i < P; ++i) sigma[i] = c.parameters[i].prior_stddev;
+  const Screen screen = MakeScreen(held_out, FitModel{*c.plant, c.fit.values, c.parameters}, states, {},
+                                   options, {}, 0, Rng(1));
+  const VectorXd sigma = sysid::PriorStddevs(c.parameters);
   Learned out;
   out.before = MatrixXd::Identity(P, P) + sigma.asDiagonal() * c.fit.information * sigma.asDiagonal();
   out.after = out.before + sigma.asDiagonal() * screen.gram.topLeftCorner(P, P) * sigma.asDiagonal();
@@ -147,11 +137,10 @@ HeldOut PredictHeldOut(const FitData& held_out, const Candidate& fitted, const L
       // The gain by their own best parameters is simulated: where windows diverge, the linear model promises
       // anything.
       if (0.5 * step.dot(learned.gradient) > kWorthSimulating) {
-        VectorXd theta = fitted.fit.theta;
-        for (long i = 0; i < P; ++i) {
-          const sysid::FitParameter& p = fitted.parameters[i];
-          theta[i] = std::clamp(theta[i] + p.prior_stddev * step[i], p.lower, p.upper);
-        }
+        const sysid::FitSpace space(fitted.parameters, false);
+        const VectorXd theta = (fitted.fit.theta + space.prior_stddev().cwiseProduct(step))
+                                   .cwiseMax(space.lower())
+                                   .cwiseMin(space.upper());
         const FitResult moved = Restarted(
             held_out, fitted, sysid::WithFitted(fitted.parameters, fitted.fit.values, theta), restarts);
         const double paid = 0.5 * step.dot(learned.before * step);

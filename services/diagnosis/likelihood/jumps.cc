@@ -8,16 +8,12 @@
 
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
-#include "services/diagnosis/likelihood/arrival_cost.h"
 #include "services/diagnosis/likelihood/candidate.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/diagnosis/likelihood/swing_starts.h"
 #include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
-
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -44,13 +40,13 @@ MatrixXd OfMass(const sim::Plant& plant) {
   return AsRows(out, plant.num_states());
 }
 
-bool IsPlay(const effects::EffectSpec& e) { return !effects::InferenceOf(e.id).stays.empty(); }
+bool IsPlay(const EffectSpec& e) { return !effects::InferenceOf(e.id).stays.empty(); }
 
 // Where each motor behind play is against its link, and how fast.
 MatrixXd OfPlay(const sim::Plant& plant) {
   std::vector<VectorXd> out;
   const long n = plant.num_joints(), nx = plant.num_states();
-  for (const effects::EffectSpec& e : plant.effects()) {
+  for (const EffectSpec& e : plant.effects()) {
     if (!IsPlay(e)) continue;
     for (const std::string& joint : e.joints) {
       const long link = plant.model().FindJoint(joint), motor = 2 * n + MotorOf(plant, joint);
@@ -70,10 +66,10 @@ double OnePercentChi2(double k) {
 // The window with a node at `t`, where nothing is measured.
 void ContinueTo(double t, NodeWindow* window) {
   const long k = window->q.cols();
-  for (MatrixXd* m : {&window->q, &window->v, &window->q_stddev, &window->v_stddev, &window->q_row,
-                      &window->v_row, &window->q0, &window->v0}) {
-    m->conservativeResize(Eigen::NoChange, k + 1);
-    m->col(k) = MatrixXd(m->col(k - 1));
+  for (const auto m : kNodeMatrices) {
+    MatrixXd& of = window->*m;
+    of.conservativeResize(Eigen::NoChange, k + 1);
+    of.col(k) = MatrixXd(of.col(k - 1));
   }
   window->t.push_back(t), window->measured.push_back(0);
   window->before.emplace_back(), window->after.emplace_back();
@@ -198,7 +194,7 @@ FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
   return WithJumpsOf(OfMass(plant), data, plant, std::move(fit), options);
 }
 
-bool HasPlay(const std::vector<effects::EffectSpec>& specs) { return std::ranges::any_of(specs, IsPlay); }
+bool HasPlay(const std::vector<EffectSpec>& specs) { return std::ranges::any_of(specs, IsPlay); }
 
 FitResult WithJumpsInPlay(const FitData& data, const sim::Plant& plant, FitResult fit,
                           const LiftedOptions& options) {

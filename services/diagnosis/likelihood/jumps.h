@@ -31,7 +31,7 @@ FitResult WithJumps(const FitData& data, const sim::Plant& plant, FitResult fit,
                     const LiftedOptions& options);
 
 // Whether motors move behind play.
-bool HasPlay(const std::vector<effects::EffectSpec>& specs);
+bool HasPlay(const std::vector<EffectSpec>& specs);
 
 // The same of motors behind play, each against its link, in what is restarted on held-out recordings: from
 // where the window before left it, which is known to some covariance only, contact may be met too early.

@@ -13,6 +13,7 @@
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/diagnosis/likelihood/move_states.h"
 #include "services/sysid/boxed_newton_step.h"
+#include "services/sysid/fit_space.h"
 #include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
@@ -29,6 +30,23 @@ constexpr double kFarFromNoise = 2.0;  // times what noise leaves
 constexpr double kStalledGain = 0.1;   // of what its cost is above noise
 constexpr int kPatience = 3;           // iterations before windows are taken for lost
 constexpr int kTogether = 8;           // windows that are simulated side by side
+
+// Seconds of one thread, fitted to 1,176 fits of seven sets (two to seven joints, 50 to 500 Hz); those of
+// rows, columns and pairs lowered since to what they take with the kernels of row_products.h (two sets of
+// seven joints).
+constexpr double kPerSimulatedStep = 2.4e-7;   // and pair of states, a position and its rate
+constexpr double kPerLinearisedStep = 1.9e-8;  // and pair of these
+constexpr double kPerNode = 1.1e-6, kPerNodeColumn = 2.3e-7;
+constexpr double kPerRowColumn = 1.2e-9;    // and state
+constexpr double kPerScreenedPair = 8e-11;  // row and pair of columns
+
+double StepsOf(const FitData& data, const LiftedOptions& options) { return data.Seconds() / options.step_s; }
+
+double NodesOf(const FitData& data) {
+  double count = 0;
+  for (const NodeWindow& w : data.windows) count += static_cast<double>(w.t.size());
+  return count;
+}
 
 // What the free starts of hidden states cost: they follow noise, each by up to a nat, where the data know
 // them better than their own spread over the windows says.
@@ -85,16 +103,7 @@ class LiftedFit {
  public:
   LiftedFit(const FitData& data, const FitModel& model, const LiftedOptions& options, const NodeStates* from)
       : data_(data), model_(model), options_(options), given_(from != nullptr) {
-    for (VectorXd* v : {&at_.theta, &theta0_, &prior_, &lower_, &upper_, &sigma_}) v->resize(P_);
-    for (int i = 0; i < P_; ++i) {
-      const auto& p = model.parameters[i];
-      at_.theta[i] = model.values[p.index];
-      theta0_[i] = p.nominal;
-      sigma_[i] = p.prior_stddev;
-      prior_[i] = 1.0 / (p.prior_stddev * p.prior_stddev);
-      lower_[i] = p.lower, upper_[i] = p.upper;
-    }
-    at_.theta = at_.theta.cwiseMax(lower_).cwiseMin(upper_);
+    at_.theta = space_.From(model.values);
     at_.values = sysid::WithFitted(model.parameters, model.values, at_.theta);
     lin_.SetValues(model, at_.values);
     at_.states = given_ ? *from : InitialStates(data, {model.plant, at_.values, model.parameters}, options);
@@ -267,17 +276,10 @@ class LiftedFit {
 
   // The posterior about the result's point, and its evidence.
   void Weigh() {
-    result_.stddev.resize(P_);
-    double log_det = 0;
-    if (P_ > 0) {
-      const MatrixXd scaled = sigma_.asDiagonal() * result_.information * sigma_.asDiagonal();
-      const Eigen::LLT<MatrixXd> llt(MatrixXd::Identity(P_, P_) + scaled);
-      for (int i = 0; i < P_; ++i) log_det += 2.0 * std::log(llt.matrixL()(i, i));
-      const MatrixXd covariance = llt.solve(MatrixXd::Identity(P_, P_));
-      for (int i = 0; i < P_; ++i) result_.stddev[i] = sigma_[i] * std::sqrt(std::max(0.0, covariance(i, i)));
-    }
-    result_.evidence = -0.5 * result_.chi2 * inverse_scale_ - 0.5 * result_.prior_cost - 0.5 * log_det -
-                       HiddenCost(linear_, result_.states, data_.n, inverse_scale_);
+    const Posterior posterior = PosteriorOf(result_.information, sigma_);
+    result_.stddev = posterior.stddev;
+    result_.evidence = -0.5 * result_.chi2 * inverse_scale_ - 0.5 * result_.prior_cost -
+                       posterior.half_log_det - HiddenCost(linear_, result_.states, data_.n, inverse_scale_);
   }
 
   double PriorCost(const VectorXd& theta) const { return prior_.dot((theta - theta0_).cwiseAbs2()); }
@@ -295,7 +297,10 @@ class LiftedFit {
   const double simulation_ = SimulationWork(data_, options_, lin_.nx());
   // A mass that has to find its swing, or a motor its face, may stall for a while and then come near.
   const bool hidden_ = lin_.nx() > 2 * data_.n, may_stall_ = HasFreeStates(model_.plant);
-  VectorXd theta0_, prior_, lower_, upper_, sigma_;  // P
+  const sysid::FitSpace space_{model_.parameters, false};
+  const VectorXd &theta0_ = space_.nominal(), &lower_ = space_.lower(), &upper_ = space_.upper(),
+                 &sigma_ = space_.prior_stddev();
+  const VectorXd prior_ = sigma_.cwiseAbs2().cwiseInverse();
   std::vector<ArrivalCost> loose_;
 
   Point at_;  // χ²: empty before the first step where the start does not count
@@ -312,6 +317,43 @@ class LiftedFit {
 };
 
 }  // namespace
+
+double SimulationWork(const FitData& data, const LiftedOptions& options, long states) {
+  return kPerSimulatedStep * StepsOf(data, options) * 0.5 * static_cast<double>(states);
+}
+
+double LinearisationWork(const FitData& data, const LiftedOptions& options, long states, long columns) {
+  const auto C = static_cast<double>(columns), moving = 0.5 * static_cast<double>(states);
+  return kPerLinearisedStep * StepsOf(data, options) * moving * moving +
+         NodesOf(data) * (kPerNode + kPerNodeColumn * C) +
+         kPerRowColumn * data.Rows() * static_cast<double>(states) * C;
+}
+
+double ScreenWork(const FitData& data, const LiftedOptions& options, long states, long columns, int draws) {
+  const auto D = static_cast<double>(columns);
+  return LinearisationWork(data, options, states, states + columns) +
+         kPerScreenedPair * data.Rows() * D * (D + draws);
+}
+
+double HalfLogDet(const Eigen::LLT<MatrixXd>& factor) {
+  double sum = 0;
+  for (const double x : factor.matrixLLT().diagonal()) sum += std::log(x);
+  return sum;
+}
+
+Posterior PosteriorOf(const MatrixXd& information, const VectorXd& sigma) {
+  const auto P = sigma.size();
+  Posterior out{0, VectorXd(P)};
+  if (P == 0) return out;
+  const MatrixXd scaled = sigma.asDiagonal() * information * sigma.asDiagonal();
+  const Eigen::LLT<MatrixXd> llt(MatrixXd::Identity(P, P) + scaled);
+  out.half_log_det = HalfLogDet(llt);
+  const MatrixXd covariance = llt.solve(MatrixXd::Identity(P, P));
+  for (Eigen::Index i = 0; i < P; ++i) {
+    out.stddev[i] = sigma[i] * std::sqrt(std::max(0.0, covariance(i, i)));
+  }
+  return out;
+}
 
 int MotorOf(const sim::Plant& plant, const std::string& joint) {
   const auto& names = plant.internal_state_names();

@@ -13,6 +13,7 @@
 // δτ are features, candidate forces: screen.h.
 #pragma once
 
+#include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <initializer_list>
 #include <string_view>
@@ -25,12 +26,14 @@
 
 namespace rg::diagnosis {
 
+using effects::EffectSpec;
+
 // States at the nodes of every window: nx × (N + 1) each.
-using NodeStates = std::vector<Eigen::MatrixXd>;
+using NodeStates = std::vector<MatrixXd>;
 
 struct FitModel {
   sim::Plant plant;
-  Eigen::VectorXd values;                       // of the plant's table
+  VectorXd values;                              // of the plant's table
   std::vector<sysid::FitParameter> parameters;  // free ones; θ0 = nominal, prior_stddev
 };
 
@@ -69,14 +72,14 @@ bool HasStatesBut(std::initializer_list<std::string_view> kinds, const sim::Plan
 inline bool HasFreeStates(const sim::Plant& plant) { return HasStatesBut({kLagState}, plant); }
 
 struct FitResult {
-  Eigen::VectorXd values;
+  VectorXd values;
   NodeStates states;
   double chi2 = 0;  // of the simulated windows, far residuals softened; of a mass in springs with its jumps
   std::vector<double> window_chi2;  // (jumps.h)
   double prior_cost = 0;            // Σ ((θ−θ0)/σ)²
-  Eigen::MatrixXd information;      // P × P, without priors, divided by noise_scale
-  Eigen::VectorXd stddev;           // P, posterior
-  Eigen::VectorXd theta;            // P
+  MatrixXd information;             // P × P, without priors, divided by noise_scale
+  VectorXd stddev;                  // P, posterior
+  VectorXd theta;                   // P
   int rows = 0;
   int iterations = 0;
   double work = 0;  // of all its simulations and linearisations
@@ -84,6 +87,16 @@ struct FitResult {
   // log evidence: −½χ²/s² − ½ prior cost − ½ log det(1 + σ H σ) − what free hidden starts cost
   double evidence = 0;
 };
+
+// ½ log det of the factored matrix.
+double HalfLogDet(const Eigen::LLT<MatrixXd>& factor);
+
+// What data of an information H (P × P) leave of a prior N(·, diag σ²).
+struct Posterior {
+  double half_log_det = 0;  // ½ log det(1 + σHσ), the Occam factor, nats
+  VectorXd stddev;          // P
+};
+Posterior PosteriorOf(const MatrixXd& information, const VectorXd& sigma);
 
 NodeStates InitialStates(const FitData& data, const FitModel& model, const LiftedOptions& options);
 // `start`: states to start from, the plant's own layout; without them from the recorded motion.

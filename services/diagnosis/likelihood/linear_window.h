@@ -4,13 +4,21 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
 
-#include "services/diagnosis/likelihood/arrival_cost.h"
+#include "services/diagnosis/likelihood/lifted_fit.h"
 #include "services/diagnosis/likelihood/row_products.h"
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
+// Arrival cost of a window: a prior on the start of the bodies that effects add (a mount, a swinging mass),
+// about where a simulation along the recorded motion leaves them. In directions without excitation, as across
+// the plane of a planar arm, rows inform them to second order only, and a start that fits the noise diverges.
+struct ArrivalCost {
+  VectorXd middle;     // nx: mean
+  VectorXd precision;  // nx: zero for states that only the rows inform
+};
+
+// Of every window. The stddev of a state is ten times its RMS along all windows.
+std::vector<ArrivalCost> ArrivalCosts(const sim::Plant& plant, const NodeStates& carried);
 
 // Robust cost of a residual r [stddev]: c²·log(1 + r²/c²), c = kSoft. About r² near the model; a window that
 // diverges does not outweigh the others.

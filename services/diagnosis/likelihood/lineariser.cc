@@ -32,7 +32,7 @@ double SoftenedSum(const VectorXd& residuals) {
 
 std::vector<int> SensedMotors(const sim::Plant& plant) {
   std::vector<int> out(plant.num_joints(), -1);
-  for (const effects::EffectSpec& e : plant.effects()) {
+  for (const EffectSpec& e : plant.effects()) {
     const auto sensor = e.options.find("sensor");
     if (sensor == e.options.end() || sensor->second != "motor") continue;
     for (const std::string& joint : e.joints) out[plant.model().FindJoint(joint)] = MotorOf(plant, joint);
@@ -99,7 +99,7 @@ Lineariser::~Lineariser() = default;
 
 void Lineariser::FindGaps() {
   const auto& parameters = probe_.plant.parameters();
-  for (const effects::EffectSpec& e : probe_.plant.effects()) {
+  for (const EffectSpec& e : probe_.plant.effects()) {
     const effects::Inference& own = effects::InferenceOf(e.id);
     if (own.stays.empty()) continue;
     for (const std::string& joint : e.joints) {
@@ -154,9 +154,7 @@ std::vector<int> Lineariser::Columns(const FitModel& model) {
 }
 
 int Lineariser::RowsOf(const NodeWindow& w) const {
-  int nodes = 0;
-  for (const char m : w.measured) nodes += m;
-  return nodes * n_ * (data_.use_velocity ? 2 : 1);
+  return static_cast<int>(std::ranges::count(w.measured, char{1})) * n_ * (data_.use_velocity ? 2 : 1);
 }
 
 double Lineariser::Memory() const {
@@ -317,10 +315,6 @@ VectorXd Lineariser::Residuals(int worker, int index, const VectorXd& x0, double
   const NodeWindow& window = data_.windows[index];
   TimesOf(window, part, &w.times);
   return Residuals(window, RunFrom(window, x0, w.times, &w), part);
-}
-
-double Lineariser::Simulated(int worker, int index, const VectorXd& x0) {
-  return SoftenedSum(Residuals(worker, index, x0));
 }
 
 std::vector<double> Lineariser::Simulated(int worker, const std::vector<int>& indices,

@@ -10,11 +10,21 @@
 
 #include "services/diagnosis/likelihood/lifted_fit.h"
 #include "services/diagnosis/likelihood/linear_window.h"
-#include "services/diagnosis/likelihood/probe.h"
 
 namespace rg::diagnosis {
 
 inline constexpr double kSettleTime = 0.5;  // s before a window from which hidden states are simulated
+
+// A plant with a constant torque of size zero on each joint, whose sensitivities are the columns B of
+// lifted_fit.h.
+struct Probe {
+  sim::Plant plant;
+  VectorXd values;
+  std::vector<int> torque;  // parameter index per joint, −1: none
+};
+
+// Without the torque on joints that can take no further effect of either kind.
+Probe MakeProbe(const FitModel& model, bool with_torque);
 
 class Lineariser {
  public:
@@ -42,9 +52,7 @@ class Lineariser {
   // order of Run; where the motion of prescribed joints is in doubt, what is left of it when rows are made
   // independent.
   VectorXd Residuals(int worker, int index, const VectorXd& x0, double part = 1.0);
-  // Σ ((y − ŷ)/σ)² of them, far residuals softened.
-  double Simulated(int worker, int index, const VectorXd& x0);
-  // The same of several windows side by side, each from its own x_0.
+  // Σ ((y − ŷ)/σ)² of several windows side by side, each from its own x_0; far residuals softened.
   std::vector<double> Simulated(int worker, const std::vector<int>& indices, const std::vector<VectorXd>& x0,
                                 double part = 1.0);
   // χ² of a window whose simulation broke at once.

@@ -1,10 +1,11 @@
-#include "services/diagnosis/likelihood/probe.h"
+// The plant with probing torques of lineariser.h.
 
-#include <algorithm>
 #include <string>
 
 #include "common/base/check.h"
 #include "common/effects/inference.h"
+#include "services/diagnosis/likelihood/candidate.h"
+#include "services/diagnosis/likelihood/lineariser.h"
 
 namespace rg::diagnosis {
 
@@ -13,21 +14,12 @@ namespace {
 constexpr double kAlways = 1e15;  // s, beyond epoch times in seconds
 
 struct ZeroTorque {
-  effects::EffectSpec spec;
+  EffectSpec spec;
   std::string parameter;
   int joint;
 };
 
-// Whether it has the effect on that joint, or on the robot as a whole, which excludes further ones.
-bool HasOn(const sim::Plant& plant, const std::string& id, const std::string& joint) {
-  for (const effects::EffectSpec& e : plant.effects()) {
-    if (e.id != id) continue;
-    if (e.joints.empty() || std::ranges::find(e.joints, joint) != e.joints.end()) return true;
-  }
-  return false;
-}
-
-// A pulse without end, or a ripple of no cycles.
+// A pulse without end, or a ripple of no cycles. One of the whole robot excludes further ones.
 std::vector<ZeroTorque> ZeroTorquesOf(const sim::Plant& plant) {
   const std::string &push = effects::LawOf(effects::Regressor::kPulse).id,
                     &wave = effects::LawOf(effects::Regressor::kSine).id;
@@ -35,11 +27,11 @@ std::vector<ZeroTorque> ZeroTorquesOf(const sim::Plant& plant) {
   for (int j = 0; j < plant.num_joints(); ++j) {
     const std::string& joint = plant.joint_names()[j];
     if (plant.IsPrescribed(j)) continue;
-    if (!HasOn(plant, push, joint)) {
+    if (!Contains(plant.effects(), push, joint)) {
       pushes.push_back(
           {effects::MakeSpec(push, {joint}, {{"start", -kAlways}, {"end", kAlways}, {"torque", 0.0}}),
            push + "." + joint + ".torque", j});
-    } else if (!HasOn(plant, wave, joint)) {
+    } else if (!Contains(plant.effects(), wave, joint)) {
       pushes.push_back(
           {effects::MakeSpec(wave, {joint}, {{"amplitude", 0.0}, {"cycles_per_rev", 0.0}, {"phase", M_PI_2}}),
            wave + "." + joint + ".amplitude", j});
@@ -55,7 +47,7 @@ Probe MakeProbe(const FitModel& model, bool with_torque) {
   if (!with_torque) return probe;
   std::vector<ZeroTorque> pushes = ZeroTorquesOf(model.plant);
   const auto with = [&](const std::vector<ZeroTorque>& some) {
-    std::vector<effects::EffectSpec> specs = model.plant.effects();
+    std::vector<EffectSpec> specs = model.plant.effects();
     for (const ZeroTorque& push : some) specs.push_back(push.spec);
     return sim::Plant::Create(model.plant.shared_model(), model.plant.options(), specs);
   };

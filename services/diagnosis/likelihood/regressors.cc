@@ -53,18 +53,14 @@ ArrayXd Piece(const ArrayXd& q, const RegressorShape& s) {
 }
 
 ArrayXd Pulse(const ArrayXd& t, const RegressorShape& s) {
-  ArrayXd f(t.size());
-  for (int k = 0; k < f.size(); ++k) {
-    const double since = t[k] - t[0];
-    f[k] = since >= s.x && since < s.y ? 1.0 : 0.0;
-  }
-  return f;
+  const ArrayXd since = t - t[0];
+  return (since >= s.x && since < s.y).cast<double>();
 }
 
 }  // namespace
 
-JointMotion MotionOf(const FineMotion& m, const Eigen::MatrixXd& effort, int j) {
-  const auto row = [j](const Eigen::MatrixXd& x) -> ArrayXd { return x.row(j).transpose().array(); };
+JointMotion MotionOf(const FineMotion& m, const MatrixXd& effort, int j) {
+  const auto row = [j](const MatrixXd& x) -> ArrayXd { return x.row(j).transpose().array(); };
   const ArrayXd t = Eigen::Map<const ArrayXd>(m.t.data(), static_cast<Eigen::Index>(m.t.size()));
   const ArrayXd v = row(m.v);
   return {row(m.q), v, row(m.a), t, row(effort), v.sign()};

@@ -16,7 +16,7 @@ struct JointMotion {
 };
 
 // Joint j under these efforts (n × rows).
-JointMotion MotionOf(const FineMotion& m, const Eigen::MatrixXd& effort, int j);
+JointMotion MotionOf(const FineMotion& m, const MatrixXd& effort, int j);
 
 // x: the regressor's shape; y: end of a pulse, or spacing of spline pieces.
 struct RegressorShape {

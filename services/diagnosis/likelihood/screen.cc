@@ -48,10 +48,16 @@ Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& 
   std::vector<VectorXd> systematic(W);
   const auto add = [&](int worker, int part, int w) {
     Linear l;
-    lin.Run(worker, w, states[w], &features.joint, &features.phi[w], false, &l);
+    lin.Run(worker, w, states[w], C > 0 ? &features.joint : nullptr, C > 0 ? &features.phi[w] : nullptr,
+            false, &l);
     if (!l.ok) return;
     RowMatrixXd all(l.rows.rows(), D + 1);
-    all << l.rows.rightCols(D), step_rule[w];
+    all.leftCols(D) = l.rows.rightCols(D);
+    if (step_rule.empty()) {
+      all.col(D).setZero();
+    } else {
+      all.col(D) = step_rule[w];
+    }
     ProjectOut(l.J_e(), &all);
     const auto rest = all.leftCols(D);
     systematic[w] = rest.leftCols(D - 1).transpose() * all.col(D) / options.noise_scale;
@@ -79,15 +85,11 @@ Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& 
 
 double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates& states,
                     const LiftedOptions& options) {
-  FeatureBlock none;
-  for (const NodeWindow& window : data.windows)
-    none.phi.emplace_back(0, static_cast<long>(window.t.size()) - 1);
-  const Screen screen = MakeScreen(data, model, states, none, options,
+  const Screen screen = MakeScreen(data, model, states, {}, options,
                                    StepRuleResiduals(data, model, states, options), 0, Rng(1));
   const int P = screen.parameters;
+  const VectorXd unit = sysid::PriorStddevs(model.parameters);
   MatrixXd H = screen.gram.topLeftCorner(P, P);
-  VectorXd unit(P);
-  for (int i = 0; i < P; ++i) unit[i] = model.parameters[i].prior_stddev;
   H = unit.asDiagonal() * H * unit.asDiagonal();
   H.diagonal().array() += 1.0;
   const VectorXd g = unit.cwiseProduct(screen.step_rule);

@@ -16,16 +16,16 @@ namespace rg::diagnosis {
 // Forces per unit coefficient: phi[w] is C × N (per window, feature, interval); joint: C.
 struct FeatureBlock {
   std::vector<int> joint;
-  std::vector<Eigen::MatrixXd> phi;
+  std::vector<MatrixXd> phi;
   int size() const { return static_cast<int>(joint.size()); }
 };
 
 // Normal equations in (θ, features, residual), e_0 eliminated, whitened and divided by the noise scale:
 // gram is (P + C + 1)², its last row and column belong to the residual.
 struct Screen {
-  Eigen::MatrixXd gram;
-  Eigen::MatrixXd null;  // (P + C) × draws: right-hand sides if the residual were the sensors' noise alone
-  Eigen::VectorXd step_rule;  // P + C: the right-hand side that another step rule makes
+  MatrixXd gram;
+  MatrixXd null;       // (P + C) × draws: right-hand sides if the residual were the sensors' noise alone
+  VectorXd step_rule;  // P + C: the right-hand side that another step rule makes
   int parameters = 0, features = 0;
   double work = 0;
 };
@@ -34,13 +34,14 @@ struct Screen {
 // outputs of every window change by when it is simulated by semi-implicit Euler at 0.2 ms, as careful users
 // of the field's simulators do. An effect that explains no more than that is none.
 LiftedOptions OtherStepRule(LiftedOptions options);
-std::vector<Eigen::VectorXd> StepRuleResiduals(const FitData& data, const FitModel& model,
-                                               const NodeStates& states, const LiftedOptions& options);
+std::vector<VectorXd> StepRuleResiduals(const FitData& data, const FitModel& model, const NodeStates& states,
+                                        const LiftedOptions& options);
 // Nats that the model's free parameters would gain from another step rule alone.
 double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates& states,
                     const LiftedOptions& options);
+// `step_rule`: StepRuleResiduals; empty: none.
 Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
                   const FeatureBlock& features, const LiftedOptions& options,
-                  const std::vector<Eigen::VectorXd>& step_rule, int null_draws, Rng rng);
+                  const std::vector<VectorXd>& step_rule, int null_draws, Rng rng);
 
 }  // namespace rg::diagnosis

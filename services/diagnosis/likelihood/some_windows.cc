@@ -14,8 +14,7 @@ std::vector<uint32_t> EvenlySpread(size_t windows, size_t count) {
 
 std::vector<uint32_t> SomeWindows(const std::vector<double>& amiss, size_t all, size_t wanted) {
   wanted = std::min(wanted, all);
-  std::vector<uint32_t> places;
-  for (size_t i = 0; i < wanted; ++i) places.push_back(static_cast<uint32_t>(i * all / wanted));
+  std::vector<uint32_t> places = EvenlySpread(all, wanted);
   if (amiss.size() != all) return places;
   const double total = std::accumulate(amiss.begin(), amiss.end(), 0.0);
   double held = 0;

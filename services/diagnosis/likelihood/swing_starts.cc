@@ -14,9 +14,6 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
-using Eigen::VectorXd;
-
 namespace {
 
 constexpr Eigen::Index kEvery = 20;                       // sample of a motion, to see how its link is turned

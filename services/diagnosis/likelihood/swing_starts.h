@@ -7,28 +7,27 @@
 
 namespace rg::diagnosis {
 
-bool HasPendulum(const std::vector<effects::EffectSpec>& specs);
-bool HasMassInSprings(const std::vector<effects::EffectSpec>& specs);
+bool HasPendulum(const std::vector<EffectSpec>& specs);
+bool HasMassInSprings(const std::vector<EffectSpec>& specs);
 // Whether one swings on the last link, not on the end effector.
-bool SwingsOnLastLink(const std::vector<effects::EffectSpec>& specs);
+bool SwingsOnLastLink(const std::vector<EffectSpec>& specs);
 
 // `rod` with a body that is so many times as long, of the same mass.
-effects::EffectSpec LongerRod(effects::EffectSpec rod, double times);
+EffectSpec LongerRod(EffectSpec rod, double times);
 // `rod` where it hangs, and at the same hinge of the other point, unless both points were moved alike: below
 // an upright slide what hangs on either is one.
-std::vector<effects::EffectSpec> EitherPlace(const FitData& data, const sim::Plant& nominal,
-                                             const effects::EffectSpec& rod);
+std::vector<EffectSpec> EitherPlace(const FitData& data, const sim::Plant& nominal, const EffectSpec& rod);
 
 // `start` with a rod that hangs and does not turn.
-Eigen::VectorXd HangingFrom(const sim::Simulator& simulator, const Eigen::VectorXd& start);
+VectorXd HangingFrom(const sim::Simulator& simulator, const VectorXd& start);
 // States like `start` in which a rod may be: it hangs and does not turn, is off that by ±0.7 rad about either
 // axis, or passes it at the speed of a swing so wide. Empty where the plant has no rod.
-std::vector<Eigen::VectorXd> SwingsFrom(const sim::Simulator& simulator, const Eigen::VectorXd& start);
+std::vector<VectorXd> SwingsFrom(const sim::Simulator& simulator, const VectorXd& start);
 
 // The same where `window` begins, of a rod that was let go where its recording does, in any direction of its
 // link.
-std::vector<Eigen::VectorXd> LetGo(const FitData& data, sim::Simulator& simulator, const NodeWindow& window,
-                                   const Eigen::VectorXd& start);
+std::vector<VectorXd> LetGo(const FitData& data, sim::Simulator& simulator, const NodeWindow& window,
+                            const VectorXd& start);
 
 double RowsPerWindow(const FitData& data);  // on average
 
@@ -42,12 +41,11 @@ inline constexpr double kFitted =
 
 // A mass that is a point, as a fit may come to and none leads away from, in the values of `plant`: one that
 // is not small, and hangs and swings alike.
-void WidenPoint(const sim::Plant& plant, Eigen::VectorXd* values);
+void WidenPoint(const sim::Plant& plant, VectorXd* values);
 
 // A mass on a rod in the place of one in springs, from what is found of that: where its link hardly turns
 // springs of k are a rod of L = m·9.81/k. Its hinge is the axis of the link that gravity is least along, or
 // the next one, or the last.
-std::vector<effects::EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal,
-                                           const effects::EffectSpec& springs);
+std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal, const EffectSpec& springs);
 
 }  // namespace rg::diagnosis

@@ -59,32 +59,29 @@ double RateBesideUnnamed(const Finding& f, const std::vector<Finding>& findings)
   return same ? kOverTheSame : kWithUnnamed;
 }
 
-// many, unexplained: its rate among three or more, and where the rest is unexplained.
-double HitRate(const Finding& f, const std::string& verdict, bool measured, int names, bool alone,
-               double many, double unexplained) {
-  if (f.effect == "parameters_only") return alone ? kParameters : kParametersToEffects;
+double HitRate(const Finding& f, const std::string& verdict, bool measured, int joints,
+               const std::vector<Finding>& findings) {
+  if (f.effect == "parameters_only") return findings.size() == 1 ? kParameters : kParametersToEffects;
   if (IsUnnamed(f.effect)) return kUnknown;
-  if (verdict == "unexplained" && !measured) return unexplained;
+  if (verdict == "unexplained" && !measured) return RateBesideUnnamed(f, findings);
+  const auto names = std::ranges::count_if(findings, IsName);
   // Every arm has losses and late drives; other effects are rarer.
   const double of_measured = IsOfDrive(f) ? kMeasured : kRareMeasured;
-  const double rate = names <= 1 ? kAlone : measured ? of_measured : names == 2 ? kTwo : many;
-  double with_rivals = rate;
+  double rate = names <= 1   ? kAlone
+                : measured   ? of_measured
+                : names == 2 ? kTwo
+                             : RateOfMany(f, findings, joints);
   for (const Alternative& a : f.alternatives) {
-    if (!a.separable)
-      with_rivals = std::min(with_rivals, IsRicherFormOf(a.effect, f.effect) ? kRicherRival : kRival);
+    if (!a.separable) rate = std::min(rate, IsRicherFormOf(a.effect, f.effect) ? kRicherRival : kRival);
   }
-  return with_rivals;
+  return rate;
 }
 
 }  // namespace
 
 void Calibrate(const std::string& verdict, bool measured, int joints, std::vector<Finding>* findings) {
-  const auto names = static_cast<int>(std::ranges::count_if(*findings, IsName));
-  const bool alone = findings->size() == 1;
   for (Finding& f : *findings)
-    f.confidence =
-        std::min(f.confidence, HitRate(f, verdict, measured, names, alone, RateOfMany(f, *findings, joints),
-                                       RateBesideUnnamed(f, *findings)));
+    f.confidence = std::min(f.confidence, HitRate(f, verdict, measured, joints, *findings));
   const auto side = [&](const Finding& f) { return f.effect == "parameters_only" && findings->size() > 1; };
   std::ranges::stable_sort(*findings, [&](const Finding& a, const Finding& b) {
     return side(a) != side(b) ? side(b) : a.confidence > b.confidence;

@@ -20,4 +20,5 @@ std::vector<std::string> NotesOn(const recordings::RecordingSet& set, const Moti
 // After a search over a measured effort: efforts that lag the motion; what the findings leave of the effort.
 std::vector<std::string> NotesOnMeasurement(const std::vector<std::string>& joint_names,
                                             const MeasuredEffort& measured);
+
 }  // namespace rg::diagnosis

@@ -14,15 +14,11 @@
 #include "services/diagnosis/hypotheses/rivals.h"
 #include "services/diagnosis/reporting/confidence.h"
 #include "services/diagnosis/reporting/experiments.h"
-#include "services/diagnosis/reporting/findings_tables.h"
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
 using effects::Regressor;
 using effects::Variable;
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -93,9 +89,8 @@ VectorXd Energy(const MissingForce& f, int n) {
 
 class FindingsBuilder {
  public:
-  FindingsBuilder(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
-                  const MotionScales& scales, DiagnosisResult* result)
-      : s_(search), data_(data), nominal_(nominal), scales_(scales), r_(*result) {}
+  FindingsBuilder(const SearchResult& search, const FitSetting& setting, DiagnosisResult* result)
+      : s_(search), data_(setting.data), nominal_(setting.nominal), scales_(setting.scales), r_(*result) {}
 
   void Run() {
     Figures();
@@ -114,8 +109,8 @@ class FindingsBuilder {
     r_.null_threshold = s_.null_gain;
     r_.mismatch = without.fit.chi2 / scale;
     r_.remaining = s_.best.fit.chi2 / scale;
-    energy_ = Energy(s_.missing, data_.n).cwiseQuotient(scales_.torque.cwiseAbs2());
-    r_.joint_share = energy_ / std::max(1e-300, energy_.sum());
+    const VectorXd energy = Energy(s_.missing, data_.n).cwiseQuotient(scales_.torque.cwiseAbs2());
+    r_.joint_share = energy / std::max(1e-300, energy.sum());
     r_.plant = *s_.best.plant;
     r_.values = s_.best.fit.values;
     for (const std::string& j : r_.joints) {
@@ -441,8 +436,8 @@ class FindingsBuilder {
       worth = energy.replicate(1, data_.n) + energy.transpose().replicate(data_.n, 1);
       worth.diagonal() = energy;
     }
-    for (const int j : data_.prescribed) worth.row(j).setConstant(-effects::kInf);
-    for (const int j : data_.prescribed) worth.col(j).setConstant(-effects::kInf);
+    for (const int j : data_.prescribed)
+      worth.row(j).setConstant(-effects::kInf), worth.col(j).setConstant(-effects::kInf);
     int first = 0, second = 0;
     worth.diagonal().maxCoeff(&first);
     worth.row(first).maxCoeff(&second);
@@ -506,14 +501,12 @@ class FindingsBuilder {
   const MotionScales& scales_;
   DiagnosisResult& r_;
   std::vector<EffectSpec> beyond_;  // effects that the given model has not
-  VectorXd energy_;
 };
 
 }  // namespace
 
-void Conclude(const SearchResult& search, const FitData& data, const sim::Plant& nominal,
-              const MotionScales& scales, DiagnosisResult* result) {
-  FindingsBuilder(search, data, nominal, scales, result).Run();
+void Conclude(const SearchResult& search, const FitSetting& setting, DiagnosisResult* result) {
+  FindingsBuilder(search, setting, result).Run();
 }
 
 }  // namespace rg::diagnosis

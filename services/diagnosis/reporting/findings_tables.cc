@@ -1,4 +1,4 @@
-#include "services/diagnosis/reporting/findings_tables.h"
+// Tables of a diagnosis: base parameters before and after, fitted models, missing force over time.
 
 #include <algorithm>
 #include <cmath>
@@ -7,11 +7,9 @@
 #include "services/diagnosis/data/words.h"
 #include "services/diagnosis/hypotheses/force_samples.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/reporting/findings.h"
 
 namespace rg::diagnosis {
-
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 std::vector<LedgerRow> LedgerOf(const SearchResult& search) {
   std::vector<LedgerRow> out;
@@ -36,7 +34,7 @@ std::vector<CandidateRow> CandidateRows(const SearchResult& search) {
     if (!c.fit.ok || out.size() >= kMostCandidates) continue;
     CandidateRow row;
     std::map<std::string, std::vector<std::string>> by_id;
-    for (const effects::EffectSpec& e : c.specs) {
+    for (const EffectSpec& e : c.specs) {
       auto& joints = by_id[e.id];
       joints.insert(joints.end(), e.joints.begin(), e.joints.end());
     }
@@ -60,26 +58,23 @@ std::vector<ForcePlot> ForcePlots(const SearchResult& search, const FitData& dat
   for (const auto& [recording, windows] : by_recording) {
     ForcePlot plot;
     plot.recording = data.recordings[recording].recording->name;
-    std::vector<VectorXd> force, stddev, explained, q, v, u;
     const FineMotion& fine = data.fine[recording];
+    long count = 0;
+    for (const size_t w : windows) count += std::ssize(search.missing.t[w]);
+    for (MatrixXd* m : {&plot.force, &plot.stddev, &plot.explained, &plot.q, &plot.v, &plot.u})
+      m->resize(data.n, count);
     for (const size_t w : windows) {
       for (size_t s = 0; s < search.missing.t[w].size(); ++s) {
         const double t = search.missing.t[w][s];
         const Eigen::Index at = FineRow(fine, t);
-        const auto col = static_cast<long>(s);
+        const long k = std::ssize(plot.t), col = static_cast<long>(s);
         plot.t.push_back(t);
-        force.push_back(search.missing.force[w].col(col));
-        stddev.push_back(search.missing.stddev[w].col(col));
-        explained.push_back(search.missing.force[w].col(col) - search.remaining.force[w].col(col));
-        q.push_back(fine.q.col(at)), v.push_back(fine.v.col(at)), u.push_back(fine.u.col(at));
+        plot.force.col(k) = search.missing.force[w].col(col);
+        plot.stddev.col(k) = search.missing.stddev[w].col(col);
+        plot.explained.col(k) = plot.force.col(k) - search.remaining.force[w].col(col);
+        plot.q.col(k) = fine.q.col(at), plot.v.col(k) = fine.v.col(at), plot.u.col(k) = fine.u.col(at);
       }
     }
-    const auto stack = [&](const std::vector<VectorXd>& from, MatrixXd* to) {
-      to->resize(data.n, static_cast<long>(from.size()));
-      for (size_t i = 0; i < from.size(); ++i) to->col(static_cast<long>(i)) = from[i];
-    };
-    stack(force, &plot.force), stack(stddev, &plot.stddev), stack(explained, &plot.explained);
-    stack(q, &plot.q), stack(v, &plot.v), stack(u, &plot.u);
     out.push_back(std::move(plot));
   }
   return out;

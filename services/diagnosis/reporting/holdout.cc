@@ -13,9 +13,6 @@
 
 namespace rg::diagnosis {
 
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
-
 namespace {
 
 constexpr int kBootstraps = 400;
@@ -29,21 +26,14 @@ struct JudgedRecordings {
   std::vector<sysid::PredictionError> errors;  // per recording
 };
 
-double PooledRms(const std::vector<double>& windows, const std::vector<double>& weights) {
-  double squares = 0, count = 0;
-  for (size_t i = 0; i < windows.size(); ++i)
-    squares += windows[i] * windows[i] * weights[i], count += weights[i];
-  return std::sqrt(squares / std::max(1.0, count));
-}
-
 JudgedRecordings Judge(const std::vector<const recordings::Recording*>& recs, const sim::Plant& plant,
                        const VectorXd& values, const sysid::PredictionOptions& options, int threads) {
   JudgedRecordings out;
   out.predictions.resize(recs.size());
-  std::vector<sysid::PredictionError> errors(recs.size());
+  out.errors.resize(recs.size());
   sysid::ParallelFor(threads, static_cast<int>(recs.size()), [&](int, int i) {
     out.predictions[i] = sysid::PredictRecording(plant, values, *recs[i], options);
-    errors[i] = sysid::ErrorOf(out.predictions[i], *recs[i]);
+    out.errors[i] = sysid::ErrorOf(out.predictions[i], *recs[i]);
   });
   for (size_t i = 0; i < recs.size(); ++i) {
     const auto& restarts = out.predictions[i].restarts;
@@ -51,13 +41,15 @@ JudgedRecordings Judge(const std::vector<const recordings::Recording*>& recs, co
     for (size_t w = 0; w < restarts.size(); ++w) {
       const int first = restarts[w] + 1,
                 last = w + 1 < restarts.size() ? restarts[w + 1] : recs[i]->rows() - 1;
-      if (last < first || window >= errors[i].windows.size()) continue;
-      out.windows.push_back(errors[i].windows[window++]);
+      if (last < first || window >= out.errors[i].windows.size()) continue;
+      out.windows.push_back(out.errors[i].windows[window++]);
       out.weights.push_back(last - first + 1.0);
     }
   }
-  out.rms = PooledRms(out.windows, out.weights);
-  out.errors = std::move(errors);
+  double squares = 0, count = 0;
+  for (size_t i = 0; i < out.windows.size(); ++i)
+    squares += out.windows[i] * out.windows[i] * out.weights[i], count += out.weights[i];
+  out.rms = std::sqrt(squares / std::max(1.0, count));
   return out;
 }
 

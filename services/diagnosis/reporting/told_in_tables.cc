@@ -2,8 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
 
+#include "common/base/printf.h"
 #include "common/effects/effect_catalog.h"
 #include "common/effects/inference.h"
 
@@ -12,18 +12,10 @@ namespace {
 
 // Value and standard deviation to the latter's two digits: "0.840 ± 0.021".
 std::string WithError(double value, double stddev) {
-  char text[80];
-  if (!(stddev > 0) || !std::isfinite(stddev)) {
-    std::snprintf(text, sizeof text, "%.4g", value);
-    return text;
-  }
+  if (!(stddev > 0) || !std::isfinite(stddev)) return Printf("%.4g", value);
   const int digits = std::clamp(1 - static_cast<int>(std::floor(std::log10(stddev))), 0, 8);
-  if (std::abs(value) < 1e5 && digits <= 6) {
-    std::snprintf(text, sizeof text, "%.*f ± %.*f", digits, value, digits, stddev);
-  } else {
-    std::snprintf(text, sizeof text, "%.4g ± %.2g", value, stddev);
-  }
-  return text;
+  return std::abs(value) < 1e5 && digits <= 6 ? Printf("%.*f ± %.*f", digits, value, digits, stddev)
+                                              : Printf("%.4g ± %.2g", value, stddev);
 }
 
 // "coulomb [N·m]", with the effect where another has a parameter of that name too.
@@ -42,16 +34,12 @@ std::string ColumnOf(const std::vector<Finding>& findings, const Finding& f, con
 std::string GapInWords(const DiagnosisResult& r) {
   const HoldoutFit& h = r.holdout;
   if (r.verdict == "no_mismatch" || !(h.after_rms > 0) || !(h.noise_floor_rms > 0)) return "";
-  char text[120];
   const double left = h.after_rms / h.noise_floor_rms;
-  if (!std::isfinite(h.before_rms) || !(h.before_rms > 0)) {
-    std::snprintf(text, sizeof text, "the remaining error is %.2g × the noise floor", left);
-  } else {
-    const double explained = 100 * (1 - h.after_rms / h.before_rms);
-    std::snprintf(text, sizeof text, "explains %.*f %% of the error; %.2g × the noise floor remains",
-                  explained > 99 ? 2 : 0, explained, left);
-  }
-  return text;
+  if (!std::isfinite(h.before_rms) || !(h.before_rms > 0))
+    return Printf("the remaining error is %.2g × the noise floor", left);
+  const double explained = 100 * (1 - h.after_rms / h.before_rms);
+  return Printf("explains %.*f %% of the error; %.2g × the noise floor remains", explained > 99 ? 2 : 0,
+                explained, left);
 }
 
 JointTable ParametersOfJoints(const DiagnosisResult& r) {

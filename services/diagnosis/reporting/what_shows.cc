@@ -18,8 +18,6 @@ namespace rg::diagnosis {
 using effects::EffectInfo;
 using effects::Need;
 using effects::Scope;
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 namespace {
 

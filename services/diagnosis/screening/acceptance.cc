@@ -9,8 +9,6 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
-
 namespace {
 
 constexpr double kNearly =

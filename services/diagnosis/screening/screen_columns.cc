@@ -8,8 +8,6 @@
 
 namespace rg::diagnosis {
 
-using effects::EffectSpec;
-
 namespace {
 
 constexpr int kNullDraws = 60;         // of the null distribution
@@ -25,9 +23,8 @@ bool IsOfSensor(const std::string& id) {
 
 }  // namespace
 
-std::vector<effects::EffectSpec> WithProbes(const std::vector<effects::EffectSpec>& held,
-                                            const sim::Plant& plant) {
-  std::vector<effects::EffectSpec> out = held;
+std::vector<EffectSpec> WithProbes(const std::vector<EffectSpec>& held, const sim::Plant& plant) {
+  std::vector<EffectSpec> out = held;
   for (int j = 0; j < plant.num_joints(); ++j) {
     const std::string& joint = plant.joint_names()[j];
     for (const effects::EffectInfo& probe : effects::Catalog()) {
@@ -73,7 +70,7 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const sim::P
 
 ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
                           const FeatureSet& features, const LiftedOptions& options, Rng rng,
-                          std::vector<Eigen::VectorXd>* step_rule) {
+                          std::vector<VectorXd>* step_rule) {
   const sim::Plant& nominal = setting.nominal;
   const std::vector<EffectSpec> own = Refreshed(current);
   auto plant = sim::Plant::Create(nominal.shared_model(), nominal.options(), WithProbes(own, nominal));
@@ -81,7 +78,7 @@ ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, b
   std::vector<sysid::FitParameter> parameters;
   auto columns = ScreenColumns(*plant, nominal, setting.scales, own, &parameters);
   const bool around_fit = at == &current && current.fit.states.front().rows() == plant->num_states();
-  Eigen::VectorXd values = plant->parameters().Nominal();
+  VectorXd values = plant->parameters().Nominal();
   if (at != nullptr && (around_fit || at != &current))
     values = plant->ValuesFrom(at->plant->parameters(), at->fit.values);
   for (size_t c = 0; c < columns.size(); ++c) {

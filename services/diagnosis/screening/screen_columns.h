@@ -14,14 +14,12 @@
 namespace rg::diagnosis {
 
 // `held` and an offset and a delay of the sensor on every joint of `plant` that takes them and has none.
-std::vector<effects::EffectSpec> WithProbes(const std::vector<effects::EffectSpec>& held,
-                                            const sim::Plant& plant);
+std::vector<EffectSpec> WithProbes(const std::vector<EffectSpec>& held, const sim::Plant& plant);
 
 // `plant`: with the probes; `held`: the effects of the model, whose columns are nuisance. Writes
 // `parameters`, one per column. `nominal`: as given by the user.
 std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const sim::Plant& nominal,
-                                           const MotionScales& scales,
-                                           const std::vector<effects::EffectSpec>& held,
+                                           const MotionScales& scales, const std::vector<EffectSpec>& held,
                                            std::vector<sysid::FitParameter>* parameters);
 
 // Score tests of all additions to `current`, base parameters free or fixed. Linearised around the states and
@@ -30,6 +28,6 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const sim::P
 // on the model.
 ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
                           const FeatureSet& features, const LiftedOptions& options, Rng rng,
-                          std::vector<Eigen::VectorXd>* step_rule);
+                          std::vector<VectorXd>* step_rule);
 
 }  // namespace rg::diagnosis

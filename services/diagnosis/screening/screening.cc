@@ -8,6 +8,7 @@
 #include <set>
 
 #include "common/effects/effect_catalog.h"
+#include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/candidate.h"
 
 namespace rg::diagnosis {
@@ -16,8 +17,6 @@ using effects::EffectInfo;
 using effects::Inference;
 using effects::Regressor;
 using effects::Term;
-using Eigen::MatrixXd;
-using Eigen::VectorXd;
 
 namespace {
 
@@ -90,33 +89,25 @@ class Scorer {
     for (int c = 0; c < C; ++c) free.push_back(P + c);
     place_.assign(D, -1);
     for (size_t i = 0; i < free.size(); ++i) place_[free[i]] = static_cast<int>(i);
-    const int F = static_cast<int>(free.size()), B = static_cast<int>(own.size());
-    MatrixXd Gbb(B, B), Gbf(B, F + 1);
-    G_.resize(F, F), b_.resize(F);
-    for (int i = 0; i < F; ++i) {
-      for (int j = 0; j < F; ++j) G_(i, j) = screen.gram(free[i], free[j]) * unit[free[i]] * unit[free[j]];
-      b_[i] = screen.gram(free[i], D) * unit[free[i]];
-    }
-    for (int i = 0; i < B; ++i) {
-      for (int j = 0; j < B; ++j) Gbb(i, j) = screen.gram(own[i], own[j]) * unit[own[i]] * unit[own[j]];
-      for (int j = 0; j < F; ++j) Gbf(i, j) = screen.gram(own[i], free[j]) * unit[own[i]] * unit[free[j]];
-      Gbf(i, F) = screen.gram(own[i], D) * unit[own[i]] - columns_[own[i]].away;
-    }
-    const auto standardised = [&](const std::vector<int>& of, const auto& x) {
-      typename std::decay_t<decltype(x)> rows(static_cast<long>(of.size()), x.cols());
-      for (size_t i = 0; i < of.size(); ++i) rows.row(i) = x.row(of[i]) * unit[of[i]];
-      return rows;
-    };
-    null_ = standardised(free, screen.null);
-    step_rule_ = standardised(free, screen.step_rule);
+    const auto F = std::ssize(free), B = std::ssize(own);
+    const auto scaled = [&](const auto& x) -> MatrixXd { return unit.asDiagonal() * x; };
+    const MatrixXd gram = scaled(screen.gram.topLeftCorner(D, D)) * unit.asDiagonal();
+    const VectorXd right = scaled(screen.gram.col(D).head(D));
+    const MatrixXd null = scaled(screen.null);
+    const VectorXd step_rule = scaled(screen.step_rule);
+    G_ = gram(free, free), b_ = right(free);
+    null_ = null(free, Eigen::all), step_rule_ = step_rule(free);
     if (B > 0) {
+      MatrixXd Gbb = gram(own, own), Gbf(B, F + 1);
+      Gbf << gram(own, free), right(own);
+      for (int i = 0; i < B; ++i) Gbf(i, F) -= columns_[own[i]].away;
       Gbb.diagonal().array() += 1.0;
       const Eigen::LDLT<MatrixXd> precision(Gbb);
       const MatrixXd X = precision.solve(Gbf);
       G_ -= Gbf.leftCols(F).transpose() * X.leftCols(F);
       b_ -= Gbf.leftCols(F).transpose() * X.col(F);
-      null_ -= Gbf.leftCols(F).transpose() * precision.solve(standardised(own, screen.null));
-      step_rule_ -= Gbf.leftCols(F).transpose() * precision.solve(standardised(own, screen.step_rule));
+      null_ -= Gbf.leftCols(F).transpose() * precision.solve(MatrixXd(null(own, Eigen::all)));
+      step_rule_ -= Gbf.leftCols(F).transpose() * precision.solve(VectorXd(step_rule(own)));
     }
     feature_start_ = P;
   }
@@ -240,15 +231,14 @@ class Scorer {
     for (auto& [id, g] : on_all) Push(g);
     for (auto& [id, g] : of_robot) g.effect = id, Push(g);
     Group payload{effects::EffectOf(effects::Role::kBodyInertia).id, {}, {}, {}};
-    for (const char* role : {"mass", "com_x", "com_y", "com_z", "inertia_xx", "inertia_yy", "inertia_zz",
-                             "inertia_xy", "inertia_xz", "inertia_yz"}) {
+    for (const std::string_view role : model::kLinkParameterNames) {
       for (size_t c = 0; c < columns_.size(); ++c) {
         if (columns_[c].last_link && columns_[c].role == role && place_[c] >= 0)
           payload.columns.push_back({place_[c]});
       }
     }
     payload.load = true;
-    if (payload.columns.size() == 10) Push(payload);
+    if (payload.columns.size() == model::kLinkParameters) Push(payload);
   }
 
   std::vector<int> Takers(const std::string& effect) const {
@@ -279,10 +269,13 @@ class Scorer {
     }
   }
 
-  static double Total(const VectorXd& b, const std::vector<int>& columns) {
-    double sum = 0;
-    for (const int c : columns) sum += b[c];
-    return sum;
+  // Of each coefficient the sum over its columns.
+  static VectorXd Totals(const VectorXd& b, const std::vector<std::vector<int>>& columns) {
+    VectorXd out = VectorXd::Zero(std::ssize(columns));
+    for (size_t i = 0; i < columns.size(); ++i) {
+      for (const int c : columns[i]) out[i] += b[c];
+    }
+    return out;
   }
 
   struct Solved {
@@ -309,21 +302,24 @@ class Scorer {
     return s;
   }
 
-  static Scored Score(const Group& g, const Solved& solved, const VectorXd& b, bool admissible) {
-    const int m = static_cast<int>(g.columns.size());
-    VectorXd rhs(m);
-    for (int i = 0; i < m; ++i) rhs[i] = Total(b, g.columns[i]);
-    const VectorXd c = solved.inverse * rhs;
+  // `c`: standardised coefficients of the group.
+  static Scored Found(const Group& g, const VectorXd& c) {
     Scored s;
     s.effect = g.effect, s.joints = g.joints, s.shape = g.shape, s.shape_end = g.shape_end;
+    for (long k = 0; k < c.size(); ++k) s.coefficients.push_back(c[k] * g.scale[k]);
+    return s;
+  }
+
+  static Scored Score(const Group& g, const Solved& solved, const VectorXd& b, bool admissible) {
+    const VectorXd rhs = Totals(b, g.columns);
+    const VectorXd c = solved.inverse * rhs;
+    Scored s = Found(g, c);
     s.chi2 = rhs.dot(c);
     s.gain = 0.5 * s.chi2 - 0.5 * solved.log_det - g.search;
-    for (int i = 0; i < m; ++i) s.coefficients.push_back(c[i] * g.scale[i]);
     if (admissible && !Admissible(g, c)) s.gain = -std::numeric_limits<double>::infinity();
     return s;
   }
 
-  // `c`: standardised coefficients of the group.
   static bool Admissible(const Group& g, const VectorXd& c) {
     if (g.positive && c.maxCoeff() <= 0) return false;
     if (g.load && c[0] <= 0) return false;
@@ -343,19 +339,17 @@ class Scorer {
     const Solved solved = Solve(g, r->G);
     const int m = static_cast<int>(g.columns.size());
     MatrixXd C = MatrixXd::Zero(r->G.rows(), m);
-    VectorXd rhs(m);
     for (int i = 0; i < m; ++i) {
       for (const int a : g.columns[i]) C.col(i) += r->G.col(a);
-      rhs[i] = Total(r->b, g.columns[i]);
     }
     r->gain += Score(g, solved, r->b, false).gain - Structure(g, r->groups);
-    r->b.noalias() -= C * (solved.inverse * rhs);
+    r->b.noalias() -= C * (solved.inverse * Totals(r->b, g.columns));
     r->G.noalias() -= C * (solved.inverse * C.transpose());
     r->groups.push_back(index);
   }
 
   double Structure(const Group& g, const std::vector<int>& chosen) const {
-    double cost = StructurePrior({effects::EffectSpec{g.effect}}, false) *
+    double cost = StructurePrior({EffectSpec{g.effect}}, false) *
                   std::max<double>(1.0, static_cast<double>(g.joints.size()));
     cost -= kEffectPrior * (std::max<double>(1.0, static_cast<double>(g.joints.size())) - 1);
     for (const int other : chosen) {
@@ -399,18 +393,13 @@ class Scorer {
       all.columns.insert(all.columns.end(), g.columns.begin(), g.columns.end());
     }
     const Solved solved = Solve(all, G_);
-    VectorXd rhs(static_cast<long>(all.columns.size()));
-    for (long i = 0; i < rhs.size(); ++i) rhs[i] = Total(b_, all.columns[i]);
-    const VectorXd c = solved.inverse * rhs;
+    const VectorXd c = solved.inverse * Totals(b_, all.columns);
     long at = 0;
     for (const int i : r.groups) {
       const Group& g = groups_[i];
       const VectorXd own = c.segment(at, static_cast<long>(g.columns.size()));
       if (!Admissible(g, own)) return false;
-      Scored part;
-      part.effect = g.effect, part.joints = g.joints, part.shape = g.shape, part.shape_end = g.shape_end;
-      for (long k = 0; k < own.size(); ++k) part.coefficients.push_back(own[k] * g.scale[k]);
-      out->parts.push_back(std::move(part));
+      out->parts.push_back(Found(g, own));
       at += own.size();
     }
     out->gain = r.gain;

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "services/diagnosis/hypotheses/scored.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/features.h"
 #include "services/diagnosis/likelihood/screen.h"
 
@@ -22,6 +22,12 @@ struct ParameterColumn {
   double away = 0;         // (θ − θ0)/σ at the linearisation point
   bool base = false;       // an inertial parameter: a nuisance only where base parameters are free
   bool last_link = false;  // one of the last link: where base parameters are fixed, a payload's column
+};
+
+// An effect on several joints, or two effects, solved jointly.
+struct Combination {
+  std::vector<Scored> parts;  // coefficients of the joint solution
+  double gain = 0;            // nats of log evidence together, structure prior included
 };
 
 struct ScreenResult {

@@ -95,7 +95,7 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
 // Whether the regression of the inverse dynamics gains by losses on at least half of the joints. (In the
 // simulator they would absorb part of anything.)
 bool DriveSearch::LossesShow() const {
-  const Eigen::VectorXd left = LeftByGroup(setting_.data, setting_.nominal, setting_.scales, kLosses);
+  const Eigen::VectorXd left = LeftByGroup(setting_, kLosses);
   int joints = 0;
   for (int j = 0; j < setting_.data.n; ++j) {
     if (setting_.data.Judged(j) && left[j] < kShown) ++joints;
@@ -118,7 +118,7 @@ bool DriveSearch::TakeNearest(const std::map<std::string, Candidate>& before, Ca
 
 // Losses on all joints, started from the regression of the inverse dynamics.
 Candidate DriveSearch::Losses() {
-  const Candidate start = RegressedGroup(setting_.data, setting_.nominal, setting_.scales, kLosses, false);
+  const Candidate start = RegressedGroup(setting_, kLosses, false);
   if (!start.fit.ok || start.specs.size() == state_.given.size() || fits_.Late()) return {};
   return Seen(fits_.Evaluate(start.specs, false, nullptr, kIterations), false);
 }
@@ -256,8 +256,7 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
 void DriveSearch::LawOnEachJoint(Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
   const Candidate now = *best;
-  for (const LawOnAll& law :
-       LawsOnAll(setting_.data, setting_.nominal, setting_.scales, kLosses, best->base, kShown)) {
+  for (const LawOnAll& law : LawsOnAll(setting_, kLosses, best->base, kShown)) {
     if (fits_.Late()) return;
     const Candidate c =
         Seen(fits_.Evaluate(Joined(Refreshed(now), law.specs), now.base, &now, kIterations), now.base);

@@ -82,7 +82,7 @@ class PendulumSearch {
   double missing_ = 0, enough_ = 0;          // what `from` leaves typically; of work
   double times_ = 1;                         // of the rod's length
   Hung nearest_;
-  std::set<std::string> asked_;  // keys of trials around which a screen was made
+  std::set<std::string> asked_;    // keys of trials around which a screen was made
   std::optional<Candidate> best_;  // on all windows
 };
 

@@ -396,10 +396,9 @@ class Search {
 
 }  // namespace
 
-SearchResult SearchEffects(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                           const DiagnosisOptions& options, int threads, const Clock& clock,
-                           const ProgressFn& progress, const CancelToken* cancel) {
-  return Search({data, nominal, scales}, options, threads, clock, progress, cancel).Run();
+SearchResult SearchEffects(const FitSetting& setting, const DiagnosisOptions& options, int threads,
+                           const Clock& clock, const ProgressFn& progress, const CancelToken* cancel) {
+  return Search(setting, options, threads, clock, progress, cancel).Run();
 }
 
 }  // namespace rg::diagnosis

@@ -11,14 +11,13 @@
 #include "common/base/progress.h"
 #include "services/diagnosis/api/options.h"
 #include "services/diagnosis/hypotheses/search_result.h"
-#include "services/diagnosis/likelihood/features.h"
+#include "services/diagnosis/likelihood/fit_setting.h"
 
 namespace rg::diagnosis {
 
 // `nominal`: the model to start from (given_model.h). The effects that it has are part of every hypothesis
 // until they are pruned or make place for others.
-SearchResult SearchEffects(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                           const DiagnosisOptions& options, int threads, const Clock& clock,
-                           const ProgressFn& progress, const CancelToken* cancel);
+SearchResult SearchEffects(const FitSetting& setting, const DiagnosisOptions& options, int threads,
+                           const Clock& clock, const ProgressFn& progress, const CancelToken* cancel);
 
 }  // namespace rg::diagnosis

@@ -145,7 +145,7 @@ class TrialBuilder {
     const MissingForce missing = force();
     // What one force over two positions leaves tells what a mass that swings would have to better.
     if (from_.specs.empty() && !from_.base && data_.n > 1) {
-      if (const auto surface = FieldPairStart(data_, nominal_, scales_, missing)) Push({{*surface}});
+      if (const auto surface = FieldPairStart({data_, nominal_, scales_}, missing)) Push({{*surface}});
     }
     if (!touched) Push(ContactStarts(data_, nominal_, missing, from_.base ? 2 : 3));
     if (!pushed) Push(PushStarts(data_, nominal_, missing));

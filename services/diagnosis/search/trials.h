@@ -12,9 +12,6 @@
 
 namespace rg::diagnosis {
 
-// Effects to add to a model, with start values.
-using TrialSpecs = std::vector<effects::EffectSpec>;
-
 // The so many of some starts that are nearest to the recordings.
 using Nearest = std::function<std::vector<TrialSpecs>(const std::vector<TrialSpecs>&, size_t)>;
 
@@ -59,9 +56,9 @@ std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id
 std::vector<TrialSpecs> PlainOnSomeJoints(const TrialSpecs& specs, const sim::Plant& nominal,
                                           const MotionScales& scales);
 
-// `specs` with friction `id` in the place of plain dry friction, where more joints (kManyJoints at least) have
-// the former than the latter: with the same proportions between its levels as on these (their median), and the
-// same of what is no level. Unchanged otherwise; what the model was given with stays.
+// `specs` with friction `id` in the place of plain dry friction, where more joints (kManyJoints at least)
+// have the former than the latter: with the same proportions between its levels as on these (their median),
+// and the same of what is no level. Unchanged otherwise; what the model was given with stays.
 TrialSpecs AsOnMostJoints(TrialSpecs specs, const std::string& id, const sim::Plant& nominal);
 
 // Springs and play behind the strongest rotors that `model` adds to `before`: below its resonance a motor

@@ -26,9 +26,8 @@ void UnnamedForces::Try(bool freed, const std::vector<std::string>& variables,
     if ((base && !freed) || from == nullptr || !from->fit.ok) continue;
     const MissingForce force = force_(*from);
     for (const std::string& variable : variables) {
-      const auto spec = variable == "position" && data.n > 1
-                            ? FieldPairStart(data, setting_.nominal, setting_.scales, force)
-                            : FieldStart(data, setting_.nominal, setting_.scales, force, variable);
+      const auto spec = variable == "position" && data.n > 1 ? FieldPairStart(setting_, force)
+                                                             : FieldStart(setting_, force, variable);
       if (!spec) continue;
       if (enough(fits_.KnownOrFitted(Joined(given_, {*spec}), base))) return;
     }

@@ -10,7 +10,6 @@
 #include "common/base/clock.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/reporting/experiments.h"
-#include "services/diagnosis/reporting/findings_tables.h"
 #include "services/diagnosis/reporting/holdout.h"
 #include "services/diagnosis/search/search.h"
 #include "tests/unit/diagnosis/prepared_set.h"
@@ -22,7 +21,7 @@ namespace {
 std::string VerdictBeyond(double beyond) {
   const auto p = testing::Prepare("pendulum", {}, 5, {.rate_hz = 250});
   SearchResult search =
-      SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+      SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
   EXPECT_TRUE(search.best.specs.empty());
   for (Candidate* c : {&search.nominal, &search.calibrated, &search.best}) c->fit.chi2 *= 1.3;
   search.own_chi2 = search.best.fit.chi2 / beyond;
@@ -30,7 +29,7 @@ std::string VerdictBeyond(double beyond) {
   EXPECT_GT(search.best.fit.chi2, search.own_chi2 + kZ99OneSided * std::sqrt(4.0 * search.best.fit.rows));
   DiagnosisResult result;
   result.joints = p->set.joints;
-  Conclude(search, p->data, p->nominal, p->scales, &result);
+  Conclude(search, {p->data, p->nominal, p->scales}, &result);
   return result.verdict;
 }
 
@@ -47,7 +46,7 @@ double ConfidenceBeside(const testing::Prepared& p, SearchResult search,
   search.tried.push_back(c);
   DiagnosisResult result;
   result.joints = p.set.joints;
-  Conclude(search, p.data, p.nominal, p.scales, &result);
+  Conclude(search, {p.data, p.nominal, p.scales}, &result);
   return result.findings.at(0).confidence;
 }
 
@@ -56,7 +55,7 @@ TEST(Confidence, IsNotLessForARivalWithMoreNamesThatTheyDoNotPayFor) {
   const auto p =
       testing::Prepare("pendulum", {effects::MakeSpec("viscous_friction", {"hinge"}, {{"viscous", 0.2}})}, 6);
   SearchResult search =
-      SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+      SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
   ASSERT_EQ(search.best.specs.size(), 1u);
   search.beside = 10;
   const auto coulomb = effects::MakeSpec("coulomb_friction", {"hinge"});
@@ -71,7 +70,7 @@ TEST(Confidence, OfPlainFrictionIsNotLessForARicherFormThere) {
     const auto p =
         testing::Prepare(robot, {effects::MakeSpec("coulomb_friction", {joint}, {{"coulomb", 0.2}})}, 6);
     const SearchResult search =
-        SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+        SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
     ASSERT_EQ(KeyOf(search.best.specs), "coulomb_friction[" + joint + " ] ");
     const auto beside = [&](const std::string& on) {
       return ConfidenceBeside(*p, search, {effects::MakeSpec("stribeck_friction", {on})}, 20);
@@ -111,7 +110,7 @@ TEST(Tables, ShowWhatParametersHadTakenInAndWhatElseWasTried) {
   const auto p =
       testing::Prepare("pendulum", {effects::MakeSpec("coulomb_friction", {"hinge"}, {{"coulomb", 0.1}})}, 7);
   const SearchResult search =
-      SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+      SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
   ASSERT_EQ(search.best.specs.size(), 1u);
   ASSERT_FALSE(search.best.base);
   const std::vector<LedgerRow> ledger = LedgerOf(search);
@@ -152,13 +151,13 @@ TEST(Tables, ShowWhatParametersHadTakenInAndWhatElseWasTried) {
 TEST(Unexplained, NamesASecondJointWhereItTakesAGoodPartOfTheRest) {
   const auto p = testing::Prepare("arm2", {}, 5);
   SearchResult search =
-      SearchEffects(p->data, p->nominal, p->scales, p->options, 1, RealClock(), {}, nullptr);
+      SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
   search.best.fit.chi2 *= 2, search.nominal.fit.chi2 *= 2, search.calibrated.fit.chi2 *= 2;
   const auto joints_by = [&](const Eigen::Matrix2d& evidence) {
     search.remaining.evidence = evidence;
     DiagnosisResult result;
     result.joints = p->set.joints;
-    Conclude(search, p->data, p->nominal, p->scales, &result);
+    Conclude(search, {p->data, p->nominal, p->scales}, &result);
     EXPECT_EQ(result.verdict, "unexplained");
     return result.findings.at(0).joints;
   };

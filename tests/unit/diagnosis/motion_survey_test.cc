@@ -56,8 +56,8 @@ TEST(MotionSurvey, WhereTheDriveCompensatesGravityTheEffortNeedNot) {
 
 TEST(MotionSurvey, TellsTravelReversalsAndSpeeds) {
   // Half a hertz, from −0.5 to 0.5 rad: four seconds hold two periods, and the speed peaks at 1.57 rad/s.
-  const auto set = Moving(testing::MakeSet("arm2", {}, 42),
-                          [](double t) { return 0.5 * std::sin(2 * M_PI * 0.5 * t); });
+  const auto set =
+      Moving(testing::MakeSet("arm2", {}, 42), [](double t) { return 0.5 * std::sin(2 * M_PI * 0.5 * t); });
   const JointFigures f = SurveyOf(set).joints[0];
   EXPECT_TRUE(f.moved);
   EXPECT_NEAR(f.low, -0.5, 1e-3);
@@ -67,7 +67,6 @@ TEST(MotionSurvey, TellsTravelReversalsAndSpeeds) {
   // 3 recordings of 4 s: 2 rad up and 2 rad down each second period.
   EXPECT_NEAR(f.up, 6, 0.4);
   EXPECT_NEAR(f.down, 6, 0.4);
-  EXPECT_EQ(f.reversals, 12);
   EXPECT_GT(f.fast, 3 * f.slow);
   EXPECT_GT(f.slow_rows, 5);
 }
@@ -77,7 +76,6 @@ TEST(MotionSurvey, OneWayIsOneWay) {
   const JointFigures f = SurveyOf(set).joints[0];
   EXPECT_NEAR(f.up, 3 * 1.2, 0.2);
   EXPECT_EQ(f.down, 0);
-  EXPECT_EQ(f.reversals, 0);
   EXPECT_EQ(f.slow_rows, 0);
   EXPECT_NEAR(f.fast, 0.3, 0.03);
   EXPECT_NEAR(f.slow, 0.3, 0.03);
@@ -88,7 +86,8 @@ TEST(MotionSurvey, NoiseAloneIsNoMotion) {
   Rng rng(7);
   for (auto& rec : set.recordings) {
     for (int k = 0; k < rec.rows(); ++k)
-      rec.q(0, k) = 0.3 + testing::kPositionNoise * rng.Normal(), rec.v(0, k) = testing::kVelocityNoise * rng.Normal();
+      rec.q(0, k) = 0.3 + testing::kPositionNoise * rng.Normal(),
+               rec.v(0, k) = testing::kVelocityNoise * rng.Normal();
   }
   const MotionSurvey s = SurveyOf(set);
   EXPECT_FALSE(s.joints[0].moved);

@@ -24,7 +24,7 @@ class ProbeMotionsOfAnArm : public ::testing::Test {
 };
 
 TEST_F(ProbeMotionsOfAnArm, KeepTheRecordedRangeAndEveryLimit) {
-  const auto motions = ProbeMotions(plant_, data_, scales_, {0, 1});
+  const auto motions = ProbeMotions({data_, plant_, scales_}, {0, 1});
   ASSERT_GE(motions.size(), 4u);
   const dynamics::Mechanism mechanism = sysid::MechanismOf(plant_, plant_.parameters().Nominal());
   dynamics::Workspace workspace;
@@ -48,7 +48,7 @@ TEST_F(ProbeMotionsOfAnArm, KeepTheRecordedRangeAndEveryLimit) {
 }
 
 TEST_F(ProbeMotionsOfAnArm, BeginAndEndAtRestAndTheirVelocitiesAreTheirSlopes) {
-  for (const ProbeMotion& m : ProbeMotions(plant_, data_, scales_, {0, 1})) {
+  for (const ProbeMotion& m : ProbeMotions({data_, plant_, scales_}, {0, 1})) {
     const Eigen::Index last = m.q.cols() - 1;
     EXPECT_EQ(m.v.col(0).norm(), 0.0) << m.description;
     EXPECT_EQ(m.v.col(last).norm(), 0.0) << m.description;
@@ -61,14 +61,14 @@ TEST_F(ProbeMotionsOfAnArm, BeginAndEndAtRestAndTheirVelocitiesAreTheirSlopes) {
 }
 
 TEST_F(ProbeMotionsOfAnArm, OtherJointsRestWhereTheyWereRecorded) {
-  for (const ProbeMotion& m : ProbeMotions(plant_, data_, scales_, {1})) {
+  for (const ProbeMotion& m : ProbeMotions({data_, plant_, scales_}, {1})) {
     EXPECT_EQ(m.v.row(0).norm(), 0.0);
     EXPECT_EQ(m.q.row(0).maxCoeff(), m.q.row(0).minCoeff());
     EXPECT_GE(m.q(0, 0), scales_.low[0]);
     EXPECT_LE(m.q(0, 0), scales_.high[0]);
     EXPECT_EQ(m.description.rfind(plant_.joint_names()[1] + ":", 0), 0u) << m.description;
   }
-  EXPECT_TRUE(ProbeMotions(plant_, data_, scales_, {}).empty());
+  EXPECT_TRUE(ProbeMotions({data_, plant_, scales_}, {}).empty());
 }
 
 }  // namespace

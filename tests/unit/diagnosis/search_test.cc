@@ -37,7 +37,7 @@ SearchResult Searched(std::vector<EffectSpec> truth, uint64_t seed) {
   auto p = testing::Prepare("mico2", std::move(truth), seed);
   p->data.held_out = PrepareHeldOut(p->set, p->data, p->nominal, p->options);
   RG_CHECK(p->data.held_out != nullptr);
-  return SearchEffects(p->data, p->nominal, p->scales, p->options, 2, RealClock(), nullptr, nullptr);
+  return SearchEffects({p->data, p->nominal, p->scales}, p->options, 2, RealClock(), nullptr, nullptr);
 }
 
 TEST(Search, AForceWithoutANameThatHoldsIsNotSoughtAmongFreeParameters) {
@@ -71,7 +71,7 @@ TEST(Search, AnAccountWithHiddenStatesThatHoldsIsNotSoughtAmongFreeParameters) {
 TEST(Search, WhatAnEarlierSearchCameToIsWeighedFirst) {
   auto p = testing::Prepare("arm2", {MakeSpec("coulomb_friction", {"elbow"}, {{"coulomb", 0.2}})}, 53);
   const auto search = [&] {
-    return SearchEffects(p->data, p->nominal, p->scales, p->options, 2, RealClock(), nullptr, nullptr);
+    return SearchEffects({p->data, p->nominal, p->scales}, p->options, 2, RealClock(), nullptr, nullptr);
   };
   const SearchResult first = search();
   ASSERT_EQ(first.best.specs.size(), 1u);
@@ -124,7 +124,7 @@ TEST(Search, DrivesThatAreLateAreFoundWithTheirLosses) {
   sampling.rate_hz = 25;
   const auto p = testing::Prepare("arm2", truth, 56, sampling);
   const SearchResult r =
-      SearchEffects(p->data, p->nominal, p->scales, p->options, 2, RealClock(), nullptr, nullptr);
+      SearchEffects({p->data, p->nominal, p->scales}, p->options, 2, RealClock(), nullptr, nullptr);
   EXPECT_LT(r.best.fit.chi2 / r.best.fit.rows, kExplained);
   const std::set<std::string> found = Found(r);
   for (const char* name :
@@ -144,7 +144,7 @@ TEST(Search, OneThingMoreIsFoundBesideTheLossesOfAllDrives) {
       MakeSpec("position_spring", {"elbow"}, {{"stiffness", 6.0}, {"cubic", 0.0}, {"center", 0.4}}));
   const auto p = testing::Prepare("arm2", truth, 57);
   const SearchResult r =
-      SearchEffects(p->data, p->nominal, p->scales, p->options, 2, RealClock(), nullptr, nullptr);
+      SearchEffects({p->data, p->nominal, p->scales}, p->options, 2, RealClock(), nullptr, nullptr);
   EXPECT_LT(r.best.fit.chi2 / r.best.fit.rows, kExplained);
   const std::set<std::string> found = Found(r);
   for (const char* name : {"viscous_friction shoulder", "viscous_friction elbow", "coulomb_friction shoulder",
@@ -158,12 +158,12 @@ TEST(Search, LossesTakeOfTheRegressionOnlyWhatIsTheirs) {
   const std::vector<std::string> losses = {"viscous_friction", "coulomb_friction", "rotor_inertia"};
   const auto left = [&](std::vector<EffectSpec> truth) {
     const auto p = testing::Prepare("arm2", std::move(truth), 60);
-    return LeftByGroup(p->data, p->nominal, p->scales, losses);
+    return LeftByGroup({p->data, p->nominal, p->scales}, losses);
   };
   const Eigen::VectorXd theirs = left(LossesOfBoth());
   EXPECT_LT(theirs.maxCoeff(), 0.6) << theirs.transpose();
-  const Eigen::VectorXd of_others = left(
-      {MakeSpec("position_spring", {"elbow"}, {{"stiffness", 6.0}, {"cubic", 0.0}, {"center", 0.4}})});
+  const Eigen::VectorXd of_others =
+      left({MakeSpec("position_spring", {"elbow"}, {{"stiffness", 6.0}, {"cubic", 0.0}, {"center", 0.4}})});
   EXPECT_GT(of_others.minCoeff(), 0.85) << of_others.transpose();
 }
 
@@ -172,13 +172,13 @@ TEST(Drives, ALawOnAllJointsIsRegressedBesideTheirLosses) {
   const std::vector<std::string> losses = {"viscous_friction", "coulomb_friction", "rotor_inertia"};
   std::vector<EffectSpec> truth = LossesOfBoth();
   const auto plain = testing::Prepare("arm2", truth, 60);
-  EXPECT_TRUE(LawsOnAll(plain->data, plain->nominal, plain->scales, losses, false, 0.85).empty());
+  EXPECT_TRUE(LawsOnAll({plain->data, plain->nominal, plain->scales}, losses, false, 0.85).empty());
   // Nor is what a mass does, which free base parameters say.
   std::vector<EffectSpec> loaded = truth;
   loaded.push_back(
       MakeSpec("payload", {}, {{"mass", 1.5}, {"com_x", 0.05}, {"com_y", 0.0}, {"com_z", 0.02}}));
   const auto heavy = testing::Prepare("arm2", loaded, 60);
-  EXPECT_TRUE(LawsOnAll(heavy->data, heavy->nominal, heavy->scales, losses, false, 0.85).empty());
+  EXPECT_TRUE(LawsOnAll({heavy->data, heavy->nominal, heavy->scales}, losses, false, 0.85).empty());
   const std::map<std::string, std::pair<double, double>> springs = {{"shoulder", {4.0, 0.3}},
                                                                     {"elbow", {2.0, -0.4}}};
   for (const auto& [joint, spring] : springs) {
@@ -186,7 +186,7 @@ TEST(Drives, ALawOnAllJointsIsRegressedBesideTheirLosses) {
                              {{"stiffness", spring.first}, {"cubic", 0.0}, {"center", spring.second}}));
   }
   const auto p = testing::Prepare("arm2", truth, 60);
-  const std::vector<LawOnAll> laws = LawsOnAll(p->data, p->nominal, p->scales, losses, false, 0.85);
+  const std::vector<LawOnAll> laws = LawsOnAll({p->data, p->nominal, p->scales}, losses, false, 0.85);
   ASSERT_FALSE(laws.empty());
   ASSERT_EQ(laws[0].specs.size(), 2u);
   for (const EffectSpec& s : laws[0].specs) {
@@ -201,12 +201,12 @@ TEST(Drives, ALawOnAllJointsIsRegressedBesideTheirLosses) {
 TEST(Search, FrictionAndRotorsOfAllJointsAreFoundTogether) {
   const std::vector<EffectSpec> truth = LossesOfBoth();
   const auto p = testing::Prepare("arm2", truth, 54);
-  const Candidate start = RegressedGroup(p->data, p->nominal, p->scales,
+  const Candidate start = RegressedGroup({p->data, p->nominal, p->scales},
                                          {"viscous_friction", "coulomb_friction", "rotor_inertia"}, false);
   ASSERT_TRUE(start.fit.ok);
   EXPECT_EQ(start.specs.size(), 6u);
   const SearchResult r =
-      SearchEffects(p->data, p->nominal, p->scales, p->options, 2, RealClock(), nullptr, nullptr);
+      SearchEffects({p->data, p->nominal, p->scales}, p->options, 2, RealClock(), nullptr, nullptr);
   EXPECT_LT(r.best.fit.chi2 / r.best.fit.rows, kExplained);
   const std::set<std::string> found = Found(r);
   for (const EffectSpec& s : r.best.specs) {
@@ -236,7 +236,7 @@ TEST(Search, ALawBesideOtherMassesIsFoundBeforeHiddenStates) {
   set.urdf_text.replace(at, mass.size(), "<mass value=\"1.3\"/>");
   const auto p = testing::Prepare(std::move(set));
   const SearchResult r =
-      SearchEffects(p->data, p->nominal, p->scales, p->options, 2, RealClock(), nullptr, nullptr);
+      SearchEffects({p->data, p->nominal, p->scales}, p->options, 2, RealClock(), nullptr, nullptr);
   EXPECT_LT(r.best.fit.chi2 / r.best.fit.rows, kExplained);
   EXPECT_TRUE(r.best.base);
   EXPECT_EQ(Found(r), (std::set<std::string>{"quadratic_drag elbow"}));
@@ -260,7 +260,8 @@ Candidate Simplified(const testing::Prepared& p, const std::vector<effects::Effe
   return best;
 }
 
-// Friction by direction says of each joint that it has some: where that is one of two it is a constant force there.
+// Friction by direction says of each joint that it has some: where that is one of two it is a constant force
+// there.
 TEST(Search, FrictionByDirectionOfOneJointIsAConstantForceThere) {
   const auto p = testing::Prepare("arm2",
                                   {MakeSpec("coulomb_friction", {"shoulder"}, {{"coulomb", 0.4}}),
@@ -307,7 +308,7 @@ TEST(Search, DryFrictionUnderATiltOnARailIsFrictionByDirection) {
 TEST(Search, AGroupLeavesAloneWhatAJointHas) {
   auto p = testing::Prepare("arm2", {}, 55);
   p->nominal = *p->nominal.WithEffect(MakeSpec("coulomb_friction", {"elbow"}, {{"coulomb", 0.3}}));
-  const Candidate start = RegressedGroup(p->data, p->nominal, p->scales, {"coulomb_friction"}, false);
+  const Candidate start = RegressedGroup({p->data, p->nominal, p->scales}, {"coulomb_friction"}, false);
   ASSERT_EQ(start.specs.size(), 2u);
   EXPECT_NE(start.specs[0].joints, start.specs[1].joints);
 }

@@ -132,7 +132,7 @@ TEST(Trials, TryAForceOverTwoPositionsBeforeAnythingIsFound) {
 
 TEST(FieldPairStart, FindsBothJointsOfASurfaceAndLeavesNothing) {
   const auto c = OverAHump();
-  const auto start = FieldPairStart(c->data, c->nominal, c->scales, c->Missing());
+  const auto start = FieldPairStart({c->data, c->nominal, c->scales}, c->Missing());
   ASSERT_TRUE(start.has_value());
   EXPECT_EQ(start->joints, (std::vector<std::string>{"shoulder", "elbow"}));
   const FitResult fit = c->FitOf({*start});
@@ -148,7 +148,7 @@ TEST(FieldStart, OfADragInOnePlaceFindsTheJointAndLeavesNothing) {
         MakeSpec("unknown_field", {joint}, {{"low", -2.0}, {"high", 2.0}, {"w3", 1.0}, {"w4", 0.6}});
     rub.options["variable"] = "drag";
     const auto c = Case::Of("arm2", {rub}, 7);
-    const auto start = FieldStart(c->data, c->nominal, c->scales, c->Missing(), "drag");
+    const auto start = FieldStart({c->data, c->nominal, c->scales}, c->Missing(), "drag");
     ASSERT_TRUE(start.has_value());
     EXPECT_EQ(start->joints, std::vector<std::string>{joint});
     const FitResult fit = c->FitOf({*start});

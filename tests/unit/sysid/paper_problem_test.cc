@@ -101,7 +101,6 @@ TEST(PaperProblem, BoundedSolverExplainsAWindowOfAnotherRobotWithinItsBounds) {
   EXPECT_TRUE((s.p.array() >= problem.lower.array()).all());
   EXPECT_TRUE((s.p.array() <= problem.upper.array()).all());
   const VectorXd full = paper->FullValues(s.p);
-  EXPECT_LT(AccumulatedTaskError(mico.plant, truth, mico.Record(truth)), 1e-3);
   EXPECT_TRUE(full.allFinite());
 }
 
