@@ -209,6 +209,12 @@ std::vector<Case> Cases() {
       MakeSpec("unknown_field", {"elbow"}, {{"w0", 0.3}, {"w3", 0.4}, {"w4", 0.5}, {"w5", 0.2}});
   drag.options["variable"] = "drag";
   cases.push_back({"unknown_field_drag", "arm2", {drag}});
+  EffectSpec on_command =
+      MakeSpec("torque_ripple", {"elbow"}, {{"amplitude", 0.3}, {"cycles_per_rev", 11}, {"phase", 0.4}});
+  on_command.options["acts_on"] = "command";
+  cases.push_back({"ripple_on_command",
+                   "arm2",
+                   {MakeSpec("actuator_lag", {"elbow"}, {{"time_constant", 0.007}}), on_command}});
   cases.push_back(
       {"disturbance_torque",
        "arm2",

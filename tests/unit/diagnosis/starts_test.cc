@@ -69,6 +69,46 @@ TEST(OtherGaps, AreOfPlayAloneAndEachAnother) {
   EXPECT_TRUE(OtherGaps(MakeSpec("joint_elasticity", {"elbow"}, {{"stiffness", 900.0}})).empty());
 }
 
+TEST(PlayHeldClosed, IsTwiceTheOffsetOfItsSensorWithTheRotorBehindIt) {
+  const auto c = Case::Of("arm2", {}, 3);
+  const EffectSpec offset = MakeSpec("encoder_offset", {"elbow"}, {{"offset", -0.004}}),
+                   rotor = MakeSpec("rotor_inertia", {"elbow"}, {{"armature", 0.03}}),
+                   other = MakeSpec("encoder_offset", {"shoulder"}, {{"offset", 0.01}});
+  const auto plays = PlayHeldClosed({offset, rotor, other}, offset, c->nominal, c->scales);
+  ASSERT_EQ(plays.size(), 1u);
+  ASSERT_EQ(KeyOf(plays[0]), "backlash[elbow ]sensor=motor encoder_offset[shoulder ] ");
+  const auto& values = plays[0].back().values.at("elbow");
+  EXPECT_DOUBLE_EQ(values.at("gap"), 0.008);
+  EXPECT_DOUBLE_EQ(values.at("motor_inertia"), 0.03);
+  EXPECT_TRUE(PlayHeldClosed({rotor}, rotor, c->nominal, c->scales).empty());
+  EXPECT_TRUE(PlayHeldClosed({offset, plays[0].back()}, offset, c->nominal, c->scales).empty());
+}
+
+// Gravity keeps the gap on one side: all that shows is a sensor that reads off, and what little the gap lets
+// through when the joint is thrown.
+TEST(PlayHeldClosed, LeadsFromTheOffsetToTheTruth) {
+  EffectSpec play = MakeSpec("backlash", {"shoulder"},
+                             {{"gap", 0.02}, {"contact_stiffness", 4000}, {"motor_inertia", 0.1}});
+  play.options["sensor"] = "motor";
+  const auto c = Case::Of("arm2", {play}, 3);
+  const std::vector<EffectSpec> start = {MakeSpec("encoder_offset", {"shoulder"}, {{"offset", 0.008}})};
+  const auto plays = PlayHeldClosed(start, start[0], c->nominal, c->scales);
+  ASSERT_EQ(plays.size(), 1u);
+  EXPECT_LT(PerRow(c->FitOf(plays[0], 12)), 0.5 * PerRow(c->FitOf(start, 12)));
+}
+
+TEST(RipplesAcrossLags, MoveToTheOtherSideWhereTheDriveLags) {
+  const EffectSpec ripple = MakeSpec("torque_ripple", {"elbow"}, {{"amplitude", 0.1}}),
+                   lag = MakeSpec("actuator_lag", {"elbow"}, {{"time_constant", 0.01}}),
+                   elsewhere = MakeSpec("actuator_lag", {"shoulder"}, {{"time_constant", 0.01}});
+  EXPECT_TRUE(RipplesAcrossLags({ripple, elsewhere}).empty());
+  EXPECT_TRUE(RipplesAcrossLags({lag}).empty());
+  const std::vector<EffectSpec> across = RipplesAcrossLags({ripple, lag});
+  ASSERT_EQ(across.size(), 2u);
+  EXPECT_EQ(across[0].options.at("acts_on"), "command");
+  EXPECT_EQ(RipplesAcrossLags(across)[0].options.at("acts_on"), "motor");
+}
+
 TEST(ContactStarts, FindsTheSurfaceAndThePointThatMeetsIt) {
   // The forearm's own origin, the elbow, is what meets the floor.
   EffectSpec floor = MakeSpec("contact", {}, {{"stiffness", 60}, {"damping", 1}, {"height", 0.55}});

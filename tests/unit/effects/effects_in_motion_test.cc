@@ -74,6 +74,24 @@ TEST(EffectsOff, ChangeNothing) {
   }
 }
 
+// A lag filters what acts on the command, and nothing of what acts on the motor behind it.
+TEST(TorqueRipple, OnTheCommandIsFilteredByALag) {
+  const auto swing = [](const std::string& side, double lag) {
+    effects::EffectSpec ripple =
+        MakeSpec("torque_ripple", {kJoints[0]}, {{"amplitude", 0.5}, {"cycles_per_rev", 9}, {"phase", 0.4}});
+    ripple.options["acts_on"] = side;
+    std::vector<effects::EffectSpec> effects = {ripple};
+    if (lag > 0) effects.push_back(MakeSpec("actuator_lag", {kJoints[0]}, {{"time_constant", lag}}));
+    return Swing(MakePlant("arm2", effects)).position;
+  };
+  const auto apart = [&](double lag) {
+    return (swing("motor", lag) - swing("command", lag)).cwiseAbs().maxCoeff();
+  };
+  EXPECT_EQ(apart(0), 0);
+  EXPECT_GT(apart(0.05), 1e-3);
+  EXPECT_NEAR(apart(2e-5), apart(1e-5) * 2, 0.5 * apart(1e-5)) << "to first order in the time constant";
+}
+
 TEST(EffectsAlmostRigid, ApproachTheRigidArm) {
   // A stiff transmission, mount or hold with hardly any inertia of its own.
   const Eigen::MatrixXd rigid = Swing(MakePlant("arm2")).position;
