@@ -56,6 +56,7 @@ double StructurePrior(const std::vector<EffectSpec>& specs, bool base);
 inline constexpr double kEffectPrior = 4.0;  // of one more kind of effect
 inline constexpr double kJointPrior = 1.0;   // of one more joint of it
 
+inline constexpr double kConsistent = 2.0;  // χ² per row below which a model is consistent with the noise
 inline constexpr double kExplained = 1.1;  // χ² per row (1: noise alone) below which nothing more is sought
 inline constexpr double kZ99OneSided = 2.326;  // 99 % quantile of the standard normal distribution
 inline constexpr double kZ99TwoSided = 2.576;  // 99.5 % quantile

@@ -95,7 +95,7 @@ class FindingsBuilder {
   void Run() {
     Figures();
     Verdict();
-    Calibrate(r_.verdict, s_.measured.active, static_cast<int>(r_.joints.size()), &r_.findings);
+    Calibrate(r_.verdict, s_.measured.active, some_left_, static_cast<int>(r_.joints.size()), &r_.findings);
     r_.ledger = LedgerOf(s_);
     r_.candidates = CandidateRows(s_);
     r_.force_plots = ForcePlots(s_, data_);
@@ -126,13 +126,15 @@ class FindingsBuilder {
       if (!OfStillJoints(e)) ids.insert(e.id);
     }
     // With a measured effort χ² cannot reach 1: most of the misfit must be explained.
-    const bool unexplained = s_.measured.active ? Remains() : MostIsLeft();
+    const bool most_left = s_.measured.active ? Remains() : MostIsLeft();
+    const bool some_left = !s_.measured.active && !ids.empty() && Inconsistent();
     const bool unnamed = std::ranges::any_of(ids, IsUnnamed);
     for (const std::string& id : ids) {
       if (!PartOfField(id)) r_.findings.push_back(FindingOf(id));
     }
-    if (unexplained || unnamed) {
+    if (most_left || some_left || unnamed) {
       r_.verdict = "unexplained";
+      some_left_ = !most_left && !unnamed;
       if (!unnamed) AddUnknown();
       return;
     }
@@ -158,6 +160,9 @@ class FindingsBuilder {
     const double excess = r_.mismatch - 1.0, left = r_.remaining - 1.0;
     return left > 0.5 * excess;
   }
+
+  // Whether the best model, whatever it explains, is inconsistent with the noise.
+  bool Inconsistent() const { return s_.best.fit.chi2 > kConsistent * s_.own_chi2; }
 
   // Joints that never moved appear only in the notes.
   bool Silent(const std::string& joint) const {
@@ -501,6 +506,7 @@ class FindingsBuilder {
   const MotionScales& scales_;
   DiagnosisResult& r_;
   std::vector<EffectSpec> beyond_;  // effects that the given model has not
+  bool some_left_ = false;          // unexplained, though the findings explain most
 };
 
 }  // namespace

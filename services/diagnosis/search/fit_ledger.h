@@ -19,7 +19,6 @@
 
 namespace rg::diagnosis {
 
-inline constexpr double kConsistent = 2.0;  // χ² per row below which a model is consistent with the noise
 inline constexpr double kWorkForComparisons = 1.3;  // of the work limit, after which no models are compared
 inline constexpr double kPartly = 0.5;  // of a model's misfit, that a part of the truth leaves at most
 inline constexpr double kSwings = 0.8;  // the same, for springs or a hinge in the place of the true one

@@ -63,6 +63,29 @@ TEST(Confidence, IsNotLessForARivalWithMoreNamesThatTheyDoNotPayFor) {
   EXPECT_LT(ConfidenceBeside(*p, search, {coulomb}, 5), 0.1);
 }
 
+// A name that explains nearly all is kept, and what it leaves beyond the noise is said to be there.
+TEST(Verdict, IsUnexplainedWhereTheBestModelIsInconsistentWithTheNoise) {
+  const auto p =
+      testing::Prepare("pendulum", {effects::MakeSpec("viscous_friction", {"hinge"}, {{"viscous", 0.2}})}, 6);
+  SearchResult search =
+      SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
+  ASSERT_EQ(search.best.specs.size(), 1u);
+  const double consistent = search.best.fit.chi2;
+  for (const double left : {1.0, 3.0}) {
+    search.best.fit.chi2 = left * consistent;
+    ASSERT_GT(search.nominal.fit.chi2, 10 * search.best.fit.chi2);
+    DiagnosisResult result;
+    result.joints = p->set.joints;
+    Conclude(search, {p->data, p->nominal, p->scales}, &result);
+    std::set<std::string> names;
+    for (const Finding& f : result.findings) names.insert(f.effect);
+    EXPECT_EQ(names.count("viscous_friction"), 1u);
+    EXPECT_EQ(names.count("unknown_field"), left > 1 ? 1u : 0u);
+    EXPECT_EQ(result.verdict, left > 1 ? "unexplained" : "unmodelled_physics");
+    EXPECT_TRUE((result.findings[0].confidence > 0.8) == (left == 1.0)) << result.findings[0].confidence;
+  }
+}
+
 // A richer form may score better and yet not be claimed: it has the law too, but only where it is.
 TEST(Confidence, OfPlainFrictionIsNotLessForARicherFormThere) {
   for (const char* robot : {"pendulum", "arm2"}) {
