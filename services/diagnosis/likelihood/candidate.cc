@@ -221,21 +221,12 @@ void Rescale(double before, double scale, Candidate* c) {
   c->score -= 0.5 * (1.0 / scale - 1.0 / before) * c->fit.chi2;
   const Eigen::Index count = c->fit.information.rows();
   if (count == 0 || !c->fit.information.allFinite()) return;  // of a refused fit
-  Eigen::VectorXd sigma(count);
-  for (Eigen::Index k = 0; k < count; ++k) sigma[k] = c->parameters[static_cast<size_t>(k)].prior_stddev;
-  const auto posterior = [&] {
-    return Eigen::LLT<Eigen::MatrixXd>(Eigen::MatrixXd::Identity(count, count) +
-                                       sigma.asDiagonal() * c->fit.information * sigma.asDiagonal());
-  };
-  const auto half_log_det = [](const Eigen::LLT<Eigen::MatrixXd>& llt) {
-    return llt.matrixLLT().diagonal().array().log().sum();
-  };
-  const double old = half_log_det(posterior());
+  const Eigen::VectorXd sigma = sysid::PriorStddevs(c->parameters);
+  const double old = PosteriorOf(c->fit.information, sigma).half_log_det;
   c->fit.information *= before / scale;
-  const Eigen::LLT<Eigen::MatrixXd> llt = posterior();
-  c->score -= half_log_det(llt) - old;
-  c->fit.stddev = sigma.cwiseProduct(
-      llt.solve(Eigen::MatrixXd::Identity(count, count)).diagonal().cwiseMax(0.0).cwiseSqrt());
+  const Posterior now = PosteriorOf(c->fit.information, sigma);
+  c->score -= now.half_log_det - old;
+  c->fit.stddev = now.stddev;
 }
 
 std::set<size_t> Aperiodic(const Candidate& c, const MotionScales& scales, double noise_scale, bool whole) {

@@ -17,7 +17,7 @@ namespace {
 double EvidenceOf(const MatrixXd& H, const VectorXd& g, const std::vector<int>& chosen) {
   const Eigen::LLT<MatrixXd> llt(H(chosen, chosen));
   const VectorXd y = llt.matrixL().solve(g(chosen));
-  return 0.5 * y.squaredNorm() - llt.matrixLLT().diagonal().array().log().sum();
+  return 0.5 * y.squaredNorm() - HalfLogDet(llt);
 }
 
 }  // namespace
