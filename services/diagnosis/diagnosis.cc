@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <optional>
 #include <ranges>
+#include <utility>
 
 #include "common/model/robot_model.h"
 #include "services/diagnosis/balance/balance_search.h"
@@ -155,12 +156,11 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
                            "): the model given has these alone, and was so chosen on recordings kept aside");
     search.best = search.calibrated;
     result.holdout = {}, result.holdout_plots.clear();
-    if (search.swings_on) {
-      result.plant = *search.calibrated.plant, result.values = search.calibrated.fit.values;
-    } else {
-      result.findings.clear();
-      Conclude(search, setting, &result);
-    }
+    const std::string verdict = result.verdict;
+    const std::vector<Finding> named = std::exchange(result.findings, {});
+    Conclude(search, setting, &result);
+    // All but verdict and findings is of the model given.
+    if (search.swings_on) result.verdict = verdict, result.findings = named;
     JudgeHeldOut(set, nominal, search, data, options, threads, &result);
   }
   if (result.plant) {

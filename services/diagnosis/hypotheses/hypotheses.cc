@@ -18,7 +18,7 @@ using effects::Slot;
 
 namespace {
 
-constexpr double kTypicalRotor = 0.4;  // of its joint's inertia
+constexpr double kTypicalRotor = 0.4, kLeastRotor = 0.01;  // of its joint's inertia
 
 const std::string& Coupling() { return effects::LawOf(Regressor::kOtherEffort).id; }
 
@@ -217,13 +217,17 @@ std::vector<TrialSpecs> PlayHeldClosed(const TrialSpecs& specs, const EffectSpec
   const auto on_joint = [&](const EffectSpec& s) { return s.joints == offset.joints; };
   const effects::EffectInfo& rotor = effects::LawOf(Regressor::kAcceleration);
   const int joint = nominal.model().FindJoint(offset.joints[0]);
-  double behind = kTypicalRotor * SizeOf(scales, nominal, joint).inertia;
+  if (!nominal.Takes(effects::Play().id, joint) || Contains(nominal.effects(), offset.id, offset.joints[0]))
+    return {};
+  const double inertia = SizeOf(scales, nominal, joint).inertia;
+  double behind = kTypicalRotor * inertia;
   TrialSpecs others;
   for (const EffectSpec& s : specs) {
     if (on_joint(s) && s.id == rotor.id) behind = effects::ValueOf(s, rotor.parameters[0].name);
     if (on_joint(s) && effects::IsIn(Slot::kTransmission, s.id)) return {};
     if (!on_joint(s) || s.id != offset.id) others.push_back(s);
   }
+  behind = std::max(behind, kLeastRotor * inertia);
   EffectSpec play = StartsBehind(effects::Play().id, "motor", joint, nominal, scales, behind)[0][0];
   play.values.at(offset.joints[0]).at(effects::InferenceOf(play.id).stays) =
       2 * std::abs(effects::ValueOf(offset, reads_off.parameters[0].name));
@@ -237,7 +241,9 @@ TrialSpecs RipplesAcrossLags(TrialSpecs specs) {
   bool any = false;
   for (EffectSpec& s : specs) {
     if (s.id != ripple.id || !Contains(specs, lag, s.joints[0])) continue;
-    s.options[option] = sides[1 - ripple.Option(option, s)];
+    const int other = 1 - ripple.Option(option, s);
+    s.options.erase(option);  // the same model has one key
+    if (other != 0) s.options[option] = sides[other];
     any = true;
   }
   return any ? specs : TrialSpecs{};

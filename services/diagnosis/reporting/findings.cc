@@ -136,6 +136,7 @@ class FindingsBuilder {
       r_.verdict = "unexplained";
       some_left_ = !most_left && !unnamed;
       if (!unnamed) AddUnknown();
+      if (some_left_ && s_.best.base) AddParameters(Confidence(OddsOfParameters()));
       return;
     }
     if (ids.empty()) {
@@ -468,7 +469,8 @@ class FindingsBuilder {
     f.statement = "Something acts on " + Listed(f.joints) +
                   " that no named effect explains: " + Number(100 * f.share_of_mismatch) +
                   " % of the mismatch remains after the best of them.";
-    r_.findings.insert(r_.findings.begin(), f);
+    // Names that explain most come before the rest.
+    r_.findings.insert(some_left_ ? r_.findings.end() : r_.findings.begin(), f);
   }
 
   void AddParameters(double confidence) {

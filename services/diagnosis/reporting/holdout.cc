@@ -234,7 +234,7 @@ void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal
 }
 
 std::string NoteOnFreeSwing(const HoldoutFit& h) {
-  if (h.after_rms < std::min(h.before_rms, h.calibrated_rms)) return "";
+  if (h.after_rms < std::fmin(h.before_rms, h.calibrated_rms)) return "";
   return "held-out errors do not become smaller by a mass that swings freely, for no sensor reads where it "
          "is when a window begins: it is believed because it swings on from each window to the next";
 }

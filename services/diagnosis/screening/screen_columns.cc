@@ -87,9 +87,11 @@ ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, b
   }
   const FitModel model{*plant, values, parameters};
   const NodeStates states = around_fit ? current.fit.states : InitialStates(setting.data, model, options);
-  if (step_rule->empty()) *step_rule = StepRuleResiduals(setting.data, model, states, options);
+  if (step_rule != nullptr && step_rule->empty())
+    *step_rule = StepRuleResiduals(setting.data, model, states, options);
   const Screen screen =
-      MakeScreen(setting.data, model, states, features.block, options, *step_rule, kNullDraws, rng);
+      MakeScreen(setting.data, model, states, features.block, options,
+                 step_rule == nullptr ? std::vector<VectorXd>{} : *step_rule, kNullDraws, rng);
   ScreenResult out = ScoreHypotheses(screen, columns, features, base, nominal);
   out.work = screen.work;
   return out;

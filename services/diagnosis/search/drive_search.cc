@@ -222,10 +222,10 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
   if (Left(either_way) < kUseful * Left(drops)) {
     const Candidate zeros = WithZeros(*best, either_way);
     const Candidate directed = zeros.fit.ok && Left(zeros) < Left(either_way) / kUseful ? zeros : either_way;
-    // One sensor that reads off, or a tilted base, pulls on several joints.
+    // One law, as a sensor that reads off or a tilted base, may pull on several joints.
     Candidate one = *best;
-    if (directed.fit.ok) step_.AddPromised(*best, &one);
-    if (one.score > directed.score) {
+    if (!fits_.Late()) step_.AddPromised(*best, &one);
+    if (!HasUnnamed(one) && one.score > directed.score + state_.Threshold(directed, one)) {
       *best = one;
       return;
     }

@@ -44,10 +44,9 @@ std::vector<TrialSpecs> ForwardStep::PromisedBesideTrial(const Candidate& trial,
   const FitData some = setting_.data.OnWindows(places);
   FeatureSet features{features_.features, {features_.block.joint, {}}};
   for (const uint32_t i : places) features.block.phi.push_back(features_.block.phi[i]);
-  std::vector<Eigen::VectorXd> step_rule;  // of other windows than the search's
   const ScreenResult screened =
       ScreenAround({some, setting_.nominal, setting_.scales}, trial, trial.base, &trial, features,
-                   fits_.lifted(), Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rule);
+                   fits_.lifted(), Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), nullptr);
   fits_.AddWork(screened.work);
   state_.trace.Screen(screened, trial.base);
   if (!(MostPromised(screened) > kMost * fits_.Excess(trial) / 2)) return {};

@@ -132,7 +132,7 @@ void HeldOutChecks::CompareRivals(SearchResult* out) {
   if (!fits_.Cancelled())
     judge_->CompareRivals(out,
                           [this](const Candidate& a, const Candidate& b) { return state_.Threshold(a, b); });
-  out->swings_on = judge_->SwingsOn(out->best);
+  out->swings_on = !fits_.Cancelled() && HasPendulum(out->best.specs) && judge_->SwingContinues(out->best);
   if (out->excited_by >= 0 && judge_->Holds(out->best, state_.Threshold(out->best))) out->excited_by = -1;
 }
 

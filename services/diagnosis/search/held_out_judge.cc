@@ -59,8 +59,8 @@ const HeldOut& HeldOutJudge::Of(const Candidate& c) {
 
 bool HeldOutJudge::Holds(const Candidate& model, double needed) {
   const HeldOut& own = Of(model);
-  return SwingsOn(model) || own.deficit < std::max({kZ99OneSided * own.deficit_stddev,
-                                                    0.5 * (kExplained - 1) * own.freedom, needed});
+  return SwingContinues(model) || own.deficit < std::max({kZ99OneSided * own.deficit_stddev,
+                                                          0.5 * (kExplained - 1) * own.freedom, needed});
 }
 
 int HeldOutJudge::WorstRecording(const Candidate& model, double needed) {

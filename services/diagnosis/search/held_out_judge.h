@@ -29,7 +29,7 @@ class HeldOutJudge {
   // (held_out.h).
   bool Holds(const Candidate& model, double needed);
   // Whether it has a pendulum payload that swings continuously over held-out recordings.
-  bool SwingsOn(const Candidate& model) { return Of(model).swing_continues && !rod_given_; }
+  bool SwingContinues(const Candidate& model) { return Of(model).swing_continues && !rod_given_; }
   // Whether its deficit is less than half of that of `without`; with hidden states, a tenth.
   bool ExplainsMost(const Candidate& model, const Candidate& without);
   // The fitted model that replaces one that is not consistent: it predicts significantly more windows better,

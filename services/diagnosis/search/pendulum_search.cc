@@ -135,7 +135,7 @@ void PendulumSearch::TryHinges() {
     if (&hinge != &hinges_.front() && nearest_.left < kExplained) break;
     for (const EffectSpec& rod : EitherPlace(setting_.data, setting_.nominal, LongerRod(hinge, times_))) {
       if (nearest_.in_all < kExplained || KeyOf({rod}) == tried) continue;
-      const Hung other = Hang(Joined(springs_, {rod}));
+      const Hung other = Hang(Joined(nearest_.specs, {rod}));  // beside the same effects
       if (other.left < nearest_.left) nearest_ = other;
     }
   }
@@ -160,7 +160,7 @@ void PendulumSearch::TryBeside() {
 // work.
 void PendulumSearch::AddPromised() {
   for (int more = 0; more < kMostBeside && promised_beside_ && nearest_.trial != nullptr; ++more) {
-    if (nearest_.in_all < kConsistent) return;
+    if (nearest_.in_all < kConsistent || fits_.Late() || fits_.work() > enough_) return;
     const Hung before = nearest_;
     if (!asked_.insert(KeyOf(before.specs)).second) return;
     for (const TrialSpecs& other : promised_beside_(*before.trial, request_.places))

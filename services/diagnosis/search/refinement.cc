@@ -40,20 +40,23 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
   std::vector<TrialSpecs> others;
   Candidate known_best =
       *winner;  // what scored less while the noise was taken to be more may score better now
+  const auto consider = [&](const TrialSpecs& other) {
+    const Candidate* known = fits_.Known(other, winner->base);
+    if (known == nullptr)
+      others.push_back(other);
+    else if (known->fit.ok && known->held_out_penalty == winner->held_out_penalty)
+      known_best = Better(known_best, *known);
+  };
   for (const std::string& kind : kinds) {
-    for (const TrialSpecs& other : Exchanges(specs, kind, setting_.nominal, setting_.scales)) {
-      const Candidate* known = fits_.Known(other, winner->base);
-      if (known == nullptr)
-        others.push_back(other);
-      else if (known->fit.ok && known->held_out_penalty == winner->held_out_penalty)
-        known_best = Better(known_best, *known);
-    }
+    for (const TrialSpecs& other : Exchanges(specs, kind, setting_.nominal, setting_.scales)) consider(other);
   }
-  if (TrialSpecs across = RipplesAcrossLags(specs); !across.empty()) others.push_back(std::move(across));
+  const auto is_new = [&](effects::Regressor law) { return kinds.count(effects::LawOf(law).id) > 0; };
+  const bool either = is_new(effects::Regressor::kSine) || is_new(effects::Regressor::kLagging);
+  const TrialSpecs across = either ? RipplesAcrossLags(specs) : TrialSpecs{};
+  if (!across.empty()) consider(across);
   for (const EffectSpec& s : specs) {
     if (kinds.count(s.id) == 0) continue;
-    for (const TrialSpecs& play : PlayHeldClosed(specs, s, setting_.nominal, setting_.scales))
-      others.push_back(play);
+    for (const TrialSpecs& play : PlayHeldClosed(specs, s, setting_.nominal, setting_.scales)) consider(play);
     const auto starts = OtherTransmission(s, setting_.nominal, setting_.scales);
     for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, starts, 1))
       others.push_back(Joined(specs, start));

@@ -91,6 +91,10 @@ TEST(Confidence, IsLessWhereTheRestIsBeyondTheNoise) {
     EXPECT_GT(finding.confidence, 0.5) << finding.effect;
     EXPECT_LT(finding.confidence, 0.8) << finding.effect;
   }
+  std::vector<Finding> many = {Named("joint_elasticity", 1), Named("coulomb_friction", 1),
+                               Named("torque_ripple", 1)};
+  Calibrate("unexplained", false, true, 2, &many);
+  EXPECT_LT(many[0].confidence, 0.5) << "as many names are doubted, whatever they leave";
 }
 
 TEST(Confidence, ASideRemarkComesLastAndIsNoSurerThanTheName) {

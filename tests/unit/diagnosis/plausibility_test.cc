@@ -4,6 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <limits>
+
 #include "services/diagnosis/reporting/data_notes.h"
 #include "services/diagnosis/reporting/holdout.h"
 #include "tests/unit/diagnosis/simulated_set.h"
@@ -127,6 +129,8 @@ TEST(DataNotes, SayWhyAFreeSwingIsNotPredicted) {
   fit.before_rms = 0.3, fit.calibrated_rms = 0.1, fit.after_rms = 0.2;
   EXPECT_THAT(NoteOnFreeSwing(fit), HasSubstr("swings on from each window"));
   fit.after_rms = 0.05;
+  EXPECT_EQ(NoteOnFreeSwing(fit), "");
+  fit.before_rms = std::numeric_limits<double>::quiet_NaN();  // a given model that cannot be simulated
   EXPECT_EQ(NoteOnFreeSwing(fit), "");
 }
 
