@@ -222,10 +222,12 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
   if (Left(either_way) < kUseful * Left(drops)) {
     const Candidate zeros = WithZeros(*best, either_way);
     const Candidate directed = zeros.fit.ok && Left(zeros) < Left(either_way) / kUseful ? zeros : either_way;
-    // One law, as a sensor that reads off or a tilted base, may pull on several joints.
+    // One law, as a sensor that reads off or a tilted base, may pull on several joints: with no more
+    // parameters a better score is enough.
     Candidate one = *best;
     if (!fits_.Late()) step_.AddPromised(*best, &one);
-    if (!HasUnnamed(one) && one.score > directed.score + state_.Threshold(directed, one)) {
+    if (!HasUnnamed(one) && one.parameters.size() <= directed.parameters.size() &&
+        one.score > directed.score) {
       *best = one;
       return;
     }
