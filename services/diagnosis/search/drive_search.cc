@@ -223,10 +223,14 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
     const Candidate zeros = WithZeros(*best, either_way);
     const Candidate directed = zeros.fit.ok && Left(zeros) < Left(either_way) / kUseful ? zeros : either_way;
     // One law, as a sensor that reads off or a tilted base, may pull on several joints: with no more
-    // parameters a better score is enough.
+    // parameters a better score is enough. What masses may do as well is left to free base parameters.
     Candidate one = *best;
     if (!fits_.Late()) step_.AddPromised(*best, &one);
-    if (!HasUnnamed(one) && one.parameters.size() <= directed.parameters.size() &&
+    const std::set<std::string> kinds = FreshKinds(*best, one);
+    const bool bodily = std::ranges::any_of(kinds, [](const std::string& id) {
+      return effects::ScalesEffort(id) || id == effects::EffectOf(effects::Role::kBodyInertia).id;
+    });
+    if (!HasUnnamed(one) && !bodily && one.parameters.size() <= directed.parameters.size() &&
         one.score > directed.score) {
       *best = one;
       return;
