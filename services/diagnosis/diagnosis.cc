@@ -159,8 +159,11 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
     const std::string verdict = result.verdict;
     const std::vector<Finding> named = std::exchange(result.findings, {});
     Conclude(search, setting, &result);
-    // All but verdict and findings is of the model given.
-    if (search.swings_on) result.verdict = verdict, result.findings = named;
+    if (search.swings_on) {
+      result.verdict = verdict, result.findings = named;  // all else is of the model given
+    } else {
+      result.motion.reset();  // it was to separate what was withdrawn
+    }
     JudgeHeldOut(set, nominal, search, data, options, threads, &result);
   }
   if (result.plant) {

@@ -210,8 +210,8 @@ std::vector<TrialSpecs> OtherGaps(const EffectSpec& spec) {
   return out;
 }
 
-std::vector<TrialSpecs> PlayHeldClosed(const TrialSpecs& specs, const EffectSpec& offset,
-                                       const sim::Plant& nominal, const MotionScales& scales) {
+TrialSpecs PlayHeldClosed(const TrialSpecs& specs, const EffectSpec& offset, const sim::Plant& nominal,
+                          const MotionScales& scales) {
   const effects::EffectInfo& reads_off = effects::EffectOf(effects::Role::kSensorOffset);
   if (offset.id != reads_off.id) return {};
   const auto on_joint = [&](const EffectSpec& s) { return s.joints == offset.joints; };
@@ -231,7 +231,7 @@ std::vector<TrialSpecs> PlayHeldClosed(const TrialSpecs& specs, const EffectSpec
   EffectSpec play = StartsBehind(effects::Play().id, "motor", joint, nominal, scales, behind)[0][0];
   play.values.at(offset.joints[0]).at(effects::InferenceOf(play.id).stays) =
       2 * std::abs(effects::ValueOf(offset, reads_off.parameters[0].name));
-  return {Joined(others, {play})};
+  return Joined(others, {play});
 }
 
 TrialSpecs RipplesAcrossLags(TrialSpecs specs) {

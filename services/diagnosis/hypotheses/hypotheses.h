@@ -57,8 +57,8 @@ std::vector<TrialSpecs> OtherTransmission(const EffectSpec& spec, const sim::Pla
 std::vector<TrialSpecs> OtherGaps(const EffectSpec& spec);
 // `specs` with play in the place of a motor's sensor that reads off, `offset`: half of a gap that gravity
 // holds closed. Behind it the rotor that the joint has, or a typical one. Empty for other effects.
-std::vector<TrialSpecs> PlayHeldClosed(const TrialSpecs& specs, const EffectSpec& offset,
-                                       const sim::Plant& nominal, const MotionScales& scales);
+TrialSpecs PlayHeldClosed(const TrialSpecs& specs, const EffectSpec& offset, const sim::Plant& nominal,
+                          const MotionScales& scales);
 // `specs` with the ripples of joints whose drives lag on the other side of the lag: on the motor, or on the
 // command that the lag follows. Empty where there are none.
 TrialSpecs RipplesAcrossLags(TrialSpecs specs);

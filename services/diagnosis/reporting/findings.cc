@@ -113,6 +113,7 @@ class FindingsBuilder {
     r_.joint_share = energy / std::max(1e-300, energy.sum());
     r_.plant = *s_.best.plant;
     r_.values = s_.best.fit.values;
+    r_.units.clear();
     for (const std::string& j : r_.joints) {
       const auto& joint = nominal_.model().joint(nominal_.model().FindJoint(j));
       r_.units.push_back(joint.is_revolute() ? "rad" : "m");

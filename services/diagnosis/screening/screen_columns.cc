@@ -89,9 +89,9 @@ ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, b
   const NodeStates states = around_fit ? current.fit.states : InitialStates(setting.data, model, options);
   if (step_rule != nullptr && step_rule->empty())
     *step_rule = StepRuleResiduals(setting.data, model, states, options);
-  const Screen screen =
-      MakeScreen(setting.data, model, states, features.block, options,
-                 step_rule == nullptr ? std::vector<VectorXd>{} : *step_rule, kNullDraws, rng);
+  const std::vector<VectorXd> no_rule;
+  const Screen screen = MakeScreen(setting.data, model, states, features.block, options,
+                                   step_rule == nullptr ? no_rule : *step_rule, kNullDraws, rng);
   ScreenResult out = ScoreHypotheses(screen, columns, features, base, nominal);
   out.work = screen.work;
   return out;

@@ -222,19 +222,7 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
   if (Left(either_way) < kUseful * Left(drops)) {
     const Candidate zeros = WithZeros(*best, either_way);
     const Candidate directed = zeros.fit.ok && Left(zeros) < Left(either_way) / kUseful ? zeros : either_way;
-    // One law, as a sensor that reads off or a tilted base, may pull on several joints: with no more
-    // parameters a better score is enough. What masses may do as well is left to free base parameters.
-    Candidate one = *best;
-    if (!fits_.Late()) step_.AddPromised(*best, &one);
-    const std::set<std::string> kinds = FreshKinds(*best, one);
-    const bool bodily = std::ranges::any_of(kinds, [](const std::string& id) {
-      return effects::ScalesEffort(id) || id == effects::EffectOf(effects::Role::kBodyInertia).id;
-    });
-    if (!HasUnnamed(one) && !bodily && one.parameters.size() <= directed.parameters.size() &&
-        one.score > directed.score) {
-      *best = one;
-      return;
-    }
+    if (TakeOneLaw(directed, best)) return;
     // What late drives leave is left by either: where these explain the rest, masses are no rival.
     Candidate with_timing = directed;
     Late(&with_timing);
@@ -255,6 +243,24 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
     }
   }
   if (Left(drops) < kWorthwhile * Left(*best)) *best = drops;
+}
+
+// One law, as a sensor that reads off or a tilted base, may pull on several joints as constant forces do:
+// with no more parameters a better score is enough. What masses may do as well is left to free base
+// parameters.
+bool DriveSearch::TakeOneLaw(const Candidate& directed, Candidate* best) {
+  if (fits_.Late()) return false;
+  Candidate one = *best;
+  step_.AddPromised(*best, &one);
+  const std::set<std::string> kinds = FreshKinds(*best, one);
+  const bool bodily = std::ranges::any_of(kinds, [](const std::string& id) {
+    return effects::ScalesEffort(id) || id == effects::EffectOf(effects::Role::kBodyInertia).id;
+  });
+  if (HasUnnamed(one) || bodily || one.parameters.size() > directed.parameters.size() ||
+      !(one.score > directed.score))
+    return false;
+  *best = one;
+  return true;
 }
 
 // A further law on all joints, as the springs of cables: one joint at a time none brings the model near, and

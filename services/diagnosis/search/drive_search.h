@@ -33,6 +33,7 @@ class DriveSearch {
   Candidate Seen(const Candidate& c, bool base);
   void Couple(Candidate* best);
   void OtherDryLaw(Candidate* best);
+  bool TakeOneLaw(const Candidate& directed, Candidate* best);
   void LawOnEachJoint(Candidate* best);
   bool TakeNearest(const std::map<std::string, Candidate>& before, Candidate* best) const;
   void Freed(Candidate* best);

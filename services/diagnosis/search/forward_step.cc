@@ -49,6 +49,7 @@ std::vector<TrialSpecs> ForwardStep::PromisedBesideTrial(const Candidate& trial,
                    fits_.lifted(), Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), nullptr);
   fits_.AddWork(screened.work);
   state_.trace.Screen(screened, trial.base);
+  // At stake are these windows alone.
   if (!(MostPromised(screened) > kMost * fits_.Excess(trial) / 2)) return {};
   return Promised(trial, screened, setting_.nominal, setting_.scales, true, kLeastPromise, kBesideTrial);
 }

@@ -162,7 +162,7 @@ void PendulumSearch::AddPromised() {
   for (int more = 0; more < kMostBeside && promised_beside_ && nearest_.trial != nullptr; ++more) {
     if (nearest_.in_all < kConsistent || fits_.Late() || fits_.work() > enough_) return;
     const Hung before = nearest_;
-    if (!asked_.insert(KeyOf(before.specs)).second) return;
+    if (std::exchange(asked_, before.trial) == before.trial) return;
     for (const TrialSpecs& other : promised_beside_(*before.trial, request_.places))
       TakeIfNearer(Joined(before.specs, other));
     if (nearest_.trial == before.trial) return;

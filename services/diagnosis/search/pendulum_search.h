@@ -4,8 +4,6 @@
 
 #include <memory>
 #include <optional>
-#include <set>
-#include <string>
 #include <vector>
 
 #include "services/diagnosis/search/fit_ledger.h"
@@ -82,8 +80,8 @@ class PendulumSearch {
   double missing_ = 0, enough_ = 0;          // what `from` leaves typically; of work
   double times_ = 1;                         // of the rod's length
   Hung nearest_;
-  std::set<std::string> asked_;    // keys of trials around which a screen was made
-  std::optional<Candidate> best_;  // on all windows
+  std::shared_ptr<const Candidate> asked_;  // the trial around which a screen was made last
+  std::optional<Candidate> best_;           // on all windows
 };
 
 }  // namespace rg::diagnosis

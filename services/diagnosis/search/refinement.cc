@@ -41,6 +41,7 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
   Candidate known_best =
       *winner;  // what scored less while the noise was taken to be more may score better now
   const auto consider = [&](const TrialSpecs& other) {
+    if (other.empty()) return;
     const Candidate* known = fits_.Known(other, winner->base);
     if (known == nullptr)
       others.push_back(other);
@@ -51,12 +52,11 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
     for (const TrialSpecs& other : Exchanges(specs, kind, setting_.nominal, setting_.scales)) consider(other);
   }
   const auto is_new = [&](effects::Regressor law) { return kinds.count(effects::LawOf(law).id) > 0; };
-  const bool either = is_new(effects::Regressor::kSine) || is_new(effects::Regressor::kLagging);
-  const TrialSpecs across = either ? RipplesAcrossLags(specs) : TrialSpecs{};
-  if (!across.empty()) consider(across);
+  if (is_new(effects::Regressor::kSine) || is_new(effects::Regressor::kLagging))
+    consider(RipplesAcrossLags(specs));
   for (const EffectSpec& s : specs) {
     if (kinds.count(s.id) == 0) continue;
-    for (const TrialSpecs& play : PlayHeldClosed(specs, s, setting_.nominal, setting_.scales)) consider(play);
+    consider(PlayHeldClosed(specs, s, setting_.nominal, setting_.scales));
     const auto starts = OtherTransmission(s, setting_.nominal, setting_.scales);
     for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, starts, 1))
       others.push_back(Joined(specs, start));

@@ -17,11 +17,14 @@
 namespace rg::diagnosis {
 namespace {
 
+SearchResult Searched(const testing::Prepared& p) {
+  return SearchEffects({p.data, p.nominal, p.scales}, p.options, 1, RealClock(), {}, nullptr);
+}
+
 // What is said where nothing was found and χ² is `beyond` times what a true model would leave.
 std::string VerdictBeyond(double beyond) {
   const auto p = testing::Prepare("pendulum", {}, 5, {.rate_hz = 250});
-  SearchResult search =
-      SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
+  SearchResult search = Searched(*p);
   EXPECT_TRUE(search.best.specs.empty());
   for (Candidate* c : {&search.nominal, &search.calibrated, &search.best}) c->fit.chi2 *= 1.3;
   search.own_chi2 = search.best.fit.chi2 / beyond;
@@ -54,8 +57,7 @@ double ConfidenceBeside(const testing::Prepared& p, SearchResult search,
 TEST(Confidence, IsNotLessForARivalWithMoreNamesThatTheyDoNotPayFor) {
   const auto p =
       testing::Prepare("pendulum", {effects::MakeSpec("viscous_friction", {"hinge"}, {{"viscous", 0.2}})}, 6);
-  SearchResult search =
-      SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
+  SearchResult search = Searched(*p);
   ASSERT_EQ(search.best.specs.size(), 1u);
   search.beside = 10;
   const auto coulomb = effects::MakeSpec("coulomb_friction", {"hinge"});
@@ -67,8 +69,7 @@ TEST(Confidence, IsNotLessForARivalWithMoreNamesThatTheyDoNotPayFor) {
 TEST(Verdict, IsUnexplainedWhereTheBestModelIsInconsistentWithTheNoise) {
   const auto p =
       testing::Prepare("pendulum", {effects::MakeSpec("viscous_friction", {"hinge"}, {{"viscous", 0.2}})}, 6);
-  SearchResult search =
-      SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
+  SearchResult search = Searched(*p);
   ASSERT_EQ(search.best.specs.size(), 1u);
   const double consistent = search.best.fit.chi2;
   for (const double left : {1.0, 3.0}) {
@@ -92,8 +93,7 @@ TEST(Confidence, OfPlainFrictionIsNotLessForARicherFormThere) {
     const std::string joint = robot == std::string("pendulum") ? "hinge" : "elbow";
     const auto p =
         testing::Prepare(robot, {effects::MakeSpec("coulomb_friction", {joint}, {{"coulomb", 0.2}})}, 6);
-    const SearchResult search =
-        SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
+    const SearchResult search = Searched(*p);
     ASSERT_EQ(KeyOf(search.best.specs), "coulomb_friction[" + joint + " ] ");
     const auto beside = [&](const std::string& on) {
       return ConfidenceBeside(*p, search, {effects::MakeSpec("stribeck_friction", {on})}, 20);
@@ -132,8 +132,7 @@ TEST(Experiment, IsWhatShowsTheRarerOfTwoLawsBest) {
 TEST(Tables, ShowWhatParametersHadTakenInAndWhatElseWasTried) {
   const auto p =
       testing::Prepare("pendulum", {effects::MakeSpec("coulomb_friction", {"hinge"}, {{"coulomb", 0.1}})}, 7);
-  const SearchResult search =
-      SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
+  const SearchResult search = Searched(*p);
   ASSERT_EQ(search.best.specs.size(), 1u);
   ASSERT_FALSE(search.best.base);
   const std::vector<LedgerRow> ledger = LedgerOf(search);
@@ -173,8 +172,7 @@ TEST(Tables, ShowWhatParametersHadTakenInAndWhatElseWasTried) {
 // By the evidence of a force on each joint alone and on both.
 TEST(Unexplained, NamesASecondJointWhereItTakesAGoodPartOfTheRest) {
   const auto p = testing::Prepare("arm2", {}, 5);
-  SearchResult search =
-      SearchEffects({p->data, p->nominal, p->scales}, p->options, 1, RealClock(), {}, nullptr);
+  SearchResult search = Searched(*p);
   search.best.fit.chi2 *= 2, search.nominal.fit.chi2 *= 2, search.calibrated.fit.chi2 *= 2;
   const auto joints_by = [&](const Eigen::Matrix2d& evidence) {
     search.remaining.evidence = evidence;
