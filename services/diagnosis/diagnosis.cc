@@ -159,7 +159,7 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
     const std::string verdict = result.verdict;
     const std::vector<Finding> named = std::exchange(result.findings, {});
     Conclude(search, setting, &result);
-    if (search.swings_on) {
+    if (search.swings_on || search.beside_any_force) {
       result.verdict = verdict, result.findings = named;  // all else is of the model given
     } else {
       result.motion.reset();  // it was to separate what was withdrawn

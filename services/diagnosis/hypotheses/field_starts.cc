@@ -57,14 +57,14 @@ double Regressed(const std::vector<ForceSample>& samples, int on, const MatrixXd
 }  // namespace
 
 std::optional<EffectSpec> FieldStart(const FitSetting& setting, const MissingForce& missing,
-                                     const std::string& variable) {
+                                     const std::string& variable, int only) {
   const auto& [data, nominal, scales] = setting;
   const std::string& field = effects::LawOf(effects::Regressor::kPositionPiece).id;
   const std::vector<ForceSample> samples = SamplesOf(data, missing);
   std::optional<EffectSpec> best;
   double best_gain = -std::numeric_limits<double>::infinity();
   for (int on = 0; on < data.n; ++on) {
-    if (!nominal.Takes(field, on)) continue;
+    if (!nominal.Takes(field, on) || (only >= 0 && on != only)) continue;
     const bool speed = variable == "velocity", drag = variable == "drag";
     const double low = speed ? -scales.top_speed[on] : scales.low[on];
     const double high = std::max(speed ? scales.top_speed[on] : scales.high[on], low + 1e-3);
@@ -88,7 +88,7 @@ std::optional<EffectSpec> FieldStart(const FitSetting& setting, const MissingFor
   return best;
 }
 
-std::optional<EffectSpec> FieldPairStart(const FitSetting& setting, const MissingForce& missing) {
+std::optional<EffectSpec> FieldPairStart(const FitSetting& setting, const MissingForce& missing, int only) {
   const auto& [data, nominal, scales] = setting;
   const std::string surface = effects::UnknownFieldPair::Info().id;
   const std::vector<ForceSample> samples = SamplesOf(data, missing);
@@ -103,7 +103,7 @@ std::optional<EffectSpec> FieldPairStart(const FitSetting& setting, const Missin
           Basis(kNodes, samples[s].q[j], scales.low[j], std::max(scales.high[j], scales.low[j] + 1e-3));
   }
   for (int on = 0; on < n; ++on) {
-    if (!nominal.Takes(surface, on)) continue;
+    if (!nominal.Takes(surface, on) || (only >= 0 && on != only)) continue;
     const double size = SizeOn(samples, on);
     for (int other = 0; other < n; ++other) {
       if (other == on) continue;

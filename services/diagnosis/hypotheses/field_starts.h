@@ -9,13 +9,15 @@
 
 namespace rg::diagnosis {
 
-// The unknown_field of one joint with the most log evidence. `variable`: "position", "velocity", or "drag"
-// (damping over position).
+// The unknown_field of one joint with the most log evidence, of joint `only` if that is not −1. `variable`:
+// "position", "velocity", or "drag" (damping over position).
 std::optional<EffectSpec> FieldStart(const FitSetting& setting, const MissingForce& missing,
-                                     const std::string& variable);
+                                     const std::string& variable, int only = -1);
 
-// The unknown_field_pair of the pair of joints with the most. The errors of the stairs are taken as
-// independent, which is good enough to start a fit that is linear in the weights. Empty for one joint.
-std::optional<EffectSpec> FieldPairStart(const FitSetting& setting, const MissingForce& missing);
+// The unknown_field_pair of the pair of joints with the most, the same way. The errors of the stairs are
+// taken as independent, which is good enough to start a fit that is linear in the weights. Empty for one
+// joint.
+std::optional<EffectSpec> FieldPairStart(const FitSetting& setting, const MissingForce& missing,
+                                         int only = -1);
 
 }  // namespace rg::diagnosis

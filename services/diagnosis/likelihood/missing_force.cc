@@ -3,8 +3,10 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <vector>
 
+#include "services/diagnosis/likelihood/free_force.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/sysid/parallel.h"
 
@@ -27,6 +29,8 @@ MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, co
   FitModel fixed{model.plant, model.values, {}};
   Lineariser lin(data, fixed, true, options);
   const int W = static_cast<int>(data.windows.size()), n = data.n;
+  FreeForce any{std::vector<int>(n), prior, segment_s};
+  std::iota(any.joints.begin(), any.joints.end(), 0);
   MissingForce out;
   out.force.resize(W), out.stddev.resize(W), out.t.resize(W);
   std::vector<double> chi2(W, 0), unknowns(W, 0);
@@ -34,24 +38,11 @@ MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, co
   std::vector<MatrixXd> evidence(W, MatrixXd::Zero(n, n));
   sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
     const NodeWindow& window = data.windows[w];
-    const int N = static_cast<int>(window.t.size()) - 1;
-    const double span = window.t[N] - window.t[0];
-    const int S = std::max(1, static_cast<int>(std::lround(span / segment_s)));
-    std::vector<int> joint;
-    MatrixXd phi = MatrixXd::Zero(S * n, N);
-    for (int s = 0; s < S; ++s) {
-      out.t[w].push_back(window.t[0] + span * (s + 0.5) / S);
-      for (int j = 0; j < n; ++j) {
-        joint.push_back(j);
-        for (int k = 0; k < N; ++k) {
-          const double middle = 0.5 * (window.t[k] + window.t[k + 1]);
-          const int at = std::min(S - 1, static_cast<int>((middle - window.t[0]) / span * S));
-          if (at == s) phi(s * n + j, k) = prior[j];
-        }
-      }
-    }
+    const ForceSegments segments = SegmentsOf(any, window);
+    const int S = static_cast<int>(segments.t.size());
+    out.t[w] = segments.t;
     Linear l;
-    lin.Run(worker, w, states[w], &joint, &phi, false, &l);
+    lin.Run(worker, w, states[w], &segments.joint, &segments.phi, false, &l);
     out.force[w] = MatrixXd::Zero(n, S), out.stddev[w] = MatrixXd::Zero(n, S);
     lost[w] = !l.ok;
     if (!l.ok) return;

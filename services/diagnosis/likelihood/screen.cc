@@ -14,6 +14,21 @@ namespace {
 constexpr double kOtherStep = 2e-4;  // s, see StepRuleResiduals
 constexpr int kScreenParts = 16;
 
+// Takes the last S columns, whose coefficients are N(0, 1), from the others, and a row for each prior below.
+// Returns ½ log det(1 + H) of their information H.
+double IntegrateOut(long S, double noise_scale, RowMatrixXd* columns) {
+  const auto M = columns->rows(), D = columns->cols() - S;
+  MatrixXd own = MatrixXd::Zero(M + S, S);
+  own.topRows(M) = columns->rightCols(S);
+  own.bottomRows(S).diagonal().setConstant(std::sqrt(noise_scale));
+  RowMatrixXd rest = RowMatrixXd::Zero(M + S, D);
+  rest.topRows(M) = columns->leftCols(D);
+  const Eigen::LLT<MatrixXd> factor(own.transpose() * own / noise_scale);
+  ProjectOut(RowMatrixXd(own), &rest);
+  *columns = rest;
+  return HalfLogDet(factor);
+}
+
 }  // namespace
 
 LiftedOptions OtherStepRule(LiftedOptions options) {
@@ -36,7 +51,7 @@ std::vector<VectorXd> StepRuleResiduals(const FitData& data, const FitModel& mod
 
 Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
                   const FeatureBlock& features, const LiftedOptions& options,
-                  const std::vector<VectorXd>& step_rule, int null_draws, Rng rng) {
+                  const std::vector<VectorXd>& step_rule, int null_draws, Rng rng, const FreeForce* force) {
   Lineariser lin(data, model, true, options);
   const int P = lin.P(), C = features.size(), W = static_cast<int>(data.windows.size());
   Screen screen;
@@ -46,19 +61,38 @@ Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& 
   std::vector<RowMatrixXd> sums(parts, RowMatrixXd::Zero(D, D)),
       nulls(parts, RowMatrixXd::Zero(D, null_draws));
   std::vector<VectorXd> systematic(W);
+  std::vector<double> log_dets(W, 0);
+  std::vector<int> rows(W, 0);
+  std::vector<long> unknowns(W, 0);  // of the force
   const auto add = [&](int worker, int part, int w) {
+    // Features, then the segments of the force, of which the last columns of `all` are.
+    std::vector<int> joint = features.joint;
+    MatrixXd phi = C > 0 ? features.phi[w] : MatrixXd(0, std::ssize(data.windows[w].t) - 1);
+    if (force != nullptr) {
+      const ForceSegments segments = SegmentsOf(*force, data.windows[w]);
+      joint.insert(joint.end(), segments.joint.begin(), segments.joint.end());
+      const MatrixXd own = phi;
+      phi.resize(own.rows() + segments.phi.rows(), segments.phi.cols());
+      phi << own, segments.phi;
+    }
     Linear l;
-    lin.Run(worker, w, states[w], C > 0 ? &features.joint : nullptr, C > 0 ? &features.phi[w] : nullptr,
-            false, &l);
+    const auto S = std::ssize(joint) - C;
+    lin.Run(worker, w, states[w], joint.empty() ? nullptr : &joint, joint.empty() ? nullptr : &phi, false,
+            &l);
     if (!l.ok) return;
-    RowMatrixXd all(l.rows.rows(), D + 1);
-    all.leftCols(D) = l.rows.rightCols(D);
+    const auto M = l.rows.rows();
+    rows[w] = static_cast<int>(M), unknowns[w] = S;
+    RowMatrixXd all(M, D + 1 + S);
+    all.leftCols(D - 1) = l.rows.middleCols(l.nx, D - 1);
+    all.col(D - 1) = l.r();
     if (step_rule.empty()) {
       all.col(D).setZero();
     } else {
       all.col(D) = step_rule[w];
     }
+    all.rightCols(S) = l.rows.middleCols(l.nx + P + C, S);
     ProjectOut(l.J_e(), &all);
+    if (S > 0) log_dets[w] = IntegrateOut(S, options.noise_scale, &all);
     const auto rest = all.leftCols(D);
     systematic[w] = rest.leftCols(D - 1).transpose() * all.col(D) / options.noise_scale;
     AddGram(rest, 1.0 / options.noise_scale, sums[part]);
@@ -74,7 +108,9 @@ Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& 
   for (const RowMatrixXd& sum : sums) screen.gram += sum;
   screen.gram = MatrixXd(screen.gram.selfadjointView<Eigen::Lower>());
   screen.null = MatrixXd::Zero(D - 1, null_draws);
-  screen.work = ScreenWork(data, options, lin.nx(), D, null_draws);
+  for (int w = 0; w < W; ++w) screen.force_log_det += log_dets[w], screen.rows += rows[w];
+  const long most = unknowns.empty() ? 0 : std::ranges::max(unknowns);
+  screen.work = ScreenWork(data, options, lin.nx(), D + most, null_draws);
   screen.step_rule = VectorXd::Zero(D - 1);
   for (const VectorXd& rule : systematic) {
     if (rule.size() > 0) screen.step_rule += rule;

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "common/base/rng.h"
+#include "services/diagnosis/likelihood/free_force.h"
 #include "services/diagnosis/likelihood/lifted_fit.h"
 
 namespace rg::diagnosis {
@@ -26,7 +27,9 @@ struct Screen {
   MatrixXd gram;
   MatrixXd null;       // (P + C) × draws: right-hand sides if the residual were the sensors' noise alone
   VectorXd step_rule;  // P + C: the right-hand side that another step rule makes
+  double force_log_det = 0;  // ½ log det(1 + σHσ) of the force that was integrated out
   int parameters = 0, features = 0;
+  int rows = 0;  // of the windows that could be linearised
   double work = 0;
 };
 
@@ -39,9 +42,10 @@ std::vector<VectorXd> StepRuleResiduals(const FitData& data, const FitModel& mod
 // Nats that the model's free parameters would gain from another step rule alone.
 double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates& states,
                     const LiftedOptions& options);
-// `step_rule`: StepRuleResiduals; empty: none.
+// `step_rule`: StepRuleResiduals; empty: none. `force`: integrated out; null: none.
 Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
                   const FeatureBlock& features, const LiftedOptions& options,
-                  const std::vector<VectorXd>& step_rule, int null_draws, Rng rng);
+                  const std::vector<VectorXd>& step_rule, int null_draws, Rng rng,
+                  const FreeForce* force = nullptr);
 
 }  // namespace rg::diagnosis

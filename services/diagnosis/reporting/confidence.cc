@@ -25,6 +25,8 @@ constexpr double kRicherRival = 0.75;
 // An effect with an unnamed force, of either sort: 9 of 26 on the examined seeds 59004 to 59016 and 62001 and
 // on the development seeds 71101 to 71206, 71414 and 71515.
 constexpr double kWithUnnamed = 0.35;
+// Beside an unnamed force, but found with any force on its joint integrated out. Chosen, not counted.
+constexpr double kBesideAnyForce = 0.6;
 // Over the same variable on a joint of the unnamed force it may be no more than what that leaves. Chosen, not
 // counted.
 constexpr double kOverTheSame = 0.17;
@@ -62,10 +64,13 @@ double RateBesideUnnamed(const Finding& f, const std::vector<Finding>& findings)
   return same ? kOverTheSame : kWithUnnamed;
 }
 
-double HitRate(const Finding& f, const std::string& verdict, bool measured, bool some_left, int joints,
+double HitRate(const Finding& f, const std::string& verdict, Standing standing, int joints,
                const std::vector<Finding>& findings) {
+  const bool measured = standing == Standing::kMeasured, some_left = standing == Standing::kSomeLeft;
   if (f.effect == "parameters_only") return findings.size() == 1 ? kParameters : kParametersToEffects;
   if (IsUnnamed(f.effect)) return some_left ? kSomeLeft : kUnknown;
+  if (standing == Standing::kBesideAnyForce)
+    return std::ranges::count_if(findings, IsName) > 2 ? kMany : kBesideAnyForce;
   if (verdict == "unexplained" && !measured && !some_left) return RateBesideUnnamed(f, findings);
   const auto names = std::ranges::count_if(findings, IsName);
   // Every arm has losses and late drives; other effects are rarer.
@@ -82,10 +87,9 @@ double HitRate(const Finding& f, const std::string& verdict, bool measured, bool
 
 }  // namespace
 
-void Calibrate(const std::string& verdict, bool measured, bool some_left, int joints,
-               std::vector<Finding>* findings) {
+void Calibrate(const std::string& verdict, Standing standing, int joints, std::vector<Finding>* findings) {
   for (Finding& f : *findings)
-    f.confidence = std::min(f.confidence, HitRate(f, verdict, measured, some_left, joints, *findings));
+    f.confidence = std::min(f.confidence, HitRate(f, verdict, standing, joints, *findings));
   const auto side = [&](const Finding& f) { return f.effect == "parameters_only" && findings->size() > 1; };
   std::ranges::stable_sort(*findings, [&](const Finding& a, const Finding& b) {
     return side(a) != side(b) ? side(b) : a.confidence > b.confidence;

@@ -13,13 +13,18 @@
 
 namespace rg::diagnosis {
 
+// How findings came about, where that is not by a search that left nothing, or nothing but an unnamed force.
+enum class Standing {
+  kPlain,
+  kMeasured,        // over a measured effort: cross-validated, and may accompany `unexplained`
+  kSomeLeft,        // `unexplained` though the findings explain most of the mismatch
+  kBesideAnyForce,  // those with a name hold beside any force on the joint of the unnamed one
+};
+
 // Limits each finding's confidence, so far the odds of its evidence, by the hit rate of its kind, and that of
 // `parameters_only` in addition to effects by theirs. Sorts the findings by confidence, `parameters_only`
-// last. `measured`: from the search over a measured effort, where effects are cross-validated and may
-// accompany `unexplained`. `some_left`: it is `unexplained` though the findings explain most of the mismatch.
-// `joints`: of the robot. Where two kinds of drive losses are on most joints,
-// findings on most joints have a hit rate of their own.
-void Calibrate(const std::string& verdict, bool measured, bool some_left, int joints,
-               std::vector<Finding>* findings);
+// last. `joints`: of the robot. Where two kinds of drive losses are on most joints, findings on most joints
+// have a hit rate of their own.
+void Calibrate(const std::string& verdict, Standing standing, int joints, std::vector<Finding>* findings);
 
 }  // namespace rg::diagnosis

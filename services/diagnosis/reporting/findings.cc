@@ -95,7 +95,11 @@ class FindingsBuilder {
   void Run() {
     Figures();
     Verdict();
-    Calibrate(r_.verdict, s_.measured.active, some_left_, static_cast<int>(r_.joints.size()), &r_.findings);
+    const Standing standing = s_.measured.active    ? Standing::kMeasured
+                              : some_left_          ? Standing::kSomeLeft
+                              : s_.beside_any_force ? Standing::kBesideAnyForce
+                                                    : Standing::kPlain;
+    Calibrate(r_.verdict, standing, static_cast<int>(r_.joints.size()), &r_.findings);
     r_.ledger = LedgerOf(s_);
     r_.candidates = CandidateRows(s_);
     r_.force_plots = ForcePlots(s_, data_);
@@ -178,6 +182,7 @@ class FindingsBuilder {
 
   // Whether the effect merely corrects the coarse nodes of an unnamed force over the same joint's position.
   bool PartOfField(const std::string& id) const {
+    if (s_.beside_any_force) return false;
     const auto& all = s_.best.specs;
     const auto in_field = [&](const EffectSpec& part) {
       const std::string& joint = part.joints[0];
@@ -222,7 +227,8 @@ class FindingsBuilder {
     f.confidence =
         Confidence(gain != s_.measured.gain.end() ? gain->second : s_.best.score - BestWithout(s_, id));
     // Models with catalogue effects that fit better were rejected before: they are no reason for doubt.
-    if (IsUnnamed(id) && !s_.measured.active) f.confidence = 1.0;
+    // Effects that hold beside any force were compared with that force alone.
+    if ((IsUnnamed(id) && !s_.measured.active) || s_.beside_any_force) f.confidence = 1.0;
     FillParameters(id, &f);
     f.statement = StatementOf(id, f);
     FillClass(id, &f);
@@ -299,6 +305,7 @@ class FindingsBuilder {
 
   void FillClass(const std::string& id, Finding* f) {
     f->effect_class.push_back(f->effect);
+    if (s_.beside_any_force) return;  // scores with a grid of weights in the force's place compare nothing
     for (const auto& [effect, c] : RivalsOf(s_, id)) {
       Alternative a;
       a.effect = effect;

@@ -70,7 +70,7 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const sim::P
 
 ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
                           const FeatureSet& features, const LiftedOptions& options, Rng rng,
-                          std::vector<VectorXd>* step_rule) {
+                          std::vector<VectorXd>* step_rule, const FreeForce* force) {
   const sim::Plant& nominal = setting.nominal;
   const std::vector<EffectSpec> own = Refreshed(current);
   auto plant = sim::Plant::Create(nominal.shared_model(), nominal.options(), WithProbes(own, nominal));
@@ -91,9 +91,9 @@ ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, b
     *step_rule = StepRuleResiduals(setting.data, model, states, options);
   const std::vector<VectorXd> no_rule;
   const Screen screen = MakeScreen(setting.data, model, states, features.block, options,
-                                   step_rule == nullptr ? no_rule : *step_rule, kNullDraws, rng);
+                                   step_rule == nullptr ? no_rule : *step_rule, kNullDraws, rng, force);
   ScreenResult out = ScoreHypotheses(screen, columns, features, base, nominal);
-  out.work = screen.work;
+  out.work = screen.work, out.rows = screen.rows;
   return out;
 }
 

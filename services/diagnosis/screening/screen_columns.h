@@ -28,6 +28,6 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const sim::P
 // they hardly depend on the model.
 ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
                           const FeatureSet& features, const LiftedOptions& options, Rng rng,
-                          std::vector<VectorXd>* step_rule);
+                          std::vector<VectorXd>* step_rule, const FreeForce* force = nullptr);
 
 }  // namespace rg::diagnosis

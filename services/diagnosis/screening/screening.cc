@@ -68,6 +68,7 @@ class Scorer {
     for (auto& [key, s] : best) out.hypotheses.push_back(s);
     std::ranges::sort(out.hypotheses, [](const Scored& a, const Scored& b) { return a.gain > b.gain; });
     out.null_gain = NullGain();
+    out.chi2 = chi2_, out.evidence = -0.5 * chi2_ - log_det_;
     Combine(&out);
     return out;
   }
@@ -96,6 +97,7 @@ class Scorer {
     const MatrixXd null = scaled(screen.null);
     const VectorXd step_rule = scaled(screen.step_rule);
     G_ = gram(free, free), b_ = right(free);
+    chi2_ = screen.gram(D, D), log_det_ = screen.force_log_det;
     null_ = null(free, Eigen::all), step_rule_ = step_rule(free);
     if (B > 0) {
       MatrixXd Gbb = gram(own, own), Gbf(B, F + 1);
@@ -106,6 +108,8 @@ class Scorer {
       const MatrixXd X = precision.solve(Gbf);
       G_ -= Gbf.leftCols(F).transpose() * X.leftCols(F);
       b_ -= Gbf.leftCols(F).transpose() * X.col(F);
+      for (int i = 0; i < B; ++i) chi2_ += columns_[own[i]].away * columns_[own[i]].away;
+      chi2_ -= Gbf.col(F).dot(X.col(F)), log_det_ += 0.5 * precision.vectorD().array().log().sum();
       null_ -= Gbf.leftCols(F).transpose() * precision.solve(MatrixXd(null(own, Eigen::all)));
       step_rule_ -= Gbf.leftCols(F).transpose() * precision.solve(VectorXd(step_rule(own)));
     }
@@ -475,6 +479,7 @@ class Scorer {
   const sim::Plant& plant_;
   int n_;
   int feature_start_ = 0;
+  double chi2_ = 0, log_det_ = 0;
   std::vector<int> place_;
   MatrixXd G_;
   VectorXd b_, step_rule_;

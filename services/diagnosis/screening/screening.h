@@ -35,7 +35,11 @@ struct ScreenResult {
   std::vector<Combination> sets;   // of one effect on several joints, best first
   std::vector<Combination> pairs;  // of two effects, best first
   double null_gain = 0;            // quantile kNullQuantile of the null distribution of the best gain, nats
-  double work = 0;                 // what it cost (lifted_fit.h)
+  // Of the model itself, its nuisance parameters as they fit best: χ² with their prior cost, far residuals
+  // not softened, and log evidence without structure prior.
+  double chi2 = 0, evidence = 0;
+  int rows = 0;     // that these are of
+  double work = 0;  // what it cost (lifted_fit.h)
 };
 
 // Tests the effects that the joints of `plant` take.

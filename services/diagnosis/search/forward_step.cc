@@ -39,19 +39,33 @@ ScreenResult ForwardStep::Screen(const Candidate& current, bool base) {
   return screens_.emplace(key, screened).first->second;
 }
 
+FeatureSet ForwardStep::FeaturesOn(const std::vector<uint32_t>& places) const {
+  FeatureSet out{features_.features, {features_.block.joint, {}}};
+  for (const uint32_t i : places) out.block.phi.push_back(features_.block.phi[i]);
+  return out;
+}
+
 std::vector<TrialSpecs> ForwardStep::PromisedBesideTrial(const Candidate& trial,
                                                          const std::vector<uint32_t>& places) {
   const FitData some = setting_.data.OnWindows(places);
-  FeatureSet features{features_.features, {features_.block.joint, {}}};
-  for (const uint32_t i : places) features.block.phi.push_back(features_.block.phi[i]);
   const ScreenResult screened =
-      ScreenAround({some, setting_.nominal, setting_.scales}, trial, trial.base, &trial, features,
+      ScreenAround({some, setting_.nominal, setting_.scales}, trial, trial.base, &trial, FeaturesOn(places),
                    fits_.lifted(), Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), nullptr);
   fits_.AddWork(screened.work);
   state_.trace.Screen(screened, trial.base);
   // At stake are these windows alone.
   if (!(MostPromised(screened) > kMost * fits_.Excess(trial) / 2)) return {};
   return Promised(trial, screened, setting_.nominal, setting_.scales, true, kLeastPromise, kBesideTrial);
+}
+
+ScreenResult ForwardStep::ScreenBesideForce(const Candidate& current, const FreeForce& force,
+                                            const FitData& some, const std::vector<uint32_t>& places) {
+  const ScreenResult screened = ScreenAround({some, setting_.nominal, setting_.scales}, current, current.base,
+                                             current.base ? fits_.pieces() : nullptr, FeaturesOn(places),
+                                             fits_.lifted(), Rng(state_.options.seed), nullptr, &force);
+  fits_.AddWork(screened.work);
+  state_.trace.Screen(screened, current.base);
+  return screened;
 }
 
 ScreenResult ForwardStep::NotedScreen(const Candidate& current, bool base) {

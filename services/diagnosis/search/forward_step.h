@@ -32,6 +32,9 @@ class ForwardStep {
   ScreenResult Screen(const Candidate& current, bool base);
   // The same, whose null distribution counts for what is accepted from here on.
   ScreenResult NotedScreen(const Candidate& current, bool base);
+  // Along the recorded motion of the windows at `places`, which `some` has alone; a force is integrated out.
+  ScreenResult ScreenBesideForce(const Candidate& current, const FreeForce& force, const FitData& some,
+                                 const std::vector<uint32_t>& places);
 
   // Each adds to `from`, of which the search need not think best; `winner` becomes the best fit where that
   // has more log evidence. `count`: fits on all windows, at most.
@@ -57,6 +60,7 @@ class ForwardStep {
   static double MostPromised(const ScreenResult& screened);
 
  private:
+  FeatureSet FeaturesOn(const std::vector<uint32_t>& places) const;
   void Try(const Candidate& from, const ScreenResult& screened, double least, double needed, size_t count,
            Candidate* winner);
   bool TakesMost(const Candidate& from, const Candidate& found) const;

@@ -13,6 +13,7 @@
 #include "services/diagnosis/search/forward_step.h"
 #include "services/diagnosis/search/further_steps.h"
 #include "services/diagnosis/search/held_out_checks.h"
+#include "services/diagnosis/search/names_beside_force.h"
 #include "services/diagnosis/search/refinement.h"
 #include "services/diagnosis/search/search_state.h"
 #include "services/diagnosis/search/simplifier.h"
@@ -153,11 +154,14 @@ class Search {
     for (const auto& [key, c] : fits_.tried()) out_.tried.push_back(c);
     std::ranges::sort(out_.tried, [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
     out_.null_gain = state_.acceptance.null_gain();
-    out_.noise_scale = fits_.noise_scale(), out_.work = fits_.work();
+    out_.noise_scale = fits_.noise_scale();
     state_.Tell("locate", 0.95, "");
     out_.threshold = state_.Threshold(out_.nominal, out_.calibrated);
     out_.beside = state_.Threshold(best, out_.calibrated);
     checks_.CompareRivals(&out_);
+    out_.beside_any_force = beside_force_.Run(&out_.best);
+    if (out_.beside_any_force) out_.swings_on = false, out_.tried.push_back(out_.best);
+    out_.work = fits_.work();
     out_.beside = state_.Threshold(out_.best, out_.calibrated);
     const FitModel chosen{*out_.best.plant, out_.best.fit.values, {}};
     out_.own_chi2 = OwnChi2(setting_.data, chosen, out_.best.fit.states, fits_.lifted(),
@@ -388,6 +392,8 @@ class Search {
   Refinement refinement_{setting_, fits_, needs_};
   FurtherSteps further_{state_, step_, drives_, simplifier_};
   HeldOutChecks checks_{state_, step_, further_, refinement_, simplifier_, unnamed_};
+
+  NamesBesideForce beside_force_{state_, step_};
 
   SearchResult out_;
   std::optional<Candidate> earlier_;  // the result of an earlier search, refitted to these recordings

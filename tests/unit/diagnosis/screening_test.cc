@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/likelihood/missing_force.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {
@@ -80,6 +81,32 @@ TEST(Screening, FindsTwoEffectsTogetherAndTheirStrengths) {
   for (const Scored& h : best.parts) {
     if (h.effect != "viscous_friction") continue;
     EXPECT_NEAR(h.coefficients[0], 0.3, 0.06);
+  }
+}
+
+// Two ways to the log evidence of any force on a joint: its columns eliminated, or estimated.
+TEST(Screening, IntegratesOutAnyForceOnAJointAsItIsEstimated) {
+  const auto joints = sysid::testing::LoadPlant("arm2").joint_names();
+  effects::EffectSpec bump =
+      MakeSpec("unknown_field", {joints[0]}, {{"low", -1.5}, {"high", 1.5}, {"w3", 0.4}, {"w4", 0.5}});
+  bump.options["variable"] = "position";
+  const auto p = Prepare("arm2", {bump}, 26);
+  const FitModel model{p->nominal, p->nominal.parameters().Nominal(), {}};
+  const NodeStates states = InitialStates(p->data, model, {});
+  const auto screened = [&](const FreeForce* force) {
+    return MakeScreen(p->data, model, states, {}, {}, {}, 0, Rng(5), force);
+  };
+  const auto evidence = [](const Screen& s) { return -0.5 * s.gram(0, 0) - s.force_log_det; };
+  const MissingForce missing = EstimateMissingForce(p->data, model, states, p->scales.torque, 0.05, {});
+  const Screen none = screened(nullptr);
+  EXPECT_EQ(none.force_log_det, 0.0);
+  for (const int j : {0, 1}) {
+    const FreeForce force{{j}, p->scales.torque, 0.05};
+    const Screen s = screened(&force);
+    EXPECT_NEAR(evidence(s) - evidence(none), missing.evidence(j, j),
+                1e-6 * std::abs(missing.evidence(j, j)));
+    const double per_row = s.gram(0, 0) / p->data.Rows();
+    EXPECT_EQ(per_row < 1.2, j == 0) << per_row;
   }
 }
 

@@ -1,0 +1,113 @@
+// Names beside a force of a form that nobody knows.
+#include "services/diagnosis/search/names_beside_force.h"
+
+#include <gtest/gtest.h>
+
+#include "common/base/clock.h"
+#include "services/diagnosis/hypotheses/hypotheses.h"
+#include "tests/unit/diagnosis/prepared_set.h"
+
+namespace rg::diagnosis {
+namespace {
+
+using effects::EffectSpec;
+using effects::MakeSpec;
+
+const char kShoulder[] = "shoulder", kElbow[] = "elbow";
+
+// A saddle over two joints' positions and a force over speed at once: no grid of weights follows both.
+std::vector<EffectSpec> With(std::vector<EffectSpec> more) {
+  more.push_back(MakeSpec("unknown_field_pair", {kElbow, kShoulder},
+                          {{"low", -1.5},
+                           {"high", 1.5},
+                           {"other_low", -1.5},
+                           {"other_high", 1.5},
+                           {"w22", 0.9},
+                           {"w33", 0.9},
+                           {"w23", -0.9},
+                           {"w32", -0.9}}));
+  EffectSpec speed =
+      MakeSpec("unknown_field", {kShoulder}, {{"low", -3.0}, {"high", 3.0}, {"w3", 0.2}, {"w4", -0.3}});
+  speed.options["variable"] = "velocity";
+  more.push_back(speed);
+  return more;
+}
+EffectSpec Field() {
+  EffectSpec out = MakeSpec("unknown_field", {kShoulder}, {{"low", -2.0}, {"high", 2.0}});
+  out.options["variable"] = "position";
+  return out;
+}
+const EffectSpec kOffset = MakeSpec("torque_offset", {kElbow}, {{"offset", 0.25}});
+
+// A search that has compared base parameters as given and free, and nothing else.
+struct Searched {
+  explicit Searched(std::vector<EffectSpec> effects)
+      : p(testing::Prepare("arm2", std::move(effects), 67)),
+        state({p->data, p->nominal, p->scales}, p->options, 2, clock, progress, nullptr) {
+    step.MakeFeatures();
+    for (const bool base : {false, true}) state.fits.Evaluate({}, base);
+  }
+  double Value(const Candidate& c, const std::string& name) const {
+    return c.fit.values[c.plant->parameters().Find(name)];
+  }
+
+  std::unique_ptr<testing::Prepared> p;
+  FakeClock clock;
+  ProgressFn progress;
+  SearchState state;
+  ForwardStep step{state};
+  NamesBesideForce names{state, step};
+};
+
+TEST(NamesBesideForce, AreThoseOfOtherJointsWithTheirValues) {
+  Searched w(With({kOffset}));
+  Candidate best = w.state.fits.Evaluate({Field()}, false);
+  ASSERT_GT(w.state.fits.PerRow(best), 5.0);
+  ASSERT_TRUE(w.names.Run(&best));
+  EXPECT_TRUE(HasUnnamed(best));
+  EXPECT_TRUE(Contains(best.specs, "torque_offset", kElbow));
+  EXPECT_EQ(FreshKinds(Candidate{}, best).size(), 2) << KeyOf(best.specs);
+  EXPECT_NEAR(w.Value(best, "torque_offset.elbow.offset"), 0.25, 0.03);
+}
+
+TEST(NamesBesideForce, AreNoneWhereTheForceIsAll) {
+  Searched w(With({}));
+  Candidate best = w.state.fits.Evaluate({Field()}, false);
+  const std::string before = KeyOf(best.specs);
+  EXPECT_FALSE(w.names.Run(&best));
+  EXPECT_EQ(KeyOf(best.specs), before);
+}
+
+TEST(NamesBesideForce, AreFoundWhereNothingWas) {
+  Searched w(With({kOffset}));
+  Candidate best = w.state.fits.Evaluate({}, true);
+  ASSERT_TRUE(w.names.Run(&best));
+  EXPECT_TRUE(HasUnnamed(best));
+  EXPECT_TRUE(Contains(best.specs, "torque_offset", kElbow));
+}
+
+TEST(NamesBesideForce, LeaveModelsAloneThatAreConsistent) {
+  Searched nothing({});
+  Candidate best = nothing.state.fits.Evaluate({}, false);
+  ASSERT_LT(nothing.state.fits.PerRow(best), kExplained);
+  EXPECT_FALSE(nothing.names.Run(&best));
+  EffectSpec bump = Field();
+  bump.values[kShoulder]["w3"] = 0.4, bump.values[kShoulder]["w4"] = 0.5;
+  Searched force({bump});
+  best = force.state.fits.Evaluate({bump}, false);
+  ASSERT_LT(force.state.fits.PerRow(best), kExplained);
+  EXPECT_FALSE(force.names.Run(&best));
+}
+
+// A given effect is no finding, and none is told of its joint.
+TEST(NamesBesideForce, AreNotWhatTheModelHas) {
+  Searched w(With({kOffset}));
+  w.state.given = {MakeSpec("torque_offset", {kElbow}, {{"offset", 0.1}})};
+  for (const bool base : {false, true}) w.state.fits.Evaluate(w.state.given, base);
+  Candidate best = w.state.fits.Evaluate(Joined(w.state.given, {Field()}), false);
+  w.names.Run(&best);
+  EXPECT_LE(FreshKinds(Candidate{}, best).size(), 2) << KeyOf(best.specs);
+}
+
+}  // namespace
+}  // namespace rg::diagnosis
