@@ -21,6 +21,7 @@ constexpr double kFewLost = 0.1;         // rows, as a share, in windows that th
 constexpr size_t kScreenedWindows = 96;  // of all joints together, base parameters fixed or free
 constexpr size_t kLeastWindows = 16;     // of each
 constexpr int kMostFitted = 2;           // explanations
+constexpr double kForceShare = 0.3;      // of the work limit, whatever was used before
 
 // Effects of one model.
 struct Names {
@@ -68,12 +69,12 @@ bool NamesBesideForce::Run(Candidate* best) {
   if (setting_.data.n < 2 || state_.ordinary || !unexplained || fits_.PerRow(*best) < consistent)
     return false;
   state_.Tell("beside a force", 0.92, KeyOf(best->specs));
+  fits_.Grant(kForceShare);
   int fits = 0;
   for (const Explanation& e : Explanations()) {
     // The force may be all that is missing, or more than it and two names be.
-    const bool late = fits_.Late(kWorkForComparisons);
-    if (e.names.empty() || e.left > kConsistent || late || ++fits > kMostFitted) return false;
-    const auto fitted = Fitted(e);
+    if (e.names.empty() || e.left > kConsistent || fits_.Late() || ++fits > kMostFitted) return false;
+    const auto fitted = Fitted(e, *best);
     if (!fitted) continue;
     *best = *fitted;
     return true;
@@ -94,7 +95,7 @@ std::vector<NamesBesideForce::Explanation> NamesBesideForce::Explanations() {
   const auto places = SomeWindows(models.back().fit.window_chi2, setting_.data.windows.size(), count);
   const FitData some = setting_.data.OnWindows(places);
   for (const Candidate& without : models) {
-    for (int joint = 0; joint < setting_.data.n && !fits_.Late(kWorkForComparisons); ++joint) {
+    for (int joint = 0; joint < setting_.data.n && !fits_.Late(); ++joint) {
       if (!setting_.nominal.IsPrescribed(joint) && !setting_.scales.still[joint])
         AddOn(joint, without, some, places, &out);
     }
@@ -140,7 +141,7 @@ void NamesBesideForce::AddOn(int joint, const Candidate& without, const FitData&
                          " per row, left " + std::to_string(out->back().left));
 }
 
-std::optional<Candidate> NamesBesideForce::Fitted(const Explanation& e) {
+std::optional<Candidate> NamesBesideForce::Fitted(const Explanation& e, const Candidate& before) {
   const auto plant = sim::Plant::Create(setting_.nominal.shared_model(), setting_.nominal.options(), e.names);
   if (!plant.ok()) return std::nullopt;
   Candidate from = e.without;
@@ -149,17 +150,22 @@ std::optional<Candidate> NamesBesideForce::Fitted(const Explanation& e) {
   const MissingForce force = state_.Force(from);
   std::optional<Candidate> best;
   double least = effects::kInf, least_admissible = effects::kInf;  // χ²
+  const auto offer = [&](const Candidate& c) {
+    if (!(c.fit.chi2 > 0)) return;
+    least = std::min(least, c.fit.chi2);
+    if (!c.fit.ok) return;
+    least_admissible = std::min(least_admissible, c.fit.chi2);
+    if (!best || c.score > best->score) best = c;
+  };
   for (const std::string& variable : kAny) {
     const auto field = variable == "position" ? FieldPairStart(setting_, force, e.joint)
                                               : FieldStart(setting_, force, variable, e.joint);
-    if (!field) continue;
-    const Candidate c = fits_.KnownOrFitted(Joined(e.names, {*field}), e.without.base);
-    if (!(c.fit.chi2 > 0)) continue;
-    least = std::min(least, c.fit.chi2);
-    if (!c.fit.ok) continue;
-    least_admissible = std::min(least_admissible, c.fit.chi2);
-    if (!best || c.score > best->score) best = c;
+    if (field) offer(fits_.KnownOrFitted(Joined(e.names, {*field}), e.without.base));
   }
+  const std::string& joint = setting_.nominal.joint_names()[e.joint];
+  const bool there = std::ranges::any_of(
+      before.specs, [&](const EffectSpec& s) { return IsUnnamed(s.id) && s.joints.back() == joint; });
+  if (there) offer(fits_.KnownOrFitted(Joined(Refreshed(before), e.names), before.base, &before));
   if (!best || least_admissible > least) return std::nullopt;
   for (size_t i = 0; i < best->specs.size(); ++i) {
     const bool given = IsPart({best->specs[i]}, state_.given) || IsUnnamed(best->specs[i].id);

@@ -38,8 +38,9 @@ class NamesBesideForce {
   void AddOn(int joint, const Candidate& without, const FitData& some, const std::vector<uint32_t>& places,
              std::vector<Explanation>* out);
   bool MayBe(const Scored& h, int joint) const;
-  // Nothing where an effect is inadmissible in the fit that leaves least, or absent by its strength.
-  std::optional<Candidate> Fitted(const Explanation& e);
+  // The force as a grid of weights, a new one or what the model before has on that joint. Nothing where an
+  // effect is inadmissible in the fit that leaves least, or absent by its strength.
+  std::optional<Candidate> Fitted(const Explanation& e, const Candidate& before);
 
   SearchState& state_;
   const FitSetting& setting_;
