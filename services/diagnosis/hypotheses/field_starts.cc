@@ -129,4 +129,10 @@ std::optional<EffectSpec> FieldPairStart(const FitSetting& setting, const Missin
   return best;
 }
 
+std::optional<EffectSpec> UnnamedStart(const FitSetting& setting, const MissingForce& missing,
+                                       const std::string& variable, int only) {
+  return variable == "position" && setting.data.n > 1 ? FieldPairStart(setting, missing, only)
+                                                      : FieldStart(setting, missing, variable, only);
+}
+
 }  // namespace rg::diagnosis

@@ -20,4 +20,8 @@ std::optional<EffectSpec> FieldStart(const FitSetting& setting, const MissingFor
 std::optional<EffectSpec> FieldPairStart(const FitSetting& setting, const MissingForce& missing,
                                          int only = -1);
 
+// The latter for "position" where there are two joints, else the former.
+std::optional<EffectSpec> UnnamedStart(const FitSetting& setting, const MissingForce& missing,
+                                       const std::string& variable, int only = -1);
+
 }  // namespace rg::diagnosis

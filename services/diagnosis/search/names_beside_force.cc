@@ -68,7 +68,7 @@ bool NamesBesideForce::Run(Candidate* best) {
   const double consistent = unnamed ? kExplained : kConsistent;
   if (setting_.data.n < 2 || state_.ordinary || !unexplained || fits_.PerRow(*best) < consistent)
     return false;
-  state_.Tell("beside a force", 0.92, KeyOf(best->specs));
+  state_.Tell("beside a force", 0.955, KeyOf(best->specs));
   fits_.Grant(kForceShare);
   int fits = 0;
   for (const Explanation& e : Explanations()) {
@@ -158,9 +158,8 @@ std::optional<Candidate> NamesBesideForce::Fitted(const Explanation& e, const Ca
     if (!best || c.score > best->score) best = c;
   };
   for (const std::string& variable : kAny) {
-    const auto field = variable == "position" ? FieldPairStart(setting_, force, e.joint)
-                                              : FieldStart(setting_, force, variable, e.joint);
-    if (field) offer(fits_.KnownOrFitted(Joined(e.names, {*field}), e.without.base));
+    if (const auto field = UnnamedStart(setting_, force, variable, e.joint))
+      offer(fits_.KnownOrFitted(Joined(e.names, {*field}), e.without.base));
   }
   const std::string& joint = setting_.nominal.joint_names()[e.joint];
   const bool there = std::ranges::any_of(

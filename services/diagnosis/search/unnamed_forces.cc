@@ -20,14 +20,12 @@ constexpr int kMostNames = 2;  // effects added, one after another
 
 void UnnamedForces::Try(bool freed, const std::vector<std::string>& variables,
                         const std::function<bool(const Candidate&)>& enough) {
-  const FitData& data = setting_.data;
   for (const bool base : {false, true}) {
     const Candidate* from = fits_.Known(given_, base);
     if ((base && !freed) || from == nullptr || !from->fit.ok) continue;
     const MissingForce force = force_(*from);
     for (const std::string& variable : variables) {
-      const auto spec = variable == "position" && data.n > 1 ? FieldPairStart(setting_, force)
-                                                             : FieldStart(setting_, force, variable);
+      const auto spec = UnnamedStart(setting_, force, variable);
       if (!spec) continue;
       if (enough(fits_.KnownOrFitted(Joined(given_, {*spec}), base))) return;
     }
