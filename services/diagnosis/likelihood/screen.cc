@@ -14,19 +14,32 @@ namespace {
 constexpr double kOtherStep = 2e-4;  // s, see StepRuleResiduals
 constexpr int kScreenParts = 16;
 
-// Takes the last S columns, whose coefficients are N(0, 1), from the others, and a row for each prior below.
-// Returns ½ log det(1 + H) of their information H.
-double IntegrateOut(long S, double noise_scale, RowMatrixXd* columns) {
-  const auto M = columns->rows(), D = columns->cols() - S;
-  MatrixXd own = MatrixXd::Zero(M + S, S);
-  own.topRows(M) = columns->rightCols(S);
-  own.bottomRows(S).diagonal().setConstant(std::sqrt(noise_scale));
-  RowMatrixXd rest = RowMatrixXd::Zero(M + S, D);
-  rest.topRows(M) = columns->leftCols(D);
-  const Eigen::LLT<MatrixXd> factor(own.transpose() * own / noise_scale);
-  ProjectOut(RowMatrixXd(own), &rest);
-  *columns = rest;
-  return HalfLogDet(factor);
+// Normal equations in (θ, features, residual) and right-hand sides of null draws, summed over windows.
+struct Sums {
+  RowMatrixXd gram, null;
+  double force_log_det = 0;  // ½ log det(1 + H) of the information H on the force's segments
+};
+
+// Adds a window's sums when the coefficients at `segments`, N(0, 1) each, are integrated out. gram: lower
+// triangle; null: as many rows, of the coefficients' own draws too.
+void AddWithout(const std::vector<long>& segments, const RowMatrixXd& gram, const RowMatrixXd& null,
+                Sums* sums) {
+  const long D = sums->gram.rows();
+  MatrixXd own = gram(segments, segments);
+  own = MatrixXd(own.selfadjointView<Eigen::Lower>());
+  own.diagonal().array() += 1.0;
+  const Eigen::LLT<MatrixXd> factor(own);
+  const MatrixXd cross = factor.matrixL().solve(MatrixXd(gram(segments, Eigen::seqN(0, D))));
+  const MatrixXd noise = factor.matrixL().solve(MatrixXd(null(segments, Eigen::all)));
+  sums->gram += gram.topLeftCorner(D, D) - cross.transpose() * cross;
+  sums->null += null.topRows(D) - cross.transpose() * noise;
+  sums->force_log_det += HalfLogDet(factor);
+}
+
+RowMatrixXd Draws(Eigen::Index rows, int count, Rng stream) {
+  RowMatrixXd out(rows, count);
+  for (double& x : out.reshaped()) x = stream.Normal();
+  return out;
 }
 
 }  // namespace
@@ -49,74 +62,97 @@ std::vector<VectorXd> StepRuleResiduals(const FitData& data, const FitModel& mod
   return out;
 }
 
-Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
-                  const FeatureBlock& features, const LiftedOptions& options,
-                  const std::vector<VectorXd>& step_rule, int null_draws, Rng rng, const FreeForce* force) {
+std::vector<Screen> MakeScreens(const FitData& data, const FitModel& model, const NodeStates& states,
+                                const FeatureBlock& features, const LiftedOptions& options,
+                                const std::vector<VectorXd>& step_rule, int null_draws, Rng rng,
+                                const FreeForce& force) {
   Lineariser lin(data, model, true, options);
   const int P = lin.P(), C = features.size(), W = static_cast<int>(data.windows.size());
-  Screen screen;
-  screen.parameters = P, screen.features = C;
   // Summed in parts that do not depend on the number of threads, nor does what comes out.
   const int D = P + C + 1, parts = std::min(W, kScreenParts);
-  std::vector<RowMatrixXd> sums(parts, RowMatrixXd::Zero(D, D)),
-      nulls(parts, RowMatrixXd::Zero(D, null_draws));
+  const Sums none{RowMatrixXd::Zero(D, D), RowMatrixXd::Zero(D, null_draws)};
+  std::vector<std::vector<Sums>> sums(std::max<size_t>(1, force.joints.size()),
+                                      std::vector<Sums>(parts, none));
   std::vector<VectorXd> systematic(W);
-  std::vector<double> log_dets(W, 0);
   std::vector<int> rows(W, 0);
   std::vector<long> unknowns(W, 0);  // of the force
   const auto add = [&](int worker, int part, int w) {
-    // Features, then the segments of the force, of which the last columns of `all` are.
+    // Features, then the segments of the force.
     std::vector<int> joint = features.joint;
     MatrixXd phi = C > 0 ? features.phi[w] : MatrixXd(0, std::ssize(data.windows[w].t) - 1);
-    if (force != nullptr) {
-      const ForceSegments segments = SegmentsOf(*force, data.windows[w]);
+    const ForceSegments segments = SegmentsOf(force, data.windows[w]);
+    const auto S = std::ssize(segments.joint);
+    if (S > 0) {
       joint.insert(joint.end(), segments.joint.begin(), segments.joint.end());
       const MatrixXd own = phi;
       phi.resize(own.rows() + segments.phi.rows(), segments.phi.cols());
       phi << own, segments.phi;
     }
     Linear l;
-    const auto S = std::ssize(joint) - C;
     lin.Run(worker, w, states[w], joint.empty() ? nullptr : &joint, joint.empty() ? nullptr : &phi, false,
             &l);
     if (!l.ok) return;
     const auto M = l.rows.rows();
     rows[w] = static_cast<int>(M), unknowns[w] = S;
-    RowMatrixXd all(M, D + 1 + S);
+    RowMatrixXd all(M, D + S + 1);
     all.leftCols(D - 1) = l.rows.middleCols(l.nx, D - 1);
     all.col(D - 1) = l.r();
+    all.middleCols(D, S) = l.rows.middleCols(l.nx + P + C, S);
     if (step_rule.empty()) {
-      all.col(D).setZero();
+      all.col(D + S).setZero();
     } else {
-      all.col(D) = step_rule[w];
+      all.col(D + S) = step_rule[w];
     }
-    all.rightCols(S) = l.rows.middleCols(l.nx + P + C, S);
     ProjectOut(l.J_e(), &all);
-    if (S > 0) log_dets[w] = IntegrateOut(S, options.noise_scale, &all);
-    const auto rest = all.leftCols(D);
-    systematic[w] = rest.leftCols(D - 1).transpose() * all.col(D) / options.noise_scale;
-    AddGram(rest, 1.0 / options.noise_scale, sums[part]);
-    RowMatrixXd noise(rest.rows(), null_draws);
-    Rng stream = rng.Split(static_cast<uint64_t>(w));
-    for (double& x : noise.reshaped()) x = stream.Normal();
-    AddTransposedProduct(rest, noise, 1.0 / std::sqrt(options.noise_scale), nulls[part]);
+    const auto columns = all.leftCols(D + S);
+    systematic[w] = columns.leftCols(D - 1).transpose() * all.col(D + S) / options.noise_scale;
+    const RowMatrixXd noise = Draws(M + S, null_draws, rng.Split(static_cast<uint64_t>(w)));
+    const double whole = 1.0 / options.noise_scale, root = 1.0 / std::sqrt(options.noise_scale);
+    if (S == 0) {
+      AddGram(columns, whole, sums[0][part].gram);
+      AddTransposedProduct(columns, noise, root, sums[0][part].null);
+      return;
+    }
+    RowMatrixXd gram = RowMatrixXd::Zero(D + S, D + S), null = RowMatrixXd::Zero(D + S, null_draws);
+    AddGram(columns, whole, gram);
+    AddTransposedProduct(columns, noise.topRows(M), root, null);
+    null.bottomRows(S) += noise.bottomRows(S);
+    for (size_t j = 0; j < force.joints.size(); ++j) {
+      std::vector<long> own;
+      for (long i = 0; i < S; ++i) {
+        if (segments.joint[i] == force.joints[j]) own.push_back(D + i);
+      }
+      AddWithout(own, gram, null, &sums[j][part]);
+    }
   };
   sysid::ParallelFor(options.threads, parts, [&](int worker, int part) {
     for (int w = part; w < W; w += parts) add(worker, part, w);
   });
-  screen.gram = MatrixXd::Zero(D, D);
-  for (const RowMatrixXd& sum : sums) screen.gram += sum;
-  screen.gram = MatrixXd(screen.gram.selfadjointView<Eigen::Lower>());
-  screen.null = MatrixXd::Zero(D - 1, null_draws);
-  for (int w = 0; w < W; ++w) screen.force_log_det += log_dets[w], screen.rows += rows[w];
-  const long most = unknowns.empty() ? 0 : std::ranges::max(unknowns);
-  screen.work = ScreenWork(data, options, lin.nx(), D + most, null_draws);
-  screen.step_rule = VectorXd::Zero(D - 1);
+  Screen all;
+  all.parameters = P, all.features = C;
+  all.gram = MatrixXd::Zero(D, D), all.null = MatrixXd::Zero(D - 1, null_draws);
+  all.step_rule = VectorXd::Zero(D - 1);
   for (const VectorXd& rule : systematic) {
-    if (rule.size() > 0) screen.step_rule += rule;
+    if (rule.size() > 0) all.step_rule += rule;
   }
-  for (const RowMatrixXd& null : nulls) screen.null += null.topRows(D - 1);
-  return screen;
+  for (const int r : rows) all.rows += r;
+  std::vector<Screen> out(sums.size(), all);
+  for (size_t j = 0; j < sums.size(); ++j) {
+    for (const Sums& sum : sums[j]) {
+      out[j].gram += sum.gram, out[j].null += sum.null.topRows(D - 1);
+      out[j].force_log_det += sum.force_log_det;
+    }
+    out[j].gram = MatrixXd(out[j].gram.selfadjointView<Eigen::Lower>());
+  }
+  const long most = unknowns.empty() ? 0 : std::ranges::max(unknowns);
+  out.front().work = ScreenWork(data, options, lin.nx(), D + most, null_draws);
+  return out;
+}
+
+Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
+                  const FeatureBlock& features, const LiftedOptions& options,
+                  const std::vector<VectorXd>& step_rule, int null_draws, Rng rng) {
+  return MakeScreens(data, model, states, features, options, step_rule, null_draws, rng, {}).front();
 }
 
 double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates& states,

@@ -42,10 +42,14 @@ std::vector<VectorXd> StepRuleResiduals(const FitData& data, const FitModel& mod
 // Nats that the model's free parameters would gain from another step rule alone.
 double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates& states,
                     const LiftedOptions& options);
-// `step_rule`: StepRuleResiduals; empty: none. `force`: integrated out; null: none.
+// `step_rule`: StepRuleResiduals; empty: none.
 Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
                   const FeatureBlock& features, const LiftedOptions& options,
-                  const std::vector<VectorXd>& step_rule, int null_draws, Rng rng,
-                  const FreeForce* force = nullptr);
+                  const std::vector<VectorXd>& step_rule, int null_draws, Rng rng);
+// One for each joint of `force`, with the force there alone integrated out; the first has the work of all.
+std::vector<Screen> MakeScreens(const FitData& data, const FitModel& model, const NodeStates& states,
+                                const FeatureBlock& features, const LiftedOptions& options,
+                                const std::vector<VectorXd>& step_rule, int null_draws, Rng rng,
+                                const FreeForce& force);
 
 }  // namespace rg::diagnosis

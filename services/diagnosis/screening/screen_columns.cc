@@ -1,5 +1,8 @@
 #include "services/diagnosis/screening/screen_columns.h"
 
+#include <optional>
+#include <utility>
+
 #include "common/effects/effect_catalog.h"
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
@@ -68,13 +71,21 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const sim::P
   return columns;
 }
 
-ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
-                          const FeatureSet& features, const LiftedOptions& options, Rng rng,
-                          std::vector<VectorXd>* step_rule, const FreeForce* force) {
+namespace {
+
+// What a screen around a model is linearised in, and at.
+struct ScreenedModel {
+  FitModel model;
+  std::vector<ParameterColumn> columns;
+  NodeStates states;
+};
+
+std::optional<ScreenedModel> ModelAround(const FitSetting& setting, const Candidate& current,
+                                         const Candidate* at, const LiftedOptions& options) {
   const sim::Plant& nominal = setting.nominal;
   const std::vector<EffectSpec> own = Refreshed(current);
   auto plant = sim::Plant::Create(nominal.shared_model(), nominal.options(), WithProbes(own, nominal));
-  if (!plant.ok()) return {};
+  if (!plant.ok()) return std::nullopt;
   std::vector<sysid::FitParameter> parameters;
   auto columns = ScreenColumns(*plant, nominal, setting.scales, own, &parameters);
   const bool around_fit = at == &current && current.fit.states.front().rows() == plant->num_states();
@@ -85,15 +96,35 @@ ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, b
     const sysid::FitParameter& p = parameters[c];
     if (columns[c].effect.empty()) columns[c].away = (values[p.index] - p.nominal) / p.prior_stddev;
   }
-  const FitModel model{*plant, values, parameters};
-  const NodeStates states = around_fit ? current.fit.states : InitialStates(setting.data, model, options);
+  FitModel model{*plant, values, parameters};
+  NodeStates states = around_fit ? current.fit.states : InitialStates(setting.data, model, options);
+  return ScreenedModel{std::move(model), std::move(columns), std::move(states)};
+}
+
+}  // namespace
+
+ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
+                          const FeatureSet& features, const LiftedOptions& options, Rng rng,
+                          std::vector<VectorXd>* step_rule) {
+  const auto around = ModelAround(setting, current, at, options);
+  if (!around) return {};
   if (step_rule != nullptr && step_rule->empty())
-    *step_rule = StepRuleResiduals(setting.data, model, states, options);
-  const std::vector<VectorXd> no_rule;
-  const Screen screen = MakeScreen(setting.data, model, states, features.block, options,
-                                   step_rule == nullptr ? no_rule : *step_rule, kNullDraws, rng, force);
-  ScreenResult out = ScoreHypotheses(screen, columns, features, base, nominal);
-  out.work = screen.work, out.rows = screen.rows;
+    *step_rule = StepRuleResiduals(setting.data, around->model, around->states, options);
+  const Screen screen =
+      MakeScreen(setting.data, around->model, around->states, features.block, options,
+                 step_rule == nullptr ? std::vector<VectorXd>{} : *step_rule, kNullDraws, rng);
+  return ScoreHypotheses(screen, around->columns, features, base, setting.nominal);
+}
+
+std::vector<ScreenResult> ScreensBeside(const FreeForce& force, const FitSetting& setting,
+                                        const Candidate& current, bool base, const Candidate* at,
+                                        const FeatureSet& features, const LiftedOptions& options, Rng rng) {
+  const auto around = ModelAround(setting, current, at, options);
+  std::vector<ScreenResult> out;
+  if (!around) return out;
+  for (const Screen& screen : MakeScreens(setting.data, around->model, around->states, features.block,
+                                          options, {}, kNullDraws, rng, force))
+    out.push_back(ScoreHypotheses(screen, around->columns, features, base, setting.nominal));
   return out;
 }
 

@@ -28,6 +28,10 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const sim::P
 // they hardly depend on the model.
 ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
                           const FeatureSet& features, const LiftedOptions& options, Rng rng,
-                          std::vector<VectorXd>* step_rule, const FreeForce* force = nullptr);
+                          std::vector<VectorXd>* step_rule);
+// The same for each joint of `force`, with the force there alone integrated out.
+std::vector<ScreenResult> ScreensBeside(const FreeForce& force, const FitSetting& setting,
+                                        const Candidate& current, bool base, const Candidate* at,
+                                        const FeatureSet& features, const LiftedOptions& options, Rng rng);
 
 }  // namespace rg::diagnosis

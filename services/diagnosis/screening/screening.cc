@@ -54,7 +54,7 @@ class Scorer {
     MakeGroups();
   }
 
-  ScreenResult Run() {
+  ScreenResult Run(const Screen& screen) {
     std::map<std::pair<std::string, std::vector<int>>, Scored> best;
     for (const Group& g : groups_) {
       const Solved solved = Solve(g, G_);
@@ -69,6 +69,7 @@ class Scorer {
     std::ranges::sort(out.hypotheses, [](const Scored& a, const Scored& b) { return a.gain > b.gain; });
     out.null_gain = NullGain();
     out.chi2 = chi2_, out.evidence = -0.5 * chi2_ - log_det_;
+    out.rows = screen.rows, out.work = screen.work;
     Combine(&out);
     return out;
   }
@@ -491,7 +492,7 @@ class Scorer {
 
 ScreenResult ScoreHypotheses(const Screen& screen, const std::vector<ParameterColumn>& columns,
                              const FeatureSet& features, bool base_free, const sim::Plant& plant) {
-  return Scorer(screen, columns, features, base_free, plant).Run();
+  return Scorer(screen, columns, features, base_free, plant).Run(screen);
 }
 
 }  // namespace rg::diagnosis

@@ -283,7 +283,8 @@ void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& po
   Candidate found = from;
   TakeBest(WorthAFit(from, std::move(trials), promised, base, count, *winner), 1, &found);
   TrySprings(from, &found);
-  if (auto shorter = PendulumSearch(setting_, *this, trace_, from, base, pendulum, beside).Run(*winner, &found))
+  if (auto shorter =
+          PendulumSearch(setting_, *this, trace_, from, base, pendulum, beside).Run(*winner, &found))
     shorter_windows_ = std::move(shorter);
   if (found.score > winner->score) *winner = found;
 }

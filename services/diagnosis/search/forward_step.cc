@@ -58,14 +58,17 @@ std::vector<TrialSpecs> ForwardStep::PromisedBesideTrial(const Candidate& trial,
   return Promised(trial, screened, setting_.nominal, setting_.scales, true, kLeastPromise, kBesideTrial);
 }
 
-ScreenResult ForwardStep::ScreenBesideForce(const Candidate& current, const FreeForce& force,
-                                            const FitData& some, const std::vector<uint32_t>& places) {
-  const ScreenResult screened = ScreenAround({some, setting_.nominal, setting_.scales}, current, current.base,
-                                             current.base ? fits_.pieces() : nullptr, FeaturesOn(places),
-                                             fits_.lifted(), Rng(state_.options.seed), nullptr, &force);
-  fits_.AddWork(screened.work);
-  state_.trace.Screen(screened, current.base);
-  return screened;
+std::vector<ScreenResult> ForwardStep::ScreensBesideForce(const Candidate& current, const FreeForce& force,
+                                                          const FitData& some,
+                                                          const std::vector<uint32_t>& places) {
+  const std::vector<ScreenResult> screens = ScreensBeside(
+      force, {some, setting_.nominal, setting_.scales}, current, current.base,
+      current.base ? fits_.pieces() : nullptr, FeaturesOn(places), fits_.lifted(), Rng(state_.options.seed));
+  for (const ScreenResult& screened : screens) {
+    fits_.AddWork(screened.work);
+    state_.trace.Screen(screened, current.base);
+  }
+  return screens;
 }
 
 ScreenResult ForwardStep::NotedScreen(const Candidate& current, bool base) {
@@ -102,8 +105,22 @@ void ForwardStep::AddTransmission(const Candidate& from, Candidate* winner) {
     return fits_.Nearest(from, from.base, starts, most);
   };
   const auto pool = TransmissionTrials(setting_.data, setting_.nominal, setting_.scales, from,
-                                       Screen(from, from.base), nearest);
+                                       Screen(from, from.base), state_.location, nearest);
   fits_.TryBest(from, pool, {}, from.base, kFitsBesideDrives, beside_trial_, winner);
+}
+
+void ForwardStep::AddOnJoint(const Candidate& from, int joint, const TrialSpecs& beside, Candidate* winner) {
+  const auto with = [&](std::vector<TrialSpecs> starts) {
+    for (TrialSpecs& start : starts) start = Joined(beside, start);
+    return starts;
+  };
+  const auto nearest = [&](const auto& starts, size_t most) {
+    return fits_.Nearest(from, from.base, with(starts), most);
+  };
+  const auto force = [&] { return state_.Force(from); };
+  const auto pool = with(Trials(setting_.data, setting_.nominal, setting_.scales, from,
+                                Screen(from, from.base), {{joint}, {}}, 1.0, force, nearest));
+  fits_.TryBest(from, pool, {}, from.base, kLawFits, beside_trial_, winner);
 }
 
 void ForwardStep::AddFrom(const Candidate& from, const ScreenResult& screened, double least, double needed,
@@ -135,7 +152,8 @@ void ForwardStep::Try(const Candidate& from, const ScreenResult& screened, doubl
   const bool near = from.fit.ok && fits_.PerRow(from) < kConsistent;
   const auto promised =
       Promised(from, screened, setting_.nominal, setting_.scales, near, needed, kPromisedFits);
-  const auto pool = Trials(data, setting_.nominal, setting_.scales, from, screened, least, force, nearest);
+  const auto pool =
+      Trials(data, setting_.nominal, setting_.scales, from, screened, state_.location, least, force, nearest);
   fits_.TryBest(from, pool, promised, from.base, count, beside_trial_, winner);
 }
 

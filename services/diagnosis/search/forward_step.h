@@ -32,9 +32,10 @@ class ForwardStep {
   ScreenResult Screen(const Candidate& current, bool base);
   // The same, whose null distribution counts for what is accepted from here on.
   ScreenResult NotedScreen(const Candidate& current, bool base);
-  // Along the recorded motion of the windows at `places`, which `some` has alone; a force is integrated out.
-  ScreenResult ScreenBesideForce(const Candidate& current, const FreeForce& force, const FitData& some,
-                                 const std::vector<uint32_t>& places);
+  // Along the recorded motion of the windows at `places`, which `some` has alone: one for each joint of
+  // `force`, with the force there integrated out.
+  std::vector<ScreenResult> ScreensBesideForce(const Candidate& current, const FreeForce& force,
+                                               const FitData& some, const std::vector<uint32_t>& places);
 
   // Each adds to `from`, of which the search need not think best; `winner` becomes the best fit where that
   // has more log evidence. `count`: fits on all windows, at most.
@@ -46,6 +47,8 @@ class ForwardStep {
   void AddPromised(const Candidate& from, Candidate* winner);
   // A spring or play on the joint on which a screen finds most; no screen can promise these.
   void AddTransmission(const Candidate& from, Candidate* winner);
+  // Laws of one joint, each with `beside`.
+  void AddOnJoint(const Candidate& from, int joint, const TrialSpecs& beside, Candidate* winner);
   // Of a screen around `from` all that it gives `least` nats at least; where that is 1 or less, also what it
   // cannot see, after what it promises. `needed`: log evidence that an addition must bring.
   void AddFrom(const Candidate& from, const ScreenResult& screened, double least, double needed, size_t count,

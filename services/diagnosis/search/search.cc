@@ -10,10 +10,10 @@
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/own_chi2.h"
 #include "services/diagnosis/search/drive_search.h"
+#include "services/diagnosis/search/force_locator.h"
 #include "services/diagnosis/search/forward_step.h"
 #include "services/diagnosis/search/further_steps.h"
 #include "services/diagnosis/search/held_out_checks.h"
-#include "services/diagnosis/search/names_beside_force.h"
 #include "services/diagnosis/search/refinement.h"
 #include "services/diagnosis/search/search_state.h"
 #include "services/diagnosis/search/simplifier.h"
@@ -145,6 +145,7 @@ class Search {
       simplifier_.Prune(best);
     }
     ExchangeEarlier(best);
+    if (state_.IsForceInPlace(*best)) return;
     if ((fits_.PerRow(*best) > kExplained || OfPosition(*best)) && TryOneForce(best, effects::kInf, kAny))
       *best = unnamed_.WithNames(*best);
   }
@@ -159,7 +160,7 @@ class Search {
     out_.threshold = state_.Threshold(out_.nominal, out_.calibrated);
     out_.beside = state_.Threshold(best, out_.calibrated);
     checks_.CompareRivals(&out_);
-    out_.beside_any_force = beside_force_.Run(&out_.best);
+    out_.beside_any_force = locator_.NameBeside(&out_.best);
     if (out_.beside_any_force) out_.swings_on = false, out_.tried.push_back(out_.best);
     out_.work = fits_.work();
     out_.beside = state_.Threshold(out_.best, out_.calibrated);
@@ -224,8 +225,11 @@ class Search {
   bool AddOne(Candidate* best) {
     state_.TellOfRound("screen", KeyOf(best->specs));
     Candidate winner = *best, stepped = *best;
-    const bool done =
-        state_.round == 1 && (ExplainedByEarlier(*best, &winner) || further_.ByLaws(*best, &winner));
+    const bool done = state_.round == 1 && (ExplainedByEarlier(*best, &winner) ||
+                                            further_.ByLaws(*best, &winner) || Located(*best, &winner));
+    // What an unnamed force leaves where any force leaves nothing is its grid's coarseness.
+    one_force_ = done && HasUnnamed(winner) && Gains(winner, *best);
+    if (one_force_) return *best = winner, true;
     Next next = done ? Next::kDecide : Next::kOtherInertials;
     for (const bool base : {false, true}) {
       if (next != Next::kOtherInertials || fits_.Late()) break;
@@ -235,11 +239,23 @@ class Search {
     if (Gains(stepped, winner)) winner = stepped;
     // In the place of an unnamed force two effects may do that hold together only beside free inertials: it
     // is enough that they score better.
-    if (HasUnnamed(winner)) {
+    if (HasUnnamed(winner) && !state_.location.Known()) {
       if (const Candidate* c = BestFreed(fits_.tried(), *best)) winner = Better(winner, further_.Beside(*c));
     }
     Refine(best, &winner);
     return Accept(winner, best);
+  }
+
+  // Whether any force on one joint, beside effects on others, would explain everything: what is missing is
+  // then looked for there alone.
+  bool Located(const Candidate& best, Candidate* winner) {
+    if (setting_.data.n < 2 || state_.ordinary || fits_.PerRow(Without()) < kConsistent) return false;
+    state_.TellOfRound("locate", "");
+    state_.location = locator_.Where();
+    std::string joints;
+    for (const int j : state_.location.joints) joints += setting_.nominal.joint_names()[j] + " ";
+    state_.TellOfRound("located", joints);
+    return locator_.Explain(best, winner);
   }
 
   // Whether the earlier search explains these recordings too. `winner` becomes it where that scores better.
@@ -393,7 +409,7 @@ class Search {
   FurtherSteps further_{state_, step_, drives_, simplifier_};
   HeldOutChecks checks_{state_, step_, further_, refinement_, simplifier_, unnamed_};
 
-  NamesBesideForce beside_force_{state_, step_};
+  ForceLocator locator_{state_, step_};
 
   SearchResult out_;
   std::optional<Candidate> earlier_;  // the result of an earlier search, refitted to these recordings

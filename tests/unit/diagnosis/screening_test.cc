@@ -93,19 +93,17 @@ TEST(Screening, IntegratesOutAnyForceOnAJointAsItIsEstimated) {
   const auto p = Prepare("arm2", {bump}, 26);
   const FitModel model{p->nominal, p->nominal.parameters().Nominal(), {}};
   const NodeStates states = InitialStates(p->data, model, {});
-  const auto screened = [&](const FreeForce* force) {
-    return MakeScreen(p->data, model, states, {}, {}, {}, 0, Rng(5), force);
-  };
   const auto evidence = [](const Screen& s) { return -0.5 * s.gram(0, 0) - s.force_log_det; };
   const MissingForce missing = EstimateMissingForce(p->data, model, states, p->scales.torque, 0.05, {});
-  const Screen none = screened(nullptr);
+  const Screen none = MakeScreen(p->data, model, states, {}, {}, {}, 0, Rng(5));
   EXPECT_EQ(none.force_log_det, 0.0);
+  const FreeForce force{{0, 1}, p->scales.torque, 0.05};
+  const std::vector<Screen> beside = MakeScreens(p->data, model, states, {}, {}, {}, 0, Rng(5), force);
+  ASSERT_EQ(beside.size(), 2);
   for (const int j : {0, 1}) {
-    const FreeForce force{{j}, p->scales.torque, 0.05};
-    const Screen s = screened(&force);
-    EXPECT_NEAR(evidence(s) - evidence(none), missing.evidence(j, j),
+    EXPECT_NEAR(evidence(beside[j]) - evidence(none), missing.evidence(j, j),
                 1e-6 * std::abs(missing.evidence(j, j)));
-    const double per_row = s.gram(0, 0) / p->data.Rows();
+    const double per_row = beside[j].gram(0, 0) / p->data.Rows();
     EXPECT_EQ(per_row < 1.2, j == 0) << per_row;
   }
 }

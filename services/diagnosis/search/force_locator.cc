@@ -1,4 +1,4 @@
-#include "services/diagnosis/search/names_beside_force.h"
+#include "services/diagnosis/search/force_locator.h"
 
 #include <algorithm>
 #include <functional>
@@ -17,11 +17,10 @@ namespace {
 constexpr double kMostOfRestNamed = 0.5;  // of what any force leaves beyond noise, that names must take
 // Of what fewer coefficients explain, that more must add: a law is an idealisation.
 constexpr double kFormOfNames = 0.01;
-constexpr double kFewLost = 0.1;         // rows, as a share, in windows that the model breaks in
-constexpr size_t kScreenedWindows = 96;  // of all joints together, base parameters fixed or free
-constexpr size_t kLeastWindows = 16;     // of each
-constexpr int kMostFitted = 2;           // explanations
-constexpr double kForceShare = 0.3;      // of the work limit, whatever was used before
+constexpr double kFewLost = 0.1;  // rows, as a share, in windows that the model breaks in
+constexpr size_t kScreenedWindows = 24;
+constexpr int kMostFitted = 2;       // explanations
+constexpr double kForceShare = 0.3;  // of the work limit, whatever was used before
 
 // Effects of one model.
 struct Names {
@@ -61,10 +60,13 @@ std::optional<Names> BestNames(const ScreenResult& screened,
 
 }  // namespace
 
-bool NamesBesideForce::Run(Candidate* best) {
+bool ForceLocator::NameBeside(Candidate* best) {
   const bool unnamed = std::ranges::any_of(Beyond(setting_.nominal, best->specs),
                                            [](const EffectSpec& e) { return IsUnnamed(e.id); });
   const bool unexplained = unnamed || state_.FoundNothing(*best);
+  for (const Explanation& e : explanations_) {
+    if (Suffices(e) && IsUnnamedForm(e, *best)) return true;
+  }
   const double consistent = unnamed ? kExplained : kConsistent;
   if (setting_.data.n < 2 || state_.ordinary || !unexplained || fits_.PerRow(*best) < consistent)
     return false;
@@ -82,47 +84,100 @@ bool NamesBesideForce::Run(Candidate* best) {
   return false;
 }
 
-std::vector<NamesBesideForce::Explanation> NamesBesideForce::Explanations() {
-  std::vector<Explanation> out;
-  const auto n = static_cast<size_t>(setting_.data.n);
-  const size_t count = setting_.data.WindowsFor(std::max(kLeastWindows, kScreenedWindows / n));
+bool ForceLocator::Suffices(const Explanation& e) const {
+  const double little = 1 + kFormOfNames * (fits_.PerRow(e.without) - 1);
+  return e.left < std::clamp(little, kExplained, kConsistent);
+}
+
+Location ForceLocator::Where() {
+  Location out;
+  std::set<int> joints, anyhow;  // all asked, and those on which a force needs nothing on others
+  for (const Explanation& e : Explanations()) {
+    joints.insert(e.joint);
+    if (!Suffices(e)) continue;
+    out.joints.insert(e.joint);
+    out.beside.insert(out.beside.end(), e.beside.begin(), e.beside.end());
+    if (std::ranges::all_of(e.beside, [](const Scored& h) { return h.joints.empty(); }))
+      anyhow.insert(e.joint);
+  }
+  // Where a force on any joint would do, the recordings do not tell the place.
+  return anyhow == joints ? Location{} : out;
+}
+
+bool ForceLocator::Explain(const Candidate& before, Candidate* winner) {
+  if (!state_.location.Known()) return false;
+  std::optional<Candidate> unnamed;
+  int asked = 0;
+  for (const Explanation& e : Explanations()) {
+    if (!Suffices(e) || asked == kMostFitted || fits_.Late()) continue;
+    Candidate found = e.without;
+    step_.AddOnJoint(e.without, e.joint, e.names, &found);
+    if (fits_.PerRow(found) > kConsistent && !HasUnnamed(found) && !state_.FoundNothing(found))
+      found = Better(found, fits_.Anew(found));  // or it may be a local optimum
+    if (fits_.PerRow(found) < (HasUnnamed(found) ? kExplained : kConsistent)) {
+      *winner = Better(*winner, found);
+      return true;
+    }
+    // A law that leaves far more than any force does is another one's likeness.
+    if (asked++ == 0) unnamed = Fitted(e, before);
+  }
+  if (unnamed) *winner = *unnamed;
+  return unnamed.has_value();
+}
+
+const std::vector<ForceLocator::Explanation>& ForceLocator::Explanations() {
+  if (explained_at_ == fits_.noise_scale()) return explanations_;
+  explained_at_ = fits_.noise_scale(), explanations_.clear();
   std::vector<Candidate> models;
   for (const bool base : {false, true}) {
     const Candidate* known = fits_.Known(state_.given, base);
     if (known != nullptr && known->fit.ok) models.push_back(*known);
   }
-  if (models.empty()) return out;
-  const auto places = SomeWindows(models.back().fit.window_chi2, setting_.data.windows.size(), count);
+  if (models.empty()) return explanations_;
+  const auto places = SomeWindows(models.back().fit.window_chi2, setting_.data.windows.size(),
+                                  setting_.data.WindowsFor(kScreenedWindows));
   const FitData some = setting_.data.OnWindows(places);
+  FreeForce force{{}, setting_.scales.torque};
+  for (int joint = 0; joint < setting_.data.n; ++joint) {
+    if (!setting_.nominal.IsPrescribed(joint) && !setting_.scales.still[joint]) force.joints.push_back(joint);
+  }
   for (const Candidate& without : models) {
-    for (int joint = 0; joint < setting_.data.n && !fits_.Late(); ++joint) {
-      if (!setting_.nominal.IsPrescribed(joint) && !setting_.scales.still[joint])
-        AddOn(joint, without, some, places, &out);
+    if (force.joints.empty() || fits_.Late()) break;
+    const std::vector<ScreenResult> screens = step_.ScreensBesideForce(without, force, some, places);
+    for (size_t i = 0; i < screens.size(); ++i) {
+      const bool lost = screens[i].rows < (1 - kFewLost) * some.Rows();
+      if (!lost) AddOn(force.joints[i], without, screens[i]);
     }
   }
-  std::ranges::stable_sort(out, std::greater{}, &Explanation::evidence);
-  return out;
+  std::ranges::stable_sort(explanations_, std::greater{}, &Explanation::evidence);
+  return explanations_;
+}
+
+bool ForceLocator::IsUnnamedForm(const Explanation& e, const Candidate& c) const {
+  const std::string& joint = setting_.nominal.joint_names()[e.joint];
+  return !e.names.empty() && c.specs.size() == e.names.size() + 1 && IsPart(e.names, c.specs) &&
+         std::ranges::any_of(
+             c.specs, [&](const EffectSpec& s) { return IsUnnamed(s.id) && s.joints.back() == joint; });
 }
 
 // Of a joint on which any force may act the recordings say nothing else.
-bool NamesBesideForce::MayBe(const Scored& h, int joint) const {
+bool ForceLocator::MayBe(const Scored& h, int joint) const {
   return !IsUnnamed(h.effect) && std::ranges::none_of(h.joints, [&](int j) {
     return j == joint || setting_.scales.still[j] ||
            Contains(state_.given, h.effect, setting_.nominal.joint_names()[j]);
   }) && !(h.joints.empty() && Contains(state_.given, h.effect, ""));
 }
 
-void NamesBesideForce::AddOn(int joint, const Candidate& without, const FitData& some,
-                             const std::vector<uint32_t>& places, std::vector<Explanation>* out) {
-  const FreeForce force{{joint}, setting_.scales.torque};
-  const ScreenResult screened = step_.ScreenBesideForce(without, force, some, places);
+void ForceLocator::AddOn(int joint, const Candidate& without, const ScreenResult& screened) {
   const double rows = screened.rows;
-  if (rows < (1 - kFewLost) * some.Rows()) return;
   const double evidence = screened.evidence - StructurePrior({}, without.base);
-  out->push_back({joint, without, {}, evidence / rows, screened.chi2 / rows});
-  state_.trace.Stage("beside any force on joint " + std::to_string(joint + 1),
-                     "nothing " + std::to_string(out->back().evidence) + " per row, left " +
-                         std::to_string(out->back().left));
+  explanations_.push_back({joint, without, {}, {}, evidence / rows, screened.chi2 / rows});
+  const auto tell = [&](const std::string& names) {
+    const Explanation& e = explanations_.back();
+    state_.trace.Stage("beside any force on joint " + std::to_string(joint + 1),
+                       names + std::to_string(e.evidence) + " per row, left " + std::to_string(e.left));
+  };
+  tell("nothing ");
   const auto names = BestNames(screened, [&](const Scored& h) { return MayBe(h, joint); });
   if (!names) return;
   Candidate named = without;
@@ -134,14 +189,12 @@ void NamesBesideForce::AddOn(int joint, const Candidate& without, const FitData&
   const double needed = std::max({screened.null_gain, state_.Threshold(without, named),
                                   kMostOfRestNamed * 0.5 * (screened.chi2 - rows)});
   if (names->gain < needed) return;
-  out->push_back({joint, without, named.specs, (evidence + names->gain) / rows,
-                  (screened.chi2 - 2 * names->gain) / rows});
-  state_.trace.Stage("beside any force on joint " + std::to_string(joint + 1),
-                     KeyOf(named.specs, without.base) + std::to_string(out->back().evidence) +
-                         " per row, left " + std::to_string(out->back().left));
+  explanations_.push_back({joint, without, named.specs, names->effects, (evidence + names->gain) / rows,
+                           (screened.chi2 - 2 * names->gain) / rows});
+  tell(KeyOf(named.specs, without.base));
 }
 
-std::optional<Candidate> NamesBesideForce::Fitted(const Explanation& e, const Candidate& before) {
+std::optional<Candidate> ForceLocator::Fitted(const Explanation& e, const Candidate& before) {
   const auto plant = sim::Plant::Create(setting_.nominal.shared_model(), setting_.nominal.options(), e.names);
   if (!plant.ok()) return std::nullopt;
   Candidate from = e.without;

@@ -1,5 +1,5 @@
-// Names beside a force of a form that nobody knows.
-#include "services/diagnosis/search/names_beside_force.h"
+// Where a force is missing, whatever its form, and names beside it.
+#include "services/diagnosis/search/force_locator.h"
 
 #include <gtest/gtest.h>
 
@@ -56,56 +56,107 @@ struct Searched {
   ProgressFn progress;
   SearchState state;
   ForwardStep step{state};
-  NamesBesideForce names{state, step};
+  ForceLocator locator{state, step};
 };
 
-TEST(NamesBesideForce, AreThoseOfOtherJointsWithTheirValues) {
+TEST(ForceLocator, FindsTheJointOfAForceThatNoGridFollows) {
+  Searched w(With({kOffset}));
+  const Location where = w.locator.Where();
+  EXPECT_EQ(where.joints, std::set<int>{0});
+  EXPECT_TRUE(where.Allows({.effect = "viscous_friction", .joints = {0}}));
+  EXPECT_TRUE(where.Allows({.effect = "torque_offset", .joints = {0, 1}})) << "what is named beside it";
+  EXPECT_FALSE(where.Allows({.effect = "viscous_friction", .joints = {1}}));
+  EXPECT_FALSE(where.Allows({.effect = "viscous_friction", .joints = {0, 1}}));
+  EXPECT_FALSE(where.Allows({.effect = "payload"}));
+  EXPECT_TRUE(where.Allows({.effect = "joint_coupling", .joints = {1, 0}})) << "from the elbow's effort";
+  EXPECT_FALSE(where.Allows({.effect = "joint_coupling", .joints = {0, 1}}));
+}
+
+TEST(ForceLocator, KnowsNoJointWhereAForceOnAnyWouldDo) {
+  Searched nothing({});
+  const Location where = nothing.locator.Where();
+  EXPECT_FALSE(where.Known());
+  EXPECT_TRUE(where.Allows({.effect = "payload"}));
+}
+
+TEST(ForceLocator, KnowsNoJointWhereTheWholeRobotIsMoved) {
+  Searched w({MakeSpec("payload", {}, {{"mass", 0.5}, {"com_x", 0.1}, {"com_y", 0.2}, {"com_z", 0.0}})});
+  EXPECT_FALSE(w.locator.Where().Known());
+}
+
+TEST(ForceLocator, ExplainsByALawOnThatJointBesideWhatIsNamed) {
+  Searched w({MakeSpec("stribeck_friction", {kShoulder},
+                       {{"coulomb", 0.1}, {"static", 0.2}, {"stribeck_velocity", 0.3}}),
+              MakeSpec("torque_offset", {kElbow}, {{"offset", 0.05}})});
+  w.state.location = w.locator.Where();
+  const Candidate before = *w.state.fits.Known({}, false);
+  Candidate winner = before;
+  ASSERT_TRUE(w.locator.Explain(before, &winner));
+  EXPECT_EQ(KeyOf(winner.specs), "stribeck_friction[shoulder ] torque_offset[elbow ] ");
+  EXPECT_LT(w.state.fits.PerRow(winner), kExplained);
+}
+
+TEST(ForceLocator, ExplainsByAnUnnamedForceWhereNoLawDoes) {
+  Searched w(With({kOffset}));
+  w.state.location = w.locator.Where();
+  const Candidate before = *w.state.fits.Known({}, false);
+  Candidate winner = before;
+  ASSERT_TRUE(w.locator.Explain(before, &winner));
+  EXPECT_TRUE(HasUnnamed(winner));
+  EXPECT_TRUE(w.state.IsForceInPlace(winner));
+  EXPECT_TRUE(Contains(winner.specs, "torque_offset", kElbow));
+  Candidate named = winner;
+  EXPECT_TRUE(w.locator.NameBeside(&named)) << "it has its names already";
+  EXPECT_EQ(KeyOf(named.specs), KeyOf(winner.specs));
+}
+
+TEST(ForceLocator, NamesEffectsOfOtherJointsWithTheirValues) {
   Searched w(With({kOffset}));
   Candidate best = w.state.fits.Evaluate({Field()}, false);
   ASSERT_GT(w.state.fits.PerRow(best), 5.0);
-  ASSERT_TRUE(w.names.Run(&best));
+  ASSERT_TRUE(w.locator.NameBeside(&best));
   EXPECT_TRUE(HasUnnamed(best));
   EXPECT_TRUE(Contains(best.specs, "torque_offset", kElbow));
   EXPECT_EQ(FreshKinds(Candidate{}, best).size(), 2) << KeyOf(best.specs);
   EXPECT_NEAR(w.Value(best, "torque_offset.elbow.offset"), 0.25, 0.03);
 }
 
-TEST(NamesBesideForce, AreNoneWhereTheForceIsAll) {
+TEST(ForceLocator, NamesNothingWhereTheForceIsAll) {
   Searched w(With({}));
   Candidate best = w.state.fits.Evaluate({Field()}, false);
   const std::string before = KeyOf(best.specs);
-  EXPECT_FALSE(w.names.Run(&best));
+  EXPECT_FALSE(w.locator.NameBeside(&best));
   EXPECT_EQ(KeyOf(best.specs), before);
 }
 
-TEST(NamesBesideForce, AreFoundWhereNothingWas) {
+TEST(ForceLocator, NamesEffectsWhereNothingWasFound) {
   Searched w(With({kOffset}));
   Candidate best = w.state.fits.Evaluate({}, true);
-  ASSERT_TRUE(w.names.Run(&best));
+  ASSERT_TRUE(w.locator.NameBeside(&best));
   EXPECT_TRUE(HasUnnamed(best));
   EXPECT_TRUE(Contains(best.specs, "torque_offset", kElbow));
 }
 
-TEST(NamesBesideForce, LeaveModelsAloneThatAreConsistent) {
+TEST(ForceLocator, LeavesConsistentModelsAlone) {
   Searched nothing({});
   Candidate best = nothing.state.fits.Evaluate({}, false);
   ASSERT_LT(nothing.state.fits.PerRow(best), kExplained);
-  EXPECT_FALSE(nothing.names.Run(&best));
+  EXPECT_FALSE(nothing.locator.NameBeside(&best));
   EffectSpec bump = Field();
   bump.values[kShoulder]["w3"] = 0.4, bump.values[kShoulder]["w4"] = 0.5;
   Searched force({bump});
   best = force.state.fits.Evaluate({bump}, false);
   ASSERT_LT(force.state.fits.PerRow(best), kExplained);
-  EXPECT_FALSE(force.names.Run(&best));
+  EXPECT_FALSE(force.locator.NameBeside(&best));
 }
 
 // A given effect is no finding, and none is told of its joint.
-TEST(NamesBesideForce, AreNotWhatTheModelHas) {
+TEST(ForceLocator, NamesNothingThatTheModelHas) {
   Searched w(With({kOffset}));
   w.state.given = {MakeSpec("torque_offset", {kElbow}, {{"offset", 0.1}})};
   for (const bool base : {false, true}) w.state.fits.Evaluate(w.state.given, base);
   Candidate best = w.state.fits.Evaluate(Joined(w.state.given, {Field()}), false);
-  w.names.Run(&best);
+  w.locator.NameBeside(&best);
   EXPECT_LE(FreshKinds(Candidate{}, best).size(), 2) << KeyOf(best.specs);
 }
 

@@ -1,0 +1,63 @@
+// Where a force is missing, and what can be named beside it.
+//
+// A missing force bends every law that is fitted in its place or beside it. But any force at all on one joint
+// may be integrated out (free_force.h): whether the recordings are then explained tells whether it acts on
+// that joint, and what they still say of other joints and of the robot holds whatever the force's form.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <set>
+#include <vector>
+
+#include "services/diagnosis/search/forward_step.h"
+#include "services/diagnosis/search/search_state.h"
+
+namespace rg::diagnosis {
+
+class ForceLocator {
+ public:
+  ForceLocator(SearchState& state, ForwardStep& step)
+      : state_(state), setting_(state.setting), fits_(state.fits), step_(step) {}
+
+  // A model with an unnamed force, or that lacks everything, becomes one with an unnamed force on some joint
+  // and effects on others, where any force there and these effects together are consistent with the noise and
+  // have most log evidence, that of such a force alone included. Whether it did.
+  bool NameBeside(Candidate* best);
+  // The joints on each of which any force, alone or beside effects on others, leaves hardly more than noise.
+  Location Where();
+  // What is named there, with each law of the catalogue in the place of the force, or with an unnamed one
+  // where no law explains the recordings. False where no one joint's force would.
+  bool Explain(const Candidate& before, Candidate* winner);
+
+ private:
+  struct Explanation {
+    int joint = 0;
+    Candidate without;           // the model without the force and the effects
+    TrialSpecs names;            // that model's effects and what is named; empty: the force is all
+    std::vector<Scored> beside;  // what is named
+    double evidence = 0;         // per row, of names and any force together, structure prior included
+    double left = 0;             // χ² per row
+  };
+  // The best first. Kept until the noise scale changes.
+  const std::vector<Explanation>& Explanations();
+  // Any force on a joint, alone and with the best names beside it, if any.
+  void AddOn(int joint, const Candidate& without, const ScreenResult& screened);
+  bool MayBe(const Scored& h, int joint) const;
+  // Whether it leaves so little that a law's idealisation or the linearisation may be all that it is.
+  bool Suffices(const Explanation& e) const;
+  // Whether the model is this explanation with an unnamed force.
+  bool IsUnnamedForm(const Explanation& e, const Candidate& c) const;
+  // The force as a grid of weights, a new one or what the model before has on that joint. Nothing where an
+  // effect is inadmissible in the fit that leaves least, or absent by its strength.
+  std::optional<Candidate> Fitted(const Explanation& e, const Candidate& before);
+
+  SearchState& state_;
+  const FitSetting& setting_;
+  FitLedger& fits_;
+  ForwardStep& step_;
+  std::vector<Explanation> explanations_;
+  double explained_at_ = 0;  // the noise scale
+};
+
+}  // namespace rg::diagnosis
