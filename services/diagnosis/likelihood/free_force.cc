@@ -8,7 +8,7 @@ namespace rg::diagnosis {
 ForceSegments SegmentsOf(const FreeForce& force, const NodeWindow& window) {
   const int N = static_cast<int>(window.t.size()) - 1, n = static_cast<int>(force.joints.size());
   const double span = window.t[N] - window.t[0];
-  const int S = std::max(1, static_cast<int>(std::lround(span / force.segment_s)));
+  const int S = std::clamp(static_cast<int>(std::lround(span / force.segment_s)), 1, N);
   ForceSegments out;
   out.phi = MatrixXd::Zero(S * n, N);
   for (int s = 0; s < S; ++s) {

@@ -14,26 +14,26 @@ namespace {
 constexpr double kOtherStep = 2e-4;  // s, see StepRuleResiduals
 constexpr int kScreenParts = 16;
 
-// Normal equations in (θ, features, residual) and right-hand sides of null draws, summed over windows.
-struct Sums {
-  RowMatrixXd gram, null;
-  double force_log_det = 0;  // ½ log det(1 + H) of the information H on the force's segments
+// What integrating out a window's segments of a force, N(0, 1) each, takes from the normal equations:
+// columnsᵀ·columns from the Gram matrix, columnsᵀ·noise from the null draws. Whitened by 1 + H, H the
+// information on the segments.
+struct Segments {
+  RowMatrixXd columns, noise;             // a row for each segment
+  double half_log_det = 0, unknowns = 0;  // of 1 + H; tr H (1 + H)⁻¹
 };
 
-// Adds a window's sums when the coefficients at `segments`, N(0, 1) each, are integrated out. gram: lower
-// triangle; null: as many rows, of the coefficients' own draws too.
-void AddWithout(const std::vector<long>& segments, const RowMatrixXd& gram, const RowMatrixXd& null,
-                Sums* sums) {
-  const long D = sums->gram.rows();
-  MatrixXd own = gram(segments, segments);
-  own = MatrixXd(own.selfadjointView<Eigen::Lower>());
-  own.diagonal().array() += 1.0;
-  const Eigen::LLT<MatrixXd> factor(own);
-  const MatrixXd cross = factor.matrixL().solve(MatrixXd(gram(segments, Eigen::seqN(0, D))));
-  const MatrixXd noise = factor.matrixL().solve(MatrixXd(null(segments, Eigen::all)));
-  sums->gram += gram.topLeftCorner(D, D) - cross.transpose() * cross;
-  sums->null += null.topRows(D) - cross.transpose() * noise;
-  sums->force_log_det += HalfLogDet(factor);
+// Of the segments at `own` behind D columns. gram: lower triangle; null: as many rows, of the coefficients'
+// own draws too.
+Segments IntegratedOut(const std::vector<long>& own, long D, const RowMatrixXd& gram,
+                       const RowMatrixXd& null) {
+  const auto S = std::ssize(own);
+  MatrixXd precision = gram(own, own);
+  precision = MatrixXd(precision.selfadjointView<Eigen::Lower>());
+  precision.diagonal().array() += 1.0;
+  const Eigen::LLT<MatrixXd> factor(precision);
+  return {factor.matrixL().solve(MatrixXd(gram(own, Eigen::seqN(0, D)))),
+          factor.matrixL().solve(MatrixXd(null(own, Eigen::all))), HalfLogDet(factor),
+          static_cast<double>(S) - factor.solve(MatrixXd::Identity(S, S)).trace()};
 }
 
 RowMatrixXd Draws(Eigen::Index rows, int count, Rng stream) {
@@ -62,17 +62,28 @@ std::vector<VectorXd> StepRuleResiduals(const FitData& data, const FitModel& mod
   return out;
 }
 
-std::vector<Screen> MakeScreens(const FitData& data, const FitModel& model, const NodeStates& states,
-                                const FeatureBlock& features, const LiftedOptions& options,
-                                const std::vector<VectorXd>& step_rule, int null_draws, Rng rng,
-                                const FreeForce& force) {
+namespace {
+
+// The screen without a force, and what a force on each joint of `force` takes from it, window by window.
+struct Screened {
+  Screen without;
+  std::vector<std::vector<Segments>> taken;  // by window and joint
+};
+
+Screened LinearisedOnce(const FitData& data, const FitModel& model, const NodeStates& states,
+                        const FeatureBlock& features, const LiftedOptions& options,
+                        const std::vector<VectorXd>& step_rule, int null_draws, Rng rng,
+                        const FreeForce& force) {
   Lineariser lin(data, model, true, options);
   const int P = lin.P(), C = features.size(), W = static_cast<int>(data.windows.size());
+  Screened out;
+  Screen& screen = out.without;
+  screen.parameters = P, screen.features = C;
+  out.taken.resize(W);
   // Summed in parts that do not depend on the number of threads, nor does what comes out.
   const int D = P + C + 1, parts = std::min(W, kScreenParts);
-  const Sums none{RowMatrixXd::Zero(D, D), RowMatrixXd::Zero(D, null_draws)};
-  std::vector<std::vector<Sums>> sums(std::max<size_t>(1, force.joints.size()),
-                                      std::vector<Sums>(parts, none));
+  std::vector<RowMatrixXd> sums(parts, RowMatrixXd::Zero(D, D)),
+      nulls(parts, RowMatrixXd::Zero(D, null_draws));
   std::vector<VectorXd> systematic(W);
   std::vector<int> rows(W, 0);
   std::vector<long> unknowns(W, 0);  // of the force
@@ -109,50 +120,70 @@ std::vector<Screen> MakeScreens(const FitData& data, const FitModel& model, cons
     const RowMatrixXd noise = Draws(M + S, null_draws, rng.Split(static_cast<uint64_t>(w)));
     const double whole = 1.0 / options.noise_scale, root = 1.0 / std::sqrt(options.noise_scale);
     if (S == 0) {
-      AddGram(columns, whole, sums[0][part].gram);
-      AddTransposedProduct(columns, noise, root, sums[0][part].null);
+      AddGram(columns, whole, sums[part]);
+      AddTransposedProduct(columns, noise, root, nulls[part]);
       return;
     }
     RowMatrixXd gram = RowMatrixXd::Zero(D + S, D + S), null = RowMatrixXd::Zero(D + S, null_draws);
     AddGram(columns, whole, gram);
     AddTransposedProduct(columns, noise.topRows(M), root, null);
     null.bottomRows(S) += noise.bottomRows(S);
-    for (size_t j = 0; j < force.joints.size(); ++j) {
+    sums[part] += gram.topLeftCorner(D, D), nulls[part] += null.topRows(D);
+    for (const int on : force.joints) {
       std::vector<long> own;
       for (long i = 0; i < S; ++i) {
-        if (segments.joint[i] == force.joints[j]) own.push_back(D + i);
+        if (segments.joint[i] == on) own.push_back(D + i);
       }
-      AddWithout(own, gram, null, &sums[j][part]);
+      out.taken[w].push_back(IntegratedOut(own, D, gram, null));
     }
   };
   sysid::ParallelFor(options.threads, parts, [&](int worker, int part) {
     for (int w = part; w < W; w += parts) add(worker, part, w);
   });
-  Screen all;
-  all.parameters = P, all.features = C;
-  all.gram = MatrixXd::Zero(D, D), all.null = MatrixXd::Zero(D - 1, null_draws);
-  all.step_rule = VectorXd::Zero(D - 1);
-  for (const VectorXd& rule : systematic) {
-    if (rule.size() > 0) all.step_rule += rule;
-  }
-  for (const int r : rows) all.rows += r;
-  std::vector<Screen> out(sums.size(), all);
-  for (size_t j = 0; j < sums.size(); ++j) {
-    for (const Sums& sum : sums[j]) {
-      out[j].gram += sum.gram, out[j].null += sum.null.topRows(D - 1);
-      out[j].force_log_det += sum.force_log_det;
-    }
-    out[j].gram = MatrixXd(out[j].gram.selfadjointView<Eigen::Lower>());
-  }
+  screen.gram = MatrixXd::Zero(D, D);
+  for (const RowMatrixXd& sum : sums) screen.gram += sum;
+  screen.gram = MatrixXd(screen.gram.selfadjointView<Eigen::Lower>());
+  screen.null = MatrixXd::Zero(D - 1, null_draws);
+  for (const int r : rows) screen.rows += r;
   const long most = unknowns.empty() ? 0 : std::ranges::max(unknowns);
-  out.front().work = ScreenWork(data, options, lin.nx(), D + most, null_draws);
+  screen.work = ScreenWork(data, options, lin.nx(), D + most, null_draws);
+  screen.step_rule = VectorXd::Zero(D - 1);
+  for (const VectorXd& rule : systematic) {
+    if (rule.size() > 0) screen.step_rule += rule;
+  }
+  for (const RowMatrixXd& null : nulls) screen.null += null.topRows(D - 1);
   return out;
 }
+
+}  // namespace
 
 Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
                   const FeatureBlock& features, const LiftedOptions& options,
                   const std::vector<VectorXd>& step_rule, int null_draws, Rng rng) {
-  return MakeScreens(data, model, states, features, options, step_rule, null_draws, rng, {}).front();
+  return LinearisedOnce(data, model, states, features, options, step_rule, null_draws, rng, {}).without;
+}
+
+std::vector<Screen> MakeScreens(const FreeForce& force, const FitData& data, const FitModel& model,
+                                const NodeStates& states, const FeatureBlock& features,
+                                const LiftedOptions& options, int null_draws, Rng rng) {
+  const Screened screened =
+      LinearisedOnce(data, model, states, features, options, {}, null_draws, rng, force);
+  std::vector<Screen> out;
+  for (size_t j = 0; j < force.joints.size(); ++j) {
+    Screen& screen = out.emplace_back(screened.without);
+    if (j > 0) screen.work = 0;
+    RowMatrixXd taken = RowMatrixXd::Zero(screen.gram.rows(), screen.gram.cols());
+    RowMatrixXd noise = RowMatrixXd::Zero(taken.rows(), null_draws);
+    for (const std::vector<Segments>& window : screened.taken) {
+      if (window.empty()) continue;
+      AddGram(window[j].columns, 1.0, taken);
+      AddTransposedProduct(window[j].columns, window[j].noise, 1.0, noise);
+      screen.force_log_det += window[j].half_log_det, screen.force_unknowns += window[j].unknowns;
+    }
+    screen.gram -= MatrixXd(MatrixXd(taken).selfadjointView<Eigen::Lower>());
+    screen.null -= noise.topRows(screen.null.rows());
+  }
+  return out;
 }
 
 double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates& states,

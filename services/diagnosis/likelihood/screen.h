@@ -27,7 +27,9 @@ struct Screen {
   MatrixXd gram;
   MatrixXd null;       // (P + C) × draws: right-hand sides if the residual were the sensors' noise alone
   VectorXd step_rule;  // P + C: the right-hand side that another step rule makes
-  double force_log_det = 0;  // ½ log det(1 + σHσ) of the force that was integrated out
+  // Of the force that was integrated out: ½ log det(1 + H), H the information on its segments, and
+  // tr H (1 + H)⁻¹, rows that it fits whatever they are.
+  double force_log_det = 0, force_unknowns = 0;
   int parameters = 0, features = 0;
   int rows = 0;  // of the windows that could be linearised
   double work = 0;
@@ -46,10 +48,10 @@ double StepRuleGain(const FitData& data, const FitModel& model, const NodeStates
 Screen MakeScreen(const FitData& data, const FitModel& model, const NodeStates& states,
                   const FeatureBlock& features, const LiftedOptions& options,
                   const std::vector<VectorXd>& step_rule, int null_draws, Rng rng);
-// One for each joint of `force`, with the force there alone integrated out; the first has the work of all.
-std::vector<Screen> MakeScreens(const FitData& data, const FitModel& model, const NodeStates& states,
-                                const FeatureBlock& features, const LiftedOptions& options,
-                                const std::vector<VectorXd>& step_rule, int null_draws, Rng rng,
-                                const FreeForce& force);
+// One for each joint of `force`, with the force there alone integrated out, from one linearisation; the first
+// has the work of all.
+std::vector<Screen> MakeScreens(const FreeForce& force, const FitData& data, const FitModel& model,
+                                const NodeStates& states, const FeatureBlock& features,
+                                const LiftedOptions& options, int null_draws, Rng rng);
 
 }  // namespace rg::diagnosis

@@ -122,8 +122,8 @@ std::vector<ScreenResult> ScreensBeside(const FreeForce& force, const FitSetting
   const auto around = ModelAround(setting, current, at, options);
   std::vector<ScreenResult> out;
   if (!around) return out;
-  for (const Screen& screen : MakeScreens(setting.data, around->model, around->states, features.block,
-                                          options, {}, kNullDraws, rng, force))
+  for (const Screen& screen : MakeScreens(force, setting.data, around->model, around->states, features.block,
+                                          options, kNullDraws, rng))
     out.push_back(ScoreHypotheses(screen, around->columns, features, base, setting.nominal));
   return out;
 }

@@ -69,7 +69,7 @@ class Scorer {
     std::ranges::sort(out.hypotheses, [](const Scored& a, const Scored& b) { return a.gain > b.gain; });
     out.null_gain = NullGain();
     out.chi2 = chi2_, out.evidence = -0.5 * chi2_ - log_det_;
-    out.rows = screen.rows, out.work = screen.work;
+    out.rows = screen.rows, out.work = screen.work, out.unknowns = screen.force_unknowns;
     Combine(&out);
     return out;
   }

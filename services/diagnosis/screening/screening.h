@@ -38,6 +38,7 @@ struct ScreenResult {
   // Of the model itself, its nuisance parameters as they fit best: χ² with their prior cost, far residuals
   // not softened, and log evidence without structure prior.
   double chi2 = 0, evidence = 0;
+  double unknowns = 0;  // of a force that was integrated out: rows that it fits whatever they are
   int rows = 0;     // that these are of
   double work = 0;  // what it cost (lifted_fit.h)
 };

@@ -17,9 +17,11 @@ namespace {
 constexpr double kMostOfRestNamed = 0.5;  // of what any force leaves beyond noise, that names must take
 // Of what fewer coefficients explain, that more must add: a law is an idealisation.
 constexpr double kFormOfNames = 0.01;
-constexpr double kFewLost = 0.1;  // rows, as a share, in windows that the model breaks in
+constexpr double kLittle = 0.1;      // of χ² per row above noise, that a force in its place leaves at most
+constexpr double kLeastNoise = 0.2;  // of the rows
+constexpr double kFewLost = 0.1;     // rows, as a share, in windows that the model breaks in
 constexpr size_t kScreenedWindows = 24;
-constexpr int kMostFitted = 2;       // explanations
+constexpr int kMostFitted = 2;       // explanations, or joints
 constexpr double kForceShare = 0.3;  // of the work limit, whatever was used before
 
 // Effects of one model.
@@ -61,21 +63,18 @@ std::optional<Names> BestNames(const ScreenResult& screened,
 }  // namespace
 
 bool ForceLocator::NameBeside(Candidate* best) {
-  const bool unnamed = std::ranges::any_of(Beyond(setting_.nominal, best->specs),
-                                           [](const EffectSpec& e) { return IsUnnamed(e.id); });
+  if (!named_in_place_.empty() && named_in_place_ == KeyOf(best->specs, best->base)) return true;
+  const bool unnamed = state_.HasNewForce(*best);
   const bool unexplained = unnamed || state_.FoundNothing(*best);
-  for (const Explanation& e : explanations_) {
-    if (Suffices(e) && IsUnnamedForm(e, *best)) return true;
-  }
   const double consistent = unnamed ? kExplained : kConsistent;
   if (setting_.data.n < 2 || state_.ordinary || !unexplained || fits_.PerRow(*best) < consistent)
     return false;
   state_.Tell("beside a force", 0.955, KeyOf(best->specs));
   fits_.Grant(kForceShare);
   int fits = 0;
-  for (const Explanation& e : Explanations()) {
+  for (const Explanation& e : Explanations(ModelsWithout(nullptr))) {
     // The force may be all that is missing, or more than it and two names be.
-    if (e.names.empty() || e.left > kConsistent || fits_.Late() || ++fits > kMostFitted) return false;
+    if (e.beside.empty() || e.left > kConsistent || fits_.Late() || ++fits > kMostFitted) return false;
     const auto fitted = Fitted(e, *best);
     if (!fitted) continue;
     *best = *fitted;
@@ -85,54 +84,89 @@ bool ForceLocator::NameBeside(Candidate* best) {
 }
 
 bool ForceLocator::Suffices(const Explanation& e) const {
-  const double little = 1 + kFormOfNames * (fits_.PerRow(e.without) - 1);
-  return e.left < std::clamp(little, kExplained, kConsistent);
+  const double excess = fits_.PerRow(e.without) - 1;
+  const double little = std::max(kFormOfNames * excess, std::min(kLittle * excess, kExplained - 1));
+  return e.left < std::min(1 + little, kConsistent);
 }
 
-Location ForceLocator::Where() {
-  Location out;
-  std::set<int> joints, anyhow;  // all asked, and those on which a force needs nothing on others
-  for (const Explanation& e : Explanations()) {
-    joints.insert(e.joint);
+std::set<int> ForceLocator::Where(const Candidate& around) {
+  std::set<int> out, all, anyhow;  // anyhow: on which a force needs nothing on others
+  for (const Explanation& e : Explanations(ModelsWithout(&around))) {
+    all.insert(e.joint);
     if (!Suffices(e)) continue;
-    out.joints.insert(e.joint);
-    out.beside.insert(out.beside.end(), e.beside.begin(), e.beside.end());
+    out.insert(e.joint);
     if (std::ranges::all_of(e.beside, [](const Scored& h) { return h.joints.empty(); }))
       anyhow.insert(e.joint);
   }
   // Where a force on any joint would do, the recordings do not tell the place.
-  return anyhow == joints ? Location{} : out;
+  return anyhow == all ? std::set<int>{} : out;
 }
 
-bool ForceLocator::Explain(const Candidate& before, Candidate* winner) {
-  if (!state_.location.Known()) return false;
-  std::optional<Candidate> unnamed;
-  int asked = 0;
-  for (const Explanation& e : Explanations()) {
-    if (!Suffices(e) || asked == kMostFitted || fits_.Late()) continue;
-    Candidate found = e.without;
-    step_.AddOnJoint(e.without, e.joint, e.names, &found);
-    if (fits_.PerRow(found) > kConsistent && !HasUnnamed(found) && !state_.FoundNothing(found))
-      found = Better(found, fits_.Anew(found));  // or it may be a local optimum
-    if (fits_.PerRow(found) < (HasUnnamed(found) ? kExplained : kConsistent)) {
+bool ForceLocator::Explain(const Candidate& around, Candidate* winner) {
+  const std::set<int> joints = Where(around);
+  std::set<int> asked;
+  std::optional<Explanation> first;
+  Candidate unnamed = around;
+  for (const Explanation& e : Explanations(ModelsWithout(&around))) {
+    if (joints.count(e.joint) == 0 || !Suffices(e) || asked.size() == kMostFitted || fits_.Late()) continue;
+    if (!asked.insert(e.joint).second) continue;
+    const Candidate found = OnThatJoint(e);
+    if (Replaces(around, found) && !state_.HasNewForce(found) && fits_.PerRow(found) < kConsistent) {
       *winner = Better(*winner, found);
       return true;
     }
+    if (first || state_.ordinary) continue;
     // A law that leaves far more than any force does is another one's likeness.
-    if (asked++ == 0) unnamed = Fitted(e, before);
+    first = e;
+    if (const auto fitted = Fitted(e, around)) unnamed = *fitted;
+    if (state_.HasNewForce(found)) unnamed = Better(unnamed, found);
+    if (fits_.PerRow(unnamed) < kExplained) break;
   }
-  if (unnamed) *winner = *unnamed;
-  return unnamed.has_value();
+  if (!Replaces(around, unnamed) || unnamed.score < winner->score) return false;
+  *winner = unnamed, state_.place = first->joint;
+  if (!first->beside.empty()) named_in_place_ = KeyOf(unnamed.specs, unnamed.base);
+  return true;
 }
 
-const std::vector<ForceLocator::Explanation>& ForceLocator::Explanations() {
-  if (explained_at_ == fits_.noise_scale()) return explanations_;
-  explained_at_ = fits_.noise_scale(), explanations_.clear();
-  std::vector<Candidate> models;
+// The best of what acts on the joint of the missing force, beside the names; a second effect there where one
+// law takes most and leaves more than noise.
+Candidate ForceLocator::OnThatJoint(const Explanation& e) {
+  Candidate found = e.without;
+  step_.AddOnJoint(e.without, e.joint, e.names, &found);
+  const auto likeness = [&] {
+    return fits_.PerRow(found) > kConsistent && !state_.HasNewForce(found) &&
+           KeyOf(found.specs) != KeyOf(e.without.specs) && !fits_.Late();
+  };
+  if (likeness()) found = Better(found, fits_.Anew(found));  // it may be a local optimum
+  if (likeness() && fits_.Excess(found) < kLittle * fits_.Excess(e.without)) {
+    const Candidate one = found;
+    step_.AddOnJoint(one, e.joint, Refreshed(one), &found);
+  }
+  return found;
+}
+
+bool ForceLocator::Replaces(const Candidate& around, const Candidate& c) const {
+  return KeyOf(c.specs) != KeyOf(around.specs) && c.score > around.score + state_.Threshold(around);
+}
+
+// Base parameters of an ordinary robot are as its drives left them.
+std::vector<Candidate> ForceLocator::ModelsWithout(const Candidate* around) const {
+  if (around != nullptr && !state_.FoundNothing(*around)) return {*around};
+  std::vector<Candidate> out;
   for (const bool base : {false, true}) {
     const Candidate* known = fits_.Known(state_.given, base);
-    if (known != nullptr && known->fit.ok) models.push_back(*known);
+    if (known != nullptr && known->fit.ok) out.push_back(*known);
   }
+  return out;
+}
+
+const std::vector<ForceLocator::Explanation>& ForceLocator::Explanations(
+    const std::vector<Candidate>& models) {
+  std::string around = std::to_string(fits_.noise_scale());
+  for (const Candidate& model : models)
+    around += KeyOf(model.specs, model.base) + std::to_string(model.score);
+  if (around_ == around) return explanations_;
+  around_.clear(), explanations_.clear();
   if (models.empty()) return explanations_;
   const auto places = SomeWindows(models.back().fit.window_chi2, setting_.data.windows.size(),
                                   setting_.data.WindowsFor(kScreenedWindows));
@@ -142,55 +176,53 @@ const std::vector<ForceLocator::Explanation>& ForceLocator::Explanations() {
     if (!setting_.nominal.IsPrescribed(joint) && !setting_.scales.still[joint]) force.joints.push_back(joint);
   }
   for (const Candidate& without : models) {
-    if (force.joints.empty() || fits_.Late()) break;
+    if (force.joints.empty() || fits_.Late()) return explanations_;
     const std::vector<ScreenResult> screens = step_.ScreensBesideForce(without, force, some, places);
     for (size_t i = 0; i < screens.size(); ++i) {
       const bool lost = screens[i].rows < (1 - kFewLost) * some.Rows();
-      if (!lost) AddOn(force.joints[i], without, screens[i]);
+      if (!lost) AddOn(force.joints[i], without, screens[i], places.size());
     }
   }
   std::ranges::stable_sort(explanations_, std::greater{}, &Explanation::evidence);
+  around_ = around;
   return explanations_;
 }
 
-bool ForceLocator::IsUnnamedForm(const Explanation& e, const Candidate& c) const {
-  const std::string& joint = setting_.nominal.joint_names()[e.joint];
-  return !e.names.empty() && c.specs.size() == e.names.size() + 1 && IsPart(e.names, c.specs) &&
-         std::ranges::any_of(
-             c.specs, [&](const EffectSpec& s) { return IsUnnamed(s.id) && s.joints.back() == joint; });
-}
-
 // Of a joint on which any force may act the recordings say nothing else.
-bool ForceLocator::MayBe(const Scored& h, int joint) const {
+bool ForceLocator::MayBe(const Scored& h, int joint, const TrialSpecs& without) const {
   return !IsUnnamed(h.effect) && std::ranges::none_of(h.joints, [&](int j) {
     return j == joint || setting_.scales.still[j] ||
-           Contains(state_.given, h.effect, setting_.nominal.joint_names()[j]);
-  }) && !(h.joints.empty() && Contains(state_.given, h.effect, ""));
+           Contains(without, h.effect, setting_.nominal.joint_names()[j]);
+  }) && !(h.joints.empty() && Contains(without, h.effect, ""));
 }
 
-void ForceLocator::AddOn(int joint, const Candidate& without, const ScreenResult& screened) {
-  const double rows = screened.rows;
+void ForceLocator::AddOn(int joint, const Candidate& without, const ScreenResult& screened, size_t windows) {
+  const double rows = screened.rows, all = setting_.data.Rows() / rows;
+  // What noise alone leaves of χ²: the force and the windows' starts take some of it in.
+  const double starts = 2.0 * setting_.data.judged() * static_cast<double>(windows);
+  const double noise = std::max(kLeastNoise * rows, rows - screened.unknowns - starts);
   const double evidence = screened.evidence - StructurePrior({}, without.base);
-  explanations_.push_back({joint, without, {}, {}, evidence / rows, screened.chi2 / rows});
+  explanations_.push_back({joint, without, Refreshed(without), {}, evidence / rows, screened.chi2 / noise});
   const auto tell = [&](const std::string& names) {
     const Explanation& e = explanations_.back();
     state_.trace.Stage("beside any force on joint " + std::to_string(joint + 1),
                        names + std::to_string(e.evidence) + " per row, left " + std::to_string(e.left));
   };
   tell("nothing ");
-  const auto names = BestNames(screened, [&](const Scored& h) { return MayBe(h, joint); });
+  const auto names = BestNames(screened, [&](const Scored& h) { return MayBe(h, joint, without.specs); });
   if (!names) return;
   Candidate named = without;
+  named.specs = Refreshed(without);
   for (const Scored& h : names->effects) {
     const auto starts = SpecsFor(h, setting_.nominal, setting_.scales);
     if (starts.empty()) return;
     named.specs = Joined(named.specs, starts.front());
   }
-  const double needed = std::max({screened.null_gain, state_.Threshold(without, named),
-                                  kMostOfRestNamed * 0.5 * (screened.chi2 - rows)});
+  const double needed = std::max({screened.null_gain, state_.Threshold(without, named) / all,
+                                  kMostOfRestNamed * 0.5 * (screened.chi2 - noise)});
   if (names->gain < needed) return;
   explanations_.push_back({joint, without, named.specs, names->effects, (evidence + names->gain) / rows,
-                           (screened.chi2 - 2 * names->gain) / rows});
+                           (screened.chi2 - 2 * names->gain) / noise});
   tell(KeyOf(named.specs, without.base));
 }
 
@@ -220,7 +252,7 @@ std::optional<Candidate> ForceLocator::Fitted(const Explanation& e, const Candid
   if (there) offer(fits_.KnownOrFitted(Joined(Refreshed(before), e.names), before.base, &before));
   if (!best || least_admissible > least) return std::nullopt;
   for (size_t i = 0; i < best->specs.size(); ++i) {
-    const bool given = IsPart({best->specs[i]}, state_.given) || IsUnnamed(best->specs[i].id);
+    const bool given = IsPart({best->specs[i]}, e.without.specs) || IsUnnamed(best->specs[i].id);
     if (!given && Strength(*best, i) < kAbsent) return std::nullopt;
   }
   return best;

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <optional>
 #include <set>
+#include <string>
 #include <vector>
 
 #include "services/diagnosis/search/forward_step.h"
@@ -24,30 +25,34 @@ class ForceLocator {
   // and effects on others, where any force there and these effects together are consistent with the noise and
   // have most log evidence, that of such a force alone included. Whether it did.
   bool NameBeside(Candidate* best);
-  // The joints on each of which any force, alone or beside effects on others, leaves hardly more than noise.
-  Location Where();
-  // What is named there, with each law of the catalogue in the place of the force, or with an unnamed one
-  // where no law explains the recordings. False where no one joint's force would.
-  bool Explain(const Candidate& before, Candidate* winner);
+  // The joints on each of which any force beside `around`, alone or with effects on others, leaves hardly
+  // more than noise. None where a force on any joint would do.
+  std::set<int> Where(const Candidate& around);
+  // `winner` becomes what acts on such a joint, with what is named on others; an unnamed force there
+  // (SearchState::place) where no effect is consistent with the noise. False where no joint suffices, or
+  // nothing found replaces `around`.
+  bool Explain(const Candidate& around, Candidate* winner);
 
  private:
   struct Explanation {
     int joint = 0;
     Candidate without;           // the model without the force and the effects
-    TrialSpecs names;            // that model's effects and what is named; empty: the force is all
-    std::vector<Scored> beside;  // what is named
+    TrialSpecs names;            // that model's effects and what is named
+    std::vector<Scored> beside;  // what is named; empty: the force is all
     double evidence = 0;         // per row, of names and any force together, structure prior included
-    double left = 0;             // χ² per row
+    double left = 0;             // χ² over what noise alone leaves
   };
-  // The best first. Kept until the noise scale changes.
-  const std::vector<Explanation>& Explanations();
+  // The model, with base parameters as given and free where it has nothing yet. Null: nothing.
+  std::vector<Candidate> ModelsWithout(const Candidate* around) const;
+  // The best first. Those of the last models asked about are kept.
+  const std::vector<Explanation>& Explanations(const std::vector<Candidate>& models);
   // Any force on a joint, alone and with the best names beside it, if any.
-  void AddOn(int joint, const Candidate& without, const ScreenResult& screened);
-  bool MayBe(const Scored& h, int joint) const;
+  void AddOn(int joint, const Candidate& without, const ScreenResult& screened, size_t windows);
+  bool MayBe(const Scored& h, int joint, const TrialSpecs& without) const;
   // Whether it leaves so little that a law's idealisation or the linearisation may be all that it is.
   bool Suffices(const Explanation& e) const;
-  // Whether the model is this explanation with an unnamed force.
-  bool IsUnnamedForm(const Explanation& e, const Candidate& c) const;
+  Candidate OnThatJoint(const Explanation& e);
+  bool Replaces(const Candidate& around, const Candidate& c) const;
   // The force as a grid of weights, a new one or what the model before has on that joint. Nothing where an
   // effect is inadmissible in the fit that leaves least, or absent by its strength.
   std::optional<Candidate> Fitted(const Explanation& e, const Candidate& before);
@@ -57,7 +62,8 @@ class ForceLocator {
   FitLedger& fits_;
   ForwardStep& step_;
   std::vector<Explanation> explanations_;
-  double explained_at_ = 0;  // the noise scale
+  std::string around_;          // the models that these are beside
+  std::string named_in_place_;  // the model with an unnamed force in its place, and effects beside it
 };
 
 }  // namespace rg::diagnosis

@@ -61,9 +61,12 @@ std::vector<TrialSpecs> ForwardStep::PromisedBesideTrial(const Candidate& trial,
 std::vector<ScreenResult> ForwardStep::ScreensBesideForce(const Candidate& current, const FreeForce& force,
                                                           const FitData& some,
                                                           const std::vector<uint32_t>& places) {
-  const std::vector<ScreenResult> screens = ScreensBeside(
-      force, {some, setting_.nominal, setting_.scales}, current, current.base,
-      current.base ? fits_.pieces() : nullptr, FeaturesOn(places), fits_.lifted(), Rng(state_.options.seed));
+  // Along the recorded motion, but at what the model has found.
+  const Candidate found = current;
+  const Candidate* at = !state_.FoundNothing(current) ? &found : current.base ? fits_.pieces() : nullptr;
+  const std::vector<ScreenResult> screens =
+      ScreensBeside(force, {some, setting_.nominal, setting_.scales}, current, current.base, at,
+                    FeaturesOn(places), fits_.lifted(), Rng(state_.options.seed));
   for (const ScreenResult& screened : screens) {
     fits_.AddWork(screened.work);
     state_.trace.Screen(screened, current.base);
@@ -105,7 +108,7 @@ void ForwardStep::AddTransmission(const Candidate& from, Candidate* winner) {
     return fits_.Nearest(from, from.base, starts, most);
   };
   const auto pool = TransmissionTrials(setting_.data, setting_.nominal, setting_.scales, from,
-                                       Screen(from, from.base), state_.location, nearest);
+                                       Screen(from, from.base), nearest);
   fits_.TryBest(from, pool, {}, from.base, kFitsBesideDrives, beside_trial_, winner);
 }
 
@@ -118,8 +121,8 @@ void ForwardStep::AddOnJoint(const Candidate& from, int joint, const TrialSpecs&
     return fits_.Nearest(from, from.base, with(starts), most);
   };
   const auto force = [&] { return state_.Force(from); };
-  const auto pool = with(Trials(setting_.data, setting_.nominal, setting_.scales, from,
-                                Screen(from, from.base), {{joint}, {}}, 1.0, force, nearest));
+  const auto pool = with(TrialsOnJoint(joint, setting_.data, setting_.nominal, setting_.scales, from,
+                                       Screen(from, from.base), force, nearest));
   fits_.TryBest(from, pool, {}, from.base, kLawFits, beside_trial_, winner);
 }
 
@@ -152,8 +155,7 @@ void ForwardStep::Try(const Candidate& from, const ScreenResult& screened, doubl
   const bool near = from.fit.ok && fits_.PerRow(from) < kConsistent;
   const auto promised =
       Promised(from, screened, setting_.nominal, setting_.scales, near, needed, kPromisedFits);
-  const auto pool =
-      Trials(data, setting_.nominal, setting_.scales, from, screened, state_.location, least, force, nearest);
+  const auto pool = Trials(data, setting_.nominal, setting_.scales, from, screened, least, force, nearest);
   fits_.TryBest(from, pool, promised, from.base, count, beside_trial_, winner);
 }
 

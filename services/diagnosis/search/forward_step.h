@@ -47,7 +47,7 @@ class ForwardStep {
   void AddPromised(const Candidate& from, Candidate* winner);
   // A spring or play on the joint on which a screen finds most; no screen can promise these.
   void AddTransmission(const Candidate& from, Candidate* winner);
-  // Laws of one joint, each with `beside`.
+  // What acts on one joint alone, each with `beside`.
   void AddOnJoint(const Candidate& from, int joint, const TrialSpecs& beside, Candidate* winner);
   // Of a screen around `from` all that it gives `least` nats at least; where that is 1 or less, also what it
   // cannot see, after what it promises. `needed`: log evidence that an addition must bring.

@@ -66,7 +66,7 @@ void HeldOutChecks::Run(const Candidate& without, Candidate* best, int* excited_
     *excited_by = judge.WorstRecording(*best, state_.Threshold(*best));
   const bool named = !best->specs.empty() && !state_.FoundNothing(*best);
   // Of a force whose place is known the grid is coarse: others would only follow it more closely.
-  for (int sent = 0; named && !state_.IsForceInPlace(*best) && sent < kMaxRefusals &&
+  for (int sent = 0; named && !state_.HasForceInPlace(*best) && sent < kMaxRefusals &&
                      !fits_.Late(kWorkForComparisons) && !judge.Holds(*best, state_.Threshold(*best));
        ++sent) {
     if (!ReplaceRefused(without, sent == 0, best)) break;

@@ -145,7 +145,7 @@ class Search {
       simplifier_.Prune(best);
     }
     ExchangeEarlier(best);
-    if (state_.IsForceInPlace(*best)) return;
+    if (state_.HasForceInPlace(*best)) return;
     if ((fits_.PerRow(*best) > kExplained || OfPosition(*best)) && TryOneForce(best, effects::kInf, kAny))
       *best = unnamed_.WithNames(*best);
   }
@@ -228,8 +228,10 @@ class Search {
     const bool done = state_.round == 1 && (ExplainedByEarlier(*best, &winner) ||
                                             further_.ByLaws(*best, &winner) || Located(*best, &winner));
     // What an unnamed force leaves where any force leaves nothing is its grid's coarseness.
-    one_force_ = done && HasUnnamed(winner) && Gains(winner, *best);
-    if (one_force_) return *best = winner, true;
+    if (state_.HasForceInPlace(winner)) {
+      one_force_ = true, *best = winner;
+      return true;
+    }
     Next next = done ? Next::kDecide : Next::kOtherInertials;
     for (const bool base : {false, true}) {
       if (next != Next::kOtherInertials || fits_.Late()) break;
@@ -239,22 +241,17 @@ class Search {
     if (Gains(stepped, winner)) winner = stepped;
     // In the place of an unnamed force two effects may do that hold together only beside free inertials: it
     // is enough that they score better.
-    if (HasUnnamed(winner) && !state_.location.Known()) {
+    if (HasUnnamed(winner)) {
       if (const Candidate* c = BestFreed(fits_.tried(), *best)) winner = Better(winner, further_.Beside(*c));
     }
     Refine(best, &winner);
     return Accept(winner, best);
   }
 
-  // Whether any force on one joint, beside effects on others, would explain everything: what is missing is
-  // then looked for there alone.
+  // Whether a force is missing on one joint, beside effects on others, and `winner` explains it.
   bool Located(const Candidate& best, Candidate* winner) {
-    if (setting_.data.n < 2 || state_.ordinary || fits_.PerRow(Without()) < kConsistent) return false;
-    state_.TellOfRound("locate", "");
-    state_.location = locator_.Where();
-    std::string joints;
-    for (const int j : state_.location.joints) joints += setting_.nominal.joint_names()[j] + " ";
-    state_.TellOfRound("located", joints);
+    if (setting_.data.n < 2 || fits_.PerRow(best) < kExplained) return false;
+    state_.TellOfRound("locate", KeyOf(best.specs));
     return locator_.Explain(best, winner);
   }
 

@@ -43,6 +43,18 @@ double SearchState::Explained(const Candidate& c) const {
 
 bool SearchState::FoundNothing(const Candidate& c) const { return KeyOf(c.specs) == KeyOf(given); }
 
+bool SearchState::HasNewForce(const Candidate& c) const {
+  return std::ranges::any_of(
+      c.specs, [&](const effects::EffectSpec& s) { return IsUnnamed(s.id) && !IsPart({s}, given); });
+}
+
+bool SearchState::HasForceInPlace(const Candidate& c) const {
+  return place >= 0 && std::ranges::any_of(c.specs, [&](const effects::EffectSpec& s) {
+           return IsUnnamed(s.id) && !IsPart({s}, given) &&
+                  s.joints.back() == setting.nominal.joint_names()[place];
+         });
+}
+
 MissingForce SearchState::Force(const Candidate& c) const {
   const FitModel model{*c.plant, c.fit.values, {}};
   return EstimateMissingForce(setting.data, model, InitialStates(setting.data, model, fits.lifted()),

@@ -28,8 +28,10 @@ struct SearchState {
   // Log evidence of the effects of a candidate.
   double Explained(const Candidate& c) const;
   bool FoundNothing(const Candidate& c) const;
-  // Whether it has an unnamed force where any force explains the recordings.
-  bool IsForceInPlace(const Candidate& c) const { return location.Known() && HasUnnamed(c); }
+  // Whether it has an unnamed force that the search did not start with; on the joint on which any force
+  // explains the recordings.
+  bool HasNewForce(const Candidate& c) const;
+  bool HasForceInPlace(const Candidate& c) const;
   // That the candidate leaves unexplained.
   MissingForce Force(const Candidate& c) const;
   // Where the search is: progress, and a line of the trace.
@@ -45,7 +47,7 @@ struct SearchState {
   std::vector<effects::EffectSpec> given;  // that the model has which the search starts from
   int round = 0;
   bool ordinary = false;  // the losses of all drives were found together
-  Location location;      // of what is missing
+  int place = -1;         // joint of an unnamed force where any force explains the recordings; -1: none
 };
 
 }  // namespace rg::diagnosis

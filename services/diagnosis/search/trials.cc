@@ -17,12 +17,11 @@ using effects::EffectSpec, effects::LawOf, effects::Regressor;
 namespace {
 
 constexpr size_t kNearest = 2;  // starts of a spring or play that are tried, for either place of the sensor
-constexpr size_t kNearestSprings = 3;   // of all joints' that are tried
-constexpr size_t kRotors = 2;           // the largest, behind which a spring is tried
-constexpr double kLeastRotor = 0.01;    // of the joint's inertia, before which play is tried
-constexpr size_t kMostSets = 6;         // of joints, and as many pairs of effects
-constexpr double kHardlyLess = 0.9;     // of what a part of it leaves
-constexpr double kNearlyTheMost = 0.9;  // of the largest gain in a screen
+constexpr size_t kNearestSprings = 3;  // of all joints' that are tried
+constexpr size_t kRotors = 2;          // the largest, behind which a spring is tried
+constexpr double kLeastRotor = 0.01;   // of the joint's inertia, before which play is tried
+constexpr size_t kMostSets = 6;        // of joints, and as many pairs of effects
+constexpr double kHardlyLess = 0.9;    // of what a part of it leaves
 
 const effects::EffectInfo& Rotor() { return LawOf(Regressor::kAcceleration); }
 
@@ -60,14 +59,12 @@ TrialSpecs Together(const std::vector<Scored>& parts, const sim::Plant& nominal,
 class TrialBuilder {
  public:
   TrialBuilder(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-               const Candidate& from, const ScreenResult& screened, const Location& location,
-               const Nearest& nearest)
+               const Candidate& from, const ScreenResult& screened, const Nearest& nearest)
       : data_(data),
         nominal_(nominal),
         scales_(scales),
         from_(from),
         screened_(screened),
-        location_(location),
         nearest_(nearest) {}
 
   std::vector<TrialSpecs> Run(double least_gain, const std::function<MissingForce()>& force) {
@@ -75,22 +72,31 @@ class TrialBuilder {
     Sets(screened_.sets, least_gain);
     Sets(screened_.pairs, least_gain);
     const std::string& held = effects::EffectOf(effects::Role::kBodyInertia).id;
-    const bool anywhere = !location_.Known();
-    if (!from_.base && data_.n > 1 && !Has(held) && anywhere) Push(BodyStarts(held, nominal_, scales_));
+    if (!from_.base && data_.n > 1 && !Has(held)) Push(BodyStarts(held, nominal_, scales_));
     const bool promised = least_gain > 1.0;
     // No screen promises what touches the robot from outside.
-    if (anywhere && (!promised || HasHiddenStates(from_))) FromOutside(force);
+    if (!promised || HasHiddenStates(from_)) FromOutside(force);
     if (promised) return std::move(out_);
     const std::vector<int> joints = JointsByGain();
     OtherForms();
     DryFriction(joints);
     for (const std::string& id : {effects::SwingingMass().id, effects::SoftMount().id}) {
-      if (anywhere && !Has(id) && (data_.n <= 2 || !from_.base || !from_.specs.empty()))
+      if (!Has(id) && (data_.n <= 2 || !from_.base || !from_.specs.empty()))
         Push(BodyStarts(id, nominal_, scales_));
     }
-    if (anywhere) MountBeside();
+    MountBeside();
     Transmissions(joints, data_.n <= 2 ? 2 : from_.base ? 1 : 2);  // last, for they cost most
     NearestSprings();
+    return std::move(out_);
+  }
+
+  std::vector<TrialSpecs> OnJoint(int joint, const std::function<MissingForce()>& force) {
+    Singles(1.0);
+    Sets(screened_.sets, 1.0);
+    Sets(screened_.pairs, 1.0);
+    FromOutside(force);
+    DryFriction({joint});
+    Transmissions({joint}, 1);
     return std::move(out_);
   }
 
@@ -110,8 +116,7 @@ class TrialBuilder {
   void Singles(double least_gain) {
     int taken = 0;
     for (const Scored& h : screened_.hypotheses) {
-      if (h.gain < least_gain || taken >= (from_.base ? 10 : 16) || Known(h) || !MayLack({h}, h.gain))
-        continue;
+      if (h.gain < least_gain || taken >= (from_.base ? 10 : 16) || Known(h)) continue;
       ++taken;
       Push(SpecsFor(h, nominal_, scales_));
     }
@@ -121,9 +126,7 @@ class TrialBuilder {
     size_t count = 0;
     for (const Combination& set : sets) {
       if (set.gain < least_gain || count == kMostSets) break;
-      if (std::ranges::any_of(set.parts, [&](const Scored& h) { return Known(h); }) ||
-          !MayLack(set.parts, set.gain))
-        continue;
+      if (std::ranges::any_of(set.parts, [&](const Scored& h) { return Known(h); })) continue;
       out_.push_back(Together(set.parts, nominal_, scales_));
       ++count;
     }
@@ -161,7 +164,7 @@ class TrialBuilder {
   std::vector<int> JointsByGain() const {
     std::map<int, double> best;
     for (const Scored& h : screened_.hypotheses) {
-      if (h.joints.size() != 1 || IsUnnamed(h.effect) || !MayLack(h.joints[0])) continue;
+      if (h.joints.size() != 1 || IsUnnamed(h.effect)) continue;
       const auto [at, fresh] = best.try_emplace(h.joints[0], h.gain);
       if (!fresh) at->second = std::max(at->second, h.gain);
     }
@@ -216,7 +219,7 @@ class TrialBuilder {
     std::vector<TrialSpecs> springs;
     for (int joint = 0; joint < data_.n; ++joint) {
       const double rotor = RotorOf(nominal_.joint_names()[joint]);
-      if (!MayHaveMotor(joint) || !MayLack(joint) || !data_.Judged(joint) || !(rotor > 0)) continue;
+      if (!MayHaveMotor(joint) || !data_.Judged(joint) || !(rotor > 0)) continue;
       for (const char* sensor : {"link", "motor"}) {
         std::vector<TrialSpecs> starts =
             StartsBehind(effects::Spring().id, sensor, joint, nominal_, scales_, rotor);
@@ -248,14 +251,6 @@ class TrialBuilder {
     }
   }
 
-  bool MayLack(int joint) const { return !location_.Known() || location_.joints.count(joint) > 0; }
-
-  // Elsewhere only what takes nearly as much as anything does.
-  bool MayLack(const std::vector<Scored>& parts, double gain) const {
-    return std::ranges::all_of(parts, [&](const Scored& h) { return location_.Allows(h); }) ||
-           gain > kNearlyTheMost * screened_.hypotheses.front().gain;
-  }
-
   bool MayHaveMotor(int joint) const {
     const std::string& name = nominal_.joint_names()[joint];
     return nominal_.Takes(effects::Spring().id, joint) &&
@@ -283,38 +278,38 @@ class TrialBuilder {
   const MotionScales& scales_;
   const Candidate& from_;
   const ScreenResult& screened_;
-  const Location location_;
   const Nearest& nearest_;
   std::vector<TrialSpecs> out_;
 };
 
 }  // namespace
 
-bool Location::Allows(const Scored& h) const {
-  const auto beside_has = [&](int joint) {
-    return std::ranges::any_of(beside, [&](const Scored& b) {
-      return b.effect == h.effect && (joint < 0 ? b.joints.empty() : std::ranges::count(b.joints, joint) > 0);
-    });
-  };
-  if (!Known()) return true;
-  if (h.joints.empty()) return beside_has(-1);
-  // A coupling's force is on the second joint.
-  const auto first = h.effect == LawOf(Regressor::kOtherEffort).id ? h.joints.end() - 1 : h.joints.begin();
-  return std::all_of(first, h.joints.end(), [&](int j) { return joints.count(j) > 0 || beside_has(j); });
-}
-
 std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                               const Candidate& from, const ScreenResult& screened, const Location& location,
-                               double least_gain, const std::function<MissingForce()>& force,
-                               const Nearest& nearest) {
-  return TrialBuilder(data, nominal, scales, from, screened, location, nearest).Run(least_gain, force);
+                               const Candidate& from, const ScreenResult& screened, double least_gain,
+                               const std::function<MissingForce()>& force, const Nearest& nearest) {
+  return TrialBuilder(data, nominal, scales, from, screened, nearest).Run(least_gain, force);
 }
 
 std::vector<TrialSpecs> TransmissionTrials(const FitData& data, const sim::Plant& nominal,
                                            const MotionScales& scales, const Candidate& from,
-                                           const ScreenResult& screened, const Location& location,
-                                           const Nearest& nearest) {
-  return TrialBuilder(data, nominal, scales, from, screened, location, nearest).OfTransmission();
+                                           const ScreenResult& screened, const Nearest& nearest) {
+  return TrialBuilder(data, nominal, scales, from, screened, nearest).OfTransmission();
+}
+
+std::vector<TrialSpecs> TrialsOnJoint(int joint, const FitData& data, const sim::Plant& nominal,
+                                      const MotionScales& scales, const Candidate& from,
+                                      const ScreenResult& screened,
+                                      const std::function<MissingForce()>& force, const Nearest& nearest) {
+  // A coupling's force is on the second joint.
+  const auto elsewhere = [&](const Scored& h) {
+    if (h.effect == LawOf(Regressor::kOtherEffort).id) return h.joints.back() != joint;
+    return h.joints.empty() || std::ranges::any_of(h.joints, [&](int j) { return j != joint; });
+  };
+  ScreenResult own = screened;
+  std::erase_if(own.hypotheses, elsewhere);
+  for (auto* list : {&own.sets, &own.pairs})
+    std::erase_if(*list, [&](const Combination& c) { return std::ranges::any_of(c.parts, elsewhere); });
+  return TrialBuilder(data, nominal, scales, from, own, nearest).OnJoint(joint, force);
 }
 
 std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& screened,

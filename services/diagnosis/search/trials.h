@@ -3,7 +3,6 @@
 #pragma once
 
 #include <functional>
-#include <set>
 #include <string>
 #include <vector>
 
@@ -16,27 +15,22 @@ namespace rg::diagnosis {
 // The so many of some starts that are nearest to the recordings.
 using Nearest = std::function<std::vector<TrialSpecs>(const std::vector<TrialSpecs>&, size_t)>;
 
-// Where a force is missing.
-struct Location {
-  std::set<int> joints;        // on each of which any force explains the recordings; none: not known
-  std::vector<Scored> beside;  // with these effects on others, or without
-  bool Known() const { return !joints.empty(); }
-  // Whether the effect may be what is missing.
-  bool Allows(const Scored& h) const;
-};
-
 // `least_gain`: hypotheses with less in the screen are left out; above 1 also what it cannot see.
 // `force`: the missing force of `from`, asked for only where it is needed.
 std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-                               const Candidate& from, const ScreenResult& screened, const Location& location,
-                               double least_gain, const std::function<MissingForce()>& force,
-                               const Nearest& nearest);
+                               const Candidate& from, const ScreenResult& screened, double least_gain,
+                               const std::function<MissingForce()>& force, const Nearest& nearest);
 
 // Springs and play of the one joint on which the screen finds most, beside what `from` has.
 std::vector<TrialSpecs> TransmissionTrials(const FitData& data, const sim::Plant& nominal,
                                            const MotionScales& scales, const Candidate& from,
-                                           const ScreenResult& screened, const Location& location,
-                                           const Nearest& nearest);
+                                           const ScreenResult& screened, const Nearest& nearest);
+
+// What acts on that joint alone, whether the screen sees it or not, and what touches the robot.
+std::vector<TrialSpecs> TrialsOnJoint(int joint, const FitData& data, const sim::Plant& nominal,
+                                      const MotionScales& scales, const Candidate& from,
+                                      const ScreenResult& screened,
+                                      const std::function<MissingForce()>& force, const Nearest& nearest);
 
 // Around a consistent model, the hypotheses with more than `needed` nats beyond their structure prior in the
 // screen, best first and `count` at most: there the screen is exact to first order and of all windows, which

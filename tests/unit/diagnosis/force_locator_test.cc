@@ -47,6 +47,7 @@ struct Searched {
     step.MakeFeatures();
     for (const bool base : {false, true}) state.fits.Evaluate({}, base);
   }
+  const Candidate& Without() const { return *state.fits.Known({}, false); }
   double Value(const Candidate& c, const std::string& name) const {
     return c.fit.values[c.plant->parameters().Find(name)];
   }
@@ -61,53 +62,62 @@ struct Searched {
 
 TEST(ForceLocator, FindsTheJointOfAForceThatNoGridFollows) {
   Searched w(With({kOffset}));
-  const Location where = w.locator.Where();
-  EXPECT_EQ(where.joints, std::set<int>{0});
-  EXPECT_TRUE(where.Allows({.effect = "viscous_friction", .joints = {0}}));
-  EXPECT_TRUE(where.Allows({.effect = "torque_offset", .joints = {0, 1}})) << "what is named beside it";
-  EXPECT_FALSE(where.Allows({.effect = "viscous_friction", .joints = {1}}));
-  EXPECT_FALSE(where.Allows({.effect = "viscous_friction", .joints = {0, 1}}));
-  EXPECT_FALSE(where.Allows({.effect = "payload"}));
-  EXPECT_TRUE(where.Allows({.effect = "joint_coupling", .joints = {1, 0}})) << "from the elbow's effort";
-  EXPECT_FALSE(where.Allows({.effect = "joint_coupling", .joints = {0, 1}}));
+  EXPECT_EQ(w.locator.Where(w.Without()), std::set<int>{0});
 }
 
-TEST(ForceLocator, KnowsNoJointWhereAForceOnAnyWouldDo) {
+TEST(ForceLocator, KnowsNoJointWhereNothingIsMissing) {
   Searched nothing({});
-  const Location where = nothing.locator.Where();
-  EXPECT_FALSE(where.Known());
-  EXPECT_TRUE(where.Allows({.effect = "payload"}));
+  EXPECT_TRUE(nothing.locator.Where(nothing.Without()).empty());
 }
 
 TEST(ForceLocator, KnowsNoJointWhereTheWholeRobotIsMoved) {
   Searched w({MakeSpec("payload", {}, {{"mass", 0.5}, {"com_x", 0.1}, {"com_y", 0.2}, {"com_z", 0.0}})});
-  EXPECT_FALSE(w.locator.Where().Known());
+  EXPECT_TRUE(w.locator.Where(w.Without()).empty());
 }
 
 TEST(ForceLocator, ExplainsByALawOnThatJointBesideWhatIsNamed) {
   Searched w({MakeSpec("stribeck_friction", {kShoulder},
                        {{"coulomb", 0.1}, {"static", 0.2}, {"stribeck_velocity", 0.3}}),
               MakeSpec("torque_offset", {kElbow}, {{"offset", 0.05}})});
-  w.state.location = w.locator.Where();
-  const Candidate before = *w.state.fits.Known({}, false);
-  Candidate winner = before;
-  ASSERT_TRUE(w.locator.Explain(before, &winner));
+  Candidate winner = w.Without();
+  ASSERT_TRUE(w.locator.Explain(w.Without(), &winner));
   EXPECT_EQ(KeyOf(winner.specs), "stribeck_friction[shoulder ] torque_offset[elbow ] ");
   EXPECT_LT(w.state.fits.PerRow(winner), kExplained);
+  EXPECT_FALSE(w.state.HasForceInPlace(winner));
 }
 
 TEST(ForceLocator, ExplainsByAnUnnamedForceWhereNoLawDoes) {
   Searched w(With({kOffset}));
-  w.state.location = w.locator.Where();
-  const Candidate before = *w.state.fits.Known({}, false);
-  Candidate winner = before;
-  ASSERT_TRUE(w.locator.Explain(before, &winner));
-  EXPECT_TRUE(HasUnnamed(winner));
-  EXPECT_TRUE(w.state.IsForceInPlace(winner));
+  Candidate winner = w.Without();
+  ASSERT_TRUE(w.locator.Explain(w.Without(), &winner));
+  EXPECT_TRUE(w.state.HasForceInPlace(winner));
+  EXPECT_EQ(w.state.place, 0);
   EXPECT_TRUE(Contains(winner.specs, "torque_offset", kElbow));
   Candidate named = winner;
   EXPECT_TRUE(w.locator.NameBeside(&named)) << "it has its names already";
   EXPECT_EQ(KeyOf(named.specs), KeyOf(winner.specs));
+}
+
+TEST(ForceLocator, ExplainsNothingWhereNothingIsMissing) {
+  Searched nothing({});
+  Candidate winner = nothing.Without();
+  EXPECT_FALSE(nothing.locator.Explain(nothing.Without(), &winner));
+  EXPECT_EQ(KeyOf(winner.specs), "");
+}
+
+// What the model was given with is no new force, though it has no name.
+TEST(ForceLocator, ExplainsBesideAnUnnamedForceThatWasGiven) {
+  EffectSpec bump = Field();
+  bump.values[kShoulder]["w3"] = 0.4, bump.values[kShoulder]["w4"] = 0.5;
+  Searched w({bump, MakeSpec("viscous_friction", {kElbow}, {{"viscous", 0.1}})});
+  w.state.given = {bump};
+  for (const bool base : {false, true}) w.state.fits.Evaluate({bump}, base);
+  const Candidate around = *w.state.fits.Known({bump}, false);
+  EXPECT_FALSE(w.state.HasNewForce(around));
+  Candidate winner = around;
+  ASSERT_TRUE(w.locator.Explain(around, &winner));
+  EXPECT_TRUE(Contains(winner.specs, "viscous_friction", kElbow)) << KeyOf(winner.specs);
+  EXPECT_FALSE(w.state.HasForceInPlace(winner));
 }
 
 TEST(ForceLocator, NamesEffectsOfOtherJointsWithTheirValues) {

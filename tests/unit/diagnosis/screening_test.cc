@@ -98,13 +98,80 @@ TEST(Screening, IntegratesOutAnyForceOnAJointAsItIsEstimated) {
   const Screen none = MakeScreen(p->data, model, states, {}, {}, {}, 0, Rng(5));
   EXPECT_EQ(none.force_log_det, 0.0);
   const FreeForce force{{0, 1}, p->scales.torque, 0.05};
-  const std::vector<Screen> beside = MakeScreens(p->data, model, states, {}, {}, {}, 0, Rng(5), force);
+  const std::vector<Screen> beside = MakeScreens(force, p->data, model, states, {}, {}, 0, Rng(5));
   ASSERT_EQ(beside.size(), 2);
   for (const int j : {0, 1}) {
     EXPECT_NEAR(evidence(beside[j]) - evidence(none), missing.evidence(j, j),
                 1e-6 * std::abs(missing.evidence(j, j)));
     const double per_row = beside[j].gram(0, 0) / p->data.Rows();
     EXPECT_EQ(per_row < 1.2, j == 0) << per_row;
+  }
+}
+
+// Segments as features of their own, eliminated from one large Gram matrix with a prior of one.
+TEST(Screening, IntegratesOutWhatFeaturesOfEachSegmentWouldBe) {
+  const auto joints = sysid::testing::LoadPlant("arm2").joint_names();
+  auto p = Prepare("arm2", {MakeSpec("viscous_friction", {joints[1]}, {{"viscous", 0.3}})}, 27);
+  p->data.windows.resize(3);
+  const auto parameters = FreeParameters(p->nominal, p->scales, true);
+  const FitModel model{p->nominal, p->nominal.parameters().Nominal(), parameters};
+  const NodeStates states = InitialStates(p->data, model, {});
+  const FeatureSet features = MakeFeatures(p->data, p->nominal, p->scales);
+  const FreeForce force{{0, 1}, p->scales.torque, 0.1};
+  const auto screens = [&](int threads) {
+    LiftedOptions options;
+    options.threads = threads;
+    return MakeScreens(force, p->data, model, states, features.block, options, 20, Rng(5));
+  };
+  const std::vector<Screen> beside = screens(1), again = screens(3);
+  const auto C = features.block.size(), P = static_cast<int>(parameters.size());
+  for (const int on : {0, 1}) {
+    EXPECT_TRUE(beside[on].gram == again[on].gram && beside[on].null == again[on].null) << "by threads";
+    FeatureBlock block = features.block;
+    std::vector<ForceSegments> segments;
+    long S = 0;  // segments in all windows
+    for (const NodeWindow& window : p->data.windows) {
+      segments.push_back(SegmentsOf({{on}, force.prior, force.segment_s}, window));
+      S += segments.back().phi.rows();
+    }
+    block.joint.insert(block.joint.end(), S, on);
+    long at = C;
+    for (size_t w = 0; w < segments.size(); ++w) {
+      MatrixXd phi = MatrixXd::Zero(C + S, block.phi[w].cols());
+      phi.topRows(C) = block.phi[w];
+      phi.middleRows(at, segments[w].phi.rows()) = segments[w].phi;
+      at += segments[w].phi.rows();
+      block.phi[w] = phi;
+    }
+    const Screen large = MakeScreen(p->data, model, states, block, {}, {}, 0, Rng(5));
+    std::vector<long> own, others;
+    for (long i = 0; i < large.gram.rows(); ++i) (i >= P + C && i < P + C + S ? others : own).push_back(i);
+    MatrixXd precision = large.gram(others, others);
+    precision.diagonal().array() += 1.0;
+    const MatrixXd cross = large.gram(others, own);
+    const MatrixXd expected = large.gram(own, own) - cross.transpose() * precision.ldlt().solve(cross);
+    EXPECT_LT((beside[on].gram - expected).norm(), 1e-7 * large.gram.norm());
+    const double log_det = 0.5 * precision.ldlt().vectorD().array().log().sum();
+    EXPECT_NEAR(beside[on].force_log_det, log_det, 1e-6 * log_det);
+    const double unknowns = static_cast<double>(S) - precision.ldlt().solve(MatrixXd::Identity(S, S)).trace();
+    EXPECT_NEAR(beside[on].force_unknowns, unknowns, 1e-6 * unknowns);
+  }
+}
+
+// Draws of sensors' noise and of the force's prior together: their covariance is the Gram matrix.
+TEST(Screening, DrawsTheNullBesideAnyForceWithTheGramMatrixAsCovariance) {
+  auto p = Prepare("arm2", {}, 28);
+  p->data.windows.resize(4);
+  const FitModel model{p->nominal, p->nominal.parameters().Nominal(), {}};
+  const NodeStates states = InitialStates(p->data, model, {});
+  const FeatureSet features = MakeFeatures(p->data, p->nominal, p->scales);
+  FeatureBlock one{{features.block.joint.front()}, {}};
+  for (const MatrixXd& phi : features.block.phi) one.phi.push_back(phi.topRows(1));
+  const int draws = 4000;
+  const FreeForce force{{0, 1}, p->scales.torque};
+  for (const Screen& screen : MakeScreens(force, p->data, model, states, one, {}, draws, Rng(5))) {
+    const double variance = screen.null.row(0).squaredNorm() / draws;
+    EXPECT_NEAR(variance / screen.gram(0, 0), 1.0, 5 * std::sqrt(2.0 / draws));
   }
 }
 

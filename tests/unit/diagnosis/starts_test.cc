@@ -160,7 +160,7 @@ TEST(Trials, TryAForceOverTwoPositionsBeforeAnythingIsFound) {
     size_t count = 0;
     const Nearest none = [](const std::vector<TrialSpecs>&, size_t) { return std::vector<TrialSpecs>{}; };
     for (const TrialSpecs& trial : Trials(
-             c->data, c->nominal, c->scales, from, {}, {}, 1.0, [&] { return c->Missing(); }, none))
+             c->data, c->nominal, c->scales, from, {}, 1.0, [&] { return c->Missing(); }, none))
       count += HasKind(trial, "unknown_field_pair");
     return count;
   };
@@ -462,8 +462,7 @@ TEST(Trials, TryAMountBesideTheBestOfTheScreen) {
     from.plant = std::make_shared<const sim::Plant>(c->nominal);
     size_t count = 0;
     for (const TrialSpecs& trial : Trials(
-             c->data, c->nominal, c->scales, from, screened, {}, 1.0, [] { return MissingForce{}; },
-             nearest)) {
+             c->data, c->nominal, c->scales, from, screened, 1.0, [] { return MissingForce{}; }, nearest)) {
       count += Contains(trial, "base_flexibility", "") && Contains(trial, "torque_gain", "elbow");
     }
     return count;
@@ -551,14 +550,14 @@ TEST(Trials, LookAtASpringBeforeEachRotor) {
     }
     return std::vector<TrialSpecs>(starts.begin(), starts.begin() + static_cast<long>(count));
   };
-  EXPECT_EQ(TransmissionTrials(c->data, c->nominal, c->scales, from, {}, {}, nearest).size(), 3u);
+  EXPECT_EQ(TransmissionTrials(c->data, c->nominal, c->scales, from, {}, nearest).size(), 3u);
   EXPECT_EQ(sensors, (std::map<std::string, std::set<std::string>>{{joints[1], {"link", "motor"}},
                                                                    {joints[3], {"link", "motor"}}}));
   EXPECT_EQ(rotors, (std::map<std::string, double>{{joints[1], 0.02}, {joints[3], 0.005}}));
   from.specs.clear();
   from.plant = std::make_shared<const sim::Plant>(c->nominal);
   from.fit.values = from.plant->parameters().Nominal();
-  EXPECT_TRUE(TransmissionTrials(c->data, c->nominal, c->scales, from, {}, {}, nearest).empty());
+  EXPECT_TRUE(TransmissionTrials(c->data, c->nominal, c->scales, from, {}, nearest).empty());
 }
 
 // Before a spring is known its motor hides how late the drive is: it starts as late as most others are.
@@ -577,8 +576,7 @@ TEST(Trials, BeginWithADriveBehindASpringAsLateAsTheOthers) {
     from.fit.ok = true, from.fit.values = from.plant->parameters().Nominal();
     const Nearest nearest = [](const std::vector<TrialSpecs>& starts, size_t) { return starts; };
     std::set<double> out;  // lags of the second joint; -1: none
-    for (const TrialSpecs& trial :
-         TransmissionTrials(c->data, c->nominal, c->scales, from, {}, {}, nearest)) {
+    for (const TrialSpecs& trial : TransmissionTrials(c->data, c->nominal, c->scales, from, {}, nearest)) {
       EXPECT_TRUE(Contains(trial, "joint_elasticity", joints[1]));
       const auto lag = std::find_if(trial.begin(), trial.end(),
                                     [](const EffectSpec& s) { return s.id == "actuator_lag"; });
@@ -606,7 +604,7 @@ TEST(Trials, TryASurfaceBesideHiddenStatesWithoutAPromise) {
     const Nearest nearest = [](const auto& starts, size_t) { return starts; };
     size_t count = 0;
     for (const TrialSpecs& trial : Trials(
-             c->data, c->nominal, c->scales, from, {}, {}, 2.0, [&] { return c->Missing(); }, nearest))
+             c->data, c->nominal, c->scales, from, {}, 2.0, [&] { return c->Missing(); }, nearest))
       count += HasKind(trial, "contact");
     return count;
   };
