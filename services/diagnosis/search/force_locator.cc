@@ -1,6 +1,7 @@
 #include "services/diagnosis/search/force_locator.h"
 
 #include <algorithm>
+#include <cmath>
 #include <functional>
 #include <vector>
 
@@ -18,6 +19,8 @@ constexpr double kMostOfRestNamed = 0.5;  // of what any force leaves beyond noi
 // Of what fewer coefficients explain, that more must add: a law is an idealisation.
 constexpr double kFormOfNames = 0.01;
 constexpr double kLittle = 0.1;      // of χ² per row above noise, that a force in its place leaves at most
+constexpr double kStandsOut = 0.2;   // of what a force on any other joint leaves
+constexpr double kTooFar = 10.0;     // times the noise, above which nothing is told
 constexpr double kLeastNoise = 0.2;  // of the rows
 constexpr double kFewLost = 0.1;     // rows, as a share, in windows that the model breaks in
 constexpr size_t kScreenedWindows = 24;
@@ -74,7 +77,8 @@ bool ForceLocator::NameBeside(Candidate* best) {
   int fits = 0;
   for (const Explanation& e : Explanations(ModelsWithout(nullptr))) {
     // The force may be all that is missing, or more than it and two names be.
-    if (e.beside.empty() || e.left > kConsistent || fits_.Late() || ++fits > kMostFitted) return false;
+    if (e.beside.empty() || (e.left > kConsistent && !StandsOut(e)) || fits_.Late() || ++fits > kMostFitted)
+      return false;
     const auto fitted = Fitted(e, *best);
     if (!fitted) continue;
     *best = *fitted;
@@ -86,7 +90,12 @@ bool ForceLocator::NameBeside(Candidate* best) {
 bool ForceLocator::Suffices(const Explanation& e) const {
   const double excess = fits_.PerRow(e.without) - 1;
   const double little = std::max(kFormOfNames * excess, std::min(kLittle * excess, kExplained - 1));
-  return e.left < std::min(1 + little, kConsistent);
+  return e.left < std::min(1 + little, kConsistent) || StandsOut(e);
+}
+
+// Where much is missing the linearisation is not exact: what it leaves is compared.
+bool ForceLocator::StandsOut(const Explanation& e) const {
+  return std::isfinite(e.elsewhere) && e.left < kTooFar && e.left - 1 < kStandsOut * (e.elsewhere - 1);
 }
 
 std::set<int> ForceLocator::Where(const Candidate& around) {
@@ -184,6 +193,11 @@ const std::vector<ForceLocator::Explanation>& ForceLocator::Explanations(
     }
   }
   std::ranges::stable_sort(explanations_, std::greater{}, &Explanation::evidence);
+  for (Explanation& e : explanations_) {
+    for (const Explanation& other : explanations_) {
+      if (other.joint != e.joint) e.elsewhere = std::min(e.elsewhere, other.left);
+    }
+  }
   around_ = around;
   return explanations_;
 }

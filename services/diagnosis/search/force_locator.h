@@ -36,14 +36,16 @@ class ForceLocator {
  private:
   struct Explanation {
     int joint = 0;
-    Candidate without;           // the model without the force and the effects
-    TrialSpecs names;            // that model's effects and what is named
-    std::vector<Scored> beside;  // what is named; empty: the force is all
-    double evidence = 0;         // per row, of names and any force together, structure prior included
-    double left = 0;             // χ² over what noise alone leaves
+    Candidate without;                 // the model without the force and the effects
+    TrialSpecs names;                  // that model's effects and what is named
+    std::vector<Scored> beside;        // what is named; empty: the force is all
+    double evidence = 0;               // per row, of names and any force together, structure prior included
+    double left = 0;                   // χ² over what noise alone leaves
+    double elsewhere = effects::kInf;  // the least that a force on another joint leaves
   };
   // The model, with base parameters as given and free where it has nothing yet. Null: nothing.
   std::vector<Candidate> ModelsWithout(const Candidate* around) const;
+  bool StandsOut(const Explanation& e) const;
   // The best first. Those of the last models asked about are kept.
   const std::vector<Explanation>& Explanations(const std::vector<Candidate>& models);
   // Any force on a joint, alone and with the best names beside it, if any.
