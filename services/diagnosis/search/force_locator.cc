@@ -185,7 +185,10 @@ const std::vector<ForceLocator::Explanation>& ForceLocator::Explanations(
     if (!setting_.nominal.IsPrescribed(joint) && !setting_.scales.still[joint]) force.joints.push_back(joint);
   }
   for (const Candidate& without : models) {
-    if (force.joints.empty() || fits_.Late()) return explanations_;
+    if (force.joints.empty() || fits_.Late()) {
+      explanations_.clear();  // some models alone are no comparison
+      return explanations_;
+    }
     const std::vector<ScreenResult> screens = step_.ScreensBesideForce(without, force, some, places);
     for (size_t i = 0; i < screens.size(); ++i) {
       const bool lost = screens[i].rows < (1 - kFewLost) * some.Rows();
@@ -211,7 +214,7 @@ bool ForceLocator::MayBe(const Scored& h, int joint, const TrialSpecs& without) 
 }
 
 void ForceLocator::AddOn(int joint, const Candidate& without, const ScreenResult& screened, size_t windows) {
-  const double rows = screened.rows, all = setting_.data.Rows() / rows;
+  const double rows = screened.rows, share = rows / setting_.data.Rows();
   // What noise alone leaves of χ²: the force and the windows' starts take some of it in.
   const double starts = 2.0 * setting_.data.judged() * static_cast<double>(windows);
   const double noise = std::max(kLeastNoise * rows, rows - screened.unknowns - starts);
@@ -232,7 +235,7 @@ void ForceLocator::AddOn(int joint, const Candidate& without, const ScreenResult
     if (starts.empty()) return;
     named.specs = Joined(named.specs, starts.front());
   }
-  const double needed = std::max({screened.null_gain, state_.Threshold(without, named) / all,
+  const double needed = std::max({screened.null_gain, share * state_.Threshold(without, named),
                                   kMostOfRestNamed * 0.5 * (screened.chi2 - noise)});
   if (names->gain < needed) return;
   explanations_.push_back({joint, without, named.specs, names->effects, (evidence + names->gain) / rows,

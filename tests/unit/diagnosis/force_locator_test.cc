@@ -65,6 +65,21 @@ TEST(ForceLocator, FindsTheJointOfAForceThatNoGridFollows) {
   EXPECT_EQ(w.locator.Where(w.Without()), std::set<int>{0});
 }
 
+// Far from the recordings the linearisation leaves something of a strong force, but far less than elsewhere.
+TEST(ForceLocator, FindsTheJointOfAForceThatStandsOut) {
+  std::vector<EffectSpec> strong = With({});
+  for (EffectSpec& s : strong) {
+    for (auto& [owner, values] : s.values) {
+      for (auto& [name, value] : values) {
+        if (name[0] == 'w') value *= 8;
+      }
+    }
+  }
+  Searched w(strong);
+  ASSERT_GT(w.state.fits.PerRow(w.Without()), 100.0);
+  EXPECT_EQ(w.locator.Where(w.Without()), std::set<int>{0});
+}
+
 TEST(ForceLocator, KnowsNoJointWhereNothingIsMissing) {
   Searched nothing({});
   EXPECT_TRUE(nothing.locator.Where(nothing.Without()).empty());

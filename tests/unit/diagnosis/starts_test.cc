@@ -441,6 +441,38 @@ TEST(WithConstantForce, HasTheForceOfThatJointsSpringInTheMiddleOfItsTravel) {
   EXPECT_EQ(KeyOf(with(both, "elbow")), KeyOf(both)) << "the joint has a constant force";
 }
 
+// A coupling's force is on its second joint; transmissions of that joint alone, and what touches the robot.
+TEST(Trials, OnAJointAreWhatActsOnThatJointAlone) {
+  const auto c = Case::Of("arm2", {MakeSpec("torque_offset", {"elbow"}, {{"offset", 0.3}})}, 9);
+  const auto scored = [](const std::string& effect, std::vector<int> joints, double gain,
+                         std::vector<double> coefficients) {
+    Scored h;
+    h.effect = effect, h.joints = std::move(joints), h.gain = gain, h.coefficients = std::move(coefficients);
+    return h;
+  };
+  const Scored gain = scored("torque_gain", {1}, 50, {-0.1}), other = scored("torque_gain", {0}, 60, {-0.1});
+  ScreenResult screened;
+  screened.hypotheses = {other, gain, scored("torque_gain", {0, 1}, 45, {-0.1, -0.1}),
+                         scored("joint_coupling", {0, 1}, 40, {0.1}),
+                         scored("joint_coupling", {1, 0}, 30, {0.1})};
+  screened.pairs = {{{gain, other}, 90}};
+  std::set<std::string> sprung;
+  const Nearest nearest = [&](const std::vector<TrialSpecs>& starts, size_t) {
+    for (const TrialSpecs& start : starts) sprung.insert(start.front().joints[0]);
+    return std::vector<TrialSpecs>{};
+  };
+  Candidate from;
+  from.plant = std::make_shared<const sim::Plant>(c->nominal);
+  from.fit.values = from.plant->parameters().Nominal(), from.fit.ok = true;
+  std::set<std::string> tried;
+  for (const TrialSpecs& trial : TrialsOnJoint(
+           1, c->data, c->nominal, c->scales, from, screened, [&] { return c->Missing(); }, nearest)) {
+    if (trial.front().id == "torque_gain" || trial.front().id == "joint_coupling") tried.insert(KeyOf(trial));
+  }
+  EXPECT_EQ(tried, (std::set<std::string>{"joint_coupling[shoulder elbow ] ", "torque_gain[elbow ] "}));
+  EXPECT_EQ(sprung, std::set<std::string>{"elbow"});
+}
+
 // Where a soft mount and a gain are both missing each hides the other: the best of the screen is tried on a
 // mount too, but only before anything is found; a force without a name, which imitates either, is not.
 TEST(Trials, TryAMountBesideTheBestOfTheScreen) {
