@@ -59,9 +59,9 @@ class FitLedger {
     return std::max(0.0, c.fit.chi2 / lifted_.noise_scale - c.fit.rows);
   }
   // χ² that noise alone leaves of a candidate: windows' own starts take some of it in.
-  double Noise(const Candidate& c) const {
-    return c.fit.rows - 2.0 * setting_.data.judged() * static_cast<double>(setting_.data.windows.size());
-  }
+  double Noise(const Candidate& c) const { return c.fit.rows - Starts(setting_.data.windows.size()); }
+  // Unknowns of so many windows' starts.
+  double Starts(size_t windows) const { return 2.0 * setting_.data.judged() * static_cast<double>(windows); }
   // The most log evidence that any addition could bring: half of χ² above what noise alone leaves.
   double AtStake(const Candidate& c) const { return 0.5 * (c.fit.chi2 / lifted_.noise_scale - Noise(c)); }
   // Whether it leaves no more than the sensors' own noise; what is taken for noise may be what it leaves.

@@ -216,8 +216,7 @@ bool ForceLocator::MayBe(const Scored& h, int joint, const TrialSpecs& without) 
 void ForceLocator::AddOn(int joint, const Candidate& without, const ScreenResult& screened, size_t windows) {
   const double rows = screened.rows, share = rows / setting_.data.Rows();
   // What noise alone leaves of χ²: the force and the windows' starts take some of it in.
-  const double starts = 2.0 * setting_.data.judged() * static_cast<double>(windows);
-  const double noise = std::max(kLeastNoise * rows, rows - screened.unknowns - starts);
+  const double noise = std::max(kLeastNoise * rows, rows - screened.unknowns - fits_.Starts(windows));
   const double evidence = screened.evidence - StructurePrior({}, without.base);
   explanations_.push_back({joint, without, Refreshed(without), {}, evidence / rows, screened.chi2 / noise});
   const auto tell = [&](const std::string& names) {

@@ -4,12 +4,11 @@
 #include <cmath>
 
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/likelihood/free_force.h"
 
 namespace rg::diagnosis {
 
 namespace {
-
-constexpr double kSegment = 0.05;  // s, of the missing force
 
 Misfit LeftBy(const Candidate& c, const FitLedger& fits) {
   return {fits.AtStake(c), 0.5 * (c.fit.chi2 - fits.Noise(c)) / fits.noise_scale()};
@@ -43,22 +42,24 @@ double SearchState::Explained(const Candidate& c) const {
 
 bool SearchState::FoundNothing(const Candidate& c) const { return KeyOf(c.specs) == KeyOf(given); }
 
+bool SearchState::IsNewForce(const effects::EffectSpec& s) const {
+  return IsUnnamed(s.id) && !IsPart({s}, given);
+}
+
 bool SearchState::HasNewForce(const Candidate& c) const {
-  return std::ranges::any_of(
-      c.specs, [&](const effects::EffectSpec& s) { return IsUnnamed(s.id) && !IsPart({s}, given); });
+  return std::ranges::any_of(c.specs, [&](const auto& s) { return IsNewForce(s); });
 }
 
 bool SearchState::HasForceInPlace(const Candidate& c) const {
-  return place >= 0 && std::ranges::any_of(c.specs, [&](const effects::EffectSpec& s) {
-           return IsUnnamed(s.id) && !IsPart({s}, given) &&
-                  s.joints.back() == setting.nominal.joint_names()[place];
+  return place >= 0 && std::ranges::any_of(c.specs, [&](const auto& s) {
+           return IsNewForce(s) && s.joints.back() == setting.nominal.joint_names()[place];
          });
 }
 
 MissingForce SearchState::Force(const Candidate& c) const {
   const FitModel model{*c.plant, c.fit.values, {}};
   return EstimateMissingForce(setting.data, model, InitialStates(setting.data, model, fits.lifted()),
-                              setting.scales.torque, kSegment, fits.lifted());
+                              setting.scales.torque, FreeForce{}.segment_s, fits.lifted());
 }
 
 void SearchState::Tell(const std::string& stage, double done, const std::string& note) const {

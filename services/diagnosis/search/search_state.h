@@ -28,8 +28,9 @@ struct SearchState {
   // Log evidence of the effects of a candidate.
   double Explained(const Candidate& c) const;
   bool FoundNothing(const Candidate& c) const;
-  // Whether it has an unnamed force that the search did not start with; on the joint on which any force
-  // explains the recordings.
+  // An unnamed force that the search did not start with; whether a model has one, and on the joint on which
+  // any force explains the recordings.
+  bool IsNewForce(const effects::EffectSpec& s) const;
   bool HasNewForce(const Candidate& c) const;
   bool HasForceInPlace(const Candidate& c) const;
   // That the candidate leaves unexplained.
