@@ -1,7 +1,9 @@
 #include "services/diagnosis/likelihood/some_windows.h"
 
 #include <algorithm>
+#include <map>
 #include <numeric>
+#include <utility>
 
 namespace rg::diagnosis {
 
@@ -9,6 +11,19 @@ std::vector<uint32_t> EvenlySpread(size_t windows, size_t count) {
   std::vector<uint32_t> out;
   const size_t some = std::min(count, windows);
   for (size_t i = 0; i < some; ++i) out.push_back(static_cast<uint32_t>(i * windows / some));
+  return out;
+}
+
+std::vector<uint32_t> FirstOfEach(const std::vector<int>& recordings, size_t count) {
+  std::vector<std::pair<int, uint32_t>> order;  // how many windows of its recording come before it
+  std::map<int, int> before;
+  for (size_t w = 0; w < recordings.size(); ++w)
+    order.push_back({before[recordings[w]]++, static_cast<uint32_t>(w)});
+  std::ranges::sort(order);
+  order.resize(std::min(count, order.size()));
+  std::vector<uint32_t> out;
+  for (const auto& [rank, w] : order) out.push_back(w);
+  std::ranges::sort(out);
   return out;
 }
 

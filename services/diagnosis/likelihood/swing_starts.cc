@@ -56,14 +56,13 @@ bool MovedAlike(const FitData& data, const sim::Plant& nominal, const model::Fra
   return alike;
 }
 
-// Of the link that a mass hangs on.
-model::Frame FrameOf(const model::RobotModel& model, const EffectSpec& mass) {
+}  // namespace
+
+model::Frame FrameOfMass(const model::RobotModel& model, const EffectSpec& mass) {
   const bool last_link = SwingsOnLastLink({mass});
   return *model.FindFrame(last_link ? model.link(model.joint(model.num_joints() - 1).child_link).name
                                     : model.end_effector().name);
 }
-
-}  // namespace
 
 bool HasPendulum(const std::vector<EffectSpec>& specs) { return std::ranges::any_of(specs, OnRod); }
 
@@ -99,7 +98,8 @@ EffectSpec LongerRod(EffectSpec rod, double times) {
 std::vector<EffectSpec> EitherPlace(const FitData& data, const sim::Plant& nominal, const EffectSpec& rod) {
   EffectSpec other = rod;
   other.options["point"] = SwingsOnLastLink({rod}) ? "end_effector" : "last_link";
-  if (MovedAlike(data, nominal, FrameOf(nominal.model(), rod), FrameOf(nominal.model(), other))) return {rod};
+  if (MovedAlike(data, nominal, FrameOfMass(nominal.model(), rod), FrameOfMass(nominal.model(), other)))
+    return {rod};
   return {rod, other};
 }
 
@@ -163,10 +163,22 @@ double TypicalChi2(const FitData& data, const std::vector<double>& window_chi2, 
          (RowsPerWindow(data) * static_cast<double>(sorted.size()) * noise_scale);
 }
 
-std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal, const EffectSpec& springs) {
-  const model::RobotModel& model = nominal.model();
-  const model::Frame frame = FrameOf(model, springs);
-  const dynamics::Mechanism mechanism(model);
+EffectSpec RodThatSwingsLike(double length, double moment, double decay, EffectSpec place) {
+  // A body that is not small swings with L + r²/L, and from r = 0 no fit leads away.
+  const double mass = moment / (kShorter * length);
+  place.values = effects::MakeSpec(place.id, {},
+                                   {{"mass", mass},
+                                    {"length", kShorter * length},
+                                    {"radius", kWide * length},
+                                    {"damping", decay * mass / kShorter}})
+                     .values;
+  place.options["form"] = "rod";
+  return place;
+}
+
+std::vector<EffectSpec> AboutEachAxis(const FitData& data, const sim::Plant& nominal, EffectSpec rod) {
+  const model::Frame frame = FrameOfMass(nominal.model(), rod);
+  const dynamics::Mechanism mechanism(nominal.model());
   dynamics::Workspace workspace;
   const Eigen::Vector3d gravity = nominal.options().gravity;
   Eigen::Vector3d along = Eigen::Vector3d::Zero();
@@ -174,18 +186,6 @@ std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal
     const model::Pose pose = dynamics::FramePose(mechanism, workspace, q, frame);
     along += (pose.rotation.transpose() * gravity).cwiseAbs2();
   });
-  const auto& of = springs.values.begin()->second;
-  // As a point it would swing with this length; a body that is not small does with L + r²/L, and from r = 0
-  // no fit leads away. Springs that take in what else is missing say metres: no tool carries that.
-  const double swings =
-      std::clamp(of.at("mass") * gravity.norm() / of.at("stiffness"), kShortestRod, kLongestRod);
-  EffectSpec rod = effects::MakeSpec(effects::SwingingMass().id, {},
-                                     {{"mass", of.at("mass")},
-                                      {"length", kShorter * swings},
-                                      {"radius", kWide * swings},
-                                      {"damping", of.at("damping")}});
-  rod.options = springs.options;
-  rod.options["form"] = "rod";
   std::array<int, 3> axes = {0, 1, 2};
   std::ranges::stable_sort(axes, [&](int a, int b) { return along[a] < along[b]; });
   std::vector<EffectSpec> out;
@@ -194,6 +194,16 @@ std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal
     out.push_back(rod);
   }
   return out;
+}
+
+std::vector<EffectSpec> RodStarts(const FitData& data, const sim::Plant& nominal, const EffectSpec& springs) {
+  const auto& of = springs.values.begin()->second;
+  // Springs that take in what else is missing say metres: no tool carries that.
+  const double gravity = nominal.options().gravity.norm();
+  const double length = std::clamp(of.at("mass") * gravity / of.at("stiffness"), kShortestRod, kLongestRod);
+  EffectSpec rod = RodThatSwingsLike(length, kShorter * length * of.at("mass"), 0, springs);
+  rod.values.begin()->second["damping"] = of.at("damping");
+  return AboutEachAxis(data, nominal, rod);
 }
 
 }  // namespace rg::diagnosis

@@ -3,6 +3,7 @@
 
 #include <vector>
 
+#include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/lifted_fit.h"
 
 namespace rg::diagnosis {
@@ -42,6 +43,15 @@ inline constexpr double kFitted =
 // A mass that is a point, as a fit may come to and none leads away from, in the values of `plant`: one that
 // is not small, and hangs and swings alike.
 void WidenPoint(const sim::Plant& plant, VectorXd* values);
+
+// Of the link that a mass hangs on.
+model::Frame FrameOfMass(const model::RobotModel& model, const EffectSpec& mass);
+
+// The rod that swings as a point `length` from its hinge does, where `place` says; moment: its mass times the
+// distance of its centre [kg·m]; decay: of its rates [1/s].
+EffectSpec RodThatSwingsLike(double length, double moment, double decay, EffectSpec place);
+// `rod` about the axis of its link that gravity is least along, about the next one, and about the last.
+std::vector<EffectSpec> AboutEachAxis(const FitData& data, const sim::Plant& nominal, EffectSpec rod);
 
 // A mass on a rod in the place of one in springs, from what is found of that: where its link hardly turns
 // springs of k are a rod of L = m·9.81/k. Its hinge is the axis of the link that gravity is least along, or

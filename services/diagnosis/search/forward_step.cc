@@ -3,7 +3,9 @@
 #include <algorithm>
 
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/hypotheses/rod_screen.h"
 #include "services/diagnosis/screening/screen_columns.h"
+#include "services/diagnosis/search/pendulum_search.h"
 #include "services/diagnosis/search/trials.h"
 
 namespace rg::diagnosis {
@@ -110,6 +112,47 @@ void ForwardStep::AddTransmission(const Candidate& from, Candidate* winner) {
   const auto pool = TransmissionTrials(setting_.data, setting_.nominal, setting_.scales, from,
                                        Screen(from, from.base), nearest);
   fits_.TryBest(from, pool, {}, from.base, kFitsBesideDrives, beside_trial_, winner);
+}
+
+// `from` with the rod, its states along the recorded motion.
+std::shared_ptr<const Candidate> ForwardStep::Along(const Candidate& from, const RodStart& start) const {
+  Candidate out = Unfitted(setting_, Joined(Refreshed(from), {start.rod}), from.base);
+  out.fit.values = out.plant->ValuesFrom(from.plant->parameters(), from.fit.values);
+  const VectorXd nominal = out.plant->parameters().Nominal();
+  for (int i = 0; i < nominal.size(); ++i) {
+    if (out.plant->parameters()[i].kind == sim::ParameterKind::kEffect) out.fit.values[i] = nominal[i];
+  }
+  out.fit.states = InitialStates(setting_.data, {*out.plant, out.fit.values, {}}, fits_.lifted());
+  PutSwing(setting_, start, &out.fit.states);
+  out.fit.ok = true;
+  return std::make_shared<const Candidate>(std::move(out));
+}
+
+void ForwardStep::AddRods(const Candidate& from, Candidate* winner) {
+  const auto rods = ScreenRods(setting_, state_.Force(from), features_, fits_.lifted().threads);
+  if (rods.empty()) return;
+  const ScreenResult screened = Screen(from, from.base);
+  std::vector<FollowedStart> starts;
+  for (const RodStart& start : rods) {
+    const auto swing = Along(from, start);
+    state_.trace.Stage("rod",
+                       std::to_string(start.swing.length) + " m leaves " + std::to_string(start.left) +
+                           (start.beside ? " beside " + effects::LawOf(start.beside->regressor).id : ""));
+    if (start.beside) {
+      std::vector<int> on = {start.beside->joint};
+      if (start.beside->other >= 0) on.insert(on.begin(), start.beside->other);
+      const auto law = std::ranges::find_if(screened.hypotheses, [&](const Scored& h) {
+        return h.effect == effects::LawOf(start.beside->regressor).id && h.joints == on;
+      });
+      if (law != screened.hypotheses.end())
+        starts.push_back(
+            {Joined({start.rod}, SpecsFor(*law, setting_.nominal, setting_.scales).front()), swing});
+    }
+    starts.push_back({{start.rod}, swing});
+  }
+  Candidate found = from;
+  PendulumSearch(setting_, fits_, state_.trace, from, from.base, {}, beside_trial_).Follow(starts, &found);
+  if (found.score > winner->score) *winner = found;
 }
 
 void ForwardStep::AddOnJoint(const Candidate& from, int joint, const TrialSpecs& beside, Candidate* winner) {

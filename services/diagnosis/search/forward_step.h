@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "services/diagnosis/hypotheses/rod_screen.h"
 #include "services/diagnosis/likelihood/features.h"
 #include "services/diagnosis/screening/screening.h"
 #include "services/diagnosis/search/search_state.h"
@@ -47,6 +48,8 @@ class ForwardStep {
   void AddPromised(const Candidate& from, Candidate* winner);
   // A spring or play on the joint on which a screen finds most; no screen can promise these.
   void AddTransmission(const Candidate& from, Candidate* winner);
+  // A mass on a rod that the recorded motion tells of, with the law that it does beside it.
+  void AddRods(const Candidate& from, Candidate* winner);
   // What acts on one joint alone, each with `beside`.
   void AddOnJoint(const Candidate& from, int joint, const TrialSpecs& beside, Candidate* winner);
   // Of a screen around `from` all that it gives `least` nats at least; where that is 1 or less, also what it
@@ -63,6 +66,7 @@ class ForwardStep {
   static double MostPromised(const ScreenResult& screened);
 
  private:
+  std::shared_ptr<const Candidate> Along(const Candidate& from, const RodStart& start) const;
   FeatureSet FeaturesOn(const std::vector<uint32_t>& places) const;
   void Try(const Candidate& from, const ScreenResult& screened, double least, double needed, size_t count,
            Candidate* winner);

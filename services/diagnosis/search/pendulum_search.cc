@@ -77,7 +77,9 @@ bool PendulumSearch::MayBeOne(const Candidate& found) {
 // The best fit of a pendulum on all windows, where it fits most of them and not all.
 std::optional<Candidate> PendulumSearch::Seek(Candidate* found) {
   if (SpringsHold()) return {};
-  Begin();
+  springs_ = Springs();
+  Begin(RodStarts(setting_.data, setting_.nominal, MassIn(springs_)).front(),
+        EvenlySpread(setting_.data.windows.size(), setting_.data.WindowsFor(kPendulumWindows)));
   TryLengths();
   // A true pendulum explains something about any hinge.
   if (!(nearest_.left - 1 < kSwings * missing_)) return {};
@@ -107,14 +109,31 @@ TrialSpecs PendulumSearch::Springs() const {
   return Refreshed(astray ? trial : *whole);
 }
 
-void PendulumSearch::Begin() {
-  springs_ = Springs();
-  request_ = fits_.WholeFit(springs_, from_.base, fits_.Start(&from_, from_.base));
-  request_.places = EvenlySpread(setting_.data.windows.size(), setting_.data.WindowsFor(kPendulumWindows));
+void PendulumSearch::Follow(const std::vector<FollowedStart>& starts, Candidate* found) {
+  std::vector<int> recordings;
+  for (const NodeWindow& window : setting_.data.windows) recordings.push_back(window.recording);
+  Begin(MassIn(starts.front().specs), FirstOfEach(recordings, setting_.data.WindowsFor(kPendulumWindows)));
+  std::shared_ptr<const Candidate> along;
+  for (const FollowedStart& start : starts) {
+    if (nearest_.in_all < kExplained) break;
+    request_.from = start.swing;
+    const Hung other = Hang(Joined(Refreshed(from_), start.specs));
+    if (other.left < nearest_.left) nearest_ = other, along = start.swing;
+  }
+  if (!(nearest_.left - 1 < kSwings * missing_)) return;
+  request_.from = along;
+  AddPromised();
+  // With the swing known a true rod leaves nothing here, and following another one over all windows is dear.
+  if (nearest_.in_all < kExplained) FitWhole(found);
+}
+
+void PendulumSearch::Begin(const EffectSpec& rod, std::vector<uint32_t> places) {
+  request_ = fits_.WholeFit({rod}, from_.base, fits_.Start(&from_, from_.base));
+  request_.places = std::move(places);
   std::vector<double> before;
   for (const uint32_t i : request_.places) before.push_back(from_.fit.window_chi2[i]);
   missing_ = Typically(before) - 1, enough_ = fits_.WorkAfter(kPendulumShare);
-  hinges_ = RodStarts(setting_.data, setting_.nominal, MassIn(springs_));
+  hinges_ = AboutEachAxis(setting_.data, setting_.nominal, rod);
 }
 
 void PendulumSearch::TryLengths() {

@@ -18,6 +18,11 @@ struct PendulumTrials {
   std::shared_ptr<const Candidate> surface;              // a force over two positions; null: none
 };
 
+struct FollowedStart {
+  TrialSpecs specs;                        // a rod, and what may act beside it
+  std::shared_ptr<const Candidate> swing;  // the rod alone, with its states along the recorded motion
+};
+
 class PendulumSearch {
  public:
   // `from`: the model that the trials add to. All of these outlive this.
@@ -31,6 +36,9 @@ class PendulumSearch {
         trials_(trials),
         promised_beside_(beside) {}
 
+  // From what the recorded motion tells of a rod, each with or without another effect. `found` becomes the
+  // best on all windows where that scores better.
+  void Follow(const std::vector<FollowedStart>& starts, Candidate* found);
   // Over lengths, hinges and places, alone and with the effects of other trials. `found`, the best of what
   // was fitted, becomes the pendulum where that scores better. Where it fits most windows and not all, and
   // leaves no more than `found` and `winner`: as it is over windows of half the length, if it holds there;
@@ -49,7 +57,7 @@ class PendulumSearch {
   bool MayBeOne(const Candidate& found);
   bool SpringsHold() const;
   TrialSpecs Springs() const;
-  void Begin();
+  void Begin(const effects::EffectSpec& rod, std::vector<uint32_t> places);
   void TryLengths();
   void TryHinges();
   void TryBeside();

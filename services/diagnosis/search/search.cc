@@ -225,8 +225,9 @@ class Search {
   bool AddOne(Candidate* best) {
     state_.TellOfRound("screen", KeyOf(best->specs));
     Candidate winner = *best, stepped = *best;
-    const bool done = state_.round == 1 && (ExplainedByEarlier(*best, &winner) ||
-                                            further_.ByLaws(*best, &winner) || Located(*best, &winner));
+    const bool done =
+        state_.round == 1 && (ExplainedByEarlier(*best, &winner) || further_.ByLaws(*best, &winner) ||
+                              Swings(*best, &winner) || Located(*best, &winner));
     // What an unnamed force leaves where any force leaves nothing is its grid's coarseness.
     if (state_.HasForceInPlace(winner)) {
       one_force_ = true, *best = winner;
@@ -246,6 +247,37 @@ class Search {
     }
     Refine(best, &winner);
     return Accept(winner, best);
+  }
+
+  // Whether a mass on a rod explains what is missing, alone or with laws beside it.
+  bool Swings(const Candidate& best, Candidate* winner) {
+    const std::string& swinging = effects::SwingingMass().id;
+    if (HasKind(best.specs, swinging) || HasKind(setting_.nominal.effects(), swinging)) return false;
+    for (const Candidate& from : WithoutHiddenMasses(best)) {
+      if (fits_.PerRow(from) < kExplained || fits_.Late()) continue;
+      state_.TellOfRound("swings", KeyOf(from.specs, from.base));
+      step_.AddRods(from, winner);
+      if (fits_.PerRow(*winner) < kExplained && Gains(*winner, best)) return true;
+    }
+    return false;
+  }
+
+  // `best` with inertials as given and free, and the laws that leave least with either.
+  std::vector<Candidate> WithoutHiddenMasses(const Candidate& best) const {
+    std::vector<Candidate> out, laws;
+    for (const bool base : {false, true}) {
+      const Candidate* own = base == best.base ? &best : fits_.Known(best.specs, base);
+      if (own == nullptr || !own->fit.ok) continue;
+      out.push_back(*own);
+      const Candidate* least = own;
+      for (const auto& [key, c] : fits_.tried()) {
+        if (c.base == base && c.fit.ok && !HasFreeStates(c) && !HasUnnamed(c) && c.fit.chi2 < least->fit.chi2)
+          least = &c;
+      }
+      if (least != own) laws.push_back(*least);
+    }
+    out.insert(out.end(), laws.begin(), laws.end());
+    return out;
   }
 
   // Whether a force is missing on one joint, beside effects on others, and `winner` explains it.
