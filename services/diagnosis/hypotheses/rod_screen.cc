@@ -2,9 +2,12 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
-#include <array>
 #include <cmath>
+#include <limits>
+#include <string>
+#include <utility>
 
+#include "common/base/check.h"
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/force_samples.h"
@@ -19,6 +22,7 @@ namespace {
 using Eigen::Matrix3d, Eigen::Vector3d;
 
 constexpr double kFollowed = 3.0;     // s of each recording: later an error of the length is one of the phase
+constexpr double kPut = 8.0;          // s of each recording, which trials begin in
 constexpr Eigen::Index kStride = 2;   // samples of the fine motion, in a step of the rod
 constexpr size_t kRodRecordings = 8;  // at most
 constexpr double kShortestSwing = 0.02, kLongestSwing = 0.35;  // m, of a point that swings alike
@@ -32,11 +36,15 @@ constexpr size_t kMostLengths = 2;
 
 // What the hinge of a rod did in one recording, at every other sample of the fine motion.
 struct HingeMotion {
-  double dt = 0;
+  double begin = 0, dt = 0;
   std::vector<Matrix3d> axes;            // of its link, in the world's
   std::vector<Vector3d> turn, velocity;  // rates of its link; of the hinge
   std::vector<Vector3d> pull;            // g − a at the hinge: what acts on a unit of mass there
   std::vector<MatrixXd> jacobian;        // 3 × n
+
+  size_t steps() const { return pull.size(); }
+  // Steps from its beginning to t [s].
+  double StepsTo(double t) const { return std::max(0.0, (t - begin) / dt); }
 };
 
 HingeMotion MotionOfHinge(const sim::Plant& nominal, const model::Frame& frame, const FineMotion& fine,
@@ -45,9 +53,11 @@ HingeMotion MotionOfHinge(const sim::Plant& nominal, const model::Frame& frame, 
   dynamics::Workspace workspace;
   MatrixXd J(6, fine.q.rows());
   HingeMotion out;
-  out.dt = kStride * (fine.t[1] - fine.t[0]);
-  const auto count =
-      std::min((fine.t.size() + kStride - 1) / kStride, static_cast<size_t>(seconds / out.dt) + 1);
+  out.begin = fine.t[0], out.dt = kStride * (fine.t[1] - fine.t[0]);
+  // Nobody knows how it moved where rows are missing.
+  if (!fine.gaps.empty()) seconds = std::min(seconds, fine.gaps.front().first - fine.t[0]);
+  const auto count = std::clamp<size_t>(static_cast<size_t>(std::max(0.0, seconds) / out.dt) + 1, 1,
+                                        (fine.t.size() + kStride - 1) / kStride);
   for (size_t k = 0; k < count; ++k) {
     const Eigen::Index at = kStride * static_cast<Eigen::Index>(k);
     const model::Pose pose = dynamics::FrameKinematics(mechanism, workspace, fine.q.col(at), frame, J);
@@ -79,9 +89,9 @@ void Follow(const HingeMotion& hinge, const Vector3d& gravity, const Swing& swin
     return u.cross(hinge.pull[k]) / swing.length - swing.decay * (w - across(hinge.turn[k]));
   };
   Vector3d dw = rate(0);
-  for (size_t k = 0; k < hinge.pull.size(); ++k) {
+  for (size_t k = 0; k < hinge.steps(); ++k) {
     visit(k, u, w, dw);
-    if (k + 1 == hinge.pull.size()) break;
+    if (k + 1 == hinge.steps()) break;
     w += 0.5 * hinge.dt * dw;  // leapfrog
     const double angle = w.norm() * hinge.dt;
     if (angle > 1e-12) u = (Eigen::AngleAxisd(angle, w.normalized()) * u).normalized();
@@ -101,7 +111,7 @@ std::vector<Vector3d> PullOf(const HingeMotion& hinge, const Vector3d& gravity, 
 
 // Direction in its link's axes, and its rate, 6 × steps.
 MatrixXd WayOf(const HingeMotion& hinge, const Vector3d& gravity, const Swing& swing) {
-  MatrixXd out(6, static_cast<Eigen::Index>(hinge.pull.size()));
+  MatrixXd out(6, static_cast<Eigen::Index>(hinge.steps()));
   Follow(hinge, gravity, swing, [&](size_t k, const Vector3d& u, const Vector3d& w, const Vector3d&) {
     const Matrix3d& axes = hinge.axes[k];
     out.col(static_cast<Eigen::Index>(k)) << axes.transpose() * u,
@@ -146,18 +156,29 @@ class RodRegression {
       const auto column = swing_columns_.col(static_cast<Eigen::Index>(i));
       const Term swing{column.squaredNorm(), column.dot(force_)};
       if (!(swing.squares > 0) || !std::isfinite(swing.squares)) continue;
-      out.push_back({swings_[i], -1, swing.force / swing.squares, all - swing.Gain()});
+      Hit best{swings_[i], -1, 0, std::numeric_limits<double>::infinity()};
+      const auto offer = [&](int law, double mass, double left) {
+        if (mass > 0 && left < best.left) best.law = law, best.mass = mass, best.left = left;
+      };
+      offer(-1, swing.force / swing.squares, all - swing.Gain());
       for (const Law& law : laws_) {
         const double both = law.with_swings[static_cast<Eigen::Index>(i)];
-        const double left = all - GainOfBoth(swing, law.own, both);
-        if (!(left < out.back().left)) continue;
         const double det = swing.squares * law.own.squares - both * both;
-        out.back() = {swings_[i], law.feature, (swing.force * law.own.squares - law.own.force * both) / det,
-                      left};
+        offer(law.feature, (swing.force * law.own.squares - law.own.force * both) / det,
+              all - GainOfBoth(swing, law.own, both));
       }
+      if (std::isfinite(best.left)) out.push_back(best);
     }
     std::ranges::sort(out, {}, &Hit::left);
     return out;
+  }
+
+  // About seconds of one thread.
+  double Work() const {
+    double steps = 0;
+    for (const HingeMotion& hinge : hinges_) steps += static_cast<double>(hinge.steps());
+    const double pairs = static_cast<double>(segments_.size() * laws_.size());
+    return static_cast<double>(swings_.size()) * (1.5e-7 * steps + 3e-10 * pairs);
   }
 
   // The least of what two laws leave.
@@ -212,13 +233,15 @@ class RodRegression {
                           static_cast<double>(missing.t[w].size());
       for (size_t s = 0; s < missing.t[w].size(); ++s) {
         const auto column = static_cast<Eigen::Index>(s);
-        const auto from = static_cast<size_t>(FineRow(data_.fine[r], missing.t[w][s] - half) / kStride),
-                   to = static_cast<size_t>(FineRow(data_.fine[r], missing.t[w][s] + half) / kStride) + 1;
-        const VectorXd stddev = missing.stddev[w].col(column);
-        if (to > hinges_[r].pull.size() || !(stddev.minCoeff() > 0) ||
-            !missing.force[w].col(column).allFinite())
-          continue;
-        segments_.push_back({w, r, from, to, column, stddev.cwiseInverse()});
+        const auto from = static_cast<size_t>(std::lround(hinges_[r].StepsTo(missing.t[w][s] - half))),
+                   to = static_cast<size_t>(std::lround(hinges_[r].StepsTo(missing.t[w][s] + half)));
+        if (from >= to || to > hinges_[r].steps() || !missing.force[w].col(column).allFinite()) continue;
+        // Nothing acts on a joint that moves as prescribed.
+        VectorXd weight = missing.stddev[w].col(column).cwiseInverse();
+        for (int j = 0; j < n_; ++j) {
+          if (!data_.Judged(j)) weight[j] = 0;
+        }
+        if (weight.allFinite()) segments_.push_back({w, r, from, to, column, weight});
       }
     }
   }
@@ -237,7 +260,7 @@ class RodRegression {
       const Segment& s = segments_[i];
       VectorXd torque = VectorXd::Zero(n_);
       for (size_t k = s.from; k < s.to; ++k)
-        torque += hinges_[s.recording].jacobian[k].transpose() * force(s.recording, k);
+        torque.noalias() += hinges_[s.recording].jacobian[k].transpose() * force(s.recording, k);
       Put(static_cast<Eigen::Index>(i), torque / static_cast<double>(s.to - s.from), &out);
     }
     return out;
@@ -257,6 +280,7 @@ class RodRegression {
         const MatrixXd on = SegmentsOf(any, data_.windows[s.window]).phi.transpose();
         means = laws.block.phi[s.window] * on * on.colwise().sum().cwiseInverse().asDiagonal();
         window = s.window;
+        RG_CHECK(s.column < means.cols()) << "a missing force over other segments";
       }
       for (int c = 0; c < laws.block.size(); ++c)
         law_columns_(i, c) = means(c, s.column) * s.weight[laws.block.joint[static_cast<size_t>(c)]];
@@ -304,35 +328,35 @@ class RodRegression {
   std::vector<Swing> swings_;
 };
 
-// The axis that it comes least near to, along the first seconds.
-std::string ClearHinge(const FitSetting& setting, const EffectSpec& rod, const Swing& swing) {
+// Axes of its link, the one first that it comes least near to along the first seconds.
+std::string ClearHinges(const FitSetting& setting, const EffectSpec& rod, const Swing& swing) {
   const model::Frame frame = FrameOfMass(setting.nominal.model(), rod);
   Vector3d nearest = Vector3d::Zero();
-  for (const FineMotion& fine : setting.data.fine) {
-    const HingeMotion hinge = MotionOfHinge(setting.nominal, frame, fine, kFollowed);
+  for (size_t r = 0; r < std::min(setting.data.fine.size(), kRodRecordings); ++r) {
+    const HingeMotion hinge = MotionOfHinge(setting.nominal, frame, setting.data.fine[r], kFollowed);
     const MatrixXd way = WayOf(hinge, setting.nominal.options().gravity, swing);
     nearest = nearest.cwiseMax(way.topRows<3>().cwiseAbs().rowwise().maxCoeff());
   }
-  Eigen::Index axis = 0;
-  nearest.minCoeff(&axis);
-  return std::string(1, "xyz"[axis]);
+  std::string out = "xyz";
+  std::ranges::stable_sort(out, {}, [&](char axis) { return nearest[axis - 'x']; });
+  return out;
 }
 
 }  // namespace
 
 std::vector<RodStart> ScreenRods(const FitSetting& setting, const MissingForce& missing,
-                                 const FeatureSet& laws, int threads) {
+                                 const FeatureSet& laws, int threads, double* work) {
   std::vector<std::pair<RodRegression::Hit, EffectSpec>> found;
   EffectSpec hung = effects::MakeSpec(effects::SwingingMass().id, {},
                                       {{"mass", 1.0}, {"length", 0.1}, {"radius", 0.0}, {"damping", 0.0}});
   hung.options["form"] = "rod";
-  for (EffectSpec place : EitherPlace(setting.data, setting.nominal, hung)) {
+  for (const EffectSpec& place : EitherPlace(setting.data, setting.nominal, hung)) {
     const RodRegression regression(setting, missing, laws, FrameOfMass(setting.nominal.model(), place),
                                    threads);
+    if (work != nullptr) *work += regression.Work();
     const double least = regression.LeftByLaws();
     for (const RodRegression::Hit& hit : regression.Hits()) {
       if (!(hit.left < kMostLeftByRod * least && hit.left < least - kClearGain)) break;
-      if (!(hit.mass > 0)) continue;
       found.push_back({hit, place});
       found.back().first.left /= least;
     }
@@ -344,14 +368,18 @@ std::vector<RodStart> ScreenRods(const FitSetting& setting, const MissingForce& 
     const double length = hit.swing.length;
     const bool known = std::ranges::any_of(
         lengths, [&](double other) { return std::max(length / other, other / length) < kOtherLength; });
-    if (known || out.size() == kMostLengths) continue;
+    if (known || lengths.size() == kMostLengths) continue;
     lengths.push_back(length);
-    EffectSpec rod =
-        RodThatSwingsLike(length, hit.mass * length, std::max(kStartDecay, hit.swing.decay), place);
-    rod.options["hinge"] = ClearHinge(setting, rod, hit.swing);
-    RodStart start{std::move(rod), hit.swing, hit.left, {}};
+    RodStart start{
+        RodThatSwingsLike(length, hit.mass * length, std::max(kStartDecay, hit.swing.decay), place),
+        hit.swing,
+        hit.left,
+        {}};
     if (hit.law >= 0) start.beside = laws.features[static_cast<size_t>(hit.law)];
-    out.push_back(std::move(start));
+    for (const char hinge : ClearHinges(setting, start.rod, hit.swing)) {
+      start.rod.options["hinge"] = std::string(1, hinge);
+      out.push_back(start);
+    }
   }
   return out;
 }
@@ -360,27 +388,33 @@ void PutSwing(const FitSetting& setting, const RodStart& start, NodeStates* stat
   const FitData& data = setting.data;
   const model::Frame frame = FrameOfMass(setting.nominal.model(), start.rod);
   const Eigen::Index a = start.rod.options.at("hinge")[0] - 'x', b = (a + 1) % 3, c = (a + 2) % 3;
+  std::vector<HingeMotion> hinges;
   std::vector<MatrixXd> ways;
   for (const FineMotion& fine : data.fine) {
-    const HingeMotion hinge = MotionOfHinge(setting.nominal, frame, fine, fine.t.back() - fine.t.front());
-    ways.push_back(WayOf(hinge, setting.nominal.options().gravity, start.swing));
+    hinges.push_back(MotionOfHinge(setting.nominal, frame, fine, kPut));
+    ways.push_back(WayOf(hinges.back(), setting.nominal.options().gravity, start.swing));
   }
   for (size_t w = 0; w < data.windows.size(); ++w) {
     const NodeWindow& window = data.windows[w];
     const auto r = static_cast<size_t>(window.recording);
+    if (!(hinges[r].StepsTo(window.t.back()) < static_cast<double>(ways[r].cols() - 1))) continue;
     for (size_t k = 0; k < window.t.size(); ++k) {
-      const Eigen::Index at = std::min(FineRow(data.fine[r], window.t[k]) / kStride, ways[r].cols() - 1);
-      const Vector3d u = ways[r].col(at).head<3>(), du = ways[r].col(at).tail<3>();
+      const double steps = hinges[r].StepsTo(window.t[k]);
+      const auto at = static_cast<Eigen::Index>(steps);
+      const double part = steps - static_cast<double>(at);
+      const VectorXd way = (1 - part) * ways[r].col(at) + part * ways[r].col(at + 1);
+      const Vector3d u = way.head<3>(), du = way.tail<3>();
       // u = (−sin φ₂, sin φ₁ cos φ₂, −cos φ₁ cos φ₂) along the axes a, b, c.
       const double clear = std::max(1e-6, u[b] * u[b] + u[c] * u[c]);
       Eigen::Vector4d swing(std::atan2(u[b], -u[c]), (u[b] * du[c] - du[b] * u[c]) / clear,
                             std::asin(std::clamp(-u[a], -1.0, 1.0)), -du[a] / std::sqrt(clear));
+      auto node = (*states)[w].col(static_cast<Eigen::Index>(k));
       // Of angles that are the same, the nearest to the one before.
       if (k > 0) {
-        const double before = (*states)[w](states->at(w).rows() - 4, static_cast<Eigen::Index>(k) - 1);
+        const double before = (*states)[w](node.size() - 4, static_cast<Eigen::Index>(k) - 1);
         swing[0] += 2 * M_PI * std::round((before - swing[0]) / (2 * M_PI));
       }
-      (*states)[w].col(static_cast<Eigen::Index>(k)).tail<4>() = swing;
+      node.tail<4>() = swing;
     }
   }
 }

@@ -20,19 +20,21 @@ struct Swing {
 };
 
 struct RodStart {
-  EffectSpec rod;  // its hinge is the one that it keeps clear of on its way
+  EffectSpec rod;
   Swing swing;
   double left = 1;                // of what any two laws leave
   std::optional<Feature> beside;  // the law that leaves least with it; none where it leaves least alone
 };
 
-// The likeliest lengths, at most two, regressed on the missing force in the first seconds of the recordings,
-// each beside the force of a mass at rest and beside any one law of `laws`. Empty where the best rod and law
-// leave nine tenths of what any two laws leave.
+// Rods regressed on the missing force (on segments of FreeForce's length) in the first seconds of at most 8
+// recordings, each beside the force of a mass at rest and beside any one law of `laws`: the two likeliest
+// lengths, each about all three axes of its link, the one that it keeps clear of most first. Empty where the
+// best rod and law leave nine tenths of what any two laws leave, or 30 of χ² less. Adds its cost to `work`.
 std::vector<RodStart> ScreenRods(const FitSetting& setting, const MissingForce& missing,
-                                 const FeatureSet& laws, int threads);
+                                 const FeatureSet& laws, int threads, double* work = nullptr);
 
-// The rod's angles and rates in `states` (of a model with it, along the recorded motion) as it swings.
+// The rod's angles and rates in `states` (of a model with it, along the recorded motion) as it swings, in
+// windows of the first seconds, before rows are missing.
 void PutSwing(const FitSetting& setting, const RodStart& start, NodeStates* states);
 
 }  // namespace rg::diagnosis

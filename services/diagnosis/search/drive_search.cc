@@ -76,6 +76,11 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
     const Candidate drives = best;
     Freed(&best);
     if (!drives.fit.ok || fits_.Late()) break;
+    // Losses of which free base parameters make no use stand for something else.
+    if (best.base && freed.fit.ok && Left(best) > Left(freed)) {
+      fits_.tried() = kept;
+      return std::nullopt;
+    }
     // Two missing effects may each take less than half while the other is missing.
     if (LeavesSomething(best) && (Left(best) < kUseful * before || TakeNearest(kept, &best))) continue;
     if (!leaves(kCloser)) break;

@@ -114,41 +114,29 @@ void ForwardStep::AddTransmission(const Candidate& from, Candidate* winner) {
   fits_.TryBest(from, pool, {}, from.base, kFitsBesideDrives, beside_trial_, winner);
 }
 
-// `from` with the rod, its states along the recorded motion.
-std::shared_ptr<const Candidate> ForwardStep::Along(const Candidate& from, const RodStart& start) const {
-  Candidate out = Unfitted(setting_, Joined(Refreshed(from), {start.rod}), from.base);
-  out.fit.values = out.plant->ValuesFrom(from.plant->parameters(), from.fit.values);
-  const VectorXd nominal = out.plant->parameters().Nominal();
-  for (int i = 0; i < nominal.size(); ++i) {
-    if (out.plant->parameters()[i].kind == sim::ParameterKind::kEffect) out.fit.values[i] = nominal[i];
-  }
-  out.fit.states = InitialStates(setting_.data, {*out.plant, out.fit.values, {}}, fits_.lifted());
-  PutSwing(setting_, start, &out.fit.states);
-  out.fit.ok = true;
-  return std::make_shared<const Candidate>(std::move(out));
+// The rod, and the law beside it as a screen around the model begins it.
+TrialSpecs ForwardStep::WithLaw(const RodStart& start, const ScreenResult& screened) const {
+  if (!start.beside) return {start.rod};
+  const std::string& law = effects::LawOf(start.beside->regressor).id;
+  std::vector<int> on = {start.beside->joint};
+  if (start.beside->other >= 0) on.insert(on.begin(), start.beside->other);
+  const auto found = std::ranges::find_if(screened.hypotheses,
+                                          [&](const Scored& h) { return h.effect == law && h.joints == on; });
+  if (found == screened.hypotheses.end()) return {start.rod};
+  return Joined({start.rod}, SpecsFor(*found, setting_.nominal, setting_.scales).front());
 }
 
 void ForwardStep::AddRods(const Candidate& from, Candidate* winner) {
-  const auto rods = ScreenRods(setting_, state_.Force(from), features_, fits_.lifted().threads);
+  double work = 0;
+  const auto rods = ScreenRods(setting_, state_.Force(from), features_, fits_.lifted().threads, &work);
+  fits_.AddWork(work);
   if (rods.empty()) return;
   const ScreenResult screened = Screen(from, from.base);
   std::vector<FollowedStart> starts;
   for (const RodStart& start : rods) {
-    const auto swing = Along(from, start);
-    state_.trace.Stage("rod",
-                       std::to_string(start.swing.length) + " m leaves " + std::to_string(start.left) +
-                           (start.beside ? " beside " + effects::LawOf(start.beside->regressor).id : ""));
-    if (start.beside) {
-      std::vector<int> on = {start.beside->joint};
-      if (start.beside->other >= 0) on.insert(on.begin(), start.beside->other);
-      const auto law = std::ranges::find_if(screened.hypotheses, [&](const Scored& h) {
-        return h.effect == effects::LawOf(start.beside->regressor).id && h.joints == on;
-      });
-      if (law != screened.hypotheses.end())
-        starts.push_back(
-            {Joined({start.rod}, SpecsFor(*law, setting_.nominal, setting_.scales).front()), swing});
-    }
-    starts.push_back({{start.rod}, swing});
+    starts.push_back({WithLaw(start, screened), start});
+    state_.trace.Stage("rod of " + std::to_string(start.swing.length) + " m",
+                       KeyOf(starts.back().specs) + " leaves " + std::to_string(start.left));
   }
   Candidate found = from;
   PendulumSearch(setting_, fits_, state_.trace, from, from.base, {}, beside_trial_).Follow(starts, &found);

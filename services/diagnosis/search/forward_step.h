@@ -66,7 +66,7 @@ class ForwardStep {
   static double MostPromised(const ScreenResult& screened);
 
  private:
-  std::shared_ptr<const Candidate> Along(const Candidate& from, const RodStart& start) const;
+  TrialSpecs WithLaw(const RodStart& start, const ScreenResult& screened) const;
   FeatureSet FeaturesOn(const std::vector<uint32_t>& places) const;
   void Try(const Candidate& from, const ScreenResult& screened, double least, double needed, size_t count,
            Candidate* winner);

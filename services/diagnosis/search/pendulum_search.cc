@@ -113,18 +113,30 @@ void PendulumSearch::Follow(const std::vector<FollowedStart>& starts, Candidate*
   std::vector<int> recordings;
   for (const NodeWindow& window : setting_.data.windows) recordings.push_back(window.recording);
   Begin(MassIn(starts.front().specs), FirstOfEach(recordings, setting_.data.WindowsFor(kPendulumWindows)));
-  std::shared_ptr<const Candidate> along;
-  for (const FollowedStart& start : starts) {
-    if (nearest_.in_all < kExplained) break;
-    request_.from = start.swing;
-    const Hung other = Hang(Joined(Refreshed(from_), start.specs));
-    if (other.left < nearest_.left) nearest_ = other, along = start.swing;
+  for (const auto& [specs, start] : starts) {
+    if (fits_.Late()) return;
+    request_.from = Along(start);
+    const Hung other = Hang(Joined(Refreshed(from_), specs));
+    if (other.in_all < nearest_.in_all) nearest_ = other;
+    // With the swing known a true rod leaves nothing here, and following another one over all windows is
+    // dear.
+    if (nearest_.in_all < kExplained) return FitWhole(found);
   }
-  if (!(nearest_.left - 1 < kSwings * missing_)) return;
-  request_.from = along;
-  AddPromised();
-  // With the swing known a true rod leaves nothing here, and following another one over all windows is dear.
-  if (nearest_.in_all < kExplained) FitWhole(found);
+}
+
+// The model with the rod, its states along the recorded motion.
+std::shared_ptr<const Candidate> PendulumSearch::Along(const RodStart& start) const {
+  Candidate out = Unfitted(setting_, Joined(Refreshed(from_), {start.rod}), from_.base);
+  if (out.plant == nullptr) return nullptr;
+  const VectorXd nominal = out.plant->parameters().Nominal();
+  out.fit.values = out.plant->ValuesFrom(from_.plant->parameters(), from_.fit.values);
+  for (int i = 0; i < nominal.size(); ++i) {
+    if (out.plant->parameters()[i].kind == sim::ParameterKind::kEffect) out.fit.values[i] = nominal[i];
+  }
+  out.fit.states = InitialStates(setting_.data, {*out.plant, out.fit.values, {}}, fits_.lifted());
+  PutSwing(setting_, start, &out.fit.states);
+  out.fit.ok = true;
+  return std::make_shared<const Candidate>(std::move(out));
 }
 
 void PendulumSearch::Begin(const EffectSpec& rod, std::vector<uint32_t> places) {

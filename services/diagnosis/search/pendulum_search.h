@@ -6,6 +6,7 @@
 #include <optional>
 #include <vector>
 
+#include "services/diagnosis/hypotheses/rod_screen.h"
 #include "services/diagnosis/search/fit_ledger.h"
 
 namespace rg::diagnosis {
@@ -19,8 +20,8 @@ struct PendulumTrials {
 };
 
 struct FollowedStart {
-  TrialSpecs specs;                        // a rod, and what may act beside it
-  std::shared_ptr<const Candidate> swing;  // the rod alone, with its states along the recorded motion
+  TrialSpecs specs;  // the rod, and what may act beside it
+  RodStart start;
 };
 
 class PendulumSearch {
@@ -36,7 +37,7 @@ class PendulumSearch {
         trials_(trials),
         promised_beside_(beside) {}
 
-  // From what the recorded motion tells of a rod, each with or without another effect. `found` becomes the
+  // From what the recorded motion tells of a rod, one start at least. `found` becomes the
   // best on all windows where that scores better.
   void Follow(const std::vector<FollowedStart>& starts, Candidate* found);
   // Over lengths, hinges and places, alone and with the effects of other trials. `found`, the best of what
@@ -70,6 +71,7 @@ class PendulumSearch {
   std::optional<Candidate> Seek(Candidate* found);
   std::shared_ptr<const Candidate> OverHalves(const Candidate& rod);
 
+  std::shared_ptr<const Candidate> Along(const RodStart& start) const;
   Hung Hang(const TrialSpecs& specs);
   double Typically(const std::vector<double>& window_chi2) const;
   double PerFreeRow(const FitData& data, const Candidate& c) const;

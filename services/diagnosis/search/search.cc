@@ -253,7 +253,7 @@ class Search {
   bool Swings(const Candidate& best, Candidate* winner) {
     const std::string& swinging = effects::SwingingMass().id;
     if (HasKind(best.specs, swinging) || HasKind(setting_.nominal.effects(), swinging)) return false;
-    for (const Candidate& from : WithoutHiddenMasses(best)) {
+    for (const Candidate& from : ToAddARodTo(best)) {
       if (fits_.PerRow(from) < kExplained || fits_.Late()) continue;
       state_.TellOfRound("swings", KeyOf(from.specs, from.base));
       step_.AddRods(from, winner);
@@ -263,7 +263,7 @@ class Search {
   }
 
   // `best` with inertials as given and free, and the laws that leave least with either.
-  std::vector<Candidate> WithoutHiddenMasses(const Candidate& best) const {
+  std::vector<Candidate> ToAddARodTo(const Candidate& best) const {
     std::vector<Candidate> out, laws;
     for (const bool base : {false, true}) {
       const Candidate* own = base == best.base ? &best : fits_.Known(best.specs, base);

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "services/diagnosis/likelihood/free_force.h"
+#include "services/diagnosis/likelihood/some_windows.h"
 #include "services/diagnosis/likelihood/swing_starts.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
@@ -93,6 +94,32 @@ TEST(PutSwing, BeginsWindowsWhereTheRodIs) {
   ASSERT_TRUE(from_swing.ok);
   EXPECT_LT(from_swing.chi2 / from_swing.rows, 1.5);
   EXPECT_GT(from_rest.chi2, 3 * from_swing.chi2);
+}
+
+TEST(PutSwing, EndsWhereRowsAreMissing) {
+  const auto p = Prepare("arm2", {Pendulum(kMass, kLength, kRadius, "x")}, 25);
+  for (FineMotion& fine : p->data.fine) fine.gaps = {{fine.t[0] + 1.2, fine.t[0] + 1.5}};
+  const RodStart start{Pendulum(kMass, kLength, kRadius, "x"), {kSwingsLike, 0, 0}, 1, {}};
+  auto plant = sim::Plant::Create(p->nominal.shared_model(), p->nominal.options(), {start.rod});
+  ASSERT_TRUE(plant.ok());
+  const NodeStates before = InitialStates(p->data, {*plant, plant->parameters().Nominal(), {}}, {});
+  NodeStates after = before;
+  PutSwing({p->data, p->nominal, p->scales}, start, &after);
+  int put = 0;
+  for (size_t w = 0; w < before.size(); ++w) {
+    const bool early = p->data.windows[w].t.back() < 1.2;
+    put += early;
+    EXPECT_EQ(early, before[w] != after[w]) << "window " << w;
+    EXPECT_TRUE(after[w].allFinite());
+  }
+  EXPECT_GT(put, 0);
+}
+
+TEST(FirstOfEach, TakesTheFirstWindowOfEveryRecordingFirst) {
+  const std::vector<int> recordings = {0, 0, 0, 1, 1, 2};
+  EXPECT_EQ(FirstOfEach(recordings, 4), (std::vector<uint32_t>{0, 1, 3, 5}));
+  EXPECT_EQ(FirstOfEach(recordings, 9).size(), 6u);
+  EXPECT_TRUE(FirstOfEach({}, 3).empty());
 }
 
 }  // namespace
