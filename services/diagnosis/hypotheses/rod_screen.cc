@@ -193,7 +193,10 @@ class RodRegression {
   }
 
  private:
-  static constexpr double kApart = 1e-6;  // of the squares: a law that a swing is not
+  // 1 − cos² of two columns, from which on they are two. Effort, inertia and a mass at rest add up to the
+  // missing force itself, in coefficients that no drive has.
+  static constexpr double kApart = 0.05;
+  static constexpr double kNothing = 1e-6;  // of a law's squares, beside a mass at rest
 
   struct Segment {
     size_t window, recording, from, to;  // steps
@@ -290,7 +293,7 @@ class RodRegression {
       const auto column = law_columns_.col(c);
       const double rest = column.dot(at_rest_.segment(joint * S, S)), squares = column.squaredNorm();
       Law law{c, joint, rest, {squares - rest * rest, column.dot(force_.segment(joint * S, S))}, {}};
-      if (law.own.squares > kApart * squares) laws_.push_back(std::move(law));
+      if (law.own.squares > kNothing * squares) laws_.push_back(std::move(law));
     }
   }
 

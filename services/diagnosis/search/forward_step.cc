@@ -143,6 +143,12 @@ void ForwardStep::AddRods(const Candidate& from, Candidate* winner) {
   if (found.score > winner->score) *winner = found;
 }
 
+void ForwardStep::AddMount(const Candidate& from, Candidate* winner) {
+  if (HasKind(from.specs, effects::SoftMount().id)) return;
+  fits_.TryBest(from, MountStarts(setting_.nominal, setting_.scales), {}, from.base, 1, beside_trial_,
+                winner);
+}
+
 void ForwardStep::AddOnJoint(const Candidate& from, int joint, const TrialSpecs& beside, Candidate* winner) {
   const auto with = [&](std::vector<TrialSpecs> starts) {
     for (TrialSpecs& start : starts) start = Joined(beside, start);

@@ -50,6 +50,8 @@ class ForwardStep {
   void AddTransmission(const Candidate& from, Candidate* winner);
   // A mass on a rod that the recorded motion tells of, with the law that it does beside it.
   void AddRods(const Candidate& from, Candidate* winner);
+  // A soft mount.
+  void AddMount(const Candidate& from, Candidate* winner);
   // What acts on one joint alone, each with `beside`.
   void AddOnJoint(const Candidate& from, int joint, const TrialSpecs& beside, Candidate* winner);
   // Of a screen around `from` all that it gives `least` nats at least; where that is 1 or less, also what it

@@ -227,7 +227,7 @@ class Search {
     Candidate winner = *best, stepped = *best;
     const bool done =
         state_.round == 1 && (ExplainedByEarlier(*best, &winner) || further_.ByLaws(*best, &winner) ||
-                              Swings(*best, &winner) || Located(*best, &winner));
+                              BodiesMove(*best, &winner) || Located(*best, &winner));
     // What an unnamed force leaves where any force leaves nothing is its grid's coarseness.
     if (state_.HasForceInPlace(winner)) {
       one_force_ = true, *best = winner;
@@ -249,21 +249,24 @@ class Search {
     return Accept(winner, best);
   }
 
-  // Whether a mass on a rod explains what is missing, alone or with laws beside it.
-  bool Swings(const Candidate& best, Candidate* winner) {
+  // Whether a mass on a rod or a soft mount explains what is missing, alone or beside laws: while it is
+  // missing too, none of these leaves little.
+  bool BodiesMove(const Candidate& best, Candidate* winner) {
     const std::string& swinging = effects::SwingingMass().id;
     if (HasKind(best.specs, swinging) || HasKind(setting_.nominal.effects(), swinging)) return false;
-    for (const Candidate& from : ToAddARodTo(best)) {
+    for (const Candidate& from : Plain(best)) {
       if (fits_.PerRow(from) < kExplained || fits_.Late()) continue;
-      state_.TellOfRound("swings", KeyOf(from.specs, from.base));
+      state_.TellOfRound("bodies", KeyOf(from.specs, from.base));
       step_.AddRods(from, winner);
+      // A mount alone is among what is tried in any case.
+      if (KeyOf(from.specs) != KeyOf(best.specs)) step_.AddMount(from, winner);
       if (fits_.PerRow(*winner) < kExplained && Gains(*winner, best)) return true;
     }
     return false;
   }
 
   // `best` with inertials as given and free, and the laws that leave least with either.
-  std::vector<Candidate> ToAddARodTo(const Candidate& best) const {
+  std::vector<Candidate> Plain(const Candidate& best) const {
     std::vector<Candidate> out, laws;
     for (const bool base : {false, true}) {
       const Candidate* own = base == best.base ? &best : fits_.Known(best.specs, base);
@@ -271,7 +274,8 @@ class Search {
       out.push_back(*own);
       const Candidate* least = own;
       for (const auto& [key, c] : fits_.tried()) {
-        if (c.base == base && c.fit.ok && !HasFreeStates(c) && !HasUnnamed(c) && c.fit.chi2 < least->fit.chi2)
+        if (c.base == base && c.fit.ok && !HasUnseenStates(c) && !HasUnnamed(c) &&
+            c.fit.chi2 < least->fit.chi2)
           least = &c;
       }
       if (least != own) laws.push_back(*least);
