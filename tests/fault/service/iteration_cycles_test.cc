@@ -182,12 +182,14 @@ class Batch {
     if (reply->job().state() == pb::JOB_STATE_SUCCEEDED) jobs_.push_back(laboratory_.Submit());
     if (reply->job().state() == pb::JOB_STATE_FAILED) Consent(*reply);
   }
-  // A rollout whose agent was killed did not begin, or may have moved the robot, and a task whose worker was
-  // lost again and again is set aside: a person says that they may run again. Nothing else may fail.
+  // A rollout whose agent was killed did not begin, or may have moved the robot, or left too few rows, and a
+  // task whose worker was lost again and again is set aside: a person says that they may run again. Nothing
+  // else may fail.
   void Consent(const pb::GetJobReply& job) {
     const std::string& reason = job.job().reason();
     const bool of_a_kill = reason.find("`retry` lets it run again") != std::string::npos ||
                            reason.find("stopped before the rollout began") != std::string::npos ||
+                           reason.find("the process that recorded it ended") != std::string::npos ||
                            reason.find("its worker was lost") != std::string::npos;
     ASSERT_TRUE(of_a_kill) << reason << laboratory_.Logs();
     ++consents_[job.job().id()], ++consents_of_all_;
