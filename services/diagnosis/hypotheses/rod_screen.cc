@@ -163,7 +163,8 @@ class RodRegression {
       offer(-1, swing.force / swing.squares, all - swing.Gain());
       for (const Law& law : laws_) {
         const double both = law.with_swings[static_cast<Eigen::Index>(i)];
-        const double det = swing.squares * law.own.squares - both * both;
+        const double det = Determinant(swing, law.own, both);
+        if (det == 0) continue;
         offer(law.feature, (swing.force * law.own.squares - law.own.force * both) / det,
               all - GainOfBoth(swing, law.own, both));
       }
@@ -215,10 +216,15 @@ class RodRegression {
     VectorXd with_swings;
   };
 
-  // Of squares that both explain; of the first alone where they are alike. both: their product.
-  static double GainOfBoth(const Term& a, const Term& b, double both) {
+  // Of their normal equations; 0 where the columns are alike. both: their product.
+  static double Determinant(const Term& a, const Term& b, double both) {
     const double det = a.squares * b.squares - both * both;
-    if (!(det > kApart * a.squares * b.squares)) return a.Gain();
+    return det > kApart * a.squares * b.squares ? det : 0.0;
+  }
+  // Of squares that both explain; of the first alone where they are alike.
+  static double GainOfBoth(const Term& a, const Term& b, double both) {
+    const double det = Determinant(a, b, both);
+    if (det == 0) return a.Gain();
     return (a.force * a.force * b.squares - 2 * a.force * b.force * both + b.force * b.force * a.squares) /
            det;
   }
