@@ -89,50 +89,28 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   const auto search_effects = EffortIsMeasured(data) ? SearchMeasuredEffort : SearchEffects;
   SearchResult search = search_effects(setting, options, threads, clock, progress, cancel);
 
-  DiagnosisOptions rest = options;
-  double spent = 0;
+  // A held-out recording that alone excites something is fitted too: the search is made again with its result
+  // as first model, within what is left of the work.
   std::optional<recordings::RecordingSet> exchanged;
-  // Restarts the search with the result of the one before as first model, within what is left of the work.
-  const auto again = [&](std::shared_ptr<const Candidate> earlier) -> Status {
-    const recordings::RecordingSet& now = exchanged ? *exchanged : given;
-    RG_ASSIGN_OR_RETURN(data, PrepareData(now, nominal, rest));
-    // Held-out windows keep their length: over short ones a mass with a free start fits anything.
-    data.held_out = PrepareHeldOut(now, data, nominal, options);
-    scales = ScalesOf(data, nominal);
-    spent += search.work;
-    const double left = std::clamp(kAllSearches - spent / options.work_limit, kLeastWork, 1.0);
-    rest.work_limit = left * options.work_limit;
-    rest.earlier = std::move(earlier);
-    search = search_effects(setting, rest, threads, clock, progress, cancel);
-    return Status::Ok();
-  };
-  const auto shorter_windows = [&]() -> Status {
-    while (search.shorter_windows != nullptr) {
-      rest.fit_window_s *= 0.5;
-      RG_RETURN_IF_ERROR(again(search.shorter_windows));
-    }
-    return Status::Ok();
-  };
-  RG_RETURN_IF_ERROR(shorter_windows());
-  // A held-out recording that alone excites something is fitted too.
   if (search.excited_by >= 0 && !(cancel != nullptr && cancel->cancelled())) {
     const auto unseen = static_cast<size_t>(search.excited_by);
     exchanged = WithFitted(given, data.held_out->places[unseen], data);
     const std::string name = data.held_out->recordings[unseen].recording->name;
     if (exchanged) {
+      RG_ASSIGN_OR_RETURN(data, PrepareData(*exchanged, nominal, options));
+      data.held_out = PrepareHeldOut(*exchanged, data, nominal, options);
+      scales = ScalesOf(data, nominal);
+      DiagnosisOptions rest = options;
+      const double left = std::clamp(kAllSearches - search.work / options.work_limit, kLeastWork, 1.0);
+      rest.work_limit = left * options.work_limit;
       // An unnamed force does not extend to where only the new recording moves.
-      const bool known = !search.best.specs.empty() && !HasUnnamed(search.best);
-      RG_RETURN_IF_ERROR(
-          again(known ? std::make_shared<const Candidate>(WithoutStates(search.best)) : nullptr));
-      RG_RETURN_IF_ERROR(shorter_windows());
+      if (!search.best.specs.empty() && !HasUnnamed(search.best))
+        rest.earlier = std::make_shared<const Candidate>(WithoutStates(search.best));
+      search = search_effects(setting, rest, threads, clock, progress, cancel);
       result.notes.push_back(name + " shows what the recordings to fit do not: it was fitted too" +
                              (given.Holdout().size() < 2 ? ", another kept aside in its place" : ""));
     }
   }
-  if (rest.fit_window_s < options.fit_window_s && HasPendulum(search.best.specs))
-    result.notes.push_back("a swinging mass cannot be followed for " + Number(1e3 * options.fit_window_s) +
-                           " ms everywhere: all was weighed over " + Number(1e3 * rest.fit_window_s) +
-                           " ms at a time");
   const recordings::RecordingSet& set = exchanged ? *exchanged : given;
 
   result.window_s = options.window_s;

@@ -198,18 +198,6 @@ std::vector<EffectSpec> WithConstantForce(std::vector<EffectSpec> specs, const s
   return specs;
 }
 
-std::vector<TrialSpecs> OtherGaps(const EffectSpec& spec) {
-  std::vector<TrialSpecs> out;
-  const std::string& stays = effects::InferenceOf(spec.id).stays;
-  if (stays.empty()) return out;
-  for (const double part : {0.7, 0.85, 0.93, 0.97, 1.03, 1.08, 1.2, 1.4}) {
-    EffectSpec other = spec;
-    other.values.at(spec.joints[0]).at(stays) *= part;
-    out.push_back({other});
-  }
-  return out;
-}
-
 TrialSpecs PlayHeldClosed(const TrialSpecs& specs, const EffectSpec& offset, const sim::Plant& nominal,
                           const MotionScales& scales) {
   const effects::EffectInfo& reads_off = effects::EffectOf(effects::Role::kSensorOffset);
@@ -247,22 +235,6 @@ TrialSpecs RipplesAcrossLags(TrialSpecs specs) {
     any = true;
   }
   return any ? specs : TrialSpecs{};
-}
-
-std::vector<TrialSpecs> StribeckStarts(const EffectSpec& friction, const sim::Plant& nominal,
-                                       const MotionScales& scales) {
-  std::vector<TrialSpecs> out;
-  const std::string& plain = effects::LawOf(Regressor::kDirection).id;
-  const double coulomb = Exchanged(friction, plain, nominal, scales).values.begin()->second.at("coulomb");
-  EffectSpec start = Exchanged(friction, effects::LawOf(Regressor::kSlowly).id, nominal, scales);
-  auto& values = start.values.begin()->second;
-  const double speed = scales.speed[nominal.model().FindJoint(friction.joints[0])];
-  for (const double share : {0.05, 0.15, 0.4}) {
-    values["coulomb"] = 0.6 * coulomb, values["static"] = 1.2 * coulomb;
-    values["stribeck_velocity"] = share * speed;
-    out.push_back({start});
-  }
-  return out;
 }
 
 std::vector<TrialSpecs> BodyStarts(const std::string& effect, const sim::Plant& nominal,

@@ -53,8 +53,6 @@ std::vector<EffectSpec> WithConstantForce(std::vector<EffectSpec> specs, const s
 // from a grid of gaps, or the spring that its faces are. Empty for other effects.
 std::vector<TrialSpecs> OtherTransmission(const EffectSpec& spec, const sim::Plant& nominal,
                                           const MotionScales& scales);
-// Play with other gaps than a fit of it came to, which ends near where it starts. Empty for other effects.
-std::vector<TrialSpecs> OtherGaps(const EffectSpec& spec);
 // `specs` with play in the place of a motor's sensor that reads off, `offset`: half of a gap that gravity
 // holds closed. Behind it the rotor that the joint has, or a typical one. Empty for other effects.
 TrialSpecs PlayHeldClosed(const TrialSpecs& specs, const EffectSpec& offset, const sim::Plant& nominal,
@@ -62,10 +60,6 @@ TrialSpecs PlayHeldClosed(const TrialSpecs& specs, const EffectSpec& offset, con
 // `specs` with the ripples of joints whose drives lag on the other side of the lag: on the motor, or on the
 // command that the lag follows. Empty where there are none.
 TrialSpecs RipplesAcrossLags(TrialSpecs specs);
-// Dry friction that drops with speed, where there is dry friction already: over a range of speeds, for fits
-// of a joint that sticks end near where they start.
-std::vector<TrialSpecs> StribeckStarts(const EffectSpec& friction, const sim::Plant& nominal,
-                                       const MotionScales& scales);
 std::vector<TrialSpecs> BodyStarts(const std::string& effect, const sim::Plant& nominal,
                                    const MotionScales& scales);
 // A mount from soft to stiff, in steps from each of which a fit finds the next.

@@ -40,11 +40,9 @@ struct SearchResult {
   // Whether the best model has a pendulum payload that swings continuously over held-out recordings, which is
   // what speaks for it: where it is when a window begins no sensor reads, so that it need not predict better.
   bool swings_on = false;
-  // Whether the search ended with effects that hold beside any force on one joint, and an unnamed force there.
+  // Whether the search ended with effects that hold beside any force on one joint, and an unnamed force
+  // there.
   bool beside_any_force = false;
-  // Not null: the search ended here and is to be restarted with windows of half the length, this model first
-  // (FitLedger::shorter_windows).
-  std::shared_ptr<const Candidate> shorter_windows;
   double own_chi2 = 0;     // expected χ² of the best model if it were true (own_chi2.h)
   MissingForce missing;    // under the best model without effects
   MissingForce remaining;  // under the best model

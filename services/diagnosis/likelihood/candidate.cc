@@ -378,17 +378,6 @@ std::vector<EffectSpec> StillNeeded(const Candidate& model, const Candidate& oth
   return out;
 }
 
-bool AddsNothing(const Candidate& before, const Candidate& c) {
-  bool any = false;
-  for (size_t i = 0; i < c.specs.size(); ++i) {
-    const std::string joint = c.specs[i].joints.empty() ? "" : c.specs[i].joints[0];
-    if (Contains(before.specs, c.specs[i].id, joint)) continue;
-    if (Strength(c, i) > kAbsent) return false;
-    any = true;
-  }
-  return any;
-}
-
 bool OfAllJoints(const Candidate& c, size_t i) {
   const std::string& id = c.specs[i].id;
   const bool timing = IsTiming(id);

@@ -24,9 +24,8 @@ struct Candidate {
   std::shared_ptr<const sim::Plant> plant;
   std::vector<sysid::FitParameter> parameters;
   FitResult fit;
-  // Log evidence, structure prior included, less held_out_penalty and form; kNoScore: inadmissible.
+  // Log evidence, structure prior included, less form; kNoScore: inadmissible.
   double score = 0;
-  double held_out_penalty = 0;     // nats by which the best model predicts held-out recordings better
   double form = 0;                 // nats charged for a richer law than the plainest of its kind
   int round = 0;                   // of the search, in which it was fitted
   std::optional<double> held_out;  // log predictive density of held-out recordings (held_out.h), if computed
@@ -46,9 +45,6 @@ inline Candidate WithoutStates(Candidate c) {
 }
 
 inline const Candidate& Better(const Candidate& a, const Candidate& b) { return b.score > a.score ? b : a; }
-
-// The score without the penalty for held-out recordings.
-inline double FitScore(const Candidate& c) { return c.score + c.held_out_penalty; }
 
 // −log p(structure) [nats]: per kind of effect, per joint of it, per parameter beyond the first, and for free
 // base parameters.
@@ -127,8 +123,6 @@ std::vector<EffectSpec> StrongEffects(const Candidate& c);
 // The effects of `other`, refreshed, without those whose squared strength fell below a hundredth of that in
 // `model`: they had stood in for a law that `other` has. (Play whose faces never part acts as a wrong zero.)
 std::vector<EffectSpec> StillNeeded(const Candidate& model, const Candidate& other);
-// Whether every effect that `c` has and `before` has not is absent by its strength.
-bool AddsNothing(const Candidate& before, const Candidate& c);
 
 // Drives of one robot are alike: a joint's share of an effect that most of them have needs no prior odds of
 // its own. Whether effect i is such a share: a delay or lag that another joint has too, or friction or rotor

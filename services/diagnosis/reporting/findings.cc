@@ -71,7 +71,7 @@ double BestWithout(const SearchResult& s, const std::string& id) {
     const bool more = (c.base && !s.best.base) || FreshKinds(Candidate{}, c).size() > kinds;
     if (HasLaw(c.specs, s.best.specs, id)) continue;
     const bool asked = c.held_out && s.best.held_out;
-    const double all = asked ? FitScore(c) + std::min(0.0, *c.held_out - *s.best.held_out) : c.score;
+    const double all = asked ? c.score + std::min(0.0, *c.held_out - *s.best.held_out) : c.score;
     best = std::max(best, all - (more ? s.beside : 0.0));
   }
   return best;
@@ -312,7 +312,7 @@ class FindingsBuilder {
       a.joints = JointsOf(c->specs, effect, r_.joints);
       // Without held-out recordings, or with a measured effort, whose scores are cross-validated: the scores.
       const bool predicted = c->held_out && s_.best.held_out;
-      const double fitted = (predicted ? FitScore(*c) - FitScore(s_.best) : c->score - s_.best.score) -
+      const double fitted = (predicted ? c->score - s_.best.score : c->score - s_.best.score) -
                             (c->base && !s_.best.base ? s_.beside : 0.0);
       a.evidence = predicted ? *c->held_out - *s_.best.held_out : fitted;
       a.separable = (predicted ? fitted + a.evidence : fitted) < -kSeparable;

@@ -11,8 +11,6 @@ namespace rg::diagnosis {
 
 namespace {
 
-constexpr double kNearly =
-    2.0;  // times the (negative) score of a model, down to which its plain rivals count
 constexpr double kFormError = 0.01;  // ε: share of what effects explain, that a law's idealisation may leave
 constexpr double kAmplitude = 1e-4;  // share of the same, for an error of 1 % in an amplitude
 constexpr double kMostOfIt = 0.5;    // share of the misfit left, that suffices in spite of an idealisation
@@ -48,8 +46,6 @@ bool HasOnlyMoreOfDrives(const Candidate& best, const Candidate& c) {
     return HasKind(best.specs, id) && (IsLossOfDrives(id) || IsTiming(id));
   });
 }
-
-size_t Names(const Candidate& c) { return FreshKinds(Candidate{}, c).size() + (c.base ? 1 : 0); }
 
 }  // namespace
 
@@ -117,59 +113,6 @@ double Acceptance::StepRule(const std::string& id, const std::string& joints) co
     any = std::max(any, value);
   }
   return same >= 0 ? same : any;
-}
-
-const Candidate* FewerNames(const std::map<std::string, Candidate>& tried, const Candidate& before,
-                            const Candidate& winner,
-                            const std::function<double(const Candidate&, const Candidate&)>& needed) {
-  const Candidate *part = nullptr, *other = nullptr;
-  for (const auto& [key, c] : tried) {
-    if (!c.fit.ok || Names(c) >= Names(winner)) continue;
-    if (c.score <= before.score + needed(before, c) || winner.score > c.score + needed(c, winner)) continue;
-    const Candidate*& best = (winner.base || !c.base) && IsPart(c.specs, winner.specs) ? part : other;
-    if (best == nullptr || c.score > best->score) best = &c;
-  }
-  if (part == nullptr || other == nullptr) return part != nullptr ? part : other;
-  return other->score > part->score + needed(*part, *other) ? other : part;
-}
-
-std::vector<Candidate> PlainRivals(const std::map<std::string, Candidate>& tried, const Candidate& before,
-                                   const Candidate& model, size_t most) {
-  std::vector<Candidate> out;
-  const auto own = tried.find(KeyOf(model.specs, false));
-  if (own == tried.end()) return out;
-  const size_t kinds = FreshKinds(before, model).size();
-  for (const auto& [key, c] : tried) {
-    if (!c.fit.ok || c.base || c.score < kNearly * own->second.score) continue;
-    if (!IsPart(before.specs, c.specs)) continue;
-    if (!HasFreeStates(c) && !HasUnnamed(c) && FreshKinds(before, c).size() <= kinds) out.push_back(c);
-  }
-  std::ranges::sort(out, [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
-  if (out.size() > most) out.resize(most);
-  return out;
-}
-
-const Candidate* BestFreed(const std::map<std::string, Candidate>& tried, const Candidate& before) {
-  const Candidate* best = nullptr;
-  for (const auto& [key, c] : tried) {
-    if (!c.fit.ok || !c.base || HasUnnamed(c) || c.score <= kNoScore) continue;
-    if (!IsPart(before.specs, c.specs) || FreshKinds(before, c).empty()) continue;
-    if (best == nullptr || c.score > best->score) best = &c;
-  }
-  return best;
-}
-
-const Candidate* AsGoodAsFreed(const std::map<std::string, Candidate>& tried, const Candidate& freed,
-                               const std::function<double(const Candidate&, const Candidate&)>& needed) {
-  const Candidate* best = nullptr;
-  if (!freed.base) return best;
-  for (const auto& [key, c] : tried) {
-    // Hidden states and unnamed forces fit nearly anything: the leniency is not for them.
-    if (!c.fit.ok || c.base || HasUnnamed(c) || HasHiddenStates(c)) continue;
-    if (KeyOf(c.specs) == KeyOf(freed.specs) || c.score <= freed.score + needed(freed, c)) continue;
-    if (best == nullptr || c.score > best->score) best = &c;
-  }
-  return best;
 }
 
 }  // namespace rg::diagnosis

@@ -63,28 +63,4 @@ class Acceptance {
   std::map<std::string, double> step_rule_;  // √(2 nats), of each screened hypothesis, by effect and joints
 };
 
-// Of the fitted models the best with fewer kinds of effects than `winner` (free base parameters count as one)
-// that is accepted in the place of `before` and in whose place `winner` is not accepted; null: none. Parts of
-// the winner come first. Another model, since two laws together may imitate a third, must exceed the best
-// part by what it needs: a law that fits badly absorbs some of what the winner's further effects explain.
-// needed(a, b): log evidence that b must bring in the place of a.
-const Candidate* FewerNames(const std::map<std::string, Candidate>& tried, const Candidate& before,
-                            const Candidate& winner,
-                            const std::function<double(const Candidate&, const Candidate&)>& needed);
-
-// Of the models fitted with fixed base parameters the `most` best without unnamed forces and free hidden
-// states that add to `before` no more kinds of effects than `model` does, with at least twice (a negative)
-// its score there.
-std::vector<Candidate> PlainRivals(const std::map<std::string, Candidate>& tried, const Candidate& before,
-                                   const Candidate& model, size_t most);
-
-// Of the models fitted with free base parameters the best without unnamed forces that has all effects of
-// `before` and another kind; null: none.
-const Candidate* BestFreed(const std::map<std::string, Candidate>& tried, const Candidate& before);
-
-// Of the models fitted with fixed base parameters the best with other effects that is accepted in the place
-// of `freed`, whose base parameters are free; null: none, or they are not free.
-const Candidate* AsGoodAsFreed(const std::map<std::string, Candidate>& tried, const Candidate& freed,
-                               const std::function<double(const Candidate&, const Candidate&)>& needed);
-
 }  // namespace rg::diagnosis

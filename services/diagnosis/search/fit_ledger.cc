@@ -26,9 +26,8 @@ constexpr double kTrialShare = 0.3;     // of the work limit, for the trials of 
 constexpr double kLookShare = 0.015;    // of the work limit, for choosing the start of one law on one joint
 constexpr double kInPlaceYet = 1.8;     // of the work limit, after which no laws are exchanged
 constexpr double kShortestPiece = 0.1;  // s
-constexpr size_t kSprings = 2;         // starts behind rotors that are fitted, for either place of the sensor
-constexpr size_t kInPlace = 2;         // exchanged laws that are fitted on all windows
-constexpr size_t kBesidePendulum = 2;  // models without hidden states to which a pendulum is added
+constexpr size_t kSprings = 2;  // starts behind rotors that are fitted, for either place of the sensor
+constexpr size_t kInPlace = 2;  // exchanged laws that are fitted on all windows
 constexpr double kMuchWorse =
     0.1;  // of a trial's misfit, by which an exchanged law may be worse in its trial
 
@@ -84,7 +83,7 @@ FitLedger::FitLedger(const FitSetting& setting, const DiagnosisOptions& options,
 }
 
 bool FitLedger::Late(double limits) const {
-  return Cancelled() || shorter_windows_ != nullptr || work_ - forgiven_ > limits * options_.work_limit ||
+  return Cancelled() || work_ - forgiven_ > limits * options_.work_limit ||
          (options_.time_limit_s > 0 && trace_.Elapsed() > options_.time_limit_s);
 }
 
@@ -276,16 +275,13 @@ FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::v
 }
 
 void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool,
-                        const std::vector<TrialSpecs>& promised, bool base, size_t count,
-                        const PromisedBeside& beside, Candidate* winner) {
+                        const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner) {
   TrialResults trials = RunTrials(from, pool, base);
   const PendulumTrials pendulum = TakePendulumTrials(from, &trials);
   Candidate found = from;
   TakeBest(WorthAFit(from, std::move(trials), promised, base, count, *winner), 1, &found);
   TrySprings(from, &found);
-  if (auto shorter =
-          PendulumSearch(setting_, *this, trace_, from, base, pendulum, beside).Run(*winner, &found))
-    shorter_windows_ = std::move(shorter);
+  PendulumSearch(setting_, *this, trace_, from, base, pendulum).Run(&found);
   if (found.score > winner->score) *winner = found;
 }
 
@@ -309,10 +305,6 @@ PendulumTrials FitLedger::TakePendulumTrials(const Candidate& from, TrialResults
   }
   std::ranges::stable_sort(out.springs,
                            [&](const auto& a, const auto& b) { return PerRow(*a) < PerRow(*b); });
-  std::vector<RankedTrial> plain = trials->ranked;
-  std::erase_if(plain,
-                [](const RankedTrial& t) { return HasHiddenStates(*t.fitted) || HasUnnamed(*t.fitted); });
-  out.beside = BestOf(std::move(plain), {}, kBesidePendulum);
   return out;
 }
 

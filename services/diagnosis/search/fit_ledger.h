@@ -24,9 +24,6 @@ inline constexpr double kPartly = 0.5;  // of a model's misfit, that a part of t
 inline constexpr double kSwings = 0.8;  // the same, for springs or a hinge in the place of the true one
 
 struct PendulumTrials;
-// What a screen around a trial on the windows at these places promises beside its effects, best first.
-using PromisedBeside =
-    std::function<std::vector<TrialSpecs>(const Candidate& trial, const std::vector<uint32_t>& places)>;
 
 class FitLedger {
  public:
@@ -34,9 +31,6 @@ class FitLedger {
             const CancelToken* cancel);
 
   bool Cancelled() const { return cancel_ != nullptr && cancel_->cancelled(); }
-  // A pendulum payload that fits all windows at half their length but not at full length, where it diverges
-  // in a few: the search is to be made again over windows of half the length. Null: none.
-  const std::shared_ptr<const Candidate>& shorter_windows() const { return shorter_windows_; }
   // Whether the work limit (times `limits`), the time limit or a cancellation forbids new fits.
   bool Late(double limits = 1.0) const;
   double work() const { return work_; }
@@ -91,11 +85,9 @@ class FitLedger {
   const Candidate* pieces() const { return pieces_.get(); }
 
   // Adds each of `pool` to `from` in a trial fit (some windows, few iterations), and fits the `count` best
-  // and all `promised` on all windows. `winner` becomes the best of these and itself. `beside`: asked of a
-  // pendulum payload that leaves something.
+  // and all `promised` on all windows. `winner` becomes the best of these and itself.
   void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool,
-               const std::vector<TrialSpecs>& promised, bool base, size_t count, const PromisedBeside& beside,
-               Candidate* winner);
+               const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner);
   // Whether `specs` in the place of `model`'s effects, in a trial fit, leave less than `share` of the excess
   // χ² that the model leaves there. True where either trial fails.
   bool MayLeaveLess(const Candidate& model, const std::vector<effects::EffectSpec>& specs, bool base,
@@ -151,7 +143,6 @@ class FitLedger {
   double work_ = 0;                          // of all fits so far
   double forgiven_ = 0;                      // of it, that no longer counts against the limit
   std::shared_ptr<const Candidate> pieces_;  // base parameters from short pieces
-  std::shared_ptr<const Candidate> shorter_windows_;
   std::map<std::string, Candidate> tried_;
   RememberedFits made_;  // of this round
 };

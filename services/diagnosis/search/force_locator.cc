@@ -258,7 +258,7 @@ std::optional<Candidate> ForceLocator::Fitted(const Explanation& e, const Candid
     least_admissible = std::min(least_admissible, c.fit.chi2);
     if (!best || c.score > best->score) best = c;
   };
-  for (const std::string& variable : kAny) {
+  for (const std::string& variable : kFieldVariables) {
     if (const auto field = UnnamedStart(setting_, force, variable, e.joint))
       offer(fits_.KnownOrFitted(Joined(e.names, {*field}), e.without.base));
   }

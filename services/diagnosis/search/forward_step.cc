@@ -16,7 +16,6 @@ constexpr double kMost = 0.5;  // of what is left
 constexpr double kLeastPromise =
     2.0;  // nats that a screen must promise of a law for a trial beside hidden states
 constexpr size_t kPromisedFits = 3;      // of what a screen promises, without a trial
-constexpr size_t kBesideTrial = 2;       // what a screen around a trial promises
 constexpr size_t kLawFits = 3;           // before hidden states are looked for
 constexpr size_t kFitsBesideDrives = 3;  // beside the losses of all drives
 
@@ -45,19 +44,6 @@ FeatureSet ForwardStep::FeaturesOn(const std::vector<uint32_t>& places) const {
   FeatureSet out{features_.features, {features_.block.joint, {}}};
   for (const uint32_t i : places) out.block.phi.push_back(features_.block.phi[i]);
   return out;
-}
-
-std::vector<TrialSpecs> ForwardStep::PromisedBesideTrial(const Candidate& trial,
-                                                         const std::vector<uint32_t>& places) {
-  const FitData some = setting_.data.OnWindows(places);
-  const ScreenResult screened =
-      ScreenAround({some, setting_.nominal, setting_.scales}, trial, trial.base, &trial, FeaturesOn(places),
-                   fits_.lifted(), Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), nullptr);
-  fits_.AddWork(screened.work);
-  state_.trace.Screen(screened, trial.base);
-  // At stake are these windows alone.
-  if (!(MostPromised(screened) > kMost * fits_.Excess(trial) / 2)) return {};
-  return Promised(trial, screened, setting_.nominal, setting_.scales, true, kLeastPromise, kBesideTrial);
 }
 
 std::vector<ScreenResult> ForwardStep::ScreensBesideForce(const Candidate& current, const FreeForce& force,
@@ -111,7 +97,7 @@ void ForwardStep::AddTransmission(const Candidate& from, Candidate* winner) {
   };
   const auto pool = TransmissionTrials(setting_.data, setting_.nominal, setting_.scales, from,
                                        Screen(from, from.base), nearest);
-  fits_.TryBest(from, pool, {}, from.base, kFitsBesideDrives, beside_trial_, winner);
+  fits_.TryBest(from, pool, {}, from.base, kFitsBesideDrives, winner);
 }
 
 // The rod, and the law beside it as a screen around the model begins it.
@@ -139,14 +125,13 @@ void ForwardStep::AddRods(const Candidate& from, Candidate* winner) {
                        KeyOf(starts.back().specs) + " leaves " + std::to_string(start.left));
   }
   Candidate found = from;
-  PendulumSearch(setting_, fits_, state_.trace, from, from.base, {}, beside_trial_).Follow(starts, &found);
+  PendulumSearch(setting_, fits_, state_.trace, from, from.base, {}).Follow(starts, &found);
   if (found.score > winner->score) *winner = found;
 }
 
 void ForwardStep::AddMount(const Candidate& from, Candidate* winner) {
   if (HasKind(from.specs, effects::SoftMount().id)) return;
-  fits_.TryBest(from, MountStarts(setting_.nominal, setting_.scales), {}, from.base, 1, beside_trial_,
-                winner);
+  fits_.TryBest(from, MountStarts(setting_.nominal, setting_.scales), {}, from.base, 1, winner);
 }
 
 void ForwardStep::AddOnJoint(const Candidate& from, int joint, const TrialSpecs& beside, Candidate* winner) {
@@ -160,7 +145,7 @@ void ForwardStep::AddOnJoint(const Candidate& from, int joint, const TrialSpecs&
   const auto force = [&] { return state_.Force(from); };
   const auto pool = with(TrialsOnJoint(joint, setting_.data, setting_.nominal, setting_.scales, from,
                                        Screen(from, from.base), force, nearest));
-  fits_.TryBest(from, pool, {}, from.base, kLawFits, beside_trial_, winner);
+  fits_.TryBest(from, pool, {}, from.base, kLawFits, winner);
 }
 
 void ForwardStep::AddFrom(const Candidate& from, const ScreenResult& screened, double least, double needed,
@@ -193,7 +178,7 @@ void ForwardStep::Try(const Candidate& from, const ScreenResult& screened, doubl
   const auto promised =
       Promised(from, screened, setting_.nominal, setting_.scales, near, needed, kPromisedFits);
   const auto pool = Trials(data, setting_.nominal, setting_.scales, from, screened, least, force, nearest);
-  fits_.TryBest(from, pool, promised, from.base, count, beside_trial_, winner);
+  fits_.TryBest(from, pool, promised, from.base, count, winner);
 }
 
 bool ForwardStep::ExplainedByLaws(const Candidate& from, const Candidate& found, double needed) const {

@@ -73,8 +73,6 @@ class ForwardStep {
   void Try(const Candidate& from, const ScreenResult& screened, double least, double needed, size_t count,
            Candidate* winner);
   bool TakesMost(const Candidate& from, const Candidate& found) const;
-  // Nothing where it does not promise most of what the trial leaves.
-  std::vector<TrialSpecs> PromisedBesideTrial(const Candidate& trial, const std::vector<uint32_t>& places);
 
   SearchState& state_;
   const FitSetting& setting_;
@@ -83,9 +81,6 @@ class ForwardStep {
   std::vector<Eigen::VectorXd> step_rule_;
   std::map<std::string, ScreenResult> screens_;  // of this round, by model and fit
   int round_ = 0;
-  const PromisedBeside beside_trial_ = [this](const Candidate& trial, const std::vector<uint32_t>& places) {
-    return PromisedBesideTrial(trial, places);
-  };
 };
 
 }  // namespace rg::diagnosis

@@ -1,24 +1,14 @@
 #include "services/diagnosis/search/further_steps.h"
 
 #include "services/diagnosis/hypotheses/hypotheses.h"
-#include "services/diagnosis/search/refinement.h"
 
 namespace rg::diagnosis {
-
-using effects::EffectSpec;
 
 namespace {
 
 constexpr double kNearlyAll = 0.9;            // of what is left
 constexpr int kMaxForwardSteps = 2;           // beside a first effect, before inertials are freed
-constexpr double kWorkForForwardSteps = 0.5;  // of the limit, after which no step or substitute begins
-
-bool IsOfAllJoints(const Candidate& c, const std::string& kind) {
-  for (size_t i = 0; i < c.specs.size(); ++i) {
-    if (c.specs[i].id == kind && OfAllJoints(c, i)) return true;
-  }
-  return false;
-}
+constexpr double kWorkForForwardSteps = 0.5;  // of the limit, after which no step begins
 
 }  // namespace
 
@@ -92,37 +82,6 @@ Candidate FurtherSteps::Steps(Candidate account,
     account = with;
   }
   return account;
-}
-
-void FurtherSteps::SubstituteAll(Candidate* best) {
-  while (Substitute(best)) simplifier_.Run(best);
-}
-
-bool FurtherSteps::Substitute(Candidate* best) {
-  const std::set<std::string> kinds = FreshKinds(Candidate{}, *best);
-  if (kinds.size() < 2 || HasUnnamed(*best) || fits_.MeetsSensors(*best)) return false;
-  for (const std::string& kind : kinds) {
-    if (fits_.Late(kWorkForForwardSteps)) return false;
-    if (state_.ordinary && IsOfAllJoints(*best, kind)) continue;
-    Candidate winner = *best;
-    AddWithoutKind(*best, kind, &winner);
-    if (KeyOf(winner.specs) == KeyOf(best->specs)) continue;
-    const bool more = HasKind(state_.given, kind) || FreshKinds(Candidate{}, winner).size() > kinds.size();
-    state_.TellOfRound("substitute", KeyOf(winner.specs) + " for " + kind + " gains " +
-                                         std::to_string(winner.score - best->score));
-    if (winner.score <= best->score + (more ? state_.Threshold(*best, winner) : kLeastGainOfExchange))
-      continue;
-    *best = winner;
-    return true;
-  }
-  return false;
-}
-
-void FurtherSteps::AddWithoutKind(const Candidate& account, const std::string& kind, Candidate* winner) {
-  const std::vector<EffectSpec> specs = WithoutKind(Refreshed(account), kind);
-  if (!stepped_from_.insert(KeyOf(specs, account.base)).second) return;
-  const Candidate from = fits_.KnownOrFitted(specs, account.base, &account);
-  if (from.fit.ok) step_.Add(from, kFitsInPlace, winner);
 }
 
 }  // namespace rg::diagnosis

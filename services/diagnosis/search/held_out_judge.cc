@@ -14,12 +14,6 @@ namespace {
 // anything: they must predict more.
 constexpr double kMayLeave = 0.5, kMayLeaveHidden = 0.1;
 
-// Whether all its effects are unnamed forces.
-bool AllUnnamed(const Candidate& c) {
-  return !c.specs.empty() &&
-         std::ranges::all_of(c.specs, [](const effects::EffectSpec& e) { return IsUnnamed(e.id); });
-}
-
 std::string Key(const Candidate& c) { return KeyOf(c.specs, c.base); }
 
 // Whether the likelihood alone may decide to put `effect` in the place of `id`: not for hidden states, free
@@ -73,39 +67,6 @@ int HeldOutJudge::WorstRecording(const Candidate& model, double needed) {
 bool HeldOutJudge::ExplainsMost(const Candidate& model, const Candidate& without) {
   const double may_leave = HasHiddenStates(model) ? kMayLeaveHidden : kMayLeave;
   return Of(model).deficit < may_leave * Of(without).deficit;
-}
-
-std::optional<Candidate> HeldOutJudge::Better(const Candidate& model, std::map<std::string, Candidate>& tried,
-                                              const std::function<double(const Candidate&)>& needed) {
-  const HeldOut own = Of(model);
-  std::vector<const Candidate*> others;
-  for (const auto& [key, c] : tried) {
-    if (c.fit.ok && key != Key(model)) others.push_back(&c);
-  }
-  std::ranges::sort(others, [](const Candidate* a, const Candidate* b) { return a->score > b->score; });
-  std::optional<Candidate> best;
-  double most = 0;
-  for (const Candidate* c : others) {
-    // An unnamed force that predicts better refutes the law, however much better that fits.
-    const double behind = needed(*c) + (AllUnnamed(*c) ? 0.0 : model.score - c->score);
-    // More than even a prediction at the noise could gain.
-    if (behind > own.deficit + kZ99OneSided * own.deficit_stddev) continue;
-    const HeldOut& theirs = Of(*c);
-    const double odds = theirs.log_density - own.log_density - behind;
-    if (!(odds > most)) continue;
-    // A consistent model without unnamed forces need not pass the sign test: the difference may lie in few
-    // windows.
-    if (PredictsMore(theirs, own) || (!HasUnnamed(*c) && Holds(*c, needed(*c)))) most = odds, best = *c;
-  }
-  if (!best) return best;
-  const double reached = Of(*best).log_density;
-  for (auto& [key, c] : tried) {
-    const auto known = known_.find(About(c));
-    if (known == known_.end()) continue;
-    const double worse = std::max(0.0, reached - known->second.log_density);
-    c.score -= worse, c.held_out_penalty += worse;
-  }
-  return best;
 }
 
 void HeldOutJudge::CompareRivals(SearchResult* search,

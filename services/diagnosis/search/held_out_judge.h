@@ -32,14 +32,8 @@ class HeldOutJudge {
   bool SwingContinues(const Candidate& model) { return Of(model).swing_continues && !rod_given_; }
   // Whether its deficit is less than half of that of `without`; with hidden states, a tenth.
   bool ExplainsMost(const Candidate& model, const Candidate& without);
-  // The fitted model that replaces one that is not consistent: it predicts significantly more windows better,
-  // or has no unnamed force and is consistent itself, and gains in predictive density more than its fit is
-  // worse and an addition needs (an unnamed force alone: more than an addition needs). Empty: none. Models
-  // that predict less than it get their difference as held_out_penalty.
-  std::optional<Candidate> Better(const Candidate& model, std::map<std::string, Candidate>& tried,
-                                  const std::function<double(const Candidate&)>& needed);
   // Log evidence of the fitted recordings plus log predictive density of the held-out ones.
-  double TotalEvidence(const Candidate& c) { return FitScore(c) + Of(c).log_density; }
+  double TotalEvidence(const Candidate& c) { return c.score + Of(c).log_density; }
   // Index of the held-out recording that the model predicts worst; −1 if the model Holds.
   int WorstRecording(const Candidate& model, double needed);
   // Computes the predictive densities of the best model and of its rivals (rivals.h). A rival that has more

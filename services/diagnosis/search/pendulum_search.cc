@@ -18,13 +18,10 @@ constexpr double kPendulumShare = 0.8;   // of the work limit
 constexpr size_t kPendulumWindows = 14;  // evenly spread, on which a pendulum is tried
 constexpr double kTypically = 0.7;       // of these windows; the start of the others may be lost
 constexpr double kLonger = 2.2;          // times a pendulum's length, that is tried too
-constexpr int kMostBeside = 2;           // additions, one after another
 constexpr double kSameFit = 0.02;        // of χ², within which two fits count as the same
 constexpr double kAstray = 10.0;  // times a trial's misfit, above which its fit on all windows was lost
 constexpr double kNoNearer =
     2.0;  // times kConsistent: a pendulum whose trial leaves more is not fitted on all windows
-constexpr double kRowsPerState = 4;      // rows of a window, at least, that determine its start
-constexpr double kShortestWindow = 0.2;  // s, of a search
 
 // The one among these effects.
 const EffectSpec& MassIn(const TrialSpecs& specs) {
@@ -43,11 +40,16 @@ TrialSpecs About(const EffectSpec& hinge, TrialSpecs specs) {
 
 }  // namespace
 
-std::shared_ptr<const Candidate> PendulumSearch::Run(const Candidate& winner, Candidate* found) {
-  if (!MayBeOne(*found)) return nullptr;
-  const std::optional<Candidate> lost = Seek(found);
-  const double nearest_left = std::min(fits_.PerRow(*found), fits_.PerRow(winner));
-  return lost && !(fits_.PerRow(*lost) > nearest_left) && !fits_.Late() ? OverHalves(*lost) : nullptr;
+void PendulumSearch::Run(Candidate* found) {
+  if (!MayBeOne(*found) || SpringsHold()) return;
+  springs_ = Springs();
+  Begin(RodStarts(setting_.data, setting_.nominal, MassIn(springs_)).front(),
+        EvenlySpread(setting_.data.windows.size(), setting_.data.WindowsFor(kPendulumWindows)));
+  TryLengths();
+  // A true pendulum explains something about any hinge.
+  if (!(nearest_.left - 1 < kSwings * missing_)) return;
+  TryHinges();
+  if (!(nearest_.left > kNoNearer * kConsistent)) FitWhole(found);
 }
 
 // A swinging mass is ruled out beside an unnamed force, and where a model tried so far, admissible or not,
@@ -72,25 +74,6 @@ bool PendulumSearch::MayBeOne(const Candidate& found) {
   if (!base_) compare(Refreshed(from_), true, &from_);
   if (trials_.surface != nullptr) compare(Refreshed(*trials_.surface), base_, nullptr);
   return may_be();
-}
-
-// The best fit of a pendulum on all windows, where it fits most of them and not all.
-std::optional<Candidate> PendulumSearch::Seek(Candidate* found) {
-  if (SpringsHold()) return {};
-  springs_ = Springs();
-  Begin(RodStarts(setting_.data, setting_.nominal, MassIn(springs_)).front(),
-        EvenlySpread(setting_.data.windows.size(), setting_.data.WindowsFor(kPendulumWindows)));
-  TryLengths();
-  // A true pendulum explains something about any hinge.
-  if (!(nearest_.left - 1 < kSwings * missing_)) return {};
-  AddPromised();
-  TryHinges();
-  AddPromised();
-  TryBeside();
-  if (nearest_.left > kNoNearer * kConsistent) return {};
-  TryOtherAxes();
-  FitWhole(found);
-  return FewWindowsLost() && !(fits_.PerRow(*best_) < kExplained) ? best_ : std::nullopt;
 }
 
 bool PendulumSearch::SpringsHold() const {
@@ -172,50 +155,6 @@ void PendulumSearch::TryHinges() {
   }
 }
 
-// Without another missing effect it may be inconsistent, though most windows absorb that in their swing.
-void PendulumSearch::TryBeside() {
-  const EffectSpec rod = MassIn(nearest_.specs);
-  const std::string& held = effects::EffectOf(effects::Role::kBodyInertia).id;
-  std::vector<TrialSpecs> others;
-  for (const auto& other : trials_.beside) {
-    // A payload may have been found in the pendulum's place: without it, too.
-    const TrialSpecs free = WithoutKind(Refreshed(*other), held);
-    const bool found = free.size() < other->specs.size() && !HasKind(setting_.nominal.effects(), held);
-    if (found && !free.empty()) others.push_back(free);
-    others.push_back(Refreshed(*other));
-  }
-  for (const TrialSpecs& other : others) TakeIfNearer(Joined(other, {rod}));
-}
-
-// What else is missing shows beside the pendulum as it is, while trials made without it found what does its
-// work.
-void PendulumSearch::AddPromised() {
-  for (int more = 0; more < kMostBeside && promised_beside_ && nearest_.trial != nullptr; ++more) {
-    if (nearest_.in_all < kConsistent || fits_.Late() || fits_.work() > enough_) return;
-    const Hung before = nearest_;
-    if (std::exchange(asked_, before.trial) == before.trial) return;
-    for (const TrialSpecs& other : promised_beside_(*before.trial, request_.places))
-      TakeIfNearer(Joined(before.specs, other));
-    if (nearest_.trial == before.trial) return;
-  }
-}
-
-// Where it lies along the hinge's first axis it can only swing about the other: windows in which that happens
-// tell the right hinge.
-void PendulumSearch::TryOtherAxes() {
-  const std::string about = HingeOf(MassIn(nearest_.specs));
-  for (const EffectSpec& hinge : hinges_) {
-    if (HingeOf(hinge) != about) TakeIfNearer(About(hinge, nearest_.specs));
-  }
-}
-
-// Where it leaves half of what the nearest leaves on all of a trial's windows, which must be something.
-void PendulumSearch::TakeIfNearer(const TrialSpecs& specs) {
-  if (nearest_.in_all < kExplained) return;
-  const Hung other = Hang(specs);
-  if (other.in_all - 1 < kPartly * (nearest_.in_all - 1)) nearest_ = other;
-}
-
 void PendulumSearch::FitWhole(Candidate* found) {
   for (const TrialSpecs& specs : {nearest_.needed, nearest_.specs}) {
     Weigh(specs, found);
@@ -243,23 +182,6 @@ bool PendulumSearch::FewWindowsLost() const {
   return left < kConsistent && left - 1 < kPartly * (fits_.PerRow(*best_) - 1);
 }
 
-std::shared_ptr<const Candidate> PendulumSearch::OverHalves(const Candidate& rod) {
-  FitData halves = setting_.data;
-  halves.nodes.window_s *= 0.5;
-  if (halves.nodes.window_s < kShortestWindow) return nullptr;
-  halves.windows = InPieces(halves.windows, halves.nodes.window_s, halves.RowNoise());
-  if (!(RowsPerWindow(halves) > kRowsPerState * rod.plant->num_states())) return nullptr;
-  const FitSetting setting{halves, setting_.nominal, setting_.scales};
-  Candidate over = rod;
-  over.fit = MakeFit(setting, fits_.WholeFit(Refreshed(rod), rod.base, nullptr));
-  fits_.AddWork(over.fit.work);
-  trace_.Fit(over, "  halves");
-  const double most = std::min(kConsistent, 1 + kPartly * (PerFreeRow(setting_.data, rod) - 1));
-  const bool holds = over.fit.ok && !Uninformed(over) && PerFreeRow(halves, over) < most;
-  if (!holds || fits_.Cancelled()) return nullptr;
-  return std::make_shared<const Candidate>(WithoutStates(std::move(over)));
-}
-
 // A trial of these effects.
 PendulumSearch::Hung PendulumSearch::Hang(const TrialSpecs& specs) {
   if (fits_.Late(kWorkForComparisons) || fits_.work() > enough_) return {};
@@ -273,12 +195,6 @@ PendulumSearch::Hung PendulumSearch::Hang(const TrialSpecs& specs) {
 
 double PendulumSearch::Typically(const std::vector<double>& window_chi2) const {
   return TypicalChi2(setting_.data, window_chi2, fits_.noise_scale(), kTypically);
-}
-
-// χ² per degree of freedom: each window's own start absorbs some noise.
-double PendulumSearch::PerFreeRow(const FitData& data, const Candidate& c) const {
-  const double starts = static_cast<double>(data.windows.size()) * c.plant->num_states();
-  return c.fit.chi2 / std::max(1.0, c.fit.rows - starts) / fits_.noise_scale();
 }
 
 }  // namespace rg::diagnosis

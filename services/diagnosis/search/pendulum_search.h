@@ -15,8 +15,7 @@ namespace rg::diagnosis {
 struct PendulumTrials {
   // A mass in springs on the tool and on the last link, the better first; none: nothing to look for.
   std::vector<std::shared_ptr<const Candidate>> springs;
-  std::vector<std::shared_ptr<const Candidate>> beside;  // the best with names and without hidden states
-  std::shared_ptr<const Candidate> surface;              // a force over two positions; null: none
+  std::shared_ptr<const Candidate> surface;  // a force over two positions; null: none
 };
 
 struct FollowedStart {
@@ -28,23 +27,15 @@ class PendulumSearch {
  public:
   // `from`: the model that the trials add to. All of these outlive this.
   PendulumSearch(const FitSetting& setting, FitLedger& fits, const Trace& trace, const Candidate& from,
-                 bool base, const PendulumTrials& trials, const PromisedBeside& beside)
-      : setting_(setting),
-        fits_(fits),
-        trace_(trace),
-        from_(from),
-        base_(base),
-        trials_(trials),
-        promised_beside_(beside) {}
+                 bool base, const PendulumTrials& trials)
+      : setting_(setting), fits_(fits), trace_(trace), from_(from), base_(base), trials_(trials) {}
 
-  // From what the recorded motion tells of a rod, one start at least. `found` becomes the
-  // best on all windows where that scores better.
+  // From what the recorded motion tells of a rod, one start at least. `found` becomes the best on all windows
+  // where that scores better.
   void Follow(const std::vector<FollowedStart>& starts, Candidate* found);
-  // Over lengths, hinges and places, alone and with the effects of other trials. `found`, the best of what
-  // was fitted, becomes the pendulum where that scores better. Where it fits most windows and not all, and
-  // leaves no more than `found` and `winner`: as it is over windows of half the length, if it holds there;
-  // else null.
-  std::shared_ptr<const Candidate> Run(const Candidate& winner, Candidate* found);
+  // Over lengths, hinges and places. `found`, the best of what was fitted, becomes the pendulum where that
+  // scores better.
+  void Run(Candidate* found);
 
  private:
   struct Hung {
@@ -61,20 +52,13 @@ class PendulumSearch {
   void Begin(const effects::EffectSpec& rod, std::vector<uint32_t> places);
   void TryLengths();
   void TryHinges();
-  void TryBeside();
-  void AddPromised();
-  void TryOtherAxes();
-  void TakeIfNearer(const TrialSpecs& specs);
   void FitWhole(Candidate* found);
   void Weigh(const TrialSpecs& specs, Candidate* found);
   bool FewWindowsLost() const;
-  std::optional<Candidate> Seek(Candidate* found);
-  std::shared_ptr<const Candidate> OverHalves(const Candidate& rod);
 
   std::shared_ptr<const Candidate> Along(const RodStart& start) const;
   Hung Hang(const TrialSpecs& specs);
   double Typically(const std::vector<double>& window_chi2) const;
-  double PerFreeRow(const FitData& data, const Candidate& c) const;
 
   const FitSetting& setting_;
   FitLedger& fits_;
@@ -82,7 +66,6 @@ class PendulumSearch {
   const Candidate& from_;
   const bool base_;
   const PendulumTrials& trials_;
-  const PromisedBeside& promised_beside_;
 
   TrialSpecs springs_;
   std::vector<effects::EffectSpec> hinges_;  // with the rod that the springs are, the likeliest first
@@ -90,8 +73,7 @@ class PendulumSearch {
   double missing_ = 0, enough_ = 0;          // what `from` leaves typically; of work
   double times_ = 1;                         // of the rod's length
   Hung nearest_;
-  std::shared_ptr<const Candidate> asked_;  // the trial around which a screen was made last
-  std::optional<Candidate> best_;           // on all windows
+  std::optional<Candidate> best_;  // on all windows
 };
 
 }  // namespace rg::diagnosis

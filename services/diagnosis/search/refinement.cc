@@ -18,9 +18,7 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr size_t kRivalsWithoutStates = 2;  // that are fitted with free inertials too
-constexpr int kMaxExchanges = 3;            // of effects that are easily taken for each other
-constexpr int kIterationsFromAfar = 12;     // of a fit that begins at the recorded motion
+constexpr int kMaxExchanges = 3;  // of effects that are easily taken for each other
 
 }  // namespace
 
@@ -45,7 +43,7 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
     const Candidate* known = fits_.Known(other, winner->base);
     if (known == nullptr)
       others.push_back(other);
-    else if (known->fit.ok && known->held_out_penalty == winner->held_out_penalty)
+    else if (known->fit.ok)
       known_best = Better(known_best, *known);
   };
   for (const std::string& kind : kinds) {
@@ -60,9 +58,6 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
     const auto starts = OtherTransmission(s, setting_.nominal, setting_.scales);
     for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, starts, 1))
       others.push_back(Joined(specs, start));
-    if (fits_.LeavesNothing(*winner)) continue;
-    for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, OtherGaps(s), 2))
-      others.push_back(Joined(specs, start));
   }
   const double before_others = winner->score;
   fits_.TryInPlace(others, winner);
@@ -73,30 +68,10 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
   return true;
 }
 
-// With free inertials a gain of one of two drives equals the other drive's inverse gain, beside which
-// inertials may be as given.
-Candidate Refinement::OtherDrivesGain(const Candidate& c) {
-  std::vector<EffectSpec> specs = Refreshed(c);
-  const auto gain =
-      std::ranges::find_if(specs, [](const EffectSpec& s) { return effects::ScalesEffort(s.id); });
-  Candidate none;
-  none.score = kNoScore;
-  if (gain == specs.end() || gain->joints.size() != 1 || fits_.Late()) return none;
-  const int other = setting_.data.OtherOfTwo(setting_.nominal.model().FindJoint(gain->joints[0]));
-  if (other < 0) return none;
-  const std::string& joint = setting_.nominal.joint_names()[other];
-  if (Contains(specs, gain->id, joint)) return none;
-  std::map<std::string, double> values = gain->values.at(gain->joints[0]);
-  for (auto& [name, value] : values) value = 1 / value;
-  *gain = effects::MakeSpec(gain->id, {joint}, values);
-  const Candidate plain = fits_.Evaluate(specs, false, nullptr, kIterationsFromAfar, &c);
-  return plain.fit.ok ? plain : none;
-}
-
 Candidate Refinement::WithInertialsFreeOrFixed(const Candidate& c, double least) {
   if (!c.base && fits_.AtStake(c) < least) return c;  // not so much is left
   const Candidate twin = fits_.Evaluate(Refreshed(c), !c.base, &c, 6, &c);
-  const Candidate plain = c.base ? Better(twin, OtherDrivesGain(c)) : c, freed = c.base ? c : twin;
+  const Candidate &plain = c.base ? twin : c, &freed = c.base ? c : twin;
   return freed.score > plain.score + std::max(least, needed_(plain, freed)) ? freed : plain;
 }
 
@@ -131,17 +106,6 @@ Candidate Refinement::Justified(const Candidate& before, Candidate winner) {
     }
   }
   return winner;
-}
-
-Candidate Refinement::OrRivalWithFreeInertials(const Candidate& before, const Candidate winner) {
-  if (!HasFreeStates(winner) || fits_.PerRow(winner) < kConsistent) return winner;
-  Candidate best = winner;
-  for (const Candidate& c : PlainRivals(fits_.tried(), before, winner, kRivalsWithoutStates)) {
-    if (fits_.PerRow(best) < kExplained || fits_.Late(kWorkForComparisons)) break;
-    const Candidate freed = fits_.Evaluate(Refreshed(c), true, &c, 6, &best);
-    if (freed.score > std::max(best.score, c.score + needed_(c, freed))) best = freed;
-  }
-  return best;
 }
 
 }  // namespace rg::diagnosis

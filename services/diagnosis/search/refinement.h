@@ -29,13 +29,9 @@ class Refinement {
   // Of several effects added at once each must be worth its name, against the models without it and, where
   // inertials were fixed, against those with free ones.
   Candidate Justified(const Candidate& before, Candidate winner);
-  // Hidden states follow some of what wrong inertials do: where a model with them is inconsistent with the
-  // noise, the best models without them and of as many names are refitted with free inertials.
-  Candidate OrRivalWithFreeInertials(const Candidate& before, const Candidate winner);
 
  private:
   bool Siblings(const Candidate& before, Candidate* winner);
-  Candidate OtherDrivesGain(const Candidate& c);
 
   const FitSetting& setting_;
   FitLedger& fits_;

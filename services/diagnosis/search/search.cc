@@ -31,9 +31,8 @@ constexpr double kLeastRows = 0.2;       // of all, beyond the unknowns of such 
 constexpr double kNoisiest = 4.0;  // variance over the sensors' own: more is motion that no force follows
 
 // How far the search goes.
-constexpr size_t kNamesBesideUnnamed = 3;  // fits of effects beside a force without a name
-constexpr int kWarmStartIterations = 12;   // from where an earlier search ended
-constexpr double kForwardShare = 0.5;      // of the work limit, that a search of drives leaves
+constexpr int kWarmStartIterations = 12;  // from where an earlier search ended
+constexpr double kForwardShare = 0.5;     // of the work limit, that a search of drives leaves
 
 constexpr uint64_t kOwnDraw = 1000;  // its stream of random numbers, beyond the rounds'
 
@@ -48,17 +47,16 @@ class Search {
     Candidate best = Calibrated();
     AddDrives(&best);
     TakeEarlier(&best);
-    if (!AddEffects(&best)) return WithShorterWindows();
+    AddEffects(&best);
     Simplify(&best);
-    if (fits_.shorter_windows() == nullptr) checks_.Run(Without(), &best, &out_.excited_by);
-    if (fits_.shorter_windows() != nullptr) return WithShorterWindows();
+    checks_.Run(Without(), &best, &out_.excited_by);
     Conclude(best);
     return std::move(out_);
   }
 
  private:
   // What comes after inertials as given or free.
-  enum class Next { kOtherInertials, kDecide, kEnd };
+  enum class Next { kOtherInertials, kDecide };
 
   // The variance that remains when any force is allowed.
   void MeasureNoise() {
@@ -108,46 +106,29 @@ class Search {
   }
 
   // Rounds, each of which adds something, until nothing is accepted or one force explains what is left.
-  // False: one found that windows are too long.
-  bool AddEffects(Candidate* best) {
+  void AddEffects(Candidate* best) {
     std::set<std::string> begun_at;
     int& round = state_.round;
     for (round = 1; round <= options_.max_effects && !fits_.Late(); ++round) {
       // A round that begins at a model where another began ends there too: what it added was removed again.
       step_.SetRound(round);
-      if (!begun_at.insert(KeyOf(best->specs, best->base)).second) return true;
+      if (!begun_at.insert(KeyOf(best->specs, best->base)).second) return;
       fits_.SetRound(round);
-      const bool added = AddOne(best);
-      if (fits_.shorter_windows() != nullptr) return false;
-      if (!added || one_force_) return true;
-      // With less noise, a fit that seemed to explain everything may turn out to be a local optimum.
-      if (LowerNoise(best) && !fits_.MeetsSensors(*best) && !fits_.Late()) {
-        if (refinement_.Exchange(Candidate{}, best)) simplifier_.Run(best);
-        if (!state_.ordinary) further_.SubstituteAll(best);
-      }
-      // What little a force over a position grid leaves is the grid's coarseness, not a further effect.
-      const double nothing =
-          0.98 + 0.02 * std::min(fits_.PerRow(out_.nominal), fits_.PerRow(out_.calibrated));
-      if ((round == 1 || OfPosition(*best)) && TryOneForce(best, std::max(kExplained, nothing), kOfPlace))
-        return true;
+      if (!AddOne(best) || one_force_) return;
+      LowerNoise(best);
     }
-    return true;
   }
 
   // What the rounds left that is not needed, and forces that one without a name does as well.
   void Simplify(Candidate* best) {
     if (state_.ordinary) {
-      // An ordinary robot mostly lacks more than its drives' losses: substitutes are looked for when forward
-      // steps find nothing more.
-      further_.SubstituteAll(best);
       simplifier_.Run(best);
     } else {
       simplifier_.Prune(best);
     }
     ExchangeEarlier(best);
-    if (state_.HasForceInPlace(*best)) return;
-    if ((fits_.PerRow(*best) > kExplained || OfPosition(*best)) && TryOneForce(best, effects::kInf, kAny))
-      *best = unnamed_.WithNames(*best);
+    if (!state_.HasForceInPlace(*best) && (fits_.PerRow(*best) > kExplained || OfPosition(*best)))
+      TakeOneForce(best);
   }
 
   void Conclude(const Candidate& best) {
@@ -169,12 +150,6 @@ class Search {
                             Rng(options_.seed).Split(kOwnDraw));
     out_.missing = state_.Force(Without());
     out_.remaining = state_.Force(out_.best);
-  }
-
-  // The search ends: it is made again over windows of half the length.
-  SearchResult WithShorterWindows() {
-    out_.shorter_windows = fits_.shorter_windows(), out_.work = fits_.work();
-    return std::move(out_);
   }
 
   // The better model without effects beyond the given ones.
@@ -205,20 +180,17 @@ class Search {
   }
 
   // A model that fits better than any force on the old one could shows that the noise is less than assumed.
-  bool LowerNoise(Candidate* best) {
-    return ScaleNoise(best->fit.chi2 / std::max(1.0, fits_.Noise(*best)), best);
-  }
+  void LowerNoise(Candidate* best) { ScaleNoise(best->fit.chi2 / std::max(1.0, fits_.Noise(*best)), best); }
 
   // All scores are brought to the new noise scale, where it is less than the old one.
-  bool ScaleNoise(double to, Candidate* best) {
+  void ScaleNoise(double to, Candidate* best) {
     const double scale = std::max(1.0, std::min(fits_.noise_scale(), to));
-    if (0.5 * (1.0 / scale - 1.0 / fits_.noise_scale()) < 1e-3) return false;
+    if (0.5 * (1.0 / scale - 1.0 / fits_.noise_scale()) < 1e-3) return;
     const double before = fits_.noise_scale();
     fits_.SetNoiseScale(scale);
     step_.ForgetScreens();
     state_.acceptance.RescaleBase(before, scale);
     for (Candidate* c : {best, &out_.nominal, &out_.calibrated}) Rescale(before, scale, c);
-    return true;
   }
 
   // One round. Whether `best` became another model.
@@ -226,8 +198,9 @@ class Search {
     state_.TellOfRound("screen", KeyOf(best->specs));
     Candidate winner = *best, stepped = *best;
     const bool done =
-        state_.round == 1 && (ExplainedByEarlier(*best, &winner) || further_.ByLaws(*best, &winner) ||
-                              BodiesMove(*best, &winner) || Located(*best, &winner));
+        state_.round == 1 &&
+        (ExplainedByEarlier(*best, &winner) || further_.ByLaws(*best, &winner) ||
+         BodiesMove(*best, &winner) || TransmissionBesideLaws(*best, &winner) || Located(*best, &winner));
     // What an unnamed force leaves where any force leaves nothing is its grid's coarseness.
     if (state_.HasForceInPlace(winner)) {
       one_force_ = true, *best = winner;
@@ -238,13 +211,7 @@ class Search {
       if (next != Next::kOtherInertials || fits_.Late()) break;
       next = AddWithInertials(base, best, &winner, &stepped);
     }
-    if (next == Next::kEnd) return one_force_;
     if (Gains(stepped, winner)) winner = stepped;
-    // In the place of an unnamed force two effects may do that hold together only beside free inertials: it
-    // is enough that they score better.
-    if (HasUnnamed(winner)) {
-      if (const Candidate* c = BestFreed(fits_.tried(), *best)) winner = Better(winner, further_.Beside(*c));
-    }
     Refine(best, &winner);
     return Accept(winner, best);
   }
@@ -261,6 +228,22 @@ class Search {
       // A mount alone is among what is tried in any case.
       if (KeyOf(from.specs) != KeyOf(best.specs)) step_.AddMount(from, winner);
       if (fits_.PerRow(*winner) < kExplained && Gains(*winner, best)) return true;
+    }
+    return false;
+  }
+
+  // Whether a spring or play explains what laws leave that explain most. What a motor behind it does imitates
+  // losses and late drives: it must leave nothing, or so much that more is looked for beside it.
+  bool TransmissionBesideLaws(const Candidate& best, Candidate* winner) {
+    for (const Candidate& from : Plain(best)) {
+      const bool part = fits_.Excess(from) < kPartly * fits_.Excess(best);
+      if (!part || fits_.PerRow(from) < kExplained || fits_.Late()) continue;
+      state_.TellOfRound("transmission", KeyOf(from.specs, from.base));
+      Candidate found = from;
+      step_.AddTransmission(from, &found);
+      if (!fits_.LeavesNothing(found) && fits_.PerRow(found) < kExplained) continue;
+      *winner = Better(*winner, found);
+      if (fits_.LeavesNothing(*winner) && Gains(*winner, best)) return true;
     }
     return false;
   }
@@ -316,7 +299,6 @@ class Search {
                        (state_.ordinary || fits_.AtStake(*best) < state_.Threshold(*best) ||
                         (state_.round > 1 && own->score < best->score - 0.5 * setting_.data.Rows()));
     const Candidate from = *own;
-    if (state_.round == 1) further_.NoteStepFrom(from, base);
     const ScreenResult screened = step_.NotedScreen(from, base);
     const double best_gain = screened.hypotheses.empty() ? 0.0 : screened.hypotheses.front().gain;
     const double needed = state_.Threshold(*best);
@@ -335,7 +317,6 @@ class Search {
     if (consistent && named_gain > kNearlyPromised * fits_.AtStake(from))
       least_gain = std::max(least_gain, kRivalShare * named_gain);
     step_.AddFrom(from, screened, least_gain, needed, base ? 3 : 4, winner);
-    if (fits_.shorter_windows() != nullptr) return Next::kEnd;
     if (base || (best->base && state_.round > 1)) return Next::kOtherInertials;
     return StepOnWithFixedInertials(best, winner, stepped);
   }
@@ -343,10 +324,6 @@ class Search {
   // Further forward steps, and whether free inertials are no rival of what was found.
   Next StepOnWithFixedInertials(Candidate* best, Candidate* winner, Candidate* stepped) {
     further_.BesideBest(*best, *winner, stepped);
-    if (state_.round == 1 && checks_.ExplainedByOneForce(*best, Better(*winner, *stepped), winner)) {
-      one_force_ = true, *best = *winner;
-      return Next::kEnd;
-    }
     if (checks_.ExplainedWithFixedInertials(*best, Better(*winner, *stepped))) return Next::kDecide;
     // Where free inertials explain something they are a rival of several effects: URDFs are often off.
     if (!best->base && fits_.PerRow(*stepped) < kExplained && Gains(*stepped, *winner)) *winner = *stepped;
@@ -355,24 +332,16 @@ class Search {
 
   // What was found is compared with what is easily taken for it, fitted longer, and so is the old model.
   void Refine(Candidate* best, Candidate* winner) {
-    if (KeyOf(winner->specs) == KeyOf(best->specs) && state_.FoundNothing(*best)) {
-      if (const Candidate* c = AsGoodAsFreed(fits_.tried(), *best, needs_)) *winner = *c;
-    }
     if (KeyOf(winner->specs) != KeyOf(best->specs)) {
-      Restart(winner);
       simplifier_.DropAbsent(winner);
       refinement_.Exchange(*best, winner);
-      *winner = refinement_.OrRivalWithFreeInertials(
-          *best, refinement_.WithInertialsFreeOrFixed(*winner, state_.Threshold(*best)));
+      *winner = refinement_.WithInertialsFreeOrFixed(*winner, state_.Threshold(*best));
     }
-    if (const Candidate* c = FewerNames(fits_.tried(), *best, *winner, needs_))
-      *winner = refinement_.Refitted(*c, *c, *c);
     // Fits with hidden states or free inertials end before they converge: the old model is fitted on from the
     // winner's values, or an addition would be credited with what a longer fit alone brings.
     const bool alike = best->base == winner->base;
     if (winner->score > best->score && best->fit.ok && ((best->base && alike) || HasHiddenStates(*best)))
       *best = refinement_.Refitted(*best, alike ? *winner : *best, *winner);
-    if (AddsNothing(*best, *winner)) *winner = *best;
   }
 
   // Whether it takes the place of `best`; then without what is not needed.
@@ -390,30 +359,21 @@ class Search {
     *best = justified;
     if (state_.ordinary) drives_.Late(best);
     simplifier_.Run(best);
-    if (!state_.ordinary) further_.SubstituteAll(best);
     return true;
   }
 
-  // One unnamed force in the place of all effects found, over two joints' positions or over one of the
-  // `variables` of one joint; taken where it leaves less than `worst` χ² per row and scores better.
-  bool TryOneForce(Candidate* best, double worst, const std::vector<std::string>& variables) {
-    // One force cannot stand for the losses of all drives.
+  // One unnamed force in the place of all effects found, over two joints' positions or over one of one
+  // joint's variables, where that scores better. One force cannot stand for the losses of all drives.
+  void TakeOneForce(Candidate* best) {
     if (fits_.Cancelled() || state_.ordinary || (fits_.PerRow(*best) < kExplained && setting_.data.n > 1))
-      return false;
+      return;
     state_.Tell("flexible", 0.3 + 0.15 * state_.round, KeyOf(best->specs));
     bool taken = false;
     // With free inertials only where the present model has them.
-    unnamed_.Try(best->base, variables, [&](const Candidate& c) {
-      if (c.score > best->score + state_.Threshold(*best) && fits_.PerRow(c) < worst) *best = c, taken = true;
+    TryUnnamedForces(state_, best->base, [&](const Candidate& c) {
+      if (c.score > best->score + state_.Threshold(*best)) *best = c, taken = true;
       return taken && fits_.PerRow(*best) < kExplained;
     });
-    return taken;
-  }
-
-  // A model inconsistent with the noise may be a local optimum that free inertials led to: it is fitted again
-  // from nominal inertials over short pieces of the recordings.
-  void Restart(Candidate* winner) {
-    if (fits_.PerRow(*winner) > kConsistent && !fits_.Late()) *winner = Better(*winner, fits_.Anew(*winner));
   }
 
   // What was taken for one of several alike effects while others were missing is compared again.
@@ -434,13 +394,9 @@ class Search {
   DriveSearch drives_{state_, step_};
   Simplifier simplifier_{setting_, fits_, needs_, [this](const Candidate& c) { return state_.Threshold(c); },
                          [this](const Candidate& c) { return state_.Explained(c); }};
-  UnnamedForces unnamed_{
-      setting_,     fits_,
-      state_.given, [this](const Candidate& c) { return state_.Force(c); },
-      needs_,       [this](const Candidate& c, Candidate* best) { step_.Add(c, kNamesBesideUnnamed, best); }};
   Refinement refinement_{setting_, fits_, needs_};
-  FurtherSteps further_{state_, step_, drives_, simplifier_};
-  HeldOutChecks checks_{state_, step_, further_, refinement_, simplifier_, unnamed_};
+  FurtherSteps further_{state_, step_, drives_};
+  HeldOutChecks checks_{state_};
 
   ForceLocator locator_{state_, step_};
 

@@ -16,9 +16,8 @@ namespace {
 
 constexpr double kPruned = 2.0;       // of the work limit, after which nothing is removed
 constexpr double kSmallShare = 0.01;  // of what all effects explain
-constexpr int kMergeIterations = 12;
-constexpr size_t kManyGains = 3;     // joints, from which on gains are rather errors of masses
-constexpr double kSmallGain = 0.01;  // of one: no URDF knows a mass better
+constexpr size_t kManyGains = 3;      // joints, from which on gains are rather errors of masses
+constexpr double kSmallGain = 0.01;   // of one: no URDF knows a mass better
 
 // Whether it scales efforts by no more than the error of any URDF's masses.
 bool IsSmallGain(const EffectSpec& s) {
@@ -28,19 +27,12 @@ bool IsSmallGain(const EffectSpec& s) {
   });
 }
 
-// Without the structure's prior.
-double EvidenceAlone(const Candidate& c) { return FitScore(c) + StructurePrior(c.specs, c.base); }
-
 }  // namespace
 
 void Simplifier::Run(Candidate* best) {
   GainsYieldToInertials(best);
   Prune(best);
   UsePlainLaws(best);
-  UsePlainLawsOnJoints(best);
-  UseLawOfMostJoints(best);
-  MergeByDirection(best);
-  SplitByDirection(best);
   FirstRotorAsInertia(best);
 }
 
@@ -177,106 +169,6 @@ void Simplifier::FirstRotorAsInertia(Candidate* best) {
   const Candidate body = fits_.Evaluate(specs, true, best, 6, best);
   const double more = 0.5 * (body.fit.chi2 - best->fit.chi2) / fits_.noise_scale();
   if (body.fit.ok && more < 1) Replace(body, best);
-}
-
-// Coulomb friction and a constant force on the same joints are one law, friction by direction. So are Coulomb
-// friction and a tilted base on a rail; on other joints the score tells these two apart.
-void Simplifier::MergeByDirection(Candidate* best) {
-  const std::string &dry = LawOf(Regressor::kDirection).id, &zero = LawOf(Regressor::kConstant).id,
-                    &tilt = effects::EffectOf(effects::Role::kGravity).id,
-                    &either = LawOf(Regressor::kForwards).id;
-  if (!best->fit.ok || !HasKind(best->specs, dry) || fits_.Late(kPruned)) return;
-  const TrialSpecs specs = Refreshed(*best);
-  std::map<std::string, double> level, offset;  // by joint
-  for (const EffectSpec& s : specs) {
-    if (s.id == dry) level[s.joints[0]] = s.values.at(s.joints[0]).at("coulomb");
-    if (s.id == zero) offset[s.joints[0]] = s.values.at(s.joints[0]).at("offset");
-  }
-  const bool everywhere =
-      std::ranges::all_of(offset, [&](const auto& o) { return level.count(o.first) > 0; }) &&
-      offset.size() == level.size();
-  const bool tilted = offset.empty() && HasKind(best->specs, tilt);
-  if (!everywhere && !tilted) return;
-  TrialSpecs merged;
-  for (const EffectSpec& s : specs) {
-    if (s.id == zero || (tilted && s.id == tilt)) continue;
-    if (s.id != dry) {
-      merged.push_back(s);
-      continue;
-    }
-    const double friction = level[s.joints[0]], constant = offset[s.joints[0]];
-    merged.push_back(effects::MakeSpec(either, s.joints,
-                                       {{"coulomb_positive", std::max(0.0, friction - constant)},
-                                        {"coulomb_negative", std::max(0.0, friction + constant)}}));
-  }
-  // The tilt's force is not known here: that fit starts at the recorded motion.
-  const Candidate c = fits_.Evaluate(merged, best->base, tilted ? nullptr : best, kMergeIterations, best);
-  if (c.fit.ok && c.score > best->score) *best = c;
-}
-
-// The other way round: friction by direction that differs by direction on some of several joints only is
-// Coulomb friction on all and a constant force on these. The law is the same in fewer numbers, so structure
-// priors do not count.
-void Simplifier::SplitByDirection(Candidate* best) {
-  const std::string &dry = LawOf(Regressor::kDirection).id, &zero = LawOf(Regressor::kConstant).id,
-                    &either = LawOf(Regressor::kForwards).id;
-  TrialSpecs specs = Refreshed(*best), offsets;
-  for (EffectSpec& s : specs) {
-    if (s.id != either) continue;
-    const std::map<std::string, double>& levels = s.values.at(s.joints[0]);
-    const double forwards = levels.at("coulomb_positive"), backwards = levels.at("coulomb_negative");
-    offsets.push_back(effects::MakeSpec(zero, s.joints, {{"offset", 0.5 * (backwards - forwards)}}));
-    s = effects::MakeSpec(dry, s.joints, {{"coulomb", 0.5 * (backwards + forwards)}});
-  }
-  const size_t several = offsets.size();
-  if (several < 2 || HasKind(specs, zero) || !best->fit.ok || fits_.Late(kPruned)) return;
-  specs.insert(specs.end(), offsets.begin(), offsets.end());
-  Candidate c = fits_.Evaluate(specs, best->base, best, kMergeIterations, best);
-  if (!c.fit.ok) return;
-  Prune(&c);
-  const auto kept = std::ranges::count_if(c.specs, [&](const EffectSpec& s) { return s.id == zero; });
-  const auto evidence = [](const Candidate& of) { return of.score + StructurePrior(of.specs, of.base); };
-  if (static_cast<size_t>(kept) < several && evidence(c) > evidence(*best)) Replace(c, best);
-}
-
-// One richer law on several joints costs less prior than two kinds, and may imitate a plain law on some of
-// them: each joint is tried with a plain law of its own, and all but each together, of which each alone may
-// be worth too little. It needs 7 nats (kEffectPrior + kSeparable) where structure priors are not counted: of
-// a joint that tells little the law is taken to be that of the others.
-void Simplifier::UsePlainLawsOnJoints(Candidate* best) {
-  for (bool changed = true; changed && !fits_.Late();) {
-    changed = false;
-    const std::vector<TrialSpecs> others =
-        PlainOnSomeJoints(Refreshed(*best), setting_.nominal, setting_.scales);
-    std::vector<TrialSpecs> fresh = others;
-    std::erase_if(fresh, [&](const TrialSpecs& o) { return fits_.Known(o, best->base) != nullptr; });
-    Candidate tried = *best, likeliest = *best;
-    fits_.TryInPlace(fresh, &tried);
-    const auto consider = [&](const Candidate& c) {
-      const bool apart = c.fit.ok && KeyOf(c.specs) != KeyOf(best->specs) &&
-                         EvidenceAlone(c) > EvidenceAlone(*best) + kEffectPrior + kSeparable;
-      if (apart && FitScore(c) > FitScore(likeliest)) likeliest = c, changed = true;
-    };
-    consider(tried);
-    for (const TrialSpecs& o : others) {
-      if (const Candidate* known = fits_.Known(o, best->base)) consider(*known);
-    }
-    *best = likeliest;
-  }
-}
-
-// The other way round: drives of an arm are alike, and plain friction on few joints beside a richer form on
-// most is what the richer form had been refused for while something else was missing. Friction by direction
-// has no direction that axes of different joints share.
-void Simplifier::UseLawOfMostJoints(Candidate* best) {
-  for (const std::string& id : RicherFrictions()) {
-    if (!best->fit.ok || fits_.Late() || id == LawOf(Regressor::kForwards).id) continue;
-    const TrialSpecs specs = AsOnMostJoints(Refreshed(*best), id, setting_.nominal);
-    if (KeyOf(specs) == KeyOf(best->specs)) continue;
-    const Candidate alike = fits_.KnownOrFitted(specs, best->base, best, kMergeIterations);
-    if (alike.fit.ok && EvidenceAlone(alike) > EvidenceAlone(*best) - kEffectPrior - kSeparable)
-      Replace(alike, best);
-  }
 }
 
 }  // namespace rg::diagnosis

@@ -41,10 +41,6 @@ class Simplifier {
   void UsePlainLaws(Candidate* best);
   void UsePlainLaw(const std::string& richer, const TrialSpecs& specs, Candidate* best);
   void FirstRotorAsInertia(Candidate* best);
-  void MergeByDirection(Candidate* best);
-  void SplitByDirection(Candidate* best);
-  void UsePlainLawsOnJoints(Candidate* best);
-  void UseLawOfMostJoints(Candidate* best);
 
   const FitSetting& setting_;
   FitLedger& fits_;

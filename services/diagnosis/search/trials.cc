@@ -38,14 +38,6 @@ bool AlreadyIn(const Candidate& from, const Scored& h, const sim::Plant& nominal
                              [&](const std::string& joint) { return Contains(from.specs, h.effect, joint); });
 }
 
-// What the effect can be exchanged with where it is.
-std::vector<std::string> SiblingsOn(const sim::Plant& nominal, const EffectSpec& s) {
-  std::vector<std::string> out = SiblingsOf(s.id);
-  std::erase_if(
-      out, [&](const std::string& id) { return !nominal.Takes(id, nominal.model().FindJoint(s.joints[0])); });
-  return out;
-}
-
 // The first start of each.
 TrialSpecs Together(const std::vector<Scored>& parts, const sim::Plant& nominal, const MotionScales& scales) {
   TrialSpecs out;
@@ -78,13 +70,10 @@ class TrialBuilder {
     if (!promised || HasHiddenStates(from_)) FromOutside(force);
     if (promised) return std::move(out_);
     const std::vector<int> joints = JointsByGain();
-    OtherForms();
-    DryFriction(joints);
     for (const std::string& id : {effects::SwingingMass().id, effects::SoftMount().id}) {
       if (!Has(id) && (data_.n <= 2 || !from_.base || !from_.specs.empty()))
         Push(BodyStarts(id, nominal_, scales_));
     }
-    MountBeside();
     Transmissions(joints, data_.n <= 2 ? 2 : from_.base ? 1 : 2);  // last, for they cost most
     NearestSprings();
     return std::move(out_);
@@ -95,7 +84,6 @@ class TrialBuilder {
     Sets(screened_.sets, 1.0);
     Sets(screened_.pairs, 1.0);
     FromOutside(force);
-    DryFriction({joint});
     Transmissions({joint}, 1);
     return std::move(out_);
   }
@@ -132,23 +120,6 @@ class TrialBuilder {
     }
   }
 
-  // A soft mount beside the best of the screen's that has a name: where both are missing each hides the
-  // other, and neither is worth a second look alone.
-  void MountBeside() {
-    if (!from_.specs.empty() || (from_.base && data_.n > 2)) return;
-    std::vector<Scored> best;
-    double most = 0;
-    const auto named =
-        std::ranges::find_if(screened_.hypotheses, [](const Scored& h) { return !IsUnnamed(h.effect); });
-    if (named != screened_.hypotheses.end() && named->gain > most) best = {*named}, most = named->gain;
-    if (!screened_.sets.empty() && screened_.sets[0].gain > most) best = screened_.sets[0].parts;
-    if (best.empty()) return;
-    const TrialSpecs beside = Together(best, nominal_, scales_);
-    std::vector<TrialSpecs> starts = MountStarts(nominal_, scales_);
-    for (TrialSpecs& start : starts) start.insert(start.end(), beside.begin(), beside.end());
-    Push(nearest_(starts, 1));
-  }
-
   void FromOutside(const std::function<MissingForce()>& force) {
     const bool touched = Has(effects::Surface().id), pushed = Has(effects::Push().id);
     if (!from_.fit.ok || (touched && pushed)) return;
@@ -174,28 +145,6 @@ class TrialBuilder {
     std::vector<int> out;
     for (const auto& [gain, joint] : sorted) out.push_back(joint);
     return out;
-  }
-
-  // What the model has, by another law: what is left of a joint that sticks tells a screen little of it.
-  void OtherForms() {
-    for (const EffectSpec& s : from_.fit.ok ? Refreshed(from_) : TrialSpecs{}) {
-      for (const std::string& id : SiblingsOn(nominal_, s)) {
-        if (id != s.id) Push({{Exchanged(s, id, nominal_, scales_)}});
-      }
-      if (SiblingsOf(s.id) == SiblingsOf(LawOf(Regressor::kSlowly).id))
-        Push(StribeckStarts(s, nominal_, scales_));
-    }
-  }
-
-  void DryFriction(const std::vector<int>& joints) {
-    for (size_t i = 0; i < std::min<size_t>(3, joints.size()); ++i) {
-      for (const Scored& h : screened_.hypotheses) {
-        const bool dry = h.effect == LawOf(Regressor::kDirection).id ||
-                         h.effect == LawOf(Regressor::kVelocity).id ||
-                         h.effect == LawOf(Regressor::kInBand).id;
-        if (dry && h.joints == std::vector<int>{joints[i]} && !Known(h)) Push(SpecsFor(h, nominal_, scales_));
-      }
-    }
   }
 
   void Transmissions(const std::vector<int>& joints, size_t springy) {
@@ -385,67 +334,6 @@ std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id
     out.push_back(std::move(other));
   }
   return out;
-}
-
-std::vector<TrialSpecs> PlainOnSomeJoints(const TrialSpecs& specs, const sim::Plant& nominal,
-                                          const MotionScales& scales) {
-  const std::string& dry = LawOf(Regressor::kDirection).id;
-  std::vector<TrialSpecs> out;
-  for (size_t i = 0; i < specs.size(); ++i) {
-    const auto alike = [&](const EffectSpec& s) { return s.id == specs[i].id; };
-    const auto joints = std::ranges::count_if(specs, alike);
-    if (!IsRicherFriction(specs[i].id) || joints < 2) continue;
-    for (const std::string& id : {dry, LawOf(Regressor::kVelocity).id}) {
-      if (Contains(specs, id, specs[i].joints[0])) continue;
-      out.push_back(specs);
-      out.back()[i] = Exchanged(specs[i], id, nominal, scales);
-    }
-    if (joints < 3) continue;
-    out.push_back(specs);
-    for (size_t k = 0; k < specs.size(); ++k) {
-      if (k != i && alike(specs[k])) out.back()[k] = Exchanged(specs[k], dry, nominal, scales);
-    }
-  }
-  return out;
-}
-
-TrialSpecs AsOnMostJoints(TrialSpecs specs, const std::string& id, const sim::Plant& nominal) {
-  const effects::EffectInfo& dry = LawOf(Regressor::kDirection);
-  const std::vector<effects::ParameterInfo>& parameters = effects::FindEffect(id)->parameters;
-  const auto is_level = [&](const effects::ParameterInfo& p) { return p.unit == dry.parameters[0].unit; };
-  const auto level = std::ranges::find_if(parameters, is_level);
-  const auto given = [&](const EffectSpec& s) { return Contains(nominal.effects(), s.id, s.joints[0]); };
-  // By parameter, where it is a level over the first one.
-  std::map<std::string, std::vector<double>> of_fellows;
-  long fellows = 0, plain = 0;
-  for (const EffectSpec& s : specs) {
-    if (s.joints.size() != 1 || s.values.empty()) continue;
-    plain += s.id == dry.id && !given(s);
-    if (s.id != id || level == parameters.end()) continue;
-    const std::map<std::string, double>& values = s.values.begin()->second;
-    const bool whole =
-        std::ranges::all_of(parameters, [&](const auto& p) { return values.count(p.name) > 0; });
-    if (!whole || !(values.at(level->name) > 0)) continue;
-    ++fellows;
-    for (const effects::ParameterInfo& p : parameters)
-      of_fellows[p.name].push_back(values.at(p.name) / (is_level(p) ? values.at(level->name) : 1));
-  }
-  if (plain == 0 || fellows < kManyJoints || fellows <= plain) return specs;
-  std::map<std::string, double> middle;
-  for (auto& [name, all] : of_fellows) {
-    const auto at = all.begin() + fellows / 2;
-    std::nth_element(all.begin(), at, all.end());
-    middle[name] = *at;
-  }
-  for (EffectSpec& s : specs) {
-    if (s.id != dry.id || s.joints.size() != 1 || s.values.empty() || given(s)) continue;
-    if (!nominal.Takes(id, nominal.model().FindJoint(s.joints[0]))) continue;
-    const double own = s.values.begin()->second.begin()->second;
-    std::map<std::string, double> values = middle;
-    for (const effects::ParameterInfo& p : parameters) values[p.name] *= is_level(p) ? own : 1;
-    s = effects::MakeSpec(id, s.joints, values);
-  }
-  return specs;
 }
 
 std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& model,

@@ -57,16 +57,6 @@ std::vector<std::shared_ptr<const Candidate>> BestOf(std::vector<RankedTrial> tr
 std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const sim::Plant& nominal,
                                   const MotionScales& scales);
 
-// `specs` with plain dry or viscous friction on one of several joints that have a richer form, and with plain
-// dry friction on all of these but one.
-std::vector<TrialSpecs> PlainOnSomeJoints(const TrialSpecs& specs, const sim::Plant& nominal,
-                                          const MotionScales& scales);
-
-// `specs` with friction `id` in the place of plain dry friction, where more joints (kManyJoints at least)
-// have the former than the latter: with the same proportions between its levels as on these (their median),
-// and the same of what is no level. Unchanged otherwise; what the model was given with stays.
-TrialSpecs AsOnMostJoints(TrialSpecs specs, const std::string& id, const sim::Plant& nominal);
-
 // Springs and play behind the strongest rotors that `model` adds to `before`: below its resonance a motor
 // behind a spring looks like a rotor, and no screen sees the difference.
 std::vector<TrialSpecs> SpringsBehind(const Candidate& before, const Candidate& model,

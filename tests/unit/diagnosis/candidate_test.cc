@@ -47,19 +47,6 @@ TEST(Candidate, IsNotSeenWhereItsMassVanishes) {
   EXPECT_TRUE(Uninformed(c));
 }
 
-TEST(Candidate, AddsNothingWhereAllThatIsNewIsWithinItsError) {
-  Candidate c = Swinging();
-  const auto known_to = [&](double share) {
-    c.fit.information = (share * c.fit.theta).cwiseAbs2().cwiseInverse().asDiagonal();
-  };
-  known_to(0.1);
-  EXPECT_FALSE(AddsNothing({}, c));
-  known_to(4.0);
-  for (sysid::FitParameter& p : c.parameters) p.prior_stddev = 1e6;
-  EXPECT_TRUE(AddsNothing({}, c));
-  EXPECT_FALSE(AddsNothing(c, c));
-}
-
 // A tilt of which only its part along one axis shows: neither angle is known, that it is there is certain.
 TEST(Candidate, IsStrongWhereOnlyTheSumOfItsPartsIsKnown) {
   const auto p = testing::Prepare("arm2", {}, 31);

@@ -153,38 +153,10 @@ TEST(FitLedger, WhatStoodForAnotherLawIsTakenOutBesideIt) {
 TEST_F(FitLedgerTest, WhatIsPromisedIsFittedOnAllWindowsWithoutATrial) {
   const TrialSpecs viscous = {MakeSpec("viscous_friction", {joint_}, {{"viscous", 0.01}})};
   Candidate winner = coulomb_;
-  ledger_.TryBest(coulomb_, {}, {viscous}, false, 3, {}, &winner);
+  ledger_.TryBest(coulomb_, {}, {viscous}, false, 3, &winner);
   const Candidate* both = ledger_.Known(Joined(coulomb_.specs, viscous), false);
   ASSERT_NE(both, nullptr);
   EXPECT_EQ(winner.score, std::max(coulomb_.score, both->score));
-}
-
-// Bristles can be made to look viscous: on a joint that has no more than that the plain law is the better
-// account.
-TEST(FitLedger, OfARicherFormAJointMayTurnOutPlain) {
-  const auto p = testing::Prepare(
-      "arm2",
-      {MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.4}}),
-       MakeSpec("asymmetric_friction", {"elbow"}, {{"coulomb_positive", 0.5}, {"coulomb_negative", 0.2}})},
-      43);
-  const FitSetting setting{p->data, p->nominal, p->scales};
-  const FakeClock clock;
-  const Trace trace{clock};
-  FitLedger ledger{setting, p->options, 1, trace, nullptr};
-  TrialSpecs both;
-  for (const char* joint : {"shoulder", "elbow"}) {
-    both.push_back(
-        MakeSpec("asymmetric_friction", {joint}, {{"coulomb_positive", 0.5}, {"coulomb_negative", 0.2}}));
-  }
-  Candidate winner = ledger.Evaluate(both, false);
-  const TrialSpecs fitted = Refreshed(winner);
-  const auto others = PlainOnSomeJoints(fitted, p->nominal, p->scales);
-  EXPECT_EQ(others.size(), 4u);
-  EXPECT_TRUE(PlainOnSomeJoints({fitted[0]}, p->nominal, p->scales).empty())
-      << "of one joint others are asked";
-  ledger.TryInPlace(others, &winner);
-  EXPECT_TRUE(Contains(winner.specs, "viscous_friction", "shoulder"));
-  EXPECT_TRUE(Contains(winner.specs, "asymmetric_friction", "elbow"));
 }
 
 // A law that was fitted before is no reason to keep a worse one.

@@ -86,42 +86,6 @@ TEST_F(HeldOutTest, AJudgeIsAskedOftenAndPredictsOnce) {
   EXPECT_GT(judge.TakeWork(), 0);
 }
 
-TEST_F(HeldOutTest, AJudgeExchangesALawForWhatPredictsBetter) {
-  const Candidate right = Fitted({MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.1}})});
-  const Candidate wrong = Fitted({MakeSpec("viscous_friction", {Pivot()}, {{"viscous", 0.05}})});
-  const Trace trace(RealClock());
-  HeldOutJudge judge(*p_->data.held_out, options_, trace);
-  std::map<std::string, Candidate> tried = {{KeyOf(right.specs, false), right},
-                                            {KeyOf(wrong.specs, false), wrong}};
-  const auto nothing = [](const Candidate&) { return 0.0; };
-  const auto better = judge.Better(wrong, tried, nothing);
-  ASSERT_TRUE(better.has_value());
-  EXPECT_EQ(better->specs[0].id, "coulomb_friction");
-  EXPECT_LT(tried.at(KeyOf(wrong.specs, false)).score, wrong.score - 100) << "held against it from now on";
-  EXPECT_EQ(tried.at(KeyOf(right.specs, false)).score, right.score);
-  EXPECT_FALSE(judge.Better(right, tried, nothing).has_value());
-}
-
-// A push at one moment strikes a window or two of those kept aside, which no sign test over all of them sees.
-TEST_F(HeldOutTest, WhatStrikesFewWindowsIsRefutedByNamesThatHoldThroughout) {
-  const auto coulomb = MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.15}});
-  const Candidate right = AsGiven({coulomb});
-  const Candidate struck = AsGiven({coulomb, MakeSpec("external_disturbance", {Pivot()},
-                                                      {{"start", 2.0}, {"end", 2.05}, {"torque", 30.0}})});
-  const Candidate wrong = AsGiven({MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.12}})});
-  EXPECT_FALSE(PredictsMore(Of(right), Of(struck)));
-  ASSERT_GT(Of(wrong).log_density, Of(struck).log_density);
-  const Trace trace(RealClock());
-  HeldOutJudge judge(*p_->data.held_out, options_, trace);
-  const auto better = [&](const Candidate& rival) {
-    std::map<std::string, Candidate> tried = {{KeyOf(rival.specs, false), rival}};
-    return judge.Better(struck, tried, [](const Candidate&) { return 0.0; });
-  };
-  ASSERT_FALSE(judge.Holds(struck, 0));
-  EXPECT_TRUE(better(right).has_value());
-  EXPECT_FALSE(better(wrong).has_value()) << "it does not hold itself";
-}
-
 // Fit and prediction together are the evidence of all recordings.
 TEST_F(HeldOutTest, AJudgePutsWhatIsLikelierInAllInTheBestsPlace) {
   Candidate right = Fitted({MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.1}})});

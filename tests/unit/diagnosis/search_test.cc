@@ -243,68 +243,6 @@ TEST(Search, ALawBesideOtherMassesIsFoundBeforeHiddenStates) {
   for (const Candidate& c : r.tried) EXPECT_FALSE(HasHiddenStates(c)) << KeyOf(c.specs);
 }
 
-// What is left of these effects, which hold, where each name must be worth 5 nats: it holds too.
-Candidate Simplified(const testing::Prepared& p, const std::vector<effects::EffectSpec>& specs) {
-  const FitSetting setting{p.data, p.nominal, p.scales};
-  const FakeClock clock;
-  const Trace trace(clock);
-  FitLedger fits(setting, p.options, 1, trace, nullptr);
-  Candidate best = fits.Evaluate(specs, false, nullptr, 12);
-  EXPECT_TRUE(best.fit.ok);
-  EXPECT_LT(fits.PerRow(best), kExplained);
-  Simplifier(
-      setting, fits, [](const Candidate&, const Candidate&) { return 5.0; },
-      [](const Candidate&) { return 5.0; }, [](const Candidate&) { return 1e3; })
-      .Run(&best);
-  EXPECT_LT(fits.PerRow(best), kExplained);
-  return best;
-}
-
-// Friction by direction says of each joint that it has some: where that is one of two it is a constant force
-// there.
-TEST(Search, FrictionByDirectionOfOneJointIsAConstantForceThere) {
-  const auto p = testing::Prepare("arm2",
-                                  {MakeSpec("coulomb_friction", {"shoulder"}, {{"coulomb", 0.4}}),
-                                   MakeSpec("coulomb_friction", {"elbow"}, {{"coulomb", 0.2}}),
-                                   MakeSpec("torque_offset", {"elbow"}, {{"offset", 0.15}})},
-                                  60);
-  const auto by_direction = [](const std::string& joint, double forwards, double backwards) {
-    return MakeSpec("asymmetric_friction", {joint},
-                    {{"coulomb_positive", forwards}, {"coulomb_negative", backwards}});
-  };
-  const Candidate best =
-      Simplified(*p, {by_direction("shoulder", 0.4, 0.4), by_direction("elbow", 0.1, 0.3)});
-  EXPECT_EQ(KeyOf(best.specs), "coulomb_friction[elbow ] coulomb_friction[shoulder ] torque_offset[elbow ] ");
-}
-
-// No pose turns a rail against gravity: that its base is tilted is no other thing than friction that depends
-// on the direction.
-TEST(Search, DryFrictionUnderATiltOnARailIsFrictionByDirection) {
-  constexpr char kRail[] = R"(<robot name="rail">
-    <link name="base"/>
-    <link name="carriage"><inertial><mass value="2"/>
-      <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-    <joint name="slide" type="prismatic"><parent link="base"/><child link="carriage"/><axis xyz="1 0 0"/>
-      <limit lower="-0.6" upper="0.6" effort="50" velocity="1"/><dynamics damping="2"/></joint>
-  </robot>)";
-  const std::string root = ::testing::TempDir() + "rail";
-  const char* given = std::getenv("RG_SOURCE_DIR");
-  const std::string before = given == nullptr ? "." : given;
-  std::filesystem::create_directories(root + "/deploy/robots");
-  std::ofstream(root + "/deploy/robots/rail.urdf") << kRail;
-  setenv("RG_SOURCE_DIR", root.c_str(), 1);
-  const auto p = testing::Prepare(
-      "rail",
-      {MakeSpec("asymmetric_friction", {"slide"}, {{"coulomb_positive", 1.0}, {"coulomb_negative", 2.0}})},
-      59);
-  setenv("RG_SOURCE_DIR", before.c_str(), 1);
-  const Candidate best =
-      Simplified(*p, {MakeSpec("coulomb_friction", {"slide"}, {{"coulomb", 1.5}}),
-                      MakeSpec("gravity_misalignment", {}, {{"tilt", 0.02}, {"azimuth", 0.0}})});
-  ASSERT_EQ(best.specs.size(), 1u);
-  EXPECT_EQ(best.specs[0].id, "asymmetric_friction");
-}
-
 TEST(Search, AGroupLeavesAloneWhatAJointHas) {
   auto p = testing::Prepare("arm2", {}, 55);
   p->nominal = *p->nominal.WithEffect(MakeSpec("coulomb_friction", {"elbow"}, {{"coulomb", 0.3}}));

@@ -54,21 +54,6 @@ struct Case {
 
 double PerRow(const FitResult& fit) { return fit.chi2 / fit.rows; }
 
-TEST(OtherGaps, AreOfPlayAloneAndEachAnother) {
-  const EffectSpec play = MakeSpec("backlash", {"elbow"}, {{"gap", 0.01}, {"contact_stiffness", 900.0}});
-  const auto others = OtherGaps(play);
-  ASSERT_GE(others.size(), 4u);
-  std::set<double> gaps = {0.01};
-  for (const auto& other : others) {
-    ASSERT_EQ(other.size(), 1u);
-    EXPECT_TRUE(gaps.insert(other[0].values.at("elbow").at("gap")).second);
-    EXPECT_EQ(other[0].values.at("elbow").at("contact_stiffness"), 900.0);
-  }
-  EXPECT_LT(*gaps.begin(), 0.01);
-  EXPECT_GT(*gaps.rbegin(), 0.01);
-  EXPECT_TRUE(OtherGaps(MakeSpec("joint_elasticity", {"elbow"}, {{"stiffness", 900.0}})).empty());
-}
-
 TEST(PlayHeldClosed, IsTwiceTheOffsetOfItsSensorWithTheRotorBehindIt) {
   const auto c = Case::Of("arm2", {}, 3);
   const EffectSpec offset = MakeSpec("encoder_offset", {"elbow"}, {{"offset", -0.004}}),
@@ -261,19 +246,6 @@ TEST(Joined, ALagMayStandBesideADelayButNoOtherDelay) {
   EXPECT_EQ(Joined({delay}, {MakeSpec("actuator_lag", {"elbow"})}).size(), 2u);
   EXPECT_EQ(Joined({delay}, {MakeSpec("sensor_delay", {"elbow"})}).size(), 1u);
   EXPECT_EQ(SiblingsOf("actuator_lag"), SiblingsOf("actuator_delay")) << "each is taken for the other";
-}
-
-TEST(StribeckStarts, CoverARangeOfSpeedsWithMoreFrictionAtRest) {
-  const auto c = Case::Of("pendulum", {}, 13);
-  const EffectSpec dry = MakeSpec("coulomb_friction", {c->nominal.joint_names()[0]}, {{"coulomb", 0.2}});
-  double last = 0;
-  for (const auto& start : StribeckStarts(dry, c->nominal, c->scales)) {
-    const auto& v = start[0].values.begin()->second;
-    EXPECT_GT(v.at("static"), v.at("coulomb"));
-    EXPECT_GT(v.at("stribeck_velocity"), 2 * last);
-    last = v.at("stribeck_velocity");
-  }
-  EXPECT_LT(last, c->scales.speed[0]);
 }
 
 RankedTrial Trialled(double left, const std::vector<EffectSpec>& specs) {
@@ -471,94 +443,6 @@ TEST(Trials, OnAJointAreWhatActsOnThatJointAlone) {
   }
   EXPECT_EQ(tried, (std::set<std::string>{"joint_coupling[shoulder elbow ] ", "torque_gain[elbow ] "}));
   EXPECT_EQ(sprung, std::set<std::string>{"elbow"});
-}
-
-// Where a soft mount and a gain are both missing each hides the other: the best of the screen is tried on a
-// mount too, but only before anything is found; a force without a name, which imitates either, is not.
-TEST(Trials, TryAMountBesideTheBestOfTheScreen) {
-  const auto c = Case::Of("arm2", {}, 9);
-  ScreenResult screened;
-  Scored gain, unnamed;
-  gain.effect = "torque_gain", gain.joints = {1}, gain.gain = 50, gain.coefficients = {-0.1};
-  unnamed.effect = "unknown_field", unnamed.joints = {0}, unnamed.gain = 60;
-  unnamed.coefficients = std::vector<double>(8, 0.1);
-  screened.hypotheses = {unnamed, gain};
-  size_t looked = 0;
-  const Nearest nearest = [&](const std::vector<TrialSpecs>& starts, size_t count) {
-    looked = std::max(looked, starts.size());
-    return std::vector<TrialSpecs>(starts.begin(), starts.begin() + static_cast<long>(count));
-  };
-  const auto pairs = [&](const TrialSpecs& found) {
-    Candidate from;
-    from.specs = found;
-    from.plant = std::make_shared<const sim::Plant>(c->nominal);
-    size_t count = 0;
-    for (const TrialSpecs& trial : Trials(
-             c->data, c->nominal, c->scales, from, screened, 1.0, [] { return MissingForce{}; }, nearest)) {
-      count += Contains(trial, "base_flexibility", "") && Contains(trial, "torque_gain", "elbow");
-    }
-    return count;
-  };
-  EXPECT_EQ(pairs({}), 1u);
-  EXPECT_GE(looked, 4u) << "of mounts from soft to stiff the nearest";
-  EXPECT_EQ(pairs({MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.1}})}), 0u);
-}
-
-TEST(PlainOnSomeJoints, HaveItOnOneAndOnAllButOne) {
-  const auto c = Case::Of("mico2", {}, 9);
-  TrialSpecs richer;
-  for (size_t j = 0; j < 3; ++j) {
-    richer.push_back(MakeSpec("load_dependent_friction", {c->nominal.joint_names()[j]},
-                              {{"coulomb", 0.5}, {"load_coefficient", j == 1 ? 0.1 : 0.0}}));
-  }
-  std::multiset<size_t> dry;  // joints of each
-  for (const TrialSpecs& other : PlainOnSomeJoints(richer, c->nominal, c->scales)) {
-    ASSERT_EQ(other.size(), 3u);
-    dry.insert(static_cast<size_t>(std::count_if(
-        other.begin(), other.end(), [](const EffectSpec& s) { return s.id == "coulomb_friction"; })));
-  }
-  EXPECT_EQ(dry, (std::multiset<size_t>{0, 0, 0, 1, 1, 1, 2, 2, 2})) << "viscous on one has none";
-}
-
-// Proportions of levels are those of the middle one of the others, and so is the speed.
-TEST(AsOnMostJoints, HaveOtherJointsTheLawInTheSameProportions) {
-  const auto c = Case::Of("mico2", {}, 9);
-  const auto& joints = c->nominal.joint_names();
-  const auto dropping = [&](size_t j, double level, double more, double speed) {
-    return MakeSpec("stribeck_friction", {joints[j]},
-                    {{"coulomb", level}, {"static", level * more}, {"stribeck_velocity", speed}});
-  };
-  TrialSpecs specs = {dropping(0, 1.0, 1.3, 0.05), dropping(1, 2.0, 1.5, 0.08), dropping(2, 0.5, 1.9, 0.2),
-                      MakeSpec("coulomb_friction", {joints[4]}, {{"coulomb", 0.4}}),
-                      MakeSpec("viscous_friction", {joints[4]}, {{"viscous", 0.1}})};
-  const TrialSpecs alike = AsOnMostJoints(specs, "stribeck_friction", c->nominal);
-  ASSERT_EQ(alike.size(), specs.size());
-  ASSERT_EQ(alike[3].id, "stribeck_friction");
-  EXPECT_EQ(alike[3].joints, std::vector<std::string>{joints[4]});
-  const auto& values = alike[3].values.at(joints[4]);
-  EXPECT_DOUBLE_EQ(values.at("coulomb"), 0.4);
-  EXPECT_NEAR(values.at("static"), 0.6, 1e-12);
-  EXPECT_DOUBLE_EQ(values.at("stribeck_velocity"), 0.08);
-  EXPECT_EQ(alike[4].id, "viscous_friction");
-  EXPECT_EQ(KeyOf(AsOnMostJoints(specs, "load_dependent_friction", c->nominal)), KeyOf(specs)) << "on none";
-  // Its first parameter is no level.
-  TrialSpecs bristles = {specs[3]};
-  for (size_t j = 0; j < 3; ++j) {
-    bristles.push_back(
-        MakeSpec("presliding_hysteresis", {joints[j]},
-                 {{"bristle_stiffness", 900.0 + 100 * j}, {"coulomb", 0.3}, {"bristle_damping", 1.0}}));
-  }
-  const auto values_of = [&](const TrialSpecs& all) { return all[0].values.at(joints[4]); };
-  EXPECT_DOUBLE_EQ(values_of(AsOnMostJoints(bristles, "presliding_hysteresis", c->nominal)).at("coulomb"),
-                   0.4);
-  EXPECT_DOUBLE_EQ(
-      values_of(AsOnMostJoints(bristles, "presliding_hysteresis", c->nominal)).at("bristle_stiffness"), 1000);
-  bristles[1].values.at(joints[0])["coulomb"] = 0;
-  EXPECT_EQ(KeyOf(AsOnMostJoints(bristles, "presliding_hysteresis", c->nominal)), KeyOf(bristles))
-      << "of one the level is zero, and two are few";
-  for (const size_t j : {3, 5})
-    specs.push_back(MakeSpec("coulomb_friction", {joints[j]}, {{"coulomb", 0.4}}));
-  EXPECT_EQ(KeyOf(AsOnMostJoints(specs, "stribeck_friction", c->nominal)), KeyOf(specs)) << "on half of them";
 }
 
 // A screen of forces says little of where a motor swings on a robot of many joints: each rotor that was found

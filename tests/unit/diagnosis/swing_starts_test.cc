@@ -234,23 +234,18 @@ TEST(WidenPoint, HangsAndSwingsAlike) {
 struct Best {
   Candidate candidate;
   double chi2_per_row = 0;
-  std::shared_ptr<const Candidate> shorter_windows = nullptr;
 };
 
-// Of trials of a mass on the model as given, and of what else is in the pool.
-Best BestWithAMass(const testing::Prepared& p, const std::vector<TrialSpecs>& more = {},
-                   const PromisedBeside& beside = {}) {
+// Of trials of a mass on the model as given.
+Best BestWithAMass(const testing::Prepared& p) {
   const FitSetting setting{p.data, p.nominal, p.scales};
   const FakeClock clock;
   const Trace trace{clock};
   FitLedger ledger{setting, p.options, 2, trace, nullptr};
   const Candidate nothing = ledger.Evaluate({}, false);
   Best best{nothing};
-  std::vector<TrialSpecs> pool = BodyStarts("sloshing_payload", p.nominal, p.scales);
-  pool.insert(pool.end(), more.begin(), more.end());
-  ledger.TryBest(nothing, pool, {}, false, 2, beside, &best.candidate);
+  ledger.TryBest(nothing, BodyStarts("sloshing_payload", p.nominal, p.scales), {}, false, 2, &best.candidate);
   best.chi2_per_row = ledger.PerRow(best.candidate);
-  best.shorter_windows = ledger.shorter_windows();
   return best;
 }
 
@@ -269,45 +264,6 @@ TEST(FitLedger, AMassFoundInSpringsIsTriedOnARodWhereItHangs) {
     EXPECT_NEAR(winner.fit.values[winner.plant->parameters().Find("sloshing_payload.*.mass")], mass,
                 0.05 * mass);
   }
-}
-
-// Alone it does not hold, and what does not is no account that anything could be found beside.
-TEST(FitLedger, AMassOnARodIsTriedBesideWhatElseIsMissing) {
-  const EffectSpec viscous = MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.03}});
-  const auto p = Prepare("arm2", {Rod(0.05, 0.12, 1e-3), viscous}, 15);
-  const Best best = BestWithAMass(*p, {{MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.1}})}});
-  const Candidate& winner = best.candidate;
-  EXPECT_TRUE(HasPendulum(winner.specs));
-  EXPECT_TRUE(HasKind(winner.specs, "viscous_friction"));
-  EXPECT_LT(best.chi2_per_row, 1.1);
-}
-
-// Trials made without it need not have what is missing beside it: a screen around it has.
-TEST(FitLedger, WhatAScreenPromisesBesideAMassOnARodIsTried) {
-  const TrialSpecs viscous = {MakeSpec("viscous_friction", {"shoulder"}, {{"viscous", 0.03}})};
-  const auto p = Prepare("arm2", {Rod(0.05, 0.12, 1e-3), viscous[0]}, 15);
-  int asked = 0;
-  const Best best = BestWithAMass(*p, {}, [&](const Candidate& trial, const std::vector<uint32_t>& places) {
-    ++asked;
-    EXPECT_TRUE(HasPendulum(trial.specs));
-    EXPECT_EQ(trial.fit.states.size(), places.size());
-    return std::vector<TrialSpecs>{viscous};
-  });
-  EXPECT_EQ(asked, 1);
-  EXPECT_TRUE(HasPendulum(best.candidate.specs));
-  EXPECT_TRUE(HasKind(best.candidate.specs, "viscous_friction"));
-  EXPECT_LT(best.chi2_per_row, 1.1);
-}
-
-// It swings over the top: the few windows in which it does are not met whole, and by no other account.
-TEST(LongFitLedger, AMassThatAFewWindowsDoNotMeetIsWeighedOverHalves) {
-  const auto p = Prepare("mico2", {Rod(0.02, 0.12, 1e-4, "z")}, 14);
-  const Best best = BestWithAMass(*p);
-  EXPECT_FALSE(HasPendulum(best.candidate.specs));
-  ASSERT_NE(best.shorter_windows, nullptr);
-  const Candidate& rod = *best.shorter_windows;
-  EXPECT_TRUE(rod.fit.states.empty());
-  EXPECT_NEAR(rod.fit.values[rod.plant->parameters().Find("sloshing_payload.*.mass")], 0.02, 0.001);
 }
 
 // Hinges are one to a mass that stays away from their first axes; where it comes along one it is held there.
