@@ -196,11 +196,11 @@ class Search {
   // One round. Whether `best` became another model.
   bool AddOne(Candidate* best) {
     state_.TellOfRound("screen", KeyOf(best->specs));
-    Candidate winner = *best, stepped = *best;
+    Candidate winner = *best, stepped = *best, sprung = *best;
     const bool done =
-        state_.round == 1 &&
-        (ExplainedByEarlier(*best, &winner) || further_.ByLaws(*best, &winner) ||
-         BodiesMove(*best, &winner) || TransmissionBesideLaws(*best, &winner) || Located(*best, &winner));
+        state_.round == 1 && (ExplainedByEarlier(*best, &winner) || further_.ByLaws(*best, &winner) ||
+                              UnseenBesideLaws(*best, &winner, &sprung) || Located(*best, &winner));
+    if (!done) winner = Better(winner, sprung);
     // What an unnamed force leaves where any force leaves nothing is its grid's coarseness.
     if (state_.HasForceInPlace(winner)) {
       one_force_ = true, *best = winner;
@@ -216,36 +216,36 @@ class Search {
     return Accept(winner, best);
   }
 
-  // Whether a mass on a rod or a soft mount explains what is missing, alone or beside laws: while it is
-  // missing too, none of these leaves little.
-  bool BodiesMove(const Candidate& best, Candidate* winner) {
+  // Whether what no screen sees explains what is missing, alone or beside laws: while it is missing too, none
+  // of these leaves little. `sprung`: the best spring or play beside laws that leaves more.
+  bool UnseenBesideLaws(const Candidate& best, Candidate* winner, Candidate* sprung) {
     const std::string& swinging = effects::SwingingMass().id;
     if (HasKind(best.specs, swinging) || HasKind(setting_.nominal.effects(), swinging)) return false;
     for (const Candidate& from : Plain(best)) {
       if (fits_.PerRow(from) < kExplained || fits_.Late()) continue;
-      state_.TellOfRound("bodies", KeyOf(from.specs, from.base));
+      state_.TellOfRound("unseen", KeyOf(from.specs, from.base));
       step_.AddRods(from, winner);
-      // A mount alone is among what is tried in any case.
-      if (KeyOf(from.specs) != KeyOf(best.specs)) step_.AddMount(from, winner);
+      // A mount, a spring or play alone is among what is tried in any case.
+      const bool law = KeyOf(from.specs) != KeyOf(best.specs);
+      if (law) step_.AddMount(from, winner);
       if (fits_.PerRow(*winner) < kExplained && Gains(*winner, best)) return true;
+      if (law && fits_.Excess(from) < kPartly * fits_.Excess(best) &&
+          TransmissionExplains(from, best, winner, sprung))
+        return true;
     }
     return false;
   }
 
-  // Whether a spring or play explains what laws leave that explain most. What a motor behind it does imitates
-  // losses and late drives: it must leave nothing, or so much that more is looked for beside it.
-  bool TransmissionBesideLaws(const Candidate& best, Candidate* winner) {
-    for (const Candidate& from : Plain(best)) {
-      const bool part = fits_.Excess(from) < kPartly * fits_.Excess(best);
-      if (!part || fits_.PerRow(from) < kExplained || fits_.Late()) continue;
-      state_.TellOfRound("transmission", KeyOf(from.specs, from.base));
-      Candidate found = from;
-      step_.AddTransmission(from, &found);
-      if (!fits_.LeavesNothing(found) && fits_.PerRow(found) < kExplained) continue;
-      *winner = Better(*winner, found);
-      if (fits_.LeavesNothing(*winner) && Gains(*winner, best)) return true;
-    }
-    return false;
+  // Whether a spring or play beside these laws leaves nothing. What a motor behind it does imitates losses
+  // and late drives: where it leaves little, it may be these.
+  bool TransmissionExplains(const Candidate& from, const Candidate& best, Candidate* winner,
+                            Candidate* sprung) {
+    Candidate found = from;
+    step_.AddTransmission(from, &found);
+    const bool nothing = fits_.LeavesNothing(found) && Gains(found, best);
+    if (nothing) *winner = Better(*winner, found);
+    if (!(fits_.PerRow(found) < kExplained)) *sprung = Better(*sprung, found);
+    return nothing;
   }
 
   // `best` with inertials as given and free, and the laws that leave least with either.
