@@ -21,8 +21,8 @@ struct DiagnosisOptions {
   uint64_t seed = 1;          // of simulated nulls and bootstraps
   // Budget of one search: about its seconds on one thread (lifted_fit.h), the same on any machine. Beyond it
   // nothing new is tried (what comes after a search of drives gets half of it at least); comparing what was
-  // found ends at twice that. A restart (with a held-out recording
-  // fitted too, or with shorter windows) gets what is left of 1.6 times this budget, 0.6 of it at least.
+  // found ends at twice that. A restart (with a held-out recording fitted too) gets what is left of 1.6 times
+  // this budget, 0.6 of it at least.
   double work_limit = 110;
   // No new fit starts later than this many seconds; 0: no limit. Makes results depend on the machine.
   double time_limit_s = 0;
@@ -30,7 +30,7 @@ struct DiagnosisOptions {
   bool trust_effort = false;    // diagnose even if an effort's sign or unit looks wrong
   // The model to start from instead of the set's URDF (given_model.h): findings are what it lacks.
   std::optional<sim::ModelFile> model;
-  // Result of an earlier search (with fewer recordings fitted, or longer windows), tried first; null: none.
+  // Result of an earlier search (with fewer recordings fitted), tried first; null: none.
   std::shared_ptr<const Candidate> earlier;
 };
 

@@ -3,11 +3,15 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "services/diagnosis/likelihood/fit_setting.h"
 #include "services/diagnosis/likelihood/missing_force.h"
 
 namespace rg::diagnosis {
+
+// Variables of an unnamed force. One over speed may follow two friction laws: it comes last.
+inline const std::vector<std::string> kFieldVariables = {"position", "drag", "velocity"};
 
 // The unknown_field of one joint with the most log evidence, of joint `only` if that is not −1. `variable`:
 // "position", "velocity", or "drag" (damping over position).

@@ -3,7 +3,6 @@
 
 #include <Eigen/Core>
 #include <map>
-#include <memory>
 #include <string>
 #include <vector>
 

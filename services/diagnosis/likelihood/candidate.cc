@@ -31,6 +31,7 @@ constexpr double kFarther = 10.0;       // times what bristles bend at most
 constexpr double kMostlyGone = 0.01;    // ratio of squared strengths
 constexpr double kUnseen = 0.7;         // posterior over prior stddev of the best known parameter
 constexpr double kInformed = 0.9;       // the same of a weight of an unnamed force, at most
+constexpr long kManyJoints = 3;
 constexpr double kLeastOfMedian = 0.2;  // of the other joints' median strength
 
 // Parameters that are an effect's strength: it is absent where they are zero (a gain: one).

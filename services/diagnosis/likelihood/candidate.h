@@ -126,11 +126,10 @@ std::vector<EffectSpec> StillNeeded(const Candidate& model, const Candidate& oth
 
 // Drives of one robot are alike: a joint's share of an effect that most of them have needs no prior odds of
 // its own. Whether effect i is such a share: a delay or lag that another joint has too, or friction or rotor
-// inertia on more than half of the joints and on kManyJoints at least. A joint has an effect whose strength
+// inertia on more than half of the joints and on three at least. A joint has an effect whose strength
 // exceeds kAbsent (without a fit, one that the hypothesis gives it); one whose effect the data do not inform
 // does not count.
 bool OfAllJoints(const Candidate& c, size_t i);
-inline constexpr long kManyJoints = 3;
 // Whether the strength of such an effect i is compatible, within two standard deviations, with a fifth of the
 // median of the other joints', in units of the priors. Holds where the joint's own motion says little.
 bool LikeOtherJoints(const Candidate& c, size_t i);

@@ -154,13 +154,4 @@ HeldOut PredictHeldOut(const FitData& held_out, const Candidate& fitted, const L
   return out;
 }
 
-bool PredictsMore(const HeldOut& a, const HeldOut& b) {
-  double wins = 0;
-  for (size_t w = 0; w < a.windows.size(); ++w) {
-    wins += a.windows[w] > b.windows[w] ? 1.0 : a.windows[w] == b.windows[w] ? 0.5 : 0.0;
-  }
-  const auto W = static_cast<double>(a.windows.size());
-  return wins > 0.5 * W + kZ99OneSided * 0.5 * std::sqrt(W);
-}
-
 }  // namespace rg::diagnosis

@@ -31,8 +31,4 @@ struct HeldOut {
 // `options`: as in the fit.
 HeldOut PredictHeldOut(const FitData& held_out, const Candidate& fitted, const LiftedOptions& options);
 
-// Whether `a` predicts significantly more windows better than `b` does: a sign test at 1 %, robust against
-// a few diverging windows.
-bool PredictsMore(const HeldOut& a, const HeldOut& b);
-
 }  // namespace rg::diagnosis

@@ -312,8 +312,7 @@ class FindingsBuilder {
       a.joints = JointsOf(c->specs, effect, r_.joints);
       // Without held-out recordings, or with a measured effort, whose scores are cross-validated: the scores.
       const bool predicted = c->held_out && s_.best.held_out;
-      const double fitted = (predicted ? c->score - s_.best.score : c->score - s_.best.score) -
-                            (c->base && !s_.best.base ? s_.beside : 0.0);
+      const double fitted = c->score - s_.best.score - (c->base && !s_.best.base ? s_.beside : 0.0);
       a.evidence = predicted ? *c->held_out - *s_.best.held_out : fitted;
       a.separable = (predicted ? fitted + a.evidence : fitted) < -kSeparable;
       a.experiment = ExperimentFor(id, effect, f->joints);

@@ -52,7 +52,7 @@ void DriveSearch::Couple(Candidate* best) {
     for (const double ratio : kStartRatios)
       starts.push_back({CoupledDrive(names[other], names[j], ratio, losses)});
   }
-  for (const TrialSpecs& start : fits_.Nearest(now, now.base, starts, kFitted)) {
+  for (const TrialSpecs& start : fits_.Nearest(now, starts, kFitted)) {
     if (fits_.Late()) return;
     const std::vector<EffectSpec> coupled = Joined(specs, start);
     if (!fits_.MayLeaveLess(now, coupled, now.base, kMayBeUseful)) continue;

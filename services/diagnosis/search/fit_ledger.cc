@@ -194,9 +194,9 @@ Candidate FitLedger::Tried(const FitRequest& request, FitResult fit) {
   return c;
 }
 
-std::vector<TrialSpecs> FitLedger::Nearest(const Candidate& from, bool base,
-                                           const std::vector<TrialSpecs>& starts, size_t count) {
-  const FitRequest look{Refreshed(from), base, lifted_, {}, 0, false, Start(&from, base)};
+std::vector<TrialSpecs> FitLedger::Nearest(const Candidate& from, const std::vector<TrialSpecs>& starts,
+                                           size_t count) {
+  const FitRequest look{Refreshed(from), from.base, lifted_, {}, 0, false, Start(&from, from.base)};
   const double enough = WorkAfter(kLookShare);
   const auto late = [&] { return Late(kWorkForComparisons) || work_ > enough; };
   return NearestStarts(made_, setting_, look, from.fit.window_chi2, starts, count, late, &work_);
@@ -231,9 +231,8 @@ double FitLedger::TellingPiece(FitRequest trial) {
   return 0;
 }
 
-FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::vector<TrialSpecs>& pool,
-                                             bool base) {
-  TrialResults out{Trial(from, base, Start(&from, base)), {}, {}, {}};
+FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::vector<TrialSpecs>& pool) {
+  TrialResults out{Trial(from, from.base, Start(&from, from.base)), {}, {}, {}};
   FitRequest trial = out.setting;
   // Whole windows; pieces of them where the model fits only pieces, except with hidden states, which need
   // whole windows. Each has its own reference.
@@ -256,7 +255,7 @@ FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::v
   std::vector<TrialSpecs> met;
   for (size_t i = 2; i < trials.size() && !Late() && work_ <= enough; ++i) {
     // Where a law without hidden states leaves nothing, hidden states and further additions are not tried.
-    if (!met.empty() && HasFreeStates(Unfitted(setting_, trials[i].specs, base))) continue;
+    if (!met.empty() && HasFreeStates(Unfitted(setting_, trials[i].specs, from.base))) continue;
     if (HoldsOneOf(met, trials[i].specs)) continue;
     const Candidate c = fitted(i);
     const bool whole = HasHiddenStates(c);
@@ -275,13 +274,13 @@ FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::v
 }
 
 void FitLedger::TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool,
-                        const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner) {
-  TrialResults trials = RunTrials(from, pool, base);
+                        const std::vector<TrialSpecs>& promised, size_t count, Candidate* winner) {
+  TrialResults trials = RunTrials(from, pool);
   const PendulumTrials pendulum = TakePendulumTrials(from, &trials);
   Candidate found = from;
-  TakeBest(WorthAFit(from, std::move(trials), promised, base, count, *winner), 1, &found);
+  TakeBest(WorthAFit(from, std::move(trials), promised, count, *winner), 1, &found);
   TrySprings(from, &found);
-  PendulumSearch(setting_, *this, trace_, from, base, pendulum).Run(&found);
+  PendulumSearch(setting_, *this, trace_, from, pendulum).Run(&found);
   if (found.score > winner->score) *winner = found;
 }
 
@@ -311,8 +310,9 @@ PendulumTrials FitLedger::TakePendulumTrials(const Candidate& from, TrialResults
 // Fits on all windows of the `count` best, of what is promised, and of the best with hidden states, whatever
 // its rank, since another effect may be missing too.
 std::vector<FitRequest> FitLedger::WorthAFit(const Candidate& from, TrialResults trials,
-                                             const std::vector<TrialSpecs>& promised, bool base, size_t count,
+                                             const std::vector<TrialSpecs>& promised, size_t count,
                                              const Candidate& winner) const {
+  const bool base = from.base;
   const FitRequest& trial = trials.setting;
   // The score on all windows that the best trial suggests.
   Candidate nearest = from;
@@ -390,7 +390,7 @@ void FitLedger::TrySprings(const Candidate& from, Candidate* model) {
       std::erase_if(there, [&](const TrialSpecs& s) {
         return s[0].id != effect || s[0].options.at("sensor") != sensor;
       });
-      for (const TrialSpecs& nearest : Nearest(*model, base, there, explains ? 1 : kSprings))
+      for (const TrialSpecs& nearest : Nearest(*model, there, explains ? 1 : kSprings))
         fits.push_back(WholeFit(Joined(StrongEffects(*model), nearest), base, start, 6, model));
     }
   }

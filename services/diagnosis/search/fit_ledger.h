@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <map>
 #include <memory>
 #include <set>
@@ -87,7 +86,7 @@ class FitLedger {
   // Adds each of `pool` to `from` in a trial fit (some windows, few iterations), and fits the `count` best
   // and all `promised` on all windows. `winner` becomes the best of these and itself.
   void TryBest(const Candidate& from, const std::vector<TrialSpecs>& pool,
-               const std::vector<TrialSpecs>& promised, bool base, size_t count, Candidate* winner);
+               const std::vector<TrialSpecs>& promised, size_t count, Candidate* winner);
   // Whether `specs` in the place of `model`'s effects, in a trial fit, leave less than `share` of the excess
   // χ² that the model leaves there. True where either trial fails.
   bool MayLeaveLess(const Candidate& model, const std::vector<effects::EffectSpec>& specs, bool base,
@@ -99,8 +98,7 @@ class FitLedger {
   // only if it takes half of the misfit), and play where such a rotor leaves nothing.
   void TrySprings(const Candidate& from, Candidate* model);
   // The `count` of `starts` that, added to `from`, are nearest to the recordings.
-  std::vector<TrialSpecs> Nearest(const Candidate& from, bool base, const std::vector<TrialSpecs>& starts,
-                                  size_t count);
+  std::vector<TrialSpecs> Nearest(const Candidate& from, const std::vector<TrialSpecs>& starts, size_t count);
 
   // What a fit of a model near `from` starts at, as FitRequest::from.
   std::shared_ptr<const Candidate> Start(const Candidate* from, bool base) const;
@@ -123,10 +121,10 @@ class FitLedger {
     std::vector<RankedTrial> hidden;  // on whole windows with hidden states, where the others are on pieces
     std::set<std::string> refused;    // keys of what is inadmissible, which more windows do not change
   };
-  TrialResults RunTrials(const Candidate& from, const std::vector<TrialSpecs>& pool, bool base);
+  TrialResults RunTrials(const Candidate& from, const std::vector<TrialSpecs>& pool);
   PendulumTrials TakePendulumTrials(const Candidate& from, TrialResults* trials) const;
   std::vector<FitRequest> WorthAFit(const Candidate& from, TrialResults trials,
-                                    const std::vector<TrialSpecs>& promised, bool base, size_t count,
+                                    const std::vector<TrialSpecs>& promised, size_t count,
                                     const Candidate& winner) const;
   FitResult Made(const FitRequest& request);
   Candidate Fitted(const FitRequest& request, FitResult fit);

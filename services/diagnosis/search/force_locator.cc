@@ -9,7 +9,6 @@
 #include "services/diagnosis/hypotheses/given_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/some_windows.h"
-#include "services/diagnosis/search/unnamed_forces.h"
 
 namespace rg::diagnosis {
 

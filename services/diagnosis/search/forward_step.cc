@@ -16,6 +16,7 @@ constexpr double kMost = 0.5;  // of what is left
 constexpr double kLeastPromise =
     2.0;  // nats that a screen must promise of a law for a trial beside hidden states
 constexpr size_t kPromisedFits = 3;      // of what a screen promises, without a trial
+constexpr size_t kFits = 3;              // of a further step on all windows
 constexpr size_t kLawFits = 3;           // before hidden states are looked for
 constexpr size_t kFitsBesideDrives = 3;  // beside the losses of all drives
 
@@ -26,7 +27,8 @@ void ForwardStep::SetRound(int round) {
   round_ = round;
 }
 
-ScreenResult ForwardStep::Screen(const Candidate& current, bool base) {
+ScreenResult ForwardStep::Screen(const Candidate& current) {
+  const bool base = current.base;
   const Candidate* values = base ? fits_.pieces() : nullptr;
   if (fits_.PerRow(current) < kConsistent) values = &current;
   const std::string key =
@@ -62,26 +64,26 @@ std::vector<ScreenResult> ForwardStep::ScreensBesideForce(const Candidate& curre
   return screens;
 }
 
-ScreenResult ForwardStep::NotedScreen(const Candidate& current, bool base) {
-  const ScreenResult screened = Screen(current, base);
+ScreenResult ForwardStep::NotedScreen(const Candidate& current) {
+  const ScreenResult screened = Screen(current);
   state_.acceptance.Note(screened, setting_.nominal.joint_names());
-  state_.trace.Screen(screened, base);
+  state_.trace.Screen(screened, current.base);
   return screened;
 }
 
-void ForwardStep::Add(const Candidate& from, size_t count, Candidate* winner) {
-  const ScreenResult screened = Screen(from, from.base);
+void ForwardStep::Add(const Candidate& from, Candidate* winner) {
+  const ScreenResult screened = Screen(from);
   state_.acceptance.NoteStepRules(screened, setting_.nominal.joint_names());
   state_.trace.Screen(screened, from.base);
   const double needed = state_.Threshold(from);
-  AddFrom(from, screened, HasHiddenStates(from) ? std::max(kLeastPromise, needed) : 1.0, needed, count,
+  AddFrom(from, screened, HasHiddenStates(from) ? std::max(kLeastPromise, needed) : 1.0, needed, kFits,
           winner);
 }
 
 // A force without a name follows some of anything while more is missing: it is for what no name takes half
 // of.
 void ForwardStep::AddPromised(const Candidate& from, Candidate* winner) {
-  const ScreenResult screened = Screen(from, from.base);
+  const ScreenResult screened = Screen(from);
   state_.trace.Screen(screened, from.base);
   ScreenResult named = screened;
   std::erase_if(named.hypotheses, [](const Scored& h) { return IsUnnamed(h.effect); });
@@ -92,12 +94,10 @@ void ForwardStep::AddPromised(const Candidate& from, Candidate* winner) {
 }
 
 void ForwardStep::AddTransmission(const Candidate& from, Candidate* winner) {
-  const auto nearest = [&](const auto& starts, size_t most) {
-    return fits_.Nearest(from, from.base, starts, most);
-  };
-  const auto pool = TransmissionTrials(setting_.data, setting_.nominal, setting_.scales, from,
-                                       Screen(from, from.base), nearest);
-  fits_.TryBest(from, pool, {}, from.base, kFitsBesideDrives, winner);
+  const auto nearest = [&](const auto& starts, size_t most) { return fits_.Nearest(from, starts, most); };
+  const auto pool =
+      TransmissionTrials(setting_.data, setting_.nominal, setting_.scales, from, Screen(from), nearest);
+  fits_.TryBest(from, pool, {}, kFitsBesideDrives, winner);
 }
 
 // The rod, and the law beside it as a screen around the model begins it.
@@ -117,7 +117,7 @@ void ForwardStep::AddRods(const Candidate& from, Candidate* winner) {
   const auto rods = ScreenRods(setting_, state_.Force(from), features_, fits_.lifted().threads, &work);
   fits_.AddWork(work);
   if (rods.empty()) return;
-  const ScreenResult screened = Screen(from, from.base);
+  const ScreenResult screened = Screen(from);
   std::vector<FollowedStart> starts;
   for (const RodStart& start : rods) {
     starts.push_back({WithLaw(start, screened), start});
@@ -125,13 +125,13 @@ void ForwardStep::AddRods(const Candidate& from, Candidate* winner) {
                        KeyOf(starts.back().specs) + " leaves " + std::to_string(start.left));
   }
   Candidate found = from;
-  PendulumSearch(setting_, fits_, state_.trace, from, from.base, {}).Follow(starts, &found);
+  PendulumSearch(setting_, fits_, state_.trace, from, {}).Follow(starts, &found);
   if (found.score > winner->score) *winner = found;
 }
 
 void ForwardStep::AddMount(const Candidate& from, Candidate* winner) {
   if (HasKind(from.specs, effects::SoftMount().id)) return;
-  fits_.TryBest(from, MountStarts(setting_.nominal, setting_.scales), {}, from.base, 1, winner);
+  fits_.TryBest(from, MountStarts(setting_.nominal, setting_.scales), {}, 1, winner);
 }
 
 void ForwardStep::AddOnJoint(const Candidate& from, int joint, const TrialSpecs& beside, Candidate* winner) {
@@ -140,12 +140,12 @@ void ForwardStep::AddOnJoint(const Candidate& from, int joint, const TrialSpecs&
     return starts;
   };
   const auto nearest = [&](const auto& starts, size_t most) {
-    return fits_.Nearest(from, from.base, with(starts), most);
+    return fits_.Nearest(from, with(starts), most);
   };
   const auto force = [&] { return state_.Force(from); };
   const auto pool = with(TrialsOnJoint(joint, setting_.data, setting_.nominal, setting_.scales, from,
-                                       Screen(from, from.base), force, nearest));
-  fits_.TryBest(from, pool, {}, from.base, kLawFits, winner);
+                                       Screen(from), force, nearest));
+  fits_.TryBest(from, pool, {}, kLawFits, winner);
 }
 
 void ForwardStep::AddFrom(const Candidate& from, const ScreenResult& screened, double least, double needed,
@@ -160,8 +160,8 @@ void ForwardStep::AddFrom(const Candidate& from, const ScreenResult& screened, d
   Try(from, screened, least, needed, count, winner);
 }
 
-bool ForwardStep::AddLaws(const Candidate& from, bool base, double needed, Candidate* winner) {
-  const ScreenResult screened = NotedScreen(from, base);
+bool ForwardStep::AddLaws(const Candidate& from, double needed, Candidate* winner) {
+  const ScreenResult screened = NotedScreen(from);
   if (!(MostPromised(screened) > kMost * fits_.AtStake(from))) return false;
   Try(from, screened, kLeastPromise, needed, kLawFits, winner);
   return true;
@@ -170,15 +170,13 @@ bool ForwardStep::AddLaws(const Candidate& from, bool base, double needed, Candi
 void ForwardStep::Try(const Candidate& from, const ScreenResult& screened, double least, double needed,
                       size_t count, Candidate* winner) {
   const FitData& data = setting_.data;
-  const auto nearest = [&](const auto& starts, size_t most) {
-    return fits_.Nearest(from, from.base, starts, most);
-  };
+  const auto nearest = [&](const auto& starts, size_t most) { return fits_.Nearest(from, starts, most); };
   const auto force = [&] { return state_.Force(from); };
   const bool near = from.fit.ok && fits_.PerRow(from) < kConsistent;
   const auto promised =
       Promised(from, screened, setting_.nominal, setting_.scales, near, needed, kPromisedFits);
   const auto pool = Trials(data, setting_.nominal, setting_.scales, from, screened, least, force, nearest);
-  fits_.TryBest(from, pool, promised, from.base, count, winner);
+  fits_.TryBest(from, pool, promised, count, winner);
 }
 
 bool ForwardStep::ExplainedByLaws(const Candidate& from, const Candidate& found, double needed) const {

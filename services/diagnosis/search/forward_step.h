@@ -30,20 +30,20 @@ class ForwardStep {
 
   // Around the model's fit, or with free base parameters around what short pieces tell of them where the
   // model is far from the record.
-  ScreenResult Screen(const Candidate& current, bool base);
+  ScreenResult Screen(const Candidate& current);
   // The same, whose null distribution counts for what is accepted from here on.
-  ScreenResult NotedScreen(const Candidate& current, bool base);
+  ScreenResult NotedScreen(const Candidate& current);
   // Along the recorded motion of the windows at `places`, which `some` has alone: one for each joint of
   // `force`, with the force there integrated out.
   std::vector<ScreenResult> ScreensBesideForce(const Candidate& current, const FreeForce& force,
                                                const FitData& some, const std::vector<uint32_t>& places);
 
   // Each adds to `from`, of which the search need not think best; `winner` becomes the best fit where that
-  // has more log evidence. `count`: fits on all windows, at most.
+  // has more log evidence.
   //
   // All that a screen gives and all that it cannot see; beside hidden states, which make every fit dear, what
   // it promises alone.
-  void Add(const Candidate& from, size_t count, Candidate* winner);
+  void Add(const Candidate& from, Candidate* winner);
   // What a screen promises alone, named effects first.
   void AddPromised(const Candidate& from, Candidate* winner);
   // A spring or play on the joint on which a screen finds most; no screen can promise these.
@@ -55,11 +55,12 @@ class ForwardStep {
   // What acts on one joint alone, each with `beside`.
   void AddOnJoint(const Candidate& from, int joint, const TrialSpecs& beside, Candidate* winner);
   // Of a screen around `from` all that it gives `least` nats at least; where that is 1 or less, also what it
-  // cannot see, after what it promises. `needed`: log evidence that an addition must bring.
+  // cannot see, after what it promises. `needed`: log evidence that an addition must bring;
+  // `count`: fits on all windows, at most.
   void AddFrom(const Candidate& from, const ScreenResult& screened, double least, double needed, size_t count,
                Candidate* winner);
   // Laws of what is recorded alone. False where the screen does not promise most of what is left by them.
-  bool AddLaws(const Candidate& from, bool base, double needed, Candidate* winner);
+  bool AddLaws(const Candidate& from, double needed, Candidate* winner);
   // Whether laws of what is recorded, found beside `from`, leave nothing: hidden states, which cost far more
   // and fit nearly anything, need not be looked for then.
   bool ExplainedByLaws(const Candidate& from, const Candidate& found, double needed) const;

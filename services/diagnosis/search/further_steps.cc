@@ -22,7 +22,7 @@ bool FurtherSteps::ByLaws(const Candidate& before, Candidate* winner) {
     if (own == nullptr || !own->fit.ok || fits_.AtStake(*own) < state_.Threshold(before) || fits_.Late())
       continue;
     const Candidate from = *own;
-    if (!step_.AddLaws(from, base, state_.Threshold(before), &found)) continue;
+    if (!step_.AddLaws(from, state_.Threshold(before), &found)) continue;
     const bool nearly = !base && fits_.Excess(found) < (1 - kNearlyAll) * fits_.Excess(from);
     if (nearly && !found.base && !HasUnnamed(found)) found = Better(found, FurtherLaws(found));
     if (!step_.ExplainedByLaws(before, found, state_.Threshold(before, found))) continue;
@@ -52,19 +52,16 @@ std::vector<Candidate> FurtherSteps::Starts(const Candidate& before, const Candi
 
 void FurtherSteps::BesideBest(const Candidate& before, const Candidate& winner, Candidate* best) {
   for (const Candidate& start : Starts(before, winner)) {
-    *best = Better(*best, Beside(start));
+    *best = Better(*best,
+                   Steps(start, [this](const Candidate& from, Candidate* with) { step_.Add(from, with); }));
     if (fits_.PerRow(*best) < kExplained) return;
   }
-}
-
-Candidate FurtherSteps::Beside(const Candidate& account) {
-  return Steps(account, [this](const Candidate& from, Candidate* with) { step_.Add(from, 3, with); });
 }
 
 // By laws of what is recorded alone.
 Candidate FurtherSteps::FurtherLaws(const Candidate& account) {
   return Steps(account, [this](const Candidate& from, Candidate* with) {
-    step_.AddLaws(from, from.base, state_.Threshold(from), with);
+    step_.AddLaws(from, state_.Threshold(from), with);
   });
 }
 

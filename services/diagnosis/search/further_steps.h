@@ -4,7 +4,6 @@
 #include <functional>
 #include <vector>
 
-#include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/search/drive_search.h"
 #include "services/diagnosis/search/forward_step.h"
 #include "services/diagnosis/search/search_state.h"
@@ -21,10 +20,8 @@ class FurtherSteps {
   // the drives left them.
   bool ByLaws(const Candidate& before, Candidate* winner);
 
-  // Forward steps with fixed inertials until nothing is missing: cheaper than freeing inertials.
-  Candidate Beside(const Candidate& account);
-  // The same beside the best model of this round and the best with hidden states, into `best` where that has
-  // more log evidence.
+  // Forward steps with fixed inertials until nothing is missing, cheaper than freeing inertials, beside the
+  // best model of this round and the best with hidden states; into `best` where that has more log evidence.
   void BesideBest(const Candidate& before, const Candidate& winner, Candidate* best);
 
  private:

@@ -1,7 +1,5 @@
 #include "services/diagnosis/search/held_out_checks.h"
 
-#include <algorithm>
-
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/swing_starts.h"
 
@@ -19,37 +17,30 @@ HeldOutChecks::HeldOutChecks(SearchState& state) : state_(state), fits_(state.fi
                    HasPendulum(state.setting.nominal.effects()));
 }
 
-// With more than two joints, few effects or one force cannot imitate wrong inertials on held-out recordings;
-// with fewer they can.
-bool HeldOutChecks::JudgesFewNames() const { return state_.setting.data.n > 2 && judge_; }
-
-bool HeldOutChecks::Predicts(const Candidate& account, double needed) {
-  const bool holds = judge_->Holds(account, needed);
+// With more than two joints few effects cannot imitate wrong inertials on held-out recordings; with fewer
+// they can.
+bool HeldOutChecks::ExplainedWithFixedInertials(const Candidate& before, const Candidate& named) {
+  const bool explained = state_.setting.data.n > 2 && judge_ && fits_.MeetsSensors(named) &&
+                         !HasUnnamed(named) && fits_.PerRow(before) >= kConsistent &&
+                         FreshKinds(before, named).size() <= kMaxEffectsWithFixedInertials &&
+                         named.score > before.score + state_.Threshold(before, named);
+  if (!explained) return false;
+  const bool holds = judge_->Holds(named, state_.Threshold(before));
   fits_.AddWork(judge_->TakeWork());
   return holds;
 }
 
-bool HeldOutChecks::ExplainedWithFixedInertials(const Candidate& before, const Candidate& named) {
-  return JudgesFewNames() && fits_.MeetsSensors(named) && !HasUnnamed(named) &&
-         fits_.PerRow(before) >= kConsistent &&
-         FreshKinds(before, named).size() <= kMaxEffectsWithFixedInertials &&
-         named.score > before.score + state_.Threshold(before, named) &&
-         Predicts(named, state_.Threshold(before));
-}
-
 void HeldOutChecks::Run(const Candidate& without, Candidate* best, int* excited_by) {
   if (!judge_) return;
-  HeldOutJudge& judge = *judge_;
+  const double needed = state_.Threshold(*best);
   if (fits_.PerRow(*best) < kExplained && !SwingsOn(*best, without))
-    *excited_by = judge.WorstRecording(*best, state_.Threshold(*best));
+    *excited_by = judge_->WorstRecording(*best, needed);
   const bool named = !best->specs.empty() && !state_.FoundNothing(*best);
-  if (judge.Holds(*best, state_.Threshold(*best))) {
-    *excited_by = -1;
-  } else if (named && !judge.ExplainsMost(*best, without)) {
+  if (named && !judge_->Holds(*best, needed) && !judge_->ExplainsMost(*best, without)) {
     state_.Tell("held out", 0.9, KeyOf(best->specs) + "for nothing");
     *best = without;
   }
-  fits_.AddWork(judge.TakeWork());
+  fits_.AddWork(judge_->TakeWork());
 }
 
 // The phase of a freely swinging mass is lost within a recording: what little is left there is no other law.

@@ -23,8 +23,6 @@ class HeldOutChecks {
   void CompareRivals(SearchResult* out);
 
  private:
-  bool JudgesFewNames() const;
-  bool Predicts(const Candidate& account, double needed);
   bool SwingsOn(const Candidate& best, const Candidate& without);
 
   SearchState& state_;

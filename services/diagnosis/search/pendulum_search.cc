@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <utility>
 
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/some_windows.h"
@@ -71,8 +70,8 @@ bool PendulumSearch::MayBeOne(const Candidate& found) {
     const Candidate other = fits_.KnownOrFitted(specs, freed, start);
     if (other.fit.ok) least = std::min(least, fits_.PerRow(other));
   };
-  if (!base_) compare(Refreshed(from_), true, &from_);
-  if (trials_.surface != nullptr) compare(Refreshed(*trials_.surface), base_, nullptr);
+  if (!from_.base) compare(Refreshed(from_), true, &from_);
+  if (trials_.surface != nullptr) compare(Refreshed(*trials_.surface), from_.base, nullptr);
   return may_be();
 }
 
@@ -189,8 +188,7 @@ PendulumSearch::Hung PendulumSearch::Hang(const TrialSpecs& specs) {
   const Candidate c = fits_.Fitted(request_);
   trace_.Fit(c, "  rod");
   if (!c.fit.ok) return {};
-  return {Refreshed(c), StillNeeded(from_, c), Typically(c.fit.window_chi2), fits_.PerRow(c),
-          std::make_shared<const Candidate>(c)};
+  return {Refreshed(c), StillNeeded(from_, c), Typically(c.fit.window_chi2), fits_.PerRow(c)};
 }
 
 double PendulumSearch::Typically(const std::vector<double>& window_chi2) const {

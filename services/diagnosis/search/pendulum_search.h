@@ -27,8 +27,8 @@ class PendulumSearch {
  public:
   // `from`: the model that the trials add to. All of these outlive this.
   PendulumSearch(const FitSetting& setting, FitLedger& fits, const Trace& trace, const Candidate& from,
-                 bool base, const PendulumTrials& trials)
-      : setting_(setting), fits_(fits), trace_(trace), from_(from), base_(base), trials_(trials) {}
+                 const PendulumTrials& trials)
+      : setting_(setting), fits_(fits), trace_(trace), from_(from), trials_(trials) {}
 
   // From what the recorded motion tells of a rod, one start at least. `found` becomes the best on all windows
   // where that scores better.
@@ -43,7 +43,6 @@ class PendulumSearch {
     TrialSpecs needed;              // without effects that became superfluous with the pendulum
     double left = effects::kInf;    // typically
     double in_all = effects::kInf;  // χ² per row, with windows whose start is lost
-    std::shared_ptr<const Candidate> trial;
   };
 
   bool MayBeOne(const Candidate& found);
@@ -64,7 +63,6 @@ class PendulumSearch {
   FitLedger& fits_;
   const Trace& trace_;
   const Candidate& from_;
-  const bool base_;
   const PendulumTrials& trials_;
 
   TrialSpecs springs_;

@@ -1,15 +1,12 @@
 #include "services/diagnosis/search/refinement.h"
 
 #include <algorithm>
-#include <map>
 #include <set>
 #include <string>
 #include <vector>
 
 #include "common/effects/inference.h"
-#include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
-#include "services/diagnosis/screening/acceptance.h"
 #include "services/diagnosis/search/trials.h"
 
 namespace rg::diagnosis {
@@ -18,7 +15,8 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr int kMaxExchanges = 3;  // of effects that are easily taken for each other
+constexpr double kLeastGainOfExchange = 1.0;  // nats: the number of names stays the same
+constexpr int kMaxExchanges = 3;              // of effects that are easily taken for each other
 
 }  // namespace
 
@@ -56,8 +54,7 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
     if (kinds.count(s.id) == 0) continue;
     consider(PlayHeldClosed(specs, s, setting_.nominal, setting_.scales));
     const auto starts = OtherTransmission(s, setting_.nominal, setting_.scales);
-    for (const TrialSpecs& start : fits_.Nearest(*winner, winner->base, starts, 1))
-      others.push_back(Joined(specs, start));
+    for (const TrialSpecs& start : fits_.Nearest(*winner, starts, 1)) others.push_back(Joined(specs, start));
   }
   const double before_others = winner->score;
   fits_.TryInPlace(others, winner);
@@ -75,7 +72,7 @@ Candidate Refinement::WithInertialsFreeOrFixed(const Candidate& c, double least)
   return freed.score > plain.score + std::max(least, needed_(plain, freed)) ? freed : plain;
 }
 
-Candidate Refinement::Refitted(const Candidate c, const Candidate from, const Candidate rival) {
+Candidate Refinement::Refitted(const Candidate& c, const Candidate& from, const Candidate& rival) {
   const Candidate longer = fits_.Evaluate(RefreshedFrom(c, rival), c.base, &from, 12, &rival);
   if (longer.score < c.score + 1) return Better(c, longer);
   return c.base && HasHiddenStates(c) ? WithInertialsFreeOrFixed(longer, 0) : longer;

@@ -10,8 +10,6 @@
 
 namespace rg::diagnosis {
 
-inline constexpr double kLeastGainOfExchange = 1.0;  // nats: the number of names stays the same
-
 class Refinement {
  public:
   // needed(a, b): log evidence that b must bring in the place of a.
@@ -25,7 +23,7 @@ class Refinement {
   Candidate WithInertialsFreeOrFixed(const Candidate& c, double least);
   // Fitted on from the states of `from` and the values of `rival`; with hidden states also with fixed
   // inertials.
-  Candidate Refitted(const Candidate c, const Candidate from, const Candidate rival);
+  Candidate Refitted(const Candidate& c, const Candidate& from, const Candidate& rival);
   // Of several effects added at once each must be worth its name, against the models without it and, where
   // inertials were fixed, against those with free ones.
   Candidate Justified(const Candidate& before, Candidate winner);

@@ -6,6 +6,7 @@
 #include <set>
 
 #include "common/model/robot_model.h"
+#include "services/diagnosis/hypotheses/field_starts.h"
 #include "services/diagnosis/hypotheses/given_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/likelihood/own_chi2.h"
@@ -17,7 +18,6 @@
 #include "services/diagnosis/search/refinement.h"
 #include "services/diagnosis/search/search_state.h"
 #include "services/diagnosis/search/simplifier.h"
-#include "services/diagnosis/search/unnamed_forces.h"
 
 namespace rg::diagnosis {
 
@@ -55,9 +55,6 @@ class Search {
   }
 
  private:
-  // What comes after inertials as given or free.
-  enum class Next { kOtherInertials, kDecide };
-
   // The variance that remains when any force is allowed.
   void MeasureNoise() {
     state_.Tell("noise", 0.02, "");
@@ -114,7 +111,7 @@ class Search {
       step_.SetRound(round);
       if (!begun_at.insert(KeyOf(best->specs, best->base)).second) return;
       fits_.SetRound(round);
-      if (!AddOne(best) || one_force_) return;
+      if (!AddOne(best)) return;
       LowerNoise(best);
     }
   }
@@ -127,8 +124,7 @@ class Search {
       simplifier_.Prune(best);
     }
     ExchangeEarlier(best);
-    if (!state_.HasForceInPlace(*best) && (fits_.PerRow(*best) > kExplained || OfPosition(*best)))
-      TakeOneForce(best);
+    TakeOneForce(best);
   }
 
   void Conclude(const Candidate& best) {
@@ -193,25 +189,23 @@ class Search {
     for (Candidate* c : {best, &out_.nominal, &out_.calibrated}) Rescale(before, scale, c);
   }
 
-  // One round. Whether `best` became another model.
+  // One round. Whether `best` became another model, to which more may be added.
   bool AddOne(Candidate* best) {
     state_.TellOfRound("screen", KeyOf(best->specs));
     Candidate winner = *best, stepped = *best, sprung = *best;
     const bool done =
         state_.round == 1 && (ExplainedByEarlier(*best, &winner) || further_.ByLaws(*best, &winner) ||
                               UnseenBesideLaws(*best, &winner, &sprung) || Located(*best, &winner));
-    if (!done) winner = Better(winner, sprung);
     // What an unnamed force leaves where any force leaves nothing is its grid's coarseness.
     if (state_.HasForceInPlace(winner)) {
-      one_force_ = true, *best = winner;
-      return true;
+      *best = winner;
+      return false;
     }
-    Next next = done ? Next::kDecide : Next::kOtherInertials;
-    for (const bool base : {false, true}) {
-      if (next != Next::kOtherInertials || fits_.Late()) break;
-      next = AddWithInertials(base, best, &winner, &stepped);
-    }
+    bool decided = done;
+    for (const bool base : {false, true})
+      decided = decided || fits_.Late() || AddWithInertials(base, *best, &winner, &stepped);
     if (Gains(stepped, winner)) winner = stepped;
+    if (!done) winner = Better(winner, sprung);
     Refine(best, &winner);
     return Accept(winner, best);
   }
@@ -220,11 +214,11 @@ class Search {
   // of these leaves little. `sprung`: the best spring or play beside laws that leaves more.
   bool UnseenBesideLaws(const Candidate& best, Candidate* winner, Candidate* sprung) {
     const std::string& swinging = effects::SwingingMass().id;
-    if (HasKind(best.specs, swinging) || HasKind(setting_.nominal.effects(), swinging)) return false;
+    const bool swings = HasKind(best.specs, swinging) || HasKind(setting_.nominal.effects(), swinging);
     for (const Candidate& from : Plain(best)) {
       if (fits_.PerRow(from) < kExplained || fits_.Late()) continue;
       state_.TellOfRound("unseen", KeyOf(from.specs, from.base));
-      step_.AddRods(from, winner);
+      if (!swings) step_.AddRods(from, winner);
       // A mount, a spring or play alone is among what is tried in any case.
       const bool law = KeyOf(from.specs) != KeyOf(best.specs);
       if (law) step_.AddMount(from, winner);
@@ -237,15 +231,17 @@ class Search {
   }
 
   // Whether a spring or play beside these laws leaves nothing. What a motor behind it does imitates losses
-  // and late drives: where it leaves little, it may be these.
+  // and late drives: one that leaves little, and not nothing, may be these.
   bool TransmissionExplains(const Candidate& from, const Candidate& best, Candidate* winner,
                             Candidate* sprung) {
     Candidate found = from;
     step_.AddTransmission(from, &found);
-    const bool nothing = fits_.LeavesNothing(found) && Gains(found, best);
-    if (nothing) *winner = Better(*winner, found);
-    if (!(fits_.PerRow(found) < kExplained)) *sprung = Better(*sprung, found);
-    return nothing;
+    if (KeyOf(found.specs) == KeyOf(from.specs)) return false;
+    const bool little = fits_.PerRow(found) < kExplained;
+    if (!little) *sprung = Better(*sprung, found);
+    if (!little || !fits_.LeavesNothing(found) || !Gains(found, best)) return false;
+    *winner = Better(*winner, found);
+    return true;
   }
 
   // `best` with inertials as given and free, and the laws that leave least with either.
@@ -279,55 +275,53 @@ class Search {
     if (!earlier_) return false;
     *winner = Better(*winner, *earlier_);
     if (!(fits_.PerRow(*earlier_) < kExplained)) return false;
-    state_.acceptance.Note(step_.Screen(best, best.base), setting_.nominal.joint_names());
+    state_.acceptance.Note(step_.Screen(best), setting_.nominal.joint_names());
     return Gains(*winner, best);
   }
 
   // Adds to the model with free or given inertials what a screen around it promises. `stepped`: the best of
-  // several forward steps.
-  Next AddWithInertials(bool base, Candidate* best, Candidate* winner, Candidate* stepped) {
+  // several forward steps. Whether the others need not be looked at.
+  bool AddWithInertials(bool base, const Candidate& best, Candidate* winner, Candidate* stepped) {
     // Free hidden states and unnamed forces fit nearly anything: models with free inertials are their rivals.
-    const bool flexible = best->base && (HasUnnamed(*winner) || HasFreeStates(*winner));
-    if (base && !flexible && fits_.PerRow(*winner) < kExplained && Gains(*winner, *best))
-      return Next::kDecide;
-    if (base != best->base && fits_.Known(best->specs, base) == nullptr)
-      fits_.Evaluate(Refreshed(*best), base, best);
-    const Candidate* own = base == best->base ? best : fits_.Known(best->specs, base);
-    if (own == nullptr || !own->fit.ok) return Next::kOtherInertials;
+    const bool flexible = best.base && (HasUnnamed(*winner) || HasFreeStates(*winner));
+    if (base && !flexible && fits_.PerRow(*winner) < kExplained && Gains(*winner, best)) return true;
+    if (base != best.base && fits_.Known(best.specs, base) == nullptr)
+      fits_.Evaluate(Refreshed(best), base, &best);
+    const Candidate* own = base == best.base ? &best : fits_.Known(best.specs, base);
+    if (own == nullptr || !own->fit.ok) return false;
     // Free inertials explain much: only hypotheses that explain it as well with fewer parameters count.
-    const bool rival = !base && best->base &&
-                       (state_.ordinary || fits_.AtStake(*best) < state_.Threshold(*best) ||
-                        (state_.round > 1 && own->score < best->score - 0.5 * setting_.data.Rows()));
+    const bool rival = !base && best.base &&
+                       (state_.ordinary || fits_.AtStake(best) < state_.Threshold(best) ||
+                        (state_.round > 1 && own->score < best.score - 0.5 * setting_.data.Rows()));
     const Candidate from = *own;
-    const ScreenResult screened = step_.NotedScreen(from, base);
+    const ScreenResult screened = step_.NotedScreen(from);
     const double best_gain = screened.hypotheses.empty() ? 0.0 : screened.hypotheses.front().gain;
-    const double needed = state_.Threshold(*best);
-    if (fits_.AtStake(from) < needed && best_gain < needed)
-      return base == best->base ? Next::kDecide : Next::kOtherInertials;  // nothing is left
+    const double needed = state_.Threshold(best);
+    if (fits_.AtStake(from) < needed && best_gain < needed) return base == best.base;  // nothing is left
     // Around a consistent model a screen is exact; with free inertials it may promise less than what was
     // found without them.
     const bool consistent = fits_.PerRow(from) < kConsistent;
-    if (base && state_.round > 1 && !flexible && Gains(*winner, *best) && consistent &&
+    if (base && state_.round > 1 && !flexible && Gains(*winner, best) && consistent &&
         from.score + best_gain < winner->score)
-      return Next::kOtherInertials;
-    double least_gain = rival ? kRivalShare * (best->score - from.score) : 1.0;
+      return false;
+    double least_gain = rival ? kRivalShare * (best.score - from.score) : 1.0;
     // Where a screen around a consistent model promises all that is left, hypotheses of which it promises
     // little are no rivals.
     const double named_gain = ForwardStep::MostPromised(screened);
     if (consistent && named_gain > kNearlyPromised * fits_.AtStake(from))
       least_gain = std::max(least_gain, kRivalShare * named_gain);
     step_.AddFrom(from, screened, least_gain, needed, base ? 3 : 4, winner);
-    if (base || (best->base && state_.round > 1)) return Next::kOtherInertials;
+    if (base || (best.base && state_.round > 1)) return false;
     return StepOnWithFixedInertials(best, winner, stepped);
   }
 
   // Further forward steps, and whether free inertials are no rival of what was found.
-  Next StepOnWithFixedInertials(Candidate* best, Candidate* winner, Candidate* stepped) {
-    further_.BesideBest(*best, *winner, stepped);
-    if (checks_.ExplainedWithFixedInertials(*best, Better(*winner, *stepped))) return Next::kDecide;
+  bool StepOnWithFixedInertials(const Candidate& best, Candidate* winner, Candidate* stepped) {
+    further_.BesideBest(best, *winner, stepped);
+    if (checks_.ExplainedWithFixedInertials(best, Better(*winner, *stepped))) return true;
     // Where free inertials explain something they are a rival of several effects: URDFs are often off.
-    if (!best->base && fits_.PerRow(*stepped) < kExplained && Gains(*stepped, *winner)) *winner = *stepped;
-    return Next::kOtherInertials;
+    if (!best.base && fits_.PerRow(*stepped) < kExplained && Gains(*stepped, *winner)) *winner = *stepped;
+    return false;
   }
 
   // What was found is compared with what is easily taken for it, fitted longer, and so is the old model.
@@ -365,15 +359,23 @@ class Search {
   // One unnamed force in the place of all effects found, over two joints' positions or over one of one
   // joint's variables, where that scores better. One force cannot stand for the losses of all drives.
   void TakeOneForce(Candidate* best) {
-    if (fits_.Cancelled() || state_.ordinary || (fits_.PerRow(*best) < kExplained && setting_.data.n > 1))
-      return;
-    state_.Tell("flexible", 0.3 + 0.15 * state_.round, KeyOf(best->specs));
-    bool taken = false;
-    // With free inertials only where the present model has them.
-    TryUnnamedForces(state_, best->base, [&](const Candidate& c) {
-      if (c.score > best->score + state_.Threshold(*best)) *best = c, taken = true;
-      return taken && fits_.PerRow(*best) < kExplained;
-    });
+    const bool explained = fits_.PerRow(*best) < kExplained && (setting_.data.n > 1 || !OfPosition(*best));
+    if (explained || state_.ordinary || state_.HasForceInPlace(*best)) return;
+    state_.Tell("flexible", 0.88, KeyOf(best->specs));
+    const bool freed = best->base;  // else not with free inertials
+    for (const bool base : {false, true}) {
+      const Candidate* from = fits_.Known(state_.given, base);
+      if ((base && !freed) || from == nullptr || !from->fit.ok) continue;
+      const MissingForce force = state_.Force(*from);
+      for (const std::string& variable : kFieldVariables) {
+        const auto spec = UnnamedStart(setting_, force, variable);
+        if (!spec || fits_.Cancelled()) continue;
+        const Candidate c = fits_.KnownOrFitted(Joined(state_.given, {*spec}), base);
+        if (!(c.score > best->score + state_.Threshold(*best))) continue;
+        *best = c;
+        if (fits_.PerRow(c) < kExplained) return;
+      }
+    }
   }
 
   // What was taken for one of several alike effects while others were missing is compared again.
@@ -397,12 +399,10 @@ class Search {
   Refinement refinement_{setting_, fits_, needs_};
   FurtherSteps further_{state_, step_, drives_};
   HeldOutChecks checks_{state_};
-
   ForceLocator locator_{state_, step_};
 
   SearchResult out_;
   std::optional<Candidate> earlier_;  // the result of an earlier search, refitted to these recordings
-  bool one_force_ = false;            // one unnamed force explains all recordings
 };
 
 }  // namespace

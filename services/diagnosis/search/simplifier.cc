@@ -2,11 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
 
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
-#include "services/diagnosis/hypotheses/rivals.h"
 
 namespace rg::diagnosis {
 

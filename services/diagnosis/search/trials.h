@@ -1,5 +1,5 @@
 // Which hypotheses get a trial fit after a screen: the best single ones, sets of joints and pairs of effects,
-// effects that resemble these, and what no linear screen can see.
+// and what no linear screen can see.
 #pragma once
 
 #include <functional>

@@ -153,7 +153,7 @@ TEST(FitLedger, WhatStoodForAnotherLawIsTakenOutBesideIt) {
 TEST_F(FitLedgerTest, WhatIsPromisedIsFittedOnAllWindowsWithoutATrial) {
   const TrialSpecs viscous = {MakeSpec("viscous_friction", {joint_}, {{"viscous", 0.01}})};
   Candidate winner = coulomb_;
-  ledger_.TryBest(coulomb_, {}, {viscous}, false, 3, &winner);
+  ledger_.TryBest(coulomb_, {}, {viscous}, 3, &winner);
   const Candidate* both = ledger_.Known(Joined(coulomb_.specs, viscous), false);
   ASSERT_NE(both, nullptr);
   EXPECT_EQ(winner.score, std::max(coulomb_.score, both->score));

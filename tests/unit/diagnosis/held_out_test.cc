@@ -3,7 +3,6 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <map>
 
 #include "services/diagnosis/data/prepare_data.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
@@ -59,8 +58,6 @@ TEST_F(HeldOutTest, TheTrueLawIsShortOfNothingAndAnotherIsSurelyWorse) {
   EXPECT_LT(std::abs(right.deficit), 3 * right.deficit_stddev);
   EXPECT_GT(wrong.deficit, 10 * wrong.deficit_stddev);
   EXPECT_GT(right.log_density, wrong.log_density + 100);
-  EXPECT_TRUE(PredictsMore(right, wrong));
-  EXPECT_FALSE(PredictsMore(wrong, right));
 }
 
 TEST_F(HeldOutTest, AJudgeIsAskedOftenAndPredictsOnce) {
@@ -153,15 +150,6 @@ TEST_F(HeldOutTest, ATrueSpringGoesOnAsTheWindowBeforeLeftIt) {
   p_->data.held_out = PrepareHeldOut(p_->set, p_->data, p_->nominal, p_->options);
   const HeldOut right = Of(Fitted({spring}));
   EXPECT_LT(right.deficit, 5 * right.deficit_stddev);
-}
-
-TEST(PredictsMore, AFewWindowsThatRunAwayDecideNothing) {
-  HeldOut a, b;
-  a.windows.assign(30, -50.0), b.windows = a.windows;
-  for (size_t w = 0; w < 4; ++w) b.windows[w] = -1e5;
-  EXPECT_FALSE(PredictsMore(a, b));
-  for (double& w : b.windows) w -= 1;
-  EXPECT_TRUE(PredictsMore(a, b));
 }
 
 TEST_F(HeldOutTest, AModelsOwnMisfitIsThatOfItsRecordings) {

@@ -3,17 +3,12 @@
 
 #include <gtest/gtest.h>
 
-#include <cstdlib>
-#include <filesystem>
-#include <fstream>
 #include <memory>
 #include <set>
 
 #include "services/diagnosis/data/prepare_data.h"
 #include "services/diagnosis/hypotheses/group_start.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
-#include "services/diagnosis/search/fit_ledger.h"
-#include "services/diagnosis/search/simplifier.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {

@@ -244,7 +244,7 @@ Best BestWithAMass(const testing::Prepared& p) {
   FitLedger ledger{setting, p.options, 2, trace, nullptr};
   const Candidate nothing = ledger.Evaluate({}, false);
   Best best{nothing};
-  ledger.TryBest(nothing, BodyStarts("sloshing_payload", p.nominal, p.scales), {}, false, 2, &best.candidate);
+  ledger.TryBest(nothing, BodyStarts("sloshing_payload", p.nominal, p.scales), {}, 2, &best.candidate);
   best.chi2_per_row = ledger.PerRow(best.candidate);
   return best;
 }
