@@ -30,6 +30,13 @@ bool HeldOutChecks::ExplainedWithFixedInertials(const Candidate& before, const C
   return holds;
 }
 
+bool HeldOutChecks::Refuses(const Candidate& model) {
+  if (!judge_) return false;
+  const bool holds = judge_->Holds(model, state_.Threshold(model));
+  fits_.AddWork(judge_->TakeWork());
+  return !holds;
+}
+
 void HeldOutChecks::Run(const Candidate& without, Candidate* best, int* excited_by) {
   if (!judge_) return;
   const double needed = state_.Threshold(*best);

@@ -16,6 +16,8 @@ class HeldOutChecks {
   // Whether few effects with fixed inertials explain the recordings and the held-out ones to within their
   // noise: then free inertials are no rival.
   bool ExplainedWithFixedInertials(const Candidate& before, const Candidate& named);
+  // Whether a model predicts held-out recordings worse than to within their noise.
+  bool Refuses(const Candidate& model);
   // A model must predict held-out recordings to within their noise, or explain half of what is missing
   // there, which `without` leaves: else it is dropped. excited_by: as in SearchResult.
   void Run(const Candidate& without, Candidate* best, int* excited_by);

@@ -30,7 +30,10 @@ constexpr double kStair = 0.02;          // s, of a force that follows what is m
 constexpr double kLeastRows = 0.2;       // of all, beyond the unknowns of such a force, that tell the noise
 constexpr double kNoisiest = 4.0;  // variance over the sensors' own: more is motion that no force follows
 
+constexpr double kLeftBesideForce = 0.1;  // of an unnamed force's excess, by effects beside it
+
 // How far the search goes.
+constexpr int kNamesBesideForce = 2;
 constexpr int kWarmStartIterations = 12;  // from where an earlier search ended
 constexpr double kForwardShare = 0.5;     // of the work limit, that a search of drives leaves
 
@@ -49,6 +52,7 @@ class Search {
     TakeEarlier(&best);
     AddEffects(&best);
     Simplify(&best);
+    ReplaceRefused(&best);
     checks_.Run(Without(), &best, &out_.excited_by);
     Conclude(best);
     return std::move(out_);
@@ -124,7 +128,7 @@ class Search {
       simplifier_.Prune(best);
     }
     ExchangeEarlier(best);
-    TakeOneForce(best);
+    if (TakeOneForce(best)) NameBesideForce(best);
   }
 
   void Conclude(const Candidate& best) {
@@ -358,9 +362,10 @@ class Search {
 
   // One unnamed force in the place of all effects found, over two joints' positions or over one of one
   // joint's variables, where that scores better. One force cannot stand for the losses of all drives.
-  void TakeOneForce(Candidate* best) {
+  bool TakeOneForce(Candidate* best) {
     const bool explained = fits_.PerRow(*best) < kExplained && (setting_.data.n > 1 || !OfPosition(*best));
-    if (explained || state_.ordinary || state_.HasForceInPlace(*best)) return;
+    if (explained || state_.ordinary || state_.HasForceInPlace(*best)) return false;
+    bool taken = false;
     state_.Tell("flexible", 0.88, KeyOf(best->specs));
     const bool freed = best->base;  // else not with free inertials
     for (const bool base : {false, true}) {
@@ -372,10 +377,36 @@ class Search {
         if (!spec || fits_.Cancelled()) continue;
         const Candidate c = fits_.KnownOrFitted(Joined(state_.given, {*spec}), base);
         if (!(c.score > best->score + state_.Threshold(*best))) continue;
-        *best = c;
-        if (fits_.PerRow(c) < kExplained) return;
+        *best = c, taken = true;
+        if (fits_.PerRow(c) < kExplained) return taken;
       }
     }
+    return taken;
+  }
+
+  // In the place of what held-out recordings refuse, one unnamed force with what is beside it, if they do not
+  // refuse that too.
+  void ReplaceRefused(Candidate* best) {
+    if (state_.FoundNothing(*best) || HasUnnamed(*best) || !checks_.Refuses(*best) || fits_.Late()) return;
+    Candidate force = Without();
+    if (!TakeOneForce(&force)) return;
+    NameBesideForce(&force);
+    if (!checks_.Refuses(force)) *best = force;
+  }
+
+  // Effects beside that force, where they take nine tenths of what it leaves: less is its grid's coarseness.
+  void NameBesideForce(Candidate* best) {
+    Candidate named = *best;
+    for (int more = 0; more < kNamesBesideForce && fits_.PerRow(named) > kExplained; ++more) {
+      if (fits_.Late()) break;
+      Candidate next = named;
+      step_.Add(named, &next);
+      if (!Gains(next, named)) break;
+      named = next;
+    }
+    if (!(fits_.Excess(named) < kLeftBesideForce * fits_.Excess(*best))) return;
+    simplifier_.Prune(&named);  // the force may have followed what they explain
+    *best = named;
   }
 
   // What was taken for one of several alike effects while others were missing is compared again.

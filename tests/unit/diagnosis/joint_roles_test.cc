@@ -81,11 +81,13 @@ TEST(PrescribedJoint, CountsInNoRowsOfTheFits) {
   EXPECT_EQ(data.Rows(), 2 * measured);
   const FitResult fit = Fit(data, FitModel{nominal, nominal.parameters().Nominal(), {}}, {.iterations = 3});
   ASSERT_TRUE(fit.ok);
-  // The sensors' noise of the other joint, and what the smoothed motion's own doubt does to it: without that 1.8.
+  // The sensors' noise of the other joint, and what the smoothed motion's own doubt does to it: without
+  // that 1.8.
   EXPECT_NEAR(fit.chi2 / fit.rows, 1.0, 0.15);
 }
 
-// Doubt about the motion of one joint is noise of the other, of every row and kind: pieces of a window have their part of it.
+// Doubt about the motion of one joint is noise of the other, of every row and kind: pieces of a window have
+// their part of it.
 TEST(PrescribedJoint, IsInDoubtInPiecesOfWindowsToo) {
   auto set = testing::MakeSet("arm2", {}, 54);
   Prescribe(&set, 0);

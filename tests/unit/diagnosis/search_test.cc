@@ -9,6 +9,10 @@
 #include "services/diagnosis/data/prepare_data.h"
 #include "services/diagnosis/hypotheses/group_start.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/search/fit_ledger.h"
+#include "services/diagnosis/search/forward_step.h"
+#include "services/diagnosis/search/search_state.h"
+#include "services/diagnosis/search/simplifier.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {
@@ -236,6 +240,57 @@ TEST(Search, ALawBesideOtherMassesIsFoundBeforeHiddenStates) {
   EXPECT_TRUE(r.best.base);
   EXPECT_EQ(Found(r), (std::set<std::string>{"quadratic_drag elbow"}));
   for (const Candidate& c : r.tried) EXPECT_FALSE(HasHiddenStates(c)) << KeyOf(c.specs);
+}
+
+// Behind a gap a motor as heavy as the link looks like a small gain beside the spring, until play is tried
+// beside both.
+TEST(ForwardStep, TriesPlayBesideLawsThatStoodForItsMotor) {
+  const EffectSpec spring =
+      MakeSpec("position_spring", {"hinge"}, {{"stiffness", 3.0}, {"cubic", 1.0}, {"center", 0.0}});
+  const auto p = testing::Prepare("pendulum",
+                                  {MakeSpec("backlash", {"hinge"},
+                                            {{"gap", 0.06},
+                                             {"contact_stiffness", 2000.0},
+                                             {"contact_damping", 3.0},
+                                             {"motor_inertia", 0.05},
+                                             {"motor_viscous", 0.0}}),
+                                   spring},
+                                  62);
+  const FakeClock clock;
+  const ProgressFn progress;
+  SearchState state({p->data, p->nominal, p->scales}, p->options, 2, clock, progress, nullptr);
+  ForwardStep step(state);
+  step.MakeFeatures();
+  step.SetRound(1);
+  state.fits.Evaluate({}, false);
+  const Candidate laws =
+      state.fits.Evaluate({spring, MakeSpec("torque_gain", {"hinge"}, {{"gain", 0.8}})}, false);
+  ASSERT_TRUE(laws.fit.ok);
+  ASSERT_GT(state.fits.PerRow(laws), kConsistent);
+  Candidate found = laws;
+  step.AddTransmission(laws, &found);
+  EXPECT_TRUE(Contains(found.specs, "backlash", "hinge")) << KeyOf(found.specs);
+  EXPECT_LT(state.fits.Excess(found), 0.2 * state.fits.Excess(laws));
+}
+
+TEST(Simplifier, PutsThePlainLawInThePlaceOfARicherOneThatSaysNoMore) {
+  const auto p =
+      testing::Prepare("arm2", {MakeSpec("coulomb_friction", {"shoulder"}, {{"coulomb", 0.4}})}, 60);
+  const FitSetting setting{p->data, p->nominal, p->scales};
+  const FakeClock clock;
+  const Trace trace(clock);
+  FitLedger fits(setting, p->options, 1, trace, nullptr);
+  const EffectSpec by_direction = MakeSpec("asymmetric_friction", {"shoulder"},
+                                           {{"coulomb_positive", 0.4}, {"coulomb_negative", 0.4}}),
+                   none = MakeSpec("viscous_friction", {"elbow"}, {{"viscous", 0.001}});
+  Candidate best = fits.Evaluate({by_direction, none}, false, nullptr, 12);
+  ASSERT_LT(fits.PerRow(best), kExplained);
+  Simplifier(
+      setting, fits, [](const Candidate&, const Candidate&) { return 5.0; },
+      [](const Candidate&) { return 5.0; }, [](const Candidate&) { return 1e3; })
+      .Run(&best);
+  EXPECT_EQ(KeyOf(best.specs), "coulomb_friction[shoulder ] ");
+  EXPECT_LT(fits.PerRow(best), kExplained);
 }
 
 TEST(Search, AGroupLeavesAloneWhatAJointHas) {
