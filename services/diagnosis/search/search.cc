@@ -29,11 +29,10 @@ constexpr double kNearlyPromised = 0.9;  // of what is left
 constexpr double kStair = 0.02;          // s, of a force that follows what is missing
 constexpr double kLeastRows = 0.2;       // of all, beyond the unknowns of such a force, that tell the noise
 constexpr double kNoisiest = 4.0;  // variance over the sensors' own: more is motion that no force follows
-
 constexpr double kLeftBesideForce = 0.1;  // of an unnamed force's excess, by effects beside it
 
 // How far the search goes.
-constexpr int kNamesBesideForce = 2;
+constexpr int kNamesBesideForce = 2;      // one after another
 constexpr int kWarmStartIterations = 12;  // from where an earlier search ended
 constexpr double kForwardShare = 0.5;     // of the work limit, that a search of drives leaves
 
@@ -361,7 +360,8 @@ class Search {
   }
 
   // One unnamed force in the place of all effects found, over two joints' positions or over one of one
-  // joint's variables, where that scores better. One force cannot stand for the losses of all drives.
+  // joint's variables, where that scores better; whether it does. One force cannot stand for the losses of
+  // all drives.
   bool TakeOneForce(Candidate* best) {
     const bool explained = fits_.PerRow(*best) < kExplained && (setting_.data.n > 1 || !OfPosition(*best));
     if (explained || state_.ordinary || state_.HasForceInPlace(*best)) return false;
