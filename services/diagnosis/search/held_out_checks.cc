@@ -20,21 +20,21 @@ HeldOutChecks::HeldOutChecks(SearchState& state) : state_(state), fits_(state.fi
 // With more than two joints few effects cannot imitate wrong inertials on held-out recordings; with fewer
 // they can.
 bool HeldOutChecks::ExplainedWithFixedInertials(const Candidate& before, const Candidate& named) {
-  const bool explained = state_.setting.data.n > 2 && judge_ && fits_.MeetsSensors(named) &&
-                         !HasUnnamed(named) && fits_.PerRow(before) >= kConsistent &&
-                         FreshKinds(before, named).size() <= kMaxEffectsWithFixedInertials &&
-                         named.score > before.score + state_.Threshold(before, named);
-  if (!explained) return false;
-  const bool holds = judge_->Holds(named, state_.Threshold(before));
+  return state_.setting.data.n > 2 && judge_ && fits_.MeetsSensors(named) && !HasUnnamed(named) &&
+         fits_.PerRow(before) >= kConsistent &&
+         FreshKinds(before, named).size() <= kMaxEffectsWithFixedInertials &&
+         named.score > before.score + state_.Threshold(before, named) &&
+         Holds(named, state_.Threshold(before));
+}
+
+bool HeldOutChecks::Holds(const Candidate& model, double needed) {
+  const bool holds = judge_->Holds(model, needed);
   fits_.AddWork(judge_->TakeWork());
   return holds;
 }
 
 bool HeldOutChecks::Refuses(const Candidate& model) {
-  if (!judge_) return false;
-  const bool holds = judge_->Holds(model, state_.Threshold(model));
-  fits_.AddWork(judge_->TakeWork());
-  return !holds;
+  return judge_ && !Holds(model, state_.Threshold(model));
 }
 
 void HeldOutChecks::Run(const Candidate& without, Candidate* best, int* excited_by) {

@@ -25,6 +25,7 @@ class HeldOutChecks {
   void CompareRivals(SearchResult* out);
 
  private:
+  bool Holds(const Candidate& model, double needed);
   bool SwingsOn(const Candidate& best, const Candidate& without);
 
   SearchState& state_;
