@@ -33,6 +33,8 @@ enum class Regressor {
   kBeyond,           // −u beyond ±x
   kDelayed,          // u(t − x) − u(t)
   kLagging,          // u through a first-order lag of time constant x, less u
+  kThroughSpring,    // u through a motor on a spring that resonates at x [rad/s], less u
+  kSprungRotor,      // −a through the same
   kOtherEffort,      // u of another joint
   kPosition,         // −(q − x)
   kSine,             // sin(x·q)
@@ -104,6 +106,7 @@ struct Inference {
   std::vector<Term> terms = {};  // of the force on a joint; empty: it is not linear in anything
   std::string shape = {};        // the parameter that is the regressors' shape
   bool pieces = false;           // all shapes at once are the terms of one function
+  bool needs_fit = false;        // its terms tell it around a model that fits, and not far from one
   // Its coefficient is one where the shape is right, and admissible near that; at the first or the last shape
   // of a grid also far below.
   enum class Near { kAny, kOne, kOneOrBelowFirst, kOneOrBelowLast } coefficient = Near::kAny;

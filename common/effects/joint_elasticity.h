@@ -9,6 +9,7 @@
 // Ref: Spong, J. Dyn. Sys. 109(4), 1987.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 
 #include "common/effects/effect.h"
@@ -49,20 +50,31 @@ struct JointElasticity {
   }
 
   static Inference Inferred() {
-    return {.slot = Slot::kTransmission,
-            .probe = Probe::kVibration,
-            .blind = Springs,
-            .instead = [](const Values& play, Blind) -> std::vector<Start> {
-              return {{{{"stiffness", play.at("contact_stiffness")},
-                        {"damping", play.at("contact_damping")},
-                        {"motor_inertia", play.at("motor_inertia")}}}};
-            },
-            .rotor = "motor_inertia",
-            .prior = [](const std::string& field, double, const EffectSpec&,
-                        const JointSize& joint) -> std::optional<Prior> {
-              if (field != "motor_inertia") return {};
-              return Prior{0.3 * joint.inertia, joint.inertia, 0.002 * joint.inertia, 10 * joint.inertia};
-            }};
+    return {
+        .terms = {{Regressor::kSprungRotor, {"motor_inertia"}, true}, {Regressor::kThroughSpring}},
+        .shape = "stiffness",
+        .needs_fit = true,
+        .coefficient = Inference::Near::kOneOrBelowLast,
+        .slot = Slot::kTransmission,
+        .probe = Probe::kVibration,
+        .starts = [](const Found& f) -> std::vector<Start> {
+          const double J = std::max(f.c[0], 0.02 * f.joint.inertia);
+          return {
+              {{{"stiffness", J * f.shape * f.shape}, {"damping", 0.2 * J * f.shape}, {"motor_inertia", J}},
+               {{"sensor", "link"}}}};
+        },
+        .blind = Springs,
+        .instead = [](const Values& play, Blind) -> std::vector<Start> {
+          return {{{{"stiffness", play.at("contact_stiffness")},
+                    {"damping", play.at("contact_damping")},
+                    {"motor_inertia", play.at("motor_inertia")}}}};
+        },
+        .rotor = "motor_inertia",
+        .prior = [](const std::string& field, double, const EffectSpec&,
+                    const JointSize& joint) -> std::optional<Prior> {
+          if (field != "motor_inertia") return {};
+          return Prior{0.3 * joint.inertia, joint.inertia, 0.002 * joint.inertia, 10 * joint.inertia};
+        }};
   }
   // From soft to stiff.
   static std::vector<Start> Springs(const Blind& b) {

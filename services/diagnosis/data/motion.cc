@@ -9,11 +9,12 @@
 
 namespace rg::diagnosis {
 
-SmoothMotion::SmoothMotion(const recordings::Recording& recording, const recordings::SensorNoise& noise)
+SmoothMotion::SmoothMotion(const recordings::Recording& recording, const recordings::SensorNoise& noise,
+                           double least_span)
     : recording_(&recording),
       weight_q_(noise.position_stddev.cwiseInverse()),
       weight_v_(noise.velocity_stddev.cwiseInverse()) {
-  half_span_ = std::max(0.05, 2.2 * recording.SamplePeriod());
+  half_span_ = std::max(least_span, 2.2 * recording.SamplePeriod());
 }
 
 void SmoothMotion::At(double t, VectorXd* q, VectorXd* v, VectorXd* a) const {

@@ -20,7 +20,9 @@ inline constexpr double kMovesBy = 20.0;  // stddevs of the position, from which
 // positions and, where there are any, velocities, each weighted by its noise.
 class SmoothMotion {
  public:
-  SmoothMotion(const recordings::Recording& recording, const recordings::SensorNoise& noise);
+  // `least_span`: half of the time that a cubic reaches over, at least [s].
+  SmoothMotion(const recordings::Recording& recording, const recordings::SensorNoise& noise,
+               double least_span = 0.05);
   // n each.
   void At(double t, VectorXd* q, VectorXd* v, VectorXd* a) const;
   double half_span() const { return half_span_; }

@@ -16,6 +16,7 @@ using Eigen::ArrayXd;
 
 namespace {
 
+constexpr double kSharpSpan = 0.01;  // s: a motion smoothed over more has lost a spring's resonance
 constexpr double kNarrowBand = 0.1;  // of the least quantile of |effort|
 
 double Quantile(std::vector<double> x, double p) {
@@ -28,12 +29,18 @@ double Quantile(std::vector<double> x, double p) {
 class Builder {
  public:
   Builder(const FitData& data, const sim::Plant& plant, const MotionScales& scales)
-      : data_(data), plant_(plant), s_(scales) {}
+      : data_(data), plant_(plant), s_(scales), sharp_(static_cast<size_t>(data.n)) {}
 
   FeatureSet Take() {
     for (int j = 0; j < data_.n; ++j) {
       motions_.push_back({});
       for (const FineMotion& m : data_.fine) motions_.back().push_back(Smooth(m, j));
+    }
+    for (size_t r = 0; r < data_.fine.size(); ++r) {
+      const sysid::FitRecording& fit = data_.recordings[r];
+      const SmoothMotion motion(*fit.recording, data_.noise, kSharpSpan);
+      const FineMotion sharp = FineMotionOf(*fit.recording, fit.command, motion, data_.nodes);
+      for (int j = 0; j < data_.n; ++j) sharp_[j].push_back(MotionOf(sharp, sharp.u, j));
     }
     for (int j = 0; j < data_.n; ++j) AddJoint(j);
     Standardise();
@@ -54,10 +61,13 @@ class Builder {
     using enum Regressor;
     // Regressors in one bracket share their shapes.
     static const std::vector<std::vector<Regressor>> kOwn = {
-        {kVelocity}, {kSquaredVelocity}, {kDirection},     {kForwards},          {kBackwards},
-        {kSlowly},   {kUnderLoad},       {kWarmingUp},     {kBristle},           {kEffort},
-        {kConstant}, {kInBand},          {kBeyond},        {kDelayed, kLagging}, {kOtherEffort},
-        {kPosition}, {kSine, kCosine},   {kPositionPiece}, {kAcceleration},      {kPulse}};
+        {kVelocity},      {kSquaredVelocity},   {kDirection},
+        {kForwards},      {kBackwards},         {kSlowly},
+        {kUnderLoad},     {kWarmingUp},         {kBristle},
+        {kEffort},        {kConstant},          {kInBand},
+        {kBeyond},        {kDelayed, kLagging}, {kThroughSpring, kSprungRotor},
+        {kOtherEffort},   {kPosition},          {kSine, kCosine},
+        {kPositionPiece}, {kAcceleration},      {kPulse}};
     for (const auto& alike : kOwn) {
       for (const RegressorShape& shape : ShapesOf(alike.front(), j)) {
         for (const Regressor r : alike) {
@@ -104,6 +114,10 @@ class Builder {
       case kLagging:
         at({0.005, 0.012, 0.025, 0.045}, 1);
         break;
+      case kThroughSpring:
+      case kSprungRotor:
+        at({3, 4.2, 6, 8.4, 12, 17, 24, 34}, 2 * M_PI);
+        break;
       case kPosition:
         at({middle}, 1);
         break;
@@ -145,6 +159,7 @@ class Builder {
     using Near = effects::Inference::Near;
     if (r == Regressor::kEffort) return 0.3;
     if (r == Regressor::kPulse) return s_.torque[j];
+    if (r == Regressor::kSprungRotor) return s_.inertia[j];
     if (r == Regressor::kOtherEffort) return 0.5 * s_.torque[j] / std::max(1e-9, s_.torque[other]);
     return effects::InferenceOf(effects::LawOf(r).id).coefficient == Near::kAny ? 0.0 : 1.0;
   }
@@ -161,7 +176,8 @@ class Builder {
     const std::string& law = effects::LawOf(r).id;
     if (!plant_.Takes(law, j) || (other >= 0 && !plant_.Takes(law, other))) return;
     std::vector<ArrayXd> values;
-    for (const JointMotion& m : motions_[static_cast<size_t>(other >= 0 ? other : j)])
+    const auto& motions = r == Regressor::kSprungRotor ? sharp_ : motions_;
+    for (const JointMotion& m : motions[static_cast<size_t>(other >= 0 ? other : j)])
       values.push_back(ForceOf(r, m, shape));
     Push({r, j, other, shape.x, 1}, UnitOf(r, j, other), std::move(values));
   }
@@ -203,8 +219,9 @@ class Builder {
   const sim::Plant& plant_;
   const MotionScales& s_;
   FeatureSet out_;
-  std::vector<std::vector<JointMotion>> motions_;  // [joint][recording]
-  std::vector<std::vector<ArrayXd>> fine_;         // [feature][recording]
+  // [joint][recording]; sharp: as recorded, but for noise.
+  std::vector<std::vector<JointMotion>> sharp_, motions_;
+  std::vector<std::vector<ArrayXd>> fine_;  // [feature][recording]
 };
 
 }  // namespace
@@ -257,6 +274,19 @@ MotionScales ScalesOf(const FitData& data, const sim::Plant& plant) {
     if (plant.IsPassive(j)) s.torque[j] = std::max(1e-6, s.inertia[j] * s.acceleration[j]);
   }
   return s;
+}
+
+FeatureSet FarFromAFit(const FeatureSet& features) {
+  FeatureSet out;
+  std::vector<Eigen::Index> kept;
+  for (size_t c = 0; c < features.features.size(); ++c) {
+    const Feature& f = features.features[c];
+    if (effects::InferenceOf(effects::LawOf(f.regressor).id).needs_fit) continue;
+    kept.push_back(static_cast<Eigen::Index>(c));
+    out.features.push_back(f), out.block.joint.push_back(f.joint);
+  }
+  for (const MatrixXd& phi : features.block.phi) out.block.phi.push_back(phi(kept, Eigen::all));
+  return out;
 }
 
 FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales) {

@@ -36,6 +36,8 @@ struct FeatureSet {
   std::vector<Feature> features;
   FeatureBlock block;  // standardised: a coefficient of 1 is one prior stddev
 };
+// Without those of effects that show around a model that fits alone.
+FeatureSet FarFromAFit(const FeatureSet& features);
 // Signatures of the effects that the joints of `plant` take.
 FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales);
 

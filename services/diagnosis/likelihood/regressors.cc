@@ -46,6 +46,29 @@ ArrayXd Lagging(const ArrayXd& u, double dt, double seconds) {
   return f;
 }
 
+// The torque of a spring, per unit of the inertia of its motor, which resonates at `omega` where its other
+// end is held: θ̈ = drive − T,  T = ω²(θ − q) + 2ζω(θ̇ − v).
+ArrayXd OfSpring(const ArrayXd& drive, const ArrayXd& q, const ArrayXd& v, double dt, double omega) {
+  constexpr double kDamping = 0.1;
+  constexpr int kSteps = 4;
+  const double h = dt / kSteps, stiffness = omega * omega, damping = 2 * kDamping * omega;
+  ArrayXd f(q.size());
+  double x = drive[0] / stiffness, w = 0;  // θ − q, θ̇ − v
+  for (int k = 0; k < f.size(); ++k) {
+    const double slope = k + 1 < f.size() ? (v[k + 1] - v[k]) / dt : 0.0;
+    double mean = 0;
+    for (int i = 0; i < kSteps; ++i) {
+      // Trapezoidal: stable, whatever the resonance.
+      const double T = stiffness * (x + 0.5 * h * w) + damping * w;
+      const double rate = (drive[k] - slope - T) / (1 + 0.5 * h * damping + 0.25 * h * h * stiffness);
+      mean += stiffness * (x + 0.5 * h * (w + 0.5 * h * rate)) + damping * (w + 0.5 * h * rate);
+      x += h * (w + 0.5 * h * rate), w += h * rate;
+    }
+    f[k] = mean / kSteps;
+  }
+  return f;
+}
+
 // A cubic B-spline.
 ArrayXd Piece(const ArrayXd& q, const RegressorShape& s) {
   const ArrayXd x = ((q - s.x) / s.y).abs();
@@ -100,6 +123,11 @@ ArrayXd ForceOf(effects::Regressor regressor, const JointMotion& m, const Regres
       return Delayed(m.effort, m.t[1] - m.t[0], s.x);
     case kLagging:
       return Lagging(m.effort, m.t[1] - m.t[0], s.x);
+    case kThroughSpring:
+      return OfSpring(m.effort, ArrayXd::Zero(m.q.size()), ArrayXd::Zero(m.q.size()), m.t[1] - m.t[0], s.x) -
+             m.effort;
+    case kSprungRotor:
+      return OfSpring(ArrayXd::Zero(m.q.size()), m.q, m.v, m.t[1] - m.t[0], s.x);
     case kPosition:
       return -(m.q - s.x);
     case kSine:

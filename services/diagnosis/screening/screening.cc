@@ -328,7 +328,7 @@ class Scorer {
   static bool Admissible(const Group& g, const VectorXd& c) {
     if (g.positive && c.maxCoeff() <= 0) return false;
     if (g.load && c[0] <= 0) return false;
-    return c.size() > 1 || (c[0] >= g.low && c[0] <= g.high);
+    return c[c.size() - 1] >= g.low && c[c.size() - 1] <= g.high;
   }
 
   // The normal equations with some groups projected out, each under its prior.

@@ -20,7 +20,8 @@ class ForwardStep {
 
   // Before the first screen: regressors along the recorded motion.
   void MakeFeatures() {
-    features_ = diagnosis::MakeFeatures(setting_.data, setting_.nominal, setting_.scales);
+    near_features_ = diagnosis::MakeFeatures(setting_.data, setting_.nominal, setting_.scales);
+    features_ = FarFromAFit(near_features_);
   }
   // Screens are kept within a round, and until the noise scale changes.
   void SetRound(int round);
@@ -78,7 +79,7 @@ class ForwardStep {
   SearchState& state_;
   const FitSetting& setting_;
   FitLedger& fits_;
-  FeatureSet features_;
+  FeatureSet features_, near_features_;  // the latter around a model that fits
   std::vector<Eigen::VectorXd> step_rule_;
   std::map<std::string, ScreenResult> screens_;  // of this round, by model and fit
   int round_ = 0;

@@ -106,7 +106,11 @@ class TrialBuilder {
     for (const Scored& h : screened_.hypotheses) {
       if (h.gain < least_gain || taken >= (from_.base ? 10 : 16) || Known(h)) continue;
       ++taken;
-      Push(SpecsFor(h, nominal_, scales_));
+      if (effects::IsIn(effects::Slot::kTransmission, h.effect)) {
+        Transmission(h.effect, h.joints.front());
+      } else {
+        Push(SpecsFor(h, nominal_, scales_));
+      }
     }
   }
 
@@ -149,15 +153,17 @@ class TrialBuilder {
 
   void Transmissions(const std::vector<int>& joints, size_t springy) {
     for (size_t i = 0; i < std::min(springy, joints.size()); ++i) {
-      if (!MayHaveMotor(joints[i])) continue;
-      for (const std::string& id : {effects::Spring().id, effects::Play().id}) {
-        for (const char* sensor : {"link", "motor"}) {
-          std::vector<TrialSpecs> starts =
-              TransmissionStarts(id, sensor, joints[i], nominal_, scales_, MotorOn(joints[i]));
-          AsLateAsOthers(joints[i], &starts);
-          Push(nearest_(starts, kNearest));
-        }
-      }
+      for (const std::string& id : {effects::Spring().id, effects::Play().id}) Transmission(id, joints[i]);
+    }
+  }
+
+  void Transmission(const std::string& id, int joint) {
+    if (!MayHaveMotor(joint) || !looked_at_.emplace(id, joint).second) return;
+    for (const char* sensor : {"link", "motor"}) {
+      std::vector<TrialSpecs> starts =
+          TransmissionStarts(id, sensor, joint, nominal_, scales_, MotorOn(joint));
+      AsLateAsOthers(joint, &starts);
+      Push(nearest_(starts, kNearest));
     }
   }
 
@@ -228,6 +234,7 @@ class TrialBuilder {
   const Candidate& from_;
   const ScreenResult& screened_;
   const Nearest& nearest_;
+  std::set<std::pair<std::string, int>> looked_at_;  // springs and play of joints
   std::vector<TrialSpecs> out_;
 };
 
@@ -268,7 +275,9 @@ std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& scre
   const auto add = [&](const std::vector<Scored>& parts, double gain) {
     for (const Scored& h : parts) {
       const bool known = h.joints.size() == 1 && HasKind(from.specs, h.effect);
-      if (IsUnnamed(h.effect) || AlreadyIn(from, h, nominal) || (!holds && !known)) return;
+      const bool sprung =
+          effects::IsIn(effects::Slot::kTransmission, h.effect);  // starts of it are looked at
+      if (IsUnnamed(h.effect) || sprung || AlreadyIn(from, h, nominal) || (!holds && !known)) return;
     }
     TrialSpecs start = Together(parts, nominal, scales);
     // In the place of another law on its joint it would not bring what it does beside it.

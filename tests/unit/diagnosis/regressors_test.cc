@@ -87,6 +87,39 @@ TEST(Regressors, LateEffortIsTheEffortOfBeforeLessThatOfNow) {
   EXPECT_DOUBLE_EQ(ForceOf(effects::Regressor::kLagging, m, {kRow, 0})[1], (1 - 3) * std::exp(-1.0));
 }
 
+// J θ̈ = u − T,  T = k (θ − q) + b (θ̇ − v), in steps of 10 µs along a motion that shakes near the resonance.
+TEST(Regressors, TheTermsOfASpringAreItsTorque) {
+  const double J = 0.03, omega = 2 * M_PI * 12, k = J * omega * omega, dt = 2.5e-3;
+  const effects::EffectInfo& spring = effects::Spring();
+  const effects::Values values = effects::StartsOf(spring, effects::Found{{J, 1.0}, omega}).front().values;
+  ASSERT_NEAR(values.at("stiffness"), k, 1e-9 * k);
+  const double b = values.at("damping");
+  const auto q = [](double t) {
+    return 0.2 * std::sin(3 * t) * std::sin(3 * t) + 2e-3 * (1 - std::cos(70 * t));
+  };
+  const auto v = [](double t) { return 0.6 * std::sin(6 * t) + 0.14 * std::sin(70 * t); };
+  const auto u = [](double t) { return 2 * std::sin(5 * t) + 0.5 * std::sin(60 * t); };
+  const Eigen::Index rows = 800;
+  JointMotion m;
+  for (auto* x : {&m.q, &m.v, &m.a, &m.t, &m.effort, &m.direction}) x->setZero(rows);
+  Eigen::ArrayXd torque(rows);
+  double theta = 0, speed = 0, t = 0;
+  for (Eigen::Index i = 0; i < rows; ++i) {
+    m.t[i] = t, m.q[i] = q(t), m.v[i] = v(t), m.effort[i] = u(t + 0.5 * dt);
+    double mean = 0;
+    for (int step = 0; step < 250; ++step, t += 1e-5) {
+      const double T = k * (theta - q(t)) + b * (speed - v(t));
+      mean += T / 250;
+      speed += 1e-5 * (m.effort[i] - T) / J, theta += 1e-5 * speed;
+    }
+    torque[i] = mean;
+  }
+  const RegressorShape shape{omega, 0};
+  const Eigen::ArrayXd terms = J * ForceOf(effects::Regressor::kSprungRotor, m, shape) +
+                               ForceOf(effects::Regressor::kThroughSpring, m, shape) + m.effort;
+  EXPECT_LT(std::sqrt((terms - torque).square().mean()), 0.03 * std::sqrt(torque.square().mean()));
+}
+
 TEST(Regressors, ABristleBendsBeforeItSlides) {
   JointMotion m = MotionAt({0, 1, 0, 0, 0});
   m.q[1] = 1e-4;

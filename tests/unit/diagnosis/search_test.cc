@@ -242,6 +242,39 @@ TEST(Search, ALawBesideOtherMassesIsFoundBeforeHiddenStates) {
   for (const Candidate& c : r.tried) EXPECT_FALSE(HasHiddenStates(c)) << KeyOf(c.specs);
 }
 
+// A stiff spring is a rotor and a little more: that shows around the rotor's fit, and nowhere far from one.
+TEST(ForwardStep, SeesASpringAroundAModelThatFits) {
+  const double J = 0.05, omega = 2 * M_PI * 10, k = J * omega * omega;
+  const auto p =
+      testing::Prepare("pendulum",
+                       {MakeSpec("joint_elasticity", {"hinge"},
+                                 {{"stiffness", k}, {"damping", 0.2 * J * omega}, {"motor_inertia", J}})},
+                       63);
+  const FakeClock clock;
+  const ProgressFn progress;
+  SearchState state({p->data, p->nominal, p->scales}, p->options, 2, clock, progress, nullptr);
+  ForwardStep step(state);
+  step.MakeFeatures();
+  step.SetRound(1);
+  const Candidate bare = state.fits.Evaluate({}, false);
+  const Candidate rotor =
+      state.fits.Evaluate({MakeSpec("rotor_inertia", {"hinge"}, {{"armature", 0.8 * J}})}, false);
+  ASSERT_GT(state.fits.PerRow(bare), kConsistent);
+  ASSERT_LT(state.fits.PerRow(rotor), kConsistent);
+  ASSERT_GT(state.fits.PerRow(rotor), kExplained);
+  for (const Scored& h : step.Screen(bare).hypotheses) EXPECT_NE(h.effect, "joint_elasticity");
+  const ScreenResult screened = step.Screen(rotor);
+  ASSERT_EQ(screened.hypotheses.front().effect, "joint_elasticity");
+  Candidate sprung = rotor;
+  step.AddFrom(rotor, screened, 2.0, 10.0, 1, &sprung);
+  EXPECT_LT(state.fits.PerRow(sprung), 1.01);
+  ASSERT_EQ(sprung.specs.size(), 1u);
+  ASSERT_EQ(sprung.specs.front().id, "joint_elasticity");
+  const EffectSpec spring = Refreshed(sprung).front();
+  EXPECT_NEAR(effects::ValueOf(spring, "motor_inertia"), J, 0.1 * J);
+  EXPECT_NEAR(effects::ValueOf(spring, "stiffness"), k, 0.1 * k);
+}
+
 // Behind a gap a motor as heavy as the link looks like a small gain beside the spring, until play is tried
 // beside both.
 TEST(ForwardStep, TriesPlayBesideLawsThatStoodForItsMotor) {
