@@ -53,7 +53,7 @@ struct ActuatorLag {
           return {{"time_constant", seconds}};
         },
         .prior = [](const std::string&, double, const EffectSpec&, const JointSize&) -> std::optional<Prior> {
-          return Prior{0, 0.03, 5e-4, 0.4};
+          return Prior{0, 0.03, 5e-5, 0.4};
         }};
   }
 

@@ -373,18 +373,21 @@ VectorXd Lineariser::Residuals(const NodeWindow& window, const sim::Trajectory& 
   return residuals;
 }
 
-void Lineariser::TryRecordedStart(int worker, int index, MatrixXd* states, double* chi2) {
+void Lineariser::TryRecordedStart(int worker, int index, const VectorXd* before, MatrixXd* states,
+                                  double* chi2) {
   const NodeWindow& window = data_.windows[index];
   VectorXd speeds = states->col(0);
   if (!speeds.allFinite()) return;
   speeds.segment(n_, n_) = window.v0.col(0);
-  VectorXd all = speeds;
-  all.head(n_) = window.q0.col(0);
-  const std::vector<double> c = Simulated(worker, {index, index}, {speeds, all});
-  const double best = std::min(c[0], c[1]);
-  if (!(best < *chi2)) return;
-  const sim::Trajectory& out = RunFrom(window, c[1] < c[0] ? all : speeds, window.t, workers_[worker].get());
-  if (out.outcome.ok() && out.state.allFinite()) *states = out.state, *chi2 = best;
+  std::vector<VectorXd> starts(2, speeds);
+  starts[1].head(n_) = window.q0.col(0);
+  if (before != nullptr && before->allFinite() && nx_ > 2 * n_) starts.push_back(*before);
+  const std::vector<double> c = Simulated(worker, std::vector<int>(starts.size(), index), starts);
+  const auto best = std::ranges::min_element(c);
+  if (!(*best < *chi2)) return;
+  const VectorXd& start = starts[static_cast<size_t>(best - c.begin())];
+  const sim::Trajectory& out = RunFrom(window, start, window.t, workers_[worker].get());
+  if (out.outcome.ok() && out.state.allFinite()) *states = out.state, *chi2 = *best;
 }
 
 void Lineariser::Simulate(int worker, int index, MatrixXd* states) {

@@ -58,9 +58,10 @@ class Lineariser {
   // χ² of a window whose simulation broke at once.
   double WorstChi2(int index) const;
 
-  // Restarts a window at the recorded state, or at the recorded velocities, if its χ² is less from there;
-  // writes the simulated states, nx × (N + 1).
-  void TryRecordedStart(int worker, int index, MatrixXd* states, double* chi2);
+  // Restarts a window at the recorded state, at the recorded velocities, or at the recorded state with hidden
+  // states as the window `before` (null: none) ended, if its χ² is less from there; writes the simulated
+  // states, nx × (N + 1).
+  void TryRecordedStart(int worker, int index, const VectorXd* before, MatrixXd* states, double* chi2);
   // Replaces a window's states by a simulation from its start; unchanged where that fails.
   void Simulate(int worker, int index, MatrixXd* states);
   // Simulates hidden states node by node along the recorded motion, in place. With the encoder on the motor

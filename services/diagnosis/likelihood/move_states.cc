@@ -51,6 +51,19 @@ double Middle(std::vector<double> values) {
   return *middle;
 }
 
+// States at the windows' ends.
+std::vector<VectorXd> Ends(const NodeStates& states) {
+  std::vector<VectorXd> out;
+  for (const MatrixXd& s : states) out.push_back(s.col(s.cols() - 1));
+  return out;
+}
+
+// Whether a window begins where the one before it ends.
+bool GoesOn(const FitData& data, int w) {
+  return w > 0 && data.windows[w].recording == data.windows[w - 1].recording &&
+         data.windows[w].t.front() - data.windows[w - 1].t.back() == 0;
+}
+
 }  // namespace
 
 size_t MoveStates(Lineariser& lin, int worker, int first, int last, const std::vector<Linear>& linear,
@@ -93,8 +106,11 @@ size_t TryRecordedStarts(Lineariser& lin, const FitData& data, int threads, Node
     if ((*chi2)[w] > kStandsOut * std::max(middle, static_cast<double>(lin.RowsOf(data.windows[w]))))
       lost.push_back(w);
   }
+  const std::vector<VectorXd> ends = Ends(*states);
   sysid::ParallelFor(threads, static_cast<int>(lost.size()), [&](int worker, int i) {
-    lin.TryRecordedStart(worker, lost[i], &(*states)[lost[i]], &(*chi2)[lost[i]]);
+    const int w = lost[i];
+    const VectorXd* before = GoesOn(data, w) ? &ends[w - 1] : nullptr;
+    lin.TryRecordedStart(worker, w, before, &(*states)[w], &(*chi2)[w]);
   });
   return lost.size();
 }
@@ -106,13 +122,10 @@ void ChooseFaces(const FitData& data, Lineariser& lin, int threads, double noise
   for (int w = 0; w < W; ++w) per_row.push_back((*chi2)[w] / lin.RowsOf(data.windows[w]));
   const double usual = Middle(per_row);
   const bool closely = usual < kMostlyMet * noise_scale;
-  std::vector<VectorXd> ends;
-  for (const MatrixXd& s : *states) ends.push_back(s.col(s.cols() - 1));
+  const std::vector<VectorXd> ends = Ends(*states);
   sysid::ParallelFor(threads, W, [&](int worker, int w) {
     if (per_row[w] < kUnusual * usual) return;
-    const bool goes_on = w > 0 && data.windows[w].recording == data.windows[w - 1].recording &&
-                         data.windows[w].t.front() - data.windows[w - 1].t.back() == 0;
-    const VectorXd* before = goes_on ? &ends[w - 1] : nullptr;
+    const VectorXd* before = GoesOn(data, w) ? &ends[w - 1] : nullptr;
     const double chosen = lin.ChooseFace(worker, w, before, closely, (*chi2)[w], &(*states)[w]);
     if (!(chosen < (*chi2)[w])) return;
     (*chi2)[w] = chosen;

@@ -510,6 +510,19 @@ TEST(LiftedFit, FindsTheWayOverPiecesFromFarAndEndsOnWholeWindows) {
   EXPECT_TRUE(pieces.states.empty());
 }
 
+TEST(LiftedFit, StartsWhereASensorThatReadsOffSaysTheJointIs) {
+  const auto p = Prepare("arm2", {}, 64);
+  const double offset = 0.2;
+  const auto plant =
+      *p->nominal.WithEffect(effects::MakeSpec("encoder_offset", {"elbow"}, {{"offset", offset}}));
+  const NodeStates states = InitialStates(p->data, {plant, plant.parameters().Nominal(), {}}, {});
+  for (size_t w = 0; w < states.size(); ++w) {
+    const MatrixXd moved = p->data.windows[w].q0 - states[w].topRows(2);
+    EXPECT_LT(moved.row(0).cwiseAbs().maxCoeff(), 1e-12);
+    EXPECT_LT((moved.row(1).array() - offset).abs().maxCoeff(), 1e-12);
+  }
+}
+
 TEST(LiftedFit, CarriesStatesToAModelWithMoreOfThem) {
   const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
   const auto p = Prepare("pendulum", {}, 9);
