@@ -228,14 +228,14 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
     const Candidate zeros = WithZeros(*best, either_way);
     const Candidate directed = zeros.fit.ok && Left(zeros) < Left(either_way) / kUseful ? zeros : either_way;
     if (TakeOneLaw(directed, best)) return;
-    // What late drives leave is left by either: where these explain the rest, masses are no rival.
-    Candidate with_timing = directed;
+    // What late drives leave is left by either: where these explain the rest, masses have to score better.
+    Candidate with_timing = directed, bodies = WithFreeBase(*best);
     Late(&with_timing);
     if (with_timing.fit.ok && fits_.LeavesNothing(with_timing)) {
-      *best = with_timing;
+      Late(&bodies);
+      *best = Better(with_timing, bodies);
       return;
     }
-    const Candidate bodies = WithFreeBase(*best);
     if (!(Left(bodies) < Left(either_way) / kUseful)) {
       *best = directed;
       return;

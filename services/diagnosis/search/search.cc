@@ -5,6 +5,7 @@
 #include <optional>
 #include <set>
 
+#include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/field_starts.h"
 #include "services/diagnosis/hypotheses/given_model.h"
@@ -32,9 +33,10 @@ constexpr double kNoisiest = 4.0;  // variance over the sensors' own: more is mo
 constexpr double kLeftBesideForce = 0.1;  // of an unnamed force's excess, by effects beside it
 
 // How far the search goes.
-constexpr int kNamesBesideForce = 2;      // one after another
-constexpr int kWarmStartIterations = 12;  // from where an earlier search ended
-constexpr double kForwardShare = 0.5;     // of the work limit, that a search of drives leaves
+constexpr size_t kLawsTried = 8, kLawsForInertials = 2;  // in the place of free inertials; of them fitted
+constexpr int kNamesBesideForce = 2;                     // one after another
+constexpr int kWarmStartIterations = 12;                 // from where an earlier search ended
+constexpr double kForwardShare = 0.5;                    // of the work limit, that a search of drives leaves
 
 constexpr uint64_t kOwnDraw = 1000;  // its stream of random numbers, beyond the rounds'
 
@@ -127,6 +129,8 @@ class Search {
       simplifier_.Prune(best);
     }
     ExchangeEarlier(best);
+    OneLawInPlaceOfInertials(best);
+    UnnamedInPlaceOfLaw(best);
     if (TakeOneForce(best)) NameBesideForce(best);
   }
 
@@ -230,7 +234,13 @@ class Search {
           TransmissionExplains(from, best, winner, sprung))
         return true;
     }
-    return false;
+    // But not a mount beside free inertials of several joints.
+    const Candidate* freed = fits_.Known(best.specs, true);
+    if (setting_.data.n <= 2 || freed == nullptr || !freed->fit.ok || fits_.PerRow(*freed) < kExplained ||
+        fits_.Late())
+      return false;
+    step_.AddMount(Candidate(*freed), winner);
+    return fits_.PerRow(*winner) < kExplained && Gains(*winner, best);
   }
 
   // Whether a spring or play beside these laws leaves nothing. What a motor behind it does imitates losses
@@ -357,6 +367,53 @@ class Search {
     if (state_.ordinary) drives_.Late(best);
     simplifier_.Run(best);
     return true;
+  }
+
+  // Free inertials may stand for what one law says in a number or few, as a sensor that reads off: beside
+  // what was found, a better score is enough.
+  void OneLawInPlaceOfInertials(Candidate* best) {
+    if (!best->base || state_.FoundNothing(*best) || HasUnnamed(*best) || fits_.PerRow(*best) > kExplained ||
+        fits_.Late(kWorkForComparisons))
+      return;
+    const Candidate given = fits_.KnownOrFitted(Refreshed(*best), false, best);
+    if (!given.fit.ok) return;
+    std::vector<TrialSpecs> laws;
+    for (const Scored& h : step_.Screen(given).hypotheses) {
+      if (laws.size() < kLawsTried && h.gain > 0 && effects::InferenceOf(h.effect).for_many_bodies &&
+          !HasKind(best->specs, h.effect))
+        laws.push_back(SpecsFor(h, setting_.nominal, setting_.scales).front());
+    }
+    Candidate one = given;
+    fits_.TryBest(given, laws, {}, kLawsForInertials, &one);
+    if (one.score > best->score + 1 && !one.base) {
+      *best = one;
+      simplifier_.Prune(best);
+    }
+  }
+
+  // A law of position that leaves something may stand for a force of position without a name.
+  void UnnamedInPlaceOfLaw(Candidate* best) {
+    const std::string& unnamed = effects::LawOf(effects::Regressor::kPositionPiece).id;
+    for (const EffectSpec& law : Refreshed(*best)) {
+      const effects::EffectInfo& info = *effects::FindEffect(law.id);
+      if (info.scope != effects::Scope::kJoint || info.stage == effects::Stage::kSensor ||
+          ShowsOver(law) != effects::Variable::kPosition || IsUnnamed(law.id))
+        continue;
+      const int joint = setting_.nominal.model().FindJoint(law.joints.front());
+      TrialSpecs others = Refreshed(*best);
+      std::erase_if(others, [&](const EffectSpec& s) { return KeyOf({s}) == KeyOf({law}); });
+      for (const bool base : {false, true}) {
+        if (fits_.PerRow(*best) < kExplained || !setting_.nominal.Takes(unnamed, joint) ||
+            (best->base && !base) || fits_.Late(kWorkForComparisons))
+          continue;
+        const Candidate without = fits_.KnownOrFitted(others, base, best);
+        if (!without.fit.ok) continue;
+        const auto force = FieldStart(setting_, state_.Force(without), "position", joint);
+        if (!force) continue;
+        const Candidate c = fits_.KnownOrFitted(Joined(others, {*force}), base, &without, 12);
+        if (Gains(c, *best)) *best = c;
+      }
+    }
   }
 
   // One unnamed force in the place of all effects found, over two joints' positions or over one of one

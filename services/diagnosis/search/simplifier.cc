@@ -47,8 +47,11 @@ void Simplifier::Prune(Candidate* best) {
   while (changed && best->specs.size() > 1 && !fits_.Late(kPruned)) {
     changed = false;
     for (size_t i = 0; i < best->specs.size() && !changed; ++i) {
-      // An unnamed force follows whatever was missing when it was found: it is always tested.
-      const bool sure = !IsUnnamed(best->specs[i].id) && ClearlyNonzero(*best, i, beside_(*best));
+      // An unnamed force follows whatever was missing when it was found, and so does what free base
+      // parameters imitate: these are always tested.
+      const std::string& id = best->specs[i].id;
+      const bool imitated = best->base && effects::InferenceOf(id).for_many_bodies && !OfAllJoints(*best, i);
+      const bool sure = !IsUnnamed(id) && !imitated && ClearlyNonzero(*best, i, beside_(*best));
       std::vector<EffectSpec> specs = Refreshed(*best);
       specs.erase(specs.begin() + static_cast<long>(i));
       if (!sure) {
