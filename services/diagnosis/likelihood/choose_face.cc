@@ -39,7 +39,7 @@ double Lineariser::ChooseFace(int worker, int index, const VectorXd* before, boo
     // Both from the present start and from the recorded state: a start on a wrong face has drifted.
     const VectorXd here = states->col(0);
     VectorXd recorded = here;
-    recorded[g.reads_motor ? motor : g.joint] = window.q0(g.joint, 0);
+    recorded[g.reads_motor ? motor : g.joint] = window.q0(g.joint, 0) - sensor_offsets_[g.joint];
     recorded[g.reads_motor ? motor + 1 : n_ + g.joint] = window.v0(g.joint, 0);
     std::vector<VectorXd> starts;
     for (const VectorXd& x : {here, recorded}) {

@@ -40,7 +40,9 @@ class Builder {
       const sysid::FitRecording& fit = data_.recordings[r];
       const SmoothMotion motion(*fit.recording, data_.noise, kSharpSpan);
       const FineMotion sharp = FineMotionOf(*fit.recording, fit.command, motion, data_.nodes);
-      for (int j = 0; j < data_.n; ++j) sharp_[j].push_back(MotionOf(sharp, sharp.u, j));
+      // Its cubics say nothing of longer gaps than they reach over.
+      const FineMotion& known = sharp.gaps.empty() ? sharp : data_.fine[r];
+      for (int j = 0; j < data_.n; ++j) sharp_[j].push_back(MotionOf(known, known.u, j));
     }
     for (int j = 0; j < data_.n; ++j) AddJoint(j);
     Standardise();

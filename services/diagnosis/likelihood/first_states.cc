@@ -2,40 +2,22 @@
 #include <algorithm>
 #include <cmath>
 
-#include "common/effects/inference.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
-
-namespace {
-
-// What each joint's sensor reads too much, n.
-VectorXd SensorOffsets(const FitModel& model) {
-  const effects::EffectInfo& reads_off = effects::EffectOf(effects::Role::kSensorOffset);
-  VectorXd out = VectorXd::Zero(model.plant.num_joints());
-  for (int j = 0; j < model.plant.num_joints(); ++j) {
-    const int at = model.plant.parameters().Find(reads_off.id + "." + model.plant.joint_names()[j] + "." +
-                                                 reads_off.parameters.front().name);
-    if (at >= 0) out[j] = model.values[at];
-  }
-  return out;
-}
-
-}  // namespace
 
 NodeStates InitialStates(const FitData& data, const FitModel& model, const LiftedOptions& options) {
   Lineariser lin(data, model, false, options);
   const std::vector<int>& motor = lin.sensed_motors();
   const int nx = lin.nx(), n = data.n;
   NodeStates states(data.windows.size());
-  const VectorXd offsets = SensorOffsets(model);
+  const VectorXd& offsets = lin.sensor_offsets();
   sysid::ParallelFor(options.threads, static_cast<int>(data.windows.size()), [&](int worker, int w) {
-    NodeWindow window = data.windows[w];
-    window.q0.colwise() -= offsets;
+    const NodeWindow& window = data.windows[w];
     const int N = static_cast<int>(window.t.size());
     states[w].setZero(nx, N);
-    states[w].topRows(n) = window.q0;
+    states[w].topRows(n) = window.q0.colwise() - offsets;
     states[w].middleRows(n, n) = window.v0;
     if (nx == 2 * n) return;
     // Hidden states: settled some time before, then carried along the recorded motion.
@@ -51,19 +33,20 @@ NodeStates InitialStates(const FitData& data, const FitModel& model, const Lifte
     before.t.push_back(window.t[0]);
     before.q0.resize(n, B + 1), before.v0.resize(n, B + 1);
     for (int k = 0; k < B; ++k) {
-      before.q0.col(k) = fine.q.col(first + k * stride) - offsets;
+      before.q0.col(k) = fine.q.col(first + k * stride);
       before.v0.col(k) = fine.v.col(first + k * stride);
     }
     before.q0.col(B) = window.q0.col(0), before.v0.col(B) = window.v0.col(0);
     MatrixXd earlier = MatrixXd::Zero(nx, B + 1);
-    earlier.topRows(n) = before.q0, earlier.middleRows(n, n) = before.v0;
+    earlier.topRows(n) = before.q0.colwise() - offsets, earlier.middleRows(n, n) = before.v0;
     const sim::State x =
-        lin.MakeState(worker, before.q0.col(0), before.v0.col(0), before.t[0], window.recording);
+        lin.MakeState(worker, earlier.col(0).head(n), before.v0.col(0), before.t[0], window.recording);
     earlier.col(0).tail(nx - 2 * n) = x.z;
     for (int j = 0; j < n; ++j) {
       if (motor[j] < 0) continue;
-      earlier(j, 0) -= x.z[motor[j]] - before.q0(j, 0);
-      earlier(2 * n + motor[j], 0) = before.q0(j, 0);
+      const double sensed = before.q0(j, 0) - offsets[j];
+      earlier(j, 0) -= x.z[motor[j]] - sensed;
+      earlier(2 * n + motor[j], 0) = sensed;
     }
     lin.CarryHidden(worker, before, motor, &earlier);
     states[w].col(0) = earlier.col(B);

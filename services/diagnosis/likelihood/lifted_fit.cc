@@ -121,7 +121,7 @@ class LiftedFit {
       Point next = BestStep(&taken);
       double gain = Adopt(next);
       AdaptTrust(taken, gain);
-      ReturnStrayed(data_, at_.states, &next.states);
+      ReturnStrayed(lin_, data_, at_.states, &next.states);
       at_ = std::move(next);
       if (lin_.has_gaps() && iteration_ < last_) gain = FollowFaces(gain);
       result_.iterations = iteration_ + 1;
@@ -204,7 +204,7 @@ class LiftedFit {
     const size_t windows = std::accumulate(simulated.begin(), simulated.end(), size_t{0});
     const size_t again =
         iteration_ < kPatience ? 0 : TryRecordedStarts(lin_, data_, options_.threads, &to.states, &to.chi2);
-    result_.work += simulation_ * static_cast<double>(windows + 2 * again) / W_;
+    result_.work += simulation_ * static_cast<double>(windows + (hidden_ ? 3 : 2) * again) / W_;
     return to;
   }
 

@@ -84,6 +84,7 @@ Lineariser::Lineariser(const FitData& data, const FitModel& model, bool with_tor
       P_(static_cast<int>(model.parameters.size())),
       nx_(model.plant.num_states()),
       sensed_motors_(SensedMotors(probe_.plant)) {
+  ReadSensorOffsets();
   FindGaps();
   FindLags();
   FreeStarts();
@@ -165,7 +166,18 @@ double Lineariser::Memory() const {
 
 void Lineariser::SetValues(const FitModel& model, const VectorXd& values) {
   probe_.values = probe_.plant.ValuesFrom(model.plant.parameters(), values);
+  ReadSensorOffsets();
   for (auto& w : workers_) w->simulator.SetParameters(probe_.values);
+}
+
+void Lineariser::ReadSensorOffsets() {
+  const effects::EffectInfo& reads_off = effects::EffectOf(effects::Role::kSensorOffset);
+  sensor_offsets_ = VectorXd::Zero(n_);
+  for (int j = 0; j < n_; ++j) {
+    const int at = probe_.plant.parameters().Find(reads_off.id + "." + probe_.plant.joint_names()[j] + "." +
+                                                  reads_off.parameters.front().name);
+    if (at >= 0) sensor_offsets_[j] = probe_.values[at];
+  }
 }
 
 sim::State Lineariser::MakeState(int worker, const VectorXd& q, const VectorXd& v, double t, int recording) {
@@ -380,7 +392,7 @@ void Lineariser::TryRecordedStart(int worker, int index, const VectorXd* before,
   if (!speeds.allFinite()) return;
   speeds.segment(n_, n_) = window.v0.col(0);
   std::vector<VectorXd> starts(2, speeds);
-  starts[1].head(n_) = window.q0.col(0);
+  starts[1].head(n_) = window.q0.col(0) - sensor_offsets_;
   if (before != nullptr && before->allFinite() && nx_ > 2 * n_) starts.push_back(*before);
   const std::vector<double> c = Simulated(worker, std::vector<int>(starts.size(), index), starts);
   const auto best = std::ranges::min_element(c);
@@ -409,7 +421,7 @@ void Lineariser::CarryHidden(int worker, const NodeWindow& window, const std::ve
     for (int j = 0; j < n_; ++j) {
       if (motor[j] < 0) continue;
       for (const int row : {j, n_ + j}) (*states)(row, k + 1) = w.out.state(row, 0);
-      (*states)(2 * n_ + motor[j], k + 1) = window.q0(j, k + 1);
+      (*states)(2 * n_ + motor[j], k + 1) = window.q0(j, k + 1) - sensor_offsets_[j];
       (*states)(2 * n_ + motor[j] + 1, k + 1) = window.v0(j, k + 1);
     }
   }

@@ -42,6 +42,8 @@ class Lineariser {
   // s before a window from which its lags are simulated; 0: they are free states.
   double Memory() const;
   void SetValues(const FitModel& model, const VectorXd& values);
+  // n: what each joint's sensor reads too much; recorded positions less that are where the joints were.
+  const VectorXd& sensor_offsets() const { return sensor_offsets_; }
   sim::State MakeState(int worker, const VectorXd& q, const VectorXd& v, double t, int recording);
 
   // states: nx × (N + 1). phi: C × N or null. `keep`: the sensitivities of all nodes.
@@ -58,8 +60,8 @@ class Lineariser {
   // χ² of a window whose simulation broke at once.
   double WorstChi2(int index) const;
 
-  // Restarts a window at the recorded state, at the recorded velocities, or at the recorded state with hidden
-  // states as the window `before` (null: none) ended, if its χ² is less from there; writes the simulated
+  // Restarts a window at the recorded state, at the recorded velocities, or, if there are hidden states,
+  // where the window before ended (`before`, null: none), if its χ² is less from there; writes the simulated
   // states, nx × (N + 1).
   void TryRecordedStart(int worker, int index, const VectorXd* before, MatrixXd* states, double* chi2);
   // Replaces a window's states by a simulation from its start; unchanged where that fails.
@@ -84,6 +86,7 @@ class Lineariser {
     int state, time_constant;  // row of the state, place among the parameters
   };
 
+  void ReadSensorOffsets();
   void FindGaps();
   void FindLags();
   void FreeStarts();
@@ -113,6 +116,7 @@ class Lineariser {
   LiftedOptions options_;
   const int n_ = data_.n, P_, nx_;
   std::vector<int> sensed_motors_, torque_column_;
+  VectorXd sensor_offsets_;
   MatrixXd starts_;  // nx × nx
   std::vector<Gap> gaps_;
   std::vector<Lag> lags_;

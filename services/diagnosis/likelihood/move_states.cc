@@ -138,17 +138,17 @@ void FollowSimulations(const FitData& data, Lineariser& lin, int threads, NodeSt
                      [&](int worker, int w) { lin.Simulate(worker, w, &(*states)[w]); });
 }
 
-void ReturnStrayed(const FitData& data, const NodeStates& before, NodeStates* states) {
+void ReturnStrayed(const Lineariser& lin, const FitData& data, const NodeStates& before, NodeStates* states) {
   const int n = data.n;
   for (size_t w = 0; w < states->size(); ++w) {
     const NodeWindow& window = data.windows[w];
     MatrixXd& own = (*states)[w];
     const long nz = own.rows() - 2 * n;
     for (long k = 0; k < own.cols(); ++k) {
-      if (own.col(k).allFinite() &&
-          !((own.col(k).head(n) - window.q0.col(k)).cwiseAbs().maxCoeff() > kStrayed))
+      const VectorXd recorded = window.q0.col(k) - lin.sensor_offsets();
+      if (own.col(k).allFinite() && !((own.col(k).head(n) - recorded).cwiseAbs().maxCoeff() > kStrayed))
         continue;
-      own.col(k).head(n) = window.q0.col(k);
+      own.col(k).head(n) = recorded;
       own.col(k).segment(n, n) = window.v0.col(k);
       if (!own.col(k).allFinite()) own.col(k).tail(nz) = before[w].col(k).tail(nz);
     }

@@ -31,6 +31,6 @@ void FollowSimulations(const FitData& data, Lineariser& lin, int threads, NodeSt
 
 // Far from the data only where the model holds it: a node that strays goes back to the record. `before`: what
 // hidden states of no value go back to.
-void ReturnStrayed(const FitData& data, const NodeStates& before, NodeStates* states);
+void ReturnStrayed(const Lineariser& lin, const FitData& data, const NodeStates& before, NodeStates* states);
 
 }  // namespace rg::diagnosis

@@ -48,14 +48,17 @@ ArrayXd Lagging(const ArrayXd& u, double dt, double seconds) {
 
 // The torque of a spring, per unit of the inertia of its motor, which resonates at `omega` where its other
 // end is held: θ̈ = drive − T,  T = ω²(θ − q) + 2ζω(θ̇ − v).
-ArrayXd OfSpring(const ArrayXd& drive, const ArrayXd& q, const ArrayXd& v, double dt, double omega) {
+ArrayXd OfSpring(const ArrayXd& drive, const ArrayXd& v, double dt, double omega) {
   constexpr double kDamping = 0.1;
   constexpr int kSteps = 4;
   const double h = dt / kSteps, stiffness = omega * omega, damping = 2 * kDamping * omega;
-  ArrayXd f(q.size());
+  const Eigen::Index rows = v.size();
+  ArrayXd f(rows);
   double x = drive[0] / stiffness, w = 0;  // θ − q, θ̇ − v
-  for (int k = 0; k < f.size(); ++k) {
-    const double slope = k + 1 < f.size() ? (v[k + 1] - v[k]) / dt : 0.0;
+  for (Eigen::Index k = 0; k < rows; ++k) {
+    const Eigen::Index before = std::max<Eigen::Index>(0, k - 1), after = std::min(rows - 1, k + 1);
+    const double slope =
+        (v[after] - v[before]) / (dt * static_cast<double>(std::max<Eigen::Index>(1, after - before)));
     double mean = 0;
     for (int i = 0; i < kSteps; ++i) {
       // Trapezoidal: stable, whatever the resonance.
@@ -124,10 +127,9 @@ ArrayXd ForceOf(effects::Regressor regressor, const JointMotion& m, const Regres
     case kLagging:
       return Lagging(m.effort, m.t[1] - m.t[0], s.x);
     case kThroughSpring:
-      return OfSpring(m.effort, ArrayXd::Zero(m.q.size()), ArrayXd::Zero(m.q.size()), m.t[1] - m.t[0], s.x) -
-             m.effort;
+      return OfSpring(m.effort, ArrayXd::Zero(m.v.size()), m.t[1] - m.t[0], s.x) - m.effort;
     case kSprungRotor:
-      return OfSpring(ArrayXd::Zero(m.q.size()), m.q, m.v, m.t[1] - m.t[0], s.x);
+      return OfSpring(ArrayXd::Zero(m.v.size()), m.v, m.t[1] - m.t[0], s.x);
     case kPosition:
       return -(m.q - s.x);
     case kSine:

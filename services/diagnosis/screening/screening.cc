@@ -327,6 +327,8 @@ class Scorer {
 
   static bool Admissible(const Group& g, const VectorXd& c) {
     if (g.positive && c.maxCoeff() <= 0) return false;
+    // Beside one that is one at the right shape the others have the sign.
+    if (g.positive && g.low >= 0 && c.size() > 1 && c.head(c.size() - 1).minCoeff() <= 0) return false;
     if (g.load && c[0] <= 0) return false;
     return c[c.size() - 1] >= g.low && c[c.size() - 1] <= g.high;
   }
@@ -414,7 +416,10 @@ class Scorer {
   // Forward selection in the linear model: of joints for each effect, and of a second effect for the best
   // hypotheses. An effect that a larger one hides shows only together with that.
   void Combine(ScreenResult* out) const {
-    const auto named = [](const Group& g) { return !IsUnnamed(g.effect); };
+    // A spring's columns are no start of a fit: it is looked at alone.
+    const auto named = [](const Group& g) {
+      return !IsUnnamed(g.effect) && !effects::IsIn(effects::Slot::kTransmission, g.effect);
+    };
     std::vector<std::pair<double, int>> first;
     for (size_t i = 0; i < groups_.size(); ++i) {
       if (!named(groups_[i])) continue;

@@ -200,9 +200,9 @@ std::vector<EffectSpec> DriveSearch::OnAll(const std::string& id, double late) c
 }
 
 // Another law of dry friction on all joints: Stribeck friction, or friction by direction. The latter contains
-// a constant force and may stand for wrong masses: unless it explains all, if with late drives, free base
-// parameters replace it where they leave about as little. So do torque offsets, where at most half of the
-// joints need one; friction by direction is a property of gears, and then of most joints.
+// a constant force and may stand for wrong masses: free base parameters replace it where they leave about as
+// little, and where it explains all, if with late drives, if they score better. So do torque offsets, where
+// at most half of the joints need one; friction by direction is a property of gears, and then of most joints.
 void DriveSearch::OtherDryLaw(Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
   const std::vector<TrialSpecs> laws = Exchanges(Refreshed(*best), kDry, setting_.nominal, setting_.scales);
@@ -232,7 +232,7 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
     Candidate with_timing = directed, bodies = WithFreeBase(*best);
     Late(&with_timing);
     if (with_timing.fit.ok && fits_.LeavesNothing(with_timing)) {
-      Late(&bodies);
+      if (bodies.fit.ok) Late(&bodies);
       *best = Better(with_timing, bodies);
       return;
     }

@@ -195,7 +195,9 @@ bool ForwardStep::TakesMost(const Candidate& from, const Candidate& found) const
 double ForwardStep::MostPromised(const ScreenResult& screened) {
   double most = 0;
   for (const Scored& h : screened.hypotheses) {
-    if (!IsUnnamed(h.effect)) most = std::max(most, h.gain);
+    const bool sprung =
+        effects::IsIn(effects::Slot::kTransmission, h.effect);  // play and mounts look like it
+    if (!IsUnnamed(h.effect) && !sprung) most = std::max(most, h.gain);
   }
   for (const auto* list : {&screened.sets, &screened.pairs}) {
     for (const Combination& c : *list) most = std::max(most, c.gain);

@@ -234,10 +234,10 @@ class Search {
           TransmissionExplains(from, best, winner, sprung))
         return true;
     }
-    // But not a mount beside free inertials of several joints.
+    // A mount beside free inertials alone is in no trial of several joints.
     const Candidate* freed = fits_.Known(best.specs, true);
-    if (setting_.data.n <= 2 || freed == nullptr || !freed->fit.ok || fits_.PerRow(*freed) < kExplained ||
-        fits_.Late())
+    if (setting_.data.n <= 2 || freed == nullptr || !freed->specs.empty() || !freed->fit.ok ||
+        fits_.PerRow(*freed) < kExplained || fits_.Late())
       return false;
     step_.AddMount(Candidate(*freed), winner);
     return fits_.PerRow(*winner) < kExplained && Gains(*winner, best);
@@ -373,38 +373,38 @@ class Search {
   // what was found, a better score is enough.
   void OneLawInPlaceOfInertials(Candidate* best) {
     if (!best->base || state_.FoundNothing(*best) || HasUnnamed(*best) || fits_.PerRow(*best) > kExplained ||
-        fits_.Late(kWorkForComparisons))
+        fits_.Late())
       return;
-    const Candidate given = fits_.KnownOrFitted(Refreshed(*best), false, best);
-    if (!given.fit.ok) return;
+    const Candidate fixed = fits_.KnownOrFitted(Refreshed(*best), false, best);
+    if (!fixed.fit.ok) return;
     std::vector<TrialSpecs> laws;
-    for (const Scored& h : step_.Screen(given).hypotheses) {
+    for (const Scored& h : step_.Screen(fixed).hypotheses) {
       if (laws.size() < kLawsTried && h.gain > 0 && effects::InferenceOf(h.effect).for_many_bodies &&
           !HasKind(best->specs, h.effect))
         laws.push_back(SpecsFor(h, setting_.nominal, setting_.scales).front());
     }
-    Candidate one = given;
-    fits_.TryBest(given, laws, {}, kLawsForInertials, &one);
-    if (one.score > best->score + 1 && !one.base) {
-      *best = one;
-      simplifier_.Prune(best);
-    }
+    Candidate one = fixed;
+    if (!laws.empty()) fits_.TryBest(fixed, laws, {}, kLawsForInertials, &one);
+    if (!(one.score > best->score + 1)) return;
+    *best = one;
+    simplifier_.Prune(best);
   }
 
   // A law of position that leaves something may stand for a force of position without a name.
   void UnnamedInPlaceOfLaw(Candidate* best) {
+    if (state_.ordinary || state_.HasForceInPlace(*best)) return;
     const std::string& unnamed = effects::LawOf(effects::Regressor::kPositionPiece).id;
     for (const EffectSpec& law : Refreshed(*best)) {
       const effects::EffectInfo& info = *effects::FindEffect(law.id);
       if (info.scope != effects::Scope::kJoint || info.stage == effects::Stage::kSensor ||
-          ShowsOver(law) != effects::Variable::kPosition || IsUnnamed(law.id))
+          ShowsOver(law) != effects::Variable::kPosition || IsUnnamed(law.id) || IsPart({law}, state_.given))
         continue;
       const int joint = setting_.nominal.model().FindJoint(law.joints.front());
+      if (!setting_.nominal.Takes(unnamed, joint)) continue;
       TrialSpecs others = Refreshed(*best);
-      std::erase_if(others, [&](const EffectSpec& s) { return KeyOf({s}) == KeyOf({law}); });
+      std::erase_if(others, [&](const EffectSpec& other) { return KeyOf({other}) == KeyOf({law}); });
       for (const bool base : {false, true}) {
-        if (fits_.PerRow(*best) < kExplained || !setting_.nominal.Takes(unnamed, joint) ||
-            (best->base && !base) || fits_.Late(kWorkForComparisons))
+        if (fits_.PerRow(*best) < kExplained || (best->base && !base) || fits_.Late(kWorkForComparisons))
           continue;
         const Candidate without = fits_.KnownOrFitted(others, base, best);
         if (!without.fit.ok) continue;

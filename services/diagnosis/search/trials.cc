@@ -17,6 +17,7 @@ using effects::EffectSpec, effects::LawOf, effects::Regressor;
 namespace {
 
 constexpr size_t kNearest = 2;  // starts of a spring or play that are tried, for either place of the sensor
+constexpr size_t kSprungJoints = 2;    // on which the screen sees a spring, that are looked at
 constexpr size_t kNearestSprings = 3;  // of all joints' that are tried
 constexpr size_t kRotors = 2;          // the largest, behind which a spring is tried
 constexpr double kLeastRotor = 0.01;   // of the joint's inertia, before which play is tried
@@ -68,6 +69,7 @@ class TrialBuilder {
     const bool promised = least_gain > 1.0;
     // No screen promises what touches the robot from outside.
     if (!promised || HasHiddenStates(from_)) FromOutside(force);
+    for (const int joint : sprung_) Transmission(effects::Spring().id, joint);
     if (promised) return std::move(out_);
     const std::vector<int> joints = JointsByGain();
     for (const std::string& id : {effects::SwingingMass().id, effects::SoftMount().id}) {
@@ -106,10 +108,10 @@ class TrialBuilder {
     for (const Scored& h : screened_.hypotheses) {
       if (h.gain < least_gain || taken >= (from_.base ? 10 : 16) || Known(h)) continue;
       ++taken;
-      if (effects::IsIn(effects::Slot::kTransmission, h.effect)) {
-        Transmission(h.effect, h.joints.front());
-      } else {
+      if (!effects::IsIn(effects::Slot::kTransmission, h.effect)) {
         Push(SpecsFor(h, nominal_, scales_));
+      } else if (sprung_.size() < kSprungJoints) {
+        sprung_.push_back(h.joints.front());
       }
     }
   }
@@ -234,6 +236,7 @@ class TrialBuilder {
   const Candidate& from_;
   const ScreenResult& screened_;
   const Nearest& nearest_;
+  std::vector<int> sprung_;                          // joints on which the screen sees a spring
   std::set<std::pair<std::string, int>> looked_at_;  // springs and play of joints
   std::vector<TrialSpecs> out_;
 };

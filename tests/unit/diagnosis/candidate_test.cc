@@ -78,8 +78,8 @@ TEST(Candidate, IsWithoutALagAtTheLeastThatIsSimulated) {
   ASSERT_EQ(c.parameters.size(), 2u);
   c.fit.ok = true, c.fit.values = c.plant->parameters().Nominal();
   c.fit.theta = Eigen::Vector2d(c.parameters[0].lower, 0.02);
-  c.fit.information = Eigen::Matrix2d::Identity() / (1e-6 * 1e-6);
-  c.fit.stddev = Eigen::Vector2d(1e-6, 1e-6);
+  c.fit.information = Eigen::Matrix2d::Identity() / (1e-7 * 1e-7);
+  c.fit.stddev = Eigen::Vector2d(1e-7, 1e-7);
   ASSERT_GT(c.parameters[0].lower, 100 * c.fit.stddev[0]);
   EXPECT_LT(Strength(c, 0), kAbsent);
   const auto strong = StrongEffects(c);

@@ -105,7 +105,8 @@ TEST(Regressors, TheTermsOfASpringAreItsTorque) {
   Eigen::ArrayXd torque(rows);
   double theta = 0, speed = 0, t = 0;
   for (Eigen::Index i = 0; i < rows; ++i) {
-    m.t[i] = t, m.q[i] = q(t), m.v[i] = v(t), m.effort[i] = u(t + 0.5 * dt);
+    const double middle = t + 0.5 * dt;
+    m.t[i] = middle, m.q[i] = q(middle), m.v[i] = v(middle), m.effort[i] = u(middle);
     double mean = 0;
     for (int step = 0; step < 250; ++step, t += 1e-5) {
       const double T = k * (theta - q(t)) + b * (speed - v(t));
