@@ -327,8 +327,6 @@ class Scorer {
 
   static bool Admissible(const Group& g, const VectorXd& c) {
     if (g.positive && c.maxCoeff() <= 0) return false;
-    // Beside one that is one at the right shape the others have the sign.
-    if (g.positive && g.low >= 0 && c.size() > 1 && c.head(c.size() - 1).minCoeff() <= 0) return false;
     if (g.load && c[0] <= 0) return false;
     return c[c.size() - 1] >= g.low && c[c.size() - 1] <= g.high;
   }
