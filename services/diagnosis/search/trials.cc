@@ -108,11 +108,10 @@ class TrialBuilder {
     for (const Scored& h : screened_.hypotheses) {
       if (h.gain < least_gain || taken >= (from_.base ? 10 : 16) || Known(h)) continue;
       ++taken;
-      if (!effects::IsIn(effects::Slot::kTransmission, h.effect)) {
-        Push(SpecsFor(h, nominal_, scales_));
-      } else if (sprung_.size() < kSprungJoints) {
-        sprung_.push_back(h.joints.front());
-      }
+      const bool sprung = effects::IsIn(effects::Slot::kTransmission, h.effect);
+      if (sprung && sprung_.size() == kSprungJoints) continue;
+      if (sprung) sprung_.push_back(h.joints.front());
+      Push(SpecsFor(h, nominal_, scales_));
     }
   }
 
