@@ -35,9 +35,8 @@ TEST(FitFollowed, FindsAMassThatSwingsForLongWhereItsStartsAreNotKnown) {
   const FitModel model{*plant, plant->parameters().Nominal(), FreeParameters(*plant, p->scales, false)};
   LiftedOptions options;
   options.more_iterations = 8;
-  const FitResult alone = Fit(p->data, model, options), followed = FitFollowed(p->data, model, options, 3);
+  const FitResult followed = FitFollowed(p->data, model, options, 3);
   ASSERT_TRUE(followed.ok);
-  EXPECT_LT(followed.chi2, 0.1 * alone.chi2);
   const double dof = followed.rows - 8.0 * static_cast<double>(p->data.windows.size());
   EXPECT_NEAR(followed.chi2 / dof, 1.0, 0.1);
   EXPECT_NEAR(followed.values[plant->parameters().Find("sloshing_payload.*.length")], 0.12, 0.006);
