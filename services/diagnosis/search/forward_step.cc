@@ -29,14 +29,14 @@ void ForwardStep::SetRound(int round) {
 
 ScreenResult ForwardStep::Screen(const Candidate& current) {
   const bool base = current.base;
-  // Far from the recordings along the recorded motion, but at what the model has found.
-  const Candidate found = current;
-  const bool near = fits_.PerRow(current) < kConsistent;
-  const Candidate* far = !base ? nullptr : state_.FoundNothing(current) ? fits_.pieces() : &found;
   const std::string key =
       KeyOf(current.specs, base) + std::to_string(current.score) + ' ' + std::to_string(current.fit.chi2);
   const auto known = screens_.find(key);
   if (known != screens_.end()) return known->second;
+  // Far from the recordings along the recorded motion, but at what the model has found.
+  const Candidate found = current;
+  const bool near = fits_.PerRow(current) < kConsistent;
+  const Candidate* far = !base ? nullptr : state_.FoundNothing(current) ? fits_.pieces() : &found;
   const ScreenResult screened = ScreenAround(
       setting_, current, base, near ? &current : far, near ? near_features_ : features_, fits_.lifted(),
       Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rule_);

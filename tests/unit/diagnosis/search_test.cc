@@ -242,6 +242,19 @@ TEST(Search, ALawBesideOtherMassesIsFoundBeforeHiddenStates) {
   for (const Candidate& c : r.tried) EXPECT_FALSE(HasHiddenStates(c)) << KeyOf(c.specs);
 }
 
+// A search before its first forward step.
+struct FirstRound {
+  explicit FirstRound(const testing::Prepared& p)
+      : state({p.data, p.nominal, p.scales}, p.options, 2, clock, progress, nullptr) {
+    step.MakeFeatures();
+    step.SetRound(1);
+  }
+  FakeClock clock;
+  ProgressFn progress;
+  SearchState state;
+  ForwardStep step{state};
+};
+
 // A stiff spring is a rotor and a little more: that shows around the rotor's fit, and nowhere far from one.
 TEST(ForwardStep, SeesASpringAroundAModelThatFits) {
   const double J = 0.05, omega = 2 * M_PI * 10, k = J * omega * omega;
@@ -250,12 +263,9 @@ TEST(ForwardStep, SeesASpringAroundAModelThatFits) {
                        {MakeSpec("joint_elasticity", {"hinge"},
                                  {{"stiffness", k}, {"damping", 0.2 * J * omega}, {"motor_inertia", J}})},
                        63);
-  const FakeClock clock;
-  const ProgressFn progress;
-  SearchState state({p->data, p->nominal, p->scales}, p->options, 2, clock, progress, nullptr);
-  ForwardStep step(state);
-  step.MakeFeatures();
-  step.SetRound(1);
+  FirstRound round(*p);
+  SearchState& state = round.state;
+  ForwardStep& step = round.step;
   const Candidate bare = state.fits.Evaluate({}, false);
   const Candidate rotor =
       state.fits.Evaluate({MakeSpec("rotor_inertia", {"hinge"}, {{"armature", 0.8 * J}})}, false);
@@ -289,12 +299,9 @@ TEST(ForwardStep, TriesPlayBesideLawsThatStoodForItsMotor) {
                                              {"motor_viscous", 0.0}}),
                                    spring},
                                   62);
-  const FakeClock clock;
-  const ProgressFn progress;
-  SearchState state({p->data, p->nominal, p->scales}, p->options, 2, clock, progress, nullptr);
-  ForwardStep step(state);
-  step.MakeFeatures();
-  step.SetRound(1);
+  FirstRound round(*p);
+  SearchState& state = round.state;
+  ForwardStep& step = round.step;
   state.fits.Evaluate({}, false);
   const Candidate laws =
       state.fits.Evaluate({spring, MakeSpec("torque_gain", {"hinge"}, {{"gain", 0.8}})}, false);
