@@ -77,7 +77,6 @@ class Builder {
             if (other != j) Add(r, j, shape, other);
           }
           if (r != kOtherEffort) Add(r, j, shape, -1);
-          if (r == kPosition) AddUnused(j, shape);  // keeps the blocks of the Gram matrix, and its rounding
         }
       }
     }
@@ -164,14 +163,6 @@ class Builder {
     if (r == Regressor::kSprungRotor) return s_.inertia[j];
     if (r == Regressor::kOtherEffort) return 0.5 * s_.torque[j] / std::max(1e-9, s_.torque[other]);
     return effects::InferenceOf(effects::LawOf(r).id).coefficient == Near::kAny ? 0.0 : 1.0;
-  }
-
-  // No hypothesis uses it.
-  void AddUnused(int j, const RegressorShape& shape) {
-    if (!plant_.Takes(effects::LawOf(Regressor::kPosition).id, j)) return;
-    std::vector<ArrayXd> values;
-    for (const JointMotion& m : motions_[j]) values.push_back(-(m.q - shape.x).cube());
-    Push({Regressor::kOtherEffort, j, -1, shape.x, 1}, 0.0, std::move(values));
   }
 
   void Add(Regressor r, int j, const RegressorShape& shape, int other) {

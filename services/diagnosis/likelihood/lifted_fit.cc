@@ -329,10 +329,13 @@ double LinearisationWork(const FitData& data, const LiftedOptions& options, long
          kPerRowColumn * data.Rows() * static_cast<double>(states) * C;
 }
 
-double ScreenWork(const FitData& data, const LiftedOptions& options, long states, long columns, int draws) {
-  const auto D = static_cast<double>(columns);
-  return LinearisationWork(data, options, states, states + columns) +
-         kPerScreenedPair * data.Rows() * D * (D + draws);
+double ScreenWork(const FitData& data, const LiftedOptions& options, long states, long parameters,
+                  long columns, int draws) {
+  // Linearised in unit torques, of which half act before a node on average; all columns are made of these.
+  const double nodes = NodesOf(data), P = static_cast<double>(parameters), D = static_cast<double>(columns);
+  const double units = data.n * (nodes / static_cast<double>(data.windows.size()) - 1), B = P + units;
+  return LinearisationWork(data, options, states, states + std::lround(P + 0.5 * units)) +
+         kPerScreenedPair * (data.Rows() * B * (B + draws) + nodes * D * (B + D));
 }
 
 double HalfLogDet(const Eigen::LLT<MatrixXd>& factor) {

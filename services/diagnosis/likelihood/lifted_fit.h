@@ -54,10 +54,11 @@ struct LiftedOptions {
 
 // What a computation costs, the same on every machine: about its seconds on one thread of a core of 2024. Of
 // simulating all windows of a plant with so many states; of linearising them in so many unknowns; and of a
-// screen of so many columns, with draws of the null.
+// screen of so many columns beside parameters, with draws of the null.
 double SimulationWork(const FitData& data, const LiftedOptions& options, long states);
 double LinearisationWork(const FitData& data, const LiftedOptions& options, long states, long columns);
-double ScreenWork(const FitData& data, const LiftedOptions& options, long states, long columns, int draws);
+double ScreenWork(const FitData& data, const LiftedOptions& options, long states, long parameters,
+                  long columns, int draws);
 
 // How the names of lags' states begin, which commands alone settle, and those of bristles, which their joint
 // settles as soon as it slides; the joint's name follows.

@@ -33,7 +33,7 @@ std::vector<ArrivalCost> ArrivalCosts(const sim::Plant& plant, const NodeStates&
   return out;
 }
 
-int ProjectOut(const Rows& J_e, RowMatrixXd* columns) {
+RowMatrixXd BasisOf(const Rows& J_e) {
   // Columns of very different size (a state that is forgotten at once) are scaled first.
   MatrixXd scaled = J_e;
   for (int c = 0; c < scaled.cols(); ++c) {
@@ -41,11 +41,15 @@ int ProjectOut(const Rows& J_e, RowMatrixXd* columns) {
     if (norm > 0) scaled.col(c) /= norm;
   }
   const Eigen::ColPivHouseholderQR<MatrixXd> qr(scaled);
-  const RowMatrixXd Q = qr.householderQ() * MatrixXd::Identity(scaled.rows(), qr.rank());
+  return qr.householderQ() * MatrixXd::Identity(scaled.rows(), qr.rank());
+}
+
+int ProjectOut(const Rows& J_e, RowMatrixXd* columns) {
+  const RowMatrixXd Q = BasisOf(J_e);
   RowMatrixXd along = RowMatrixXd::Zero(Q.cols(), columns->cols());
   AddTransposedProduct(Q, *columns, 1.0, along);
   AddProduct(Q, along, -1.0, *columns);
-  return static_cast<int>(qr.rank());
+  return static_cast<int>(Q.cols());
 }
 
 BestStart::BestStart(const Linear& l, const ArrivalCost& loose) : l_(&l), loose_(&loose) {

@@ -40,6 +40,8 @@ struct Linear {
   long nodes() const { return E.rows() / nx; }
 };
 
+// An orthonormal basis of the columns of J_e.
+RowMatrixXd BasisOf(const Rows& J_e);
 // Takes from the columns what lies in those of J_e. Returns the rank of J_e.
 int ProjectOut(const Rows& J_e, RowMatrixXd* columns);
 

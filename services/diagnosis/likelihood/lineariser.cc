@@ -19,6 +19,13 @@ constexpr size_t kFewRuns = 2;      // that are sooner made one by one than side
 // Also false where squares overflow.
 bool AllFinite(const RowMatrixXd& m) { return std::isfinite(m.squaredNorm()); }
 
+// G += A·E in the leading `columns` and the last one: E is zero between them.
+void AddThrough(const Rows& A, const Rows& E, long columns, MutableRows G) {
+  const long first = columns + 1 < E.cols() ? columns : E.cols();
+  AddProduct(A, E.leftCols(first), 1.0, G.leftCols(first));
+  if (first < E.cols()) AddProduct(A, E.rightCols(1), 1.0, G.rightCols(1));
+}
+
 double Capped(double r) {
   const double square = std::isfinite(r) ? std::min(r * r, kBroken) : kBroken;
   return kSoft * kSoft * std::log1p(square / (kSoft * kSoft));
@@ -200,6 +207,14 @@ void Lineariser::Run(int worker, int index, const MatrixXd& states, const std::v
   out->Node(0).leftCols(nx_) = starts_;
   TieLags(window, states.col(0), &w, out->Node(0));
   RunNodes(window, states, &w);
+  // Columns of torques that act up to an interval: others are zero there.
+  std::vector<int> acting(static_cast<size_t>(N), 0);
+  for (int c = 0; c < C; ++c) {
+    int first = 0;
+    while (first + 1 < N && (*phi)(c, first) == 0) ++first;
+    acting[first] = c + 1;
+  }
+  for (int k = 1; k < N; ++k) acting[k] = std::max(acting[k], acting[k - 1]);
   int row = 0;
   for (int k = 0; k < N; ++k) {
     const sim::Trajectory& step = w.outs[k];
@@ -209,18 +224,18 @@ void Lineariser::Run(int worker, int index, const MatrixXd& states, const std::v
     }
     const int output = static_cast<int>(w.run_times[k].size()) - 1;
     if (k == 0 && window.measured[0])
-      WriteRows(w, window, 0, 0, 0, out->Node(0), nullptr, nullptr, out, &row);
+      WriteRows(w, window, 0, 0, 0, out->Node(0), 0, nullptr, nullptr, out, &row);
     if (window.measured[k + 1])
-      WriteRows(w, window, k + 1, k, output, out->Node(place(k)), joint, phi, out, &row);
+      WriteRows(w, window, k + 1, k, output, out->Node(place(k)), acting[k], joint, phi, out, &row);
     auto next = out->Node(place(k + 1));
     next.setZero();
     next.middleCols(nx_, P_) = step.dfinal_state.middleCols(nx_, P_);
-    for (int c = 0; c < C; ++c) {
+    for (int c = 0; c < acting[k]; ++c) {
       const int t = torque_column_[(*joint)[c]];
-      if (t >= 0) next.col(nx_ + P_ + c) = step.dfinal_state.col(nx_ + t) * (*phi)(c, k);
+      if (t >= 0 && (*phi)(c, k) != 0) next.col(nx_ + P_ + c) = step.dfinal_state.col(nx_ + t) * (*phi)(c, k);
     }
     next.col(D - 1) = step.state.col(output) - states.col(k + 1);
-    AddProduct(step.dfinal_state.leftCols(nx_), out->Node(place(k)), 1.0, next);
+    AddThrough(step.dfinal_state.leftCols(nx_), out->Node(place(k)), nx_ + P_ + acting[k], next);
   }
   RG_CHECK(row == M) << row << " " << M;
   if (window.factor.size() > 0) window.factor.triangularView<Eigen::Lower>().solveInPlace(out->rows);
@@ -297,8 +312,8 @@ VectorXd Lineariser::MeanBeyond(const Worker& w, const NodeWindow& window, int n
 // The derivatives of a node's mean are approximated by those at its own time. E: sensitivities of the node
 // that `run` starts from.
 void Lineariser::WriteRows(const Worker& w, const NodeWindow& window, int node, int run, int output,
-                           const Rows& E, const std::vector<int>* joint, const MatrixXd* phi, Linear* out,
-                           int* row) const {
+                           const Rows& E, int acting, const std::vector<int>* joint, const MatrixXd* phi,
+                           Linear* out, int* row) const {
   const sim::Trajectory& step = w.outs[run];
   const int kinds = data_.use_velocity ? 2 : 1;
   for (int kind = 0; kind < kinds; ++kind) {
@@ -310,12 +325,13 @@ void Lineariser::WriteRows(const Worker& w, const NodeWindow& window, int node, 
     auto rows = out->rows.middleRows(*row, n_);
     rows.setZero();
     rows.middleCols(nx_, P_) = block.middleCols(nx_, P_);
-    for (long c = 0; phi != nullptr && c < phi->rows(); ++c) {
+    for (int c = 0; c < acting; ++c) {
       const int t = torque_column_[(*joint)[c]];
-      if (t >= 0) rows.col(nx_ + P_ + c) = block.col(nx_ + t) * (*phi)(c, node - 1);
+      if (t >= 0 && (*phi)(c, node - 1) != 0)
+        rows.col(nx_ + P_ + c) = block.col(nx_ + t) * (*phi)(c, node - 1);
     }
     rows.rightCols<1>() = h - y;
-    AddProduct(block.leftCols(nx_), E, 1.0, rows);
+    AddThrough(block.leftCols(nx_), E, nx_ + P_ + acting, rows);
     rows.rightCols<1>() *= -1;
     rows.array().colwise() /= (kind == 0 ? window.q_stddev : window.v_stddev).col(node).array();
     *row += n_;

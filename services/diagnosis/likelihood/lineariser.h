@@ -103,7 +103,7 @@ class Lineariser {
   void RunNodes(const NodeWindow& window, const MatrixXd& states, Worker* w) const;
   VectorXd MeanBeyond(const Worker& w, const NodeWindow& window, int node, bool speed) const;
   void WriteRows(const Worker& w, const NodeWindow& window, int node, int run, int output, const Rows& E,
-                 const std::vector<int>* joint, const MatrixXd* phi, Linear* out, int* row) const;
+                 int acting, const std::vector<int>* joint, const MatrixXd* phi, Linear* out, int* row) const;
 
   const sim::CommandSignal& CommandOf(const NodeWindow& window) const;
   void SetState(const Eigen::Ref<const VectorXd>& stacked, double time, sim::State* x) const;

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/sysid/parallel.h"
@@ -13,6 +14,7 @@ namespace {
 
 constexpr double kOtherStep = 2e-4;  // s, see StepRuleResiduals
 constexpr int kScreenParts = 16;
+constexpr long kPanel = 96;  // rows, of which the columns that act by then are told together
 
 // What integrating out a window's segments of a force, N(0, 1) each, takes from the normal equations:
 // columnsᵀ·columns from the Gram matrix, columnsᵀ·noise from the null draws. Whitened by 1 + H, H the
@@ -64,6 +66,153 @@ std::vector<VectorXd> StepRuleResiduals(const FitData& data, const FitModel& mod
 
 namespace {
 
+// Neighbouring columns that act on one joint, as combinations of unit torques there, one for each interval
+// between nodes. What torques do is linear: a window's rows, a few for each interval and joint, meet the unit
+// torques alone, and the columns, of which there are far more, these.
+struct JointColumns {
+  int joint;
+  long at;          // place of the first one
+  RowMatrixXd phi;  // intervals × columns
+};
+
+// Columns that act on these joints; phi: columns × intervals. `at`: place of the first one.
+void Append(const std::vector<int>& joint, const MatrixXd& phi, long at, std::vector<JointColumns>* out) {
+  for (auto first = joint.begin(); first != joint.end();) {
+    const auto last = std::find_if(first, joint.end(), [&](int j) { return j != *first; });
+    const long c = first - joint.begin();
+    out->push_back({*first, at + c, phi.middleRows(c, last - first).transpose()});
+    first = last;
+  }
+}
+
+// One window linearised in parameters and unit torques, its start eliminated from what it returns.
+class UnitResponses {
+ public:
+  UnitResponses(long parameters, long intervals, const std::vector<JointColumns>& columns)
+      : P_(parameters), N_(intervals), columns_(columns) {
+    for (const JointColumns& c : columns) {
+      if (std::ranges::count(joints_, c.joint) == 0) joints_.push_back(c.joint);
+    }
+  }
+
+  // False where it cannot be simulated.
+  bool Run(Lineariser& lin, int worker, int window, const MatrixXd& states) {
+    // In the order of time, in which they begin to act.
+    const long J = std::ssize(joints_);
+    std::vector<int> joint;
+    MatrixXd phi = MatrixXd::Zero(N_ * J, N_);
+    for (long k = 0; k < N_; ++k) {
+      joint.insert(joint.end(), joints_.begin(), joints_.end());
+      phi.block(k * J, k, J, 1).setOnes();
+    }
+    lin.Run(worker, window, states, J > 0 ? &joint : nullptr, J > 0 ? &phi : nullptr, false, &linear_);
+    if (!linear_.ok) return false;
+    start_ = BasisOf(linear_.J_e());
+    order_.resize(P_ + N_ * J);
+    std::iota(order_.begin(), order_.end(), 0);
+    for (long k = 0; k < N_; ++k) {
+      for (long j = 0; j < J; ++j) order_[P_ + k * J + j] = P_ + j * N_ + k;
+    }
+    return true;
+  }
+
+  long rows() const { return linear_.rows.rows(); }
+  VectorXd residual() const { return linear_.r(); }
+
+  // Takes from these what a start can make.
+  void Project(RowMatrixXd* of) const {
+    RowMatrixXd along = RowMatrixXd::Zero(start_.cols(), of->cols());
+    AddTransposedProduct(start_, *of, 1.0, along);
+    AddProduct(start_, along, -1.0, *of);
+  }
+
+  // Adds the lower triangle of the Gram matrix of parameters and columns, times s.
+  void AddGramTo(double s, RowMatrixXd* gram) const {
+    const RowMatrixXd own = Gram(s);
+    gram->topLeftCorner(P_, P_) += own.topLeftCorner(P_, P_);
+    for (const JointColumns& c : columns_) {
+      const long C = c.phi.cols();
+      RowMatrixXd half = RowMatrixXd::Zero(own.rows(), C);
+      AddProduct(own.middleCols(UnitsOf(c), N_), c.phi, 1.0, half);
+      gram->block(c.at, 0, C, P_) += half.topRows(P_).transpose();
+      for (const JointColumns& d : columns_) {
+        if (d.at < c.at) continue;
+        AddTransposedProduct(d.phi, half.middleRows(UnitsOf(d), N_), 1.0,
+                             gram->block(d.at, c.at, d.phi.cols(), C));
+      }
+    }
+  }
+
+  // What parameters and columns say of `rows`, which are projected already: `size` × their number.
+  RowMatrixXd Times(const RowMatrixXd& rows, long size) const {
+    RowMatrixXd by_time = RowMatrixXd::Zero(std::ssize(order_), rows.cols()), own = by_time;
+    ForEachPanel([&](long first, long count, long acting) {
+      AddTransposedProduct(linear_.J().block(first, 0, count, acting), rows.middleRows(first, count), 1.0,
+                           by_time.topRows(acting));
+    });
+    for (long i = 0; i < own.rows(); ++i) own.row(order_[i]) = by_time.row(i);
+    RowMatrixXd out = RowMatrixXd::Zero(size, rows.cols());
+    out.topRows(P_) = own.topRows(P_);
+    for (const JointColumns& c : columns_)
+      AddTransposedProduct(c.phi, own.middleRows(UnitsOf(c), N_), 1.0, out.middleRows(c.at, c.phi.cols()));
+    return out;
+  }
+
+ private:
+  // Place of the first unit torque on that joint, joint after joint.
+  long UnitsOf(const JointColumns& c) const {
+    return P_ + N_ * (std::ranges::find(joints_, c.joint) - joints_.begin());
+  }
+
+  // Calls fn(first row, rows, columns that act by then).
+  template <class Fn>
+  void ForEachPanel(const Fn& fn) const {
+    const auto J = linear_.J();
+    for (long first = 0; first < J.rows(); first += kPanel) {
+      const long count = std::min(kPanel, J.rows() - first);
+      long acting = P_;
+      for (long row = first; row < first + count; ++row) {
+        long last = J.cols();
+        while (last > acting && J(row, last - 1) == 0) --last;
+        acting = last;
+      }
+      fn(first, count, acting);
+    }
+  }
+
+  // Of parameters and unit torques, joint after joint, times s.
+  RowMatrixXd Gram(double s) const {
+    const long B = std::ssize(order_);
+    RowMatrixXd by_time = RowMatrixXd::Zero(B, B), along = RowMatrixXd::Zero(start_.cols(), B), own(B, B);
+    ForEachPanel([&](long first, long count, long acting) {
+      AddGram(linear_.J().block(first, 0, count, acting), s, by_time.topLeftCorner(acting, acting));
+    });
+    AddTransposedProduct(start_, linear_.J(), 1.0, along);
+    AddGram(along, -s, by_time);
+    for (long i = 0; i < B; ++i) {
+      for (long j = 0; j <= i; ++j) own(order_[i], order_[j]) = own(order_[j], order_[i]) = by_time(i, j);
+    }
+    return own;
+  }
+
+  const long P_, N_;
+  const std::vector<JointColumns>& columns_;
+  std::vector<int> joints_;
+  Linear linear_;
+  RowMatrixXd start_;        // basis of what the start makes
+  std::vector<long> order_;  // place of each column, joint after joint
+};
+
+// Joint after joint.
+ForceSegments ByJoint(const ForceSegments& segments) {
+  std::vector<long> order(segments.joint.size());
+  std::iota(order.begin(), order.end(), 0);
+  std::ranges::stable_sort(order, {}, [&](long i) { return segments.joint[i]; });
+  ForceSegments out{{}, segments.phi(order, Eigen::all), segments.t};
+  for (const long i : order) out.joint.push_back(segments.joint[i]);
+  return out;
+}
+
 // The screen without a force, and what a force on each joint of `force` takes from it, window by window.
 struct Screened {
   Screen without;
@@ -88,45 +237,35 @@ Screened LinearisedOnce(const FitData& data, const FitModel& model, const NodeSt
   std::vector<int> rows(W, 0);
   std::vector<long> unknowns(W, 0);  // of the force
   const auto add = [&](int worker, int part, int w) {
-    // Features, then the segments of the force.
-    std::vector<int> joint = features.joint;
-    MatrixXd phi = C > 0 ? features.phi[w] : MatrixXd(0, std::ssize(data.windows[w].t) - 1);
-    const ForceSegments segments = SegmentsOf(force, data.windows[w]);
+    const NodeWindow& window = data.windows[w];
+    const ForceSegments segments = ByJoint(SegmentsOf(force, window));
     const auto S = std::ssize(segments.joint);
-    if (S > 0) {
-      joint.insert(joint.end(), segments.joint.begin(), segments.joint.end());
-      const MatrixXd own = phi;
-      phi.resize(own.rows() + segments.phi.rows(), segments.phi.cols());
-      phi << own, segments.phi;
-    }
-    Linear l;
-    lin.Run(worker, w, states[w], joint.empty() ? nullptr : &joint, joint.empty() ? nullptr : &phi, false,
-            &l);
-    if (!l.ok) return;
-    const auto M = l.rows.rows();
+    // Parameters, features, the residual, the segments of the force.
+    std::vector<JointColumns> columns;
+    if (C > 0) Append(features.joint, features.phi[w], P, &columns);
+    Append(segments.joint, segments.phi, D, &columns);
+    UnitResponses units(P, std::ssize(window.t) - 1, columns);
+    if (!units.Run(lin, worker, w, states[w])) return;
+    const long M = units.rows();
     rows[w] = static_cast<int>(M), unknowns[w] = S;
-    RowMatrixXd all(M, D + S + 1);
-    all.leftCols(D - 1) = l.rows.middleCols(l.nx, D - 1);
-    all.col(D - 1) = l.r();
-    all.middleCols(D, S) = l.rows.middleCols(l.nx + P + C, S);
-    if (step_rule.empty()) {
-      all.col(D + S).setZero();
-    } else {
-      all.col(D + S) = step_rule[w];
-    }
-    ProjectOut(l.J_e(), &all);
-    const auto columns = all.leftCols(D + S);
-    systematic[w] = columns.leftCols(D - 1).transpose() * all.col(D + S) / options.noise_scale;
     const RowMatrixXd noise = Draws(M + S, null_draws, rng.Split(static_cast<uint64_t>(w)));
+    RowMatrixXd right = RowMatrixXd::Zero(M, null_draws + 2);  // residual, another step rule's, noise
+    right.col(0) = units.residual(), right.rightCols(null_draws) = noise.topRows(M);
+    if (!step_rule.empty()) right.col(1) = step_rule[w];
+    units.Project(&right);
+    const RowMatrixXd said = units.Times(right, D + S);
     const double whole = 1.0 / options.noise_scale, root = 1.0 / std::sqrt(options.noise_scale);
-    if (S == 0) {
-      AddGram(columns, whole, sums[part]);
-      AddTransposedProduct(columns, noise, root, nulls[part]);
-      return;
-    }
-    RowMatrixXd gram = RowMatrixXd::Zero(D + S, D + S), null = RowMatrixXd::Zero(D + S, null_draws);
-    AddGram(columns, whole, gram);
-    AddTransposedProduct(columns, noise.topRows(M), root, null);
+    systematic[w] = whole * said.col(1).head(D - 1);
+    RowMatrixXd own_gram, own_null;
+    if (S > 0) own_gram.setZero(D + S, D + S), own_null.setZero(D + S, null_draws);
+    RowMatrixXd& gram = S > 0 ? own_gram : sums[part];
+    RowMatrixXd& null = S > 0 ? own_null : nulls[part];
+    units.AddGramTo(whole, &gram);
+    gram.row(D - 1).head(D - 1) += whole * said.col(0).head(D - 1).transpose();
+    gram.col(D - 1).tail(S) += whole * said.col(0).tail(S);
+    gram(D - 1, D - 1) += whole * right.col(0).squaredNorm();
+    null += root * said.rightCols(null_draws);
+    if (S == 0) return;
     null.bottomRows(S) += noise.bottomRows(S);
     sums[part] += gram.topLeftCorner(D, D), nulls[part] += null.topRows(D);
     for (const int on : force.joints) {
@@ -146,7 +285,7 @@ Screened LinearisedOnce(const FitData& data, const FitModel& model, const NodeSt
   screen.null = MatrixXd::Zero(D - 1, null_draws);
   for (const int r : rows) screen.rows += r;
   const long most = unknowns.empty() ? 0 : std::ranges::max(unknowns);
-  screen.work = ScreenWork(data, options, lin.nx(), D + most, null_draws);
+  screen.work = ScreenWork(data, options, lin.nx(), P, D + most, null_draws);
   screen.step_rule = VectorXd::Zero(D - 1);
   for (const VectorXd& rule : systematic) {
     if (rule.size() > 0) screen.step_rule += rule;

@@ -136,6 +136,22 @@ bool ForceLocator::Explain(const Candidate& around, Candidate* winner) {
   return true;
 }
 
+bool ForceLocator::ExplainByName(const Candidate& around, Candidate* winner) {
+  std::vector<Candidate> models = ModelsWithout(&around);
+  std::erase_if(models, [&](const Candidate& c) { return c.base && models.size() > 1; });
+  const std::vector<Explanation> all = Explanations(models);
+  const auto alone = std::ranges::find_if(all, [](const Explanation& e) { return e.beside.empty(); });
+  if (alone == all.end() || !(alone->left - 1 < kPartly * (alone->elsewhere - 1))) return false;
+  const Candidate found = OnThatJoint(*alone);
+  // A law that is nearly its own, as play with faces that a fit is slow to harden, leaves a little.
+  const double little = std::max(kFormOfNames * (fits_.PerRow(alone->without) - 1), kExplained - 1);
+  if (!Replaces(around, found) || state_.HasNewForce(found) ||
+      !(fits_.PerRow(found) < std::min(1 + little, kConsistent)))
+    return false;
+  *winner = Better(*winner, found);
+  return true;
+}
+
 // The best of what acts on the joint of the missing force, beside the names; a second effect there where one
 // law takes most and leaves more than noise.
 Candidate ForceLocator::OnThatJoint(const Explanation& e) {
@@ -168,40 +184,43 @@ std::vector<Candidate> ForceLocator::ModelsWithout(const Candidate* around) cons
   return out;
 }
 
-const std::vector<ForceLocator::Explanation>& ForceLocator::Explanations(
-    const std::vector<Candidate>& models) {
-  std::string around = std::to_string(fits_.noise_scale());
-  for (const Candidate& model : models)
-    around += KeyOf(model.specs, model.base) + std::to_string(model.score);
-  if (around_ == around) return explanations_;
-  around_.clear(), explanations_.clear();
-  if (models.empty()) return explanations_;
-  const auto places = SomeWindows(models.back().fit.window_chi2, setting_.data.windows.size(),
+std::vector<ForceLocator::Explanation> ForceLocator::Explanations(const std::vector<Candidate>& models) {
+  std::vector<Explanation> out;
+  if (models.empty()) return out;
+  const auto places = SomeWindows(models.front().fit.window_chi2, setting_.data.windows.size(),
                                   setting_.data.WindowsFor(kScreenedWindows));
-  const FitData some = setting_.data.OnWindows(places);
+  for (const Candidate& without : models) {
+    if (fits_.Late()) return {};  // some models alone are no comparison
+    const std::vector<Explanation>& beside = Beside(without, places);
+    out.insert(out.end(), beside.begin(), beside.end());
+  }
+  std::ranges::stable_sort(out, std::greater{}, &Explanation::evidence);
+  for (Explanation& e : out) {
+    for (const Explanation& other : out) {
+      if (other.joint != e.joint) e.elsewhere = std::min(e.elsewhere, other.left);
+    }
+  }
+  return out;
+}
+
+const std::vector<ForceLocator::Explanation>& ForceLocator::Beside(const Candidate& without,
+                                                                   const std::vector<uint32_t>& places) {
+  const auto [at, fresh] =
+      beside_.try_emplace(KeyOf(without.specs, without.base) + std::to_string(without.score) + ' ' +
+                          std::to_string(fits_.noise_scale()));
+  std::vector<Explanation>& out = at->second;
   FreeForce force{{}, setting_.scales.torque};
   for (int joint = 0; joint < setting_.data.n; ++joint) {
     if (!setting_.nominal.IsPrescribed(joint) && !setting_.scales.still[joint]) force.joints.push_back(joint);
   }
-  for (const Candidate& without : models) {
-    if (force.joints.empty() || fits_.Late()) {
-      explanations_.clear();  // some models alone are no comparison
-      return explanations_;
-    }
-    const std::vector<ScreenResult> screens = step_.ScreensBesideForce(without, force, some, places);
-    for (size_t i = 0; i < screens.size(); ++i) {
-      const bool lost = screens[i].rows < (1 - kFewLost) * some.Rows();
-      if (!lost) AddOn(force.joints[i], without, screens[i], places.size());
-    }
+  if (!fresh || force.joints.empty()) return out;
+  const FitData some = setting_.data.OnWindows(places);
+  const std::vector<ScreenResult> screens = step_.ScreensBesideForce(without, force, some, places);
+  for (size_t i = 0; i < screens.size(); ++i) {
+    const bool lost = screens[i].rows < (1 - kFewLost) * some.Rows();
+    if (!lost) AddOn(force.joints[i], without, screens[i], places.size(), &out);
   }
-  std::ranges::stable_sort(explanations_, std::greater{}, &Explanation::evidence);
-  for (Explanation& e : explanations_) {
-    for (const Explanation& other : explanations_) {
-      if (other.joint != e.joint) e.elsewhere = std::min(e.elsewhere, other.left);
-    }
-  }
-  around_ = around;
-  return explanations_;
+  return out;
 }
 
 // Of a joint on which any force may act the recordings say nothing else.
@@ -212,14 +231,15 @@ bool ForceLocator::MayBe(const Scored& h, int joint, const TrialSpecs& without) 
   }) && !(h.joints.empty() && Contains(without, h.effect, ""));
 }
 
-void ForceLocator::AddOn(int joint, const Candidate& without, const ScreenResult& screened, size_t windows) {
+void ForceLocator::AddOn(int joint, const Candidate& without, const ScreenResult& screened, size_t windows,
+                         std::vector<Explanation>* out) {
   const double rows = screened.rows, share = rows / setting_.data.Rows();
   // What noise alone leaves of χ²: the force and the windows' starts take some of it in.
   const double noise = std::max(kLeastNoise * rows, rows - screened.unknowns - fits_.Starts(windows));
   const double evidence = screened.evidence - StructurePrior({}, without.base);
-  explanations_.push_back({joint, without, Refreshed(without), {}, evidence / rows, screened.chi2 / noise});
+  out->push_back({joint, without, Refreshed(without), {}, evidence / rows, screened.chi2 / noise});
   const auto tell = [&](const std::string& names) {
-    const Explanation& e = explanations_.back();
+    const Explanation& e = out->back();
     state_.trace.Stage("beside any force on joint " + std::to_string(joint + 1),
                        names + std::to_string(e.evidence) + " per row, left " + std::to_string(e.left));
   };
@@ -236,8 +256,8 @@ void ForceLocator::AddOn(int joint, const Candidate& without, const ScreenResult
   const double needed = std::max({screened.null_gain, share * state_.Threshold(without, named),
                                   kMostOfRestNamed * 0.5 * (screened.chi2 - noise)});
   if (names->gain < needed) return;
-  explanations_.push_back({joint, without, named.specs, names->effects, (evidence + names->gain) / rows,
-                           (screened.chi2 - 2 * names->gain) / noise});
+  out->push_back({joint, without, named.specs, names->effects, (evidence + names->gain) / rows,
+                  (screened.chi2 - 2 * names->gain) / noise});
   tell(KeyOf(named.specs, without.base));
 }
 

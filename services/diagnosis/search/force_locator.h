@@ -6,6 +6,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <set>
 #include <string>
@@ -32,6 +33,9 @@ class ForceLocator {
   // (SearchState::place) where no effect is consistent with the noise. False where no joint suffices, or
   // nothing found replaces `around`.
   bool Explain(const Candidate& around, Candidate* winner);
+  // Before free base parameters are tried: whether what acts on the one joint on which a force alone leaves
+  // under half of what any other explanation does leaves nothing, or a hundredth. `winner` becomes it.
+  bool ExplainByName(const Candidate& around, Candidate* winner);
 
  private:
   struct Explanation {
@@ -46,10 +50,13 @@ class ForceLocator {
   // The model, with base parameters as given and free where it has nothing yet. Null: nothing.
   std::vector<Candidate> ModelsWithout(const Candidate* around) const;
   bool StandsOut(const Explanation& e) const;
-  // The best first. Those of the last models asked about are kept.
-  const std::vector<Explanation>& Explanations(const std::vector<Candidate>& models);
+  // Beside each of them, the best first.
+  std::vector<Explanation> Explanations(const std::vector<Candidate>& models);
+  // Beside one; kept.
+  const std::vector<Explanation>& Beside(const Candidate& without, const std::vector<uint32_t>& places);
   // Any force on a joint, alone and with the best names beside it, if any.
-  void AddOn(int joint, const Candidate& without, const ScreenResult& screened, size_t windows);
+  void AddOn(int joint, const Candidate& without, const ScreenResult& screened, size_t windows,
+             std::vector<Explanation>* out);
   bool MayBe(const Scored& h, int joint, const TrialSpecs& without) const;
   // Whether it leaves so little that a law's idealisation or the linearisation may be all that it is.
   bool Suffices(const Explanation& e) const;
@@ -63,8 +70,7 @@ class ForceLocator {
   const FitSetting& setting_;
   FitLedger& fits_;
   ForwardStep& step_;
-  std::vector<Explanation> explanations_;
-  std::string around_;          // the models that these are beside
+  std::map<std::string, std::vector<Explanation>> beside_;  // by model and noise scale
   std::string named_in_place_;  // the model with an unnamed force in its place, and effects beside it
 };
 

@@ -38,8 +38,8 @@ ScreenResult ForwardStep::Screen(const Candidate& current) {
   const bool near = fits_.PerRow(current) < kConsistent;
   const Candidate* far = !base ? nullptr : state_.FoundNothing(current) ? fits_.pieces() : &found;
   const ScreenResult screened = ScreenAround(
-      setting_, current, base, near ? &current : far, near ? near_features_ : features_, fits_.lifted(),
-      Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rule_);
+      setting_, current, base, near ? &current : far, near ? features_ : FarFromAFit(features_),
+      fits_.lifted(), Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rule_);
   fits_.AddWork(screened.work);
   return screens_.emplace(key, screened).first->second;
 }
@@ -58,7 +58,7 @@ std::vector<ScreenResult> ForwardStep::ScreensBesideForce(const Candidate& curre
   const Candidate* at = !state_.FoundNothing(current) ? &found : current.base ? fits_.pieces() : nullptr;
   const std::vector<ScreenResult> screens =
       ScreensBeside(force, {some, setting_.nominal, setting_.scales}, current, current.base, at,
-                    FeaturesOn(places), fits_.lifted(), Rng(state_.options.seed));
+                    FarFromAFit(FeaturesOn(places)), fits_.lifted(), Rng(state_.options.seed));
   for (const ScreenResult& screened : screens) {
     fits_.AddWork(screened.work);
     state_.trace.Screen(screened, current.base);
@@ -116,7 +116,8 @@ TrialSpecs ForwardStep::WithLaw(const RodStart& start, const ScreenResult& scree
 
 void ForwardStep::AddRods(const Candidate& from, Candidate* winner) {
   double work = 0;
-  const auto rods = ScreenRods(setting_, state_.Force(from), features_, fits_.lifted().threads, &work);
+  const auto rods =
+      ScreenRods(setting_, state_.Force(from), FarFromAFit(features_), fits_.lifted().threads, &work);
   fits_.AddWork(work);
   if (rods.empty()) return;
   const ScreenResult screened = Screen(from);

@@ -20,8 +20,7 @@ class ForwardStep {
 
   // Before the first screen: regressors along the recorded motion.
   void MakeFeatures() {
-    near_features_ = diagnosis::MakeFeatures(setting_.data, setting_.nominal, setting_.scales);
-    features_ = FarFromAFit(near_features_);
+    features_ = diagnosis::MakeFeatures(setting_.data, setting_.nominal, setting_.scales);
   }
   // Screens are kept within a round, and until the noise scale changes.
   void SetRound(int round);
@@ -79,7 +78,7 @@ class ForwardStep {
   SearchState& state_;
   const FitSetting& setting_;
   FitLedger& fits_;
-  FeatureSet features_, near_features_;  // the latter around a model that fits
+  FeatureSet features_;
   std::vector<Eigen::VectorXd> step_rule_;
   std::map<std::string, ScreenResult> screens_;  // of this round, by model and fit
   int round_ = 0;

@@ -14,22 +14,19 @@ constexpr double kWorkForForwardSteps = 0.5;  // of the limit, after which no st
 
 // Laws that leave little with inertials as given may lack one more, which costs less to find than free
 // inertials.
-bool FurtherSteps::ByLaws(const Candidate& before, Candidate* winner) {
+bool FurtherSteps::ByLaws(const Candidate& before, bool base, Candidate* winner) {
+  if (state_.ordinary && base != before.base) return false;
+  const Candidate* own = base == before.base ? &before : fits_.Known(before.specs, base);
+  const double needed = state_.Threshold(before);
+  if (own == nullptr || !own->fit.ok || fits_.AtStake(*own) < needed || fits_.Late()) return false;
+  const Candidate from = *own;
   Candidate found = *winner;
-  for (const bool base : {false, true}) {
-    if (state_.ordinary && base != before.base) continue;
-    const Candidate* own = base == before.base ? &before : fits_.Known(before.specs, base);
-    if (own == nullptr || !own->fit.ok || fits_.AtStake(*own) < state_.Threshold(before) || fits_.Late())
-      continue;
-    const Candidate from = *own;
-    if (!step_.AddLaws(from, state_.Threshold(before), &found)) continue;
-    const bool nearly = !base && fits_.Excess(found) < (1 - kNearlyAll) * fits_.Excess(from);
-    if (nearly && !found.base && !HasUnnamed(found)) found = Better(found, FurtherLaws(found));
-    if (!step_.ExplainedByLaws(before, found, state_.Threshold(before, found))) continue;
-    *winner = found;
-    return true;
-  }
-  return false;
+  if (!step_.AddLaws(from, needed, &found)) return false;
+  const bool nearly = !base && fits_.Excess(found) < (1 - kNearlyAll) * fits_.Excess(from);
+  if (nearly && !found.base && !HasUnnamed(found)) found = Better(found, FurtherLaws(found));
+  if (!step_.ExplainedByLaws(before, found, state_.Threshold(before, found))) return false;
+  *winner = found;
+  return true;
 }
 
 std::vector<Candidate> FurtherSteps::Starts(const Candidate& before, const Candidate& winner) const {

@@ -15,8 +15,7 @@ using effects::EffectSpec;
 
 namespace {
 
-constexpr double kLeastGainOfExchange = 1.0;  // nats: the number of names stays the same
-constexpr int kMaxExchanges = 3;              // of effects that are easily taken for each other
+constexpr int kMaxExchanges = 3;  // of effects that are easily taken for each other
 
 }  // namespace
 
@@ -58,8 +57,8 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
   }
   const double before_others = winner->score;
   fits_.TryInPlace(others, winner);
-  if (known_best.score > before_others + kLeastGainOfExchange) *winner = Better(*winner, known_best);
-  if (!(winner->score > before_others + kLeastGainOfExchange)) return false;
+  if (known_best.score > before_others + kExchange) *winner = Better(*winner, known_best);
+  if (!(winner->score > before_others + kExchange)) return false;
   // Free inertials may have stood for what the exchanged law says.
   if (winner->base) *winner = WithInertialsFreeOrFixed(*winner, 0);
   return true;
@@ -69,12 +68,12 @@ Candidate Refinement::WithInertialsFreeOrFixed(const Candidate& c, double least)
   if (!c.base && fits_.AtStake(c) < least) return c;  // not so much is left
   const Candidate twin = fits_.Evaluate(Refreshed(c), !c.base, &c, 6, &c);
   const Candidate &plain = c.base ? twin : c, &freed = c.base ? c : twin;
-  return freed.score > plain.score + std::max(least, needed_(plain, freed)) ? freed : plain;
+  return freed.score > plain.score + std::max(least, state_.Threshold(plain, freed)) ? freed : plain;
 }
 
 Candidate Refinement::Refitted(const Candidate& c, const Candidate& from, const Candidate& rival) {
   const Candidate longer = fits_.Evaluate(RefreshedFrom(c, rival), c.base, &from, 12, &rival);
-  if (longer.score < c.score + 1) return Better(c, longer);
+  if (longer.score < c.score + kExchange) return Better(c, longer);
   return c.base && HasHiddenStates(c) ? WithInertialsFreeOrFixed(longer, 0) : longer;
 }
 
@@ -92,11 +91,11 @@ Candidate Refinement::Justified(const Candidate& before, Candidate winner) {
       fewer = Better(fewer, late ? *known : fits_.Evaluate(specs, winner.base, &winner, 6, &winner));
       if (winner.base || late) continue;
       const Candidate twin = fits_.Evaluate(specs, true, &winner, 6, &winner);
-      if (twin.score > winner.score + needed_(winner, twin)) freed = Better(freed, twin);
+      if (twin.score > winner.score + state_.Threshold(winner, twin)) freed = Better(freed, twin);
     }
     if (freed.base && !winner.base && freed.score > fewer.score) {
       winner = freed;
-    } else if (winner.score > fewer.score + needed_(fewer, winner)) {
+    } else if (winner.score > fewer.score + state_.Threshold(fewer, winner)) {
       return winner;
     } else {
       winner = fewer;

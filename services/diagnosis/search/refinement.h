@@ -3,19 +3,13 @@
 // needed.
 #pragma once
 
-#include <functional>
-#include <utility>
-
-#include "services/diagnosis/search/fit_ledger.h"
+#include "services/diagnosis/search/search_state.h"
 
 namespace rg::diagnosis {
 
 class Refinement {
  public:
-  // needed(a, b): log evidence that b must bring in the place of a.
-  Refinement(const FitSetting& setting, FitLedger& fits,
-             std::function<double(const Candidate&, const Candidate&)> needed)
-      : setting_(setting), fits_(fits), needed_(std::move(needed)) {}
+  explicit Refinement(SearchState& state) : state_(state), setting_(state.setting), fits_(state.fits) {}
 
   // Exchanges each kind that `model` adds to `before`, or its newest, until the score stays. Whether it rose.
   bool Exchange(const Candidate& before, Candidate* model);
@@ -31,9 +25,9 @@ class Refinement {
  private:
   bool Siblings(const Candidate& before, Candidate* winner);
 
+  SearchState& state_;
   const FitSetting& setting_;
   FitLedger& fits_;
-  std::function<double(const Candidate&, const Candidate&)> needed_;
 };
 
 }  // namespace rg::diagnosis

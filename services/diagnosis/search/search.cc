@@ -35,6 +35,7 @@ constexpr double kLeftBesideForce = 0.1;  // of an unnamed force's excess, by ef
 // How far the search goes.
 constexpr size_t kLawsTried = 8, kLawsForInertials = 2;  // in the place of free inertials; of them fitted
 constexpr int kNamesBesideForce = 2;                     // one after another
+constexpr int kForceIterations = 12;                     // of an unnamed force in the place of effects
 constexpr int kWarmStartIterations = 12;                 // from where an earlier search ended
 constexpr double kForwardShare = 0.5;                    // of the work limit, that a search of drives leaves
 
@@ -201,8 +202,9 @@ class Search {
     state_.TellOfRound("screen", KeyOf(best->specs));
     Candidate winner = *best, stepped = *best, sprung = *best;
     const bool done =
-        state_.round == 1 && (ExplainedByEarlier(*best, &winner) || further_.ByLaws(*best, &winner) ||
-                              UnseenBesideLaws(*best, &winner, &sprung) || Located(*best, &winner));
+        state_.round == 1 && (ExplainedByEarlier(*best, &winner) || further_.ByLaws(*best, false, &winner) ||
+                              Located(*best, true, &winner) || further_.ByLaws(*best, true, &winner) ||
+                              UnseenBesideLaws(*best, &winner, &sprung) || Located(*best, false, &winner));
     // What an unnamed force leaves where any force leaves nothing is its grid's coarseness.
     if (state_.HasForceInPlace(winner)) {
       *best = winner;
@@ -277,10 +279,10 @@ class Search {
   }
 
   // Whether a force is missing on one joint, beside effects on others, and `winner` explains it.
-  bool Located(const Candidate& best, Candidate* winner) {
+  bool Located(const Candidate& best, bool by_name, Candidate* winner) {
     if (setting_.data.n < 2 || fits_.PerRow(best) < kExplained) return false;
     state_.TellOfRound("locate", KeyOf(best.specs));
-    return locator_.Explain(best, winner);
+    return by_name ? locator_.ExplainByName(best, winner) : locator_.Explain(best, winner);
   }
 
   // Whether the earlier search explains these recordings too. `winner` becomes it where that scores better.
@@ -353,9 +355,8 @@ class Search {
 
   // Whether it takes the place of `best`; then without what is not needed.
   bool Accept(const Candidate& winner, Candidate* best) {
-    // For the same effects, fitted better, a better score is enough.
     const bool same = KeyOf(winner.specs) == KeyOf(best->specs) && winner.base == best->base;
-    const double needed = same ? 1.0 : state_.Threshold(*best, winner);
+    const double needed = same ? kExchange : state_.Threshold(*best, winner);
     state_.TellOfRound("decide", KeyOf(winner.specs) + " gains " +
                                      std::to_string(winner.score - best->score) + " needs " +
                                      std::to_string(needed));
@@ -369,8 +370,7 @@ class Search {
     return true;
   }
 
-  // Free inertials may stand for what one law says in a number or few, as a sensor that reads off: beside
-  // what was found, a better score is enough.
+  // Free inertials may stand for what one law says in a number or few, as a sensor that reads off.
   void OneLawInPlaceOfInertials(Candidate* best) {
     if (!best->base || state_.FoundNothing(*best) || HasUnnamed(*best) || fits_.PerRow(*best) > kExplained ||
         fits_.Late())
@@ -385,7 +385,7 @@ class Search {
     }
     Candidate one = fixed;
     if (!laws.empty()) fits_.TryBest(fixed, laws, {}, kLawsForInertials, &one);
-    if (!(one.score > best->score + 1)) return;
+    if (!(one.score > best->score + kExchange)) return;
     *best = one;
     simplifier_.Prune(best);
   }
@@ -406,14 +406,29 @@ class Search {
       for (const bool base : {false, true}) {
         if (fits_.PerRow(*best) < kExplained || (best->base && !base) || fits_.Late(kWorkForComparisons))
           continue;
-        const Candidate without = fits_.KnownOrFitted(others, base, best);
-        if (!without.fit.ok) continue;
-        const auto force = FieldStart(setting_, state_.Force(without), "position", joint);
-        if (!force) continue;
-        const Candidate c = fits_.KnownOrFitted(Joined(others, {*force}), base, &without, 12);
-        if (Gains(c, *best)) *best = c;
+        ForceBeside(others, base, {"position"}, joint, best);
       }
     }
+  }
+
+  // A force without a name on `joint` (−1: on any, over positions of two where there are two), over one of
+  // these variables, beside `kept` and in the place of all else that `best` has. Whether it is accepted.
+  bool ForceBeside(const TrialSpecs& kept, bool base, const std::vector<std::string>& variables, int joint,
+                   Candidate* best) {
+    const Candidate without = fits_.KnownOrFitted(kept, base, best);
+    if (!without.fit.ok) return false;
+    const MissingForce force = state_.Force(without);
+    bool taken = false;
+    for (const std::string& variable : variables) {
+      const auto start =
+          joint < 0 ? UnnamedStart(setting_, force, variable) : FieldStart(setting_, force, variable, joint);
+      if (!start || fits_.Cancelled()) continue;
+      const Candidate c = fits_.KnownOrFitted(Joined(kept, {*start}), base, &without, kForceIterations);
+      if (!Gains(c, *best)) continue;
+      *best = c, taken = true;
+      if (fits_.PerRow(c) < kExplained) break;
+    }
+    return taken;
   }
 
   // One unnamed force in the place of all effects found, over two joints' positions or over one of one
@@ -422,22 +437,11 @@ class Search {
   bool TakeOneForce(Candidate* best) {
     const bool explained = fits_.PerRow(*best) < kExplained && (setting_.data.n > 1 || !OfPosition(*best));
     if (explained || state_.ordinary || state_.HasForceInPlace(*best)) return false;
-    bool taken = false;
     state_.Tell("flexible", 0.88, KeyOf(best->specs));
     const bool freed = best->base;  // else not with free inertials
-    for (const bool base : {false, true}) {
-      const Candidate* from = fits_.Known(state_.given, base);
-      if ((base && !freed) || from == nullptr || !from->fit.ok) continue;
-      const MissingForce force = state_.Force(*from);
-      for (const std::string& variable : kFieldVariables) {
-        const auto spec = UnnamedStart(setting_, force, variable);
-        if (!spec || fits_.Cancelled()) continue;
-        const Candidate c = fits_.KnownOrFitted(Joined(state_.given, {*spec}), base);
-        if (!(c.score > best->score + state_.Threshold(*best))) continue;
-        *best = c, taken = true;
-        if (fits_.PerRow(c) < kExplained) return taken;
-      }
-    }
+    bool taken = ForceBeside(state_.given, false, kFieldVariables, -1, best);
+    if (freed && !(taken && fits_.PerRow(*best) < kExplained))
+      taken = ForceBeside(state_.given, true, kFieldVariables, -1, best) || taken;
     return taken;
   }
 
@@ -478,13 +482,10 @@ class Search {
   const FitSetting& setting_ = state_.setting;
   const DiagnosisOptions& options_ = state_.options;
   FitLedger& fits_ = state_.fits;
-  const std::function<double(const Candidate&, const Candidate&)> needs_ =
-      [this](const Candidate& a, const Candidate& b) { return state_.Threshold(a, b); };
   ForwardStep step_{state_};
   DriveSearch drives_{state_, step_};
-  Simplifier simplifier_{setting_, fits_, needs_, [this](const Candidate& c) { return state_.Threshold(c); },
-                         [this](const Candidate& c) { return state_.Explained(c); }};
-  Refinement refinement_{setting_, fits_, needs_};
+  Simplifier simplifier_{state_};
+  Refinement refinement_{state_};
   FurtherSteps further_{state_, step_, drives_};
   HeldOutChecks checks_{state_};
   ForceLocator locator_{state_, step_};

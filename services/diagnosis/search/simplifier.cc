@@ -38,7 +38,7 @@ void Simplifier::DropAbsent(Candidate* best) {
   const std::vector<EffectSpec> strong = StrongEffects(*best);
   if (strong.empty() || strong.size() == best->specs.size() || fits_.Late(kPruned)) return;
   const Candidate c = fits_.Evaluate(strong, best->base, best);
-  if (best->score < c.score + needed_(c, *best)) *best = c;
+  if (best->score < c.score + state_.Threshold(c, *best)) *best = c;
 }
 
 void Simplifier::Prune(Candidate* best) {
@@ -51,12 +51,12 @@ void Simplifier::Prune(Candidate* best) {
       // parameters imitate: these are always tested.
       const std::string& id = best->specs[i].id;
       const bool imitated = best->base && effects::InferenceOf(id).for_many_bodies && !OfAllJoints(*best, i);
-      const bool sure = !IsUnnamed(id) && !imitated && ClearlyNonzero(*best, i, beside_(*best));
+      const bool sure = !IsUnnamed(id) && !imitated && ClearlyNonzero(*best, i, state_.Threshold(*best));
       std::vector<EffectSpec> specs = Refreshed(*best);
       specs.erase(specs.begin() + static_cast<long>(i));
       if (!sure) {
         const Candidate c = fits_.Evaluate(specs, best->base, best, 4, best);
-        const double worth = OfAllJoints(*best, i) ? 0.0 : needed_(c, *best);
+        const double worth = OfAllJoints(*best, i) ? 0.0 : state_.Threshold(c, *best);
         if (best->score < c.score + worth) *best = c, changed = true;
       }
       if (!changed) changed = YieldsToInertials(specs, i, best);
@@ -73,15 +73,15 @@ bool Simplifier::YieldsToInertials(const std::vector<EffectSpec>& without, size_
   const EffectSpec effect = Refreshed(*best)[i];
   const bool small_gain = IsSmallGain(effect);
   if (best->base || OfAllJoints(*best, i) ||
-      (!small_gain && 0.5 * strength * strength > kSmallShare * explained_(*best)))
+      (!small_gain && 0.5 * strength * strength > kSmallShare * state_.Explained(*best)))
     return false;
   if (fits_.Late(kPruned)) return false;
   const Candidate freed = fits_.Evaluate(without, true, best, 6, best);
   const bool rival =
       (small_gain || !effects::InferenceOf(effect.id).for_many_bodies) && freed.fit.chi2 <= best->fit.chi2;
-  if (!freed.fit.ok || (!rival && freed.score < best->score + needed_(*best, freed))) return false;
+  if (!freed.fit.ok || (!rival && freed.score < best->score + state_.Threshold(*best, freed))) return false;
   const Candidate both = fits_.Evaluate(Refreshed(*best), true, &freed, 6, best);
-  if (both.score > freed.score + needed_(freed, both)) return false;
+  if (both.score > freed.score + state_.Threshold(freed, both)) return false;
   Replace(freed, best);
   return true;
 }
@@ -146,8 +146,8 @@ void Simplifier::UsePlainLaw(const std::string& richer, const TrialSpecs& specs,
       if (c.score > plain.score) plain = c;
     }
   }
-  // A spring is another effect than a rotor, not a richer form: a better score is enough.
-  const double needed = richer == effects::Spring().id ? 1.0 : needed_(plain, *best);
+  // A spring is another effect than a rotor, not a richer form.
+  const double needed = richer == effects::Spring().id ? kExchange : state_.Threshold(plain, *best);
   if (best->score >= plain.score + needed) return;
   // The richer form is charged with the same when rivals are compared.
   Candidate& form = fits_.tried()[KeyOf(best->specs, best->base)];

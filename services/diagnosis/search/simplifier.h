@@ -2,28 +2,16 @@
 // ones.
 #pragma once
 
-#include <functional>
 #include <string>
-#include <utility>
 #include <vector>
 
-#include "services/diagnosis/search/fit_ledger.h"
+#include "services/diagnosis/search/search_state.h"
 
 namespace rg::diagnosis {
 
 class Simplifier {
  public:
-  // needed(a, b): log evidence that b must bring in the place of a. beside(c): that any addition to c must.
-  // explained(c): log evidence that the effects of c bring.
-  Simplifier(const FitSetting& setting, FitLedger& fits,
-             std::function<double(const Candidate&, const Candidate&)> needed,
-             std::function<double(const Candidate&)> beside,
-             std::function<double(const Candidate&)> explained)
-      : setting_(setting),
-        fits_(fits),
-        needed_(std::move(needed)),
-        beside_(std::move(beside)),
-        explained_(std::move(explained)) {}
+  explicit Simplifier(SearchState& state) : state_(state), setting_(state.setting), fits_(state.fits) {}
 
   // Prune, then plain laws in the place of richer ones.
   void Run(Candidate* best);
@@ -42,10 +30,9 @@ class Simplifier {
   void UsePlainLaw(const std::string& richer, const TrialSpecs& specs, Candidate* best);
   void FirstRotorAsInertia(Candidate* best);
 
+  SearchState& state_;
   const FitSetting& setting_;
   FitLedger& fits_;
-  std::function<double(const Candidate&, const Candidate&)> needed_;
-  std::function<double(const Candidate&)> beside_, explained_;
 };
 
 }  // namespace rg::diagnosis

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <map>
+#include <numeric>
 #include <set>
 
 #include "common/effects/effect_catalog.h"
@@ -16,13 +17,12 @@ using effects::EffectSpec, effects::LawOf, effects::Regressor;
 
 namespace {
 
-constexpr size_t kNearest = 2;  // starts of a spring or play that are tried, for either place of the sensor
-constexpr size_t kSprungJoints = 2;    // on which the screen sees a spring, that are looked at
-constexpr size_t kNearestSprings = 3;  // of all joints' that are tried
-constexpr size_t kRotors = 2;          // the largest, behind which a spring is tried
-constexpr double kLeastRotor = 0.01;   // of the joint's inertia, before which play is tried
-constexpr size_t kMostSets = 6;        // of joints, and as many pairs of effects
-constexpr double kHardlyLess = 0.9;    // of what a part of it leaves
+constexpr size_t kNearest = 2;        // springs, and play, that are tried of either place of the sensor
+constexpr size_t kSprungJoints = 2;   // on which the screen sees a spring, that are tried
+constexpr size_t kRotors = 2;         // the largest, behind which a spring is tried
+constexpr double kLeastRotor = 0.01;  // of the joint's inertia, before which play is tried
+constexpr size_t kMostSets = 6;       // of joints, and as many pairs of effects
+constexpr double kHardlyLess = 0.9;   // of what a part of it leaves
 
 const effects::EffectInfo& Rotor() { return LawOf(Regressor::kAcceleration); }
 
@@ -52,7 +52,7 @@ TrialSpecs Together(const std::vector<Scored>& parts, const sim::Plant& nominal,
 class TrialBuilder {
  public:
   TrialBuilder(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-               const Candidate& from, const ScreenResult& screened, const Nearest& nearest)
+               const Candidate& from, const ScreenResult& screened, const diagnosis::Nearest& nearest)
       : data_(data),
         nominal_(nominal),
         scales_(scales),
@@ -69,15 +69,15 @@ class TrialBuilder {
     const bool promised = least_gain > 1.0;
     // No screen promises what touches the robot from outside.
     if (!promised || HasHiddenStates(from_)) FromOutside(force);
-    for (const int joint : sprung_) Transmission(effects::Spring().id, joint);
-    if (promised) return std::move(out_);
-    const std::vector<int> joints = JointsByGain();
+    if (promised) {
+      Nearest(effects::Spring().id, SprungJoints(least_gain));
+      return std::move(out_);
+    }
     for (const std::string& id : {effects::SwingingMass().id, effects::SoftMount().id}) {
       if (!Has(id) && (data_.n <= 2 || !from_.base || !from_.specs.empty()))
         Push(BodyStarts(id, nominal_, scales_));
     }
-    Transmissions(joints, data_.n <= 2 ? 2 : from_.base ? 1 : 2);  // last, for they cost most
-    NearestSprings();
+    Transmissions(AllJoints());  // last, for they cost most
     return std::move(out_);
   }
 
@@ -86,13 +86,12 @@ class TrialBuilder {
     Sets(screened_.sets, 1.0);
     Sets(screened_.pairs, 1.0);
     FromOutside(force);
-    Transmissions({joint}, 1);
+    Transmissions({joint});
     return std::move(out_);
   }
 
   std::vector<TrialSpecs> OfTransmission() {
-    Transmissions(JointsByGain(), data_.n <= 2 ? 2 : 1);
-    NearestSprings();
+    Transmissions(AllJoints());
     return std::move(out_);
   }
 
@@ -104,14 +103,12 @@ class TrialBuilder {
   bool Known(const Scored& h) const { return AlreadyIn(from_, h, nominal_); }
 
   void Singles(double least_gain) {
-    int taken = 0;
+    size_t taken = 0, springs = 0;
     for (const Scored& h : screened_.hypotheses) {
-      if (h.gain < least_gain || taken >= (from_.base ? 10 : 16) || Known(h)) continue;
+      if (h.gain < least_gain || taken >= (from_.base ? 10u : 16u) || Known(h)) continue;
       ++taken;
       const bool sprung = effects::IsIn(effects::Slot::kTransmission, h.effect);
-      if (sprung && sprung_.size() == kSprungJoints) continue;
-      if (sprung) sprung_.push_back(h.joints.front());
-      Push(SpecsFor(h, nominal_, scales_));
+      if (!sprung || springs++ < kSprungJoints) Push(SpecsFor(h, nominal_, scales_));
     }
   }
 
@@ -137,53 +134,42 @@ class TrialBuilder {
     if (!pushed) Push(PushStarts(data_, nominal_, missing));
   }
 
-  std::vector<int> JointsByGain() const {
-    std::map<int, double> best;
-    for (const Scored& h : screened_.hypotheses) {
-      if (h.joints.size() != 1 || IsUnnamed(h.effect)) continue;
-      const auto [at, fresh] = best.try_emplace(h.joints[0], h.gain);
-      if (!fresh) at->second = std::max(at->second, h.gain);
-    }
-    std::vector<std::pair<double, int>> sorted;
-    for (const auto& [joint, gain] : best) sorted.push_back({gain, joint});
-    std::sort(sorted.rbegin(), sorted.rend());
-    std::vector<int> out;
-    for (const auto& [gain, joint] : sorted) out.push_back(joint);
+  std::vector<int> AllJoints() const {
+    std::vector<int> out(static_cast<size_t>(data_.n));
+    std::iota(out.begin(), out.end(), 0);
     return out;
   }
 
-  void Transmissions(const std::vector<int>& joints, size_t springy) {
-    for (size_t i = 0; i < std::min(springy, joints.size()); ++i) {
-      for (const std::string& id : {effects::Spring().id, effects::Play().id}) Transmission(id, joints[i]);
+  // On which the screen sees a spring.
+  std::vector<int> SprungJoints(double least_gain) const {
+    std::vector<int> out;
+    for (const Scored& h : screened_.hypotheses) {
+      const bool sprung = effects::IsIn(effects::Slot::kTransmission, h.effect);
+      if (sprung && h.gain >= least_gain && !Known(h) && out.size() < kSprungJoints &&
+          std::ranges::count(out, h.joints.front()) == 0)
+        out.push_back(h.joints.front());
     }
+    return out;
   }
 
-  void Transmission(const std::string& id, int joint) {
-    if (!MayHaveMotor(joint) || !looked_at_.emplace(id, joint).second) return;
+  void Transmissions(const std::vector<int>& joints) {
+    for (const std::string& id : {effects::Spring().id, effects::Play().id}) Nearest(id, joints);
+  }
+
+  // A motor behind a spring or play is hidden, and no screen of forces far from a fit says on which joint: a
+  // look from all starts on all of `joints` does.
+  void Nearest(const std::string& id, const std::vector<int>& joints) {
     for (const char* sensor : {"link", "motor"}) {
-      std::vector<TrialSpecs> starts =
-          TransmissionStarts(id, sensor, joint, nominal_, scales_, MotorOn(joint));
-      AsLateAsOthers(joint, &starts);
+      std::vector<TrialSpecs> starts;
+      for (const int joint : joints) {
+        if (!MayHaveMotor(joint)) continue;
+        std::vector<TrialSpecs> own =
+            TransmissionStarts(id, sensor, joint, nominal_, scales_, MotorOn(joint));
+        AsLateAsOthers(joint, &own);
+        starts.insert(starts.end(), own.begin(), own.end());
+      }
       Push(nearest_(starts, kNearest));
     }
-  }
-
-  // Where little is left a screen of forces says hardly more of where a motor swings: beside drives of known
-  // rotors a look at springs on all joints does, each with its rotor behind it.
-  void NearestSprings() {
-    if (data_.n <= 2 || !from_.fit.ok) return;
-    std::vector<TrialSpecs> springs;
-    for (int joint = 0; joint < data_.n; ++joint) {
-      const double rotor = RotorOf(nominal_.joint_names()[joint]);
-      if (!MayHaveMotor(joint) || !data_.Judged(joint) || !(rotor > 0)) continue;
-      for (const char* sensor : {"link", "motor"}) {
-        std::vector<TrialSpecs> starts =
-            StartsBehind(effects::Spring().id, sensor, joint, nominal_, scales_, rotor);
-        AsLateAsOthers(joint, &starts);
-        springs.insert(springs.end(), starts.begin(), starts.end());
-      }
-    }
-    if (!springs.empty()) Push(nearest_(springs, kNearestSprings));
   }
 
   // What a motor behind a spring or play does hides how late its drive is: as late as most others, where
@@ -209,7 +195,7 @@ class TrialBuilder {
 
   bool MayHaveMotor(int joint) const {
     const std::string& name = nominal_.joint_names()[joint];
-    return nominal_.Takes(effects::Spring().id, joint) &&
+    return nominal_.Takes(effects::Spring().id, joint) && data_.Judged(joint) &&
            !Contains(from_.specs, effects::Spring().id, name) &&
            !Contains(from_.specs, effects::Play().id, name);
   }
@@ -234,9 +220,7 @@ class TrialBuilder {
   const MotionScales& scales_;
   const Candidate& from_;
   const ScreenResult& screened_;
-  const Nearest& nearest_;
-  std::vector<int> sprung_;                          // joints on which the screen sees a spring
-  std::set<std::pair<std::string, int>> looked_at_;  // springs and play of joints
+  const diagnosis::Nearest& nearest_;
   std::vector<TrialSpecs> out_;
 };
 

@@ -161,14 +161,16 @@ TEST_F(FitLedgerTest, WhatIsPromisedIsFittedOnAllWindowsWithoutATrial) {
 
 // A law that was fitted before is no reason to keep a worse one.
 TEST_F(FitLedgerTest, WhatIsExchangedIsComparedWithWhatWasFittedBefore) {
-  const auto needed = [](const Candidate&, const Candidate&) { return 5.0; };
+  const ProgressFn progress;
+  SearchState state(setting_, p_->options, 1, clock_, progress, nullptr);
+  FitLedger& fits = state.fits;
   const Candidate known =
-      ledger_.Evaluate({MakeSpec("stribeck_friction", {joint_},
-                                 {{"coulomb", 0.1}, {"static", 0.3}, {"stribeck_velocity", 0.3}})},
-                       false);
+      fits.Evaluate({MakeSpec("stribeck_friction", {joint_},
+                              {{"coulomb", 0.1}, {"static", 0.3}, {"stribeck_velocity", 0.3}})},
+                    false);
   ASSERT_TRUE(known.fit.ok);
   Candidate model = coulomb_;
-  ASSERT_TRUE(Refinement(setting_, ledger_, needed).Exchange(Candidate{}, &model));
+  ASSERT_TRUE(Refinement(state).Exchange(Candidate{}, &model));
   EXPECT_EQ(model.specs[0].id, "stribeck_friction");
 }
 

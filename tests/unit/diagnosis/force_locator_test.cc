@@ -104,6 +104,7 @@ TEST(ForceLocator, ExplainsByALawOnThatJointBesideWhatIsNamed) {
 TEST(ForceLocator, ExplainsByAnUnnamedForceWhereNoLawDoes) {
   Searched w(With({kOffset}));
   Candidate winner = w.Without();
+  EXPECT_FALSE(w.locator.ExplainByName(w.Without(), &winner)) << "only what has a name";
   ASSERT_TRUE(w.locator.Explain(w.Without(), &winner));
   EXPECT_TRUE(w.state.HasForceInPlace(winner));
   EXPECT_EQ(w.state.place, 0);
@@ -111,6 +112,20 @@ TEST(ForceLocator, ExplainsByAnUnnamedForceWhereNoLawDoes) {
   Candidate named = winner;
   EXPECT_TRUE(w.locator.NameBeside(&named)) << "it has its names already";
   EXPECT_EQ(KeyOf(named.specs), KeyOf(winner.specs));
+}
+
+// Play is no column of a screen, but any force on its joint explains what it does.
+TEST(ForceLocator, NamesPlayOfTheJointOnWhichAForceIsMissing) {
+  Searched w({MakeSpec("backlash", {kElbow},
+                       {{"gap", 0.06},
+                        {"contact_stiffness", 2000.0},
+                        {"contact_damping", 3.0},
+                        {"motor_inertia", 0.05},
+                        {"motor_viscous", 0.0}})});
+  Candidate winner = w.Without();
+  ASSERT_TRUE(w.locator.ExplainByName(w.Without(), &winner));
+  EXPECT_TRUE(Contains(winner.specs, "backlash", kElbow)) << KeyOf(winner.specs);
+  EXPECT_EQ(winner.specs.size(), 1u);
 }
 
 TEST(ForceLocator, ExplainsNothingWhereNothingIsMissing) {

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/likelihood/lineariser.h"
 #include "services/diagnosis/likelihood/missing_force.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
@@ -63,6 +64,28 @@ TEST(Screening, DoesNotDependOnTheNumberOfThreads) {
   const Screen b = MakeScreen(p->data, model, states, features.block, three, step_rule, 8, Rng(5));
   EXPECT_EQ(a.gram, b.gram);
   EXPECT_EQ(a.null, b.null);
+}
+
+// The columns are not simulated themselves but combined from unit torques.
+TEST(Screening, HasTheGramMatrixOfItsColumnsThemselves) {
+  const auto p = Prepare("arm2", {}, 23);
+  const FeatureSet features = MakeFeatures(p->data, p->nominal, p->scales);
+  const FitModel model{p->nominal, p->nominal.parameters().Nominal(),
+                       FreeParameters(p->nominal, p->scales, true)};
+  const NodeStates states = InitialStates(p->data, model, {});
+  const Screen screen = MakeScreen(p->data, model, states, features.block, {}, {}, 0, Rng(5));
+  Lineariser lin(p->data, model, true, {});
+  MatrixXd gram = MatrixXd::Zero(screen.gram.rows(), screen.gram.cols());
+  for (size_t w = 0; w < p->data.windows.size(); ++w) {
+    Linear l;
+    lin.Run(0, static_cast<int>(w), states[w], &features.block.joint, &features.block.phi[w], false, &l);
+    ASSERT_TRUE(l.ok);
+    RowMatrixXd rest = l.rows.rightCols(l.rows.cols() - l.nx);
+    ProjectOut(l.J_e(), &rest);
+    gram += rest.transpose() * rest;
+  }
+  const VectorXd size = gram.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
+  EXPECT_LT((size.asDiagonal() * (screen.gram - gram) * size.asDiagonal()).cwiseAbs().maxCoeff(), 1e-9);
 }
 
 TEST(Screening, FindsTwoEffectsTogetherAndTheirStrengths) {

@@ -316,19 +316,15 @@ TEST(ForwardStep, TriesPlayBesideLawsThatStoodForItsMotor) {
 TEST(Simplifier, PutsThePlainLawInThePlaceOfARicherOneThatSaysNoMore) {
   const auto p =
       testing::Prepare("arm2", {MakeSpec("coulomb_friction", {"shoulder"}, {{"coulomb", 0.4}})}, 60);
-  const FitSetting setting{p->data, p->nominal, p->scales};
-  const FakeClock clock;
-  const Trace trace(clock);
-  FitLedger fits(setting, p->options, 1, trace, nullptr);
+  FirstRound round(*p);
+  FitLedger& fits = round.state.fits;
+  fits.Evaluate({}, false);
   const EffectSpec by_direction = MakeSpec("asymmetric_friction", {"shoulder"},
                                            {{"coulomb_positive", 0.4}, {"coulomb_negative", 0.4}}),
                    none = MakeSpec("viscous_friction", {"elbow"}, {{"viscous", 0.001}});
   Candidate best = fits.Evaluate({by_direction, none}, false, nullptr, 12);
   ASSERT_LT(fits.PerRow(best), kExplained);
-  Simplifier(
-      setting, fits, [](const Candidate&, const Candidate&) { return 5.0; },
-      [](const Candidate&) { return 5.0; }, [](const Candidate&) { return 1e3; })
-      .Run(&best);
+  Simplifier(round.state).Run(&best);
   EXPECT_EQ(KeyOf(best.specs), "coulomb_friction[shoulder ] ");
   EXPECT_LT(fits.PerRow(best), kExplained);
 }
