@@ -22,6 +22,8 @@ constexpr int kMaxExchanges = 3;  // of effects that are easily taken for each o
 bool Refinement::Exchange(const Candidate& before, Candidate* winner) {
   int left = kMaxExchanges;
   while (left > 0 && Siblings(before, winner)) --left;
+  const bool all = FreshKinds(before, *winner) == FreshKinds(Candidate{}, *winner);
+  settled_ = left > 0 && all ? KeyOf(winner->specs, winner->base) : "";
   return left < kMaxExchanges;
 }
 

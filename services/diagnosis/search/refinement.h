@@ -3,6 +3,9 @@
 // needed.
 #pragma once
 
+#include <string>
+
+#include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/search/search_state.h"
 
 namespace rg::diagnosis {
@@ -13,6 +16,8 @@ class Refinement {
 
   // Exchanges each kind that `model` adds to `before`, or its newest, until the score stays. Whether it rose.
   bool Exchange(const Candidate& before, Candidate* model);
+  // Whether the score stayed when all kinds of this model were exchanged.
+  bool IsSettled(const Candidate& model) const { return KeyOf(model.specs, model.base) == settled_; }
   // With inertials free or as given, whichever has more log evidence; free ones must bring `least` more.
   Candidate WithInertialsFreeOrFixed(const Candidate& c, double least);
   // Fitted on from the states of `from` and the values of `rival`; with hidden states also with fixed
@@ -28,6 +33,7 @@ class Refinement {
   SearchState& state_;
   const FitSetting& setting_;
   FitLedger& fits_;
+  std::string settled_;  // the last model of which all kinds were exchanged in vain
 };
 
 }  // namespace rg::diagnosis

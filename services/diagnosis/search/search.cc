@@ -470,9 +470,10 @@ class Search {
     *best = named;
   }
 
-  // What was taken for one of several alike effects while others were missing is compared again.
+  // What was taken for one of several alike effects while others were missing, or with other base parameters,
+  // is compared again.
   void ExchangeEarlier(Candidate* best) {
-    if (HasUnnamed(*best) || state_.FoundNothing(*best) || FreshKinds(Candidate{}, *best).size() < 2 ||
+    if (HasUnnamed(*best) || state_.FoundNothing(*best) || refinement_.IsSettled(*best) ||
         fits_.Late(kWorkForComparisons))
       return;
     if (refinement_.Exchange(Candidate{}, best)) simplifier_.Run(best);
