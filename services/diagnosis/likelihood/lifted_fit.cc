@@ -38,7 +38,7 @@ constexpr double kPerSimulatedStep = 2.4e-7;   // and pair of states, a position
 constexpr double kPerLinearisedStep = 1.9e-8;  // and pair of these
 constexpr double kPerNode = 1.1e-6, kPerNodeColumn = 2.3e-7;
 constexpr double kPerRowColumn = 1.2e-9;    // and state
-constexpr double kPerScreenedPair = 8e-11;  // row and pair of columns
+constexpr double kPerScreenedPair = 8e-11;  // row or node and pair of columns
 
 double StepsOf(const FitData& data, const LiftedOptions& options) { return data.Seconds() / options.step_s; }
 
@@ -333,7 +333,8 @@ double ScreenWork(const FitData& data, const LiftedOptions& options, long states
                   long columns, int draws) {
   // Linearised in unit torques, of which half act before a node on average; all columns are made of these.
   const double nodes = NodesOf(data), P = static_cast<double>(parameters), D = static_cast<double>(columns);
-  const double units = data.n * (nodes / static_cast<double>(data.windows.size()) - 1), B = P + units;
+  const double intervals = nodes / static_cast<double>(std::max<size_t>(1, data.windows.size())) - 1;
+  const double units = columns > 0 ? data.n * intervals : 0, B = P + units;
   return LinearisationWork(data, options, states, states + std::lround(P + 0.5 * units)) +
          kPerScreenedPair * (data.Rows() * B * (B + draws) + nodes * D * (B + D));
 }

@@ -44,12 +44,16 @@ RowMatrixXd BasisOf(const Rows& J_e) {
   return qr.householderQ() * MatrixXd::Identity(scaled.rows(), qr.rank());
 }
 
+void TakeOut(const RowMatrixXd& basis, RowMatrixXd* columns) {
+  RowMatrixXd along = RowMatrixXd::Zero(basis.cols(), columns->cols());
+  AddTransposedProduct(basis, *columns, 1.0, along);
+  AddProduct(basis, along, -1.0, *columns);
+}
+
 int ProjectOut(const Rows& J_e, RowMatrixXd* columns) {
-  const RowMatrixXd Q = BasisOf(J_e);
-  RowMatrixXd along = RowMatrixXd::Zero(Q.cols(), columns->cols());
-  AddTransposedProduct(Q, *columns, 1.0, along);
-  AddProduct(Q, along, -1.0, *columns);
-  return static_cast<int>(Q.cols());
+  const RowMatrixXd basis = BasisOf(J_e);
+  TakeOut(basis, columns);
+  return static_cast<int>(basis.cols());
 }
 
 BestStart::BestStart(const Linear& l, const ArrivalCost& loose) : l_(&l), loose_(&loose) {

@@ -42,6 +42,8 @@ struct Linear {
 
 // An orthonormal basis of the columns of J_e.
 RowMatrixXd BasisOf(const Rows& J_e);
+// Takes from the columns what lies in those of an orthonormal basis.
+void TakeOut(const RowMatrixXd& basis, RowMatrixXd* columns);
 // Takes from the columns what lies in those of J_e. Returns the rank of J_e.
 int ProjectOut(const Rows& J_e, RowMatrixXd* columns);
 

@@ -120,11 +120,7 @@ class UnitResponses {
   VectorXd residual() const { return linear_.r(); }
 
   // Takes from these what a start can make.
-  void Project(RowMatrixXd* of) const {
-    RowMatrixXd along = RowMatrixXd::Zero(start_.cols(), of->cols());
-    AddTransposedProduct(start_, *of, 1.0, along);
-    AddProduct(start_, along, -1.0, *of);
-  }
+  void Project(RowMatrixXd* of) const { TakeOut(start_, of); }
 
   // Adds the lower triangle of the Gram matrix of parameters and columns, times s.
   void AddGramTo(double s, RowMatrixXd* gram) const {
@@ -203,16 +199,6 @@ class UnitResponses {
   std::vector<long> order_;  // place of each column, joint after joint
 };
 
-// Joint after joint.
-ForceSegments ByJoint(const ForceSegments& segments) {
-  std::vector<long> order(segments.joint.size());
-  std::iota(order.begin(), order.end(), 0);
-  std::ranges::stable_sort(order, {}, [&](long i) { return segments.joint[i]; });
-  ForceSegments out{{}, segments.phi(order, Eigen::all), segments.t};
-  for (const long i : order) out.joint.push_back(segments.joint[i]);
-  return out;
-}
-
 // The screen without a force, and what a force on each joint of `force` takes from it, window by window.
 struct Screened {
   Screen without;
@@ -238,12 +224,18 @@ Screened LinearisedOnce(const FitData& data, const FitModel& model, const NodeSt
   std::vector<long> unknowns(W, 0);  // of the force
   const auto add = [&](int worker, int part, int w) {
     const NodeWindow& window = data.windows[w];
-    const ForceSegments segments = ByJoint(SegmentsOf(force, window));
-    const auto S = std::ssize(segments.joint);
-    // Parameters, features, the residual, the segments of the force.
+    // Parameters, features, the residual, the segments of the force, joint after joint.
     std::vector<JointColumns> columns;
     if (C > 0) Append(features.joint, features.phi[w], P, &columns);
-    Append(segments.joint, segments.phi, D, &columns);
+    std::vector<std::vector<long>> segments;  // places, by joint
+    long S = 0;
+    for (const int on : force.joints) {
+      const ForceSegments own = SegmentsOf({{on}, force.prior, force.segment_s}, window);
+      Append(own.joint, own.phi, D + S, &columns);
+      segments.emplace_back(own.joint.size());
+      std::iota(segments.back().begin(), segments.back().end(), D + S);
+      S += std::ssize(own.joint);
+    }
     UnitResponses units(P, std::ssize(window.t) - 1, columns);
     if (!units.Run(lin, worker, w, states[w])) return;
     const long M = units.rows();
@@ -268,13 +260,7 @@ Screened LinearisedOnce(const FitData& data, const FitModel& model, const NodeSt
     if (S == 0) return;
     null.bottomRows(S) += noise.bottomRows(S);
     sums[part] += gram.topLeftCorner(D, D), nulls[part] += null.topRows(D);
-    for (const int on : force.joints) {
-      std::vector<long> own;
-      for (long i = 0; i < S; ++i) {
-        if (segments.joint[i] == on) own.push_back(D + i);
-      }
-      out.taken[w].push_back(IntegratedOut(own, D, gram, null));
-    }
+    for (const std::vector<long>& own : segments) out.taken[w].push_back(IntegratedOut(own, D, gram, null));
   };
   sysid::ParallelFor(options.threads, parts, [&](int worker, int part) {
     for (int w = part; w < W; w += parts) add(worker, part, w);
@@ -285,7 +271,7 @@ Screened LinearisedOnce(const FitData& data, const FitModel& model, const NodeSt
   screen.null = MatrixXd::Zero(D - 1, null_draws);
   for (const int r : rows) screen.rows += r;
   const long most = unknowns.empty() ? 0 : std::ranges::max(unknowns);
-  screen.work = ScreenWork(data, options, lin.nx(), P, D + most, null_draws);
+  screen.work = ScreenWork(data, options, lin.nx(), P, C + most, null_draws);
   screen.step_rule = VectorXd::Zero(D - 1);
   for (const VectorXd& rule : systematic) {
     if (rule.size() > 0) screen.step_rule += rule;

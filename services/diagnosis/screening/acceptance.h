@@ -24,7 +24,7 @@
 namespace rg::diagnosis {
 
 // Of a model in the place of another one that says as much: an exchange of one effect for another, the same
-// effects fitted better, one law for free base parameters. No name is added, and a better score is enough.
+// effects fitted better, one law for free base parameters. A better score is enough.
 inline constexpr double kExchange = 1.0;  // nats
 
 // Half of χ² that a model leaves above noise, in units of the noise that it is weighed by.

@@ -138,10 +138,13 @@ bool ForceLocator::Explain(const Candidate& around, Candidate* winner) {
 
 bool ForceLocator::ExplainByName(const Candidate& around, Candidate* winner) {
   std::vector<Candidate> models = ModelsWithout(&around);
-  std::erase_if(models, [&](const Candidate& c) { return c.base && models.size() > 1; });
+  if (models.size() > 1) models.resize(1);  // base parameters as given
   const std::vector<Explanation> all = Explanations(models);
   const auto alone = std::ranges::find_if(all, [](const Explanation& e) { return e.beside.empty(); });
-  if (alone == all.end() || !(alone->left - 1 < kPartly * (alone->elsewhere - 1))) return false;
+  // Where a force elsewhere would do too, the recordings do not tell the joint.
+  if (alone == all.end() || !std::isfinite(alone->elsewhere) || alone->elsewhere < kConsistent ||
+      !(alone->left - 1 < kPartly * (alone->elsewhere - 1)))
+    return false;
   const Candidate found = OnThatJoint(*alone);
   // A law that is nearly its own, as play with faces that a fit is slow to harden, leaves a little.
   const double little = std::max(kFormOfNames * (fits_.PerRow(alone->without) - 1), kExplained - 1);
@@ -189,36 +192,31 @@ std::vector<ForceLocator::Explanation> ForceLocator::Explanations(const std::vec
   if (models.empty()) return out;
   const auto places = SomeWindows(models.front().fit.window_chi2, setting_.data.windows.size(),
                                   setting_.data.WindowsFor(kScreenedWindows));
+  const FitData some = setting_.data.OnWindows(places);
+  FreeForce force{{}, setting_.scales.torque};
+  for (int joint = 0; joint < setting_.data.n; ++joint) {
+    if (!setting_.nominal.IsPrescribed(joint) && !setting_.scales.still[joint]) force.joints.push_back(joint);
+  }
+  if (force.joints.empty()) return out;
   for (const Candidate& without : models) {
-    if (fits_.Late()) return {};  // some models alone are no comparison
-    const std::vector<Explanation>& beside = Beside(without, places);
-    out.insert(out.end(), beside.begin(), beside.end());
+    const std::string key = KeyOf(without.specs, without.base) + std::to_string(without.score) + ' ' +
+                            std::to_string(fits_.noise_scale());
+    auto known = screens_.find(key);
+    if (known == screens_.end()) {
+      if (fits_.Late()) return {};  // some models alone are no comparison
+      known = screens_.emplace(key, step_.ScreensBesideForce(without, force, some, places)).first;
+    }
+    for (size_t i = 0; i < known->second.size(); ++i) {
+      const ScreenResult& screened = known->second[i];
+      const bool lost = screened.rows < (1 - kFewLost) * some.Rows();
+      if (!lost) AddOn(force.joints[i], without, screened, places.size(), &out);
+    }
   }
   std::ranges::stable_sort(out, std::greater{}, &Explanation::evidence);
   for (Explanation& e : out) {
     for (const Explanation& other : out) {
       if (other.joint != e.joint) e.elsewhere = std::min(e.elsewhere, other.left);
     }
-  }
-  return out;
-}
-
-const std::vector<ForceLocator::Explanation>& ForceLocator::Beside(const Candidate& without,
-                                                                   const std::vector<uint32_t>& places) {
-  const auto [at, fresh] =
-      beside_.try_emplace(KeyOf(without.specs, without.base) + std::to_string(without.score) + ' ' +
-                          std::to_string(fits_.noise_scale()));
-  std::vector<Explanation>& out = at->second;
-  FreeForce force{{}, setting_.scales.torque};
-  for (int joint = 0; joint < setting_.data.n; ++joint) {
-    if (!setting_.nominal.IsPrescribed(joint) && !setting_.scales.still[joint]) force.joints.push_back(joint);
-  }
-  if (!fresh || force.joints.empty()) return out;
-  const FitData some = setting_.data.OnWindows(places);
-  const std::vector<ScreenResult> screens = step_.ScreensBesideForce(without, force, some, places);
-  for (size_t i = 0; i < screens.size(); ++i) {
-    const bool lost = screens[i].rows < (1 - kFewLost) * some.Rows();
-    if (!lost) AddOn(force.joints[i], without, screens[i], places.size(), &out);
   }
   return out;
 }

@@ -34,7 +34,8 @@ class ForceLocator {
   // nothing found replaces `around`.
   bool Explain(const Candidate& around, Candidate* winner);
   // Before free base parameters are tried: whether what acts on the one joint on which a force alone leaves
-  // under half of what any other explanation does leaves nothing, or a hundredth. `winner` becomes it.
+  // under half of what one on any other joint does, with names or without, leaves nothing, or a hundredth.
+  // `winner` becomes it.
   bool ExplainByName(const Candidate& around, Candidate* winner);
 
  private:
@@ -52,8 +53,6 @@ class ForceLocator {
   bool StandsOut(const Explanation& e) const;
   // Beside each of them, the best first.
   std::vector<Explanation> Explanations(const std::vector<Candidate>& models);
-  // Beside one; kept.
-  const std::vector<Explanation>& Beside(const Candidate& without, const std::vector<uint32_t>& places);
   // Any force on a joint, alone and with the best names beside it, if any.
   void AddOn(int joint, const Candidate& without, const ScreenResult& screened, size_t windows,
              std::vector<Explanation>* out);
@@ -70,7 +69,7 @@ class ForceLocator {
   const FitSetting& setting_;
   FitLedger& fits_;
   ForwardStep& step_;
-  std::map<std::string, std::vector<Explanation>> beside_;  // by model and noise scale
+  std::map<std::string, std::vector<ScreenResult>> screens_;  // a joint each; by model and noise scale
   std::string named_in_place_;  // the model with an unnamed force in its place, and effects beside it
 };
 

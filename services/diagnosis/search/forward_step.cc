@@ -37,9 +37,10 @@ ScreenResult ForwardStep::Screen(const Candidate& current) {
   const Candidate found = current;
   const bool near = fits_.PerRow(current) < kConsistent;
   const Candidate* far = !base ? nullptr : state_.FoundNothing(current) ? fits_.pieces() : &found;
+  const FeatureSet without_springs = near ? FeatureSet{} : FarFromAFit(features_);
   const ScreenResult screened = ScreenAround(
-      setting_, current, base, near ? &current : far, near ? features_ : FarFromAFit(features_),
-      fits_.lifted(), Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rule_);
+      setting_, current, base, near ? &current : far, near ? features_ : without_springs, fits_.lifted(),
+      Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rule_);
   fits_.AddWork(screened.work);
   return screens_.emplace(key, screened).first->second;
 }

@@ -46,7 +46,7 @@ class ForwardStep {
   void Add(const Candidate& from, Candidate* winner);
   // What a screen promises alone, named effects first.
   void AddPromised(const Candidate& from, Candidate* winner);
-  // A spring or play on the joint on which a screen finds most; no screen can promise these.
+  // A spring or play, on whichever joint it is nearest to the recordings.
   void AddTransmission(const Candidate& from, Candidate* winner);
   // A mass on a rod that the recorded motion tells of, with the law that it does beside it.
   void AddRods(const Candidate& from, Candidate* winner);

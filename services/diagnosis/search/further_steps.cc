@@ -14,13 +14,13 @@ constexpr double kWorkForForwardSteps = 0.5;  // of the limit, after which no st
 
 // Laws that leave little with inertials as given may lack one more, which costs less to find than free
 // inertials.
-bool FurtherSteps::ByLaws(const Candidate& before, bool base, Candidate* winner) {
+bool FurtherSteps::ByLaws(const Candidate& before, bool base, Candidate* laws, Candidate* winner) {
   if (state_.ordinary && base != before.base) return false;
   const Candidate* own = base == before.base ? &before : fits_.Known(before.specs, base);
   const double needed = state_.Threshold(before);
   if (own == nullptr || !own->fit.ok || fits_.AtStake(*own) < needed || fits_.Late()) return false;
   const Candidate from = *own;
-  Candidate found = *winner;
+  Candidate& found = *laws;
   if (!step_.AddLaws(from, needed, &found)) return false;
   const bool nearly = !base && fits_.Excess(found) < (1 - kNearlyAll) * fits_.Excess(from);
   if (nearly && !found.base && !HasUnnamed(found)) found = Better(found, FurtherLaws(found));

@@ -15,10 +15,10 @@ class FurtherSteps {
   FurtherSteps(SearchState& state, ForwardStep& step, DriveSearch& drives)
       : state_(state), fits_(state.fits), step_(step), drives_(drives) {}
 
-  // Laws of what is recorded, with inertials as given or free: where they leave nothing, hidden states are not
-  // looked for, and `winner` becomes what they explain. On an ordinary robot inertials stay as the drives left
-  // them.
-  bool ByLaws(const Candidate& before, bool base, Candidate* winner);
+  // Laws of what is recorded, with inertials as given or free: where they leave nothing, hidden states are
+  // not looked for, and `winner` becomes what they explain. `laws`: the best so far. On an ordinary robot
+  // inertials stay as the drives left them.
+  bool ByLaws(const Candidate& before, bool base, Candidate* laws, Candidate* winner);
 
   // Forward steps with fixed inertials until nothing is missing, cheaper than freeing inertials, beside the
   // best model of this round and the best with hidden states; into `best` where that has more log evidence.

@@ -1,7 +1,6 @@
 #include "services/diagnosis/search/search.h"
 
 #include <algorithm>
-#include <functional>
 #include <optional>
 #include <set>
 
@@ -200,11 +199,11 @@ class Search {
   // One round. Whether `best` became another model, to which more may be added.
   bool AddOne(Candidate* best) {
     state_.TellOfRound("screen", KeyOf(best->specs));
-    Candidate winner = *best, stepped = *best, sprung = *best;
-    const bool done =
-        state_.round == 1 && (ExplainedByEarlier(*best, &winner) || further_.ByLaws(*best, false, &winner) ||
-                              Located(*best, true, &winner) || further_.ByLaws(*best, true, &winner) ||
-                              UnseenBesideLaws(*best, &winner, &sprung) || Located(*best, false, &winner));
+    Candidate winner = *best, stepped = *best, sprung = *best, laws = *best;
+    const bool done = state_.round == 1 &&
+                      (ExplainedByEarlier(*best, &winner) || further_.ByLaws(*best, false, &laws, &winner) ||
+                       Located(*best, true, &winner) || further_.ByLaws(*best, true, &laws, &winner) ||
+                       UnseenBesideLaws(*best, &winner, &sprung) || Located(*best, false, &winner));
     // What an unnamed force leaves where any force leaves nothing is its grid's coarseness.
     if (state_.HasForceInPlace(winner)) {
       *best = winner;
@@ -424,7 +423,8 @@ class Search {
           joint < 0 ? UnnamedStart(setting_, force, variable) : FieldStart(setting_, force, variable, joint);
       if (!start || fits_.Cancelled()) continue;
       const Candidate c = fits_.KnownOrFitted(Joined(kept, {*start}), base, &without, kForceIterations);
-      if (!Gains(c, *best)) continue;
+      // It follows some of anything: that free base parameters make place for it is no reason for less.
+      if (!Gains(c, *best) || c.score < best->score + state_.Threshold(*best)) continue;
       *best = c, taken = true;
       if (fits_.PerRow(c) < kExplained) break;
     }

@@ -160,13 +160,20 @@ class TrialBuilder {
   // look from all starts on all of `joints` does.
   void Nearest(const std::string& id, const std::vector<int>& joints) {
     for (const char* sensor : {"link", "motor"}) {
-      std::vector<TrialSpecs> starts;
+      std::vector<std::vector<TrialSpecs>> of_joints;
+      size_t most = 0;
       for (const int joint : joints) {
         if (!MayHaveMotor(joint)) continue;
-        std::vector<TrialSpecs> own =
-            TransmissionStarts(id, sensor, joint, nominal_, scales_, MotorOn(joint));
-        AsLateAsOthers(joint, &own);
-        starts.insert(starts.end(), own.begin(), own.end());
+        of_joints.push_back(TransmissionStarts(id, sensor, joint, nominal_, scales_, MotorOn(joint)));
+        AsLateAsOthers(joint, &of_joints.back());
+        most = std::max(most, of_joints.back().size());
+      }
+      // In turns: the look may end before it has seen all.
+      std::vector<TrialSpecs> starts;
+      for (size_t i = 0; i < most; ++i) {
+        for (const auto& own : of_joints) {
+          if (i < own.size()) starts.push_back(own[i]);
+        }
       }
       Push(nearest_(starts, kNearest));
     }

@@ -15,13 +15,13 @@ namespace rg::diagnosis {
 // The so many of some starts that are nearest to the recordings.
 using Nearest = std::function<std::vector<TrialSpecs>(const std::vector<TrialSpecs>&, size_t)>;
 
-// `least_gain`: hypotheses with less in the screen are left out; above 1 also what it cannot see.
+// `least_gain`: hypotheses with less in the screen are left out; above 1 so is what it cannot see.
 // `force`: the missing force of `from`, asked for only where it is needed.
 std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                                const Candidate& from, const ScreenResult& screened, double least_gain,
                                const std::function<MissingForce()>& force, const Nearest& nearest);
 
-// Springs and play of the one joint on which the screen finds most, beside what `from` has.
+// Springs and play, those nearest to the recordings of all joints', beside what `from` has.
 std::vector<TrialSpecs> TransmissionTrials(const FitData& data, const sim::Plant& nominal,
                                            const MotionScales& scales, const Candidate& from,
                                            const ScreenResult& screened, const Nearest& nearest);

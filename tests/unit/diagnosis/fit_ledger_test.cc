@@ -170,8 +170,12 @@ TEST_F(FitLedgerTest, WhatIsExchangedIsComparedWithWhatWasFittedBefore) {
                     false);
   ASSERT_TRUE(known.fit.ok);
   Candidate model = coulomb_;
-  ASSERT_TRUE(Refinement(state).Exchange(Candidate{}, &model));
+  Refinement refinement(state);
+  ASSERT_TRUE(refinement.Exchange(Candidate{}, &model));
   EXPECT_EQ(model.specs[0].id, "stribeck_friction");
+  EXPECT_TRUE(refinement.IsSettled(model));
+  model.base = true;
+  EXPECT_FALSE(refinement.IsSettled(model)) << "beside other base parameters it may be another";
 }
 
 TEST_F(FitLedgerTest, ASwingingMassIsAnAccountOnlyWhereItHolds) {

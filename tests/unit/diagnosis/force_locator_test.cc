@@ -104,7 +104,6 @@ TEST(ForceLocator, ExplainsByALawOnThatJointBesideWhatIsNamed) {
 TEST(ForceLocator, ExplainsByAnUnnamedForceWhereNoLawDoes) {
   Searched w(With({kOffset}));
   Candidate winner = w.Without();
-  EXPECT_FALSE(w.locator.ExplainByName(w.Without(), &winner)) << "only what has a name";
   ASSERT_TRUE(w.locator.Explain(w.Without(), &winner));
   EXPECT_TRUE(w.state.HasForceInPlace(winner));
   EXPECT_EQ(w.state.place, 0);
@@ -112,6 +111,17 @@ TEST(ForceLocator, ExplainsByAnUnnamedForceWhereNoLawDoes) {
   Candidate named = winner;
   EXPECT_TRUE(w.locator.NameBeside(&named)) << "it has its names already";
   EXPECT_EQ(KeyOf(named.specs), KeyOf(winner.specs));
+}
+
+TEST(ForceLocator, ExplainsByNameNeitherAForceWithoutOneNorWhatMovesTheWholeRobot) {
+  Searched force(With({}));
+  Candidate winner = force.Without();
+  EXPECT_FALSE(force.locator.ExplainByName(force.Without(), &winner));
+  EXPECT_GT(force.state.fits.tried().size(), 2u) << "what acts on its joint was tried";
+  Searched payload(
+      {MakeSpec("payload", {}, {{"mass", 0.5}, {"com_x", 0.1}, {"com_y", 0.2}, {"com_z", 0.0}})});
+  EXPECT_FALSE(payload.locator.ExplainByName(payload.Without(), &winner));
+  EXPECT_EQ(payload.state.fits.tried().size(), 2u) << "nothing was tried";
 }
 
 // Play is no column of a screen, but any force on its joint explains what it does.

@@ -445,8 +445,8 @@ TEST(Trials, OnAJointAreWhatActsOnThatJointAlone) {
   EXPECT_EQ(sprung, std::set<std::string>{"elbow"});
 }
 
-// A screen of forces says little of where a motor swings on a robot of many joints: each rotor that was found
-// is looked at behind a spring.
+// A screen of forces says little of where a motor swings: all joints are looked at, each with the rotor that
+// was found there among others.
 TEST(Trials, LookAtSpringsAndPlayOnAllJointsBeforeTheRotorsThatTheyHave) {
   const auto c = Case::Of("mico2", {}, 9);
   const auto& joints = c->nominal.joint_names();
