@@ -181,9 +181,12 @@ void AddDiagnoseCommand(CLI::App& app, Context& context) {
       "A model.json to start from, identified or diagnosed before, instead of the set's URDF");
   command->add_option("--out", arguments->out, "Folder for diagnosis.json, model.json and report.html");
   command->add_option("--svg", arguments->svg, "File for a small picture of the missing force");
-  command->add_option("--threads", o.threads, "0: all cores")->check(CLI::Range(0, 1024))->capture_default_str();
+  command->add_option("--threads", o.threads, "0: all cores")
+      ->check(CLI::Range(0, 1024))
+      ->capture_default_str();
   command->add_option("--window", o.window_s, "Length of the judged predictions [s]")->capture_default_str();
-  command->add_option("--step", o.step_s, "Of the simulator [s]")->capture_default_str();
+  command->add_option("--step", o.step_s, "Of the simulator, at most [s]; halved where its error counts")
+      ->capture_default_str();
   command->add_flag("--trust-effort", o.trust_effort,
                     "Go on where the sign or the unit of an effort looks wrong");
   command->add_option("--seed", o.seed, "Of simulated nulls and bootstraps")->capture_default_str();

@@ -70,7 +70,7 @@ Result<std::shared_ptr<const Candidate>> StartOf(const pb::FitStart& start, cons
       (start.states_size() > 0 && static_cast<size_t>(start.states_size()) != windows))
     return InvalidError("fit: the model to start at is not one of these recordings");
   from.fit.ok = true;
-  from.fit.values = Taken(start.values());
+  from.fit.values = Taken(start.values()), from.fit.step_s = start.step_s();
   for (const pb::FitMatrix& states : start.states()) from.fit.states.push_back(Taken(states));
   for (size_t w = 0; w < from.fit.states.size(); ++w) {
     const MatrixXd& states = from.fit.states[w];
@@ -110,6 +110,7 @@ pb::FitBatch BatchOf(const std::vector<FitRequest>& requests, const diagnosis::F
     PutEffects(request.from->specs, start);
     start->set_base(request.from->base);
     Put(request.from->fit.values, start->mutable_values());
+    start->set_step_s(request.from->fit.step_s);
     for (const MatrixXd& states : request.from->fit.states) Put(states, start->add_states());
   }
   return batch;
@@ -157,6 +158,7 @@ pb::FitReply ReplyOf(const FitResult& fit) {
   reply.set_work(fit.work);
   reply.set_rows(static_cast<uint32_t>(fit.rows));
   reply.set_iterations(static_cast<uint32_t>(fit.iterations));
+  reply.set_step_s(fit.step_s);
   return reply;
 }
 
@@ -175,6 +177,7 @@ FitResult FitOf(const pb::FitReply& reply) {
   fit.work = reply.work();
   fit.rows = static_cast<int>(reply.rows());
   fit.iterations = static_cast<int>(reply.iterations());
+  fit.step_s = reply.step_s();
   return fit;
 }
 

@@ -123,7 +123,7 @@ double Behind(const Imagined& imagined, const Candidate& model, const LiftedOpti
 double Expected(const ProbeMotion& motion, const Candidate& a, const Candidate& b, const FitData& data,
                 const LiftedOptions& options) {
   Imagined imagined;
-  if (!Drive(a, data, options.step_s).Record(motion, &imagined)) return 0.0;
+  if (!Drive(a, data, AsFitted(options, a.fit).step_s).Record(motion, &imagined)) return 0.0;
   return std::max(0.0, Behind(imagined, b, options) - Behind(imagined, a, options));
 }
 

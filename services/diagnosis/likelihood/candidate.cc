@@ -316,14 +316,15 @@ bool Slides(const Candidate& c, const MotionScales& scales) {
   return true;
 }
 
-double Strength(const Candidate& c, size_t i) {
+double Strength(const Candidate& c, size_t i, bool gains_fixed) {
   const EffectSpec& s = c.specs[i];
   // The effect's strengths first, then the parameters of all other effects; its own shape is left out.
   std::vector<long> own, rest;
   for (size_t k = 0; k < c.parameters.size(); ++k) {
     const sim::Parameter& p = c.Free(k);
     const bool own_effect = IsOf(s, p);
-    if (!own_effect) rest.push_back(static_cast<long>(k));
+    const bool fixed = gains_fixed && effects::ScalesEffort(p.effect);
+    if (!own_effect && !fixed) rest.push_back(static_cast<long>(k));
     if (own_effect && kStrengths.count(p.field) > 0) own.push_back(static_cast<long>(k));
   }
   if (own.empty()) return 1e9;

@@ -115,8 +115,10 @@ bool Slides(const Candidate& c, const MotionScales& scales);
 
 // Wald statistic of effect i against absence: √(dᵀ·P·d), with d the distance of its strengths (a delay, an
 // amplitude, a mass, …) from their null values and P their marginal precision, the parameters of other
-// effects integrated out and its own shape (an azimuth, a period) held fixed.
-double Strength(const Candidate& c, size_t i);
+// effects integrated out and its own shape (an azimuth, a period) held fixed. `gains_fixed`: gains of
+// drives are held too. Beside free base parameters they scale all that the robot has, by a factor that hardly
+// anything tells; but no factor makes a loss vanish.
+double Strength(const Candidate& c, size_t i, bool gains_fixed = false);
 inline constexpr double kAbsent = 1.0;  // Strength below which an effect is treated as absent
 // The effects, refreshed, whose strength exceeds kAbsent or is LikeOtherJoints.
 std::vector<EffectSpec> StrongEffects(const Candidate& c);

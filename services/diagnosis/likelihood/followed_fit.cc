@@ -33,7 +33,7 @@ FitResult Alone(FitData* one, const NodeWindow& window, const FitModel& model, L
                 const MatrixXd& states, int iterations) {
   one->windows = {window};
   const NodeStates from = {states};
-  options.iterations = options.more_iterations = iterations;
+  options.iterations = options.more_iterations = iterations, options.shortest_step_s = options.step_s;
   return Fit(*one, model, options, &from);
 }
 
@@ -216,13 +216,15 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
 
 FitResult FitFollowed(const FitData& data, FitModel model, const LiftedOptions& options, int rounds) {
   FitResult best;
-  Followed f{data, options, InitialStates(data, model, options), {}};
+  LiftedOptions on_the_way = options;
+  on_the_way.shortest_step_s = options.step_s;
+  Followed f{data, on_the_way, InitialStates(data, model, options), {}};
   size_t met = data.windows.size();
   for (int round = 0; round < rounds; ++round) {
     // Anew where only a few windows were lost on the way.
     if (round == 0 || met > kMostMet * static_cast<double>(data.windows.size())) {
       for (const double part : kPieces)
-        f.work += FindOverPieces(data, part * data.nodes.window_s, options, &model, &f.states);
+        f.work += FindOverPieces(data, part * data.nodes.window_s, on_the_way, &model, &f.states);
     }
     f.Follow(model, true);
     // What is met tells the model, and the model where more windows start.

@@ -115,12 +115,13 @@ FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd&
 }  // namespace
 
 HeldOut PredictHeldOut(const FitData& held_out, const Candidate& fitted, const LiftedOptions& options) {
-  LiftedOptions restarts = options;
+  LiftedOptions restarts = AsFitted(options, fitted.fit);
+  restarts.shortest_step_s = restarts.step_s;
   restarts.iterations = kRestartIterations, restarts.more_iterations = 0, restarts.free_hidden = false;
   HeldOut out;
   const FitResult fit = Restarted(held_out, fitted, fitted.fit.values, restarts, &out.swing_continues);
   const auto P = static_cast<long>(fitted.parameters.size());
-  out.work = fit.work + LinearisationWork(held_out, options, fitted.plant->num_states(), P);
+  out.work = fit.work + LinearisationWork(held_out, restarts, fitted.plant->num_states(), P);
   for (const double chi2 : fit.window_chi2) out.windows.push_back(-0.5 * chi2 / options.noise_scale);
   const double misfit = 0.5 * fit.chi2 / options.noise_scale;
   out.log_density = -misfit;

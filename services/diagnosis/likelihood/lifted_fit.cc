@@ -31,6 +31,10 @@ constexpr double kStalledGain = 0.1;   // of what its cost is above noise
 constexpr int kPatience = 3;           // iterations before windows are taken for lost
 constexpr int kTogether = 8;           // windows that are simulated side by side
 
+// A step is short enough if its error moves what is simulated by no more than so many nats, or by this share
+// of what the fit leaves.
+constexpr double kStepNats = 2.0, kStepShare = 0.1;
+
 // Seconds of one thread, fitted to 1,176 fits of seven sets (two to seven joints, 50 to 500 Hz); those of
 // rows, columns and pairs lowered since to what they take with the kernels of row_products.h (two sets of
 // seven joints).
@@ -112,7 +116,7 @@ class LiftedFit {
     if (hidden_ && !given_) result_.work += (1 + (lin_.has_gaps() ? kFaces : 0)) * simulation_;
   }
 
-  FitResult Run() {
+  void Run() {
     for (iteration_ = 0; iteration_ <= last_; ++iteration_) {
       Linearise();
       FormNormalEquations();
@@ -127,12 +131,48 @@ class LiftedFit {
       result_.iterations = iteration_ + 1;
       if (Ends(gain)) break;
     }
-    result_.rows = data_.Rows();
+    result_.rows = data_.Rows(), result_.step_s = options_.step_s;
     if (result_.ok) Weigh();
-    return std::move(result_);
+  }
+  FitResult result() && { return std::move(result_); }
+
+  // How often the step has to be halved for its error to be small (kStepNats), which falls with its square
+  // and in nats with the fourth power.
+  int HalvingsNeeded() {
+    const double most = std::floor(std::log2(options_.step_s / options_.shortest_step_s) + 1e-6);
+    if (most < 1 || last_ == 0 || !result_.ok) return 0;
+    // Away from the solution is a rule of second order 4/3 of what halving its step changes (Richardson).
+    const double error = 16.0 / 9.0 * ChangeByHalving();
+    const double left = 0.5 * (result_.chi2 * inverse_scale_ - result_.rows);
+    const double needed = std::ceil(0.25 * std::log2(error / std::max(kStepNats, kStepShare * left)));
+    return static_cast<int>(std::clamp(needed, 0.0, most));
   }
 
  private:
+  // nats by which half of the step moves the simulated windows, their starts eliminated. Of all windows: a
+  // few fast ones hold most of it.
+  double ChangeByHalving() {
+    LiftedOptions half = options_;
+    half.step_s *= 0.5;
+    Lineariser finer(data_, model_, false, half);
+    finer.SetValues(model_, result_.values), lin_.SetValues(model_, result_.values);
+    std::vector<double> squares(W_);
+    sysid::ParallelFor(options_.threads, W_, [&](int worker, int w) {
+      const VectorXd x0 = result_.states[w].col(0);
+      if (!linear_[w].ok) return;
+      const VectorXd own = lin_.Residuals(worker, w, x0), other = finer.Residuals(worker, w, x0);
+      if (!own.allFinite() || !other.allFinite()) {
+        if (other.allFinite()) squares[w] = kSoft * kSoft * static_cast<double>(own.size());
+        return;
+      }
+      RowMatrixXd moved = (own - other).cwiseMin(kSoft).cwiseMax(-kSoft);
+      ProjectOut(linear_[w].J_e(), &moved);
+      squares[w] = moved.squaredNorm();
+    });
+    result_.work += 3 * simulation_;
+    return 0.5 * Sum(squares) * inverse_scale_;
+  }
+
   void Linearise() {
     std::vector<RowMatrixXd> grams(W_);
     sysid::ParallelFor(options_.threads, W_, [&](int worker, int w) {
@@ -331,12 +371,13 @@ double LinearisationWork(const FitData& data, const LiftedOptions& options, long
 
 double ScreenWork(const FitData& data, const LiftedOptions& options, long states, long parameters,
                   long columns, int draws) {
-  // Linearised in unit torques, of which half act before a node on average; all columns are made of these.
+  // Linearised in unit torques, of which half act before a node on average, and a third of all pairs; all
+  // columns are made of these.
   const double nodes = NodesOf(data), P = static_cast<double>(parameters), D = static_cast<double>(columns);
   const double intervals = nodes / static_cast<double>(std::max<size_t>(1, data.windows.size())) - 1;
   const double units = columns > 0 ? data.n * intervals : 0, B = P + units;
   return LinearisationWork(data, options, states, states + std::lround(P + 0.5 * units)) +
-         kPerScreenedPair * (data.Rows() * B * (B + draws) + nodes * D * (B + D));
+         kPerScreenedPair * (data.Rows() * B * (B / 3 + 0.5 * draws) + nodes * D * (B + D));
 }
 
 double HalfLogDet(const Eigen::LLT<MatrixXd>& factor) {
@@ -374,7 +415,25 @@ bool HasStatesBut(std::initializer_list<std::string_view> kinds, const sim::Plan
 
 FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& options,
               const NodeStates* from) {
-  return LiftedFit(data, model, options, from).Run();
+  FitResult found;
+  int halvings = 0;
+  {
+    LiftedFit fit(data, model, options, from);
+    fit.Run();
+    halvings = fit.HalvingsNeeded();
+    found = std::move(fit).result();
+  }
+  if (halvings == 0) return found;
+  LiftedOptions finer = options;
+  finer.step_s = std::ldexp(options.step_s, -halvings);
+  FitResult refined = Fit(data, {model.plant, found.values, model.parameters}, finer, &found.states);
+  refined.work += found.work, refined.iterations += found.iterations;
+  return refined;
+}
+
+LiftedOptions AsFitted(LiftedOptions options, const FitResult& fit) {
+  if (fit.step_s > 0) options.step_s = std::min(options.step_s, fit.step_s);
+  return options;
 }
 
 }  // namespace rg::diagnosis

@@ -46,7 +46,9 @@ struct LiftedOptions {
   double to_beat = 0;
   int threads = 1;
   double noise_scale = 1.0;  // residual variance in units of the sensors' noise
-  double step_s = 2e-3;
+  double step_s = 2e-3;      // of the simulator
+  // Down to which the step may be halved, where its error counts beside what the fit leaves.
+  double shortest_step_s = 3e-4;
   // Hidden states start where they fit best; else where they are given, a motor with its link.
   bool free_hidden = true;
   sim::Integrator integrator = sim::Integrator::kLeapfrog;
@@ -83,7 +85,8 @@ struct FitResult {
   VectorXd theta;                   // P
   int rows = 0;
   int iterations = 0;
-  double work = 0;  // of all its simulations and linearisations
+  double step_s = 0;  // that the simulator took; 0: no fit
+  double work = 0;    // of all its simulations and linearisations
   bool ok = false;
   // log evidence: −½χ²/s² − ½ prior cost − ½ log det(1 + σ H σ) − what free hidden starts cost
   double evidence = 0;
@@ -98,6 +101,9 @@ struct Posterior {
   VectorXd stddev;          // P
 };
 Posterior PosteriorOf(const MatrixXd& information, const VectorXd& sigma);
+
+// With the step that a fit took: for what goes on from its result.
+LiftedOptions AsFitted(LiftedOptions options, const FitResult& fit);
 
 NodeStates InitialStates(const FitData& data, const FitModel& model, const LiftedOptions& options);
 // `start`: states to start from, the plant's own layout; without them from the recorded motion.

@@ -43,7 +43,7 @@ double OwnChi2(const FitData& data, const FitModel& model, const NodeStates& sta
     }
   });
   LiftedOptions starts = options;
-  starts.iterations = kStartIterations, starts.more_iterations = 0;
+  starts.iterations = kStartIterations, starts.more_iterations = 0, starts.shortest_step_s = options.step_s;
   return Fit(own, fixed, starts, &states).chi2 + TrueJumps(data, model.plant, options.noise_scale);
 }
 

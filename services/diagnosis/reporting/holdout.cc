@@ -180,7 +180,8 @@ void JudgeHeldOut(const recordings::RecordingSet& set, const sim::Plant& nominal
   if (recs.empty()) recs = set.Fit();
   sysid::PredictionOptions prediction;
   prediction.window_s = options.window_s;
-  prediction.simulator.step_s = options.step_s;
+  const double fitted = search.best.fit.step_s;
+  prediction.simulator.step_s = fitted > 0 ? std::min(options.step_s, fitted) : options.step_s;
   prediction.noise = data.noise;
   prediction.effort_excludes_gravity = set.effort_excludes_gravity;
   if (!result->plant->effects().empty())

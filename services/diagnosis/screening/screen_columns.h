@@ -25,7 +25,7 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const sim::P
 // Score tests of all additions to `current`, base parameters free or fixed. Linearised around the states and
 // values of `at` if that is `current`; else along the recorded motion, at the base parameters of `at` or the
 // nominal ones. `step_rule`: null: not asked for; StepRuleResiduals, computed if empty and then reused, since
-// they hardly depend on the model.
+// they hardly depend on a model of that step.
 ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
                           const FeatureSet& features, const LiftedOptions& options, Rng rng,
                           std::vector<VectorXd>* step_rule);

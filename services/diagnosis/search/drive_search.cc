@@ -333,7 +333,7 @@ bool DriveSearch::OfAllDrives(const Candidate& c) const {
   const double clearly = kClearly * std::sqrt(std::max(1.0, fits_.PerRow(c)));
   std::map<std::string, int> joints;
   for (size_t i = 0; i < c.specs.size(); ++i) {
-    if (IsLoss(c.specs[i].id) && Strength(c, i) > clearly) ++joints[c.specs[i].id];
+    if (IsLoss(c.specs[i].id) && Strength(c, i, true) > clearly) ++joints[c.specs[i].id];
   }
   return std::ranges::count_if(
              joints, [&](const auto& kind) { return 2 * kind.second >= setting_.data.judged(); }) >= 2;

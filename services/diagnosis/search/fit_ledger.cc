@@ -370,7 +370,7 @@ bool FitLedger::Admissible(Candidate* candidate) {
   if (!HasKind(c.specs, swinging) || HasKind(setting_.nominal.effects(), swinging)) return true;
   if (!(PerRow(c) < kConsistent) || !HasPendulum(c.specs)) return PerRow(c) < kConsistent;
   const double before = c.fit.work;
-  const bool swings_on = SwingsOn(setting_.data, *c.plant, &candidate->fit, lifted_).value_or(true);
+  const bool swings_on = SwingsOn(setting_.data, *c.plant, &candidate->fit, AsFitted(c)).value_or(true);
   work_ += c.fit.work - before;
   return swings_on;
 }

@@ -41,6 +41,8 @@ class FitLedger {
   void SetRound(int round) { round_ = round, made_.Forget(); }
 
   const LiftedOptions& lifted() const { return lifted_; }
+  // With the step that a fit of the candidate took.
+  LiftedOptions AsFitted(const Candidate& c) const { return diagnosis::AsFitted(lifted_, c.fit); }
   double noise_scale() const { return lifted_.noise_scale; }
   // All scores are brought to another noise scale.
   void SetNoiseScale(double scale);

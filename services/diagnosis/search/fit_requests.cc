@@ -40,6 +40,7 @@ FitResult FitFromRecord(const FitData& data, FitModel model, LiftedOptions optio
   const FitResult start = Fit(few, model, there);
   if (start.ok) {
     model.values = start.values;
+    options = AsFitted(options, start);
     options.more_iterations += options.iterations - kIterationsFromNear;
     options.iterations = kIterationsFromNear;
   }
@@ -52,7 +53,8 @@ FitResult FitFromRecord(const FitData& data, FitModel model, LiftedOptions optio
 // continues from whichever fits better after one step.
 FitResult FitFromEither(const FitData& data, FitModel model, const LiftedOptions& options) {
   LiftedOptions once = options;
-  once.iterations = std::min(1, options.iterations), once.more_iterations = 0;
+  once.iterations = std::min(1, options.iterations), once.more_iterations = 0,
+  once.shortest_step_s = options.step_s;
   FitModel nominal = model;
   for (const sysid::FitParameter& p : model.parameters) {
     if (model.plant.parameters()[p.index].kind != sim::ParameterKind::kEffect)
@@ -94,7 +96,10 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
         InPieces(Spread(data.windows, data.WindowsFor(kWindowsOnTheWay)), piece, data.RowNoise());
     LiftedOptions options = request.options;
     // Full convergence on pieces gains nothing on the way to longer ones.
-    if (!request.pieces_alone) options.still_falling = std::max(options.still_falling, kOnTheWay);
+    if (!request.pieces_alone) {
+      options.still_falling = std::max(options.still_falling, kOnTheWay);
+      options.shortest_step_s = options.step_s;
+    }
     fit = Fit(pieces, model, options);
     work += fit.work;
     if (fit.ok) model.values = fit.values;
@@ -114,8 +119,9 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
       states.clear();
       for (const uint32_t i : request.places) states.push_back(from->fit.states[i]);
     }
-    const NodeStates start = CarriedStates(data, model, *from->plant, states, request.options);
-    fit = Fit(data, model, request.options, &start);
+    const LiftedOptions options = AsFitted(request.options, from->fit);
+    const NodeStates start = CarriedStates(data, model, *from->plant, states, options);
+    fit = Fit(data, model, options, &start);
   }
   fit.work += work;
   return fit;
@@ -149,9 +155,9 @@ FitResult MakeFit(const FitSetting& setting, const FitRequest& request) {
   if (c.plant == nullptr) return {};
   if (request.places.empty()) {
     FitResult fit = FitOn(setting.data, c, request);
-    if (fit.ok && !request.pieces_alone && HasMassInSprings(c.specs))
-      fit = WithJumps(setting.data, *c.plant, std::move(fit), request.options);
-    return fit;
+    if (!fit.ok || request.pieces_alone || !HasMassInSprings(c.specs)) return fit;
+    const LiftedOptions options = AsFitted(request.options, fit);
+    return WithJumps(setting.data, *c.plant, std::move(fit), options);
   }
   return FitOn(setting.data.OnWindows(request.places), c, request);
 }

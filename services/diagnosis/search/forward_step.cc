@@ -38,9 +38,10 @@ ScreenResult ForwardStep::Screen(const Candidate& current) {
   const bool near = fits_.PerRow(current) < kConsistent;
   const Candidate* far = !base ? nullptr : state_.FoundNothing(current) ? fits_.pieces() : &found;
   const FeatureSet without_springs = near ? FeatureSet{} : FarFromAFit(features_);
+  const LiftedOptions options = fits_.AsFitted(current);
   const ScreenResult screened = ScreenAround(
-      setting_, current, base, near ? &current : far, near ? features_ : without_springs, fits_.lifted(),
-      Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rule_);
+      setting_, current, base, near ? &current : far, near ? features_ : without_springs, options,
+      Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rules_[options.step_s]);
   fits_.AddWork(screened.work);
   return screens_.emplace(key, screened).first->second;
 }
@@ -59,7 +60,7 @@ std::vector<ScreenResult> ForwardStep::ScreensBesideForce(const Candidate& curre
   const Candidate* at = !state_.FoundNothing(current) ? &found : current.base ? fits_.pieces() : nullptr;
   const std::vector<ScreenResult> screens =
       ScreensBeside(force, {some, setting_.nominal, setting_.scales}, current, current.base, at,
-                    FarFromAFit(FeaturesOn(places)), fits_.lifted(), Rng(state_.options.seed));
+                    FarFromAFit(FeaturesOn(places)), fits_.AsFitted(current), Rng(state_.options.seed));
   for (const ScreenResult& screened : screens) {
     fits_.AddWork(screened.work);
     state_.trace.Screen(screened, current.base);

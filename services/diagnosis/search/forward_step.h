@@ -26,7 +26,7 @@ class ForwardStep {
   void SetRound(int round);
   void ForgetScreens() { screens_.clear(); }
   // What another step rule makes is taken around the first model that is screened from here on.
-  void ForgetStepRule() { step_rule_.clear(); }
+  void ForgetStepRule() { step_rules_.clear(); }
 
   // Around the model's fit, or with free base parameters around what short pieces tell of them where the
   // model is far from the record.
@@ -79,8 +79,8 @@ class ForwardStep {
   const FitSetting& setting_;
   FitLedger& fits_;
   FeatureSet features_;
-  std::vector<Eigen::VectorXd> step_rule_;
-  std::map<std::string, ScreenResult> screens_;  // of this round, by model and fit
+  std::map<double, std::vector<Eigen::VectorXd>> step_rules_;  // of a model's own step [s]
+  std::map<std::string, ScreenResult> screens_;                // of this round, by model and fit
   int round_ = 0;
 };
 

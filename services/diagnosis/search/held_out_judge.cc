@@ -37,7 +37,7 @@ bool MostBetter(const HeldOut& a, const HeldOut& b) {
 }  // namespace
 
 HeldOutJudge::Question HeldOutJudge::About(const Candidate& c) const {
-  return {Key(c), {c.fit.values.begin(), c.fit.values.end()}, options_.noise_scale};
+  return {Key(c), {c.fit.values.begin(), c.fit.values.end()}, options_.noise_scale, c.fit.step_s};
 }
 
 const HeldOut& HeldOutJudge::Of(const Candidate& c) {

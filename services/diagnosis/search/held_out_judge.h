@@ -47,7 +47,7 @@ class HeldOutJudge {
   struct Question {
     std::string key;
     std::vector<double> values;
-    double noise_scale;
+    double noise_scale, step_s;
     auto operator<=>(const Question&) const = default;
   };
   Question About(const Candidate& c) const;

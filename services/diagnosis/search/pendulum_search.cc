@@ -115,7 +115,8 @@ std::shared_ptr<const Candidate> PendulumSearch::Along(const RodStart& start) co
   for (int i = 0; i < nominal.size(); ++i) {
     if (out.plant->parameters()[i].kind == sim::ParameterKind::kEffect) out.fit.values[i] = nominal[i];
   }
-  out.fit.states = InitialStates(setting_.data, {*out.plant, out.fit.values, {}}, fits_.lifted());
+  out.fit.states = InitialStates(setting_.data, {*out.plant, out.fit.values, {}}, fits_.AsFitted(from_));
+  out.fit.step_s = from_.fit.step_s;
   PutSwing(setting_, start, &out.fit.states);
   out.fit.ok = true;
   return std::make_shared<const Candidate>(std::move(out));

@@ -51,7 +51,8 @@ std::string RequestKey(const FitRequest& request) {
   if (request.from != nullptr) {
     const Candidate& from = *request.from;
     key.Add(KeyOf(from.specs, from.base));
-    key.Add(from.fit.values), key.Add(from.fit.chi2), key.Add(from.fit.states.size());
+    key.Add(from.fit.values), key.Add(from.fit.chi2), key.Add(from.fit.step_s),
+        key.Add(from.fit.states.size());
     if (!from.fit.states.empty()) key.Add(from.fit.states.front()), key.Add(from.fit.states.back());
   }
   return std::move(key).Text();

@@ -64,7 +64,8 @@ class Search {
   void MeasureNoise() {
     state_.Tell("noise", 0.02, "");
     const FitModel bare{setting_.nominal, setting_.nominal.parameters().Nominal(), {}};
-    const MissingForce force = ForceOnStairs(bare, InitialStates(setting_.data, bare, fits_.lifted()));
+    const MissingForce force =
+        ForceOnStairs(bare, InitialStates(setting_.data, bare, fits_.lifted()), fits_.lifted());
     fits_.SetNoiseScale(std::clamp(NoiseBeside(force), 1.0, kNoisiest));
     step_.MakeFeatures();
   }
@@ -80,7 +81,7 @@ class Search {
       fits_.FindPieces(state_.given);
       out_.calibrated = Better(out_.calibrated, fits_.Calibrated(state_.given));
     }
-    state_.acceptance.NoteBase(setting_.data, out_.calibrated, fits_.lifted());
+    state_.acceptance.NoteBase(setting_.data, out_.calibrated, fits_.AsFitted(out_.calibrated));
     return Gains(out_.calibrated, out_.nominal) ? out_.calibrated : out_.nominal;
   }
 
@@ -149,7 +150,7 @@ class Search {
     out_.work = fits_.work();
     out_.beside = state_.Threshold(out_.best, out_.calibrated);
     const FitModel chosen{*out_.best.plant, out_.best.fit.values, {}};
-    out_.own_chi2 = OwnChi2(setting_.data, chosen, out_.best.fit.states, fits_.lifted(),
+    out_.own_chi2 = OwnChi2(setting_.data, chosen, out_.best.fit.states, fits_.AsFitted(out_.best),
                             Rng(options_.seed).Split(kOwnDraw));
     out_.missing = state_.Force(Without());
     out_.remaining = state_.Force(out_.best);
@@ -164,9 +165,10 @@ class Search {
   }
 
   // Force over steps of kStair; its chi2 is over the noise assumed so far.
-  MissingForce ForceOnStairs(const FitModel& model, const NodeStates& states) const {
+  MissingForce ForceOnStairs(const FitModel& model, const NodeStates& states,
+                             const LiftedOptions& options) const {
     const double stair = std::max(kStair, setting_.data.recordings[0].recording->SamplePeriod());
-    return EstimateMissingForce(setting_.data, model, states, setting_.scales.torque, stair, fits_.lifted());
+    return EstimateMissingForce(setting_.data, model, states, setting_.scales.torque, stair, options);
   }
   // Variance over the sensors' own that such a force does not follow.
   double NoiseBeside(const MissingForce& force) const {
@@ -177,7 +179,8 @@ class Search {
   // model has them.
   void LowerNoiseBesideDrives(Candidate* best) {
     if (fits_.noise_scale() <= 1 || !best->fit.ok || fits_.MeetsSensors(*best)) return;
-    const MissingForce force = ForceOnStairs({*best->plant, best->fit.values, {}}, best->fit.states);
+    const MissingForce force =
+        ForceOnStairs({*best->plant, best->fit.values, {}}, best->fit.states, fits_.AsFitted(*best));
     const bool known = force.lost == 0 && force.rows - force.unknowns > kLeastRows * force.rows;
     if (known) ScaleNoise(NoiseBeside(force), best);
   }

@@ -58,8 +58,9 @@ bool SearchState::HasForceInPlace(const Candidate& c) const {
 
 MissingForce SearchState::Force(const Candidate& c) const {
   const FitModel model{*c.plant, c.fit.values, {}};
-  return EstimateMissingForce(setting.data, model, InitialStates(setting.data, model, fits.lifted()),
-                              setting.scales.torque, FreeForce{}.segment_s, fits.lifted());
+  const LiftedOptions options = fits.AsFitted(c);
+  return EstimateMissingForce(setting.data, model, InitialStates(setting.data, model, options),
+                              setting.scales.torque, FreeForce{}.segment_s, options);
 }
 
 void SearchState::Tell(const std::string& stage, double done, const std::string& note) const {

@@ -35,8 +35,8 @@ void Trace::Fit(const Candidate& c, const char* what) const {
     std::fprintf(stderr, "score %.1f", c.score);
   else
     std::fprintf(stderr, "refused");
-  std::fprintf(stderr, " chi2/row %.4f it %d work %.1e", c.fit.chi2 / std::max(1, c.fit.rows),
-               c.fit.iterations, c.fit.work);
+  std::fprintf(stderr, " chi2/row %.4f step %.2f it %d work %.1e", c.fit.chi2 / std::max(1, c.fit.rows),
+               1e3 * c.fit.step_s, c.fit.iterations, c.fit.work);
   for (size_t i = 0; i < c.parameters.size() && c.fit.theta.size() > 0; ++i) {
     const auto& p = c.parameters[i];
     if (c.plant->parameters()[p.index].kind != sim::ParameterKind::kEffect) continue;

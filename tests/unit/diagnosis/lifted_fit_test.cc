@@ -394,6 +394,31 @@ TEST(LiftedFit, FindsPlayBetweenHardFacesFromSoftOnes) {
   EXPECT_NEAR(fit.theta[0], 0.02, 2e-3);
 }
 
+// A step that is too long for hard faces bends their stiffness, and what is left hides it.
+TEST(LiftedFit, HalvesItsStepWhereThatErrs) {
+  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  auto play = MakeSpec("backlash", {joint},
+                       {{"gap", 0.01},
+                        {"contact_stiffness", 4000},
+                        {"contact_damping", 5},
+                        {"motor_inertia", 0.05},
+                        {"motor_viscous", 0.001}});
+  play.options["sensor"] = "link";
+  const auto p = Prepare("pendulum", {play}, 3, {.rate_hz = 500, .finer = 2, .step_s = 1e-4});
+  const LiftedOptions options, fixed{.shortest_step_s = options.step_s};
+  const FitResult fit = FitEffects(*p, {play}, options), coarse = FitEffects(*p, {play}, fixed);
+  ASSERT_TRUE(fit.ok && coarse.ok);
+  EXPECT_EQ(coarse.step_s, options.step_s);
+  EXPECT_LT(fit.step_s, 0.5 * options.step_s + 1e-9);
+  EXPECT_GE(fit.step_s, options.shortest_step_s);
+  EXPECT_LT(fit.chi2, 1.1 * fit.rows);
+  EXPECT_GT(coarse.chi2, 1.3 * coarse.rows);
+  // Slow motion needs no shorter one, and far from the recordings none helps.
+  const auto still = Prepare("pendulum", {}, 1, {.rate_hz = 25});
+  EXPECT_EQ(FitEffects(*still, {}, options).step_s, options.step_s);
+  EXPECT_EQ(FitEffects(*p, {}, options).step_s, options.step_s);
+}
+
 // Three rows are lost in a row, every 0.6 s.
 recordings::RecordingSet WithLostRows(recordings::RecordingSet set) {
   for (recordings::Recording& rec : set.recordings) {

@@ -18,6 +18,7 @@ struct Sampling {
   double rate_hz = 100.0;
   double finer = 1.0;       // by which the sensors' noise is divided
   double resolution = 0.0;  // of positions; 0: as fine as they come
+  double step_s = 1e-3;     // of the simulator
 };
 
 // Three fitted recordings and a held-out one of `robot` with the effects concealed.
@@ -40,6 +41,7 @@ inline recordings::RecordingSet MakeSet(const std::string& robot, std::vector<ef
     sysid::testing::MakeOptions options;
     options.duration_s = duration_s;
     options.rate_hz = sampling.rate_hz;
+    options.step_s = sampling.step_s;
     options.position_noise = *set.noise.position_stddev;
     options.velocity_noise = *set.noise.velocity_stddev;
     options.amplitude = 1.2;

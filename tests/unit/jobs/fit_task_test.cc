@@ -91,6 +91,8 @@ TEST_F(FitsOfASet, AWorkersFitIsThisProcessesFit) {
     EXPECT_EQ(there.work, here.work);
     EXPECT_EQ(there.rows, here.rows);
     EXPECT_EQ(there.iterations, here.iterations);
+    EXPECT_GT(here.step_s, 0.0);
+    EXPECT_EQ(there.step_s, here.step_s);
   }
 }
 
@@ -108,6 +110,7 @@ TEST_F(FitsOfASet, OptionsAndStartsTravelWithARequest) {
   EXPECT_EQ(back.options.to_beat, 1e4);
   EXPECT_EQ(back.from, nullptr);
   EXPECT_EQ(RequestOf(batch, 1, setting_)->from->fit.states, requests[1].from->fit.states);
+  EXPECT_EQ(RequestOf(batch, 1, setting_)->from->fit.step_s, requests[1].from->fit.step_s);
 }
 
 TEST_F(FitsOfASet, ABatchOfOtherRecordingsIsRefused) {
