@@ -33,8 +33,8 @@ FitResult Alone(FitData* one, const NodeWindow& window, const FitModel& model, L
                 const MatrixXd& states, int iterations) {
   one->windows = {window};
   const NodeStates from = {states};
-  options.iterations = options.more_iterations = iterations, options.shortest_step_s = options.step_s;
-  return Fit(*one, model, options, &from);
+  options.iterations = options.more_iterations = iterations;
+  return Fit(*one, model, KeepingStep(options), &from);
 }
 
 // Windows, their states followed at the model's values, and how well these meet the record.
@@ -216,8 +216,7 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
 
 FitResult FitFollowed(const FitData& data, FitModel model, const LiftedOptions& options, int rounds) {
   FitResult best;
-  LiftedOptions on_the_way = options;
-  on_the_way.shortest_step_s = options.step_s;
+  const LiftedOptions on_the_way = KeepingStep(options);
   Followed f{data, on_the_way, InitialStates(data, model, options), {}};
   size_t met = data.windows.size();
   for (int round = 0; round < rounds; ++round) {

@@ -115,8 +115,7 @@ FitResult Restarted(const FitData& held_out, const Candidate& c, const VectorXd&
 }  // namespace
 
 HeldOut PredictHeldOut(const FitData& held_out, const Candidate& fitted, const LiftedOptions& options) {
-  LiftedOptions restarts = AsFitted(options, fitted.fit);
-  restarts.shortest_step_s = restarts.step_s;
+  LiftedOptions restarts = KeepingStep(AsFitted(options, fitted.fit));
   restarts.iterations = kRestartIterations, restarts.more_iterations = 0, restarts.free_hidden = false;
   HeldOut out;
   const FitResult fit = Restarted(held_out, fitted, fitted.fit.values, restarts, &out.swing_continues);

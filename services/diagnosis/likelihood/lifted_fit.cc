@@ -6,12 +6,14 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <memory>
 #include <numeric>
 #include <utility>
 
 #include "common/base/check.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/diagnosis/likelihood/move_states.h"
+#include "services/diagnosis/likelihood/some_windows.h"
 #include "services/sysid/boxed_newton_step.h"
 #include "services/sysid/fit_space.h"
 #include "services/sysid/parallel.h"
@@ -29,11 +31,15 @@ constexpr size_t kStalled = 3;         // iterations, over which a fit stalls th
 constexpr double kFarFromNoise = 2.0;  // times what noise leaves
 constexpr double kStalledGain = 0.1;   // of what its cost is above noise
 constexpr int kPatience = 3;           // iterations before windows are taken for lost
-constexpr int kTogether = 8;           // windows that are simulated side by side
 
-// A step is short enough if its error moves what is simulated by no more than so many nats, or by this share
-// of what the fit leaves.
+// A step is short enough if its error moves what is simulated, beside what parameters take up, by no more
+// than so many nats, or by this share of what the fit leaves.
 constexpr double kStepNats = 2.0, kStepShare = 0.1;
+constexpr double kRichardson = 4.0 / 3.0;
+// And for values: by this share of a value, or of its prior's stddev.
+constexpr double kValueShare = 0.01;
+// Windows, evenly spread, of which each iteration asks whether it has become too long.
+constexpr size_t kStepWindows = kTogether;
 
 // Seconds of one thread, fitted to 1,176 fits of seven sets (two to seven joints, 50 to 500 Hz); those of
 // rows, columns and pairs lowered since to what they take with the kernels of row_products.h (two sets of
@@ -129,48 +135,80 @@ class LiftedFit {
       at_ = std::move(next);
       if (lin_.has_gaps() && iteration_ < last_) gain = FollowFaces(gain);
       result_.iterations = iteration_ + 1;
-      if (Ends(gain)) break;
+      const bool ends = Ends(gain) || iteration_ == last_;
+      if (ends || HalvingsNeeded(few_) > 0) halvings_ = HalvingsNeeded(all_);
+      if (ends || halvings_ > 0) break;
     }
     result_.rows = data_.Rows(), result_.step_s = options_.step_s;
     if (result_.ok) Weigh();
   }
   FitResult result() && { return std::move(result_); }
 
-  // How often the step has to be halved for its error to be small (kStepNats), which falls with its square
-  // and in nats with the fourth power.
-  int HalvingsNeeded() {
-    const double most = std::floor(std::log2(options_.step_s / options_.shortest_step_s) + 1e-6);
-    if (most < 1 || last_ == 0 || !result_.ok) return 0;
-    // Away from the solution is a rule of second order 4/3 of what halving its step changes (Richardson).
-    const double error = 16.0 / 9.0 * ChangeByHalving();
-    const double left = 0.5 * (result_.chi2 * inverse_scale_ - result_.rows);
-    const double needed = std::ceil(0.25 * std::log2(error / std::max(kStepNats, kStepShare * left)));
-    return static_cast<int>(std::clamp(needed, 0.0, most));
-  }
+  // How often the step has to be halved before the fit goes on.
+  int halvings() const { return halvings_; }
 
  private:
-  // nats by which half of the step moves the simulated windows, their starts eliminated. Of all windows: a
-  // few fast ones hold most of it.
-  double ChangeByHalving() {
-    LiftedOptions half = options_;
-    half.step_s *= 0.5;
-    Lineariser finer(data_, model_, false, half);
-    finer.SetValues(model_, result_.values), lin_.SetValues(model_, result_.values);
-    std::vector<double> squares(W_);
-    sysid::ParallelFor(options_.threads, W_, [&](int worker, int w) {
-      const VectorXd x0 = result_.states[w].col(0);
-      if (!linear_[w].ok) return;
-      const VectorXd own = lin_.Residuals(worker, w, x0), other = finer.Residuals(worker, w, x0);
-      if (!own.allFinite() || !other.allFinite()) {
-        if (other.allFinite()) squares[w] = kSoft * kSoft * static_cast<double>(own.size());
-        return;
+  // What the error of the step does to the fit: away from the solution is a rule of second order 4/3 of what
+  // halving its step changes (Richardson).
+  struct StepError {
+    double nats = 0;  // by which it moves what is simulated, beside what starts and parameters take up
+    VectorXd shift;   // P: by which parameters take it up
+  };
+
+  // As these windows tell: until the error is small (kStepNats), which falls with the square of the step and
+  // in nats with the fourth power.
+  int HalvingsNeeded(const std::vector<int>& windows) {
+    const double most = std::floor(std::log2(options_.step_s / options_.shortest_step_s) + 1e-6);
+    if (most < 1 || last_ == 0 || !result_.ok) return 0;
+    const StepError error = ErrorOfStep(windows);
+    // Without it no less than this would be left.
+    const double least = std::sqrt(best_) - std::sqrt(2 * error.nats);
+    if (options_.to_beat > 0 && least > std::sqrt(options_.to_beat)) return 0;
+    const double left = 0.5 * (result_.chi2 * inverse_scale_ - data_.Rows());
+    double needed = 0.25 * std::log2(error.nats / std::max(kStepNats, kStepShare * left));
+    if (options_.for_values) needed = std::max(needed, 0.5 * std::log2(LargestShift(error.shift)));
+    return static_cast<int>(std::clamp(std::ceil(needed), 0.0, most));
+  }
+
+  // Relative to what a parameter may be off.
+  double LargestShift(const VectorXd& shift) const {
+    if (P_ == 0) return 0;
+    const VectorXd known = Eigen::LLT<MatrixXd>(H_).solve(MatrixXd::Identity(P_, P_)).diagonal().cwiseSqrt();
+    const VectorXd may = known.cwiseMax(kValueShare * result_.theta.cwiseAbs().cwiseMax(sigma_));
+    return shift.cwiseAbs().cwiseQuotient(may).maxCoeff();
+  }
+
+  // Of all windows, as far as these tell: a few fast ones hold most of it.
+  StepError ErrorOfStep(const std::vector<int>& windows) {
+    if (finer_ == nullptr) {
+      LiftedOptions half = options_;
+      half.step_s *= 0.5;
+      finer_ = std::make_unique<Lineariser>(data_, model_, false, half);
+    }
+    finer_->SetValues(model_, result_.values), lin_.SetValues(model_, result_.values);
+    const auto own = ResidualsFrom(result_.states, windows, options_.threads, lin_);
+    const auto other = ResidualsFrom(result_.states, windows, options_.threads, *finer_);
+    const double share = static_cast<double>(windows.size()) / W_;
+    result_.work += 3 * simulation_ * share;
+    double squares = 0;
+    VectorXd along = VectorXd::Zero(P_);
+    for (size_t i = 0; i < windows.size(); ++i) {
+      const Linear& l = linear_[windows[i]];
+      if (!l.ok || !other[i].allFinite()) continue;
+      if (!own[i].allFinite()) {
+        squares += kSoft * kSoft * static_cast<double>(own[i].size());
+        continue;
       }
-      RowMatrixXd moved = (own - other).cwiseMin(kSoft).cwiseMax(-kSoft);
-      ProjectOut(linear_[w].J_e(), &moved);
-      squares[w] = moved.squaredNorm();
-    });
-    result_.work += 3 * simulation_;
-    return 0.5 * Sum(squares) * inverse_scale_;
+      RowMatrixXd moved = (own[i] - other[i]).cwiseMin(kSoft).cwiseMax(-kSoft);
+      ProjectOut(l.J_e(), &moved);
+      squares += moved.squaredNorm();
+      along += l.J().transpose() * moved.col(0);
+    }
+    const double scale = inverse_scale_ / share;
+    VectorXd taken_up = along * scale;
+    if (P_ > 0) Eigen::LLT<MatrixXd>(H_).solveInPlace(taken_up);
+    const double left = std::max(0.0, scale * (squares - along.dot(taken_up)));
+    return {0.5 * kRichardson * kRichardson * left, kRichardson * taken_up};
   }
 
   void Linearise() {
@@ -322,6 +360,10 @@ class LiftedFit {
                        posterior.half_log_det - HiddenCost(linear_, result_.states, data_.n, inverse_scale_);
   }
 
+  std::vector<int> Spread(size_t count) const {
+    const std::vector<uint32_t> places = EvenlySpread(static_cast<size_t>(W_), count);
+    return {places.begin(), places.end()};
+  }
   double PriorCost(const VectorXd& theta) const { return prior_.dot((theta - theta0_).cwiseAbs2()); }
   double CostOf(const Point& p) const { return Sum(p.chi2) * inverse_scale_ + PriorCost(p.theta); }
 
@@ -352,7 +394,10 @@ class LiftedFit {
   VectorXd gradient_;   // P
   double trust_ = 1.0;  // of σ, or of half the value
   double best_ = std::numeric_limits<double>::infinity();
-  std::vector<double> costs_;  // after each iteration
+  std::vector<double> costs_;          // after each iteration
+  std::unique_ptr<Lineariser> finer_;  // with half of the step
+  const std::vector<int> few_ = Spread(kStepWindows), all_ = Spread(W_);
+  int halvings_ = 0;
   FitResult result_;
 };
 
@@ -420,7 +465,7 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   {
     LiftedFit fit(data, model, options, from);
     fit.Run();
-    halvings = fit.HalvingsNeeded();
+    halvings = fit.halvings();
     found = std::move(fit).result();
   }
   if (halvings == 0) return found;
@@ -429,6 +474,11 @@ FitResult Fit(const FitData& data, const FitModel& model, const LiftedOptions& o
   FitResult refined = Fit(data, {model.plant, found.values, model.parameters}, finer, &found.states);
   refined.work += found.work, refined.iterations += found.iterations;
   return refined;
+}
+
+LiftedOptions KeepingStep(LiftedOptions options) {
+  options.shortest_step_s = options.step_s;
+  return options;
 }
 
 LiftedOptions AsFitted(LiftedOptions options, const FitResult& fit) {

@@ -47,8 +47,10 @@ struct LiftedOptions {
   int threads = 1;
   double noise_scale = 1.0;  // residual variance in units of the sensors' noise
   double step_s = 2e-3;      // of the simulator
-  // Down to which the step may be halved, where its error counts beside what the fit leaves.
+  // Down to which the step may be halved, where its error counts beside what the fit leaves. What parameters
+  // take up of it does not hide what is missing: it counts in a last fit alone, `for_values`.
   double shortest_step_s = 3e-4;
+  bool for_values = false;  // not sent to workers: such a fit is made where the search runs
   // Hidden states start where they fit best; else where they are given, a motor with its link.
   bool free_hidden = true;
   sim::Integrator integrator = sim::Integrator::kLeapfrog;
@@ -102,6 +104,8 @@ struct Posterior {
 };
 Posterior PosteriorOf(const MatrixXd& information, const VectorXd& sigma);
 
+// Whose fits do not halve the step.
+LiftedOptions KeepingStep(LiftedOptions options);
 // With the step that a fit took: for what goes on from its result.
 LiftedOptions AsFitted(LiftedOptions options, const FitResult& fit);
 

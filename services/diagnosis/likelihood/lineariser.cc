@@ -7,6 +7,7 @@
 #include "common/base/check.h"
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
+#include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
 
@@ -345,14 +346,14 @@ VectorXd Lineariser::Residuals(int worker, int index, const VectorXd& x0, double
   return Residuals(window, RunFrom(window, x0, w.times, &w), part);
 }
 
-std::vector<double> Lineariser::Simulated(int worker, const std::vector<int>& indices,
-                                          const std::vector<VectorXd>& x0, double part) {
+std::vector<VectorXd> Lineariser::Residuals(int worker, const std::vector<int>& indices,
+                                            const std::vector<VectorXd>& x0, double part) {
   Worker& w = *workers_[worker];
   const size_t count = indices.size();
-  std::vector<double> sums(count);
+  std::vector<VectorXd> out(count);
   if (count <= kFewRuns) {
-    for (size_t i = 0; i < count; ++i) sums[i] = SoftenedSum(Residuals(worker, indices[i], x0[i], part));
-    return sums;
+    for (size_t i = 0; i < count; ++i) out[i] = Residuals(worker, indices[i], x0[i], part);
+    return out;
   }
   w.runs.resize(count), w.run_times.resize(count);
   for (size_t i = 0; i < count; ++i) {
@@ -364,8 +365,14 @@ std::vector<double> Lineariser::Simulated(int worker, const std::vector<int>& in
     SetState(x0[i], window.t[0], &w.runs[i].x0);
   }
   w.simulator.SimulateWindows(w.runs, {}, &w.outs);
-  for (size_t i = 0; i < count; ++i)
-    sums[i] = SoftenedSum(Residuals(data_.windows[indices[i]], w.outs[i], part));
+  for (size_t i = 0; i < count; ++i) out[i] = Residuals(data_.windows[indices[i]], w.outs[i], part);
+  return out;
+}
+
+std::vector<double> Lineariser::Simulated(int worker, const std::vector<int>& indices,
+                                          const std::vector<VectorXd>& x0, double part) {
+  std::vector<double> sums;
+  for (const VectorXd& r : Residuals(worker, indices, x0, part)) sums.push_back(SoftenedSum(r));
   return sums;
 }
 
@@ -460,6 +467,21 @@ const sim::Trajectory& Lineariser::RunFrom(const NodeWindow& window, const Vecto
   SetState(x0, window.t[0], &w->x);
   w->simulator.SimulateInto(w->x, CommandOf(window), times, {}, &w->out);
   return w->out;
+}
+
+std::vector<VectorXd> ResidualsFrom(const NodeStates& states, const std::vector<int>& windows, int threads,
+                                    Lineariser& lin) {
+  const size_t count = windows.size();
+  std::vector<VectorXd> out(count);
+  sysid::ParallelFor(threads, static_cast<int>((count + kTogether - 1) / kTogether), [&](int worker, int g) {
+    std::vector<int> here;
+    std::vector<VectorXd> starts;
+    const size_t first = static_cast<size_t>(g) * kTogether;
+    for (size_t i = first; i < std::min(count, first + kTogether); ++i)
+      here.push_back(windows[i]), starts.push_back(states[windows[i]].col(0));
+    std::ranges::move(lin.Residuals(worker, here, starts), out.begin() + static_cast<long>(first));
+  });
+  return out;
 }
 
 }  // namespace rg::diagnosis

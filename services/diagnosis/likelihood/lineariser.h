@@ -13,6 +13,7 @@
 
 namespace rg::diagnosis {
 
+inline constexpr int kTogether = 8;         // windows that are simulated side by side
 inline constexpr double kSettleTime = 0.5;  // s before a window from which hidden states are simulated
 
 // A plant with a constant torque of size zero on each joint, whose sensitivities are the columns B of
@@ -54,7 +55,10 @@ class Lineariser {
   // order of Run; where the motion of prescribed joints is in doubt, what is left of it when rows are made
   // independent.
   VectorXd Residuals(int worker, int index, const VectorXd& x0, double part = 1.0);
-  // Σ ((y − ŷ)/σ)² of several windows side by side, each from its own x_0; far residuals softened.
+  // The same of several windows side by side, each from its own x_0.
+  std::vector<VectorXd> Residuals(int worker, const std::vector<int>& indices,
+                                  const std::vector<VectorXd>& x0, double part = 1.0);
+  // Σ ((y − ŷ)/σ)² of them; far residuals softened.
   std::vector<double> Simulated(int worker, const std::vector<int>& indices, const std::vector<VectorXd>& x0,
                                 double part = 1.0);
   // χ² of a window whose simulation broke at once.
@@ -123,5 +127,9 @@ class Lineariser {
   std::vector<int> delays_;  // of commands, places among the parameters
   std::vector<std::unique_ptr<Worker>> workers_;
 };
+
+// Residuals of these windows, simulated from the starts of their states (of all windows).
+std::vector<VectorXd> ResidualsFrom(const NodeStates& states, const std::vector<int>& windows, int threads,
+                                    Lineariser& lin);
 
 }  // namespace rg::diagnosis

@@ -42,8 +42,8 @@ double OwnChi2(const FitData& data, const FitModel& model, const NodeStates& sta
       if (data.use_velocity) move(window.v_stddev, &window.v);
     }
   });
-  LiftedOptions starts = options;
-  starts.iterations = kStartIterations, starts.more_iterations = 0, starts.shortest_step_s = options.step_s;
+  LiftedOptions starts = KeepingStep(options);
+  starts.iterations = kStartIterations, starts.more_iterations = 0;
   return Fit(own, fixed, starts, &states).chi2 + TrueJumps(data, model.plant, options.noise_scale);
 }
 

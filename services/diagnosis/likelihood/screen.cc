@@ -54,13 +54,14 @@ LiftedOptions OtherStepRule(LiftedOptions options) {
 std::vector<VectorXd> StepRuleResiduals(const FitData& data, const FitModel& model, const NodeStates& states,
                                         const LiftedOptions& options) {
   Lineariser other(data, model, false, OtherStepRule(options)), own(data, model, false, options);
-  const int W = static_cast<int>(data.windows.size());
-  std::vector<VectorXd> out(W);
-  sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
-    const VectorXd x0 = states[w].col(0);
-    out[w] = own.Residuals(worker, w, x0) - other.Residuals(worker, w, x0);
+  std::vector<int> all(data.windows.size());
+  std::iota(all.begin(), all.end(), 0);
+  std::vector<VectorXd> out = ResidualsFrom(states, all, options.threads, own);
+  const std::vector<VectorXd> by_other = ResidualsFrom(states, all, options.threads, other);
+  for (size_t w = 0; w < out.size(); ++w) {
+    out[w] -= by_other[w];
     if (!out[w].allFinite()) out[w].setZero();
-  });
+  }
   return out;
 }
 

@@ -29,7 +29,7 @@ constexpr double kShortestPiece = 0.1;  // s
 constexpr size_t kSprings = 2;  // starts behind rotors that are fitted, for either place of the sensor
 constexpr size_t kInPlace = 2;  // exchanged laws that are fitted on all windows
 constexpr double kMuchWorse =
-    0.1;  // of a trial's misfit, by which an exchanged law may be worse in its trial
+    0.1;  // of the misfit, by which an exchanged law may be worse in its trial, or a model with another step
 
 // The trial with this property that leaves the least share of the misfit, if less than `least`.
 std::shared_ptr<const Candidate> LeavesLeast(std::initializer_list<const std::vector<RankedTrial>*> trials,
@@ -124,6 +124,17 @@ Candidate FitLedger::Anew(const Candidate& c) {
   FitRequest request = WholeFit(Refreshed(c), c.base, nullptr);
   request.piece_s = kShortestPiece;
   return Tried(request, Made(request));
+}
+
+Candidate FitLedger::WithExactValues(const Candidate& c) {
+  if (!(PerRow(c) < kConsistent) || HasUnnamed(c)) return c;
+  FitRequest request = WholeFit(Refreshed(c), c.base, std::make_shared<const Candidate>(c));
+  request.options.for_values = true;
+  Candidate on = Fitted(request, MakeFit(setting_, request));
+  trace_.Fit(on, "values");
+  if (!(on.score > kNoScore && on.fit.chi2 < (1 + kMuchWorse) * c.fit.chi2)) return c;
+  on.score = c.score, on.form = c.form, on.round = c.round, on.held_out = c.held_out;
+  return on;
 }
 
 void FitLedger::FindPieces(const std::vector<EffectSpec>& specs) {

@@ -78,6 +78,9 @@ class FitLedger {
                           const Candidate* from = nullptr, int iterations = 6);
   // With free base parameters; ends early if it would not become consistent.
   Candidate Calibrated(const std::vector<effects::EffectSpec>& specs);
+  // Fitted on with a step that is short enough for its values; its score stays, for others' have no such
+  // step.
+  Candidate WithExactValues(const Candidate& c);
   // A restart from nominal base parameters, over short pieces of the recordings.
   Candidate Anew(const Candidate& c);
   // Base parameters far from the URDF's, or beside missing effects, are found over short pieces of the

@@ -52,9 +52,8 @@ FitResult FitFromRecord(const FitData& data, FitModel model, LiftedOptions optio
 // Base parameters found without a hidden state absorb some of its effect, those of the URDF are off:
 // continues from whichever fits better after one step.
 FitResult FitFromEither(const FitData& data, FitModel model, const LiftedOptions& options) {
-  LiftedOptions once = options;
-  once.iterations = std::min(1, options.iterations), once.more_iterations = 0,
-  once.shortest_step_s = options.step_s;
+  LiftedOptions once = KeepingStep(options);
+  once.iterations = std::min(1, options.iterations), once.more_iterations = 0;
   FitModel nominal = model;
   for (const sysid::FitParameter& p : model.parameters) {
     if (model.plant.parameters()[p.index].kind != sim::ParameterKind::kEffect)
@@ -94,12 +93,9 @@ FitResult FitOn(const FitData& data, const Candidate& c, const FitRequest& reque
     FitData pieces = data;
     pieces.windows =
         InPieces(Spread(data.windows, data.WindowsFor(kWindowsOnTheWay)), piece, data.RowNoise());
-    LiftedOptions options = request.options;
+    LiftedOptions options = request.pieces_alone ? request.options : KeepingStep(request.options);
     // Full convergence on pieces gains nothing on the way to longer ones.
-    if (!request.pieces_alone) {
-      options.still_falling = std::max(options.still_falling, kOnTheWay);
-      options.shortest_step_s = options.step_s;
-    }
+    if (!request.pieces_alone) options.still_falling = std::max(options.still_falling, kOnTheWay);
     fit = Fit(pieces, model, options);
     work += fit.work;
     if (fit.ok) model.values = fit.values;

@@ -419,6 +419,25 @@ TEST(LiftedFit, HalvesItsStepWhereThatErrs) {
   EXPECT_EQ(FitEffects(*p, {}, options).step_s, options.step_s);
 }
 
+// What the step does to a stiff spring is taken up by its stiffness: nothing is missing, but the value is
+// off.
+TEST(LiftedFit, HalvesItsStepForValuesThatTakeUpItsError) {
+  const std::string joint = sysid::testing::LoadPlant("pendulum").joint_names()[0];
+  auto spring =
+      MakeSpec("joint_elasticity", {joint}, {{"stiffness", 3000}, {"damping", 1}, {"motor_inertia", 0.05}});
+  spring.options["sensor"] = "motor";
+  const auto p = Prepare("pendulum", {spring}, 3, {.rate_hz = 500, .finer = 2, .step_s = 1e-4});
+  const FitResult fit = FitEffects(*p, {spring}, {.iterations = 20});
+  const FitResult exact = FitEffects(*p, {spring}, {.iterations = 20, .for_values = true});
+  ASSERT_TRUE(fit.ok && exact.ok);
+  EXPECT_EQ(fit.step_s, LiftedOptions{}.step_s);
+  EXPECT_LT(exact.step_s, fit.step_s);
+  EXPECT_LT(fit.chi2, 1.1 * fit.rows);
+  const auto off = [&](const FitResult& of) { return std::abs(of.theta[0] / 3000 - 1); };
+  EXPECT_GT(off(fit), 0.02);
+  EXPECT_LT(off(exact), 0.01);
+}
+
 // Three rows are lost in a row, every 0.6 s.
 recordings::RecordingSet WithLostRows(recordings::RecordingSet set) {
   for (recordings::Recording& rec : set.recordings) {
