@@ -36,9 +36,9 @@ constexpr int kPatience = 3;           // iterations before windows are taken fo
 // than so many nats, or by this share of what the fit leaves.
 constexpr double kStepNats = 2.0, kStepShare = 0.1;
 constexpr double kRichardson = 4.0 / 3.0;
-// And for values: by this share of a value, or of its prior's stddev.
+// For values, moved by less than their stddev or by this share of themselves or of their priors' stddev.
 constexpr double kValueShare = 0.01;
-// Windows, evenly spread, of which each iteration asks whether it has become too long.
+// Windows, evenly spread, on which each iteration asks whether the step has become too long.
 constexpr size_t kStepWindows = kTogether;
 
 // Seconds of one thread, fitted to 1,176 fits of seven sets (two to seven joints, 50 to 500 Hz); those of
@@ -178,7 +178,7 @@ class LiftedFit {
     return shift.cwiseAbs().cwiseQuotient(may).maxCoeff();
   }
 
-  // Of all windows, as far as these tell: a few fast ones hold most of it.
+  // Of all windows, as far as these tell.
   StepError ErrorOfStep(const std::vector<int>& windows) {
     if (finer_ == nullptr) {
       LiftedOptions half = options_;
@@ -188,6 +188,7 @@ class LiftedFit {
     finer_->SetValues(model_, result_.values), lin_.SetValues(model_, result_.values);
     const auto own = ResidualsFrom(result_.states, windows, options_.threads, lin_);
     const auto other = ResidualsFrom(result_.states, windows, options_.threads, *finer_);
+    lin_.SetValues(model_, at_.values);  // at which the next iteration linearises
     const double share = static_cast<double>(windows.size()) / W_;
     result_.work += 3 * simulation_ * share;
     double squares = 0;

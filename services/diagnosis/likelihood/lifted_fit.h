@@ -48,7 +48,7 @@ struct LiftedOptions {
   double noise_scale = 1.0;  // residual variance in units of the sensors' noise
   double step_s = 2e-3;      // of the simulator
   // Down to which the step may be halved, where its error counts beside what the fit leaves. What parameters
-  // take up of it does not hide what is missing: it counts in a last fit alone, `for_values`.
+  // take up of that error hides nothing that is missing: it counts in the last fit of a search alone.
   double shortest_step_s = 3e-4;
   bool for_values = false;  // not sent to workers: such a fit is made where the search runs
   // Hidden states start where they fit best; else where they are given, a motor with its link.
@@ -104,7 +104,7 @@ struct Posterior {
 };
 Posterior PosteriorOf(const MatrixXd& information, const VectorXd& sigma);
 
-// Whose fits do not halve the step.
+// The same for fits that keep their step.
 LiftedOptions KeepingStep(LiftedOptions options);
 // With the step that a fit took: for what goes on from its result.
 LiftedOptions AsFitted(LiftedOptions options, const FitResult& fit);

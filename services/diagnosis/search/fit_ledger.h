@@ -78,8 +78,8 @@ class FitLedger {
                           const Candidate* from = nullptr, int iterations = 6);
   // With free base parameters; ends early if it would not become consistent.
   Candidate Calibrated(const std::vector<effects::EffectSpec>& specs);
-  // Fitted on with a step that is short enough for its values; its score stays, for others' have no such
-  // step.
+  // Fitted on with a step that is short enough for its values; its score stays, to compare with those of
+  // models whose steps are not so short.
   Candidate WithExactValues(const Candidate& c);
   // A restart from nominal base parameters, over short pieces of the recordings.
   Candidate Anew(const Candidate& c);

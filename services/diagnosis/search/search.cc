@@ -147,7 +147,8 @@ class Search {
     checks_.CompareRivals(&out_);
     out_.beside_any_force = locator_.NameBeside(&out_.best);
     if (out_.beside_any_force) out_.swings_on = false, out_.tried.push_back(out_.best);
-    if (!fits_.Cancelled()) out_.best = fits_.WithExactValues(out_.best);
+    if (!state_.FoundNothing(out_.best) && !fits_.Late(kWorkForComparisons))
+      out_.best = fits_.WithExactValues(out_.best);
     out_.work = fits_.work();
     out_.beside = state_.Threshold(out_.best, out_.calibrated);
     const FitModel chosen{*out_.best.plant, out_.best.fit.values, {}};

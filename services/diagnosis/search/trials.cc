@@ -17,13 +17,12 @@ using effects::EffectSpec, effects::LawOf, effects::Regressor;
 
 namespace {
 
-constexpr size_t kNearest = 2;         // springs, and play, that are tried of either place of the sensor
-constexpr size_t kJointsWithPlay = 2;  // that play is looked at on
-constexpr size_t kSprungJoints = 2;    // on which the screen sees a spring, that are tried
-constexpr size_t kRotors = 2;          // the largest, behind which a spring is tried
-constexpr double kLeastRotor = 0.01;   // of the joint's inertia, before which play is tried
-constexpr size_t kMostSets = 6;        // of joints, and as many pairs of effects
-constexpr double kHardlyLess = 0.9;    // of what a part of it leaves
+constexpr size_t kNearest = 2;        // springs, and play, that are tried of either place of the sensor
+constexpr size_t kSprungJoints = 2;   // on which the screen sees a spring, that are tried
+constexpr size_t kRotors = 2;         // the largest, behind which a spring is tried
+constexpr double kLeastRotor = 0.01;  // of the joint's inertia, before which play is tried
+constexpr size_t kMostSets = 6;       // of joints, and as many pairs of effects
+constexpr double kHardlyLess = 0.9;   // of what a part of it leaves
 
 const effects::EffectInfo& Rotor() { return LawOf(Regressor::kAcceleration); }
 
@@ -71,8 +70,7 @@ class TrialBuilder {
     // No screen promises what touches the robot from outside.
     if (!promised || HasHiddenStates(from_)) FromOutside(force);
     if (promised) {
-      for (const char* sensor : {"link", "motor"})
-        LookAt(effects::Spring().id, sensor, SprungJoints(least_gain));
+      Nearest(effects::Spring().id, SprungJoints(least_gain));
       return std::move(out_);
     }
     for (const std::string& id : {effects::SwingingMass().id, effects::SoftMount().id}) {
@@ -154,43 +152,31 @@ class TrialBuilder {
     return out;
   }
 
-  // Play lets a motor move against its link as a spring does, and costs many times as much to look at: on
-  // the joints alone where springs come nearest.
   void Transmissions(const std::vector<int>& joints) {
-    const std::vector<int> by_link = LookAt(effects::Spring().id, "link", joints);
-    const std::vector<int> by_motor = LookAt(effects::Spring().id, "motor", joints);
-    LookAt(effects::Play().id, "link", by_link);
-    LookAt(effects::Play().id, "motor", by_motor);
+    for (const std::string& id : {effects::Spring().id, effects::Play().id}) Nearest(id, joints);
   }
 
   // A motor behind a spring or play is hidden, and no screen of forces far from a fit says on which joint: a
-  // look from all starts on all of `joints` does. Returns the joints that come nearest.
-  std::vector<int> LookAt(const std::string& id, const char* sensor, const std::vector<int>& joints) {
-    std::vector<std::vector<TrialSpecs>> of_joints;
-    size_t most = 0;
-    for (const int joint : joints) {
-      if (!MayHaveMotor(joint)) continue;
-      of_joints.push_back(TransmissionStarts(id, sensor, joint, nominal_, scales_, MotorOn(joint)));
-      AsLateAsOthers(joint, &of_joints.back());
-      most = std::max(most, of_joints.back().size());
-    }
-    // In turns: the look may end before it has seen all.
-    std::vector<TrialSpecs> starts;
-    for (size_t i = 0; i < most; ++i) {
-      for (const auto& own : of_joints) {
-        if (i < own.size()) starts.push_back(own[i]);
+  // look from all starts on all of `joints` does.
+  void Nearest(const std::string& id, const std::vector<int>& joints) {
+    for (const char* sensor : {"link", "motor"}) {
+      std::vector<std::vector<TrialSpecs>> of_joints;
+      size_t most = 0;
+      for (const int joint : joints) {
+        if (!MayHaveMotor(joint)) continue;
+        of_joints.push_back(TransmissionStarts(id, sensor, joint, nominal_, scales_, MotorOn(joint)));
+        AsLateAsOthers(joint, &of_joints.back());
+        most = std::max(most, of_joints.back().size());
       }
+      // In turns: the look may end before it has seen all.
+      std::vector<TrialSpecs> starts;
+      for (size_t i = 0; i < most; ++i) {
+        for (const auto& own : of_joints) {
+          if (i < own.size()) starts.push_back(own[i]);
+        }
+      }
+      Push(nearest_(starts, kNearest));
     }
-    const bool of_play = id == effects::Play().id;
-    std::vector<TrialSpecs> near = nearest_(starts, of_play ? kNearest : starts.size());
-    std::vector<int> out;
-    for (const TrialSpecs& start : near) {
-      const int joint = nominal_.model().FindJoint(start[0].joints[0]);
-      if (out.size() < kJointsWithPlay && std::ranges::find(out, joint) == out.end()) out.push_back(joint);
-    }
-    near.resize(std::min(near.size(), kNearest));
-    Push(near);
-    return out;
   }
 
   // What a motor behind a spring or play does hides how late its drive is: as late as most others, where
