@@ -45,13 +45,23 @@ struct Contact {
   }
 
   static Inference Inferred() {
-    return {.prior = [](const std::string& field, double nominal, const EffectSpec&,
+    return {.starts = [](const Found& f) -> std::vector<Start> {
+              const Values values = {
+                  {"stiffness", f.c[0]}, {"damping", kDampingTime * f.c[0]}, {"height", f.shape}};
+              return {{values, f.options}};
+            },
+            .prior = [](const std::string& field, double nominal, const EffectSpec&,
                         const JointSize&) -> std::optional<Prior> {
-      if (field != "height") return {};
-      return Prior{nominal, 0.2};
-    }};
+              if (field != "height") return {};
+              return Prior{nominal, 0.2};
+            }};
   }
 
+  static constexpr double kDampingTime = 0.02;  // s: damping over stiffness, where a fit starts
+
+  // Of an index into the values of "normal".
+  static int Axis(int normal) { return normal < 2 ? 2 : normal < 4 ? 0 : 1; }
+  static int Sign(int normal) { return normal % 2 == 0 ? 1 : -1; }
   // Force along the normal at distance x from the base's (or the joint's) origin.
   template <class S>
   static S Push(const S* p, const S& x, const S& rate) {
@@ -65,7 +75,7 @@ struct Contact {
   static void Apply(const S* p, JointLaw<S>& law) {
     using T = Base<S>;
     const S half(T(0.5));
-    const T sign = law.option % 2 == 0 ? T(1) : T(-1);
+    const T sign = T(Sign(law.option));
     law.force += sign * Push(p, S(sign * law.PositionAt(half)), S(sign * law.VelocityAt(half)));
   }
   // option: index into the values of "normal".
@@ -73,8 +83,8 @@ struct Contact {
   static void PointForce(const S* p, const S* position, const S* velocity, Base<S>, Base<S>, int option,
                          S* force) {
     using T = Base<S>;
-    const int axis = option < 2 ? 2 : option < 4 ? 0 : 1;
-    const T sign = option % 2 == 0 ? T(1) : T(-1);
+    const int axis = Axis(option);
+    const T sign = T(Sign(option));
     force[axis] += sign * Push(p, S(sign * position[axis]), S(sign * velocity[axis]));
   }
 };

@@ -86,6 +86,7 @@ struct Found {
   int joints = 0;
   double gravity = 9.81;
   const double* last_link = nullptr;
+  std::map<std::string, std::string> options = {};  // under which they were found
 };
 
 // What starts of an effect that no screen shows are made from.

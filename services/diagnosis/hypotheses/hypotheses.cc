@@ -112,7 +112,7 @@ std::vector<TrialSpecs> SpecsFor(const Scored& h, const sim::Plant& nominal, con
     effects::Found found{c, h.shape, h.shape_end};
     found.joint = SizeOf(s, nominal, joint);
     found.joints = nominal.num_joints(), found.gravity = nominal.options().gravity.norm();
-    found.last_link = link.data();
+    found.last_link = link.data(), found.options = h.options;
     return effects::StartsOf(effect, found);
   };
   std::vector<TrialSpecs> out;
@@ -120,9 +120,7 @@ std::vector<TrialSpecs> SpecsFor(const Scored& h, const sim::Plant& nominal, con
   if (h.joints.empty() || !each) {
     std::vector<std::string> joints;
     for (const int j : h.joints) joints.push_back(names[j]);
-    for (const effects::Start& start : starts(h.coefficients, -1))
-      out.push_back({MakeSpec(h.effect, joints, start.values)});
-    return out;
+    return Trials(h.effect, joints, starts(h.coefficients, -1));
   }
   out.emplace_back();
   const size_t m = h.coefficients.size() / h.joints.size();

@@ -1,6 +1,7 @@
 // From a screened hypothesis to an effect that the simulator has, with start values and priors.
 #pragma once
 
+#include <map>
 #include <string>
 #include <vector>
 
@@ -24,6 +25,7 @@ struct Scored {
   double chi2 = 0;          // reduction of χ²
   double step_rule = 0;     // nats that the effect would gain if another step rule had made the recordings
   double shape = 0, shape_end = 0;
+  std::map<std::string, std::string> options;
   std::vector<double> coefficients;  // per column of the effect, SI, joint after joint
 };
 

@@ -1,5 +1,5 @@
-// Start values of external contacts and pushes, from the missing force: a force f at a point of the last link
-// is Jᵀf on the joints.
+// Start values of pushes from outside, from the missing force: a force f at a point of the last link is Jᵀf
+// on the joints.
 #pragma once
 
 #include <vector>
@@ -8,11 +8,6 @@
 #include "services/diagnosis/likelihood/missing_force.h"
 
 namespace rg::diagnosis {
-
-// Elastic planes (force zero outside, linear in the depth inside) normal to each axis of the base frame, for
-// each point of contact: the `most` that explain the missing force best.
-std::vector<TrialSpecs> ContactStarts(const FitData& data, const sim::Plant& nominal,
-                                      const MissingForce& missing, int most);
 
 // A constant Cartesian force over an interval of time, if it explains more than a torque on any single joint.
 std::vector<TrialSpecs> PushStarts(const FitData& data, const sim::Plant& nominal,

@@ -280,7 +280,8 @@ class RodRegression {
   void MakeLaws(const FeatureSet& laws) {
     const auto S = static_cast<Eigen::Index>(segments_.size());
     const FreeForce any{{0}, VectorXd::Ones(n_)};
-    law_columns_ = MatrixXd::Zero(S, laws.block.size());  // on its own joint alone
+    const int C = static_cast<int>(laws.block.joint.size());
+    law_columns_ = MatrixXd::Zero(S, C);  // on its own joint alone
     size_t window = data_.windows.size();
     MatrixXd means;
     for (Eigen::Index i = 0; i < S; ++i) {
@@ -291,10 +292,10 @@ class RodRegression {
         window = s.window;
         RG_CHECK(s.column < means.cols()) << "a missing force over other segments";
       }
-      for (int c = 0; c < laws.block.size(); ++c)
+      for (int c = 0; c < C; ++c)
         law_columns_(i, c) = means(c, s.column) * s.weight[laws.block.joint[static_cast<size_t>(c)]];
     }
-    for (int c = 0; c < laws.block.size(); ++c) {
+    for (int c = 0; c < C; ++c) {
       const int joint = laws.block.joint[static_cast<size_t>(c)];
       const auto column = law_columns_.col(c);
       const double rest = column.dot(at_rest_.segment(joint * S, S)), squares = column.squaredNorm();

@@ -4,8 +4,10 @@
 #include <cmath>
 
 #include "common/dynamics/dynamics.h"
+#include "common/effects/contact.h"
 #include "common/effects/torque_ripple.h"
 #include "common/model/robot_model.h"
+#include "services/diagnosis/data/touching_points.h"
 #include "services/diagnosis/likelihood/regressors.h"
 #include "services/sysid/drive_signal.h"
 
@@ -16,8 +18,10 @@ using Eigen::ArrayXd;
 
 namespace {
 
-constexpr double kSharpSpan = 0.01;  // s: a motion smoothed over more has lost a spring's resonance
-constexpr double kNarrowBand = 0.1;  // of the least quantile of |effort|
+constexpr double kSharpSpan = 0.01;   // s: a motion smoothed over more has lost a spring's resonance
+constexpr double kNarrowBand = 0.1;   // of the least quantile of |effort|
+constexpr double kLeastReach = 1e-4;  // m, of a point that meets a surface
+constexpr double kHeights[] = {0.01, 0.03, 0.08, 0.14, 0.2, 0.27, 0.35, 0.45, 0.6, 0.75};  // quantiles of what it reaches
 
 double Quantile(std::vector<double> x, double p) {
   if (x.empty()) return 0;
@@ -46,6 +50,7 @@ class Builder {
     }
     for (int j = 0; j < data_.n; ++j) AddJoint(j);
     Standardise();
+    AddSurfaces();
     return std::move(out_);
   }
 
@@ -190,21 +195,89 @@ class Builder {
     fine_.push_back(std::move(values));
   }
 
+  // Rows of the fine motion in each interval between a window's nodes: the first, and how many.
+  std::vector<std::pair<int, int>> RowsOf(const NodeWindow& w) const {
+    const FineMotion& m = data_.fine[w.recording];
+    const int F = static_cast<int>(m.t.size());
+    const double t0 = m.t[0], dt = m.t[1] - m.t[0];
+    std::vector<std::pair<int, int>> out;
+    for (size_t k = 0; k + 1 < w.t.size(); ++k) {
+      const int a = std::clamp(static_cast<int>(std::ceil((w.t[k] - t0) / dt - 1e-6)), 0, F - 1);
+      const int b = std::clamp(static_cast<int>(std::ceil((w.t[k + 1] - t0) / dt - 1e-6)), a + 1, F);
+      out.push_back({a, b - a});
+    }
+    return out;
+  }
+
   // Means over the intervals between nodes.
   void Standardise() {
     const int C = static_cast<int>(out_.features.size());
     for (const Feature& f : out_.features) out_.block.joint.push_back(f.joint);
     for (const NodeWindow& w : data_.windows) {
-      const FineMotion& m = data_.fine[w.recording];
-      const int N = static_cast<int>(w.t.size()) - 1, F = static_cast<int>(m.t.size());
-      const double t0 = m.t[0], dt = m.t[1] - m.t[0];
-      MatrixXd phi(C, N);
-      for (int k = 0; k < N; ++k) {
-        int a = std::clamp(static_cast<int>(std::ceil((w.t[k] - t0) / dt - 1e-6)), 0, F - 1);
-        int b = std::clamp(static_cast<int>(std::ceil((w.t[k + 1] - t0) / dt - 1e-6)), a + 1, F);
-        for (int c = 0; c < C; ++c) phi(c, k) = fine_[c][w.recording].segment(a, b - a).mean();
+      const auto rows = RowsOf(w);
+      MatrixXd phi(C, std::ssize(rows));
+      for (int k = 0; k < phi.cols(); ++k) {
+        for (int c = 0; c < C; ++c)
+          phi(c, k) = fine_[c][w.recording].segment(rows[k].first, rows[k].second).mean();
       }
       out_.block.phi.push_back(std::move(phi));
+    }
+  }
+
+  // Surfaces at quantiles of what each point that may touch them reaches, on all six sides of it.
+  void AddSurfaces() {
+    for (const NodeWindow& w : data_.windows)
+      out_.block.on_robot.emplace_back(data_.n * (std::ssize(w.t) - 1), 0);
+    const std::vector<std::string> normals = effects::Surface().options.at("normal");
+    for (const TouchingPoint& point : TouchingPoints(plant_.model())) {
+      std::vector<PointMotion> motions;
+      for (const FineMotion& m : data_.fine) motions.push_back(MotionOf(point, plant_.model(), m.q));
+      for (int normal = 0; normal < static_cast<int>(normals.size()); ++normal) {
+        std::map<std::string, std::string> options;
+        if (normal > 0) options["normal"] = normals[static_cast<size_t>(normal)];
+        if (!point.option.empty()) options["point"] = point.option;
+        std::vector<double> along;
+        for (const PointMotion& m : motions) {
+          const ArrayXd x = effects::Contact::Sign(normal) * m.position.row(effects::Contact::Axis(normal));
+          along.insert(along.end(), x.begin(), x.end());
+        }
+        const auto [low, high] = std::ranges::minmax(along);
+        if (high - low < kLeastReach) continue;
+        for (const double p : kHeights) AddSurface({options, Quantile(along, p)}, normal, motions);
+      }
+    }
+  }
+
+  // What it does to the joints, on average over intervals; its scale makes half the torque of one joint, and
+  // less on others.
+  void AddSurface(SurfaceFeature surface, int normal, const std::vector<PointMotion>& motions) {
+    const double unit[] = {1, 0, surface.height};
+    const int axis = effects::Contact::Axis(normal), sign = effects::Contact::Sign(normal);
+    std::vector<VectorXd> columns;
+    VectorXd squares = VectorXd::Zero(data_.n);
+    double count = 0;
+    for (const NodeWindow& w : data_.windows) {
+      const PointMotion& m = motions[static_cast<size_t>(w.recording)];
+      const auto rows = RowsOf(w);
+      MatrixXd mean = MatrixXd::Zero(std::ssize(rows), data_.n);
+      for (Eigen::Index k = 0; k < mean.rows(); ++k) {
+        const auto [first, some] = rows[static_cast<size_t>(k)];
+        for (int i = first; i < first + some; ++i) {
+          const double force = sign * effects::Contact::Push<double>(unit, sign * m.position(axis, i), 0.0);
+          mean.row(k) += force / some * m.jacobian[static_cast<size_t>(axis)].col(i).transpose();
+        }
+      }
+      squares += mean.colwise().squaredNorm().transpose(), count += static_cast<double>(mean.rows());
+      columns.push_back(mean.reshaped());
+    }
+    const double most = (squares / std::max(1.0, count)).cwiseSqrt().cwiseQuotient(s_.torque).maxCoeff();
+    if (!(most > 1e-12) || !std::isfinite(most)) return;
+    surface.scale = 0.5 / most;
+    out_.surfaces.push_back(surface);
+    for (size_t w = 0; w < columns.size(); ++w) {
+      MatrixXd& block = out_.block.on_robot[w];
+      block.conservativeResize(Eigen::NoChange, block.cols() + 1);
+      block.rightCols<1>() = surface.scale * columns[w];
     }
   }
 
@@ -278,6 +351,7 @@ FeatureSet FarFromAFit(const FeatureSet& features) {
     kept.push_back(static_cast<Eigen::Index>(c));
     out.features.push_back(f), out.block.joint.push_back(f.joint);
   }
+  out.surfaces = features.surfaces, out.block.on_robot = features.block.on_robot;
   for (const MatrixXd& phi : features.block.phi) out.block.phi.push_back(phi(kept, Eigen::all));
   return out;
 }

@@ -2,6 +2,8 @@
 // first order. Effects with a shape have one per value of a grid (`shape`).
 #pragma once
 
+#include <map>
+#include <string>
 #include <vector>
 
 #include "common/effects/inference.h"
@@ -15,6 +17,12 @@ struct Feature {
   int other = -1;    // the joint whose effort it is proportional to, for couplings
   double shape = 0;  // grid value: a speed, a delay, a limit, cycles per revolution, …
   double scale = 1;  // coefficient of one unit of prior: coefficient = scale · standardised one
+};
+
+// A surface that the robot meets, per unit of stiffness (effects/contact.h).
+struct SurfaceFeature {
+  std::map<std::string, std::string> options;  // its normal, and the point that meets it
+  double height = 0, scale = 1;
 };
 
 // Typical magnitudes of the recorded motion, n each.
@@ -34,7 +42,8 @@ MotionScales ScalesOf(const FitData& data, const sim::Plant& plant);
 
 struct FeatureSet {
   std::vector<Feature> features;
-  FeatureBlock block;  // standardised: a coefficient of 1 is one prior stddev
+  std::vector<SurfaceFeature> surfaces;  // on the whole robot
+  FeatureBlock block;                    // standardised: a coefficient of 1 is one prior stddev
 };
 // Without those of effects that show around a model that fits alone.
 FeatureSet FarFromAFit(const FeatureSet& features);

@@ -67,13 +67,13 @@ std::vector<VectorXd> StepRuleResiduals(const FitData& data, const FitModel& mod
 
 namespace {
 
-// Neighbouring columns that act on one joint, as combinations of unit torques there, one for each interval
-// between nodes. What torques do is linear: a window's rows, a few for each interval and joint, meet the unit
-// torques alone, and the columns, of which there are far more, these.
+// Neighbouring columns that act on one joint or on all, as combinations of unit torques there, one for each
+// interval between nodes. What torques do is linear: a window's rows, a few for each interval and joint, meet
+// the unit torques alone, and the columns, of which there are far more, these.
 struct JointColumns {
-  int joint;
+  int joint;        // −1: all
   long at;          // place of the first one
-  RowMatrixXd phi;  // intervals × columns
+  RowMatrixXd phi;  // intervals (of joint after joint) × columns
 };
 
 // Columns that act on these joints; phi: columns × intervals. `at`: place of the first one.
@@ -89,10 +89,13 @@ void Append(const std::vector<int>& joint, const MatrixXd& phi, long at, std::ve
 // One window linearised in parameters and unit torques, its start eliminated from what it returns.
 class UnitResponses {
  public:
-  UnitResponses(long parameters, long intervals, const std::vector<JointColumns>& columns)
+  UnitResponses(long parameters, long intervals, int joints, const std::vector<JointColumns>& columns)
       : P_(parameters), N_(intervals), columns_(columns) {
-    for (const JointColumns& c : columns) {
-      if (std::ranges::count(joints_, c.joint) == 0) joints_.push_back(c.joint);
+    const auto acts = [&](int j) {
+      return std::ranges::any_of(columns, [&](const JointColumns& c) { return c.joint == j || c.joint < 0; });
+    };
+    for (int j = 0; j < joints; ++j) {
+      if (acts(j)) joints_.push_back(j);
     }
   }
 
@@ -130,11 +133,11 @@ class UnitResponses {
     for (const JointColumns& c : columns_) {
       const long C = c.phi.cols();
       RowMatrixXd half = RowMatrixXd::Zero(own.rows(), C);
-      AddProduct(own.middleCols(UnitsOf(c), N_), c.phi, 1.0, half);
+      AddProduct(own.middleCols(UnitsOf(c), c.phi.rows()), c.phi, 1.0, half);
       gram->block(c.at, 0, C, P_) += half.topRows(P_).transpose();
       for (const JointColumns& d : columns_) {
         if (d.at < c.at) continue;
-        AddTransposedProduct(d.phi, half.middleRows(UnitsOf(d), N_), 1.0,
+        AddTransposedProduct(d.phi, half.middleRows(UnitsOf(d), d.phi.rows()), 1.0,
                              gram->block(d.at, c.at, d.phi.cols(), C));
       }
     }
@@ -151,14 +154,15 @@ class UnitResponses {
     RowMatrixXd out = RowMatrixXd::Zero(size, rows.cols());
     out.topRows(P_) = own.topRows(P_);
     for (const JointColumns& c : columns_)
-      AddTransposedProduct(c.phi, own.middleRows(UnitsOf(c), N_), 1.0, out.middleRows(c.at, c.phi.cols()));
+      AddTransposedProduct(c.phi, own.middleRows(UnitsOf(c), c.phi.rows()), 1.0,
+                           out.middleRows(c.at, c.phi.cols()));
     return out;
   }
 
  private:
-  // Place of the first unit torque on that joint, joint after joint.
+  // Place of the first unit torque on that joint or on all, joint after joint.
   long UnitsOf(const JointColumns& c) const {
-    return P_ + N_ * (std::ranges::find(joints_, c.joint) - joints_.begin());
+    return c.joint < 0 ? P_ : P_ + N_ * (std::ranges::find(joints_, c.joint) - joints_.begin());
   }
 
   // Calls fn(first row, rows, columns that act by then).
@@ -227,7 +231,9 @@ Screened LinearisedOnce(const FitData& data, const FitModel& model, const NodeSt
     const NodeWindow& window = data.windows[w];
     // Parameters, features, the residual, the segments of the force, joint after joint.
     std::vector<JointColumns> columns;
-    if (C > 0) Append(features.joint, features.phi[w], P, &columns);
+    if (!features.joint.empty()) Append(features.joint, features.phi[w], P, &columns);
+    if (!features.on_robot.empty())
+      columns.push_back({-1, P + std::ssize(features.joint), features.on_robot[w]});
     std::vector<std::vector<long>> segments;  // places, by joint
     long S = 0;
     for (const int on : force.joints) {
@@ -237,7 +243,7 @@ Screened LinearisedOnce(const FitData& data, const FitModel& model, const NodeSt
       std::iota(segments.back().begin(), segments.back().end(), D + S);
       S += std::ssize(own.joint);
     }
-    UnitResponses units(P, std::ssize(window.t) - 1, columns);
+    UnitResponses units(P, std::ssize(window.t) - 1, data.n, columns);
     if (!units.Run(lin, worker, w, states[w])) return;
     const long M = units.rows();
     rows[w] = static_cast<int>(M), unknowns[w] = S;

@@ -14,11 +14,14 @@
 
 namespace rg::diagnosis {
 
-// Forces per unit coefficient: phi[w] is C × N (per window, feature, interval); joint: C.
+// Forces per unit coefficient: on one joint each, and on all joints at once, which follow these.
 struct FeatureBlock {
-  std::vector<int> joint;
-  std::vector<MatrixXd> phi;
-  int size() const { return static_cast<int>(joint.size()); }
+  std::vector<int> joint;          // C
+  std::vector<MatrixXd> phi;       // C × N (per window, feature, interval)
+  std::vector<MatrixXd> on_robot;  // n·N × R, intervals of joint after joint; empty: none
+  int size() const {
+    return static_cast<int>(joint.size()) + (on_robot.empty() ? 0 : static_cast<int>(on_robot[0].cols()));
+  }
 };
 
 // Normal equations in (θ, features, residual), e_0 eliminated, whitened and divided by the noise scale:

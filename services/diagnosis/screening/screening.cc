@@ -32,6 +32,7 @@ struct Group {
   std::vector<std::vector<int>> columns;
   std::vector<double> scale;  // coefficient in SI per standardised unit
   double shape = 0, shape_end = 0;
+  std::map<std::string, std::string> options = {};
   double search = 0;  // log of the number of shapes tried
   bool positive = false;
   bool load = false;                  // the first coefficient is a mass
@@ -128,8 +129,9 @@ class Scorer {
   double ScaleOf(int place) const {
     for (size_t c = 0; c < place_.size(); ++c) {
       if (place_[c] != place) continue;
-      return static_cast<int>(c) < feature_start_ ? columns_[c].prior_stddev
-                                                  : features_.features[c - feature_start_].scale;
+      if (static_cast<int>(c) < feature_start_) return columns_[c].prior_stddev;
+      const size_t i = c - static_cast<size_t>(feature_start_), joint_features = features_.features.size();
+      return i < joint_features ? features_.features[i].scale : features_.surfaces[i - joint_features].scale;
     }
     return 1;
   }
@@ -163,7 +165,19 @@ class Scorer {
       }
       if (n_ > 1 && own.terms.size() == 1 && (own.common || own.of_every_drive)) AllJointGroups(effect, own);
     }
+    SurfaceGroups();
     ParameterGroups();
+  }
+
+  void SurfaceGroups() {
+    const size_t first = feature_start_ + features_.features.size();
+    for (size_t i = 0; i < features_.surfaces.size(); ++i) {
+      const SurfaceFeature& surface = features_.surfaces[i];
+      Group g{effects::Surface().id, {}, {{place_[first + i]}}, {}, surface.height};
+      g.options = surface.options;
+      g.search = std::log(static_cast<double>(features_.surfaces.size()));
+      Push(g);
+    }
   }
 
   void JointGroups(const EffectInfo& effect, const Inference& own, int j) {
@@ -310,7 +324,8 @@ class Scorer {
   // `c`: standardised coefficients of the group.
   static Scored Found(const Group& g, const VectorXd& c) {
     Scored s;
-    s.effect = g.effect, s.joints = g.joints, s.shape = g.shape, s.shape_end = g.shape_end;
+    s.effect = g.effect, s.joints = g.joints, s.options = g.options;
+    s.shape = g.shape, s.shape_end = g.shape_end;
     for (long k = 0; k < c.size(); ++k) s.coefficients.push_back(c[k] * g.scale[k]);
     return s;
   }

@@ -47,8 +47,11 @@ ScreenResult ForwardStep::Screen(const Candidate& current) {
 }
 
 FeatureSet ForwardStep::FeaturesOn(const std::vector<uint32_t>& places) const {
-  FeatureSet out{features_.features, {features_.block.joint, {}}};
-  for (const uint32_t i : places) out.block.phi.push_back(features_.block.phi[i]);
+  FeatureSet out{features_.features, features_.surfaces, {features_.block.joint, {}, {}}};
+  for (const uint32_t i : places) {
+    out.block.phi.push_back(features_.block.phi[i]);
+    out.block.on_robot.push_back(features_.block.on_robot[i]);
+  }
   return out;
 }
 

@@ -67,7 +67,7 @@ class TrialBuilder {
     const std::string& held = effects::EffectOf(effects::Role::kBodyInertia).id;
     if (!from_.base && data_.n > 1 && !Has(held)) Push(BodyStarts(held, nominal_, scales_));
     const bool promised = least_gain > 1.0;
-    // No screen promises what touches the robot from outside.
+    // No screen promises what pushes the robot from outside.
     if (!promised || HasHiddenStates(from_)) FromOutside(force);
     if (promised) {
       Nearest(effects::Spring().id, SprungJoints(least_gain));
@@ -123,15 +123,13 @@ class TrialBuilder {
   }
 
   void FromOutside(const std::function<MissingForce()>& force) {
-    const bool touched = Has(effects::Surface().id), pushed = Has(effects::Push().id);
-    if (!from_.fit.ok || (touched && pushed)) return;
+    if (!from_.fit.ok || Has(effects::Push().id)) return;
     const MissingForce missing = force();
     // What one force over two positions leaves tells what a mass that swings would have to better.
     if (from_.specs.empty() && !from_.base && data_.n > 1) {
       if (const auto surface = FieldPairStart({data_, nominal_, scales_}, missing)) Push({{*surface}});
     }
-    if (!touched) Push(ContactStarts(data_, nominal_, missing, from_.base ? 2 : 3));
-    if (!pushed) Push(PushStarts(data_, nominal_, missing));
+    Push(PushStarts(data_, nominal_, missing));
   }
 
   std::vector<int> AllJoints() const {

@@ -79,17 +79,50 @@ TEST(Screening, HasTheGramMatrixOfItsColumnsThemselves) {
     const Screen screen = MakeScreen(p->data, model, states, features.block, {}, {}, 0, Rng(5));
     Lineariser lin(p->data, model, true, {});
     MatrixXd gram = MatrixXd::Zero(screen.gram.rows(), screen.gram.cols());
+    const auto C = std::ssize(features.block.joint), P = lin.P() + C;
     for (size_t w = 0; w < p->data.windows.size(); ++w) {
+      // A column on the robot is the sum of its forces on each joint.
+      const MatrixXd &phi = features.block.phi[w], &on_robot = features.block.on_robot[w];
+      const auto N = phi.cols(), R = on_robot.cols();
+      ASSERT_GT(R, 0);
+      std::vector<int> joint = features.block.joint;
+      MatrixXd all(C + 2 * R, N);
+      all.topRows(C) = phi;
+      for (const int j : {0, 1}) {
+        joint.insert(joint.end(), R, j);
+        all.middleRows(C + j * R, R) = on_robot.middleRows(j * N, N).transpose();
+      }
       Linear l;
-      lin.Run(0, static_cast<int>(w), states[w], &features.block.joint, &features.block.phi[w], false, &l);
+      lin.Run(0, static_cast<int>(w), states[w], &joint, &all, false, &l);
       ASSERT_TRUE(l.ok);
-      RowMatrixXd rest = l.rows.rightCols(l.rows.cols() - l.nx);
+      RowMatrixXd rest(l.rows.rows(), P + R + 1);
+      rest.leftCols(P) = l.rows.middleCols(l.nx, P);
+      rest.middleCols(P, R) = l.rows.middleCols(l.nx + P, R) + l.rows.middleCols(l.nx + P + R, R);
+      rest.rightCols<1>() = l.rows.rightCols<1>();
       ProjectOut(l.J_e(), &rest);
       gram += rest.transpose() * rest;
     }
     const VectorXd size = gram.diagonal().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
     EXPECT_LT((size.asDiagonal() * (screen.gram - gram) * size.asDiagonal()).cwiseAbs().maxCoeff(), 1e-8);
   }
+}
+
+TEST(Screening, FindsTheSurfaceAndThePointThatMeetsItBesideFriction) {
+  // The forearm's own origin, the elbow, is what meets the floor.
+  EffectSpec floor = MakeSpec("contact", {}, {{"stiffness", 60}, {"damping", 1}, {"height", 0.5}});
+  floor.options["point"] = "last_link";
+  const auto joints = sysid::testing::LoadPlant("arm2").joint_names();
+  const auto p = Prepare("arm2", {floor, MakeSpec("viscous_friction", {joints[1]}, {{"viscous", 0.01}})}, 5);
+  const ScreenResult r = Screened(*p, {}, {});
+  const Scored& named =
+      *std::ranges::find_if(r.hypotheses, [](const Scored& h) { return !IsUnnamed(h.effect); });
+  EXPECT_EQ(named.effect, "contact");
+  ASSERT_FALSE(r.pairs.empty());
+  EXPECT_TRUE(Holds(r.pairs.front(), "contact", {}));
+  const TrialSpecs start = SpecsFor(named, p->nominal, p->scales).front();
+  EXPECT_EQ(start[0].options, floor.options);
+  EXPECT_NEAR(effects::ValueOf(start[0], "stiffness"), 60, 20);
+  EXPECT_NEAR(effects::ValueOf(start[0], "height"), 0.5, 0.02);
 }
 
 TEST(Screening, FindsTwoEffectsTogetherAndTheirStrengths) {
@@ -151,7 +184,7 @@ TEST(Screening, IntegratesOutWhatFeaturesOfEachSegmentWouldBe) {
     return MakeScreens(force, p->data, model, states, features.block, options, 20, Rng(5));
   };
   const std::vector<Screen> beside = screens(1), again = screens(3);
-  const auto C = features.block.size(), P = static_cast<int>(parameters.size());
+  const auto C = std::ssize(features.block.joint), P = std::ssize(parameters);
   for (const int on : {0, 1}) {
     EXPECT_TRUE(beside[on].gram == again[on].gram && beside[on].null == again[on].null) << "by threads";
     FeatureBlock block = features.block;
@@ -192,7 +225,7 @@ TEST(Screening, DrawsTheNullBesideAnyForceWithTheGramMatrixAsCovariance) {
   const FitModel model{p->nominal, p->nominal.parameters().Nominal(), {}};
   const NodeStates states = InitialStates(p->data, model, {});
   const FeatureSet features = MakeFeatures(p->data, p->nominal, p->scales);
-  FeatureBlock one{{features.block.joint.front()}, {}};
+  FeatureBlock one{{features.block.joint.front()}, {}, {}};
   for (const MatrixXd& phi : features.block.phi) one.phi.push_back(phi.topRows(1));
   const int draws = 4000;
   const FreeForce force{{0, 1}, p->scales.torque};

@@ -93,23 +93,6 @@ TEST(RipplesAcrossLags, MoveToTheOtherSideWhereTheDriveLags) {
   EXPECT_EQ(KeyOf(RipplesAcrossLags(across)), KeyOf({ripple, lag}));
 }
 
-TEST(ContactStarts, FindsTheSurfaceAndThePointThatMeetsIt) {
-  // The forearm's own origin, the elbow, is what meets the floor.
-  EffectSpec floor = MakeSpec("contact", {}, {{"stiffness", 60}, {"damping", 1}, {"height", 0.55}});
-  floor.options["point"] = "last_link";
-  const auto c = Case::Of("arm2", {floor}, 5);
-  const auto starts = ContactStarts(c->data, c->nominal, c->Missing(), 2);
-  ASSERT_FALSE(starts.empty());
-  const EffectSpec& best = starts[0][0];
-  ASSERT_TRUE(best.options.count("point"));
-  EXPECT_EQ(best.options.at("point"), "last_link");
-  EXPECT_FALSE(best.options.count("normal"));  // z
-  const FitResult fit = c->FitOf(starts[0]);
-  ASSERT_TRUE(fit.ok);
-  EXPECT_LT(PerRow(fit), 1.1);
-  EXPECT_GT(PerRow(c->FitOf({})), 2.0);
-}
-
 TEST(PushStarts, FindsAForceInItsWindow) {
   const auto c = Case::Of("mico2",
                           {MakeSpec("external_disturbance", {},
