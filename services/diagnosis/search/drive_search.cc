@@ -211,16 +211,7 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
     std::erase_if(others, [&](const TrialSpecs& o) {
       return HasKind(o, kDry) || CountOf(o, id) != CountOf(best->specs, id) + CountOf(best->specs, kDry);
     });
-    Candidate other = *best;
-    fits_.TryInPlace(others, &other);
-    // One joint on which the law does not hold is no reason against all others.
-    for (const TrialSpecs& o : others) {
-      const Candidate* refused = fits_.Known(o, best->base);
-      if (refused == nullptr || refused->fit.ok) continue;
-      const Candidate seen = Seen(*refused, best->base);
-      if (seen.score > other.score) other = seen;
-    }
-    return other;
+    return InPlace(others, *best);
   };
   const Candidate drops = with(kDropping);
   const Candidate either_way = with(kEitherWay);
@@ -248,6 +239,36 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
     }
   }
   if (Left(drops) < kWorthwhile * Left(*best)) *best = drops;
+}
+
+// The best of these in the place of `c`. One joint on which a law does not hold is no reason against all
+// others.
+Candidate DriveSearch::InPlace(const std::vector<TrialSpecs>& others, const Candidate& c) {
+  Candidate best = c;
+  fits_.TryInPlace(others, &best);
+  for (const TrialSpecs& other : others) {
+    const Candidate* refused = fits_.Known(other, c.base);
+    if (refused == nullptr || refused->fit.ok) continue;
+    const Candidate seen = Seen(*refused, c.base);
+    if (seen.score > best.score) best = seen;
+  }
+  return best;
+}
+
+void DriveSearch::Reconsider(Candidate* best) {
+  if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
+  std::vector<TrialSpecs> laws;
+  for (const std::string& law : {kDry, kDropping, kEitherWay}) {
+    TrialSpecs all = Refreshed(*best);
+    for (EffectSpec& s : all) {
+      const bool dry = effects::IsIn(effects::Slot::kDryFriction, s.id) && !IsGiven(s);
+      if (dry && s.id != law) s = Exchanged(s, law, setting_.nominal, setting_.scales);
+    }
+    if (KeyOf(all) != KeyOf(best->specs)) laws.push_back(std::move(all));
+  }
+  const Candidate other = InPlace(laws, *best);
+  if (other.score > best->score + kExchange) *best = other;
+  Late(best);
 }
 
 // One law, as a sensor that reads off or a tilted base, may pull on several joints as constant forces do:

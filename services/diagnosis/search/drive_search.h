@@ -26,6 +26,9 @@ class DriveSearch {
   // Lag or delay of all drives, in the place of other timing effects, where that leaves half of the excess at
   // most; both where more is left and the acceptance rule allows both.
   void Late(Candidate* best);
+  // Another law of dry friction on all joints, where that scores better, and how late the drives are: both
+  // were chosen before what `best` has beside them was known.
+  void Reconsider(Candidate* best);
 
  private:
   bool LossesShow() const;
@@ -33,6 +36,7 @@ class DriveSearch {
   Candidate Seen(const Candidate& c, bool base);
   void Couple(Candidate* best);
   void OtherDryLaw(Candidate* best);
+  Candidate InPlace(const std::vector<TrialSpecs>& others, const Candidate& c);
   bool TakeOneLaw(const Candidate& directed, Candidate* best);
   void LawOnEachJoint(Candidate* best);
   bool TakeNearest(const std::map<std::string, Candidate>& before, Candidate* best) const;

@@ -206,8 +206,8 @@ class Search {
     state_.TellOfRound("screen", KeyOf(best->specs));
     Candidate winner = *best, stepped = *best, sprung = *best, laws = *best;
     const bool done = state_.round == 1 &&
-                      (ExplainedByEarlier(*best, &winner) || further_.ByLaws(*best, false, &laws, &winner) ||
-                       Located(*best, true, &winner) || further_.ByLaws(*best, true, &laws, &winner) ||
+                      (ExplainedByEarlier(*best, &winner) || ExplainedByLaws(*best, false, &laws, &winner) ||
+                       Located(*best, true, &winner) || ExplainedByLaws(*best, true, &laws, &winner) ||
                        UnseenBesideLaws(*best, &winner, &sprung) || Located(*best, false, &winner));
     // What an unnamed force leaves where any force leaves nothing is its grid's coarseness.
     if (state_.HasForceInPlace(winner)) {
@@ -221,6 +221,19 @@ class Search {
     if (!done) winner = Better(winner, sprung);
     Refine(best, &winner);
     return Accept(winner, best);
+  }
+
+  // Whether laws of what is recorded explain what is missing; else `laws` is the best of them. Which law of
+  // friction the drives have, and how late they are, was chosen while that was missing, and may be another
+  // one beside it.
+  bool ExplainedByLaws(const Candidate& best, bool base, Candidate* laws, Candidate* winner) {
+    if (further_.ByLaws(best, base, laws, winner)) return true;
+    if (!state_.ordinary || !(fits_.Excess(*laws) < kPartly * fits_.Excess(best)) || fits_.Late())
+      return false;
+    drives_.Reconsider(laws);
+    if (!step_.ExplainedByLaws(best, *laws, state_.Threshold(best, *laws))) return false;
+    *winner = *laws;
+    return true;
   }
 
   // Whether what no screen sees explains what is missing, alone or beside laws: while it is missing too, none
