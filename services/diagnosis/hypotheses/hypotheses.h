@@ -25,8 +25,8 @@ struct Scored {
   double chi2 = 0;          // reduction of χ²
   double step_rule = 0;     // nats that the effect would gain if another step rule had made the recordings
   double shape = 0, shape_end = 0;
-  std::map<std::string, std::string> options;
-  std::vector<double> coefficients;  // per column of the effect, SI, joint after joint
+  std::map<std::string, std::string> options;  // of a surface
+  std::vector<double> coefficients;            // per column of the effect, SI, joint after joint
 };
 
 // What is typical of a joint's motion; of the robot's for -1.

@@ -21,7 +21,8 @@ namespace {
 constexpr double kSharpSpan = 0.01;   // s: a motion smoothed over more has lost a spring's resonance
 constexpr double kNarrowBand = 0.1;   // of the least quantile of |effort|
 constexpr double kLeastReach = 1e-4;  // m, of a point that meets a surface
-constexpr double kHeights[] = {0.01, 0.03, 0.08, 0.14, 0.2, 0.27, 0.35, 0.45, 0.6, 0.75};  // quantiles of what it reaches
+// Quantiles of what it reaches.
+constexpr double kHeights[] = {0.01, 0.03, 0.08, 0.14, 0.2, 0.27, 0.35, 0.45, 0.6, 0.75};
 
 double Quantile(std::vector<double> x, double p) {
   if (x.empty()) return 0;
@@ -241,15 +242,18 @@ class Builder {
           const ArrayXd x = effects::Contact::Sign(normal) * m.position.row(effects::Contact::Axis(normal));
           along.insert(along.end(), x.begin(), x.end());
         }
-        const auto [low, high] = std::ranges::minmax(along);
-        if (high - low < kLeastReach) continue;
-        for (const double p : kHeights) AddSurface({options, Quantile(along, p)}, normal, motions);
+        std::ranges::sort(along);
+        if (along.back() - along.front() < kLeastReach) continue;
+        for (const double p : kHeights) {
+          const double height = along[static_cast<size_t>(p * static_cast<double>(along.size()))];
+          AddSurface({options, height}, normal, motions);
+        }
       }
     }
   }
 
-  // What it does to the joints, on average over intervals; its scale makes half the torque of one joint, and
-  // less on others.
+  // What it does to the joints, on average over intervals; its scale makes half of each joint's torque, in
+  // the quadratic mean of all.
   void AddSurface(SurfaceFeature surface, int normal, const std::vector<PointMotion>& motions) {
     const double unit[] = {1, 0, surface.height};
     const int axis = effects::Contact::Axis(normal), sign = effects::Contact::Sign(normal);
@@ -264,15 +268,22 @@ class Builder {
         const auto [first, some] = rows[static_cast<size_t>(k)];
         for (int i = first; i < first + some; ++i) {
           const double force = sign * effects::Contact::Push<double>(unit, sign * m.position(axis, i), 0.0);
+          if (force == 0) continue;
           mean.row(k) += force / some * m.jacobian[static_cast<size_t>(axis)].col(i).transpose();
         }
       }
       squares += mean.colwise().squaredNorm().transpose(), count += static_cast<double>(mean.rows());
       columns.push_back(mean.reshaped());
     }
-    const double most = (squares / std::max(1.0, count)).cwiseSqrt().cwiseQuotient(s_.torque).maxCoeff();
-    if (!(most > 1e-12) || !std::isfinite(most)) return;
-    surface.scale = 0.5 / most;
+    // Nothing acts on joints whose motion is prescribed.
+    double shares = 0, joints = 0;
+    for (int j = 0; j < data_.n; ++j) {
+      if (plant_.IsPrescribed(j)) continue;
+      shares += squares[j] / count / (s_.torque[j] * s_.torque[j]), ++joints;
+    }
+    const double share = std::sqrt(shares / std::max(1.0, joints));
+    if (!(share > 1e-12) || !std::isfinite(share)) return;
+    surface.scale = 0.5 / share;
     out_.surfaces.push_back(surface);
     for (size_t w = 0; w < columns.size(); ++w) {
       MatrixXd& block = out_.block.on_robot[w];
@@ -354,6 +365,11 @@ FeatureSet FarFromAFit(const FeatureSet& features) {
   out.surfaces = features.surfaces, out.block.on_robot = features.block.on_robot;
   for (const MatrixXd& phi : features.block.phi) out.block.phi.push_back(phi(kept, Eigen::all));
   return out;
+}
+
+FeatureSet WithoutSurfaces(FeatureSet features) {
+  features.surfaces.clear(), features.block.on_robot.clear();
+  return features;
 }
 
 FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales) {

@@ -47,6 +47,7 @@ struct FeatureSet {
 };
 // Without those of effects that show around a model that fits alone.
 FeatureSet FarFromAFit(const FeatureSet& features);
+FeatureSet WithoutSurfaces(FeatureSet features);
 // Signatures of the effects that the joints of `plant` take.
 FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales);
 

@@ -9,7 +9,7 @@ namespace rg::diagnosis {
 
 struct FreeForce {
   std::vector<int> joints;
-  VectorXd prior;          // n: stddev of a segment's value
+  VectorXd prior;  // n: stddev of a segment's value
   double segment_s = 0.05;
 };
 

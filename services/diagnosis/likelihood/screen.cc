@@ -70,14 +70,14 @@ namespace {
 // Neighbouring columns that act on one joint or on all, as combinations of unit torques there, one for each
 // interval between nodes. What torques do is linear: a window's rows, a few for each interval and joint, meet
 // the unit torques alone, and the columns, of which there are far more, these.
-struct JointColumns {
+struct ColumnsOn {
   int joint;        // −1: all
   long at;          // place of the first one
   RowMatrixXd phi;  // intervals (of joint after joint) × columns
 };
 
 // Columns that act on these joints; phi: columns × intervals. `at`: place of the first one.
-void Append(const std::vector<int>& joint, const MatrixXd& phi, long at, std::vector<JointColumns>* out) {
+void Append(const std::vector<int>& joint, const MatrixXd& phi, long at, std::vector<ColumnsOn>* out) {
   for (auto first = joint.begin(); first != joint.end();) {
     const auto last = std::find_if(first, joint.end(), [&](int j) { return j != *first; });
     const long c = first - joint.begin();
@@ -89,10 +89,10 @@ void Append(const std::vector<int>& joint, const MatrixXd& phi, long at, std::ve
 // One window linearised in parameters and unit torques, its start eliminated from what it returns.
 class UnitResponses {
  public:
-  UnitResponses(long parameters, long intervals, int joints, const std::vector<JointColumns>& columns)
+  UnitResponses(long parameters, long intervals, int joints, const std::vector<ColumnsOn>& columns)
       : P_(parameters), N_(intervals), columns_(columns) {
     const auto acts = [&](int j) {
-      return std::ranges::any_of(columns, [&](const JointColumns& c) { return c.joint == j || c.joint < 0; });
+      return std::ranges::any_of(columns, [&](const ColumnsOn& c) { return c.joint == j || c.joint < 0; });
     };
     for (int j = 0; j < joints; ++j) {
       if (acts(j)) joints_.push_back(j);
@@ -130,15 +130,21 @@ class UnitResponses {
   void AddGramTo(double s, RowMatrixXd* gram) const {
     const RowMatrixXd own = Gram(s);
     gram->topLeftCorner(P_, P_) += own.topLeftCorner(P_, P_);
-    for (const JointColumns& c : columns_) {
+    for (const ColumnsOn& c : columns_) {
       const long C = c.phi.cols();
       RowMatrixXd half = RowMatrixXd::Zero(own.rows(), C);
       AddProduct(own.middleCols(UnitsOf(c), c.phi.rows()), c.phi, 1.0, half);
       gram->block(c.at, 0, C, P_) += half.topRows(P_).transpose();
-      for (const JointColumns& d : columns_) {
-        if (d.at < c.at) continue;
-        AddTransposedProduct(d.phi, half.middleRows(UnitsOf(d), d.phi.rows()), 1.0,
-                             gram->block(d.at, c.at, d.phi.cols(), C));
+      for (const ColumnsOn& d : columns_) {
+        // Those on all joints meet the others by the units of one joint.
+        const bool mine = c.joint < 0 || (d.joint >= 0 && d.at >= c.at);
+        if (!mine) continue;
+        const auto at_units = half.middleRows(UnitsOf(d), d.phi.rows());
+        if (d.at < c.at) {
+          AddTransposedProduct(at_units, d.phi, 1.0, gram->block(c.at, d.at, C, d.phi.cols()));
+        } else {
+          AddTransposedProduct(d.phi, at_units, 1.0, gram->block(d.at, c.at, d.phi.cols(), C));
+        }
       }
     }
   }
@@ -153,7 +159,7 @@ class UnitResponses {
     for (long i = 0; i < own.rows(); ++i) own.row(order_[i]) = by_time.row(i);
     RowMatrixXd out = RowMatrixXd::Zero(size, rows.cols());
     out.topRows(P_) = own.topRows(P_);
-    for (const JointColumns& c : columns_)
+    for (const ColumnsOn& c : columns_)
       AddTransposedProduct(c.phi, own.middleRows(UnitsOf(c), c.phi.rows()), 1.0,
                            out.middleRows(c.at, c.phi.cols()));
     return out;
@@ -161,7 +167,7 @@ class UnitResponses {
 
  private:
   // Place of the first unit torque on that joint or on all, joint after joint.
-  long UnitsOf(const JointColumns& c) const {
+  long UnitsOf(const ColumnsOn& c) const {
     return c.joint < 0 ? P_ : P_ + N_ * (std::ranges::find(joints_, c.joint) - joints_.begin());
   }
 
@@ -197,7 +203,7 @@ class UnitResponses {
   }
 
   const long P_, N_;
-  const std::vector<JointColumns>& columns_;
+  const std::vector<ColumnsOn>& columns_;
   std::vector<int> joints_;
   Linear linear_;
   RowMatrixXd start_;        // basis of what the start makes
@@ -230,9 +236,9 @@ Screened LinearisedOnce(const FitData& data, const FitModel& model, const NodeSt
   const auto add = [&](int worker, int part, int w) {
     const NodeWindow& window = data.windows[w];
     // Parameters, features, the residual, the segments of the force, joint after joint.
-    std::vector<JointColumns> columns;
+    std::vector<ColumnsOn> columns;
     if (!features.joint.empty()) Append(features.joint, features.phi[w], P, &columns);
-    if (!features.on_robot.empty())
+    if (!features.on_robot.empty() && features.on_robot[w].cols() > 0)
       columns.push_back({-1, P + std::ssize(features.joint), features.on_robot[w]});
     std::vector<std::vector<long>> segments;  // places, by joint
     long S = 0;

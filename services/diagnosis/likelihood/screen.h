@@ -14,7 +14,7 @@
 
 namespace rg::diagnosis {
 
-// Forces per unit coefficient: on one joint each, and on all joints at once, which follow these.
+// Forces per unit coefficient: of C columns on one joint each, and after these of R on all joints at once.
 struct FeatureBlock {
   std::vector<int> joint;          // C
   std::vector<MatrixXd> phi;       // C × N (per window, feature, interval)

@@ -6,6 +6,7 @@
 #include <limits>
 #include <map>
 #include <set>
+#include <tuple>
 
 #include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
@@ -56,13 +57,13 @@ class Scorer {
   }
 
   ScreenResult Run(const Screen& screen) {
-    std::map<std::pair<std::string, std::vector<int>>, Scored> best;
+    std::map<std::tuple<std::string, std::vector<int>, std::map<std::string, std::string>>, Scored> best;
     for (const Group& g : groups_) {
       const Solved solved = Solve(g, G_);
       Scored s = Score(g, solved, b_, true);
       s.step_rule = 0.5 * Score(g, solved, step_rule_, false).chi2;
       if (!std::isfinite(s.gain)) continue;
-      auto [it, fresh] = best.try_emplace({g.effect, g.joints}, s);
+      auto [it, fresh] = best.try_emplace({g.effect, g.joints, g.options}, s);
       if (!fresh && s.gain > it->second.gain) it->second = s;
     }
     ScreenResult out;

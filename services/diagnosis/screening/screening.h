@@ -31,7 +31,7 @@ struct Combination {
 };
 
 struct ScreenResult {
-  std::vector<Scored> hypotheses;  // best first, one per effect and set of joints
+  std::vector<Scored> hypotheses;  // best first, one per effect, set of joints and options
   std::vector<Combination> sets;   // of one effect on several joints, best first
   std::vector<Combination> pairs;  // of two effects, best first
   double null_gain = 0;            // quantile kNullQuantile of the null distribution of the best gain, nats
@@ -39,8 +39,8 @@ struct ScreenResult {
   // not softened, and log evidence without structure prior.
   double chi2 = 0, evidence = 0;
   double unknowns = 0;  // of a force that was integrated out: rows that it fits whatever they are
-  int rows = 0;     // that these are of
-  double work = 0;  // what it cost (lifted_fit.h)
+  int rows = 0;         // that these are of
+  double work = 0;      // what it cost (lifted_fit.h)
 };
 
 // Tests the effects that the joints of `plant` take.

@@ -255,14 +255,16 @@ Candidate DriveSearch::InPlace(const std::vector<TrialSpecs>& others, const Cand
   return best;
 }
 
-void DriveSearch::Reconsider(Candidate* best) {
+void DriveSearch::Reconsider(const Candidate& before, Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
   std::vector<TrialSpecs> laws;
   for (const std::string& law : {kDry, kDropping, kEitherWay}) {
     TrialSpecs all = Refreshed(*best);
     for (EffectSpec& s : all) {
-      const bool dry = effects::IsIn(effects::Slot::kDryFriction, s.id) && !IsGiven(s);
-      if (dry && s.id != law) s = Exchanged(s, law, setting_.nominal, setting_.scales);
+      const bool of_drive = effects::IsIn(effects::Slot::kDryFriction, s.id) && !IsGiven(s) &&
+                            Contains(before.specs, s.id, s.joints[0]);
+      const bool taken = setting_.nominal.Takes(law, setting_.nominal.model().FindJoint(s.joints[0]));
+      if (of_drive && taken && s.id != law) s = Exchanged(s, law, setting_.nominal, setting_.scales);
     }
     if (KeyOf(all) != KeyOf(best->specs)) laws.push_back(std::move(all));
   }

@@ -26,9 +26,9 @@ class DriveSearch {
   // Lag or delay of all drives, in the place of other timing effects, where that leaves half of the excess at
   // most; both where more is left and the acceptance rule allows both.
   void Late(Candidate* best);
-  // Another law of dry friction on all joints, where that scores better, and how late the drives are: both
-  // were chosen before what `best` has beside them was known.
-  void Reconsider(Candidate* best);
+  // Another law of dry friction on all joints, where that scores better, and how late the drives are: in
+  // `before` both were chosen while what `best` has beside them was missing.
+  void Reconsider(const Candidate& before, Candidate* best);
 
  private:
   bool LossesShow() const;

@@ -37,10 +37,12 @@ ScreenResult ForwardStep::Screen(const Candidate& current) {
   const Candidate found = current;
   const bool near = fits_.PerRow(current) < kConsistent;
   const Candidate* far = !base ? nullptr : state_.FoundNothing(current) ? fits_.pieces() : &found;
-  const FeatureSet without_springs = near ? FeatureSet{} : FarFromAFit(features_);
+  FeatureSet some = near ? FeatureSet{} : FarFromAFit(features_);
+  const bool touched = HasKind(current.specs, effects::Surface().id);
+  if (touched) some = WithoutSurfaces(near ? features_ : some);  // a model has one at most
   const LiftedOptions options = fits_.AsFitted(current);
   const ScreenResult screened = ScreenAround(
-      setting_, current, base, near ? &current : far, near ? features_ : without_springs, options,
+      setting_, current, base, near ? &current : far, near && !touched ? features_ : some, options,
       Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rules_[options.step_s]);
   fits_.AddWork(screened.work);
   return screens_.emplace(key, screened).first->second;
@@ -50,7 +52,7 @@ FeatureSet ForwardStep::FeaturesOn(const std::vector<uint32_t>& places) const {
   FeatureSet out{features_.features, features_.surfaces, {features_.block.joint, {}, {}}};
   for (const uint32_t i : places) {
     out.block.phi.push_back(features_.block.phi[i]);
-    out.block.on_robot.push_back(features_.block.on_robot[i]);
+    if (!features_.block.on_robot.empty()) out.block.on_robot.push_back(features_.block.on_robot[i]);
   }
   return out;
 }
@@ -61,9 +63,11 @@ std::vector<ScreenResult> ForwardStep::ScreensBesideForce(const Candidate& curre
   // Along the recorded motion, but at what the model has found.
   const Candidate found = current;
   const Candidate* at = !state_.FoundNothing(current) ? &found : current.base ? fits_.pieces() : nullptr;
-  const std::vector<ScreenResult> screens =
-      ScreensBeside(force, {some, setting_.nominal, setting_.scales}, current, current.base, at,
-                    FarFromAFit(FeaturesOn(places)), fits_.AsFitted(current), Rng(state_.options.seed));
+  const FeatureSet some_features = FarFromAFit(FeaturesOn(places));
+  const std::vector<ScreenResult> screens = ScreensBeside(
+      force, {some, setting_.nominal, setting_.scales}, current, current.base, at,
+      HasKind(current.specs, effects::Surface().id) ? WithoutSurfaces(some_features) : some_features,
+      fits_.AsFitted(current), Rng(state_.options.seed));
   for (const ScreenResult& screened : screens) {
     fits_.AddWork(screened.work);
     state_.trace.Screen(screened, current.base);

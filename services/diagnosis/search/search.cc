@@ -218,7 +218,7 @@ class Search {
     for (const bool base : {false, true})
       decided = decided || fits_.Late() || AddWithInertials(base, *best, &winner, &stepped);
     if (Gains(stepped, winner)) winner = stepped;
-    if (!done) winner = Better(winner, sprung);
+    if (!done) winner = Better(Better(winner, sprung), laws);
     Refine(best, &winner);
     return Accept(winner, best);
   }
@@ -228,9 +228,9 @@ class Search {
   // one beside it.
   bool ExplainedByLaws(const Candidate& best, bool base, Candidate* laws, Candidate* winner) {
     if (further_.ByLaws(best, base, laws, winner)) return true;
-    if (!state_.ordinary || !(fits_.Excess(*laws) < kPartly * fits_.Excess(best)) || fits_.Late())
-      return false;
-    drives_.Reconsider(laws);
+    const bool asked = state_.ordinary && base == best.base && !fits_.Late();
+    if (!asked || !(fits_.Excess(*laws) < kPartly * fits_.Excess(best))) return false;
+    drives_.Reconsider(best, laws);
     if (!step_.ExplainedByLaws(best, *laws, state_.Threshold(best, *laws))) return false;
     *winner = *laws;
     return true;

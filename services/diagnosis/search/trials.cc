@@ -19,6 +19,7 @@ namespace {
 
 constexpr size_t kNearest = 2;        // springs, and play, that are tried of either place of the sensor
 constexpr size_t kSprungJoints = 2;   // on which the screen sees a spring, that are tried
+constexpr size_t kSurfaces = 2;       // of one normal and point each
 constexpr size_t kRotors = 2;         // the largest, behind which a spring is tried
 constexpr double kLeastRotor = 0.01;  // of the joint's inertia, before which play is tried
 constexpr size_t kMostSets = 6;       // of joints, and as many pairs of effects
@@ -103,9 +104,10 @@ class TrialBuilder {
   bool Known(const Scored& h) const { return AlreadyIn(from_, h, nominal_); }
 
   void Singles(double least_gain) {
-    size_t taken = 0, springs = 0;
+    size_t taken = 0, springs = 0, surfaces = 0;
     for (const Scored& h : screened_.hypotheses) {
       if (h.gain < least_gain || taken >= (from_.base ? 10u : 16u) || Known(h)) continue;
+      if (h.effect == effects::Surface().id && surfaces++ >= kSurfaces) continue;
       ++taken;
       const bool sprung = effects::IsIn(effects::Slot::kTransmission, h.effect);
       if (!sprung || springs++ < kSprungJoints) Push(SpecsFor(h, nominal_, scales_));

@@ -485,12 +485,14 @@ TEST(Trials, BeginWithADriveBehindASpringAsLateAsTheOthers) {
       << "it has a lag of its own";
 }
 
-// What touches the robot from outside is no column of a screen, which promises nothing of it.
-TEST(Trials, TryASurfaceBesideHiddenStatesWithoutAPromise) {
-  EffectSpec floor = MakeSpec("contact", {}, {{"stiffness", 60}, {"damping", 1}, {"height", 0.55}});
-  floor.options["point"] = "last_link";
-  const auto c = Case::Of("arm2", {floor}, 5);
-  const auto surfaces = [&](std::vector<EffectSpec> specs) {
+// What pushes the whole robot is no column of a screen, which promises nothing of it.
+TEST(Trials, TryAPushBesideHiddenStatesWithoutAPromise) {
+  const auto c = Case::Of("mico2",
+                          {MakeSpec("external_disturbance", {},
+                                    {{"start", 1.0}, {"end", 2.0}, {"force_x", 1.5}, {"force_z", -2.0}})},
+                          6);
+  const std::string joint = c->nominal.joint_names()[1];
+  const auto pushes = [&](std::vector<EffectSpec> specs) {
     Candidate from;
     from.specs = std::move(specs);
     from.plant = std::make_shared<const sim::Plant>(
@@ -500,11 +502,11 @@ TEST(Trials, TryASurfaceBesideHiddenStatesWithoutAPromise) {
     size_t count = 0;
     for (const TrialSpecs& trial : Trials(
              c->data, c->nominal, c->scales, from, {}, 2.0, [&] { return c->Missing(); }, nearest))
-      count += HasKind(trial, "contact");
+      count += HasKind(trial, "external_disturbance");
     return count;
   };
-  EXPECT_GE(surfaces({MakeSpec("actuator_lag", {"elbow"}, {{"time_constant", 0.01}})}), 1u);
-  EXPECT_EQ(surfaces({MakeSpec("viscous_friction", {"elbow"}, {{"viscous", 0.1}})}), 0u);
+  EXPECT_GE(pushes({MakeSpec("actuator_lag", {joint}, {{"time_constant", 0.01}})}), 1u);
+  EXPECT_EQ(pushes({MakeSpec("viscous_friction", {joint}, {{"viscous", 0.1}})}), 0u);
 }
 
 }  // namespace
