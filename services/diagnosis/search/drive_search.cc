@@ -263,8 +263,9 @@ void DriveSearch::Reconsider(const Candidate& before, Candidate* best) {
     for (EffectSpec& s : all) {
       const bool of_drive = effects::IsIn(effects::Slot::kDryFriction, s.id) && !IsGiven(s) &&
                             Contains(before.specs, s.id, s.joints[0]);
-      const bool taken = setting_.nominal.Takes(law, setting_.nominal.model().FindJoint(s.joints[0]));
-      if (of_drive && taken && s.id != law) s = Exchanged(s, law, setting_.nominal, setting_.scales);
+      if (of_drive && s.id != law &&
+          setting_.nominal.Takes(law, setting_.nominal.model().FindJoint(s.joints[0])))
+        s = Exchanged(s, law, setting_.nominal, setting_.scales);
     }
     if (KeyOf(all) != KeyOf(best->specs)) laws.push_back(std::move(all));
   }

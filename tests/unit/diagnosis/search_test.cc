@@ -9,6 +9,7 @@
 #include "services/diagnosis/data/prepare_data.h"
 #include "services/diagnosis/hypotheses/group_start.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/search/drive_search.h"
 #include "services/diagnosis/search/fit_ledger.h"
 #include "services/diagnosis/search/forward_step.h"
 #include "services/diagnosis/search/search_state.h"
@@ -311,6 +312,35 @@ TEST(ForwardStep, TriesPlayBesideLawsThatStoodForItsMotor) {
   step.AddTransmission(laws, &found);
   EXPECT_TRUE(Contains(found.specs, "backlash", "hinge")) << KeyOf(found.specs);
   EXPECT_LT(state.fits.Excess(found), 0.2 * state.fits.Excess(laws));
+}
+
+// Chosen while the base was taken to stand upright, friction by direction stood for its tilt as well.
+TEST(DriveSearch, ChoosesFrictionAgainBesideALawThatWasMissing) {
+  std::vector<EffectSpec> truth, directed;
+  for (const char* joint : {"shoulder", "elbow"}) {
+    truth.push_back(MakeSpec("stribeck_friction", {joint},
+                             {{"coulomb", 0.15}, {"static", 0.5}, {"stribeck_velocity", 0.3}}));
+    directed.push_back(
+        MakeSpec("asymmetric_friction", {joint}, {{"coulomb_positive", 0.25}, {"coulomb_negative", 0.25}}));
+  }
+  const EffectSpec tilt = MakeSpec("gravity_misalignment", {}, {{"tilt", 0.05}, {"azimuth", 0.3}});
+  truth.push_back(tilt);
+  const auto p = testing::Prepare("arm2", truth, 64);
+  FirstRound round(*p);
+  DriveSearch drives{round.state, round.step};
+  FitLedger& fits = round.state.fits;
+  const Candidate before = fits.Evaluate(directed, false);
+  const Candidate beside = fits.Evaluate(Joined(Refreshed(before), {tilt}), false);
+  ASSERT_TRUE(beside.fit.ok);
+  ASSERT_GT(fits.PerRow(beside), kExplained);
+  Candidate again = beside;
+  drives.Reconsider(before, &again);
+  EXPECT_EQ(KeyOf(again.specs), KeyOf(truth));
+  EXPECT_LT(fits.PerRow(again), kExplained);
+  // What was found beside them is not the drives' own.
+  Candidate own = beside;
+  drives.Reconsider(fits.Evaluate({}, false), &own);
+  EXPECT_TRUE(HasKind(own.specs, "asymmetric_friction")) << KeyOf(own.specs);
 }
 
 TEST(Simplifier, PutsThePlainLawInThePlaceOfARicherOneThatSaysNoMore) {
