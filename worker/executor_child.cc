@@ -13,6 +13,7 @@
 #include "common/base/clock.h"
 #include "common/base/file.h"
 #include "common/base/hash.h"
+#include "common/base/memory.h"
 #include "common/base/utf8.h"
 #include "coordinator/client/client.h"
 #include "realitygrad/v1/executor.pb.h"
@@ -315,6 +316,7 @@ void RunOne(Link& link, const TaskRegistry& registry, const pb::RunTask& run) {
 }  // namespace
 
 int ServeAsExecutor(int fd, const TaskRegistry& registry) {
+  KeepFreedMemory();
   Link link(fd);
   pb::FromExecutor ready;
   ready.mutable_ready();

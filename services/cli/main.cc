@@ -8,6 +8,7 @@
 
 #include "common/base/finite_flags.h"
 #include "common/base/log.h"
+#include "common/base/memory.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
 
@@ -43,6 +44,7 @@ void AddServiceHelp(CLI::App& app) {
 
 int main(int argc, char** argv) {
   if (IsService(argc, argv)) return BecomeService(argv);
+  rg::KeepFreedMemory();
   rg::InitLogging("realitygrad", "warn");
 
   CLI::App app{

@@ -161,15 +161,17 @@ Result<CaseMarks> MarkAnswer(const LabelledSet& set, const std::string& answer_f
   RG_ASSIGN_OR_RETURN(const std::string text, ReadFile(set.label));
   const json label = json::parse(text, nullptr, false);
   if (!label.is_object()) return DataLossError(set.label + ": no JSON object");
+  const auto run = ReadRunRecord(answer_folder);
+  // What was written as the time ran out is no answer: the program was stopped before it had finished.
+  const bool out_of_time = run && run->outcome == RunRecord::Outcome::kOutOfTime;
   const auto said = ReadFile(answer_folder + "/diagnosis.json");
   RG_ASSIGN_OR_RETURN(
       CaseMarks marks,
-      Mark(label, said.ok() ? json::parse(*said, nullptr, false) : json(nullptr), prediction));
+      Mark(label, said.ok() && !out_of_time ? json::parse(*said, nullptr, false) : json(nullptr),
+           prediction));
   marks.name = set.name;
-  if (const auto run = ReadRunRecord(answer_folder)) {
-    marks.seconds = run->cpu_s;
-    if (run->outcome == RunRecord::Outcome::kOutOfTime) marks.reason = OutOfTime(run->limit_s);
-  }
+  if (run) marks.seconds = run->cpu_s;
+  if (out_of_time) marks.reason = OutOfTime(run->limit_s);
   return marks;
 }
 

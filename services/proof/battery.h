@@ -26,7 +26,8 @@ struct LabelledSet {
 Result<std::vector<LabelledSet>> FindLabelledSets(const std::vector<std::string>& folders);
 
 // Marks of ANSWERS/NAME/diagnosis.json; with CPU time, and the reason where there is none, of run.json there.
-// Error: a label that is none.
+// A program that was stopped by its time limit gave no answer, whatever it had written. Error: a label that
+// is none.
 Result<CaseMarks> MarkAnswer(const LabelledSet& set, const std::string& answer_folder,
                              const PredictionMarks& prediction);
 

@@ -353,23 +353,18 @@ MotionScales ScalesOf(const FitData& data, const sim::Plant& plant) {
   return s;
 }
 
-FeatureSet FarFromAFit(const FeatureSet& features) {
+FeatureSet Shown(const FeatureSet& features, bool near, bool surfaces) {
   FeatureSet out;
   std::vector<Eigen::Index> kept;
   for (size_t c = 0; c < features.features.size(); ++c) {
     const Feature& f = features.features[c];
-    if (effects::InferenceOf(effects::LawOf(f.regressor).id).needs_fit) continue;
+    if (!near && effects::InferenceOf(effects::LawOf(f.regressor).id).needs_fit) continue;
     kept.push_back(static_cast<Eigen::Index>(c));
     out.features.push_back(f), out.block.joint.push_back(f.joint);
   }
-  out.surfaces = features.surfaces, out.block.on_robot = features.block.on_robot;
   for (const MatrixXd& phi : features.block.phi) out.block.phi.push_back(phi(kept, Eigen::all));
+  if (surfaces) out.surfaces = features.surfaces, out.block.on_robot = features.block.on_robot;
   return out;
-}
-
-FeatureSet WithoutSurfaces(FeatureSet features) {
-  features.surfaces.clear(), features.block.on_robot.clear();
-  return features;
 }
 
 FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales) {

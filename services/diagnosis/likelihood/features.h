@@ -45,9 +45,9 @@ struct FeatureSet {
   std::vector<SurfaceFeature> surfaces;  // on the whole robot
   FeatureBlock block;                    // standardised: a coefficient of 1 is one prior stddev
 };
-// Without those of effects that show around a model that fits alone.
-FeatureSet FarFromAFit(const FeatureSet& features);
-FeatureSet WithoutSurfaces(FeatureSet features);
+// Those that a screen shows: around a model that fits (`near`) of all effects, else without those that show
+// there alone; surfaces where asked.
+FeatureSet Shown(const FeatureSet& features, bool near, bool surfaces);
 // Signatures of the effects that the joints of `plant` take.
 FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales);
 

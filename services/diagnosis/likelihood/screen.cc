@@ -24,17 +24,20 @@ struct Segments {
   double half_log_det = 0, unknowns = 0;  // of 1 + H; tr H (1 + H)⁻¹
 };
 
-// Of the segments at `own` behind D columns. gram: lower triangle; null: as many rows, of the coefficients'
-// own draws too.
-Segments IntegratedOut(const std::vector<long>& own, long D, const RowMatrixXd& gram,
-                       const RowMatrixXd& null) {
+// Of the segments at `own`. gram: lower triangle; null: as many rows, of the coefficients' own draws too;
+// places: of each of these in the D columns of all windows.
+Segments IntegratedOut(const std::vector<long>& own, const std::vector<long>& places, long D,
+                       const RowMatrixXd& gram, const RowMatrixXd& null) {
   const auto S = std::ssize(own);
   MatrixXd precision = gram(own, own);
   precision = MatrixXd(precision.selfadjointView<Eigen::Lower>());
   precision.diagonal().array() += 1.0;
   const Eigen::LLT<MatrixXd> factor(precision);
-  return {factor.matrixL().solve(MatrixXd(gram(own, Eigen::seqN(0, D)))),
-          factor.matrixL().solve(MatrixXd(null(own, Eigen::all))), HalfLogDet(factor),
+  const long before = std::ranges::lower_bound(places, D) - places.begin();
+  const MatrixXd acting = factor.matrixL().solve(MatrixXd(gram(own, Eigen::seqN(0, before))));
+  RowMatrixXd columns = RowMatrixXd::Zero(S, D);
+  for (long i = 0; i < before; ++i) columns.col(places[i]) = acting.col(i);
+  return {std::move(columns), factor.matrixL().solve(MatrixXd(null(own, Eigen::all))), HalfLogDet(factor),
           static_cast<double>(S) - factor.solve(MatrixXd::Identity(S, S)).trace()};
 }
 
@@ -76,31 +79,72 @@ struct ColumnsOn {
   RowMatrixXd phi;  // intervals (of joint after joint) × columns
 };
 
-// Columns that act on these joints; phi: columns × intervals. `at`: place of the first one.
-void Append(const std::vector<int>& joint, const MatrixXd& phi, long at, std::vector<ColumnsOn>* out) {
-  for (auto first = joint.begin(); first != joint.end();) {
-    const auto last = std::find_if(first, joint.end(), [&](int j) { return j != *first; });
-    const long c = first - joint.begin();
-    out->push_back({*first, at + c, phi.middleRows(c, last - first).transpose()});
-    first = last;
-  }
-}
-
-// One window linearised in parameters and unit torques, its start eliminated from what it returns.
-class UnitResponses {
+// The columns of one window. Those that do nothing in it are left out: of a pulse, a piece of a field, a
+// surface that is not met here.
+class ActingColumns {
  public:
-  UnitResponses(long parameters, long intervals, int joints, const std::vector<ColumnsOn>& columns)
-      : P_(parameters), N_(intervals), columns_(columns) {
-    const auto acts = [&](int j) {
-      return std::ranges::any_of(columns, [&](const ColumnsOn& c) { return c.joint == j || c.joint < 0; });
-    };
-    for (int j = 0; j < joints; ++j) {
-      if (acts(j)) joints_.push_back(j);
+  // Behind the parameters, which have the places 0 … P − 1 in all windows.
+  explicit ActingColumns(long parameters) : places_(static_cast<size_t>(parameters)) {
+    std::iota(places_.begin(), places_.end(), 0);
+  }
+
+  // Columns that act on these joints, of which the first has the place `at` in all windows; phi: columns ×
+  // intervals.
+  void Append(const std::vector<int>& joint, const MatrixXd& phi, long at) {
+    for (size_t first = 0; first < joint.size();) {
+      std::vector<Eigen::Index> acting;
+      size_t c = first;
+      for (; c < joint.size() && joint[c] == joint[first]; ++c) {
+        if (!phi.row(static_cast<Eigen::Index>(c)).isZero(0.0)) acting.push_back(static_cast<long>(c));
+      }
+      Push(joint[first], phi(acting, Eigen::all).transpose(), acting, at);
+      first = c;
     }
   }
 
+  // Columns that act on all joints; phi: intervals of joint after joint × columns.
+  void AppendOnAll(const MatrixXd& phi, long at) {
+    std::vector<Eigen::Index> acting;
+    for (Eigen::Index c = 0; c < phi.cols(); ++c) {
+      if (!phi.col(c).isZero(0.0)) acting.push_back(c);
+    }
+    Push(-1, phi(Eigen::all, acting), acting, at);
+  }
+
+  // A column that has no torques.
+  void Skip(long at) { places_.push_back(at); }
+
+  const std::vector<ColumnsOn>& columns() const { return columns_; }
+  // In all windows, of each here.
+  const std::vector<long>& places() const { return places_; }
+  long size() const { return std::ssize(places_); }
+
+ private:
+  void Push(int joint, RowMatrixXd phi, const std::vector<Eigen::Index>& acting, long at) {
+    if (acting.empty()) return;
+    columns_.push_back({joint, size(), std::move(phi)});
+    for (const Eigen::Index c : acting) places_.push_back(at + c);
+  }
+
+  std::vector<ColumnsOn> columns_;
+  std::vector<long> places_;
+};
+
+// A window linearised in parameters and unit torques, its start eliminated from what it returns. Made once
+// for many windows, whose memory it keeps.
+class UnitResponses {
+ public:
+  UnitResponses(long parameters, int joints) : P_(parameters), all_joints_(joints) {}
+
   // False where it cannot be simulated.
-  bool Run(Lineariser& lin, int worker, int window, const MatrixXd& states) {
+  bool Run(Lineariser& lin, int worker, int window, const MatrixXd& states,
+           const std::vector<ColumnsOn>& columns) {
+    N_ = states.cols() - 1;
+    joints_.clear();
+    for (int j = 0; j < all_joints_; ++j) {
+      if (std::ranges::any_of(columns, [&](const ColumnsOn& c) { return c.joint == j || c.joint < 0; }))
+        joints_.push_back(j);
+    }
     // In the order of time, in which they begin to act.
     const long J = std::ssize(joints_);
     std::vector<int> joint;
@@ -127,19 +171,19 @@ class UnitResponses {
   void Project(RowMatrixXd* of) const { TakeOut(start_, of); }
 
   // Adds the lower triangle of the Gram matrix of parameters and columns, times s.
-  void AddGramTo(double s, RowMatrixXd* gram) const {
-    const RowMatrixXd own = Gram(s);
-    gram->topLeftCorner(P_, P_) += own.topLeftCorner(P_, P_);
-    for (const ColumnsOn& c : columns_) {
+  void AddGramTo(double s, const std::vector<ColumnsOn>& columns, RowMatrixXd* gram) {
+    MakeGram(s);
+    gram->topLeftCorner(P_, P_) += own_.topLeftCorner(P_, P_);
+    for (const ColumnsOn& c : columns) {
       const long C = c.phi.cols();
-      RowMatrixXd half = RowMatrixXd::Zero(own.rows(), C);
-      AddProduct(own.middleCols(UnitsOf(c), c.phi.rows()), c.phi, 1.0, half);
-      gram->block(c.at, 0, C, P_) += half.topRows(P_).transpose();
-      for (const ColumnsOn& d : columns_) {
+      half_.setZero(own_.rows(), C);
+      AddProduct(own_.middleCols(UnitsOf(c), c.phi.rows()), c.phi, 1.0, half_);
+      gram->block(c.at, 0, C, P_) += half_.topRows(P_).transpose();
+      for (const ColumnsOn& d : columns) {
         // Those on all joints meet the others by the units of one joint.
         const bool mine = c.joint < 0 || (d.joint >= 0 && d.at >= c.at);
         if (!mine) continue;
-        const auto at_units = half.middleRows(UnitsOf(d), d.phi.rows());
+        const auto at_units = half_.middleRows(UnitsOf(d), d.phi.rows());
         if (d.at < c.at) {
           AddTransposedProduct(at_units, d.phi, 1.0, gram->block(c.at, d.at, C, d.phi.cols()));
         } else {
@@ -150,7 +194,7 @@ class UnitResponses {
   }
 
   // What parameters and columns say of `rows`, which are projected already: `size` × their number.
-  RowMatrixXd Times(const RowMatrixXd& rows, long size) const {
+  RowMatrixXd Times(const RowMatrixXd& rows, const std::vector<ColumnsOn>& columns, long size) const {
     RowMatrixXd by_time = RowMatrixXd::Zero(std::ssize(order_), rows.cols()), own = by_time;
     ForEachPanel([&](long first, long count, long acting) {
       AddTransposedProduct(linear_.J().block(first, 0, count, acting), rows.middleRows(first, count), 1.0,
@@ -159,7 +203,7 @@ class UnitResponses {
     for (long i = 0; i < own.rows(); ++i) own.row(order_[i]) = by_time.row(i);
     RowMatrixXd out = RowMatrixXd::Zero(size, rows.cols());
     out.topRows(P_) = own.topRows(P_);
-    for (const ColumnsOn& c : columns_)
+    for (const ColumnsOn& c : columns)
       AddTransposedProduct(c.phi, own.middleRows(UnitsOf(c), c.phi.rows()), 1.0,
                            out.middleRows(c.at, c.phi.cols()));
     return out;
@@ -188,26 +232,27 @@ class UnitResponses {
   }
 
   // Of parameters and unit torques, joint after joint, times s.
-  RowMatrixXd Gram(double s) const {
+  void MakeGram(double s) {
     const long B = std::ssize(order_);
-    RowMatrixXd by_time = RowMatrixXd::Zero(B, B), along = RowMatrixXd::Zero(start_.cols(), B), own(B, B);
+    by_time_.setZero(B, B), along_.setZero(start_.cols(), B), own_.resize(B, B);
     ForEachPanel([&](long first, long count, long acting) {
-      AddGram(linear_.J().block(first, 0, count, acting), s, by_time.topLeftCorner(acting, acting));
+      AddGram(linear_.J().block(first, 0, count, acting), s, by_time_.topLeftCorner(acting, acting));
     });
-    AddTransposedProduct(start_, linear_.J(), 1.0, along);
-    AddGram(along, -s, by_time);
+    AddTransposedProduct(start_, linear_.J(), 1.0, along_);
+    AddGram(along_, -s, by_time_);
     for (long i = 0; i < B; ++i) {
-      for (long j = 0; j <= i; ++j) own(order_[i], order_[j]) = own(order_[j], order_[i]) = by_time(i, j);
+      for (long j = 0; j <= i; ++j) own_(order_[i], order_[j]) = own_(order_[j], order_[i]) = by_time_(i, j);
     }
-    return own;
   }
 
-  const long P_, N_;
-  const std::vector<ColumnsOn>& columns_;
-  std::vector<int> joints_;
+  const long P_;
+  const int all_joints_;
+  long N_ = 0;               // intervals
+  std::vector<int> joints_;  // on which a column acts
   Linear linear_;
   RowMatrixXd start_;        // basis of what the start makes
   std::vector<long> order_;  // place of each column, joint after joint
+  RowMatrixXd own_, by_time_, along_, half_;
 };
 
 // The screen without a force, and what a force on each joint of `force` takes from it, window by window.
@@ -233,24 +278,28 @@ Screened LinearisedOnce(const FitData& data, const FitModel& model, const NodeSt
   std::vector<VectorXd> systematic(W);
   std::vector<int> rows(W, 0);
   std::vector<long> unknowns(W, 0);  // of the force
+  const int workers = std::max(1, options.threads);
+  std::vector<UnitResponses> responses(workers, UnitResponses(P, data.n));
+  std::vector<RowMatrixXd> grams(workers);
   const auto add = [&](int worker, int part, int w) {
     const NodeWindow& window = data.windows[w];
     // Parameters, features, the residual, the segments of the force, joint after joint.
-    std::vector<ColumnsOn> columns;
-    if (!features.joint.empty()) Append(features.joint, features.phi[w], P, &columns);
-    if (!features.on_robot.empty() && features.on_robot[w].cols() > 0)
-      columns.push_back({-1, P + std::ssize(features.joint), features.on_robot[w]});
-    std::vector<std::vector<long>> segments;  // places, by joint
-    long S = 0;
+    ActingColumns acting(P);
+    if (!features.joint.empty()) acting.Append(features.joint, features.phi[w], P);
+    if (!features.on_robot.empty()) acting.AppendOnAll(features.on_robot[w], P + std::ssize(features.joint));
+    acting.Skip(D - 1);
+    const long A = acting.size();
+    std::vector<std::vector<long>> segments;  // places in this window, by joint
     for (const int on : force.joints) {
       const ForceSegments own = SegmentsOf({{on}, force.prior, force.segment_s}, window);
-      Append(own.joint, own.phi, D + S, &columns);
-      segments.emplace_back(own.joint.size());
-      std::iota(segments.back().begin(), segments.back().end(), D + S);
-      S += std::ssize(own.joint);
+      const long first = acting.size();
+      acting.Append(own.joint, own.phi, D + first - A);
+      std::vector<long>& places = segments.emplace_back(acting.size() - first);
+      std::iota(places.begin(), places.end(), first);
     }
-    UnitResponses units(P, std::ssize(window.t) - 1, data.n, columns);
-    if (!units.Run(lin, worker, w, states[w])) return;
+    const long S = acting.size() - A;
+    UnitResponses& units = responses[worker];
+    if (!units.Run(lin, worker, w, states[w], acting.columns())) return;
     const long M = units.rows();
     rows[w] = static_cast<int>(M), unknowns[w] = S;
     const RowMatrixXd noise = Draws(M + S, null_draws, rng.Split(static_cast<uint64_t>(w)));
@@ -258,22 +307,26 @@ Screened LinearisedOnce(const FitData& data, const FitModel& model, const NodeSt
     right.col(0) = units.residual(), right.rightCols(null_draws) = noise.topRows(M);
     if (!step_rule.empty()) right.col(1) = step_rule[w];
     units.Project(&right);
-    const RowMatrixXd said = units.Times(right, D + S);
+    const RowMatrixXd said = units.Times(right, acting.columns(), A + S);
     const double whole = 1.0 / options.noise_scale, root = 1.0 / std::sqrt(options.noise_scale);
-    systematic[w] = whole * said.col(1).head(D - 1);
-    RowMatrixXd own_gram, own_null;
-    if (S > 0) own_gram.setZero(D + S, D + S), own_null.setZero(D + S, null_draws);
-    RowMatrixXd& gram = S > 0 ? own_gram : sums[part];
-    RowMatrixXd& null = S > 0 ? own_null : nulls[part];
-    units.AddGramTo(whole, &gram);
-    gram.row(D - 1).head(D - 1) += whole * said.col(0).head(D - 1).transpose();
-    gram.col(D - 1).tail(S) += whole * said.col(0).tail(S);
-    gram(D - 1, D - 1) += whole * right.col(0).squaredNorm();
-    null += root * said.rightCols(null_draws);
-    if (S == 0) return;
+    RowMatrixXd& gram = grams[worker];
+    gram.setZero(A + S, A + S);
+    units.AddGramTo(whole, acting.columns(), &gram);
+    gram.row(A - 1).head(A - 1) += whole * said.col(0).head(A - 1).transpose();
+    gram.col(A - 1).tail(S) += whole * said.col(0).tail(S);
+    gram(A - 1, A - 1) += whole * right.col(0).squaredNorm();
+    RowMatrixXd null = root * said.rightCols(null_draws);
     null.bottomRows(S) += noise.bottomRows(S);
-    sums[part] += gram.topLeftCorner(D, D), nulls[part] += null.topRows(D);
-    for (const std::vector<long>& own : segments) out.taken[w].push_back(IntegratedOut(own, D, gram, null));
+    const std::vector<long>& places = acting.places();
+    systematic[w].setZero(D - 1);
+    for (long i = 0; i < A; ++i) {
+      const long at = places[i];
+      if (i < A - 1) systematic[w][at] = whole * said(i, 1);
+      for (long j = 0; j <= i; ++j) sums[part](at, places[j]) += gram(i, j);
+      nulls[part].row(at) += null.row(i);
+    }
+    for (const std::vector<long>& own : segments)
+      out.taken[w].push_back(IntegratedOut(own, places, D, gram, null));
   };
   sysid::ParallelFor(options.threads, parts, [&](int worker, int part) {
     for (int w = part; w < W; w += parts) add(worker, part, w);

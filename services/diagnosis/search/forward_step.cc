@@ -37,24 +37,19 @@ ScreenResult ForwardStep::Screen(const Candidate& current) {
   const Candidate found = current;
   const bool near = fits_.PerRow(current) < kConsistent;
   const Candidate* far = !base ? nullptr : state_.FoundNothing(current) ? fits_.pieces() : &found;
-  FeatureSet some = near ? FeatureSet{} : FarFromAFit(features_);
-  const bool touched = HasKind(current.specs, effects::Surface().id);
-  if (touched) some = WithoutSurfaces(near ? features_ : some);  // a model has one at most
   const LiftedOptions options = fits_.AsFitted(current);
   const ScreenResult screened = ScreenAround(
-      setting_, current, base, near ? &current : far, near && !touched ? features_ : some, options,
+      setting_, current, base, near ? &current : far, ShownFor(current, near), options,
       Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rules_[options.step_s]);
   fits_.AddWork(screened.work);
   return screens_.emplace(key, screened).first->second;
 }
 
-FeatureSet ForwardStep::FeaturesOn(const std::vector<uint32_t>& places) const {
-  FeatureSet out{features_.features, features_.surfaces, {features_.block.joint, {}, {}}};
-  for (const uint32_t i : places) {
-    out.block.phi.push_back(features_.block.phi[i]);
-    if (!features_.block.on_robot.empty()) out.block.on_robot.push_back(features_.block.on_robot[i]);
-  }
-  return out;
+const FeatureSet& ForwardStep::ShownFor(const Candidate& current, bool near) {
+  const bool surfaces = !HasKind(current.specs, effects::Surface().id);  // a model has one at most
+  const auto [at, fresh] = shown_.try_emplace({near, surfaces});
+  if (fresh) at->second = Shown(features_, near, surfaces);
+  return at->second;
 }
 
 std::vector<ScreenResult> ForwardStep::ScreensBesideForce(const Candidate& current, const FreeForce& force,
@@ -63,11 +58,15 @@ std::vector<ScreenResult> ForwardStep::ScreensBesideForce(const Candidate& curre
   // Along the recorded motion, but at what the model has found.
   const Candidate found = current;
   const Candidate* at = !state_.FoundNothing(current) ? &found : current.base ? fits_.pieces() : nullptr;
-  const FeatureSet some_features = FarFromAFit(FeaturesOn(places));
-  const std::vector<ScreenResult> screens = ScreensBeside(
-      force, {some, setting_.nominal, setting_.scales}, current, current.base, at,
-      HasKind(current.specs, effects::Surface().id) ? WithoutSurfaces(some_features) : some_features,
-      fits_.AsFitted(current), Rng(state_.options.seed));
+  const FeatureSet& shown = ShownFor(current, false);
+  FeatureSet features{shown.features, shown.surfaces, {shown.block.joint, {}, {}}};
+  for (const uint32_t i : places) {
+    features.block.phi.push_back(shown.block.phi[i]);
+    if (!shown.block.on_robot.empty()) features.block.on_robot.push_back(shown.block.on_robot[i]);
+  }
+  const std::vector<ScreenResult> screens =
+      ScreensBeside(force, {some, setting_.nominal, setting_.scales}, current, current.base, at, features,
+                    fits_.AsFitted(current), Rng(state_.options.seed));
   for (const ScreenResult& screened : screens) {
     fits_.AddWork(screened.work);
     state_.trace.Screen(screened, current.base);
@@ -126,7 +125,7 @@ TrialSpecs ForwardStep::WithLaw(const RodStart& start, const ScreenResult& scree
 void ForwardStep::AddRods(const Candidate& from, Candidate* winner) {
   double work = 0;
   const auto rods =
-      ScreenRods(setting_, state_.Force(from), FarFromAFit(features_), fits_.lifted().threads, &work);
+      ScreenRods(setting_, state_.Force(from), ShownFor(from, false), fits_.lifted().threads, &work);
   fits_.AddWork(work);
   if (rods.empty()) return;
   const ScreenResult screened = Screen(from);

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <map>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "services/diagnosis/hypotheses/rod_screen.h"
@@ -21,6 +22,7 @@ class ForwardStep {
   // Before the first screen: regressors along the recorded motion.
   void MakeFeatures() {
     features_ = diagnosis::MakeFeatures(setting_.data, setting_.nominal, setting_.scales);
+    shown_.clear();
   }
   // Screens are kept within a round, and until the noise scale changes.
   void SetRound(int round);
@@ -70,7 +72,8 @@ class ForwardStep {
 
  private:
   TrialSpecs WithLaw(const RodStart& start, const ScreenResult& screened) const;
-  FeatureSet FeaturesOn(const std::vector<uint32_t>& places) const;
+  // What a screen around that model, which fits the recordings if `near`, shows.
+  const FeatureSet& ShownFor(const Candidate& current, bool near);
   void Try(const Candidate& from, const ScreenResult& screened, double least, double needed, size_t count,
            Candidate* winner);
   bool TakesMost(const Candidate& from, const Candidate& found) const;
@@ -79,6 +82,7 @@ class ForwardStep {
   const FitSetting& setting_;
   FitLedger& fits_;
   FeatureSet features_;
+  std::map<std::pair<bool, bool>, FeatureSet> shown_;          // near a fit, with surfaces
   std::map<double, std::vector<Eigen::VectorXd>> step_rules_;  // of a model's own step [s]
   std::map<std::string, ScreenResult> screens_;                // of this round, by model and fit
   int round_ = 0;

@@ -187,6 +187,9 @@ TEST(Prove, DiagnosesAndMarksLabelledSetsAndComparesTwoBuildsAnswers) {
   EXPECT_EQ(json::parse(ReadFile(scratch / "b/battery.json").value())["cases"].size(), 2u);
 
   // A build that says the wrong thing of one set.
+  std::filesystem::copy(
+      scratch / "a/case_000", scratch / "b/case_000",
+      std::filesystem::copy_options::recursive | std::filesystem::copy_options::overwrite_existing);
   json wrong = json::parse(ReadFile(scratch / "a/case_000/diagnosis.json").value());
   wrong["findings"][0]["effect"] = "torque_gain";
   ASSERT_TRUE(WriteFileAtomically(scratch / "b/case_000/diagnosis.json", wrong.dump()).ok());

@@ -73,6 +73,9 @@ TEST_F(Battery, ReadsAnAnswerWithWhatItTook) {
   ASSERT_TRUE(WriteRunRecord(At("a"), {set.folder, "abc", RunRecord::Outcome::kOutOfTime, 30.4, 30}).ok());
   EXPECT_EQ(MarkAnswer(set, At("a"), {})->reason, "no answer in 30 s of CPU time");
   Write("a/diagnosis.json", Answer("coulomb_friction", 0.9).dump());
+  const auto late = MarkAnswer(set, At("a"), {});
+  EXPECT_FALSE(late->diagnosed) << "stopped when it had written this much";
+  EXPECT_EQ(late->reason, "no answer in 30 s of CPU time");
   ASSERT_TRUE(WriteRunRecord(At("a"), {set.folder, "abc", RunRecord::Outcome::kAnswered, 3.5, 30}).ok());
   const auto marks = MarkAnswer(set, At("a"), {});
   EXPECT_EQ(marks->name, "mine");
