@@ -3,8 +3,9 @@
 
 namespace rg {
 
-// For programs that compute: what matrices leave is kept for the next ones, up to 256 MiB, where glibc would
-// give it back to the system at once and touch each page anew. For the whole process, before its threads.
+// For programs that compute: what matrices leave is kept for the next ones (256 MiB, and the heaps of
+// threads), where glibc would give it back to the system at once and touch each page anew. For the whole
+// process, before its threads.
 void KeepFreedMemory();
 
 }  // namespace rg

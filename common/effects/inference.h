@@ -118,7 +118,7 @@ struct Inference {
   Probe probe = Probe::kSweep;
   // Starts of a fit, where they are not the coefficients' sums themselves.
   std::vector<Start> (*starts)(const Found&) = nullptr;
-  // Of about the same strength as another of its slot or family: a level [N·m], a lateness [s].
+  // Of about the same strength as another that it may be taken for: a level [N·m], a lateness [s].
   Values (*of_strength)(double level, double seconds, const JointSize&) = nullptr;
   // Starts of what has hidden states or geometry; `chained`: each of them leads fits to the next.
   std::vector<Start> (*blind)(const Blind&) = nullptr;
@@ -135,6 +135,7 @@ struct Inference {
                                 const JointSize& joint) = nullptr;
   bool swings = false;           // a mass that hangs from the last link
   double rare = 0;               // −log odds beside those of any effect
+  bool may_be_constant = false;  // a constant force, or one while the effort keeps its sign
   bool for_many_bodies = false;  // says in a number or few what other masses take many for
   // Whether it can be what these coefficients of its terms say.
   bool (*plausible)(const std::vector<double>& c) = nullptr;

@@ -41,7 +41,11 @@ struct TorqueDeadband {
             .coefficient = Inference::Near::kOneOrBelowFirst,  // a band that every effort exceeds
             .starts = [](const Found& f) -> std::vector<Start> {
               return {{{{"deadband", std::max(f.c[0] * f.shape, f.least)}}}};
-            }};
+            },
+            .of_strength = [](double level, double, const JointSize&) -> Values {
+              return {{"deadband", level}};
+            },
+            .may_be_constant = true};
   }
 
   template <class S>

@@ -37,8 +37,13 @@ struct TorqueOffset {
 
   static Inference Inferred() {
     return {.terms = {{Regressor::kConstant, {"offset"}}},
+            // Its sign is that of an effort, which nobody says here.
+            .of_strength = [](double, double, const JointSize&) -> Values {
+              return {{"offset", 0.0}};
+            },
             // A dead band whose effort keeps its sign, a tilt and a wrong zero are constant forces, too.
             .rare = 2.0,
+            .may_be_constant = true,
             .for_many_bodies = true};
   }
 

@@ -73,6 +73,8 @@ std::vector<TrialSpecs> Trials(const std::string& effect, const std::vector<std:
   return out;
 }
 
+// Parameters that say how large a force of a constant size is, for a law in the place of another.
+const std::set<std::string> kLevels = {"coulomb", "coulomb_positive", "initial", "offset", "deadband"};
 constexpr double kStatedSpread = 0.5;  // of a value that the user states, its prior's standard deviation
 
 // Whether a joint has one of them at most.
@@ -337,13 +339,14 @@ std::vector<std::string> RicherFrictions() {
 }
 
 std::vector<std::string> SiblingsOf(const std::string& effect) {
-  // A lag may stand beside a delay, and be taken for one.
+  // A lag may stand beside a delay, and be taken for one; so may constant forces.
+  const bool constant = effects::InferenceOf(effect).may_be_constant;
   std::vector<std::string> out;
   for (const effects::EffectInfo& other : effects::Catalog()) {
     const effects::Inference& own = effects::InferenceOf(other.id);
     const bool of_slot = own.slot != Slot::kNone && effects::IsIn(own.slot, effect);
-    if (own.of_strength != nullptr && (of_slot || (IsTiming(effect) && IsTiming(other.id))))
-      out.push_back(other.id);
+    const bool alike = (IsTiming(effect) && IsTiming(other.id)) || (constant && own.may_be_constant);
+    if (own.of_strength != nullptr && (of_slot || alike)) out.push_back(other.id);
   }
   return out;
 }
@@ -353,7 +356,7 @@ EffectSpec Exchanged(const EffectSpec& spec, const std::string& id, const sim::P
   const int j = nominal.model().FindJoint(spec.joints[0]);
   double level = 0.05 * s.torque[j], seconds = 0.01;
   for (const auto& [name, value] : spec.values.begin()->second) {
-    if (name == "coulomb" || name == "coulomb_positive" || name == "initial") level = std::max(level, value);
+    if (kLevels.count(name) > 0) level = std::max(level, std::abs(value));
     if (name == "delay" || name == "time_constant") seconds = value;
   }
   return MakeSpec(id, spec.joints,

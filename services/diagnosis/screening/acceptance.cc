@@ -47,6 +47,15 @@ bool HasOnlyMoreOfDrives(const Candidate& best, const Candidate& c) {
   });
 }
 
+// Whether all kinds of effects that `c` has, `best` has on one joint or another, and all have a name.
+bool HasOnlyKindsOf(const Candidate& best, const Candidate& c) {
+  return !HasUnnamed(c) &&
+         std::ranges::all_of(c.specs, [&](const EffectSpec& s) { return HasKind(best.specs, s.id); });
+}
+
+// The standard deviation of ½ χ².
+double Scatter(const Candidate& c) { return std::sqrt(0.5 * c.fit.rows); }
+
 }  // namespace
 
 void Acceptance::Note(const ScreenResult& screened, const std::vector<std::string>& joint_names) {
@@ -78,8 +87,7 @@ double Acceptance::NeededWithRule(const Candidate& best, double explained, Misfi
     const double amplitude = std::sqrt(2 * nats) + rule;
     return 0.5 * amplitude * amplitude;
   };
-  // The standard deviation of ½ χ², and with it the misfit above the noise.
-  const double scatter = std::sqrt(0.5 * best.fit.rows), left = std::max(0.0, misfit.at_stake) + scatter;
+  const double scatter = Scatter(best), left = std::max(0.0, misfit.at_stake) + scatter;
   // Far from the recordings windows diverge, and so do their differences between step rules.
   const double most = left > 0.5 * kFar * best.fit.rows ? kMostOfIt * left : effects::kInf;
   const double chance = std::max(1.0, null_gain_ - kEffectPrior);
@@ -98,7 +106,9 @@ double Acceptance::Needed(const Candidate& best, double explained, Misfit misfit
   // The base parameters do not keep what they may owe to the step rule beyond the effect's share.
   if (best.base && !c.base && best.specs.empty())
     return kSimplerOdds - 0.5 * std::max(0.0, base_rule_ * base_rule_ - rule * rule);
-  if (best.base && !c.base && HasOnlyMoreOfDrives(best, c)) return kSimplerOdds;
+  const bool explains_all = misfit.beyond_sensors <= kSignificant * Scatter(best);
+  if (best.base && !c.base && (HasOnlyMoreOfDrives(best, c) || (explains_all && HasOnlyKindsOf(best, c))))
+    return kSimplerOdds;
   return NeededWithRule(best, explained, misfit, rule);
 }
 

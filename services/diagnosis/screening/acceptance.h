@@ -53,7 +53,8 @@ class Acceptance {
   double Needed(const Candidate& best, double explained, Misfit misfit) const;
   // Nats needed by `c` in the place of `best`. Effects on fixed base parameters in the place of free ones
   // without effects need the prior odds only, less the step-rule gain of the base parameters. So do, without
-  // that, effects that `best` has, and its kinds of losses and timings on further joints.
+  // that, effects that `best` has, and its kinds of losses and timings on further joints; where it leaves
+  // nothing, its kinds of any effects on whichever joints.
   double Needed(const Candidate& best, double explained, Misfit misfit, const Candidate& c) const;
 
  private:

@@ -104,7 +104,7 @@ Candidate FitLedger::Fitted(const FitRequest& request) { return Fitted(request, 
 
 Candidate FitLedger::Evaluate(const std::vector<EffectSpec>& specs, bool base, const Candidate* from,
                               int iterations, const Candidate* rival) {
-  const FitRequest request = WholeFit(specs, base, Nearby(from, base), iterations, rival);
+  const FitRequest request = WholeFit(specs, base, Start(from, base), iterations, rival);
   return Tried(request, Made(request));
 }
 
@@ -147,19 +147,15 @@ void FitLedger::FindPieces(const std::vector<EffectSpec>& specs) {
 
 // The states and base parameters of a consistent model: an addition or removal changes them little, and all
 // such fits share one start. Of a pendulum's model also where it is not consistent, for its phase is costly.
+// Where another model is not consistent, its base parameters are still nearer than those found without the
+// effects that it has.
 std::shared_ptr<const Candidate> FitLedger::Start(const Candidate* from, bool base) const {
-  const bool holds =
-      from != nullptr && from->fit.ok && (PerRow(*from) < kConsistent || HasPendulum(from->specs));
-  if (!holds) return base ? pieces_ : nullptr;
-  return std::make_shared<const Candidate>(*from);
-}
-
-// For a model that differs little from `from`: where that is not consistent, its base parameters are still
-// nearer than those found without its effects.
-std::shared_ptr<const Candidate> FitLedger::Nearby(const Candidate* from, bool base) const {
-  const bool model =
-      from != nullptr && from->fit.ok && from->base && !from->specs.empty() && !HasPendulum(from->specs);
-  return model && base && PerRow(*from) > kConsistent ? ValuesOf(*from) : Start(from, base);
+  if (from == nullptr || !from->fit.ok) return base ? pieces_ : nullptr;
+  if (PerRow(*from) < kConsistent || HasPendulum(from->specs))
+    return std::make_shared<const Candidate>(*from);
+  if (!base) return nullptr;
+  const bool as_pieces = pieces_ != nullptr && KeyOf(from->specs) == KeyOf(pieces_->specs);
+  return from->base && !from->specs.empty() && !as_pieces ? ValuesOf(*from) : pieces_;
 }
 
 FitRequest FitLedger::WholeFit(const std::vector<EffectSpec>& specs, bool base,
@@ -245,8 +241,8 @@ double FitLedger::TellingPiece(FitRequest trial) {
 FitLedger::TrialResults FitLedger::RunTrials(const Candidate& from, const std::vector<TrialSpecs>& pool) {
   TrialResults out{Trial(from, from.base, Start(&from, from.base)), {}, {}, {}};
   FitRequest trial = out.setting;
-  // Whole windows; pieces of them where the model fits only pieces, except with hidden states, which need
-  // whole windows. Each has its own reference.
+  // Whole windows; pieces of them where all that is known are base parameters from pieces, except with hidden
+  // states, which need whole windows. Each has its own reference.
   std::vector<FitRequest> trials = {trial};
   if (trial.from != nullptr && trial.from == pieces_)
     trial.piece_s = TellingPiece(trial), trial.pieces_alone = trial.piece_s > 0;
@@ -410,9 +406,9 @@ void FitLedger::TrySprings(const Candidate& from, Candidate* model) {
 
 bool FitLedger::MayLeaveLess(const Candidate& model, const std::vector<EffectSpec>& specs, bool base,
                              double share) {
-  FitRequest trial = Trial(model, model.base, Nearby(&model, model.base));
+  FitRequest trial = Trial(model, model.base, Start(&model, model.base));
   const Candidate own = Fitted(trial);
-  if (base != model.base) trial = Trial(model, base, Nearby(&model, base));
+  if (base != model.base) trial = Trial(model, base, Start(&model, base));
   trial.specs = specs;
   const Candidate other = Fitted(trial);
   trace_.Fit(other, "  <");
@@ -425,7 +421,7 @@ bool FitLedger::MayLeaveLess(const Candidate& model, const std::vector<EffectSpe
 void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner) {
   if (others.empty()) return;
   const bool base = winner->base;
-  const auto start = Nearby(winner, base);
+  const auto start = Start(winner, base);
   std::vector<FitRequest> trials = {Trial(*winner, base, start)};
   for (const TrialSpecs& other : others) {
     trials.push_back(trials[0]);

@@ -115,7 +115,6 @@ class FitLedger {
   Candidate Fitted(const FitRequest& request);
 
  private:
-  std::shared_ptr<const Candidate> Nearby(const Candidate* from, bool base) const;
   bool Admissible(Candidate* c);
   void TakeBest(const std::vector<FitRequest>& requests, size_t least, Candidate* winner);
   FitRequest Trial(const Candidate& from, bool base, std::shared_ptr<const Candidate> start) const;

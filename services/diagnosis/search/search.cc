@@ -224,13 +224,15 @@ class Search {
   }
 
   // Whether laws of what is recorded explain what is missing; else `laws` is the best of them. Which law of
-  // friction the drives have, and how late they are, was chosen while that was missing, and may be another
-  // one beside it.
+  // friction the drives of an ordinary robot have, and how late they are, was chosen while that was missing,
+  // and may be another one beside it; and a law that was found may be one that it is easily taken for.
   bool ExplainedByLaws(const Candidate& best, bool base, Candidate* laws, Candidate* winner) {
     if (further_.ByLaws(best, base, laws, winner)) return true;
-    const bool asked = state_.ordinary && base == best.base && !fits_.Late();
-    if (!asked || !(fits_.Excess(*laws) < kPartly * fits_.Excess(best))) return false;
-    drives_.Reconsider(best, laws);
+    const bool asked = base == best.base || !state_.ordinary;
+    if (!asked || fits_.Late() || !(fits_.Excess(*laws) < kPartly * fits_.Excess(best))) return false;
+    if (state_.ordinary) drives_.Reconsider(best, laws);
+    if (HasUnnamed(*laws) || HasUnseenStates(*laws)) return false;
+    refinement_.Exchange(best, laws);
     if (!step_.ExplainedByLaws(best, *laws, state_.Threshold(best, *laws))) return false;
     *winner = *laws;
     return true;

@@ -71,6 +71,20 @@ TEST(Acceptance, WhatExplainsLessThanNothingNeedsNoMoreThanChance) {
   EXPECT_DOUBLE_EQ(acceptance.Needed(Model({MakeSpec("payload", {})}), -1e300, Left(0)), chance);
 }
 
+// They are many, and what they took up shows as the same laws on other joints once they are fixed.
+TEST(Acceptance, FreeBaseParametersThatExplainAllGiveWayToTheSameKindsOfEffects) {
+  const Candidate freed = Model({MakeSpec("torque_gain", {"a"})}, true),
+                  alike = Model({MakeSpec("torque_gain", {"b"}), MakeSpec("torque_gain", {"c"})}),
+                  other = Model({MakeSpec("torque_ripple", {"b"})});
+  EXPECT_LT(Acceptance().Needed(freed, 1e6, Left(-50), alike), 5);
+  EXPECT_GT(Acceptance().Needed(freed, 1e6, Left(-50), other), 50);
+  const Candidate field = Model({MakeSpec("unknown_field", {"a"})}, true),
+                  fields = Model({MakeSpec("unknown_field", {"a"}), MakeSpec("unknown_field", {"b"})});
+  EXPECT_GT(Acceptance().Needed(field, 1e6, Left(-50), fields), 50) << "which fit nearly anything";
+  EXPECT_GT(Acceptance().Needed(freed, 1e6, Left(1e3), alike), 500) << "while it lacks something";
+  EXPECT_GT(Acceptance().Needed(alike, 1e6, Left(-50), freed), 50);
+}
+
 TEST(Acceptance, OnePercentOfAnAmplitudeIsNoNameHoweverLittleIsLeft) {
   EXPECT_DOUBLE_EQ(Acceptance().Needed(Model({MakeSpec("payload", {})}), 1e7, Left(-50)), 1e3);
 }

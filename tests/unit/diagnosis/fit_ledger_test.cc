@@ -52,6 +52,26 @@ TEST_F(FitLedgerTest, SomeWindowsTellWhatMayLeaveLess) {
   EXPECT_EQ(ledger_.tried().size(), 1u) << "no fit of some windows is an account";
 }
 
+// Additions to a model that is not consistent begin at the base parameters that it has found, not at those of
+// short pieces without its effects.
+TEST_F(FitLedgerTest, FitsNearAModelBeginWhereItHasCome) {
+  const Candidate freed = ledger_.Evaluate(Refreshed(coulomb_), true, &coulomb_);
+  ASSERT_TRUE(freed.fit.ok);
+  ASSERT_GT(ledger_.PerRow(coulomb_), 1.2);
+  ledger_.FindPieces({});
+  ASSERT_NE(ledger_.pieces(), nullptr);
+  ledger_.SetNoiseScale(0.5 * ledger_.PerRow(freed) / kConsistent);  // so that it leaves too much
+  const auto start = ledger_.Start(&freed, true);
+  ASSERT_NE(start, nullptr);
+  EXPECT_EQ(start->fit.values, freed.fit.values);
+  EXPECT_TRUE(start->fit.states.empty()) << "where the recordings are, not where the model is";
+  EXPECT_EQ(ledger_.Start(&freed, false), nullptr) << "base parameters as given";
+  EXPECT_EQ(ledger_.Start(&coulomb_, true).get(), ledger_.pieces()) << "it has found none";
+  EXPECT_EQ(ledger_.Start(nullptr, true).get(), ledger_.pieces());
+  ledger_.SetNoiseScale(2 * ledger_.PerRow(freed) * ledger_.noise_scale());
+  EXPECT_EQ(ledger_.Start(&freed, true)->fit.states.size(), freed.fit.states.size());
+}
+
 // Most iterations are made on a few windows, and what comes out is what all of them say.
 TEST_F(FitLedgerTest, AFitFromFarOffToManyWindowsFindsItsWayOnFew) {
   FitData many = p_->data;

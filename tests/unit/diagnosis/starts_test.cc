@@ -231,6 +231,23 @@ TEST(Joined, ALagMayStandBesideADelayButNoOtherDelay) {
   EXPECT_EQ(SiblingsOf("actuator_lag"), SiblingsOf("actuator_delay")) << "each is taken for the other";
 }
 
+// Under an effort that keeps its sign a dead band is a constant force of either sign.
+TEST(Exchanges, AConstantForceMayBeADeadBandAsLarge) {
+  const auto p = testing::Prepare("arm2", {}, 3);
+  const std::string joint = p->nominal.joint_names()[1];
+  const double offset = -2 * p->scales.torque[1];
+  const auto bands = Exchanges({MakeSpec("torque_offset", {joint}, {{"offset", offset}})}, "torque_offset",
+                               p->nominal, p->scales);
+  ASSERT_EQ(bands.size(), 1u);
+  EXPECT_EQ(bands[0][0].id, "torque_deadband");
+  EXPECT_EQ(bands[0][0].values.at(joint).at("deadband"), -offset);
+  const auto offsets = Exchanges(bands[0], "torque_deadband", p->nominal, p->scales);
+  ASSERT_EQ(offsets.size(), 1u);
+  EXPECT_EQ(offsets[0][0].id, "torque_offset");
+  EXPECT_EQ(offsets[0][0].values.at(joint).at("offset"), 0) << "of neither sign";
+  EXPECT_EQ(Joined(bands[0], offsets[0]).size(), 2u) << "one may stand beside the other";
+}
+
 RankedTrial Trialled(double left, const std::vector<EffectSpec>& specs) {
   Candidate c;
   c.specs = specs;
