@@ -233,9 +233,19 @@ class Search {
     if (state_.ordinary) drives_.Reconsider(best, laws);
     if (HasUnnamed(*laws) || HasUnseenStates(*laws)) return false;
     refinement_.Exchange(best, laws);
+    if (fits_.PerRow(*laws) > kConsistent) BesideOtherMasses(best, laws);
     if (!step_.ExplainedByLaws(best, *laws, state_.Threshold(best, *laws))) return false;
     *winner = *laws;
     return true;
+  }
+
+  // Laws that leave much may lack other masses, which cost less to find than hidden states; what is told from
+  // what is easily taken for it beside them may not be without.
+  void BesideOtherMasses(const Candidate& best, Candidate* laws) {
+    const Candidate freed = refinement_.WithInertialsFreeOrFixed(*laws, 0);
+    if (freed.base == laws->base || !(fits_.Excess(freed) < kPartly * fits_.Excess(*laws))) return;
+    *laws = freed;
+    refinement_.Exchange(best, laws);
   }
 
   // Whether what no screen sees explains what is missing, alone or beside laws: while it is missing too, none
