@@ -81,29 +81,29 @@ struct ScreenedModel {
 };
 
 std::optional<ScreenedModel> ModelAround(const FitSetting& setting, const Candidate& current,
-                                         const Candidate* at, const LiftedOptions& options) {
+                                         const ScreenPoint& at, const LiftedOptions& options) {
   const sim::Plant& nominal = setting.nominal;
   const std::vector<EffectSpec> own = Refreshed(current);
   auto plant = sim::Plant::Create(nominal.shared_model(), nominal.options(), WithProbes(own, nominal));
   if (!plant.ok()) return std::nullopt;
   std::vector<sysid::FitParameter> parameters;
   auto columns = ScreenColumns(*plant, nominal, setting.scales, own, &parameters);
-  const bool around_fit = at == &current && current.fit.states.front().rows() == plant->num_states();
+  const Candidate* from = at.around_fit ? &current : at.values_of;
   VectorXd values = plant->parameters().Nominal();
-  if (at != nullptr && (around_fit || at != &current))
-    values = plant->ValuesFrom(at->plant->parameters(), at->fit.values);
+  if (from != nullptr) values = plant->ValuesFrom(from->plant->parameters(), from->fit.values);
   for (size_t c = 0; c < columns.size(); ++c) {
     const sysid::FitParameter& p = parameters[c];
     if (columns[c].effect.empty()) columns[c].away = (values[p.index] - p.nominal) / p.prior_stddev;
   }
   FitModel model{*plant, values, parameters};
-  NodeStates states = around_fit ? current.fit.states : InitialStates(setting.data, model, options);
+  const bool as_fitted = at.around_fit && current.fit.states.front().rows() == plant->num_states();
+  NodeStates states = as_fitted ? current.fit.states : InitialStates(setting.data, model, options);
   return ScreenedModel{std::move(model), std::move(columns), std::move(states)};
 }
 
 }  // namespace
 
-ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
+ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, const ScreenPoint& at,
                           const FeatureSet& features, const LiftedOptions& options, Rng rng,
                           std::vector<VectorXd>* step_rule) {
   const auto around = ModelAround(setting, current, at, options);
@@ -113,18 +113,18 @@ ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, b
   const Screen screen =
       MakeScreen(setting.data, around->model, around->states, features.block, options,
                  step_rule == nullptr ? std::vector<VectorXd>{} : *step_rule, kNullDraws, rng);
-  return ScoreHypotheses(screen, around->columns, features, base, setting.nominal);
+  return ScoreHypotheses(screen, around->columns, features, current.base, setting.nominal);
 }
 
 std::vector<ScreenResult> ScreensBeside(const FreeForce& force, const FitSetting& setting,
-                                        const Candidate& current, bool base, const Candidate* at,
+                                        const Candidate& current, const ScreenPoint& at,
                                         const FeatureSet& features, const LiftedOptions& options, Rng rng) {
   const auto around = ModelAround(setting, current, at, options);
   std::vector<ScreenResult> out;
   if (!around) return out;
   for (const Screen& screen : MakeScreens(force, setting.data, around->model, around->states, features.block,
                                           options, kNullDraws, rng))
-    out.push_back(ScoreHypotheses(screen, around->columns, features, base, setting.nominal));
+    out.push_back(ScoreHypotheses(screen, around->columns, features, current.base, setting.nominal));
   return out;
 }
 

@@ -22,16 +22,21 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const sim::P
                                            const MotionScales& scales, const std::vector<EffectSpec>& held,
                                            std::vector<sysid::FitParameter>* parameters);
 
-// Score tests of all additions to `current`, base parameters free or fixed. Linearised around the states and
-// values of `at` if that is `current`; else along the recorded motion, at the base parameters of `at` or the
-// nominal ones. `step_rule`: null: not asked for; StepRuleResiduals, computed if empty and then reused, since
-// they hardly depend on a model of that step.
-ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, bool base, const Candidate* at,
+// Where a screen of a model is linearised.
+struct ScreenPoint {
+  bool around_fit = false;               // its own parameters and states; else along the recorded motion
+  const Candidate* values_of = nullptr;  // whose base parameters, along the recorded motion; null: as given
+};
+
+// Score tests of all additions to `current`, base parameters free or fixed as its own are. `step_rule`: null:
+// not asked for; StepRuleResiduals, computed if empty and then reused, since they hardly depend on a model of
+// that step.
+ScreenResult ScreenAround(const FitSetting& setting, const Candidate& current, const ScreenPoint& at,
                           const FeatureSet& features, const LiftedOptions& options, Rng rng,
                           std::vector<VectorXd>* step_rule);
 // The same for each joint of `force`, with the force there alone integrated out.
 std::vector<ScreenResult> ScreensBeside(const FreeForce& force, const FitSetting& setting,
-                                        const Candidate& current, bool base, const Candidate* at,
+                                        const Candidate& current, const ScreenPoint& at,
                                         const FeatureSet& features, const LiftedOptions& options, Rng rng);
 
 }  // namespace rg::diagnosis

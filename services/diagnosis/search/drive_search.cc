@@ -205,12 +205,13 @@ std::vector<EffectSpec> DriveSearch::OnAll(const std::string& id, double late) c
 // at most half of the joints need one; friction by direction is a property of gears, and then of most joints.
 void DriveSearch::OtherDryLaw(Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
-  const std::vector<TrialSpecs> laws = Exchanges(Refreshed(*best), kDry, setting_.nominal, setting_.scales);
+  const std::vector<TrialSpecs> laws =
+      Exchanges(Refreshed(*best), kDry, state_.given, setting_.nominal, setting_.scales);
+  const long exchanged = CountOf(best->specs, kDry) - CountOf(state_.given, kDry);
   const auto with = [&](const std::string& id) {
     std::vector<TrialSpecs> others = laws;
-    std::erase_if(others, [&](const TrialSpecs& o) {
-      return HasKind(o, kDry) || CountOf(o, id) != CountOf(best->specs, id) + CountOf(best->specs, kDry);
-    });
+    std::erase_if(
+        others, [&](const TrialSpecs& o) { return CountOf(o, id) != CountOf(best->specs, id) + exchanged; });
     return InPlace(others, *best);
   };
   const Candidate drops = with(kDropping);

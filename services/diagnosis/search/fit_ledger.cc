@@ -147,15 +147,18 @@ void FitLedger::FindPieces(const std::vector<EffectSpec>& specs) {
 
 // The states and base parameters of a consistent model: an addition or removal changes them little, and all
 // such fits share one start. Of a pendulum's model also where it is not consistent, for its phase is costly.
-// Where another model is not consistent, its base parameters are still nearer than those found without the
-// effects that it has.
 std::shared_ptr<const Candidate> FitLedger::Start(const Candidate* from, bool base) const {
   if (from == nullptr || !from->fit.ok) return base ? pieces_ : nullptr;
   if (PerRow(*from) < kConsistent || HasPendulum(from->specs))
     return std::make_shared<const Candidate>(*from);
   if (!base) return nullptr;
-  const bool as_pieces = pieces_ != nullptr && KeyOf(from->specs) == KeyOf(pieces_->specs);
-  return from->base && !from->specs.empty() && !as_pieces ? ValuesOf(*from) : pieces_;
+  return NearestBase(*from) == from ? ValuesOf(*from) : pieces_;
+}
+
+const Candidate* FitLedger::NearestBase(const Candidate& c) const {
+  if (!c.base) return nullptr;
+  const bool as_pieces = pieces_ != nullptr && KeyOf(c.specs) == KeyOf(pieces_->specs);
+  return c.specs.empty() || as_pieces ? pieces_.get() : &c;
 }
 
 FitRequest FitLedger::WholeFit(const std::vector<EffectSpec>& specs, bool base,

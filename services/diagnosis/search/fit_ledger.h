@@ -86,7 +86,9 @@ class FitLedger {
   // Base parameters far from the URDF's, or beside missing effects, are found over short pieces of the
   // recordings; fits with free base parameters then start there.
   void FindPieces(const std::vector<effects::EffectSpec>& specs);
-  const Candidate* pieces() const { return pieces_.get(); }
+  // Whose base parameters are nearest to the recordings' where `c` is not consistent: its own once it has
+  // found something, before that those of short pieces. None where inertials are as given.
+  const Candidate* NearestBase(const Candidate& c) const;
 
   // Adds each of `pool` to `from` in a trial fit (some windows, few iterations), and fits the `count` best
   // and all `promised` on all windows. `winner` becomes the best of these and itself.

@@ -28,18 +28,14 @@ void ForwardStep::SetRound(int round) {
 }
 
 ScreenResult ForwardStep::Screen(const Candidate& current) {
-  const bool base = current.base;
-  const std::string key =
-      KeyOf(current.specs, base) + std::to_string(current.score) + ' ' + std::to_string(current.fit.chi2);
+  const std::string key = KeyOf(current.specs, current.base) + std::to_string(current.score) + ' ' +
+                          std::to_string(current.fit.chi2);
   const auto known = screens_.find(key);
   if (known != screens_.end()) return known->second;
-  // Far from the recordings along the recorded motion, but at what the model has found.
-  const Candidate found = current;
   const bool near = fits_.PerRow(current) < kConsistent;
-  const Candidate* far = !base ? nullptr : state_.FoundNothing(current) ? fits_.pieces() : &found;
   const LiftedOptions options = fits_.AsFitted(current);
   const ScreenResult screened = ScreenAround(
-      setting_, current, base, near ? &current : far, ShownFor(current, near), options,
+      setting_, current, {near, fits_.NearestBase(current)}, ShownFor(current, near), options,
       Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rules_[options.step_s]);
   fits_.AddWork(screened.work);
   return screens_.emplace(key, screened).first->second;
@@ -55,18 +51,15 @@ const FeatureSet& ForwardStep::ShownFor(const Candidate& current, bool near) {
 std::vector<ScreenResult> ForwardStep::ScreensBesideForce(const Candidate& current, const FreeForce& force,
                                                           const FitData& some,
                                                           const std::vector<uint32_t>& places) {
-  // Along the recorded motion, but at what the model has found.
-  const Candidate found = current;
-  const Candidate* at = !state_.FoundNothing(current) ? &found : current.base ? fits_.pieces() : nullptr;
   const FeatureSet& shown = ShownFor(current, false);
   FeatureSet features{shown.features, shown.surfaces, {shown.block.joint, {}, {}}};
   for (const uint32_t i : places) {
     features.block.phi.push_back(shown.block.phi[i]);
     if (!shown.block.on_robot.empty()) features.block.on_robot.push_back(shown.block.on_robot[i]);
   }
-  const std::vector<ScreenResult> screens =
-      ScreensBeside(force, {some, setting_.nominal, setting_.scales}, current, current.base, at, features,
-                    fits_.AsFitted(current), Rng(state_.options.seed));
+  const std::vector<ScreenResult> screens = ScreensBeside(
+      force, {some, setting_.nominal, setting_.scales}, current, {false, fits_.NearestBase(current)},
+      features, fits_.AsFitted(current), Rng(state_.options.seed));
   for (const ScreenResult& screened : screens) {
     fits_.AddWork(screened.work);
     state_.trace.Screen(screened, current.base);

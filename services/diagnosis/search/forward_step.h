@@ -30,8 +30,7 @@ class ForwardStep {
   // What another step rule makes is taken around the first model that is screened from here on.
   void ForgetStepRule() { step_rules_.clear(); }
 
-  // Around the model's fit, or with free base parameters around what short pieces tell of them where the
-  // model is far from the record.
+  // Around the model's fit, or along the recorded motion where the model is far from it.
   ScreenResult Screen(const Candidate& current);
   // The same, whose null distribution counts for what is accepted from here on.
   ScreenResult NotedScreen(const Candidate& current);

@@ -20,6 +20,7 @@ constexpr int kMaxExchanges = 3;  // of effects that are easily taken for each o
 }  // namespace
 
 bool Refinement::Exchange(const Candidate& before, Candidate* winner) {
+  if (IsSettled(*winner)) return false;
   int left = kMaxExchanges;
   while (left > 0 && Siblings(before, winner)) --left;
   const bool all = FreshKinds(before, *winner) == FreshKinds(Candidate{}, *winner);
@@ -46,7 +47,8 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
       known_best = Better(known_best, *known);
   };
   for (const std::string& kind : kinds) {
-    for (const TrialSpecs& other : Exchanges(specs, kind, setting_.nominal, setting_.scales)) consider(other);
+    for (const TrialSpecs& other : Exchanges(specs, kind, state_.given, setting_.nominal, setting_.scales))
+      consider(other);
   }
   const auto is_new = [&](effects::Regressor law) { return kinds.count(effects::LawOf(law).id) > 0; };
   if (is_new(effects::Regressor::kSine) || is_new(effects::Regressor::kLagging))
@@ -71,6 +73,13 @@ Candidate Refinement::WithInertialsFreeOrFixed(const Candidate& c, double least)
   const Candidate twin = fits_.Evaluate(Refreshed(c), !c.base, &c, 6, &c);
   const Candidate &plain = c.base ? twin : c, &freed = c.base ? c : twin;
   return freed.score > plain.score + std::max(least, state_.Threshold(plain, freed)) ? freed : plain;
+}
+
+void Refinement::ExchangeMasses(const Candidate& before, Candidate* model) {
+  const Candidate other = WithInertialsFreeOrFixed(*model, 0);
+  if (other.base == model->base || !(fits_.Excess(other) < kPartly * fits_.Excess(*model))) return;
+  *model = other;
+  Exchange(before, model);
 }
 
 Candidate Refinement::Refitted(const Candidate& c, const Candidate& from, const Candidate& rival) {

@@ -16,6 +16,9 @@ class Refinement {
 
   // Exchanges each kind that `model` adds to `before`, or its newest, until the score stays. Whether it rose.
   bool Exchange(const Candidate& before, Candidate* model);
+  // Free inertials in the place of given ones, or given ones of free ones, where they leave half as much as
+  // `model` at most, and then the exchanges again: what is told apart beside other masses may not be without.
+  void ExchangeMasses(const Candidate& before, Candidate* model);
   // Whether the score stayed when all kinds of this model were exchanged.
   bool IsSettled(const Candidate& model) const { return KeyOf(model.specs, model.base) == settled_; }
   // With inertials free or as given, whichever has more log evidence; free ones must bring `least` more.

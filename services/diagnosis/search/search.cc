@@ -223,29 +223,31 @@ class Search {
     return Accept(winner, best);
   }
 
-  // Whether laws of what is recorded explain what is missing; else `laws` is the best of them. Which law of
-  // friction the drives of an ordinary robot have, and how late they are, was chosen while that was missing,
-  // and may be another one beside it; and a law that was found may be one that it is easily taken for.
+  // Whether laws of what is recorded explain what is missing; else `laws` is the best of them, once it is
+  // told from what is easily taken for it.
   bool ExplainedByLaws(const Candidate& best, bool base, Candidate* laws, Candidate* winner) {
     if (further_.ByLaws(best, base, laws, winner)) return true;
     const bool asked = base == best.base || !state_.ordinary;
     if (!asked || fits_.Late() || !(fits_.Excess(*laws) < kPartly * fits_.Excess(best))) return false;
-    if (state_.ordinary) drives_.Reconsider(best, laws);
-    if (HasUnnamed(*laws) || HasUnseenStates(*laws)) return false;
-    refinement_.Exchange(best, laws);
-    if (fits_.PerRow(*laws) > kConsistent) BesideOtherMasses(best, laws);
+    if (!ToldApart(best, laws)) return false;
     if (!step_.ExplainedByLaws(best, *laws, state_.Threshold(best, *laws))) return false;
     *winner = *laws;
     return true;
   }
 
-  // Laws that leave much may lack other masses, which cost less to find than hidden states; what is told from
-  // what is easily taken for it beside them may not be without.
-  void BesideOtherMasses(const Candidate& best, Candidate* laws) {
-    const Candidate freed = refinement_.WithInertialsFreeOrFixed(*laws, 0);
-    if (freed.base == laws->base || !(fits_.Excess(freed) < kPartly * fits_.Excess(*laws))) return;
-    *laws = freed;
+  // Which law of friction the drives of an ordinary robot have, how late they are and whether masses differ
+  // was chosen while `laws` were missing, and is asked again beside them. Elsewhere a law that was found may
+  // be one that it is easily taken for, and laws that leave much may lack other masses, which cost less to
+  // find than hidden states. Whether that was asked.
+  bool ToldApart(const Candidate& best, Candidate* laws) {
+    if (state_.ordinary) {
+      drives_.Reconsider(best, laws);
+      return true;
+    }
+    if (HasUnnamed(*laws) || HasUnseenStates(*laws)) return false;
     refinement_.Exchange(best, laws);
+    if (fits_.PerRow(*laws) > kConsistent) refinement_.ExchangeMasses(best, laws);
+    return true;
   }
 
   // Whether what no screen sees explains what is missing, alone or beside laws: while it is missing too, none

@@ -112,7 +112,7 @@ void Simplifier::Replace(const Candidate& by, Candidate* best) {
 TrialSpecs Simplifier::PlainForm(const Candidate& c, const std::string& id) const {
   TrialSpecs specs = Refreshed(c);
   if (id == effects::Spring().id) return WithoutSprings(specs);
-  if (id != effects::Play().id) return Exchanges(specs, id, setting_.nominal, setting_.scales).front();
+  if (id != effects::Play().id) return Exchanges(specs, id, {}, setting_.nominal, setting_.scales).front();
   for (EffectSpec& s : specs) {
     if (s.id == id) s = OtherTransmission(s, setting_.nominal, setting_.scales).front().front();
   }

@@ -322,17 +322,18 @@ std::vector<std::shared_ptr<const Candidate>> BestOf(std::vector<RankedTrial> tr
   return out;
 }
 
-std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const sim::Plant& nominal,
-                                  const MotionScales& scales) {
+std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const TrialSpecs& held,
+                                  const sim::Plant& nominal, const MotionScales& scales) {
+  const auto is_one = [&](const EffectSpec& s) { return s.id == id && !IsPart({s}, held); };
   std::vector<TrialSpecs> out;
+  if (!std::ranges::any_of(specs, is_one)) return out;
   for (const std::string& sibling : SiblingsOf(id)) {
     const bool taken = std::ranges::all_of(specs, [&](const EffectSpec& s) {
-      return s.id != id || nominal.Takes(sibling, nominal.model().FindJoint(s.joints[0]));
+      return !is_one(s) || nominal.Takes(sibling, nominal.model().FindJoint(s.joints[0]));
     });
     if (sibling == id || !taken) continue;
     TrialSpecs other;
-    for (const EffectSpec& s : specs)
-      other.push_back(s.id == id ? Exchanged(s, sibling, nominal, scales) : s);
+    for (const EffectSpec& s : specs) other.push_back(is_one(s) ? Exchanged(s, sibling, nominal, scales) : s);
     out.push_back(std::move(other));
   }
   return out;

@@ -53,9 +53,10 @@ struct RankedTrial {
 std::vector<std::shared_ptr<const Candidate>> BestOf(std::vector<RankedTrial> trials,
                                                      std::vector<RankedTrial> apart, size_t count);
 
-// `specs` with effect `id` exchanged for each that it resembles, on the same joints; Coulomb friction first.
-std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const sim::Plant& nominal,
-                                  const MotionScales& scales);
+// `specs` with effect `id`, but where it is `held`, exchanged for each that it resembles, on the same joints;
+// Coulomb friction first. None where all of them are held.
+std::vector<TrialSpecs> Exchanges(const TrialSpecs& specs, const std::string& id, const TrialSpecs& held,
+                                  const sim::Plant& nominal, const MotionScales& scales);
 
 // Springs and play behind the strongest rotors that `model` adds to `before`: below its resonance a motor
 // behind a spring looks like a rotor, and no screen sees the difference.

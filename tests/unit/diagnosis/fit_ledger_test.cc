@@ -32,7 +32,7 @@ class FitLedgerTest : public ::testing::Test {
 TEST_F(FitLedgerTest, OtherLawsAreFittedInItsPlaceOnlyWhereATrialDoesNotRefuseThem) {
   ASSERT_TRUE(coulomb_.fit.ok);
   ASSERT_GT(ledger_.PerRow(coulomb_), 1.2);
-  const auto others = Exchanges(Refreshed(coulomb_), "coulomb_friction", p_->nominal, p_->scales);
+  const auto others = Exchanges(Refreshed(coulomb_), "coulomb_friction", {}, p_->nominal, p_->scales);
   ASSERT_GT(others.size(), 3u);
   Candidate winner = coulomb_;
   ledger_.TryInPlace(others, &winner);
@@ -59,15 +59,15 @@ TEST_F(FitLedgerTest, FitsNearAModelBeginWhereItHasCome) {
   ASSERT_TRUE(freed.fit.ok);
   ASSERT_GT(ledger_.PerRow(coulomb_), 1.2);
   ledger_.FindPieces({});
-  ASSERT_NE(ledger_.pieces(), nullptr);
+  const auto pieces = ledger_.Start(nullptr, true);
+  ASSERT_NE(pieces, nullptr);
   ledger_.SetNoiseScale(0.5 * ledger_.PerRow(freed) / kConsistent);  // so that it leaves too much
   const auto start = ledger_.Start(&freed, true);
   ASSERT_NE(start, nullptr);
   EXPECT_EQ(start->fit.values, freed.fit.values);
   EXPECT_TRUE(start->fit.states.empty()) << "where the recordings are, not where the model is";
   EXPECT_EQ(ledger_.Start(&freed, false), nullptr) << "base parameters as given";
-  EXPECT_EQ(ledger_.Start(&coulomb_, true).get(), ledger_.pieces()) << "it has found none";
-  EXPECT_EQ(ledger_.Start(nullptr, true).get(), ledger_.pieces());
+  EXPECT_EQ(ledger_.Start(&coulomb_, true), pieces) << "it has found none";
   ledger_.SetNoiseScale(2 * ledger_.PerRow(freed) * ledger_.noise_scale());
   EXPECT_EQ(ledger_.Start(&freed, true)->fit.states.size(), freed.fit.states.size());
 }
@@ -145,7 +145,7 @@ TEST(FitLedger, WhatIsAtHandIsFittedOnBeforeAnotherTakesItsPlace) {
   ASSERT_TRUE(winner.fit.ok);
   const double done = winner.score;
   winner.score -= 30;
-  const auto others = Exchanges(Refreshed(winner), "coulomb_friction", p->nominal, p->scales);
+  const auto others = Exchanges(Refreshed(winner), "coulomb_friction", {}, p->nominal, p->scales);
   ledger.TryInPlace(others, &winner);
   EXPECT_EQ(winner.specs[0].id, "coulomb_friction");
   EXPECT_GT(winner.score, done - 1);
@@ -239,7 +239,8 @@ TEST_F(FitLedgerTest, NothingNewIsBegunBeyondTheLimitOfWork) {
   EXPECT_FALSE(ledger_.Late(1.1));
   Candidate winner = coulomb_;
   ledger_.AddWork(p_->options.work_limit);
-  ledger_.TryInPlace(Exchanges(Refreshed(coulomb_), "coulomb_friction", p_->nominal, p_->scales), &winner);
+  ledger_.TryInPlace(Exchanges(Refreshed(coulomb_), "coulomb_friction", {}, p_->nominal, p_->scales),
+                     &winner);
   EXPECT_EQ(winner.specs[0].id, "coulomb_friction");
   EXPECT_EQ(ledger_.tried().size(), 1u);
 }

@@ -111,8 +111,8 @@ void Screens(const recordings::RecordingSet& set, const DiagnosisOptions& option
   std::vector<Eigen::VectorXd> step_rule;
   for (const int base : {0, 1}) {
     const Candidate fitted = fits.Evaluate(given, base == 1);
-    const ScreenResult screened = ScreenAround(setting, fitted, base == 1, &fitted, features, fits.lifted(),
-                                               Rng(options.seed), &step_rule);
+    const ScreenResult screened =
+        ScreenAround(setting, fitted, {true}, features, fits.lifted(), Rng(options.seed), &step_rule);
     row->null[base] = screened.null_gain, row->gain[base] = -1e9, row->best[base] = "none";
     for (const Scored& h : screened.hypotheses) {
       if (IsUnnamed(h.effect) || HasKind(given, h.effect) || h.gain <= row->gain[base]) continue;

@@ -12,6 +12,7 @@
 #include "services/diagnosis/search/drive_search.h"
 #include "services/diagnosis/search/fit_ledger.h"
 #include "services/diagnosis/search/forward_step.h"
+#include "services/diagnosis/search/refinement.h"
 #include "services/diagnosis/search/search_state.h"
 #include "services/diagnosis/search/simplifier.h"
 #include "tests/unit/diagnosis/prepared_set.h"
@@ -225,16 +226,20 @@ TEST(Search, FrictionAndRotorsOfAllJointsAreFoundTogether) {
     EXPECT_TRUE(found.count(name)) << name;
 }
 
-// A URDF with other masses, and a law of what is recorded: it is not looked for among hidden states, which
-// would follow some of both.
-TEST(Search, ALawBesideOtherMassesIsFoundBeforeHiddenStates) {
-  recordings::RecordingSet set =
-      testing::MakeSet("arm2", {MakeSpec("quadratic_drag", {"elbow"}, {{"quadratic", 0.1}})}, 58);
+// The same motion of an arm whose URDF states an elbow of 1.3 kg where it has 1.1.
+std::unique_ptr<testing::Prepared> PreparedWithAnotherMass(const EffectSpec& truth, uint64_t seed) {
+  recordings::RecordingSet set = testing::MakeSet("arm2", {truth}, seed);
   const std::string mass = "<mass value=\"1.1\"/>";
   const size_t at = set.urdf_text.find(mass);
-  ASSERT_NE(at, std::string::npos);
+  RG_CHECK(at != std::string::npos);
   set.urdf_text.replace(at, mass.size(), "<mass value=\"1.3\"/>");
-  const auto p = testing::Prepare(std::move(set));
+  return testing::Prepare(std::move(set));
+}
+
+// A law of what is recorded beside other masses is not looked for among hidden states, which would follow
+// some of both.
+TEST(Search, ALawBesideOtherMassesIsFoundBeforeHiddenStates) {
+  const auto p = PreparedWithAnotherMass(MakeSpec("quadratic_drag", {"elbow"}, {{"quadratic", 0.1}}), 58);
   const SearchResult r =
       SearchEffects({p->data, p->nominal, p->scales}, p->options, 2, RealClock(), nullptr, nullptr);
   EXPECT_LT(r.best.fit.chi2 / r.best.fit.rows, kExplained);
@@ -312,6 +317,29 @@ TEST(ForwardStep, TriesPlayBesideLawsThatStoodForItsMotor) {
   step.AddTransmission(laws, &found);
   EXPECT_TRUE(Contains(found.specs, "backlash", "hinge")) << KeyOf(found.specs);
   EXPECT_LT(state.fits.Excess(found), 0.2 * state.fits.Excess(laws));
+}
+
+// Beside the wrong masses friction that drops with speed is not told from what does not.
+TEST(Refinement, ExchangesMassesAndThenWhatTheyHid) {
+  const EffectSpec drops = MakeSpec("stribeck_friction", {"elbow"},
+                                    {{"coulomb", 0.1}, {"static", 0.3}, {"stribeck_velocity", 0.3}});
+  const auto p = PreparedWithAnotherMass(drops, 59);
+  FirstRound round(*p);
+  FitLedger& fits = round.state.fits;
+  Refinement refinement{round.state};
+  const Candidate bare = fits.Evaluate({}, false);
+  Candidate model =
+      fits.Evaluate({MakeSpec("coulomb_friction", {"elbow"}, {{"coulomb", 0.2}})}, false, &bare);
+  ASSERT_TRUE(model.fit.ok);
+  ASSERT_GT(fits.PerRow(model), kConsistent);
+  refinement.ExchangeMasses(bare, &model);
+  EXPECT_TRUE(model.base);
+  EXPECT_EQ(KeyOf(model.specs), KeyOf({drops}));
+  EXPECT_LT(fits.PerRow(model), kExplained);
+  // Masses that are right stay as they are.
+  const Candidate freed = model;
+  refinement.ExchangeMasses(bare, &model);
+  EXPECT_EQ(KeyOf(model.specs, model.base), KeyOf(freed.specs, freed.base));
 }
 
 // Chosen while the base was taken to stand upright, friction by direction stood for its tilt as well.

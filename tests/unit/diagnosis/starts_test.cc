@@ -237,15 +237,29 @@ TEST(Exchanges, AConstantForceMayBeADeadBandAsLarge) {
   const std::string joint = p->nominal.joint_names()[1];
   const double offset = -2 * p->scales.torque[1];
   const auto bands = Exchanges({MakeSpec("torque_offset", {joint}, {{"offset", offset}})}, "torque_offset",
-                               p->nominal, p->scales);
+                               {}, p->nominal, p->scales);
   ASSERT_EQ(bands.size(), 1u);
   EXPECT_EQ(bands[0][0].id, "torque_deadband");
   EXPECT_EQ(bands[0][0].values.at(joint).at("deadband"), -offset);
-  const auto offsets = Exchanges(bands[0], "torque_deadband", p->nominal, p->scales);
+  const auto offsets = Exchanges(bands[0], "torque_deadband", {}, p->nominal, p->scales);
   ASSERT_EQ(offsets.size(), 1u);
   EXPECT_EQ(offsets[0][0].id, "torque_offset");
   EXPECT_EQ(offsets[0][0].values.at(joint).at("offset"), 0) << "of neither sign";
   EXPECT_EQ(Joined(bands[0], offsets[0]).size(), 2u) << "one may stand beside the other";
+}
+
+// What the given model has is not doubted.
+TEST(Exchanges, WhatIsHeldStays) {
+  const auto p = testing::Prepare("arm2", {}, 3);
+  const EffectSpec held = MakeSpec("coulomb_friction", {"shoulder"}, {{"coulomb", 0.2}});
+  const EffectSpec found = MakeSpec("coulomb_friction", {"elbow"}, {{"coulomb", 0.1}});
+  const auto others = Exchanges({held, found}, "coulomb_friction", {held}, p->nominal, p->scales);
+  EXPECT_EQ(others.size(), Exchanges({found}, "coulomb_friction", {}, p->nominal, p->scales).size());
+  for (const TrialSpecs& other : others) {
+    EXPECT_TRUE(Contains(other, "coulomb_friction", "shoulder")) << KeyOf(other);
+    EXPECT_FALSE(Contains(other, "coulomb_friction", "elbow")) << KeyOf(other);
+  }
+  EXPECT_TRUE(Exchanges({held}, "coulomb_friction", {held}, p->nominal, p->scales).empty());
 }
 
 RankedTrial Trialled(double left, const std::vector<EffectSpec>& specs) {
