@@ -112,7 +112,10 @@ void Simplifier::Replace(const Candidate& by, Candidate* best) {
 TrialSpecs Simplifier::PlainForm(const Candidate& c, const std::string& id) const {
   TrialSpecs specs = Refreshed(c);
   if (id == effects::Spring().id) return WithoutSprings(specs);
-  if (id != effects::Play().id) return Exchanges(specs, id, {}, setting_.nominal, setting_.scales).front();
+  if (id != effects::Play().id) {
+    const auto others = Exchanges(specs, id, state_.given, setting_.nominal, setting_.scales);
+    return others.empty() ? specs : others.front();
+  }
   for (EffectSpec& s : specs) {
     if (s.id == id) s = OtherTransmission(s, setting_.nominal, setting_.scales).front().front();
   }
@@ -124,7 +127,9 @@ TrialSpecs Simplifier::PlainForm(const Candidate& c, const std::string& id) cons
 void Simplifier::UsePlainLaws(Candidate* best) {
   std::vector<std::string> richer = RicherFrictions();
   richer.insert(richer.end(), {effects::Play().id, effects::Spring().id});
-  for (const std::string& id : richer) UsePlainLaw(id, PlainForm(*best, id), best);
+  for (const std::string& id : richer) {
+    if (HasKind(best->specs, id)) UsePlainLaw(id, PlainForm(*best, id), best);
+  }
   const std::string& spring = LawOf(Regressor::kPosition).id;
   for (const std::string& joint : setting_.nominal.joint_names()) {
     if (!Contains(best->specs, spring, joint)) continue;
