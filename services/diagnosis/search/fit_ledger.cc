@@ -456,7 +456,8 @@ void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* win
   }
   if (!(found.score > winner->score)) return;
   // The winner is fitted on from its end too, or an exchange would be credited with what a longer fit brings.
-  TakeBest({WholeFit(Refreshed(*winner), base, start, 6, &found)}, 1, winner);
+  const auto end = std::make_shared<const Candidate>(*winner);
+  TakeBest({WholeFit(Refreshed(*winner), base, end, 6, &found)}, 1, winner);
   if (found.score > winner->score) *winner = found;
 }
 

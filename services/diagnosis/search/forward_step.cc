@@ -98,8 +98,9 @@ void ForwardStep::AddPromised(const Candidate& from, Candidate* winner) {
 
 void ForwardStep::AddTransmission(const Candidate& from, Candidate* winner) {
   const auto nearest = [&](const auto& starts, size_t most) { return fits_.Nearest(from, starts, most); };
-  const auto pool =
-      TransmissionTrials(setting_.data, setting_.nominal, setting_.scales, from, Screen(from), nearest);
+  const auto force = [&] { return state_.Force(from); };
+  const auto pool = TransmissionTrials(setting_.data, setting_.nominal, setting_.scales, from, Screen(from),
+                                       force, nearest);
   fits_.TryBest(from, pool, {}, kFitsBesideDrives, winner);
 }
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <map>
 #include <numeric>
+#include <optional>
 #include <set>
 
 #include "common/effects/effect_catalog.h"
@@ -21,6 +22,8 @@ constexpr size_t kNearest = 2;        // springs, and play, that are tried of ei
 constexpr size_t kSprungJoints = 2;   // on which the screen sees a spring, that are tried
 constexpr size_t kSurfaces = 2;       // of one normal and point each
 constexpr size_t kRotors = 2;         // the largest, behind which a spring is tried
+constexpr int kFewJoints = 2;         // on all of which springs and play are looked for
+constexpr double kLeastForce = 0.05;  // of the evidence for a force on the joint that lacks most
 constexpr double kLeastRotor = 0.01;  // of the joint's inertia, before which play is tried
 constexpr size_t kMostSets = 6;       // of joints, and as many pairs of effects
 constexpr double kHardlyLess = 0.9;   // of what a part of it leaves
@@ -53,15 +56,17 @@ TrialSpecs Together(const std::vector<Scored>& parts, const sim::Plant& nominal,
 class TrialBuilder {
  public:
   TrialBuilder(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
-               const Candidate& from, const ScreenResult& screened, const diagnosis::Nearest& nearest)
+               const Candidate& from, const ScreenResult& screened,
+               const std::function<MissingForce()>& force, const diagnosis::Nearest& nearest)
       : data_(data),
         nominal_(nominal),
         scales_(scales),
         from_(from),
         screened_(screened),
+        force_(force),
         nearest_(nearest) {}
 
-  std::vector<TrialSpecs> Run(double least_gain, const std::function<MissingForce()>& force) {
+  std::vector<TrialSpecs> Run(double least_gain) {
     Singles(least_gain);
     Sets(screened_.sets, least_gain);
     Sets(screened_.pairs, least_gain);
@@ -69,7 +74,7 @@ class TrialBuilder {
     if (!from_.base && data_.n > 1 && !Has(held)) Push(BodyStarts(held, nominal_, scales_));
     const bool promised = least_gain > 1.0;
     // No screen promises what pushes the robot from outside.
-    if (!promised || HasHiddenStates(from_)) FromOutside(force);
+    if (!promised || HasHiddenStates(from_)) FromOutside();
     if (promised) {
       Nearest(effects::Spring().id, SprungJoints(least_gain));
       return std::move(out_);
@@ -78,25 +83,30 @@ class TrialBuilder {
       if (!Has(id) && (data_.n <= 2 || !from_.base || !from_.specs.empty()))
         Push(BodyStarts(id, nominal_, scales_));
     }
-    Transmissions(AllJoints());  // last, for they cost most
+    Transmissions(JointsWithForce());  // last, for they cost most
     return std::move(out_);
   }
 
-  std::vector<TrialSpecs> OnJoint(int joint, const std::function<MissingForce()>& force) {
+  std::vector<TrialSpecs> OnJoint(int joint) {
     Singles(1.0);
     Sets(screened_.sets, 1.0);
     Sets(screened_.pairs, 1.0);
-    FromOutside(force);
+    FromOutside();
     Transmissions({joint});
     return std::move(out_);
   }
 
   std::vector<TrialSpecs> OfTransmission() {
-    Transmissions(AllJoints());
+    Transmissions(JointsWithForce());
     return std::move(out_);
   }
 
  private:
+  const MissingForce& Force() {
+    if (!missing_) missing_ = force_();
+    return *missing_;
+  }
+
   void Push(const std::vector<TrialSpecs>& starts) { out_.insert(out_.end(), starts.begin(), starts.end()); }
 
   bool Has(const std::string& id) const { return HasKind(from_.specs, id); }
@@ -124,19 +134,23 @@ class TrialBuilder {
     }
   }
 
-  void FromOutside(const std::function<MissingForce()>& force) {
+  void FromOutside() {
     if (!from_.fit.ok || Has(effects::Push().id)) return;
-    const MissingForce missing = force();
     // What one force over two positions leaves tells what a mass that swings would have to better.
     if (from_.specs.empty() && !from_.base && data_.n > 1) {
-      if (const auto surface = FieldPairStart({data_, nominal_, scales_}, missing)) Push({{*surface}});
+      if (const auto surface = FieldPairStart({data_, nominal_, scales_}, Force())) Push({{*surface}});
     }
-    Push(PushStarts(data_, nominal_, missing));
+    Push(PushStarts(data_, nominal_, Force()));
   }
 
-  std::vector<int> AllJoints() const {
+  // What a joint's motor does behind a spring or play is a force there.
+  std::vector<int> JointsWithForce() {
     std::vector<int> out(static_cast<size_t>(data_.n));
     std::iota(out.begin(), out.end(), 0);
+    if (data_.n <= kFewJoints || !from_.fit.ok) return out;
+    const Eigen::VectorXd evidence = Force().evidence.diagonal();
+    const double least = kLeastForce * evidence.maxCoeff();
+    if (least > 0) std::erase_if(out, [&](int j) { return evidence[j] < least; });
     return out;
   }
 
@@ -227,7 +241,9 @@ class TrialBuilder {
   const MotionScales& scales_;
   const Candidate& from_;
   const ScreenResult& screened_;
+  const std::function<MissingForce()>& force_;
   const diagnosis::Nearest& nearest_;
+  std::optional<MissingForce> missing_;  // once asked for
   std::vector<TrialSpecs> out_;
 };
 
@@ -236,13 +252,15 @@ class TrialBuilder {
 std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                                const Candidate& from, const ScreenResult& screened, double least_gain,
                                const std::function<MissingForce()>& force, const Nearest& nearest) {
-  return TrialBuilder(data, nominal, scales, from, screened, nearest).Run(least_gain, force);
+  return TrialBuilder(data, nominal, scales, from, screened, force, nearest).Run(least_gain);
 }
 
 std::vector<TrialSpecs> TransmissionTrials(const FitData& data, const sim::Plant& nominal,
                                            const MotionScales& scales, const Candidate& from,
-                                           const ScreenResult& screened, const Nearest& nearest) {
-  return TrialBuilder(data, nominal, scales, from, screened, nearest).OfTransmission();
+                                           const ScreenResult& screened,
+                                           const std::function<MissingForce()>& force,
+                                           const Nearest& nearest) {
+  return TrialBuilder(data, nominal, scales, from, screened, force, nearest).OfTransmission();
 }
 
 std::vector<TrialSpecs> TrialsOnJoint(int joint, const FitData& data, const sim::Plant& nominal,
@@ -258,7 +276,7 @@ std::vector<TrialSpecs> TrialsOnJoint(int joint, const FitData& data, const sim:
   std::erase_if(own.hypotheses, elsewhere);
   for (auto* list : {&own.sets, &own.pairs})
     std::erase_if(*list, [&](const Combination& c) { return std::ranges::any_of(c.parts, elsewhere); });
-  return TrialBuilder(data, nominal, scales, from, own, nearest).OnJoint(joint, force);
+  return TrialBuilder(data, nominal, scales, from, own, force, nearest).OnJoint(joint);
 }
 
 std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& screened,

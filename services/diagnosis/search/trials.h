@@ -21,10 +21,13 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
                                const Candidate& from, const ScreenResult& screened, double least_gain,
                                const std::function<MissingForce()>& force, const Nearest& nearest);
 
-// Springs and play, those nearest to the recordings of all joints', beside what `from` has.
+// Springs and play beside what `from` has, those nearest to the recordings, on joints where a force is
+// missing.
 std::vector<TrialSpecs> TransmissionTrials(const FitData& data, const sim::Plant& nominal,
                                            const MotionScales& scales, const Candidate& from,
-                                           const ScreenResult& screened, const Nearest& nearest);
+                                           const ScreenResult& screened,
+                                           const std::function<MissingForce()>& force,
+                                           const Nearest& nearest);
 
 // What acts on that joint alone, whether the screen sees it or not, and what touches the robot.
 std::vector<TrialSpecs> TrialsOnJoint(int joint, const FitData& data, const sim::Plant& nominal,

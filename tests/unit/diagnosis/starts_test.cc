@@ -459,9 +459,9 @@ TEST(Trials, OnAJointAreWhatActsOnThatJointAlone) {
   EXPECT_EQ(sprung, std::set<std::string>{"elbow"});
 }
 
-// A screen of forces says little of where a motor swings: all joints are looked at, each with the rotor that
-// was found there among others.
-TEST(Trials, LookAtSpringsAndPlayOnAllJointsBeforeTheRotorsThatTheyHave) {
+// A screen of forces says little of where a motor swings: all joints are looked at on which a force is
+// missing, each with the rotor that was found there among others.
+TEST(Trials, LookAtSpringsAndPlayWhereAForceIsMissingBeforeTheRotorsThatTheyHave) {
   const auto c = Case::Of("mico2", {}, 9);
   const auto& joints = c->nominal.joint_names();
   Candidate from;
@@ -480,10 +480,21 @@ TEST(Trials, LookAtSpringsAndPlayOnAllJointsBeforeTheRotorsThatTheyHave) {
     }
     return std::vector<TrialSpecs>(starts.begin(), starts.begin() + static_cast<long>(count));
   };
-  EXPECT_EQ(TransmissionTrials(c->data, c->nominal, c->scales, from, {}, nearest).size(), 8u);
-  EXPECT_EQ(kinds.size(), joints.size() - 1) << "one has play";
+  MissingForce force;
+  force.evidence = Eigen::MatrixXd::Identity(c->data.n, c->data.n) * 100;
+  force.evidence(4, 4) = 1;
+  const auto trials = [&] {
+    return TransmissionTrials(
+        c->data, c->nominal, c->scales, from, {}, [&] { return force; }, nearest);
+  };
+  EXPECT_EQ(trials().size(), 8u);
+  EXPECT_EQ(kinds.size(), joints.size() - 2) << "one has play, and one no force";
+  EXPECT_EQ(kinds.count(joints[4]), 0u);
   for (const auto& [joint, of_joint] : kinds) EXPECT_EQ(of_joint.size(), 4u) << joint;
   EXPECT_EQ(rotors.count(0.02), 1u);
+  force.evidence *= -1;  // of no joint
+  trials();
+  EXPECT_EQ(kinds.count(joints[4]), 1u);
 }
 
 // Before a spring is known its motor hides how late the drive is: it starts as late as most others are.
@@ -502,7 +513,9 @@ TEST(Trials, BeginWithADriveBehindASpringAsLateAsTheOthers) {
     from.fit.ok = true, from.fit.values = from.plant->parameters().Nominal();
     const Nearest nearest = [](const std::vector<TrialSpecs>& starts, size_t) { return starts; };
     std::set<double> out;  // lags of the second joint; -1: none
-    for (const TrialSpecs& trial : TransmissionTrials(c->data, c->nominal, c->scales, from, {}, nearest)) {
+    const auto force = [&] { return c->Missing(); };
+    for (const TrialSpecs& trial :
+         TransmissionTrials(c->data, c->nominal, c->scales, from, {}, force, nearest)) {
       if (trial[0].joints[0] != joints[1]) continue;
       const auto lag = std::find_if(trial.begin(), trial.end(),
                                     [](const EffectSpec& s) { return s.id == "actuator_lag"; });
