@@ -25,7 +25,7 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const sim::P
 // Where a screen of a model is linearised.
 struct ScreenPoint {
   bool around_fit = false;               // its own parameters and states; else along the recorded motion
-  const Candidate* values_of = nullptr;  // whose base parameters, along the recorded motion; null: as given
+  const Candidate* values_of = nullptr;  // whose parameters, along the recorded motion; null: as given
 };
 
 // Score tests of all additions to `current`, base parameters free or fixed as its own are. `step_rule`: null:

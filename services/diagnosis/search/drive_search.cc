@@ -207,7 +207,8 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
   const std::vector<TrialSpecs> laws =
       Exchanges(Refreshed(*best), kDry, state_.given, setting_.nominal, setting_.scales);
-  const long exchanged = CountOf(best->specs, kDry) - CountOf(state_.given, kDry);
+  const auto exchanged =
+      std::ranges::count_if(best->specs, [&](const EffectSpec& s) { return s.id == kDry && !IsGiven(s); });
   const auto with = [&](const std::string& id) {
     std::vector<TrialSpecs> others = laws;
     std::erase_if(

@@ -152,7 +152,8 @@ std::shared_ptr<const Candidate> FitLedger::Start(const Candidate* from, bool ba
   if (PerRow(*from) < kConsistent || HasPendulum(from->specs))
     return std::make_shared<const Candidate>(*from);
   if (!base) return nullptr;
-  return NearestBase(*from) == from ? ValuesOf(*from) : pieces_;
+  const Candidate* nearest = from->base ? NearestBase(*from) : pieces_.get();
+  return nearest == pieces_.get() ? pieces_ : ValuesOf(*nearest);
 }
 
 const Candidate* FitLedger::NearestBase(const Candidate& c) const {
@@ -456,7 +457,7 @@ void FitLedger::TryInPlace(const std::vector<TrialSpecs>& others, Candidate* win
   }
   if (!(found.score > winner->score)) return;
   // The winner is fitted on from its end too, or an exchange would be credited with what a longer fit brings.
-  const auto end = std::make_shared<const Candidate>(*winner);
+  const auto end = winner->fit.ok ? std::make_shared<const Candidate>(*winner) : start;
   TakeBest({WholeFit(Refreshed(*winner), base, end, 6, &found)}, 1, winner);
   if (found.score > winner->score) *winner = found;
 }

@@ -87,7 +87,8 @@ class FitLedger {
   // recordings; fits with free base parameters then start there.
   void FindPieces(const std::vector<effects::EffectSpec>& specs);
   // Whose base parameters are nearest to the recordings' where `c` is not consistent: its own once it has
-  // found something, before that those of short pieces. None where inertials are as given.
+  // effects beyond those that short pieces were fitted with, before that those of the pieces. Null where
+  // inertials are as given, and without either.
   const Candidate* NearestBase(const Candidate& c) const;
 
   // Adds each of `pool` to `from` in a trial fit (some windows, few iterations), and fits the `count` best
@@ -99,7 +100,7 @@ class FitLedger {
   bool MayLeaveLess(const Candidate& model, const std::vector<effects::EffectSpec>& specs, bool base,
                     double share);
   // Trial fits of `others`, each in the place of `winner`'s effects; those no worse are fitted on all
-  // windows.
+  // windows. Where one scores better the winner is fitted on, and then compared.
   void TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner);
   // Springs behind the rotors that `model` adds to `from` (with free base parameters, where they cost most,
   // only if it takes half of the misfit), and play where such a rotor leaves nothing.

@@ -20,7 +20,6 @@ constexpr int kMaxExchanges = 3;  // of effects that are easily taken for each o
 }  // namespace
 
 bool Refinement::Exchange(const Candidate& before, Candidate* winner) {
-  if (IsSettled(*winner)) return false;
   int left = kMaxExchanges;
   while (left > 0 && Siblings(before, winner)) --left;
   const bool all = FreshKinds(before, *winner) == FreshKinds(Candidate{}, *winner);
@@ -54,7 +53,7 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
   if (is_new(effects::Regressor::kSine) || is_new(effects::Regressor::kLagging))
     consider(RipplesAcrossLags(specs));
   for (const EffectSpec& s : specs) {
-    if (kinds.count(s.id) == 0) continue;
+    if (kinds.count(s.id) == 0 || IsPart({s}, state_.given)) continue;
     consider(PlayHeldClosed(specs, s, setting_.nominal, setting_.scales));
     const auto starts = OtherTransmission(s, setting_.nominal, setting_.scales);
     for (const TrialSpecs& start : fits_.Nearest(*winner, starts, 1)) others.push_back(Joined(specs, start));
@@ -62,7 +61,7 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
   const double before_others = winner->score;
   fits_.TryInPlace(others, winner);
   if (known_best.score > before_others + kExchange) *winner = Better(*winner, known_best);
-  if (!(winner->score > before_others + kExchange)) return false;
+  if (KeyOf(winner->specs) == KeyOf(specs) || !(winner->score > before_others + kExchange)) return false;
   // Free inertials may have stood for what the exchanged law says.
   if (winner->base) *winner = WithInertialsFreeOrFixed(*winner, 0);
   return true;

@@ -235,10 +235,10 @@ class Search {
     return true;
   }
 
-  // Which law of friction the drives of an ordinary robot have, how late they are and whether masses differ
-  // was chosen while `laws` were missing, and is asked again beside them. Elsewhere a law that was found may
-  // be one that it is easily taken for, and laws that leave much may lack other masses, which cost less to
-  // find than hidden states. Whether that was asked.
+  // Which law of friction the drives of an ordinary robot have and how late they are was chosen while `laws`
+  // were missing, and is chosen again beside them; its masses were. Elsewhere a law that was found may be one
+  // that it is easily taken for, and laws that leave much may lack other masses, which cost less to find than
+  // hidden states. False where they are no laws of what is recorded.
   bool ToldApart(const Candidate& best, Candidate* laws) {
     if (state_.ordinary) {
       drives_.Reconsider(best, laws);

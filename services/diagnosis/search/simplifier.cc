@@ -111,6 +111,7 @@ void Simplifier::Replace(const Candidate& by, Candidate* best) {
 // spring the rotor behind it.
 TrialSpecs Simplifier::PlainForm(const Candidate& c, const std::string& id) const {
   TrialSpecs specs = Refreshed(c);
+  if (!IsRicherFriction(id) && HasKind(state_.given, id)) return specs;
   if (id == effects::Spring().id) return WithoutSprings(specs);
   if (id != effects::Play().id) {
     const auto others = Exchanges(specs, id, state_.given, setting_.nominal, setting_.scales);
@@ -132,7 +133,7 @@ void Simplifier::UsePlainLaws(Candidate* best) {
   }
   const std::string& spring = LawOf(Regressor::kPosition).id;
   for (const std::string& joint : setting_.nominal.joint_names()) {
-    if (!Contains(best->specs, spring, joint)) continue;
+    if (!Contains(best->specs, spring, joint) || Contains(state_.given, spring, joint)) continue;
     UsePlainLaw(spring, WithConstantForce(Refreshed(*best), joint, setting_.nominal, setting_.scales), best);
   }
 }

@@ -1,8 +1,8 @@
 #include "services/diagnosis/search/trials.h"
 
 #include <algorithm>
+#include <functional>
 #include <map>
-#include <numeric>
 #include <optional>
 #include <set>
 
@@ -22,7 +22,7 @@ constexpr size_t kNearest = 2;        // springs, and play, that are tried of ei
 constexpr size_t kSprungJoints = 2;   // on which the screen sees a spring, that are tried
 constexpr size_t kSurfaces = 2;       // of one normal and point each
 constexpr size_t kRotors = 2;         // the largest, behind which a spring is tried
-constexpr int kFewJoints = 2;         // on all of which springs and play are looked for
+constexpr size_t kFewJoints = 3;      // on which springs and play are looked for in any case
 constexpr double kLeastForce = 0.05;  // of the evidence for a force on the joint that lacks most
 constexpr double kLeastRotor = 0.01;  // of the joint's inertia, before which play is tried
 constexpr size_t kMostSets = 6;       // of joints, and as many pairs of effects
@@ -143,14 +143,19 @@ class TrialBuilder {
     Push(PushStarts(data_, nominal_, Force()));
   }
 
-  // What a joint's motor does behind a spring or play is a force there.
+  // On which a motor behind a spring or play may explain something: what it does is a force there. Of those
+  // that lack least, more than a few are left out.
   std::vector<int> JointsWithForce() {
-    std::vector<int> out(static_cast<size_t>(data_.n));
-    std::iota(out.begin(), out.end(), 0);
-    if (data_.n <= kFewJoints || !from_.fit.ok) return out;
+    std::vector<int> out;
+    for (int joint = 0; joint < data_.n; ++joint) {
+      if (MayHaveMotor(joint)) out.push_back(joint);
+    }
+    if (out.size() <= kFewJoints || !from_.fit.ok) return out;
     const Eigen::VectorXd evidence = Force().evidence.diagonal();
-    const double least = kLeastForce * evidence.maxCoeff();
-    if (least > 0) std::erase_if(out, [&](int j) { return evidence[j] < least; });
+    std::ranges::stable_sort(out, std::greater{}, [&](int j) { return evidence[j]; });
+    const double least = kLeastForce * evidence[out.front()];
+    if (!(least > 0)) return out;
+    while (out.size() > kFewJoints && evidence[out.back()] < least) out.pop_back();
     return out;
   }
 
@@ -170,8 +175,8 @@ class TrialBuilder {
     for (const std::string& id : {effects::Spring().id, effects::Play().id}) Nearest(id, joints);
   }
 
-  // A motor behind a spring or play is hidden, and no screen of forces far from a fit says on which joint: a
-  // look from all starts on all of `joints` does.
+  // A motor behind a spring or play is hidden, and no screen of forces far from a fit says on which of
+  // several joints: a look from all starts on all of `joints` does.
   void Nearest(const std::string& id, const std::vector<int>& joints) {
     for (const char* sensor : {"link", "motor"}) {
       std::vector<std::vector<TrialSpecs>> of_joints;

@@ -21,7 +21,7 @@ std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, c
                                const Candidate& from, const ScreenResult& screened, double least_gain,
                                const std::function<MissingForce()>& force, const Nearest& nearest);
 
-// Springs and play beside what `from` has, those nearest to the recordings, on joints where a force is
+// Springs and play beside what `from` has, those nearest to the recordings, on joints where much force is
 // missing.
 std::vector<TrialSpecs> TransmissionTrials(const FitData& data, const sim::Plant& nominal,
                                            const MotionScales& scales, const Candidate& from,

@@ -387,6 +387,23 @@ TEST(Simplifier, PutsThePlainLawInThePlaceOfARicherOneThatSaysNoMore) {
   EXPECT_LT(fits.PerRow(best), kExplained);
 }
 
+// What the given model says is not doubted, though less would do.
+TEST(Simplifier, LeavesADeclaredLawAsItIs) {
+  const auto p =
+      testing::Prepare("arm2", {MakeSpec("coulomb_friction", {"shoulder"}, {{"coulomb", 0.4}})}, 60);
+  FirstRound round(*p);
+  FitLedger& fits = round.state.fits;
+  round.state.given = {
+      MakeSpec("asymmetric_friction", {"shoulder"}, {{"coulomb_positive", 0.4}, {"coulomb_negative", 0.4}})};
+  fits.Evaluate(round.state.given, false);
+  Candidate best = fits.Evaluate(round.state.given, false, nullptr, 12);
+  Simplifier(round.state).Run(&best);
+  EXPECT_EQ(KeyOf(best.specs), KeyOf(round.state.given));
+  Candidate none = fits.Evaluate({}, false);  // nor is one missed that is not there
+  Simplifier(round.state).Run(&none);
+  EXPECT_TRUE(none.specs.empty());
+}
+
 TEST(Search, AGroupLeavesAloneWhatAJointHas) {
   auto p = testing::Prepare("arm2", {}, 55);
   p->nominal = *p->nominal.WithEffect(MakeSpec("coulomb_friction", {"elbow"}, {{"coulomb", 0.3}}));
