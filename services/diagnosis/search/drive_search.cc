@@ -114,9 +114,7 @@ bool DriveSearch::TakeNearest(const std::map<std::string, Candidate>& before, Ca
   for (const auto& [key, c] : fits_.tried()) {
     if (before.count(key) == 0 && c.fit.ok && Left(c) < Left(*nearest)) nearest = &c;
   }
-  if (!(Left(*nearest) < kWorthwhile * Left(*best)) ||
-      nearest->score < best->score + state_.Threshold(*best, *nearest))
-    return false;
+  if (!(Left(*nearest) < kWorthwhile * Left(*best)) || nearest->score < best->score) return false;
   *best = Candidate(*nearest);
   return true;
 }
