@@ -24,7 +24,7 @@ constexpr double kNear = 0.2;          // of the excess χ²: most that the grou
 constexpr double kCloser = 0.1;        // above which free base parameters or one addition are tried
 constexpr double kUseful = 0.5;        // most that a useful step leaves
 constexpr double kShown = 0.85;        // of the regression's residual scale: most that true losses leave
-constexpr double kWorthwhile = 0.8;    // of the excess: most that another dry law leaves
+constexpr double kWorthwhile = 0.8;    // of the excess: most that another law leaves, to be asked on
 constexpr int kThingsBeside = 4;       // additions to the group, at most
 constexpr double kClearly = 10.0;      // standard deviations from zero, of a significant loss
 constexpr double kLateBy = 0.01;       // s, where a fit of lags or delays begins
@@ -62,8 +62,8 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
   Candidate best = Losses();
   const bool useful = best.plant != nullptr && Left(best) < kUseful * Left(plain);
   const auto leaves = [&](double share) { return Left(best) > share * Left(without); };
-  // A missing effect hides what the drives have: after each addition that takes half of the excess they are
-  // reconsidered.
+  // A missing effect hides what the drives have: after each addition that takes half of the excess, or
+  // another law that takes a fifth, they are reconsidered.
   std::set<std::string> looked_at;  // with their scores
   for (int more = 0; useful && more < kThingsBeside; ++more) {
     const double before = Left(best);
@@ -82,7 +82,7 @@ std::optional<Candidate> DriveSearch::Run(const Candidate& plain, const Candidat
       return std::nullopt;
     }
     // Two missing effects may each take less than half while the other is missing.
-    if (LeavesSomething(best) && (Left(best) < kUseful * before || TakeNearest(kept, &best))) continue;
+    if (LeavesSomething(best) && (Left(best) < kWorthwhile * before || TakeNearest(kept, &best))) continue;
     if (!leaves(kCloser)) break;
     Candidate with = drives;
     step_.AddPromised(drives, &with);

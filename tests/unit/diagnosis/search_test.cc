@@ -387,6 +387,29 @@ TEST(Simplifier, PutsThePlainLawInThePlaceOfARicherOneThatSaysNoMore) {
   EXPECT_LT(fits.PerRow(best), kExplained);
 }
 
+// Late drives and friction that drops with speed each take less than half of what losses leave, and less than
+// a hundredth of what these explain.
+TEST(DriveSearch, TakesTheBetterOfTwoStepsThatNeedEachOther) {
+  std::vector<EffectSpec> truth;
+  for (const char* joint : {"shoulder", "elbow"}) {
+    truth.push_back(MakeSpec("viscous_friction", {joint}, {{"viscous", 1.5}}));
+    truth.push_back(MakeSpec("rotor_inertia", {joint}, {{"armature", 0.1}}));
+    truth.push_back(MakeSpec("stribeck_friction", {joint},
+                             {{"coulomb", 0.3}, {"static", 0.9}, {"stribeck_velocity", 0.15}}));
+    truth.push_back(MakeSpec("actuator_lag", {joint}, {{"time_constant", 0.0265}}));
+  }
+  testing::Sampling sampling;
+  sampling.rate_hz = 50;
+  const auto p = testing::Prepare("arm2", truth, 65, sampling);
+  FirstRound round(*p);
+  FitLedger& fits = round.state.fits;
+  const Candidate plain = fits.Evaluate({}, false), freed = fits.Evaluate({}, true);
+  const auto found = DriveSearch(round.state, round.step).Run(plain, freed);
+  ASSERT_TRUE(found.has_value());
+  EXPECT_LT(fits.PerRow(*found), kExplained) << KeyOf(found->specs);
+  EXPECT_EQ(KeyOf(found->specs), KeyOf(truth));
+}
+
 // What the given model says is not doubted, though less would do.
 TEST(Simplifier, LeavesADeclaredLawAsItIs) {
   const auto p =
