@@ -1,6 +1,7 @@
 #include "services/diagnosis/search/refinement.h"
 
 #include <algorithm>
+#include <map>
 #include <set>
 #include <string>
 #include <vector>
@@ -75,10 +76,16 @@ Candidate Refinement::WithInertialsFreeOrFixed(const Candidate& c, double least)
 }
 
 void Refinement::ExchangeMasses(const Candidate& before, Candidate* model) {
-  const Candidate other = WithInertialsFreeOrFixed(*model, 0);
-  if (other.base == model->base || !(fits_.Excess(other) < kPartly * fits_.Excess(*model))) return;
-  *model = other;
-  Exchange(before, model);
+  const std::map<std::string, Candidate> kept = fits_.tried();
+  Candidate other = WithInertialsFreeOrFixed(*model, 0);
+  if (other.base != model->base && fits_.Excess(other) < kPartly * fits_.Excess(*model)) {
+    Exchange(before, &other);
+    if (fits_.PerRow(other) < kConsistent) {
+      *model = other;
+      return;
+    }
+  }
+  fits_.tried() = kept;
 }
 
 Candidate Refinement::Refitted(const Candidate& c, const Candidate& from, const Candidate& rival) {

@@ -18,6 +18,8 @@ class Refinement {
   bool Exchange(const Candidate& before, Candidate* model);
   // Free inertials in the place of given ones, or given ones of free ones, where they leave half as much as
   // `model` at most, and then the exchanges again: what is told apart beside other masses may not be without.
+  // Where that is not consistent either, nothing changes and its fits are forgotten: it was asked before its
+  // turn.
   void ExchangeMasses(const Candidate& before, Candidate* model);
   // Whether the score stayed when all kinds of this model were exchanged.
   bool IsSettled(const Candidate& model) const { return KeyOf(model.specs, model.base) == settled_; }
