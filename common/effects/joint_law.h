@@ -82,7 +82,6 @@ struct JointLaw {
   }
   RG_INLINE S VelocityAt(const S& theta) const { return v0 + theta * (v1 - v0); }
   S PositionAt(const S& theta) const { return q0 + theta * (q1 - q0); }
-  S MeanSpeed() const { return T(0.5) * (Abs(v0) + Abs(v1)); }
 
   S Force() const {
     return rough ? SmoothForce() + SignForce(level_positive, level_negative) : SmoothForce();

@@ -37,6 +37,7 @@ struct Finding {
   std::string effect;
   std::vector<std::string> joints;
   double confidence = 0;
+  bool modelled = true;  // false: something is missing, and no model of it was found
   std::string summary;
   double share_of_mismatch = 0;
   std::vector<Region> regions;

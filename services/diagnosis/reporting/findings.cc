@@ -465,6 +465,7 @@ class FindingsBuilder {
     Finding f;
     f.effect = Unnamed();
     f.confidence = 1.0;
+    f.modelled = false;
     f.equation = "tau = f(q, dq, t)";
     f.effect_class = {Unnamed()};
     for (const int j : JointsOfTheRest()) {

@@ -140,7 +140,7 @@ Candidate DriveSearch::Seen(const Candidate& c, bool base) {
   for (size_t i = 0; i < specs.size(); ++i) {
     const bool weak = Uninformed(all, i) || Strength(all, i) < kAbsent;
     const bool none = aperiodic.count(i) > 0 || (weak && !LikeOtherJoints(all, i));
-    if (IsGiven(specs[i]) || !(none || rising.count(i) > 0)) {
+    if (state_.IsGiven(specs[i]) || !(none || rising.count(i) > 0)) {
       seen.push_back(specs[i]);
     } else if (!none) {
       seen.push_back(Exchanged(specs[i], kDry, setting_.nominal, setting_.scales));
@@ -157,7 +157,7 @@ void DriveSearch::Late(Candidate* best) {
   const Candidate now = *best, start = AsStart(*best);
   std::vector<EffectSpec> punctual = Refreshed(start);
   std::erase_if(punctual, [&](const EffectSpec& s) {
-    return effects::FindEffect(s.id)->family == kTiming && !IsGiven(s);
+    return effects::FindEffect(s.id)->family == kTiming && !state_.IsGiven(s);
   });
   std::vector<std::pair<std::string, std::vector<EffectSpec>>> late;
   for (const std::string& id : kTimings) {
@@ -205,8 +205,8 @@ void DriveSearch::OtherDryLaw(Candidate* best) {
   if (!best->fit.ok || !LeavesSomething(*best) || fits_.Late()) return;
   const std::vector<TrialSpecs> laws =
       Exchanges(Refreshed(*best), kDry, state_.given, setting_.nominal, setting_.scales);
-  const auto exchanged =
-      std::ranges::count_if(best->specs, [&](const EffectSpec& s) { return s.id == kDry && !IsGiven(s); });
+  const auto exchanged = std::ranges::count_if(
+      best->specs, [&](const EffectSpec& s) { return s.id == kDry && !state_.IsGiven(s); });
   const auto with = [&](const std::string& id) {
     std::vector<TrialSpecs> others = laws;
     std::erase_if(
@@ -261,7 +261,7 @@ void DriveSearch::Reconsider(const Candidate& before, Candidate* best) {
   for (const std::string& law : {kDry, kDropping, kEitherWay}) {
     TrialSpecs all = Refreshed(*best);
     for (EffectSpec& s : all) {
-      const bool of_drive = effects::IsIn(effects::Slot::kDryFriction, s.id) && !IsGiven(s) &&
+      const bool of_drive = effects::IsIn(effects::Slot::kDryFriction, s.id) && !state_.IsGiven(s) &&
                             Contains(before.specs, s.id, s.joints[0]);
       if (of_drive && s.id != law &&
           setting_.nominal.Takes(law, setting_.nominal.model().FindJoint(s.joints[0])))
@@ -337,10 +337,6 @@ void DriveSearch::Freed(Candidate* best) {
   if (!c.fit.ok) return;
   Late(&c);
   if (c.score > best->score + state_.Threshold(*best, c) && Left(c) < kUseful * Left(*best)) *best = c;
-}
-
-bool DriveSearch::IsGiven(const EffectSpec& s) const {
-  return Contains(state_.given, s.id, s.joints.empty() ? "" : s.joints[0]);
 }
 
 double DriveSearch::Left(const Candidate& c) {

@@ -43,7 +43,6 @@ class DriveSearch {
   void Freed(Candidate* best);
   Candidate WithFreeBase(const Candidate& c);
   Candidate WithZeros(const Candidate& c, const Candidate& either_way);
-  bool IsGiven(const effects::EffectSpec& s) const;
   std::vector<effects::EffectSpec> OnAll(const std::string& id, double late) const;
   bool OfAllDrives(const Candidate& c) const;
   // Excess χ² over the sensors' own noise (the search's noise scale may contain what is missing); infinite of

@@ -199,8 +199,7 @@ std::vector<ForceLocator::Explanation> ForceLocator::Explanations(const std::vec
   }
   if (force.joints.empty()) return out;
   for (const Candidate& without : models) {
-    const std::string key = KeyOf(without.specs, without.base) + std::to_string(without.score) + ' ' +
-                            std::to_string(fits_.noise_scale());
+    const std::string key = KeyOfFit(without) + ' ' + std::to_string(fits_.noise_scale());
     auto known = screens_.find(key);
     if (known == screens_.end()) {
       if (fits_.Late()) return {};  // some models alone are no comparison
@@ -265,7 +264,7 @@ std::optional<Candidate> ForceLocator::Fitted(const Explanation& e, const Candid
   Candidate from = e.without;
   from.plant = std::make_shared<const sim::Plant>(*plant);
   from.fit.values = plant->ValuesFrom(e.without.plant->parameters(), e.without.fit.values);
-  const MissingForce force = state_.Force(from);
+  const MissingForce force = state_.EstimatedForce(from);
   std::optional<Candidate> best;
   double least = effects::kInf, least_admissible = effects::kInf;  // χ²
   const auto offer = [&](const Candidate& c) {

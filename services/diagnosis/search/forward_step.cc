@@ -20,21 +20,11 @@ constexpr size_t kFits = 3;              // of a further step on all windows
 constexpr size_t kLawFits = 3;           // before hidden states are looked for
 constexpr size_t kFitsBesideDrives = 3;  // beside the losses of all drives
 
-std::string KeyOfFit(const Candidate& c) {
-  return KeyOf(c.specs, c.base) + std::to_string(c.score) + ' ' + std::to_string(c.fit.chi2);
-}
-
 }  // namespace
 
 void ForwardStep::SetRound(int round) {
   if (round != round_) ForgetScreens();
   round_ = round;
-}
-
-const MissingForce& ForwardStep::Force(const Candidate& from) {
-  const auto [at, fresh] = forces_.try_emplace(KeyOfFit(from));
-  if (fresh) at->second = state_.Force(from);
-  return at->second;
 }
 
 ScreenResult ForwardStep::Screen(const Candidate& current) {
@@ -107,7 +97,7 @@ void ForwardStep::AddPromised(const Candidate& from, Candidate* winner) {
 
 void ForwardStep::AddTransmission(const Candidate& from, Candidate* winner) {
   const auto nearest = [&](const auto& starts, size_t most) { return fits_.Nearest(from, starts, most); };
-  const auto force = [&] { return Force(from); };
+  const auto force = [&] { return &state_.Force(from); };
   const auto pool = TransmissionTrials(setting_.data, setting_.nominal, setting_.scales, from, Screen(from),
                                        force, nearest);
   fits_.TryBest(from, pool, {}, kFitsBesideDrives, winner);
@@ -127,7 +117,8 @@ TrialSpecs ForwardStep::WithLaw(const RodStart& start, const ScreenResult& scree
 
 void ForwardStep::AddRods(const Candidate& from, Candidate* winner) {
   double work = 0;
-  const auto rods = ScreenRods(setting_, Force(from), ShownFor(from, false), fits_.lifted().threads, &work);
+  const auto rods =
+      ScreenRods(setting_, state_.Force(from), ShownFor(from, false), fits_.lifted().threads, &work);
   fits_.AddWork(work);
   if (rods.empty()) return;
   const ScreenResult screened = Screen(from);
@@ -155,7 +146,7 @@ void ForwardStep::AddOnJoint(const Candidate& from, int joint, const TrialSpecs&
   const auto nearest = [&](const auto& starts, size_t most) {
     return fits_.Nearest(from, with(starts), most);
   };
-  const auto force = [&] { return Force(from); };
+  const auto force = [&] { return &state_.Force(from); };
   const auto pool = with(TrialsOnJoint(joint, setting_.data, setting_.nominal, setting_.scales, from,
                                        Screen(from), force, nearest));
   fits_.TryBest(from, pool, {}, kLawFits, winner);
@@ -184,7 +175,7 @@ void ForwardStep::Try(const Candidate& from, const ScreenResult& screened, doubl
                       size_t count, Candidate* winner) {
   const FitData& data = setting_.data;
   const auto nearest = [&](const auto& starts, size_t most) { return fits_.Nearest(from, starts, most); };
-  const auto force = [&] { return Force(from); };
+  const auto force = [&] { return &state_.Force(from); };
   const bool near = from.fit.ok && fits_.PerRow(from) < kConsistent;
   const auto promised =
       Promised(from, screened, setting_.nominal, setting_.scales, near, needed, kPromisedFits);

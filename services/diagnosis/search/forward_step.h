@@ -26,7 +26,7 @@ class ForwardStep {
   }
   // Screens are kept within a round, and until the noise scale changes.
   void SetRound(int round);
-  void ForgetScreens() { screens_.clear(), forces_.clear(); }
+  void ForgetScreens() { screens_.clear(); }
   // What another step rule makes is taken around the first model that is screened from here on.
   void ForgetStepRule() { step_rules_.clear(); }
 
@@ -71,8 +71,6 @@ class ForwardStep {
 
  private:
   TrialSpecs WithLaw(const RodStart& start, const ScreenResult& screened) const;
-  // That a model leaves unexplained; kept as screens are.
-  const MissingForce& Force(const Candidate& from);
   // What a screen around that model, which fits the recordings if `near`, shows.
   const FeatureSet& ShownFor(const Candidate& current, bool near);
   void Try(const Candidate& from, const ScreenResult& screened, double least, double needed, size_t count,
@@ -86,7 +84,6 @@ class ForwardStep {
   std::map<std::pair<bool, bool>, FeatureSet> shown_;          // near a fit, with surfaces
   std::map<double, std::vector<Eigen::VectorXd>> step_rules_;  // of a model's own step [s]
   std::map<std::string, ScreenResult> screens_;                // of this round, by model and fit
-  std::map<std::string, MissingForce> forces_;                 // the same
   int round_ = 0;
 };
 

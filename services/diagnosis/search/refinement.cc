@@ -54,7 +54,7 @@ bool Refinement::Siblings(const Candidate& before, Candidate* winner) {
   if (is_new(effects::Regressor::kSine) || is_new(effects::Regressor::kLagging))
     consider(RipplesAcrossLags(specs));
   for (const EffectSpec& s : specs) {
-    if (kinds.count(s.id) == 0 || IsPart({s}, state_.given)) continue;
+    if (kinds.count(s.id) == 0 || state_.IsGiven(s)) continue;
     consider(PlayHeldClosed(specs, s, setting_.nominal, setting_.scales));
     const auto starts = OtherTransmission(s, setting_.nominal, setting_.scales);
     for (const TrialSpecs& start : fits_.Nearest(*winner, starts, 1)) others.push_back(Joined(specs, start));

@@ -428,7 +428,7 @@ class Search {
     for (const EffectSpec& law : Refreshed(*best)) {
       const effects::EffectInfo& info = *effects::FindEffect(law.id);
       if (info.scope != effects::Scope::kJoint || info.stage == effects::Stage::kSensor ||
-          ShowsOver(law) != effects::Variable::kPosition || IsUnnamed(law.id) || IsPart({law}, state_.given))
+          ShowsOver(law) != effects::Variable::kPosition || IsUnnamed(law.id) || state_.IsGiven(law))
         continue;
       const int joint = setting_.nominal.model().FindJoint(law.joints.front());
       if (!setting_.nominal.Takes(unnamed, joint)) continue;
@@ -448,7 +448,7 @@ class Search {
                    Candidate* best) {
     const Candidate without = fits_.KnownOrFitted(kept, base, best);
     if (!without.fit.ok) return false;
-    const MissingForce force = state_.Force(without);
+    const MissingForce& force = state_.Force(without);
     bool taken = false;
     for (const std::string& variable : variables) {
       const auto start =

@@ -24,6 +24,10 @@ double Worth(const Candidate& c) {
 
 }  // namespace
 
+std::string KeyOfFit(const Candidate& c) {
+  return KeyOf(c.specs, c.base) + std::to_string(c.score) + ' ' + std::to_string(c.fit.chi2);
+}
+
 double SearchState::Threshold(const Candidate& best) const {
   return acceptance.Needed(best, Explained(best), LeftBy(best, fits));
 }
@@ -42,9 +46,7 @@ double SearchState::Explained(const Candidate& c) const {
 
 bool SearchState::FoundNothing(const Candidate& c) const { return KeyOf(c.specs) == KeyOf(given); }
 
-bool SearchState::IsNewForce(const effects::EffectSpec& s) const {
-  return IsUnnamed(s.id) && !IsPart({s}, given);
-}
+bool SearchState::IsNewForce(const effects::EffectSpec& s) const { return IsUnnamed(s.id) && !IsGiven(s); }
 
 bool SearchState::HasNewForce(const Candidate& c) const {
   return std::ranges::any_of(c.specs, [&](const auto& s) { return IsNewForce(s); });
@@ -56,7 +58,13 @@ bool SearchState::HasForceInPlace(const Candidate& c) const {
          });
 }
 
-MissingForce SearchState::Force(const Candidate& c) const {
+const MissingForce& SearchState::Force(const Candidate& c) {
+  const auto [at, fresh] = forces_.try_emplace(KeyOfFit(c) + ' ' + std::to_string(fits.noise_scale()));
+  if (fresh) at->second = EstimatedForce(c);
+  return at->second;
+}
+
+MissingForce SearchState::EstimatedForce(const Candidate& c) const {
   const FitModel model{*c.plant, c.fit.values, {}};
   const LiftedOptions options = fits.AsFitted(c);
   return EstimateMissingForce(setting.data, model, InitialStates(setting.data, model, options),

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <functional>
 #include <map>
-#include <optional>
 #include <set>
 
 #include "common/effects/effect_catalog.h"
@@ -57,7 +56,7 @@ class TrialBuilder {
  public:
   TrialBuilder(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                const Candidate& from, const ScreenResult& screened,
-               const std::function<MissingForce()>& force, const diagnosis::Nearest& nearest)
+               const std::function<const MissingForce*()>& force, const diagnosis::Nearest& nearest)
       : data_(data),
         nominal_(nominal),
         scales_(scales),
@@ -102,11 +101,6 @@ class TrialBuilder {
   }
 
  private:
-  const MissingForce& Force() {
-    if (!missing_) missing_ = force_();
-    return *missing_;
-  }
-
   void Push(const std::vector<TrialSpecs>& starts) { out_.insert(out_.end(), starts.begin(), starts.end()); }
 
   bool Has(const std::string& id) const { return HasKind(from_.specs, id); }
@@ -138,9 +132,9 @@ class TrialBuilder {
     if (!from_.fit.ok || Has(effects::Push().id)) return;
     // What one force over two positions leaves tells what a mass that swings would have to better.
     if (from_.specs.empty() && !from_.base && data_.n > 1) {
-      if (const auto surface = FieldPairStart({data_, nominal_, scales_}, Force())) Push({{*surface}});
+      if (const auto surface = FieldPairStart({data_, nominal_, scales_}, *force_())) Push({{*surface}});
     }
-    Push(PushStarts(data_, nominal_, Force()));
+    Push(PushStarts(data_, nominal_, *force_()));
   }
 
   // On which a motor behind a spring or play may explain something: what it does is a force there. Of those
@@ -151,7 +145,7 @@ class TrialBuilder {
       if (MayHaveMotor(joint)) out.push_back(joint);
     }
     if (out.size() <= kFewJoints || !from_.fit.ok) return out;
-    const Eigen::VectorXd evidence = Force().evidence.diagonal();
+    const Eigen::VectorXd evidence = force_()->evidence.diagonal();
     std::ranges::stable_sort(out, std::greater{}, [&](int j) { return evidence[j]; });
     const double least = kLeastForce * evidence[out.front()];
     if (!(least > 0)) return out;
@@ -246,9 +240,8 @@ class TrialBuilder {
   const MotionScales& scales_;
   const Candidate& from_;
   const ScreenResult& screened_;
-  const std::function<MissingForce()>& force_;
+  const std::function<const MissingForce*()>& force_;
   const diagnosis::Nearest& nearest_;
-  std::optional<MissingForce> missing_;  // once asked for
   std::vector<TrialSpecs> out_;
 };
 
@@ -256,14 +249,14 @@ class TrialBuilder {
 
 std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                                const Candidate& from, const ScreenResult& screened, double least_gain,
-                               const std::function<MissingForce()>& force, const Nearest& nearest) {
+                               const std::function<const MissingForce*()>& force, const Nearest& nearest) {
   return TrialBuilder(data, nominal, scales, from, screened, force, nearest).Run(least_gain);
 }
 
 std::vector<TrialSpecs> TransmissionTrials(const FitData& data, const sim::Plant& nominal,
                                            const MotionScales& scales, const Candidate& from,
                                            const ScreenResult& screened,
-                                           const std::function<MissingForce()>& force,
+                                           const std::function<const MissingForce*()>& force,
                                            const Nearest& nearest) {
   return TrialBuilder(data, nominal, scales, from, screened, force, nearest).OfTransmission();
 }
@@ -271,7 +264,8 @@ std::vector<TrialSpecs> TransmissionTrials(const FitData& data, const sim::Plant
 std::vector<TrialSpecs> TrialsOnJoint(int joint, const FitData& data, const sim::Plant& nominal,
                                       const MotionScales& scales, const Candidate& from,
                                       const ScreenResult& screened,
-                                      const std::function<MissingForce()>& force, const Nearest& nearest) {
+                                      const std::function<const MissingForce*()>& force,
+                                      const Nearest& nearest) {
   // A coupling's force is on the second joint.
   const auto elsewhere = [&](const Scored& h) {
     if (h.effect == LawOf(Regressor::kOtherEffort).id) return h.joints.back() != joint;

@@ -19,21 +19,22 @@ using Nearest = std::function<std::vector<TrialSpecs>(const std::vector<TrialSpe
 // `force`: the missing force of `from`, asked for only where it is needed.
 std::vector<TrialSpecs> Trials(const FitData& data, const sim::Plant& nominal, const MotionScales& scales,
                                const Candidate& from, const ScreenResult& screened, double least_gain,
-                               const std::function<MissingForce()>& force, const Nearest& nearest);
+                               const std::function<const MissingForce*()>& force, const Nearest& nearest);
 
 // Springs and play beside what `from` has, those nearest to the recordings, on joints where much force is
 // missing.
 std::vector<TrialSpecs> TransmissionTrials(const FitData& data, const sim::Plant& nominal,
                                            const MotionScales& scales, const Candidate& from,
                                            const ScreenResult& screened,
-                                           const std::function<MissingForce()>& force,
+                                           const std::function<const MissingForce*()>& force,
                                            const Nearest& nearest);
 
 // What acts on that joint alone, whether the screen sees it or not, and what touches the robot.
 std::vector<TrialSpecs> TrialsOnJoint(int joint, const FitData& data, const sim::Plant& nominal,
                                       const MotionScales& scales, const Candidate& from,
                                       const ScreenResult& screened,
-                                      const std::function<MissingForce()>& force, const Nearest& nearest);
+                                      const std::function<const MissingForce*()>& force,
+                                      const Nearest& nearest);
 
 // Around a consistent model, the hypotheses with more than `needed` nats beyond their structure prior in the
 // screen, best first and `count` at most: there the screen is exact to first order and of all windows, which

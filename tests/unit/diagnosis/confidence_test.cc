@@ -83,6 +83,26 @@ TEST(Confidence, BesideWhatHasNoNameANameIsHardlyClaimed) {
   EXPECT_EQ(measured[0].effect, "coulomb_friction") << "a real arm's friction holds whatever else remains";
 }
 
+TEST(Confidence, AForceIsHardlyClaimedToHaveNoNameWhereNoModelOfItWasFound) {
+  std::vector<Finding> modelled = {Named("unknown_field", 1)}, missing = modelled, measured = modelled;
+  missing[0].modelled = measured[0].modelled = false;
+  Calibrate("unexplained", Standing::kPlain, 2, &modelled);
+  EXPECT_NEAR(modelled[0].confidence, 0.8, 0.01);
+  Calibrate("unexplained", Standing::kPlain, 2, &missing);
+  EXPECT_LT(missing[0].confidence, 0.5) << "it may be several effects that were not found";
+  std::vector<Finding> beside = {missing[0], Named("sensor_delay", 1)};
+  beside[0].confidence = 1, beside[1].shows_over = effects::Variable::kVelocity;
+  Calibrate("unexplained", Standing::kPlain, 2, &beside);
+  EXPECT_EQ(beside[0].effect, "unknown_field") << "a name is no surer than that something is missing";
+  EXPECT_LE(beside[1].confidence, beside[0].confidence);
+  std::vector<Finding> rest = {Named("coulomb_friction", 1), missing[0]};
+  rest[1].confidence = 1;
+  Calibrate("unexplained", Standing::kSomeLeft, 2, &rest);
+  EXPECT_NEAR(rest[1].confidence, 0.6, 0.01) << "what names leave that explain most";
+  Calibrate("unexplained", Standing::kMeasured, 2, &measured);
+  EXPECT_GT(measured[0].confidence, 0.5) << "no set of laws follows all that a real arm does";
+}
+
 TEST(Confidence, IsLessWhereTheRestIsBeyondTheNoise) {
   std::vector<Finding> f = {Named("joint_elasticity", 1), Named("coulomb_friction", 1),
                             Named("unknown_field", 1)};

@@ -337,9 +337,30 @@ TEST(Refinement, ExchangesMassesAndThenWhatTheyHid) {
   EXPECT_EQ(KeyOf(model.specs), KeyOf({drops}));
   EXPECT_LT(fits.PerRow(model), kExplained);
   // Masses that are right stay as they are.
-  const Candidate freed = model;
-  refinement.ExchangeMasses(bare, &model);
+  FirstRound another(*p);
+  const Candidate freed = another.state.fits.Evaluate(Refreshed(model), true);
+  model = freed;
+  Refinement{another.state}.ExchangeMasses(bare, &model);
   EXPECT_EQ(KeyOf(model.specs, model.base), KeyOf(freed.specs, freed.base));
+  EXPECT_EQ(another.state.fits.tried().size(), 1u) << "what was asked before its turn is forgotten";
+}
+
+TEST(SearchState, KeepsTheMissingForceOfEachFit) {
+  const auto p = testing::Prepare("arm2", {MakeSpec("torque_offset", {"elbow"}, {{"offset", 0.3}})}, 66);
+  FirstRound round(*p);
+  SearchState& state = round.state;
+  const Candidate bare = state.fits.Evaluate({}, false);
+  const MissingForce& first = state.Force(bare);
+  EXPECT_GT(first.evidence(1, 1), first.evidence(0, 0));
+  const double evidence = first.evidence(1, 1), *kept = first.evidence.data();
+  const Candidate with =
+      state.fits.Evaluate({MakeSpec("torque_offset", {"elbow"}, {{"offset", 0.2}})}, false);
+  EXPECT_LT(state.Force(with).evidence(1, 1), 0.1 * evidence);
+  EXPECT_EQ(state.Force(bare).evidence.data(), kept) << "estimated anew";
+  // With more noise the same fit lacks less.
+  state.fits.SetNoiseScale(4);
+  EXPECT_LT(state.Force(bare).evidence(1, 1), 0.5 * evidence);
+  EXPECT_EQ(first.evidence(1, 1), evidence);
 }
 
 // Chosen while the base was taken to stand upright, friction by direction stood for its tilt as well.
