@@ -53,7 +53,8 @@ std::vector<effects::EffectSpec> DrawEffects(const Robot& robot, const std::vect
 struct Row {
   int set = 0;
   std::string robot;
-  double gain[2] = {0, 0}, null[2] = {0, 0};  // of the screen with fixed and with free base parameters
+  // Of the screen with fixed and with free base parameters; gains beyond the step rule's.
+  double gain[2] = {0, 0}, null[2] = {0, 0};
   std::string best[2];
   bool alarm = false;
   std::string said;
@@ -96,6 +97,13 @@ std::map<int, Row> ReadRows(const char* file) {
   return out;
 }
 
+// Amplitudes add (acceptance.h): what the simulator's own step may promise of a law is no reason for it.
+double BeyondStepRule(const Scored& h) {
+  if (h.gain <= 0) return h.gain;
+  const double amplitude = std::sqrt(2 * h.gain) - std::sqrt(2 * std::max(0.0, h.step_rule));
+  return 0.5 * amplitude * std::abs(amplitude);
+}
+
 // The best hypothesis that the model does not have, around the model fitted to the recordings.
 void Screens(const recordings::RecordingSet& set, const DiagnosisOptions& options, Row* row) {
   const auto nominal = GivenPlant(set, options.model);
@@ -108,15 +116,17 @@ void Screens(const recordings::RecordingSet& set, const DiagnosisOptions& option
   FitLedger fits(setting, options, 1, trace, nullptr);
   const auto given = SeenEffects(*nominal, [&](const auto& specs) { return fits.Evaluate(specs, true); });
   const FeatureSet features = MakeFeatures(*data, *nominal, scales);
-  std::vector<Eigen::VectorXd> step_rule;
+  std::map<double, std::vector<Eigen::VectorXd>> step_rules;  // by step, as a search keeps them
   for (const int base : {0, 1}) {
     const Candidate fitted = fits.Evaluate(given, base == 1);
-    const ScreenResult screened =
-        ScreenAround(setting, fitted, {true}, features, fits.lifted(), Rng(options.seed), &step_rule);
+    const LiftedOptions as_fitted = fits.AsFitted(fitted);
+    const ScreenResult screened = ScreenAround(setting, fitted, {true}, features, as_fitted,
+                                               Rng(options.seed), &step_rules[as_fitted.step_s]);
     row->null[base] = screened.null_gain, row->gain[base] = -1e9, row->best[base] = "none";
     for (const Scored& h : screened.hypotheses) {
-      if (IsUnnamed(h.effect) || HasKind(given, h.effect) || h.gain <= row->gain[base]) continue;
-      row->gain[base] = h.gain, row->best[base] = h.effect;
+      const double gain = BeyondStepRule(h);
+      if (IsUnnamed(h.effect) || HasKind(given, h.effect) || gain <= row->gain[base]) continue;
+      row->gain[base] = gain, row->best[base] = h.effect;
     }
   }
 }
