@@ -53,8 +53,7 @@ std::vector<effects::EffectSpec> DrawEffects(const Robot& robot, const std::vect
 struct Row {
   int set = 0;
   std::string robot;
-  // Of the screen with fixed and with free base parameters; gains beyond the step rule's.
-  double gain[2] = {0, 0}, null[2] = {0, 0};
+  double gain[2] = {0, 0}, null[2] = {0, 0};  // of the screen with fixed and with free base parameters
   std::string best[2];
   bool alarm = false;
   std::string said;
@@ -97,13 +96,6 @@ std::map<int, Row> ReadRows(const char* file) {
   return out;
 }
 
-// Amplitudes add (acceptance.h): what the simulator's own step may promise of a law is no reason for it.
-double BeyondStepRule(const Scored& h) {
-  if (h.gain <= 0) return h.gain;
-  const double amplitude = std::sqrt(2 * h.gain) - std::sqrt(2 * std::max(0.0, h.step_rule));
-  return 0.5 * amplitude * std::abs(amplitude);
-}
-
 // The best hypothesis that the model does not have, around the model fitted to the recordings.
 void Screens(const recordings::RecordingSet& set, const DiagnosisOptions& options, Row* row) {
   const auto nominal = GivenPlant(set, options.model);
@@ -124,9 +116,8 @@ void Screens(const recordings::RecordingSet& set, const DiagnosisOptions& option
                                                Rng(options.seed), &step_rules[as_fitted.step_s]);
     row->null[base] = screened.null_gain, row->gain[base] = -1e9, row->best[base] = "none";
     for (const Scored& h : screened.hypotheses) {
-      const double gain = BeyondStepRule(h);
-      if (IsUnnamed(h.effect) || HasKind(given, h.effect) || gain <= row->gain[base]) continue;
-      row->gain[base] = gain, row->best[base] = h.effect;
+      if (IsUnnamed(h.effect) || HasKind(given, h.effect) || h.gain <= row->gain[base]) continue;
+      row->gain[base] = h.gain, row->best[base] = h.effect;
     }
   }
 }
