@@ -324,6 +324,18 @@ std::vector<EffectSpec> Joined(std::vector<EffectSpec> specs, const std::vector<
   return specs;
 }
 
+bool AlreadyIn(const std::vector<EffectSpec>& specs, const Scored& h, const sim::Plant& nominal) {
+  if (h.joints.empty()) return Contains(specs, h.effect, "");
+  std::vector<std::string> names;
+  for (const int j : h.joints) names.push_back(nominal.joint_names()[j]);
+  if (h.effect == Coupling()) {
+    return std::ranges::any_of(specs,
+                               [&](const EffectSpec& s) { return s.id == h.effect && s.joints == names; });
+  }
+  return std::ranges::any_of(names,
+                             [&](const std::string& joint) { return Contains(specs, h.effect, joint); });
+}
+
 bool IsRicherFriction(const std::string& effect) {
   return effects::IsIn(Slot::kDryFriction, effect) && !effects::InferenceOf(effect).of_every_drive;
 }

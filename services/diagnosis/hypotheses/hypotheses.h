@@ -77,6 +77,8 @@ std::vector<sysid::FitParameter> FreeParameters(const sim::Plant& plant, const M
 // `specs` with `added`, which take the place of what cannot stand beside them on the same joints: at most one
 // dry friction, one transmission, one delay and one force of position per joint.
 std::vector<EffectSpec> Joined(std::vector<EffectSpec> specs, const std::vector<EffectSpec>& added);
+// Whether `specs` have what a screen scored, on one of its joints.
+bool AlreadyIn(const std::vector<EffectSpec>& specs, const Scored& h, const sim::Plant& nominal);
 // Forms of dry friction beyond the plain one.
 std::vector<std::string> RicherFrictions();
 bool IsRicherFriction(const std::string& effect);

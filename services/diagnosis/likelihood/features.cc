@@ -30,28 +30,35 @@ double Quantile(std::vector<double> x, double p) {
   return x[std::min(x.size() - 1, static_cast<size_t>(p * static_cast<double>(x.size())))];
 }
 
+// As recorded, but for noise; a motion that this says nothing of as it is in `data`.
+std::vector<FineMotion> SharpMotions(const FitData& data) {
+  std::vector<FineMotion> out;
+  for (size_t r = 0; r < data.fine.size(); ++r) {
+    const sysid::FitRecording& fit = data.recordings[r];
+    const SmoothMotion motion(*fit.recording, data.noise, kSharpSpan);
+    FineMotion sharp = FineMotionOf(*fit.recording, fit.command, motion, data.nodes);
+    // Its cubics say nothing of longer gaps than they reach over.
+    out.push_back(sharp.gaps.empty() ? std::move(sharp) : data.fine[r]);
+  }
+  return out;
+}
+
 // Builds the signatures of all regressors at all shapes, joint by joint.
 class Builder {
  public:
   Builder(const FitData& data, const sim::Plant& plant, const MotionScales& scales)
-      : data_(data), plant_(plant), s_(scales), sharp_(static_cast<size_t>(data.n)) {}
+      : data_(data), plant_(plant), s_(scales) {}
 
-  FeatureSet Take() {
+  // `sharp`: for what depends on quick motion.
+  FeatureSet Along(const std::vector<FineMotion>& motions, const std::vector<FineMotion>& sharp) {
     for (int j = 0; j < data_.n; ++j) {
-      motions_.push_back({});
-      for (const FineMotion& m : data_.fine) motions_.back().push_back(Smooth(m, j));
-    }
-    for (size_t r = 0; r < data_.fine.size(); ++r) {
-      const sysid::FitRecording& fit = data_.recordings[r];
-      const SmoothMotion motion(*fit.recording, data_.noise, kSharpSpan);
-      const FineMotion sharp = FineMotionOf(*fit.recording, fit.command, motion, data_.nodes);
-      // Its cubics say nothing of longer gaps than they reach over.
-      const FineMotion& known = sharp.gaps.empty() ? sharp : data_.fine[r];
-      for (int j = 0; j < data_.n; ++j) sharp_[j].push_back(MotionOf(known, known.u, j));
+      motions_.emplace_back(), sharp_.emplace_back();
+      for (const FineMotion& m : motions) motions_.back().push_back(Smooth(m, j));
+      for (const FineMotion& m : sharp) sharp_.back().push_back(MotionOf(m, m.u, j));
     }
     for (int j = 0; j < data_.n; ++j) AddJoint(j);
     Standardise();
-    AddSurfaces();
+    AddSurfaces(motions);
     return std::move(out_);
   }
 
@@ -226,13 +233,13 @@ class Builder {
   }
 
   // Surfaces at quantiles of what each point that may touch them reaches, on all six sides of it.
-  void AddSurfaces() {
+  void AddSurfaces(const std::vector<FineMotion>& all) {
     for (const NodeWindow& w : data_.windows)
       out_.block.on_robot.emplace_back(data_.n * (std::ssize(w.t) - 1), 0);
     const std::vector<std::string> normals = effects::Surface().options.at("normal");
     for (const TouchingPoint& point : TouchingPoints(plant_.model())) {
       std::vector<PointMotion> motions;
-      for (const FineMotion& m : data_.fine) motions.push_back(MotionOf(point, plant_.model(), m.q));
+      for (const FineMotion& m : all) motions.push_back(MotionOf(point, plant_.model(), m.q));
       for (int normal = 0; normal < static_cast<int>(normals.size()); ++normal) {
         std::map<std::string, std::string> options;
         if (normal > 0) options["normal"] = normals[static_cast<size_t>(normal)];
@@ -368,7 +375,12 @@ FeatureSet Shown(const FeatureSet& features, bool near, bool surfaces) {
 }
 
 FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales) {
-  return Builder(data, plant, scales).Take();
+  return Builder(data, plant, scales).Along(data.fine, SharpMotions(data));
+}
+
+FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales,
+                        const std::vector<FineMotion>& motions) {
+  return Builder(data, plant, scales).Along(motions, motions);
 }
 
 }  // namespace rg::diagnosis

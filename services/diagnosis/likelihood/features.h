@@ -50,5 +50,10 @@ struct FeatureSet {
 FeatureSet Shown(const FeatureSet& features, bool near, bool surfaces);
 // Signatures of the effects that the joints of `plant` take.
 FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales);
+// The same along other motions on the fine grid (fitted_motion.h). What is recorded carries the noise that is
+// in the residuals too, and a column of quick motion so much of it that it takes that noise from them; what a
+// model that fits makes of the motion is independent of what it leaves.
+FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales,
+                        const std::vector<FineMotion>& motions);
 
 }  // namespace rg::diagnosis

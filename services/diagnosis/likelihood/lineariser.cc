@@ -425,6 +425,11 @@ void Lineariser::TryRecordedStart(int worker, int index, const VectorXd* before,
   if (out.outcome.ok() && out.state.allFinite()) *states = out.state, *chi2 = *best;
 }
 
+const sim::Trajectory& Lineariser::Outputs(int worker, int index, const VectorXd& x0,
+                                           const std::vector<double>& times) {
+  return RunFrom(data_.windows[index], x0, times, workers_[worker].get());
+}
+
 void Lineariser::Simulate(int worker, int index, MatrixXd* states) {
   const NodeWindow& window = data_.windows[index];
   const sim::Trajectory& out = RunFrom(window, states->col(0), window.t, workers_[worker].get());

@@ -10,6 +10,7 @@
 
 #include "common/effects/effect_catalog.h"
 #include "common/effects/inference.h"
+#include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/group_start.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
 

@@ -4,6 +4,7 @@
 
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/hypotheses/rod_screen.h"
+#include "services/diagnosis/likelihood/fitted_motion.h"
 #include "services/diagnosis/screening/screen_columns.h"
 #include "services/diagnosis/search/pendulum_search.h"
 #include "services/diagnosis/search/trials.h"
@@ -20,6 +21,9 @@ constexpr size_t kFits = 3;              // of a further step on all windows
 constexpr size_t kLawFits = 3;           // before hidden states are looked for
 constexpr size_t kFitsBesideDrives = 3;  // beside the losses of all drives
 
+// A model has one surface at most.
+bool MayMeetSurface(const Candidate& c) { return !HasKind(c.specs, effects::Surface().id); }
+
 }  // namespace
 
 void ForwardStep::SetRound(int round) {
@@ -34,23 +38,30 @@ ScreenResult ForwardStep::Screen(const Candidate& current) {
   const bool near = fits_.PerRow(current) < kConsistent;
   const LiftedOptions options = fits_.AsFitted(current);
   const ScreenResult screened = ScreenAround(
-      setting_, current, {near, fits_.NearestBase(current)}, ShownFor(current, near), options,
-      Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rules_[options.step_s]);
+      setting_, current, {near, fits_.NearestBase(current)}, near ? AlongFit(current) : AlongRecord(current),
+      options, Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rules_[options.step_s]);
   fits_.AddWork(screened.work);
   return screens_.emplace(key, screened).first->second;
 }
 
-const FeatureSet& ForwardStep::ShownFor(const Candidate& current, bool near) {
-  const bool surfaces = !HasKind(current.specs, effects::Surface().id);  // a model has one at most
-  const auto [at, fresh] = shown_.try_emplace({near, surfaces});
-  if (fresh) at->second = Shown(features_, near, surfaces);
+FeatureSet ForwardStep::AlongFit(const Candidate& current) const {
+  const FitModel model{*current.plant, current.fit.values, {}};
+  const auto motions = FittedMotions(setting_.data, model, current.fit.states, fits_.AsFitted(current));
+  const FeatureSet all = diagnosis::MakeFeatures(setting_.data, setting_.nominal, setting_.scales, motions);
+  return Shown(all, true, MayMeetSurface(current));
+}
+
+const FeatureSet& ForwardStep::AlongRecord(const Candidate& current) {
+  const bool surfaces = MayMeetSurface(current);
+  const auto [at, fresh] = shown_.try_emplace(surfaces);
+  if (fresh) at->second = Shown(features_, false, surfaces);
   return at->second;
 }
 
 std::vector<ScreenResult> ForwardStep::ScreensBesideForce(const Candidate& current, const FreeForce& force,
                                                           const FitData& some,
                                                           const std::vector<uint32_t>& places) {
-  const FeatureSet& shown = ShownFor(current, false);
+  const FeatureSet& shown = AlongRecord(current);
   FeatureSet features{shown.features, shown.surfaces, {shown.block.joint, {}, {}}};
   for (const uint32_t i : places) {
     features.block.phi.push_back(shown.block.phi[i]);
@@ -118,7 +129,7 @@ TrialSpecs ForwardStep::WithLaw(const RodStart& start, const ScreenResult& scree
 void ForwardStep::AddRods(const Candidate& from, Candidate* winner) {
   double work = 0;
   const auto rods =
-      ScreenRods(setting_, state_.Force(from), ShownFor(from, false), fits_.lifted().threads, &work);
+      ScreenRods(setting_, state_.Force(from), AlongRecord(from), fits_.lifted().threads, &work);
   fits_.AddWork(work);
   if (rods.empty()) return;
   const ScreenResult screened = Screen(from);
@@ -155,7 +166,7 @@ void ForwardStep::AddOnJoint(const Candidate& from, int joint, const TrialSpecs&
 void ForwardStep::AddFrom(const Candidate& from, const ScreenResult& screened, double least, double needed,
                           size_t count, Candidate* winner) {
   // Where a law of what is recorded leaves nothing, what no screen sees is not looked for.
-  if (least <= 1.0 && MostPromised(screened) > kMost * fits_.AtStake(from)) {
+  if (least <= 1.0 && MostPromised(from, screened) > kMost * fits_.AtStake(from)) {
     const double before = winner->score;
     Try(from, screened, kLeastPromise, needed, count, winner);
     const bool better = winner->score > before;
@@ -166,7 +177,7 @@ void ForwardStep::AddFrom(const Candidate& from, const ScreenResult& screened, d
 
 bool ForwardStep::AddLaws(const Candidate& from, double needed, Candidate* winner) {
   const ScreenResult screened = NotedScreen(from);
-  if (!(MostPromised(screened) > kMost * fits_.AtStake(from))) return false;
+  if (!(MostPromised(from, screened) > kMost * fits_.AtStake(from))) return false;
   Try(from, screened, kLeastPromise, needed, kLawFits, winner);
   return true;
 }
@@ -194,15 +205,25 @@ bool ForwardStep::TakesMost(const Candidate& from, const Candidate& found) const
   return state_.ordinary && found.fit.ok && fits_.Excess(found) < kMost * fits_.Excess(from);
 }
 
-double ForwardStep::MostPromised(const ScreenResult& screened) {
+double ForwardStep::BestGain(const Candidate& from, const ScreenResult& screened) const {
+  for (const Scored& h : screened.hypotheses) {
+    if (!AlreadyIn(from.specs, h, setting_.nominal)) return h.gain;
+  }
+  return 0;
+}
+
+double ForwardStep::MostPromised(const Candidate& from, const ScreenResult& screened) const {
+  const auto known = [&](const Scored& h) { return AlreadyIn(from.specs, h, setting_.nominal); };
   double most = 0;
   for (const Scored& h : screened.hypotheses) {
     const bool sprung =
         effects::IsIn(effects::Slot::kTransmission, h.effect);  // play and mounts look like it
-    if (!IsUnnamed(h.effect) && !sprung) most = std::max(most, h.gain);
+    if (!IsUnnamed(h.effect) && !sprung && !known(h)) most = std::max(most, h.gain);
   }
   for (const auto* list : {&screened.sets, &screened.pairs}) {
-    for (const Combination& c : *list) most = std::max(most, c.gain);
+    for (const Combination& c : *list) {
+      if (std::ranges::none_of(c.parts, known)) most = std::max(most, c.gain);
+    }
   }
   return most;
 }

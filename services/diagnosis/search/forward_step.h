@@ -66,13 +66,16 @@ class ForwardStep {
   // and fit nearly anything, need not be looked for then.
   bool ExplainedByLaws(const Candidate& from, const Candidate& found, double needed) const;
 
-  // The largest gain of log evidence that a screen promises of effects with a name.
-  static double MostPromised(const ScreenResult& screened);
+  // The largest gain of log evidence that a screen promises of what `from` does not have; of effects with a
+  // name, and of sets and pairs of them.
+  double BestGain(const Candidate& from, const ScreenResult& screened) const;
+  double MostPromised(const Candidate& from, const ScreenResult& screened) const;
 
  private:
   TrialSpecs WithLaw(const RodStart& start, const ScreenResult& screened) const;
-  // What a screen around that model, which fits the recordings if `near`, shows.
-  const FeatureSet& ShownFor(const Candidate& current, bool near);
+  // Regressors for a screen around a model that fits the recordings, and for one that is far from them.
+  FeatureSet AlongFit(const Candidate& current) const;
+  const FeatureSet& AlongRecord(const Candidate& current);
   void Try(const Candidate& from, const ScreenResult& screened, double least, double needed, size_t count,
            Candidate* winner);
   bool TakesMost(const Candidate& from, const Candidate& found) const;
@@ -81,7 +84,7 @@ class ForwardStep {
   const FitSetting& setting_;
   FitLedger& fits_;
   FeatureSet features_;
-  std::map<std::pair<bool, bool>, FeatureSet> shown_;          // near a fit, with surfaces
+  std::map<bool, FeatureSet> shown_;                           // far from a fit; with surfaces
   std::map<double, std::vector<Eigen::VectorXd>> step_rules_;  // of a model's own step [s]
   std::map<std::string, ScreenResult> screens_;                // of this round, by model and fit
   int round_ = 0;

@@ -341,7 +341,7 @@ class Search {
                         (state_.round > 1 && own->score < best.score - 0.5 * setting_.data.Rows()));
     const Candidate from = *own;
     const ScreenResult screened = step_.NotedScreen(from);
-    const double best_gain = screened.hypotheses.empty() ? 0.0 : screened.hypotheses.front().gain;
+    const double best_gain = step_.BestGain(from, screened);
     const double needed = state_.Threshold(best);
     if (fits_.AtStake(from) < needed && best_gain < needed) return base == best.base;  // nothing is left
     // Around a consistent model a screen is exact; with free inertials it may promise less than what was
@@ -353,7 +353,7 @@ class Search {
     double least_gain = rival ? kRivalShare * (best.score - from.score) : 1.0;
     // Where a screen around a consistent model promises all that is left, hypotheses of which it promises
     // little are no rivals.
-    const double named_gain = ForwardStep::MostPromised(screened);
+    const double named_gain = step_.MostPromised(from, screened);
     if (consistent && named_gain > kNearlyPromised * fits_.AtStake(from))
       least_gain = std::max(least_gain, kRivalShare * named_gain);
     step_.AddFrom(from, screened, least_gain, needed, base ? 3 : 4, winner);

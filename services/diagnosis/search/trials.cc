@@ -29,19 +29,6 @@ constexpr double kHardlyLess = 0.9;   // of what a part of it leaves
 
 const effects::EffectInfo& Rotor() { return LawOf(Regressor::kAcceleration); }
 
-// Whether the model has this already.
-bool AlreadyIn(const Candidate& from, const Scored& h, const sim::Plant& nominal) {
-  if (h.joints.empty()) return Contains(from.specs, h.effect, "");
-  std::vector<std::string> names;
-  for (const int j : h.joints) names.push_back(nominal.joint_names()[j]);
-  if (h.effect == LawOf(Regressor::kOtherEffort).id) {
-    return std::ranges::any_of(from.specs,
-                               [&](const EffectSpec& s) { return s.id == h.effect && s.joints == names; });
-  }
-  return std::ranges::any_of(names,
-                             [&](const std::string& joint) { return Contains(from.specs, h.effect, joint); });
-}
-
 // The first start of each.
 TrialSpecs Together(const std::vector<Scored>& parts, const sim::Plant& nominal, const MotionScales& scales) {
   TrialSpecs out;
@@ -105,7 +92,7 @@ class TrialBuilder {
 
   bool Has(const std::string& id) const { return HasKind(from_.specs, id); }
 
-  bool Known(const Scored& h) const { return AlreadyIn(from_, h, nominal_); }
+  bool Known(const Scored& h) const { return AlreadyIn(from_.specs, h, nominal_); }
 
   void Singles(double least_gain) {
     size_t taken = 0, springs = 0, surfaces = 0;
@@ -287,7 +274,7 @@ std::vector<TrialSpecs> Promised(const Candidate& from, const ScreenResult& scre
       const bool known = h.joints.size() == 1 && HasKind(from.specs, h.effect);
       const bool sprung =
           effects::IsIn(effects::Slot::kTransmission, h.effect);  // starts of it are looked at
-      if (IsUnnamed(h.effect) || sprung || AlreadyIn(from, h, nominal) || (!holds && !known)) return;
+      if (IsUnnamed(h.effect) || sprung || AlreadyIn(from.specs, h, nominal) || (!holds && !known)) return;
     }
     TrialSpecs start = Together(parts, nominal, scales);
     // In the place of another law on its joint it would not bring what it does beside it.

@@ -9,6 +9,7 @@
 #include "services/diagnosis/data/prepare_data.h"
 #include "services/diagnosis/hypotheses/group_start.h"
 #include "services/diagnosis/hypotheses/hypotheses.h"
+#include "services/diagnosis/screening/screen_columns.h"
 #include "services/diagnosis/search/drive_search.h"
 #include "services/diagnosis/search/fit_ledger.h"
 #include "services/diagnosis/search/forward_step.h"
@@ -289,6 +290,50 @@ TEST(ForwardStep, SeesASpringAroundAModelThatFits) {
   const EffectSpec spring = Refreshed(sprung).front();
   EXPECT_NEAR(effects::ValueOf(spring, "motor_inertia"), J, 0.1 * J);
   EXPECT_NEAR(effects::ValueOf(spring, "stiffness"), k, 0.1 * k);
+}
+
+// Along what was recorded a stiff spring's columns hold the noise of the residuals, and take it from them;
+// along the fitted motion they do not.
+TEST(ForwardStep, SeesNoSpringWhereNoneIs) {
+  for (const uint64_t seed : {5015, 5018, 5024}) {
+    const std::vector<EffectSpec> all = {MakeSpec("coulomb_friction", {"hinge"}, {{"coulomb", 0.15}}),
+                                         MakeSpec("viscous_friction", {"hinge"}, {{"viscous", 0.1}}),
+                                         MakeSpec("rotor_inertia", {"hinge"}, {{"armature", 0.02}})};
+    const auto p = testing::Prepare(testing::MakeSet("pendulum", all, seed, 2.0));
+    FirstRound round(*p);
+    SearchState& state = round.state;
+    const Candidate fitted = state.fits.Evaluate(all, false);
+    ASSERT_LT(state.fits.PerRow(fitted), kExplained);
+    const auto spring = [](const ScreenResult& screened) {
+      const auto found = std::ranges::find_if(screened.hypotheses,
+                                              [](const Scored& h) { return h.effect == "joint_elasticity"; });
+      return found == screened.hypotheses.end() ? 0.0 : found->gain;
+    };
+    const ScreenResult screened = round.step.Screen(fitted);
+    EXPECT_LT(spring(screened), std::max(1.0, screened.null_gain)) << seed;
+    const FeatureSet recorded = MakeFeatures(p->data, p->nominal, p->scales);
+    const LiftedOptions options = state.fits.AsFitted(fitted);
+    EXPECT_GT(spring(ScreenAround(state.setting, fitted, {true}, recorded, options, Rng(1), nullptr)), 50);
+  }
+}
+
+// What a model has already is no addition to it.
+TEST(ForwardStep, PromisesNothingThatTheModelHas) {
+  const EffectSpec rotor = MakeSpec("rotor_inertia", {"hinge"}, {{"armature", 0.05}});
+  const auto p = testing::Prepare("pendulum", {rotor}, 64);
+  FirstRound round(*p);
+  const Candidate bare = round.state.fits.Evaluate({}, false);
+  const Candidate with = round.state.fits.Evaluate({rotor}, false);
+  ScreenResult screened;
+  Scored known, fresh;
+  known.effect = "rotor_inertia", known.joints = {0}, known.gain = 9;
+  fresh.effect = "viscous_friction", fresh.joints = {0}, fresh.gain = 4;
+  screened.hypotheses = {known, fresh};
+  screened.pairs = {{{known, fresh}, 12}};
+  EXPECT_EQ(round.step.BestGain(bare, screened), 9);
+  EXPECT_EQ(round.step.MostPromised(bare, screened), 12);
+  EXPECT_EQ(round.step.BestGain(with, screened), 4);
+  EXPECT_EQ(round.step.MostPromised(with, screened), 4);
 }
 
 // Behind a gap a motor as heavy as the link looks like a small gain beside the spring, until play is tried
