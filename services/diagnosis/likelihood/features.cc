@@ -18,7 +18,6 @@ using Eigen::ArrayXd;
 
 namespace {
 
-constexpr double kSharpSpan = 0.01;   // s: a motion smoothed over more has lost a spring's resonance
 constexpr double kNarrowBand = 0.1;   // of the least quantile of |effort|
 constexpr double kLeastReach = 1e-4;  // m, of a point that meets a surface
 // Quantiles of what it reaches.
@@ -30,31 +29,17 @@ double Quantile(std::vector<double> x, double p) {
   return x[std::min(x.size() - 1, static_cast<size_t>(p * static_cast<double>(x.size())))];
 }
 
-// As recorded, but for noise; a motion that this says nothing of as it is in `data`.
-std::vector<FineMotion> SharpMotions(const FitData& data) {
-  std::vector<FineMotion> out;
-  for (size_t r = 0; r < data.fine.size(); ++r) {
-    const sysid::FitRecording& fit = data.recordings[r];
-    const SmoothMotion motion(*fit.recording, data.noise, kSharpSpan);
-    FineMotion sharp = FineMotionOf(*fit.recording, fit.command, motion, data.nodes);
-    // Its cubics say nothing of longer gaps than they reach over.
-    out.push_back(sharp.gaps.empty() ? std::move(sharp) : data.fine[r]);
-  }
-  return out;
-}
-
 // Builds the signatures of all regressors at all shapes, joint by joint.
 class Builder {
  public:
-  Builder(const FitData& data, const sim::Plant& plant, const MotionScales& scales)
-      : data_(data), plant_(plant), s_(scales) {}
+  // `near`: also those of effects that show around a model that fits alone.
+  Builder(const FitData& data, const sim::Plant& plant, const MotionScales& scales, bool near)
+      : data_(data), plant_(plant), s_(scales), near_(near) {}
 
-  // `sharp`: for what depends on quick motion.
-  FeatureSet Along(const std::vector<FineMotion>& motions, const std::vector<FineMotion>& sharp) {
+  FeatureSet Along(const std::vector<FineMotion>& motions) {
     for (int j = 0; j < data_.n; ++j) {
-      motions_.emplace_back(), sharp_.emplace_back();
+      motions_.emplace_back();
       for (const FineMotion& m : motions) motions_.back().push_back(Smooth(m, j));
-      for (const FineMotion& m : sharp) sharp_.back().push_back(MotionOf(m, m.u, j));
     }
     for (int j = 0; j < data_.n; ++j) AddJoint(j);
     Standardise();
@@ -181,9 +166,9 @@ class Builder {
   void Add(Regressor r, int j, const RegressorShape& shape, int other) {
     const std::string& law = effects::LawOf(r).id;
     if (!plant_.Takes(law, j) || (other >= 0 && !plant_.Takes(law, other))) return;
+    if (!near_ && effects::InferenceOf(law).needs_fit) return;
     std::vector<ArrayXd> values;
-    const auto& motions = r == Regressor::kSprungRotor ? sharp_ : motions_;
-    for (const JointMotion& m : motions[static_cast<size_t>(other >= 0 ? other : j)])
+    for (const JointMotion& m : motions_[static_cast<size_t>(other >= 0 ? other : j)])
       values.push_back(ForceOf(r, m, shape));
     Push({r, j, other, shape.x, 1}, UnitOf(r, j, other), std::move(values));
   }
@@ -302,10 +287,10 @@ class Builder {
   const FitData& data_;
   const sim::Plant& plant_;
   const MotionScales& s_;
+  const bool near_;
   FeatureSet out_;
-  // [joint][recording]; sharp: as recorded, but for noise.
-  std::vector<std::vector<JointMotion>> sharp_, motions_;
-  std::vector<std::vector<ArrayXd>> fine_;  // [feature][recording]
+  std::vector<std::vector<JointMotion>> motions_;  // [joint][recording]
+  std::vector<std::vector<ArrayXd>> fine_;         // [feature][recording]
 };
 
 }  // namespace
@@ -360,27 +345,17 @@ MotionScales ScalesOf(const FitData& data, const sim::Plant& plant) {
   return s;
 }
 
-FeatureSet Shown(const FeatureSet& features, bool near, bool surfaces) {
-  FeatureSet out;
-  std::vector<Eigen::Index> kept;
-  for (size_t c = 0; c < features.features.size(); ++c) {
-    const Feature& f = features.features[c];
-    if (!near && effects::InferenceOf(effects::LawOf(f.regressor).id).needs_fit) continue;
-    kept.push_back(static_cast<Eigen::Index>(c));
-    out.features.push_back(f), out.block.joint.push_back(f.joint);
-  }
-  for (const MatrixXd& phi : features.block.phi) out.block.phi.push_back(phi(kept, Eigen::all));
-  if (surfaces) out.surfaces = features.surfaces, out.block.on_robot = features.block.on_robot;
-  return out;
+FeatureSet OfJoints(const FeatureSet& features) {
+  return {features.features, {}, {features.block.joint, features.block.phi, {}}};
 }
 
 FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales) {
-  return Builder(data, plant, scales).Along(data.fine, SharpMotions(data));
+  return Builder(data, plant, scales, false).Along(data.fine);
 }
 
 FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales,
                         const std::vector<FineMotion>& motions) {
-  return Builder(data, plant, scales).Along(motions, motions);
+  return Builder(data, plant, scales, true).Along(motions);
 }
 
 }  // namespace rg::diagnosis

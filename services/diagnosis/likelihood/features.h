@@ -45,14 +45,15 @@ struct FeatureSet {
   std::vector<SurfaceFeature> surfaces;  // on the whole robot
   FeatureBlock block;                    // standardised: a coefficient of 1 is one prior stddev
 };
-// Those that a screen shows: around a model that fits (`near`) of all effects, else without those that show
-// there alone; surfaces where asked.
-FeatureSet Shown(const FeatureSet& features, bool near, bool surfaces);
-// Signatures of the effects that the joints of `plant` take.
+// Without surfaces.
+FeatureSet OfJoints(const FeatureSet& features);
+
+// Signatures of the effects that the joints of `plant` take, along the recorded motion: of those that show
+// far from a fit.
 FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales);
-// The same along other motions on the fine grid (fitted_motion.h). What is recorded carries the noise that is
-// in the residuals too, and a column of quick motion so much of it that it takes that noise from them; what a
-// model that fits makes of the motion is independent of what it leaves.
+// Of all of them along the motions that a model which fits makes (fitted_motion.h). Those recorded carry the
+// noise that is in the residuals too, and a column of quick motion so much of it that it takes that noise
+// from them; what the model makes of the motion is independent of what it leaves.
 FeatureSet MakeFeatures(const FitData& data, const sim::Plant& plant, const MotionScales& scales,
                         const std::vector<FineMotion>& motions);
 

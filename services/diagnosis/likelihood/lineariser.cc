@@ -425,8 +425,8 @@ void Lineariser::TryRecordedStart(int worker, int index, const VectorXd* before,
   if (out.outcome.ok() && out.state.allFinite()) *states = out.state, *chi2 = *best;
 }
 
-const sim::Trajectory& Lineariser::Outputs(int worker, int index, const VectorXd& x0,
-                                           const std::vector<double>& times) {
+const sim::Trajectory& Lineariser::SimulatedAt(int worker, int index, const VectorXd& x0,
+                                               const std::vector<double>& times) {
   return RunFrom(data_.windows[index], x0, times, workers_[worker].get());
 }
 

@@ -68,9 +68,9 @@ class Lineariser {
   // where the window before ended (`before`, null: none), if its χ² is less from there; writes the simulated
   // states, nx × (N + 1).
   void TryRecordedStart(int worker, int index, const VectorXd* before, MatrixXd* states, double* chi2);
-  // What the sensors would read without noise in a window simulated from x_0 in one go, at these times from
-  // its first on.
-  const sim::Trajectory& Outputs(int worker, int index, const VectorXd& x0, const std::vector<double>& times);
+  // A window simulated from x_0 in one go, at these times in it; valid until the worker's next run.
+  const sim::Trajectory& SimulatedAt(int worker, int index, const VectorXd& x0,
+                                     const std::vector<double>& times);
   // Replaces a window's states by a simulation from its start; unchanged where that fails.
   void Simulate(int worker, int index, MatrixXd* states);
   // Simulates hidden states node by node along the recorded motion, in place. With the encoder on the motor

@@ -7,6 +7,7 @@
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/candidate.h"
+#include "services/diagnosis/likelihood/fitted_motion.h"
 #include "services/diagnosis/likelihood/screen.h"
 
 namespace rg::diagnosis {
@@ -69,6 +70,14 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const sim::P
     }
   }
   return columns;
+}
+
+FeatureSet FeaturesAlongFit(const FitSetting& setting, const Candidate& fitted, const LiftedOptions& options,
+                            double* work) {
+  const FitModel model{*fitted.plant, fitted.fit.values, {}};
+  if (work != nullptr) *work += SimulationWork(setting.data, options, fitted.plant->num_states());
+  return MakeFeatures(setting.data, setting.nominal, setting.scales,
+                      FittedMotions(setting.data, model, fitted.fit.states, options));
 }
 
 namespace {

@@ -22,6 +22,11 @@ std::vector<ParameterColumn> ScreenColumns(const sim::Plant& plant, const sim::P
                                            const MotionScales& scales, const std::vector<EffectSpec>& held,
                                            std::vector<sysid::FitParameter>* parameters);
 
+// Signatures for a screen around a fit, along its own motion. `options`: of that fit. Adds its cost to
+// `work`.
+FeatureSet FeaturesAlongFit(const FitSetting& setting, const Candidate& fitted, const LiftedOptions& options,
+                            double* work = nullptr);
+
 // Where a screen of a model is linearised.
 struct ScreenPoint {
   bool around_fit = false;               // its own parameters and states; else along the recorded motion

@@ -4,7 +4,6 @@
 
 #include "services/diagnosis/hypotheses/hypotheses.h"
 #include "services/diagnosis/hypotheses/rod_screen.h"
-#include "services/diagnosis/likelihood/fitted_motion.h"
 #include "services/diagnosis/screening/screen_columns.h"
 #include "services/diagnosis/search/pendulum_search.h"
 #include "services/diagnosis/search/trials.h"
@@ -21,9 +20,6 @@ constexpr size_t kFits = 3;              // of a further step on all windows
 constexpr size_t kLawFits = 3;           // before hidden states are looked for
 constexpr size_t kFitsBesideDrives = 3;  // beside the losses of all drives
 
-// A model has one surface at most.
-bool MayMeetSurface(const Candidate& c) { return !HasKind(c.specs, effects::Surface().id); }
-
 }  // namespace
 
 void ForwardStep::SetRound(int round) {
@@ -35,33 +31,27 @@ ScreenResult ForwardStep::Screen(const Candidate& current) {
   const std::string key = KeyOfFit(current);
   const auto known = screens_.find(key);
   if (known != screens_.end()) return known->second;
-  const bool near = fits_.PerRow(current) < kConsistent;
+  const bool near = current.fit.ok && fits_.PerRow(current) < kConsistent;
   const LiftedOptions options = fits_.AsFitted(current);
   const ScreenResult screened = ScreenAround(
-      setting_, current, {near, fits_.NearestBase(current)}, near ? AlongFit(current) : AlongRecord(current),
-      options, Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rules_[options.step_s]);
+      setting_, current, {near, fits_.NearestBase(current)}, FeaturesFor(current, near), options,
+      Rng(state_.options.seed).Split(static_cast<uint64_t>(round_)), &step_rules_[options.step_s]);
   fits_.AddWork(screened.work);
   return screens_.emplace(key, screened).first->second;
 }
 
-FeatureSet ForwardStep::AlongFit(const Candidate& current) const {
-  const FitModel model{*current.plant, current.fit.values, {}};
-  const auto motions = FittedMotions(setting_.data, model, current.fit.states, fits_.AsFitted(current));
-  const FeatureSet all = diagnosis::MakeFeatures(setting_.data, setting_.nominal, setting_.scales, motions);
-  return Shown(all, true, MayMeetSurface(current));
-}
-
-const FeatureSet& ForwardStep::AlongRecord(const Candidate& current) {
-  const bool surfaces = MayMeetSurface(current);
-  const auto [at, fresh] = shown_.try_emplace(surfaces);
-  if (fresh) at->second = Shown(features_, false, surfaces);
-  return at->second;
+FeatureSet ForwardStep::FeaturesFor(const Candidate& current, bool near) const {
+  double work = 0;
+  FeatureSet all = near ? FeaturesAlongFit(setting_, current, fits_.AsFitted(current), &work) : recorded_;
+  fits_.AddWork(work);
+  if (HasKind(current.specs, effects::Surface().id)) return OfJoints(all);  // a model has one at most
+  return all;
 }
 
 std::vector<ScreenResult> ForwardStep::ScreensBesideForce(const Candidate& current, const FreeForce& force,
                                                           const FitData& some,
                                                           const std::vector<uint32_t>& places) {
-  const FeatureSet& shown = AlongRecord(current);
+  const FeatureSet shown = FeaturesFor(current, false);
   FeatureSet features{shown.features, shown.surfaces, {shown.block.joint, {}, {}}};
   for (const uint32_t i : places) {
     features.block.phi.push_back(shown.block.phi[i]);
@@ -129,7 +119,7 @@ TrialSpecs ForwardStep::WithLaw(const RodStart& start, const ScreenResult& scree
 void ForwardStep::AddRods(const Candidate& from, Candidate* winner) {
   double work = 0;
   const auto rods =
-      ScreenRods(setting_, state_.Force(from), AlongRecord(from), fits_.lifted().threads, &work);
+      ScreenRods(setting_, state_.Force(from), FeaturesFor(from, false), fits_.lifted().threads, &work);
   fits_.AddWork(work);
   if (rods.empty()) return;
   const ScreenResult screened = Screen(from);
@@ -206,10 +196,14 @@ bool ForwardStep::TakesMost(const Candidate& from, const Candidate& found) const
 }
 
 double ForwardStep::BestGain(const Candidate& from, const ScreenResult& screened) const {
-  for (const Scored& h : screened.hypotheses) {
-    if (!AlreadyIn(from.specs, h, setting_.nominal)) return h.gain;
-  }
-  return 0;
+  const auto known = [&](const Scored& h) {
+    const bool pair = effects::FindEffect(h.effect)->scope == effects::Scope::kJointPair;
+    if (pair || h.joints.size() < 2) return AlreadyIn(from.specs, h, setting_.nominal);
+    return std::ranges::all_of(
+        h.joints, [&](int j) { return Contains(from.specs, h.effect, setting_.nominal.joint_names()[j]); });
+  };
+  const auto best = std::ranges::find_if_not(screened.hypotheses, known);
+  return best == screened.hypotheses.end() ? 0.0 : best->gain;
 }
 
 double ForwardStep::MostPromised(const Candidate& from, const ScreenResult& screened) const {

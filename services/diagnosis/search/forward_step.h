@@ -5,7 +5,6 @@
 #include <cstddef>
 #include <map>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "services/diagnosis/hypotheses/rod_screen.h"
@@ -21,8 +20,7 @@ class ForwardStep {
 
   // Before the first screen: regressors along the recorded motion.
   void MakeFeatures() {
-    features_ = diagnosis::MakeFeatures(setting_.data, setting_.nominal, setting_.scales);
-    shown_.clear();
+    recorded_ = diagnosis::MakeFeatures(setting_.data, setting_.nominal, setting_.scales);
   }
   // Screens are kept within a round, and until the noise scale changes.
   void SetRound(int round);
@@ -66,16 +64,16 @@ class ForwardStep {
   // and fit nearly anything, need not be looked for then.
   bool ExplainedByLaws(const Candidate& from, const Candidate& found, double needed) const;
 
-  // The largest gain of log evidence that a screen promises of what `from` does not have; of effects with a
-  // name, and of sets and pairs of them.
+  // The largest gain of log evidence that a screen promises of one effect that `from` does not have, on all
+  // of its joints at least. MostPromised: of what has a name and is no spring, and of sets and pairs, nothing
+  // of which `from` has.
   double BestGain(const Candidate& from, const ScreenResult& screened) const;
   double MostPromised(const Candidate& from, const ScreenResult& screened) const;
 
  private:
   TrialSpecs WithLaw(const RodStart& start, const ScreenResult& screened) const;
-  // Regressors for a screen around a model that fits the recordings, and for one that is far from them.
-  FeatureSet AlongFit(const Candidate& current) const;
-  const FeatureSet& AlongRecord(const Candidate& current);
+  // Regressors for a screen around that model, which fits the recordings if `near`.
+  FeatureSet FeaturesFor(const Candidate& current, bool near) const;
   void Try(const Candidate& from, const ScreenResult& screened, double least, double needed, size_t count,
            Candidate* winner);
   bool TakesMost(const Candidate& from, const Candidate& found) const;
@@ -83,8 +81,7 @@ class ForwardStep {
   SearchState& state_;
   const FitSetting& setting_;
   FitLedger& fits_;
-  FeatureSet features_;
-  std::map<bool, FeatureSet> shown_;                           // far from a fit; with surfaces
+  FeatureSet recorded_;                                        // along the recorded motion
   std::map<double, std::vector<Eigen::VectorXd>> step_rules_;  // of a model's own step [s]
   std::map<std::string, ScreenResult> screens_;                // of this round, by model and fit
   int round_ = 0;

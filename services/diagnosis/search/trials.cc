@@ -101,7 +101,7 @@ class TrialBuilder {
       if (h.effect == effects::Surface().id && surfaces++ >= kSurfaces) continue;
       ++taken;
       const bool sprung = effects::IsIn(effects::Slot::kTransmission, h.effect);
-      if (!sprung || springs++ < kSprungJoints) Push(SpecsFor(h, nominal_, scales_));
+      if (!sprung || springs++ < kSprungJoints) Push(SpecsFor(sprung ? OfMotor(h) : h, nominal_, scales_));
     }
   }
 
@@ -205,6 +205,17 @@ class TrialBuilder {
     return nominal_.Takes(effects::Spring().id, joint) && data_.Judged(joint) &&
            !Contains(from_.specs, effects::Spring().id, name) &&
            !Contains(from_.specs, effects::Play().id, name);
+  }
+
+  // Along the motion of a model without it a spring shows at the frequency at which motor and link swing
+  // against each other, and hardly with the motor's inertia, of which the model's rotor tells: with that, and
+  // at the frequency of the motor alone, the link held.
+  Scored OfMotor(Scored spring) const {
+    const int joint = spring.joints.front();
+    const double motor = MotorOn(joint), link = scales_.inertia[joint];
+    if (!(motor > kLeastRotor * link)) return spring;
+    spring.coefficients[0] = motor, spring.shape *= std::sqrt(link / (link + motor));
+    return spring;
   }
 
   // The motor's inertia below its resonance: what a rotor holds already, or the screen takes for one.

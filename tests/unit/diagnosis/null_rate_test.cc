@@ -16,7 +16,6 @@
 #include "services/diagnosis/data/prepare_data.h"
 #include "services/diagnosis/diagnosis.h"
 #include "services/diagnosis/hypotheses/given_model.h"
-#include "services/diagnosis/likelihood/fitted_motion.h"
 #include "services/diagnosis/screening/screen_columns.h"
 #include "services/diagnosis/search/fit_ledger.h"
 #include "services/proof/statistics.h"
@@ -112,9 +111,7 @@ void Screens(const recordings::RecordingSet& set, const DiagnosisOptions& option
   for (const int base : {0, 1}) {
     const Candidate fitted = fits.Evaluate(given, base == 1);
     const LiftedOptions as_fitted = fits.AsFitted(fitted);
-    const FeatureSet features = MakeFeatures(
-        *data, *nominal, scales,
-        FittedMotions(*data, {*fitted.plant, fitted.fit.values, {}}, fitted.fit.states, as_fitted));
+    const FeatureSet features = FeaturesAlongFit(setting, fitted, as_fitted);
     const ScreenResult screened = ScreenAround(setting, fitted, {true}, features, as_fitted,
                                                Rng(options.seed), &step_rules[as_fitted.step_s]);
     row->null[base] = screened.null_gain, row->gain[base] = -1e9, row->best[base] = "none";

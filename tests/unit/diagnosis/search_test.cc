@@ -16,6 +16,7 @@
 #include "services/diagnosis/search/refinement.h"
 #include "services/diagnosis/search/search_state.h"
 #include "services/diagnosis/search/simplifier.h"
+#include "services/diagnosis/search/trials.h"
 #include "tests/unit/diagnosis/prepared_set.h"
 
 namespace rg::diagnosis {
@@ -282,6 +283,14 @@ TEST(ForwardStep, SeesASpringAroundAModelThatFits) {
   for (const Scored& h : step.Screen(bare).hypotheses) EXPECT_NE(h.effect, "joint_elasticity");
   const ScreenResult screened = step.Screen(rotor);
   ASSERT_EQ(screened.hypotheses.front().effect, "joint_elasticity");
+  // What the screen says of it alone is a start.
+  const auto no_force = []() -> const MissingForce* { return nullptr; };
+  const auto none = [](const std::vector<TrialSpecs>&, size_t) { return std::vector<TrialSpecs>{}; };
+  const TrialSpecs first =
+      Trials(p->data, p->nominal, p->scales, rotor, screened, 2.0, no_force, none).front();
+  ASSERT_EQ(first.front().id, "joint_elasticity");
+  EXPECT_NEAR(effects::ValueOf(first.front(), "motor_inertia"), J, 0.1 * J);
+  EXPECT_NEAR(effects::ValueOf(first.front(), "stiffness"), k, 0.5 * k);
   Candidate sprung = rotor;
   step.AddFrom(rotor, screened, 2.0, 10.0, 1, &sprung);
   EXPECT_LT(state.fits.PerRow(sprung), 1.01);
@@ -311,7 +320,7 @@ TEST(ForwardStep, SeesNoSpringWhereNoneIs) {
     };
     const ScreenResult screened = round.step.Screen(fitted);
     EXPECT_LT(spring(screened), std::max(1.0, screened.null_gain)) << seed;
-    const FeatureSet recorded = MakeFeatures(p->data, p->nominal, p->scales);
+    const FeatureSet recorded = MakeFeatures(p->data, p->nominal, p->scales, p->data.fine);
     const LiftedOptions options = state.fits.AsFitted(fitted);
     EXPECT_GT(spring(ScreenAround(state.setting, fitted, {true}, recorded, options, Rng(1), nullptr)), 50);
   }
@@ -334,6 +343,25 @@ TEST(ForwardStep, PromisesNothingThatTheModelHas) {
   EXPECT_EQ(round.step.MostPromised(bare, screened), 12);
   EXPECT_EQ(round.step.BestGain(with, screened), 4);
   EXPECT_EQ(round.step.MostPromised(with, screened), 4);
+}
+
+// On more joints than the model has it on, it is one.
+TEST(ForwardStep, PromisesOnFurtherJointsWhatTheModelHasOnOne) {
+  const auto rotor = [](const char* joint) {
+    return MakeSpec("rotor_inertia", {joint}, {{"armature", 0.05}});
+  };
+  const auto p = testing::Prepare("arm2", {rotor("elbow")}, 64);
+  FirstRound round(*p);
+  const Candidate one = round.state.fits.Evaluate({rotor("elbow")}, false);
+  const Candidate both = round.state.fits.Evaluate({rotor("elbow"), rotor("shoulder")}, false);
+  ScreenResult screened;
+  Scored of_all, coupling;
+  of_all.effect = "rotor_inertia", of_all.joints = {0, 1}, of_all.gain = 9;
+  coupling.effect = "joint_coupling", coupling.joints = {0, 1}, coupling.gain = 4;
+  screened.hypotheses = {of_all, coupling};
+  EXPECT_EQ(round.step.BestGain(one, screened), 9);
+  EXPECT_EQ(round.step.BestGain(both, screened), 4);
+  EXPECT_EQ(round.step.MostPromised(one, screened), 4);
 }
 
 // Behind a gap a motor as heavy as the link looks like a small gain beside the spring, until play is tried
