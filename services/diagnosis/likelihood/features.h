@@ -1,4 +1,4 @@
-// Signatures of effects: candidate forces along the recorded motion, per unit of an effect's strength, to
+// Signatures of effects: candidate forces along a motion, per unit of an effect's strength, to
 // first order. Effects with a shape have one per value of a grid (`shape`).
 #pragma once
 

@@ -1,4 +1,4 @@
-// Forces per unit coefficient of the regressors (effects/inference.h) along one joint's recorded motion.
+// Forces per unit coefficient of the regressors (effects/inference.h) along one joint's motion.
 #pragma once
 
 #include <Eigen/Core>

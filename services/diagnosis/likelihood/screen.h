@@ -1,7 +1,7 @@
 // Linearises a fitted plant in candidate forces beside its parameters, for tests that need no fit of their
 // own.
 //
-// δτ of lifted_fit.h are features: candidate forces as functions of the recorded motion. Their columns beside
+// δτ of lifted_fit.h are features: candidate forces as functions of the motion. Their columns beside
 // those of the parameters let all hypotheses be tested with one linearisation.
 #pragma once
 
