@@ -120,6 +120,9 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
   for (std::string& note : NotesOnMeasurement(result.joints, search.measured))
     result.notes.push_back(std::move(note));
   Conclude(search, setting, &result);
+  if (search.out_of_time)
+    result.notes.push_back("the time limit of " + Number(options.time_limit_s) +
+                           " s ended the search before all was compared: what it found is unsure");
   if (progress) progress({"what to record next", 0.96, 1.0, result.verdict});
   SayWhatToRecord(search, setting, options, threads, cancel, &result);
   if (progress) progress({"held-out recordings", 0.97, 1.0, result.verdict});

@@ -32,7 +32,8 @@ struct SearchResult {
   double threshold = 0;  // log evidence that an addition to the calibrated model must bring
   double beside = 0;  // log evidence that free base parameters must bring in addition to the best's effects
   double noise_scale = 1;
-  double work = 0;  // of all fits
+  double work = 0;           // of all fits
+  bool out_of_time = false;  // the time limit ended it before all was compared
   // Index among the held-out recordings of one that the model does not predict though it fits all others: it
   // alone excites something (a limit, a part of the workspace). −1: none.
   int excited_by = -1;

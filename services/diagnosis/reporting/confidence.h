@@ -27,4 +27,7 @@ enum class Standing {
 // have a hit rate of their own.
 void Calibrate(const std::string& verdict, Standing standing, int joints, std::vector<Finding>* findings);
 
+// Limits them where the time limit ended the search: hit rates are those of searches that compared all.
+void LimitOutOfTime(std::vector<Finding>* findings);
+
 }  // namespace rg::diagnosis

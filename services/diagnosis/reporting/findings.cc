@@ -100,6 +100,7 @@ class FindingsBuilder {
                               : s_.beside_any_force ? Standing::kBesideAnyForce
                                                     : Standing::kPlain;
     Calibrate(r_.verdict, standing, static_cast<int>(r_.joints.size()), &r_.findings);
+    if (s_.out_of_time) LimitOutOfTime(&r_.findings);
     r_.ledger = LedgerOf(s_);
     r_.candidates = CandidateRows(s_);
     r_.force_plots = ForcePlots(s_, data_);

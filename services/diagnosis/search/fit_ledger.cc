@@ -83,8 +83,11 @@ FitLedger::FitLedger(const FitSetting& setting, const DiagnosisOptions& options,
 }
 
 bool FitLedger::Late(double limits) const {
-  return Cancelled() || work_ - forgiven_ > limits * options_.work_limit ||
-         (options_.time_limit_s > 0 && trace_.Elapsed() > options_.time_limit_s);
+  return Cancelled() || work_ - forgiven_ > limits * options_.work_limit || OutOfTime();
+}
+
+bool FitLedger::OutOfTime() const {
+  return options_.time_limit_s > 0 && trace_.Elapsed() > options_.time_limit_s;
 }
 
 void FitLedger::SetNoiseScale(double scale) {

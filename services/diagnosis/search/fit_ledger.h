@@ -32,6 +32,7 @@ class FitLedger {
   bool Cancelled() const { return cancel_ != nullptr && cancel_->cancelled(); }
   // Whether the work limit (times `limits`), the time limit or a cancellation forbids new fits.
   bool Late(double limits = 1.0) const;
+  bool OutOfTime() const;
   double work() const { return work_; }
   double work_share() const { return work_ / options_.work_limit; }
   double WorkAfter(double share) const { return work_ + share * options_.work_limit; }

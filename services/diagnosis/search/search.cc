@@ -137,6 +137,7 @@ class Search {
 
   void Conclude(const Candidate& best) {
     out_.best = best;
+    out_.out_of_time = fits_.OutOfTime();
     for (const auto& [key, c] : fits_.tried()) out_.tried.push_back(c);
     std::ranges::sort(out_.tried, [](const Candidate& a, const Candidate& b) { return a.score > b.score; });
     out_.null_gain = state_.acceptance.null_gain();

@@ -22,6 +22,13 @@ TEST(Confidence, NoOddsMakeAFindingSurerThanItsLikeWereRight) {
   EXPECT_EQ(doubtful[0].confidence, 0.4) << "poor odds stay poor";
 }
 
+TEST(Confidence, OfASearchThatItsTimeLimitEndedIsLow) {
+  std::vector<Finding> two = {Named("coulomb_friction", 0.96), Named("payload", 0.2)};
+  LimitOutOfTime(&two);
+  EXPECT_LT(two[0].confidence, 0.5);
+  EXPECT_EQ(two[1].confidence, 0.2);
+}
+
 TEST(Confidence, ANearRivalAndManyNamesLowerIt) {
   std::vector<Finding> near = {Named("coulomb_friction", 1, -2)};
   Calibrate("unmodelled_physics", Standing::kPlain, 2, &near);

@@ -104,6 +104,22 @@ TEST(Diagnose, NamesCoulombFrictionAndItsLevel) {
   ExpectContract(json::parse(DiagnosisJson(r)));
 }
 
+TEST(Diagnose, SaysWhenItsTimeLimitEndedIt) {
+  const auto set =
+      testing::MakeSet("pendulum", {MakeSpec("coulomb_friction", {Pivot()}, {{"coulomb", 0.15}})}, 12);
+  for (const double limit : {0.0, 1e-6}) {
+    DiagnosisOptions options;
+    options.time_limit_s = limit;
+    const auto r = Diagnose(set, options, RealClock());
+    ASSERT_TRUE(r.ok()) << r.status().ToString();
+    const bool says = std::ranges::any_of(
+        r->notes, [](const std::string& note) { return note.find("time limit") != std::string::npos; });
+    EXPECT_EQ(says, limit > 0);
+    EXPECT_EQ(std::ranges::any_of(r->findings, [](const Finding& f) { return f.confidence > 0.5; }),
+              limit == 0);
+  }
+}
+
 TEST(Diagnose, NamesADelayAndWhatNoMotionTellsItFrom) {
   const DiagnosisResult r =
       Diagnosed(testing::MakeSet("pendulum", {MakeSpec("actuator_delay", {Pivot()}, {{"delay", 0.03}})}, 13));
