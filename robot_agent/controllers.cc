@@ -50,11 +50,18 @@ Result<std::unique_ptr<PolicyController>> PolicyController::Create(policy::Polic
 }
 
 PolicyController::PolicyController(policy::Policy policy, const Eigen::VectorXd& goal)
-    : policy_(std::move(policy)), n_(static_cast<int>(goal.size())) {
-  std::copy_n(goal.data(), n_, input_.begin() + 2 * n_);
+    : policy_(std::move(policy)), n_(static_cast<int>(goal.size())), goal_(goal) {}
+
+void PolicyController::ApproachGoal(const Eigen::VectorXd& start, double seconds) {
+  RG_CHECK(start.size() == n_) << start.size();
+  start_ = start;
+  approach_s_ = seconds;
 }
 
-void PolicyController::Command(double, const double* q, const double* v, double* tau) {
+void PolicyController::Command(double t, const double* q, const double* v, double* tau) {
+  const double share = t < approach_s_ ? std::max(t, 0.0) / approach_s_ : 1.0;
+  for (int i = 0; i < n_; ++i)
+    input_[static_cast<size_t>(2 * n_ + i)] = start_[i] + share * (goal_[i] - start_[i]);
   std::copy_n(q, n_, input_.begin());
   std::copy_n(v, n_, input_.begin() + n_);
   const auto outcome =

@@ -22,6 +22,8 @@ class PolicyController final : public Controller {
   static Result<std::unique_ptr<PolicyController>> Create(policy::Policy policy,
                                                           const std::vector<std::string>& joints,
                                                           const Eigen::VectorXd& goal);
+  // The goal that the policy is told moves evenly from `start` (n) to its own in the first `seconds`.
+  void ApproachGoal(const Eigen::VectorXd& start, double seconds);
   void Command(double t, const double* q, const double* v, double* tau) override;
 
  private:
@@ -29,6 +31,9 @@ class PolicyController final : public Controller {
 
   const policy::Policy policy_;
   const int n_;
+  const Eigen::VectorXd goal_;
+  Eigen::VectorXd start_ = goal_;
+  double approach_s_ = 0.0;
   std::array<double, 3 * kMaxJoints> input_{};
 };
 

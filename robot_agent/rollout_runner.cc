@@ -6,12 +6,14 @@
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <optional>
 
 #include "common/base/file.h"
 #include "common/base/log.h"
 #include "common/model/robot_model.h"
 #include "robot_agent/controllers.h"
 #include "robot_agent/guard/guard_driver.h"
+#include "robot_agent/limited_controller.h"
 #include "robot_agent/safety/latch.h"
 #include "robot_agent/safety/own_arm.h"
 #include "robot_agent/safety/watched_move.h"
@@ -90,6 +92,8 @@ std::string MetadataOf(const DriverInfo& info, const RolloutInput& input,
               {"controller", input.controller_name},
               {"excitation", spec.excitation},
               {"trust", input.plan.trust},
+              {"speed", input.plan.speed},
+              {"made_again", input.made_again},
               {"policy_sha256", input.policy_sha256},
               {"model_sha256", input.model_sha256},
               {"job", input.job_id},
@@ -278,6 +282,9 @@ Status StartRecording(const Driver& driver, const RolloutInput& input, const Spo
   return Status::Ok();
 }
 
+// About what passes until a command acts: in transport, in the drive.
+constexpr double kCommandDelay_s = 0.02;
+
 ControlLoopResult RunLoop(Driver& driver, ArmModel& arm, const RolloutInput& input, Recorder& recorder,
                           const ProgressFn& progress, const CancelToken& stop, const Clock& clock) {
   const auto& spec = input.plan.spec;
@@ -288,10 +295,19 @@ ControlLoopResult RunLoop(Driver& driver, ArmModel& arm, const RolloutInput& inp
   options.observer = input.observer;
   options.stop = input.config.stop;
   if (progress) progress({"rollout", 0.0, options.duration_s, "running"});
-  ExcitedController controller(input.controller, spec.excitation * ToEigen(input.plan.limits.torque),
-                               options.duration_s, spec.goal_seed);
+  ExcitedController excited(input.controller, spec.excitation * ToEigen(input.plan.limits.torque),
+                            options.duration_s, spec.goal_seed);
+  std::optional<LimitedController> limited;
+  if (input.values != nullptr) {
+    limited.emplace(excited, arm, input.plant, *input.values,
+                    PredictedLimit{.velocity = input.plan.speed * ToEigen(input.plan.limits.velocity),
+                                   .ahead_s = 1.0 / spec.rate_hz + kCommandDelay_s});
+  }
+  Controller& controller = limited ? static_cast<Controller&>(*limited) : excited;
   ControlLoopResult loop =
       RunControlLoop(driver, controller, arm, input.plan.limits, options, recorder, stop, clock);
+  if (limited && limited->limited() > 0)
+    spdlog::info("{} of {} commands kept from the velocity limits", limited->limited(), loop.commands);
   if (input.guard != nullptr) AskGuard(*input.guard, &loop.trip);
   return loop;
 }

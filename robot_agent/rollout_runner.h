@@ -20,6 +20,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "common/base/clock.h"
 #include "common/base/progress.h"
@@ -42,6 +43,7 @@ struct RolloutPlan {
   rollouts::RolloutSpec spec;  // start and goal filled in
   SafetyLimits limits;
   double trust = 1.0;
+  double speed = 1.0;  // share of the full speed; less where a rollout is made again
 };
 // Start (the agent's if the spec has none), limits, goal: given, by inverse kinematics, or sampled by
 // goal_seed. Depends on nothing but its arguments. The goal lies inside the position box. With less than full `trust`
@@ -54,6 +56,9 @@ struct RolloutInput {
   const AgentConfig& config;
   const sim::Plant& plant;  // the believed model: joints, URDF and gravity for the recording
   Controller& controller;   // for plan.spec.goal
+  // Of the model's parameters; with them commands are kept from the velocity limits (limited_controller.h).
+  const Eigen::VectorXd* values = nullptr;
+  std::vector<std::string> made_again = {};  // how the rollouts ended that this one is made again for
   LoopObserver* observer = nullptr;
   const GuardDriver* guard = nullptr;  // the driver, if it is one
   std::string controller_name = "policy";

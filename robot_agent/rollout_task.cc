@@ -1,5 +1,7 @@
 #include "robot_agent/rollout_task.h"
 
+#include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <filesystem>
 #include <nlohmann/json.hpp>
@@ -16,6 +18,7 @@
 #include "robot_agent/spool_delivery.h"
 #include "services/rollouts/recording_bundle.h"
 #include "services/rollouts/reference_motion.h"
+#include "services/rollouts/trust.h"
 #include "services/trajectories/reference_tracking.h"
 
 namespace rg::robot_agent {
@@ -144,6 +147,106 @@ RolloutTaskOutput OutputOf(const RolloutResult& result) {
   return output;
 }
 
+// What all attempts of a rollout have in common.
+struct Common {
+  const AgentConfig& config;
+  const RolloutTaskInput& input;
+  const std::string& spool_folder;
+  Spool& spool;
+  const sim::ModelFile& model;
+  const std::optional<rollouts::ReferenceMotion>& motion;
+};
+
+// `plan` at a share of the speed: less excitation, tighter prediction, and a policy's goal that moves there first.
+void SlowDown(double speed, RolloutPlan* plan) {
+  plan->speed = speed;
+  plan->spec.excitation *= speed;
+}
+
+double ApproachSeconds(const RolloutPlan& plan, const model::RobotModel& model) {
+  if (plan.speed >= 1.0) return 0.0;
+  const Eigen::VectorXd far = (plan.spec.goal - plan.spec.start).cwiseAbs();
+  return std::min(0.5 * plan.spec.duration_s,
+                  (far.array() / (plan.speed * model.VelocityLimits().array())).maxCoeff());
+}
+
+// One attempt: everything from the plan to a recording in the spool.
+Result<RolloutResult> RunOnce(const Common& all, const RolloutPlan& plan, std::vector<std::string> made_again,
+                              const ProgressFn& progress, const CancelToken& stop) {
+  RG_ASSIGN_OR_RETURN(const auto controller, MakeController(all.input, all.model, plan, all.motion));
+  if (auto* policy = dynamic_cast<PolicyController*>(controller.get()))
+    policy->ApproachGoal(plan.spec.start, ApproachSeconds(plan, all.model.plant.model()));
+  const auto board = Board::Open(all.spool_folder);
+  RG_RETURN_IF_ERROR(CheckArmed(all.config, board));
+  const GuardDriver* guard = nullptr;
+  RG_ASSIGN_OR_RETURN(const auto driver,
+                      DriverFor(all.config, plan.spec, all.spool_folder, board.ok(), &guard));
+  RolloutInput rollout{.plan = plan,
+                       .config = all.config,
+                       .plant = all.model.plant,
+                       .controller = *controller,
+                       .values = all.motion ? nullptr : &all.model.values,
+                       .made_again = std::move(made_again),
+                       .controller_name = all.input.controller,
+                       .policy_sha256 = all.input.policy_bytes.empty() ? "" : Sha256Hex(all.input.policy_bytes),
+                       .model_sha256 = Sha256Hex(all.input.model_json),
+                       .job_id = all.input.job_id,
+                       .task_id = all.input.task_id};
+  rollout.guard = guard;
+  if (!board.ok()) return RunRollout(*driver, rollout, all.spool, progress, stop, RealClock());
+  const StopListener listener(**board, stop);
+  BoardPublisher publisher(**board, plan.spec.id, all.model.plant.joint_names(), plan.limits,
+                           plan.spec.rate_hz, all.config.dry_run);
+  rollout.observer = &publisher;
+  auto result = RunRollout(*driver, rollout, all.spool, progress, listener.token(), RealClock());
+  if (guard != nullptr && guard->trip().reason == EndReason::kOperatorStop)
+    (*board)->Arm(false);  // as any other stop
+  if (result.ok()) {
+    publisher.SetEnd(std::string(EndReasonName(result->reason)), result->detail);
+  } else {
+    publisher.SetEnd(std::string(StatusCodeName(result.status().code())), result.status().message());
+  }
+  return result;
+}
+
+bool StopConfirmed(const RolloutResult& result) {
+  return json::parse(result.rollout_json).value("held", false);
+}
+
+std::string EndLine(const RolloutResult& result) {
+  const double after_s = json::parse(result.rollout_json).value("ended_after_s", 0.0);
+  char text[48];
+  std::snprintf(text, sizeof text, " after %.2f s", after_s);
+  return std::string(EndReasonName(result.reason)) + text + (result.detail.empty() ? "" : ": " + result.detail);
+}
+
+// Ids are a function of the attempt, so that a repeat of the task finds every attempt in the spool.
+Result<RolloutResult> RunSlowerUntilItEnds(const Common& all, const RolloutPlan& full, const ProgressFn& progress,
+                                           const CancelToken& stop) {
+  RG_ASSIGN_OR_RETURN(RolloutResult best, RunOnce(all, full, {}, progress, stop));
+  std::vector<std::string> made_again;
+  EndReason reason = best.reason;
+  bool confirmed = StopConfirmed(best);
+  made_again.push_back(EndLine(best));
+  for (int again = 1; again <= all.input.slower_attempts && !all.motion; ++again) {
+    if (!rollouts::MayBeMadeAgain(EndReasonName(reason)) || !confirmed || stop.cancelled()) break;
+    spdlog::warn("rollout {} ended early ({}): made again at half the speed, {} of {}", full.spec.id,
+                 made_again.back(), again, all.input.slower_attempts);
+    RolloutPlan plan = full;
+    SlowDown(std::pow(0.5, again), &plan);
+    plan.spec.id = full.spec.id + "-slower" + std::to_string(again);
+    auto next = RunOnce(all, plan, made_again, progress, stop);
+    if (!next.ok()) {
+      spdlog::error("rollout {}: {}; the one before counts", plan.spec.id, next.status().message());
+      break;
+    }
+    reason = next->reason, confirmed = StopConfirmed(*next);
+    made_again.push_back(EndLine(*next));
+    if (reason == EndReason::kCompleted || next->rows >= best.rows) best = std::move(*next);
+  }
+  return best;
+}
+
 }  // namespace
 
 Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::string& spool_folder,
@@ -160,38 +263,9 @@ Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::s
     spec = SpecOf(*motion, std::move(spec));
   }
   RG_ASSIGN_OR_RETURN(const RolloutPlan plan, PlanRollout(spec, config, model.plant, input.trust));
-  RG_ASSIGN_OR_RETURN(const auto controller, MakeController(input, model, plan, motion));
-  const auto board = Board::Open(spool_folder);
-  RG_RETURN_IF_ERROR(CheckArmed(config, board));
-  const GuardDriver* guard = nullptr;
-  RG_ASSIGN_OR_RETURN(const auto driver, DriverFor(config, plan.spec, spool_folder, board.ok(), &guard));
-  RolloutInput rollout{.plan = plan,
-                       .config = config,
-                       .plant = model.plant,
-                       .controller = *controller,
-                       .controller_name = input.controller,
-                       .policy_sha256 = input.policy_bytes.empty() ? "" : Sha256Hex(input.policy_bytes),
-                       .model_sha256 = Sha256Hex(input.model_json),
-                       .job_id = input.job_id,
-                       .task_id = input.task_id};
-  rollout.guard = guard;
-  if (!board.ok()) {
-    RG_ASSIGN_OR_RETURN(const RolloutResult result,
-                        RunRollout(*driver, rollout, *spool, progress, stop, RealClock()));
-    return OutputOf(result);
-  }
-  const StopListener listener(**board, stop);
-  BoardPublisher publisher(**board, plan.spec.id, model.plant.joint_names(), plan.limits, plan.spec.rate_hz,
-                           config.dry_run);
-  rollout.observer = &publisher;
-  const auto result = RunRollout(*driver, rollout, *spool, progress, listener.token(), RealClock());
-  if (guard != nullptr && guard->trip().reason == EndReason::kOperatorStop) (*board)->Arm(false);  // as any other stop
-  if (!result.ok()) {
-    publisher.SetEnd(std::string(StatusCodeName(result.status().code())), result.status().message());
-    return result.status();
-  }
-  publisher.SetEnd(std::string(EndReasonName(result->reason)), result->detail);
-  return OutputOf(*result);
+  const Common all{config, input, spool_folder, *spool, model, motion};
+  RG_ASSIGN_OR_RETURN(const RolloutResult result, RunSlowerUntilItEnds(all, plan, progress, stop));
+  return OutputOf(result);
 }
 
 }  // namespace rg::robot_agent

@@ -19,6 +19,10 @@ struct RolloutTaskInput {
   std::string policy_bytes;  // for controller "policy"
   rollouts::RolloutSpec spec;
   double trust = 1.0;  // services/rollouts/trust.h
+  // A rollout that the safety monitor ends is made again at half the speed at most this often, each with an id of its
+  // own; the output is of the first that came to its end, else of the longest. The others' recordings stay in the
+  // spool, to travel alone.
+  int slower_attempts = 0;
   std::string job_id, task_id;        // where the recording belongs, should it travel alone
   std::string controller = "policy";  // "mpc", "trajectory"
   // For controller "trajectory": the motion (services/rollouts/reference_motion.h), which then says start,

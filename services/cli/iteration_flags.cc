@@ -67,8 +67,8 @@ void AddRolloutFlags(CLI::App* command, jobs::IterationOptions* options) {
   command
       ->add_option("--excitation", o.excitation,
                    "Torques on top of the controller's in the rollout's first half, as a share of each "
-                   "joint's limit; default: as the agent is configured, and with --diagnose 0.15 while the "
-                   "rollouts so far tell too little of a joint")
+                   "joint's limit; default: as the agent is configured; `run` adds 0.15 to the first two rollouts, "
+                   "with --diagnose to all while they tell too little of a joint")
       ->check(CLI::Range(0.0, 1.0));
 }
 

@@ -31,9 +31,11 @@ struct RunArguments {
   bool resume = false, lock_step = false;
 };
 
-// Whether there is a joint whose friction and inertia the rollouts so far cannot show.
+// Whether the next rollout is excited: the first ones, and while a diagnosis says that there is a joint whose friction
+// and inertia the rollouts so far cannot show.
 bool TellTooLittle(const std::vector<json>& results) {
-  return results.empty() || !results.back().at("diagnosis").value("quiet_joints", json::array()).empty();
+  if (static_cast<int>(results.size()) < jobs::kExcitedRollouts) return true;
+  return !results.back().value("/diagnosis/quiet_joints"_json_pointer, json::array()).empty();
 }
 
 Status RunIteration(LocalService& service, const RobotProfile& profile, RunState* run, bool quiet) {
@@ -46,9 +48,9 @@ Status RunIteration(LocalService& service, const RobotProfile& profile, RunState
   } else {
     inputs.model = run->results.back().at("model").get<std::string>();
   }
+  if (options.rollout.excitation < 0 && TellTooLittle(run->results))
+    options.rollout.excitation = jobs::kLoopExcitation;
   if (options.diagnosis.on) {
-    if (options.rollout.excitation < 0 && TellTooLittle(run->results))
-      options.rollout.excitation = jobs::kLoopExcitation;
     RG_ASSIGN_OR_RETURN(inputs.nominal, ChooseModel(service.client(), profile, "nominal"));
     for (const json& before : run->results) {
       inputs.identified = before.at("identified_model").get<std::string>();
@@ -151,6 +153,7 @@ void PrintEnd(const Context& context, const RunState& run, const std::string& pa
   if (context.quiet()) return Print(run.folder);
   Print(IterationsTable(run.results));
   if (const std::string said = ImpossibleText(run.results); !said.empty()) Print(said);
+  if (const std::string said = MadeAgainText(run.results); !said.empty()) Print(said);
   if (const std::string said = DiagnosesText(run.results); !said.empty()) Print(said);
   Print("page:      " + page);
   Print("next:      realitygrad --coordinator " + run.folder + " params history");

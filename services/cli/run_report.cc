@@ -40,11 +40,15 @@ const ResultRow kRows[] = {
     {"  validation loss", "", "/policy/validation_loss", "–"},
     {"  time", "s", "/seconds/policy", "24"},
     {"  goal error in simulation, median", "rad", "/examination/policy/median", "–"},
-    {"  the same of MPC", "rad", "/examination/mpc/median", "–"},
+    {"  90th percentile", "rad", "/examination/policy/p90", "–"},
+    {"  pairs whose policy diverges", "", "/examination/policy/diverged", "–"},
+    {"  median of MPC", "rad", "/examination/mpc/median", "–"},
+    {"  90th percentile of MPC", "rad", "/examination/mpc/p90", "–"},
     {"rollout: distance to goal at the end", "rad", "/rollout/goal_error/joint_norm", "–"},
     {"  distance covered at the start", "rad", "/rollout/goal_error/start_norm", "–"},
     {"  end effector to goal", "m", "/rollout/goal_error/tip_distance_m", "–"},
     {"  excitation, share of the torque limits", "", "/rollout/excitation", "–"},
+    {"  share of the full speed", "", "/rollout/speed", "–"},
     {"  time", "s", "/seconds/rollout", "6"},
     {"simulation: residual before", "rad²", "/identification/before/residual", "350155"},
     {"  residual after", "rad²", "/identification/after/residual", "28.9, then 12.3"},
@@ -257,6 +261,17 @@ std::string ImpossibleText(const std::vector<json>& results) {
     const std::string said = Impossible(results[i]);
     if (said.empty()) continue;
     text += (text.empty() ? "" : "\n") + ("warning: identification " + std::to_string(i + 1)) + ": " + said;
+  }
+  return text;
+}
+
+std::string MadeAgainText(const std::vector<json>& results) {
+  std::string text;
+  for (size_t i = 0; i < results.size(); ++i) {
+    const json lines = results[i].value("/rollout/made_again"_json_pointer, json::array());
+    for (const json& line : lines)
+      text += (text.empty() ? "" : "\n") + ("rollout " + std::to_string(i + 1)) +
+              " was made again, slower: " + line.get<std::string>();
   }
   return text;
 }

@@ -199,6 +199,7 @@ void AppendRollout(const IterationOptions& options, const IterationInputs& input
   payload.set_reach_s(o.reach_s);
   payload.set_controller(o.controller);
   if (o.excitation >= 0) payload.set_excitation(o.excitation);
+  if (trained_here) payload.set_slower_attempts(kSlowerAttempts);
   payload.mutable_start_q()->Assign(options.home.begin(), options.home.end());
   payload.mutable_peak_torque()->Assign(options.peak_torque.begin(), options.peak_torque.end());
   pb::TaskSpec* task = AddTask(job, "rollout", kStageRollout, kKindRollout, payload);

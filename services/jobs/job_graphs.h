@@ -53,6 +53,11 @@ struct RolloutOptions {
   double excitation = -1.0;
 };
 
+// What `run` adds to the first rollouts of a loop, and with a diagnosis to all while rollouts tell too little of a joint.
+inline constexpr double kLoopExcitation = 0.15;
+inline constexpr int kExcitedRollouts = 2;
+inline constexpr int kSlowerAttempts = 3;  // of an iteration's rollout, where the safety monitor ended it
+
 struct IdentifyOptions {
   int chains = 2;
   int rounds = 3;        // chains exchange their best between rounds
@@ -69,7 +74,6 @@ struct IdentifyOptions {
 
 // Whether each rollout is diagnosed, and the model of the next iteration is what that found, identified
 // further. Identification alone goes on beside it, for comparison.
-inline constexpr double kLoopExcitation = 0.15;  // RolloutOptions::excitation, where rollouts tell too little
 struct LoopDiagnosisOptions {
   bool on = false;
   double budget_s = 60.0;  // no new round of the search for effects starts later

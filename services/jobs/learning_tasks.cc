@@ -1,6 +1,7 @@
 #include "services/jobs/learning_tasks.h"
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
 
@@ -62,10 +63,13 @@ Result<policy::Dataset> DatasetOf(const worker::TaskInput& input) {
   return dataset;
 }
 
-// Errors that are no number are null.
+constexpr double kDiverged = 1.0;  // rad or m from the goal, farther than any pair's start is
+
+// Errors that are no number are null. "diverged": how many ended farther than kDiverged from their goal.
 json QuantilesJson(const std::vector<double>& errors) {
-  json out = {{"median", nullptr}, {"p90", nullptr}};
+  json out = {{"median", nullptr}, {"p90", nullptr}, {"diverged", 0}};
   if (errors.empty()) return out;
+  out["diverged"] = std::ranges::count_if(errors, [](double e) { return !(std::abs(e) < kDiverged); });
   const double median = trajectories::Quantile(errors, 0.5), p90 = trajectories::Quantile(errors, 0.9);
   if (std::isfinite(median)) out["median"] = median;
   if (std::isfinite(p90)) out["p90"] = p90;

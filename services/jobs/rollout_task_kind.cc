@@ -1,5 +1,6 @@
 #include "services/jobs/rollout_task_kind.h"
 
+#include <algorithm>
 #include <cstdio>
 #include <nlohmann/json.hpp>
 #include <set>
@@ -18,6 +19,8 @@ namespace rg::jobs {
 namespace {
 
 namespace pb = ::realitygrad::v1;
+
+constexpr uint32_t kMostSlowerAttempts = 10;
 
 Eigen::VectorXd ToVector(const google::protobuf::RepeatedField<double>& values) {
   return Eigen::Map<const Eigen::VectorXd>(values.data(), values.size());
@@ -92,6 +95,7 @@ void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::strin
         const worker::InputArtifact* policy = input.Find(kInputPolicy);
         robot_agent::RolloutTaskInput task;
         task.trust = TrustOf(config, context);
+        task.slower_attempts = static_cast<int>(std::min(payload.slower_attempts(), kMostSlowerAttempts));
         task.model_json = model->bytes;
         task.job_id = std::to_string(input.job);
         task.task_id = std::to_string(input.task);

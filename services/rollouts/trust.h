@@ -14,6 +14,10 @@ namespace rg::rollouts {
 
 inline constexpr double kTrustStep = 0.25;
 
+// Whether a rollout that ended so may be made again, slower: the fence ended what a controller asked for, or this machine
+// was late; not where the arm, its sensors or a person ended it.
+bool MayBeMadeAgain(std::string_view end_reason);
+
 double TrustAfter(double trust, std::string_view end_reason, bool stop_confirmed);
 
 struct FirstRollouts {
