@@ -138,15 +138,18 @@ void AppendTrain(const IterationOptions& options, const IterationInputs& inputs,
                  pb::JobSpec* job) {
   pb::TrainPayload payload;
   payload.set_seed(options.seed);
-  payload.set_epochs(static_cast<uint32_t>(options.train.epochs));
+  const bool last = round == options.train.aggregations;
+  const double share = last ? 1.0 : options.train.driver_epochs;
+  const int epochs = std::max(1, static_cast<int>(std::lround(share * options.train.epochs)));
+  payload.set_epochs(static_cast<uint32_t>(epochs));
   payload.set_batch(static_cast<uint32_t>(options.train.batch));
   payload.set_learning_rate(options.train.learning_rate);
   for (int width : options.train.hidden) payload.add_hidden(static_cast<uint32_t>(width));
   const std::string stage = PolicyStage(options.train, round);
   pb::TaskSpec* task =
-      AddTask(job, round == options.train.aggregations ? "policy" : Numbered("policy", round, 1), stage,
+      AddTask(job, last ? "policy" : Numbered("policy", round, 1), stage,
               kKindTrain, payload);
-  task->set_weight(0.02 * options.train.epochs * std::max(1, options.trajectories.count) * (round + 1) /
+  task->set_weight(0.02 * epochs * std::max(1, options.trajectories.count) * (round + 1) /
                    45.0);
   AddArtifact(task, kInputModel, inputs.model);
   if (inputs.shards.empty()) {

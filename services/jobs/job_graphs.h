@@ -30,6 +30,8 @@ struct TrainOptions {
   // Rounds in which the policy drives, the expert answers, and both together train the next one
   // (services/trajectories/aggregation.h); an iteration's only.
   int aggregations = 2;
+  // Epochs of the policies before the last, as a share: they only drive.
+  static constexpr double driver_epochs = 0.4;
   int examination_pairs = 60;  // start/goal pairs of the closed-loop examination; 0: none
 };
 

@@ -40,6 +40,18 @@ TEST(PolicyControllers, FeedStateAndGoalAndAllocateNothing) {
   EXPECT_NEAR(tau, 0.5, 1e-6);
 }
 
+TEST(PolicyControllers, ToldToApproachTheirGoalTheySeeItMoveThereEvenly) {
+  const auto controller =
+      PolicyController::Create(Linear(), {"a"}, Eigen::VectorXd::Constant(1, 0.5)).value();
+  controller->ApproachGoal(Eigen::VectorXd::Constant(1, 0.1), 2.0);
+  const double q = 0.0, v = 0.0;
+  for (const auto& [t, goal] : {std::pair{0.0, 0.1}, {1.0, 0.3}, {2.0, 0.5}, {3.0, 0.5}}) {
+    double tau = 0.0;
+    controller->Command(t, &q, &v, &tau);
+    EXPECT_NEAR(tau, 2.0 + 3.0 * goal, 1e-6) << t;
+  }
+}
+
 TEST(PolicyControllers, AStateThatIsNotFiniteGivesNanNotTheLastTorque) {
   const auto controller =
       PolicyController::Create(Linear(), {"a"}, Eigen::VectorXd::Constant(1, 0.5)).value();

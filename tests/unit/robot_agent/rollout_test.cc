@@ -13,6 +13,7 @@
 #include "common/recordings/csv.h"
 #include "common/sim/model_file.h"
 #include "robot_agent/board.h"
+#include "robot_agent/limited_controller.h"
 #include "robot_agent/rollout_task.h"
 #include "robot_agent/safety/latch.h"
 #include "robot_agent/safety/own_arm.h"
@@ -400,6 +401,56 @@ struct TaskRig : Rig {
   }
   RolloutTaskInput input;
 };
+
+// Without torque the arm falls; no speed of its goal keeps it from that.
+TEST(RolloutTask, WhatTheMonitorEndsIsMadeAgainSlowerAndARepeatOfTheTaskMovesNothing) {
+  TaskRig rig;
+  rig.config.limits.velocity.assign(6, 0.05);
+  rig.input.slower_attempts = 2;
+  rig.input.spec.excitation = 0.1;
+  const auto task = [&] { return RunRolloutTask(rig.config, rig.folder, rig.input, {}, rig.stop).value(); };
+  const RolloutTaskOutput output = task();
+  const auto said = nlohmann::json::parse(output.metadata_json);
+  EXPECT_EQ(said["end_reason"], "velocity_limit");
+  const std::vector<std::string> ids = {"rollout-1", "rollout-1-slower1", "rollout-1-slower2"};
+  EXPECT_EQ(Spool::Open(rig.folder).value()->Ready(), ids);
+  const auto attempt = [&](size_t k) {
+    const std::string bundle = ReadFile(Spool::Open(rig.folder).value()->ReadyPath(ids[k])).value();
+    return nlohmann::json::parse(rollouts::UnpackBundle(bundle).value().at("rollout.json"));
+  };
+  for (size_t k = 0; k < ids.size(); ++k) {
+    EXPECT_EQ(attempt(k)["speed"], std::pow(0.5, k));
+    EXPECT_EQ(attempt(k)["excitation"], 0.1 * std::pow(0.5, k));
+    EXPECT_EQ(attempt(k)["made_again"].size(), k);
+  }
+  EXPECT_THAT(attempt(1)["made_again"][0].get<std::string>(), HasSubstr("velocity_limit after"));
+  EXPECT_EQ(task().bundle, output.bundle);
+  EXPECT_EQ(Spool::Open(rig.folder).value()->Ready(), ids);
+}
+
+TEST(LimitedControllers, KeepTheArmWithinAShareOfItsVelocityLimits) {
+  Rig rig(true);
+  OwnArm arm(*rig.config.arm, Eigen::Vector3d(0, 0, -9.81), rig.config.parts);
+  FunctionController pushes([&](double, const double* q, const double*, double* tau) {
+    arm.GravityTorque(q, tau);
+    tau[0] += 20.0;
+  });
+  const Eigen::VectorXd velocity = Eigen::VectorXd::Constant(6, 0.5), zero = Eigen::VectorXd::Zero(6);
+  LimitedController limited(pushes, arm, rig.plant, rig.values, {.velocity = velocity});
+  sim::Simulator robot(rig.plant);
+  robot.SetParameters(rig.values);
+  for (Controller* controller : std::initializer_list<Controller*>{&pushes, &limited}) {
+    sim::State x = robot.MakeState(ToEigen(rig.config.start_pose), zero);
+    Eigen::VectorXd tau(6);
+    for (int k = 0; k < 10 && x.v.cwiseAbs().maxCoeff() < 2.0; ++k) {
+      controller->Command(0.04 * k, x.q.data(), x.v.data(), tau.data());
+      ASSERT_TRUE(robot.Advance(x, tau, 0.04).ok());
+    }
+    const double fastest = x.v.cwiseAbs().maxCoeff();
+    EXPECT_EQ(fastest <= 0.5, controller == &limited) << fastest;
+  }
+  EXPECT_GT(limited.limited(), 0);
+}
 
 TEST(RolloutTask, AStopByTheAgentEndsItAndNothingBeginsBeforeItIsArmedAgain) {
   TaskRig rig;

@@ -21,6 +21,13 @@ TEST(Trust, TheFenceHalvesItAnUnconfirmedStopTakesItAPersonsStopSaysNothing) {
     EXPECT_EQ(TrustAfter(0.5, reason, true), 0.5) << reason;
 }
 
+TEST(Trust, WhatASlowerMotionMayAvoidIsMadeAgain) {
+  for (const char* reason : {"velocity_limit", "position_limit", "torque_limit", "task_space_limit", "missed_deadlines"})
+    EXPECT_TRUE(MayBeMadeAgain(reason)) << reason;
+  for (const char* reason : {"completed", "operator_stop", "driver_lost", "controller_nan", "frozen_state", ""})
+    EXPECT_FALSE(MayBeMadeAgain(reason)) << reason;
+}
+
 TEST(Trust, FirstRolloutsAreShortAndSlow) {
   const FirstRollouts first{.duration_s = 2.0, .speed = 0.4};
   EXPECT_EQ(first.DurationOf(6.0, 0.0), 2.0);
