@@ -38,12 +38,13 @@ class Loop {
     if (!Enter()) return NotStarted();
     while (Cycle()) {
     }
+    missed_ += MissedBy(driver_.NowNanos() - (start_ns_ + tick_ * period_ns_));
     result_.stop = StopArm(driver_, options_.stop);
     result_.trip = monitor_.trip();
     result_.saturated_samples = monitor_.saturated_samples();
     result_.duration_s = 1e-9 * static_cast<double>(result_.trip.at_ns - start_ns_);
     result_.jitter.ticks = monitor_.ticks();
-    result_.jitter.missed_deadlines = monitor_.missed();
+    result_.jitter.missed_deadlines = missed_;
     return result_;
   }
 
@@ -93,10 +94,15 @@ class Loop {
     const int64_t late = driver_.NowNanos() - (start_ns_ + tick_ * period_ns_);
     result_.jitter.lateness.Add(late);
     result_.jitter.late_2ms += late > kLate;
-    if (late * 2 <= period_ns_) return 0;
-    const int64_t left_out = late / period_ns_;
-    tick_ += left_out;
-    return static_cast<int>(1 + left_out);
+    const int missed = MissedBy(late);
+    if (missed > 0) tick_ += late / period_ns_;
+    missed_ += missed;
+    return missed;
+  }
+
+  // Deadlines that a tick passes which wakes so late [ns]; also after a trip, where the monitor no longer counts.
+  int MissedBy(int64_t late) const {
+    return late * 2 <= period_ns_ ? 0 : static_cast<int>(1 + late / period_ns_);
   }
 
   void Observe(bool reached) {
@@ -187,6 +193,7 @@ class Loop {
   ControlLoopResult result_;
 
   int64_t start_ns_ = 0, tick_ = 0, sent_ns_ = 0;
+  int missed_ = 0;
   Observation seen_;
   bool new_state_ = false, saturated_ = false;
   double tip_[3] = {};

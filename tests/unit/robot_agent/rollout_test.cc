@@ -311,7 +311,8 @@ TEST(Rollout, SilencePutsTheArmInPositionMode) {
 }
 
 // A policy of the right shape that always asks for nothing.
-std::string IdlePolicy(const std::vector<std::string>& joints) {
+// `first`: the torque that it asks of the first joint, whatever the state.
+std::string IdlePolicy(const std::vector<std::string>& joints, double first = 0.0) {
   policy::Policy::Parts parts;
   const auto n = static_cast<int>(joints.size());
   parts.joints = joints;
@@ -319,6 +320,7 @@ std::string IdlePolicy(const std::vector<std::string>& joints) {
   parts.input_mean.assign(3 * n, 0.0);
   parts.input_scale.assign(3 * n, 1.0);
   parts.output_mean.assign(n, 0.0);
+  parts.output_mean[0] = first;
   parts.output_scale.assign(n, 1.0);
   parts.network = policy::Network({3 * n, n});
   return policy::SerializePolicy(policy::Policy(parts));
@@ -402,17 +404,17 @@ struct TaskRig : Rig {
   RolloutTaskInput input;
 };
 
-// Without torque the arm falls; no speed of its goal keeps it from that.
 TEST(RolloutTask, WhatTheMonitorEndsIsMadeAgainSlowerAndARepeatOfTheTaskMovesNothing) {
   TaskRig rig;
-  rig.config.limits.velocity.assign(6, 0.05);
-  rig.input.slower_attempts = 2;
-  rig.input.spec.excitation = 0.1;
+  rig.config.limits.upper[0] = 0.1;
+  rig.input.policy_bytes = IdlePolicy(rig.plant.joint_names(), 10.0);
+  rig.input.slower_attempts = 1;
+  rig.input.spec.excitation = 0.02;
   const auto task = [&] { return RunRolloutTask(rig.config, rig.folder, rig.input, {}, rig.stop).value(); };
   const RolloutTaskOutput output = task();
   const auto said = nlohmann::json::parse(output.metadata_json);
-  EXPECT_EQ(said["end_reason"], "velocity_limit");
-  const std::vector<std::string> ids = {"rollout-1", "rollout-1-slower1", "rollout-1-slower2"};
+  EXPECT_EQ(said["end_reason"], "position_limit");
+  const std::vector<std::string> ids = {"rollout-1", "rollout-1-slower1"};
   EXPECT_EQ(Spool::Open(rig.folder).value()->Ready(), ids);
   const auto attempt = [&](size_t k) {
     const std::string bundle = ReadFile(Spool::Open(rig.folder).value()->ReadyPath(ids[k])).value();
@@ -420,10 +422,10 @@ TEST(RolloutTask, WhatTheMonitorEndsIsMadeAgainSlowerAndARepeatOfTheTaskMovesNot
   };
   for (size_t k = 0; k < ids.size(); ++k) {
     EXPECT_EQ(attempt(k)["speed"], std::pow(0.5, k));
-    EXPECT_EQ(attempt(k)["excitation"], 0.1 * std::pow(0.5, k));
+    EXPECT_EQ(attempt(k)["excitation"], 0.02 * std::pow(0.5, k));
     EXPECT_EQ(attempt(k)["made_again"].size(), k);
   }
-  EXPECT_THAT(attempt(1)["made_again"][0].get<std::string>(), HasSubstr("velocity_limit after"));
+  EXPECT_THAT(attempt(1)["made_again"][0].get<std::string>(), HasSubstr("position_limit after"));
   EXPECT_EQ(task().bundle, output.bundle);
   EXPECT_EQ(Spool::Open(rig.folder).value()->Ready(), ids);
 }
