@@ -1,49 +1,43 @@
-// Another controller's torques, made smaller where the believed model says that the arm would come too close to a
-// velocity limit of the safety monitor.
+// Another controller's torques, made smaller where a joint would come too close to its velocity limit.
 //
-//   tau = g(q) + s (tau_inner − g(q)) ,  s the largest of 1, ¾, ½, ¼, 0 whose state one control period and one
-//   command delay ahead has |v_i| ≤ share · v_max,i on every joint; where none has, the one of least excess
+//   tau_i = g_i(q) + s_i (tau_inner,i − g_i(q)) ,  s_i = clip((b_i − |v_i|) / (a_i T), 0, 1) ,  b_i = share · v_max,i
 //
-// g(q) is the agent's own gravity torque, the prediction one step of the believed model without lags and delays.
-// A command that is not finite passes as it is: the monitor stops the arm. Allocates nothing per command.
+// where s_i grows by at most ¼ from one command to the next.
+// a_i is how fast |v_i| grew since the command before [rad/s²], T one control period and one command delay, g(q) the
+// agent's own gravity torque. Only torques that drive a joint on in its direction are made smaller (v_i (tau_i − g_i) > 0).
+// No model of the arm is believed: one that is wrong would hold back an arm that is slow, or let a fast one go.
+// What is not finite passes: the safety monitor stops the arm. Allocates nothing per command.
 #pragma once
 
 #include <Eigen/Core>
 
-#include "common/sim/simulator.h"
-#include "robot_agent/arm_model.h"
 #include "robot_agent/controller.h"
 #include "robot_agent/drivers/driver.h"
+#include "robot_agent/safety/arm.h"
 
 namespace rg::robot_agent {
 
-struct PredictedLimit {
-  Eigen::VectorXd velocity;    // n, of the safety monitor [rad/s or m/s]
-  double share = 0.8;          // of it that a prediction may reach, in (0, 1]
-  double ahead_s = 0.04;       // > 0: one period and one command delay
+struct VelocityShare {
+  Eigen::VectorXd velocity;  // n, v_max of the safety monitor [rad/s or m/s]
+  double share = 0.8;        // in (0, 1]
+  double ahead_s = 0.06;     // T > 0
 };
 
 class LimitedController final : public Controller {
  public:
-  // `values`: of the plant's parameters. `inner` and `arm` must outlive it.
-  LimitedController(Controller& inner, ArmModel& arm, const sim::Plant& plant, const Eigen::VectorXd& values,
-                    PredictedLimit limit);
+  // `inner` and `arm` must outlive it.
+  LimitedController(Controller& inner, ArmModel& arm, VelocityShare limit);
   void Command(double t, const double* q, const double* v, double* tau) override;
   // Commands that were made smaller.
   int limited() const { return limited_; }
 
  private:
-  // Largest |v_i| / (share · v_max,i) − 1 after ahead_s under u_; infinite where the model breaks down.
-  double PredictedExcess(const sim::State& from);
-
   Controller& inner_;
   ArmModel& arm_;
-  const PredictedLimit limit_;
-  Eigen::VectorXd encoder_offset_;
-  sim::Simulator simulator_;
-  sim::State now_, ahead_;
-  Eigen::VectorXd asked_, hold_, u_;
-  JointArray gravity_{};
+  const VelocityShare limit_;
+  JointArray gravity_{}, speed_before_{}, share_before_{};
+  double t_before_ = 0.0;
+  bool has_before_ = false;
   int limited_ = 0;
 };
 

@@ -298,10 +298,10 @@ ControlLoopResult RunLoop(Driver& driver, ArmModel& arm, const RolloutInput& inp
   ExcitedController excited(input.controller, spec.excitation * ToEigen(input.plan.limits.torque),
                             options.duration_s, spec.goal_seed);
   std::optional<LimitedController> limited;
-  if (input.values != nullptr) {
-    limited.emplace(excited, arm, input.plant, *input.values,
-                    PredictedLimit{.velocity = input.plan.speed * ToEigen(input.plan.limits.velocity),
-                                   .ahead_s = 1.0 / spec.rate_hz + kCommandDelay_s});
+  if (input.limit_speed) {
+    limited.emplace(excited, arm,
+                    VelocityShare{.velocity = input.plan.speed * ToEigen(input.plan.limits.velocity),
+                                  .ahead_s = 1.0 / spec.rate_hz + kCommandDelay_s});
   }
   Controller& controller = limited ? static_cast<Controller&>(*limited) : excited;
   ControlLoopResult loop =

@@ -56,8 +56,7 @@ struct RolloutInput {
   const AgentConfig& config;
   const sim::Plant& plant;  // the believed model: joints, URDF and gravity for the recording
   Controller& controller;   // for plan.spec.goal
-  // Of the model's parameters; with them commands are kept from the velocity limits (limited_controller.h).
-  const Eigen::VectorXd* values = nullptr;
+  bool limit_speed = false;  // commands are kept from the velocity limits (limited_controller.h)
   std::vector<std::string> made_again = {};  // how the rollouts ended that this one is made again for
   LoopObserver* observer = nullptr;
   const GuardDriver* guard = nullptr;  // the driver, if it is one

@@ -185,7 +185,7 @@ Result<RolloutResult> RunOnce(const Common& all, const RolloutPlan& plan, std::v
                        .config = all.config,
                        .plant = all.model.plant,
                        .controller = *controller,
-                       .values = all.motion ? nullptr : &all.model.values,
+                       .limit_speed = !all.motion,
                        .made_again = std::move(made_again),
                        .controller_name = all.input.controller,
                        .policy_sha256 = all.input.policy_bytes.empty() ? "" : Sha256Hex(all.input.policy_bytes),

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 
+#include "robot_agent/limited_controller.h"
 #include "tests/unit/robot_agent/allocation_counter.h"
 
 namespace rg::robot_agent {
@@ -86,6 +87,51 @@ TEST(TrajectoryControllers, HoldEachRowAndCorrectWithGains) {
   EXPECT_NEAR(tau, 1 - 1 + 2, 1e-12);
   plan.t[2] = 0.1;
   EXPECT_THAT(TrajectoryController::Create(plan).status().message(), HasSubstr("row 2"));
+}
+
+struct Weightless final : ArmModel {
+  void GravityTorque(const double*, double* tau) override { tau[0] = 0.0; }
+  void Tip(const double*, double* position) override { position[0] = position[1] = position[2] = 0.0; }
+};
+
+// A joint of 1 kg·m² under 5 N·m, 25 Hz.
+double SpeedAfterASecond(Controller& controller, double start) {
+  double q = 0.0, v = start, fastest = std::abs(start);
+  for (int k = 0; k < 25; ++k) {
+    double tau = 0.0;
+    controller.Command(0.04 * k, &q, &v, &tau);
+    q += 0.04 * v, v += 0.04 * tau;
+    fastest = std::max(fastest, std::abs(v));
+  }
+  return fastest;
+}
+
+TEST(LimitedControllers, KeepAJointThatSpeedsUpWithinItsLimitAndAllocateNothing) {
+  Weightless arm;
+  FunctionController pushes([](double, const double*, const double*, double* tau) { tau[0] = 5.0; });
+  LimitedController limited(pushes, arm, {.velocity = Eigen::VectorXd::Constant(1, 1.0)});
+  EXPECT_GT(SpeedAfterASecond(pushes, 0.0), 4.0);
+  EXPECT_LE(SpeedAfterASecond(limited, 0.0), 1.0);
+  EXPECT_GT(limited.limited(), 0);
+  double q = 0.0, v = 0.9, tau = 0.0;
+  const long before = AllocationsOfThisThread();
+  limited.Command(2.0, &q, &v, &tau);
+  EXPECT_EQ(AllocationsOfThisThread(), before);
+  EXPECT_EQ(tau, 0.0) << "beyond its share nothing drives it on";
+}
+
+TEST(LimitedControllers, LetATorqueThatBrakesAndASlowJointAlone) {
+  Weightless arm;
+  FunctionController pushes([](double, const double*, const double*, double* tau) { tau[0] = 5.0; });
+  LimitedController limited(pushes, arm, {.velocity = Eigen::VectorXd::Constant(1, 1.0)});
+  double q = 0.0, v = -0.95, tau = 0.0;
+  limited.Command(0.0, &q, &v, &tau);
+  EXPECT_EQ(tau, 5.0);
+  EXPECT_EQ(limited.limited(), 0);
+  LimitedController fresh(pushes, arm, {.velocity = Eigen::VectorXd::Constant(1, 1.0)});
+  v = 0.3;
+  fresh.Command(0.0, &q, &v, &tau);
+  EXPECT_EQ(tau, 5.0);
 }
 
 TEST(Excitation, StaysWithinItsAmplitudeMovesEveryJointAndIsOverBeforeTheEnd) {

@@ -13,7 +13,6 @@
 #include "common/recordings/csv.h"
 #include "common/sim/model_file.h"
 #include "robot_agent/board.h"
-#include "robot_agent/limited_controller.h"
 #include "robot_agent/rollout_task.h"
 #include "robot_agent/safety/latch.h"
 #include "robot_agent/safety/own_arm.h"
@@ -428,30 +427,6 @@ TEST(RolloutTask, WhatTheMonitorEndsIsMadeAgainSlowerAndARepeatOfTheTaskMovesNot
   EXPECT_THAT(attempt(1)["made_again"][0].get<std::string>(), HasSubstr("position_limit after"));
   EXPECT_EQ(task().bundle, output.bundle);
   EXPECT_EQ(Spool::Open(rig.folder).value()->Ready(), ids);
-}
-
-TEST(LimitedControllers, KeepTheArmWithinAShareOfItsVelocityLimits) {
-  Rig rig(true);
-  OwnArm arm(*rig.config.arm, Eigen::Vector3d(0, 0, -9.81), rig.config.parts);
-  FunctionController pushes([&](double, const double* q, const double*, double* tau) {
-    arm.GravityTorque(q, tau);
-    tau[0] += 20.0;
-  });
-  const Eigen::VectorXd velocity = Eigen::VectorXd::Constant(6, 0.5), zero = Eigen::VectorXd::Zero(6);
-  LimitedController limited(pushes, arm, rig.plant, rig.values, {.velocity = velocity});
-  sim::Simulator robot(rig.plant);
-  robot.SetParameters(rig.values);
-  for (Controller* controller : std::initializer_list<Controller*>{&pushes, &limited}) {
-    sim::State x = robot.MakeState(ToEigen(rig.config.start_pose), zero);
-    Eigen::VectorXd tau(6);
-    for (int k = 0; k < 10 && x.v.cwiseAbs().maxCoeff() < 2.0; ++k) {
-      controller->Command(0.04 * k, x.q.data(), x.v.data(), tau.data());
-      ASSERT_TRUE(robot.Advance(x, tau, 0.04).ok());
-    }
-    const double fastest = x.v.cwiseAbs().maxCoeff();
-    EXPECT_EQ(fastest <= 0.5, controller == &limited) << fastest;
-  }
-  EXPECT_GT(limited.limited(), 0);
 }
 
 TEST(RolloutTask, AStopByTheAgentEndsItAndNothingBeginsBeforeItIsArmedAgain) {
