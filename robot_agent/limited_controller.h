@@ -5,7 +5,8 @@
 // where s_i grows by at most ¼ from one command to the next.
 // a_i is how fast |v_i| grew since the command before [rad/s²], T one control period and one command delay, g(q) the
 // agent's own gravity torque. Only torques that drive a joint on in its direction are made smaller (v_i (tau_i − g_i) > 0).
-// No model of the arm is believed: one that is wrong would hold back an arm that is slow, or let a fast one go.
+// No model of the arm is believed: one that is wrong would hold back an arm that is slow, or let a fast one go. What it
+// does not see is the growth of one period and delay, so a light joint may still pass its limit.
 // What is not finite passes: the safety monitor stops the arm. Allocates nothing per command.
 #pragma once
 
@@ -20,7 +21,7 @@ namespace rg::robot_agent {
 struct VelocityShare {
   Eigen::VectorXd velocity;  // n, v_max of the safety monitor [rad/s or m/s]
   double share = 0.8;        // in (0, 1]
-  double ahead_s = 0.06;     // T > 0
+  double ahead_s = 0.06;     // T > 0 [s]
 };
 
 class LimitedController final : public Controller {

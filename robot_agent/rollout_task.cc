@@ -71,6 +71,14 @@ Result<std::unique_ptr<Controller>> FollowMotion(const rollouts::ReferenceMotion
   return std::unique_ptr<Controller>(std::make_unique<TrackingController>(std::move(tracking)));
 }
 
+// How long a policy's goal takes to its place where the rollout is slower than the policy was trained for.
+double ApproachSeconds(const RolloutPlan& plan, const model::RobotModel& model) {
+  if (plan.speed >= 1.0) return 0.0;
+  const Eigen::VectorXd far = (plan.spec.goal - plan.spec.start).cwiseAbs();
+  return std::min(0.5 * plan.spec.duration_s,
+                  (far.array() / (plan.speed * model.VelocityLimits().array())).maxCoeff());
+}
+
 Result<std::unique_ptr<Controller>> MakeController(const RolloutTaskInput& input, const sim::ModelFile& model,
                                                    const RolloutPlan& plan,
                                                    const std::optional<rollouts::ReferenceMotion>& motion) {
@@ -84,6 +92,7 @@ Result<std::unique_ptr<Controller>> MakeController(const RolloutTaskInput& input
   RG_ASSIGN_OR_RETURN(policy::Policy policy, policy::ParsePolicy(input.policy_bytes, "policy"));
   RG_ASSIGN_OR_RETURN(auto controller,
                       PolicyController::Create(std::move(policy), model.plant.joint_names(), plan.spec.goal));
+  controller->ApproachGoal(plan.spec.start, ApproachSeconds(plan, model.plant.model()));
   return std::unique_ptr<Controller>(std::move(controller));
 }
 
@@ -126,8 +135,10 @@ Result<std::unique_ptr<Driver>> DriverFor(const AgentConfig& config, const rollo
   return std::unique_ptr<Driver>(std::move(guarded));
 }
 
-RolloutTaskOutput OutputOf(const RolloutResult& result) {
-  const json rollout = json::parse(result.rollout_json);
+// `others`: how the attempts ended that do not count.
+RolloutTaskOutput OutputOf(const RolloutResult& result, const std::vector<std::string>& others) {
+  json rollout = json::parse(result.rollout_json);
+  rollout["made_again"] = others;
   const json jitter = rollout.value("jitter", json::object());
   const json none = json::object();
   RolloutTaskOutput output;
@@ -163,19 +174,10 @@ void SlowDown(double speed, RolloutPlan* plan) {
   plan->spec.excitation *= speed;
 }
 
-double ApproachSeconds(const RolloutPlan& plan, const model::RobotModel& model) {
-  if (plan.speed >= 1.0) return 0.0;
-  const Eigen::VectorXd far = (plan.spec.goal - plan.spec.start).cwiseAbs();
-  return std::min(0.5 * plan.spec.duration_s,
-                  (far.array() / (plan.speed * model.VelocityLimits().array())).maxCoeff());
-}
-
 // One attempt: everything from the plan to a recording in the spool.
 Result<RolloutResult> RunOnce(const Common& all, const RolloutPlan& plan, std::vector<std::string> made_again,
                               const ProgressFn& progress, const CancelToken& stop) {
   RG_ASSIGN_OR_RETURN(const auto controller, MakeController(all.input, all.model, plan, all.motion));
-  if (auto* policy = dynamic_cast<PolicyController*>(controller.get()))
-    policy->ApproachGoal(plan.spec.start, ApproachSeconds(plan, all.model.plant.model()));
   const auto board = Board::Open(all.spool_folder);
   RG_RETURN_IF_ERROR(CheckArmed(all.config, board));
   const GuardDriver* guard = nullptr;
@@ -209,42 +211,46 @@ Result<RolloutResult> RunOnce(const Common& all, const RolloutPlan& plan, std::v
   return result;
 }
 
-bool StopConfirmed(const RolloutResult& result) {
-  return json::parse(result.rollout_json).value("held", false);
+// How a rollout ended, and whether another attempt may follow it.
+struct AttemptEnd {
+  std::string line;
+  bool avoidable = false;
+};
+
+AttemptEnd HowItEnded(const RolloutResult& result) {
+  const json said = json::parse(result.rollout_json);
+  char after[48];
+  std::snprintf(after, sizeof after, " after %.2f s", said.value("ended_after_s", 0.0));
+  const std::string reason(EndReasonName(result.reason));
+  return {reason + after + (result.detail.empty() ? "" : ": " + result.detail),
+          rollouts::MayBeMadeAgain(reason) && said.value("held", false)};
 }
 
-std::string EndLine(const RolloutResult& result) {
-  const double after_s = json::parse(result.rollout_json).value("ended_after_s", 0.0);
-  char text[48];
-  std::snprintf(text, sizeof text, " after %.2f s", after_s);
-  return std::string(EndReasonName(result.reason)) + text + (result.detail.empty() ? "" : ": " + result.detail);
-}
-
-// Ids are a function of the attempt, so that a repeat of the task finds every attempt in the spool.
-Result<RolloutResult> RunSlowerUntilItEnds(const Common& all, const RolloutPlan& full, const ProgressFn& progress,
-                                           const CancelToken& stop) {
+// Full speed first. Ids are a function of the attempt, so that a repeat of the task finds every attempt in the spool.
+Result<RolloutTaskOutput> RunUntilItEnds(const Common& all, const RolloutPlan& full, const ProgressFn& progress,
+                                         const CancelToken& stop) {
   RG_ASSIGN_OR_RETURN(RolloutResult best, RunOnce(all, full, {}, progress, stop));
-  std::vector<std::string> made_again;
-  EndReason reason = best.reason;
-  bool confirmed = StopConfirmed(best);
-  made_again.push_back(EndLine(best));
-  for (int again = 1; again <= all.input.slower_attempts && !all.motion; ++again) {
-    if (!rollouts::MayBeMadeAgain(EndReasonName(reason)) || !confirmed || stop.cancelled()) break;
-    spdlog::warn("rollout {} ended early ({}): made again at half the speed, {} of {}", full.spec.id,
-                 made_again.back(), again, all.input.slower_attempts);
+  AttemptEnd last = HowItEnded(best);
+  std::vector<std::string> ends = {last.line};
+  size_t chosen = 0;
+  const int most = all.motion ? 0 : all.input.slower_attempts;
+  for (int again = 1; again <= most && last.avoidable && !stop.cancelled(); ++again) {
+    spdlog::warn("rollout {} ended early ({}): made again at half the speed, {} of {}", full.spec.id, last.line, again,
+                 most);
     RolloutPlan plan = full;
     SlowDown(std::pow(0.5, again), &plan);
     plan.spec.id = full.spec.id + "-slower" + std::to_string(again);
-    auto next = RunOnce(all, plan, made_again, progress, stop);
+    auto next = RunOnce(all, plan, ends, progress, stop);
     if (!next.ok()) {
-      spdlog::error("rollout {}: {}; the one before counts", plan.spec.id, next.status().message());
+      spdlog::error("rollout {}: {}; the ones before count", plan.spec.id, next.status().message());
       break;
     }
-    reason = next->reason, confirmed = StopConfirmed(*next);
-    made_again.push_back(EndLine(*next));
-    if (reason == EndReason::kCompleted || next->rows >= best.rows) best = std::move(*next);
+    last = HowItEnded(*next);
+    ends.push_back(last.line);
+    if (next->reason == EndReason::kCompleted || next->rows >= best.rows) best = std::move(*next), chosen = ends.size() - 1;
   }
-  return best;
+  ends.erase(ends.begin() + static_cast<std::ptrdiff_t>(chosen));
+  return OutputOf(best, ends);
 }
 
 }  // namespace
@@ -264,8 +270,7 @@ Result<RolloutTaskOutput> RunRolloutTask(const AgentConfig& config, const std::s
   }
   RG_ASSIGN_OR_RETURN(const RolloutPlan plan, PlanRollout(spec, config, model.plant, input.trust));
   const Common all{config, input, spool_folder, *spool, model, motion};
-  RG_ASSIGN_OR_RETURN(const RolloutResult result, RunSlowerUntilItEnds(all, plan, progress, stop));
-  return OutputOf(result);
+  return RunUntilItEnds(all, plan, progress, stop);
 }
 
 }  // namespace rg::robot_agent

@@ -109,7 +109,6 @@ class SafetyMonitor {
   const Trip& trip() const { return trip_; }
   uint64_t saturated_samples() const { return saturated_; }
   uint64_t ticks() const { return ticks_; }
-  uint64_t missed() const { return missed_; }
 
  private:
   enum class Phase : uint8_t { kRunning, kZeroTorque, kHold };

@@ -70,6 +70,10 @@ void AddRolloutFlags(CLI::App* command, jobs::IterationOptions* options) {
                    "joint's limit; default: as the agent is configured; `run` adds 0.15 to the first two rollouts, "
                    "with --diagnose to all while they tell too little of a joint")
       ->check(CLI::Range(0.0, 1.0));
+  command
+      ->add_option("--slower-attempts", o.slower_attempts,
+                   "How often a rollout that the safety monitor ended is made again, each time at half the speed")
+      ->capture_default_str();
 }
 
 void AddIdentifyFlags(CLI::App* command, jobs::IterationOptions* options) {

@@ -211,6 +211,7 @@ void Run(Context& context, RunArguments& arguments) {
 
 void AddRunCommand(CLI::App& app, Context& context) {
   auto arguments = std::make_shared<RunArguments>();
+  arguments->run.options.rollout.slower_attempts = jobs::kSlowerAttempts;  // its arms are simulated
   CLI::App* command = app.add_subcommand(
       "run", "The whole loop on this machine, with a simulated robot whose physics the model lacks");
   command->add_option("--iterations", arguments->run.iterations)->capture_default_str();

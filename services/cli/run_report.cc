@@ -217,6 +217,25 @@ std::string Impossible(const json& result) {
   return text.empty() ? text : text + ". The small error is no proof: the recording leaves this free";
 }
 
+// How the attempts ended that do not count. Empty: there was but one.
+std::string MadeAgain(const json& result) {
+  std::string text;
+  for (const json& end : result.value("/rollout/made_again"_json_pointer, json::array()))
+    text += (text.empty() ? "" : "; ") + end.get<std::string>();
+  return text;
+}
+
+// A line for each iteration of which there is something to say.
+std::string PerIteration(const std::vector<json>& results, const char* what, const char* then,
+                         std::string (*say)(const json&)) {
+  std::string text;
+  for (size_t i = 0; i < results.size(); ++i) {
+    const std::string said = say(results[i]);
+    if (!said.empty()) text += (text.empty() ? "" : "\n") + (what + std::to_string(i + 1)) + then + said;
+  }
+  return text;
+}
+
 void AddIdentifiability(report::Page& page, const json& result) {
   const json& report_json = result.at("identification").at("identifiability");
   if (!report_json.contains("parameters")) return;
@@ -256,24 +275,11 @@ std::string IterationsTable(const std::vector<json>& results) {
 }
 
 std::string ImpossibleText(const std::vector<json>& results) {
-  std::string text;
-  for (size_t i = 0; i < results.size(); ++i) {
-    const std::string said = Impossible(results[i]);
-    if (said.empty()) continue;
-    text += (text.empty() ? "" : "\n") + ("warning: identification " + std::to_string(i + 1)) + ": " + said;
-  }
-  return text;
+  return PerIteration(results, "warning: identification ", ": ", Impossible);
 }
 
 std::string MadeAgainText(const std::vector<json>& results) {
-  std::string text;
-  for (size_t i = 0; i < results.size(); ++i) {
-    const json lines = results[i].value("/rollout/made_again"_json_pointer, json::array());
-    for (const json& line : lines)
-      text += (text.empty() ? "" : "\n") + ("rollout " + std::to_string(i + 1)) +
-              " was made again, slower: " + line.get<std::string>();
-  }
-  return text;
+  return PerIteration(results, "rollout ", " was made again, slower: ", MadeAgain);
 }
 
 std::string DiagnosesText(const std::vector<json>& results) {
@@ -349,6 +355,8 @@ std::string RunPage(const std::string& robot, const std::vector<json>& results) 
     page.Heading("Iteration " + std::to_string(i + 1) + ": joint responses");
     page.AddPlots(ResponsePlots(results[i]), 380);
     page.AddPlots({LossPlot(results[i]), HopsPlot(results[i])});
+    if (const std::string said = MadeAgain(results[i]); !said.empty())
+      page.Note("The rollout was made again, slower: " + said + ".", true);
     AddDiagnosis(page, results[i]);
     AddIdentifiability(page, results[i]);
   }

@@ -9,11 +9,11 @@ namespace rg::cli {
 
 // `results`: one "realitygrad.iteration/1" each, in order.
 std::string IterationsTable(const std::vector<nlohmann::json>& results);
-// Verdict and names of each iteration that was diagnosed; empty without any.
 // One line per iteration that identified bodies which cannot exist; empty: none did.
 std::string ImpossibleText(const std::vector<nlohmann::json>& results);
 // How rollouts ended that were made again at less speed; empty: none.
 std::string MadeAgainText(const std::vector<nlohmann::json>& results);
+// Verdict and names of each iteration that was diagnosed; empty without any.
 std::string DiagnosesText(const std::vector<nlohmann::json>& results);
 std::string RunPage(const std::string& robot, const std::vector<nlohmann::json>& results);
 // {"iterations": […]} with the table's figures.

@@ -139,7 +139,7 @@ void AppendTrain(const IterationOptions& options, const IterationInputs& inputs,
   pb::TrainPayload payload;
   payload.set_seed(options.seed);
   const bool last = round == options.train.aggregations;
-  const double share = last ? 1.0 : options.train.driver_epochs;
+  const double share = last ? 1.0 : kDriverEpochs;
   const int epochs = std::max(1, static_cast<int>(std::lround(share * options.train.epochs)));
   payload.set_epochs(static_cast<uint32_t>(epochs));
   payload.set_batch(static_cast<uint32_t>(options.train.batch));
@@ -147,10 +147,8 @@ void AppendTrain(const IterationOptions& options, const IterationInputs& inputs,
   for (int width : options.train.hidden) payload.add_hidden(static_cast<uint32_t>(width));
   const std::string stage = PolicyStage(options.train, round);
   pb::TaskSpec* task =
-      AddTask(job, last ? "policy" : Numbered("policy", round, 1), stage,
-              kKindTrain, payload);
-  task->set_weight(0.02 * epochs * std::max(1, options.trajectories.count) * (round + 1) /
-                   45.0);
+      AddTask(job, last ? "policy" : Numbered("policy", round, 1), stage, kKindTrain, payload);
+  task->set_weight(0.02 * epochs * std::max(1, options.trajectories.count) * (round + 1) / 45.0);
   AddArtifact(task, kInputModel, inputs.model);
   if (inputs.shards.empty()) {
     AddStageOutputs(task, kInputShard, kStageTrajectories, kOutputShard);
@@ -202,7 +200,7 @@ void AppendRollout(const IterationOptions& options, const IterationInputs& input
   payload.set_reach_s(o.reach_s);
   payload.set_controller(o.controller);
   if (o.excitation >= 0) payload.set_excitation(o.excitation);
-  if (trained_here) payload.set_slower_attempts(kSlowerAttempts);
+  payload.set_slower_attempts(static_cast<uint32_t>(o.slower_attempts));
   payload.mutable_start_q()->Assign(options.home.begin(), options.home.end());
   payload.mutable_peak_torque()->Assign(options.peak_torque.begin(), options.peak_torque.end());
   pb::TaskSpec* task = AddTask(job, "rollout", kStageRollout, kKindRollout, payload);
@@ -372,6 +370,7 @@ Status Validate(const IterationOptions& o) {
   for (int width : o.train.hidden) RG_RETURN_IF_ERROR(InRange("hidden layer width", width, 1, 4096));
   RG_RETURN_IF_ERROR(InRange("rollout duration [s]", o.rollout.duration_s, 0.2, 600.0));
   RG_RETURN_IF_ERROR(InRange("rollout rate [Hz]", o.rollout.rate_hz, 5.0, 1000.0));
+  RG_RETURN_IF_ERROR(InRange("slower attempts", o.rollout.slower_attempts, 0, kMostSlowerAttempts));
   RG_RETURN_IF_ERROR(OneOf("controller", o.rollout.controller, {"policy", "mpc"}));
   if (o.rollout.excitation >= 0)
     RG_RETURN_IF_ERROR(InRange("excitation", o.rollout.excitation, 0.0, 1.0));

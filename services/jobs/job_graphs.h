@@ -22,6 +22,9 @@ struct TrajectoriesOptions {
   double spread = 0.6;  // rad round the home pose; 0: the whole range
 };
 
+// Epochs of an iteration's policies before the last, as a share of TrainOptions::epochs: they only drive.
+inline constexpr double kDriverEpochs = 0.4;
+
 struct TrainOptions {
   int epochs = 100;
   int batch = 32;
@@ -30,8 +33,6 @@ struct TrainOptions {
   // Rounds in which the policy drives, the expert answers, and both together train the next one
   // (services/trajectories/aggregation.h); an iteration's only.
   int aggregations = 2;
-  // Epochs of the policies before the last, as a share: they only drive.
-  static constexpr double driver_epochs = 0.4;
   int examination_pairs = 60;  // start/goal pairs of the closed-loop examination; 0: none
 };
 
@@ -53,12 +54,16 @@ struct RolloutOptions {
   std::string controller = "policy";  // "mpc"; "trajectory": IterationInputs::motion, a rollout's only
   // Torques on top of the controller's, as a share of each joint's limit; negative: as the agent is configured.
   double excitation = -1.0;
+  // How often a rollout that the safety monitor ended is made again, each time at half the speed, 0 to 10. To ask for
+  // it is the consent that an arm needs to move again.
+  int slower_attempts = 0;
 };
 
 // What `run` adds to the first rollouts of a loop, and with a diagnosis to all while rollouts tell too little of a joint.
 inline constexpr double kLoopExcitation = 0.15;
 inline constexpr int kExcitedRollouts = 2;
-inline constexpr int kSlowerAttempts = 3;  // of an iteration's rollout, where the safety monitor ended it
+inline constexpr int kSlowerAttempts = 3;  // RolloutOptions::slower_attempts of `run`
+inline constexpr int kMostSlowerAttempts = 10;
 
 struct IdentifyOptions {
   int chains = 2;

@@ -63,7 +63,7 @@ Result<policy::Dataset> DatasetOf(const worker::TaskInput& input) {
   return dataset;
 }
 
-constexpr double kDiverged = 1.0;  // rad or m from the goal, farther than any pair's start is
+constexpr double kDiverged = 1.0;  // rad or m from the goal, more than pairs at the default reach are apart
 
 // Errors that are no number are null. "diverged": how many ended farther than kDiverged from their goal.
 json QuantilesJson(const std::vector<double>& errors) {

@@ -35,7 +35,8 @@ json OptionsToJson(const IterationOptions& o) {
             {"goal_position", o.rollout.goal_position},
             {"reach_s", o.rollout.reach_s},
             {"controller", o.rollout.controller},
-            {"excitation", o.rollout.excitation}}},
+            {"excitation", o.rollout.excitation},
+            {"slower_attempts", o.rollout.slower_attempts}}},
           {"identify",
            {{"chains", o.identify.chains},
             {"rounds", o.identify.rounds},
@@ -74,7 +75,9 @@ IterationOptions OptionsFromJson(const json& j) {
       r.at("goal_q").get_to(o.rollout.goal_q);
   r.at("goal_position").get_to(o.rollout.goal_position), r.at("reach_s").get_to(o.rollout.reach_s),
       r.at("controller").get_to(o.rollout.controller);
+  // Runs that were begun before there were such have none.
   o.rollout.excitation = r.value("excitation", o.rollout.excitation);
+  o.rollout.slower_attempts = r.value("slower_attempts", o.rollout.slower_attempts);
   i.at("chains").get_to(o.identify.chains), i.at("rounds").get_to(o.identify.rounds),
       i.at("budget_s").get_to(o.identify.budget_s);
   i.at("hops").get_to(o.identify.hops), i.at("whole_recording").get_to(o.identify.whole_recording),

@@ -9,6 +9,7 @@
 #include "realitygrad/v1/parameters.pb.h"
 #include "realitygrad/v1/payloads.pb.h"
 #include "robot_agent/rollout_task.h"
+#include "services/jobs/job_graphs.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/task_support.h"
 #include "services/rollouts/recording_bundle.h"
@@ -19,8 +20,6 @@ namespace rg::jobs {
 namespace {
 
 namespace pb = ::realitygrad::v1;
-
-constexpr uint32_t kMostSlowerAttempts = 10;
 
 Eigen::VectorXd ToVector(const google::protobuf::RepeatedField<double>& values) {
   return Eigen::Map<const Eigen::VectorXd>(values.data(), values.size());
@@ -95,7 +94,7 @@ void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::strin
         const worker::InputArtifact* policy = input.Find(kInputPolicy);
         robot_agent::RolloutTaskInput task;
         task.trust = TrustOf(config, context);
-        task.slower_attempts = static_cast<int>(std::min(payload.slower_attempts(), kMostSlowerAttempts));
+        task.slower_attempts = static_cast<int>(std::min<uint32_t>(payload.slower_attempts(), kMostSlowerAttempts));
         task.model_json = model->bytes;
         task.job_id = std::to_string(input.job);
         task.task_id = std::to_string(input.task);

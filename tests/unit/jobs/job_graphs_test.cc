@@ -185,6 +185,25 @@ TEST(JobGraphs, BudgetIsSharedByTheRounds) {
   EXPECT_DOUBLE_EQ(payload.budget_s(), 5.0);
 }
 
+pb::RolloutPayload RolloutOf(const IterationOptions& options) {
+  pb::RolloutPayload payload;
+  const pb::JobSpec job = CompileIteration(options, Model());
+  for (const pb::TaskSpec& task : job.tasks()) {
+    if (task.name() != "rollout") continue;
+    EXPECT_TRUE(payload.ParseFromString(task.payload()));
+  }
+  return payload;
+}
+
+TEST(JobGraphs, AnArmMovesAgainOnlyWhereItIsAskedFor) {
+  IterationOptions options;
+  EXPECT_EQ(RolloutOf(options).slower_attempts(), 0u);
+  options.rollout.slower_attempts = 2;
+  EXPECT_EQ(RolloutOf(options).slower_attempts(), 2u);
+  options.rollout.slower_attempts = 11;
+  EXPECT_EQ(Validate(options).message(), "slower attempts is 11, must be between 0 and 10");
+}
+
 TEST(OptionsJson, ComeBackAsTheyWere) {
   IterationOptions options;
   options.seed = 77;
@@ -198,6 +217,7 @@ TEST(OptionsJson, ComeBackAsTheyWere) {
   options.curriculum = {.on = true, .first = 0.3, .growth = 2.0};
   options.rollout.goal_position = {0.1, 0.2, 0.3};
   options.rollout.controller = "mpc";
+  options.rollout.slower_attempts = 2;
   options.identify.solver = "lbfgs";
   options.identify.friction = false;
   options.identify.hops = 5;

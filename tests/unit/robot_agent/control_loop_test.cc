@@ -144,6 +144,16 @@ TEST_F(ControlLoop, LateWakeUpsAreMissedDeadlinesAndTicksAreNotCaughtUp) {
   EXPECT_NEAR(outcome.result.duration_s, 2.0, 1e-9);
 }
 
+TEST_F(ControlLoop, DeadlinesThatPassAfterATripAreCountedToo) {
+  driver_.script = [this](FakeDriver& d) {
+    if (d.tick == 10) stop_.Cancel();
+    if (d.tick == 11) d.oversleep_ns = 90'000'000;  // the tick after it, while zero torque is added
+  };
+  const Outcome outcome = Run(2.0, Constant);
+  EXPECT_EQ(outcome.result.trip.reason, EndReason::kOperatorStop);
+  EXPECT_EQ(outcome.result.jitter.missed_deadlines, 3u);
+}
+
 TEST_F(ControlLoop, ManyLateWakeUpsInARowEndTheRollout) {
   driver_.script = [](FakeDriver& d) { d.oversleep_ns = d.tick >= 10 ? 25'000'000 : 0; };
   const Outcome outcome = Run(2.0, Constant);
