@@ -91,9 +91,11 @@ class ExcitedController final : public Controller {
 };
 
 // The paper's controller for its bounded/unbounded recording: receding horizon on the believed model,
-// solved anew each cycle. Allocates inside the solver on a cold start (the first command).
+// solved anew each cycle; plans keep `speed` of the velocity limits, in (0, 1]. Allocates inside the solver on a cold
+// start (the first command).
 Result<std::unique_ptr<Controller>> MakeMpcController(const sim::Plant& plant, const Eigen::VectorXd& values,
                                                       const Eigen::VectorXd& goal,
-                                                      const Eigen::VectorXd& torque_limit, double rate_hz);
+                                                      const Eigen::VectorXd& torque_limit, double rate_hz,
+                                                      double speed = 1.0);
 
 }  // namespace rg::robot_agent

@@ -85,7 +85,7 @@ Result<std::unique_ptr<Controller>> MakeController(const RolloutTaskInput& input
   if (motion) return FollowMotion(*motion, model, plan);
   if (input.controller == "mpc") {
     return MakeMpcController(model.plant, model.values, plan.spec.goal, ToEigen(plan.limits.torque),
-                             plan.spec.rate_hz);
+                             plan.spec.rate_hz, plan.speed);
   }
   if (input.controller != "policy")
     return InvalidError("rollout: controller \"" + input.controller + "\", needs policy, mpc or trajectory");

@@ -50,8 +50,8 @@ void AddLoopDiagnosisFlags(CLI::App* command, jobs::IterationOptions* options) {
   command->add_flag("--diagnose", o.on,
                     "Diagnose the rollouts so far after each; the next iteration plans with what that found");
   command
-      ->add_option("--diagnose-seconds", o.budget_s,
-                   "No new round of the search for missing physics starts later")
+      ->add_option("--diagnose-work", o.work_limit,
+                   "Of the search for missing physics, about its seconds on one core, the same on any machine")
       ->capture_default_str();
   command->add_option("--diagnose-threads", o.threads, "Of a diagnosis; 0: all cores of its worker")
       ->capture_default_str();

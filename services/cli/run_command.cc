@@ -54,6 +54,7 @@ Status RunIteration(LocalService& service, const RobotProfile& profile, RunState
     RG_ASSIGN_OR_RETURN(inputs.nominal, ChooseModel(service.client(), profile, "nominal"));
     for (const json& before : run->results) {
       inputs.identified = before.at("identified_model").get<std::string>();
+      inputs.diagnosed = before.at("diagnosed_model").get<std::string>();
       inputs.earlier.push_back(before.at("rollout").at("sha256").get<std::string>());
     }
   }
@@ -153,7 +154,7 @@ void PrintEnd(const Context& context, const RunState& run, const std::string& pa
   if (context.quiet()) return Print(run.folder);
   Print(IterationsTable(run.results));
   if (const std::string said = ImpossibleText(run.results); !said.empty()) Print(said);
-  if (const std::string said = MadeAgainText(run.results); !said.empty()) Print(said);
+  if (const std::string said = RolloutsText(run.results); !said.empty()) Print(said);
   if (const std::string said = DiagnosesText(run.results); !said.empty()) Print(said);
   Print("page:      " + page);
   Print("next:      realitygrad --coordinator " + run.folder + " params history");

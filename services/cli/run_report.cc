@@ -217,11 +217,15 @@ std::string Impossible(const json& result) {
   return text.empty() ? text : text + ". The small error is no proof: the recording leaves this free";
 }
 
-// How the attempts ended that do not count. Empty: there was but one.
-std::string MadeAgain(const json& result) {
+// Who drove where it was not the policy, and how the attempts ended that do not count.
+std::string AboutRollout(const json& result) {
   std::string text;
+  const double diverged = Number(result, "/examination/policy/diverged"_json_pointer);
+  if (diverged > 0 && result.value("/rollout/controller"_json_pointer, "") == "mpc")
+    text = "MPC drove, for the policy diverges in simulation from " + Cell(diverged, "") + " of " +
+           Cell(Number(result, "/examination/pairs"_json_pointer), "") + " starts";
   for (const json& end : result.value("/rollout/made_again"_json_pointer, json::array()))
-    text += (text.empty() ? "" : "; ") + end.get<std::string>();
+    text += (text.empty() ? "" : "; ") + std::string("made again, slower: ") + end.get<std::string>();
   return text;
 }
 
@@ -278,8 +282,8 @@ std::string ImpossibleText(const std::vector<json>& results) {
   return PerIteration(results, "warning: identification ", ": ", Impossible);
 }
 
-std::string MadeAgainText(const std::vector<json>& results) {
-  return PerIteration(results, "rollout ", " was made again, slower: ", MadeAgain);
+std::string RolloutsText(const std::vector<json>& results) {
+  return PerIteration(results, "rollout ", ": ", AboutRollout);
 }
 
 std::string DiagnosesText(const std::vector<json>& results) {
@@ -355,8 +359,8 @@ std::string RunPage(const std::string& robot, const std::vector<json>& results) 
     page.Heading("Iteration " + std::to_string(i + 1) + ": joint responses");
     page.AddPlots(ResponsePlots(results[i]), 380);
     page.AddPlots({LossPlot(results[i]), HopsPlot(results[i])});
-    if (const std::string said = MadeAgain(results[i]); !said.empty())
-      page.Note("The rollout was made again, slower: " + said + ".", true);
+    if (const std::string said = AboutRollout(results[i]); !said.empty())
+      page.Note("Rollout: " + said + ".", true);
     AddDiagnosis(page, results[i]);
     AddIdentifiability(page, results[i]);
   }

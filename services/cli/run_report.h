@@ -11,8 +11,8 @@ namespace rg::cli {
 std::string IterationsTable(const std::vector<nlohmann::json>& results);
 // One line per iteration that identified bodies which cannot exist; empty: none did.
 std::string ImpossibleText(const std::vector<nlohmann::json>& results);
-// How rollouts ended that were made again at less speed; empty: none.
-std::string MadeAgainText(const std::vector<nlohmann::json>& results);
+// Of rollouts that MPC drove in place of the policy, or that were made again at less speed; empty: none.
+std::string RolloutsText(const std::vector<nlohmann::json>& results);
 // Verdict and names of each iteration that was diagnosed; empty without any.
 std::string DiagnosesText(const std::vector<nlohmann::json>& results);
 std::string RunPage(const std::string& robot, const std::vector<nlohmann::json>& results);

@@ -94,35 +94,26 @@ struct Choice {
 
 bool Better(const Error& a, const Error& b) { return a.windows < b.windows && a.open_loop <= b.open_loop; }
 
-// By this much less error more structure is worth having: the rollouts so far are what both were fitted to.
+// By this much less error more structure is worth having where both models were fitted to the rollout.
 constexpr double kWorthItsStructure = 0.8;
-// So much less of one of the two errors outweighs more of the other: in open loop a whole rollout drifts on
-// from any error at its start where friction holds the arm, which identification alone is fitted to and
-// windows are not.
-constexpr double kFarBetter = 0.5;
-constexpr double kAboutTheSame = 1.1;
 
-// Whether `with`, of more structure, is worth it beside `plain`: clearly better in windows and no worse in
-// open loop, or far better in one of them.
-bool Pays(const Error& with, const Error& plain) {
-  if (!std::isfinite(with.windows) || !std::isfinite(with.open_loop)) return false;
-  const auto share = [](double a, double b) { return std::isfinite(b) && b > 0 ? a / b : 0.0; };
-  const double windows = share(with.windows, plain.windows),
-               open_loop = share(with.open_loop, plain.open_loop);
-  return (windows < kWorthItsStructure && open_loop <= 1) || windows < kFarBetter ||
-         (open_loop < kFarBetter && windows < kAboutTheSame);
+// Whether the diagnosed model goes on, and not identification alone. `unseen`: the errors are on a rollout that was made
+// after both models.
+bool GoesOn(const Error& diagnosed, const Error& identified, bool unseen) {
+  const double share = unseen ? 1.0 : kWorthItsStructure;
+  return diagnosed.windows < share * identified.windows && (unseen || diagnosed.open_loop <= identified.open_loop);
 }
 
-// What goes on: identification alone, unless the diagnosed model pays, further identified where that is
-// better.
-Choice Choose(const sim::ModelFile& identified, const Error& identified_all, const sim::ModelFile& diagnosed,
-              const Error& diagnosed_all, const std::optional<sim::ModelFile>& refined,
-              const Error& refined_all) {
-  Choice choice{"diagnosed", &diagnosed};
-  Error error = diagnosed_all;
-  if (refined && (Better(refined_all, diagnosed_all) || !std::isfinite(diagnosed_all.windows)))
-    choice = {"diagnosed and identified", &*refined}, error = refined_all;
-  return Pays(error, identified_all) ? choice : Choice{"identified", &identified};
+// Whether the last diagnosis predicted the newest rollout better than the model that identification alone had come to
+// before it; nothing where there was none. Their errors are added to `unseen`.
+Result<std::optional<bool>> PredictedBetter(const worker::TaskInput& input,
+                                            const std::vector<const Recording*>& newest, json* unseen) {
+  if (input.Find(kInputDiagnosedBefore) == nullptr) return std::optional<bool>();
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile identified, ModelNamed(input, kInputIdentifiedBefore));
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile diagnosed, ModelNamed(input, kInputDiagnosedBefore));
+  const Error by_identified = ErrorOn(identified, newest), by_diagnosed = ErrorOn(diagnosed, newest);
+  (*unseen)["identified"] = ErrorJson(by_identified), (*unseen)["diagnosed"] = ErrorJson(by_diagnosed);
+  return std::optional<bool>(GoesOn(by_diagnosed, by_identified, true));
 }
 
 // Everything that is not as the URDF has it.
@@ -166,7 +157,6 @@ Result<worker::TaskOutputs> RunAdopt(const worker::TaskInput& input, worker::Tas
   RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::AdoptPayload>(input));
   RG_ASSIGN_OR_RETURN(const sim::ModelFile nominal, ModelNamed(input, kInputNominal));
   RG_ASSIGN_OR_RETURN(const sim::ModelFile planned_with, ModelNamed(input, kInputModel));
-  RG_ASSIGN_OR_RETURN(const sim::ModelFile identified_before, ModelNamed(input, kInputIdentifiedBefore));
   RG_ASSIGN_OR_RETURN(const sim::ModelFile identified, ModelNamed(input, kInputIdentified));
   RG_ASSIGN_OR_RETURN(const sim::ModelFile diagnosed, ModelNamed(input, kInputDiagnosed));
   RG_ASSIGN_OR_RETURN(const ReadRollouts read, RolloutsOf(input, rollouts::LoadBundleOfWholeTorques));
@@ -183,13 +173,13 @@ Result<worker::TaskOutputs> RunAdopt(const worker::TaskInput& input, worker::Tas
   const Error diagnosed_all = ErrorOn(diagnosed, all);
   const Error refined_all = refined ? ErrorOn(*refined, all) : Error{kInfinite, kInfinite, kInfinite};
   const Error identified_all = ErrorOn(identified, all);
-  const Choice choice = Choose(identified, identified_all, diagnosed, diagnosed_all, refined, refined_all);
-  // Models made before this rollout: they have not seen it.
+  const bool further = refined && (Better(refined_all, diagnosed_all) || !std::isfinite(diagnosed_all.windows));
+  const Choice found = further ? Choice{"diagnosed and identified", &*refined} : Choice{"diagnosed", &diagnosed};
   json unseen = {{"nominal", ErrorJson(ErrorOn(nominal, last))}};
-  if (all.size() > 1) {
-    unseen["identified"] = ErrorJson(ErrorOn(identified_before, last));
-    unseen["diagnosed"] = ErrorJson(ErrorOn(planned_with, last));
-  }
+  RG_ASSIGN_OR_RETURN(const std::optional<bool> predicted_better, PredictedBetter(input, last, &unseen));
+  const bool goes_on =
+      predicted_better.value_or(GoesOn(further ? refined_all : diagnosed_all, identified_all, false));
+  const Choice choice = goes_on ? found : Choice{"identified", &identified};
   json fitted = {{"nominal", ErrorJson(ErrorOn(nominal, all))},
                  {"identified", ErrorJson(identified_all)},
                  {"diagnosed", ErrorJson(diagnosed_all)}};
@@ -207,6 +197,8 @@ Result<worker::TaskOutputs> RunAdopt(const worker::TaskInput& input, worker::Tas
   if (all.size() <= 2) brought.erase("fit");  // nothing was held out
   result["diagnosis"] = brought;
   result["identified_model"] = input.Find(kInputIdentified)->sha256;
+  const std::string found_json = sim::ModelToJson(found.model->plant, found.model->values);
+  result["diagnosed_model"] = Sha256Hex(found_json);
 
   const std::string model_json = sim::ModelToJson(choice.model->plant, choice.model->values,
                                                   std::max(identified.version, planned_with.version) + 1);
@@ -218,12 +210,12 @@ Result<worker::TaskOutputs> RunAdopt(const worker::TaskInput& input, worker::Tas
                          {"note", "iteration " + std::to_string(payload.iteration()) + ", " + choice.name +
                                       ": " + Named(diagnosis)}};
   worker::TaskOutputs outputs;
-  outputs.artifacts.push_back(
-      {kOutputModel, kArtifactModel, model_json, json{{"robot", payload.robot()}}.dump()});
+  const std::string robot = json{{"robot", payload.robot()}}.dump();
+  outputs.artifacts.push_back({kOutputDiagnosed, kArtifactModel, found_json, robot});
+  outputs.artifacts.push_back({kOutputModel, kArtifactModel, model_json, robot});
   outputs.artifacts.push_back(
       {kOutputParameters, kArtifactParameters, metadata.at("values").dump(), metadata.dump()});
-  outputs.artifacts.push_back(
-      {kOutputResult, kArtifactResult, result.dump(), json{{"robot", payload.robot()}}.dump()});
+  outputs.artifacts.push_back({kOutputResult, kArtifactResult, result.dump(), robot});
   outputs.summary_json = json{
       {"verdict", diagnosis.at("verdict")},
       {"named", Named(diagnosis)},

@@ -56,12 +56,13 @@ Result<worker::TaskOutputs> RunDiagnose(const worker::TaskInput& input, worker::
   diagnosis::DiagnosisOptions options;
   if (payload.window_s() > 0) options.window_s = payload.window_s();
   if (payload.seed() > 0) options.seed = payload.seed();
-  if (payload.time_limit_s() > 0) options.time_limit_s = payload.time_limit_s();
+  if (payload.work_limit() > 0) options.work_limit = payload.work_limit();
   options.threads = static_cast<int>(payload.threads());
   options.trust_effort = payload.rollouts();  // the agent's own commands
   if (!set.ok() && !payload.rollouts()) return set.status();
   if (set.ok()) {
     RG_ASSIGN_OR_RETURN(options.model, ModelToDiagnose(input, payload.rollouts()));
+    RG_ASSIGN_OR_RETURN(options.earlier, EarlierDiagnosis(input));
   }
   const auto coordinator = context.Coordinator();
   std::optional<RemoteFits> fits;

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "common/effects/inference.h"
+#include "services/diagnosis/hypotheses/given_model.h"
 #include "services/diagnosis/reporting/set_check.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/rollout_inputs.h"
@@ -60,6 +61,16 @@ Result<std::optional<sim::ModelFile>> ModelToDiagnose(const worker::TaskInput& i
     if (table[i].kind != sim::ParameterKind::kEffect) model.values[i] = table[i].nominal;
   }
   return std::optional<sim::ModelFile>(std::move(model));
+}
+
+Result<std::shared_ptr<const diagnosis::Candidate>> EarlierDiagnosis(const worker::TaskInput& input) {
+  const worker::InputArtifact* artifact = input.Find(kInputDiagnosed);
+  if (artifact == nullptr) return std::shared_ptr<const diagnosis::Candidate>();
+  RG_ASSIGN_OR_RETURN(const sim::ModelFile model,
+                      sim::ModelFromJson(artifact->bytes, "diagnosed " + artifact->sha256.substr(0, 12)));
+  if (model.plant.effects().empty()) return std::shared_ptr<const diagnosis::Candidate>();
+  return std::shared_ptr<const diagnosis::Candidate>(
+      std::make_shared<diagnosis::Candidate>(diagnosis::HypothesisOf(model)));
 }
 
 std::vector<std::string> QuietJoints(const recordings::RecordingSet& set, const sim::Plant& plant) {

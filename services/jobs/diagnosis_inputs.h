@@ -1,6 +1,7 @@
 // What a diagnosis and its fits read: all recordings of one robot as one set, and the model to start from.
 #pragma once
 
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -9,6 +10,10 @@
 #include "common/recordings/recording_set.h"
 #include "common/sim/model_file.h"
 #include "worker/task_registry.h"
+
+namespace rg::diagnosis {
+struct Candidate;
+}
 
 namespace rg::jobs {
 
@@ -20,6 +25,10 @@ Result<recordings::RecordingSet> SetToDiagnose(const worker::TaskInput& input, b
 // (`rollouts`) it is the identified model, of which the effects count, with their values: its base parameters
 // have absorbed what it lacks, and are the URDF's again.
 Result<std::optional<sim::ModelFile>> ModelToDiagnose(const worker::TaskInput& input, bool rollouts);
+
+// The input named "diagnosed", the last diagnosis of a loop, as the hypothesis to begin with; null: none, or it found
+// nothing.
+Result<std::shared_ptr<const diagnosis::Candidate>> EarlierDiagnosis(const worker::TaskInput& input);
 
 // Joints of which the set's recordings cannot show viscous friction or a rotor's inertia: they hardly moved.
 std::vector<std::string> QuietJoints(const recordings::RecordingSet& set, const sim::Plant& plant);

@@ -99,13 +99,27 @@ pb::TrajectoriesPayload PairsPayload(const IterationOptions& options, uint64_t s
 std::string OfSo(const char* stem, int number, int count) {
   return count == 1 ? stem : std::string(stem) + " " + std::to_string(number) + "/" + std::to_string(count);
 }
+// Rounds of aggregation after the first examination, each followed by another; they do nothing once one is passed.
+int FurtherRounds(const TrainOptions& o) { return o.examination_pairs > 0 ? kFurtherAggregations : 0; }
+int AllRounds(const TrainOptions& o) { return o.aggregations + FurtherRounds(o); }
 // Policies before the last are stages of their own: their drivers' answers train the next.
 std::string PolicyStage(const TrainOptions& o, int round) {
-  return OfSo(kStagePolicy, round + 1, o.aggregations + 1);
+  return OfSo(kStagePolicy, round + 1, AllRounds(o) + 1);
 }
-std::string LastPolicyStage(const TrainOptions& o) { return PolicyStage(o, o.aggregations); }
+std::string LastPolicyStage(const TrainOptions& o) { return PolicyStage(o, AllRounds(o)); }
 std::string AggregateStage(const TrainOptions& o, int round) {
-  return OfSo(kStageAggregate, round + 1, o.aggregations);
+  return OfSo(kStageAggregate, round + 1, AllRounds(o));
+}
+// Of the policy trained after `round` rounds.
+std::string ExamineStage(const TrainOptions& o, int round) {
+  return OfSo(kStageExamine, round - o.aggregations + 1, FurtherRounds(o) + 1);
+}
+std::string LastExamineStage(const TrainOptions& o) { return ExamineStage(o, AllRounds(o)); }
+bool IsFurther(const TrainOptions& o, int round) { return round > o.aggregations; }
+
+// What a task of a further round reads to know whether it has anything to do.
+void AddExamination(const TrainOptions& o, int round, pb::TaskSpec* task) {
+  if (IsFurther(o, round)) AddStageOutputs(task, kInputExamination, ExamineStage(o, round - 1), kOutputExamination);
 }
 
 // One shard's task after another; `kind` and `stage` tell the expert's own from the answers to a policy.
@@ -138,8 +152,9 @@ void AppendTrain(const IterationOptions& options, const IterationInputs& inputs,
                  pb::JobSpec* job) {
   pb::TrainPayload payload;
   payload.set_seed(options.seed);
-  const bool last = round == options.train.aggregations;
-  const double share = last ? 1.0 : kDriverEpochs;
+  const bool driver = round < options.train.aggregations;
+  const bool last = round == AllRounds(options.train);
+  const double share = driver ? kDriverEpochs : 1.0;
   const int epochs = std::max(1, static_cast<int>(std::lround(share * options.train.epochs)));
   payload.set_epochs(static_cast<uint32_t>(epochs));
   payload.set_batch(static_cast<uint32_t>(options.train.batch));
@@ -157,6 +172,9 @@ void AppendTrain(const IterationOptions& options, const IterationInputs& inputs,
   }
   for (int r = 0; r < round; ++r)
     AddStageOutputs(task, kInputShard, AggregateStage(options.train, r), kOutputShard);
+  AddExamination(options.train, round, task);
+  if (IsFurther(options.train, round))
+    AddStageOutputs(task, kInputPolicy, PolicyStage(options.train, round - 1), kOutputPolicy);
 }
 
 // The first policies are helped more: each round the expert drives half as often as in the one before.
@@ -164,27 +182,37 @@ void AppendAggregation(const IterationOptions& options, const IterationInputs& i
                        pb::JobSpec* job) {
   pb::TrajectoriesPayload payload = PairsPayload(options, DerivedSeed(options, static_cast<uint64_t>(round)));
   payload.set_expert_share(std::pow(0.5, round + 1));
-  for (pb::TaskSpec* task :
-       AppendShards(options.trajectories, payload, "aggregate-" + std::to_string(round),
-                    AggregateStage(options.train, round), kKindAggregate, inputs.model, job))
+  payload.set_hold_s(options.trajectories.duration_s);
+  TrajectoriesOptions pairs = options.trajectories;
+  pairs.count = std::max(1, static_cast<int>(std::lround(kAggregatedPairs * pairs.count)));
+  for (pb::TaskSpec* task : AppendShards(pairs, payload, "aggregate-" + std::to_string(round),
+                                         AggregateStage(options.train, round), kKindAggregate, inputs.model, job)) {
     AddStageOutputs(task, kInputPolicy, PolicyStage(options.train, round), kOutputPolicy);
-}
-
-void AppendPolicies(const IterationOptions& options, const IterationInputs& inputs, pb::JobSpec* job) {
-  for (int round = 0; round <= options.train.aggregations; ++round) {
-    AppendTrain(options, inputs, round, job);
-    if (round < options.train.aggregations) AppendAggregation(options, inputs, round, job);
+    AddExamination(options.train, round + 1, task);
   }
 }
 
-void AppendExamination(const IterationOptions& options, const IterationInputs& inputs, pb::JobSpec* job) {
-  if (options.train.examination_pairs == 0) return;
+void AppendExamination(const IterationOptions& options, const IterationInputs& inputs, int round,
+                       pb::JobSpec* job) {
   pb::TrajectoriesPayload payload = PairsPayload(options, DerivedSeed(options, 1000));
   payload.set_count(static_cast<uint32_t>(options.train.examination_pairs));
-  pb::TaskSpec* task = AddTask(job, "examination", kStageExamine, kKindExamine, payload);
+  const bool last = round == AllRounds(options.train);
+  pb::TaskSpec* task = AddTask(job, last ? "examination" : Numbered("examination", round, 1),
+                               ExamineStage(options.train, round), kKindExamine, payload);
   task->set_weight(payload.count());
   AddArtifact(task, kInputModel, inputs.model);
-  AddStageOutputs(task, kInputPolicy, LastPolicyStage(options.train), kOutputPolicy);
+  AddStageOutputs(task, kInputPolicy, PolicyStage(options.train, round), kOutputPolicy);
+  AddExamination(options.train, round, task);
+}
+
+void AppendPolicies(const IterationOptions& options, const IterationInputs& inputs, pb::JobSpec* job) {
+  const int rounds = AllRounds(options.train);
+  for (int round = 0; round <= rounds; ++round) {
+    AppendTrain(options, inputs, round, job);
+    if (options.train.examination_pairs > 0 && round >= options.train.aggregations)
+      AppendExamination(options, inputs, round, job);
+    if (round < rounds) AppendAggregation(options, inputs, round, job);
+  }
 }
 
 void AppendRollout(const IterationOptions& options, const IterationInputs& inputs, bool trained_here,
@@ -211,6 +239,8 @@ void AppendRollout(const IterationOptions& options, const IterationInputs& input
   if (o.controller == "trajectory") AddArtifact(task, kInputMotion, inputs.motion);
   if (o.controller == "policy")
     AddFrom(task, kInputPolicy, trained_here, LastPolicyStage(options.train), kOutputPolicy, inputs.policy);
+  if (o.controller == "policy" && trained_here && options.train.examination_pairs > 0)
+    AddStageOutputs(task, kInputExamination, LastExamineStage(options.train), kOutputExamination);
 }
 
 pb::IdentifyPayload IdentifyPayloadOf(const IterationOptions& options) {
@@ -290,7 +320,7 @@ void AppendConclude(const IterationOptions& options, const IterationInputs& inpu
     AddStageOutputs(task, kInputShard, kStageTrajectories, kOutputShard);
     AddStageOutputs(task, kInputPolicy, LastPolicyStage(options.train), kOutputPolicy);
     if (options.train.examination_pairs > 0)
-      AddStageOutputs(task, kInputExamination, kStageExamine, kOutputExamination);
+      AddStageOutputs(task, kInputExamination, LastExamineStage(options.train), kOutputExamination);
   }
 }
 
@@ -305,11 +335,12 @@ void AppendDiagnosis(const IterationOptions& options, const IterationInputs& inp
   payload.set_window_s(options.diagnosis.window_s);
   payload.set_seed(options.seed);
   payload.set_threads(static_cast<uint32_t>(options.diagnosis.threads));
-  payload.set_time_limit_s(options.diagnosis.budget_s);
+  payload.set_work_limit(options.diagnosis.work_limit);
   payload.set_rollouts(true);
   pb::TaskSpec* task = AddTask(job, "diagnosis", kStageDiagnose, kKindDiagnose, payload);
-  task->set_weight(20.0 * options.diagnosis.budget_s);
+  task->set_weight(20.0 * options.diagnosis.work_limit);
   AddArtifact(task, kInputModel, inputs.nominal);
+  if (!inputs.diagnosed.empty()) AddArtifact(task, kInputDiagnosed, inputs.diagnosed);
   AddRollouts(inputs, task);
 }
 
@@ -323,6 +354,7 @@ void AppendAdoption(const IterationOptions& options, const IterationInputs& inpu
   AddArtifact(task, kInputNominal, inputs.nominal);
   AddArtifact(task, kInputModel, inputs.model);
   AddArtifact(task, kInputIdentifiedBefore, IdentifiedSoFar(inputs));
+  if (!inputs.diagnosed.empty()) AddArtifact(task, kInputDiagnosedBefore, inputs.diagnosed);
   AddStageOutputs(task, kInputIdentified, kStageConclude, kOutputModel);
   AddStageOutputs(task, kInputResult, kStageConclude, kOutputResult);
   AddStageOutputs(task, kInputDiagnosis, kStageDiagnose, kOutputDiagnosis);
@@ -394,7 +426,7 @@ Status Validate(const IterationOptions& o) {
   RG_RETURN_IF_ERROR(InRange("identification window [s]", o.identify.window_s, 0.0, 600.0));
   RG_RETURN_IF_ERROR(InRange("identification window start [s]", o.identify.window_start_s, 0.0, 600.0));
   RG_RETURN_IF_ERROR(InRange("alpha", o.identify.alpha, 0.0, 1e9));
-  RG_RETURN_IF_ERROR(InRange("diagnosis budget [s]", o.diagnosis.budget_s, 1.0, 1e6));
+  RG_RETURN_IF_ERROR(InRange("diagnosis work", o.diagnosis.work_limit, 1.0, 1e6));
   RG_RETURN_IF_ERROR(OneOf("solver", o.identify.solver, {"lm", "lbfgs"}));
   RG_RETURN_IF_ERROR(OneOf("bounds", o.identify.bounds, {"physical", "paper", "none"}));
   return Status::Ok();
@@ -409,7 +441,6 @@ pb::JobSpec CompileIteration(const IterationOptions& given, const IterationInput
   pb::JobSpec job = NewJob("iteration", given);
   AppendTrajectories(options, inputs, &job);
   AppendPolicies(options, inputs, &job);
-  AppendExamination(options, inputs, &job);
   AppendRollout(options, inputs, true, &job);
   AppendIdentify(options, inputs, Branch::kGiven, true, &job);
   AppendConclude(options, inputs, true, &job);
@@ -431,7 +462,7 @@ pb::JobSpec CompileTrain(const IterationOptions& options, const IterationInputs&
   RG_CHECK(!inputs.shards.empty());
   pb::JobSpec job = NewJob("train", options);
   IterationOptions once = options;
-  once.train.aggregations = 0;
+  once.train.aggregations = once.train.examination_pairs = 0;
   AppendTrain(once, inputs, 0, &job);
   return job;
 }

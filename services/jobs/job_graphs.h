@@ -24,6 +24,10 @@ struct TrajectoriesOptions {
 
 // Epochs of an iteration's policies before the last, as a share of TrainOptions::epochs: they only drive.
 inline constexpr double kDriverEpochs = 0.4;
+// Pairs of a round of aggregation, as a share of the trajectories; each lasts twice as long as one of these.
+inline constexpr double kAggregatedPairs = 0.5;
+// Rounds more than TrainOptions::aggregations for a policy that does not pass its examination.
+inline constexpr int kFurtherAggregations = 2;
 
 struct TrainOptions {
   int epochs = 100;
@@ -83,7 +87,7 @@ struct IdentifyOptions {
 // further. Identification alone goes on beside it, for comparison.
 struct LoopDiagnosisOptions {
   bool on = false;
-  double budget_s = 60.0;  // no new round of the search for effects starts later
+  double work_limit = 30.0;  // about seconds on one thread (diagnosis::DiagnosisOptions), the same on any machine
   double window_s = 1.0;
   int threads = 0;  // 0: all cores of the worker
 };
@@ -112,9 +116,9 @@ struct IterationInputs {
   std::string motion;               // rollout with controller "trajectory" only
   std::string recording;            // identify only
   std::vector<std::string> shards;  // train only
-  // With a diagnosis only: the model without effects, the model that identification alone has come to
-  // (empty: `model`), and the recordings of the iterations before, oldest first.
-  std::string nominal, identified;
+  // With a diagnosis only: the model without effects, the models that identification alone (empty: `model`) and the
+  // last diagnosis (empty: none) have come to, and the recordings of the iterations before, oldest first.
+  std::string nominal, identified, diagnosed;
   std::vector<std::string> earlier;
 };
 

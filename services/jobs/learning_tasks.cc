@@ -63,13 +63,11 @@ Result<policy::Dataset> DatasetOf(const worker::TaskInput& input) {
   return dataset;
 }
 
-constexpr double kDiverged = 1.0;  // rad or m from the goal, more than pairs at the default reach are apart
-
-// Errors that are no number are null. "diverged": how many ended farther than kDiverged from their goal.
+// Errors that are no number are null.
 json QuantilesJson(const std::vector<double>& errors) {
   json out = {{"median", nullptr}, {"p90", nullptr}, {"diverged", 0}};
   if (errors.empty()) return out;
-  out["diverged"] = std::ranges::count_if(errors, [](double e) { return !(std::abs(e) < kDiverged); });
+  out["diverged"] = trajectories::Examination::Diverged(errors);
   const double median = trajectories::Quantile(errors, 0.5), p90 = trajectories::Quantile(errors, 0.9);
   if (std::isfinite(median)) out["median"] = median;
   if (std::isfinite(p90)) out["p90"] = p90;
@@ -123,6 +121,26 @@ json CurveJson(const std::vector<policy::EpochLoss>& curve) {
   return {{"train", train}, {"validation", validation}};
 }
 
+// Whether the examination that this task depends on, if there is one, leaves it nothing to do.
+Result<bool> NothingToImprove(const worker::TaskInput& input) {
+  const worker::InputArtifact* artifact = input.Find(kInputExamination);
+  if (artifact == nullptr) return false;
+  const json said = json::parse(artifact->bytes, nullptr, false);
+  if (!said.is_object() || !said.contains("train_on"))
+    return DataLossError(input.task_name + ": the examination is not one");
+  return !said.at("train_on").get<bool>();
+}
+
+// The input goes on as it is.
+Result<worker::TaskOutputs> PassOn(const worker::TaskInput& input, const char* name, const char* output,
+                                   const char* kind) {
+  RG_ASSIGN_OR_RETURN(const worker::InputArtifact* artifact, input.Require(name));
+  worker::TaskOutputs outputs;
+  outputs.artifacts.push_back({output, kind, artifact->bytes, artifact->metadata_json});
+  outputs.summary_json = json{{"skipped", true}}.dump();
+  return outputs;
+}
+
 }  // namespace
 
 Result<worker::TaskOutputs> RunTrajectories(const worker::TaskInput& input, worker::TaskContext& context) {
@@ -148,13 +166,18 @@ Result<worker::TaskOutputs> RunAggregate(const worker::TaskInput& input, worker:
   RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::TrajectoriesPayload>(input));
   RG_ASSIGN_OR_RETURN(const sim::ModelFile model, ModelOf(input));
   RG_ASSIGN_OR_RETURN(const policy::Policy policy, PolicyOf(input, model));
+  RG_ASSIGN_OR_RETURN(const bool skipped, NothingToImprove(input));
   trajectories::AggregationSpec spec;
   spec.shard = SpecOf(payload);
   spec.expert_share = payload.expert_share();
+  spec.hold_s = payload.hold_s();
   const double start = RealClock().SteadySeconds();
-  RG_ASSIGN_OR_RETURN(const trajectories::Shard shard,
-                      trajectories::AggregateShard(model.plant, model.values, spec, LearnerOf(policy),
-                                                   context.progress_fn(), &context.cancel_token()));
+  trajectories::Shard shard;
+  shard.joints = model.plant.joint_names();
+  if (!skipped) {
+    RG_ASSIGN_OR_RETURN(shard, trajectories::AggregateShard(model.plant, model.values, spec, LearnerOf(policy),
+                                                            context.progress_fn(), &context.cancel_token()));
+  }
   std::vector<double> errors;
   for (const trajectories::Trajectory& t : shard.trajectories) errors.push_back(t.goal_error);
   const json summary = {{"solved", shard.trajectories.size()},
@@ -175,10 +198,14 @@ Result<worker::TaskOutputs> RunExamine(const worker::TaskInput& input, worker::T
   RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::TrajectoriesPayload>(input));
   RG_ASSIGN_OR_RETURN(const sim::ModelFile model, ModelOf(input));
   RG_ASSIGN_OR_RETURN(const policy::Policy policy, PolicyOf(input, model));
+  RG_ASSIGN_OR_RETURN(const bool skipped, NothingToImprove(input));
+  if (skipped) return PassOn(input, kInputExamination, kOutputExamination, kArtifactExamination);
   RG_ASSIGN_OR_RETURN(const trajectories::Examination examination,
                       trajectories::Examine(model.plant, model.values, SpecOf(payload), LearnerOf(policy),
                                             context.progress_fn(), &context.cancel_token()));
   const json summary = {{"pairs", examination.pairs()},
+                        {"passed", examination.Passed()},
+                        {"train_on", examination.WorthTrainingOn()},
                         {"policy", QuantilesJson(examination.learner)},
                         {"mpc", QuantilesJson(examination.mpc)}};
   worker::TaskOutputs outputs;
@@ -189,6 +216,8 @@ Result<worker::TaskOutputs> RunExamine(const worker::TaskInput& input, worker::T
 
 Result<worker::TaskOutputs> RunTrain(const worker::TaskInput& input, worker::TaskContext& context) {
   RG_ASSIGN_OR_RETURN(const auto payload, ParsePayload<pb::TrainPayload>(input));
+  RG_ASSIGN_OR_RETURN(const bool skipped, NothingToImprove(input));
+  if (skipped) return PassOn(input, kInputPolicy, kOutputPolicy, kArtifactPolicy);
   RG_ASSIGN_OR_RETURN(const sim::ModelFile model, ModelOf(input));
   RG_ASSIGN_OR_RETURN(const policy::Dataset dataset, DatasetOf(input));
   policy::TrainOptions options = OptionsOf(payload);

@@ -25,7 +25,7 @@ json OptionsToJson(const IterationOptions& o) {
            {{"on", o.curriculum.on}, {"first", o.curriculum.first}, {"growth", o.curriculum.growth}}},
           {"diagnosis",
            {{"on", o.diagnosis.on},
-            {"budget_s", o.diagnosis.budget_s},
+            {"work_limit", o.diagnosis.work_limit},
             {"window_s", o.diagnosis.window_s},
             {"threads", o.diagnosis.threads}}},
           {"rollout",
@@ -68,7 +68,7 @@ IterationOptions OptionsFromJson(const json& j) {
   // Runs that were begun before there was a diagnosis have none.
   const json d = j.value("diagnosis", json::object());
   o.diagnosis.on = d.value("on", o.diagnosis.on),
-  o.diagnosis.budget_s = d.value("budget_s", o.diagnosis.budget_s);
+  o.diagnosis.work_limit = d.value("work_limit", o.diagnosis.work_limit);
   o.diagnosis.window_s = d.value("window_s", o.diagnosis.window_s),
   o.diagnosis.threads = d.value("threads", o.diagnosis.threads);
   r.at("duration_s").get_to(o.rollout.duration_s), r.at("rate_hz").get_to(o.rollout.rate_hz),

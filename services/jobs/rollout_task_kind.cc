@@ -77,6 +77,20 @@ double TrustOf(const robot_agent::AgentConfig& config, worker::TaskContext& cont
   return trust;
 }
 
+// A policy that diverges in simulation does not drive an arm: the controller that it learned from does.
+std::string ControllerOf(const pb::RolloutPayload& payload, const worker::TaskInput& input,
+                         worker::TaskContext& context) {
+  const std::string asked = payload.controller().empty() ? "policy" : payload.controller();
+  const worker::InputArtifact* artifact = input.Find(kInputExamination);
+  if (asked != "policy" || artifact == nullptr) return asked;
+  const auto said = nlohmann::json::parse(artifact->bytes, nullptr, false);
+  const auto at = [&](const char* pointer) { return said.value(nlohmann::json::json_pointer(pointer), 0); };
+  if (!said.is_object() || at("/policy/diverged") == 0) return asked;
+  context.Log("the policy diverges in simulation from " + std::to_string(at("/policy/diverged")) + " of " +
+              std::to_string(at("/pairs")) + " starts: MPC drives instead");
+  return "mpc";
+}
+
 }  // namespace
 
 void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::string& spool_folder,
@@ -98,7 +112,7 @@ void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::strin
         task.model_json = model->bytes;
         task.job_id = std::to_string(input.job);
         task.task_id = std::to_string(input.task);
-        if (!payload.controller().empty()) task.controller = payload.controller();
+        task.controller = ControllerOf(payload, input, context);
         if (policy != nullptr) task.policy_bytes = policy->bytes;
         const worker::InputArtifact* motion = input.Find(kInputMotion);
         if (motion != nullptr) task.motion_csv = motion->bytes;

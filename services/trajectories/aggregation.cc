@@ -82,7 +82,8 @@ class Loop {
     const int n = static_cast<int>(pair.q.size());
     Trajectory t;
     t.goal = pair.goal;
-    t.q.resize(n, intervals_), t.v.resize(n, intervals_), t.torque.resize(n, intervals_);
+    const int intervals = intervals_ + static_cast<int>(std::lround(spec.hold_s / controller_.options().interval_s));
+    t.q.resize(n, intervals), t.v.resize(n, intervals), t.torque.resize(n, intervals);
     t.goal_error = kNaN;
     controller_.Reset();
     sim::State state = controller_.simulator().MakeState(pair.q, pair.v);
@@ -92,7 +93,7 @@ class Loop {
       return true;
     };
     int k = 0;
-    for (; k < intervals_; ++k) {
+    for (; k < intervals; ++k) {
       const MpcStatus status = controller_.Solve(state, pair.goal, &expert);
       t.iterations += static_cast<uint32_t>(status.iterations);
       if (!status.ok) {
@@ -199,6 +200,18 @@ Result<Examination> Examine(const sim::Plant& plant, const Eigen::VectorXd& valu
     if (progress) progress({"examination", static_cast<double>(i + 1), static_cast<double>(spec.count), ""});
   }
   return out;
+}
+
+int Examination::Diverged(const std::vector<double>& errors) {
+  return static_cast<int>(std::ranges::count_if(errors, [](double e) { return !(std::abs(e) < kDivergedError); }));
+}
+
+bool Examination::Passed() const {
+  if (pairs() == 0 || diverged() > 0) return false;
+  const auto good = [this](double share) {
+    return Quantile(learner, share) <= kGoodOverMpc * Quantile(mpc, share);
+  };
+  return good(0.5) && good(0.9);
 }
 
 double Quantile(std::vector<double> errors, double share) {

@@ -37,7 +37,7 @@ struct MpcOptions {
   Eigen::VectorXd peak_torque;
   // The plan keeps this far from the limits, so that what is executed holds them exactly.
   double position_margin = 0.01;  // rad or m
-  double velocity_margin = 0.02;  // share of the limit
+  double velocity_margin = 0.05;  // share of the limit
 
   int cold_iterations = 30;
   // Of a plant with an effect of dry friction a cold start first plans with friction smoothed over so many

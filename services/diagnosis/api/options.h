@@ -30,7 +30,8 @@ struct DiagnosisOptions {
   bool trust_effort = false;    // diagnose even if an effort's sign or unit looks wrong
   // The model to start from instead of the set's URDF (given_model.h): findings are what it lacks.
   std::optional<sim::ModelFile> model;
-  // Result of an earlier search (with fewer recordings fitted), tried first; null: none.
+  // Result of an earlier search (of fewer recordings), tried first: where these are consistent with it, the losses of
+  // drives are not searched for anew; null: none.
   std::shared_ptr<const Candidate> earlier;
 };
 

@@ -30,6 +30,24 @@ std::vector<EffectSpec> EffectsOf(const sim::ModelFile& model) {
   return specs;
 }
 
+// One spec per joint, or one for the whole robot.
+std::vector<EffectSpec> Apart(const std::vector<EffectSpec>& specs) {
+  std::vector<EffectSpec> out;
+  for (const EffectSpec& spec : specs) {
+    if (spec.joints.size() < 2 || ActsOnJointsTogether(spec)) {
+      out.push_back(spec);
+      continue;
+    }
+    for (const std::string& joint : spec.joints) {
+      EffectSpec one = spec;
+      one.joints = {joint};
+      std::erase_if(one.values, [&](const auto& row) { return row.first != joint && row.first != "*"; });
+      out.push_back(std::move(one));
+    }
+  }
+  return out;
+}
+
 }  // namespace
 
 Result<sim::Plant> GivenPlant(const recordings::RecordingSet& set,
@@ -55,21 +73,16 @@ bool GivenRuns(const sim::Plant& given, const std::optional<sim::ModelFile>& mod
   return std::ranges::all_of(without, [&](int j) { return given.IsPrescribed(j); });
 }
 
-std::vector<EffectSpec> GivenEffects(const sim::Plant& given) {
-  std::vector<EffectSpec> out;
-  for (const EffectSpec& spec : given.effects()) {
-    if (spec.joints.size() < 2 || ActsOnJointsTogether(spec)) {
-      out.push_back(spec);
-      continue;
-    }
-    for (const std::string& joint : spec.joints) {
-      EffectSpec one = spec;
-      one.joints = {joint};
-      std::erase_if(one.values, [&](const auto& row) { return row.first != joint && row.first != "*"; });
-      out.push_back(std::move(one));
-    }
-  }
-  return out;
+std::vector<EffectSpec> GivenEffects(const sim::Plant& given) { return Apart(given.effects()); }
+
+Candidate HypothesisOf(const sim::ModelFile& model) {
+  Candidate c;
+  c.specs = Apart(EffectsOf(model));
+  c.base = true;
+  c.plant = std::make_shared<const sim::Plant>(model.plant);
+  c.fit.values = model.values;
+  c.fit.ok = true;
+  return c;
 }
 
 std::vector<EffectSpec> SeenEffects(const sim::Plant& given,

@@ -24,6 +24,10 @@ bool GivenRuns(const sim::Plant& given, const std::optional<sim::ModelFile>& mod
 // Its effects in the form of hypotheses: one spec per joint, or one for the whole robot.
 std::vector<EffectSpec> GivenEffects(const sim::Plant& given);
 
+// An earlier model of the same robot as a hypothesis to begin a search with (DiagnosisOptions::earlier): its effects
+// with their values, its base parameters as free ones.
+Candidate HypothesisOf(const sim::ModelFile& model);
+
 // These without those that the recordings do not inform, by repeated fits of the rest.
 std::vector<EffectSpec> SeenEffects(const sim::Plant& given,
                                     const std::function<Candidate(const std::vector<EffectSpec>&)>& fitted);

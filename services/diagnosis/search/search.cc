@@ -49,8 +49,8 @@ class Search {
   SearchResult Run() {
     MeasureNoise();
     Candidate best = Calibrated();
-    AddDrives(&best);
     TakeEarlier(&best);
+    AddDrives(&best);
     AddEffects(&best);
     Simplify(&best);
     ReplaceRefused(&best);
@@ -87,9 +87,13 @@ class Search {
 
   // The losses of all drives together, where the model is far off.
   void AddDrives(Candidate* best) {
-    if (options_.earlier == nullptr && fits_.PerRow(*best) > kConsistent && !fits_.Late()) {
+    const bool known = earlier_ && fits_.PerRow(*earlier_) < kConsistent;
+    const bool of_drives = known && std::ranges::any_of(earlier_->specs, [](const EffectSpec& spec) {
+                             return IsLossOfDrives(spec.id);
+                           });
+    if ((!known || of_drives) && fits_.PerRow(*best) > kConsistent && !fits_.Late()) {
       state_.Tell("drives", 0.08, KeyOf(best->specs));
-      if (const auto drives = drives_.Run(out_.nominal, out_.calibrated))
+      if (const auto drives = of_drives ? earlier_ : drives_.Run(out_.nominal, out_.calibrated))
         *best = *drives, state_.ordinary = true;
       step_.ForgetStepRule();  // of a model that may be forgotten
       LowerNoise(best);
@@ -103,9 +107,11 @@ class Search {
 
   // The result of an earlier search, refitted to these recordings.
   void TakeEarlier(Candidate* best) {
-    if (const Candidate* c = options_.earlier.get())
-      earlier_ = fits_.Evaluate(Refreshed(*c), c->base, c, kWarmStartIterations, nullptr);
-    if (earlier_ && fits_.Late()) *best = Better(*best, *earlier_);
+    const Candidate* c = options_.earlier.get();
+    if (c == nullptr) return;
+    LowerNoise(best);
+    earlier_ = fits_.Evaluate(Refreshed(*c), c->base, c, kWarmStartIterations, nullptr);
+    if (fits_.Late()) *best = Better(*best, *earlier_);
   }
 
   // Rounds, each of which adds something, until nothing is accepted or one force explains what is left.
@@ -200,6 +206,7 @@ class Search {
     step_.ForgetScreens();
     state_.acceptance.RescaleBase(before, scale);
     for (Candidate* c : {best, &out_.nominal, &out_.calibrated}) Rescale(before, scale, c);
+    if (earlier_) Rescale(before, scale, &*earlier_);
   }
 
   // One round. Whether `best` became another model, to which more may be added.

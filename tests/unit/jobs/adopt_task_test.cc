@@ -73,6 +73,19 @@ TEST_F(Adoption, IdentificationAloneGoesOnWhereTheDiagnosisDidNotBeatIt) {
   EXPECT_EQ(Adopted(truth_, nominal_), "identified");
 }
 
+TEST_F(Adoption, WhatPredictedTheNewestRolloutBestGoesOn) {
+  worker::RecordingTaskContext context("");
+  worker::TaskInput input = Input(truth_, nominal_, {Rollout()});
+  const std::string before = sim::ModelToJson(truth_, truth_.parameters().Nominal());
+  input.inputs.push_back({.name = kInputDiagnosedBefore, .sha256 = Sha256Hex(before), .bytes = before});
+  const auto done = RunAdopt(input, context);
+  ASSERT_TRUE(done.ok()) << done.status().ToString();
+  const json said = json::parse(done->summary_json);
+  EXPECT_EQ(said["adopted"], "diagnosed") << "the identified model of before is the nominal one";
+  EXPECT_LT(said["unseen"]["diagnosed"]["window_rms"], said["unseen"]["identified"]["window_rms"]);
+  EXPECT_EQ(done->artifacts[0].name, kOutputDiagnosed) << "what the next diagnosis begins with";
+}
+
 TEST_F(Adoption, ARolloutThatCannotBeReadIsNamedAndTakesNoOtherWithIt) {
   const std::string odd = Rollout(true), name = "recording " + Sha256Hex(odd).substr(0, 12);
   worker::RecordingTaskContext context("");

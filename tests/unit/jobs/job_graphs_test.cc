@@ -119,14 +119,35 @@ TEST(JobGraphs, EveryPolicyLearnsFromTheAnswersToAllBefore) {
       }
     }
   }
-  ASSERT_EQ(policies.size(), 3u);
+  ASSERT_EQ(policies.size(), 3u + kFurtherAggregations);
   EXPECT_EQ(policies[2]->inputs_size(), 1 + 3) << "model, the expert's shards, two rounds of answers";
-  EXPECT_EQ(seeds.size(), 4u) << "no start/goal pair is used twice";
+  EXPECT_EQ(policies[3]->inputs_size(), 1 + 4 + 2) << "one round more, what the examination said, the policy before";
+  EXPECT_EQ(seeds.size(), 4u + kFurtherAggregations) << "no start/goal pair is used twice";
   options.train.aggregations = 0;
   options.train.examination_pairs = 0;
   const pb::JobSpec plain = CompileIteration(options, Model());
   for (const pb::TaskSpec& task : plain.tasks())
     EXPECT_TRUE(task.kind() != kKindAggregate && task.kind() != kKindExamine);
+}
+
+TEST(JobGraphs, ARolloutWaitsForTheLastExamination) {
+  IterationOptions options;
+  const auto examined_in = [&options] {
+    std::string stage;
+    const pb::JobSpec job = CompileIteration(options, Model());
+    for (const pb::TaskSpec& task : job.tasks()) {
+      if (task.kind() != kKindRollout) continue;
+      for (const auto& input : task.inputs()) {
+        if (input.name() == kInputExamination) stage = input.stage_outputs().stage();
+      }
+    }
+    return stage;
+  };
+  EXPECT_EQ(examined_in(), "examination 3/3");
+  options.rollout.controller = "mpc";
+  EXPECT_EQ(examined_in(), "") << "no policy drives";
+  options.rollout.controller = "policy", options.train.examination_pairs = 0;
+  EXPECT_EQ(examined_in(), "");
 }
 
 TEST(JobGraphs, TheCurriculumStartsNearAndGrowsToTheWhole) {

@@ -102,6 +102,22 @@ TEST(Examination, PutsLearnerAndMpcOnTheSamePairs) {
   ASSERT_TRUE(none.ok());
   EXPECT_TRUE(std::isnan(none->learner[0]));
   EXPECT_TRUE(std::isinf(Quantile(none->learner, 0.5)));
+  EXPECT_FALSE(none->Passed());
+  EXPECT_FALSE(none->WorthTrainingOn()) << "no loop holds";
+}
+
+TEST(Examination, IsPassedWithinTwiceMpcAndByNoneThatDiverges) {
+  Examination e{.learner = {0.003, 0.004, 0.005, 0.006}, .mpc = {0.002, 0.002, 0.003, 0.004}};
+  EXPECT_TRUE(e.Passed());
+  EXPECT_FALSE(e.WorthTrainingOn());
+  e.learner[3] = 0.05;
+  EXPECT_FALSE(e.Passed()) << "the 90th percentile is above twice MPC's";
+  EXPECT_TRUE(e.WorthTrainingOn());
+  e.learner[3] = 7.0;
+  EXPECT_EQ(e.diverged(), 1);
+  EXPECT_FALSE(e.Passed());
+  EXPECT_TRUE(e.WorthTrainingOn());
+  EXPECT_FALSE(Examination().Passed());
 }
 
 TEST(Quantile, InterpolatesAndCountsTheUnfinishedAsInfinite) {
