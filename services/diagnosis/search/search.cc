@@ -87,7 +87,7 @@ class Search {
 
   // The losses of all drives together, where the model is far off.
   void AddDrives(Candidate* best) {
-    const bool known = earlier_ && fits_.PerRow(*earlier_) < kConsistent;
+    const bool known = earlier_ && earlier_->fit.ok && fits_.PerRow(*earlier_) < kConsistent;
     const bool of_drives = known && std::ranges::any_of(earlier_->specs, [](const EffectSpec& spec) {
                              return IsLossOfDrives(spec.id);
                            });
