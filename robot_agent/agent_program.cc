@@ -115,7 +115,8 @@ Result<std::unique_ptr<coordinator::Client>> ConnectFor(const AgentSettings& set
 }
 
 // Job, task and what it was made from, as if it had come as the task's output.
-realitygrad::v1::ArtifactInfo InfoOf(coordinator::Client& client, const std::string& metadata_json) {
+realitygrad::v1::ArtifactInfo InfoOf(coordinator::Client& client, const std::string& metadata_json,
+                                     const std::string& database) {
   realitygrad::v1::ArtifactInfo info;
   info.set_kind(rollouts::kBundleKind);
   info.set_metadata_json(metadata_json);
@@ -125,8 +126,10 @@ realitygrad::v1::ArtifactInfo InfoOf(coordinator::Client& client, const std::str
     return metadata.contains(name) && metadata[name].is_string() ? metadata[name].get<std::string>()
                                                                  : std::string();
   };
-  info.set_job_id(text("job"));
-  info.set_task_id(text("task"));
+  if (text("database") == database) {  // another one has other jobs under these numbers
+    info.set_job_id(text("job"));
+    info.set_task_id(text("task"));
+  }
   for (const char* parent : {"model_sha256", "policy_sha256"}) {
     const std::string sha256 = text(parent);
     if (!sha256.empty() && client.ShowArtifact(sha256).ok()) info.add_parents(sha256);
@@ -139,7 +142,8 @@ Status DeliverTo(coordinator::Client& client, const std::string& bundle, const s
   const auto known = client.ShowArtifact(sha256);
   if (known.ok()) return Status::Ok();
   if (known.status().code() != StatusCode::kNotFound) return known.status();
-  return client.PutArtifact(bundle, InfoOf(client, metadata_json)).status();
+  RG_ASSIGN_OR_RETURN(const auto coordinator, client.CoordinatorStatus());
+  return client.PutArtifact(bundle, InfoOf(client, metadata_json, coordinator.database_identity())).status();
 }
 
 // Best effort: what cannot be sent stays where it is, and so does what is younger than `least_age_s`.

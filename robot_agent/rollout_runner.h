@@ -61,7 +61,8 @@ struct RolloutInput {
   LoopObserver* observer = nullptr;
   const GuardDriver* guard = nullptr;  // the driver, if it is one
   std::string controller_name = "policy";
-  std::string policy_sha256, model_sha256, job_id, task_id;  // into the metadata: the recording's lineage
+  // Into the metadata: the recording's lineage.
+  std::string policy_sha256 = {}, model_sha256 = {}, database = {}, job_id = {}, task_id = {};
 };
 
 struct RolloutResult {

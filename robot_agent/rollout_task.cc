@@ -192,6 +192,7 @@ Result<RolloutResult> RunOnce(const Common& all, const RolloutPlan& plan, std::v
                        .controller_name = all.input.controller,
                        .policy_sha256 = all.input.policy_bytes.empty() ? "" : Sha256Hex(all.input.policy_bytes),
                        .model_sha256 = Sha256Hex(all.input.model_json),
+                       .database = all.input.database,
                        .job_id = all.input.job_id,
                        .task_id = all.input.task_id};
   rollout.guard = guard;

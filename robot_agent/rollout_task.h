@@ -23,7 +23,7 @@ struct RolloutTaskInput {
   // own; the output is of the first that came to its end, else of the longest. The others' recordings stay in the
   // spool, to travel alone.
   int slower_attempts = 0;
-  std::string job_id, task_id;        // where the recording belongs, should it travel alone
+  std::string database, job_id, task_id;  // where the recording belongs, should it travel alone
   std::string controller = "policy";  // "mpc", "trajectory"
   // For controller "trajectory": the motion (services/rollouts/reference_motion.h), which then says start,
   // goal and duration, whatever `spec` says of them. It is checked against the agent's boxes before anything

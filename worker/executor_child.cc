@@ -215,6 +215,7 @@ Result<TaskInput> LoadInput(const pb::RunTask& run, std::vector<std::string>* da
   input.job = assignment.job();
   input.task = assignment.task();
   input.attempt = assignment.attempt();
+  input.database = assignment.database();
   input.payload = assignment.payload();
   for (int i = 0; i < assignment.inputs_size(); ++i) {
     const pb::ResolvedInput& from = assignment.inputs(i);

@@ -45,6 +45,7 @@ struct TaskInput {
   std::string job_name;
   int64_t job = 0;
   int64_t task = 0;
+  std::string database = {};  // identity of the one that these are numbers of
   uint32_t attempt = 1;  // from 1
   std::string payload;
   std::vector<InputArtifact> inputs;  // in the order of the graph

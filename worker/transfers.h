@@ -24,6 +24,7 @@ struct Transfer {
   std::string sha256;
   std::string path;                    // upload: where the bytes are
   realitygrad::v1::ArtifactInfo info;  // upload
+  std::string database;                // identity of the one whose token it is
 };
 struct TransferResult {
   Transfer transfer;

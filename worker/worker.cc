@@ -187,7 +187,8 @@ void Worker::ReadSignal(int signal_fd) {
 
 // --- messages --------------------------------------------------------------------------------------------
 
-void Worker::Send(const pb::WorkerMessage& message) {
+void Worker::Send(pb::WorkerMessage& message) {
+  message.set_database(database_);
   const Status sent = socket_->Send(transport::MakeEvent(self_, message));
   if (!sent.ok()) spdlog::debug("not sent: {}", sent.ToString());  // what matters is sent again
 }
@@ -281,6 +282,7 @@ void Worker::Handle(const pb::CoordinatorMessage& message) {
       if (!joined_)
         spdlog::info("joined {} as {} with {} slots", options_.coordinator, options_.name, options_.slots);
       joined_ = true;
+      database_ = message.welcome().database();
       refused_.clear();
       heartbeat_ns_ = std::max<int64_t>(1, message.welcome().heartbeat_ms()) * 1'000'000;
       inline_limit_ = message.welcome().inline_limit();
@@ -298,7 +300,7 @@ void Worker::Handle(const pb::CoordinatorMessage& message) {
       break;
     }
     case pb::CoordinatorMessage::kRevoke:
-      HandleRevoke(message.revoke());
+      Revoke(message.revoke().token(), message.revoke().reason());
       break;
     case pb::CoordinatorMessage::kResultReply:
       HandleReply(message.result_reply());
@@ -313,6 +315,9 @@ void Worker::Handle(const pb::CoordinatorMessage& message) {
       if (!draining_) drain_since_ns_ = now();
       draining_ = true;
       break;
+    case pb::CoordinatorMessage::kAnotherDatabase:
+      MoveTo(message.another_database());
+      break;
     case pb::CoordinatorMessage::kRefused:
       refused_ = message.refused();
       break;
@@ -323,6 +328,7 @@ void Worker::Handle(const pb::CoordinatorMessage& message) {
 
 void Worker::Take(const pb::TaskAssignment& assignment) {
   const uint64_t token = assignment.token();
+  if (assignment.database() != database_) return;
   if (held_.count(token) > 0 || done_tokens_.count(token) > 0) return;
   Held& held = held_[token];
   held.assignment = assignment;
@@ -337,7 +343,7 @@ void Worker::Take(const pb::TaskAssignment& assignment) {
     if (!cache_.Find(sha256, &held.input_paths[static_cast<size_t>(i)])) missing.insert(sha256);
   }
   for (const std::string& sha256 : missing) {
-    transfers_->Add({Transfer::Kind::kFetch, token, sha256, "", {}});
+    transfers_->Add({Transfer::Kind::kFetch, token, sha256, "", {}, database_});
     ++held.open_transfers;
   }
   if (missing.empty()) InputsAreHere(token, held);
@@ -361,15 +367,30 @@ void Worker::HandleReply(const pb::TaskResultReply& reply) {
   Interrupt(held);
 }
 
-void Worker::HandleRevoke(const pb::TaskRevoke& revoke) {
-  const auto found = held_.find(revoke.token());
+void Worker::Revoke(uint64_t token, const std::string& why) {
+  const auto found = held_.find(token);
   if (found == held_.end()) return;
   Held& held = found->second;
   if (held.revoked) return;
-  spdlog::info("task {} is taken back: {}", held.assignment.name(), revoke.reason());
+  spdlog::info("task {} is taken back: {}", held.assignment.name(), why);
   held.revoked = true;
-  if (held.stage != Stage::kRunning) return Forget(revoke.token());
+  if (held.stage != Stage::kRunning) return Forget(token);
   Interrupt(held);
+}
+
+// There its tokens are those of other tasks, or of none. It says hello as before until what runs has ended, and joins
+// with an empty memory.
+void Worker::MoveTo(const std::string& database) {
+  joined_ = false;
+  std::vector<uint64_t> tokens;
+  for (const auto& [token, held] : held_) tokens.push_back(token);
+  for (const uint64_t token : tokens) Revoke(token, "the coordinator has another database now");
+  if (!held_.empty()) return;
+  spdlog::warn("the coordinator at {} has another database than before", options_.coordinator);
+  done_tokens_.clear();
+  done_order_.clear();
+  database_ = database;
+  next_beat_ns_ = 0;
 }
 
 void Worker::NoteTrouble(const std::string& trouble) {

@@ -92,8 +92,9 @@ class Worker {
   void Take(const realitygrad::v1::TaskAssignment& assignment);
   void HandleReply(const realitygrad::v1::TaskResultReply& reply);
   void NoteTrouble(const std::string& trouble);
-  void HandleRevoke(const realitygrad::v1::TaskRevoke& revoke);
-  void Send(const realitygrad::v1::WorkerMessage& message);
+  void Revoke(uint64_t token, const std::string& why);
+  void MoveTo(const std::string& database);
+  void Send(realitygrad::v1::WorkerMessage& message);
   void SendHello();
   void SendBeatIfDue();
   void SendReportsIfDue();
@@ -143,6 +144,7 @@ class Worker {
   int64_t heartbeat_ns_ = 2'000'000'000;
   uint64_t inline_limit_ = 256u << 10;
   HeldMap held_;
+  std::string database_;  // identity of the coordinator's, whose tokens these are; empty: it has said none yet
   std::set<uint64_t> done_tokens_;  // recent ones, so that a repeated assignment is known
   std::deque<uint64_t> done_order_;
   std::vector<std::unique_ptr<Executor>> executors_;

@@ -26,7 +26,7 @@ void Worker::TakeTransferResults() {
     Status status = result.status;
     if (is_fetch && status.ok()) cache_.Took(result.transfer.sha256, result.bytes);
     const auto found = held_.find(token);
-    if (found == held_.end()) continue;
+    if (found == held_.end() || result.transfer.database != database_) continue;
     Held& held = found->second;
     const bool expected = held.stage == (is_fetch ? Stage::kFetching : Stage::kUploading);
     if (!expected) continue;
@@ -270,7 +270,7 @@ void Worker::Upload(uint64_t token, Held& held, const std::vector<std::string>& 
     const std::string& sha256 = output.output().sha256();
     if (output.path().empty() || !begun.insert(sha256).second) continue;
     if (!only.empty() && std::find(only.begin(), only.end(), sha256) == only.end()) continue;
-    Transfer transfer{Transfer::Kind::kUpload, token, sha256, output.path(), {}};
+    Transfer transfer{Transfer::Kind::kUpload, token, sha256, output.path(), {}, database_};
     transfer.info.set_sha256(sha256);
     transfer.info.set_kind(output.output().kind());
     transfer.info.set_size_bytes(output.output().size());

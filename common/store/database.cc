@@ -92,6 +92,7 @@ struct Database::Impl {
   int depth = 0;  // of open transactions
   Status lost;    // why the open transaction was rolled back under us
   WriteHook hook;
+  std::string identity;
 
   Status CurrentError() const {
     const int code = database->getExtendedErrorCode();
@@ -337,8 +338,14 @@ Result<std::unique_ptr<Database>> Database::Open(const DatabaseOptions& options,
   std::unique_ptr<Database> database(new Database(std::move(impl)));
   RG_RETURN_IF_ERROR(SetUpConnection(database.get(), options));
   if (!options.read_only && exists) RG_RETURN_IF_ERROR(BackUpBeforeMigration(database.get(), modules));
-  RG_RETURN_IF_ERROR(options.read_only ? CheckSchema(database.get(), modules)
-                                       : MigrateAll(database.get(), modules));
+  if (options.read_only) {
+    RG_RETURN_IF_ERROR(CheckSchema(database.get(), modules));
+  } else {
+    std::vector<Module> all = modules;
+    all.push_back(OwnModule());
+    RG_RETURN_IF_ERROR(MigrateAll(database.get(), all));
+  }
+  RG_ASSIGN_OR_RETURN(database->impl_->identity, IdentityOf(database.get(), !options.read_only));
   if (on_disk && !exists) SyncFolderOf(options.path);
   return database;
 }
@@ -383,6 +390,7 @@ int64_t Database::last_insert_id() const { return impl_->database->getLastInsert
 int Database::changes() const { return impl_->database->getChanges(); }
 bool Database::in_transaction() const { return impl_->depth > 0; }
 bool Database::read_only() const { return impl_->options.read_only; }
+const std::string& Database::identity() const { return impl_->identity; }
 const std::string& Database::path() const { return impl_->options.path; }
 void Database::set_write_hook(WriteHook hook) { impl_->hook = std::move(hook); }
 
@@ -424,11 +432,24 @@ Status Database::CheckpointPassively() {
   return checkpoint.Run();
 }
 
+namespace {
+Status ForgetIdentity(const std::string& path, const std::string& vfs) {
+  try {
+    SQLite::Database copy(path, SQLite::OPEN_READWRITE, 0, vfs);
+    if (copy.tableExists("rg_identity")) copy.exec("UPDATE rg_identity SET id = ''");
+    return Status::Ok();
+  } catch (const SQLite::Exception& e) {
+    return FromException(path, e);
+  }
+}
+}  // namespace
+
 Status Database::BackupTo(const std::string& path) {
   if (std::filesystem::exists(path)) return AlreadyExistsError(path + ": is there already");
   RG_ASSIGN_OR_RETURN(Statement vacuum, Prepare("VACUUM INTO ?"));
   vacuum.Bind(1, path);
   RG_RETURN_IF_ERROR(vacuum.Run());
+  RG_RETURN_IF_ERROR(ForgetIdentity(path, impl_->options.vfs));
   const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
   const bool synced = fd >= 0 && ::fsync(fd) == 0;
   if (fd >= 0) ::close(fd);

@@ -123,6 +123,9 @@ class Database {
   bool in_transaction() const;
   bool read_only() const;
   const std::string& path() const;
+  // Random, of this database alone: minted when it is made, and when a copy of it (BackupTo, a restored backup) is
+  // first opened for writing. Empty: a copy, or an older one, that nobody has written to.
+  const std::string& identity() const;
   // Installed version of a module; 0: absent.
   Result<int> ModuleVersion(const std::string& module);
   // SQLite's own check of pages and indexes. kDataLoss with its first line.
@@ -135,7 +138,8 @@ class Database {
   Result<int64_t> FreePages();
   // As much of the WAL into the file as can be done without waiting for anybody.
   Status CheckpointPassively();
-  // A consistent copy of the whole database at `path`, while it is in use; on the disk when it returns.
+  // A consistent copy of the whole database at `path`, while it is in use; on the disk when it returns. It has no
+  // identity: it becomes a database of its own.
   Status BackupTo(const std::string& path);
 
   void set_write_hook(WriteHook hook);

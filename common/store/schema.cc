@@ -12,6 +12,11 @@ constexpr std::string_view kSchemaTable =
     "  module TEXT NOT NULL, version INTEGER NOT NULL, sha256 TEXT NOT NULL, applied_at TEXT NOT NULL,"
     "  PRIMARY KEY (module, version)) WITHOUT ROWID";
 
+// Made with the database, or when an older one is opened.
+constexpr std::string_view kIdentityTable =
+    "CREATE TABLE rg_identity (id TEXT NOT NULL);"
+    "INSERT INTO rg_identity VALUES (lower(hex(randomblob(16))));";
+
 Result<int64_t> QueryInt(Database* database, std::string_view sql) {
   RG_ASSIGN_OR_RETURN(Statement query, database->Prepare(sql));
   RG_ASSIGN_OR_RETURN(const bool row, query.Step());
@@ -32,13 +37,13 @@ Status CheckIsOurs(Database* database) {
   return FailedPreconditionError(database->path() + ": an SQLite database, but not one of RealityGrad");
 }
 
-Result<bool> HasSchemaTable(Database* database) {
-  RG_ASSIGN_OR_RETURN(
-      const int64_t n,
-      QueryInt(database,
-               "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND name = 'rg_migration'"));
-  return n > 0;
+Result<bool> HasTable(Database* database, std::string_view name) {
+  RG_ASSIGN_OR_RETURN(Statement query,
+                      database->Prepare("SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?"));
+  return query.Bind(1, name).Step();
 }
+
+Result<bool> HasSchemaTable(Database* database) { return HasTable(database, "rg_migration"); }
 
 Status CheckApplied(Database* database, const Module& module) {
   const int known = static_cast<int>(module.migrations.size());
@@ -81,6 +86,21 @@ Status ApplyMissing(Database* database, const Module& module) {
 }
 
 }  // namespace
+
+const Module& OwnModule() {
+  static const Module own{"database", {{1, kIdentityTable}}};
+  return own;
+}
+
+Result<std::string> IdentityOf(Database* database, bool mint) {
+  RG_ASSIGN_OR_RETURN(const bool has_table, HasTable(database, "rg_identity"));
+  if (!has_table) return std::string();
+  if (mint)
+    RG_RETURN_IF_ERROR(database->Execute("UPDATE rg_identity SET id = lower(hex(randomblob(16))) WHERE id = ''"));
+  RG_ASSIGN_OR_RETURN(Statement query, database->Prepare("SELECT id FROM rg_identity"));
+  RG_ASSIGN_OR_RETURN(const bool row, query.Step());
+  return row ? query.Text(0) : std::string();
+}
 
 Status MigrateAll(Database* database, const std::vector<Module>& modules) {
   for (const Module& module : modules) CheckModuleIsWellFormed(module);

@@ -391,6 +391,7 @@ void Server::HandleWorker(const transport::Message& message) {
     ++ignored_messages_;
     return;
   }
+  if (!body->database().empty() && body->database() != database_->identity()) return TellDatabase(instance);
   if (!trouble_.empty() && !body->has_log()) return PutOff(*body, instance);
   switch (body->message_case()) {
     case pb::WorkerMessage::kHello:
@@ -429,6 +430,13 @@ void Server::HandleHello(const pb::WorkerMessage& body, const transport::Message
 void Server::RefuseJoining(const std::string& instance, const std::string& why) {
   pb::CoordinatorMessage out;
   out.set_refused(why);
+  SendToWorker(instance, out);
+}
+
+// Numbers of jobs and tokens begin again with every database: what it says is of other tasks.
+void Server::TellDatabase(const std::string& instance) {
+  pb::CoordinatorMessage out;
+  out.set_another_database(database_->identity());
   SendToWorker(instance, out);
 }
 
@@ -536,6 +544,7 @@ void Server::Translate(const Welcome& m) {
   welcome->set_chunk_bytes(1 << 20);
   welcome->set_max_artifact_bytes(static_cast<uint64_t>(artifacts_->options().max_artifact_bytes));
   welcome->set_coordinator(self_.id);
+  welcome->set_database(database_->identity());
   SendToWorker(m.instance, out);
 }
 

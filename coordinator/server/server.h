@@ -139,6 +139,7 @@ class Server {
   // The message's body if its sender may speak for the instance it names.
   std::optional<pb::WorkerMessage> AdmitWorker(const transport::Message& message);
   void HandleHello(const pb::WorkerMessage& body, const transport::Message& message);
+  void TellDatabase(const std::string& instance);
   void PutOff(const pb::WorkerMessage& body, const std::string& instance);
   void RefuseJoining(const std::string& instance, const std::string& why);
   void HandleFinished(const pb::TaskFinished& finished, const std::string& instance);

@@ -456,6 +456,7 @@ Result<pb::StatusReply> Server::DescribeSelf(const pb::StatusRequest&) {
   reply.set_version(options_.version);
   reply.set_started_ns(started_ns_);
   reply.set_database(options_.database_path);
+  reply.set_database_identity(database_->identity());
   reply.set_trouble(trouble_);
   for (const auto& [name, worker] : state_.workers) {
     if (!worker.connected) continue;

@@ -181,6 +181,7 @@ Result<pb::TaskAssignment> WorkerDesk::Assemble(const State& state, const Assign
   out.set_at_most_once(job->plan_of(IndexOf(assign.task)).at_most_once);
   out.set_timeout_s(spec.timeout_s());
   out.set_job_name(job->plan->name);
+  out.set_database(database_->identity());
   RG_ASSIGN_OR_RETURN(auto inputs, ResolveInputs(*job, IndexOf(assign.task), spec));
   for (pb::ResolvedInput& input : inputs) *out.add_inputs() = std::move(input);
   if (assign.attempt > 1) {

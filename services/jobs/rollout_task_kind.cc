@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "common/base/hash.h"
 #include "coordinator/client/client.h"
 #include "realitygrad/v1/parameters.pb.h"
 #include "realitygrad/v1/payloads.pb.h"
@@ -25,10 +26,22 @@ Eigen::VectorXd ToVector(const google::protobuf::RepeatedField<double>& values) 
   return Eigen::Map<const Eigen::VectorXd>(values.data(), values.size());
 }
 
-// The same task of the same job always has the same id, another one never: a repeat moves nothing.
-std::string RolloutId(const worker::TaskInput& input, const std::string& model, const std::string& steering) {
-  return "job" + std::to_string(input.job) + "-" + input.task_name + "-" + model.substr(0, 8) +
-         (steering.empty() ? "" : "-" + steering.substr(0, 8));
+// All that is asked for, and of which database; the numbers of jobs begin again in another one.
+std::string RequestHash(const worker::TaskInput& input) {
+  std::string text;
+  const auto add = [&](const std::string& part) { text += std::to_string(part.size()) + ":" + part; };
+  for (const std::string& part : {input.database, input.task_name, input.kind, input.payload}) add(part);
+  for (const auto& artifact : input.inputs) add(artifact.name), add(artifact.sha256);
+  return Sha256Hex(text);
+}
+
+// The same attempt at the same request of the same database has the same id, whatever else never: a repeat moves
+// nothing, and what is asked for anew is never answered with what was recorded before.
+std::string RolloutId(const worker::TaskInput& input) {
+  constexpr size_t kName = 20, kDatabase = 8, kRequest = 12;  // at most 70 letters with the numbers
+  return "job" + std::to_string(input.job) + "-" + input.task_name.substr(0, kName) + "-" +
+         std::to_string(input.attempt) + "-" + input.database.substr(0, kDatabase) + "-" +
+         RequestHash(input).substr(0, kRequest);
 }
 
 rollouts::RolloutSpec SpecOf(const pb::RolloutPayload& payload, std::string id) {
@@ -110,14 +123,14 @@ void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::strin
         task.trust = TrustOf(config, context);
         task.slower_attempts = static_cast<int>(std::min<uint32_t>(payload.slower_attempts(), kMostSlowerAttempts));
         task.model_json = model->bytes;
+        task.database = input.database;
         task.job_id = std::to_string(input.job);
         task.task_id = std::to_string(input.task);
         task.controller = ControllerOf(payload, input, context);
         if (policy != nullptr) task.policy_bytes = policy->bytes;
         const worker::InputArtifact* motion = input.Find(kInputMotion);
         if (motion != nullptr) task.motion_csv = motion->bytes;
-        const worker::InputArtifact* steering = policy != nullptr ? policy : motion;
-        task.spec = SpecOf(payload, RolloutId(input, model->sha256, steering ? steering->sha256 : ""));
+        task.spec = SpecOf(payload, RolloutId(input));
         RG_ASSIGN_OR_RETURN(const robot_agent::RolloutTaskOutput done,
                             robot_agent::RunRolloutTask(config, spool_folder, task, context.progress_fn(),
                                                         context.cancel_token()));

@@ -15,7 +15,7 @@ namespace rg::rollouts {
 inline constexpr const char* kSpecFormat = "realitygrad.rollout_spec/1";
 
 struct RolloutSpec {
-  // Also the name of the recording and its identity when it is delivered twice; from job and task.
+  // Also the name of the recording and its identity when it is delivered twice (services/jobs/rollout_task_kind.cc).
   std::string id;
   double rate_hz = 25.0;
   double duration_s = 6.0;

@@ -97,7 +97,7 @@ bool Service::TryStartCoordinator() {
                                         "--listen",
                                         endpoint(),
                                         "--db",
-                                        folder_ + "/service.db",
+                                        database(),
                                         "--heartbeat-ms",
                                         std::to_string(heartbeat_ms_),
                                         "--address-file",

@@ -44,6 +44,9 @@ class Service {
   void StartCoordinator();     // again after a kill: on the same endpoint and database
   bool TryStartCoordinator();  // false: it ended before it listened
   void KillCoordinator();      // kill -9
+  // Of the coordinators that are started from now on: a file of folder().
+  void UseDatabase(const std::string& name) { database_ = name; }
+  std::string database() const { return folder_ + "/" + database_; }
   Process& coordinator() { return *coordinator_; }
   // `more` are further flags.
   Process& StartWorker(const std::string& name, int slots = 1, const std::vector<std::string>& more = {});
@@ -68,6 +71,7 @@ class Service {
   Process& StartProgram(const std::string& name, const std::vector<std::string>& flags);
 
   std::string folder_;
+  std::string database_ = "service.db";
   int heartbeat_ms_;
   std::vector<std::string> more_;
   int starts_ = 0;

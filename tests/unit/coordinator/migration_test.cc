@@ -62,6 +62,7 @@ TEST_P(Migration, JobsThatAreOverAreListedAndShownAsTheyWere) {
   const auto database = Open();
   ASSERT_NE(database, nullptr);
   EXPECT_TRUE(database->CheckIntegrity().ok());
+  EXPECT_EQ(database->identity().size(), 32u);
   JobStore store(database.get());
   const auto loaded = store.Load();
   ASSERT_TRUE(loaded.ok()) << loaded.status().ToString();
@@ -120,6 +121,7 @@ TEST_P(Migration, ACopyIsMadeBeforeAndOpensWithTheOldTables) {
   const auto old = store::Database::Open({.path = folder_ + "/" + copies[0], .read_only = true}, {});
   ASSERT_TRUE(old.ok()) << old.status().ToString();
   EXPECT_EQ(*(*old)->ModuleVersion("coordinator"), GetParam());
+  EXPECT_EQ((*old)->identity(), "");
   ASSERT_NE(Open(), nullptr);
   EXPECT_EQ(Copies().size(), 1u) << "only when something is changed";
 }

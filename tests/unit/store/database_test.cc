@@ -267,6 +267,39 @@ TEST_F(DatabaseTest, BackupIsAWholeDatabase) {
   EXPECT_EQ(Count(copy->get()), 1);
 }
 
+TEST_F(DatabaseTest, HasAnIdentityForGoodAndACopyHasAnother) {
+  std::string first, copied;
+  {
+    auto database = OpenOk();
+    first = database->identity();
+    EXPECT_EQ(first.size(), 32u);
+    ASSERT_TRUE(database->BackupTo(folder_ / "copy.db").ok());
+  }
+  EXPECT_EQ(OpenOk()->identity(), first);
+  const auto open = [&](const char* name, bool read_only) {
+    auto opened = Database::Open({.path = folder_ / name, .read_only = read_only}, {kThings1, kOther});
+    EXPECT_TRUE(opened.ok()) << opened.status().ToString();
+    return opened.ok() ? (*opened)->identity() : "";
+  };
+  EXPECT_EQ(open("sub/test.db", true), first);
+  EXPECT_EQ(open("copy.db", true), "") << "nobody has written to it";
+  copied = open("copy.db", false);
+  EXPECT_EQ(copied.size(), 32u);
+  EXPECT_NE(copied, first);
+  EXPECT_EQ(open("copy.db", false), copied);
+  EXPECT_NE(open("new.db", false), first);
+}
+
+TEST_F(DatabaseTest, OneFromBeforeThereWereIdentitiesGetsItsOwn) {
+  ASSERT_TRUE(OpenOk()->Execute("DROP TABLE rg_identity; DELETE FROM rg_migration WHERE module = 'database'").ok());
+  auto reader = Database::Open({.path = path(), .read_only = true}, {kThings1, kOther});
+  ASSERT_TRUE(reader.ok()) << reader.status().ToString();
+  EXPECT_EQ((*reader)->identity(), "");
+  const std::string identity = OpenOk()->identity();
+  EXPECT_EQ(identity.size(), 32u);
+  EXPECT_EQ(OpenOk()->identity(), identity);
+}
+
 TEST_F(DatabaseTest, LivesInMemoryForTests) {
   auto database = Database::Open({.path = ":memory:"}, {kThings1, kOther});
   ASSERT_TRUE(database.ok()) << database.status().ToString();

@@ -2,6 +2,8 @@
 
 #include <gmock/gmock.h>
 
+#include <set>
+
 #include "common/base/file.h"
 #include "tests/unit/store/store_fixture.h"
 
@@ -33,6 +35,19 @@ TEST_F(RestoreTest, GivesBackWhatWasThereWhenTheBackupWasMade) {
   const auto old = Database::Open({.path = folder_ / "store.db.before-restore"}, AllModules());
   ASSERT_TRUE(old.ok()) << old.status().ToString();
   EXPECT_TRUE((*ArtifactStore::Open(old->get(), &clock_))->Contains(after)) << "nothing is thrown away";
+}
+
+TEST_F(RestoreTest, EachRestoreIsAnotherDatabase) {
+  ASSERT_TRUE(database_->BackupTo(folder_ / "backup.db").ok());
+  std::set<std::string> identities = {database_->identity()};
+  for (int turn = 0; turn < 2; ++turn) {
+    Close();
+    std::filesystem::remove(folder_ / "store.db.before-restore");
+    ASSERT_TRUE(Restore(folder_ / "backup.db", true).ok());
+    Reopen();
+    EXPECT_EQ(database_->identity().size(), 32u);
+    EXPECT_TRUE(identities.insert(database_->identity()).second);
+  }
 }
 
 TEST_F(RestoreTest, ADamagedOrForeignBackupChangesNothing) {
