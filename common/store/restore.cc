@@ -1,5 +1,10 @@
 #include "common/store/restore.h"
 
+#include <fcntl.h>
+
+#include <cerrno>
+#include <cstdio>
+#include <cstring>
 #include <filesystem>
 
 #include "common/base/ids.h"
@@ -9,6 +14,15 @@ namespace rg::store {
 namespace {
 
 namespace fs = std::filesystem;
+
+// What the name leads to, there or not: not a link is moved aside, but the database.
+fs::path Followed(fs::path path) {
+  constexpr int kMostLinks = 40;
+  std::error_code error;
+  for (int i = 0; i < kMostLinks && fs::is_symlink(path, error); ++i)
+    path = path.parent_path() / fs::read_symlink(path, error);
+  return path;
+}
 
 // The database with what belongs to it: an old log beside a new file would be played into it.
 Status MoveAside(const std::string& path) {
@@ -23,6 +37,14 @@ Status MoveAside(const std::string& path) {
   return Status::Ok();
 }
 
+// Never in the place of a database that somebody has made there meanwhile.
+Status PutThere(const std::string& copy, const std::string& path) {
+  if (::renameat2(AT_FDCWD, copy.c_str(), AT_FDCWD, path.c_str(), RENAME_NOREPLACE) == 0) return Status::Ok();
+  const std::string why = std::strerror(errno);
+  return errno == EEXIST ? AlreadyExistsError(path + ": somebody has just made a database there")
+                         : InternalError(path + ": cannot be put there: " + why);
+}
+
 }  // namespace
 
 Status RestoreDatabase(const RestoreOptions& options, const std::vector<Module>& modules) {
@@ -34,18 +56,20 @@ Status RestoreDatabase(const RestoreOptions& options, const std::vector<Module>&
   std::error_code error;
   if (fs::equivalent(options.backup, options.path, error))
     return InvalidError(options.backup + ": is the database itself, not a backup of it");
-  if (fs::exists(options.path) && !options.overwrite)
+  const std::string path = Followed(options.path).string();
+  const bool is_there = fs::exists(path);
+  if (is_there && !options.overwrite)
     return AlreadyExistsError(options.path + ": there is a database already; --overwrite moves it aside");
-  const fs::path folder = fs::path(options.path).parent_path();
+  const fs::path folder = fs::path(path).parent_path();
   if (!folder.empty()) fs::create_directories(folder, error);
-  RG_ASSIGN_OR_RETURN(const WriterLock lock, WriterLock::Acquire(options.path, 0));
-  const std::string copy = options.path + ".restoring." + RandomHex(4);
-  Status done = backup->BackupTo(copy);
-  if (done.ok() && fs::exists(options.path)) done = MoveAside(options.path);
-  if (done.ok()) {
-    fs::rename(copy, options.path, error);
-    if (error) done = InternalError(options.path + ": cannot be put there: " + error.message());
+  WriterLock lock;
+  if (is_there) {
+    RG_ASSIGN_OR_RETURN(lock, WriterLock::Acquire(path, 0));
   }
+  const std::string copy = path + ".restoring." + RandomHex(4);
+  Status done = backup->BackupTo(copy);
+  if (done.ok() && is_there) done = MoveAside(path);
+  if (done.ok()) done = PutThere(copy, path);
   if (!done.ok()) fs::remove(copy, error);
   return done;
 }

@@ -1,5 +1,5 @@
-// One writing process per database: an flock on "<database>.lock", which also says who holds it.
-// The operating system lets go of it when the process ends, however it ends.
+// One writing process per database, whatever name leads to it: an flock on the database's own file. The operating
+// system lets go of it when the process ends, however it ends.
 #pragma once
 
 #include <string>
@@ -10,16 +10,19 @@ namespace rg::store {
 
 class WriterLock {
  public:
-  // Waits up to wait_ms. kUnavailable names the process that holds it.
+  // Makes the file, empty, where there is none. Waits up to wait_ms. kUnavailable names the process that holds it;
+  // kFailedPrecondition: the file has several names of its own (hard links).
   static Result<WriterLock> Acquire(const std::string& database_path, int wait_ms);
   WriterLock() = default;
   WriterLock(WriterLock&& other) noexcept;
   WriterLock& operator=(WriterLock&& other) noexcept;
   ~WriterLock();
 
+  struct File;
+
  private:
-  explicit WriterLock(int fd);
-  int fd_ = -1;
+  explicit WriterLock(File* file);
+  File* file_ = nullptr;
   int owner_ = 0;  // process
 };
 

@@ -255,7 +255,7 @@ void Restart(benchmark::State& state) {
     const State restored = Restore(*stored, Options{}, Now{});
     RG_CHECK(restored.jobs.size() == 10);
   }
-  for (const char* suffix : {"", "-wal", "-shm", "-lock", ".lock"}) std::filesystem::remove(path + suffix);
+  for (const char* suffix : {"", "-wal", "-shm"}) std::filesystem::remove(path + suffix);
 }
 BENCHMARK(Restart)->Iterations(3)->Unit(benchmark::kMillisecond);
 

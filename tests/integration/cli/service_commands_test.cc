@@ -104,6 +104,10 @@ TEST_F(ServiceCommands, ABackupIsRestored) {
   const std::string restore = "restore " + backup["path"].get<std::string>() + " --db ";
   EXPECT_EQ(Run(restore + service_.folder() + "/service.db --overwrite").code, 6)
       << "a coordinator runs on it";
+  std::filesystem::create_symlink("service.db", service_.folder() + "/link.db");
+  const Said by_link = Run(restore + service_.folder() + "/link.db --overwrite");
+  EXPECT_EQ(by_link.code, 6) << "by a link too";
+  EXPECT_NE(by_link.err.find("in use by process"), std::string::npos) << by_link.err;
   service_.KillCoordinator();
   EXPECT_EQ(Run(restore + service_.folder() + "/service.db").code, 1) << "there is one already";
   EXPECT_EQ(Run(restore + service_.folder() + "/service.db --overwrite").code, 0);

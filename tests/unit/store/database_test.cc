@@ -1,5 +1,6 @@
 #include "common/store/database.h"
 
+#include <fcntl.h>
 #include <gmock/gmock.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -183,6 +184,40 @@ TEST_F(DatabaseTest, SecondWriterIsToldWhoHoldsIt) {
   ASSERT_FALSE(second.ok());
   EXPECT_EQ(second.status().code(), StatusCode::kUnavailable);
   EXPECT_THAT(second.status().message(), HasSubstr("in use by process " + std::to_string(::getpid())));
+}
+
+TEST_F(DatabaseTest, AnyNameOfItMeetsItsWriter) {
+  auto first = OpenOk();
+  std::filesystem::create_symlink(path(), folder_ / "soft.db");
+  std::filesystem::create_hard_link(path(), folder_ / "hard.db");
+  for (const char* name : {"soft.db", "hard.db"}) {
+    const auto second = Database::Open({.path = folder_ / name}, {kThings1, kOther});
+    EXPECT_EQ(second.status().code(), StatusCode::kUnavailable) << name;
+  }
+  first.reset();
+  const auto of_two_names = Database::Open({.path = path()}, {kThings1, kOther});
+  EXPECT_EQ(of_two_names.status().code(), StatusCode::kFailedPrecondition);
+  EXPECT_THAT(of_two_names.status().message(), HasSubstr("the file has 2 names (hard links)"));
+  std::filesystem::remove(folder_ / "hard.db");
+  EXPECT_TRUE(Database::Open({.path = folder_ / "soft.db"}, {kThings1, kOther}).ok());
+}
+
+// Without SQLite's own lock another process that reads it and leaves would take the write-ahead log away.
+TEST_F(DatabaseTest, ARefusedSecondWriterLeavesTheLocksOfSQLiteAlone) {
+  auto first = OpenOk();
+  ASSERT_TRUE(Insert(first.get(), "a").ok());
+  EXPECT_FALSE(Database::Open({.path = path()}, {kThings1, kOther}).ok());
+  const pid_t child = ::fork();
+  ASSERT_GE(child, 0);
+  if (child == 0) {
+    struct flock whole = {};
+    whole.l_type = F_WRLCK;
+    const int fd = ::open(path().c_str(), O_RDWR);
+    ::_exit(::fcntl(fd, F_GETLK, &whole) == 0 && whole.l_pid == ::getppid() ? 0 : 1);
+  }
+  int status = 0;
+  ASSERT_EQ(::waitpid(child, &status, 0), child);
+  EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0) << status;
 }
 
 TEST_F(DatabaseTest, SecondProcessIsRefusedOrWaitsItsTurn) {

@@ -37,6 +37,24 @@ TEST_F(RestoreTest, GivesBackWhatWasThereWhenTheBackupWasMade) {
   EXPECT_TRUE((*ArtifactStore::Open(old->get(), &clock_))->Contains(after)) << "nothing is thrown away";
 }
 
+TEST_F(RestoreTest, ThroughALinkItMeetsTheWriterAndMovesTheDatabaseNotTheLink) {
+  const std::string before = PutOk(SomeBytes(5'000), {.kind = "data"});
+  ASSERT_TRUE(database_->BackupTo(folder_ / "backup.db").ok());
+  const std::string link = folder_ / "link.db";
+  std::filesystem::create_symlink("store.db", link);
+  EXPECT_EQ(RestoreDatabase({folder_ / "backup.db", link, true}, AllModules()).code(), StatusCode::kUnavailable);
+  Close();
+  ASSERT_TRUE(RestoreDatabase({folder_ / "backup.db", link, true}, AllModules()).ok());
+  EXPECT_TRUE(std::filesystem::is_symlink(link));
+  EXPECT_TRUE(std::filesystem::exists(folder_ / "store.db.before-restore"));
+  Reopen();
+  EXPECT_TRUE(store_->Contains(before));
+  Close();
+  std::filesystem::remove(folder_ / "store.db");
+  EXPECT_TRUE(RestoreDatabase({folder_ / "backup.db", link, false}, AllModules()).ok()) << "a link to nothing";
+  EXPECT_TRUE(std::filesystem::exists(folder_ / "store.db"));
+}
+
 TEST_F(RestoreTest, EachRestoreIsAnotherDatabase) {
   ASSERT_TRUE(database_->BackupTo(folder_ / "backup.db").ok());
   std::set<std::string> identities = {database_->identity()};
