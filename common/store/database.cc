@@ -6,7 +6,14 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
 #include <filesystem>
+#include <mutex>
+#include <sstream>
+#include <stop_token>
+#include <thread>
 #include <unordered_map>
 #include <utility>
 
@@ -337,7 +344,7 @@ Result<std::unique_ptr<Database>> Database::Open(const DatabaseOptions& options,
   sqlite3_extended_result_codes(impl->database->getHandle(), 1);
   std::unique_ptr<Database> database(new Database(std::move(impl)));
   RG_RETURN_IF_ERROR(SetUpConnection(database.get(), options));
-  if (!options.read_only && exists) RG_RETURN_IF_ERROR(BackUpBeforeMigration(database.get(), modules));
+  if (!options.read_only && options.copy_first && exists) RG_RETURN_IF_ERROR(BackUpBeforeMigration(database.get(), modules));
   if (options.read_only) {
     RG_RETURN_IF_ERROR(CheckSchema(database.get(), modules));
   } else {
@@ -402,11 +409,67 @@ Result<int> Database::ModuleVersion(const std::string& module) {
   return row ? static_cast<int>(query.Int(0)) : 0;
 }
 
+namespace {
+
+// Interrupts what a connection does from a moment on, again and again: between two statements it has no effect. SQLite's
+// progress handler would do, but is not asked within a check of pages.
+class Alarm {
+ public:
+  Alarm(sqlite3* connection, double after_s)
+      : rang_(after_s <= 0.0), thread_([this, connection, after_s](const std::stop_token& stop) {
+          std::mutex mutex;
+          std::unique_lock lock(mutex);
+          std::condition_variable_any wait;
+          const auto pause = [&](double s) { wait.wait_for(lock, stop, std::chrono::duration<double>(s), [] { return false; }); };
+          for (pause(after_s); !stop.stop_requested(); pause(0.01)) {
+            rang_ = true;
+            sqlite3_interrupt(connection);
+          }
+        }) {}
+  bool rang() const { return rang_; }
+
+ private:
+  std::atomic<bool> rang_;
+  std::jthread thread_;
+};
+
+// Of a check or a query, one row or several. "ok" is nothing wrong, and three stars a heading.
+Result<std::vector<std::string>> LinesOf(Database* database, const std::string& sql) {
+  RG_ASSIGN_OR_RETURN(Statement rows, database->Prepare(sql));
+  std::vector<std::string> lines;
+  while (true) {
+    RG_ASSIGN_OR_RETURN(const bool row, rows.Step());
+    if (!row) return lines;
+    std::istringstream text(rows.Text(0));
+    for (std::string line; std::getline(text, line);)
+      if (line != "ok" && line.rfind("***", 0) != 0) lines.push_back(line);
+  }
+}
+
+}  // namespace
+
+Result<std::vector<std::string>> Database::Problems(int most) {
+  return LinesOf(this, "PRAGMA integrity_check(" + std::to_string(most) + ")");
+}
+
 Status Database::CheckIntegrity() {
-  RG_ASSIGN_OR_RETURN(Statement check, Prepare("PRAGMA integrity_check(1)"));
-  RG_ASSIGN_OR_RETURN(const bool row, check.Step());
-  const std::string verdict = row ? check.Text(0) : "no answer";
-  return verdict == "ok" ? Status::Ok() : DataLossError(path() + ": " + verdict);
+  RG_ASSIGN_OR_RETURN(const auto problems, Problems(1));
+  return problems.empty() ? Status::Ok() : DataLossError(path() + ": " + problems[0]);
+}
+
+Result<bool> Database::QuickCheck(double most_s) {
+  RG_ASSIGN_OR_RETURN(const auto tables,
+                      LinesOf(this, "SELECT name FROM sqlite_master WHERE type = 'table' "
+                                    "ORDER BY name = 'artifact_chunk', name"));
+  const Alarm alarm(impl_->database->getHandle(), most_s);
+  for (const std::string& table : tables) {
+    if (alarm.rang()) return false;
+    const auto problems = LinesOf(this, "PRAGMA quick_check('" + table + "')");
+    if (problems.ok() && !problems->empty()) return DataLossError(path() + ": " + problems->front());
+    if (alarm.rang()) return false;
+    RG_RETURN_IF_ERROR(problems.status());
+  }
+  return true;
 }
 
 Status Database::Checkpoint() {

@@ -39,6 +39,7 @@ struct DatabaseOptions {
   bool read_only = false;      // no migrations; the schema must be there and not newer
   int busy_timeout_ms = 5000;  // for locks of readers and checkpoints
   int writer_wait_ms = 0;      // how long to wait for another writing process to go away
+  bool copy_first = true;      // of an older one, before its tables are changed
   bool durable = true;         // false: synchronous NORMAL, for caches that may lose the last second
   std::string vfs;             // name of an SQLite VFS: the seam for fault tests
 };
@@ -128,8 +129,13 @@ class Database {
   const std::string& identity() const;
   // Installed version of a module; 0: absent.
   Result<int> ModuleVersion(const std::string& module);
-  // SQLite's own check of pages and indexes. kDataLoss with its first line.
+  // SQLite's own check of all pages and indexes: one line for each thing that is wrong, at most so many.
+  Result<std::vector<std::string>> Problems(int most);
+  // The same; kDataLoss with the first of them.
   Status CheckIntegrity();
+  // A quicker check, of the pages, table after table, artefacts last, for at most so many seconds. False: that was not
+  // enough for all of it. kDataLoss with the first thing that is wrong.
+  Result<bool> QuickCheck(double most_s);
   // Moves the WAL into the database file and truncates it.
   Status Checkpoint();
   // Gives up to `pages` freed pages back to the file system (0: all). The file is shorter when the

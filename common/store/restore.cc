@@ -8,6 +8,7 @@
 #include <filesystem>
 
 #include "common/base/ids.h"
+#include "common/store/schema.h"
 #include "common/store/writer_lock.h"
 
 namespace rg::store {
@@ -51,7 +52,8 @@ Status RestoreDatabase(const RestoreOptions& options, const std::vector<Module>&
   DatabaseOptions from;
   from.path = options.backup;
   from.read_only = true;
-  RG_ASSIGN_OR_RETURN(const auto backup, Database::Open(from, modules));
+  RG_ASSIGN_OR_RETURN(const auto backup, Database::Open(from, {}));
+  RG_RETURN_IF_ERROR(CheckNotNewer(backup.get(), modules));
   RG_RETURN_IF_ERROR(backup->CheckIntegrity());
   std::error_code error;
   if (fs::equivalent(options.backup, options.path, error))
@@ -68,6 +70,7 @@ Status RestoreDatabase(const RestoreOptions& options, const std::vector<Module>&
   }
   const std::string copy = path + ".restoring." + RandomHex(4);
   Status done = backup->BackupTo(copy);
+  if (done.ok()) done = Database::Open({.path = copy, .copy_first = false}, modules).status();  // of this version
   if (done.ok() && is_there) done = MoveAside(path);
   if (done.ok()) done = PutThere(copy, path);
   if (!done.ok()) fs::remove(copy, error);

@@ -15,7 +15,8 @@ struct RestoreOptions {
   bool overwrite = false;  // what is at `path` is kept as `path`.before-restore
 };
 
-// Checks the whole backup first, and puts the copy into its place in one step. `modules`: what it must hold.
+// Checks the whole backup first, brings a copy of an older one to this program's tables, and puts it into its place in
+// one step. `modules`: what it holds then.
 // kAlreadyExists: there is a database at `path`; kUnavailable: a process writes it; kDataLoss: the backup is
 // damaged; kFailedPrecondition: it is no backup of ours, or of a newer version. Then nothing has changed.
 Status RestoreDatabase(const RestoreOptions& options, const std::vector<Module>& modules);

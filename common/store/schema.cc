@@ -111,10 +111,15 @@ Status MigrateAll(Database* database, const std::vector<Module>& modules) {
       RG_RETURN_IF_ERROR(database->Execute("PRAGMA application_id = " + std::to_string(kApplicationId)));
       RG_RETURN_IF_ERROR(database->Execute(kSchemaTable));
     }
-    for (const Module& module : modules) RG_RETURN_IF_ERROR(CheckApplied(database, module));
+    RG_RETURN_IF_ERROR(CheckNotNewer(database, modules));
     for (const Module& module : modules) RG_RETURN_IF_ERROR(ApplyMissing(database, module));
     return Status::Ok();
   });
+}
+
+Status CheckNotNewer(Database* database, const std::vector<Module>& modules) {
+  for (const Module& module : modules) RG_RETURN_IF_ERROR(CheckApplied(database, module));
+  return Status::Ok();
 }
 
 Result<std::string> PendingMigration(Database* database, const std::vector<Module>& modules) {

@@ -22,6 +22,8 @@ Status MigrateAll(Database* database, const std::vector<Module>& modules);
 // What is older in the file than the program knows it: "coordinator-4" for a step to that version; empty:
 // nothing is, or it is no database of this project yet.
 Result<std::string> PendingMigration(Database* database, const std::vector<Module>& modules);
+// kFailedPrecondition: the file has a module that is newer than here, or not the one that is here.
+Status CheckNotNewer(Database* database, const std::vector<Module>& modules);
 // Random, of 32 hexadecimal digits. A copy has none: it is given one where somebody writes to it (`mint`).
 Result<std::string> IdentityOf(Database* database, bool mint);
 // The checks only, for readers: every module must be there at the version of the program.

@@ -230,6 +230,12 @@ class Beside {
   std::unique_ptr<web::WebServer> page_;  // shows the one above
 };
 
+std::string RemedyFor(const Status& status, const std::string& database) {
+  if (status.code() != StatusCode::kDataLoss) return "";
+  return " (`realitygrad db check --db " + database + "` says what is damaged, `realitygrad restore BACKUP --db " +
+         database + " --overwrite` puts a backup in its place)";
+}
+
 Status Serve(const Flags& flags) {
   ServerOptions options;
   RG_ASSIGN_OR_RETURN(options.policy, PolicyOf(flags));
@@ -284,7 +290,7 @@ int CoordinatorMain(int argc, char** argv) {
   CatchSignals();
   const Status status = Serve(flags);
   if (status.ok()) return 0;
-  spdlog::error("{}", status.message());
+  spdlog::error("{}{}", status.message(), RemedyFor(status, flags.database));
   return status.code() == StatusCode::kInvalid ? kExitUsage : kExitError;
 }
 

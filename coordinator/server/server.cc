@@ -63,6 +63,10 @@ Status Server::OpenStores() {
   RG_ASSIGN_OR_RETURN(database_,
                       store::Database::Open(options, {store::ArtifactStore::Schema(),
                                                       store::ParameterStore::Schema(), CoordinatorSchema()}));
+  RG_ASSIGN_OR_RETURN(const bool whole, database_->QuickCheck(options_.check_s));
+  if (!whole)
+    spdlog::info("{} is large: {} s were enough to check a part of it; `realitygrad db check` looks at all",
+                 options_.database_path, options_.check_s);
   RG_ASSIGN_OR_RETURN(artifacts_, store::ArtifactStore::Open(database_.get(), clock_));
   parameters_ = std::make_unique<store::ParameterStore>(database_.get(), clock_);
   jobs_ = std::make_unique<JobStore>(database_.get());

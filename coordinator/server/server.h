@@ -56,13 +56,14 @@ struct ServerOptions {
   // And the oldest of those that are over, while more tasks of such jobs than this are not archived; 0: any
   // number may be.
   int64_t archive_above_tasks = 2'000'000;
+  double check_s = 1.0;  // for a look at the database's pages before anything else
   std::function<void()> before_messages;  // called when something has come, before it is looked at; may be none
   std::string vfs;  // of the database: the seam for fault tests
 };
 
 class Server {
  public:
-  // Opens and migrates the database, loads the state. `socket` is a router; `clock` must outlive it.
+  // Opens, migrates and checks the database (kDataLoss: it is damaged), loads the state. `socket` is a router; `clock` must outlive it.
   static Result<std::unique_ptr<Server>> Open(const ServerOptions& options,
                                               std::unique_ptr<transport::Socket> socket,
                                               transport::Sender self, const Clock* clock);

@@ -1,5 +1,6 @@
 // The commands about jobs, artefacts and the database against a real service.
 #include <gtest/gtest.h>
+#include <signal.h>
 
 #include <nlohmann/json.hpp>
 
@@ -114,6 +115,41 @@ TEST_F(ServiceCommands, ABackupIsRestored) {
   service_.StartCoordinator();
   EXPECT_TRUE(service_.client().GetJob(before).ok());
   EXPECT_EQ(service_.client().GetJob(after).status().code(), StatusCode::kNotFound);
+}
+
+// Pages of an artefact's bytes, which nobody reads at a start.
+TEST_F(ServiceCommands, ADamagedDatabaseDoesNotStartAndTheRemedyIsNamed) {
+  const std::string database = service_.database();
+  pb::ArtifactInfo info;
+  info.set_kind("data");
+  ASSERT_TRUE(service_.client().PutArtifact(std::string(2'000'000, 'x'), info).ok());
+  const int64_t job = Submit();
+  const json backup = RunJson("backup --name copy.db");
+  EXPECT_EQ(RunJson("db check --db " + database)["ok"], true) << "while it works";
+  service_.coordinator().Signal(SIGTERM);
+  ASSERT_EQ(service_.coordinator().WaitForExit(60.0), 0);
+  std::string bytes = ReadFile(database).value();
+  for (size_t i = bytes.size() / 2; i < 3 * bytes.size() / 4; ++i) bytes[i] = static_cast<char>(i);
+  ASSERT_TRUE(WriteFileAtomically(database, bytes).ok());
+
+  EXPECT_FALSE(service_.TryStartCoordinator());
+  EXPECT_EQ(service_.coordinator().WaitForExit(60.0), 1);
+  const std::string log = service_.Logs();
+  EXPECT_NE(log.find("realitygrad db check --db " + database), std::string::npos) << log;
+  EXPECT_NE(log.find("realitygrad restore BACKUP --db " + database + " --overwrite"), std::string::npos) << log;
+  const Said said = Run("db check --db " + database);
+  EXPECT_EQ(said.code, 1);
+  EXPECT_FALSE(said.out.empty());
+  EXPECT_NE(said.err.find("realitygrad restore BACKUP --db " + database), std::string::npos) << said.err;
+  const Said as_json = Run("db check --output json --db " + database);
+  EXPECT_EQ(as_json.code, 1);
+  EXPECT_FALSE(json::parse(as_json.out)["problems"].empty());
+
+  EXPECT_EQ(Run("restore " + backup["path"].get<std::string>() + " --overwrite --db " + database).code, 0);
+  service_.StartCoordinator();
+  EXPECT_TRUE(service_.client().GetJob(job).ok());
+  EXPECT_EQ(Run("db check --db " + database).code, 0);
+  EXPECT_EQ(Run("db check --db " + database + ".none").code, 1);
 }
 
 }  // namespace

@@ -11,6 +11,7 @@
 #include "common/base/ids.h"
 #include "common/store/artifact_store.h"
 #include "common/store/parameter_store.h"
+#include "common/store/restore.h"
 #include "coordinator/core/invariants.h"
 #include "coordinator/server/past_jobs.h"
 #include "coordinator/store/job_store.h"
@@ -124,6 +125,25 @@ TEST_P(Migration, ACopyIsMadeBeforeAndOpensWithTheOldTables) {
   EXPECT_EQ((*old)->identity(), "");
   ASSERT_NE(Open(), nullptr);
   EXPECT_EQ(Copies().size(), 1u) << "only when something is changed";
+}
+
+TEST_P(Migration, ABackupIsRestoredWithThisVersionsTables) {
+  Write("ended");
+  const std::string backup = folder_ + "/backup.db";
+  std::filesystem::rename(path_, backup);
+  const std::vector<store::Module> modules = {store::ArtifactStore::Schema(), store::ParameterStore::Schema(),
+                                              CoordinatorSchema()};
+  const Status restored = store::RestoreDatabase({backup, path_}, modules);
+  ASSERT_TRUE(restored.ok()) << restored.ToString();
+  EXPECT_TRUE(Copies().empty()) << "the backup is there";
+  const auto database = store::Database::Open({.path = path_, .read_only = true}, modules);
+  ASSERT_TRUE(database.ok()) << database.status().ToString();
+  EXPECT_EQ((*database)->identity().size(), 32u);
+  int jobs = 0;
+  ASSERT_TRUE(JobStore(database->get()).ListJobs({}, [&](const JobRow&) { return ++jobs, true; }).ok());
+  EXPECT_EQ(jobs, 3);
+  EXPECT_EQ(*(*store::Database::Open({.path = backup, .read_only = true}, {}))->ModuleVersion("coordinator"), GetParam())
+      << "the backup stays as it was";
 }
 
 INSTANTIATE_TEST_SUITE_P(FromVersion, Migration, ::testing::Values(1, 2, 3, 4),

@@ -72,7 +72,7 @@ const std::map<std::string, std::set<std::string>>& Arrows() {
       {"services/jobs", with(with(with(algorithms, wire), {"services/report", "services/proof"}),
                              {"coordinator/client", "worker", "robot_agent"})},
       {"services/cli", with(with(with(algorithms, wire), {"services/report", "services/proof"}),
-                            {"coordinator/client", "services/jobs", "services/bench", "services/importing"})},
+                            {"coordinator/client", "coordinator/store", "services/jobs", "services/bench", "services/importing"})},
       {"coordinator", wire},
       {"worker", with(wire, {"coordinator/client", "services/jobs"})},
       {"robot_agent/drivers", dynamics},

@@ -9,6 +9,7 @@
 #include <fstream>
 #include <thread>
 
+#include "common/base/file.h"
 #include "tests/unit/store/store_fixture.h"
 
 namespace rg::store {
@@ -290,6 +291,27 @@ TEST_F(DatabaseTest, AFullDiskLosesTheTransactionAndNothingElse) {
   EXPECT_EQ(Count(database.get()), 1);
   EXPECT_TRUE(Insert(database.get(), "after").ok());
   EXPECT_TRUE(database->CheckIntegrity().ok());
+}
+
+TEST_F(DatabaseTest, OverwrittenPagesAreFoundAndTold) {
+  {
+    auto database = OpenOk();
+    for (int i = 0; i < 200; ++i) ASSERT_TRUE(Insert(database.get(), std::string(1000, 'x') + std::to_string(i)).ok());
+    EXPECT_TRUE(*database->QuickCheck(1e6));
+    EXPECT_FALSE(*database->QuickCheck(0.0)) << "no time for anything";
+    EXPECT_TRUE(database->Problems(10)->empty());
+  }
+  std::string bytes = *ReadFile(path());
+  for (size_t i = bytes.size() / 2; i < bytes.size(); ++i) bytes[i] = static_cast<char>(i);
+  ASSERT_TRUE(WriteFileAtomically(path(), bytes).ok());
+  auto database = OpenOk();
+  ASSERT_NE(database, nullptr) << "its first pages are whole";
+  const auto checked = database->QuickCheck(1e6);
+  EXPECT_EQ(checked.status().code(), StatusCode::kDataLoss) << checked.status().ToString();
+  EXPECT_THAT(checked.status().message(), HasSubstr(path() + ": "));
+  EXPECT_THAT(checked.status().message(), testing::Not(HasSubstr("\n")));
+  EXPECT_EQ(database->CheckIntegrity().code(), StatusCode::kDataLoss);
+  EXPECT_GE(database->Problems(3)->size(), 3u);
 }
 
 TEST_F(DatabaseTest, BackupIsAWholeDatabase) {

@@ -68,6 +68,22 @@ TEST_F(RestoreTest, EachRestoreIsAnotherDatabase) {
   }
 }
 
+TEST_F(RestoreTest, ABackupOfANewerProgramChangesNothing) {
+  ASSERT_TRUE(database_->BackupTo(folder_ / "backup.db").ok());
+  const std::string identity = database_->identity();
+  Close();
+  {
+    auto newer = AllModules();
+    newer[0].migrations.push_back({static_cast<int>(newer[0].migrations.size()) + 1, "CREATE TABLE of_tomorrow (id INTEGER)"});
+    ASSERT_TRUE(Database::Open({.path = folder_ / "backup.db"}, newer).ok());
+  }
+  const Status refused = Restore(folder_ / "backup.db", true);
+  EXPECT_EQ(refused.code(), StatusCode::kFailedPrecondition);
+  EXPECT_THAT(refused.message(), HasSubstr("use a newer realitygrad"));
+  Reopen();
+  EXPECT_EQ(database_->identity(), identity);
+}
+
 TEST_F(RestoreTest, ADamagedOrForeignBackupChangesNothing) {
   const std::string sha = PutOk(SomeBytes(300'000), {.kind = "data"});
   ASSERT_TRUE(database_->BackupTo(folder_ / "backup.db").ok());
