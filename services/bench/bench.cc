@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
-#include <thread>
 
+#include "common/base/parallel.h"
 #include "common/base/rng.h"
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
@@ -292,17 +292,12 @@ Measurement Bench::AllTrajectories() {
   const VectorXd values = arm.plant.parameters().Nominal();
   std::vector<Status> ends(static_cast<size_t>(threads), Status::Ok());
   const double begin = clock_.SteadySeconds();
-  std::vector<std::thread> pool;
-  for (int t = 0; t < threads; ++t) {
-    pool.emplace_back([&, t] {
-      trajectories::ShardSpec spec = PaperShard(arm.plant, options_.seed);
-      spec.first = static_cast<uint64_t>(count * t / threads);
-      spec.count = static_cast<uint32_t>(count * (t + 1) / threads - count * t / threads);
-      ends[static_cast<size_t>(t)] =
-          trajectories::GenerateShard(arm.plant, values, spec, {}, cancel_).status();
-    });
-  }
-  for (std::thread& thread : pool) thread.join();
+  ParallelFor(threads, threads, [&](int, int t) {
+    trajectories::ShardSpec spec = PaperShard(arm.plant, options_.seed);
+    spec.first = static_cast<uint64_t>(count * t / threads);
+    spec.count = static_cast<uint32_t>(count * (t + 1) / threads - count * t / threads);
+    ends[static_cast<size_t>(t)] = trajectories::GenerateShard(arm.plant, values, spec, {}, cancel_).status();
+  });
   const double seconds = clock_.SteadySeconds() - begin;
   for (const Status& end : ends) {
     if (!end.ok()) return Failed(end.ToString());

@@ -5,6 +5,7 @@
 #include <ranges>
 #include <utility>
 
+#include "common/base/parallel.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/balance/balance_search.h"
 #include "services/diagnosis/data/prepare_data.h"
@@ -18,7 +19,6 @@
 #include "services/diagnosis/reporting/holdout.h"
 #include "services/diagnosis/reporting/set_check.h"
 #include "services/diagnosis/search/search.h"
-#include "services/sysid/parallel.h"
 #include "services/sysid/rotor_start.h"
 #include "services/sysid/sysid_on_set.h"
 
@@ -72,7 +72,7 @@ Result<DiagnosisResult> Diagnose(const recordings::RecordingSet& given, const Di
                                  const Clock& clock, const ProgressFn& progress, const CancelToken* cancel) {
   RG_RETURN_IF_ERROR(sysid::CheckTimes(options.window_s, options.step_s));
   const double start = clock.SteadySeconds();
-  const int threads = sysid::ChooseThreads(options.threads);
+  const int threads = ChooseThreads(options.threads);
   RG_ASSIGN_OR_RETURN(sim::Plant nominal, GivenPlant(given, options.model));
   RG_ASSIGN_OR_RETURN(SetCheck check, CheckSet(given, nominal, options.trust_effort));
   RG_RETURN_IF_ERROR(check.refusal);

@@ -6,8 +6,8 @@
 #include <cmath>
 
 #include "common/base/check.h"
+#include "common/base/parallel.h"
 #include "services/sysid/boxed_newton_step.h"
-#include "services/sysid/parallel.h"
 
 namespace rg::sysid {
 namespace {

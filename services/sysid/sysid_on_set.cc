@@ -6,6 +6,7 @@
 #include <memory>
 #include <utility>
 
+#include "common/base/parallel.h"
 #include "common/base/printf.h"
 #include "common/base/rng.h"
 #include "common/effects/effect.h"
@@ -18,7 +19,6 @@
 #include "services/sysid/fit_space.h"
 #include "services/sysid/initial_regression.h"
 #include "services/sysid/joint_roles.h"
-#include "services/sysid/parallel.h"
 #include "services/sysid/prediction.h"
 #include "services/sysid/rotor_start.h"
 #include "services/sysid/shooting_fit.h"

@@ -5,8 +5,8 @@
 #include <cmath>
 #include <limits>
 
+#include "common/base/parallel.h"
 #include "common/base/rng.h"
-#include "services/sysid/parallel.h"
 #include "services/sysid/recording_shooting.h"
 #include "services/sysid/shooting_fit.h"
 

@@ -5,11 +5,11 @@
 #include <utility>
 #include <vector>
 
+#include "common/base/parallel.h"
 #include "common/recordings/prescribed.h"
 #include "common/sim/simulator.h"
 #include "services/diagnosis/data/motion_survey.h"
 #include "services/sysid/drive_signal.h"
-#include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
 
@@ -139,7 +139,7 @@ void AddPrescribedDoubt(const sim::Plant& plant, int threads, FitData* data) {
   }
   std::vector<std::unique_ptr<sim::Simulator>> simulators(static_cast<size_t>(std::max(1, threads)));
   for (auto& simulator : simulators) simulator = std::make_unique<sim::Simulator>(plant);
-  sysid::ParallelFor(threads, static_cast<int>(data->windows.size()), [&](int worker, int w) {
+  ParallelFor(threads, static_cast<int>(data->windows.size()), [&](int worker, int w) {
     NodeWindow& window = data->windows[w];
     const auto r = static_cast<size_t>(window.recording);
     AddDoubt(*simulators[worker], *data, smooth[r], doubts[r], &window);

@@ -4,12 +4,12 @@
 #include <cmath>
 #include <set>
 
+#include "common/base/parallel.h"
 #include "common/dynamics/dynamics.h"
 #include "common/sim/simulator.h"
 #include "services/diagnosis/design/probe_motions.h"
 #include "services/diagnosis/hypotheses/rivals.h"
 #include "services/sysid/drive_signal.h"
-#include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
 
@@ -171,7 +171,7 @@ std::optional<ProposedMotion> ProposeMotion(const SearchResult& search, const Fi
   options.iterations = kRefitIterations, options.noise_scale = search.noise_scale, options.step_s = step_s;
   const auto trials = static_cast<int>(motions.size() * pairs.size() * 2);
   std::vector<double> nats(static_cast<size_t>(trials));
-  sysid::ParallelFor(threads, trials, [&](int, int i) {
+  ParallelFor(threads, trials, [&](int, int i) {
     if (cancel != nullptr && cancel->cancelled()) return;
     const auto at = static_cast<size_t>(i);
     const Pair& pair = pairs[at / 2 % pairs.size()];

@@ -8,12 +8,12 @@
 #include <utility>
 
 #include "common/base/check.h"
+#include "common/base/parallel.h"
 #include "common/dynamics/dynamics.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/hypotheses/force_samples.h"
 #include "services/diagnosis/likelihood/free_force.h"
 #include "services/diagnosis/likelihood/swing_starts.h"
-#include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
 
@@ -312,7 +312,7 @@ class RodRegression {
       }
     }
     swing_columns_.resize(force_.size(), static_cast<Eigen::Index>(swings_.size()));
-    sysid::ParallelFor(threads, static_cast<int>(swings_.size()), [&](int, int i) {
+    ParallelFor(threads, static_cast<int>(swings_.size()), [&](int, int i) {
       std::vector<std::vector<Vector3d>> pulls;
       for (const HingeMotion& hinge : hinges_)
         pulls.push_back(PullOf(hinge, gravity_, swings_[static_cast<size_t>(i)]));

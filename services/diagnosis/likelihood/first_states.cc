@@ -2,8 +2,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "common/base/parallel.h"
 #include "services/diagnosis/likelihood/lineariser.h"
-#include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
 
@@ -13,7 +13,7 @@ NodeStates InitialStates(const FitData& data, const FitModel& model, const Lifte
   const int nx = lin.nx(), n = data.n;
   NodeStates states(data.windows.size());
   const VectorXd& offsets = lin.sensor_offsets();
-  sysid::ParallelFor(options.threads, static_cast<int>(data.windows.size()), [&](int worker, int w) {
+  ParallelFor(options.threads, static_cast<int>(data.windows.size()), [&](int worker, int w) {
     const NodeWindow& window = data.windows[w];
     const int N = static_cast<int>(window.t.size());
     states[w].setZero(nx, N);

@@ -4,8 +4,8 @@
 #include <vector>
 
 #include "common/base/check.h"
+#include "common/base/parallel.h"
 #include "services/diagnosis/likelihood/lineariser.h"
-#include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
 
@@ -50,7 +50,7 @@ std::vector<FineMotion> FittedMotions(const FitData& data, const FitModel& model
   RG_CHECK(states.size() == data.windows.size());
   std::vector<FineMotion> out = data.fine;
   Lineariser lin(data, {model.plant, model.values, {}}, false, options);
-  sysid::ParallelFor(options.threads, static_cast<int>(data.windows.size()), [&](int worker, int w) {
+  ParallelFor(options.threads, static_cast<int>(data.windows.size()), [&](int worker, int w) {
     const NodeWindow& window = data.windows[w];
     FineMotion& motion = out[window.recording];
     const RowRange rows = RowsIn(window, motion);

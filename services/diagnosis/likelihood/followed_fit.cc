@@ -6,10 +6,10 @@
 #include <map>
 #include <numeric>
 
+#include "common/base/parallel.h"
 #include "services/diagnosis/likelihood/candidate.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/diagnosis/likelihood/swing_starts.h"
-#include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
 
@@ -155,7 +155,7 @@ NodeStates FollowedStates(const FitData& data, const FitModel& given, const Lift
   std::vector<double> spent(chains.size(), 0.0);
   LiftedOptions alone = options;
   alone.threads = 1;
-  sysid::ParallelFor(options.threads, static_cast<int>(chains.size()), [&](int, int c) {
+  ParallelFor(options.threads, static_cast<int>(chains.size()), [&](int, int c) {
     FitData one = data;
     sim::Simulator simulator(model.plant, {.integrator = options.integrator, .step_s = options.step_s});
     simulator.SetParameters(model.values);

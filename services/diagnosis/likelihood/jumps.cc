@@ -6,12 +6,12 @@
 #include <limits>
 #include <optional>
 
+#include "common/base/parallel.h"
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
 #include "services/diagnosis/likelihood/candidate.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/diagnosis/likelihood/swing_starts.h"
-#include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
 
@@ -148,7 +148,7 @@ std::vector<Ends> AllEnds(const FitData& data, const sim::Plant& plant, const Ma
   Lineariser lin(meeting, FitModel{plant, fit.values, {}}, false, options);
   const std::vector<ArrivalCost> loose = ArrivalCosts(plant, fit.states);
   std::vector<Ends> ends(data.windows.size());
-  sysid::ParallelFor(options.threads, static_cast<int>(ends.size()), [&](int worker, int w) {
+  ParallelFor(options.threads, static_cast<int>(ends.size()), [&](int worker, int w) {
     const auto i = static_cast<size_t>(w);
     ends[i] = EndsOf(lin, worker, w, of, fit.states[i], loose[i], options.noise_scale);
   });

@@ -11,12 +11,12 @@
 #include <utility>
 
 #include "common/base/check.h"
+#include "common/base/parallel.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/diagnosis/likelihood/move_states.h"
 #include "services/diagnosis/likelihood/some_windows.h"
 #include "services/sysid/boxed_newton_step.h"
 #include "services/sysid/fit_space.h"
-#include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
 
@@ -214,7 +214,7 @@ class LiftedFit {
 
   void Linearise() {
     std::vector<RowMatrixXd> grams(W_);
-    sysid::ParallelFor(options_.threads, W_, [&](int worker, int w) {
+    ParallelFor(options_.threads, W_, [&](int worker, int w) {
       Linear& l = linear_[w];
       lin_.Run(worker, w, at_.states[w], nullptr, nullptr, true, &l);
       if (!l.ok) return;
@@ -243,7 +243,7 @@ class LiftedFit {
   // The start itself counts; what is not free starts as the parameters say.
   void CountStart() {
     at_.chi2.resize(W_);
-    sysid::ParallelFor(options_.threads, groups_, [&](int worker, int g) {
+    ParallelFor(options_.threads, groups_, [&](int worker, int g) {
       std::vector<int> windows;
       std::vector<VectorXd> starts;
       for (int w = g * W_ / groups_; w < (g + 1) * W_ / groups_; ++w) {
@@ -276,7 +276,7 @@ class LiftedFit {
     lin_.SetValues(model_, to.values);
     const std::vector<double> adopted = hidden_ || iteration_ > 0 ? at_.chi2 : std::vector<double>{};
     std::vector<size_t> simulated(groups_);
-    sysid::ParallelFor(options_.threads, groups_, [&](int worker, int g) {
+    ParallelFor(options_.threads, groups_, [&](int worker, int g) {
       simulated[g] = MoveStates(lin_, worker, g * W_ / groups_, (g + 1) * W_ / groups_, linear_, starts_,
                                 step, adopted, &to.states, &to.chi2);
     });

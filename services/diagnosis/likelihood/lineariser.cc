@@ -5,9 +5,9 @@
 #include <string>
 
 #include "common/base/check.h"
+#include "common/base/parallel.h"
 #include "common/effects/inference.h"
 #include "common/model/robot_model.h"
-#include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
 
@@ -478,7 +478,7 @@ std::vector<VectorXd> ResidualsFrom(const NodeStates& states, const std::vector<
                                     Lineariser& lin) {
   const size_t count = windows.size();
   std::vector<VectorXd> out(count);
-  sysid::ParallelFor(threads, static_cast<int>((count + kTogether - 1) / kTogether), [&](int worker, int g) {
+  ParallelFor(threads, static_cast<int>((count + kTogether - 1) / kTogether), [&](int worker, int g) {
     std::vector<int> here;
     std::vector<VectorXd> starts;
     const size_t first = static_cast<size_t>(g) * kTogether;

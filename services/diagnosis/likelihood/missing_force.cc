@@ -6,9 +6,9 @@
 #include <numeric>
 #include <vector>
 
+#include "common/base/parallel.h"
 #include "services/diagnosis/likelihood/free_force.h"
 #include "services/diagnosis/likelihood/lineariser.h"
-#include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
 
@@ -36,7 +36,7 @@ MissingForce EstimateMissingForce(const FitData& data, const FitModel& model, co
   std::vector<double> chi2(W, 0), unknowns(W, 0);
   std::vector<char> lost(W, 0);
   std::vector<MatrixXd> evidence(W, MatrixXd::Zero(n, n));
-  sysid::ParallelFor(options.threads, W, [&](int worker, int w) {
+  ParallelFor(options.threads, W, [&](int worker, int w) {
     const NodeWindow& window = data.windows[w];
     const ForceSegments segments = SegmentsOf(any, window);
     const int S = static_cast<int>(segments.t.size());

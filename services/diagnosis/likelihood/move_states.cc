@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <utility>
 
-#include "services/sysid/parallel.h"
+#include "common/base/parallel.h"
 
 namespace rg::diagnosis {
 
@@ -107,7 +107,7 @@ size_t TryRecordedStarts(Lineariser& lin, const FitData& data, int threads, Node
       lost.push_back(w);
   }
   const std::vector<VectorXd> ends = Ends(*states);
-  sysid::ParallelFor(threads, static_cast<int>(lost.size()), [&](int worker, int i) {
+  ParallelFor(threads, static_cast<int>(lost.size()), [&](int worker, int i) {
     const int w = lost[i];
     const VectorXd* before = GoesOn(data, w) ? &ends[w - 1] : nullptr;
     lin.TryRecordedStart(worker, w, before, &(*states)[w], &(*chi2)[w]);
@@ -123,7 +123,7 @@ void ChooseFaces(const FitData& data, Lineariser& lin, int threads, double noise
   const double usual = Middle(per_row);
   const bool closely = usual < kMostlyMet * noise_scale;
   const std::vector<VectorXd> ends = Ends(*states);
-  sysid::ParallelFor(threads, W, [&](int worker, int w) {
+  ParallelFor(threads, W, [&](int worker, int w) {
     if (per_row[w] < kUnusual * usual) return;
     const VectorXd* before = GoesOn(data, w) ? &ends[w - 1] : nullptr;
     const double chosen = lin.ChooseFace(worker, w, before, closely, (*chi2)[w], &(*states)[w]);
@@ -134,7 +134,7 @@ void ChooseFaces(const FitData& data, Lineariser& lin, int threads, double noise
 }
 
 void FollowSimulations(const FitData& data, Lineariser& lin, int threads, NodeStates* states) {
-  sysid::ParallelFor(threads, static_cast<int>(data.windows.size()),
+  ParallelFor(threads, static_cast<int>(data.windows.size()),
                      [&](int worker, int w) { lin.Simulate(worker, w, &(*states)[w]); });
 }
 

@@ -2,10 +2,10 @@
 
 #include <cmath>
 
+#include "common/base/parallel.h"
 #include "services/diagnosis/likelihood/jumps.h"
 #include "services/diagnosis/likelihood/lineariser.h"
 #include "services/diagnosis/likelihood/screen.h"
-#include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
 
@@ -22,7 +22,7 @@ double OwnChi2(const FitData& data, const FitModel& model, const NodeStates& sta
   Lineariser other(data, fixed, false, OtherStepRule(options));
   const double noise = std::sqrt(options.noise_scale);
   const int n = data.n;
-  sysid::ParallelFor(options.threads, static_cast<int>(own.windows.size()), [&](int worker, int w) {
+  ParallelFor(options.threads, static_cast<int>(own.windows.size()), [&](int worker, int w) {
     NodeWindow& window = own.windows[w];
     VectorXd by = other.Residuals(worker, w, states[w].col(0));
     if (!by.allFinite()) return;

@@ -5,8 +5,8 @@
 #include <cmath>
 #include <numeric>
 
+#include "common/base/parallel.h"
 #include "services/diagnosis/likelihood/lineariser.h"
-#include "services/sysid/parallel.h"
 
 namespace rg::diagnosis {
 
@@ -328,7 +328,7 @@ Screened LinearisedOnce(const FitData& data, const FitModel& model, const NodeSt
     for (const std::vector<long>& own : segments)
       out.taken[w].push_back(IntegratedOut(own, places, D, gram, null));
   };
-  sysid::ParallelFor(options.threads, parts, [&](int worker, int part) {
+  ParallelFor(options.threads, parts, [&](int worker, int part) {
     for (int w = part; w < W; w += parts) add(worker, part, w);
   });
   screen.gram = MatrixXd::Zero(D, D);

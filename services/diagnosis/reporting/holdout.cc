@@ -4,11 +4,11 @@
 #include <cmath>
 #include <limits>
 
+#include "common/base/parallel.h"
 #include "common/recordings/prescribed.h"
 #include "common/sim/simulator.h"
 #include "services/diagnosis/hypotheses/given_model.h"
 #include "services/sysid/drive_signal.h"
-#include "services/sysid/parallel.h"
 #include "services/sysid/prediction.h"
 
 namespace rg::diagnosis {
@@ -31,7 +31,7 @@ JudgedRecordings Judge(const std::vector<const recordings::Recording*>& recs, co
   JudgedRecordings out;
   out.predictions.resize(recs.size());
   out.errors.resize(recs.size());
-  sysid::ParallelFor(threads, static_cast<int>(recs.size()), [&](int, int i) {
+  ParallelFor(threads, static_cast<int>(recs.size()), [&](int, int i) {
     out.predictions[i] = sysid::PredictRecording(plant, values, *recs[i], options);
     out.errors[i] = sysid::ErrorOf(out.predictions[i], *recs[i]);
   });
