@@ -185,7 +185,7 @@ Status CheckNeverBegun(const Spool& spool, const std::string& id) {
                             "longer in the spool " +
                             spool.folder() +
                             " (the store has it, or look in broken/): "
-                            "submit it as a new job");
+                            "`realitygrad job retry` makes another attempt, which moves the arm");
 }
 
 double SamplesOf(const rollouts::RolloutSpec& spec) { return spec.rate_hz * spec.duration_s + 64.0; }

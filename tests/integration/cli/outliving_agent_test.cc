@@ -136,7 +136,8 @@ TEST_F(OutlivingAgent, TrajectoriesAndIterationsOfTwoInTurn) {
   MoveTo("service.db");
   EXPECT_EQ(PlansOf(Run(trajectories + "1")), planned);
   EXPECT_EQ(RecordingOf(Run(iteration))["end_reason"], RecordingOf(first)["end_reason"]);
-  for (const auto& worker : *client().Workers()) EXPECT_EQ(worker.tasks_failed(), 0u) << worker.name();
+  const auto workers = client().Workers();
+  for (const auto& worker : *workers) EXPECT_EQ(worker.tasks_failed(), 0u) << worker.name();
 }
 
 }  // namespace
