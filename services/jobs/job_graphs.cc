@@ -182,7 +182,7 @@ void AppendAggregation(const IterationOptions& options, const IterationInputs& i
                        pb::JobSpec* job) {
   pb::TrajectoriesPayload payload = PairsPayload(options, DerivedSeed(options, static_cast<uint64_t>(round)));
   payload.set_expert_share(std::pow(0.5, round + 1));
-  payload.set_hold_s(options.trajectories.duration_s);
+  payload.set_hold_s(kHeldShare * options.trajectories.duration_s);
   TrajectoriesOptions pairs = options.trajectories;
   pairs.count = std::max(1, static_cast<int>(std::lround(kAggregatedPairs * pairs.count)));
   for (pb::TaskSpec* task : AppendShards(pairs, payload, "aggregate-" + std::to_string(round),

@@ -24,8 +24,8 @@ struct TrajectoriesOptions {
 
 // Epochs of an iteration's policies before the last, as a share of TrainOptions::epochs: they only drive.
 inline constexpr double kDriverEpochs = 0.4;
-// Pairs of a round of aggregation, as a share of the trajectories; each lasts twice as long as one of these.
-inline constexpr double kAggregatedPairs = 0.5;
+// Pairs of a round of aggregation, as a share of the trajectories, and how much longer than these each holds its goal.
+inline constexpr double kAggregatedPairs = 0.75, kHeldShare = 0.5;
 // Rounds more than TrainOptions::aggregations for a policy that does not pass its examination.
 inline constexpr int kFurtherAggregations = 2;
 
