@@ -139,7 +139,7 @@ Result<std::unique_ptr<Controller>> MakeMpcController(const sim::Plant& plant, c
                                                       const Eigen::VectorXd& torque_limit, double rate_hz,
                                                       double speed) {
   trajectories::MpcOptions options;
-  options.velocity_margin = 1.0 - speed * (1.0 - options.velocity_margin);
+  options.velocity_margin = 1.0 - speed * (1.0 - trajectories::kRobotVelocityMargin);
   options.interval_s = 1.0 / rate_hz;
   options.peak_torque = torque_limit;
   RG_ASSIGN_OR_RETURN(auto mpc, trajectories::MpcController::Create(plant, values, options));

@@ -28,6 +28,7 @@ Eigen::VectorXd ToVector(const google::protobuf::RepeatedField<double>& values) 
 
 trajectories::ShardSpec SpecOf(const pb::TrajectoriesPayload& payload) {
   trajectories::ShardSpec spec;
+  spec.mpc.velocity_margin = trajectories::kRobotVelocityMargin;
   spec.mpc.warm_iterations = 1;  // a second one changed no policy's errors by more than seeds do
   spec.seed = payload.seed();
   spec.first = payload.first();

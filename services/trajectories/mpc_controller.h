@@ -19,6 +19,10 @@
 
 namespace rg::trajectories {
 
+// MpcOptions::velocity_margin of what a robot is to execute, itself or by the policy learned from it: its safety monitor
+// has the same limits.
+inline constexpr double kRobotVelocityMargin = 0.05;
+
 struct MpcOptions {
   double interval_s = 0.04;  // control interval: 25 Hz, the paper
   double horizon_s = 1.0;    // the paper; rounded to whole intervals
@@ -37,7 +41,7 @@ struct MpcOptions {
   Eigen::VectorXd peak_torque;
   // The plan keeps this far from the limits, so that what is executed holds them exactly.
   double position_margin = 0.01;  // rad or m
-  double velocity_margin = 0.05;  // share of the limit
+  double velocity_margin = 0.02;  // share of the limit
 
   int cold_iterations = 30;
   // Of a plant with an effect of dry friction a cold start first plans with friction smoothed over so many
