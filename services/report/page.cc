@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
 
@@ -17,15 +18,30 @@ namespace {
 using nlohmann::json;
 
 const char* StyleName(SeriesStyle style) {
-  return style == SeriesStyle::kDashed ? "dashed" : style == SeriesStyle::kPoints ? "points" : "line";
+  static constexpr const char* kNames[] = {"line", "dashed", "points", "steps"};
+  return kNames[static_cast<int>(style)];
 }
 
-// Six digits are more than a screen shows, and a third of the bytes of all.
-json Number(double x) {
+constexpr int kDigits = 6;  // more than a screen shows, and a third of the bytes of all
+
+json Number(double x, int digits = kDigits) {
   if (!std::isfinite(x)) return nullptr;
   char text[32];
-  std::snprintf(text, sizeof text, "%.6g", x);
+  std::snprintf(text, sizeof text, "%.*g", digits, x);
   return std::strtod(text, nullptr);
+}
+
+// Of values that differ late only, as many more digits as they share.
+int Digits(const std::vector<Series>& series, std::vector<double> Series::*axis) {
+  double low = std::numeric_limits<double>::infinity(), high = -low;
+  for (const Series& s : series) {
+    for (const double value : s.*axis) {
+      if (std::isfinite(value)) low = std::min(low, value), high = std::max(high, value);
+    }
+  }
+  if (!(high > low)) return kDigits;
+  const double shared = std::round(std::log10(std::max(std::abs(low), std::abs(high)) / (high - low)));
+  return kDigits + std::clamp(static_cast<int>(shared), 0, 17 - kDigits);
 }
 
 // One row per distinct x over all series; a series without a value there has null.
@@ -40,9 +56,10 @@ json MergedRows(const std::vector<Series>& series) {
     }
   }
   json out = json::array();
+  const int x_digits = Digits(series, &Series::x), y_digits = Digits(series, &Series::y);
   for (const auto& [x, ys] : rows) {
-    json row = json::array({Number(x)});
-    for (double y : ys) row.push_back(Number(y));
+    json row = json::array({Number(x, x_digits)});
+    for (double y : ys) row.push_back(Number(y, y_digits));
     out.push_back(std::move(row));
   }
   return out;

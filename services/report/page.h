@@ -8,7 +8,7 @@
 
 namespace rg::report {
 
-enum class SeriesStyle { kLine, kDashed, kPoints };
+enum class SeriesStyle { kLine, kDashed, kPoints, kSteps };  // kSteps: each y holds until the next x
 
 struct Series {
   std::string name;

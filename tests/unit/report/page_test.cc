@@ -59,6 +59,19 @@ TEST(Page, ShadesStretchesAndBreaksLinesWhereAsked) {
   EXPECT_TRUE(shaded["breaks"].get<bool>());
 }
 
+TEST(Page, ValuesThatDifferLateStayApart) {
+  Page page("t", "s");
+  page.AddPlot(
+      {"p", "x", "y", {{"a", {0, 1, 2}, {0.81234561, 0.81234558, 0.81234549}, SeriesStyle::kSteps}}});
+  page.AddPlot({"p", "x", "y", {{"a", {0, 1}, {1.0 / 3, 2.0 / 3}}}});
+  const std::string html = page.Html();
+  const auto late = PlotJson(html, 0);
+  EXPECT_EQ(late["styles"][0], "steps");
+  EXPECT_GT(late["rows"][0][1], late["rows"][1][1]);
+  EXPECT_GT(late["rows"][1][1], late["rows"][2][1]);
+  EXPECT_LE(PlotJson(html, 1)["rows"][0][1].dump().size(), 10u) << "others are short";
+}
+
 TEST(FormatNumber, KeepsSignificantDigits) {
   EXPECT_EQ(FormatNumber(0.012345), "0.0123");
   EXPECT_EQ(FormatNumber(123.456), "123");
