@@ -6,6 +6,7 @@
 
 #include "common/model/robot_model.h"
 #include "services/cli/output.h"
+#include "services/cli/search_plot.h"
 #include "services/report/page.h"
 #include "services/rollouts/scoring.h"
 
@@ -229,16 +230,11 @@ std::vector<report::Plot> TipPlots(const Motions& motions) {
 }
 
 report::Plot SearchPlot(const Definition& definition, const json& repetition) {
-  report::Plot plot{"Basin hopping, best chain", "hop", "cost, best so far", {}};
+  report::Plot plot{"Basin hopping", "search of each chain [s]", "least cost so far", {}};
   plot.log_y = true;
   for (const Arm& arm : definition.arms) {
-    std::vector<double> x, best;
-    if (!repetition.contains(arm.key)) continue;
-    for (const json& hop : repetition.at(arm.key).at("identification").value("history", json::array())) {
-      x.push_back(hop[0].get<double>());
-      best.push_back(hop[2].is_number() ? hop[2].get<double>() : std::nan(""));
-    }
-    plot.series.push_back({arm.title, x, best});
+    if (repetition.contains(arm.key))
+      plot.series.push_back(LeastCost(repetition.at(arm.key).at("identification"), arm.title));
   }
   return plot;
 }

@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "services/cli/output.h"
+#include "services/cli/search_plot.h"
 #include "services/report/page.h"
 
 namespace rg::cli {
@@ -186,20 +187,6 @@ report::Plot LossPlot(const json& result) {
   return plot;
 }
 
-report::Plot HopsPlot(const json& result) {
-  report::Plot plot{"Basin hopping, best chain", "hop", "cost", {}};
-  plot.log_y = true;
-  std::vector<double> x, cost, best;
-  for (const json& hop : result.at("identification").value("history", json::array())) {
-    x.push_back(hop[0].get<double>()),
-        cost.push_back(hop[1].is_number() ? hop[1].get<double>() : std::nan("")),
-        best.push_back(hop[2].get<double>());
-  }
-  plot.series.push_back({"of the hop", x, cost, report::SeriesStyle::kPoints});
-  plot.series.push_back({"best so far", x, best});
-  return plot;
-}
-
 double Reduction(const json& result) {
   return 1.0 - Number(result, "/identification/after/accumulated_tip_m"_json_pointer) /
                    Number(result, "/identification/before/accumulated_tip_m"_json_pointer);
@@ -358,7 +345,9 @@ std::string RunPage(const std::string& robot, const std::vector<json>& results) 
   for (size_t i = 0; i < results.size(); ++i) {
     page.Heading("Iteration " + std::to_string(i + 1) + ": joint responses");
     page.AddPlots(ResponsePlots(results[i]), 380);
-    page.AddPlots({LossPlot(results[i]), HopsPlot(results[i])});
+    std::vector<report::Plot> plots = {LossPlot(results[i])};
+    for (report::Plot& plot : SearchPlots(results[i].at("identification"))) plots.push_back(std::move(plot));
+    page.AddPlots(plots);
     if (const std::string said = AboutRollout(results[i]); !said.empty())
       page.Note("Rollout: " + said + ".", true);
     AddDiagnosis(page, results[i]);

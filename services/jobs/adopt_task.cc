@@ -187,8 +187,7 @@ Result<worker::TaskOutputs> RunAdopt(const worker::TaskInput& input, worker::Tas
   json brought = Shortened(diagnosis);
   brought["rollouts"] = all.size();
   if (!read.left_out.empty()) brought["left_out"] = read.left_out;
-  const json about = json::parse(said->metadata_json, nullptr, false);
-  brought["quiet_joints"] = about.is_object() ? about.value("quiet_joints", json::array()) : json::array();
+  brought["quiet_joints"] = MetadataOf(*said).value("quiet_joints", json::array());
   brought["window_s"] = kWindow_s;
   brought["unseen"] = unseen;
   brought["all_rollouts"] = fitted;

@@ -84,9 +84,24 @@ int MostHops(const pb::IdentifyPayload& payload) {
   return payload.chains() > 1 && payload.round() + 2 < payload.rounds() ? kHopsBeforeExchange : 1 << 30;
 }
 
+// The time that a chain has searched, over all its rounds. It travels in the metadata, since a chain's bytes
+// depend on its payload and inputs alone.
+struct SearchTime {
+  std::vector<double> hops;  // at which each ended
+  double total = 0.0;
+};
+
+SearchTime TimeSoFar(const worker::InputArtifact* own) {
+  if (own == nullptr) return {};
+  const json said = MetadataOf(*own);
+  return {said.value("hop_seconds", std::vector<double>()), said.value("search_seconds", 0.0)};
+}
+
+double Milliseconds(double seconds) { return std::round(1e3 * seconds) / 1e3; }
+
 // Hops until the round's budget is spent, or hops agree before a budget of time is; a checkpoint after each.
 sysid::HopState HopOn(const IdentifyProblem& problem, const pb::IdentifyPayload& payload,
-                      sysid::HopState state, int first_hop, worker::TaskContext& context) {
+                      sysid::HopState state, int first_hop, worker::TaskContext& context, SearchTime* time) {
   sysid::HopOptions options;
   options.solve.solver = SolverOf(payload);
   // A hop that no longer moves the cost's fifth digit has found its basin's floor: the next one tells more.
@@ -94,7 +109,9 @@ sysid::HopState HopOn(const IdentifyProblem& problem, const pb::IdentifyPayload&
   const bool timed = payload.budget_s() > 0;
   const int hops = MostHops(payload);
   const double seconds = timed ? payload.budget_s() : 1e30;
-  const double start = RealClock().SteadySeconds();
+  const double start = RealClock().SteadySeconds(), before = time->total;
+  // When the hops of an attempt that was lost ended is not known: they count no time.
+  time->hops.resize(static_cast<size_t>(state.hops), before);
   while (!context.cancelled()) {
     const double spent = RealClock().SteadySeconds() - start;
     const int done = state.hops - first_hop;
@@ -102,6 +119,8 @@ sysid::HopState HopOn(const IdentifyProblem& problem, const pb::IdentifyPayload&
     // One hop, or what the clock leaves of it, between checkpoints.
     state = sysid::RunHops(problem.problem(), options, std::move(state), {1, seconds - spent}, RealClock(),
                            {}, &context.cancel_token());
+    time->total = Milliseconds(before + RealClock().SteadySeconds() - start);
+    time->hops.resize(static_cast<size_t>(state.hops), time->total);
     (void)context.SaveCheckpoint(sysid::SerializeHopState(state));
     char note[64];
     std::snprintf(note, sizeof note, "cost %.4g, %d hops", state.best_cost, state.hops);
@@ -136,16 +155,19 @@ Result<worker::TaskOutputs> RunIdentify(const worker::TaskInput& input, worker::
     options.long_weight = 0.0;
     RG_ASSIGN_OR_RETURN(problem, IdentifyProblem::Create(model.plant, model.values, recording, options));
   }
-  state = HopOn(problem, payload, std::move(state), first_hop, context);
+  SearchTime time = TimeSoFar(own);
+  state = HopOn(problem, payload, std::move(state), first_hop, context, &time);
   if (context.cancelled()) return CancelledError("identification was cancelled");
   const json summary = {{"chain", state.chain},
                         {"hops", state.hops},
                         {"best_cost", state.best_cost},
                         {"windows", problem.windows()},
                         {"seconds", RealClock().SteadySeconds() - start}};
+  json metadata = summary;
+  metadata["hop_seconds"] = time.hops, metadata["search_seconds"] = time.total;
   worker::TaskOutputs outputs;
   outputs.artifacts.push_back(
-      {kOutputChain, kArtifactHopState, sysid::SerializeHopState(state), summary.dump()});
+      {kOutputChain, kArtifactHopState, sysid::SerializeHopState(state), metadata.dump()});
   outputs.summary_json = summary.dump();
   return outputs;
 }

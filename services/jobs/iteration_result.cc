@@ -8,6 +8,7 @@
 #include "realitygrad/v1/payloads.pb.h"
 #include "services/jobs/identify_problem.h"
 #include "services/jobs/kinds.h"
+#include "services/jobs/task_support.h"
 
 namespace rg::jobs {
 namespace {
@@ -18,11 +19,6 @@ using Eigen::VectorXd;
 using nlohmann::json;
 
 constexpr double kJudgementWindow_s = 1.0;
-
-json Parsed(const std::string& text) {
-  json value = json::parse(text.empty() ? "{}" : text, nullptr, false);
-  return value.is_discarded() ? json::object() : value;
-}
 
 json Numbers(const VectorXd& values) {
   return std::vector<double>(values.data(), values.data() + values.size());
@@ -51,7 +47,7 @@ json TrajectoriesJson(const worker::TaskInput& input) {
   json total = {
       {"solved", 0}, {"failed", 0}, {"failures", json::object()}, {"samples", 0}, {"task_seconds", 0.0}};
   for (const worker::InputArtifact* shard : input.All(kInputShard)) {
-    const json one = Parsed(shard->metadata_json);
+    const json one = MetadataOf(*shard);
     for (const char* key : {"solved", "failed", "samples"})
       total[key] = total[key].get<int64_t>() + one.value(key, int64_t{0});
     total["task_seconds"] = total["task_seconds"].get<double>() + one.value("seconds", 0.0);
@@ -63,12 +59,38 @@ json TrajectoriesJson(const worker::TaskInput& input) {
   return total;
 }
 
-json MetadataOf(const worker::TaskInput& input, const char* name) {
+json SaidOf(const worker::TaskInput& input, const char* name) {
   const worker::InputArtifact* artifact = input.Find(name);
   if (artifact == nullptr) return nullptr;
-  json out = Parsed(artifact->metadata_json);
+  json out = MetadataOf(*artifact);
   out["sha256"] = artifact->sha256;
   return out;
+}
+
+// The hops of all chains, by columns: when each ended (seconds that its chain had searched), where it began
+// if at a point of the chain itself, its cost, whether it was accepted. Costs from hop `whole_from` on, if
+// there is one, weigh the whole recording too: another scale. A hop that the clock cut is in `best_cost`
+// alone.
+json SearchJson(const worker::TaskInput& input) {
+  json chains = json::array();
+  for (const worker::InputArtifact* artifact : input.All(kInputChain)) {
+    const auto state = sysid::ParseHopState(artifact->bytes);
+    if (!state.ok() || !state->started()) continue;
+    const json said = MetadataOf(*artifact);
+    json chain = {{"chain", state->chain},
+                  {"seconds", said.value("hop_seconds", json::array())},
+                  {"whole_from", state->first_hop > 0 ? json(state->first_hop) : json()},
+                  {"search_seconds", said.value("search_seconds", 0.0)},
+                  {"best_cost", state->best_cost}};
+    for (const char* column : {"start", "cost", "accepted"}) chain[column] = json::array();
+    for (const sysid::HopRecord& hop : state->history) {
+      chain["start"].push_back(hop.start);
+      chain["cost"].push_back(hop.cost);
+      chain["accepted"].push_back(hop.accepted);
+    }
+    chains.push_back(std::move(chain));
+  }
+  return chains;
 }
 
 // Links that could exist before the fit and cannot after it: parameters that move one by one may go there
@@ -132,22 +154,20 @@ json ResultJson(const worker::TaskInput& input, const pb::ConcludePayload& paylo
                 const sysid::IdentifiabilityReport& identified) {
   int hops = 0;
   for (const worker::InputArtifact* chain : input.All(kInputChain))
-    hops += Parsed(chain->metadata_json).value("hops", 0);
-  json history = json::array();
-  for (const sysid::HopRecord& hop : best.history) history.push_back({hop.hop, hop.cost, hop.best});
+    hops += MetadataOf(*chain).value("hops", 0);
   return {{"format", "realitygrad.iteration/1"},
           {"iteration", payload.iteration()},
           {"robot", payload.robot()},
           {"trajectories", TrajectoriesJson(input)},
-          {"policy", MetadataOf(input, kInputPolicy)},
-          {"examination", MetadataOf(input, kInputExamination)},
-          {"rollout", MetadataOf(input, kInputRecording)},
+          {"policy", SaidOf(input, kInputPolicy)},
+          {"examination", SaidOf(input, kInputExamination)},
+          {"rollout", SaidOf(input, kInputRecording)},
           {"identification",
            {{"chains", payload.identify().chains()},
             {"hops", hops},
             {"best_chain", best.chain},
             {"best_cost", best.best_cost},
-            {"history", history},
+            {"search", SearchJson(input)},
             {"before", ErrorJson(judgement.before)},
             {"after", ErrorJson(judgement.after)},
             {"before_windows", ErrorJson(judgement.before_windows)},

@@ -1,6 +1,7 @@
 // Shared by the task kinds: payloads and inputs read with errors that name them.
 #pragma once
 
+#include <nlohmann/json_fwd.hpp>
 #include <string>
 
 #include "common/base/status.h"
@@ -21,5 +22,8 @@ Result<Payload> ParsePayload(const worker::TaskInput& input) {
 
 // The input `model` as a plant with values.
 Result<sim::ModelFile> ModelOf(const worker::TaskInput& input);
+
+// What the task that made the artefact said of it; an object, empty where it said nothing.
+nlohmann::json MetadataOf(const worker::InputArtifact& artifact);
 
 }  // namespace rg::jobs

@@ -14,9 +14,13 @@ using Eigen::VectorXd;
 using nlohmann::json;
 constexpr char kFormat[] = "realitygrad.hop_state/1";
 
+// Whether the next hop begins at a point of the chain itself.
+bool BeginsAtOwnPoint(const HopState& state) {
+  return state.from_current || (state.hops == 0 && state.chain == 0);
+}
+
 VectorXd DrawStart(const LeastSquaresProblem& problem, const HopState& state, Rng* rng) {
-  if (state.from_current) return state.current;
-  if (state.hops == 0 && state.chain == 0) return problem.initial;
+  if (BeginsAtOwnPoint(state)) return state.from_current ? state.current : problem.initial;
   const VectorXd range = problem.search_upper - problem.search_lower;
   VectorXd p(range.size());
   for (int i = 0; i < p.size(); ++i) {
@@ -76,8 +80,10 @@ bool RunOneHop(const LeastSquaresProblem& problem, const HopOptions& options, co
     state->best = problem.initial;
     state->best_cost = std::numeric_limits<double>::max();
   }
+  HopRecord record{state->hops, solved.cost, state->best_cost, state->step_size, accepted};
+  if (BeginsAtOwnPoint(*state)) record.start = solved.start_cost;
+  state->history.push_back(record);
   state->from_current = false;
-  state->history.push_back({state->hops, solved.cost, state->best_cost, state->step_size, accepted});
   ++state->hops;
   AdaptStep(options, accepted, state);
   return true;
@@ -173,7 +179,8 @@ bool Agrees(const HopState& state) {
 std::string SerializeHopState(const HopState& state) {
   json history = json::array();
   for (const HopRecord& h : state.history) {
-    history.push_back({h.hop, NumberToJson(h.cost), NumberToJson(h.best), h.step_size, h.accepted});
+    history.push_back(
+        {h.hop, NumberToJson(h.cost), NumberToJson(h.best), h.step_size, h.accepted, NumberToJson(h.start)});
   }
   json others = json::array();
   for (const double cost : state.others) others.push_back(NumberToJson(cost));
@@ -219,8 +226,10 @@ Result<HopState> ParseHopState(const std::string& text) {
     state.taken = j.value("taken", false);
     for (const json& cost : j.value("others", json::array())) state.others.push_back(NumberFromJson(cost));
     for (const json& h : j.at("history")) {
-      state.history.push_back({h.at(0).get<int>(), NumberFromJson(h.at(1)), NumberFromJson(h.at(2)),
-                               h.at(3).get<double>(), h.at(4).get<bool>()});
+      HopRecord record{h.at(0).get<int>(), NumberFromJson(h.at(1)), NumberFromJson(h.at(2)),
+                       h.at(3).get<double>(), h.at(4).get<bool>()};
+      if (h.size() > 5) record.start = NumberFromJson(h.at(5));
+      state.history.push_back(record);
     }
     return state;
   } catch (const json::exception& e) {

@@ -13,6 +13,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -29,6 +30,9 @@ struct HopRecord {
   double best = 0.0;  // of the chain, after the hop
   double step_size = 0.0;
   bool accepted = false;
+  // Where it began, if at a point of the chain itself (its first, or its best on a cost function that is
+  // new); infinite: a start that was drawn.
+  double start = std::numeric_limits<double>::infinity();
 };
 
 struct HopState {

@@ -103,6 +103,7 @@ class TrackingCost final : public ceres::CostFunction {
 
   void Track(const VectorXd& p, const double* residuals) const {
     const double cost = Eigen::Map<const VectorXd>(residuals, num_residuals()).squaredNorm();
+    if (best_.cost == std::numeric_limits<double>::infinity()) best_.start_cost = cost;
     if (cost >= best_.cost) return;
     best_.p = p;
     best_.cost = cost;
@@ -188,6 +189,7 @@ SolveSummary SolveWithoutUnknowns(const LeastSquaresProblem& problem, const Vect
   summary.p = p;
   summary.evaluations = 1;
   const bool ok = EvaluateCost(problem, p, stop, &summary.cost);
+  summary.start_cost = summary.cost;
   summary.residual = summary.cost - (problem.alpha.array() * (p - problem.initial).array().square()).sum();
   summary.termination = ok ? Termination::kConverged : Termination::kFailed;
   summary.message = "no parameter is free";

@@ -8,6 +8,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <limits>
 #include <string>
 #include <string_view>
 
@@ -60,6 +61,7 @@ struct SolveSummary {
   Eigen::VectorXd p;      // the best point seen, also when stopped early
   double cost = 0.0;      // at p, with the regulariser
   double residual = 0.0;  // Σ r² at p
+  double start_cost = std::numeric_limits<double>::infinity();  // at the start; infinite: not finite there
   Termination termination = Termination::kFailed;
   std::string message;
   int iterations = 0;

@@ -27,7 +27,13 @@ json Result(double residual, double tip, bool before_ok = true) {
         {"after", judged},
         {"after_windows", {{"ok", true}, {"joint_rms", 0.01}}},
         {"before_windows", {{"ok", true}, {"joint_rms", 1.0}}},
-        {"history", {{0, 2.0, 2.0}, {1, 3.0, 1.5}}},
+        {"search", json::array({{{"seconds", {1.0, 2.0}},
+                                 {"start", {9.0, nullptr}},
+                                 {"cost", {2.0, 1.5}},
+                                 {"accepted", {true, true}},
+                                 {"whole_from", nullptr},
+                                 {"search_seconds", 2.0},
+                                 {"best_cost", 1.5}}})},
         {"hops", 2},
         {"identifiability",
          {{"parameters",
@@ -108,6 +114,7 @@ TEST(ExperimentPage, ShowsTheBestRepetitionsPlotsAndDamping) {
   EXPECT_THAT(page, HasSubstr("whole recording"));
   EXPECT_THAT(page, HasSubstr("shoulder"));
   EXPECT_THAT(page, HasSubstr("12.12"));
+  EXPECT_THAT(page, HasSubstr("search of each chain [s]"));
 }
 
 }  // namespace

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
+#include <nlohmann/json.hpp>
 
 #include "common/base/file.h"
 #include "common/base/rng.h"
@@ -23,6 +24,7 @@ namespace {
 namespace pb = realitygrad::v1;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
+using nlohmann::json;
 
 std::string UrdfPath() {
   const char* source = std::getenv("RG_SOURCE_DIR");
@@ -153,6 +155,54 @@ TEST(IdentifyTask, ChainsThatMayStopEarlyExchangeAfterTwoHopsEach) {
       *sysid::ParseHopState(round(0, 1, {As(kInputChain, first[0]), As(kInputOthers, first[1])}));
   EXPECT_TRUE(sysid::Agrees(second));
   EXPECT_EQ(second.hops, 2) << "four hops to one minimum say enough";
+}
+
+// Two chains of two rounds, of which the last weighs the whole recording too.
+TEST(Conclusion, HasTheHopsOfAllChainsOverTheirTime) {
+  const Loop loop;
+  std::vector<worker::InputArtifact> chains;
+  for (int round = 0; round < 2; ++round) {
+    std::vector<worker::InputArtifact> next;
+    for (int chain = 0; chain < 2; ++chain) {
+      std::vector<worker::InputArtifact> inputs;
+      if (round > 0) {
+        inputs = chains;
+        for (worker::InputArtifact& other : inputs) other.name = kInputOthers;
+        inputs.push_back(chains[static_cast<size_t>(chain)]);
+      }
+      worker::RecordingTaskContext context("");
+      const auto done = RunIdentify(loop.Input(chain, round, 2, inputs), context);
+      ASSERT_TRUE(done.ok()) << done.status().ToString();
+      next.push_back(As(kInputChain, done->artifacts.front().bytes));
+      next.back().metadata_json = done->artifacts.front().metadata_json;
+    }
+    chains = next;
+  }
+  pb::ConcludePayload payload;
+  payload.mutable_identify()->ParseFromString(loop.Input(0, 1, 2).payload);
+  payload.mutable_identify()->set_chains(2);
+  payload.set_robot("arm2");
+  worker::TaskInput input;
+  input.kind = kKindConclude, input.task_name = "conclusion";
+  payload.SerializeToString(&input.payload);
+  input.inputs = {loop.model, loop.recording, chains[0], chains[1]};
+  worker::RecordingTaskContext context("");
+  const auto concluded = RunConclude(input, context);
+  ASSERT_TRUE(concluded.ok()) << concluded.status().ToString();
+  const auto result = std::ranges::find(concluded->artifacts, kOutputResult, &worker::OutputArtifact::name);
+  ASSERT_NE(result, concluded->artifacts.end());
+  const json search = json::parse(result->bytes).at("identification").at("search");
+  ASSERT_EQ(search.size(), 2u);
+  for (const json& chain : search) {
+    const auto seconds = chain.at("seconds").get<std::vector<double>>();
+    ASSERT_EQ(seconds.size(), 4u) << chain.dump();
+    EXPECT_TRUE(std::ranges::is_sorted(seconds)) << "rounds go on where the one before ended";
+    EXPECT_EQ(chain.at("search_seconds"), seconds.back());
+    EXPECT_EQ(chain.at("whole_from"), 2);
+    EXPECT_EQ(chain.at("accepted").size(), 4u);
+    EXPECT_TRUE(chain.at("start")[1].is_null()) << "a perturbed start";
+    EXPECT_GE(chain.at("start")[2].get<double>(), chain.at("cost")[2].get<double>());
+  }
 }
 
 TEST(IdentifyTask, CancelledItHasNoResult) {

@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 #include "tests/unit/sysid/toy_residuals.h"
 
 namespace rg::sysid {
@@ -116,6 +118,23 @@ TEST(BasinHopping, LaterIterationsStartFromTheLastOptimum) {
   options.solve.max_iterations = 0;
   const HopState s = RunHops(toy.problem, options, StartChainAt(3, 1, last, 1.0), {.hops = 1}, RealClock());
   EXPECT_EQ(s.current, last);
+}
+
+TEST(BasinHopping, RecordsWhereTheChainsOwnPointsBegan) {
+  Toy toy;
+  HopState s = RunHops(toy.problem, {}, StartChain(1, 0), {.hops = 2}, RealClock());
+  double cost = 0.0;
+  ASSERT_TRUE(EvaluateCost(toy.problem, toy.problem.initial, {}, &cost));
+  EXPECT_DOUBLE_EQ(s.history[0].start, cost) << "chain 0 begins at p_init";
+  EXPECT_GT(s.history[0].start, s.history[0].cost);
+  EXPECT_TRUE(std::isinf(s.history[1].start)) << "a perturbed start is no point of the chain";
+  ChangeCost(s.best_cost, &s);
+  s = *ParseHopState(SerializeHopState(s));
+  s = RunHops(toy.problem, {}, s, {.hops = 1}, RealClock());
+  EXPECT_DOUBLE_EQ(s.history[0].start, cost);
+  EXPECT_NEAR(s.history[2].start, s.history[1].best, 1e-9) << "on a new cost it begins at its best";
+  EXPECT_TRUE(
+      std::isinf(RunHops(toy.problem, {}, StartChain(1, 1), {.hops = 1}, RealClock()).history[0].start));
 }
 
 TEST(BasinHopping, ChainAgreesOnceThreeHopsCameToOneMinimum) {
