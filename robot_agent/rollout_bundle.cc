@@ -126,6 +126,7 @@ Result<FinishedRollout> Finish(const RawRecording& raw) {
   } else {
     rollout["end_reason"] = EndReasonName(EndReason::kInterrupted);
     rollout["detail"] = "the process that recorded it ended before the rollout did";
+    rollout["ended_after_s"] = raw.samples.empty() ? 0.0 : 1e-9 * static_cast<double>(raw.samples.back().time_ns);
   }
   const EndReason reason = EndReasonFromName(rollout.value("end_reason", ""));
   const auto rows = ChooseRows(raw, static_cast<int>(joints.size()), reason);

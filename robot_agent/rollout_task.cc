@@ -18,6 +18,7 @@
 #include "robot_agent/spool_delivery.h"
 #include "services/rollouts/recording_bundle.h"
 #include "services/rollouts/reference_motion.h"
+#include "services/rollouts/rollout_end.h"
 #include "services/rollouts/trust.h"
 #include "services/trajectories/reference_tracking.h"
 
@@ -143,7 +144,11 @@ RolloutTaskOutput OutputOf(const RolloutResult& result, const std::vector<std::s
   const json none = json::object();
   RolloutTaskOutput output;
   output.metadata_json = rollout.dump();
-  output.summary_json = json{{"end_reason", EndReasonName(result.reason)},
+  output.end = rollouts::HowItEnded(rollout);
+  if (!output.end.as_asked && !others.empty())
+    output.end.text += ", in the longest of " + std::to_string(others.size() + 1) + " attempts";
+  output.summary_json = json{{"ended", output.end.text},
+                             {"end_reason", EndReasonName(result.reason)},
                              {"detail", result.detail},
                              {"rows", result.rows},
                              {"ended_after_s", rollout.value("ended_after_s", 0.0)},
@@ -212,32 +217,22 @@ Result<RolloutResult> RunOnce(const Common& all, const RolloutPlan& plan, std::v
   return result;
 }
 
-// How a rollout ended, and whether another attempt may follow it.
-struct AttemptEnd {
-  std::string line;
-  bool avoidable = false;
-};
-
-AttemptEnd HowItEnded(const RolloutResult& result) {
-  const json said = json::parse(result.rollout_json);
-  char after[48];
-  std::snprintf(after, sizeof after, " after %.2f s", said.value("ended_after_s", 0.0));
-  const std::string reason(EndReasonName(result.reason));
-  return {reason + after + (result.detail.empty() ? "" : ": " + result.detail),
-          rollouts::MayBeMadeAgain(reason) && said.value("held", false)};
+// Whether another, slower attempt may follow.
+bool MayBeMadeAgain(const RolloutResult& result) {
+  return rollouts::MayBeMadeAgain(EndReasonName(result.reason)) &&
+         json::parse(result.rollout_json).value("held", false);
 }
 
 // Full speed first. Ids are a function of the attempt, so that a repeat of the task finds every attempt in the spool.
 Result<RolloutTaskOutput> RunUntilItEnds(const Common& all, const RolloutPlan& full, const ProgressFn& progress,
                                          const CancelToken& stop) {
   RG_ASSIGN_OR_RETURN(RolloutResult best, RunOnce(all, full, {}, progress, stop));
-  AttemptEnd last = HowItEnded(best);
-  std::vector<std::string> ends = {last.line};
+  bool may_follow = MayBeMadeAgain(best);
+  std::vector<std::string> ends = {rollouts::HowItEnded(best.rollout_json).text};
   size_t chosen = 0;
   const int most = all.motion ? 0 : all.input.slower_attempts;
-  for (int again = 1; again <= most && last.avoidable && !stop.cancelled(); ++again) {
-    spdlog::warn("rollout {} ended early ({}): made again at half the speed, {} of {}", full.spec.id, last.line, again,
-                 most);
+  for (int again = 1; again <= most && may_follow && !stop.cancelled(); ++again) {
+    spdlog::warn("rollout {} was {}: made again at half the speed, {} of {}", full.spec.id, ends.back(), again, most);
     RolloutPlan plan = full;
     SlowDown(std::pow(0.5, again), &plan);
     plan.spec.id = full.spec.id + "-slower" + std::to_string(again);
@@ -246,8 +241,8 @@ Result<RolloutTaskOutput> RunUntilItEnds(const Common& all, const RolloutPlan& f
       spdlog::error("rollout {}: {}; the ones before count", plan.spec.id, next.status().message());
       break;
     }
-    last = HowItEnded(*next);
-    ends.push_back(last.line);
+    may_follow = MayBeMadeAgain(*next);
+    ends.push_back(rollouts::HowItEnded(next->rollout_json).text);
     if (next->reason == EndReason::kCompleted || next->rows >= best.rows) best = std::move(*next), chosen = ends.size() - 1;
   }
   ends.erase(ends.begin() + static_cast<std::ptrdiff_t>(chosen));

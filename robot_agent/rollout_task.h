@@ -10,6 +10,7 @@
 #include "common/base/progress.h"
 #include "common/base/status.h"
 #include "robot_agent/agent_config.h"
+#include "services/rollouts/rollout_end.h"
 #include "services/rollouts/rollout_spec.h"
 
 namespace rg::robot_agent {
@@ -36,7 +37,8 @@ struct RolloutTaskOutput {
   // rollout.json on one line, the artefact's metadata: "end_reason", "detail", "goal", "goal_error",
   // "rows", "jitter", …
   std::string metadata_json;
-  // {"end_reason", "rows", "ended_after_s", "goal_joint_norm", "goal_tip_m", "missed_deadlines",
+  rollouts::RolloutEnd end;
+  // {"ended", "end_reason", "rows", "ended_after_s", "goal_joint_norm", "goal_tip_m", "missed_deadlines",
   // "cycle_p99_us", "lateness_p99_us"}: the task's summary.
   std::string summary_json;
   // Not ok: it ended before there were two rows, and this tells why in one line. The recording counts all the same.

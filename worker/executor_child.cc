@@ -249,7 +249,8 @@ Result<TaskOutputs> CallFunction(const TaskRegistry& registry, const TaskInput& 
 
 // Messages carry UTF-8; what a task names or describes wrongly is its error, not a lost message.
 Status CheckText(const TaskOutputs& outputs) {
-  if (!IsUtf8(outputs.summary_json)) return InvalidError("the summary is not UTF-8");
+  if (!IsUtf8(outputs.summary_json) || !IsUtf8(outputs.remark))
+    return InvalidError("the summary or the remark is not UTF-8");
   for (const OutputArtifact& output : outputs.artifacts) {
     bool good = IsUtf8(output.name) && IsUtf8(output.kind) && IsUtf8(output.metadata_json);
     for (const std::string& parent : output.extra_parents) good = good && IsUtf8(parent);
@@ -281,6 +282,7 @@ Status PackOutputs(const pb::RunTask& run, TaskOutputs outputs, pb::ExecutorFini
     RG_RETURN_IF_ERROR(WriteFileAtomically(to->path(), from.bytes));
   }
   finished->set_summary_json(outputs.summary_json);
+  finished->set_remark(outputs.remark);
   return Status::Ok();
 }
 

@@ -64,8 +64,8 @@ struct OutputArtifact {
   std::string bytes;
   // An object. For kind "parameters" it must have {"robot": name, "source": "nominal" | "identified" |
   // "imported", "values": [{"name", "value", "stddev"?}, …]} and may have "residual_before",
-  // "residual_after", "recording" and "model" (hashes), "parent_version", "note"; such an output
-  // becomes a version of the parameter history.
+  // "residual_after", "recording" and "model" (hashes), "parent_version", "note", "rollout" (how it ended),
+  // "held_back"; such an output becomes a version of the parameter history.
   std::string metadata_json = "{}";
   // Hashes of artefacts it derives from besides the task's inputs, which are always its parents.
   std::vector<std::string> extra_parents;
@@ -74,6 +74,7 @@ struct OutputArtifact {
 struct TaskOutputs {
   std::vector<OutputArtifact> artifacts;
   std::string summary_json = "{}";  // at most 64 KiB; shown in `job show`, kept in the task's row
+  std::string remark;  // what did not go as asked though this is a result, one line: the task's and its job's reason
 };
 
 // How a running task speaks with the outside. All calls may be made from any thread of the task.

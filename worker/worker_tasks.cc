@@ -295,6 +295,7 @@ void Worker::ReportFinished(Held& held) {
   finished->set_task(held.assignment.task());
   finished->set_summary_json(held.finished.summary_json());
   finished->set_seconds(held.finished.seconds());
+  finished->set_remark(held.finished.remark());
   for (const pb::ExecutorOutput& output : held.finished.outputs()) *finished->add_outputs() = output.output();
   held.next_send_ns = 1;  // at once, after its log
   logs_due_ns_ = 0;

@@ -39,9 +39,15 @@ CREATE TABLE parameter_current (
   FOREIGN KEY (robot, version) REFERENCES parameter_version (robot, version)) WITHOUT ROWID;
 )sql";
 
+// Frozen. How the rollout ended that a version comes from, and whether it therefore is current only where it was chosen.
+constexpr std::string_view kParametersVersion3 = R"sql(
+ALTER TABLE parameter_version ADD COLUMN rollout TEXT NOT NULL DEFAULT '';
+ALTER TABLE parameter_version ADD COLUMN held_back INTEGER NOT NULL DEFAULT 0;
+)sql";
+
 constexpr std::string_view kParameterColumns =
     "SELECT id, robot, version, parent_version, source, recording_sha256, model_sha256, residual_before,"
-    " residual_after, created_ns, job_id, note, values_json FROM parameter_version ";
+    " residual_after, created_ns, job_id, note, values_json, rollout, held_back FROM parameter_version ";
 
 std::optional<double> OptionalReal(const Statement& row, int column) {
   if (row.IsNull(column)) return std::nullopt;
@@ -62,6 +68,8 @@ ParameterVersion ReadHead(const Statement& row) {
   v.created_ns = row.Int(9);
   v.job_id = row.Text(10);
   v.note = row.Text(11);
+  v.rollout = row.Text(13);
+  v.held_back = row.Int(14) != 0;
   return v;
 }
 
@@ -158,7 +166,7 @@ Result<std::vector<ParameterValue>> ParseParameterValues(std::string_view json) 
 }
 
 Module ParameterStore::Schema() {
-  return {"parameters", {{1, kParametersVersion1}, {2, kParametersVersion2}}};
+  return {"parameters", {{1, kParametersVersion1}, {2, kParametersVersion2}, {3, kParametersVersion3}}};
 }
 
 Status ParameterStore::CheckNew(const ParameterVersion& version) {
@@ -210,8 +218,8 @@ Result<ParameterVersion> ParameterStore::Add(const ParameterVersion& version, co
         Statement insert,
         database_->Prepare("INSERT INTO parameter_version (robot, version, parent_version, source,"
                            " recording_sha256, model_sha256, residual_before, residual_after, values_json,"
-                           " created_ns, job_id, note, idempotency_key)"
-                           " VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"));
+                           " created_ns, job_id, note, idempotency_key, rollout, held_back)"
+                           " VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"));
     insert.Bind(1, added.robot).Bind(2, added.version).Bind(3, added.parent_version);
     insert.Bind(4, static_cast<int>(added.source))
         .Bind(5, added.recording_sha256)
@@ -224,6 +232,7 @@ Result<ParameterVersion> ParameterStore::Add(const ParameterVersion& version, co
       insert.BindNull(13);
     else
       insert.Bind(13, key);
+    insert.Bind(14, added.rollout).Bind(15, added.held_back ? 1 : 0);
     RG_RETURN_IF_ERROR(insert.Run());
     added.id = database_->last_insert_id();
     return Status::Ok();
@@ -274,12 +283,14 @@ Status ParameterStore::Promote(const std::string& robot, int version) {
   });
 }
 
-Result<int> ParameterStore::Promoted(const std::string& robot) {
-  RG_ASSIGN_OR_RETURN(Statement query,
-                      database_->Prepare("SELECT version FROM parameter_current WHERE robot = ?"));
+Result<int> ParameterStore::Current(const std::string& robot) {
+  RG_ASSIGN_OR_RETURN(
+      Statement query,
+      database_->Prepare("SELECT coalesce((SELECT version FROM parameter_current WHERE robot = ?1),"
+                         " (SELECT max(version) FROM parameter_version WHERE robot = ?1 AND held_back = 0), 0)"));
   query.Bind(1, robot);
-  RG_ASSIGN_OR_RETURN(const bool found, query.Step());
-  return found ? static_cast<int>(query.Int(0)) : 0;
+  RG_RETURN_IF_ERROR(query.Step().status());
+  return static_cast<int>(query.Int(0));
 }
 
 Result<ParameterDiff> ParameterStore::Diff(const std::string& robot, int from_version, int to_version) {

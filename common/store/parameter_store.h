@@ -41,6 +41,8 @@ struct ParameterVersion {
   int64_t created_ns = 0;
   std::string job_id;
   std::string note;
+  std::string rollout = {};  // how it ended, of the recording; may be empty
+  bool held_back = false;    // it did not end as asked: the version is current only where it is promoted
 };
 
 struct ParameterDiff {
@@ -77,11 +79,11 @@ class ParameterStore {
   Result<ParameterVersion> Show(const std::string& robot, int version = 0);
   Result<ParameterVersion> Latest(const std::string& robot) { return Show(robot, 0); }
   Result<ParameterDiff> Diff(const std::string& robot, int from_version, int to_version);
-  // Makes `version` the robot's current one, until another is chosen; 0: from now on the latest is current again.
-  // kNotFound: no such version.
+  // Makes `version` the robot's current one, until another is chosen; 0: from now on the latest that is not held back
+  // is current again. kNotFound: no such version.
   Status Promote(const std::string& robot, int version);
-  // The version that was chosen; 0: none was, the latest is current.
-  Result<int> Promoted(const std::string& robot);
+  // The version that was chosen, else the latest that is not held back; 0: there is none.
+  Result<int> Current(const std::string& robot);
 
  private:
   Status CheckNew(const ParameterVersion& version);

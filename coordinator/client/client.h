@@ -116,9 +116,10 @@ class Client {
   Result<std::vector<pb::ParameterVersion>> ParameterHistory(const std::string& robot, uint32_t limit = 0);
   // The same, and which version is current.
   Result<pb::ParameterHistoryReply> ParameterHistoryAndCurrent(const std::string& robot, uint32_t limit = 0);
-  // What `--model latest` means: the promoted version, else the latest.
+  // What `--model latest` means: the promoted version, else the latest that is not held back.
   Result<pb::ParameterVersion> CurrentParameters(const std::string& robot);
-  // Returns the version that is current then. 0: the latest, also of those to come.
+  // Returns the version that is current then (0: none is). `version` 0: the latest that is not held back, also of
+  // those to come.
   Result<uint32_t> PromoteParameters(const std::string& robot, uint32_t version);
   Result<pb::ParameterVersion> Parameters(const std::string& robot, uint32_t version = 0);
   Result<pb::DiffParametersReply> DiffParameters(const std::string& robot, uint32_t from, uint32_t to = 0);

@@ -83,6 +83,7 @@ struct Finished {
   Token token = 0;
   double seconds = -1.0;  // that it ran; negative: not said
   Token committed = 0;    // of a task whose job is not in memory: under which lease it was committed
+  std::string remark = {};  // what did not go as asked though it finished; empty: nothing
 };
 struct Failed {
   std::string instance;

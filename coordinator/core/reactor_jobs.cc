@@ -137,7 +137,7 @@ Verdict Turn::Pause(Job& job, std::string* error) {
     return Verdict::kFailedPrecondition;
   }
   DequeueAll(s_, job);
-  SetJobPhase(job, JobPhase::kPaused, "");
+  SetJobPhase(job, JobPhase::kPaused, job.record.reason);
   Note("job.paused", job.id, "", "", "");
   return Verdict::kOk;
 }
@@ -148,7 +148,7 @@ Verdict Turn::Resume(Job& job, std::string* error) {
     *error = AlreadyIs(job) + ": only a paused job can be resumed";
     return Verdict::kFailedPrecondition;
   }
-  SetJobPhase(job, job.record.started_ns > 0 ? JobPhase::kRunning : JobPhase::kQueued, "");
+  SetJobPhase(job, job.record.started_ns > 0 ? JobPhase::kRunning : JobPhase::kQueued, job.record.reason);
   EnqueueAll(job);
   Note("job.resumed", job.id, "", "", "");
   return Verdict::kOk;
@@ -255,10 +255,10 @@ void Turn::CloseJobsOf(TaskId task) {
 void Turn::CloseJobIfSettled(Job& job) {
   if (IsFinal(job.record.phase) || job.settled() < job.tasks.size()) return;
   job.record.finished_ns = now_.wall_ns;
-  SetJobPhase(job, JobPhase::kSucceeded, "");
+  SetJobPhase(job, JobPhase::kSucceeded, job.record.reason);
   s_.ended.push_back(job.id);
   ++s_.counters.jobs_succeeded;
-  Note("job.succeeded", job.id, "", "", "");
+  Note("job.succeeded", job.id, "", "", job.record.reason);
   TellJobsAfter(job);
 }
 

@@ -50,7 +50,7 @@ void Turn::Handle(const Finished& event) {
   NoteSeconds(job, index, event.seconds);
   EndLease(event.token, Outcome::kSucceeded, "");
   if (Worker* worker = s_.FindWorkerByInstance(instance)) ++worker->tasks_done;
-  CommitTask(job, index, event.token);
+  CommitTask(job, index, event.token, event.remark);
   Send(AnswerResult{instance, event.token, true, ""});
 }
 
@@ -61,12 +61,13 @@ void Turn::NoteSeconds(const Job& job, uint32_t index, double seconds) {
   known = seconds > known ? seconds : known + kFall * (seconds - known);
 }
 
-void Turn::CommitTask(Job& job, uint32_t index, Token token) {
+void Turn::CommitTask(Job& job, uint32_t index, Token token, const std::string& remark) {
   SetStatus(s_, job, index, TaskSucceeded{token});
   job.tasks[index].finished_ns = now_.wall_ns;
   job.failed_on.erase(index);
   ++s_.counters.tasks_committed;
-  PersistTask(job, index);
+  PersistTask(job, index, remark);
+  if (!remark.empty()) SetJobPhase(job, job.record.phase, remark);
   Store(CommitResult{MakeTaskId(job.id, index), token, now_.wall_ns});
   CloseJobsOf(MakeTaskId(job.id, index));
   ReleaseChildren(job, index);

@@ -61,7 +61,8 @@ class Turn {
   // --- tasks
   void PersistTask(const Job& job, uint32_t index, const std::string& reason = {});
   void NoteSeconds(const Job& job, uint32_t index, double seconds);
-  void CommitTask(Job& job, uint32_t index, Token token);
+  // `remark`, unless it is empty, is the reason of the task and from then on of its job, should it succeed.
+  void CommitTask(Job& job, uint32_t index, Token token, const std::string& remark);
   void ReleaseChildren(Job& job, uint32_t index);
   // Returns whether the job is lost with this task.
   bool CancelDescendants(Job& job, uint32_t index);

@@ -142,21 +142,17 @@ Result<pb::ParameterHistoryReply> History(store::ParameterStore& parameters,
                       parameters.History(request.robot(), static_cast<int>(request.limit())));
   pb::ParameterHistoryReply reply;
   for (const auto& version : versions) *reply.add_versions() = ToProto(version);
-  RG_ASSIGN_OR_RETURN(const int promoted, parameters.Promoted(request.robot()));
-  const int latest = versions.empty() ? 0 : versions.front().version;
-  reply.set_current(static_cast<uint32_t>(promoted != 0 ? promoted : latest));
+  RG_ASSIGN_OR_RETURN(const int current, parameters.Current(request.robot()));
+  reply.set_current(static_cast<uint32_t>(current));
   return reply;
 }
 
 Result<pb::PromoteParametersReply> Promote(store::ParameterStore& parameters,
                                            const pb::PromoteParametersRequest& request) {
   RG_RETURN_IF_ERROR(parameters.Promote(request.robot(), static_cast<int>(request.version())));
+  RG_ASSIGN_OR_RETURN(const int current, parameters.Current(request.robot()));
   pb::PromoteParametersReply reply;
-  reply.set_current(request.version());
-  if (request.version() == 0) {
-    RG_ASSIGN_OR_RETURN(const auto latest, parameters.Latest(request.robot()));
-    reply.set_current(static_cast<uint32_t>(latest.version));
-  }
+  reply.set_current(static_cast<uint32_t>(current));
   return reply;
 }
 
@@ -164,7 +160,8 @@ Result<pb::ShowParametersReply> ShowParameters(store::ParameterStore& parameters
                                                const pb::ShowParametersRequest& request) {
   int number = static_cast<int>(request.version());
   if (request.current()) {
-    RG_ASSIGN_OR_RETURN(number, parameters.Promoted(request.robot()));
+    RG_ASSIGN_OR_RETURN(number, parameters.Current(request.robot()));
+    if (number == 0) return NotFoundError("parameters of " + request.robot() + ": none is current");
   }
   RG_ASSIGN_OR_RETURN(const auto version, parameters.Show(request.robot(), number));
   pb::ShowParametersReply reply;
@@ -364,6 +361,8 @@ pb::ParameterVersion ToProto(const store::ParameterVersion& version) {
   out.set_job_id(version.job_id);
   out.set_note(version.note);
   out.set_model_sha256(version.model_sha256);
+  out.set_rollout(version.rollout);
+  out.set_held_back(version.held_back);
   return out;
 }
 
@@ -396,6 +395,9 @@ Result<store::ParameterVersion> ParseParameterMetadata(const std::string& metada
   version.recording_sha256 = text("recording");
   version.model_sha256 = text("model");
   version.note = text("note");
+  version.rollout = text("rollout");
+  const auto held_back = json.find("held_back");
+  version.held_back = held_back != json.end() && held_back->is_boolean() && held_back->get<bool>();
   return version;
 }
 

@@ -464,8 +464,8 @@ void Server::PutOff(const pb::WorkerMessage& body, const std::string& instance) 
 
 void Server::HandleFinished(const pb::TaskFinished& finished, const std::string& instance) {
   const Lease* lease = state_.FindLease(finished.token(), instance);
+  Finished event = WorkerDesk::ToFinished(finished, instance);
   if (lease == nullptr) {
-    Finished event{instance, finished.task(), finished.token()};
     if (state_.FindJob(JobOf(finished.task())) == nullptr) {  // a repeat, perhaps, of what is over
       const auto committed = jobs_->CommittedToken(finished.task());
       if (committed.ok()) event.committed = *committed;
@@ -483,9 +483,10 @@ void Server::HandleFinished(const pb::TaskFinished& finished, const std::string&
   if (!begun.ok()) return poison_ = begun, void();
   auto stored = worker_desk_->StoreOutputs(state_, *lease, finished);
   if (stored.ok()) {
-    const double seconds = stored->seconds;
+    event.task = lease->task;
+    event.seconds = stored->seconds;
     results_[finished.token()] = *std::move(stored);
-    return Absorb(Finished{instance, lease->task, finished.token(), seconds}, state_, now(), actions_);
+    return Absorb(event, state_, now(), actions_);
   }
   const StatusCode code = stored.status().code();
   if (code == StatusCode::kResourceExhausted || code == StatusCode::kUnavailable ||

@@ -73,8 +73,6 @@ std::optional<Event> WorkerDesk::ToEvent(const pb::WorkerMessage& message, const
       return Progressed{instance, message.progress().token(), p.stage(), sensible ? p.done() : 0.0,
                         sensible ? p.total() : 0.0, Shortened(p.note())};
     }
-    case pb::WorkerMessage::kFinished:
-      return Finished{instance, message.finished().task(), message.finished().token()};
     case pb::WorkerMessage::kFailed: {
       const auto& f = message.failed();
       return Failed{instance,     f.task(), f.token(), FromWire(f.outcome()), Shortened(f.error()),
@@ -83,6 +81,12 @@ std::optional<Event> WorkerDesk::ToEvent(const pb::WorkerMessage& message, const
     default:
       return std::nullopt;
   }
+}
+
+Finished WorkerDesk::ToFinished(const pb::TaskFinished& finished, const std::string& instance) {
+  Finished event{instance, finished.task(), finished.token()};
+  event.remark = VisibleText(Shortened(finished.remark()));
+  return event;
 }
 
 // --- results -----------------------------------------------------------------------------------------

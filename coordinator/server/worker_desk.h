@@ -26,8 +26,10 @@ class WorkerDesk {
              JobStore* jobs)
       : database_(database), artifacts_(artifacts), parameters_(parameters), jobs_(jobs) {}
 
-  // The core's event for a worker's message, or nothing where it has none (logs, checkpoints).
+  // The core's event for a worker's message, or nothing where it has none (logs, checkpoints), or wants its outputs
+  // stored first (ToFinished).
   static std::optional<Event> ToEvent(const pb::WorkerMessage& message, const std::string& instance);
+  static Finished ToFinished(const pb::TaskFinished& finished, const std::string& instance);
 
   // What a finished task brought, ready to be committed: artefacts and parameter versions are written
   // into the open transaction. An error means the result cannot be accepted: the task has failed.

@@ -215,6 +215,8 @@ json VersionJson(const pb::ParameterVersion& v) {
           {"residual_after", v.has_residual_after() ? json(v.residual_after()) : json(nullptr)},
           {"created", FormatWallTime(v.created_ns())},
           {"job", v.job_id()},
+          {"rollout", v.rollout()},
+          {"held_back", v.held_back()},
           {"note", v.note()}};
 }
 

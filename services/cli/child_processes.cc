@@ -42,30 +42,43 @@ namespace {
 
 }  // namespace
 
-Status ChildProcesses::Start(const std::string& name, const std::vector<std::string>& command,
-                             const std::string& log_file) {
-  const int log_fd = open(log_file.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
-  if (log_fd < 0) return InternalError(log_file + ": cannot open: " + std::strerror(errno));
+Status ChildProcesses::Begin(Child* child) {
+  const int log_fd = open(child->log_file.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
+  if (log_fd < 0) return InternalError(child->log_file + ": cannot open: " + std::strerror(errno));
   const pid_t parent = getpid();
-  const pid_t pid = fork();
-  if (pid == 0) Become(command, log_fd, parent);
+  child->pid = fork();
+  if (child->pid == 0) Become(child->command, log_fd, parent);
   close(log_fd);
-  if (pid < 0) return ResourceExhaustedError("cannot start " + name + ": " + std::strerror(errno));
-  children_.push_back({name, log_file, pid});
+  if (child->pid < 0) return ResourceExhaustedError("cannot start " + child->name + ": " + std::strerror(errno));
   return Status::Ok();
 }
 
-Status ChildProcesses::Check() {
+Status ChildProcesses::Start(const std::string& name, const std::vector<std::string>& command,
+                             const std::string& log_file) {
+  Child child{name, command, log_file};
+  RG_RETURN_IF_ERROR(Begin(&child));
+  children_.push_back(std::move(child));
+  return Status::Ok();
+}
+
+Status ChildProcesses::Check(std::string* ended) {
   for (Child& child : children_) {
     int how = 0;
     if (child.pid < 0 || waitpid(child.pid, &how, WNOHANG) != child.pid) continue;
     child.pid = -1;
+    if (ended != nullptr) *ended = child.name;
     const std::string end = WIFSIGNALED(how) ? "was ended by signal " + std::to_string(WTERMSIG(how))
-                                             : "ended with code " + std::to_string(WEXITSTATUS(how));
-    return InternalError("the " + child.name + " " + end + ": " + LastLine(child.log_file) +
-                         " (log: " + child.log_file + ")");
+                                             : "ended with code " + std::to_string(WEXITSTATUS(how)) + ": " +
+                                                   LastLine(child.log_file);
+    return InternalError("the " + child.name + " " + end + " (log: " + child.log_file + ")");
   }
   return Status::Ok();
+}
+
+Status ChildProcesses::StartAgain(const std::string& name) {
+  for (Child& child : children_)
+    if (child.name == name && child.pid < 0) return Begin(&child);
+  return NotFoundError("no " + name + " that has ended");
 }
 
 void ChildProcesses::StopAll(double grace_s) {

@@ -24,8 +24,11 @@ class ChildProcesses {
   // `name` is for people and for the log's name. The child gets SIGTERM if this process dies, and
   // does not see the terminal's Ctrl-C.
   Status Start(const std::string& name, const std::vector<std::string>& command, const std::string& log_file);
-  // Ok while all are running; else the first that ended, with the last line of its log.
-  Status Check();
+  // Ok while all are running, or what ended was said before; else the first that ended, with the last line of its log
+  // where it ended by itself. `ended`: its name.
+  Status Check(std::string* ended = nullptr);
+  // One that has ended, as it was started.
+  Status StartAgain(const std::string& name);
   // SIGTERM to all but the first, which the others may still need, and to it when they have ended;
   // SIGKILL to those still there after `grace_s`.
   void StopAll(double grace_s);
@@ -34,9 +37,12 @@ class ChildProcesses {
 
  private:
   struct Child {
-    std::string name, log_file;
+    std::string name;
+    std::vector<std::string> command;
+    std::string log_file;
     pid_t pid = -1;
   };
+  static Status Begin(Child* child);
   static void Terminate(const Child& child);
   static void AwaitEnd(Child* child, double deadline);  // steady seconds; SIGKILL then
   std::vector<Child> children_;

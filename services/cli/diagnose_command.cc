@@ -2,6 +2,7 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <atomic>
 #include <filesystem>
 #include <memory>
 #include <nlohmann/json.hpp>
@@ -11,6 +12,7 @@
 #include "common/recordings/recording_set.h"
 #include "coordinator/client/client.h"
 #include "realitygrad/v1/artifact.pb.h"
+#include "realitygrad/v1/control.pb.h"
 #include "services/cli/commands.h"
 #include "services/cli/context.h"
 #include "services/cli/early_warnings.h"
@@ -29,6 +31,8 @@
 
 namespace rg::cli {
 namespace {
+
+namespace pb = ::realitygrad::v1;
 
 constexpr size_t kJointsInASentence = 2;
 
@@ -107,31 +111,53 @@ std::string Next(const diagnosis::DiagnosisResult& r, const DiagnoseArguments& a
          ListOfNames(r.motion->effects) + " apart)";
 }
 
-// Fits as tasks of a coordinator's workers.
-struct Workers {
-  std::unique_ptr<coordinator::Client> client;
-  std::unique_ptr<jobs::RemoteFits> fits;
+// Fits as tasks of a coordinator's workers. Ctrl-C ends the process, and takes back what no worker has done yet.
+class Workers {
+ public:
+  Status Connect(const Context& context) {
+    RG_ASSIGN_OR_RETURN(client_, context.Connect());
+    RG_ASSIGN_OR_RETURN(stopping_client_, context.Connect());
+    ends_.emplace([this] { return Stop(); });
+    return Status::Ok();
+  }
+  Result<jobs::RemoteFits*> Start(const DiagnoseArguments& arguments) {
+    RG_ASSIGN_OR_RETURN(const std::string packed, PackedSet(arguments.sets));
+    pb::ArtifactInfo info;
+    info.set_kind(jobs::kArtifactRecordingSet);
+    info.set_metadata_json(nlohmann::json{{"name", arguments.sets.name()}}.dump());
+    RG_ASSIGN_OR_RETURN(std::string set, client_->PutArtifact(packed, info));
+    jobs::FitInputs inputs;
+    inputs.recordings = {std::move(set)};
+    if (!arguments.model.empty()) {
+      RG_ASSIGN_OR_RETURN(inputs.model, PutModelFile(*client_, arguments.model));
+    }
+    fits_ = std::make_unique<jobs::RemoteFits>(*client_, std::move(inputs), &CancelledByInterrupt());
+    started_ = fits_.get();
+    return fits_.get();
+  }
+  // From now on what there is may be written.
+  void Done() { ends_.reset(); }
+
+ private:
+  std::string Stop() {
+    const jobs::RemoteFits* fits = started_;
+    if (fits == nullptr) return ": the diagnosis had not begun";
+    for (const int64_t job : fits->open_jobs()) {
+      const auto cancelled = stopping_client_->Act(job, pb::JOB_ACTION_CANCEL, "the diagnosis was stopped");
+      if (cancelled.status().code() == StatusCode::kUnavailable) return "";
+    }
+    return ": nothing was written, and the fits that workers had not done are cancelled";
+  }
+
+  std::unique_ptr<coordinator::Client> client_, stopping_client_;
+  std::unique_ptr<jobs::RemoteFits> fits_;
+  std::atomic<const jobs::RemoteFits*> started_{nullptr};
+  std::optional<EndsOnInterrupt> ends_;
 };
 
-Result<Workers> WithWorkers(const Context& context, const DiagnoseArguments& arguments) {
-  RG_ASSIGN_OR_RETURN(const std::string packed, PackedSet(arguments.sets));
-  Workers workers;
-  RG_ASSIGN_OR_RETURN(workers.client, context.Connect());
-  realitygrad::v1::ArtifactInfo info;
-  info.set_kind(jobs::kArtifactRecordingSet);
-  info.set_metadata_json(nlohmann::json{{"name", arguments.sets.name()}}.dump());
-  RG_ASSIGN_OR_RETURN(std::string set, workers.client->PutArtifact(packed, info));
-  jobs::FitInputs inputs;
-  inputs.recordings = {std::move(set)};
-  if (!arguments.model.empty()) {
-    RG_ASSIGN_OR_RETURN(inputs.model, PutModelFile(*workers.client, arguments.model));
-  }
-  workers.fits =
-      std::make_unique<jobs::RemoteFits>(*workers.client, std::move(inputs), &CancelledByInterrupt());
-  return workers;
-}
-
 Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
+  std::optional<Workers> workers;
+  if (!context.flags.coordinator.value.empty()) RG_RETURN_IF_ERROR(workers.emplace().Connect(context));
   RG_ASSIGN_OR_RETURN(const recordings::RecordingSet set, arguments.sets.Load());
   RG_RETURN_IF_ERROR(CheckWritable(arguments.out));
   diagnosis::DiagnosisOptions options = arguments.options;
@@ -139,10 +165,10 @@ Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
     RG_ASSIGN_OR_RETURN(options.model, sim::LoadModelFile(arguments.model));
   }
   RG_ASSIGN_OR_RETURN(const auto said, SayWarnings(context, set, options.model, options.trust_effort));
-  Workers workers;
-  if (!context.flags.coordinator.value.empty()) {
-    RG_ASSIGN_OR_RETURN(workers, WithWorkers(context, arguments));
-    options.fits = workers.fits.get();
+  const jobs::RemoteFits* fits = nullptr;
+  if (workers) {
+    RG_ASSIGN_OR_RETURN(jobs::RemoteFits* const started, workers->Start(arguments));
+    options.fits = started, fits = started;
   }
   ProgressDisplay display(
       {.terminal = StderrIsTerminal(), .width = TerminalWidth(), .quiet = context.quiet()}, RealClock());
@@ -150,10 +176,10 @@ Status DiagnoseSet(Context& context, const DiagnoseArguments& arguments) {
                       diagnosis::Diagnose(
                           set, options, RealClock(), [&](const ProgressUpdate& u) { display.Show(u); },
                           &CancelledByInterrupt()));
+  if (workers) workers->Done();
   display.Finish();
-  if (workers.fits != nullptr && !context.quiet())
-    PrintNote(std::to_string(workers.fits->by_workers()) + " fits by workers, " +
-              std::to_string(workers.fits->here()) + " here");
+  if (fits != nullptr && !context.quiet())
+    PrintNote(std::to_string(fits->by_workers()) + " fits by workers, " + std::to_string(fits->here()) + " here");
   if (!arguments.out.empty()) {
     RG_RETURN_IF_ERROR(diagnosis::WriteDiagnosis(arguments.out, result, report::DiagnosisPage(result)));
   }

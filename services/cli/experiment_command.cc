@@ -45,6 +45,7 @@ jobs::IterationOptions PaperOptions(Experiment experiment) {
   o.identify.whole_recording = false;  // one window of 0.2 s
   o.identify.rounds = 1;
   o.identify.alpha = 1e-2;
+  o.rollout.accept_partial = true;  // its length stands in the table
   if (experiment == Experiment::kBoundedVsUnbounded) {
     o.rollout.controller = "mpc";
     o.rollout.duration_s = 8.0;
@@ -183,7 +184,8 @@ Status ExperimentRun::Run() {
   RG_RETURN_IF_ERROR(service_->Start({.folder = arguments_.folder,
                                       .agent_config = profile_.folder + "/" + profile_.name + "_agent.json",
                                       .workers = arguments_.workers,
-                                      .lock_step = arguments_.lock_step}));
+                                      .lock_step = arguments_.lock_step,
+                                      .quiet = quiet_}));
   RG_ASSIGN_OR_RETURN(nominal_, ChooseModel(service_->client(), profile_, "nominal"));
   while (static_cast<int>(repetitions_.size()) < arguments_.repetitions) {
     const int repetition = static_cast<int>(repetitions_.size());

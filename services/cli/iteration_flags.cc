@@ -99,6 +99,12 @@ void AddIdentifyFlags(CLI::App* command, jobs::IterationOptions* options) {
       ->capture_default_str();
 }
 
+void AddPartialFlag(CLI::App* command, jobs::IterationOptions* options) {
+  command->add_flag("--accept-partial", options->rollout.accept_partial,
+                    "A rollout that did not end as asked counts as one that did: its job does not fail, its parameters "
+                    "become current");
+}
+
 void TakeProfile(const RobotProfile& profile, jobs::IterationOptions* options) {
   options->robot = profile.name;
   options->home = profile.home;

@@ -19,6 +19,8 @@ void AddLearningFlags(CLI::App* command, jobs::IterationOptions* options);
 void AddLoopDiagnosisFlags(CLI::App* command, jobs::IterationOptions* options);
 void AddRolloutFlags(CLI::App* command, jobs::IterationOptions* options);
 void AddIdentifyFlags(CLI::App* command, jobs::IterationOptions* options);
+// Whatever makes a rollout, or parameters from one.
+void AddPartialFlag(CLI::App* command, jobs::IterationOptions* options);
 // Name, candle pose, peak torque.
 void TakeProfile(const RobotProfile& profile, jobs::IterationOptions* options);
 

@@ -2,6 +2,8 @@
 
 #include <signal.h>
 #include <stdlib.h>
+#include <sys/prctl.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include <atomic>
@@ -45,6 +47,21 @@ double StageSeconds(const pb::GetJobReply& job, const std::string& stage) {
   return end > start ? 1e-9 * static_cast<double>(end - start) : std::nan("");
 }
 
+constexpr char kWorker[] = "worker-";
+constexpr int kStartAgain = 3;  // times, of each worker
+constexpr double kGrace = 15.0;  // s, to stop in
+constexpr auto kLook = std::chrono::milliseconds(100);
+
+// What a killed program has left (an agent's worker ends its rollout) has become this process's. It holds locks that
+// whoever goes on with the folder needs.
+void AwaitOrphans(double deadline) {
+  while (RealClock().SteadySeconds() < deadline) {
+    const pid_t ended = waitpid(-1, nullptr, WNOHANG);
+    if (ended < 0) return;
+    if (ended == 0) std::this_thread::sleep_for(kLook);
+  }
+}
+
 }  // namespace
 
 void InstallInterruptHandlers() {
@@ -61,16 +78,47 @@ LocalService::LocalService() = default;
 
 LocalService::~LocalService() {
   interrupted_client = nullptr;
-  children_.StopAll(15.0);  // a rollout under way is finished, recorded and handed in
+  {
+    const std::lock_guard lock(mutex_);
+    end_ = true;
+  }
+  wake_.notify_all();
+  if (watcher_.joinable()) watcher_.join();
+  const double deadline = RealClock().SteadySeconds() + kGrace;
+  children_.StopAll(kGrace);  // a rollout under way is finished, recorded and handed in
   arm_.StopAll(5.0);
+  AwaitOrphans(deadline);
   std::error_code error;
   if (!address_file_.empty()) fs::remove(address_file_, error);
   if (!socket_folder_.empty()) fs::remove_all(socket_folder_, error);
 }
 
 Status LocalService::Check() {
-  RG_RETURN_IF_ERROR(children_.Check());
-  return arm_.Check();
+  const std::lock_guard lock(mutex_);
+  return trouble_;
+}
+
+Status LocalService::LookAfterChildren() {
+  std::string name;
+  const Status ended = children_.Check(&name);
+  if (ended.ok()) return arm_.Check();
+  if (name.rfind(kWorker, 0) != 0 || started_again_[name] >= kStartAgain) return ended;
+  const std::string count = std::to_string(++started_again_[name]) + " of " + std::to_string(kStartAgain);
+  if (!quiet_) PrintNote(ended.message() + ": started again, " + count);
+  return children_.StartAgain(name);
+}
+
+void LocalService::Watch() {
+  std::unique_lock lock(mutex_);
+  while (!wake_.wait_for(lock, kLook, [this] { return end_; })) {
+    lock.unlock();
+    const Status looked = LookAfterChildren();
+    lock.lock();
+    if (looked.ok()) continue;
+    trouble_ = looked;
+    client_->Cancel();
+    return;
+  }
 }
 
 Status LocalService::StartPrograms(const LocalServiceOptions& options) {
@@ -80,7 +128,7 @@ Status LocalService::StartPrograms(const LocalServiceOptions& options) {
                                       "--uncertain-s", "2", "--db", file("realitygrad.db")},
                                      file("logs/coordinator.log")));
   for (int w = 1; w <= options.workers; ++w) {
-    const std::string name = "worker-" + std::to_string(w);
+    const std::string name = kWorker + std::to_string(w);
     RG_RETURN_IF_ERROR(children_.Start(
         name,
         {SiblingProgram("realitygrad-worker"), "--patience", "30", "--coordinator", address_, "--name", name,
@@ -129,6 +177,8 @@ Status LocalService::Start(const LocalServiceOptions& options) {
   std::error_code error;
   fs::create_directories(options.folder + "/logs", error);
   if (error) return InternalError(options.folder + "/logs: cannot create: " + error.message());
+  quiet_ = options.quiet;
+  prctl(PR_SET_CHILD_SUBREAPER, 1);
   if (!options.stand_in.empty())
     RG_RETURN_IF_ERROR(StartRosStandIn({options.folder, options.stand_in, options.seed}, &arm_));
   RG_RETURN_IF_ERROR(StartPrograms(options));
@@ -138,6 +188,7 @@ Status LocalService::Start(const LocalServiceOptions& options) {
   interrupted_client = client_.get();
   address_file_ = options.folder + "/address";  // other commands find the coordinator through it
   RG_RETURN_IF_ERROR(WriteFileAtomically(address_file_, address_));
+  watcher_ = std::thread([this] { Watch(); });
   return AwaitWorkers(static_cast<size_t>(options.workers) + 1);
 }
 

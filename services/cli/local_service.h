@@ -2,9 +2,13 @@
 // this user can enter. What `run`, `experiment` and `bench` work through; there is no other path.
 #pragma once
 
+#include <condition_variable>
+#include <map>
 #include <memory>
+#include <mutex>
 #include <nlohmann/json_fwd.hpp>
 #include <string>
+#include <thread>
 
 #include "common/base/status.h"
 #include "services/cli/child_processes.h"
@@ -28,6 +32,7 @@ struct LocalServiceOptions {
   bool lock_step = false;  // the simulated robot does not wait for real time
   std::string stand_in;    // file, realitygrad.stand_in/1; empty: no ROS master, no stand-in
   uint64_t seed = 1;       // of the stand-in
+  bool quiet = false;      // nothing is said of workers that are started again
 };
 
 class LocalService {
@@ -39,17 +44,30 @@ class LocalService {
   Status Start(const LocalServiceOptions& options);
   coordinator::Client& client() { return *client_; }
   const std::string& address() const { return address_; }
-  // Ok while all programs are running.
+  // Ok while the programs are running. From Start on they are watched: a worker that ended is started again, three
+  // times. Where that does not help, or another program ended, this says which, and the client's call under way and
+  // all later ones return kCancelled. An agent is never started again: nobody knows what its arm was doing.
   Status Check();
 
  private:
   Status StartPrograms(const LocalServiceOptions& options);
   Status AwaitWorkers(size_t count);
+  void Watch();
+  // Ok: nothing ended, or what ended runs again.
+  Status LookAfterChildren();
 
   ChildProcesses arm_;  // the stand-in and its ROS master: stopped after the agent
-  ChildProcesses children_;
+  ChildProcesses children_;  // from Start on the watcher's, until it has ended
   std::unique_ptr<coordinator::Client> client_;
   std::string address_, socket_folder_, address_file_;
+  bool quiet_ = false;
+  std::map<std::string, int> started_again_;
+
+  std::mutex mutex_;  // of what follows
+  std::condition_variable wake_;
+  bool end_ = false;
+  Status trouble_;
+  std::thread watcher_;
 };
 
 // Ctrl-C from now on: the call of a LocalService's client that is under way returns kCancelled; nothing

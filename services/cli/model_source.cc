@@ -23,7 +23,7 @@ Result<std::string> Upload(coordinator::Client& client, const std::string& model
   return client.PutArtifact(model_json, info);
 }
 
-// Of the robot's current version: the promoted one, else the latest. Empty: it has none.
+// Of the robot's current version (Client::CurrentParameters). Empty: it has none.
 Result<std::string> CurrentModel(coordinator::Client& client, const std::string& robot) {
   const auto version = client.CurrentParameters(robot);
   if (!version.ok() && version.status().code() == StatusCode::kNotFound) return std::string();

@@ -21,7 +21,8 @@ Result<std::shared_ptr<const model::RobotModel>> LoadRobot(const RobotProfile& p
 Result<std::string> NominalModelJson(const RobotProfile& profile);
 
 // Artefact of the model to use: `choice` is "nominal", "latest" (the robot's current version: the
-// promoted one, else the newest; nominal if there is none), a model.json file, or the hash of a model artefact.
+// promoted one, else the newest that is not held back; nominal if there is none), a model.json file, or the hash of
+// a model artefact.
 Result<std::string> ChooseModel(coordinator::Client& client, const RobotProfile& profile,
                                 const std::string& choice);
 

@@ -46,6 +46,8 @@ json VersionJson(const pb::ParameterVersion& v) {
               {"residual_after", v.has_residual_after() ? json(v.residual_after()) : json(nullptr)},
               {"created", FormatWallTime(v.created_ns())},
               {"job", v.job_id()},
+              {"rollout", v.rollout()},
+              {"held_back", v.held_back()},
               {"note", v.note()}};
   if (v.values_size() > 0) {
     out["values"] = json::array();
@@ -95,16 +97,16 @@ void History(Context& context, const ParameterArguments& arguments) {
       for (const auto& v : history->versions()) list.push_back(VersionJson(v));
       return {{"robot", robot}, {"current", history->current()}, {"versions", list}};
     }
-    TextTable table(
-        {">VERSION", ">FROM", "SOURCE", ">RESIDUAL BEFORE", ">AFTER", "RECORDING", "JOB", "CREATED", "NOTE"});
+    TextTable table({">VERSION", ">FROM", "SOURCE", ">RESIDUAL BEFORE", ">AFTER", "RECORDING", "JOB", "CREATED",
+                     "ROLLOUT", "NOTE"});
     for (const auto& v : history->versions()) {
-      table.AddRow({std::to_string(v.version()) + (v.version() == history->current() ? "*" : ""),
-                    v.parent_version() ? std::to_string(v.parent_version()) : "–", SourceText(v.source()),
+      const char* mark = v.version() == history->current() ? "*" : v.held_back() ? "-" : "";
+      table.AddRow({std::to_string(v.version()) + mark, v.parent_version() ? std::to_string(v.parent_version()) : "–", SourceText(v.source()),
                     v.has_residual_before() ? Number(v.residual_before()) : "–",
                     v.has_residual_after() ? Number(v.residual_after()) : "–",
-                    v.recording_sha256().substr(0, 12), v.job_id(), TimeText(v.created_ns()), v.note()});
+                    v.recording_sha256().substr(0, 12), v.job_id(), TimeText(v.created_ns()), v.rollout(), v.note()});
     }
-    Print(robot + " (* is current)\n" + table.ToString());
+    Print(robot + " (* is current, - held back until it is promoted)\n" + table.ToString());
     return nullptr;
   };
   if (!arguments.all) {

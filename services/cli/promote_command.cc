@@ -27,8 +27,8 @@ Status Promote(Context& context, const PromoteArguments& arguments) {
   } else if (context.quiet()) {
     Print(std::to_string(current));
   } else {
-    Print(robot + ": version " + std::to_string(current) + " is current" +
-          (arguments.latest ? ", and so will be every later one" : ": --model latest is this one"));
+    Print(robot + ": " + (current == 0 ? "no version" : "version " + std::to_string(current)) + " is current" +
+          (arguments.latest ? ", every later one that is not held back will be" : ": --model latest is this one"));
   }
   return Status::Ok();
 }
@@ -41,7 +41,7 @@ void AddPromoteCommand(CLI::App& params, Context& context) {
       "promote", "Make a version the robot's current one, which `--model latest` follows");
   command->add_option("VERSION", arguments->version)->check(CLI::Range(1u, 1'000'000'000u));
   command->add_option("--robot", arguments->robot, "Name; needed where several have parameters");
-  command->add_flag("--latest", arguments->latest, "None any more: the latest is current again");
+  command->add_flag("--latest", arguments->latest, "None any more: the latest that is not held back is current again");
   command->callback([&context, arguments] { context.Failed(Promote(context, *arguments)); });
 }
 

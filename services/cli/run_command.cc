@@ -179,7 +179,8 @@ void Run(Context& context, RunArguments& arguments) {
                             .workers = run.workers,
                             .lock_step = arguments.lock_step,
                             .stand_in = run.stand_in ? StandInConfigOf(profile) : "",
-                            .seed = run.options.seed});
+                            .seed = run.options.seed,
+                            .quiet = quiet});
     if (status.ok() && !quiet)
       PrintNote("look in from another terminal: realitygrad --coordinator " + service.address() +
                 " job show");
@@ -198,8 +199,8 @@ void Run(Context& context, RunArguments& arguments) {
     return;
   }
   if (!status.ok()) {
-    context.Failed(status);
-    PrintNote("logs: " + run.folder + "/logs; try again with: realitygrad run --resume --dir " + run.folder);
+    context.Failed(Status(status.code(), status.message() + "; logs: " + run.folder +
+                                             "/logs; go on with: realitygrad run --resume --dir " + run.folder));
     if (status.code() == StatusCode::kAborted) context.exit_code = kExitJobFailed;
     return;
   }
@@ -236,6 +237,7 @@ void AddRunCommand(CLI::App& app, Context& context) {
   AddRolloutFlags(command, &arguments->run.options);
   AddLoopDiagnosisFlags(command, &arguments->run.options);
   AddIdentifyFlags(command, &arguments->run.options);
+  AddPartialFlag(command, &arguments->run.options);
   command->callback([&context, arguments] { Run(context, *arguments); });
 }
 

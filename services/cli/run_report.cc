@@ -19,19 +19,23 @@ double Number(const json& j, const json::json_pointer& at) {
   return j.at(at).get<double>();
 }
 
-std::string Cell(double value, const std::string& unit) {
-  return unit.empty() && value == std::floor(value) && std::abs(value) < 1e9
-             ? std::to_string(std::lround(value))
-             : FormatNumber(value);
-}
-
-// A row of the table: what it is, where it stands in a result, and the paper's figure per iteration.
+// A row of the table: what it is, where it stands in a result (a number, or a word), and the paper's figure per
+// iteration.
 struct ResultRow {
   const char* name;
   const char* unit;
   const char* pointer;
   const char* paper;
 };
+
+std::string Cell(const json& result, const ResultRow& row) {
+  const json::json_pointer at(row.pointer);
+  if (result.contains(at) && result.at(at).is_string()) return result.at(at).get<std::string>();
+  const double value = Number(result, at);
+  return row.unit[0] == '\0' && value == std::floor(value) && std::abs(value) < 1e9
+             ? std::to_string(std::lround(value))
+             : FormatNumber(value);
+}
 
 const ResultRow kRows[] = {
     {"trajectories solved", "", "/trajectories/solved", "450"},
@@ -45,7 +49,9 @@ const ResultRow kRows[] = {
     {"  pairs whose policy diverges", "", "/examination/policy/diverged", "–"},
     {"  median of MPC", "rad", "/examination/mpc/median", "–"},
     {"  90th percentile of MPC", "rad", "/examination/mpc/p90", "–"},
-    {"rollout: distance to goal at the end", "rad", "/rollout/goal_error/joint_norm", "–"},
+    {"rollout: ended", "", "/rollout/end_reason", "–"},
+    {"  after", "s", "/rollout/ended_after_s", "6"},
+    {"  distance to goal at the end", "rad", "/rollout/goal_error/joint_norm", "–"},
     {"  distance covered at the start", "rad", "/rollout/goal_error/start_norm", "–"},
     {"  end effector to goal", "m", "/rollout/goal_error/tip_distance_m", "–"},
     {"  excitation, share of the torque limits", "", "/rollout/excitation", "–"},
@@ -204,12 +210,21 @@ std::string Impossible(const json& result) {
   return text.empty() ? text : text + ". The small error is no proof: the recording leaves this free";
 }
 
-// Who drove where it was not the policy, and how the attempts ended that do not count.
+// How a rollout ended that did not end as asked, and what that means. Empty: it did.
+std::string EndedEarly(const json& result) {
+  const json& rollout = result.contains("rollout") ? result.at("rollout") : json();
+  if (!rollout.is_object() || rollout.value("as_asked", true)) return "";
+  return rollout.value("ended", "") +
+         (rollout.value("held_back", false) ? "; its parameters are not current, the next iteration goes on from them"
+                                            : "; accepted");
+}
+
+// Who drove where it was not the policy, how the rollout ended, and how the attempts did that do not count.
 std::string AboutRollout(const json& result) {
-  std::string text;
+  std::string text = EndedEarly(result);
   const double diverged = Number(result, "/examination/policy/diverged"_json_pointer);
   if (diverged > 0 && result.value("/rollout/controller"_json_pointer, "") == "mpc")
-    text = "MPC drove, for the policy diverges in simulation from " + Cell(diverged, "") + " of " +
+    text += std::string(text.empty() ? "" : "; ") + "MPC drove, for the policy diverges in simulation from " + Cell(diverged, "") + " of " +
            Cell(Number(result, "/examination/pairs"_json_pointer), "") + " starts";
   for (const json& end : result.value("/rollout/made_again"_json_pointer, json::array()))
     text += (text.empty() ? "" : "; ") + std::string("made again, slower: ") + end.get<std::string>();
@@ -257,7 +272,7 @@ std::string IterationsTable(const std::vector<json>& results) {
   for (const ResultRow& row : RowsFor(results)) {
     std::vector<std::string> cells = {row.name};
     for (const json& result : results)
-      cells.push_back(Cell(Number(result, json::json_pointer(row.pointer)), row.unit));
+      cells.push_back(Cell(result, row));
     cells.push_back(row.paper);
     cells.push_back(row.unit);
     table.AddRow(cells);
@@ -333,7 +348,7 @@ std::string RunPage(const std::string& robot, const std::vector<json>& results) 
     if (name.starts_with("  ")) name.replace(0, 2, "\u2003");  // an indent that HTML keeps
     std::vector<std::string> cells = {name};
     for (const json& result : results)
-      cells.push_back(Cell(Number(result, json::json_pointer(row.pointer)), row.unit));
+      cells.push_back(Cell(result, row));
     cells.push_back(row.paper);
     cells.push_back(row.unit);
     table.rows.push_back(cells);

@@ -11,7 +11,7 @@ namespace rg::cli {
 std::string IterationsTable(const std::vector<nlohmann::json>& results);
 // One line per iteration that identified bodies which cannot exist; empty: none did.
 std::string ImpossibleText(const std::vector<nlohmann::json>& results);
-// Of rollouts that MPC drove in place of the policy, or that were made again at less speed; empty: none.
+// Of rollouts that MPC drove in place of the policy, that ended early, or that were made again at less speed; empty: none.
 std::string RolloutsText(const std::vector<nlohmann::json>& results);
 // Verdict and names of each iteration that was diagnosed; empty without any.
 std::string DiagnosesText(const std::vector<nlohmann::json>& results);

@@ -170,7 +170,11 @@ Status Submit(Context& context, const std::string& what, Compile compile, Submit
   RG_ASSIGN_OR_RETURN(const auto end,
                       FollowJob(*client, id, arguments.timeout_s, context.quiet() || !arguments.follow));
   const bool succeeded = end.job().state() == pb::JOB_STATE_SUCCEEDED;
-  if (succeeded && !arguments.out.empty()) RG_RETURN_IF_ERROR(FetchRecording(*client, id, arguments.out));
+  if (!arguments.out.empty()) {
+    const Status fetched = FetchRecording(*client, id, arguments.out);  // of a failed one, where it left any
+    if (succeeded) RG_RETURN_IF_ERROR(fetched);
+    if (!succeeded && fetched.ok()) PrintNote("what was recorded is in " + arguments.out);
+  }
   if (context.json()) {
     PrintJson("realitygrad.job/1", JobDetailsJson(end));
   } else {
@@ -212,6 +216,7 @@ void AddSubmitCommands(CLI::App& app, Context& context) {
   AddRolloutFlags(iteration, &ia->options);
   AddLoopDiagnosisFlags(iteration, &ia->options);
   AddIdentifyFlags(iteration, &ia->options);
+  AddPartialFlag(iteration, &ia->options);
   auto [trajectories, ta] =
       add("trajectories", "Optimal trajectories between random poses", jobs::CompileTrajectories);
   AddTrajectoryFlags(trajectories, &ta->options);
@@ -221,6 +226,7 @@ void AddSubmitCommands(CLI::App& app, Context& context) {
   train->add_option("--of-job", tr->shards_of_job, "The job that made the trajectories; default: the newest");
   auto [rollout, ra] = add("rollout", "A policy on the robot, recorded", jobs::CompileRollout);
   AddRolloutFlags(rollout, &ra->options);
+  AddPartialFlag(rollout, &ra->options);
   rollout->add_option("--policy", ra->policy, "Artefact; default: the newest");
   rollout->add_option(
       "--trajectory", ra->trajectory,
@@ -228,6 +234,7 @@ void AddSubmitCommands(CLI::App& app, Context& context) {
   rollout->add_option("--out", ra->out, "Wait, and write the recording set here");
   auto [identify, id] = add("identify", "Simulator parameters from a recording", jobs::CompileIdentify);
   AddIdentifyFlags(identify, &id->options);
+  AddPartialFlag(identify, &id->options);
   identify->add_option("--recording", id->recording, "Artefact; default: the newest");
 }
 

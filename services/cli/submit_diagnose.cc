@@ -54,7 +54,7 @@ Status WarnFirst(const Context& context, const DiagnoseJobArguments& arguments) 
   if (!arguments.model.empty()) {
     RG_ASSIGN_OR_RETURN(model, sim::LoadModelFile(arguments.model));
   }
-  return SayWarnings(context, set, model, false).status();
+  return SayWarnings(context, set, model, arguments.options.trust_effort).status();
 }
 
 Status SubmitDiagnose(Context& context, const DiagnoseJobArguments& arguments) {
@@ -110,6 +110,8 @@ void AddSubmitDiagnose(CLI::App& submit, Context& context) {
   command->add_option("--threads", arguments->options.threads, "0: all cores of the worker")
       ->capture_default_str();
   command->add_option("--seed", arguments->options.seed)->capture_default_str();
+  command->add_flag("--trust-effort", arguments->options.trust_effort,
+                    "Go on where the sign or the unit of an effort looks wrong");
   arguments->terms.AddTo(command);
   command->add_option("--request-id", arguments->request_id, "The same id never makes a second job");
   command->add_flag("--follow", arguments->follow, "Until it ends, with progress");

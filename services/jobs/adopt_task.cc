@@ -10,6 +10,7 @@
 #include "realitygrad/v1/payloads.pb.h"
 #include "services/jobs/identify_problem.h"
 #include "services/jobs/identify_tasks.h"
+#include "services/jobs/iteration_result.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/rollout_inputs.h"
 #include "services/jobs/task_support.h"
@@ -201,7 +202,7 @@ Result<worker::TaskOutputs> RunAdopt(const worker::TaskInput& input, worker::Tas
 
   const std::string model_json = sim::ModelToJson(choice.model->plant, choice.model->values,
                                                   std::max(identified.version, planned_with.version) + 1);
-  const json metadata = {{"robot", payload.robot()},
+  json metadata = {{"robot", payload.robot()},
                          {"source", "identified"},
                          {"values", ChangedValues(*choice.model)},
                          {"recording", read.inputs.back()->sha256},
@@ -209,6 +210,7 @@ Result<worker::TaskOutputs> RunAdopt(const worker::TaskInput& input, worker::Tas
                          {"note", "iteration " + std::to_string(payload.iteration()) + ", " + choice.name +
                                       ": " + Named(diagnosis)}};
   worker::TaskOutputs outputs;
+  outputs.remark = NoteRolloutEnd(*read.inputs.back(), payload.accept_partial(), &metadata);
   const std::string robot = json{{"robot", payload.robot()}}.dump();
   outputs.artifacts.push_back({kOutputDiagnosed, kArtifactModel, found_json, robot});
   outputs.artifacts.push_back({kOutputModel, kArtifactModel, model_json, robot});

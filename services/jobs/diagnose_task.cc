@@ -58,7 +58,7 @@ Result<worker::TaskOutputs> RunDiagnose(const worker::TaskInput& input, worker::
   if (payload.seed() > 0) options.seed = payload.seed();
   if (payload.work_limit() > 0) options.work_limit = payload.work_limit();
   options.threads = static_cast<int>(payload.threads());
-  options.trust_effort = payload.rollouts();  // the agent's own commands
+  options.trust_effort = payload.trust_effort() || payload.rollouts();  // the agent's own commands
   if (!set.ok() && !payload.rollouts()) return set.status();
   if (set.ok()) {
     RG_ASSIGN_OR_RETURN(options.model, ModelToDiagnose(input, payload.rollouts()));

@@ -211,9 +211,10 @@ Result<worker::TaskOutputs> RunConclude(const worker::TaskInput& input, worker::
   worker::TaskOutputs outputs;
   outputs.artifacts.push_back(
       {kOutputModel, kArtifactModel, model_json, json{{"robot", payload.robot()}}.dump()});
-  outputs.artifacts.push_back(
-      {kOutputParameters, kArtifactParameters, ParametersJson(model.plant, problem, after, identified).dump(),
-       ParametersMetadata(input, payload, model, judgement, model_json, problem, after, identified).dump()});
+  json metadata = ParametersMetadata(input, payload, model, judgement, model_json, problem, after, identified);
+  outputs.remark = NoteRolloutEnd(*input.Find(kInputRecording), payload.accept_partial(), &metadata);
+  outputs.artifacts.push_back({kOutputParameters, kArtifactParameters,
+                               ParametersJson(model.plant, problem, after, identified).dump(), metadata.dump()});
   outputs.artifacts.push_back(
       {kOutputResult, kArtifactResult, result.dump(), json{{"robot", payload.robot()}}.dump()});
   outputs.summary_json = SummaryOf(result).dump();

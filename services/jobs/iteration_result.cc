@@ -9,6 +9,7 @@
 #include "services/jobs/identify_problem.h"
 #include "services/jobs/kinds.h"
 #include "services/jobs/task_support.h"
+#include "services/rollouts/rollout_end.h"
 
 namespace rg::jobs {
 namespace {
@@ -93,6 +94,13 @@ json SearchJson(const worker::TaskInput& input) {
   return chains;
 }
 
+json RolloutJson(const worker::TaskInput& input, bool accept_partial) {
+  json out = SaidOf(input, kInputRecording);
+  const rollouts::RolloutEnd end = rollouts::HowItEnded(out);
+  out["ended"] = end.text, out["as_asked"] = end.as_asked, out["held_back"] = !end.as_asked && !accept_partial;
+  return out;
+}
+
 // Links that could exist before the fit and cannot after it: parameters that move one by one may go there
 // without the residual telling.
 std::vector<std::string> NewlyImpossible(const sim::Plant& plant, const VectorXd& before,
@@ -161,7 +169,7 @@ json ResultJson(const worker::TaskInput& input, const pb::ConcludePayload& paylo
           {"trajectories", TrajectoriesJson(input)},
           {"policy", SaidOf(input, kInputPolicy)},
           {"examination", SaidOf(input, kInputExamination)},
-          {"rollout", SaidOf(input, kInputRecording)},
+          {"rollout", RolloutJson(input, payload.accept_partial())},
           {"identification",
            {{"chains", payload.identify().chains()},
             {"hops", hops},
@@ -179,6 +187,14 @@ json ResultJson(const worker::TaskInput& input, const pb::ConcludePayload& paylo
             {"measured", Rows(judgement.measured)},
             {"before", Rows(judgement.before.position)},
             {"after", Rows(judgement.after.position)}}}};
+}
+
+std::string NoteRolloutEnd(const worker::InputArtifact& recording, bool accept_partial, json* metadata) {
+  const rollouts::RolloutEnd end = rollouts::HowItEnded(recording.metadata_json);
+  (*metadata)["rollout"] = end.text;
+  (*metadata)["held_back"] = !end.as_asked && !accept_partial;
+  if (end.as_asked) return "";
+  return "rollout " + end.text + (accept_partial ? "; accepted" : "; its parameters are not current until promoted");
 }
 
 json SummaryOf(const json& result) {

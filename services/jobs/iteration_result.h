@@ -39,6 +39,9 @@ sysid::IdentifiabilityReport Determine(const sim::Plant& plant, const IdentifyPr
 nlohmann::json ResultJson(const worker::TaskInput& input, const realitygrad::v1::ConcludePayload& payload,
                           const Judgement& judgement, const sysid::HopState& best,
                           const sysid::IdentifiabilityReport& identified);
+// How the rollout ended that parameters come from, and what that means for them: into the metadata of a version, and as
+// the remark of its task. No remark: it ended as asked.
+std::string NoteRolloutEnd(const worker::InputArtifact& recording, bool accept_partial, nlohmann::json* metadata);
 // Without the series: for the task's row.
 nlohmann::json SummaryOf(const nlohmann::json& result);
 

@@ -215,7 +215,7 @@ void AppendPolicies(const IterationOptions& options, const IterationInputs& inpu
   }
 }
 
-void AppendRollout(const IterationOptions& options, const IterationInputs& inputs, bool trained_here,
+void AppendRollout(const IterationOptions& options, const IterationInputs& inputs, bool whole_iteration,
                    pb::JobSpec* job) {
   const RolloutOptions& o = options.rollout;
   pb::RolloutPayload payload;
@@ -229,6 +229,7 @@ void AppendRollout(const IterationOptions& options, const IterationInputs& input
   payload.set_controller(o.controller);
   if (o.excitation >= 0) payload.set_excitation(o.excitation);
   payload.set_slower_attempts(static_cast<uint32_t>(o.slower_attempts));
+  payload.set_whole(!whole_iteration && !o.accept_partial);  // an iteration goes on with what there is
   payload.mutable_start_q()->Assign(options.home.begin(), options.home.end());
   payload.mutable_peak_torque()->Assign(options.peak_torque.begin(), options.peak_torque.end());
   pb::TaskSpec* task = AddTask(job, "rollout", kStageRollout, kKindRollout, payload);
@@ -238,8 +239,8 @@ void AppendRollout(const IterationOptions& options, const IterationInputs& input
   AddArtifact(task, kInputModel, inputs.model);
   if (o.controller == "trajectory") AddArtifact(task, kInputMotion, inputs.motion);
   if (o.controller == "policy")
-    AddFrom(task, kInputPolicy, trained_here, LastPolicyStage(options.train), kOutputPolicy, inputs.policy);
-  if (o.controller == "policy" && trained_here && options.train.examination_pairs > 0)
+    AddFrom(task, kInputPolicy, whole_iteration, LastPolicyStage(options.train), kOutputPolicy, inputs.policy);
+  if (o.controller == "policy" && whole_iteration && options.train.examination_pairs > 0)
     AddStageOutputs(task, kInputExamination, LastExamineStage(options.train), kOutputExamination);
 }
 
@@ -311,6 +312,7 @@ void AppendConclude(const IterationOptions& options, const IterationInputs& inpu
   *payload.mutable_identify() = IdentifyPayloadOf(options);
   payload.set_robot(options.robot);
   payload.set_iteration(static_cast<uint32_t>(options.iteration));
+  payload.set_accept_partial(options.rollout.accept_partial);
   pb::TaskSpec* task = AddTask(job, "conclusion", kStageConclude, kKindConclude, payload);
   task->set_weight(20.0);
   AddArtifact(task, kInputModel, IdentifiedSoFar(inputs));
@@ -349,6 +351,7 @@ void AppendAdoption(const IterationOptions& options, const IterationInputs& inpu
   *payload.mutable_identify() = IdentifyPayloadOf(options);
   payload.set_robot(options.robot);
   payload.set_iteration(static_cast<uint32_t>(options.iteration));
+  payload.set_accept_partial(options.rollout.accept_partial);
   pb::TaskSpec* task = AddTask(job, "adoption", kStageAdopt, kKindAdopt, payload);
   task->set_weight(20.0);
   AddArtifact(task, kInputNominal, inputs.nominal);
@@ -486,11 +489,16 @@ pb::JobSpec CompileDiagnose(const DiagnoseOptions& options, const std::string& s
   job.set_kind("diagnose");
   job.set_name("diagnose");
   job.set_spec_json(
-      json{{"window_s", options.window_s}, {"seed", options.seed}, {"threads", options.threads}}.dump());
+      json{{"window_s", options.window_s},
+           {"seed", options.seed},
+           {"threads", options.threads},
+           {"trust_effort", options.trust_effort}}
+          .dump());
   pb::DiagnosePayload payload;
   payload.set_window_s(options.window_s);
   payload.set_seed(options.seed);
   payload.set_threads(static_cast<uint32_t>(options.threads));
+  payload.set_trust_effort(options.trust_effort);
   pb::TaskSpec* task = AddTask(&job, "diagnosis", kStageDiagnose, kKindDiagnose, payload);
   AddArtifact(task, kInputRecording, set);
   if (!model.empty()) AddArtifact(task, kInputModel, model);

@@ -61,6 +61,9 @@ struct RolloutOptions {
   // How often a rollout that the safety monitor ended is made again, each time at half the speed, 0 to 10. To ask for
   // it is the consent that an arm needs to move again.
   int slower_attempts = 0;
+  // A rollout that did not end as asked is taken as one that did: its job does not fail, and parameters identified
+  // from it become current.
+  bool accept_partial = false;
 };
 
 // What `run` adds to the first rollouts of a loop, and with a diagnosis to all while rollouts tell too little of a joint.
@@ -132,6 +135,7 @@ struct DiagnoseOptions {
   double window_s = 1.0;
   uint64_t seed = 1;
   int threads = 0;  // 0: all cores of the worker
+  bool trust_effort = false;  // go on where the sign or the unit of an effort looks wrong
 };
 // set: artefact of kind "recording-set"; model: of the model to start from, empty: the set's URDF.
 realitygrad::v1::JobSpec CompileDiagnose(const DiagnoseOptions& options, const std::string& set,

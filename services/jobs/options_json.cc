@@ -36,7 +36,8 @@ json OptionsToJson(const IterationOptions& o) {
             {"reach_s", o.rollout.reach_s},
             {"controller", o.rollout.controller},
             {"excitation", o.rollout.excitation},
-            {"slower_attempts", o.rollout.slower_attempts}}},
+            {"slower_attempts", o.rollout.slower_attempts},
+            {"accept_partial", o.rollout.accept_partial}}},
           {"identify",
            {{"chains", o.identify.chains},
             {"rounds", o.identify.rounds},
@@ -78,6 +79,7 @@ IterationOptions OptionsFromJson(const json& j) {
   // Runs that were begun before there were such have none.
   o.rollout.excitation = r.value("excitation", o.rollout.excitation);
   o.rollout.slower_attempts = r.value("slower_attempts", o.rollout.slower_attempts);
+  o.rollout.accept_partial = r.value("accept_partial", o.rollout.accept_partial);
   i.at("chains").get_to(o.identify.chains), i.at("rounds").get_to(o.identify.rounds),
       i.at("budget_s").get_to(o.identify.budget_s);
   i.at("hops").get_to(o.identify.hops), i.at("whole_recording").get_to(o.identify.whole_recording),

@@ -31,8 +31,15 @@ void AddInput(const char* name, const std::string& sha256, pb::TaskSpec* task) {
 class RemoteFits::Batch final : public diagnosis::FitBatch {
  public:
   Batch(RemoteFits& owner, const FitSetting& setting, std::vector<FitRequest> requests, int64_t job)
-      : owner_(owner), setting_(setting), requests_(std::move(requests)), job_(job) {}
+      : owner_(owner), setting_(setting), requests_(std::move(requests)), open_(job), job_(job) {
+    const std::lock_guard lock(owner_.mutex_);
+    if (open_ != 0) owner_.open_.insert(open_);
+  }
   ~Batch() override {
+    {
+      const std::lock_guard lock(owner_.mutex_);
+      owner_.open_.erase(open_);
+    }
     if (job_ == 0) return;
     const auto now = owner_.client_.GetJob(job_, false);
     // What is not needed any more; an error leaves it to run to its end.
@@ -77,8 +84,14 @@ class RemoteFits::Batch final : public diagnosis::FitBatch {
   RemoteFits& owner_;
   FitSetting setting_;
   std::vector<FitRequest> requests_;
-  int64_t job_;
+  const int64_t open_;
+  int64_t job_;  // 0: there is none, or no coordinator any more
 };
+
+std::vector<int64_t> RemoteFits::open_jobs() const {
+  const std::lock_guard lock(mutex_);
+  return {open_.begin(), open_.end()};
+}
 
 int64_t RemoteFits::Submit(const std::vector<FitRequest>& requests, const diagnosis::FitData& data) {
   pb::ArtifactInfo info;
@@ -111,7 +124,8 @@ int64_t RemoteFits::Submit(const std::vector<FitRequest>& requests, const diagno
 std::unique_ptr<diagnosis::FitBatch> RemoteFits::Start(const FitSetting& setting,
                                                        std::vector<FitRequest> requests) {
   // One alone is not worth the way.
-  const int64_t job = requests.size() > 1 ? Submit(requests, setting.data) : 0;
+  const bool stopped = cancel_ != nullptr && cancel_->cancelled();
+  const int64_t job = requests.size() > 1 && !stopped ? Submit(requests, setting.data) : 0;
   return std::make_unique<Batch>(*this, setting, std::move(requests), job);
 }
 

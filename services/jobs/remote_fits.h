@@ -5,6 +5,8 @@
 #pragma once
 
 #include <memory>
+#include <mutex>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -35,6 +37,8 @@ class RemoteFits final : public diagnosis::FitExecutor {
   // Fits so far, by workers and by this process.
   int by_workers() const { return by_workers_; }
   int here() const { return here_; }
+  // Of batches that are not over; from any thread.
+  std::vector<int64_t> open_jobs() const;
 
  private:
   class Batch;
@@ -45,6 +49,8 @@ class RemoteFits final : public diagnosis::FitExecutor {
   FitInputs inputs_;
   const CancelToken* cancel_;
   int by_workers_ = 0, here_ = 0;
+  mutable std::mutex mutex_;
+  std::set<int64_t> open_;
 };
 
 }  // namespace rg::jobs

@@ -7,6 +7,7 @@
 
 #include "common/base/hash.h"
 #include "coordinator/client/client.h"
+#include "realitygrad/v1/artifact.pb.h"
 #include "realitygrad/v1/parameters.pb.h"
 #include "realitygrad/v1/payloads.pb.h"
 #include "robot_agent/rollout_task.h"
@@ -104,6 +105,26 @@ std::string ControllerOf(const pb::RolloutPayload& payload, const worker::TaskIn
   return "mpc";
 }
 
+// A failed task has no outputs: its recording goes to the store by itself, at once, not when the spool is emptied.
+Status StoreRecording(const worker::TaskInput& input, const robot_agent::RolloutTaskOutput& done,
+                      worker::TaskContext& context) {
+  RG_ASSIGN_OR_RETURN(const auto client, context.Coordinator());
+  pb::ArtifactInfo info;
+  info.set_kind(kArtifactRecording);
+  info.set_metadata_json(done.metadata_json);
+  info.set_job_id(std::to_string(input.job));
+  info.set_task_id(std::to_string(input.task));
+  for (const worker::InputArtifact& from : input.inputs) info.add_parents(from.sha256);
+  return client->PutArtifact(done.bundle, info).status();
+}
+
+Status NotWhole(const worker::TaskInput& input, const robot_agent::RolloutTaskOutput& done,
+                worker::TaskContext& context) {
+  const Status stored = StoreRecording(input, done, context);
+  if (!stored.ok()) context.Log("the recording stays in the spool until it can be sent: " + stored.message());
+  return AbortedError(done.end.text + "; its recording is kept: artefact " + Sha256Hex(done.bundle).substr(0, 12));
+}
+
 }  // namespace
 
 void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::string& spool_folder,
@@ -136,7 +157,9 @@ void RegisterAgentKinds(const robot_agent::AgentConfig& config, const std::strin
                                                         context.cancel_token()));
         context.Log(done.summary_json);
         RG_RETURN_IF_ERROR(done.usable);  // its recording goes to the store from the spool
+        if (payload.whole() && !done.end.as_asked) return NotWhole(input, done, context);
         worker::TaskOutputs outputs;
+        if (!done.end.as_asked) outputs.remark = "rollout " + done.end.text;
         outputs.artifacts.push_back({kOutputRecording, kArtifactRecording, done.bundle, done.metadata_json});
         outputs.summary_json = done.summary_json;
         return outputs;

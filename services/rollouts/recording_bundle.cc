@@ -9,6 +9,7 @@
 #include "common/base/ids.h"
 #include "common/dynamics/dynamics.h"
 #include "common/model/urdf_loader.h"
+#include "services/rollouts/rollout_end.h"
 
 namespace rg::rollouts {
 namespace {
@@ -121,16 +122,9 @@ Status CheckRows(std::string_view bytes, int least) {
   if (!rollout.is_object() || !rollout.contains("rows") || !rollout["rows"].is_number_integer()) return Status::Ok();
   const int rows = rollout["rows"].get<int>();
   if (rows >= least) return Status::Ok();
-  const auto text = [&](const char* key) {
-    return rollout.contains(key) && rollout[key].is_string() ? rollout[key].get<std::string>() : "";
-  };
-  char end[120] = "";
-  if (rollout.contains("ended_after_s") && rollout["ended_after_s"].is_number())
-    std::snprintf(end, sizeof end, " after %.3g s", rollout["ended_after_s"].get<double>());
-  const std::string detail = text("detail").empty() ? "" : " (" + text("detail") + ")";
-  return FailedPreconditionError("the rollout ended with " + text("end_reason") + detail + end + " and left " +
-                                 std::to_string(rows) + (rows == 1 ? " row" : " rows") +
-                                 ", nothing can be identified from fewer than " + std::to_string(least));
+  return FailedPreconditionError("the rollout was " + HowItEnded(rollout).text + " and left " + std::to_string(rows) +
+                                 (rows == 1 ? " row" : " rows") + ", nothing can be identified from fewer than " +
+                                 std::to_string(least));
 }
 
 namespace {

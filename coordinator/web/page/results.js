@@ -66,12 +66,12 @@
       var plot = residuals(value);
       replace(residual, plot);
       replace(history, page.table(
-        [{ name: 'Version', num: true }, { name: 'From', num: true }, { name: 'Source' }, { name: 'Before', num: true }, { name: 'After', num: true }, { name: 'Recording' }, { name: 'Model' }, { name: 'Job' }, { name: 'Created' }, { name: 'Note' }],
+        [{ name: 'Version', num: true }, { name: 'From', num: true }, { name: 'Source' }, { name: 'Before', num: true }, { name: 'After', num: true }, { name: 'Rollout' }, { name: 'Recording' }, { name: 'Model' }, { name: 'Job' }, { name: 'Created' }, { name: 'Note' }],
         value.versions.map(function (v) {
           return {
             attributes: { 'data-version': v.version },
             cells: [String(v.version) + (v.version === value.current ? ' (current)' : ''), v.parent || '', v.source, page.number(v.residual_before), page.number(v.residual_after),
-              v.recording ? page.artifact(v.recording) : '', v.model ? page.artifact(v.model) : '', v.job ? el('a', { href: '#/job/' + v.job }, v.job) : '', page.moment(v.created), v.note]
+              v.rollout + (v.held_back ? ' (held back)' : ''), v.recording ? page.artifact(v.recording) : '', v.model ? page.artifact(v.model) : '', v.job ? el('a', { href: '#/job/' + v.job }, v.job) : '', page.moment(v.created), v.note]
           };
         })));
       page.ask('/api/values?robot=' + encodeURIComponent(robot)).then(function (v) { values = v; draw(); }).catch(function (e) { replace(plots, el('p.note.bad', null, e.message)); });

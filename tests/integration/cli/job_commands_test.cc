@@ -203,5 +203,32 @@ TEST_F(JobCommands, CompletionIsAScriptThatZshTakes) {
   EXPECT_EQ(std::system(("zsh -n " + (scratch_ / "_realitygrad")).c_str()), 0);
 }
 
+TEST_F(JobCommands, AResultThatDidNotGoAsAskedIsSaidAndItsVersionHeldBack) {
+  service_.StartWorker("a");
+  Parameters("arm", 1.0);
+  const std::string end = "stopped by velocity_limit after 1.44 of 6 s";
+  const json early = {{"robot", "arm"}, {"value", 2.0}, {"rollout", end}, {"held_back", true}, {"remark", end + "\x1b[2J"}};
+  const int64_t id = SubmitOne("parameters", early.dump());
+  const Said waited = Run("job wait " + std::to_string(id));
+  EXPECT_EQ(waited.code, 0);
+  service_.KillCoordinator();
+  service_.StartCoordinator();
+  const json job = RunJson("job show " + std::to_string(id));
+  EXPECT_EQ(job["state"], "succeeded");
+  EXPECT_EQ(job["reason"], end + "\\x1b[2J") << "nothing that a terminal obeys";
+  EXPECT_EQ(job["task_list"][0]["reason"], job["reason"]);
+  EXPECT_NE(Run("jobs").out.find(end), std::string::npos);
+  const json history = RunJson("params history");
+  EXPECT_EQ(history["current"], 1);
+  EXPECT_EQ(history["versions"][0]["rollout"], end);
+  EXPECT_EQ(history["versions"][0]["held_back"], true);
+  const Said table = Run("params history");
+  EXPECT_NE(table.out.find("1*"), std::string::npos) << table.out;
+  EXPECT_NE(table.out.find("2-"), std::string::npos) << table.out;
+  EXPECT_NE(table.out.find(end), std::string::npos) << table.out;
+  EXPECT_EQ(RunJson("params promote 2")["current"], 2);
+  EXPECT_EQ(RunJson("params promote --latest")["current"], 1);
+}
+
 }  // namespace
 }  // namespace rg

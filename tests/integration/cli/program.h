@@ -64,6 +64,9 @@ class Background {
   ~Background() {
     if (pid_ > 0) kill(pid_, SIGTERM);
   }
+  void Signal(int number) {
+    if (pid_ > 0) kill(pid_, number);
+  }
   void KillNow() {
     if (pid_ > 0) kill(pid_, SIGKILL);
     pid_ = -1;

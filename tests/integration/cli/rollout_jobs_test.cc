@@ -21,9 +21,11 @@ class RolloutJobs : public ::testing::Test {
   }
   ~RolloutJobs() override { EndAgent(); }
 
-  void StartAgent(const std::vector<double>& torque, const std::string& flags) {
+  // The end effector may rise to `highest` [m]; the goal of Submit is at 0.68 m.
+  void StartAgent(const std::vector<double>& torque, const std::string& flags, double highest = 2) {
     json config = json::parse(ReadFile(scratch_ / "small_agent.json").value());
     config["limits"]["torque"] = torque;
+    config["limits"]["task_box"] = {{"lower", {-2, -2, -2}}, {"upper", {2, 2, highest}}};
     ASSERT_TRUE(WriteFileAtomically(scratch_ / "small_agent.json", config.dump()).ok());
     agent_.emplace(scratch_, "realitygrad-agent",
                    "--coordinator " + address() + " --config small_agent.json --spool spool --folder w " + flags);
@@ -40,6 +42,10 @@ class RolloutJobs : public ::testing::Test {
   }
   Said Run(const std::string& arguments) {
     return RunProgram(scratch_, "--coordinator " + address() + " " + arguments);
+  }
+  json RunJson(const std::string& arguments) {
+    const Said said = Run(arguments + " --output json");
+    return json::parse(said.out, nullptr, false);
   }
   Said Submit(const std::string& flags) {
     return Run("submit rollout --robot ./small.robot.json --model nominal --controller mpc --goal 0.9 1.0 " + flags);
@@ -63,8 +69,6 @@ class RolloutJobs : public ::testing::Test {
     return false;
   }
   std::string Logs() const { return ReadFile(scratch_ / "realitygrad-agent.log").value(); }
-
- private:
   std::string address() const { return "ipc://" + (scratch_ / "c.sock"); }
 
   const ScratchFolder scratch_;
@@ -114,6 +118,75 @@ TEST_F(RolloutJobs, ACancelWaitsForTheStopAndTheRecordingSaysSo) {
   ASSERT_EQ(recordings.size(), 1u) << Logs();
   EXPECT_EQ(recordings[0]["end_reason"], "operator_stop") << recordings[0]["detail"];
   EXPECT_EQ(recordings[0]["stop"]["confirmed"], true);
+}
+
+// The fence ends the rollout on its last centimetres: the job failed and says how, what was recorded can be used, and what
+// comes of it is not current until somebody says so.
+TEST_F(RolloutJobs, ARolloutThatWasStoppedFailedAndItsRecordingCanBeUsed) {
+  StartAgent({80, 40}, "--trusted", 0.65);
+  const Said stopped = Submit("--rollout-seconds 3 --timeout 300 --out r");
+  EXPECT_EQ(stopped.code, 3) << stopped.err << stopped.out << Logs();
+  EXPECT_TRUE(std::filesystem::exists(scratch_ / "r/rec_000.csv")) << stopped.err;
+  const json job = RunJson("job show last");
+  EXPECT_EQ(job["state"], "failed");
+  const std::string reason = job.value("reason", "");
+  EXPECT_NE(reason.find("stopped by task_space_limit ("), std::string::npos) << reason;
+  EXPECT_NE(reason.find(" of 3 s"), std::string::npos) << reason;
+
+  // As the reason says, while the agent still runs.
+  const std::string named = "artefact ";
+  const std::string recording = reason.substr(reason.find(named) + named.size(), 12);
+  const std::string identify = "submit identify --robot ./small.robot.json --model nominal --hops 1 --chains 1 --rounds 1 "
+                               "--identify-seconds 0 --wait --timeout 300 --recording " + recording;
+  const Said identified = Run(identify);
+  EXPECT_EQ(identified.code, 0) << identified.err << reason;
+  EXPECT_NE(identified.out.find("rollout stopped by task_space_limit"), std::string::npos) << identified.out;
+  EXPECT_EQ(RunJson("params history")["current"], 0);
+  EXPECT_NE(RunJson("params history")["versions"][0]["rollout"].dump().find("stopped by task_space_limit"),
+            std::string::npos);
+  EXPECT_EQ(Run(identify + " --accept-partial").code, 0);
+  EXPECT_EQ(RunJson("params history")["current"], 2);
+  EXPECT_NE(RunJson("job show last").value("reason", "").find("; accepted"), std::string::npos);
+
+  const Said accepted = Submit("--rollout-seconds 3 --timeout 300 --accept-partial --wait");
+  EXPECT_EQ(accepted.code, 0) << accepted.err;
+  EXPECT_NE(RunJson("job show last").value("reason", "").find("stopped by task_space_limit"), std::string::npos);
+  ASSERT_EQ(Recordings().size(), 2u);
+  EndAgent();
+  EXPECT_EQ(Recordings().size(), 2u) << "what the spool hands in is known by its bytes";
+}
+
+// Every rollout is ended early, also the slower ones: the loop goes on from the model that it learned all the same, says
+// so, and no version of it becomes current unless that was asked for.
+TEST(RunThatIsStopped, GoesOnAndHoldsItsVersionsBack) {
+  const ScratchFolder scratch;
+  WriteSmallRobot(scratch, json::array(), 0.0);
+  json config = json::parse(ReadFile(scratch / "small_agent.json").value());
+  config["limits"]["task_box"] = {{"lower", {-2, -2, -2}}, {"upper", {2, 2, 0.65}}};
+  ASSERT_TRUE(WriteFileAtomically(scratch / "small_agent.json", config.dump()).ok());
+  const std::string run =
+      "run --robot ./small.robot.json --lock-step --workers 2 --trajectories 4 --epochs 2 --aggregations 0 --examination 0 "
+      "--controller mpc --goal 0.9 1.0 --excitation 0 --rollout-seconds 3 --slower-attempts 1 --identify-seconds 0 --hops 1 "
+      "--chains 1 --rounds 1 ";
+  const Said said = RunProgram(scratch, run + "--iterations 2 --dir r");
+  ASSERT_EQ(said.code, 0) << said.err;
+  EXPECT_NE(said.out.find("task_space_limit"), std::string::npos) << said.out;
+  EXPECT_NE(said.out.find("rollout 1: stopped by task_space_limit ("), std::string::npos) << said.out;
+  EXPECT_NE(said.out.find("rollout 2: stopped by task_space_limit ("), std::string::npos) << said.out;
+  EXPECT_NE(said.out.find("its parameters are not current, the next iteration goes on from them"), std::string::npos);
+  EXPECT_NE(ReadFile(scratch / "r/report.html").value().find("stopped by task_space_limit"), std::string::npos);
+  const auto history = [&](const std::string& folder) {
+    return json::parse(RunProgram(scratch, "--coordinator " + folder + " params history --output json").out);
+  };
+  EXPECT_EQ(history("r")["versions"].size(), 2u);
+  EXPECT_EQ(history("r")["current"], 0);
+  const json jobs = json::parse(RunProgram(scratch, "--coordinator r jobs --output json").out)["jobs"];
+  for (const json& job : jobs) {
+    EXPECT_EQ(job["state"], "succeeded");
+    EXPECT_NE(job["reason"].dump().find("rollout stopped by task_space_limit"), std::string::npos) << job;
+  }
+  ASSERT_EQ(RunProgram(scratch, run + "--iterations 1 --accept-partial --dir a").code, 0);
+  EXPECT_EQ(history("a")["current"], 1);
 }
 
 }  // namespace

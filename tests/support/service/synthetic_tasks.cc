@@ -131,11 +131,14 @@ Result<TaskOutputs> Parameters(const TaskInput& input, TaskContext&) {
   const json metadata = {
       {"robot", options.value("robot", "arm")},
       {"source", "identified"},
+      {"rollout", options.value("rollout", "")},
+      {"held_back", options.value("held_back", false)},
       {"residual_before", 2.0},
       {"residual_after", 1.0},
       {"values", {{{"name", "mass.arm"}, {"value", options.value("value", 1.0)}, {"stddev", 0.1}}}}};
   TaskOutputs outputs;
   outputs.artifacts.push_back({"out", "parameters", metadata["values"].dump(), metadata.dump(), {}});
+  outputs.remark = options.value("remark", "");
   return outputs;
 }
 

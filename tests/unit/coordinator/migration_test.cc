@@ -117,7 +117,7 @@ TEST_P(Migration, ACopyIsMadeBeforeAndOpensWithTheOldTables) {
   ASSERT_NE(Open(), nullptr);
   const auto copies = Copies();
   ASSERT_EQ(copies.size(), 1u);
-  const std::string changed = GetParam() < 4 ? "artifacts-2-parameters-2-coordinator-" : "coordinator-";
+  const std::string changed = GetParam() < 4 ? "artifacts-2-parameters-3-coordinator-" : "parameters-3-coordinator-";
   EXPECT_EQ(copies[0].rfind("service.db.before-" + changed, 0), 0u) << copies[0];
   const auto old = store::Database::Open({.path = folder_ + "/" + copies[0], .read_only = true}, {});
   ASSERT_TRUE(old.ok()) << old.status().ToString();

@@ -57,6 +57,27 @@ TEST_F(Reactor, AChildIsAssignedOnlyAfterItsParentCommitted) {
   EXPECT_EQ(Sent<Assign>(last_)[0].task, MakeTaskId(job, 1));
 }
 
+TEST_F(Reactor, WhatDidNotGoAsAskedIsTheReasonOfTaskAndJobThoughTheySucceed) {
+  Join("a");
+  const JobId job = SubmitJob({MakeTask("rollout"), MakeTask("rest", {{0, false}})});
+  const Assign first = Sent<Assign>(last_).at(0);
+  Finished early{"a#1", first.task, first.token};
+  early.remark = "stopped after 1.4 of 6 s";
+  last_ = Do(early);
+  const bool on_task = std::any_of(last_.rows.begin(), last_.rows.end(), [&](const Row& row) {
+    const auto* update = std::get_if<UpdateTask>(&row);
+    return update != nullptr && update->task == first.task && update->reason == early.remark;
+  });
+  EXPECT_TRUE(on_task);
+  EXPECT_EQ(state_.jobs.at(job).record.reason, "stopped after 1.4 of 6 s") << "as soon as it is known";
+  Do(CommandJob{job, JobCommand::kPause, "", 1});
+  Do(CommandJob{job, JobCommand::kResume, "", 1});
+  const Assign second = Sent<Assign>(last_).at(0);
+  Do(Finished{"a#1", second.task, second.token});
+  EXPECT_EQ(Phase(job), JobPhase::kSucceeded);
+  EXPECT_EQ(state_.jobs.at(job).record.reason, "stopped after 1.4 of 6 s");
+}
+
 TEST_F(Reactor, ARepeatedResultIsAcceptedOnceAndAnOldOneRefused) {
   Join("a");
   SubmitJob({MakeTask("t")});

@@ -205,6 +205,47 @@ TEST(Conclusion, HasTheHopsOfAllChainsOverTheirTime) {
   }
 }
 
+TEST(ConcludeTask, ParametersOfARolloutThatWasStoppedAreHeldBackUnlessItIsAccepted) {
+  Loop loop;
+  const std::string chain = Chain(loop.Input(0, 0, 1));
+  const auto conclude = [&](const std::string& rollout, bool accept) {
+    worker::TaskInput input = loop.Input(0, 0, 1, {As(kInputChain, chain)});
+    input.inputs[1].metadata_json = rollout;
+    pb::ConcludePayload payload;
+    RG_CHECK(payload.mutable_identify()->ParseFromString(input.payload));
+    payload.set_robot("arm2");
+    payload.set_accept_partial(accept);
+    payload.SerializeToString(&input.payload);
+    worker::RecordingTaskContext context("");
+    return RunConclude(input, context).value();
+  };
+  const auto made = [](const worker::TaskOutputs& outputs, const char* name) {
+    for (const worker::OutputArtifact& artifact : outputs.artifacts)
+      if (artifact.name == name) return artifact;
+    return worker::OutputArtifact();
+  };
+  const auto metadata = [&](const worker::TaskOutputs& outputs) {
+    return nlohmann::json::parse(made(outputs, kOutputParameters).metadata_json);
+  };
+  const std::string stopped =
+      R"({"end_reason": "velocity_limit", "ended_after_s": 0.6, "duration_s": 1, "held": true})";
+  const worker::TaskOutputs early = conclude(stopped, false);
+  EXPECT_EQ(early.remark,
+            "rollout stopped by velocity_limit after 0.6 of 1 s; its parameters are not current until promoted");
+  EXPECT_EQ(metadata(early)["rollout"], "stopped by velocity_limit after 0.6 of 1 s");
+  EXPECT_EQ(metadata(early)["held_back"], true);
+  const auto result = nlohmann::json::parse(made(early, kOutputResult).bytes)["rollout"];
+  EXPECT_EQ(result["ended"], "stopped by velocity_limit after 0.6 of 1 s");
+  EXPECT_EQ(result["held_back"], true);
+  const worker::TaskOutputs accepted = conclude(stopped, true);
+  EXPECT_EQ(metadata(accepted)["held_back"], false);
+  EXPECT_EQ(accepted.remark, "rollout stopped by velocity_limit after 0.6 of 1 s; accepted");
+  const worker::TaskOutputs whole = conclude(R"({"end_reason": "completed", "held": true})", false);
+  EXPECT_EQ(whole.remark, "");
+  EXPECT_EQ(metadata(whole)["rollout"], "complete");
+  EXPECT_EQ(metadata(whole)["held_back"], false);
+}
+
 TEST(IdentifyTask, CancelledItHasNoResult) {
   const Loop loop;
   worker::RecordingTaskContext context("");
@@ -225,7 +266,7 @@ TEST(IdentifyTask, ARolloutThatEndedTooEarlyFailsItWithTheRolloutsOwnReason) {
   const auto failed = RunIdentify(loop.Input(0, 0, 1), context);
   ASSERT_FALSE(failed.ok());
   EXPECT_NE(failed.status().message().find(
-                "the rollout ended with velocity_limit (elbow: velocity 2.1 beyond its limit 2) "
+                "the rollout was stopped by velocity_limit (elbow: velocity 2.1 beyond its limit 2) "
                 "after 0.12 s and left 3 rows"),
             std::string::npos)
       << failed.status().message();

@@ -216,6 +216,22 @@ pb::RolloutPayload RolloutOf(const IterationOptions& options) {
   return payload;
 }
 
+TEST(JobGraphs, ARolloutsJobWantsAllOfItAnIterationGoesOnWithWhatThereIs) {
+  IterationOptions options;
+  EXPECT_FALSE(RolloutOf(options).whole());
+  IterationInputs inputs = Model();
+  inputs.policy = std::string(64, 'c');
+  const auto wants_all = [&] {
+    pb::RolloutPayload payload;
+    EXPECT_TRUE(payload.ParseFromString(CompileRollout(options, inputs).tasks(0).payload()));
+    return payload.whole();
+  };
+  EXPECT_TRUE(wants_all());
+  options.rollout.accept_partial = true;
+  EXPECT_FALSE(wants_all());
+  EXPECT_TRUE(OptionsFromJson(OptionsToJson(options)).rollout.accept_partial) << "a run that is gone on with";
+}
+
 TEST(JobGraphs, AnArmMovesAgainOnlyWhereItIsAskedFor) {
   IterationOptions options;
   EXPECT_EQ(RolloutOf(options).slower_attempts(), 0u);

@@ -425,7 +425,7 @@ TEST(RolloutTask, WhatTheMonitorEndsIsMadeAgainSlowerAndARepeatOfTheTaskMovesNot
     EXPECT_EQ(attempt(k)["excitation"], 0.02 * std::pow(0.5, k));
     EXPECT_EQ(attempt(k)["made_again"].size(), k);
   }
-  EXPECT_THAT(attempt(1)["made_again"][0].get<std::string>(), HasSubstr("position_limit after"));
+  EXPECT_THAT(attempt(1)["made_again"][0].get<std::string>(), HasSubstr("stopped by position_limit ("));
   EXPECT_EQ(task().bundle, output.bundle);
   EXPECT_EQ(Spool::Open(rig.folder).value()->Ready(), ids);
 }

@@ -32,13 +32,13 @@ TEST(RecordingBundle, ARolloutThatEndedTooEarlySaysHowInOneLine) {
   const Status refused = CheckRows(early, 2);
   EXPECT_EQ(refused.code(), StatusCode::kFailedPrecondition);
   EXPECT_EQ(refused.message(),
-            "the rollout ended with stale_state (newest state is 0.774 s old) after 0.04 s and left 0 rows, nothing "
+            "the rollout was stopped by stale_state (newest state is 0.774 s old) after 0.04 s and left 0 rows, nothing "
             "can be identified from fewer than 2");
   EXPECT_EQ(LoadBundle(early).status().message(), refused.message());
   EXPECT_EQ(LoadBundleOfWholeTorques(early).status().message(), refused.message());
   EXPECT_TRUE(CheckRows(of(R"({"rows": 10, "end_reason": "completed"})"), kLeastRows).ok());
   EXPECT_EQ(CheckRows(of(R"({"rows": 9, "end_reason": "operator_stop"})"), kLeastRows).message(),
-            "the rollout ended with operator_stop and left 9 rows, nothing can be identified from fewer than 10");
+            "the rollout was stopped by operator_stop and left 9 rows, nothing can be identified from fewer than 10");
   EXPECT_TRUE(CheckRows(of("{}"), kLeastRows).ok()) << "no rollout";
   EXPECT_EQ(CheckRows("torn", 2).code(), StatusCode::kDataLoss);
 }

@@ -74,6 +74,26 @@ TEST_F(ParameterStoreTest, HistoryIsNewestFirstAndLimited) {
   EXPECT_EQ(parameters_->History("nobody")->size(), 0u);
 }
 
+TEST_F(ParameterStoreTest, AVersionThatIsHeldBackIsCurrentOnlyWhereItIsPromoted) {
+  EXPECT_EQ(*parameters_->Current("mico2"), 0);
+  ParameterVersion early = Nominal();
+  early.rollout = "stopped by velocity_limit after 1.44 of 6 s";
+  early.held_back = true;
+  AddOk(early);
+  EXPECT_EQ(*parameters_->Current("mico2"), 0) << "there is no other";
+  EXPECT_EQ(parameters_->Latest("mico2")->rollout, early.rollout);
+  EXPECT_TRUE(parameters_->History("mico2")->front().held_back);
+  AddOk(Nominal());
+  AddOk(early);
+  EXPECT_EQ(*parameters_->Current("mico2"), 2);
+  ASSERT_TRUE(parameters_->Promote("mico2", 3).ok());
+  EXPECT_EQ(*parameters_->Current("mico2"), 3) << "a person has looked";
+  AddOk(Nominal());
+  EXPECT_EQ(*parameters_->Current("mico2"), 3);
+  ASSERT_TRUE(parameters_->Promote("mico2", 0).ok());
+  EXPECT_EQ(*parameters_->Current("mico2"), 4);
+}
+
 TEST_F(ParameterStoreTest, DiffShowsChangedNewAndGoneWithSigmas) {
   AddOk(Nominal());
   AddOk({.robot = "mico2",
