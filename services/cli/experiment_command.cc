@@ -44,6 +44,7 @@ jobs::IterationOptions PaperOptions(Experiment experiment) {
   jobs::IterationOptions o;
   o.identify.whole_recording = false;  // one window of 0.2 s
   o.identify.rounds = 1;
+  o.identify.parametrisation = "raw";
   o.identify.alpha = 1e-2;
   o.rollout.accept_partial = true;  // its length stands in the table
   if (experiment == Experiment::kBoundedVsUnbounded) {

@@ -92,9 +92,14 @@ void AddIdentifyFlags(CLI::App* command, jobs::IterationOptions* options) {
   command->add_option("--window-start", o.window_start_s, "Its start [s]")->capture_default_str();
   command->add_option("--solver", o.solver, "lm or lbfgs")->capture_default_str();
   command->add_option("--bounds", o.bounds, "physical, paper (±20 %) or none")->capture_default_str();
+  command
+      ->add_option("--parametrisation,--parametrization", o.parametrisation,
+                   "Of a link's inertial parameters: log-cholesky (only bodies that can exist) or raw (the paper's)")
+      ->check(CLI::IsMember({"log-cholesky", "raw"}))
+      ->capture_default_str();
   command->add_flag_callback(
       "--paper-parameters", [&o] { o.friction = false; },
-      "Only the paper's 71 parameters, without Coulomb friction and rotor inertia");
+      "Without Coulomb friction and rotor inertia; with --parametrisation raw the paper's 71 parameters");
   command->add_option("--alpha", o.alpha, "Weight of the pull towards the present parameters")
       ->capture_default_str();
 }

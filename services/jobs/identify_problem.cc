@@ -47,12 +47,26 @@ Belief PhysicalBelief(const sim::Parameter& parameter, bool rotors) {
   }
 }
 
+// The same of coordinate i. A body's mass and its stretches are half the logarithms of what they multiply the
+// mass and, at that mass, the second moments by: raw beliefs about mass and inertia hold for these.
+Belief BeliefOf(const sim::Plant& plant, const sysid::FitSpace& space, int i, bool rotors) {
+  using Coordinate = sysid::FitSpace::Coordinate;
+  const sim::Parameter& parameter = plant.parameters()[space.parameters()[static_cast<size_t>(i)].index];
+  const Belief raw = PhysicalBelief(parameter, rotors);
+  const Coordinate coordinate = space.CoordinateOf(i);
+  if (coordinate == Coordinate::kItself) return raw;
+  const Belief own{space.lower()[i], space.upper()[i], space.prior_stddev()[i]};
+  const double nominal = parameter.nominal;
+  if (coordinate == Coordinate::kCentre || coordinate == Coordinate::kShear || nominal <= 0.0) return own;
+  return {std::max(0.5 * std::log(raw.lower / nominal), own.lower), 0.5 * std::log(raw.upper / nominal),
+          0.5 * std::log1p(raw.stddev / nominal)};
+}
+
 // Bounds, search ranges and the weights of the pull towards p_init for BoundsKind::kPhysical.
-void TakePhysicalBeliefs(const sim::Plant& plant, const std::vector<int>& parameters, double alpha,
-                         bool rotors, sysid::LeastSquaresProblem* problem) {
-  for (size_t i = 0; i < parameters.size(); ++i) {
-    const auto e = static_cast<Eigen::Index>(i);
-    const Belief belief = PhysicalBelief(plant.parameters()[parameters[i]], rotors);
+void TakePhysicalBeliefs(const sim::Plant& plant, const sysid::FitSpace& space, double alpha, bool rotors,
+                         sysid::LeastSquaresProblem* problem) {
+  for (int e = 0; e < space.size(); ++e) {
+    const Belief belief = BeliefOf(plant, space, e, rotors);
     problem->lower[e] = std::min(belief.lower, problem->initial[e]);
     problem->upper[e] = std::max(belief.upper, problem->initial[e]);
     problem->search_lower[e] = std::max(problem->lower[e], problem->initial[e] - 2 * belief.stddev);
@@ -133,6 +147,7 @@ Result<IdentifyProblem> IdentifyProblem::Create(const sim::Plant& plant, const V
   paper_options.alpha = options.alpha;
   paper_options.interpolate = !options.whole_recording;
   paper_options.simulator = options.simulator;
+  paper_options.consistent_inertias = options.consistent_inertias;
   if (options.friction) paper_options.extra_parameters = FrictionParameters(plant);
   paper_options.windows.clear();
   for (const double start : WindowStarts(recording, options))
@@ -142,21 +157,15 @@ Result<IdentifyProblem> IdentifyProblem::Create(const sim::Plant& plant, const V
   RG_ASSIGN_OR_RETURN(auto paper, sysid::PaperProblem::Create(plant, initial, recording, paper_options));
   sysid::LeastSquaresProblem problem = paper.problem();
   if (options.bounds == BoundsKind::kPhysical)
-    TakePhysicalBeliefs(plant, paper.parameters(), options.alpha, options.friction, &problem);
+    TakePhysicalBeliefs(plant, paper.space(), options.alpha, options.friction, &problem);
   return IdentifyProblem(std::move(paper), std::move(problem), options.long_weight);
 }
 
 VectorXd IdentifyProblem::Start(const sim::Plant& plant, const recordings::Recording& recording) const {
   const sysid::LeastSquaresProblem& ls = problem();
-  std::vector<sysid::FitParameter> fitted;
-  for (Eigen::Index i = 0; i < ls.initial.size(); ++i) {
-    const int index = parameters()[static_cast<size_t>(i)];
-    const sim::Parameter& row = plant.parameters()[index];
-    fitted.push_back({index, row.name, row.unit, ls.initial[i], ls.lower[i], ls.upper[i], ls.scale[i]});
-  }
-  const sysid::FitSpace space(std::move(fitted), false);
   const std::vector<sysid::FitRecording> fit{{&recording, sysid::DriveSignal(recording)}};
-  VectorXd p = sysid::RegressInverseDynamics(plant, FullValues(ls.initial), space, ls.initial, fit).theta;
+  const VectorXd p =
+      sysid::RegressInverseDynamics(plant, FullValues(ls.initial), space(), ls.initial, fit).theta;
   double given = 0.0, regressed = 0.0;
   if (!sysid::EvaluateCost(ls, p, {}, &regressed)) return ls.initial;
   return sysid::EvaluateCost(ls, ls.initial, {}, &given) && given <= regressed ? ls.initial : p;
@@ -176,6 +185,7 @@ IdentifyProblemOptions OptionsOf(const pb::IdentifyPayload& payload) {
                    : payload.bounds() == pb::IDENTIFY_BOUNDS_NONE ? BoundsKind::kNone
                                                                   : BoundsKind::kPhysical;
   options.friction = payload.friction();
+  options.consistent_inertias = payload.parametrisation() == pb::IDENTIFY_PARAMETRISATION_LOG_CHOLESKY;
   // The paper's search starts from what is given.
   options.regress = options.whole_recording && options.bounds == BoundsKind::kPhysical;
   const bool last_round = payload.round() + 1 == payload.rounds();

@@ -27,7 +27,8 @@ enum class BoundsKind {
   kPaper,  // ±20 % on gravity, mass and inertia, 0 ≤ damping ≤ 18, −1.5 ≤ P_d ≤ 1.5
   // What a body and a drive can be, so that what the model lacks (a rotor's reflected inertia, say) has
   // room in what it has: mass 0.3 to 3 ×, inertia 0 to 0.6 kg·m², damping 0 to 30, P_d 0.6 to 1.5; α is
-  // then `alpha` over the square of what each may be off (P_d little, damping and inertia much).
+  // then `alpha` over the square of what each may be off (P_d little, damping and inertia much). Of bodies
+  // it is the second moments at a given mass that have the inertia's room; centres and axes have FitSpace's.
   kPhysical,
   kNone,
 };
@@ -43,6 +44,8 @@ struct IdentifyProblemOptions {
   BoundsKind bounds = BoundsKind::kPhysical;
   bool regress = false;   // a search begins at Start(), not at p_init
   bool friction = false;  // fit the effects of WithFriction too
+  // Links move as bodies that can exist (sysid/fit_space.h), or by the paper's raw masses and inertias.
+  bool consistent_inertias = true;
   sim::SimulatorOptions simulator;
 };
 
@@ -64,6 +67,8 @@ class IdentifyProblem {
   const sysid::LeastSquaresProblem& problem() const { return problem_; }
   const std::vector<int>& parameters() const { return paper_.parameters(); }
   Eigen::VectorXd FullValues(const Eigen::VectorXd& p) const { return paper_.FullValues(p); }
+  // The coordinates p, with what this problem believes of them.
+  sysid::FitSpace space() const { return paper_.space().With(problem_); }
   double long_weight() const { return long_weight_; }
   // Where a search begins: at p_init, or, if that costs less, where the regression of the inverse dynamics
   // (services/sysid/initial_regression.h) ends, within the bounds.

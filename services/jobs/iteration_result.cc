@@ -10,6 +10,7 @@
 #include "services/jobs/kinds.h"
 #include "services/jobs/task_support.h"
 #include "services/rollouts/rollout_end.h"
+#include "services/sysid/shooting_fit.h"
 
 namespace rg::jobs {
 namespace {
@@ -135,23 +136,13 @@ Judgement Judge(const sim::ModelFile& before, const sim::Plant& plant, const Vec
 sysid::IdentifiabilityReport Determine(const sim::Plant& plant, const IdentifyProblem& problem,
                                        const VectorXd& p, double noise_variance) {
   const sysid::LeastSquaresProblem& ls = problem.problem();
-  const auto count = static_cast<Eigen::Index>(problem.parameters().size());
-  sysid::IdentifiabilityInput input;
-  input.value = p;
-  input.nominal = ls.initial;
-  input.lower = ls.lower;
-  input.upper = ls.upper;
-  input.prior_stddev = ls.scale;
-  for (const int index : problem.parameters()) {
-    input.names.push_back(plant.parameters()[index].name);
-    input.units.push_back(plant.parameters()[index].unit);
-  }
   VectorXd r(ls.residuals->num_residuals());
-  sysid::RowMatrix jacobian(r.size(), count);
-  input.information = MatrixXd::Zero(count, count);
-  if (ls.residuals->Evaluate(p, {}, &r, &jacobian)) {
-    input.information = sysid::InformationOf(jacobian / std::sqrt(noise_variance));
-  }
+  sysid::RowMatrix jacobian(r.size(), p.size());
+  if (!ls.residuals->Evaluate(p, {}, &r, &jacobian)) jacobian.setZero();
+  const sysid::FitSpace space = problem.space();
+  sysid::IdentifiabilityInput input = sysid::IdentifiabilityInputOf(
+      space, p, sysid::InformationOf(jacobian / std::sqrt(noise_variance)));
+  input.nominal = space.Parameters(ls.initial);
   sysid::IdentifiabilityReport report = sysid::Identify(input);
   report.warnings = NewlyImpossible(plant, problem.FullValues(ls.initial), problem.FullValues(p));
   return report;

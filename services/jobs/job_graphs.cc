@@ -257,6 +257,8 @@ pb::IdentifyPayload IdentifyPayloadOf(const IterationOptions& options) {
   payload.set_bounds(o.bounds == "paper"  ? pb::IDENTIFY_BOUNDS_PAPER
                      : o.bounds == "none" ? pb::IDENTIFY_BOUNDS_NONE
                                           : pb::IDENTIFY_BOUNDS_PHYSICAL);
+  payload.set_parametrisation(o.parametrisation == "raw" ? pb::IDENTIFY_PARAMETRISATION_RAW
+                                                         : pb::IDENTIFY_PARAMETRISATION_LOG_CHOLESKY);
   payload.set_window_s(o.window_s);
   payload.set_window_start_s(o.window_start_s);
   payload.set_alpha(o.alpha);
@@ -432,6 +434,7 @@ Status Validate(const IterationOptions& o) {
   RG_RETURN_IF_ERROR(InRange("diagnosis work", o.diagnosis.work_limit, 1.0, 1e6));
   RG_RETURN_IF_ERROR(OneOf("solver", o.identify.solver, {"lm", "lbfgs"}));
   RG_RETURN_IF_ERROR(OneOf("bounds", o.identify.bounds, {"physical", "paper", "none"}));
+  RG_RETURN_IF_ERROR(OneOf("parametrisation", o.identify.parametrisation, {"log-cholesky", "raw"}));
   return Status::Ok();
 }
 

@@ -82,7 +82,8 @@ struct IdentifyOptions {
   double window_start_s = 0.0;
   std::string solver = "lm";        // "lm" or "lbfgs"
   std::string bounds = "physical";  // "physical", "paper" or "none"; lbfgs knows none
-  bool friction = true;  // beyond the paper's 71: Coulomb friction and rotor inertia of every joint
+  std::string parametrisation = "log-cholesky";  // of a link's inertial parameters, or "raw"
+  bool friction = true;  // beyond the paper's: Coulomb friction and rotor inertia of every joint
   double alpha = 1e-6;   // of the order of the squared residual that is left, rad²
 };
 

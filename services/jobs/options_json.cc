@@ -48,6 +48,7 @@ json OptionsToJson(const IterationOptions& o) {
             {"window_start_s", o.identify.window_start_s},
             {"solver", o.identify.solver},
             {"bounds", o.identify.bounds},
+            {"parametrisation", o.identify.parametrisation},
             {"friction", o.identify.friction},
             {"alpha", o.identify.alpha}}}};
 }
@@ -86,6 +87,8 @@ IterationOptions OptionsFromJson(const json& j) {
       i.at("window_s").get_to(o.identify.window_s);
   i.at("window_start_s").get_to(o.identify.window_start_s), i.at("solver").get_to(o.identify.solver),
       i.at("bounds").get_to(o.identify.bounds);
+  // Runs that were begun before there was a choice go on as they began.
+  o.identify.parametrisation = i.value("parametrisation", "raw");
   i.at("alpha").get_to(o.identify.alpha), i.at("friction").get_to(o.identify.friction);
   return o;
 }

@@ -103,8 +103,12 @@ std::vector<FitParameter> RotorFitParameters(const sim::Plant& plant) {
 }
 
 std::vector<FitParameter> EffectFitParameters(const sim::Plant& plant) {
+  return FitParametersAt(plant, plant.parameters().OfKind(sim::ParameterKind::kEffect));
+}
+
+std::vector<FitParameter> FitParametersAt(const sim::Plant& plant, const std::vector<int>& indices) {
   std::vector<FitParameter> out;
-  for (const int i : plant.parameters().OfKind(sim::ParameterKind::kEffect)) out.push_back(Row(plant, i));
+  for (const int i : indices) out.push_back(Row(plant, i));
   return out;
 }
 

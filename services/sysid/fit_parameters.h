@@ -38,6 +38,8 @@ std::vector<FitParameter> DeclaredJointFitParameters(const sim::Plant& plant);
 std::vector<FitParameter> RotorFitParameters(const sim::Plant& plant);
 // All parameters of all effects.
 std::vector<FitParameter> EffectFitParameters(const sim::Plant& plant);
+// By their places in the plant's table.
+std::vector<FitParameter> FitParametersAt(const sim::Plant& plant, const std::vector<int>& indices);
 // By name. Error: the closest existing name.
 Result<std::vector<FitParameter>> NamedFitParameters(const sim::Plant& plant,
                                                      const std::vector<std::string>& names);

@@ -45,7 +45,8 @@ Matrix4d UpperCholesky(const Matrix4d& P) {
   return L.reverse();
 }
 
-Matrix4d NominalFactor(const Vector10& p) {
+// U of the pseudo-inertia of a link, or of the nearest body.
+Matrix4d Factor(const Vector10& p) {
   const Vector3d com = p.segment<3>(1);
   Matrix4d P;
   P.topLeftCorner<3, 3>() = CentralMoment(p[0], Symmetric(p.tail<6>())) + p[0] * com * com.transpose();
@@ -65,6 +66,17 @@ Matrix4d Transform(const Vector10& xi) {
   T(0, 2) = xi[8];
   T(1, 2) = xi[9];
   return std::exp(xi[0]) * T;
+}
+
+// ξ of a transform.
+Vector10 CoordinatesOf(Matrix4d T) {
+  Vector10 xi;
+  xi[0] = std::log(T(3, 3));
+  T /= T(3, 3);
+  xi.segment<3>(1) = T.topRightCorner<3, 1>();
+  xi.segment<3>(4) = T.diagonal().head<3>().array().log();
+  xi.tail<3>() << T(0, 1), T(0, 2), T(1, 2);
+  return xi;
 }
 
 // dT/dξ_k at ξ.
@@ -142,7 +154,7 @@ FitSpace::FitSpace(std::vector<FitParameter> parameters, bool consistent)
     if (!IsWholeLink(parameters_, i)) continue;
     Vector10 p;
     for (int k = 0; k < 10; ++k) p[k] = parameters_[i + k].nominal;
-    const LinkBlock block{i, NominalFactor(p)};
+    const LinkBlock block{i, Factor(p)};
     nominal_.segment<10>(i).setZero();
     const Vector3d spread = block.U0.diagonal().head<3>() / std::sqrt(p[0]);
     prior_stddev_[i] = kMassPrior;
@@ -168,11 +180,39 @@ VectorXd FitSpace::From(const VectorXd& values) const {
   return theta.cwiseMax(lower_).cwiseMin(upper_);
 }
 
-bool FitSpace::IsItself(int i) const {
+VectorXd FitSpace::At(const VectorXd& values) const {
+  VectorXd theta(size());
+  for (int i = 0; i < size(); ++i) theta[i] = values[parameters_[i].index];
   for (const LinkBlock& link : links_) {
-    if (i >= link.first && i < link.first + 10) return false;
+    auto p = theta.segment<10>(link.first);
+    if (p[0] > 0.0) {
+      p = CoordinatesOf(link.U0.triangularView<Eigen::Upper>().solve(Factor(p)));
+    } else {
+      p.setZero();
+    }
   }
-  return true;
+  return theta;
+}
+
+FitSpace FitSpace::With(const LeastSquaresProblem& problem) const {
+  FitSpace out = *this;
+  out.nominal_ = problem.initial;
+  out.lower_ = problem.lower;
+  out.upper_ = problem.upper;
+  out.prior_stddev_ = problem.scale;
+  return out;
+}
+
+FitSpace::Coordinate FitSpace::CoordinateOf(int i) const {
+  for (const LinkBlock& link : links_) {
+    const int k = i - link.first;
+    if (k < 0 || k >= 10) continue;
+    return k == 0   ? Coordinate::kMass
+           : k <= 3 ? Coordinate::kCentre
+           : k <= 6 ? Coordinate::kStretch
+                    : Coordinate::kShear;
+  }
+  return Coordinate::kItself;
 }
 
 VectorXd FitSpace::Parameters(const VectorXd& theta) const {

@@ -45,10 +45,17 @@ class FitSpace {
   const Eigen::VectorXd& upper() const { return upper_; }
   const Eigen::VectorXd& prior_stddev() const { return prior_stddev_; }
 
-  // Parameter i stands for itself: θ_i = p_i.
-  bool IsItself(int i) const;
+  // What θ_i is: the parameter p_i, or of ξ above α, one of t, of d or of s.
+  enum class Coordinate { kItself, kMass, kCentre, kStretch, kShear };
+  Coordinate CoordinateOf(int i) const;
+  bool IsItself(int i) const { return CoordinateOf(i) == Coordinate::kItself; }
   // θ, P: where a plant's values are within the bounds, and nominal where no parameter stands for itself.
   Eigen::VectorXd From(const Eigen::VectorXd& values) const;
+  // θ, P, of a plant's values, whatever the bounds: the inverse of Values. A link that is no body, or thinner
+  // than kMinSpread, has the θ of the nearest that is; one without mass the nominal one's.
+  Eigen::VectorXd At(const Eigen::VectorXd& values) const;
+  // The same coordinates with the problem's initial point, bounds and scale as nominal, bounds and prior.
+  FitSpace With(const LeastSquaresProblem& problem) const;
   // p(θ), P.
   Eigen::VectorXd Parameters(const Eigen::VectorXd& theta) const;
   // The plant's table with p(θ) in place.

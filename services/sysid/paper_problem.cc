@@ -28,14 +28,14 @@ struct WindowData {
 // Joint position errors over the windows, each by one simulation from its measured state.
 class WindowResiduals final : public ResidualFunction {
  public:
-  WindowResiduals(const sim::Plant& plant, const VectorXd& base, std::vector<int> parameters,
-                  sim::CommandSignal command, std::vector<WindowData> windows,
-                  const sim::SimulatorOptions& options)
+  WindowResiduals(const sim::Plant& plant, const VectorXd& base, FitSpace space, sim::CommandSignal command,
+                  std::vector<WindowData> windows, const sim::SimulatorOptions& options)
       : simulator_(plant, options),
+        space_(std::move(space)),
         values_(base),
         command_(std::move(command)),
         windows_(std::move(windows)) {
-    request_.parameters = std::move(parameters);
+    request_.parameters = Indices(space_.parameters());
     for (const WindowData& window : windows_) {
       rows_ += static_cast<int>(window.measured.size());
       times_.insert(times_.end(), window.times.begin(), window.times.end());
@@ -43,14 +43,15 @@ class WindowResiduals final : public ResidualFunction {
     Group();
   }
 
-  int num_parameters() const override { return static_cast<int>(request_.parameters.size()); }
+  int num_parameters() const override { return space_.size(); }
   int num_residuals() const override { return rows_; }
   int windows() const { return static_cast<int>(windows_.size()); }
   const std::vector<double>& times() const { return times_; }
   const std::vector<int>& parameters() const { return request_.parameters; }
+  const FitSpace& space() const { return space_; }
 
   bool Evaluate(const VectorXd& p, const StopCondition& stop, VectorXd* r, RowMatrix* dr_dp) override {
-    for (int i = 0; i < p.size(); ++i) values_[request_.parameters[i]] = p[i];
+    values_ = space_.Values(p, std::move(values_));
     simulator_.SetParameters(values_);
     const sim::SensitivityRequest& request = dr_dp != nullptr ? request_ : none_;
     int row = 0;
@@ -62,6 +63,7 @@ class WindowResiduals final : public ResidualFunction {
         row += Write(windows_[first + k], outs_[k], row, r, dr_dp);
       }
     }
+    if (dr_dp != nullptr) space_.PullBack(p, dr_dp);
     return true;
   }
 
@@ -100,6 +102,7 @@ class WindowResiduals final : public ResidualFunction {
   }
 
   sim::Simulator simulator_;
+  FitSpace space_;
   sim::SensitivityRequest request_;
   const sim::SensitivityRequest none_;
   VectorXd values_;
@@ -118,34 +121,69 @@ void RelativeBound(double nominal, double share, double* lower, double* upper) {
   *upper = nominal + share * std::abs(nominal);
 }
 
-void SetBounds(const sim::Plant& plant, const PaperOptions& options, const std::vector<int>& parameters,
+bool IsInertial(const sim::Parameter& p) {
+  return p.kind == sim::ParameterKind::kMass || p.kind == sim::ParameterKind::kInertia;
+}
+
+std::vector<FitParameter> ParametersToFit(const sim::Plant& plant, const PaperOptions& options) {
+  std::vector<int> paper = PaperParameters(plant);
+  if (options.consistent_inertias)
+    std::erase_if(paper, [&](int i) { return IsInertial(plant.parameters()[i]); });
+  std::vector<FitParameter> out = FitParametersAt(plant, paper);
+  const auto add = [&](const std::vector<FitParameter>& more) { out.insert(out.end(), more.begin(), more.end()); };
+  if (options.consistent_inertias) add(InertialFitParameters(plant));
+  add(FitParametersAt(plant, options.extra_parameters));
+  return out;
+}
+
+// Of a parameter that stands for itself.
+void SetOwnBounds(const sim::Parameter& p, const PaperOptions& options, int i, LeastSquaresProblem* problem) {
+  double& lower = problem->lower[i];
+  double& upper = problem->upper[i];
+  switch (p.kind) {
+    case sim::ParameterKind::kDamping:
+      lower = 0.0;
+      upper = options.damping_upper;
+      problem->scale[i] = 1.0;
+      break;
+    case sim::ParameterKind::kForceGain:
+      lower = -options.gain_bound;
+      upper = options.gain_bound;
+      problem->scale[i] = 0.2;
+      break;
+    case sim::ParameterKind::kEffect:
+      lower = p.lower;
+      upper = std::isfinite(p.upper) ? p.upper : p.nominal + 10.0 * p.prior_stddev;
+      problem->scale[i] = p.prior_stddev;
+      break;
+    default:
+      RelativeBound(p.nominal, options.relative_bound, &lower, &upper);
+      problem->scale[i] = p.nominal != 0.0 ? options.relative_bound * std::abs(p.nominal) : p.prior_stddev;
+  }
+}
+
+// Of a body's coordinate: the share by which its mass and, at that mass, its second moments may be off.
+void SetBodyBounds(const PaperOptions& options, const FitSpace& space, int i, LeastSquaresProblem* problem) {
+  const FitSpace::Coordinate coordinate = space.CoordinateOf(i);
+  problem->scale[i] = space.prior_stddev()[i];
+  if (coordinate == FitSpace::Coordinate::kMass || coordinate == FitSpace::Coordinate::kStretch) {
+    problem->lower[i] = 0.5 * std::log1p(-options.relative_bound);
+    problem->upper[i] = 0.5 * std::log1p(options.relative_bound);
+  } else {
+    problem->lower[i] = problem->upper[i] = problem->initial[i];
+  }
+}
+
+void SetBounds(const sim::Plant& plant, const PaperOptions& options, const FitSpace& space,
                LeastSquaresProblem* problem) {
-  for (size_t i = 0; i < parameters.size(); ++i) {
-    const sim::Parameter& p = plant.parameters()[parameters[i]];
-    double& lower = problem->lower[i];
-    double& upper = problem->upper[i];
-    switch (p.kind) {
-      case sim::ParameterKind::kDamping:
-        lower = 0.0;
-        upper = options.damping_upper;
-        problem->scale[i] = 1.0;
-        break;
-      case sim::ParameterKind::kForceGain:
-        lower = -options.gain_bound;
-        upper = options.gain_bound;
-        problem->scale[i] = 0.2;
-        break;
-      case sim::ParameterKind::kEffect:
-        lower = p.lower;
-        upper = std::isfinite(p.upper) ? p.upper : p.nominal + 10.0 * p.prior_stddev;
-        problem->scale[i] = p.prior_stddev;
-        break;
-      default:
-        RelativeBound(p.nominal, options.relative_bound, &lower, &upper);
-        problem->scale[i] = p.nominal != 0.0 ? options.relative_bound * std::abs(p.nominal) : p.prior_stddev;
+  for (int i = 0; i < space.size(); ++i) {
+    if (space.IsItself(i)) {
+      SetOwnBounds(plant.parameters()[space.parameters()[i].index], options, i, problem);
+    } else {
+      SetBodyBounds(options, space, i, problem);
     }
-    problem->search_lower[i] = lower;
-    problem->search_upper[i] = upper;
+    problem->search_lower[i] = problem->lower[i];
+    problem->search_upper[i] = problem->upper[i];
     problem->alpha[i] = options.alpha / (problem->scale[i] * problem->scale[i]);
   }
 }
@@ -243,34 +281,28 @@ Result<PaperProblem> PaperProblem::Create(const sim::Plant& plant, const VectorX
   sim::Simulator simulator(plant, options.simulator);
   simulator.SetParameters(initial);
   auto impl = std::make_unique<Impl>();
-  std::vector<int> parameters = PaperParameters(plant);
-  parameters.insert(parameters.end(), options.extra_parameters.begin(), options.extra_parameters.end());
-  const int P = static_cast<int>(parameters.size());
+  const FitSpace space(ParametersToFit(plant, options), options.consistent_inertias);
   impl->base = initial;
-  impl->residuals = std::make_unique<WindowResiduals>(
-      plant, initial, parameters, CommandOf(recording, simulator), std::move(windows), options.simulator);
+  impl->residuals = std::make_unique<WindowResiduals>(plant, initial, space, CommandOf(recording, simulator),
+                                                      std::move(windows), options.simulator);
   LeastSquaresProblem& problem = impl->problem;
   problem.residuals = impl->residuals.get();
-  problem.initial.resize(P);
-  for (int i = 0; i < P; ++i) problem.initial[i] = initial[parameters[i]];
+  problem.initial = space.At(initial);
   for (VectorXd* v : {&problem.lower, &problem.upper, &problem.alpha, &problem.scale, &problem.search_lower,
                       &problem.search_upper}) {
-    v->resize(P);
+    v->resize(space.size());
   }
-  SetBounds(plant, options, parameters, &problem);
+  SetBounds(plant, options, space, &problem);
   CheckProblem(problem);
   return PaperProblem(std::move(impl));
 }
 
 const LeastSquaresProblem& PaperProblem::problem() const { return impl_->problem; }
 const std::vector<int>& PaperProblem::parameters() const { return impl_->residuals->parameters(); }
+const FitSpace& PaperProblem::space() const { return impl_->residuals->space(); }
 int PaperProblem::windows() const { return impl_->residuals->windows(); }
 const std::vector<double>& PaperProblem::times() const { return impl_->residuals->times(); }
 
-VectorXd PaperProblem::FullValues(const VectorXd& p) const {
-  VectorXd values = impl_->base;
-  for (int i = 0; i < p.size(); ++i) values[parameters()[i]] = p[i];
-  return values;
-}
+VectorXd PaperProblem::FullValues(const VectorXd& p) const { return space().Values(p, impl_->base); }
 
 }  // namespace rg::sysid

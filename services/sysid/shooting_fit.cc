@@ -168,11 +168,18 @@ void AddInformation(const sim::Plant& plant, const FitSpace& space,
 IdentifiabilityReport IdentifiabilityOf(const FitSpace& space, const ShootingFit& fit) {
   const int P = space.size();
   if (P == 0 || fit.solution.information.rows() != P) return {};
-  // From the fit's coordinates to the parameters people know.
-  const MatrixXd dp_dtheta = space.Jacobian(fit.theta);
+  IdentifiabilityInput in = IdentifiabilityInputOf(space, fit.theta, fit.solution.information);
+  in.residual_variance = std::clamp(fit.solution.variance_inflation, 1.0, kMaxInflation);
+  return Identify(in);
+}
+
+IdentifiabilityInput IdentifiabilityInputOf(const FitSpace& space, const VectorXd& theta,
+                                            const MatrixXd& information) {
+  const int P = space.size();
+  const MatrixXd dp_dtheta = space.Jacobian(theta);
   const MatrixXd dtheta_dp = dp_dtheta.inverse();
   IdentifiabilityInput in;
-  in.value = space.Parameters(fit.theta);
+  in.value = space.Parameters(theta);
   in.prior_stddev = (dp_dtheta * space.prior_stddev().asDiagonal()).rowwise().norm();
   for (VectorXd* v : {&in.nominal, &in.lower, &in.upper}) v->resize(P);
   for (int i = 0; i < P; ++i) {
@@ -180,12 +187,11 @@ IdentifiabilityReport IdentifiabilityOf(const FitSpace& space, const ShootingFit
     in.names.push_back(p.name);
     in.units.push_back(p.unit);
     in.nominal[i] = p.nominal;
-    in.lower[i] = space.IsItself(i) ? p.lower : -std::numeric_limits<double>::infinity();
-    in.upper[i] = space.IsItself(i) ? p.upper : std::numeric_limits<double>::infinity();
+    in.lower[i] = space.IsItself(i) ? space.lower()[i] : -std::numeric_limits<double>::infinity();
+    in.upper[i] = space.IsItself(i) ? space.upper()[i] : std::numeric_limits<double>::infinity();
   }
-  in.information = dtheta_dp.transpose() * fit.solution.information * dtheta_dp;
-  in.residual_variance = std::clamp(fit.solution.variance_inflation, 1.0, kMaxInflation);
-  return Identify(in);
+  in.information = dtheta_dp.transpose() * information * dtheta_dp;
+  return in;
 }
 
 double ChooseStep(const sim::Plant& plant, const VectorXd& values, const FitSpace& space,

@@ -64,6 +64,9 @@ recordings::SensorNoise FlooredNoise(recordings::SensorNoise noise);
 
 // Identifiability of the fit in the parameters people know; empty when the fit has no information.
 IdentifiabilityReport IdentifiabilityOf(const FitSpace& space, const ShootingFit& fit);
+// What Identify asks of them, for `information` on θ (P × P) at `theta`; the nominal values are the plant's.
+IdentifiabilityInput IdentifiabilityInputOf(const FitSpace& space, const Eigen::VectorXd& theta,
+                                            const Eigen::MatrixXd& information);
 
 // The longest of a few steps (8 to 1 ms) that changes windows of the recordings, simulated at `theta`, by
 // less than a fifth of the sensors' noise, or by 2 % of what the model is wrong anyway.

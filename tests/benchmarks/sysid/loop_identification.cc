@@ -25,6 +25,7 @@ struct Variant {
   const char* name;
   bool regress;
   double alpha, long_weight;
+  bool bodies = true;
 };
 
 constexpr Variant kVariants[] = {
@@ -32,6 +33,7 @@ constexpr Variant kVariants[] = {
     {"from the regression, alpha 1e-2", true, 1e-2, 0.02},
     {"the same, alpha 1e-6", true, 1e-6, 0.02},
     {"without the long window", true, 1e-6, 0.0},
+    {"with it, raw links", true, 1e-6, 0.02, false},
 };
 
 struct Outcome {
@@ -90,6 +92,7 @@ Outcome Identify(const Robot& robot, const Variant& variant) {
   const sim::Plant bare = sysid::testing::LoadPlant("mico2");
   jobs::IdentifyProblemOptions options;
   options.friction = true;
+  options.consistent_inertias = variant.bodies;
   options.alpha = variant.alpha;
   options.simulator.step_s = 0.002;
   options.simulator.stick_velocity = 2e-3;

@@ -26,7 +26,7 @@ TEST(CommandLine, WrongUseIsOneLine) {
   const ScratchFolder scratch;
   for (const char* wrong :
        {"jobs --frob", "predict --window abc", "sysid", "sysid set --window-choice best",
-        "sysid set --parametrisation nice", "sysid set --fit-windows -1", "params diff 0 1",
+        "sysid set --parametrisation nice", "submit identify --parametrisation nice", "run --parametrisation nice", "sysid set --fit-windows -1", "params diff 0 1",
         "artifacts gc --yes --older-than-days nan", "job wait 1 --timeout nan", "jobs --watch --timeout inf"}) {
     const Said said = RunProgram(scratch, wrong);
     EXPECT_EQ(said.code, 2) << wrong;

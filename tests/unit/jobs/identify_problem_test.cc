@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdlib>
 
+#include "common/effects/effect_catalog.h"
 #include "common/model/robot_model.h"
 #include "common/model/urdf_loader.h"
 #include "common/recordings/command_time.h"
@@ -140,6 +141,100 @@ TEST(IdentifyProblem, ASearchBeginsWhereTheRegressionEndsUnlessTheModelIsBetter)
   EXPECT_EQ(kept, truth) << "no regression is better than the truth";
 }
 
+// Rotors that the model lacks: raw inertias about the joints' axes grow alone, a body's cannot.
+TEST(IdentifyProblem, LinksStayBodiesWhereRawOnesDoNot) {
+  const sim::ModelFile model = Arm2();
+  sim::ModelFile geared = model;
+  geared.plant = *model.plant.WithEffect(
+      effects::MakeSpec("rotor_inertia", model.plant.joint_names(), {{"armature", 0.2}}));
+  geared.values = geared.plant.parameters().Nominal();
+  const recordings::Recording recording = Record(geared, 4.0);
+  struct Outcome {
+    double before = 0.0, after = 0.0;
+    std::vector<std::string> warnings;
+  };
+  const auto identify = [&](bool consistent) {
+    IdentifyProblemOptions options = Options();
+    options.alpha = 1e-6;
+    options.consistent_inertias = consistent;
+    const auto problem = IdentifyProblem::Create(model.plant, model.values, recording, options);
+    EXPECT_TRUE(problem.ok()) << problem.status().ToString();
+    const sysid::LeastSquaresProblem& ls = problem->problem();
+    const auto found = sysid::Solve(ls, problem->Start(model.plant, recording), {.max_iterations = 50}, {});
+    Outcome out;
+    EXPECT_TRUE(sysid::EvaluateCost(ls, ls.initial, {}, &out.before));
+    out.after = found.cost;
+    out.warnings = Determine(model.plant, *problem, found.p, 1e-6).warnings;
+    return out;
+  };
+  const Outcome raw = identify(false), bodies = identify(true);
+  EXPECT_FALSE(raw.warnings.empty()) << "this recording is no test";
+  EXPECT_TRUE(bodies.warnings.empty()) << bodies.warnings.front();
+  EXPECT_NEAR(bodies.before, raw.before, 1e-6 * raw.before);
+  EXPECT_LT(bodies.after, 0.01 * bodies.before);
+}
+
+// The raw beliefs, of coordinates in which a link is a body: what a mass may be, it may be.
+TEST(IdentifyProblem, BodiesHaveTheRoomOfRawMassesAndInertias) {
+  const sim::ModelFile model = Arm2();
+  sim::ModelFile heavy = model;
+  const int mass = model.plant.parameters().Find("mass.upper_arm");
+  ASSERT_GE(mass, 0);
+  heavy.values[mass] *= 2.0;
+  for (const bool friction : {true, false}) {
+    IdentifyProblemOptions options = Options();
+    options.friction = friction;
+    // From another model than the URDF's: bounds are about the URDF's.
+    const sim::ModelFile fitted = *ModelToFit(heavy, options);
+    const auto problem = IdentifyProblem::Create(fitted.plant, fitted.values, Record(model, 0.8), options);
+    ASSERT_TRUE(problem.ok()) << problem.status().ToString();
+    const sysid::LeastSquaresProblem& ls = problem->problem();
+    EXPECT_NEAR(problem->FullValues(ls.initial)[mass], heavy.values[mass], 1e-9);
+    const double nominal = model.values[mass];
+    EXPECT_NEAR(problem->FullValues(ls.lower)[mass], 0.3 * nominal, 1e-6);
+    EXPECT_NEAR(problem->FullValues(ls.upper)[mass], 3.0 * nominal, 1e-6);
+    // A hop's start, two typical errors off: 0.2 of a mass each, as the raw one has.
+    EXPECT_NEAR(problem->FullValues(ls.search_upper)[mass], 1.44 * heavy.values[mass], 1e-6);
+    EXPECT_TRUE((ls.search_lower.array() <= ls.initial.array()).all());
+    EXPECT_TRUE((ls.search_upper.array() >= ls.initial.array()).all());
+    EXPECT_TRUE(sysid::ImpossibleInertias(fitted.plant, problem->FullValues(ls.search_lower)).empty());
+    EXPECT_TRUE(sysid::ImpossibleInertias(fitted.plant, problem->FullValues(ls.search_upper)).empty());
+  }
+}
+
+// A URDF's point mass, and an inertia that no body has: the search begins at the nearest bodies.
+TEST(IdentifyProblem, ModelsThatAreNoBodiesAreIdentifiedToo) {
+  const sim::ModelFile model = Arm2();
+  sim::ModelFile odd = model;
+  const auto set = [&](const char* name, double value) {
+    const int i = model.plant.parameters().Find(name);
+    ASSERT_GE(i, 0) << name;
+    odd.values[i] = value;
+  };
+  for (const char* inertia : {"inertia_xx.upper_arm", "inertia_yy.upper_arm", "inertia_zz.upper_arm"})
+    set(inertia, 0.0);
+  set("inertia_zz.forearm", 0.5);
+  ASSERT_FALSE(sysid::ImpossibleInertias(odd.plant, odd.values).empty());
+  const recordings::Recording recording = Record(model, 2.0);
+  IdentifyProblemOptions options = Options();
+  options.alpha = 1e-6;
+  const auto problem = IdentifyProblem::Create(odd.plant, odd.values, recording, options);
+  ASSERT_TRUE(problem.ok()) << problem.status().ToString();
+  const sysid::LeastSquaresProblem& ls = problem->problem();
+  const VectorXd begin = problem->FullValues(ls.initial);
+  EXPECT_TRUE(sysid::ImpossibleInertias(odd.plant, begin).empty());
+  for (const char* kept : {"mass.upper_arm", "mass.forearm", "com_x.forearm", "damping.elbow"}) {
+    const int i = model.plant.parameters().Find(kept);
+    ASSERT_GE(i, 0) << kept;
+    EXPECT_NEAR(begin[i], odd.values[i], 1e-9) << kept;
+  }
+  double before = 0.0;
+  ASSERT_TRUE(sysid::EvaluateCost(ls, ls.initial, {}, &before));
+  const auto found = sysid::Solve(ls, problem->Start(odd.plant, recording), {.max_iterations = 50}, {});
+  EXPECT_LT(found.cost, 0.01 * before);
+  EXPECT_TRUE(Determine(odd.plant, *problem, found.p, 1e-6).warnings.empty());
+}
+
 TEST(IdentifyProblem, ASingleWindowIsThePapersProblem) {
   const sim::ModelFile model = Arm2();
   IdentifyProblemOptions options = Options();
@@ -158,6 +253,7 @@ TEST(Determine, WarnsOfLinksThatCouldExistBeforeTheFitOnly) {
   const sim::ModelFile model = Arm2();
   IdentifyProblemOptions options = Options();
   options.bounds = BoundsKind::kNone;
+  options.consistent_inertias = false;
   const auto problem = IdentifyProblem::Create(model.plant, model.values, Record(model, 1.2), options);
   ASSERT_TRUE(problem.ok()) << problem.status().ToString();
   VectorXd p = problem->problem().initial;

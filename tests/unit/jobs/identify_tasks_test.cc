@@ -79,6 +79,7 @@ struct Loop {
     payload.set_rounds(2);
     payload.set_hops(static_cast<uint32_t>(hops));
     payload.set_window(pb::IDENTIFY_WINDOW_WHOLE);
+    payload.set_parametrisation(pb::IDENTIFY_PARAMETRISATION_LOG_CHOLESKY);
     payload.set_alpha(1e-4);
     worker::TaskInput input;
     input.kind = kKindIdentify, input.task_name = "identify";

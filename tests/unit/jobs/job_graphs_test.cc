@@ -206,6 +206,26 @@ TEST(JobGraphs, BudgetIsSharedByTheRounds) {
   EXPECT_DOUBLE_EQ(payload.budget_s(), 5.0);
 }
 
+TEST(JobGraphs, LinksAreIdentifiedAsBodiesUnlessRawIsAskedFor) {
+  IterationOptions options;
+  IterationInputs inputs = Model();
+  inputs.recording = std::string(64, 'b');
+  const auto parametrisation = [&] {
+    pb::IdentifyPayload payload;
+    EXPECT_TRUE(payload.ParseFromString(CompileIdentify(options, inputs).tasks(0).payload()));
+    return payload.parametrisation();
+  };
+  EXPECT_EQ(parametrisation(), pb::IDENTIFY_PARAMETRISATION_LOG_CHOLESKY);
+  options.identify.parametrisation = "raw";
+  EXPECT_EQ(parametrisation(), pb::IDENTIFY_PARAMETRISATION_RAW);
+  options.identify.parametrisation = "nice";
+  EXPECT_EQ(Validate(options).message(), "parametrisation is 'nice', must be one of log-cholesky, raw");
+
+  nlohmann::json old = OptionsToJson(IterationOptions{});
+  old["identify"].erase("parametrisation");
+  EXPECT_EQ(OptionsFromJson(old).identify.parametrisation, "raw") << "runs from before there was a choice";
+}
+
 pb::RolloutPayload RolloutOf(const IterationOptions& options) {
   pb::RolloutPayload payload;
   const pb::JobSpec job = CompileIteration(options, Model());
@@ -257,6 +277,7 @@ TEST(OptionsJson, ComeBackAsTheyWere) {
   options.rollout.slower_attempts = 2;
   options.identify.solver = "lbfgs";
   options.identify.friction = false;
+  options.identify.parametrisation = "raw";
   options.identify.hops = 5;
   const nlohmann::json json = OptionsToJson(options);
   EXPECT_EQ(OptionsToJson(OptionsFromJson(json)), json);

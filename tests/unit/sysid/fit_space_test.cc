@@ -62,6 +62,20 @@ TEST(FitSpace, JacobianMatchesCentralDifferences) {
   EXPECT_LT((J - expected).norm(), 1e-12 * expected.norm());
 }
 
+TEST(FitSpace, AnyValuesOfBodiesHaveTheirPoint) {
+  const sim::Plant plant = testing::LoadPlant("mico2");
+  auto parameters = InertialFitParameters(plant);
+  for (const FitParameter& p : DeclaredJointFitParameters(plant)) parameters.push_back(p);
+  const FitSpace space(parameters);
+  const VectorXd nominal = plant.parameters().Nominal();
+  EXPECT_LT((space.At(nominal) - space.nominal()).cwiseAbs().maxCoeff(), 1e-9);
+  for (uint64_t seed = 0; seed < 20; ++seed) {
+    // Beyond the bounds, too, but not thinner than what is lifted.
+    const VectorXd theta = (3.0 * RandomTheta(space, seed)).cwiseMax(-0.5);
+    EXPECT_LT((space.At(space.Values(theta, nominal)) - theta).cwiseAbs().maxCoeff(), 1e-6);
+  }
+}
+
 TEST(FitSpace, RawSpaceIsTheParametersThemselves) {
   const sim::Plant plant = testing::LoadPlant("arm2");
   const FitSpace space(InertialFitParameters(plant), false);
@@ -81,6 +95,31 @@ TEST(FitSpace, AnInertiaNoBodyCanHaveIsLiftedToOneThatCan) {
   EXPECT_NEAR(p[0], 1.0, 1e-12);
   EXPECT_NEAR(p[3], 0.2, 1e-12);
   EXPECT_NEAR(p[6], 2.0 * kMinSpread * kMinSpread, 1e-9);
+
+  // Not as the nominal link, but as what a fit begins at; and without mass it begins at the nominal one.
+  VectorXd values = p;
+  values.segment<3>(4) << 1.0, 1.0, 2.5;
+  const VectorXd lifted = space.Parameters(space.At(values));
+  EXPECT_TRUE(ImpossibleInertias({{"rod", lifted[0], lifted.segment<3>(4).asDiagonal()}}).empty());
+  EXPECT_NEAR(lifted[4], 1.25, 1e-5);
+  EXPECT_NEAR(lifted[6], 2.5, 1e-5);
+  values[0] = 0.0;
+  EXPECT_EQ(space.At(values), space.nominal());
+}
+
+TEST(FitSpace, TakesAProblemsPointBoundsAndPrior) {
+  const sim::Plant plant = testing::LoadPlant("arm2");
+  const FitSpace space(InertialFitParameters(plant));
+  LeastSquaresProblem problem;
+  problem.initial = RandomTheta(space, 1);
+  problem.lower = problem.initial.array() - 0.1, problem.upper = problem.initial.array() + 0.2;
+  problem.scale = VectorXd::Constant(space.size(), 0.3);
+  const FitSpace other = space.With(problem);
+  EXPECT_EQ(other.nominal(), problem.initial);
+  EXPECT_EQ(other.lower(), problem.lower);
+  EXPECT_EQ(other.upper(), problem.upper);
+  EXPECT_EQ(other.prior_stddev(), problem.scale);
+  EXPECT_EQ(other.Parameters(problem.initial), space.Parameters(problem.initial)) << "the same coordinates";
 }
 
 }  // namespace

@@ -58,14 +58,65 @@ TEST(PaperProblem, BoundsAreThePapersAndFixWhatIsZero) {
   EXPECT_EQ(fixed, 2 + 3 * 4);
 }
 
-TEST(PaperProblem, JacobianMatchesCentralDifferences) {
+TEST(PaperProblem, BodiesTakeThePlaceOfRawMassesAndInertias) {
   Mico mico;
-  auto paper = PaperProblem::Create(mico.plant, mico.nominal, mico.Record(mico.nominal));
+  PaperOptions options;
+  options.consistent_inertias = true;
+  const auto paper = PaperProblem::Create(mico.plant, mico.nominal, mico.Record(mico.nominal), options);
+  ASSERT_TRUE(paper.ok()) << paper.status().ToString();
+  const LeastSquaresProblem& problem = paper->problem();
+  EXPECT_EQ(problem.residuals->num_parameters(), 3 + 2 * 6 + 10 * 6) << "six moving bodies";
+  EXPECT_LT((paper->FullValues(problem.initial) - mico.nominal).cwiseAbs().maxCoeff(), 1e-9);
+
+  const auto recording = mico.Record(1.1 * mico.nominal);
+  const auto cost = [&](const PaperOptions& o) {
+    const auto of_this = PaperProblem::Create(mico.plant, mico.nominal, recording, o);
+    double value = 0.0;
+    EXPECT_TRUE(EvaluateCost(of_this->problem(), of_this->problem().initial, {}, &value));
+    return value;
+  };
+  EXPECT_NEAR(cost(options), cost({}), 1e-6 * cost({})) << "the same model at the start";
+}
+
+// The share holds for the mass and, at that mass, for the second moments; centres and axes stay.
+TEST(PaperProblem, BoundsOfBodiesAreThePapersToo) {
+  Mico mico;
+  PaperOptions options;
+  options.consistent_inertias = true;
+  const auto paper = PaperProblem::Create(mico.plant, mico.nominal, mico.Record(mico.nominal), options);
+  ASSERT_TRUE(paper.ok()) << paper.status().ToString();
+  for (const VectorXd& corner : {paper->problem().lower, paper->problem().upper}) {
+    const VectorXd values = paper->FullValues(corner);
+    const double share = corner == paper->problem().upper ? 1.2 : 0.8;
+    for (const int i : paper->parameters()) {
+      const sim::Parameter& p = mico.plant.parameters()[i];
+      const double tolerance = 1e-6 * std::abs(p.nominal) + 1e-12;
+      double factor = 1.0;
+      if (p.kind == sim::ParameterKind::kMass) factor = share;
+      if (p.kind == sim::ParameterKind::kInertia) factor = share * share;
+      if (factor == 1.0 && p.kind != sim::ParameterKind::kCenterOfMass) continue;
+      EXPECT_NEAR(values[i], factor * p.nominal, tolerance) << p.name;
+    }
+  }
+}
+
+class PaperProblemJacobian : public ::testing::TestWithParam<bool> {};
+INSTANTIATE_TEST_SUITE_P(RawAndBodies, PaperProblemJacobian, ::testing::Bool());
+
+TEST_P(PaperProblemJacobian, MatchesCentralDifferences) {
+  Mico mico;
+  PaperOptions options_of_problem;
+  options_of_problem.consistent_inertias = GetParam();
+  auto paper = PaperProblem::Create(mico.plant, mico.nominal, mico.Record(mico.nominal), options_of_problem);
   ASSERT_TRUE(paper.ok());
   ResidualFunction& residuals = *paper->problem().residuals;
-  const VectorXd p = paper->problem().initial;
+  const int P = residuals.num_parameters();
+  VectorXd p = paper->problem().initial;
+  // Away from the nominal bodies, where coordinates of one body hardly mix.
+  for (int i = 0; i < P; ++i)
+    if (!paper->space().IsItself(i)) p[i] += 0.05 * std::sin(3.0 * i);
   VectorXd r(residuals.num_residuals());
-  RowMatrix J(residuals.num_residuals(), 71);
+  RowMatrix J(residuals.num_residuals(), P);
   ASSERT_TRUE(residuals.Evaluate(p, {}, &r, &J));
   // In the solver's units, or the difference step would be larger than a finger's inertia.
   const VectorXd& scale = paper->problem().scale;
@@ -78,7 +129,7 @@ TEST(PaperProblem, JacobianMatchesCentralDifferences) {
   math::GradientCheckOptions options;
   options.scale_floor = 1e-2;
   options.tolerance = 1e-4;
-  const auto result = math::CheckGradient(f, VectorXd::Zero(71), scaled, options);
+  const auto result = math::CheckGradient(f, VectorXd::Zero(P), scaled, options);
   EXPECT_TRUE(result) << result.message;
 }
 
