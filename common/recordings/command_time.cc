@@ -29,4 +29,9 @@ bool StartsAtRest(const Recording& recording) {
   return true;
 }
 
+double MotionBegin(const Recording& recording) {
+  const bool commanded = recording.drive == EffortKind::kCommand && StartsAtRest(recording);
+  return commanded ? CommandTimes(recording)[0] : recording.t[0];
+}
+
 }  // namespace rg::recordings

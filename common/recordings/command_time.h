@@ -20,4 +20,8 @@ const Eigen::VectorXd& CommandTimes(const Recording& recording);
 // measured velocities nothing says that one does.
 bool StartsAtRest(const Recording& recording);
 
+// When motion begins [s]: a robot that rests in the first row stays where it is until the first command, whatever a
+// model says of what held it. Else the first row's time.
+double MotionBegin(const Recording& recording);
+
 }  // namespace rg::recordings

@@ -36,18 +36,23 @@ Eigen::VectorXd VelocityAt(const Recording& recording, int row) {
 // down did not reach get its last position.
 void RunWindow(const Recording& recording, const sim::CommandSignal& command,
                const recordings::Window& window, sim::Simulator& simulator, SimulationError* error) {
-  std::vector<double> times;
-  for (int k = window.first + 1; k <= window.last; ++k) times.push_back(recording.t[k]);
-  const sim::State start = simulator.MakeStateFromMeasurement(
-      recording.q.col(window.first), VelocityAt(recording, window.first), recording.t[window.first], command);
+  int row = window.first;
+  double begin = row == 0 ? recordings::MotionBegin(recording) : recording.t[row];
+  if (begin >= recording.t[window.last]) begin = recording.t[row];
+  Eigen::VectorXd velocity = VelocityAt(recording, row);
+  if (begin > recording.t[row]) velocity.setZero();
+  for (; recording.t[row + 1] <= begin; ++row) error->position.col(row + 1) = recording.q.col(window.first);
+  const std::vector<double> times(recording.t.data() + row + 1, recording.t.data() + window.last + 1);
+  const sim::State start =
+      simulator.MakeStateFromMeasurement(recording.q.col(window.first), velocity, begin, command);
   const sim::Trajectory out = simulator.Simulate(start, command, times);
-  const int reached = out.outcome.ok() ? window.rows() : out.reached;
-  error->position.middleCols(window.first + 1, reached) = out.position.leftCols(reached);
+  const int reached = out.outcome.ok() ? static_cast<int>(times.size()) : out.reached;
+  error->position.middleCols(row + 1, reached) = out.position.leftCols(reached);
   if (out.outcome.ok()) return;
   error->ok = false;
   error->failure = out.outcome.ToString();
-  for (int k = window.first + 1 + reached; k <= window.last; ++k) {
-    error->position.col(k) = error->position.col(window.first + reached);
+  for (int k = row + 1 + reached; k <= window.last; ++k) {
+    error->position.col(k) = error->position.col(row + reached);
   }
 }
 

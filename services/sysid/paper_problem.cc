@@ -209,17 +209,18 @@ Result<WindowRows> FindRows(const recordings::Recording& recording, const PaperW
   return rows;
 }
 
-// The simulator's step grid from begin (exclusive) to end, or the rows' times.
-std::vector<double> ResidualTimes(const recordings::Recording& recording, const WindowRows& rows,
+// The simulator's step grid from begin (exclusive) to the last row, or the rows' times.
+std::vector<double> ResidualTimes(const recordings::Recording& recording, const WindowRows& rows, double begin,
                                   const PaperOptions& options) {
   std::vector<double> times;
-  const double begin = recording.t[rows.first], end = recording.t[rows.last];
+  const double end = recording.t[rows.last];
   if (options.interpolate) {
     const int steps =
         std::max(1, static_cast<int>(std::ceil((end - begin) / options.simulator.step_s - 1e-9)));
     for (int k = 1; k <= steps; ++k) times.push_back(begin + (end - begin) * k / steps);
   } else {
-    for (int k = rows.first + 1; k <= rows.last; ++k) times.push_back(recording.t[k]);
+    for (int k = rows.first + 1; k <= rows.last; ++k)
+      if (recording.t[k] > begin) times.push_back(recording.t[k]);
   }
   return times;
 }
@@ -235,12 +236,16 @@ sim::CommandSignal CommandOf(const recordings::Recording& recording, sim::Simula
 Result<WindowData> ReadWindow(const recordings::Recording& recording, const MatrixXd& velocity,
                               const PaperWindow& window, const PaperOptions& options) {
   RG_ASSIGN_OR_RETURN(const WindowRows rows, FindRows(recording, window));
+  // What held it depends on the parameters, that it rested does not.
+  const double begin = rows.first == 0 ? recordings::MotionBegin(recording) : recording.t[rows.first];
+  const bool rests = recording.t[rows.first] < begin && begin < recording.t[rows.last];
   WindowData out;
-  out.start = recording.t[rows.first];
+  out.start = rests ? begin : recording.t[rows.first];
   out.scale = std::sqrt(window.weight);
   out.q0 = recording.q.col(rows.first);
   out.v0 = velocity.col(rows.first);
-  out.times = ResidualTimes(recording, rows, options);
+  if (rests) out.v0.setZero();
+  out.times = ResidualTimes(recording, rows, out.start, options);
   out.measured = recordings::InterpolateLinear(
       recording.t, recording.q,
       Eigen::Map<const VectorXd>(out.times.data(), static_cast<int>(out.times.size())));
