@@ -90,9 +90,8 @@ class ExcitedController final : public Controller {
   std::array<std::array<Sine, 3>, kMaxJoints> sines_{};
 };
 
-// The paper's controller for its bounded/unbounded recording: receding horizon on the believed model,
-// solved anew each cycle; plans keep `speed` of the velocity limits, in (0, 1]. Allocates inside the solver on a cold
-// start (the first command).
+// Receding horizon on the believed model, solved anew each cycle, with an observer of the torque that the model misses.
+// Plans keep `speed` of the velocity limits, in (0, 1]. Allocates.
 Result<std::unique_ptr<Controller>> MakeMpcController(const sim::Plant& plant, const Eigen::VectorXd& values,
                                                       const Eigen::VectorXd& goal,
                                                       const Eigen::VectorXd& torque_limit, double rate_hz,

@@ -224,8 +224,8 @@ std::string AboutRollout(const json& result) {
   std::string text = EndedEarly(result);
   const double diverged = Number(result, "/examination/policy/diverged"_json_pointer);
   if (diverged > 0 && result.value("/rollout/controller"_json_pointer, "") == "mpc")
-    text += std::string(text.empty() ? "" : "; ") + "MPC drove, for the policy diverges in simulation from " + Cell(diverged, "") + " of " +
-           Cell(Number(result, "/examination/pairs"_json_pointer), "") + " starts";
+    text += (text.empty() ? "" : "; ") + std::string("MPC drove, for the policy diverges in simulation from ") +
+            FormatNumber(diverged) + " of " + FormatNumber(Number(result, "/examination/pairs"_json_pointer)) + " starts";
   for (const json& end : result.value("/rollout/made_again"_json_pointer, json::array()))
     text += (text.empty() ? "" : "; ") + std::string("made again, slower: ") + end.get<std::string>();
   return text;

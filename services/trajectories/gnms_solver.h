@@ -131,6 +131,9 @@ class GnmsSolver {
   using ConstVec = Eigen::Map<const Eigen::VectorXd>;
   ConstVec x(int k) const { return ConstVec(&current_.x[static_cast<size_t>(k) * nx_], nx_); }
   ConstVec u(int k) const { return ConstVec(&current_.u[static_cast<size_t>(k) * nu_], nu_); }
+  // Φ_0 at the plan's first knot, and ∂Φ_0/∂u of its last linearisation, nx × nu.
+  ConstVec predicted() const { return ConstVec(current_.phi.data(), nx_); }
+  LqSolver::ConstMat input_matrix() const { return LqSolver::ConstMat(current_.b.data(), nx_, nu_); }
   // Feedback gain of the last linear-quadratic problem, nu × nx.
   LqSolver::ConstMat gain(int k) const { return lq_.gain(k); }
   const std::vector<GnmsIteration>& history() const { return history_; }

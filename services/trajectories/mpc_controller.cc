@@ -1,5 +1,6 @@
 #include "services/trajectories/mpc_controller.h"
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 
@@ -180,6 +181,13 @@ MpcStatus MpcController::Solve(const sim::State& x, const Eigen::VectorXd& goal,
   x0_.segment(n_, n_) = x.v;
   x0_.tail(nx_ - 2 * n_) = x.z;
   return SolveFrom(goal, u);
+}
+
+Eigen::VectorXd MpcController::TorqueToReach(const Eigen::VectorXd& v) const {
+  if (cold_) return Eigen::VectorXd::Zero(n_);
+  const Eigen::PartialPivLU<Eigen::MatrixXd> velocity_by_torque(solver_.input_matrix().middleRows(n_, n_));
+  const Eigen::VectorXd torque = velocity_by_torque.solve(v - solver_.predicted().segment(n_, n_));
+  return torque.allFinite() ? torque : Eigen::VectorXd(Eigen::VectorXd::Zero(n_));
 }
 
 MpcStatus MpcController::SolveFrom(const Eigen::VectorXd& goal, Eigen::VectorXd* u) {

@@ -100,6 +100,9 @@ class MpcController {
   // The same for a state and a goal of the planning plant, in true positions, internal states included.
   MpcStatus Solve(const sim::State& x, const Eigen::VectorXd& goal, Eigen::VectorXd* u);
 
+  // The torque (n × 1) that, added to u of the last Solve over its interval, would have led to the velocity v (n × 1)
+  // at the interval's end. Zero before the first plan, and where the last linearisation does not tell.
+  Eigen::VectorXd TorqueToReach(const Eigen::VectorXd& v) const;
   // The plan of the last Solve: x(k), u(k).
   const GnmsSolver& plan() const { return solver_; }
   // Torque that holds the goal of the last Solve.

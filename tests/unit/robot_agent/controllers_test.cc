@@ -6,8 +6,10 @@
 #include <cmath>
 #include <limits>
 
+#include "common/sim/simulator.h"
 #include "robot_agent/limited_controller.h"
 #include "tests/unit/robot_agent/allocation_counter.h"
+#include "tests/unit/trajectories/test_robots.h"
 
 namespace rg::robot_agent {
 namespace {
@@ -104,6 +106,27 @@ double SpeedAfterASecond(Controller& controller, double start) {
     fastest = std::max(fastest, std::abs(v));
   }
   return fastest;
+}
+
+// What the first rollout of a loop meets: dry friction that the belief lacks, and more of it than the plan asks for.
+TEST(MpcControllers, ReachTheirGoalThroughFrictionThatTheBeliefLacks) {
+  const auto arm = [](std::vector<effects::EffectSpec> effects) {
+    return sim::Plant::Create(trajectories::LoadRobot("arm2"), {}, std::move(effects)).value();
+  };
+  const sim::Plant belief = arm({});
+  const sim::Plant robot =
+      arm({effects::MakeSpec("coulomb_friction", {"shoulder", "elbow"}, {{"coulomb", 1.0}})});
+  const Eigen::VectorXd goal = Eigen::Vector2d(0.3, 0.4), values = belief.parameters().Nominal();
+  const auto controller =
+      MakeMpcController(belief, values, goal, belief.model().EffortLimits(), 25.0).value();
+  sim::Simulator simulator(robot, {.step_s = 0.001});
+  sim::State state = simulator.MakeState(Eigen::Vector2d(0.0, 0.2), Eigen::Vector2d::Zero());
+  Eigen::VectorXd tau(2);
+  for (int k = 0; k < 150; ++k) {
+    controller->Command(0.04 * k, state.q.data(), state.v.data(), tau.data());
+    ASSERT_TRUE(simulator.Advance(state, tau, 0.04).ok());
+  }
+  EXPECT_LT((state.q - goal).lpNorm<Eigen::Infinity>(), 0.02) << state.q.transpose();
 }
 
 TEST(LimitedControllers, KeepAJointThatSpeedsUpWithinItsLimitAndAllocateNothing) {

@@ -56,6 +56,21 @@ TEST(MpcController, RecoversFromADisturbanceAndANewGoal) {
   EXPECT_LT((state.q - goal).lpNorm<Eigen::Infinity>(), 5e-3);
 }
 
+TEST(MpcController, FindsTheTorqueThatItsModelMissesInTheNextVelocity) {
+  const sim::Plant plant = MakePlant("arm2");
+  auto controller = Make(plant, {});
+  sim::Simulator simulator(plant, {.step_s = 0.001});
+  const Eigen::VectorXd goal = Eigen::Vector2d(0.3, 0.4), missed = Eigen::Vector2d(-0.4, 0.3);
+  EXPECT_EQ(controller->TorqueToReach(Eigen::Vector2d(1, 1)), Eigen::Vector2d::Zero()) << "no plan yet";
+  Eigen::VectorXd u(2);
+  sim::State state = simulator.MakeState(Eigen::Vector2d(0.0, 0.2), Eigen::Vector2d::Zero());
+  for (int k = 0; k < 20; ++k) {
+    ASSERT_TRUE(controller->Solve(state.q, state.v, goal, &u).ok) << k;
+    ASSERT_TRUE(simulator.Advance(state, u + missed, 0.04).ok());
+    EXPECT_LT((controller->TorqueToReach(state.v) - missed).norm(), 0.02) << k;
+  }
+}
+
 TEST(MpcController, NotANumberIsRefusedWithASafeTorque) {
   const sim::Plant plant = MakePlant("arm2");
   auto controller = Make(plant, {});
