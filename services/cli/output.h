@@ -1,5 +1,5 @@
 // What every command says, and where: data on stdout (a table, or exactly one JSON value), all else
-// on stderr. Exit codes are part of the interface (docs/cli.md).
+// on stderr. Exit codes are part of the interface (README.md).
 #pragma once
 
 #include <nlohmann/json_fwd.hpp>

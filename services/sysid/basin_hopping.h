@@ -91,9 +91,9 @@ int ExchangeAll(const std::vector<HopState>& others, HopState* state);
 // solves.
 void ChangeCost(double cost, HopState* state);
 
-// Whether further hops have little to tell: three of them, of this chain or as far as known of the others,
-// each from a point of its own, ended within 1 % of the best cost, so that they came to one minimum (or to
-// several that fit equally well). Where hops agreed on one cost function, one from there is enough on the
+// Whether the search has converged: three hops from different points, of this chain or known of others, ended
+// within 1 % of the best cost. They came to one minimum, or to several that fit equally well. Once hops
+// agreed on one cost function, one hop from there is enough on the
 // next, by the chain that found that point.
 bool Agrees(const HopState& state);
 

@@ -9,8 +9,8 @@
 // The state at a restart: measured position and velocity, or better, a causal estimate from the rows up
 // to and including it. The estimate is an extended Kalman filter over the model itself: hidden states
 // (motors behind springs, bristles, lags) then start from what precedes, and a missing velocity is
-// estimated with the model's help. How far the model is trusted against the sensors (the process noise)
-// is chosen by the likelihood of the rows so far, among several levels, so a wrong model falls back on
+// estimated with the model's help. The process noise is chosen among several levels by the likelihood of
+// the rows so far, so that a wrong model falls back on
 // the sensors by itself.
 #pragma once
 

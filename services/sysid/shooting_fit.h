@@ -1,8 +1,8 @@
 // A whole fit by multiple shooting: short windows first, since they forgive a poor start, then long ones.
 //
 // The scale of the residuals is what they show themselves, never below the sensors' noise. For the long
-// windows it is wider by the root of the short windows' variance inflation, so that windows that err
-// together, as a wrong model makes them, do not outvote the priors. Where more than a fifth of the long
+// windows it is multiplied by the root of the short windows' variance inflation: under a wrong model windows
+// err together, and must not outvote the priors. Where more than a fifth of the long
 // windows cannot be simulated (a motion too unstable for them), the short ones have the last word.
 #pragma once
 

@@ -6,8 +6,8 @@
 //
 //   H_w = J_wᵀ J_w (Schur complement),   gain(w | H) = ½ [log det(1 + D(H + H_w)D) − log det(1 + D H D)]
 //
-// in nats, D = diag(prior stddev): Bayesian D-optimality with noise and prior, averaged over several θ drawn
-// from the prior, since where a window is informative depends on the robot that is not known yet. A
+// in nats, D = diag(prior stddev): Bayesian D-optimality with noise and prior. It is averaged over several θ
+// from the prior, since which window is informative depends on the robot, which is not known yet. A
 // residual that θ may move by s (the prior's spread of it, in SI units) is linear in θ only up to about
 // kCurvature · s²; that counts as noise beside the sensors', else windows in which an unstable
 // motion grows would seem to tell most. Windows are taken greedily, the best first (log det is

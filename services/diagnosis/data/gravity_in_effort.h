@@ -7,11 +7,11 @@
 // with friction d, k ≥ 0, a rotor 0 ≤ J ≤ 3·M_jj and a gain g ≥ 0.4 that drives have, so that neither
 // ordinary friction and rotors nor another gain decides. The better one must leave little of gravity's
 // torque, a third of what the other leaves, and less than friction alone (g = 0) does. Where motion is so
-// slow that friction alone explains, gravity is left to the drive if no gain at all, however small, finds it
-// in the effort. Where friction is as large as gravity's torque, so that neither form leaves little of that,
-// gravity is left to the drive if, regressed together with motion, rotor and friction, its coefficient is
-// surely (4 standard deviations, by leaving out blocks of rows) below 0.4 of the motion's gain on a joint of
-// which all the others leave less than a third of the effort, and surely above on none. Else undecided:
+// slow that friction alone explains, gravity is left to the drive if no gain, however small, finds it in the
+// effort. Where friction is as large as gravity's torque, gravity is regressed together with motion, rotor
+// and friction. It is left to the drive if its coefficient is below 0.4 of the motion's gain on one joint, by
+// 4 standard deviations (jackknife), and above it so on none. The other terms must explain two
+// thirds of that joint's effort. Else undecided:
 // gravity may be weak, masses may be wrong, or gravity may pull another way.
 #pragma once
 

@@ -11,8 +11,8 @@
 
 namespace rg::diagnosis {
 
-// The effects of `nominal` and `effects` on every joint that takes them and has none of that kind yet (one
-// dry friction per joint), with values from a regression of the inverse dynamics along the recorded motion;
+// The effects of `nominal`, and `effects` on every joint that takes them and has none of that kind yet (one
+// dry friction per joint). Values are from a regression of the inverse dynamics along the recorded motion,
 // `base`: with free base parameters. Negative strengths become small positive ones. Only fit.values and
 // fit.theta are set; fit.ok is false where there are too few rows.
 Candidate RegressedGroup(const FitSetting& setting, const std::vector<std::string>& effects, bool base);

@@ -26,10 +26,10 @@ struct RodStart {
   std::optional<Feature> beside;  // the law that leaves least with it; none where it leaves least alone
 };
 
-// Rods regressed on the missing force (on segments of FreeForce's length) in the first seconds of at most 8
-// recordings, each beside the force of a mass at rest and beside any one law of `laws`: the two likeliest
-// lengths, each about all three axes of its link, the one that it keeps clear of most first. Empty where the
-// best rod and law leave nine tenths of what any two laws leave, or 30 of χ² less. Adds its cost to `work`.
+// Regresses the missing force in the first seconds of at most 8 recordings on rods, the force of a mass at
+// rest, and one law of `laws`. Returns the two likeliest lengths, each about all three axes of its link.
+// Empty if rod and law do not reduce χ² to below nine tenths of that of the best two laws, and by 30.
+// Adds its cost to `work`.
 std::vector<RodStart> ScreenRods(const FitSetting& setting, const MissingForce& missing,
                                  const FeatureSet& laws, int threads, double* work = nullptr);
 

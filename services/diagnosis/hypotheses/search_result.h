@@ -37,11 +37,11 @@ struct SearchResult {
   // Index among the held-out recordings of one that the model does not predict though it fits all others: it
   // alone excites something (a limit, a part of the workspace). −1: none.
   int excited_by = -1;
-  // Whether the best model has a pendulum payload that swings continuously over held-out recordings, which is
-  // what speaks for it: where it is when a window begins no sensor reads, so that it need not predict better.
+  // Whether the best model has a pendulum payload that swings continuously over held-out recordings. That is
+  // its evidence: no sensor reads its state at a restart, so it need not predict better.
   bool swings_on = false;
-  // Whether the search ended with effects that hold beside any force on one joint, and an unnamed force
-  // there.
+  // Whether the search ended with an unnamed force on one joint, and effects that are significant whatever
+  // that force is.
   bool beside_any_force = false;
   double own_chi2 = 0;     // expected χ² of the best model if it were true (own_chi2.h)
   MissingForce missing;    // under the best model without effects

@@ -113,11 +113,11 @@ bool PullsBack(const Candidate& c, const MotionScales& scales);
 // forgotten, and they are no free force in every window.
 bool Slides(const Candidate& c, const MotionScales& scales);
 
-// Wald statistic of effect i against absence: √(dᵀ·P·d), with d the distance of its strengths (a delay, an
-// amplitude, a mass, …) from their null values and P their marginal precision, the parameters of other
-// effects integrated out and its own shape (an azimuth, a period) held fixed. `gains_fixed`: gains of
-// drives are held too. Beside free base parameters they scale all that the robot has, by a factor that hardly
-// anything tells; but no factor makes a loss vanish.
+// Wald statistic of effect i against absence: √(dᵀ·P·d). d: distance of its strengths (a delay, an amplitude,
+// a mass, …) from their null values. P: their marginal precision, other effects' parameters integrated out,
+// its own shape (an azimuth, a period) fixed. `gains_fixed`: gains of drives are fixed too. With free base
+// parameters a gain scales all forces by a factor that the data hardly determine; but no factor makes a
+// loss vanish.
 double Strength(const Candidate& c, size_t i, bool gains_fixed = false);
 inline constexpr double kAbsent = 1.0;  // Strength below which an effect is treated as absent
 // The effects, refreshed, whose strength exceeds kAbsent or is LikeOtherJoints.
@@ -126,11 +126,11 @@ std::vector<EffectSpec> StrongEffects(const Candidate& c);
 // `model`: they had stood in for a law that `other` has. (Play whose faces never part acts as a wrong zero.)
 std::vector<EffectSpec> StillNeeded(const Candidate& model, const Candidate& other);
 
-// Drives of one robot are alike: a joint's share of an effect that most of them have needs no prior odds of
-// its own. Whether effect i is such a share: a delay or lag that another joint has too, or friction or rotor
-// inertia on more than half of the joints and on three at least. A joint has an effect whose strength
-// exceeds kAbsent (without a fit, one that the hypothesis gives it); one whose effect the data do not inform
-// does not count.
+// Whether effect i is shared by the drives of the robot, which are alike, so that its joint needs no prior
+// odds of its own. That is a delay or lag that another joint has too, or friction or rotor inertia on more
+// than half of the joints and at least three. A joint has an effect if its strength exceeds kAbsent, or,
+// without a fit, if the hypothesis has it there. Joints whose effect the data do not inform
+// do not count.
 bool OfAllJoints(const Candidate& c, size_t i);
 // Whether the strength of such an effect i is compatible, within two standard deviations, with a fifth of the
 // median of the other joints', in units of the priors. Holds where the joint's own motion says little.

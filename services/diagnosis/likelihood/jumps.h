@@ -1,21 +1,21 @@
-// What it says of a moving mass that it begins anew in each window. One that may be anywhere and at any speed
-// where a window begins is a force of each window's own, and follows a limit, a contact or friction as well
-// as a mass: by the law it goes on from where the window before leaves it. Each of two windows that meet
-// knows the state between them to some covariance (P of the one's end, P' of the other's start), and a step d
-// from one to the other adds to χ²
+// Continuity of a moving mass over windows. A mass whose state is free where each window starts acts as a
+// free force per window: it imitates limits, contacts and friction. By its law it continues from the end of
+// the window before. Two windows that meet estimate the state between them with covariances P (end of the
+// first) and P' (start of the second). A discontinuity d between the two estimates
+// adds to χ²
 //
 //   dᵀ (P + P')⁻¹ d
 //
-// which is what both together would leave more than each alone, to the first order and with the parameters as
-// they are. Of a true law that is about one for each state that the windows show, more where only many
-// windows together know its frequency, and nothing for those that they do not show. What else is hidden (a
-// motor, a bristle, a mount) is not charged.
+// to first order, at fixed parameters: what one common state would cost more than two. A true law pays about
+// 1 per observable state, and nothing per unobservable one. It pays more where only many windows together
+// determine its frequency.
+// Other hidden states (a motor, a bristle, a mount) are not charged.
 //
-// A mass in springs pays that. One on a rod, which swings through all angles, may have been followed to the
-// wrong turn in some windows, which are then not met and whose steps are any size: it goes on where most
-// steps between windows that are met are such as noise makes, or take less than a tenth of what it would be
-// off by if it hung still, as those of a law that is not quite its own. One that begins anywhere in each
-// window steps as far as it swings.
+// A mass in springs pays that. A mass on a rod may be a whole turn off in some windows, which then fit badly
+// and whose discontinuities are of any size. It counts as continuous if most discontinuities between windows
+// that fit are within noise, or below a tenth of what a mass that hangs still would have there. The latter
+// allows for an idealised law. A mass
+// whose start is arbitrary in each window has discontinuities as large as its swing.
 #pragma once
 
 #include <optional>
@@ -41,9 +41,9 @@ FitResult WithJumpsInPlay(const FitData& data, const sim::Plant& plant, FitResul
 // The most that it adds to the χ² of a true mass in springs in the mean; 0 without one.
 double TrueJumps(const FitData& data, const sim::Plant& plant, double noise_scale);
 
-// Whether a mass on a rod goes on: most of its steps between windows that meet, and are met by the fit, are
-// no larger than 99 % of a true mass's, or than a tenth of its swing [nats]. One meeting in four must be of
-// windows that are met. Nothing where none meet. The fit's work grows by what this costs.
+// Whether a mass on a rod is continuous: most discontinuities between adjacent windows that fit are below the
+// 99 % quantile of a true mass's, or below a tenth of its swing [nats]. A quarter of the adjacent pairs must
+// fit. Nothing where no windows are adjacent. Adds its cost to the fit's work.
 std::optional<bool> SwingsOn(const FitData& data, const sim::Plant& plant, FitResult* fit,
                              const LiftedOptions& options);
 

@@ -47,8 +47,8 @@ struct LiftedOptions {
   int threads = 1;
   double noise_scale = 1.0;  // residual variance in units of the sensors' noise
   double step_s = 2e-3;      // of the simulator
-  // Down to which the step may be halved, where its error counts beside what the fit leaves. What parameters
-  // take up of that error hides nothing that is missing: it counts in the last fit of a search alone.
+  // The step is halved down to this if its error is large against the fit's misfit. Error that the parameters
+  // absorb hides no missing effect, and counts only in the last fit of a search (for_values).
   double shortest_step_s = 3e-4;
   bool for_values = false;  // not sent to workers: such a fit is made where the search runs
   // Hidden states start where they fit best; else where they are given, a motor with its link.

@@ -38,7 +38,7 @@ constexpr double kUnknown = 0.8;  // an unnamed force: 49 of 61, seeds 59009 to 
 // so (90417) and 6 of 313 others (seven seeds, looked at). Where one set in thirty has such a force: 0.27.
 constexpr double kNotModelled = 0.3;
 // Of a search that its time limit ended. Chosen: of two such diagnoses of the loop's first rollout
-// (docs/figures.md) most names were wrong.
+// most names were wrong.
 constexpr double kOutOfTime = 0.4;
 constexpr double kParameters = 0.95;          // parameters_only alone: 88 of 92
 constexpr double kParametersToEffects = 0.9;  // parameters_only in addition to effects: 87 of 97

@@ -18,7 +18,7 @@ enum class Standing {
   kPlain,
   kMeasured,        // over a measured effort: cross-validated, and may accompany `unexplained`
   kSomeLeft,        // `unexplained` though the findings explain most of the mismatch
-  kBesideAnyForce,  // those with a name hold beside any force on the joint of the unnamed one
+  kBesideAnyForce,  // named effects are significant whatever force acts on the unnamed one's joint
 };
 
 // Limits each finding's confidence, so far the odds of its evidence, by the hit rate of its kind, and that of

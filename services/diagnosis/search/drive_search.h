@@ -1,6 +1,6 @@
-// The first step of a search where the given model is far off, with free base parameters too: effects of all
-// drives as one group. Viscous and dry friction and a rotor on every joint, lag or delay of all drives,
-// another law of dry friction or a further law on all joints, and free base parameters.
+// The first step of a search if neither the given model nor free base parameters are consistent: effects of
+// all drives as one group. These are viscous and dry friction and a rotor on every joint, lag or delay. Then
+// another law of dry friction, a further law on all joints, free base parameters.
 #pragma once
 
 #include <map>
@@ -18,16 +18,16 @@ class DriveSearch {
   DriveSearch(SearchState& state, ForwardStep& step)
       : state_(state), setting_(state.setting), fits_(state.fits), step_(step) {}
 
-  // The best group, where it leaves under a fifth of the excess χ² and is of all drives; else none, and its
-  // fits are forgotten: such a model is no rival of effects found one by one. plain, freed: the given effects
-  // alone, with fixed and with free base parameters.
+  // The best group if less than a fifth of the excess χ² remains and it is of all drives. Else
+  // none, and its fits are forgotten, so that they do not compete with effects found one by one. `plain`,
+  // `freed`: the given effects alone, with fixed and with free base parameters.
   std::optional<Candidate> Run(const Candidate& plain, const Candidate& freed);
 
   // Lag or delay of all drives, in the place of other timing effects, where that leaves half of the excess at
   // most; both where more is left and the acceptance rule allows both.
   void Late(Candidate* best);
-  // Another law of dry friction on all joints, where that scores better, and how late the drives are: in
-  // `before` both were chosen while what `best` has beside them was missing.
+  // Chooses law of dry friction, delay and lag again: in `before` they were chosen while other effects of
+  // `best` were missing.
   void Reconsider(const Candidate& before, Candidate* best);
 
  private:

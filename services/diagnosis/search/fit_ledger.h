@@ -19,8 +19,8 @@
 namespace rg::diagnosis {
 
 inline constexpr double kWorkForComparisons = 1.3;  // of the work limit, after which no models are compared
-inline constexpr double kPartly = 0.5;  // of a model's misfit, that a part of the truth leaves at most
-inline constexpr double kSwings = 0.8;  // the same, for springs or a hinge in the place of the true one
+inline constexpr double kPartly = 0.5;  // largest remaining share of the misfit, for a useful addition
+inline constexpr double kSwings = 0.8;  // the same, for a mass in springs or on another hinge
 
 struct PendulumTrials;
 
@@ -36,7 +36,7 @@ class FitLedger {
   double work() const { return work_; }
   double work_share() const { return work_ / options_.work_limit; }
   double WorkAfter(double share) const { return work_ + share * options_.work_limit; }
-  // What comes next gets this share of the work limit, whatever was used before it.
+  // Guarantees what follows this share of the work limit, however much was used before.
   void Grant(double share) { forgiven_ = std::max(forgiven_, work_ - (1 - share) * options_.work_limit); }
   void AddWork(double work) { work_ += work; }
   void SetRound(int round) { round_ = round, made_.Forget(); }
@@ -54,13 +54,13 @@ class FitLedger {
   double Excess(const Candidate& c) const {  // χ² beyond noise
     return std::max(0.0, c.fit.chi2 / lifted_.noise_scale - c.fit.rows);
   }
-  // χ² that noise alone leaves of a candidate: windows' own starts take some of it in.
+  // Expected χ² of a true model: rows less the unknown starts of the windows.
   double Noise(const Candidate& c) const { return c.fit.rows - Starts(setting_.data.windows.size()); }
   // Unknowns of so many windows' starts.
   double Starts(size_t windows) const { return 2.0 * setting_.data.judged() * static_cast<double>(windows); }
   // The most log evidence that any addition could bring: half of χ² above what noise alone leaves.
   double AtStake(const Candidate& c) const { return 0.5 * (c.fit.chi2 / lifted_.noise_scale - Noise(c)); }
-  // Whether it leaves no more than the sensors' own noise; what is taken for noise may be what it leaves.
+  // Whether χ² per row is consistent with the sensors' own noise, not the noise scale, which may hold misfit.
   bool MeetsSensors(const Candidate& c) const { return PerRow(c) * lifted_.noise_scale < kExplained; }
   // The same to within three standard deviations of χ².
   bool LeavesNothing(const Candidate& c) const {
@@ -84,12 +84,12 @@ class FitLedger {
   Candidate WithExactValues(const Candidate& c);
   // A restart from nominal base parameters, over short pieces of the recordings.
   Candidate Anew(const Candidate& c);
-  // Base parameters far from the URDF's, or beside missing effects, are found over short pieces of the
-  // recordings; fits with free base parameters then start there.
+  // Finds base parameters over short pieces of the recordings, which converge where whole windows do not.
+  // Later fits with free base parameters start there.
   void FindPieces(const std::vector<effects::EffectSpec>& specs);
-  // Whose base parameters are nearest to the recordings' where `c` is not consistent: its own once it has
-  // effects beyond those that short pieces were fitted with, before that those of the pieces. Null where
-  // inertials are as given, and without either.
+  // The model whose base parameters a fit near `c` starts from if `c` is not consistent. That is `c` if it has
+  // effects that FindPieces was not given, else the model of the pieces. Null if base parameters are fixed, or
+  // there is neither.
   const Candidate* NearestBase(const Candidate& c) const;
 
   // Adds each of `pool` to `from` in a trial fit (some windows, few iterations), and fits the `count` best

@@ -1,8 +1,8 @@
-// Where a force is missing, and what can be named beside it.
+// On which joint a force is missing, and which other effects are significant whatever that force is.
 //
-// A missing force bends every law that is fitted in its place or beside it. But any force at all on one joint
-// may be integrated out (free_force.h): whether the recordings are then explained tells whether it acts on
-// that joint, and what they still say of other joints and of the robot holds whatever the force's form.
+// A missing force biases every law that is fitted without it. But a force of any course in time on one joint
+// can be integrated out (free_force.h). If the recordings are then explained, the missing force acts on that
+// joint, and the remaining scores of other joints and of the robot do not depend on its form.
 #pragma once
 
 #include <cstdint>
@@ -22,9 +22,9 @@ class ForceLocator {
   ForceLocator(SearchState& state, ForwardStep& step)
       : state_(state), setting_(state.setting), fits_(state.fits), step_(step) {}
 
-  // A model with an unnamed force, or that lacks everything, becomes one with an unnamed force on some joint
-  // and effects on others, where any force there and these effects together are consistent with the noise and
-  // have most log evidence, that of such a force alone included. Whether it did.
+  // For a model with an unnamed force, or without effects and inconsistent with the noise. Replaces it by an
+  // unnamed force on one joint and effects on others, if these with any force there are consistent with the
+  // noise and have the most log evidence, such a force alone included. Whether it did.
   bool NameBeside(Candidate* best);
   // The joints on each of which any force beside `around`, alone or with effects on others, leaves hardly
   // more than noise. None where a force on any joint would do.
@@ -33,9 +33,9 @@ class ForceLocator {
   // (SearchState::place) where no effect is consistent with the noise. False where no joint suffices, or
   // nothing found replaces `around`.
   bool Explain(const Candidate& around, Candidate* winner);
-  // Before free base parameters are tried: whether what acts on the one joint on which a force alone leaves
-  // under half of what one on any other joint does, with names or without, leaves nothing, or a hundredth.
-  // `winner` becomes it.
+  // Before free base parameters are tried. Asks the joint on which any force leaves less than half of the
+  // misfit that a force on any other joint leaves. If an effect on that joint leaves a hundredth or
+  // nothing, `winner` becomes it.
   bool ExplainByName(const Candidate& around, Candidate* winner);
 
  private:

@@ -16,10 +16,10 @@ class Refinement {
 
   // Exchanges each kind that `model` adds to `before`, or its newest, until the score stays. Whether it rose.
   bool Exchange(const Candidate& before, Candidate* model);
-  // Free inertials in the place of given ones, or given ones of free ones, where they leave half as much as
-  // `model` at most, and then the exchanges again: what is told apart beside other masses may not be without.
-  // Where that is not consistent either, nothing changes and its fits are forgotten: it was asked before its
-  // turn.
+  // Exchanges free and fixed base parameters if that halves the misfit of `model`, then exchanges effects:
+  // base parameters change which effects can be distinguished.
+  // If the result is not consistent, nothing changes and its fits are forgotten, since other moves are
+  // still to come.
   void ExchangeMasses(const Candidate& before, Candidate* model);
   // Whether the score stayed when all kinds of this model were exchanged.
   bool IsSettled(const Candidate& model) const { return KeyOf(model.specs, model.base) == settled_; }
