@@ -87,9 +87,9 @@ class FitLedger {
   // Finds base parameters over short pieces of the recordings, which converge where whole windows do not.
   // Later fits with free base parameters start there.
   void FindPieces(const std::vector<effects::EffectSpec>& specs);
-  // The model whose base parameters a fit near `c` starts from if `c` is not consistent. That is `c` if it has
-  // effects that FindPieces was not given, else the model of the pieces. Null if base parameters are fixed, or
-  // there is neither.
+  // The model whose base parameters a fit near `c` starts from if `c` is not consistent. That is `c` if it
+  // has effects that FindPieces was not given, else the model of the pieces. Null if base parameters are
+  // fixed, or there is neither.
   const Candidate* NearestBase(const Candidate& c) const;
 
   // Adds each of `pool` to `from` in a trial fit (some windows, few iterations), and fits the `count` best

@@ -15,9 +15,9 @@ class FurtherSteps {
   FurtherSteps(SearchState& state, ForwardStep& step, DriveSearch& drives)
       : state_(state), fits_(state.fits), step_(step), drives_(drives) {}
 
-  // Adds effects without hidden states, base parameters fixed or free. If nothing is then missing, effects with
-  // hidden states are not tried, and `winner` becomes the result. `laws`: the best so far. On an ordinary robot
-  // base parameters stay as DriveSearch chose them.
+  // Adds effects without hidden states, base parameters fixed or free. If nothing is then missing, effects
+  // with hidden states are not tried, and `winner` becomes the result. `laws`: the best so far. On an
+  // ordinary robot base parameters stay as DriveSearch chose them.
   bool ByLaws(const Candidate& before, bool base, Candidate* laws, Candidate* winner);
 
   // Forward steps with fixed inertials until nothing is missing, cheaper than freeing inertials, beside the
