@@ -18,9 +18,9 @@ bool Runs(const sim::Plant& plant, const Eigen::VectorXd& values);
 // The joints that keep it from it.
 std::vector<std::string> JointsThatDoNotRun(const sim::Plant& plant, const Eigen::VectorXd& values);
 
-// The plant with rotor inertias to start from as nominal values: those of `values`, or, where these have
-// none, what the efforts of the recordings to fit say beyond what the rigid bodies need, within a few decades
-// of the least inertia that another joint carries.
+// The plant with rotor inertias to start from as nominal values: those of `values`, else an estimate from the
+// efforts of the recordings to fit, less what the rigid bodies need. The estimate is kept within a few
+// decades of the least inertia that another joint carries.
 Result<sim::Plant> WithRotors(const recordings::RecordingSet& set, const sim::Plant& plant,
                               const Eigen::VectorXd& values);
 

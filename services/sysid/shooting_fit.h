@@ -68,8 +68,8 @@ IdentifiabilityReport IdentifiabilityOf(const FitSpace& space, const ShootingFit
 IdentifiabilityInput IdentifiabilityInputOf(const FitSpace& space, const Eigen::VectorXd& theta,
                                             const Eigen::MatrixXd& information);
 
-// The longest of a few steps (8 to 1 ms) that changes windows of the recordings, simulated at `theta`, by
-// less than a fifth of the sensors' noise, or by 2 % of what the model is wrong anyway.
+// The longest of a few steps (8 to 1 ms) whose error in windows simulated at `theta` is below a fifth of the
+// sensors' noise, or below 2 % of the model's own error.
 double ChooseStep(const sim::Plant& plant, const Eigen::VectorXd& values, const FitSpace& space,
                   const Eigen::VectorXd& theta, const std::vector<FitRecording>& recordings,
                   const recordings::SensorNoise& noise, double window_s = 0.5);

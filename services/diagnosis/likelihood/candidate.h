@@ -104,9 +104,9 @@ std::set<size_t> Aperiodic(const Candidate& c, const MotionScales& scales, doubl
 
 // The places of Stribeck frictions that rise with speed and so imitate drag.
 std::set<size_t> Rising(const Candidate& c);
-// Whether the force of each of its springs grows with the distance from the centre over all positions
-// recorded, or turns back no sooner than a counterbalance's, a sine of the angle; one-sided at 1 %. What
-// turns back sooner is a detent or another force over position.
+// Whether the force of each of its springs grows with the distance from the centre over all recorded
+// positions. It may decrease where a counterbalance's does, a sine of the angle; one-sided at 1 %. A force
+// that decreases sooner is a detent or another force over position.
 bool PullsBack(const Candidate& c, const MotionScales& scales);
 
 // Whether every joint with bristles travels ten times as far as these bend at most: its start is then

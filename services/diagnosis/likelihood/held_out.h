@@ -5,8 +5,8 @@
 // χ²: of windows simulated with the fitted parameters, each restarted at the measured state, which is free
 // within the sensors' noise. Hidden states (a motor, a swinging mass) continue from the window before: if
 // each window could choose them, they would predict nothing. Λ: precision of the parameters from fit and
-// priors; H, b: information and gradient of the held-out rows, so that a parameter that the fit left open
-// costs no more than its own uncertainty (the middle term is simulated, not taken from the linear model).
+// priors. H, b: information and gradient of the held-out rows. A parameter that the fit left open thus costs
+// no more than its own uncertainty. The middle term is simulated, not taken from the linear model.
 // Terms that all models share (normalisation, restarts) are left out.
 #pragma once
 

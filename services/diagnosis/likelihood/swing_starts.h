@@ -40,8 +40,8 @@ double TypicalChi2(const FitData& data, const std::vector<double>& window_chi2, 
 inline constexpr double kFitted =
     2.0;  // χ² per row below which a window's start is not looked for any further
 
-// A mass that is a point, as a fit may come to and none leads away from, in the values of `plant`: one that
-// is not small, and hangs and swings alike.
+// Replaces a point mass in the values of `plant` by an extended one that hangs and swings alike: fits may
+// converge to a point mass, and none leads away from it.
 void WidenPoint(const sim::Plant& plant, VectorXd* values);
 
 // Of the link that a mass hangs on.

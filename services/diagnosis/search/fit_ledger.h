@@ -103,8 +103,8 @@ class FitLedger {
   // Trial fits of `others`, each in the place of `winner`'s effects; those no worse are fitted on all
   // windows. Where one scores better the winner is fitted on, and then compared.
   void TryInPlace(const std::vector<TrialSpecs>& others, Candidate* winner);
-  // Springs behind the rotors that `model` adds to `from` (with free base parameters, where they cost most,
-  // only if it takes half of the misfit), and play where such a rotor leaves nothing.
+  // Tries springs behind the rotors that `model` adds to `from`, and play where such a rotor leaves no
+  // misfit. With free base parameters, where fits cost most, only if `model` halves the misfit.
   void TrySprings(const Candidate& from, Candidate* model);
   // The `count` of `starts` that, added to `from`, are nearest to the recordings.
   std::vector<TrialSpecs> Nearest(const Candidate& from, const std::vector<TrialSpecs>& starts, size_t count);

@@ -21,10 +21,9 @@ struct FitRequest {
   LiftedOptions options;
   // Windows that are fitted, by their places among all; empty: all.
   std::vector<uint32_t> places;
-  // Pieces of this length [s] that windows are cut into first, 0: whole. Over a short piece even a model that
-  // is far off stays near the record, so that fits find their way which are lost over whole windows. Then it
-  // is fitted to longer pieces and at last to whole windows, from where it has come to; or to the pieces
-  // alone. Models with hidden states are fitted to whole windows only.
+  // Length [s] of the pieces that windows are first cut into; 0: whole windows. Over a short piece a model
+  // that is far off stays near the recorded motion, so that fits converge. They go on over longer pieces to
+  // whole windows, unless `pieces_alone`. Models with hidden states are fitted to whole windows only.
   double piece_s = 0;
   bool pieces_alone = false;
   // A fitted model at whose states (without any: at the recorded motion) and base parameters it starts; null:
