@@ -120,7 +120,7 @@ class KilledRun : public ::testing::Test {
 };
 
 TEST_F(KilledRun, AWorkerThatIsKilledIsStartedAgain) {
-  Start("--rollout-seconds 1");
+  Start("--rollout-seconds 1 --lock-step");
   Kill(Child("realitygrad-worker", "worker-1"));
   EXPECT_EQ(End(), 0) << Said();
   EXPECT_NE(Said().find("the worker-1 was ended by signal 9 (log: r/logs/worker-1.log): started again, 1 of 3"),
@@ -129,7 +129,7 @@ TEST_F(KilledRun, AWorkerThatIsKilledIsStartedAgain) {
 }
 
 TEST_F(KilledRun, AWorkerThatIsKilledAgainAndAgainEndsIt) {
-  Start("--rollout-seconds 1");
+  Start("--rollout-seconds 1 --lock-step");
   pid_t last = -1;
   while (true) {
     const pid_t worker = Child("realitygrad-worker", "worker-1");
@@ -150,7 +150,7 @@ TEST_F(KilledRun, AnAgentThatIsKilledInARolloutEndsIt) {
 }
 
 TEST_F(KilledRun, ACoordinatorThatIsKilledEndsIt) {
-  Start("--rollout-seconds 1");
+  Start("--rollout-seconds 1 --lock-step");
   Child("realitygrad-worker", "worker-1");
   Kill(Child("realitygrad-coordinator"));
   EXPECT_EQ(End(), 1);

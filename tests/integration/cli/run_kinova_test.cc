@@ -1,5 +1,6 @@
 // `realitygrad run --driver kinova --stand-in`: two iterations through real ROS topics.
 #include <algorithm>
+#include <cstdlib>
 #include <nlohmann/json.hpp>
 #include <vector>
 
@@ -13,6 +14,15 @@ using nlohmann::json;
 const char kSmall[] =
     " --iterations 2 --workers 2 --trajectories 24 --shard-size 4 --epochs 15 --rollout-seconds 2 "
     "--identify-seconds 0 --hops 1 --rounds 2 --spread 0.4 --reach 0.35 ";
+
+// With RG_KINOVA_SEEDS the command at its defaults, with so many seeds (`deploy/check --full`).
+std::vector<std::string> Runs() {
+  const char* seeds = std::getenv("RG_KINOVA_SEEDS");
+  if (seeds == nullptr) return {kSmall};
+  std::vector<std::string> out;
+  for (int seed = 1; seed <= std::atoi(seeds); ++seed) out.push_back(" --iterations 2 --seed " + std::to_string(seed));
+  return out;
+}
 
 bool HasRos() {
   return std::filesystem::exists("/usr/bin/rosmaster") &&
@@ -32,25 +42,28 @@ int RunningOf(const std::string& run_folder) {
 
 TEST(RunKinova, TwoIterationsThroughRealTopicsAndNothingIsLeftRunning) {
   if (!HasRos()) GTEST_SKIP() << "SKIPPED: no rosmaster (python3-rosmaster), or built without roscpp";
-  const ScratchFolder scratch;
-  const Said said =
-      RunProgram(scratch, std::string("run --driver kinova --stand-in --dir r --output json") + kSmall);
-  ASSERT_EQ(said.code, 0) << said.err;
-  const json result = json::parse(said.out);
-  EXPECT_EQ(result["format"], "realitygrad.run-result/1");
-  ASSERT_EQ(result["iterations"].size(), 2u);
-  for (const json& iteration : result["iterations"]) {
-    const json& rollout = iteration["rollout"];
-    EXPECT_EQ(rollout["driver"], "kinova");
-    EXPECT_EQ(rollout["adds_gravity_compensation"], true);
-    EXPECT_GT(rollout["rows"].get<int>(), 10);
-    EXPECT_EQ(rollout["held"], true);
-    const double before = iteration["identification"]["before_windows"]["joint_rms"];
-    const double after = iteration["identification"]["after_windows"]["joint_rms"];
-    EXPECT_LT(after, before);
+  for (const std::string& flags : Runs()) {
+    SCOPED_TRACE(flags);
+    const ScratchFolder scratch;
+    const Said said =
+        RunProgram(scratch, "run --driver kinova --stand-in --dir r --output json" + flags);
+    ASSERT_EQ(said.code, 0) << said.err;
+    const json result = json::parse(said.out);
+    EXPECT_EQ(result["format"], "realitygrad.run-result/1");
+    ASSERT_EQ(result["iterations"].size(), 2u);
+    for (const json& iteration : result["iterations"]) {
+      const json& rollout = iteration["rollout"];
+      EXPECT_EQ(rollout["driver"], "kinova");
+      EXPECT_EQ(rollout["adds_gravity_compensation"], true);
+      EXPECT_GT(rollout["rows"].get<int>(), 10);
+      EXPECT_EQ(rollout["held"], true);
+      const double before = iteration["identification"]["before_windows"]["joint_rms"];
+      const double after = iteration["identification"]["after_windows"]["joint_rms"];
+      EXPECT_LT(after, before);
+    }
+    EXPECT_TRUE(std::filesystem::exists(scratch / "r/ros"));
+    EXPECT_EQ(RunningOf(scratch / "r"), 0);
   }
-  EXPECT_TRUE(std::filesystem::exists(scratch / "r/ros"));
-  EXPECT_EQ(RunningOf(scratch / "r"), 0);
 }
 
 TEST(RunKinova, RefusesWhatWouldReachARealArmOrCannotBe) {
