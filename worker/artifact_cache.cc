@@ -42,7 +42,7 @@ Result<ArtifactCache> ArtifactCache::Open(const std::string& folder, uint64_t li
     const uint64_t size = fs::file_size(path, error);
     if (!error) cache.Note(path.filename().string(), size);
   }
-  cache.MakeRoom();
+  cache.MakeRoom(limit_bytes);
   return cache;
 }
 
@@ -86,7 +86,7 @@ Status ArtifactCache::Write(const std::string& folder, const std::string& sha256
 void ArtifactCache::Took(const std::string& sha256, uint64_t bytes) {
   Note(sha256, bytes);
   Hold(sha256);
-  MakeRoom();
+  MakeRoom(limit_);
   Release(sha256);
 }
 
@@ -105,11 +105,11 @@ void ArtifactCache::Release(const std::string& sha256) {
   if (one != held_.end()) held_.erase(one);
 }
 
-void ArtifactCache::MakeRoom() {
+void ArtifactCache::MakeRoom(uint64_t limit) {
   std::vector<std::string> going;
   uint64_t left = bytes_;
   for (const auto& [use, sha256] : by_use_) {
-    if (left <= limit_) break;
+    if (left <= limit) break;
     if (held_.count(sha256) > 0) continue;
     left -= entries_[sha256].size;
     going.push_back(sha256);

@@ -2,6 +2,7 @@
 // workers of one host may share the folder: files appear and vanish whole.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <map>
 #include <set>
@@ -33,6 +34,8 @@ class ArtifactCache {
   // While a task uses it. Counted.
   void Hold(const std::string& sha256) { held_.insert(sha256); }
   void Release(const std::string& sha256);
+  // Evicts as many bytes for others, as far as they are not held.
+  void ShrinkBy(uint64_t bytes) { MakeRoom(bytes_ - std::min(bytes_, bytes)); }
   uint64_t bytes() const { return bytes_; }
   const std::string& folder() const { return folder_; }
 
@@ -40,7 +43,7 @@ class ArtifactCache {
   ArtifactCache(std::string folder, uint64_t limit) : folder_(std::move(folder)), limit_(limit) {}
   std::string PathOf(const std::string& sha256) const { return PathIn(folder_, sha256); }
   void Note(const std::string& sha256, uint64_t size);
-  void MakeRoom();
+  void MakeRoom(uint64_t limit);
 
   struct Entry {
     uint64_t size = 0;

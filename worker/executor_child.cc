@@ -3,11 +3,14 @@
 #include <poll.h>
 #include <unistd.h>
 
+#include <cerrno>
 #include <condition_variable>
+#include <cstring>
 #include <deque>
 #include <exception>
 #include <filesystem>
 #include <mutex>
+#include <new>
 #include <thread>
 
 #include "common/base/clock.h"
@@ -242,9 +245,17 @@ Result<TaskOutputs> CallFunction(const TaskRegistry& registry, const TaskInput& 
   if (function == nullptr) return InvalidError("this worker does not know the kind '" + input.kind + "'");
   try {
     return (*function)(input, context);
+  } catch (const std::bad_alloc&) {
+    return ResourceExhaustedError("kind '" + input.kind + "': " + std::strerror(ENOMEM));
   } catch (const std::exception& e) {
     return InternalError("kind '" + input.kind + "' threw: " + e.what());
   }
+}
+
+// Another machine may have the room that this one has not; a size limit is the same everywhere.
+bool IsOfNode(const Status& outcome) {
+  const auto says = [&](int error) { return outcome.message().find(std::strerror(error)) != std::string::npos; };
+  return outcome.code() == StatusCode::kResourceExhausted && (says(ENOSPC) || says(EDQUOT) || says(ENOMEM));
 }
 
 // Messages carry UTF-8; what a task names or describes wrongly is its error, not a lost message.
@@ -311,6 +322,7 @@ void RunOne(Link& link, const TaskRegistry& registry, const pb::RunTask& run) {
     failed->set_code(static_cast<uint32_t>(outcome.code()));
     failed->set_error(CleanUtf8(outcome.ToString(), kMaxTextBytes));
     failed->set_retryable(TaskFailureIsRetryable(outcome.code()));
+    failed->set_of_node(IsOfNode(outcome));
     for (std::string& sha256 : damaged) failed->add_damaged_inputs(std::move(sha256));
   }
   link.Send(message);

@@ -4,7 +4,9 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cstdlib>
 #include <filesystem>
+#include <fstream>
 #include <thread>
 
 #include "common/base/ids.h"
@@ -22,6 +24,17 @@ std::string HostName() {
   char name[256] = {};
   gethostname(name, sizeof(name) - 1);
   return name;
+}
+
+// What the kernel could give without swapping; 0: not known.
+uint64_t FreeMemoryBytes() {
+  std::ifstream file("/proc/meminfo");
+  std::string word;
+  uint64_t kib = 0;
+  while (file >> word) {
+    if (word == "MemAvailable:" && file >> kib) return kib << 10;
+  }
+  return 0;
 }
 
 std::string DefaultFolder() {
@@ -101,6 +114,7 @@ Status Worker::Run(int signal_fd) {
     if (!outcome.ok() && !RunsAtMostOnce()) break;
     SendBeatIfDue();
     SendReportsIfDue();
+    SayIfAway();
     WaitForSomething(signal_fd);
     ReadSignal(signal_fd);
     ReceiveMessages();
@@ -152,6 +166,17 @@ Status Worker::CheckPatience() {
   }
   return UnavailableError("no word from the coordinator at " + options_.coordinator + " for " +
                           std::to_string(static_cast<int>(options_.patience_s)) + " s");
+}
+
+// Once, and then every minute: a wrong address or a key that is not let in shows in nothing else.
+void Worker::SayIfAway() {
+  constexpr int64_t kSoon = 5 * kSecond, kAgain = 60 * kSecond;
+  const int64_t silent_ns = now() - last_word_ns_;
+  if (silent_ns < kSoon || now() < next_complaint_ns_) return;
+  next_complaint_ns_ = now() + kAgain;
+  const std::string hint = socket_->LinkHint();
+  spdlog::warn("no word from the coordinator at {} for {} s: {}", options_.coordinator, silent_ns / kSecond,
+               hint.empty() ? "is the address right, and does it run?" : hint);
 }
 
 void Worker::WaitForSomething(int signal_fd) {
@@ -222,9 +247,50 @@ void Worker::SendBeatIfDue() {
     if (is_over) message.mutable_heartbeat()->add_finished_tokens(token);
   }
   message.mutable_heartbeat()->set_draining(draining_);
-  message.mutable_heartbeat()->set_unable(unable_);
+  const bool was_able = node_trouble_.empty();
+  LookAtNode();
+  message.mutable_heartbeat()->set_unable(WhyUnable());
   message.mutable_heartbeat()->set_cache_bytes(cache_.bytes());
+  Describe(message.mutable_heartbeat());
   Send(message);
+  if (was_able && !node_trouble_.empty()) GiveBackWhatHasNotBegun("its worker " + node_trouble_);  // not to come back here
+}
+
+// For people to read.
+void Worker::Describe(pb::WorkerHeartbeat* beat) {
+  std::error_code error;
+  const auto disk = std::filesystem::space(options_.folder, error);
+  if (!error) beat->set_disk_free_bytes(disk.available);
+  beat->set_memory_free_bytes(FreeMemoryBytes());
+  double load = 0.0;
+  if (getloadavg(&load, 1) == 1) beat->set_load(load);
+  if (options_.waits_for) beat->set_robot_state(node_trouble_.empty() ? "armed" : node_trouble_);
+}
+
+void Worker::LookAtNode() {
+  const std::string before = node_trouble_;
+  node_trouble_ = DiskTrouble();
+  if (node_trouble_.empty() && options_.waits_for) node_trouble_ = options_.waits_for();
+  if (node_trouble_ == before) return;
+  if (node_trouble_.empty()) {
+    spdlog::info("goes on: it no longer {}", before);
+  } else {
+    spdlog::warn("nothing begins here: it {}", node_trouble_);
+  }
+}
+
+// What a task may need is not known: without the least of it each would fail. What only saves time goes first.
+std::string Worker::DiskTrouble() {
+  constexpr uint64_t kLeastBytes = 32u << 20, kLeastPart = 16;
+  for (const bool last : {false, true}) {
+    std::error_code error;
+    const auto disk = std::filesystem::space(options_.folder, error);
+    const uint64_t least = std::min<uint64_t>(kLeastBytes, disk.capacity / kLeastPart);
+    if (error || disk.available >= least) break;
+    if (last) return "has a full disk: " + std::to_string(disk.available >> 10) + " KiB are left in " + options_.folder;
+    cache_.ShrinkBy(least - disk.available);
+  }
+  return "";
 }
 
 void Worker::SendReportsIfDue() {
@@ -272,6 +338,7 @@ void Worker::ReceiveMessages() {
     auto body = transport::Unpack<pb::CoordinatorMessage>(message);
     if (!body.ok()) continue;
     last_word_ns_ = now();
+    next_complaint_ns_ = 0;
     Handle(*body);
   }
 }
@@ -286,7 +353,7 @@ void Worker::Handle(const pb::CoordinatorMessage& message) {
       refused_.clear();
       heartbeat_ns_ = std::max<int64_t>(1, message.welcome().heartbeat_ms()) * 1'000'000;
       inline_limit_ = message.welcome().inline_limit();
-      next_beat_ns_ = unable_.empty() ? std::min(next_beat_ns_, now() + heartbeat_ns_ / 2) : 0;
+      next_beat_ns_ = WhyUnable().empty() ? std::min(next_beat_ns_, now() + heartbeat_ns_ / 2) : 0;
       break;
     case pb::CoordinatorMessage::kAssign:
       Take(message.assign());

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
@@ -37,6 +38,7 @@ struct WorkerOptions {
   double idle_exit_s = 0.0;      // leaves when it had nothing to do for that long; 0: never
   double executor_rest_s = 1.0;  // after one that did not come up; doubles each time, 64 times as long at the most
   bool is_agent = false;         // speaks as the agent beside a robot
+  std::function<std::string()> waits_for;  // why nothing may begin here now, asked often; empty: it may. May be none
   std::optional<transport::KeyPair> key;
   std::string server_public_key;
   std::string version = "0.1.0";
@@ -97,6 +99,10 @@ class Worker {
   void Send(realitygrad::v1::WorkerMessage& message);
   void SendHello();
   void SendBeatIfDue();
+  void LookAtNode();
+  void Describe(realitygrad::v1::WorkerHeartbeat* beat);
+  std::string DiskTrouble();
+  void SayIfAway();
   void SendReportsIfDue();
   void FlushLogs();
   // --- tasks
@@ -106,6 +112,11 @@ class Worker {
   void Start(uint64_t token, Held& held);
   Executor* IdleExecutor();
   void RestFromStarting(const std::string& why);
+  void RestFromTrouble(Held& held, const std::string& why);
+  void Rest(const std::string& why, int times_before);
+  void GiveBackWhatHasNotBegun(const std::string& why);
+  void GiveBackForNode(Held& held, const std::string& why);
+  const std::string& WhyUnable() const { return node_trouble_.empty() ? unable_ : node_trouble_; }
   void ReadExecutors();
   void HandleExecutorMessage(realitygrad::v1::FromExecutor& message);
   void HandleExecutorFinished(uint64_t token, Held& held, realitygrad::v1::ExecutorFinished finished);
@@ -135,11 +146,14 @@ class Worker {
 
   bool joined_ = false, draining_ = false, stop_now_ = false;
   std::string refused_;   // empty again once it was welcomed after all
-  std::string unable_;    // why it can start no executor, as it said last
+  std::string unable_;    // why it rests, as it said last
+  std::string node_trouble_;  // why nothing may begin here, as it was at the last heartbeat
   int starts_in_vain_ = 0;  // executors, since the last one that came up
+  int troubles_ = 0;        // tasks that this machine had no room for, since the last one that was done
   int64_t rest_until_ns_ = 0;
   std::string trouble_;  // of the coordinator, as it said last
   int signals_ = 0;
+  int64_t next_complaint_ns_ = 0;
   int64_t drain_since_ns_ = 0, last_word_ns_ = 0, last_busy_ns_ = 0, next_beat_ns_ = 0, logs_due_ns_ = 0;
   int64_t heartbeat_ns_ = 2'000'000'000;
   uint64_t inline_limit_ = 256u << 10;

@@ -98,7 +98,7 @@ int ExitCodeOf(const Status& status) {
   return status.code() == StatusCode::kUnavailable ? kExitUnreachable : kExitError;
 }
 
-int Main(int argc, char** argv, const TaskRegistry& registry, bool is_agent) {
+int Main(int argc, char** argv, const TaskRegistry& registry, bool is_agent, std::function<std::string()> waits_for) {
   if (const auto code = ServeIfExecutor(argc, argv, registry)) return *code;
   CLI::App app{is_agent ? "Runs rollouts beside a robot for a RealityGrad coordinator"
                         : "Runs tasks for a RealityGrad coordinator"};
@@ -117,6 +117,7 @@ int Main(int argc, char** argv, const TaskRegistry& registry, bool is_agent) {
   options.kinds = registry.kinds();
   options.least_grace_s = registry.least_grace_s();
   options.is_agent = is_agent;
+  options.waits_for = std::move(waits_for);
   options.cache_bytes = static_cast<uint64_t>(flags.cache_gb * 1e9);
   options.executor_arguments = {argv[0]};
   if (is_agent) {
@@ -141,11 +142,11 @@ std::optional<int> ServeIfExecutor(int argc, char** argv, const TaskRegistry& re
 }
 
 int WorkerMain(int argc, char** argv, const TaskRegistry& registry) {
-  return Main(argc, argv, registry, false);
+  return Main(argc, argv, registry, false, {});
 }
 
-int AgentMain(int argc, char** argv, const TaskRegistry& registry) {
-  return Main(argc, argv, registry, true);
+int AgentMain(int argc, char** argv, const TaskRegistry& registry, std::function<std::string()> waits_for) {
+  return Main(argc, argv, registry, true, std::move(waits_for));
 }
 
 }  // namespace rg::worker

@@ -2,7 +2,9 @@
 // kinds of services/jobs, realitygrad-agent with the kind `rollout`, and the tests' own.
 #pragma once
 
+#include <functional>
 #include <optional>
+#include <string>
 
 #include "worker/task_registry.h"
 
@@ -17,7 +19,8 @@ int WorkerMain(int argc, char** argv, const TaskRegistry& registry);
 
 // The same for the program beside the robot: it speaks as an agent, has one slot, and carries the
 // tag robot:NAME (--robot NAME).
-int AgentMain(int argc, char** argv, const TaskRegistry& registry);
+// `waits_for`: WorkerOptions::waits_for.
+int AgentMain(int argc, char** argv, const TaskRegistry& registry, std::function<std::string()> waits_for = {});
 
 // For programs with flags of their own: if this process was started as an executor child, serves as
 // one and returns its exit code; else nothing.

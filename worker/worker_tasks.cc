@@ -35,7 +35,10 @@ void Worker::TakeTransferResults() {
       continue;
     }
     --held.open_transfers;
-    if (!status.ok()) {
+    const bool of_node = status.code() == StatusCode::kResourceExhausted || status.code() == StatusCode::kInternal;
+    if (is_fetch && of_node) {
+      RestFromTrouble(held, "input " + result.transfer.sha256 + ": " + status.message());
+    } else if (!status.ok()) {
       const std::string what = is_fetch ? "input " : "output ";
       ReportFailure(
           held, pb::ATTEMPT_OUTCOME_FAILED, what + result.transfer.sha256 + ": " + status.ToString(),
@@ -59,7 +62,7 @@ void Worker::InputsAreHere(uint64_t, Held& held) {
 // --- running -----------------------------------------------------------------------------------------------
 
 void Worker::StartQueued() {
-  if (!refused_.empty() || now() < rest_until_ns_) return;
+  if (!refused_.empty() || !node_trouble_.empty() || now() < rest_until_ns_) return;
   if (!unable_.empty()) {  // rested: the next task tells
     unable_.clear();
     next_beat_ns_ = 0;
@@ -140,14 +143,27 @@ void Worker::RestFromStarting(const std::string& why) {
     spdlog::error("{}; goes on with {} slots", why, up);
     return SendHello();
   }
+  Rest(why, starts_in_vain_++);
+}
+
+// The same of a task that this machine had no room for: it is for others, and this one looks again later.
+void Worker::RestFromTrouble(Held& held, const std::string& why) {
+  Rest(why, troubles_++);
+  GiveBackForNode(held, why);
+}
+
+void Worker::Rest(const std::string& why, int times_before) {
   constexpr int kLongestShift = 6;
-  const double rest_s = options_.executor_rest_s * (1 << std::min(starts_in_vain_, kLongestShift));
-  ++starts_in_vain_;
+  const double rest_s = options_.executor_rest_s * (1 << std::min(times_before, kLongestShift));
   rest_until_ns_ = now() + static_cast<int64_t>(rest_s * kNsPerSecond);
   unable_ = why;
   spdlog::error("{}; nothing is tried for {} s", why, rest_s);
   next_beat_ns_ = 0;
   SendBeatIfDue();  // or it would all come back at once
+  GiveBackWhatHasNotBegun(why);
+}
+
+void Worker::GiveBackWhatHasNotBegun(const std::string& why) {
   for (auto& [token, held] : held_) {
     const bool waits = held.stage == Stage::kFetching || held.stage == Stage::kAwaitingGrant || held.stage == Stage::kQueued;
     const bool granted = held.assignment.at_most_once() && held.stage == Stage::kQueued;
@@ -204,12 +220,15 @@ void Worker::HandleExecutorMessage(pb::FromExecutor& message) {
 }
 
 void Worker::HandleExecutorFinished(uint64_t token, Held& held, pb::ExecutorFinished finished) {
+  troubles_ = 0;
   held.finished = std::move(finished);
   Upload(token, held);
 }
 
 void Worker::HandleExecutorFailed(Held& held, const pb::ExecutorFailed& failed) {
   for (const std::string& sha256 : failed.damaged_inputs()) cache_.Remove(sha256);
+  if (failed.damaged_inputs_size() > 0) return GiveBackForNode(held, failed.error());
+  if (failed.of_node()) return RestFromTrouble(held, failed.error());
   const auto outcome = held.timed_out ? pb::ATTEMPT_OUTCOME_TIMED_OUT : pb::ATTEMPT_OUTCOME_FAILED;
   const std::string prefix =
       held.timed_out ? "timed out after " + std::to_string(held.assignment.timeout_s()) + " s: " : "";
@@ -313,6 +332,11 @@ void Worker::ReportFailure(Held& held, pb::AttemptOutcome outcome, const std::st
   failed->set_retryable(retryable);
   held.next_send_ns = 1;
   logs_due_ns_ = 0;
+}
+
+void Worker::GiveBackForNode(Held& held, const std::string& why) {
+  ReportFailure(held, pb::ATTEMPT_OUTCOME_LOST, "given back: " + why, true);
+  held.report.mutable_failed()->set_of_node(true);
 }
 
 // What has not run goes back as it came; what runs is broken off.

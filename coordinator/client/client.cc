@@ -25,8 +25,8 @@ bool IsOver(pb::JobState state) {
 }  // namespace
 
 Client::Client(std::unique_ptr<transport::Context> context,
-               std::unique_ptr<transport::RequestClient> requests, uint64_t lease)
-    : context_(std::move(context)), requests_(std::move(requests)), lease_(lease) {}
+               std::unique_ptr<transport::RequestClient> requests, const ClientOptions& options)
+    : context_(std::move(context)), requests_(std::move(requests)), lease_(options.lease), remark_(options.remark) {}
 
 Client::~Client() = default;
 
@@ -49,7 +49,7 @@ Result<std::unique_ptr<Client>> Client::Connect(const ClientOptions& options) {
   request.attempts = options.attempts;
   auto requests = std::make_unique<transport::RequestClient>(
       std::move(socket), self, "coordinator at " + options.address, RealClock(), request);
-  return std::unique_ptr<Client>(new Client(std::move(context), std::move(requests), options.lease));
+  return std::unique_ptr<Client>(new Client(std::move(context), std::move(requests), options));
 }
 
 template <class Reply, class Body>
@@ -66,13 +66,39 @@ Result<int64_t> Client::Submit(const pb::JobSpec& job, std::string request_id) {
   pb::SubmitRequest request;
   request.set_request_id(request_id.empty() ? RandomHex(16) : std::move(request_id));
   *request.mutable_job() = job;
+  if (job.submitted_by().empty()) request.mutable_job()->set_submitted_by(remark_);
   RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::SubmitReply>(request));
   return reply.job();
 }
 
+Result<pb::SubmitManyReply> Client::SubmitMany(pb::SubmitManyRequest request) {
+  constexpr int kMostAtOnce = 2'000;
+  constexpr size_t kBytesAtOnce = 8u << 20;
+  pb::SubmitManyReply all;
+  for (int first = 0; first < request.submits_size();) {
+    pb::SubmitManyRequest part;
+    size_t bytes = 0;
+    for (; first < request.submits_size() && part.submits_size() < kMostAtOnce && bytes < kBytesAtOnce; ++first) {
+      pb::SubmitRequest& submit = *request.mutable_submits(first);
+      if (submit.request_id().empty()) submit.set_request_id(RandomHex(16));
+      if (submit.job().submitted_by().empty()) submit.mutable_job()->set_submitted_by(remark_);
+      bytes += submit.ByteSizeLong();
+      *part.add_submits() = std::move(submit);
+    }
+    RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::SubmitManyReply>(part));
+    all.MergeFrom(reply);
+  }
+  return all;
+}
+
 Result<std::vector<pb::JobSummary>> Client::ListJobs(const pb::ListJobsRequest& request) {
-  RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::ListJobsReply>(request));
+  RG_ASSIGN_OR_RETURN(const auto reply, ListJobsReply(request));
   return ToVector(reply.jobs());
+}
+
+Result<pb::ListJobsReply> Client::ListJobsReply(pb::ListJobsRequest request) {
+  if (request.mine()) request.set_by(remark_);
+  return Call<pb::ListJobsReply>(request);
 }
 
 Result<std::vector<pb::JobSummary>> Client::ListAllJobs(pb::ListJobsRequest request) {
@@ -80,7 +106,7 @@ Result<std::vector<pb::JobSummary>> Client::ListAllJobs(pb::ListJobsRequest requ
   std::vector<pb::JobSummary> all;
   request.set_limit(kPage);
   while (true) {
-    RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::ListJobsReply>(request));
+    RG_ASSIGN_OR_RETURN(const auto reply, ListJobsReply(request));
     all.insert(all.end(), reply.jobs().begin(), reply.jobs().end());
     if (!reply.more() || reply.jobs().empty()) return all;
     request.set_before_id(all.back().id());
@@ -145,19 +171,36 @@ Result<pb::GetJobReply> Client::WaitForJob(int64_t id, double timeout_s,
   }
 }
 
-Result<pb::JobSummary> Client::Act(int64_t id, pb::JobAction action, const std::string& reason) {
+pb::JobActionRequest Client::Action(int64_t id, pb::JobAction action, const std::string& reason) const {
   pb::JobActionRequest request;
   request.set_job(id);
   request.set_action(action);
   request.set_reason(reason);
-  RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::JobActionReply>(request));
+  request.set_by(remark_);
+  return request;
+}
+
+Result<pb::JobSummary> Client::Act(int64_t id, pb::JobAction action, const std::string& reason) {
+  RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::JobActionReply>(Action(id, action, reason)));
   return reply.job();
 }
 
+Result<pb::ManyJobActionsReply> Client::ActOnMany(const std::vector<int64_t>& ids, pb::JobAction action,
+                                                  const std::string& reason) {
+  constexpr size_t kAtOnce = 10'000;
+  pb::ManyJobActionsReply all;
+  for (size_t first = 0; first < ids.size(); first += kAtOnce) {
+    pb::ManyJobActionsRequest request;
+    for (size_t i = first; i < std::min(ids.size(), first + kAtOnce); ++i)
+      *request.add_actions() = Action(ids[i], action, reason);
+    RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::ManyJobActionsReply>(request));
+    all.MergeFrom(reply);
+  }
+  return all;
+}
+
 Result<pb::JobSummary> Client::SetPriority(int64_t id, int32_t priority) {
-  pb::JobActionRequest request;
-  request.set_job(id);
-  request.set_action(pb::JOB_ACTION_PRIORITY);
+  pb::JobActionRequest request = Action(id, pb::JOB_ACTION_PRIORITY, "");
   request.set_priority(priority);
   RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::JobActionReply>(request));
   return reply.job();
@@ -202,10 +245,20 @@ Result<std::vector<pb::WorkerInfo>> Client::Workers() {
   return ToVector(reply.workers());
 }
 
-Status Client::DrainWorker(const std::string& name) {
+Status Client::DrainWorker(const std::string& name, const std::string& reason) {
   pb::DrainWorkerRequest request;
   request.set_worker(name);
+  request.set_reason(reason);
   return Call<pb::DrainWorkerReply>(request).status();
+}
+
+Status Client::HoldRobot(const std::string& robot, const std::string& reason, bool release) {
+  pb::HoldRobotRequest request;
+  request.set_robot(robot);
+  request.set_reason(reason);
+  request.set_release(release);
+  request.set_by(remark_);
+  return Call<pb::HoldRobotReply>(request).status();
 }
 
 Result<pb::StatusReply> Client::CoordinatorStatus() { return Call<pb::StatusReply>(pb::StatusRequest()); }
@@ -353,6 +406,7 @@ Result<pb::ParameterVersion> Client::CurrentParameters(const std::string& robot)
 Result<uint32_t> Client::PromoteParameters(const std::string& robot, uint32_t version) {
   pb::PromoteParametersRequest request;
   request.set_robot(robot);
+  request.set_by(remark_);
   request.set_version(version);
   RG_ASSIGN_OR_RETURN(const auto reply, Call<pb::PromoteParametersReply>(request));
   return reply.current();

@@ -40,6 +40,7 @@ struct ClientOptions {
   bool read_only = false;             // claims the role viewer instead of `role`
   pb::Role role = pb::ROLE_OPERATOR;  // with a key: must be the key's (NamedKey::role)
   std::string name = "client";
+  std::string remark;  // user@host, for events and listings: without keys the only name there is
   uint64_t lease = 0;  // the fencing token of the task that speaks, with role worker or agent
   int64_t connect_timeout_ms = 5'000;
   int64_t attempt_timeout_ms = 10'000;
@@ -58,7 +59,11 @@ class Client {
   // --- jobs
   // Durable when it returns. The same request id always gives the same job; empty: a random one.
   Result<int64_t> Submit(const pb::JobSpec& job, std::string request_id = {});
+  // Many in as few transactions as their sizes allow; one answer each, as Submit would give it.
+  Result<pb::SubmitManyReply> SubmitMany(pb::SubmitManyRequest request);
   Result<std::vector<pb::JobSummary>> ListJobs(const pb::ListJobsRequest& request = {});
+  // The same, with whether there are more, and by which name the coordinator knows who asks.
+  Result<pb::ListJobsReply> ListJobsReply(pb::ListJobsRequest request = {});
   // Page after page, all that match; request.limit counts for nothing.
   Result<std::vector<pb::JobSummary>> ListAllJobs(pb::ListJobsRequest request = {});
   // id 0: the newest job. Fetched in pages, given as one.
@@ -72,6 +77,9 @@ class Client {
                                      const std::function<void(const pb::GetJobReply&)>& on_change = {},
                                      double patience_s = 60.0);
   Result<pb::JobSummary> Act(int64_t id, pb::JobAction action, const std::string& reason = {});
+  // Of all of them in one transaction; errors and jobs are those of the reply, one per id.
+  Result<pb::ManyJobActionsReply> ActOnMany(const std::vector<int64_t>& ids, pb::JobAction action,
+                                            const std::string& reason = {});
   Result<pb::JobSummary> SetPriority(int64_t id, int32_t priority);
   Result<pb::GetLogsReply> Logs(int64_t job, const std::string& task = {}, uint64_t after_sequence = 0,
                                 uint32_t limit = 0);
@@ -87,7 +95,9 @@ class Client {
 
   // --- workers, coordinator
   Result<std::vector<pb::WorkerInfo>> Workers();
-  Status DrainWorker(const std::string& name);
+  Status DrainWorker(const std::string& name, const std::string& reason = {});
+  // Nothing moves it until it is released.
+  Status HoldRobot(const std::string& robot, const std::string& reason, bool release = false);
   Result<pb::StatusReply> CoordinatorStatus();
 
   // --- artefacts
@@ -126,13 +136,15 @@ class Client {
 
  private:
   Client(std::unique_ptr<transport::Context> context, std::unique_ptr<transport::RequestClient> requests,
-         uint64_t lease);
+         const ClientOptions& options);
+  pb::JobActionRequest Action(int64_t id, pb::JobAction action, const std::string& reason) const;
   template <class Reply, class Body>
   Result<Reply> Call(const Body& body);
 
   std::unique_ptr<transport::Context> context_;
   std::unique_ptr<transport::RequestClient> requests_;
   uint64_t lease_;
+  std::string remark_;
 };
 
 // The exit code of SERVICE.md for a job that is over: 0 succeeded, 3 failed, 4 cancelled; 1 otherwise.

@@ -22,6 +22,12 @@ namespace pb = realitygrad::v1;
 
 constexpr size_t kPieceBytes = 4 << 20;
 
+// Of this machine's disk. Never kUnavailable, which would be a coordinator that is away.
+Status LocalError(const std::string& what, int error) {
+  const std::string why = what + ": " + std::strerror(error);
+  return error == ENOSPC || error == EDQUOT ? ResourceExhaustedError(why) : InternalError(why);
+}
+
 class File {
  public:
   File() = default;
@@ -44,7 +50,7 @@ class File {
     while (have < limit) {
       const ssize_t n = ::pread(fd_, bytes.data() + have, limit - have, static_cast<off_t>(offset + have));
       if (n < 0 && errno == EINTR) continue;
-      if (n < 0) return UnavailableError(std::string("read: ") + std::strerror(errno));
+      if (n < 0) return LocalError("read", errno);
       if (n == 0) break;
       have += static_cast<size_t>(n);
     }
@@ -55,10 +61,7 @@ class File {
     while (!bytes.empty()) {
       const ssize_t n = ::pwrite(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
       if (n < 0 && errno == EINTR) continue;
-      if (n < 0) {
-        const std::string why = std::string("write: ") + std::strerror(errno);
-        return errno == ENOSPC || errno == EDQUOT ? ResourceExhaustedError(why) : InternalError(why);
-      }
+      if (n < 0) return LocalError("write", errno);
       bytes.remove_prefix(static_cast<size_t>(n));
       offset += static_cast<uint64_t>(n);
     }
@@ -73,7 +76,7 @@ Status SyncFolder(const std::string& path) {
   const File folder(path.empty() ? "." : path, O_RDONLY | O_DIRECTORY);
   return folder.is_open() && ::fsync(folder.fd()) == 0
              ? Status::Ok()
-             : InternalError(path + ": cannot be synced: " + std::strerror(errno));
+             : LocalError(path + ": cannot be synced", errno);
 }
 
 // The next piece, and how large the artefact is.
@@ -104,7 +107,7 @@ Result<File> OpenPart(const std::string& path, std::string* part) {
   *part = path + ".part-" + RandomHex(6);
   File own(*part, O_RDWR | O_CREAT | O_EXCL);
   if (own.is_open()) return own;
-  return UnavailableError(*part + ": cannot be made: " + std::strerror(errno));
+  return LocalError(*part + ": cannot be made", errno);
 }
 
 Status FetchInto(transport::RequestClient& requests, const std::string& sha256, const File& file,
@@ -130,7 +133,7 @@ Status FetchInto(transport::RequestClient& requests, const std::string& sha256, 
     return DataLossError("artefact " + sha256 + ": the bytes do not match the hash");
   *size = total;
   return ::fsync(file.fd()) == 0 ? Status::Ok()
-                                 : InternalError(std::string("fsync: ") + std::strerror(errno));
+                                 : LocalError("fsync", errno);
 }
 
 using ReadPiece = std::function<Result<std::string>(uint64_t offset, size_t limit)>;
@@ -179,7 +182,7 @@ Result<uint64_t> FetchArtifactToFile(transport::RequestClient& requests, const s
   std::error_code error;
   const std::string folder = fs::path(path).parent_path().string();
   if (!folder.empty()) fs::create_directories(folder, error);
-  if (error) return UnavailableError(folder + ": cannot be made: " + error.message());
+  if (error) return LocalError(folder + ": cannot be made", error.value());
   std::string part;
   RG_ASSIGN_OR_RETURN(const File file, OpenPart(path, &part));
   uint64_t size = 0;
@@ -196,7 +199,7 @@ Result<uint64_t> FetchArtifactToFile(transport::RequestClient& requests, const s
     return fetched;
   }
   fs::rename(part, path, error);
-  if (error) return InternalError(path + ": " + error.message());
+  if (error) return LocalError(path, error.value());
   RG_RETURN_IF_ERROR(SyncFolder(folder));
   return size;
 }

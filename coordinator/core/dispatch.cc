@@ -41,7 +41,7 @@ void Turn::FillSlots(bool ahead) {
   if (!anything) return;
   std::vector<Worker*> open;
   for (auto& [name, worker] : s_.workers) {
-    if (ahead ? worker.takes_tasks() : worker.accepts_work()) open.push_back(&worker);
+    if (ahead ? worker.takes_tasks() && worker.suspicions == 0 : worker.accepts_work()) open.push_back(&worker);
   }
   const auto emptier = [](const Worker* a, const Worker* b) {
     return uint64_t{a->busy()} * b->slots < uint64_t{b->busy()} * a->slots;

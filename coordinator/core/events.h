@@ -30,12 +30,20 @@ struct CommandJob {
   JobCommand command = JobCommand::kCancel;
   std::string reason;
   ReplyTo reply_to = 0;
+  std::string by = {};   // who wants it, for the events; empty: not known
   int32_t priority = 0;  // kPriority
   // kRetry: of the jobs that it comes after and that are not in memory, one that did not succeed; 0: none.
   JobId unmet = 0;
 };
 struct DrainWorker {
   std::string worker;
+  ReplyTo reply_to = 0;
+  std::string by = {}, reason = {};
+};
+
+struct HoldRobot {
+  std::string robot, reason, by;
+  bool release = false;
   ReplyTo reply_to = 0;
 };
 
@@ -60,6 +68,7 @@ struct WorkerBeat {
   bool draining = false;
   std::vector<Token> finished = {};  // of those held: no longer run, what they came to is on its way
   std::string unable = {};           // why it can run nothing for now; empty: it can
+  NodeState node = {};
 };
 struct WorkerLeft {
   std::string instance;
@@ -92,17 +101,18 @@ struct Failed {
   Outcome outcome = Outcome::kFailed;
   std::string error;
   bool retryable = true;
+  bool of_node = false;  // with kLost: the fault is of the worker's machine
 };
 // Time has passed: leases may have expired.
 struct Tick {};
 
-using Event = std::variant<Submit, CommandJob, DrainWorker, WorkerJoined, WorkerBeat, WorkerLeft,
+using Event = std::variant<Submit, CommandJob, DrainWorker, HoldRobot, WorkerJoined, WorkerBeat, WorkerLeft,
                            StartRequested, Progressed, Finished, Failed, Tick>;
 
 // --- actions -------------------------------------------------------------------------------------
 
 using Row = std::variant<InsertJob, UpdateJob, UpdateTask, InsertAttempt, GrantAttempt, FinishAttempt,
-                         CommitResult, CloseTasks, ReopenTasks, AppendEvent>;
+                         CommitResult, CloseTasks, ReopenTasks, SetHold, AppendEvent>;
 
 struct Welcome {
   std::string instance;

@@ -46,9 +46,9 @@ void ExplainPlacement(const State& state, const Job& job, uint32_t index, Explan
     ++able;
     draining += worker.draining;
     busy += worker.takes_tasks() && worker.busy() >= worker.slots;
-    if (worker.draining || worker.unable.empty()) continue;
+    if (worker.draining || worker.why_unable().empty()) continue;
     ++unable;
-    why = name + ": " + worker.unable;
+    why = name + ": " + worker.why_unable();
   }
   out->placeable = able > draining;
   if (connected == 0) {
@@ -120,6 +120,25 @@ Explanation Explain(const State& state, const Job& job, uint32_t index) {
       break;
   }
   return out;
+}
+
+std::string WhyItWaits(const State& state, const Job& job) {
+  if (IsFinal(job.record.phase) || job.is_held()) return "";
+  for (const Task& task : job.tasks) {
+    if (const auto* leased = std::get_if<TaskLeased>(&task.status)) {
+      const Lease& lease = state.leases.at(leased->token);
+      return lease.progress_stage == kWaitingStage ? lease.progress_note : "";
+    }
+    if (!std::holds_alternative<TaskReady>(task.status)) continue;
+    std::string why;
+    for (const auto& [name, worker] : state.workers) {
+      if (!worker.connected || worker.draining || !CanRun(worker, state.classes[task.scheduling_class])) continue;
+      if (worker.why_unable().empty()) return "";
+      why = worker.name + ": " + worker.why_unable();
+    }
+    return why;
+  }
+  return "";
 }
 
 }  // namespace rg::coordinator

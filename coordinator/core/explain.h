@@ -16,4 +16,8 @@ struct Explanation {
 // `index` must be a task of the job.
 Explanation Explain(const State& state, const Job& job, uint32_t index);
 
+// Why nothing of a job runs, if its first ready task waits for workers that say they can run nothing for now, or what
+// runs says that it waits: one line for listings. Else empty.
+std::string WhyItWaits(const State& state, const Job& job);
+
 }  // namespace rg::coordinator

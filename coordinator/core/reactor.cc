@@ -22,7 +22,8 @@ void React(const Event& event, State& state, Now now, Actions& actions) {
 
 void Turn::Note(const std::string& kind, JobId job, const std::string& task, const std::string& worker,
                 const std::string& detail) {
-  Store(AppendEvent{now_.wall_ns, job, task, worker, kind, detail});
+  const std::string by = by_.empty() ? "" : "by " + by_ + (detail.empty() ? "" : ": ");
+  Store(AppendEvent{now_.wall_ns, job, task, worker, kind, by + detail});
 }
 
 }  // namespace rg::coordinator

@@ -87,6 +87,7 @@ JobId Turn::UnmetOf(const JobPlan& plan, JobId not_in_memory) const {
 }
 
 void Turn::Handle(const CommandJob& event) {
+  by_ = event.by;
   Job* job = s_.FindJob(event.job);
   if (job == nullptr) {
     const std::string error = "there is no job " + std::to_string(event.job);

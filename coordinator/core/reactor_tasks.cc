@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <vector>
 
 #include "coordinator/core/turn.h"
@@ -49,7 +50,15 @@ void Turn::Handle(const Finished& event) {
   const std::string instance = event.instance;
   NoteSeconds(job, index, event.seconds);
   EndLease(event.token, Outcome::kSucceeded, "");
-  if (Worker* worker = s_.FindWorkerByInstance(instance)) ++worker->tasks_done;
+  if (Worker* worker = s_.FindWorkerByInstance(instance)) {
+    ++worker->tasks_done;
+    worker->failing.erase(job.plan_of(index).kind);
+    worker->suspicions = 0;
+  }
+  KindSeconds& kind = s_.kinds[job.plan_of(index).kind];
+  ++kind.finished;
+  kind.sum += std::max(0.0, event.seconds);
+  for (size_t i = 0; i < kind.at_most.size(); ++i) kind.at_most[i] += event.seconds <= KindSeconds::kAtMost[i];
   CommitTask(job, index, event.token, event.remark);
   Send(AnswerResult{instance, event.token, true, ""});
 }
@@ -143,6 +152,7 @@ void Turn::Handle(const Failed& event) {
   Job& job = *s_.FindJob(JobOf(lease.task));
   const uint32_t index = IndexOf(lease.task);
   EndLease(event.token, event.outcome, event.error);
+  if (Worker* worker = s_.FindWorkerByInstance(event.instance)) worker->last_error = event.error;
   Note("task." + std::string(event.outcome == Outcome::kCrashed    ? "crashed"
                              : event.outcome == Outcome::kTimedOut ? "timed_out"
                              : event.outcome == Outcome::kLost     ? "given_back"
@@ -161,11 +171,16 @@ void Turn::AfterFailure(Job& job, uint32_t index, const Failed& event, const Lea
   const std::string no_repeat = event.error + " (runs at most once: `retry` lets it run again)";
   if (event.outcome == Outcome::kLost || event.outcome == Outcome::kCancelled) {
     if (began) return FailTask(job, index, no_repeat, false);
+    if (event.of_node) return RequeueElsewhere(job, index, lease.worker, event.error);
     constexpr double kLong = 1.0;  // it may have waited behind a task that was expected to be short
     NoteSeconds(job, index, kLong);
     return Requeue(job, index, event.error);  // given back before it did anything
   }
-  if (Worker* worker = s_.FindWorkerByInstance(lease.instance)) ++worker->tasks_failed;
+  if (Worker* worker = s_.FindWorkerByInstance(lease.instance)) {
+    ++worker->tasks_failed;
+    if (event.retryable && !began && IsOfNode(*worker, plan.kind, MakeTaskId(job.id, index), event.error))
+      return RequeueElsewhere(job, index, lease.worker, event.error);
+  }
   job.failed_on[index] = lease.worker;
   if (event.outcome == Outcome::kCrashed) {
     ++s_.counters.executors_crashed;
@@ -180,6 +195,13 @@ void Turn::AfterFailure(Job& job, uint32_t index, const Failed& event, const Lea
   }
   if (began) return FailTask(job, index, no_repeat, false);
   Requeue(job, index, event.error);
+}
+
+void Turn::RequeueElsewhere(Job& job, uint32_t index, const std::string& worker, const std::string& error) {
+  job.failed_on[index] = worker;
+  const uint32_t losses = ++job.tasks[index].losses;
+  if (losses < s_.options.max_losses) return Requeue(job, index, error);
+  FailTask(job, index, Attempts("set aside: its worker could not run it", losses) + ": " + error, true);
 }
 
 void Turn::Requeue(Job& job, uint32_t index, const std::string& reason) {

@@ -13,6 +13,7 @@ bool Holds(const std::vector<Token>& held, Token token) {
 }  // namespace
 
 void Turn::Handle(const DrainWorker& event) {
+  by_ = event.by;
   const auto found = s_.workers.find(event.worker);
   if (found == s_.workers.end() || !found->second.connected) {
     Send(AnswerClient{event.reply_to, Verdict::kNotFound, "there is no worker '" + event.worker + "'", 0,
@@ -20,9 +21,45 @@ void Turn::Handle(const DrainWorker& event) {
     return;
   }
   found->second.draining = true;
-  Note("worker.draining", 0, "", event.worker, "asked by an operator");
+  found->second.drain_reason = event.reason;
+  Note("worker.draining", 0, "", event.worker, event.reason);
   Send(TellDrain{found->second.instance});
   Send(AnswerClient{event.reply_to, Verdict::kOk, "", 0, false});
+}
+
+void Turn::Handle(const HoldRobot& event) {
+  by_ = event.by;
+  if (event.release && s_.holds.erase(event.robot) == 0) {
+    Send(AnswerClient{event.reply_to, Verdict::kFailedPrecondition, "the robot '" + event.robot + "' is not held", 0, false});
+    return;
+  }
+  const RobotHold hold{event.reason, event.by, now_.wall_ns};
+  if (!event.release) s_.holds[event.robot] = hold;
+  Store(SetHold{event.robot, hold, event.release});
+  Note(event.release ? "robot.released" : "robot.held", 0, "", "",
+       event.robot + (event.reason.empty() ? "" : ": " + event.reason));
+  for (auto& [name, worker] : s_.workers) MarkHeld(s_, worker);
+  if (!event.release) TakeBackFrom(event.robot);
+  s_.dispatch_needed = true;
+  Send(AnswerClient{event.reply_to, Verdict::kOk, "", 0, false});
+}
+
+void Turn::TakeBackFrom(const std::string& robot) {
+  std::vector<Token> not_begun;
+  for (const auto& [token, lease] : s_.leases) {
+    const auto worker = s_.workers.find(lease.worker);
+    if (!lease.granted && worker != s_.workers.end() && worker->second.tags.count(kRobotTag + robot) > 0)
+      not_begun.push_back(token);
+  }
+  std::sort(not_begun.begin(), not_begun.end());
+  for (const Token token : not_begun) {
+    const Lease& lease = s_.leases.at(token);
+    Job& job = *s_.FindJob(JobOf(lease.task));
+    const uint32_t index = IndexOf(lease.task);
+    RevokeFrom(lease.instance, token, "the robot is held");
+    EndLease(token, Outcome::kLost, "the robot is held");
+    Requeue(job, index, "the robot is held");
+  }
 }
 
 // Who is connected under its name or, an agent, beside its robot: two would move one arm.
@@ -89,10 +126,13 @@ void Turn::Handle(const WorkerJoined& event) {
   worker.tags = {event.tags.begin(), event.tags.end()};
   worker.kinds = {event.kinds.begin(), event.kinds.end()};
   worker.draining = event.draining || was_draining;
+  if (!was_draining) worker.drain_reason.clear();
   worker.unable.clear();
+  if (is_new) worker.failing.clear(), worker.suspect.clear(), worker.suspicions = 0;
   worker.connected = true;
   worker.last_seen_ns = now_.steady_ns;
   if (is_new) worker.since_wall_ns = now_.wall_ns;
+  MarkHeld(s_, worker);
   worker.classes.clear();
   for (uint32_t c = 0; c < s_.classes.size(); ++c) {
     if (CanRun(worker, s_.classes[c])) worker.classes.push_back(c);
@@ -158,6 +198,7 @@ void Turn::Handle(const WorkerBeat& event) {
   std::erase_if(worker->winding_down, [&](Token token) { return !Holds(event.held, token); });
   if (worker->winding_down.size() != before) s_.dispatch_needed = true;
   NoteAbility(*worker, event.unable);
+  worker->node = event.node;
   RenewOrRevoke(*worker, event.held);
   NoteNamed(event);
   Send(AnswerBeat{event.instance, true});
@@ -170,6 +211,34 @@ void Turn::NoteAbility(Worker& worker, const std::string& unable) {
     s_.dispatch_needed = true;
   }
   worker.unable = unable;
+}
+
+// Tasks that fail wherever they run fail on others too: those finish none of the kind meanwhile.
+bool Turn::IsOfNode(Worker& worker, const std::string& kind, TaskId task, const std::string& error) {
+  constexpr size_t kInARow = 3;
+  constexpr uint32_t kLongestShift = 6;
+  Worker::Failing& failing = worker.failing[kind];
+  const uint64_t finished = s_.kinds[kind].finished;
+  if (failing.tasks.empty()) failing.finished_before = finished;
+  if (failing.tasks.size() < kInARow) failing.tasks.insert(task);
+  if (failing.tasks.size() < kInARow || finished == failing.finished_before) return false;
+  if (!worker.suspect.empty()) return true;
+  worker.suspect_until_ns = now_.steady_ns + (s_.options.suspect_ns << std::min(worker.suspicions, kLongestShift));
+  ++worker.suspicions;
+  worker.suspect = "fails tasks that others finish: " + error;
+  Note("worker.unable", 0, "", worker.name, worker.suspect);
+  s_.dispatch_needed = true;
+  return true;
+}
+
+// The next task tells.
+void Turn::EndSuspicions() {
+  for (auto& [name, worker] : s_.workers) {
+    if (worker.suspect.empty() || now_.steady_ns < worker.suspect_until_ns) continue;
+    worker.suspect.clear();
+    Note("worker.able", 0, "", name, "it is tried again");
+    s_.dispatch_needed = true;
+  }
 }
 
 // What the worker says of its leases besides that they live.
@@ -193,6 +262,7 @@ void Turn::Handle(const WorkerLeft& event) {
 
 void Turn::Handle(const Tick&) {
   FindLostWorkers();
+  EndSuspicions();
   FindExpiredLeases();
   EndOverdueJobs();
 }

@@ -349,6 +349,7 @@ State Restore(const StoredState& stored, const Options& options, Now now) {
   state.last_token = stored.last_token;
   state.last_job = stored.last_job;
   state.newest_of_clients = stored.newest_of_clients;
+  state.holds = stored.holds;
   for (const StoredJob& from : stored.jobs) {
     Job& job = Recall(state, from);
     if (job.record.deadline_ns == 0) continue;
@@ -362,13 +363,26 @@ State Restore(const StoredState& stored, const Options& options, Now now) {
   return state;
 }
 
+void MarkHeld(const State& state, Worker& worker) {
+  worker.held.clear();
+  for (const std::string& tag : worker.tags) {
+    const bool is_robot = tag.rfind(kRobotTag, 0) == 0;
+    const auto hold = is_robot ? state.holds.find(tag.substr(sizeof kRobotTag - 1)) : state.holds.end();
+    if (hold == state.holds.end()) continue;
+    worker.held = "is held" + (hold->second.by.empty() ? "" : " by " + hold->second.by) +
+                  (hold->second.reason.empty() ? "" : ": " + hold->second.reason);
+  }
+}
+
 void KeepWorkers(const State& before, State& after, Now now) {
   after.counters = before.counters;
   after.revision += before.revision;
+  after.kinds = before.kinds;
   after.workers = before.workers;
   after.worker_by_instance = before.worker_by_instance;
   for (auto& [name, worker] : after.workers) {
     worker.leases.clear();
+    MarkHeld(after, worker);
     worker.classes.clear();
     for (uint32_t c = 0; c < after.classes.size(); ++c) {
       if (CanRun(worker, after.classes[c])) worker.classes.push_back(c);
@@ -400,6 +414,7 @@ StoredState Describe(const State& state) {
   out.last_token = state.last_token;
   out.last_job = state.last_job;
   out.newest_of_clients = state.newest_of_clients;
+  out.holds = state.holds;
   for (const auto& [id, job] : state.jobs) {
     if (IsFinal(job.record.phase)) continue;  // about to leave
     StoredJob& to = out.jobs.emplace_back();
@@ -423,6 +438,11 @@ std::vector<std::string> Differences(const StoredState& a, const StoredState& b)
   if (a.last_token != b.last_token) found.push_back("last token");
   if (a.last_job != b.last_job) found.push_back("last job");
   if (a.newest_of_clients != b.newest_of_clients) found.push_back("newest job of clients");
+  const auto same_hold = [](const auto& x, const auto& y) {
+    return x.first == y.first && x.second.reason == y.second.reason && x.second.by == y.second.by;
+  };
+  if (!std::equal(a.holds.begin(), a.holds.end(), b.holds.begin(), b.holds.end(), same_hold))
+    found.push_back("robots that are held");
   if (a.jobs.size() != b.jobs.size()) return found.push_back("number of jobs"), found;
   for (size_t j = 0; j < a.jobs.size(); ++j) {
     const StoredJob &x = a.jobs[j], &y = b.jobs[j];

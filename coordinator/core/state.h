@@ -3,6 +3,7 @@
 // it, and gives it back for a retry (Recall). Owned by one thread.
 #pragma once
 
+#include <array>
 #include <compare>
 #include <deque>
 #include <map>
@@ -134,18 +135,32 @@ struct Worker {
   std::set<std::string> tags;
   std::set<std::string> kinds;
   bool draining = false;
+  std::string drain_reason;
   std::string unable;  // why it can run nothing for now, as it said last; empty: it can
+  // Tasks of a kind that failed here in a row, while others finished tasks of that kind.
+  struct Failing {
+    std::set<TaskId> tasks;
+    uint64_t finished_before = 0;  // KindSeconds::finished as the first of them failed
+  };
+  std::map<std::string, Failing> failing;  // by kind
+  std::string suspect;           // why it is given nothing until suspect_until_ns; empty: it is
+  int64_t suspect_until_ns = 0;
+  uint32_t suspicions = 0;       // since a task last succeeded here: one at a time until then
   bool connected = true;
   int64_t last_seen_ns = 0;
   int64_t since_wall_ns = 0;
   std::set<Token> leases;
   std::set<Token> winding_down;  // revoked, still occupying a slot as far as the worker has said
   uint64_t tasks_done = 0, tasks_failed = 0;
+  NodeState node;
+  std::string last_error;  // of a task on it
   std::vector<uint32_t> classes;  // scheduling classes it can run
 
   uint32_t busy() const { return static_cast<uint32_t>(leases.size() + winding_down.size()); }
-  bool takes_tasks() const { return connected && !draining && unable.empty(); }
-  bool accepts_work() const { return takes_tasks() && busy() < slots; }
+  std::string held;  // "is held by anna: belt replaced": its robot is; empty: it is not
+  const std::string& why_unable() const { return !held.empty() ? held : !unable.empty() ? unable : suspect; }
+  bool takes_tasks() const { return connected && !draining && why_unable().empty(); }
+  bool accepts_work() const { return takes_tasks() && busy() < (suspicions > 0 ? 1 : slots); }
 };
 
 // How many tasks of this class a worker is given beyond each of its slots, to have the next one at hand: an
@@ -161,6 +176,15 @@ struct Options {
   int64_t uncertain_ns = 30'000'000'000;        // how long an uncertain task waits for its worker
   int64_t forget_worker_ns = 3600'000'000'000;  // a lost worker leaves the listing after this
   uint32_t max_losses = 8;                      // lost leases of one task before it is given up
+  int64_t suspect_ns = 10'000'000'000;          // a worker where all fails rests first; doubles, to 64 times as long
+};
+
+// How long tasks of a kind ran.
+struct KindSeconds {
+  static constexpr std::array<double, 7> kAtMost = {0.01, 0.1, 1.0, 10.0, 60.0, 600.0, 3600.0};
+  std::array<uint64_t, kAtMost.size()> at_most = {};  // each holds those of the ones before
+  uint64_t finished = 0;
+  double sum = 0.0;
 };
 
 struct Counters {
@@ -178,6 +202,7 @@ struct State {
   std::unordered_map<Token, Lease> leases;            // leased and uncertain tasks
   std::map<std::string, Worker> workers;              // by name
   std::unordered_map<std::string, std::string> worker_by_instance;
+  std::map<std::string, RobotHold> holds;  // by robot
   std::deque<SchedulingClass> classes;
   std::map<std::pair<std::string, std::vector<std::string>>, uint32_t> class_index;
   std::vector<uint32_t> free_classes;
@@ -186,6 +211,7 @@ struct State {
   Token last_token = 0;
   uint64_t revision = 0;
   Counters counters;             // volatile
+  std::map<std::string, KindSeconds> kinds;  // volatile: of tasks that were finished
   bool dispatch_needed = false;  // within one event
   std::vector<JobId> ended;      // since the shell last looked: to be retired; volatile
 
@@ -223,6 +249,8 @@ void SetStatus(State& state, Job& job, uint32_t index, TaskStatus status);
 // How many parents the task still has to wait for, from their statuses.
 uint32_t CountOpenParents(const Job& job, uint32_t index);
 bool CanRun(const Worker& worker, const SchedulingClass& cls);
+// Worker::held, from State::holds.
+void MarkHeld(const State& state, Worker& worker);
 TaskRecord RecordOf(const Job& job, uint32_t index);
 
 // After the state was read back in the middle of work (nothing of the last batch became durable): the

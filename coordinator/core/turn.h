@@ -20,6 +20,7 @@ class Turn {
   void Handle(const CommandJob& event);
   // reactor_workers.cc
   void Handle(const DrainWorker& event);
+  void Handle(const HoldRobot& event);
   void Handle(const WorkerJoined& event);
   void Handle(const WorkerBeat& event);
   void Handle(const WorkerLeft& event);
@@ -76,6 +77,8 @@ class Turn {
   // The worker can no longer be trusted to hold this lease.
   void LoseLease(Token token, const std::string& why);
   void AfterFailure(Job& job, uint32_t index, const Failed& event, const Lease& lease);
+  // Costs no attempt, but counts as a loss: another worker is asked first.
+  void RequeueElsewhere(Job& job, uint32_t index, const std::string& worker, const std::string& error);
 
   // --- workers
   // Whether this process may have the name now; if it never may, it is told.
@@ -84,6 +87,11 @@ class Turn {
   void RemoveWorker(const std::string& name, const std::string& why);
   void RenewOrRevoke(Worker& worker, const std::vector<Token>& held);
   void NoteAbility(Worker& worker, const std::string& unable);
+  // Whether the failure is one of many that happen on this worker only, which rests then.
+  bool IsOfNode(Worker& worker, const std::string& kind, TaskId task, const std::string& error);
+  void EndSuspicions();
+  // What was given to agents of the robot and has not begun goes back.
+  void TakeBackFrom(const std::string& robot);
   void NoteNamed(const WorkerBeat& beat);
   void LoseLeasesOf(const std::string& name, const std::string& instance_to_keep,
                     const std::vector<Token>& held, const std::string& why);
@@ -116,6 +124,7 @@ class Turn {
   Now now_;
   Actions& out_;
   uint32_t slots_of_all_ = 0;  // of the workers that take work
+  std::string by_;             // who wants what happens in this turn; empty: nobody in person
   std::deque<JobId> ended_;    // jobs that others come after, which are still to be told
 };
 

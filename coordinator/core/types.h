@@ -12,6 +12,8 @@ namespace rg::coordinator {
 
 inline constexpr char kRobotTag[] = "robot:";  // of agents, with the name of their robot
 
+inline constexpr char kWaitingStage[] = "waiting";  // of a task that runs, and does not go on: its note says why
+
 using JobId = int64_t;     // 1, 2, 3, … in order of submission; 0: none
 using TaskId = int64_t;    // JobId · 2^24 + index in the job's list of tasks
 using Token = uint64_t;    // fencing token: one per attempt, grows over all tasks; 0: none
@@ -22,6 +24,13 @@ constexpr uint32_t kMaxTasksPerJob = 1u << kTaskIndexBits;
 constexpr TaskId MakeTaskId(JobId job, uint32_t index) { return (job << kTaskIndexBits) | index; }
 constexpr JobId JobOf(TaskId task) { return task >> kTaskIndexBits; }
 constexpr uint32_t IndexOf(TaskId task) { return static_cast<uint32_t>(task & (kMaxTasksPerJob - 1)); }
+
+// A worker's machine, as it says itself; for people to read.
+struct NodeState {
+  uint64_t disk_free_bytes = 0, memory_free_bytes = 0;
+  double load = 0.0;
+  std::string robot;  // of an agent: "armed", or why nothing may move; empty: not known
+};
 
 // Leases live on the steady clock, people read the wall clock.
 struct Now {
@@ -183,6 +192,16 @@ struct CommitResult {
   Token token = 0;
   int64_t wall_ns = 0;
 };
+// Nothing moves the robot until somebody releases it.
+struct RobotHold {
+  std::string reason, by;
+  int64_t since_ns = 0;  // wall time
+};
+struct SetHold {
+  std::string robot;
+  RobotHold hold;
+  bool released = false;
+};
 struct AppendEvent {
   int64_t wall_ns = 0;
   JobId job = 0;
@@ -216,6 +235,7 @@ struct StoredState {
   Token last_token = 0;
   JobId last_job = 0;
   JobId newest_of_clients = 0;  // 0: there is none
+  std::map<std::string, RobotHold> holds;
 };
 
 }  // namespace rg::coordinator

@@ -17,6 +17,8 @@
 #include "common/base/log.h"
 #include "common/transport/zmq_socket.h"
 #include "coordinator/autoscale/autoscaler.h"
+#include "coordinator/server/end_hook.h"
+#include "coordinator/server/scheduled_backups.h"
 #include "coordinator/server/server.h"
 #include "coordinator/web/web_server.h"
 #include "google/protobuf/stubs/logging.h"
@@ -52,6 +54,8 @@ struct Flags {
   double uncertain_s = 30.0, archive_days = 30.0;
   int64_t archive_above = 2'000'000;
   int64_t max_message_mb = 128;
+  std::string backup_every, on_end;
+  int backups_kept = 14;
   std::vector<std::string> robot_kinds, may_submit;
   web::WebFlags web;
   autoscale::Flags autoscale;
@@ -82,6 +86,13 @@ void AddFlags(CLI::App& app, Flags& f) {
                  "the oldest jobs are archived while more tasks of ended jobs than this are not (0: never)")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str();
+  app.add_option("--backup-every", f.backup_every,
+                 "a checked copy of the database so often (90m, 24h, 7d), in the folder `backups` beside it")
+      ->envname("REALITYGRAD_BACKUP_EVERY");
+  app.add_option("--keep", f.backups_kept, "of these backups, so many; the oldest go")
+      ->check(CLI::Range(1, 100'000))
+      ->capture_default_str();
+  app.add_option("--on-end", f.on_end, "shell command that is run when a job ends, with the job as JSON on its stdin");
   app.add_option("--max-message-mb", f.max_message_mb, "larger messages are dropped")
       ->check(CLI::Range(1, 1024))
       ->capture_default_str();
@@ -253,6 +264,12 @@ Status Serve(const Flags& flags) {
   options.archive_after_ns = static_cast<int64_t>(flags.archive_days * kNsPerDay);
   options.archive_above_tasks = flags.archive_above;
   options.core.uncertain_ns = static_cast<int64_t>(flags.uncertain_s * 1e9);
+  BackupOptions backups{flags.database, 0.0, flags.backups_kept};
+  const auto interval = ParseInterval(flags.backup_every);
+  if (!interval.ok()) return interval.status().WithPrefix("--backup-every");
+  backups.every_s = *interval;
+  EndHook end_hook(flags.on_end);
+  options.on_job_end = [&](const pb::JobSummary& job) { end_hook.JobEnded(job); };
   std::unique_ptr<Server> server;
   options.before_messages = [&] {
     const Status allowed = keys.Look(server.get());
@@ -260,6 +277,7 @@ Status Serve(const Flags& flags) {
   };
   RG_ASSIGN_OR_RETURN(server, Server::Open(options, std::move(router), self, &RealClock()));
   RG_RETURN_IF_ERROR(beside.Start());
+  const ScheduledBackups keeper(backups);
   RG_RETURN_IF_ERROR(Announce(flags, endpoint));
   spdlog::info("{} jobs under way in {}", server->state().jobs.size(), flags.database);
   while (!stop.load()) {

@@ -1,6 +1,8 @@
 #include "coordinator/server/demand.h"
 
 #include <algorithm>
+#include <filesystem>
+#include <system_error>
 #include <vector>
 
 namespace rg::coordinator {
@@ -26,6 +28,37 @@ void AddDemand(const State& state, const Policy& policy, realitygrad::v1::Status
     demand->set_running(running[i]);
     demand->set_robot(policy.robot_kinds.count(cls.kind) > 0);
   }
+}
+
+void AddSeconds(const State& state, realitygrad::v1::StatusReply* reply) {
+  for (const auto& [name, kind] : state.kinds) {
+    if (kind.finished == 0) continue;
+    auto* seconds = reply->add_seconds();
+    seconds->set_kind(name);
+    for (size_t i = 0; i < kind.at_most.size(); ++i) {
+      seconds->add_at_most(KindSeconds::kAtMost[i]);
+      seconds->add_count(kind.at_most[i]);
+    }
+    seconds->add_count(kind.finished);
+    seconds->set_sum(kind.sum);
+  }
+}
+
+void AddRoom(const std::string& database_path, realitygrad::v1::StatusReply* reply) {
+  std::error_code error;
+  const auto bytes = std::filesystem::file_size(database_path, error);
+  if (error) return;
+  reply->set_database_bytes(bytes);
+  const auto disk = std::filesystem::space(database_path, error);
+  if (!error) reply->set_disk_free_bytes(disk.available);
+}
+
+double OldestReadySeconds(const State& state, int64_t wall_ns) {
+  int64_t oldest_ns = wall_ns;
+  for (const SchedulingClass& cls : state.classes) {
+    for (const auto& entry : cls.ready) oldest_ns = std::min(oldest_ns, state.FindJob(JobOf(entry.task))->record.submitted_ns);
+  }
+  return 1e-9 * static_cast<double>(wall_ns - oldest_ns);
 }
 
 }  // namespace rg::coordinator

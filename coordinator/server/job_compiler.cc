@@ -29,7 +29,7 @@ class Compiler {
 
   Result<CompiledJob> Run() {
     RG_RETURN_IF_ERROR(CheckSize());
-    RG_RETURN_IF_ERROR(CheckHeadIsPlain());
+    RG_RETURN_IF_ERROR(CheckHead());
     RG_RETURN_IF_ERROR(CheckTerms());
     RG_RETURN_IF_ERROR(IndexNames());
     auto plan = std::make_shared<JobPlan>();
@@ -58,14 +58,25 @@ class Compiler {
     return Status::Ok();
   }
 
-  Status CheckHeadIsPlain() const {
-    RG_RETURN_IF_ERROR(CheckPlain("the job's kind", spec_.kind()));
-    RG_RETURN_IF_ERROR(CheckPlain("the job's name", spec_.name()));
+  // What every listing shows.
+  static Status CheckShown(const std::string& what, const std::string& text) {
+    constexpr size_t kMostBytes = 128;
+    RG_RETURN_IF_ERROR(CheckPlain(what, text));
+    if (text.size() <= kMostBytes) return Status::Ok();
+    return InvalidError(what + " has " + std::to_string(text.size()) + " bytes, at most " + std::to_string(kMostBytes));
+  }
+
+  Status CheckHead() const {
+    constexpr int kMostLabels = 32;
+    RG_RETURN_IF_ERROR(CheckShown("the job's kind", spec_.kind()));
+    RG_RETURN_IF_ERROR(CheckShown("the job's name", spec_.name()));
     RG_RETURN_IF_ERROR(CheckPlain("the job's submitter", spec_.submitted_by()));
-    for (const std::string& tag : spec_.tags()) RG_RETURN_IF_ERROR(CheckPlain("a tag of the job", tag));
+    for (const std::string& tag : spec_.tags()) RG_RETURN_IF_ERROR(CheckShown("a tag of the job", tag));
+    if (static_cast<int>(spec_.labels().size()) > kMostLabels)
+      return InvalidError("the job has " + std::to_string(spec_.labels().size()) + " labels, at most " + std::to_string(kMostLabels));
     for (const auto& [key, value] : spec_.labels()) {
-      RG_RETURN_IF_ERROR(CheckPlain("a label of the job", key));
-      RG_RETURN_IF_ERROR(CheckPlain("the label " + key + " of the job", value));
+      RG_RETURN_IF_ERROR(CheckShown("a label of the job", key));
+      RG_RETURN_IF_ERROR(CheckShown("the label " + key + " of the job", value));
     }
     return Status::Ok();
   }

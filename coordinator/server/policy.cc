@@ -12,6 +12,8 @@ namespace {
 namespace pb = realitygrad::v1;
 using transport::Is;
 
+constexpr char kHowToGetTheRight[] = "the right is given by `realitygrad keys allow NAME --robots`";
+
 bool IsWorker(pb::Role role) { return role == pb::ROLE_WORKER || role == pb::ROLE_AGENT; }
 
 std::string Named(const transport::Credentials& who) {
@@ -22,9 +24,15 @@ std::string Named(const transport::Credentials& who) {
 
 Status CheckRequest(const transport::Message& message) {
   const pb::Role role = message.credentials.role;
+  if (Is<pb::PromoteParametersRequest>(message) && role == pb::ROLE_OPERATOR &&
+      !message.credentials.may_move_robots()) {
+    return PermissionDeniedError(Named(message.credentials) + " may not say which parameters a robot is driven with: " +
+                                 kHowToGetTheRight);
+  }
   if (role == pb::ROLE_OPERATOR) return Status::Ok();
   const bool is_job = Is<pb::SubmitRequest>(message) || Is<pb::JobActionRequest>(message);
-  const bool is_change = is_job || Is<pb::DrainWorkerRequest>(message) ||
+  const bool is_change = is_job || Is<pb::SubmitManyRequest>(message) || Is<pb::ManyJobActionsRequest>(message) ||
+                         Is<pb::DrainWorkerRequest>(message) || Is<pb::HoldRobotRequest>(message) ||
                          Is<pb::GcArtifactsRequest>(message) || Is<pb::PinArtifactRequest>(message) ||
                          Is<pb::PromoteParametersRequest>(message) || Is<pb::BackupRequest>(message) ||
                          Is<pb::ArchiveJobsRequest>(message);
@@ -46,20 +54,25 @@ Status CheckSubmit(const Policy& policy, const transport::Credentials& who, cons
     if (asking_kind.empty() && policy.robot_kinds.count(task.kind()) > 0 && !who.may_move_robots()) {
       return PermissionDeniedError(Named(who) + " may not have a robot moved (task '" +
                                    VisibleText(task.name()) + "' is of kind '" + task.kind() +
-                                   "'): the right is given by `realitygrad keys allow NAME --robots`");
+                                   "'): " + kHowToGetTheRight);
     }
   }
   return Status::Ok();
 }
 
-Status CheckRetry(const Policy& policy, const transport::Credentials& who, const JobPlan& plan) {
+Status CheckAction(const Policy& policy, const transport::Credentials& who, const JobPlan& plan) {
   if (who.may_move_robots()) return Status::Ok();
   for (const TaskPlan& task : plan.tasks) {
     if (!task.at_most_once && policy.robot_kinds.count(task.kind) == 0) continue;
-    return PermissionDeniedError(Named(who) + " may not have a robot moved again (task '" + task.name +
-                                 "'): the right is given by `realitygrad keys allow NAME --robots`");
+    return PermissionDeniedError(Named(who) + " may only pause a job that moves a robot (task '" + task.name + "'): " +
+                                 kHowToGetTheRight);
   }
   return Status::Ok();
+}
+
+std::string NameOf(const transport::Credentials& who, const std::string& remark) {
+  if (who.name.empty()) return remark;
+  return remark.empty() ? who.name : who.name + " (" + remark + ")";
 }
 
 Status CheckHello(const Policy& policy, const transport::Credentials& who, const pb::WorkerHello& hello) {

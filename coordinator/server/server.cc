@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <set>
 
 #include "common/base/log.h"
 #include "common/base/utf8.h"
@@ -74,7 +75,10 @@ Status Server::OpenStores() {
   worker_desk_ =
       std::make_unique<WorkerDesk>(database_.get(), artifacts_.get(), parameters_.get(), jobs_.get());
   freed_pages_wait_ = true;
-  if (options_.database_path != ":memory:" && options_.vfs.empty()) {
+  const bool on_disk = options_.database_path != ":memory:" && options_.vfs.empty();
+  reserve_.emplace(on_disk ? options_.database_path + ".reserve" : "", options_.reserve_bytes);
+  if (const Status kept = reserve_->Keep(); !kept.ok()) spdlog::warn("there is no reserve for a full disk: {}", kept.message());
+  if (on_disk) {
     const auto wake = [this] {
       const uint64_t one = 1;
       if (const int fd = wake_fd_.load(); fd >= 0) {
@@ -119,6 +123,7 @@ Status Server::RunOnce(int64_t timeout_ms, int wake_fd) {
   if (trouble_.empty()) DispatchIfNeeded(state_, now(), actions_);
   const Status committed = CommitBatch();
   if (!committed.ok()) RG_RETURN_IF_ERROR(DiscardBatch(committed));
+  TellEnds();
   SendBatch();
   RetireEnded();
   ReleaseSpace();
@@ -197,7 +202,8 @@ void Server::TryToRecover() {
   if (steady < next_try_ns_) return;
   constexpr int64_t kRoomBytes = 1 << 20;
   const AppendEvent note{clock_->WallNanos(), 0, "", "", "coordinator.recovered", trouble_};
-  Status written = jobs_->ProbeRoom(kRoomBytes);
+  Status written = reserve_->Keep();
+  if (written.ok()) written = jobs_->ProbeRoom(kRoomBytes);
   if (written.ok()) written = database_->InTransaction([&] { return jobs_->Apply({note}, {}); });
   if (!written.ok()) {
     next_try_ns_ = steady + try_interval_ns_;
@@ -225,13 +231,14 @@ void Server::ForgetSilentPeers(int64_t steady_ns) {
 // A part per batch, so that nobody waits for it.
 void Server::ReleaseSpace() {
   constexpr int kPagesAtOnce = 1024;
-  if (!freed_pages_wait_ || !trouble_.empty() || transaction_) return;
+  if (!freed_pages_wait_ || (!trouble_.empty() && !frees_space_) || transaction_) return;
   const auto pages = database_->FreePages();
   freed_pages_wait_ = pages.ok() && *pages > 0;
+  frees_space_ = frees_space_ && freed_pages_wait_;
   const Status released =
       freed_pages_wait_ ? database_->ReleaseFreePages(kPagesAtOnce) : database_->CheckpointPassively();
   if (released.ok()) return;
-  freed_pages_wait_ = false;
+  freed_pages_wait_ = frees_space_ = false;
   spdlog::warn("freed space is not given back for now: {}", released.ToString());
 }
 
@@ -266,13 +273,16 @@ Status Server::DiscardBatch(const Status& why) {
   transaction_.reset();
   if (!MayPass(why)) return why.WithPrefix("a change could not be made durable");
   const int64_t steady = clock_->SteadyNanos();
+  const bool is_known = !trouble_.empty();  // it was for a request that frees space
   // Room that lasts for a moment only: ask less and less often.
   const bool again_soon = try_interval_ns_ > 0 && steady - well_since_ns_ < 10 * try_interval_ns_;
-  try_interval_ns_ = again_soon ? std::min(2 * try_interval_ns_, kTryAgainMaxNs) : kTryAgainNs;
-  next_try_ns_ = steady + try_interval_ns_;
+  if (!is_known) {
+    try_interval_ns_ = again_soon ? std::min(2 * try_interval_ns_, kTryAgainMaxNs) : kTryAgainNs;
+    next_try_ns_ = steady + try_interval_ns_;
+  }
   trouble_ =
       (why.code() == StatusCode::kResourceExhausted ? "disk full: " : "database busy: ") + why.message();
-  spdlog::error("{}; nothing new is taken until there is room", trouble_);
+  if (!is_known) spdlog::error("{}; nothing new is taken until there is room", trouble_);
   const std::vector<Row> undone = std::move(actions_.rows);
   RefuseBatch(Trouble());
   poison_ = Status::Ok();
@@ -302,8 +312,11 @@ void Server::UncountBatch(const std::vector<Row>& undone) {
 
 // Whoever asked for a part of the batch learns that it was not kept.
 void Server::RefuseBatch(const Status& why) {
-  for (const auto& [id, pending] : std::exchange(pending_, {}))
-    Reply(transport::MakeErrorReply(self_, pending.request, why));
+  std::set<const Many*> refused;
+  for (const auto& [id, pending] : std::exchange(pending_, {})) {
+    if (pending.many != nullptr && !refused.insert(pending.many.get()).second) continue;
+    Reply(transport::MakeErrorReply(self_, pending.many != nullptr ? pending.many->request : pending.request, why));
+  }
   for (const transport::Message& promise : std::exchange(promises_, {}))
     Reply(transport::MakeErrorReply(self_, promise, why));  // same peer, same request
   for (const Message& message : actions_.messages) {
@@ -318,6 +331,16 @@ void Server::RefuseBatch(const Status& why) {
   actions_.clear();
   results_.clear();
   space_was_freed_ = false;
+}
+
+void Server::TellEnds() {
+  if (!options_.on_job_end) return;
+  for (const Row& row : actions_.rows) {
+    const auto* update = std::get_if<UpdateJob>(&row);
+    if (update == nullptr || !IsFinal(update->record.phase)) continue;
+    const Job* job = state_.FindJob(update->job);
+    if (job != nullptr && job->plan->parent == 0) options_.on_job_end(Summary(update->job));
+  }
 }
 
 void Server::SendBatch() {

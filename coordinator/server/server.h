@@ -4,7 +4,7 @@
 // A full disk: the batch that could not be kept is as if it had never come, and whoever sent a part of it is
 // told so. The state is read back, workers and leases stay. Until something can be written again, which is
 // tried now and then, reads are answered, submits and other changes are refused ("disk full"), and workers
-// keep their results. Any other failure of a commit (an fsync that fails may have lost what came before),
+// keep their results. What ends work or frees space is done all the same, from a reserve (disk_reserve.h). Any other failure of a commit (an fsync that fails may have lost what came before),
 // or a state that cannot be read back, ends it: RunOnce says why.
 //
 // What only reads artefacts goes on in threads of its own (read_desk.h). After a stall of this thread, or of
@@ -32,6 +32,7 @@
 #include "common/transport/socket.h"
 #include "coordinator/core/reactor.h"
 #include "coordinator/server/artifact_desk.h"
+#include "coordinator/server/disk_reserve.h"
 #include "coordinator/server/policy.h"
 #include "coordinator/server/read_desk.h"
 #include "coordinator/server/worker_desk.h"
@@ -57,7 +58,9 @@ struct ServerOptions {
   // number may be.
   int64_t archive_above_tasks = 2'000'000;
   double check_s = 1.0;  // for a look at the database's pages before anything else
+  std::function<void(const pb::JobSummary&)> on_job_end;  // of a client's job, when that is durable; may be none
   std::function<void()> before_messages;  // called when something has come, before it is looked at; may be none
+  int64_t reserve_bytes = 16 << 20;  // of its disk, for what ends work or frees space when that is full
   std::string vfs;  // of the database: the seam for fault tests
 };
 
@@ -96,9 +99,17 @@ class Server {
     pb::Role role = pb::ROLE_UNSPECIFIED;
     int64_t last_seen_ns = 0;
   };
-  struct PendingReply {  // of a request whose answer the core gives
+  struct Many {  // a request for many changes, answered when the last of them is
     transport::Message request;
-    bool is_submit = false, is_drain = false;
+    pb::SubmitManyReply submits;
+    pb::ManyJobActionsReply actions;
+    int left = 0;
+  };
+  struct PendingReply {  // of a request whose answer the core gives
+    transport::Message request;  // none of its own if it is one of many
+    enum class Asked { kAction, kSubmit, kDrain, kHold } asked = Asked::kAction;
+    std::shared_ptr<Many> many = {};
+    int index = 0;  // among them
   };
 
   Server(const ServerOptions& options, std::unique_ptr<transport::Socket> socket, transport::Sender self,
@@ -118,10 +129,13 @@ class Server {
   void UncountBatch(const std::vector<Row>& undone);
   void RefuseBatch(const Status& why);
   void SendBatch();
+  void TellEnds();
   void SendReply(transport::Message message);
   void TickIfDue();
   bool MayJudge(int64_t steady_ns) const;
   void TryToRecover();
+  // Whether the request is one that is done on a full disk too, which has room for it now.
+  bool MayFreeSpace(const transport::Message& message);
   void ReleaseSpace();
   void ForgetSilentPeers(int64_t steady_ns);
   // --- what is over (retention.cc)
@@ -157,16 +171,26 @@ class Server {
   void Translate(const AnswerBeat& m);
   void Translate(const TellDrain& m);
   void Translate(const AnswerClient& m);
-  // --- clients (server_queries.cc)
+  // --- clients (server_queries.cc, server_changes.cc)
   void HandleRequest(transport::Message message);
+  // Refused: who was is an event, if a right was missing.
+  void Refuse(const transport::Message& message, const Status& why);
   void HandleSubmit(const transport::Message& message);
+  void HandleManySubmits(const transport::Message& message);
+  Result<Submit> ToSubmit(const transport::Message& message, pb::SubmitRequest* body);
+  Status CompileInto(const pb::JobSpec& job, TaskId parent, Submit* event);
   // The task under whose lease a worker asks for a change; 0: a client asks.
   Result<TaskId> TaskAsking(const transport::Message& message) const;
   Result<JobId> FindUnmet(const JobPlan& plan);
   std::string KindOf(TaskId task) const;  // empty: of no task
   void HandleAction(const transport::Message& message);
+  void HandleManyActions(const transport::Message& message);
+  Result<CommandJob> ToCommand(const transport::Message& message, const pb::JobActionRequest& body);
+  void AnswerOneOf(Many& many, int index, bool is_submit, const AnswerClient& answer);
   void HandleDrain(const transport::Message& message);
+  void HandleHold(const transport::Message& message);
   void HandleWrite(const transport::Message& message);
+  void NotePromotion(const transport::Message& message);
   // The job that is meant (0: the newest that a client submitted), in memory or not. kNotFound: none yet.
   Result<JobId> MeantJob(JobId id) const;
   // Puts it into a request of this type. False: it was answered with an error.
@@ -177,9 +201,11 @@ class Server {
   bool LeaveToReaders(transport::Message& message);
   void TakeReaderAnswers();
   transport::Message AnswerQuery(const transport::Message& message);
-  Result<pb::ListJobsReply> ListJobs(const pb::ListJobsRequest& request);
+  Result<pb::ListJobsReply> ListJobs(const pb::ListJobsRequest& request, const transport::Credentials& who);
   Result<pb::GetJobReply> GetJob(const pb::GetJobRequest& request);
   const pb::GetJobReply& OverviewOf(const Job& job);
+  // With why it waits, if a worker has said so.
+  pb::JobSummary LiveSummary(const Job& job, double weight_under_way) const;
   Result<pb::ListWorkersReply> ListWorkers(const pb::ListWorkersRequest& request);
   Result<pb::ExplainReply> ExplainTask(const pb::ExplainRequest& request);
   Result<pb::StatusReply> DescribeSelf(const pb::StatusRequest& request);
@@ -214,6 +240,8 @@ class Server {
 
   // While the disk is full:
   std::string trouble_;  // "disk full: …"; empty: all is well
+  std::optional<DiskReserve> reserve_;
+  bool frees_space_ = false;  // from the reserve, in this batch
   int64_t next_try_ns_ = 0, try_interval_ns_ = 0, well_since_ns_ = 0;
 
   std::vector<Event> deferred_;  // found out while sending; handled with the next batch
@@ -228,6 +256,7 @@ class Server {
   std::atomic<int> wake_fd_ = -1;
   std::unordered_map<std::string, Peer> peer_by_instance_;
   std::map<ReplyTo, PendingReply> pending_;
+  std::map<std::string, int64_t> refusal_noted_ns_;  // by key
   ReplyTo last_reply_ = 0;
   std::vector<Watcher> watchers_;
   Counters durable_counters_;  // as of the last commit

@@ -4,7 +4,6 @@
 #include "coordinator/core/explain.h"
 #include "coordinator/server/demand.h"
 #include "coordinator/server/history.h"
-#include "coordinator/server/job_compiler.h"
 #include "coordinator/server/past_jobs.h"
 #include "coordinator/server/server.h"
 #include "coordinator/server/views.h"
@@ -20,22 +19,6 @@ using transport::Unpack;
 constexpr uint32_t kMaxWaitMs = 60'000;
 constexpr size_t kMaxWatchers = 1'000;
 constexpr int64_t kCalmNs = 100'000'000;
-
-Status StatusOf(const AnswerClient& answer) {
-  switch (answer.verdict) {
-    case Verdict::kOk:
-      return Status::Ok();
-    case Verdict::kNotFound:
-      return NotFoundError(answer.error);
-    case Verdict::kFailedPrecondition:
-      return FailedPreconditionError(answer.error);
-  }
-  return Status::Ok();
-}
-
-bool IsWorker(const transport::Message& message) {
-  return message.credentials.role == pb::ROLE_WORKER || message.credentials.role == pb::ROLE_AGENT;
-}
 
 int LimitOf(uint32_t asked, int normally) {
   return asked == 0 ? normally : static_cast<int>(std::min(asked, 1'000'000u));
@@ -55,14 +38,18 @@ transport::Message Serve(const transport::Sender& self, const transport::Message
 
 void Server::HandleRequest(transport::Message message) {
   const Status allowed = CheckRequest(message);
-  if (!allowed.ok()) return Reply(MakeErrorReply(self_, message, allowed));
-  const bool is_job = Is<pb::SubmitRequest>(message) || Is<pb::JobActionRequest>(message);
-  const bool is_change = is_job || Is<pb::DrainWorkerRequest>(message) || ArtifactDesk::Writes(message) ||
+  if (!allowed.ok()) return Refuse(message, allowed);
+  const bool is_job = Is<pb::SubmitRequest>(message) || Is<pb::JobActionRequest>(message) ||
+                      Is<pb::SubmitManyRequest>(message) || Is<pb::ManyJobActionsRequest>(message);
+  const bool is_change = is_job || Is<pb::DrainWorkerRequest>(message) || Is<pb::HoldRobotRequest>(message) || ArtifactDesk::Writes(message) ||
                          Is<pb::ArchiveJobsRequest>(message);
-  if (is_change && !trouble_.empty()) return Reply(MakeErrorReply(self_, message, Trouble()));
+  if (is_change && !trouble_.empty() && !MayFreeSpace(message)) return Reply(MakeErrorReply(self_, message, Trouble()));
   if (Is<pb::SubmitRequest>(message)) return HandleSubmit(message);
+  if (Is<pb::SubmitManyRequest>(message)) return HandleManySubmits(message);
+  if (Is<pb::ManyJobActionsRequest>(message)) return HandleManyActions(message);
   if (Is<pb::JobActionRequest>(message)) return HandleAction(message);
   if (Is<pb::DrainWorkerRequest>(message)) return HandleDrain(message);
+  if (Is<pb::HoldRobotRequest>(message)) return HandleHold(message);
   if (ArtifactDesk::Writes(message)) return HandleWrite(message);
   if (Is<pb::ArchiveJobsRequest>(message)) return HandleArchive(message);
   if (Is<pb::GetLogsRequest>(message) && !NameTheJob<pb::GetLogsRequest>(message)) return;
@@ -81,11 +68,36 @@ void Server::HandleRequest(transport::Message message) {
   queries_.push_back(std::move(message));
 }
 
+bool Server::MayFreeSpace(const transport::Message& message) {
+  const auto action = Unpack<pb::JobActionRequest>(message);
+  const auto actions = Unpack<pb::ManyJobActionsRequest>(message);
+  const bool cancels = action.ok() && action->action() == pb::JOB_ACTION_CANCEL;
+  const bool cancels_many = actions.ok() && std::all_of(actions->actions().begin(), actions->actions().end(), [](const auto& one) {
+                              return one.action() == pb::JOB_ACTION_CANCEL;
+                            });
+  const bool frees = cancels || cancels_many || Is<pb::GcArtifactsRequest>(message) ||
+                     Is<pb::ArchiveJobsRequest>(message) || Is<pb::DrainWorkerRequest>(message) ||
+                     Is<pb::HoldRobotRequest>(message);
+  if (!frees) return false;
+  reserve_->GiveUp();
+  return frees_space_ = true;
+}
+
 void Server::HandleWrite(const transport::Message& message) {
   const Status begun = EnsureTransaction();
   if (!begun.ok()) return Reply(MakeErrorReply(self_, message, begun));
   promises_.push_back(*artifact_desk_->Answer(self_, message));
+  if (Is<pb::PromoteParametersRequest>(message) && transport::ReplyStatus(promises_.back()).ok()) NotePromotion(message);
   space_was_freed_ = space_was_freed_ || Is<pb::GcArtifactsRequest>(message);
+}
+
+void Server::NotePromotion(const transport::Message& message) {
+  const auto body = Unpack<pb::PromoteParametersRequest>(message);
+  if (!body.ok()) return;
+  const std::string who = NameOf(message.credentials, body->by());
+  const std::string which = body->version() == 0 ? "the latest" : "version " + std::to_string(body->version());
+  actions_.rows.emplace_back(AppendEvent{clock_->WallNanos(), 0, "", "", "parameters.promoted",
+                                         (who.empty() ? "" : "by " + who + ": ") + which + " of " + body->robot()});
 }
 
 Result<JobId> Server::MeantJob(JobId id) const {
@@ -136,161 +148,6 @@ void Server::TakeReaderAnswers() {
   }
 }
 
-std::string Server::KindOf(TaskId task) const {
-  return task == 0 ? "" : state_.jobs.at(JobOf(task)).plan_of(IndexOf(task)).kind;
-}
-
-void Server::HandleSubmit(const transport::Message& message) {
-  auto body = Unpack<pb::SubmitRequest>(message);
-  if (!body.ok()) return Reply(MakeErrorReply(self_, message, body.status()));
-  if (body->request_id().empty()) {
-    return Reply(MakeErrorReply(self_, message, InvalidError("a submit needs a request id")));
-  }
-  const auto parent = TaskAsking(message);
-  if (!parent.ok()) return Reply(MakeErrorReply(self_, message, parent.status()));
-  const Status allowed = CheckSubmit(options_.policy, message.credentials, KindOf(*parent), body->job());
-  if (!allowed.ok()) return Reply(MakeErrorReply(self_, message, allowed));
-  Submit event;
-  event.request_id = body->request_id();
-  event.content = ContentOf(body->job());
-  if (*parent != 0) {
-    const Job& job = state_.jobs.at(JobOf(*parent));
-    event.request_id = "task " + std::to_string(*parent) + ": " + event.request_id;
-    event.lease = message.envelope.fencing_token();
-    body->mutable_job()->set_priority(
-        std::clamp(job.priority_of(IndexOf(*parent)), -kMaxPriority, kMaxPriority));
-    body->mutable_job()->set_submitted_by("task " + job.plan_of(IndexOf(*parent)).name + " of job " +
-                                          std::to_string(job.id));
-  }
-  if (const auto over = jobs_->FindRequest(event.request_id); over.ok()) {
-    event.known = over->job;
-    event.known_content = over->plan->content;
-  } else if (over.status().code() != StatusCode::kNotFound) {
-    return Reply(MakeErrorReply(self_, message, over.status()));
-  }
-  if (event.known == 0 && state_.job_by_request.count(event.request_id) == 0) {
-    auto compiled = CompileJob(body->job(), *parent, options_.policy.robot_kinds);
-    if (!compiled.ok()) return Reply(MakeErrorReply(self_, message, compiled.status()));
-    const Status inputs = worker_desk_->CheckArtifactsExist(body->job());
-    if (!inputs.ok()) return Reply(MakeErrorReply(self_, message, inputs));
-    const auto unmet = FindUnmet(*compiled->plan);
-    if (!unmet.ok()) return Reply(MakeErrorReply(self_, message, unmet.status()));
-    event.unmet = *unmet;
-    auto plan = std::make_shared<JobPlan>(*compiled->plan);
-    plan->content = event.content;
-    event.plan = std::move(plan);
-    event.specs = compiled->specs;
-  }
-  event.reply_to = ++last_reply_;
-  pending_[event.reply_to] = {message, true, false};
-  Absorb(event, state_, now(), actions_);
-}
-
-// Of the jobs that it comes after, one that has left memory without success; 0: none. kNotFound: there never
-// was such a job.
-Result<JobId> Server::FindUnmet(const JobPlan& plan) {
-  for (const JobId id : plan.after_jobs) {
-    if (state_.FindJob(id) != nullptr) continue;
-    RG_ASSIGN_OR_RETURN(const JobRow row, jobs_->FindJob(id));
-    if (row.record.phase != JobPhase::kSucceeded) return id;
-  }
-  return JobId{0};
-}
-
-Result<TaskId> Server::TaskAsking(const transport::Message& message) const {
-  if (!IsWorker(message)) return TaskId{0};
-  const Token token = message.envelope.fencing_token();
-  const auto lease = state_.leases.find(token);
-  if (lease != state_.leases.end() && state_.Holds(lease->second.task, token)) {
-    const auto peer = peer_by_instance_.find(lease->second.instance);
-    if (peer != peer_by_instance_.end() && peer->second.key_name == message.credentials.name)
-      return lease->second.task;
-  }
-  return FailedPreconditionError("the lease " + std::to_string(token) + " is no longer valid");
-}
-
-void Server::HandleAction(const transport::Message& message) {
-  auto body = Unpack<pb::JobActionRequest>(message);
-  if (!body.ok()) return Reply(MakeErrorReply(self_, message, body.status()));
-  const auto task = TaskAsking(message);
-  if (!task.ok()) return Reply(MakeErrorReply(self_, message, task.status()));
-  CommandJob event;
-  const auto meant = MeantJob(body->job());
-  if (!meant.ok()) return Reply(MakeErrorReply(self_, message, meant.status()));
-  event.job = *meant;
-  const auto found = BringBack(event.job, body->action() == pb::JOB_ACTION_RETRY);
-  if (!found.ok()) return Reply(MakeErrorReply(self_, message, found.status()));
-  const Job* job = *found;
-  if (*task != 0 &&
-      (job == nullptr || job->plan->parent != *task || body->action() != pb::JOB_ACTION_CANCEL)) {
-    return Reply(MakeErrorReply(
-        self_, message, PermissionDeniedError("a task may cancel what it has submitted, and nothing else")));
-  }
-  const Status plain = CheckPlain("the reason", body->reason());
-  if (!plain.ok()) return Reply(MakeErrorReply(self_, message, plain));
-  if (body->action() == pb::JOB_ACTION_RETRY && job != nullptr) {
-    const Status allowed = CheckRetry(options_.policy, message.credentials, *job->plan);
-    if (!allowed.ok()) return Reply(MakeErrorReply(self_, message, allowed));
-    const auto unmet = FindUnmet(*job->plan);
-    if (!unmet.ok()) return Reply(MakeErrorReply(self_, message, unmet.status()));
-    event.unmet = *unmet;
-  }
-  event.reason = body->reason();
-  switch (body->action()) {
-    case pb::JOB_ACTION_CANCEL:
-      event.command = JobCommand::kCancel;
-      break;
-    case pb::JOB_ACTION_PAUSE:
-      event.command = JobCommand::kPause;
-      break;
-    case pb::JOB_ACTION_RESUME:
-      event.command = JobCommand::kResume;
-      break;
-    case pb::JOB_ACTION_RETRY:
-      event.command = JobCommand::kRetry;
-      break;
-    case pb::JOB_ACTION_PRIORITY: {
-      const Status sensible = CheckPriority(body->priority());
-      if (!sensible.ok()) return Reply(MakeErrorReply(self_, message, sensible));
-      event.command = JobCommand::kPriority;
-      event.priority = body->priority();
-      break;
-    }
-    default:
-      return Reply(MakeErrorReply(self_, message, InvalidError("unknown action")));
-  }
-  event.reply_to = ++last_reply_;
-  pending_[event.reply_to] = {message, false, false};
-  Absorb(event, state_, now(), actions_);
-}
-
-void Server::HandleDrain(const transport::Message& message) {
-  auto body = Unpack<pb::DrainWorkerRequest>(message);
-  if (!body.ok()) return Reply(MakeErrorReply(self_, message, body.status()));
-  const ReplyTo reply_to = ++last_reply_;
-  pending_[reply_to] = {message, false, true};
-  Absorb(DrainWorker{body->worker(), reply_to}, state_, now(), actions_);
-}
-
-void Server::Translate(const AnswerClient& m) {
-  const auto found = pending_.find(m.reply_to);
-  if (found == pending_.end()) return;
-  const PendingReply pending = std::move(found->second);
-  pending_.erase(found);
-  const Status status = StatusOf(m);
-  if (!status.ok()) return Reply(MakeErrorReply(self_, pending.request, status));
-  if (pending.is_submit) {
-    pb::SubmitReply reply;
-    reply.set_job(m.job);
-    reply.set_already_known(m.already_known);
-    return Reply(MakeReply(self_, pending.request, reply));
-  }
-  if (pending.is_drain) return Reply(MakeReply(self_, pending.request, pb::DrainWorkerReply()));
-  pb::JobActionReply reply;
-  *reply.mutable_job() = Summary(m.job);
-  Reply(MakeReply(self_, pending.request, reply));
-}
-
 // --- queries: after the commit, so that what they show is durable ---------------------------------------
 
 transport::Message Server::AnswerQuery(const transport::Message& message) {
@@ -298,7 +155,7 @@ transport::Message Server::AnswerQuery(const transport::Message& message) {
     return Serve<pb::GetJobRequest>(self_, message, [this](const auto& b) { return GetJob(b); });
   }
   if (Is<pb::ListJobsRequest>(message)) {
-    return Serve<pb::ListJobsRequest>(self_, message, [this](const auto& b) { return ListJobs(b); });
+    return Serve<pb::ListJobsRequest>(self_, message, [&](const auto& b) { return ListJobs(b, message.credentials); });
   }
   if (Is<pb::GetLogsRequest>(message)) {
     return Serve<pb::GetLogsRequest>(
@@ -332,7 +189,8 @@ pb::JobSummary Server::Summary(JobId id) {
 }
 
 // Rows tell which jobs there are; of those in memory, which are not over, it tells more.
-Result<pb::ListJobsReply> Server::ListJobs(const pb::ListJobsRequest& request) {
+Result<pb::ListJobsReply> Server::ListJobs(const pb::ListJobsRequest& request,
+                                            const transport::Credentials& who) {
   const auto under_way = WeightUnderWay(state_);
   const int limit = LimitOf(request.limit(), 100);
   const auto labelled = [&](const JobPlan& plan) {
@@ -347,7 +205,9 @@ Result<pb::ListJobsReply> Server::ListJobs(const pb::ListJobsRequest& request) {
   filter.parent_job = request.parent_job();
   filter.before = request.before_id();
   filter.since_ns = request.since_ns();
+  filter.by = request.mine() && !who.name.empty() ? who.name : request.by();
   pb::ListJobsReply reply;
+  reply.set_you(who.name);
   size_t bytes = 0;
   RG_RETURN_IF_ERROR(jobs_->ListJobs(filter, [&](const JobRow& row) {
     if (!labelled(*row.plan)) return true;
@@ -357,11 +217,17 @@ Result<pb::ListJobsReply> Server::ListJobs(const pb::ListJobsRequest& request) {
     *reply.add_jobs() =
         job == nullptr || IsFinal(job->record.phase)
             ? SummaryOf(row)
-            : SummaryOf(*job, weight == under_way.end() ? 0.0 : weight->second, clock_->WallNanos());
+            : LiveSummary(*job, weight == under_way.end() ? 0.0 : weight->second);
     bytes += reply.jobs(reply.jobs_size() - 1).ByteSizeLong();
     return true;
   }));
   return reply;
+}
+
+pb::JobSummary Server::LiveSummary(const Job& job, double weight_under_way) const {
+  pb::JobSummary summary = SummaryOf(job, weight_under_way, clock_->WallNanos());
+  if (summary.reason().empty()) summary.set_reason(WhyItWaits(state_, job));
+  return summary;
 }
 
 // Counted once per batch, however many watch the job.
@@ -371,8 +237,7 @@ const pb::GetJobReply& Server::OverviewOf(const Job& job) {
   if (!is_new) return overview;
   const auto under_way = WeightUnderWay(state_);
   const auto weight = under_way.find(job.id);
-  *overview.mutable_job() =
-      SummaryOf(job, weight == under_way.end() ? 0.0 : weight->second, clock_->WallNanos());
+  *overview.mutable_job() = LiveSummary(job, weight == under_way.end() ? 0.0 : weight->second);
   overview.set_spec_json(job.plan->spec_json);
   FillStages(state_, job, &overview);
   return overview;
@@ -477,6 +342,16 @@ Result<pb::StatusReply> Server::DescribeSelf(const pb::StatusRequest&) {
   reply.set_tasks_waiting(waiting);
   reply.set_tasks_ready(ready);
   reply.set_tasks_leased(leased);
+  AddSeconds(state_, &reply);
+  AddRoom(options_.database_path, &reply);
+  reply.set_oldest_ready_s(OldestReadySeconds(state_, clock_->WallNanos()));
+  for (const auto& [robot, hold] : state_.holds) {
+    pb::RobotHold* out = reply.add_holds();
+    out->set_robot(robot);
+    out->set_reason(hold.reason);
+    out->set_by(hold.by);
+    out->set_since_ns(hold.since_ns);
+  }
   AddDemand(state_, options_.policy, &reply);
   const Counters& c = state_.counters;
   const transport::SocketMetrics& m = socket_->metrics();

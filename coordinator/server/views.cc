@@ -153,7 +153,13 @@ pb::WorkerInfo InfoOf(const Worker& worker, const State& state, int64_t steady_n
     if (lease != state.leases.end()) out.add_running(lease->second.task);
   }
   out.set_version(worker.version);
-  out.set_unable(worker.unable);
+  out.set_unable(worker.why_unable());
+  out.set_drain_reason(worker.drain_reason);
+  out.set_disk_free_bytes(worker.node.disk_free_bytes);
+  out.set_memory_free_bytes(worker.node.memory_free_bytes);
+  out.set_load(worker.node.load);
+  out.set_robot_state(worker.node.robot);
+  out.set_last_error(worker.last_error);
   return out;
 }
 

@@ -61,7 +61,9 @@ std::optional<Event> WorkerDesk::ToEvent(const pb::WorkerMessage& message, const
                         {beat.held_tokens().begin(), beat.held_tokens().end()},
                         beat.draining(),
                         {beat.finished_tokens().begin(), beat.finished_tokens().end()},
-                        VisibleText(Shortened(beat.unable()))};
+                        VisibleText(Shortened(beat.unable())),
+                        {beat.disk_free_bytes(), beat.memory_free_bytes(), std::isfinite(beat.load()) ? beat.load() : 0.0,
+                         VisibleText(Shortened(beat.robot_state()))}};
     }
     case pb::WorkerMessage::kBye:
       return WorkerLeft{instance};
@@ -76,7 +78,7 @@ std::optional<Event> WorkerDesk::ToEvent(const pb::WorkerMessage& message, const
     case pb::WorkerMessage::kFailed: {
       const auto& f = message.failed();
       return Failed{instance,     f.task(), f.token(), FromWire(f.outcome()), Shortened(f.error()),
-                    f.retryable()};
+                    f.retryable(), f.of_node()};
     }
     default:
       return std::nullopt;

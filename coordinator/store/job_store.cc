@@ -234,6 +234,16 @@ Status JobStore::ApplyOne(const ReopenTasks& row) {
   return update.Bind(1, MakeTaskId(row.job, 0)).Bind(2, MakeTaskId(row.job, kMaxTasksPerJob - 1)).Run();
 }
 
+Status JobStore::ApplyOne(const SetHold& row) {
+  if (row.released) {
+    RG_ASSIGN_OR_RETURN(auto remove, db_->Prepare("DELETE FROM robot_holds WHERE robot=?"));
+    return remove.Bind(1, row.robot).Run();
+  }
+  RG_ASSIGN_OR_RETURN(auto insert, db_->Prepare("INSERT OR REPLACE INTO robot_holds (robot, reason, held_by, since_ns) "
+                                                "VALUES (?,?,?,?)"));
+  return insert.Bind(1, row.robot).Bind(2, row.hold.reason).Bind(3, row.hold.by).Bind(4, row.hold.since_ns).Run();
+}
+
 Status JobStore::ApplyOne(const AppendEvent& row) {
   RG_ASSIGN_OR_RETURN(
       auto insert,

@@ -93,6 +93,7 @@ struct JobFilter {
   bool any_parent = false;       // whoever submitted it
   JobId before = 0;              // only older ones; 0: from the newest
   int64_t since_ns = 0;          // submitted then or later
+  std::string by;                // JobPlan::submitted_by is this name, with or without a remark; empty: anybody
 };
 
 class JobStore {
@@ -173,6 +174,7 @@ class JobStore {
   Status LoadTasks(StoredJob* job, JobPlan* plan);
   Status LoadOpenAttempts(StoredState* out);
   Status LoadHighWater(StoredState* out);
+  Status LoadHolds(StoredState* out);
 
   Status ApplyOne(const InsertJob& row);
   Status ApplyOne(const UpdateJob& row);
@@ -183,6 +185,7 @@ class JobStore {
   Status ApplyOne(const CommitResult& row);
   Status ApplyOne(const CloseTasks& row);
   Status ApplyOne(const ReopenTasks& row);
+  Status ApplyOne(const SetHold& row);
   Status ApplyOne(const AppendEvent& row);
   Status InsertTask(TaskId id, const TaskPlan& plan);
   Status InsertInputs(JobId job, std::string_view spec);

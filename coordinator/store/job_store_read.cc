@@ -77,6 +77,7 @@ Result<StoredState> JobStore::Load() {
   for (size_t j = 0; j < plans.size(); ++j) RG_RETURN_IF_ERROR(LoadTasks(&out.jobs[j], plans[j].get()));
   RG_RETURN_IF_ERROR(LoadOpenAttempts(&out));
   RG_RETURN_IF_ERROR(LoadHighWater(&out));
+  RG_RETURN_IF_ERROR(LoadHolds(&out));
   return out;
 }
 
@@ -149,7 +150,10 @@ Status JobStore::ListJobs(const JobFilter& filter, const std::function<bool(cons
   } else if (filter.parent_job != 0) {
     where += " AND parent > 0 AND parent BETWEEN ?5 AND ?6";
   }
+  if (!filter.by.empty())
+    where += " AND (submitted_by = ?7 OR substr(submitted_by, 1, length(?7) + 2) = ?7 || ' (')";
   const auto bind = [&](store::Statement& rows) {
+    if (!filter.by.empty()) rows.Bind(7, filter.by);
     rows.Bind(1, filter.since_ns).Bind(2, filter.before > 0 ? filter.before : INT64_MAX);
     if (!filter.phases.empty()) rows.Bind(3, list(filter.phases));
     if (!filter.ids.empty()) rows.Bind(4, list(filter.ids));
@@ -258,6 +262,15 @@ Status JobStore::LoadHighWater(StoredState* out) {
   out->last_token = static_cast<Token>(std::max(token, token_mark));
   out->last_job = std::max(job, job_mark);
   return Status::Ok();
+}
+
+Status JobStore::LoadHolds(StoredState* out) {
+  RG_ASSIGN_OR_RETURN(auto rows, db_->Prepare("SELECT robot, reason, held_by, since_ns FROM robot_holds"));
+  while (true) {
+    RG_ASSIGN_OR_RETURN(const bool more, rows.Step());
+    if (!more) return Status::Ok();
+    out->holds[rows.Text(0)] = {rows.Text(1), rows.Text(2), rows.Int(3)};
+  }
 }
 
 Status JobStore::LoadOpenAttempts(StoredState* out) {

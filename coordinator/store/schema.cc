@@ -175,10 +175,19 @@ ALTER TABLE jobs ADD COLUMN deadline_ns INTEGER NOT NULL DEFAULT 0;
 ALTER TABLE jobs ADD COLUMN after_json TEXT NOT NULL DEFAULT '[]';
 )sql";
 
+constexpr std::string_view kVersion6 = R"sql(
+CREATE TABLE robot_holds (
+  robot TEXT PRIMARY KEY,
+  reason TEXT NOT NULL,
+  held_by TEXT NOT NULL,
+  since_ns INTEGER NOT NULL
+) WITHOUT ROWID;
+)sql";
+
 }  // namespace
 
 store::Module CoordinatorSchema() {
-  return {"coordinator", {{1, kVersion1}, {2, kVersion2}, {3, kVersion3}, {4, kVersion4}, {5, kVersion5}}};
+  return {"coordinator", {{1, kVersion1}, {2, kVersion2}, {3, kVersion3}, {4, kVersion4}, {5, kVersion5}, {6, kVersion6}}};
 }
 
 }  // namespace rg::coordinator

@@ -115,6 +115,19 @@ Result<pb::StatusReply> Feed::CoordinatorStatus() {
   return status;
 }
 
+Result<std::vector<pb::WorkerInfo>> Feed::WorkerInfos() {
+  RG_ASSIGN_OR_RETURN(const std::string bytes,
+                      Once("workers message", kMomentNs, [](Client& client) -> Result<std::string> {
+                        RG_ASSIGN_OR_RETURN(const auto workers, client.Workers());
+                        pb::ListWorkersReply reply;
+                        for (const pb::WorkerInfo& worker : workers) *reply.add_workers() = worker;
+                        return reply.SerializeAsString();
+                      }));
+  pb::ListWorkersReply reply;
+  reply.ParseFromString(bytes);
+  return std::vector<pb::WorkerInfo>(reply.workers().begin(), reply.workers().end());
+}
+
 Result<std::string> Feed::Status() {
   return OnceJson("status", kMomentNs, [&](Client& client) -> Result<json> {
     RG_ASSIGN_OR_RETURN(const auto status, client.CoordinatorStatus());

@@ -44,6 +44,7 @@ class Feed {
   Result<std::string> Artifact(const std::string& sha256);  // with its lineage both ways
 
   Result<pb::StatusReply> CoordinatorStatus();
+  Result<std::vector<pb::WorkerInfo>> WorkerInfos();
   std::string MoreStatus() const { return more_status_ ? more_status_() : std::string(); }
   struct File {
     std::string kind, bytes;

@@ -167,6 +167,9 @@ json WorkerJson(const pb::WorkerInfo& worker) {
           {"busy", worker.busy()},
           {"draining", worker.draining()},
           {"unable", worker.unable()},
+          {"drain_reason", worker.drain_reason()},
+          {"disk_free_gib", std::floor(10.0 * static_cast<double>(worker.disk_free_bytes()) / (1 << 30)) / 10.0},
+          {"last_error", worker.last_error()},
           {"connected", worker.connected()},
           // A whole number while it is away: the page is drawn again where it changes.
           {"last_seen_s", worker.connected() ? 0.0 : std::floor(worker.last_seen_s())},

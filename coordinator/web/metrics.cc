@@ -4,6 +4,7 @@
 #include <prometheus/metric_family.h>
 #include <prometheus/text_serializer.h>
 
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <sstream>
 
@@ -50,6 +51,46 @@ void AddDemand(const pb::StatusReply& status, std::vector<prometheus::MetricFami
   families->push_back(std::move(running));
 }
 
+void AddSeconds(const pb::StatusReply& status, std::vector<prometheus::MetricFamily>* families) {
+  auto family = Family("task_seconds", "How long tasks ran, by kind", prometheus::MetricType::Histogram);
+  for (const pb::TaskSeconds& seconds : status.seconds()) {
+    prometheus::ClientMetric& metric = family.metric.emplace_back();
+    metric.label = {{"kind", seconds.kind()}};
+    for (int i = 0; i < seconds.count_size(); ++i) {
+      const double bound = i < seconds.at_most_size() ? seconds.at_most(i) : std::numeric_limits<double>::infinity();
+      metric.histogram.bucket.push_back({seconds.count(i), bound});
+      metric.histogram.sample_count = seconds.count(i);
+    }
+    metric.histogram.sample_sum = seconds.sum();
+  }
+  families->push_back(std::move(family));
+}
+
+// 0 or 1 each: what an alert looks at.
+void AddWorkers(const pb::StatusReply& status, const std::vector<pb::WorkerInfo>& workers,
+                std::vector<prometheus::MetricFamily>* families) {
+  const auto of = [](const char* name, const char* help, prometheus::MetricType type) { return Family(name, help, type); };
+  auto failed = of("worker_tasks_failed_total", "Attempts that failed, by worker", prometheus::MetricType::Counter);
+  auto unable = of("worker_unable", "1 where a worker is given nothing for now", prometheus::MetricType::Gauge);
+  auto armed = of("robot_armed", "1 where the agent's arm is armed", prometheus::MetricType::Gauge);
+  auto latched = of("robot_latched", "1 where the agent's arm waits for a person to look at it", prometheus::MetricType::Gauge);
+  auto held = of("robot_held", "1 for each robot that is held", prometheus::MetricType::Gauge);
+  const auto add = [](prometheus::MetricFamily& family, const char* label, const std::string& name, double value) {
+    prometheus::ClientMetric& metric = family.metric.emplace_back();
+    metric.label = {{label, name}};
+    (family.type == prometheus::MetricType::Counter ? metric.counter.value : metric.gauge.value) = value;
+  };
+  for (const pb::WorkerInfo& worker : workers) {
+    add(failed, "worker", worker.name(), static_cast<double>(worker.tasks_failed()));
+    add(unable, "worker", worker.name(), worker.connected() && !worker.unable().empty());
+    if (worker.robot_state().empty() || !worker.connected()) continue;
+    add(armed, "worker", worker.name(), worker.robot_state() == "armed");
+    add(latched, "worker", worker.name(), worker.robot_state().find("latched") != std::string::npos);
+  }
+  for (const pb::RobotHold& hold : status.holds()) add(held, "robot", hold.robot(), 1.0);
+  for (auto* family : {&failed, &unable, &armed, &latched, &held}) families->push_back(std::move(*family));
+}
+
 void AddAllocations(const std::string& more_status, std::vector<prometheus::MetricFamily>* families) {
   const auto more = nlohmann::json::parse(more_status, nullptr, false);
   if (!more.is_object() || !more.contains("autoscale")) return;
@@ -73,7 +114,8 @@ uint64_t SlotsWanted(const pb::StatusReply& status) {
   return wanted;
 }
 
-std::string MetricsText(const pb::StatusReply& status, double uptime_s, const std::string& more_status) {
+std::string MetricsText(const pb::StatusReply& status, double uptime_s, const std::string& more_status,
+                        const std::vector<pb::WorkerInfo>& workers) {
   std::vector<prometheus::MetricFamily> families;
   auto info = Family("info", "Version of the coordinator", prometheus::MetricType::Gauge);
   info.metric.emplace_back().label = {{"version", status.version()}};
@@ -95,7 +137,13 @@ std::string MetricsText(const pb::StatusReply& status, double uptime_s, const st
             "Slots that tasks fill or would fill, without those that need a robot or a tag: scale "
             "workers by this",
             number(SlotsWanted(status))));
+  families.push_back(Gauge("oldest_ready_seconds", "Since the submission of the oldest job with a task that waits for a worker",
+                           status.oldest_ready_s()));
+  families.push_back(Gauge("database_bytes", "Size of the database", number(status.database_bytes())));
+  families.push_back(Gauge("disk_free_bytes", "Left on the database's disk", number(status.disk_free_bytes())));
   AddDemand(status, &families);
+  AddSeconds(status, &families);
+  AddWorkers(status, workers, &families);
   for (const auto& [name, value] :
        std::map<std::string, double>(status.counters().begin(), status.counters().end())) {
     auto counter = Family(name, "Since the coordinator started", prometheus::MetricType::Counter);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "realitygrad/v1/control.pb.h"
 
@@ -13,6 +14,6 @@ uint64_t SlotsWanted(const realitygrad::v1::StatusReply& status);
 
 // `more_status`: as the page's status has it ({"autoscale": {…}}), or empty.
 std::string MetricsText(const realitygrad::v1::StatusReply& status, double uptime_s,
-                        const std::string& more_status = {});
+                        const std::string& more_status = {}, const std::vector<realitygrad::v1::WorkerInfo>& workers = {});
 
 }  // namespace rg::coordinator::web

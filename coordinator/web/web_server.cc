@@ -250,8 +250,10 @@ void WebServer::Impl::AddProbes() {
   http.Get("/metrics", [this](const httplib::Request&, httplib::Response& response) {
     const auto status = feed.CoordinatorStatus();
     if (!status.ok()) return GiveError(status.status(), response);
+    const auto workers = feed.WorkerInfos();
+    if (!workers.ok()) return GiveError(workers.status(), response);
     const double uptime_s = 1e-9 * static_cast<double>(RealClock().WallNanos() - status->started_ns());
-    response.set_content(MetricsText(*status, uptime_s, feed.MoreStatus()),
+    response.set_content(MetricsText(*status, uptime_s, feed.MoreStatus(), *workers),
                          "text/plain; version=0.0.4; charset=utf-8");
   });
   http.Get("/healthz", [this](const httplib::Request&, httplib::Response& response) {

@@ -157,13 +157,13 @@
       page.live(function () { return '/api/workers'; }, function (value, error) {
         if (error) { return failure(list, error); }
         replace(list, value.workers.length ? page.table(
-          [{ name: 'Name' }, { name: 'Host' }, { name: 'State' }, { name: 'Slots' }, { name: 'Done', num: true }, { name: 'Failed', num: true }, { name: 'Seen' }, { name: 'Tags' }],
+          [{ name: 'Name' }, { name: 'Host' }, { name: 'State' }, { name: 'Slots' }, { name: 'Done', num: true }, { name: 'Failed', num: true }, { name: 'Disk free', num: true }, { name: 'Seen' }, { name: 'Tags' }, { name: 'Last error' }],
           value.workers.map(function (w) {
             var state = !w.connected ? 'lost' : w.draining ? 'draining' : w.unable ? 'unable' : w.busy ? 'busy' : 'idle';
             return {
               attributes: { 'data-worker': w.name },
-              cells: [w.name, w.host, [page.badge(state), w.unable ? el('span.soft', null, ' ' + w.unable) : null], [page.bar(0, w.slots ? w.busy / w.slots : 0, 0), ' ', el('span.soft', null, w.busy + ' of ' + w.slots)], w.tasks_done, w.tasks_failed,
-                w.connected ? 'now' : page.duration(w.last_seen_s) + ' ago', w.tags.join(', ')]
+              cells: [w.name, w.host, [page.badge(state), w.unable || w.drain_reason ? el('span.soft', null, ' ' + (w.unable || w.drain_reason)) : null], [page.bar(0, w.slots ? w.busy / w.slots : 0, 0), ' ', el('span.soft', null, w.busy + ' of ' + w.slots)], w.tasks_done, w.tasks_failed, w.disk_free_gib ? w.disk_free_gib + ' GiB' : '',
+                w.connected ? 'now' : page.duration(w.last_seen_s) + ' ago', w.tags.join(', '), w.last_error]
             };
           })) : el('p.soft', null, 'None: realitygrad worker starts one.'));
       });

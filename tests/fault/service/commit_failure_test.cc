@@ -2,8 +2,10 @@
 // is lost, and it recovers by itself. A disk that may have lost something ends the coordinator.
 #include <gtest/gtest.h>
 #include <sqlite3.h>
+#include <sys/mount.h>
 
 #include <filesystem>
+#include <fstream>
 
 #include "common/base/ids.h"
 #include "tests/support/fault_vfs/fault_vfs.h"
@@ -96,6 +98,64 @@ TEST_F(FullDisk, ReadsGoOnAndEveryChangeIsRefused) {
   }
   EXPECT_EQ(Trouble(), "disk full: no space left");
   EXPECT_EQ(bench_.state().jobs.at(1).record.phase, coordinator::JobPhase::kRunning);
+}
+
+// A disk that is really full: what ends work or frees space is done from the reserve, which is kept again later.
+TEST(FullDiskReserve, CancelsArchivesAndCollectsWhereNothingElseIsTaken) {
+  const std::string folder = "/tmp/rg-full-" + RandomHex(6);
+  std::filesystem::create_directories(folder);
+  if (::mount("tmpfs", folder.c_str(), "tmpfs", 0, "size=32m") != 0) GTEST_SKIP() << "cannot mount a small disk here";
+  {
+    coordinator::ServerOptions options;
+    options.database_path = folder + "/a.db";
+    ServerBench bench(options);
+    const auto client = bench.Connect("client", pb::ROLE_OPERATOR);
+    for (int i = 1; i <= 3; ++i) client->Submit(OneTask(), "r" + std::to_string(i));
+    ASSERT_TRUE(bench.Turn().ok());
+    for (int i = 0; i < 3; ++i) ASSERT_TRUE(client->Reply<pb::SubmitReply>().ok());
+    const std::string filler = folder + "/filler";
+    {
+      std::ofstream out(filler, std::ios::binary);
+      const std::string piece(1 << 12, 'x');
+      while (out.write(piece.data(), static_cast<std::streamsize>(piece.size())).flush()) {
+      }
+    }
+    pb::JobSpec large = OneTask();
+    large.mutable_tasks(0)->set_payload(std::string(4 << 20, 'x'));
+    client->Submit(large, "large");
+    ASSERT_TRUE(bench.Turn().ok());
+    EXPECT_EQ(client->Reply<pb::SubmitReply>().status().code(), StatusCode::kResourceExhausted);
+    pb::JobActionRequest cancel;
+    cancel.set_job(2);
+    cancel.set_action(pb::JOB_ACTION_CANCEL);
+    client->Ask(cancel);
+    ASSERT_TRUE(bench.Turn().ok());
+    const auto cancelled = client->Reply<pb::JobActionReply>();
+    ASSERT_TRUE(cancelled.ok()) << cancelled.status().ToString();
+    EXPECT_EQ(cancelled->job().state(), pb::JOB_STATE_CANCELLED);
+    client->Submit(OneTask(), "r4");
+    client->Ask(pb::ArchiveJobsRequest());
+    client->Ask(pb::GcArtifactsRequest());
+    ASSERT_TRUE(bench.Turn().ok());
+    const auto archived = client->Reply<pb::ArchiveJobsReply>();
+    EXPECT_EQ(archived.status().code(), StatusCode::kResourceExhausted) << "the reply to the submit: not from the reserve";
+    EXPECT_TRUE(client->Reply<pb::ArchiveJobsReply>().ok());
+    EXPECT_TRUE(client->Reply<pb::GcArtifactsReply>().ok());
+    bench.Pass(1.1);
+    ASSERT_TRUE(bench.Turn().ok());
+    client->Ask(pb::StatusRequest());
+    ASSERT_TRUE(bench.Turn().ok());
+    EXPECT_EQ(client->Reply<pb::StatusReply>()->trouble().rfind("disk full", 0), 0u) << "the reserve's room is no room";
+    std::filesystem::remove(filler);
+    bench.Pass(31.0);
+    ASSERT_TRUE(bench.Turn().ok());
+    client->Submit(OneTask(), "r5");
+    ASSERT_TRUE(bench.Turn().ok());
+    EXPECT_TRUE(client->Reply<pb::SubmitReply>().ok());
+    EXPECT_TRUE(std::filesystem::exists(options.database_path + ".reserve"));
+  }
+  ::umount2(folder.c_str(), MNT_DETACH);
+  std::filesystem::remove_all(folder);
 }
 
 TEST_F(FullDisk, AResultStaysWithItsWorkerUntilThereIsRoom) {

@@ -97,6 +97,110 @@ TEST(Roles, RolloutsAreSubmittedAndRetriedOnlyWithTheRightToRobots) {
   EXPECT_TRUE(with->Reply<pb::JobActionReply>().ok());
 }
 
+TEST(Roles, ActingOnAJobThatMovesARobotNeedsTheRightButForAPause) {
+  ServerBench bench;
+  const auto without = bench.Connect("o1", pb::ROLE_OPERATOR, "anna"),
+             with = bench.Connect("o2", pb::ROLE_OPERATOR, "ben", true);
+  ASSERT_TRUE(SubmitStatus(bench, *with, OneTask("rollout"), "r1").ok());
+  const auto ask = [&](Peer& peer, pb::JobAction action) {
+    pb::JobActionRequest request;
+    request.set_job(1);
+    request.set_action(action);
+    peer.Ask(request);
+    EXPECT_TRUE(bench.Turn().ok());
+    return peer.Reply<pb::JobActionReply>().status();
+  };
+  EXPECT_TRUE(ask(*without, pb::JOB_ACTION_PAUSE).ok()) << "whoever sees it may stop it";
+  for (const auto action : {pb::JOB_ACTION_RESUME, pb::JOB_ACTION_PRIORITY, pb::JOB_ACTION_CANCEL}) {
+    const Status refused = ask(*without, action);
+    EXPECT_EQ(refused.code(), StatusCode::kPermissionDenied) << action;
+    EXPECT_NE(refused.message().find("the key 'anna'"), std::string::npos) << refused.message();
+    EXPECT_TRUE(ask(*with, action).ok()) << action;
+  }
+  pb::PromoteParametersRequest promote;
+  promote.set_robot("arm");
+  promote.set_version(1);
+  without->Ask(promote);
+  ASSERT_TRUE(bench.Turn().ok());
+  EXPECT_EQ(without->Reply<pb::PromoteParametersReply>().status().code(), StatusCode::kPermissionDenied);
+  with->Ask(promote);
+  ASSERT_TRUE(bench.Turn().ok());
+  EXPECT_EQ(with->Reply<pb::PromoteParametersReply>().status().code(), StatusCode::kNotFound) << "it has none yet";
+}
+
+TEST(Roles, WhoItWasIsTheNameOfTheKeyInListingsAndEvents) {
+  ServerBench bench;
+  const auto anna = bench.Connect("o1", pb::ROLE_OPERATOR, "anna"), ben = bench.Connect("o2", pb::ROLE_OPERATOR, "ben");
+  pb::JobSpec job = OneTask();
+  job.set_submitted_by("root@lab7");
+  ASSERT_TRUE(SubmitStatus(bench, *anna, job, "r1").ok());
+  job.set_submitted_by("anna");
+  ASSERT_TRUE(SubmitStatus(bench, *ben, job, "r2").ok());
+  const auto list = [&](Peer& peer, const std::string& by, bool mine) {
+    pb::ListJobsRequest request;
+    request.set_by(by);
+    request.set_mine(mine);
+    peer.Ask(request);
+    EXPECT_TRUE(bench.Turn().ok());
+    return *peer.Reply<pb::ListJobsReply>();
+  };
+  const auto of_anna = list(*ben, "anna", false), of_ben = list(*ben, "anna", true);
+  ASSERT_EQ(of_anna.jobs_size(), 1);
+  EXPECT_EQ(of_anna.jobs(0).submitted_by(), "anna (root@lab7)");
+  EXPECT_EQ(of_anna.you(), "ben");
+  ASSERT_EQ(of_ben.jobs_size(), 1);
+  EXPECT_EQ(of_ben.jobs(0).submitted_by(), "ben (anna)") << "what it says of itself is a remark";
+
+  EXPECT_EQ(SubmitStatus(bench, *ben, OneTask("rollout"), "r3").code(), StatusCode::kPermissionDenied);
+  pb::JobActionRequest cancel;
+  cancel.set_job(1);
+  cancel.set_action(pb::JOB_ACTION_CANCEL);
+  cancel.set_reason("wrong goal");
+  cancel.set_by("root@lab8");
+  ben->Ask(cancel);
+  ASSERT_TRUE(bench.Turn().ok());
+  ASSERT_TRUE(ben->Reply<pb::JobActionReply>().ok());
+  anna->Ask(pb::ListEventsRequest());
+  ASSERT_TRUE(bench.Turn().ok());
+  std::map<std::string, std::string> details;
+  const auto events = anna->Reply<pb::ListEventsReply>();
+  ASSERT_TRUE(events.ok());
+  for (const auto& event : events->events()) details[event.kind()] = event.detail();
+  EXPECT_EQ(details["job.cancelled"], "by ben (root@lab8): wrong goal");
+  EXPECT_EQ(details["request.refused"].rfind("by ben: the key 'ben' may not have a robot moved", 0), 0u)
+      << details["request.refused"];
+}
+
+TEST(Roles, ManyActionsAreOneTransactionAndEachIsAnswered) {
+  ServerBench bench;
+  const auto with = bench.Connect("o1", pb::ROLE_OPERATOR, "ben", true), without = bench.Connect("o2", pb::ROLE_OPERATOR, "anna");
+  pb::SubmitManyRequest submits;
+  for (const char* kind : {"echo", "rollout", "echo"}) {
+    auto* submit = submits.add_submits();
+    submit->set_request_id("r" + std::to_string(submits.submits_size()));
+    *submit->mutable_job() = OneTask(kind);
+  }
+  without->Ask(submits);
+  ASSERT_TRUE(bench.Turn().ok());
+  const auto submitted = without->Reply<pb::SubmitManyReply>();
+  ASSERT_TRUE(submitted.ok()) << submitted.status().ToString();
+  EXPECT_EQ(submitted->jobs(0), 1);
+  EXPECT_NE(submitted->errors(1).find("may not have a robot moved"), std::string::npos);
+  EXPECT_EQ(submitted->jobs(2), 2);
+  pb::ManyJobActionsRequest actions;
+  for (const int64_t id : {1, 2, 3}) {
+    actions.add_actions()->set_job(id);
+    actions.mutable_actions()->rbegin()->set_action(pb::JOB_ACTION_CANCEL);
+  }
+  with->Ask(actions);
+  ASSERT_TRUE(bench.Turn().ok());
+  const auto acted = with->Reply<pb::ManyJobActionsReply>();
+  ASSERT_TRUE(acted.ok()) << acted.status().ToString();
+  EXPECT_EQ(acted->jobs(0).state(), pb::JOB_STATE_CANCELLED);
+  EXPECT_EQ(acted->jobs(1).state(), pb::JOB_STATE_CANCELLED);
+  EXPECT_EQ(acted->errors(2), "there is no job 3");
+}
+
 TEST(Roles, WhetherATaskRunsAtMostOnceIsNotTheClientsToSay) {
   ServerBench bench;
   const auto client = bench.Connect("o1", pb::ROLE_OPERATOR);

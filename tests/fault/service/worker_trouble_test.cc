@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <signal.h>
+#include <sys/mount.h>
 #include <sys/resource.h>
 #include <unistd.h>
 
@@ -125,6 +126,68 @@ TEST(WorkerTrouble, AWorkerWhoseExecutorsNeverComeUpLeavesAndTheTaskWaitsForAnot
   const auto end = service.client().WaitForJob(job, kPatience);
   ASSERT_TRUE(end.ok()) << end.status().ToString();
   EXPECT_EQ(end->job().state(), pb::JOB_STATE_SUCCEEDED) << end->job().reason() << service.Logs();
+}
+
+// A disk of some MiB, with a worker's folder.
+class SmallDisk {
+ public:
+  explicit SmallDisk(std::string folder) : folder_(std::move(folder)) {
+    std::filesystem::create_directories(folder_);
+    is_mounted_ = ::mount("tmpfs", folder_.c_str(), "tmpfs", 0, "size=16m") == 0;
+  }
+  ~SmallDisk() {
+    if (is_mounted_) ::umount2(folder_.c_str(), MNT_DETACH);
+  }
+  bool is_mounted() const { return is_mounted_; }
+  const std::string& folder() const { return folder_; }
+
+ private:
+  std::string folder_;
+  bool is_mounted_ = false;
+};
+
+TEST(WorkerTrouble, AWorkerWithAFullDiskIsUnableIsGivenNothingAndComesBackByItself) {
+  Service service;
+  const SmallDisk disk(service.folder() + "/worker-a");
+  if (!disk.is_mounted()) GTEST_SKIP() << "cannot mount a small disk here";
+  service.StartWorker("a");
+  ASSERT_TRUE(service.WaitForWorkers(1)) << service.Logs();
+  ASSERT_TRUE(WriteFileAtomically(disk.folder() + "/filler", std::string(15'800'000, 'x')).ok());
+  ASSERT_TRUE(Within(kPatience, [&] { return !UnableOf(service, "a").empty(); })) << service.Logs();
+  EXPECT_THAT(UnableOf(service, "a"), HasSubstr("has a full disk"));
+  EXPECT_THAT(UnableOf(service, "a"), HasSubstr(disk.folder()));
+  const int64_t job = SubmitOnce(service);
+  const auto why = service.client().Explain(job, "");
+  ASSERT_TRUE(why.ok());
+  EXPECT_THAT(why->reasons(0), HasSubstr("has a full disk"));
+  const auto listed = service.client().ListJobs();
+  ASSERT_TRUE(listed.ok());
+  EXPECT_THAT(listed->front().reason(), HasSubstr("a: has a full disk"));
+  std::filesystem::remove(disk.folder() + "/filler");
+  const auto end = service.client().WaitForJob(job, kPatience);
+  ASSERT_TRUE(end.ok()) << end.status().ToString() << service.Logs();
+  EXPECT_EQ(end->job().state(), pb::JOB_STATE_SUCCEEDED) << end->job().reason();
+  EXPECT_EQ(end->job().reason(), "");
+  EXPECT_EQ(FindTask(*service.client().GetJob(job, true, true), "t")->attempts(), 1u);
+}
+
+TEST(WorkerTrouble, ATaskThatADiskHasNoRoomForCostsNoAttemptAndGoesToAnotherWorker) {
+  Service service;
+  const SmallDisk disk(service.folder() + "/worker-a");
+  if (!disk.is_mounted()) GTEST_SKIP() << "cannot mount a small disk here";
+  service.StartWorker("a");
+  ASSERT_TRUE(service.WaitForWorkers(1)) << service.Logs();
+  pb::JobSpec spec;
+  AddTask(&spec, "t", "blob", R"({"bytes": 20000000})")->set_max_attempts(1);
+  const int64_t job = service.client().Submit(spec).value();
+  ASSERT_TRUE(Within(kPatience, [&] { return !UnableOf(service, "a").empty(); })) << service.Logs();
+  service.StartWorker("b");
+  const auto end = service.client().WaitForJob(job, kPatience);
+  ASSERT_TRUE(end.ok()) << end.status().ToString() << service.Logs();
+  EXPECT_EQ(end->job().state(), pb::JOB_STATE_SUCCEEDED) << end->job().reason();
+  const auto reply = service.client().GetJob(job, true, true);
+  EXPECT_EQ(FindTask(*reply, "t")->attempt_list(0).worker(), "a");
+  EXPECT_THAT(FindTask(*reply, "t")->attempt_list(0).error(), HasSubstr("No space left on device"));
 }
 
 class ARolloutUnderWay : public ::testing::Test {

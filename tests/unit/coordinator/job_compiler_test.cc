@@ -58,6 +58,21 @@ TEST(CompileJob, AParentIsOptionalOnlyIfEveryMentionIs) {
   EXPECT_TRUE(compiled->plan->tasks[2].parents[0].optional);
 }
 
+TEST(CompileJob, NamesAndLabelsThatListingsShowAreOfBoundedSize) {
+  pb::JobSpec job;
+  Add(&job, "a");
+  job.set_name(std::string(128, 'n'));
+  for (int i = 0; i < 32; ++i) (*job.mutable_labels())["label" + std::to_string(i)] = std::string(128, 'v');
+  EXPECT_TRUE(CompileJob(job).ok());
+  pb::JobSpec named = job, labelled = job, valued = job;
+  named.set_name(std::string(129, 'n'));
+  ExpectRefused(named, "the job's name has 129 bytes, at most 128");
+  (*labelled.mutable_labels())["one more"] = "";
+  ExpectRefused(labelled, "33 labels, at most 32");
+  (*valued.mutable_labels())["label0"] = std::string(129, 'v');
+  ExpectRefused(valued, "the label label0 of the job has 129 bytes");
+}
+
 TEST(CompileJob, RefusesWhatCannotRunAndNamesIt) {
   ExpectRefused({}, "at least one task");
   pb::JobSpec twice;

@@ -25,6 +25,7 @@ class MemoryStore {
     }
     for (const auto& [token, attempt] : open_) out.open_attempts.push_back(attempt);
     out.last_token = last_token_;
+    out.holds = holds_;
     return out;
   }
   // All that ever were, over or not.
@@ -105,9 +106,14 @@ class MemoryStore {
       task.set_aside = false;
     }
   }
+  void ApplyOne(const SetHold& row) {
+    if (row.released) holds_.erase(row.robot);
+    if (!row.released) holds_[row.robot] = row.hold;
+  }
   void ApplyOne(const AppendEvent& row) { ++notes[row.kind]; }
 
   std::map<JobId, StoredJob> jobs_;
+  std::map<std::string, RobotHold> holds_;
   std::map<std::string, JobId> job_by_request_;
   std::map<Token, OpenAttempt> open_;
   Token last_token_ = 0;

@@ -45,6 +45,118 @@ TEST_F(Reactor, ATaskSubmitsUnderItsLeaseAndWhatItSubmitsEndsWithIt) {
   EXPECT_EQ(submit("late", second.token).verdict, Verdict::kFailedPrecondition);
 }
 
+TEST_F(Reactor, AFailureOfTheNodeCostsNoAttemptAndGoesToAnotherUpToALimit) {
+  Join("a");
+  TaskPlan once = MakeTask("t");
+  once.max_attempts = 1;
+  const JobId job = SubmitJob({once});
+  Assign at = Sent<Assign>(last_).at(0);
+  Join("b");
+  Failed full{"a#1", at.task, at.token, Outcome::kLost, "disk full", true, true};
+  last_ = Do(full);
+  at = Sent<Assign>(last_).at(0);
+  EXPECT_EQ(at.instance, "b#1") << "the other one is asked first";
+  for (uint32_t i = 1; i < state_.options.max_losses; ++i) {
+    ASSERT_EQ(Phase(job), JobPhase::kRunning) << i;
+    last_ = Do(Failed{at.instance, at.task, at.token, Outcome::kLost, "disk full", true, true});
+    if (!Sent<Assign>(last_).empty()) at = Sent<Assign>(last_)[0];
+  }
+  EXPECT_EQ(Phase(job), JobPhase::kFailed) << "or it would go round for ever";
+  EXPECT_NE(state_.jobs.at(job).record.reason.find("disk full"), std::string::npos);
+}
+
+TEST_F(Reactor, AWorkerWhereTasksFailThatOthersFinishRestsAndIsTriedAgainWithOne) {
+  Join("bad", 2);
+  Join("good");
+  std::vector<TaskPlan> tasks;
+  for (int i = 0; i < 12; ++i) tasks.push_back(MakeTask("t" + std::to_string(i)));
+  SubmitJob(tasks);
+  std::deque<Assign> given;
+  const auto take = [&](const Actions& actions) {
+    for (const Assign& assign : Sent<Assign>(actions)) given.push_back(assign);
+  };
+  const auto answer = [&](const Assign& assign) {
+    const bool fails = assign.instance == "bad#1";
+    return fails ? Do(Failed{assign.instance, assign.task, assign.token, Outcome::kFailed, "no library", true})
+                 : Do(Finished{assign.instance, assign.task, assign.token});
+  };
+  take(last_);
+  const Worker& bad = state_.workers.at("bad");
+  for (int i = 0; i < 30 && bad.suspect.empty(); ++i) {
+    const Assign next = given.front();
+    given.pop_front();
+    take(answer(next));
+  }
+  EXPECT_EQ(bad.why_unable(), "fails tasks that others finish: no library");
+  const auto at_bad = [&] {
+    return std::count_if(given.begin(), given.end(), [](const Assign& a) { return a.instance == "bad#1"; });
+  };
+  const auto before = at_bad();
+  const uint64_t failed = bad.tasks_failed;
+  while (!given.empty() && given.front().instance == "good#1") {
+    const Assign next = given.front();
+    given.pop_front();
+    take(answer(next));
+    if (at_bad() > before) break;
+  }
+  EXPECT_EQ(at_bad(), before) << "it is given nothing";
+  EXPECT_EQ(bad.tasks_failed, failed);
+  SubmitJob({MakeTask("later"), MakeTask("later still")});
+  take(last_);
+  const auto renew = [&] {
+    for (const char* name : {"bad#1", "good#1"}) {
+      WorkerBeat beat{name, {}};
+      for (const auto& [token, lease] : state_.leases) {
+        if (lease.instance == name) beat.held.push_back(token);
+      }
+      Do(beat);
+    }
+  };
+  for (int i = 0; i < 10 && !bad.suspect.empty(); ++i) Pass(1), renew(), take(Do(Tick{}));
+  EXPECT_TRUE(bad.suspect.empty()) << "by itself";
+  EXPECT_EQ(at_bad(), 1) << "one at a time";
+}
+
+TEST_F(Reactor, NothingBeginsOnAHeldRobotUntilItIsReleased) {
+  Join("agent", 1, {}, {"robot:one"});
+  TaskPlan rollout = MakeTask("rollout");
+  rollout.at_most_once = true;
+  rollout.required_tags = {"robot:one"};
+  const JobId job = SubmitJob({rollout});
+  const Assign given = Sent<Assign>(last_).at(0);
+  last_ = Do(HoldRobot{"one", "belt replaced", "anna", false, 1});
+  EXPECT_EQ(Sent<AnswerClient>(last_).at(0).verdict, Verdict::kOk);
+  ASSERT_EQ(Sent<Revoke>(last_).size(), 1u) << "it has not begun";
+  EXPECT_TRUE(Sent<GrantStart>(Do(StartRequested{"agent#1", given.token})).empty());
+  EXPECT_TRUE(Sent<Assign>(Do(WorkerBeat{"agent#1", {}})).empty());
+  EXPECT_EQ(WhyItWaits(state_, state_.jobs.at(job)), "agent: is held by anna: belt replaced");
+  Join("agent", 1, {}, {"robot:one"});
+  EXPECT_TRUE(Sent<Assign>(last_).empty()) << "whoever comes back";
+  EXPECT_EQ(Sent<AnswerClient>(Do(HoldRobot{"two", "", "ben", true, 1})).at(0).verdict, Verdict::kFailedPrecondition);
+  last_ = Do(HoldRobot{"one", "", "ben", true, 1});
+  EXPECT_EQ(Sent<Assign>(last_).size(), 1u);
+  EXPECT_EQ(store_.notes["robot.held"] + store_.notes["robot.released"], 2);
+}
+
+TEST_F(Reactor, TasksThatFailEverywhereAreNotTheFaultOfTheWorkers) {
+  Join("a");
+  Join("b");
+  std::vector<TaskPlan> tasks;
+  for (int i = 0; i < 6; ++i) tasks.push_back(MakeTask("t" + std::to_string(i)));
+  const JobId job = SubmitJob(tasks);
+  std::deque<Assign> given;
+  for (const Assign& assign : Sent<Assign>(last_)) given.push_back(assign);
+  while (!given.empty()) {
+    const Assign next = given.front();
+    given.pop_front();
+    for (const Assign& assign :
+         Sent<Assign>(Do(Failed{next.instance, next.task, next.token, Outcome::kFailed, "wrong", true})))
+      given.push_back(assign);
+  }
+  EXPECT_EQ(Phase(job), JobPhase::kFailed);
+  for (const auto& [name, worker] : state_.workers) EXPECT_EQ(worker.why_unable(), "");
+}
+
 TEST_F(Reactor, AChildIsAssignedOnlyAfterItsParentCommitted) {
   Join("a", 4);
   const JobId job = SubmitJob({MakeTask("p"), MakeTask("c", {{0, false}})});

@@ -73,6 +73,25 @@ TEST(Demand, LeavesOutRobotsAndTags) {
       << text;
   EXPECT_NE(text.find("realitygrad_uptime_seconds 1.5\n"), std::string::npos) << text;
   EXPECT_EQ(text.find("allocations"), std::string::npos);
+  auto* seconds = status.add_seconds();
+  seconds->set_kind("train");
+  seconds->add_at_most(1.0);
+  seconds->add_count(2);
+  seconds->add_count(3);
+  seconds->set_sum(7.5);
+  status.add_holds()->set_robot("mico2");
+  pb::WorkerInfo agent;
+  agent.set_name("arm");
+  agent.set_connected(true);
+  agent.set_tasks_failed(4);
+  agent.set_robot_state("waits for mico2, which is latched (stop not confirmed): realitygrad agent clear");
+  const std::string told = MetricsText(status, 1.5, "", {agent});
+  for (const char* line :
+       {"realitygrad_task_seconds_bucket{kind=\"train\",le=\"1\"} 2\n", "realitygrad_task_seconds_bucket{kind=\"train\",le=\"+Inf\"} 3\n",
+        "realitygrad_task_seconds_sum{kind=\"train\"} 7.5\n", "realitygrad_worker_tasks_failed_total{worker=\"arm\"} 4\n",
+        "realitygrad_robot_armed{worker=\"arm\"} 0\n", "realitygrad_robot_latched{worker=\"arm\"} 1\n",
+        "realitygrad_robot_held{robot=\"mico2\"} 1\n"})
+    EXPECT_NE(told.find(line), std::string::npos) << line << told;
   const std::string more =
       MetricsText(status, 1.5, R"({"autoscale": {"running": 2, "pending": 1, "in_vain": 6}})");
   EXPECT_NE(more.find("realitygrad_allocations_in_vain 6\n"), std::string::npos) << more;
