@@ -1,6 +1,5 @@
 #include "coordinator/web/web_server.h"
 
-#include <httplib.h>
 #include <sys/socket.h>
 
 #include <CLI/CLI.hpp>
@@ -16,13 +15,13 @@
 #include "coordinator/web/feed.h"
 #include "coordinator/web/feed_json.h"
 #include "coordinator/web/gate.h"
+#include "coordinator/web/http_door.h"
 #include "coordinator/web/metrics.h"
 
 namespace rg::coordinator::web {
 namespace {
 
 constexpr char kDefaultAddress[] = "127.0.0.1:7342";
-constexpr size_t kThreads = 16;
 
 constexpr char kPagePolicy[] =
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
@@ -149,7 +148,7 @@ struct WebServer::Impl {
   ListenAddress address;
   Gate gate;
   Feed feed;
-  httplib::Server http;
+  HttpDoor http;
   std::thread thread;
   std::atomic<bool> over = false;
   int port = 0;
@@ -162,7 +161,7 @@ httplib::Server::HandlerResponse WebServer::Impl::Admit(const httplib::Request& 
   response.set_header("X-Content-Type-Options", "nosniff");
   response.set_header("Referrer-Policy", "no-referrer");
   response.set_header("Cache-Control", "no-store");
-  if (request.path == "/healthz") return Handled::Unhandled;
+  if (request.path == "/healthz" || request.path == "/readyz") return Handled::Unhandled;
   // What is not a question is refused by its own handler, which has read it to its end before.
   if (request.method != "GET" && request.method != "HEAD") return Handled::Unhandled;
   if (gate.Admits(CredentialsOf(request))) return Handled::Unhandled;
@@ -256,25 +255,23 @@ void WebServer::Impl::AddProbes() {
     response.set_content(MetricsText(*status, uptime_s, feed.MoreStatus(), *workers),
                          "text/plain; version=0.0.4; charset=utf-8");
   });
-  http.Get("/healthz", [this](const httplib::Request&, httplib::Response& response) {
-    const auto status = feed.CoordinatorStatus();
-    const std::string trouble = status.ok() ? status->trouble() : "the coordinator does not answer";
-    response.status = trouble.empty() ? 200 : 503;
-    response.set_content((trouble.empty() ? "ok" : trouble) + "\n", "text/plain");
-  });
+  // Whether all is well, and whether it answers: on a full disk only the first is not so.
+  for (const bool is_ready : {false, true}) {
+    http.Get(is_ready ? "/readyz" : "/healthz", [this, is_ready](const httplib::Request&, httplib::Response& response) {
+      const auto status = feed.CoordinatorStatus();
+      const std::string trouble = status.ok() ? status->trouble() : "the coordinator does not answer";
+      response.status = trouble.empty() || (is_ready && status.ok()) ? 200 : 503;
+      response.set_content((trouble.empty() ? "ok" : trouble) + "\n", "text/plain");
+    });
+  }
 }
 
 void WebServer::Impl::SetUp() {
-  http.new_task_queue = [] { return new httplib::ThreadPool(kThreads); };
   // Not the library's own options: with SO_REUSEPORT two coordinators would share a port without a word.
   http.set_socket_options([](int socket) {
     const int yes = 1;
     setsockopt(socket, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
   });
-  // A connection holds a thread for as long as it stands.
-  http.set_keep_alive_max_count(1);
-  http.set_read_timeout(5);
-  http.set_write_timeout(10);
   constexpr size_t kMaxBodyBytes = 4096;
   http.set_payload_max_length(kMaxBodyBytes);
   http.set_pre_routing_handler(

@@ -1,6 +1,6 @@
 // The web page of a coordinator: read-only, over HTTP, from threads of its own. It knows no more than a
 // viewer: what it shows comes over the coordinator's own socket (feed.h), so that nothing it does holds up
-// the coordinator's thread. Also /metrics (Prometheus), /healthz, and /api/demand for scalers.
+// the coordinator's thread. Also /metrics (Prometheus), /healthz, /readyz, and /api/demand for scalers.
 #pragma once
 
 #include <functional>

@@ -1,7 +1,10 @@
 // The coordinator's web page: over real HTTP, and as a browser shows it.
 #include <gtest/gtest.h>
+#include <arpa/inet.h>
 #include <httplib.h>
+#include <sys/socket.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include <atomic>
 #include <filesystem>
@@ -130,6 +133,61 @@ TEST_F(WebPage, MetricsTellTheDemand) {
     EXPECT_NE(metrics.find(line), std::string::npos) << line << "\n" << metrics;
   }
   EXPECT_EQ(Ask("/api/demand")["slots_wanted"], 3);
+}
+
+// Connections that send a byte now and then, and what they heard in the end.
+class SlowClients {
+ public:
+  SlowClients(int port, int count) {
+    sockaddr_in to{};
+    to.sin_family = AF_INET;
+    to.sin_port = htons(static_cast<uint16_t>(port));
+    to.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    for (int i = 0; i < count; ++i) {
+      sockets_.push_back(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0));
+      EXPECT_EQ(connect(sockets_.back(), reinterpret_cast<sockaddr*>(&to), sizeof to), 0);
+    }
+    writer_ = std::thread([this] {
+      for (size_t at = 0; !stop_; ++at) {
+        const char byte = at < 4 ? "GET "[at] : 'x';
+        for (const int s : sockets_) [[maybe_unused]] const ssize_t sent = send(s, &byte, 1, MSG_NOSIGNAL);
+        std::this_thread::sleep_for(std::chrono::milliseconds(200));
+      }
+    });
+  }
+  ~SlowClients() {
+    stop_ = true;
+    writer_.join();
+    for (const int s : sockets_) close(s);
+  }
+  // Waits for it.
+  std::string Heard(size_t client) {
+    std::string heard(100, 0);
+    const ssize_t n = recv(sockets_[client], heard.data(), heard.size(), 0);
+    heard.resize(n > 0 ? static_cast<size_t>(n) : 0);
+    return heard;
+  }
+
+ private:
+  std::vector<int> sockets_;
+  std::atomic<bool> stop_ = false;
+  std::thread writer_;
+};
+
+TEST_F(WebPage, SlowClientsHoldUpNobodyAndAreShownOut) {
+  SlowClients slow(port(), 60);
+  for (const char* path : {"/healthz", "/readyz", "/metrics", "/", "/api/jobs"}) {
+    const auto reply = Http().Get(path);
+    ASSERT_TRUE(reply) << path;
+    EXPECT_EQ(reply->status, 200) << path;
+  }
+  EXPECT_EQ(slow.Heard(59).rfind("HTTP/1.1 408", 0), 0u) << "a byte now and then is no request";
+}
+
+TEST_F(WebPage, TheOldestOfTooManyThatHaveNotAskedYetGoes) {
+  SlowClients slow(port(), 100);
+  EXPECT_EQ(slow.Heard(0).rfind("HTTP/1.1 408", 0), 0u);
+  EXPECT_EQ(Http().Get("/healthz")->status, 200);
 }
 
 // However many look: the coordinator hears a few questions a second.
